@@ -72,7 +72,7 @@ used later.
 class TupleReference(types.Type):
     """Type of a tuple that compiled code reads by its address: a member is loaded where it is used.
 
-    A tuple of sixty arrays by value is some 400 numbers, which every use copies and the compiler then removes.
+    Passed by value, a tuple of sixty arrays is some 400 numbers, which every use copies.
     """
 
     def __init__(self, of: Any) -> None:

@@ -28,7 +28,7 @@ def find_compiler() -> str:
     Raises
     ------
     MuflyError
-        If there is none.
+        If there is no compiler.
     """
     for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
         found = shutil.which(name) if name else None
@@ -65,7 +65,7 @@ def build_cached_library(name: str, files: Mapping[str, str], *, flags: Sequence
     name : str
         First part of the file name.
     files : mapping
-        Text of every source and header by its path in a folder, the include folder; paths in ``.c`` are compiled.
+        Text of every source and header, by its path relative to the include folder; files ``.c`` are compiled.
     flags : sequence of str
         Compiler flags.
 

@@ -113,9 +113,11 @@ class IdealEstimator(Estimator):
 
 
 def measured_tilt(m: Estimate) -> float:
-    """Return the tilt of a standing vehicle (rad): the greater of that of the estimate and of its accelerometers.
+    """Return the tilt of a standing vehicle (rad): the greater of the estimated tilt and the tilt by its accelerometers
+    alone.
 
-    An estimator may explain a lean by a bias of the accelerometers, or reject their reading, so it also counts alone.
+    An estimator may attribute a lean to a bias of the accelerometers, or reject their reading. The accelerometers are
+    therefore also evaluated alone.
 
     Parameters
     ----------
@@ -166,7 +168,7 @@ class EstimateMonitor:
 def _replace_bad_values(
     before: EstimateMonitor | None, m: Estimate, bad: list[str], period_s: float, max_range_m: float
 ) -> Estimate:
-    """Return the estimate with bad values replaced by the last good ones; zero if none exist.
+    """Return the estimate with each bad value replaced by its last good value, or by zero before the first good value.
 
     An estimate with replaced values is not valid: motors do not start with it.
     """

@@ -159,7 +159,7 @@ def explain_numba_choice(vehicle: Vehicle) -> str:
 
 
 def _reason_against_c(asked: str, kind: Any) -> str:
-    """Return the reason against C that is known before a build."""
+    """Return the reason for not using C, as far as it is known before a build; "" to use C."""
     if asked == "numba":
         return f"Numba is selected by {_BACKEND_VARIABLE} or by code"
     if kind != np.float64:

@@ -227,7 +227,7 @@ def check_inertial_log(log: InertialLog, where: str) -> None:
 
 
 def estimate_rest_noise(log: InertialLog) -> InertialNoise:
-    """Return the densities from the Allan deviation at rest; without a rest, those of a good unit."""
+    """Return the noise densities from the Allan deviation at rest; those of a good unit if the log has no rest."""
     part = log.rest_rows
     gyro = _allan_density(log.rates[part], log.step_s)
     felt = _allan_density(log.acceleration[part], log.step_s)
@@ -235,7 +235,7 @@ def estimate_rest_noise(log: InertialLog) -> InertialNoise:
 
 
 def _allan_density(x: _Array, step: float) -> float:
-    """Return the largest sigma(tau) sqrt(tau) over axes and tau of 0.1 to 1 s; 0 for less than five times tau."""
+    """Return the largest sigma(tau) sqrt(tau) over axes and tau of 0.1 to 1 s; 0 for data shorter than five tau."""
     x = x[np.isfinite(x).all(axis=1)]
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(x, axis=0)]) * step
     found = 0.0
@@ -404,10 +404,11 @@ def estimate_flight_noise(
     least: InertialNoise,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> InertialNoise:
-    """Return the densities of greatest likelihood of the aids in the first minute of flight, at least ``least``.
+    """Return the noise densities, at least ``least``, that maximise the likelihood of the aids in the first minute of
+    flight.
 
-    A density at its upper bound means that no noise reconciles aids and inertial unit: readings cut off at the unit's
-    range, wrong axes, or aids later than stated.
+    A density at its upper bound shows that noise does not explain the difference of aids and inertial unit. Possible
+    causes are readings clipped at the unit's range, wrong axes, and aids later than stated.
     """
     if not log.is_flying.any():
         return least

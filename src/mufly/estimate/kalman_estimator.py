@@ -196,10 +196,10 @@ class KalmanEstimator(Estimator):
         return self.read_estimate(readings.time_s, valid)
 
     def make_up_periods(self, count: int) -> None:
-        """Advance by lost periods, with the readings of the inertial unit and the actuators of the period after them.
+        """Advance by lost periods, each with the inertial readings and actuator inputs of the first period after them.
 
-        The input row of that period is filled and stays. At most :data:`MAX_MISSED_PERIODS` are made up: after a longer
-        time a board's watchdog has reset it.
+        The input row already holds that period and is not changed. At most :data:`MAX_MISSED_PERIODS` are made up,
+        because after a longer gap the watchdog of a board has reset it.
         """
         rows = (self._input_values, self._input_is_new, self._input_age)
         values, is_new, age = (row.copy() for row in rows)

@@ -120,7 +120,7 @@ def measure_consistency(
     after_s : float
         Time before which instants are ignored (s).
     every : int
-        Interval of the instants used for NEES.
+        NEES uses every ``every``-th instant.
     """
     true = np.array([np.concatenate([t.position, t.velocity, t.attitude]) for t in truths])
     return measure_row_consistency(true, told, after_s=after_s, every=every)

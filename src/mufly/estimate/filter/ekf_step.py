@@ -1,12 +1,14 @@
-"""One period of the filter, compiled: readings in, the state of now out, with a bounded amount of work.
+"""One period of the compiled filter: from readings to the present state, with a bounded amount of work.
 
 The filter runs ``horizon_delay_ticks`` periods behind now, at the *horizon* (:mod:`filter_horizon`), as PX4's EKF2
-does. The output is the state of the horizon, propagated to now (:mod:`output_predictor`) through the inputs since
-(:mod:`filter_inputs`).
+does. The output is the state of the horizon, propagated to now (:mod:`output_predictor`) with the inputs received since
+the horizon (:mod:`filter_inputs`).
 
 A period has time for ``work_limit`` scalar measurements; with more work the horizon falls behind.
 
-The inertial unit's filter delays its output by ``lag``: a state belongs to ``lag`` before its tick."""
+The low-pass filter of the inertial unit delays its output by ``lag``, so a state describes the instant ``lag`` before
+its tick.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,7 @@ _Z = READING_STARTS
 
 @cached_njit(error_model="numpy")
 def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
-    """Set the memory to the state at the reset."""
+    """Set the memory to its initial values."""
     for i in range(STATE_COUNT):
         m.x[i] = m.x_repropagating[i] = m.x_now[i] = s.initial_state[i]
     for i in range(ERROR_STATE_COUNT):
@@ -103,8 +105,8 @@ def estimator_step(
     m, s, p : records
         Memory, settings, parameters of the flight model.
     z : (n,) array
-        Readings, in the order of :data:`mufly.quantities.quantity_table.CHECKED_READINGS`, then what acted (4) and the
-        share of clipped samples (3).
+        Readings, in the order of :data:`mufly.quantities.quantity_table.CHECKED_READINGS`, then the acting inputs (4)
+        and the share of clipped samples per axis (3).
     new : (9,) array of int
         0: nothing new; 1: a new reading; 2: a reading marked invalid by its sensor.
     age : (9,) array

@@ -1,17 +1,18 @@
-"""Horizon of the filter: its queue of measurements, its steps, and its tasks within the work of a period.
+"""The delayed horizon of the filter: its queue of measurements, its steps, and the division of its work over periods.
 
 The horizon lies ``horizon_delay_ticks`` periods behind now. The delay is the usual latency of the slowest sensor. A
-measurement waits in a queue until the horizon reaches the time at which it was taken, so measurements are fused in
-the order of their time. A measurement that comes later than that is moved to the next end of a block by velocity and
-yaw rate.
+measurement waits in a queue until the horizon reaches the time at which it was taken, so measurements are fused in the
+order of their time. A measurement that arrives after the horizon has passed its time is moved to the next end of a
+block by velocity and yaw rate.
 
-The horizon moves from the end of one block of averaged inputs to the end of the next. A measurement counts at the
+The horizon moves from the end of one block of averaged inputs to the end of the next. A measurement is fused at the
 nearest end of a block (10 ms away at most).
 
 Work is bounded: a period has time for ``work_limit`` scalar measurements (:func:`run_next_task`). With more work the
 horizon falls behind; from :data:`mufly.estimate.filter.filter_records.MAX_LAG_BLOCKS` blocks on, measurements that are
 due are dropped. Each period predicts one bias, in turn. The bias of the fix is predicted when a fix is fused, over the
-time since the last one."""
+time since the last one.
+"""
 
 from __future__ import annotations
 
@@ -109,8 +110,9 @@ def queue_measurement(
 
 @cached_njit(error_model="numpy")
 def _pass_terrain_edge(m: FilterMemory, s: FilterSettings, span: float) -> None:
-    """Inflate the terrain's variance while the sonar's cone passes over an edge: the nearest point moves along an
-    arc."""
+    """Inflate the terrain's variance while the sonar's cone passes over an edge, because the range changes along an
+    arc.
+    """
     away = max(-m.x[NOMINAL_POSITION + 2] - m.x[NOMINAL_TERRAIN], 0.1)
     speed = math.sqrt(
         m.x[NOMINAL_VELOCITY] * m.x[NOMINAL_VELOCITY] + m.x[NOMINAL_VELOCITY + 1] * m.x[NOMINAL_VELOCITY + 1]
@@ -153,12 +155,13 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
 
 @cached_njit(error_model="numpy")
 def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
-    """Predict one bias in cyclic order; those of the fix are predicted when a fix is fused.
+    """Predict one bias, in cyclic order; the biases of the fix are predicted when a fix is fused.
 
-    An axis error e of the inertial unit leaks the yaw rate r into the measured rates: e_y r into that of roll, -e_x r
-    into that of pitch, and a scale error into that of yaw. Accelerometers at rest tell e and their own bias only
-    together. In a turn the bias of the gyroscopes carries the leak: its deviation and its variance follow the yaw rate
-    and return to their values when the turn ends."""
+    An axis error e of the inertial unit leaks the yaw rate r into the measured rates: e_y r into the roll rate and -e_x
+    r into the pitch rate. A scale error leaks r into the yaw rate. At rest the accelerometers show only the sum of e
+    and their own bias. In a turn the gyroscope bias contains the leak: its change and its variance follow the yaw rate,
+    and both return to their former values when the turn ends.
+    """
     k = ERROR_GYRO_BIAS + m.tick % BIAS_CYCLE_TICKS
     if k >= ERROR_FIX_BIAS:
         k += ERROR_FIX_HEADING + 1 - ERROR_FIX_BIAS
@@ -189,7 +192,9 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
 
 @cached_njit(error_model="numpy")
 def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: int) -> int:
-    """Fuse the next queued measurement of the horizon; return its cost, 0 without time for it, -1 without any."""
+    """Fuse the next queued measurement of the horizon; return its cost: 0 if ``left`` is too small, -1 if none is
+    queued.
+    """
     behind = m.tick - s.horizon_delay_ticks - m.horizon_tick >= MAX_LAG_BLOCKS * s.block_ticks
     i = -1
     for j in range(QUEUE_SIZE if m.task_stage == 0 else 0):
@@ -212,7 +217,7 @@ def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: 
 
 @cached_njit(error_model="numpy")
 def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
-    """Average accelerometers and model since the last comparison."""
+    """Average the forces of accelerometers and model since their last comparison."""
     e = m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT]
     n = m.block_mean_ticks // s.block_ticks
     for k in range(3):
@@ -228,7 +233,7 @@ def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
 
 @cached_njit(error_model="numpy")
 def clear_block_forces(m: FilterMemory) -> None:
-    """Start new means of accelerometers and model."""
+    """Restart the means of the forces of accelerometers and model."""
     for k in range(3):
         m.accel_mean[k] = m.model_accel_mean[k] = m.gyro_mean[k] = 0.0
         m.thrust_slope[k] = m.velocity_slope[k] = 0.0

@@ -103,7 +103,7 @@ _Z = READING_STARTS
 def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float:
     """Update the flight phase from the rotors' lift and the height.
 
-    Returns the model's lift over the weight in the period in which the sonar sees it leave the floor, else 0.
+    Returns the ratio of the model's lift to the weight in the period in which the sonar detects lift-off, else 0.
     """
     lift = (
         -m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_FORCE_STATIC + 2] * m.x[NOMINAL_THRUST_SCALE] / GRAVITY
@@ -155,10 +155,11 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
 
 @cached_njit(error_model="numpy")
 def _ground_force_noise(m: FilterMemory, force: float) -> float:
-    """Return the density of the force's error on the legs or just off them (m^2/s^3).
+    """Return the noise density (m^2/s^3) of the force of the legs, on the floor or just above it.
 
-    ``force`` is the rotors' force per mass, down (m/s^2). The error shrinks as the rotors lift more or less than the
-    weight."""
+    ``force`` is the rotors' force per mass, down (m/s^2). The density is largest if the lift equals or exceeds the
+    weight, and falls to zero as the lift falls below the weight.
+    """
     spread = (
         GROUND_FORCE_ERROR
         if m.is_sonar_at_minimum == 1
@@ -277,9 +278,10 @@ def _backdate_accel_noise(m: FilterMemory, s: FilterSettings, k: int) -> None:
 
 @cached_njit(error_model="numpy")
 def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
-    """Estimate the noise of accelerometers less model from means over short and over long blocks.
+    """Estimate the noise of the difference of accelerometers and model from means over short and over long blocks.
 
-    Short means hold what vibration leaves in the velocity; the triangular weights of the long ones suppress vibration.
+    Means over short blocks contain the effect of vibration on the velocity. Means over long blocks have triangular
+    weights, which suppress vibration.
     """
     row = m.inputs_now
     m.accel_noise_count += 1
@@ -334,7 +336,9 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
 
 @cached_njit(error_model="numpy")
 def _turn_level(m: FilterMemory, v: _Array, start: int) -> None:
-    """Turn the two vectors from ``start`` on from the axes of a tilted inertial unit to those of the vehicle."""
+    """Rotate two vectors, the first at index ``start``, from the axes of a tilted inertial unit to those of the
+    vehicle.
+    """
     r = m.level_rotation
     for i in (start, start + 3):
         x, y, z = v[i], v[i + 1], v[i + 2]
@@ -344,7 +348,7 @@ def _turn_level(m: FilterMemory, v: _Array, start: int) -> None:
 
 @cached_njit(error_model="numpy")
 def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
-    """Rotate the inputs since the horizon level; reset to level attitude and no bias of the accelerometers."""
+    """Rotate the inputs since the horizon to the vehicle's axes; reset to level attitude, zero accelerometer bias."""
     for b in range(INPUT_BLOCK_COUNT):
         _turn_level(m, m.input_blocks[b], INPUT_RATES)
     clear_block_forces(m)
@@ -365,9 +369,11 @@ def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
 
 @cached_njit(error_model="numpy")
 def _decide_level(m: FilterMemory, s: FilterSettings) -> None:
-    """Decide by the accelerometers' sum at rest whether the inertial unit is tilted; reset the filter if so.
+    """Decide from the summed accelerometer readings at rest whether the inertial unit is tilted; reset the filter if
+    so.
 
-    The smallest rotation that turns a / |a| to (0, 0, -1) has the axis (-a_y, a_x, 0) and the cosine -a_z / |a|."""
+    The smallest rotation that turns a / |a| to (0, 0, -1) has the axis (-a_y, a_x, 0) and the cosine -a_z / |a|.
+    """
     x, y, d = m.level_sum[0], m.level_sum[1], m.level_sum[2]
     size = math.sqrt(x * x + y * y + d * d)
     x, y, d = -y / size, x / size, -d / size
@@ -385,10 +391,13 @@ def _decide_level(m: FilterMemory, s: FilterSettings) -> None:
 
 @cached_njit(error_model="numpy")
 def level_inertial_unit(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
-    """Measure the tilt of the inertial unit at rest before the first flight, and turn its readings level.
+    """Measure the tilt of the inertial unit at rest before the first flight, and rotate its readings to the vehicle's
+    axes.
 
-    The vehicle stands level but for ``rest_tilt_sigma``. A specific force that is tilted by more than legs and bias
-    explain shows a tilted unit, whose attitude would err by twice the tilt after half a turn about the mast."""
+    The vehicle stands level within ``rest_tilt_sigma``. If the measured specific force is tilted by more than legs and
+    accelerometer bias can explain, the unit is mounted at an angle. Without this correction the estimated attitude
+    would be wrong by twice the tilt after half a turn about the mast.
+    """
     needed = int(LEVEL_TIME_S / s.dt)
     if m.level_ticks < needed:
         still = m.flight_phase == PHASE_STANDING and m.status[READING_ACCELERATION] == STATUS_FUSED

@@ -1,23 +1,23 @@
 """The filter's two records, memory and settings, and the names of their indices: each becomes a struct in C.
 
-The nominal state ``x`` has the indices ``SX_...``, in SI units:
+The nominal state ``x`` has the indices ``NOMINAL_...``, in SI units:
 
-====================== ======================================================================================
-``NOMINAL_POSITION``             position N, E, D of the centre of gravity
-``NOMINAL_VELOCITY``             velocity N, E, D
-``NOMINAL_ATTITUDE``             attitude, quaternion w x y z
-``NOMINAL_GYRO_BIAS``       bias of the gyroscopes, body axes
-``NOMINAL_ACCEL_BIAS``      bias of the accelerometers, body axes
-``NOMINAL_TERRAIN``         height of the surface under the sonar above D = 0, up
-``NOMINAL_FIX_BIAS``        bias of the position fix, N, E, D
-``NOMINAL_FIX_HEADING``     bias of the position fix's heading
-``NOMINAL_WIND``            wind N, E
-``NOMINAL_THRUST_SCALE``    true thrust over the model's
-``NOMINAL_PRESSURE_BIAS``   bias of the pressure (Pa)
-``NOMINAL_MAG_BIAS``        bias of the magnetic heading (rad)
-====================== ======================================================================================
+========================= ================================================================================
+``NOMINAL_POSITION``      position N, E, D of the centre of gravity
+``NOMINAL_VELOCITY``      velocity N, E, D
+``NOMINAL_ATTITUDE``      attitude, quaternion w x y z
+``NOMINAL_GYRO_BIAS``     bias of the gyroscopes, body axes
+``NOMINAL_ACCEL_BIAS``    bias of the accelerometers, body axes
+``NOMINAL_TERRAIN``       height of the surface under the sonar above D = 0, up
+``NOMINAL_FIX_BIAS``      bias of the position fix, N, E, D
+``NOMINAL_FIX_HEADING``   bias of the position fix's heading
+``NOMINAL_WIND``          wind N, E
+``NOMINAL_THRUST_SCALE``  true thrust over the model's
+``NOMINAL_PRESSURE_BIAS`` bias of the pressure (Pa)
+``NOMINAL_MAG_BIAS``      bias of the magnetic heading (rad)
+========================= ================================================================================
 
-The error state has one number less, with the indices ``EX_...``: the attitude errs by a small turn about N, E and D
+The error state has one number less, with the indices ``ERROR_...``: the attitude error is a small turn about N, E and D
 (true = exp(turn) estimated). :data:`ERROR_STATES` has its names.
 """
 
@@ -161,7 +161,7 @@ ROTOR_FORCE_HISTORY = 8  # periods for which forces of the model wait for the sl
 
 
 class FilterMemory:
-    """Everything that the filter keeps between two periods, all zero before its reset; ``lp``: low-pass filtered."""
+    """State of the filter between two periods, all zero before its reset. ``lp`` in a name means low-pass filtered."""
 
     # The filter at the horizon
     x: _Array = _real("nominal state at the horizon, indices SX", STATE_COUNT)
@@ -401,8 +401,9 @@ class FilterSettings:
 
 
 def memory_type(kind: Any = np.float64, kept: int = INPUT_BLOCK_COUNT, waiting: int = QUEUE_SIZE) -> np.dtype:
-    """Return the record type of :class:`FilterMemory` for a number type, with room for so many input blocks and queued
-    measurements."""
+    """Return the record type of :class:`FilterMemory` for a number type and given numbers of input blocks and queued
+    measurements.
+    """
     return record_type(FilterMemory, kind, INPUT_BLOCK_COUNT=kept, QUEUE_SIZE=waiting)
 
 

@@ -1,7 +1,7 @@
 """Propagate and update a covariance in factors: P = U D U^T, U unit upper triangular, D diagonal.
 
-Only U and D are stored, and no step subtracts covariances. Rounding can therefore make P neither unsymmetric nor
-indefinite, as in a plain Kalman filter in single precision. No square root is needed.
+Only U and D are stored, and no step subtracts covariances. Rounding therefore cannot make P unsymmetric or indefinite,
+as it can in a plain Kalman filter in single precision. No square root is needed.
 
 Measurement update with a scalar z = h x + n, variance r of n (Bierman 1977, Factorization Methods for Discrete
 Sequential Estimation, ch. V): with f = U^T h, v = D f, and a_0 = r, for j = 1..n

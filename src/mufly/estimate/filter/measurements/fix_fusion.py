@@ -1,7 +1,8 @@
 """Fusion of a fix of position and heading: noise and bias of the fix, its agreement with the sonar, its reset.
 
-The fix measures p + v dt + b and the heading + b_h. Its biases b are Gauss-Markov processes. Their variance and that of
-the noise are estimated from the innovations. A reset inflates variances, so the correlations of the errors stay.
+The fix measures the position p + v dt + b and the heading psi + b_h. The velocity v moves the position from the horizon
+to the time of the fix, dt later. The biases b and b_h are Gauss-Markov processes. The variances of biases and noise are
+estimated from the innovations. A reset inflates variances, so the correlations of the errors stay.
 """
 
 from __future__ import annotations
@@ -93,10 +94,12 @@ WIDENED_SIGMAS = 3.0
 
 @cached_njit(error_model="numpy")
 def _fix_h_row(m: FilterMemory, i: int, ahead: float) -> None:
-    """Write the row H of component ``i`` of a fix taken ``ahead`` (s) after the horizon, before it if negative.
+    """Write the row H of component ``i`` of a fix that was taken ``ahead`` (s) after the horizon (negative: before it).
 
-    Without the term of the velocity a late fix corrects the present error with a past one. A filter whose attitude is
-    uncertain, as in a turn, then oscillates. The sonar knows the vertical velocity, so the height needs no term."""
+    The rows of N and E contain the velocity. Without this term a late fix would correct the present position by a past
+    error, and a filter of uncertain attitude, as in a turn, would oscillate. The sonar determines the vertical
+    velocity, so the row of D needs no such term.
+    """
     if i < FIX_HEADING:
         h_row_begin(m, ERROR_POSITION + i, 1.0)
         h_row_add(m, ERROR_FIX_BIAS + i, 1.0)
@@ -140,12 +143,13 @@ def _fix_bias_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
 
 @cached_njit(error_model="numpy")
 def _estimate_fix_noise(m: FilterMemory, i: int) -> None:
-    """Estimate noise and random walk of component ``i`` of the fix from its innovation ratio.
+    """Estimate the variances of noise and bias of component ``i`` of the fix from its innovation ratio.
 
-    The mean square of the ratio is 1 where the sum of noise and random walk is right. The mean product of two
-    successive ratios is 0 where their proportion is right: it is negative where the noise is larger than assumed, and
-    positive where the random walk is (correlation of innovations, Mehra 1970). Both variances follow by stochastic
-    approximation. Ratios with a lasting mean say that the filter errs: they do not change the variances."""
+    If the sum of both variances is right, the mean square of the ratio is 1. If their proportion is right, the mean
+    product of two successive ratios is 0; a negative mean shows that the noise is larger than assumed, a positive one
+    that the bias is (correlation of innovations, Mehra 1970). Both variances follow by stochastic approximation. A
+    ratio with a lasting mean shows an error of the filter and does not change the variances.
+    """
     aid = AID_PLACE if i < FIX_HEADING else AID_HEADING
     gain = NOISE_GAIN_PLACE if i < FIX_HEADING else NOISE_GAIN_HEADING
     ratio = m.fix_ratio[i]
@@ -168,10 +172,11 @@ def _largest_mean_ratio(m: FilterMemory) -> float:
 
 @cached_njit(error_model="numpy")
 def _fix_bias_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
-    """Return the estimated bias of component ``i`` of the fix over the largest that its model allows.
+    """Return the estimated bias of component ``i`` of the fix, divided by the largest bias that its model allows.
 
     A Gauss-Markov process of deviation sigma exceeds 5 sigma once in two million correlation times. Innovations do
-    not show such an error, because the bias follows it."""
+    not show such an error, because the bias follows it.
+    """
     return abs(m.x[NOMINAL_FIX_BIAS + i]) / (
         BIAS_RANGE_SIGMAS * math.sqrt(_fix_bias_variance(m, s, i) + _fix_variance(m, s, i))
     )
@@ -179,10 +184,12 @@ def _fix_bias_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
 
 @cached_njit(error_model="numpy")
 def _widen_fix_bias(m: FilterMemory, s: FilterSettings, i: int, nu: float, ratio: float) -> float:
-    """Raise the random walk of the fix until it explains an innovation ``nu`` at rest; return the new ratio.
+    """Raise the bias variance of the fix until it explains an innovation ``nu`` at rest; return the new innovation
+    ratio.
 
-    A vehicle at rest knows its velocity, so that an innovation beyond the gate is an error of the fix. One beyond
-    the largest random walk remains a jump."""
+    The velocity of a vehicle at rest is known, so an innovation beyond the gate is an error of the fix. An innovation
+    that the largest bias variance does not explain remains a jump.
+    """
     sigma = s.initial_sigma[ERROR_FIX_BIAS + i]
     spread = nu / WIDENED_SIGMAS
     scale = spread * spread / (sigma * sigma)
@@ -196,7 +203,7 @@ def _widen_fix_bias(m: FilterMemory, s: FilterSettings, i: int, nu: float, ratio
 
 @cached_njit(error_model="numpy")
 def _sonar_height_valid(m: FilterMemory, s: FilterSettings) -> bool:
-    """Return whether the sonar measures the height, over a known floor."""
+    """Return whether the sonar measures the height over a known floor."""
     k = READING_SONAR
     fresh = m.last_fused_tick[k] > 0 and (m.tick - m.last_fused_tick[k]) * s.dt < 0.3
     return fresh and m.status[k] == STATUS_FUSED and m.reason[k] == REASON_NONE and not m.terrain_edge_weight > 0.0
@@ -206,8 +213,9 @@ def _sonar_height_valid(m: FilterMemory, s: FilterSettings) -> bool:
 def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio: float) -> bool:
     """Return whether fix and sonar agree on the height; if not, write the gap to ``m.fix_height_gap``.
 
-    The faulty one of the two is unknown: the pressure drifts by as much. The height follows the sonar, and the gap is
-    added to the standard deviation of the position."""
+    The filter cannot decide which of the two is wrong, because the pressure drifts by as much as they differ. The
+    height follows the sonar, and the gap is added to the standard deviation of the position.
+    """
     k = READING_FIX
     off = abs(ratio)
     whole = abs(nu + m.x[NOMINAL_FIX_BIAS + 2])
@@ -223,21 +231,21 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio:
 
 @cached_njit(error_model="numpy")
 def _is_height_alone_off(m: FilterMemory) -> bool:
-    """Return whether the height is the one component of the fix that lies outside the gate."""
+    """Return whether the height is the only component of the fix outside the gate."""
     off = max(max(abs(m.fix_ratio[FIX_NORTH]), abs(m.fix_ratio[FIX_EAST])), abs(m.fix_ratio[FIX_HEADING]))
     return m.fix_component == FIX_DOWN and off < INNOVATION_GATE
 
 
 @cached_njit(error_model="numpy")
 def _clear_attitude_evidence(m: FilterMemory) -> None:
-    """Mark a fix that is rejected for its height alone as faulty: a height does not contradict the attitude."""
+    """Mark a fix as faulty instead of rejected if only its height is rejected: it does not contradict the attitude."""
     if m.status[READING_FIX] == STATUS_REJECTED and _is_height_alone_off(m):
         m.status[READING_FIX] = STATUS_FAULTY
 
 
 @cached_njit(error_model="numpy")
 def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
-    """Fuse position and heading of a fix; no height while it disagrees with the sonar."""
+    """Fuse position and heading of a fix; leave out its height while fix and sonar disagree."""
     k, worst, at = READING_FIX, 0.0, 0.0
     down = True
     for i in range(FIX_COMPONENT_COUNT):
@@ -326,7 +334,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
 
 @cached_njit(error_model="numpy")
 def predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
-    """Predict the bias of the fix to the horizon; N and E over the same time."""
+    """Predict the biases of the fix to the time of the horizon, N and E over equal intervals."""
     for k in range(ERROR_FIX_BIAS, ERROR_FIX_HEADING + 1):
         keep, by = 1.0, s.decay[k]
         blocks = (m.horizon_tick - m.fix_bias_tick) // s.block_ticks

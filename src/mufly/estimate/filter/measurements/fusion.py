@@ -2,7 +2,7 @@
 
 A scalar measurement z = h(x) + n has an innovation of variance S = H P H^T + r. It is fused if the innovation lies
 within :data:`~mufly.estimate.filter.measurements.scalar_fusion.INNOVATION_GATE` standard deviations; a measurement of
-several numbers if all of them do.
+several components is fused if all their innovations do.
 
 | measurement | h(x) | reset after rejections that agree with each other |
 |---|---|---|
@@ -145,11 +145,12 @@ def _sonar_h_row(m: FilterMemory, s: FilterSettings, r: _Array) -> float:
 
 @cached_njit(error_model="numpy")
 def _reset_height(m: FilterMemory, s: FilterSettings, nu: float) -> None:
-    """Reset the height after innovations ``nu`` of the sonar.
+    """Reset the height after consistent innovations ``nu`` of the sonar.
 
-    The foot of a wall in the sonar's cone gives a wrong height once. A second reset within
-    :data:`SECOND_RESET_WINDOW_S` says that a force is wrong: then the vertical speed, the accelerometer's bias and the
-    thrust's scale are freed too."""
+    The foot of a wall in the sonar's cone can cause one reset. A second reset within :data:`SECOND_RESET_WINDOW_S`
+    shows that a force is wrong, so the variances of vertical speed, accelerometer bias and thrust scale are inflated,
+    too.
+    """
     inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_POSITION + 2, nu * nu, m.u_transposed_h)
     before = m.height_reset_tick
     m.height_reset_tick = m.horizon_tick
@@ -180,11 +181,11 @@ def _reset_height(m: FilterMemory, s: FilterSettings, nu: float) -> None:
 
 @cached_njit(error_model="numpy")
 def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> bool:
-    """Whether the sonar repeats a reading more often than its noise and the vehicle's motion allow.
+    """Return whether the sonar repeats a reading more often than its noise and the vehicle's motion allow.
 
-    A reading in steps of h is the one before with a chance of about h / (sqrt(2 pi) sigma) exp(-nu^2 / (2 sigma^2)),
-    sigma of the innovation nu; exp(-x) <= 1 / (1 + x). A vehicle that may stand on the floor, by the fix's height,
-    shows nothing.
+    With the resolution h, a reading equals the preceding one with a probability of about h / (sqrt(2 pi) sigma)
+    exp(-nu^2 / (2 sigma^2)), where sigma is the standard deviation of the innovation nu; the code uses exp(-x) <= 1 /
+    (1 + x). If the vehicle may stand on the floor, by the height of the fix, equal readings prove nothing.
     """
     same = z == m.sonar_prev
     m.sonar_prev = z
@@ -200,7 +201,7 @@ def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> boo
 
 @cached_njit(error_model="numpy")
 def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array) -> None:
-    """Fuse the range to the surface below; a step that no other sensor sees belongs to the terrain."""
+    """Fuse the range to the surface below; attribute a step that no other sensor measures to the terrain."""
     k = READING_SONAR
     down = _sonar_h_row(m, s, r)
     if r[8] < s.sonar_cone or z[0] >= s.sonar_max:
@@ -295,7 +296,7 @@ def reset_terrain(m: FilterMemory) -> None:
 
 @cached_njit(error_model="numpy")
 def fuse_liftoff_thrust(m: FilterMemory, lift: float) -> None:
-    """Fuse the thrust's scale at lift-off, where thrust equals weight; ``lift``: the model's thrust over the weight."""
+    """Fuse the thrust scale at lift-off, where thrust equals weight; ``lift`` is the model's thrust over the weight."""
     scale = LIFTOFF_THRUST_RATIO / lift
     spread = LIFTOFF_THRUST_SIGMA * scale
     fuse_error_state(m, ERROR_THRUST_SCALE, scale - m.x[NOMINAL_THRUST_SCALE], spread * spread)
@@ -303,7 +304,7 @@ def fuse_liftoff_thrust(m: FilterMemory, lift: float) -> None:
 
 @cached_njit(error_model="numpy")
 def fuse_ground_contact(m: FilterMemory, s: FilterSettings) -> bool:
-    """Keep the legs above the surface below, and stop a fall into it; return whether they were below.
+    """If the estimate puts the legs below the surface, correct height and sink rate; return whether it does.
 
     Below the sonar's minimum range, with less thrust than weight, no other sensor shows that the vehicle stands.
     """
@@ -323,9 +324,10 @@ def fuse_ground_contact(m: FilterMemory, s: FilterSettings) -> bool:
 def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array, most: int) -> bool:
     """Fuse distances to the walls of the room, at most ``most`` beams at a time; return whether all are fused.
 
-    The error of a beam is mostly constant (docs/explanation/estimation.md). The information on a position is therefore
-    bounded by J, the sum of h^2 / C over the beams. A picture adds the information lost since the preceding picture,
-    J - 1 / P. Each beam has its share, a variance of C J / (J - 1 / P) besides its noise.
+    The error of a beam is mostly constant (docs/explanation/estimation.md). With the sensitivity h and the variance C
+    of the constant error of each beam, the information on a position of variance P is at most J, the sum of h^2 / C
+    over the beams. A picture adds only the information lost since the preceding picture, J - 1 / P. Each beam therefore
+    has the variance C J / (J - 1 / P) in addition to that of its noise.
     """
     k = READING_RING
     rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
@@ -384,7 +386,7 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
 
 @cached_njit(error_model="numpy")
 def _reset_aid_bias(m: FilterMemory, s: FilterSettings, k: int, bias: int, nu: float) -> None:
-    """Free the bias of an aid after consistent innovations ``nu``."""
+    """Inflate the variance of an aid's bias after consistent innovations ``nu``."""
     inflate_variance(m.u_transposed, m.ud_diagonal, bias, nu * nu, m.u_transposed_h)
     set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
 
@@ -401,7 +403,7 @@ def _fuse_drifting_aid(
     count: int,
     near: float,
 ) -> None:
-    """Fuse an aid with one bias; free that bias after a second of consistent rejections."""
+    """Fuse an aid with one bias; inflate the variance of this bias after a second of consistent rejections."""
     ratio = innovation_ratio(m, nu, variance)
     log_innovation(m, k, nu, ratio)
     estimate_noise(m, AID_PRESSURE if k == READING_PRESSURE else AID_MAGNETIC, ratio)
@@ -422,7 +424,7 @@ def _fuse_drifting_aid(
 
 @cached_njit(error_model="numpy")
 def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
-    """Fuse the pressure less the standard one and less the rotors' part."""
+    """Fuse the pressure minus the standard pressure and minus the part that the rotors cause."""
     variance = s.pressure_variance * m.noise_scale[AID_PRESSURE]
     h_row_begin(m, ERROR_POSITION + 2, s.pressure_slope)
     h_row_add(m, ERROR_PRESSURE_BIAS, 1.0)
@@ -436,8 +438,7 @@ def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: f
 
 @cached_njit(error_model="numpy")
 def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array) -> None:
-    """Fuse the heading by the direction of a magnetic field that has the earth's strength across and along the
-    vertical."""
+    """Fuse the heading from a magnetic field whose horizontal and vertical strengths are the earth's."""
     variance = s.mag_heading_variance * m.noise_scale[AID_MAGNETIC]
     rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     north = r[0] * z[0] + r[1] * z[1] + r[2] * z[2]
@@ -457,7 +458,7 @@ def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: 
 
 @cached_njit(error_model="numpy")
 def measurement_cost(m: FilterMemory, s: FilterSettings, kind: int, left: int) -> int:
-    """Return the cost in scalar measurements; for the ring, the number of beams for which there is time."""
+    """Return the cost of a measurement in scalar measurements; for the ring, as many beams as ``left`` allows."""
     if kind == READING_FIX:
         return COST_FIX_BIAS if m.fix_bias_tick < m.horizon_tick else COST_FIX
     return max(min(s.beam_count - m.next_beam, left), 1) if kind == READING_RING else 1
@@ -485,8 +486,7 @@ def fuse_measurement(m: FilterMemory, s: FilterSettings, i: int, r: _Array, cost
 
 @cached_njit(error_model="numpy")
 def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: int, i: int) -> None:
-    """Fuse accelerometers less model along axis ``i``, a mean over ``count`` periods: biases, thrust, wind,
-    velocity."""
+    """Fuse the mean difference of accelerometers and model along axis ``i`` over ``count`` periods."""
     rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     slope = m.velocity_slope[i]
     h_row_begin(m, ERROR_ACCEL_BIAS + i, 1.0)
@@ -511,8 +511,8 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
 def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, mode: int, i: int) -> None:
     """Fuse on the floor zero velocity along axis ``i``, zero rate about axes that the legs hold, and gravity at rest.
 
-    The torque of running rotors turns the vehicle on its legs about the mast for seconds, and rotors that run down turn
-    it too. Such a rate is no noise: fused as zero it becomes a bias of the gyroscope, of one sign at each take-off.
+    The torque of running or stopping rotors turns the vehicle on its legs about the mast for seconds. Fused as zero,
+    this real rate would become a gyroscope bias, of equal sign at each take-off.
     """
     fuse_error_state(m, ERROR_VELOCITY + i, -m.x[NOMINAL_VELOCITY + i], 4e-4)
     still = mode == PHASE_STANDING

@@ -1,8 +1,8 @@
 """Fusion of one scalar measurement: its row H, its gate, its rejection, and the estimate of its noise.
 
-A scalar measurement z = h(x) + n has an innovation of variance S = H P H^T + r. The row H holds few states;
-``m.h_state`` and ``m.h_value`` keep them. A correction applies to the state at the horizon and to those propagated
-from it.
+A scalar measurement z = h(x) + n has an innovation of variance S = H P H^T + r. Few elements of the row H are not zero;
+``m.h_state`` and ``m.h_value`` hold their indices and values. A correction applies to the state at the horizon and to
+those propagated from it.
 """
 
 from __future__ import annotations
@@ -60,8 +60,9 @@ def h_row_add(m: FilterMemory, i: int, h: float) -> None:
 
 @cached_njit(error_model="numpy")
 def _shift_state(x: _Array, by: _Array, span: float, push: _Array) -> None:
-    """Add an error to a state, propagated over ``span`` (s), in which ``push`` (3,) was added to the velocity without
-    gravity."""
+    """Add an error to a state that lies ``span`` (s) after the horizon, during which the velocity changed by ``push``
+    (3,) without gravity.
+    """
     v_x = by[ERROR_VELOCITY] + (
         by[ERROR_ATTITUDE + 1] * push[2] - by[ERROR_ATTITUDE + 2] * push[1] if span > 0.0 else 0.0
     )
@@ -149,9 +150,10 @@ def reset_timeout_expired(m: FilterMemory, s: FilterSettings, k: int) -> bool:
 
 @cached_njit(error_model="numpy")
 def scale_variance(scale: _Array, aid: int, gain: float, change: float) -> None:
-    """Change an estimated variance by ``gain * change`` within its bounds.
+    """Multiply an estimated variance by ``1 + gain * change``, within its bounds.
 
-    Changes in both directions count in full: a limit on one of them alone would bias the estimate."""
+    Increases and decreases have no separate limit, because a limit in one direction would bias the estimate.
+    """
     scale[aid] = max(min(scale[aid] * (1.0 + gain * change), MAX_NOISE_SCALE), MIN_NOISE_SCALE)
 
 

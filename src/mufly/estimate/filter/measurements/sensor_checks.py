@@ -144,7 +144,7 @@ def mark_fused(m: FilterMemory, k: int) -> None:
 
 @cached_njit(error_model="numpy")
 def mark_rejected(m: FilterMemory, s: FilterSettings, k: int, why: int, number: float) -> None:
-    """Mark a reading as rejected; report it when the rejections reach the alarm."""
+    """Mark a reading as rejected; report it when the score of rejections exceeds the alarm level."""
     m.reject_count[k] += 1
     m.reject_score[k] += 1.0
     if m.reject_score[k] > (SONAR_REJECT_ALARM if k == READING_SONAR else REJECT_ALARM):
@@ -153,7 +153,7 @@ def mark_rejected(m: FilterMemory, s: FilterSettings, k: int, why: int, number: 
 
 @cached_njit(error_model="numpy")
 def _is_repeated(m: FilterMemory, s: FilterSettings, z: _Array, k: int, start: int, count: int) -> bool:
-    """Return whether a reading equals the last one bit for bit, of a sensor with noise."""
+    """Return whether a reading of a sensor with noise equals the preceding reading bit for bit."""
     if s.has_noise[k] == 0 or m.last_new_tick[k] == 0:
         return False
     told = False
@@ -384,8 +384,9 @@ def battery_voltage_consistent(m: FilterMemory, s: FilterSettings, off: float) -
 def _force_evidence(m: FilterMemory, r: _Array, along: _Array) -> float:
     """Return the mean innovation ratio of the fix along the difference ``along`` of accelerometers and model.
 
-    The filter follows one of the two forces. A vehicle that accelerates like the other one shows innovations of the
-    fix along the difference, or against it: a positive value contradicts the model, a negative one the accelerometers.
+    The filter uses one of the two forces. If the vehicle accelerates according to the other force, innovations of the
+    fix lie along the difference or against it: a positive value contradicts the model, a negative one the
+    accelerometers.
     """
     dot, square = 0.0, 1e-12
     for j in range(3):
@@ -397,12 +398,12 @@ def _force_evidence(m: FilterMemory, r: _Array, along: _Array) -> float:
 
 @cached_njit(error_model="numpy")
 def _update_force_conflict(m: FilterMemory, s: FilterSettings, r: _Array, height: float, worst: float) -> None:
-    """Decide which of accelerometers and rotor model is wrong, where ``worst`` deviations lie between them.
+    """Decide whether accelerometers or rotor model are wrong; they differ by ``worst`` standard deviations.
 
-    Rotor speeds that are not fused explain a wrong model. A floor that may carry the vehicle explains both, and nothing
-    is reported. Otherwise the fix decides (:func:`_force_evidence`). While nothing is decided the filter follows the
-    model, and both are reported.
-    ``height`` is that above the surface below (m)."""
+    If rotor speeds are not fused, the model is wrong. If the floor may carry the vehicle, both may be right, and
+    nothing is reported. Otherwise the fix decides (:func:`_force_evidence`). Until it does, the filter uses the model,
+    and both are reported. ``height`` is the height above the surface below (m).
+    """
     if m.is_accel_distrusted == 0 and worst > _CONFLICT_GATE:
         m.is_accel_distrusted = 1
     elif m.is_accel_distrusted == 1 and worst < _CONFLICT_END_GATE:
@@ -439,10 +440,10 @@ def _update_force_conflict(m: FilterMemory, s: FilterSettings, r: _Array, height
 def check_accel_model(
     m: FilterMemory, s: FilterSettings, r: _Array, height: float, nu: float, variance: float, known: float, i: int
 ) -> None:  # fmt: skip
-    """Compare the mean of accelerometers less model over 0.4 s with its expected deviation.
+    """Compare the mean difference of accelerometers and model over 0.4 s with its expected standard deviation.
 
-    ``nu`` is the residual of axis ``i`` over a block, ``variance`` that of its noise, ``known`` that of the prediction.
-    ``r`` is the rotation matrix, ``height`` the height above the surface below (m).
+    ``nu`` is the residual of axis ``i`` over a block, ``variance`` the variance of its noise, ``known`` the variance of
+    its prediction. ``r`` is the rotation matrix, ``height`` the height above the surface below (m).
     """
     m.accel_residual_lp[i] += 0.1 * (nu - m.accel_residual_lp[i])
     if i == 2:
