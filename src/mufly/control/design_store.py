@@ -1,6 +1,7 @@
 """Store of controllers whose synthesis takes long, so that a design is computed once and an interrupted run resumes.
 
-A file belongs to the question of :func:`synthesis_question`: plants, weights, aims, and all sources of the synthesis.
+The name of a file contains the hash of all inputs of the synthesis (:func:`synthesis_question`): plants, weights, aims,
+and source files.
 """
 
 from __future__ import annotations

@@ -496,7 +496,7 @@ def _design_controller(
 ) -> ControllerDesign:
     """Synthesise, reduce, discretise and analyse a controller; its inputs are ``references``, then all errors.
 
-    ``tracked`` are the plant's outputs with a reference, whether the controller reads it apart or not.
+    ``tracked`` are the plant's outputs with a reference, whether or not the controller reads the reference separately.
     """
     rows = tuple(range(len(references), len(references) + plant.noutputs))
     output_scale, input_scale = np.array(scaling.outputs), np.array(scaling.inputs)
@@ -565,7 +565,7 @@ def _design_controller(
 
 
 def _given_orders(given: GivenController | None, highest: int) -> tuple[int, int] | None:
-    """Return the order of a given controller as the range for its reduction, which leaves it as it is."""
+    """Return the order of a given controller as the only order of its reduction, which then leaves it unchanged."""
     if given is None:
         return None
     if given.order > highest:
@@ -678,7 +678,7 @@ def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesi
 
 
 def reference_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
-    """Return the lag (s) of height and heading behind a ramp reference: phase lag over a low frequency."""
+    """Return the lag (s) of height and heading behind a ramp reference: phase lag divided by a low frequency."""
     frequency = np.array([0.05])
     sampled = sample_plant(heave_yaw.plant, heave_yaw.discrete.period_s, 1)
     g = frequency_response(sampled, frequency)[0]
@@ -691,9 +691,9 @@ def reference_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
 def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: DesignSettings) -> float:
     """Return a heave acceleration (m/s2) that the motors can follow with a discharged, loaded battery.
 
-    A step of ``du`` on both motors gives ``per_input * du`` in steady state; ``du`` is the margin above hover of the
-    voltage at full input, with ``planning_charge`` left. Because of the motors' lag, a climb starts with several times
-    its steady input, hence ``heave_share``.
+    An input step ``du`` of both motors gives the acceleration ``per_input * du`` in steady state. Here ``du`` is the
+    margin of the voltage at full input over that of hover, at the charge ``planning_charge``. The motors lag, so a
+    climb starts with several times its steady input; ``heave_share`` allows for this.
     """
     state = linear.trim.state.copy()
     state[MODEL_CHARGE] = settings.planning_charge

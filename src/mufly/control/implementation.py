@@ -271,7 +271,10 @@ def _with_norm(
 def _choose_candidate(
     entries: Sequence[tuple[ReducedCandidate, control.StateSpace, Array]],
 ) -> tuple[ReducedCandidate, control.StateSpace, Array]:
-    """Return the candidate of lowest order, then smallest norm; of nearly equal norms the first, on every processor."""
+    """Return the candidate of lowest order, and among these of smallest norm.
+
+    Among nearly equal norms the first candidate is chosen, so that every processor makes the same choice.
+    """
     least = min((c.order, c.norm) for c, _, _ in entries)
     return next(e for e in entries if e[0].order == least[0] and e[0].norm <= least[1] * (1.0 + _NORM_TOLERANCE))
 

@@ -1,10 +1,11 @@
 """Control law on board: pure functions of gains, state, reference and measurement, called once a period.
 
 Each controller is ``u = C x + D e``, ``x+ = x + F x + B e + M (sat(u) - u)`` with ``F = A - I``; M is the anti-windup
-gain of :mod:`mufly.control.implementation`. Slow states and integrators change by little in a period. A sum that began
-with the state would round the change to the state's last digit: in single precision an error of a few thousandths,
-with the same sign every period. In heave-yaw this reaches the actuators. There the rounding error is stored and added
-in the next period (compensated summation; Kahan, Comm. ACM 8, 1965), also for the filtered references.
+gain of :mod:`mufly.control.implementation`. Slow states and integrators change little in a period. A sum that began
+with the state would round the change to the state's last digit. In single precision this is an error of a few
+thousandths of the change, with the same sign every period, and in heave-yaw it would reach the actuators. Heave-yaw
+therefore stores the rounding error and adds it in the next period (compensated summation; Kahan, Comm. ACM 8, 1965),
+also for the filtered references.
 
 Heave-yaw. A second-order filter limits acceleration and speed of the reference to the motors' capability, so that a
 step does not saturate them. A reference with its rate, within the limits, passes unchanged except for
@@ -85,7 +86,7 @@ def _compute_output(g: Any, x: Array, e: Array, u: Array) -> None:
 
 @cached_njit
 def _add_scheduled_output(g: Any, x: Array, e: Array, speed: float, u: Array) -> None:
-    """Add the share of the outputs that belong to the scheduled speed; none of it for a speed that is no number."""
+    """Add the share of the outputs that belong to the scheduled speed; add nothing if the speed is not a number."""
     share = g.schedule * (speed * speed)
     if not share > 0.0:
         return
@@ -189,11 +190,13 @@ def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: 
 
 @cached_njit
 def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
-    """Return the heave-yaw state with the filtered reference within the slack of the height z (m, down), in flight.
+    """Return the heave-yaw state, with the filtered reference within the slack (m) of the height z (m, down), in
+    flight.
 
-    The permitted speed of the reference falls with its distance, to zero at the slack. The reference brakes by twice
-    the acceleration that the filter may add in the same period, so by as much as in any stop. If the vehicle climbs
-    more slowly, the reference settles at the vehicle's speed.
+    The slack is the permitted distance of the reference from the height. The permitted speed of the reference falls
+    with this distance and is zero at the slack. The reference brakes by twice the acceleration that the filter may add
+    in the same period, so its net deceleration is that of any stop. If the vehicle climbs more slowly, the reference
+    settles at the vehicle's speed.
 
     Parameters
     ----------

@@ -358,7 +358,7 @@ class Autopilot:
         quiet : bool
             Log no event of the arming.
         repeated : bool
-            Whether a link repeats an answered request, which acknowledges nothing.
+            Whether a link repeats an answered request; a repetition does not acknowledge an interrupted flight.
         """
         if self._armed:
             return REQUEST_ACCEPTED

@@ -45,7 +45,7 @@ class EnergyCheck:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the voltage and the last answer."""
+        """Discard the filtered voltage and the cached result."""
         self._rest_V = math.nan
         self._checked: tuple[Mission | None, tuple[float, ...], str] = (None, (), "")
 

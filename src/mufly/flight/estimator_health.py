@@ -97,17 +97,19 @@ def sensor_checks(m: Estimate) -> Sequence[SensorStatus]:
 
 
 def position_std_growth(m: Estimate, stood: float = 0.0) -> float:
-    """Return the growth (m) of the position's standard deviation over the variance ``stood`` (m2) on the floor."""
+    """Return the growth (m) of the position's standard deviation since the floor, where its variance was ``stood``
+    (m2).
+    """
     variance = m.covariance.diagonal()
     return math.sqrt(max(float(variance[0]), float(variance[1]), stood) - stood)
 
 
 def is_estimate_doubted(check: SensorStatus, checks: Sequence[SensorStatus]) -> bool:
-    """Whether others than a rejected sensor contradict the estimate that it differs from.
+    """Return whether the estimate itself may be wrong when a sensor is rejected.
 
-    A rejected reading differs from the estimate, which rests on the inertial unit and the rotor model. The difference
-    does not show which of them is wrong while another attitude aid is rejected too, or while the inertial unit has a
-    fault or differs from the rotor model.
+    The estimate is based on the inertial unit and the rotor model. A rejected reading differs from the estimate, but
+    the sensor is not the only possible cause while another attitude aid is rejected too, or while the inertial unit has
+    a fault or differs from the rotor model.
     """
     return check.status == "rejected" and any(
         c.is_suspicious or c.status in ("rejected", "missing", "faulty")

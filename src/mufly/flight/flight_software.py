@@ -318,7 +318,7 @@ class FlightSoftware:
         return Actuators.idle()
 
     def _is_lost(self, w: EstimateMonitor) -> bool:
-        """Whether the estimate is lost in flight; once in a blind descent, always True."""
+        """Whether the estimate is lost in flight; always True during a blind descent."""
         if self._motors == "blind":
             return True
         # With the motors off the vehicle stands still, and a repeated measurement is no fault.

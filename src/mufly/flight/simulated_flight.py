@@ -277,8 +277,8 @@ class Flight:
     def _blinded_sensors(self) -> tuple[str, ...]:
         """Return the sensors that cannot measure at present, so that the filter reports no fault of them.
 
-        The camera sees nothing on the floor: from touchdown until the sonar shows another lift-off. Tracking works down
-        to about 3 cm above the floor.
+        On the floor the camera sees nothing, so it is listed from touchdown until the sonar shows the next lift-off.
+        Tracking works down to about 3 cm above the floor.
         """
         m, sonar = self._estimate_and_sonar()
         if sonar > self._least_m:

@@ -231,7 +231,7 @@ def make_row_writer(
     """Return the function that appends a row: ``write(truth, readings, actuators, reference, state)``.
 
     ``reference`` is position and velocity (N-E-D) and attitude; ``state`` is the state of the mission. All other
-    columns are NaN, and so are quantities without a reading; without ``measured``, so are all readings.
+    columns are NaN. Quantities without a reading are NaN, too; without ``measured`` this holds for all readings.
     """
     row, part = make_blank_row(recorder)
     fill = make_common_writer(part)

@@ -1,7 +1,7 @@
 """Controllers of several methods on one vehicle, in one table: margins, robustness, noise, cost, flights, verdict.
 
-Every figure is that of the controller as it flies: reduced, sampled, with one sample of delay. The verdict goes by five
-criteria in turn; each keeps the methods that are as good as the best by it, until one is left:
+All figures describe the controller that flies: reduced, sampled, with one sample of delay. The verdict applies five
+criteria in turn. Each criterion keeps the methods that are as good as its best one, until one method is left:
 
 1. sampled peaks of both loops below 6 dB, and stability proved over the vehicle's parameters (mu below 1);
 2. success in flights: the 95 % interval reaches the best share;
@@ -107,7 +107,7 @@ class ForwardFigures:
     ----------
     speed_m_s : float
     disk_margin, sensitivity_peak_dB, complementary_peak_dB : float
-        Zero and ``inf`` for an unstable loop.
+            The margin is zero and the peaks are ``inf`` for an unstable loop.
     """
 
     speed_m_s: float
@@ -232,7 +232,9 @@ class ControllerComparison:
 
 
 def sensor_noise(vehicle: Vehicle, outputs: Sequence[str]) -> Array:
-    """Return the deviation of each measured output from sample to sample (SI): gyro of the IMU, attitude, height."""
+    """Return the standard deviation of the noise of each measured output per sample (SI): gyroscopes, attitude,
+    height.
+    """
     imu = getattr(vehicle.sensors, "imu", None) if vehicle.sensors is not None else None
     gyro = DEFAULT_GYRO_NOISE_RAD_S
     if imu is not None:  # white noise behind a filter of first order
@@ -245,7 +247,7 @@ def sensor_noise(vehicle: Vehicle, outputs: Sequence[str]) -> Array:
 def loop_figures(
     vehicle: Vehicle, design: ControllerDesign, mu: tuple[float, float], *, scheduled: bool = False
 ) -> LoopFigures:
-    """Return the figures of a design at hover; ``mu`` are its upper and lower bound."""
+    """Return the figures of a design at hover; ``mu`` holds upper and lower bound of mu."""
     plant = sample_plant(design.plant, design.discrete.period_s, 1)
     feedback = design.feedback_controller(design.discrete.to_state_space())
     n, (outputs, inputs) = design.discrete.order, design.discrete.D.shape

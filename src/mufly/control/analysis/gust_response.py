@@ -1,10 +1,10 @@
 """Tilt and servo speed of the whole lateral loop in Dryden gusts, by its covariance.
 
-The velocity relative to the air drives the linear model, so a gust enters by the negative columns of the velocities in
-all rows but those of the position. North and east have the lateral spectrum of ``dynamics.DrydenWind`` with
-:data:`GUST_m_s`, :data:`GUST_LENGTH_m` and a convection speed of 0.5 m/s. Roll-pitch is sampled, with whole periods of
-delay. The velocity controller is sampled at the same rate instead of a quarter of it, which changes the tilt by 0.8 %
-(mufly-1.1). The covariance X of the whole loop solves ``X = A X A' + B B'``.
+The linear model depends on the velocity relative to the air. A gust therefore enters through the negative velocity
+columns of A, in all rows except those of the position. North and east have the lateral spectrum of
+``dynamics.DrydenWind`` with :data:`GUST_m_s`, :data:`GUST_LENGTH_m` and a convection speed of 0.5 m/s. Roll-pitch is
+sampled, with whole periods of delay. The velocity controller is sampled at the same rate instead of a quarter of it,
+which changes the tilt by 0.8 % (mufly-1.1). The covariance X of the whole loop solves ``X = A X A' + B B'``.
 """
 
 from __future__ import annotations
@@ -32,9 +32,10 @@ class GustResponse:
     Attributes
     ----------
     tilt_rad : float
-        The larger one of roll and pitch.
+            Standard deviation of roll or pitch, whichever is larger.
     plate_speed_rad_s : float
-        Speed of the swash plate about its faster axis: change of its tilt in a period over the period.
+            Standard deviation of the swash plate's speed about its faster axis: change of tilt in a period, divided by
+            the period.
     """
 
     tilt_rad: float

@@ -1,10 +1,10 @@
 """Margins beyond the classical ones: the disk margin of several inputs at once, and the noise that reaches the inputs.
 
 Disk margin. Every input is multiplied by its own complex factor ``(1 + d/2) / (1 - d/2)``, ``|d| < a``; the margin is
-the largest ``a`` for which the loop stays stable. The ``d`` see the response ``M = S_u - I/2``, so the margin is the
-inverse of the structured singular value of M for scalar complex blocks. A margin ``a`` stands for gains between
-``(2 - a) / (2 + a)`` and its inverse, or for phases of ``2 atan(a / 2)``, in all inputs at once (Seiler, Packard and
-Gahinet, IEEE Control Syst. Mag. 40, 2020).
+the largest ``a`` for which the loop stays stable. The loop closed by the ``d`` has the response ``M = S_u - I/2``, so
+the margin is the inverse of the structured singular value of M for scalar complex blocks. A margin ``a`` permits gains
+between ``(2 - a) / (2 + a)`` and its inverse, or phases of ``2 atan(a / 2)``, in all inputs at once (Seiler, Packard
+and Gahinet, IEEE Control Syst. Mag. 40, 2020).
 
 For two blocks the structured singular value is the least largest singular value of ``diag(d, 1) M diag(1/d, 1)`` over d
 (Doyle 1982). The scaling leaves ``|det M|``, the product of the two singular values. So the largest one falls with the
@@ -31,7 +31,8 @@ class DiskMargin:
     margin : float
         Radius ``a``; 0 for an unstable loop.
     gain_dB, phase_deg : float
-        Gain (up and down) and phase, alone, that the disk holds; ``inf`` dB from a radius of 2 on.
+            Largest change of gain alone (up and down), and of phase alone, within the disk; ``inf`` dB from a radius of
+            2 on.
     frequency : float
         Frequency of the least margin (rad/s).
     """
@@ -56,7 +57,8 @@ def scalar_block_mu(M: ComplexArray) -> Array:
 
 
 def disk_margin(plant: control.StateSpace, feedback: control.StateSpace, *, points: int = 600) -> DiskMargin:
-    """Return the disk margin at the inputs of the loop ``u = -feedback y``, for each input its own disturbance.
+    """Return the disk margin at the inputs of the loop ``u = -feedback y``, with an independent disturbance at each
+    input.
 
     Parameters
     ----------

@@ -79,7 +79,9 @@ def _thesis_figure(design: ControllerDesign, which: int) -> str:
 
 
 def draw_plant(design: ControllerDesign) -> Figure:
-    """Draw singular values of the unscaled plant (Figs 6.3 and 6.7), its 0 dB crossings and the thesis's marked."""
+    """Draw singular values of the unscaled plant (Figs 6.3 and 6.7); mark its 0 dB crossings and those of the
+    thesis.
+    """
     figure = blank_figure(7.0, 3.6, dpi=150)
     axes = figure.add_subplot()
     values = singular_values(design.plant, _FREQUENCY_GRID)

@@ -1,12 +1,13 @@
-"""Rotor speeds as measurements of heave-yaw: what they bring over height, heading and yaw rate alone.
+"""Rotor speeds as measurements of heave-yaw: their benefit over height, heading and yaw rate alone.
 
 The motors' back-EMF gives the rotor speeds (Sec. 6.1.9). Both loops are LQG/LTR with the same weights and the same
-bound on the filter's poles; one reads z, psi and r, the other also both rotor speeds, with the noise of the vehicle's
-``sensors.rotor_speed``. The weight of the inputs is swept. Every row is a sampled loop with one sample of delay:
+bound on the filter's poles; one loop reads z, psi and r, the other one also both rotor speeds, with the noise of the
+vehicle's ``sensors.rotor_speed``. The weight of the inputs is swept. Every row is a sampled loop with one sample of
+delay:
 
 - height and heading: deviations by disturbances of both motors' inputs and by the noise of all sensors, from the
-  covariance of the loop, ``X = A X A' + B B'``. Disturbances are independent, of :data:`DISTURBANCE` below
-  :data:`DISTURBANCE_RAD_S`: gusts, ground and battery in terms of an input;
+  covariance of the loop, ``X = A X A' + B B'``. Disturbances represent gusts, ground and battery as changes of the
+  inputs. They are independent, with the deviation :data:`DISTURBANCE` below the frequency :data:`DISTURBANCE_RAD_S`;
 - inputs: the larger deviation of a motor's command.
 
 The verdict compares the smallest height deviations with a disk margin of :data:`LEAST_DISK_MARGIN`.
@@ -98,7 +99,7 @@ class RotorSpeedComparison:
 
     @property
     def verdict(self) -> str:
-        """Sentence on what the rotor speeds bring."""
+        """Sentence on the benefit of the rotor speeds."""
         plain, more = self.best_row(False), self.best_row(True)
         if plain is None or more is None:
             which = "without" if plain is None else "with"
@@ -129,7 +130,9 @@ class RotorSpeedComparison:
 
 
 def rotor_speed_noise(vehicle: Vehicle) -> float:
-    """Return the noise of a rotor speed from back-EMF (rad/s): that of the reading over ``kE`` and the gear ratio."""
+    """Return the noise of a rotor speed by back-EMF (rad/s): the voltage noise, divided by ``kE`` and the gear
+    ratio.
+    """
     sensor = getattr(vehicle.sensors, "rotor_speed", None) if vehicle.sensors is not None else None
     volts = DEFAULT_SPEED_NOISE_V if sensor is None else float(sensor.noise)
     return volts / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))

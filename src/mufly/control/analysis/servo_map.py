@@ -1,14 +1,15 @@
 """Servos and control rate that a vehicle needs: roll-pitch over servo lag, servo frame and control rate.
 
-A servo has a lag (first order, ``swash_plate.time_constant``) and a frame: it takes a new command once in a frame, so a
-command waits up to one frame, here always. A frame of 20 ms is that of analogue servos (50 Hz), 0 stands for one that
-follows every command. Commands are delayed by one period and the frame, in whole periods.
+A servo has a lag (first order, ``swash_plate.time_constant``) and a frame, the interval at which it accepts commands. A
+command waits for up to one frame; the map assumes a whole frame. Analogue servos have a frame of 20 ms (50 Hz). The
+frame 0 describes a servo that follows every command. Commands are delayed by one period plus the frame, in whole
+periods.
 
-For every cell several bandwidths of the H-infinity design are tried, the weights' frequencies times
-:data:`BANDWIDTHS`. Of the sampled loops with a disk margin of :data:`SAFE_DISK_MARGIN` the one of least tilt in gusts
-counts; if there is none, that of the largest margin. The designs do not know the delay, and orders differ from cell to
-cell, so the figures are not smooth over lag. Speed of the swash plate is three deviations in gusts of 0.5 m/s with the
-sensors' noise: a servo slower than that does not follow.
+For every cell several bandwidths of the H-infinity design are tried: the frequencies of the weights are multiplied by
+:data:`BANDWIDTHS`. Among the sampled loops with a disk margin of :data:`SAFE_DISK_MARGIN` or more, the loop with the
+least tilt in gusts is used; without such a loop, the loop with the largest margin. The designs do not know the delay,
+and orders differ from cell to cell, so the figures are not smooth over lag. The speed of the swash plate is three
+standard deviations, in gusts of 0.5 m/s and with the sensors' noise; a slower servo cannot follow.
 
 Sec. 6.1.9 of the dissertation doubts that servos are fast enough without the stabiliser bar.
 
@@ -69,7 +70,7 @@ class ServoMap:
     table: xr.Dataset
 
     def slowest_servo_s(self, frame_s: float, rate_Hz: float) -> float:
-        """Return the longest lag (s) up to which every disk margin is enough; nan if none is."""
+        """Return the longest servo lag (s) up to which every disk margin is sufficient; nan if none is sufficient."""
         margins = self.table.disk_margin.sel(frame_s=frame_s, rate_Hz=rate_Hz)
         enough = np.cumprod(np.nan_to_num(margins.values) >= SAFE_DISK_MARGIN).astype(bool)
         return float(self.table.lag_s.values[enough][-1]) if enough.any() else float("nan")
@@ -187,7 +188,9 @@ def map_servos(
 
 
 def scale_bandwidth(settings: DesignSettings, factor: float) -> DesignSettings:
-    """Return the settings with both corners of the roll-pitch weight W_r and the zero of W_v times a factor."""
+    """Return the settings with both corners of the roll-pitch weight W_r, and the zero of W_v, multiplied by a
+    factor.
+    """
     w = settings.roll_pitch_weights
     assert w is not None  # complete_settings
     r, v = w.output_noise, w.input_disturbance

@@ -1,4 +1,4 @@
-"""Roll-pitch over forward speed: what gains scheduled over speed would bring.
+"""Roll-pitch over forward speed: the benefit of gains that are scheduled over speed.
 
 Roll-pitch is designed at every speed and closed around the linear model at every speed, sampled with one sample of
 delay. A schedule that knows the speed exactly has the margins of the diagonal: each design at its own speed. The gain

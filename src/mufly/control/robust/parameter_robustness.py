@@ -49,7 +49,7 @@ class LoopRobustness:
     frequency : array, shape (n,)
         Frequencies (rad/s).
     upper : array, shape (n,)
-        Upper bound of mu. It is tight near its peak; elsewhere its descent ends at 0.8 of ``lower``.
+        Upper bound of mu. The bound is tight near its peak; elsewhere the minimisation ends at 0.8 of ``lower``.
     peak, peak_frequency : float
         Its largest value and frequency.
     lower, lower_frequency : float
@@ -90,7 +90,7 @@ class ParameterRobustness:
         Parameters (SI) of the worst vehicle within the spreads, or at the boundary of stability if that is nearer. A
         value beyond the range of its parameter is the range's end.
     worst_loop : str
-        Loop that they are the worst for.
+            Loop for which these parameters are the worst.
     """
 
     vehicle_name: str
@@ -226,7 +226,9 @@ def _least_damped(A: Array) -> tuple[complex, Array, Array]:
 
 
 def _worst_corner(nominal: Array, steps: Sequence[Array], size: float, starts: Sequence[Array]) -> tuple[float, Array]:
-    """Return the largest real part of an eigenvalue that corners of the box of a size reach, and the corner."""
+    """Return the largest real part of an eigenvalue over the corners of a box of given size, and the corner where it
+    occurs.
+    """
     best, at = -np.inf, np.zeros(len(steps))
     for start in starts:
         z, seen = np.array(start, dtype=float), set()
@@ -370,7 +372,7 @@ def analyse_parameter_robustness(
 
 
 def _nearest_possible(vehicle: Vehicle, key: str, middle: float, wanted: float) -> float:
-    """Return the value nearest to ``wanted`` on the way from ``middle`` that a vehicle may have."""
+    """Return the permitted value of a parameter between ``middle`` and ``wanted`` that is nearest to ``wanted``."""
     low, high = 0.0, 1.0
     share = high
     for _ in range(20):  # 1e-6 of the way

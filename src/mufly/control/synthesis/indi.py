@@ -1,7 +1,8 @@
 """Incremental nonlinear dynamic inversion (INDI) of roll and pitch, as a linear law of the form that flies.
 
-The angular acceleration is measured instead of modelled: ``wdot_f = H(s) s w`` from the gyroscopes. The servos are
-moved by what is missing, from where they are (Smeur, Chu and de Croon, J. Guid. Control Dyn. 39, 2016)::
+The angular acceleration is measured instead of modelled: ``wdot_f = H(s) s w`` from the gyroscopes. The servos move
+from their present position in proportion to the error of the angular acceleration (Smeur, Chu and de Croon, J. Guid.
+Control Dyn. 39, 2016)::
 
     u = H(s) A(s) u_act + G^-1 (nu - wdot_f),      nu = k_w (k_a (r - att) - w)
 

@@ -122,7 +122,7 @@ def kalman_gain(plant: control.StateSpace, intensity: float, noise: Array) -> Ar
 
 
 def largest_recovery(plant: control.StateSpace, weights: LqgWeights, fastest: float) -> float:
-    """Return the recovery of the weights, or the largest one below with filter poles up to ``fastest`` (rad/s).
+    """Return the recovery of the weights, or the largest smaller one with filter poles up to ``fastest`` (rad/s).
 
     Poles that the plant has itself (a fast servo) do not count: the filter leaves them where they are.
     """
@@ -216,7 +216,9 @@ def design_lqg(
 
 
 def _equilibrium_gain(plant: control.StateSpace, rows: Sequence[int]) -> Array:
-    """Return the states at which the outputs ``rows`` rest at one each, nearest to equilibrium without input."""
+    """Return, for each output in ``rows``, the state nearest to equilibrium without input at which this output is
+    one.
+    """
     n = plant.nstates
     system = np.vstack([plant.A, 1e3 * plant.C[list(rows)]])
     right = np.vstack([np.zeros((n, len(rows))), 1e3 * np.eye(len(rows))])

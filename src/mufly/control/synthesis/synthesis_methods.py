@@ -1,7 +1,7 @@
 """The methods of controller synthesis, with one result for all: a controller, its anti-windup input and its levels.
 
-All methods start from the same scaled plant and the same generalised plant, so their loops compare. The methods that do
-not minimise the H-infinity norm have that norm all the same: it is computed from their loop.
+All methods start from the same scaled plant and the same generalised plant, so their loops are comparable. The
+H-infinity norm is computed from the loop, also for methods that do not minimise it.
 """
 
 from __future__ import annotations
@@ -206,14 +206,16 @@ class SynthesisedController(NamedTuple):
 
 
 def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) -> SynthesisedController:
-    """Return a controller by a method, of full order but for ``fixed``; without its weights it is H-infinity.
+    """Return a controller by a method; H-infinity if the problem has no settings for the method.
+
+    The method ``fixed`` gives its own order, the others the full order.
 
     ``scheduled`` tunes C and D of the given controller; see :mod:`mufly.control.tuning.output_schedule`.
 
     Raises
     ------
     MuflyError
-        If the method finds no controller; the message names what is in the way.
+        If the method finds no controller; the message names the cause.
     """
     p, n_controls = problem, problem.plant.ninputs
     if method == "scheduled" and p.fixed is not None and p.given_controller is not None:

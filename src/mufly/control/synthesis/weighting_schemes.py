@@ -149,7 +149,9 @@ class _WeightedDiagram:
             self.wiring[f"{name}_in[{i}]"] = {f"{source}[{i}]" if source else i: 1.0}
 
     def add_sum(self, name: str, over: Sequence[str], **terms: float) -> None:
-        """Define a signal for every plant signal in ``over``: a sum of others, ``own`` the plant signal itself."""
+        """Define a signal for every plant signal in ``over``: a sum of other signals; ``own`` means the plant signal
+        itself.
+        """
         for i in over:
             self.wiring[f"{name}[{i}]"] = {i if k == "own" else f"{k}[{i}]": v for k, v in terms.items()}
 

@@ -1,8 +1,8 @@
 """Tuning of a vehicle's heave-yaw or roll-pitch loop for several aims at once, in rounds that can be continued.
 
-A round descends on the largest of all aims over their levels (:func:`tune_controller`), then finds new scalings of mu
-(:class:`ParameterAim`). Every start is a line of its own; the best controller of all rounds is the result. After each
-round the state holds all that the next one needs.
+A round minimises the largest ratio of an aim to its level (:func:`tune_controller`), then finds new scalings of mu
+(:class:`ParameterAim`). Each start has its own sequence of rounds, a line; the result is the best controller of all
+rounds. After each round the state contains everything that the next round needs.
 """
 
 from __future__ import annotations
@@ -248,7 +248,7 @@ def continue_tuning(
     ----------
     problem : LoopProblem
     starts : sequence of control.StateSpace
-        Starts of one order (scaled); the best two of them are descended from.
+            Starts of one order (scaled); descents begin at the best two of them.
     rounds, steps : int
         Rounds of a line, and steps of every descent in a round.
     state : TuningState, optional
@@ -312,7 +312,7 @@ def continue_tuning(
 
 
 def _largest_relative_aim(problem: LoopProblem, K: control.StateSpace) -> float:
-    """Return the largest aim over its level, mu with scalings of its own."""
+    """Return the largest ratio of an aim to its level; the aim mu gets scalings that are best for this controller."""
     if problem.mu is not None:
         problem.mu.rescale(controller_gain(K), K.nstates)
     return max(norm / aim.level for aim, norm in zip(problem.aims, aim_norms(problem.aims, K).values(), strict=True))

@@ -5,7 +5,7 @@ The law on board is that of :mod:`mufly.control.law` with a second pair of outpu
     u = (C + s C_f) x + (D + s D_f) e,      s = min((v_x / V)^2, 1)
 
 ``v_x`` is the forward speed in the heading's direction and ``V`` the scheduled speed. The states ``x`` do not depend on
-speed, so no modes can change places between two designs, and nothing is handed over when the speed changes: ``u`` is
+speed, so the modes of two designs cannot be confused, and no state is transferred when the speed changes: ``u`` is
 continuous in ``s``. The share ``s`` is even in ``v_x`` because the plant is: half a turn about the vertical maps flight
 forwards to flight backwards, and leaves the rotors and a body without products of inertia as they are.
 

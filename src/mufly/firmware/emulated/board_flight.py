@@ -122,7 +122,7 @@ class BoardEstimator(KalmanEstimator):
         )
 
     def set_settings(self, settings: Any) -> None:
-        """Keep the settings, which the board's image holds, and reset."""
+        """Store the settings, which the board's image contains already, and reset."""
         self._settings = settings
         self._vehicle_noise = {
             name: np.array(settings[name]) for name in ("fix_variance", "heading_variance", "initial_sigma")
@@ -200,7 +200,7 @@ class BoardInstance(SoftwareInstance):
     def step_board(self, command: Command | None, armed: bool) -> Actuators:
         """Run the second half of a period; return the inputs that the board sends to its actuators.
 
-        Without a command the board's own link and supervisor command.
+        Without a command, the board takes its commands from its own link and supervisor.
         """
         self._request.is_given = command is not None
         if command is not None:
@@ -217,7 +217,7 @@ class BoardInstance(SoftwareInstance):
 
 
 class _BoardFirmware:
-    """The parts of a :class:`mufly.firmware.host_build.Firmware` that records need."""
+    """Substitute for a :class:`mufly.firmware.host_build.Firmware` with the attributes that records need."""
 
     def __init__(self, board: Board) -> None:
         self.ffi, self.lib, self.is_generic = board.ffi, board.lib, False
@@ -236,7 +236,7 @@ class BoardSoftware(FirmwareSoftware):
         self._software_instance = BoardInstance(self.board, self.plan)
 
     def change_limits(self, mission: Mission) -> None:
-        """Keep the mission of the image; another one needs another image."""
+        """Refuse another mission in flight: the board's image contains its mission."""
         if self._software_instance is not None:
             raise InputError("mission", mission.name, "the image holds another one", "build it again with this one")
         super().change_limits(mission)
@@ -290,7 +290,7 @@ def fly_board(
     wind, gust, seed, faults, path, on_progress, on_event
         As for :func:`mufly.flight.fly_mission`.
     log_path : Path, optional
-        File for the log that the board has written (ULog); it lacks what a cut of the power at the end would lose.
+        File for the log that the board has written (ULog); it lacks the rows that a power cut at the end would lose.
     on_stage : callable, optional
         Called with the name of each stage before the flight.
 

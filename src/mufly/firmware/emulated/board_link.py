@@ -22,10 +22,11 @@ _FAST_SILENCE_SHARE = 0.5  # of COM_DL_LOSS_T that a silent commander's flight m
 
 
 def _pace_for_commander(pace: float, supervisor: Any) -> float:
-    """Return the pace, at most real time while the commander of a board (``supervisor_t``) has been silent for long.
+    """Return the pace of the flight: at most real time after a long silence of the board's commander
+    (``supervisor_t``).
 
-    Heartbeats follow the wall clock (one a second), the timeout COM_DL_LOSS_T follows the flight's. At ten times real
-    time a heartbeat comes every 10 s of flight, and the board would hold for a lost link.
+    Heartbeats follow the wall clock (one a second), but the timeout COM_DL_LOSS_T follows the clock of the flight. At
+    ten times real time a heartbeat would arrive every 10 s of flight, and the board would hold because of a lost link.
     """
     silent_s = supervisor.now_s - supervisor.commander_heard_s if supervisor.has_commander else 0.0
     if silent_s <= _FAST_SILENCE_SHARE * supervisor.settings.link_loss_s:

@@ -30,7 +30,7 @@ _FLASH_MEMORY_BYTES = 16 * 2**20  # of the emulated memory that holds sectors an
 
 
 class Board(Protocol):
-    """A board with the memory ``record`` (``board_t *``), which the halves of a period change."""
+    """A board with the memory ``record`` (``board_t *``), which both halves of a period change."""
 
     ffi: Any
     lib: Any
@@ -66,7 +66,7 @@ class HostBoard:
     log_blocks : (LOG_BLOCKS, 128) array of uint32
         Contents of the block device of the log, kept over restarts.
     flash_model, block_model : cffi pointers
-        Models of both, with their faults.
+            Models of flash and block device, with their faults.
     """
 
     def __init__(self, ffi: Any, lib: Any) -> None:

@@ -45,7 +45,7 @@ def plan_numbers(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -> dict[
     Raises
     ------
     InputError
-        If the mission exceeds ``max_waypoints``, or the vehicle MAX_BEAMS.
+        If the mission has more than ``max_waypoints`` waypoints, or the vehicle more than MAX_BEAMS beams.
     """
     m, q = plan.mission, plan.mission.limits
     if len(m.waypoint) > max_waypoints:

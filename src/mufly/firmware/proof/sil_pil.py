@@ -397,10 +397,9 @@ _LAW_SOURCES = ("controllers.c", "law.c", "linear.c", "cascade.c", "mixer.c", "r
 
 
 def law_instructions(vehicle: Vehicle, controllers: Sequence[FlightController]) -> list[float]:
-    """Return the mean instructions of the law in a period on a Cortex-M4, for every controller.
+    """Return the mean number of instructions of the control law per period on a Cortex-M4, for every controller.
 
-    The law computes with arrays of the largest order, whatever a controller's, so counts differ only by what saturates
-    in the self-test.
+    All controllers use arrays of the largest order, so the numbers differ only where the self-test saturates.
 
     Raises
     ------

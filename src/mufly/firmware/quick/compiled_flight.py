@@ -477,8 +477,8 @@ def make_filter_arrays(
 ) -> FilterArrays:
     """Return the arrays of a filter in C, with the numbers of the reasons' texts.
 
-    ``own`` replaces what a filter keeps between periods, so that many units share one filter's settings: its memory
-    (1,), the three arrays of its input row, the reading times, and the scans of the ring.
+    ``own`` replaces the state that a filter keeps between periods, so that many units share one filter's settings. The
+    state consists of memory (1,), the three arrays of the input row, reading times, and scans of the ring.
     """
     mine: Sequence[Any] = (filtered.memory_array, *filtered.input_row, filtered.reading_times, filtered.ring_scans)
     memory, values, is_new, age, times, scans = mine if own is None else own

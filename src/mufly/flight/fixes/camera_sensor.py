@@ -93,14 +93,14 @@ class CameraConfig:
     Attributes
     ----------
     camera : Camera
-        As SLAM knows it.
+            Camera that SLAM assumes.
     true_camera : Camera, optional
         Camera that takes the pictures, of the same size, if ``camera`` is wrong. Default: ``camera``.
     floor_texture : str, optional
         Floor for :func:`mufly.camera.find_floor`: a kind, a package's picture or a picture file. Default: the floor of
         the mission, or :data:`DEFAULT_FLOOR`.
     floor_width_m : float, optional
-        Width of a picture (m).
+            Width on the ground of a floor picture (m).
     shadow_share : float
         Share of the light that shadows remove.
     camera_faults : tuple of CameraFault
@@ -126,7 +126,7 @@ class CameraConfig:
 
 
 def with_mission_floor(eye: CameraConfig, mission: Mission) -> CameraConfig:
-    """Return the settings with the mission's floor, if they name none."""
+    """Return the settings with the mission's floor; a floor in the settings takes precedence."""
     if eye.floor_texture is not None or mission.floor is None:
         return eye
     width = mission.floor.width_m if eye.floor_width_m is None else eye.floor_width_m
@@ -296,7 +296,7 @@ class CameraSensor(Sensor):
         self._monitor.observe(readings, estimate, is_resting)
 
     def _check_path(self, known: TrackingResult) -> TrackingResult:
-        """Return a trusted result, or without trust if its path contradicts the accelerometers."""
+        """Return a trusted result, marked as untrusted if its path contradicts the accelerometers."""
         if known.time_s - self._compared_s > MIN_FIX_INTERVAL_S - 1e-3:
             self._compared_s = known.time_s
             self._monitor.check_fix(known.time_s, np.append(known.position, known.heading))
@@ -471,7 +471,7 @@ class CameraSensor(Sensor):
 
 
 def judge_camera_path(factor: complex, sigma: float) -> str:
-    """Return the fault of a camera whose path is that of the accelerometers times a factor, or "".
+    """Return the fault of a camera from the ratio of its path to that of the accelerometers; "" without a fault.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """External position fixes, computed by another program and received over a link.
 
 :class:`ExternalFixes` replaces the statistical ``position_fix``; each fix has its own time and covariance. Invalid
-fixes are refused before they reach the filter, with the reason as text: numbers that are not finite, a large standard
-deviation, a time in the future, late, repeated or out-of-order fixes. A source that contradicts the inertial unit
+fixes are refused before they reach the filter, with a reason as text: a number is not finite, the standard deviation is
+large, or the fix is late, repeated, out of order or from the future. A source that contradicts the inertial unit
 (:mod:`mufly.flight.fixes.fix_monitor`) is refused, too; the vehicle then lands on the corrected motion of the source.
 """
 

@@ -186,7 +186,8 @@ class FixMonitor:
         ----------
         readings : Readings
         estimate : Estimate
-            The filter's latest estimate: its heading at rest, and its tilt, slowly, while the source is not refused.
+            The filter's latest estimate. Its heading is used at rest; its tilt corrects the monitor's tilt slowly,
+            while the source is accepted.
         is_resting : bool
             Whether the motors are off.
         """
@@ -436,7 +437,7 @@ class FixMonitor:
         self.path_fit = PathFit(_rms(off), _rms(a), rms, turn, mirror, delay)
 
     def _add_window(self, y: NDArray[np.complexfloating], a: NDArray[np.complexfloating]) -> None:
-        """Add a window to the long fit y = m a, with its deviation."""
+        """Add a window to the long fit y = m a, and update the standard deviation of m."""
         self._long_sums *= math.exp(-_LONG_STEP_S / _LONG_MEMORY_S)
         self._long_sums += [np.vdot(a, a), np.vdot(a, y), np.vdot(y, y), len(a)]
         square, product, total, count = self._long_sums
@@ -445,7 +446,7 @@ class FixMonitor:
         self.long_fit = m, math.sqrt(_LONG_CORRELATION * noise / (2.0 * float(square.real)))
 
     def _judge_long_fit(self) -> str:
-        """Return the fault of a source with a wrong scale whose effect in each window is below the drift."""
+        """Return the fault of a source with a wrong scale that is too small for single windows to show."""
         m, sigma = self.long_fit
         off = abs(abs(m) - 1.0)
         is_wrong = off > max(_LONG_SCALE, _LONG_SIGMAS * sigma) and abs(cmath.phase(m)) < _LONG_TURN_RAD

@@ -1,7 +1,8 @@
 """Settings of a Monte Carlo campaign, and one flight of it: vehicle, wind, and success confirmed by the truth.
 
-A :class:`Campaign` holds the settings shared by all flights. Flight ``k`` of seed ``s`` depends on both alone: its
-random numbers come from NumPy's seed sequence of ``(s, k)``. The worker and the order of flights do not matter.
+A :class:`Campaign` holds the settings shared by all flights. Flight ``k`` of seed ``s`` depends on ``k`` and ``s``
+alone: its random numbers come from NumPy's seed sequence of ``(s, k)``. The worker and the order of flights do not
+matter.
 
 A flight succeeds if the state machine reports success *and* the truth confirms it: no collision, and every waypoint
 passed within the tolerance. At the end the vehicle stands on the take-off floor, upright, at rest, with motors off, and
@@ -255,7 +256,7 @@ class Campaign:
         return [key for key in self.varied_keys if not self.redesign or key.startswith(NEVER_TOLD_PREFIX)]
 
     def describe_knowledge(self) -> str:
-        """Return the numbers of varied parameters known and unknown to the flight software, as text."""
+        """Return as text how many of the varied parameters the flight software knows, and how many it does not."""
         told, untold = len(self.told_keys), len(self.untold_keys)
         parts = [
             f"{n} varied parameter{'s' if n > 1 else ''} {word}"

@@ -147,7 +147,7 @@ class CampaignOutcome:
         Number of impossible vehicles that were drawn again.
     endings : tuple
         Class by the truth (:data:`mufly.flight.monte_carlo.flight_ending.ENDINGS`), number of flights, and the 95 %
-        interval of its share (Wilson); always with tip-overs.
+            interval of its share (Wilson); tip-overs are always listed.
     reasons : tuple
         Reasons of failures without their numbers, each with its count; the commonest first.
     failed : tuple of int

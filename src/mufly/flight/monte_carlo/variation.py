@@ -263,7 +263,7 @@ def _parse_number(text: str, where: str) -> float:
 
 
 def _to_si_amount(number: str, unit: str, chosen: Sequence[Parameter], text: str) -> float:
-    """Return a number with a unit in the common SI unit of the parameters."""
+    """Convert a number with a unit to the SI unit that the parameters share."""
     own = {p.unit for p in chosen}
     if len(own) > 1:
         raise ArgumentError("vary", text, f"its {len(chosen)} parameters have no unit in common", "vary them in %")

@@ -109,7 +109,7 @@ def check_policy(policy: LearnedPolicy, vehicle_name: str, where: str) -> None:
 
 
 class PolicyControllers(Controllers):
-    """A learned policy in place of the control law of one vehicle; see this module.
+    """Controllers of one vehicle in which a learned policy replaces the control law.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class PolicyControllers(Controllers):
     Raises
     ------
     InputError
-        If the policy suits neither the vehicle nor the period of the mission logic.
+        If the policy does not suit the vehicle or the period of the mission logic.
     """
 
     def __init__(self, design: FlightController, policy: LearnedPolicy) -> None:

@@ -1,9 +1,9 @@
 """Recording of readings and estimates of a flight on sensors, and its replay.
 
 A recording has a row for every period of the flight software. A new reading is in the row of its arrival, with its
-measurement time and its validity; rows without a new reading hold NaN. A recording so contains all inputs of the
-estimator, and a replay (:func:`replay_estimator`) gives bitwise equal estimates. Of a position fix's covariance only
-the variances are recorded, which are all that the estimator uses.
+measurement time and its validity; rows without a new reading hold NaN. A recording therefore contains all inputs of the
+estimator, and a replay (:func:`replay_estimator`) gives bitwise equal estimates. Only the variances of a position fix
+are recorded; the estimator does not use the rest of its covariance.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def make_sensed_row_writer(
 ) -> Callable[[Truth, Readings, Estimate | None, Actuators, tuple[_Array, _Array, _Array], str], None]:
     """Return the function that appends a row of a flight on sensors.
 
-    ``write(truth, readings, estimate, actuators, reference, state)``, as
-    :func:`mufly.flight.simulated_plant.make_row_writer`. Without an estimate (None), its columns are NaN.
+    The function is ``write(truth, readings, estimate, actuators, reference, state)``, with arguments as for
+    :func:`mufly.flight.simulated_plant.make_row_writer`. If the estimate is None, its columns are NaN.
     """
     row, part = make_blank_row(recorder)
     fill, put = make_common_writer(part), make_estimate_writer(part)
