@@ -31,7 +31,7 @@ from mufly.rotor import (
     solve_rotor_batch,
     solve_system,
 )
-from mufly.rotor.forward import ForwardCondition, blade_flap, solve_forward
+from mufly.rotor.forward import ForwardCondition, make_flap_mode, solve_forward
 from mufly.vehicle import load_vehicle
 
 
@@ -57,7 +57,7 @@ def main() -> None:
     t = best(lambda: solve_rotor(case, pitch_rad=0.2, speed_rad_s=600.0), 50)
     print(f"one point from Python                    {1e3 * t:8.3f} ms")
     flight = ForwardCondition(0.2, 600.0, edgewise_m_s=4.0)
-    mode = blade_flap(rotor, 1.6)
+    mode = make_flap_mode(rotor, 1.6)
     solve_forward(case, flight, mode)
     t = best(lambda: solve_forward(case, flight, mode), 200)
     print(f"one point in forward flight              {1e3 * t:8.3f} ms (target 1)")

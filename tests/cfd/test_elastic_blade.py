@@ -10,7 +10,7 @@ import pytest
 from mufly.cfd import solve_elastic_blade
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, compute_polars, load_rotor, prepare_blading, solve_rotor
-from mufly.rotor.structure.coupled_rounds import StripLoads, deform_rotor, solve_coupled_rounds
+from mufly.rotor.structure.coupled_rounds import StripLoads, deform_rotor, iterate_elastic_twist
 from mufly.rotor.structure.elastic_rotor import section_moment, solve_equilibrium
 from mufly.rotor.structure.flap_modes import make_blade_beam
 
@@ -66,7 +66,7 @@ def test_rounds_with_blade_elements_end_at_their_equilibrium(rotor):
     b, stand = make_blade_beam(rotor), StandIn()
     blading = prepare_blading(rotor, stand.polars)
     expected = solve_equilibrium(blading, b, stand.polars, **POINT)
-    found = solve_coupled_rounds(rotor, b, stand.strips, **POINT)
+    found = iterate_elastic_twist(rotor, b, stand.strips, **POINT)
     assert found.tip_twist_rad.size == 2  # one round
     assert found.tip_twist_rad[-1] == pytest.approx(expected.twist_rad[-1], abs=math.radians(0.05))
     assert found.deflection_m[-1] == pytest.approx(expected.deflection_m[-1], rel=0.01)
@@ -74,8 +74,8 @@ def test_rounds_with_blade_elements_end_at_their_equilibrium(rotor):
 
 def test_rounds_find_the_fixed_point_of_another_solver(rotor):
     b, stand = make_blade_beam(rotor), StandIn(factor=1.25)
-    coarse = solve_coupled_rounds(rotor, b, stand.strips, **POINT)
-    fine = solve_coupled_rounds(rotor, b, stand.strips, **POINT, tolerance_rad=1e-6)
+    coarse = iterate_elastic_twist(rotor, b, stand.strips, **POINT)
+    fine = iterate_elastic_twist(rotor, b, stand.strips, **POINT, tolerance_rad=1e-6)
     assert 2 <= coarse.tip_twist_rad.size - 1 <= 4
     assert coarse.tip_twist_rad[-1] == pytest.approx(fine.tip_twist_rad[-1], abs=math.radians(0.05))
     assert abs(fine.tip_twist_rad[-1] - fine.tip_twist_rad[0]) > math.radians(0.1)

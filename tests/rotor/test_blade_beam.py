@@ -21,7 +21,7 @@ from mufly.rotor import (
     rotor_from_tables,
 )
 from mufly.rotor.structure.blade_beam import compute_modes, mass_matrix, stiffness_matrices
-from mufly.rotor.structure.cross_section import contour_lines, section_geometry, shear_centre
+from mufly.rotor.structure.cross_section import section_geometry, shear_centre, thickness_and_camber_lines
 from mufly.rotor.structure.flap_modes import free_hinge, make_blade_beam, select_modes
 from mufly.rotor.structure.materials import MATERIALS
 
@@ -35,7 +35,7 @@ def beam(**changes):
 
 
 def first(found, kind, count):
-    return np.array([found.frequency_rad_s[found.find(kind, k)] for k in range(1, count + 1)])
+    return np.array([found.frequency_rad_s[found.find_mode(kind, k)] for k in range(1, count + 1)])
 
 
 def test_cantilever_has_the_closed_frequencies():
@@ -72,8 +72,8 @@ def test_hinge_spring_and_offset_have_the_closed_form():
     e, r0, stiff = 0.004, 0.01, 30.0
     b = beam(flap_EI=stiff, lag_EI=stiff, root_radius_m=r0, flap_root_N_m=0.02, hinge_radius_m=e)
     arm = b.points_m - e
-    inertia = b.integrate(MASS * arm**2)
-    expected = (0.02 + 400.0**2 * b.integrate(MASS * arm * b.points_m)) / inertia
+    inertia = b.integrate_over_span(MASS * arm**2)
+    expected = (0.02 + 400.0**2 * b.integrate_over_span(MASS * arm * b.points_m)) / inertia
     assert first(compute_modes(b, 400.0), "flap", 1)[0] ** 2 == pytest.approx(expected, rel=1e-4)
 
 
@@ -138,7 +138,7 @@ def test_shear_centre_of_a_semicircle_and_of_flat_sections():
 
 def test_section_constants_of_a_flat_plate():
     chord, t = np.array([0.02]), 0.001
-    flat = np.zeros((1, contour_lines("naca0012")[0].size))
+    flat = np.zeros((1, thickness_and_camber_lines("naca0012")[0].size))
     k = section_geometry(chord, flat, flat, t)
     assert k.area_m2[0] == pytest.approx(2e-5)
     assert k.flap_inertia_m4[0] == pytest.approx(0.02 * t**3 / 12)

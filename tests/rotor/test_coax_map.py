@@ -13,7 +13,7 @@ from mufly.rotor import (
     RotorSystem,
     compute_coax_map,
     load_rotor,
-    map_climb_ratios,
+    make_climb_ratio_axis,
     prepare_blading,
     solve_system,
 )
@@ -35,7 +35,7 @@ def blading():
 
 @pytest.fixture(scope="module")
 def axes(blading):
-    climbs = map_climb_ratios([-1.0, 0.0, 1.0, 2.0], SPEEDS, float(blading.radius_m[0]))
+    climbs = make_climb_ratio_axis([-1.0, 0.0, 1.0, 2.0], SPEEDS, float(blading.radius_m[0]))
     return {"mean_speed_rad_s": SPEEDS, "ratio": RATIOS, "climb_ratio": climbs.tolist()}
 
 

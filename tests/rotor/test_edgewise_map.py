@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from mufly.rotor import load_rotor, prepare_blading
-from mufly.rotor.forward import ForwardCondition, blade_flap, solve_forward_pair
-from mufly.rotor.forward.edgewise_map import compute_flight_loads, edgewise_axis
+from mufly.rotor.forward import ForwardCondition, make_flap_mode, solve_forward_pair
+from mufly.rotor.forward.edgewise_map import compute_flight_loads, make_edgewise_axis
 from mufly.rotor.forward.row_sums import sum_flow_rows, sum_rate_rows
 
 KNEE, MEAN, PITCH, RADIUS = 0.1125, 410.0, (0.2636, 0.2627), 0.0875
@@ -18,10 +18,10 @@ def blading():
 
 
 def compute(blading, ratio=1.6, **changes):
-    flap = blade_flap(blading.rotors[0], ratio)
+    flap = make_flap_mode(blading.rotors[0], ratio)
     given = {
         "pitch_rad": PITCH, "spacing_m": 0.04, "mean_speed_rad_s": MEAN, "ratio": [1.18], "climb_ratio": [0.0],
-        "knee": KNEE, "edgewise": edgewise_axis(KNEE, 4)[:3], **changes,
+        "knee": KNEE, "edgewise": make_edgewise_axis(KNEE, 4)[:3], **changes,
     }  # fmt: skip
     tables, missing = compute_flight_loads(blading, blading, (flap, flap), **given)
     assert missing == 0
@@ -35,8 +35,8 @@ def loads(blading):
 
 def test_loads_are_those_of_the_pair(blading, loads):
     up = 2.0 * MEAN / 2.18
-    flap = blade_flap(blading.rotors[0], 1.6)
-    e = edgewise_axis(KNEE, 4)[2]
+    flap = make_flap_mode(blading.rotors[0], 1.6)
+    e = make_edgewise_axis(KNEE, 4)[2]
     speed = KNEE * np.sqrt(e / (1.0 - e)) * MEAN * RADIUS
     conditions = [
         (ForwardCondition(PITCH[0], up, v), ForwardCondition(PITCH[1], 1.18 * up, v, rotation_sign=-1))

@@ -67,15 +67,17 @@ def test_loads_do_twice_the_energy_of_the_strained_blade_in_work():
     loads = constant(b, axial=3.0, inplane=-0.4, moment=0.01)
     elastic, centrifugal = stiffness_matrices(b, 0.0)
     x = solve_static(b, elastic + speed**2 * centrifugal, loads.load_vector(b))
-    v, w, p = (b.evaluate(name, x) for name in "vwp")
-    work = b.integrate(loads.axial_N_m * w + loads.inplane_N_m * v + loads.moment_N * p)
-    bent = b.flap_EI * b.evaluate("w2", x) ** 2 + b.lag_EI * b.evaluate("v2", x) ** 2
-    twisted = b.torsion_GJ * b.evaluate("p1", x) ** 2
-    tension = b.tension_kg_m * (
-        b.evaluate("w1", x) ** 2 + b.evaluate("v1", x) ** 2 + b.polar_radius2_m2 * b.evaluate("p1", x) ** 2
+    v, w, p = (b.evaluate_shape(name, x) for name in "vwp")
+    work = b.integrate_over_span(loads.axial_N_m * w + loads.inplane_N_m * v + loads.moment_N * p)
+    bent = b.flap_EI * b.evaluate_shape("w2", x) ** 2 + b.lag_EI * b.evaluate_shape("v2", x) ** 2
+    twisted = b.torsion_GJ * b.evaluate_shape("p1", x) ** 2
+    tension = b.tension_over_speed2_kg_m * (
+        b.evaluate_shape("w1", x) ** 2
+        + b.evaluate_shape("v1", x) ** 2
+        + b.gyration_radius2_m2 * b.evaluate_shape("p1", x) ** 2
     )
     field = -b.mass_kg_m * v**2 + b.lag_inertia * p**2
-    assert work == pytest.approx(b.integrate(bent + twisted + speed**2 * (tension + field)), rel=1e-9)
+    assert work == pytest.approx(b.integrate_over_span(bent + twisted + speed**2 * (tension + field)), rel=1e-9)
 
 
 def test_stiff_blade_gives_the_rigid_rotor(walkera):

@@ -27,8 +27,8 @@ from mufly.rotor.forward import (
     BladeFlap,
     ForwardCondition,
     PairSweep,
-    blade_flap,
     cyclic_response,
+    make_flap_mode,
     solve_forward,
     solve_forward_pair,
     sweep_forward,
@@ -176,7 +176,7 @@ def test_uniform_mean_differs_from_annuli_by_a_few_percent(walkera):
 @pytest.mark.parametrize("ratio", [1.0, 1.2, math.inf])
 def test_power_balance(walkera, ratio, inflow):
     c = replace(FLIGHT, rates_rad_s=(0.0, 0.0))
-    got = solve_forward(walkera, c, blade_flap(walkera.rotors[0], ratio), inflow=inflow)
+    got = solve_forward(walkera, c, make_flap_mode(walkera.rotors[0], ratio), inflow=inflow)
     spent = got.power_W + got.h_force_N * c.edgewise_m_s
     made = got.induced_power_W + got.profile_power_W + got.thrust_N * c.climb_m_s
     assert spent == pytest.approx(made, rel=1e-8)
@@ -184,7 +184,7 @@ def test_power_balance(walkera, ratio, inflow):
 
 def test_hub_moment_is_that_of_the_mode(walkera):
     for ratio in (1.0, 1.05, 1.6):
-        mode = blade_flap(walkera.rotors[0], ratio)
+        mode = make_flap_mode(walkera.rotors[0], ratio)
         got = solve_forward(walkera, FLIGHT, mode)
         stiffness = 2 / 2 * mode.inertia_kg_m2 * FLIGHT.speed_rad_s**2 * (ratio**2 - 1.0)
         scale = got.thrust_N * RADIUS
@@ -193,8 +193,8 @@ def test_hub_moment_is_that_of_the_mode(walkera):
 
 
 def test_a_very_stiff_blade_is_a_rigid_one(walkera):
-    stiff = solve_forward(walkera, FLIGHT, blade_flap(walkera.rotors[0], 300.0))
-    rigid = solve_forward(walkera, FLIGHT, blade_flap(walkera.rotors[0], math.inf))
+    stiff = solve_forward(walkera, FLIGHT, make_flap_mode(walkera.rotors[0], 300.0))
+    rigid = solve_forward(walkera, FLIGHT, make_flap_mode(walkera.rotors[0], math.inf))
     for name in ("thrust_N", "h_force_N", "roll_moment_Nm", "pitch_moment_Nm"):
         assert getattr(stiff, name) == pytest.approx(getattr(rigid, name), rel=2e-3)
 
@@ -212,7 +212,7 @@ def turn_inputs(c, angle):
 @pytest.mark.parametrize("angle", [0.3, 2.0, -1.1])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_wind_from_any_azimuth(walkera, angle, sign):
-    mode = blade_flap(walkera.rotors[0], 1.1)
+    mode = make_flap_mode(walkera.rotors[0], 1.1)
     c = replace(FLIGHT, rotation_sign=sign, cyclic_rad=(0.0, 0.0))
     first, other = (solve_forward(walkera, one, mode) for one in (c, turn_inputs(c, angle)))
     s, k = math.sin(angle), math.cos(angle)
@@ -227,14 +227,14 @@ def test_wind_from_any_azimuth(walkera, angle, sign):
 
 
 def test_cyclic_turns_with_the_wind(walkera):
-    mode = blade_flap(walkera.rotors[0], 1.1)
+    mode = make_flap_mode(walkera.rotors[0], 1.1)
     first, other = (solve_forward(walkera, one, mode) for one in (FLIGHT, turn_inputs(FLIGHT, 0.7)))
     assert other.thrust_N == pytest.approx(first.thrust_N, rel=1e-10)
     assert other.power_W == pytest.approx(first.power_W, rel=1e-10)
 
 
 def test_mirror_image(walkera):
-    mode = blade_flap(walkera.rotors[0], 1.1)
+    mode = make_flap_mode(walkera.rotors[0], 1.1)
     c = replace(FLIGHT, wind_azimuth_rad=0.4)
     mirrored = replace(c, wind_azimuth_rad=-0.4, rotation_sign=-1, rates_rad_s=(-c.rates_rad_s[0], c.rates_rad_s[1]))
     one, two = solve_forward(walkera, c, mode), solve_forward(walkera, mirrored, mode)
@@ -245,7 +245,7 @@ def test_mirror_image(walkera):
 
 def test_drag_and_damping_dissipate(walkera):
     for ratio in (1.0, 1.1, 1.6):
-        mode = blade_flap(walkera.rotors[0], ratio)
+        mode = make_flap_mode(walkera.rotors[0], ratio)
         still = ForwardCondition(math.radians(13.0), 376.4)
         for v in (1.0, 4.0, 8.0):
             assert solve_forward(walkera, replace(still, edgewise_m_s=v), mode).h_force_N > 0.0
@@ -255,7 +255,7 @@ def test_drag_and_damping_dissipate(walkera):
 
 
 def test_a_sweep_equals_its_points(walkera):
-    modes = [blade_flap(walkera.rotors[0], ratio) for ratio in (1.0, 1.6)]
+    modes = [make_flap_mode(walkera.rotors[0], ratio) for ratio in (1.0, 1.6)]
     conditions = [ForwardCondition(math.radians(13.0), 376.4, edgewise_m_s=v) for v in (0.0, 2.0, 6.0)]
     sweep = sweep_forward(walkera, conditions, modes)
     for mode, line in zip(modes, sweep.points, strict=True):
@@ -269,7 +269,7 @@ def test_a_sweep_equals_its_points(walkera):
 
 
 def test_azimuths_and_stations_are_enough(walkera):
-    mode = blade_flap(walkera.rotors[0], 1.2)
+    mode = make_flap_mode(walkera.rotors[0], 1.2)
     coarse = solve_forward(walkera, FLIGHT, mode)
     fine = solve_forward(prepare_blading(walkera.rotors[0], stations=48), FLIGHT, mode, azimuths=72)
     for name in ("thrust_N", "torque_Nm", "h_force_N", "roll_moment_Nm", "pitch_moment_Nm"):
@@ -280,7 +280,7 @@ def test_azimuths_and_stations_are_enough(walkera):
 
 
 def test_points_outside_say_so(walkera):
-    mode = blade_flap(walkera.rotors[0], 1.6)
+    mode = make_flap_mode(walkera.rotors[0], 1.6)
     fast = solve_forward(walkera, ForwardCondition(math.radians(13.0), 376.4, edgewise_m_s=14.0), mode)
     assert fast.outside
     assert "advance ratio" in fast.notes[0]
@@ -307,7 +307,7 @@ def test_impossible_conditions(textbook, changes, key):
 
 def test_impossible_settings(textbook, walkera):
     with pytest.raises(InputError, match="frequency_ratio"):
-        blade_flap(walkera.rotors[0], 0.9)
+        make_flap_mode(walkera.rotors[0], 0.9)
     with pytest.raises(InputError, match="inflow"):
         solve_forward(textbook, POINT, inflow="free")
     rotor = load_rotor("walkera-5g6")
@@ -321,7 +321,7 @@ SPEEDS, ANGLES, SPACING = (376.4, 443.6), (math.radians(13.0), math.radians(14.0
 
 
 def pair(case, ratio=1.6, speed=0.0, climb=0.0, spacing=SPACING, **changes):
-    mode = blade_flap(case.rotors[0], ratio)
+    mode = make_flap_mode(case.rotors[0], ratio)
     conditions = tuple(
         ForwardCondition(a, w, speed, climb, rotation_sign=s, **changes)
         for a, w, s in zip(ANGLES, SPEEDS, (1, -1), strict=True)
@@ -343,7 +343,7 @@ def test_the_pair_at_rest_is_coaxial_blade_element_momentum_theory(walkera):
 
 def test_a_lower_rotor_outside_the_stream_is_alone(walkera):
     got = pair(walkera, speed=9.0, spacing=0.1)
-    mode = blade_flap(walkera.rotors[0], 1.6)
+    mode = make_flap_mode(walkera.rotors[0], 1.6)
     alone = solve_forward(walkera, ForwardCondition(ANGLES[1], SPEEDS[1], 9.0, rotation_sign=-1), mode)
     assert got.overlap == 0.0
     assert got.lower.thrust_N == pytest.approx(alone.thrust_N, rel=1e-9)
@@ -380,7 +380,7 @@ def test_pairs_that_do_not_belong_together(walkera):
 
 def test_pictures_have_units_on_their_axes(walkera):
     conditions = [ForwardCondition(ANGLES[0], SPEEDS[0], edgewise_m_s=v) for v in (0.0, 4.0)]
-    sweep = sweep_forward(walkera, conditions, [blade_flap(walkera.rotors[0], 1.2)])
+    sweep = sweep_forward(walkera, conditions, [make_flap_mode(walkera.rotors[0], 1.2)])
     one = pair(walkera, speed=4.0)
     several = PairSweep(("a", "b"), "", ((one, one),))
     for result in (sweep, several):

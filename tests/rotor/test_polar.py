@@ -108,7 +108,7 @@ def test_one_reynolds_number_is_a_table_too():
         single.alpha_valid_rad[:1], "",
     )  # fmt: skip
     assert np.allclose(lookup_lift_drag(one, 0.1, [1e2, 1e6])[0], lookup_lift_drag(single, 0.1, 2e3)[0])
-    assert stack_polars([one]).per_log_reynolds == 0.0
+    assert stack_polars([one]).rows_per_log_reynolds == 0.0
 
 
 def test_unsound_tables_are_refused():

@@ -77,7 +77,7 @@ POLAR = "\n".join(f" {a:7.3f} {0.1 * a:8.4f} 0.02000 0.00100 -0.0100 1.0000 1.00
 
 def test_what_a_hanging_run_had_written_is_used(tmp_path, monkeypatch):
     stand_in(tmp_path, monkeypatch, f"cat > polar.txt <<'END'\n{POLAR}\nEND\nexec sleep 60")
-    monkeypatch.setattr(polar_engines, "_TIME_LIMIT_S", 1.0)
+    monkeypatch.setattr(polar_engines, "_XFOIL_TIME_LIMIT_S", 1.0)
     data = run(load_airfoil("naca0012"), [1e5], alpha_deg=np.arange(0.0, 6.0))
     assert data.known[0].tolist() == [True] * 4 + [False] * 2
     assert np.allclose(data.cl[0, :4], [0.0, 0.1, 0.2, 0.3])

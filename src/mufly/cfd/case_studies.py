@@ -51,7 +51,7 @@ from mufly.rotor import (
     solve_rotor,
     solve_system,
 )
-from mufly.rotor.structure.coupled_rounds import CoupledRounds, StripLoads, solve_coupled_rounds
+from mufly.rotor.structure.coupled_rounds import AeroelasticIteration, StripLoads, iterate_elastic_twist
 from mufly.rotor.structure.flap_modes import make_blade_beam
 
 Array = NDArray[np.float64]
@@ -219,7 +219,7 @@ def solve_elastic_blade(
     progress: Callable[[SolverProgress], None] | None = None,
     run: Callable[..., CfdSolution] | None = None,
     **given: Any,
-) -> tuple[CfdSolution, CoupledRounds]:
+) -> tuple[CfdSolution, AeroelasticIteration]:
     """Solve a rotor with elastic blades: repeat mesh, solution and twist until the tip's twist changes by < 0.05 deg.
 
     Round k is the case ``round-k`` in the folder. Each round after the first starts from the preceding solution. A
@@ -242,7 +242,7 @@ def solve_elastic_blade(
     -------
     solution : CfdSolution
         Solution of the last round.
-    rounds : CoupledRounds
+    rounds : AeroelasticIteration
 
     Raises
     ------
@@ -277,7 +277,7 @@ def solve_elastic_blade(
         return StripLoads(one.r_m, one.thrust_N_m / n, -one.torque_Nm_m / (one.r_m * n), one.moment_Nm_m)
 
     point = {name: given[name] for name in ("pitch_rad", "speed_rad_s", "climb_m_s", "air") if name in given}
-    rounds = solve_coupled_rounds(rotor, make_blade_beam(rotor, structure), solve, **point)
+    rounds = iterate_elastic_twist(rotor, make_blade_beam(rotor, structure), solve, **point)
     return found[-1], rounds
 
 

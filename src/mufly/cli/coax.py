@@ -251,18 +251,18 @@ def forward(
     """
     from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import Air, load_rotor
-    from mufly.rotor.forward import ForwardCondition, blade_flap, blade_flap_band, sweep_forward_pair
+    from mufly.rotor.forward import ForwardCondition, flap_modes_of_band, make_flap_mode, sweep_forward_pair
     from mufly.rotor.forward.forward_pictures import disc_picture, pair_sweep_picture
 
     angles, speeds, air = parse_pitch_angles(pitch), parse_rotor_speeds(rpm), Air(density_kg_m3=density)
     rotors = (load_rotor(upper), load_rotor(upper if lower is None else lower))
     if flap_frequency_ratio is None:
-        bands = [blade_flap_band(r, w, pitch_rad=a) for r, w, a in zip(rotors, speeds, angles, strict=True)]
+        bands = [flap_modes_of_band(r, w, pitch_rad=a) for r, w, a in zip(rotors, speeds, angles, strict=True)]
         flaps = tuple((bands[0][0][k], bands[1][0][k]) for k in range(2))
         basis = bands[0][1]
     else:
         ratios = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1")
-        flaps = tuple((blade_flap(rotors[0], n), blade_flap(rotors[1], n)) for n in ratios)
+        flaps = tuple((make_flap_mode(rotors[0], n), make_flap_mode(rotors[1], n)) for n in ratios)
         basis = "flap frequency as given"
     lean = math.radians(tilt)
     sweep = sweep_forward_pair(
@@ -434,7 +434,7 @@ def compute_coax_map(
     mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
     """
     from mufly.files.answer_store import replace_file
-    from mufly.rotor import Air, load_rotor, map_climb_ratios, map_picture
+    from mufly.rotor import Air, load_rotor, make_climb_ratio_axis, map_picture
     from mufly.rotor.coax_maps import compute_coax_map as compute
     from mufly.vehicle import format_map_toml
 
@@ -453,7 +453,7 @@ def compute_coax_map(
             made = compute(
                 blades[0], blades[1], spacing_m=spacing, upper_pitch_rad=pitches[0],
                 lower_pitch_rad=pitches[-1], mean_speed_rad_s=speeds.tolist(), ratio=ratios,
-                climb_ratio=map_climb_ratios(climbs, speeds.tolist(), blades[0].rotors[0].radius_m).tolist(),
+                climb_ratio=make_climb_ratio_axis(climbs, speeds.tolist(), blades[0].rotors[0].radius_m).tolist(),
                 method=theory.method, air=Air(density_kg_m3=density), settings=settings if wakes else None,
                 name=name or (out.stem if out is not None else ""),
                 note=f"polars {theory.engine}, n_crit {theory.n_crit:g}, corrections {theory.model}",

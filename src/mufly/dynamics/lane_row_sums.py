@@ -17,8 +17,8 @@ from numba import types
 
 from mufly.dynamics.numba_lanes import LANES, VECTOR, intrinsic
 from mufly.rotor.forward.row_sums import (
-    FLOW_COLUMNS,
-    RATE_COLUMNS,
+    FLOW_COLUMN_COUNT,
+    RATE_COLUMN_COUNT,
     emit_flow_sum,
     emit_rate_sum,
     pick_numbers,
@@ -79,13 +79,13 @@ def _whole_places(builder: Any, place: Any) -> Any:
 @intrinsic
 def sum_flow_lanes(context, table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
     """:func:`mufly.rotor.forward.row_sums.sum_flow_rows` for lanes."""
-    return _lane_form(table, (first, later, stride), 8, FLOW_COLUMNS, emit_flow_sum)
+    return _lane_form(table, (first, later, stride), 8, FLOW_COLUMN_COUNT, emit_flow_sum)
 
 
 @intrinsic
 def sum_rate_lanes(context, table, first, ea, eb, ec):
     """:func:`mufly.rotor.forward.row_sums.sum_rate_rows` for lanes."""
-    return _lane_form(table, (first,), 3, RATE_COLUMNS, emit_rate_sum)
+    return _lane_form(table, (first,), 3, RATE_COLUMN_COUNT, emit_rate_sum)
 
 
 LANE_ROW_SUMS: dict[str, Any] = {"sum_flow_rows": sum_flow_lanes, "sum_rate_rows": sum_rate_lanes}

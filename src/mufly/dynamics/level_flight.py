@@ -12,7 +12,7 @@ is turned such that in hover each servo acts on one axis. In steady flight the s
 perpendicular to the mast.
 
 The result depends strongly on the flap frequency, so two trims are computed, one for each end of its band
-(:func:`mufly.rotor.forward.blade_flap_band`).
+(:func:`mufly.rotor.forward.flap_modes_of_band`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from mufly.quantities.units import GRAVITY
 from mufly.results import ResultColumn, ShownBlock, result, show_lines, tabulate_results
 from mufly.results.result_figure import blank_figure, label_axes
 from mufly.rotor import Air, Blading, Rotor, prepare_blading
-from mufly.rotor.forward import BladeFlap, ForwardCondition, ForwardPair, blade_flap_band, solve_forward_pair
+from mufly.rotor.forward import BladeFlap, ForwardCondition, ForwardPair, flap_modes_of_band, solve_forward_pair
 from mufly.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -356,7 +356,7 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
         raise InputError(vehicle.name, "airspeeds", "are not all 0 or more", "give finite airspeeds")
     blading = prepare_blading(rotor)
     hover = find_trim(vehicle, charge=_CHARGE)
-    bands = [blade_flap_band(rotor, float(w)) for w in hover.rotor_speed]
+    bands = [flap_modes_of_band(rotor, float(w)) for w in hover.rotor_speed]
     lines, greatest, best = [], [], []
     for end in range(2):
         model = LevelFlightModel(vehicle, blading, (bands[0][0][end], bands[1][0][end]))

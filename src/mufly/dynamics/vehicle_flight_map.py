@@ -21,8 +21,8 @@ from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import GRAVITY
 from mufly.rotor import Rotor, prepare_blading
 from mufly.rotor.coax_maps import hash_bladings
-from mufly.rotor.forward import BladeFlap, blade_flap, blade_flap_band
-from mufly.rotor.forward.edgewise_map import MAP_ADVANCE_RATIO, compute_flight_loads, edgewise_axis
+from mufly.rotor.forward import BladeFlap, flap_modes_of_band, make_flap_mode
+from mufly.rotor.forward.edgewise_map import MAP_ADVANCE_RATIO, compute_flight_loads, make_edgewise_axis
 from mufly.vehicle import FlightMap, FlightMapTables, Vehicle, replace_parameters
 from mufly.vehicle.flight_map import format_flight_table
 
@@ -106,12 +106,12 @@ def make_flight_map(
     blading = prepare_blading(rotor)
     hover = find_trim(plain, charge=0.5)
     speeds = (float(hover.rotor_speed[0]), float(hover.rotor_speed[1]))
-    bands = [blade_flap_band(rotor, w) for w in speeds]
+    bands = [flap_modes_of_band(rotor, w) for w in speeds]
     ends = [(bands[0][0][k], bands[1][0][k]) for k in range(2)]
     if flap_frequency_ratio is None:
         flaps, basis = ends[1], f"upper end of the {bands[0][1]}"
     else:
-        flaps = (blade_flap(rotor, flap_frequency_ratio), blade_flap(rotor, flap_frequency_ratio))
+        flaps = (make_flap_mode(rotor, flap_frequency_ratio), make_flap_mode(rotor, flap_frequency_ratio))
         basis = "flap frequency as given"
     model = LevelFlightModel(plain, blading, flaps)
     mean, ratio = 0.5 * sum(speeds), speeds[1] / speeds[0]
@@ -136,7 +136,7 @@ def make_flight_map(
         return compute_flight_loads(
             blading, blading, modes, pitch_rad=model.pitch, spacing_m=spacing, mean_speed_rad_s=mean,
             ratio=[ratio * f for f in ratios], climb_ratio=[knee * f for f in climbs], knee=knee,
-            edgewise=edgewise_axis(knee, count), air=model.air, progress=report,
+            edgewise=make_edgewise_axis(knee, count), air=model.air, progress=report,
         )  # fmt: skip
 
     tables, missing = compute(flaps, RATIO_FACTORS, CLIMB_FACTORS, EDGEWISE_COUNT)

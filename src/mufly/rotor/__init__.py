@@ -4,7 +4,7 @@ from mufly.rotor.bemt import BatchResult, solve_rotor, solve_rotor_batch, warn_r
 from mufly.rotor.blades.blade_families import BLADE_FAMILY_PRIORS
 from mufly.rotor.blades.blade_files import read_blade
 from mufly.rotor.blading import TEXTBOOK_CORRECTIONS, Blading, Corrections, prepare_blading
-from mufly.rotor.coax_maps import compute_coax_map, map_climb_ratios
+from mufly.rotor.coax_maps import compute_coax_map, make_climb_ratio_axis
 from mufly.rotor.effective_pitch import PitchPrior, effective_pitch_prior
 from mufly.rotor.geometry import (
     BladeSections,
@@ -122,8 +122,8 @@ __all__ = [
     "load_airfoil",
     "load_rotor",
     "lookup_lift_drag",
+    "make_climb_ratio_axis",
     "make_rotor",
-    "map_climb_ratios",
     "map_picture",
     "plane_velocity",
     "predict_interval",

@@ -116,7 +116,7 @@ def _compute_coefficients(thrust: Any, torque: Any, speed: Any, radius: Any, den
     }
 
 
-def _check_points(pitch: Array, speed: Array, climb: Array) -> None:
+def _check_operating_points(pitch: Array, speed: Array, climb: Array) -> None:
     check_pitch("rotor", "pitch_rad", pitch)
     for name, values, least, remedy in (
         ("speed_rad_s", speed, 0.0, "give a number above 0"),
@@ -172,13 +172,13 @@ def _solve_points(
 
 def _flag_extrapolated_stations(blading: Blading, which: int, alpha: Array, reynolds: Array) -> NDArray[np.uint8]:
     """Flag the stations of one rotor outside their polars' range; a mixed section is outside if either polar is."""
-    both, weight = np.stack((blading.first[which], blading.second[which])), blading.weight[which]
+    both, weight = np.stack((blading.first_polar[which], blading.second_polar[which])), blading.second_weight[which]
     first, second = stack_extrapolation_flags(blading.polars, both, alpha, reynolds)
     flags: NDArray[np.uint8] = first * (weight < 1.0) | second * (weight > 0.0)
     return flags
 
 
-_REYNOLDS_RADIUS = 0.75  # r/R at which a blade's Reynolds number is reported
+_REYNOLDS_STATION_RATIO = 0.75  # r/R at which a blade's Reynolds number is reported
 
 
 def warn_reynolds_range(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLike, air: Air) -> None:
@@ -193,11 +193,11 @@ def warn_reynolds_range(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLi
     air : Air
     """
     rotors = np.arange(len(blading.rotors))
-    station = np.argmin(np.abs(blading.r_m - _REYNOLDS_RADIUS * blading.radius_m[:, None]), axis=1)
+    station = np.argmin(np.abs(blading.r_m - _REYNOLDS_STATION_RATIO * blading.radius_m[:, None]), axis=1)
     size = blading.r_m[rotors, station] * blading.chord_m[rotors, station]
     speed = np.asarray(speed_rad_s, dtype=np.float64)
     reynolds = size[np.asarray(which)] * speed * air.density_kg_m3 / air.viscosity_Pa_s
-    spans = np.exp(blading.polars.log_reynolds_range[blading.first[rotors, station]])
+    spans = np.exp(blading.polars.log_reynolds_range[blading.first_polar[rotors, station]])
     low, high = spans[np.asarray(which)].T.reshape(2, *reynolds.shape)
     beyond = np.flatnonzero((reynolds < low) | (reynolds > high))
     if beyond.size:
@@ -206,7 +206,7 @@ def warn_reynolds_range(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLi
         lowest, highest = float(low.flat[beyond[0]]), float(high.flat[beyond[0]])
         table = f"{lowest:.3g}" if highest < 1.005 * lowest else f"{lowest:.3g} to {highest:.3g}"
         warnings.warn(
-            f"the Reynolds number at {_REYNOLDS_RADIUS:g} R, {at}, is beyond that of its polar, {table}: the "
+            f"the Reynolds number at {_REYNOLDS_STATION_RATIO:g} R, {at}, is beyond that of its polar, {table}: the "
             "coefficients are those of the polar's edge",
             RotorWarning, stacklevel=3,
         )  # fmt: skip
@@ -255,14 +255,14 @@ def solve_rotor(
 
 def solve_placed_rotor(placed: PlacedRotor, climb_m_s: float, air: Air, stream: Stream | None = None) -> RotorResult:
     """Solve a placed rotor of a system; ``stream`` and errors are those of :func:`solve_rotor`."""
-    point = _point_arrays(placed, climb_m_s)
-    _check_points(*point)
+    point = _operating_point_arrays(placed, climb_m_s)
+    _check_operating_points(*point)
     totals, stations = _solve_points(placed.blading, placed.rotor_index, *point, air, True, stream)
     columns = {name: stations[0, :, i].copy() for i, name in enumerate(STATION_COLUMNS)}
     return build_rotor_result(placed, climb_m_s, air, float(totals[0, 0]), float(totals[0, 1]), columns)
 
 
-def _point_arrays(placed: PlacedRotor, climb_m_s: float) -> tuple[Array, Array, Array]:
+def _operating_point_arrays(placed: PlacedRotor, climb_m_s: float) -> tuple[Array, Array, Array]:
     return np.array([placed.pitch_rad]), np.array([placed.speed_rad_s]), np.array([climb_m_s])
 
 
@@ -338,7 +338,7 @@ def compute_slipstream(
     :func:`drag_angular_momentum`. Without the swirl correction, or with ``turns`` false, r u is zero.
     """
     blading, which = placed.blading, placed.rotor_index
-    _, stations = _solve_points(blading, which, *_point_arrays(placed, climb_m_s), air, True, stream)
+    _, stations = _solve_points(blading, which, *_operating_point_arrays(placed, climb_m_s), air, True, stream)
     _, phi, inflow, swirl, cl, cd, _, loss, thrust, torque = stations[0].T
     turning = np.zeros_like(inflow)
     if turns and blading.corrections.swirl:
@@ -383,7 +383,7 @@ def solve_rotor_batch(
         *(np.asarray(v, dtype=np.float64) for v in (pitch_rad, speed_rad_s, climb_m_s)), np.asarray(which)
     )
     shape = which_rotor.shape
-    _check_points(*points)
+    _check_operating_points(*points)
     index = which_rotor.astype(np.int64).ravel()
     if index.size and (index.min() < 0 or index.max() >= len(blading.rotors)):
         raise InputError("rotor", "which", f"there are {len(blading.rotors)} rotors", "count from 0")
@@ -613,7 +613,7 @@ def solve_cases(
         Filled with :data:`STATION_COLUMNS` unless its first axis is empty.
     """
     density, stack = cases.density_kg_m3, blades.polars
-    polars = PolarGrid(stack.grid, stack.log_reynolds_min, stack.per_log_reynolds)
+    polars = PolarGrid(stack.grid, stack.log_reynolds_min, stack.rows_per_log_reynolds)
     keep, meets = stations.shape[0] > 0, cases.stream_m_s.shape[0] > 0
     for case in range(start, stop):
         k = cases.rotor_index[case]
@@ -626,13 +626,13 @@ def solve_cases(
             for i in range(blades.r_m.shape[1]):
                 r, dr, chord = blades.r_m[k, i], blades.dr_m[k, i], blades.chord_m[k, i]
                 theta = pitch + blades.twist_rad[k, i]
-                rotation = blades.rotation[k, i]
+                rotation = blades.stall_delay[k, i]
                 if on.has_cos4_stall_delay == 1:
                     rotation *= math.cos(theta) ** 4
                 share = 1.0
                 if on.tip_loss_code == 2:
                     share = min(max((effective - r) / dr + 0.5, 0.0), 1.0)
-                first, second, weight = blades.first[k, i], blades.second[k, i], blades.weight[k, i]
+                first, second, weight = blades.first_polar[k, i], blades.second_polar[k, i], blades.second_weight[k, i]
                 zero = blades.polar_zero_lift_rad[first]
                 zero += weight * (blades.polar_zero_lift_rad[second] - zero)
                 thick = blades.thickness[first]

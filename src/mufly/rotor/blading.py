@@ -191,12 +191,12 @@ class Blading:
         The rotors, ``n`` of them.
     corrections : Corrections
         Active corrections.
-    r_m, dr_m, chord_m, twist_rad, chord_factor, rotation : (n, stations) arrays
+    r_m, dr_m, chord_m, twist_rad, chord_factor, stall_delay : (n, stations) arrays
         Radius, panel width and chord (m), twist (rad); loss of angle e per lift coefficient (rad), stall delay strength
         g.
     edge_drag : (n, stations) array
         Drag constant of the blunt trailing edge, see :func:`blunt_edge_drag`.
-    first, second, weight : (n, stations) arrays
+    first_polar, second_polar, second_weight : (n, stations) arrays
         Indices of the two polars in the stack, and weight of the second.
     polars : PolarStack
         Polars of all rotors.
@@ -211,11 +211,11 @@ class Blading:
     chord_m: Array
     twist_rad: Array
     chord_factor: Array
-    rotation: Array
+    stall_delay: Array
     edge_drag: Array
-    first: Integers
-    second: Integers
-    weight: Array
+    first_polar: Integers
+    second_polar: Integers
+    second_weight: Array
     polars: PolarStack
     polar_zero_lift_rad: Array
     thickness: Array
@@ -358,11 +358,11 @@ def prepare_blading(
         chord_m=chord,
         twist_rad=twist,
         chord_factor=e,
-        rotation=g,
+        stall_delay=g,
         edge_drag=base,
-        first=first,
-        second=second,
-        weight=weight,
+        first_polar=first,
+        second_polar=second,
+        second_weight=weight,
         polars=stack,
         polar_zero_lift_rad=np.array([find_zero_lift_angle(table) for table in tables]),
         thickness=np.nan_to_num([table.thickness_ratio for table in tables], nan=_DEFAULT_THICKNESS_RATIO),
@@ -406,7 +406,7 @@ def apply_section_fit(table: PolarTable, change: Sequence[float], reynolds: floa
     Equations: :mod:`mufly.rotor.measured.rotor_fit`.
     """
     _, lift, drag, lift_exponent, drag_exponent = change
-    ratio = np.log(np.clip(table.reynolds / reynolds, *_FIT_REYNOLDS_RATIOS))[:, None]
+    ratio = np.log(np.clip(table.reynolds / reynolds, *_FIT_REYNOLDS_RATIO_RANGE))[:, None]
     place = np.log(table.reynolds)
     k = int(np.clip(np.searchsorted(place, math.log(reynolds)) - 1, 0, place.size - 2))
     part = min(max((math.log(reynolds) - place[k]) / (place[k + 1] - place[k]), 0.0), 1.0)
@@ -415,12 +415,12 @@ def apply_section_fit(table: PolarTable, change: Sequence[float], reynolds: floa
     return replace(
         table,
         cl=table.cl * np.exp(lift + lift_exponent * ratio),
-        cd=np.maximum(cd, _MIN_DRAG_FRACTION * table.cd),
+        cd=np.maximum(cd, _MIN_FITTED_DRAG_SHARE * table.cd),
     )
 
 
-_MIN_DRAG_FRACTION = 0.3  # of the polar's drag: least drag of a fit
-_FIT_REYNOLDS_RATIOS = (0.2, 5.0)  # range of Re / Re_m in which the fitted exponents apply
+_MIN_FITTED_DRAG_SHARE = 0.3  # of the polar's drag: least drag of a fit
+_FIT_REYNOLDS_RATIO_RANGE = (0.2, 5.0)  # range of Re / Re_m in which the fitted exponents apply
 
 
 def ensure_blading(rotor: Rotor | Blading) -> Blading:
@@ -428,7 +428,7 @@ def ensure_blading(rotor: Rotor | Blading) -> Blading:
     return rotor if isinstance(rotor, Blading) else prepare_blading(rotor)
 
 
-NEAR_WAKE_RAD = 0.5 * math.pi  # a quarter turn: longer wakes change e by less than 0.003 outside the inner fifth
+NEAR_WAKE_AGE_RAD = 0.5 * math.pi  # a quarter turn: longer wakes change e by less than 0.003 outside the inner fifth
 _NEAR_WAKE_POINTS = 14  # thrust within 0.03 % of 96
 
 
@@ -519,7 +519,7 @@ def _cached_chord_factor(mid: bytes, edge: bytes, mid_chord: bytes, edge_chord: 
     n = mid_x.size
     quarter = np.column_stack((mid_x, np.zeros(n)))
     behind = np.column_stack((mid_x, 0.5 * mid_c))
-    args = (edge_x, edge_c, NEAR_WAKE_RAD, straight_wake, _NEAR_WAKE_POINTS)
+    args = (edge_x, edge_c, NEAR_WAKE_AGE_RAD, straight_wake, _NEAR_WAKE_POINTS)
     a34 = near_wake_downwash(behind, *args)
     a14 = near_wake_downwash(quarter, *args)
     wind = np.ones(n) if straight_wake > 0 else mid_x

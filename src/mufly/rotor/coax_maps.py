@@ -57,7 +57,7 @@ MapPointValues = tuple[
 _MIN_SOLVED_SHARE = 0.5
 
 
-def map_climb_ratios(climb_m_s: Sequence[float], mean_speed_rad_s: Sequence[float], radius_m: float) -> Array:
+def make_climb_ratio_axis(climb_m_s: Sequence[float], mean_speed_rad_s: Sequence[float], radius_m: float) -> Array:
     """Return a climb axis that covers these climb velocities (m/s) at every one of these mean speeds."""
     return np.asarray(climb_m_s, dtype=np.float64) / (min(mean_speed_rad_s) * radius_m)
 
@@ -101,7 +101,7 @@ def compute_coax_map(
     spacing_m, upper_pitch_rad, lower_pitch_rad, air
         As in :class:`mufly.rotor.RotorSystem` and :class:`mufly.rotor.OperatingCondition`.
     mean_speed_rad_s, ratio, climb_ratio : sequences of float
-        Axes, increasing in equal steps; see :class:`mufly.vehicle.MapTables` and :func:`map_climb_ratios`.
+        Axes, increasing in equal steps; see :class:`mufly.vehicle.MapTables` and :func:`make_climb_ratio_axis`.
     method : 'bemt' or 'wake'
         Blade elements (milliseconds a point) or vortex wakes (seconds).
     settings : WakeSettings, optional
@@ -133,7 +133,7 @@ def compute_coax_map(
         )  # fmt: skip
     gas = air or Air()
     axes = tuple(np.asarray(a, dtype=np.float64) for a in (mean_speed_rad_s, ratio, climb_ratio))
-    _check_axes(axes)
+    _check_map_axes(axes)
     shape = (axes[0].size, axes[1].size, axes[2].size)
     how = (settings or WakeSettings()) if method == "wake" else None
     about: dict[str, Any] = {
@@ -225,7 +225,7 @@ def _describe_wake_settings(how: WakeSettings) -> str:
     )
 
 
-def _check_axes(axes: Sequence[Array]) -> None:
+def _check_map_axes(axes: Sequence[Array]) -> None:
     for key, axis, least in zip(("mean speed", "ratio", "climb"), axes, (1, 2, 2), strict=True):
         if axis.size < least:
             raise InputError("coax map", key, f"has {axis.size} value", f"give {least} or more")

@@ -37,9 +37,9 @@ ANGLE_STD_DEG: dict[GeometrySource, float] = {
 """Standard deviation of the angle at 0.75 R by the source of the geometry (degrees)."""
 STATED_PITCH_STD_DEG = 3.0
 """Standard deviation of the angle from a maker's stated pitch (degrees)."""
-_DEFAULT_STD_DEG = 0.5  # of geometry without a source, taken as the user's own design
-_MAX_DISAGREEMENT_RAD = math.radians(7.0)
-_REFERENCE_RADIUS = 0.75  # r/R
+_DEFAULT_PITCH_STD_DEG = 0.5  # of geometry without a source, taken as the user's own design
+_MAX_PITCH_DISAGREEMENT_RAD = math.radians(7.0)
+_PITCH_REFERENCE_STATION_RATIO = 0.75  # r/R
 
 
 class PitchPrior(NamedTuple):
@@ -60,14 +60,14 @@ def effective_pitch_prior(rotor: Rotor) -> PitchPrior:
         or ``blade.pitch_std`` if the file states one.
     """
     source = rotor.blade.geometry
-    own = math.radians(_DEFAULT_STD_DEG if source is None else ANGLE_STD_DEG[source])
+    own = math.radians(_DEFAULT_PITCH_STD_DEG if source is None else ANGLE_STD_DEG[source])
     if rotor.blade.pitch_std is not None:
         own = float(rotor.blade.pitch_std)
     basis = source or "own design"
     if rotor.nominal_pitch is None:
         return PitchPrior(0.0, own, basis)
-    stated = math.atan(float(rotor.nominal_pitch) / (2.0 * math.pi * _REFERENCE_RADIUS * rotor.radius_m))
-    apart = stated - float(rotor.twist_rad(_REFERENCE_RADIUS))
-    apart = min(max(apart, -_MAX_DISAGREEMENT_RAD), _MAX_DISAGREEMENT_RAD)
+    stated = math.atan(float(rotor.nominal_pitch) / (2.0 * math.pi * _PITCH_REFERENCE_STATION_RATIO * rotor.radius_m))
+    apart = stated - float(rotor.twist_rad(_PITCH_REFERENCE_STATION_RATIO))
+    apart = min(max(apart, -_MAX_PITCH_DISAGREEMENT_RAD), _MAX_PITCH_DISAGREEMENT_RAD)
     share = own**2 / (own**2 + math.radians(STATED_PITCH_STD_DEG) ** 2)
     return PitchPrior(share * apart, own * math.sqrt(1.0 - share), f"{basis} and stated pitch")

@@ -293,7 +293,7 @@ class Rotor(ParameterGroup):
     @property
     def blade_area_m2(self) -> float:
         """Area of one blade from cut-out to tip (m^2)."""
-        return self.radius_m * self._chord_moment(0)
+        return self.radius_m * self._chord_radius_moment(0)
 
     @property
     def solidity(self) -> float:
@@ -303,14 +303,14 @@ class Rotor(ParameterGroup):
     @property
     def thrust_solidity(self) -> float:
         """Thrust-weighted solidity, 3 int sigma(x) x^2 dx."""
-        return 3.0 * self.blades * self._chord_moment(2) / (math.pi * self.radius_m)
+        return 3.0 * self.blades * self._chord_radius_moment(2) / (math.pi * self.radius_m)
 
     @property
     def aspect_ratio(self) -> float:
         """Span from cut-out to tip over mean chord."""
         return (self.radius_m - self.hub_radius_m) ** 2 / self.blade_area_m2
 
-    def _chord_moment(self, power: int) -> float:
+    def _chord_radius_moment(self, power: int) -> float:
         """Return the integral of c x^power over x from the cut-out to 1, exact for the piecewise linear chord."""
         x0 = float(self.hub_cutout)
         inner = self.blade.r_over_R.array()

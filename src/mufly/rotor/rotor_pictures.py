@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 _COEFFICIENT_LABELS = ("$c_T$ (1)", "$c_Q$ (1)")
 _ROTOR_STYLES = (("upper", "-", "o"), ("lower", "--", "s"))
-_PAIR_NAMES = ("upper", "lower")
+_PAIR_SIDE_NAMES = ("upper", "lower")
 _ROTOR_COLOURS = ("C0", "C3")
 
 
@@ -65,13 +65,13 @@ def blade_picture(rotor: Rotor) -> Figure:
     return figure
 
 
-_BLADE_END_WIDTH = 0.03  # of R: length at each end of a blade over which loads are averaged
+_END_LOAD_AVERAGING_RADII = 0.03  # of R: length at each end of a blade over which loads are averaged
 
 
 def _load_per_radius(result: RotorResult, load: Array) -> Array:
     """Return a load per radius; the force on the side edge, all in the outermost panel, is averaged over the tip."""
     out: Array = load / result.dr_m
-    length = _BLADE_END_WIDTH * (result.r_m[-1] + 0.5 * result.dr_m[-1])
+    length = _END_LOAD_AVERAGING_RADII * (result.r_m[-1] + 0.5 * result.dr_m[-1])
     for order in (slice(None), slice(None, None, -1)):
         across = np.cumsum(result.dr_m[order])
         n = int(np.searchsorted(across, length * (1.0 - 1e-9))) + 1
@@ -290,7 +290,7 @@ def comparison_picture(found: MeasurementComparison) -> Figure:
 
 
 def _rotor_names(count: int) -> Sequence[str]:
-    return _PAIR_NAMES if count == 2 else ("rotor",)
+    return _PAIR_SIDE_NAMES if count == 2 else ("rotor",)
 
 
 def wake_picture(solution: SystemSolution) -> Figure:
@@ -442,9 +442,9 @@ def rotor_loads_picture(upper: RotorResult, lower: RotorResult, alone: Sequence[
     grid = figure.subplots(2, 3, sharex=True)
     for axes, (label, of) in zip(grid.flat, panels, strict=True):
         for k, r in enumerate((upper, lower)):
-            axes.plot(1e3 * r.r_m, of(r), color=_ROTOR_COLOURS[k], label=_PAIR_NAMES[k])
+            axes.plot(1e3 * r.r_m, of(r), color=_ROTOR_COLOURS[k], label=_PAIR_SIDE_NAMES[k])
             if alone is not None and not (k == 1 and alone[1] is alone[0]):
-                note = "alone" if alone[1] is alone[0] else f"{_PAIR_NAMES[k]} alone"
+                note = "alone" if alone[1] is alone[0] else f"{_PAIR_SIDE_NAMES[k]} alone"
                 colour = "0.4" if alone[1] is alone[0] else _ROTOR_COLOURS[k]
                 axes.plot(1e3 * alone[k].r_m, of(alone[k]), "--", color=colour, linewidth=1.0, label=note)
         label_axes(axes, y=label)
@@ -455,7 +455,7 @@ def rotor_loads_picture(upper: RotorResult, lower: RotorResult, alone: Sequence[
         "; ".join(
             f"{side} {r.speed_rad_s / RPM:.0f} rpm, {math.degrees(r.pitch_rad):.2f} deg: {r.thrust_N:.4g} N, "
             f"{r.torque_Nm:.4g} N m"
-            for side, r in zip(_PAIR_NAMES, (upper, lower), strict=True)
+            for side, r in zip(_PAIR_SIDE_NAMES, (upper, lower), strict=True)
         ),
         fontsize="medium",
     )

@@ -77,10 +77,10 @@ _COUPLING_TOLERANCE = 1e-8  # of the greatest induced velocity
 _BEMT_TRIM_TOLERANCE = 1e-7  # of the upper rotor's torque, or of the required thrust
 _WAKE_TRIM_TOLERANCE = 1e-3  # of the same: accuracy of a converged wake
 _TUBES_TRIM_TOLERANCE = 1e-4  # accuracy of converged tubes
-_FIRST_SPEED_RAD_S = 300.0  # rad/s, first guess of the upper rotor's speed for a thrust
+_INITIAL_SPEED_GUESS_RAD_S = 300.0  # rad/s, first guess of the upper rotor's speed for a thrust
 _MAX_THRUST_ITERATIONS, _MAX_SPEED_ITERATIONS, _MAX_PITCH_ITERATIONS = 8, 12, 25
-_FIRST_TORQUE_SLOPE = 8.0  # 1/rad: torque grows about like pitch^1.5
-_TORQUE_SLOPE_LIMITS = (1.0, 80.0)  # range of secant slopes of blades that do not stall
+_INITIAL_TORQUE_SLOPE_PER_RAD = 8.0  # 1/rad: torque grows about like pitch^1.5
+_TORQUE_SLOPE_RANGE_PER_RAD = (1.0, 80.0)  # range of secant slopes of blades that do not stall
 _MAX_PITCH_STEP_RAD = math.radians(4.0)
 _PITCH_RANGE_RAD = (math.radians(-10.0), math.radians(45.0))
 
@@ -466,11 +466,11 @@ def _trim_by_bracketing(
     if thrust_N is None:
         assert upper_speed is not None
         return solve_balanced(upper_speed, 1.0)
-    first = solve_balanced(_FIRST_SPEED_RAD_S, 1.0)
+    first = solve_balanced(_INITIAL_SPEED_GUESS_RAD_S, 1.0)
     if not first.thrust_N > 0.0:
         raise MuflyError(f"coaxial: no thrust at 300 rad/s and these pitches, so {thrust_N:g} N is out of reach")
     ratio = first.lower.speed_rad_s / first.upper.speed_rad_s
-    guess = _FIRST_SPEED_RAD_S * math.sqrt(thrust_N / first.thrust_N)
+    guess = _INITIAL_SPEED_GUESS_RAD_S * math.sqrt(thrust_N / first.thrust_N)
     return _find_root(
         lambda x: solve_balanced(guess * x, ratio),
         lambda p: p.thrust_N / thrust_N - 1.0,
@@ -485,12 +485,12 @@ def _find_root(
     """Return the solution at the factor, between 0.1 and 10, at which ``fault`` vanishes."""
     found: list[SystemSolution] = []
 
-    def fault_at(factor: Array, case: Integers) -> Array:
+    def root_function_at(factor: Array, case: Integers) -> Array:
         found[:] = [solve_at(float(factor[0]))]
         left = fault(found[0])
         return np.array([0.0 if abs(left) < _BEMT_TRIM_TOLERANCE else left])
 
-    _, settled = find_rising_root(fault_at, [guess], lowest=0.1, highest=10.0)
+    _, settled = find_rising_root(root_function_at, [guess], lowest=0.1, highest=10.0)
     if not settled[0]:
         raise MuflyError(f"coaxial: no speed {what} between a tenth and ten times the first guess")
     return found[0]
@@ -501,7 +501,7 @@ def _trim_by_secant(
     known: SystemSolution | None,
 ) -> SystemSolution:  # fmt: skip
     """Find the same by secant steps, each started from the previous wake, because a point is expensive."""
-    up = upper_speed if upper_speed is not None else _FIRST_SPEED_RAD_S
+    up = upper_speed if upper_speed is not None else _INITIAL_SPEED_GUESS_RAD_S
     ratio = 1.1
     torque_slope = None
     last: tuple[float, float] | None = None
@@ -548,7 +548,7 @@ def _trim_lower_pitch(
     """
     if thrust_N is not None and not 0.0 < thrust_N < math.inf:
         raise InputError("coaxial", "thrust_N", f"is {thrust_N:g}", "give a number above 0")
-    pitch, factor, slope = upper_pitch, 1.0, _FIRST_TORQUE_SLOPE
+    pitch, factor, slope = upper_pitch, 1.0, _INITIAL_TORQUE_SLOPE_PER_RAD
     last: tuple[float, float] | None = None
     fault = math.nan
     for _ in range(_MAX_PITCH_ITERATIONS):
@@ -566,7 +566,10 @@ def _trim_lower_pitch(
         if abs(fault) <= close and abs(short) <= close:
             return now
         if last is not None and abs(pitch - last[0]) > 1e-7:
-            slope = min(max((fault - last[1]) / (pitch - last[0]), _TORQUE_SLOPE_LIMITS[0]), _TORQUE_SLOPE_LIMITS[1])
+            slope = min(
+                max((fault - last[1]) / (pitch - last[0]), _TORQUE_SLOPE_RANGE_PER_RAD[0]),
+                _TORQUE_SLOPE_RANGE_PER_RAD[1],
+            )
         last = (pitch, fault)
         pitch -= max(min(fault / slope, _MAX_PITCH_STEP_RAD), -_MAX_PITCH_STEP_RAD)
         pitch = min(max(pitch, _PITCH_RANGE_RAD[0]), _PITCH_RANGE_RAD[1])

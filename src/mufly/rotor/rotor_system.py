@@ -551,16 +551,16 @@ class SystemSolution:
         ``thrust_per_power`` of the pair; nan where the isolated rotors have none, as a symmetric blade at pitch 0.
         """
 
-        def change(value: float, reference: float) -> float:
+        def relative_change(value: float, reference: float) -> float:
             return value / reference - 1.0 if reference else math.nan
 
         thrust, power = sum(r.thrust_N for r in isolated), sum(r.power_W for r in isolated)
         losses = {}
         for side, r, alone in zip(("upper", "lower"), (self.upper, self.lower), isolated, strict=True):
-            losses[f"{side}_thrust"] = change(r.thrust_N, alone.thrust_N)
-            losses[f"{side}_torque"] = change(r.torque_Nm, alone.torque_Nm)
-        losses |= {"thrust": change(self.thrust_N, thrust), "power": change(self.power_W, power)}
-        losses["thrust_per_power"] = change(self.thrust_N / self.power_W, thrust / power)
+            losses[f"{side}_thrust"] = relative_change(r.thrust_N, alone.thrust_N)
+            losses[f"{side}_torque"] = relative_change(r.torque_Nm, alone.torque_Nm)
+        losses |= {"thrust": relative_change(self.thrust_N, thrust), "power": relative_change(self.power_W, power)}
+        losses["thrust_per_power"] = relative_change(self.thrust_N / self.power_W, thrust / power)
         return losses
 
     @property

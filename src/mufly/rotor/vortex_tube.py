@@ -56,13 +56,13 @@ from mufly.rotor.rotor_system import Air, PlacedRotor, SystemSolution, WakeSetti
 Array = NDArray[np.float64]
 
 _MAX_TUBES = 8  # greatest number of tubes besides the innermost
-_CELL_STARTS = np.array([0.0, 0.1, 0.25, 0.45, 0.75, 1.25, 2.0])  # start of each cell of a tube, over R
-_CELL_MIDDLES = np.array([0.05, 0.175, 0.35, 0.6, 1.0, 1.6, 3.0])
+_TUBE_CELL_STARTS_RADII = np.array([0.0, 0.1, 0.25, 0.45, 0.75, 1.25, 2.0])  # start of each cell of a tube, over R
+_TUBE_CELL_MIDDLES_RADII = np.array([0.05, 0.175, 0.35, 0.6, 1.0, 1.6, 3.0])
 _POINTS_PER_PANEL = 3  # sample points on a panel within a stream
-_MIN_SPEED_RATIO = 0.1  # least convection velocity over the greatest of the wake, so that p stays finite
+_MIN_CONVECTION_SPEED_RATIO = 0.1  # least convection velocity over the greatest of the wake, so that p stays finite
 _MAX_ITERATIONS, _RESTART_INTERVAL, _ANDERSON_MEMORY, _ANDERSON_MIXING = 200, 40, 12, 0.3
 _CONVERGENCE_TOLERANCE = 1e-5  # of the greatest induced velocity
-_DAMPED_ITERATIONS, _JUDGED_ITERATIONS = 200, 40
+_DAMPED_ITERATIONS, _LOAD_RANGE_ITERATIONS = 200, 40
 _LOAD_TOLERANCE = 2e-3  # of thrust and torque of the pair: range over the judged iterations
 _MIN_INDUCED_RATIO = 0.005  # of the tip speed: least induced velocity of that scale; below, a rotor carries no load
 
@@ -143,7 +143,7 @@ def _tube_influence(source: bytes, target: bytes, below_m: float) -> tuple[Array
     ``below_m`` is the distance of the target below the source (m).
     """
     edges, at = np.frombuffer(source), np.frombuffer(target)
-    tubes, starts = edges[select_tube_edges(edges.size - 1)], float(edges[-1]) * _CELL_STARTS
+    tubes, starts = edges[select_tube_edges(edges.size - 1)], float(edges[-1]) * _TUBE_CELL_STARTS_RADII
     own = float(at[-1])
     narrow = wake_contraction(below_m, float(edges[-1]))
     parts = (np.arange(_POINTS_PER_PANEL) + 0.5) / _POINTS_PER_PANEL
@@ -151,7 +151,7 @@ def _tube_influence(source: bytes, target: bytes, below_m: float) -> tuple[Array
     disc = np.zeros((r.size, tubes.size * starts.size))
     _fill_cell_influence(disc, r / narrow, np.full(r.size, below_m), tubes, starts)
     disc = disc.reshape(at.size - 1, _POINTS_PER_PANEL, -1).mean(axis=1)
-    depth = own * _CELL_MIDDLES
+    depth = own * _TUBE_CELL_MIDDLES_RADII
     follow = np.array([wake_contraction(min(d, max(-below_m, 0.0)), own) / narrow for d in depth])
     leaving = at[select_tube_edges(at.size - 1)]
     wake = np.zeros((leaving.size * depth.size, tubes.size * starts.size))
@@ -253,7 +253,7 @@ def solve_tubes(
     other = [_tube_influence(keys[1], keys[0], -gap), _tube_influence(keys[0], keys[1], gap)]
     stations = [p.blading.r_m.shape[1] for p in rotors]
     sizes = [*stations, *(w[1].shape[0] for w in own)]
-    cuts, cells = np.cumsum(sizes)[:-1], _CELL_STARTS.size
+    cuts, cells = np.cumsum(sizes)[:-1], _TUBE_CELL_STARTS_RADII.size
     annuli = [
         (p.blading.r_m[p.rotor_index] * p.blading.dr_m[p.rotor_index], select_tube_edges(n)[:-1])
         for p, n in zip(rotors, stations, strict=True)
@@ -279,7 +279,7 @@ def solve_tubes(
         for k, share in enumerate((p0, p1)):
             together = _rollup_matrix(bare[k])
             alone = (together @ (own[k][1] @ steps[k] + climb_m_s).reshape(-1, cells)).ravel()
-            alone = np.hypot(alone, max(_MIN_SPEED_RATIO * float(np.max(np.abs(alone))), least))
+            alone = np.hypot(alone, max(_MIN_CONVECTION_SPEED_RATIO * float(np.max(np.abs(alone))), least))
             w = other[k][1] @ (steps[1 - k] * (p1, p0)[k]) + own[k][1] @ (steps[k] * (share - 1.0))
             ratio = (together @ w.reshape(-1, cells)).ravel() / alone
             thinned.append(np.where(ratio > 0.0, 1.0 / (1.0 + np.maximum(ratio, 0.0)), 1.0 - ratio))
@@ -310,7 +310,7 @@ def solve_tubes(
         if far_off <= _CONVERGENCE_TOLERANCE:
             return collect_solution(turn, f"settled in {turn} turns")
         if turn > _MAX_ITERATIONS:
-            if turn > _MAX_ITERATIONS + _DAMPED_ITERATIONS - _JUDGED_ITERATIONS:
+            if turn > _MAX_ITERATIONS + _DAMPED_ITERATIONS - _LOAD_RANGE_ITERATIONS:
                 now = collect_solution(turn, "")
                 loads.append(np.array([(r.thrust_N, r.torque_Nm) for r in now.rotors]))
             x = x + 2.0 / (turn - _MAX_ITERATIONS + 8.0) * miss

@@ -23,10 +23,10 @@ from mufly.results import ResultColumn, select_fields, to_records
 if TYPE_CHECKING:
     from mufly.cfd import CfdSolution, OperatingPoint, PairSolution, SpanLoads
     from mufly.rotor import Rotor
-    from mufly.rotor.structure.coupled_rounds import CoupledRounds
+    from mufly.rotor.structure.coupled_rounds import AeroelasticIteration
 
 
-def report_case(folder: Path, rotor: Rotor | None, as_json: bool, rounds: CoupledRounds | None = None) -> bool:
+def report_case(folder: Path, rotor: Rotor | None, as_json: bool, rounds: AeroelasticIteration | None = None) -> bool:
     """Print a solution, and write its tables and pictures into the case; return whether it has settled.
 
     ``rounds`` are the rounds of solver and beam of an elastic blade; None for a rigid blade.

@@ -73,7 +73,7 @@ def show_forward(
     """
     from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import Air, load_rotor, solve_for_thrust
-    from mufly.rotor.forward import ForwardCondition, blade_flap, blade_flap_band, sweep_forward
+    from mufly.rotor.forward import ForwardCondition, flap_modes_of_band, make_flap_mode, sweep_forward
     from mufly.rotor.forward.forward_pictures import disc_picture, sweep_picture
 
     if None not in (pitch, rpm, thrust):
@@ -97,11 +97,11 @@ def show_forward(
     ]
     mass = None if blade_mass is None else 1e-3 * blade_mass
     if flap_frequency_ratio is None:
-        band, basis = blade_flap_band(r, omega, pitch_rad=theta, mass_kg=mass)
+        band, basis = flap_modes_of_band(r, omega, pitch_rad=theta, mass_kg=mass)
         flaps = list(band)
     else:
         ratios = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1")
-        flaps, basis = [blade_flap(r, ratio, mass_kg=mass) for ratio in ratios], "flap frequency as given"
+        flaps, basis = [make_flap_mode(r, ratio, mass_kg=mass) for ratio in ratios], "flap frequency as given"
     basis = "; ".join(filter(None, [basis, note]))
     sweep = sweep_forward(blading, conditions, flaps, flap_basis=basis, cyclic_rad=math.radians(cyclic))
     files = []

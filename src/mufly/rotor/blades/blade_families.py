@@ -28,8 +28,8 @@ from mufly.rotor.geometry import Rotor
 CAMBER_GRID_PERCENT, THICKNESS_GRID_PERCENT = (0, 2, 4, 6, 8), (3, 6, 9, 12)  # % of the chord
 STATED_SECTION_PROBABILITY = 0.5
 """Probability of the section that a rotor file guesses."""
-ZERO_LIFT_PER_CAMBER = 2.0  # rad per chord: thin-airfoil theory, parabolic camber line
-DRAG_PER_THICKNESS = 2.0  # skin friction of a section of thickness t: 1 + 2 t (Hoerner, 1965, ch. II)
+ZERO_LIFT_RAD_PER_CAMBER_RATIO = 2.0  # rad per chord: thin-airfoil theory, parabolic camber line
+DRAG_FACTOR_PER_THICKNESS_RATIO = 2.0  # skin friction of a section of thickness t: 1 + 2 t (Hoerner, 1965, ch. II)
 
 
 class BladeFamilyPrior(NamedTuple):
@@ -102,7 +102,7 @@ def _naca_name(camber: int, thickness: int) -> str:
     return f"naca{camber}{(5 if thickness < 5 else 4) if camber else 0}{thickness:02d}"
 
 
-GRID_STEP_STD = (
+GRID_ROUNDING_STD_RATIOS = (
     0.01 * (CAMBER_GRID_PERCENT[1] - CAMBER_GRID_PERCENT[0]) / math.sqrt(12.0),
     0.01 * (THICKNESS_GRID_PERCENT[1] - THICKNESS_GRID_PERCENT[0]) / math.sqrt(12.0),
 )

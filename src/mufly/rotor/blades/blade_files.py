@@ -39,14 +39,14 @@ from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO, load_airfoil
 
 Array = NDArray[np.float64]
 
-_RELATIVE_HEADERS = {"radius": ("r/r", "r_over_r", "x", "r_r"), "chord": ("c/r", "c_over_r", "c_r")}
-_LENGTH_HEADERS = {"radius": ("r", "radius", "station"), "chord": ("c", "chord")}
-_ANGLE_HEADERS, _AIRFOIL_HEADERS = ("beta", "twist", "angle", "pitch", "theta"), ("airfoil", "section")
+_RATIO_COLUMN_HEADERS = {"radius": ("r/r", "r_over_r", "x", "r_r"), "chord": ("c/r", "c_over_r", "c_r")}
+_LENGTH_COLUMN_HEADERS = {"radius": ("r", "radius", "station"), "chord": ("c", "chord")}
+_ANGLE_COLUMN_HEADERS, _AIRFOIL_HEADERS = ("beta", "twist", "angle", "pitch", "theta"), ("airfoil", "section")
 _THICKNESS_HEADERS, _THICKNESS_RATIO_HEADERS = ("t", "thickness"), ("t/c", "t_c", "t_over_c")
 _INCH_M = 0.0254
 _DEFAULT_AIRFOIL = "naca4412"
 _DEFAULT_AIRFOIL_NOTE = f"airfoil {_DEFAULT_AIRFOIL}"
-_SUSPECTED_RADIANS_DEG = 1.6  # angles all below this value may be radians
+_MIN_PLAUSIBLE_ANGLE_DEG = 1.6  # angles all below this value may be radians
 _MAX_RELATIVE_RADIUS = 1.5  # of the radius
 _MIN_RADIUS_M, _MAX_RADIUS_M = 5e-3, 20.0  # m; the greatest helicopter's is 16 m
 _MIN_CHORD_RATIO = 1e-3  # of the radius
@@ -200,14 +200,14 @@ def _read_station_table(
             stem, unit = stem.rpartition("_")[0], "in"  # "in" at the end of a name means inches here only
         low, whole = stem.lower(), header.lower()
         for quantity in ("radius", "chord"):
-            if whole in _RELATIVE_HEADERS[quantity]:
+            if whole in _RATIO_COLUMN_HEADERS[quantity]:
                 known.setdefault(quantity, (k, -1.0))
-            elif low in _LENGTH_HEADERS[quantity]:
+            elif low in _LENGTH_COLUMN_HEADERS[quantity]:
                 if unit not in compatible_units("m"):
                     said = f"has the unit {unit!r}" if unit else "has no unit"
                     raise InputError(where, header, said, f"name a length's, as {stem}_mm or {stem} (in)")
                 known.setdefault(quantity, (k, unit_conversion(unit, "m")[1]))
-        if low in _ANGLE_HEADERS or whole in _ANGLE_HEADERS:
+        if low in _ANGLE_COLUMN_HEADERS or whole in _ANGLE_COLUMN_HEADERS:
             if unit and not normalise_unit(unit, "rad"):
                 raise InputError(where, header, f"has the unit {unit!r}", f"give an angle, as {stem}_deg or {stem}_rad")
             known.setdefault("twist", (k, unit_conversion(unit or "deg", "rad")[1]))
@@ -258,7 +258,7 @@ def _check_columns(
 ) -> None:  # fmt: skip
     """Raise an error for angles that may be radians, and for r/R above one, as in per cent."""
     widest = float(np.max(np.abs(np.degrees(twist)), initial=0.0))
-    if not split_header(header["twist"])[1] and 0.0 < widest <= _SUSPECTED_RADIANS_DEG:
+    if not split_header(header["twist"])[1] and 0.0 < widest <= _MIN_PLAUSIBLE_ANGLE_DEG:
         least = float(np.min(np.degrees(twist)))
         raise InputError(
             where, header["twist"], f"goes from {least:.4g} to {widest:.4g} without a unit: degrees or radians?",

@@ -39,12 +39,12 @@ Integers = NDArray[np.int64]
 _POINTS_PER_SIDE = 40
 _SPAN_STATIONS = 60
 _MM_PER_M = 1e3
-_STL_COORDINATES = slice(1, 4)  # words of a line that begins with "vertex"
+_STL_VERTEX_COORDINATES = slice(1, 4)  # words of a line that begins with "vertex"
 _MIN_RADIUS_M, _MAX_RADIUS_M = 8e-3, 5.0  # m, range of radii in which mm is assumed as the unit
 _LENGTH_UNITS_M = {"m": 1.0, "in": 0.0254, "cm": 0.01, "mm": 1e-3, "um": 1e-6}
-_END_REGION, _THICKNESS_TOLERANCE = 0.15, 0.25  # of the chord; of the thickness in that region
+_END_THICKNESS_REGION_CHORDS, _THICKNESS_TOLERANCE = 0.15, 0.25  # of the chord; of the thickness in that region
 # Of the chord: thickest blunt trailing edge, and greatest distance of its corners along the chord.
-_BLUNT_TAIL_SIZE, _BLUNT_TAIL_TOLERANCE = 0.1, 2e-3
+_MAX_BLUNT_TAIL_CHORDS, _BLUNT_TAIL_TOLERANCE_CHORDS = 0.1, 2e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,7 +339,7 @@ def read_stl(path: str | Path, unit_m: float = 1e-3) -> Array:
             return unit_m * corners
     try:
         words = [line.split() for line in data.decode("utf-8").splitlines()]
-        rows = [[float(v) for v in w[_STL_COORDINATES]] for w in words if w[:1] == ["vertex"]]
+        rows = [[float(v) for v in w[_STL_VERTEX_COORDINATES]] for w in words if w[:1] == ["vertex"]]
     except ValueError:
         rows = []
     if not rows or len(rows) % 3 or any(len(r) != 3 for r in rows):
@@ -381,11 +381,11 @@ def slice_blade(corners_m: Array, r_m: Sequence[float] | Array) -> list[BladeSli
         nose, tail = (i, j) if flat[i, 0] > flat[j, 0] else (j, i)
         # Corners of a blunt trailing edge, one of which is the farthest point: the chord ends midway between them.
         edge = np.flatnonzero(
-            np.hypot(*(flat - flat[tail]).T) < _BLUNT_TAIL_SIZE * np.hypot(*(flat[tail] - flat[nose]))
+            np.hypot(*(flat - flat[tail]).T) < _MAX_BLUNT_TAIL_CHORDS * np.hypot(*(flat[tail] - flat[nose]))
         )
         edge = edge[
             (flat[edge] - flat[nose]) @ (flat[tail] - flat[nose])
-            > (1.0 - _BLUNT_TAIL_TOLERANCE) * np.sum((flat[tail] - flat[nose]) ** 2)
+            > (1.0 - _BLUNT_TAIL_TOLERANCE_CHORDS) * np.sum((flat[tail] - flat[nose]) ** 2)
         ]
         upper, lower = edge[np.argmax(flat[edge, 1])], edge[np.argmin(flat[edge, 1])]
         end = 0.5 * (flat[upper] + flat[lower])
@@ -410,7 +410,10 @@ def _compare_end_thickness(loop: Array, i: int, j: int) -> float:
     size = float(np.hypot(*chord))
     along = (loop - loop[front]) @ chord / size**2
     across = (loop - loop[front]) @ [chord[1], -chord[0]] / size**2
-    first, last = (float(np.ptp(across[part])) for part in (along < _END_REGION, along > 1.0 - _END_REGION))
+    first, last = (
+        float(np.ptp(across[part]))
+        for part in (along < _END_THICKNESS_REGION_CHORDS, along > 1.0 - _END_THICKNESS_REGION_CHORDS)
+    )
     if abs(first - last) > _THICKNESS_TOLERANCE * max(first, last):
         return math.copysign(1.0, first - last)
     return math.copysign(1.0, -chord[1]) if chord[1] else 0.0
@@ -469,7 +472,7 @@ def rotor_from_body(
     found = {s.r_m: s for s in slice_blade(corners, radius * share)}
     # The blade begins at the innermost radius where the section's nose lies in front of the x axis and its tail behind.
     good = [s for s in found.values() if s.chord_m < 0.6 * radius and float(np.ptp(s.contour[:, 1])) < 0.5]
-    good = _leave_hub_out(good, float(share[1] - share[0]) * radius)
+    good = _drop_hub_slices(good, float(share[1] - share[0]) * radius)
     if len(good) < 4:
         raise InputError(where, "", "has no closed sections along x", "give one closed blade along x")
     if unit_m is None and not step and not _MIN_RADIUS_M <= radius <= _MAX_RADIUS_M:
@@ -516,11 +519,11 @@ def _turn_blade_to_x(corners: Array) -> tuple[Array, float]:
     points = corners.reshape(-1, 3)
     size, angle = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
     tips = size > 0.99 * size.max()
-    if np.any(tips & (np.abs(angle) < _TIP_SWEEP_RAD)):
+    if np.any(tips & (np.abs(angle) < _MAX_TIP_SWEEP_RAD)):
         return corners, 0.0
     first = angle[np.argmax(size)]
     apart = (angle - first + math.pi) % (2.0 * math.pi) - math.pi
-    blade = (size > 0.7 * size.max()) & (np.abs(apart) < _TIP_SWEEP_RAD)
+    blade = (size > 0.7 * size.max()) & (np.abs(apart) < _MAX_TIP_SWEEP_RAD)
     turn = -float(first + 0.5 * (apart[blade].min() + apart[blade].max()))
     near = _turn_about_shaft(corners, turn)
     radii = float(near[:, :, 0].max()) * np.linspace(0.35, 0.95, 13)
@@ -537,7 +540,7 @@ def _turn_about_shaft(corners: Array, angle_rad: float) -> Array:
     return np.asarray(corners @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
 
 
-def _leave_hub_out(slices: list[BladeSlice], step_m: float) -> list[BladeSlice]:
+def _drop_hub_slices(slices: list[BladeSlice], step_m: float) -> list[BladeSlice]:
     """Return the slices outside the hub, where chord, thickness or angle jump, or where cuts are missing."""
     middle = next((k for k, s in enumerate(slices) if s.r_m > 0.5 * slices[-1].r_m), 0)
     for k in range(middle, 0, -1):
@@ -545,13 +548,20 @@ def _leave_hub_out(slices: list[BladeSlice], step_m: float) -> list[BladeSlice]:
         thick = [float(np.ptp(s.contour[:, 1])) for s in (inner, outer)]
         jump = max(abs(math.log(inner.chord_m / outer.chord_m)), abs(math.log(thick[0] / thick[1])))
         bent = abs(inner.twist_rad - outer.twist_rad)
-        if outer.r_m - inner.r_m > 2.5 * step_m or jump > _HUB_JUMP or bent > _HUB_TWIST_RAD:
+        if (
+            outer.r_m - inner.r_m > 2.5 * step_m
+            or jump > _MAX_BLADE_CHORD_JUMP_SHARE
+            or bent > _MAX_BLADE_TWIST_JUMP_RAD
+        ):
             return slices[k:]
     return slices
 
 
-_TIP_SWEEP_RAD = math.radians(20.0)
-_HUB_JUMP, _HUB_TWIST_RAD = 0.2, math.radians(8.0)  # of chord or thickness; of the angle, between neighbouring cuts
+_MAX_TIP_SWEEP_RAD = math.radians(20.0)
+_MAX_BLADE_CHORD_JUMP_SHARE, _MAX_BLADE_TWIST_JUMP_RAD = (
+    0.2,
+    math.radians(8.0),
+)  # of chord or thickness; of the angle, between neighbouring cuts
 
 
 def _drop_duplicate_points(contour: Array) -> Array:

@@ -30,12 +30,12 @@ Array = NDArray[np.float64]
 
 STATION_RATIOS = (0.25, 0.40, 0.55, 0.70, 0.85, 0.95)
 """Recommended stations, r/R: more of them where the loading is greatest."""
-CHORD_STD_M, ANGLE_STD_RAD = 2e-4, math.radians(1.0)
+CHORD_STD_M, BLADE_ANGLE_STD_RAD = 2e-4, math.radians(1.0)
 """Standard deviations of a caliper's chord on rounded edges, and of a protractor's angle."""
-_PLATE_STD_RAD = math.radians(0.5)
-_SAME_STATION = 0.01  # of the radius: readings closer than this are of one station
-_MAX_DISAGREEMENT = 3.0  # standard deviations between protractor and caliper at the last station
-_OUTLIER = 3.0  # standard deviations of an angle from a smooth curve through the others
+_PLATE_ANGLE_STD_RAD = math.radians(0.5)
+_SAME_STATION_RADIUS_SHARE = 0.01  # of the radius: readings closer than this are of one station
+_MAX_ANGLE_DISAGREEMENT_SIGMAS = 3.0  # standard deviations between protractor and caliper at the last station
+_ANGLE_OUTLIER_SIGMAS = 3.0  # standard deviations of an angle from a smooth curve through the others
 
 
 MEASUREMENT_STEPS = (
@@ -45,7 +45,7 @@ MEASUREMENT_STEPS = (
     "Caliper: thickness, the greatest at that radius; it may be left out.",
     "Caliper, at the last station: height of leading edge less height of trailing edge.",
 )
-_TABLE_STEPS = (
+_READING_TABLE_COMMENTS = (
     "Columns: chord_mm, angle_deg, thickness_mm. The height at the last station is for --tip-height.",
     "Repeat the rows for the other blade. Empty rows may be deleted.",
 )
@@ -80,7 +80,7 @@ def measure_geometry(
     airfoil: str = "naca4412",
     stated_pitch_m: float | None = None,
     chord_std_m: float = CHORD_STD_M,
-    angle_std_rad: float = ANGLE_STD_RAD,
+    angle_std_rad: float = BLADE_ANGLE_STD_RAD,
 ) -> MeasuredGeometry:
     """Return the rotor of caliper and protractor readings.
 
@@ -106,7 +106,7 @@ def measure_geometry(
             name, "r", f"goes from {1e3 * r[0]:g} to {1e3 * r[-1]:g} mm",
             f"measure within the radius of {1e3 * radius_m:g} mm, from the middle of the shaft",
         )  # fmt: skip
-    starts = np.flatnonzero(np.diff(r, prepend=-math.inf) > _SAME_STATION * radius_m)
+    starts = np.flatnonzero(np.diff(r, prepend=-math.inf) > _SAME_STATION_RADIUS_SHARE * radius_m)
     if starts.size < 3:
         raise InputError(name, "stations", f"are {starts.size}", "measure at three radii or more; six are recommended")
     counts = np.diff(np.append(starts, r.size))
@@ -134,14 +134,14 @@ def measure_geometry(
                 "give the height of the leading over the trailing edge at the last station",
             )  # fmt: skip
         apart = math.asin(h / c) - b
-        caliper = 2.0 * s_c**2 / (c * math.cos(b)) ** 2 + _PLATE_STD_RAD**2 + single / counts[-1]
+        caliper = 2.0 * s_c**2 / (c * math.cos(b)) ** 2 + _PLATE_ANGLE_STD_RAD**2 + single / counts[-1]
         twist = twist + apart * common / (common + caliper)
         left = common * caliper / (common + caliper)
         notes.append(
             f"the tip height gives {math.degrees(b + apart):.1f} degrees at the last station, the protractor "
             f"{math.degrees(b):.1f}: all angles move by {math.degrees(apart * common / (common + caliper)):+.2f}"
         )
-        if abs(apart) > _MAX_DISAGREEMENT * math.sqrt(common + caliper):
+        if abs(apart) > _MAX_ANGLE_DISAGREEMENT_SIGMAS * math.sqrt(common + caliper):
             notes.append("protractor and tip height disagree; measure both again")
     std = math.sqrt(left + single / r.size)
     notes += _describe_outliers(at / radius_m, twist, math.sqrt(s**2 / float(np.median(counts))))
@@ -183,7 +183,7 @@ def _describe_outliers(x: Array, angle: Array, std: float) -> list[str]:
         basis = np.polynomial.polynomial.polyvander(x - x[k], 2)
         inverse = np.linalg.inv(basis[others].T @ basis[others])
         off = float(angle[k] - (inverse @ basis[others].T @ angle[others])[0])
-        if abs(off) > _OUTLIER * std * math.sqrt(1.0 + inverse[0, 0]):
+        if abs(off) > _ANGLE_OUTLIER_SIGMAS * std * math.sqrt(1.0 + inverse[0, 0]):
             notes.append(f"the angle at {x[k]:.2f} R is {math.degrees(off):+.1f} degrees off its neighbours; check it")
     return notes
 
@@ -197,7 +197,7 @@ def format_reading_table(radius_m: float, stated_pitch_m: float | None = None) -
     stated_pitch_m : float, optional
         Pitch that the maker states (m); angles to expect are then written as comments.
     """
-    lines = [f"# {k}. {text}" for k, text in enumerate((*MEASUREMENT_STEPS, *_TABLE_STEPS), 1)]
+    lines = [f"# {k}. {text}" for k, text in enumerate((*MEASUREMENT_STEPS, *_READING_TABLE_COMMENTS), 1)]
     if stated_pitch_m is not None:
         angles = [math.degrees(math.atan(stated_pitch_m / (2.0 * math.pi * x * radius_m))) for x in STATION_RATIOS]
         lines.append("# The stated pitch gives " + ", ".join(f"{a:.0f}" for a in angles) + " degrees.")

@@ -8,10 +8,10 @@ from mufly.rotor.forward.forward_results import (
     ForwardSweep,
 )
 from mufly.rotor.forward.forward_solver import (
-    blade_flap,
-    blade_flap_band,
     cyclic_response,
+    flap_modes_of_band,
     lock_number,
+    make_flap_mode,
     solve_forward,
     sweep_forward,
 )
@@ -25,10 +25,10 @@ __all__ = [
     "ForwardResult",
     "ForwardSweep",
     "PairSweep",
-    "blade_flap",
-    "blade_flap_band",
     "cyclic_response",
+    "flap_modes_of_band",
     "lock_number",
+    "make_flap_mode",
     "solve_forward",
     "solve_forward_pair",
     "sweep_forward",

@@ -15,7 +15,7 @@ from mufly.compiled.numba_cache import cached_njit
 
 Array = NDArray[np.float64]
 
-_HALF_CIRCLE_CELLS = 720.0 / (2.0 * math.pi)  # cells of a section table per radian
+_TABLE_CELLS_PER_RAD = 720.0 / (2.0 * math.pi)  # cells of a section table per radian
 
 
 class AzimuthBlade(NamedTuple):
@@ -26,7 +26,7 @@ class AzimuthBlade(NamedTuple):
     r_m, dr_m, chord_m, twist_rad : (stations,) arrays
     section_table : (stations, Reynolds numbers, 723, 2) array
         :func:`mufly.rotor.forward.section_tables.station_tables`.
-    log_reynolds_min, per_log_reynolds : float
+    log_reynolds_min, rows_per_log_reynolds : float
         Grid of the tables.
     blade_count, radius_m, hub_radius_m : float
     has_tip_loss, has_hub_loss, has_swirl : int
@@ -43,7 +43,7 @@ class AzimuthBlade(NamedTuple):
     twist_rad: Array
     section_table: Array
     log_reynolds_min: float
-    per_log_reynolds: float
+    rows_per_log_reynolds: float
     blade_count: float
     radius_m: float
     hub_radius_m: float
@@ -88,12 +88,14 @@ class AzimuthPoint(NamedTuple):
 
 
 @cached_njit(error_model="numpy")
-def _section_force(table: Array, onset: float, row: float) -> tuple[float, float, float, float, float, float]:
+def _interpolate_section_coefficients(
+    table: Array, onset: float, row: float
+) -> tuple[float, float, float, float, float, float]:
     """Interpolate c_l and c_d of a station: cubic over the angle, linear between the rows of Re.
 
     Returns c_l and c_d, their slopes over the angle (1/rad), and their slopes over the row.
     """
-    u = (onset + math.pi) * _HALF_CIRCLE_CELLS
+    u = (onset + math.pi) * _TABLE_CELLS_PER_RAD
     u -= 720.0 * math.floor(u / 720.0)
     i = int(u)
     if i >= 720:
@@ -121,7 +123,7 @@ def _section_force(table: Array, onset: float, row: float) -> tuple[float, float
     inside = 1.0 if 0.0 <= row <= last else 0.0
     return (
         cl + s * (cl2 - cl), cd + s * (cd2 - cd),
-        _HALF_CIRCLE_CELLS * (dl + s * (dl2 - dl)), _HALF_CIRCLE_CELLS * (dd + s * (dd2 - dd)),
+        _TABLE_CELLS_PER_RAD * (dl + s * (dl2 - dl)), _TABLE_CELLS_PER_RAD * (dd + s * (dd2 - dd)),
         inside * (cl2 - cl), inside * (cd2 - cd),
     )  # fmt: skip
 
@@ -138,7 +140,7 @@ def element_forces(
     """
     square = across * across + down * down + 1e-12
     wind = math.sqrt(square)
-    cl, cd, cl_angle, cd_angle, cl_row, cd_row = _section_force(
+    cl, cd, cl_angle, cd_angle, cl_row, cd_row = _interpolate_section_coefficients(
         table, theta - math.atan2(down, across), row_zero + per_row * 0.5 * math.log(square)
     )
     cl *= lift_share

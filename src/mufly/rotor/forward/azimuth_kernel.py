@@ -37,7 +37,7 @@ from mufly.rotor.forward.inflow import momentum_induced_velocity, pitt_peters_in
 
 Array = NDArray[np.float64]
 
-STATE_COUNT = 8
+GLOBAL_UNKNOWN_COUNT = 8
 (
     UNKNOWN_CONING,
     UNKNOWN_FLAP_COS,
@@ -47,35 +47,42 @@ STATE_COUNT = 8
     UNKNOWN_INFLOW,
     UNKNOWN_INFLOW_COS,
     UNKNOWN_INFLOW_SIN,
-) = range(STATE_COUNT)
+) = range(GLOBAL_UNKNOWN_COUNT)
 """Unknowns q0, q1c, q1s, q2c, q2s (rad), l0, lc, ls (over Omega R), and their residuals."""
-SLOPE_U, SLOPE_INFLOW_COS, SLOPE_INFLOW_SIN = 0, 6, 7
+DERIVATIVE_BY_INDUCED_VELOCITY, DERIVATIVE_BY_INFLOW_COS, DERIVATIVE_BY_INFLOW_SIN = 0, 6, 7
 """Places of u, lc and ls among the variables of the slopes of a station; the flap coefficients lie between."""
-HARMONIC_MEAN, HARMONIC_COS, HARMONIC_SIN, HARMONIC_COS_2, HARMONIC_SIN_2, HARMONIC_LIFT = range(6)
+FORCE_MEAN, FORCE_COS, FORCE_SIN, FORCE_COS_2, FORCE_SIN_2, FORCE_MEAN_LIFT = range(6)
 """Mean and harmonics of the force of a station, and its mean lift in the axial direction."""
-BLADE_THRUST, BLADE_MOMENT, BLADE_MOMENT_COS, BLADE_MOMENT_SIN, BLADE_MOMENT_COS_2, BLADE_MOMENT_SIN_2 = range(6)
+(
+    BLADE_THRUST,
+    BLADE_FLAP_MOMENT,
+    BLADE_FLAP_MOMENT_COS,
+    BLADE_FLAP_MOMENT_SIN,
+    BLADE_FLAP_MOMENT_COS_2,
+    BLADE_FLAP_MOMENT_SIN_2,
+) = range(6)
 """Thrust, mean and harmonics of the flap moment of a blade."""
-PRANDTL_LOSS, PRANDTL_SLOPE = 0, 1
+PRANDTL_LOSS_FACTOR, PRANDTL_LOSS_DERIVATIVE = 0, 1
 """Prandtl's factor of an annulus, and its slope over u."""
 ANNULUS_SWIRL, ANNULUS_LOSS, ANNULUS_DRAG = range(3)
 """Columns of an annulus of a solution."""
 (
     ROTOR_THRUST, ROTOR_TORQUE, ROTOR_H_FORCE, ROTOR_Y_FORCE, ROTOR_MOMENT_COS, ROTOR_MOMENT_SIN,
-    ROTOR_INDUCED, ROTOR_PROFILE, ROTOR_AXIAL, ROTOR_THRUST_COS_2, ROTOR_THRUST_SIN_2,
+    ROTOR_INDUCED_POWER, ROTOR_PROFILE_POWER, ROTOR_CLIMB_POWER, ROTOR_THRUST_COS_2, ROTOR_THRUST_SIN_2,
 ) = range(11)  # fmt: skip
 """Loads of a solution."""
-TOTAL_COUNT = 11
+ROTOR_LOAD_COUNT = 11
 MAX_NEWTON_STEPS = 80
-TOLERANCE = 1e-10
+NEWTON_RESIDUAL_TOLERANCE = 1e-10
 INFLOW_CODES = {"annular": 0, "pitt-peters": 1, "uniform": 2, "prescribed": 3}
 FIELD_INFLOW, FIELD_ALPHA, FIELD_LIFT, FIELD_DRAG, FIELD_REYNOLDS, FIELD_THRUST = range(6)
 FIELD_COLUMNS = ("inflow_m_s", "alpha_rad", "lift_coefficient", "drag_coefficient", "reynolds", "thrust_per_length_N_m")
-_NEAR = 0.02
+_FULL_JACOBIAN_RESIDUAL = 0.02
 """Residual below which Newton steps see how swirl and tip loss change with the inflow. Farther away, and in descent,
 these slopes lead astray."""
 
 
-def velocity_ways(trig: Array) -> Array:
+def velocity_derivative_weights(trig: Array) -> Array:
     """Return the derivatives of U_P with its unknowns times the harmonics of a mean, (azimuths, 2, 40).
 
     Entry 8 h + k belongs to the harmonic h (1, c, s, 2c, 2s) and the unknown k (u, five flap coefficients, lc, ls).
@@ -94,7 +101,7 @@ def velocity_ways(trig: Array) -> Array:
 
 
 @cached_njit(error_model="numpy")
-def _sum_stations(
+def _sum_element_forces(
     blade: AzimuthBlade, point: AzimuthPoint, inflow: Array, x: Array, share: float, trig: Array, ways: Array,
     fresh: bool, near: bool, sums: Array, slopes: Array, losses: Array,
 ) -> None:  # fmt: skip
@@ -113,7 +120,7 @@ def _sum_stations(
     sums : (stations, 6) array
         Filled with mean and harmonics of F_z (N/m; 1, c, s, 2c, 2s) and the mean of the lift in the axial direction.
     ways : (azimuths, 2, 40) array
-        :func:`velocity_ways`.
+        :func:`velocity_derivative_weights`.
     fresh : bool
         True to fill in the derivatives as well.
     near : bool
@@ -125,7 +132,7 @@ def _sum_stations(
     """
     speed, edgewise = point.speed_rad_s, point.edgewise_m_s
     count = trig.shape[0]
-    row_scale = blade.per_log_reynolds
+    row_scale = blade.rows_per_log_reynolds
     for i in range(blade.r_m.size):
         for h in range(6):
             sums[i, h] = 0.0
@@ -139,14 +146,14 @@ def _sum_stations(
             stream += point.stream_m_s[n, i] / count
             around += point.swirl_m_s[n, i] / count
         swirl, loss, lift_share = annulus_losses(blade, point, i, inflow[i], stream, around, share)
-        losses[i, PRANDTL_LOSS] = loss
+        losses[i, PRANDTL_LOSS_FACTOR] = loss
         if near:
             nudge = 1e-6 * tip
             swirl_u, loss_u, share_u = annulus_losses(blade, point, i, inflow[i] + nudge, stream, around, share)
             swirl_u, loss_u = (swirl_u - swirl) / nudge, (loss_u - loss) / nudge
             share_u = (share_u - lift_share) / (nudge * lift_share)
         if fresh:
-            losses[i, PRANDTL_SLOPE] = loss_u
+            losses[i, PRANDTL_LOSS_DERIVATIVE] = loss_u
         half = 0.5 * point.density_kg_m3 * chord
         row_zero = row_scale * (math.log(chord / point.kinematic_viscosity_m2_s) - blade.log_reynolds_min)
         for h in range(6):
@@ -157,10 +164,10 @@ def _sum_stations(
             lift_by_edgewise[k] = lift_by_rotation[k] = 0.0
         for n in range(count):
             c, s, c2, s2 = (
-                trig[n, HARMONIC_COS],
-                trig[n, HARMONIC_SIN],
-                trig[n, HARMONIC_COS_2],
-                trig[n, HARMONIC_SIN_2],
+                trig[n, FORCE_COS],
+                trig[n, FORCE_SIN],
+                trig[n, FORCE_COS_2],
+                trig[n, FORCE_SIN_2],
             )
             along = edgewise * c
             flap = (
@@ -187,13 +194,13 @@ def _sum_stations(
             )
             for h in range(5):
                 sums[i, h] += (1.0 if h == 0 else 2.0) * trig[n, h] / count * force
-            sums[i, HARMONIC_LIFT] += lift / count
+            sums[i, FORCE_MEAN_LIFT] += lift / count
             if not fresh:
                 continue
             more, lift_more = share_u * lift - swirl_u * force_t, share_u * lift - swirl_u * lift_t
             for h in range(5):
                 by_annulus[h] += (1.0 if h == 0 else 2.0) * trig[n, h] / count * more
-            by_annulus[HARMONIC_LIFT] += lift_more / count
+            by_annulus[FORCE_MEAN_LIFT] += lift_more / count
             for k in range(40):
                 by_edgewise[k] += slope * ways[n, 0, k]
                 by_rotation[k] += slope * ways[n, 1, k]
@@ -205,9 +212,9 @@ def _sum_stations(
                 turning = 1.0 if k == 0 else speed * r
                 for h in range(5):
                     slopes[i, h, k] = edgewise * by_edgewise[8 * h + k] + turning * by_rotation[8 * h + k]
-                slopes[i, HARMONIC_LIFT, k] = edgewise * lift_by_edgewise[k] + turning * lift_by_rotation[k]
+                slopes[i, FORCE_MEAN_LIFT, k] = edgewise * lift_by_edgewise[k] + turning * lift_by_rotation[k]
             for h in range(6):
-                slopes[i, h, SLOPE_U] += by_annulus[h]
+                slopes[i, h, DERIVATIVE_BY_INDUCED_VELOCITY] += by_annulus[h]
 
 
 @cached_njit(error_model="numpy")
@@ -221,17 +228,19 @@ def _global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: 
     else:
         scale = blade.flap_inertia_kg_m2 * speed * speed
         square = blade.flap_ratio * blade.flap_ratio
-        out[UNKNOWN_CONING] = square * x[UNKNOWN_CONING] - loads[BLADE_MOMENT] / scale
+        out[UNKNOWN_CONING] = square * x[UNKNOWN_CONING] - loads[BLADE_FLAP_MOMENT] / scale
         out[UNKNOWN_FLAP_COS] = (
-            (square - 1.0) * x[UNKNOWN_FLAP_COS] - loads[BLADE_MOMENT_COS] / scale - 2.0 * point.roll_rate_rad_s / speed
+            (square - 1.0) * x[UNKNOWN_FLAP_COS]
+            - loads[BLADE_FLAP_MOMENT_COS] / scale
+            - 2.0 * point.roll_rate_rad_s / speed
         )
         out[UNKNOWN_FLAP_SIN] = (
             (square - 1.0) * x[UNKNOWN_FLAP_SIN]
-            - loads[BLADE_MOMENT_SIN] / scale
+            - loads[BLADE_FLAP_MOMENT_SIN] / scale
             + 2.0 * point.pitch_rate_rad_s / speed
         )
-        out[UNKNOWN_FLAP_COS_2] = (square - 4.0) * x[UNKNOWN_FLAP_COS_2] - loads[BLADE_MOMENT_COS_2] / scale
-        out[UNKNOWN_FLAP_SIN_2] = (square - 4.0) * x[UNKNOWN_FLAP_SIN_2] - loads[BLADE_MOMENT_SIN_2] / scale
+        out[UNKNOWN_FLAP_COS_2] = (square - 4.0) * x[UNKNOWN_FLAP_COS_2] - loads[BLADE_FLAP_MOMENT_COS_2] / scale
+        out[UNKNOWN_FLAP_SIN_2] = (square - 4.0) * x[UNKNOWN_FLAP_SIN_2] - loads[BLADE_FLAP_MOMENT_SIN_2] / scale
     if point.inflow_code == 3:
         out[UNKNOWN_INFLOW], out[UNKNOWN_INFLOW_COS], out[UNKNOWN_INFLOW_SIN] = (
             x[UNKNOWN_INFLOW],
@@ -246,8 +255,8 @@ def _global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: 
             stream += point.stream_m_s[n, i] * blade.r_m[i] * blade.dr_m[i]
     stream *= 2.0 / (radius * radius * point.stream_m_s.shape[0])
     tip = speed * radius
-    c_c = 0.5 * blade.blade_count * loads[BLADE_MOMENT_COS] / (disc * radius)
-    c_s = 0.5 * blade.blade_count * loads[BLADE_MOMENT_SIN] / (disc * radius)
+    c_c = 0.5 * blade.blade_count * loads[BLADE_FLAP_MOMENT_COS] / (disc * radius)
+    c_s = 0.5 * blade.blade_count * loads[BLADE_FLAP_MOMENT_SIN] / (disc * radius)
     l0, lc, ls, cosine = pitt_peters_inflow(
         blade.blade_count * loads[BLADE_THRUST] / disc, c_c if point.inflow_code < 2 else 0.0, c_s, x[UNKNOWN_INFLOW],
         (point.axial_m_s + stream) / tip, point.edgewise_m_s / tip,
@@ -261,17 +270,17 @@ def _global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: 
 
 
 @cached_njit(error_model="numpy")
-def _collect_loads(blade: AzimuthBlade, sums: Array, loads: Array) -> None:
+def _compute_blade_loads(blade: AzimuthBlade, sums: Array, loads: Array) -> None:
     for h in range(6):
         loads[h] = 0.0
     for i in range(blade.r_m.size):
-        loads[BLADE_THRUST] += sums[i, HARMONIC_MEAN] * blade.dr_m[i]
+        loads[BLADE_THRUST] += sums[i, FORCE_MEAN] * blade.dr_m[i]
         for h in range(5):
             loads[h + 1] += sums[i, h] * blade.r_m[i] * blade.dr_m[i]
 
 
 @cached_njit(error_model="numpy")
-def _eliminate(matrix: Array, side: Array) -> None:
+def _solve_linear_in_place(matrix: Array, side: Array) -> None:
     """Replace ``side`` by the solution of a small linear system (Gauss, partial pivoting)."""
     n = side.size
     for k in range(n):
@@ -307,8 +316,10 @@ def _station_residuals(
             stream = 0.0
             for n in range(count):
                 stream += point.stream_m_s[n, i] / count
-            factor = blade.blade_count / (4.0 * math.pi * blade.r_m[i] * point.density_kg_m3 * losses[i, PRANDTL_LOSS])
-            hover, axial = factor * sums[i, HARMONIC_LIFT], point.axial_m_s + stream
+            factor = blade.blade_count / (
+                4.0 * math.pi * blade.r_m[i] * point.density_kg_m3 * losses[i, PRANDTL_LOSS_FACTOR]
+            )
+            hover, axial = factor * sums[i, FORCE_MEAN_LIFT], point.axial_m_s + stream
             annulus = (inflow[i] - (1.0 - share) * x[UNKNOWN_INFLOW] * tip) / share
             if share > 0.5 and annulus > 0.0 and axial >= 0.0:
                 # The balance as u sqrt(V^2 + (V_z + u)^2) = u_h^2: smooth where the load vanishes, as at the tip.
@@ -329,27 +340,31 @@ def _station_residuals(
             miss[i] = inflow[i] - x[UNKNOWN_INFLOW] * tip
         largest = max(largest, abs(miss[i]) / tip)
         by_inflow = (
-            slopes[i, HARMONIC_LIFT, SLOPE_U]
-            - sums[i, HARMONIC_LIFT] * losses[i, PRANDTL_SLOPE] / losses[i, PRANDTL_LOSS]
+            slopes[i, FORCE_MEAN_LIFT, DERIVATIVE_BY_INDUCED_VELOCITY]
+            - sums[i, FORCE_MEAN_LIFT] * losses[i, PRANDTL_LOSS_DERIVATIVE] / losses[i, PRANDTL_LOSS_FACTOR]
         )
         own_slope = 1.0 - slope * by_inflow  # negative where a descent has several solutions
         local[i, 0] = own_slope if abs(own_slope) > 0.2 else math.copysign(0.2, own_slope)
         for k in range(5):
-            local[i, k + 1] = -slope * slopes[i, HARMONIC_LIFT, k + 1]
+            local[i, k + 1] = -slope * slopes[i, FORCE_MEAN_LIFT, k + 1]
         local[i, 1 + UNKNOWN_INFLOW] = -(1.0 - share) * tip
         local[i, 1 + UNKNOWN_INFLOW_COS], local[i, 1 + UNKNOWN_INFLOW_SIN] = (
-            -slope * slopes[i, HARMONIC_LIFT, SLOPE_INFLOW_COS],
-            -slope * slopes[i, HARMONIC_LIFT, SLOPE_INFLOW_SIN],
+            -slope * slopes[i, FORCE_MEAN_LIFT, DERIVATIVE_BY_INFLOW_COS],
+            -slope * slopes[i, FORCE_MEAN_LIFT, DERIVATIVE_BY_INFLOW_SIN],
         )
     return largest
 
 
 @cached_njit(error_model="numpy")
-def _load_slopes(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array) -> tuple[Array, Array]:
+def _load_jacobian(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array) -> tuple[Array, Array]:
     """Return the derivatives of the global residuals ``out`` with the loads, (8, 6), and with ``x``, (8, 8)."""
-    by_load, by_state, other = np.zeros((STATE_COUNT, 6)), np.zeros((STATE_COUNT, STATE_COUNT)), np.zeros(STATE_COUNT)
-    moved_loads, moved = np.zeros(6), np.zeros(STATE_COUNT)
-    for k in range(STATE_COUNT):
+    by_load, by_state, other = (
+        np.zeros((GLOBAL_UNKNOWN_COUNT, 6)),
+        np.zeros((GLOBAL_UNKNOWN_COUNT, GLOBAL_UNKNOWN_COUNT)),
+        np.zeros(GLOBAL_UNKNOWN_COUNT),
+    )
+    moved_loads, moved = np.zeros(6), np.zeros(GLOBAL_UNKNOWN_COUNT)
+    for k in range(GLOBAL_UNKNOWN_COUNT):
         moved[k] = x[k]
     for k in range(6):
         moved_loads[k] = loads[k]
@@ -358,14 +373,14 @@ def _load_slopes(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Arra
         moved_loads[k] += nudge
         _global_residual(blade, point, moved, moved_loads, other)
         moved_loads[k] = loads[k]
-        for m in range(STATE_COUNT):
+        for m in range(GLOBAL_UNKNOWN_COUNT):
             by_load[m, k] = (other[m] - out[m]) / nudge
-    for k in range(STATE_COUNT):
+    for k in range(GLOBAL_UNKNOWN_COUNT):
         nudge = 1e-7
         moved[k] += nudge
         _global_residual(blade, point, moved, moved_loads, other)
         moved[k] = x[k]
-        for m in range(STATE_COUNT):
+        for m in range(GLOBAL_UNKNOWN_COUNT):
             by_state[m, k] = (other[m] - out[m]) / nudge
     return by_load, by_state
 
@@ -375,28 +390,28 @@ def _newton_step(
     blade: AzimuthBlade, slopes: Array, by_load: Array, matrix: Array, out: Array, miss: Array, local: Array
 ) -> Array:
     """Return the Newton step of the eight global unknowns, the stations eliminated; ``matrix`` is overwritten."""
-    side = np.zeros(STATE_COUNT)
-    for m in range(STATE_COUNT):
+    side = np.zeros(GLOBAL_UNKNOWN_COUNT)
+    for m in range(GLOBAL_UNKNOWN_COUNT):
         side[m] = -out[m]
     per_length = np.zeros(5)
-    direct = np.zeros(STATE_COUNT)  # derivatives with u, the flap coefficients, lc and ls
+    direct = np.zeros(GLOBAL_UNKNOWN_COUNT)  # derivatives with u, the flap coefficients, lc and ls
     for i in range(blade.r_m.size):
-        for m in range(STATE_COUNT):
+        for m in range(GLOBAL_UNKNOWN_COUNT):
             for h in range(5):
                 per_length[h] = by_load[m, h + 1] * blade.r_m[i] * blade.dr_m[i]
             per_length[0] += by_load[m, 0] * blade.dr_m[i]
-            for k in range(STATE_COUNT):
+            for k in range(GLOBAL_UNKNOWN_COUNT):
                 total = 0.0
                 for h in range(5):
                     total += per_length[h] * slopes[i, h, k]
                 direct[k] = total
             through = direct[0] / local[i, 0]
             side[m] += through * miss[i]
-            for k in range(STATE_COUNT):
+            for k in range(GLOBAL_UNKNOWN_COUNT):
                 matrix[m, k] -= through * local[i, k + 1]
                 if k != UNKNOWN_INFLOW:
                     matrix[m, k] += direct[k + 1 if k < 5 else k]
-    _eliminate(matrix, side)
+    _solve_linear_in_place(matrix, side)
     return side
 
 
@@ -413,33 +428,35 @@ def solve_azimuth(
     trig : (azimuths, 5) array
         1, cos psi, sin psi, cos 2 psi, sin 2 psi.
     ways : (azimuths, 2, 40) array
-        :func:`velocity_ways`.
+        :func:`velocity_derivative_weights`.
     inflow : (stations,) array
         Mean induced velocity of each annulus (m/s): the start, replaced by the solution. Kept for the inflow code 3.
     x : (8,) array
         The other unknowns: the start, replaced by the solution.
     """
     ns, tip = blade.r_m.size, point.speed_rad_s * blade.radius_m
-    sums, slopes, losses = np.zeros((ns, 6)), np.zeros((ns, 6, STATE_COUNT)), np.ones((ns, 2))
-    miss, local, loads, out = np.zeros(ns), np.zeros((ns, 9)), np.zeros(6), np.zeros(STATE_COUNT)
+    sums, slopes, losses = np.zeros((ns, 6)), np.zeros((ns, 6, GLOBAL_UNKNOWN_COUNT)), np.ones((ns, 2))
+    miss, local, loads, out = np.zeros(ns), np.zeros((ns, 9)), np.zeros(6), np.zeros(GLOBAL_UNKNOWN_COUNT)
     for i in range(ns):
         local[i, 0] = 1.0
     share, size, best, slow = 1.0 if point.inflow_code == 0 else 0.0, 1e9, 1e9, 1.0
     previous = 1e9
-    by_load, by_state = np.zeros((STATE_COUNT, 6)), np.zeros((STATE_COUNT, STATE_COUNT))
-    matrix = np.zeros((STATE_COUNT, STATE_COUNT))
+    by_load, by_state = np.zeros((GLOBAL_UNKNOWN_COUNT, 6)), np.zeros((GLOBAL_UNKNOWN_COUNT, GLOBAL_UNKNOWN_COUNT))
+    matrix = np.zeros((GLOBAL_UNKNOWN_COUNT, GLOBAL_UNKNOWN_COUNT))
     for step in range(MAX_NEWTON_STEPS):
         fresh = step < 3 or size > 1e-3 or size > 0.3 * previous  # else the last derivatives are good enough
         previous = size
-        _sum_stations(blade, point, inflow, x, share, trig, ways, fresh, size < _NEAR, sums, slopes, losses)
-        _collect_loads(blade, sums, loads)
+        _sum_element_forces(
+            blade, point, inflow, x, share, trig, ways, fresh, size < _FULL_JACOBIAN_RESIDUAL, sums, slopes, losses
+        )
+        _compute_blade_loads(blade, sums, loads)
         share = _global_residual(blade, point, x, loads, out)
         size = 0.0
-        for k in range(STATE_COUNT):
+        for k in range(GLOBAL_UNKNOWN_COUNT):
             size = max(size, abs(out[k]))
         if point.inflow_code != 3:
             size = max(size, _station_residuals(blade, point, inflow, x, share, sums, slopes, losses, miss, local))
-        if size < TOLERANCE:
+        if size < NEWTON_RESIDUAL_TOLERANCE:
             return step, size, share
         if not size < 1e6:
             break
@@ -448,21 +465,21 @@ def solve_azimuth(
         elif size < best:
             best, slow = size, min(1.3 * slow, 1.0)
         if fresh:
-            by_load, by_state = _load_slopes(blade, point, x, loads, out)
-        for m in range(STATE_COUNT):
-            for k in range(STATE_COUNT):
+            by_load, by_state = _load_jacobian(blade, point, x, loads, out)
+        for m in range(GLOBAL_UNKNOWN_COUNT):
+            for k in range(GLOBAL_UNKNOWN_COUNT):
                 matrix[m, k] = by_state[m, k]
         change = _newton_step(blade, slopes, by_load, matrix, out, miss, local)
         largest = 1e-12
-        for k in range(STATE_COUNT):
+        for k in range(GLOBAL_UNKNOWN_COUNT):
             largest = max(largest, abs(change[k]) / (0.2 if k < 5 else 0.05))
         part = slow * min(1.0, 1.0 / largest)
         for i in range(ns):
             turn = -miss[i]
-            for k in range(STATE_COUNT):
+            for k in range(GLOBAL_UNKNOWN_COUNT):
                 turn -= local[i, k + 1] * change[k]
             inflow[i] += part * min(max(turn / local[i, 0], -0.05 * tip), 0.05 * tip)
-        for k in range(STATE_COUNT):
+        for k in range(GLOBAL_UNKNOWN_COUNT):
             x[k] += part * change[k]
     return MAX_NEWTON_STEPS, size, share
 
@@ -490,7 +507,7 @@ def integrate_loads(
     speed, edgewise, count = point.speed_rad_s, point.edgewise_m_s, trig.shape[0]
     for k in range(totals.size):
         totals[k] = 0.0
-    row_scale = blade.per_log_reynolds
+    row_scale = blade.rows_per_log_reynolds
     for i in range(blade.r_m.size):
         r, chord, dr = blade.r_m[i], blade.chord_m[i], blade.dr_m[i]
         stream, around = 0.0, 0.0
@@ -504,10 +521,10 @@ def integrate_loads(
         weight = blade.blade_count * dr / count
         for n in range(count):
             c, s, c2, s2 = (
-                trig[n, HARMONIC_COS],
-                trig[n, HARMONIC_SIN],
-                trig[n, HARMONIC_COS_2],
-                trig[n, HARMONIC_SIN_2],
+                trig[n, FORCE_COS],
+                trig[n, FORCE_SIN],
+                trig[n, FORCE_COS_2],
+                trig[n, FORCE_SIN_2],
             )
             along = edgewise * c
             flap = (
@@ -549,9 +566,9 @@ def integrate_loads(
             totals[ROTOR_Y_FORCE] += weight * (outward * s - turn * c)
             totals[ROTOR_MOMENT_COS] += weight * force * r * c
             totals[ROTOR_MOMENT_SIN] += weight * force * r * s
-            totals[ROTOR_INDUCED] += weight * (force * met - turn * around_here)
-            totals[ROTOR_PROFILE] += weight * (radial * wind * wind + radial * along * along)
-            totals[ROTOR_AXIAL] += weight * force * point.axial_m_s
+            totals[ROTOR_INDUCED_POWER] += weight * (force * met - turn * around_here)
+            totals[ROTOR_PROFILE_POWER] += weight * (radial * wind * wind + radial * along * along)
+            totals[ROTOR_CLIMB_POWER] += weight * force * point.axial_m_s
             totals[ROTOR_THRUST_COS_2] += 2.0 * dr / count * force * c2
             totals[ROTOR_THRUST_SIN_2] += 2.0 * dr / count * force * s2
             annuli[i, ANNULUS_DRAG] += blade.blade_count / count * radial * across

@@ -33,22 +33,22 @@ from mufly.vehicle.flight_map import LOAD_COLUMNS, FlightMap, FlightMapTables
 
 Array = NDArray[np.float64]
 
-LOAD_COUNT = len(LOAD_COLUMNS)
-FLOW_COUNT = LOAD_COLUMNS.index("rate_force")
+LOAD_COLUMN_COUNT = len(LOAD_COLUMNS)
+FLOW_COLUMN_COUNT = LOAD_COLUMNS.index("rate_force")
 """Columns of the flow; those of rates follow."""
 MAP_ADVANCE_RATIO = 0.35
 """Greatest advance ratio of a map."""
-_SMALL_ADVANCE = 0.01  # of the knee, where loads over V are those of V = 0
-_RATE = 0.002  # of the rotor speed, the rates of the differences
-_TOLERANCE = 1e-5  # of the coupling
+_MIN_ADVANCE_SHARE_OF_KNEE = 0.01  # of the knee, where loads over V are those of V = 0
+_BODY_RATE_STEP_RATIO = 0.002  # of the rotor speed, the rates of the differences
+_COUPLING_TOLERANCE = 1e-5  # of the coupling
 
 
-def edgewise_axis(knee: float, count: int, *, advance_ratio: float = MAP_ADVANCE_RATIO) -> Array:
+def make_edgewise_axis(knee: float, count: int, *, advance_ratio: float = MAP_ADVANCE_RATIO) -> Array:
     """Return ``count`` even steps of e from 0 to the one of an advance ratio."""
     return np.round(np.linspace(0.0, advance_ratio**2 / (advance_ratio**2 + knee**2), count), 5)
 
 
-def _sum_loads(pair: ForwardPair, axial: ForwardPair, density: float, radius: float) -> Array:
+def _flow_load_columns(pair: ForwardPair, axial: ForwardPair, density: float, radius: float) -> Array:
     """Return the six first columns of both rotors, (2, 6); ``axial`` is the pair at the smallest V."""
     out = np.zeros((2, 6))
     for k, (at, rest) in enumerate(((pair.upper, axial.upper), (pair.lower, axial.lower))):
@@ -60,14 +60,14 @@ def _sum_loads(pair: ForwardPair, axial: ForwardPair, density: float, radius: fl
     return out
 
 
-def _rate_loads(
+def _rate_load_columns(
     solve: Callable[[tuple[float, float]], ForwardPair], pair: ForwardPair, density: float, radius: float
 ) -> Array:
     """Return the four last columns of both rotors, (2, 4), by differences with roll and pitch rate."""
-    rate = _RATE * pair.upper.speed_rad_s
+    rate = _BODY_RATE_STEP_RATIO * pair.upper.speed_rad_s
     rolling, pitching = solve((rate, 0.0)), solve((0.0, rate))
 
-    def change(moved: ForwardResult, at: ForwardResult) -> tuple[Array, Array]:
+    def load_changes_per_rate(moved: ForwardResult, at: ForwardResult) -> tuple[Array, Array]:
         """Return the changes of force (forward, right) and of moment (about x, y) per rate."""
         force = at.h_force_N - moved.h_force_N, moved.y_force_N - at.y_force_N
         moment = moved.roll_moment_Nm - at.roll_moment_Nm, moved.pitch_moment_Nm - at.pitch_moment_Nm
@@ -76,7 +76,9 @@ def _rate_loads(
     out = np.zeros((2, 4))
     for k, side in enumerate(("upper", "lower")):
         at: ForwardResult = getattr(pair, side)
-        (force_p, moment_p), (force_q, moment_q) = (change(getattr(turn, side), at) for turn in (rolling, pitching))
+        (force_p, moment_p), (force_q, moment_q) = (
+            load_changes_per_rate(getattr(turn, side), at) for turn in (rolling, pitching)
+        )
         force = density * math.pi * radius**4 * at.speed_rad_s
         turned = (
             force_p[0] + force_q[1], force_p[1] - force_q[0], moment_p[0] + moment_q[1], moment_p[1] - moment_q[0]
@@ -139,7 +141,7 @@ def compute_flight_loads(
     shape = (axes[0].size, axes[1].size, axes[2].size)
     total = math.prod(shape)
     tip = mean_speed_rad_s * radius
-    loads = np.zeros((*shape, 2, LOAD_COUNT))
+    loads = np.zeros((*shape, 2, LOAD_COLUMN_COUNT))
     solved, done = np.zeros(shape, dtype=np.bool_), 0
     order = sorted(range(shape[1]), key=lambda j: abs(axes[1][j]))
     for i in range(shape[0]):
@@ -150,7 +152,7 @@ def compute_flight_loads(
         )  # fmt: skip
 
         def solve_at(
-            edge: float, climb: float, start: ForwardPair | None, tolerance: float = _TOLERANCE,
+            edge: float, climb: float, start: ForwardPair | None, tolerance: float = _COUPLING_TOLERANCE,
             rates: tuple[float, float] = (0.0, 0.0), conditions: tuple[ForwardCondition, ...] = (first, second),
         ) -> ForwardPair:  # fmt: skip
             one, two = (replace(c, edgewise_m_s=edge, climb_m_s=climb, rates_rad_s=rates) for c in conditions)
@@ -164,17 +166,17 @@ def compute_flight_loads(
             rest, last = None, hover
             for k in range(shape[2]):
                 e = float(axes[2][k])
-                edge = tip * knee * (math.sqrt(e / (1.0 - e)) if k else _SMALL_ADVANCE)
+                edge = tip * knee * (math.sqrt(e / (1.0 - e)) if k else _MIN_ADVANCE_SHARE_OF_KNEE)
                 try:
                     last = pair = solve_at(edge, climb, last)
-                    by_rate = _rate_loads(
+                    by_rate = _rate_load_columns(
                         lambda rates, at=pair, v=edge, w=climb: solve_at(v, w, at, 1e9, rates),  # type: ignore[misc]
                         pair, gas.density_kg_m3, radius,
                     )  # fmt: skip
                     rest = rest or pair
                     hover = hover or pair
-                    loads[i, j, k, :, :FLOW_COUNT] = _sum_loads(pair, rest, gas.density_kg_m3, radius)
-                    loads[i, j, k, :, FLOW_COUNT:] = by_rate
+                    loads[i, j, k, :, :FLOW_COLUMN_COUNT] = _flow_load_columns(pair, rest, gas.density_kg_m3, radius)
+                    loads[i, j, k, :, FLOW_COLUMN_COUNT:] = by_rate
                     solved[i, j, k] = rest.upper.edgewise_m_s < edge or k == 0
                 except MuflyError as error:
                     if isinstance(error, InputError) or hover is None:
@@ -187,7 +189,7 @@ def compute_flight_loads(
             for k in range(shape[2]):
                 if not solved[i, j, k] and 0 <= near < shape[1]:
                     loads[i, j, k] = loads[i, near, k]
-    return FlightMapTables(axes[0], axes[1], axes[2], loads.reshape(*shape, 2 * LOAD_COUNT)), int(
+    return FlightMapTables(axes[0], axes[1], axes[2], loads.reshape(*shape, 2 * LOAD_COLUMN_COUNT)), int(
         np.count_nonzero(~solved)
     )
 
@@ -285,9 +287,9 @@ def fit_flight_splines(tables: FlightMapTables) -> FlightSplines:
     tables : FlightMapTables
     """
     ratio, climb, edge, loads = tables
-    both = loads.reshape(*loads.shape[:3], 2, LOAD_COUNT)
-    flow = both[..., :FLOW_COUNT].reshape(*loads.shape[:3], 12)
-    rates = both[..., FLOW_COUNT:].reshape(*loads.shape[:3], 8)
+    both = loads.reshape(*loads.shape[:3], 2, LOAD_COLUMN_COUNT)
+    flow = both[..., :FLOW_COLUMN_COUNT].reshape(*loads.shape[:3], 12)
+    rates = both[..., FLOW_COLUMN_COUNT:].reshape(*loads.shape[:3], 8)
     middle = float(ratio.mean())
     away = ratio - middle
     slope = np.zeros(flow.shape[1:])
@@ -349,7 +351,7 @@ def evaluate_flight_map(flight_map: FlightMap) -> MapLoads:
     flow = np.array([
         interpolate_flow_loads(splines.coefficient_table.ravel(), climbs, edges, 0.0, rest, float(k))
         for k in range(edges)
-    ]).reshape(edges, 2, FLOW_COUNT)  # fmt: skip
+    ]).reshape(edges, 2, FLOW_COLUMN_COUNT)  # fmt: skip
     thrust, torque, drag, side, roll, pitch = np.moveaxis(flow, -1, 0)
     scale = flight_map.density_kg_m3 * math.pi * radius**3 * speeds
     turning = np.array(interpolate_rate_loads(splines.rates.ravel(), edges, 0.0)).reshape(2, 4)

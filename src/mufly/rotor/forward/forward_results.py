@@ -100,7 +100,7 @@ class SolverState:
 
     inflow_m_s: Array
     unknowns: Array
-    annuli: Array
+    annulus_values: Array
 
 
 @result(eq=False, picture="mufly.rotor.forward.forward_pictures:disc_picture")

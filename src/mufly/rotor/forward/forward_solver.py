@@ -25,10 +25,10 @@ from mufly.rotor.forward.azimuth_elements import AzimuthBlade, AzimuthPoint
 from mufly.rotor.forward.azimuth_kernel import (
     FIELD_COLUMNS,
     FIELD_THRUST,
+    GLOBAL_UNKNOWN_COUNT,
     INFLOW_CODES,
-    STATE_COUNT,
-    TOLERANCE,
-    TOTAL_COUNT,
+    NEWTON_RESIDUAL_TOLERANCE,
+    ROTOR_LOAD_COUNT,
     UNKNOWN_CONING,
     UNKNOWN_FLAP_COS,
     UNKNOWN_FLAP_COS_2,
@@ -39,7 +39,7 @@ from mufly.rotor.forward.azimuth_kernel import (
     UNKNOWN_INFLOW_SIN,
     integrate_loads,
     solve_azimuth,
-    velocity_ways,
+    velocity_derivative_weights,
 )
 from mufly.rotor.forward.forward_results import (
     BladeFlap,
@@ -64,11 +64,11 @@ LIFT_SLOPE = 5.7
 """Lift slope (1/rad) of the Lock number."""
 MAX_ADVANCE_RATIO = 0.35
 """Advance ratio up to which strips and polars are sound; beyond, reversed flow covers much of the retreating side."""
-_ACCEPTED_RESIDUAL = 1e-6  # of tip speed or angle, where Newton steps stall above their tolerance
-_VORTEX_RING_MU = 0.1  # advance ratio below which a descent may be in vortex ring state
+_MAX_ACCEPTED_RESIDUAL = 1e-6  # of tip speed or angle, where Newton steps stall above their tolerance
+_MAX_VORTEX_RING_ADVANCE_RATIO = 0.1  # advance ratio below which a descent may be in vortex ring state
 
 
-def blade_flap(rotor: Rotor, frequency_ratio: float, *, mass_kg: float | None = None) -> BladeFlap:
+def make_flap_mode(rotor: Rotor, frequency_ratio: float, *, mass_kg: float | None = None) -> BladeFlap:
     """Return a flap mode of given frequency with the inertia of the blade's beam.
 
     Parameters
@@ -91,11 +91,11 @@ def blade_flap(rotor: Rotor, frequency_ratio: float, *, mass_kg: float | None = 
     if mass_kg is not None and not 0.0 < mass_kg < math.inf:
         raise InputError("flap", "mass_kg", f"is {mass_kg:g}", "give a mass above 0")
     beam = make_blade_beam(rotor, rotor.blade.structure or ASSUMED_STRUCTURE)
-    scale = 1.0 if mass_kg is None else mass_kg / float(beam.integrate(beam.mass_kg_m))
+    scale = 1.0 if mass_kg is None else mass_kg / float(beam.integrate_over_span(beam.mass_kg_m))
     return BladeFlap(frequency_ratio, scale * float(beam.flap_inertia_kg_m2))
 
 
-def blade_flap_band(
+def flap_modes_of_band(
     rotor: Rotor, speed_rad_s: float, *, pitch_rad: float = 0.0, mass_kg: float | None = None
 ) -> tuple[tuple[BladeFlap, BladeFlap], str]:
     """Return the flap modes at both ends of the band of a blade's flap frequency, and the basis of the band.
@@ -106,10 +106,10 @@ def blade_flap_band(
     speed_rad_s, pitch_rad : float
         Rotor speed, and pitch setting.
     mass_kg : float, optional
-        As for :func:`blade_flap`.
+        As for :func:`make_flap_mode`.
     """
     mode = compute_flap_mode(rotor, speed_rad_s, pitch_rad=pitch_rad)
-    low, high = (blade_flap(rotor, max(ratio, 1.0), mass_kg=mass_kg) for ratio in (mode.ratio_low, mode.ratio_high))
+    low, high = (make_flap_mode(rotor, max(ratio, 1.0), mass_kg=mass_kg) for ratio in (mode.ratio_low, mode.ratio_high))
     return (low, high), f"band of the flap frequency: {mode.assumptions}"
 
 
@@ -149,10 +149,10 @@ def _check_condition(c: ForwardCondition) -> None:
 @lru_cache(maxsize=8)
 def azimuth_grid(count: int) -> tuple[Array, Array, Array]:
     """Return azimuths (rad), the table 1, cos, sin, cos 2, sin 2 of them, (count, 5), and their
-    :func:`mufly.rotor.forward.azimuth_kernel.velocity_ways`."""
+    :func:`mufly.rotor.forward.azimuth_kernel.velocity_derivative_weights`."""
     psi: Array = np.arange(count, dtype=np.float64) * (2.0 * math.pi / count)
     trig = np.stack((np.ones(count), np.cos(psi), np.sin(psi), np.cos(2 * psi), np.sin(2 * psi)), axis=1)
-    return psi, trig, velocity_ways(trig)
+    return psi, trig, velocity_derivative_weights(trig)
 
 
 def azimuth_blade(blading: Blading, which: int, flap: BladeFlap, air: Air) -> AzimuthBlade:
@@ -160,7 +160,7 @@ def azimuth_blade(blading: Blading, which: int, flap: BladeFlap, air: Air) -> Az
     fixes, stack = blading.corrections, blading.polars
     return AzimuthBlade(
         blading.r_m[which], blading.dr_m[which], blading.chord_m[which], blading.twist_rad[which],
-        station_tables(blading, which, air), stack.log_reynolds_min, stack.per_log_reynolds,
+        station_tables(blading, which, air), stack.log_reynolds_min, stack.rows_per_log_reynolds,
         float(blading.blades[which]), float(blading.radius_m[which]), float(blading.hub_radius_m[which]),
         int(fixes.tip_loss == "prandtl"), int(fixes.hub_loss), int(fixes.swirl), float(flap.inertia_kg_m2),
         float(flap.frequency_ratio),
@@ -221,7 +221,7 @@ def solve_forward(
         raise InputError("rotor forward", "inflow", f"{inflow!r} is unknown", "use annular, pitt-peters or uniform")
     if not 12 <= azimuths <= 720:
         raise InputError("rotor forward", "azimuths", f"is {azimuths}", "give 12 to 720")
-    flap = flap or BladeFlap(math.inf, blade_flap(rotor, math.inf).inertia_kg_m2)
+    flap = flap or BladeFlap(math.inf, make_flap_mode(rotor, math.inf).inertia_kg_m2)
     hand = float(c.rotation_sign)
     turn = hand * c.wind_azimuth_rad
     cosine, sine = math.cos(turn), math.sin(turn)
@@ -238,7 +238,7 @@ def solve_forward(
     )  # fmt: skip
     blade = azimuth_blade(blading, which, flap, c.air)
     speeds, x, steps, share = _find_solution(blading, which, c, blade, point, trig, ways, start)
-    fields, totals = np.empty((azimuths, none.shape[1], len(FIELD_COLUMNS))), np.empty(TOTAL_COUNT)
+    fields, totals = np.empty((azimuths, none.shape[1], len(FIELD_COLUMNS))), np.empty(ROTOR_LOAD_COUNT)
     annuli = np.empty((none.shape[1], 3))
     integrate_loads(blade, point, trig, speeds, none, x, share, fields, totals, annuli)
     return _make_result(c, flap, blade, x, totals, steps, psi, fields, SolverState(speeds, x, annuli))
@@ -252,7 +252,7 @@ def _find_solution(
     tip = point.speed_rad_s * blade.radius_m
     total = 0
 
-    def axial_start() -> tuple[Array, Array]:
+    def start_from_axial_flow() -> tuple[Array, Array]:
         """Return the start from blade element momentum theory at the same axial velocity."""
         mean = np.asarray(point.stream_m_s.mean(axis=0))
         found = solve_rotor(
@@ -260,12 +260,12 @@ def _find_solution(
             stream=(mean, np.asarray(point.swirl_m_s.mean(axis=0)), mean),
         )  # fmt: skip
         down = c.climb_m_s + 2.0 * float(np.sum(mean * blade.r_m * blade.dr_m)) / blade.radius_m**2
-        x = np.zeros(STATE_COUNT)
+        x = np.zeros(GLOBAL_UNKNOWN_COUNT)
         x[UNKNOWN_INFLOW] = momentum_induced_velocity(0.5 * found.c_T * tip**2, down, 0.0) / tip
         return found.inflow_m_s.copy(), x
 
-    def first_guess() -> tuple[Array, Array]:
-        x = np.zeros(STATE_COUNT)
+    def guess_start_state() -> tuple[Array, Array]:
+        x = np.zeros(GLOBAL_UNKNOWN_COUNT)
         x[UNKNOWN_INFLOW] = 0.05
         return np.full(blade.r_m.size, 0.05 * tip), x
 
@@ -273,22 +273,26 @@ def _find_solution(
     if start is not None and start.state.inflow_m_s.size == blade.r_m.size:
         scale = tip / (start.speed_rad_s * blade.radius_m)
         guesses.append((scale * start.state.inflow_m_s, start.state.unknowns.copy()))
-    makers = (first_guess, axial_start) if c.climb_m_s >= 0.0 or c.edgewise_m_s > 0.1 * tip else (axial_start,)
+    makers = (
+        (guess_start_state, start_from_axial_flow)
+        if c.climb_m_s >= 0.0 or c.edgewise_m_s > 0.1 * tip
+        else (start_from_axial_flow,)
+    )
     for k in range(len(guesses) + len(makers)):
         inflow, x = guesses[k] if k < len(guesses) else makers[k - len(guesses)]()
         inflow = inflow.copy()
         steps, size, share = solve_azimuth(blade, point, trig, ways, inflow, x)
         total += steps
-        if size < TOLERANCE:
+        if size < NEWTON_RESIDUAL_TOLERANCE:
             return inflow, x, total, share
-    inflow, x = axial_start()
+    inflow, x = start_from_axial_flow()
     for part in np.linspace(0.0, 1.0, 9):
         nearer = point._replace(edgewise_m_s=part * point.edgewise_m_s)
         steps, size, share = solve_azimuth(blade, nearer, trig, ways, inflow, x)
         total += steps
         if not size < 1e-2:
             break
-    if size < _ACCEPTED_RESIDUAL:
+    if size < _MAX_ACCEPTED_RESIDUAL:
         return inflow, x, total, share
     raise MuflyError(
         f"rotor forward: no steady solution at {point.edgewise_m_s:g} m/s edgewise and {point.axial_m_s:g} m/s along "
@@ -319,10 +323,10 @@ def _make_result(
     notes = []
     if mu > MAX_ADVANCE_RATIO:
         notes.append(f"advance ratio above {MAX_ADVANCE_RATIO:g}: reversed flow, no unsteady aerodynamics")
-    if mu < _VORTEX_RING_MU and VORTEX_RING_RANGE[0] * hover < -axial < VORTEX_RING_RANGE[1] * hover:
+    if mu < _MAX_VORTEX_RING_ADVANCE_RATIO and VORTEX_RING_RANGE[0] * hover < -axial < VORTEX_RING_RANGE[1] * hover:
         notes.append("vortex ring or turbulent wake state: no steady wake; a curve through measured means")
     thrusting = np.abs(fields[..., FIELD_THRUST]) * blade.dr_m
-    stalled = float(thrusting[np.abs(fields[..., 1]) > _STALL_RAD].sum() / max(thrusting.sum(), 1e-300))
+    stalled = float(thrusting[np.abs(fields[..., 1]) > _STALL_ANGLE_RAD].sum() / max(thrusting.sum(), 1e-300))
     if stalled > 0.2:
         notes.append("sections beyond 20 degrees carry more than a fifth of the thrust: no dynamic stall")
     columns = {name: fields[..., k] for k, name in enumerate(FIELD_COLUMNS)}
@@ -362,7 +366,7 @@ def _make_result(
     )
 
 
-_STALL_RAD = math.radians(20.0)
+_STALL_ANGLE_RAD = math.radians(20.0)
 
 
 def cyclic_response(

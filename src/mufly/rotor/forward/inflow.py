@@ -29,7 +29,10 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.rotor.bemt import induced_velocity_ratio
 
 _PITT_PETERS_COUPLING = 15.0 * math.pi / 64.0
-_CONTINUOUS_FROM, _CONTINUOUS_TO = 0.75, 1.5  # V / u_h between which the interpolated through-flow fades out
+_THROUGH_FLOW_FADE_START, _THROUGH_FLOW_FADE_END = (
+    0.75,
+    1.5,
+)  # V / u_h between which the interpolated through-flow fades out
 
 
 @cached_njit(error_model="numpy")
@@ -84,8 +87,8 @@ def disc_through_flow(hover_m_s: float, axial_m_s: float, edgewise_m_s: float) -
     level = _glauert_root(0.0, v)
     windmill = 1.0 if v <= 1e-6 else abs(-2.0 + _glauert_root(-2.0, v))
     flow = ((1.0 + 0.5 * x) * level - 0.5 * x * windmill) / induced_velocity_ratio(x)
-    if v > _CONTINUOUS_FROM:
-        s = min((v - _CONTINUOUS_FROM) / (_CONTINUOUS_TO - _CONTINUOUS_FROM), 1.0)
+    if v > _THROUGH_FLOW_FADE_START:
+        s = min((v - _THROUGH_FLOW_FADE_START) / (_THROUGH_FLOW_FADE_END - _THROUGH_FLOW_FADE_START), 1.0)
         s = s * s * (3.0 - 2.0 * s)
         flow += s * (abs(x + _glauert_root(x, v)) - flow)
     return hover_m_s * flow

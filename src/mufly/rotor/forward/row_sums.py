@@ -25,9 +25,9 @@ _intrinsic: Any = extending.intrinsic
 _overload: Any = extending.overload
 _types: Any = types
 
-FLOW_COLUMNS, RATE_COLUMNS = 12, 8
-_GROUPS, _ROWS = 5, 3  # groups of rows of the flow's loads, and rows of a group
-_WORD, _QUARTET = ir.IntType(64), ir.VectorType(ir.DoubleType(), 4)
+FLOW_COLUMN_COUNT, RATE_COLUMN_COUNT = 12, 8
+_FLOW_ROW_GROUP_COUNT, _ROWS_PER_GROUP = 5, 3  # groups of rows of the flow's loads, and rows of a group
+_INT64_TYPE, _FOUR_DOUBLES_TYPE = ir.IntType(64), ir.VectorType(ir.DoubleType(), 4)
 Spread = Callable[[int, int], Any]
 
 
@@ -110,7 +110,7 @@ def _sum_rows(table: Array, first: int, ea: float, eb: float, ec: float) -> floa
 def spread_number(builder: Any, number: Any, count: int, lane: int = 0) -> Any:
     """Write a vector of ``count`` times a number, or a number of a vector."""
     if not isinstance(number.type, ir.VectorType):
-        number = builder.insert_element(ir.Constant(_QUARTET, ir.Undefined), number, _index(lane))
+        number = builder.insert_element(ir.Constant(_FOUR_DOUBLES_TYPE, ir.Undefined), number, _index(lane))
     return pick_numbers(builder, number, [lane] * count)
 
 
@@ -133,7 +133,7 @@ def _weighted_sum(builder: Any, weights: Iterable[Any], values: Iterable[Any]) -
 
 
 def _load_numbers(builder: Any, table: Any, place: Any, offset: int, count: int) -> Any:
-    at = builder.gep(builder.gep(table, [place]), [ir.Constant(_WORD, offset)])
+    at = builder.gep(builder.gep(table, [place]), [ir.Constant(_INT64_TYPE, offset)])
     values = builder.load(builder.bitcast(at, ir.VectorType(ir.DoubleType(), count).as_pointer()))
     values.align = 8
     return values
@@ -166,25 +166,29 @@ def emit_flow_sum(builder: Any, table: Any, places: Sequence[Any], spread: Sprea
         Vectors of four columns.
     """
     first, later, stride = places
-    starts = [first, *(builder.add(first, builder.mul(stride, ir.Constant(_WORD, k))) for k in (1, 2))]
+    starts = [first, *(builder.add(first, builder.mul(stride, ir.Constant(_INT64_TYPE, k))) for k in (1, 2))]
     starts += [later, builder.add(later, stride)]
-    quartets, whole = [], _ROWS * FLOW_COLUMNS
+    quartets, whole = [], _ROWS_PER_GROUP * FLOW_COLUMN_COUNT
     for c in range(0, whole, width):  # the three rows lie one after the other
         count = min(width, whole - c)
-        weights = [spread(k, count) for k in range(_GROUPS)]
+        weights = [spread(k, count) for k in range(_FLOW_ROW_GROUP_COUNT)]
         parts = [_load_numbers(builder, table, start, c, count) for start in starts]
         quartets += _split_quartets(builder, _weighted_sum(builder, weights, parts))
-    along = [spread(_GROUPS + k, 4) for k in range(_ROWS)]
-    step = FLOW_COLUMNS // 4
+    along = [spread(_FLOW_ROW_GROUP_COUNT + k, 4) for k in range(_ROWS_PER_GROUP)]
+    step = FLOW_COLUMN_COUNT // 4
     return [_weighted_sum(builder, along, quartets[c::step]) for c in range(step)]
 
 
 def emit_rate_sum(builder: Any, table: Any, places: Sequence[Any], spread: Spread, width: int) -> list[Any]:
     """Write :func:`sum_rate_rows`, as :func:`emit_flow_sum`."""
     out = []
-    for c in range(0, RATE_COLUMNS, width):
-        rows = [_load_numbers(builder, table, places[0], RATE_COLUMNS * i + c, width) for i in range(_ROWS)]
-        out += _split_quartets(builder, _weighted_sum(builder, [spread(k, width) for k in range(_ROWS)], rows))
+    for c in range(0, RATE_COLUMN_COUNT, width):
+        rows = [
+            _load_numbers(builder, table, places[0], RATE_COLUMN_COUNT * i + c, width) for i in range(_ROWS_PER_GROUP)
+        ]
+        out += _split_quartets(
+            builder, _weighted_sum(builder, [spread(k, width) for k in range(_ROWS_PER_GROUP)], rows)
+        )
     return out
 
 
@@ -206,8 +210,8 @@ def _make_intrinsic(columns: int, arguments: str, emit: Any) -> Any:
     return typed
 
 
-_flow_form = _make_intrinsic(FLOW_COLUMNS, "iiiffffffff", emit_flow_sum)
-_rate_form = _make_intrinsic(RATE_COLUMNS, "ifff", emit_rate_sum)
+_flow_form = _make_intrinsic(FLOW_COLUMN_COUNT, "iiiffffffff", emit_flow_sum)
+_rate_form = _make_intrinsic(RATE_COLUMN_COUNT, "ifff", emit_rate_sum)
 
 
 @_intrinsic

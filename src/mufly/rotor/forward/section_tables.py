@@ -23,7 +23,7 @@ from mufly.rotor.sections.section_coefficients import PolarGrid, SectionParamete
 
 Array = NDArray[np.float64]
 
-_STEPS = 720  # angles of attack per half circle from which the onset angle is inverted
+_ANGLE_CELL_COUNT = 720  # angles of attack per half circle from which the onset angle is inverted
 _MAX_MACH = 0.95
 
 
@@ -36,7 +36,7 @@ def _fill_coefficients(
             out[j, n, 0], out[j, n, 1] = section_coefficients(alpha[j, n], log_re[j], mach[j], section, polars)
 
 
-def _angles_of_attack(onset: Array, zero: float, alpha: Array, reached: Array) -> Array:
+def _angles_from_onset_angles(onset: Array, zero: float, alpha: Array, reached: Array) -> Array:
     """Return the angle of attack of each onset angle: the first that reaches it, outward from the zero-lift angle."""
     out = np.empty_like(onset)
     middle = alpha.size // 2
@@ -67,21 +67,21 @@ def station_tables(blading: Blading, which: int, air: Air) -> Array:
             "rotor forward", "corrections", f"{name!r} is not available over azimuth",
             "use --model full or plain (Prandtl's tip loss; stall delay of Dumitrescu and Cardos, Snel or none)",
         )  # fmt: skip
-    polars = PolarGrid(stack.grid, stack.log_reynolds_min, stack.per_log_reynolds)
+    polars = PolarGrid(stack.grid, stack.log_reynolds_min, stack.rows_per_log_reynolds)
     rows, stations = stack.grid.shape[1], blading.r_m.shape[1]
-    steps = np.arange(rows) / stack.per_log_reynolds if rows > 1 else np.zeros(1)
+    steps = np.arange(rows) / stack.rows_per_log_reynolds if rows > 1 else np.zeros(1)
     log_re = stack.log_reynolds_min + steps
     kinematic = air.viscosity_Pa_s / air.density_kg_m3
     out = np.zeros((stations, rows, ALPHA_GRID.size + 2, 2))
-    fine = np.linspace(-math.pi, math.pi, 2 * _STEPS + 1)
+    fine = np.linspace(-math.pi, math.pi, 2 * _ANGLE_CELL_COUNT + 1)
     for i in range(stations):
-        first, second = int(blading.first[which, i]), int(blading.second[which, i])
-        weight = float(blading.weight[which, i])
+        first, second = int(blading.first_polar[which, i]), int(blading.second_polar[which, i])
+        weight = float(blading.second_weight[which, i])
         mixed = [
             (1.0 - weight) * v[first] + weight * v[second] for v in (blading.polar_zero_lift_rad, blading.thickness)
         ]
         section = SectionParameters(
-            first, second, weight, float(mixed[0]), float(blading.rotation[which, i]), float(fixes.lift_factor),
+            first, second, weight, float(mixed[0]), float(blading.stall_delay[which, i]), float(fixes.lift_factor),
             float(fixes.drag_factor), float(mixed[1]), float(blading.edge_drag[which, i]),
         )  # fmt: skip
         e, chord = float(blading.chord_factor[which, i]), float(blading.chord_m[which, i])
@@ -95,7 +95,7 @@ def station_tables(blading: Blading, which: int, air: Air) -> Array:
             turned = (ALPHA_GRID - section.polar_zero_lift_rad + math.pi) % (2.0 * math.pi) - math.pi
             onset = section.polar_zero_lift_rad + turned
             for j in range(rows):
-                alpha[j] = _angles_of_attack(onset, section.polar_zero_lift_rad, angles[j], reached[j])
+                alpha[j] = _angles_from_onset_angles(onset, section.polar_zero_lift_rad, angles[j], reached[j])
         _fill_coefficients(alpha, log_re, mach, section, polars, out[i, :, 1:-1])
     circle = out[:, :, 1:-1]  # its last angle is its first
     out[:, :, 0], out[:, :, -1] = circle[:, :, -2], circle[:, :, 1]

@@ -32,9 +32,9 @@ from mufly.rotor.vortex_tube import axial_influence, swirl_influence, tube_axis_
 
 Array = NDArray[np.float64]
 
-_MAX_TURNS = 60
-_TOLERANCE = 1e-7  # of the greatest induced velocity
-_MAX_SHIFT = 20.0  # of the radius; beyond, nothing of the stream meets the lower disc
+_MAX_COUPLING_ITERATIONS = 60
+_COUPLING_TOLERANCE = 1e-7  # of the greatest induced velocity
+_MAX_STREAM_SHIFT_RADII = 20.0  # of the radius; beyond, nothing of the stream meets the lower disc
 
 PAIR_COLUMNS = (
     ResultColumn("upper.flap_frequency_ratio", form=".3g", head="nu"),
@@ -118,10 +118,10 @@ class ForwardPair:
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the text of the pair."""
-        return show_pairs((self,))
+        return format_forward_pairs((self,))
 
 
-def show_pairs(pairs: tuple[ForwardPair, ...]) -> tuple[ShownBlock, ...]:
+def format_forward_pairs(pairs: tuple[ForwardPair, ...]) -> tuple[ShownBlock, ...]:
     """Return the text of pairs: a table, and the reasons of points outside the range of the method."""
     blocks: list[ShownBlock] = [tabulate_results(pairs, PAIR_COLUMNS)]
     notes: dict[str, list[str]] = {}
@@ -166,7 +166,7 @@ def _shifted_stream(
     gradient = (read @ (upper.speed_rad_s * own_r)).reshape(r.shape)
     safe = np.maximum(r, 1e-9 * radius_m)
     axial = k * (mean + gradient * (lc * along - ls * across) / safe)
-    swirl, loss, drag = state.annuli.T
+    swirl, loss, drag = state.annulus_values.T
     down = upper.climb_m_s + met + loss * state.inflow_m_s
     turning = 2.0 * loss * swirl * own_r + drag_angular_momentum(drag, down, density, own_r, upper_dr)
     around = (swirl_influence(own_r, radius_m, spacing_m, safe.ravel(), width) @ turning).reshape(r.shape)
@@ -182,7 +182,7 @@ def solve_forward_pair(
     *,
     spacing_m: float,
     start: ForwardPair | None = None,
-    tolerance: float = _TOLERANCE,
+    tolerance: float = _COUPLING_TOLERANCE,
 ) -> ForwardPair:
     """Solve a coaxial pair of counter-rotating rotors in forward flight.
 
@@ -226,12 +226,12 @@ def solve_forward_pair(
         met = upward @ two.state.inflow_m_s
     step, scale = math.inf, 1.0
     last_change, last_image = np.empty(0), np.empty(0)
-    for turn in range(1, _MAX_TURNS + 1):
+    for turn in range(1, _MAX_COUPLING_ITERATIONS + 1):
         one = solve_forward(above, first, flaps[0], start=one, stream_m_s=np.tile(met, (AZIMUTH_COUNT, 1)))
         mean = one.state.inflow_m_s + met
         through = first.climb_m_s + 2.0 * float(np.sum(mean * above.r_m[0] * above.dr_m[0])) / radii[0] ** 2
         slope = first.edgewise_m_s / max(through, 1e-3 * first.edgewise_m_s + 1e-9)
-        shift = min(spacing_m * slope, _MAX_SHIFT * radii[0])
+        shift = min(spacing_m * slope, _MAX_STREAM_SHIFT_RADII * radii[0])
         axial, around = _shifted_stream(
             one, above.dr_m[0], met, shift, spacing_m, radii[0], below.r_m[0], below.dr_m[0], psi,
             first.air.density_kg_m3,
@@ -280,7 +280,7 @@ class PairSweep:
         head = show_lines(
             f", {1e3 * self.points[0][0].spacing_m:g} mm apart; {self.flap_basis}", head=" over ".join(self.rotors)
         )
-        return (head, *show_pairs(tuple(p for line in self.points for p in line)))
+        return (head, *format_forward_pairs(tuple(p for line in self.points for p in line)))
 
     def as_record(self) -> dict[str, object]:
         """Return the rotors and a row for each point."""

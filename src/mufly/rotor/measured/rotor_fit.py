@@ -48,7 +48,11 @@ from scipy.optimize import least_squares
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
 from mufly.rotor.bemt import solve_rotor_batch
-from mufly.rotor.blades.blade_families import GRID_STEP_STD, ZERO_LIFT_PER_CAMBER, section_probabilities
+from mufly.rotor.blades.blade_families import (
+    GRID_ROUNDING_STD_RATIOS,
+    ZERO_LIFT_RAD_PER_CAMBER_RATIO,
+    section_probabilities,
+)
 from mufly.rotor.blading import Blading, Corrections, apply_section_fit, compute_rotor_polars, prepare_blading
 from mufly.rotor.effective_pitch import effective_pitch_prior
 from mufly.rotor.geometry import FIT_CHANGE_LIMITS, Rotor, SectionCandidate, SectionFit, replace_rotor
@@ -60,9 +64,9 @@ from mufly.rotor.sections.polar_table import PolarTable, stack_polars
 Array = NDArray[np.float64]
 
 FIT_PARAMETERS = ("pitch", "lift", "drag", "lift over Re", "drag over Re")
-_SIGMA_THRUST, _SIGMA_TORQUE = 0.02, 0.03  # scatter of the method's error from point to point, relative
+_THRUST_SCATTER_SHARE, _TORQUE_SCATTER_SHARE = 0.02, 0.03  # scatter of the method's error from point to point, relative
 _PRIOR_WIDTH_FACTORS = (1.0, 2.0, 4.0)  # factors on the deviations of pitch, lift and drag
-_MIN_AXIAL_SCALE = 0.3  # least T_s and Q_s in axial flight, of the greatest load
+_MIN_AXIAL_LOAD_SCALE_SHARE = 0.3  # least T_s and Q_s in axial flight, of the greatest load
 _DERIVATIVE_STEP = 1e-3  # step of derivatives, in prior deviations
 _MIN_CANDIDATE_PROBABILITY = 0.01  # candidates below this probability are left out of the file
 _UNINFORMED_STD_RATIO, _HIGH_CORRELATION = 0.8, 0.9
@@ -269,8 +273,8 @@ def fit_rotor(
 
 def _prior_deviations(pitch_std_rad: float, known: bool) -> Array:
     """Return the prior standard deviations of :data:`FIT_PARAMETERS`."""
-    camber = 0.003 if known else GRID_STEP_STD[0]
-    pitch = math.hypot(pitch_std_rad, ZERO_LIFT_PER_CAMBER * camber)
+    camber = 0.003 if known else GRID_ROUNDING_STD_RATIOS[0]
+    pitch = math.hypot(pitch_std_rad, ZERO_LIFT_RAD_PER_CAMBER_RATIO * camber)
     return np.array([pitch, math.hypot(0.04, 0.05), math.hypot(0.08, 0.08), 0.05, 0.2])
 
 
@@ -349,7 +353,7 @@ def _compute_load_scales(measurements: RotorMeasurements, load: Array, hover: Ar
     greatest = np.nanmax(np.where(np.isfinite(load), np.abs(load) / square, 0.0), axis=1)
     if hover.size:
         greatest = np.where(greatest > 0.0, greatest, np.max(np.abs(hover) / square, axis=1))
-    least = np.where(measurements.climb_m_s != 0.0, _MIN_AXIAL_SCALE * greatest[:, None] * square, 0.0)
+    least = np.where(measurements.climb_m_s != 0.0, _MIN_AXIAL_LOAD_SCALE_SHARE * greatest[:, None] * square, 0.0)
     return np.asarray(np.maximum(np.abs(load), least), dtype=np.float64)
 
 
@@ -395,7 +399,7 @@ def _fit_sections(
     bench: _BenchPoints,
 ) -> list[_FittedSection]:
     """Fit every section; return the fits, the likeliest first."""
-    size = np.outer((_SIGMA_THRUST, _SIGMA_TORQUE), np.sqrt(_count_copies(bench))).ravel()
+    size = np.outer((_THRUST_SCATTER_SHARE, _TORQUE_SCATTER_SHARE), np.sqrt(_count_copies(bench))).ravel()
     known = np.isfinite(bench.measured_loads.ravel())
     found = []
     widths = [wide * [f, f, f, 1.0, 1.0] for f in _PRIOR_WIDTH_FACTORS]
@@ -460,7 +464,7 @@ def _estimate_scatter(best: _FittedSection) -> tuple[float, float]:
     used = np.isfinite(best.scaled_errors).sum()  # copies do not lessen what is unknown: freedom counts them as one
     grow = math.sqrt(used / max(best.degrees_of_freedom, 1.0)) if used > 5 else 1.0
     out = []
-    for errors, least in zip(best.scaled_errors, (_SIGMA_THRUST, _SIGMA_TORQUE), strict=True):
+    for errors, least in zip(best.scaled_errors, (_THRUST_SCATTER_SHARE, _TORQUE_SCATTER_SHARE), strict=True):
         left = errors[np.isfinite(errors)]
         out.append(max(least, grow * float(np.sqrt(np.mean(left**2))) if left.size else least))
     return out[0], out[1]

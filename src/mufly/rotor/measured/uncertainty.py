@@ -42,9 +42,9 @@ from mufly.errors import ArgumentError, InputError
 from mufly.results import result
 from mufly.rotor.bemt import solve_rotor_batch
 from mufly.rotor.blades.blade_families import (
-    DRAG_PER_THICKNESS,
-    GRID_STEP_STD,
-    ZERO_LIFT_PER_CAMBER,
+    DRAG_FACTOR_PER_THICKNESS_RATIO,
+    GRID_ROUNDING_STD_RATIOS,
+    ZERO_LIFT_RAD_PER_CAMBER_RATIO,
     section_probabilities,
 )
 from mufly.rotor.blading import Blading, Corrections, compute_rotor_polars, prepare_blading
@@ -59,7 +59,7 @@ SECTION_KNOWLEDGE_LEVELS: tuple[SectionKnowledge, ...] = ("known", "guessed", "m
 
 INTERVAL_SCALES = (0.635, 0.833)
 """Scales k of the errors of thrust and torque over their deviations, fitted to 21 rotors (docs/accuracy.md)."""
-_FREEDOM = 3.0  # degrees of freedom of the errors
+_STUDENT_DEGREES_OF_FREEDOM = 3.0  # degrees of freedom of the errors
 _MAX_SCALE_ITERATIONS = 1000
 _MIN_SECTION_PROBABILITY = 0.003  # sections below this probability are left out of the mean
 
@@ -85,7 +85,7 @@ class InputUncertainty:
     @classmethod
     def for_guessed_section(cls) -> InputUncertainty:
         """Return the remaining uncertainty when the prediction is the mean over candidate sections."""
-        return cls(camber=GRID_STEP_STD[0], thickness=GRID_STEP_STD[1])
+        return cls(camber=GRID_ROUNDING_STD_RATIOS[0], thickness=GRID_ROUNDING_STD_RATIOS[1])
 
 
 @result(eq=False)
@@ -219,29 +219,29 @@ def predict_interval(
 
     thrust, torque = solve_loads()
 
-    def rms_departure(*others: tuple[Array, Array]) -> tuple[Array, Array]:
+    def rms_deviation(*others: tuple[Array, Array]) -> tuple[Array, Array]:
         """Return the root mean square deviation from the nominal point."""
         return (
             np.sqrt(np.mean([(t - thrust) ** 2 for t, _ in others], axis=0)),
             np.sqrt(np.mean([(q - torque) ** 2 for _, q in others], axis=0)),
         )
 
-    shift = ZERO_LIFT_PER_CAMBER * unsure.camber
+    shift = ZERO_LIFT_RAD_PER_CAMBER_RATIO * unsure.camber
     causes = {
-        "n_crit": rms_departure(
+        "n_crit": rms_deviation(
             *(solve_loads(prepare_blading(rotor, n_crit=n, engine=engine, corrections=fixes)) for n in unsure.n_crit),
             (thrust, torque),
         ),
         "engine": _combine_deviations(
-            rms_departure(solve_scaled_loads(1 + unsure.lift, 1.0), solve_scaled_loads(1 - unsure.lift, 1.0)),
-            rms_departure(solve_scaled_loads(1.0, 1 + unsure.drag), solve_scaled_loads(1.0, 1 - unsure.drag)),
+            rms_deviation(solve_scaled_loads(1 + unsure.lift, 1.0), solve_scaled_loads(1 - unsure.lift, 1.0)),
+            rms_deviation(solve_scaled_loads(1.0, 1 + unsure.drag), solve_scaled_loads(1.0, 1 - unsure.drag)),
         ),
-        "camber": rms_departure(solve_loads(turned=shift), solve_loads(turned=-shift)),
-        "thickness": rms_departure(
-            solve_scaled_loads(1.0, 1 + DRAG_PER_THICKNESS * unsure.thickness),
-            solve_scaled_loads(1.0, 1 - DRAG_PER_THICKNESS * unsure.thickness),
+        "camber": rms_deviation(solve_loads(turned=shift), solve_loads(turned=-shift)),
+        "thickness": rms_deviation(
+            solve_scaled_loads(1.0, 1 + DRAG_FACTOR_PER_THICKNESS_RATIO * unsure.thickness),
+            solve_scaled_loads(1.0, 1 - DRAG_FACTOR_PER_THICKNESS_RATIO * unsure.thickness),
         ),
-        "pitch": rms_departure(solve_loads(turned=unsure.pitch_rad), solve_loads(turned=-unsure.pitch_rad)),
+        "pitch": rms_deviation(solve_loads(turned=unsure.pitch_rad), solve_loads(turned=-unsure.pitch_rad)),
         "method": (unsure.method_thrust * np.abs(thrust), unsure.method_torque * np.abs(torque)),
     }
     values, all_causes = np.stack((thrust, torque)), {name: np.stack(pair) for name, pair in causes.items()}
@@ -261,7 +261,7 @@ def predict_interval(
 
 def interval_quantile(level: float) -> float:
     """Return t_3((1 + level) / 2), the half width of an interval over the scale of Student's distribution."""
-    return float(stdtrit(_FREEDOM, 0.5 + 0.5 * level))
+    return float(stdtrit(_STUDENT_DEGREES_OF_FREEDOM, 0.5 + 0.5 * level))
 
 
 def fit_interval_scale(errors: Sequence[Array]) -> float:
@@ -290,7 +290,10 @@ def fit_interval_scale(errors: Sequence[Array]) -> float:
         return 1.0
     k2 = float(np.median(z2)) or float(z2.mean())
     for _ in range(_MAX_SCALE_ITERATIONS):
-        before, k2 = k2, (_FREEDOM + 1.0) * float(np.mean(z2 / (_FREEDOM + z2 / k2)))
+        before, k2 = (
+            k2,
+            (_STUDENT_DEGREES_OF_FREEDOM + 1.0) * float(np.mean(z2 / (_STUDENT_DEGREES_OF_FREEDOM + z2 / k2))),
+        )
         if abs(k2 - before) < 1e-12 * k2:
             break
     return math.sqrt(k2)

@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 
 MAX_THICKNESS_RATIO = 0.4
 """Greatest thickness over chord of a section."""
-_SAME_THICKNESS = 5e-4  # of chord: a contour and its designation differ by less
+_SAME_THICKNESS_TOLERANCE = 5e-4  # of chord: a contour and its designation differ by less
 
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:section_picture")
@@ -62,7 +62,7 @@ class Airfoil:
         Origin: formula, database or file.
     gurney : float
         Height of a Gurney flap over chord, part of the contour; 0 without.
-    thickness_ratio, thickness_at : float
+    thickness_ratio, max_thickness_position : float
         Greatest thickness (normal to the x axis) over chord, and its x.
     camber, max_camber_position : float
         Greatest distance of the mean line from the x axis over chord, signed, and its x.
@@ -73,7 +73,7 @@ class Airfoil:
     source: str
     gurney: float = 0.0
     thickness_ratio: float = field(init=False)
-    thickness_at: float = field(init=False)
+    max_thickness_position: float = field(init=False)
     camber: float = field(init=False)
     max_camber_position: float = field(init=False)
 
@@ -85,7 +85,7 @@ class Airfoil:
         i, j = int(np.argmax(thick)), int(np.argmax(np.abs(mean)))
         for name, value in (
             ("thickness_ratio", thick[i]),
-            ("thickness_at", x[i]),
+            ("max_thickness_position", x[i]),
             ("camber", mean[j]),
             ("max_camber_position", x[j]),
         ):
@@ -190,8 +190,8 @@ def with_thickness(airfoil: Airfoil, thickness: float) -> Airfoil:
     The mean line halves the section normal to the x axis. So does the family of NACA Report 460, whose members share
     mean lines. A section that has the thickness to 0.05 % of the chord keeps its contour to the last bit.
     """
-    if abs(airfoil.thickness_ratio - thickness) < _SAME_THICKNESS:
-        return _renamed(airfoil, airfoil.coordinates, "thick", thickness, "with a thickness of")
+    if abs(airfoil.thickness_ratio - thickness) < _SAME_THICKNESS_TOLERANCE:
+        return _modified_airfoil(airfoil, airfoil.coordinates, "thick", thickness, "with a thickness of")
     half = 0.5 * thickness / airfoil.thickness_ratio
     upper, lower = split_sides(airfoil.coordinates)
     (x_u, y_u), (x_l, y_l) = upper.T, lower.T
@@ -199,7 +199,7 @@ def with_thickness(airfoil: Airfoil, thickness: float) -> Airfoil:
     upper_side = np.column_stack((x_u, 0.5 * (y_u + opposite_l) + half * (y_u - opposite_l)))
     lower_side = np.column_stack((x_l, 0.5 * (y_l + opposite_u) + half * (y_l - opposite_u)))
     contour = np.concatenate((upper_side[::-1], lower_side[1:]))
-    return _renamed(airfoil, contour, "thick", thickness, "with a thickness of")
+    return _modified_airfoil(airfoil, contour, "thick", thickness, "with a thickness of")
 
 
 def with_scaled_heights(airfoil: Airfoil, thickness: float) -> Airfoil:
@@ -208,10 +208,10 @@ def with_scaled_heights(airfoil: Airfoil, thickness: float) -> Airfoil:
     Propellers with Clark Y sections are made so (NACA Report 640): the lower side stays flat.
     """
     scaled = airfoil.coordinates * [1.0, thickness / airfoil.thickness_ratio]
-    return _renamed(airfoil, scaled, "scaled", thickness, "scaled to a thickness of")
+    return _modified_airfoil(airfoil, scaled, "scaled", thickness, "scaled to a thickness of")
 
 
-def _renamed(airfoil: Airfoil, contour: Array, suffix: str, thickness: float, word: str) -> Airfoil:
+def _modified_airfoil(airfoil: Airfoil, contour: Array, suffix: str, thickness: float, word: str) -> Airfoil:
     percent = f"{100 * thickness:g}"
     return Airfoil(f"{airfoil.name}+{suffix}{percent}", contour, f"{airfoil.source}; {word} {percent} %")
 

@@ -9,8 +9,8 @@ valid contour has enough points, closes at the tail (up to a blunt base), enclos
 A user's contour may lie anywhere in the plane. With p_t the middle of the tail, p_n the point furthest from it (nose),
 c their distance and the tilt of the chord line, nose up, a = atan2(y_n - y_t, x_t - x_n):
 
-* both ends off the x axis by more than :data:`_AXIS_TOLERANCE` c: the contour is moved so that one of them lies on the
-  axis;
+* both ends off the x axis by more than :data:`_CHORD_AXIS_TOLERANCE` c: the contour is moved so that one of them lies
+  on the axis;
 * abs(a) > :data:`_MAX_KEPT_TILT_RAD`: the contour is turned about its nose by a, so that the chord line is the x axis.
   Below, the frame of the file is kept, because flat undersides of catalogue sections (up to 3.9 degrees) lie along x;
 * always: x is shifted and both are scaled so that x runs from 0 to 1.
@@ -38,13 +38,15 @@ class SectionWarning(UserWarning):
 
 _MIN_POINTS = 20
 _MAX_TAIL_GAP = 0.12  # of chord; a contour whose ends lie further apart is not closed
-_AXIS_TOLERANCE = 2e-3  # of chord
+_CHORD_AXIS_TOLERANCE = 2e-3  # of chord
 _SCALE_WARNING_CHANGE = 0.02  # of chord; smaller changes of scale give no warning
 _MAX_KEPT_TILT_RAD = math.radians(4.0)
-_LEVEL_TILT_RAD = math.radians(0.6)  # below this tilt the tail, which is better defined than the nose, fixes the axis
+_MAX_TAIL_ALIGNED_TILT_RAD = math.radians(
+    0.6
+)  # below this tilt the tail, which is better defined than the nose, fixes the axis
 _TILT_WARNING_RAD = math.radians(1.5)  # greater tilts give a warning
-_NOSE_TAIL_REGION = 0.05  # of chord: region in which nose and tail differ
-_BLUNT_TAIL_TOLERANCE = 1e-3  # of chord: distance of the corners of a blunt tail
+_NOSE_TAIL_REGION_CHORDS = 0.05  # of chord: region in which nose and tail differ
+_BLUNT_TAIL_TOLERANCE_CHORDS = 1e-3  # of chord: distance of the corners of a blunt tail
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
 
 
@@ -113,8 +115,8 @@ def align_contour(contour: Array) -> tuple[Array, str]:
         done.append("mirrored, as its nose is at the greater x")
     chord = float(np.hypot(*(tail - nose)))
     tilt = math.atan2(nose[1] - tail[1], tail[0] - nose[0])
-    end = tail if abs(tilt) < _LEVEL_TILT_RAD else nose
-    up = -float(end[1]) if min(abs(nose[1]), abs(tail[1])) > _AXIS_TOLERANCE * chord else 0.0
+    end = tail if abs(tilt) < _MAX_TAIL_ALIGNED_TILT_RAD else nose
+    up = -float(end[1]) if min(abs(nose[1]), abs(tail[1])) > _CHORD_AXIS_TOLERANCE * chord else 0.0
     if abs(tilt) > _MAX_KEPT_TILT_RAD:
         c, s = math.cos(tilt), math.sin(tilt)
         contour = nose + (contour - nose) @ np.array([[c, s], [-s, c]])
@@ -122,7 +124,7 @@ def align_contour(contour: Array) -> tuple[Array, str]:
     if up:
         contour = contour + np.array([0.0, up])
     low, size = float(contour[:, 0].min()), float(np.ptp(contour[:, 0]))
-    if up or abs(low) > _AXIS_TOLERANCE * size:
+    if up or abs(low) > _CHORD_AXIS_TOLERANCE * size:
         done.append(f"moved by ({-low / size + 0.0:.3g}, {up / size:.3g}) chords")
     if abs(size - 1.0) > _SCALE_WARNING_CHANGE:
         done.append(f"scaled by {1.0 / size:.3g}")
@@ -201,13 +203,15 @@ def _order_from_tail(points: list[tuple[int, list[float]]], where: str) -> Array
     # A closed curve that begins elsewhere, or at a tail with the least x.
     ring = contour[:-1] if gap < 1e-9 else contour
     x = x[: len(ring)]
-    if _thickness_near(ring, x < _NOSE_TAIL_REGION) < 0.5 * _thickness_near(ring, x > 1.0 - _NOSE_TAIL_REGION):
+    if _thickness_near(ring, x < _NOSE_TAIL_REGION_CHORDS) < 0.5 * _thickness_near(
+        ring, x > 1.0 - _NOSE_TAIL_REGION_CHORDS
+    ):
         x = 1.0 - x
     tail = int(np.argmax(x))
     ring, x = np.roll(ring, -tail, axis=0), np.roll(x, -tail)
-    if x[-1] > 1.0 - _BLUNT_TAIL_TOLERANCE:  # a blunt tail; the contour begins at its second corner
+    if x[-1] > 1.0 - _BLUNT_TAIL_TOLERANCE_CHORDS:  # a blunt tail; the contour begins at its second corner
         return ring
-    if x[1] > 1.0 - _BLUNT_TAIL_TOLERANCE:
+    if x[1] > 1.0 - _BLUNT_TAIL_TOLERANCE_CHORDS:
         return np.roll(ring, -1, axis=0)
     return np.concatenate((ring, ring[:1]))
 

@@ -51,9 +51,9 @@ MIN_CONFIDENCE = 0.5
 MAX_ALPHA_DEG = 20.0
 _ALPHA_GRID_RAD = np.deg2rad(np.arange(-MAX_ALPHA_DEG, MAX_ALPHA_DEG + 0.5, 1.0))
 _WEIGHTS_PER_SIDE = 8
-_UPPER, _LOWER, _NOSE, _SECTION_SIZE = slice(0, 8), slice(8, 16), 16, 18
+_UPPER_SIDE_INPUTS, _LOWER_SIDE_INPUTS, _NOSE_INPUT, _SECTION_INPUT_COUNT = slice(0, 8), slice(8, 16), 16, 18
 """Weights of the sides and of the nose among the numbers of a section, the last of which is the tail's thickness."""
-_CL, _LOG_CD, _CM = 1, 2, 3  # outputs of the network, behind its confidence
+_CL_OUTPUT, _LOG_CD_OUTPUT, _CM_OUTPUT = 1, 2, 3  # outputs of the network, behind its confidence
 _OUTPUT_COLUMNS = slice(0, 4)  # confidence, lift, drag, moment
 _MAX_FIT_ERROR = 0.01  # of chord
 _MAX_GURNEY_HEIGHT = (
@@ -176,8 +176,11 @@ def _squared_mahalanobis(x: Floats, mean: Floats, inverse: Floats) -> Floats:
 
 def _mirrored_sections(sections: Floats) -> Floats:
     flipped = sections.copy()
-    flipped[:, _UPPER], flipped[:, _LOWER] = -sections[:, _LOWER], -sections[:, _UPPER]
-    flipped[:, _NOSE] = -sections[:, _NOSE]
+    flipped[:, _UPPER_SIDE_INPUTS], flipped[:, _LOWER_SIDE_INPUTS] = (
+        -sections[:, _LOWER_SIDE_INPUTS],
+        -sections[:, _UPPER_SIDE_INPUTS],
+    )
+    flipped[:, _NOSE_INPUT] = -sections[:, _NOSE_INPUT]
     return flipped
 
 
@@ -199,15 +202,15 @@ def _evaluate_network(section: Floats, flows: Floats, model: str) -> Array:
             if sign < 0:
                 one, flow = _mirrored_sections(one), _mirrored_flows(flow)
             y = _forward_pass(
-                flow @ weight[:, _SECTION_SIZE:].T + (one @ weight[:, :_SECTION_SIZE].T + bias), rest
+                flow @ weight[:, _SECTION_INPUT_COUNT:].T + (one @ weight[:, :_SECTION_INPUT_COUNT].T + bias), rest
             ).astype(np.float64)
             inputs = np.concatenate((np.repeat(one, len(flow), axis=0), flow), axis=1)
             y[:, 0] -= _squared_mahalanobis(inputs, mean, inverse) / (2 * len(mean))
-            y[:, [_CL, _CM]] *= sign
+            y[:, [_CL_OUTPUT, _CM_OUTPUT]] *= sign
             out[part] += 0.5 * y
-    out[:, _CL] /= 2
-    out[:, _LOG_CD] = (out[:, _LOG_CD] - 2) * 2
-    out[:, _CM] /= 20
+    out[:, _CL_OUTPUT] /= 2
+    out[:, _LOG_CD_OUTPUT] = (out[:, _LOG_CD_OUTPUT] - 2) * 2
+    out[:, _CM_OUTPUT] /= 20
     return out
 
 
@@ -264,7 +267,7 @@ def _compute_section_data(
     flows = np.column_stack((np.sin(2 * a), np.cos(a), np.sin(a) ** 2, (log_re - 12.5) / 3.5, *rest))
     y = _evaluate_network(section, flows.astype(np.float32), model).reshape(re.size, _ALPHA_GRID_RAD.size, 4)
     # The fit's chord differs from the contour's by a fraction of a per cent; the coefficients are scaled accordingly.
-    cl, cd, cm = y[..., _CL] * chord, np.exp(y[..., _LOG_CD]) * chord, y[..., _CM] * chord**2
+    cl, cd, cm = y[..., _CL_OUTPUT] * chord, np.exp(y[..., _LOG_CD_OUTPUT]) * chord, y[..., _CM_OUTPUT] * chord**2
     return SectionData(
         airfoil.name,
         _ALPHA_GRID_RAD.copy(),

@@ -186,7 +186,7 @@ def _check_arguments(
 Array = NDArray[np.float64]
 
 XFOIL_SETTINGS = (-16.0, 22.0, 0.5, 160, 100)  # lowest, highest, step (deg); panels; iterations
-_TIME_LIMIT_S = 60.0  # of one process
+_XFOIL_TIME_LIMIT_S = 60.0  # of one process
 _MAX_BRIDGED_GAP_DEG = 2.0
 _FPE_STUB_SOURCE = "void _gfortran_set_fpe(int exceptions) { (void)exceptions; }\n"
 
@@ -272,7 +272,7 @@ def _run_xfoil(
                 env=_xfoil_environment(_build_fpe_stub() if quiet else None),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                timeout=_TIME_LIMIT_S,
+                timeout=_XFOIL_TIME_LIMIT_S,
                 text=True,
             )
             code = done.returncode

@@ -53,10 +53,10 @@ _REYNOLDS_PATTERNS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str]], float
     ),
 )
 _MIN_REYNOLDS = 100.0
-_SUSPECTED_RADIANS_DEG = 1.6  # angles all below this value may be radians
+_MIN_PLAUSIBLE_ANGLE_DEG = 1.6  # angles all below this value may be radians
 _MAX_LIFT_SLOPE_PER_DEG = 10.0 * 2.0 * math.pi * math.pi / 180.0
-_AERODYN_ROW = re.compile(r"\s*(?:[-+]?[\d.]+(?:[eE][-+]?\d+)?\s+){2,3}[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*")
-_SPLIT_HEADER_WORDS = re.compile(r"\b(top|bot) (xtr|itr)\b", re.IGNORECASE)
+_AERODYN_ROW_PATTERN = re.compile(r"\s*(?:[-+]?[\d.]+(?:[eE][-+]?\d+)?\s+){2,3}[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*")
+_SPLIT_HEADER_PATTERN = re.compile(r"\b(top|bot) (xtr|itr)\b", re.IGNORECASE)
 _MAX_HEADER_LINES = 60  # the header stands within this number of lines
 
 
@@ -156,11 +156,13 @@ def _read_rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
     if not written:
         raise InputError(where, "", "is empty", "give a header and at least one line")
     if _header_line([s for _, s in written]) is None and _is_old_aerodyn([s for _, s in written]):
-        table = [(n, s) for n, s in written if _find_stated_reynolds(s, math.nan) > 0 or _AERODYN_ROW.fullmatch(s)]
+        table = [
+            (n, s) for n, s in written if _find_stated_reynolds(s, math.nan) > 0 or _AERODYN_ROW_PATTERN.fullmatch(s)
+        ]
         written = [(0, "alpha_deg cl cd cm"[: 18 if len(table[-1][1].split()) > 3 else 15]), *table]
     start = _header_line([s for _, s in written]) or 0
     lined = [
-        (n, _SPLIT_HEADER_WORDS.sub(r"\1_\2", s.lstrip("! \t")) if k == start else s)
+        (n, _SPLIT_HEADER_PATTERN.sub(r"\1_\2", s.lstrip("! \t")) if k == start else s)
         for k, (n, s) in enumerate(written)
     ]
     separator, decimal = detect_layout([s for _, s in lined[start:] if not s.lstrip().startswith(("!", "-"))])
@@ -243,7 +245,7 @@ def _check_units(rows: list[tuple[int, dict[str, float]]], headers: dict[str, st
         return
     alpha, cl = (np.array([v[k] for _, v in rows]) for k in ("alpha_deg", "cl"))
     header, widest = headers["alpha_deg"], float(np.max(np.abs(alpha)))
-    if not _identify_column(header)[1] and 0.0 < widest <= _SUSPECTED_RADIANS_DEG:
+    if not _identify_column(header)[1] and 0.0 < widest <= _MIN_PLAUSIBLE_ANGLE_DEG:
         raise InputError(
             where, header, f"goes up to {widest:g} without a unit: degrees or radians?",
             "name the column alpha_deg or alpha_rad",

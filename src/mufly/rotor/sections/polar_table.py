@@ -60,7 +60,7 @@ OUTSIDE_REYNOLDS = 2  # bit: Reynolds number outside the table, value is that of
 _ALPHA_CELL_COUNT = ALPHA_GRID.size - 1
 _CELLS_PER_RADIAN = _ALPHA_CELL_COUNT / (2.0 * math.pi)
 _FULL_TURN_RAD = 2.0 * math.pi
-_RANGE_TOLERANCE = 1e-9
+_VALID_RANGE_TOLERANCE = 1e-9
 
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:polar_picture")
@@ -119,7 +119,7 @@ class PolarStack(NamedTuple):
 
     grid: Array
     log_reynolds_min: float
-    per_log_reynolds: float
+    rows_per_log_reynolds: float
     log_reynolds_range: Array  # (tables, 2)
     alpha_valid_rad: Array  # (tables, nr, 2)
 
@@ -151,7 +151,7 @@ def stack_coefficients(stack: PolarStack, k: int, alpha: float, log_reynolds: fl
     w2 = 0.5 * (-3.0 * t3 + 4.0 * t2 + t)
     w3 = 0.5 * (t3 - t2)
     last = grid.shape[1] - 1
-    v = min(max((log_reynolds - stack.log_reynolds_min) * stack.per_log_reynolds, 0.0), float(last))
+    v = min(max((log_reynolds - stack.log_reynolds_min) * stack.rows_per_log_reynolds, 0.0), float(last))
     j = min(int(v), max(last - 1, 0))
     s = v - j
     before, left, right, after = i, i + 1, i + 2, i + 3
@@ -280,20 +280,20 @@ def stack_extrapolation_flags(
     """Flag extended values of tables of a stack at points (n,); ``k`` is one index, or (..., n) for a table per
     point."""
     log_re, rows = np.log(reynolds), stack.grid.shape[1]
-    v = np.clip((log_re - stack.log_reynolds_min) * stack.per_log_reynolds, 0.0, rows - 1.0)
+    v = np.clip((log_re - stack.log_reynolds_min) * stack.rows_per_log_reynolds, 0.0, rows - 1.0)
     j = np.minimum(v.astype(np.int64), max(rows - 2, 0))
     s = (v - j)[:, None]
     limits = (1.0 - s) * stack.alpha_valid_rad[k, j] + s * stack.alpha_valid_rad[k, np.minimum(j + 1, rows - 1)]
     span = stack.log_reynolds_range[k]
     a = (alpha + math.pi) % _FULL_TURN_RAD - math.pi
-    beyond_alpha = (a < limits[..., 0] - _RANGE_TOLERANCE) | (a > limits[..., 1] + _RANGE_TOLERANCE)
-    beyond_re = (log_re < span[..., 0] - _RANGE_TOLERANCE) | (log_re > span[..., 1] + _RANGE_TOLERANCE)
+    beyond_alpha = (a < limits[..., 0] - _VALID_RANGE_TOLERANCE) | (a > limits[..., 1] + _VALID_RANGE_TOLERANCE)
+    beyond_re = (log_re < span[..., 0] - _VALID_RANGE_TOLERANCE) | (log_re > span[..., 1] + _VALID_RANGE_TOLERANCE)
     return (beyond_alpha * OUTSIDE_ALPHA + beyond_re * OUTSIDE_REYNOLDS).astype(np.uint8)
 
 
 DEFAULT_ASPECT_RATIO = 5.0  # blades of micro rotors have 2.5 to 8; C_max then lies within 5 % of the value for 5
 _MAX_SPLINE_STEP_RAD = math.radians(2.5)  # wider gaps between known angles are interpolated without overshoot
-_MIN_DRAG_FRACTION = 0.5  # of the least known drag; limits undershoot of the spline
+_MIN_SPLINE_DRAG_SHARE = 0.5  # of the least known drag; limits undershoot of the spline
 
 
 def flat_plate_drag(aspect_ratio: float) -> float:
@@ -312,35 +312,35 @@ def flat_plate_drag(aspect_ratio: float) -> float:
 
 # Lift and drag of NACA 0012, 0015, 0018 and 0021, 30 to 180 degrees in steps of 5: Sheldahl and Klimas, Aerodynamic
 # Characteristics of Seven Symmetrical Airfoil Sections Through 180-Degree Angle of Attack, SAND80-2114, 1981.
-_MEASURED_FROM_DEG = 30.0
-_MEASURED_CL = np.array([
+_STALLED_DATA_START_DEG = 30.0
+_STALLED_DATA_CL = np.array([
     0.855, 0.980, 1.035, 1.050, 1.020, 0.955, 0.875, 0.760, 0.630, 0.500, 0.365, 0.230, 0.090, -0.050, -0.185, -0.320,
     -0.450, -0.575, -0.670, -0.760, -0.850, -0.930, -0.980, -0.900, -0.770, -0.670, -0.635, -0.680, -0.850, -0.660, 0.0,
 ])  # fmt: skip
-_MEASURED_CD = np.array([
+_STALLED_DATA_CD = np.array([
     0.570, 0.745, 0.920, 1.075, 1.215, 1.345, 1.470, 1.575, 1.665, 1.735, 1.780, 1.800, 1.800, 1.780, 1.750, 1.700,
     1.635, 1.555, 1.465, 1.350, 1.225, 1.085, 0.925, 0.755, 0.575, 0.420, 0.320, 0.230, 0.140, 0.055, 0.025,
 ])  # fmt: skip
-_FADE_WIDTH_RAD, _FADE_END_RAD = math.radians(20.0), math.radians(40.0)
+_STALL_BLEND_WIDTH_RAD, _STALL_BLEND_END_RAD = math.radians(20.0), math.radians(40.0)
 
 
-def _stalled_shape() -> tuple[Array, Array]:
+def _stalled_coefficient_shapes() -> tuple[Array, Array]:
     """Return m_l and m_d - m_d(180) of the module docstring on :data:`ALPHA_GRID`, both over m_d(90)."""
     size = np.abs(ALPHA_GRID)
-    at = np.deg2rad(np.linspace(_MEASURED_FROM_DEG, 180.0, _MEASURED_CL.size))
-    drag = _MEASURED_CD - _MEASURED_CD[-1]
+    at = np.deg2rad(np.linspace(_STALLED_DATA_START_DEG, 180.0, _STALLED_DATA_CL.size))
+    drag = _STALLED_DATA_CD - _STALLED_DATA_CD[-1]
     start = float(at[0])
     beyond = np.maximum(size, start)
     near = size < start
-    lift = PchipInterpolator(at, _MEASURED_CL)(beyond)
-    lift = np.where(near, _MEASURED_CL[0] * np.sin(2.0 * size) / math.sin(2.0 * start), lift)
+    lift = PchipInterpolator(at, _STALLED_DATA_CL)(beyond)
+    lift = np.where(near, _STALLED_DATA_CL[0] * np.sin(2.0 * size) / math.sin(2.0 * start), lift)
     push = PchipInterpolator(at, drag)(beyond)
     push = np.where(near, drag[0] * (np.sin(size) / math.sin(start)) ** 2, push)
     across = float(np.interp(0.5 * math.pi, at, drag))
     return np.sign(ALPHA_GRID) * lift / across, push / across
 
 
-_STALLED_CL, _STALLED_CD = _stalled_shape()
+_STALLED_CL_SHAPE, _STALLED_CD_SHAPE = _stalled_coefficient_shapes()
 
 
 def extend_full_circle(data: SectionData, *, aspect_ratio: float = DEFAULT_ASPECT_RATIO) -> PolarTable:
@@ -384,15 +384,15 @@ def _blend_into_stall(a: Array, values: tuple[Array, ...], c_max: float) -> tupl
     """Fill rows with known angles ``a``: spline inside, and beyond a transition to the measured full circle."""
     grid, rows = ALPHA_GRID, len(values[0])
     skin = values[1].min(axis=1, keepdims=True)
-    normal = c_max * (_STALLED_CL * np.cos(grid) + _STALLED_CD * np.sin(grid))
+    normal = c_max * (_STALLED_CL_SHAPE * np.cos(grid) + _STALLED_CD_SHAPE * np.sin(grid))
     circle = (
-        np.tile(c_max * _STALLED_CL, (rows, 1)),
-        (c_max - skin) * _STALLED_CD + skin,
+        np.tile(c_max * _STALLED_CL_SHAPE, (rows, 1)),
+        (c_max - skin) * _STALLED_CD_SHAPE + skin,
         np.tile(-normal * np.abs(grid) / (2.0 * math.pi), (rows, 1)),
     )
     out = tuple(c.copy() for c in circle)
     for sign, end, k in ((1.0, float(a[-1]), -1), (-1.0, -float(a[0]), 0)):
-        gone = min(max(end + _FADE_WIDTH_RAD, _FADE_END_RAD), math.pi)
+        gone = min(max(end + _STALL_BLEND_WIDTH_RAD, _STALL_BLEND_END_RAD), math.pi)
         part = (sign * grid > end) & (sign * grid < gone)
         s = (gone - sign * grid[part]) / max(gone - end, 1e-9)
         own = s**2 * (3.0 - 2.0 * s)
@@ -404,4 +404,4 @@ def _blend_into_stall(a: Array, values: tuple[Array, ...], c_max: float) -> tupl
     for c, value in zip(out, values, strict=True):
         c[:, inside] = spline(a, value, axis=1)(np.clip(grid[inside], a[0], a[-1]))
     cl, cd, cm = out
-    return cl, np.maximum(cd, _MIN_DRAG_FRACTION * skin), cm
+    return cl, np.maximum(cd, _MIN_SPLINE_DRAG_SHARE * skin), cm

@@ -16,7 +16,7 @@ from mufly.rotor.sections.polar_table import PolarStack, stack_coefficients
 
 Array = NDArray[np.float64]
 
-_FADE_START_RAD, _FADE_END_RAD = math.radians(30.0), math.radians(50.0)
+_STALL_DELAY_FADE_START_RAD, _STALL_DELAY_FADE_END_RAD = math.radians(30.0), math.radians(50.0)
 _KORN_FACTOR = 0.87  # technology factor of Korn's rule for conventional sections
 _CRITICAL_MACH_OFFSET = (0.1 / 80.0) ** (1.0 / 3.0)
 _MAX_MACH = 0.95  # Mach number above which the rules are held constant, so that every speed has a solution
@@ -57,7 +57,7 @@ class PolarGrid(NamedTuple):
 
     grid: Array
     log_reynolds_min: float
-    per_log_reynolds: float
+    rows_per_log_reynolds: float
 
 
 @cached_njit(error_model="numpy")
@@ -70,7 +70,10 @@ def equivalent_incompressible_alpha(alpha: float, mach: float, zero_lift: float)
     Separation occurs at the same pressures and lift, hence at a smaller angle. The rule applies in full up to
     |alpha| = 30 degrees and fades out at 50. For the drag of shocks see :func:`section_coefficients`.
     """
-    fade = min(max((_FADE_END_RAD - abs(alpha)) / (_FADE_END_RAD - _FADE_START_RAD), 0.0), 1.0)
+    fade = min(
+        max((_STALL_DELAY_FADE_END_RAD - abs(alpha)) / (_STALL_DELAY_FADE_END_RAD - _STALL_DELAY_FADE_START_RAD), 0.0),
+        1.0,
+    )
     return alpha + fade * (alpha - zero_lift) * (1.0 / math.sqrt(1.0 - mach * mach) - 1.0)
 
 
@@ -95,7 +98,13 @@ def section_coefficients(
     if section.edge_drag > 0.0:
         cd += section.edge_drag / max(cd, 1e-4) ** (1.0 / 3.0)
     if rotation > 0.0:
-        fade = min(max((_FADE_END_RAD - abs(alpha)) / (_FADE_END_RAD - _FADE_START_RAD), 0.0), 1.0)
+        fade = min(
+            max(
+                (_STALL_DELAY_FADE_END_RAD - abs(alpha)) / (_STALL_DELAY_FADE_END_RAD - _STALL_DELAY_FADE_START_RAD),
+                0.0,
+            ),
+            1.0,
+        )
         if fade > 0.0:
             a = alpha - section.polar_zero_lift_rad
             attached = 2.0 * math.pi * math.sin(a) * math.cos(a) ** 2

@@ -34,24 +34,24 @@ from mufly.errors import InputError
 
 Array = NDArray[np.float64]
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
-GAUSS_POINTS: Array = 0.5 * (_NODES + 1.0)
+_LEGENDRE_NODES, _LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(4)
+GAUSS_POINTS: Array = 0.5 * (_LEGENDRE_NODES + 1.0)
 """Places of the Gauss points in an element, 0 to 1."""
-_GAUSS_WEIGHTS: Array = 0.5 * _WEIGHTS
+_GAUSS_WEIGHTS: Array = 0.5 * _LEGENDRE_WEIGHTS
 # Degrees of freedom of an element: v, v', w, w', phi of the inner node, phi of the middle, the same five outside.
-_LAG_FREEDOMS, _FLAP_FREEDOMS, _TWIST_FREEDOMS, _SIZE = (0, 1, 6, 7), (2, 3, 8, 9), (4, 5, 10), 11
+_LAG_DOFS, _FLAP_DOFS, _TWIST_DOFS, _ELEMENT_DOF_COUNT = (0, 1, 6, 7), (2, 3, 8, 9), (4, 5, 10), 11
 # Those of the root's node.
-_ROOT_LAG, _ROOT_RISE, _ROOT_FLAP, _ROOT_PITCH, _ROOT_SIZE = 1, 2, 3, 4, 5
+_ROOT_LAG_SLOPE_DOF, _ROOT_FLAP_DEFLECTION_DOF, _ROOT_FLAP_SLOPE_DOF, _ROOT_TWIST_DOF, _ROOT_DOF_COUNT = 1, 2, 3, 4, 5
 
 
-def _integration_to_end() -> Array:
+def _make_integration_matrix() -> Array:
     """Return the matrix from values at the Gauss points to the integrals from each point to the element's end."""
     powers = np.vander(GAUSS_POINTS, increasing=True)
     upto = (1.0 - GAUSS_POINTS[:, None] ** np.arange(1, 5)) / np.arange(1, 5)
     return np.asarray(upto @ np.linalg.inv(powers))
 
 
-def _derivative() -> Array:
+def _make_differentiation_matrix() -> Array:
     """Return the matrix from values at the Gauss points to the derivatives there, for an element of length 1."""
     powers = np.vander(GAUSS_POINTS, increasing=True)
     slopes = np.zeros_like(powers)
@@ -61,7 +61,7 @@ def _derivative() -> Array:
 
 FLAP_AT_NODES, TWIST_AT_NODES = slice(2, None, 6), slice(4, None, 6)
 """Places of the flap displacement (m) and the twist (rad) of the nodes in a displacement of the beam."""
-_TO_END, _SLOPE = _integration_to_end(), _derivative()
+_INTEGRATION_MATRIX, _DIFFERENTIATION_MATRIX = _make_integration_matrix(), _make_differentiation_matrix()
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class BladeBeam:
         Mass per length, EI_f, EI_l, GJ (N m2).
     flap_inertia, lag_inertia : (elements, 4) arrays
         Mass moments of inertia per length about the centroid, I_f and I_l (kg m).
-    polar_radius2_m2 : (elements, 4) array
+    gyration_radius2_m2 : (elements, 4) array
         k_A^2 about the centroid.
     centroid_behind_m : (elements, 4) array
         e: centroid behind the elastic axis.
@@ -99,7 +99,7 @@ class BladeBeam:
     torsion_GJ: Array
     flap_inertia: Array
     lag_inertia: Array
-    polar_radius2_m2: Array
+    gyration_radius2_m2: Array
     centroid_behind_m: Array
     twist_rad: Array
     chord_m: Array
@@ -124,40 +124,40 @@ class BladeBeam:
         """Length that each Gauss point stands for, (elements, 4)."""
         return self.length_m[:, None] * _GAUSS_WEIGHTS
 
-    def integrate(self, values: Array) -> float:
+    def integrate_over_span(self, values: Array) -> float:
         """Return the integral of values at the Gauss points over the span."""
         return float(np.sum(self.weights_m * values))
 
     @property
     def blade_mass_kg(self) -> float:
         """Mass of the blade."""
-        return self.integrate(self.mass_kg_m)
+        return self.integrate_over_span(self.mass_kg_m)
 
     @property
     def flap_inertia_kg_m2(self) -> float:
         """Moment of inertia of the blade about the shaft."""
-        return self.integrate(self.mass_kg_m * self.points_m**2)
+        return self.integrate_over_span(self.mass_kg_m * self.points_m**2)
 
-    def differentiate(self, values: Array) -> Array:
+    def differentiate_along_span(self, values: Array) -> Array:
         """Return the derivative along the span of values at the Gauss points, (elements, 4)."""
-        return np.asarray(values @ _SLOPE.T / self.length_m[:, None])
+        return np.asarray(values @ _DIFFERENTIATION_MATRIX.T / self.length_m[:, None])
 
     @cached_property
-    def tension_kg_m(self) -> Array:
+    def tension_over_speed2_kg_m(self) -> Array:
         """Tension over Omega^2 at the Gauss points, (elements, 4)."""
         pull = self.mass_kg_m * self.points_m
         each = np.sum(self.weights_m * pull, axis=1)
         beyond = np.concatenate((np.cumsum(each[::-1])[::-1][1:], [0.0]))
-        return np.asarray(beyond[:, None] + self.length_m[:, None] * (pull @ _TO_END.T))
+        return np.asarray(beyond[:, None] + self.length_m[:, None] * (pull @ _INTEGRATION_MATRIX.T))
 
     @cached_property
-    def size(self) -> int:
+    def dof_count(self) -> int:
         """Number of degrees of freedom before the root conditions."""
         return 6 * self.length_m.size + 5
 
     @cached_property
-    def _index(self) -> NDArray[np.int64]:
-        return np.asarray(6 * np.arange(self.length_m.size)[:, None] + np.arange(_SIZE), dtype=np.int64)
+    def _dof_indices(self) -> NDArray[np.int64]:
+        return np.asarray(6 * np.arange(self.length_m.size)[:, None] + np.arange(_ELEMENT_DOF_COUNT), dtype=np.int64)
 
     @cached_property
     def shape_functions(self) -> dict[str, Array]:
@@ -174,11 +174,11 @@ class BladeBeam:
         turn = np.stack(((4 * q - 3) / L, (4 - 8 * q) / L, (4 * q - 1) / L))
         out = {}
         for name, values, where in (
-            ("v", hermite, _LAG_FREEDOMS), ("w", hermite, _FLAP_FREEDOMS), ("p", quad, _TWIST_FREEDOMS),
-            ("v1", slope, _LAG_FREEDOMS), ("w1", slope, _FLAP_FREEDOMS), ("p1", turn, _TWIST_FREEDOMS),
-            ("v2", bend, _LAG_FREEDOMS), ("w2", bend, _FLAP_FREEDOMS),
+            ("v", hermite, _LAG_DOFS), ("w", hermite, _FLAP_DOFS), ("p", quad, _TWIST_DOFS),
+            ("v1", slope, _LAG_DOFS), ("w1", slope, _FLAP_DOFS), ("p1", turn, _TWIST_DOFS),
+            ("v2", bend, _LAG_DOFS), ("w2", bend, _FLAP_DOFS),
         ):  # fmt: skip
-            full = np.zeros((*self.points_m.shape, _SIZE))
+            full = np.zeros((*self.points_m.shape, _ELEMENT_DOF_COUNT))
             full[..., where] = np.moveaxis(values, 0, -1)
             out[name] = full
         return out
@@ -186,43 +186,43 @@ class BladeBeam:
     @cached_property
     def root_transform(self) -> Array:
         """Matrix (size, free) from the free degrees of freedom to all: root conditions and hinge."""
-        keep = np.eye(self.size)[:, _ROOT_SIZE:]
+        keep = np.eye(self.dof_count)[:, _ROOT_DOF_COUNT:]
         extra = []
         r0 = float(self.edges_m[0])
         for row, spring in (
-            (_ROOT_LAG, self.lag_root_N_m),
-            (_ROOT_FLAP, self.flap_root_N_m),
-            (_ROOT_PITCH, self.pitch_root_N_m),
+            (_ROOT_LAG_SLOPE_DOF, self.lag_root_N_m),
+            (_ROOT_FLAP_SLOPE_DOF, self.flap_root_N_m),
+            (_ROOT_TWIST_DOF, self.pitch_root_N_m),
         ):
             if math.isfinite(spring):
-                column = np.zeros(self.size)
+                column = np.zeros(self.dof_count)
                 column[row] = 1.0
-                if row == _ROOT_FLAP:
-                    column[_ROOT_RISE] = r0 - self.hinge_radius_m
+                if row == _ROOT_FLAP_SLOPE_DOF:
+                    column[_ROOT_FLAP_DEFLECTION_DOF] = r0 - self.hinge_radius_m
                 extra.append(column)
         return np.column_stack([*extra, keep]) if extra else keep
 
-    def assemble(self, *parts: tuple[Array | float, Array, Array], symmetric: bool = True) -> Array:
+    def assemble_matrix(self, *parts: tuple[Array | float, Array, Array], symmetric: bool = True) -> Array:
         """Return the sum of int factor left right^T dr over all parts, (size, size), by default its symmetric part."""
-        total = np.zeros((self.length_m.size, _SIZE, _SIZE))
+        total = np.zeros((self.length_m.size, _ELEMENT_DOF_COUNT, _ELEMENT_DOF_COUNT))
         for factor, left, right in parts:
             total += np.swapaxes((self.weights_m * factor)[..., None] * left, 1, 2) @ right
         if symmetric:
             total = 0.5 * (total + np.swapaxes(total, 1, 2))
-        out = np.zeros((self.size, self.size))
-        np.add.at(out, (self._index[:, :, None], self._index[:, None, :]), total)
+        out = np.zeros((self.dof_count, self.dof_count))
+        np.add.at(out, (self._dof_indices[:, :, None], self._dof_indices[:, None, :]), total)
         return out
 
     def assemble_load(self, *parts: tuple[Array | float, Array]) -> Array:
         """Return the load vector sum of int factor shape dr over all parts, (size,)."""
-        out = np.zeros(self.size)
+        out = np.zeros(self.dof_count)
         for factor, shape in parts:
-            np.add.at(out, self._index, np.einsum("eg,egi->ei", self.weights_m * factor, shape))
+            np.add.at(out, self._dof_indices, np.einsum("eg,egi->ei", self.weights_m * factor, shape))
         return out
 
-    def evaluate(self, name: str, x: Array) -> Array:
+    def evaluate_shape(self, name: str, x: Array) -> Array:
         """Return a deflection or slope (a key of :attr:`shape_functions`) at the Gauss points, (elements, 4)."""
-        return np.asarray(np.einsum("egi,ei->eg", self.shape_functions[name], x[self._index]))
+        return np.asarray(np.einsum("egi,ei->eg", self.shape_functions[name], x[self._dof_indices]))
 
 
 def stiffness_matrices(beam: BladeBeam, pitch_rad: float, twist_rad: Array | None = None) -> tuple[Array, Array]:
@@ -242,24 +242,26 @@ def stiffness_matrices(beam: BladeBeam, pitch_rad: float, twist_rad: Array | Non
     sine, cosine = np.sin(theta), np.cos(theta)
     flap = cosine[..., None] * s["w2"] - sine[..., None] * s["v2"]
     lag = cosine[..., None] * s["v2"] + sine[..., None] * s["w2"]
-    elastic = beam.assemble((beam.flap_EI, flap, flap), (beam.lag_EI, lag, lag), (beam.torsion_GJ, s["p1"], s["p1"]))
+    elastic = beam.assemble_matrix(
+        (beam.flap_EI, flap, flap), (beam.lag_EI, lag, lag), (beam.torsion_GJ, s["p1"], s["p1"])
+    )
     for row, spring in (
-        (_ROOT_LAG, beam.lag_root_N_m),
-        (_ROOT_FLAP, beam.flap_root_N_m),
-        (_ROOT_PITCH, beam.pitch_root_N_m),
+        (_ROOT_LAG_SLOPE_DOF, beam.lag_root_N_m),
+        (_ROOT_FLAP_SLOPE_DOF, beam.flap_root_N_m),
+        (_ROOT_TWIST_DOF, beam.pitch_root_N_m),
     ):
         if math.isfinite(spring):
             elastic[row, row] += spring
-    T, e, m = beam.tension_kg_m, beam.centroid_behind_m, beam.mass_kg_m
+    T, e, m = beam.tension_over_speed2_kg_m, beam.centroid_behind_m, beam.mass_kg_m
     sine, cosine = np.sin(turned), np.cos(turned)
     # (e cos phi)' and -(e sin phi)': the slopes of the centroid's line change by these with the twist.
-    up = (e * cosine)[..., None] * s["p1"] + beam.differentiate(e * cosine)[..., None] * s["p"]
-    back = -((e * sine)[..., None] * s["p1"] + beam.differentiate(e * sine)[..., None] * s["p"])
+    up = (e * cosine)[..., None] * s["p1"] + beam.differentiate_along_span(e * cosine)[..., None] * s["p"]
+    back = -((e * sine)[..., None] * s["p1"] + beam.differentiate_along_span(e * sine)[..., None] * s["p"])
     inertia = beam.lag_inertia - beam.flap_inertia + m * e**2
-    centrifugal = beam.assemble(
+    centrifugal = beam.assemble_matrix(
         (T, s["w1"], s["w1"]),
         (T, s["v1"], s["v1"]),
-        (T * (beam.polar_radius2_m2 + e**2), s["p1"], s["p1"]),
+        (T * (beam.gyration_radius2_m2 + e**2), s["p1"], s["p1"]),
         (-2.0 * T, s["w1"], up),
         (-2.0 * T, s["v1"], back),
         (-m, s["v"], s["v"]),
@@ -268,7 +270,7 @@ def stiffness_matrices(beam: BladeBeam, pitch_rad: float, twist_rad: Array | Non
     )
     if math.isfinite(beam.flap_root_N_m):  # tension in the rigid arm between hinge and blade
         arm = float(beam.edges_m[0]) - beam.hinge_radius_m
-        centrifugal[_ROOT_FLAP, _ROOT_FLAP] += arm * beam.integrate(m * beam.points_m)
+        centrifugal[_ROOT_FLAP_SLOPE_DOF, _ROOT_FLAP_SLOPE_DOF] += arm * beam.integrate_over_span(m * beam.points_m)
     return elastic, centrifugal
 
 
@@ -277,7 +279,7 @@ def mass_matrix(beam: BladeBeam, pitch_rad: float) -> Array:
     s, theta = beam.shape_functions, beam.twist_rad + pitch_rad
     m, e = beam.mass_kg_m, beam.centroid_behind_m
     turn = beam.flap_inertia + beam.lag_inertia + m * e**2
-    return beam.assemble(
+    return beam.assemble_matrix(
         (m, s["v"], s["v"]),
         (m, s["w"], s["w"]),
         (turn, s["p"], s["p"]),
@@ -295,14 +297,14 @@ def centrifugal_load(beam: BladeBeam, pitch_rad: float, twist_rad: Array | None 
     s, theta = beam.shape_functions, beam.twist_rad + pitch_rad
     phi = np.zeros_like(theta) if twist_rad is None else twist_rad
     turned = theta + phi
-    T, e, m = beam.tension_kg_m, beam.centroid_behind_m, beam.mass_kg_m
+    T, e, m = beam.tension_over_speed2_kg_m, beam.centroid_behind_m, beam.mass_kg_m
     inertia = beam.lag_inertia - beam.flap_inertia + m * e**2
     moment = -0.5 * inertia * np.sin(2.0 * turned) + inertia * np.cos(2.0 * turned) * phi
     return beam.assemble_load(
         (moment, s["p"]),
-        (-T * (beam.polar_radius2_m2 + e**2) * beam.differentiate(beam.twist_rad), s["p1"]),
-        (T * beam.differentiate(e * np.sin(theta)), s["w1"]),
-        (T * beam.differentiate(e * np.cos(theta)), s["v1"]),
+        (-T * (beam.gyration_radius2_m2 + e**2) * beam.differentiate_along_span(beam.twist_rad), s["p1"]),
+        (T * beam.differentiate_along_span(e * np.sin(theta)), s["w1"]),
+        (T * beam.differentiate_along_span(e * np.cos(theta)), s["v1"]),
         (-m * e * np.cos(theta), s["v"]),
     )
 
@@ -328,7 +330,7 @@ class BeamModes:
     kind: tuple[str, ...]
     shape: Array
 
-    def find(self, kind: str, order: int = 1) -> int:
+    def find_mode(self, kind: str, order: int = 1) -> int:
         """Return the index of the ``order``-th mode of a kind.
 
         Raises
@@ -365,9 +367,9 @@ def compute_modes(beam: BladeBeam, speed_rad_s: float, *, pitch_rad: float = 0.0
     kinds = []
     for x in shape:
         parts = {
-            "flap": beam.integrate(m * beam.evaluate("w", x) ** 2),
-            "lag": beam.integrate(m * beam.evaluate("v", x) ** 2),
-            "torsion": beam.integrate(turn * beam.evaluate("p", x) ** 2),
+            "flap": beam.integrate_over_span(m * beam.evaluate_shape("w", x) ** 2),
+            "lag": beam.integrate_over_span(m * beam.evaluate_shape("v", x) ** 2),
+            "torsion": beam.integrate_over_span(turn * beam.evaluate_shape("p", x) ** 2),
         }
         kinds.append(max(parts, key=lambda name: parts[name]))
     return BeamModes(speed_rad_s, np.sqrt(np.maximum(values, 0.0)), tuple(kinds), shape)

@@ -23,7 +23,7 @@ _CONTOUR_THICKNESS_STD = 0.10  # relative, of a moulded blade against its contou
 _ELASTIC_AXIS_STD = 0.05  # of the chord, if the axis is computed from the contour
 
 
-def _optional_parameter(unit: str, symbol: str, description: str, **limits: float) -> Any:
+def _declare_optional_quantity(unit: str, symbol: str, description: str, **limits: float) -> Any:
     names = ("above", "at_least", "below", "at_most")
     extra: dict[str, Any] = {"unit": unit, "symbol": symbol, **{k: limits.get(k) for k in names}}
     return Field(default=None, description=description, json_schema_extra=extra)
@@ -34,31 +34,33 @@ class BladeStructure(ParameterGroup):
 
     material: str = Field(description="material of the whole blade, as `abs`; `mufly rotor beam --materials` lists")
     contour: str = Field(default="", description="airfoil of the structure's contour; default: the blade's airfoils")
-    thickness: Quantity | None = _optional_parameter(
+    thickness: Quantity | None = _declare_optional_quantity(
         "m", "t", "thickness of a plate on the camber line; default: the contour's", above=0, at_most=0.05
     )
-    mass: Quantity | None = _optional_parameter("kg", "m", "mass of one blade outside the hub, weighed", above=0)
-    flap_stiffness: Quantity | None = _optional_parameter("N m2", "EI", "flap stiffness at 0.75 R, measured", above=0)
-    torsion_stiffness: Quantity | None = _optional_parameter(
+    mass: Quantity | None = _declare_optional_quantity("kg", "m", "mass of one blade outside the hub, weighed", above=0)
+    flap_stiffness: Quantity | None = _declare_optional_quantity(
+        "N m2", "EI", "flap stiffness at 0.75 R, measured", above=0
+    )
+    torsion_stiffness: Quantity | None = _declare_optional_quantity(
         "N m2", "GJ", "torsion stiffness at 0.75 R, measured", above=0
     )
-    elastic_axis: Quantity | None = _optional_parameter(
+    elastic_axis: Quantity | None = _declare_optional_quantity(
         "1", "x_ea", "elastic axis over chord, from the nose; default: shear centre of the contour",
         at_least=0, at_most=1,
     )  # fmt: skip
     root: Literal["unknown", "clamped", "hinged"] = Field(
         default="unknown", description="flap root: `clamped` at the cut-out, `hinged`, or `unknown`"
     )
-    hinge_radius: Quantity | None = _optional_parameter(
+    hinge_radius: Quantity | None = _declare_optional_quantity(
         "m", "e", "radius of the flap hinge of a hinged root; default: the shaft", at_least=0
     )
-    flap_spring: Quantity | None = _optional_parameter(
+    flap_spring: Quantity | None = _declare_optional_quantity(
         "N m/rad", "k_beta", "spring at the flap hinge of a hinged root; default: none", at_least=0
     )
-    lag_spring: Quantity | None = _optional_parameter(
+    lag_spring: Quantity | None = _declare_optional_quantity(
         "N m/rad", "k_zeta", "spring at a lag hinge at the cut-out; default: clamped", at_least=0
     )
-    pitch_spring: Quantity | None = _optional_parameter(
+    pitch_spring: Quantity | None = _declare_optional_quantity(
         "N m/rad", "k_theta", "torsional spring of grip and control rods; default: rigid", above=0
     )
 

@@ -37,8 +37,8 @@ Array = NDArray[np.float64]
 
 TWIST_TOLERANCE_RAD = math.radians(0.05)
 """Change of the tip's twist at which the rounds end."""
-_MAX_ROUNDS = 8
-_DEFORMED_STATIONS = 33
+_MAX_TWIST_ITERATIONS = 8
+_DEFORMED_STATION_COUNT = 33
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,17 +60,17 @@ class StripLoads:
     inplane_N_m: Array
     moment_N: Array
 
-    def lay_on_beam(self, beam: BladeBeam, pitch_rad: float, twist_rad: Array) -> SpanLoads:
+    def map_to_beam(self, beam: BladeBeam, pitch_rad: float, twist_rad: Array) -> SpanLoads:
         """Return the loads about the elastic axis at the Gauss points of a beam with an elastic twist."""
 
-        def lay(values: Array) -> Array:
+        def to_gauss_points(values: Array) -> Array:
             return np.interp(beam.points_m, self.r_m, values)
 
         theta = beam.twist_rad + pitch_rad + twist_rad
-        axial, inplane = lay(self.axial_N_m), lay(self.inplane_N_m)
+        axial, inplane = to_gauss_points(self.axial_N_m), to_gauss_points(self.inplane_N_m)
         normal = axial * np.cos(theta) - inplane * np.sin(theta)
         arm = (beam.axis_over_chord - 0.25) * beam.chord_m
-        return SpanLoads(axial, inplane, lay(self.moment_N) + arm * normal)
+        return SpanLoads(axial, inplane, to_gauss_points(self.moment_N) + arm * normal)
 
 
 def deform_rotor(rotor: Rotor, beam: BladeBeam, twist_rad: Array) -> Rotor:
@@ -78,7 +78,7 @@ def deform_rotor(rotor: Rotor, beam: BladeBeam, twist_rad: Array) -> Rotor:
     tables = rotor.toml_tables()
     stations = rotor.blade.r_over_R.array()
     cutout = float(rotor.hub_cutout)
-    x = np.unique(np.concatenate((stations, np.linspace(max(cutout, stations[0]), 1.0, _DEFORMED_STATIONS))))
+    x = np.unique(np.concatenate((stations, np.linspace(max(cutout, stations[0]), 1.0, _DEFORMED_STATION_COUNT))))
     blade = tables["blade"]
     listed = list(rotor.blade.airfoils)
     if len(listed) > 1 and len(set(listed)) > 1:
@@ -93,7 +93,7 @@ def deform_rotor(rotor: Rotor, beam: BladeBeam, twist_rad: Array) -> Rotor:
 
 
 @result(eq=False)
-class CoupledRounds:
+class AeroelasticIteration:
     """Rounds between a solver and the beam of a blade.
 
     Attributes
@@ -114,7 +114,7 @@ class CoupledRounds:
     deflection_m: Array
 
 
-def solve_coupled_rounds(
+def iterate_elastic_twist(
     rotor: Rotor,
     beam: BladeBeam,
     solve: Callable[[Rotor, Array, int], StripLoads],
@@ -125,7 +125,7 @@ def solve_coupled_rounds(
     air: Air | None = None,
     n_crit: float = 0.1,
     tolerance_rad: float = TWIST_TOLERANCE_RAD,
-) -> CoupledRounds:
+) -> AeroelasticIteration:
     """Alternate between a solver of rigid rotors and the beam of the blade until the tip's twist rests.
 
     Parameters
@@ -153,10 +153,10 @@ def solve_coupled_rounds(
     first = solve_equilibrium(blading, beam, polars, **point, air=gas)
     x, root = first.displacement, beam.root_transform
     tips = [float(x[TWIST_AT_NODES][-1])]
-    for turn in range(1, _MAX_ROUNDS + 1):
-        held = beam.evaluate("p", x)
+    for turn in range(1, _MAX_TWIST_ITERATIONS + 1):
+        held = beam.evaluate_shape("p", x)
         strips = solve(deform_rotor(rotor, beam, x[TWIST_AT_NODES]), x[TWIST_AT_NODES].copy(), turn)
-        loads = strips.lay_on_beam(beam, pitch_rad, held)
+        loads = strips.map_to_beam(beam, pitch_rad, held)
         step = math.radians(0.2)
         below, above = (
             twisted_loads(blading, beam, polars, held, **point, air=gas, more_rad=more)[1] for more in (0.0, step)
@@ -164,19 +164,19 @@ def solve_coupled_rounds(
         slope = load_derivative(beam, below, above, step)
         new, force = x.copy(), loads.load_vector(beam)
         for _ in range(20):
-            phi = beam.evaluate("p", new)
+            phi = beam.evaluate_shape("p", new)
             elastic, centrifugal = stiffness_matrices(beam, pitch_rad, phi)
             stiff = elastic + speed_rad_s**2 * centrifugal
             right = force + slope @ (new - x) + speed_rad_s**2 * centrifugal_load(beam, pitch_rad, phi) - stiff @ new
             change = root @ np.linalg.solve(root.T @ (stiff - slope) @ root, root.T @ right)
             new = new + change
-            if np.max(np.abs(beam.evaluate("p", change))) < 1e-9:
+            if np.max(np.abs(beam.evaluate_shape("p", change))) < 1e-9:
                 break
         x = new
         tips.append(float(x[TWIST_AT_NODES][-1]))
         if abs(tips[-1] - tips[-2]) < tolerance_rad:
-            return CoupledRounds(np.array(tips), x[TWIST_AT_NODES].copy(), beam.edges_m, x[FLAP_AT_NODES].copy())
+            return AeroelasticIteration(np.array(tips), x[TWIST_AT_NODES].copy(), beam.edges_m, x[FLAP_AT_NODES].copy())
     raise MuflyError(
         f"rotor {rotor.name}: the tip's twist still changes by {math.degrees(abs(tips[-1] - tips[-2])):.2f} degrees "
-        f"after {_MAX_ROUNDS} rounds; reduce the speed, or give a stiffer blade"
+        f"after {_MAX_TWIST_ITERATIONS} rounds; reduce the speed, or give a stiffer blade"
     )

@@ -31,8 +31,8 @@ from mufly.rotor.sections.polar_file import is_polar_file
 
 Array = NDArray[np.float64]
 
-_POINTS = 121
-_CHORD_POINTS: Array = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, _POINTS)))
+_CHORD_POINT_COUNT = 121
+_CHORD_POINTS: Array = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, _CHORD_POINT_COUNT)))
 
 
 class SectionGeometry(NamedTuple):
@@ -57,7 +57,7 @@ class SectionGeometry(NamedTuple):
     thickness_m: Array
 
 
-def contour_lines(name: str) -> tuple[Array, Array]:
+def thickness_and_camber_lines(name: str) -> tuple[Array, Array]:
     """Return thickness and camber line over chord of an airfoil at the module's chord points, (points,) each.
 
     Raises
@@ -83,7 +83,7 @@ def section_geometry(
     ----------
     chord_m : (n,) array
     thickness, camber : (n, points) arrays
-        Thickness and camber line over chord at the module's chord points (:func:`contour_lines`).
+        Thickness and camber line over chord at the module's chord points (:func:`thickness_and_camber_lines`).
     plate_m : (n,) array or float, optional
         Thickness of a plate on the camber line (m), in place of the contour's.
     scale : float
@@ -95,19 +95,19 @@ def section_geometry(
     t = thickness * c if plate_m is None else np.broadcast_to(np.reshape(plate_m, (-1, 1)), x.shape).copy()
     t = scale * t
 
-    def integrate(values: Array) -> Array:
+    def integrate_over_chord(values: Array) -> Array:
         return np.asarray(np.trapezoid(values, x, axis=1))
 
-    area = integrate(t)
-    x_c, y_c = integrate(t * x) / area, integrate(t * y) / area
+    area = integrate_over_chord(t)
+    x_c, y_c = integrate_over_chord(t * x) / area, integrate_over_chord(t * y) / area
     dx, dy = x - x_c[:, None], y - y_c[:, None]
-    bending = integrate(t**3) / 12.0
+    bending = integrate_over_chord(t**3) / 12.0
     slender = 4.0 * bending
     arc = np.sum(np.hypot(np.diff(x, axis=1), np.diff(y, axis=1)), axis=1)
     return SectionGeometry(
         area,
-        integrate(t * dy**2) + bending,
-        integrate(t * dx**2),
+        integrate_over_chord(t * dy**2) + bending,
+        integrate_over_chord(t * dx**2),
         slender / (1.0 + 4.0 * slender / (area * arc**2)),
         x_c,
         shear_centre(x, y, t)[0],
@@ -135,21 +135,23 @@ def shear_centre(x: Array, y: Array, t: Array) -> tuple[Array, Array]:
     weight[..., :-1] += 0.5 * step
     weight[..., 1:] += 0.5 * step
 
-    def mean(values: Array, of: Array) -> Array:
+    def weighted_integral(values: Array, of: Array) -> Array:
         return np.asarray(np.sum(of * values, axis=-1))
 
     mass = weight * t
     area = np.sum(mass, axis=-1)
-    x_c, y_c = mean(x, mass) / area, mean(y, mass) / area
+    x_c, y_c = weighted_integral(x, mass) / area, weighted_integral(y, mass) / area
     u, v = x - x_c[..., None], y - y_c[..., None]
     omega = np.zeros_like(x)
     swept = 0.5 * ((u[..., 1:] + u[..., :-1]) * np.diff(v) - (v[..., 1:] + v[..., :-1]) * np.diff(u))
     omega[..., 1:] = np.cumsum(swept, axis=-1)
-    omega -= (mean(omega, mass) / area)[..., None]
+    omega -= (weighted_integral(omega, mass) / area)[..., None]
     plate = weight * t**3 / 12.0
-    s_xx, s_yy, s_xy = (mean(p * q, mass) for p, q in ((u, u), (v, v), (u, v)))
+    s_xx, s_yy, s_xy = (weighted_integral(p * q, mass) for p, q in ((u, u), (v, v), (u, v)))
     s_plate = s_yy + np.sum(plate, axis=-1)
     matrix = np.stack((np.stack((s_xy, -s_xx), axis=-1), np.stack((s_plate, -s_xy), axis=-1)), axis=-2)
-    right = np.stack((mean(omega * u, mass), mean(omega * v, mass) + mean(u, plate)), axis=-1)
+    right = np.stack(
+        (weighted_integral(omega * u, mass), weighted_integral(omega * v, mass) + weighted_integral(u, plate)), axis=-1
+    )
     found = np.linalg.pinv(matrix) @ right[..., None]
     return np.asarray(x_c + found[..., 0, 0]), np.asarray(y_c + found[..., 1, 0])

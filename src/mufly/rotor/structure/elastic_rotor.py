@@ -49,11 +49,11 @@ from mufly.rotor.structure.flap_modes import blade_structure, vary_structure
 
 Array = NDArray[np.float64]
 
-_MAX_ROUNDS = 40
+_MAX_TWIST_ITERATIONS = 40
 _TWIST_TOLERANCE_RAD = 1e-10
 _MAX_TWIST_RAD = math.radians(30.0)
 _PITCH_STEP_RAD = math.radians(0.2)
-NEAR_DIVERGENCE = 0.7
+NEAR_DIVERGENCE_SPEED_RATIO = 0.7
 """Rotor speed over divergence speed beyond which a blade is near divergence: loads then twist it twice as much."""
 
 
@@ -111,11 +111,15 @@ def span_loads(
     axial = found.dT_N / (found.dr_m * count)
     inplane = -found.dQ_Nm / (found.r_m * found.dr_m * count)
 
-    def lay(values: Array) -> Array:
+    def to_gauss_points(values: Array) -> Array:
         return np.interp(beam.points_m, found.r_m, values)
 
-    arm = lay(size * normal) * (beam.axis_over_chord - 0.25)
-    return SpanLoads(lay(axial), lay(inplane), lay(size * section_moment(found, blading, polars)) + arm)
+    arm = to_gauss_points(size * normal) * (beam.axis_over_chord - 0.25)
+    return SpanLoads(
+        to_gauss_points(axial),
+        to_gauss_points(inplane),
+        to_gauss_points(size * section_moment(found, blading, polars)) + arm,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,13 +162,13 @@ class BladeEquilibrium:
 def load_derivative(beam: BladeBeam, below: SpanLoads, above: SpanLoads, step_rad: float) -> Array:
     """Return the derivative of the air loads with respect to the displacement, (size, size), from two solutions."""
     s = beam.shape_functions
-    out = np.zeros((beam.size, beam.size))
+    out = np.zeros((beam.dof_count, beam.dof_count))
     for name, change in (
         ("w", above.axial_N_m - below.axial_N_m),
         ("v", above.inplane_N_m - below.inplane_N_m),
         ("p", above.moment_N - below.moment_N),
     ):
-        out += beam.assemble((change / step_rad, s[name], s["p"]), symmetric=False)
+        out += beam.assemble_matrix((change / step_rad, s[name], s["p"]), symmetric=False)
     return out
 
 
@@ -243,9 +247,9 @@ def solve_equilibrium(
             more_rad=more,
         )  # fmt: skip
 
-    x = np.zeros(beam.size)
-    phi = beam.evaluate("p", x)
-    for turn in range(1, _MAX_ROUNDS + 1):
+    x = np.zeros(beam.dof_count)
+    phi = beam.evaluate_shape("p", x)
+    for turn in range(1, _MAX_TWIST_ITERATIONS + 1):
         found, loads = solve_loads(phi)
         _, above = solve_loads(phi, _PITCH_STEP_RAD)
         slope = load_derivative(beam, loads, above, _PITCH_STEP_RAD)
@@ -254,10 +258,10 @@ def solve_equilibrium(
         force = loads.load_vector(beam) + speed_rad_s**2 * centrifugal_load(beam, pitch_rad, phi)
         step = root @ np.linalg.solve(root.T @ (stiff - slope) @ root, root.T @ (force - stiff @ x))
         x = x + step
-        phi = beam.evaluate("p", x)
+        phi = beam.evaluate_shape("p", x)
         if not np.max(np.abs(phi)) < _MAX_TWIST_RAD:
             break
-        if np.max(np.abs(beam.evaluate("p", step))) < _TWIST_TOLERANCE_RAD:
+        if np.max(np.abs(beam.evaluate_shape("p", step))) < _TWIST_TOLERANCE_RAD:
             found, loads = solve_loads(phi)
             limit = divergence_speed(beam, elastic, slope / speed_rad_s**2 - centrifugal)
             return BladeEquilibrium(found, beam, x, loads, limit, turn)
@@ -315,36 +319,36 @@ class ElasticRotorResult:
     axis_known: bool
 
     @property
-    def near_divergence(self) -> bool:
+    def is_near_divergence(self) -> bool:
         """True if the band holds a blade beyond 0.7 of its divergence speed."""
-        return self.rigid.speed_rad_s > NEAR_DIVERGENCE * self.divergence_low_rad_s
+        return self.rigid.speed_rad_s > NEAR_DIVERGENCE_SPEED_RATIO * self.divergence_low_rad_s
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the text of the result."""
         rigid, bent = self.rigid, self.elastic
 
-        def change(new: float, old: float) -> str:
+        def percent(new: float, old: float) -> str:
             return f"{100.0 * (new / old - 1.0):+.1f} %" if old else "-"
 
-        def span(low: float, high: float, form: str) -> str:
+        def format_band(low: float, high: float, form: str) -> str:
             end = f"{high:{form}}" if math.isfinite(high) else "diverges"
             return f"{low:{form}} to {end}"
 
         rows = (
-            ("thrust (N)", f"{rigid.thrust_N:.4g}", f"{bent.thrust_N:.4g} ({change(bent.thrust_N, rigid.thrust_N)})",
-             span(self.thrust_low_N, self.thrust_high_N, ".4g")),
+            ("thrust (N)", f"{rigid.thrust_N:.4g}", f"{bent.thrust_N:.4g} ({percent(bent.thrust_N, rigid.thrust_N)})",
+             format_band(self.thrust_low_N, self.thrust_high_N, ".4g")),
             ("torque (mN m)", f"{1e3 * rigid.torque_Nm:.4g}",
-             f"{1e3 * bent.torque_Nm:.4g} ({change(bent.torque_Nm, rigid.torque_Nm)})",
-             span(1e3 * self.torque_low_Nm, 1e3 * self.torque_high_Nm, ".4g")),
+             f"{1e3 * bent.torque_Nm:.4g} ({percent(bent.torque_Nm, rigid.torque_Nm)})",
+             format_band(1e3 * self.torque_low_Nm, 1e3 * self.torque_high_Nm, ".4g")),
             ("figure of merit", f"{rigid.figure_of_merit:.3f}", f"{bent.figure_of_merit:.3f}", ""),
             ("tip twist (deg)", "0", f"{math.degrees(self.tip_twist_rad):+.2f}",
-             span(math.degrees(self.twist_low_rad[-1]), math.degrees(self.twist_high_rad[-1]), "+.2f")),
+             format_band(math.degrees(self.twist_low_rad[-1]), math.degrees(self.twist_high_rad[-1]), "+.2f")),
             ("tip deflection (mm)", "0", f"{1e3 * self.deflection_m[-1]:.2f}", ""),
             ("coning (deg)", "0", f"{math.degrees(self.coning_rad):.2f}", ""),
         )  # fmt: skip
         table = ShownTable(("", "rigid", "elastic", "90 % band"), rows, text=(0, 1, 2, 3))
         lines = []
-        if self.near_divergence:
+        if self.is_near_divergence:
             low, value = (f"{v / RPM:.0f}" for v in (self.divergence_low_rad_s, self.divergence_rad_s))
             lines.append(
                 f"near divergence: the twist has no equilibrium from {value} rpm on, in the band from {low} rpm on; "
@@ -401,7 +405,7 @@ def solve_elastic_rotor(
     states: list[BladeEquilibrium] = []
     limits: list[float] = []
 
-    def solve(beam: BladeBeam) -> Array:
+    def solve_beam(beam: BladeBeam) -> Array:
         try:
             state = solve_equilibrium(blading, beam, polars, **point, air=air)
         except InputError:
@@ -415,7 +419,7 @@ def solve_elastic_rotor(
         limits.append(state.divergence_rad_s)
         return np.concatenate(([state.rotor.thrust_N, state.rotor.torque_Nm], state.twist_rad))
 
-    _, low, high = vary_structure(rotor, s, solve)
+    _, low, high = vary_structure(rotor, s, solve_beam)
     first = states[0]
     beam = first.beam
     reach = float(beam.edges_m[-1]) - (beam.hinge_radius_m if s.root == "hinged" else float(beam.edges_m[0]))

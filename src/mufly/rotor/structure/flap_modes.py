@@ -29,7 +29,7 @@ from mufly.rotor.geometry import Rotor
 from mufly.rotor.rotor_system import Air
 from mufly.rotor.structure.blade_beam import FLAP_AT_NODES, GAUSS_POINTS, BeamModes, BladeBeam, compute_modes
 from mufly.rotor.structure.blade_structure import BladeStructure, structure_deviations
-from mufly.rotor.structure.cross_section import contour_lines, section_geometry
+from mufly.rotor.structure.cross_section import section_geometry, thickness_and_camber_lines
 from mufly.rotor.structure.materials import find_material
 
 Array = NDArray[np.float64]
@@ -37,9 +37,9 @@ Array = NDArray[np.float64]
 ELEMENT_COUNT = 20
 LIFT_SLOPE = 5.7
 """Lift slope (1/rad) of the Lock number."""
-_SIGMAS_90 = 1.645
-_MEASURED_AT = 0.75  # r/R at which measured stiffnesses hold
-_TIP_SHARE = 1e-3  # of the blade's greatest chord: least chord of a pointed tip
+_SIGMAS_PER_90_PERCENT = 1.645
+_STIFFNESS_STATION_RATIO = 0.75  # r/R at which measured stiffnesses hold
+_MIN_TIP_CHORD_SHARE = 1e-3  # of the blade's greatest chord: least chord of a pointed tip
 
 ASSUMED_STRUCTURE = BladeStructure(material="abs")
 """Structure of a blade whose file has none: moulded ABS, solid, with an unknown root."""
@@ -103,11 +103,11 @@ def make_blade_beam(
     material, big, r0 = find_material(s.material), rotor.radius_m, rotor.hub_radius_m
     edges = _element_edges(rotor, elements)
     points = edges[:-1, None] + np.diff(edges)[:, None] * GAUSS_POINTS
-    at = np.concatenate((points.ravel(), [max(_MEASURED_AT * big, r0)])) / big
+    at = np.concatenate((points.ravel(), [max(_STIFFNESS_STATION_RATIO * big, r0)])) / big
     cut = rotor.sections_at(at)
-    chord = np.maximum(cut.chord_m, _TIP_SHARE * cut.chord_m.max())
+    chord = np.maximum(cut.chord_m, _MIN_TIP_CHORD_SHARE * cut.chord_m.max())
     names = (s.contour,) * len(cut.airfoil_names) if s.contour else cut.airfoil_names
-    lines = [contour_lines(name) for name in names]
+    lines = [thickness_and_camber_lines(name) for name in names]
     share = cut.second_weight[:, None]
     thickness, camber = (
         (1.0 - share) * np.stack([line[k] for line in lines])[cut.first_airfoil]
@@ -127,10 +127,10 @@ def make_blade_beam(
     axis = k.shear_centre_m / chord if s.elastic_axis is None else np.full(chord.size, float(s.elastic_axis))
     axis = axis + axis_shift
 
-    def lay(values: Array) -> Array:
+    def to_gauss_points(values: Array) -> Array:
         return np.asarray(values[:-1].reshape(points.shape))
 
-    area = lay(k.area_m2)
+    area = to_gauss_points(k.area_m2)
     if s.mass is not None:
         weights = np.diff(edges)[:, None] * 0.5 * np.polynomial.legendre.leggauss(4)[1]
         density = float(s.mass) * f.get("mass", 1.0) / float(np.sum(weights * area))
@@ -146,16 +146,16 @@ def make_blade_beam(
     return BladeBeam(
         edges_m=edges,
         mass_kg_m=density * area,
-        flap_EI=lay(flap * k.flap_inertia_m4),
-        lag_EI=lay(flap * k.lag_inertia_m4),
-        torsion_GJ=lay(twist * k.torsion_constant_m4),
-        flap_inertia=density * lay(k.flap_inertia_m4),
-        lag_inertia=density * lay(k.lag_inertia_m4),
-        polar_radius2_m2=lay((k.flap_inertia_m4 + k.lag_inertia_m4) / k.area_m2),
-        centroid_behind_m=lay(k.centroid_m - axis * chord),
-        twist_rad=lay(cut.twist_rad),
-        chord_m=lay(chord),
-        axis_over_chord=lay(axis),
+        flap_EI=to_gauss_points(flap * k.flap_inertia_m4),
+        lag_EI=to_gauss_points(flap * k.lag_inertia_m4),
+        torsion_GJ=to_gauss_points(twist * k.torsion_constant_m4),
+        flap_inertia=density * to_gauss_points(k.flap_inertia_m4),
+        lag_inertia=density * to_gauss_points(k.lag_inertia_m4),
+        gyration_radius2_m2=to_gauss_points((k.flap_inertia_m4 + k.lag_inertia_m4) / k.area_m2),
+        centroid_behind_m=to_gauss_points(k.centroid_m - axis * chord),
+        twist_rad=to_gauss_points(cut.twist_rad),
+        chord_m=to_gauss_points(chord),
+        axis_over_chord=to_gauss_points(axis),
         flap_root_N_m=flap_spring,
         hinge_radius_m=hinge,
         lag_root_N_m=math.inf if s.lag_spring is None else float(s.lag_spring) * f.get("lag_spring", 1.0),
@@ -190,7 +190,7 @@ def vary_structure(
     for name, std in structure_deviations(structure).items():
         both = []
         for sign in (1.0, -1.0):
-            change = sign * _SIGMAS_90 * std
+            change = sign * _SIGMAS_PER_90_PERCENT * std
             if name == "elastic_axis":
                 beam = make_blade_beam(rotor, structure, axis_shift=change)
             else:
@@ -242,7 +242,7 @@ class FlapMode:
 def lock_number(rotor: Rotor, beam: BladeBeam, air: Air | None = None) -> float:
     """Return the Lock number of a blade."""
     density = (air or Air()).density_kg_m3
-    moment = beam.integrate(beam.chord_m * beam.points_m**3)
+    moment = beam.integrate_over_span(beam.chord_m * beam.points_m**3)
     return 4.0 * density * LIFT_SLOPE * moment / beam.flap_inertia_kg_m2
 
 
@@ -280,16 +280,16 @@ def compute_flap_mode(rotor: Rotor, speed_rad_s: float, *, pitch_rad: float = 0.
     known = rotor.blade.structure is not None
     s = rotor.blade.structure or ASSUMED_STRUCTURE
 
-    def solve(beam: BladeBeam) -> Array:
+    def solve_beam(beam: BladeBeam) -> Array:
         found = compute_modes(beam, speed_rad_s, pitch_rad=pitch_rad, count=4)
-        return np.array([found.frequency_rad_s[found.find("flap")]]) / speed_rad_s
+        return np.array([found.frequency_rad_s[found.find_mode("flap")]]) / speed_rad_s
 
-    value, low, high = vary_structure(rotor, s, solve)
+    value, low, high = vary_structure(rotor, s, solve_beam)
     beam = make_blade_beam(rotor, s)
     if s.root == "unknown":
-        low = solve(make_blade_beam(rotor, free_hinge(s)))
+        low = solve_beam(make_blade_beam(rotor, free_hinge(s)))
     modes = compute_modes(beam, speed_rad_s, pitch_rad=pitch_rad, count=4)
-    x = modes.shape[modes.find("flap")]
+    x = modes.shape[modes.find_mode("flap")]
     shape = x[FLAP_AT_NODES]
     mass = np.interp(beam.edges_m, beam.points_m.ravel(), beam.mass_kg_m.ravel())
     return FlapMode(
@@ -413,27 +413,27 @@ def compute_campbell(
     s = structure or blade_structure(rotor)
     speeds = np.asarray(speed_rad_s, dtype=np.float64)
 
-    def solve(beam: BladeBeam) -> Array:
+    def solve_beam(beam: BladeBeam) -> Array:
         return np.array([select_modes(compute_modes(beam, w, pitch_rad=pitch_rad, count=9)) for w in speeds])
 
-    value, low, high = vary_structure(rotor, s, solve)
+    value, low, high = vary_structure(rotor, s, solve_beam)
     beam = make_blade_beam(rotor, s)
     hinged = make_blade_beam(rotor, free_hinge(s))
     found = [compute_modes(hinged, w, pitch_rad=pitch_rad, count=3) for w in speeds]
-    free = np.array([m.frequency_rad_s[m.find("flap")] for m in found])
+    free = np.array([m.frequency_rad_s[m.find_mode("flap")] for m in found])
     if s.root == "unknown":
         low[:, 0] = free
-    places, at = beam.points_m.ravel(), _MEASURED_AT * rotor.radius_m
+    places, at = beam.points_m.ravel(), _STIFFNESS_STATION_RATIO * rotor.radius_m
 
-    def there(values: Array) -> float:
+    def at_station(values: Array) -> float:
         return float(np.interp(at, places, values.ravel()))
 
-    axis = there(beam.axis_over_chord)
+    axis = at_station(beam.axis_over_chord)
     return CampbellDiagram(
         rotor.name, _describe_assumptions(s, True), speeds,
         tuple(f"{kind} {k}" for kind, k in _CAMPBELL_MODES), value, low, high,
-        beam.blade_mass_kg, beam.flap_inertia_kg_m2, there(beam.flap_EI), there(beam.torsion_GJ), axis,
-        axis + there(beam.centroid_behind_m) / there(beam.chord_m), lock_number(rotor, beam, air), free,
+        beam.blade_mass_kg, beam.flap_inertia_kg_m2, at_station(beam.flap_EI), at_station(beam.torsion_GJ), axis,
+        axis + at_station(beam.centroid_behind_m) / at_station(beam.chord_m), lock_number(rotor, beam, air), free,
         s.root != "unknown",
     )  # fmt: skip
 

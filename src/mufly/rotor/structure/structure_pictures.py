@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mufly.rotor.structure.elastic_rotor import ElasticRotorResult
     from mufly.rotor.structure.flap_modes import CampbellDiagram
 
-_HARMONICS = 8
+_SHOWN_HARMONIC_COUNT = 8
 _SHOWN_MODES = ("flap 1", "flap 2", "torsion 1")
 """Modes that set the height of the picture."""
 
@@ -28,7 +28,7 @@ def campbell_picture(found: CampbellDiagram) -> Figure:
     rpm = found.speed_rad_s / RPM
     shown = [found.modes.index(name) for name in _SHOWN_MODES]
     top = 1.15 * float(np.nanmax(found.frequency_rad_s[:, shown])) / (2.0 * math.pi)
-    for k in range(1, _HARMONICS + 1):
+    for k in range(1, _SHOWN_HARMONIC_COUNT + 1):
         axes.plot(rpm, k * rpm / 60.0, color="0.8", linewidth=0.8, zorder=0)
         x = min(float(rpm[-1]), 60.0 * top / k)
         axes.annotate(f"{k}/rev", (x, k * x / 60.0), fontsize="x-small", color="0.5", ha="right", va="bottom")

@@ -70,12 +70,12 @@ SEGMENT_COUNT = 10
     SEGMENT_DZ,
     SEGMENT_LENGTH_2,
     SEGMENT_CORE,
-    SEGMENT_THICK,
+    SEGMENT_LENGTH_CORE_2,
     SEGMENT_STRENGTH,
 ) = range(SEGMENT_COUNT)
 """Rows of a segment in single precision: start, vector to the end, its squared length, squared core radius, the product
 of both, circulation."""
-_ONE, _HALF, _GUARD_SINGLE = np.float32(1.0), np.float32(0.5), 1e-30
+_ONE_SINGLE, _HALF_SINGLE, _SINGULARITY_GUARD_SINGLE = np.float32(1.0), np.float32(0.5), 1e-30
 
 
 @cached_njit(parallel=True, fastmath=True, error_model="numpy")
@@ -90,15 +90,15 @@ def _grouped_kernel_single(points: Any, rows: Any, out: Array) -> None:
             for k in range(rows.shape[2]):
                 ax, ay, az = px - rows[SEGMENT_X, j, k], py - rows[SEGMENT_Y, j, k], pz - rows[SEGMENT_Z, j, k]
                 lx, ly, lz = rows[SEGMENT_DX, j, k], rows[SEGMENT_DY, j, k], rows[SEGMENT_DZ, j, k]
-                core, thick = rows[SEGMENT_CORE, j, k], rows[SEGMENT_THICK, j, k]
+                core, thick = rows[SEGMENT_CORE, j, k], rows[SEGMENT_LENGTH_CORE_2, j, k]
                 cx, cy, cz = az * ly - ay * lz, ax * lz - az * lx, ay * lx - ax * ly
                 along_a = lx * ax + ly * ay + lz * az
                 along_b = along_a - rows[SEGMENT_LENGTH_2, j, k]
                 bx, by, bz = ax - lx, ay - ly, az - lz
-                ra = _ONE / np.sqrt(ax * ax + ay * ay + az * az + core)
-                rb = _ONE / np.sqrt(bx * bx + by * by + bz * bz + core)
-                e = _ONE / (cx * cx + cy * cy + cz * cz + thick)
-                g, h = _ONE + thick * e, _HALF * core
+                ra = _ONE_SINGLE / np.sqrt(ax * ax + ay * ay + az * az + core)
+                rb = _ONE_SINGLE / np.sqrt(bx * bx + by * by + bz * bz + core)
+                e = _ONE_SINGLE / (cx * cx + cy * cy + cz * cz + thick)
+                g, h = _ONE_SINGLE + thick * e, _HALF_SINGLE * core
                 f = (
                     rows[SEGMENT_STRENGTH, j, k]
                     * e
@@ -111,7 +111,7 @@ def _grouped_kernel_single(points: Any, rows: Any, out: Array) -> None:
 
 
 @cached_njit(parallel=True, fastmath=True, error_model="numpy")
-def _induce_kernel(points: Array, start: Array, end: Array, strength: Array, core: Array, out: Array) -> None:
+def _induced_velocity_kernel(points: Array, start: Array, end: Array, strength: Array, core: Array, out: Array) -> None:
     for i in prange(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         sx, sy, sz = 0.0, 0.0, 0.0
@@ -188,7 +188,7 @@ def convert_to_single(segments: tuple[Array, Array, Array, Array], groups: int =
     rows[SEGMENT_DX:SEGMENT_LENGTH_2] = (end / length).astype(np.float32) - rows[:SEGMENT_DX]
     rows[SEGMENT_LENGTH_2] = np.sum(rows[SEGMENT_DX:SEGMENT_LENGTH_2].astype(np.float64) ** 2, axis=0)
     rows[SEGMENT_CORE] = core / length**2
-    rows[SEGMENT_THICK] = rows[SEGMENT_LENGTH_2] * rows[SEGMENT_CORE] + _GUARD_SINGLE
+    rows[SEGMENT_LENGTH_CORE_2] = rows[SEGMENT_LENGTH_2] * rows[SEGMENT_CORE] + _SINGULARITY_GUARD_SINGLE
     rows[SEGMENT_STRENGTH] = strength / length
     return SingleSegments(length, rows.reshape(SEGMENT_COUNT, groups, -1))
 
@@ -202,7 +202,7 @@ def induce_velocity(points: Array, segments: tuple[Array, Array, Array, Array] |
         velocity = group_velocity(points, segments)
         return velocity[:, 0] if velocity.shape[1] == 1 else velocity.sum(axis=1)
     out = np.empty((points.shape[0], 3))
-    _induce_kernel(np.ascontiguousarray(points), *segments, out)
+    _induced_velocity_kernel(np.ascontiguousarray(points), *segments, out)
     return out
 
 

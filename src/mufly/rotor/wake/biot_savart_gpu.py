@@ -30,7 +30,7 @@ _segment_velocity = cuda.jit(segment_velocity, device=True)  # type: ignore[no-u
 
 
 @cuda.jit
-def _induce_kernel(points: Array, start: Array, end: Array, strength: Array, core: Array, out: Array) -> None:
+def _induced_velocity_kernel(points: Array, start: Array, end: Array, strength: Array, core: Array, out: Array) -> None:
     i = cuda.grid(1)  # type: ignore[attr-defined]
     if i >= points.shape[0]:
         return
@@ -58,5 +58,7 @@ def induce_velocity_gpu(points: Array, segments: tuple[Array, Array, Array, Arra
         raise MuflyError("wake: no CUDA device was found; leave the gpu setting off")
     out = cuda.device_array((points.shape[0], 3), dtype=np.float64)
     inputs = [cuda.to_device(np.ascontiguousarray(a)) for a in (points, *segments)]
-    _induce_kernel[(points.shape[0] + _THREADS_PER_BLOCK - 1) // _THREADS_PER_BLOCK, _THREADS_PER_BLOCK](*inputs, out)
+    _induced_velocity_kernel[(points.shape[0] + _THREADS_PER_BLOCK - 1) // _THREADS_PER_BLOCK, _THREADS_PER_BLOCK](
+        *inputs, out
+    )
     return np.asarray(out.copy_to_host())

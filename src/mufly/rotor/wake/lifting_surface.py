@@ -177,7 +177,11 @@ def _evaluate_sections(
     out: Array,
 ) -> None:
     for i in range(alpha.size):
-        first, second, weight = blades.first[which, i], blades.second[which, i], blades.weight[which, i]
+        first, second, weight = (
+            blades.first_polar[which, i],
+            blades.second_polar[which, i],
+            blades.second_weight[which, i],
+        )
         zero = blades.polar_zero_lift_rad[first]
         zero += weight * (blades.polar_zero_lift_rad[second] - zero)
         thick = blades.thickness[first]
@@ -227,7 +231,7 @@ def solve_circulation(
     tangent_wind = np.sum(wind * surface.tangent, axis=1)
     log_unit = math.log(air.density_kg_m3 / air.viscosity_Pa_s) + np.log(c)
     fixes = blading.corrections
-    g = blading.rotation[which]
+    g = blading.stall_delay[which]
     if fixes.rotation == "chaviaropoulos-hansen":
         g = g * np.cos(surface.pitch_rad) ** 4
     factors = float(fixes.lift_factor), float(fixes.drag_factor)

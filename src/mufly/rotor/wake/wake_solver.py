@@ -66,21 +66,21 @@ from mufly.rotor.wake.lifting_surface import (
 
 Array = NDArray[np.float64]
 
-_STEADY_WINDOW = 10
+_STEADY_WINDOW_ITERATIONS = 10
 _SINGLE_CORE_LIMITS = (0.15, 0.25, 0.35)  # R; the next limit is tried if a wake does not converge
 _PAIR_CORE_LIMITS = (0.2, 0.3, 0.4)
-_MEAN_WINDOW = 30  # iterations over which a fluctuating wake is averaged
+_MEAN_WINDOW_ITERATIONS = 30  # iterations over which a fluctuating wake is averaged
 _MAX_LOAD_FLUCTUATION = 0.02  # of the loads; greatest fluctuation of a wake that counts as steady in the mean
-_DAMPING_RAD = 4.0 * math.pi
+_WAKE_DAMPING_AGE_RAD = 4.0 * math.pi
 _INITIAL_CORE_LIMIT = 0.4  # initial core limit (R)
 _CORE_LIMIT_DECAY_ITERATIONS = 15.0  # iterations until it has decreased
 _FLUCTUATING_RESIDUAL_FACTOR = 2.0  # factor on the permitted residual of a fluctuating wake
 _MUTUAL_UPDATE_INTERVAL = 4  # iterations between updates of the mutual influence on the wakes
 _SWIRL_RELAXATION = 0.3  # relaxation of the swirl at each update
 _TYPICAL_BLADE_LOADING = 0.06  # c_T over solidity, first guess
-_MIN_GROUND_CLEARANCE = 0.05  # R: least height of vortices above the ground
+_MIN_GROUND_CLEARANCE_RADII = 0.05  # R: least height of vortices above the ground
 _COARSE_CHORD_RAD = math.radians(15.0)  # chords of a wake for averages over azimuth
-_MAX_POINT_STEP = 0.15  # R; greatest step of a point in one iteration
+_MAX_POINT_STEP_RADII = 0.15  # R; greatest step of a point in one iteration
 _PRESCRIBED_ITERATIONS = 6  # iterations with Landgrebe's wake before the wake is free
 
 
@@ -263,10 +263,10 @@ def _solve_with_core_limit(
                         _limit_root_upwash(v.reshape(unit.free_points_m.shape))
                 aim, far_off = _convect_filaments(unit, v.reshape(unit.free_points_m.shape), climb_m_s)
                 aim = unit.lift_above_ground(aim)
-                part = how.relaxation / (1.0 + unit.free_ages_rad / (_DAMPING_RAD))
+                part = how.relaxation / (1.0 + unit.free_ages_rad / (_WAKE_DAMPING_AGE_RAD))
                 step = part[:, None] * (aim - unit.free_points_m)
                 length = np.linalg.norm(step, axis=2, keepdims=True)
-                step *= np.minimum(1.0, _MAX_POINT_STEP * unit.surface.radius_m / np.maximum(length, 1e-300))
+                step *= np.minimum(1.0, _MAX_POINT_STEP_RADII * unit.surface.radius_m / np.maximum(length, 1e-300))
                 unit.next_free_points_m = unit.free_points_m + step
             else:
                 assert unit.blade_state is not None
@@ -296,7 +296,7 @@ def _solve_with_core_limit(
                 from_here, how.tolerance
             )
             if converged:
-                wander = 100.0 * _load_spread(history, 2 * _MEAN_WINDOW)
+                wander = 100.0 * _load_spread(history, 2 * _MEAN_WINDOW_ITERATIONS)
                 message = (
                     f"converged in the mean after {turn + 1} iterations, loads vary by {wander:.2f} %, "
                     f"core limit {limit:g} R"
@@ -325,7 +325,7 @@ def _solve_with_core_limit(
     )
 
 
-def _load_spread(history: list[list[float]], memory: int = _STEADY_WINDOW) -> float:
+def _load_spread(history: list[list[float]], memory: int = _STEADY_WINDOW_ITERATIONS) -> float:
     """Return the greatest relative spread of a thrust or torque over the last iterations."""
     last = np.array(history[-memory:])[:, 1:]
     middle = np.abs(last.mean(axis=0)) + 1e-3 * np.abs(last).max() + 1e-300
@@ -333,7 +333,7 @@ def _load_spread(history: list[list[float]], memory: int = _STEADY_WINDOW) -> fl
 
 
 def _is_steady(history: list[list[float]], tolerance: float) -> bool:
-    return len(history) >= _STEADY_WINDOW and _load_spread(history) <= tolerance
+    return len(history) >= _STEADY_WINDOW_ITERATIONS and _load_spread(history) <= tolerance
 
 
 def _is_steady_in_mean(history: list[list[float]], tolerance: float) -> bool:
@@ -343,12 +343,15 @@ def _is_steady_in_mean(history: list[list[float]], tolerance: float) -> bool:
     Old vortices keep pairing and separating, in real wakes as in this model. The loads then fluctuate about means that
     do not depend on the relaxation.
     """
-    if len(history) < 2 * _MEAN_WINDOW or _load_spread(history, 2 * _MEAN_WINDOW) > _MAX_LOAD_FLUCTUATION:
+    if (
+        len(history) < 2 * _MEAN_WINDOW_ITERATIONS
+        or _load_spread(history, 2 * _MEAN_WINDOW_ITERATIONS) > _MAX_LOAD_FLUCTUATION
+    ):
         return False
-    last = np.array(history[-2 * _MEAN_WINDOW :])[:, 1:]
+    last = np.array(history[-2 * _MEAN_WINDOW_ITERATIONS :])[:, 1:]
     mean = last.mean(axis=0)
     size = np.abs(mean) + 1e-3 * np.abs(last).max() + 1e-300
-    apart = np.abs(last[:_MEAN_WINDOW].mean(axis=0) - last[_MEAN_WINDOW:].mean(axis=0)) / size
+    apart = np.abs(last[:_MEAN_WINDOW_ITERATIONS].mean(axis=0) - last[_MEAN_WINDOW_ITERATIONS:].mean(axis=0)) / size
     return bool(np.all(apart <= tolerance) and np.all(np.abs(last[-1] - mean) <= 0.5 * tolerance * size))
 
 
@@ -410,7 +413,9 @@ class RotorState:
     def lift_above_ground(self, points: Array) -> Array:
         """Return the points, with those below the ground lifted to the least height of vortices."""
         if math.isfinite(self.ground_z_m):
-            points[..., 2] = np.maximum(points[..., 2], self.ground_z_m + _MIN_GROUND_CLEARANCE * self.surface.radius_m)
+            points[..., 2] = np.maximum(
+                points[..., 2], self.ground_z_m + _MIN_GROUND_CLEARANCE_RADII * self.surface.radius_m
+            )
         return points
 
     def circulation_influence(self, one: Callable[[Array], Array]) -> Array:
@@ -506,7 +511,7 @@ def wake_influence(unit: RotorState) -> Array:
     return unit.circulation_influence(lambda p: group_velocity(p, wake))
 
 
-def _to_frame(points: Array, of: RotorState, other: RotorState) -> Array:
+def _transform_to_rotor_frame(points: Array, of: RotorState, other: RotorState) -> Array:
     """Transform points from one rotor's frame to another's, both at azimuth 0."""
     moved = points.copy()
     moved[..., 1] *= of.placed.rotation_sign * other.placed.rotation_sign
@@ -519,7 +524,7 @@ def mutual_inflow_at(
 ) -> Array:
     """Return the velocity induced at points of the target's frame by another rotor at a given azimuth of its blade 1;
     azimuths of shape (k, 1) give an array (k, points, 3)."""
-    there = rotate_vectors(_to_frame(points, target, source), -azimuth_rad)
+    there = rotate_vectors(_transform_to_rotor_frame(points, target, source), -azimuth_rad)
     v = source.induced_velocity(there.reshape(-1, 3), few=few).reshape(there.shape)
     v = rotate_vectors(v, azimuth_rad)
     v[..., 1] *= target.placed.rotation_sign * source.placed.rotation_sign
