@@ -61,7 +61,7 @@ class Twin:
 
     def memory(self, m: avoidance.ObstacleMap):
         c = self.ffi.new("obstacle_map_t *")
-        c.point_count, c.replace_index = m.point_count, m.replace_index
+        c.point_count, c.next_replaced_row = m.point_count, m.next_replaced_row
         self.ffi.memmove(c.points, m.points.tobytes(), m.points.nbytes)
         return c
 
@@ -70,16 +70,16 @@ class Twin:
             return self.ffi.NULL
         c = self.ffi.new("detour_t *")
         for name in d.__slots__:
-            if name != "lap_start":
+            if name != "lap_start_point":
                 setattr(c, name, getattr(d, name))
-        c.has_lap_start = d.lap_start is not None
-        c.lap_start = d.lap_start or (0.0, 0.0)
+        c.has_lap_start = d.lap_start_point is not None
+        c.lap_start_point = d.lap_start_point or (0.0, 0.0)
         return c
 
     def same_detour(self, d: detour.Detour, c) -> None:
         told = {n: getattr(c, n) for n in d.__slots__}
         told = {n: v if isinstance(v, (float, int)) else tuple(v) for n, v in told.items()}
-        told["lap_start"] = told["lap_start"] if c.has_lap_start else None
+        told["lap_start_point"] = told["lap_start_point"] if c.has_lap_start else None
         assert repr(told) == repr({n: getattr(d, n) for n in d.__slots__})
         assert bool(self.lib.is_detour_finished(c)) == d.is_finished
 
@@ -88,13 +88,15 @@ class Twin:
 
     def sight(self, s: avoidance.PathCheck):
         c = self.ffi.new("path_check_t *")
-        names = ("look_ahead_m", "points_checked", "path_distance_sq", "onward_distance_sq", "lateral_offset_sum",
-                 "blocking_point_count", "nearest_blocking_distance_sq")  # fmt: skip
+        names = ("look_ahead_m", "checked_point_count", "path_distance_sq", "initial_path_distance_sq",
+                 "lateral_offset_sum", "blocking_point_count", "nearest_blocking_distance_sq")  # fmt: skip
         for name in names:
             setattr(c, name, getattr(s, name))
         c.from_point, c.goal_point, c.goal_distance_sq = s[:3], s[3:5], s.goal_distance_sq
         c.nearest_blocking_point = (s.nearest_blocking_north, s.nearest_blocking_east)
-        self.ffi.memmove(c.nearest_points, s.nearest_points.tobytes(), s.nearest_points.nbytes)
+        self.ffi.memmove(
+            c.nearest_point_by_sector, s.nearest_point_by_sector.tobytes(), s.nearest_point_by_sector.nbytes
+        )
         return c
 
     def same_sight(self, s: avoidance.PathCheck, c) -> None:
@@ -114,11 +116,11 @@ class Twin:
             count,
         )
         right = avoidance.insert_beam_hits(memory, beams, time_s, position, attitude, ranges, first, count)
-        assert (c.point_count, c.replace_index) == (right.point_count, right.replace_index)
+        assert (c.point_count, c.next_replaced_row) == (right.point_count, right.next_replaced_row)
         assert bytes(self.ffi.buffer(c.points)) == right.points.tobytes()
         return right
 
-    def begin_path_check(self, position, goal, ahead=avoidance.LOOK_AHEAD_M):
+    def begin_path_check(self, position, goal, ahead=avoidance.PATH_LOOK_AHEAD_M):
         self.asked["begin_path_check"] += 1
         c = self.ffi.new("path_check_t *")
         self.lib.begin_path_check(position, goal[:2], ahead, c)
@@ -251,9 +253,9 @@ def test_any_memory_any_ring_any_detour(twin) -> None:
         twin.limit_approach_velocity(sight, here, velocity[:2], rng.uniform(0.0, 1.0))
         way_round = twin.begin_detour(here, velocity, acceleration, goal, sight, None)
         way_round = replace(
-            way_round, lap_count=int(rng.integers(0, 2)), lap_start=here[:2] if k % 2 else None,
-            lap_distance=2.0 * (k % 3),
-            anchor_duration_s=5.0 * (k % 2), hit_goal_distance=way_round.hit_goal_distance + rng.uniform(-1, 3),
+            way_round, lap_count=int(rng.integers(0, 2)), lap_start_point=here[:2] if k % 2 else None,
+            lap_distance_m=2.0 * (k % 3),
+            stuck_duration_s=5.0 * (k % 2), hit_goal_distance=way_round.hit_goal_distance + rng.uniform(-1, 3),
             obstacle_count=k % 4,
         )  # fmt: skip
         for _ in range(3):

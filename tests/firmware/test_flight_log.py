@@ -257,8 +257,8 @@ def test_a_board_logs_names_units_and_texts_and_pyulog_reads_them(library, tmp_p
     assert len(topic.data["timestamp"]) == data.sizes["time"]
     # A level that no program sets counts as an error.
     entries = r.software.mission.log
-    entries[r.software.mission.logged_count % len(entries)].level = 3
-    r.software.mission.logged_count += 1
+    entries[r.software.mission.logged_event_count % len(entries)].level = 3
+    r.software.mission.logged_event_count += 1
     for _ in range(600):
         station.step()
     (session,) = split_sessions(board.log_blocks[:200].tobytes())

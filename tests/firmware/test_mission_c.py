@@ -473,8 +473,8 @@ def fly_both(software, board, kinds, seed: int, judged: bool, periods: int, step
             assert ours.input_array.tobytes() == theirs.input_array.tobytes(), where
             assert diff_fields(software._reference, board.reference) == [], where
             assert board.firmware.lib.software_flying(board.software_record) == software.flying, where
-            if software._late_s == 0.0 or software.mission_state.logged_count != logged:
-                logged = software.mission_state.logged_count
+            if software._late_s == 0.0 or software.mission_state.logged_event_count != logged:
+                logged = software.mission_state.logged_event_count
                 assert diff_fields(software.mission_state, board.state) == [], where
                 assert str(software.oscillation) == str(board.oscillation)
         visited |= {e.state for e in board.state.events} | {software.motors}

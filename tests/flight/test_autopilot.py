@@ -141,7 +141,7 @@ def test_flies_the_mission_paused_and_resumed(pilot: Pilot) -> None:
     assert a.start_mission()
     pilot.run(30.0, until=lambda: not a.status.armed)
     s = a.status
-    assert (s.outcome, s.reason, s.reached_count, s.waypoint_index) == ("succeeded", "mission complete", 2, 2)
+    assert (s.outcome, s.reason, s.reached_waypoint_count, s.waypoint_index) == ("succeeded", "mission complete", 2, 2)
     assert sum("waypoint 1 reached" in t for t in pilot.texts) == 1
 
 
@@ -456,7 +456,7 @@ def test_a_mission_is_taken_whole_or_not_at_all(pilot: Pilot) -> None:
     assert a.start_mission(1)
     assert "repeat the request" in a.load_mission(other).reason, "it might not have that waypoint"
     pilot.run(40.0, until=lambda: not a.status.armed)
-    assert a.status.reached_count == 1
+    assert a.status.reached_waypoint_count == 1
     assert "hop: 2 waypoints loaded" in pilot.texts
 
 
@@ -517,5 +517,5 @@ def test_thousands_of_requests_leave_no_trace_in_memory(pilot: Pilot) -> None:
         _ = a.pause() if k % 2 else a.go_to((0.5, 0.0, -0.6))
         pilot.run(0.02)
     s = a.software.mission_state
-    assert s.logged_count > 600
+    assert s.logged_event_count > 600
     assert len(s.events) <= 256

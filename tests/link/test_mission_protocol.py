@@ -188,7 +188,7 @@ def test_a_mission_is_taken_during_a_take_off_and_on_the_way_to_a_place_and_flow
     assert rig.run(2.0, lambda: gcs.last("MISSION_ACK")), gcs.words
     assert (gcs.last("MISSION_ACK").type, rig.status.state) == (0, "waypoint")
     gcs.command(m.MAV_CMD_MISSION_START)
-    assert rig.run(8.0, lambda: rig.status.reached_count == 1), gcs.words
+    assert rig.run(8.0, lambda: rig.status.reached_waypoint_count == 1), gcs.words
     # While it flies a mission it takes no other.
     gcs.heard.clear()
     gcs.upload([waypoint(0.3, 0, -0.6)])

@@ -9,7 +9,7 @@ from mufly.link import (
     GlobalOrigin,
     MissionItem,
     MissionRefusedError,
-    MissionResult,
+    MissionResultCode,
     mission_from_items,
     mission_to_items,
 )
@@ -116,7 +116,7 @@ def test_places_on_the_globe():
         assert w.position_m == pytest.approx((3.0, -4.0, -1.5), abs=0.012)
         with pytest.raises(MissionRefusedError, match="needs a global origin") as caught:
             mission_from_items((item,), BASE, None)
-        assert caught.value.result is MissionResult.UNSUPPORTED_FRAME
+        assert caught.value.result is MissionResultCode.UNSUPPORTED_FRAME
 
 
 def test_east_north_up():
@@ -127,31 +127,31 @@ def test_east_north_up():
 @pytest.mark.parametrize(
     ("items", "result"),
     [
-        ([waypoint(0, 0, 1.0)], MissionResult.INVALID_PARAM7),
-        ([waypoint(0, 0, -0.1)], MissionResult.INVALID_PARAM7),
-        ([waypoint(0, 0, math.nan)], MissionResult.INVALID_PARAM7),
-        ([waypoint(0, 0, -1, wait=-1)], MissionResult.INVALID_PARAM1),
-        ([waypoint(0, 0, -1, wait=math.inf)], MissionResult.INVALID_PARAM1),
-        ([waypoint(0, 0, -1, heading=400)], MissionResult.INVALID_PARAM4),
-        ([waypoint(0, 0, -1, frame=7)], MissionResult.UNSUPPORTED_FRAME),
-        ([waypoint(0, 0, -1, command=18)], MissionResult.UNSUPPORTED),
-        ([waypoint(0, 0, -1, command=82)], MissionResult.UNSUPPORTED),
-        ([MissionItem(0, 1, 16, x=2**31 - 1, z=-1.0)], MissionResult.INVALID_PARAM5_X),
-        ([MissionItem(0, 1, 16, y=2**31 - 1, z=-1.0)], MissionResult.INVALID_PARAM6_Y),
-        ([waypoint(0, 0, -1), waypoint(0, 0, -1, command=22)], MissionResult.INVALID_SEQUENCE),
+        ([waypoint(0, 0, 1.0)], MissionResultCode.INVALID_PARAM7),
+        ([waypoint(0, 0, -0.1)], MissionResultCode.INVALID_PARAM7),
+        ([waypoint(0, 0, math.nan)], MissionResultCode.INVALID_PARAM7),
+        ([waypoint(0, 0, -1, wait=-1)], MissionResultCode.INVALID_PARAM1),
+        ([waypoint(0, 0, -1, wait=math.inf)], MissionResultCode.INVALID_PARAM1),
+        ([waypoint(0, 0, -1, heading=400)], MissionResultCode.INVALID_PARAM4),
+        ([waypoint(0, 0, -1, frame=7)], MissionResultCode.UNSUPPORTED_FRAME),
+        ([waypoint(0, 0, -1, command=18)], MissionResultCode.UNSUPPORTED),
+        ([waypoint(0, 0, -1, command=82)], MissionResultCode.UNSUPPORTED),
+        ([MissionItem(0, 1, 16, x=2**31 - 1, z=-1.0)], MissionResultCode.INVALID_PARAM5_X),
+        ([MissionItem(0, 1, 16, y=2**31 - 1, z=-1.0)], MissionResultCode.INVALID_PARAM6_Y),
+        ([waypoint(0, 0, -1), waypoint(0, 0, -1, command=22)], MissionResultCode.INVALID_SEQUENCE),
         (
             [waypoint(0, 0, -1), waypoint(0, 0, 0, command=21), waypoint(0, 0, -1)],
-            MissionResult.INVALID_SEQUENCE,
+            MissionResultCode.INVALID_SEQUENCE,
         ),
-        ([waypoint(0, 0, -60, command=22), waypoint(0, 0, -1)], MissionResult.INVALID_PARAM7),
-        ([waypoint(0, 0, -1, command=22)], MissionResult.INVALID),
-        ([MissionItem(0, 2, 178, params=(2, 1, 0, 0)), waypoint(0, 0, -1)], MissionResult.INVALID_PARAM1),
+        ([waypoint(0, 0, -60, command=22), waypoint(0, 0, -1)], MissionResultCode.INVALID_PARAM7),
+        ([waypoint(0, 0, -1, command=22)], MissionResultCode.INVALID),
+        ([MissionItem(0, 2, 178, params=(2, 1, 0, 0)), waypoint(0, 0, -1)], MissionResultCode.INVALID_PARAM1),
         (
             [MissionItem(0, 2, 178, params=(1, math.nan, 0, 0)), waypoint(0, 0, -1)],
-            MissionResult.INVALID_PARAM2,
+            MissionResultCode.INVALID_PARAM2,
         ),
-        ([MissionItem(0, 2, 115, params=(9, 0, 0, 1)), waypoint(0, 0, -1)], MissionResult.INVALID_PARAM4),
-        ([waypoint(0, 0, -1), MissionItem(0, 2, 115, params=(9, 0, 0, 0))], MissionResult.INVALID_SEQUENCE),
+        ([MissionItem(0, 2, 115, params=(9, 0, 0, 1)), waypoint(0, 0, -1)], MissionResultCode.INVALID_PARAM4),
+        ([waypoint(0, 0, -1), MissionItem(0, 2, 115, params=(9, 0, 0, 0))], MissionResultCode.INVALID_SEQUENCE),
     ],
 )
 def test_what_cannot_be_flown_is_refused_with_the_field_to_blame(items, result):
@@ -191,11 +191,11 @@ def test_where_a_fixed_wing_leaves_a_loiter_turns_no_nose(p4):
 @pytest.mark.parametrize(
     ("item", "result", "words"),
     [
-        (MissionItem(0, 10, 16, x=473769000, y=85417000, z=2.0), MissionResult.UNSUPPORTED_FRAME, "terrain"),
-        (MissionItem(0, 11, 22, z=2.0), MissionResult.UNSUPPORTED_FRAME, "terrain"),
-        (MissionItem(0, 2, 93, params=(-1.0, 12.0, 0.0, 0.0)), MissionResult.INVALID_PARAM1, "time of day"),
-        (MissionItem(0, 2, 115, params=(90.0, 0.0, 0.0, 0.5)), MissionResult.INVALID_PARAM4, "absolute"),
-        (MissionItem(0, 2, 206), MissionResult.UNSUPPORTED, "DO_SET_CAM_TRIGG_DIST"),
+        (MissionItem(0, 10, 16, x=473769000, y=85417000, z=2.0), MissionResultCode.UNSUPPORTED_FRAME, "terrain"),
+        (MissionItem(0, 11, 22, z=2.0), MissionResultCode.UNSUPPORTED_FRAME, "terrain"),
+        (MissionItem(0, 2, 93, params=(-1.0, 12.0, 0.0, 0.0)), MissionResultCode.INVALID_PARAM1, "time of day"),
+        (MissionItem(0, 2, 115, params=(90.0, 0.0, 0.0, 0.5)), MissionResultCode.INVALID_PARAM4, "absolute"),
+        (MissionItem(0, 2, 206), MissionResultCode.UNSUPPORTED, "DO_SET_CAM_TRIGG_DIST"),
     ],
 )
 def test_what_an_item_cannot_say_here_is_named(item, result, words):

@@ -19,7 +19,7 @@ from mufly.link import (
     MissionReceiver,
     MissionRequestItem,
     MissionRequestList,
-    MissionResult,
+    MissionResultCode,
     MissionSender,
     mavlink,
     parse_transfer_message,
@@ -78,7 +78,7 @@ def run(channel, ends, start, until_s, t=0.0):
 
 
 class Judge:
-    def __init__(self, result=MissionResult.ACCEPTED):
+    def __init__(self, result=MissionResultCode.ACCEPTED):
         self.delivered, self.result = [], result
 
     def __call__(self, items):
@@ -109,7 +109,7 @@ def test_an_upload_over_the_worst_link_ends_whole_within_a_minute_and_a_half(see
     # Mean: (0.6 s + 1.04 repetitions of about 0.7 s) an item, 33 s for 25.
     assert all(items == mission(n) for items in judge.delivered)
     assert judge.delivered
-    assert station.result == MissionResult.ACCEPTED
+    assert station.result == MissionResultCode.ACCEPTED
     assert took < 90.0
 
 
@@ -138,7 +138,7 @@ def test_a_download_over_the_worst_link_ends_whole(seed, n):
         300.0,
     )
     assert judge.delivered == [mission(n)]
-    assert station.result == MissionResult.ACCEPTED
+    assert station.result == MissionResultCode.ACCEPTED
     assert took < 90.0
 
 
@@ -153,7 +153,7 @@ def test_a_second_mission_in_mid_transfer_is_never_mixed_with_the_first(seed, at
     ends["station"] = second
     run(channel, ends, ("station", second.start(t, hush=True)), t + 200.0, t)
     assert all(items in (mission(n, 1), mission(m, 2)) for items in judge.delivered)
-    if second.result == MissionResult.ACCEPTED:
+    if second.result == MissionResultCode.ACCEPTED:
         assert judge.delivered[-1] == mission(m, 2)
 
 
@@ -173,7 +173,7 @@ def test_a_sender_that_vanishes_leaves_nothing_and_frees_the_receiver(after):
             last = note
         assert t < TRANSFER_TIMEOUT_S + 2.0
     assert vehicle.timed_out
-    assert last == MissionAck(MissionResult.OPERATION_CANCELLED)
+    assert last == MissionAck(MissionResultCode.OPERATION_CANCELLED)
     assert 5 <= asked <= TRANSFER_TIMEOUT_S / 0.25
     assert judge.delivered == []
     vehicle.receive(t + 5.0, "b", MissionCount(1))
@@ -197,9 +197,9 @@ def test_another_peer_in_mid_transfer_is_denied_and_does_not_disturb():
     judge = Judge()
     vehicle = MissionReceiver(judge)
     vehicle.receive(0.0, "a", MissionCount(2))
-    assert vehicle.receive(0.1, "b", MissionCount(2)) == [("b", MissionAck(MissionResult.DENIED))]
+    assert vehicle.receive(0.1, "b", MissionCount(2)) == [("b", MissionAck(MissionResultCode.DENIED))]
     assert vehicle.receive(0.2, "b", mission(2, mark=9)[0]) == []
-    vehicle.receive(0.3, "b", MissionAck(MissionResult.OPERATION_CANCELLED))
+    vehicle.receive(0.3, "b", MissionAck(MissionResultCode.OPERATION_CANCELLED))
     for item in mission(2):
         vehicle.receive(0.4, "a", item)
     assert judge.delivered == [mission(2)]
@@ -229,17 +229,17 @@ def test_an_acknowledgement_that_was_lost_is_given_again_and_the_mission_deliver
 
 
 def test_what_the_judge_refuses_the_sender_hears():
-    judge = Judge(MissionResult.INVALID_PARAM5_X)
+    judge = Judge(MissionResultCode.INVALID_PARAM5_X)
     vehicle, station = MissionReceiver(judge), MissionSender("vehicle", mission(2))
     run(Channel(0), {"vehicle": vehicle, "station": station}, ("station", station.start(0.0)), 20.0)
-    assert station.result == MissionResult.INVALID_PARAM5_X
+    assert station.result == MissionResultCode.INVALID_PARAM5_X
     assert not station.timed_out
 
 
 def test_too_many_items_are_refused_before_any_is_sent():
     judge = Judge()
     vehicle = MissionReceiver(judge)
-    assert vehicle.receive(0.0, "a", MissionCount(65535)) == [("a", MissionAck(MissionResult.NO_SPACE))]
+    assert vehicle.receive(0.0, "a", MissionCount(65535)) == [("a", MissionAck(MissionResultCode.NO_SPACE))]
     assert not vehicle.is_busy
     assert vehicle.receive(9.0, "a", MissionCount(MAX_ITEMS)) == [("a", MissionRequestItem(0))]
 
@@ -256,7 +256,7 @@ def test_a_transfer_can_be_cancelled_from_either_side():
     vehicle.receive(5.0, "station", MissionCount(2))
     ((_, note),) = vehicle.cancel()
     station.receive(5.1, note)
-    assert station.result == MissionResult.OPERATION_CANCELLED
+    assert station.result == MissionResultCode.OPERATION_CANCELLED
     assert not station.timed_out
     assert judge.delivered == []
 
@@ -323,7 +323,7 @@ def test_a_question_is_asked_again_after_a_round_trip_and_a_tenth():
 def test_a_sender_that_begins_anew_stops_the_receiver_until_it_is_silent():
     sender, cancel = (
         MissionSender("vehicle", mission(3)),
-        ("vehicle", MissionAck(MissionResult.OPERATION_CANCELLED)),
+        ("vehicle", MissionAck(MissionResultCode.OPERATION_CANCELLED)),
     )
     assert sender.start(10.0, hush=True) == [cancel]
     # Five times in HUSH_S, and to every question; each question begins the wait anew.
@@ -339,15 +339,15 @@ def test_a_sender_that_begins_anew_stops_the_receiver_until_it_is_silent():
 def test_an_acceptance_that_comes_too_early_belongs_to_another_transfer():
     sender = MissionSender("vehicle", mission(3))
     sender.start(0.0)
-    assert sender.receive(0.1, MissionAck(MissionResult.ACCEPTED)) == []
+    assert sender.receive(0.1, MissionAck(MissionResultCode.ACCEPTED)) == []
     assert sender.result is None
     # Once items have gone out it means that the receiver counts on fewer of them: it never heard how many.
     sender.receive(0.2, MissionRequestItem(0))
-    assert sender.receive(0.3, MissionAck(MissionResult.ACCEPTED)) == [("vehicle", MissionCount(3))]
+    assert sender.receive(0.3, MissionAck(MissionResultCode.ACCEPTED)) == [("vehicle", MissionCount(3))]
     giver = MissionSender("station", mission(3), uploading=False)
     giver.start(0.0)
     giver.receive(0.2, MissionRequestItem(0))
-    assert giver.receive(0.3, MissionAck(MissionResult.ACCEPTED)) == []
+    assert giver.receive(0.3, MissionAck(MissionResultCode.ACCEPTED)) == []
     assert giver.result is None
 
 

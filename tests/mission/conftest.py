@@ -78,7 +78,7 @@ def fly(
     def measure(t):
         attitude = np.array([roll(t) if roll else 0.0, 0.0, psi])
         seen = cast_ranges(
-            world() if callable(world) else world, x, beams_from(x, attitude, plan.ring), plan.ring.max_range
+            world() if callable(world) else world, x, beams_from(x, attitude, plan.beam_ring), plan.beam_ring.max_range
         )
         volts = voltage(t) if voltage else 7.4
         return Estimate(t, x.copy(), v.copy(), attitude, np.zeros(3), seen, volts)

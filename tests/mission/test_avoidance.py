@@ -215,9 +215,11 @@ def test_an_obstacle_met_again_nearby_is_passed_on_the_same_side(away, kept):
         1.0,
         1,
     )  # what blocks it is on the left: it flies to the right
-    before = replace(first, passing_side=-1.0, obstacle_count=2, max_stray=6.0, position=(-away, 0.0, -1.0))
+    before = replace(
+        first, passing_side=-1.0, obstacle_count=2, side_change_deviation_m=6.0, position=(-away, 0.0, -1.0)
+    )
     again = begin_detour(here, still, still, goal, sight, before)
-    assert (again.passing_side, again.obstacle_count, again.max_stray) == (-1.0 if kept else 1.0, 3, 6.0)
+    assert (again.passing_side, again.obstacle_count, again.side_change_deviation_m) == (-1.0 if kept else 1.0, 3, 6.0)
 
 
 @pytest.mark.parametrize(("across", "changes"), [(2.95, False), (3.05, True), (-2.95, False), (-3.05, True)])
@@ -234,7 +236,7 @@ def test_the_other_side_is_tried_3_m_off_the_straight_way(across, changes):
     )
     sight = check_path(memory, here, goal, 0.39, np.inf)
     moved = follow_contour(detour, sight, RING, here, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02)
-    assert (moved.passing_side, moved.max_stray) == ((-1.0, 6.0) if changes else (1.0, 3.0))
+    assert (moved.passing_side, moved.side_change_deviation_m) == ((-1.0, 6.0) if changes else (1.0, 3.0))
 
 
 def test_far_from_what_blocks_its_way_it_makes_straight_for_the_goal():
@@ -253,7 +255,7 @@ def test_far_from_what_blocks_its_way_it_makes_straight_for_the_goal():
     along, across = (float(moved @ u) for u in ((0.6, -0.8), (0.8, 0.6)))
     assert 0.1 < along < 0.5
     assert abs(across) < 0.01
-    assert detour.is_leaving
+    assert detour.is_leaving_contour
     assert detour.is_finished
 
 

@@ -98,7 +98,7 @@ def test_estimate_of_the_demonstration():
     assert estimate.path_m == pytest.approx(3 + 3 * (3 + 1) + 1 + 2)
     assert 60.0 < estimate.duration_s < 100.0
     assert estimate.charge_Ah == pytest.approx(estimate.duration_s * 4.0 / 3600.0)
-    assert estimate.fraction == pytest.approx(estimate.charge_Ah / 0.25)
+    assert estimate.charge_fraction == pytest.approx(estimate.charge_Ah / 0.25)
     times = [leg.reached_s for leg in plan_legs(m)]
     assert times == sorted(times)
 
@@ -187,14 +187,14 @@ def test_the_same_mission_passes_with_more_of_the_battery():
     m = parse_mission(go((55, 0, -1)))
     with pytest.raises(InputError):
         check_mission(m, hover_current_A=4.0, capacity_Ah=0.1)
-    assert check_mission(m, hover_current_A=4.0, capacity_Ah=0.2).fraction < 0.8
+    assert check_mission(m, hover_current_A=4.0, capacity_Ah=0.2).charge_fraction < 0.8
 
 
 def test_prepare_takes_the_vehicle_s_ring_and_battery():
     vehicle = load_vehicle("mufly-1.1")
     plan = prepare_plan(load_mission("demonstration"), vehicle)
     assert plan.low_battery_V == float(vehicle.battery.low_voltage)
-    assert len(plan.ring.cos) == vehicle.range_ring.count
+    assert len(plan.beam_ring.cos) == vehicle.range_ring.count
     assert prepare_plan(parse_mission(go((1, 0, -1), battery={"low_V": 6.5})), vehicle).low_battery_V == 6.5
     with pytest.raises(InputError, match=r"battery\.low_V"):
         prepare_plan(parse_mission(go((1, 0, -1), battery={"low_V": 12.0})), vehicle)

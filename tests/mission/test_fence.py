@@ -11,14 +11,14 @@ from mufly.flight import Flight
 from mufly.mission import (
     Fence,
     SetPoint,
+    describe_fence_violation,
     dump_mission,
-    fence_fault,
     fence_from_items,
     fence_to_items,
     parse_mission,
 )
-from mufly.mission.files.geofence import fence_margins, fence_path_fault
-from mufly.mission.files.mission_items import GlobalOrigin, MissionItem, MissionRefusedError, MissionResult
+from mufly.mission.files.geofence import describe_path_fence_violation, fence_margins
+from mufly.mission.files.mission_items import GlobalOrigin, MissionItem, MissionRefusedError, MissionResultCode
 
 SQUARE = [[-3, -3], [3, -3], [3, 3], [-3, 3]]
 L_SHAPE = ((0.0, 0.0), (4.0, 0.0), (4.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0))
@@ -50,9 +50,9 @@ def test_every_bound_counts_and_the_worst_is_named():
         ((math.nan, 0.0, -1.0), "outside"),
         ((-1.0, 0.5, -1.0), ""),
     ):
-        assert words in fence_fault(fence, place)
-        assert bool(fence_fault(fence, place)) == bool(words)
-    assert fence_fault(None, (0.0, 500.0, -1.0)) == ""
+        assert words in describe_fence_violation(fence, place)
+        assert bool(describe_fence_violation(fence, place)) == bool(words)
+    assert describe_fence_violation(None, (0.0, 500.0, -1.0)) == ""
 
 
 @pytest.mark.parametrize(
@@ -106,15 +106,19 @@ def vertex(first, n=0, e=0, command=5001, frame=1):
 @pytest.mark.parametrize(
     ("items", "result", "words"),
     [
-        ([vertex(3), vertex(3, 1)], MissionResult.INVALID_SEQUENCE, "1 vertices of its polygon are missing"),
-        ([vertex(2), vertex(2, 1)], MissionResult.INVALID_PARAM1, "give 3 or more"),
-        ([vertex(3), vertex(4, 1), vertex(3, 1, 1)], MissionResult.INVALID_PARAM1, "state different counts"),
-        ([vertex(3), vertex(3, 1), vertex(2.0, 1, 1, 5003)], MissionResult.INVALID_SEQUENCE, "missing"),
-        ([vertex(0.0, command=5003)], MissionResult.INVALID_PARAM1, "a radius of 0 m"),
-        ([vertex(math.nan, command=5004)], MissionResult.INVALID_PARAM1, "radius"),
-        ([vertex(5.0, command=5003), vertex(6.0, command=5003)], MissionResult.UNSUPPORTED, "one inclusion polygon"),
-        ([vertex(5.0, command=5003, frame=0)], MissionResult.INVALID_PARAM5_X, "origin"),
-        ([vertex(5.0, command=16)], MissionResult.UNSUPPORTED, "not a fence item"),
+        ([vertex(3), vertex(3, 1)], MissionResultCode.INVALID_SEQUENCE, "1 vertices of its polygon are missing"),
+        ([vertex(2), vertex(2, 1)], MissionResultCode.INVALID_PARAM1, "give 3 or more"),
+        ([vertex(3), vertex(4, 1), vertex(3, 1, 1)], MissionResultCode.INVALID_PARAM1, "state different counts"),
+        ([vertex(3), vertex(3, 1), vertex(2.0, 1, 1, 5003)], MissionResultCode.INVALID_SEQUENCE, "missing"),
+        ([vertex(0.0, command=5003)], MissionResultCode.INVALID_PARAM1, "a radius of 0 m"),
+        ([vertex(math.nan, command=5004)], MissionResultCode.INVALID_PARAM1, "radius"),
+        (
+            [vertex(5.0, command=5003), vertex(6.0, command=5003)],
+            MissionResultCode.UNSUPPORTED,
+            "one inclusion polygon",
+        ),
+        ([vertex(5.0, command=5003, frame=0)], MissionResultCode.INVALID_PARAM5_X, "origin"),
+        ([vertex(5.0, command=16)], MissionResultCode.UNSUPPORTED, "not a fence item"),
     ],
 )
 def test_items_that_are_no_fence_are_refused_with_the_field(items, result, words):
@@ -191,10 +195,10 @@ def test_sticks_that_stay_out_are_stopped_and_may_fly_back():
 
 def test_a_way_through_a_keep_out_zone_is_refused_and_the_way_back_is_not():
     fence = Fence(centre_m=(0.0, 0.0), radius_m=5.0, keep_out_circles_m=((2.0, 0.0, 0.5),))
-    assert "the path leads" in fence_path_fault(fence, (0.0, 0.0, -1.0), (4.0, 0.0, -1.0))
-    assert fence_path_fault(fence, (0.0, 0.0, -1.0), (0.0, 4.0, -1.0)) == ""
-    assert fence_path_fault(fence, (7.0, 0.0, -1.0), (4.0, 0.0, -1.0)) == ""
-    assert fence_path_fault(None, (0.0, 0.0, -1.0), (99.0, 0.0, -1.0)) == ""
+    assert "the path leads" in describe_path_fence_violation(fence, (0.0, 0.0, -1.0), (4.0, 0.0, -1.0))
+    assert describe_path_fence_violation(fence, (0.0, 0.0, -1.0), (0.0, 4.0, -1.0)) == ""
+    assert describe_path_fence_violation(fence, (7.0, 0.0, -1.0), (4.0, 0.0, -1.0)) == ""
+    assert describe_path_fence_violation(None, (0.0, 0.0, -1.0), (99.0, 0.0, -1.0)) == ""
 
 
 def test_a_place_that_a_full_battery_does_not_reach_is_refused():

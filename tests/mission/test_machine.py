@@ -9,7 +9,7 @@ import pytest
 
 from mufly.estimate import AuxiliaryStates, Estimate
 from mufly.mission import (
-    SPIN_UP_S,
+    ROTOR_SPIN_UP_TIME_S,
     Command,
     State,
     fail_and_land,
@@ -136,7 +136,7 @@ def test_take_off_that_gets_stuck_half_way_lands(rig):
 
 def test_a_waypoint_that_cannot_be_reached_fails_the_mission(rig):
     def storm(t):
-        return np.array([0.0, 8.0, 0.0]) if t > SPIN_UP_S + 6.5 else np.zeros(3)
+        return np.array([0.0, 8.0, 0.0]) if t > ROTOR_SPIN_UP_TIME_S + 6.5 else np.zeros(3)
 
     flight = rig.fly(HOP, disturb=storm)
     assert flight.state.outcome == "failed"
@@ -148,21 +148,26 @@ def test_a_waypoint_that_cannot_be_reached_fails_the_mission(rig):
 
 @pytest.mark.parametrize("when", [1.5, 7.5, 10.5, 18.5])
 def test_battery_low_lands_from_any_flying_state(rig, when):
-    flight = rig.fly(SQUARE, voltage=lambda t: 7.4 if t < SPIN_UP_S + when else 5.9)
+    flight = rig.fly(SQUARE, voltage=lambda t: 7.4 if t < ROTOR_SPIN_UP_TIME_S + when else 5.9)
     assert flight.state.outcome == "failed"
     assert flight.state.reason.startswith("battery low: ")
-    assert 1.0 < after(flight, State.LANDING) - SPIN_UP_S - when < 3.0
+    assert 1.0 < after(flight, State.LANDING) - ROTOR_SPIN_UP_TIME_S - when < 3.0
     assert flight.visited[-1] == "init"
 
 
 def test_a_short_sag_of_the_battery_is_ignored(rig):
     # Deep enough for the filtered voltage to be low, for a quarter of a second.
-    flight = rig.fly(HOP, voltage=lambda t: 5.0 if SPIN_UP_S + 5.5 < t < SPIN_UP_S + 6.1 else 7.4)
+    flight = rig.fly(HOP, voltage=lambda t: 5.0 if ROTOR_SPIN_UP_TIME_S + 5.5 < t < ROTOR_SPIN_UP_TIME_S + 6.1 else 7.4)
     assert flight.state.outcome == "succeeded"
 
 
 def test_land_signal(rig):
-    flight = rig.fly(SQUARE, signals=lambda t, s: Command(start=t < 0.2, land=SPIN_UP_S + 13.5 < t < SPIN_UP_S + 13.53))
+    flight = rig.fly(
+        SQUARE,
+        signals=lambda t, s: Command(
+            start=t < 0.2, land=ROTOR_SPIN_UP_TIME_S + 13.5 < t < ROTOR_SPIN_UP_TIME_S + 13.53
+        ),
+    )
     assert flight.visited[-3:] == ["landing", "landing", "init"]
     assert flight.state.outcome == "failed"
     assert flight.state.reason == "land signal with 4 waypoints to go"
@@ -223,9 +228,11 @@ def test_rc_in_flight_and_back(rig):
 
 def test_rc_from_the_floor_and_back_to_it(rig):
     def signals(t, s):
-        return Command(rc_active=t < SPIN_UP_S + 11.0, climb_rate=0.3 if 1.0 < t < SPIN_UP_S + 3.5 else -0.2)
+        return Command(
+            rc_active=t < ROTOR_SPIN_UP_TIME_S + 11.0, climb_rate=0.3 if 1.0 < t < ROTOR_SPIN_UP_TIME_S + 3.5 else -0.2
+        )
 
-    flight = rig.fly(HOP, signals=signals, limit_s=SPIN_UP_S + 18.0)
+    flight = rig.fly(HOP, signals=signals, limit_s=ROTOR_SPIN_UP_TIME_S + 18.0)
     motors = [a for a, b in pairwise([*(r.motors for r in flight.reference), None]) if a != b]
     assert motors == ["off", "spin_up", "fly", "ramp_down", "off"]
     assert min(x[2] for x in flight.position) < -0.4
@@ -364,7 +371,7 @@ def test_oscillating_actuators_end_a_mission_but_not_a_pilots_flight(rig):
         s = fail_and_land(replace(flying, state=state), why)
         assert (s.state, s.outcome, s.motors) == (then, outcome, "fly")
         assert (s.events[-1].text, s.events[-1].level) == (why, "error")
-        assert s.logged_count == flying.logged_count + 1
+        assert s.logged_event_count == flying.logged_event_count + 1
 
 
 def test_rotors_that_lift_it_already_are_spun_up(rig):

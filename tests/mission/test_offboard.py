@@ -12,8 +12,8 @@ from mufly.mission import (
     MIN_WAYPOINT_HEIGHT_M,
     SetPoint,
     TrajectoryLimits,
+    describe_set_point_fault,
     needs_lift_off,
-    set_point_fault,
 )
 from mufly.mission.machine.offboard import follow_set_point
 from mufly.mission.trajectory import TrajectoryPoint
@@ -245,7 +245,7 @@ def test_long_steps_are_taken_in_parts():
     ],
 )
 def test_absurd_set_points_are_named(s, words):
-    assert words in set_point_fault(s)
+    assert words in describe_set_point_fault(s)
 
 
 def test_only_what_leads_up_lifts_off():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mufly.mission.trajectory import make_profile, smooth_step_down, smooth_stop_distance
+from mufly.mission.trajectory import make_motion_profile, smooth_step_down, smooth_stop_distance
 
 way = st.floats(1e-4, 50.0)
 limit = st.floats(0.05, 5.0)
@@ -15,7 +15,7 @@ limit = st.floats(0.05, 5.0)
 
 @given(way, limit, limit)
 def test_keeps_its_limits_and_arrives_at_rest(d, v, a):
-    p = make_profile(d, v, a)
+    p = make_motion_profile(d, v, a)
     n = 400
     samples = [p.evaluate(k / n * p.duration_s) for k in range(n + 1)]
     assert max(s[1] for s in samples) <= v * (1 + 1e-9)
@@ -28,7 +28,7 @@ def test_keeps_its_limits_and_arrives_at_rest(d, v, a):
 
 @given(way, limit, limit, st.floats(0.02, 0.98))
 def test_speed_and_acceleration_are_derivatives(d, v, a, share):
-    p = make_profile(d, v, a)
+    p = make_motion_profile(d, v, a)
     t, h = share * p.duration_s, 1e-5 * p.duration_s
     after, before, now = p.evaluate(t + h), p.evaluate(t - h), p.evaluate(t)
     assert (after[0] - before[0]) / (2 * h) == pytest.approx(now[1], abs=1e-5 * v)
@@ -37,7 +37,7 @@ def test_speed_and_acceleration_are_derivatives(d, v, a, share):
 
 @given(way, limit, limit, st.floats(0.0, 1.0))
 def test_symmetric_in_time(d, v, a, share):
-    p = make_profile(d, v, a)
+    p = make_motion_profile(d, v, a)
     t = share * p.duration_s
     s, ds, dds = p.evaluate(t)
     r, dr, ddr = p.evaluate(p.duration_s - t)
@@ -48,7 +48,7 @@ def test_symmetric_in_time(d, v, a, share):
 
 @given(way, limit, limit)
 def test_uses_one_of_its_limits(d, v, a):
-    p = make_profile(d, v, a)
+    p = make_motion_profile(d, v, a)
     peak = max(abs(p.evaluate(p.ramp_s / 2)[2]), 0.0)
     assert p.peak_speed == pytest.approx(v) or peak == pytest.approx(a)
     # Nothing gets there sooner than at full speed all the way, nor than with infinite jerk.
@@ -57,7 +57,7 @@ def test_uses_one_of_its_limits(d, v, a):
 
 
 def test_no_way_takes_no_time():
-    p = make_profile(0.0, 1.0, 1.0)
+    p = make_motion_profile(0.0, 1.0, 1.0)
     assert p.duration_s == 0.0
     assert p.evaluate(0.5) == (0.0, 0.0, 0.0)
 

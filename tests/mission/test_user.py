@@ -8,7 +8,7 @@ import pytest
 
 from mufly.estimate import Estimate
 from mufly.mission import (
-    SPIN_UP_S,
+    ROTOR_SPIN_UP_TIME_S,
     Command,
     SetPoint,
     State,
@@ -66,7 +66,7 @@ def test_a_take_off_without_mission_and_then_the_mission(rig):
     flight = rig.fly(HOP, signals=Script((0.1, Command(take_off_height=1.0)), (15.0, Command(start=True))))
     assert "the mission begins" in flight.text
     assert (flight.state.outcome, flight.state.reason) == ("succeeded", "mission complete")
-    assert flight.state.reached_count == 1
+    assert flight.state.reached_waypoint_count == 1
 
 
 def test_the_mission_may_be_asked_for_during_the_take_off(rig):
@@ -74,7 +74,10 @@ def test_the_mission_may_be_asked_for_during_the_take_off(rig):
     assert flight.state.reason == "mission complete"
 
 
-@pytest.mark.parametrize("when", [SPIN_UP_S + 2.2, SPIN_UP_S + 3.0, SPIN_UP_S + 7.0, SPIN_UP_S + 12.0])
+@pytest.mark.parametrize(
+    "when",
+    [ROTOR_SPIN_UP_TIME_S + 2.2, ROTOR_SPIN_UP_TIME_S + 3.0, ROTOR_SPIN_UP_TIME_S + 7.0, ROTOR_SPIN_UP_TIME_S + 12.0],
+)
 def test_pause_stops_and_start_goes_on(rig, when):
     script = Script((0.1, Command(start=True)), (when, Command(pause=True)), (when + 8, Command(start=True)))
     flight = rig.fly(SQUARE, signals=script)
@@ -83,7 +86,7 @@ def test_pause_stops_and_start_goes_on(rig, when):
     assert np.ptp(stopped, axis=0).max() < 0.02
     assert set(flight.states[at(flight, when + 2) : at(flight, when + 8)]) == {"hover"}
     assert flight.state.outcome == "succeeded"
-    assert flight.state.reached_count == 4
+    assert flight.state.reached_waypoint_count == 4
     assert all(f"waypoint {k} reached" in flight.text for k in (1, 2, 3, 4))
 
 
@@ -94,7 +97,7 @@ def test_pause_before_lift_off_stops_the_climb_as_soon_as_it_is_off_the_floor(ri
     assert -0.8 < low.min() < low.max() < -0.2  # of the metre that it climbs to
     assert "hover: paused" in flight.text
     assert flight.state.outcome == "succeeded"
-    assert flight.state.reached_count == 1
+    assert flight.state.reached_waypoint_count == 1
 
 
 def test_pause_around_an_obstacle_and_on(rig):
@@ -133,7 +136,7 @@ def test_a_landing_can_be_broken_off_while_it_is_high(rig):
 def test_a_landing_for_a_low_battery_goes_on(rig):
     flight = rig.fly(
         SQUARE,
-        voltage=lambda t: 7.4 if t < SPIN_UP_S + 7.5 else 5.9,
+        voltage=lambda t: 7.4 if t < ROTOR_SPIN_UP_TIME_S + 7.5 else 5.9,
         signals=lambda t, s: Command(start=t < 0.1, pause=s.state is State.LANDING),
     )
     assert flight.visited[-3:] == ["landing", "landing", "init"]
@@ -218,7 +221,9 @@ def test_another_waypoint_of_the_mission_first(rig):
     assert flight.state.outcome == "succeeded"
 
 
-@pytest.mark.parametrize("when", [0.5, SPIN_UP_S + 1.6, SPIN_UP_S + 8.0, SPIN_UP_S + 17.0])
+@pytest.mark.parametrize(
+    "when", [0.5, ROTOR_SPIN_UP_TIME_S + 1.6, ROTOR_SPIN_UP_TIME_S + 8.0, ROTOR_SPIN_UP_TIME_S + 17.0]
+)
 def test_stop_turns_the_motors_off_from_any_state(rig, when):
     script = Script((0.1, Command(start=True)), (when, Command(stop_reason="emergency stop")))
     flight = rig.fly(SQUARE, signals=script)
@@ -279,7 +284,7 @@ def test_a_waypoint_with_its_own_speed(rig):
     assert mission.leg_limits(1).speed == 0.6
     flight = rig.fly(mission)
     speed = np.array([np.hypot(*r.velocity[:2]) for r in flight.reference])
-    out = speed[at(flight, SPIN_UP_S) : next(k for k, x in enumerate(flight.position) if x[0] > 1.9)]
+    out = speed[at(flight, ROTOR_SPIN_UP_TIME_S) : next(k for k, x in enumerate(flight.position) if x[0] > 1.9)]
     assert out.max() == pytest.approx(0.25, abs=1e-6)
     assert speed.max() == pytest.approx(0.6, abs=1e-6)
 
@@ -305,7 +310,7 @@ def test_set_points_in_flight_and_back(rig):
     assert flight.states[k] == "offboard"
     np.testing.assert_allclose(flight.position[k], (0.5, 1.0, -1.5), atol=0.05)
     assert flight.states[at(flight, 39.0)] == "hover"
-    assert (flight.state.outcome, flight.state.reached_count) == ("succeeded", 4)
+    assert (flight.state.outcome, flight.state.reached_waypoint_count) == ("succeeded", 4)
 
 
 def test_a_stream_that_ends_at_speed_comes_to_rest_smoothly(rig):
@@ -387,6 +392,6 @@ def test_the_log_stays_short_and_counts_on(rig):
             Estimate(t, *([*map(np.copy, (m.position, m.velocity, m.attitude, m.rates))]), m.ranges, 7.4),
             Command(rc_active=bool(k % 2)),
         )
-    assert s.logged_count == 1000
+    assert s.logged_event_count == 1000
     assert len(s.events) == LOG_CAPACITY
     assert s.events[-1].text.startswith("RC")

@@ -14,7 +14,7 @@ from mufly.flight import TunableParameter
 from mufly.link import mavlink
 from mufly.link import mission_to_items as items_of_mission
 from mufly.link.mission_transfer import MissionItem
-from mufly.mission import compute_timing, load_mission, parse_mission
+from mufly.mission import compute_mission_timing, load_mission, parse_mission
 from mufly.mission.files.mission_items import GlobalOrigin
 from mufly.station import SignalHistory, VehicleSnapshot
 from mufly.station.mission_endurance import estimate_mission_duration
@@ -115,14 +115,14 @@ def test_the_check_reckons_as_mission_check_does():
         lim = {"LIM_SPEED": mission.limits.speed_m_s, "LIM_CLIMB": mission.limits.climb_m_s}
         at = replace(Estimate(), position=np.array([*mission.start_m, 0.0]), attitude=np.zeros(3))
         plan = estimate_mission_duration(items, VehicleSnapshot(estimate=at), limits_told(lim), base=mission)
-        assert plan.duration_s == pytest.approx(compute_timing(mission).landed_s, abs=0.1)
+        assert plan.duration_s == pytest.approx(compute_mission_timing(mission).landed_s, abs=0.1)
         assert plan.assumptions == ""
 
 
 def test_a_mission_under_way_needs_what_is_left_of_it():
     mission = parse_mission({"waypoint": [{"position_m": [4.0, 0.0, -1.0]}, {"position_m": [0.0, 0.0, -1.0]}]})
     items = items_of_mission(mission).items
-    timing = compute_timing(mission)
+    timing = compute_mission_timing(mission)
     for row, gone in (
         (1, timing.take_off_done_s),
         (2, timing.legs[0].departure_s),

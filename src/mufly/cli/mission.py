@@ -53,7 +53,7 @@ def show(mission: _MissionArgument = "demonstration", as_json: JsonOption = Fals
     Times count from the start signal: rotors speeding up, reference trajectories, settling at each waypoint, waits, \
 and the way around obstacles that the file names.
     """
-    from mufly.mission import compute_timing, dump_mission, fence_outlines, load_mission
+    from mufly.mission import compute_mission_timing, dump_mission, fence_outlines, load_mission
 
     m = load_mission(mission)
     if toml:
@@ -93,7 +93,7 @@ and the way around obstacles that the file names.
     if m.fence is not None:
         ceiling = "no ceiling" if m.fence.ceiling_m is None else f"ceiling {m.fence.ceiling_m:g} m"
         print_lines(f"Geofence: {len(fence_outlines(m.fence))} zones, {ceiling}; outside it, {m.fence.action}.")
-    timing = compute_timing(m)
+    timing = compute_mission_timing(m)
     print_lines(f"About {timing.landed_s:.0f} s and {timing.path_length_m:.1f} m, the landing included.")
     print_lines(
         f"Path: {m.path.kind}, at most {m.trajectory_limits.speed:g} m/s, {how}; at the end it {end}.",
@@ -134,12 +134,12 @@ def check(mission: _MissionArgument, vehicle: VehicleOption = "mufly-1.1", as_js
                 "vehicle": v.name,
                 **select_fields(estimate, "duration_s path_m"),
                 "charge_As": 3600.0 * estimate.charge_Ah,
-                "charge_fraction": estimate.fraction,
+                "charge_fraction": estimate.charge_fraction,
             }
         )
     make_console().print(
         f"[bold]{m.name}[/bold] can be flown by [bold]{v.name}[/bold]: {len(m.waypoint)} waypoints, "
-        f"{estimate.path_m:.1f} m, about {estimate.duration_s:.0f} s, {estimate.fraction:.0%} of the battery."
+        f"{estimate.path_m:.1f} m, about {estimate.duration_s:.0f} s, {estimate.charge_fraction:.0%} of the battery."
     )
     if m.description.startswith(GROUND_FILE_DESCRIPTION):
         print_lines(f"Read {m.description}.", style="dim")

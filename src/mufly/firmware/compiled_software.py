@@ -38,7 +38,7 @@ def diff_fields(ours: Any, theirs: Any, where: str = "") -> list[str]:
         # The content of unused rows is arbitrary in both languages.
         pairs = [
             ("used", ours.point_count, theirs.point_count),
-            ("turn", ours.replace_index, theirs.replace_index),
+            ("turn", ours.next_replaced_row, theirs.next_replaced_row),
             ("points", ours.points[: ours.point_count], theirs.points[: theirs.point_count]),
         ]
     elif is_dataclass(ours) and type(ours) is type(theirs):
@@ -171,10 +171,12 @@ class FirmwareSoftware(FlightSoftware):
         return board is not None and bool(self.firmware.lib.software_flying(board.software_record))
 
     @property
-    def logged_count(self) -> int:
+    def logged_event_count(self) -> int:
         """Return the number of log entries so far."""
         return (
-            0 if self._software_instance is None else int(self._software_instance.software_record.mission.logged_count)
+            0
+            if self._software_instance is None
+            else int(self._software_instance.software_record.mission.logged_event_count)
         )
 
     @property
@@ -289,17 +291,17 @@ class ComparedSoftware(FlightSoftware):
     @property
     def log_entry_count(self) -> int:
         """Return the number of compared log entries."""
-        return self.mission_state.logged_count
+        return self.mission_state.logged_event_count
 
     def step(self, estimate: Estimate, command: Command) -> Actuators:
         """Advance by one period."""
         if self._software_instance is None:
             self._software_instance = SoftwareInstance(self.firmware, self._controller, self.plan)
-        board, logged = self._software_instance, self.mission_state.logged_count
+        board, logged = self._software_instance, self.mission_state.logged_event_count
         ours, theirs = super().step(estimate, command), board.step(estimate, command)
         wrong = diff_fields(ours.input_array, theirs.input_array, "actuators")
         wrong += diff_fields(self._reference, board.reference, "reference")
-        if self._late_s == 0.0 or self.mission_state.logged_count != logged:
+        if self._late_s == 0.0 or self.mission_state.logged_event_count != logged:
             wrong += diff_fields(self.mission_state, board.state, "mission")
         self.period_count += 1
         self.mismatch_count += bool(wrong)

@@ -171,7 +171,7 @@ class SoftwareInstance:
 
     def write_ranges(self, ranges: NDArray[np.floating[Any]]) -> None:
         """Copy the range readings (m) into the estimate's record; missing beams get the maximum range."""
-        ring = self._plan_record.ring
+        ring = self._plan_record.beam_ring
         count = min(len(ranges), ring.count)
         self.estimate_record.ranges[0 : ring.count] = [
             *ranges.tolist()[:count],
@@ -196,7 +196,7 @@ class SoftwareInstance:
     @property
     def beam_count(self) -> int:
         """Return the number of beams of the range ring."""
-        return int(self._plan_record.ring.count)
+        return int(self._plan_record.beam_ring.count)
 
     def prepare_compiled_periods(self, law: FirmwareControllers) -> None:
         """Set the current gains and an empty command, for periods computed by the compiled loop."""
@@ -235,9 +235,9 @@ class SoftwareInstance:
         """Read the log entries since the last call."""
         s = self.software_record.mission
         kept = len(s.log)
-        if s.logged_count < self._log_count:
+        if s.logged_event_count < self._log_count:
             self._events, self._log_count = (), 0
-        for k in range(max(self._log_count, s.logged_count - kept), s.logged_count):
+        for k in range(max(self._log_count, s.logged_event_count - kept), s.logged_event_count):
             e = s.log[k % kept]
             self._events = (
                 *self._events[1 - LOG_CAPACITY :],
@@ -248,7 +248,7 @@ class SoftwareInstance:
                     _LOG_LEVELS[e.level],
                 ),
             )
-        self._log_count = s.logged_count
+        self._log_count = s.logged_event_count
 
     def sensor_reason(self, b: Any) -> str:
         """Return the text of the reason in a ``message_sensor_t``."""
@@ -300,11 +300,11 @@ class SoftwareInstance:
             manual=s.manual,
             has_taken_off=s.has_taken_off,
             mission_begun=s.mission_begun,
-            reached_count=s.reached_count,
+            reached_waypoint_count=s.reached_waypoint_count,
             abort_reason=self.format_message(s.abort_reason),
             returning_home=s.returning_home,
             events=self._events,
-            logged_count=self._log_count,
+            logged_event_count=self._log_count,
             home_position=tuple(s.home_position),
             hold_position=tuple(s.hold_position),
             goal=tuple(s.goal),
@@ -313,7 +313,7 @@ class SoftwareInstance:
             hover_until_s=s.hover_until_s,
             descent_rate=s.descent_rate,
             descent_acceleration=s.descent_acceleration,
-            still_duration_s=s.still_duration_s,
+            rest_duration_s=s.rest_duration_s,
             touchdown_speed=s.touchdown_speed,
             battery_V=s.battery_V,
             low_battery_duration_s=s.low_battery_duration_s,
@@ -332,7 +332,7 @@ class SoftwareInstance:
 
     def _read_obstacle_map(self, m: FFI.CData) -> ObstacleMap:
         raw = np.frombuffer(self.firmware.ffi.buffer(m.points), dtype=self.firmware.real_dtype)
-        return ObstacleMap(raw.reshape(MAP_CAPACITY, 4).astype(np.float64), m.point_count, m.replace_index)
+        return ObstacleMap(raw.reshape(MAP_CAPACITY, 4).astype(np.float64), m.point_count, m.next_replaced_row)
 
     @property
     def reference(self) -> Reference:
@@ -406,16 +406,16 @@ def read_path_check(s: FFI.CData) -> PathCheck:
         goal_n,
         goal_e,
         s.look_ahead_m,
-        s.points_checked,
+        s.checked_point_count,
         s.path_distance_sq,
-        s.onward_distance_sq,
+        s.initial_path_distance_sq,
         s.goal_distance_sq,
         s.lateral_offset_sum,
         s.blocking_point_count,
         s.nearest_blocking_distance_sq,
         block_n,
         block_e,
-        np.array([list(row) for row in s.nearest_points]),
+        np.array([list(row) for row in s.nearest_point_by_sector]),
     )
 
 
@@ -428,14 +428,14 @@ def read_detour(d: FFI.CData) -> Detour:
         tuple(d.hit_point),
         d.hit_goal_distance,
         obstacle_count=d.obstacle_count,
-        max_stray=d.max_stray,
-        clear_duration_s=d.clear_duration_s,
-        anchor_point=tuple(d.anchor_point),
-        anchor_duration_s=d.anchor_duration_s,
-        lap_start=tuple(d.lap_start) if d.has_lap_start else None,
+        side_change_deviation_m=d.side_change_deviation_m,
+        path_clear_duration_s=d.path_clear_duration_s,
+        stuck_check_point=tuple(d.stuck_check_point),
+        stuck_duration_s=d.stuck_duration_s,
+        lap_start_point=tuple(d.lap_start_point) if d.has_lap_start else None,
         lap_count=d.lap_count,
-        lap_distance=d.lap_distance,
-        least_goal_distance=d.least_goal_distance,
-        is_leaving=d.is_leaving,
+        lap_distance_m=d.lap_distance_m,
+        lap_min_goal_distance_m=d.lap_min_goal_distance_m,
+        is_leaving_contour=d.is_leaving_contour,
         obstacle_point=tuple(d.obstacle_point),
     )

@@ -10,7 +10,7 @@ import numpy as np
 from mufly.errors import InputError
 from mufly.estimate import Estimate
 from mufly.flight.estimator_health import describe_check, sensor_checks
-from mufly.mission import Mission, check_geometry, check_mission, start_fault
+from mufly.mission import Mission, check_geometry, check_mission, describe_start_fault
 from mufly.world import World, obstacle_distance, obstacle_distances
 
 BATTERY_MARGIN_V = 0.2
@@ -75,7 +75,7 @@ def find_arming_faults(
         why.append(f"estimate is not valid{because}; leave the vehicle at rest")
     if missing:
         return why
-    tilted = start_fault(replace(m, valid=True))
+    tilted = describe_start_fault(replace(m, valid=True))
     if tilted:
         why.append(f"{tilted}; set the vehicle on level ground, or check the accelerometers")
     if m.auxiliary_states is not None and standing_m is not None:
@@ -138,7 +138,7 @@ def check_mission_start(
     Parameters
     ----------
     mission : Mission
-        Mission with the limits of the flight (:func:`mufly.mission.reduce_limits`).
+        Mission with the limits of the flight (:func:`mufly.mission.reduce_mission_limits`).
     standing : (2,) tuple
         Position of the vehicle, N, E (m).
     heading : float

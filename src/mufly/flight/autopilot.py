@@ -47,13 +47,13 @@ from mufly.mission import (
     State,
     VehicleRequest,
     deny_request,
-    fence_depth,
-    fence_fault,
-    fence_path_fault,
+    describe_fence_violation,
+    describe_path_fence_violation,
+    describe_set_point_fault,
+    describe_start_fault,
+    describe_user_waypoint_fault,
+    distance_inside_fence,
     reject_temporarily,
-    set_point_fault,
-    start_fault,
-    user_waypoint_fault,
 )
 from mufly.mission.files.geofence import FENCE_MARGIN_M
 from mufly.vehicle import Vehicle
@@ -196,7 +196,7 @@ class Autopilot:
         software = self.software
         self._sent = software.step(estimate, NO_COMMAND)
         self._armed = software.is_armed
-        if software.logged_count != self._logged:
+        if software.logged_event_count != self._logged:
             self._forward_mission_events()
         return self._sent
 
@@ -266,7 +266,7 @@ class Autopilot:
     def _check_after_step(self) -> None:
         """Forward events, check the fence, leave offboard control and disarm, after a step of the mission logic."""
         software = self.software
-        if software.logged_count != self._logged:
+        if software.logged_event_count != self._logged:
             self._forward_mission_events()
         ran, self._ran = self._ran, software.motors != "off"
         if self._offboard and software.state not in ("offboard", "init"):
@@ -290,10 +290,10 @@ class Autopilot:
             self._breach = ""
             return
         before = self._breach
-        self._breach = fence_fault(fence, m.position, FENCE_RETURN_MARGIN_M if before else 0.0)
+        self._breach = describe_fence_violation(fence, m.position, FENCE_RETURN_MARGIN_M if before else 0.0)
         if before and not self._breach:
             self.log_event("inside the fence again")
-        depth = fence_depth(fence, m.position) if self._breach else 0.0
+        depth = distance_inside_fence(fence, m.position) if self._breach else 0.0
         if not self._breach or (before and depth > self._breach_depth - FENCE_REPEAT_DEPTH_M):
             return
         self._breach_depth = depth
@@ -380,7 +380,9 @@ class Autopilot:
             return reject_temporarily(why[0] + more)
         self._armed, self._armed_s = True, self._now
         beware = (
-            preflight_warning(self._estimate, self.software.plan.ring.max_range) if self._estimate is not None else ""
+            preflight_warning(self._estimate, self.software.plan.beam_ring.max_range)
+            if self._estimate is not None
+            else ""
         )
         if beware:
             self.log_event(beware, "warning")
@@ -463,7 +465,7 @@ class Autopilot:
             manual=s.manual,
             returning_home=s.returning_home,
             waypoint_index=s.waypoint_index,
-            reached_count=s.reached_count,
+            reached_waypoint_count=s.reached_waypoint_count,
             offboard_active=self._offboard,
             sticks_active=self._sticks is not None,
             outcome=s.outcome,
@@ -488,7 +490,7 @@ class Autopilot:
         self._emit_event(FlightEvent(self._now, str(self.software.mission_state.state), text, level))
 
     def _forward_mission_events(self) -> None:
-        events, logged = self.software.mission_state.events, self.software.mission_state.logged_count
+        events, logged = self.software.mission_state.events, self.software.mission_state.logged_event_count
         fresh = min(logged - self._logged, len(events)) if logged > self._logged else len(events)
         self._logged = logged
         for e in events[len(events) - fresh :]:
@@ -517,13 +519,13 @@ class Autopilot:
         if not answer:
             return answer
         m, mission = self._estimate, self.software.plan.mission
-        fault = "" if m is None or not np.isfinite(m.attitude).all() else start_fault(m)
+        fault = "" if m is None or not np.isfinite(m.attitude).all() else describe_start_fault(m)
         if fault:
             return reject_temporarily(fault)
         if m is not None and np.isfinite(m.position).all():
             place = (float(m.position[0]), float(m.position[1]), float(m.position[2]))
             fault = check_climb_column(mission.world, place, height_m, mission.avoidance.clearance_m)
-            fault = fault or fence_fault(mission.fence, (*place[:2], -height_m), FENCE_MARGIN_M)
+            fault = fault or describe_fence_violation(mission.fence, (*place[:2], -height_m), FENCE_MARGIN_M)
             if fault:
                 return reject_temporarily(f"no take-off to {height_m:g} m here: {fault}")
         return REQUEST_ACCEPTED
@@ -557,7 +559,7 @@ class Autopilot:
             return deny_request("a position needs three numbers: N, E, D in m")
         place = (float(position_m[0]), float(position_m[1]), float(position_m[2]))
         heading = None if heading_rad is None or math.isnan(heading_rad) else float(heading_rad)
-        fault = user_waypoint_fault(place, heading)
+        fault = describe_user_waypoint_fault(place, heading)
         if fault:
             return deny_request(fault)
         mission = self.software.plan.mission
@@ -565,7 +567,9 @@ class Autopilot:
         if fault:
             return deny_request(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
         here = place if self._estimate is None else self._estimate.position
-        fault = fence_fault(mission.fence, place, FENCE_MARGIN_M) or fence_path_fault(mission.fence, here, place)
+        fault = describe_fence_violation(mission.fence, place, FENCE_MARGIN_M) or describe_path_fence_violation(
+            mission.fence, here, place
+        )
         fault = fault or self.energy_check.check_reach(mission, self._estimate, place)
         if fault:
             return deny_request(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
@@ -573,7 +577,7 @@ class Autopilot:
 
     def turn_to(self, heading_rad: float) -> RequestAnswer:
         """Stop and turn on the spot to a heading (rad, from north to east)."""
-        fault = user_waypoint_fault(None, heading_rad)
+        fault = describe_user_waypoint_fault(None, heading_rad)
         if fault:
             return deny_request(fault)
         return self._request_command(VehicleRequest.GO_TO, Command(heading=float(heading_rad)))
@@ -610,11 +614,13 @@ class Autopilot:
 
     def send_set_point(self, s: SetPoint) -> RequestAnswer:
         """Store a set-point, which the vehicle follows while :meth:`set_offboard` is on."""
-        fault = set_point_fault(s)
+        fault = describe_set_point_fault(s)
         fence, place = self.software.requested_mission.fence, s.position_m
         if not fault and fence is not None and place is not None and self._estimate is not None:
             here = self._estimate.position.tolist()
-            fault = fence_fault(fence, [h if math.isnan(p) else p for p, h in zip(place, here, strict=True)])
+            fault = describe_fence_violation(
+                fence, [h if math.isnan(p) else p for p, h in zip(place, here, strict=True)]
+            )
         if fault:
             return deny_request(f"set-point refused: {fault}")
         self._set_point, self._set_point_s = s, self._now
@@ -663,7 +669,7 @@ class Autopilot:
     def load_fence(self, fence: Fence | None) -> RequestAnswer:
         """Load another fence, or none; refused while the vehicle is outside."""
         m = self._estimate
-        if m is not None and np.isfinite(m.position).all() and (fault := fence_fault(fence, m.position)):
+        if m is not None and np.isfinite(m.position).all() and (fault := describe_fence_violation(fence, m.position)):
             return reject_temporarily(f"fence refused: the vehicle is {fault}")
         self.software.change_limits(self.software.requested_mission.with_parts(fence=fence))
         return REQUEST_ACCEPTED

@@ -11,7 +11,7 @@ from mufly.dynamics import hover_current_A
 from mufly.estimate import Estimate
 from mufly.flight.arming import check_mission_start
 from mufly.mission import Mission
-from mufly.mission.files.mission_timing import compute_reach_time
+from mufly.mission.files.mission_timing import compute_time_to_land_at
 from mufly.vehicle import Vehicle
 
 FULL_CHARGE = 0.97
@@ -86,7 +86,7 @@ class EnergyCheck:
         """Return why a position is out of reach of a full battery (flight and landing); "" if it is in reach."""
         if m is None or not np.isfinite(m.position).all():
             return ""
-        needed = compute_reach_time(mission, m.position, place)
+        needed = compute_time_to_land_at(mission, m.position, place)
         lasts = 3600.0 * mission.battery.usable * self._capacity_Ah / self.hover_current_A
         if needed <= lasts:
             return ""

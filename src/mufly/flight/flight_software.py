@@ -45,8 +45,8 @@ from mufly.flight.estimator_health import (
 from mufly.flight.oscillation_detector import Oscillation, OscillationDetector, steering_demands
 from mufly.mission import (
     NO_COMMAND,
-    RAMP_DOWN_TIME_S,
-    SPIN_UP_S,
+    ROTOR_RUN_DOWN_TIME_S,
+    ROTOR_SPIN_UP_TIME_S,
     Command,
     LogMessage,
     Mission,
@@ -62,7 +62,7 @@ from mufly.mission import (
     log_event,
     pause_mission,
     prepare_plan,
-    reduce_limits,
+    reduce_mission_limits,
     resume_mission,
     step_mission,
     stop_motors,
@@ -158,13 +158,13 @@ class FlightSoftware:
         InputError
             If the mission does not suit the vehicle; the present mission stays.
         """
-        flown, slower = reduce_limits(mission, controller_limits(self._controller))
+        flown, slower = reduce_mission_limits(mission, controller_limits(self._controller))
         self.plan = prepare_plan(flown, self._vehicle)
         self.requested_mission, self.slowdown_note = mission, slower
 
     def limit_mission(self, mission: Mission) -> Mission:
         """Return a mission with its limits reduced to those of the controllers."""
-        return reduce_limits(mission, controller_limits(self._controller))[0]
+        return reduce_mission_limits(mission, controller_limits(self._controller))[0]
 
     def load_mission(self, mission: Mission) -> None:
         """Load another mission, which begins at its first waypoint when started.
@@ -218,9 +218,9 @@ class FlightSoftware:
         return self.mission_state.state
 
     @property
-    def logged_count(self) -> int:
+    def logged_event_count(self) -> int:
         """Number of entries in the mission's log."""
-        return self.mission_state.logged_count
+        return self.mission_state.logged_event_count
 
     @property
     def finished(self) -> bool:
@@ -253,7 +253,7 @@ class FlightSoftware:
         Actuators
         """
         first = self._watch is None
-        self._watch = check_estimate(self._watch, estimate, self._period_s, self.plan.ring.max_range)
+        self._watch = check_estimate(self._watch, estimate, self._period_s, self.plan.beam_ring.max_range)
         m = self._watch.last_good
         if m.auxiliary_states is not None:
             m = self._smooth.step(m, anew=self._motors == "off")
@@ -370,8 +370,8 @@ class FlightSoftware:
         if knows:  # the timed descent continues from here if the height is lost
             self._since_s = now + self._descent_time_s(height)
         elif height <= TOUCHDOWN_HEIGHT_M:  # touchdown: thrust on the legs would tip the vehicle over
-            self._since_s = min(self._since_s, now - RAMP_DOWN_SKIPPED_SHARE * RAMP_DOWN_TIME_S)
-        left_s = self._since_s + RAMP_DOWN_TIME_S - now
+            self._since_s = min(self._since_s, now - RAMP_DOWN_SKIPPED_SHARE * ROTOR_RUN_DOWN_TIME_S)
+        left_s = self._since_s + ROTOR_RUN_DOWN_TIME_S - now
         if left_s <= 0.0:
             self.mission_state = finish_blind_descent(self.mission_state, now)
             self._reference = replace(self._reference, motors="off")
@@ -416,7 +416,7 @@ class FlightSoftware:
             self._motor_input = spin_up_motor_input(hover_V, elapsed, self._volts)
         elif motors == "ramp_down":
             known = m.auxiliary_states is None  # else the vehicle may slide, and remaining thrust tip it over
-            ahead = 0.0 if known else RAMP_DOWN_SKIPPED_SHARE * RAMP_DOWN_TIME_S
+            ahead = 0.0 if known else RAMP_DOWN_SKIPPED_SHARE * ROTOR_RUN_DOWN_TIME_S
             self._motor_input = ramp_down_motor_input(self._released, elapsed + ahead)
         else:
             self._motor_input = np.zeros(2)
@@ -505,13 +505,13 @@ def spin_up_motor_input(hover_V: _Array, elapsed_s: float, battery_V: float) -> 
     battery_V : float
         Battery voltage (V).
     """
-    share = SPIN_UP_VOLTAGE_SHARE * min(1.0, 2.0 * elapsed_s / SPIN_UP_S)
+    share = SPIN_UP_VOLTAGE_SHARE * min(1.0, 2.0 * elapsed_s / ROTOR_SPIN_UP_TIME_S)
     return np.minimum(share * hover_V / battery_V, 1.0)
 
 
 def ramp_down_motor_input(released: _Array, elapsed_s: float) -> _Array:
     """Return the motor inputs (2,) after touchdown, from ``released`` (2,) to zero within a second."""
-    return released * max(0.0, 1.0 - elapsed_s / RAMP_DOWN_TIME_S)
+    return released * max(0.0, 1.0 - elapsed_s / ROTOR_RUN_DOWN_TIME_S)
 
 
 def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_V: float) -> _Array:
@@ -519,7 +519,7 @@ def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_
 
     They are the fraction ``share`` of the hover voltages ``held_up_V`` (2,), and fall to zero in the last second.
     """
-    return np.minimum(share * min(1.0, left_s / RAMP_DOWN_TIME_S) * held_up_V / battery_V, 1.0)
+    return np.minimum(share * min(1.0, left_s / ROTOR_RUN_DOWN_TIME_S) * held_up_V / battery_V, 1.0)
 
 
 def descent_voltage_share(height_m: float, descent_m_s: float) -> float:

@@ -48,7 +48,7 @@ class FlightState:
         Whether the vehicle is returning home.
     waypoint_index : int
         Index of the present or next waypoint (from 0); the number of waypoints when all are reached.
-    reached_count : int
+    reached_waypoint_count : int
         Number of waypoints reached since take-off.
     offboard_active, sticks_active : bool
         Whether a program's set-points, or the pilot's sticks, are in command.
@@ -99,7 +99,7 @@ class FlightState:
     manual: bool = False
     returning_home: bool = False
     waypoint_index: int = 0
-    reached_count: int = 0
+    reached_waypoint_count: int = 0
     offboard_active: bool = False
     sticks_active: bool = False
     outcome: str = ""

@@ -150,7 +150,7 @@ def _time_limit(mission: Mission, expected: MissionEstimate) -> float:
     """Return the time limit of a flight (s); a longer flight counts as failed."""
     limit = 3.0 * expected.duration_s + 60.0 + len(mission.waypoint) * mission.avoidance.give_up_s
     # A mission that ends in a hover lasts until the battery is low.
-    return limit + expected.duration_s / expected.fraction if mission.at_end == "hover" else limit
+    return limit + expected.duration_s / expected.charge_fraction if mission.at_end == "hover" else limit
 
 
 def _run_flight(

@@ -27,7 +27,7 @@ from mufly.control import FlightController
 from mufly.errors import InputError
 from mufly.flight.controllers import controller_limits, copy_record
 from mufly.flight.flight_software import FlightSoftware
-from mufly.mission import USABLE_LIMIT_SHARE, limits_to_file_units
+from mufly.mission import MISSION_SHARE_OF_CONTROL_LIMITS, limits_to_file_units
 from mufly.vehicle import Vehicle
 
 DEGREES_PER_RADIAN = math.degrees(1.0)
@@ -157,7 +157,10 @@ class TunableParameters(Mapping[str, TunableParameter]):
             greatest = float(self._vehicle.battery.nominal_voltage)
             least = 0.5 * greatest
         elif most is not None:
-            least, greatest = min(least, USABLE_LIMIT_SHARE * most), min(greatest, USABLE_LIMIT_SHARE * most)
+            least, greatest = (
+                min(least, MISSION_SHARE_OF_CONTROL_LIMITS * most),
+                min(greatest, MISSION_SHARE_OF_CONTROL_LIMITS * most),
+            )
         return replace(p, value=self._stored_value(table, key) * _unit_scale(p, table), minimum=least, maximum=greatest)
 
     def set_value(self, name: str, value: float) -> str:

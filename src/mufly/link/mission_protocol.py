@@ -37,7 +37,7 @@ from mufly.mission.files.mission_items import (
     GlobalOrigin,
     MissionItem,
     MissionRefusedError,
-    MissionResult,
+    MissionResultCode,
     MissionWithItems,
     mission_from_items,
     mission_to_items,
@@ -46,9 +46,9 @@ from mufly.mission.files.mission_items import (
 _MAX_DOWNLOADS = 16
 _CLEAR_TIMEOUT_S = 3.0
 _REFUSAL_TEXTS: dict[int, str] = {
-    MissionResult.NO_SPACE: f"mission refused: more than {MAX_ITEMS} items",
-    MissionResult.DENIED: "mission refused: another station is uploading a mission; wait until it is done",
-    MissionResult.UNSUPPORTED: "refused: only missions and fences are supported, no rally points",
+    MissionResultCode.NO_SPACE: f"mission refused: more than {MAX_ITEMS} items",
+    MissionResultCode.DENIED: "mission refused: another station is uploading a mission; wait until it is done",
+    MissionResultCode.UNSUPPORTED: "refused: only missions and fences are supported, no rally points",
 }
 """Reasons of refusals that do not depend on the items."""
 _STATE_NO_MISSION, _STATE_NOT_STARTED, _STATE_ACTIVE, _STATE_PAUSED, _STATE_COMPLETE = 1, 2, 3, 4, 5
@@ -92,7 +92,7 @@ class MissionProtocol:
     def receive(self, now_s: float, station: MessageSource, note: TransferMessage) -> None:
         """Process a station's message; only the commander may start an upload or clear the mission."""
         if isinstance(note, MissionCount | MissionClearAll) and not self._authority.may_command(now_s, station):
-            denied = MissionAck(MissionResult.DENIED, note.mission_type)  # the authority has reported the reason
+            denied = MissionAck(MissionResultCode.DENIED, note.mission_type)  # the authority has reported the reason
             self._clients.send_message(station.peer, to_mavlink(denied, station.system, station.component))
         else:
             self._send_messages(self._cancel_foreign_uploads())
@@ -188,14 +188,14 @@ class MissionProtocol:
     def _handle_message(self, now_s: float, station: MessageSource, note: TransferMessage) -> AddressedMessages:
         kind = note.mission_type
         if kind not in (TYPE_MISSION, TYPE_FENCE, TYPE_RALLY) and not isinstance(note, MissionClearAll):
-            return [] if isinstance(note, MissionAck) else [(station, MissionAck(MissionResult.UNSUPPORTED, kind))]
+            return [] if isinstance(note, MissionAck) else [(station, MissionAck(MissionResultCode.UNSUPPORTED, kind))]
         match note:
             case MissionClearAll():
                 return self._clear_items(now_s, station, kind)
             case MissionRequestList() | MissionRequestItem():
                 return self._serve_download(now_s, station, note)
             case MissionCount() if kind == TYPE_RALLY:
-                result = MissionResult.UNSUPPORTED if note.item_count else MissionResult.ACCEPTED
+                result = MissionResultCode.UNSUPPORTED if note.item_count else MissionResultCode.ACCEPTED
                 return [(station, MissionAck(result, kind))]
             case MissionAck():
                 giver = self._senders.get((station, kind))
@@ -233,9 +233,9 @@ class MissionProtocol:
         answer = self._autopilot.load_fence(fence)
         if not answer:
             self._refused = answer.reason
-            return MissionResult.DENIED if answer.is_temporary else MissionResult.ERROR
+            return MissionResultCode.DENIED if answer.is_temporary else MissionResultCode.ERROR
         self._fence_items = (fence, items)
-        return MissionResult.ACCEPTED
+        return MissionResultCode.ACCEPTED
 
     def _waypoint_from_item(self, item: int) -> int | None:
         """Return the waypoint at which the mission resumes for a given next item; None if there is none."""
@@ -298,11 +298,11 @@ class MissionProtocol:
     def _clear_items(self, now_s: float, station: MessageSource, kind: int) -> AddressedMessages:
         if kind in (TYPE_FENCE, TYPE_ALL):
             result = self._accept_fence(())
-            if kind == TYPE_FENCE or result != MissionResult.ACCEPTED:
+            if kind == TYPE_FENCE or result != MissionResultCode.ACCEPTED:
                 return [(station, MissionAck(result, kind))]
         if kind not in (TYPE_MISSION, TYPE_ALL):
             known = kind == TYPE_RALLY
-            return [(station, MissionAck(MissionResult.ACCEPTED if known else MissionResult.UNSUPPORTED, kind))]
+            return [(station, MissionAck(MissionResultCode.ACCEPTED if known else MissionResultCode.UNSUPPORTED, kind))]
         if self._clearing is not None:
             return []  # a repetition
         if self._autopilot.status.mission_running and self._autopilot.pause():
@@ -330,13 +330,13 @@ class MissionProtocol:
         answer = self._autopilot.load_mission(plan.mission)
         if not answer:
             self._refused = f"mission refused: {answer.reason}"
-            return MissionResult.DENIED if answer.is_temporary else MissionResult.ERROR
+            return MissionResultCode.DENIED if answer.is_temporary else MissionResultCode.ERROR
         self._first = 0
         self.plan, self._told = (
             MissionWithItems(self._autopilot.software.requested_mission, items, plan.waypoint_item_index),
             0,
         )
-        return MissionResult.ACCEPTED
+        return MissionResultCode.ACCEPTED
 
 
 def _refuse_missing_waypoint(item: float) -> RequestAnswer:

@@ -32,7 +32,7 @@ from typing import Any
 
 from mufly.link.codec import MavMessage, mavlink, scale_to_integer
 from mufly.mission.files.mission_items import MissionItem as MissionItem
-from mufly.mission.files.mission_items import MissionResult as MissionResult
+from mufly.mission.files.mission_items import MissionResultCode as MissionResultCode
 
 RETRY_BOUNDS_S = (0.25, 1.5)
 """Least and greatest time until a request is repeated (s); MAVLink recommends 0.25 s for items and 1.5 s otherwise."""
@@ -80,7 +80,7 @@ class MissionRequestItem:
 
 @dataclass(frozen=True, slots=True)
 class MissionAck:
-    """MISSION_ACK; ``result`` is a number of :class:`MissionResult`, or an unknown number."""
+    """MISSION_ACK; ``result`` is a number of :class:`MissionResultCode`, or an unknown number."""
 
     result: int
     mission_type: int = 0
@@ -180,7 +180,7 @@ class MissionReceiver:
     Parameters
     ----------
     judge : callable
-        Called with the complete items; returns the result to acknowledge (:class:`MissionResult` or its number). A
+        Called with the complete items; returns the result to acknowledge (:class:`MissionResultCode` or its number). A
         refusal must leave everything unchanged.
     mission_type : int
         MAV_MISSION_TYPE; messages of other types are ignored.
@@ -243,7 +243,7 @@ class MissionReceiver:
             return self._handle_count(now_s, peer, note)
         if isinstance(note, MissionItem):
             return self._handle_item(now_s, peer, note)
-        if isinstance(note, MissionAck) and peer == self.peer and note.result != MissionResult.ACCEPTED:
+        if isinstance(note, MissionAck) and peer == self.peer and note.result != MissionResultCode.ACCEPTED:
             self._end_transfer(now_s, note.result)
         return []
 
@@ -253,7 +253,7 @@ class MissionReceiver:
             return []
         if self._retry.has_timed_out(now_s):
             self.timed_out = True
-            return self._refuse_transfer(now_s, MissionResult.OPERATION_CANCELLED)
+            return self._refuse_transfer(now_s, MissionResultCode.OPERATION_CANCELLED)
         if now_s < self._settled_s or not self._retry.should_retry(now_s):
             return []
         return [(self.peer, self._next_request(now_s))]
@@ -262,18 +262,18 @@ class MissionReceiver:
         """Cancel the transfer; the peer is informed, no items are handed over."""
         if self.peer is None:
             return []
-        return self._refuse_transfer(self._touched_s, MissionResult.OPERATION_CANCELLED)
+        return self._refuse_transfer(self._touched_s, MissionResultCode.OPERATION_CANCELLED)
 
     def _handle_count(self, now_s: float, peer: Hashable, note: MissionCount) -> AddressedMessages:
         if self._fetching or not self._unasked:
             if not self._fetching or peer != self.peer or self._count is not None:
                 return []
         elif self.is_busy and peer != self.peer:
-            return [(peer, MissionAck(MissionResult.DENIED, self.mission_type))]
+            return [(peer, MissionAck(MissionResultCode.DENIED, self.mission_type))]
         else:
             self._begin_transfer(now_s, peer, fetching=False)
         if note.item_count > self.limit:
-            return self._refuse_transfer(now_s, MissionResult.NO_SPACE)
+            return self._refuse_transfer(now_s, MissionResultCode.NO_SPACE)
         self._count = note.item_count
         if note.item_count == 0:
             return self._finish_transfer(now_s)
@@ -320,7 +320,7 @@ class MissionReceiver:
         self._done = (peer, len(items), result)
         return [(peer, MissionAck(result, self.mission_type))]
 
-    def _refuse_transfer(self, now_s: float, result: MissionResult) -> AddressedMessages:
+    def _refuse_transfer(self, now_s: float, result: MissionResultCode) -> AddressedMessages:
         peer = self.peer
         self._end_transfer(now_s, result)
         return [(peer, MissionAck(result, self.mission_type))]
@@ -415,7 +415,7 @@ class MissionSender:
         if self.result is not None:
             return []
         if self._retry.has_timed_out(now_s):
-            self.timed_out, self.result = True, MissionResult.OPERATION_CANCELLED
+            self.timed_out, self.result = True, MissionResultCode.OPERATION_CANCELLED
             return [(self.peer, self._cancel_message())] if self._uploading else []
         if self._hush_s > -math.inf:
             return self._quiet_receiver(now_s)
@@ -431,7 +431,7 @@ class MissionSender:
         """Cancel the transfer; the receiver is informed."""
         if self.result is not None:
             return []
-        self.result = MissionResult.OPERATION_CANCELLED
+        self.result = MissionResultCode.OPERATION_CANCELLED
         return [(self.peer, self._cancel_message())]
 
     def _quiet_receiver(self, now_s: float) -> AddressedMessages:
@@ -444,9 +444,9 @@ class MissionSender:
         return [(self.peer, self._cancel_message())]
 
     def _handle_ack(self, now_s: float, note: MissionAck) -> AddressedMessages:
-        if note.result == MissionResult.INVALID_SEQUENCE:
+        if note.result == MissionResultCode.INVALID_SEQUENCE:
             return []  # some vehicles answer a doubled item so, and continue
-        if note.result == MissionResult.ACCEPTED and self._served < len(self.items) - 1:
+        if note.result == MissionResultCode.ACCEPTED and self._served < len(self.items) - 1:
             if self._served < 0 or not self._uploading:
                 return []  # late answer to another transfer
             # It expects fewer items than there are: the Count was lost. Repeat it.
@@ -460,4 +460,4 @@ class MissionSender:
         return MissionCount(len(self.items), self.mission_type)
 
     def _cancel_message(self) -> MissionAck:
-        return MissionAck(MissionResult.OPERATION_CANCELLED, self.mission_type)
+        return MissionAck(MissionResultCode.OPERATION_CANCELLED, self.mission_type)

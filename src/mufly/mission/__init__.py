@@ -1,16 +1,16 @@
 """Missions: files, trajectories, obstacle avoidance and the mission state machine."""
 
 from mufly.mission.files.geofence import (
-    fence_depth,
-    fence_fault,
+    describe_fence_violation,
+    describe_path_fence_violation,
+    distance_inside_fence,
     fence_from_items,
     fence_outlines,
-    fence_path_fault,
     fence_to_items,
 )
 from mufly.mission.files.ground_files import FILE_ENDINGS, GROUND_FILE_DESCRIPTION, is_ground_station_text
 from mufly.mission.files.mission_checks import (
-    USABLE_LIMIT_SHARE,
+    MISSION_SHARE_OF_CONTROL_LIMITS,
     MissionEstimate,
     check_geometry,
     check_mission,
@@ -20,34 +20,34 @@ from mufly.mission.files.mission_checks import (
     load_mission,
     parse_mission,
     read_mission_tables,
-    reduce_limits,
+    reduce_mission_limits,
 )
 from mufly.mission.files.mission_schema import (
     MAX_GUST_RMS_M_S,
     MAX_WIND_M_S,
     MIN_WAYPOINT_HEIGHT_M,
-    SPIN_UP_S,
+    ROTOR_SPIN_UP_TIME_S,
     Fence,
     Mission,
     Waypoint,
     limits_to_file_units,
 )
 from mufly.mission.files.mission_timing import (
-    RAMP_DOWN_TIME_S,
+    ROTOR_RUN_DOWN_TIME_S,
     MissionTiming,
     PlannedLeg,
     compute_landing_time,
-    compute_timing,
+    compute_mission_timing,
     plan_legs,
 )
 from mufly.mission.machine.ground_phases import (
     HARD_TOUCHDOWN_M_S,
+    describe_start_fault,
     enter_blind_descent,
     fail_and_land,
     finish_blind_descent,
     has_lifted_off,
     is_tipping,
-    start_fault,
 )
 from mufly.mission.machine.log_messages import LogMessage
 from mufly.mission.machine.mission_state import (
@@ -61,7 +61,7 @@ from mufly.mission.machine.mission_state import (
     log_event,
     prepare_plan,
 )
-from mufly.mission.machine.offboard import MAX_HEIGHT_M, SetPoint, needs_lift_off, set_point_fault
+from mufly.mission.machine.offboard import MAX_HEIGHT_M, SetPoint, describe_set_point_fault, needs_lift_off
 from mufly.mission.machine.state_machine import step_mission, update_obstacle_map
 from mufly.mission.request_checks import (
     GO_AROUND_HEIGHT_M,
@@ -81,7 +81,7 @@ from mufly.mission.trajectory import (
     make_spline,
     plan_straight,
 )
-from mufly.mission.user_requests import pause_mission, resume_mission, stop_motors, user_waypoint_fault
+from mufly.mission.user_requests import describe_user_waypoint_fault, pause_mission, resume_mission, stop_motors
 
 __all__ = [
     "FILE_ENDINGS",
@@ -92,13 +92,13 @@ __all__ = [
     "MAX_HEIGHT_M",
     "MAX_WIND_M_S",
     "MIN_WAYPOINT_HEIGHT_M",
+    "MISSION_SHARE_OF_CONTROL_LIMITS",
     "MOTORS_STOPPING",
     "NO_COMMAND",
     "OFF_FLOOR_HEIGHT_M",
-    "RAMP_DOWN_TIME_S",
     "REQUEST_ACCEPTED",
-    "SPIN_UP_S",
-    "USABLE_LIMIT_SHARE",
+    "ROTOR_RUN_DOWN_TIME_S",
+    "ROTOR_SPIN_UP_TIME_S",
     "Command",
     "CubicSpline",
     "Fence",
@@ -122,16 +122,19 @@ __all__ = [
     "check_preflight",
     "check_request",
     "compute_landing_time",
-    "compute_timing",
+    "compute_mission_timing",
     "deny_request",
+    "describe_fence_violation",
+    "describe_path_fence_violation",
+    "describe_set_point_fault",
+    "describe_start_fault",
+    "describe_user_waypoint_fault",
+    "distance_inside_fence",
     "dump_mission",
     "enter_blind_descent",
     "fail_and_land",
-    "fence_depth",
-    "fence_fault",
     "fence_from_items",
     "fence_outlines",
-    "fence_path_fault",
     "fence_to_items",
     "finish_blind_descent",
     "has_lifted_off",
@@ -150,13 +153,10 @@ __all__ = [
     "plan_straight",
     "prepare_plan",
     "read_mission_tables",
-    "reduce_limits",
+    "reduce_mission_limits",
     "reject_temporarily",
     "resume_mission",
-    "set_point_fault",
-    "start_fault",
     "step_mission",
     "stop_motors",
     "update_obstacle_map",
-    "user_waypoint_fault",
 ]

@@ -47,12 +47,12 @@ MAP_CAPACITY = 160
 POINT_LIFETIME_S = 30.0
 """Time after which a point is removed without a new hit (s)."""
 
-_SEEN_S = 3
+_LAST_HIT_TIME_COLUMN = 3
 """Column of the time of the last hit, after N, E, D."""
-_MERGE_DISTANCE_M = 0.05
-_REPLACE_CANDIDATES = 8
-_FLOOR_HEIGHT_M = 0.12
-_MERGE_HEIGHT_M = 0.15
+_POINT_MERGE_DISTANCE_M = 0.05
+_REPLACE_CANDIDATE_COUNT = 8
+_FLOOR_POINT_HEIGHT_M = 0.12
+_POINT_MERGE_HEIGHT_M = 0.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,10 +115,10 @@ def insert_beam_hits(
     first, count : int
         First beam and number of beams to add, in cyclic order. All by default.
     """
-    known = _insert_hits(
+    known = _insert_hit_points(
         memory.points,
         memory.point_count,
-        memory.replace_index,
+        memory.next_replaced_row,
         time_s,
         position,
         attitude,
@@ -136,12 +136,12 @@ def insert_beam_hits(
 class ObstacleMap:
     """Points that beams have hit: the first ``point_count`` rows hold N, E, D (m) and the time of the last hit (s).
 
-    In a full map a new point replaces the oldest of eight, from row ``replace_index`` on.
+    In a full map a new point replaces the oldest of eight, from row ``next_replaced_row`` on.
     """
 
     points: _Array
     point_count: int = 0
-    replace_index: int = 0
+    next_replaced_row: int = 0
 
     @staticmethod
     def empty() -> ObstacleMap:
@@ -155,7 +155,7 @@ def _planar_length(x: float, y: float) -> float:
 
 
 @cached_njit
-def _insert_hits(
+def _insert_hit_points(
     old: _Array,
     used: int,
     turn: int,
@@ -182,13 +182,16 @@ def _insert_hits(
         n = x[0] + reach * (cos[i] * cp * cy + sin[i] * (sr * sp * cy - cr * sy))
         e = x[1] + reach * (cos[i] * cp * sy + sin[i] * (sr * sp * sy + cr * cy))
         d = x[2] + reach * (-cos[i] * sp + sin[i] * sr * cp)
-        if d > -_FLOOR_HEIGHT_M:
+        if d > -_FLOOR_POINT_HEIGHT_M:
             continue
         known = False
         for k in range(used):
             dn, de = points[k, 0] - n, points[k, 1] - e
-            if dn * dn + de * de < _MERGE_DISTANCE_M * _MERGE_DISTANCE_M and abs(points[k, 2] - d) < _MERGE_HEIGHT_M:
-                points[k, _SEEN_S] = time
+            if (
+                dn * dn + de * de < _POINT_MERGE_DISTANCE_M * _POINT_MERGE_DISTANCE_M
+                and abs(points[k, 2] - d) < _POINT_MERGE_HEIGHT_M
+            ):
+                points[k, _LAST_HIT_TIME_COLUMN] = time
                 known = True
         if not known:
             row = 0
@@ -197,16 +200,16 @@ def _insert_hits(
                 used += 1
             else:
                 row = turn
-                for k in range(turn, turn + _REPLACE_CANDIDATES):
-                    if points[k, _SEEN_S] < points[row, _SEEN_S]:
+                for k in range(turn, turn + _REPLACE_CANDIDATE_COUNT):
+                    if points[k, _LAST_HIT_TIME_COLUMN] < points[row, _LAST_HIT_TIME_COLUMN]:
                         row = k
-                turn = turn + _REPLACE_CANDIDATES if turn + _REPLACE_CANDIDATES < MAP_CAPACITY else 0
-            points[row, 0], points[row, 1], points[row, 2], points[row, _SEEN_S] = n, e, d, time
+                turn = turn + _REPLACE_CANDIDATE_COUNT if turn + _REPLACE_CANDIDATE_COUNT < MAP_CAPACITY else 0
+            points[row, 0], points[row, 1], points[row, 2], points[row, _LAST_HIT_TIME_COLUMN] = n, e, d, time
     return points, used, turn
 
 
 @cached_njit
-def _distance_beyond(along: float, stretch: float) -> float:
+def _distance_outside_interval(along: float, stretch: float) -> float:
     """Return the signed distance before or after a stretch; 0 within it."""
     if along < 0.0:
         return along
@@ -217,24 +220,24 @@ def _distance_beyond(along: float, stretch: float) -> float:
 # Evaluation of stored points for a path: distance, blocking, permitted approach speed.
 
 
-LOOK_AHEAD_M = 1.2
+PATH_LOOK_AHEAD_M = 1.2
 """Distance along the path within which obstacles count (m)."""
 
-_LEAVING_CLEAR_M = LOOK_AHEAD_M + 0.3
+_CLEAR_PATH_TO_LEAVE_M = PATH_LOOK_AHEAD_M + 0.3
 """Length of clear path required to leave a contour (m)."""
 
-BLOCKED_MARGIN_M = 0.05
+BLOCKED_PATH_MARGIN_M = 0.05
 """A path is blocked by points closer than the clearance plus this margin (m)."""
 
-_APPROACH_GAIN = 0.8
+_APPROACH_SPEED_PER_DISTANCE = 0.8
 """lambda (1/s): slow enough for the position loop's lag of 0.3 s."""
 
-_RELEVANT_HEIGHT_M = 0.5
+_MAX_HEIGHT_DIFFERENCE_M = 0.5
 
 
-_NEAR_RANGE_M = 2.0
+_NEAREST_POINT_RANGE_M = 2.0
 SECTOR_COUNT = 16
-_SECTOR_SLOPE = math.sqrt(2.0) - 1.0  # tan(pi / 8)
+_SECTOR_BOUNDARY_SLOPE = math.sqrt(2.0) - 1.0  # tan(pi / 8)
 
 
 class PathCheck(NamedTuple):
@@ -246,12 +249,12 @@ class PathCheck(NamedTuple):
         Start of the path (m).
     goal_north, goal_east, look_ahead_m : float
         Goal, and length of path that is checked (m).
-    points_checked : int
+    checked_point_count : int
         Number of points checked so far.
     path_distance_sq : float
         Square of the least distance of any point from the checked path (m2); may be infinite if beyond twice the
         blocking distance.
-    onward_distance_sq : float
+    initial_path_distance_sq : float
         Likewise for the first 1.5 m of the path.
     goal_distance_sq : float
         Square of the least distance of any point from the goal (m2).
@@ -261,7 +264,7 @@ class PathCheck(NamedTuple):
         Number of blocking points.
     nearest_blocking_distance_sq, nearest_blocking_north, nearest_blocking_east : float
         Nearest blocking point: square of its distance (m2), position (m).
-    nearest_points : (16, 2) array
+    nearest_point_by_sector : (16, 2) array
         Nearest point within 2 m at about this height in each of sixteen directions, N and E (m); infinite without a
         point. Other points in that direction hardly tighten the velocity limit.
     """
@@ -272,16 +275,16 @@ class PathCheck(NamedTuple):
     goal_north: float
     goal_east: float
     look_ahead_m: float
-    points_checked: int
+    checked_point_count: int
     path_distance_sq: float
-    onward_distance_sq: float
+    initial_path_distance_sq: float
     goal_distance_sq: float
     lateral_offset_sum: float
     blocking_point_count: int
     nearest_blocking_distance_sq: float
     nearest_blocking_north: float
     nearest_blocking_east: float
-    nearest_points: _Array
+    nearest_point_by_sector: _Array
 
     @property
     def mean_blocking_offset(self) -> float:
@@ -290,23 +293,23 @@ class PathCheck(NamedTuple):
 
     def nearest_point(self, place: tuple[float, ...]) -> tuple[float, float, float]:
         """Return the distance of the nearest point from a place N, E (m), and the unit vector N, E to the place."""
-        return _find_nearest(self.nearest_points, place[0], place[1])
+        return _find_nearest_point(self.nearest_point_by_sector, place[0], place[1])
 
     def nearest_blocking_point(self, place: tuple[float, ...]) -> tuple[float, float, float]:
         """Return the same as :meth:`nearest_point`, for the blocking point."""
         if self.nearest_blocking_distance_sq == math.inf:
             return math.inf, 0.0, 0.0
-        return _distance_and_direction(self.nearest_blocking_north, self.nearest_blocking_east, place[0], place[1])
+        return _distance_and_unit_vector(self.nearest_blocking_north, self.nearest_blocking_east, place[0], place[1])
 
 
-def begin_path_check(position: Sequence[float], goal: Sequence[float], ahead: float = LOOK_AHEAD_M) -> PathCheck:
+def begin_path_check(position: Sequence[float], goal: Sequence[float], ahead: float = PATH_LOOK_AHEAD_M) -> PathCheck:
     """Return an empty check of the path from a position to a goal (N, E, D; m), over at most ``ahead`` metres."""
     n, e, d = position
     none = math.inf
-    return PathCheck(n, e, d, goal[0], goal[1], ahead, 0, none, none, none, 0.0, 0, none, 0.0, 0.0, _NO_NEAR_POINTS)
+    return PathCheck(n, e, d, goal[0], goal[1], ahead, 0, none, none, none, 0.0, 0, none, 0.0, 0.0, _NO_NEAREST_POINTS)
 
 
-_NO_NEAR_POINTS = np.full((SECTOR_COUNT, 2), np.inf)
+_NO_NEAREST_POINTS = np.full((SECTOR_COUNT, 2), np.inf)
 EMPTY_PATH_CHECK = begin_path_check((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 """Path check without any point."""
 
@@ -318,12 +321,15 @@ def _sector_index(n: float, e: float) -> int:
     steep = an < ae
     long, short = (ae, an) if steep else (an, ae)
     return (
-        (1 if n < 0.0 else 0) + (2 if e < 0.0 else 0) + (4 if steep else 0) + (8 if short > _SECTOR_SLOPE * long else 0)
+        (1 if n < 0.0 else 0)
+        + (2 if e < 0.0 else 0)
+        + (4 if steep else 0)
+        + (8 if short > _SECTOR_BOUNDARY_SLOPE * long else 0)
     )
 
 
 @cached_njit
-def _find_nearest(near: _Array, n: float, e: float) -> tuple[float, float, float]:
+def _find_nearest_point(near: _Array, n: float, e: float) -> tuple[float, float, float]:
     least, row = np.inf, -1
     for k in range(near.shape[0]):
         dn, de = n - near[k, 0], e - near[k, 1]
@@ -332,7 +338,7 @@ def _find_nearest(near: _Array, n: float, e: float) -> tuple[float, float, float
             least, row = square, k
     if row < 0:
         return np.inf, 0.0, 0.0
-    return _distance_and_direction(near[row, 0], near[row, 1], n, e)
+    return _distance_and_unit_vector(near[row, 0], near[row, 1], n, e)
 
 
 def check_map_part(
@@ -352,23 +358,23 @@ def check_map_part(
     part, parts : int
         Number of this part (from 1) and of all parts; after the last part all points are checked.
     """
-    points, used, seen = _check_points(
-        memory.points, memory.point_count, sight, time_s, clearance + BLOCKED_MARGIN_M, part, parts
+    points, used, seen = _check_points_against_path(
+        memory.points, memory.point_count, sight, time_s, clearance + BLOCKED_PATH_MARGIN_M, part, parts
     )
-    return ObstacleMap(points, used, memory.replace_index), seen
+    return ObstacleMap(points, used, memory.next_replaced_row), seen
 
 
 def is_path_blocked(sight: PathCheck, clearance: float) -> bool:
     """Return whether a point blocks the path."""
-    at = clearance + BLOCKED_MARGIN_M
+    at = clearance + BLOCKED_PATH_MARGIN_M
     return sight.path_distance_sq < at * at
 
 
 @cached_njit
-def _check_points(
+def _check_points_against_path(
     old: _Array, used: int, s: PathCheck, time: float, blocked_at: float, part: int, parts: int
 ) -> tuple[_Array, int, PathCheck]:
-    points, near = old.copy(), s.nearest_points.copy()
+    points, near = old.copy(), s.nearest_point_by_sector.copy()
     n, e = s.from_north, s.from_east
     wn, we = s.goal_north - n, s.goal_east - e
     length = _planar_length(wn, we)
@@ -378,29 +384,29 @@ def _check_points(
         wn, we = 1.0, 0.0
     stretch = s.look_ahead_m if s.look_ahead_m < length else length
     wide = 2.0 * blocked_at
-    first = _LEAVING_CLEAR_M if stretch > _LEAVING_CLEAR_M else stretch
+    first = _CLEAR_PATH_TO_LEAVE_M if stretch > _CLEAR_PATH_TO_LEAVE_M else stretch
     way, onward, goal, across_all, count = (
         s.path_distance_sq,
-        s.onward_distance_sq,
+        s.initial_path_distance_sq,
         s.goal_distance_sq,
         s.lateral_offset_sum,
         s.blocking_point_count,
     )
     block, bn, be = s.nearest_blocking_distance_sq, s.nearest_blocking_north, s.nearest_blocking_east
-    k = s.points_checked
+    k = s.checked_point_count
     end = used * part // parts
     while k < end and k < used:
-        if time - points[k, _SEEN_S] > POINT_LIFETIME_S:
+        if time - points[k, _LAST_HIT_TIME_COLUMN] > POINT_LIFETIME_S:
             used -= 1
             points[k] = points[used]
             continue
         pn, pe, height = points[k, 0], points[k, 1], points[k, 2]
         k += 1
-        if abs(height - s.from_down) > _RELEVANT_HEIGHT_M:
+        if abs(height - s.from_down) > _MAX_HEIGHT_DIFFERENCE_M:
             continue
         qn, qe = pn - n, pe - e
         square = qn * qn + qe * qe
-        if square < _NEAR_RANGE_M * _NEAR_RANGE_M:
+        if square < _NEAREST_POINT_RANGE_M * _NEAREST_POINT_RANGE_M:
             sector = _sector_index(qn, qe)
             on, oe = near[sector, 0] - n, near[sector, 1] - e
             if square < on * on + oe * oe:
@@ -412,7 +418,7 @@ def _check_points(
         across = qe * wn - qn * we
         if not (abs(across) < wide and along > -wide):
             continue  # neither on the path nor near it
-        beyond, beyond_first = _distance_beyond(along, stretch), _distance_beyond(along, first)
+        beyond, beyond_first = _distance_outside_interval(along, stretch), _distance_outside_interval(along, first)
         off = beyond * beyond + across * across
         near_first = beyond_first * beyond_first + across * across
         way = off if off < way else way
@@ -445,7 +451,7 @@ def _check_points(
 
 
 @cached_njit
-def _distance_and_direction(pn: float, pe: float, n: float, e: float) -> tuple[float, float, float]:
+def _distance_and_unit_vector(pn: float, pe: float, n: float, e: float) -> tuple[float, float, float]:
     dn, de = n - pn, e - pe
     far = _planar_length(dn, de)
     if far > 1e-9:
@@ -458,7 +464,7 @@ def check_path(
     position: tuple[float, ...],
     goal: tuple[float, ...],
     clearance: float,
-    ahead: float = LOOK_AHEAD_M,
+    ahead: float = PATH_LOOK_AHEAD_M,
 ) -> PathCheck:
     """Check the straight level path from ``position`` to ``goal`` (N, E, D; m), over at most ``ahead`` metres."""
     return check_map_part(memory, begin_path_check(position, goal, ahead), -math.inf, clearance)[1]
@@ -469,11 +475,13 @@ def limit_approach_velocity(
 ) -> tuple[float, float]:
     """Limit a velocity N, E (m/s) so that the distance to each point falls to ``keep`` (m) at most exponentially."""
     vn, ve = velocity
-    return _limit_approach(sight.nearest_points, position[0], position[1], vn, ve, keep)
+    return _limit_approach_to_points(sight.nearest_point_by_sector, position[0], position[1], vn, ve, keep)
 
 
 @cached_njit
-def _limit_approach(near: _Array, n: float, e: float, vn: float, ve: float, keep: float) -> tuple[float, float]:
+def _limit_approach_to_points(
+    near: _Array, n: float, e: float, vn: float, ve: float, keep: float
+) -> tuple[float, float]:
     """Return the velocity with the least change that respects the barrier of every point (cyclic projection)."""
     for _ in range(8):
         changed = False
@@ -482,7 +490,7 @@ def _limit_approach(near: _Array, n: float, e: float, vn: float, ve: float, keep
             dist = _planar_length(qn, qe)
             if dist > 2.0 or dist < 1e-9:
                 continue
-            short = -_APPROACH_GAIN * (dist - keep) - (vn * qn + ve * qe) / dist
+            short = -_APPROACH_SPEED_PER_DISTANCE * (dist - keep) - (vn * qn + ve * qe) / dist
             if short > 1e-6:
                 vn += short * qn / dist
                 ve += short * qe / dist

@@ -32,8 +32,8 @@ from dataclasses import dataclass, replace
 
 from mufly.compiled.portable_math import exp_decay, sine_cosine
 from mufly.mission.avoidance import (
-    BLOCKED_MARGIN_M,
-    LOOK_AHEAD_M,
+    BLOCKED_PATH_MARGIN_M,
+    PATH_LOOK_AHEAD_M,
     BeamRing,
     PathCheck,
     limit_approach_velocity,
@@ -43,7 +43,7 @@ from mufly.mission.avoidance import (
 DETOUR_ACCELERATION_M_S2 = 1.0
 """Largest acceleration of a detour (m/s2): a tilt of 6 degrees."""
 
-LEAVE_MARGIN_M, FOLLOW_MARGIN_M, KEEP_MARGIN_M = 0.08, 0.15, 0.06
+LEAVE_CONTOUR_MARGIN_M, FOLLOW_CONTOUR_MARGIN_M, APPROACH_BARRIER_MARGIN_M = 0.08, 0.15, 0.06
 """Margins beyond the clearance (m): of a clear path, of the followed contour, and of the approach barrier.
 
 They cover the 5 cm between stored points and the lag of the position loop."""
@@ -51,10 +51,10 @@ They cover the 5 cm between stored points and the lag of the position loop."""
 _REPULSION_GAIN = 0.15
 """k of eqs 6.18 and 6.19, as a velocity: m/s per 1/m."""
 
-_CONTOUR_BLEND_M = 0.4
+_CONTOUR_CONVERGENCE_DISTANCE_M = 0.4
 _VELOCITY_LAG_S = 0.2
 _ACCELERATION_LAG_S = 0.08
-_MAX_STRAY_M = 3.0
+_SIDE_CHANGE_DEVIATION_M = 3.0
 _STUCK_TIME_S = 5.0
 _ON_CONTOUR_MARGIN_M = 0.15
 
@@ -75,17 +75,17 @@ class Detour:
         Distance from there to the goal (m).
     obstacle_count : int
         Number of obstacles met on this leg.
-    max_stray : float
+    side_change_deviation_m : float
         Distance from the line between ``hit_point`` and the goal at which the other side is tried (m).
-    clear_duration_s, anchor_duration_s : float
-        Time for which the path has been clear; time within 0.25 m of ``anchor_point`` (2,) (s).
-    lap_start : (2,) tuple or None
+    path_clear_duration_s, stuck_duration_s : float
+        Time for which the path has been clear; time within 0.25 m of ``stuck_check_point`` (2,) (s).
+    lap_start_point : (2,) tuple or None
         N, E where the contour was reached (m).
     lap_count : int
         Whole laps around the obstacle.
-    lap_distance, least_goal_distance : float
-        Distance flown since ``lap_start``, and the least distance to the goal on it (m).
-    is_leaving : bool
+    lap_distance_m, lap_min_goal_distance_m : float
+        Distance flown since ``lap_start_point``, and the least distance to the goal on it (m).
+    is_leaving_contour : bool
         Whether the reference brakes, to continue straight from where it stops.
     obstacle_point : (2,) tuple
         N, E of the last nearest point (m), for messages.
@@ -98,21 +98,23 @@ class Detour:
     hit_point: tuple[float, float]
     hit_goal_distance: float
     obstacle_count: int = 1
-    max_stray: float = _MAX_STRAY_M
-    clear_duration_s: float = 0.0
-    anchor_point: tuple[float, float] = (0.0, 0.0)
-    anchor_duration_s: float = 0.0
-    lap_start: tuple[float, float] | None = None
+    side_change_deviation_m: float = _SIDE_CHANGE_DEVIATION_M
+    path_clear_duration_s: float = 0.0
+    stuck_check_point: tuple[float, float] = (0.0, 0.0)
+    stuck_duration_s: float = 0.0
+    lap_start_point: tuple[float, float] | None = None
     lap_count: int = 0
-    lap_distance: float = 0.0
-    least_goal_distance: float = math.inf
-    is_leaving: bool = False
+    lap_distance_m: float = 0.0
+    lap_min_goal_distance_m: float = math.inf
+    is_leaving_contour: bool = False
     obstacle_point: tuple[float, float] = (math.nan, math.nan)
 
     @property
     def is_finished(self) -> bool:
         """Whether the obstacle is avoided and the reference has come to rest."""
-        return self.is_leaving and _vector_norm(*self.velocity) < 0.01 and _vector_norm(*self.acceleration) < 0.05
+        return (
+            self.is_leaving_contour and _vector_norm(*self.velocity) < 0.01 and _vector_norm(*self.acceleration) < 0.05
+        )
 
 
 def _vector_norm(x: float, y: float, z: float = 0.0) -> float:
@@ -135,9 +137,9 @@ def begin_detour(
     here = (position[0], position[1])
     far = _planar_distance(goal, here)
     side = -1.0 if sight.mean_blocking_offset > 0.0 else 1.0
-    count, stray = 1, _MAX_STRAY_M
+    count, stray = 1, _SIDE_CHANGE_DEVIATION_M
     if before is not None:
-        count, stray = before.obstacle_count + 1, before.max_stray
+        count, stray = before.obstacle_count + 1, before.side_change_deviation_m
         if _planar_distance(here, before.position) < 1.5:
             side = before.passing_side
     return Detour(
@@ -148,8 +150,8 @@ def begin_detour(
         here,
         far,
         obstacle_count=count,
-        max_stray=stray,
-        anchor_point=here,
+        side_change_deviation_m=stray,
+        stuck_check_point=here,
     )
 
 
@@ -199,20 +201,21 @@ def follow_contour(
     to_goal = _planar_distance(goal, reference)
 
     nearer_goal = to_goal < detour.hit_goal_distance - 0.1
-    wide = (clearance + LEAVE_MARGIN_M) * (clearance + LEAVE_MARGIN_M)
-    onward = nearer_goal and sight.onward_distance_sq > wide
+    wide = (clearance + LEAVE_CONTOUR_MARGIN_M) * (clearance + LEAVE_CONTOUR_MARGIN_M)
+    onward = nearer_goal and sight.initial_path_distance_sq > wide
     clear = real[0] > clearance and (onward or (detour.obstacle_count < 3 and sight.path_distance_sq > wide))
-    clear_s = detour.clear_duration_s + dt if clear else 0.0
+    clear_s = detour.path_clear_duration_s + dt if clear else 0.0
     leaving = clear_s > 0.3
 
-    follow = clearance + FOLLOW_MARGIN_M
+    follow = clearance + FOLLOW_CONTOUR_MARGIN_M
     touching = distance < follow + _ON_CONTOUR_MARGIN_M
     goal_blocked = (
-        sight.goal_distance_sq < (clearance + BLOCKED_MARGIN_M) * (clearance + BLOCKED_MARGIN_M) and to_goal < 1.0
+        sight.goal_distance_sq < (clearance + BLOCKED_PATH_MARGIN_M) * (clearance + BLOCKED_PATH_MARGIN_M)
+        and to_goal < 1.0
     )
     here = (reference[0], reference[1])
     if not leaving and not goal_blocked:
-        detour = _choose_side(detour, here, goal, to_goal, touching, dt)
+        detour = _choose_passing_side(detour, here, goal, to_goal, touching, dt)
     side = detour.passing_side
 
     vn = ve = 0.0
@@ -221,7 +224,7 @@ def follow_contour(
     elif goal_blocked:
         push = min(speed, max(0.0, follow - distance))
         vn, ve = push * north, push * east
-    elif distance < LOOK_AHEAD_M + 0.5:
+    elif distance < PATH_LOOK_AHEAD_M + 0.5:
         far, n, e = distance, north, east
         # Off any contour, or at a wrong contour's nearest point to the goal: head for the blocking point.
         block = sight.nearest_blocking_point(at)
@@ -229,8 +232,8 @@ def follow_contour(
         if (lost or not touching) and block[0] < math.inf:
             far, n, e = block
         error = far - follow
-        slant = _vector_norm(error, _CONTOUR_BLEND_M)
-        along, inward = _CONTOUR_BLEND_M / slant, error / slant  # cos a, sin a
+        slant = _vector_norm(error, _CONTOUR_CONVERGENCE_DISTANCE_M)
+        along, inward = _CONTOUR_CONVERGENCE_DISTANCE_M / slant, error / slant  # cos a, sin a
         # Facing the obstacle, along -n, the right-hand direction is (n_E, -n_N).
         vn = speed * (along * side * e - inward * n)
         ve = speed * (-along * side * n - inward * e)
@@ -243,7 +246,7 @@ def follow_contour(
         s, c = sine_cosine(heading)
         vn += _REPULSION_GAIN * (c * fx - s * fy)
         ve += _REPULSION_GAIN * (s * fx + c * fy)
-    vn, ve = limit_approach_velocity(sight, at, (vn, ve), clearance + KEEP_MARGIN_M)
+    vn, ve = limit_approach_velocity(sight, at, (vn, ve), clearance + APPROACH_BARRIER_MARGIN_M)
     fast = _vector_norm(vn, ve)
     limit = speed * max(0.0, 1.0 - max(0.0, _planar_distance(here, position) - 0.15) / 0.15)
     if fast > limit:
@@ -252,11 +255,11 @@ def follow_contour(
     obstacle = detour.obstacle_point
     if distance < 2.0:
         obstacle = (at[0] - distance * north, at[1] - distance * east)
-    moved = _move_reference(detour, (vn, ve, 0.0), dt)
-    return replace(moved, clear_duration_s=clear_s, is_leaving=leaving, obstacle_point=obstacle)
+    moved = _step_detour_reference(detour, (vn, ve, 0.0), dt)
+    return replace(moved, path_clear_duration_s=clear_s, is_leaving_contour=leaving, obstacle_point=obstacle)
 
 
-def _choose_side(
+def _choose_passing_side(
     detour: Detour,
     here: tuple[float, float],
     goal: tuple[float, float, float],
@@ -265,8 +268,8 @@ def _choose_side(
     dt: float,
 ) -> Detour:
     """Change sides if stuck or far off; after a whole lap leave at its nearest point to the goal."""
-    side, stray, hit_distance = detour.passing_side, detour.max_stray, detour.hit_goal_distance
-    anchor, anchor_s = detour.anchor_point, detour.anchor_duration_s + dt
+    side, stray, hit_distance = detour.passing_side, detour.side_change_deviation_m, detour.hit_goal_distance
+    anchor, anchor_s = detour.stuck_check_point, detour.stuck_duration_s + dt
     if _planar_distance(here, anchor) > 0.25:
         anchor, anchor_s = here, 0.0
     elif anchor_s > _STUCK_TIME_S:
@@ -274,10 +277,10 @@ def _choose_side(
     if _distance_from_line(here, detour.hit_point, goal) > stray:
         side, stray = -side, 2.0 * stray
     lap, laps, lap_way, best = (
-        detour.lap_start,
+        detour.lap_start_point,
         detour.lap_count,
-        detour.lap_distance,
-        min(detour.least_goal_distance, to_goal),
+        detour.lap_distance_m,
+        min(detour.lap_min_goal_distance_m, to_goal),
     )
     lap_way += _vector_norm(*detour.velocity) * dt
     if lap is None or side != detour.passing_side:
@@ -287,14 +290,14 @@ def _choose_side(
     return replace(
         detour,
         passing_side=side,
-        max_stray=stray,
+        side_change_deviation_m=stray,
         hit_goal_distance=hit_distance,
-        anchor_point=anchor,
-        anchor_duration_s=anchor_s,
-        lap_start=lap,
+        stuck_check_point=anchor,
+        stuck_duration_s=anchor_s,
+        lap_start_point=lap,
         lap_count=laps,
-        lap_distance=lap_way,
-        least_goal_distance=best,
+        lap_distance_m=lap_way,
+        lap_min_goal_distance_m=best,
     )
 
 
@@ -309,7 +312,7 @@ def _distance_from_line(
     return _vector_norm(here[0] - start[0] - share * n, here[1] - start[1] - share * e)
 
 
-def _move_reference(detour: Detour, wanted: tuple[float, float, float], dt: float) -> Detour:
+def _step_detour_reference(detour: Detour, wanted: tuple[float, float, float], dt: float) -> Detour:
     """Step the reference: its velocity follows ``wanted``, with limited, low-pass filtered acceleration."""
     ask = [(w - v) / _VELOCITY_LAG_S for w, v in zip(wanted, detour.velocity, strict=True)]
     size = _vector_norm(*ask)

@@ -8,7 +8,13 @@ from dataclasses import replace
 from mufly.compiled.portable_math import vector_length
 from mufly.estimate import Estimate
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
-from mufly.mission.machine.ground_phases import has_spun_up, measured_position, refuse_start, reset_mission, start_fault
+from mufly.mission.machine.ground_phases import (
+    describe_start_fault,
+    has_spun_up,
+    log_start_refusal,
+    measured_position,
+    reset_mission,
+)
 from mufly.mission.machine.log_messages import LogMessage
 from mufly.mission.machine.mission_reference import current_reference, predict_reference
 from mufly.mission.machine.mission_state import (
@@ -20,7 +26,7 @@ from mufly.mission.machine.mission_state import (
     enter_state,
     fail_mission,
 )
-from mufly.mission.machine.offboard import SetPoint, limit_manual_climb, needs_lift_off, set_point_fault
+from mufly.mission.machine.offboard import SetPoint, describe_set_point_fault, limit_manual_climb, needs_lift_off
 from mufly.mission.machine.phases import track_set_point
 from mufly.mission.trajectory import plan_stop
 from mufly.mission.user_requests import pause_mission
@@ -47,9 +53,9 @@ def step_manual(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt:
     """Move the references of height and heading by the pilot's sticks; a climb from the floor starts the rotors."""
     if s.motors == "off":
         x = measured_position(m)
-        fault = start_fault(m) if c.climb_rate > 0.0 else ""
+        fault = describe_start_fault(m) if c.climb_rate > 0.0 else ""
         if c.climb_rate <= 0.0 or fault:
-            s = refuse_start(s, fault) if fault else s
+            s = log_start_refusal(s, fault) if fault else s
             return replace(s, hold_position=x, hold_heading=float(m.attitude[2]), descent_rate=0.0)
         s = replace(
             s,
@@ -57,7 +63,7 @@ def step_manual(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt:
             mission_begun=False,
             manual=True,
             waypoint_index=0,
-            reached_count=0,
+            reached_waypoint_count=0,
             home_position=x,
         )
         s = replace(s, outcome="", reason="", abort_reason="", finished=False)
@@ -81,7 +87,7 @@ def _is_on_floor(s: MissionState, m: Estimate) -> bool:
     return bool(m.position[2] > s.home_position[2] - 0.1 and abs(m.velocity[2]) < 0.1)
 
 
-def _end_on_floor(s: MissionState, why: str) -> MissionState:
+def _end_control_on_floor(s: MissionState, why: str) -> MissionState:
     running = s.motors != "off"
     return enter_state(
         s, State.INIT, why, motors="ramp_down" if running else "off", finished=s.outcome != "" and not running
@@ -96,7 +102,7 @@ def exit_manual(s: MissionState, m: Estimate) -> MissionState:
             s = fail_mission(s, LogMessage.LANDED_BY_PILOT())
         elif s.has_taken_off and s.outcome == "":
             s = replace(s, outcome="succeeded", reason=LogMessage.LANDED_BY_PILOT())
-        return _end_on_floor(s, LogMessage.RC_OFF_ON_FLOOR())
+        return _end_control_on_floor(s, LogMessage.RC_OFF_ON_FLOOR())
     brake = plan_stop(x, m.velocity, psi, DETOUR_ACCELERATION_M_S2)
     n, e, d = brake.evaluate(math.inf).position
     if d > s.home_position[2]:
@@ -117,7 +123,7 @@ def exit_manual(s: MissionState, m: Estimate) -> MissionState:
 
 def enter_offboard(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionState:
     """Give control to a program in flight, or on the floor when its set-point requires lift-off."""
-    if set_point_fault(wanted):
+    if describe_set_point_fault(wanted):
         return s
     if s.state is not State.INIT:
         return enter_state(
@@ -132,9 +138,9 @@ def enter_offboard(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionSta
     x = measured_position(m)
     if not needs_lift_off(wanted, x):
         return s
-    fault = start_fault(m)
+    fault = describe_start_fault(m)
     if fault:
-        return refuse_start(s, fault)
+        return log_start_refusal(s, fault)
     return enter_state(
         reset_mission(s, m, manual=True), State.OFFBOARD, LogMessage.OFFBOARD_TAKE_OFF(), motors="spin_up"
     )
@@ -151,7 +157,7 @@ def step_offboard(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, d
         c.program_set_point is None
         or s.set_point_reference is None
         or s.state_entered_s == s.time_s
-        or set_point_fault(c.program_set_point)
+        or describe_set_point_fault(c.program_set_point)
     ):
         return s
     t = track_set_point(plan, s, s.set_point_reference, c.program_set_point, m, dt)
@@ -162,5 +168,5 @@ def exit_offboard(plan: MissionPlan, s: MissionState, m: Estimate) -> MissionSta
     """End offboard control: hover where the reference comes to rest, or stay on the floor."""
     if s.motors != "fly" or _is_on_floor(s, m):
         s = replace(s, outcome="succeeded", reason=LogMessage.LANDED()) if s.outcome == "" else s
-        return _end_on_floor(s, LogMessage.OFFBOARD_OFF_ON_FLOOR())
+        return _end_control_on_floor(s, LogMessage.OFFBOARD_OFF_ON_FLOOR())
     return pause_mission(plan, s, LogMessage.OFFBOARD_OFF())

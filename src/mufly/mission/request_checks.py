@@ -217,7 +217,7 @@ def _allow_mission_waiting(f: _RequestFacts) -> RequestAnswer:
     )
 
 
-_BY_WORD: dict[str, Callable[[_RequestFacts], RequestAnswer]] = {
+_CONDITION_BY_WORD: dict[str, Callable[[_RequestFacts], RequestAnswer]] = {
     "yes": _allow_always,
     "at-rest": _allow_at_rest,
     "grounded": _allow_grounded,
@@ -237,13 +237,13 @@ _BY_WORD: dict[str, Callable[[_RequestFacts], RequestAnswer]] = {
 """Condition functions by the words of :data:`REQUEST_TABLE`."""
 
 
-def _make_conditions() -> dict[tuple[str, str], Callable[[_RequestFacts], RequestAnswer]]:
+def _parse_request_table() -> dict[tuple[str, str], Callable[[_RequestFacts], RequestAnswer]]:
     head, *rows = (line.split() for line in REQUEST_TABLE.strip().splitlines())
     words = {(ask, state): word for ask, *cells in rows for state, word in zip(head[1:], cells, strict=True)}
-    return {key: _BY_WORD[word] for key, word in words.items()}
+    return {key: _CONDITION_BY_WORD[word] for key, word in words.items()}
 
 
-_CONDITIONS = _make_conditions()
+_CONDITION_BY_REQUEST = _parse_request_table()
 
 
 def check_request(
@@ -270,11 +270,11 @@ def check_request(
     """
     state = situation.state
     up = state not in ("", State.INIT) if flying is None else flying
-    condition = _CONDITIONS.get((ask, state)) or _CONDITIONS[ask, State.HOVER if up else State.INIT]
+    condition = _CONDITION_BY_REQUEST.get((ask, state)) or _CONDITION_BY_REQUEST[ask, State.HOVER if up else State.INIT]
     motors = situation.motors or ("fly" if up else "off")
     return condition(_RequestFacts(situation, motors, height_m, armed, up))
 
 
-def is_granted(ask: VehicleRequest, s: MissionState, m: Estimate) -> bool:
+def is_request_permitted(ask: VehicleRequest, s: MissionState, m: Estimate) -> bool:
     """Return whether the state permits a request of an armed vehicle at the estimated height."""
     return bool(check_request(ask, s, height_m=s.home_position[2] - float(m.position[2])))

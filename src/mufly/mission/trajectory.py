@@ -67,7 +67,7 @@ class MotionProfile:
         return (way, speed, acceleration) if t < left else (self.distance - way, speed, -acceleration)
 
 
-def make_profile(way: float, speed: float, acceleration: float) -> MotionProfile:
+def make_motion_profile(way: float, speed: float, acceleration: float) -> MotionProfile:
     """Return the quickest profile of this family.
 
     Parameters
@@ -131,16 +131,16 @@ def smooth_stop_distance(speed: float, acceleration: float) -> tuple[float, floa
 
 _Array = NDArray[np.float64]
 _CubicCoefficients = tuple[float, float, float, float]
-_ARC_PIECES = 32
+_ARC_PIECE_COUNT = 32
 """Pieces of the arc length table, and steps of the search for the extreme points of a curve."""
-_REFINE_HALVINGS = 5
+_EXTREME_REFINEMENT_COUNT = 5
 """Halvings of a step around each extreme point."""
 _GAUSS_NODES = tuple(float.fromhex(x) for x in ("-0x1.8c97ef43f7248p-1", "0x0.0p+0", "0x1.8c97ef43f7248p-1"))
 _GAUSS_WEIGHTS = tuple(
     float.fromhex(x) for x in ("0x1.1c71c71c71c72p-1", "0x1.c71c71c71c71cp-1", "0x1.1c71c71c71c72p-1")
 )
 """Three-point Gauss-Legendre rule, written out for equal values on all machines."""
-_TINY = 1e-9
+_MIN_DENOMINATOR = 1e-9
 
 
 @dataclass(frozen=True)
@@ -184,8 +184,8 @@ class TimedSpline(NamedTuple):
         """Return position, velocity and acceleration (3 each; m, m/s, m/s2) at time ``t`` (s)."""
         s, ds, dds = self.speed_profile.evaluate(t)
         arc = self.arc_lengths
-        k = min(max(bisect.bisect_right(arc, s) - 1, 0), _ARC_PIECES - 1)
-        u = (k + (s - arc[k]) / (arc[k + 1] - arc[k])) / _ARC_PIECES
+        k = min(max(bisect.bisect_right(arc, s) - 1, 0), _ARC_PIECE_COUNT - 1)
+        u = (k + (s - arc[k]) / (arc[k + 1] - arc[k])) / _ARC_PIECE_COUNT
         p, q, r = self.coefficients
         # The table inverts s(u) linearly; a Newton step with the exact arc length makes it smooth.
         u -= (self._arc_length_at(k, u) - s) / _tangent_length(self.coefficients, u)
@@ -205,7 +205,7 @@ class TimedSpline(NamedTuple):
         return (n, e, d), velocity, acceleration
 
     def _arc_length_at(self, k: int, u: float) -> float:
-        start = k / _ARC_PIECES
+        start = k / _ARC_PIECE_COUNT
         return self.arc_lengths[k] + _arc_length(self.coefficients, start, 0.5 * (u - start))
 
 
@@ -246,7 +246,9 @@ def _arc_length(cubics: tuple[_CubicCoefficients, ...], u: float, half: float) -
     return half * total
 
 
-def _curve_demands(cubics: tuple[_CubicCoefficients, ...], u: float) -> tuple[float, tuple[float, float, float, float]]:
+def _evaluate_speed_and_curvature(
+    cubics: tuple[_CubicCoefficients, ...], u: float
+) -> tuple[float, tuple[float, float, float, float]]:
     """Return the squared tangent length, and squared level, climbing and descending shares of speed and curvature.
 
     Either the climbing or the descending share is negative. All are zero without a tangent.
@@ -284,21 +286,21 @@ class PendingCurve(NamedTuple):
         than 5 cm/s; a straight line is then better.
         """
         cubics, arc = self.coefficients, [0.0]
-        for k in range(_ARC_PIECES):
-            arc.append(arc[k] + _arc_length(cubics, k / _ARC_PIECES, 0.5 / _ARC_PIECES))
-        least, (level, rise, sink, bend) = _find_extreme_demands(cubics)
-        if math.sqrt(least) < 0.05 * max(arc[-1], _TINY):
+        for k in range(_ARC_PIECE_COUNT):
+            arc.append(arc[k] + _arc_length(cubics, k / _ARC_PIECE_COUNT, 0.5 / _ARC_PIECE_COUNT))
+        least, (level, rise, sink, bend) = _find_extreme_speed_and_curvature(cubics)
+        if math.sqrt(least) < 0.05 * max(arc[-1], _MIN_DENOMINATOR):
             return None
         share = self.acceleration / math.sqrt(2.0)
         peak = min(
-            self.speed / max(math.sqrt(level), _TINY),
-            self.climb / max(math.sqrt(rise), _TINY),
-            self.descent / max(math.sqrt(sink), _TINY),
-            math.sqrt(share / max(math.sqrt(bend), _TINY)),
+            self.speed / max(math.sqrt(level), _MIN_DENOMINATOR),
+            self.climb / max(math.sqrt(rise), _MIN_DENOMINATOR),
+            self.descent / max(math.sqrt(sink), _MIN_DENOMINATOR),
+            math.sqrt(share / max(math.sqrt(bend), _MIN_DENOMINATOR)),
         )
         if peak < 0.05:
             return None
-        return TimedSpline(cubics, tuple(arc), make_profile(arc[-1], peak, share))
+        return TimedSpline(cubics, tuple(arc), make_motion_profile(arc[-1], peak, share))
 
 
 # ----------------------------------------------------------------------------
@@ -309,8 +311,8 @@ class PendingCurve(NamedTuple):
 # parts: on the spot (height and heading together) up to `departure_s`, then the path. The caller holds the clock at
 # `departure_s` until the helicopter is there in fact: the thesis's "if the desired point is reached".
 #
-# Every part runs from rest to rest with continuous acceleration (`make_profile`). A turn takes the shorter direction;
-# the heading is continuous with the initial one (it may pass +-pi).
+# Every part runs from rest to rest with continuous acceleration (`make_motion_profile`). A turn takes the shorter
+# direction; the heading is continuous with the initial one (it may pass +-pi).
 
 
 _MIN_DISTANCE_M = 1e-3
@@ -397,7 +399,7 @@ class Trajectory:
         gate = self.yaw_profile.duration_s
         way = replace(
             self,
-            height_profile=make_profile(0.0, 1.0, 1.0),
+            height_profile=make_motion_profile(0.0, 1.0, 1.0),
             path_profile=path.speed_profile,
             departure_s=gate,
             duration_s=gate + path.speed_profile.duration_s,
@@ -447,25 +449,25 @@ def wrap_turn(angle: float) -> float:
     return float(wrap_angle(angle))
 
 
-def _find_extreme_demands(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float, list[float]]:
+def _find_extreme_speed_and_curvature(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float, list[float]]:
     """Return the least squared tangent and the greatest demands over a curve.
 
     Each maximum is searched in equal steps, then by halving the step around the best point.
     """
     least, worst, where = math.inf, [0.0] * 4, [0.0] * 4
-    for k in range(_ARC_PIECES + 1):
-        u = k / _ARC_PIECES
-        square, asks = _curve_demands(cubics, u)
+    for k in range(_ARC_PIECE_COUNT + 1):
+        u = k / _ARC_PIECE_COUNT
+        square, asks = _evaluate_speed_and_curvature(cubics, u)
         least = min(least, square)
         for j in range(4):
             if asks[j] > worst[j]:
                 worst[j], where[j] = asks[j], u
     for j in range(4):
-        step = 1.0 / _ARC_PIECES
-        for _ in range(_REFINE_HALVINGS if worst[j] > 0.0 else 0):
+        step = 1.0 / _ARC_PIECE_COUNT
+        for _ in range(_EXTREME_REFINEMENT_COUNT if worst[j] > 0.0 else 0):
             step, middle = 0.5 * step, where[j]
             for u in (middle - step, middle + step):
-                square, asks = _curve_demands(cubics, u)
+                square, asks = _evaluate_speed_and_curvature(cubics, u)
                 if 0.0 <= u <= 1.0 and asks[j] > worst[j]:
                     least = min(least, square)
                     worst[j], where[j] = asks[j], u
@@ -503,10 +505,10 @@ def plan_straight(
     if way < _MIN_DISTANCE_M:
         way, b = 0.0, (a[0], a[1], b[2])
     fall = b[2] - a[2]
-    rise = make_profile(abs(fall), limits.descent if fall > 0.0 else limits.climb, limits.climb_acceleration)
-    yaw = make_profile(abs(turn), limits.yaw_rate, limits.yaw_acceleration)
+    rise = make_motion_profile(abs(fall), limits.descent if fall > 0.0 else limits.climb, limits.climb_acceleration)
+    yaw = make_motion_profile(abs(turn), limits.yaw_rate, limits.yaw_acceleration)
     gate = max(rise.duration_s, yaw.duration_s)
-    line = make_profile(way, limits.speed, limits.acceleration)
+    line = make_motion_profile(way, limits.speed, limits.acceleration)
     return Trajectory(a, b, heading, turn, rise, yaw, line, gate, gate + line.duration_s)
 
 

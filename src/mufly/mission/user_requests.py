@@ -25,11 +25,11 @@ from mufly.mission.machine.offboard import MAX_HEIGHT_M
 from mufly.mission.machine.phases import change_leg_goal, plan_braking, start_leg, start_leg_home
 from mufly.mission.trajectory import Trajectory, Triple, plan_straight, smooth_stop_distance, wrap_turn
 
-_SAME_PLACE_M, _SAME_HEADING = 0.01, math.radians(0.5)
+_SAME_POSITION_TOLERANCE_M, _SAME_HEADING_TOLERANCE_RAD = 0.01, math.radians(0.5)
 """Difference up to which a target is the present one (m, rad): the rounding of a link's coordinates."""
-_TARGET_STREAM_S = 1.0
+_TARGET_LOG_INTERVAL_S = 1.0
 """Interval below which changes of the target are not logged (s)."""
-_STOP_PLACE_M = 0.3
+_STOP_AT_GOAL_MARGIN_M = 0.3
 """Distance beyond the shortest stop up to which a turn keeps the goal of the present leg (m)."""
 
 
@@ -42,7 +42,7 @@ def stop_motors(s: MissionState, why: str) -> MissionState:
     return enter_state(s, State.INIT, why, level="error", motors="off", detour=None, finished=s.outcome != "")
 
 
-def user_waypoint_fault(where: Triple | None, heading: float | None) -> str:
+def describe_user_waypoint_fault(where: Triple | None, heading: float | None) -> str:
     """Return the reason to refuse a user's waypoint; "" if it is valid."""
     if heading is not None and not math.isfinite(heading):
         return LogMessage.HEADING_REFUSED(heading)
@@ -63,24 +63,28 @@ def _compass_deg(heading: float) -> float:
 def _is_already_requested(s: MissionState, goal: Triple | None, heading: float | None) -> bool:
     """Return whether the vehicle already does what the user requests."""
     before = s.requested_heading
-    same = before is None if heading is None else before is not None and abs(heading - before) <= _SAME_HEADING
-    near = goal is None or all(abs(a - b) <= _SAME_PLACE_M for a, b in zip(goal, s.goal, strict=True))
+    same = (
+        before is None
+        if heading is None
+        else before is not None and abs(heading - before) <= _SAME_HEADING_TOLERANCE_RAD
+    )
+    near = goal is None or all(abs(a - b) <= _SAME_POSITION_TOLERANCE_M for a, b in zip(goal, s.goal, strict=True))
     return s.manual and not s.returning_home and same and near
 
 
-def _stops_at_goal(s: MissionState) -> bool:
+def _can_stop_at_goal(s: MissionState) -> bool:
     """Return whether the reference may as well stop at the goal of the present leg for a turn."""
     now = current_reference(s)
     (n, e, d), (gn, ge, gd) = now.position, s.goal
     _, rest = smooth_stop_distance(vector_length(*now.velocity), DETOUR_ACCELERATION_M_S2)
-    return s.state is State.WAYPOINT and vector_length(n - gn, e - ge, d - gd) <= rest + _STOP_PLACE_M
+    return s.state is State.WAYPOINT and vector_length(n - gn, e - ge, d - gd) <= rest + _STOP_AT_GOAL_MARGIN_M
 
 
 def fly_to_user_waypoint(
     plan: MissionPlan, s: MissionState, where: Triple | None, heading: float | None
 ) -> MissionState:
     """Stop, fly to ``where`` and hold; the mission waits. Without ``where`` only turn on the spot."""
-    refused = user_waypoint_fault(where, heading)
+    refused = describe_user_waypoint_fault(where, heading)
     if refused:
         return s if s.events[-1].text == refused else log_event(s, refused, level="warning")
     goal = None if where is None else (float(where[0]), float(where[1]), float(where[2]))
@@ -93,15 +97,15 @@ def fly_to_user_waypoint(
     else:
         text = LogMessage.TO_USER_WAYPOINT_WITH_HEADING(*goal, math.degrees(heading))
 
-    place = (s.goal if _stops_at_goal(s) else None) if goal is None else goal
+    place = (s.goal if _can_stop_at_goal(s) else None) if goal is None else goal
     if place is not None and s.manual and not s.returning_home and s.state in (State.WAYPOINT, State.OBSTACLE):
-        quiet = s.time_s - s.state_entered_s < _TARGET_STREAM_S
+        quiet = s.time_s - s.state_entered_s < _TARGET_LOG_INTERVAL_S
         return change_leg_goal(plan, s, text, place, heading, quiet=quiet)
 
-    def plan_way(at: Triple, psi: float) -> Trajectory:
+    def plan_straight_leg(at: Triple, psi: float) -> Trajectory:
         return plan_straight(at, at if goal is None else goal, psi, plan.trajectory_limits, final_heading=heading)
 
-    return start_leg(plan, s, text, plan_way, manual=True, requested_heading=heading)
+    return start_leg(plan, s, text, plan_straight_leg, manual=True, requested_heading=heading)
 
 
 def pause_mission(plan: MissionPlan, s: MissionState, why: str = LogMessage.MISSION_PAUSED.value) -> MissionState:

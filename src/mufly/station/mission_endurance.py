@@ -1,4 +1,4 @@
-"""Duration of the mission in a vehicle: :func:`mufly.mission.compute_timing` applied to mission items.
+"""Duration of the mission in a vehicle: :func:`mufly.mission.compute_mission_timing` applied to mission items.
 
 A mufly vehicle publishes its limits as parameters. Splines, scanning and obstacles, which items do not hold, are taken
 from the mission file known to the station. For other autopilots the speeds are PX4's and ArduPilot's parameters. A
@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from mufly.flight import TunableParameter
-from mufly.mission import Mission, MissionTiming, Waypoint, compute_timing
+from mufly.mission import Mission, MissionTiming, Waypoint, compute_mission_timing
 from mufly.mission import TrajectoryLimits as TrajectoryLimits
 from mufly.mission.files.mission_items import (
     GlobalOrigin,
     MissionCommand,
     MissionItem,
     MissionRefusedError,
-    is_global,
+    has_global_position,
     mission_from_items,
 )
 from mufly.mission.files.mission_schema import Limits, TakeOff
@@ -125,7 +125,7 @@ def _compute_timing(
     if start:
         mission = _replace_parts(mission, start_m=start[:2], start_heading_deg=start[2])
     words = [] if told else [f"{limits.speed_m_s:g} m/s assumed"]
-    return compute_timing(mission), came_from, ", ".join([*words, *left_out])
+    return compute_mission_timing(mission), came_from, ", ".join([*words, *left_out])
 
 
 def mission_with_limits(parameters: Mapping[str, TunableParameter], base: Mission | None = None) -> Mission:
@@ -201,7 +201,7 @@ def _mission_from_items(
         return _replace_parts(base, waypoint=plan.mission.waypoint, take_off=plan.mission.take_off,
                         at_end=plan.mission.at_end), plan.waypoint_item_index, []  # fmt: skip
     except (MissionRefusedError, ValueError):
-        return _approximate_mission(items, base, origin or _first_global_place(items))
+        return _approximate_mission(items, base, origin or _first_global_position(items))
 
 
 def _follow_jumps(items: Sequence[MissionItem]) -> tuple[list[MissionItem], bool]:
@@ -224,9 +224,9 @@ def _follow_jumps(items: Sequence[MissionItem]) -> tuple[list[MissionItem], bool
     return flown, endless
 
 
-def _first_global_place(items: Sequence[MissionItem]) -> GlobalOrigin | None:
+def _first_global_position(items: Sequence[MissionItem]) -> GlobalOrigin | None:
     """Return the first global position among items, to replace a missing origin."""
-    first = next(filter(is_global, items), None)
+    first = next(filter(has_global_position, items), None)
     if first is None or abs(first.x) > 90e7:
         return None
     return GlobalOrigin(first.x / 1e7, first.y / 1e7, 0.0)

@@ -145,7 +145,7 @@ def test_the_check_is_that_of_a_mission_file_and_names_the_row() -> None:
     good = judge_draft(BASE)
     assert good.fault == ""
     assert good.estimate is not None
-    assert math.isnan(good.estimate.fraction)  # of what battery?
+    assert math.isnan(good.estimate.charge_fraction)  # of what battery?
     with_battery = judge_draft(BASE, (3.0, 0.3)).estimate
     assert with_battery is not None
     assert with_battery.charge_Ah == pytest.approx(with_battery.duration_s * 3.0 / 3600.0)

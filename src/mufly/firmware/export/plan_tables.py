@@ -13,7 +13,7 @@ from mufly.flight.controllers import controller_limits
 from mufly.flight.tunable_parameters import StickRanges
 from mufly.logs.tables import TABLE_TOPIC
 from mufly.logs.ulog import DATASET_INFO_KEY, TEXTS_INFO_KEY, encode_table_head
-from mufly.mission import Mission, MissionPlan, prepare_plan, reduce_limits
+from mufly.mission import Mission, MissionPlan, prepare_plan, reduce_mission_limits
 from mufly.mission.machine.log_messages import LogMessage
 from mufly.mission.machine.mission_state import State
 from mufly.mission.machine.phases import nose_offset
@@ -55,7 +55,7 @@ def plan_numbers(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -> dict[
             f"{len(m.waypoint)} are more than the {max_waypoints} that the exported code has room for",
             "fly it in parts, or raise MISSION_WAYPOINTS in mission_state.h",
         )
-    count = len(plan.ring.cos)
+    count = len(plan.beam_ring.cos)
     if count > MAX_BEAMS:
         raise InputError("range_ring.count", str(count), f"is more than {MAX_BEAMS}", "leave some beams out")
     return {
@@ -77,20 +77,20 @@ def plan_numbers(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -> dict[
         "give_up_s": m.avoidance.give_up_s,
         "nose_offset": nose_offset(plan),
         "low_voltage": plan.low_battery_V,
-        "ring": {
+        "beam_ring": {
             "count": count,
-            "cos": plan.ring.cos.tolist(),
-            "sin": plan.ring.sin.tolist(),
-            "max_range": float(plan.ring.max_range),
-            "first_angle": plan.ring.first_angle,
-            "spacing": plan.ring.spacing,
+            "cos": plan.beam_ring.cos.tolist(),
+            "sin": plan.beam_ring.sin.tolist(),
+            "max_range": float(plan.beam_ring.max_range),
+            "first_angle": plan.beam_ring.first_angle,
+            "spacing": plan.beam_ring.spacing,
         },
     }
 
 
 def make_plan(vehicle: Vehicle, controller: FlightController, mission: Mission) -> MissionPlan:
     """Return the plan of a mission with limits that the vehicle's controllers can follow."""
-    return prepare_plan(reduce_limits(mission, controller_limits(controller))[0], vehicle)
+    return prepare_plan(reduce_mission_limits(mission, controller_limits(controller))[0], vehicle)
 
 
 def render_plan_source(plan: MissionPlan, controller: FlightController) -> str:

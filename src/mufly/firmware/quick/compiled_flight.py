@@ -451,7 +451,10 @@ def _make_software_arrays(software: Any) -> SoftwareArrays:
     offsets = np.zeros(1, RECORD_OFFSETS).view(np.recarray)[0]
     offsets.time, offsets.motion, offsets.valid = offset(8, b, "time_s"), offset(8, b, "motion"), offset(1, b, "valid")
     offsets.motors, offsets.late_s = offset(4, s, "motors"), offset(8, s, "since_mission_step_s")
-    offsets.log_count, offsets.finished = offset(4, s, "mission", "logged_count"), offset(1, s, "mission", "finished")
+    offsets.log_count, offsets.finished = (
+        offset(4, s, "mission", "logged_event_count"),
+        offset(1, s, "mission", "finished"),
+    )
     offsets.state = offset(4, s, "mission", "state")
     offsets.position, offsets.velocity = (offset(8, s, "reference", "path", n) for n in ("position", "velocity"))
     offsets.heading, offsets.heading_rate = (offset(8, s, "reference", n) for n in ("heading", "heading_rate"))

@@ -26,9 +26,9 @@ from mufly.mission.files.mission_items import (
     MissionCommand,
     MissionItem,
     MissionRefusedError,
-    MissionResult,
-    make_place_item,
-    read_level_place,
+    MissionResultCode,
+    make_position_item,
+    read_horizontal_position,
 )
 from mufly.mission.files.mission_schema import Fence, Mission
 from mufly.mission.files.mission_timing import plan_legs, plan_return_leg
@@ -64,7 +64,7 @@ def fence_margins(fence: Fence, places: ArrayLike) -> tuple[_Array, list[str]]:
     rows: list[_Array] = []
     names: list[str] = []
     if fence.polygon_m:
-        rows.append(_polygon_depth(fence.polygon_m, at))
+        rows.append(_distance_inside_polygon(fence.polygon_m, at))
         names.append("the fence")
     if fence.centre_m is not None and fence.radius_m is not None:
         rows.append(fence.radius_m - np.hypot(*(at[:, :2] - np.array(fence.centre_m)).T))
@@ -73,7 +73,7 @@ def fence_margins(fence: Fence, places: ArrayLike) -> tuple[_Array, list[str]]:
         rows.append(fence.ceiling_m + at[:, 2])
         names.append("the fence's ceiling")
     for zone in fence.keep_out_m:
-        rows.append(-_polygon_depth(zone, at))
+        rows.append(-_distance_inside_polygon(zone, at))
         names.append("a keep-out zone")
     for n, e, radius in fence.keep_out_circles_m:
         rows.append(np.hypot(at[:, 0] - n, at[:, 1] - e) - radius)
@@ -81,7 +81,7 @@ def fence_margins(fence: Fence, places: ArrayLike) -> tuple[_Array, list[str]]:
     return np.array(rows).reshape(len(rows), len(at)), names
 
 
-def fence_fault(fence: Fence | None, places: ArrayLike, keep_m: float = 0.0) -> str:
+def describe_fence_violation(fence: Fence | None, places: ArrayLike, keep_m: float = 0.0) -> str:
     """Return the reason why places are not all inside a fence; "" if they are, or without a fence.
 
     Parameters
@@ -94,8 +94,8 @@ def fence_fault(fence: Fence | None, places: ArrayLike, keep_m: float = 0.0) -> 
 
     Examples
     --------
-    >>> from mufly.mission import Fence, fence_fault
-    >>> fence_fault(Fence(centre_m=(0.0, 0.0), radius_m=10.0), (0.0, 500.0, -1.0))
+    >>> from mufly.mission import Fence, describe_fence_violation
+    >>> describe_fence_violation(Fence(centre_m=(0.0, 0.0), radius_m=10.0), (0.0, 500.0, -1.0))
     "490 m outside the fence's circle"
     """
     if fence is None:
@@ -114,24 +114,24 @@ def fence_fault(fence: Fence | None, places: ArrayLike, keep_m: float = 0.0) -> 
     return f"{far} {side} {names[k]}"
 
 
-def fence_depth(fence: Fence, place: ArrayLike) -> float:
+def distance_inside_fence(fence: Fence, place: ArrayLike) -> float:
     """Return the distance of a place (3,) inside a fence (m); negative outside."""
     margins, _ = fence_margins(fence, place)
     return float(np.where(np.isfinite(margins), margins, -math.inf).min()) if margins.size else math.inf
 
 
-def fence_path_fault(fence: Fence | None, here: ArrayLike, place: ArrayLike) -> str:
+def describe_path_fence_violation(fence: Fence | None, here: ArrayLike, place: ArrayLike) -> str:
     """Return the reason why the path between two places (3,), first vertical, then level, leaves a fence; "" if not.
 
     From outside the fence any path is permitted.
     """
     a, b = (np.asarray(v, dtype=np.float64) for v in (here, place))
-    if fence is None or fence_fault(fence, a):
+    if fence is None or describe_fence_violation(fence, a):
         return ""
     corner = np.array([a[0], a[1], b[2]])
     count = max(2, math.ceil(float(np.linalg.norm(b - corner)) / 0.1) + 1)
     level = corner + np.linspace(0.0, 1.0, count)[:, None] * (b - corner)
-    fault = fence_fault(fence, level)
+    fault = describe_fence_violation(fence, level)
     return f"the path leads {fault}" if fault else ""
 
 
@@ -149,19 +149,19 @@ def check_fence(mission: Mission, where: str) -> None:
     n, e = mission.start_m
     up = [(n, e, -h) for h in np.linspace(0.0, mission.take_off.height_m, 20)]
     for key, places in (("start_m", up[:1]), ("take_off.height_m", up)):
-        _refuse_outside(fence, places, where, key)
+        _require_inside_fence(fence, places, where, key)
     for leg in plan_legs(mission):
         times = np.linspace(0.0, leg.trajectory.duration_s, max(50, math.ceil(leg.length_m / 0.1)))
         track = [leg.trajectory.evaluate(float(t)).position for t in times]
-        _refuse_outside(fence, track, where, f"waypoint[{leg.waypoint_number}].position_m")
+        _require_inside_fence(fence, track, where, f"waypoint[{leg.waypoint_number}].position_m")
     back = plan_return_leg(mission)
     if back is not None:
         times = np.linspace(0.0, back.duration_s, max(50, math.ceil(back.path_profile.distance / 0.1)))
-        _refuse_outside(fence, [back.evaluate(float(t)).position for t in times], where, "at_end")
+        _require_inside_fence(fence, [back.evaluate(float(t)).position for t in times], where, "at_end")
 
 
-def _refuse_outside(fence: Fence, places: Sequence[Sequence[float]], where: str, key: str) -> None:
-    fault = fence_fault(fence, places, FENCE_MARGIN_M)
+def _require_inside_fence(fence: Fence, places: Sequence[Sequence[float]], where: str, key: str) -> None:
+    fault = describe_fence_violation(fence, places, FENCE_MARGIN_M)
     if fault:
         raise InputError(where, key, f"leads {fault}", "move it inside, or enlarge [fence]")
 
@@ -180,7 +180,7 @@ def _circle_outline(n: float, e: float, radius: float) -> list[tuple[float, floa
     return [(n + radius * math.cos(t), e + radius * math.sin(t)) for t in turns]
 
 
-def _polygon_depth(corners: Sequence[tuple[float, float]], at: _Array) -> _Array:
+def _distance_inside_polygon(corners: Sequence[tuple[float, float]], at: _Array) -> _Array:
     """Return the depth of places (n, 3) in a polygon (m); negative outside."""
     a = np.array(corners, dtype=np.float64)
     b = np.roll(a, -1, axis=0)
@@ -209,7 +209,7 @@ def fence_to_items(fence: Fence | None, origin: GlobalOrigin | None = None) -> t
     if fence.centre_m is not None and fence.radius_m is not None:
         made.append((INCLUSION_CIRCLE, fence.radius_m, *fence.centre_m))
     made += [(EXCLUSION_CIRCLE, radius, n, e) for n, e, radius in fence.keep_out_circles_m]
-    return tuple(make_place_item(k, *one, origin) for k, one in enumerate(made))
+    return tuple(make_position_item(k, *one, origin) for k, one in enumerate(made))
 
 
 def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: GlobalOrigin | None) -> Fence | None:
@@ -235,7 +235,7 @@ def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: G
     for item in items:
         if left and item.command != items[item.seq - 1].command:
             raise _make_refusal(
-                item, MissionResult.INVALID_SEQUENCE, f"{left} vertices of the polygon before it are missing"
+                item, MissionResultCode.INVALID_SEQUENCE, f"{left} vertices of the polygon before it are missing"
             )
         if item.command in zones:
             if not left:
@@ -243,21 +243,23 @@ def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: G
                 zones[item.command].append([])
             elif item.params[0] != items[item.seq - 1].params[0]:
                 raise _make_refusal(
-                    item, MissionResult.INVALID_PARAM1, "vertices of one polygon state different counts"
+                    item, MissionResultCode.INVALID_PARAM1, "vertices of one polygon state different counts"
                 )
-            zones[item.command][-1].append(_read_level_place(item, origin))
+            zones[item.command][-1].append(_require_horizontal_position(item, origin))
             left -= 1
         elif item.command in circles:
             radius = item.params[0]
             if not 0.0 < radius <= 1e4:
                 raise _make_refusal(
-                    item, MissionResult.INVALID_PARAM1, f"a radius of {radius:g} m is outside of 0 to 1e4 m"
+                    item, MissionResultCode.INVALID_PARAM1, f"a radius of {radius:g} m is outside of 0 to 1e4 m"
                 )
-            circles[item.command].append((*_read_level_place(item, origin), float(f"{radius:.7g}")))
+            circles[item.command].append((*_require_horizontal_position(item, origin), float(f"{radius:.7g}")))
         elif item.command != MissionCommand.NAV_FENCE_RETURN_POINT:
-            raise _make_refusal(item, MissionResult.UNSUPPORTED, f"command {item.command} is not a fence item")
+            raise _make_refusal(item, MissionResultCode.UNSUPPORTED, f"command {item.command} is not a fence item")
     if left:
-        raise _make_refusal(items[-1], MissionResult.INVALID_SEQUENCE, f"{left} vertices of its polygon are missing")
+        raise _make_refusal(
+            items[-1], MissionResultCode.INVALID_SEQUENCE, f"{left} vertices of its polygon are missing"
+        )
     for command, many in (
         (INCLUSION_VERTEX, zones[INCLUSION_VERTEX]),
         (INCLUSION_CIRCLE, circles[INCLUSION_CIRCLE]),
@@ -265,7 +267,7 @@ def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: G
         if len(many) > 1:
             last = next(i for i in reversed(items) if i.command == command)
             raise _make_refusal(
-                last, MissionResult.UNSUPPORTED, "only one inclusion polygon and one inclusion circle are supported"
+                last, MissionResultCode.UNSUPPORTED, "only one inclusion polygon and one inclusion circle are supported"
             )
     parts: dict[str, Any] = {} if base is None else {"ceiling_m": base.ceiling_m, "action": base.action}
     if not items and parts.get("ceiling_m") is None:
@@ -282,22 +284,22 @@ def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: G
     try:
         return Fence(**parts)
     except ValidationError as error:
-        raise MissionRefusedError(MissionResult.INVALID, f"fence: {error.errors()[0]['msg'].lower()}") from error
+        raise MissionRefusedError(MissionResultCode.INVALID, f"fence: {error.errors()[0]['msg'].lower()}") from error
 
 
-def _make_refusal(item: MissionItem, result: MissionResult, why: str) -> MissionRefusedError:
+def _make_refusal(item: MissionItem, result: MissionResultCode, why: str) -> MissionRefusedError:
     return MissionRefusedError(result, f"of the fence: {why}", item.seq)
 
 
 def _vertex_count(item: MissionItem) -> int:
     count = item.params[0]
     if not (count == round(count, 0) and 3.0 <= count <= 1000.0 if math.isfinite(count) else False):
-        raise _make_refusal(item, MissionResult.INVALID_PARAM1, f"a polygon of {count:g} vertices; give 3 or more")
+        raise _make_refusal(item, MissionResultCode.INVALID_PARAM1, f"a polygon of {count:g} vertices; give 3 or more")
     return int(count)
 
 
-def _read_level_place(item: MissionItem, origin: GlobalOrigin | None) -> tuple[float, float]:
-    n, e = read_level_place(item, origin)
+def _require_horizontal_position(item: MissionItem, origin: GlobalOrigin | None) -> tuple[float, float]:
+    n, e = read_horizontal_position(item, origin)
     if not (math.isfinite(n) and math.isfinite(e)):
-        raise _make_refusal(item, MissionResult.INVALID_PARAM5_X, "use LOCAL_NED (1), or set the vehicle's origin")
+        raise _make_refusal(item, MissionResultCode.INVALID_PARAM5_X, "use LOCAL_NED (1), or set the vehicle's origin")
     return round(n, 4), round(e, 4)

@@ -33,7 +33,7 @@ from mufly.mission.files.mission_items import (
     MissionCommand,
     MissionItem,
     MissionRefusedError,
-    is_global,
+    has_global_position,
     mission_from_items,
 )
 from mufly.mission.files.mission_schema import Mission
@@ -45,9 +45,9 @@ GROUND_FILE_DESCRIPTION = "from a ground station's file"
 """Prefix of the description of a mission from a ground station's file."""
 
 _WAYPOINT_FILE_HEADER = "QGC WPL"
-_REMEDY = "change or delete it in the ground station, and save the plan again"
+_EDIT_PLAN_REMEDY = "change or delete it in the ground station, and save the plan again"
 _NAN = math.nan
-_TAKEN_TABLES: tuple[str, ...] = ("take_off", "waypoint", "at_end", "fence")
+_IMPORTED_TABLES: tuple[str, ...] = ("take_off", "waypoint", "at_end", "fence")
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ def parse_ground_station_text(text: str, where: str) -> dict[str, Any]:
     found = _parse_waypoint_file(head, where) if head.startswith(_WAYPOINT_FILE_HEADER) else _parse_plan(head, where)
     if not found.items:
         raise InputError(where, "mission", "contains no items", "plan a take-off and waypoints first")
-    home = found.home or _first_global_place(found.items)
+    home = found.home or _first_global_position(found.items)
     try:
         plan = mission_from_items(found.items, Mission(), home)
     except MissionRefusedError as refusal:
@@ -109,9 +109,9 @@ def parse_ground_station_text(text: str, where: str) -> dict[str, Any]:
     try:
         fence = fence_from_items(found.fence_items, None, home)
     except MissionRefusedError as refusal:
-        raise InputError(where, "geoFence", refusal.why, _REMEDY) from None
+        raise InputError(where, "geoFence", refusal.why, _EDIT_PLAN_REMEDY) from None
     tables: dict[str, Any] = plan.mission.with_parts(fence=fence).model_dump(exclude_none=True)
-    kept = {key: tables[key] for key in _TAKEN_TABLES if key in tables}
+    kept = {key: tables[key] for key in _IMPORTED_TABLES if key in tables}
     return {"description": _describe_mission(found, home), **kept}
 
 
@@ -119,21 +119,21 @@ def _refusal_remedy(refusal: MissionRefusedError, found: GroundFile) -> str:
     item = None if refusal.item is None else found.items[refusal.item]
     if item is not None and item.frame in (10, 11):
         return "set its altitude mode to relative to launch, and save the plan again"
-    return _REMEDY
+    return _EDIT_PLAN_REMEDY
 
 
 def _describe_mission(found: GroundFile, home: GlobalOrigin | None) -> str:
     words = [GROUND_FILE_DESCRIPTION]
-    if any(is_global(item) for item in found.items) and home is not None:
+    if any(has_global_position(item) for item in found.items) and home is not None:
         of = "its planned home" if found.home is not None else "its first waypoint"
         words.append(f"metres from {of}, {home.lat_deg:.7g}, {home.lon_deg:.7g}")
     words += [f"{part} not used" for part in found.ignored_parts]
     return "; ".join(words)
 
 
-def _first_global_place(items: Sequence[MissionItem]) -> GlobalOrigin | None:
+def _first_global_position(items: Sequence[MissionItem]) -> GlobalOrigin | None:
     """Return the first place on the globe, as a substitute for a home."""
-    first = next((i for i in items if is_global(i) and COORDINATE_NOT_GIVEN not in (i.x, i.y)), None)
+    first = next((i for i in items if has_global_position(i) and COORDINATE_NOT_GIVEN not in (i.x, i.y)), None)
     return None if first is None else GlobalOrigin(first.x / 1e7, first.y / 1e7, 0.0)
 
 
@@ -159,7 +159,7 @@ def _parse_waypoint_file(text: str, where: str) -> GroundFile:
             raise InputError(where, key, f"{line.strip()[:60]!r} is not a waypoint", remedy) from None
         # These files cannot express "no heading"; their programs write 0.
         numbers = (*parameters, _NAN if heading == 0.0 else heading, north, east, height)
-        items.append(_make_item(len(items), int(frame), int(command), numbers, where, key))
+        items.append(_make_mission_item(len(items), int(frame), int(command), numbers, where, key))
         places.append(key)
     home = None
     # The first line is the home: a waypoint in height above the sea.
@@ -167,7 +167,7 @@ def _parse_waypoint_file(text: str, where: str) -> GroundFile:
         len(items) > 1
         and items[0].command == MissionCommand.NAV_WAYPOINT
         and items[0].frame in FRAMES_ABOVE_SEA
-        and is_global(items[0])
+        and has_global_position(items[0])
     ):
         first = items.pop(0)
         places.pop(0)
@@ -180,11 +180,13 @@ def _renumber_item(item: MissionItem, k: int) -> MissionItem:
     return MissionItem(k, item.frame, item.command, params=item.params, x=item.x, y=item.y, z=item.z)
 
 
-def _make_item(seq: int, frame: int, command: int, numbers: Sequence[float], where: str, key: str) -> MissionItem:
+def _make_mission_item(
+    seq: int, frame: int, command: int, numbers: Sequence[float], where: str, key: str
+) -> MissionItem:
     scale = 1e4 if frame in LOCAL_FRAMES else 1e7
     p1, p2, p3, p4, *level, z = numbers
     if any(math.isinf(v) for v in numbers) or any(abs(v) * scale >= COORDINATE_NOT_GIVEN for v in level):
-        raise InputError(where, key, "has an invalid coordinate", _REMEDY)
+        raise InputError(where, key, "has an invalid coordinate", _EDIT_PLAN_REMEDY)
     x, y = (COORDINATE_NOT_GIVEN if math.isnan(v) else round(v * scale) for v in level)
     return MissionItem(seq, frame, command, params=(p1, p2, p3, p4), x=x, y=y, z=z)
 
@@ -201,11 +203,11 @@ def _parse_plan(text: str, where: str) -> GroundFile:
     if kind != "Plan":
         problem = "is JSON, but no plan" if kind is None else f"is of the type {str(kind)[:30]!r}, not a plan"
         raise InputError(where, "fileType", problem, "give a QGroundControl plan (.plan), or a mission file in TOML")
-    mission = _require_table(content.get("mission"), where, "mission")
+    mission = _require_json_object(content.get("mission"), where, "mission")
     items: list[MissionItem] = []
     places: list[str] = []
-    for k, entry in enumerate(_require_list(mission.get("items"), where, "mission.items"), 1):
-        for one in _flatten_items(_require_table(entry, where, f"item {k}"), where, f"item {k}"):
+    for k, entry in enumerate(_require_json_list(mission.get("items"), where, "mission.items"), 1):
+        for one in _flatten_items(_require_json_object(entry, where, f"item {k}"), where, f"item {k}"):
             items.append(_parse_plan_item(len(items), one, where, f"item {k}"))
             places.append(f"item {k}")
     rally = content.get("rallyPoints")
@@ -222,13 +224,13 @@ def _parse_fence_items(content: object, where: str) -> tuple[MissionItem, ...]:
         return ()
     made: list[tuple[int, float, object]] = []
     for k, zone in enumerate(content.get("polygons") or (), 1):
-        table = _require_table(zone, where, f"geoFence.polygons[{k}]")
-        corners = _require_list(table.get("polygon"), where, f"geoFence.polygons[{k}]")
+        table = _require_json_object(zone, where, f"geoFence.polygons[{k}]")
+        corners = _require_json_list(table.get("polygon"), where, f"geoFence.polygons[{k}]")
         vertex = INCLUSION_VERTEX if table.get("inclusion", True) else EXCLUSION_VERTEX
         made += [(vertex, float(len(corners)), corner) for corner in corners]
     for k, zone in enumerate(content.get("circles") or (), 1):
-        table = _require_table(zone, where, f"geoFence.circles[{k}]")
-        circle = _require_table(table.get("circle"), where, f"geoFence.circles[{k}]")
+        table = _require_json_object(zone, where, f"geoFence.circles[{k}]")
+        circle = _require_json_object(table.get("circle"), where, f"geoFence.circles[{k}]")
         radius = circle.get("radius")
         shape = INCLUSION_CIRCLE if table.get("inclusion", True) else EXCLUSION_CIRCLE
         made.append((shape, float(radius) if isinstance(radius, int | float) else _NAN, circle.get("center")))
@@ -237,7 +239,9 @@ def _parse_fence_items(content: object, where: str) -> tuple[MissionItem, ...]:
         at = _parse_home(place)
         if at is None:
             raise InputError(where, "geoFence", f"{place!r:.40} is not a place", "save the plan again")
-        items.append(_make_item(k, 0, command, (first, 0.0, 0.0, 0.0, at.lat_deg, at.lon_deg, 0.0), where, "geoFence"))
+        items.append(
+            _make_mission_item(k, 0, command, (first, 0.0, 0.0, 0.0, at.lat_deg, at.lon_deg, 0.0), where, "geoFence")
+        )
     return tuple(items)
 
 
@@ -248,7 +252,7 @@ def _flatten_items(entry: Mapping[str, Any], where: str, key: str) -> list[Mappi
     made = entry.get("TransectStyleComplexItem")
     parts = made.get("Items") if isinstance(made, dict) else None
     if isinstance(parts, list) and parts:
-        return [_require_table(part, where, key) for part in parts]
+        return [_require_json_object(part, where, key) for part in parts]
     kind = str(entry.get("complexItemType", "complex item"))[:40]
     raise InputError(where, key, f"a {kind} cannot be flown", "plan simple waypoints in its place")
 
@@ -264,7 +268,7 @@ def _parse_plan_item(seq: int, entry: Mapping[str, Any], where: str, key: str) -
         raise InputError(where, key, "has params that are not numbers", "save the plan again") from None
     assert isinstance(frame, int)
     assert isinstance(command, int)
-    return _make_item(seq, frame, command, numbers, where, key)
+    return _make_mission_item(seq, frame, command, numbers, where, key)
 
 
 def _parse_home(value: object) -> GlobalOrigin | None:
@@ -277,13 +281,13 @@ def _parse_home(value: object) -> GlobalOrigin | None:
     return GlobalOrigin(lat, lon, alt if math.isfinite(alt) else 0.0) if known else None
 
 
-def _require_table(value: object, where: str, key: str) -> Mapping[str, Any]:
+def _require_json_object(value: object, where: str, key: str) -> Mapping[str, Any]:
     if not isinstance(value, dict):
         raise InputError(where, key, "is missing or no table", "save the plan again in QGroundControl")
     return value
 
 
-def _require_list(value: object, where: str, key: str) -> list[Any]:
+def _require_json_list(value: object, where: str, key: str) -> list[Any]:
     if not isinstance(value, list):
         raise InputError(where, key, "is missing or no list", "save the plan again in QGroundControl")
     return value

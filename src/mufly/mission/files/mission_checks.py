@@ -25,8 +25,8 @@ from mufly.mission.files.ground_files import is_ground_station_text, parse_groun
 from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M, Mission, limits_to_file_units
 from mufly.mission.files.mission_timing import (
     compute_landing_time,
+    compute_mission_timing,
     compute_take_off_time,
-    compute_timing,
     plan_legs,
     plan_return_leg,
 )
@@ -39,7 +39,7 @@ from mufly.world import World, obstacle_distance, obstacle_distances
 WAYPOINT_MARGIN_M = 0.1
 """Margin of waypoints from obstacles beyond the clearance (m), so that a detour can still reach them."""
 
-_COLUMN_START_DOWN_M = -0.05
+_VERTICAL_PATH_START_DOWN_M = -0.05
 
 
 def check_geometry(mission: Mission, where: str) -> None:
@@ -84,15 +84,15 @@ def check_geometry(mission: Mission, where: str) -> None:
                 f"keep {clear + WAYPOINT_MARGIN_M:.2f} m from obstacles (avoidance.clearance_m + "
                 f"{WAYPOINT_MARGIN_M:g})",
             )
-    start = np.array([*mission.start_m, _COLUMN_START_DOWN_M])
-    _check_column(mission, where, "start_m", start, -mission.take_off.height_m, "the take-off")
+    start = np.array([*mission.start_m, _VERTICAL_PATH_START_DOWN_M])
+    _check_vertical_path(mission, where, "start_m", start, -mission.take_off.height_m, "the take-off")
     for leg in plan_legs(mission):
         key = f"waypoint[{leg.waypoint_number}].position_m"
         way = leg.trajectory
-        track = _sample_track(way) if way.spline_curve is not None or has_obstacles else np.empty((0, 3))
+        track = _sample_leg_positions(way) if way.spline_curve is not None or has_obstacles else np.empty((0, 3))
         if way.spline_curve is None:
             begin = np.array(way.start)
-            _check_column(mission, where, key, begin, way.goal[2], "the change of height before it")
+            _check_vertical_path(mission, where, key, begin, way.goal[2], "the change of height before it")
         elif track[:, 2].max() > -MIN_WAYPOINT_HEIGHT_M:
             raise InputError(
                 where,
@@ -100,19 +100,19 @@ def check_geometry(mission: Mission, where: str) -> None:
                 f"the spline to it descends to a height of {-track[:, 2].max():.2f} m",
                 f'keep it above {MIN_WAYPOINT_HEIGHT_M:g} m, or use path.kind = "straight"',
             )
-        _check_over_and_under(mission, where, key, track)
+        _check_paths_over_and_under_obstacles(mission, where, key, track)
     last = f"waypoint[{len(mission.waypoint)}].position_m"
     end = np.array(mission.waypoint[-1].position_m)
     back = plan_return_leg(mission)
     if back is not None:
         last, end = "at_end", np.array(back.goal)
         if has_obstacles:
-            _check_over_and_under(mission, where, last, _sample_track(back))
-    _check_column(mission, where, last, end, _COLUMN_START_DOWN_M, "the landing")
+            _check_paths_over_and_under_obstacles(mission, where, last, _sample_leg_positions(back))
+    _check_vertical_path(mission, where, last, end, _VERTICAL_PATH_START_DOWN_M, "the landing")
     check_fence(mission, where)
 
 
-def _sample_track(way: Trajectory) -> NDArray[np.float64]:
+def _sample_leg_positions(way: Trajectory) -> NDArray[np.float64]:
     """Return 200 positions (200, 3) along a leg."""
     times = np.linspace(way.departure_s, way.duration_s, 200)
     return np.array([way.evaluate(float(t)).position for t in times])
@@ -124,7 +124,9 @@ def _describe_distance(least: float, name: str) -> str:
     return f"beyond the {name}" if name.endswith(" wall") or name == "ceiling" else f"inside the {name}"
 
 
-def _check_column(mission: Mission, where: str, key: str, position: NDArray[np.float64], to: float, what: str) -> None:
+def _check_vertical_path(
+    mission: Mission, where: str, key: str, position: NDArray[np.float64], to: float, what: str
+) -> None:
     count = max(2, math.ceil(abs(to - position[2]) / 0.05) + 1)
     column = np.tile(position, (count, 1))
     column[:, 2] = np.linspace(position[2], to, count)
@@ -140,7 +142,7 @@ def _check_column(mission: Mission, where: str, key: str, position: NDArray[np.f
         )
 
 
-def _check_over_and_under(mission: Mission, where: str, key: str, track: NDArray[np.float64]) -> None:
+def _check_paths_over_and_under_obstacles(mission: Mission, where: str, key: str, track: NDArray[np.float64]) -> None:
     """Refuse a track that passes an obstacle's top or foot closely: level beams pass over or under it."""
     world = mission.world
     spans = [(b.name, b.centre[2] - 0.5 * b.size[2], b.centre[2] + 0.5 * b.size[2]) for b in world.boxes]
@@ -180,14 +182,14 @@ class MissionEstimate:
         Time from the start signal until landing with the rotors at rest (s).
     path_m : float
         Length of the reference from lift-off to touchdown (m).
-    charge_Ah, fraction : float
+    charge_Ah, charge_fraction : float
         Charge used, and its fraction of the battery's charge.
     """
 
     duration_s: float
     path_m: float
     charge_Ah: float
-    fraction: float
+    charge_fraction: float
 
 
 def check_mission(
@@ -229,7 +231,7 @@ def check_mission(
     )
     remedy += "charge it, or " if present else ""
 
-    timing = compute_timing(mission)
+    timing = compute_mission_timing(mission)
     height, up = mission.take_off.height_m, compute_take_off_time(mission)
     least = up + compute_landing_time(height, mission)
     if least > lasts:
@@ -308,14 +310,14 @@ def load_mission(name_or_path: str | Path) -> Mission:
     if name not in list_builtin_missions() and Path(name).is_file():
         try:
             tables = read_mission_tables(Path(name).read_text(encoding="utf-8-sig"), name)
-            return parse_mission(_locate_floor(tables, name), name)
+            return parse_mission(_resolve_floor_picture(tables, name), name)
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(name, "", f"cannot be read ({error})", "give a text file in UTF-8") from error
     tables, where = read_toml(name_or_path, _BUILTIN_FOLDER, "mission")
-    return parse_mission({"name": Path(where).stem, **_locate_floor(tables, where)}, where)
+    return parse_mission({"name": Path(where).stem, **_resolve_floor_picture(tables, where)}, where)
 
 
-def _locate_floor(tables: dict[str, Any], where: str) -> dict[str, Any]:
+def _resolve_floor_picture(tables: dict[str, Any], where: str) -> dict[str, Any]:
     """Return the tables with the path of a floor's picture, which is relative to the mission file."""
     floor = tables.get("floor")
     if not isinstance(floor, dict) or not isinstance(texture := floor.get("texture"), str):
@@ -430,7 +432,7 @@ def check_preflight(
         raise error.with_location(where) from None
     capacity_Ah = float(vehicle.battery.capacity) / 3600.0
     if able is not None:
-        mission, _ = reduce_limits(mission, able)
+        mission, _ = reduce_mission_limits(mission, able)
     return check_mission(mission, hover_current_A=current, capacity_Ah=capacity_Ah, where=where)
 
 
@@ -442,11 +444,11 @@ def check_preflight(
 # the controllers' limits.
 
 
-USABLE_LIMIT_SHARE = 0.8
+MISSION_SHARE_OF_CONTROL_LIMITS = 0.8
 """Share of the controllers' limits available to a mission; the rest is for corrections."""
 
 
-def reduce_limits(mission: Mission, able: TrajectoryLimits) -> tuple[Mission, str]:
+def reduce_mission_limits(mission: Mission, able: TrajectoryLimits) -> tuple[Mission, str]:
     """Reduce a mission's limits to the helicopter's capability.
 
     Parameters
@@ -464,12 +466,12 @@ def reduce_limits(mission: Mission, able: TrajectoryLimits) -> tuple[Mission, st
         Description of the changes: ``"climb_m_s 0.8 in place of 2"``; empty without changes.
     """
     can = limits_to_file_units(able)
-    most = USABLE_LIMIT_SHARE * able.speed
+    most = MISSION_SHARE_OF_CONTROL_LIMITS * able.speed
     hasty = [k for k, w in enumerate(mission.waypoint) if w.speed_m_s is not None and w.speed_m_s > most]
     slower = {
-        key: USABLE_LIMIT_SHARE * most
+        key: MISSION_SHARE_OF_CONTROL_LIMITS * most
         for key, most in can.items()
-        if USABLE_LIMIT_SHARE * most < getattr(mission.limits, key)
+        if MISSION_SHARE_OF_CONTROL_LIMITS * most < getattr(mission.limits, key)
     }
     if not slower and not hasty:
         return mission, ""

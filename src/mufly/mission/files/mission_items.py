@@ -72,7 +72,7 @@ class GlobalOrigin:
         return (lat_deg - self.lat_deg) * n, away * e, down
 
 
-class MissionResult(IntEnum):
+class MissionResultCode(IntEnum):
     """Result codes MAV_MISSION_RESULT."""
 
     ACCEPTED = 0
@@ -134,12 +134,12 @@ class MissionCommand(IntEnum):
 
 FRAME_LOCAL_NED, FRAME_LOCAL_ENU = 1, 4
 """Values of MAV_FRAME."""
-_END_ACTIONS: dict[int, str] = {
+_END_ACTION_BY_COMMAND: dict[int, str] = {
     MissionCommand.NAV_LOITER_UNLIM: "hover",
     MissionCommand.NAV_LAND: "land",
     MissionCommand.NAV_RETURN_TO_LAUNCH: "return",
 }
-_SAME_PLACE_M = 0.05
+_SAME_POSITION_TOLERANCE_M = 0.05
 _UNSUPPORTED_COMMANDS: dict[int, str] = {
     31: "NAV_LOITER_TO_ALT", 84: "NAV_VTOL_TAKEOFF", 85: "NAV_VTOL_LAND", 114: "CONDITION_DISTANCE", 179: "DO_SET_HOME",
     181: "DO_SET_RELAY", 183: "DO_SET_SERVO", 189: "DO_LAND_START", 195: "DO_SET_ROI_LOCATION", 197: "DO_SET_ROI_NONE",
@@ -182,12 +182,12 @@ class MissionWithItems:
 class MissionRefusedError(Exception):
     """Error for a mission that cannot be flown: result code to acknowledge, reason, and item at fault."""
 
-    def __init__(self, result: MissionResult, why: str, item: int | None = None) -> None:
+    def __init__(self, result: MissionResultCode, why: str, item: int | None = None) -> None:
         super().__init__(f"mission: {why}" if item is None else f"mission item {item}: {why}")
         self.result, self.why, self.item = result, why, item
 
 
-def _make_refusal(item: MissionItem, result: MissionResult, why: str) -> MissionRefusedError:
+def _make_refusal(item: MissionItem, result: MissionResultCode, why: str) -> MissionRefusedError:
     return MissionRefusedError(result, why, item.seq)
 
 
@@ -215,14 +215,14 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
     heading: float | None = None
     end: str = "hover" if items else base.at_end
     for item in items:
-        if item.seq and items[item.seq - 1].command in _END_ACTIONS:
+        if item.seq and items[item.seq - 1].command in _END_ACTION_BY_COMMAND:
             raise _make_refusal(
-                item, MissionResult.INVALID_SEQUENCE, "nothing can follow a landing or an endless hover"
+                item, MissionResultCode.INVALID_SEQUENCE, "nothing can follow a landing or an endless hover"
             )
         if item.command == MissionCommand.NAV_TAKEOFF:
             if waypoints:
-                raise _make_refusal(item, MissionResult.INVALID_SEQUENCE, "a take-off comes before all waypoints")
-            take_off = _make_table(
+                raise _make_refusal(item, MissionResultCode.INVALID_SEQUENCE, "a take-off comes before all waypoints")
+            take_off = _make_mission_table(
                 item, TakeOff, height_m=-_read_flight_height(item, origin), wait_s=base.take_off.wait_s
             )
         elif item.command in (
@@ -231,8 +231,8 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
             MissionCommand.NAV_LOITER_UNLIM,
         ):
             headed = item.command != MissionCommand.NAV_LOITER_TIME
-            own = _read_heading_deg(item, 3, MissionResult.INVALID_PARAM4) if headed else None
-            place = _read_flight_place(item, origin)
+            own = _read_heading_deg(item, 3, MissionResultCode.INVALID_PARAM4) if headed else None
+            place = _read_flight_position(item, origin)
             wait = 0.0 if item.command == MissionCommand.NAV_LOITER_UNLIM else _read_wait_s(item)
             waypoints.append(_make_waypoint(item, place, wait, heading if own is None else own, speed))
             came_from.append(item.seq)
@@ -242,7 +242,7 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
             longer = w.wait_s + _read_wait_s(item)
             waypoints[-1] = _make_waypoint(item, w.position_m, longer, w.heading_deg, w.speed_m_s)
         elif item.command == MissionCommand.NAV_DELAY:
-            take_off = _make_table(
+            take_off = _make_mission_table(
                 item, TakeOff, height_m=take_off.height_m, wait_s=take_off.wait_s + _read_wait_s(item)
             )
         elif item.command == MissionCommand.DO_CHANGE_SPEED:
@@ -250,26 +250,30 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
         elif item.command == MissionCommand.CONDITION_YAW:
             *_, is_relative = item.params
             if is_relative == 1.0:
-                raise _make_refusal(item, MissionResult.INVALID_PARAM4, "a relative turn is not supported in a mission")
+                raise _make_refusal(
+                    item, MissionResultCode.INVALID_PARAM4, "a relative turn is not supported in a mission"
+                )
             if is_relative != 0.0 and not math.isnan(is_relative):
                 why = f"parameter 4 is {is_relative:g}; give 0, an absolute heading"
-                raise _make_refusal(item, MissionResult.INVALID_PARAM4, why)
-            heading = _read_heading_deg(item, 0, MissionResult.INVALID_PARAM1)
+                raise _make_refusal(item, MissionResultCode.INVALID_PARAM4, why)
+            heading = _read_heading_deg(item, 0, MissionResultCode.INVALID_PARAM1)
         elif item.command not in (MissionCommand.NAV_LAND, MissionCommand.NAV_RETURN_TO_LAUNCH):
-            raise _make_refusal(item, MissionResult.UNSUPPORTED, f"{_command_name(item.command)} cannot be flown")
+            raise _make_refusal(item, MissionResultCode.UNSUPPORTED, f"{_command_name(item.command)} cannot be flown")
         if item.command == MissionCommand.NAV_LAND and waypoints:
-            over = _place_before_landing(item, origin, waypoints[-1])
+            over = _position_before_landing(item, origin, waypoints[-1])
             if over is not None:
-                own = _read_heading_deg(item, 3, MissionResult.INVALID_PARAM4)
+                own = _read_heading_deg(item, 3, MissionResultCode.INVALID_PARAM4)
                 waypoints.append(_make_waypoint(item, over, 0.0, heading if own is None else own, speed))
                 came_from.append(item.seq)
                 heading = None
-        end = _END_ACTIONS.get(item.command, end)
+        end = _END_ACTION_BY_COMMAND.get(item.command, end)
     if heading is not None:
         last = next(i for i in reversed(items) if i.command == MissionCommand.CONDITION_YAW)
-        raise _make_refusal(last, MissionResult.INVALID_SEQUENCE, "no waypoint follows that could have this heading")
+        raise _make_refusal(
+            last, MissionResultCode.INVALID_SEQUENCE, "no waypoint follows that could have this heading"
+        )
     if items and not waypoints:
-        raise MissionRefusedError(MissionResult.INVALID, "the mission has no waypoint")
+        raise MissionRefusedError(MissionResultCode.INVALID, "the mission has no waypoint")
     parts: dict[str, Any] = {name: getattr(base, name) for name in Mission.model_fields}
     parts |= {"take_off": take_off, "waypoint": tuple(waypoints), "at_end": end}
     return MissionWithItems(Mission(**parts), tuple(items), tuple(came_from))
@@ -329,7 +333,7 @@ def is_global_frame(item: MissionItem) -> bool:
     return item.frame in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN, *FRAMES_ABOVE_TERRAIN)
 
 
-def is_global(item: MissionItem) -> bool:
+def has_global_position(item: MissionItem) -> bool:
     """Return whether an item has a place on the globe."""
     return is_global_frame(item) and (item.x, item.y) != (0, 0)
 
@@ -344,7 +348,7 @@ def _command_name(number: int) -> str:
     return f"command {number}" if entry is None else f"command {number} ({entry})"
 
 
-def make_place_item(
+def make_position_item(
     seq: int, command: int, first: float, north: float, east: float, origin: GlobalOrigin | None
 ) -> MissionItem:
     """Return an item with a level place (m) and one parameter: on the globe with an origin, else in LOCAL_NED."""
@@ -367,7 +371,7 @@ def _to_tenth_mm(metres: float) -> int:
     return round(metres * 1e4)
 
 
-def _make_table(item: MissionItem, table: type, **values: Any) -> Any:
+def _make_mission_table(item: MissionItem, table: type, **values: Any) -> Any:
     """Return a table of the mission, checked against the table's own bounds."""
     try:
         return table(**values)
@@ -375,18 +379,20 @@ def _make_table(item: MissionItem, table: type, **values: Any) -> Any:
         first = error.errors()[0]
         field = str(first["loc"][0]) if first["loc"] else ""
         blame = {
-            "height_m": MissionResult.INVALID_PARAM7,
-            "wait_s": MissionResult.INVALID_PARAM1,
-            "heading_deg": MissionResult.INVALID_PARAM4,
-            "speed_m_s": MissionResult.INVALID,
-        }.get(field, MissionResult.INVALID)
+            "height_m": MissionResultCode.INVALID_PARAM7,
+            "wait_s": MissionResultCode.INVALID_PARAM1,
+            "heading_deg": MissionResultCode.INVALID_PARAM4,
+            "speed_m_s": MissionResultCode.INVALID,
+        }.get(field, MissionResultCode.INVALID)
         raise _make_refusal(item, blame, f"{field} {values.get(field)!r}: {first['msg'].lower()}") from error
 
 
 def _make_waypoint(
     item: MissionItem, place: Triple, wait_s: float, heading: float | None, speed: float | None
 ) -> Waypoint:
-    made: Waypoint = _make_table(item, Waypoint, position_m=place, wait_s=wait_s, heading_deg=heading, speed_m_s=speed)
+    made: Waypoint = _make_mission_table(
+        item, Waypoint, position_m=place, wait_s=wait_s, heading_deg=heading, speed_m_s=speed
+    )
     return made
 
 
@@ -396,13 +402,13 @@ def _read_wait_s(item: MissionItem) -> float:
         return 0.0
     if item.command == MissionCommand.NAV_DELAY and wait == -1.0:
         why = "a delay until a time of day is not supported; give seconds in parameter 1"
-        raise _make_refusal(item, MissionResult.INVALID_PARAM1, why)
+        raise _make_refusal(item, MissionResultCode.INVALID_PARAM1, why)
     if not 0.0 <= wait <= 3600.0:
-        raise _make_refusal(item, MissionResult.INVALID_PARAM1, f"a wait of {wait:g} s is outside of 0 to 3600 s")
+        raise _make_refusal(item, MissionResultCode.INVALID_PARAM1, f"a wait of {wait:g} s is outside of 0 to 3600 s")
     return wait
 
 
-def _read_heading_deg(item: MissionItem, k: int, blame: MissionResult) -> float | None:
+def _read_heading_deg(item: MissionItem, k: int, blame: MissionResultCode) -> float | None:
     deg = item.params[k]
     if math.isnan(deg):
         return None
@@ -414,15 +420,15 @@ def _read_heading_deg(item: MissionItem, k: int, blame: MissionResult) -> float 
 def _read_speed_m_s(item: MissionItem, before: float | None) -> float | None:
     kind, speed = item.params[0], item.params[1]
     if kind not in (0.0, 1.0):
-        raise _make_refusal(item, MissionResult.INVALID_PARAM1, "only the horizontal speed (0, 1) can be changed")
+        raise _make_refusal(item, MissionResultCode.INVALID_PARAM1, "only the horizontal speed (0, 1) can be changed")
     if speed in (-1.0, -2.0):
         return before if speed == -1.0 else None
     if not 0.0 < speed <= 3.0:
-        raise _make_refusal(item, MissionResult.INVALID_PARAM2, f"a speed of {speed:g} m/s is outside of 0 to 3")
+        raise _make_refusal(item, MissionResultCode.INVALID_PARAM2, f"a speed of {speed:g} m/s is outside of 0 to 3")
     return float(f"{speed:.7g}")
 
 
-def _find_down(item: MissionItem, origin: GlobalOrigin | None) -> float | None:
+def _read_down_m(item: MissionItem, origin: GlobalOrigin | None) -> float | None:
     """Return D of an item (m); None if the frame is unknown or its origin is missing."""
     if item.frame == FRAME_LOCAL_NED:
         return item.z
@@ -433,24 +439,24 @@ def _find_down(item: MissionItem, origin: GlobalOrigin | None) -> float | None:
 
 def _read_flight_height(item: MissionItem, origin: GlobalOrigin | None) -> float:
     """Return D of an item (m), which must be above the floor."""
-    down = _find_down(item, origin)
+    down = _read_down_m(item, origin)
     if down is None:
         why = f"frame {item.frame} is not supported; use LOCAL_NED (1)"
         if item.frame in FRAMES_ABOVE_TERRAIN:
             why = f"frame {item.frame} has heights above the terrain, which are not supported; use LOCAL_NED (1)"
         if item.frame in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN):
             why = f"frame {item.frame} needs a global origin; use LOCAL_NED (1), or set the vehicle's origin"
-        raise _make_refusal(item, MissionResult.UNSUPPORTED_FRAME, why)
+        raise _make_refusal(item, MissionResultCode.UNSUPPORTED_FRAME, why)
     if not math.isfinite(down) or down > -MIN_WAYPOINT_HEIGHT_M:
         raise _make_refusal(
             item,
-            MissionResult.INVALID_PARAM7,
+            MissionResultCode.INVALID_PARAM7,
             f"height {-down:g} m is too low; give at least {MIN_WAYPOINT_HEIGHT_M:g} m",
         )
     return float(f"{down:.7g}")
 
 
-def read_level_place(item: MissionItem, origin: GlobalOrigin | None) -> tuple[float, float]:
+def read_horizontal_position(item: MissionItem, origin: GlobalOrigin | None) -> tuple[float, float]:
     """Return N and E of an item (m); NaN if not given."""
     if item.frame in (FRAME_LOCAL_NED, FRAME_LOCAL_ENU):
         a, b = (scale_coordinate(v, 1e-4) for v in (item.x, item.y))
@@ -464,26 +470,26 @@ def read_level_place(item: MissionItem, origin: GlobalOrigin | None) -> tuple[fl
     return n, e
 
 
-def read_place(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
+def read_position(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
     """Return N, E, D of an item (m); NaN if not given, or unknown without origin or terrain height."""
-    down = _find_down(item, origin)
-    return *read_level_place(item, origin), math.nan if down is None else down
+    down = _read_down_m(item, origin)
+    return *read_horizontal_position(item, origin), math.nan if down is None else down
 
 
-def _read_flight_place(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
+def _read_flight_position(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
     down = _read_flight_height(item, origin)
-    n, e = read_level_place(item, origin)
+    n, e = read_horizontal_position(item, origin)
     if math.isnan(n):
-        raise _make_refusal(item, MissionResult.INVALID_PARAM5_X, "x is not given")
+        raise _make_refusal(item, MissionResultCode.INVALID_PARAM5_X, "x is not given")
     if math.isnan(e):
-        raise _make_refusal(item, MissionResult.INVALID_PARAM6_Y, "y is not given")
+        raise _make_refusal(item, MissionResultCode.INVALID_PARAM6_Y, "y is not given")
     return n, e, down
 
 
-def _place_before_landing(item: MissionItem, origin: GlobalOrigin | None, last: Waypoint) -> Triple | None:
+def _position_before_landing(item: MissionItem, origin: GlobalOrigin | None, last: Waypoint) -> Triple | None:
     """Return the place to fly to before landing, at the last waypoint's height; None if already there or not given."""
-    n, e = read_level_place(item, origin)
+    n, e = read_horizontal_position(item, origin)
     before = last.position_m
-    if math.isnan(n) or math.isnan(e) or math.dist((n, e), before[:2]) < _SAME_PLACE_M:
+    if math.isnan(n) or math.isnan(e) or math.dist((n, e), before[:2]) < _SAME_POSITION_TOLERANCE_M:
         return None
     return n, e, before[2]

@@ -19,22 +19,22 @@ from mufly.mission.trajectory import Trajectory, plan_pending_curve, plan_straig
 from mufly.mission.trajectory import TrajectoryLimits as TrajectoryLimits
 from mufly.world import Box, Cylinder, Room, World, make_wall
 
-MAX_EXTENT_M = 10_000.0
+MAX_COORDINATE_M = 10_000.0
 """Largest coordinate or length in a mission (m): flights are indoors, over a flat floor."""
 MAX_WIND_M_S, MAX_GUST_RMS_M_S = 50.0, 5.0
 """Bounds of each component of the steady wind (a hurricane's) and of the gusts' rms (m/s).
 
 The model's own range of validity is far smaller."""
 
-BoundedNumber = Annotated[float, Strict(), Field(ge=-MAX_EXTENT_M, le=MAX_EXTENT_M)]
-PositiveNumber = Annotated[float, Strict(), Field(ge=1e-3, le=MAX_EXTENT_M)]
+BoundedNumber = Annotated[float, Strict(), Field(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
+PositiveNumber = Annotated[float, Strict(), Field(ge=1e-3, le=MAX_COORDINATE_M)]
 Triple = tuple[BoundedNumber, BoundedNumber, BoundedNumber]
 Pair = tuple[BoundedNumber, BoundedNumber]
 WindSpeed = Annotated[float, Strict(), Field(ge=-MAX_WIND_M_S, le=MAX_WIND_M_S)]
 
 MIN_WAYPOINT_HEIGHT_M = 0.2
 """Least height of a waypoint above the floor (m), above the legs and the ground effect."""
-_SHOWN_PLACES = 7  # of a mission in its text: the start and six waypoints
+_MAX_LISTED_POSITIONS = 7  # of a mission in its text: the start and six waypoints
 
 
 class _MissionTable(BaseModel):
@@ -136,9 +136,9 @@ class Fence(_MissionTable):
 
     polygon_m: tuple[Pair, ...] = Field(default=(), description="corners N, E of the inclusion area, three or more")
     centre_m: Pair | None = Field(default=None, description="N, E of the centre of an inclusion circle")
-    radius_m: float | None = _strict_field(None, "radius of that circle", ge=0.1, le=MAX_EXTENT_M)
+    radius_m: float | None = _strict_field(None, "radius of that circle", ge=0.1, le=MAX_COORDINATE_M)
     ceiling_m: float | None = _strict_field(
-        None, "greatest height above the floor", ge=MIN_WAYPOINT_HEIGHT_M, le=MAX_EXTENT_M
+        None, "greatest height above the floor", ge=MIN_WAYPOINT_HEIGHT_M, le=MAX_COORDINATE_M
     )
     keep_out_m: tuple[tuple[Pair, ...], ...] = Field(
         default=(), description="exclusion areas, each with its corners N, E"
@@ -202,9 +202,9 @@ class CylinderTable(_MissionTable):
 
     name: str = Field(default="cylinder", description="what messages call it")
     centre_m: Pair = Field(description="N, E of its axis")
-    radius_m: float = _strict_field(..., "radius", ge=1e-3, le=MAX_EXTENT_M)
-    height_m: float = _strict_field(..., "from its foot to its top", ge=1e-3, le=MAX_EXTENT_M)
-    foot_m: float = _strict_field(0.0, "height of the foot above the floor", ge=0.0, le=MAX_EXTENT_M)
+    radius_m: float = _strict_field(..., "radius", ge=1e-3, le=MAX_COORDINATE_M)
+    height_m: float = _strict_field(..., "from its foot to its top", ge=1e-3, le=MAX_COORDINATE_M)
+    foot_m: float = _strict_field(0.0, "height of the foot above the floor", ge=0.0, le=MAX_COORDINATE_M)
 
 
 class WallTable(_MissionTable):
@@ -213,8 +213,8 @@ class WallTable(_MissionTable):
     name: str = Field(default="wall", description="what messages call it")
     start_m: Pair = Field(description="N, E of one end")
     end_m: Pair = Field(description="N, E of the other end")
-    height_m: float = _strict_field(..., "height above the floor", ge=1e-3, le=MAX_EXTENT_M)
-    thickness_m: float = _strict_field(0.1, "thickness", ge=1e-3, le=MAX_EXTENT_M)
+    height_m: float = _strict_field(..., "height above the floor", ge=1e-3, le=MAX_COORDINATE_M)
+    thickness_m: float = _strict_field(0.1, "thickness", ge=1e-3, le=MAX_COORDINATE_M)
 
 
 class RoomTable(_MissionTable):
@@ -222,7 +222,9 @@ class RoomTable(_MissionTable):
 
     north_m: Pair = Field(description="least and greatest N inside")
     east_m: Pair = Field(description="least and greatest E inside")
-    height_m: float | None = _strict_field(None, "height of the ceiling; default: no ceiling", ge=0.1, le=MAX_EXTENT_M)
+    height_m: float | None = _strict_field(
+        None, "height of the ceiling; default: no ceiling", ge=0.1, le=MAX_COORDINATE_M
+    )
 
 
 class FloorTable(_MissionTable):
@@ -230,7 +232,10 @@ class FloorTable(_MissionTable):
 
     texture: str = Field(description="floor, as for `mufly fly --floor`: a kind, a package's picture or a picture file")
     width_m: float | None = _strict_field(
-        None, "width of the picture from west to east; default: that of `mufly fly --floor`", ge=0.01, le=MAX_EXTENT_M
+        None,
+        "width of the picture from west to east; default: that of `mufly fly --floor`",
+        ge=0.01,
+        le=MAX_COORDINATE_M,
     )
 
 
@@ -268,9 +273,9 @@ class Mission(_MissionTable):
         title = f"Mission {self.name}" + (f": {self.description}" if self.description else "")
         way = [self.start_m, *(w.position_m for w in self.waypoint)]
         lines = [f"  take-off to {self.take_off.height_m:g} m at N {way[0][0]:g}, E {way[0][1]:g} m"]
-        lines += [f"  {k}: N {w[0]:g}, E {w[1]:g}, D {w[2]:g} m" for k, w in enumerate(way[1:_SHOWN_PLACES], 1)]
-        if len(way) > _SHOWN_PLACES:
-            lines.append(f"  {len(way) - _SHOWN_PLACES} more waypoints")
+        lines += [f"  {k}: N {w[0]:g}, E {w[1]:g}, D {w[2]:g} m" for k, w in enumerate(way[1:_MAX_LISTED_POSITIONS], 1)]
+        if len(way) > _MAX_LISTED_POSITIONS:
+            lines.append(f"  {len(way) - _MAX_LISTED_POSITIONS} more waypoints")
         lines.append(f"  at the end: {self.at_end}")
         given = sorted(self.model_fields_set - {"name", "description", "take_off", "waypoint", "at_end", "start_m"})
         lines += [f"  also given: {', '.join(given)}"] if given else []
@@ -339,7 +344,7 @@ def limits_to_file_units(q: TrajectoryLimits) -> dict[str, float]:
 # Trajectories of the mission's legs.
 
 
-SPIN_UP_S = 3.0
+ROTOR_SPIN_UP_TIME_S = 3.0
 """Time of the rotors' spin-up before lift-off (s)."""
 
 SLOW_LANDING_HEIGHT_M = 0.4

@@ -5,8 +5,9 @@ legs, settling, waits, the return, and the landing with its slow end. A leg is a
 spot, then the path, from rest to rest (`mufly.mission.trajectory`). A scan and detours around obstacles in the file
 may be added. Own derivation.
 
-A detour around an obstacle runs straight to the contour at `FOLLOW_MARGIN_M` beyond the clearance. It follows the
-contour on the shorter side until the straight path to the goal keeps the clearance, then continues straight from rest.
+A detour around an obstacle runs straight to the contour at `FOLLOW_CONTOUR_MARGIN_M` beyond the clearance. It follows
+the contour on the shorter side until the straight path to the goal keeps the clearance, then continues straight from
+rest.
 This is the behaviour of :mod:`mufly.mission.detour`, which however detects the obstacle only in flight.
 """
 
@@ -19,25 +20,25 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.mission.avoidance import BLOCKED_MARGIN_M, LOOK_AHEAD_M
-from mufly.mission.detour import FOLLOW_MARGIN_M, LEAVE_MARGIN_M
+from mufly.mission.avoidance import BLOCKED_PATH_MARGIN_M, PATH_LOOK_AHEAD_M
+from mufly.mission.detour import FOLLOW_CONTOUR_MARGIN_M, LEAVE_CONTOUR_MARGIN_M
 from mufly.mission.files.mission_schema import (
+    ROTOR_SPIN_UP_TIME_S,
     SLOW_LANDING_HEIGHT_M,
-    SPIN_UP_S,
     Mission,
     plan_leg_trajectory,
     take_off_position,
 )
-from mufly.mission.trajectory import Trajectory, TrajectoryLimits, make_profile, plan_straight
+from mufly.mission.trajectory import Trajectory, TrajectoryLimits, make_motion_profile, plan_straight
 from mufly.world import Box, Cylinder, World, obstacle_distances
 
 SETTLE_TIME_S = 0.25
 """Mean time from the end of a leg's reference until the waypoint counts as reached (s)."""
 
-LOOK_AROUND_TIME_S = 3.0
+SCAN_TIME_BEFORE_DEPARTURE_S = 3.0
 """Time of a scan before departure (s)."""
 
-RAMP_DOWN_TIME_S = 1.0
+ROTOR_RUN_DOWN_TIME_S = 1.0
 """Time of the rotors' run-down after touchdown (s)."""
 
 DESCENT_LAG_S = 0.15
@@ -85,19 +86,19 @@ class MissionTiming:
     path_length_m: float
 
 
-def compute_timing(mission: Mission) -> MissionTiming:
+def compute_mission_timing(mission: Mission) -> MissionTiming:
     """Return the expected times of a mission.
 
     Parameters
     ----------
     mission : Mission
         Mission with the limits as flown: those of the file, reduced to the controllers' capability
-        (:func:`mufly.mission.reduce_limits`).
+        (:func:`mufly.mission.reduce_mission_limits`).
 
     Examples
     --------
-    >>> from mufly.mission import compute_timing, load_mission
-    >>> round(compute_timing(load_mission("demonstration")).landed_s)
+    >>> from mufly.mission import compute_mission_timing, load_mission
+    >>> round(compute_mission_timing(load_mission("demonstration")).landed_s)
     78
     """
     plan = plan_legs(mission)
@@ -110,7 +111,7 @@ def compute_timing(mission: Mission) -> MissionTiming:
         path_m += sum(leg.length_m for leg in plan)
     back = plan_return_leg(mission, heading)
     if back is not None:
-        took, length = _leg_time(mission, back, mission.trajectory_limits, len(plan))
+        took, length = _compute_leg_time(mission, back, mission.trajectory_limits, len(plan))
         left_s, path_m = left_s + took, path_m + length
     height = -float(here[2])
     landed_s = left_s + compute_landing_time(height, mission)
@@ -120,7 +121,7 @@ def compute_timing(mission: Mission) -> MissionTiming:
 def compute_take_off_time(mission: Mission) -> float:
     """Return the time from the start signal until the take-off reaches its height (s)."""
     climb = plan_straight((0.0, 0.0, 0.0), (0.0, 0.0, -mission.take_off.height_m), 0.0, mission.trajectory_limits)
-    return SPIN_UP_S + climb.duration_s
+    return ROTOR_SPIN_UP_TIME_S + climb.duration_s
 
 
 def plan_legs(mission: Mission) -> list[PlannedLeg]:
@@ -130,7 +131,7 @@ def plan_legs(mission: Mission) -> list[PlannedLeg]:
     plan = []
     for i, waypoint in enumerate(mission.waypoint):
         way = plan_leg_trajectory(mission, i, position, heading)
-        took, length = _leg_time(mission, way, mission.leg_limits(i), i)
+        took, length = _compute_leg_time(mission, way, mission.leg_limits(i), i)
         reached = time + took
         time = reached + waypoint.wait_s
         plan.append(PlannedLeg(i + 1, way, length, reached, time))
@@ -183,10 +184,10 @@ def _integrate_landing(height: float, a: float, steady: float, touchdown: float)
         speed += rate * _INTEGRATION_STEP_S
         above -= max(speed, 1e-3) * _INTEGRATION_STEP_S
         time += _INTEGRATION_STEP_S
-    return time + RAMP_DOWN_TIME_S
+    return time + ROTOR_RUN_DOWN_TIME_S
 
 
-def compute_reach_time(mission: Mission, here: ArrayLike, place: ArrayLike) -> float:
+def compute_time_to_land_at(mission: Mission, here: ArrayLike, place: ArrayLike) -> float:
     """Return the time to fly from one place (3,) to another (3,) with a mission's limits, and to land there (s)."""
     a, b = (np.asarray(v, dtype=np.float64) for v in (here, place))
     start = np.array([a[0], a[1], min(float(a[2]), -mission.take_off.height_m)]) if a[2] > -0.2 else a
@@ -194,15 +195,15 @@ def compute_reach_time(mission: Mission, here: ArrayLike, place: ArrayLike) -> f
     return way.duration_s + compute_landing_time(max(-float(b[2]), 0.0), mission)
 
 
-def _leg_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits, number: int) -> tuple[float, float]:
+def _compute_leg_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits, number: int) -> tuple[float, float]:
     """Return the time (s) and reference length (m) of a leg (``number`` from 0), with scan, detours and settling."""
     length = (
         way.path_profile.distance
         if way.spline_curve is not None
         else abs(way.goal[2] - way.start[2]) + way.path_profile.distance
     )
-    look_s = LOOK_AROUND_TIME_S if mission.scans_with_nose and way.path_profile.distance > 0.0 else 0.0
-    around_s, near = _detour_time(mission, way, limits)
+    look_s = SCAN_TIME_BEFORE_DEPARTURE_S if mission.scans_with_nose and way.path_profile.distance > 0.0 else 0.0
+    around_s, near = _estimate_detour_time(mission, way, limits)
     if near and number:
         look_s = 0.0  # the previous leg detected such a near obstacle, and the detour begins at once
     return way.duration_s + look_s + around_s + SETTLE_TIME_S, length
@@ -212,7 +213,7 @@ def _leg_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits, numbe
 # Detours around obstacles in the file.
 
 
-def _detour_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits) -> tuple[float, bool]:
+def _estimate_detour_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits) -> tuple[float, bool]:
     """Return a leg's extra time (s) for obstacles on its level path, and whether one is near its start."""
     clear, world = mission.avoidance.clearance_m, mission.world
     if not mission.avoidance.enabled or way.path_profile.distance == 0.0 or not (world.boxes or world.cylinders):
@@ -220,17 +221,17 @@ def _detour_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits) ->
     at, goal = np.array([*way.start[:2], way.goal[2]]), np.array(way.goal)
     longer_s, near = 0.0, False
     for k in range(len(world.boxes) + len(world.cylinders)):
-        met = _first_obstacle(world, at, goal, clear)
+        met = _find_first_obstacle(world, at, goal, clear)
         if met is None:
             break
         which, entry = met
-        along, leave = _contour_detour(world, which, entry, goal, clear)
+        along, leave = _measure_contour_detour(world, which, entry, goal, clear)
         straight_on = _distance_between(entry, at)
-        near = near or (k == 0 and straight_on < LOOK_AHEAD_M)
+        near = near or (k == 0 and straight_on < PATH_LOOK_AHEAD_M)
         # The reference comes to rest before it continues, and follows the contour at its own speed.
-        before = make_profile(_distance_between(goal, at), limits.speed, limits.acceleration).duration_s
-        ramp = make_profile(math.inf, mission.avoidance.speed_m_s, limits.acceleration).ramp_s
-        after = make_profile(_distance_between(goal, leave), limits.speed, limits.acceleration).duration_s
+        before = make_motion_profile(_distance_between(goal, at), limits.speed, limits.acceleration).duration_s
+        ramp = make_motion_profile(math.inf, mission.avoidance.speed_m_s, limits.acceleration).ramp_s
+        after = make_motion_profile(_distance_between(goal, leave), limits.speed, limits.acceleration).duration_s
         longer_s += straight_on / limits.speed + along / mission.avoidance.speed_m_s + ramp + after - before
         at = leave
     return max(longer_s, 0.0), near
@@ -240,21 +241,21 @@ def _distance_between(a: _Array, b: _Array) -> float:
     return float(np.linalg.norm(a - b))
 
 
-def _isolate_obstacle(world: World, k: int) -> World:
+def _world_with_one_obstacle(world: World, k: int) -> World:
     n = len(world.boxes)
     return World((world.boxes[k],)) if k < n else World((), (world.cylinders[k - n],))
 
 
-def _first_obstacle(world: World, at: _Array, goal: _Array, clear: float) -> tuple[int, _Array] | None:
+def _find_first_obstacle(world: World, at: _Array, goal: _Array, clear: float) -> tuple[int, _Array] | None:
     """Return the first obstacle on a line and the point where its contour is met; None if the line is clear."""
     count = max(2, math.ceil(_distance_between(goal, at) / 0.02) + 1)
     line = at + np.linspace(0.0, 1.0, count)[:, None] * (goal - at)
     met: tuple[int, int] | None = None
     for k in range(len(world.boxes) + len(world.cylinders)):
-        away, _ = obstacle_distances(_isolate_obstacle(world, k), line)
-        if float(away.min()) >= clear + BLOCKED_MARGIN_M:
+        away, _ = obstacle_distances(_world_with_one_obstacle(world, k), line)
+        if float(away.min()) >= clear + BLOCKED_PATH_MARGIN_M:
             continue
-        first = int(np.argmax(away < clear + FOLLOW_MARGIN_M))
+        first = int(np.argmax(away < clear + FOLLOW_CONTOUR_MARGIN_M))
         if met is None or first < met[1]:
             met = (k, first)
     return None if met is None else (met[0], line[met[1]])
@@ -273,11 +274,14 @@ def _outline_around_obstacle(obstacle: Box | Cylinder, off: float) -> _Array:
     return np.concatenate(parts) @ np.array([[c, s], [-s, c]]) + np.array(obstacle.centre[:2])
 
 
-def _contour_detour(world: World, k: int, entry: _Array, goal: _Array, clear: float) -> tuple[float, _Array]:
+def _measure_contour_detour(world: World, k: int, entry: _Array, goal: _Array, clear: float) -> tuple[float, _Array]:
     """Return the length along the contour of obstacle ``k`` on the shorter side (m), and the point of departure."""
     n = len(world.boxes)
     obstacle = world.boxes[k] if k < n else world.cylinders[k - n]
-    outline, alone = _outline_around_obstacle(obstacle, clear + FOLLOW_MARGIN_M), _isolate_obstacle(world, k)
+    outline, alone = (
+        _outline_around_obstacle(obstacle, clear + FOLLOW_CONTOUR_MARGIN_M),
+        _world_with_one_obstacle(world, k),
+    )
     first = int(np.argmin(np.linalg.norm(outline - entry[:2], axis=1)))
     found: list[tuple[float, float, _Array]] = []
     share = np.linspace(0.0, 1.0, 60)[:, None]
@@ -288,7 +292,7 @@ def _contour_detour(world: World, k: int, entry: _Array, goal: _Array, clear: fl
             length, here = length + _distance_between(spot, here), spot
             place = np.array([*here, goal[2]])
             away, _ = obstacle_distances(alone, place + share * (goal - place))
-            if float(away.min()) >= clear + LEAVE_MARGIN_M:
+            if float(away.min()) >= clear + LEAVE_CONTOUR_MARGIN_M:
                 break
         place = np.array([*here, goal[2]])
         found.append((length + _distance_between(goal, place), length, place))

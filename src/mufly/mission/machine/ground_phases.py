@@ -11,26 +11,29 @@ from typing import Any
 
 from mufly.estimate import Estimate, measured_tilt
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
-from mufly.mission.files.mission_schema import SPIN_UP_S
-from mufly.mission.files.mission_timing import DESCENT_LAG_S, RAMP_DOWN_TIME_S, compute_landing_rate
+from mufly.mission.files.mission_schema import ROTOR_SPIN_UP_TIME_S
+from mufly.mission.files.mission_timing import DESCENT_LAG_S, ROTOR_RUN_DOWN_TIME_S, compute_landing_rate
 from mufly.mission.machine.log_messages import LogMessage
 from mufly.mission.machine.mission_reference import current_reference, predict_reference
 from mufly.mission.machine.mission_state import MissionPlan, MissionState, State, enter_state, fail_mission, log_event
-from mufly.mission.machine.offboard import DRIFT_DESCENT_M_S
+from mufly.mission.machine.offboard import DRIFTING_DESCENT_RATE_M_S
 from mufly.mission.trajectory import BrakingMotion, Triple, plan_stop
 
-_STILL_DURATION_S = 0.3
+_REST_DURATION_ON_FLOOR_S = 0.3
 _NEAR_FLOOR_HEIGHT_M = 0.1
-_DRIFT_CHECK_HEIGHT_M, _DRIFT_SPEED_M_S = 0.6, 0.3  # below this, above this drift, it descends at DRIFT_DESCENT_M_S
+_DRIFT_CHECK_HEIGHT_M, _DRIFT_SPEED_M_S = (
+    0.6,
+    0.3,
+)  # below this, above this drift, it descends at DRIFTING_DESCENT_RATE_M_S
 _UNKNOWN_DRIFT_SIGMA_M = 0.6  # horizontal standard deviation of the position from which the drift is unknown
 _QUICK_TOUCHDOWN_M_S = 0.25  # least touchdown speed with unknown drift: the greatest that a mission may ask for
 _MAX_DESCENT_LAG_M = 0.25  # largest height error during descent
-_STANDING_HEIGHT_M, _PRESSED_DEPTH_M, _PRESSED_DURATION_S = (
+_STANDING_HEIGHT_M, _PRESS_DOWN_DEPTH_M, _PRESS_DOWN_DURATION_S = (
     0.02,
     0.03,
     0.05,
 )  # standing on the floor by the estimate: height, reference below it, duration
-_CERTAIN_HEIGHT_M = 0.05  # largest height deviation for this test
+_MAX_HEIGHT_DEVIATION_M = 0.05  # largest height deviation for this test
 HARD_TOUCHDOWN_M_S = 0.3
 """Speed above which a touchdown counts as hard (m/s): a fifth above the greatest touchdown speed of missions."""
 LIFT_OFF_HEIGHT_M, TIPPING_RATE_RAD_S = 0.02, 0.15
@@ -62,7 +65,7 @@ def start_landing(s: MissionState, why: str, *, level: str = "info") -> MissionS
         descent_rate=now.velocity[2],
         descent_acceleration=now.acceleration[2],
         motors="fly",
-        still_duration_s=0.0,
+        rest_duration_s=0.0,
         touchdown_speed=0.0,
     )
 
@@ -116,7 +119,7 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
     vehicle while mu h < l, without rotor thrust: so the rotors must not lift while it slides.
     """
     if s.motors == "ramp_down":
-        if s.motion_clock_s < RAMP_DOWN_TIME_S:
+        if s.motion_clock_s < ROTOR_RUN_DOWN_TIME_S:
             return s
         return enter_state(_judge_outcome(s), State.INIT, LogMessage.LANDED(), motors="off", finished=True)
     q = plan.mission.limits
@@ -130,7 +133,7 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
     if above < -0.3:
         wanted = 0.0
     elif drifts and 0.0 < above < _DRIFT_CHECK_HEIGHT_M:
-        wanted = min(wanted, DRIFT_DESCENT_M_S)
+        wanted = min(wanted, DRIFTING_DESCENT_RATE_M_S)
     ask = min(max((wanted - s.descent_rate) / DESCENT_LAG_S, -a), a)
     rate = s.descent_acceleration + (ask - s.descent_acceleration) * min(1.0, dt / 0.1)
     speed = s.descent_rate + rate * dt
@@ -142,10 +145,10 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
     stands = m.auxiliary_states is not None and m.position[2] > s.home_position[2] - _STANDING_HEIGHT_M
     stands = (
         stands
-        and depth > m.position[2] + _PRESSED_DEPTH_M
-        and bool(m.covariance[2, 2] < _CERTAIN_HEIGHT_M * _CERTAIN_HEIGHT_M)
+        and depth > m.position[2] + _PRESS_DOWN_DEPTH_M
+        and bool(m.covariance[2, 2] < _MAX_HEIGHT_DEVIATION_M * _MAX_HEIGHT_DEVIATION_M)
     )
-    still = s.still_duration_s + dt if stands or (lying and abs(m.velocity[2]) < 0.05) else 0.0
+    still = s.rest_duration_s + dt if stands or (lying and abs(m.velocity[2]) < 0.05) else 0.0
     near = m.position[2] > s.home_position[2] - _NEAR_FLOOR_HEIGHT_M
     if m.auxiliary_states is not None:  # a filter that has not detected the floor keeps falling for a moment
         near = near and m.position[2] < s.home_position[2] - LIFT_OFF_HEIGHT_M
@@ -155,10 +158,10 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
         hold_position=(s.hold_position[0], s.hold_position[1], depth),
         descent_rate=speed,
         descent_acceleration=rate,
-        still_duration_s=still,
+        rest_duration_s=still,
         touchdown_speed=impact,
     )
-    lasts = _PRESSED_DURATION_S if stands else _STILL_DURATION_S
+    lasts = _PRESS_DOWN_DURATION_S if stands else _REST_DURATION_ON_FLOOR_S
     return replace(_handle_touchdown(s), motors="ramp_down", motion_clock_s=0.0) if still > lasts else s
 
 
@@ -198,7 +201,7 @@ def is_tipping(m: Estimate) -> bool:
     return bool(max(abs(m.rates[0]), abs(m.rates[1])) > TIPPING_RATE_RAD_S)
 
 
-def start_fault(m: Estimate) -> str:
+def describe_start_fault(m: Estimate) -> str:
     """Return the reason why the motors may not be started with this estimate; "" if they may."""
     if not m.valid:
         return LogMessage.ESTIMATE_NOT_VALID()
@@ -206,7 +209,7 @@ def start_fault(m: Estimate) -> str:
     return "" if tilt <= _MAX_START_TILT else LogMessage.STANDS_TILTED(math.degrees(tilt), MAX_START_TILT_DEG)
 
 
-def refuse_start(s: MissionState, why: str) -> MissionState:
+def log_start_refusal(s: MissionState, why: str) -> MissionState:
     """Log the refusal of a start, once for each reason."""
     head = LogMessage.STANDS_TILTED.value.partition("{")[0]
     last = s.events[-1].text
@@ -215,12 +218,12 @@ def refuse_start(s: MissionState, why: str) -> MissionState:
 
 def has_spun_up(s: MissionState, m: Estimate) -> bool:
     """Return whether the rotors are up to speed, or already lift a vehicle lighter than its controllers' model."""
-    return s.motion_clock_s >= SPIN_UP_S or has_lifted_off(s, m)
+    return s.motion_clock_s >= ROTOR_SPIN_UP_TIME_S or has_lifted_off(s, m)
 
 
 def step_on_floor(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Step on the floor; the motors run down after a flight."""
-    if s.motors == "ramp_down" and s.motion_clock_s > RAMP_DOWN_TIME_S:
+    if s.motors == "ramp_down" and s.motion_clock_s > ROTOR_RUN_DOWN_TIME_S:
         return replace(s, motors="off", finished=s.outcome != "")
     return s
 
@@ -236,6 +239,6 @@ def reset_mission(s: MissionState, m: Estimate, **changes: Any) -> MissionState:
         hold_heading=float(m.attitude[2]),
         battery_V=s.battery_V,
         events=s.events,
-        logged_count=s.logged_count,
+        logged_event_count=s.logged_event_count,
         **changes,
     )

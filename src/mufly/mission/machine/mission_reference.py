@@ -72,7 +72,7 @@ def scan_yaw(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
     """
     if s.scan_duration_s <= 0.0:
         return 0.0, 0.0
-    x, most, omega = min(s.scan_duration_s, 1.0), 0.5 * plan.ring.spacing, math.tau / NOSE_SWING_PERIOD_S
+    x, most, omega = min(s.scan_duration_s, 1.0), 0.5 * plan.beam_ring.spacing, math.tau / NOSE_SWING_PERIOD_S
     size = most * x * x * (3.0 - 2.0 * x)
     growth = most * 6.0 * x * (1.0 - x) * (1.0 if is_scanning(plan, s) else -1.0)
     sine, cosine = sine_cosine(omega * (s.time_s - NOSE_SWING_PERIOD_S * int(s.time_s / NOSE_SWING_PERIOD_S)))

@@ -130,14 +130,14 @@ class MissionPlan:
     ----------
     mission : Mission
         The mission.
-    ring : BeamRing
+    beam_ring : BeamRing
         The vehicle's range beams.
     low_battery_V : float
         Voltage below which the vehicle lands (V).
     """
 
     mission: Mission
-    ring: BeamRing
+    beam_ring: BeamRing
     low_battery_V: float
 
     @property
@@ -213,7 +213,7 @@ class MissionState:
         The vehicle has taken off, so ``home_position`` is valid.
     mission_begun : bool
         The mission's waypoints have been requested.
-    reached_count : int
+    reached_waypoint_count : int
         Number of waypoints reached since take-off.
     abort_reason : str
         Reason for the user's abort; counts after landing.
@@ -221,7 +221,7 @@ class MissionState:
         The present leg leads home, to a landing.
     events : tuple of FlightEvent
         Log, the latest `LOG_CAPACITY` entries.
-    logged_count : int
+    logged_event_count : int
         Number of entries ever logged.
     home_position, hold_position, goal : (3,) tuples
         Position before take-off; position held without a motion; goal of the state (m).
@@ -233,7 +233,7 @@ class MissionState:
         End time of a hover (s).
     descent_rate, descent_acceleration : float
         Descent rate of a landing's reference and its derivative (m/s, m/s2).
-    still_duration_s : float
+    rest_duration_s : float
         Time at rest on the floor (s).
     touchdown_speed : float
         Greatest descent rate near the floor in this landing (m/s).
@@ -276,11 +276,11 @@ class MissionState:
     manual: bool = False
     has_taken_off: bool = False
     mission_begun: bool = False
-    reached_count: int = 0
+    reached_waypoint_count: int = 0
     abort_reason: str = ""
     returning_home: bool = False
     events: tuple[FlightEvent, ...] = ()
-    logged_count: int = 0
+    logged_event_count: int = 0
     home_position: Triple = _ORIGIN
     hold_position: Triple = _ORIGIN
     goal: Triple = _ORIGIN
@@ -289,7 +289,7 @@ class MissionState:
     hover_until_s: float = 0.0
     descent_rate: float = 0.0
     descent_acceleration: float = 0.0
-    still_duration_s: float = 0.0
+    rest_duration_s: float = 0.0
     touchdown_speed: float = 0.0
     battery_V: float = math.inf
     low_battery_duration_s: float = 0.0
@@ -309,7 +309,7 @@ class MissionState:
 def log_event(s: MissionState, text: str, state: State | None = None, level: str = "info") -> MissionState:
     """Return the state with a new log entry."""
     entry = FlightEvent(s.time_s, str(state or s.state), text, level)
-    return replace(s, events=(*s.events[1 - LOG_CAPACITY :], entry), logged_count=s.logged_count + 1)
+    return replace(s, events=(*s.events[1 - LOG_CAPACITY :], entry), logged_event_count=s.logged_event_count + 1)
 
 
 LOG_CAPACITY = 256
@@ -360,5 +360,5 @@ def initial_mission_state(plan: MissionPlan, estimate: Estimate) -> MissionState
         hold_heading=float(estimate.attitude[2]),
         battery_V=float(estimate.battery_voltage),
         events=(FlightEvent(estimate.time_s, str(State.INIT), LogMessage.READY_FOR_MISSION(plan.mission.name)),),
-        logged_count=1,
+        logged_event_count=1,
     )

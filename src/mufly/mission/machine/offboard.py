@@ -17,9 +17,9 @@ any limit that w keeps (a disc is convex). The same holds for height, between it
 both ends of the permitted height s() of the distance limits the speed towards it. If the helicopter trails its
 reference by more than half a metre, the reference waits. Own derivation.
 
-A pilot's sticks are limited near the floor. Below `_LOW_HEIGHT_M` their tilt shrinks with height, and the level speed
-has a limit that grows with height: the tilt along the motion is at most what brings the speed to that limit within
-`_SPEED_LIMIT_LAG_S`. The descent rate shrinks to that of a touchdown; above the speed limit it is 5 cm/s.
+A pilot's sticks are limited near the floor. Below `_STICK_LIMIT_HEIGHT_M` their tilt shrinks with height, and the level
+speed has a limit that grows with height: the tilt along the motion is at most what brings the speed to that limit
+within `_BRAKING_TIME_S`. The descent rate shrinks to that of a touchdown; above the speed limit it is 5 cm/s.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ MAX_HEIGHT_M = 50.0
 TRACKER_BANDWIDTH_RAD_S = 3.0
 """b (rad/s): half the position loop's bandwidth, so that the loop does not lag at the end of braking."""
 
-_MAX_STEP_S = 0.02
-_MAX_LAG_M = 0.5
+_MAX_TIME_STEP_S = 0.02
+_MAX_TRACKING_ERROR_M = 0.5
 _ACCELERATION_LAG_S = 0.08
 _MAX_POSITION_M, _MAX_SPEED_M_S, _MAX_YAW_RATE_RAD_S = 1e4, 50.0, 50.0
 
-_NOT_GIVEN = (math.nan, math.nan, math.nan)
+_NAN_VECTOR = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +65,9 @@ class SetPoint:
     yaw_rate_rad_s: float | None = None
 
 
-def set_point_fault(s: SetPoint) -> str:
+def describe_set_point_fault(s: SetPoint) -> str:
     """Return the fault of a set-point as a text; "" if there is none."""
-    position, velocity = s.position_m or _NOT_GIVEN, s.velocity_m_s or _NOT_GIVEN
+    position, velocity = s.position_m or _NAN_VECTOR, s.velocity_m_s or _NAN_VECTOR
     if len(position) != 3 or len(velocity) != 3:
         return "position and velocity need three numbers each, N, E, D"
     turn = (
@@ -94,11 +94,11 @@ def needs_lift_off(s: SetPoint, standing: Triple) -> bool:
     return higher or (s.velocity_m_s is not None and s.velocity_m_s[2] < -0.01)
 
 
-def _or_zero(x: float) -> float:
+def _zero_if_nan(x: float) -> float:
     return 0.0 if math.isnan(x) else x
 
 
-def _gap_to(target: float, at: float) -> float:
+def _distance_to_target(target: float, at: float) -> float:
     return 0.0 if math.isnan(target) else target - at
 
 
@@ -109,12 +109,12 @@ def _approach_speed(gap: float, acceleration: float) -> float:
     return slope * gap if gap < linear else math.sqrt(2.0 * half * (gap - 0.5 * linear))
 
 
-def _bound_velocity(gap: float, limits: TrajectoryLimits) -> float:
+def _max_velocity_towards_bound(gap: float, limits: TrajectoryLimits) -> float:
     """Return the permitted velocity towards a bound at ``gap`` (m, down), or the velocity back to it."""
     return math.copysign(_approach_speed(abs(gap), limits.climb_acceleration), gap)
 
 
-def _step_set_point(
+def _step_set_point_reference(
     t: TrajectoryPoint,
     wanted: SetPoint,
     limits: TrajectoryLimits,
@@ -122,15 +122,15 @@ def _step_set_point(
     dt: float,
     hold_off: Callable[[float, float], tuple[float, float]] | None,
 ) -> TrajectoryPoint:
-    target, given = wanted.position_m or _NOT_GIVEN, wanted.velocity_m_s or _NOT_GIVEN
+    target, given = wanted.position_m or _NAN_VECTOR, wanted.velocity_m_s or _NAN_VECTOR
     (n, e, d), (vn, ve, vd) = t.position, t.velocity
     trails = vector_length(n - measured[0], e - measured[1], d - measured[2])
-    share = min(1.0, max(0.0, 2.0 - trails / _MAX_LAG_M))
+    share = min(1.0, max(0.0, 2.0 - trails / _MAX_TRACKING_ERROR_M))
 
-    gn, ge = _gap_to(target[0], n), _gap_to(target[1], e)
+    gn, ge = _distance_to_target(target[0], n), _distance_to_target(target[1], e)
     gap = vector_length(gn, ge)
     pace = min(_approach_speed(gap, limits.acceleration), limits.speed) / gap if gap > 0.0 else 0.0
-    wn, we = _or_zero(given[0]) + pace * gn, _or_zero(given[1]) + pace * ge
+    wn, we = _zero_if_nan(given[0]) + pace * gn, _zero_if_nan(given[1]) + pace * ge
     if hold_off is not None:
         wn, we = hold_off(wn, we)
     fast = vector_length(wn, we)
@@ -139,18 +139,18 @@ def _step_set_point(
 
     # The height limit comes first: if both are violated (a wild estimate), descending is the lesser risk.
     goal = min(max(target[2], -MAX_HEIGHT_M), -MIN_WAYPOINT_HEIGHT_M)
-    gd = _gap_to(goal, d) if not math.isnan(target[2]) else 0.0
-    wd = _or_zero(given[2]) + math.copysign(_approach_speed(abs(gd), limits.climb_acceleration), gd)
+    gd = _distance_to_target(goal, d) if not math.isnan(target[2]) else 0.0
+    wd = _zero_if_nan(given[2]) + math.copysign(_approach_speed(abs(gd), limits.climb_acceleration), gd)
     wd = min(max(wd, -limits.climb), limits.descent)
     wd = min(
-        max(wd, _bound_velocity(-MAX_HEIGHT_M - d, limits)),
-        _bound_velocity(-MIN_WAYPOINT_HEIGHT_M - d, limits),
+        max(wd, _max_velocity_towards_bound(-MAX_HEIGHT_M - d, limits)),
+        _max_velocity_towards_bound(-MIN_WAYPOINT_HEIGHT_M - d, limits),
     )
     ad, _ = _limited_acceleration(share * wd - vd, 0.0, limits.climb_acceleration, dt)
 
     heading = wanted.heading_rad
     turn = 0.0 if heading is None or math.isnan(heading) else wrap_turn(heading - t.heading)
-    rate = _or_zero(math.nan if wanted.yaw_rate_rad_s is None else wanted.yaw_rate_rad_s)
+    rate = _zero_if_nan(math.nan if wanted.yaw_rate_rad_s is None else wanted.yaw_rate_rad_s)
     rate += math.copysign(_approach_speed(abs(turn), limits.yaw_acceleration), turn)
     rate = min(max(rate, -limits.yaw_rate), limits.yaw_rate)
     yaw, _ = _limited_acceleration(rate - t.heading_rate, 0.0, limits.yaw_acceleration, dt)
@@ -192,9 +192,9 @@ def follow_set_point(
     hold_off : callable, optional
         Changes a desired velocity N, E (m/s) to one that avoids obstacles.
     """
-    parts = max(1, math.ceil(dt / _MAX_STEP_S - 1e-9))
+    parts = max(1, math.ceil(dt / _MAX_TIME_STEP_S - 1e-9))
     for _ in range(parts if dt > 0.0 else 0):
-        tracker = _step_set_point(tracker, wanted, limits, measured, dt / parts, hold_off)
+        tracker = _step_set_point_reference(tracker, wanted, limits, measured, dt / parts, hold_off)
     return tracker
 
 
@@ -210,18 +210,21 @@ def _limited_acceleration(dx: float, dy: float, most: float, dt: float) -> tuple
 # A pilot's sticks near the floor.
 
 
-DRIFT_DESCENT_M_S = 0.05
+DRIFTING_DESCENT_RATE_M_S = 0.05
 """Descent rate near the floor at a level speed that is too high for a touchdown (m/s)."""
 
-_LOW_HEIGHT_M = 1.0
-_FULL_TILT_HEIGHT_M, _MIN_TILT_SHARE = 0.3, 0.2
-_FLOOR_SPEED_M_S, _FLOOR_SPEED_RISE = 0.3, 1.2  # speed limit on the floor (m/s), and its rise with height (1/s)
-_SPEED_LIMIT_LAG_S, _MAX_BRAKING_TILT = 0.5, 0.09  # s, rad
+_STICK_LIMIT_HEIGHT_M = 1.0
+_FULL_TILT_HEIGHT_M, _MIN_TILT_FRACTION = 0.3, 0.2
+_MAX_SPEED_AT_FLOOR_M_S, _MAX_SPEED_RISE_1_S = (
+    0.3,
+    1.2,
+)  # speed limit on the floor (m/s), and its rise with height (1/s)
+_BRAKING_TIME_S, _MAX_BRAKING_TILT_RAD = 0.5, 0.09  # s, rad
 _FLARE_TIME_S = 1.0  # height over the permitted descent rate beyond that of a touchdown (s)
 
 
-def _low_speed_limit(height: float) -> float:
-    return _FLOOR_SPEED_M_S + _FLOOR_SPEED_RISE * max(0.0, height)
+def _max_speed_near_floor(height: float) -> float:
+    return _MAX_SPEED_AT_FLOOR_M_S + _MAX_SPEED_RISE_1_S * max(0.0, height)
 
 
 def limit_manual_tilt(
@@ -241,9 +244,9 @@ def limit_manual_tilt(
         Roll, pitch of the sticks (rad).
     """
     roll, pitch = tilt
-    if not height < _LOW_HEIGHT_M:
+    if not height < _STICK_LIMIT_HEIGHT_M:
         return roll, pitch
-    share = min(max(height / _FULL_TILT_HEIGHT_M, _MIN_TILT_SHARE), 1.0)
+    share = min(max(height / _FULL_TILT_HEIGHT_M, _MIN_TILT_FRACTION), 1.0)
     roll, pitch = share * roll, share * pitch
     vn, ve = velocity
     speed = vector_length(vn, ve)
@@ -252,7 +255,7 @@ def limit_manual_tilt(
     sine, cosine = sine_cosine(yaw)
     ahead, right = (cosine * vn + sine * ve) / speed, (cosine * ve - sine * vn) / speed
     along = right * roll - ahead * pitch
-    most = max((_low_speed_limit(height) - speed) / (GRAVITY * _SPEED_LIMIT_LAG_S), -_MAX_BRAKING_TILT)
+    most = max((_max_speed_near_floor(height) - speed) / (GRAVITY * _BRAKING_TIME_S), -_MAX_BRAKING_TILT_RAD)
     if along > most:
         roll, pitch = roll + (most - along) * right, pitch - (most - along) * ahead
     return roll, pitch
@@ -270,6 +273,6 @@ def limit_manual_climb(height: float, velocity: tuple[float, float], touchdown: 
     climb : float
         Climb rate of the sticks (m/s).
     """
-    if height < _LOW_HEIGHT_M and vector_length(*velocity) > _low_speed_limit(height):
-        return max(climb, -DRIFT_DESCENT_M_S)
+    if height < _STICK_LIMIT_HEIGHT_M and vector_length(*velocity) > _max_speed_near_floor(height):
+        return max(climb, -DRIFTING_DESCENT_RATE_M_S)
     return max(climb, -(touchdown + max(0.0, height) / _FLARE_TIME_S))

@@ -41,9 +41,9 @@ from mufly.mission.trajectory import (
     wrap_turn,
 )
 
-_SETTLE_BEFORE_LANDING_S = 2.0
-_SETTLED_M, _SETTLED_M_S, _SETTLED_RAD = 0.002, 0.01, 0.01
-SHORT_WAY_M = 0.3
+_HOVER_BEFORE_LANDING_S = 2.0
+_SETTLED_DISTANCE_M, _SETTLED_SPEED_M_S, _SETTLED_HEADING_RAD = 0.002, 0.01, 0.01
+MIN_DISTANCE_FOR_TURN_M = 0.3
 """Level distance to a changed goal below which the nose does not turn to it (m)."""
 
 
@@ -102,7 +102,7 @@ def step_take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) ->
 
 def nose_offset(plan: MissionPlan) -> float:
     """Return the angle of the nose from the direction of flight (rad), which points a beam along it when scanning."""
-    return math.remainder(-plan.ring.first_angle, plan.ring.spacing) if plan.scans_with_nose else 0.0
+    return math.remainder(-plan.beam_ring.first_angle, plan.beam_ring.spacing) if plan.scans_with_nose else 0.0
 
 
 def plan_braking(plan: MissionPlan, s: MissionState) -> BrakingMotion:
@@ -147,12 +147,12 @@ def start_leg(
 def start_leg_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState:
     """Fly to above the take-off position, not descending, and land there."""
 
-    def plan_way_home(at: Triple, heading: float) -> Trajectory:
+    def plan_straight_leg_home(at: Triple, heading: float) -> Trajectory:
         n, e, _ = s.home_position
         goal = (n, e, min(at[2], -MIN_WAYPOINT_HEIGHT_M))
         return plan_straight(at, goal, heading, plan.trajectory_limits, nose_offset=nose_offset(plan))
 
-    return start_leg(plan, s, why, plan_way_home, manual=True, returning_home=True)
+    return start_leg(plan, s, why, plan_straight_leg_home, manual=True, returning_home=True)
 
 
 def _complete_mission(plan: MissionPlan, s: MissionState) -> MissionState:
@@ -189,7 +189,7 @@ def _fail_and_hover(s: MissionState, why: str) -> MissionState:
     now = current_reference(s)
     brake = plan_stop(now.position, now.velocity, now.heading, DETOUR_ACCELERATION_M_S2)
     at = brake.evaluate(math.inf).position
-    ready = s.time_s + brake.duration_s + _SETTLE_BEFORE_LANDING_S
+    ready = s.time_s + brake.duration_s + _HOVER_BEFORE_LANDING_S
     s = fail_mission(s, why)
     return enter_hover(s, why, at, now.heading, level="warning", motion=brake, hover_until_s=ready)
 
@@ -205,7 +205,7 @@ def change_leg_goal(
     known = s.set_point_reference
     now = predict_reference(s) if known is None else known
     (n, e, _), aim = now.position, heading
-    if aim is None and vector_length(goal[0] - n, goal[1] - e) < SHORT_WAY_M:
+    if aim is None and vector_length(goal[0] - n, goal[1] - e) < MIN_DISTANCE_FOR_TURN_M:
         aim = now.heading
     way = plan_straight(now.position, goal, now.heading, plan.trajectory_limits, final_heading=aim)
     changes: dict[str, Any] = {
@@ -235,7 +235,7 @@ def track_set_point(
     return follow_set_point(at, wanted, plan.trajectory_limits, here, dt, guard)
 
 
-def _track_goal(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory, dt: float) -> MissionState:
+def _track_changed_goal(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory, dt: float) -> MissionState:
     """Move the reference towards a changed goal. The step in which the goal changes has moved it already."""
     if s.set_point_reference is None or s.motion_clock_s == 0.0:
         return s
@@ -254,16 +254,16 @@ def _distance_to_goal(m: Estimate, goal: Triple) -> float:
     return float(vector_length(n - goal[0], e - goal[1], d - goal[2]))
 
 
-def _has_settled(s: MissionState, way: Trajectory) -> bool:
+def _has_settled_at_goal(s: MissionState, way: Trajectory) -> bool:
     """Return whether the reference rests at the changed goal of a leg."""
     at = s.set_point_reference
     assert at is not None
     (n, e, d), (gn, ge, gd) = at.position, s.goal
     return bool(
-        vector_length(n - gn, e - ge, d - gd) < _SETTLED_M
-        and vector_length(*at.velocity) < _SETTLED_M_S
-        and abs(wrap_turn(way.start_heading + way.turn_angle - at.heading)) < _SETTLED_RAD
-        and abs(at.heading_rate) < _SETTLED_RAD
+        vector_length(n - gn, e - ge, d - gd) < _SETTLED_DISTANCE_M
+        and vector_length(*at.velocity) < _SETTLED_SPEED_M_S
+        and abs(wrap_turn(way.start_heading + way.turn_angle - at.heading)) < _SETTLED_HEADING_RAD
+        and abs(at.heading_rate) < _SETTLED_HEADING_RAD
     )
 
 
@@ -271,8 +271,8 @@ def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
     """Step a leg and check whether the goal is reached."""
     way = s.motion
     assert isinstance(way, Trajectory)
-    s = _track_goal(plan, s, m, way, dt)
-    is_over = s.motion_clock_s >= way.duration_s if s.set_point_reference is None else _has_settled(s, way)
+    s = _track_changed_goal(plan, s, m, way, dt)
+    is_over = s.motion_clock_s >= way.duration_s if s.set_point_reference is None else _has_settled_at_goal(s, way)
     if is_over and _is_at_goal(plan, s, m):
         off = _distance_to_goal(m, s.goal)
         why = _leg_message(
@@ -289,7 +289,7 @@ def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
             return _hover_until(s, why, at, s.time_s)
         wait = plan.mission.waypoint[s.waypoint_index].wait_s
         s = _hover_until(s, why, s.goal, s.time_s + wait)
-        return replace(s, waypoint_index=s.waypoint_index + 1, reached_count=s.reached_count + 1)
+        return replace(s, waypoint_index=s.waypoint_index + 1, reached_waypoint_count=s.reached_waypoint_count + 1)
     spent = s.time_s - s.state_entered_s
     if spent > 2.0 * way.duration_s + 20.0:
         off = _distance_to_goal(m, s.goal)
@@ -329,7 +329,7 @@ def step_detour(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> M
     detour = follow_contour(
         s.detour,
         s.path_check,
-        plan.ring,
+        plan.beam_ring,
         measured_position(m),
         float(m.attitude[2]),
         m.ranges.tolist(),

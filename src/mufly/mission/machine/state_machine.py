@@ -34,7 +34,7 @@ import math
 from dataclasses import replace
 
 from mufly.estimate import Estimate
-from mufly.mission.avoidance import LOOK_AHEAD_M, begin_path_check, check_map_part, insert_beam_hits
+from mufly.mission.avoidance import PATH_LOOK_AHEAD_M, begin_path_check, check_map_part, insert_beam_hits
 from mufly.mission.external_control import (
     enter_manual,
     enter_offboard,
@@ -43,9 +43,9 @@ from mufly.mission.external_control import (
     step_manual,
     step_offboard,
 )
-from mufly.mission.files.mission_timing import LOOK_AROUND_TIME_S
+from mufly.mission.files.mission_timing import SCAN_TIME_BEFORE_DEPARTURE_S
 from mufly.mission.machine import ground_phases, phases
-from mufly.mission.machine.ground_phases import refuse_start, start_fault, start_landing
+from mufly.mission.machine.ground_phases import describe_start_fault, log_start_refusal, start_landing
 from mufly.mission.machine.log_messages import LogMessage
 from mufly.mission.machine.mission_reference import is_scanning, make_reference, scan_yaw
 from mufly.mission.machine.mission_state import (
@@ -57,7 +57,7 @@ from mufly.mission.machine.mission_state import (
     fail_mission,
     log_event,
 )
-from mufly.mission.request_checks import VehicleRequest, is_granted
+from mufly.mission.request_checks import VehicleRequest, is_request_permitted
 from mufly.mission.trajectory import Trajectory
 from mufly.mission.user_requests import (
     fly_to_user_waypoint,
@@ -70,12 +70,12 @@ from mufly.mission.user_requests import (
 )
 
 _FLYING_STATES = frozenset({State.TAKE_OFF, State.HOVER, State.WAYPOINT, State.OBSTACLE, State.OFFBOARD})
-_TIPPED_ANGLE = math.radians(60.0)
-_LOW_BATTERY_S = 1.0
+_TIPPED_OVER_ANGLE_RAD = math.radians(60.0)
+_LOW_BATTERY_DURATION_S = 1.0
 _VOLTAGE_LAG_S = 0.5
-_DEPARTURE_HEIGHT_TOLERANCE_M, _DEPARTURE_HEADING_TOLERANCE = 0.1, math.radians(8.0)
+_DEPARTURE_HEIGHT_TOLERANCE_M, _DEPARTURE_HEADING_TOLERANCE_RAD = 0.1, math.radians(8.0)
 
-_PHASE_STEPS = {
+_STEP_FUNCTION_BY_STATE = {
     State.INIT: ground_phases.step_on_floor,
     State.TAKE_OFF: phases.step_take_off,
     State.HOVER: phases.step_hover,
@@ -91,12 +91,12 @@ def _may_depart(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory
     angle, _ = scan_yaw(plan, s)
     return (
         abs(m.position[2] - at.position[2]) < _DEPARTURE_HEIGHT_TOLERANCE_M
-        and abs(m.attitude[2] - at.heading - angle) < _DEPARTURE_HEADING_TOLERANCE + abs(angle)
+        and abs(m.attitude[2] - at.heading - angle) < _DEPARTURE_HEADING_TOLERANCE_RAD + abs(angle)
         and (
             not plan.scans_with_nose
             or s.resumed_after_detour
             or way.path_profile.distance == 0.0
-            or s.scan_duration_s >= LOOK_AROUND_TIME_S
+            or s.scan_duration_s >= SCAN_TIME_BEFORE_DEPARTURE_S
         )
     )
 
@@ -110,7 +110,9 @@ def _update_clocks(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -
             clock = gate
     volts = s.battery_V + (m.battery_voltage - s.battery_V) * min(1.0, dt / _VOLTAGE_LAG_S)
     swinging = s.scan_duration_s
-    swinging = min(LOOK_AROUND_TIME_S, swinging + dt) if is_scanning(plan, s) else max(0.0, min(1.0, swinging) - dt)
+    swinging = (
+        min(SCAN_TIME_BEFORE_DEPARTURE_S, swinging + dt) if is_scanning(plan, s) else max(0.0, min(1.0, swinging) - dt)
+    )
     return replace(
         s,
         time_s=m.time_s,
@@ -122,8 +124,8 @@ def _update_clocks(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -
     )
 
 
-def _pause_or_defer(plan: MissionPlan, s: MissionState, m: Estimate) -> MissionState:
-    if s.state is State.TAKE_OFF and not is_granted(VehicleRequest.GO_TO, s, m):
+def _pause_or_defer_pause(plan: MissionPlan, s: MissionState, m: Estimate) -> MissionState:
+    if s.state is State.TAKE_OFF and not is_request_permitted(VehicleRequest.GO_TO, s, m):
         if s.hover_after_take_off:
             return s
         return replace(log_event(s, LogMessage.WILL_HOVER_AFTER_TAKE_OFF()), hover_after_take_off=True, manual=True)
@@ -133,39 +135,43 @@ def _pause_or_defer(plan: MissionPlan, s: MissionState, m: Estimate) -> MissionS
 
 def _handle_request(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> MissionState:
     """Execute the user's requests that the state permits."""
-    if c.land and s.state is not State.LANDING and is_granted(VehicleRequest.LAND, s, m):
+    if c.land and s.state is not State.LANDING and is_request_permitted(VehicleRequest.LAND, s, m):
         return land_on_request(plan, s)
     if s.state is State.OFFBOARD and c.program_set_point is None:
         s = exit_offboard(plan, s, m)
         if s.state is State.INIT:
             return s
     fresh = s.manual or c.first_waypoint is not None
-    if s.state is State.INIT and (c.start or c.take_off_height is not None) and is_granted(VehicleRequest.START, s, m):
-        fault = start_fault(m)
+    if (
+        s.state is State.INIT
+        and (c.start or c.take_off_height is not None)
+        and is_request_permitted(VehicleRequest.START, s, m)
+    ):
+        fault = describe_start_fault(m)
         if fault:
-            return refuse_start(s, fault)
-    if c.start and s.state is State.INIT and is_granted(VehicleRequest.START, s, m):
+            return log_start_refusal(s, fault)
+    if c.start and s.state is State.INIT and is_request_permitted(VehicleRequest.START, s, m):
         return phases.start_flight(plan, s, m, first=c.first_waypoint)
-    if c.start and s.state is State.TAKE_OFF and fresh and is_granted(VehicleRequest.START, s, m):
+    if c.start and s.state is State.TAKE_OFF and fresh and is_request_permitted(VehicleRequest.START, s, m):
         return queue_mission_after_take_off(s, c.first_waypoint)
-    if c.take_off_height is not None and is_granted(VehicleRequest.TAKE_OFF, s, m):
+    if c.take_off_height is not None and is_request_permitted(VehicleRequest.TAKE_OFF, s, m):
         return phases.start_flight(plan, s, m, height=c.take_off_height)
-    if (c.pause or s.hover_after_take_off) and is_granted(VehicleRequest.PAUSE, s, m):
-        return _pause_or_defer(plan, s, m)
-    if c.return_requested and is_granted(VehicleRequest.RETURN, s, m):
+    if (c.pause or s.hover_after_take_off) and is_request_permitted(VehicleRequest.PAUSE, s, m):
+        return _pause_or_defer_pause(plan, s, m)
+    if c.return_requested and is_request_permitted(VehicleRequest.RETURN, s, m):
         return return_on_request(plan, s)
-    if c.program_set_point is not None and is_granted(VehicleRequest.OFFBOARD, s, m):
+    if c.program_set_point is not None and is_request_permitted(VehicleRequest.OFFBOARD, s, m):
         return s if s.state is State.OFFBOARD else enter_offboard(s, m, c.program_set_point)
-    if (c.waypoint is not None or c.heading is not None) and is_granted(VehicleRequest.GO_TO, s, m):
+    if (c.waypoint is not None or c.heading is not None) and is_request_permitted(VehicleRequest.GO_TO, s, m):
         return fly_to_user_waypoint(plan, s, c.waypoint, c.heading)
-    if c.start and fresh and is_granted(VehicleRequest.START, s, m):
+    if c.start and fresh and is_request_permitted(VehicleRequest.START, s, m):
         return resume_mission(plan, s, c.first_waypoint)
     return s
 
 
 def _has_tipped_over(s: MissionState, m: Estimate) -> bool:
     near = m.position[2] > s.home_position[2] - 0.3
-    return bool(near and s.motors != "off" and max(abs(m.attitude[0]), abs(m.attitude[1])) > _TIPPED_ANGLE)
+    return bool(near and s.motors != "off" and max(abs(m.attitude[0]), abs(m.attitude[1])) > _TIPPED_OVER_ANGLE_RAD)
 
 
 def _land_on_low_battery(plan: MissionPlan, s: MissionState) -> MissionState:
@@ -174,7 +180,9 @@ def _land_on_low_battery(plan: MissionPlan, s: MissionState) -> MissionState:
     return start_landing(s if s.outcome == "succeeded" else fail_mission(s, why), why, level="warning")
 
 
-def _apply_signals(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
+def _apply_any_state_transitions(
+    plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float
+) -> MissionState:
     """Apply the transitions that are possible in any state."""
     if c.stop_reason:
         return stop_motors(s, c.stop_reason)
@@ -183,13 +191,13 @@ def _apply_signals(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, 
     # Rotors that run down after touchdown stop first: centred sticks must not restart them.
     if c.rc_active and s.motors != "ramp_down":
         s = s if s.state is State.RC else enter_manual(s, m)
-        if s.motors == "fly" and s.low_battery_duration_s - dt <= _LOW_BATTERY_S < s.low_battery_duration_s:
+        if s.motors == "fly" and s.low_battery_duration_s - dt <= _LOW_BATTERY_DURATION_S < s.low_battery_duration_s:
             # The pilot decides.
             s = log_event(s, LogMessage.BATTERY_LOW_PILOT(s.battery_V, plan.low_battery_V), level="warning")
         return step_manual(plan, s, m, c, dt)
     if s.state is State.RC:
         return exit_manual(s, m)
-    if s.state in _FLYING_STATES and s.low_battery_duration_s > _LOW_BATTERY_S:
+    if s.state in _FLYING_STATES and s.low_battery_duration_s > _LOW_BATTERY_DURATION_S:
         return _land_on_low_battery(plan, s)
     return s if s.state is State.INIT and s.motors != "off" else _handle_request(plan, s, m, c)
 
@@ -232,17 +240,17 @@ def step_mission(
     """
     dt = min(max(estimate.time_s - state.time_s, 0.0), 0.5)
     s = _update_clocks(plan, _finish_pending_curve(state), estimate, dt)
-    s = _apply_signals(plan, s, estimate, command, dt)
+    s = _apply_any_state_transitions(plan, s, estimate, command, dt)
     if s.state is State.OFFBOARD:
         s = step_offboard(plan, s, estimate, command, dt)
-    phase = _PHASE_STEPS.get(s.state)
+    phase = _STEP_FUNCTION_BY_STATE.get(s.state)
     if phase is not None:
         s = phase(plan, s, estimate, dt)
     wanted = make_reference(plan, s, estimate, command)
     if plan.avoids_obstacles and s.state in _FLYING_STATES:
         here = wanted.position.tolist()
         goal = s.goal if s.state in (State.WAYPOINT, State.OBSTACLE) else here
-        ahead = math.inf if s.state is State.OBSTACLE else LOOK_AHEAD_M
+        ahead = math.inf if s.state is State.OBSTACLE else PATH_LOOK_AHEAD_M
         s = replace(s, path_check=begin_path_check(here, goal, ahead))
     return s, wanted
 
@@ -264,11 +272,13 @@ def update_obstacle_map(
     s, m = state, estimate
     if not plan.avoids_obstacles or s.state not in _FLYING_STATES or _has_pending_curve(s):
         return s
-    if not s.obstacle_map.point_count and not float(m.ranges.min()) < plan.ring.max_range:
+    if not s.obstacle_map.point_count and not float(m.ranges.min()) < plan.beam_ring.max_range:
         return s
-    beams = len(plan.ring.cos)
+    beams = len(plan.beam_ring.cos)
     count = (beams + 7) // 8
-    memory = insert_beam_hits(s.obstacle_map, plan.ring, m.time_s, m.position, m.attitude, m.ranges, s.next_beam, count)
+    memory = insert_beam_hits(
+        s.obstacle_map, plan.beam_ring, m.time_s, m.position, m.attitude, m.ranges, s.next_beam, count
+    )
     after = s.next_beam + count
     clearance = plan.mission.avoidance.clearance_m
     memory, sight = check_map_part(memory, s.path_check, m.time_s, clearance, part, parts)

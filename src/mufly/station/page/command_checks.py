@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from mufly.mission import Fence, Mission, fence_fault, fence_outlines, fence_path_fault
+from mufly.mission import Fence, Mission, describe_fence_violation, describe_path_fence_violation, fence_outlines
 from mufly.mission.files.geofence import FENCE_MARGIN_M
-from mufly.mission.files.mission_timing import compute_reach_time
+from mufly.mission.files.mission_timing import compute_time_to_land_at
 from mufly.station.mission_endurance import mission_with_limits
 from mufly.station.preflight_checks import BATTERY_RESERVE, MIN_BATTERY_CHARGE, OWN_CHECKS_NAME
 from mufly.station.remote.remote_vehicle import RemoteVehicle
@@ -99,14 +99,14 @@ def check_destination(
     place : (3,) tuple
         N, E, D (m).
     """
-    if fault := fence_fault(fence, place, FENCE_MARGIN_M):
+    if fault := describe_fence_violation(fence, place, FENCE_MARGIN_M):
         return DestinationCheck(refusal_reason=f"destination is {fault}")
     here = s.estimate.position
     if not np.isfinite(here).all():
         return DestinationCheck(caution_reason="position of the vehicle unknown")
-    if fault := fence_path_fault(fence, here, place):
+    if fault := describe_path_fence_violation(fence, here, place):
         return DestinationCheck(refusal_reason=fault)
-    away, needed = math.dist(here.tolist(), place), compute_reach_time(limits, here, place)
+    away, needed = math.dist(here.tolist(), place), compute_time_to_land_at(limits, here, place)
     if needed > s.battery_left_s:
         return DestinationCheck(
             refusal_reason=(

@@ -29,7 +29,7 @@ from mufly.mission import (
     check_geometry,
     check_mission,
     read_mission_tables,
-    reduce_limits,
+    reduce_mission_limits,
 )
 from mufly.mission.files.mission_checks import MissionEstimate
 from mufly.mission.files.mission_items import MissionRefusedError, mission_from_items
@@ -286,14 +286,14 @@ def judge_draft(
     try:
         check_geometry(mission, mission.name or ERROR_LOCATION)
         current_A, capacity_Ah = battery or (1.0, math.inf)
-        flown = mission if able is None else reduce_limits(mission, able)[0]
+        flown = mission if able is None else reduce_mission_limits(mission, able)[0]
         estimate = check_mission(
             flown, hover_current_A=current_A, capacity_Ah=capacity_Ah, where=mission.name or ERROR_LOCATION
         )
     except InputError as error:
         return DraftVerdict(f"{error.key}: {error.problem}; {error.remedy}", row_from_key(error.key, mission))
     if battery is None:
-        estimate = replace(estimate, charge_Ah=math.nan, fraction=math.nan)
+        estimate = replace(estimate, charge_Ah=math.nan, charge_fraction=math.nan)
     return DraftVerdict(estimate=estimate)
 
 
@@ -436,6 +436,6 @@ def encode_draft(draft: MissionDraft, verdict: DraftVerdict | None, refused: str
         "refused": refused,
         "estimate": estimate and {
             "s": estimate.duration_s, "m": estimate.path_m,
-            "share": estimate.fraction if math.isfinite(estimate.fraction) else None,
+            "share": estimate.charge_fraction if math.isfinite(estimate.charge_fraction) else None,
         },
     }  # fmt: skip

@@ -27,7 +27,7 @@ from mufly.link.mission_transfer import (
     MissionClearAll,
     MissionItem,
     MissionReceiver,
-    MissionResult,
+    MissionResultCode,
     MissionSender,
     parse_transfer_message,
     to_mavlink,
@@ -38,15 +38,15 @@ from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
 _PEER_NAME = "vehicle"
 _RESULT_TEXTS: dict[int, str] = {
-    MissionResult.ERROR: "the vehicle cannot accept a mission now",
-    MissionResult.UNSUPPORTED_FRAME: "coordinate frame not supported by the vehicle",
-    MissionResult.UNSUPPORTED: "a command is not supported by the vehicle",
-    MissionResult.NO_SPACE: "too many items",
-    MissionResult.INVALID: "an item is invalid",
-    MissionResult.INVALID_SEQUENCE: "items received out of order",
-    MissionResult.DENIED: "denied: the vehicle accepts no mission from this station now",
-    MissionResult.OPERATION_CANCELLED: "cancelled by the vehicle",
-} | {MissionResult.INVALID_PARAM1 + k: f"parameter {k + 1} of an item is invalid" for k in range(7)}
+    MissionResultCode.ERROR: "the vehicle cannot accept a mission now",
+    MissionResultCode.UNSUPPORTED_FRAME: "coordinate frame not supported by the vehicle",
+    MissionResultCode.UNSUPPORTED: "a command is not supported by the vehicle",
+    MissionResultCode.NO_SPACE: "too many items",
+    MissionResultCode.INVALID: "an item is invalid",
+    MissionResultCode.INVALID_SEQUENCE: "items received out of order",
+    MissionResultCode.DENIED: "denied: the vehicle accepts no mission from this station now",
+    MissionResultCode.OPERATION_CANCELLED: "cancelled by the vehicle",
+} | {MissionResultCode.INVALID_PARAM1 + k: f"parameter {k + 1} of an item is invalid" for k in range(7)}
 
 
 @dataclass(slots=True, kw_only=True)
@@ -122,7 +122,7 @@ class RemoteMission:
             and isinstance(note, MissionAck)
             and note.mission_type in (self._kind, TYPE_ALL)
         ):
-            if note.result == MissionResult.ACCEPTED:
+            if note.result == MissionResultCode.ACCEPTED:
                 self.items = ()
                 job.request.set_outcome(RequestOutcome.ACCEPTED)
             else:
@@ -184,7 +184,7 @@ class RemoteMission:
         if machine.result is None:
             return
         self._sender = None
-        if machine.result == MissionResult.ACCEPTED:
+        if machine.result == MissionResultCode.ACCEPTED:
             self._messy_s = -math.inf
             self.items = job.items if job.items is not None else self._fetched
             job.request.result = self.items
@@ -202,7 +202,7 @@ class RemoteMission:
 
     def _store_items(self, items: tuple[MissionItem, ...]) -> int:
         self._fetched = items
-        return MissionResult.ACCEPTED
+        return MissionResultCode.ACCEPTED
 
 
 # ----------------------------------------------------------------------------

@@ -18,11 +18,11 @@ void board_start(board_t *b, uint32_t fitted, int32_t restart)
     set_idle(&b->sent);
     for (int32_t k = 0; k < 3; k++) {
         for (int32_t i = 0; i < MAX_BEAMS; i++) {
-            b->pictures[k][i] = mufly_plan.ring.max_range;
+            b->pictures[k][i] = mufly_plan.beam_ring.max_range;
         }
     }
     for (int32_t i = 0; i < MAX_BEAMS; i++) {
-        b->belief.ranges[i] = mufly_plan.ring.max_range;
+        b->belief.ranges[i] = mufly_plan.beam_ring.max_range;
     }
     b->fitted = fitted;
     b->period_count = 0;
@@ -51,10 +51,10 @@ static flight_setup_t present_setup(const board_t *b)
 /* Median of the last three readings of each beam: it removes a single wrong reading. */
 static void filter_ranges(board_t *b, const real_t ranges[])
 {
-    for (int32_t i = 0; i < mufly_plan.ring.count; i++) {
+    for (int32_t i = 0; i < mufly_plan.beam_ring.count; i++) {
         const real_t a = b->pictures[1][i];
         const real_t m = b->pictures[2][i];
-        const real_t c = real_is_finite(ranges[i]) ? ranges[i] : mufly_plan.ring.max_range;
+        const real_t c = real_is_finite(ranges[i]) ? ranges[i] : mufly_plan.beam_ring.max_range;
 
         b->pictures[0][i] = a;
         b->pictures[1][i] = m;

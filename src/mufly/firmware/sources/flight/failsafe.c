@@ -12,7 +12,7 @@
 
 void spin_up_motor_input(const real_t hover_V[2], real_t elapsed_s, real_t battery_V, real_t out[2])
 {
-    const real_t share = SPIN_UP_VOLTAGE_SHARE * real_min(REAL(1.0), (REAL(2.0) * elapsed_s) / SPIN_UP_S);
+    const real_t share = SPIN_UP_VOLTAGE_SHARE * real_min(REAL(1.0), (REAL(2.0) * elapsed_s) / ROTOR_SPIN_UP_TIME_S);
 
     for (int32_t i = 0; i < 2; i++) {
         out[i] = real_min((share * hover_V[i]) / battery_V, REAL(1.0));
@@ -21,7 +21,7 @@ void spin_up_motor_input(const real_t hover_V[2], real_t elapsed_s, real_t batte
 
 void ramp_down_motor_input(const real_t released[2], real_t elapsed_s, real_t out[2])
 {
-    const real_t share = real_max(REAL(0.0), REAL(1.0) - (elapsed_s / RAMP_DOWN_TIME_S));
+    const real_t share = real_max(REAL(0.0), REAL(1.0) - (elapsed_s / ROTOR_RUN_DOWN_TIME_S));
 
     for (int32_t i = 0; i < 2; i++) {
         out[i] = released[i] * share;
@@ -30,7 +30,7 @@ void ramp_down_motor_input(const real_t released[2], real_t elapsed_s, real_t ou
 
 void descent_motor_input(const real_t held_up_V[2], real_t share, real_t left_s, real_t battery_V, real_t out[2])
 {
-    const real_t faded = share * real_min(REAL(1.0), left_s / RAMP_DOWN_TIME_S);
+    const real_t faded = share * real_min(REAL(1.0), left_s / ROTOR_RUN_DOWN_TIME_S);
 
     for (int32_t i = 0; i < 2; i++) {
         out[i] = real_min((faded * held_up_V[i]) / battery_V, REAL(1.0));

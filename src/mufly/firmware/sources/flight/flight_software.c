@@ -231,11 +231,11 @@ static void step_blind_descent(const flight_setup_t *setup, software_t *s, const
     if (knows) { /* starting point in case the height is lost */
         s->motors_since_s = now + descent_time_s(height, gravity);
     } else if (down) { /* on the legs, a rotor that still lifts can tip the vehicle over */
-        s->motors_since_s = real_min(s->motors_since_s, now - (RAMP_DOWN_SKIPPED_SHARE * RAMP_DOWN_TIME_S));
+        s->motors_since_s = real_min(s->motors_since_s, now - (RAMP_DOWN_SKIPPED_SHARE * ROTOR_RUN_DOWN_TIME_S));
     } else {
         /* descend for the calculated duration */
     }
-    left_s = (s->motors_since_s + RAMP_DOWN_TIME_S) - now;
+    left_s = (s->motors_since_s + ROTOR_RUN_DOWN_TIME_S) - now;
     if (left_s <= REAL(0.0)) {
         finish_blind_descent(&s->mission, now);
         s->reference.motors = MOTORS_OFF;
@@ -283,7 +283,8 @@ static void step_floor_motors(const flight_setup_t *setup, software_t *s, const 
         spin_up_motor_input(setup->hover_V, elapsed, s->filtered_battery_V, s->motor_input);
     } else if (s->motors == MOTORS_RAMP_DOWN) {
         /* The vehicle may slide with an estimate's error, and a rotor that still lifts can tip it over. */
-        ramp_down_motor_input(s->released_motor_input, m->judged ? (elapsed + (RAMP_DOWN_SKIPPED_SHARE * RAMP_DOWN_TIME_S)) : elapsed, s->motor_input);
+        ramp_down_motor_input(s->released_motor_input,
+                              m->judged ? (elapsed + (RAMP_DOWN_SKIPPED_SHARE * ROTOR_RUN_DOWN_TIME_S)) : elapsed, s->motor_input);
     } else {
         set_pair(REAL(0.0), REAL(0.0), s->motor_input);
     }
@@ -387,8 +388,8 @@ void software_step(const flight_setup_t *setup, software_t *s, const estimate_t 
     estimate_t m;
     message_t why;
 
-    check_estimate(&s->watch, belief, setup->period_s, &setup->plan->ring);
-    copy_estimate(&s->watch.good, setup->plan->ring.count, &m);
+    check_estimate(&s->watch, belief, setup->period_s, &setup->plan->beam_ring);
+    copy_estimate(&s->watch.good, setup->plan->beam_ring.count, &m);
     if (m.judged) {
         correction_smoother_step(&s->smooth, &m, s->motors == MOTORS_OFF);
     }

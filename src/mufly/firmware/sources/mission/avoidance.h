@@ -24,7 +24,7 @@ typedef struct {
 typedef struct {
     real_t points[MAP_CAPACITY][4];
     int32_t point_count;
-    int32_t replace_index; /* row to replace next when the map is full */
+    int32_t next_replaced_row; /* row to replace next when the map is full */
 } obstacle_map_t;
 
 /* Check of a path against the points processed so far; squared lengths in m2. */
@@ -32,15 +32,15 @@ typedef struct {
     real_t from_point[3];  /* start of the path, */
     real_t goal_point[2]; /* and goal (m) */
     real_t look_ahead_m;     /* length of path that is checked (m) */
-    int32_t points_checked;      /* number of points checked */
+    int32_t checked_point_count;      /* number of points checked */
     real_t path_distance_sq;       /* least squared distance of any point from the path, exact if small */
-    real_t onward_distance_sq;    /* likewise for the first 1.5 m */
+    real_t initial_path_distance_sq;    /* likewise for the first 1.5 m */
     real_t goal_distance_sq; /* least squared distance of any point from the goal */
     real_t lateral_offset_sum;    /* sum of the lateral offsets of blocking points, positive to the right (m) */
     int32_t blocking_point_count;         /* number of blocking points */
     real_t nearest_blocking_distance_sq;  /* squared distance of the nearest blocking point */
     real_t nearest_blocking_point[2];     /* its position (m) */
-    real_t nearest_points[SECTOR_COUNT][2]; /* nearest point in each direction, infinite without a point (m) */
+    real_t nearest_point_by_sector[SECTOR_COUNT][2]; /* nearest point in each direction, infinite without a point (m) */
 } path_check_t;
 
 /* State of a detour around an obstacle. */
@@ -50,14 +50,14 @@ typedef struct {
     real_t hit_point[2];             /* position where the obstacle was met (m) */
     real_t hit_goal_distance;       /* distance from there to the goal (m) */
     int32_t obstacle_count;             /* number of obstacles met on this leg */
-    real_t max_stray;              /* distance from the line at which the other side is tried (m) */
-    real_t clear_duration_s;            /* time for which the path has been clear (s) */
-    real_t anchor_point[2], anchor_duration_s; /* time within 0.25 m of the anchor (s) */
+    real_t side_change_deviation_m;              /* distance from the line at which the other side is tried (m) */
+    real_t path_clear_duration_s;            /* time for which the path has been clear (s) */
+    real_t stuck_check_point[2], stuck_duration_s; /* time within 0.25 m of the anchor (s) */
     bool has_lap_start;
-    real_t lap_start[2]; /* position where the contour was reached (m), if has_lap_start */
+    real_t lap_start_point[2]; /* position where the contour was reached (m), if has_lap_start */
     int32_t lap_count;  /* whole laps around the obstacle */
-    real_t lap_distance, least_goal_distance; /* distance flown since then, and the least distance to the goal on it (m) */
-    bool is_leaving;         /* the reference brakes, to continue straight from where it stops */
+    real_t lap_distance_m, lap_min_goal_distance_m; /* distance flown since then, and the least distance to the goal on it (m) */
+    bool is_leaving_contour;         /* the reference brakes, to continue straight from where it stops */
     real_t obstacle_point[2];   /* last nearest point (m), for messages; NaN without one */
 } detour_t;
 
@@ -70,7 +70,7 @@ void insert_beam_hits(obstacle_map_t *memory, const beam_ring_t *beams, real_t t
 
 /* Begin the check of the straight level path from position to goal (N, E), over at most ahead metres. */
 void begin_path_check(const real_t position[3], const real_t goal[2], real_t ahead, path_check_t *out);
-#define LOOK_AHEAD_M REAL(1.2) /* usual value of ahead */
+#define PATH_LOOK_AHEAD_M REAL(1.2) /* usual value of ahead */
 #define DETOUR_ACCELERATION_M_S2 REAL(1.0)
 
 /* Check one of several parts of the points (from 1): remove expired points, evaluate the others for the path. */

@@ -23,10 +23,10 @@ void enter_manual(mission_t *s, const estimate_t *m)
 static bool may_start(mission_t *s, const estimate_t *m, const command_t *c)
 {
     const bool asks = !(c->climb_rate <= REAL(0.0));
-    const message_t fault = start_fault(m);
+    const message_t fault = describe_start_fault(m);
 
     if (asks && (fault.code != SAY_NO_MESSAGE)) {
-        refuse_start(s, &fault);
+        log_start_refusal(s, &fault);
     }
     return asks && (fault.code == SAY_NO_MESSAGE);
 }
@@ -44,7 +44,7 @@ void step_manual(const plan_t *plan, mission_t *s, const estimate_t *m, const co
         s->mission_begun = false;
         s->manual = true;
         s->waypoint_index = 0;
-        s->reached_count = 0;
+        s->reached_waypoint_count = 0;
         copy_vector(x, s->home_position);
         s->outcome = OUTCOME_OPEN;
         s->reason = make_message(SAY_NO_MESSAGE);
@@ -75,7 +75,7 @@ static bool is_on_floor(const mission_t *s, const estimate_t *m)
            (real_abs(m->motion.velocity[2]) < REAL(0.1));
 }
 
-static void end_on_floor(mission_t *s, int32_t code)
+static void end_control_on_floor(mission_t *s, int32_t code)
 {
     const message_t why = make_message(code);
     const bool running = s->motors != MOTORS_OFF;
@@ -102,7 +102,7 @@ void exit_manual(mission_t *s, const estimate_t *m)
         } else {
             /* outcome already set, or never in the air */
         }
-        end_on_floor(s, SAY_RC_OFF_ON_FLOOR);
+        end_control_on_floor(s, SAY_RC_OFF_ON_FLOOR);
     } else {
         braking_motion_t brake;
         trajectory_point_t at;
@@ -148,9 +148,9 @@ void enter_offboard(mission_t *s, const estimate_t *m, const set_point_t *wanted
         s->manual = true;
         s->returning_home = false;
     } else if (needs_lift_off(wanted, m->motion.position)) {
-        why = start_fault(m);
+        why = describe_start_fault(m);
         if (why.code != SAY_NO_MESSAGE) {
-            refuse_start(s, &why);
+            log_start_refusal(s, &why);
         } else {
             why = make_message(SAY_OFFBOARD_TAKE_OFF);
             reset_mission(s, m);
@@ -193,7 +193,7 @@ void exit_offboard(const plan_t *plan, mission_t *s, const estimate_t *m)
             s->outcome = OUTCOME_SUCCEEDED;
             s->reason = make_message(SAY_LANDED);
         }
-        end_on_floor(s, SAY_OFFBOARD_OFF_ON_FLOOR);
+        end_control_on_floor(s, SAY_OFFBOARD_OFF_ON_FLOOR);
     } else {
         const message_t why = make_message(SAY_OFFBOARD_OFF);
 

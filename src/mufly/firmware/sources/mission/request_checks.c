@@ -66,7 +66,7 @@ bool check_request(int32_t ask, const mission_t *s, real_t height, bool armed, b
     return can;
 }
 
-bool is_granted(int32_t ask, const mission_t *s, const estimate_t *m)
+bool is_request_permitted(int32_t ask, const mission_t *s, const estimate_t *m)
 {
     return check_request(ask, s, s->home_position[2] - m->motion.position[2], true, s->state != STATE_INIT);
 }

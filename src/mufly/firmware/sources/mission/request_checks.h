@@ -11,6 +11,6 @@ enum { REQUEST_ARM, REQUEST_DISARM, REQUEST_TAKE_OFF, REQUEST_START, REQUEST_PAU
 bool check_request(int32_t ask, const mission_t *s, real_t height, bool armed, bool flying);
 
 /* Whether the state permits a request of an armed vehicle at the estimated height. */
-bool is_granted(int32_t ask, const mission_t *s, const estimate_t *m);
+bool is_request_permitted(int32_t ask, const mission_t *s, const estimate_t *m);
 
 #endif

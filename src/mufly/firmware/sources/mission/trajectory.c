@@ -7,7 +7,7 @@
 #define MIN_DIAGONAL REAL(1e-9)
 #define MIN_CURVE_SPEED_M_S REAL(0.05) /* least speed of a curve (m/s) */
 #define GAUSS_NODE_COUNT 3
-#define REFINE_HALVINGS 5 /* of a step, around each extreme point of a curve */
+#define EXTREME_REFINEMENT_COUNT 5 /* of a step, around each extreme point of a curve */
 #define ROOT_2 REAL(0x1.6a09e667f3bcdp+0)
 
 /* Three-point Gauss-Legendre rule. */
@@ -31,7 +31,7 @@ static void zero_triple(real_t out[3])
 
 /* Profiles: the quintic step of the speed */
 
-void make_profile(real_t way, real_t speed, real_t acceleration, motion_profile_t *out)
+void make_motion_profile(real_t way, real_t speed, real_t acceleration, motion_profile_t *out)
 {
     out->distance = REAL(0.0);
     out->peak_speed = REAL(0.0);
@@ -194,16 +194,16 @@ static real_t arc_length(const timed_spline_t *c, real_t u, real_t half)
 
 static void tabulate_arc_length(timed_spline_t *c)
 {
-    const real_t half = REAL(0.5) / (real_t)ARC_PIECES;
+    const real_t half = REAL(0.5) / (real_t)ARC_PIECE_COUNT;
 
     c->arc_lengths[0] = REAL(0.0);
-    for (int32_t k = 0; k < ARC_PIECES; k++) {
-        c->arc_lengths[k + 1] = c->arc_lengths[k] + arc_length(c, (real_t)k / (real_t)ARC_PIECES, half);
+    for (int32_t k = 0; k < ARC_PIECE_COUNT; k++) {
+        c->arc_lengths[k + 1] = c->arc_lengths[k] + arc_length(c, (real_t)k / (real_t)ARC_PIECE_COUNT, half);
     }
 }
 
 /* Squared tangent length; squared level, climbing and descending shares of speed, and curvature. */
-static real_t curve_demands(const timed_spline_t *c, real_t u, real_t out[CURVE_DEMAND_COUNT])
+static real_t evaluate_speed_and_curvature(const timed_spline_t *c, real_t u, real_t out[CURVE_DEMAND_COUNT])
 {
     real_t tangent[3];
     real_t size;
@@ -230,7 +230,7 @@ static real_t curve_demands(const timed_spline_t *c, real_t u, real_t out[CURVE_
 }
 
 /* Search the least tangent and the greatest demands over a curve in equal steps, */
-static void find_extreme_demands(const timed_spline_t *c, curve_extremes_t *worst)
+static void find_extreme_speed_and_curvature(const timed_spline_t *c, curve_extremes_t *worst)
 {
     real_t asks[CURVE_DEMAND_COUNT];
 
@@ -239,10 +239,10 @@ static void find_extreme_demands(const timed_spline_t *c, curve_extremes_t *wors
         worst->demands[j] = REAL(0.0);
         worst->demand_parameters[j] = REAL(0.0);
     }
-    for (int32_t k = 0; k <= ARC_PIECES; k++) {
-        const real_t u = (real_t)k / (real_t)ARC_PIECES;
+    for (int32_t k = 0; k <= ARC_PIECE_COUNT; k++) {
+        const real_t u = (real_t)k / (real_t)ARC_PIECE_COUNT;
 
-        worst->least_squared_tangent = real_min(worst->least_squared_tangent, curve_demands(c, u, asks));
+        worst->least_squared_tangent = real_min(worst->least_squared_tangent, evaluate_speed_and_curvature(c, u, asks));
         for (int32_t j = 0; j < CURVE_DEMAND_COUNT; j++) {
             if (asks[j] > worst->demands[j]) {
                 worst->demands[j] = asks[j];
@@ -258,15 +258,15 @@ static void refine_extreme_demands(const timed_spline_t *c, curve_extremes_t *wo
     real_t asks[CURVE_DEMAND_COUNT];
 
     for (int32_t j = 0; j < CURVE_DEMAND_COUNT; j++) {
-        real_t step = REAL(1.0) / (real_t)ARC_PIECES;
+        real_t step = REAL(1.0) / (real_t)ARC_PIECE_COUNT;
 
-        for (int32_t h = 0; (h < REFINE_HALVINGS) && (worst->demands[j] > REAL(0.0)); h++) {
+        for (int32_t h = 0; (h < EXTREME_REFINEMENT_COUNT) && (worst->demands[j] > REAL(0.0)); h++) {
             const real_t middle = worst->demand_parameters[j];
 
             step *= REAL(0.5);
             for (int32_t side = -1; side <= 1; side += 2) {
                 const real_t u = middle + ((real_t)side * step);
-                const real_t size = curve_demands(c, u, asks);
+                const real_t size = evaluate_speed_and_curvature(c, u, asks);
 
                 if ((u >= REAL(0.0)) && (u <= REAL(1.0)) && (asks[j] > worst->demands[j])) {
                     worst->least_squared_tangent = real_min(worst->least_squared_tangent, size);
@@ -282,7 +282,7 @@ static void refine_extreme_demands(const timed_spline_t *c, curve_extremes_t *wo
 static bool time_curve(timed_spline_t *c, const curve_extremes_t *worst, const real_t pace[4])
 {
     const real_t share = pace[3] / ROOT_2;
-    const real_t whole = c->arc_lengths[ARC_PIECES];
+    const real_t whole = c->arc_lengths[ARC_PIECE_COUNT];
     bool can = false;
 
     if (!(real_sqrt(worst->least_squared_tangent) < (REAL(0.05) * real_max(whole, MIN_DIAGONAL)))) {
@@ -292,7 +292,7 @@ static bool time_curve(timed_spline_t *c, const curve_extremes_t *worst, const r
         peak = real_min(peak, pace[2] / real_max(real_sqrt(worst->demands[2]), MIN_DIAGONAL));
         peak = real_min(peak, real_sqrt(share / real_max(real_sqrt(worst->demands[3]), MIN_DIAGONAL)));
         if (peak >= MIN_CURVE_SPEED_M_S) {
-            make_profile(whole, peak, share, &c->speed_profile);
+            make_motion_profile(whole, peak, share, &c->speed_profile);
             can = true;
         }
     }
@@ -301,7 +301,7 @@ static bool time_curve(timed_spline_t *c, const curve_extremes_t *worst, const r
 
 static real_t arc_length_at(const timed_spline_t *c, int32_t k, real_t u)
 {
-    const real_t start = (real_t)k / (real_t)ARC_PIECES;
+    const real_t start = (real_t)k / (real_t)ARC_PIECE_COUNT;
 
     return c->arc_lengths[k] + arc_length(c, start, REAL(0.5) * (u - start));
 }
@@ -310,7 +310,7 @@ static real_t arc_length_at(const timed_spline_t *c, int32_t k, real_t u)
 static int32_t find_arc_piece(const timed_spline_t *c, real_t s)
 {
     int32_t low = 0;
-    int32_t high = ARC_PIECES;
+    int32_t high = ARC_PIECE_COUNT;
 
     while ((high - low) > 1) {
         const int32_t middle = (low + high) / 2;
@@ -337,7 +337,7 @@ static void timed_spline_evaluate(const timed_spline_t *c, real_t t, trajectory_
 
     profile_evaluate(&c->speed_profile, t, s);
     k = find_arc_piece(c, s[0]);
-    u = ((real_t)k + ((s[0] - c->arc_lengths[k]) / (c->arc_lengths[k + 1] - c->arc_lengths[k]))) / (real_t)ARC_PIECES;
+    u = ((real_t)k + ((s[0] - c->arc_lengths[k]) / (c->arc_lengths[k + 1] - c->arc_lengths[k]))) / (real_t)ARC_PIECE_COUNT;
     /* The table inverts the arc length linearly; a Newton step makes the result smooth. */
     u -= (arc_length_at(c, k, u) - s[0]) / tangent_length(c, u);
     spline_tangent(c, u, tangent);
@@ -382,10 +382,10 @@ void plan_straight(const real_t start[3], const real_t goal[3], real_t heading, 
         out->goal[0] = start[0];
         out->goal[1] = start[1];
     }
-    make_profile(real_abs(fall), (fall > REAL(0.0)) ? limits->descent : limits->climb, limits->climb_acceleration,
+    make_motion_profile(real_abs(fall), (fall > REAL(0.0)) ? limits->descent : limits->climb, limits->climb_acceleration,
                  &out->height_profile);
-    make_profile(real_abs(out->turn_angle), limits->yaw_rate, limits->yaw_acceleration, &out->yaw_profile);
-    make_profile(way, limits->speed, limits->acceleration, &out->path_profile);
+    make_motion_profile(real_abs(out->turn_angle), limits->yaw_rate, limits->yaw_acceleration, &out->yaw_profile);
+    make_motion_profile(way, limits->speed, limits->acceleration, &out->path_profile);
     out->departure_s = real_max(profile_duration_s(&out->height_profile), profile_duration_s(&out->yaw_profile));
     out->duration_s = out->departure_s + profile_duration_s(&out->path_profile);
     out->has_spline_curve = false;
@@ -451,12 +451,12 @@ void advance_pending_curve(trajectory_t *way)
     if (way->pending_parts == CURVE_WORK_PARTS) {
         tabulate_arc_length(c);
     } else if (way->pending_parts == (CURVE_WORK_PARTS - 1)) {
-        find_extreme_demands(c, &way->curve_extremes);
+        find_extreme_speed_and_curvature(c, &way->curve_extremes);
     } else if (way->pending_parts == 1) {
         refine_extreme_demands(c, &way->curve_extremes);
         if (time_curve(c, &way->curve_extremes, way->curve_limits)) {
             way->has_spline_curve = true;
-            make_profile(REAL(0.0), REAL(1.0), REAL(1.0), &way->height_profile);
+            make_motion_profile(REAL(0.0), REAL(1.0), REAL(1.0), &way->height_profile);
             way->path_profile = c->speed_profile;
             way->departure_s = profile_duration_s(&way->yaw_profile);
             way->duration_s = way->departure_s + profile_duration_s(&c->speed_profile);

@@ -6,7 +6,7 @@
 
 #include "real.h"
 
-#define ARC_PIECES 32 /* pieces of the arc length table, and steps of the search for extreme points */
+#define ARC_PIECE_COUNT 32 /* pieces of the arc length table, and steps of the search for extreme points */
 
 #define CURVE_DEMAND_COUNT 4
 #define CURVE_WORK_PARTS 3 /* parts of the computation of a curve, one per period */
@@ -34,7 +34,7 @@ typedef struct {
 /* A cubic spline with its timing. */
 typedef struct {
     real_t coefficients[3][4]; /* A, B, C, D of each axis */
-    real_t arc_lengths[ARC_PIECES + 1];
+    real_t arc_lengths[ARC_PIECE_COUNT + 1];
     motion_profile_t speed_profile;
 } timed_spline_t;
 
@@ -69,7 +69,7 @@ typedef struct {
     braking_motion_t initial_braking;
 } trajectory_t;
 
-void make_profile(real_t way, real_t speed, real_t acceleration, motion_profile_t *out);
+void make_motion_profile(real_t way, real_t speed, real_t acceleration, motion_profile_t *out);
 real_t profile_duration_s(const motion_profile_t *p);
 
 /* Distance, speed, acceleration at time t; at rest before 0 and after the end. */

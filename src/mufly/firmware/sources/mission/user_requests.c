@@ -6,12 +6,12 @@
 #include "mission/machine/mission_reference.h"
 #include "mission/machine/phases.h"
 
-#define MAX_EXTENT_M REAL(1e4)
+#define MAX_COORDINATE_M REAL(1e4)
 #define PER_DEGREE (REAL(180.0) / REAL_PI)
-#define SAME_PLACE_M REAL(0.01)
-#define SAME_HEADING (REAL(0.5) * DEGREE)
-#define TARGET_STREAM_S REAL(1.0)
-#define STOP_PLACE_M REAL(0.3)
+#define SAME_POSITION_TOLERANCE_M REAL(0.01)
+#define SAME_HEADING_TOLERANCE_RAD (REAL(0.5) * DEGREE)
+#define TARGET_LOG_INTERVAL_S REAL(1.0)
+#define STOP_AT_GOAL_MARGIN_M REAL(0.3)
 
 void stop_motors(mission_t *s, const message_t *why)
 {
@@ -26,7 +26,7 @@ void stop_motors(mission_t *s, const message_t *why)
     }
 }
 
-message_t user_waypoint_fault(const command_t *c)
+message_t describe_user_waypoint_fault(const command_t *c)
 {
     message_t fault = make_message(SAY_NO_MESSAGE);
     const real_t *where = c->waypoint;
@@ -38,7 +38,7 @@ message_t user_waypoint_fault(const command_t *c)
 
         if (!finite || (where[2] > -MIN_WAYPOINT_HEIGHT_M)) {
             fault = make_message_4(SAY_USER_WAYPOINT_TOO_LOW, where[0], where[1], where[2], -MIN_WAYPOINT_HEIGHT_M);
-        } else if ((where[2] < -MAX_HEIGHT_M) || (real_hypot(where[0], where[1]) > MAX_EXTENT_M)) {
+        } else if ((where[2] < -MAX_HEIGHT_M) || (real_hypot(where[0], where[1]) > MAX_COORDINATE_M)) {
             fault = make_message_4(SAY_USER_WAYPOINT_TOO_FAR, where[0], where[1], where[2], -MAX_HEIGHT_M);
         } else {
             /* valid */
@@ -61,7 +61,7 @@ static bool is_same_place(const real_t a[3], const real_t b[3])
     bool same = true;
 
     for (int32_t i = 0; i < 3; i++) {
-        same = same && (real_abs(a[i] - b[i]) <= SAME_PLACE_M);
+        same = same && (real_abs(a[i] - b[i]) <= SAME_POSITION_TOLERANCE_M);
     }
     return same;
 }
@@ -70,14 +70,14 @@ static bool is_same_place(const real_t a[3], const real_t b[3])
 static bool is_already_requested(const mission_t *s, const command_t *c)
 {
     const bool heading = c->has_heading
-                             ? (s->has_requested_heading && (real_abs(c->heading - s->requested_heading) <= SAME_HEADING))
+                             ? (s->has_requested_heading && (real_abs(c->heading - s->requested_heading) <= SAME_HEADING_TOLERANCE_RAD))
                              : !s->has_requested_heading;
 
     return s->manual && !s->returning_home && heading && (!c->has_waypoint || is_same_place(c->waypoint, s->goal));
 }
 
 /* Whether the reference may as well stop at the goal of the present leg for a turn. */
-static bool stops_at_goal(const mission_t *s)
+static bool can_stop_at_goal(const mission_t *s)
 {
     trajectory_point_t now;
     real_t off[3];
@@ -90,15 +90,15 @@ static bool stops_at_goal(const mission_t *s)
     }
     speed = real_abs(real_vector_length(now.velocity));
     lasts = ((REAL(15.0) / REAL(8.0)) * speed) / DETOUR_ACCELERATION_M_S2;
-    return (s->state == STATE_WAYPOINT) && (real_vector_length(off) <= (((REAL(0.5) * speed) * lasts) + STOP_PLACE_M));
+    return (s->state == STATE_WAYPOINT) && (real_vector_length(off) <= (((REAL(0.5) * speed) * lasts) + STOP_AT_GOAL_MARGIN_M));
 }
 
 void fly_to_user_waypoint(const plan_t *plan, mission_t *s, const command_t *c)
 {
-    message_t what = user_waypoint_fault(c);
+    message_t what = describe_user_waypoint_fault(c);
 
     if (what.code != SAY_NO_MESSAGE) {
-        const log_entry_t *last = &s->log[(s->logged_count - 1) % MISSION_LOG];
+        const log_entry_t *last = &s->log[(s->logged_event_count - 1) % MISSION_LOG];
 
         if (!is_same_message(&last->message, &what)) {
             log_event(s, &what, LEVEL_WARNING);
@@ -119,12 +119,12 @@ void fly_to_user_waypoint(const plan_t *plan, mission_t *s, const command_t *c)
             what = make_message_3(SAY_TO_USER_WAYPOINT, c->waypoint[0], c->waypoint[1], c->waypoint[2]);
         }
         if (s->manual && !s->returning_home && ((s->state == STATE_WAYPOINT) || (s->state == STATE_OBSTACLE)) &&
-            (c->has_waypoint || stops_at_goal(s))) {
+            (c->has_waypoint || can_stop_at_goal(s))) {
             if (!c->has_waypoint) {
                 copy_vector(s->goal, errand.goal);
             }
             change_leg_goal(plan, s, &what, errand.goal, c->has_heading ? &errand.heading : NULL,
-                            (s->time_s - s->state_entered_s) < TARGET_STREAM_S);
+                            (s->time_s - s->state_entered_s) < TARGET_LOG_INTERVAL_S);
         } else {
             start_leg(plan, s, &what, &errand);
         }

@@ -8,7 +8,7 @@
 void stop_motors(mission_t *s, const message_t *why);
 
 /* Reason to refuse a user's waypoint; SAY_NO_MESSAGE if it is valid. */
-message_t user_waypoint_fault(const command_t *c);
+message_t describe_user_waypoint_fault(const command_t *c);
 
 /* Stop, fly to the command's waypoint and hold; the mission waits. Without a waypoint only turn on the spot. */
 void fly_to_user_waypoint(const plan_t *plan, mission_t *s, const command_t *c);

@@ -203,7 +203,7 @@ static void fuzz_avoid(void)
             begin_path_check(position, goal, next_number(REAL(2.0)), &sight);
         }
         check_map_part(&memory, &sight, next_number(REAL(100.0)), next_number(REAL(1.0)), 1 + (int32_t)(what >> 6U), 4);
-        require_true((memory.point_count >= 0) && (sight.points_checked <= MAP_CAPACITY));
+        require_true((memory.point_count >= 0) && (sight.checked_point_count <= MAP_CAPACITY));
         (void)is_path_blocked(&sight, next_number(REAL(1.0)));
         if (!under_way || ((what & 1U) != 0U)) {
             begin_detour(&detour, position, velocity, attitude, goal, &sight, under_way ? &detour : NULL);
@@ -295,7 +295,7 @@ static void any_plan(plan_t *p)
     p->give_up_s = next_positive(REAL(60.0));
     p->nose_offset = next_number(REAL(3.0));
     p->low_voltage = next_number(REAL(7.0));
-    any_ring(&p->ring);
+    any_ring(&p->beam_ring);
     limit_inputs = as_it_was;
 }
 

@@ -79,10 +79,10 @@ static void follow_reference(const software_t *s, estimate_t *b)
         now->position[2] = REAL(-0.07) + random_number(REAL(1e-4));
         now->velocity[2] = REAL(0.0);
     }
-    for (int32_t i = 0; i < mufly_plan.ring.count; i++) {
+    for (int32_t i = 0; i < mufly_plan.beam_ring.count; i++) {
         const real_t to = (i < 2) ? (REAL(2.2) - now->position[i]) : REAL(9.0);
 
-        b->ranges[i] = real_clip(to, REAL(0.2), mufly_plan.ring.max_range);
+        b->ranges[i] = real_clip(to, REAL(0.2), mufly_plan.beam_ring.max_range);
     }
 }
 
@@ -128,13 +128,13 @@ int main(void)
             digest_bits(&digest, real_bits(out.motor_input[i]));
             digest_bits(&digest, real_bits(out.servo_input[i]));
         }
-        digest_bits(&digest, (uint64_t)s.mission.logged_count);
+        digest_bits(&digest, (uint64_t)s.mission.logged_event_count);
         digest_bits(&digest, real_bits(s.reference.path.position[0]));
         print_digest(digest, k, PERIODS);
     }
     platform_print("outputs ", digest);
     platform_print("state ", sizeof(software_t));
-    platform_print("entries ", (uint64_t)s.mission.logged_count);
+    platform_print("entries ", (uint64_t)s.mission.logged_event_count);
     print_cost(&cost);
     return 0;
 }

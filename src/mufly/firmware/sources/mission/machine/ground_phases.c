@@ -5,11 +5,11 @@
 #define DESCENT_LAG_S REAL(0.15)
 #define NEAR_FLOOR_HEIGHT_M REAL(0.1)
 #define MAX_DESCENT_LAG_M REAL(0.25)
-#define STILL_DURATION_S REAL(0.3)
+#define REST_DURATION_ON_FLOOR_S REAL(0.3)
 #define STANDING_HEIGHT_M REAL(0.02) /* standing on the floor by the estimate: height below this, */
-#define PRESSED_DEPTH_M REAL(0.03) /* reference below the estimate by this, */
-#define PRESSED_DURATION_S REAL(0.05) /* for this time, */
-#define CERTAIN_HEIGHT_M REAL(0.05)   /* with this height deviation at most */
+#define PRESS_DOWN_DEPTH_M REAL(0.03) /* reference below the estimate by this, */
+#define PRESS_DOWN_DURATION_S REAL(0.05) /* for this time, */
+#define MAX_HEIGHT_DEVIATION_M REAL(0.05)   /* with this height deviation at most */
 #define DRIFT_CHECK_HEIGHT_M REAL(0.6)
 #define DRIFT_SPEED_M_S REAL(0.3)
 #define UNKNOWN_DRIFT_SIGMA_M REAL(0.6) /* horizontal deviation of the position from which the drift is unknown */
@@ -52,7 +52,7 @@ void start_landing(mission_t *s, const message_t *why, int32_t level)
         s->descent_rate = now.velocity[2];
         s->descent_acceleration = now.acceleration[2];
         s->motors = MOTORS_FLY;
-        s->still_duration_s = REAL(0.0);
+        s->rest_duration_s = REAL(0.0);
         s->touchdown_speed = REAL(0.0);
     }
 }
@@ -117,7 +117,7 @@ void step_landing(const plan_t *plan, mission_t *s, const estimate_t *m, real_t 
     bool near;
 
     if (s->motors == MOTORS_RAMP_DOWN) {
-        if (!(s->motion_clock_s < RAMP_DOWN_TIME_S)) {
+        if (!(s->motion_clock_s < ROTOR_RUN_DOWN_TIME_S)) {
             const message_t down = make_message(SAY_LANDED);
 
             judge_outcome(s);
@@ -139,7 +139,7 @@ void step_landing(const plan_t *plan, mission_t *s, const estimate_t *m, real_t 
         if (above < REAL(-0.3)) {
             wanted = REAL(0.0);
         } else if (drifts && (above > REAL(0.0)) && (above < DRIFT_CHECK_HEIGHT_M)) {
-            wanted = real_min(wanted, DRIFT_DESCENT_M_S);
+            wanted = real_min(wanted, DRIFTING_DESCENT_RATE_M_S);
         } else {
             /* full rate */
         }
@@ -150,12 +150,12 @@ void step_landing(const plan_t *plan, mission_t *s, const estimate_t *m, real_t 
         lying = (z > (s->home_position[2] - REAL(0.03))) && (s->hold_position[2] > (s->home_position[2] + REAL(0.1)));
         lying = lying || (s->hold_position[2] > (z + MAX_DESCENT_LAG_M)); /* on an object, or lower than estimated */
         /* With unknown drift the vehicle must not be steered with a leg on the floor. */
-        stands = m->judged && (z > (s->home_position[2] - STANDING_HEIGHT_M)) && (s->hold_position[2] > (z + PRESSED_DEPTH_M)) &&
-                 (m->position_variance[2] < (CERTAIN_HEIGHT_M * CERTAIN_HEIGHT_M));
+        stands = m->judged && (z > (s->home_position[2] - STANDING_HEIGHT_M)) && (s->hold_position[2] > (z + PRESS_DOWN_DEPTH_M)) &&
+                 (m->position_variance[2] < (MAX_HEIGHT_DEVIATION_M * MAX_HEIGHT_DEVIATION_M));
         if (stands || (lying && (real_abs(w) < REAL(0.05)))) {
-            s->still_duration_s = s->still_duration_s + dt;
+            s->rest_duration_s = s->rest_duration_s + dt;
         } else {
-            s->still_duration_s = REAL(0.0);
+            s->rest_duration_s = REAL(0.0);
         }
         near = z > (s->home_position[2] - NEAR_FLOOR_HEIGHT_M);
         if (m->judged) { /* a filter that has not detected the floor keeps falling for a moment */
@@ -164,7 +164,7 @@ void step_landing(const plan_t *plan, mission_t *s, const estimate_t *m, real_t 
         if (near) {
             s->touchdown_speed = real_max(s->touchdown_speed, w);
         }
-        if (s->still_duration_s > (stands ? PRESSED_DURATION_S : STILL_DURATION_S)) {
+        if (s->rest_duration_s > (stands ? PRESS_DOWN_DURATION_S : REST_DURATION_ON_FLOOR_S)) {
             handle_touchdown(s);
         }
     }
@@ -236,7 +236,7 @@ bool stands_tilted(const estimate_t *m)
     return !(measured_tilt(m) <= (MAX_START_TILT_DEG * DEGREE));
 }
 
-message_t start_fault(const estimate_t *m)
+message_t describe_start_fault(const estimate_t *m)
 {
     message_t fault = make_message(SAY_NO_MESSAGE);
     const real_t tilt = measured_tilt(m);
@@ -251,21 +251,21 @@ message_t start_fault(const estimate_t *m)
     return fault;
 }
 
-void refuse_start(mission_t *s, const message_t *why)
+void log_start_refusal(mission_t *s, const message_t *why)
 {
-    if (s->log[(s->logged_count - 1) % MISSION_LOG].message.code != why->code) {
+    if (s->log[(s->logged_event_count - 1) % MISSION_LOG].message.code != why->code) {
         log_event(s, why, LEVEL_WARNING);
     }
 }
 
 bool has_spun_up(const mission_t *s, const estimate_t *m)
 {
-    return (s->motion_clock_s >= SPIN_UP_S) || has_lifted_off(s, m);
+    return (s->motion_clock_s >= ROTOR_SPIN_UP_TIME_S) || has_lifted_off(s, m);
 }
 
 void step_on_floor(mission_t *s)
 {
-    if ((s->motors == MOTORS_RAMP_DOWN) && (s->motion_clock_s > RAMP_DOWN_TIME_S)) {
+    if ((s->motors == MOTORS_RAMP_DOWN) && (s->motion_clock_s > ROTOR_RUN_DOWN_TIME_S)) {
         s->motors = MOTORS_OFF;
         s->finished = s->outcome != OUTCOME_OPEN;
     }

@@ -16,10 +16,10 @@ void finish_blind_descent(mission_t *s, real_t time_s);
 bool stands_tilted(const estimate_t *m);
 
 /* Reason not to start the motors with this estimate; SAY_NO_MESSAGE if they may start. */
-message_t start_fault(const estimate_t *m);
+message_t describe_start_fault(const estimate_t *m);
 
 /* Log the refusal of a start once. */
-void refuse_start(mission_t *s, const message_t *why);
+void log_start_refusal(mission_t *s, const message_t *why);
 
 /* Whether the vehicle is off the floor. */
 bool has_lifted_off(const mission_t *s, const estimate_t *m);

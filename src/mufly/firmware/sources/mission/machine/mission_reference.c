@@ -74,7 +74,7 @@ void scan_yaw(const plan_t *plan, const mission_t *s, real_t *angle, real_t *rat
     *rate = REAL(0.0);
     if (s->scan_duration_s > REAL(0.0)) {
         const real_t x = real_min(s->scan_duration_s, REAL(1.0));
-        const real_t most = REAL(0.5) * plan->ring.spacing;
+        const real_t most = REAL(0.5) * plan->beam_ring.spacing;
         const real_t size = ((most * x) * x) * (REAL(3.0) - (REAL(2.0) * x));
         const real_t grows = is_scanning(plan, s) ? REAL(1.0) : REAL(-1.0);
         const real_t growth = (((most * REAL(6.0)) * x) * (REAL(1.0) - x)) * grows;

@@ -23,13 +23,13 @@ real_t distance_between(const real_t a[3], const real_t b[3])
 
 void log_event_as(mission_t *s, int32_t state, const message_t *what, int32_t level)
 {
-    log_entry_t *e = &s->log[s->logged_count % MISSION_LOG];
+    log_entry_t *e = &s->log[s->logged_event_count % MISSION_LOG];
 
     e->time_s = s->time_s;
     e->state = state;
     e->level = level;
     e->message = *what;
-    s->logged_count = (s->logged_count < (INT32_MAX - 1)) ? (s->logged_count + 1) : MISSION_LOG;
+    s->logged_event_count = (s->logged_event_count < (INT32_MAX - 1)) ? (s->logged_event_count + 1) : MISSION_LOG;
 }
 
 void log_event(mission_t *s, const message_t *what, int32_t level)
@@ -84,7 +84,7 @@ void clear_mission(mission_t *s)
     s->manual = false;
     s->has_taken_off = false;
     s->mission_begun = false;
-    s->reached_count = 0;
+    s->reached_waypoint_count = 0;
     s->abort_reason = make_message(SAY_NO_MESSAGE);
     s->returning_home = false;
     zero_vector(s->home_position);
@@ -95,13 +95,13 @@ void clear_mission(mission_t *s)
     s->hover_until_s = REAL(0.0);
     s->descent_rate = REAL(0.0);
     s->descent_acceleration = REAL(0.0);
-    s->still_duration_s = REAL(0.0);
+    s->rest_duration_s = REAL(0.0);
     s->touchdown_speed = REAL(0.0);
     s->low_battery_duration_s = REAL(0.0);
     s->obstacle_map.point_count = 0;
-    s->obstacle_map.replace_index = 0;
+    s->obstacle_map.next_replaced_row = 0;
     s->next_beam = 0;
-    begin_path_check(s->goal, s->goal, LOOK_AHEAD_M, &s->path_check);
+    begin_path_check(s->goal, s->goal, PATH_LOOK_AHEAD_M, &s->path_check);
     s->has_detour = false;
     s->resume_state = STATE_HOVER;
     s->detour_duration_s = REAL(0.0);
@@ -119,7 +119,7 @@ void initial_mission_state(mission_t *s, const estimate_t *m)
 
     clear_mission(s);
     clear_obstacle_map(&s->obstacle_map);
-    s->logged_count = 0;
+    s->logged_event_count = 0;
     s->time_s = m->time_s;
     s->state_entered_s = m->time_s;
     copy_vector(m->motion.position, s->hold_position);

@@ -13,8 +13,8 @@
 #define MISSION_WAYPOINTS 32 /* most waypoints */
 #define MISSION_LOG 16       /* log entries kept */
 
-#define SPIN_UP_S REAL(3.0)
-#define RAMP_DOWN_TIME_S REAL(1.0)
+#define ROTOR_SPIN_UP_TIME_S REAL(3.0)
+#define ROTOR_RUN_DOWN_TIME_S REAL(1.0)
 #define LIFT_OFF_HEIGHT_M REAL(0.02)
 #define TIPPING_RATE_RAD_S REAL(0.15)
 
@@ -50,7 +50,7 @@ typedef struct {
     real_t give_up_s;
     real_t nose_offset;       /* angle of the nose from the path (rad): one beam points along it */
     real_t low_voltage;
-    beam_ring_t ring;
+    beam_ring_t beam_ring;
 } plan_t;
 
 /* The user's signals at one step; all zero is no signal. */
@@ -105,16 +105,16 @@ typedef struct {
     int32_t outcome;
     message_t reason;
     bool finished, manual, has_taken_off, mission_begun;
-    int32_t reached_count;
+    int32_t reached_waypoint_count;
     message_t abort_reason; /* reason for the user's abort; counts after landing */
     bool returning_home;
     log_entry_t log[MISSION_LOG];
-    int32_t logged_count; /* number of entries; the latest is log[(logged_count - 1) % MISSION_LOG] */
+    int32_t logged_event_count; /* number of entries; the latest is log[(logged_event_count - 1) % MISSION_LOG] */
     real_t home_position[3], hold_position[3], goal[3];
     real_t hold_heading;
     course_t course;
     real_t hover_until_s;
-    real_t descent_rate, descent_acceleration, still_duration_s, touchdown_speed;
+    real_t descent_rate, descent_acceleration, rest_duration_s, touchdown_speed;
     real_t battery_V, low_battery_duration_s;
     obstacle_map_t obstacle_map;
     int32_t next_beam; /* next beam to be processed */

@@ -3,20 +3,20 @@
 #include <stddef.h>
 
 #define TRACKER_BANDWIDTH_RAD_S REAL(3.0)
-#define MAX_STEP_S REAL(0.02)
-#define MAX_LAG_M REAL(0.5)
+#define MAX_TIME_STEP_S REAL(0.02)
+#define MAX_TRACKING_ERROR_M REAL(0.5)
 #define ACCELERATION_LAG_S REAL(0.08)
 #define MAX_POSITION_M REAL(1e4)
 #define MAX_SPEED_M_S REAL(50.0)
 #define MAX_YAW_RATE_RAD_S REAL(50.0)
 #define STANDARD_GRAVITY REAL(9.81)
-#define LOW_HEIGHT_M REAL(1.0)
+#define STICK_LIMIT_HEIGHT_M REAL(1.0)
 #define FULL_TILT_HEIGHT_M REAL(0.3)
-#define MIN_TILT_SHARE REAL(0.2)
-#define FLOOR_SPEED_M_S REAL(0.3)
-#define FLOOR_SPEED_RISE REAL(1.2)
-#define SPEED_LIMIT_LAG_S REAL(0.5)
-#define MAX_BRAKING_TILT REAL(0.09)
+#define MIN_TILT_FRACTION REAL(0.2)
+#define MAX_SPEED_AT_FLOOR_M_S REAL(0.3)
+#define MAX_SPEED_RISE_1_S REAL(1.2)
+#define BRAKING_TIME_S REAL(0.5)
+#define MAX_BRAKING_TILT_RAD REAL(0.09)
 #define FLARE_TIME_S REAL(1.0)
 
 /* Set said if a number is given, and clear right if it is beyond its bound. */
@@ -47,12 +47,12 @@ bool needs_lift_off(const set_point_t *wanted, const real_t standing[3])
     return higher || (wanted->velocity[2] < REAL(-0.01));
 }
 
-static real_t or_zero(real_t x)
+static real_t zero_if_nan(real_t x)
 {
     return real_is_nan(x) ? REAL(0.0) : x;
 }
 
-static real_t gap_to(real_t target, real_t at)
+static real_t distance_to_target(real_t target, real_t at)
 {
     return real_is_nan(target) ? REAL(0.0) : (target - at);
 }
@@ -68,7 +68,7 @@ static real_t approach_speed(real_t gap, real_t acceleration)
 }
 
 /* Permitted velocity towards a bound at gap (m, down), or velocity back to it. */
-static real_t bound_velocity(real_t gap, const trajectory_limits_t *limits)
+static real_t max_velocity_towards_bound(real_t gap, const trajectory_limits_t *limits)
 {
     return real_copysign(approach_speed(real_abs(gap), limits->climb_acceleration), gap);
 }
@@ -82,15 +82,16 @@ static real_t limited_gain(real_t dx, real_t dy, real_t most, real_t dt)
     return gain * ((size > most) ? (most / size) : REAL(1.0));
 }
 
-static void step_set_point(trajectory_point_t *t, const set_point_t *wanted, const trajectory_limits_t *limits, const real_t measured[3], real_t dt,
+static void step_set_point_reference(trajectory_point_t *t, const set_point_t *wanted, const trajectory_limits_t *limits,
+                                     const real_t measured[3], real_t dt,
                  const path_check_t *sight, real_t clearance)
 {
     const real_t off[3] = {t->position[0] - measured[0], t->position[1] - measured[1],
                            t->position[2] - measured[2]};
-    const real_t share = real_min(REAL(1.0), real_max(REAL(0.0), REAL(2.0) - (real_vector_length(off) / MAX_LAG_M)));
+    const real_t share = real_min(REAL(1.0), real_max(REAL(0.0), REAL(2.0) - (real_vector_length(off) / MAX_TRACKING_ERROR_M)));
     const real_t blend = REAL(1.0) - exp_decay(dt / ACCELERATION_LAG_S);
-    const real_t gn = gap_to(wanted->position[0], t->position[0]);
-    const real_t ge = gap_to(wanted->position[1], t->position[1]);
+    const real_t gn = distance_to_target(wanted->position[0], t->position[0]);
+    const real_t ge = distance_to_target(wanted->position[1], t->position[1]);
     const real_t gap = real_hypot(gn, ge);
     real_t pace = REAL(0.0);
     real_t level[2];
@@ -107,8 +108,8 @@ static void step_set_point(trajectory_point_t *t, const set_point_t *wanted, con
     if (gap > REAL(0.0)) {
         pace = real_min(approach_speed(gap, limits->acceleration), limits->speed) / gap;
     }
-    level[0] = or_zero(wanted->velocity[0]) + (pace * gn);
-    level[1] = or_zero(wanted->velocity[1]) + (pace * ge);
+    level[0] = zero_if_nan(wanted->velocity[0]) + (pace * gn);
+    level[1] = zero_if_nan(wanted->velocity[1]) + (pace * ge);
     if (sight != NULL) {
         limit_approach_velocity(sight, measured, clearance, level);
     }
@@ -127,15 +128,15 @@ static void step_set_point(trajectory_point_t *t, const set_point_t *wanted, con
     if (!real_is_nan(wanted->position[2])) {
         gd = real_min(real_max(wanted->position[2], -MAX_HEIGHT_M), -MIN_WAYPOINT_HEIGHT_M) - t->position[2];
     }
-    wd = or_zero(wanted->velocity[2]) + bound_velocity(gd, limits);
+    wd = zero_if_nan(wanted->velocity[2]) + max_velocity_towards_bound(gd, limits);
     wd = real_min(real_max(wd, -limits->climb), limits->descent);
-    wd = real_min(real_max(wd, bound_velocity(-MAX_HEIGHT_M - t->position[2], limits)),
-                  bound_velocity(-MIN_WAYPOINT_HEIGHT_M - t->position[2], limits));
+    wd = real_min(real_max(wd, max_velocity_towards_bound(-MAX_HEIGHT_M - t->position[2], limits)),
+                  max_velocity_towards_bound(-MIN_WAYPOINT_HEIGHT_M - t->position[2], limits));
     change[0] = (share * wd) - t->velocity[2];
     a[2] = limited_gain(change[0], REAL(0.0), limits->climb_acceleration, dt) * change[0];
 
     turn = real_is_nan(wanted->heading) ? REAL(0.0) : real_wrap_angle(wanted->heading - t->heading);
-    rate = or_zero(wanted->yaw_rate) + real_copysign(approach_speed(real_abs(turn), limits->yaw_acceleration), turn);
+    rate = zero_if_nan(wanted->yaw_rate) + real_copysign(approach_speed(real_abs(turn), limits->yaw_acceleration), turn);
     rate = real_min(real_max(rate, -limits->yaw_rate), limits->yaw_rate);
     change[0] = rate - t->heading_rate;
     t->heading_rate += dt * (limited_gain(change[0], REAL(0.0), limits->yaw_acceleration, dt) * change[0]);
@@ -152,7 +153,7 @@ void follow_set_point(trajectory_point_t *tracker, const set_point_t *wanted, co
                      real_t dt, const path_check_t *sight, real_t clearance)
 {
     if (dt > REAL(0.0)) {
-        const real_t steps = (dt / MAX_STEP_S) - REAL(1e-9);
+        const real_t steps = (dt / MAX_TIME_STEP_S) - REAL(1e-9);
         int32_t parts = (int32_t)steps;
 
         if ((real_t)parts < steps) {
@@ -160,28 +161,28 @@ void follow_set_point(trajectory_point_t *tracker, const set_point_t *wanted, co
         }
         parts = (parts < 1) ? 1 : parts;
         for (int32_t i = 0; i < parts; i++) {
-            step_set_point(tracker, wanted, limits, measured, dt / (real_t)parts, sight, clearance);
+            step_set_point_reference(tracker, wanted, limits, measured, dt / (real_t)parts, sight, clearance);
         }
     }
 }
 
 /* A pilot's sticks near the floor */
 
-static real_t low_speed_limit(real_t height)
+static real_t max_speed_near_floor(real_t height)
 {
-    return FLOOR_SPEED_M_S + (FLOOR_SPEED_RISE * real_max(REAL(0.0), height));
+    return MAX_SPEED_AT_FLOOR_M_S + (MAX_SPEED_RISE_1_S * real_max(REAL(0.0), height));
 }
 
 void limit_manual_tilt(real_t height, const real_t velocity[2], real_t yaw, real_t *roll, real_t *pitch)
 {
-    if (height < LOW_HEIGHT_M) {
-        const real_t share = real_min(real_max(height / FULL_TILT_HEIGHT_M, MIN_TILT_SHARE), REAL(1.0));
+    if (height < STICK_LIMIT_HEIGHT_M) {
+        const real_t share = real_min(real_max(height / FULL_TILT_HEIGHT_M, MIN_TILT_FRACTION), REAL(1.0));
         const real_t speed = real_hypot(velocity[0], velocity[1]);
 
         *roll = share * *roll;
         *pitch = share * *pitch;
         if (speed > REAL(0.0)) {
-            const real_t most = real_max((low_speed_limit(height) - speed) / (STANDARD_GRAVITY * SPEED_LIMIT_LAG_S), -MAX_BRAKING_TILT);
+            const real_t most = real_max((max_speed_near_floor(height) - speed) / (STANDARD_GRAVITY * BRAKING_TIME_S), -MAX_BRAKING_TILT_RAD);
             real_t sine;
             real_t cosine;
             real_t ahead;
@@ -204,8 +205,8 @@ real_t limit_manual_climb(real_t height, const real_t velocity[2], real_t touchd
 {
     real_t least = -(touchdown + (real_max(REAL(0.0), height) / FLARE_TIME_S));
 
-    if ((height < LOW_HEIGHT_M) && (real_hypot(velocity[0], velocity[1]) > low_speed_limit(height))) {
-        least = -DRIFT_DESCENT_M_S;
+    if ((height < STICK_LIMIT_HEIGHT_M) && (real_hypot(velocity[0], velocity[1]) > max_speed_near_floor(height))) {
+        least = -DRIFTING_DESCENT_RATE_M_S;
     }
     return real_max(climb, least);
 }

@@ -9,7 +9,7 @@
 
 #define MIN_WAYPOINT_HEIGHT_M REAL(0.2)
 #define MAX_HEIGHT_M REAL(50.0)
-#define DRIFT_DESCENT_M_S REAL(0.05) /* descent rate near the floor at a level speed that is too high for a touchdown */
+#define DRIFTING_DESCENT_RATE_M_S REAL(0.05) /* descent rate near the floor at a level speed that is too high for a touchdown */
 
 /* Set-point of a program; NaN leaves an axis free. N, E, D (m, m/s); rad, rad/s. */
 typedef struct {

@@ -5,11 +5,11 @@
 #include "mission/machine/ground_phases.h"
 #include "mission/machine/mission_reference.h"
 
-#define SETTLE_BEFORE_LANDING_S REAL(2.0)
-#define SETTLED_M REAL(0.002)
-#define SETTLED_M_S REAL(0.01)
-#define SETTLED_RAD REAL(0.01)
-#define SHORT_WAY_M REAL(0.3)
+#define HOVER_BEFORE_LANDING_S REAL(2.0)
+#define SETTLED_DISTANCE_M REAL(0.002)
+#define SETTLED_SPEED_M_S REAL(0.01)
+#define SETTLED_HEADING_RAD REAL(0.01)
+#define MIN_DISTANCE_FOR_TURN_M REAL(0.3)
 
 void start_flight(const plan_t *plan, mission_t *s, const estimate_t *m, const real_t *height, int32_t first)
 {
@@ -232,7 +232,7 @@ static void fail_and_hover(mission_t *s, const message_t *why)
     enter_hover(s, why, at.position, now.heading, LEVEL_WARNING);
     s->course.kind = COURSE_STOP;
     s->course.brake = brake;
-    s->hover_until_s = (s->time_s + brake.duration_s) + SETTLE_BEFORE_LANDING_S;
+    s->hover_until_s = (s->time_s + brake.duration_s) + HOVER_BEFORE_LANDING_S;
 }
 
 /* Changed goals of a user's leg */
@@ -257,7 +257,7 @@ void change_leg_goal(const plan_t *plan, mission_t *s, const message_t *why, con
     } else {
         /* a stream of goals */
     }
-    if ((heading == NULL) && (real_hypot(goal[0] - now.position[0], goal[1] - now.position[1]) < SHORT_WAY_M)) {
+    if ((heading == NULL) && (real_hypot(goal[0] - now.position[0], goal[1] - now.position[1]) < MIN_DISTANCE_FOR_TURN_M)) {
         aim = &now.heading;
     }
     plan_straight(now.position, goal, now.heading, &plan->limits, aim, REAL(0.0), &s->course.way);
@@ -279,7 +279,7 @@ void track_set_point(const plan_t *plan, mission_t *s, const set_point_t *wanted
 }
 
 /* Propagate the reference towards a changed goal; in the step of the change it is predicted already. */
-static void track_goal(const plan_t *plan, mission_t *s, const estimate_t *m, real_t dt)
+static void track_changed_goal(const plan_t *plan, mission_t *s, const estimate_t *m, real_t dt)
 {
     if (s->has_set_point_reference && (real_abs(s->motion_clock_s) > REAL(0.0))) {
         set_point_t wanted;
@@ -295,13 +295,13 @@ static void track_goal(const plan_t *plan, mission_t *s, const estimate_t *m, re
 }
 
 /* Whether the reference rests at the changed goal of a leg. */
-static bool has_settled(const mission_t *s)
+static bool has_settled_at_goal(const mission_t *s)
 {
     const trajectory_point_t *at = &s->set_point_reference;
     const real_t turn = (s->course.way.start_heading + s->course.way.turn_angle) - at->heading;
 
-    return (distance_between(at->position, s->goal) < SETTLED_M) && (real_vector_length(at->velocity) < SETTLED_M_S) &&
-           (real_abs(real_wrap_angle(turn)) < SETTLED_RAD) && (real_abs(at->heading_rate) < SETTLED_RAD);
+    return (distance_between(at->position, s->goal) < SETTLED_DISTANCE_M) && (real_vector_length(at->velocity) < SETTLED_SPEED_M_S) &&
+           (real_abs(real_wrap_angle(turn)) < SETTLED_HEADING_RAD) && (real_abs(at->heading_rate) < SETTLED_HEADING_RAD);
 }
 
 static void step_leg(const plan_t *plan, mission_t *s, const estimate_t *m, real_t dt)
@@ -313,8 +313,8 @@ static void step_leg(const plan_t *plan, mission_t *s, const estimate_t *m, real
     const real_t number = (real_t)(s->waypoint_index + 1);
     message_t why;
 
-    track_goal(plan, s, m, dt);
-    there = (s->has_set_point_reference ? has_settled(s) : (s->motion_clock_s >= duration)) && is_at_goal(plan, s, m);
+    track_changed_goal(plan, s, m, dt);
+    there = (s->has_set_point_reference ? has_settled_at_goal(s) : (s->motion_clock_s >= duration)) && is_at_goal(plan, s, m);
     if (there && s->returning_home) {
         why = make_message_1(SAY_HOME_REACHED, REAL(100.0) * off);
         start_landing(s, &why, LEVEL_INFO);
@@ -328,7 +328,7 @@ static void step_leg(const plan_t *plan, mission_t *s, const estimate_t *m, real
         why = make_message_2(SAY_WAYPOINT_REACHED, number, REAL(100.0) * off);
         hover_until(s, &why, s->time_s + plan->waypoint[s->waypoint_index].wait_s);
         s->waypoint_index = s->waypoint_index + 1;
-        s->reached_count = s->reached_count + 1;
+        s->reached_waypoint_count = s->reached_waypoint_count + 1;
     } else if (spent > ((REAL(2.0) * duration) + REAL(20.0))) {
         if (s->returning_home) {
             why = make_message_2(SAY_HOME_MISSED, spent, off);
@@ -392,7 +392,7 @@ static void step_detour(const plan_t *plan, mission_t *s, const estimate_t *m, r
 {
     message_t why;
 
-    follow_contour(&s->detour, &s->path_check, &plan->ring, m->motion.position, m->motion.attitude[2], m->ranges, s->goal,
+    follow_contour(&s->detour, &s->path_check, &plan->beam_ring, m->motion.position, m->motion.attitude[2], m->ranges, s->goal,
                    plan->clearance, plan->avoid_speed, dt);
     s->detour_duration_s = s->detour_duration_s + dt;
     if (s->detour_duration_s > plan->give_up_s) {

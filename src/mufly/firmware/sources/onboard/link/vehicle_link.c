@@ -182,10 +182,10 @@ static bool send_log_entry(link_t *k, const link_vehicle_t *v)
     char text[TEXT_LENGTH];
     bool sends;
 
-    if ((x->logged_count - k->told) > MISSION_LOG) {
-        k->told = x->logged_count - MISSION_LOG;
+    if ((x->logged_event_count - k->told) > MISSION_LOG) {
+        k->told = x->logged_event_count - MISSION_LOG;
     }
-    sends = (k->told < x->logged_count) && (k->output_count < (LINK_OUTPUT / 2));
+    sends = (k->told < x->logged_event_count) && (k->output_count < (LINK_OUTPUT / 2));
     if (sends) {
         const log_entry_t *e = &x->log[k->told % MISSION_LOG];
         const int32_t length = write_message_text(&e->message, text);

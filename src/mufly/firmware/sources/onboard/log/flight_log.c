@@ -138,10 +138,10 @@ static bool append_text(flight_log_t *g, const flight_log_vehicle_t *v)
     bool is_due = false;
     int32_t length;
 
-    if ((x->logged_count - g->texts_written) > MISSION_LOG) {
-        g->texts_written = x->logged_count - MISSION_LOG;
+    if ((x->logged_event_count - g->texts_written) > MISSION_LOG) {
+        g->texts_written = x->logged_event_count - MISSION_LOG;
     }
-    if ((g->texts_written < x->logged_count) && (block_log_room(&g->device) > (TEXT_HEAD + TEXT_LENGTH))) {
+    if ((g->texts_written < x->logged_event_count) && (block_log_room(&g->device) > (TEXT_HEAD + TEXT_LENGTH))) {
         const log_entry_t *e = &x->log[g->texts_written % MISSION_LOG];
         static const char levels[3] = {'6', '4', '3'}; /* info, warning, error */
 

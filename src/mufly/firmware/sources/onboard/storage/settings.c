@@ -181,7 +181,7 @@ static uint32_t image_digest(void)
 static bool is_valid_waypoint(const plan_t *p, const waypoint_t *w)
 {
     const bool placed = (w->position[2] <= -MIN_WAYPOINT_HEIGHT_M) && (w->position[2] >= -MAX_HEIGHT_M) &&
-                        (real_hypot(w->position[0], w->position[1]) <= MAX_EXTENT_M);
+                        (real_hypot(w->position[0], w->position[1]) <= MAX_COORDINATE_M);
     const bool timed = (w->wait_s >= REAL(0.0)) && (w->wait_s <= MAX_WAIT_S) && (w->speed > REAL(0.0)) &&
                        (w->speed <= (p->limits.speed * REAL(1.000001)));
 

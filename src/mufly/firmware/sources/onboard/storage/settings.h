@@ -6,7 +6,7 @@
 #include "onboard/storage/parameters.h"
 #include "onboard/storage/storage.h"
 
-#define MAX_EXTENT_M REAL(1e4) /* of a waypoint from the origin */
+#define MAX_COORDINATE_M REAL(1e4) /* of a waypoint from the origin */
 
 /* Faults, as bits. */
 #define SETTINGS_NOT_STORED 1U    /* the flash is worn, or too small */

@@ -207,7 +207,7 @@ static int32_t disarm(supervisor_t *s, const software_t *software, const estimat
 static bool may_climb(const supervisor_t *s, const software_t *software, const estimate_t *m, int32_t ask)
 {
     return is_permitted(s, software, m, ask) &&
-           (!are_finite(m->motion.attitude) || (start_fault(m).code == SAY_NO_MESSAGE));
+           (!are_finite(m->motion.attitude) || (describe_start_fault(m).code == SAY_NO_MESSAGE));
 }
 
 static int32_t take_off(supervisor_t *s, const flight_setup_t *setup, const software_t *software, const estimate_t *m,
@@ -264,7 +264,7 @@ static int32_t go_to(supervisor_t *s, const software_t *software, const estimate
     for (int32_t i = 0; i < 3; i++) {
         c.waypoint[i] = ask->has_position ? ask->position[i] : REAL(0.0);
     }
-    if ((!ask->has_position && !ask->has_heading) || (user_waypoint_fault(&c).code != SAY_NO_MESSAGE)) {
+    if ((!ask->has_position && !ask->has_heading) || (describe_user_waypoint_fault(&c).code != SAY_NO_MESSAGE)) {
         answer = ANSWER_DENIED;
     } else if (is_permitted(s, software, m, REQUEST_GO_TO)) {
         answer = send_command(s, &c);
@@ -467,7 +467,7 @@ static int32_t find_interruption(const supervisor_t *s, const mission_t *x)
 {
     int32_t found = INTERRUPTION_NONE;
 
-    for (int32_t k = x->logged_count - RECENT_ENTRIES; (k < x->logged_count) && (found == INTERRUPTION_NONE); k++) {
+    for (int32_t k = x->logged_event_count - RECENT_ENTRIES; (k < x->logged_event_count) && (found == INTERRUPTION_NONE); k++) {
         if (k >= 0) {
             const log_entry_t *e = &x->log[k % MISSION_LOG];
 

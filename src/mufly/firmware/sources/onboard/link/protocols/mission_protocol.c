@@ -44,7 +44,7 @@ static bool accept_item(link_t *k, const mavlink_message_t *m)
     const bool first = k->load_next == 0;
     const bool last = k->load_next == (k->load_count - 1);
     const bool local = m->payload[34] == FRAME_LOCAL_NED;
-    const bool placed = local && (z <= -MIN_WAYPOINT_HEIGHT_M) && (z >= -MAX_HEIGHT_M) && (real_hypot(x, y) <= MAX_EXTENT_M);
+    const bool placed = local && (z <= -MIN_WAYPOINT_HEIGHT_M) && (z >= -MAX_HEIGHT_M) && (real_hypot(x, y) <= MAX_COORDINATE_M);
     plan_t *p = &k->loaded;
     bool good = false;
 
