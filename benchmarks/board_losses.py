@@ -34,7 +34,7 @@ from pyulog import ULog
 from mufly.control import design_flight_controller
 from mufly.estimate.filter.filter_records import (
     READING_ACCELERATION,
-    READING_FIX,
+    READING_POSITION_FIX,
     READING_PRESSURE,
     READING_RATES,
     READING_SONAR,
@@ -46,7 +46,11 @@ from mufly.logs.block_log import split_sessions
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
 
-BUSES = {"SPI": (READING_ACCELERATION, READING_RATES, READING_PRESSURE), "I2C": (READING_SONAR,), "fix": (READING_FIX,)}
+BUSES = {
+    "SPI": (READING_ACCELERATION, READING_RATES, READING_PRESSURE),
+    "I2C": (READING_SONAR,),
+    "fix": (READING_POSITION_FIX,),
+}
 LONGEST_S = 90.0  # after the loss
 FLOWN_S = 60.0  # instants are drawn from the first minute after arming
 LOW, MIDDLE, HIGH = 172, 992, 1811

@@ -26,7 +26,7 @@ from mufly.estimate import (
     estimate_flight_noise,
     estimate_rest_noise,
     measure_row_consistency,
-    run_log,
+    run_filter_on_log,
 )
 from mufly.estimate.nees import ERROR_BLOCKS, Consistency, measure_consistency
 from mufly.flight import Flight
@@ -212,7 +212,7 @@ def nanobench(asked: argparse.Namespace) -> None:
         aids = AidRequest("truth_position", None, 0.02, 0.02, 15.0, 0.15, asked.first)
         f = read_foreign_log(path, load_column_map("nanobench"), aids, None, [])
         noise = estimate_flight_noise(f.log, f.aids, estimate_rest_noise(f.log))
-        told = run_log(f.log, f.aids, noise)
+        told = run_filter_on_log(f.log, f.aids, noise)
         began = float(f.log.time_s[f.log.is_flying.argmax()]) + 2.0
         found = measure_row_consistency(truth_rows(f), told, after_s=began)
         less = ""

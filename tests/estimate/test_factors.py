@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mufly.estimate.filter.filter_records import PHASE_FLYING, PHASE_RUNNING
+from mufly.estimate.filter.filter_records import PHASE_FLYING, PHASE_MOTORS_RUNNING
 from mufly.estimate.filter.strapdown import error_transition, predict_state, rotate_attitude
 from mufly.estimate.filter.ud_filter import (
     MOTION_STATE_COUNT,
@@ -73,7 +73,7 @@ def test_errors_move_as_states_do() -> None:
             propagate_column(column, SPAN, a, column)
             assert np.allclose(column[:9], right[:9], atol=2e-4), j
         # On its legs what the floor pushes does not turn with the attitude.
-        e[21] = PHASE_RUNNING
+        e[21] = PHASE_MOTORS_RUNNING
         error_transition(e, SPAN, r, push, a)
         assert push.any()
         assert not a[30:].any()

@@ -10,15 +10,15 @@ import pytest
 
 from mufly.estimate.filter.filter_records import (
     AID_COUNT,
-    AID_PLACE,
+    AID_POSITION,
     ERROR_GYRO_BIAS,
     NOMINAL_ATTITUDE,
     NOMINAL_POSITION,
     PHASE_FLYING,
-    PHASE_RUNNING,
+    PHASE_MOTORS_RUNNING,
     PHASE_STANDING,
-    READING_FIX,
-    READING_MAGNET,
+    READING_MAGNETIC_FIELD,
+    READING_POSITION_FIX,
     ROTOR_FORCE_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     SENSOR_COUNT,
@@ -47,8 +47,8 @@ def faults(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     for module, name in (
         (fusion, "height_above_ground"),
         (fusion, "rotation_matrix"),
-        (fix_fusion, "scale_variance"),
-        (fix_fusion, "_is_height_alone_off"),
+        (fix_fusion, "adapt_noise_scale"),
+        (fix_fusion, "_is_only_height_rejected"),
     ):
         monkeypatch.setattr(module, name, getattr(module, name).py_func)
     return found
@@ -63,14 +63,14 @@ def test_white_ratios_of_unit_variance_change_no_estimated_noise() -> None:
             fix_ratio_prev=np.array([before]), fix_ratio_mean=np.zeros(1), is_heading_aligned=1,
         )  # fmt: skip
         fix_fusion._estimate_fix_noise.py_func(m, 0)
-        changes.append((m.noise_scale[AID_PLACE], m.bias_walk_scale[AID_PLACE]))
-    assert np.mean(changes, axis=0) == pytest.approx((1.0, 1.0), abs=0.03 * fix_fusion.NOISE_GAIN_PLACE)
+        changes.append((m.noise_scale[AID_POSITION], m.bias_walk_scale[AID_POSITION]))
+    assert np.mean(changes, axis=0) == pytest.approx((1.0, 1.0), abs=0.03 * fix_fusion.NOISE_GAIN_POSITION)
 
 
 def sonar_memory(height_m: float) -> SimpleNamespace:
     x = np.zeros(STATE_COUNT)
     x[NOMINAL_POSITION + 2] = -height_m
-    return SimpleNamespace(x=x, sonar_prev=0.0, sonar_repeat_chance=1.0, fix_height_gap=0.0)
+    return SimpleNamespace(x=x, sonar_range_prev=0.0, sonar_repeat_chance=1.0, fix_height_gap=0.0)
 
 
 def test_equal_readings_of_a_moving_vehicle_are_stuck_unless_it_may_stand(settings: Any) -> None:
@@ -133,7 +133,7 @@ def test_a_field_of_another_strength_than_the_earth_s_is_no_heading(
     x[NOMINAL_ATTITUDE] = 1.0
     m = SimpleNamespace(x=x, noise_scale=np.ones(AID_COUNT), yaw_rate=0.0)
     fusion.fuse_magnetic_heading.py_func(m, settings, factor * settings.earth_field, 0.0, np.zeros(9))
-    assert (faults == [READING_MAGNET], bool(fused)) == (told, not told)
+    assert (faults == [READING_MAGNETIC_FIELD], bool(fused)) == (told, not told)
 
 
 @pytest.mark.parametrize(("component", "status"), [(0, STATUS_REJECTED), (2, STATUS_FAULTY), (3, STATUS_REJECTED)])
@@ -141,15 +141,16 @@ def test_a_fix_off_in_height_alone_does_not_contradict_the_attitude(component: i
     ratios = np.zeros(4)
     ratios[component] = 9.0
     m = SimpleNamespace(status=np.full(SENSOR_COUNT, STATUS_REJECTED), fix_component=component, fix_ratio=ratios)
-    fix_fusion._clear_attitude_evidence.py_func(m)
-    assert m.status[READING_FIX] == status
-    ratios[0], m.status[READING_FIX] = 6.0, STATUS_REJECTED  # a jump on several axes
-    fix_fusion._clear_attitude_evidence.py_func(m)
-    assert m.status[READING_FIX] == STATUS_REJECTED
+    fix_fusion._mark_height_fault.py_func(m)
+    assert m.status[READING_POSITION_FIX] == status
+    ratios[0], m.status[READING_POSITION_FIX] = 6.0, STATUS_REJECTED  # a jump on several axes
+    fix_fusion._mark_height_fault.py_func(m)
+    assert m.status[READING_POSITION_FIX] == STATUS_REJECTED
 
 
 @pytest.mark.parametrize(
-    ("phase", "axis", "learnt"), [(PHASE_STANDING, 2, True), (PHASE_RUNNING, 0, True), (PHASE_RUNNING, 2, False)]
+    ("phase", "axis", "learnt"),
+    [(PHASE_STANDING, 2, True), (PHASE_MOTORS_RUNNING, 0, True), (PHASE_MOTORS_RUNNING, 2, False)],
 )
 def test_a_turn_on_the_legs_under_running_rotors_is_no_gyroscope_bias(
     settings: Any, monkeypatch: pytest.MonkeyPatch, phase: int, axis: int, learnt: bool

@@ -9,7 +9,7 @@ import pytest
 
 from mufly.estimate.filter.filter_records import (
     AID_COUNT,
-    AID_PLACE,
+    AID_POSITION,
     ERROR_ATTITUDE,
     MAX_H_TERMS,
     NOMINAL_ATTITUDE,
@@ -36,14 +36,14 @@ def test_variances_come_to_those_of_the_truth(noise: float, wander: float) -> No
     scales = []
     for _ in range(8000):
         true = keep * true + rng.normal(0.0, wander * WANDER_M * np.sqrt(1 - keep**2), 3)
-        bias, variance = keep * bias, keep**2 * variance + WANDER_M**2 * m.bias_walk_scale[AID_PLACE] * (1 - keep**2)
-        spread = variance + NOISE_M**2 * m.noise_scale[AID_PLACE]
+        bias, variance = keep * bias, keep**2 * variance + WANDER_M**2 * m.bias_walk_scale[AID_POSITION] * (1 - keep**2)
+        spread = variance + NOISE_M**2 * m.noise_scale[AID_POSITION]
         off = true + rng.normal(0.0, noise * NOISE_M, 3) - bias
         for i in range(3):
             m.fix_ratio[i] = off[i] / np.sqrt(spread[i])
             estimate(m, i)
         bias, variance = bias + variance / spread * off, variance * (1 - variance / spread)
-        scales.append((m.noise_scale[AID_PLACE], m.bias_walk_scale[AID_PLACE]))
+        scales.append((m.noise_scale[AID_POSITION], m.bias_walk_scale[AID_POSITION]))
     found = np.sqrt(np.mean(scales[4000:], axis=0))
     np.testing.assert_allclose(found, [noise, wander], rtol=0.25)
 
@@ -54,7 +54,7 @@ def test_a_lasting_error_of_one_sign_is_no_noise() -> None:
     for _ in range(200):
         m.fix_ratio[0] = 3.0
         estimate(m, 0)
-    assert m.noise_scale[AID_PLACE] == m.bias_walk_scale[AID_PLACE] == 1.0
+    assert m.noise_scale[AID_POSITION] == m.bias_walk_scale[AID_POSITION] == 1.0
 
 
 @pytest.mark.parametrize("ahead_s", [0.0, -0.15, -0.25])
@@ -63,7 +63,7 @@ def test_the_row_of_a_late_fix_is_the_slope_of_its_prediction(monkeypatch: pytes
     for name in ("h_row_begin", "h_row_add"):
         monkeypatch.setattr(fix_fusion, name, getattr(scalar_fusion, name).py_func)
     m = SimpleNamespace(
-        h_value=np.zeros(MAX_H_TERMS), h_state=np.zeros(MAX_H_TERMS, int), x=np.zeros(STATE_COUNT), yaw_rate=0.5
+        h_value=np.zeros(MAX_H_TERMS), h_state_index=np.zeros(MAX_H_TERMS, int), x=np.zeros(STATE_COUNT), yaw_rate=0.5
     )
     m.x[:] = np.random.default_rng(4).normal(0.0, 0.5, STATE_COUNT)
     m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4] = 1.0, 0.0, 0.0, 0.0
@@ -72,7 +72,7 @@ def test_the_row_of_a_late_fix_is_the_slope_of_its_prediction(monkeypatch: pytes
     for i in range(2):
         fix_fusion._fix_h_row.py_func(m, i, ahead_s)
         row = np.zeros(STATE_COUNT)
-        for state, h in zip(m.h_state[: m.h_terms], m.h_value[: m.h_terms], strict=True):
+        for state, h in zip(m.h_state_index[: m.h_term_count], m.h_value[: m.h_term_count], strict=True):
             assert not ERROR_ATTITUDE <= state < ERROR_ATTITUDE + 3
             row[state + (state >= ERROR_ATTITUDE)] = h
         before = innovation(m, np.zeros(4), i, ahead_s)

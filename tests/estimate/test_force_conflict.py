@@ -10,8 +10,8 @@ import pytest
 from mufly.estimate.filter.filter_records import (
     ERROR_POSITION,
     READING_ACCELERATION,
-    READING_FIX,
-    READING_ROTOR,
+    READING_POSITION_FIX,
+    READING_ROTOR_SPEED,
     SENSOR_COUNT,
 )
 from mufly.estimate.filter.measurements import sensor_checks as checks
@@ -24,7 +24,7 @@ PERIOD_S, BLOCK_TICKS = 0.005, 4
 
 @pytest.fixture(autouse=True)
 def uncompiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("_force_evidence", "_update_force_conflict", "set_fault"):
+    for name in ("_mean_fix_ratio_along", "_update_force_conflict", "set_fault"):
         monkeypatch.setattr(checks, name, getattr(checks, name).py_func)
 
 
@@ -34,11 +34,11 @@ class Flight:
     def __init__(self) -> None:
         self.s = SimpleNamespace(dt=PERIOD_S, is_fitted=np.ones(SENSOR_COUNT, int))
         self.m = SimpleNamespace(
-            tick=1000, is_accel_distrusted=0, accel_model_apart_tick=0, accel_model_verdict=checks.VERDICT_AGREE,
+            tick=1000, is_accel_distrusted=0, accel_model_difference_tick=0, accel_model_verdict=checks.VERDICT_AGREE,
             accel_model_conflict_start_tick=0, accel_residual_lp=np.zeros(3), accel_residual_sigma=np.zeros(3),
             fix_ratio_mean=np.zeros(4), last_fused_tick=np.full(SENSOR_COUNT, 1000),
             status=np.full(SENSOR_COUNT, checks.STATUS_FUSED), reason=np.zeros(SENSOR_COUNT, int),
-            fault_number=np.zeros(SENSOR_COUNT), fault_until_tick=np.zeros(SENSOR_COUNT, int),
+            reason_number=np.zeros(SENSOR_COUNT), fault_until_tick=np.zeros(SENSOR_COUNT, int),
             sigma_output=np.full(ERROR_POSITION + 3, 0.02),
         )  # fmt: skip
 
@@ -46,7 +46,7 @@ class Flight:
         """Return the code of the conflict after so long."""
         for _ in range(round(time_s / (PERIOD_S * BLOCK_TICKS))):
             self.m.tick += BLOCK_TICKS
-            self.m.last_fused_tick[READING_FIX] = self.m.tick
+            self.m.last_fused_tick[READING_POSITION_FIX] = self.m.tick
             for i in range(3):
                 check(self.m, self.s, r, height, residual[i], 0.01, 0.0, i)
         return int(self.m.accel_model_verdict)
@@ -66,7 +66,7 @@ def test_both_are_reported_until_a_fix_without_a_lasting_ratio_clears_the_model(
     flight = Flight()
     assert flight.pass_time((2.5, 0.0, 0.0), 1.0) == checks.VERDICT_UNDECIDED
     assert flight.accused == (checks.STATUS_FAULTY, checks.REASON_FORCE_CONFLICT)
-    assert flight.m.fault_number[READING_ACCELERATION] == flight.m.accel_residual_lp[0] > 1.0  # the axis that differs
+    assert flight.m.reason_number[READING_ACCELERATION] == flight.m.accel_residual_lp[0] > 1.0  # the axis that differs
     assert flight.pass_time((2.5, 0.0, 0.0), 1.5) == checks.VERDICT_ACCEL_WRONG
     assert flight.accused == (checks.STATUS_FAULTY, checks.REASON_INNOVATION)
     assert flight.pass_time((0.0, 0.0, 0.0), 2.0) == checks.VERDICT_AGREE
@@ -74,7 +74,7 @@ def test_both_are_reported_until_a_fix_without_a_lasting_ratio_clears_the_model(
 
 def test_without_a_fix_nothing_is_decided() -> None:
     flight = Flight()
-    flight.m.status[READING_FIX] = checks.STATUS_MISSING
+    flight.m.status[READING_POSITION_FIX] = checks.STATUS_MISSING
     assert flight.pass_time((2.5, 0.0, 0.0), 5.0) == checks.VERDICT_UNDECIDED
 
 
@@ -92,9 +92,9 @@ def test_a_lasting_ratio_of_the_fix_along_the_difference_decides(r, axis: int, s
 
 def test_rotor_speeds_that_are_not_fused_explain_a_wrong_model() -> None:
     flight = Flight()
-    flight.m.status[READING_ROTOR] = checks.STATUS_REJECTED
+    flight.m.status[READING_ROTOR_SPEED] = checks.STATUS_REJECTED
     assert flight.pass_time((0.0, 0.0, 2.5), 1.0) == checks.VERDICT_MODEL_WRONG
-    flight.s.is_fitted[READING_ROTOR] = 0
+    flight.s.is_fitted[READING_ROTOR_SPEED] = 0
     assert flight.pass_time((0.0, 0.0, 0.0), 2.0) == checks.VERDICT_AGREE
     assert flight.pass_time((0.0, 0.0, 2.5), 0.6) == checks.VERDICT_UNDECIDED
 

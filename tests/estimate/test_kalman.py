@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mufly.control import design_flight_controller
 from mufly.estimate import Estimate, SensorStatus
-from mufly.estimate.filter.filter_records import AID_PRESSURE, ERROR_ATTITUDE, READING_FIX
+from mufly.estimate.filter.filter_records import AID_PRESSURE, ERROR_ATTITUDE, READING_POSITION_FIX
 from mufly.estimate.filter.measurements import sensor_checks as g
 from mufly.estimate.kalman_estimator import KalmanEstimator
 from mufly.estimate.nees import Consistency, measure_consistency
@@ -487,11 +487,11 @@ def test_rotors_that_run_down_after_landing_do_not_upset_it() -> None:
 
 
 def test_a_reason_names_the_unit_of_its_number() -> None:
-    assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, -0.0129, READING_FIX).endswith(
+    assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, -0.0129, READING_POSITION_FIX).endswith(
         "persistent offset of -0.0129 m"
     )
-    assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, math.radians(-3.0), READING_FIX, 3).endswith(
+    assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, math.radians(-3.0), READING_POSITION_FIX, 3).endswith(
         "persistent offset of -3 deg in heading"
     )
-    assert describe_reason(g.REASON_INNOVATION, 0.4, READING_FIX, 1) == "differs from the estimate by 0.4 m"
-    assert describe_reason(g.REASON_FROZEN, 0.5, READING_FIX, 3) == "value frozen for 0.50 s"
+    assert describe_reason(g.REASON_INNOVATION, 0.4, READING_POSITION_FIX, 1) == "differs from the estimate by 0.4 m"
+    assert describe_reason(g.REASON_FROZEN, 0.5, READING_POSITION_FIX, 3) == "value frozen for 0.50 s"

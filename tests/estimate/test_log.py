@@ -25,7 +25,7 @@ from mufly.estimate import (
     estimate_rest_noise,
     inertial_log,
     measure_row_consistency,
-    run_log,
+    run_filter_on_log,
 )
 from mufly.quantities.units import GRAVITY
 
@@ -75,7 +75,7 @@ def test_it_is_as_good_as_it_says_with_the_noise_that_is_there() -> None:
     found = []
     for seed in range(4):
         log, aids, truth = flight(seed)
-        told = run_log(log, aids, InertialNoise(gyro=GYRO, accelerometer=FELT))
+        told = run_filter_on_log(log, aids, InertialNoise(gyro=GYRO, accelerometer=FELT))
         found.append(
             (
                 measure_row_consistency(truth, told, after_s=REST_S + 2).nees,
@@ -95,7 +95,7 @@ def test_noise_is_found_in_the_log(made: tuple[InertialLog, PositionAids, np.nda
     noise = estimate_flight_noise(log, aids, least)
     assert GYRO / 3 < noise.gyro < 3 * GYRO
     assert noise.accelerometer < 4 * FELT  # what tilt does to it can hide it
-    told = run_log(log, aids, noise)
+    told = run_filter_on_log(log, aids, noise)
     assert 0.4 < measure_row_consistency(truth, told, after_s=4.0).nees < 2.0
     # Nothing is known of attitude: its errors do not count, and nothing is said of them.
     blind = truth.copy()
@@ -190,7 +190,7 @@ def test_the_search_for_noise_stays_within_its_bounds(
         tried.append(noise)
         return noise
 
-    monkeypatch.setattr(inertial_log, "run_log", run_without_filter)
+    monkeypatch.setattr(inertial_log, "run_filter_on_log", run_without_filter)
     for likelihood in (lambda n: np.log(n.gyro * n.accelerometer) * 100.0, lambda n: -np.inf):
         monkeypatch.setattr(
             inertial_log, "aid_innovations",
@@ -198,7 +198,7 @@ def test_the_search_for_noise_stays_within_its_bounds(
         )  # fmt: skip
         found = estimate_flight_noise(log, aids, InertialNoise(gyro=1e-3, accelerometer=1e-2))
         if np.isfinite(likelihood(found)):
-            assert found.gyro == pytest.approx(inertial_log.MAX_GYRO_DENSITY)
-            assert found.accelerometer == pytest.approx(inertial_log.MAX_ACCEL_DENSITY)
-    assert max(n.gyro for n in tried) <= inertial_log.MAX_GYRO_DENSITY * (1 + 1e-9)
-    assert max(n.accelerometer for n in tried) <= inertial_log.MAX_ACCEL_DENSITY * (1 + 1e-9)
+            assert found.gyro == pytest.approx(inertial_log.MAX_GYRO_NOISE_DENSITY)
+            assert found.accelerometer == pytest.approx(inertial_log.MAX_ACCEL_NOISE_DENSITY)
+    assert max(n.gyro for n in tried) <= inertial_log.MAX_GYRO_NOISE_DENSITY * (1 + 1e-9)
+    assert max(n.accelerometer for n in tried) <= inertial_log.MAX_ACCEL_NOISE_DENSITY * (1 + 1e-9)

@@ -20,12 +20,12 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_ATTITUDE,
     NOMINAL_FIX_BIAS,
     NOMINAL_TERRAIN,
-    PHASE_COASTING,
     PHASE_FLYING,
-    PHASE_LIGHT,
-    PHASE_RUNNING,
+    PHASE_LIFTING_OFF,
+    PHASE_MOTORS_RUNNING,
+    PHASE_ROTORS_COASTING,
     PHASE_STANDING,
-    READING_RING,
+    READING_RANGE_RING,
     READING_SONAR,
 )
 from mufly.estimate.filter.ud_filter import inflate_variance, state_variance
@@ -115,7 +115,7 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
             assert same(c._memory_array, python._memory_array), k
     assert same(c._memory_array, python._memory_array)
     assert (disowned > 0) == faults.startswith("accelerometer.drift")  # forces apart by six deviations
-    longer_least = float(c.memory["sonar_least"]) > float(c._settings["sonar_min"])
+    longer_least = float(c.memory["sonar_least_range"]) > float(c._settings["sonar_min"])
     assert longer_least == faults.startswith("sonar.jump=0.1@")  # on the floor
     if not faults:
         assert c.memory["flight_phase"] == PHASE_FLYING
@@ -222,7 +222,7 @@ def test_lasers_of_who_believes_to_be_outside_of_the_room_meet_no_wall_in_both(v
             e.update(near if k >= 1500 else r, a)
     assert same(c._memory_array, python._memory_array)
     assert c.memory["beams_seen"] == len(near.latest["ranges"].value)
-    assert c.memory["status"][READING_RING] != 1  # FUSED
+    assert c.memory["status"][READING_RANGE_RING] != 1  # FUSED
 
 
 @needs_cc
@@ -259,7 +259,7 @@ def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
                 shift = rng.normal(0.0, 4.0, 3) * (rng.random() < 0.2)
                 mode, sensor, code = (
                     rng.integers(0, PHASE_FLYING + 1),
-                    rng.integers(0, READING_RING + 1),
+                    rng.integers(0, READING_RANGE_RING + 1),
                     rng.integers(0, 5),
                 )
                 edge, apart, ago = rng.choice([0.0, 0.5]), rng.choice([0.0, 0.3]), rng.integers(0, 200)
@@ -278,7 +278,7 @@ def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
             assert c.memory["x_output"].tobytes() == python.memory["x_output"].tobytes(), k
             modes.add(int(c.memory["flight_phase"]))
     assert same(c._memory_array, python._memory_array)
-    assert modes == {PHASE_STANDING, PHASE_COASTING, PHASE_RUNNING, PHASE_LIGHT, PHASE_FLYING}
+    assert modes == {PHASE_STANDING, PHASE_ROTORS_COASTING, PHASE_MOTORS_RUNNING, PHASE_LIFTING_OFF, PHASE_FLYING}
 
 
 def streams(vehicle: Vehicle, felt) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from mufly.control import design_flight_controller
 from mufly.estimate.filter.filter_records import (
     READING_ACCELERATION,
+    READING_RANGE_RING,
     READING_RATES,
-    READING_RING,
     READING_SONAR,
     READING_STARTS,
 )
@@ -146,7 +146,7 @@ def test_readings_are_calibrated_once(library) -> None:
     s.restart()
     for fresh in (1, 0):
         r = s.period.readings
-        for k in (READING_ACCELERATION, READING_RATES, READING_SONAR, READING_RING):
+        for k in (READING_ACCELERATION, READING_RATES, READING_SONAR, READING_RANGE_RING):
             r.fresh[k] = fresh
         (
             r.z[READING_STARTS[READING_ACCELERATION] + 1],

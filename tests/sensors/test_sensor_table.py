@@ -14,10 +14,10 @@ import mufly
 
 SOURCE = Path(mufly.__file__).parent
 NAMES = {
-    "magnetometer": "magnetometer magnetic_field READING_MAGNET MagnetometerSensor MagnetometerParameters",
+    "magnetometer": "magnetometer magnetic_field READING_MAGNETIC_FIELD MagnetometerSensor MagnetometerParameters",
     "pressure": "pressure READING_PRESSURE PressureSensor PressureSensorParameters",
     "sonar": "sonar ground_distance READING_SONAR UltrasonicSensor SonarParameters",
-    "position_fix": "position_fix READING_FIX PositionFixSensor PositionFixParameters",
+    "position_fix": "position_fix READING_POSITION_FIX PositionFixSensor PositionFixParameters",
 }
 """Table, reading, index in the filter, model and parameters of each."""
 ROOMS = (

@@ -20,7 +20,7 @@ from mufly.estimate.inertial_log import (
     detect_flight,
     estimate_flight_noise,
     estimate_rest_noise,
-    run_log,
+    run_filter_on_log,
 )
 from mufly.estimate.kalman_estimator import KalmanEstimator
 from mufly.estimate.nees import Consistency, measure_consistency, measure_row_consistency
@@ -51,5 +51,5 @@ __all__ = [
     "measure_consistency",
     "measure_row_consistency",
     "measured_tilt",
-    "run_log",
+    "run_filter_on_log",
 ]

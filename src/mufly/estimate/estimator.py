@@ -89,7 +89,7 @@ class Estimator:
 
 
 _MISSING_READING = Reading(_nan_vector(), math.nan)
-_NO_BEAMS, _NO_BATTERY = Reading(np.full(1, math.inf), math.nan), Reading(math.nan, math.nan)
+_MISSING_RANGES_READING, _MISSING_VOLTAGE_READING = Reading(np.full(1, math.inf), math.nan), Reading(math.nan, math.nan)
 _REQUIRED_ESTIMATES = ("position", "velocity", "attitude", "rates")
 
 
@@ -105,8 +105,8 @@ class IdealEstimator(Estimator):
             v.value,
             angles.value,
             rates.value,
-            latest.get("ranges", _NO_BEAMS).value,
-            latest.get("battery_voltage", _NO_BATTERY).value,
+            latest.get("ranges", _MISSING_RANGES_READING).value,
+            latest.get("battery_voltage", _MISSING_VOLTAGE_READING).value,
             ZERO_COVARIANCE,
             all(reading.valid for reading in motion),
         )

@@ -36,7 +36,7 @@ from mufly.estimate.filter import (
     strapdown,
     ud_filter,
 )
-from mufly.estimate.filter.c_records import RECORDS_HEADER, model_record, render_records_header
+from mufly.estimate.filter.c_records import RECORDS_HEADER, flight_model_record, render_records_header
 from mufly.estimate.filter.measurements import (
     fix_fusion,
     fusion,
@@ -46,7 +46,7 @@ from mufly.estimate.filter.measurements import (
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "cf9b16ee7e791f1a"
+VERIFIED_STAMP = "d3574b430bfe1bee"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (
@@ -90,7 +90,7 @@ class FilterBackend:
     step_filter : callable
         Steps the memory; returns whether the estimate is valid. Readings, flags of new readings, and their ages are in
         the arrays passed to :func:`make_backend`.
-    call_addresses : tuple of int
+    function_addresses : tuple of int
         With C, addresses of its step and of the records of settings and flight model, for other compiled code.
     settings : record
         Settings, read in every step.
@@ -100,7 +100,7 @@ class FilterBackend:
     selection_reason: str
     reset_memory: Callable[[np.ndarray], None]
     step_filter: Callable[[np.ndarray], bool]
-    call_addresses: tuple[int, ...] = ()
+    function_addresses: tuple[int, ...] = ()
     settings: Any = None
 
 
@@ -188,7 +188,7 @@ def make_c_backend(
     # Records and structs share their bytes; ffi keeps references to the arrays.
     own = np.array([settings])
     s = ffi.from_buffer(own)
-    p = ffi.from_buffer(model_record(parameters))
+    p = ffi.from_buffer(flight_model_record(parameters))
     values, fresh, ages = (
         ffi.from_buffer("double[]", z),
         ffi.from_buffer("int32_t[]", new),
@@ -212,10 +212,10 @@ def _load_filter_library(records: str, flags: tuple[str, ...] = COMPILER_FLAGS) 
 
     ffi = cffi.FFI()
     ffi.cdef(_C_DECLARATIONS)
-    return ffi, ffi.dlopen(str(build_cached_library("estimate", collect_sources(records), flags=flags)))
+    return ffi, ffi.dlopen(str(build_cached_library("estimate", collect_filter_sources(records), flags=flags)))
 
 
-def collect_sources(records: str) -> dict[str, str]:
+def collect_filter_sources(records: str) -> dict[str, str]:
     """Return the text of the filter's C sources and headers by their path in a tree."""
     names = [f"{name}.{suffix}" for name in FILTER_SOURCES for suffix in "ch"]
     return {RECORDS_HEADER: records} | {n: (_SOURCE_FOLDER / n).read_text(encoding="utf-8") for n in names}

@@ -14,8 +14,8 @@ Initial state and noise are estimated from the log itself:
 
   is maximised over the noise densities (Bar-Shalom, Li and Kirubarajan, ch. 5.5; with errors shared by aids, this is
   a composite likelihood with the same maximum). The unknowns are two densities, of gyroscopes and accelerometers, not
-  below those at rest and not above :data:`MAX_GYRO_DENSITY` and :data:`MAX_ACCEL_DENSITY`. The search uses at most a
-  minute of flight and no truth.
+  below those at rest and not above :data:`MAX_GYRO_NOISE_DENSITY` and :data:`MAX_ACCEL_NOISE_DENSITY`. The search uses
+  at most a minute of flight and no truth.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_POSITION,
     NOMINAL_THRUST_SCALE,
     NOMINAL_VELOCITY,
-    READING_FIX,
+    READING_POSITION_FIX,
     STATE_COUNT,
 )
 from mufly.estimate.kalman_estimator import KalmanEstimator
@@ -62,19 +62,19 @@ from mufly.world import World
 _Array = NDArray[np.float64]
 _MOTORS_ON_INPUT, _MOTORS_OFF_INPUT = np.array([1.0, 1.0, 0.0, 0.0]), np.zeros(4)
 _REST_BLOCK_S, _MIN_REST_S = 0.5, 1.0
-_REST_LIMITS = 0.3, 0.05
+_REST_STD_LIMITS = 0.3, 0.05
 """Standard deviations of specific force (m/s^2) and rates (rad/s) over half a second below which it counts as rest."""
-_MIN_GYRO_DENSITY, _MIN_ACCEL_DENSITY = 2e-4, 2e-3
+_MIN_GYRO_NOISE_DENSITY, _MIN_ACCEL_NOISE_DENSITY = 2e-4, 2e-3
 """Least densities (rad/s/sqrt(Hz), m/s^2/sqrt(Hz)): those of a good MEMS unit."""
-MAX_GYRO_DENSITY, MAX_ACCEL_DENSITY = 0.3, 3.0
+MAX_GYRO_NOISE_DENSITY, MAX_ACCEL_NOISE_DENSITY = 0.3, 3.0
 """Largest densities: ten and fifty times those of any quadrotor log tried; beyond, the aids contradict the unit."""
-_WORST_COST = 1e6  # of a run without a valid estimate
+_INVALID_NOISE_COST = 1e6  # of a run without a valid estimate
 ACCEL_BIAS_SIGMA = 0.3
 """One sigma (m/s^2): 30 mg, the bias of small MEMS units over temperature."""
 _GYRO_BIAS_SIGMAS = 0.03, 0.01
 """One sigma (rad/s) without and after calibration at rest; vibration and temperature change the bias."""
 _TILT_SIGMA_AT_REST, _TILT_SIGMA_IN_FLIGHT = math.radians(2.0), math.radians(15.0)
-_SPEED_SIGMA = 1.0  # m/s, for a log that begins in flight
+_INITIAL_SPEED_SIGMA = 1.0  # m/s, for a log that begins in flight
 
 
 @dataclass(frozen=True)
@@ -175,8 +175,11 @@ def detect_flight(time_s: _Array, rates: _Array, acceleration: _Array) -> NDArra
     n = max(2, round(_REST_BLOCK_S / step))
     for k in range(0, len(time_s) - n, n):
         f, w = acceleration[k : k + n], rates[k : k + n]
-        still = np.nanmax(np.nanstd(f, axis=0)) < _REST_LIMITS[0] and np.nanmax(np.nanstd(w, axis=0)) < _REST_LIMITS[1]
-        if not (still and np.nanmax(np.abs(np.nanmean(w, axis=0))) < 2 * _REST_LIMITS[1]):
+        still = (
+            np.nanmax(np.nanstd(f, axis=0)) < _REST_STD_LIMITS[0]
+            and np.nanmax(np.nanstd(w, axis=0)) < _REST_STD_LIMITS[1]
+        )
+        if not (still and np.nanmax(np.abs(np.nanmean(w, axis=0))) < 2 * _REST_STD_LIMITS[1]):
             return np.arange(len(time_s)) >= k
     return np.zeros(len(time_s), dtype=bool)
 
@@ -231,7 +234,7 @@ def estimate_rest_noise(log: InertialLog) -> InertialNoise:
     part = log.rest_rows
     gyro = _allan_density(log.rates[part], log.step_s)
     felt = _allan_density(log.acceleration[part], log.step_s)
-    return InertialNoise(gyro=max(gyro, _MIN_GYRO_DENSITY), accelerometer=max(felt, _MIN_ACCEL_DENSITY))
+    return InertialNoise(gyro=max(gyro, _MIN_GYRO_NOISE_DENSITY), accelerometer=max(felt, _MIN_ACCEL_NOISE_DENSITY))
 
 
 def _allan_density(x: _Array, step: float) -> float:
@@ -248,7 +251,7 @@ def _allan_density(x: _Array, step: float) -> float:
     return found
 
 
-def run_log(
+def run_filter_on_log(
     log: InertialLog,
     aids: PositionAids,
     noise: InertialNoise,
@@ -339,7 +342,7 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
     s: Any = e._settings.copy()
     s["has_rotor_model"] = 0
     s["ground_clearance"] = -1e6  # unknown floor
-    s["has_noise"][READING_FIX] = 0  # aids may repeat values
+    s["has_noise"][READING_POSITION_FIX] = 0  # aids may repeat values
     start, sigma = np.zeros(STATE_COUNT), s["initial_sigma"]
     start[NOMINAL_THRUST_SCALE] = 1.0
     start[NOMINAL_POSITION:NOMINAL_VELOCITY] = aids.position[0]
@@ -357,8 +360,10 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
         s["rest_gyro_sigma"] = max(float(np.nanstd(log.rates[rest], axis=0).max()), 1e-4)
         sigma[ERROR_VELOCITY:ERROR_ATTITUDE] = 0.01
     else:
-        s["rest_tilt_sigma"], sigma[ERROR_VELOCITY:ERROR_ATTITUDE] = _TILT_SIGMA_IN_FLIGHT, _SPEED_SIGMA
-        sigma[ERROR_POSITION:ERROR_VELOCITY] += _SPEED_SIGMA * (float(aids.measured_s[0]) - float(log.time_s[0]))
+        s["rest_tilt_sigma"], sigma[ERROR_VELOCITY:ERROR_ATTITUDE] = _TILT_SIGMA_IN_FLIGHT, _INITIAL_SPEED_SIGMA
+        sigma[ERROR_POSITION:ERROR_VELOCITY] += _INITIAL_SPEED_SIGMA * (
+            float(aids.measured_s[0]) - float(log.time_s[0])
+        )
     start[NOMINAL_ATTITUDE:NOMINAL_GYRO_BIAS] = quaternion_from_euler(roll, pitch, yaw)
     sigma[ERROR_ATTITUDE : ERROR_ATTITUDE + 2] = s["rest_tilt_sigma"]
     sigma[ERROR_GYRO_BIAS:ERROR_ACCEL_BIAS] = _GYRO_BIAS_SIGMAS[1 if rest.stop else 0]
@@ -414,7 +419,10 @@ def estimate_flight_noise(
         return least
     begin, end = float(log.time_s[np.argmax(log.is_flying)]), float(log.time_s[-1])
     half = min(end, begin + 60.0)
-    lowest, highest = np.log([least.gyro, least.accelerometer]), np.log([MAX_GYRO_DENSITY, MAX_ACCEL_DENSITY])
+    lowest, highest = (
+        np.log([least.gyro, least.accelerometer]),
+        np.log([MAX_GYRO_NOISE_DENSITY, MAX_ACCEL_NOISE_DENSITY]),
+    )
     lowest = np.minimum(lowest, highest)
     tried = 0
 
@@ -425,9 +433,9 @@ def estimate_flight_noise(
             on_progress(min(tried, 29), 30)
         inside = np.clip(x, lowest, highest)
         gyro, felt = np.exp(inside)
-        told = run_log(log, aids, InertialNoise(gyro=float(gyro), accelerometer=float(felt)), until_s=half)
+        told = run_filter_on_log(log, aids, InertialNoise(gyro=float(gyro), accelerometer=float(felt)), until_s=half)
         found = aid_innovations(log, aids, told, from_s=begin + 1.0, to_s=half)
-        return min(-found.likelihood, _WORST_COST) + float(np.square(x - inside).sum())
+        return min(-found.likelihood, _INVALID_NOISE_COST) + float(np.square(x - inside).sum())
 
     start: Any = np.clip(np.log([10 * least.gyro, 5 * least.accelerometer]), lowest, highest)
     corners = start + np.array([[0.0, 0.0], [1.2, 0.0], [0.0, 1.2]])

@@ -29,9 +29,9 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_WIND,
     READING_ACCELERATION,
     READING_BATTERY,
-    READING_FIX,
     READING_OFFSETS,
-    READING_RING,
+    READING_POSITION_FIX,
+    READING_RANGE_RING,
     READING_SONAR,
     READING_STARTS,
     READING_WIDTHS,
@@ -40,7 +40,7 @@ from mufly.estimate.filter.filter_records import (
     fused_beam_indices,
     memory_type,
 )
-from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START, VALUE_COUNT
+from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START, INPUT_VALUE_COUNT
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.filter_backend import BackendName, make_backend
 from mufly.estimate.sensor_status import AuxiliaryStates, LazySensorStatuses, SensorStatus
@@ -51,11 +51,11 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 _VOLTAGE_START = READING_STARTS[READING_BATTERY]
-_ACCELERATION = slice(READING_STARTS[READING_ACCELERATION], READING_STARTS[READING_ACCELERATION] + 3)
+_ACCELERATION_SLICE = slice(READING_STARTS[READING_ACCELERATION], READING_STARTS[READING_ACCELERATION] + 3)
 MAX_MISSED_PERIODS = 10
 """Lost periods that the filter makes up at once; a board's watchdog allows no more (50 ms at 200 Hz)."""
 PUBLISHED_FIELDS = (
-    "covariance_output", "sigma_output", "status", "reason", "fault_number", "innovation", "innovation_sigma",
+    "covariance_output", "sigma_output", "status", "reason", "reason_number", "innovation", "innovation_sigma",
     "last_fused_tick", "last_new_tick", "fault_component", "tick",
 )  # fmt: skip
 """Memory fields published every :data:`mufly.estimate.filter.output_predictor.COVARIANCE_INTERVAL_TICKS` periods."""
@@ -141,12 +141,12 @@ class KalmanEstimator(Estimator):
         # A record of an array is a view: the compiled step writes into the array.
         self._memory_array = np.zeros(1, memory_type(self._number_type))
         self.memory = m = self._memory_array[0]
-        self._output_state, self._output_rates, self._output_angles = (
+        self._output_state, self._output_rates, self._write_output_angles = (
             m["x_output"],
             m["rates_output"],
             m["angles_output"],
         )
-        self._input_values = np.zeros(VALUE_COUNT, self._number_type)
+        self._input_values = np.zeros(INPUT_VALUE_COUNT, self._number_type)
         self._input_is_new, self._input_age = (
             np.zeros(SENSOR_COUNT, np.int32),
             np.zeros(SENSOR_COUNT, self._number_type),
@@ -191,11 +191,11 @@ class KalmanEstimator(Estimator):
         """Process the readings of a period, and before them ``missed`` lost periods."""
         self._fill_inputs(readings, acting)
         if missed:
-            self.make_up_periods(missed)
+            self.process_missed_periods(missed)
         valid = self.backend.step_filter(self._memory_array)
         return self.read_estimate(readings.time_s, valid)
 
-    def make_up_periods(self, count: int) -> None:
+    def process_missed_periods(self, count: int) -> None:
         """Advance by lost periods, each with the inertial readings and actuator inputs of the first period after them.
 
         The input row already holds that period and is not changed. At most :data:`MAX_MISSED_PERIODS` are made up,
@@ -223,10 +223,10 @@ class KalmanEstimator(Estimator):
             valid,
             self._output_state,
             self._output_rates,
-            self._output_angles,
+            self._write_output_angles,
             float(self._input_values[_VOLTAGE_START]),
             self.ranges.copy(),
-            self._input_values[_ACCELERATION],
+            self._input_values[_ACCELERATION_SLICE],
         )
 
     def publish_status(self, m: Mapping[str, Any] | np.void) -> None:
@@ -286,12 +286,12 @@ class KalmanEstimator(Estimator):
         self._input_age[k] = t - r.time_s
         self._input_is_new[k] = 1 if r.valid else 2
         start = READING_STARTS[k]
-        if k == READING_RING:
+        if k == READING_RANGE_RING:
             seen = np.asarray(r.value, dtype=np.float64)
             filter_ring_scan(seen, self._max_range_m, self.ring_scans, self.ranges)
             z[start : start + len(self._beam_indices)] = seen[self._beam_indices]
         else:
-            if k == READING_FIX and self.uses_fix_covariance:
+            if k == READING_POSITION_FIX and self.uses_fix_covariance:
                 self._set_fix_noise(r, 0.0 if math.isnan(before_s) else r.time_s - before_s)
             offset = READING_OFFSETS[k]
             z[start : start + READING_WIDTHS[k]] = r.value - offset if offset else r.value
@@ -311,7 +311,7 @@ class KalmanEstimator(Estimator):
             self._fix_bias_variance_target = wander = np.maximum(wander, own)
             self._fix_bias_variance = np.minimum(self._fix_bias_variance, wander)
             rest = np.maximum(own - self._fix_bias_variance, 0.0) * (
-                1.0 + 2.0 * self.fix_correlation_s / float(s["sensor_period"][READING_FIX])
+                1.0 + 2.0 * self.fix_correlation_s / float(s["sensor_period"][READING_POSITION_FIX])
             )
             noise += [rest[:-1].max(), rest[-1]]
         elif own is not None:

@@ -31,7 +31,7 @@ ERROR_BLOCKS = {
     "heading": slice(ERROR_ATTITUDE + 2, ERROR_GYRO_BIAS),
 }
 """Blocks of the error that are consistent one by one; an ellipsoid of all nine components hides a narrow block."""
-_NO_BLOCK = (math.nan, math.nan)
+_EMPTY_BLOCK_RESULT = (math.nan, math.nan)
 
 
 def normalised_errors(errors: _Array, covariances: _Array) -> _Array:
@@ -156,7 +156,9 @@ def measure_row_consistency(
     some = e[::every]
     p = np.array([told[k].covariance[:ERROR_GYRO_BIAS, :ERROR_GYRO_BIAS] for k in use[::every]])
     nees = normalised_errors(some[:, known], p[:, known][:, :, known])
-    blocks = [_measure_block(some[:, b], p[:, b, b]) if known[b].all() else _NO_BLOCK for b in ERROR_BLOCKS.values()]
+    blocks = [
+        _measure_block(some[:, b], p[:, b, b]) if known[b].all() else _EMPTY_BLOCK_RESULT for b in ERROR_BLOCKS.values()
+    ]
     ratios = []
     for k in use[::every]:
         b = told[k].auxiliary_states

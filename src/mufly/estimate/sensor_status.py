@@ -94,7 +94,7 @@ _ACCEL_OR_MODEL, _ROTOR_MODEL = (
     "accelerometers or rotor model (thrust, drag, wind): ",
     "rotor model (thrust, drag, wind): ",
 )
-NAMED_CAUSES = (_FIX_OR_SONAR, _FIX_OR_GYRO, _ACCEL_OR_MODEL, _ROTOR_MODEL)
+REASONS_WITH_CAUSES = (_FIX_OR_SONAR, _FIX_OR_GYRO, _ACCEL_OR_MODEL, _ROTOR_MODEL)
 """Openings of reasons that name the possible causes themselves, where this sensor alone is not accused."""
 _REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
     g.REASON_NONE: lambda x, u: "",
@@ -178,7 +178,7 @@ class LazySensorStatuses(Sequence[SensorStatus]):
 
 
 _STATUS_FIELDS = (
-    "status", "reason", "fault_number", "innovation", "innovation_sigma", "last_fused_tick", "last_new_tick",
+    "status", "reason", "reason_number", "innovation", "innovation_sigma", "last_fused_tick", "last_new_tick",
 )  # fmt: skip
 
 

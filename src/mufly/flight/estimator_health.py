@@ -43,7 +43,7 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import sine_cosine
 from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_POSITION
-from mufly.estimate.sensor_status import NAMED_CAUSES
+from mufly.estimate.sensor_status import REASONS_WITH_CAUSES
 from mufly.mission.machine.log_messages import LogMessage
 from mufly.quantities.sensor_table import CHECKED
 
@@ -125,7 +125,7 @@ def describe_check(check: SensorStatus, checks: Sequence[SensorStatus] = ()) -> 
 
     ``checks`` are the statuses of all sensors at that time.
     """
-    if check.reason.startswith(NAMED_CAUSES):
+    if check.reason.startswith(REASONS_WITH_CAUSES):
         return check.reason
     if is_estimate_doubted(check, checks):
         others = "rotor model" if check.name in _INERTIAL_READINGS else "inertial unit or rotor model"

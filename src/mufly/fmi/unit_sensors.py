@@ -44,7 +44,7 @@ from mufly.estimate.filter.filter_records import (
     fused_beam_indices,
     memory_type,
 )
-from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START, VALUE_COUNT
+from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START, INPUT_VALUE_COUNT
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import filter_ring_scan
 from mufly.firmware.export.estimate_tables import filter_buffer_sizes
@@ -251,7 +251,7 @@ class UnitSensors:
         words = math.ceil(memory_type(kept=kept, waiting=waiting).itemsize / 8)
         beams = max(1, int(self.vehicle.range_ring.count))
         numbers = {
-            "FILTER_MEMORY_WORDS": words, "FILTER_VALUE_COUNT": VALUE_COUNT, "FILTER_SENSOR_COUNT": SENSOR_COUNT,
+            "FILTER_MEMORY_WORDS": words, "FILTER_VALUE_COUNT": INPUT_VALUE_COUNT, "FILTER_SENSOR_COUNT": SENSOR_COUNT,
             "FILTER_STATE_COUNT": STATE_COUNT, "FILTER_DEVIATION_COUNT": ERROR_STATE_COUNT, "FILTER_BEAM_COUNT": beams,
             "FILTER_ACTUATORS": ACTUATOR_START, "FILTER_PUBLISH_INTERVAL": COVARIANCE_INTERVAL_TICKS,
             "SENSOR_WORD_COUNT": len(self.seeded_words[0]),

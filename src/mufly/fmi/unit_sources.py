@@ -20,7 +20,7 @@ from mufly.dynamics import INPUT_SIZE, PARAMETER_DTYPE, STATE_SIZE, ModelParamet
 from mufly.dynamics.simulation import integrate_state
 from mufly.estimate.filter.c_records import RECORDS_HEADER
 from mufly.estimate.filter_backend import FILTER_SOURCES as TRANSLATED_FILTER
-from mufly.estimate.filter_backend import collect_sources
+from mufly.estimate.filter_backend import collect_filter_sources
 from mufly.files.answer_store import hash_question
 from mufly.firmware.export.estimate_tables import render_estimator_files
 from mufly.fmi.c_translation import CTranslation
@@ -75,7 +75,7 @@ def render_sensor_sources(sensors: UnitSensors) -> dict[str, str]:
     return {
         **files,
         "filter_sizes.h": sensors.render_sizes(),
-        **collect_sources(generated[RECORDS_HEADER]),
+        **collect_filter_sources(generated[RECORDS_HEADER]),
         **generated,
     }
 

@@ -127,7 +127,7 @@ def run(
 
     mufly estimate run circle.csv.gz --map nanobench --aid position=truth_position --aid-std 0.02 --aid-rate 15
     """
-    from mufly.estimate.inertial_log import MAX_ACCEL_DENSITY, MAX_GYRO_DENSITY
+    from mufly.estimate.inertial_log import MAX_ACCEL_NOISE_DENSITY, MAX_GYRO_NOISE_DENSITY
     from mufly.flight import is_sensed, read_recording
     from mufly.flight.record.foreign_log import AidRequest, parse_aid, read_foreign_log
     from mufly.logs import detect_log_format
@@ -141,7 +141,7 @@ def run(
     for name, value in of_aids.items():
         if isinstance(value, float) and not (0.0 < value < math.inf):
             raise InputError(name, f"{value:g}", "is not above zero", "give a positive number")
-    for name, limit in (("--gyro-noise", MAX_GYRO_DENSITY), ("--accelerometer-noise", MAX_ACCEL_DENSITY)):
+    for name, limit in (("--gyro-noise", MAX_GYRO_NOISE_DENSITY), ("--accelerometer-noise", MAX_ACCEL_NOISE_DENSITY)):
         value = of_aids[name]
         if isinstance(value, float) and value > limit:
             raise InputError(name, f"{value:g}", f"is above {limit:g}", "give the density of the unit's data sheet")
@@ -191,7 +191,7 @@ def _estimate_foreign_log(
         estimate_flight_noise,
         estimate_rest_noise,
         measure_row_consistency,
-        run_log,
+        run_filter_on_log,
     )
     from mufly.flight.record.foreign_log import make_recording, truth_rows
 
@@ -205,7 +205,7 @@ def _estimate_foreign_log(
     else:
         noise = InertialNoise(gyro=given[0] or rest.gyro, accelerometer=given[1] or rest.accelerometer)
     with progress_bar("estimating", not as_json) as progress:
-        told = run_log(f.log, f.aids, noise, on_progress=progress)
+        told = run_filter_on_log(f.log, f.aids, noise, on_progress=progress)
     time = f.log.time_s
     began = float(time[f.log.is_flying.argmax()]) if f.log.is_flying.any() else float(time[0])
     after = began + _SETTLING_TIME_S
@@ -280,7 +280,7 @@ def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
 
 
 def _print_noise(rest: InertialNoise, noise: InertialNoise, given: tuple[float | None, float | None]) -> None:
-    from mufly.estimate.inertial_log import MAX_ACCEL_DENSITY, MAX_GYRO_DENSITY
+    from mufly.estimate.inertial_log import MAX_ACCEL_NOISE_DENSITY, MAX_GYRO_NOISE_DENSITY
 
     rows = [
         (name, f"{a:.2g}", f"{b:.2g}", "given" if told else "from the innovations of the fixes", unit)
@@ -293,8 +293,8 @@ def _print_noise(rest: InertialNoise, noise: InertialNoise, given: tuple[float |
     found = [
         name
         for name, density, limit, told in (
-            ("gyroscopes", noise.gyro, MAX_GYRO_DENSITY, given[0]),
-            ("accelerometers", noise.accelerometer, MAX_ACCEL_DENSITY, given[1]),
+            ("gyroscopes", noise.gyro, MAX_GYRO_NOISE_DENSITY, given[0]),
+            ("accelerometers", noise.accelerometer, MAX_ACCEL_NOISE_DENSITY, given[1]),
         )
         if not told and density > 0.9 * limit
     ]

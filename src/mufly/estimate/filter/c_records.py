@@ -44,7 +44,7 @@ FIELD_UNITS: dict[str, str] = {
     for name, field in record_fields(record).items()
 }
 """Units of the settings and of the flight model's parameters by field name; "" for dimensionless ones."""
-_GROUND_PREFIXES = (
+_UNUSED_PARAMETER_PREFIXES = (
     "leg_",
     "slip_",
     "friction_",
@@ -68,21 +68,21 @@ _FILTER_MODULES: tuple[types.ModuleType, ...] = (
 )
 
 
-def model_type(p: np.void | Mapping[str, int], kind: Any = np.float64) -> np.dtype:
+def flight_model_dtype(p: np.void | Mapping[str, int], kind: Any = np.float64) -> np.dtype:
     """Return the record type of the flight model's parameters used by the filter."""
     nodes = max(int(p["map_nodes"]), 1)
     fields = []
     for name in PARAMETER_DTYPE.names or ():
-        if not name.startswith(_GROUND_PREFIXES):
+        if not name.startswith(_UNUSED_PARAMETER_PREFIXES):
             field = PARAMETER_DTYPE[name]
             shape = (nodes,) if name in MAP_TABLE_FIELDS else field.shape
             fields.append((name, np.int32 if field.base.kind == "i" else kind, shape))
     return np.dtype(fields, align=True)
 
 
-def model_record(p: np.void, kind: Any = np.float64) -> np.ndarray:
+def flight_model_record(p: np.void, kind: Any = np.float64) -> np.ndarray:
     """Return the flight model's parameters in the form used by the filter in C."""
-    out = np.zeros(1, model_type(p, kind))
+    out = np.zeros(1, flight_model_dtype(p, kind))
     for name in out.dtype.names or ():
         value = p[name]
         out[name][0] = value[: out[name].shape[1]] if name in MAP_TABLE_FIELDS else value
@@ -104,7 +104,7 @@ def collect_constants() -> dict[str, int | float | tuple[int, ...]]:
     for module in _FILTER_MODULES:
         for name, value in vars(module).items():
             whole = isinstance(value, tuple) and bool(value) and all(isinstance(v, int) for v in value)
-            if name.isupper() and name != "_Z" and (isinstance(value, (int, float)) or whole):
+            if name.isupper() and (isinstance(value, (int, float)) or whole):
                 known = found.setdefault(_macro_name(name), value)
                 if known != value:
                     raise ValueError(f"{module.__name__}.{name} = {value!r} is {known!r} elsewhere")
@@ -154,7 +154,7 @@ def render_records_header(
             filter_records.settings_type(),
             record_fields(filter_records.FilterSettings),
         ),
-        ("flight_model_t", model_type(p), record_fields(ModelParameters)),
+        ("flight_model_t", flight_model_dtype(p), record_fields(ModelParameters)),
         ("estimator_t", memory, record_fields(filter_records.FilterMemory)),
     ):
         lines += ["typedef struct {", *_struct_members(record, sizes, fields), f"}} {name};", ""]

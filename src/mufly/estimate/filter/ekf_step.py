@@ -4,7 +4,7 @@ The filter runs ``horizon_delay_ticks`` periods behind now, at the *horizon* (:m
 does. The output is the state of the horizon, propagated to now (:mod:`output_predictor`) with the inputs received since
 the horizon (:mod:`filter_inputs`).
 
-A period has time for ``work_limit`` scalar measurements; with more work the horizon falls behind.
+A period has time for ``fusion_budget`` scalar measurements; with more work the horizon falls behind.
 
 The low-pass filter of the inertial unit delays its output by ``lag``, so a state describes the instant ``lag`` before
 its tick.
@@ -33,12 +33,12 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_GYRO_BIAS,
     NOMINAL_TERRAIN,
     PHASE_FLYING,
-    PHASE_LIGHT,
-    PHASE_RUNNING,
+    PHASE_LIFTING_OFF,
+    PHASE_MOTORS_RUNNING,
     QUEUE_SIZE,
     QUEUED_READINGS,
     READING_ACCELERATION,
-    READING_FIX,
+    READING_POSITION_FIX,
     READING_RATES,
     READING_STARTS,
     ROTOR_FORCE_ANG_ACCEL,
@@ -67,9 +67,8 @@ _Array = NDArray[np.float64]
 
 _INITIAL_REST_S = 0.8
 _GYRO_OUTAGE_S = 0.1  # without gyroscopes
-INITIAL_ACCEL_DENSITY = 5.0
+INITIAL_ACCEL_NOISE_DENSITY = 5.0
 """Initial density of the accelerometer noise (m^2/s^3), so large that the model has the higher weight."""
-_Z = READING_STARTS
 
 
 @cached_njit(error_model="numpy")
@@ -86,12 +85,12 @@ def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
     for i in range(AID_COUNT):
         m.noise_scale[i] = m.bias_walk_scale[i] = 1.0
     m.task_stage = STAGE_DONE
-    m.sonar_least = s.sonar_min
+    m.sonar_least_range = s.sonar_min
     m.x_output[NOMINAL_ATTITUDE] = m.rotor_state[MODEL_ATTITUDE] = m.rotor_state[MODEL_CHARGE] = 1.0
     m.rotor_state[MODEL_POSITION + 2] = -1000.0  # far above the floor
     m.rotor_state[MODEL_BAR + 2] = -1.0
     for k in range(3):
-        m.accel_noise[k] = m.accel_noise_slow[k] = INITIAL_ACCEL_DENSITY
+        m.accel_noise[k] = m.accel_noise_slow[k] = INITIAL_ACCEL_NOISE_DENSITY
 
 
 @cached_njit(error_model="numpy")
@@ -119,8 +118,8 @@ def estimator_step(
     for k in range(3):
         m.gyro_rates_prev[k] = m.gyro_rates[k]
         if m.status[READING_RATES] < STATUS_MISSING:
-            m.gyro_rates[k] = z[_Z[READING_RATES] + k] - m.gyro_offset[k]
-        elif s.has_rotor_model > 0 and m.flight_phase >= PHASE_LIGHT:
+            m.gyro_rates[k] = z[READING_STARTS[READING_RATES] + k] - m.gyro_offset[k]
+        elif s.has_rotor_model > 0 and m.flight_phase >= PHASE_LIFTING_OFF:
             # Rates of the rotor model. The stabiliser bar keeps the rotors level, so only yaw drifts.
             m.gyro_rates[k] = (
                 m.gyro_rates_prev[k]
@@ -137,7 +136,11 @@ def estimator_step(
         m.flight_phase == PHASE_FLYING and height_above_ground(m.x_output, s) > LEG_CLEARANCE_HEIGHT + doubt,
     )
     rises = sample_inputs(m, s, p, z, new, r)
-    if s.has_rotor_model > 0 and m.flight_phase >= PHASE_RUNNING and m.status[READING_ACCELERATION] < STATUS_MISSING:
+    if (
+        s.has_rotor_model > 0
+        and m.flight_phase >= PHASE_MOTORS_RUNNING
+        and m.status[READING_ACCELERATION] < STATUS_MISSING
+    ):
         estimate_accel_noise(m, s, z)
     for kind in QUEUED_READINGS:
         if new[kind] != 1 or m.is_decimated[kind] > 0:
@@ -151,7 +154,7 @@ def estimator_step(
             # A single late reading is no fault: some exceed the delay of the horizon.
             if (m.tick - m.last_fused_tick[kind]) * s.dt > s.timeout[kind]:
                 set_fault(m, s, kind, STATUS_FAULTY, REASON_LATE, age[kind])
-    left = s.work_limit - (COST_COVARIANCE if m.tick % COVARIANCE_INTERVAL_TICKS == 0 else 0)
+    left = s.fusion_budget - (COST_COVARIANCE if m.tick % COVARIANCE_INTERVAL_TICKS == 0 else 0)
     predict_bias(m, s)
     if rises > 0.0 and m.sigma_output[ERROR_THRUST_SCALE] > LIFTOFF_THRUST_SIGMA:
         fuse_liftoff_thrust(m, rises)
@@ -162,10 +165,10 @@ def estimator_step(
             break
         left -= cost
     predict_output(m, s, r, a)
-    found = s.is_fitted[READING_FIX] == 0 or m.is_heading_aligned > 0
+    found = s.is_fitted[READING_POSITION_FIX] == 0 or m.is_heading_aligned > 0
     if m.is_initialised == 0 and found and (m.standing_ticks * s.dt >= _INITIAL_REST_S or m.tick * s.dt > 3.0):
         m.is_initialised = 1
-    turns = s.has_rotor_model > 0 and m.flight_phase >= PHASE_LIGHT
+    turns = s.has_rotor_model > 0 and m.flight_phase >= PHASE_LIFTING_OFF
     seen = (
         m.status[READING_RATES] < STATUS_MISSING
         or turns
@@ -176,6 +179,6 @@ def estimator_step(
         if not abs(m.rates_output[k]) < 2.0 * s.value_limit[READING_RATES]:
             seen = False
     if m.is_levelled == 1:
-        for k in range(_Z[READING_ACCELERATION], _Z[READING_RATES] + 3):
+        for k in range(READING_STARTS[READING_ACCELERATION], READING_STARTS[READING_RATES] + 3):
             z[k] = m.last_value[k]
     return m.is_initialised > 0 and seen

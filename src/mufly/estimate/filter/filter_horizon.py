@@ -8,7 +8,7 @@ block by velocity and yaw rate.
 The horizon moves from the end of one block of averaged inputs to the end of the next. A measurement is fused at the
 nearest end of a block (10 ms away at most).
 
-Work is bounded: a period has time for ``work_limit`` scalar measurements (:func:`run_next_task`). With more work the
+Work is bounded: a period has time for ``fusion_budget`` scalar measurements (:func:`run_next_task`). With more work the
 horizon falls behind; from :data:`mufly.estimate.filter.filter_records.MAX_LAG_BLOCKS` blocks on, measurements that are
 due are dropped. Each period predicts one bias, in turn. The bias of the fix is predicted when a fix is fused, over the
 time since the last one.
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import floor_int
 from mufly.estimate.filter.filter_records import (
+    ACCEL_WORK_MODEL,
     BIAS_CYCLE_TICKS,
     ERROR_ATTITUDE,
     ERROR_FIX_BIAS,
@@ -33,26 +34,25 @@ from mufly.estimate.filter.filter_records import (
     ERROR_VELOCITY,
     FLOOR_SETTLED_SIGMA,
     INPUT_ACCEL,
+    INPUT_ACCEL_WEIGHT,
     INPUT_BLOCK_COUNT,
-    INPUT_NOISE,
-    INPUT_PHASE,
-    INPUT_SHARE,
-    INPUT_SLOPE,
-    INPUT_STATIC,
+    INPUT_FLIGHT_PHASE,
+    INPUT_FORCE_SLOPE,
+    INPUT_NOISE_DENSITY,
+    INPUT_STATIC_FORCE,
     MAX_FLOOR_HEIGHT,
     MAX_LAG_BLOCKS,
-    MODEL_ACCEL,
     NOMINAL_GYRO_BIAS,
     NOMINAL_POSITION,
     NOMINAL_TERRAIN,
     NOMINAL_VELOCITY,
     PHASE_FLYING,
-    PHASE_RUNNING,
+    PHASE_MOTORS_RUNNING,
     PHASE_STANDING,
     QUEUE_SIZE,
     READING_ACCELERATION,
     READING_RATES,
-    TERRAIN_EDGE_S,
+    TERRAIN_EDGE_DURATION_S,
     FilterMemory,
     FilterSettings,
 )
@@ -64,7 +64,11 @@ from mufly.estimate.filter.measurements.fusion import (
     measurement_cost,
     reset_terrain,
 )
-from mufly.estimate.filter.measurements.sensor_checks import DIVERGED_BIAS_WALK, LATER_BIAS_WALK, STATUS_MISSING
+from mufly.estimate.filter.measurements.sensor_checks import (
+    DIVERGED_GYRO_BIAS_WALK,
+    LATER_GYRO_BIAS_WALK,
+    STATUS_MISSING,
+)
 from mufly.estimate.filter.output_predictor import FORCE_MEAN_TICKS, velocity_noise_density
 from mufly.estimate.filter.strapdown import error_transition, predict_state
 from mufly.estimate.filter.ud_filter import gauss_markov_update, inflate_variance, state_variance, ud_time_update
@@ -74,13 +78,13 @@ _Array = NDArray[np.float64]
 MAX_BACKDATE_S = 0.25
 """Largest time by which a measurement is older than the horizon (s). Velocity and yaw rate move it to the horizon; an
 acceleration of 0.3 m/s^2 meanwhile is an error of 1 cm."""
-COST_COVARIANCE, COST_HORIZON_STEP, COST_REST_AXIS = 3, 2, 3
+COST_COVARIANCE, COST_HORIZON_STEP, COST_ZERO_MOTION_AXIS = 3, 2, 3
 """Cost of publishing a covariance, of a step of the horizon, and of an axis on the floor, in scalar measurements."""
-STAGE_TERRAIN, STAGE_FORCE_MEANS, STAGE_AXES, STAGE_GROUND_CONTACT, STAGE_DONE = 1, 2, 3, 6, 7
+STAGE_TERRAIN, STAGE_FORCE_MEANS, STAGE_FORCE_AXES, STAGE_GROUND_CONTACT, STAGE_DONE = 1, 2, 3, 6, 7
 """Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
-GYRO_OUTAGE_DENSITY = 0.002
+GYRO_OUTAGE_RATE_DENSITY = 0.002
 """Density of the angular rate (rad^2/s) without gyroscopes: the stabiliser bar keeps the rotors level."""
-LEAK_RATE = 0.25
+MIN_CROSS_AXIS_YAW_RATE = 0.25
 """Yaw rate (rad/s) above which an axis error of the inertial unit is estimated."""
 
 
@@ -109,7 +113,7 @@ def queue_measurement(
 
 
 @cached_njit(error_model="numpy")
-def _pass_terrain_edge(m: FilterMemory, s: FilterSettings, span: float) -> None:
+def _inflate_terrain_at_edge(m: FilterMemory, s: FilterSettings, span: float) -> None:
     """Inflate the terrain's variance while the sonar's cone passes over an edge, because the range changes along an
     arc.
     """
@@ -117,8 +121,8 @@ def _pass_terrain_edge(m: FilterMemory, s: FilterSettings, span: float) -> None:
     speed = math.sqrt(
         m.x[NOMINAL_VELOCITY] * m.x[NOMINAL_VELOCITY] + m.x[NOMINAL_VELOCITY + 1] * m.x[NOMINAL_VELOCITY + 1]
     )
-    arc = s.sonar_arc * away
-    passed = span * max(speed / max(s.sonar_cone_slope * away, 0.05), 1.0 / TERRAIN_EDGE_S)
+    arc = s.sonar_cone_edge_excess * away
+    passed = span * max(speed / max(s.sonar_cone_radius_ratio * away, 0.05), 1.0 / TERRAIN_EDGE_DURATION_S)
     inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_TERRAIN, arc * arc * passed, m.u_transposed_h)
     m.terrain_edge_weight = max(m.terrain_edge_weight - passed, 0.0)
     if not m.terrain_edge_weight > 0.0:
@@ -135,11 +139,11 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
     predict_state(m.x, e, span, r, a)
     for k in range(3):
         m.accel_mean[k] += e[INPUT_ACCEL + k]
-        m.model_accel_mean[k] += a[MODEL_ACCEL + k]
+        m.model_accel_mean[k] += a[ACCEL_WORK_MODEL + k]
         m.gyro_mean[k] += e[k]
-        m.thrust_slope[k] += e[INPUT_STATIC + k]
-        m.velocity_slope[k] += e[INPUT_SLOPE + k]
-    spread = s.gyro_density + (GYRO_OUTAGE_DENSITY if m.status[READING_RATES] >= STATUS_MISSING else 0.0)
+        m.thrust_slope[k] += e[INPUT_STATIC_FORCE + k]
+        m.velocity_slope[k] += e[INPUT_FORCE_SLOPE + k]
+    spread = s.gyro_noise_density + (GYRO_OUTAGE_RATE_DENSITY if m.status[READING_RATES] >= STATUS_MISSING else 0.0)
     m.yaw_rate = 0.0
     for k in range(3):
         m.yaw_rate += r[6 + k] * (e[k] - m.x[NOMINAL_GYRO_BIAS + k])
@@ -149,7 +153,7 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
     error_transition(e, span, r, a, m.transition_work)
     ud_time_update(m.u_transposed, m.ud_diagonal, span, m.transition_work, m.q_work, m.w_work, m.u_transposed_h)
     if m.terrain_edge_weight > 0.0:
-        _pass_terrain_edge(m, s, span)
+        _inflate_terrain_at_edge(m, s, span)
     m.block_mean_ticks += s.block_ticks
 
 
@@ -167,7 +171,7 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
         k += ERROR_FIX_HEADING + 1 - ERROR_FIX_BIAS
     origin, keep, q = s.initial_state[k + 1], s.decay[k], s.process_variance[k]
     if k < ERROR_GYRO_BIAS + 3 and m.divergence_ticks > 0:
-        may = DIVERGED_BIAS_WALK if m.divergence_ticks > 1 else LATER_BIAS_WALK
+        may = DIVERGED_GYRO_BIAS_WALK if m.divergence_ticks > 1 else LATER_GYRO_BIAS_WALK
         q += may * may * (BIAS_CYCLE_TICKS * s.dt)
     elif k == ERROR_TERRAIN:
         q *= math.sqrt(
@@ -175,16 +179,16 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
         )  # the terrain changes with distance, not with time
     if k < ERROR_GYRO_BIAS + 3:
         i = k - ERROR_GYRO_BIAS
-        turning = m.yaw_rate if abs(m.yaw_rate) > LEAK_RATE else 0.0
-        if m.leaked_yaw_rate[i] != 0.0:
-            keep = turning / m.leaked_yaw_rate[i]
-            q += m.leak_origin_variance[i] if turning == 0.0 else 0.0
+        turning = m.yaw_rate if abs(m.yaw_rate) > MIN_CROSS_AXIS_YAW_RATE else 0.0
+        if m.cross_axis_yaw_rate[i] != 0.0:
+            keep = turning / m.cross_axis_yaw_rate[i]
+            q += m.gyro_bias_before_yaw_variance[i] if turning == 0.0 else 0.0
         else:
-            m.leak_origin[i] = m.x[k + 1]
-            m.leak_origin_variance[i] = state_variance(m.u_transposed, m.ud_diagonal, k)
+            m.gyro_bias_before_yaw[i] = m.x[k + 1]
+            m.gyro_bias_before_yaw_variance[i] = state_variance(m.u_transposed, m.ud_diagonal, k)
             q += (s.gyro_axis_variance[i] + m.mount_variance[i]) * (turning * turning)
-        origin = m.leak_origin[i]
-        m.leaked_yaw_rate[i] = turning
+        origin = m.gyro_bias_before_yaw[i]
+        m.cross_axis_yaw_rate[i] = turning
     m.x[k + 1] = origin + (m.x[k + 1] - origin) * keep
     if q > 0.0:
         gauss_markov_update(m.u_transposed, m.ud_diagonal, k, keep, q, m.u_transposed_h)
@@ -227,8 +231,8 @@ def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
         m.thrust_slope[k] /= n
         m.velocity_slope[k] /= n
         # Noise density of the difference at the horizon, from the weights used there
-        share = max(e[INPUT_SHARE + k], 1e-9)
-        m.residual_density[k] = e[INPUT_NOISE + k] / share / max(1 - share, 1e-9) + m.accel_noise[k]
+        share = max(e[INPUT_ACCEL_WEIGHT + k], 1e-9)
+        m.residual_density[k] = e[INPUT_NOISE_DENSITY + k] / share / max(1 - share, 1e-9) + m.accel_noise[k]
 
 
 @cached_njit(error_model="numpy")
@@ -263,13 +267,13 @@ def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left
         m.task_stage = STAGE_DONE
         if m.block_mean_ticks >= FORCE_MEAN_TICKS:
             _average_block_forces(m, s)
-            m.task_stage = STAGE_AXES
-    mode = int(m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT, INPUT_PHASE])
-    while STAGE_AXES <= m.task_stage < STAGE_GROUND_CONTACT:
-        i = m.task_stage - STAGE_AXES
+            m.task_stage = STAGE_FORCE_AXES
+    mode = int(m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT, INPUT_FLIGHT_PHASE])
+    while STAGE_FORCE_AXES <= m.task_stage < STAGE_GROUND_CONTACT:
+        i = m.task_stage - STAGE_FORCE_AXES
         cost = 0
-        if mode <= PHASE_RUNNING:
-            cost = COST_REST_AXIS
+        if mode <= PHASE_MOTORS_RUNNING:
+            cost = COST_ZERO_MOTION_AXIS
             if cost > left:
                 return 0
             fuse_zero_motion(m, s, r, m.block_mean_ticks, mode, i)
@@ -282,7 +286,7 @@ def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left
             return cost
     if m.task_stage == STAGE_GROUND_CONTACT:
         m.task_stage = STAGE_DONE
-        cost = 1 if mode > PHASE_RUNNING and fuse_ground_contact(m, s) else 0
+        cost = 1 if mode > PHASE_MOTORS_RUNNING and fuse_ground_contact(m, s) else 0
         clear_block_forces(m)
         if cost > 0:
             return cost

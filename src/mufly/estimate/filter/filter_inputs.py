@@ -20,15 +20,15 @@ from mufly.estimate.filter.filter_records import (
     ERROR_POSITION,
     ERROR_THRUST_SCALE,
     INPUT_ACCEL,
+    INPUT_ACCEL_WEIGHT,
     INPUT_BLOCK_COUNT,
-    INPUT_NOISE,
-    INPUT_PHASE,
+    INPUT_FLIGHT_PHASE,
+    INPUT_FORCE_REMAINDER,
+    INPUT_FORCE_SLOPE,
+    INPUT_NOISE_DENSITY,
     INPUT_RATES,
-    INPUT_REST,
     INPUT_ROW_SIZE,
-    INPUT_SHARE,
-    INPUT_SLOPE,
-    INPUT_STATIC,
+    INPUT_STATIC_FORCE,
     NOMINAL_ACCEL_BIAS,
     NOMINAL_ATTITUDE,
     NOMINAL_GYRO_BIAS,
@@ -36,15 +36,15 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_THRUST_SCALE,
     NOMINAL_VELOCITY,
     NOMINAL_WIND,
-    PHASE_COASTING,
     PHASE_FLYING,
-    PHASE_LIGHT,
-    PHASE_RUNNING,
+    PHASE_LIFTING_OFF,
+    PHASE_MOTORS_RUNNING,
+    PHASE_ROTORS_COASTING,
     PHASE_STANDING,
     READING_ACCELERATION,
     READING_BATTERY,
     READING_RATES,
-    READING_ROTOR,
+    READING_ROTOR_SPEED,
     READING_SONAR,
     READING_STARTS,
     ROTOR_FORCE_HISTORY,
@@ -74,29 +74,28 @@ _Array = NDArray[np.float64]
 
 SLOW_NOISE_TICKS = 32
 """Periods over which low-frequency force noise is estimated."""
-LEVEL_TIME_S, LEVEL_RATE, LEVEL_GATE = 0.5, 0.1, 3.0
+LEVELLING_REST_S, LEVELLING_MAX_RATE, LEVELLING_GATE_SIGMAS = 0.5, 0.1, 3.0
 """Time at rest in which the tilt of the inertial unit is measured (s), largest rate meanwhile (rad/s), and deviations
 of the standing tilt beyond which the unit is taken for tilted (1)."""
-STOPPED_SPEED_SHARE = 0.02
+STOPPED_ROTOR_SPEED_SHARE = 0.02
 """Share of the speeds in hover below which rotors stand. Those that run down with the motors off turn the vehicle."""
-LIFTOFF_SIGMA_LIMIT = 2.5
+LIFTOFF_THRUST_SIGMA_LIMIT = 2.5
 """Deviations of the thrust scale by which lift-off may come earlier or later than modelled."""
-MODELLED_THRUST_SIGMA, THRUST_ERROR_TIME_S = 0.03, 0.02
+MODELLED_THRUST_SIGMA, THRUST_ERROR_CORRELATION_S = 0.03, 0.02
 """Deviation of the thrust scale without added noise (1); correlation time of larger errors (s)."""
-ERROR_TIME_TWICE_S = 0.3
+TWICE_ACCEL_ERROR_CORRELATION_S = 0.3
 """Twice the correlation time (s) of an acceleration error; over the filter's delay it changes the velocity."""
 CLIPPING_ERROR_SHARE = 0.25
 """Error of the mean of clipping accelerometers over range times share of clipped samples (1); 0.1 to 0.3 is usual."""
 GROUND_FORCE_ERROR = 1.0
 """Joint error of rotor and leg forces on the floor (m/s^2)."""
-SONAR_LIFTOFF_HEIGHT, LIFTOFF_CLEARANCE = 0.3, 0.015
+MAX_SONAR_LIFTOFF_HEIGHT, SONAR_LIFTOFF_EXCESS = 0.3, 0.015
 """Height (m) up to which the sonar decides about lift-off; excess over its least reading (m) that shows lift-off."""
 MAX_MODEL_DISAGREEMENT = 0.4
 """Largest mean difference of accelerometers and model over 160 ms without added noise (m/s^2). Two standard deviations
 of the thrust scale are added to it; the excess counts as accelerometer noise that is correlated over a second."""
-WRONG_MODEL_DENSITY = 10.0
+WRONG_MODEL_NOISE_DENSITY = 10.0
 """Density of the force's error (m^2/s^3) while the rotor model contradicts accelerometers and fix."""
-_Z = READING_STARTS
 
 
 @cached_njit(error_model="numpy")
@@ -113,41 +112,41 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
     height = height_above_ground(m.x_output, s)
     off = z[ACTUATOR_START] + z[ACTUATOR_START + 1] < 0.02
     # Rotors with more lift than modelled leave the floor earlier, others later.
-    doubt = LIFTOFF_SIGMA_LIMIT * m.sigma_output[ERROR_THRUST_SCALE] if s.has_rotor_model > 0 else 0.0
+    doubt = LIFTOFF_THRUST_SIGMA_LIMIT * m.sigma_output[ERROR_THRUST_SCALE] if s.has_rotor_model > 0 else 0.0
     # The sonar is newer than the estimated height, except below the floor.
     says = (
         m.status[READING_SONAR] == STATUS_FUSED
-        and height < SONAR_LIFTOFF_HEIGHT
+        and height < MAX_SONAR_LIFTOFF_HEIGHT
         and m.x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT
     )
-    near = says and m.last_value[_Z[READING_SONAR]] <= m.sonar_least + 0.5 * s.sonar_resolution
-    clear = says and m.last_value[_Z[READING_SONAR]] > m.sonar_least + LIFTOFF_CLEARANCE
+    near = says and m.last_value[READING_STARTS[READING_SONAR]] <= m.sonar_least_range + 0.5 * s.sonar_resolution
+    clear = says and m.last_value[READING_STARTS[READING_SONAR]] > m.sonar_least_range + SONAR_LIFTOFF_EXCESS
     rises = 0.0
     m.is_sonar_at_minimum = 1 if near else 0
-    if m.flight_phase <= PHASE_RUNNING:
+    if m.flight_phase <= PHASE_MOTORS_RUNNING:
         turning = m.rotor_state[MODEL_SPEED_UPPER] + m.rotor_state[MODEL_SPEED_LOWER]
-        stands = turning <= STOPPED_SPEED_SHARE * (s.hover_speed[0] + s.hover_speed[1])
-        m.flight_phase = PHASE_RUNNING if not off else PHASE_STANDING if stands else PHASE_COASTING
-        if lift * (1.0 + doubt) > 0.9 and m.flight_phase == PHASE_RUNNING:
-            m.flight_phase = PHASE_LIGHT
+        stands = turning <= STOPPED_ROTOR_SPEED_SHARE * (s.hover_speed[0] + s.hover_speed[1])
+        m.flight_phase = PHASE_MOTORS_RUNNING if not off else PHASE_STANDING if stands else PHASE_ROTORS_COASTING
+        if lift * (1.0 + doubt) > 0.9 and m.flight_phase == PHASE_MOTORS_RUNNING:
+            m.flight_phase = PHASE_LIFTING_OFF
             m.is_initialised = 1
-    elif m.flight_phase == PHASE_LIGHT:
+    elif m.flight_phase == PHASE_LIFTING_OFF:
         up = height > 0.03 + min(2.0 * m.sigma_output[ERROR_POSITION + 2], 0.1) and not near
         if up or clear or lift > 1.1 + doubt:
             m.flight_phase = PHASE_FLYING
             if says and not near and s.has_rotor_model > 0:
                 rises = lift / m.x[NOMINAL_THRUST_SCALE]
         elif lift * (1.0 + doubt) < 0.85 and height < 0.02:
-            m.flight_phase = PHASE_RUNNING
+            m.flight_phase = PHASE_MOTORS_RUNNING
     elif (height < 0.015 and lift < 0.9 and not clear) or (near and lift < 1.1 + doubt):
-        m.flight_phase = PHASE_LIGHT
+        m.flight_phase = PHASE_LIFTING_OFF
     if (
         off
-        and m.flight_phase >= PHASE_LIGHT
+        and m.flight_phase >= PHASE_LIFTING_OFF
         and height < 0.05
         and m.rotor_state[MODEL_SPEED_UPPER] < 0.3 * s.hover_speed[0]
     ):
-        m.flight_phase = PHASE_RUNNING
+        m.flight_phase = PHASE_MOTORS_RUNNING
     if m.flight_phase != PHASE_FLYING:
         m.grounded_tick = m.tick
     return rises
@@ -166,8 +165,8 @@ def _ground_force_noise(m: FilterMemory, force: float) -> float:
         else max(m.sigma_output[ERROR_THRUST_SCALE] * -force, GROUND_FORCE_ERROR)
     )
     over = (-m.x_output[NOMINAL_THRUST_SCALE] * force - GRAVITY) / spread
-    may = min(max(1.0 + over / LIFTOFF_SIGMA_LIMIT, 0.0), 1.0) * spread
-    return ERROR_TIME_TWICE_S * may * may
+    may = min(max(1.0 + over / LIFTOFF_THRUST_SIGMA_LIMIT, 0.0), 1.0) * spread
+    return TWICE_ACCEL_ERROR_CORRELATION_S * may * may
 
 
 @cached_njit(error_model="numpy")
@@ -194,15 +193,15 @@ def sample_inputs(
         predict_rotor_force(m, s, p, m.axis_work, m.rotor_force[now])
         for k in range(2):
             m.rotor_state[MODEL_SPEED_UPPER + k] += s.dt * m.motor_accel_bias[k]
-        if new[READING_ROTOR] == 1:
-            a = _Z[READING_ROTOR]
+        if new[READING_ROTOR_SPEED] == 1:
+            a = READING_STARTS[READING_ROTOR_SPEED]
             if rotor_speed_consistent(m, s, z, a):
                 for k in range(2):
                     off = z[a + k] - m.rotor_state[MODEL_SPEED_UPPER + k]
                     m.rotor_state[MODEL_SPEED_UPPER + k] += s.rotor_speed_gain * off
                     m.motor_accel_bias[k] += s.motor_error_gain * off
         if new[READING_BATTERY] == 1:
-            off = z[_Z[READING_BATTERY]] - predict_terminal_voltage(m, p)
+            off = z[READING_STARTS[READING_BATTERY]] - predict_terminal_voltage(m, p)
             if battery_voltage_consistent(m, s, off):
                 fast = 0.2 if m.tick * s.dt < 1.0 else 0.02
                 m.rotor_state[MODEL_CHARGE] = min(max(m.rotor_state[MODEL_CHARGE] + fast * off, 0.0), 1.0)
@@ -214,53 +213,63 @@ def sample_inputs(
         row[k] = 0.5 * (m.gyro_rates[k] + m.gyro_rates_prev[k])
         row[INPUT_ACCEL + k] = z[k]
         for g in range(3):
-            row[INPUT_STATIC + 3 * g + k] = (1 - s.imu_lag_remainder) * m.rotor_force[
+            row[INPUT_STATIC_FORCE + 3 * g + k] = (1 - s.imu_lag_remainder) * m.rotor_force[
                 a, ROTOR_FORCE_STATIC + 3 * g + k
             ] + s.imu_lag_remainder * m.rotor_force[b, ROTOR_FORCE_STATIC + 3 * g + k]
         clip = m.clip_share[k] * CLIPPING_ERROR_SHARE * s.accel_range
         # Without vibration; but if the attitude is unknown, the model's force is the better one.
         noise = m.accel_noise_slow[k] if m.status[READING_RATES] < STATUS_MISSING else m.accel_noise[k]
         felt = (
-            max(s.accel_density, noise) if s.has_rotor_model > 0 else s.accel_density
-        ) + ERROR_TIME_TWICE_S * clip * clip
-        made = s.model_accel_density[k]
-        if m.flight_phase <= PHASE_RUNNING:
-            row[INPUT_STATIC + k], row[INPUT_REST + k], row[INPUT_SLOPE + k] = 0.0, -GRAVITY * r[6 + k], 0.0
+            max(s.accel_noise_density, noise) if s.has_rotor_model > 0 else s.accel_noise_density
+        ) + TWICE_ACCEL_ERROR_CORRELATION_S * clip * clip
+        made = s.model_accel_noise_density[k]
+        if m.flight_phase <= PHASE_MOTORS_RUNNING:
+            row[INPUT_STATIC_FORCE + k], row[INPUT_FORCE_REMAINDER + k], row[INPUT_FORCE_SLOPE + k] = (
+                0.0,
+                -GRAVITY * r[6 + k],
+                0.0,
+            )
             felt, made = 1e6, 1e-3
-        elif m.flight_phase == PHASE_LIGHT:
+        elif m.flight_phase == PHASE_LIFTING_OFF:
             # Legs may support the weight that the rotors do not: no thrust is estimated.
-            row[INPUT_REST + k] += m.x_output[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC + k]
+            row[INPUT_FORCE_REMAINDER + k] += m.x_output[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC_FORCE + k]
             if k == 2:
-                row[INPUT_REST + 2] = (
-                    -GRAVITY * r[8] if m.is_sonar_at_minimum == 1 else min(row[INPUT_REST + 2], -GRAVITY * r[8])
+                row[INPUT_FORCE_REMAINDER + 2] = (
+                    -GRAVITY * r[8]
+                    if m.is_sonar_at_minimum == 1
+                    else min(row[INPUT_FORCE_REMAINDER + 2], -GRAVITY * r[8])
                 )
             made = 0.05
             if k == 2:
-                made += _ground_force_noise(m, row[INPUT_STATIC + 2])
-            row[INPUT_STATIC + k] = 0.0
+                made += _ground_force_noise(m, row[INPUT_STATIC_FORCE + 2])
+            row[INPUT_STATIC_FORCE + k] = 0.0
         elif model:
             # Until the thrust is known, after more than the delay, the accelerometers have the higher weight.
-            unknown = max(m.sigma_output[ERROR_THRUST_SCALE] - MODELLED_THRUST_SIGMA, 0.0) * row[INPUT_STATIC + k]
-            made += THRUST_ERROR_TIME_S * unknown * unknown
-        if not model and m.flight_phase > PHASE_RUNNING:
-            row[INPUT_STATIC + k], row[INPUT_REST + k], row[INPUT_SLOPE + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
+            unknown = max(m.sigma_output[ERROR_THRUST_SCALE] - MODELLED_THRUST_SIGMA, 0.0) * row[INPUT_STATIC_FORCE + k]
+            made += THRUST_ERROR_CORRELATION_S * unknown * unknown
+        if not model and m.flight_phase > PHASE_MOTORS_RUNNING:
+            row[INPUT_STATIC_FORCE + k], row[INPUT_FORCE_REMAINDER + k], row[INPUT_FORCE_SLOPE + k] = (
+                0.0,
+                -GRAVITY if k == 2 else 0.0,
+                0.0,
+            )
             made = 10.0
         if m.accel_model_verdict == VERDICT_MODEL_WRONG:
-            made = max(made, WRONG_MODEL_DENSITY)
+            made = max(made, WRONG_MODEL_NOISE_DENSITY)
         elif m.is_accel_distrusted == 1:
             felt = 1e6
         if m.status[READING_ACCELERATION] >= STATUS_MISSING or s.is_fitted[READING_ACCELERATION] == 0:
             felt = 1e6
         share = made / (felt + made)
-        row[INPUT_SHARE + k] = share
-        row[INPUT_NOISE + k] = felt * share
-    row[INPUT_PHASE] = m.flight_phase
+        row[INPUT_ACCEL_WEIGHT + k] = share
+        row[INPUT_NOISE_DENSITY + k] = felt * share
+    row[INPUT_FLIGHT_PHASE] = m.flight_phase
     # Mean over the block so far
     into = m.input_blocks[(m.tick - 1) // s.block_ticks % INPUT_BLOCK_COUNT]
     share = 1.0 / ((m.tick - 1) % s.block_ticks + 1)
     for j in range(INPUT_ROW_SIZE - 1):
         into[j] = row[j] if share == 1.0 else into[j] + share * (row[j] - into[j])
-    into[INPUT_PHASE] = m.flight_phase
+    into[INPUT_FLIGHT_PHASE] = m.flight_phase
     return rises
 
 
@@ -269,11 +278,11 @@ def _backdate_accel_noise(m: FilterMemory, s: FilterSettings, k: int) -> None:
     """Apply the new noise of an accelerometer to buffered inputs that the horizon has not reached."""
     for at in range(m.horizon_tick, m.tick, s.block_ticks):
         e = m.input_blocks[at // s.block_ticks % INPUT_BLOCK_COUNT]
-        share = max(e[INPUT_SHARE + k], 1e-9)
-        felt = max(e[INPUT_NOISE + k] / share, m.accel_noise_slow[k])
-        made = e[INPUT_NOISE + k] / max(1.0 - share, 1e-9)
-        e[INPUT_SHARE + k] = made / (felt + made)
-        e[INPUT_NOISE + k] = felt * e[INPUT_SHARE + k]
+        share = max(e[INPUT_ACCEL_WEIGHT + k], 1e-9)
+        felt = max(e[INPUT_NOISE_DENSITY + k] / share, m.accel_noise_slow[k])
+        made = e[INPUT_NOISE_DENSITY + k] / max(1.0 - share, 1e-9)
+        e[INPUT_ACCEL_WEIGHT + k] = made / (felt + made)
+        e[INPUT_NOISE_DENSITY + k] = felt * e[INPUT_ACCEL_WEIGHT + k]
 
 
 @cached_njit(error_model="numpy")
@@ -285,40 +294,44 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
     """
     row = m.inputs_now
     m.accel_noise_count += 1
-    m.slow_count += 1
-    weight = m.slow_count if m.slow_count <= SLOW_NOISE_TICKS // 2 else SLOW_NOISE_TICKS + 1 - m.slow_count
+    m.slow_residual_count += 1
+    weight = (
+        m.slow_residual_count
+        if m.slow_residual_count <= SLOW_NOISE_TICKS // 2
+        else SLOW_NOISE_TICKS + 1 - m.slow_residual_count
+    )
     for k in range(3):
-        off = z[k] - (m.x[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC + k] + row[INPUT_REST + k])
+        off = z[k] - (m.x[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC_FORCE + k] + row[INPUT_FORCE_REMAINDER + k])
         m.accel_noise_sum[k] += off
-        m.slow_sum[k] += weight * (off - row[INPUT_SLOPE + k] * m.axis_work[k])
-    if m.slow_count >= SLOW_NOISE_TICKS:
+        m.slow_residual_sum[k] += weight * (off - row[INPUT_FORCE_SLOPE + k] * m.axis_work[k])
+    if m.slow_residual_count >= SLOW_NOISE_TICKS:
         half = float(SLOW_NOISE_TICKS // 2)
         span = 0.75 * SLOW_NOISE_TICKS * s.dt
         # After lift-off the modelled force changes, and the thrust scale has to converge first.
         settled = m.flight_phase != PHASE_FLYING or m.tick - m.grounded_tick > 2 * SLOW_NOISE_TICKS
         for k in range(3):
-            mean = m.slow_sum[k] / (half * (half + 1.0))
+            mean = m.slow_residual_sum[k] / (half * (half + 1.0))
             # The model's uncertainty, large at lift-off, is not noise of the accelerometers.
-            unknown = 2.0 * m.sigma_output[ERROR_THRUST_SCALE] * abs(row[INPUT_STATIC + k])
-            step = max(abs(mean - m.slow_mean_prev[k]) - unknown, 0.0)
-            made = row[INPUT_NOISE + k] / max(1.0 - row[INPUT_SHARE + k], 1e-9)
+            unknown = 2.0 * m.sigma_output[ERROR_THRUST_SCALE] * abs(row[INPUT_STATIC_FORCE + k])
+            step = max(abs(mean - m.slow_residual_mean_prev[k]) - unknown, 0.0)
+            made = row[INPUT_NOISE_DENSITY + k] / max(1.0 - row[INPUT_ACCEL_WEIGHT + k], 1e-9)
             density = max(0.5 * step * step * span - made, 0.0)
             if m.flight_phase == PHASE_FLYING and settled:
                 unknown += 2.0 * m.sigma_output[ERROR_ACCEL_BIAS + k]
                 apart = abs(mean - m.x[NOMINAL_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + unknown)
                 density += max(apart, 0.0) * max(apart, 0.0)
                 if apart > (m.clip_share[0] + m.clip_share[1] + m.clip_share[2]) * CLIPPING_ERROR_SHARE * s.accel_range:
-                    m.accel_model_apart_tick = m.tick
+                    m.accel_model_difference_tick = m.tick
             density = min(density, 100.0)
-            most = max(0.6 if density > m.accel_noise_slow[k] else 0.2, 1.0 / (m.slow_mean_count + 1))
-            m.slow_mean_prev[k] = mean
-            m.slow_sum[k] = 0.0
+            most = max(0.6 if density > m.accel_noise_slow[k] else 0.2, 1.0 / (m.slow_residual_mean_count + 1))
+            m.slow_residual_mean_prev[k] = mean
+            m.slow_residual_sum[k] = 0.0
             if settled:
                 m.accel_noise_slow[k] += most * (density - m.accel_noise_slow[k])
                 if density > made:
                     _backdate_accel_noise(m, s, k)
-        m.slow_count = 0
-        m.slow_mean_count += 1
+        m.slow_residual_count = 0
+        m.slow_residual_mean_count += 1
         if m.status[READING_ACCELERATION] == STATUS_REJECTED and m.tick >= m.fault_until_tick[READING_ACCELERATION]:
             m.status[READING_ACCELERATION], m.reason[READING_ACCELERATION] = STATUS_FUSED, REASON_NONE
     if m.accel_noise_count >= FORCE_MEAN_TICKS:
@@ -327,7 +340,7 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
             mean = m.accel_noise_sum[k] / m.accel_noise_count
             step = mean - m.accel_noise_mean[k]
             m.accel_noise_mean[k] = mean
-            density = max(0.5 * step * step * span - s.model_accel_density[k], 0.0)
+            density = max(0.5 * step * step * span - s.model_accel_noise_density[k], 0.0)
             density = min(density, 100.0)
             m.accel_noise[k] += (0.2 if density > m.accel_noise[k] else 0.05) * (density - m.accel_noise[k])
             m.accel_noise_sum[k] = 0.0
@@ -335,7 +348,7 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
 
 
 @cached_njit(error_model="numpy")
-def _turn_level(m: FilterMemory, v: _Array, start: int) -> None:
+def _rotate_to_level(m: FilterMemory, v: _Array, start: int) -> None:
     """Rotate two vectors, the first at index ``start``, from the axes of a tilted inertial unit to those of the
     vehicle.
     """
@@ -347,10 +360,10 @@ def _turn_level(m: FilterMemory, v: _Array, start: int) -> None:
 
 
 @cached_njit(error_model="numpy")
-def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
+def _reset_to_level(m: FilterMemory, s: FilterSettings) -> None:
     """Rotate the inputs since the horizon to the vehicle's axes; reset to level attitude, zero accelerometer bias."""
     for b in range(INPUT_BLOCK_COUNT):
-        _turn_level(m, m.input_blocks[b], INPUT_RATES)
+        _rotate_to_level(m, m.input_blocks[b], INPUT_RATES)
     clear_block_forces(m)
     m.task_stage = STAGE_DONE
     for x in (m.x, m.x_repropagating, m.x_now, m.x_output):
@@ -368,24 +381,27 @@ def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
 
 
 @cached_njit(error_model="numpy")
-def _decide_level(m: FilterMemory, s: FilterSettings) -> None:
+def _decide_levelling(m: FilterMemory, s: FilterSettings) -> None:
     """Decide from the summed accelerometer readings at rest whether the inertial unit is tilted; reset the filter if
     so.
 
     The smallest rotation that turns a / |a| to (0, 0, -1) has the axis (-a_y, a_x, 0) and the cosine -a_z / |a|.
     """
-    x, y, d = m.level_sum[0], m.level_sum[1], m.level_sum[2]
+    x, y, d = m.level_accel_sum[0], m.level_accel_sum[1], m.level_accel_sum[2]
     size = math.sqrt(x * x + y * y + d * d)
     x, y, d = -y / size, x / size, -d / size
     tilt = s.initial_sigma[ERROR_ACCEL_BIAS] / GRAVITY
     q = x * x + y * y
     m.mount_variance[0] = m.mount_variance[1] = 0.5 * q  # the tilt may be a bias, a lean or the unit's
-    if q > LEVEL_GATE * LEVEL_GATE * (s.rest_tilt_sigma * s.rest_tilt_sigma + tilt * tilt) and d > 0.875:
+    if (
+        q > LEVELLING_GATE_SIGMAS * LEVELLING_GATE_SIGMAS * (s.rest_tilt_sigma * s.rest_tilt_sigma + tilt * tilt)
+        and d > 0.875
+    ):
         half = math.sqrt(0.5 * d + 0.5)
         turn = np.array((half, 0.5 * x / half, 0.5 * y / half, 0.0))
         rotation_matrix(turn, m.level_rotation)
         m.is_levelled = 1
-        _restart_level(m, s)
+        _reset_to_level(m, s)
         set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, math.sqrt(q))
 
 
@@ -398,21 +414,21 @@ def level_inertial_unit(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
     accelerometer bias can explain, the unit is mounted at an angle. Without this correction the estimated attitude
     would be wrong by twice the tilt after half a turn about the mast.
     """
-    needed = int(LEVEL_TIME_S / s.dt)
+    needed = int(LEVELLING_REST_S / s.dt)
     if m.level_ticks < needed:
         still = m.flight_phase == PHASE_STANDING and m.status[READING_ACCELERATION] == STATUS_FUSED
         for k in range(3):
-            still = still and abs(z[_Z[READING_RATES] + k]) < LEVEL_RATE
+            still = still and abs(z[READING_STARTS[READING_RATES] + k]) < LEVELLING_MAX_RATE
         if m.flight_phase > PHASE_STANDING or s.has_rotor_model == 0:
             m.level_ticks = needed
         elif not still:
             m.level_ticks = 0
-            m.level_sum[0] = m.level_sum[1] = m.level_sum[2] = 0.0
+            m.level_accel_sum[0] = m.level_accel_sum[1] = m.level_accel_sum[2] = 0.0
         else:
             m.level_ticks += 1
             for k in range(3):
-                m.level_sum[k] += z[_Z[READING_ACCELERATION] + k]
+                m.level_accel_sum[k] += z[READING_STARTS[READING_ACCELERATION] + k]
             if m.level_ticks == needed:
-                _decide_level(m, s)
+                _decide_levelling(m, s)
     if m.is_levelled == 1:
-        _turn_level(m, z, _Z[READING_ACCELERATION])
+        _rotate_to_level(m, z, READING_STARTS[READING_ACCELERATION])

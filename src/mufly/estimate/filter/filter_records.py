@@ -89,13 +89,22 @@ ERROR_FIX_BIAS, ERROR_FIX_HEADING, ERROR_WIND, ERROR_THRUST_SCALE, ERROR_PRESSUR
     23,
     24,
 )
-MODEL_ACCEL = 3
+ACCEL_WORK_MODEL = 3
 """Index of the model's acceleration in ``accel_work``."""
-ROTOR_FORCE_STATIC, ROTOR_FORCE_REST, ROTOR_FORCE_SLOPE, ROTOR_FORCE_ANG_ACCEL = 0, 3, 6, 9
+ROTOR_FORCE_STATIC, ROTOR_FORCE_REMAINDER, ROTOR_FORCE_SLOPE, ROTOR_FORCE_ANG_ACCEL = 0, 3, 6, 9
 ROTOR_FORCE_SIZE = 12
 """A row of the rotor model, three numbers each: force per mass without motion through the air (m/s^2), the rest of the
 force (m/s^2), its slope over the velocity through the air (1/s), angular acceleration (rad/s^2); body axes."""
-INPUT_RATES, INPUT_ACCEL, INPUT_STATIC, INPUT_REST, INPUT_SLOPE, INPUT_SHARE, INPUT_NOISE, INPUT_PHASE = (
+(
+    INPUT_RATES,
+    INPUT_ACCEL,
+    INPUT_STATIC_FORCE,
+    INPUT_FORCE_REMAINDER,
+    INPUT_FORCE_SLOPE,
+    INPUT_ACCEL_WEIGHT,
+    INPUT_NOISE_DENSITY,
+    INPUT_FLIGHT_PHASE,
+) = (
     0,
     3,
     6,
@@ -132,16 +141,16 @@ FIX_COMPONENT_COUNT = 4
     READING_ACCELERATION,
     READING_RATES,
     READING_SONAR,
-    READING_RING,
+    READING_RANGE_RING,
     READING_PRESSURE,
-    READING_MAGNET,
-    READING_ROTOR,
-    READING_FIX,
+    READING_MAGNETIC_FIELD,
+    READING_ROTOR_SPEED,
+    READING_POSITION_FIX,
     READING_BATTERY,
 ) = range(9)
 """Places of the readings in these tables, as :data:`mufly.quantities.sensor_table.SENSORS` gives them."""
-PHASE_STANDING, PHASE_COASTING, PHASE_RUNNING, PHASE_LIGHT, PHASE_FLYING = range(5)
-"""On the floor with motors off, with motors on, perhaps just off it, in the air."""
+PHASE_STANDING, PHASE_ROTORS_COASTING, PHASE_MOTORS_RUNNING, PHASE_LIFTING_OFF, PHASE_FLYING = range(5)
+"""On the floor with stopped rotors, with coasting rotors, with motors on; perhaps just off the floor; in the air."""
 INPUT_BLOCK_S = 0.02
 """Inputs are averaged over this time (s), and the filter moves on by it: attitude and force of a turn of 2 rad/s are
 right to 1e-4 in it."""
@@ -149,11 +158,11 @@ INPUT_BLOCK_COUNT = 40  # blocks of input that are remembered
 MAX_LAG_BLOCKS = 4  # blocks by which the filter may be behind when much has come at once
 MAX_DELAY_BLOCKS = INPUT_BLOCK_COUNT - 2 * MAX_LAG_BLOCKS  # blocks by which the horizon may be behind now
 QUEUE_SIZE = 64  # measurements that wait for the horizon
-MAX_WORK_LIMIT = 4  # scalar measurements, or what costs as much, for which there is time in a period of 5 ms
-TRANSITION_GYRO, TRANSITION_ACCEL, TRANSITION_AIR, TRANSITION_THRUST, TRANSITION_TURN = 0, 9, 18, 27, 30
+MAX_FUSION_BUDGET = 4  # scalar measurements, or what costs as much, for which there is time in a period of 5 ms
+TRANSITION_GYRO, TRANSITION_ACCEL, TRANSITION_WIND, TRANSITION_THRUST, TRANSITION_ATTITUDE = 0, 9, 18, 27, 30
 TRANSITION_SIZE = 33
 """Numbers of :func:`mufly.estimate.filter.strapdown.error_transition`, and where its parts start."""
-AID_PLACE, AID_HEADING, AID_SONAR, AID_PRESSURE, AID_MAGNETIC = range(5)
+AID_POSITION, AID_HEADING, AID_SONAR, AID_PRESSURE, AID_MAGNETIC = range(5)
 AID_COUNT = 5
 """Aids whose noise is estimated in flight; of the first two, parts of the position fix, the random walk too."""
 MAX_H_TERMS = 8  # largest number of states in a measurement equation
@@ -205,10 +214,10 @@ class FilterMemory:
     accel_noise_count: int = _int("residuals in accel_noise_sum")
     accel_noise: _Array = _real("noise density from means over short blocks", 3, unit="m2/s3")
     accel_noise_slow: _Array = _real("density of the noise at low frequencies", 3, unit="m2/s3")
-    slow_sum: _Array = _real("weighted sum of residuals since the last slow mean", 3, unit="m/s2")
-    slow_mean_prev: _Array = _real("last slow mean", 3, unit="m/s2")
-    slow_count: int = _int("residuals in slow_sum")
-    slow_mean_count: int = _int("slow means so far")
+    slow_residual_sum: _Array = _real("weighted sum of residuals since the last slow mean", 3, unit="m/s2")
+    slow_residual_mean_prev: _Array = _real("last slow mean", 3, unit="m/s2")
+    slow_residual_count: int = _int("residuals in slow_residual_sum")
+    slow_residual_mean_count: int = _int("slow means so far")
     clip_share: _Array = _real("share of clipped samples, lp", 3)
     # Means since accelerometers and model were compared last
     accel_mean: _Array = _real("measured acceleration", 3, unit="m/s2")
@@ -225,9 +234,9 @@ class FilterMemory:
     # Flight phase, terrain, faults
     terrain_edge_weight: float = _real("weight of terrain noise: 1 at an edge in the sonar's cone, then decaying to 0")
     divergence_ticks: int = _int("periods for which the gyroscopes' bias stays free; 1: has been freed once")
-    flight_phase: int = _int("STANDING, COASTING, RUNNING, LIGHT or FLYING")
+    flight_phase: int = _int("STANDING, ROTORS_COASTING, MOTORS_RUNNING, LIFTING_OFF or FLYING")
     fix_component: int = _int("component of the last position fix with the largest innovation ratio: N, E, D, heading")
-    fault_component: int = _int("component to which the fix's fault_number belongs")
+    fault_component: int = _int("component to which the fix's reason_number belongs")
     is_sonar_at_minimum: int = _int("1: the sonar reads its minimum range")
     spike_repeats: int = _int("gyroscope readings in a row with the same deviation")
     gyro_offset: _Array = _real("offset jumps of the gyroscopes, subtracted from the readings", 3, unit="rad/s")
@@ -246,7 +255,9 @@ class FilterMemory:
     fix_ratio_prev: _Array = _real("innovation ratio of the last fused fix: N, E, D, heading", 4)
     fix_ratio_mean: _Array = _real("mean of these ratios, lp", 4)
     is_accel_distrusted: int = _int("1: accelerometers and model differ by six deviations")
-    accel_model_apart_tick: int = _int("last period in which the 160 ms means of accelerometers and model differed")
+    accel_model_difference_tick: int = _int(
+        "last period in which the 160 ms means of accelerometers and model differed"
+    )
     accel_model_verdict: int = _int("verdict on accelerometers or model, a VERDICT constant of sensor_checks.py")
     accel_model_conflict_start_tick: int = _int("period in which their conflict began")
     accel_residual_lp: _Array = _real("measured minus modelled acceleration, lp", 3, unit="m/s2")
@@ -254,15 +265,17 @@ class FilterMemory:
     position_prev: _Array = _real("output position of the previous period", 3, unit="m")
     standing_ticks: int = _int("periods on the floor with the motors off")
     level_ticks: int = _int("periods at rest in which the tilt of the inertial unit has been measured")
-    level_sum: _Array = _real("sum of the accelerometer readings over level_ticks", 3, unit="m/s2")
+    level_accel_sum: _Array = _real("sum of the accelerometer readings over level_ticks", 3, unit="m/s2")
     is_levelled: int = _int("1: the inertial unit is tilted, and its readings are rotated level")
     level_rotation: _Array = _real("rotation matrix applied to the readings, by rows", 9)
     mount_variance: _Array = _real("variance of the axis misalignment that remains after levelling", 3, unit="rad2")
-    leaked_yaw_rate: _Array = _real(
+    cross_axis_yaw_rate: _Array = _real(
         "yaw rate whose cross-axis error is included in each gyroscope bias", 3, unit="rad/s"
     )
-    leak_origin: _Array = _real("gyroscope biases without this cross-axis error", 3, unit="rad/s")
-    leak_origin_variance: _Array = _real("variance of the gyroscope biases before the yaw motion", 3, unit="rad2/s2")
+    gyro_bias_before_yaw: _Array = _real("gyroscope biases without this cross-axis error", 3, unit="rad/s")
+    gyro_bias_before_yaw_variance: _Array = _real(
+        "variance of the gyroscope biases before the yaw motion", 3, unit="rad2/s2"
+    )
     is_heading_aligned: int = _int("1: a fix has been fused")
     gyro_mean: _Array = _real("measured rates, mean since the last comparison", 3, unit="rad/s")
     is_initialised: int = _int("1: the estimate is initialised and may be used")
@@ -272,7 +285,9 @@ class FilterMemory:
     angles_output: _Array = _real("roll, pitch, and continuous yaw", 3, unit="rad")
     covariance_output: _Array = _real("covariance of position, velocity and roll, pitch, yaw", 9, 9)
     sigma_output: _Array = _real("standard deviations of the error state", ERROR_STATE_COUNT)
-    position_slip: _Array = _real("decaying remainder of position jumps, subtracted from the output", 3, unit="m")
+    position_jump_remainder: _Array = _real(
+        "decaying remainder of position jumps, subtracted from the output", 3, unit="m"
+    )
     # From the horizon to now
     x_repropagating: _Array = _real("state during repropagation from the horizon to the present", STATE_COUNT)
     repropagating_tick: int = _int("period to which x_repropagating belongs")
@@ -282,7 +297,7 @@ class FilterMemory:
     x_now: _Array = _real("last completed repropagation, predicted to the present", STATE_COUNT)
     now_velocity_variance: _Array = _real("velocity variance added since the horizon of x_now", 3, unit="m2/s2")
     now_velocity_gain: _Array = _real("velocity change since that horizon without gravity", 3, unit="m/s")
-    now_span: float = _real("time since that horizon", unit="s")
+    x_now_span: float = _real("time since that horizon", unit="s")
     # Health of each sensor
     last_value: _Array = _real("last value of each sensor, from READING_STARTS on", READING_STARTS[-1])
     last_new_tick: _Ints = _int("period of the last new reading", SENSOR_COUNT)
@@ -294,7 +309,7 @@ class FilterMemory:
     status: _Ints = _int("NOTHING, FUSED, REJECTED, MISSING or FAULTY", SENSOR_COUNT)
     reason: _Ints = _int("reason of the status, of sensor_checks.py", SENSOR_COUNT)
     fault_until_tick: _Ints = _int("period until which a fault is reported", SENSOR_COUNT)
-    fault_number: _Array = _real("number in the reason's text", SENSOR_COUNT)
+    reason_number: _Array = _real("number in the reason's text", SENSOR_COUNT)
     innovation: _Array = _real("innovation of the worst component", SENSOR_COUNT)
     innovation_sigma: _Array = _real("standard deviation of this innovation", SENSOR_COUNT)
     late_count: _Ints = _int("readings that came too late to be fused", SENSOR_COUNT)
@@ -303,11 +318,11 @@ class FilterMemory:
     is_decimated: _Ints = _int("1: this reading is not fused because of decimation", SENSOR_COUNT)
     reject_score: _Array = _real("number of rejections, decaying with every fused reading", SENSOR_COUNT)
     invalid_count: _Ints = _int("readings in a row that are marked invalid by the sensor", SENSOR_COUNT)
-    double_count: _Ints = _int("readings in a row that arrived twice", SENSOR_COUNT)
+    duplicate_count: _Ints = _int("readings in a row that arrived twice", SENSOR_COUNT)
     decimation_count: _Ints = _int("number of readings, for decimation", SENSOR_COUNT)
     fix_height_gap: float = _real("height of the fix minus that of the sonar during a conflict, else 0", unit="m")
-    sonar_prev: float = _real("last range of the sonar", unit="m")
-    sonar_least: float = _real(
+    sonar_range_prev: float = _real("last range of the sonar", unit="m")
+    sonar_least_range: float = _real(
         "least range of the sonar: that of the vehicle file, or a longer one shown at rest", unit="m"
     )
     sonar_repeat_chance: float = _real("probability of so many equal readings of a working sonar")
@@ -317,8 +332,8 @@ class FilterMemory:
     accel_noise_mean: _Array = _real("last mean of residuals over a short block", 3, unit="m/s2")
     # Work
     axis_work: _Array = _real("work", 3)
-    h_terms: int = _int("terms of the row of H")
-    h_state: _Ints = _int("error state of each term", MAX_H_TERMS)
+    h_term_count: int = _int("terms of the row of H")
+    h_state_index: _Ints = _int("error state of each term", MAX_H_TERMS)
     h_value: _Array = _real("value of each term", MAX_H_TERMS)
     u_transposed_h: _Array = _real("U^T h", ERROR_STATE_COUNT)
     gain: _Array = _real("Kalman gain", ERROR_STATE_COUNT)
@@ -337,7 +352,7 @@ class FilterSettings:
 
     dt: float = _real("period", unit="s")
     block_ticks: int = _int("periods of a block")
-    work_limit: int = _int("scalar measurements fused per period at most")
+    fusion_budget: int = _int("scalar measurements fused per period at most")
     imu_lag: float = _real("delay of the inertial unit's filter", unit="s")
     imu_lag_ticks: int = _int("whole periods of imu_lag")
     imu_lag_remainder: float = _real("rest of imu_lag as a fraction of the period")
@@ -349,10 +364,10 @@ class FilterSettings:
     initial_sigma: _Array = _real("standard deviations at the reset", ERROR_STATE_COUNT)
     decay: _Array = _real("decay factor of each bias per step", ERROR_STATE_COUNT)
     process_variance: _Array = _real("process noise variance of each error per step", ERROR_STATE_COUNT)
-    gyro_density: float = _real("density of the gyroscopes' noise", unit="rad2/s")
+    gyro_noise_density: float = _real("density of the gyroscopes' noise", unit="rad2/s")
     gyro_axis_variance: _Array = _real("variance of each gyroscope's error as a share of the yaw rate", 3)
-    accel_density: float = _real("density of the accelerometers' noise", unit="m2/s3")
-    model_accel_density: _Array = _real("density of the rotor model's error", 3, unit="m2/s3")
+    accel_noise_density: float = _real("density of the accelerometers' noise", unit="m2/s3")
+    model_accel_noise_density: _Array = _real("density of the rotor model's error", 3, unit="m2/s3")
     accel_range: float = _real("range of the accelerometers", unit="m/s2")
     gyro_range: float = _real("range of the gyroscopes", unit="rad/s")
     rest_accel_sigma: float = _real("standard deviation of the accelerometers at rest", unit="m/s2")
@@ -373,23 +388,23 @@ class FilterSettings:
     sonar_position: _Array = _real("position of the sonar, body axes", 3, unit="m")
     sonar_variance: float = _real("variance of a range", unit="m2")
     sonar_resolution: float = _real("resolution of a range", unit="m")
-    sonar_cone: float = _real("cosine of half the cone")
+    sonar_cone_cosine: float = _real("cosine of half the cone")
     sonar_min: float = _real("minimum range, or the largest reading on the floor if that is larger", unit="m")
     sonar_max: float = _real("largest range", unit="m")
-    sonar_arc: float = _real("ratio of the range at the cone's edge to that on its axis, minus 1")
-    sonar_cone_slope: float = _real("ratio of the cone's radius to the range")
+    sonar_cone_edge_excess: float = _real("ratio of the range at the cone's edge to that on its axis, minus 1")
+    sonar_cone_radius_ratio: float = _real("ratio of the cone's radius to the range")
     fix_variance: float = _real("variance of the fix's position", unit="m2")
     heading_variance: float = _real("variance of the fix's heading", unit="rad2")
     beam_count: int = _int("beams of the ring")
     beam_directions: _Array = _real("directions of the beams, body axes", MAX_FUSED_BEAMS, 3)
-    ring_max: float = _real("largest range of a beam", unit="m")
+    ring_max_range: float = _real("largest range of a beam", unit="m")
     ring_constant_variance: float = _real("variance of a beam's constant error", unit="1/m2")
     ring_noise_variance: float = _real("variance of a beam's noise", unit="1/m6")
     ring_baseline: float = _real("baseline of the ring camera", unit="m")
     wall_planes: _Array = _real("walls of the room: N lower, upper; E lower, upper; D of ceiling, floor", 6, unit="m")
     pressure_variance: float = _real("noise density of the pressure sensor", unit="Pa2 s")
-    pressure_slope: float = _real("derivative of pressure with respect to D", unit="Pa/m")
-    pressure_thrust: _Array = _real("pressure of the downwash over squared rotor speed: upper, lower", 2)
+    pressure_height_slope: float = _real("derivative of pressure with respect to D", unit="Pa/m")
+    pressure_downwash: _Array = _real("pressure of the downwash over squared rotor speed: upper, lower", 2)
     mag_heading_variance: float = _real("variance of the magnetic heading", unit="rad2")
     mag_field_variance: float = _real(
         "variance of the field per axis, including motor currents of heave control", unit="T2"
@@ -424,10 +439,10 @@ WIND_SIGMA_AND_TIME = (0.5, 10.0)
 MOTOR_SPEED_NOISE = 1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
 EARTH_FIELD_ERROR = 0.02  # of a place, over its strength: the file names a city
 HOVER_CURRENT_A = 2.0  # of both motors in a hover (A)
-TERRAIN_EDGE_S, MAX_FLOOR_HEIGHT, FLOOR_SETTLED_SIGMA = 3.0, 0.05, 0.01
+TERRAIN_EDGE_DURATION_S, MAX_FLOOR_HEIGHT, FLOOR_SETTLED_SIGMA = 3.0, 0.05, 0.01
 """An edge in the sonar's cone counts for this long (s) where it is not flown over sooner; what is lower is the floor
 (m), and known to be once its height is uncertain by more than the last (m)."""
-TERRAIN_WALK = 5e-4  # of the way over it (m/sqrt(m)): floors are not quite flat
+TERRAIN_RANDOM_WALK = 5e-4  # of the way over it (m/sqrt(m)): floors are not quite flat
 INITIAL_TERRAIN_SIGMA = 1e-4  # m: where it stands is D = 0, by definition
 INITIAL_POSITION_SIGMA_M = 5.0  # where it stands before anything is heard
 FULL_TURN_RAD = 2 * math.pi
@@ -470,7 +485,7 @@ def filter_settings(
     sigma[ERROR_ATTITUDE : ERROR_ATTITUDE + 2], sigma[ERROR_ATTITUDE + 2] = level, math.pi
     sigma[ERROR_TERRAIN], walk[ERROR_TERRAIN] = (
         INITIAL_TERRAIN_SIGMA,
-        TERRAIN_WALK,
+        TERRAIN_RANDOM_WALK,
     )  # the last times the root of the speed
     sigma[ERROR_WIND : ERROR_WIND + 2], tau[ERROR_WIND : ERROR_WIND + 2] = WIND_SIGMA_AND_TIME
     sigma[ERROR_THRUST_SCALE], walk[ERROR_THRUST_SCALE] = THRUST_SCALE_SIGMA, THRUST_SCALE_WALK
@@ -481,7 +496,7 @@ def filter_settings(
     s["hover_speed"] = hover_speeds(p)
     swash = float(p["swash_rate"]) * dt
     s["swash_decay"], s["swash_decay_mean"] = math.exp(-swash), (1.0 - math.exp(-swash)) / swash
-    s["has_rotor_model"], s["model_accel_density"] = 1, 2 * MODEL_FORCE_TIME_S * np.square(MODEL_FORCE_SIGMA)
+    s["has_rotor_model"], s["model_accel_noise_density"] = 1, 2 * MODEL_FORCE_TIME_S * np.square(MODEL_FORCE_SIGMA)
     fitted, period, latency, bound = (
         np.zeros(SENSOR_COUNT),
         np.full(SENSOR_COUNT, dt),
@@ -500,7 +515,7 @@ def filter_settings(
         slack[[READING_ACCELERATION, READING_RATES]] = 1.5 * dt
         s["imu_lag"], s["imu_lag_ticks"], s["imu_lag_remainder"] = lag, int(lag / dt), lag / dt - int(lag / dt)
         s["imu_position"] = imu.place.to_array()[0]
-        s["gyro_density"], s["accel_density"] = (
+        s["gyro_noise_density"], s["accel_noise_density"] = (
             float(imu.gyro_noise) ** 2,
             float(imu.accelerometer_noise) ** 2,
         )
@@ -534,21 +549,24 @@ def filter_settings(
         s["sonar_position"] = sonar.place.to_array()[0]
         s["sonar_variance"] = float(sonar.noise) ** 2 + float(sonar.resolution) ** 2 / 12 + 1e-6
         s["sonar_resolution"] = float(sonar.resolution)
-        s["sonar_cone"] = math.cos(0.5 * float(sonar.cone))
+        s["sonar_cone_cosine"] = math.cos(0.5 * float(sonar.cone))
         # Of an edge that comes into the cone: how much farther than its top it is, and how far ahead
-        s["sonar_arc"], s["sonar_cone_slope"] = 1.0 / s["sonar_cone"] - 1.0, math.tan(0.5 * float(sonar.cone))
+        s["sonar_cone_edge_excess"], s["sonar_cone_radius_ratio"] = (
+            1.0 / s["sonar_cone_cosine"] - 1.0,
+            math.tan(0.5 * float(sonar.cone)),
+        )
         s["sonar_min"], s["sonar_max"] = max_grounded_range(vehicle), float(sonar.max_range)
         bound[READING_SONAR] = 1.01 * s["sonar_max"]
         latency[READING_SONAR] = 2 * float(sonar.max_range) / 340.0
         delay_s = max(delay_s, latency[READING_SONAR])
     ring = sensing.ring_camera
     if ring is not None:
-        fitted[READING_RING], period[READING_RING] = 1, float(ring.period)
+        fitted[READING_RANGE_RING], period[READING_RANGE_RING] = 1, float(ring.period)
         directions = beam_directions(vehicle)
         count = min(len(directions), MAX_FUSED_BEAMS)
         pick = fused_beam_indices(len(directions))
         s["beam_count"], s["beam_directions"][:count] = count, directions[pick]
-        s["ring_max"], s["ring_baseline"] = float(ring.max_range), float(ring.baseline)
+        s["ring_max_range"], s["ring_baseline"] = float(ring.max_range), float(ring.baseline)
         # An error of so many rows is one of (l^2 + b^2) / b of their angle. What calibration left of a beam lasts.
         # Noise of one in each pixel moves the centroid of a spot by so many rows at 1 m
         # (docs/explanation/estimation.md).
@@ -561,8 +579,8 @@ def filter_settings(
         rows /= float(ring.brightness) * columns * math.sqrt(2 * math.pi) * blur
         s["ring_constant_variance"] = max(row * float(ring.calibration), _MIN_BEAM_ERROR) ** 2
         s["ring_noise_variance"] = (row * rows) ** 2
-        bound[READING_RING] = 1.01 * max(float(vehicle.range_ring.max_range), float(ring.max_range))
-        noisy[READING_RING] = 1
+        bound[READING_RANGE_RING] = 1.01 * max(float(vehicle.range_ring.max_range), float(ring.max_range))
+        noisy[READING_RANGE_RING] = 1
     north, east, up = ((-1e6, 1e6), (-1e6, 1e6), -1e6)
     if world.room is not None:
         north, east = world.room.north, world.room.east
@@ -574,15 +592,15 @@ def filter_settings(
         noisy[READING_PRESSURE] = float(air.noise) > 0
         s["pressure_variance"] = float(air.noise) ** 2
         density = float(vehicle.air.density)
-        s["pressure_slope"] = density * GRAVITY
+        s["pressure_height_slope"] = density * GRAVITY
         area = math.pi * float(vehicle.rotors.radius) ** 2
-        s["pressure_thrust"] = float(air.downwash) * np.array([p["thrust_up"], p["thrust_dw"]]) / area
+        s["pressure_downwash"] = float(air.downwash) * np.array([p["thrust_up"], p["thrust_dw"]]) / area
         sigma[ERROR_PRESSURE_BIAS], tau[ERROR_PRESSURE_BIAS] = float(air.drift), float(air.drift_time)
         bound[READING_PRESSURE] = 2e5
     if (compass := sensing.magnetometer) is not None:
-        fitted[READING_MAGNET], period[READING_MAGNET] = 1, float(compass.period)
-        every[READING_MAGNET] = max(1, round(0.1 / float(compass.period)))
-        noisy[READING_MAGNET] = float(compass.noise) > 0
+        fitted[READING_MAGNETIC_FIELD], period[READING_MAGNETIC_FIELD] = 1, float(compass.period)
+        every[READING_MAGNETIC_FIELD] = max(1, round(0.1 / float(compass.period)))
+        noisy[READING_MAGNETIC_FIELD] = float(compass.noise) > 0
         s["earth_field"] = earth_field(float(compass.field), float(compass.inclination))
         field = max(float(s["earth_field"][0]), 1e-9)
         # Heave control swings the current by half of a hover's, and its field with it
@@ -593,23 +611,27 @@ def filter_settings(
         off = math.hypot(wrong, swing, float(compass.noise), EARTH_FIELD_ERROR * float(compass.field))
         s["mag_field_variance"] = off**2
         sigma[ERROR_MAG_BIAS], tau[ERROR_MAG_BIAS] = min(wrong / field, 2.0), float(compass.distortion_length) / 0.3
-        bound[READING_MAGNET] = 1e-3
+        bound[READING_MAGNETIC_FIELD] = 1e-3
     if (rotor := sensing.rotor_speed) is not None:
-        fitted[READING_ROTOR], period[READING_ROTOR] = 1, float(rotor.period)
+        fitted[READING_ROTOR_SPEED], period[READING_ROTOR_SPEED] = 1, float(rotor.period)
         noise = float(rotor.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
-        noisy[READING_ROTOR] = noise > 0
+        noisy[READING_ROTOR_SPEED] = noise > 0
         # Steady Kalman filter of a random walk of these steps, read with this noise
         s["rotor_speed_gain"] = 2.0 / (
             1.0 + math.sqrt(1.0 + 4.0 * (noise / (MOTOR_SPEED_NOISE * s["hover_speed"][0])) ** 2)
         )
         # What the equations are off by for long: learnt in some 0.7 s
         s["motor_error_gain"] = 0.06 * s["rotor_speed_gain"] ** 2 / float(rotor.period)
-        bound[READING_ROTOR] = 5 * float(s["hover_speed"].max())
+        bound[READING_ROTOR_SPEED] = 5 * float(s["hover_speed"].max())
     if sensing.battery is not None:
         fitted[READING_BATTERY], period[READING_BATTERY] = 1, float(sensing.battery.period)
         bound[READING_BATTERY] = 5 * float(vehicle.battery.nominal_voltage)
     if (fix := sensing.position_fix) is not None:
-        fitted[READING_FIX], period[READING_FIX], latency[READING_FIX] = 1, float(fix.period), float(fix.latency)
+        fitted[READING_POSITION_FIX], period[READING_POSITION_FIX], latency[READING_POSITION_FIX] = (
+            1,
+            float(fix.period),
+            float(fix.latency),
+        )
         delay_s = max(delay_s, float(fix.latency))
         s["fix_variance"], s["heading_variance"] = float(fix.noise) ** 2, float(fix.heading_noise) ** 2
         sigma[ERROR_FIX_BIAS : ERROR_FIX_BIAS + 3], sigma[ERROR_FIX_HEADING] = (
@@ -617,9 +639,9 @@ def filter_settings(
             float(fix.heading_wander),
         )
         tau[ERROR_FIX_BIAS : ERROR_FIX_BIAS + 4] = float(fix.wander_time)
-        bound[READING_FIX] = 1e4
-        noisy[READING_FIX] = float(fix.noise) > 0
-        slack[READING_FIX] = 6 * float(fix.jitter) + dt
+        bound[READING_POSITION_FIX] = 1e4
+        noisy[READING_POSITION_FIX] = float(fix.noise) > 0
+        slack[READING_POSITION_FIX] = 6 * float(fix.jitter) + dt
     # What moves steps by blocks, what the fix is off by so many of them; of other biases one a period, in turn.
     block = max(1, round(block_s / dt))
     state = np.arange(ERROR_STATE_COUNT)
@@ -629,7 +651,7 @@ def filter_settings(
         BIAS_CYCLE_TICKS * dt,
     )
     keep = np.exp(-span / tau)
-    s["block_ticks"], s["work_limit"] = block, max(MAX_WORK_LIMIT, math.ceil(4 * MAX_WORK_LIMIT / block))
+    s["block_ticks"], s["fusion_budget"] = block, max(MAX_FUSION_BUDGET, math.ceil(4 * MAX_FUSION_BUDGET / block))
     s["initial_state"], s["initial_sigma"], s["decay"] = start, sigma, keep
     s["process_variance"] = sigma**2 * (1 - keep**2) + walk**2 * span
     s["is_fitted"], s["sensor_period"], s["latency"], s["value_limit"], s["decimation"] = (

@@ -17,9 +17,9 @@ from mufly.estimate.filter.filter_records import (
     ERROR_STATE_COUNT,
     ERROR_VELOCITY,
     FULL_TURN_RAD,
+    INPUT_ACCEL_WEIGHT,
     INPUT_BLOCK_COUNT,
-    INPUT_NOISE,
-    INPUT_SHARE,
+    INPUT_NOISE_DENSITY,
     MAX_FLOOR_HEIGHT,
     NOMINAL_ATTITUDE,
     NOMINAL_GYRO_BIAS,
@@ -52,7 +52,7 @@ def velocity_noise_density(r: _Array, k: int, e: _Array) -> float:
     """Return the spectral density of the velocity noise along axis ``k`` of N-E-D (m^2/s^3)."""
     spread = 0.0
     for i in range(3):
-        spread += r[3 * k + i] * r[3 * k + i] * e[INPUT_NOISE + i]
+        spread += r[3 * k + i] * r[3 * k + i] * e[INPUT_NOISE_DENSITY + i]
     return spread
 
 
@@ -65,14 +65,14 @@ def _smooth_output(m: FilterMemory, s: FilterSettings) -> None:
     for k in range(3):
         jump = x[k] - (m.position_prev[k] + s.dt * x[NOMINAL_VELOCITY + k])
         if m.is_initialised > 0 and abs(jump) > OUTPUT_JUMP_M:
-            m.position_slip[k] -= jump * min(abs(jump) / OUTPUT_JUMP_M - 1.0, 1.0)
+            m.position_jump_remainder[k] -= jump * min(abs(jump) / OUTPUT_JUMP_M - 1.0, 1.0)
         m.position_prev[k] = x[k]
-        m.position_slip[k] -= s.dt / OUTPUT_JUMP_DECAY_S * m.position_slip[k]
-        x[k] += m.position_slip[k]
+        m.position_jump_remainder[k] -= s.dt / OUTPUT_JUMP_DECAY_S * m.position_jump_remainder[k]
+        x[k] += m.position_jump_remainder[k]
 
 
 @cached_njit(error_model="numpy")
-def _output_angles(m: FilterMemory) -> None:
+def _write_output_angles(m: FilterMemory) -> None:
     """Write roll, pitch and yaw of the output."""
     w, x, y, z = (
         m.x_output[NOMINAL_ATTITUDE],
@@ -90,7 +90,7 @@ def _output_angles(m: FilterMemory) -> None:
 @cached_njit(error_model="numpy")
 def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None:
     """Propagate the covariance of position, velocity and attitude over the delay, F P F^T + Q, in one step."""
-    span = m.now_span
+    span = m.x_now_span
     for k in range(3):
         m.axis_work[k] = m.now_velocity_gain[k] / span
     error_transition(m.inputs_now, span, r, m.axis_work, m.transition_work)
@@ -109,16 +109,16 @@ def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None
         m.covariance_output[ERROR_VELOCITY + k, ERROR_VELOCITY + k] += m.now_velocity_variance[k]
         for i in range(3):
             # Vibration affects the velocity for half a revolution; block means measure its size.
-            share = r[3 * k + i] * m.inputs_now[INPUT_SHARE + i]
+            share = r[3 * k + i] * m.inputs_now[INPUT_ACCEL_WEIGHT + i]
             shaking = max(m.accel_noise[i] - m.accel_noise_slow[i], 0.0)
             m.covariance_output[ERROR_VELOCITY + k, ERROR_VELOCITY + k] += (
                 share * share * ((FORCE_MEAN_TICKS * s.dt) * shaking)
             )
-        m.covariance_output[ERROR_ATTITUDE + k, ERROR_ATTITUDE + k] += s.gyro_density * span
+        m.covariance_output[ERROR_ATTITUDE + k, ERROR_ATTITUDE + k] += s.gyro_noise_density * span
 
 
 @cached_njit(error_model="numpy")
-def _output_covariance(m: FilterMemory) -> None:
+def _write_output_covariance(m: FilterMemory) -> None:
     """Write covariance and deviations of the output, those of the attitude for roll, pitch and yaw."""
     for i in range(9):
         for j in range(i):
@@ -128,7 +128,9 @@ def _output_covariance(m: FilterMemory) -> None:
     for i in range(9):
         if i < 3:
             # If the heights of fix and sonar differ, the fix may have the same error in any direction
-            m.covariance_output[i, i] += m.position_slip[i] * m.position_slip[i] + m.fix_height_gap * m.fix_height_gap
+            m.covariance_output[i, i] += (
+                m.position_jump_remainder[i] * m.position_jump_remainder[i] + m.fix_height_gap * m.fix_height_gap
+            )
         m.sigma_output[i] = math.sqrt(m.covariance_output[i, i])
     # Turns about N, E, D to roll, pitch and yaw
     x = m.x_output
@@ -156,7 +158,7 @@ def _output_covariance(m: FilterMemory) -> None:
 @cached_njit(error_model="numpy")
 def _repropagate_state(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
     """Propagate the horizon's state towards the present by some blocks; ``m.x_now`` is the last complete result."""
-    for _ in range(s.work_limit):
+    for _ in range(s.fusion_budget):
         e = m.input_blocks[m.repropagating_tick // s.block_ticks % INPUT_BLOCK_COUNT]
         periods = min(s.block_ticks - m.repropagating_tick % s.block_ticks, m.tick - m.repropagating_tick)
         span = periods * s.dt
@@ -171,7 +173,7 @@ def _repropagate_state(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array)
                 m.now_velocity_variance[k] = m.repropagating_velocity_variance[k]
                 m.now_velocity_gain[k] = m.repropagating_velocity_gain[k]
                 m.repropagating_velocity_variance[k] = m.repropagating_velocity_gain[k] = 0.0
-            m.now_span = m.repropagating_span
+            m.x_now_span = m.repropagating_span
             m.repropagating_span = 0.0
             for i in range(STATE_COUNT):
                 m.x_now[i] = m.x_repropagating[i]
@@ -209,6 +211,6 @@ def predict_output(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> 
             x[NOMINAL_POSITION + 2] = lowest
             x[NOMINAL_VELOCITY + 2] = min(x[NOMINAL_VELOCITY + 2], 0.0)
     _smooth_output(m, s)
-    _output_angles(m)
+    _write_output_angles(m)
     if much:
-        _output_covariance(m)
+        _write_output_covariance(m)

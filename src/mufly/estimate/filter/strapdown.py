@@ -48,29 +48,29 @@ from mufly.dynamics.model_state import (
     ModelParameters,
 )
 from mufly.estimate.filter.filter_records import (
+    ACCEL_WORK_MODEL,
     INPUT_ACCEL,
-    INPUT_PHASE,
+    INPUT_ACCEL_WEIGHT,
+    INPUT_FLIGHT_PHASE,
+    INPUT_FORCE_REMAINDER,
+    INPUT_FORCE_SLOPE,
     INPUT_RATES,
-    INPUT_REST,
-    INPUT_SHARE,
-    INPUT_SLOPE,
-    INPUT_STATIC,
-    MODEL_ACCEL,
+    INPUT_STATIC_FORCE,
     NOMINAL_ACCEL_BIAS,
     NOMINAL_ATTITUDE,
     NOMINAL_GYRO_BIAS,
     NOMINAL_THRUST_SCALE,
     NOMINAL_VELOCITY,
     NOMINAL_WIND,
-    PHASE_RUNNING,
+    PHASE_MOTORS_RUNNING,
     ROTOR_FORCE_ANG_ACCEL,
-    ROTOR_FORCE_REST,
+    ROTOR_FORCE_REMAINDER,
     ROTOR_FORCE_SLOPE,
     ROTOR_FORCE_STATIC,
     TRANSITION_ACCEL,
-    TRANSITION_AIR,
+    TRANSITION_ATTITUDE,
     TRANSITION_THRUST,
-    TRANSITION_TURN,
+    TRANSITION_WIND,
     FilterMemory,
     FilterSettings,
 )
@@ -137,9 +137,13 @@ def predict_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None
     )
     for k in range(3):
         along = r[k] * n + r[3 + k] * o + r[6 + k] * d
-        made = x[NOMINAL_THRUST_SCALE] * e[INPUT_STATIC + k] + e[INPUT_REST + k] + e[INPUT_SLOPE + k] * along
-        share = e[INPUT_SHARE + k]
-        a[MODEL_ACCEL + k] = made
+        made = (
+            x[NOMINAL_THRUST_SCALE] * e[INPUT_STATIC_FORCE + k]
+            + e[INPUT_FORCE_REMAINDER + k]
+            + e[INPUT_FORCE_SLOPE + k] * along
+        )
+        share = e[INPUT_ACCEL_WEIGHT + k]
+        a[ACCEL_WORK_MODEL + k] = made
         r_f = share * (e[INPUT_ACCEL + k] - x[NOMINAL_ACCEL_BIAS + k]) + (1 - share) * made
         if k == 0:
             f_x = r_f
@@ -187,17 +191,17 @@ def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Arra
         for j in range(3):
             own = span * r[3 * i + j]
             out[3 * i + j] = own
-            out[TRANSITION_ACCEL + 3 * i + j] = -own * e[INPUT_SHARE + j]
-            k_ += own * ((1 - e[INPUT_SHARE + j]) * e[INPUT_STATIC + j])
+            out[TRANSITION_ACCEL + 3 * i + j] = -own * e[INPUT_ACCEL_WEIGHT + j]
+            k_ += own * ((1 - e[INPUT_ACCEL_WEIGHT + j]) * e[INPUT_STATIC_FORCE + j])
         out[TRANSITION_THRUST + i] = k_
-        out[TRANSITION_TURN + i] = 0.0 if e[INPUT_PHASE] <= PHASE_RUNNING else span * push[i]
+        out[TRANSITION_ATTITUDE + i] = 0.0 if e[INPUT_FLIGHT_PHASE] <= PHASE_MOTORS_RUNNING else span * push[i]
     for i in range(3):
         for j in range(i, 3):
             s = 0.0
             for k in range(3):
-                s += out[3 * i + k] * ((1 - e[INPUT_SHARE + k]) * e[INPUT_SLOPE + k]) * r[3 * j + k]
-            out[TRANSITION_AIR + 3 * i + j] = s
-            out[TRANSITION_AIR + 3 * j + i] = s
+                s += out[3 * i + k] * ((1 - e[INPUT_ACCEL_WEIGHT + k]) * e[INPUT_FORCE_SLOPE + k]) * r[3 * j + k]
+            out[TRANSITION_WIND + 3 * i + j] = s
+            out[TRANSITION_WIND + 3 * j + i] = s
 
 
 @cached_njit(error_model="numpy", inline="never")
@@ -268,9 +272,9 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     out[ROTOR_FORCE_SLOPE] = min((dx[MODEL_VELOCITY] - d_x) / _DRAG_SLOPE_STEP, 0.0)
     out[ROTOR_FORCE_SLOPE + 1] = min((dx[MODEL_VELOCITY + 1] - d_y) / _DRAG_SLOPE_STEP, 0.0)
     out[ROTOR_FORCE_SLOPE + 2] = min((dx[MODEL_VELOCITY + 2] - GRAVITY - d_z) / _DRAG_SLOPE_STEP, 0.0)
-    out[ROTOR_FORCE_REST] = d_x - f_x - out[ROTOR_FORCE_SLOPE] * air[0]
-    out[ROTOR_FORCE_REST + 1] = d_y - f_y - out[ROTOR_FORCE_SLOPE + 1] * air[1]
-    out[ROTOR_FORCE_REST + 2] = d_z - f_z - out[ROTOR_FORCE_SLOPE + 2] * air[2]
+    out[ROTOR_FORCE_REMAINDER] = d_x - f_x - out[ROTOR_FORCE_SLOPE] * air[0]
+    out[ROTOR_FORCE_REMAINDER + 1] = d_y - f_y - out[ROTOR_FORCE_SLOPE + 1] * air[1]
+    out[ROTOR_FORCE_REMAINDER + 2] = d_z - f_z - out[ROTOR_FORCE_SLOPE + 2] * air[2]
     x[MODEL_SWASH_ROLL] = to_roll + (roll - to_roll) * settled
     x[MODEL_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * settled
     x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2] = s_x * size, s_y * size, s_z * size

@@ -37,16 +37,16 @@ from mufly.estimate.filter.filter_records import (
     ERROR_VELOCITY,
     ERROR_WIND,
     TRANSITION_ACCEL,
-    TRANSITION_AIR,
+    TRANSITION_ATTITUDE,
     TRANSITION_GYRO,
     TRANSITION_THRUST,
-    TRANSITION_TURN,
+    TRANSITION_WIND,
 )
 
 _Array = NDArray[np.float64]
 
 MOTION_STATE_COUNT = 9
-_MIN_DIAGONAL = 1e-20
+_MIN_UD_DIAGONAL = 1e-20
 
 
 @cached_njit(error_model="numpy")
@@ -88,7 +88,7 @@ def _rank_one_update(ut: _Array, d: _Array, last: int, c: float, v: _Array) -> N
     for k in range(last, -1, -1):
         old = d[k]
         new = old + c * v[k] * v[k]
-        if new <= _MIN_DIAGONAL:
+        if new <= _MIN_UD_DIAGONAL:
             continue
         b = c * v[k] / new
         for i in range(k):
@@ -113,32 +113,32 @@ def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
         a[TRANSITION_ACCEL] * b_x
         + a[TRANSITION_ACCEL + 1] * b_y
         + a[TRANSITION_ACCEL + 2] * b_z
-        + a[TRANSITION_AIR] * n
-        + a[TRANSITION_AIR + 1] * e
-        + a[TRANSITION_AIR + 2] * o
+        + a[TRANSITION_WIND] * n
+        + a[TRANSITION_WIND + 1] * e
+        + a[TRANSITION_WIND + 2] * o
         + a[TRANSITION_THRUST] * k
     )
     y = (
         a[TRANSITION_ACCEL + 3] * b_x
         + a[TRANSITION_ACCEL + 4] * b_y
         + a[TRANSITION_ACCEL + 5] * b_z
-        + a[TRANSITION_AIR + 3] * n
-        + a[TRANSITION_AIR + 4] * e
-        + a[TRANSITION_AIR + 5] * o
+        + a[TRANSITION_WIND + 3] * n
+        + a[TRANSITION_WIND + 4] * e
+        + a[TRANSITION_WIND + 5] * o
         + a[TRANSITION_THRUST + 1] * k
     )
     z = (
         a[TRANSITION_ACCEL + 6] * b_x
         + a[TRANSITION_ACCEL + 7] * b_y
         + a[TRANSITION_ACCEL + 8] * b_z
-        + a[TRANSITION_AIR + 6] * n
-        + a[TRANSITION_AIR + 7] * e
-        + a[TRANSITION_AIR + 8] * o
+        + a[TRANSITION_WIND + 6] * n
+        + a[TRANSITION_WIND + 7] * e
+        + a[TRANSITION_WIND + 8] * o
         + a[TRANSITION_THRUST + 2] * k
     )
-    x += a[TRANSITION_TURN + 2] * t_y - a[TRANSITION_TURN + 1] * t_z
-    y += a[TRANSITION_TURN] * t_z - a[TRANSITION_TURN + 2] * t_x
-    z += a[TRANSITION_TURN + 1] * t_x - a[TRANSITION_TURN] * t_y
+    x += a[TRANSITION_ATTITUDE + 2] * t_y - a[TRANSITION_ATTITUDE + 1] * t_z
+    y += a[TRANSITION_ATTITUDE] * t_z - a[TRANSITION_ATTITUDE + 2] * t_x
+    z += a[TRANSITION_ATTITUDE + 1] * t_x - a[TRANSITION_ATTITUDE] * t_y
     out[ERROR_POSITION] = u[ERROR_POSITION] + span * (u[ERROR_VELOCITY] + 0.5 * x)
     out[ERROR_POSITION + 1] = u[ERROR_POSITION + 1] + span * (u[ERROR_VELOCITY + 1] + 0.5 * y)
     out[ERROR_POSITION + 2] = u[ERROR_POSITION + 2] + span * (u[ERROR_VELOCITY + 2] + 0.5 * z)
@@ -154,12 +154,12 @@ def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
 def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
     """Propagate a column without biases in place, as :func:`propagate_column`."""
     n, e, o = u[ERROR_VELOCITY], u[ERROR_VELOCITY + 1], u[ERROR_VELOCITY + 2]
-    x = a[TRANSITION_AIR] * n + a[TRANSITION_AIR + 1] * e + a[TRANSITION_AIR + 2] * o
-    y = a[TRANSITION_AIR + 3] * n + a[TRANSITION_AIR + 4] * e + a[TRANSITION_AIR + 5] * o
-    z = a[TRANSITION_AIR + 6] * n + a[TRANSITION_AIR + 7] * e + a[TRANSITION_AIR + 8] * o
-    x += a[TRANSITION_TURN + 2] * u[ERROR_ATTITUDE + 1] - a[TRANSITION_TURN + 1] * u[ERROR_ATTITUDE + 2]
-    y += a[TRANSITION_TURN] * u[ERROR_ATTITUDE + 2] - a[TRANSITION_TURN + 2] * u[ERROR_ATTITUDE]
-    z += a[TRANSITION_TURN + 1] * u[ERROR_ATTITUDE] - a[TRANSITION_TURN] * u[ERROR_ATTITUDE + 1]
+    x = a[TRANSITION_WIND] * n + a[TRANSITION_WIND + 1] * e + a[TRANSITION_WIND + 2] * o
+    y = a[TRANSITION_WIND + 3] * n + a[TRANSITION_WIND + 4] * e + a[TRANSITION_WIND + 5] * o
+    z = a[TRANSITION_WIND + 6] * n + a[TRANSITION_WIND + 7] * e + a[TRANSITION_WIND + 8] * o
+    x += a[TRANSITION_ATTITUDE + 2] * u[ERROR_ATTITUDE + 1] - a[TRANSITION_ATTITUDE + 1] * u[ERROR_ATTITUDE + 2]
+    y += a[TRANSITION_ATTITUDE] * u[ERROR_ATTITUDE + 2] - a[TRANSITION_ATTITUDE + 2] * u[ERROR_ATTITUDE]
+    z += a[TRANSITION_ATTITUDE + 1] * u[ERROR_ATTITUDE] - a[TRANSITION_ATTITUDE] * u[ERROR_ATTITUDE + 1]
     u[ERROR_POSITION] += span * (n + 0.5 * x)
     u[ERROR_POSITION + 1] += span * (e + 0.5 * y)
     u[ERROR_POSITION + 2] += span * (o + 0.5 * z)
@@ -196,7 +196,7 @@ def ud_time_update(ut: _Array, d: _Array, span: float, transition: _Array, q: _A
         total = 0.0
         for k in range(3):
             total += d[ERROR_VELOCITY + k] * w[k, j] * w[k, j]
-        size = total if total > _MIN_DIAGONAL else _MIN_DIAGONAL
+        size = total if total > _MIN_UD_DIAGONAL else _MIN_UD_DIAGONAL
         v[j] = size
         for i in range(j):
             s = 0.0

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController, design_flight_controller
 from mufly.errors import InputError
 from mufly.estimate import Estimate, KalmanEstimator
-from mufly.estimate.filter.filter_records import READING_RING, memory_type
+from mufly.estimate.filter.filter_records import READING_RANGE_RING, memory_type
 from mufly.estimate.filter_backend import FilterBackend
 from mufly.estimate.sensor_status import describe_reason
 from mufly.firmware.compiled_software import FirmwareSoftware
@@ -115,7 +115,7 @@ class BoardEstimator(KalmanEstimator):
         memory = board.memory[at : at + ffi.sizeof("estimator_t")]
         self._memory_array = memory.view(_board_memory_type(ffi, real))
         self.memory = m = self._memory_array[0]
-        self._output_state, self._output_rates, self._output_angles = (
+        self._output_state, self._output_rates, self._write_output_angles = (
             m["x_output"],
             m["rates_output"],
             m["angles_output"],
@@ -142,7 +142,7 @@ class BoardEstimator(KalmanEstimator):
         self._period.time_s = readings.time_s
         return super().update(readings, acting, missed)
 
-    def make_up_periods(self, count: int) -> None:
+    def process_missed_periods(self, count: int) -> None:
         """Report the number of periods lost before this one to the board, which makes them up."""
         self._missed = count
 
@@ -151,7 +151,7 @@ class BoardEstimator(KalmanEstimator):
         self._sent_values[:] = self._input_values
         self._sent_flags[:] = self._input_is_new
         self._sent_ages[:] = self._input_age
-        if self._input_is_new[READING_RING] == 1:
+        if self._input_is_new[READING_RANGE_RING] == 1:
             self._sent_ranges[: self.ranges.size] = self.ring_scans[2]
         self._board.compute_estimate(self._period)
         # The board's copy of the readings: its filter overwrites some of them.

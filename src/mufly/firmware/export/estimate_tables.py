@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mufly.dynamics import model_parameters
-from mufly.estimate.filter.c_records import FIELD_UNITS, RECORDS_HEADER, model_record, render_records_header
+from mufly.estimate.filter.c_records import FIELD_UNITS, RECORDS_HEADER, flight_model_record, render_records_header
 from mufly.estimate.filter.filter_records import (
     INPUT_BLOCK_COUNT,
     MAX_LAG_BLOCKS,
@@ -49,7 +49,7 @@ def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz
         "};",
         "",
         "const flight_model_t mufly_flight_model = {",
-        *_initialiser_lines(model_record(p)),
+        *_initialiser_lines(flight_model_record(p)),
         "};",
         "",
     ]

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from mufly.dynamics.model_state import MODEL_ATTITUDE, MOTORS, POSITION, RATES, SERVOS, VELOCITY
 from mufly.estimate import Estimate, IdealEstimator
-from mufly.estimate.filter.filter_records import ERROR_GYRO_BIAS, NOMINAL_ATTITUDE, READING_RING, SENSOR_COUNT
+from mufly.estimate.filter.filter_records import ERROR_GYRO_BIAS, NOMINAL_ATTITUDE, READING_RANGE_RING, SENSOR_COUNT
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import PUBLISHED_FIELDS, KalmanEstimator
 from mufly.firmware.quick.compiled_loop import (
@@ -267,13 +267,13 @@ class CompiledFlight:
         """Sample the due sensors that Python handles."""
         truth, filtered = self._current_truth(), self._filter
         assert filtered is not None
-        t, scanned_s = truth.time_s, filtered.reading_times[READING_RING]
+        t, scanned_s = truth.time_s, filtered.reading_times[READING_RANGE_RING]
         for k, sensor in enumerate(self._faulty):
             if self._next_sample_times[k] <= t:
                 filtered.fill_readings(sensor.read(truth), t)
                 self._next_sample_times[k] = _next_sample_time(sensor, t)
         self._clock.next_python_sample_s = min(self._next_sample_times, default=math.inf)
-        if filtered.reading_times[READING_RING] != scanned_s:
+        if filtered.reading_times[READING_RANGE_RING] != scanned_s:
             self._board.write_ranges(filtered.ranges)
 
     def _assign_sensors(self) -> Any:
@@ -486,7 +486,7 @@ def make_filter_arrays(
     mine: Sequence[Any] = (filtered.memory_array, *filtered.input_row, filtered.reading_times, filtered.ring_scans)
     memory, values, is_new, age, times, scans = mine if own is None else own
     m = memory[0]
-    step, *held = filtered.backend.call_addresses
+    step, *held = filtered.backend.function_addresses
     is_fitted = np.zeros(SENSOR_COUNT, np.uint8)
     is_fitted[list(filtered.reading_indices.values())] = 1
     # The last two are numbers, not arrays: a field of an array of one is a view.

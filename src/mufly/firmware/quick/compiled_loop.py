@@ -26,8 +26,8 @@ from mufly.estimate.filter.filter_records import (
     READING_ACCELERATION,
     READING_BATTERY,
     READING_OFFSETS,
+    READING_RANGE_RING,
     READING_RATES,
-    READING_RING,
     READING_STARTS,
     READING_WIDTHS,
     SENSOR_COUNT,
@@ -377,7 +377,7 @@ def _fill_readings(t: float, has_come: NDArray[np.uint8], rows: _Array, f: Filte
         f.reading_times[r] = row[MEASURED_TIME]
         f.age[r], f.is_new[r] = t - row[MEASURED_TIME], 1 if row[IS_VALID] != 0.0 else 2
         start = READING_STARTS[r]
-        if r == READING_RING:
+        if r == READING_RANGE_RING:
             is_ring = True
             for j in range(f.beams.size):
                 f.values[start + j] = row[FIRST_VALUE + f.beams[j]]

@@ -9,11 +9,11 @@
 /* Readings since the previous period, in sequence at the offsets STARTS of records.h. Readings that are not new are
  * ignored. */
 typedef struct {
-    real_t z[VALUE_COUNT];          /* the loop fills the four actuator inputs of the period (ACTING); the board fills z[CLIPPING], the
+    real_t z[INPUT_VALUE_COUNT];          /* the loop fills the four actuator inputs of the period (ACTING); the board fills z[CLIPPING], the
                                   three shares of samples at full scale */
     int32_t fresh[SENSOR_COUNT];    /* 0 no new reading, 1 a new reading, 2 a reading that its sensor marks invalid */
     real_t age[SENSOR_COUNT];       /* time since the measurement (s) */
-    real_t ranges[MAX_BEAMS]; /* all beams of the ring (m), when fresh[READING_RING] is set */
+    real_t ranges[MAX_BEAMS]; /* all beams of the ring (m), when fresh[READING_RANGE_RING] is set */
 } hal_readings_t;
 
 /* Wait for the next period (1 / mufly_rate_Hz); return the number of periods missed since the last call: the filter makes

@@ -16,7 +16,7 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import portable_atan2, wrap_angle
 from mufly.estimate.filter.filter_records import (
     AID_HEADING,
-    AID_PLACE,
+    AID_POSITION,
     ERROR_ATTITUDE,
     ERROR_FIX_BIAS,
     ERROR_FIX_HEADING,
@@ -32,21 +32,22 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_FIX_BIAS,
     NOMINAL_FIX_HEADING,
     NOMINAL_VELOCITY,
-    PHASE_LIGHT,
-    READING_FIX,
+    PHASE_LIFTING_OFF,
+    READING_POSITION_FIX,
+    READING_RANGE_RING,
     READING_RATES,
-    READING_RING,
     READING_SONAR,
     FilterMemory,
     FilterSettings,
 )
 from mufly.estimate.filter.measurements.scalar_fusion import (
     INNOVATION_GATE,
+    MAX_INNOVATION_RATIO_PRODUCT,
     MAX_NOISE_SCALE,
-    MAX_RATIO_PRODUCT,
-    MAX_SQUARED_RATIO,
+    MAX_SQUARED_INNOVATION_RATIO,
     NOISE_GAIN_HEADING,
-    NOISE_GAIN_PLACE,
+    NOISE_GAIN_POSITION,
+    adapt_noise_scale,
     fuse_scalar,
     h_row_add,
     h_row_begin,
@@ -54,7 +55,6 @@ from mufly.estimate.filter.measurements.scalar_fusion import (
     log_innovation,
     reject_measurement,
     reset_timeout_expired,
-    scale_variance,
 )
 from mufly.estimate.filter.measurements.sensor_checks import (
     REASON_FUSED_THOUGH_OFFSET,
@@ -80,15 +80,15 @@ DIVERGENCE_MEAN_SQUARE = 5.0
 """Mean square of the ratios above which a rejected fix is not treated as a jump of the fix."""
 SETTLING_TIME_S = 3.0
 """Time in flight before which no ratio of the fix accuses the filter, whose state is well known at rest (s)."""
-LASTING_RATIO = 1.0
+LASTING_FIX_RATIO = 1.0
 """Mean of a ratio of the fix over half a second above which the filter, not the noise, is the cause (1)."""
-BIAS_RANGE_SIGMAS = 5.5
+MAX_FIX_BIAS_SIGMAS = 5.5
 """Largest bias of the fix in standard deviations a. A Gauss-Markov bias of time constant tau passes a on either side
 2 a phi(a) / tau times a second (phi: normal density; Pickands, 1969). Three axes with tau of 2 s pass 5.5 deviations
 0.06 times in ten hours, and 5 deviations 0.8 times."""
-GYRO_BIAS_RANGE_SIGMAS = 8.0
+MAX_GYRO_BIAS_SIGMAS = 8.0
 """Deviations of the initial gyroscope bias beyond which the gyroscopes are unusable for long."""
-WIDENED_SIGMAS = 3.0
+REJECTED_FIX_BIAS_SIGMAS = 3.0
 """An innovation of the fix at rest beyond the gate counts as this many deviations of its bias."""
 
 
@@ -128,7 +128,7 @@ def _fix_innovation(m: FilterMemory, z: _Array, i: int, ahead: float) -> float:
 def _fix_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
     """Return the estimated variance of component ``i`` of the fix."""
     return (
-        s.fix_variance * m.noise_scale[AID_PLACE]
+        s.fix_variance * m.noise_scale[AID_POSITION]
         if i < FIX_HEADING
         else s.heading_variance * m.noise_scale[AID_HEADING]
     )
@@ -138,7 +138,7 @@ def _fix_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
 def _fix_bias_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
     """Return the estimated variance of the bias of component ``i`` of the fix."""
     sigma = s.initial_sigma[ERROR_FIX_BIAS + i]
-    return sigma * sigma * m.bias_walk_scale[AID_PLACE if i < FIX_HEADING else AID_HEADING]
+    return sigma * sigma * m.bias_walk_scale[AID_POSITION if i < FIX_HEADING else AID_HEADING]
 
 
 @cached_njit(error_model="numpy")
@@ -150,14 +150,14 @@ def _estimate_fix_noise(m: FilterMemory, i: int) -> None:
     that the bias is (correlation of innovations, Mehra 1970). Both variances follow by stochastic approximation. A
     ratio with a lasting mean shows an error of the filter and does not change the variances.
     """
-    aid = AID_PLACE if i < FIX_HEADING else AID_HEADING
-    gain = NOISE_GAIN_PLACE if i < FIX_HEADING else NOISE_GAIN_HEADING
+    aid = AID_POSITION if i < FIX_HEADING else AID_HEADING
+    gain = NOISE_GAIN_POSITION if i < FIX_HEADING else NOISE_GAIN_HEADING
     ratio = m.fix_ratio[i]
-    excess = min(ratio * ratio, MAX_SQUARED_RATIO) - 1.0
-    pair = max(min(ratio * m.fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT)
-    if m.is_heading_aligned != 0 and abs(m.fix_ratio_mean[i]) < LASTING_RATIO:
-        scale_variance(m.noise_scale, aid, gain, excess - pair)
-        scale_variance(m.bias_walk_scale, aid, gain, excess + pair)
+    excess = min(ratio * ratio, MAX_SQUARED_INNOVATION_RATIO) - 1.0
+    pair = max(min(ratio * m.fix_ratio_prev[i], MAX_INNOVATION_RATIO_PRODUCT), -MAX_INNOVATION_RATIO_PRODUCT)
+    if m.is_heading_aligned != 0 and abs(m.fix_ratio_mean[i]) < LASTING_FIX_RATIO:
+        adapt_noise_scale(m.noise_scale, aid, gain, excess - pair)
+        adapt_noise_scale(m.bias_walk_scale, aid, gain, excess + pair)
     m.fix_ratio_prev[i] = ratio
     m.fix_ratio_mean[i] += 0.15 * (ratio - m.fix_ratio_mean[i])
 
@@ -178,12 +178,12 @@ def _fix_bias_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
     not show such an error, because the bias follows it.
     """
     return abs(m.x[NOMINAL_FIX_BIAS + i]) / (
-        BIAS_RANGE_SIGMAS * math.sqrt(_fix_bias_variance(m, s, i) + _fix_variance(m, s, i))
+        MAX_FIX_BIAS_SIGMAS * math.sqrt(_fix_bias_variance(m, s, i) + _fix_variance(m, s, i))
     )
 
 
 @cached_njit(error_model="numpy")
-def _widen_fix_bias(m: FilterMemory, s: FilterSettings, i: int, nu: float, ratio: float) -> float:
+def _inflate_fix_bias_walk(m: FilterMemory, s: FilterSettings, i: int, nu: float, ratio: float) -> float:
     """Raise the bias variance of the fix until it explains an innovation ``nu`` at rest; return the new innovation
     ratio.
 
@@ -191,9 +191,9 @@ def _widen_fix_bias(m: FilterMemory, s: FilterSettings, i: int, nu: float, ratio
     that the largest bias variance does not explain remains a jump.
     """
     sigma = s.initial_sigma[ERROR_FIX_BIAS + i]
-    spread = nu / WIDENED_SIGMAS
+    spread = nu / REJECTED_FIX_BIAS_SIGMAS
     scale = spread * spread / (sigma * sigma)
-    aid = AID_PLACE if i < FIX_HEADING else AID_HEADING
+    aid = AID_POSITION if i < FIX_HEADING else AID_HEADING
     if not scale < MAX_NOISE_SCALE:
         return ratio
     m.bias_walk_scale[aid] = max(m.bias_walk_scale[aid], scale)
@@ -216,7 +216,7 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio:
     The filter cannot decide which of the two is wrong, because the pressure drifts by as much as they differ. The
     height follows the sonar, and the gap is added to the standard deviation of the position.
     """
-    k = READING_FIX
+    k = READING_POSITION_FIX
     off = abs(ratio)
     whole = abs(nu + m.x[NOMINAL_FIX_BIAS + 2])
     if m.fix_height_gap > 0.0:
@@ -230,30 +230,30 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio:
 
 
 @cached_njit(error_model="numpy")
-def _is_height_alone_off(m: FilterMemory) -> bool:
+def _is_only_height_rejected(m: FilterMemory) -> bool:
     """Return whether the height is the only component of the fix outside the gate."""
     off = max(max(abs(m.fix_ratio[FIX_NORTH]), abs(m.fix_ratio[FIX_EAST])), abs(m.fix_ratio[FIX_HEADING]))
     return m.fix_component == FIX_DOWN and off < INNOVATION_GATE
 
 
 @cached_njit(error_model="numpy")
-def _clear_attitude_evidence(m: FilterMemory) -> None:
+def _mark_height_fault(m: FilterMemory) -> None:
     """Mark a fix as faulty instead of rejected if only its height is rejected: it does not contradict the attitude."""
-    if m.status[READING_FIX] == STATUS_REJECTED and _is_height_alone_off(m):
-        m.status[READING_FIX] = STATUS_FAULTY
+    if m.status[READING_POSITION_FIX] == STATUS_REJECTED and _is_only_height_rejected(m):
+        m.status[READING_POSITION_FIX] = STATUS_FAULTY
 
 
 @cached_njit(error_model="numpy")
 def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse position and heading of a fix; leave out its height while fix and sonar disagree."""
-    k, worst, at = READING_FIX, 0.0, 0.0
+    k, worst, at = READING_POSITION_FIX, 0.0, 0.0
     down = True
     for i in range(FIX_COMPONENT_COUNT):
         _fix_h_row(m, i, ahead)
         nu = _fix_innovation(m, z, i, ahead)
         ratio = innovation_ratio(m, nu, _fix_variance(m, s, i))
-        if abs(ratio) > INNOVATION_GATE and m.is_heading_aligned != 0 and m.flight_phase < PHASE_LIGHT:
-            ratio = _widen_fix_bias(m, s, i, nu, ratio)
+        if abs(ratio) > INNOVATION_GATE and m.is_heading_aligned != 0 and m.flight_phase < PHASE_LIFTING_OFF:
+            ratio = _inflate_fix_bias_walk(m, s, i, nu, ratio)
         if i == FIX_DOWN:
             down = _fix_height_consistent(m, s, nu, ratio)
             if not down:
@@ -276,7 +276,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     # Growing ratios of one sign show that the filter diverges, not that the fix jumps. Without a rotor model the
     # variances are a guess, and the filter would follow a record with wrong axes from fix to fix.
     settled = (m.tick - m.grounded_tick) * s.dt > SETTLING_TIME_S
-    lasting = settled and _largest_mean_ratio(m) > LASTING_RATIO
+    lasting = settled and _largest_mean_ratio(m) > LASTING_FIX_RATIO
     led = (
         s.has_rotor_model > 0
         and lasting
@@ -285,15 +285,15 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     )
     if abs(worst) > INNOVATION_GATE and not led:
         # A height that differs from the sonar's does not show which of the two is wrong.
-        apart = _is_height_alone_off(m) and m.status[READING_SONAR] == STATUS_FUSED
+        apart = _is_only_height_rejected(m) and m.status[READING_SONAR] == STATUS_FUSED
         why = REASON_HEIGHT_CONFLICT if apart else REASON_INNOVATION
         near = 2.0 * s.sensor_period[k] + 8 * math.sqrt(_fix_variance(m, s, 0)) + 0.05
         reject_measurement(m, s, k, at, z, 3, near, why)
-        _clear_attitude_evidence(m)
+        _mark_height_fault(m)
         if not reset_timeout_expired(m, s, k):
             return
         # Components that other sensors hold are kept: there the bias of the fix is reset.
-        held = m.status[READING_SONAR] == STATUS_FUSED, m.status[READING_RING] == STATUS_FUSED
+        held = m.status[READING_SONAR] == STATUS_FUSED, m.status[READING_RANGE_RING] == STATUS_FUSED
         for i in range(3):
             nu = _fix_innovation(m, z, i, ahead)
             if held[0] if i == FIX_DOWN else held[1]:
@@ -307,7 +307,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_ATTITUDE + 2, nu * nu, m.u_transposed_h)
         nu = at
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
-        _clear_attitude_evidence(m)
+        _mark_height_fault(m)
     # Large ratios of one sign show an unmodelled error of the filter, for example drifting gyroscopes.
     m.fix_ratio_lp += 0.15 * (worst * worst - m.fix_ratio_lp)
     for i in range(FIX_COMPONENT_COUNT):
@@ -323,9 +323,9 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         _fix_h_row(m, i, ahead)
         fuse_scalar(m, _fix_innovation(m, z, i, ahead), _fix_variance(m, s, i))
     for i in range(3):
-        most = GYRO_BIAS_RANGE_SIGMAS * s.initial_sigma[ERROR_GYRO_BIAS + i] + 2.0 * m.sigma_output[ERROR_GYRO_BIAS + i]
-        if abs(m.leak_origin[i]) > most and m.status[READING_RATES] == STATUS_FUSED and down:
-            set_fault(m, s, READING_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.leak_origin[i])
+        most = MAX_GYRO_BIAS_SIGMAS * s.initial_sigma[ERROR_GYRO_BIAS + i] + 2.0 * m.sigma_output[ERROR_GYRO_BIAS + i]
+        if abs(m.gyro_bias_before_yaw[i]) > most and m.status[READING_RATES] == STATUS_FUSED and down:
+            set_fault(m, s, READING_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.gyro_bias_before_yaw[i])
     mark_fused(m, k)
     if not down:
         set_fault(m, s, k, STATUS_FAULTY, REASON_HEIGHT_CONFLICT, m.fix_height_gap)

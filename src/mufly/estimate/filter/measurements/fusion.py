@@ -48,14 +48,14 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_TERRAIN,
     NOMINAL_THRUST_SCALE,
     NOMINAL_VELOCITY,
-    PHASE_COASTING,
-    PHASE_RUNNING,
+    PHASE_MOTORS_RUNNING,
+    PHASE_ROTORS_COASTING,
     PHASE_STANDING,
     READING_ACCELERATION,
-    READING_FIX,
-    READING_MAGNET,
+    READING_MAGNETIC_FIELD,
+    READING_POSITION_FIX,
     READING_PRESSURE,
-    READING_RING,
+    READING_RANGE_RING,
     READING_SONAR,
     FilterMemory,
     FilterSettings,
@@ -100,22 +100,26 @@ _Array = NDArray[np.float64]
 
 SONAR_MEAN_GATE = PRESSURE_MEAN_GATE = 2.2
 """Mean of five ratios or so of the sonar, and of the pressure: six and a half deviations."""
-FIELD_GATE = 5.0
+MAGNETIC_FIELD_GATE = 5.0
 """Deviations of the magnetic field from the earth's, across and along the vertical, above which a field is no heading.
 A healthy sensor exceeds them at one place in 270 000 (chi-square of two)."""
-MAX_STUCK_CHANCE = 1e-14
+SONAR_STUCK_PROBABILITY = 1e-14
 """Probability that a healthy sonar repeats a reading for so long."""
 LEG_CLEARANCE_HEIGHT = 0.15
 """Height (m) above which no leg touches the floor; angular accelerations are then in the flight model."""
-SECOND_RESET_SPEED_SIGMA, SECOND_RESET_ACCEL_BIAS_SIGMA, SECOND_RESET_THRUST_SCALE_SIGMA = 0.3, 0.3, 0.1
+SECOND_HEIGHT_RESET_SPEED_SIGMA, SECOND_HEIGHT_RESET_ACCEL_BIAS_SIGMA, SECOND_HEIGHT_RESET_THRUST_SCALE_SIGMA = (
+    0.3,
+    0.3,
+    0.1,
+)
 """Standard deviations of speed (m/s), accelerometer bias (m/s^2) and thrust scale (1) set by a second height reset."""
-SECOND_RESET_WINDOW_S = 1.0
+SECOND_HEIGHT_RESET_WINDOW_S = 1.0
 """Time after a height reset within which the next one counts as the second (s)."""
 TERRAIN_STEP_GATE, MAX_TERRAIN_STEPS = 3.0, 8
 """Innovation ratio of the sonar above which the surface below steps at an edge (1); largest number of such steps."""
 LIFTOFF_THRUST_RATIO, LIFTOFF_THRUST_SIGMA = 1.08, 0.08
 """Lift over weight as the sonar shows lift-off (1), and its standard deviation (1)."""
-_BEAM_GATE = 4.0
+_BEAM_INNOVATION_GATE = 4.0
 COST_FIX_BIAS, COST_FIX = 1, 4
 """Cost of a bias step of the fix and of a fix, in scalar measurements."""
 MIN_TERRAIN_HEIGHT = -0.1
@@ -147,34 +151,34 @@ def _sonar_h_row(m: FilterMemory, s: FilterSettings, r: _Array) -> float:
 def _reset_height(m: FilterMemory, s: FilterSettings, nu: float) -> None:
     """Reset the height after consistent innovations ``nu`` of the sonar.
 
-    The foot of a wall in the sonar's cone can cause one reset. A second reset within :data:`SECOND_RESET_WINDOW_S`
-    shows that a force is wrong, so the variances of vertical speed, accelerometer bias and thrust scale are inflated,
-    too.
+    The foot of a wall in the sonar's cone can cause one reset. A second reset within
+    :data:`SECOND_HEIGHT_RESET_WINDOW_S` shows that a force is wrong, so the variances of vertical speed, accelerometer
+    bias and thrust scale are inflated, too.
     """
     inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_POSITION + 2, nu * nu, m.u_transposed_h)
     before = m.height_reset_tick
     m.height_reset_tick = m.horizon_tick
-    if not (before > 0 and (m.horizon_tick - before) * s.dt < SECOND_RESET_WINDOW_S):
+    if not (before > 0 and (m.horizon_tick - before) * s.dt < SECOND_HEIGHT_RESET_WINDOW_S):
         return
     inflate_variance(
         m.u_transposed,
         m.ud_diagonal,
         ERROR_VELOCITY + 2,
-        SECOND_RESET_SPEED_SIGMA * SECOND_RESET_SPEED_SIGMA,
+        SECOND_HEIGHT_RESET_SPEED_SIGMA * SECOND_HEIGHT_RESET_SPEED_SIGMA,
         m.u_transposed_h,
     )
     inflate_variance(
         m.u_transposed,
         m.ud_diagonal,
         ERROR_ACCEL_BIAS + 2,
-        SECOND_RESET_ACCEL_BIAS_SIGMA * SECOND_RESET_ACCEL_BIAS_SIGMA,
+        SECOND_HEIGHT_RESET_ACCEL_BIAS_SIGMA * SECOND_HEIGHT_RESET_ACCEL_BIAS_SIGMA,
         m.u_transposed_h,
     )
     inflate_variance(
         m.u_transposed,
         m.ud_diagonal,
         ERROR_THRUST_SCALE,
-        SECOND_RESET_THRUST_SCALE_SIGMA * SECOND_RESET_THRUST_SCALE_SIGMA,
+        SECOND_HEIGHT_RESET_THRUST_SCALE_SIGMA * SECOND_HEIGHT_RESET_THRUST_SCALE_SIGMA,
         m.u_transposed_h,
     )
 
@@ -187,8 +191,8 @@ def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> boo
     exp(-nu^2 / (2 sigma^2)), where sigma is the standard deviation of the innovation nu; the code uses exp(-x) <= 1 /
     (1 + x). If the vehicle may stand on the floor, by the height of the fix, equal readings prove nothing.
     """
-    same = z == m.sonar_prev
-    m.sonar_prev = z
+    same = z == m.sonar_range_prev
+    m.sonar_range_prev = z
     if not same or height_above_ground(m.x, s) - m.fix_height_gap < LEG_CLEARANCE_HEIGHT:
         m.sonar_repeat_chance = 1.0
         return False
@@ -196,7 +200,7 @@ def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> boo
     sigma = 1.3 * math.sqrt(s.sonar_variance)
     likely = 0.399 * s.sonar_resolution / sigma / (1.0 + 0.5 * min(nu * nu / (sigma * sigma), 9.0))
     m.sonar_repeat_chance *= min(likely, 1.0)
-    return m.sonar_repeat_chance < MAX_STUCK_CHANCE
+    return m.sonar_repeat_chance < SONAR_STUCK_PROBABILITY
 
 
 @cached_njit(error_model="numpy")
@@ -204,11 +208,11 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
     """Fuse the range to the surface below; attribute a step that no other sensor measures to the terrain."""
     k = READING_SONAR
     down = _sonar_h_row(m, s, r)
-    if r[8] < s.sonar_cone or z[0] >= s.sonar_max:
+    if r[8] < s.sonar_cone_cosine or z[0] >= s.sonar_max:
         return
     expect = -(m.x[NOMINAL_POSITION + 2] + ahead * m.x[NOMINAL_VELOCITY + 2]) - down - m.x[NOMINAL_TERRAIN]
     said, r_ = z[0], s.sonar_variance * m.noise_scale[AID_SONAR]
-    nearest, standing = m.sonar_least + 0.005, s.ground_clearance - s.sonar_position[2]
+    nearest, standing = m.sonar_least_range + 0.005, s.ground_clearance - s.sonar_position[2]
     if z[0] <= nearest and standing < nearest:
         # Below the minimum range: uniform between that range and the range on the floor.
         said = 0.5 * (nearest + standing)
@@ -248,9 +252,9 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         _sonar_h_row(m, s, r)
     elif abs(ratio) > INNOVATION_GATE:
         reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.sensor_period[k], REASON_INNOVATION)
-        if m.flight_phase <= PHASE_RUNNING and nu > 0.0 and z[0] > nearest:
+        if m.flight_phase <= PHASE_MOTORS_RUNNING and nu > 0.0 and z[0] > nearest:
             # On its legs the vehicle is at a known height: the sonar cannot measure ranges below this one.
-            m.sonar_least = z[0] if m.agree_count[k] >= 2 else m.sonar_least
+            m.sonar_least_range = z[0] if m.agree_count[k] >= 2 else m.sonar_least_range
             return
         step = m.agree_count[k] >= 2 and floor > MIN_TERRAIN_HEIGHT
         if step and m.terrain_steps >= MAX_TERRAIN_STEPS:
@@ -269,8 +273,8 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
             set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_STEP, floor)
             m.terrain_edge_weight = 1.0
         elif reset_timeout_expired(m, s, k):
-            if (m.tick - m.last_fused_tick[READING_FIX]) * s.dt < RESET_TIMEOUT_S and m.last_fused_tick[
-                READING_FIX
+            if (m.tick - m.last_fused_tick[READING_POSITION_FIX]) * s.dt < RESET_TIMEOUT_S and m.last_fused_tick[
+                READING_POSITION_FIX
             ] > 0:
                 inflate_variance(
                     m.u_transposed, m.ud_diagonal, ERROR_TERRAIN, nu * nu, m.u_transposed_h
@@ -329,7 +333,7 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
     over the beams. A picture adds only the information lost since the preceding picture, J - 1 / P. Each beam therefore
     has the variance C J / (J - 1 / P) in addition to that of its noise.
     """
-    k = READING_RING
+    k = READING_RANGE_RING
     rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     if m.next_beam == 0:
         m.beams_seen = m.beams_fused = 0
@@ -339,7 +343,7 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
             m.wall_info_limit[i] = 0.0
     last = min(m.next_beam + most, s.beam_count)
     for b in range(m.next_beam, last):
-        if not (0.0 < z[b] < 0.995 * s.ring_max):
+        if not (0.0 < z[b] < 0.995 * s.ring_max_range):
             continue
         m.beams_seen += 1
         n = r[0] * s.beam_directions[b, 0] + r[1] * s.beam_directions[b, 1] + r[2] * s.beam_directions[b, 2]
@@ -353,7 +357,7 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
                 far = (plane - (m.x[i] + ahead * m.x[NOMINAL_VELOCITY + i])) / u
                 if 0.0 < far < best:
                     best, axis, along = far, i, u
-        if axis < 0 or axis == 2 or best > 1.1 * s.ring_max:
+        if axis < 0 or axis == 2 or best > 1.1 * s.ring_max_range:
             continue
         # l = (c - p_i) / u_i; they contain no heading, whose error is one more constant: du = t x u
         h = -1.0 / along
@@ -365,7 +369,7 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         h_row_begin(m, ERROR_POSITION + axis, h)
         nu = z[b] - best
         ratio = innovation_ratio(m, nu, scatters + lasts)
-        if abs(ratio) < _BEAM_GATE:
+        if abs(ratio) < _BEAM_INNOVATION_GATE:
             log_innovation(m, k, nu, ratio)
             m.beams_fused += 1
             m.wall_info_limit[axis] += h * h / lasts
@@ -426,11 +430,11 @@ def _fuse_drifting_aid(
 def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse the pressure minus the standard pressure and minus the part that the rotors cause."""
     variance = s.pressure_variance * m.noise_scale[AID_PRESSURE]
-    h_row_begin(m, ERROR_POSITION + 2, s.pressure_slope)
+    h_row_begin(m, ERROR_POSITION + 2, s.pressure_height_slope)
     h_row_add(m, ERROR_PRESSURE_BIAS, 1.0)
     nu = (
         z[0]
-        - s.pressure_slope * (m.x[NOMINAL_POSITION + 2] + ahead * m.x[NOMINAL_VELOCITY + 2])
+        - s.pressure_height_slope * (m.x[NOMINAL_POSITION + 2] + ahead * m.x[NOMINAL_VELOCITY + 2])
         - m.x[NOMINAL_PRESSURE_BIAS]
     )
     _fuse_drifting_aid(m, s, READING_PRESSURE, ERROR_PRESSURE_BIAS, nu, variance, z, 1, 10 * math.sqrt(variance))
@@ -445,37 +449,37 @@ def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: 
     east = r[3] * z[0] + r[4] * z[1] + r[5] * z[2]
     across = math.sqrt(north * north + east * east) - s.earth_field[0]
     along = r[6] * z[0] + r[7] * z[1] + r[8] * z[2] - s.earth_field[2]
-    if across * across + along * along > FIELD_GATE * FIELD_GATE * s.mag_field_variance:
-        set_fault(m, s, READING_MAGNET, STATUS_FAULTY, REASON_OUT_OF_RANGE, 0.0)
+    if across * across + along * along > MAGNETIC_FIELD_GATE * MAGNETIC_FIELD_GATE * s.mag_field_variance:
+        set_fault(m, s, READING_MAGNETIC_FIELD, STATUS_FAULTY, REASON_OUT_OF_RANGE, 0.0)
         return
     h_row_begin(m, ERROR_ATTITUDE + 2, 1.0)
     h_row_add(m, ERROR_ATTITUDE, -s.earth_field[2] / s.earth_field[0])
     h_row_add(m, ERROR_MAG_BIAS, 1.0)
     off = -portable_atan2(east, north) - ahead * m.yaw_rate - m.x[NOMINAL_MAG_BIAS]
     nu = wrap_angle(off)
-    _fuse_drifting_aid(m, s, READING_MAGNET, ERROR_MAG_BIAS, nu, variance, z, 3, 1e-5)
+    _fuse_drifting_aid(m, s, READING_MAGNETIC_FIELD, ERROR_MAG_BIAS, nu, variance, z, 3, 1e-5)
 
 
 @cached_njit(error_model="numpy")
 def measurement_cost(m: FilterMemory, s: FilterSettings, kind: int, left: int) -> int:
     """Return the cost of a measurement in scalar measurements; for the ring, as many beams as ``left`` allows."""
-    if kind == READING_FIX:
+    if kind == READING_POSITION_FIX:
         return COST_FIX_BIAS if m.fix_bias_tick < m.horizon_tick else COST_FIX
-    return max(min(s.beam_count - m.next_beam, left), 1) if kind == READING_RING else 1
+    return max(min(s.beam_count - m.next_beam, left), 1) if kind == READING_RANGE_RING else 1
 
 
 @cached_njit(error_model="numpy")
 def fuse_measurement(m: FilterMemory, s: FilterSettings, i: int, r: _Array, cost: int) -> bool:
     """Fuse queued measurement ``i``, as far as the budget ``cost`` permits; return whether all of it is fused."""
     kind, z, ahead = m.queue_sensor[i], m.queue_value[i], m.queue_ahead[i]
-    if kind == READING_FIX and m.fix_bias_tick < m.horizon_tick:
+    if kind == READING_POSITION_FIX and m.fix_bias_tick < m.horizon_tick:
         predict_fix_bias(m, s)
         return False
-    if kind == READING_FIX:
+    if kind == READING_POSITION_FIX:
         fuse_position_fix(m, s, z, ahead)
     elif kind == READING_SONAR:
         fuse_sonar_range(m, s, z, ahead, r)
-    elif kind == READING_RING:
+    elif kind == READING_RANGE_RING:
         return bool(fuse_wall_ranges(m, s, z, ahead, r, cost))
     elif kind == READING_PRESSURE:
         fuse_pressure_height(m, s, z, ahead)
@@ -497,7 +501,9 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
     h_row_add(m, ERROR_WIND + 1, -slope * r[3 + i])
     nu = m.accel_mean[i] - m.model_accel_mean[i] - m.x[NOMINAL_ACCEL_BIAS + i]
     r_ = m.residual_density[i] / (count * s.dt)
-    known = innovation_variance(m.u_transposed, m.ud_diagonal, m.h_state, m.h_value, m.h_terms, m.u_transposed_h)
+    known = innovation_variance(
+        m.u_transposed, m.ud_diagonal, m.h_state_index, m.h_value, m.h_term_count, m.u_transposed_h
+    )
     ratio = nu / math.sqrt(known + r_)
     check_accel_model(m, s, r, height_above_ground(m.x_output, s), nu, r_, known, i)
     if abs(ratio) < INNOVATION_GATE and m.is_accel_distrusted == 0:
@@ -516,7 +522,7 @@ def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, 
     """
     fuse_error_state(m, ERROR_VELOCITY + i, -m.x[NOMINAL_VELOCITY + i], 4e-4)
     still = mode == PHASE_STANDING
-    if mode == PHASE_COASTING or (i == 2 and not still):
+    if mode == PHASE_ROTORS_COASTING or (i == 2 and not still):
         return
     h_row_begin(m, ERROR_GYRO_BIAS + i, 1.0)
     calm = 2.0 * s.rest_gyro_sigma * s.rest_gyro_sigma / count if still else 5e-5

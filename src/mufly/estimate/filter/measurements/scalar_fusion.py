@@ -1,8 +1,8 @@
 """Fusion of one scalar measurement: its row H, its gate, its rejection, and the estimate of its noise.
 
 A scalar measurement z = h(x) + n has an innovation of variance S = H P H^T + r. Few elements of the row H are not zero;
-``m.h_state`` and ``m.h_value`` hold their indices and values. A correction applies to the state at the horizon and to
-those propagated from it.
+``m.h_state_index`` and ``m.h_value`` hold their indices and values. A correction applies to the state at the horizon
+and to those propagated from it.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ INNOVATION_GATE = 5.0
 """Gate in standard deviations: one healthy reading in two million is rejected."""
 RESET_TIMEOUT_S = 1.0
 """Time over which rejected readings agree with each other before the filter is reset to them (s)."""
-NOISE_GAIN_PLACE, NOISE_GAIN_HEADING, NOISE_GAIN_AID = 0.004, 0.008, 0.03
+NOISE_GAIN_POSITION, NOISE_GAIN_HEADING, NOISE_GAIN_AID = 0.004, 0.008, 0.03
 """Gain of the estimated variances of a fix, per component of a fix, and of another aid, per reading."""
-MAX_SQUARED_RATIO, MAX_RATIO_PRODUCT = 9.0, 3.0
+MAX_SQUARED_INNOVATION_RATIO, MAX_INNOVATION_RATIO_PRODUCT = 9.0, 3.0
 """A larger squared innovation ratio, or product of two, counts as this."""
 MIN_NOISE_SCALE, MAX_NOISE_SCALE = 0.25, 25.0
 """Bounds of the estimated variances over those of the file."""
@@ -45,21 +45,21 @@ MIN_NOISE_SCALE, MAX_NOISE_SCALE = 0.25, 25.0
 @cached_njit(error_model="numpy")
 def h_row_begin(m: FilterMemory, i: int, h: float) -> None:
     """Begin the row H of a measurement with ``h`` times error state ``i``."""
-    m.h_terms = 1
-    m.h_state[0] = i
+    m.h_term_count = 1
+    m.h_state_index[0] = i
     m.h_value[0] = h
 
 
 @cached_njit(error_model="numpy")
 def h_row_add(m: FilterMemory, i: int, h: float) -> None:
     """Add ``h`` times error state ``i`` to the row H."""
-    m.h_state[m.h_terms] = i
-    m.h_value[m.h_terms] = h
-    m.h_terms += 1
+    m.h_state_index[m.h_term_count] = i
+    m.h_value[m.h_term_count] = h
+    m.h_term_count += 1
 
 
 @cached_njit(error_model="numpy")
-def _shift_state(x: _Array, by: _Array, span: float, push: _Array) -> None:
+def _add_propagated_error(x: _Array, by: _Array, span: float, push: _Array) -> None:
     """Add an error to a state that lies ``span`` (s) after the horizon, during which the velocity changed by ``push``
     (3,) without gravity.
     """
@@ -89,15 +89,15 @@ def apply_correction(m: FilterMemory, innovation: float, r: float) -> None:
     ud_measurement_update(m.u_transposed, m.ud_diagonal, m.u_transposed_h, r, m.gain)
     for i in range(ERROR_STATE_COUNT):
         m.gain[i] *= innovation
-    _shift_state(m.x, m.gain, 0.0, m.repropagating_velocity_gain)
-    _shift_state(m.x_repropagating, m.gain, m.repropagating_span, m.repropagating_velocity_gain)
-    _shift_state(m.x_now, m.gain, m.now_span, m.now_velocity_gain)
+    _add_propagated_error(m.x, m.gain, 0.0, m.repropagating_velocity_gain)
+    _add_propagated_error(m.x_repropagating, m.gain, m.repropagating_span, m.repropagating_velocity_gain)
+    _add_propagated_error(m.x_now, m.gain, m.x_now_span, m.now_velocity_gain)
 
 
 @cached_njit(error_model="numpy")
 def fuse_scalar(m: FilterMemory, innovation: float, r: float) -> None:
     """Fuse a scalar measurement of variance ``r`` without a gate; its row is in ``m.h_value``."""
-    innovation_variance(m.u_transposed, m.ud_diagonal, m.h_state, m.h_value, m.h_terms, m.u_transposed_h)
+    innovation_variance(m.u_transposed, m.ud_diagonal, m.h_state_index, m.h_value, m.h_term_count, m.u_transposed_h)
     apply_correction(m, innovation, r)
 
 
@@ -112,7 +112,8 @@ def fuse_error_state(m: FilterMemory, i: int, innovation: float, r: float) -> No
 def innovation_ratio(m: FilterMemory, innovation: float, r: float) -> float:
     """Return the innovation over its standard deviation."""
     return innovation / math.sqrt(
-        innovation_variance(m.u_transposed, m.ud_diagonal, m.h_state, m.h_value, m.h_terms, m.u_transposed_h) + r
+        innovation_variance(m.u_transposed, m.ud_diagonal, m.h_state_index, m.h_value, m.h_term_count, m.u_transposed_h)
+        + r
     )
 
 
@@ -149,7 +150,7 @@ def reset_timeout_expired(m: FilterMemory, s: FilterSettings, k: int) -> bool:
 
 
 @cached_njit(error_model="numpy")
-def scale_variance(scale: _Array, aid: int, gain: float, change: float) -> None:
+def adapt_noise_scale(scale: _Array, aid: int, gain: float, change: float) -> None:
     """Multiply an estimated variance by ``1 + gain * change``, within its bounds.
 
     Increases and decreases have no separate limit, because a limit in one direction would bias the estimate.
@@ -160,4 +161,4 @@ def scale_variance(scale: _Array, aid: int, gain: float, change: float) -> None:
 @cached_njit(error_model="numpy")
 def estimate_noise(m: FilterMemory, aid: int, ratio: float) -> None:
     """Estimate the noise of an aid that measures one component from its innovation ratio."""
-    scale_variance(m.noise_scale, aid, NOISE_GAIN_AID, min(ratio * ratio, MAX_SQUARED_RATIO) - 1.0)
+    adapt_noise_scale(m.noise_scale, aid, NOISE_GAIN_AID, min(ratio * ratio, MAX_SQUARED_INNOVATION_RATIO) - 1.0)

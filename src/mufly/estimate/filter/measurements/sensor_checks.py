@@ -12,8 +12,8 @@
 
 The sonar rounds to centimetres and the battery monitor to 10 mV, so equal readings in a row are usual; innovations
 detect a stuck sonar. One rejected reading is no alarm: a healthy sonar receives a false echo every 16 s. Rejections are
-counted in a score that decays by 7 % with every fused reading. A score above :data:`REJECT_ALARM` is reported
-(:data:`SONAR_REJECT_ALARM` for the sonar: four of 14).
+counted in a score that decays by 7 % with every fused reading. A score above :data:`REJECT_ALARM_SCORE` is reported
+(:data:`SONAR_REJECT_ALARM_SCORE` for the sonar: four of 14).
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from mufly.estimate.filter.filter_records import (
     ERROR_POSITION,
     ERROR_VELOCITY,
     PHASE_FLYING,
-    PHASE_LIGHT,
+    PHASE_LIFTING_OFF,
     READING_ACCELERATION,
     READING_BATTERY,
-    READING_FIX,
+    READING_POSITION_FIX,
+    READING_RANGE_RING,
     READING_RATES,
-    READING_RING,
-    READING_ROTOR,
+    READING_ROTOR_SPEED,
     READING_SONAR,
     READING_STARTS,
     ROTOR_FORCE_ANG_ACCEL,
@@ -52,7 +52,7 @@ _Array = NDArray[np.float64]
 
 ACTUATOR_START = READING_STARTS[-1]
 CLIPPING_START = ACTUATOR_START + 4
-VALUE_COUNT = CLIPPING_START + 3
+INPUT_VALUE_COUNT = CLIPPING_START + 3
 STATUS_WAITING, STATUS_FUSED, STATUS_REJECTED, STATUS_MISSING, STATUS_FAULTY = range(5)
 """Codes of a sensor's status."""
 (
@@ -82,35 +82,35 @@ STATUS_WAITING, STATUS_FUSED, STATUS_REJECTED, STATUS_MISSING, STATUS_FAULTY = r
     REASON_LEVELLED,
 ) = range(24)
 """Codes of the reason; :mod:`mufly.estimate.sensor_status` has the texts."""
-REJECT_ALARM, SONAR_REJECT_ALARM, REJECT_DECAY = 1.5, 3.0, 0.93
+REJECT_ALARM_SCORE, SONAR_REJECT_ALARM_SCORE, REJECT_SCORE_DECAY = 1.5, 3.0, 0.93
 FAULT_HOLD_S = 0.5
 """Time for which a fault of one reading is reported (s)."""
 _MAX_READING_AGE_S = 10.0
 """Age above which a reading is rejected (s); negative and NaN ages are rejected, too."""
-_SPIKE_RATE, _SPIKE_AGREEMENT = 0.12, 0.06  # rad/s within a period, relative to the model
-_JUMP_REPEATS = 3
+_GYRO_SPIKE_RATE, _GYRO_SPIKE_AGREEMENT = 0.12, 0.06  # rad/s within a period, relative to the model
+_GYRO_JUMP_REPEATS = 3
 """Agreeing spikes in a row that are a jump. Outliers in a quarter of the readings, uniform within 0.6 rad/s on three
 axes, agree twice in a row every 80 s, and three times in a row every few days."""
 _MAX_GYRO_OFFSET = 5.0  # rad/s: largest offset; repeated jumps beyond it indicate a diverging model
-_SPIKE_CARRY_SHARE = 0.7  # share of the residual of the previous period
-_ROUGHNESS_FACTOR = 3.0  # of the mean residual over some 50 ms
+_GYRO_RESIDUAL_CARRY_SHARE = 0.7  # share of the residual of the previous period
+_GYRO_SPIKE_RESIDUAL_FACTOR = 3.0  # of the mean residual over some 50 ms
 _ANG_ACCEL_BIAS_GAIN = 0.02  # share of a residual that is attributed to the model's moments
 _MIN_CLIP_SHARE = 0.02  # share of clipped samples that is reported
-DIVERGED_BIAS_WALK, FREE_BIAS_DURATION_S, LATER_BIAS_WALK = 0.1, 3.0, 0.03
+DIVERGED_GYRO_BIAS_WALK, FREE_GYRO_BIAS_DURATION_S, LATER_GYRO_BIAS_WALK = 0.1, 3.0, 0.03
 """Random walk of the gyroscopes' bias after a divergence of the filter (rad/s in a second), its duration (s), and the
 random walk afterwards, since a drift may continue."""
-DIVERGED_BIAS, DIVERGED_ATTITUDE, DIVERGED_SPEED = 0.15, 0.06, 0.3
+DIVERGED_GYRO_BIAS_SIGMA, DIVERGED_ATTITUDE_SIGMA, DIVERGED_SPEED_SIGMA = 0.15, 0.06, 0.3
 """Standard deviations of bias (rad/s), attitude (rad) and speed (m/s) after a divergence."""
 _ROTOR_SPEED_GATE, _ROTOR_SPEED_RECOVERY_GATE = 0.08, 0.02  # fractions of the hover speed; the second after a rejection
 _ROTOR_ACCEL_LIMIT, _ROTOR_ACCEL_MEAN_S, _ROTOR_ACCEL_SETTLING_S = 0.03, 4.0, 1.0
 """Permitted deviation of the motor equations' error from its mean (fraction of the hover speed per second), averaging
 time (s), and settling time after lift-off (s); flights in gusts need a fifth of the limit."""
-_VOLTAGE_GATE = 0.6
+_BATTERY_VOLTAGE_GATE_V = 0.6
 VERDICT_AGREE, VERDICT_UNDECIDED, VERDICT_ACCEL_WRONG, VERDICT_MODEL_WRONG, VERDICT_FLOOR_CONTACT = range(5)
 """Codes of a conflict between accelerometers and rotor model: none, not decided, which is wrong, floor contact."""
-_CONFLICT_GATE, _CONFLICT_END_GATE = 6.0, 2.0
+_FORCE_CONFLICT_GATE, _FORCE_CONFLICT_END_GATE = 6.0, 2.0
 """Deviations between accelerometers and model at which a conflict begins and ends."""
-_CONFLICT_EVIDENCE, _CONFLICT_FIX_AGE_S, _CONFLICT_DECISION_S = 1.0, 0.5, 1.0
+_CONFLICT_MIN_FIX_RATIO, _CONFLICT_FIX_AGE_S, _CONFLICT_TIMEOUT_S = 1.0, 0.5, 1.0
 """Mean ratio of the fix that decides a conflict (1), largest age of the fix (s), and the time without such a ratio
 after which the model, which the filter follows, is right (s)."""
 _FLOOR_CONTACT_HEIGHT = 0.03
@@ -122,9 +122,9 @@ def set_fault(m: FilterMemory, s: FilterSettings, k: int, code: int, why: int, n
     """Set status and reason of a sensor for :data:`FAULT_HOLD_S`."""
     m.status[k] = code
     m.reason[k] = why
-    m.fault_number[k] = number
+    m.reason_number[k] = number
     m.fault_until_tick[k] = m.tick + int(FAULT_HOLD_S / s.dt)
-    if k == READING_FIX:
+    if k == READING_POSITION_FIX:
         m.fault_component = m.fix_component
 
 
@@ -134,7 +134,7 @@ def mark_fused(m: FilterMemory, k: int) -> None:
     m.last_fused_tick[k] = m.tick
     m.reject_count[k] = 0
     m.agree_count[k] = 0
-    m.reject_score[k] *= REJECT_DECAY
+    m.reject_score[k] *= REJECT_SCORE_DECAY
     if m.tick >= m.fault_until_tick[k] and m.reject_score[k] < 1.0:
         m.status[k] = STATUS_FUSED
         m.reason[k] = REASON_NONE
@@ -147,7 +147,7 @@ def mark_rejected(m: FilterMemory, s: FilterSettings, k: int, why: int, number: 
     """Mark a reading as rejected; report it when the score of rejections exceeds the alarm level."""
     m.reject_count[k] += 1
     m.reject_score[k] += 1.0
-    if m.reject_score[k] > (SONAR_REJECT_ALARM if k == READING_SONAR else REJECT_ALARM):
+    if m.reject_score[k] > (SONAR_REJECT_ALARM_SCORE if k == READING_SONAR else REJECT_ALARM_SCORE):
         set_fault(m, s, k, STATUS_REJECTED, why, number)
 
 
@@ -157,11 +157,12 @@ def _is_repeated(m: FilterMemory, s: FilterSettings, z: _Array, k: int, start: i
     if s.has_noise[k] == 0 or m.last_new_tick[k] == 0:
         return False
     told = False
-    for j in range(3 if k == READING_FIX else count):  # a frozen camera may follow the gyroscopes in heading
+    for j in range(3 if k == READING_POSITION_FIX else count):  # a frozen camera may follow the gyroscopes in heading
         if z[start + j] != m.last_value[start + j]:
             return False
         told = told or (
-            (k != READING_ROTOR or z[start + j] != 0.0) and (k != READING_RING or z[start + j] < 0.995 * s.ring_max)
+            (k != READING_ROTOR_SPEED or z[start + j] != 0.0)
+            and (k != READING_RANGE_RING or z[start + j] < 0.995 * s.ring_max_range)
         )
     return told
 
@@ -196,37 +197,37 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
             # A repeated reading contains no new measurement and would be fused with a wrong time.
             new[k] = 0
             if (m.tick - m.last_new_tick[k]) * s.dt < 0.6 * s.sensor_period[k]:
-                m.double_count[k] += 1
-                if m.double_count[k] >= 2:
+                m.duplicate_count[k] += 1
+                if m.duplicate_count[k] >= 2:
                     set_fault(m, s, k, m.status[k], REASON_DUPLICATED, 0.0)
             else:
                 m.repeat_count[k] += 1
                 m.last_new_tick[k] = m.tick
-                m.double_count[k] = 0
+                m.duplicate_count[k] = 0
                 if m.repeat_count[k] >= 2:
                     set_fault(m, s, k, STATUS_FAULTY, REASON_FROZEN, m.repeat_count[k] * s.sensor_period[k])
         elif new[k] == 1:
             m.repeat_count[k] = 0
             if (
-                (s.has_noise[k] == 0 or k == READING_RING)
+                (s.has_noise[k] == 0 or k == READING_RANGE_RING)
                 and m.last_new_tick[k] > 0
                 and (m.tick - m.last_new_tick[k]) * s.dt < 0.6 * s.sensor_period[k]
             ):
                 new[k] = 0
-                m.double_count[k] += 1
-                if m.double_count[k] >= 3:
+                m.duplicate_count[k] += 1
+                if m.duplicate_count[k] >= 3:
                     set_fault(m, s, k, m.status[k], REASON_DUPLICATED, 0.0)
         if new[k] == 1:
             m.last_new_tick[k] = m.tick
             m.invalid_count[k] = 0
             again = m.status[k] >= STATUS_MISSING and m.tick >= m.fault_until_tick[k]
-            if again or (m.status[k] == STATUS_WAITING and k != READING_RING):
+            if again or (m.status[k] == STATUS_WAITING and k != READING_RANGE_RING):
                 # The ring's readings decide about its use: in a large room it detects no wall.
-                m.status[k], m.reason[k] = STATUS_WAITING if k == READING_RING else STATUS_FUSED, REASON_NONE
+                m.status[k], m.reason[k] = STATUS_WAITING if k == READING_RANGE_RING else STATUS_FUSED, REASON_NONE
             if age[k] > s.latency[k] + s.latency_slack[k]:
                 # The others wait for the horizon, which decides whether they can be fused.
                 set_fault(m, s, k, m.status[k], REASON_LATE, age[k])
-                if k <= READING_RATES or k in (READING_ROTOR, READING_BATTERY):
+                if k <= READING_RATES or k in (READING_ROTOR_SPEED, READING_BATTERY):
                     set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age[k])
                     new[k] = 0
             if s.decimation[k] > 1:
@@ -234,7 +235,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
                 m.is_decimated[k] = 1 if m.decimation_count[k] % s.decimation[k] else 0
             for j in range(count):
                 m.last_value[start + j] = z[start + j]
-            if k <= READING_RATES or k == READING_RING:
+            if k <= READING_RATES or k == READING_RANGE_RING:
                 m.last_fused_tick[k] = m.tick
         if new[k] == 0:
             for j in range(count):
@@ -242,7 +243,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
             if m.last_new_tick[k] > 0 and (m.tick - m.last_new_tick[k]) * s.dt > s.timeout[k]:
                 m.status[k] = STATUS_MISSING
                 m.reason[k] = REASON_NO_ECHO if m.invalid_count[k] > 2 else REASON_TIMEOUT
-                m.fault_number[k] = (m.tick - m.last_new_tick[k]) * s.dt
+                m.reason_number[k] = (m.tick - m.last_new_tick[k]) * s.dt
     clip = 0.0
     for k in range(3):
         share = z[CLIPPING_START + k]
@@ -258,20 +259,28 @@ def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
     if m.divergence_ticks <= 1:
         for k in range(3):
             inflate_variance(
-                m.u_transposed, m.ud_diagonal, ERROR_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS, m.u_transposed_h
+                m.u_transposed,
+                m.ud_diagonal,
+                ERROR_GYRO_BIAS + k,
+                DIVERGED_GYRO_BIAS_SIGMA * DIVERGED_GYRO_BIAS_SIGMA,
+                m.u_transposed_h,
             )
             inflate_variance(
                 m.u_transposed,
                 m.ud_diagonal,
                 ERROR_ATTITUDE + k,
-                DIVERGED_ATTITUDE * DIVERGED_ATTITUDE,
+                DIVERGED_ATTITUDE_SIGMA * DIVERGED_ATTITUDE_SIGMA,
                 m.u_transposed_h,
             )
         for k in range(2):
             inflate_variance(
-                m.u_transposed, m.ud_diagonal, ERROR_VELOCITY + k, DIVERGED_SPEED * DIVERGED_SPEED, m.u_transposed_h
+                m.u_transposed,
+                m.ud_diagonal,
+                ERROR_VELOCITY + k,
+                DIVERGED_SPEED_SIGMA * DIVERGED_SPEED_SIGMA,
+                m.u_transposed_h,
             )
-    m.divergence_ticks = int(FREE_BIAS_DURATION_S / s.dt)
+    m.divergence_ticks = int(FREE_GYRO_BIAS_DURATION_S / s.dt)
 
 
 @cached_njit(error_model="numpy")
@@ -288,25 +297,27 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
         off = m.gyro_rates[k] - m.axis_work[k]
         worst = max(worst, abs(off))
         # A spike may consist of two steps that would each pass.
-        led = max(led, abs(_SPIKE_CARRY_SHARE * m.spike_residual_carry[k] + off))
+        led = max(led, abs(_GYRO_RESIDUAL_CARRY_SHARE * m.spike_residual_carry[k] + off))
         # Error of the model's moments, in flight and on the legs
         m.ang_accel_bias[k] += (
-            _ANG_ACCEL_BIAS_GAIN * min(max(off, -_SPIKE_RATE), _SPIKE_RATE) if m.flight_phase >= PHASE_LIGHT else 0.0
+            _ANG_ACCEL_BIAS_GAIN * min(max(off, -_GYRO_SPIKE_RATE), _GYRO_SPIKE_RATE)
+            if m.flight_phase >= PHASE_LIFTING_OFF
+            else 0.0
         )
     alike = m.spike_repeats > 0
     for k in range(3):
-        alike = alike and abs(m.gyro_rates[k] - m.rates_with_spikes[k]) < _SPIKE_AGREEMENT
+        alike = alike and abs(m.gyro_rates[k] - m.rates_with_spikes[k]) < _GYRO_SPIKE_AGREEMENT
         m.rates_with_spikes[k] = m.gyro_rates[k]
     # A model with repeated errors cannot distinguish a spike from a motion. Agreeing spikes are one error.
-    most = _SPIKE_RATE + _ROUGHNESS_FACTOR * m.rate_residual_lp
-    m.rate_residual_lp += 0.0 if alike else 0.1 * (min(worst, _SPIKE_RATE) - m.rate_residual_lp)
+    most = _GYRO_SPIKE_RATE + _GYRO_SPIKE_RESIDUAL_FACTOR * m.rate_residual_lp
+    m.rate_residual_lp += 0.0 if alike else 0.1 * (min(worst, _GYRO_SPIKE_RATE) - m.rate_residual_lp)
     m.divergence_ticks = max(m.divergence_ticks - 1, min(m.divergence_ticks, 1))  # a past divergence is remembered
     if not flying or s.has_rotor_model == 0:
         m.spike_repeats = 0
         return
     fine = max(worst, led) < most
     for k in range(3):
-        m.spike_residual_carry[k] *= _SPIKE_CARRY_SHARE
+        m.spike_residual_carry[k] *= _GYRO_RESIDUAL_CARRY_SHARE
         if fine:
             m.spike_residual_carry[k] += m.gyro_rates[k] - m.axis_work[k]
     if fine:
@@ -315,13 +326,13 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
     m.spike_count += 1
     m.spike_repeats = m.spike_repeats + 1 if alike else 1
     if m.spike_count == 1:
-        m.reject_score[READING_RATES] = m.reject_score[READING_RATES] * REJECT_DECAY + 1.0
+        m.reject_score[READING_RATES] = m.reject_score[READING_RATES] * REJECT_SCORE_DECAY + 1.0
         if m.reject_score[READING_RATES] > 3.0:
             set_fault(m, s, READING_RATES, STATUS_FUSED, REASON_SPIKES, worst)
     small = True
     for k in range(3):
         small = small and abs(m.gyro_offset[k] + (m.gyro_rates[k] - m.axis_work[k])) < _MAX_GYRO_OFFSET
-    if m.spike_repeats >= _JUMP_REPEATS and small:
+    if m.spike_repeats >= _GYRO_JUMP_REPEATS and small:
         # A sudden offset is no motion. It is subtracted from the following readings.
         for k in range(3):
             off = m.gyro_rates[k] - m.axis_work[k]
@@ -345,7 +356,7 @@ def rotor_speed_consistent(m: FilterMemory, s: FilterSettings, z: _Array, start:
     The filter estimates the error of these equations, including a slow sensor drift, within a second. In flight the
     error is nearly constant: ``m.motor_accel_mean`` is its mean over some seconds."""
     worst, away = 0.0, 0.0
-    k = READING_ROTOR
+    k = READING_ROTOR_SPEED
     flown = (m.tick - m.grounded_tick) * s.dt
     for j in range(2):
         worst = max(worst, abs(z[start + j] - m.rotor_state[MODEL_SPEED_UPPER + j]) / s.hover_speed[j])
@@ -372,8 +383,8 @@ def battery_voltage_consistent(m: FilterMemory, s: FilterSettings, off: float) -
     """Return whether the measured voltage agrees with the battery's model.
 
     Without rotor speeds the model's current is unknown, and a difference is no fault."""
-    if abs(off) > _VOLTAGE_GATE and m.tick * s.dt > 1.0:
-        if s.is_fitted[READING_ROTOR] == 0 or m.status[READING_ROTOR] == STATUS_FUSED:
+    if abs(off) > _BATTERY_VOLTAGE_GATE_V and m.tick * s.dt > 1.0:
+        if s.is_fitted[READING_ROTOR_SPEED] == 0 or m.status[READING_ROTOR_SPEED] == STATUS_FUSED:
             mark_rejected(m, s, READING_BATTERY, REASON_INNOVATION, off)
         return False
     mark_fused(m, READING_BATTERY)
@@ -381,7 +392,7 @@ def battery_voltage_consistent(m: FilterMemory, s: FilterSettings, off: float) -
 
 
 @cached_njit(error_model="numpy")
-def _force_evidence(m: FilterMemory, r: _Array, along: _Array) -> float:
+def _mean_fix_ratio_along(m: FilterMemory, r: _Array, along: _Array) -> float:
     """Return the mean innovation ratio of the fix along the difference ``along`` of accelerometers and model.
 
     The filter uses one of the two forces. If the vehicle accelerates according to the other force, innovations of the
@@ -401,14 +412,14 @@ def _update_force_conflict(m: FilterMemory, s: FilterSettings, r: _Array, height
     """Decide whether accelerometers or rotor model are wrong; they differ by ``worst`` standard deviations.
 
     If rotor speeds are not fused, the model is wrong. If the floor may carry the vehicle, both may be right, and
-    nothing is reported. Otherwise the fix decides (:func:`_force_evidence`). Until it does, the filter uses the model,
-    and both are reported. ``height`` is the height above the surface below (m).
+    nothing is reported. Otherwise the fix decides (:func:`_mean_fix_ratio_along`). Until it does, the filter uses the
+    model, and both are reported. ``height`` is the height above the surface below (m).
     """
-    if m.is_accel_distrusted == 0 and worst > _CONFLICT_GATE:
+    if m.is_accel_distrusted == 0 and worst > _FORCE_CONFLICT_GATE:
         m.is_accel_distrusted = 1
-    elif m.is_accel_distrusted == 1 and worst < _CONFLICT_END_GATE:
+    elif m.is_accel_distrusted == 1 and worst < _FORCE_CONFLICT_END_GATE:
         m.is_accel_distrusted = 0
-    apart = m.accel_model_apart_tick > 0 and (m.tick - m.accel_model_apart_tick) * s.dt < FAULT_HOLD_S
+    apart = m.accel_model_difference_tick > 0 and (m.tick - m.accel_model_difference_tick) * s.dt < FAULT_HOLD_S
     if m.is_accel_distrusted == 0 and not apart:
         m.accel_model_verdict = VERDICT_AGREE
         return
@@ -416,14 +427,17 @@ def _update_force_conflict(m: FilterMemory, s: FilterSettings, r: _Array, height
         m.accel_model_verdict = VERDICT_UNDECIDED
         m.accel_model_conflict_start_tick = m.tick
     has_fix = (
-        m.status[READING_FIX] == STATUS_FUSED and (m.tick - m.last_fused_tick[READING_FIX]) * s.dt < _CONFLICT_FIX_AGE_S
+        m.status[READING_POSITION_FIX] == STATUS_FUSED
+        and (m.tick - m.last_fused_tick[READING_POSITION_FIX]) * s.dt < _CONFLICT_FIX_AGE_S
     )
-    evidence = _force_evidence(m, r, m.accel_residual_lp) if has_fix else 0.0
+    evidence = _mean_fix_ratio_along(m, r, m.accel_residual_lp) if has_fix else 0.0
     if m.accel_residual_lp[2] < 0.0 and height < _FLOOR_CONTACT_HEIGHT + 3.0 * m.sigma_output[ERROR_POSITION + 2]:
         m.accel_model_verdict = VERDICT_FLOOR_CONTACT
-    elif (s.is_fitted[READING_ROTOR] > 0 and m.status[READING_ROTOR] != STATUS_FUSED) or evidence > _CONFLICT_EVIDENCE:
+    elif (
+        s.is_fitted[READING_ROTOR_SPEED] > 0 and m.status[READING_ROTOR_SPEED] != STATUS_FUSED
+    ) or evidence > _CONFLICT_MIN_FIX_RATIO:
         m.accel_model_verdict = VERDICT_MODEL_WRONG
-    elif evidence < -_CONFLICT_EVIDENCE:
+    elif evidence < -_CONFLICT_MIN_FIX_RATIO:
         m.accel_model_verdict = VERDICT_ACCEL_WRONG
     elif m.accel_model_verdict == VERDICT_FLOOR_CONTACT:
         m.accel_model_verdict = VERDICT_UNDECIDED
@@ -431,7 +445,7 @@ def _update_force_conflict(m: FilterMemory, s: FilterSettings, r: _Array, height
     elif (
         m.accel_model_verdict == VERDICT_UNDECIDED
         and has_fix
-        and (m.tick - m.accel_model_conflict_start_tick) * s.dt > _CONFLICT_DECISION_S
+        and (m.tick - m.accel_model_conflict_start_tick) * s.dt > _CONFLICT_TIMEOUT_S
     ):
         m.accel_model_verdict = VERDICT_ACCEL_WRONG
 

@@ -78,7 +78,7 @@ static void publish_status(board_t *b)
 
         m->checks[k].status = there ? e->status[k] : SENSOR_NOT_FITTED;
         m->checks[k].why = e->reason[k];
-        m->checks[k].number = e->fault_number[k];
+        m->checks[k].number = e->reason_number[k];
     }
 }
 
@@ -120,14 +120,14 @@ static bool step_filter(board_t *b)
 }
 
 /* Advance the filter by lost periods with the readings of the inertial unit of the period after them. */
-static void make_up_periods(board_t *b, int32_t missed)
+static void process_missed_periods(board_t *b, int32_t missed)
 {
     const int32_t count = (missed < MAX_MISSED_PERIODS) ? missed : MAX_MISSED_PERIODS;
     hal_readings_t *r = &b->readings;
-    real_t z[VALUE_COUNT];
+    real_t z[INPUT_VALUE_COUNT];
     int32_t fresh[SENSOR_COUNT];
 
-    for (int32_t i = 0; i < VALUE_COUNT; i++) {
+    for (int32_t i = 0; i < INPUT_VALUE_COUNT; i++) {
         z[i] = r->z[i];
     }
     for (int32_t k = 0; k < SENSOR_COUNT; k++) {
@@ -138,7 +138,7 @@ static void make_up_periods(board_t *b, int32_t missed)
             r->fresh[k] = (k < READING_SONAR) ? fresh[k] : 0;
         }
         (void)step_filter(b);
-        for (int32_t i = 0; i < VALUE_COUNT; i++) {
+        for (int32_t i = 0; i < INPUT_VALUE_COUNT; i++) {
             r->z[i] = z[i];
         }
     }
@@ -152,11 +152,11 @@ void board_estimate(board_t *b, real_t time_s, int32_t missed)
     bool valid;
 
     calibrate_readings(&b->settings.calibration, &b->readings);
-    if (b->readings.fresh[READING_RING] == 1) {
+    if (b->readings.fresh[READING_RANGE_RING] == 1) {
         filter_ranges(b, b->readings.ranges);
     }
     if (missed > 0) {
-        make_up_periods(b, missed);
+        process_missed_periods(b, missed);
     }
     valid = step_filter(b);
     fill_estimate(b, valid, time_s);

@@ -14,7 +14,7 @@ void merge_readings(hal_readings_t *to, const hal_readings_t *from)
     for (int32_t i = 0; i < 3; i++) {
         to->z[CLIPPING_START + i] = from->z[CLIPPING_START + i];
     }
-    if (from->fresh[READING_RING] == 1) {
+    if (from->fresh[READING_RANGE_RING] == 1) {
         for (int32_t i = 0; i < MAX_BEAMS; i++) {
             to->ranges[i] = from->ranges[i];
         }

@@ -389,17 +389,17 @@ static void fuzz_software(void)
 static void fuzz_estimate(void)
 {
     static estimator_t m;
-    real_t z[VALUE_COUNT];
+    real_t z[INPUT_VALUE_COUNT];
     int32_t fresh[SENSOR_COUNT];
     real_t age[SENSOR_COUNT];
 
     estimator_reset(&m, &mufly_settings);
     while (left > 0U) {
         const uint8_t repeat = next_byte();
-        real_t kept[VALUE_COUNT];
+        real_t kept[INPUT_VALUE_COUNT];
         int32_t came[SENSOR_COUNT];
 
-        fill_numbers(VALUE_COUNT, REAL(20.0), kept);
+        fill_numbers(INPUT_VALUE_COUNT, REAL(20.0), kept);
         for (int32_t i = 0; i < SENSOR_COUNT; i++) {
             const uint8_t how = next_byte();
 

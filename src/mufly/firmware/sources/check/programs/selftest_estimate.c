@@ -39,7 +39,7 @@ static void move_along_hop(hop_t *hop, const estimator_t *m, int32_t k)
 /* Distance to the nearest wall of the room along a beam from its middle. */
 static real_t wall_range(const real_t beam[3])
 {
-    real_t best = mufly_settings.ring_max;
+    real_t best = mufly_settings.ring_max_range;
 
     for (int32_t i = 0; i < 2; i++) {
         if (real_abs(beam[i]) > REAL(0.01)) {
@@ -58,7 +58,7 @@ static bool is_due(int32_t sensor, int32_t k)
     return (mufly_settings.is_fitted[sensor] != 0) && ((k % ((every > 0) ? every : 1)) == 0);
 }
 
-static void make_readings(const hop_t *hop, const estimator_t *m, int32_t k, real_t z[VALUE_COUNT], int32_t fresh[SENSOR_COUNT],
+static void make_readings(const hop_t *hop, const estimator_t *m, int32_t k, real_t z[INPUT_VALUE_COUNT], int32_t fresh[SENSOR_COUNT],
                  real_t age[SENSOR_COUNT])
 {
     const estimator_settings_t *s = &mufly_settings;
@@ -74,22 +74,22 @@ static void make_readings(const hop_t *hop, const estimator_t *m, int32_t k, rea
     for (int32_t i = 0; i < 3; i++) {
         z[READING_STARTS[READING_ACCELERATION] + i] = random_number(REAL(0.1));
         z[READING_STARTS[READING_RATES] + i] = random_number(REAL(0.005));
-        z[READING_STARTS[READING_MAGNET] + i] = s->earth_field[i] + random_number(REAL(1e-7));
-        z[READING_STARTS[READING_FIX] + i] = random_number(REAL(0.02));
+        z[READING_STARTS[READING_MAGNETIC_FIELD] + i] = s->earth_field[i] + random_number(REAL(1e-7));
+        z[READING_STARTS[READING_POSITION_FIX] + i] = random_number(REAL(0.02));
         z[CLIPPING_START + i] = REAL(0.0);
     }
     z[2] += hop->force;
     z[READING_STARTS[READING_SONAR]] = real_max(s->sonar_min, -down - s->sonar_position[2]) + random_number(REAL(0.01));
     for (int32_t b = 0; b < MAX_FUSED_BEAMS; b++) {
-        z[READING_STARTS[READING_RING] + b] = wall_range(s->beam_directions[b]) + random_number(REAL(0.02));
+        z[READING_STARTS[READING_RANGE_RING] + b] = wall_range(s->beam_directions[b]) + random_number(REAL(0.02));
     }
-    z[READING_STARTS[READING_PRESSURE]] = (s->pressure_slope * down) + random_number(REAL(2.0));
-    z[READING_STARTS[READING_FIX] + 2] += down;
-    z[READING_STARTS[READING_FIX] + 3] = random_number(REAL(0.02));
+    z[READING_STARTS[READING_PRESSURE]] = (s->pressure_height_slope * down) + random_number(REAL(2.0));
+    z[READING_STARTS[READING_POSITION_FIX] + 2] += down;
+    z[READING_STARTS[READING_POSITION_FIX] + 3] = random_number(REAL(0.02));
     battery_state(m->rotor_state, hop->motor[0], hop->motor[1], &mufly_flight_model, &voltage, &current);
     z[READING_STARTS[READING_BATTERY]] = voltage + random_number(REAL(0.05));
     for (int32_t i = 0; i < 2; i++) {
-        z[READING_STARTS[READING_ROTOR] + i] = m->rotor_state[MODEL_SPEED_UPPER + i] + random_number(REAL(2.0));
+        z[READING_STARTS[READING_ROTOR_SPEED] + i] = m->rotor_state[MODEL_SPEED_UPPER + i] + random_number(REAL(2.0));
         z[ACTUATOR_START + i] = hop->motor[i];
         z[ACTUATOR_START + 2 + i] = random_number(REAL(0.05));
     }
@@ -99,7 +99,7 @@ int main(void)
 {
     static estimator_t m;
     static hop_t hop;
-    real_t z[VALUE_COUNT];
+    real_t z[INPUT_VALUE_COUNT];
     real_t age[SENSOR_COUNT];
     int32_t fresh[SENSOR_COUNT];
     uint64_t digest = DIGEST_START;

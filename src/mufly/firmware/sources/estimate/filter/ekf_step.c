@@ -30,19 +30,19 @@ void estimator_reset(estimator_t *m, const estimator_settings_t *s)
         m->bias_walk_scale[i] = REAL(1.0);
     }
     m->task_stage = STAGE_DONE;
-    m->sonar_least = s->sonar_min;
+    m->sonar_least_range = s->sonar_min;
     m->x_output[NOMINAL_ATTITUDE] = REAL(1.0);
     m->rotor_state[MODEL_ATTITUDE] = REAL(1.0);
     m->rotor_state[MODEL_CHARGE] = REAL(1.0);
     m->rotor_state[MODEL_POSITION + 2] = REAL(-1000.0); /* far above the floor */
     m->rotor_state[MODEL_BAR + 2] = REAL(-1.0);
     for (int32_t k = 0; k < 3; k++) {
-        m->accel_noise[k] = INITIAL_ACCEL_DENSITY;
-        m->accel_noise_slow[k] = INITIAL_ACCEL_DENSITY;
+        m->accel_noise[k] = INITIAL_ACCEL_NOISE_DENSITY;
+        m->accel_noise_slow[k] = INITIAL_ACCEL_NOISE_DENSITY;
     }
 }
 
-bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, real_t z[VALUE_COUNT],
+bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, real_t z[INPUT_VALUE_COUNT],
                     int32_t fresh[SENSOR_COUNT], const real_t age[SENSOR_COUNT])
 {
     real_t doubt;
@@ -59,7 +59,7 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
         m->gyro_rates_prev[k] = m->gyro_rates[k];
         if (m->status[READING_RATES] < STATUS_MISSING) {
             m->gyro_rates[k] = z[READING_STARTS[READING_RATES] + k] - m->gyro_offset[k];
-        } else if ((s->has_rotor_model > 0) && (m->flight_phase >= PHASE_LIGHT)) {
+        } else if ((s->has_rotor_model > 0) && (m->flight_phase >= PHASE_LIFTING_OFF)) {
             /* Rates of the rotor model. The stabiliser bar keeps the rotors level, so only yaw drifts. */
             m->gyro_rates[k] =
                 (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[(m->tick - 1) % ROTOR_FORCE_HISTORY][ROTOR_FORCE_ANG_ACCEL + k])) + m->ang_accel_bias[k];
@@ -71,12 +71,12 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
     doubt = m->fix_height_gap - real_min(m->x_output[NOMINAL_TERRAIN], REAL(0.0));
     replace_gyro_spikes(m, s, (m->flight_phase == PHASE_FLYING) && (height_above_ground(m->x_output, s) > (LEG_CLEARANCE_HEIGHT + doubt)));
     rises = sample_inputs(m, s, p, z, fresh);
-    if ((s->has_rotor_model > 0) && (m->flight_phase >= PHASE_RUNNING) && (m->status[READING_ACCELERATION] < STATUS_MISSING)) {
+    if ((s->has_rotor_model > 0) && (m->flight_phase >= PHASE_MOTORS_RUNNING) && (m->status[READING_ACCELERATION] < STATUS_MISSING)) {
         estimate_accel_noise(m, s, z);
     }
     queue_new_measurements(m, s, z, fresh, age);
     predict_bias(m, s);
-    left = s->work_limit - (((m->tick % COVARIANCE_INTERVAL_TICKS) == 0) ? COST_COVARIANCE : 0);
+    left = s->fusion_budget - (((m->tick % COVARIANCE_INTERVAL_TICKS) == 0) ? COST_COVARIANCE : 0);
     if ((rises > REAL(0.0)) && (m->sigma_output[ERROR_THRUST_SCALE] > LIFTOFF_THRUST_SIGMA)) {
         fuse_liftoff_thrust(m, rises);
         left -= 1;
@@ -87,12 +87,12 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
         left = (cost > 0) ? (left - cost) : 0;
     }
     predict_output(m, s);
-    found = (s->is_fitted[READING_FIX] == 0) || (m->is_heading_aligned > 0);
+    found = (s->is_fitted[READING_POSITION_FIX] == 0) || (m->is_heading_aligned > 0);
     if ((m->is_initialised == 0) && found &&
         ((((real_t)m->standing_ticks * s->dt) >= INITIAL_REST_S) || (((real_t)m->tick * s->dt) > REAL(3.0)))) {
         m->is_initialised = 1;
     }
-    turns = (s->has_rotor_model > 0) && (m->flight_phase >= PHASE_LIGHT);
+    turns = (s->has_rotor_model > 0) && (m->flight_phase >= PHASE_LIFTING_OFF);
     seen = (m->status[READING_RATES] < STATUS_MISSING) || turns || (((real_t)(m->tick - m->last_fused_tick[READING_RATES]) * s->dt) < GYRO_OUTAGE_S);
     for (int32_t k = 0; k < 3; k++) {
         /* Invalid inputs may make the model diverge: rates beyond the gyroscopes' range are no estimate. */

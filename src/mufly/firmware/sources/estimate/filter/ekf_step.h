@@ -18,7 +18,7 @@ void estimator_reset(estimator_t *m, const estimator_settings_t *s);
  * invalid. age: age of each reading (s). Return whether the estimate may be used for flight. The estimate is in
  * m->x_output (STATES), m->angles_output (roll, pitch, yaw, rad) and m->rates_output (rad/s); its covariance is updated
  * every COVARIANCE_INTERVAL_TICKS periods in m->covariance_output and m->sigma_output. z and fresh are overwritten. */
-bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, real_t z[VALUE_COUNT],
+bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, real_t z[INPUT_VALUE_COUNT],
                     int32_t fresh[SENSOR_COUNT], const real_t age[SENSOR_COUNT]);
 
 #endif

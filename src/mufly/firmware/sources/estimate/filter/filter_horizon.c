@@ -32,13 +32,13 @@ static bool queue_measurement(estimator_t *m, const estimator_settings_t *s, int
 }
 
 /* Inflate the terrain's variance while the sonar's cone passes over an edge: the nearest point moves along an arc. */
-static void pass_terrain_edge(estimator_t *m, const estimator_settings_t *s, real_t span)
+static void inflate_terrain_at_edge(estimator_t *m, const estimator_settings_t *s, real_t span)
 {
     const real_t away = real_max(-m->x[NOMINAL_POSITION + 2] - m->x[NOMINAL_TERRAIN], REAL(0.1));
     const real_t speed = real_sqrt((m->x[NOMINAL_VELOCITY] * m->x[NOMINAL_VELOCITY]) + (m->x[NOMINAL_VELOCITY + 1] * m->x[NOMINAL_VELOCITY + 1]));
-    const real_t arc = s->sonar_arc * away;
+    const real_t arc = s->sonar_cone_edge_excess * away;
     const real_t passed =
-        span * real_max(speed / real_max(s->sonar_cone_slope * away, REAL(0.05)), REAL(1.0) / TERRAIN_EDGE_S);
+        span * real_max(speed / real_max(s->sonar_cone_radius_ratio * away, REAL(0.05)), REAL(1.0) / TERRAIN_EDGE_DURATION_S);
 
     inflate_variance(m, ERROR_TERRAIN, (arc * arc) * passed);
     m->terrain_edge_weight = real_max(m->terrain_edge_weight - passed, REAL(0.0));
@@ -52,7 +52,7 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
 {
     const real_t span = (real_t)s->block_ticks * s->dt;
     const real_t *e = input_block(m, s, m->horizon_tick);
-    const real_t spread = s->gyro_density + ((m->status[READING_RATES] >= STATUS_MISSING) ? GYRO_OUTAGE_DENSITY : REAL(0.0));
+    const real_t spread = s->gyro_noise_density + ((m->status[READING_RATES] >= STATUS_MISSING) ? GYRO_OUTAGE_RATE_DENSITY : REAL(0.0));
     real_t r[9];
     real_t a[6];
     real_t q[MOTION_STATE_COUNT];
@@ -63,10 +63,10 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
     predict_state(m->x, e, span, r, a);
     for (int32_t k = 0; k < 3; k++) {
         m->accel_mean[k] += e[INPUT_ACCEL + k];
-        m->model_accel_mean[k] += a[MODEL_ACCEL + k];
+        m->model_accel_mean[k] += a[ACCEL_WORK_MODEL + k];
         m->gyro_mean[k] += e[k];
-        m->thrust_slope[k] += e[INPUT_STATIC + k];
-        m->velocity_slope[k] += e[INPUT_SLOPE + k];
+        m->thrust_slope[k] += e[INPUT_STATIC_FORCE + k];
+        m->velocity_slope[k] += e[INPUT_FORCE_SLOPE + k];
     }
     m->yaw_rate = REAL(0.0);
     for (int32_t k = 0; k < 3; k++) {
@@ -78,7 +78,7 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
     error_transition(e, span, r, a, transition);
     ud_time_update(m, span, transition, q);
     if (m->terrain_edge_weight > REAL(0.0)) {
-        pass_terrain_edge(m, s, span);
+        inflate_terrain_at_edge(m, s, span);
     }
     m->block_mean_ticks += s->block_ticks;
 }
@@ -88,7 +88,7 @@ void predict_bias(estimator_t *m, const estimator_settings_t *s)
     const int32_t turn = ERROR_GYRO_BIAS + wrap_index(m->tick, BIAS_CYCLE_TICKS);
     const int32_t k = (turn >= ERROR_FIX_BIAS) ? (turn + ((ERROR_FIX_HEADING + 1) - ERROR_FIX_BIAS)) : turn;
     const bool adrift = (k < (ERROR_GYRO_BIAS + 3)) && (m->divergence_ticks > 0);
-    const real_t may = (m->divergence_ticks > 1) ? DIVERGED_BIAS_WALK : LATER_BIAS_WALK;
+    const real_t may = (m->divergence_ticks > 1) ? DIVERGED_GYRO_BIAS_WALK : LATER_GYRO_BIAS_WALK;
     real_t origin = s->initial_state[k + 1];
     real_t keep = s->decay[k];
     real_t q = s->process_variance[k] + (adrift ? ((may * may) * ((real_t)BIAS_CYCLE_TICKS * s->dt)) : REAL(0.0));
@@ -99,18 +99,18 @@ void predict_bias(estimator_t *m, const estimator_settings_t *s)
     }
     if (k < (ERROR_GYRO_BIAS + 3)) {
         const int32_t i = k - ERROR_GYRO_BIAS;
-        const real_t turning = (real_abs(m->yaw_rate) > LEAK_RATE) ? m->yaw_rate : REAL(0.0);
+        const real_t turning = (real_abs(m->yaw_rate) > MIN_CROSS_AXIS_YAW_RATE) ? m->yaw_rate : REAL(0.0);
 
-        if (m->leaked_yaw_rate[i] != REAL(0.0)) {
-            keep = turning / m->leaked_yaw_rate[i];
-            q += (turning == REAL(0.0)) ? m->leak_origin_variance[i] : REAL(0.0);
+        if (m->cross_axis_yaw_rate[i] != REAL(0.0)) {
+            keep = turning / m->cross_axis_yaw_rate[i];
+            q += (turning == REAL(0.0)) ? m->gyro_bias_before_yaw_variance[i] : REAL(0.0);
         } else {
-            m->leak_origin[i] = m->x[k + 1];
-            m->leak_origin_variance[i] = state_variance(m, k);
+            m->gyro_bias_before_yaw[i] = m->x[k + 1];
+            m->gyro_bias_before_yaw_variance[i] = state_variance(m, k);
             q += (s->gyro_axis_variance[i] + m->mount_variance[i]) * (turning * turning);
         }
-        origin = m->leak_origin[i];
-        m->leaked_yaw_rate[i] = turning;
+        origin = m->gyro_bias_before_yaw[i];
+        m->cross_axis_yaw_rate[i] = turning;
     }
     m->x[k + 1] = origin + ((m->x[k + 1] - origin) * keep);
     if (q > REAL(0.0)) {
@@ -168,7 +168,7 @@ static void average_block_forces(estimator_t *m, const estimator_settings_t *s)
 
     for (int32_t k = 0; k < 3; k++) {
         /* Noise density of the difference at the horizon, from the weights used there */
-        const real_t share = real_max(e[INPUT_SHARE + k], REAL(1e-9));
+        const real_t share = real_max(e[INPUT_ACCEL_WEIGHT + k], REAL(1e-9));
 
         m->accel_mean[k] /= n;
         m->model_accel_mean[k] /= n;
@@ -176,7 +176,7 @@ static void average_block_forces(estimator_t *m, const estimator_settings_t *s)
         m->thrust_slope[k] /= n;
         m->velocity_slope[k] /= n;
         m->residual_density[k] =
-            ((e[INPUT_NOISE + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9))) + m->accel_noise[k];
+            ((e[INPUT_NOISE_DENSITY + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9))) + m->accel_noise[k];
     }
 }
 
@@ -212,12 +212,12 @@ static int32_t settle_terrain(estimator_t *m)
 /* Fuse the next axis of the means; return the cost, 0 without time for it or work (then the stage is LEGS). */
 static int32_t fuse_block_axis(estimator_t *m, const estimator_settings_t *s, int32_t mode, int32_t left)
 {
-    const int32_t i = m->task_stage - STAGE_AXES;
+    const int32_t i = m->task_stage - STAGE_FORCE_AXES;
     int32_t cost = 0;
 
-    if (mode <= PHASE_RUNNING) {
-        if (COST_REST_AXIS <= left) {
-            cost = COST_REST_AXIS;
+    if (mode <= PHASE_MOTORS_RUNNING) {
+        if (COST_ZERO_MOTION_AXIS <= left) {
+            cost = COST_ZERO_MOTION_AXIS;
             fuse_zero_motion(m, s, m->block_mean_ticks, mode, i);
             if ((mode == PHASE_STANDING) && (i == 0)) {
                 m->standing_ticks += m->block_mean_ticks;
@@ -251,19 +251,19 @@ int32_t run_next_task(estimator_t *m, const estimator_settings_t *s, int32_t lef
         m->task_stage = STAGE_DONE;
         if (m->block_mean_ticks >= FORCE_MEAN_TICKS) {
             average_block_forces(m, s);
-            m->task_stage = STAGE_AXES;
+            m->task_stage = STAGE_FORCE_AXES;
         }
     }
     if (!decided) {
         const int32_t mode = (int32_t)input_block(m, s, m->horizon_tick - s->block_ticks)[INPUT_ROW_SIZE - 1];
 
-        if ((m->task_stage >= STAGE_AXES) && (m->task_stage < STAGE_GROUND_CONTACT)) {
+        if ((m->task_stage >= STAGE_FORCE_AXES) && (m->task_stage < STAGE_GROUND_CONTACT)) {
             cost = fuse_block_axis(m, s, mode, left);
             decided = (cost > 0) || (m->task_stage < STAGE_GROUND_CONTACT);
         }
         if ((!decided) && (m->task_stage == STAGE_GROUND_CONTACT)) {
             m->task_stage = STAGE_DONE;
-            decided = (mode > PHASE_RUNNING) && fuse_ground_contact(m, s);
+            decided = (mode > PHASE_MOTORS_RUNNING) && fuse_ground_contact(m, s);
             clear_block_forces(m);
             cost = 1;
         }
@@ -278,7 +278,7 @@ int32_t run_next_task(estimator_t *m, const estimator_settings_t *s, int32_t lef
     return cost;
 }
 
-void queue_new_measurements(estimator_t *m, const estimator_settings_t *s, const real_t z[VALUE_COUNT],
+void queue_new_measurements(estimator_t *m, const estimator_settings_t *s, const real_t z[INPUT_VALUE_COUNT],
                      const int32_t fresh[SENSOR_COUNT], const real_t age[SENSOR_COUNT])
 {
     for (int32_t i = 0; i < QUEUED_COUNT; i++) {

@@ -14,7 +14,7 @@ void clear_block_forces(estimator_t *m);
 int32_t run_next_task(estimator_t *m, const estimator_settings_t *s, int32_t left);
 
 /* Queue the new measurements of this period. */
-void queue_new_measurements(estimator_t *m, const estimator_settings_t *s, const real_t z[VALUE_COUNT],
+void queue_new_measurements(estimator_t *m, const estimator_settings_t *s, const real_t z[INPUT_VALUE_COUNT],
                      const int32_t fresh[SENSOR_COUNT], const real_t age[SENSOR_COUNT]);
 
 #endif

@@ -9,51 +9,51 @@
 #include "estimate/filter/ud_filter.h"
 
 /* Update the flight phase from the rotors' lift and the height. */
-static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s, const real_t z[VALUE_COUNT])
+static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s, const real_t z[INPUT_VALUE_COUNT])
 {
     const real_t lift =
         (s->has_rotor_model > 0) ? ((-m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_FORCE_STATIC + 2] * m->x[NOMINAL_THRUST_SCALE]) / GRAVITY) : REAL(1.0);
     const real_t height = height_above_ground(m->x_output, s);
     const bool off = (z[ACTUATOR_START] + z[ACTUATOR_START + 1]) < REAL(0.02);
     /* Rotors with more lift than modelled leave the floor earlier, others later. */
-    const real_t doubt = (s->has_rotor_model > 0) ? (LIFTOFF_SIGMA_LIMIT * m->sigma_output[ERROR_THRUST_SCALE]) : REAL(0.0);
+    const real_t doubt = (s->has_rotor_model > 0) ? (LIFTOFF_THRUST_SIGMA_LIMIT * m->sigma_output[ERROR_THRUST_SCALE]) : REAL(0.0);
     /* The sonar is newer than the estimated height, except below the floor. */
-    const bool says = (m->status[READING_SONAR] == STATUS_FUSED) && (height < SONAR_LIFTOFF_HEIGHT) && (m->x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT);
-    const bool near = says && (m->last_value[READING_STARTS[READING_SONAR]] <= (m->sonar_least + (REAL(0.5) * s->sonar_resolution)));
-    const bool clear = says && (m->last_value[READING_STARTS[READING_SONAR]] > (m->sonar_least + LIFTOFF_CLEARANCE));
+    const bool says = (m->status[READING_SONAR] == STATUS_FUSED) && (height < MAX_SONAR_LIFTOFF_HEIGHT) && (m->x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT);
+    const bool near = says && (m->last_value[READING_STARTS[READING_SONAR]] <= (m->sonar_least_range + (REAL(0.5) * s->sonar_resolution)));
+    const bool clear = says && (m->last_value[READING_STARTS[READING_SONAR]] > (m->sonar_least_range + SONAR_LIFTOFF_EXCESS));
 
     real_t rises = REAL(0.0);
 
     m->is_sonar_at_minimum = near ? 1 : 0;
-    if (m->flight_phase <= PHASE_RUNNING) {
+    if (m->flight_phase <= PHASE_MOTORS_RUNNING) {
         const real_t turning = m->rotor_state[MODEL_SPEED_UPPER] + m->rotor_state[MODEL_SPEED_LOWER];
-        const bool stands = turning <= (STOPPED_SPEED_SHARE * (s->hover_speed[0] + s->hover_speed[1]));
+        const bool stands = turning <= (STOPPED_ROTOR_SPEED_SHARE * (s->hover_speed[0] + s->hover_speed[1]));
 
-        m->flight_phase = stands ? PHASE_STANDING : PHASE_COASTING;
+        m->flight_phase = stands ? PHASE_STANDING : PHASE_ROTORS_COASTING;
         if (!off) {
-            m->flight_phase = PHASE_RUNNING;
+            m->flight_phase = PHASE_MOTORS_RUNNING;
         }
-        if (((lift * (REAL(1.0) + doubt)) > REAL(0.9)) && (m->flight_phase == PHASE_RUNNING)) {
-            m->flight_phase = PHASE_LIGHT;
+        if (((lift * (REAL(1.0) + doubt)) > REAL(0.9)) && (m->flight_phase == PHASE_MOTORS_RUNNING)) {
+            m->flight_phase = PHASE_LIFTING_OFF;
             m->is_initialised = 1;
         }
-    } else if (m->flight_phase == PHASE_LIGHT) {
+    } else if (m->flight_phase == PHASE_LIFTING_OFF) {
         if (((height > (REAL(0.03) + real_min(REAL(2.0) * m->sigma_output[ERROR_POSITION + 2], REAL(0.1)))) && !near) || clear ||
             (lift > (REAL(1.1) + doubt))) {
             m->flight_phase = PHASE_FLYING;
             rises = (says && !near && (s->has_rotor_model > 0)) ? (lift / m->x[NOMINAL_THRUST_SCALE]) : REAL(0.0);
         } else if (((lift * (REAL(1.0) + doubt)) < REAL(0.85)) && (height < REAL(0.02))) {
-            m->flight_phase = PHASE_RUNNING;
+            m->flight_phase = PHASE_MOTORS_RUNNING;
         } else {
             /* still light */
         }
     } else if (((height < REAL(0.015)) && (lift < REAL(0.9)) && !clear) || (near && (lift < (REAL(1.1) + doubt)))) {
-        m->flight_phase = PHASE_LIGHT;
+        m->flight_phase = PHASE_LIFTING_OFF;
     } else {
         /* flies on */
     }
-    if (off && (m->flight_phase >= PHASE_LIGHT) && (height < REAL(0.05)) && (m->rotor_state[MODEL_SPEED_UPPER] < (REAL(0.3) * s->hover_speed[0]))) {
-        m->flight_phase = PHASE_RUNNING;
+    if (off && (m->flight_phase >= PHASE_LIFTING_OFF) && (height < REAL(0.05)) && (m->rotor_state[MODEL_SPEED_UPPER] < (REAL(0.3) * s->hover_speed[0]))) {
+        m->flight_phase = PHASE_MOTORS_RUNNING;
     }
     if (m->flight_phase != PHASE_FLYING) {
         m->grounded_tick = m->tick;
@@ -69,8 +69,8 @@ static void update_rotor_model(estimator_t *m, const estimator_settings_t *s, co
     for (int32_t k = 0; k < 2; k++) {
         m->rotor_state[MODEL_SPEED_UPPER + k] += s->dt * m->motor_accel_bias[k];
     }
-    if (fresh[READING_ROTOR] == 1) {
-        const real_t *speed = &z[READING_STARTS[READING_ROTOR]];
+    if (fresh[READING_ROTOR_SPEED] == 1) {
+        const real_t *speed = &z[READING_STARTS[READING_ROTOR_SPEED]];
 
         if (rotor_speed_consistent(m, s, speed)) {
             for (int32_t k = 0; k < 2; k++) {
@@ -116,9 +116,9 @@ static real_t ground_force_noise(const estimator_t *m, real_t force)
     const real_t spread =
         (m->is_sonar_at_minimum == 1) ? GROUND_FORCE_ERROR : real_max(m->sigma_output[ERROR_THRUST_SCALE] * -force, GROUND_FORCE_ERROR);
     const real_t over = (((-m->x_output[NOMINAL_THRUST_SCALE]) * force) - GRAVITY) / spread;
-    const real_t may = real_min(real_max(REAL(1.0) + (over / LIFTOFF_SIGMA_LIMIT), REAL(0.0)), REAL(1.0)) * spread;
+    const real_t may = real_min(real_max(REAL(1.0) + (over / LIFTOFF_THRUST_SIGMA_LIMIT), REAL(0.0)), REAL(1.0)) * spread;
 
-    return (ERROR_TIME_TWICE_S * may) * may;
+    return (TWICE_ACCEL_ERROR_CORRELATION_S * may) * may;
 }
 
 real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, const real_t *z,
@@ -155,49 +155,49 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
         const real_t clip = (m->clip_share[k] * CLIPPING_ERROR_SHARE) * s->accel_range;
         /* Without vibration; but if the attitude is unknown, the model's force is the better one. */
         const real_t noise = (m->status[READING_RATES] < STATUS_MISSING) ? m->accel_noise_slow[k] : m->accel_noise[k];
-        real_t felt = ((s->has_rotor_model > 0) ? real_max(s->accel_density, noise) : s->accel_density) + ((ERROR_TIME_TWICE_S * clip) * clip);
-        real_t made = s->model_accel_density[k];
+        real_t felt = ((s->has_rotor_model > 0) ? real_max(s->accel_noise_density, noise) : s->accel_noise_density) + ((TWICE_ACCEL_ERROR_CORRELATION_S * clip) * clip);
+        real_t made = s->model_accel_noise_density[k];
         real_t share;
 
         row[k] = REAL(0.5) * (m->gyro_rates[k] + m->gyro_rates_prev[k]);
         row[INPUT_ACCEL + k] = z[k];
         for (int32_t g = 0; g < 3; g++) {
-            row[INPUT_STATIC + (3 * g) + k] = ((REAL(1.0) - s->imu_lag_remainder) * m->rotor_force[a][ROTOR_FORCE_STATIC + (3 * g) + k]) +
+            row[INPUT_STATIC_FORCE + (3 * g) + k] = ((REAL(1.0) - s->imu_lag_remainder) * m->rotor_force[a][ROTOR_FORCE_STATIC + (3 * g) + k]) +
                                    (s->imu_lag_remainder * m->rotor_force[b][ROTOR_FORCE_STATIC + (3 * g) + k]);
         }
-        if (m->flight_phase <= PHASE_RUNNING) {
-            row[INPUT_STATIC + k] = REAL(0.0);
-            row[INPUT_REST + k] = -GRAVITY * r[6 + k];
-            row[INPUT_SLOPE + k] = REAL(0.0);
+        if (m->flight_phase <= PHASE_MOTORS_RUNNING) {
+            row[INPUT_STATIC_FORCE + k] = REAL(0.0);
+            row[INPUT_FORCE_REMAINDER + k] = -GRAVITY * r[6 + k];
+            row[INPUT_FORCE_SLOPE + k] = REAL(0.0);
             felt = REAL(1e6);
             made = REAL(1e-3);
-        } else if (m->flight_phase == PHASE_LIGHT) {
+        } else if (m->flight_phase == PHASE_LIFTING_OFF) {
             /* Legs may support the weight that the rotors do not: no thrust is estimated. */
-            row[INPUT_REST + k] += m->x_output[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC + k];
+            row[INPUT_FORCE_REMAINDER + k] += m->x_output[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC_FORCE + k];
             if (k == 2) {
-                row[INPUT_REST + 2] = (m->is_sonar_at_minimum == 1) ? (-GRAVITY * r[8]) : real_min(row[INPUT_REST + 2], -GRAVITY * r[8]);
+                row[INPUT_FORCE_REMAINDER + 2] = (m->is_sonar_at_minimum == 1) ? (-GRAVITY * r[8]) : real_min(row[INPUT_FORCE_REMAINDER + 2], -GRAVITY * r[8]);
             }
             made = REAL(0.05);
             if (k == 2) {
-                made += ground_force_noise(m, row[INPUT_STATIC + 2]);
+                made += ground_force_noise(m, row[INPUT_STATIC_FORCE + 2]);
             }
-            row[INPUT_STATIC + k] = REAL(0.0);
+            row[INPUT_STATIC_FORCE + k] = REAL(0.0);
         } else if (s->has_rotor_model > 0) {
             /* Until the thrust is known, after more than the delay, the accelerometers have the higher weight. */
-            const real_t unknown = real_max(m->sigma_output[ERROR_THRUST_SCALE] - MODELLED_THRUST_SIGMA, REAL(0.0)) * row[INPUT_STATIC + k];
+            const real_t unknown = real_max(m->sigma_output[ERROR_THRUST_SCALE] - MODELLED_THRUST_SIGMA, REAL(0.0)) * row[INPUT_STATIC_FORCE + k];
 
-            made += (THRUST_ERROR_TIME_S * unknown) * unknown;
+            made += (THRUST_ERROR_CORRELATION_S * unknown) * unknown;
         } else {
             /* flight without a model */
         }
-        if ((s->has_rotor_model <= 0) && (m->flight_phase > PHASE_RUNNING)) {
-            row[INPUT_STATIC + k] = REAL(0.0);
-            row[INPUT_REST + k] = (k == 2) ? -GRAVITY : REAL(0.0);
-            row[INPUT_SLOPE + k] = REAL(0.0);
+        if ((s->has_rotor_model <= 0) && (m->flight_phase > PHASE_MOTORS_RUNNING)) {
+            row[INPUT_STATIC_FORCE + k] = REAL(0.0);
+            row[INPUT_FORCE_REMAINDER + k] = (k == 2) ? -GRAVITY : REAL(0.0);
+            row[INPUT_FORCE_SLOPE + k] = REAL(0.0);
             made = REAL(10.0);
         }
         if (m->accel_model_verdict == VERDICT_MODEL_WRONG) {
-            made = real_max(made, WRONG_MODEL_DENSITY);
+            made = real_max(made, WRONG_MODEL_NOISE_DENSITY);
         } else if (m->is_accel_distrusted == 1) {
             felt = REAL(1e6);
         } else {
@@ -207,8 +207,8 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
             felt = REAL(1e6);
         }
         share = made / (felt + made);
-        row[INPUT_SHARE + k] = share;
-        row[INPUT_NOISE + k] = felt * share;
+        row[INPUT_ACCEL_WEIGHT + k] = share;
+        row[INPUT_NOISE_DENSITY + k] = felt * share;
     }
     row[INPUT_ROW_SIZE - 1] = (real_t)m->flight_phase;
     average_inputs(m, s);
@@ -220,12 +220,12 @@ static void backdate_accel_noise(estimator_t *m, const estimator_settings_t *s, 
 {
     for (int32_t at = m->horizon_tick; at < m->tick; at += s->block_ticks) {
         real_t *e = input_block(m, s, at);
-        const real_t share = real_max(e[INPUT_SHARE + k], REAL(1e-9));
-        const real_t felt = real_max(e[INPUT_NOISE + k] / share, m->accel_noise_slow[k]);
-        const real_t made = e[INPUT_NOISE + k] / real_max(REAL(1.0) - share, REAL(1e-9));
+        const real_t share = real_max(e[INPUT_ACCEL_WEIGHT + k], REAL(1e-9));
+        const real_t felt = real_max(e[INPUT_NOISE_DENSITY + k] / share, m->accel_noise_slow[k]);
+        const real_t made = e[INPUT_NOISE_DENSITY + k] / real_max(REAL(1.0) - share, REAL(1e-9));
 
-        e[INPUT_SHARE + k] = made / (felt + made);
-        e[INPUT_NOISE + k] = felt * e[INPUT_SHARE + k];
+        e[INPUT_ACCEL_WEIGHT + k] = made / (felt + made);
+        e[INPUT_NOISE_DENSITY + k] = felt * e[INPUT_ACCEL_WEIGHT + k];
     }
 }
 
@@ -235,26 +235,26 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
     real_t weight;
 
     m->accel_noise_count += 1;
-    m->slow_count += 1;
-    weight = (real_t)((m->slow_count <= (SLOW_NOISE_TICKS / 2)) ? m->slow_count : ((SLOW_NOISE_TICKS + 1) - m->slow_count));
+    m->slow_residual_count += 1;
+    weight = (real_t)((m->slow_residual_count <= (SLOW_NOISE_TICKS / 2)) ? m->slow_residual_count : ((SLOW_NOISE_TICKS + 1) - m->slow_residual_count));
     for (int32_t k = 0; k < 3; k++) {
-        const real_t off = z[k] - ((m->x[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC + k]) + row[INPUT_REST + k]);
+        const real_t off = z[k] - ((m->x[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC_FORCE + k]) + row[INPUT_FORCE_REMAINDER + k]);
 
         m->accel_noise_sum[k] += off;
-        m->slow_sum[k] += weight * (off - (row[INPUT_SLOPE + k] * m->axis_work[k]));
+        m->slow_residual_sum[k] += weight * (off - (row[INPUT_FORCE_SLOPE + k] * m->axis_work[k]));
     }
-    if (m->slow_count >= SLOW_NOISE_TICKS) {
+    if (m->slow_residual_count >= SLOW_NOISE_TICKS) {
         const real_t half = (real_t)(SLOW_NOISE_TICKS / 2);
         const real_t span = (REAL(0.75) * (real_t)SLOW_NOISE_TICKS) * s->dt;
         /* After lift-off the modelled force changes, and the thrust scale has to converge first. */
         const bool settled = (m->flight_phase != PHASE_FLYING) || ((m->tick - m->grounded_tick) > (2 * SLOW_NOISE_TICKS));
 
         for (int32_t k = 0; k < 3; k++) {
-            const real_t mean = m->slow_sum[k] / (half * (half + REAL(1.0)));
+            const real_t mean = m->slow_residual_sum[k] / (half * (half + REAL(1.0)));
             /* The model's uncertainty, large at lift-off, is not noise of the accelerometers. */
-            const real_t unknown = (REAL(2.0) * m->sigma_output[ERROR_THRUST_SCALE]) * real_abs(row[INPUT_STATIC + k]);
-            const real_t step = real_max(real_abs(mean - m->slow_mean_prev[k]) - unknown, REAL(0.0));
-            const real_t made = row[INPUT_NOISE + k] / real_max(REAL(1.0) - row[INPUT_SHARE + k], REAL(1e-9));
+            const real_t unknown = (REAL(2.0) * m->sigma_output[ERROR_THRUST_SCALE]) * real_abs(row[INPUT_STATIC_FORCE + k]);
+            const real_t step = real_max(real_abs(mean - m->slow_residual_mean_prev[k]) - unknown, REAL(0.0));
+            const real_t made = row[INPUT_NOISE_DENSITY + k] / real_max(REAL(1.0) - row[INPUT_ACCEL_WEIGHT + k], REAL(1e-9));
             real_t density = real_max((((REAL(0.5) * step) * step) * span) - made, REAL(0.0));
             real_t most;
 
@@ -263,14 +263,14 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
 
                 density += real_max(apart, REAL(0.0)) * real_max(apart, REAL(0.0));
                 if (apart > ((((m->clip_share[0] + m->clip_share[1]) + m->clip_share[2]) * CLIPPING_ERROR_SHARE) * s->accel_range)) {
-                    m->accel_model_apart_tick = m->tick;
+                    m->accel_model_difference_tick = m->tick;
                 }
             }
             density = real_min(density, REAL(100.0));
             most = real_max((density > m->accel_noise_slow[k]) ? REAL(0.6) : REAL(0.2),
-                            REAL(1.0) / (real_t)(m->slow_mean_count + 1));
-            m->slow_mean_prev[k] = mean;
-            m->slow_sum[k] = REAL(0.0);
+                            REAL(1.0) / (real_t)(m->slow_residual_mean_count + 1));
+            m->slow_residual_mean_prev[k] = mean;
+            m->slow_residual_sum[k] = REAL(0.0);
             if (settled) {
                 m->accel_noise_slow[k] += most * (density - m->accel_noise_slow[k]);
                 if (density > made) {
@@ -278,8 +278,8 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
                 }
             }
         }
-        m->slow_count = 0;
-        m->slow_mean_count += 1;
+        m->slow_residual_count = 0;
+        m->slow_residual_mean_count += 1;
         if ((m->status[READING_ACCELERATION] == STATUS_REJECTED) && (m->tick >= m->fault_until_tick[READING_ACCELERATION])) {
             m->status[READING_ACCELERATION] = STATUS_FUSED;
             m->reason[READING_ACCELERATION] = REASON_NONE;
@@ -292,7 +292,7 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
             const real_t mean = m->accel_noise_sum[k] / (real_t)m->accel_noise_count;
             const real_t step = mean - m->accel_noise_mean[k];
             real_t density =
-                real_max((((REAL(0.5) * step) * step) * span) - s->model_accel_density[k], REAL(0.0));
+                real_max((((REAL(0.5) * step) * step) * span) - s->model_accel_noise_density[k], REAL(0.0));
 
             m->accel_noise_mean[k] = mean;
             density = real_min(density, REAL(100.0));
@@ -304,7 +304,7 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
 }
 
 /* Turn two vectors, one after the other, from the axes of a tilted inertial unit to those of the vehicle. */
-static void turn_level(const estimator_t *m, real_t v[6])
+static void rotate_to_level(const estimator_t *m, real_t v[6])
 {
     const real_t *r = m->level_rotation;
 
@@ -334,12 +334,12 @@ static void restart_level_state(real_t x[STATE_COUNT])
 }
 
 /* Rotate the inputs since the horizon level; reset to level attitude and no bias of the accelerometers. */
-static void restart_level(estimator_t *m, const estimator_settings_t *s)
+static void reset_to_level(estimator_t *m, const estimator_settings_t *s)
 {
     real_t *const states[4] = {m->x, m->x_repropagating, m->x_now, m->x_output};
 
     for (int32_t b = 0; b < INPUT_BLOCK_COUNT; b++) {
-        turn_level(m, &m->input_blocks[b][INPUT_RATES]);
+        rotate_to_level(m, &m->input_blocks[b][INPUT_RATES]);
     }
     clear_block_forces(m);
     m->task_stage = STAGE_DONE;
@@ -358,57 +358,57 @@ static void restart_level(estimator_t *m, const estimator_settings_t *s)
 }
 
 /* Decide by the accelerometers' sum at rest whether the inertial unit is tilted; reset the filter if so. */
-static void decide_level(estimator_t *m, const estimator_settings_t *s)
+static void decide_levelling(estimator_t *m, const estimator_settings_t *s)
 {
-    const real_t size = real_sqrt(((m->level_sum[0] * m->level_sum[0]) + (m->level_sum[1] * m->level_sum[1])) +
-                                  (m->level_sum[2] * m->level_sum[2]));
-    const real_t x = -m->level_sum[1] / size;
-    const real_t y = m->level_sum[0] / size;
-    const real_t d = -m->level_sum[2] / size;
+    const real_t size = real_sqrt(((m->level_accel_sum[0] * m->level_accel_sum[0]) + (m->level_accel_sum[1] * m->level_accel_sum[1])) +
+                                  (m->level_accel_sum[2] * m->level_accel_sum[2]));
+    const real_t x = -m->level_accel_sum[1] / size;
+    const real_t y = m->level_accel_sum[0] / size;
+    const real_t d = -m->level_accel_sum[2] / size;
     const real_t tilt = s->initial_sigma[ERROR_ACCEL_BIAS] / GRAVITY;
     const real_t q = (x * x) + (y * y);
 
     m->mount_variance[0] = REAL(0.5) * q;
     m->mount_variance[1] = REAL(0.5) * q;
-    if ((q > ((LEVEL_GATE * LEVEL_GATE) * ((s->rest_tilt_sigma * s->rest_tilt_sigma) + (tilt * tilt)))) && (d > REAL(0.875))) {
+    if ((q > ((LEVELLING_GATE_SIGMAS * LEVELLING_GATE_SIGMAS) * ((s->rest_tilt_sigma * s->rest_tilt_sigma) + (tilt * tilt)))) && (d > REAL(0.875))) {
         const real_t half = real_sqrt((REAL(0.5) * d) + REAL(0.5));
         const real_t turn[4] = {half, (REAL(0.5) * x) / half, (REAL(0.5) * y) / half, REAL(0.0)};
 
         rotation_matrix(turn, m->level_rotation);
         m->is_levelled = 1;
-        restart_level(m, s);
+        reset_to_level(m, s);
         set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, real_sqrt(q));
     }
 }
 
-void level_inertial_unit(estimator_t *m, const estimator_settings_t *s, real_t z[VALUE_COUNT])
+void level_inertial_unit(estimator_t *m, const estimator_settings_t *s, real_t z[INPUT_VALUE_COUNT])
 {
-    const int32_t needed = (int32_t)(LEVEL_TIME_S / s->dt);
+    const int32_t needed = (int32_t)(LEVELLING_REST_S / s->dt);
 
     if (m->level_ticks < needed) {
         bool still = (m->flight_phase == PHASE_STANDING) && (m->status[READING_ACCELERATION] == STATUS_FUSED);
 
         for (int32_t k = 0; k < 3; k++) {
-            still = still && (real_abs(z[READING_STARTS[READING_RATES] + k]) < LEVEL_RATE);
+            still = still && (real_abs(z[READING_STARTS[READING_RATES] + k]) < LEVELLING_MAX_RATE);
         }
         if ((m->flight_phase > PHASE_STANDING) || (s->has_rotor_model == 0)) {
             m->level_ticks = needed;
         } else if (!still) {
             m->level_ticks = 0;
-            m->level_sum[0] = REAL(0.0);
-            m->level_sum[1] = REAL(0.0);
-            m->level_sum[2] = REAL(0.0);
+            m->level_accel_sum[0] = REAL(0.0);
+            m->level_accel_sum[1] = REAL(0.0);
+            m->level_accel_sum[2] = REAL(0.0);
         } else {
             m->level_ticks += 1;
             for (int32_t k = 0; k < 3; k++) {
-                m->level_sum[k] += z[READING_STARTS[READING_ACCELERATION] + k];
+                m->level_accel_sum[k] += z[READING_STARTS[READING_ACCELERATION] + k];
             }
             if (m->level_ticks == needed) {
-                decide_level(m, s);
+                decide_levelling(m, s);
             }
         }
     }
     if (m->is_levelled == 1) {
-        turn_level(m, &z[READING_STARTS[READING_ACCELERATION]]);
+        rotate_to_level(m, &z[READING_STARTS[READING_ACCELERATION]]);
     }
 }

@@ -12,6 +12,6 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
 void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const real_t z[3]);
 
 /* Measure the tilt of the inertial unit at rest before the first flight, and turn its readings level. */
-void level_inertial_unit(estimator_t *m, const estimator_settings_t *s, real_t z[VALUE_COUNT]);
+void level_inertial_unit(estimator_t *m, const estimator_settings_t *s, real_t z[INPUT_VALUE_COUNT]);
 
 #endif

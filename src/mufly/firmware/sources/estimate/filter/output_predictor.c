@@ -13,7 +13,7 @@ real_t velocity_noise_density(const real_t r[9], int32_t k, const real_t e[INPUT
     real_t spread = REAL(0.0);
 
     for (int32_t i = 0; i < 3; i++) {
-        spread += (r[(3 * k) + i] * r[(3 * k) + i]) * e[INPUT_NOISE + i];
+        spread += (r[(3 * k) + i] * r[(3 * k) + i]) * e[INPUT_NOISE_DENSITY + i];
     }
     return spread;
 }
@@ -27,16 +27,16 @@ static void smooth_output(estimator_t *m, const estimator_settings_t *s)
         const real_t jump = x[k] - (m->position_prev[k] + (s->dt * x[NOMINAL_VELOCITY + k]));
 
         if ((m->is_initialised > 0) && (real_abs(jump) > OUTPUT_JUMP_M)) {
-            m->position_slip[k] -= jump * real_min((real_abs(jump) / OUTPUT_JUMP_M) - REAL(1.0), REAL(1.0));
+            m->position_jump_remainder[k] -= jump * real_min((real_abs(jump) / OUTPUT_JUMP_M) - REAL(1.0), REAL(1.0));
         }
         m->position_prev[k] = x[k];
-        m->position_slip[k] -= (s->dt / OUTPUT_JUMP_DECAY_S) * m->position_slip[k];
-        x[k] += m->position_slip[k];
+        m->position_jump_remainder[k] -= (s->dt / OUTPUT_JUMP_DECAY_S) * m->position_jump_remainder[k];
+        x[k] += m->position_jump_remainder[k];
     }
 }
 
 /* Write roll, pitch and yaw of the output. */
-static void output_angles(estimator_t *m)
+static void write_output_angles(estimator_t *m)
 {
     const real_t w = m->x_output[NOMINAL_ATTITUDE];
     const real_t x = m->x_output[NOMINAL_ATTITUDE + 1];
@@ -67,7 +67,7 @@ static void turns_to_angles(real_t *north, real_t *east, real_t *down, real_t c,
 /* Propagate the covariance of position, velocity and attitude over the delay, F P F^T + Q, in one step. */
 static void propagate_covariance(estimator_t *m, const estimator_settings_t *s, const real_t r[9])
 {
-    const real_t span = m->now_span;
+    const real_t span = m->x_now_span;
     real_t transition[TRANSITION_SIZE];
 
     for (int32_t k = 0; k < 3; k++) {
@@ -95,17 +95,17 @@ static void propagate_covariance(estimator_t *m, const estimator_settings_t *s, 
         m->covariance_output[ERROR_VELOCITY + k][ERROR_VELOCITY + k] += m->now_velocity_variance[k];
         for (int32_t i = 0; i < 3; i++) {
             /* Vibration affects the velocity for half a revolution; block means measure its size. */
-            const real_t share = r[(3 * k) + i] * m->inputs_now[INPUT_SHARE + i];
+            const real_t share = r[(3 * k) + i] * m->inputs_now[INPUT_ACCEL_WEIGHT + i];
             const real_t shaking = real_max(m->accel_noise[i] - m->accel_noise_slow[i], REAL(0.0));
 
             m->covariance_output[ERROR_VELOCITY + k][ERROR_VELOCITY + k] += (share * share) * (((real_t)FORCE_MEAN_TICKS * s->dt) * shaking);
         }
-        m->covariance_output[ERROR_ATTITUDE + k][ERROR_ATTITUDE + k] += s->gyro_density * span;
+        m->covariance_output[ERROR_ATTITUDE + k][ERROR_ATTITUDE + k] += s->gyro_noise_density * span;
     }
 }
 
 /* Write covariance and deviations of the output, those of the attitude for roll, pitch and yaw. */
-static void output_covariance(estimator_t *m)
+static void write_output_covariance(estimator_t *m)
 {
     const real_t *x = m->x_output;
     const real_t sine =
@@ -125,7 +125,7 @@ static void output_covariance(estimator_t *m)
     for (int32_t i = 0; i < MOTION_STATE_COUNT; i++) {
         if (i < 3) {
             /* If the heights of fix and sonar differ, the fix may have the same error in any direction. */
-            m->covariance_output[i][i] += (m->position_slip[i] * m->position_slip[i]) + (m->fix_height_gap * m->fix_height_gap);
+            m->covariance_output[i][i] += (m->position_jump_remainder[i] * m->position_jump_remainder[i]) + (m->fix_height_gap * m->fix_height_gap);
         }
         m->sigma_output[i] = real_sqrt(m->covariance_output[i][i]);
     }
@@ -143,7 +143,7 @@ static void repropagate_state(estimator_t *m, const estimator_settings_t *s, rea
 {
     bool come = false;
 
-    for (int32_t n = 0; (n < s->work_limit) && !come; n++) {
+    for (int32_t n = 0; (n < s->fusion_budget) && !come; n++) {
         const real_t *e = input_block(m, s, m->repropagating_tick);
         const int32_t rest = s->block_ticks - wrap_index(m->repropagating_tick, s->block_ticks);
         const int32_t periods = (rest < (m->tick - m->repropagating_tick)) ? rest : (m->tick - m->repropagating_tick);
@@ -165,7 +165,7 @@ static void repropagate_state(estimator_t *m, const estimator_settings_t *s, rea
             m->repropagating_velocity_variance[k] = REAL(0.0);
             m->repropagating_velocity_gain[k] = REAL(0.0);
         }
-        m->now_span = m->repropagating_span;
+        m->x_now_span = m->repropagating_span;
         m->repropagating_span = REAL(0.0);
         for (int32_t i = 0; i < STATE_COUNT; i++) {
             m->x_now[i] = m->x_repropagating[i];
@@ -212,8 +212,8 @@ void predict_output(estimator_t *m, const estimator_settings_t *s)
         }
     }
     smooth_output(m, s);
-    output_angles(m);
+    write_output_angles(m);
     if (much) {
-        output_covariance(m);
+        write_output_covariance(m);
     }
 }

@@ -94,10 +94,10 @@ void predict_state(real_t x[STATE_COUNT], const real_t e[INPUT_ROW_SIZE], real_t
     d = x[NOMINAL_VELOCITY + 2];
     for (int32_t k = 0; k < 3; k++) {
         const real_t along = ((r[k] * n) + (r[3 + k] * o)) + (r[6 + k] * d);
-        const real_t made = ((x[NOMINAL_THRUST_SCALE] * e[INPUT_STATIC + k]) + e[INPUT_REST + k]) + (e[INPUT_SLOPE + k] * along);
-        const real_t share = e[INPUT_SHARE + k];
+        const real_t made = ((x[NOMINAL_THRUST_SCALE] * e[INPUT_STATIC_FORCE + k]) + e[INPUT_FORCE_REMAINDER + k]) + (e[INPUT_FORCE_SLOPE + k] * along);
+        const real_t share = e[INPUT_ACCEL_WEIGHT + k];
 
-        a[MODEL_ACCEL + k] = made;
+        a[ACCEL_WORK_MODEL + k] = made;
         f[k] = (share * (e[INPUT_ACCEL + k] - x[NOMINAL_ACCEL_BIAS + k])) + ((REAL(1.0) - share) * made);
     }
     for (int32_t k = 0; k < 3; k++) {
@@ -113,9 +113,9 @@ void predict_state(real_t x[STATE_COUNT], const real_t e[INPUT_ROW_SIZE], real_t
 void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t r[9], const real_t a[3],
                    real_t out[TRANSITION_SIZE])
 {
-    const real_t rest[3] = {REAL(1.0) - e[INPUT_SHARE], REAL(1.0) - e[INPUT_SHARE + 1], REAL(1.0) - e[INPUT_SHARE + 2]};
-    const real_t slope[3] = {rest[0] * e[INPUT_SLOPE], rest[1] * e[INPUT_SLOPE + 1], rest[2] * e[INPUT_SLOPE + 2]};
-    const bool stands = (int32_t)e[INPUT_PHASE] <= PHASE_RUNNING;
+    const real_t rest[3] = {REAL(1.0) - e[INPUT_ACCEL_WEIGHT], REAL(1.0) - e[INPUT_ACCEL_WEIGHT + 1], REAL(1.0) - e[INPUT_ACCEL_WEIGHT + 2]};
+    const real_t slope[3] = {rest[0] * e[INPUT_FORCE_SLOPE], rest[1] * e[INPUT_FORCE_SLOPE + 1], rest[2] * e[INPUT_FORCE_SLOPE + 2]};
+    const bool stands = (int32_t)e[INPUT_FLIGHT_PHASE] <= PHASE_MOTORS_RUNNING;
 
     for (int32_t i = 0; i < 3; i++) {
         real_t thrust = REAL(0.0);
@@ -124,11 +124,11 @@ void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t 
             const real_t own = span * r[(3 * i) + j];
 
             out[(3 * i) + j] = own;
-            out[TRANSITION_ACCEL + (3 * i) + j] = -own * e[INPUT_SHARE + j];
-            thrust += own * (rest[j] * e[INPUT_STATIC + j]);
+            out[TRANSITION_ACCEL + (3 * i) + j] = -own * e[INPUT_ACCEL_WEIGHT + j];
+            thrust += own * (rest[j] * e[INPUT_STATIC_FORCE + j]);
         }
         out[TRANSITION_THRUST + i] = thrust;
-        out[TRANSITION_TURN + i] = stands ? REAL(0.0) : (span * a[i]); /* the floor's force is vertical at any tilt */
+        out[TRANSITION_ATTITUDE + i] = stands ? REAL(0.0) : (span * a[i]); /* the floor's force is vertical at any tilt */
     }
     for (int32_t i = 0; i < 3; i++) {
         for (int32_t j = i; j < 3; j++) {
@@ -137,8 +137,8 @@ void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t 
             for (int32_t k = 0; k < 3; k++) {
                 drag += (out[(3 * i) + k] * slope[k]) * r[(3 * j) + k];
             }
-            out[TRANSITION_AIR + (3 * i) + j] = drag;
-            out[TRANSITION_AIR + (3 * j) + i] = drag;
+            out[TRANSITION_WIND + (3 * i) + j] = drag;
+            out[TRANSITION_WIND + (3 * j) + i] = drag;
         }
     }
 }
@@ -208,7 +208,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     out[ROTOR_FORCE_SLOPE + 1] = real_min((dx[MODEL_VELOCITY + 1] - moving[1]) / DRAG_SLOPE_STEP, REAL(0.0));
     out[ROTOR_FORCE_SLOPE + 2] = real_min(((dx[MODEL_VELOCITY + 2] - GRAVITY) - moving[2]) / DRAG_SLOPE_STEP, REAL(0.0));
     for (int32_t k = 0; k < 3; k++) {
-        out[ROTOR_FORCE_REST + k] = (moving[k] - still[k]) - (out[ROTOR_FORCE_SLOPE + k] * air[k]);
+        out[ROTOR_FORCE_REMAINDER + k] = (moving[k] - still[k]) - (out[ROTOR_FORCE_SLOPE + k] * air[k]);
         x[MODEL_BAR + k] = normal[k] * size;
     }
     x[MODEL_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_decay);

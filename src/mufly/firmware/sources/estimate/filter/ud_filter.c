@@ -19,9 +19,9 @@ real_t innovation_variance(estimator_t *m)
         real_t s3 = REAL(0.0);
         real_t s4 = REAL(0.0);
 
-        for (int32_t t = 0; t < m->h_terms; t++) {
+        for (int32_t t = 0; t < m->h_term_count; t++) {
             const real_t h = m->h_value[t];
-            const int32_t i = m->h_state[t];
+            const int32_t i = m->h_state_index[t];
 
             s0 += h * u[0][i];
             s1 += h * u[1][i];
@@ -115,7 +115,7 @@ static real_t update_diagonal(estimator_t *m, int32_t k, real_t *c)
     const real_t fresh = old + ((*c * v) * v);
     real_t share = REAL(0.0);
 
-    if (!(fresh <= MIN_DIAGONAL)) {
+    if (!(fresh <= MIN_UD_DIAGONAL)) {
         share = (*c * v) / fresh;
         *c *= old / fresh;
         m->ud_diagonal[k] = fresh;
@@ -186,7 +186,7 @@ static void rank_one_update(estimator_t *m, int32_t last, real_t much)
 void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE], real_t out[MOTION_STATE_COUNT])
 {
     const real_t *a = transition;
-    const real_t *turning = &a[TRANSITION_TURN];
+    const real_t *turning = &a[TRANSITION_ATTITUDE];
     const real_t air[3] = {u[ERROR_VELOCITY] - u[ERROR_WIND], u[ERROR_VELOCITY + 1] - u[ERROR_WIND + 1], u[ERROR_VELOCITY + 2]};
     real_t turn[3];
     real_t half[3];
@@ -200,7 +200,7 @@ void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real
     }
     for (int32_t i = 0; i < 3; i++) {
         const real_t *b = &a[TRANSITION_ACCEL + (3 * i)];
-        const real_t *w = &a[TRANSITION_AIR + (3 * i)];
+        const real_t *w = &a[TRANSITION_WIND + (3 * i)];
 
         gain[i] = ((((((b[0] * u[ERROR_ACCEL_BIAS]) + (b[1] * u[ERROR_ACCEL_BIAS + 1])) + (b[2] * u[ERROR_ACCEL_BIAS + 2])) + (w[0] * air[0])) + (w[1] * air[1])) +
                    (w[2] * air[2])) + (a[TRANSITION_THRUST + i] * u[ERROR_THRUST_SCALE]);
@@ -218,12 +218,12 @@ void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real
 /* Do the same as propagate_column, in place, for a column without biases. */
 static void propagate_moving_column(real_t u[MOTION_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE])
 {
-    const real_t *turning = &transition[TRANSITION_TURN];
+    const real_t *turning = &transition[TRANSITION_ATTITUDE];
     const real_t velocity[3] = {u[ERROR_VELOCITY], u[ERROR_VELOCITY + 1], u[ERROR_VELOCITY + 2]};
     real_t gain[3];
 
     for (int32_t i = 0; i < 3; i++) {
-        const real_t *w = &transition[TRANSITION_AIR + (3 * i)];
+        const real_t *w = &transition[TRANSITION_WIND + (3 * i)];
 
         gain[i] = ((w[0] * velocity[0]) + (w[1] * velocity[1])) + (w[2] * velocity[2]);
     }
@@ -253,7 +253,7 @@ static void orthogonalise_velocity(estimator_t *m)
         for (int32_t k = 0; k < 3; k++) {
             total += (m->ud_diagonal[ERROR_VELOCITY + k] * w[k][j]) * w[k][j];
         }
-        size[j - ERROR_VELOCITY] = (total > MIN_DIAGONAL) ? total : MIN_DIAGONAL;
+        size[j - ERROR_VELOCITY] = (total > MIN_UD_DIAGONAL) ? total : MIN_UD_DIAGONAL;
         for (int32_t i = 0; i < j; i++) {
             real_t s = REAL(0.0);
 

@@ -34,7 +34,7 @@ void calibrate_readings(const calibration_t *c, hal_readings_t *r)
 
         z[0] = (z[0] - c->sonar_offset) * c->sonar_scale;
     }
-    if (r->fresh[READING_RING] == 1) {
+    if (r->fresh[READING_RANGE_RING] == 1) {
         for (int32_t i = 0; i < MAX_BEAMS; i++) {
             r->ranges[i] = (r->ranges[i] - c->ring_offset) * c->ring_scale;
         }

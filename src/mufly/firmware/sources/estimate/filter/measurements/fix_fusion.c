@@ -39,7 +39,7 @@ static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i,
 /* Return the estimated variance of component i of the fix. */
 static real_t fix_variance(const estimator_t *m, const estimator_settings_t *s, int32_t i)
 {
-    return (i < FIX_HEADING) ? (s->fix_variance * m->noise_scale[AID_PLACE]) : (s->heading_variance * m->noise_scale[AID_HEADING]);
+    return (i < FIX_HEADING) ? (s->fix_variance * m->noise_scale[AID_POSITION]) : (s->heading_variance * m->noise_scale[AID_HEADING]);
 }
 
 /* Return the estimated variance of the bias of component i of the fix. */
@@ -47,21 +47,21 @@ static real_t fix_bias_variance(const estimator_t *m, const estimator_settings_t
 {
     const real_t sigma = s->initial_sigma[ERROR_FIX_BIAS + i];
 
-    return (sigma * sigma) * m->bias_walk_scale[(i < FIX_HEADING) ? AID_PLACE : AID_HEADING];
+    return (sigma * sigma) * m->bias_walk_scale[(i < FIX_HEADING) ? AID_POSITION : AID_HEADING];
 }
 
 /* Estimate noise and random walk of component i of the fix from its innovation ratio. */
 static void estimate_fix_noise(estimator_t *m, int32_t i)
 {
-    const int32_t aid = (i < FIX_HEADING) ? AID_PLACE : AID_HEADING;
-    const real_t gain = (i < FIX_HEADING) ? NOISE_GAIN_PLACE : NOISE_GAIN_HEADING;
+    const int32_t aid = (i < FIX_HEADING) ? AID_POSITION : AID_HEADING;
+    const real_t gain = (i < FIX_HEADING) ? NOISE_GAIN_POSITION : NOISE_GAIN_HEADING;
     const real_t ratio = m->fix_ratio[i];
-    const real_t excess = real_min(ratio * ratio, MAX_SQUARED_RATIO) - REAL(1.0);
-    const real_t pair = real_max(real_min(ratio * m->fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT);
+    const real_t excess = real_min(ratio * ratio, MAX_SQUARED_INNOVATION_RATIO) - REAL(1.0);
+    const real_t pair = real_max(real_min(ratio * m->fix_ratio_prev[i], MAX_INNOVATION_RATIO_PRODUCT), -MAX_INNOVATION_RATIO_PRODUCT);
 
-    if ((m->is_heading_aligned != 0) && (real_abs(m->fix_ratio_mean[i]) < LASTING_RATIO)) {
-        scale_variance(&m->noise_scale[aid], gain, excess - pair);
-        scale_variance(&m->bias_walk_scale[aid], gain, excess + pair);
+    if ((m->is_heading_aligned != 0) && (real_abs(m->fix_ratio_mean[i]) < LASTING_FIX_RATIO)) {
+        adapt_noise_scale(&m->noise_scale[aid], gain, excess - pair);
+        adapt_noise_scale(&m->bias_walk_scale[aid], gain, excess + pair);
     }
     m->fix_ratio_prev[i] = ratio;
     m->fix_ratio_mean[i] += REAL(0.15) * (ratio - m->fix_ratio_mean[i]);
@@ -76,16 +76,16 @@ static real_t largest_mean_ratio(const estimator_t *m)
 /* Return the estimated bias of component i of the fix over the largest that its model allows. */
 static real_t fix_bias_ratio(const estimator_t *m, const estimator_settings_t *s, int32_t i)
 {
-    return real_abs(m->x[NOMINAL_FIX_BIAS + i]) / (BIAS_RANGE_SIGMAS * real_sqrt(fix_bias_variance(m, s, i) + fix_variance(m, s, i)));
+    return real_abs(m->x[NOMINAL_FIX_BIAS + i]) / (MAX_FIX_BIAS_SIGMAS * real_sqrt(fix_bias_variance(m, s, i) + fix_variance(m, s, i)));
 }
 
 /* Raise the random walk of the fix until it explains an innovation of the vehicle at rest; return the new ratio. */
-static real_t widen_fix_bias(estimator_t *m, const estimator_settings_t *s, int32_t i, real_t nu, real_t ratio)
+static real_t inflate_fix_bias_walk(estimator_t *m, const estimator_settings_t *s, int32_t i, real_t nu, real_t ratio)
 {
     const real_t sigma = s->initial_sigma[ERROR_FIX_BIAS + i];
-    const real_t spread = nu / WIDENED_SIGMAS;
+    const real_t spread = nu / REJECTED_FIX_BIAS_SIGMAS;
     const real_t scale = (spread * spread) / (sigma * sigma);
-    const int32_t aid = (i < FIX_HEADING) ? AID_PLACE : AID_HEADING;
+    const int32_t aid = (i < FIX_HEADING) ? AID_POSITION : AID_HEADING;
 
     if (!(scale < MAX_NOISE_SCALE)) {
         return ratio;
@@ -107,7 +107,7 @@ static bool sonar_height_valid(const estimator_t *m, const estimator_settings_t 
 /* Return whether fix and sonar agree on the height; if not, write the gap to m->fix_height_gap. */
 static bool fix_height_consistent(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t ratio)
 {
-    const int32_t k = READING_FIX;
+    const int32_t k = READING_POSITION_FIX;
     const real_t apart = real_abs(nu + m->x[NOMINAL_FIX_BIAS + 2]);
     const real_t off = real_abs(ratio);
 
@@ -128,7 +128,7 @@ static bool fix_height_consistent(estimator_t *m, const estimator_settings_t *s,
 static void reset_to_fix(estimator_t *m, const real_t z[4], real_t ahead)
 {
     const bool height_held = m->status[READING_SONAR] == STATUS_FUSED;
-    const bool place_held = m->status[READING_RING] == STATUS_FUSED;
+    const bool place_held = m->status[READING_RANGE_RING] == STATUS_FUSED;
     real_t nu;
 
     for (int32_t i = 0; i < 3; i++) {
@@ -145,7 +145,7 @@ static void reset_to_fix(estimator_t *m, const real_t z[4], real_t ahead)
 }
 
 /* Return whether the height is the one component of the fix that lies outside the gate. */
-static bool is_height_alone_off(const estimator_t *m)
+static bool is_only_height_rejected(const estimator_t *m)
 {
     const real_t off = real_max(real_max(real_abs(m->fix_ratio[FIX_NORTH]), real_abs(m->fix_ratio[FIX_EAST])), real_abs(m->fix_ratio[FIX_HEADING]));
 
@@ -153,16 +153,16 @@ static bool is_height_alone_off(const estimator_t *m)
 }
 
 /* Mark a fix that is rejected for its height alone as faulty: a height does not contradict the attitude. */
-static void clear_attitude_evidence(estimator_t *m)
+static void mark_height_fault(estimator_t *m)
 {
-    if ((m->status[READING_FIX] == STATUS_REJECTED) && is_height_alone_off(m)) {
-        m->status[READING_FIX] = STATUS_FAULTY;
+    if ((m->status[READING_POSITION_FIX] == STATUS_REJECTED) && is_only_height_rejected(m)) {
+        m->status[READING_POSITION_FIX] = STATUS_FAULTY;
     }
 }
 
 void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
 {
-    const int32_t k = READING_FIX;
+    const int32_t k = READING_POSITION_FIX;
     bool down = true;
     real_t worst = REAL(0.0);
     real_t at = REAL(0.0);
@@ -178,8 +178,8 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
         fix_h_row(m, i, ahead);
         nu = fix_innovation(m, z, i, ahead);
         ratio = innovation_ratio(m, nu, fix_variance(m, s, i));
-        if ((real_abs(ratio) > INNOVATION_GATE) && (m->is_heading_aligned != 0) && (m->flight_phase < PHASE_LIGHT)) {
-            ratio = widen_fix_bias(m, s, i, nu, ratio);
+        if ((real_abs(ratio) > INNOVATION_GATE) && (m->is_heading_aligned != 0) && (m->flight_phase < PHASE_LIFTING_OFF)) {
+            ratio = inflate_fix_bias_walk(m, s, i, nu, ratio);
         }
         if (i == FIX_DOWN) {
             down = fix_height_consistent(m, s, nu, ratio);
@@ -202,21 +202,21 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
     log_innovation(m, k, at, worst);
     /* Growing ratios of one sign show that the filter diverges, not that the fix jumps. */
     settled = ((real_t)(m->tick - m->grounded_tick) * s->dt) > SETTLING_TIME_S;
-    lasting = settled && (largest_mean_ratio(m) > LASTING_RATIO);
+    lasting = settled && (largest_mean_ratio(m) > LASTING_FIX_RATIO);
     led = (s->has_rotor_model > 0) && lasting && (m->fix_ratio_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
           (real_abs(worst) < (REAL(2.0) * INNOVATION_GATE));
     if ((real_abs(worst) > INNOVATION_GATE) && !led) {
         /* A height that differs from the sonar's does not show which of the two is wrong. */
         reject_measurement(m, s, k, at, z, 3,
                   ((REAL(2.0) * s->sensor_period[k]) + (REAL(8.0) * real_sqrt(fix_variance(m, s, 0)))) + REAL(0.05),
-                  (is_height_alone_off(m) && (m->status[READING_SONAR] == STATUS_FUSED)) ? REASON_HEIGHT_CONFLICT : REASON_INNOVATION);
-        clear_attitude_evidence(m);
+                  (is_only_height_rejected(m) && (m->status[READING_SONAR] == STATUS_FUSED)) ? REASON_HEIGHT_CONFLICT : REASON_INNOVATION);
+        mark_height_fault(m);
         if (!reset_timeout_expired(m, s, k)) {
             return;
         }
         reset_to_fix(m, z, ahead);
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, at);
-        clear_attitude_evidence(m);
+        mark_height_fault(m);
     }
     /* Large ratios of one sign show an unmodelled error of the filter. */
     m->fix_ratio_lp += REAL(0.15) * ((worst * worst) - m->fix_ratio_lp);
@@ -237,10 +237,10 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
         }
     }
     for (int32_t i = 0; i < 3; i++) {
-        const real_t most = (GYRO_BIAS_RANGE_SIGMAS * s->initial_sigma[ERROR_GYRO_BIAS + i]) + (REAL(2.0) * m->sigma_output[ERROR_GYRO_BIAS + i]);
+        const real_t most = (MAX_GYRO_BIAS_SIGMAS * s->initial_sigma[ERROR_GYRO_BIAS + i]) + (REAL(2.0) * m->sigma_output[ERROR_GYRO_BIAS + i]);
 
-        if ((real_abs(m->leak_origin[i]) > most) && (m->status[READING_RATES] == STATUS_FUSED) && down) {
-            set_fault(m, s, READING_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m->leak_origin[i]);
+        if ((real_abs(m->gyro_bias_before_yaw[i]) > most) && (m->status[READING_RATES] == STATUS_FUSED) && down) {
+            set_fault(m, s, READING_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m->gyro_bias_before_yaw[i]);
         }
     }
     mark_fused(m, k);

@@ -36,12 +36,12 @@ static void reset_height(estimator_t *m, const estimator_settings_t *s, real_t n
 
     inflate_variance(m, ERROR_POSITION + 2, nu * nu); /* the sonar may have measured the foot of a wall in its cone */
     m->height_reset_tick = m->horizon_tick;
-    if (!((before > 0) && (((real_t)(m->horizon_tick - before) * s->dt) < SECOND_RESET_WINDOW_S))) {
+    if (!((before > 0) && (((real_t)(m->horizon_tick - before) * s->dt) < SECOND_HEIGHT_RESET_WINDOW_S))) {
         return;
     }
-    inflate_variance(m, ERROR_VELOCITY + 2, SECOND_RESET_SPEED_SIGMA * SECOND_RESET_SPEED_SIGMA);
-    inflate_variance(m, ERROR_ACCEL_BIAS + 2, SECOND_RESET_ACCEL_BIAS_SIGMA * SECOND_RESET_ACCEL_BIAS_SIGMA);
-    inflate_variance(m, ERROR_THRUST_SCALE, SECOND_RESET_THRUST_SCALE_SIGMA * SECOND_RESET_THRUST_SCALE_SIGMA);
+    inflate_variance(m, ERROR_VELOCITY + 2, SECOND_HEIGHT_RESET_SPEED_SIGMA * SECOND_HEIGHT_RESET_SPEED_SIGMA);
+    inflate_variance(m, ERROR_ACCEL_BIAS + 2, SECOND_HEIGHT_RESET_ACCEL_BIAS_SIGMA * SECOND_HEIGHT_RESET_ACCEL_BIAS_SIGMA);
+    inflate_variance(m, ERROR_THRUST_SCALE, SECOND_HEIGHT_RESET_THRUST_SCALE_SIGMA * SECOND_HEIGHT_RESET_THRUST_SCALE_SIGMA);
 }
 
 /* Decide whether terrain or height is wrong after rejected ranges; return whether the range may be fused. */
@@ -55,10 +55,10 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
     reject_measurement(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->sensor_period[k]), REASON_INNOVATION);
     floor_height = m->x[NOMINAL_TERRAIN] - nu;
     step = (m->agree_count[k] >= 2) && (floor_height > MIN_TERRAIN_HEIGHT);
-    if ((m->flight_phase <= PHASE_RUNNING) && (nu > REAL(0.0)) && (z[0] > nearest)) {
+    if ((m->flight_phase <= PHASE_MOTORS_RUNNING) && (nu > REAL(0.0)) && (z[0] > nearest)) {
         /* On its legs the vehicle is at a known height: the sonar cannot measure ranges below this one. */
         if (m->agree_count[k] >= 2) {
-            m->sonar_least = z[0];
+            m->sonar_least_range = z[0];
         }
         taken = false;
     } else if (step && (m->terrain_steps >= MAX_TERRAIN_STEPS)) {
@@ -76,7 +76,7 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
         set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_STEP, floor_height);
         m->terrain_edge_weight = REAL(1.0);
     } else if (reset_timeout_expired(m, s, k)) {
-        if ((((real_t)(m->tick - m->last_fused_tick[READING_FIX]) * s->dt) < RESET_TIMEOUT_S) && (m->last_fused_tick[READING_FIX] > 0)) {
+        if ((((real_t)(m->tick - m->last_fused_tick[READING_POSITION_FIX]) * s->dt) < RESET_TIMEOUT_S) && (m->last_fused_tick[READING_POSITION_FIX] > 0)) {
             inflate_variance(m, ERROR_TERRAIN, nu * nu); /* the fix holds the height */
         } else {
             inflate_variance(m, ERROR_POSITION + 2, nu * nu);
@@ -95,9 +95,9 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
 /* Whether the sonar repeats a reading more often than its noise and the vehicle's motion allow. */
 static bool sonar_stuck(estimator_t *m, const estimator_settings_t *s, real_t z, real_t nu)
 {
-    const bool same = (z <= m->sonar_prev) && (z >= m->sonar_prev);
+    const bool same = (z <= m->sonar_range_prev) && (z >= m->sonar_range_prev);
 
-    m->sonar_prev = z;
+    m->sonar_range_prev = z;
     if ((!same) || ((height_above_ground(m->x, s) - m->fix_height_gap) < LEG_CLEARANCE_HEIGHT)) {
         m->sonar_repeat_chance = REAL(1.0);
     } else {
@@ -108,7 +108,7 @@ static bool sonar_stuck(estimator_t *m, const estimator_settings_t *s, real_t z,
 
         m->sonar_repeat_chance *= real_min(likely, REAL(1.0));
     }
-    return (m->sonar_repeat_chance < MAX_STUCK_CHANCE) && same;
+    return (m->sonar_repeat_chance < SONAR_STUCK_PROBABILITY) && same;
 }
 
 /* Fuse the range to the surface below; a step that no other sensor sees belongs to the terrain. */
@@ -117,7 +117,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
     const int32_t k = READING_SONAR;
     real_t r[9];
     const real_t down = sonar_h_row(m, s, r);
-    const real_t nearest = m->sonar_least + REAL(0.005);
+    const real_t nearest = m->sonar_least_range + REAL(0.005);
     const real_t standing = s->ground_clearance - s->sonar_position[2];
     real_t said = z[0];
     real_t variance = s->sonar_variance * m->noise_scale[AID_SONAR];
@@ -126,7 +126,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
     real_t ratio;
     bool over;
 
-    if ((r[8] < s->sonar_cone) || (z[0] >= s->sonar_max)) {
+    if ((r[8] < s->sonar_cone_cosine) || (z[0] >= s->sonar_max)) {
         return;
     }
     expect = (-(m->x[NOMINAL_POSITION + 2] + (ahead * m->x[NOMINAL_VELOCITY + 2])) - down) - m->x[NOMINAL_TERRAIN];
@@ -238,7 +238,7 @@ static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, 
 /* Fuse at most this many beams; return whether all beams are fused. */
 static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_t z[MAX_FUSED_BEAMS], real_t ahead, int32_t most)
 {
-    const int32_t k = READING_RING;
+    const int32_t k = READING_RANGE_RING;
     const int32_t last_beam = ((m->next_beam + most) < s->beam_count) ? (m->next_beam + most) : s->beam_count;
     const bool all = last_beam >= s->beam_count;
     real_t r[9];
@@ -261,7 +261,7 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
         int32_t axis;
         real_t best;
 
-        if (!((z[b] > REAL(0.0)) && (z[b] < (REAL(0.995) * s->ring_max)))) {
+        if (!((z[b] > REAL(0.0)) && (z[b] < (REAL(0.995) * s->ring_max_range)))) {
             continue;
         }
         m->beams_seen += 1;
@@ -269,7 +269,7 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
             u[i] = ((r[3 * i] * beam[0]) + (r[(3 * i) + 1] * beam[1])) + (r[(3 * i) + 2] * beam[2]);
         }
         best = nearest_wall(m, s, ahead, u, &axis);
-        if ((axis >= 0) && (axis != 2) && !(best > (REAL(1.1) * s->ring_max))) {
+        if ((axis >= 0) && (axis != 2) && !(best > (REAL(1.1) * s->ring_max_range))) {
             /* l = (c - p_i) / u_i; they contain no heading, whose error is one more constant: du = t x u */
             const real_t h = REAL(-1.0) / u[axis];
             const real_t across = ((h * best) * ((axis == 0) ? u[1] : u[0])) * m->sigma_output[ERROR_ATTITUDE + 2];
@@ -282,7 +282,7 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
 
             h_row_begin(m, ERROR_POSITION + axis, h);
             ratio = innovation_ratio(m, nu, scatters + lasts);
-            if (real_abs(ratio) < BEAM_GATE) {
+            if (real_abs(ratio) < BEAM_INNOVATION_GATE) {
                 log_innovation(m, k, nu, ratio);
                 m->beams_fused += 1;
                 m->wall_info_limit[axis] += (h * h) / lasts;
@@ -348,9 +348,9 @@ static void fuse_pressure_height(estimator_t *m, const estimator_settings_t *s, 
     const real_t variance = s->pressure_variance * m->noise_scale[AID_PRESSURE];
     real_t nu;
 
-    h_row_begin(m, ERROR_POSITION + 2, s->pressure_slope);
+    h_row_begin(m, ERROR_POSITION + 2, s->pressure_height_slope);
     h_row_add(m, ERROR_PRESSURE_BIAS, REAL(1.0));
-    nu = (z[0] - (s->pressure_slope * (m->x[NOMINAL_POSITION + 2] + (ahead * m->x[NOMINAL_VELOCITY + 2])))) - m->x[NOMINAL_PRESSURE_BIAS];
+    nu = (z[0] - (s->pressure_height_slope * (m->x[NOMINAL_POSITION + 2] + (ahead * m->x[NOMINAL_VELOCITY + 2])))) - m->x[NOMINAL_PRESSURE_BIAS];
     fuse_drifting_aid(m, s, READING_PRESSURE, ERROR_PRESSURE_BIAS, nu, variance, z, 1, REAL(10.0) * real_sqrt(variance));
 }
 
@@ -370,15 +370,15 @@ static void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s,
     east = ((r[3] * z[0]) + (r[4] * z[1])) + (r[5] * z[2]);
     across = real_sqrt((north * north) + (east * east)) - s->earth_field[0];
     along = (((r[6] * z[0]) + (r[7] * z[1])) + (r[8] * z[2])) - s->earth_field[2];
-    if (((across * across) + (along * along)) > ((FIELD_GATE * FIELD_GATE) * s->mag_field_variance)) {
-        set_fault(m, s, READING_MAGNET, STATUS_FAULTY, REASON_OUT_OF_RANGE, REAL(0.0));
+    if (((across * across) + (along * along)) > ((MAGNETIC_FIELD_GATE * MAGNETIC_FIELD_GATE) * s->mag_field_variance)) {
+        set_fault(m, s, READING_MAGNETIC_FIELD, STATUS_FAULTY, REASON_OUT_OF_RANGE, REAL(0.0));
         return;
     }
     h_row_begin(m, ERROR_ATTITUDE + 2, REAL(1.0));
     h_row_add(m, ERROR_ATTITUDE, -s->earth_field[2] / s->earth_field[0]);
     h_row_add(m, ERROR_MAG_BIAS, REAL(1.0));
     nu = real_wrap_angle((-real_atan2(east, north) - (ahead * m->yaw_rate)) - m->x[NOMINAL_MAG_BIAS]);
-    fuse_drifting_aid(m, s, READING_MAGNET, ERROR_MAG_BIAS, nu, variance, z, 3, REAL(1e-5));
+    fuse_drifting_aid(m, s, READING_MAGNETIC_FIELD, ERROR_MAG_BIAS, nu, variance, z, 3, REAL(1e-5));
 }
 
 int32_t measurement_cost(const estimator_t *m, const estimator_settings_t *s, int32_t kind, int32_t left)
@@ -386,9 +386,9 @@ int32_t measurement_cost(const estimator_t *m, const estimator_settings_t *s, in
     const int32_t beams = s->beam_count - m->next_beam;
     int32_t cost = 1;
 
-    if (kind == READING_FIX) {
+    if (kind == READING_POSITION_FIX) {
         cost = (m->fix_bias_tick < m->horizon_tick) ? COST_FIX_BIAS : COST_FIX;
-    } else if (kind == READING_RING) {
+    } else if (kind == READING_RANGE_RING) {
         cost = (beams < left) ? beams : left;
         cost = (cost > 1) ? cost : 1;
     } else {
@@ -404,7 +404,7 @@ bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, 
     bool all = true;
 
     switch (m->queue_sensor[i]) {
-    case READING_FIX:
+    case READING_POSITION_FIX:
         if (m->fix_bias_tick < m->horizon_tick) {
             predict_fix_bias(m, s);
             all = false;
@@ -415,7 +415,7 @@ bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, 
     case READING_SONAR:
         fuse_sonar_range(m, s, z, ahead);
         break;
-    case READING_RING:
+    case READING_RANGE_RING:
         all = fuse_wall_ranges(m, s, z, ahead, cost);
         break;
     case READING_PRESSURE:
@@ -464,7 +464,7 @@ void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t cou
     real_t off;
 
     fuse_error_state(m, ERROR_VELOCITY + i, -m->x[NOMINAL_VELOCITY + i], REAL(4e-4));
-    if ((mode == PHASE_COASTING) || ((i == 2) && !still)) {
+    if ((mode == PHASE_ROTORS_COASTING) || ((i == 2) && !still)) {
         return; /* rotors turn the vehicle on its legs at a lasting rate, which is no noise */
     }
     off = m->gyro_mean[i] - m->x[NOMINAL_GYRO_BIAS + i];

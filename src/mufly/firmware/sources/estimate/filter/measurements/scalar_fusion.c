@@ -6,20 +6,20 @@
 
 void h_row_begin(estimator_t *m, int32_t state, real_t h)
 {
-    m->h_terms = 1;
-    m->h_state[0] = state;
+    m->h_term_count = 1;
+    m->h_state_index[0] = state;
     m->h_value[0] = h;
 }
 
 void h_row_add(estimator_t *m, int32_t state, real_t h)
 {
-    m->h_state[m->h_terms] = state;
-    m->h_value[m->h_terms] = h;
-    m->h_terms += 1;
+    m->h_state_index[m->h_term_count] = state;
+    m->h_value[m->h_term_count] = h;
+    m->h_term_count += 1;
 }
 
 /* Add an error to a state, propagated over span (s), in which push was added to the velocity without gravity. */
-static void shift_state(real_t x[STATE_COUNT], const real_t by[ERROR_STATE_COUNT], real_t span, const real_t push[3])
+static void add_propagated_error(real_t x[STATE_COUNT], const real_t by[ERROR_STATE_COUNT], real_t span, const real_t push[3])
 {
     real_t v[3] = {by[ERROR_VELOCITY], by[ERROR_VELOCITY + 1], by[ERROR_VELOCITY + 2]};
 
@@ -44,9 +44,9 @@ void apply_correction(estimator_t *m, real_t innovation, real_t variance)
     for (int32_t i = 0; i < ERROR_STATE_COUNT; i++) {
         m->gain[i] *= innovation;
     }
-    shift_state(m->x, m->gain, REAL(0.0), m->repropagating_velocity_gain);
-    shift_state(m->x_repropagating, m->gain, m->repropagating_span, m->repropagating_velocity_gain);
-    shift_state(m->x_now, m->gain, m->now_span, m->now_velocity_gain);
+    add_propagated_error(m->x, m->gain, REAL(0.0), m->repropagating_velocity_gain);
+    add_propagated_error(m->x_repropagating, m->gain, m->repropagating_span, m->repropagating_velocity_gain);
+    add_propagated_error(m->x_now, m->gain, m->x_now_span, m->now_velocity_gain);
 }
 
 void fuse_scalar(estimator_t *m, real_t innovation, real_t variance)
@@ -98,12 +98,12 @@ bool reset_timeout_expired(const estimator_t *m, const estimator_settings_t *s, 
     return (m->agree_count[k] >= 3) && (((real_t)(m->horizon_tick - m->reject_since_tick[k]) * s->dt) >= RESET_TIMEOUT_S);
 }
 
-void scale_variance(real_t *scale, real_t gain, real_t change)
+void adapt_noise_scale(real_t *scale, real_t gain, real_t change)
 {
     *scale = real_max(real_min(*scale * (REAL(1.0) + (gain * change)), MAX_NOISE_SCALE), MIN_NOISE_SCALE);
 }
 
 void estimate_noise(estimator_t *m, int32_t aid, real_t ratio)
 {
-    scale_variance(&m->noise_scale[aid], NOISE_GAIN_AID, real_min(ratio * ratio, MAX_SQUARED_RATIO) - REAL(1.0));
+    adapt_noise_scale(&m->noise_scale[aid], NOISE_GAIN_AID, real_min(ratio * ratio, MAX_SQUARED_INNOVATION_RATIO) - REAL(1.0));
 }

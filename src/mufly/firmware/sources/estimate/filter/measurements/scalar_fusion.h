@@ -33,7 +33,7 @@ void reject_measurement(estimator_t *m, const estimator_settings_t *s, int32_t k
 bool reset_timeout_expired(const estimator_t *m, const estimator_settings_t *s, int32_t k);
 
 /* Change an estimated variance by gain * change within its bounds. */
-void scale_variance(real_t *scale, real_t gain, real_t change);
+void adapt_noise_scale(real_t *scale, real_t gain, real_t change);
 
 /* Estimate the noise of an aid that measures one component from its innovation ratio. */
 void estimate_noise(estimator_t *m, int32_t aid, real_t ratio);

@@ -6,9 +6,9 @@ void set_fault(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t
 {
     m->status[k] = code;
     m->reason[k] = why;
-    m->fault_number[k] = number;
+    m->reason_number[k] = number;
     m->fault_until_tick[k] = m->tick + (int32_t)(FAULT_HOLD_S / s->dt);
-    if (k == READING_FIX) {
+    if (k == READING_POSITION_FIX) {
         m->fault_component = m->fix_component;
     }
 }
@@ -18,7 +18,7 @@ void mark_fused(estimator_t *m, int32_t k)
     m->last_fused_tick[k] = m->tick;
     m->reject_count[k] = 0;
     m->agree_count[k] = 0;
-    m->reject_score[k] *= REJECT_DECAY;
+    m->reject_score[k] *= REJECT_SCORE_DECAY;
     if ((m->tick >= m->fault_until_tick[k]) && (m->reject_score[k] < REAL(1.0))) {
         m->status[k] = STATUS_FUSED;
         m->reason[k] = REASON_NONE;
@@ -33,7 +33,7 @@ void mark_rejected(estimator_t *m, const estimator_settings_t *s, int32_t k, int
 {
     m->reject_count[k] += 1;
     m->reject_score[k] += REAL(1.0);
-    if (m->reject_score[k] > ((k == READING_SONAR) ? SONAR_REJECT_ALARM : REJECT_ALARM)) {
+    if (m->reject_score[k] > ((k == READING_SONAR) ? SONAR_REJECT_ALARM_SCORE : REJECT_ALARM_SCORE)) {
         set_fault(m, s, k, STATUS_REJECTED, why, number);
     }
 }
@@ -45,10 +45,10 @@ static bool is_repeated(const estimator_t *m, const estimator_settings_t *s, con
     bool told = false;
 
     /* A frozen camera may still follow the gyroscopes in heading. */
-    for (int32_t j = 0; (j < ((k == READING_FIX) ? 3 : count)) && same; j++) {
+    for (int32_t j = 0; (j < ((k == READING_POSITION_FIX) ? 3 : count)) && same; j++) {
         same = !(z[j] != m->last_value[READING_STARTS[k] + j]);
-        told = told || (((k != READING_ROTOR) || (z[j] != REAL(0.0))) &&
-                        ((k != READING_RING) || (z[j] < (REAL(0.995) * s->ring_max))));
+        told = told || (((k != READING_ROTOR_SPEED) || (z[j] != REAL(0.0))) &&
+                        ((k != READING_RANGE_RING) || (z[j] < (REAL(0.995) * s->ring_max_range))));
     }
     return same && told;
 }
@@ -62,24 +62,24 @@ static bool is_new_sample(estimator_t *m, const estimator_settings_t *s, const r
     if (is_repeated(m, s, z, k, count)) {
         usable = false;
         if (early) {
-            m->double_count[k] += 1;
-            if (m->double_count[k] >= 2) {
+            m->duplicate_count[k] += 1;
+            if (m->duplicate_count[k] >= 2) {
                 set_fault(m, s, k, m->status[k], REASON_DUPLICATED, REAL(0.0));
             }
         } else {
             m->repeat_count[k] += 1;
             m->last_new_tick[k] = m->tick;
-            m->double_count[k] = 0;
+            m->duplicate_count[k] = 0;
             if (m->repeat_count[k] >= 2) {
                 set_fault(m, s, k, STATUS_FAULTY, REASON_FROZEN, (real_t)m->repeat_count[k] * s->sensor_period[k]);
             }
         }
     } else {
         m->repeat_count[k] = 0;
-        if (((s->has_noise[k] == 0) || (k == READING_RING)) && (m->last_new_tick[k] > 0) && early) {
+        if (((s->has_noise[k] == 0) || (k == READING_RANGE_RING)) && (m->last_new_tick[k] > 0) && early) {
             usable = false;
-            m->double_count[k] += 1;
-            if (m->double_count[k] >= 3) {
+            m->duplicate_count[k] += 1;
+            if (m->duplicate_count[k] >= 3) {
                 set_fault(m, s, k, m->status[k], REASON_DUPLICATED, REAL(0.0));
             }
         }
@@ -95,15 +95,15 @@ static bool accept_sample(estimator_t *m, const estimator_settings_t *s, const r
     m->last_new_tick[k] = m->tick;
     m->invalid_count[k] = 0;
     bool again = (m->status[k] >= STATUS_MISSING) && (m->tick >= m->fault_until_tick[k]);
-    if (again || ((m->status[k] == STATUS_WAITING) && (k != READING_RING))) {
+    if (again || ((m->status[k] == STATUS_WAITING) && (k != READING_RANGE_RING))) {
         /* The ring's readings decide about its use: in a large room it detects no wall. */
-        m->status[k] = (k == READING_RING) ? STATUS_WAITING : STATUS_FUSED;
+        m->status[k] = (k == READING_RANGE_RING) ? STATUS_WAITING : STATUS_FUSED;
         m->reason[k] = REASON_NONE;
     }
     if (age > (s->latency[k] + s->latency_slack[k])) {
         /* The others wait for the horizon, which decides whether they can be fused. */
         set_fault(m, s, k, m->status[k], REASON_LATE, age);
-        if ((k <= READING_RATES) || (k == READING_ROTOR) || (k == READING_BATTERY)) {
+        if ((k <= READING_RATES) || (k == READING_ROTOR_SPEED) || (k == READING_BATTERY)) {
             set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age);
             usable = false;
         }
@@ -115,7 +115,7 @@ static bool accept_sample(estimator_t *m, const estimator_settings_t *s, const r
     for (int32_t j = 0; j < count; j++) {
         m->last_value[READING_STARTS[k] + j] = z[j];
     }
-    if ((k <= READING_RATES) || (k == READING_RING)) {
+    if ((k <= READING_RATES) || (k == READING_RANGE_RING)) {
         m->last_fused_tick[k] = m->tick;
     }
     return usable;
@@ -137,7 +137,7 @@ static void check_clipping(estimator_t *m, const estimator_settings_t *s, const 
     }
 }
 
-void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALUE_COUNT], int32_t fresh[SENSOR_COUNT],
+void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[INPUT_VALUE_COUNT], int32_t fresh[SENSOR_COUNT],
              const real_t age[SENSOR_COUNT])
 {
     for (int32_t k = 0; k < SENSOR_COUNT; k++) {
@@ -191,7 +191,7 @@ void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALU
             if ((m->last_new_tick[k] > 0) && (since > s->timeout[k])) {
                 m->status[k] = STATUS_MISSING;
                 m->reason[k] = (m->invalid_count[k] > 2) ? REASON_NO_ECHO : REASON_TIMEOUT;
-                m->fault_number[k] = since;
+                m->reason_number[k] = since;
             }
         }
     }
@@ -202,13 +202,13 @@ void reset_on_divergence(estimator_t *m, const estimator_settings_t *s)
 {
     if (m->divergence_ticks <= 1) {
         for (int32_t k = 0; k < 3; k++) {
-            inflate_variance(m, ERROR_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS);
-            inflate_variance(m, ERROR_ATTITUDE + k, DIVERGED_ATTITUDE * DIVERGED_ATTITUDE);
+            inflate_variance(m, ERROR_GYRO_BIAS + k, DIVERGED_GYRO_BIAS_SIGMA * DIVERGED_GYRO_BIAS_SIGMA);
+            inflate_variance(m, ERROR_ATTITUDE + k, DIVERGED_ATTITUDE_SIGMA * DIVERGED_ATTITUDE_SIGMA);
         }
-        inflate_variance(m, ERROR_VELOCITY, DIVERGED_SPEED * DIVERGED_SPEED);
-        inflate_variance(m, ERROR_VELOCITY + 1, DIVERGED_SPEED * DIVERGED_SPEED);
+        inflate_variance(m, ERROR_VELOCITY, DIVERGED_SPEED_SIGMA * DIVERGED_SPEED_SIGMA);
+        inflate_variance(m, ERROR_VELOCITY + 1, DIVERGED_SPEED_SIGMA * DIVERGED_SPEED_SIGMA);
     }
-    m->divergence_ticks = (int32_t)(FREE_BIAS_DURATION_S / s->dt);
+    m->divergence_ticks = (int32_t)(FREE_GYRO_BIAS_DURATION_S / s->dt);
 }
 
 void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool flying)
@@ -228,17 +228,17 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
         off = m->gyro_rates[k] - m->axis_work[k];
         worst = real_max(worst, real_abs(off));
         /* A spike may consist of two steps that would each pass. */
-        led = real_max(led, real_abs((SPIKE_CARRY_SHARE * m->spike_residual_carry[k]) + off));
+        led = real_max(led, real_abs((GYRO_RESIDUAL_CARRY_SHARE * m->spike_residual_carry[k]) + off));
         /* Error of the model's moments, in flight and on the legs */
-        m->ang_accel_bias[k] += (m->flight_phase >= PHASE_LIGHT) ? (ANG_ACCEL_BIAS_GAIN * real_min(real_max(off, -SPIKE_RATE), SPIKE_RATE)) : REAL(0.0);
+        m->ang_accel_bias[k] += (m->flight_phase >= PHASE_LIFTING_OFF) ? (ANG_ACCEL_BIAS_GAIN * real_min(real_max(off, -GYRO_SPIKE_RATE), GYRO_SPIKE_RATE)) : REAL(0.0);
     }
     for (int32_t k = 0; k < 3; k++) {
-        alike = alike && (real_abs(m->gyro_rates[k] - m->rates_with_spikes[k]) < SPIKE_AGREEMENT);
+        alike = alike && (real_abs(m->gyro_rates[k] - m->rates_with_spikes[k]) < GYRO_SPIKE_AGREEMENT);
         m->rates_with_spikes[k] = m->gyro_rates[k];
     }
     /* A model with repeated errors cannot distinguish a spike from a motion. Agreeing spikes are one error. */
-    most = SPIKE_RATE + (ROUGHNESS_FACTOR * m->rate_residual_lp);
-    m->rate_residual_lp += alike ? REAL(0.0) : (REAL(0.1) * (real_min(worst, SPIKE_RATE) - m->rate_residual_lp));
+    most = GYRO_SPIKE_RATE + (GYRO_SPIKE_RESIDUAL_FACTOR * m->rate_residual_lp);
+    m->rate_residual_lp += alike ? REAL(0.0) : (REAL(0.1) * (real_min(worst, GYRO_SPIKE_RATE) - m->rate_residual_lp));
     m->divergence_ticks = (m->divergence_ticks > 1) ? (m->divergence_ticks - 1) : m->divergence_ticks; /* a past divergence is remembered */
     if ((!flying) || (s->has_rotor_model == 0)) {
         m->spike_repeats = 0;
@@ -246,7 +246,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
     }
     fine = real_max(worst, led) < most;
     for (int32_t k = 0; k < 3; k++) {
-        m->spike_residual_carry[k] *= SPIKE_CARRY_SHARE;
+        m->spike_residual_carry[k] *= GYRO_RESIDUAL_CARRY_SHARE;
         if (fine) {
             m->spike_residual_carry[k] += m->gyro_rates[k] - m->axis_work[k];
         }
@@ -259,7 +259,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
     m->spike_count += 1;
     m->spike_repeats = alike ? (m->spike_repeats + 1) : 1;
     if (m->spike_count == 1) {
-        m->reject_score[READING_RATES] = (m->reject_score[READING_RATES] * REJECT_DECAY) + REAL(1.0);
+        m->reject_score[READING_RATES] = (m->reject_score[READING_RATES] * REJECT_SCORE_DECAY) + REAL(1.0);
         if (m->reject_score[READING_RATES] > REAL(3.0)) {
             set_fault(m, s, READING_RATES, STATUS_FUSED, REASON_SPIKES, worst);
         }
@@ -267,7 +267,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
     for (int32_t k = 0; k < 3; k++) {
         small = small && (real_abs(m->gyro_offset[k] + (m->gyro_rates[k] - m->axis_work[k])) < MAX_GYRO_OFFSET);
     }
-    if ((m->spike_repeats >= JUMP_REPEATS) && small) {
+    if ((m->spike_repeats >= GYRO_JUMP_REPEATS) && small) {
         /* A sudden offset is no motion. It is subtracted from the following readings. */
         for (int32_t k = 0; k < 3; k++) {
             const real_t off = m->gyro_rates[k] - m->axis_work[k];
@@ -304,21 +304,21 @@ bool rotor_speed_consistent(estimator_t *m, const estimator_settings_t *s, const
     }
     /* On the floor the motor equations are adapted. */
     led = (m->flight_phase == PHASE_FLYING) && (flown > ROTOR_ACCEL_SETTLING_S) && (away > ROTOR_ACCEL_LIMIT);
-    off = (m->flight_phase == PHASE_FLYING) && (worst > ((m->reject_score[READING_ROTOR] > REAL(0.5)) ? ROTOR_SPEED_RECOVERY_GATE : ROTOR_SPEED_GATE));
+    off = (m->flight_phase == PHASE_FLYING) && (worst > ((m->reject_score[READING_ROTOR_SPEED] > REAL(0.5)) ? ROTOR_SPEED_RECOVERY_GATE : ROTOR_SPEED_GATE));
     if (led || off) {
         if (led) {
             m->motor_accel_bias[0] = mean[0];
             m->motor_accel_bias[1] = mean[1];
         }
-        mark_rejected(m, s, READING_ROTOR, REASON_INNOVATION, worst * s->hover_speed[0]);
+        mark_rejected(m, s, READING_ROTOR_SPEED, REASON_INNOVATION, worst * s->hover_speed[0]);
     } else {
-        const real_t period = s->sensor_period[READING_ROTOR];
+        const real_t period = s->sensor_period[READING_ROTOR_SPEED];
         const real_t share = period / real_max(real_min(flown, ROTOR_ACCEL_MEAN_S), period);
 
         for (int32_t k = 0; k < 2; k++) {
             mean[k] += share * (m->motor_accel_bias[k] - mean[k]);
         }
-        mark_fused(m, READING_ROTOR);
+        mark_fused(m, READING_ROTOR_SPEED);
     }
     return !(led || off);
 }
@@ -327,8 +327,8 @@ bool battery_voltage_consistent(estimator_t *m, const estimator_settings_t *s, r
 {
     bool believed = true;
 
-    if ((real_abs(off) > VOLTAGE_GATE) && (((real_t)m->tick * s->dt) > REAL(1.0))) {
-        if ((s->is_fitted[READING_ROTOR] == 0) || (m->status[READING_ROTOR] == STATUS_FUSED)) {
+    if ((real_abs(off) > BATTERY_VOLTAGE_GATE_V) && (((real_t)m->tick * s->dt) > REAL(1.0))) {
+        if ((s->is_fitted[READING_ROTOR_SPEED] == 0) || (m->status[READING_ROTOR_SPEED] == STATUS_FUSED)) {
             mark_rejected(m, s, READING_BATTERY, REASON_INNOVATION, off);
         }
         believed = false;
@@ -340,7 +340,7 @@ bool battery_voltage_consistent(estimator_t *m, const estimator_settings_t *s, r
 
 /* Return the mean innovation ratio of the fix along the difference of accelerometers and model: a positive value
  * contradicts the model, a negative one the accelerometers. */
-static real_t force_evidence(const estimator_t *m, const real_t r[9], const real_t along[3])
+static real_t mean_fix_ratio_along(const estimator_t *m, const real_t r[9], const real_t along[3])
 {
     real_t dot = REAL(0.0);
     real_t square = REAL(1e-12);
@@ -360,20 +360,20 @@ static void update_force_conflict(estimator_t *m, const estimator_settings_t *s,
 {
     bool apart;
 
-    if ((m->is_accel_distrusted == 0) && (worst > CONFLICT_GATE)) {
+    if ((m->is_accel_distrusted == 0) && (worst > FORCE_CONFLICT_GATE)) {
         m->is_accel_distrusted = 1;
-    } else if ((m->is_accel_distrusted == 1) && (worst < CONFLICT_END_GATE)) {
+    } else if ((m->is_accel_distrusted == 1) && (worst < FORCE_CONFLICT_END_GATE)) {
         m->is_accel_distrusted = 0;
     } else {
         /* unchanged */
     }
-    apart = (m->accel_model_apart_tick > 0) && (((real_t)(m->tick - m->accel_model_apart_tick) * s->dt) < FAULT_HOLD_S);
+    apart = (m->accel_model_difference_tick > 0) && (((real_t)(m->tick - m->accel_model_difference_tick) * s->dt) < FAULT_HOLD_S);
     if ((m->is_accel_distrusted == 0) && !apart) {
         m->accel_model_verdict = VERDICT_AGREE;
     } else {
-        const bool has_fix = (m->status[READING_FIX] == STATUS_FUSED) &&
-                             (((real_t)(m->tick - m->last_fused_tick[READING_FIX]) * s->dt) < CONFLICT_FIX_AGE_S);
-        const real_t evidence = has_fix ? force_evidence(m, r, m->accel_residual_lp) : REAL(0.0);
+        const bool has_fix = (m->status[READING_POSITION_FIX] == STATUS_FUSED) &&
+                             (((real_t)(m->tick - m->last_fused_tick[READING_POSITION_FIX]) * s->dt) < CONFLICT_FIX_AGE_S);
+        const real_t evidence = has_fix ? mean_fix_ratio_along(m, r, m->accel_residual_lp) : REAL(0.0);
 
         if (m->accel_model_verdict == VERDICT_AGREE) {
             m->accel_model_verdict = VERDICT_UNDECIDED;
@@ -382,15 +382,15 @@ static void update_force_conflict(estimator_t *m, const estimator_settings_t *s,
         if ((m->accel_residual_lp[2] < REAL(0.0)) &&
             (height < (FLOOR_CONTACT_HEIGHT + (REAL(3.0) * m->sigma_output[ERROR_POSITION + 2])))) {
             m->accel_model_verdict = VERDICT_FLOOR_CONTACT;
-        } else if (((s->is_fitted[READING_ROTOR] > 0) && (m->status[READING_ROTOR] != STATUS_FUSED)) || (evidence > CONFLICT_EVIDENCE)) {
+        } else if (((s->is_fitted[READING_ROTOR_SPEED] > 0) && (m->status[READING_ROTOR_SPEED] != STATUS_FUSED)) || (evidence > CONFLICT_MIN_FIX_RATIO)) {
             m->accel_model_verdict = VERDICT_MODEL_WRONG;
-        } else if (evidence < -CONFLICT_EVIDENCE) {
+        } else if (evidence < -CONFLICT_MIN_FIX_RATIO) {
             m->accel_model_verdict = VERDICT_ACCEL_WRONG;
         } else if (m->accel_model_verdict == VERDICT_FLOOR_CONTACT) {
             m->accel_model_verdict = VERDICT_UNDECIDED;
             m->accel_model_conflict_start_tick = m->tick;
         } else if ((m->accel_model_verdict == VERDICT_UNDECIDED) && has_fix &&
-                   (((real_t)(m->tick - m->accel_model_conflict_start_tick) * s->dt) > CONFLICT_DECISION_S)) {
+                   (((real_t)(m->tick - m->accel_model_conflict_start_tick) * s->dt) > CONFLICT_TIMEOUT_S)) {
             m->accel_model_verdict = VERDICT_ACCEL_WRONG;
         } else {
             /* unchanged */

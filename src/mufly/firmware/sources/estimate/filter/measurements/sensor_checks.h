@@ -13,7 +13,7 @@ void mark_fused(estimator_t *m, int32_t k);
 void mark_rejected(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t why, real_t number);
 
 /* Check new readings for limits, age, repetition and silence. */
-void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALUE_COUNT], int32_t fresh[SENSOR_COUNT],
+void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[INPUT_VALUE_COUNT], int32_t fresh[SENSOR_COUNT],
              const real_t age[SENSOR_COUNT]);
 
 /* Inflate the variances of gyroscope bias, attitude and velocity after persistent innovations of the fix. */
