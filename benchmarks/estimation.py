@@ -164,10 +164,10 @@ def nees(asked: argparse.Namespace) -> None:
         print(f"{name:18s}" + found[name].format_row(), flush=True)
     if not asked.scenario:
         record, varied = make_recorder(asked.record), found["10 % off its model"]
-        others = [c.inside for c in found.values() if c is not varied]
+        others = [c.inside_share for c in found.values() if c is not varied]
         record("nees", min(c.nees for c in found.values()), max(c.nees for c in found.values()))
         record("nees_inside", 100 * min(others), 100 * max(others))
-        record("nees_varied", 100 * varied.inside)
+        record("nees_varied", 100 * varied.inside_share)
         record("nees_box", 100 * found["box under path"].z_peak)
 
 

@@ -349,11 +349,11 @@ def report(what: str, found: dict[str, dict[str, Any]]) -> None:
     elif what == "consistency":
         merged = Consistency.merge_flights([Consistency(**r["consistency"]) for r in rows])
         print("succeeded", share([r["outcome"] == "succeeded" for r in rows]))
-        print(f"NEES/n {merged.nees:.2f}, {merged.inside:.1%} inside")
+        print(f"NEES/n {merged.nees:.2f}, {merged.inside_share:.1%} inside")
         for k, name in enumerate(ERROR_BLOCKS):
             each = [r["consistency"]["block_nees"][k] for r in rows]
             print(
-                f"  {name}: NEES/n {merged.block_nees[k]:.2f}, {merged.block_inside[k]:.1%} inside; "
+                f"  {name}: NEES/n {merged.block_nees[k]:.2f}, {merged.block_inside_shares[k]:.1%} inside; "
                 f"units: median {np.median(each):.2f}, worst {max(each):.2f}"
             )
     else:

@@ -13,7 +13,7 @@ from mufly.mission import parse_mission
 from mufly.sensors import (
     IdealBattery,
     IdealMotion,
-    IdealRing,
+    IdealRangeRing,
     Reading,
     Readings,
     Sensor,
@@ -116,7 +116,7 @@ class HeightFilter(Estimator):
 
 def test_a_sensor_with_noise_and_its_estimator_fly(vehicle: Vehicle, controller: FlightController) -> None:
     """What a new sensor and a new estimator take: one class each, and a flight that is given them."""
-    sensors = SensorSet(IdealMotion(), IdealRing(vehicle, World(), 8), IdealBattery(), RangeFinder(0.02))
+    sensors = SensorSet(IdealMotion(), IdealRangeRing(vehicle, World(), 8), IdealBattery(), RangeFinder(0.02))
     with Flight(vehicle, HOP, controller=controller, sensors=sensors, estimator=HeightFilter(0.2)) as flight:
         flight.autopilot.arm(force=True)
         flight.autopilot.start_mission()

@@ -27,7 +27,7 @@ def test_each_block_of_exact_errors_is_consistent_and_a_narrow_one_is_seen() -> 
     true, told = drawn_estimates(4000, spread)
     found = measure_row_consistency(true, told, every=1)
     assert found.block_nees == pytest.approx((1.0, 1.0, 1.0, 1.0), abs=0.06)
-    assert found.block_inside == pytest.approx((0.95,) * 4, abs=0.012)
+    assert found.block_inside_shares == pytest.approx((0.95,) * 4, abs=0.012)
     # A heading error of twice its deviation: one of nine components, which the whole ellipsoid hardly shows
     for e in told:
         e.attitude[2] *= 2.0

@@ -210,7 +210,11 @@ def test_fixes_come_late_in_their_rhythm_and_stay_wrong_together(exact, at) -> N
 
 def test_wandering_does_not_depend_on_how_often_one_looks() -> None:
     for step in (0.01, 1.0):
-        source, sigma, memory = random_numbers.make_source(np.random.default_rng(2)), np.ones(2000), np.empty(2001)
+        source, sigma, memory = (
+            random_numbers.make_random_source(np.random.default_rng(2)),
+            np.ones(2000),
+            np.empty(2001),
+        )
         gauss_markov_reset(np.random.default_rng(3), sigma, memory)
         start = memory[1:].copy()
         for k in range(round(5.0 / step) + 1):
@@ -297,14 +301,14 @@ def test_numbers_are_those_of_the_formulas() -> None:
 
 def test_who_draws_goes_on_where_it_was_and_sources_differ() -> None:
     rng = np.random.default_rng(3)
-    source, again = random_numbers.make_source(rng), random_numbers.make_source(np.random.default_rng(3))
+    source, again = random_numbers.make_random_source(rng), random_numbers.make_random_source(np.random.default_rng(3))
     a, b = np.empty((2, 500)), np.empty(500)
     for row in a:
         random_numbers.draw_normals(source, row)
     random_numbers.draw_normals(again, b)
     np.testing.assert_array_equal(a[0], b)
     assert np.intersect1d(a[0], a[1]).size == 0
-    random_numbers.draw_normals(random_numbers.make_source(rng), b)
+    random_numbers.draw_normals(random_numbers.make_random_source(rng), b)
     assert np.intersect1d(a[0], b).size == 0
 
 

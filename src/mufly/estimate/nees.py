@@ -51,9 +51,9 @@ class Consistency:
         Number of instants.
     nees : float
         Mean of NEES / n over position, velocity and attitude (n = 9).
-    inside : float
+    inside_share : float
         Share of instants inside the 95 % ellipsoid.
-    block_nees, block_inside : (4,) tuples
+    block_nees, block_inside_shares : (4,) tuples
         NEES / n of each block of :data:`ERROR_BLOCKS`, and the share of instants inside the block's 95 % ellipsoid.
     nis : float
         Mean square of the innovation ratios of the position fix.
@@ -63,9 +63,9 @@ class Consistency:
 
     count: int
     nees: float
-    inside: float
+    inside_share: float
     block_nees: tuple[float, ...]
-    block_inside: tuple[float, ...]
+    block_inside_shares: tuple[float, ...]
     nis: float
     xy_rms: float
     xy_peak: float
@@ -80,7 +80,7 @@ class Consistency:
         """Return the consistency over several flights: mean squares, largest peaks."""
         n = np.array([c.count for c in several], dtype=float)
         n /= n.sum()
-        mean = {k: float(n @ [getattr(c, k) for c in several]) for k in ("nees", "inside", "nis")}
+        mean = {k: float(n @ [getattr(c, k) for c in several]) for k in ("nees", "inside_share", "nis")}
         rms = {
             k: float(np.sqrt(n @ np.square([getattr(c, k) for c in several])))
             for k in ("xy_rms", "z_rms", "tilt_rms", "yaw_rms")
@@ -89,7 +89,7 @@ class Consistency:
         return cls(
             count=sum(one.count for one in several),
             block_nees=tuple((n @ np.array([one.block_nees for one in several])).tolist()),
-            block_inside=tuple((n @ np.array([one.block_inside for one in several])).tolist()),
+            block_inside_shares=tuple((n @ np.array([one.block_inside_shares for one in several])).tolist()),
             **mean,
             **rms,
             **peak,
@@ -99,12 +99,11 @@ class Consistency:
         """Return the errors in centimetres and degrees, for a table."""
         d = np.degrees
         cells = (
-            f"{self.nees:.2f}", f"{100 * self.inside:.1f}", f"{100 * self.xy_rms:.1f}", f"{100 * self.xy_peak:.1f}",
-            f"{100 * self.z_rms:.2f}", f"{100 * self.z_peak:.1f}", f"{d(self.tilt_rms):.2f}",
-            f"{d(self.tilt_peak):.2f}",
-            f"{d(self.yaw_rms):.2f}", f"{self.nis:.2f}",
+            f"{self.nees:.2f}", f"{100 * self.inside_share:.1f}", f"{100 * self.xy_rms:.1f}",
+            f"{100 * self.xy_peak:.1f}", f"{100 * self.z_rms:.2f}", f"{100 * self.z_peak:.1f}",
+            f"{d(self.tilt_rms):.2f}", f"{d(self.tilt_peak):.2f}", f"{d(self.yaw_rms):.2f}", f"{self.nis:.2f}",
         )  # fmt: skip
-        blocks = zip(self.block_nees, self.block_inside, strict=True)
+        blocks = zip(self.block_nees, self.block_inside_shares, strict=True)
         return "".join(f"{c:>9s}" for c in cells) + "   " + ", ".join(f"{p:.2f} {100 * q:.1f} %" for p, q in blocks)
 
 
@@ -168,9 +167,9 @@ def measure_row_consistency(
     return Consistency(
         count=len(use),
         nees=float(nees.mean()) / count,
-        inside=float(np.mean(nees < stats.chi2.ppf(0.95, count))),
+        inside_share=float(np.mean(nees < stats.chi2.ppf(0.95, count))),
         block_nees=tuple(b[0] for b in blocks),
-        block_inside=tuple(b[1] for b in blocks),
+        block_inside_shares=tuple(b[1] for b in blocks),
         nis=float(np.mean(np.square(ratios))) if ratios else np.nan,
         xy_rms=_root_mean_square(xy),
         xy_peak=float(xy.max()),

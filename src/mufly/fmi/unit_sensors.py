@@ -57,11 +57,11 @@ from mufly.sensors import FittedSensors, Imu, PeriodicSensor, draw_leaning_vehic
 from mufly.sensors.faults import FaultySensor
 from mufly.sensors.imu import begin_imu, sample_imu
 from mufly.sensors.periodic import (
-    FIRST_VALUE,
-    IS_VALID,
-    MEASURED_TIME,
-    NEXT_SAMPLE,
+    CLOCK_NEXT_SAMPLE,
     PENDING_COUNT,
+    ROW_FIRST_VALUE,
+    ROW_IS_VALID,
+    ROW_MEASURED_TIME,
     advance_if_due,
     publish_if_due,
 )
@@ -165,9 +165,11 @@ class UnitSensors:
             else:
                 assert isinstance(sensor, PeriodicSensor)
                 parts = dict(sensor.published_readings)
-                places = dict.fromkeys(parts, ("rows[0]", FIRST_VALUE))
-                times = (("time", "s", MEASURED_TIME, "time of the last reading"),
-                         ("valid", "", IS_VALID, "1 if the sensor marks the last reading valid, 0 if not"))  # fmt: skip
+                places = dict.fromkeys(parts, ("rows[0]", ROW_FIRST_VALUE))
+                times = (
+                    ("time", "s", ROW_MEASURED_TIME, "time of the last reading"),
+                    ("valid", "", ROW_IS_VALID, "1 if the sensor marks the last reading valid, 0 if not"),
+                )
                 for word, unit, column, meaning in times:
                     value = f"sensors->{name}.rows[0][{column}]"
                     yield SensedOutput(f"sensor.{name}.{word}", unit, f"{name.replace('_', ' ')}: {meaning}", value)
@@ -223,23 +225,24 @@ class UnitSensors:
 
     def _pass_readings(self, translation: CTranslation, name: str, sensor: PeriodicSensor) -> Iterator[str]:
         row = f"sensors->{name}.rows[0]"
+        measured, valid = f"{row}[{ROW_MEASURED_TIME}]", f"{row}[{ROW_IS_VALID}]"
         for reading, part in sensor.published_readings.items():
             index = READINGS[reading].filter_index
             if index is None or not self._settings["is_fitted"][index]:
                 continue
-            at = FIRST_VALUE + (part if isinstance(part, int) else part.start)
+            at = ROW_FIRST_VALUE + (part if isinstance(part, int) else part.start)
             if reading == "ranges":
-                count = sensor.pending_rows.shape[1] - FIRST_VALUE
+                count = sensor.pending_rows.shape[1] - ROW_FIRST_VALUE
                 scan, ranges = TableType(REAL, (count,)), TableType(REAL, (3, count))
                 made = translation.add_function(filter_ring_scan, [scan, REAL, ranges, scan])
                 longest = float(self.vehicle.range_ring.max_range).hex()
-                yield f"        if (begin_reading(filter, {index}, t, {row}[{MEASURED_TIME}], {row}[{IS_VALID}])) {{"
+                yield f"        if (begin_reading(filter, {index}, t, {measured}, {valid})) {{"
                 for k, beam in enumerate(fused_beam_indices(count)):
                     yield f"            filter->values[{READING_STARTS[index] + k}] = {row}[{at + beam}];"
                 yield f"            {made.name}({row} + {at}, {longest}, filter->scans, filter->ranges);"
                 yield "        }"
                 continue
-            yield f"        if (begin_reading(filter, {index}, t, {row}[{MEASURED_TIME}], {row}[{IS_VALID}])) {{"
+            yield f"        if (begin_reading(filter, {index}, t, {measured}, {valid})) {{"
             for k in range(READING_WIDTHS[index]):
                 offset = f" - {float(READING_OFFSETS[index])!r}" if READING_OFFSETS[index] else ""
                 yield f"            filter->values[{READING_STARTS[index] + k}] = {row}[{at + k}]{offset};"
@@ -392,7 +395,7 @@ static bool sample_{name}_sensor(
     double t, const double *x, const double *attitude, const double *supply, {name}_sensor *s)
 {{
     double wait = -1.0; /* no measurement */
-    if (t < s->clock[{NEXT_SAMPLE}]) {{
+    if (t < s->clock[{CLOCK_NEXT_SAMPLE}]) {{
         return false;
     }}
     if ({due.name}(t, s->clock)) {{

@@ -42,7 +42,7 @@ from mufly.gym.episodes import (
 from mufly.gym.fleet import common_step, draw_fleet, draw_winds
 from mufly.gym.pictures import draw_episode
 from mufly.gym.tasks import DURATIONS_S, OBSTACLE_WORLD, TASKS
-from mufly.sensors.rng import make_source
+from mufly.sensors.rng import make_random_source
 from mufly.vehicle import Vehicle, load_vehicle
 
 _Array = NDArray[np.float64]
@@ -188,7 +188,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
                 raise ArgumentError("seed", "", f"{len(seeds)} seeds", f"give {self.num_envs}")
             for k in places:
                 if seeds[k] is not None or not self._is_seeded:
-                    self.episodes.source[k] = make_source(seeding.np_random(seeds[k])[0])[0]
+                    self.episodes.source[k] = make_random_source(seeding.np_random(seeds[k])[0])[0]
             self._is_seeded = True
         self._start(which)
         self._ended[which] = False

@@ -6,7 +6,7 @@ from mufly.sensors.periodic import PeriodicSensor
 from mufly.sensors.readings import (
     IdealBattery,
     IdealMotion,
-    IdealRing,
+    IdealRangeRing,
     Reading,
     Readings,
     Sensor,
@@ -30,7 +30,7 @@ __all__ = [
     "FittedSensors",
     "IdealBattery",
     "IdealMotion",
-    "IdealRing",
+    "IdealRangeRing",
     "Imu",
     "PeriodicSensor",
     "Reading",

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.model_state import MODEL_SPEED_UPPER
-from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
+from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, PeriodicSensor
 from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals
 from mufly.vehicle import Vehicle
@@ -28,8 +28,8 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 # Indices of the parameters: scales of both speeds, noise (rad/s); of voltage and current (V, A)
-_SPEED_SCALE, _SPEED_NOISE = 0, 2
-_VOLTAGE_NOISE, _VOLTAGE_STEP, _CURRENT_SCALE, _CURRENT_NOISE = range(4)
+_SPEED_SCALE_INDEX, _SPEED_NOISE_INDEX = 0, 2
+_VOLTAGE_NOISE_INDEX, _VOLTAGE_RESOLUTION_INDEX, _CURRENT_SCALE_INDEX, _CURRENT_NOISE_INDEX = range(4)
 
 
 @cached_njit(error_model="numpy")
@@ -45,10 +45,10 @@ def _sample_rotor_speeds(
     (numbers,) = parts
     n = np.empty(2)
     draw_normals(source, n)
-    row[IS_VALID] = 1.0
+    row[ROW_IS_VALID] = 1.0
     for k in range(2):
-        row[FIRST_VALUE + k] = max(
-            x[MODEL_SPEED_UPPER + k] * numbers[_SPEED_SCALE + k] + numbers[_SPEED_NOISE] * n[k], 0.0
+        row[ROW_FIRST_VALUE + k] = max(
+            x[MODEL_SPEED_UPPER + k] * numbers[_SPEED_SCALE_INDEX + k] + numbers[_SPEED_NOISE_INDEX] * n[k], 0.0
         )
     return 0.0
 
@@ -85,11 +85,11 @@ def _sample_battery(
     (numbers,) = parts
     n = np.empty(2)
     draw_normals(source, n)
-    volts, step = supply[0] + numbers[_VOLTAGE_NOISE] * n[0], numbers[_VOLTAGE_STEP]
+    volts, step = supply[0] + numbers[_VOLTAGE_NOISE_INDEX] * n[0], numbers[_VOLTAGE_RESOLUTION_INDEX]
     if step > 0.0:
         volts = np.rint(volts / step) * step
-    row[IS_VALID], row[FIRST_VALUE] = 1.0, max(volts, 0.0)
-    row[FIRST_VALUE + 1] = supply[1] * numbers[_CURRENT_SCALE] + numbers[_CURRENT_NOISE] * n[1]
+    row[ROW_IS_VALID], row[ROW_FIRST_VALUE] = 1.0, max(volts, 0.0)
+    row[ROW_FIRST_VALUE + 1] = supply[1] * numbers[_CURRENT_SCALE_INDEX] + numbers[_CURRENT_NOISE_INDEX] * n[1]
     return 0.0
 
 

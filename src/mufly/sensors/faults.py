@@ -178,7 +178,7 @@ class FaultySensor(Sensor):
         active = [f for f in self.faults if f.start_s <= t < f.stop_s] if self.faults else ()
         if self._imu is not None:
             clips = [f.amount for f in active if f.name == "accelerometer" and f.kind == "clip"]
-            self._imu.clip_at(min(clips) if clips else None)
+            self._imu.set_clipping_limit(min(clips) if clips else None)
         if not active:
             self.is_altered = False
             said = self._last_output = self.sensor.read(truth)

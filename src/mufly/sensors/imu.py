@@ -49,23 +49,31 @@ from mufly.dynamics.model_state import (
 from mufly.quantities.units import GRAVITY
 from mufly.rotations import quaternion_from_euler
 from mufly.sensors.readings import Reading, Sensor, Truth
-from mufly.sensors.rng import draw_normals, make_source
+from mufly.sensors.rng import draw_normals, make_random_source
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import ImuParameters as ImuTable
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-_TRIPOD_ELEVATION = math.asin(math.sqrt(1 / 3))  # of the vibration above the horizon: all axes have equal shares
+_VIBRATION_ELEVATION_RAD = math.asin(math.sqrt(1 / 3))  # of the vibration above the horizon: all axes have equal shares
 ROOM_TEMPERATURE_K = 293.15
-_VIBRATION_LINES = 5  # 1/rev and 2/rev of both rotors, and the blade passage
-GYRO, _AXES = 3, 6  # index of the first gyroscope among the axes, and their number
+_VIBRATION_LINE_COUNT = 5  # 1/rev and 2/rev of both rotors, and the blade passage
+FIRST_GYRO_AXIS, _IMU_AXIS_COUNT = 3, 6  # index of the first gyroscope among the axes, and their number
 # Indices of the parameters: amplitudes, resonance, damping, hover speeds, drift time, warming and its time constant
 (
-    _ONCE, _TWICE, _PASSING, _RESONANCE, _DAMPING, _HOVER_UPPER, _HOVER_LOWER, _DRIFT_TIME, _WARMING, _WARMING_TIME,
+    _ONCE_PER_REV_INDEX, _TWICE_PER_REV_INDEX, _BLADE_PASSAGE_INDEX, _RESONANCE_INDEX, _DAMPING_INDEX,
+    _UPPER_HOVER_SPEED_INDEX, _LOWER_HOVER_SPEED_INDEX, _DRIFT_TIME_INDEX, _WARMING_INDEX, _WARMING_TIME_INDEX,
 ) = range(10)  # fmt: skip
-_COS, _SIN, _PHASOR_STEP_COS, _PHASOR_STEP_SIN, _GROWTH_COS, _GROWTH_SIN = range(6)  # columns of a rotor's phasor
-_PLACE, _TURN_ON, _WANDER, _MEMORY, _FORCE = 1, 7, 13, 14, 15  # places among the arrays of the unit
-_UPPER_TWICE, _LOWER_TWICE, _PASSES = 2, 6, 8  # first rows of the vibration lines; each has a cosine and a sine row
+# Columns of a rotor's phasor
+_PHASOR_COS, _PHASOR_SIN, _PHASOR_STEP_COS, _PHASOR_STEP_SIN, _PHASOR_GROWTH_COS, _PHASOR_GROWTH_SIN = range(6)
+# Places among the arrays of the unit
+_POSITION_ARRAY, _TURN_ON_BIAS_ARRAY, _BIAS_DRIFT_ARRAY = 1, 7, 13
+_LOW_PASS_MEMORY_ARRAY, _SPECIFIC_FORCE_ARRAY = 14, 15
+_UPPER_TWICE_PER_REV_ROW, _LOWER_TWICE_PER_REV_ROW, _BLADE_PASSAGE_ROW = (
+    2,
+    6,
+    8,
+)  # first rows of the vibration lines; each has a cosine and a sine row
 
 
 class Imu(Sensor):
@@ -113,11 +121,15 @@ class Imu(Sensor):
         if turned is not None:
             self._axes, self._g_sensitivity = self._axes @ turned, self._g_sensitivity @ turned
         azimuth = rng.uniform(0.0, 2 * math.pi, 3)
-        level = math.cos(_TRIPOD_ELEVATION)
-        e = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.full(3, math.sin(_TRIPOD_ELEVATION))])
+        level = math.cos(_VIBRATION_ELEVATION_RAD)
+        e = np.column_stack(
+            [level * np.cos(azimuth), level * np.sin(azimuth), np.full(3, math.sin(_VIBRATION_ELEVATION_RAD))]
+        )
         self._vibration_directions = np.ascontiguousarray(e[[0, 0, 1, 1, 2]])
-        self._phases = np.array([(math.cos(p), math.sin(p)) for p in rng.uniform(0.0, 2 * math.pi, _VIBRATION_LINES)])
-        self.source = make_source(rng)
+        self._phases = np.array(
+            [(math.cos(p), math.sin(p)) for p in rng.uniform(0.0, 2 * math.pi, _VIBRATION_LINE_COUNT)]
+        )
+        self.source = make_random_source(rng)
         self.reset()
 
     def reset(self) -> None:
@@ -136,9 +148,9 @@ class Imu(Sensor):
         """True bias (6,) of accelerometers (m/s^2) and gyroscopes (rad/s) without the share of warming."""
         return self.turn_on_bias + self._bias_drift
 
-    def clip_at(self, limit_m_s2: float | None) -> None:
+    def set_clipping_limit(self, limit_m_s2: float | None) -> None:
         """Set the clipping limit of the accelerometers (a fault); None restores their range."""
-        self._limit[:GYRO] = self._range[:GYRO] if limit_m_s2 is None else limit_m_s2
+        self._limit[:FIRST_GYRO_AXIS] = self._range[:FIRST_GYRO_AXIS] if limit_m_s2 is None else limit_m_s2
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t, last = truth.time_s, self._clock.item()
@@ -180,9 +192,9 @@ class Imu(Sensor):
         """Return the error-free readings of the last period."""
         return {"acceleration": self._current_force.copy(), "rates": truth.rates}
 
-    def warming_K(self, time_s: float) -> float:
+    def temperature_rise_K(self, time_s: float) -> float:
         """Return the rise of temperature since switching on (K)."""
-        return float(_warming_K(time_s, self._vibration_numbers))
+        return float(_temperature_rise_K(time_s, self._vibration_numbers))
 
     @property
     def latest_readings(self) -> Mapping[str, Reading]:
@@ -191,10 +203,10 @@ class Imu(Sensor):
             output = self._output.copy()
             self._readings_s = t
             self._readings = {
-                "acceleration": Reading(output[0, :GYRO], t),
-                "rates": Reading(output[0, GYRO:], t),
-                "clipping": Reading(output[1, :GYRO], t),
-                "temperature": Reading(ROOM_TEMPERATURE_K + self.warming_K(t), t),
+                "acceleration": Reading(output[0, :FIRST_GYRO_AXIS], t),
+                "rates": Reading(output[0, FIRST_GYRO_AXIS:], t),
+                "clipping": Reading(output[1, :FIRST_GYRO_AXIS], t),
+                "temperature": Reading(ROOM_TEMPERATURE_K + self.temperature_rise_K(t), t),
             }
         return self._readings
 
@@ -235,8 +247,8 @@ def resonance_gain(speed: float, natural: float, damping: float) -> float:
 
 
 @cached_njit(error_model="numpy")
-def _warming_K(t: float, numbers: _Array) -> float:
-    return numbers[_WARMING] * (1.0 - math.exp(-t / numbers[_WARMING_TIME]))
+def _temperature_rise_K(t: float, numbers: _Array) -> float:
+    return numbers[_WARMING_INDEX] * (1.0 - math.exp(-t / numbers[_WARMING_TIME_INDEX]))
 
 
 @cached_njit(error_model="numpy")
@@ -290,10 +302,14 @@ def simulate_imu_period(
     standard normal numbers: of the drift, then of each axis' samples. ``force`` is the mean specific force at the
     element. ``out`` and ``clipped`` (6,) are the readings and the shares of samples that clipped.
     """
-    n, warmth = normal.size // 6 - 1, _warming_K(t, numbers)
-    once, twice, passing = numbers[_ONCE], numbers[_TWICE], numbers[_PASSING]
-    natural, damping = numbers[_RESONANCE], numbers[_DAMPING]
-    hover_up, hover_dw, drift_time = numbers[_HOVER_UPPER], numbers[_HOVER_LOWER], numbers[_DRIFT_TIME]
+    n, warmth = normal.size // 6 - 1, _temperature_rise_K(t, numbers)
+    once, twice, passing = numbers[_ONCE_PER_REV_INDEX], numbers[_TWICE_PER_REV_INDEX], numbers[_BLADE_PASSAGE_INDEX]
+    natural, damping = numbers[_RESONANCE_INDEX], numbers[_DAMPING_INDEX]
+    hover_up, hover_dw, drift_time = (
+        numbers[_UPPER_HOVER_SPEED_INDEX],
+        numbers[_LOWER_HOVER_SPEED_INDEX],
+        numbers[_DRIFT_TIME_INDEX],
+    )
     _mean_specific_force(was, now, elapsed, place, force)
     step = math.sqrt(2.0 * elapsed / drift_time)
     for j in range(6):
@@ -307,7 +323,7 @@ def simulate_imu_period(
             a += axes[0, j, m] * force[m]
             w += axes[1, j, m] * was[MODEL_RATES + m] + feigned[j, m] * force[m]
             more += axes[1, j, m] * (now[MODEL_RATES + m] - was[MODEL_RATES + m])
-        begin[j], begin[GYRO + j], slope[j], slope[GYRO + j] = a, w, 0.0, more
+        begin[j], begin[FIRST_GYRO_AXIS + j], slope[j], slope[FIRST_GYRO_AXIS + j] = a, w, 0.0, more
     up = 0.5 * (was[MODEL_SPEED_UPPER] + now[MODEL_SPEED_UPPER])
     dw = 0.5 * (was[MODEL_SPEED_LOWER] + now[MODEL_SPEED_LOWER])
     for line in range(5):
@@ -327,7 +343,7 @@ def simulate_imu_period(
                 a += axes[0, j, m] * directions[line, m]
                 w += feigned[j, m] * directions[line, m]
             wave[j, 2 * line], wave[j, 2 * line + 1] = c * a, -s * a
-            wave[GYRO + j, 2 * line], wave[GYRO + j, 2 * line + 1] = c * w, -s * w
+            wave[FIRST_GYRO_AXIS + j, 2 * line], wave[FIRST_GYRO_AXIS + j, 2 * line + 1] = c * w, -s * w
     for j in range(6):
         begin[j] += switched_on[j] + wander[j] + heat[j] * warmth
 
@@ -338,29 +354,37 @@ def simulate_imu_period(
         first, last = was[MODEL_SPEED_UPPER + k], now[MODEL_SPEED_UPPER + k]
         growth = (last - first) / n
         angle, turn, more = azimuth[k], dt * (first + 0.5 * growth), dt * growth
-        phasor[k, _COS], phasor[k, _SIN] = math.cos(angle), math.sin(angle)
+        phasor[k, _PHASOR_COS], phasor[k, _PHASOR_SIN] = math.cos(angle), math.sin(angle)
         phasor[k, _PHASOR_STEP_COS], phasor[k, _PHASOR_STEP_SIN] = math.cos(turn), math.sin(turn)
-        phasor[k, _GROWTH_COS], phasor[k, _GROWTH_SIN] = math.cos(more), math.sin(more)
+        phasor[k, _PHASOR_GROWTH_COS], phasor[k, _PHASOR_GROWTH_SIN] = math.cos(more), math.sin(more)
         azimuth[k] = (angle + 0.5 * elapsed * (first + last)) % (2.0 * math.pi)
     lines, felt = np.empty((10, n)), np.empty((6, n))
     for i in range(n):
         for k in range(2):
-            c, s, tc, ts = phasor[k, _COS], phasor[k, _SIN], phasor[k, _PHASOR_STEP_COS], phasor[k, _PHASOR_STEP_SIN]
+            c, s, tc, ts = (
+                phasor[k, _PHASOR_COS],
+                phasor[k, _PHASOR_SIN],
+                phasor[k, _PHASOR_STEP_COS],
+                phasor[k, _PHASOR_STEP_SIN],
+            )
             c, s = c * tc - s * ts, c * ts + s * tc
-            phasor[k, _COS], phasor[k, _SIN] = c, s
-            phasor[k, _PHASOR_STEP_COS] = tc * phasor[k, _GROWTH_COS] - ts * phasor[k, _GROWTH_SIN]
-            phasor[k, _PHASOR_STEP_SIN] = tc * phasor[k, _GROWTH_SIN] + ts * phasor[k, _GROWTH_COS]
-            first_row, second_row = 4 * k, 4 * k + _UPPER_TWICE
+            phasor[k, _PHASOR_COS], phasor[k, _PHASOR_SIN] = c, s
+            phasor[k, _PHASOR_STEP_COS] = tc * phasor[k, _PHASOR_GROWTH_COS] - ts * phasor[k, _PHASOR_GROWTH_SIN]
+            phasor[k, _PHASOR_STEP_SIN] = tc * phasor[k, _PHASOR_GROWTH_SIN] + ts * phasor[k, _PHASOR_GROWTH_COS]
+            first_row, second_row = 4 * k, 4 * k + _UPPER_TWICE_PER_REV_ROW
             lines[first_row, i], lines[first_row + 1, i] = c, s
             lines[second_row, i], lines[second_row + 1, i] = c * c - s * s, 2.0 * c * s
-        up_c, up_s = lines[_UPPER_TWICE, i], lines[_UPPER_TWICE + 1, i]
-        dw_c, dw_s = lines[_LOWER_TWICE, i], lines[_LOWER_TWICE + 1, i]
-        lines[_PASSES, i], lines[_PASSES + 1, i] = up_c * dw_c - up_s * dw_s, up_c * dw_s + up_s * dw_c
+        up_c, up_s = lines[_UPPER_TWICE_PER_REV_ROW, i], lines[_UPPER_TWICE_PER_REV_ROW + 1, i]
+        dw_c, dw_s = lines[_LOWER_TWICE_PER_REV_ROW, i], lines[_LOWER_TWICE_PER_REV_ROW + 1, i]
+        lines[_BLADE_PASSAGE_ROW, i], lines[_BLADE_PASSAGE_ROW + 1, i] = (
+            up_c * dw_c - up_s * dw_s,
+            up_c * dw_s + up_s * dw_c,
+        )
     # One axis after the other, all its samples together.
     for j in range(6):
         x, noise, weights = (
             borrow_arrays(felt[j]),
-            borrow_arrays(normal[_AXES + n * j : _AXES + n * (j + 1)]),
+            borrow_arrays(normal[_IMU_AXIS_COUNT + n * j : _IMU_AXIS_COUNT + n * (j + 1)]),
             borrow_arrays(wave[j]),
         )
         start, more, loud, most, beyond = begin[j], slope[j], white[j], limit[j], 0
@@ -396,7 +420,13 @@ def begin_imu(
 
     ``mounting`` (3, 3) is the rotation matrix from body axes to the element's; the others as in :func:`sample_imu`.
     """
-    place, switched_on, wander, memory, force = unit[_PLACE], unit[_TURN_ON], unit[_WANDER], unit[_MEMORY], unit[_FORCE]
+    place, switched_on, wander, memory, force = (
+        unit[_POSITION_ARRAY],
+        unit[_TURN_ON_BIAS_ARRAY],
+        unit[_BIAS_DRIFT_ARRAY],
+        unit[_LOW_PASS_MEMORY_ARRAY],
+        unit[_SPECIFIC_FORCE_ARRAY],
+    )
     clock[0] = t
     for k in range(x.size):
         last_state[k] = x[k]
@@ -407,7 +437,7 @@ def begin_imu(
             felt += mounting[j, k] * force[k]
             turned += mounting[j, k] * x[MODEL_RATES + k]
         for k in range(2):
-            memory[j, k], memory[GYRO + j, k] = felt, turned
+            memory[j, k], memory[FIRST_GYRO_AXIS + j, k] = felt, turned
     for j in range(6):
         output[0, j], output[1, j] = memory[j, 0] + (switched_on[j] + wander[j]), 0.0
 

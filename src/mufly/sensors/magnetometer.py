@@ -19,7 +19,7 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import sine_cosine
 from mufly.dynamics import body_to_ned_matrix
 from mufly.dynamics.model_state import ATTITUDE
-from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
+from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, PeriodicSensor
 from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals
 from mufly.vehicle import Vehicle
@@ -27,10 +27,10 @@ from mufly.vehicle.sensor_schema import MagnetometerParameters
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-_DISTORTION_WAVES = 64
+_DISTORTION_WAVE_COUNT = 64
 # Indices of the parameters: earth's field, hard iron, field of an ampere (3 each), strength of the distortion, noise
 # (T)
-_EARTH, _HARD_IRON, _PER_AMPERE, _STRENGTH, _NOISE = 0, 3, 6, 9, 10
+_EARTH_FIELD_INDEX, _HARD_IRON_INDEX, _FIELD_PER_AMPERE_INDEX, _DISTORTION_STRENGTH_INDEX, _NOISE_INDEX = 0, 3, 6, 9, 10
 
 
 @cached_njit(error_model="numpy", inline="always")
@@ -63,14 +63,17 @@ def _sample_magnetic_field(
     numbers, waves, shifts = parts
     there, n, turn = np.empty(3), np.empty(3), body_to_ned_matrix(x[ATTITUDE])
     for j in range(3):  # a slice assignment would compile the error message for unequal shapes: 2 s
-        there[j] = numbers[_EARTH + j]
-    _add_distortion(x, waves, shifts, numbers[_STRENGTH], there)
+        there[j] = numbers[_EARTH_FIELD_INDEX + j]
+    _add_distortion(x, waves, shifts, numbers[_DISTORTION_STRENGTH_INDEX], there)
     draw_normals(source, n)
-    row[IS_VALID] = 1.0
+    row[ROW_IS_VALID] = 1.0
     for j in range(3):
         felt = turn[0, j] * there[0] + turn[1, j] * there[1] + turn[2, j] * there[2]
-        row[FIRST_VALUE + j] = (
-            felt + numbers[_HARD_IRON + j] + numbers[_PER_AMPERE + j] * supply[1] + numbers[_NOISE] * n[j]
+        row[ROW_FIRST_VALUE + j] = (
+            felt
+            + numbers[_HARD_IRON_INDEX + j]
+            + numbers[_FIELD_PER_AMPERE_INDEX + j] * supply[1]
+            + numbers[_NOISE_INDEX] * n[j]
         )
     return 0.0
 
@@ -85,10 +88,10 @@ class MagnetometerSensor(PeriodicSensor):
     def __init__(self, table: MagnetometerParameters, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         m = table
         self.earth_field_T = earth_field(float(m.field), float(m.inclination))
-        self._waves = rng.standard_normal((_DISTORTION_WAVES, 3)) / float(m.distortion_length)
-        shifts = rng.uniform(0.0, 2 * math.pi, (_DISTORTION_WAVES, 3))
+        self._waves = rng.standard_normal((_DISTORTION_WAVE_COUNT, 3)) / float(m.distortion_length)
+        shifts = rng.uniform(0.0, 2 * math.pi, (_DISTORTION_WAVE_COUNT, 3))
         self._wave_phases = np.array([[sine_cosine(p) for p in row] for row in shifts])
-        self._strength = float(m.distortion) * math.sqrt(2.0 / _DISTORTION_WAVES)
+        self._strength = float(m.distortion) * math.sqrt(2.0 / _DISTORTION_WAVE_COUNT)
         self.hard_iron = float(m.hard_iron) * rng.standard_normal(3)
         self.motor_field_per_ampere = float(m.motor_field) * rng.standard_normal(3)
         numbers = [

@@ -16,20 +16,20 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.sensors.readings import Reading, Sensor, Truth
-from mufly.sensors.rng import draw_normals, make_source
+from mufly.sensors.rng import draw_normals, make_random_source
 
 _Array = NDArray[np.float64]
 
 # Indices of a clock: time of the next measurement, earliest time of the next sample, period (s)
-NEXT_MEASUREMENT, NEXT_SAMPLE, CLOCK_PERIOD = range(3)
+CLOCK_NEXT_MEASUREMENT, CLOCK_NEXT_SAMPLE, CLOCK_PERIOD = range(3)
 # Indices of the counts: pending measurements, published samples
 PENDING_COUNT, PUBLISHED_COUNT = range(2)
 # Columns of a row: time of publishing, time of measurement (s), validity; the values follow
-PUBLISH_TIME, MEASURED_TIME, IS_VALID, FIRST_VALUE = range(4)
+ROW_PUBLISH_TIME, ROW_MEASURED_TIME, ROW_IS_VALID, ROW_FIRST_VALUE = range(4)
 NO_MEASUREMENT = -1.0
 """Returned by a sample function in place of the delay (s) if there is no measurement."""
 _TIME_TOLERANCE_S = 1e-9
-_SPARE_ROWS = 8  # for pending measurements beyond the expected number
+_SPARE_ROW_COUNT = 8  # for pending measurements beyond the expected number
 
 
 @cached_njit(error_model="numpy")
@@ -38,10 +38,10 @@ def advance_if_due(t: float, clock: _Array) -> bool:
 
     Measurements keep their own clock, however long the periods of the flight software are.
     """
-    if t < clock[NEXT_MEASUREMENT] - _TIME_TOLERANCE_S:
+    if t < clock[CLOCK_NEXT_MEASUREMENT] - _TIME_TOLERANCE_S:
         return False
-    late = t - clock[NEXT_MEASUREMENT] > clock[CLOCK_PERIOD]
-    clock[NEXT_MEASUREMENT] = (t if late else clock[NEXT_MEASUREMENT]) + clock[CLOCK_PERIOD]
+    late = t - clock[CLOCK_NEXT_MEASUREMENT] > clock[CLOCK_PERIOD]
+    clock[CLOCK_NEXT_MEASUREMENT] = (t if late else clock[CLOCK_NEXT_MEASUREMENT]) + clock[CLOCK_PERIOD]
     return True
 
 
@@ -55,22 +55,22 @@ def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int6
     n = counts[PENDING_COUNT]
     if wait >= 0.0 and n < rows.shape[0] - 2:  # the last row is scratch space
         n += 1
-        rows[n, PUBLISH_TIME], rows[n, MEASURED_TIME] = t + wait, t
-    latest, kept, quiet = 0, 0, clock[NEXT_MEASUREMENT]
+        rows[n, ROW_PUBLISH_TIME], rows[n, ROW_MEASURED_TIME] = t + wait, t
+    latest, kept, quiet = 0, 0, clock[CLOCK_NEXT_MEASUREMENT]
     for k in range(1, n + 1):
-        when = rows[k, PUBLISH_TIME]
-        if when <= t + _TIME_TOLERANCE_S and (latest == 0 or when >= rows[0, PUBLISH_TIME]):
+        when = rows[k, ROW_PUBLISH_TIME]
+        if when <= t + _TIME_TOLERANCE_S and (latest == 0 or when >= rows[0, ROW_PUBLISH_TIME]):
             latest = k
             for j in range(rows.shape[1]):
                 rows[0, j] = rows[k, j]
     for k in range(1, n + 1):
-        if rows[k, PUBLISH_TIME] > t + _TIME_TOLERANCE_S:
+        if rows[k, ROW_PUBLISH_TIME] > t + _TIME_TOLERANCE_S:
             kept += 1
-            quiet = min(quiet, rows[k, PUBLISH_TIME])
+            quiet = min(quiet, rows[k, ROW_PUBLISH_TIME])
             for j in range(rows.shape[1]):
                 rows[kept, j] = rows[k, j]
     counts[PENDING_COUNT] = kept
-    clock[NEXT_SAMPLE] = quiet - 2.0 * _TIME_TOLERANCE_S  # nothing happens earlier, by more than a rounding error
+    clock[CLOCK_NEXT_SAMPLE] = quiet - 2.0 * _TIME_TOLERANCE_S  # nothing happens earlier, by more than a rounding error
     if latest == 0:
         return False
     counts[PUBLISHED_COUNT] += 1
@@ -98,7 +98,7 @@ class PeriodicSensor(Sensor):
     sample_function : compiled function
         Measures: ``sample_function(t, x, attitude, supply, source, parts, row)``. Arguments are time (s), true state
         (21,), true attitude (3,), voltage and current of the battery (2,), random source, ``sample_arguments``, and the
-        row to be filled from :data:`IS_VALID` on. Returns the delay (s), or :data:`NO_MEASUREMENT`.
+        row to be filled from :data:`ROW_IS_VALID` on. Returns the delay (s), or :data:`NO_MEASUREMENT`.
     argument_dimensions : tuple of int
         Dimensions of each array of ``parts``, used for an absent sensor, so that all vehicles share one compiled code.
     """
@@ -112,15 +112,15 @@ class PeriodicSensor(Sensor):
     ) -> None:
         self._rng, self.sample_arguments = rng, parts
         wide = max(k + 1 if isinstance(k, int) else int(k.stop) for k in self.published_readings.values())
-        room = math.ceil(longest_s / period_s) + _SPARE_ROWS
+        room = math.ceil(longest_s / period_s) + _SPARE_ROW_COUNT
         self.clock, self.counts = np.array([0.0, 0.0, period_s]), np.zeros(2, dtype=np.int64)
-        self.pending_rows = np.zeros((2 + room, FIRST_VALUE + wide))
-        self.source = make_source(rng)
+        self.pending_rows = np.zeros((2 + room, ROW_FIRST_VALUE + wide))
+        self.source = make_random_source(rng)
         self._supply = np.zeros(2)
         self.reset()
 
     def reset(self) -> None:
-        self.clock[[NEXT_MEASUREMENT, NEXT_SAMPLE]] = -math.inf
+        self.clock[[CLOCK_NEXT_MEASUREMENT, CLOCK_NEXT_SAMPLE]] = -math.inf
         self.counts[:] = 0
         self._readings: dict[str, Reading] = {}
         self._readings_count = 0
@@ -128,7 +128,7 @@ class PeriodicSensor(Sensor):
     @property
     def next_sample_s(self) -> float:
         """Earliest time of the next sample (s)."""
-        return float(self.clock[NEXT_SAMPLE])
+        return float(self.clock[CLOCK_NEXT_SAMPLE])
 
     @property
     def sampling_arguments(self) -> tuple[Any, ...]:
@@ -137,7 +137,7 @@ class PeriodicSensor(Sensor):
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t = truth.time_s
-        if t < self.clock.item(NEXT_SAMPLE):
+        if t < self.clock.item(CLOCK_NEXT_SAMPLE):
             is_current = self.counts.item(PUBLISHED_COUNT) == self._readings_count  # no property: half the time
             return self._readings if is_current else self.latest_readings
         wait = NO_MEASUREMENT
@@ -156,7 +156,7 @@ class PeriodicSensor(Sensor):
         if count != self._readings_count:
             self._readings_count = count
             row = self.pending_rows[0]
-            taken, stands, values = float(row[MEASURED_TIME]), bool(row[IS_VALID]), row[FIRST_VALUE:]
+            taken, stands, values = float(row[ROW_MEASURED_TIME]), bool(row[ROW_IS_VALID]), row[ROW_FIRST_VALUE:]
             self._readings = {
                 name: Reading(float(values[k]) if isinstance(k, int) else values[k].copy(), taken, stands)
                 for name, k in self.published_readings.items()

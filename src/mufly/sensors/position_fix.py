@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.sensors.periodic import (
-    FIRST_VALUE,
-    IS_VALID,
     NO_MEASUREMENT,
+    ROW_FIRST_VALUE,
+    ROW_IS_VALID,
     PeriodicSensor,
     gauss_markov_reset,
     gauss_markov_step,
@@ -33,7 +33,7 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 # Indices of the parameters: dropout probability, jitter, latency, time constant of the drift (s), white noise (4)
-_DROPOUT, _JITTER, _LATENCY, _WANDER_TIME, _WHITE = range(5)
+_DROPOUT_PROBABILITY_INDEX, _LATENCY_JITTER_INDEX, _LATENCY_INDEX, _DRIFT_TIME_INDEX, _WHITE_NOISE_INDEX = range(5)
 
 
 @cached_njit(error_model="numpy")
@@ -50,15 +50,15 @@ def _sample_position_fix(
     share, late, n = np.empty(1), np.empty(1), np.empty(4)
     draw_uniforms(source, share)
     draw_normals(source, late)
-    gauss_markov_step(t, sigma, numbers[_WANDER_TIME], memory, source)
+    gauss_markov_step(t, sigma, numbers[_DRIFT_TIME_INDEX], memory, source)
     draw_normals(source, n)
-    if share[0] < numbers[_DROPOUT]:
+    if share[0] < numbers[_DROPOUT_PROBABILITY_INDEX]:
         return NO_MEASUREMENT
-    row[IS_VALID] = 1.0
+    row[ROW_IS_VALID] = 1.0
     for k in range(4):
         true = x[k] if k < 3 else attitude[2]
-        row[FIRST_VALUE + k] = true + (memory[1 + k] + numbers[_WHITE + k] * n[k])
-    return numbers[_LATENCY] + abs(numbers[_JITTER] * late[0])
+        row[ROW_FIRST_VALUE + k] = true + (memory[1 + k] + numbers[_WHITE_NOISE_INDEX + k] * n[k])
+    return numbers[_LATENCY_INDEX] + abs(numbers[_LATENCY_JITTER_INDEX] * late[0])
 
 
 class PositionFixSensor(PeriodicSensor):

@@ -23,8 +23,8 @@ from mufly.dynamics.model_state import MODEL_POSITION, MODEL_SPEED_LOWER, MODEL_
 from mufly.quantities.sensor_table import READINGS
 from mufly.quantities.units import GRAVITY
 from mufly.sensors.periodic import (
-    FIRST_VALUE,
-    IS_VALID,
+    ROW_FIRST_VALUE,
+    ROW_IS_VALID,
     PeriodicSensor,
     gauss_markov_reset,
     gauss_markov_step,
@@ -40,7 +40,15 @@ _Array = NDArray[np.float64]
 STANDARD_PRESSURE_PA = READINGS["pressure"].filter_offset
 # Indices of the parameters: noise (Pa), delay, time constant of the drift (s), weight of air (N/m3), share of the disc
 # loading, loading of each disc over the square of its speed
-_NOISE, _DELAY, _DRIFT_TIME, _WEIGHT, _DOWNWASH, _LOADING_UPPER, _LOADING_LOWER = range(7)
+(
+    _NOISE_INDEX,
+    _DELAY_INDEX,
+    _DRIFT_TIME_INDEX,
+    _AIR_WEIGHT_INDEX,
+    _DOWNWASH_SHARE_INDEX,
+    _UPPER_DISC_LOADING_INDEX,
+    _LOWER_DISC_LOADING_INDEX,
+) = range(7)
 
 
 @cached_njit(error_model="numpy")
@@ -55,18 +63,25 @@ def _sample_pressure(
 ) -> float:
     # parameters, standard deviation and memory of the drift, filter state and its time (s)
     numbers, sigma, memory, felt = parts
-    delay, n = numbers[_DELAY], np.empty(1)
-    gauss_markov_step(t, sigma, numbers[_DRIFT_TIME], memory, source)
+    delay, n = numbers[_DELAY_INDEX], np.empty(1)
+    gauss_markov_step(t, sigma, numbers[_DRIFT_TIME_INDEX], memory, source)
     draw_normals(source, n)
     upper, lower = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER]
-    loading = numbers[_LOADING_UPPER] * (upper * upper) + numbers[_LOADING_LOWER] * (lower * lower)
-    true = STANDARD_PRESSURE_PA + numbers[_WEIGHT] * x[MODEL_POSITION + 2] + numbers[_DOWNWASH] * loading + memory[1]
+    loading = numbers[_UPPER_DISC_LOADING_INDEX] * (upper * upper) + numbers[_LOWER_DISC_LOADING_INDEX] * (
+        lower * lower
+    )
+    true = (
+        STANDARD_PRESSURE_PA
+        + numbers[_AIR_WEIGHT_INDEX] * x[MODEL_POSITION + 2]
+        + numbers[_DOWNWASH_SHARE_INDEX] * loading
+        + memory[1]
+    )
     if math.isnan(felt[0]) or delay == 0.0:
         felt[0] = true
     else:
         felt[0] += (true - felt[0]) * (1.0 - math.exp(-(t - felt[1]) / delay))
     felt[1] = t
-    row[IS_VALID], row[FIRST_VALUE] = 1.0, felt[0] + numbers[_NOISE] * n[0]
+    row[ROW_IS_VALID], row[ROW_FIRST_VALUE] = 1.0, felt[0] + numbers[_NOISE_INDEX] * n[0]
     return 0.0
 
 

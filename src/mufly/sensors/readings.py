@@ -166,7 +166,7 @@ class SensorSet:
 
 def ideal_sensors(vehicle: Vehicle, world: World, ring_every: int = 1) -> SensorSet:
     """Return ideal sensors for all inputs of the flight software; the ring is read every ``ring_every`` periods."""
-    return SensorSet(IdealMotion(), IdealRing(vehicle, world, ring_every), IdealBattery())
+    return SensorSet(IdealMotion(), IdealRangeRing(vehicle, world, ring_every), IdealBattery())
 
 
 class IdealMotion(Sensor):
@@ -189,7 +189,7 @@ class IdealBattery(Sensor):
         return {"battery_voltage": Reading(truth.voltage, truth.time_s)}
 
 
-class IdealRing(Sensor):
+class IdealRangeRing(Sensor):
     """Ideal sensor of distances along the ring of beams (m); the ring's maximum range where there is no surface.
 
     ``ranges`` (n,) and ``clock`` (1,) are the last distances (m) and their time (s); a compiled loop writes to them.

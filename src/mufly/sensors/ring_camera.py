@@ -12,8 +12,8 @@ light adds an offset that differs from column to column; every pixel has unit no
 
 The decoder knows the direction of each beam. It subtracts the median of each column around the beam and sums the
 columns, weighted by the spot's profile. The range follows from the centroid around the brightest row, if that row
-exceeds :data:`SPOT_THRESHOLD` standard deviations of the noise. If no spot is found, the range is the maximum range, as
-with ideal beams.
+exceeds :data:`SPOT_THRESHOLD_SIGMAS` standard deviations of the noise. If no spot is found, the range is the maximum
+range, as with ideal beams.
 
 Thesis: Fig. 2.7.
 """
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import borrow_arrays
-from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
+from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, PeriodicSensor
 from mufly.sensors.readings import Truth, beam_angles, beam_directions, measure_ranges
 from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.vehicle import Vehicle
@@ -36,7 +36,7 @@ from mufly.vehicle.sensor_schema import RingCameraParameters as RingTable
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-SPOT_THRESHOLD = 5.0
+SPOT_THRESHOLD_SIGMAS = 5.0
 """Detection threshold of a spot in standard deviations of the noise: one false spot in some million windows."""
 _WINDOW_HALF_WIDTH_RADII = 3.0  # half width of the decoder's columns, in radii of a spot
 ELEVATION_MARGIN = 1.25  # rows reach up to this multiple of the elevation of the shortest distance
@@ -136,7 +136,7 @@ def _decode_ranges(
             sums[r] = total
             if total > sums[best]:
                 best = r
-        if sums[best] < SPOT_THRESHOLD:
+        if sums[best] < SPOT_THRESHOLD_SIGMAS:
             continue
         total = moment = 0.0
         for r in range(max(0, best - reach), min(rows, best + reach + 1)):
@@ -164,13 +164,13 @@ def _sample_ranges(
     distance, share = work[0], work[1]
     measure_ranges(x, directions, 0.0, math.inf, boxes, cylinders, walls, distance)
     draw_uniforms(source, share)
-    row[IS_VALID] = 1.0
+    row[ROW_IS_VALID] = 1.0
     for k in range(share.size):
-        row[FIRST_VALUE + k] = limits[0]
+        row[ROW_FIRST_VALUE + k] = limits[0]
         if share[k] < limits[1]:
             distance[k] = math.inf
     draw_normals(source, pictures[0])
-    _decode_ranges(pictures[0], pictures[1], distance, across, light, weight, offset, numbers, row[FIRST_VALUE:])
+    _decode_ranges(pictures[0], pictures[1], distance, across, light, weight, offset, numbers, row[ROW_FIRST_VALUE:])
     return 0.0
 
 

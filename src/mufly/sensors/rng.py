@@ -34,7 +34,7 @@ from mufly.compiled.numba_intrinsics import borrow_arrays
 _Array = NDArray[np.float64]
 
 
-def make_source(rng: np.random.Generator) -> NDArray[np.uint64]:
+def make_random_source(rng: np.random.Generator) -> NDArray[np.uint64]:
     """Return the state (1,) of a new random source for compiled functions, seeded by ``rng``."""
     return rng.integers(2**64, size=1, dtype=np.uint64)
 

@@ -16,7 +16,7 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import borrow_arrays, refer_to
 from mufly.quantities.sensor_table import SENSORS
 from mufly.sensors.periodic import (
-    NEXT_SAMPLE,
+    CLOCK_NEXT_SAMPLE,
     NO_MEASUREMENT,
     PENDING_COUNT,
     PeriodicSensor,
@@ -28,10 +28,12 @@ from mufly.sensors.sensor_suite import SENSOR_CLASSES
 
 _Array = NDArray[np.float64]
 
-_SAMPLED = {name: kind for name, kind in SENSOR_CLASSES.items() if issubclass(kind, PeriodicSensor)}
-SAMPLED_SENSORS: tuple[type[PeriodicSensor], ...] = tuple(_SAMPLED.values())
+_PERIODIC_SENSOR_CLASSES = {name: kind for name, kind in SENSOR_CLASSES.items() if issubclass(kind, PeriodicSensor)}
+SAMPLED_SENSORS: tuple[type[PeriodicSensor], ...] = tuple(_PERIODIC_SENSOR_CLASSES.values())
 """Sensors that :func:`sample_all` samples, in its order."""
-SAMPLED_READINGS = tuple(-1 if (k := SENSORS[name][0].filter_index) is None else k for name in _SAMPLED)
+SAMPLED_READING_INDICES = tuple(
+    -1 if (k := SENSORS[name][0].filter_index) is None else k for name in _PERIODIC_SENSOR_CLASSES
+)
 """Index of the first reading of each sensor in the tables of the filter; -1 where the filter does not use it."""
 
 
@@ -53,7 +55,9 @@ def sampling_table(
 
 
 @cached_njit(error_model="numpy")
-def _publish_to(t: float, wait: float, clock: _Array, counts: NDArray[np.int64], rows: _Array, told: _Array) -> bool:
+def _publish_to_filter(
+    t: float, wait: float, clock: _Array, counts: NDArray[np.int64], rows: _Array, told: _Array
+) -> bool:
     """Return whether a sample is published; if so, copy the sample to ``told``, the filter's inputs."""
     if not publish_if_due(t, wait, clock, counts, rows):
         return False
@@ -63,7 +67,7 @@ def _publish_to(t: float, wait: float, clock: _Array, counts: NDArray[np.int64],
 
 
 @cached_njit(inline="always")
-def _sample_none(
+def _sample_no_sensor(
     t: float,
     x: _Array,
     attitude: _Array,
@@ -91,12 +95,12 @@ def _append_sensor(sample_others: Any, k: int, sample: Any) -> Any:
             wait = NO_MEASUREMENT
             if advance_if_due(t, clock):
                 wait = sample(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING_COUNT]])
-            came[k], quiet[k] = _publish_to(t, wait, clock, counts, rows, told[k]), clock[NEXT_SAMPLE]
+            came[k], quiet[k] = _publish_to_filter(t, wait, clock, counts, rows, told[k]), clock[CLOCK_NEXT_SAMPLE]
 
     return sample_in_turn
 
 
-_sample_in_turn = _sample_none
+_sample_in_turn = _sample_no_sensor
 for _k, _kind in enumerate(SAMPLED_SENSORS):
     _sample_in_turn = _append_sensor(_sample_in_turn, _k, _kind.sample_function)
 

@@ -31,7 +31,7 @@ SENSOR_CLASSES: dict[str, type[Any]] = {
     "position_fix": PositionFixSensor,
 }  # fmt: skip
 """Class of each sensor of :data:`mufly.quantities.sensor_table.SENSORS`."""
-_LEGS_STREAM = 16  # of the random numbers, used by no sensor
+_LEG_LENGTH_RANDOM_STREAM = 16  # of the random numbers, used by no sensor
 
 
 class FittedSensors(SensorSet):
@@ -128,7 +128,7 @@ def fitted_sensors(
             "add one (docs/reference/sensors.md), or fly on ideal sensors",
         )
     wanted = set(only)
-    keys = (k for k in range(2 * len(SENSORS) + 1) if k != _LEGS_STREAM)
+    keys = (k for k in range(2 * len(SENSORS) + 1) if k != _LEG_LENGTH_RANDOM_STREAM)
     streams = [np.random.SeedSequence(seed, spawn_key=(k,)) for k in keys]
     made: dict[str, FaultySensor] = {}
     for k, name in enumerate(SENSORS):
@@ -160,7 +160,7 @@ def draw_leaning_vehicle(vehicle: Vehicle, *, seed: int = 0) -> Vehicle:
     """
     if vehicle.sensors is None or vehicle.sensors.imu is None or float(vehicle.sensors.imu.level) == 0.0:
         return vehicle
-    own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_LEGS_STREAM,)))
+    own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_LEG_LENGTH_RANDOM_STREAM,)))
     roll, pitch = float(vehicle.sensors.imu.level) * own.standard_normal(2)
     legs = vehicle.contact.legs.to_array() @ body_to_ned_matrix(quaternion_from_euler(roll, pitch, 0.0))
     tips = vehicle.contact.legs.model_copy(update={"value": tuple((float(x), float(y), float(z)) for x, y, z in legs)})

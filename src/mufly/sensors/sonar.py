@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import body_to_ned_matrix, standing_attitude, standing_height
 from mufly.dynamics.model_state import ATTITUDE
-from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
+from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, PeriodicSensor
 from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.vehicle import Vehicle
@@ -37,7 +37,7 @@ _CONE_RINGS = ((1 / 3, 6), (2 / 3, 12), (1.0, 18))  # share of the half angle, n
 
 
 @cached_njit(error_model="numpy")
-def _cone_distance(
+def _nearest_distance_in_cone(
     x: _Array, place: _Array, rays: _Array, upright: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> float:
     """Return the distance to the nearest surface in the cone (m); ``upright`` is the cosine of its half angle."""
@@ -74,18 +74,18 @@ def _sample_echo(
     draw_uniforms(source, share)
     draw_normals(source, n)
     heard, doubled = share[0], share[1]
-    way = _cone_distance(x, place, rays, upright, boxes, cylinders, limits)
+    way = _nearest_distance_in_cone(x, place, rays, upright, boxes, cylinders, limits)
     if doubled < multipath:
         draw_uniforms(source, share[:1])
         way *= 1.0 + share[0]
     wait = 2.0 * min(way, longest) / SPEED_OF_SOUND_M_S
     if heard < dropout or way > longest:
-        row[IS_VALID], row[FIRST_VALUE] = 0.0, math.nan
+        row[ROW_IS_VALID], row[ROW_FIRST_VALUE] = 0.0, math.nan
         return wait
     told = max(way + noise * n[0], least)
     if step > 0.0:
         told = np.rint(told / step) * step
-    row[IS_VALID], row[FIRST_VALUE] = 1.0, min(told, longest)
+    row[ROW_IS_VALID], row[ROW_FIRST_VALUE] = 1.0, min(told, longest)
     return wait
 
 
@@ -112,7 +112,7 @@ class UltrasonicSensor(PeriodicSensor):
     def true_readings(self, truth: Truth) -> dict[str, float]:
         """Return the distance to the nearest surface in the cone (m); infinite if there is none."""
         _, place, rays, *world = self.sample_arguments
-        return {"ground_distance": float(_cone_distance(truth.state, place, rays, self._upright, *world))}
+        return {"ground_distance": float(_nearest_distance_in_cone(truth.state, place, rays, self._upright, *world))}
 
 
 def standing_sonar_range(vehicle: Vehicle) -> float:

@@ -334,10 +334,10 @@ def _print_consistency(c: Consistency, what: str = "") -> None:
     print_table((f"error {what}".strip(), "rms", "worst"), rows, text=(0, 1, 2))
     parts = "; ".join(
         f"{name} {x:.2f}, {inside:.0%}"
-        for name, x, inside in zip(ERROR_BLOCKS, c.block_nees, c.block_inside, strict=True)
+        for name, x, inside in zip(ERROR_BLOCKS, c.block_nees, c.block_inside_shares, strict=True)
         if math.isfinite(x)
     )  # fmt: skip
-    print_lines(f"NEES / n {c.nees:.2f} (1 if consistent; {parts}); {c.inside:.1%} inside the 95 % ellipsoid")
+    print_lines(f"NEES / n {c.nees:.2f} (1 if consistent; {parts}); {c.inside_share:.1%} inside the 95 % ellipsoid")
 
 
 def _read_attached_vehicle(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:

@@ -93,7 +93,7 @@ from mufly.mission import State
 from mufly.sensors import FittedSensors, Imu, Readings, SensorSet, Truth
 from mufly.sensors.faults import FaultySensor
 from mufly.sensors.periodic import PeriodicSensor
-from mufly.sensors.readings import IdealRing
+from mufly.sensors.readings import IdealRangeRing
 from mufly.sensors.sampling import SAMPLED_SENSORS, sampling_table
 
 _Array = NDArray[np.float64]
@@ -126,7 +126,7 @@ class CompiledFlight:
         software: Any = flight.autopilot.software
         self._software, self._board = software, software.software_instance
         self._filter: KalmanEstimator | None = None
-        self._ring: IdealRing | None = None
+        self._ring: IdealRangeRing | None = None
         self._faulty: tuple[FaultySensor, ...] = ()
         self._sensors_by_index: dict[int, FaultySensor] = {}
         self._faulty_imu: Any = None
@@ -174,7 +174,7 @@ class CompiledFlight:
             if len(rest) == 1 and isinstance(rest[0].sensor, Imu):
                 self._faulty_imu, self._imu = rest[0], rest[0].sensor
             return self._imu is not None and self._filter.backend.name == "C"
-        self._ring = next((s for s in sensors.sensors if isinstance(s, IdealRing)), None)
+        self._ring = next((s for s in sensors.sensors if isinstance(s, IdealRangeRing)), None)
         return type(flight.estimator) is IdealEstimator and len(sensors.sensors) == 3 and self._ring is not None
 
     def run_periods(self, until: int, *, until_valid: bool = False) -> bool:

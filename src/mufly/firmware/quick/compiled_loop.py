@@ -40,9 +40,9 @@ from mufly.estimate.kalman_estimator import filter_ring_scan
 from mufly.flight.period_stages import CONTINUE, FIRST_FREE_CODE, LOOP_DONE, make_stepper
 from mufly.flight.simulated_plant import advance_period, find_collision, true_attitude
 from mufly.sensors.imu import GYRO, sample_imu
-from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, MEASURED_TIME
+from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, ROW_MEASURED_TIME
 from mufly.sensors.readings import measure_ranges
-from mufly.sensors.sampling import SAMPLED_READINGS, sample_all
+from mufly.sensors.sampling import SAMPLED_READING_INDICES, sample_all
 
 _Array = NDArray[np.float64]
 
@@ -369,22 +369,22 @@ def _fill_readings(t: float, has_come: NDArray[np.uint8], rows: _Array, f: Filte
     Return whether the range ring has a new reading.
     """
     is_ring = False
-    for k in range(len(SAMPLED_READINGS)):
-        r = SAMPLED_READINGS[k]
-        if has_come[k] == 0 or r < 0 or f.is_fitted[r] == 0 or rows[k, MEASURED_TIME] == f.reading_times[r]:
+    for k in range(len(SAMPLED_READING_INDICES)):
+        r = SAMPLED_READING_INDICES[k]
+        if has_come[k] == 0 or r < 0 or f.is_fitted[r] == 0 or rows[k, ROW_MEASURED_TIME] == f.reading_times[r]:
             continue
         row = rows[k]
-        f.reading_times[r] = row[MEASURED_TIME]
-        f.age[r], f.is_new[r] = t - row[MEASURED_TIME], 1 if row[IS_VALID] != 0.0 else 2
+        f.reading_times[r] = row[ROW_MEASURED_TIME]
+        f.age[r], f.is_new[r] = t - row[ROW_MEASURED_TIME], 1 if row[ROW_IS_VALID] != 0.0 else 2
         start = READING_STARTS[r]
         if r == READING_RANGE_RING:
             is_ring = True
             for j in range(f.beams.size):
-                f.values[start + j] = row[FIRST_VALUE + f.beams[j]]
-            filter_ring_scan(row[FIRST_VALUE:], f.max_range_m, f.ring_scans, ranges)
+                f.values[start + j] = row[ROW_FIRST_VALUE + f.beams[j]]
+            filter_ring_scan(row[ROW_FIRST_VALUE:], f.max_range_m, f.ring_scans, ranges)
         else:
             for j in range(READING_WIDTHS[r]):
-                f.values[start + j] = row[FIRST_VALUE + j] - READING_OFFSETS[r]
+                f.values[start + j] = row[ROW_FIRST_VALUE + j] - READING_OFFSETS[r]
     return is_ring
 
 
