@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.estimate import Estimate
 from mufly.firmware.fixed_point.fixed_point_design import FRACTION_BITS, FixedPointLaw, quantise_law
-from mufly.firmware.fixed_point.fixed_point_law import SIGNAL_ONE, fixed_point_gains, to_signal, to_signals
+from mufly.firmware.fixed_point.fixed_point_law import FIXED_POINT_ONE, fixed_point_gains, to_signal, to_signals
 from mufly.flight.controllers import Actuators, Controllers
 
 _Array = NDArray[np.floating[Any]]
@@ -53,7 +53,7 @@ def _divide_truncating(a: int, b: int) -> int:
 def sine_cosine_fixed(angle: int) -> tuple[int, int]:
     """Return sine and cosine (2^-30) of an angle (2^-20 rad)."""
     n = _multiply_shift(angle, _TWO_OVER_PI, 50)
-    r = _round_shift(angle * SIGNAL_ONE - n * _HALF_PI, 10)
+    r = _round_shift(angle * FIXED_POINT_ONE - n * _HALF_PI, 10)
     q = _multiply_shift(r, r, 30)
     s, c = 2959, -296
     for k in (-213044, 8947849, -178956971):
@@ -141,11 +141,11 @@ class FixedPointControllers(Controllers):
         w = [0, 0, 0, 0, _clip_symmetric(-r[2], h["limit"][-1])]
         motors = [to_signal(v) for v in motor_input]
         for i in range(2):
-            share = _multiply_shift(_clip_value(motors[1 - i], 0, SIGNAL_ONE), self._voltage, FRACTION_BITS)
+            share = _multiply_shift(_clip_value(motors[1 - i], 0, FIXED_POINT_ONE), self._voltage, FRACTION_BITS)
             w.append(_multiply_shift(share, h["per_volt"], 34) - h["trim"][i])
         self._initialise_state("heave_yaw", w)
         self._origin = [z, psi]
-        self._filtered_references = {"height": [z * SIGNAL_ONE, 0], "heading": [psi * SIGNAL_ONE, 0]}
+        self._filtered_references = {"height": [z * FIXED_POINT_ONE, 0], "heading": [psi * FIXED_POINT_ONE, 0]}
 
     def lift_off(self, estimate: Estimate) -> None:
         limits = self._gains_table["roll_pitch"]["limit"]
@@ -197,7 +197,7 @@ class FixedPointControllers(Controllers):
             self._saturate_int32(_round_shift(upper - u[1], 4)),
         ]
         self._update_state("heave_yaw", w)
-        return [_clip_value(_divide_truncating(v * SIGNAL_ONE, top), 0, SIGNAL_ONE) for v in (upper, lower)]
+        return [_clip_value(_divide_truncating(v * FIXED_POINT_ONE, top), 0, FIXED_POINT_ONE) for v in (upper, lower)]
 
     def _roll_pitch_step(self, estimate: Estimate, tilt: list[int]) -> list[int]:
         g, measured = self._gains_table["roll_pitch"], _measure_roll_pitch(estimate)
@@ -209,7 +209,7 @@ class FixedPointControllers(Controllers):
             *(_clip_symmetric(v, n) for v, n in zip(errors, g["limit"], strict=True)),
         ]
         wanted = [v + t for v, t in zip(self._compute_output("roll_pitch", w), g["trim"], strict=True)]
-        servos = [_clip_symmetric(v, SIGNAL_ONE) for v in wanted]
+        servos = [_clip_symmetric(v, FIXED_POINT_ONE) for v in wanted]
         w += [self._saturate_int32(_round_shift(s - v, 4)) for s, v in zip(servos, wanted, strict=True)]
         self._update_state("roll_pitch", w)
         return servos
@@ -239,7 +239,7 @@ class FixedPointControllers(Controllers):
             _round_shift(cosine * given[0] + sine * given[1], 30), _round_shift(cosine * given[1] - sine * given[0], 30)
         )  # fmt: skip
         self._update_state("position", w)
-        return np.array(tilt) / SIGNAL_ONE
+        return np.array(tilt) / FIXED_POINT_ONE
 
     def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
         if not self._settled:
@@ -249,7 +249,7 @@ class FixedPointControllers(Controllers):
             self._limit_heave_reference(to_signal(estimate.position[2]))
             servos = self._roll_pitch_step(estimate, to_signals(tilt))
         motors = self._heave_yaw_step(estimate, to_signals(heave_yaw))
-        return Actuators(np.array(motors) / SIGNAL_ONE, np.array(servos) / SIGNAL_ONE)
+        return Actuators(np.array(motors) / FIXED_POINT_ONE, np.array(servos) / FIXED_POINT_ONE)
 
     def _limit_heave_reference(self, z: int) -> None:
         g, (value, rate) = self._gains_table["heave_yaw"], self._filtered_references["height"]
@@ -259,7 +259,7 @@ class FixedPointControllers(Controllers):
         fastest = 16 * (g["height"]["speed"] * max(left, 0) // slack)
         less = _clip_value((rate if trails < 0 else -rate) - fastest, 0, brake)
         if left < 0:
-            value = SIGNAL_ONE * (z + slack if trails < 0 else z - slack)
+            value = FIXED_POINT_ONE * (z + slack if trails < 0 else z - slack)
         self._filtered_references["height"] = [value, rate + (-less if trails < 0 else less)]
 
 

@@ -170,8 +170,8 @@ def test_code_with_another_vehicles_numbers_differs(controller) -> None:
 def test_a_mission_flown_beside_it_shows_no_difference() -> None:
     (one,) = run_sil(load_vehicle("mufly-1.1"), ["box-on-leg"], wind=[0.5, 0.0, 0.0], gust=0.3)
     assert one.outcome == "succeeded"
-    assert 5000 < one.periods < one.beliefs
-    assert one.different == one.beliefs_different == one.steps_different == 0
+    assert 5000 < one.periods < one.estimator_periods
+    assert one.different == one.estimator_different == one.steps_different == 0
     assert one.steps > one.periods
     assert one.log_entry_count > 5
     # Single precision: the integrators' rounding adds up over the flight, in a comparison that nothing corrects.

@@ -495,7 +495,7 @@ bounds of mu and flights resume.
     from mufly.control.analysis.speed_schedule import SPEEDS_m_s
     from mufly.control.synthesis.synthesis_methods import METHODS
     from mufly.control.tuning.tuned_loop import load_tuned_settings
-    from mufly.firmware.proof.sil_pil import describe_missing_tools, law_instructions
+    from mufly.firmware.proof.sil_pil import describe_missing_tools, measure_law_instructions
     from mufly.logs.tables.columnar_files import write_netcdf
     from mufly.vehicle import load_vehicle
 
@@ -522,7 +522,7 @@ bounds of mu and flights resume.
         )
     counts: list[float | None] = [None] * len(controllers)
     if not describe_missing_tools():
-        counts = [*law_instructions(loaded, list(controllers.values()))]
+        counts = [*measure_law_instructions(loaded, list(controllers.values()))]
     found = replace(
         found, methods=tuple(replace(m, instructions=n) for m, n in zip(found.methods, counts, strict=True))
     )

@@ -324,10 +324,10 @@ def make_compared_software(
         List to which each new instance is appended.
     """
 
-    class Beside(ComparedSoftware):
+    class RegisteredComparison(ComparedSoftware):
         def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
             super().__init__(vehicle, controller, mission)
             kept.append(self)
 
-    Beside.firmware, Beside.controllers = firmware, staticmethod(controllers)
-    return Beside
+    RegisteredComparison.firmware, RegisteredComparison.controllers = firmware, staticmethod(controllers)
+    return RegisteredComparison

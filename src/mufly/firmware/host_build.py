@@ -22,10 +22,10 @@ from mufly.firmware.export.source_export import (
     SCHEDULE_HEADER,
     SOFTWARE_SOURCES,
     copy_sources,
-    enable_schedule,
     find_sources,
+    render_enabled_schedule_header,
     render_gains_files,
-    write_tree,
+    write_source_tree,
 )
 from mufly.flight.controllers import Actuators, Controllers
 
@@ -70,7 +70,7 @@ def cffi_declarations(folder: Path, single: bool = False, patterns: Sequence[str
     return done.stdout.replace("extern const ", "extern ")  # cffi gives no address of a constant
 
 
-def _make_room(folder: Path) -> None:
+def _raise_waypoint_capacity(folder: Path) -> None:
     """Give the sources in a folder room for :data:`HOST_MAX_WAYPOINTS` waypoints: memory is scarce on boards only."""
     header = folder / "mission/machine/mission_state.h"
     board = f"#define MISSION_WAYPOINTS {MAX_WAYPOINTS} "
@@ -84,8 +84,8 @@ def _load_firmware(gains: tuple[tuple[str, str], ...], single: bool, cc: str) ->
     ffi = cffi.FFI()
     with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
         tree = Path(folder) / "fw"
-        write_tree(dict(gains), tree)
-        _make_room(tree)
+        write_source_tree(dict(gains), tree)
+        _raise_waypoint_capacity(tree)
         library = build_library(tree, single=single, cc=cc)
         ffi.cdef(cffi_declarations(tree, single))
         return ffi, ffi.dlopen(str(library))
@@ -97,10 +97,10 @@ def _load_generic_firmware() -> tuple[cffi.FFI, Any]:
     with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
         tree = Path(folder) / "fw"
         copy_sources(tree)
-        (tree / SCHEDULE_HEADER).write_text(enable_schedule(), encoding="utf-8")
-        _make_room(tree)
+        (tree / SCHEDULE_HEADER).write_text(render_enabled_schedule_header(), encoding="utf-8")
+        _raise_waypoint_capacity(tree)
         files = read_sources(tree)
-        library = build_cached_library("firmware", {**files, "tables.c": _GENERIC_TABLES})
+        library = build_cached_library("firmware", {**files, "tables.c": _GENERIC_GAINS_SOURCE})
         words = library.with_suffix(".h")
         if not words.exists():
             with replace_file(words) as made:
@@ -110,7 +110,7 @@ def _load_generic_firmware() -> tuple[cffi.FFI, Any]:
     return ffi, ffi.dlopen(str(library))
 
 
-_GENERIC_TABLES = """#include "flight/controllers.h"
+_GENERIC_GAINS_SOURCE = """#include "flight/controllers.h"
 const int32_t mufly_rate_Hz = 0;
 const int32_t mufly_position_divider = 0;
 const gains_t mufly_gains;

@@ -54,7 +54,7 @@ MOTOR_MODES: tuple[Any, ...] = ("off", "spin_up", "fly", "ramp_down", "blind")
 _MISSION_OUTCOMES: tuple[Any, ...] = ("", "succeeded", "failed")
 _LOG_LEVELS = ("info", "warning", "error")
 _SENSOR_STATUSES = ("waiting", "fused", "rejected", "missing", "faulty")
-_NOT_FITTED = len(_SENSOR_STATUSES)
+_STATUS_NOT_FITTED = len(_SENSOR_STATUSES)
 _REQUIRED_ESTIMATES = ("position", "velocity", "attitude", "rates")
 _MESSAGE_TEMPLATES = tuple(LogMessage)
 
@@ -161,7 +161,7 @@ class SoftwareInstance:
             variance[ERROR_ATTITUDE:ERROR_GYRO_BIAS],
         )
         for one in b.checks:
-            one.status = _NOT_FITTED
+            one.status = _STATUS_NOT_FITTED
         for check in m.auxiliary_states.checks:
             one = b.checks[CHECKED_READINGS.index(check.name)]
             one.status, one.why = (

@@ -206,7 +206,7 @@ def sil(
             sensors=sensors, drawn=drawn, keep=keep,
         )  # fmt: skip
     print_answer(as_json, {"flights": results}, lambda: _print_sil(results))
-    if any(r.different + r.beliefs_different + r.steps_different for r in results):
+    if any(r.different + r.estimator_different + r.steps_different for r in results):
         raise typer.Exit(1)
 
 
@@ -218,16 +218,22 @@ def _count_flights(progress: Callable[[int, int], None] | None, total: int) -> C
 
 def _print_sil(results: list[SilResult]) -> None:
     columns = (
-        "mission", "seed", "outcome", ResultColumn("periods", form="d", head="law"),
-        ResultColumn("different", form="d", head="differ"), ResultColumn("beliefs", form="d", head="estimator"),
-        ResultColumn("beliefs_different", form="d", head="differ"), ResultColumn("steps", form="d", head="flight"),
-        ResultColumn("steps_different", form="d", head="differ"), ResultColumn("log_entry_count", form="d", head="log"),
+        "mission",
+        "seed",
+        "outcome",
+        ResultColumn("periods", form="d", head="law"),
+        ResultColumn("different", form="d", head="differ"),
+        ResultColumn("estimator_periods", form="d", head="estimator"),
+        ResultColumn("estimator_different", form="d", head="differ"),
+        ResultColumn("steps", form="d", head="flight"),
+        ResultColumn("steps_different", form="d", head="differ"),
+        ResultColumn("log_entry_count", form="d", head="log"),
         ResultColumn("worst_single", form=".1e", head="single"),
-    )  # fmt: skip
+    )
     print_result_table(results, columns)
-    law, estimator = sum(r.periods for r in results), sum(r.beliefs for r in results)
+    law, estimator = sum(r.periods for r in results), sum(r.estimator_periods for r in results)
     steps = sum(r.steps for r in results)
-    off = [sum(getattr(r, name) for r in results) for name in ("different", "beliefs_different", "steps_different")]
+    off = [sum(getattr(r, name) for r in results) for name in ("different", "estimator_different", "steps_different")]
     if any(off):
         print_lines(
             f"{off[0]} of {law} periods of the law, {off[1]} of {estimator} of the estimator and {off[2]} of {steps} "
@@ -255,7 +261,7 @@ def _compare_fixed_point(vehicle: Vehicle, names: list[str], flights: int, keep:
 
 def _print_fixed_flights(results: list[FixedPointFlight]) -> None:
     counts = (ResultColumn("periods", form="d"), ResultColumn("overflows", form="d"))
-    print_result_table(results, ["mission", "seed", "outcome", *counts, ResultColumn("apart_m", "mm", ".1f")])
+    print_result_table(results, ["mission", "seed", "outcome", *counts, ResultColumn("max_distance_m", "mm", ".1f")])
     print_lines("Apart: greatest distance from the flight in double precision. Seeds from 1 on fly in wind and gusts.")
 
 
@@ -270,10 +276,10 @@ def _print_fixed_law(vehicle: Vehicle, controller: FlightController, law: FixedP
     print_lines("Loss by 16-bit coefficients: growth of peaks, loss of margins; phase and delay as ratios.")
     columns = (
         ResultColumn("name", head="controller"), "form",
-        ResultColumn("proof.states.max", form=".2f", head="greatest state of 32 bits"),
-        ResultColumn("proof.sums.max", form=".2f", head="greatest sum of 64"),
-        ResultColumn("proof.refused", form=".2f", head="refused of 32"),
-        ResultColumn("proof.slowest", form=".5f", head="slowest pole"),
+        ResultColumn("proof.state_bounds.max", form=".2f", head="greatest state of 32 bits"),
+        ResultColumn("proof.sum_bounds.max", form=".2f", head="greatest sum of 64"),
+        ResultColumn("proof.excess_bound", form=".2f", head="refused of 32"),
+        ResultColumn("proof.max_pole_magnitude", form=".5f", head="slowest pole"),
     )  # fmt: skip
     print_result_table(law.controllers, columns)
     print_lines(
@@ -412,11 +418,14 @@ def pil(vehicle: VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False,
 
 def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
     columns = (
-        ResultColumn("machine", head="emulated"), "what", ResultColumn("same", head="same outputs"),
+        ResultColumn("machine", head="emulated"),
+        ResultColumn("tested_part", head="part"),
+        ResultColumn("same", head="same outputs"),
         ResultColumn("mean_instructions", form=".0f", head="instructions a period"),
-        ResultColumn("worst_instructions", form=".0f", head="worst"), ResultColumn("flash_bytes", form="d"),
+        ResultColumn("worst_instructions", form=".0f", head="worst"),
+        ResultColumn("flash_bytes", form="d"),
         ResultColumn("stack_bytes", form="d"),
-    )  # fmt: skip
+    )
     print_result_table(results, columns)
     how = "Whole numbers, gcc -O2" if fixed_point else "Single precision, gcc -Os"
     print_lines(

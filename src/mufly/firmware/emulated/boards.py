@@ -221,12 +221,12 @@ class EmulatedBoard:
 
     def compute_estimate(self, period: Any) -> None:
         """Run the first half of a period."""
-        self._exchange(period, self._twin.compute_estimate)
+        self._run_half_period(period, self._twin.compute_estimate)
         self.period_count += 1
 
     def compute_control(self, request: Any) -> None:
         """Run the second half of a period."""
-        self._exchange(request, self._twin.compute_control, self._conclude_period)
+        self._run_half_period(request, self._twin.compute_control, self._conclude_period)
 
     def _conclude_period(self) -> None:
         """Take the time of the period; give the twin the bytes that the emulated UARTs have received and sent."""
@@ -241,13 +241,13 @@ class EmulatedBoard:
         self.lib.board_link(self._twin.record)
         self.lib.link_sent(self.ffi.addressof(self._twin.record, "link"), self.record.link.sent_count)
 
-    def _exchange(self, record: Any, compute: Any, conclude: Callable[[], None] = lambda: None) -> None:
+    def _run_half_period(self, record: Any, compute: Any, conclude: Callable[[], None] = lambda: None) -> None:
         process = self._process or self._start_emulation()
         assert process.stdin is not None
         try:
             process.stdin.write(self.ffi.buffer(record))
         except BrokenPipeError:
-            self._fail(process)
+            self._raise_emulation_error(process)
         compute(record)  # at the same time
         self._read_output_into(process, self.memory)
         conclude()
@@ -262,10 +262,10 @@ class EmulatedBoard:
         while filled < len(view):
             count = process.stdout.readinto(view[filled:])  # type: ignore[attr-defined]
             if not count:
-                self._fail(process)
+                self._raise_emulation_error(process)
             filled += count
 
-    def _fail(self, process: subprocess.Popen[bytes]) -> None:
+    def _raise_emulation_error(self, process: subprocess.Popen[bytes]) -> None:
         process.kill()
         said = (process.communicate()[1] or b"").decode(errors="replace").strip()
         self._process = None

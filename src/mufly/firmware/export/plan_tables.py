@@ -28,9 +28,9 @@ _BYTES_PER_LINE = 24
 HOST_MAX_WAYPOINTS = 1000
 """Waypoints that the code built on this machine has room for."""
 MAX_BEAMS = 64
-LINK_LOSS_S, LINK_LAND_S = 10.0, 20.0
+LINK_LOSS_HOLD_S, LINK_LOSS_LAND_S = 10.0, 20.0
 """Silence of the commander until the vehicle holds, and then until it lands (s): COM_DL_LOSS_T, COM_DL_LAND_T."""
-_END_ACTIONS = ("land", "hover", "return")
+_MISSION_END_ACTIONS = ("land", "hover", "return")
 
 
 def plan_numbers(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -> dict[str, Any]:
@@ -61,7 +61,7 @@ def plan_numbers(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -> dict[
     return {
         "count": len(m.waypoint),
         "waypoint": [_waypoint_fields(m, k) for k in range(len(m.waypoint))],
-        "at_end": _END_ACTIONS.index(m.at_end),
+        "at_end": _MISSION_END_ACTIONS.index(m.at_end),
         "spline": m.path.kind == "spline",
         "start": list(m.start_m),
         "take_off_height": m.take_off.height_m,
@@ -181,8 +181,8 @@ def supervisor_numbers(vehicle: Vehicle) -> dict[str, Any]:
         "stick_tilt": most.tilt,
         "stick_yaw_rate": most.yaw_rate,
         "stick_climb": most.climb,
-        "link_loss_s": LINK_LOSS_S,
-        "link_land_s": LINK_LAND_S,
+        "link_loss_s": LINK_LOSS_HOLD_S,
+        "link_land_s": LINK_LOSS_LAND_S,
         "standing_m": standing_height(vehicle),
     }
 

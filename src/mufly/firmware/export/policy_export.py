@@ -16,7 +16,7 @@ from mufly.firmware.export.source_export import SOURCE_FOLDER, escape_comment, t
 from mufly.flight.policy import LearnedPolicy
 from mufly.version import __version__
 
-_COPIED = (
+_COPIED_SOURCES = (
     "policy/policy.c", "policy/policy.h", "real.c", "real.h", "flight/controllers.h", "control/cascade.h",
     "control/law.h", "control/schedule.h",
 )  # fmt: skip
@@ -57,7 +57,7 @@ def export_policy(policy: LearnedPolicy, out: str | Path) -> list[Path]:
 def render_policy_files(policy: LearnedPolicy) -> dict[str, str]:
     """Return the text of each file of an exported policy by its path."""
     with resources.as_file(SOURCE_FOLDER) as sources:
-        texts = {name: (sources / name).read_text(encoding="utf-8") for name in _COPIED}
+        texts = {name: (sources / name).read_text(encoding="utf-8") for name in _COPIED_SOURCES}
     p = policy.packed
     sizes = {
         "LAYERS": len(policy.layers), "INPUTS": policy.input_count, "WIDEST": int(p.sizes.max()),

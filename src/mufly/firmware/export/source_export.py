@@ -87,11 +87,11 @@ def export_firmware(
         others["onboard/supervisor/supervisor_settings.c"] = render_supervisor_source(vehicle)
         others["onboard/link/texts.c"] = render_texts_source()
         others["onboard/log/flight_log_head.c"] = render_log_source()
-    write_tree(render_gains_files(controller), out, others)
+    write_source_tree(render_gains_files(controller), out, others)
     return sorted(p for p in out.rglob("*") if p.is_file())
 
 
-def write_tree(gains: Mapping[str, str], out: Path, others: Mapping[str, str] | None = None) -> None:
+def write_source_tree(gains: Mapping[str, str], out: Path, others: Mapping[str, str] | None = None) -> None:
     """Write the sources, the gains' files and other generated files (text by name) into a folder."""
     copy_sources(out)
     for name, text in {**gains, **(others or {})}.items():
@@ -122,11 +122,11 @@ def render_gains_files(controller: FlightController) -> dict[str, str]:
     """Return the texts of the files that hold a vehicle's controllers, by name."""
     files = {"tables.c": render_gains_source(controller)}
     if controller.schedule is not None:
-        files[SCHEDULE_HEADER] = enable_schedule()
+        files[SCHEDULE_HEADER] = render_enabled_schedule_header()
     return files
 
 
-def enable_schedule() -> str:
+def render_enabled_schedule_header() -> str:
     """Return the text of the header by which the law schedules roll-pitch."""
     text = (SOURCE_FOLDER / SCHEDULE_HEADER).read_text(encoding="utf-8")
     assert "ROLL_PITCH_SCHEDULED 0" in text

@@ -98,27 +98,30 @@ class OverflowProof:
     ----------
     controller : str
     form : str
-    states : array, shape (n,)
+    state_bounds : array, shape (n,)
         Bound of each state over 2^31, the range of 32 bits (1).
-    sums : array
+    sum_bounds : array
         Bound of each sum of products over 2^63 (1).
-    refused : float
+    excess_bound : float
         Bound of the saturation excess over 2^31 (1).
-    slowest : float
+    max_pole_magnitude : float
         Greatest magnitude of a pole of the stable form, with rounded coefficients (1).
     """
 
     controller: str
     form: str
-    states: Array
-    sums: Array
-    refused: float
-    slowest: float
+    state_bounds: Array
+    sum_bounds: Array
+    excess_bound: float
+    max_pole_magnitude: float
 
     @property
     def is_overflow_free(self) -> bool:
         """Return whether all numbers stay within their bits."""
-        return bool(max(self.states.max(), self.sums.max(), self.refused) < 1.0 and self.slowest < 1.0)
+        return bool(
+            max(self.state_bounds.max(), self.sum_bounds.max(), self.excess_bound) < 1.0
+            and self.max_pole_magnitude < 1.0
+        )
 
 
 @result

@@ -32,7 +32,7 @@ class FixedPointFlight:
     periods : int
     overflows : int
         Number of 32-bit overflows.
-    apart_m : float
+    max_distance_m : float
         Largest distance of the two flights at the same time (m).
     """
 
@@ -41,7 +41,7 @@ class FixedPointFlight:
     outcome: str
     periods: int
     overflows: int
-    apart_m: float
+    max_distance_m: float
 
 
 def fly_fixed_point(
@@ -75,28 +75,28 @@ def fly_fixed_point(
     controller = design_flight_controller(vehicle)
     numbers = law or quantise_law(controller)
 
-    def fly_pair(name: str, seed: int) -> FixedPointFlight:
+    def fly_both_precisions(name: str, seed: int) -> FixedPointFlight:
         mission = load_mission(name)
         kept: list[FixedPointFirmwareControllers] = []
 
-        def make(c: FlightController) -> FixedPointFirmwareControllers:
+        def make_controllers(c: FlightController) -> FixedPointFirmwareControllers:
             kept.append(FixedPointFirmwareControllers(c, numbers))
             return kept[-1]
 
         met = draw_conditions(seed)
         wind, gust = ([met.wind, 0.0, 0.0], met.gust) if seed else (None, None)
 
-        def flown(by: Any) -> xr.Dataset:
+        def fly_with(by: Any) -> xr.Dataset:
             return fly_mission(vehicle, mission, controller=controller, seed=seed, wind=wind, gust=gust, controllers=by)
 
-        record, other = flown(make), flown(GenericFirmwareSoftware)
+        record, other = fly_with(make_controllers), fly_with(GenericFirmwareSoftware)
         n = min(record.sizes["time"], other.sizes["time"])
         gap = record.truth_position.values[:n] - other.truth_position.values[:n]
         return FixedPointFlight(
             mission=mission.name or name, seed=seed, outcome=record.attrs["outcome"],
             periods=int(record.sizes["time"]), overflows=sum(c.overflow_count for c in kept),
-            apart_m=float(np.sqrt((gap**2).sum(1)).max()),
+            max_distance_m=float(np.sqrt((gap**2).sum(1)).max()),
         )  # fmt: skip
 
     asked = [(name, seed) for seed in range(flights) for name in missions]
-    return resume_flights(FixedPointFlight, keep, asked, fly_pair, on_flight)
+    return resume_flights(FixedPointFlight, keep, asked, fly_both_precisions, on_flight)

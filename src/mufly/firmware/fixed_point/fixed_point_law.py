@@ -40,7 +40,7 @@ from mufly.version import __version__
 _Array = NDArray[np.floating[Any]]
 _GainsTable = dict[str, Any]
 
-SIGNAL_ONE = 1 << FRACTION_BITS
+FIXED_POINT_ONE = 1 << FRACTION_BITS
 _INT32_RANGE = (-(1 << 31), (1 << 31) - 1)
 
 
@@ -142,8 +142,8 @@ def render_fixed_point_tables(controller: FlightController, law: FixedPointLaw) 
             f"{', '.join(map(str, made.state_fraction_bits))}."
         )
         lines.append(
-            f" *   Whatever comes, states stay below {proof.states.max():.2f} of 32 bits, sums below "
-            f"{proof.sums.max():.2f} of 64."
+            f" *   Whatever comes, states stay below {proof.state_bounds.max():.2f} of 32 bits, sums below "
+            f"{proof.sum_bounds.max():.2f} of 64."
         )
     lines += [
         " */", '#include "fixed_point/fixed_point_law.h"', "",
@@ -195,7 +195,7 @@ def _load_fixed_library(text: str, cc: str) -> tuple[cffi.FFI, Any]:
 
 def to_signal(value: float) -> int:
     """Return a number as a signal: the nearest multiple of 2^-20, saturated at 32 bits."""
-    return min(max(round(float(value) * SIGNAL_ONE), _INT32_RANGE[0]), _INT32_RANGE[1])
+    return min(max(round(float(value) * FIXED_POINT_ONE), _INT32_RANGE[0]), _INT32_RANGE[1])
 
 
 def to_signals(values: _Array) -> list[int]:
@@ -254,7 +254,7 @@ class FixedPointFirmwareControllers(Controllers):
         path.position, path.velocity = to_signals(position), to_signals(velocity)
         path.acceleration = to_signals(acceleration)
         self._lib.fixed_tilt_for(self._gains_record, self._state_record, self._motion_record, path, self._tilt_buffer)
-        return np.array(list(self._tilt_buffer)) / SIGNAL_ONE
+        return np.array(list(self._tilt_buffer)) / FIXED_POINT_ONE
 
     def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
         if not self._settled:
@@ -265,6 +265,6 @@ class FixedPointFirmwareControllers(Controllers):
             [0, 0] if tilt is None else to_signals(tilt), self._actuators_record,
         )  # fmt: skip
         return Actuators(
-            np.array(list(self._actuators_record.motor_input)) / SIGNAL_ONE,
-            np.array(list(self._actuators_record.servo_input)) / SIGNAL_ONE,
+            np.array(list(self._actuators_record.motor_input)) / FIXED_POINT_ONE,
+            np.array(list(self._actuators_record.servo_input)) / FIXED_POINT_ONE,
         )

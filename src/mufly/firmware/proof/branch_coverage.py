@@ -92,7 +92,7 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
     fixed_ffi.cdef(cffi_declarations(folder, patterns=FIXED_POINT_SOURCES))
     whole = quantise_law(controller)
 
-    class Flown(FirmwareSoftware):
+    class InstrumentedSoftware(FirmwareSoftware):
         def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
             super().__init__(vehicle, controller, mission, firmware)
 
@@ -112,16 +112,30 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
     counts.cache_clear = kept.cache_clear
     _replace_loader(filter_backend, "_load_filter_library", counts)
     for name in ("demonstration", "box-on-leg"):
-        fly_mission(vehicle, load_mission(name), controller=controller, controllers=Flown, sensors="fitted", gust=0.3)
+        fly_mission(
+            vehicle,
+            load_mission(name),
+            controller=controller,
+            controllers=InstrumentedSoftware,
+            sensors="fitted",
+            gust=0.3,
+        )
     fly_mission(vehicle, load_mission("box-on-leg"), controller=controller, controllers=make_fixed_point_controllers)
     for seed in range(FLIGHT_COUNT):
         met = draw_conditions(seed)
         faults = [parse_fault(f) for f in (*met.faults, *SENSOR_FAULTS[seed % len(SENSOR_FAULTS)].split())]
         mission = parse_mission(HOP_MISSION) if seed % 2 else add_random_obstacle(load_mission("demonstration"), seed)
         fly_mission(
-            vehicle, mission, controller=controller, controllers=Flown, sensors="fitted", faults=faults, seed=seed,
-            gust=met.gust, wind=[met.wind, 0.0, 0.0],
-        )  # fmt: skip
+            vehicle,
+            mission,
+            controller=controller,
+            controllers=InstrumentedSoftware,
+            sensors="fitted",
+            faults=faults,
+            seed=seed,
+            gust=met.gust,
+            wind=[met.wind, 0.0, 0.0],
+        )
     _run_comparison_tests(firmware)
     for kept_input in sorted((folder / "corpus").glob("*")):
         found = kept_input.read_bytes()

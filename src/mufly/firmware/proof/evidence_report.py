@@ -64,7 +64,7 @@ RESOURCE_TARGETS = {
     "single": 1e-4,
 }
 
-BOARD_TARGETS = {"flash": 128_000, "ram": 28_000, "stack": 4_000}
+BOARD_MEMORY_TARGETS = {"flash": 128_000, "ram": 28_000, "stack": 4_000}
 """Most bytes of a whole board; RAM and stack together are 32 kB."""
 
 
@@ -109,7 +109,7 @@ def _require_tool(tool: str, package: str) -> None:
 # Equality with Python
 
 
-def _report_equality(vehicle: Vehicle, out: Path) -> EvidenceSection:
+def _report_python_c_equality(vehicle: Vehicle, out: Path) -> EvidenceSection:
     flights = run_sil(vehicle, ["demonstration", "box-on-leg"])
     rows = [(r.mission, r.outcome, r.periods, r.different, f"{r.worst_single:.1e}") for r in flights]
     return EvidenceSection(
@@ -120,7 +120,7 @@ def _report_equality(vehicle: Vehicle, out: Path) -> EvidenceSection:
     )
 
 
-def _report_emulated(vehicle: Vehicle, out: Path) -> EvidenceSection:
+def _report_emulated_processors(vehicle: Vehicle, out: Path) -> EvidenceSection:
     absent = describe_missing_tools()
     if absent:
         raise MuflyError(f"not measured: {absent}")
@@ -151,11 +151,11 @@ def _report_emulated(vehicle: Vehicle, out: Path) -> EvidenceSection:
         + "\n\n![instructions of a period](instructions.png)\n\nLaw: the controllers; flight: they, the mission "
         "and what watches over it, without the estimator. Self-tests in "
         f"`check/`. Aim for the whole stack: {RESOURCE_TARGETS['instructions']}.",
-        {"boards": [{"numbers": kind, **_to_dict(r)} for kind, r in boards]},
+        {"boards": [{"numbers": kind, **_result_to_dict(r)} for kind, r in boards]},
     )
 
 
-def _to_dict(one: Any) -> dict[str, Any]:
+def _result_to_dict(one: Any) -> dict[str, Any]:
     found: dict[str, Any] = to_plain_data(one)
     return found
 
@@ -208,7 +208,7 @@ def _report_memory(vehicle: Vehicle, out: Path) -> EvidenceSection:
         *((f"RAM, one {name} (bytes)", size, "") for name, size in sorted(ram.items())),
         ("RAM, sum (bytes)", sum(ram.values()), RESOURCE_TARGETS["ram_bytes"]),
         *((f"stack below {name.rstrip('_')} (bytes)", size, "bounded") for name, size in stack.items()),
-        *((f"whole board, {name} (bytes)", size, BOARD_TARGETS[name]) for name, size in board.items()),
+        *((f"whole board, {name} (bytes)", size, BOARD_MEMORY_TARGETS[name]) for name, size in board.items()),
     ]
     return EvidenceSection(
         "What it needs",
@@ -241,10 +241,10 @@ def _report_fixed_point(vehicle: Vehicle, out: Path) -> EvidenceSection:
             [
                 (
                     p.controller,
-                    f"{p.states.max():.2f}",
-                    f"{p.sums.max():.2f}",
-                    f"{p.refused:.2f}",
-                    f"{p.slowest:.5f}",
+                    f"{p.state_bounds.max():.2f}",
+                    f"{p.sum_bounds.max():.2f}",
+                    f"{p.excess_bound:.2f}",
+                    f"{p.max_pole_magnitude:.5f}",
                 )
                 for p in proofs
             ],
@@ -252,7 +252,7 @@ def _report_fixed_point(vehicle: Vehicle, out: Path) -> EvidenceSection:
         "Greatest bounds, by the L1 norm, for any inputs: below 1 nothing overflows.",
         _markdown_table(
             ("mission", "outcome", "periods", "overflows", "apart from double precision (mm)"),
-            [(f.mission, f.outcome, f.periods, f.overflows, f"{1e3 * f.apart_m:.1f}") for f in flights],
+            [(f.mission, f.outcome, f.periods, f.overflows, f"{1e3 * f.max_distance_m:.1f}") for f in flights],
         ),
     ]
     data = {
@@ -398,7 +398,7 @@ def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
     reasons = dict.fromkeys(g.reason for g in gaps if g.reason)
     why = [
         (
-            sum(g.missing for g in gaps if g.reason == r),
+            sum(g.untaken_branches for g in gaps if g.reason == r),
             ", ".join(f"{g.file}:{g.line}" for g in gaps if g.reason == r),
             r,
         )
@@ -411,14 +411,14 @@ def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
         f"{taken} of {total} branches ({100 * taken / max(total, 1):.1f} %), by both missions flown by the C code "
         "on sensors, by eight drawn flights with faults, by the law in whole numbers, by what the fuzzer finds in 40 s "
         "and by random inputs, and by the tests that compare the languages, where they are at hand. "
-        f"Of the {total - taken} others {sum(g.missing for g in gaps if g.reason)} have a written reason.\n\n"
+        f"Of the {total - taken} others {sum(g.untaken_branches for g in gaps if g.reason)} have a written reason.\n\n"
         + _markdown_table(("file", "taken", "share", "not taken", "of these lines without a reason"), rows)
         + "\n\n"
         + _markdown_table(("branches", "where", "why they are not taken"), why),
         {
             "total": total,
             "taken": taken,
-            "unexplained": sum(g.missing for g in gaps if not g.reason),
+            "unexplained": sum(g.untaken_branches for g in gaps if not g.reason),
             "files": {f: [x for x in lines if x[2] < x[1]] for f, lines in files.items()},
         },
     )
@@ -430,7 +430,7 @@ class CoverageGap:
 
     file: str
     line: int
-    missing: int
+    untaken_branches: int
     reason: str
 
 
@@ -491,8 +491,8 @@ def _report_fuzzing(vehicle: Vehicle, out: Path) -> EvidenceSection:
 
 
 REPORT_SECTIONS: tuple[tuple[str, Callable[[Vehicle, Path], EvidenceSection]], ...] = (
-    ("The same as Python", _report_equality),
-    ("On emulated processors", _report_emulated),
+    ("The same as Python", _report_python_c_equality),
+    ("On emulated processors", _report_emulated_processors),
     ("What it needs", _report_memory),
     ("In whole numbers", _report_fixed_point),
     ("What gcc says", _report_compilers),

@@ -144,9 +144,9 @@ class SilResult:
         Number of compared control periods.
     different : int
         Number of controller outputs (position cascade, or all actuators) that differ in any bit in double precision.
-    beliefs : int
+    estimator_periods : int
         Number of compared estimator periods; zero on ideal sensors.
-    beliefs_different : int
+    estimator_different : int
         Number of these after which any bit of the estimator's memory differs.
     steps : int
         Number of compared periods of the whole flight software: actuators, reference, mission state and log.
@@ -164,8 +164,8 @@ class SilResult:
     faults: str
     periods: int
     different: int
-    beliefs: int
-    beliefs_different: int
+    estimator_periods: int
+    estimator_different: int
     steps: int
     steps_different: int
     log_entry_count: int
@@ -339,8 +339,8 @@ def run_sil(
             mission=mission.name or name, seed=seed, outcome=record.attrs["outcome"],
             faults=" ".join(map(str, wrong)),
             periods=sum(t.period_count for t in twins), different=sum(t.mismatch_count for t in twins),
-            beliefs=0 if believing is None else believing.period_count,
-            beliefs_different=0 if believing is None else believing.mismatch_count,
+            estimator_periods=0 if believing is None else believing.period_count,
+            estimator_different=0 if believing is None else believing.mismatch_count,
             steps=sum(f.period_count for f in flown), steps_different=sum(f.mismatch_count for f in flown),
             log_entry_count=sum(f.log_entry_count for f in flown), worst_single=max(t.worst_single for t in twins),
         )  # fmt: skip
@@ -393,7 +393,7 @@ def run_pil(vehicle: Vehicle, *, fixed_point: bool = False) -> list[PilResult]:
         return found
 
 
-_LAW_SOURCES = ("controllers.c", "law.c", "linear.c", "cascade.c", "mixer.c", "real.c", "tables.c")
+_CONTROL_LAW_SOURCES = ("controllers.c", "law.c", "linear.c", "cascade.c", "mixer.c", "real.c", "tables.c")
 
 
 def law_instructions(vehicle: Vehicle, controllers: Sequence[FlightController]) -> list[float]:
@@ -417,7 +417,7 @@ def law_instructions(vehicle: Vehicle, controllers: Sequence[FlightController]) 
             folder = Path(temporary) / str(k)
             export_firmware(controller, folder, vehicle)
             for source in find_sources(folder):
-                if source.name not in _LAW_SOURCES:
+                if source.name not in _CONTROL_LAW_SOURCES:
                     source.unlink()
             compile_objects(folder, how, cpu)
             elf = _link_selftest(folder, how, cpu, "selftest")

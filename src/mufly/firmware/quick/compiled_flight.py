@@ -8,13 +8,13 @@ by their addresses. Both ways therefore give equal flights, bit for bit (``tests
 
 The loop returns to Python for the following events, and continues in the middle of the period:
 
-- a sensor with a fault is due (:data:`SAMPLE_SENSORS`),
-- the filter changes a sensor's status (:data:`UPDATE_STATUS`),
-- a listener of the true state is due (:data:`CALL_LISTENER`).
+- a sensor with a fault is due (:data:`STOP_TO_SAMPLE_SENSORS`),
+- the filter changes a sensor's status (:data:`STOP_TO_UPDATE_STATUS`),
+- a listener of the true state is due (:data:`STOP_TO_CALL_LISTENER`).
 
-A call ends when the log or the motor mode changes (:data:`LOG_OR_MODE_CHANGED`), and when the vehicle touches an
-obstacle (:data:`CONTACT`); the flight in Python then finishes the period. Listeners of estimates are called at the end
-of a call. Commands, faults of the inertial unit and crashes are simulated period by period
+A call ends when the log or the motor mode changes (:data:`STOP_LOG_OR_MODE_CHANGED`), and when the vehicle touches an
+obstacle (:data:`STOP_ON_CONTACT`); the flight in Python then finishes the period. Listeners of estimates are called at
+the end of a call. Commands, faults of the inertial unit and crashes are simulated period by period
 (:meth:`Flight.step_period`).
 
 Three stages have a body in each language. Control: Python processes commands, arming and events. Measurement: a fault,
@@ -37,45 +37,45 @@ from mufly.estimate.filter.filter_records import ERROR_GYRO_BIAS, NOMINAL_ATTITU
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import PUBLISHED_FIELDS, KalmanEstimator
 from mufly.firmware.quick.compiled_loop import (
-    CALL_LISTENER,
-    CONTACT,
-    HEARD_ANGLES,
-    HEARD_ATT,
-    HEARD_FORCE,
-    HEARD_OUT,
-    HEARD_RATES,
-    HEARD_STATE,
-    HEARD_SUPPLY,
-    HEARD_TICK,
-    HEARD_TOLD,
-    HEARD_VALID,
-    HEARD_VOLTS,
-    HEARD_WIND,
+    LISTENER_ANGLES,
+    LISTENER_ATTITUDE,
+    LISTENER_FILTER_STATE,
+    LISTENER_RATES,
     LISTENER_ROW_SIZE,
+    LISTENER_SPECIFIC_FORCE,
+    LISTENER_STATE,
+    LISTENER_STATUS_ROW,
+    LISTENER_SUPPLY,
+    LISTENER_TICK,
+    LISTENER_VALID,
+    LISTENER_VOLTAGE,
+    LISTENER_WIND,
+    LOG_ATTITUDE,
+    LOG_MISSION_STATE,
+    LOG_MOTOR_INPUTS,
+    LOG_REF_ATTITUDE,
+    LOG_REF_POSITION,
+    LOG_REF_VELOCITY,
     LOG_ROW_SIZE,
+    LOG_SERVO_INPUTS,
+    LOG_STATE,
+    LOG_SUPPLY,
+    LOG_TIME,
+    LOG_WIND,
     LOOP_CLOCK,
     MAX_PERIODS_PER_CALL,
-    NOT_FINITE,
     RECORD_OFFSETS,
-    ROW_ATT,
-    ROW_MISSION,
-    ROW_MOTORS,
-    ROW_REF_ATT,
-    ROW_REF_POS,
-    ROW_REF_VEL,
-    ROW_SERVOS,
-    ROW_STATE,
-    ROW_SUPPLY,
-    ROW_TIME,
-    ROW_WIND,
-    SAMPLE_SENSORS,
     SENSOR_STATUS_SIZE,
     SENSOR_STATUS_START,
-    SIGMA_START,
     STATUS_FAULT_COMPONENT,
     STATUS_ROW_SIZE,
+    STATUS_SIGMA_START,
     STATUS_TICK,
-    UPDATE_STATUS,
+    STOP_NOT_FINITE,
+    STOP_ON_CONTACT,
+    STOP_TO_CALL_LISTENER,
+    STOP_TO_SAMPLE_SENSORS,
+    STOP_TO_UPDATE_STATUS,
     FilterArrays,
     FittedPeriods,
     IdealPeriods,
@@ -103,8 +103,8 @@ def _unpack_status_row(row: _Array) -> dict[str, Any]:
     """Return the fields of a status row by the names of the filter's memory."""
     of = row[SENSOR_STATUS_START:STATUS_FAULT_COMPONENT].reshape(SENSOR_COUNT, SENSOR_STATUS_SIZE)
     parts = (
-        row[:SIGMA_START].reshape(ERROR_GYRO_BIAS, ERROR_GYRO_BIAS),
-        row[SIGMA_START:SENSOR_STATUS_START],
+        row[:STATUS_SIGMA_START].reshape(ERROR_GYRO_BIAS, ERROR_GYRO_BIAS),
+        row[STATUS_SIGMA_START:SENSOR_STATUS_START],
         *of.T,
         row[STATUS_FAULT_COMPONENT],
         row[STATUS_TICK],
@@ -137,12 +137,12 @@ class CompiledFlight:
         plant, beams = flight.plant, flight.vehicle.range_ring.count
         self._software_arrays = _make_software_arrays(software)
         clock = self._clock = np.zeros(1, LOOP_CLOCK).view(np.recarray)[0]
-        legs, clock.contact_radius, obstacles, *tables = plant.collision_shape
+        legs, clock.rotor_radius, obstacles, *tables = plant.collision_shape
         self._contact_tables: tuple[Any, ...] = (legs, obstacles, *tables)
         clock.contact_interval, clock.record_interval = flight.look_periods, flight.record_periods
         clock.plant_steps, clock.rate_Hz, clock.step_s = plant.step_count, plant.rate_Hz, plant.step_s
         clock.beam_count = min(beams, self._board.beam_count)
-        clock.hover_current_A, clock.current_share = (
+        clock.hover_current_A, clock.current_filter_weight = (
             flight.autopilot.energy_check.hover_current_A,
             flight.current_filter_share,
         )
@@ -189,13 +189,13 @@ class CompiledFlight:
                 until,
                 *(math.floor(min(s, 1e9) * plant.rate_Hz) - 1 for s in ahead if s > plant.time_s),
             ])  # fmt: skip
-        if until - plant.period_count < 2 or not self._is_undisturbed():
+        if until - plant.period_count < 2 or not self._has_no_request_or_fault():
             return False
         board, c = self._board, self._clock
         board.prepare_compiled_periods(self._software.law)
         wind = plant.upcoming_wind(until - plant.period_count)
         c.stage, c.tick, c.start_tick, c.stop_tick = BEGIN_PERIOD, plant.period_count, plant.period_count, until
-        c.is_armed, c.stop_when_valid, c.listen_interval = auto.armed, until_valid, flight.listener_periods
+        c.is_armed, c.stop_when_valid, c.listener_interval = auto.armed, until_valid, flight.listener_periods
         c.wind_samples = c.periods_run = c.log_rows = c.status_rows = c.listener_rows = 0
         c.last_due_tick, c.current_A, c.next_python_sample_s = -1, flight.current_A, math.inf
         self._acting[1], self._acting[2] = flight.acting_actuators.input_array, flight.sent_actuators.input_array
@@ -204,19 +204,21 @@ class CompiledFlight:
         self._reported_periods = 0
         while True:
             why = run(p)
-            if why == SAMPLE_SENSORS:
+            if why == STOP_TO_SAMPLE_SENSORS:
                 self._sample_python_sensors()
-            elif why == UPDATE_STATUS:
+            elif why == STOP_TO_UPDATE_STATUS:
                 assert self._filter is not None
                 self._report_status(int(c.periods_run))
                 told = int(c.filter_periods) - self._filter.period_count
                 self._call_listener()
-                board.write_estimate(self._filter.read_estimate(int(c.tick) / plant.rate_Hz, bool(c.is_valid), told))
+                board.write_estimate(
+                    self._filter.read_estimate(int(c.tick) / plant.rate_Hz, bool(c.is_estimate_valid), told)
+                )
                 self._published_row = int(c.status_rows)
-                c.is_untroubled = auto.has_no_sensor_events(self._filter.sensor_statuses)
-            elif why == CALL_LISTENER:
+                c.has_no_sensor_fault = auto.has_no_sensor_events(self._filter.sensor_statuses)
+            elif why == STOP_TO_CALL_LISTENER:
                 truth = replace(self._current_truth(), wind=wind[int(c.wind_samples) - 1].copy())
-                flight.listener(truth, self._read_at(truth)[1])
+                flight.listener(truth, self._read_sensors_and_estimate(truth)[1])
             else:
                 break
         self._synchronise_simulation(why, wind, ran)
@@ -242,7 +244,7 @@ class CompiledFlight:
             self._ring.range_arguments, self._ring.clock,
         ), run_ideal_periods  # fmt: skip
 
-    def _is_undisturbed(self) -> bool:
+    def _has_no_request_or_fault(self) -> bool:
         """Return whether no request is pending and no fault is active."""
         flight, auto = self._flight, self._flight.autopilot
         motors, now = self._software.motors, flight.plant.time_s
@@ -297,7 +299,7 @@ class CompiledFlight:
         if self._last_statuses is not filtered.sensor_statuses:
             self._status_rows[0] = math.nan
         self._published_row = 0
-        self._clock.is_untroubled = flight.autopilot.has_no_sensor_events(filtered.sensor_statuses)
+        self._clock.has_no_sensor_fault = flight.autopilot.has_no_sensor_events(filtered.sensor_statuses)
         return self._sampling_table
 
     def _call_listener(self) -> None:
@@ -312,27 +314,39 @@ class CompiledFlight:
         c.listener_rows = 0
         together: Any = getattr(flight.listener, "add_estimates", None)
         if together is not None and len(rows):
-            told, nine = rows[:, HEARD_TOLD].astype(int), ERROR_GYRO_BIAS
-            covariances = self._status_rows[told, :SIGMA_START].reshape(-1, nine, nine)
+            told, nine = rows[:, LISTENER_STATUS_ROW].astype(int), ERROR_GYRO_BIAS
+            covariances = self._status_rows[told, :STATUS_SIGMA_START].reshape(-1, nine, nine)
             covariances[told == 0] = filtered.covariance[:nine, :nine]
-            moving = rows[:, HEARD_STATE : HEARD_STATE + MODEL_ATTITUDE]
-            true = np.hstack([moving, rows[:, HEARD_ATT:HEARD_OUT]])
-            moving = rows[:, HEARD_OUT : HEARD_OUT + NOMINAL_ATTITUDE]
-            estimated = np.hstack([moving, rows[:, HEARD_ANGLES:LISTENER_ROW_SIZE]])
-            together(true, estimated, covariances, rows[:, HEARD_VALID] != 0.0)
+            moving = rows[:, LISTENER_STATE : LISTENER_STATE + MODEL_ATTITUDE]
+            true = np.hstack([moving, rows[:, LISTENER_ATTITUDE:LISTENER_FILTER_STATE]])
+            moving = rows[:, LISTENER_FILTER_STATE : LISTENER_FILTER_STATE + NOMINAL_ATTITUDE]
+            estimated = np.hstack([moving, rows[:, LISTENER_ANGLES:LISTENER_ROW_SIZE]])
+            together(true, estimated, covariances, rows[:, LISTENER_VALID] != 0.0)
             return
         for row in rows:
-            self._publish_status_up_to(int(row[HEARD_TOLD]))
-            tick = int(row[HEARD_TICK])
+            self._publish_status_up_to(int(row[LISTENER_STATUS_ROW]))
+            tick = int(row[LISTENER_TICK])
             truth = Truth(
-                tick / rate, tick, row[HEARD_STATE:HEARD_ATT].copy(), row[HEARD_ATT:HEARD_OUT].copy(),
-                row[HEARD_WIND:HEARD_SUPPLY].copy(), *row[HEARD_SUPPLY:HEARD_FORCE].tolist(),
-            )  # fmt: skip
-            flight.listener(truth, filtered.make_estimate(
-                truth.time_s, bool(row[HEARD_VALID]), row[HEARD_OUT:HEARD_RATES].copy(), row[HEARD_RATES:HEARD_ANGLES],
-                row[HEARD_ANGLES:LISTENER_ROW_SIZE], float(row[HEARD_VOLTS]), row[LISTENER_ROW_SIZE:].copy(),
-                row[HEARD_FORCE:HEARD_STATE],
-            ))  # fmt: skip
+                tick / rate,
+                tick,
+                row[LISTENER_STATE:LISTENER_ATTITUDE].copy(),
+                row[LISTENER_ATTITUDE:LISTENER_FILTER_STATE].copy(),
+                row[LISTENER_WIND:LISTENER_SUPPLY].copy(),
+                *row[LISTENER_SUPPLY:LISTENER_SPECIFIC_FORCE].tolist(),
+            )
+            flight.listener(
+                truth,
+                filtered.make_estimate(
+                    truth.time_s,
+                    bool(row[LISTENER_VALID]),
+                    row[LISTENER_FILTER_STATE:LISTENER_RATES].copy(),
+                    row[LISTENER_RATES:LISTENER_ANGLES],
+                    row[LISTENER_ANGLES:LISTENER_ROW_SIZE],
+                    float(row[LISTENER_VOLTAGE]),
+                    row[LISTENER_ROW_SIZE:].copy(),
+                    row[LISTENER_SPECIFIC_FORCE:LISTENER_STATE],
+                ),
+            )
 
     def _publish_status_up_to(self, rows: int) -> None:
         """Publish the filter's status up to a row, if not yet published."""
@@ -352,14 +366,14 @@ class CompiledFlight:
                 )
         self._reported_periods = periods
 
-    def _read_at(self, truth: Truth) -> tuple[Readings, Estimate]:
+    def _read_sensors_and_estimate(self, truth: Truth) -> tuple[Readings, Estimate]:
         """Return the latest readings and the estimate."""
         flight, filtered, c = self._flight, self._filter, self._clock
         if filtered is None:
             readings = flight.sensors.read(truth)
             return readings, flight.estimator.update(readings)
         estimate = filtered.read_estimate(
-            truth.time_s, bool(c.is_valid), int(c.filter_periods) - filtered.period_count
+            truth.time_s, bool(c.is_estimate_valid), int(c.filter_periods) - filtered.period_count
         )  # fmt: skip
         return flight.sensors.gather_latest(truth.time_s), estimate
 
@@ -375,7 +389,7 @@ class CompiledFlight:
         flight.current_A = float(c.current_A)
         self._board.read_log()
         software.clear_cached_records()
-        whole = why not in (CONTACT, NOT_FINITE)
+        whole = why not in (STOP_ON_CONTACT, STOP_NOT_FINITE)
         last = int(whole and truth.tick % flight.record_periods == 0)
         if filtered is not None:
             self._call_listener()
@@ -383,7 +397,7 @@ class CompiledFlight:
             self._publish_status_up_to(int(c.status_rows))
         self._record_rows(0, rows - last)
         if filtered is not None or whole:
-            readings, estimate = self._read_at(truth)
+            readings, estimate = self._read_sensors_and_estimate(truth)
         if filtered is not None:
             self._status_rows[0], self._last_statuses = self._status_rows[c.status_rows], filtered.sensor_statuses
         flight.acting_actuators = Actuators(self._acting[1, MOTORS].copy(), self._acting[1, SERVOS].copy())
@@ -406,7 +420,7 @@ class CompiledFlight:
         if stop <= first:
             return
         flight, row = self._flight, self._log_rows[first:stop]
-        state, attitude = row[:, ROW_STATE:ROW_ATT], row[:, ROW_ATT:ROW_WIND]
+        state, attitude = row[:, LOG_STATE:LOG_ATTITUDE], row[:, LOG_ATTITUDE:LOG_WIND]
         measured: dict[str, _Array] = {}
         if flight.records_measurements:
             measured = {
@@ -414,13 +428,21 @@ class CompiledFlight:
                 "measured_attitude": attitude, "measured_rates": state[:, RATES], "range": row[:, LOG_ROW_SIZE:],
             }  # fmt: skip
         truth = Truth(
-            row[:, ROW_TIME], 0, state, attitude, row[:, ROW_WIND:ROW_SUPPLY], *row[:, ROW_SUPPLY:ROW_MOTORS].T,  # type: ignore[arg-type]
+            row[:, LOG_TIME], 0, state, attitude, row[:, LOG_WIND:LOG_SUPPLY], *row[:, LOG_SUPPLY:LOG_MOTOR_INPUTS].T,  # type: ignore[arg-type]
         )  # fmt: skip
-        states = [_STATE_NAMES[k] for k in row[:, ROW_MISSION].astype(int).tolist()]
+        states = [_STATE_NAMES[k] for k in row[:, LOG_MISSION_STATE].astype(int).tolist()]
         append_rows(
-            flight.recorder, truth, measured, Actuators(row[:, ROW_MOTORS:ROW_SERVOS], row[:, ROW_SERVOS:ROW_REF_POS]),
-            (row[:, ROW_REF_POS:ROW_REF_VEL], row[:, ROW_REF_VEL:ROW_REF_ATT], row[:, ROW_REF_ATT:ROW_MISSION]), states,
-        )  # fmt: skip
+            flight.recorder,
+            truth,
+            measured,
+            Actuators(row[:, LOG_MOTOR_INPUTS:LOG_SERVO_INPUTS], row[:, LOG_SERVO_INPUTS:LOG_REF_POSITION]),
+            (
+                row[:, LOG_REF_POSITION:LOG_REF_VELOCITY],
+                row[:, LOG_REF_VELOCITY:LOG_REF_ATTITUDE],
+                row[:, LOG_REF_ATTITUDE:LOG_MISSION_STATE],
+            ),
+            states,
+        )
 
 
 _STATE_NAMES = tuple(str(s) for s in State)
@@ -444,7 +466,7 @@ def _make_software_arrays(software: Any) -> SoftwareArrays:
         np.frombuffer(ffi.buffer(p), dtype=np.uint8) for p in (board.software_record, board.estimate_record)
     )
 
-    def offset(unit: int, *path: str) -> int:
+    def record_offset(unit: int, *path: str) -> int:
         return int(ffi.offsetof(*path)) // unit
 
     s, b = "software_t", "estimate_t"
@@ -462,9 +484,21 @@ def _make_software_arrays(software: Any) -> SoftwareArrays:
     offsets.position_variance, offsets.attitude_variance = (
         offset(8, b, n) for n in ("position_variance", "attitude_variance")
     )
-    offsets.specific_force = offset(8, b, "specific_force")
-    offsets.checks, offsets.check_size = offset(4, b, "checks"), ffi.sizeof("sensor_status_t") // 4
-    offsets.check_status, offsets.check_reason = (offset(4, "sensor_status_t", n) for n in ("status", "why"))
+    offsets.motors, offsets.late_s = record_offset(4, s, "motors"), record_offset(8, s, "since_mission_step_s")
+    offsets.log_count, offsets.finished = (
+        record_offset(4, s, "mission", "logged_count"),
+        record_offset(1, s, "mission", "finished"),
+    )
+    offsets.state = record_offset(4, s, "mission", "state")
+    offsets.position, offsets.velocity = (record_offset(8, s, "reference", "path", n) for n in ("position", "velocity"))
+    offsets.heading, offsets.heading_rate = (record_offset(8, s, "reference", n) for n in ("heading", "heading_rate"))
+    offsets.tilt, offsets.ranges = record_offset(8, s, "tilt"), record_offset(8, b, "ranges")
+    offsets.position_variance, offsets.attitude_variance = (
+        record_offset(8, b, n) for n in ("position_variance", "attitude_variance")
+    )
+    offsets.specific_force = record_offset(8, b, "specific_force")
+    offsets.checks, offsets.check_size = record_offset(4, b, "checks"), ffi.sizeof("sensor_status_t") // 4
+    offsets.check_status, offsets.check_reason = (record_offset(4, "sensor_status_t", n) for n in ("status", "why"))
     records = (
         board.setup_record, board.software_record, board.estimate_record, board.command_record, board.actuators_record,
     )  # fmt: skip

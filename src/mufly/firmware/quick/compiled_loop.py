@@ -51,13 +51,13 @@ MAX_PERIODS_PER_CALL = 1024
 
 # Codes of the stages: reasons for the return to Python
 (
-    SAMPLE_SENSORS,
-    UPDATE_STATUS,
-    LOG_OR_MODE_CHANGED,
-    CONTACT,
-    NOT_FINITE,
-    ESTIMATE_VALID,
-    CALL_LISTENER,
+    STOP_TO_SAMPLE_SENSORS,
+    STOP_TO_UPDATE_STATUS,
+    STOP_LOG_OR_MODE_CHANGED,
+    STOP_ON_CONTACT,
+    STOP_NOT_FINITE,
+    STOP_ESTIMATE_VALID,
+    STOP_TO_CALL_LISTENER,
 ) = range(FIRST_FREE_CODE, FIRST_FREE_CODE + 7)
 
 
@@ -71,15 +71,15 @@ class LoopClock:
     contact_interval: int = int_or_array_field("periods between two checks of contacts")
     record_interval: int = int_or_array_field("periods between two rows of the recording")
     ring_interval: int = int_or_array_field("periods between two readings of an ideal ring")
-    listen_interval: int = int_or_array_field("periods between two calls of the listener; 0: no listener")
+    listener_interval: int = int_or_array_field("periods between two calls of the listener; 0: no listener")
     wind_samples: int = int_or_array_field("samples of the wind used")
     plant_steps: int = int_or_array_field("Runge-Kutta steps of a period")
     beam_count: int = int_or_array_field("beams of the ring in the flight software")
     is_armed: int = int_or_array_field("1: armed")
-    is_valid: int = int_or_array_field("1: the estimate is valid")
+    is_estimate_valid: int = int_or_array_field("1: the estimate is valid")
     stop_when_valid: int = int_or_array_field("1: the call ends when the estimate becomes valid")
-    is_untroubled: int = int_or_array_field("1: no sensor is suspected and none was reported")
-    is_changed: int = int_or_array_field("1: log or motors changed in this period")
+    has_no_sensor_fault: int = int_or_array_field("1: no sensor is suspected and none was reported")
+    log_or_motors_changed: int = int_or_array_field("1: log or motors changed in this period")
     periods_run: int = int_or_array_field("periods of the flight software")
     filter_periods: int = int_or_array_field("periods of the filter")
     last_due_tick: int = int_or_array_field("last period in which the mission's logic was due; -1: none")
@@ -88,10 +88,10 @@ class LoopClock:
     listener_rows: int = int_or_array_field("rows for the listener written")
     rate_Hz: float = real_or_array_field("rate of the flight software", unit="Hz")
     step_s: float = real_or_array_field("step of the integration", unit="s")
-    contact_radius: float = real_or_array_field("radius of a rotor", unit="m")
+    rotor_radius: float = real_or_array_field("radius of a rotor", unit="m")
     hover_current_A: float = real_or_array_field("current in hover", unit="A")
     current_A: float = real_or_array_field("mean current", unit="A")
-    current_share: float = real_or_array_field("share of a new value in the mean current")
+    current_filter_weight: float = real_or_array_field("share of a new value in the mean current")
     next_python_sample_s: float = real_or_array_field("next sample of the sensors that Python samples", unit="s")
     next_sample_s: float = real_or_array_field("next sample of the other sensors", unit="s")
 
@@ -136,7 +136,7 @@ class PlantArrays(NamedTuple):
     attitude: _Array
     supply: _Array  # voltage (V) and current (A) of the battery
     wind: _Array  # (n, 3), of the coming periods (m/s)
-    acting: _Array  # (3, 4): inputs of the last period, of this period, and sent last
+    acting_inputs: _Array  # (3, 4): inputs of the last period, of this period, and sent last
     leg_count: int
     has_obstacles: bool
     boxes: _Array
@@ -181,8 +181,8 @@ class SensorArrays(NamedTuple):
     """Sensors with errors: arguments of :func:`sample_imu` and :func:`sample_all`."""
 
     imu: tuple[Any, ...]
-    quiet_until: _Array
-    has_come: NDArray[np.uint8]
+    next_sample_times: _Array
+    has_new_reading: NDArray[np.uint8]
     rows: _Array
     parts: tuple[Any, ...]
 
@@ -215,12 +215,18 @@ class FittedPeriods(NamedTuple):
 
 Periods = IdealPeriods | FittedPeriods
 
-_MOTORS_OFF, _MOTORS_FLY = 0, 2
+_MOTORS_OFF, _MOTORS_FLYING = 0, 2
 _IMU_OUTPUT = 4  # place in the arguments of sample_imu after the time
 # First columns of a log row: time, state, attitude, wind, battery, active actuators, reference, mission state; the
 # ranges follow
-ROW_TIME, ROW_STATE, ROW_ATT, ROW_WIND, ROW_SUPPLY, ROW_MOTORS, ROW_SERVOS = 0, 1, 22, 25, 28, 30, 32
-ROW_REF_POS, ROW_REF_VEL, ROW_REF_ATT, ROW_MISSION, LOG_ROW_SIZE = 34, 37, 40, 43, 44
+LOG_TIME, LOG_STATE, LOG_ATTITUDE, LOG_WIND, LOG_SUPPLY, LOG_MOTOR_INPUTS, LOG_SERVO_INPUTS = 0, 1, 22, 25, 28, 30, 32
+LOG_REF_POSITION, LOG_REF_VELOCITY, LOG_REF_ATTITUDE, LOG_MISSION_STATE, LOG_ROW_SIZE = (
+    34,
+    37,
+    40,
+    43,
+    44,
+)
 # Offsets in the C record of motion (controllers.h)
 _MOTION_POS, _MOTION_VEL, _MOTION_ATT, _MOTION_RATES, _MOTION_VOLTAGE = 0, 3, 6, 9, 12
 _ACCEL_START, _RATES_START, _VOLTAGE_START = (
@@ -230,8 +236,8 @@ _ACCEL_START, _RATES_START, _VOLTAGE_START = (
 )
 # Status row (:data:`mufly.estimate.kalman_estimator.PUBLISHED_FIELDS`): covariance (9, 9), standard deviations, seven
 # numbers of each sensor, the faulty component of the position fix, and the period
-SIGMA_START = ERROR_GYRO_BIAS**2
-SENSOR_STATUS_START = SIGMA_START + ERROR_STATE_COUNT
+STATUS_SIGMA_START = ERROR_GYRO_BIAS**2
+SENSOR_STATUS_START = STATUS_SIGMA_START + ERROR_STATE_COUNT
 (
     _CHECK_STATUS,
     _CHECK_REASON,
@@ -239,7 +245,7 @@ SENSOR_STATUS_START = SIGMA_START + ERROR_STATE_COUNT
     _CHECK_INNOVATION,
     _CHECK_INNOVATION_SIGMA,
     _CHECK_FUSED,
-    _CHECK_CAME,
+    _CHECK_LAST_NEW_TICK,
     SENSOR_STATUS_SIZE,
 ) = range(8)
 STATUS_FAULT_COMPONENT = SENSOR_STATUS_START + SENSOR_STATUS_SIZE * SENSOR_COUNT
@@ -247,7 +253,16 @@ STATUS_TICK = STATUS_FAULT_COMPONENT + 1
 STATUS_ROW_SIZE = STATUS_TICK + 1
 # Listener row: period, validity, battery (V), index of the status row; wind, supply, accelerometer reading, state,
 # attitude, nominal state, rates, angles; the ranges follow
-HEARD_TICK, HEARD_VALID, HEARD_VOLTS, HEARD_TOLD, HEARD_WIND, HEARD_SUPPLY, HEARD_FORCE, HEARD_STATE = (
+(
+    LISTENER_TICK,
+    LISTENER_VALID,
+    LISTENER_VOLTAGE,
+    LISTENER_STATUS_ROW,
+    LISTENER_WIND,
+    LISTENER_SUPPLY,
+    LISTENER_SPECIFIC_FORCE,
+    LISTENER_STATE,
+) = (
     0,
     1,
     2,
@@ -257,11 +272,11 @@ HEARD_TICK, HEARD_VALID, HEARD_VOLTS, HEARD_TOLD, HEARD_WIND, HEARD_SUPPLY, HEAR
     9,
     12,
 )
-HEARD_ATT = HEARD_STATE + STATE_SIZE
-HEARD_OUT = HEARD_ATT + 3
-HEARD_RATES = HEARD_OUT + STATE_COUNT
-HEARD_ANGLES = HEARD_RATES + 3
-LISTENER_ROW_SIZE = HEARD_ANGLES + 3
+LISTENER_ATTITUDE = LISTENER_STATE + STATE_SIZE
+LISTENER_FILTER_STATE = LISTENER_ATTITUDE + 3
+LISTENER_RATES = LISTENER_FILTER_STATE + STATE_COUNT
+LISTENER_ANGLES = LISTENER_RATES + 3
+LISTENER_ROW_SIZE = LISTENER_ANGLES + 3
 
 
 @cached_njit(error_model="numpy")
@@ -285,17 +300,17 @@ def _has_ended(p: Periods) -> bool:
 
 
 @cached_njit(error_model="numpy")
-def _is_heard(p: Periods) -> bool:
+def _is_listener_due(p: Periods) -> bool:
     c = p.clock
-    return c.listen_interval > 0 and c.tick % c.listen_interval == 0 and c.tick != c.start_tick
+    return c.listener_interval > 0 and c.tick % c.listener_interval == 0 and c.tick != c.start_tick
 
 
 @cached_njit(error_model="numpy")
 def _begin_ideal_period(p: IdealPeriods) -> int:
     if _has_ended(p):
         return LOOP_DONE
-    if _is_heard(p):
-        return CALL_LISTENER
+    if _is_listener_due(p):
+        return STOP_TO_CALL_LISTENER
     return CONTINUE
 
 
@@ -303,13 +318,13 @@ def _begin_ideal_period(p: IdealPeriods) -> int:
 def _begin_fitted_period(p: FittedPeriods) -> int:
     if _has_ended(p):
         return LOOP_DONE
-    if _is_heard(p):
+    if _is_listener_due(p):
         c, f = p.clock, p.filter
         row = p.listener_rows[c.listener_rows]
         c.listener_rows += 1
-        row[HEARD_TICK], row[HEARD_VALID] = c.tick, c.is_valid
-        row[HEARD_VOLTS], row[HEARD_TOLD] = f.values[_VOLTAGE_START], c.status_rows
-        n = _copy_to_row(row, HEARD_WIND, p.plant.wind[c.wind_samples - 1])
+        row[LISTENER_TICK], row[LISTENER_VALID] = c.tick, c.is_estimate_valid
+        row[LISTENER_VOLTAGE], row[LISTENER_STATUS_ROW] = f.values[_VOLTAGE_START], c.status_rows
+        n = _copy_to_row(row, LISTENER_WIND, p.plant.wind[c.wind_samples - 1])
         n = _copy_to_row(row, _copy_to_row(row, n, p.plant.supply), f.values[_ACCEL_START : _ACCEL_START + 3])
         n = _copy_to_row(row, _copy_to_row(row, n, p.plant.state), p.plant.attitude)
         n = _copy_to_row(row, _copy_to_row(row, _copy_to_row(row, n, f.state), f.rates), f.angles)
@@ -320,14 +335,14 @@ def _begin_fitted_period(p: FittedPeriods) -> int:
 @cached_njit(error_model="numpy")
 def advance_plant(p: Periods) -> int:
     c, q = p.clock, p.plant
-    acting = q.acting
-    advance_period(q.state, acting[1], q.wind[c.wind_samples], q.parameters, c.step_s, c.plant_steps, q.supply)
+    acting_inputs = q.acting_inputs
+    advance_period(q.state, acting_inputs[1], q.wind[c.wind_samples], q.parameters, c.step_s, c.plant_steps, q.supply)
     c.wind_samples += 1
     c.tick += 1
     for k in range(4):
-        acting[0, k], acting[1, k] = acting[1, k], acting[2, k]
+        acting_inputs[0, k], acting_inputs[1, k] = acting_inputs[1, k], acting_inputs[2, k]
     if not math.isfinite(q.state[MODEL_POSITION + 2]):
-        return NOT_FINITE
+        return STOP_NOT_FINITE
     return CONTINUE
 
 
@@ -336,12 +351,12 @@ def _check_contact(p: Periods) -> int:
     c, q = p.clock, p.plant
     if c.tick % c.contact_interval == 0:
         if find_collision(
-            q.state, q.parameters, q.leg_count, c.contact_radius, q.has_obstacles, q.boxes, q.cylinders, q.limits
+            q.state, q.parameters, q.leg_count, c.rotor_radius, q.has_obstacles, q.boxes, q.cylinders, q.limits
         ):
-            return CONTACT
-        flies = p.software.ints[p.software.offsets.motors] == _MOTORS_FLY
+            return STOP_ON_CONTACT
+        flies = p.software.ints[p.software.offsets.motors] == _MOTORS_FLYING
         drawn = q.supply[1] if flies else c.hover_current_A
-        c.current_A += c.current_share * (drawn - c.current_A)
+        c.current_A += c.current_filter_weight * (drawn - c.current_A)
     return CONTINUE
 
 
@@ -363,7 +378,7 @@ def _measure_truth(p: IdealPeriods) -> int:
 
 
 @cached_njit(error_model="numpy")
-def _fill_readings(t: float, has_come: NDArray[np.uint8], rows: _Array, f: FilterArrays, ranges: _Array) -> bool:
+def _fill_readings(t: float, has_new_reading: NDArray[np.uint8], rows: _Array, f: FilterArrays, ranges: _Array) -> bool:
     """Copy readings into the filter's row, as :meth:`KalmanEstimator.fill_readings` does.
 
     Return whether the range ring has a new reading.
@@ -371,7 +386,7 @@ def _fill_readings(t: float, has_come: NDArray[np.uint8], rows: _Array, f: Filte
     is_ring = False
     for k in range(len(SAMPLED_READING_INDICES)):
         r = SAMPLED_READING_INDICES[k]
-        if has_come[k] == 0 or r < 0 or f.is_fitted[r] == 0 or rows[k, ROW_MEASURED_TIME] == f.reading_times[r]:
+        if has_new_reading[k] == 0 or r < 0 or f.is_fitted[r] == 0 or rows[k, ROW_MEASURED_TIME] == f.reading_times[r]:
             continue
         row = rows[k]
         f.reading_times[r] = row[ROW_MEASURED_TIME]
@@ -396,7 +411,7 @@ def sample_sensors(p: FittedPeriods) -> int:
     for k in range(f.is_new.size):
         f.is_new[k] = 0
     for k in range(4):
-        f.values[ACTUATOR_START + k] = q.acting[0, k]
+        f.values[ACTUATOR_START + k] = q.acting_inputs[0, k]
     sample_imu(q.state, t, *s.imu)
     read = s.imu[_IMU_OUTPUT]
     for k in range(3):
@@ -406,11 +421,13 @@ def sample_sensors(p: FittedPeriods) -> int:
     f.age[READING_ACCELERATION] = f.age[READING_RATES] = 0.0
     f.reading_times[READING_ACCELERATION] = f.reading_times[READING_RATES] = t
     if t >= c.next_sample_s:
-        c.next_sample_s = sample_all(t, q.state, q.attitude, q.supply, s.quiet_until, s.has_come, s.rows, s.parts)
-        if _fill_readings(t, s.has_come, s.rows, f, p.ranges):
+        c.next_sample_s = sample_all(
+            t, q.state, q.attitude, q.supply, s.next_sample_times, s.has_new_reading, s.rows, s.parts
+        )
+        if _fill_readings(t, s.has_new_reading, s.rows, f, p.ranges):
             _publish_ranges(p)
     if t >= c.next_python_sample_s:
-        return SAMPLE_SENSORS
+        return STOP_TO_SAMPLE_SENSORS
     return CONTINUE
 
 
@@ -443,15 +460,15 @@ def _step_filter(p: FittedPeriods) -> int:
     volts = f.values[_VOLTAGE_START]
     b[at.motion + _MOTION_VOLTAGE] = volts if volts != 0.0 else math.nan
     p.software.estimate_bytes[at.valid] = valid
-    c.is_valid = valid
+    c.is_estimate_valid = valid
     c.filter_periods += 1
     if c.filter_periods % COVARIANCE_INTERVAL_TICKS == 0:
         n = c.status_rows
         c.status_rows += 1
         if not _write_filter_status(
-            f, c.is_untroubled, p.status_rows[n], p.status_rows[n + 1], p.software.estimate_ints, at
+            f, c.has_no_sensor_fault, p.status_rows[n], p.status_rows[n + 1], p.software.estimate_ints, at
         ):
-            return UPDATE_STATUS
+            return STOP_TO_UPDATE_STATUS
         covariance = f.status[0]
         for k in range(3):
             b[at.position_variance + k] = covariance[k, k]
@@ -473,7 +490,7 @@ def _write_filter_status(
         for k in range(ERROR_GYRO_BIAS):
             row[ERROR_GYRO_BIAS * j + k] = covariance[j, k]
     for k in range(ERROR_STATE_COUNT):
-        row[SIGMA_START + k] = sigma[k]
+        row[STATUS_SIGMA_START + k] = sigma[k]
     row[STATUS_FAULT_COMPONENT], row[STATUS_TICK] = component[0], tick[0]
     same = True
     for k in range(SENSOR_COUNT):
@@ -485,7 +502,7 @@ def _write_filter_status(
             number[k],
             innovation[k],
         )
-        of[_CHECK_INNOVATION_SIGMA], of[_CHECK_FUSED], of[_CHECK_CAME] = spread[k], used[k], came[k]
+        of[_CHECK_INNOVATION_SIGMA], of[_CHECK_FUSED], of[_CHECK_LAST_NEW_TICK] = spread[k], used[k], came[k]
         if f.is_fitted[k] == 0:
             continue
         text = f.texts[why[k]]
@@ -514,33 +531,33 @@ def _step_software(p: Periods) -> int:
     call_c_function(s.addresses[0], s.addresses[1:])
     runs = c.is_armed > 0 or s.ints[at.motors] == _MOTORS_OFF
     for k in range(4):
-        p.plant.acting[2, k] = s.actuators[k] if runs else 0.0
+        p.plant.acting_inputs[2, k] = s.actuators[k] if runs else 0.0
     if s.reals[at.late_s] == 0.0:
         c.last_due_tick = c.tick
     c.periods_run += 1
     changed = s.ints[at.log_count] != logged or s.ints[at.motors] != motors or s.bytes[at.finished] != finished
-    c.is_changed = 1 if changed else 0
+    c.log_or_motors_changed = 1 if changed else 0
     return CONTINUE
 
 
 @cached_njit(error_model="numpy")
-def _write_row(p: Periods) -> int:
+def _write_log_row(p: Periods) -> int:
     c, q, s = p.clock, p.plant, p.software
     if c.tick % c.record_interval == 0:
         at = s.offsets
         row, late = p.log[c.log_rows], s.reals[at.late_s]
         c.log_rows += 1
-        row[ROW_TIME] = c.tick / c.rate_Hz
-        n = _copy_to_row(row, _copy_to_row(row, ROW_STATE, q.state), q.attitude)
+        row[LOG_TIME] = c.tick / c.rate_Hz
+        n = _copy_to_row(row, _copy_to_row(row, LOG_STATE, q.state), q.attitude)
         n = _copy_to_row(row, _copy_to_row(row, n, q.wind[c.wind_samples - 1]), q.supply)
-        _copy_to_row(row, n, q.acting[1])
+        _copy_to_row(row, n, q.acting_inputs[1])
         for k in range(3):
             way = s.reals[at.velocity + k]
-            row[ROW_REF_POS + k] = s.reals[at.position + k] + late * way
-            row[ROW_REF_VEL + k] = way
-        row[ROW_REF_ATT], row[ROW_REF_ATT + 1] = s.reals[at.tilt], s.reals[at.tilt + 1]
-        row[ROW_REF_ATT + 2] = s.reals[at.heading] + late * s.reals[at.heading_rate]
-        row[ROW_MISSION] = s.ints[at.state]
+            row[LOG_REF_POSITION + k] = s.reals[at.position + k] + late * way
+            row[LOG_REF_VELOCITY + k] = way
+        row[LOG_REF_ATTITUDE], row[LOG_REF_ATTITUDE + 1] = s.reals[at.tilt], s.reals[at.tilt + 1]
+        row[LOG_REF_ATTITUDE + 2] = s.reals[at.heading] + late * s.reals[at.heading_rate]
+        row[LOG_MISSION_STATE] = s.ints[at.state]
         _copy_to_row(row, LOG_ROW_SIZE, p.ranges)
     return CONTINUE
 
@@ -548,16 +565,16 @@ def _write_row(p: Periods) -> int:
 @cached_njit(error_model="numpy")
 def _end_period(p: Periods) -> int:
     c = p.clock
-    if c.is_changed != 0:
-        return LOG_OR_MODE_CHANGED
-    if c.stop_when_valid > 0 and c.is_valid > 0:
-        return ESTIMATE_VALID
+    if c.log_or_motors_changed != 0:
+        return STOP_LOG_OR_MODE_CHANGED
+    if c.stop_when_valid > 0 and c.is_estimate_valid > 0:
+        return STOP_ESTIMATE_VALID
     return CONTINUE
 
 
 def _compile_stepper(begin: Any, measure: Any, estimate: Any) -> Any:
     stepper = make_stepper(
-        begin, advance_plant, _check_contact, measure, estimate, _step_software, _write_row, _end_period
+        begin, advance_plant, _check_contact, measure, estimate, _step_software, _write_log_row, _end_period
     )
     return cached_njit(stepper, inline="always", error_model="numpy")
 
