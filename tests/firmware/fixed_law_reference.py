@@ -135,7 +135,7 @@ class FixedPointControllers(Controllers):
         design = self._gains_table["heave_yaw"]["design_voltage"]
         return 16 * _clip_value(voltage, design // 2, design + design // 2)
 
-    def engage(self, estimate: Estimate, motor_input: _Array) -> None:
+    def engage_heave_yaw(self, estimate: Estimate, motor_input: _Array) -> None:
         h, (_, z), (_, psi), r, volts = self._gains_table["heave_yaw"], *_measure_heave_yaw(estimate)
         self._voltage = self._limit_voltage(volts)
         w = [0, 0, 0, 0, _clip_symmetric(-r[2], h["limit"][-1])]
@@ -147,7 +147,7 @@ class FixedPointControllers(Controllers):
         self._origin = [z, psi]
         self._filtered_references = {"height": [z * FIXED_POINT_ONE, 0], "heading": [psi * FIXED_POINT_ONE, 0]}
 
-    def lift_off(self, estimate: Estimate) -> None:
+    def engage_roll_pitch(self, estimate: Estimate) -> None:
         limits = self._gains_table["roll_pitch"]["limit"]
         measured = _measure_roll_pitch(estimate)
         self._initialise_state(
@@ -214,7 +214,9 @@ class FixedPointControllers(Controllers):
         self._update_state("roll_pitch", w)
         return servos
 
-    def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
+    def compute_tilt_command(
+        self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
+    ) -> _Array:
         g = self._gains_table["position"]
         here, speed = to_signals(estimate.position), to_signals(estimate.velocity)
         to, going, pushed = to_signals(position), to_signals(velocity), to_signals(acceleration)
@@ -236,8 +238,9 @@ class FixedPointControllers(Controllers):
         w += [self._saturate_int32(_round_shift(v - u, 4)) for v, u in zip(given, asked, strict=True)]
         sine, cosine = sine_cosine_fixed(to_signal(estimate.attitude[2]))
         tilt = (
-            _round_shift(cosine * given[0] + sine * given[1], 30), _round_shift(cosine * given[1] - sine * given[0], 30)
-        )  # fmt: skip
+            _round_shift(cosine * given[0] + sine * given[1], 30),
+            _round_shift(cosine * given[1] - sine * given[0], 30),
+        )
         self._update_state("position", w)
         return np.array(tilt) / FIXED_POINT_ONE
 

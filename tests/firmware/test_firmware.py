@@ -64,16 +64,16 @@ def _fly_both(one: Controllers, other: Controllers, seed: int, periods: int, siz
     rng = np.random.default_rng(seed)
     start, motors = _estimate(rng, size), rng.uniform(0.0, 1.0, 2)
     for c in (one, other):
-        c.engage(start, motors)
+        c.engage_heave_yaw(start, motors)
     for k in range(periods):
         now, wanted = _estimate(rng, size), rng.normal(0.0, size, 4)
         flying = k >= 20
         if k == 20 or k == periods // 2:
             for c in (one, other):
-                c.lift_off(now)
+                c.engage_roll_pitch(now)
         if flying and k % 4 == 0:
             path = rng.normal(0.0, size, (3, 3))
-            tilts = [c.tilt_for(now, *path) for c in (one, other)]
+            tilts = [c.compute_tilt_command(now, *path) for c in (one, other)]
             yield tilts
             tilt = tilts[0]
         yield [c.step(now, wanted, tilt if flying else None).input_array for c in (one, other)]

@@ -26,7 +26,7 @@ from mufly.firmware.compiled_software import diff_fields
 from mufly.firmware.export.source_export import ONBOARD_SOURCES, find_sources
 from mufly.firmware.software_instance import SoftwareInstance, read_course, read_point
 from mufly.flight.flight_software import FlightSoftware, descent_voltage_share
-from mufly.flight.oscillation_detector import INPUT_NAMES, OscillationDetector
+from mufly.flight.oscillation_detector import ACTUATOR_INPUT_NAMES, OscillationDetector
 from mufly.mission import (
     Command,
     LogMessage,
@@ -249,13 +249,13 @@ def test_of_inputs_that_oscillate_at_once_both_name_the_one_that_lasts_longest(f
         lib.oscillation_detector_step(theirs, t, inputs, ffi.NULL, found)
         assert found.is_present == (one is not None)
         if one is not None:
-            assert (INPUT_NAMES[found.input_name], found.duration_s, found.amplitude) == (
+            assert (ACTUATOR_INPUT_NAMES[found.input_name], found.duration_s, found.amplitude) == (
                 one.input_name,
                 one.duration_s,
                 one.amplitude,
             )
             named.add(one.input_name)
-    assert named == set(INPUT_NAMES[:2])
+    assert named == set(ACTUATOR_INPUT_NAMES[:2])
 
 
 # What may be asked

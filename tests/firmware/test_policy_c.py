@@ -218,12 +218,12 @@ def test_policy_acts_every_fourth_period_and_hands_over_to_a_pilot(design) -> No
     controllers, zero = PolicyControllers(design, make_policy()), np.zeros(3)
     now = Estimate(0.0, np.array([0.0, 0.0, -1.0]), zero, zero, zero, np.zeros(8), 7.4)
     heave_yaw = np.array([-1.0, 0.0, 0.0, 0.0])
-    controllers.engage(now, np.array([0.6, 0.7]))
-    controllers.lift_off(now)
+    controllers.engage_heave_yaw(now, np.array([0.6, 0.7]))
+    controllers.engage_roll_pitch(now)
     given = []
     for k in range(8):
         if k % 4 == 0:
-            tilt = controllers.tilt_for(now, np.array([0.3, 0.0, -1.0]), zero, zero)
+            tilt = controllers.compute_tilt_command(now, np.array([0.3, 0.0, -1.0]), zero, zero)
         given.append(controllers.step(now, heave_yaw, tilt).input_array.tolist())
     assert given[0] == given[3] != given[4] == given[7]
     pilot = controllers.step(now, heave_yaw, np.zeros(2))

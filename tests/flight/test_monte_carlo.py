@@ -30,9 +30,9 @@ from mufly.flight.monte_carlo import (
     results_dataset,
     run_campaign,
     search_worst_case,
+    sort_by_severity,
     summarise_outcome,
     wilson_interval,
-    worst_first,
 )
 from mufly.flight.monte_carlo.worker_pool import StopCheck, _end_with_parent
 from mufly.mission import Mission, parse_mission
@@ -387,7 +387,7 @@ def test_the_search_finds_the_worst_corner_and_goes_on(tmp_path: Path, campaign:
     heavier = replace(campaign, variations=parse_variations(["m=85:115g"], vehicle))
     crew = Pretended(1)
     whole = search_worst_case(heavier, 90, crew=crew)
-    worst = worst_first(whole, 0.3)[0]
+    worst = sort_by_severity(whole, 0.3)[0]
     assert worst.values["body.mass"] > 0.114
     assert worst.wind is not None
     np.testing.assert_allclose(worst.wind[:2], (-0.1414, 0.1414), atol=0.02)

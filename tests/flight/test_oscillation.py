@@ -10,7 +10,7 @@ import pytest
 from mufly.control import FlightController, design_flight_controller
 from mufly.estimate import IdealEstimator
 from mufly.flight import fly_mission, read_events, summarise_flight, summary_rows
-from mufly.flight.oscillation_detector import INPUT_NAMES, OscillationDetector, steering_demands
+from mufly.flight.oscillation_detector import ACTUATOR_INPUT_NAMES, OscillationDetector, steering_demands
 from mufly.mission import parse_mission
 from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
@@ -46,7 +46,7 @@ def test_a_steady_swing_is_found_with_its_size_and_frequency(which: int, hertz: 
     first = next(k for k, one in enumerate(found) if one) / 50.0
     assert max(4.0 / hertz, 2.0) <= first <= max(4.0 / hertz, 2.0) + 2.0 / hertz
     last = found[-1]
-    assert last.input_name == INPUT_NAMES[which]
+    assert last.input_name == ACTUATOR_INPUT_NAMES[which]
     assert last.amplitude == pytest.approx(2 * size, rel=0.05)
     assert last.frequency_Hz == pytest.approx(hertz, rel=0.1)
     assert last.start_s + last.duration_s <= 16.0
@@ -81,7 +81,7 @@ def test_of_several_that_which_lasts_longest_is_told(order: int) -> None:
         inputs[late] += (0.4 if late == 1 else 0.8) * math.sin(math.tau * t) * (t > 4.0)
         found = watch.step(t, inputs)
         if t > 10.0:
-            assert found.input_name == INPUT_NAMES[early]
+            assert found.input_name == ACTUATOR_INPUT_NAMES[early]
             assert found.duration_s == pytest.approx(t - found.start_s, abs=1.0)
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from mufly import cli
 from mufly.flight.policy import LearnedPolicy, PolicyControlLaw, PolicyLayer, save_policy
-from mufly.flight.policy.observation import OBS_ERROR, OBS_HEADING, OBS_RATES, OBS_SUPPLY, OBS_VEL
+from mufly.flight.policy.observation import OBS_HEADING, OBS_POSITION_ERROR, OBS_RATES, OBS_SUPPLY_VOLTAGE, OBS_VELOCITY
 
 HOP = """
 [take_off]
@@ -29,10 +29,10 @@ wait_s = 0.2
 def proportional_policy() -> LearnedPolicy:
     """A network of one linear layer: proportional and derivative control, with the battery's voltage made up for."""
     gain = np.zeros((4, 20))
-    gain[0, OBS_ERROR + 2], gain[0, OBS_VEL + 2], gain[0, OBS_SUPPLY] = -1.5, 1.5, -2.4
+    gain[0, OBS_POSITION_ERROR + 2], gain[0, OBS_VELOCITY + 2], gain[0, OBS_SUPPLY_VOLTAGE] = -1.5, 1.5, -2.4
     gain[1, OBS_HEADING], gain[1, OBS_RATES + 2] = 1.0, -0.5
     for i in range(2):
-        gain[2 + i, OBS_ERROR + i], gain[2 + i, OBS_VEL + i] = 0.5, -0.7
+        gain[2 + i, OBS_POSITION_ERROR + i], gain[2 + i, OBS_VELOCITY + i] = 0.5, -0.7
     return LearnedPolicy(
         "hover", "mufly-1.1", 0.02, np.array([0.678, 0.745, 0.0, 0.0]), 7.2, np.zeros(20), np.ones(20), 50.0,
         (PolicyLayer(gain, np.array([-0.033, 0.0, 0.0, 0.0]), "linear"),),

@@ -34,7 +34,7 @@ def logs(hop):
 def test_listening_leaves_the_flight_as_it_was(hop, logs) -> None:
     alone = fly_mission("mufly-1.1", hop, seed=2, gust=0.1)
     true = np.array(logs["rotor_speed"].true)
-    taken = np.array(logs["rotor_speed"].taken_s)
+    taken = np.array(logs["rotor_speed"].measured_s)
     flown = alone["truth_rotor_speed"].sel(time=taken[10:100], method="nearest", tolerance=1e-6)
     np.testing.assert_array_equal(flown.values, true[10:100])
 
@@ -59,7 +59,7 @@ def test_everything_is_drawn_and_written(logs, tmp_path) -> None:
     files = write_sensor_logs(logs, tmp_path)
     assert {f.stem for f in files} == set(logs)
     table = np.genfromtxt(tmp_path / "rates.csv", delimiter=",", skip_header=2)
-    assert table.shape == (len(logs["rates"].came_s), 9)
+    assert table.shape == (len(logs["rates"].arrival_s), 9)
     figure = draw_sensors(logs)
     assert len(figure.axes) == len(logs)
     assert all("(" in ax.get_ylabel() for ax in figure.axes if ax.get_ylabel() != "clipping")

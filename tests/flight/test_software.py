@@ -159,7 +159,7 @@ def test_between_steps_of_the_mission_the_reference_moves_on(
     bench: Bench, controller: FlightController, monkeypatch
 ) -> None:
     followed, shown, cascade = [], [], []
-    step, tilt_for = Controllers.step, Controllers.tilt_for
+    step, compute_tilt_command = Controllers.step, Controllers.compute_tilt_command
 
     def spy(self, measured, heave_yaw, tilt):
         followed.append(heave_yaw)
@@ -167,10 +167,10 @@ def test_between_steps_of_the_mission_the_reference_moves_on(
 
     def count(self, *arguments):
         cascade.append(len(followed))
-        return tilt_for(self, *arguments)
+        return compute_tilt_command(self, *arguments)
 
     monkeypatch.setattr(Controllers, "step", spy)
-    monkeypatch.setattr(Controllers, "tilt_for", count)
+    monkeypatch.setattr(Controllers, "compute_tilt_command", count)
     assert not bench.software.flying
     bench.run(0.02, START)
     bench.run(4.9, until=lambda: shown.append(bench.software.reference) and False)

@@ -160,9 +160,9 @@ def test_a_told_parameter_changes_the_software(campaign: Campaign, nominal: tupl
     told = replace(campaign, redesign=True, controller=None)
     flight = Flight(**told.flight_options(varied_case(key)))
     assert software_record(flight) != nominal[0]
-    assert key in told.told_keys
+    assert key in told.keys_known_on_board
     # The mounting is no parameter of any filter.
-    assert told.untold_keys == [f"sensors.imu.mount_{axis}" for axis in ("pitch", "roll", "yaw")]
+    assert told.keys_unknown_on_board == [f"sensors.imu.mount_{axis}" for axis in ("pitch", "roll", "yaw")]
 
 
 def test_the_campaign_says_what_is_untold(campaign: Campaign) -> None:

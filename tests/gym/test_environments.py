@@ -14,13 +14,13 @@ import mufly.gym  # noqa: E402
 from mufly.dynamics import find_trim, initial_state  # noqa: E402
 from mufly.errors import ArgumentError, MuflyError  # noqa: E402
 from mufly.flight.policy.observation import (  # noqa: E402
-    OBS_DOWN,
-    OBS_ERROR,
-    OBS_EXTRA,
+    OBS_DOWN_DIRECTION,
     OBS_HEADING,
     OBS_HEIGHT,
+    OBS_POSITION_ERROR,
     OBS_RATES,
-    OBS_VEL,
+    OBS_TASK_INPUTS,
+    OBS_VELOCITY,
     map_action,
 )
 from mufly.gym.vector_env import MuflyEnv, MuflyVectorEnv  # noqa: E402
@@ -135,20 +135,25 @@ def test_action_of_zero_holds_the_nominal_vehicle_and_observation_has_the_true_s
     env, zero = placed("hover", position=(0.2, -0.1, -1.3), attitude=(0, 0, 0.5))
     seen = env.step(zero)[0]
     c, s = math.cos(0.5), math.sin(0.5)
-    assert seen[OBS_ERROR : OBS_ERROR + 3] == pytest.approx([-0.2 * c + 0.1 * s, 0.1 * c + 0.2 * s, 0.3], abs=2e-3)
-    assert seen[OBS_VEL : OBS_VEL + 3] == pytest.approx(np.zeros(3), abs=0.03)
-    assert seen[OBS_DOWN : OBS_DOWN + 3] == pytest.approx([0, 0, 1], abs=1e-2)
+    assert seen[OBS_POSITION_ERROR : OBS_POSITION_ERROR + 3] == pytest.approx(
+        [-0.2 * c + 0.1 * s, 0.1 * c + 0.2 * s, 0.3], abs=2e-3
+    )
+    assert seen[OBS_VELOCITY : OBS_VELOCITY + 3] == pytest.approx(np.zeros(3), abs=0.03)
+    assert seen[OBS_DOWN_DIRECTION : OBS_DOWN_DIRECTION + 3] == pytest.approx([0, 0, 1], abs=1e-2)
     assert seen[OBS_RATES : OBS_RATES + 3] == pytest.approx(np.zeros(3), abs=0.1)
     assert seen[OBS_HEADING : OBS_HEADING + 2] == pytest.approx([-s, c], abs=2e-3)
     assert seen[OBS_HEIGHT] == pytest.approx(1.3, abs=2e-3)
 
 
-@pytest.mark.parametrize(("action", "place", "sign"), [
-    ([1, 0, 0, 0], OBS_VEL + 2, -1),  # collective: climbs
-    ([0, 1, 0, 0], OBS_RATES + 2, 1),  # turns to the right
-    ([0, 0, 1, 0], OBS_VEL, 1),  # forward
-    ([0, 0, 0, 1], OBS_VEL + 1, 1),  # right
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("action", "place", "sign"),
+    [
+        ([1, 0, 0, 0], OBS_VELOCITY + 2, -1),  # collective: climbs
+        ([0, 1, 0, 0], OBS_RATES + 2, 1),  # turns to the right
+        ([0, 0, 1, 0], OBS_VELOCITY, 1),  # forward
+        ([0, 0, 0, 1], OBS_VELOCITY + 1, 1),  # right
+    ],
+)
 def test_actions_move_the_vehicle_as_named(action: list[float], place: int, sign: int) -> None:
     env, _ = placed("hover", position=(0, 0, -1))
     for _ in range(15):
@@ -186,7 +191,7 @@ def test_a_waypoint_is_followed_by_the_observed_next_one() -> None:
     assert not terminated
     assert reward > 4.0
     assert (e.target[0] == after).all()
-    assert np.linalg.norm(seen[OBS_EXTRA:]) == pytest.approx(
+    assert np.linalg.norm(seen[OBS_TASK_INPUTS:]) == pytest.approx(
         np.linalg.norm(e.next_target[0] - e.state[0, :3]), abs=1e-5
     )
 
@@ -196,7 +201,7 @@ def test_obstacle_measures_columns_and_ends_at_one() -> None:
     e = env.vector.episodes
     e.columns[0] = 0.0
     e.columns[0, :] = [-1.0, 0.0, 0.2, -2.5, 0.0]
-    ranges = env.step(zero)[0][OBS_EXTRA:]
+    ranges = env.step(zero)[0][OBS_TASK_INPUTS:]
     assert ranges[[0, 2, 4, 6]] == pytest.approx([0.8, 2.0, 1.0, 2.0], abs=0.02)
     e.state[0, 0] = -1.25
     _, reward, terminated, _, info = env.step(zero)
@@ -214,7 +219,7 @@ def test_fleet_wind_delay_and_errors_differ_between_episodes() -> None:
     assert len({float(m) for m in env.fleet.parameters["mass"]}) == 3
     assert np.hypot(*e.wind[:, :2].T).max() > 0.3
     true = e.target[:, 2] - e.state[:, 2]
-    error = seen[:, OBS_ERROR + 2] - true
+    error = seen[:, OBS_POSITION_ERROR + 2] - true
     fix = env.vehicle.sensors.position_fix
     assert np.std(error) == pytest.approx(math.hypot(float(fix.noise), float(fix.wander)), rel=0.2)
 

@@ -265,15 +265,15 @@ def _write_and_print_results(
     from mufly.flight.monte_carlo import (
         describe_campaign,
         flight_severity,
+        sort_by_severity,
         summarise_outcome,
-        worst_first,
         write_flights,
     )
     from mufly.results import to_plain_data
 
     files = [*write_flights(campaign, flown, out, "flights"), *write_flights(campaign, sought, out, "search")]
     outcome = summarise_outcome(flown, campaign.tolerance_m) if flown else None
-    worst = worst_first(sought, campaign.tolerance_m)[:1]
+    worst = sort_by_severity(sought, campaign.tolerance_m)[:1]
     commands = [command for _, command in recorded.commands]
     content = {
         "campaign": to_plain_data(describe_campaign(campaign)),

@@ -188,22 +188,24 @@ class FirmwareControllers(Controllers):
         now.position, now.velocity = m.position.tolist(), m.velocity.tolist()
         now.attitude, now.rates, now.voltage = m.attitude.tolist(), m.rates.tolist(), m.battery_voltage
 
-    def engage(self, estimate: Estimate, motor_input: _Array) -> None:
+    def engage_heave_yaw(self, estimate: Estimate, motor_input: _Array) -> None:
         self._write_motion(estimate)
-        self.firmware.lib.controllers_engage(
+        self.firmware.lib.controllers_engage_heave_yaw(
             self._gains_record, self._state_record, self._motion_record, motor_input.tolist()
         )
 
-    def lift_off(self, estimate: Estimate) -> None:
+    def engage_roll_pitch(self, estimate: Estimate) -> None:
         self._write_motion(estimate)
-        self.firmware.lib.controllers_lift_off(self._gains_record, self._state_record, self._motion_record)
+        self.firmware.lib.controllers_engage_roll_pitch(self._gains_record, self._state_record, self._motion_record)
 
-    def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
+    def compute_tilt_command(
+        self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
+    ) -> _Array:
         self._write_motion(estimate)
         path = self._path_record
         path.position, path.velocity = position.tolist(), velocity.tolist()
         path.acceleration = acceleration.tolist()
-        self.firmware.lib.controllers_tilt_for(
+        self.firmware.lib.controllers_compute_tilt_command(
             self._gains_record, self._state_record, self._motion_record, path, self._tilt_buffer
         )
         return np.array(list(self._tilt_buffer))
@@ -213,9 +215,14 @@ class FirmwareControllers(Controllers):
             self._blend_gains()
         self._write_motion(estimate)
         self.firmware.lib.controllers_step(
-            self._gains_record, self._state_record, self._motion_record, heave_yaw.tolist(), tilt is not None,
-            [0.0, 0.0] if tilt is None else tilt.tolist(), self._actuators_record,
-        )  # fmt: skip
+            self._gains_record,
+            self._state_record,
+            self._motion_record,
+            heave_yaw.tolist(),
+            tilt is not None,
+            [0.0, 0.0] if tilt is None else tilt.tolist(),
+            self._actuators_record,
+        )
         return Actuators(
             np.array(list(self._actuators_record.motor_input)),
             np.array(list(self._actuators_record.servo_input)),

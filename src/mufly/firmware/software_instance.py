@@ -22,7 +22,7 @@ from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, plan_numbers, 
 from mufly.firmware.host_build import Firmware, FirmwareControllers
 from mufly.flight.controllers import Actuators
 from mufly.flight.estimator_health import describe_check, describe_sensor
-from mufly.flight.oscillation_detector import INPUT_NAMES, Oscillation
+from mufly.flight.oscillation_detector import ACTUATOR_INPUT_NAMES, Oscillation
 from mufly.logs.mcap import FlightEvent
 from mufly.mission import (
     NO_COMMAND,
@@ -350,7 +350,7 @@ class SoftwareInstance:
         o = self.software_record.oscillation
         if not o.is_present:
             return None
-        return Oscillation(INPUT_NAMES[o.input_name], o.start_s, o.duration_s, o.amplitude, o.frequency_Hz)
+        return Oscillation(ACTUATOR_INPUT_NAMES[o.input_name], o.start_s, o.duration_s, o.amplitude, o.frequency_Hz)
 
 
 def read_profile(p: FFI.CData) -> MotionProfile:

@@ -18,7 +18,7 @@ from mufly.flight.record.sensor_log import (
     write_sensor_logs,
 )
 from mufly.flight.record.sensor_recording import (
-    is_sensed,
+    has_sensor_readings,
     iterate_readings,
     list_truths,
     replace_estimates,
@@ -58,7 +58,7 @@ __all__ = [
     "draw_sensors",
     "flight_layout",
     "fly_mission",
-    "is_sensed",
+    "has_sensor_readings",
     "iterate_readings",
     "list_truths",
     "log_sensors",

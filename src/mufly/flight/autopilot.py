@@ -71,9 +71,9 @@ STICKS_BLOCKED_S = 2.0
 """Time after a breach during which sticks are refused (s); the vehicle comes to rest in it."""
 
 _FALL_HEIGHT_M = 0.1  # height above the standing position from which stopped motors mean a fall
-_INTERRUPTIONS = (LogMessage.TIPPED_MOTORS_OFF(), LogMessage.MOTORS_OFF_AFTER_DESCENT())
+_INTERRUPTING_MESSAGES = (LogMessage.TIPPED_MOTORS_OFF(), LogMessage.MOTORS_OFF_AFTER_DESCENT())
 
-SOURCE_REFUSED = "position by link refused: "
+POSITION_SOURCE_REFUSED_TEXT = "position by link refused: "
 _IDLE_ACTUATORS = Actuators.idle()
 
 
@@ -176,7 +176,7 @@ class Autopilot:
         self.observe_estimate(estimate)
         software = self.software
         if software.commands_itself:
-            return self._follow_software(estimate)
+            return self._follow_exported_software(estimate)
         due = software.is_mission_step_due
         software.is_armed = self._armed
         actuators = software.step(estimate, self._collect_command() if due or self._command.stop_reason else NO_COMMAND)
@@ -191,7 +191,7 @@ class Autopilot:
         self._sent = actuators if self._armed or software.motors == "off" else _IDLE_ACTUATORS
         return self._sent
 
-    def _follow_software(self, estimate: Estimate) -> Actuators:
+    def _follow_exported_software(self, estimate: Estimate) -> Actuators:
         """Step a flight software that arms and commands itself (exported C), and copy its arming state and its log."""
         software = self.software
         self._sent = software.step(estimate, NO_COMMAND)
@@ -277,7 +277,7 @@ class Autopilot:
             return
         if ran and not self._ran:
             ends = [e.text for e in software.mission_state.events[-4:] if e.time_s >= self._armed_s]
-            self._note_interruption(next((text for text in ends if text in _INTERRUPTIONS), ""))
+            self._store_interruption(next((text for text in ends if text in _INTERRUPTING_MESSAGES), ""))
             self._set_disarmed()
         elif not self._ran and self._now - self._armed_s > AUTO_DISARM_S:
             self._set_disarmed()
@@ -315,13 +315,13 @@ class Autopilot:
         self.refused_source = fault or before
         if fault and not before:
             lands = self._sticks is None and self.land()
-            self.log_event(f"{SOURCE_REFUSED}{fault}{': landing' if lands else ''}", "error")
+            self.log_event(f"{POSITION_SOURCE_REFUSED_TEXT}{fault}{': landing' if lands else ''}", "error")
 
     def _set_disarmed(self) -> None:
         self._armed = self._offboard = False
         self._command = NO_COMMAND
 
-    def _note_interruption(self, what: str) -> None:
+    def _store_interruption(self, what: str) -> None:
         """Store how a flight was interrupted; arming requires its acknowledgement."""
         if what:
             self._interruption, self._interruption_told = what, False
@@ -340,7 +340,7 @@ class Autopilot:
             fault = self.energy_check.check_start_here(plan.mission, m)
             why += [fault] if fault else []
         if fault := self.source_fault():
-            why.append(f"{SOURCE_REFUSED}{fault}; check the program that sends the positions")
+            why.append(f"{POSITION_SOURCE_REFUSED_TEXT}{fault}; check the program that sends the positions")
         if self._interruption and not self.crash_cause:
             why.insert(0, f"last flight interrupted: {self._interruption}; inspect the vehicle, then arm again")
         return why
@@ -421,7 +421,7 @@ class Autopilot:
             m, s = self._estimate, self.software.mission_state
             height = 0.0 if m is None else s.home_position[2] - float(m.position[2])
             if self.software.flying and height > _FALL_HEIGHT_M:
-                self._note_interruption(f"{why} {height:.1f} m above the floor")
+                self._store_interruption(f"{why} {height:.1f} m above the floor")
             self._command = Command(stop_reason=why)
 
     def _is_in_air(self) -> bool:

@@ -41,7 +41,7 @@ class Actuators:
 
     motor_input: _Array
     servo_input: _Array
-    _joined: list[_Array] = field(default_factory=list, init=False, repr=False, compare=False)
+    _input_vector: list[_Array] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @classmethod
     def idle(cls) -> Actuators:
@@ -51,9 +51,9 @@ class Actuators:
     @property
     def input_array(self) -> _Array:
         """Input (4,) of the flight model: motor upper, motor lower, servo 1, servo 2."""
-        if not self._joined:  # cached for several calls a period
-            self._joined.append(np.concatenate((self.motor_input, self.servo_input)))
-        return self._joined[0]
+        if not self._input_vector:  # cached for several calls a period
+            self._input_vector.append(np.concatenate((self.motor_input, self.servo_input)))
+        return self._input_vector[0]
 
 
 HEAVE_YAW_TUNABLE = (
@@ -135,18 +135,20 @@ class Controllers:
         if not far:
             self._design, self._settled = self._target, True
 
-    def engage(self, estimate: Estimate, motor_input: _Array) -> None:
+    def engage_heave_yaw(self, estimate: Estimate, motor_input: _Array) -> None:
         """Start heave-yaw control with a bumpless transfer from ``motor_input`` (upper, lower; 0..1)."""
         self._heave_yaw = heave_yaw_init(
             self._design.heave_yaw_gains, _measure_heave_yaw(estimate), motor_input, estimate.battery_voltage
         )
 
-    def lift_off(self, estimate: Estimate) -> None:
+    def engage_roll_pitch(self, estimate: Estimate) -> None:
         """Start roll-pitch and position control at lift-off, from neutral servos."""
         self._roll_pitch = roll_pitch_init(self._design.roll_pitch_gains, _measure_roll_pitch(estimate))
         self._position = position_init(self._design.position_gains)
 
-    def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
+    def compute_tilt_command(
+        self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
+    ) -> _Array:
         """Advance the position cascade by one of its periods.
 
         Parameters
@@ -201,7 +203,7 @@ class Controllers:
             self._heave_yaw,
             self._roll_pitch,
             heave_yaw,
-            _LEVEL_TILT if tilt is None else tilt,
+            _ZERO_TILT_COMMAND if tilt is None else tilt,
             tilt is not None,
             estimate.position,
             estimate.velocity,
@@ -212,7 +214,7 @@ class Controllers:
         return Actuators(motor, servo)
 
 
-_LEVEL_TILT = np.zeros(2)
+_ZERO_TILT_COMMAND = np.zeros(2)
 
 
 @cached_njit

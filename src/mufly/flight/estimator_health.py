@@ -49,17 +49,17 @@ from mufly.quantities.sensor_table import CHECKED
 
 _Array = NDArray[np.float64]
 
-HOLD_SIGMA_M, RESUME_SIGMA_M, LAND_SIGMA_M = 0.25, 0.15, 0.6
+HOLD_POSITION_SIGMA_M, RESUME_POSITION_SIGMA_M, LAND_POSITION_SIGMA_M = 0.25, 0.15, 0.6
 """Horizontal standard deviations to hold, to resume (below) and to land (m)."""
 RESUME_DELAY_S, MAX_HOLD_S = 1.0, 10.0
-"""Time below ``RESUME_SIGMA_M`` until the mission resumes, and longest hold (s)."""
-MAX_HEIGHT_SIGMA_M, HEIGHT_DELAY_S = 0.3, 0.3
+"""Time below ``RESUME_POSITION_SIGMA_M`` until the mission resumes, and longest hold (s)."""
+MAX_HEIGHT_SIGMA_M, HEIGHT_UNCERTAIN_DELAY_S = 0.3, 0.3
 """Standard deviation of the height (m) that causes a landing, and its least duration (s).
 
 At lift-off, vibration may clip the accelerometers; the height is then uncertain until the next reading of the sonar."""
-GYRO_LOSS_DELAY_S, CONTRADICTION_DELAY_S = 0.1, 0.15
+GYRO_LOSS_DELAY_S, ATTITUDE_CONTRADICTION_DELAY_S = 0.1, 0.15
 """Longest loss of the gyroscopes, and longest contradiction of two attitude aids (s)."""
-MAX_TILT_SIGMA, MAX_HEADING_SIGMA = math.radians(8.0), math.radians(30.0)
+MAX_TILT_SIGMA_RAD, MAX_HEADING_SIGMA_RAD = math.radians(8.0), math.radians(30.0)
 
 FAULT_REPORT_DELAY_S, RECOVERY_REPORT_DELAY_S = 0.2, 1.0
 """Time of a fault until its report, and time of fusion until the report of the recovery (s)."""
@@ -167,11 +167,11 @@ def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = Tru
     place, height = position_std_growth(m, stood), math.sqrt(variance[ERROR_POSITION + 2])
     tilt = math.sqrt(max(variance[ERROR_ATTITUDE], variance[ERROR_ATTITUDE + 1]))
     heading = math.sqrt(variance[ERROR_ATTITUDE + 2])
-    if tilt > MAX_TILT_SIGMA:
+    if tilt > MAX_TILT_SIGMA_RAD:
         return HealthVerdict(
             "sink", f"attitude uncertain by {math.degrees(tilt):.0f} deg{_fault_note(m, _TILT_READINGS)}"
         )
-    if heading > MAX_HEADING_SIGMA:
+    if heading > MAX_HEADING_SIGMA_RAD:
         return HealthVerdict(
             "land", f"heading uncertain by {math.degrees(heading):.0f} deg{_fault_note(m, _HEADING_READINGS)}"
         )
@@ -180,9 +180,9 @@ def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = Tru
         return HealthVerdict("land", describe_check(rates))
     if height > MAX_HEIGHT_SIGMA_M and height_counts:
         return HealthVerdict("land", f"height uncertain by {height:.2f} m{_fault_note(m, _HEIGHT_READINGS)}")
-    if place > HOLD_SIGMA_M:
+    if place > HOLD_POSITION_SIGMA_M:
         why = f"position uncertain by {place:.2f} m{_fault_note(m, _POSITION_READINGS)}"
-        return HealthVerdict("land" if place > LAND_SIGMA_M else "hold", why)
+        return HealthVerdict("land" if place > LAND_POSITION_SIGMA_M else "hold", why)
     return HEALTHY_VERDICT
 
 
@@ -207,7 +207,7 @@ class HealthMonitor:
     floor_variance_m2: float = 0.0
     _fault_since_s: dict[str, float] = field(default_factory=dict)
     _hold_since_s: float = math.nan
-    _certain_since_s: float = math.nan
+    _position_certain_since_s: float = math.nan
     _height_uncertain_since_s: float = math.nan
 
     def step(self, m: Estimate) -> HealthVerdict:
@@ -218,7 +218,7 @@ class HealthMonitor:
         elif math.isnan(self._height_uncertain_since_s):
             self._height_uncertain_since_s = t
         found = judge_estimate(
-            m, self.floor_variance_m2, height_counts=t - self._height_uncertain_since_s >= HEIGHT_DELAY_S
+            m, self.floor_variance_m2, height_counts=t - self._height_uncertain_since_s >= HEIGHT_UNCERTAIN_DELAY_S
         )
         apart = self._judge_attitude_sensors(m)
         if apart.action and found.action != "sink":
@@ -228,16 +228,16 @@ class HealthMonitor:
         if found.action in ("land", "sink"):
             return self._set_verdict(found)
         if found.action == "hold":
-            self._certain_since_s = math.nan
+            self._position_certain_since_s = math.nan
             if self.verdict.action != "hold":
                 self._hold_since_s = t
                 return self._set_verdict(found)
         elif self.verdict.action == "hold":
-            if position_std_growth(m, self.floor_variance_m2) >= RESUME_SIGMA_M:
-                self._certain_since_s = math.nan
-            elif math.isnan(self._certain_since_s):
-                self._certain_since_s = t
-            elif t - self._certain_since_s >= RESUME_DELAY_S:
+            if position_std_growth(m, self.floor_variance_m2) >= RESUME_POSITION_SIGMA_M:
+                self._position_certain_since_s = math.nan
+            elif math.isnan(self._position_certain_since_s):
+                self._position_certain_since_s = t
+            elif t - self._position_certain_since_s >= RESUME_DELAY_S:
                 return self._set_verdict(HEALTHY_VERDICT)
         if self.verdict.action == "hold" and t - self._hold_since_s > MAX_HOLD_S:
             return self._set_verdict(
@@ -254,7 +254,7 @@ class HealthMonitor:
             elif c.name == "rates" or c.name in _ATTITUDE_AIDS:
                 self._fault_since_s.setdefault(c.name, m.time_s)
         lasting = {n: m.time_s - since for n, since in self._fault_since_s.items()}
-        against = [n for n in _ATTITUDE_AIDS if lasting.get(n, 0.0) > CONTRADICTION_DELAY_S]
+        against = [n for n in _ATTITUDE_AIDS if lasting.get(n, 0.0) > ATTITUDE_CONTRADICTION_DELAY_S]
         if len(against) > 1:
             aids = " and ".join(describe_sensor(n) for n in against)
             return HealthVerdict("sink", LogMessage.ATTITUDE_CONTRADICTED(aids))

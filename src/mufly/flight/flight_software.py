@@ -79,7 +79,7 @@ MEASUREMENT_TIMEOUT_S = 0.5
 RAMP_DOWN_SKIPPED_SHARE = 0.8
 """Fraction of the motors' ramp-down that is skipped if the touchdown is certain."""
 
-MAX_MOTOR_STEP, MAX_SERVO_STEP = 0.1, 0.2
+MAX_MOTOR_INPUT_STEP, MAX_SERVO_INPUT_STEP = 0.1, 0.2
 """Largest change of an input in a period on a filter's estimate: twice the 0.999 quantile of flights in gusts."""
 
 _HOVER_VOLTAGE_FILTER_S = 1.0
@@ -262,10 +262,10 @@ class FlightSoftware:
         if command is not NO_COMMAND and command != NO_COMMAND:
             self._command = command
         if command.stop_reason:
-            return self._stop_at_once(command.stop_reason, m)
+            return self._stop_motors_at_once(command.stop_reason, m)
         self._late_s = (self._ticks % self._every) * self._period_s
         self._ticks += 1
-        if self._is_lost(self._watch):
+        if self._is_estimate_lost(self._watch):
             return self._limit_actuator_rates(
                 m,
                 self._step_blind_descent(
@@ -296,7 +296,8 @@ class FlightSoftware:
             self.mission_state = update_obstacle_map(self.plan, self.mission_state, m, part, parts)
 
     def _limit_actuator_rates(self, m: Estimate, wanted: Actuators) -> Actuators:
-        """Limit the change of the inputs per period to :data:`MAX_MOTOR_STEP`, :data:`MAX_SERVO_STEP` (filter only)."""
+        """Limit the change of the inputs per period to :data:`MAX_MOTOR_INPUT_STEP`, :data:`MAX_SERVO_INPUT_STEP`
+        (filter only)."""
         if m.auxiliary_states is not None:
             before = self._given
             motor, servo = _limit_actuator_step(
@@ -306,7 +307,7 @@ class FlightSoftware:
         self._given = wanted
         return wanted
 
-    def _stop_at_once(self, why: str, m: Estimate) -> Actuators:
+    def _stop_motors_at_once(self, why: str, m: Estimate) -> Actuators:
         self._ticks += 1
         self.mission_state = stop_motors(replace(self.mission_state, time_s=m.time_s), why)
         self._reference = replace(
@@ -317,7 +318,7 @@ class FlightSoftware:
         self._motor_input, self._tilt = np.zeros(2), np.zeros(2)
         return Actuators.idle()
 
-    def _is_lost(self, w: EstimateMonitor) -> bool:
+    def _is_estimate_lost(self, w: EstimateMonitor) -> bool:
         """Whether the estimate is lost in flight; always True during a blind descent."""
         if self._motors == "blind":
             return True
@@ -394,9 +395,9 @@ class FlightSoftware:
         return descent_time_s(height, float(self._controller.position_gains["gravity"]))
 
     def _switch_motors(self, motors: str, m: Estimate) -> None:
-        """Change the mode of the motors; engage the controllers with a bumpless transfer."""
+        """Change the mode of the motors; engage_heave_yaw the controllers with a bumpless transfer."""
         if motors == "fly":
-            self._controllers.engage(m, self._motor_input)
+            self._controllers.engage_heave_yaw(m, self._motor_input)
             self._lifted = False
             self._oscillations, self.oscillation = OscillationDetector(), None
             self._held_up = self._controller.motor_trim * self._controller.voltage_V
@@ -426,13 +427,13 @@ class FlightSoftware:
     def _step_control(self, r: Reference, m: Estimate) -> Actuators:
         if not self._lifted and (has_lifted_off(self.mission_state, m) or is_tipping(m)):
             self._lifted = True
-            self._controllers.lift_off(m)
+            self._controllers.engage_roll_pitch(m)
         if not self._lifted:
             self._tilt = np.zeros(2)
         elif r.rc_active:
             self._tilt = np.array([r.roll, r.pitch])
         elif self._late_s == 0.0:
-            self._tilt = self._controllers.tilt_for(m, r.position, r.velocity, r.acceleration)
+            self._tilt = self._controllers.compute_tilt_command(m, r.position, r.velocity, r.acceleration)
         down, turn = float(r.velocity[2]), r.heading_rate
         heave_yaw = np.array([r.position[2] + self._late_s * down, r.heading + self._late_s * turn, down, turn])
         actuators = self._controllers.step(m, heave_yaw, self._tilt if self._lifted else None)
@@ -461,8 +462,8 @@ def _limit_actuator_step(
 ) -> tuple[_Array, _Array]:
     """Return motor inputs (2,) and servo inputs (2,), moved towards the commanded ones by at most the largest step."""
     return (
-        motor + np.minimum(np.maximum(wanted_motor - motor, -MAX_MOTOR_STEP), MAX_MOTOR_STEP),
-        servo + np.minimum(np.maximum(wanted_servo - servo, -MAX_SERVO_STEP), MAX_SERVO_STEP),
+        motor + np.minimum(np.maximum(wanted_motor - motor, -MAX_MOTOR_INPUT_STEP), MAX_MOTOR_INPUT_STEP),
+        servo + np.minimum(np.maximum(wanted_servo - servo, -MAX_SERVO_INPUT_STEP), MAX_SERVO_INPUT_STEP),
     )
 
 
@@ -482,11 +483,11 @@ SPIN_UP_VOLTAGE_SHARE = 0.9
 DESCENT_VOLTAGE_SHARE = 0.98
 TOUCHDOWN_HEIGHT_M = 0.03
 """Height below which the vehicle has touched down (m)."""
-_MAX_DESCENT_M_S, _TOUCHDOWN_M_S = (
+_MAX_DESCENT_M_S, _TOUCHDOWN_DESCENT_M_S = (
     0.9,
     0.5,
 )  # limits of the rate of descent; a slow descent drifts farther
-_DESCENT_GAIN = 1.0 / (2.0 * GRAVITY * 0.4)  # voltage fraction per rate of descent (s/m)
+_DESCENT_ENERGY_GAIN = 1.0 / (2.0 * GRAVITY * 0.4)  # voltage fraction per rate of descent (s/m)
 _MIN_DESCENT_SHARE, _MAX_DESCENT_SHARE = 0.92, 1.08
 _DESCENT_MARGIN_S = 1.0
 
@@ -524,8 +525,8 @@ def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_
 
 def descent_voltage_share(height_m: float, descent_m_s: float) -> float:
     """Return the fraction of the hover voltages that controls the rate of descent at a height above the floor (m)."""
-    wanted = min(max(height_m, _TOUCHDOWN_M_S), _MAX_DESCENT_M_S)
-    return min(max(1.0 + _DESCENT_GAIN * (descent_m_s - wanted), _MIN_DESCENT_SHARE), _MAX_DESCENT_SHARE)
+    wanted = min(max(height_m, _TOUCHDOWN_DESCENT_M_S), _MAX_DESCENT_M_S)
+    return min(max(1.0 + _DESCENT_ENERGY_GAIN * (descent_m_s - wanted), _MIN_DESCENT_SHARE), _MAX_DESCENT_SHARE)
 
 
 def descent_time_s(height_m: float, gravity: float) -> float:

@@ -25,11 +25,11 @@ from mufly.mission import State
 
 _Array = NDArray[np.float64]
 
-INPUT_NAMES = ("motor_input upper", "motor_input lower", "servo_input 1", "servo_input 2")
-INPUT_RANGES = (1.0, 1.0, 2.0, 2.0)
-MIN_SWING_SHARE, MIN_PERIOD_COUNT, MIN_DURATION_S = 0.5, 4, 2.0
+ACTUATOR_INPUT_NAMES = ("motor_input upper", "motor_input lower", "servo_input 1", "servo_input 2")
+ACTUATOR_INPUT_RANGES = (1.0, 1.0, 2.0, 2.0)
+MIN_SWING_INPUT_SHARE, MIN_OSCILLATION_PERIODS, MIN_OSCILLATION_S = 0.5, 4, 2.0
 """Smallest swing (fraction of the input's range), number of consecutive periods, and duration (s) of an oscillation."""
-MAX_PERIOD_S, MAX_PERIOD_RATIO = 4.0, 1.6
+MAX_OSCILLATION_PERIOD_S, MAX_PERIOD_RATIO = 4.0, 1.6
 """Longest period (s), and largest ratio of consecutive periods."""
 
 _STEERING_THRESHOLDS = (0.1, 0.1, 0.1, 0.2, 0.05, 0.05)
@@ -92,14 +92,14 @@ class Oscillation:
 def may_oscillate(inputs: _Array) -> bool:
     """Whether any of the inputs (n, 4) turns often enough for an oscillation; a fast test without the period."""
     for k in range(4):
-        back, rising, extreme, turns = MIN_SWING_SHARE * INPUT_RANGES[k], True, -math.inf, 0
+        back, rising, extreme, turns = MIN_SWING_INPUT_SHARE * ACTUATOR_INPUT_RANGES[k], True, -math.inf, 0
         for value in inputs[:, k]:
             ahead = value - extreme if rising else extreme - value
             if ahead > 0.0:
                 extreme = value
             elif not -ahead < back:
                 rising, extreme, turns = not rising, value, turns + 1
-        if turns >= 2 * MIN_PERIOD_COUNT:
+        if turns >= 2 * MIN_OSCILLATION_PERIODS:
             return True
     return False
 
@@ -108,7 +108,9 @@ class OscillationDetector:
     """Detector of oscillations in the inputs of one flight, period by period."""
 
     def __init__(self) -> None:
-        self._inputs = tuple(_InputOscillation(_TurningPoints(MIN_SWING_SHARE * r)) for r in INPUT_RANGES)
+        self._inputs = tuple(
+            _InputOscillation(_TurningPoints(MIN_SWING_INPUT_SHARE * r)) for r in ACTUATOR_INPUT_RANGES
+        )
         self._asked = tuple(_TurningPoints(back) for back in _STEERING_THRESHOLDS)
 
     def step(self, time_s: float, inputs: Sequence[float], asked: Sequence[float] | None = None) -> Oscillation | None:
@@ -129,11 +131,11 @@ class OscillationDetector:
         Oscillation or None
             The longest present oscillation, if any.
         """
-        if asked is not None and self._is_steered(time_s, asked):
+        if asked is not None and self._is_following_steering(time_s, asked):
             for one in self._inputs:
                 one.reset_count()
         longest: Oscillation | None = None
-        for name, one, value in zip(INPUT_NAMES, self._inputs, inputs, strict=True):
+        for name, one, value in zip(ACTUATOR_INPUT_NAMES, self._inputs, inputs, strict=True):
             turned = one.turning_points.step(time_s, value)
             if one.half_period_count:
                 one.lowest_value, one.highest_value = (
@@ -141,30 +143,30 @@ class OscillationDetector:
                     max(one.highest_value, value),
                 )
             if turned:
-                self._add_turn(one, value)
-            elif one.half_period_count and time_s - one.turning_points.turn_times_s[-1] > MAX_PERIOD_S:
+                self._add_turning_point(one, value)
+            elif one.half_period_count and time_s - one.turning_points.turn_times_s[-1] > MAX_OSCILLATION_PERIOD_S:
                 one.reset_count()
             lasting = one.turning_points.turn_times_s[-1] - one.start_s if one.half_period_count else 0.0
-            if one.half_period_count >= 2 * MIN_PERIOD_COUNT and lasting >= MIN_DURATION_S:
+            if one.half_period_count >= 2 * MIN_OSCILLATION_PERIODS and lasting >= MIN_OSCILLATION_S:
                 found = Oscillation(
                     name, one.start_s, lasting, one.highest_value - one.lowest_value, 1.0 / one.period_s
                 )
                 longest = found if longest is None or lasting > longest.duration_s else longest
         return longest
 
-    def _is_steered(self, time_s: float, asked: Sequence[float]) -> bool:
+    def _is_following_steering(self, time_s: float, asked: Sequence[float]) -> bool:
         turned = [t.step(time_s, v) for t, v in zip(self._asked, asked, strict=True)]
         return any(turned)
 
     @staticmethod
-    def _add_turn(one: _InputOscillation, value: float) -> None:
+    def _add_turning_point(one: _InputOscillation, value: float) -> None:
         turned = one.turning_points.turn_times_s
         if len(turned) < 3:
             return
         begun_s, _, ended_s = turned[-3:]
         period = ended_s - begun_s
         even = period <= MAX_PERIOD_RATIO * one.period_s and one.period_s <= MAX_PERIOD_RATIO * period
-        if period > MAX_PERIOD_S or (one.half_period_count and not even):
+        if period > MAX_OSCILLATION_PERIOD_S or (one.half_period_count and not even):
             one.reset_count()
         elif one.half_period_count:
             one.half_period_count, one.period_s = one.half_period_count + 1, period

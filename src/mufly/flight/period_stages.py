@@ -6,8 +6,9 @@
 - compiled by Numba, for arrays (:mod:`mufly.firmware.quick.compiled_loop`): many periods in one call, with filter and
   flight software in C.
 
-A stage is a function of the executor's data. It returns :data:`CONTINUE`, or a code with which the executor returns to
-its caller. ``clock.stage`` is then the next stage. Either executor can therefore continue in the middle of a period.
+A stage is a function of the executor's data. It returns :data:`CONTINUE_LOOP`, or a code with which the executor
+returns to its caller. ``clock.stage`` is then the next stage. Either executor can therefore continue in the middle of a
+period.
 """
 
 from __future__ import annotations
@@ -16,20 +17,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-CONTINUE, LOOP_DONE = 0, 1
+CONTINUE_LOOP, LOOP_DONE = 0, 1
 """Return codes of a stage: continue; no period is left (first and last stage only)."""
-FIRST_FREE_CODE = 2
+FIRST_EXECUTOR_CODE = 2
 """First code that an executor may define."""
 
 (
-    BEGIN_PERIOD,
-    ADVANCE_PLANT,
-    CHECK_CONTACT,
-    MEASURE,
-    ESTIMATE,
-    CONTROL,
-    RECORD,
-    END_PERIOD,
+    STAGE_BEGIN_PERIOD,
+    STAGE_ADVANCE_PLANT,
+    STAGE_CHECK_CONTACT,
+    STAGE_MEASURE,
+    STAGE_ESTIMATE,
+    STAGE_CONTROL,
+    STAGE_RECORD,
+    STAGE_END_PERIOD,
 ) = range(8)
 
 Stage = Callable[[Any], int]
@@ -39,7 +40,7 @@ Stage = Callable[[Any], int]
 class PeriodClock:
     """Clock of an executor in Python; ``stage`` is the next stage."""
 
-    stage: int = BEGIN_PERIOD
+    stage: int = STAGE_BEGIN_PERIOD
 
 
 def make_stepper(
@@ -77,52 +78,52 @@ def make_stepper(
     -------
     callable
         ``step(p)`` runs stages of ``p`` from ``p.clock.stage`` on, period after period, and returns the first code of
-        a stage that is not :data:`CONTINUE`.
+        a stage that is not :data:`CONTINUE_LOOP`.
     """
 
     def run_stages(p):  # type: ignore[no-untyped-def]
         clock = p.clock
         first = clock.stage
         while True:
-            if first <= BEGIN_PERIOD:
+            if first <= STAGE_BEGIN_PERIOD:
                 why = begin_period(p)
-                if why != CONTINUE:
-                    clock.stage = ADVANCE_PLANT
+                if why != CONTINUE_LOOP:
+                    clock.stage = STAGE_ADVANCE_PLANT
                     return why
-            if first <= ADVANCE_PLANT:
+            if first <= STAGE_ADVANCE_PLANT:
                 why = advance_plant(p)
-                if why != CONTINUE:
-                    clock.stage = CHECK_CONTACT
+                if why != CONTINUE_LOOP:
+                    clock.stage = STAGE_CHECK_CONTACT
                     return why
-            if first <= CHECK_CONTACT:
+            if first <= STAGE_CHECK_CONTACT:
                 why = check_contact(p)
-                if why != CONTINUE:
-                    clock.stage = MEASURE
+                if why != CONTINUE_LOOP:
+                    clock.stage = STAGE_MEASURE
                     return why
-            if first <= MEASURE:
+            if first <= STAGE_MEASURE:
                 why = measure(p)
-                if why != CONTINUE:
-                    clock.stage = ESTIMATE
+                if why != CONTINUE_LOOP:
+                    clock.stage = STAGE_ESTIMATE
                     return why
-            if first <= ESTIMATE:
+            if first <= STAGE_ESTIMATE:
                 why = estimate(p)
-                if why != CONTINUE:
-                    clock.stage = CONTROL
+                if why != CONTINUE_LOOP:
+                    clock.stage = STAGE_CONTROL
                     return why
-            if first <= CONTROL:
+            if first <= STAGE_CONTROL:
                 why = control(p)
-                if why != CONTINUE:
-                    clock.stage = RECORD
+                if why != CONTINUE_LOOP:
+                    clock.stage = STAGE_RECORD
                     return why
-            if first <= RECORD:
+            if first <= STAGE_RECORD:
                 why = record(p)
-                if why != CONTINUE:
-                    clock.stage = END_PERIOD
+                if why != CONTINUE_LOOP:
+                    clock.stage = STAGE_END_PERIOD
                     return why
             why = end_period(p)
-            if why != CONTINUE:
-                clock.stage = BEGIN_PERIOD
+            if why != CONTINUE_LOOP:
+                clock.stage = STAGE_BEGIN_PERIOD
                 return why
-            first = BEGIN_PERIOD
+            first = STAGE_BEGIN_PERIOD
 
     return run_stages

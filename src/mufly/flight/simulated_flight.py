@@ -32,7 +32,7 @@ from mufly.dynamics import DrydenWind, describe_level_speed, describe_model_exce
 from mufly.dynamics.model_state import MODEL_CHARGE
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator
-from mufly.flight.autopilot import SOURCE_REFUSED, Autopilot
+from mufly.flight.autopilot import POSITION_SOURCE_REFUSED_TEXT, Autopilot
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.fixes.camera_sensor import (
     LANDED_HEIGHT_M,
@@ -46,7 +46,14 @@ from mufly.flight.fixes.camera_sensor import (
 from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.flight_software import ControlImplementation, FlightSoftware
 from mufly.flight.flight_state import FlightState
-from mufly.flight.period_stages import BEGIN_PERIOD, CHECK_CONTACT, CONTINUE, LOOP_DONE, PeriodClock, make_stepper
+from mufly.flight.period_stages import (
+    CONTINUE_LOOP,
+    LOOP_DONE,
+    STAGE_BEGIN_PERIOD,
+    STAGE_CHECK_CONTACT,
+    PeriodClock,
+    make_stepper,
+)
 from mufly.flight.record.recorder import open_flight_recorder
 from mufly.flight.record.sensor_recording import FIX_DRIFT_ATTRIBUTE, make_sensed_row_writer
 from mufly.flight.simulated_plant import SimulatedPlant, make_row_writer
@@ -70,7 +77,7 @@ _Array = NDArray[np.float64]
 
 RECORD_RATE_HZ = 100.0
 RANGE_RING_RATE_HZ = 25.0
-AFTER_CRASH_S = 0.5
+MOTORS_OFF_AFTER_CRASH_S = 0.5
 """Time after a crash until the motors stop (s), for the recording."""
 
 GUST_LENGTH_M = 1.0
@@ -260,7 +267,7 @@ class Flight:
         self.estimator.reset()
         self.plant.check_collision()
         self._is_estimated = False
-        self._measure()
+        self._measure_sensors()
         self._estimate = self.estimator.update(self.readings, np.zeros(4))
         self.autopilot.observe_estimate(self._estimate)
         self.is_first_period, self._rests = True, False
@@ -307,13 +314,13 @@ class Flight:
         if self.is_first_period:
             self.finish_period(self.acting_actuators.input_array)
         else:
-            self.clock.stage = BEGIN_PERIOD
+            self.clock.stage = STAGE_BEGIN_PERIOD
             _run_stages(self)
 
     def finish_period(self, acted: NDArray[np.floating[Any]]) -> None:
         """Run the stages of a period after the plant's step; ``acted`` (4,) are the plant's inputs in the period."""
         self._acted = acted
-        self.clock.stage = CHECK_CONTACT
+        self.clock.stage = STAGE_CHECK_CONTACT
         _run_stages(self)
 
     def advance_until(self, until: int, **more: Any) -> None:
@@ -340,13 +347,13 @@ class Flight:
     # The stages of a period, in the order of mufly.flight.period_stages; the last one ends every call
 
     def _begin_period(self) -> int:
-        return CONTINUE
+        return CONTINUE_LOOP
 
     def _advance_plant(self) -> int:
         self._acted = self.acting_actuators.input_array
         self.plant.advance_period(self.acting_actuators)
         self.acting_actuators = self.sent_actuators
-        return CONTINUE
+        return CONTINUE_LOOP
 
     def _check_contact(self) -> int:
         plant, autopilot = self.plant, self.autopilot
@@ -356,13 +363,13 @@ class Flight:
             self.current_A += self.current_filter_share * (
                 (float(plant.current) if flying else autopilot.energy_check.hover_current_A) - self.current_A
             )
-        return CONTINUE
+        return CONTINUE_LOOP
 
-    def _measure(self) -> int:
+    def _measure_sensors(self) -> int:
         if not self._is_estimated:
             self._truth = self.plant.truth
             self.readings = self.sensors.read(self._truth)
-        return CONTINUE
+        return CONTINUE_LOOP
 
     def _update_estimate(self) -> int:
         if not self._is_estimated:
@@ -372,13 +379,13 @@ class Flight:
             fixes.observe(self.readings, self._estimate, self.autopilot.software.motors == "off")
         if self.camera is not None and (news := self.camera.tracking_message()):
             self.log_event(news, "info" if news.endswith("again") else "warning")
-        return CONTINUE
+        return CONTINUE_LOOP
 
-    def _control(self) -> int:
+    def _step_control(self) -> int:
         self.sent_actuators = self.autopilot.step(self._estimate)
-        return CONTINUE
+        return CONTINUE_LOOP
 
-    def _record(self) -> int:
+    def _record_row(self) -> int:
         if self.plant.period_count % self.record_periods == 0:
             software = self.autopilot.software
             state = str(software.state)
@@ -393,7 +400,7 @@ class Flight:
                     software.reference,
                     state,
                 )
-        return CONTINUE
+        return CONTINUE_LOOP
 
     def _end_period(self) -> int:
         if self.plant.crash_cause:
@@ -405,7 +412,7 @@ class Flight:
             self.autopilot.crash_cause = self.plant.crash_cause
             self._crash_s = self.time_s
             self.log_event(self.plant.crash_cause, "error")
-        elif self.time_s >= self._crash_s + AFTER_CRASH_S and self.autopilot.software.motors != "off":
+        elif self.time_s >= self._crash_s + MOTORS_OFF_AFTER_CRASH_S and self.autopilot.software.motors != "off":
             self.autopilot.emergency_stop()
 
     def inject_fault(self, fault: Fault) -> None:
@@ -493,7 +500,7 @@ class Flight:
         if self.plant.crash_cause or self.refusal_reason:
             return "failed", self.plant.crash_cause or self.refusal_reason
         if s.outcome == "failed" and (fault := self.autopilot.refused_source):
-            return "failed", f"{SOURCE_REFUSED}{fault}"
+            return "failed", f"{POSITION_SOURCE_REFUSED_TEXT}{fault}"
         return (s.outcome, s.reason) if s.outcome else ("unfinished", f"ended in state '{s.state}'")
 
     def __enter__(self) -> Flight:
@@ -519,10 +526,10 @@ _run_stages = make_stepper(
     Flight._begin_period,
     Flight._advance_plant,
     Flight._check_contact,
-    Flight._measure,
+    Flight._measure_sensors,
     Flight._update_estimate,
-    Flight._control,
-    Flight._record,
+    Flight._step_control,
+    Flight._record_row,
     Flight._end_period,
 )
 

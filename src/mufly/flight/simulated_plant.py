@@ -45,7 +45,7 @@ from mufly.vehicle import Vehicle
 from mufly.world import World, obstacle_distance, packed_obstacle_distances
 
 MIN_STEP_S = 1e-5
-COLLISION_TEXT, TIP_OVER_TEXT = "a rotor hit the", "tipped over"
+COLLISION_CAUSE_TEXT, TIP_OVER_CAUSE_TEXT = "a rotor hit the", "tipped over"
 """First words of the cause of a crash: collision with an obstacle, and tip-over."""
 _WIND_BLOCK_S = 5.0  # duration of wind drawn at once (s); no effect on the wind
 
@@ -160,9 +160,9 @@ class SimulatedPlant:
         hit = find_collision(self.state, self.packed_parameters, *self.collision_shape)
         if hit == 1:
             _, name = obstacle_distance(self.world, self.state[POSITION])
-            self.crash_cause = f"{COLLISION_TEXT} {name} at {self._describe_place()}"
+            self.crash_cause = f"{COLLISION_CAUSE_TEXT} {name} at {self._describe_place()}"
         elif hit == 2:
-            self.crash_cause = f"{TIP_OVER_TEXT}: a rotor touched the floor at {self._describe_place()}"
+            self.crash_cause = f"{TIP_OVER_CAUSE_TEXT}: a rotor touched the floor at {self._describe_place()}"
 
     def _describe_place(self) -> str:
         n, e, d = self.state[POSITION]
@@ -371,8 +371,8 @@ def simulate_response(
     write = make_row_writer(recorder)
     sensors, estimator = ideal_sensors(vehicle, World(), round(controller.rate_Hz)), IdealEstimator()
     start_estimate = estimator.update(sensors.read(plant.truth))
-    controllers.engage(start_estimate, hover.motor_input)
-    controllers.lift_off(start_estimate)
+    controllers.engage_heave_yaw(start_estimate, hover.motor_input)
+    controllers.engage_roll_pitch(start_estimate)
     pending = Actuators(hover.motor_input, hover.servo_input)
     zero = np.zeros(3)
     for _ in range(round(duration_s * controller.rate_Hz) + 1):

@@ -19,7 +19,7 @@ from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
 _FMI_VERSION = "3.0"
-_BASE_UNITS: dict[str, dict[str, int]] = {
+_COMMON_OBSERVATION_UNITS: dict[str, dict[str, int]] = {
     "kg": {"kg": 1}, "m": {"m": 1}, "s": {"s": 1}, "A": {"A": 1}, "rad": {"rad": 1}, "m2": {"m": 2}, "s^2": {"s": 2},
     "N": {"kg": 1, "m": 1, "s": -2}, "V": {"kg": 1, "m": 2, "s": -3, "A": -1}, "m3": {"m": 3},
     "ohm": {"kg": 1, "m": 2, "s": -3, "A": -2}, "Pa": {"kg": 1, "m": -1, "s": -2}, "T": {"kg": 1, "s": -2, "A": -1},
@@ -48,9 +48,9 @@ def unit_exponents(unit: str) -> dict[str, int]:
         for part in text.split():
             if part == "1":
                 continue
-            if part not in _BASE_UNITS:
+            if part not in _COMMON_OBSERVATION_UNITS:
                 raise MuflyError(f"the unit {unit!r} has no form in FMI's base units")
-            for base, power in _BASE_UNITS[part].items():
+            for base, power in _COMMON_OBSERVATION_UNITS[part].items():
                 out[base] = out.get(base, 0) + sign * power
     return {base: power for base, power in out.items() if power}
 

@@ -41,8 +41,8 @@ from mufly.dynamics.model_state import (
 from mufly.flight.policy.observation import (
     ACTION_SIZE,
     MAX_RANGE_M,
-    OBS_EXTRA,
-    RANGE_COUNT,
+    OBS_TASK_INPUTS,
+    OBSERVED_RANGE_COUNT,
     fill_observation,
     heading_direction,
     map_action,
@@ -400,12 +400,12 @@ def observe_episodes(
                 e.next_target[k, 0] - e.target[k, 0] + error[0],
                 e.next_target[k, 1] - e.target[k, 1] + error[1],
             )
-            row[OBS_EXTRA], row[OBS_EXTRA + 1] = c * north + sn * east, c * east - sn * north
-            row[OBS_EXTRA + 2] = e.next_target[k, 2] - e.target[k, 2] + error[2]
+            row[OBS_TASK_INPUTS], row[OBS_TASK_INPUTS + 1] = c * north + sn * east, c * east - sn * north
+            row[OBS_TASK_INPUTS + 2] = e.next_target[k, 2] - e.target[k, 2] + error[2]
         elif s.kind == OBSTACLE:
-            for i in range(RANGE_COUNT):
-                sa, ca = sine_cosine(i * 2.0 * math.pi / RANGE_COUNT)
-                row[OBS_EXTRA + i] = first_hit(
+            for i in range(OBSERVED_RANGE_COUNT):
+                sa, ca = sine_cosine(i * 2.0 * math.pi / OBSERVED_RANGE_COUNT)
+                row[OBS_TASK_INPUTS + i] = first_hit(
                     e.state[k, :3], c * ca - sn * sa, sn * ca + c * sa, 0.0, MAX_RANGE_M, boxes, e.columns[k], s.limits
                 )
         for i in range(row.size):

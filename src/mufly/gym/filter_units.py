@@ -55,7 +55,7 @@ from mufly.firmware.quick.compiled_loop import (
     sample_sensors,
 )
 from mufly.flight.mission_flight import align_and_start
-from mufly.flight.period_stages import CONTINUE, LOOP_DONE, make_stepper
+from mufly.flight.period_stages import CONTINUE_LOOP, LOOP_DONE, make_stepper
 from mufly.flight.simulated_flight import Flight
 from mufly.gym.fleet import LEAST_CHARGE, Fleet
 from mufly.gym.tasks import OBSTACLE, OBSTACLE_START_NORTH_M, OBSTACLE_TARGET_HEIGHT_M
@@ -126,19 +126,19 @@ class UnitStarts:
 
 @cached_njit(error_model="numpy")
 def _begin_period(p: UnitPeriods) -> int:
-    return LOOP_DONE if p.clock.tick >= p.clock.stop_tick else CONTINUE
+    return LOOP_DONE if p.clock.tick >= p.clock.stop_tick else CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
 def _do_nothing(p: UnitPeriods) -> int:
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
 def _step_filter(p: UnitPeriods) -> int:
-    p.clock.is_valid = call_c_function(p.filter.addresses[0], p.filter.addresses[1:]) & 1
+    p.clock.is_estimate_valid = call_c_function(p.filter.addresses[0], p.filter.addresses[1:]) & 1
     p.clock.filter_periods += 1
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
@@ -146,8 +146,8 @@ def _send_command(p: UnitPeriods) -> int:
     """Send the inputs that act from the next period on, as flight software does."""
     row = 1 if p.clock.tick - p.clock.start_tick >= p.delay[0] else 0
     for i in range(4):
-        p.plant.acting[2, i] = p.command[row, i]
-    return CONTINUE
+        p.plant.acting_inputs[2, i] = p.command[row, i]
+    return CONTINUE_LOOP
 
 
 _step_unit = cached_njit(

@@ -128,7 +128,7 @@ def run(
     mufly estimate run circle.csv.gz --map nanobench --aid position=truth_position --aid-std 0.02 --aid-rate 15
     """
     from mufly.estimate.inertial_log import MAX_ACCEL_NOISE_DENSITY, MAX_GYRO_NOISE_DENSITY
-    from mufly.flight import is_sensed, read_recording
+    from mufly.flight import has_sensor_readings, read_recording
     from mufly.flight.record.foreign_log import AidRequest, parse_aid, read_foreign_log
     from mufly.logs import detect_log_format
 
@@ -147,7 +147,7 @@ def run(
             raise InputError(name, f"{value:g}", f"is above {limit:g}", "give the density of the unit's data sheet")
     said = [name for name, value in of_aids.items() if value is not None]
     data = read_recording(log) if not said and detect_log_format(log) == "MCAP" else None
-    if data is not None and is_sensed(data):
+    if data is not None and has_sensor_readings(data):
         _estimate_own_flight(log, data, vehicle, out, as_json)
         return
     if vehicle is not None:

@@ -240,20 +240,26 @@ class FixedPointFirmwareControllers(Controllers):
         now.position, now.velocity, now.attitude = (to_signals(v) for v in (m.position, m.velocity, m.attitude))
         now.rates, now.voltage = to_signals(m.rates), to_signal(m.battery_voltage)
 
-    def engage(self, estimate: Estimate, motor_input: _Array) -> None:
+    def engage_heave_yaw(self, estimate: Estimate, motor_input: _Array) -> None:
         self._write_motion(estimate)
-        self._lib.fixed_engage(self._gains_record, self._state_record, self._motion_record, to_signals(motor_input))
+        self._lib.fixed_engage_heave_yaw(
+            self._gains_record, self._state_record, self._motion_record, to_signals(motor_input)
+        )
 
-    def lift_off(self, estimate: Estimate) -> None:
+    def engage_roll_pitch(self, estimate: Estimate) -> None:
         self._write_motion(estimate)
-        self._lib.fixed_lift_off(self._gains_record, self._state_record, self._motion_record)
+        self._lib.fixed_engage_roll_pitch(self._gains_record, self._state_record, self._motion_record)
 
-    def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
+    def compute_tilt_command(
+        self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
+    ) -> _Array:
         self._write_motion(estimate)
         path = self._path_record
         path.position, path.velocity = to_signals(position), to_signals(velocity)
         path.acceleration = to_signals(acceleration)
-        self._lib.fixed_tilt_for(self._gains_record, self._state_record, self._motion_record, path, self._tilt_buffer)
+        self._lib.fixed_compute_tilt_command(
+            self._gains_record, self._state_record, self._motion_record, path, self._tilt_buffer
+        )
         return np.array(list(self._tilt_buffer)) / FIXED_POINT_ONE
 
     def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
@@ -261,9 +267,14 @@ class FixedPointFirmwareControllers(Controllers):
             self._blend_gains()
         self._write_motion(estimate)
         self._lib.fixed_step(
-            self._gains_record, self._state_record, self._motion_record, to_signals(heave_yaw), tilt is not None,
-            [0, 0] if tilt is None else to_signals(tilt), self._actuators_record,
-        )  # fmt: skip
+            self._gains_record,
+            self._state_record,
+            self._motion_record,
+            to_signals(heave_yaw),
+            tilt is not None,
+            [0, 0] if tilt is None else to_signals(tilt),
+            self._actuators_record,
+        )
         return Actuators(
             np.array(list(self._actuators_record.motor_input)) / FIXED_POINT_ONE,
             np.array(list(self._actuators_record.servo_input)) / FIXED_POINT_ONE,

@@ -218,16 +218,20 @@ class _ComparedControllers(Controllers):
         for one in self._implementations:
             one.retune_gains(design)
 
-    def engage(self, estimate: Estimate, motor_input: _Array) -> None:
+    def engage_heave_yaw(self, estimate: Estimate, motor_input: _Array) -> None:
         for one in self._implementations:
-            one.engage(estimate, motor_input)
+            one.engage_heave_yaw(estimate, motor_input)
 
-    def lift_off(self, estimate: Estimate) -> None:
+    def engage_roll_pitch(self, estimate: Estimate) -> None:
         for one in self._implementations:
-            one.lift_off(estimate)
+            one.engage_roll_pitch(estimate)
 
-    def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
-        right, double, _ = (one.tilt_for(estimate, position, velocity, acceleration) for one in self._implementations)
+    def compute_tilt_command(
+        self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
+    ) -> _Array:
+        right, double, _ = (
+            one.compute_tilt_command(estimate, position, velocity, acceleration) for one in self._implementations
+        )
         self.mismatch_count += right.tobytes() != double.tobytes()
         return right
 
@@ -396,7 +400,7 @@ def run_pil(vehicle: Vehicle, *, fixed_point: bool = False) -> list[PilResult]:
 _CONTROL_LAW_SOURCES = ("controllers.c", "law.c", "linear.c", "cascade.c", "mixer.c", "real.c", "tables.c")
 
 
-def law_instructions(vehicle: Vehicle, controllers: Sequence[FlightController]) -> list[float]:
+def measure_law_instructions(vehicle: Vehicle, controllers: Sequence[FlightController]) -> list[float]:
     """Return the mean number of instructions of the control law per period on a Cortex-M4, for every controller.
 
     All controllers use arrays of the largest order, so the numbers differ only where the self-test saturates.

@@ -86,7 +86,7 @@ from mufly.firmware.quick.compiled_loop import (
     run_ideal_periods,
 )
 from mufly.flight.controllers import Actuators
-from mufly.flight.period_stages import BEGIN_PERIOD
+from mufly.flight.period_stages import STAGE_BEGIN_PERIOD
 from mufly.flight.simulated_flight import Flight
 from mufly.flight.simulated_plant import append_rows
 from mufly.mission import State
@@ -194,7 +194,7 @@ class CompiledFlight:
         board, c = self._board, self._clock
         board.prepare_compiled_periods(self._software.law)
         wind = plant.upcoming_wind(until - plant.period_count)
-        c.stage, c.tick, c.start_tick, c.stop_tick = BEGIN_PERIOD, plant.period_count, plant.period_count, until
+        c.stage, c.tick, c.start_tick, c.stop_tick = STAGE_BEGIN_PERIOD, plant.period_count, plant.period_count, until
         c.is_armed, c.stop_when_valid, c.listener_interval = auto.armed, until_valid, flight.listener_periods
         c.wind_samples = c.periods_run = c.log_rows = c.status_rows = c.listener_rows = 0
         c.last_due_tick, c.current_A, c.next_python_sample_s = -1, flight.current_A, math.inf
@@ -471,18 +471,22 @@ def _make_software_arrays(software: Any) -> SoftwareArrays:
 
     s, b = "software_t", "estimate_t"
     offsets = np.zeros(1, RECORD_OFFSETS).view(np.recarray)[0]
-    offsets.time, offsets.motion, offsets.valid = offset(8, b, "time_s"), offset(8, b, "motion"), offset(1, b, "valid")
-    offsets.motors, offsets.late_s = offset(4, s, "motors"), offset(8, s, "since_mission_step_s")
-    offsets.log_count, offsets.finished = (
-        offset(4, s, "mission", "logged_event_count"),
-        offset(1, s, "mission", "finished"),
+    offsets.time, offsets.motion, offsets.valid = (
+        record_offset(8, b, "time_s"),
+        record_offset(8, b, "motion"),
+        record_offset(1, b, "valid"),
     )
-    offsets.state = offset(4, s, "mission", "state")
-    offsets.position, offsets.velocity = (offset(8, s, "reference", "path", n) for n in ("position", "velocity"))
-    offsets.heading, offsets.heading_rate = (offset(8, s, "reference", n) for n in ("heading", "heading_rate"))
-    offsets.tilt, offsets.ranges = offset(8, s, "tilt"), offset(8, b, "ranges")
+    offsets.motors, offsets.late_s = record_offset(4, s, "motors"), record_offset(8, s, "since_mission_step_s")
+    offsets.log_count, offsets.finished = (
+        record_offset(4, s, "mission", "logged_event_count"),
+        record_offset(1, s, "mission", "finished"),
+    )
+    offsets.state = record_offset(4, s, "mission", "state")
+    offsets.position, offsets.velocity = (record_offset(8, s, "reference", "path", n) for n in ("position", "velocity"))
+    offsets.heading, offsets.heading_rate = (record_offset(8, s, "reference", n) for n in ("heading", "heading_rate"))
+    offsets.tilt, offsets.ranges = record_offset(8, s, "tilt"), record_offset(8, b, "ranges")
     offsets.position_variance, offsets.attitude_variance = (
-        offset(8, b, n) for n in ("position_variance", "attitude_variance")
+        record_offset(8, b, n) for n in ("position_variance", "attitude_variance")
     )
     offsets.motors, offsets.late_s = record_offset(4, s, "motors"), record_offset(8, s, "since_mission_step_s")
     offsets.log_count, offsets.finished = (

@@ -37,9 +37,9 @@ from mufly.estimate.filter.measurements import sensor_checks as g
 from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import filter_ring_scan
-from mufly.flight.period_stages import CONTINUE, FIRST_FREE_CODE, LOOP_DONE, make_stepper
+from mufly.flight.period_stages import CONTINUE_LOOP, FIRST_EXECUTOR_CODE, LOOP_DONE, make_stepper
 from mufly.flight.simulated_plant import advance_period, find_collision, true_attitude
-from mufly.sensors.imu import GYRO, sample_imu
+from mufly.sensors.imu import FIRST_GYRO_AXIS, sample_imu
 from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, ROW_MEASURED_TIME
 from mufly.sensors.readings import measure_ranges
 from mufly.sensors.sampling import SAMPLED_READING_INDICES, sample_all
@@ -58,7 +58,7 @@ MAX_PERIODS_PER_CALL = 1024
     STOP_NOT_FINITE,
     STOP_ESTIMATE_VALID,
     STOP_TO_CALL_LISTENER,
-) = range(FIRST_FREE_CODE, FIRST_FREE_CODE + 7)
+) = range(FIRST_EXECUTOR_CODE, FIRST_EXECUTOR_CODE + 7)
 
 
 class LoopClock:
@@ -311,7 +311,7 @@ def _begin_ideal_period(p: IdealPeriods) -> int:
         return LOOP_DONE
     if _is_listener_due(p):
         return STOP_TO_CALL_LISTENER
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
@@ -329,7 +329,7 @@ def _begin_fitted_period(p: FittedPeriods) -> int:
         n = _copy_to_row(row, _copy_to_row(row, n, p.plant.state), p.plant.attitude)
         n = _copy_to_row(row, _copy_to_row(row, _copy_to_row(row, n, f.state), f.rates), f.angles)
         _copy_to_row(row, n, p.ranges)
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
@@ -343,7 +343,7 @@ def advance_plant(p: Periods) -> int:
         acting_inputs[0, k], acting_inputs[1, k] = acting_inputs[1, k], acting_inputs[2, k]
     if not math.isfinite(q.state[MODEL_POSITION + 2]):
         return STOP_NOT_FINITE
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
@@ -357,7 +357,7 @@ def _check_contact(p: Periods) -> int:
         flies = p.software.ints[p.software.offsets.motors] == _MOTORS_FLYING
         drawn = q.supply[1] if flies else c.hover_current_A
         c.current_A += c.current_filter_weight * (drawn - c.current_A)
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
@@ -374,7 +374,7 @@ def _measure_truth(p: IdealPeriods) -> int:
         measure_ranges(q.state, *p.ring, p.ranges)
         p.ring_clock[0] = c.tick / c.rate_Hz
         _publish_ranges(p)
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
@@ -415,7 +415,7 @@ def sample_sensors(p: FittedPeriods) -> int:
     sample_imu(q.state, t, *s.imu)
     read = s.imu[_IMU_OUTPUT]
     for k in range(3):
-        f.values[_ACCEL_START + k], f.values[_RATES_START + k] = read[0, k], read[0, GYRO + k]
+        f.values[_ACCEL_START + k], f.values[_RATES_START + k] = read[0, k], read[0, FIRST_GYRO_AXIS + k]
         f.values[CLIPPING_START + k] = read[1, k]
     f.is_new[READING_ACCELERATION] = f.is_new[READING_RATES] = 1
     f.age[READING_ACCELERATION] = f.age[READING_RATES] = 0.0
@@ -428,7 +428,7 @@ def sample_sensors(p: FittedPeriods) -> int:
             _publish_ranges(p)
     if t >= c.next_python_sample_s:
         return STOP_TO_SAMPLE_SENSORS
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
@@ -442,7 +442,7 @@ def _publish_truth(p: IdealPeriods) -> int:
         )
         b[at.motion + _MOTION_ATT + k], b[at.motion + _MOTION_RATES + k] = q.attitude[k], q.state[MODEL_RATES + k]
     b[at.motion + _MOTION_VOLTAGE] = q.supply[0]
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
@@ -473,7 +473,7 @@ def _step_filter(p: FittedPeriods) -> int:
         for k in range(3):
             b[at.position_variance + k] = covariance[k, k]
             b[at.attitude_variance + k] = covariance[ERROR_ATTITUDE + k, ERROR_ATTITUDE + k]
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
@@ -537,7 +537,7 @@ def _step_software(p: Periods) -> int:
     c.periods_run += 1
     changed = s.ints[at.log_count] != logged or s.ints[at.motors] != motors or s.bytes[at.finished] != finished
     c.log_or_motors_changed = 1 if changed else 0
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
@@ -559,7 +559,7 @@ def _write_log_row(p: Periods) -> int:
         row[LOG_REF_ATTITUDE + 2] = s.reals[at.heading] + late * s.reals[at.heading_rate]
         row[LOG_MISSION_STATE] = s.ints[at.state]
         _copy_to_row(row, LOG_ROW_SIZE, p.ranges)
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
@@ -569,7 +569,7 @@ def _end_period(p: Periods) -> int:
         return STOP_LOG_OR_MODE_CHANGED
     if c.stop_when_valid > 0 and c.is_estimate_valid > 0:
         return STOP_ESTIMATE_VALID
-    return CONTINUE
+    return CONTINUE_LOOP
 
 
 def _compile_stepper(begin: Any, measure: Any, estimate: Any) -> Any:

@@ -65,7 +65,7 @@ from mufly.vehicle.sensor_schema import PositionFixParameters
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-MIN_FIX_INTERVAL_S, SILENCE_TIMEOUT_S, RECOVERY_TIME_S = 0.066, 0.5, 1.0
+MIN_FIX_INTERVAL_S, FIX_SILENCE_TIMEOUT_S, FIX_RECOVERY_TIME_S = 0.066, 0.5, 1.0
 """Least time between two fixes (s); time without fixes, and time with fixes again, until the report (s)."""
 _STATIONARY_NOISE_M = 0.002
 LANDED_HEIGHT_M = 0.2
@@ -75,7 +75,7 @@ _TILT_CORRELATION_S, _HEIGHT_CORRELATION_S = 20.0, 2.0
 """Correlation times of the filter's errors of tilt and height (s)."""
 MAX_FIX_SIGMA_M = 0.2
 """Largest standard deviation of an accepted external fix (m)."""
-_MIN_TURN_RAD, _MIN_SCALE, _MOTION_SIGMAS = math.radians(10.0), 0.1, 5.0
+_MIN_TURN_RAD, _MIN_SCALE_ERROR, _MIN_FAULT_SIGMAS = math.radians(10.0), 0.1, 5.0
 """Least turn (rad) and error of scale of the motion against the accelerometers that are reported, and least number of
 deviations."""
 _MAX_SENT_SIGMA_M = 0.6
@@ -313,16 +313,16 @@ class CameraSensor(Sensor):
         if result is not None and fault and fault != self._fault:
             self._fault = fault
             return f"camera: {fault}" if result.trusted else self._report_loss(fault)
-        if not t - self._trusted_s < SILENCE_TIMEOUT_S:
+        if not t - self._trusted_s < FIX_SILENCE_TIMEOUT_S:
             self._since_s = math.nan
             if self._wrong or self._stood or math.isnan(self._trusted_s):
                 return ""
             latency = float(self._eye.camera.radio.latency)
-            is_late = result is None or t - result.time_s > SILENCE_TIMEOUT_S + latency
+            is_late = result is None or t - result.time_s > FIX_SILENCE_TIMEOUT_S + latency
             return self._report_loss("no pictures arrive" if result is None or is_late else result.reason)
         if self._wrong:
             self._since_s = t if math.isnan(self._since_s) else self._since_s
-            if t - self._since_s >= RECOVERY_TIME_S:
+            if t - self._since_s >= FIX_RECOVERY_TIME_S:
                 self._wrong = self._fault = ""
                 return "position from the camera is available again"
         return ""
@@ -481,9 +481,9 @@ def judge_camera_path(factor: complex, sigma: float) -> str:
         Its standard deviation along one axis.
     """
     turn, scale = abs(cmath.phase(factor)), abs(factor)
-    if turn > max(_MIN_TURN_RAD, _MOTION_SIGMAS * sigma / max(scale, 0.2)):
+    if turn > max(_MIN_TURN_RAD, _MIN_FAULT_SIGMAS * sigma / max(scale, 0.2)):
         return "the camera is turned against the accelerometers: check mount.turn"
-    if abs(scale - 1.0) > max(_MIN_SCALE, _MOTION_SIGMAS * sigma):
+    if abs(scale - 1.0) > max(_MIN_SCALE_ERROR, _MIN_FAULT_SIGMAS * sigma):
         how = "shorter" if scale < 1.0 else "longer"
         return f"the path is {how} than by the accelerometers: check the focal length"
     return ""

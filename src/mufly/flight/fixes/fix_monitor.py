@@ -2,7 +2,7 @@ r"""Checks of external position fixes against the inertial unit, before they rea
 
 The inertial unit alone gives the path over some seconds up to an unknown parabola in time: errors of tilt, bias and
 start are constant over that time. With N + i E as complex numbers, A the second integral of the measured acceleration
-and V its first, fixes P at the times t follow over a window of :data:`WINDOW_S`
+and V its first, fixes P at the times t follow over a window of :data:`PATH_WINDOW_S`
 
     P = c0 + c1 t + c2 t^2 + b B + m A + n conj(A) - d V.
 
@@ -18,22 +18,23 @@ For a mirrored source conj(B) replaces it.
 | late by d | 1 | 0 | d |
 
 Each row is fitted alone. The best fit names the fault under two conditions: the residual of a correct source exceeds
-:data:`_REPORT_RATIO` times the usual drift, and that of the fault is at most the share :data:`_EXPLAINED` of it. The
-controller follows the drift of a source, and the drift then looks like a lag, so the residual for a lag must be
-:data:`_FOLLOWED_FACTOR` times as large. An error of scale whose effect in one window is below the drift is found by a
-long fit over :data:`_LONG_MEMORY_S`. A steady drift of a source in flight is not found: it is a part of the parabola.
+:data:`_REPORT_RESIDUAL_RATIO` times the usual drift, and that of the fault is at most the share
+:data:`_MAX_UNEXPLAINED_SHARE` of it. The controller follows the drift of a source, and the drift then looks like a lag,
+so the residual for a lag must be :data:`_LAG_RESIDUAL_FACTOR` times as large. An error of scale whose effect in one
+window is below the drift is found by a long fit over :data:`_LONG_FIT_MEMORY_S`. A steady drift of a source in flight
+is not found: it is a part of the parabola.
 
 The heading is checked against the integrated gyroscopes, whose offset is adapted slowly. In a turn a lagging heading
 shows the delay d long before the path does: psi(t) = psi_gyro(t - d) is fitted over d. While the motors are off, the
 source must not move; the tilt and the bias of the gyroscopes are measured then.
 
-A fault must last :data:`_CONFIRM_COUNT` fixes. Fixes are withheld from a residual of
-:data:`_WITHHOLD_RATIO` times the drift, so that the filter does not follow a source that is about to be refused, and
-for :data:`_SETTLE_S` after a jump. A refused source is accepted again after :data:`RETURN_S` of flight in which it
-agrees, or of rest if it moved at rest. When a source is refused, the filter's velocity is already wrong and would stay
-so until touchdown. The motion of a refused source is therefore corrected for the landing
-(:meth:`FixMonitor.correct_fix`). The specific force contains drag and wind, so the checks need no rotor model. Own
-derivation.
+A fault must last :data:`_FAULT_CONFIRMING_FIXES` fixes. Fixes are withheld from a residual of
+:data:`_WITHHOLD_RESIDUAL_RATIO` times the drift, so that the filter does not follow a source that is about to be
+refused, and for :data:`_WITHHOLD_AFTER_JUMP_S` after a jump. A refused source is accepted again after
+:data:`REACCEPTANCE_TIME_S` of flight in which it agrees, or of rest if it moved at rest. When a source is refused, the
+filter's velocity is already wrong and would stay so until touchdown. The motion of a refused source is therefore
+corrected for the landing (:meth:`FixMonitor.correct_fix`). The specific force contains drag and wind, so the checks
+need no rotor model. Own derivation.
 """
 
 from __future__ import annotations
@@ -52,34 +53,35 @@ from mufly.rotations import quaternion_from_euler
 from mufly.sensors import Readings
 
 _Array = NDArray[np.float64]
-WINDOW_S, RETURN_S = 5.0, 10.0
-_MIN_SPAN_S, _MIN_COUNT = 1.2, 12
+PATH_WINDOW_S, REACCEPTANCE_TIME_S = 5.0, 10.0
+_MIN_FIT_SPAN_S, _MIN_FIT_FIX_COUNT = 1.2, 12
 """Least span (s) and number of fixes for a fit."""
-_WITHHOLD_RATIO, _REPORT_RATIO, _FOLLOWED_FACTOR, _EXPLAINED, _CONFIRM_COUNT = 0.8, 1.2, 1.5, 0.45, 6
-_MIN_SIZE, _BOTH = 0.6, 4.0
+_WITHHOLD_RESIDUAL_RATIO, _REPORT_RESIDUAL_RATIO, _LAG_RESIDUAL_FACTOR = 0.8, 1.2, 1.5
+_MAX_UNEXPLAINED_SHARE, _FAULT_CONFIRMING_FIXES = 0.45, 6
+_SMALL_MOTION_RATIO, _SMALL_MOTION_RESIDUAL_FACTOR = 0.6, 4.0
 """Residuals over the usual drift from which fixes are withheld and the fault is reported. For sources that lag or move
-less than :data:`_MIN_SIZE` times as far, both are larger by a factor. Largest share of the residual that the
+less than :data:`_SMALL_MOTION_RATIO` times as far, both are larger by a factor. Largest share of the residual that the
 fault leaves; number of fixes that confirm a fault."""
-_HEADING_RAD, _HEADING_DECAY_S = math.radians(20.0), 30.0
+_MAX_HEADING_DIFFERENCE_RAD, _HEADING_DRIFT_TIME_S = math.radians(20.0), 30.0
 """Largest difference of heading and integrated gyroscopes (rad), and time constant of their slow drift (s)."""
-_MAX_DELAY_S, _MIN_DELAY_S, _HEADING_WINDOW_S, _MIN_LAG_RAD = 0.8, 0.12, 3.0, math.radians(2.5)
-_DELAYS_S = np.arange(0.0, _MAX_DELAY_S, 0.04)
+_MAX_TRIED_DELAY_S, _MIN_REPORTED_DELAY_S, _HEADING_WINDOW_S, _MIN_HEADING_LAG_RAD = 0.8, 0.12, 3.0, math.radians(2.5)
+_TRIED_DELAYS_S = np.arange(0.0, _MAX_TRIED_DELAY_S, 0.04)
 """Fit of the heading's delay: largest delay tried, least delay reported, window (s), and least rms difference from the
 gyroscopes (rad)."""
-_APART_RAD = math.radians(3.0)
+_WITHHOLD_HEADING_CHANGE_RAD = math.radians(3.0)
 """Change of the heading against the gyroscopes within a second from which fixes are withheld (rad)."""
-_LONG_STEP_S, _LONG_MEMORY_S, _LONG_CORRELATION, _LONG_SIGMAS = 2.5, 60.0, 30.0, 3.5
+_LONG_FIT_STEP_S, _LONG_FIT_MEMORY_S, _LONG_FIT_CORRELATED_FIXES, _LONG_FIT_REPORT_SIGMAS = 2.5, 60.0, 30.0, 3.5
 """Long fit: step between windows and memory (s), number of fixes with correlated errors, deviations until a report."""
-_LONG_LEAST_SHARE = 0.15  # least rms residual of the long fit, over the usual drift
-_LONG_SCALE, _LONG_TURN_RAD = 0.2, math.radians(20.0)
+_LONG_FIT_MIN_RMS_RATIO = 0.15  # least rms residual of the long fit, over the usual drift
+_LONG_FIT_MIN_SCALE_ERROR, _LONG_FIT_MAX_TURN_RAD = 0.2, math.radians(20.0)
 """Least error of scale that the long fit reports, and largest turn of the axes (rad) at which the fault is a scale."""
-_REST_WINDOW_S, _REST_SPEED_M_S = 4.0, 0.04
-_JUMP_M, _MAX_SPEED_M_S, _SETTLE_S = 0.3, 2.0, 4.0
+_REST_CHECK_WINDOW_S, _MAX_REST_SPEED_M_S = 4.0, 0.04
+_MIN_JUMP_M, _MAX_SPEED_M_S, _WITHHOLD_AFTER_JUMP_S = 0.3, 2.0, 4.0
 """Change between two fixes that counts as a jump: a length (m), and a speed (m/s) that no flight has; time for which
 fixes are withheld after a jump (s)."""
 _MIN_TURN_EFFECT = 0.005  # rms of B beside a parabola, below which the nose did not turn (s^2)
-_WITHHELD = "it is withheld: "
-_LAGGING = "its heading does not follow the measured turn rate"
+_WITHHELD_TEXT = "it is withheld: "
+_HEADING_LAG_TEXT = "its heading does not follow the measured turn rate"
 _ATTITUDE_CORRECTION_S, _REST_AVERAGE_S = 20.0, 1.0
 
 
@@ -95,9 +97,9 @@ class PathFit:
         Root mean square of the path itself (m).
     rms_m : dict
         Root mean squares of the differences for a source "turned", "mirrored", "scaled" or "late" (m).
-    turn : complex
+    rotation_factor : complex
         m of a turned source; its real part is that of a scaled one.
-    mirror : complex
+    mirror_factor : complex
         n of a mirrored source.
     delay_s : float
         d of a late source.
@@ -106,8 +108,8 @@ class PathFit:
     healthy_rms_m: float
     motion_rms_m: float
     rms_m: dict[str, float]
-    turn: complex
-    mirror: complex
+    rotation_factor: complex
+    mirror_factor: complex
     delay_s: float
 
 
@@ -130,7 +132,7 @@ class FixCorrection:
     delay_s: float = 0.0
 
 
-_NO_FIT = PathFit(0.0, 0.0, {"turned": 0.0}, 1.0 + 0.0j, 0j, 0.0)
+_EMPTY_PATH_FIT = PathFit(0.0, 0.0, {"turned": 0.0}, 1.0 + 0.0j, 0j, 0.0)
 
 
 class FixMonitor:
@@ -152,8 +154,8 @@ class FixMonitor:
     """
 
     def __init__(self, drift_m: float) -> None:
-        self._withhold_m, self._report_m = _WITHHOLD_RATIO * drift_m, _REPORT_RATIO * drift_m
-        self._least_variance_m2 = (_LONG_LEAST_SHARE * drift_m) ** 2
+        self._withhold_m, self._report_m = _WITHHOLD_RESIDUAL_RATIO * drift_m, _REPORT_RESIDUAL_RATIO * drift_m
+        self._least_variance_m2 = (_LONG_FIT_MIN_RMS_RATIO * drift_m) ** 2
         self.reset()
 
     def reset(self) -> None:
@@ -173,7 +175,7 @@ class FixMonitor:
         self._candidate, self._count, self._sure_count = "", 0, 0
         self._settled_s = -math.inf
         self.fault, self._agreed_s, self._last_s = "", 0.0, math.nan
-        self.path_fit = _NO_FIT
+        self.path_fit = _EMPTY_PATH_FIT
         self._long_s, self._long_sums, self.long_fit = -math.inf, np.zeros(4, complex), (1.0 + 0j, math.inf)
         self._correction: FixCorrection | None = None
         self._measured = self._corrected = 0j  # last fix of a refused source
@@ -253,27 +255,27 @@ class FixMonitor:
         place : (4,) array
             N, E, D (m), heading (rad).
         """
-        fault, is_sure, is_known = self._assess(time_s, place)
+        fault, is_sure, is_known = self._assess_fix(time_s, place)
         gap = time_s - self._last_s
         self._last_s = time_s
         if fault:
             self._count += 1
             self._sure_count = self._sure_count + 1 if is_sure else 0
             self._candidate, self._agreed_s = fault, 0.0
-            if self._sure_count >= _CONFIRM_COUNT:
+            if self._sure_count >= _FAULT_CONFIRMING_FIXES:
                 self._refuse_source(time_s, complex(*place[:2]), fault)
         else:
             self._candidate, self._count, self._sure_count = "", 0, 0
             if self.fault and is_known and 0.0 < gap < 0.5:
                 self._agreed_s += gap
                 self._correction = None
-                if self._agreed_s >= RETURN_S:
+                if self._agreed_s >= REACCEPTANCE_TIME_S:
                     self.fault = ""
         if self.fault:
             return self.fault
         if time_s < self._settled_s:
-            return f"{_WITHHELD}it has jumped"
-        return f"{_WITHHELD}{self._candidate}" if self._count > 2 or fault == _LAGGING else ""
+            return f"{_WITHHELD_TEXT}it has jumped"
+        return f"{_WITHHELD_TEXT}{self._candidate}" if self._count > 2 or fault == _HEADING_LAG_TEXT else ""
 
     def _refuse_source(self, time_s: float, place: complex, fault: str) -> None:
         """Refuse the source; its corrected motion continues from the filter's present position."""
@@ -288,11 +290,11 @@ class FixMonitor:
         fit = self.path_fit
         match self._classify_path(self._report_m):
             case "turned":
-                return FixCorrection(1.0 / fit.turn)
+                return FixCorrection(1.0 / fit.rotation_factor)
             case "mirrored":
-                return FixCorrection(1.0 / fit.mirror, is_mirrored=True)
+                return FixCorrection(1.0 / fit.mirror_factor, is_mirrored=True)
             case "scaled":
-                return FixCorrection(1.0 / complex(fit.turn.real))
+                return FixCorrection(1.0 / complex(fit.rotation_factor.real))
             case "late":
                 return FixCorrection(1.0 + 0j, delay_s=fit.delay_s)
         return FixCorrection(1.0 / abs(self.long_fit[0]) + 0j) if self._judge_long_fit() else None
@@ -314,7 +316,7 @@ class FixMonitor:
     def _fault_kind(fault: str) -> str:
         return "".join(c for c in fault if c.isalpha())
 
-    def _assess(self, time_s: float, place: _Array) -> tuple[str, bool, bool]:
+    def _assess_fix(self, time_s: float, place: _Array) -> tuple[str, bool, bool]:
         """Return the fault of a fix ("" if none), whether it is certain, and whether the source is known to agree."""
         if not self._history or time_s < self._history[0][0]:
             return "", False, False
@@ -326,7 +328,7 @@ class FixMonitor:
             return (
                 fault,
                 True,
-                bool(self._rest_fixes) and self._fault_kind(self.fault) == self._fault_kind(_moving_text(0.0)),
+                bool(self._rest_fixes) and self._fault_kind(self.fault) == self._fault_kind(_motion_at_rest_text(0.0)),
             )
         self._rest_fixes.clear()
         k = len(self._history) - 1
@@ -336,44 +338,44 @@ class FixMonitor:
         fix = time_s, complex(north, east), path, speed, bias
         if self._fixes and self._is_jump(fix):
             self._fixes.clear()
-            self._settled_s = time_s + _SETTLE_S
+            self._settled_s = time_s + _WITHHOLD_AFTER_JUMP_S
         self._fixes.append(fix)
-        while self._fixes[0][0] < time_s - WINDOW_S:
+        while self._fixes[0][0] < time_s - PATH_WINDOW_S:
             self._fixes.popleft()
         self._fit_heading(time_s, heading, yaw)
         if fault := self._judge_heading() or self._check_heading(heading - yaw):
             return fault, True, False
         if self._is_heading_apart(time_s):
-            return _LAGGING, False, False
+            return _HEADING_LAG_TEXT, False, False
         self._fit_path()
         fit, fault = self.path_fit, self._judge_path(self._report_m) or self._judge_long_fit()
-        agrees = fit.motion_rms_m > self._report_m and fit.healthy_rms_m < _EXPLAINED * fit.motion_rms_m
+        agrees = fit.motion_rms_m > self._report_m and fit.healthy_rms_m < _MAX_UNEXPLAINED_SHARE * fit.motion_rms_m
         return fault or self._judge_path(self._withhold_m), bool(fault), agrees
 
     def _is_jump(self, fix: tuple[float, complex, complex, complex, complex]) -> bool:
         """Return whether a fix is farther from the last one than the vehicle can fly."""
         last = self._fixes[-1]
-        return abs(fix[1] - last[1]) > _JUMP_M + _MAX_SPEED_M_S * (fix[0] - last[0])
+        return abs(fix[1] - last[1]) > _MIN_JUMP_M + _MAX_SPEED_M_S * (fix[0] - last[0])
 
     def _check_rest(self, time_s: float, place: complex) -> str:
         """Return the fault of a source that moves while the vehicle stands."""
         self._rest_fixes.append((time_s, place))
-        while self._rest_fixes[0][0] < time_s - _REST_WINDOW_S:
+        while self._rest_fixes[0][0] < time_s - _REST_CHECK_WINDOW_S:
             self._rest_fixes.popleft()
         t = np.array([f[0] for f in self._rest_fixes])
-        if len(t) < _MIN_COUNT or t[-1] - t[0] < 0.8 * _REST_WINDOW_S:
+        if len(t) < _MIN_FIT_FIX_COUNT or t[-1] - t[0] < 0.8 * _REST_CHECK_WINDOW_S:
             return ""
         t = t - t.mean()
         speed = abs(complex(t @ np.array([f[1] for f in self._rest_fixes]))) / float(t @ t)
-        return _moving_text(speed) if speed > _REST_SPEED_M_S else ""
+        return _motion_at_rest_text(speed) if speed > _MAX_REST_SPEED_M_S else ""
 
     def _check_heading(self, offset: float) -> str:
         if math.isnan(self._heading_offset):
             self._heading_offset = offset
         off = math.remainder(offset - self._heading_offset, 2 * math.pi)
-        if abs(off) > _HEADING_RAD:
+        if abs(off) > _MAX_HEADING_DIFFERENCE_RAD:
             return f"its heading turns by {math.degrees(off):.0f} degrees against the gyroscopes"
-        step = off / (15.0 * _HEADING_DECAY_S)  # the gyroscopes drift: follow the source's heading slowly
+        step = off / (15.0 * _HEADING_DRIFT_TIME_S)  # the gyroscopes drift: follow the source's heading slowly
         c, s = math.cos(step), math.sin(step)
         self._turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._turn
         return ""
@@ -385,33 +387,33 @@ class FixMonitor:
             heading = last + math.remainder(heading - last, 2 * math.pi)
             yaw = last_yaw + math.remainder(yaw - last_yaw, 2 * math.pi)
         self._headings.append((time_s, heading, yaw))
-        while self._headings[0][0] < time_s - WINDOW_S:
+        while self._headings[0][0] < time_s - PATH_WINDOW_S:
             self._headings.popleft()
         t, y, own = (np.array(c) for c in zip(*self._headings, strict=True))
         self.heading_fit = (0.0, 0.0, 0.0)
-        if len(t) >= _MIN_COUNT and t[-1] - t[0] > _MIN_SPAN_S + _MAX_DELAY_S:
-            used = (t > t[0] + _MAX_DELAY_S) & (t > t[-1] - _HEADING_WINDOW_S)
-            rms = [float(np.std(y[used] - np.interp(t[used] - d, t, own))) for d in _DELAYS_S]
+        if len(t) >= _MIN_FIT_FIX_COUNT and t[-1] - t[0] > _MIN_FIT_SPAN_S + _MAX_TRIED_DELAY_S:
+            used = (t > t[0] + _MAX_TRIED_DELAY_S) & (t > t[-1] - _HEADING_WINDOW_S)
+            rms = [float(np.std(y[used] - np.interp(t[used] - d, t, own))) for d in _TRIED_DELAYS_S]
             best = int(np.argmin(rms))
-            self.heading_fit = rms[0], rms[best], float(_DELAYS_S[best])
+            self.heading_fit = rms[0], rms[best], float(_TRIED_DELAYS_S[best])
 
     def _judge_heading(self) -> str:
         """Return the fault of a source whose heading lags behind the gyroscopes."""
         off, left, delay = self.heading_fit
-        explains = off > _MIN_LAG_RAD and left < _EXPLAINED * off and delay > _MIN_DELAY_S
-        return _late_text(delay) if explains else ""
+        explains = off > _MIN_HEADING_LAG_RAD and left < _MAX_UNEXPLAINED_SHARE * off and delay > _MIN_REPORTED_DELAY_S
+        return _delay_fault_text(delay) if explains else ""
 
     def _is_heading_apart(self, time_s: float) -> bool:
         """Return whether the change of the heading within a second differs from that of the gyroscopes."""
         recent = [heading - own for t, heading, own in self._headings if t > time_s - 1.0]
-        return abs(recent[-1] - float(np.median(recent))) > _APART_RAD
+        return abs(recent[-1] - float(np.median(recent))) > _WITHHOLD_HEADING_CHANGE_RAD
 
     def _fit_path(self) -> None:
         """Fit the path over the window with each row of the module's table in turn."""
-        self.path_fit = _NO_FIT
+        self.path_fit = _EMPTY_PATH_FIT
         t, place, path, speed, bias = (np.array(c) for c in zip(*self._fixes, strict=True))
         span = float(t[-1] - t[0])
-        if len(t) < _MIN_COUNT or span < _MIN_SPAN_S:
+        if len(t) < _MIN_FIT_FIX_COUNT or span < _MIN_FIT_SPAN_S:
             return
         u = (t - t.mean()) / span
         q, _ = np.linalg.qr(np.stack([np.ones_like(u), u, u * u], axis=1))
@@ -420,7 +422,7 @@ class FixMonitor:
         if (size := float(np.vdot(b, b).real)) > len(t) * _MIN_TURN_EFFECT**2:
             mirror_y = y - b.conj() * (np.vdot(b.conj(), y) / size)
             y, a, v = (c - b * (np.vdot(b, c) / size) for c in (y, a, v))
-        if t[-1] > self._long_s + _LONG_STEP_S and span > 0.9 * WINDOW_S:
+        if t[-1] > self._long_s + _LONG_FIT_STEP_S and span > 0.9 * PATH_WINDOW_S:
             self._long_s = float(t[-1])
             self._add_window(y, a)
         off = y - a
@@ -433,24 +435,27 @@ class FixMonitor:
             "scaled": y - turn.real * a,
             "late": off + delay * v,
         }
-        rms = {name: _rms(r) for name, r in each.items()}
-        self.path_fit = PathFit(_rms(off), _rms(a), rms, turn, mirror, delay)
+        rms = {name: _root_mean_square(r) for name, r in each.items()}
+        self.path_fit = PathFit(_root_mean_square(off), _root_mean_square(a), rms, turn, mirror, delay)
 
     def _add_window(self, y: NDArray[np.complexfloating], a: NDArray[np.complexfloating]) -> None:
         """Add a window to the long fit y = m a, and update the standard deviation of m."""
-        self._long_sums *= math.exp(-_LONG_STEP_S / _LONG_MEMORY_S)
+        self._long_sums *= math.exp(-_LONG_FIT_STEP_S / _LONG_FIT_MEMORY_S)
         self._long_sums += [np.vdot(a, a), np.vdot(a, y), np.vdot(y, y), len(a)]
         square, product, total, count = self._long_sums
         m = complex(product / square)
         noise = max(self._least_variance_m2, float((total - abs(product) ** 2 / square).real) / float(count.real))
-        self.long_fit = m, math.sqrt(_LONG_CORRELATION * noise / (2.0 * float(square.real)))
+        self.long_fit = m, math.sqrt(_LONG_FIT_CORRELATED_FIXES * noise / (2.0 * float(square.real)))
 
     def _judge_long_fit(self) -> str:
         """Return the fault of a source with a wrong scale that is too small for single windows to show."""
         m, sigma = self.long_fit
         off = abs(abs(m) - 1.0)
-        is_wrong = off > max(_LONG_SCALE, _LONG_SIGMAS * sigma) and abs(cmath.phase(m)) < _LONG_TURN_RAD
-        return _scaled_text(abs(m)) if is_wrong else ""
+        is_wrong = (
+            off > max(_LONG_FIT_MIN_SCALE_ERROR, _LONG_FIT_REPORT_SIGMAS * sigma)
+            and abs(cmath.phase(m)) < _LONG_FIT_MAX_TURN_RAD
+        )
+        return _scale_fault_text(abs(m)) if is_wrong else ""
 
     def _classify_path(self, least_m: float) -> str:
         """Return the fault that explains the path best, if the residual exceeds a least rms (m); "" otherwise."""
@@ -458,50 +463,52 @@ class FixMonitor:
         if fit.healthy_rms_m < least_m:
             return ""
         best = min(fit.rms_m, key=lambda name: fit.rms_m[name])
-        if fit.rms_m[best] > _EXPLAINED * fit.healthy_rms_m:
+        if fit.rms_m[best] > _MAX_UNEXPLAINED_SHARE * fit.healthy_rms_m:
             return ""
         simple = [name for name in ("late", "scaled") if fit.rms_m[name] < 1.3 * fit.rms_m[best]]
         kind = min(simple, key=lambda name: fit.rms_m[name]) if simple else best
-        scale = fit.turn.real
-        size = {"late": 0.0, "scaled": scale, "turned": abs(fit.turn), "mirrored": abs(fit.mirror)}[kind]
-        lags = size < (_MIN_SIZE if kind in ("turned", "mirrored") else 1.0)
-        return "" if lags and fit.healthy_rms_m < _FOLLOWED_FACTOR * least_m else kind
+        scale = fit.rotation_factor.real
+        size = {"late": 0.0, "scaled": scale, "turned": abs(fit.rotation_factor), "mirrored": abs(fit.mirror_factor)}[
+            kind
+        ]
+        lags = size < (_SMALL_MOTION_RATIO if kind in ("turned", "mirrored") else 1.0)
+        return "" if lags and fit.healthy_rms_m < _LAG_RESIDUAL_FACTOR * least_m else kind
 
     def _judge_path(self, least_m: float) -> str:
         """Return the fault of the path as text, if the residual of a correct source exceeds a least rms (m)."""
         fit, kind = self.path_fit, self._classify_path(least_m)
         if not kind:
             return ""
-        scale, both = fit.turn.real, (fit.rms_m["turned"], fit.rms_m["mirrored"])
-        if kind in ("turned", "mirrored") and sum(both) < _BOTH * min(both):
+        scale, both = fit.rotation_factor.real, (fit.rms_m["turned"], fit.rms_m["mirrored"])
+        if kind in ("turned", "mirrored") and sum(both) < _SMALL_MOTION_RESIDUAL_FACTOR * min(both):
             return "it moves turned or mirrored against the accelerometers: check the sign and order of its axes"
         match kind:
             case "late":
-                return _late_text(fit.delay_s)
+                return _delay_fault_text(fit.delay_s)
             case "scaled" if scale > 0.0:
-                return _scaled_text(scale)
+                return _scale_fault_text(scale)
             case "mirrored":
                 return "it moves mirrored against the accelerometers: check the sign and order of its axes"
-        return _turned_text(fit.turn)
+        return _rotation_fault_text(fit.rotation_factor)
 
 
-def _rms(a: NDArray[np.complexfloating]) -> float:
+def _root_mean_square(a: NDArray[np.complexfloating]) -> float:
     return math.sqrt(float(np.vdot(a, a).real) / len(a))
 
 
-def _scaled_text(scale: float) -> str:
+def _scale_fault_text(scale: float) -> str:
     return f"it moves {scale:.2f} times as far as measured by the accelerometers"
 
 
-def _turned_text(turn: complex) -> str:
+def _rotation_fault_text(turn: complex) -> str:
     degrees = math.degrees(cmath.phase(turn))
     return f"its axes are turned by {degrees:.0f} degrees against the accelerometers: check its frame"
 
 
-def _late_text(delay_s: float) -> str:
+def _delay_fault_text(delay_s: float) -> str:
     early = "later" if delay_s > 0.0 else "earlier"
     return f"it is {abs(1e3 * delay_s):.0f} ms {early} than its times, against the inertial unit"
 
 
-def _moving_text(speed_m_s: float) -> str:
+def _motion_at_rest_text(speed_m_s: float) -> str:
     return f"it moves by {100 * speed_m_s:.0f} cm/s while the vehicle stands"

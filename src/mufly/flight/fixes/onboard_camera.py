@@ -58,7 +58,7 @@ def parse_camera_fault(text: str) -> CameraFault:
         raise ArgumentError("camera_fault", text, error.problem, error.remedy) from None
 
 
-_SPOTS = ((0.33, 0.31, 0.05), (0.62, 0.72, 0.06))
+_DIRT_SPOTS = ((0.33, 0.31, 0.05), (0.62, 0.72, 0.06))
 """Dark spots: row and column as fractions of the picture's height and width, radius as a fraction of its width."""
 
 
@@ -67,7 +67,7 @@ def add_dirt(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     high, wide = picture.shape
     row, column = np.mgrid[:high, :wide]
     clear = np.ones(picture.shape)
-    for y, x, radius in _SPOTS:
+    for y, x, radius in _DIRT_SPOTS:
         away = np.hypot(row - y * high, column - x * wide) - radius * wide
         clear *= 1.0 / (1.0 + np.exp(-away / (0.005 * wide)))
     return (picture * clear + 30.0 * (1.0 - clear)).astype(np.uint8)

@@ -21,7 +21,7 @@ from mufly.flight.monte_carlo.worker_pool import (
     flight_severity,
     run_campaign,
     search_worst_case,
-    worst_first,
+    sort_by_severity,
 )
 
 __all__ = [
@@ -49,8 +49,8 @@ __all__ = [
     "results_dataset",
     "run_campaign",
     "search_worst_case",
+    "sort_by_severity",
     "summarise_outcome",
     "wilson_interval",
-    "worst_first",
     "write_flights",
 ]

@@ -59,10 +59,10 @@ _Array = NDArray[np.float64]
 MAX_VEHICLE_DRAWS = 200
 """Number of consecutive draws of impossible vehicles after which a campaign ends."""
 
-NEVER_TOLD_PREFIX = "sensors.imu.mount_"
+UNKNOWN_TO_FILTER_PREFIX = "sensors.imu.mount_"
 """Prefix of the keys that no filter uses: the filter assumes an aligned inertial unit."""
 
-NEES_INTERVAL_PERIODS = 10  # periods between two samples of the estimation error
+NEES_SAMPLE_INTERVAL_PERIODS = 10  # periods between two samples of the estimation error
 
 
 @dataclass(frozen=True)
@@ -246,18 +246,18 @@ class Campaign:
         return sorted({key for v in self.variations for key in v.keys})
 
     @property
-    def told_keys(self) -> list[str]:
+    def keys_known_on_board(self) -> list[str]:
         """Return the varied keys whose drawn values the flight software knows (control, filter, fault detection)."""
-        return [key for key in self.varied_keys if self.redesign and not key.startswith(NEVER_TOLD_PREFIX)]
+        return [key for key in self.varied_keys if self.redesign and not key.startswith(UNKNOWN_TO_FILTER_PREFIX)]
 
     @property
-    def untold_keys(self) -> list[str]:
+    def keys_unknown_on_board(self) -> list[str]:
         """Return the varied keys of the simulated truth alone; the flight software keeps the nominal values."""
-        return [key for key in self.varied_keys if not self.redesign or key.startswith(NEVER_TOLD_PREFIX)]
+        return [key for key in self.varied_keys if not self.redesign or key.startswith(UNKNOWN_TO_FILTER_PREFIX)]
 
     def describe_knowledge(self) -> str:
         """Return as text how many of the varied parameters the flight software knows, and how many it does not."""
-        told, untold = len(self.told_keys), len(self.untold_keys)
+        told, untold = len(self.keys_known_on_board), len(self.keys_unknown_on_board)
         parts = [
             f"{n} varied parameter{'s' if n > 1 else ''} {word}"
             for n, word in ((untold, "untold"), (told, "told"))
@@ -325,10 +325,10 @@ class Campaign:
 
     @property
     def search_dimension(self) -> int:
-        """Return the number of coordinates of :meth:`case_at`."""
+        """Return the number of coordinates of :meth:`case_at_point`."""
         return sum(v.variable_count for v in self.variations) + isinstance(self.wind, float)
 
-    def case_at(self, point: _Array, index: int) -> FlightCase:
+    def case_at_point(self, point: _Array, index: int) -> FlightCase:
         """Return the settings at a point (``search_dimension``,) of the search for the worst case, within -1..1.
 
         The seed is that of flight 0. A normal ``z`` is searched within two standard deviations.
@@ -383,13 +383,13 @@ class Campaign:
         }
 
     @cached_property
-    def _filed_values(self) -> dict[str, float]:
+    def _vehicle_file_values(self) -> dict[str, float]:
         return {p.key: p.value for p in list_parameters(self.vehicle) if isinstance(p.value, float)}
 
     def wrong_sources(self, case: FlightCase) -> frozenset[str]:
         """Return the sensors whose true errors differ from those that the filter knows, by their names in messages."""
-        untold = {key: case.parameter_values[key] for key in self.untold_keys if key in case.parameter_values}
-        return wrong_sources(self.faults, untold, self._filed_values)
+        untold = {key: case.parameter_values[key] for key in self.keys_unknown_on_board if key in case.parameter_values}
+        return wrong_sources(self.faults, untold, self._vehicle_file_values)
 
     def replay_command(self, case: FlightCase, folder: Path, vehicle_file: Path | None) -> str:
         """Return the command that repeats a flight; ``vehicle_file`` holds the drawn vehicle, if any."""
@@ -437,7 +437,7 @@ def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> 
         with _thread_pools().limit(limits=1):  # the last bits of a design must not depend on the number of cores
             data = fly_mission(
                 **campaign.flight_options(case), path=path, brief=path is None, on_tick=heard if sensed else None,
-                tick_every=NEES_INTERVAL_PERIODS,
+                tick_every=NEES_SAMPLE_INTERVAL_PERIODS,
             )  # fmt: skip
     except MuflyError as error:
         return FlightResult(

@@ -10,7 +10,7 @@ from mufly.errors import report_write_errors
 from mufly.flight.monte_carlo.campaign import Campaign, FlightResult, list_differences
 from mufly.flight.monte_carlo.campaign_pictures import draw_distributions, draw_influences
 from mufly.flight.monte_carlo.campaign_results import results_dataset
-from mufly.flight.monte_carlo.worker_pool import WorkerPool, case_from_result, worst_first
+from mufly.flight.monte_carlo.worker_pool import WorkerPool, case_from_result, sort_by_severity
 from mufly.study import write_results
 from mufly.vehicle import format_vehicle_toml
 
@@ -53,9 +53,9 @@ def record_notable_flights(
     """
     failed = [f for f in flown if not f.success]
     chosen = {folder / "failed" / f"{f.index:05d}": f for f in failed[:most]}
-    left = [f for f in worst_first(flown, campaign.tolerance_m) if f.success][:1]
+    left = [f for f in sort_by_severity(flown, campaign.tolerance_m) if f.success][:1]
     chosen |= {folder / "worst" / f"{f.index:05d}": f for f in left}
-    chosen |= {folder / "search" / f"{f.index:05d}": f for f in worst_first(sought, campaign.tolerance_m)[:1]}
+    chosen |= {folder / "search" / f"{f.index:05d}": f for f in sort_by_severity(sought, campaign.tolerance_m)[:1]}
     commands: list[tuple[FlightResult, str]] = []
     orders = []
     for place, f in chosen.items():

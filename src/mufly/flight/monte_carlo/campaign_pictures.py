@@ -21,8 +21,8 @@ from mufly.flight.monte_carlo.campaign import Campaign, FlightResult
 from mufly.flight.monte_carlo.campaign_results import CampaignOutcome, FlightMetric, list_metrics
 from mufly.flight.record.flight_pictures import BLUE, GREY, PLOT_STYLE, VERMILION
 
-_BIN_COUNT = 40
-_MAX_PARAMETERS = 12  # parameters shown
+_HISTOGRAM_BIN_COUNT = 40
+_MAX_SHOWN_PARAMETERS = 12  # parameters shown
 _INFLUENCED_METRICS = ("overshoot_m", "tracking_peak_m", "touchdown_speed_m_s", "battery_left")
 
 
@@ -37,7 +37,9 @@ def draw_distributions(flights: Sequence[FlightResult], tolerance_m: float, titl
             axes = figure.add_subplot(rows, columns, k + 1)
             both = np.concatenate([good, bad])
             far = np.percentile(both, 95 if m.high_is_bad else 5)
-            edges = np.linspace(both.min(), both.max(), min(_BIN_COUNT, max(8, int(2 * math.sqrt(len(both)))) + 1))
+            edges = np.linspace(
+                both.min(), both.max(), min(_HISTOGRAM_BIN_COUNT, max(8, int(2 * math.sqrt(len(both)))) + 1)
+            )
             axes.hist([good, bad], bins=edges.tolist(), stacked=True, color=[BLUE, VERMILION])
             axes.axvline(far, color=GREY, linestyle=":", linewidth=1.2)
             label = f"{m.label} ({m.unit})" if m.unit != "1" else m.label
@@ -110,7 +112,7 @@ def draw_influences(flights: Sequence[FlightResult], campaign: Campaign) -> Figu
             use = [f for f in flights if getattr(f, m.field_name) is not None]
             target = np.array([getattr(f, m.field_name) for f in use])
             rho = {key: _rank_correlation(np.array([f.values[key] for f in use]), target) for key in keys}
-            names = sorted(keys, key=lambda key: -abs(rho[key]))[:_MAX_PARAMETERS][::-1]
+            names = sorted(keys, key=lambda key: -abs(rho[key]))[:_MAX_SHOWN_PARAMETERS][::-1]
             axes.barh(names, [rho[n] for n in names], color=[VERMILION if rho[n] > 0 else BLUE for n in names])
             chance = 1.96 / math.sqrt(max(len(use) - 1, 1))
             axes.axvspan(-chance, chance, color=GREY, alpha=0.25, linewidth=0, zorder=0)

@@ -30,7 +30,7 @@ from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import list_parameters
 from mufly.version import __version__
 
-_Z95 = 1.959963984540054
+_NORMAL_QUANTILE_95 = 1.959963984540054
 
 
 class FlightMetric(NamedTuple):
@@ -77,7 +77,7 @@ def list_metrics(tolerance_m: float) -> tuple[FlightMetric, ...]:
     )
 
 
-def wilson_interval(successes: int, flights: int, z: float = _Z95) -> tuple[float, float]:
+def wilson_interval(successes: int, flights: int, z: float = _NORMAL_QUANTILE_95) -> tuple[float, float]:
     """Return Wilson's interval of the success rate; ``z`` = 1.96 gives 95 %.
 
     Raises
@@ -224,7 +224,7 @@ def summarise_outcome(flights: Sequence[FlightResult], tolerance_m: float) -> Ca
     good = [f for f in flights if f.success]
     low, high = wilson_interval(len(good), len(flights))
     ended = Counter(f.ending for f in flights)
-    reasons = Counter(_without_numbers(f.reason) for f in flights if not f.success)
+    reasons = Counter(_strip_numbers(f.reason) for f in flights if not f.success)
     return CampaignOutcome(
         len(flights), len(good), low, high,
         reported_successes=sum(f.reported_outcome.startswith("succeeded") for f in flights),
@@ -240,7 +240,7 @@ def summarise_outcome(flights: Sequence[FlightResult], tolerance_m: float) -> Ca
     )  # fmt: skip
 
 
-def _without_numbers(reason: str) -> str:
+def _strip_numbers(reason: str) -> str:
     return re.sub(r"\[[^]]*\]|[^ ,;:]*\d[^ ,;:]*", "...", reason)
 
 

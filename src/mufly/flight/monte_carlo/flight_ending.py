@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 from mufly.flight.record.flight_summary import FlightSummary
-from mufly.flight.simulated_plant import COLLISION_TEXT, TIP_OVER_TEXT
+from mufly.flight.simulated_plant import COLLISION_CAUSE_TEXT, TIP_OVER_CAUSE_TEXT
 from mufly.mission import HARD_TOUCHDOWN_M_S
 from mufly.quantities.sensor_table import READINGS, SENSORS
 from mufly.sensors import FAULT_TARGETS, parse_fault
@@ -59,9 +59,9 @@ def classify_ending(
     if success:
         return "succeeded"
     tilt = final_tilt_deg(data)
-    if s.reason.startswith(f"{TIP_OVER_TEXT}:") or tilt > LANDED_MAX_TILT_DEG:
+    if s.reason.startswith(f"{TIP_OVER_CAUSE_TEXT}:") or tilt > LANDED_MAX_TILT_DEG:
         return "tipped over"
-    if s.reason.startswith(COLLISION_TEXT):
+    if s.reason.startswith(COLLISION_CAUSE_TEXT):
         return "hit"
     x = data.truth_position.values
     at_rest = final_speed_m_s(data) <= LANDED_MAX_SPEED_M_S and not np.any(data.motor_input.values[-1] > 0.0)
@@ -72,7 +72,7 @@ def classify_ending(
     if (s.touchdown_speed_m_s or 0.0) > HARD_TOUCHDOWN_M_S:
         return "hit"
     accused = {row.source for row in READINGS.values() if row.source and row.source in s.reason}
-    is_wrong = s.outcome == "succeeded" or s.reason.startswith(TIP_OVER_TEXT)
+    is_wrong = s.outcome == "succeeded" or s.reason.startswith(TIP_OVER_CAUSE_TEXT)
     right = not is_wrong and (not accused or not accused.isdisjoint(wrong_sources))
     return "landed" if right else "landed, wrong reason"
 

@@ -41,8 +41,8 @@ ProgressCallback = Callable[[int, int], None]
 StopCheck = Callable[[], bool]
 
 RESULTS_FILE, SETTINGS_FILE = "flights.jsonl", "campaign.json"
-_QUEUED_PER_WORKER = 2  # flights queued for each worker, so that no worker is idle
-_QUEUED_ON_CLUSTER = 256
+_QUEUED_FLIGHTS_PER_WORKER = 2  # flights queued for each worker, so that no worker is idle
+_QUEUED_FLIGHTS_ON_CLUSTER = 256
 
 
 class WorkerPool:
@@ -67,7 +67,9 @@ class WorkerPool:
     ) -> None:
         self.worker_count = jobs or os.cpu_count() or 1
         self._cluster, self._how = cluster, how
-        self._ahead = _QUEUED_ON_CLUSTER if cluster is not None else _QUEUED_PER_WORKER * self.worker_count
+        self._ahead = (
+            _QUEUED_FLIGHTS_ON_CLUSTER if cluster is not None else _QUEUED_FLIGHTS_PER_WORKER * self.worker_count
+        )
 
     def __enter__(self) -> WorkerPool:
         self._opened = self._open_executor()
@@ -86,7 +88,7 @@ class WorkerPool:
             with ThreadPoolExecutor(1) as alone:
                 yield alone
         else:
-            pool = ProcessPoolExecutor(self.worker_count, _process_context(), initializer=_begin_worker)
+            pool = ProcessPoolExecutor(self.worker_count, _process_context(), initializer=_initialise_worker)
             try:
                 yield pool
             finally:
@@ -142,7 +144,7 @@ def _process_context() -> Any:
     return context
 
 
-def _begin_worker() -> None:
+def _initialise_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
     threadpool_limits(1)
     gc.freeze()  # excludes imported objects from garbage collection
@@ -157,13 +159,13 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-_OTHER_CAMPAIGN = (
+_OTHER_CAMPAIGN_ERROR = (
     "holds the flights of another campaign (other settings, or another version of mufly)",
     "give another folder, or delete this one",
 )
 
 
-def _kept_flights(folder: Path | None, campaign: Campaign, file: str = RESULTS_FILE) -> AnswerLines[FlightResult]:
+def _stored_flights(folder: Path | None, campaign: Campaign, file: str = RESULTS_FILE) -> AnswerLines[FlightResult]:
     """Return the stored flights of a campaign, by index.
 
     Raises
@@ -172,15 +174,17 @@ def _kept_flights(folder: Path | None, campaign: Campaign, file: str = RESULTS_F
         If the folder holds another campaign, or cannot be written.
     """
 
-    def read(content: Any) -> tuple[int, FlightResult]:
+    def read_stored_flight(content: Any) -> tuple[int, FlightResult]:
         flown = FlightResult.from_json(content)
         return flown.index, flown
 
     if folder is None:
-        return AnswerLines(None, read)
+        return AnswerLines(None, read_stored_flight)
     settings = {"version": __version__, **to_plain_data(describe_campaign(campaign))}
-    claim_folder(folder, SETTINGS_FILE, campaign.settings_hash, settings, _OTHER_CAMPAIGN)
-    return AnswerLines(folder / file, read, damaged=("is damaged", "delete this file; its flights are repeated"))
+    claim_folder(folder, SETTINGS_FILE, campaign.settings_hash, settings, _OTHER_CAMPAIGN_ERROR)
+    return AnswerLines(
+        folder / file, read_stored_flight, damaged=("is damaged", "delete this file; its flights are repeated")
+    )
 
 
 def describe_campaign(campaign: Campaign) -> dict[str, Any]:
@@ -189,8 +193,8 @@ def describe_campaign(campaign: Campaign) -> dict[str, Any]:
         "vehicle": campaign.vehicle_name,
         "mission": campaign.mission_name,
         "vary": [v.request_text for v in campaign.variations],
-        "untold": campaign.untold_keys,
-        "told": campaign.told_keys,
+        "untold": campaign.keys_unknown_on_board,
+        "told": campaign.keys_known_on_board,
         "wind_m_s": campaign.wind,
         "gust_m_s": campaign.gust,
         "sensors": campaign.sensors,
@@ -238,7 +242,7 @@ def run_campaign(
     """
     if flights < 1:
         raise ArgumentError("flights", "", f"{flights} flights", "give 1 or more")
-    kept = _kept_flights(folder, campaign)
+    kept = _stored_flights(folder, campaign)
     known = {k: f for k, f in kept.known.items() if k < flights}
     done = dict(known)
     if progress is not None:
@@ -315,7 +319,7 @@ def search_worst_case(
     n = campaign.search_dimension
     if n == 0:
         raise ArgumentError("search", "", "only the noise varies", "vary something with --vary or --wind")
-    kept = _kept_flights(folder, campaign, "search.jsonl")
+    kept = _stored_flights(folder, campaign, "search.jsonl")
     size = 4 + int(3 * math.log(max(n, 2)))
     total = max(1, math.ceil(flights / size)) * size
     options = {
@@ -327,7 +331,7 @@ def search_worst_case(
     found: dict[int, FlightResult] = {}
     for first in range(0, total, size):
         points = strategy.ask()
-        cases = [campaign.case_at(np.asarray(p)[:n], first + k) for k, p in enumerate(points)]
+        cases = [campaign.case_at_point(np.asarray(p)[:n], first + k) for k, p in enumerate(points)]
         known = {k: f for k, f in kept.known.items() if first <= k < first + size}
         landed = dict(known)
         for flown in crew.fly_cases(campaign, ((c, None) for c in cases if c.index not in known), stop):
@@ -343,16 +347,16 @@ def search_worst_case(
 
 
 def _search_cost(flown: FlightResult, campaign: Campaign) -> float:
-    return 0.0 if _is_impossible(flown) else -flight_severity(flown, campaign.tolerance_m)
+    return 0.0 if _has_impossible_vehicle(flown) else -flight_severity(flown, campaign.tolerance_m)
 
 
-def _is_impossible(flown: FlightResult) -> bool:
+def _has_impossible_vehicle(flown: FlightResult) -> bool:
     return flown.reason.startswith("did not fly")
 
 
-def worst_first(flights: Sequence[FlightResult], tolerance_m: float) -> list[FlightResult]:
+def sort_by_severity(flights: Sequence[FlightResult], tolerance_m: float) -> list[FlightResult]:
     """Return flights sorted by severity, the worst first."""
     return sorted(
-        (f for f in flights if not _is_impossible(f)),
+        (f for f in flights if not _has_impossible_vehicle(f)),
         key=lambda f: (-flight_severity(f, tolerance_m), f.index),
     )

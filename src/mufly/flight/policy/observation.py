@@ -6,15 +6,16 @@ x along the vehicle's heading, y to the right, z down.
 ==============  ==============================================================================================
 index           meaning
 ==============  ==============================================================================================
-``OBS_ERROR``   target minus position, heading frame (m)
-``OBS_VEL``     velocity, heading frame (m/s)
-``OBS_DOWN``    direction of gravity, body axes
+``OBS_POSITION_ERROR``   target minus position, heading frame (m)
+``OBS_VELOCITY``     velocity, heading frame (m/s)
+``OBS_DOWN_DIRECTION``    direction of gravity, body axes
 ``OBS_RATES``   p, q, r (rad/s)
 ``OBS_HEADING``  sine and cosine of target heading minus heading
-``OBS_SUPPLY``  battery voltage over nominal voltage, minus 1
-``OBS_ACTION``  action of the preceding step
+``OBS_SUPPLY_VOLTAGE``  battery voltage over nominal voltage, minus 1
+``OBS_LAST_ACTION``  action of the preceding step
 ``OBS_HEIGHT``  height above the floor (m)
-``OBS_EXTRA``   Waypoint: the next target minus position, heading frame (m). Obstacle: distances (m) to the nearest
+``OBS_TASK_INPUTS``   Waypoint: the next target minus position, heading frame (m). Obstacle: distances (m) to the
+nearest
                 surface in eight level directions, clockwise from the heading
 ==============  ==============================================================================================
 
@@ -38,35 +39,43 @@ from mufly.dynamics.model_state import U_MOTOR_LOWER, U_MOTOR_UPPER, U_SERVO_1, 
 
 _Array = NDArray[np.float64]
 
-OBS_ERROR, OBS_VEL, OBS_DOWN, OBS_RATES, OBS_HEADING, OBS_SUPPLY, OBS_ACTION, OBS_HEIGHT, OBS_EXTRA = (
-    0, 3, 6, 9, 12, 14, 15, 19, 20
-)  # fmt: skip
+(
+    OBS_POSITION_ERROR,
+    OBS_VELOCITY,
+    OBS_DOWN_DIRECTION,
+    OBS_RATES,
+    OBS_HEADING,
+    OBS_SUPPLY_VOLTAGE,
+    OBS_LAST_ACTION,
+    OBS_HEIGHT,
+    OBS_TASK_INPUTS,
+) = (0, 3, 6, 9, 12, 14, 15, 19, 20)
 ACTION_SIZE = 4
-RANGE_COUNT = 8
+OBSERVED_RANGE_COUNT = 8
 """Number of the level directions in which the task ``Obstacle`` observes distances."""
 MAX_RANGE_M = 4.0
-COLLECTIVE_SPAN, TURN_SPAN = 0.3, 0.15
+COLLECTIVE_ACTION_SPAN, YAW_ACTION_SPAN = 0.3, 0.15
 ACTION_NAMES = ("collective", "turn_right", "forward", "right")
 
-_BASE_UNITS = {
+_COMMON_OBSERVATION_UNITS = {
     "error_forward": "m", "error_right": "m", "error_down": "m", "velocity_forward": "m/s", "velocity_right": "m/s",
     "velocity_down": "m/s", "down_x": "1", "down_y": "1", "down_z": "1", "roll_rate": "rad/s", "pitch_rate": "rad/s",
     "yaw_rate": "rad/s", "heading_error_sine": "1", "heading_error_cosine": "1", "supply": "1",
     **{f"last_{name}": "1" for name in ACTION_NAMES}, "height": "m",
 }  # fmt: skip
 
-_BASE_LIMITS = (
+_COMMON_OBSERVATION_LIMITS = (
     (10.0,) * 3 + (20.0,) * 3 + (1.0,) * 3 + (50.0,) * 3 + (1.0,) * 2 + (1.0,) + (1.0,) * ACTION_SIZE + (20.0,)
 )
 
 
 def observation_limits(task: str) -> tuple[_Array, _Array]:
     """Return the lowest and the highest observation of a task; observations are clipped to them."""
-    extra = {"waypoint": (10.0,) * 3, "obstacle": (MAX_RANGE_M,) * RANGE_COUNT}.get(task, ())
-    high = np.array(_BASE_LIMITS + extra)
+    extra = {"waypoint": (10.0,) * 3, "obstacle": (MAX_RANGE_M,) * OBSERVED_RANGE_COUNT}.get(task, ())
+    high = np.array(_COMMON_OBSERVATION_LIMITS + extra)
     low = -high
     if task == "obstacle":
-        low[OBS_EXTRA:] = 0.0
+        low[OBS_TASK_INPUTS:] = 0.0
     return low, high
 
 
@@ -74,16 +83,16 @@ def observation_names(task: str) -> dict[str, str]:
     """Return the names of a task's observation in order, each with its unit."""
     extra = {
         "waypoint": [f"next_error_{axis}" for axis in ("forward", "right", "down")],
-        "obstacle": [f"range_{round(360 * k / RANGE_COUNT)}_deg" for k in range(RANGE_COUNT)],
+        "obstacle": [f"range_{round(360 * k / OBSERVED_RANGE_COUNT)}_deg" for k in range(OBSERVED_RANGE_COUNT)],
     }.get(task, [])
-    return {**_BASE_UNITS, **dict.fromkeys(extra, "m")}
+    return {**_COMMON_OBSERVATION_UNITS, **dict.fromkeys(extra, "m")}
 
 
 @cached_njit(error_model="numpy")
 def map_action(action: _Array, trim: _Array, inputs: _Array) -> None:
     """Write the inputs (4,) of the flight model for an action (4,) about the inputs ``trim`` (4,) of hover."""
     up, turned, servo_1, servo_2 = action[0], action[1], action[2], action[3]
-    collective, turn = COLLECTIVE_SPAN * up, TURN_SPAN * turned
+    collective, turn = COLLECTIVE_ACTION_SPAN * up, YAW_ACTION_SPAN * turned
     inputs[U_MOTOR_UPPER] = min(max(trim[U_MOTOR_UPPER] + collective + turn, 0.0), 1.0)
     inputs[U_MOTOR_LOWER] = min(max(trim[U_MOTOR_LOWER] + collective - turn, 0.0), 1.0)
     inputs[U_SERVO_1] = servo_1
@@ -118,7 +127,7 @@ def fill_observation(
     Parameters
     ----------
     out : (n,) array
-        Output; the first ``OBS_EXTRA`` numbers are written.
+        Output; the first ``OBS_TASK_INPUTS`` numbers are written.
     error, velocity : (3,) array
         Target minus position (m), and velocity (m/s), N-E-D.
     down : (float, float, float)
@@ -135,15 +144,15 @@ def fill_observation(
         Height above the floor (m).
     """
     c, s = heading
-    out[OBS_ERROR], out[OBS_ERROR + 1] = c * error[0] + s * error[1], c * error[1] - s * error[0]
-    out[OBS_ERROR + 2] = error[2]
-    out[OBS_VEL], out[OBS_VEL + 1] = c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0]
-    out[OBS_VEL + 2] = velocity[2]
-    out[OBS_DOWN], out[OBS_DOWN + 1], out[OBS_DOWN + 2] = down
+    out[OBS_POSITION_ERROR], out[OBS_POSITION_ERROR + 1] = c * error[0] + s * error[1], c * error[1] - s * error[0]
+    out[OBS_POSITION_ERROR + 2] = error[2]
+    out[OBS_VELOCITY], out[OBS_VELOCITY + 1] = c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0]
+    out[OBS_VELOCITY + 2] = velocity[2]
+    out[OBS_DOWN_DIRECTION], out[OBS_DOWN_DIRECTION + 1], out[OBS_DOWN_DIRECTION + 2] = down
     out[OBS_RATES], out[OBS_RATES + 1], out[OBS_RATES + 2] = rates[0], rates[1], rates[2]
     out[OBS_HEADING] = target_heading[1] * c - target_heading[0] * s
     out[OBS_HEADING + 1] = target_heading[0] * c + target_heading[1] * s
-    out[OBS_SUPPLY] = supply - 1.0
+    out[OBS_SUPPLY_VOLTAGE] = supply - 1.0
     for i in range(ACTION_SIZE):
-        out[OBS_ACTION + i] = action[i]
+        out[OBS_LAST_ACTION + i] = action[i]
     out[OBS_HEIGHT] = height

@@ -33,9 +33,9 @@ from mufly.files.answer_store import hash_question
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.policy.observation import (
     ACTION_SIZE,
-    COLLECTIVE_SPAN,
-    OBS_EXTRA,
-    TURN_SPAN,
+    COLLECTIVE_ACTION_SPAN,
+    OBS_TASK_INPUTS,
+    YAW_ACTION_SPAN,
     fill_observation,
     map_action,
 )
@@ -74,7 +74,7 @@ def step_policy(
     inputs : (4,) array
         Output: motors upper, lower (0..1), servos 1, 2 (-1..1).
     """
-    error, relative, seen = np.zeros(3), np.zeros(3), np.zeros(OBS_EXTRA)
+    error, relative, seen = np.zeros(3), np.zeros(3), np.zeros(OBS_TASK_INPUTS)
     for i in range(3):
         error[i] = reference[i] - position[i]
         relative[i] = velocity[i] - reference[REF_VELOCITY + i]
@@ -138,11 +138,13 @@ class PolicyControllers(Controllers):
         self._no_tilt = np.zeros(2)  # the very array that step gets back from the flight software
         self._acted = self._is_due = False
 
-    def lift_off(self, estimate: Estimate) -> None:
-        super().lift_off(estimate)
+    def engage_roll_pitch(self, estimate: Estimate) -> None:
+        super().engage_roll_pitch(estimate)
         self._acted = self._is_due = False
 
-    def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
+    def compute_tilt_command(
+        self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
+    ) -> _Array:
         """Take the references of the next action; the policy commands no tilt and returns zeros (2,)."""
         self._reference[:REF_VELOCITY], self._reference[REF_VELOCITY:REF_HEADING] = position, velocity
         self._is_due = True
@@ -151,8 +153,8 @@ class PolicyControllers(Controllers):
     def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
         if tilt is not self._no_tilt:
             if self._acted:  # a pilot takes over
-                self.engage(estimate, self._inputs[:2])
-                self.lift_off(estimate)
+                self.engage_heave_yaw(estimate, self._inputs[:2])
+                self.engage_roll_pitch(estimate)
             self._acted = False
             given = super().step(estimate, heave_yaw, tilt)
             self._inputs = given.input_array.astype(np.float64)
@@ -163,10 +165,18 @@ class PolicyControllers(Controllers):
         if self._is_due:
             self._reference[REF_HEADING] = heave_yaw[1]
             step_policy(
-                self._packed, self._policy.trim, self._policy.nominal_voltage_V, estimate.position, estimate.velocity,
-                estimate.attitude, estimate.rates, estimate.battery_voltage, self._reference, self._action,
+                self._packed,
+                self._policy.trim,
+                self._policy.nominal_voltage_V,
+                estimate.position,
+                estimate.velocity,
+                estimate.attitude,
+                estimate.rates,
+                estimate.battery_voltage,
+                self._reference,
+                self._action,
                 self._inputs,
-            )  # fmt: skip
+            )
             self._is_due = False
         return Actuators(self._inputs[:2].copy(), self._inputs[2:].copy())
 
@@ -174,7 +184,7 @@ class PolicyControllers(Controllers):
 def find_equal_action(inputs: _Array, trim: _Array) -> NDArray[np.float64]:
     """Return the action (4,) that commands inputs (4,) of the flight model, within -1..1."""
     upper, lower = inputs[0] - trim[0], inputs[1] - trim[1]
-    wanted = (0.5 * (upper + lower) / COLLECTIVE_SPAN, 0.5 * (upper - lower) / TURN_SPAN, *inputs[SERVOS])
+    wanted = (0.5 * (upper + lower) / COLLECTIVE_ACTION_SPAN, 0.5 * (upper - lower) / YAW_ACTION_SPAN, *inputs[SERVOS])
     return np.clip(np.array(wanted, dtype=np.float64), -1.0, 1.0)
 
 

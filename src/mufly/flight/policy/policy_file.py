@@ -37,47 +37,47 @@ from mufly.files.input_files import validate_model
 from mufly.flight.policy.observation import ACTION_NAMES, observation_names
 from mufly.flight.policy.policy_network import LearnedPolicy, PolicyLayer
 
-FORMAT, VERSION = "mufly-policy", 1
-MAX_LAYERS, MAX_WIDTH = 8, 256
+POLICY_FORMAT, POLICY_VERSION = "mufly-policy", 1
+MAX_LAYER_COUNT, MAX_LAYER_WIDTH = 8, 256
 """Largest number of layers, and of inputs and outputs of a layer."""
-_REMEDY = "write it with mufly.flight.policy.save_policy"
+_WRITE_POLICY_REMEDY = "write it with mufly.flight.policy.save_policy"
 
 
-class _Record(BaseModel):
+class _PolicyFileRecord(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
 
-class _Input(_Record):
+class _ObservedQuantity(_PolicyFileRecord):
     name: str
     unit: str
     mean: float
     scale: float = Field(gt=0.0)
 
 
-class _Output(_Record):
+class _CommandedQuantity(_PolicyFileRecord):
     name: str
 
 
-class _Layer(_Record):
-    inputs: int = Field(ge=1, le=MAX_WIDTH)
-    outputs: int = Field(ge=1, le=MAX_WIDTH)
+class _NetworkLayer(_PolicyFileRecord):
+    inputs: int = Field(ge=1, le=MAX_LAYER_WIDTH)
+    outputs: int = Field(ge=1, le=MAX_LAYER_WIDTH)
     activation: Literal["linear", "tanh", "relu"]
     weights: list[list[float]]
     bias: list[float]
 
 
-class _PolicyFile(_Record):
+class _PolicyFile(_PolicyFileRecord):
     format: Literal["mufly-policy"]
     version: Literal[1]
     task: Literal["hover", "waypoint", "obstacle", "land"]
     vehicle: str
     period_s: float = Field(gt=0.0, le=0.1)
     nominal_voltage_V: float = Field(gt=0.0)
-    observation: list[_Input]
+    observation: list[_ObservedQuantity]
     normalised_limit: float = Field(gt=0.0)
-    action: list[_Output]
+    action: list[_CommandedQuantity]
     trim: list[float] = Field(min_length=4, max_length=4)
-    layers: list[_Layer] = Field(min_length=1, max_length=MAX_LAYERS)
+    layers: list[_NetworkLayer] = Field(min_length=1, max_length=MAX_LAYER_COUNT)
     training: dict[str, str | float]
     sha256: str
 
@@ -92,8 +92,8 @@ def save_policy(policy: LearnedPolicy, path: str | Path) -> None:
     """
     names = observation_names(policy.task)
     content: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
+        "format": POLICY_FORMAT,
+        "version": POLICY_VERSION,
         "task": policy.task,
         "vehicle": policy.vehicle_name,
         "period_s": float(policy.period_s),
@@ -138,9 +138,9 @@ def load_policy(path: str | Path) -> LearnedPolicy:
     except OSError as error:
         raise InputError(where, "", f"cannot be read ({error.strerror})", "give a policy file") from None
     except ValueError as error:
-        raise InputError(where, "", f"is not JSON ({error})", _REMEDY) from None
+        raise InputError(where, "", f"is not JSON ({error})", _WRITE_POLICY_REMEDY) from None
     if not isinstance(content, dict):
-        raise InputError(where, "", "is not a policy file", _REMEDY)
+        raise InputError(where, "", "is not a policy file", _WRITE_POLICY_REMEDY)
     checked = _check_content(where, content)
     return LearnedPolicy(
         task=checked.task,
@@ -183,15 +183,17 @@ def _check_content(where: str, content: dict[str, Any]) -> _PolicyFile:
                 where,
                 f"layers[{k + 1}]",
                 f"weights or bias do not fit {before} inputs and {layer.outputs} outputs",
-                _REMEDY,
+                _WRITE_POLICY_REMEDY,
             )
         before = layer.outputs
     if before != len(ACTION_NAMES):
-        raise InputError(where, f"layers[{len(checked.layers)}]", f"has {before} outputs, not 4", _REMEDY)
+        raise InputError(where, f"layers[{len(checked.layers)}]", f"has {before} outputs, not 4", _WRITE_POLICY_REMEDY)
     if not all(math.isfinite(x) and -1.0 <= x <= 1.0 for x in checked.trim):
         raise InputError(where, "trim", f"{checked.trim}", "give numbers from -1 to 1")
     if checked.sha256 != _checksum(content):
-        raise InputError(where, "sha256", "is not the checksum of the content: the file is damaged or edited", _REMEDY)
+        raise InputError(
+            where, "sha256", "is not the checksum of the content: the file is damaged or edited", _WRITE_POLICY_REMEDY
+        )
     return checked
 
 

@@ -38,8 +38,8 @@ from mufly.flight.record.flight_summary import state_runs
 from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES
 
 _Array = NDArray[np.float64]
-_BAND_SIGMAS = 3.0
-_CLIP_SIGMAS = 6.0  # larger innovations are drawn at the edge
+_ERROR_BAND_SIGMAS = 3.0
+_DRAWN_INNOVATION_SIGMAS = 6.0  # larger innovations are drawn at the edge
 CHECK_STATUS_COLOURS = dict(zip(FUSION_STATUSES, ("#d9d9d9", GREEN, ORANGE, GREY, VERMILION), strict=True))
 """Colour of each fusion status."""
 
@@ -107,8 +107,8 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
             left.plot(when[came], said, ".", ms=2.5, color=GREY, label="measured", zorder=2)
         left.fill_between(
             time,
-            estimate - _BAND_SIGMAS * sigma,
-            estimate + _BAND_SIGMAS * sigma,
+            estimate - _ERROR_BAND_SIGMAS * sigma,
+            estimate + _ERROR_BAND_SIGMAS * sigma,
             color=SKY,
             alpha=0.45,
             lw=0,
@@ -117,12 +117,14 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
         left.plot(time, estimate, color=BLUE, lw=1.1, label="estimated", zorder=4)
         left.plot(time, truth, color=BLACK, lw=0.9, ls=(0, (4, 2)), label="true", zorder=5)
         left.set_title(heading, pad=4)
-        right.fill_between(time, -_BAND_SIGMAS * sigma, _BAND_SIGMAS * sigma, color=SKY, alpha=0.45, lw=0, zorder=1)
+        right.fill_between(
+            time, -_ERROR_BAND_SIGMAS * sigma, _ERROR_BAND_SIGMAS * sigma, color=SKY, alpha=0.45, lw=0, zorder=1
+        )
         error = estimate - truth
         right.plot(time, error, color=VERMILION, lw=1.0, zorder=3)
         what, _, unit = heading.partition(" (")
         right.set_title(f"{what}: estimated minus true ({unit}", pad=4)
-        wide = _BAND_SIGMAS * sigma[good]
+        wide = _ERROR_BAND_SIGMAS * sigma[good]
         _set_axis_limits(left, np.concatenate([truth, estimate]))
         _set_axis_limits(right, np.concatenate([error[good], -error[good], wide, -wide]))
         left.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
@@ -157,7 +159,7 @@ def draw_ground_track(dataset: xr.Dataset) -> Figure:
     every = max(1, int(max(1.0, (time[-1] - time[0]) / 60.0) / max(float(np.median(np.diff(time))), 1e-6)))
     for k in range(0, len(time), every):
         if good[k] and np.isfinite(x[k]).all():
-            wide, high = 2 * _BAND_SIGMAS * sigma[k, 1], 2 * _BAND_SIGMAS * sigma[k, 0]
+            wide, high = 2 * _ERROR_BAND_SIGMAS * sigma[k, 1], 2 * _ERROR_BAND_SIGMAS * sigma[k, 0]
             plan.add_patch(Ellipse((x[k, 1], x[k, 0]), wide, high, color=SKY, alpha=0.3, lw=0, zorder=1))
     plan.set_aspect("equal", adjustable="datalim")
     plan.set_xlabel("East (m)")
@@ -176,8 +178,8 @@ def draw_ground_track(dataset: xr.Dataset) -> Figure:
             ax: Any = figure.add_subplot(grid[k, 1 + j])
             if spread is not None:
                 low, high = (
-                    block[:, k] - _BAND_SIGMAS * spread[:, k],
-                    block[:, k] + _BAND_SIGMAS * spread[:, k],
+                    block[:, k] - _ERROR_BAND_SIGMAS * spread[:, k],
+                    block[:, k] + _ERROR_BAND_SIGMAS * spread[:, k],
                 )
                 ax.fill_between(time, low, high, color=SKY, alpha=0.45, lw=0)
                 _set_axis_limits(ax, np.concatenate([low[good], high[good]]))
@@ -237,14 +239,14 @@ def draw_checks(dataset: xr.Dataset) -> Figure:
             if mine.any() and status != "waiting":
                 ax.plot(
                     time[mine],
-                    np.clip(ratio[mine], -_CLIP_SIGMAS, _CLIP_SIGMAS),
+                    np.clip(ratio[mine], -_DRAWN_INNOVATION_SIGMAS, _DRAWN_INNOVATION_SIGMAS),
                     ".",
                     ms=2.5,
                     color=CHECK_STATUS_COLOURS[status],
                 )
-        for line in (-_BAND_SIGMAS, _BAND_SIGMAS):
+        for line in (-_ERROR_BAND_SIGMAS, _ERROR_BAND_SIGMAS):
             ax.axhline(line, color=BLACK, lw=0.7, ls=":")
-        ax.set_ylim(-1.25 * _CLIP_SIGMAS, 1.05 * _CLIP_SIGMAS)
+        ax.set_ylim(-1.25 * _DRAWN_INNOVATION_SIGMAS, 1.05 * _DRAWN_INNOVATION_SIGMAS)
         ax.set_yticks((-3, 0, 3))
         ax.set_ylabel(describe_sensor(name).replace(" ", "\n", 1), rotation=0, ha="right", va="center")
         ax.set_xlim(time[0], max(time[-1], time[0] + 1e-3))

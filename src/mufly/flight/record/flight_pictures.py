@@ -226,7 +226,7 @@ def draw_track(dataset: xr.Dataset, *, waypoints: Sequence[ArrayLike] = (), worl
     reference = _ned_to_enu(dataset.reference_position.values)
     marks = _ned_to_enu(np.array([np.asarray(w, dtype=np.float64) for w in waypoints]).reshape(-1, 3))
     solids = _obstacle_faces(world or World())
-    _frame_axes(ax, np.concatenate((truth, marks, *(np.concatenate(faces) for faces in solids))))
+    _set_equal_axes(ax, np.concatenate((truth, marks, *(np.concatenate(faces) for faces in solids))))
     floor = truth * (1, 1, 0)
     ax.plot(*floor.T, color=TRACK_SHADOW_COLOUR, lw=2.2, solid_capstyle="round", zorder=1)
     for faces in solids:
@@ -270,7 +270,7 @@ def _make_marker(shape: str, colour: str, label: str) -> Line2D:
     return Line2D([], [], marker=shape, color=colour, markeredgecolor=BLACK, mew=0.8, ms=7, ls="", label=label)
 
 
-def _frame_axes(ax: Any, points: _Array) -> None:
+def _set_equal_axes(ax: Any, points: _Array) -> None:
     """Set equal scales on all axes, the floor at the bottom, and plain panes."""
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     low[2], high[2] = 0.0, max(high[2], 0.5)

@@ -51,7 +51,7 @@ from mufly.world import World, obstacle_distances
 FLYING_LEG_STATES = ("waypoint", "obstacle")
 NEAR_WAYPOINT_M = 0.5
 AIRBORNE_HEIGHT_M = 0.01
-RAIL_TOLERANCE = 1e-9
+INPUT_LIMIT_TOLERANCE = 1e-9
 
 _Array = NDArray[np.float64]
 _StateRun = tuple[str, int, int]
@@ -274,7 +274,7 @@ def _waypoint_results(
         start, leg = top, found[1] if found else leg
     for number, goal in enumerate(goals):
         if reached_s is not None:
-            found = _stay_rows(time, states, reached_s[number])
+            found = _waypoint_state_rows(time, states, reached_s[number])
         else:
             found = next(
                 (
@@ -292,7 +292,7 @@ def _waypoint_results(
     return results
 
 
-def _stay_rows(time: _Array, states: list[_StateRun], reached_s: float | None) -> tuple[int, int] | None:
+def _waypoint_state_rows(time: _Array, states: list[_StateRun], reached_s: float | None) -> tuple[int, int] | None:
     """Return the rows from the given instant to the end of its state."""
     if reached_s is None:
         return None
@@ -356,7 +356,7 @@ def _longest_railed(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> tuple[f
     for name, lowest in (("motor_input", 0.0), ("servo_input", -1.0)):
         variable = dataset[name]
         for label, values in zip(variable[variable.dims[1]].values, variable.values.T, strict=True):
-            railed = airborne & ((values <= lowest + RAIL_TOLERANCE) | (values >= 1.0 - RAIL_TOLERANCE))
+            railed = airborne & ((values <= lowest + INPUT_LIMIT_TOLERANCE) | (values >= 1.0 - INPUT_LIMIT_TOLERANCE))
             for first, stop in _true_stretches(railed):
                 lasting = float(time[stop - 1] - time[first]) + step
                 if lasting > longest:

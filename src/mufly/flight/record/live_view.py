@@ -70,7 +70,7 @@ class LiveViewThread:
         self._requests: deque[tuple[Callable[[Flight], Any], list[Any], threading.Event]] = deque(maxlen=QUEUED_ROWS)
         self._ended = threading.Event()
         self._failure = ""
-        self._thread = threading.Thread(target=self._run, name=f"mufly {name}", daemon=True)
+        self._thread = threading.Thread(target=self._run_publisher, name=f"mufly {name}", daemon=True)
         flight.recorder.views.append(self)
         self._thread.start()
 
@@ -112,7 +112,7 @@ class LiveViewThread:
         self._ended.set()
         self._thread.join(2.0)
 
-    def _run(self) -> None:
+    def _run_publisher(self) -> None:
         try:
             while not self._ended.wait(PUBLISH_PERIOD_S):
                 self._publish_queue()

@@ -46,7 +46,7 @@ class ReadingLog:
     Attributes
     ----------
     name : str
-    came_s, taken_s : list of float
+    arrival_s, measured_s : list of float
         Times of arrival and of measurement (s).
     value, true : list of arrays
         Reading, and true value at the time of measurement; NaN without a true value.
@@ -54,8 +54,8 @@ class ReadingLog:
     """
 
     name: str
-    came_s: list[float] = field(default_factory=list)
-    taken_s: list[float] = field(default_factory=list)
+    arrival_s: list[float] = field(default_factory=list)
+    measured_s: list[float] = field(default_factory=list)
     value: list[_Array] = field(default_factory=list)
     true: list[_Array] = field(default_factory=list)
     valid: list[bool] = field(default_factory=list)
@@ -133,8 +133,8 @@ class _LoggingSensors(SensorSet):
         log = self.logs.setdefault(name, ReadingLog(name))
         value = np.atleast_1d(np.asarray(r.value, dtype=np.float64))
         then: dict[str, Any] = next((w for t, w in reversed(self._right) if abs(t - r.time_s) < 1e-6), {})
-        log.came_s.append(time_s)
-        log.taken_s.append(r.time_s)
+        log.arrival_s.append(time_s)
+        log.measured_s.append(r.time_s)
         log.value.append(value)
         log.true.append(np.broadcast_to(np.asarray(then.get(name, np.nan), dtype=np.float64), value.shape))
         log.valid.append(r.valid)
@@ -196,14 +196,14 @@ def reading_errors(log: ReadingLog) -> ReadingErrors:
     turns = [k for k, label in enumerate(log.component_labels()) if label == "heading"]
     error[:, turns] = np.angle(np.exp(1j * error[:, turns]))
     good = np.array(log.valid) & np.isfinite(error).all(axis=1)
-    span = log.came_s[-1] - log.came_s[0] if len(log.came_s) > 1 else np.nan
+    span = log.arrival_s[-1] - log.arrival_s[0] if len(log.arrival_s) > 1 else np.nan
     e = error[good]
     spread = e.std(axis=0) if e.size else np.full(1, np.nan)
     worst = int(np.argmax(spread))
     some = e[:, worst] if e.size else np.full(1, np.nan)
     return ReadingErrors(
-        name=log.name, count=len(log.came_s), rate_Hz=(len(log.came_s) - 1) / span,
-        delay_s=float(np.mean(np.array(log.came_s) - np.array(log.taken_s))),
+        name=log.name, count=len(log.arrival_s), rate_Hz=(len(log.arrival_s) - 1) / span,
+        delay_s=float(np.mean(np.array(log.arrival_s) - np.array(log.measured_s))),
         invalid=1.0 - float(np.mean(log.valid)), mean=float(some.mean()), deviation=float(some.std()),
         worst=float(np.abs(some).max()), unit=READINGS[log.name].unit,
     )  # fmt: skip
@@ -211,11 +211,11 @@ def reading_errors(log: ReadingLog) -> ReadingErrors:
 
 def draw_sensors(logs: Mapping[str, ReadingLog]) -> Figure:
     """Draw every reading over its measurement time, with the truth."""
-    shown = [log for log in logs.values() if log.came_s]
+    shown = [log for log in logs.values() if log.arrival_s]
     figure = Figure(figsize=(11.0, 2.0 * len(shown)), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(shown), 1, sharex=True))
     for ax, log in zip(axes, shown, strict=True):
-        t, order = np.array(log.taken_s), np.argsort(log.taken_s, kind="stable")
+        t, order = np.array(log.measured_s), np.argsort(log.measured_s, kind="stable")
         value, true = np.array(log.value), np.array(log.true)
         bad = ~np.array(log.valid)
         for k, label in enumerate(log.component_labels()):
@@ -246,8 +246,8 @@ def write_sensor_logs(logs: Mapping[str, ReadingLog], folder: Path) -> list[Path
     folder.mkdir(parents=True, exist_ok=True)
     for log in logs.values():
         labels = [f"_{label}" if label else "" for label in log.component_labels()]
-        heads = ["came_s", "taken_s", "valid", *(f"said{x}" for x in labels), *(f"true{x}" for x in labels)]
-        table = np.column_stack([log.came_s, log.taken_s, log.valid, np.array(log.value), np.array(log.true)])
+        heads = ["arrival_s", "measured_s", "valid", *(f"said{x}" for x in labels), *(f"true{x}" for x in labels)]
+        table = np.column_stack([log.arrival_s, log.measured_s, log.valid, np.array(log.value), np.array(log.true)])
         unit = READINGS[log.name].unit
         path = folder / f"{log.name}.csv"
         np.savetxt(path, table, "%.9g", ",", header=f"{log.name} in {unit}\n" + ",".join(heads), comments="# ")

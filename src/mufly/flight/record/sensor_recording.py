@@ -33,7 +33,7 @@ _STATUS_CODES = {status: float(k) for k, status in enumerate(FUSION_STATUSES)}
 _READINGS_WITHOUT_TIME = tuple(name for name, row in READINGS.items() if not row.is_timed)
 _VARIANCE_SIGNALS = {name: f"measured_{name}_variance" for name, row in READINGS.items() if row.variance is not None}
 _MOTION_FIELDS = ("position", "velocity", "attitude", "rates")
-_BELIEF_FIELDS = ("gyro_bias", "accelerometer_bias", "floor_height", "fix_bias", "wind", "thrust_scale")
+_AUXILIARY_STATE_FIELDS = ("gyro_bias", "accelerometer_bias", "floor_height", "fix_bias", "wind", "thrust_scale")
 
 
 def make_sensed_row_writer(
@@ -97,7 +97,7 @@ def make_estimate_writer(part: dict[str, _Array]) -> Callable[[Estimate], None]:
     """Return the function ``write(estimate)`` that fills a row's columns of the estimate."""
     motion = [part[f"estimated_{name}"] for name in _MOTION_FIELDS]
     sigma = [part[f"estimated_{name}_sigma"] for name in _MOTION_FIELDS]
-    beliefs = {name: part[f"estimated_{name}"] for name in _BELIEF_FIELDS}
+    beliefs = {name: part[f"estimated_{name}"] for name in _AUXILIARY_STATE_FIELDS}
     checks = {name: (part[f"innovation_{name}"], part[f"status_{name}"]) for name in CHECKED_READINGS}
     valid = part["estimated_valid"]
 
@@ -158,7 +158,7 @@ def replay_estimator(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate
     return [estimator.update(readings, acting) for readings, acting in iterate_readings(dataset)]
 
 
-def is_sensed(dataset: xr.Dataset) -> bool:
+def has_sensor_readings(dataset: xr.Dataset) -> bool:
     """Whether a recording holds the readings of a flight on sensors."""
     return all(f"measured_{name}_time" in dataset for name in READINGS if name not in _READINGS_WITHOUT_TIME)
 

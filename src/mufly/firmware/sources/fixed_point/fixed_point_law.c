@@ -74,7 +74,7 @@ static int64_t limit_voltage(const fixed_heave_yaw_t *g, int32_t voltage)
     return 16 * fixed_clip(voltage, design / 2, design + (design / 2));
 }
 
-void fixed_engage(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
+void fixed_engage_heave_yaw(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
                   const int32_t motor_input[2])
 {
     const fixed_heave_yaw_t *const h = &g->heave_yaw;
@@ -104,7 +104,7 @@ static void measure_roll_pitch(const fixed_motion_t *now, int64_t measured[FIXED
     measured[3] = now->rates[1];
 }
 
-void fixed_lift_off(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now)
+void fixed_engage_roll_pitch(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now)
 {
     const fixed_roll_pitch_t *const r = &g->roll_pitch;
     int64_t measured[FIXED_ROLL_PITCH_ERRORS];
@@ -208,7 +208,7 @@ static void limit_length(int64_t v[2], int32_t limit)
     }
 }
 
-void fixed_tilt_for(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
+void fixed_compute_tilt_command(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
                 const fixed_path_t *reference, int32_t tilt[2])
 {
     const fixed_position_t *const p = &g->position;

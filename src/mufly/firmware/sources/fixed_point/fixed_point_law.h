@@ -112,10 +112,10 @@ extern const int32_t mufly_fixed_rate_Hz;
 extern const int32_t mufly_fixed_position_divider;
 
 /* As the functions in controllers.h. Initialise a fixed_controllers_t with zeros. */
-void fixed_engage(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
+void fixed_engage_heave_yaw(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
                   const int32_t motor_input[2]);
-void fixed_lift_off(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now);
-void fixed_tilt_for(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
+void fixed_engage_roll_pitch(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now);
+void fixed_compute_tilt_command(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
                 const fixed_path_t *reference, int32_t tilt[2]);
 void fixed_step(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
                 const int32_t heave_yaw[4], bool flying, const int32_t tilt[2], fixed_actuators_t *out);

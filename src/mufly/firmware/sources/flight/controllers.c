@@ -22,7 +22,7 @@ static void measure_roll_pitch(const motion_estimate_t *now, real_t measured[ROL
     measured[3] = now->rates[1];
 }
 
-void controllers_engage(const gains_t *g, controllers_t *c, const motion_estimate_t *now, const real_t motor_input[2])
+void controllers_engage_heave_yaw(const gains_t *g, controllers_t *c, const motion_estimate_t *now, const real_t motor_input[2])
 {
     real_t measured[3];
 
@@ -30,7 +30,7 @@ void controllers_engage(const gains_t *g, controllers_t *c, const motion_estimat
     heave_yaw_init(&g->heave_yaw, &c->heave_yaw, measured, motor_input, now->voltage);
 }
 
-void controllers_lift_off(const gains_t *g, controllers_t *c, const motion_estimate_t *now)
+void controllers_engage_roll_pitch(const gains_t *g, controllers_t *c, const motion_estimate_t *now)
 {
     real_t measured[ROLL_PITCH_MEASURED];
 
@@ -39,7 +39,7 @@ void controllers_lift_off(const gains_t *g, controllers_t *c, const motion_estim
     position_init(&c->position);
 }
 
-void controllers_tilt_for(const gains_t *g, controllers_t *c, const motion_estimate_t *now, const path_t *reference,
+void controllers_compute_tilt_command(const gains_t *g, controllers_t *c, const motion_estimate_t *now, const path_t *reference,
                       real_t tilt[2])
 {
     position_step(&g->position, &c->position, reference, now->position, now->velocity, now->attitude[2], tilt);

@@ -35,16 +35,16 @@ typedef struct {
 /* Constants of the exported vehicle: tables.c. */
 extern const gains_t mufly_gains;
 extern const int32_t mufly_rate_Hz;          /* rate of controllers_step */
-extern const int32_t mufly_position_divider; /* periods per call of controllers_tilt_for, which precedes the step */
+extern const int32_t mufly_position_divider; /* periods per call of controllers_compute_tilt_command, which precedes the step */
 
 /* Engage heave-yaw bumplessly on the floor, with motors running at motor_input. */
-void controllers_engage(const gains_t *g, controllers_t *c, const motion_estimate_t *now, const real_t motor_input[2]);
+void controllers_engage_heave_yaw(const gains_t *g, controllers_t *c, const motion_estimate_t *now, const real_t motor_input[2]);
 
 /* Engage roll-pitch and position at lift-off, with servos at trim. */
-void controllers_lift_off(const gains_t *g, controllers_t *c, const motion_estimate_t *now);
+void controllers_engage_roll_pitch(const gains_t *g, controllers_t *c, const motion_estimate_t *now);
 
 /* Run the position cascade: references of phi and theta (rad). */
-void controllers_tilt_for(const gains_t *g, controllers_t *c, const motion_estimate_t *now, const path_t *reference,
+void controllers_compute_tilt_command(const gains_t *g, controllers_t *c, const motion_estimate_t *now, const path_t *reference,
                       real_t tilt[2]);
 
 /* Run one period. heave_yaw: references of z (m, down), psi (rad) and their rates; flying: whether the vehicle is off

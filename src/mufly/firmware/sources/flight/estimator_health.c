@@ -60,16 +60,16 @@ void correction_smoother_step(correction_smoother_t *s, estimate_t *m, bool anew
 
 /* Estimator health */
 
-#define HOLD_SIGMA_M REAL(0.25)
-#define RESUME_SIGMA_M REAL(0.15)
-#define LAND_SIGMA_M REAL(0.6)
+#define HOLD_POSITION_SIGMA_M REAL(0.25)
+#define RESUME_POSITION_SIGMA_M REAL(0.15)
+#define LAND_POSITION_SIGMA_M REAL(0.6)
 #define RESUME_DELAY_S REAL(1.0)
-#define HEIGHT_DELAY_S REAL(0.3)
+#define HEIGHT_UNCERTAIN_DELAY_S REAL(0.3)
 #define MAX_HOLD_S REAL(10.0)
 #define GYRO_LOSS_DELAY_S REAL(0.1)
-#define CONTRADICTION_DELAY_S REAL(0.15)
-#define MAX_TILT_SIGMA (REAL(8.0) * DEGREE)
-#define MAX_HEADING_SIGMA (REAL(30.0) * DEGREE)
+#define ATTITUDE_CONTRADICTION_DELAY_S REAL(0.15)
+#define MAX_TILT_SIGMA_RAD (REAL(8.0) * DEGREE)
+#define MAX_HEADING_SIGMA_RAD (REAL(30.0) * DEGREE)
 #define PER_DEGREE (REAL(180.0) / REAL_PI)
 #define SENSOR_BIT(k) (1UL << (uint32_t)(k))
 #define ATTITUDE_AIDS (uint32_t)(SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_SONAR) | SENSOR_BIT(SENSOR_MAGNETIC))
@@ -86,7 +86,7 @@ void health_monitor_reset(health_monitor_t *d, real_t stood)
     d->floor_variance_m2 = stood;
     d->hold_since_s = REAL(0.0);
     d->is_certain = false;
-    d->certain_since_s = REAL(0.0);
+    d->position_certain_since_s = REAL(0.0);
     d->height_uncertain = false;
     d->height_uncertain_since_s = REAL(0.0);
     for (int32_t k = 0; k < ESTIMATE_SENSORS; k++) {
@@ -142,10 +142,10 @@ static void judge_estimate(health_verdict_t *found, const estimate_t *m, real_t 
     const real_t tilt = real_sqrt(real_max(m->attitude_variance[0], m->attitude_variance[1]));
     const real_t heading = real_sqrt(m->attitude_variance[2]);
 
-    if (tilt > MAX_TILT_SIGMA) {
+    if (tilt > MAX_TILT_SIGMA_RAD) {
         set_explained_verdict(found, FAILSAFE_SINK, SAY_ATTITUDE_UNCERTAIN, tilt * PER_DEGREE, m,
                               (uint32_t)(SENSOR_BIT(SENSOR_RATES) | SENSOR_BIT(SENSOR_ACCELERATION)));
-    } else if (heading > MAX_HEADING_SIGMA) {
+    } else if (heading > MAX_HEADING_SIGMA_RAD) {
         set_explained_verdict(found, FAILSAFE_LAND, SAY_HEADING_UNCERTAIN, heading * PER_DEGREE, m,
                               (uint32_t)(SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_MAGNETIC) | SENSOR_BIT(SENSOR_RATES)));
     } else if (m->checks[SENSOR_RATES].status == SENSOR_REJECTED) { /* bias beyond the range of the gyroscopes */
@@ -153,8 +153,8 @@ static void judge_estimate(health_verdict_t *found, const estimate_t *m, real_t 
     } else if ((height > MAX_HEIGHT_SIGMA_M) && height_counts) {
         set_explained_verdict(found, FAILSAFE_LAND, SAY_HEIGHT_UNCERTAIN, height, m,
                               (uint32_t)(SENSOR_BIT(SENSOR_SONAR) | SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_PRESSURE)));
-    } else if (place > HOLD_SIGMA_M) {
-        set_explained_verdict(found, (place > LAND_SIGMA_M) ? FAILSAFE_LAND : FAILSAFE_HOLD, SAY_POSITION_UNCERTAIN, place, m,
+    } else if (place > HOLD_POSITION_SIGMA_M) {
+        set_explained_verdict(found, (place > LAND_POSITION_SIGMA_M) ? FAILSAFE_LAND : FAILSAFE_HOLD, SAY_POSITION_UNCERTAIN, place, m,
                               (uint32_t)(SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_RANGES)));
     } else {
         set_verdict(found, FAILSAFE_NONE, SAY_NO_MESSAGE, REAL(0.0)); /* sufficient for all actions */
@@ -182,7 +182,7 @@ static void judge_attitude_sensors(health_verdict_t *found, health_monitor_t *d,
             d->fault_since_s[k] = m->time_s;
         }
         d->has_fault[k] = bad;
-        if (((ATTITUDE_AIDS & SENSOR_BIT(k)) != 0U) && ((m->time_s - d->fault_since_s[k]) > CONTRADICTION_DELAY_S)) {
+        if (((ATTITUDE_AIDS & SENSOR_BIT(k)) != 0U) && ((m->time_s - d->fault_since_s[k]) > ATTITUDE_CONTRADICTION_DELAY_S)) {
             against |= SENSOR_BIT(k);
         }
     }
@@ -205,7 +205,7 @@ bool health_monitor_step(health_monitor_t *d, const estimate_t *m)
     health_verdict_t found;
     bool said = false;
 
-    judge_estimate(&found, m, d->floor_variance_m2, high && ((t - high_s) >= HEIGHT_DELAY_S));
+    judge_estimate(&found, m, d->floor_variance_m2, high && ((t - high_s) >= HEIGHT_UNCERTAIN_DELAY_S));
     judge_attitude_sensors(&found, d, m);
     d->height_uncertain = high;
     d->height_uncertain_since_s = high_s;
@@ -221,12 +221,12 @@ bool health_monitor_step(health_monitor_t *d, const estimate_t *m)
                 said = true;
             }
         } else if (d->verdict.action == FAILSAFE_HOLD) {
-            if (position_std_growth(m, d->floor_variance_m2) >= RESUME_SIGMA_M) {
+            if (position_std_growth(m, d->floor_variance_m2) >= RESUME_POSITION_SIGMA_M) {
                 d->is_certain = false;
             } else if (!d->is_certain) {
                 d->is_certain = true;
-                d->certain_since_s = t;
-            } else if ((t - d->certain_since_s) >= RESUME_DELAY_S) {
+                d->position_certain_since_s = t;
+            } else if ((t - d->position_certain_since_s) >= RESUME_DELAY_S) {
                 set_verdict(&found, FAILSAFE_NONE, SAY_NO_MESSAGE, REAL(0.0));
                 said = true;
             } else {

@@ -39,7 +39,7 @@ typedef struct {
     real_t fault_since_s[ESTIMATE_SENSORS]; /* start time of each fault */
     real_t hold_since_s;
     bool is_certain;
-    real_t certain_since_s;
+    real_t position_certain_since_s;
     bool height_uncertain; /* the height is uncertain */
     real_t height_uncertain_since_s;
 } health_monitor_t;

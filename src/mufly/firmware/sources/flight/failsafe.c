@@ -4,8 +4,8 @@
 
 #define SPIN_UP_VOLTAGE_SHARE REAL(0.9)
 #define MAX_DESCENT_M_S REAL(0.9)
-#define TOUCHDOWN_M_S REAL(0.5)
-#define DESCENT_GAIN (REAL(1.0) / (REAL(2.0) * REAL(9.81) * REAL(0.4)))
+#define TOUCHDOWN_DESCENT_M_S REAL(0.5)
+#define DESCENT_ENERGY_GAIN (REAL(1.0) / (REAL(2.0) * REAL(9.81) * REAL(0.4)))
 #define MIN_DESCENT_SHARE REAL(0.92)
 #define MAX_DESCENT_SHARE REAL(1.08)
 #define DESCENT_MARGIN_S REAL(1.0)
@@ -39,9 +39,9 @@ void descent_motor_input(const real_t held_up_V[2], real_t share, real_t left_s,
 
 real_t descent_voltage_share(real_t height, real_t descent)
 {
-    const real_t wanted = real_min(real_max(height, TOUCHDOWN_M_S), MAX_DESCENT_M_S);
+    const real_t wanted = real_min(real_max(height, TOUCHDOWN_DESCENT_M_S), MAX_DESCENT_M_S);
 
-    return real_min(real_max(REAL(1.0) + (DESCENT_GAIN * (descent - wanted)), MIN_DESCENT_SHARE), MAX_DESCENT_SHARE);
+    return real_min(real_max(REAL(1.0) + (DESCENT_ENERGY_GAIN * (descent - wanted)), MIN_DESCENT_SHARE), MAX_DESCENT_SHARE);
 }
 
 real_t descent_time_s(real_t height, real_t gravity)

@@ -8,8 +8,8 @@
 #include "mission/user_requests.h"
 
 #define MEASUREMENT_TIMEOUT_S REAL(0.5)
-#define MAX_MOTOR_STEP REAL(0.1)
-#define MAX_SERVO_STEP REAL(0.2)
+#define MAX_MOTOR_INPUT_STEP REAL(0.1)
+#define MAX_SERVO_INPUT_STEP REAL(0.2)
 #define HOVER_VOLTAGE_FILTER_S REAL(1.0)
 #define BATTERY_FILTER_S REAL(0.5) /* time constant of the battery filter during spin-up */
 #define TOUCHDOWN_HEIGHT_M REAL(0.03) /* height below which the vehicle counts as landed */
@@ -114,7 +114,7 @@ bool software_flying(const software_t *s)
     return s->is_lifted && ((s->motors == MOTORS_FLY) || (s->motors == MOTORS_BLIND));
 }
 
-static void stop_at_once(software_t *s, int32_t why, const estimate_t *m)
+static void stop_motors_at_once(software_t *s, int32_t why, const estimate_t *m)
 {
     const message_t what = make_message_1(SAY_GIVEN_TEXT, (real_t)why);
 
@@ -133,7 +133,7 @@ static void stop_at_once(software_t *s, int32_t why, const estimate_t *m)
 }
 
 /* Whether the vehicle flies without position and velocity; this state is final. */
-static bool is_lost(const software_t *s)
+static bool is_estimate_lost(const software_t *s)
 {
     const bool running = (s->motors == MOTORS_SPIN_UP) || (s->motors == MOTORS_FLY);
     const real_t running_s = running ? (s->watch.good.time_s - s->motors_since_s) : REAL(0.0);
@@ -253,7 +253,7 @@ static void step_blind_descent(const flight_setup_t *setup, software_t *s, const
 static void switch_motors(const flight_setup_t *setup, software_t *s, int32_t motors, const estimate_t *m)
 {
     if (motors == MOTORS_FLY) {
-        controllers_engage(setup->gains, &s->controllers, &m->motion, s->motor_input);
+        controllers_engage_heave_yaw(setup->gains, &s->controllers, &m->motion, s->motor_input);
         s->is_lifted = false;
         oscillation_detector_reset(&s->oscillations);
         s->oscillation.is_present = false;
@@ -330,14 +330,14 @@ static void step_control(const flight_setup_t *setup, software_t *s, const estim
 
     if (!s->is_lifted && (has_lifted_off(&s->mission, m) || is_tipping(m))) {
         s->is_lifted = true;
-        controllers_lift_off(setup->gains, &s->controllers, &m->motion);
+        controllers_engage_roll_pitch(setup->gains, &s->controllers, &m->motion);
     }
     if (!s->is_lifted) {
         set_pair(REAL(0.0), REAL(0.0), s->tilt);
     } else if (r->rc_active) {
         set_pair(r->roll, r->pitch, s->tilt);
     } else if (due) {
-        controllers_tilt_for(setup->gains, &s->controllers, &m->motion, &r->path, s->tilt);
+        controllers_compute_tilt_command(setup->gains, &s->controllers, &m->motion, &r->path, s->tilt);
     } else {
         /* the tilt holds until the position cascade runs again */
     }
@@ -362,9 +362,9 @@ static void limit_actuator_rates(software_t *s, const estimate_t *m, actuators_t
             const real_t servo = out->servo_input[i] - s->limited_actuators.servo_input[i];
 
             out->motor_input[i] =
-                s->limited_actuators.motor_input[i] + real_min(real_max(motor, -MAX_MOTOR_STEP), MAX_MOTOR_STEP);
+                s->limited_actuators.motor_input[i] + real_min(real_max(motor, -MAX_MOTOR_INPUT_STEP), MAX_MOTOR_INPUT_STEP);
             out->servo_input[i] =
-                s->limited_actuators.servo_input[i] + real_min(real_max(servo, -MAX_SERVO_STEP), MAX_SERVO_STEP);
+                s->limited_actuators.servo_input[i] + real_min(real_max(servo, -MAX_SERVO_INPUT_STEP), MAX_SERVO_INPUT_STEP);
         }
     }
     s->limited_actuators = *out;
@@ -402,9 +402,9 @@ void software_step(const flight_setup_t *setup, software_t *s, const estimate_t 
     s->since_mission_step_s = (real_t)s->tick * setup->period_s;
     s->tick = ((s->tick + 1) < setup->mission_step_periods) ? (s->tick + 1) : 0;
     if (command->stop_reason != 0) {
-        stop_at_once(s, command->stop_reason, &m);
+        stop_motors_at_once(s, command->stop_reason, &m);
         idle_actuators(out);
-    } else if (is_lost(s)) {
+    } else if (is_estimate_lost(s)) {
         why = make_message_1(SAY_MEASUREMENT_LOST, (real_t)s->watch.what);
         step_blind_descent(setup, s, belief, &why, out);
         limit_actuator_rates(s, &m, out);

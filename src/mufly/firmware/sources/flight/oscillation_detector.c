@@ -2,10 +2,10 @@
 
 #include <stddef.h>
 
-#define MIN_SWING_SHARE REAL(0.5)
-#define MIN_PERIOD_COUNT 4
-#define MIN_DURATION_S REAL(2.0)
-#define MAX_PERIOD_S REAL(4.0)
+#define MIN_SWING_INPUT_SHARE REAL(0.5)
+#define MIN_OSCILLATION_PERIODS 4
+#define MIN_OSCILLATION_S REAL(2.0)
+#define MAX_OSCILLATION_PERIOD_S REAL(4.0)
 #define MAX_PERIOD_RATIO REAL(1.6)
 
 static void turning_points_reset(turning_points_t *t, real_t back)
@@ -24,7 +24,7 @@ void oscillation_detector_reset(oscillation_detector_t *o)
                                                     REAL(0.2), REAL(0.05), REAL(0.05)};
 
     for (int32_t i = 0; i < OSCILLATION_INPUTS; i++) {
-        turning_points_reset(&o->inputs[i].turning_points, MIN_SWING_SHARE * ranges[i]);
+        turning_points_reset(&o->inputs[i].turning_points, MIN_SWING_INPUT_SHARE * ranges[i]);
         o->inputs[i].start_s = REAL(0.0);
         o->inputs[i].half_period_count = 0;
         o->inputs[i].period_s = REAL(0.0);
@@ -69,13 +69,13 @@ static void reset_count(input_oscillation_t *s)
     s->turning_points.turn_count = 0;
 }
 
-static void add_turn(input_oscillation_t *s, real_t value)
+static void add_turning_point(input_oscillation_t *s, real_t value)
 {
     if (s->turning_points.turn_count == 3) {
         const real_t period = s->turning_points.turn_times_s[2] - s->turning_points.turn_times_s[0];
         const bool even = (period <= (MAX_PERIOD_RATIO * s->period_s)) && (s->period_s <= (MAX_PERIOD_RATIO * period));
 
-        if ((period > MAX_PERIOD_S) || ((s->half_period_count > 0) && !even)) {
+        if ((period > MAX_OSCILLATION_PERIOD_S) || ((s->half_period_count > 0) && !even)) {
             reset_count(s);
         } else if (s->half_period_count > 0) {
             s->half_period_count++;
@@ -122,8 +122,8 @@ void oscillation_detector_step(oscillation_detector_t *o, real_t time_s, const r
             s->highest_value = real_max(s->highest_value, inputs[i]);
         }
         if (turned) {
-            add_turn(s, inputs[i]);
-        } else if ((s->half_period_count > 0) && ((time_s - s->turning_points.turn_times_s[s->turning_points.turn_count - 1]) > MAX_PERIOD_S)) {
+            add_turning_point(s, inputs[i]);
+        } else if ((s->half_period_count > 0) && ((time_s - s->turning_points.turn_times_s[s->turning_points.turn_count - 1]) > MAX_OSCILLATION_PERIOD_S)) {
             reset_count(s);
         } else {
             /* continues */
@@ -131,7 +131,7 @@ void oscillation_detector_step(oscillation_detector_t *o, real_t time_s, const r
         if (s->half_period_count > 0) {
             lasting = s->turning_points.turn_times_s[s->turning_points.turn_count - 1] - s->start_s;
         }
-        if ((s->half_period_count >= (2 * MIN_PERIOD_COUNT)) && (lasting >= MIN_DURATION_S) && (!out->is_present || (lasting > out->duration_s))) {
+        if ((s->half_period_count >= (2 * MIN_OSCILLATION_PERIODS)) && (lasting >= MIN_OSCILLATION_S) && (!out->is_present || (lasting > out->duration_s))) {
             out->is_present = true;
             out->input_name = i;
             out->start_s = s->start_s;

@@ -143,8 +143,8 @@ static void fuzz_controllers(void)
     (void)memset(&c, 0, sizeof c);
     any_motion(&now);
     fill_numbers(2, REAL(1.0), motors);
-    controllers_engage(&mufly_gains, &c, &now, motors);
-    controllers_lift_off(&mufly_gains, &c, &now);
+    controllers_engage_heave_yaw(&mufly_gains, &c, &now, motors);
+    controllers_engage_roll_pitch(&mufly_gains, &c, &now);
     while (left > 0U) {
         const uint8_t what = next_byte();
         any_motion(&now);
@@ -152,10 +152,10 @@ static void fuzz_controllers(void)
             fill_numbers(3, REAL(5.0), path.position);
             fill_numbers(3, REAL(2.0), path.velocity);
             fill_numbers(3, REAL(2.0), path.acceleration);
-            controllers_tilt_for(&mufly_gains, &c, &now, &path, tilt);
+            controllers_compute_tilt_command(&mufly_gains, &c, &now, &path, tilt);
         }
         if ((what & 2U) != 0U) {
-            controllers_lift_off(&mufly_gains, &c, &now);
+            controllers_engage_roll_pitch(&mufly_gains, &c, &now);
         }
         fill_numbers(4, REAL(5.0), wanted);
         controllers_step(&mufly_gains, &c, &now, wanted, (what & 4U) != 0U, tilt, &out);
@@ -233,14 +233,14 @@ static void fuzz_fixed(void)
     (void)memset(&c, 0, sizeof c);
     fill_raw(&now, sizeof now);
     fill_raw(motors, sizeof motors);
-    fixed_engage(&mufly_fixed_gains, &c, &now, motors);
-    fixed_lift_off(&mufly_fixed_gains, &c, &now);
+    fixed_engage_heave_yaw(&mufly_fixed_gains, &c, &now, motors);
+    fixed_engage_roll_pitch(&mufly_fixed_gains, &c, &now);
     while (left > 0U) {
         const uint8_t what = next_byte();
         fill_raw(&now, sizeof now);
         if ((what & 1U) != 0U) {
             fill_raw(&path, sizeof path);
-            fixed_tilt_for(&mufly_fixed_gains, &c, &now, &path, tilt);
+            fixed_compute_tilt_command(&mufly_fixed_gains, &c, &now, &path, tilt);
         }
         if ((what & 2U) != 0U) {
             fill_raw(tilt, sizeof tilt);

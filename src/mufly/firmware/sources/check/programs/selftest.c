@@ -45,8 +45,8 @@ int main(void)
 
     platform_start();
     any_motion(&now);
-    controllers_engage(&mufly_gains, &c, &now, engaged);
-    controllers_lift_off(&mufly_gains, &c, &now);
+    controllers_engage_heave_yaw(&mufly_gains, &c, &now, engaged);
+    controllers_engage_roll_pitch(&mufly_gains, &c, &now);
     for (int32_t k = 0; k < PERIODS; k++) {
         uint32_t before;
 
@@ -59,7 +59,7 @@ int main(void)
         }
         before = platform_count();
         if ((k % mufly_position_divider) == 0) {
-            controllers_tilt_for(&mufly_gains, &c, &now, &path, tilt);
+            controllers_compute_tilt_command(&mufly_gains, &c, &now, &path, tilt);
         }
         controllers_step(&mufly_gains, &c, &now, wanted, true, tilt, &out);
         add_cost(&cost, platform_count() - before);

@@ -50,8 +50,8 @@ int main(void)
 
     platform_start();
     any_motion(&now);
-    fixed_engage(&mufly_fixed_gains, &c, &now, engaged);
-    fixed_lift_off(&mufly_fixed_gains, &c, &now);
+    fixed_engage_heave_yaw(&mufly_fixed_gains, &c, &now, engaged);
+    fixed_engage_roll_pitch(&mufly_fixed_gains, &c, &now);
     for (int32_t k = 0; k < PERIODS; k++) {
         uint32_t before;
 
@@ -64,7 +64,7 @@ int main(void)
         }
         before = platform_count();
         if ((k % mufly_fixed_position_divider) == 0) {
-            fixed_tilt_for(&mufly_fixed_gains, &c, &now, &path, tilt);
+            fixed_compute_tilt_command(&mufly_fixed_gains, &c, &now, &path, tilt);
         }
         fixed_step(&mufly_fixed_gains, &c, &now, wanted, true, tilt, &out);
         add_cost(&cost, platform_count() - before);

@@ -122,7 +122,7 @@ static void set_disarmed(supervisor_t *s)
     s->is_pending = false;
 }
 
-static void note_interruption(supervisor_t *s, int32_t what)
+static void store_interruption(supervisor_t *s, int32_t what)
 {
     s->interruption = what;
     s->interruption_told = false;
@@ -151,7 +151,7 @@ static void stop_the_motors(supervisor_t *s, const software_t *software, const e
         const real_t height = software->mission.home_position[2] - m->motion.position[2];
 
         if (software_flying(software) && (height > FALL_HEIGHT_M)) {
-            note_interruption(s, INTERRUPTION_STOPPED);
+            store_interruption(s, INTERRUPTION_STOPPED);
         }
         s->pending = no_command;
         s->pending.stop_reason = why;
@@ -499,7 +499,7 @@ void supervisor_conclude(supervisor_t *s, const software_t *software, bool due)
             const int32_t what = find_interruption(s, &software->mission);
 
             if (what != INTERRUPTION_NONE) {
-                note_interruption(s, what);
+                store_interruption(s, what);
             }
             set_disarmed(s);
         } else if (s->armed && !s->ran && ((s->now_s - s->armed_s) > AUTO_DISARM_S)) {
