@@ -488,18 +488,6 @@ def _make_software_arrays(software: Any) -> SoftwareArrays:
     offsets.position_variance, offsets.attitude_variance = (
         record_offset(8, b, n) for n in ("position_variance", "attitude_variance")
     )
-    offsets.motors, offsets.late_s = record_offset(4, s, "motors"), record_offset(8, s, "since_mission_step_s")
-    offsets.log_count, offsets.finished = (
-        record_offset(4, s, "mission", "logged_count"),
-        record_offset(1, s, "mission", "finished"),
-    )
-    offsets.state = record_offset(4, s, "mission", "state")
-    offsets.position, offsets.velocity = (record_offset(8, s, "reference", "path", n) for n in ("position", "velocity"))
-    offsets.heading, offsets.heading_rate = (record_offset(8, s, "reference", n) for n in ("heading", "heading_rate"))
-    offsets.tilt, offsets.ranges = record_offset(8, s, "tilt"), record_offset(8, b, "ranges")
-    offsets.position_variance, offsets.attitude_variance = (
-        record_offset(8, b, n) for n in ("position_variance", "attitude_variance")
-    )
     offsets.specific_force = record_offset(8, b, "specific_force")
     offsets.checks, offsets.check_size = record_offset(4, b, "checks"), ffi.sizeof("sensor_status_t") // 4
     offsets.check_status, offsets.check_reason = (record_offset(4, "sensor_status_t", n) for n in ("status", "why"))
