@@ -339,7 +339,9 @@ def has_global_position(item: MissionItem) -> bool:
 
 
 def scale_coordinate(number: int, factor: float) -> float:
-    """Return a coordinate of MISSION_ITEM_INT: ``number`` times ``factor``, or NaN for the number of a missing one."""
+    """Return a coordinate of MISSION_ITEM_INT: ``number`` times ``factor``, or NaN if ``number`` marks a missing
+    coordinate.
+    """
     return math.nan if number == COORDINATE_NOT_GIVEN else number * factor
 
 

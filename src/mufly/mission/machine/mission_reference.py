@@ -41,8 +41,8 @@ def current_reference(s: MissionState) -> TrajectoryPoint:
 def predict_reference(s: MissionState) -> TrajectoryPoint:
     """Return the reference at the end of this step, from which another motion must continue.
 
-    A motion's clock is already advanced. References that a state integrates itself (a detour, a landing's height, the
-    tracker of set-points) are not.
+    The clock of a motion is already at the end of the step. References that a state integrates itself (a detour, a
+    landing's height, the tracker of set-points) are still at its start.
     """
     at = current_reference(s)
     if s.state not in (State.OBSTACLE, State.LANDING, State.OFFBOARD) and s.set_point_reference is None:
