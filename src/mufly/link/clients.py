@@ -240,7 +240,7 @@ class CommandAuthority:
     ----------
     commander : MessageSource or None
     on_change : list of callables
-        Called when the commander changes or leaves: actions of the last one end.
+        Called when the commander changes or leaves, to end the actions of the former commander.
     """
 
     def __init__(self, autopilot: Autopilot, clients: Clients, manual: ManualControl) -> None:

@@ -85,7 +85,9 @@ def clip_to_integer(value: float, least: int, greatest: int, unknown: int = 0) -
 
 
 def scale_to_integer(value: float, factor: float) -> int:
-    """Return ``value`` times ``factor`` as x or y of an integer message; :data:`NOT_GIVEN` if out of range."""
+    """Return ``value`` times ``factor`` for the integer field x or y of a message; :data:`NOT_GIVEN` if out of
+    range.
+    """
     number = value * factor
     return round(number) if math.isfinite(number) and abs(number) <= COORDINATE_NOT_GIVEN else COORDINATE_NOT_GIVEN
 

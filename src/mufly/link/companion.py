@@ -4,8 +4,8 @@ It is the other end of :mod:`mufly.link.vision_input`, for any autopilot that ac
 
 * Clock: TIMESYNC is requested once a second. Of the answers of the last 30 s the one with the shortest round trip
   counts: offset = vehicle's time - (sent + received) / 2. Its error is at most half the round trip. If two answers
-  contradict, a clock was set, and older answers are discarded. Before any answer, the least difference of arrival and
-  stamp is the offset.
+  contradict each other, a clock was adjusted, and older answers are discarded. Before the first answer, the offset is
+  the least difference of arrival time and stamp.
 * Tilt: ATTITUDE, with the accuracy from ODOMETRY, else one degree.
 * Height: a DISTANCE_SENSOR that points down, else LOCAL_POSITION_NED.
 * Velocity and position: LOCAL_POSITION_NED, with the accuracy from ESTIMATOR_STATUS. They initialise the map, and the

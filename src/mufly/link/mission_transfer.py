@@ -377,7 +377,7 @@ class MissionSender:
         now_s : float
             Clock (s).
         hush : bool
-            An unfinished transfer to this peer ended less than `TRANSFER_TIMEOUT_S` ago; stop it first.
+            Whether to cancel first a transfer to this peer that ended unfinished less than `TRANSFER_TIMEOUT_S` ago.
         """
         self._retry.mark_started(now_s)
         if not hush:

@@ -1,12 +1,11 @@
 """VISION_POSITION_ESTIMATE in both directions: fixes from external SLAM, and publication of the vehicle's fix.
 
-        Called with present time (s), time of the fix (s), position and heading (4,) and covariance; returns the reason
-        of a rejection (:meth:`mufly.flight.fixes.external_fixes.ExternalFixes.submit_fix`). None: no receiver.
+In: fixes of position and heading that another program computes. Their variances are those of the message.
 
-Its time, ``usec``, is the vehicle's if the sender synchronised its clock by TIMESYNC, as PX4 requires. For any other
-clock (Unix time, time since the sender's start) the least difference arrival - usec over the last 30 s is the offset:
-the fastest message counts as if it had no delay. The remaining delay (exposure, processing, fastest transmission) is
-EKF2_EV_DELAY, PX4's parameter for it. ``usec`` 0 means the time of arrival.
+The field ``usec`` is the time of the fix by the vehicle's clock if the sender synchronised its clock by TIMESYNC, as
+PX4 requires. For any other clock (Unix time, time since the sender's start) the offset is the least difference of
+arrival time and ``usec`` over the last 30 s: the fastest message counts as if it had no delay. The remaining delay
+(exposure, processing, fastest transmission) is PX4's parameter EKF2_EV_DELAY. ``usec`` 0 means the time of arrival.
 
 Out: the last received fix, with its own time; a fix from pictures also has its covariance.
 

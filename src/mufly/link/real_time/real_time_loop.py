@@ -80,7 +80,7 @@ class LoopReport:
 
 
 class RealTimePacer:
-    """Timer of the loop's ticks, with a measure of real time kept.
+    """Timer of the loop's ticks, which measures how well the loop keeps real time.
 
     Parameters
     ----------

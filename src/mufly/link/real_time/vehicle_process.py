@@ -331,7 +331,7 @@ def _run_vehicle_process(order: Mapping[str, Any], pipe: Connection) -> None:
 
 
 def _handle_faults(flight: Flight, wishes: deque[Fault | None]) -> bool:
-    """Inject the faults that the parent sent (None: clear all); return False, which ends no flight."""
+    """Inject the faults that the parent sent (None: clear all); return False, so that the flight continues."""
     while wishes:
         fault = wishes.popleft()
         try:
