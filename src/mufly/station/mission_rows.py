@@ -63,7 +63,7 @@ def rows_from_items(
     origin : GlobalOrigin, optional
         Global position of N, E, D = 0, for items in a global frame.
     reached : int
-        Number of first rows that the vehicle has passed.
+        Number of rows that the vehicle has passed, from the first on.
     """
     return [_make_row(item, origin, k < reached) for k, item in enumerate(items)]
 

@@ -1,10 +1,9 @@
 """Rejection of requests that reach the station late.
 
-Every request of a window names the newest frame that the window had: the station knows when it made that frame, by its
-own clock, so no clock of a browser matters. A request is late if that frame is older than
-:data:`mufly.link.ports.MAX_STALL_S`, or if so long has passed since the press. Late requests wait in sockets while the
-station's process is stopped, its machine suspended or the network cut; none of them is carried out. The window greys
-itself at the same age (``static/live.js``).
+Every request of a window names the newest frame that the window had. The station knows by its own clock when it made
+that frame, so no clock of a browser matters. A request is late if its frame, or the press of its button, is older than
+:data:`mufly.link.ports.MAX_STALL_S`. Late requests wait in sockets while the station's process is stopped, its machine
+suspended or the network cut; none of them is carried out. The window greys itself at the same age (``static/live.js``).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """State shared by all windows, and state of each window: controls, displayed source, open requests.
 
 A window is one browser tab. The first window holds the controls, the others watch until they take them. When the window
-with the controls is closed, a single remaining window gets them; of several, none does until its user takes them. The
-vehicle is not affected. The availability of commands and the parameter edits are here too.
+with the controls is closed, a single remaining window gets them. Of several windows none gets them until a user takes
+them. The vehicle is not affected. The availability of commands and the parameter edits are here too.
 """
 
 from __future__ import annotations
