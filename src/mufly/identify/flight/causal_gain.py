@@ -42,7 +42,7 @@ class CausalGain:
     value, std : (k,) array
         Gain of each prediction and its standard deviation.
     lead_samples : int
-        Prediction that explains most.
+        Index of the prediction that explains most.
     evidence : float
         Logarithm of the likelihood ratio of the best fit to the best one whose leading gain has the other sign or is 0.
     """
@@ -70,7 +70,7 @@ def estimate_causal_gain(
     measured : (n,) array
         Speed or rate, else position or angle, as measured: not smoothed, which would mix in the future.
     predicted : (n, k) array
-        Accelerations predicted from the inputs, in the unit of ``measured`` by ``s`` or ``s^2``.
+        Accelerations predicted from the inputs, in the unit of ``measured`` per ``s`` or ``s^2``.
     sample_s : float
         Sample time (s).
     is_rate : bool

@@ -185,7 +185,10 @@ def _bar_normal(mast: Array, follow: float) -> Array:
 
 
 def _judge_gain(found: CausalGain | None, is_crossed: bool) -> InputGain:
-    """Accept a sign that the record determines: significant, of size, and far likelier than the other."""
+    """Return the gain of an input, with its sign if the record determines it.
+
+    The leading gain must be significant, large enough, and far likelier than one of the other sign.
+    """
     if found is None:
         return InputGain(0.0, np.inf)
     g, std, lead = found.value, found.std, found.lead_samples

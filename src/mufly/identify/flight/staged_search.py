@@ -165,7 +165,7 @@ class StagedSearch:
                 )
 
     def search_minimum(self) -> tuple[FitPoint, OutputErrorProblem, bool, tuple[str, ...]]:
-        """Run all stages, also from the exchanged vehicle until the costs decide.
+        """Run all stages, also from the vehicle with exchanged rotor inertias until the costs decide between both.
 
         Return the point, the last problem, whether the search converged, and descriptions of remaining ambiguities.
         """
