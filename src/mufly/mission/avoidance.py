@@ -136,7 +136,7 @@ def insert_beam_hits(
 class ObstacleMap:
     """Points that beams have hit: the first ``point_count`` rows hold N, E, D (m) and the time of the last hit (s).
 
-    In a full map a new point replaces the oldest of eight, from row ``next_replaced_row`` on.
+    In a full map a new point replaces the oldest of eight points, which begin at row ``next_replaced_row``.
     """
 
     points: _Array

@@ -267,7 +267,7 @@ def _choose_passing_side(
     touching: bool,
     dt: float,
 ) -> Detour:
-    """Change sides if stuck or far off; after a whole lap leave at its nearest point to the goal."""
+    """Change the side if stuck or too far off; after a whole lap leave the contour where it was nearest to the goal."""
     side, stray, hit_distance = detour.passing_side, detour.side_change_deviation_m, detour.hit_goal_distance
     anchor, anchor_s = detour.stuck_check_point, detour.stuck_duration_s + dt
     if _planar_distance(here, anchor) > 0.25:

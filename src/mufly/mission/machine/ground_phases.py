@@ -108,15 +108,15 @@ def _move_landing_point(s: MissionState, m: Estimate) -> MissionState:
 def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Descend, slower near the floor, then press down until the legs carry the weight, and stop the rotors.
 
-    A vehicle that drifts waits near the floor for its controller to stop the drift. If the position is uncertain, the
-    estimated velocity does not show the drift, which grows with the time in the air at g times the error of the tilt.
-    The vehicle then does not wait, touches down at 0.25 m/s at least, and does not return to its point: corrections
-    of the estimate move that point by metres, and the vehicle would slide while it follows.
+    A vehicle that drifts waits near the floor until its controller has stopped the drift. If the position is uncertain,
+    the estimated velocity does not show the drift, which grows with the time in the air at g times the error of the
+    tilt. The vehicle then does not wait, touches down at 0.25 m/s at least, and does not return to its point:
+    corrections of the estimate move that point by metres, and the vehicle would slide while it follows.
 
-    With a certain height estimate they stop as soon as the vehicle is 3 cm above its reference, within 2 cm of the
-    floor. An undetected drift would otherwise make the controller chase a false position and lift the vehicle over the
-    rubbing leg. With friction mu, a centre of mass h above the floor and legs at distance l, a slide does not tip the
-    vehicle while mu h < l, without rotor thrust: so the rotors must not lift while it slides.
+    If the height is known with certainty, the rotors stop as soon as the vehicle is 3 cm above its reference and within
+    2 cm of the floor. Otherwise the controllers could follow an undetected drift of the position and tip the vehicle
+    over a leg that rubs on the floor. With friction mu, the centre of mass at height h and the legs at distance l, a
+    vehicle that slides without thrust does not tip if mu h < l. The rotors must therefore not lift while it slides.
     """
     if s.motors == "ramp_down":
         if s.motion_clock_s < ROTOR_RUN_DOWN_TIME_S:

@@ -70,7 +70,7 @@ def _hover_until(s: MissionState, why: str, at: Triple, ready_s: float) -> Missi
 
 
 def _is_at_goal(plan: MissionPlan, s: MissionState, m: Estimate) -> bool:
-    """Whether the vehicle is as near its goal, and as slow, as a reached waypoint asks."""
+    """Whether the vehicle is near enough to its goal, and slow enough, to count as having reached it."""
     q = plan.mission.limits
     return _distance_to_goal(m, s.goal) < q.reach_m and vector_length(*m.velocity.tolist()) < q.reach_m_s
 
@@ -125,7 +125,7 @@ def start_leg(
     way: Callable[[Triple, float], Trajectory],
     **flags: object,
 ) -> MissionState:
-    """Start the leg ``way(position, heading)``, after braking if the reference moves."""
+    """Start the leg that ``way(position, heading)`` returns, after braking if the reference moves."""
     at = current_reference(s)
     if vector_length(*at.velocity) > 0.01 or abs(at.heading_rate) > 0.01:
         brake = plan_braking(plan, s)
@@ -199,7 +199,7 @@ def change_leg_goal(
 ) -> MissionState:
     """Redirect the user's present leg to another goal without a stop, from the present motion of the reference.
 
-    The reference follows the goal as that of a program (:mod:`mufly.mission.machine.offboard`), height and way
+    The reference follows the goal like a program's set-point (:mod:`mufly.mission.machine.offboard`), height and path
     together. Without a ``heading`` the nose turns along the way to the goal, unless that is short.
     """
     known = s.set_point_reference
@@ -236,7 +236,7 @@ def track_set_point(
 
 
 def _track_changed_goal(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory, dt: float) -> MissionState:
-    """Move the reference towards a changed goal. The step in which the goal changes has moved it already."""
+    """Move the reference towards a changed goal, except in the step of the change, which has moved it already."""
     if s.set_point_reference is None or s.motion_clock_s == 0.0:
         return s
     wanted = SetPoint(position_m=s.goal, heading_rad=way.start_heading + way.turn_angle)
