@@ -162,8 +162,9 @@ def blunt_edge_drag(edge_m: float, chord_m: Array) -> Array:
 def find_zero_lift_angle(table: PolarTable) -> float:
     """Return the zero-lift angle (rad) of a polar at the Reynolds number nearest to 3e5.
 
-    Of several the angle closest to zero counts; the result is 0 if there is none. The potential lift line of the stall
-    delay models passes through this angle: the boundary layer is thin there, so that it is close to the inviscid one.
+    If there are several, the angle closest to zero is returned; without one, 0. The potential-flow lift line of the
+    stall delay models passes through this angle. The boundary layer is thin there, so the angle is close to the
+    inviscid one.
     """
     near = np.abs(table.alpha_rad) <= np.deg2rad(20.0)
     row = int(np.argmin(np.abs(np.log(table.reynolds / 3e5))))

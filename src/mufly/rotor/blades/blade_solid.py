@@ -512,9 +512,9 @@ def rotor_from_body(
 def _turn_blade_to_x(corners: Array) -> tuple[Array, float]:
     """Turn a body about the shaft, z, until its longest blade lies along x; return it and the angle (rad).
 
-    A body that reaches its radius within 20 degrees of x already is not turned: a swept tip is no direction. Otherwise
-    the middle of the chord is fitted by a r + b w over the radius r and the width w of the blade; a is what a straight
-    line through one part of the chord is still off.
+    A body that already reaches its radius within 20 degrees of x is not turned, because a swept tip does not show the
+    direction of the blade. Otherwise the middle of the chord is fitted by a r + b w over the radius r and the width w
+    of the blade, and a is the remaining angle of the blade.
     """
     points = corners.reshape(-1, 3)
     size, angle = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])

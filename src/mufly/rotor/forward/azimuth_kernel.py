@@ -83,7 +83,7 @@ these slopes lead astray."""
 
 
 def velocity_derivative_weights(trig: Array) -> Array:
-    """Return the derivatives of U_P with its unknowns times the harmonics of a mean, (azimuths, 2, 40).
+    """Return the derivatives of U_P by its unknowns, multiplied by the harmonics of an average, (azimuths, 2, 40).
 
     Entry 8 h + k belongs to the harmonic h (1, c, s, 2c, 2s) and the unknown k (u, five flap coefficients, lc, ls).
     The first table is over V, the second over Omega r, the column of u over 1.

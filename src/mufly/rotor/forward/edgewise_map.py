@@ -4,9 +4,9 @@
 
     Omega_up = 2 s / (1 + r),    Omega_dw = r Omega_up,    V_z = m s R,    V = k sqrt(e / (1 - e)) s R
 
-At e = 0 a small V gives the loads over V, and the thrust and torque of axial flight. Points start from neighbours.
-Rates need one turn of the coupling: the stream of the upper rotor with its new inflow gradients meets the lower one,
-whose mean inflow does not change to first order.
+At e = 0 a small V gives the loads divided by V, and the thrust and torque of axial flight. Each point starts from a
+solved neighbour. Body rates need one iteration of the coupling: the stream of the upper rotor, with its new inflow
+gradients, meets the lower rotor, whose mean inflow does not change to first order.
 
 The flight model interpolates by quadratic splines over climb and e, which have continuous slopes and pass through the
 points; over the ratio it is linear (:func:`fit_flight_splines`). Beyond an edge the value at the edge is kept.
@@ -49,7 +49,7 @@ def make_edgewise_axis(knee: float, count: int, *, advance_ratio: float = MAP_AD
 
 
 def _flow_load_columns(pair: ForwardPair, axial: ForwardPair, density: float, radius: float) -> Array:
-    """Return the six first columns of both rotors, (2, 6); ``axial`` is the pair at the smallest V."""
+    """Return the first six columns of both rotors, (2, 6); ``axial`` is the pair at the smallest V."""
     out = np.zeros((2, 6))
     for k, (at, rest) in enumerate(((pair.upper, axial.upper), (pair.lower, axial.lower))):
         force = density * math.pi * radius**3 * at.speed_rad_s * at.edgewise_m_s
@@ -63,7 +63,7 @@ def _flow_load_columns(pair: ForwardPair, axial: ForwardPair, density: float, ra
 def _rate_load_columns(
     solve: Callable[[tuple[float, float]], ForwardPair], pair: ForwardPair, density: float, radius: float
 ) -> Array:
-    """Return the four last columns of both rotors, (2, 4), by differences with roll and pitch rate."""
+    """Return the last four columns of both rotors, (2, 4), by differences with roll and pitch rate."""
     rate = _BODY_RATE_STEP_RATIO * pair.upper.speed_rad_s
     rolling, pitching = solve((rate, 0.0)), solve((0.0, rate))
 
@@ -198,7 +198,7 @@ def compute_flight_loads(
 def spline_weights(x: float, n: int) -> tuple[int, float, float, float]:
     """Return the index of the first of three neighbouring coefficients of a quadratic spline, and their weights.
 
-    ``x`` is the position in steps from the first of ``n`` points, 3 or more; beyond an edge it is held.
+    ``x`` is the position in steps from the first of ``n`` points, 3 or more; beyond an edge it is that of the edge.
     """
     i = int(min(n - 2.0, max(1.0, x + 0.5)))  # in this order an index also if x is not a number
     t = min(max(x, 0.0), n - 1.0) - i
@@ -218,7 +218,7 @@ def spline_matrix(n: int) -> Array:
 def interpolate_flow_loads(
     table: Array, climbs: int, edges: int, ratio: float, climb: float, edge: float
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:
-    """Interpolate the six first columns of both rotors.
+    """Interpolate the first six columns of both rotors.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def interpolate_flow_loads(
 def interpolate_rate_loads(
     rates: Array, edges: int, edge: float
 ) -> tuple[float, float, float, float, float, float, float, float]:
-    """Interpolate the four last columns of both rotors over e; ``rates`` are (edges * 8,) spline coefficients."""
+    """Interpolate the last four columns of both rotors over e; ``rates`` are (edges * 8,) spline coefficients."""
     i0, ea, eb, ec = spline_weights(edge, edges)
     return sum_rate_rows(rates, 8 * i0, ea, eb, ec)
 

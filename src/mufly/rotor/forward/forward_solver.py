@@ -381,8 +381,8 @@ def cyclic_response(
 ) -> CyclicResponse:
     """Return the response of flapping and hub moment to cyclic pitch, by central differences.
 
-    The response to (th1c, th1s) is a matrix of two by two; its part that turns with the input is reported, gain and
-    angle. In edgewise flow the two directions differ by terms of order mu^2.
+    The response to (th1c, th1s) is a matrix of two by two. The result is gain and angle of its part that rotates with
+    the input. In edgewise flow the two directions differ by terms of order mu^2.
 
     Parameters
     ----------

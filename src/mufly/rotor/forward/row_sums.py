@@ -2,7 +2,7 @@
 
 Numba compiles the functions column by column. For arrays they have a second form that sums four columns at once in a
 vector register, in the same order, so that both give the same bits. :mod:`mufly.dynamics.lane_row_sums` has the form
-for lanes of vehicles. The sources here are what is translated to C and to symbols.
+for lanes of vehicles. The functions here are also the source of the translations to C and to symbols.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -55,7 +55,7 @@ def sum_flow_rows(
     table: Array, first: int, later: int, stride: int, ca: float, cb: float, cc: float, cd: float, ce: float,
     ea: float, eb: float, ec: float,
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
-    """Return the weighted sum of five times three neighbouring rows of 12 columns, over the groups first.
+    """Return the weighted sum of five groups of three neighbouring rows with 12 columns; the groups are summed first.
 
     Parameters
     ----------
@@ -108,14 +108,14 @@ def _sum_rows(table: Array, first: int, ea: float, eb: float, ec: float) -> floa
 
 
 def spread_number(builder: Any, number: Any, count: int, lane: int = 0) -> Any:
-    """Write a vector of ``count`` times a number, or a number of a vector."""
+    """Emit code for a vector that repeats a number, or an element of a vector, ``count`` times."""
     if not isinstance(number.type, ir.VectorType):
         number = builder.insert_element(ir.Constant(_FOUR_DOUBLES_TYPE, ir.Undefined), number, _index(lane))
     return pick_numbers(builder, number, [lane] * count)
 
 
 def pick_numbers(builder: Any, vector: Any, places: Sequence[int], other: Any = None) -> Any:
-    """Write a vector of numbers of a vector; places beyond its length are those of another vector."""
+    """Emit code that selects elements of a vector; indices beyond its length select from another vector."""
     mask = ir.Constant(ir.VectorType(ir.IntType(32), len(places)), list(places))
     return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined) if other is None else other, mask)
 
@@ -146,7 +146,7 @@ def _split_quartets(builder: Any, vector: Any) -> list[Any]:
 
 
 def emit_flow_sum(builder: Any, table: Any, places: Sequence[Any], spread: Spread, width: int) -> list[Any]:
-    """Write :func:`sum_flow_rows`.
+    """Emit code for :func:`sum_flow_rows`.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def emit_flow_sum(builder: Any, table: Any, places: Sequence[Any], spread: Sprea
 
 
 def emit_rate_sum(builder: Any, table: Any, places: Sequence[Any], spread: Spread, width: int) -> list[Any]:
-    """Write :func:`sum_rate_rows`, as :func:`emit_flow_sum`."""
+    """Emit code for :func:`sum_rate_rows`, as :func:`emit_flow_sum` does."""
     out = []
     for c in range(0, RATE_COLUMN_COUNT, width):
         rows = [

@@ -37,7 +37,7 @@ def _fill_coefficients(
 
 
 def _angles_from_onset_angles(onset: Array, zero: float, alpha: Array, reached: Array) -> Array:
-    """Return the angle of attack of each onset angle: the first that reaches it, outward from the zero-lift angle."""
+    """Return the angle of attack of each onset angle: the first such angle outward from the zero-lift angle."""
     out = np.empty_like(onset)
     middle = alpha.size // 2
     up = np.maximum.accumulate(reached[middle:])

@@ -6,10 +6,10 @@ stream is contracted by 1 / sqrt(k(h)), and its axis is displaced downwind by
 
     h tan chi,    tan chi = V / (V_z + mean velocity through the upper disc)
 
-Swirl turns about the displaced axis; its component against the blade counts. Outside the stream the air is that of
-the flight. The upper rotor meets k(-h) times the velocity induced by the lower one, not displaced, because it lies
-upstream. At V = 0 the pair is that of coaxial blade element momentum theory. The delay from disc to disc, about 10 ms,
-is left out.
+Swirl turns about the displaced axis; only its component against the motion of the blades is used. Outside the stream
+the air is that of the flight. The upper rotor meets k(-h) times the velocity induced by the lower one, not displaced,
+because it lies upstream. At V = 0 the pair is that of coaxial blade element momentum theory. The delay from disc to
+disc, about 10 ms, is left out.
 """
 
 from __future__ import annotations

@@ -291,8 +291,9 @@ def mass_matrix(beam: BladeBeam, pitch_rad: float) -> Array:
 def centrifugal_load(beam: BladeBeam, pitch_rad: float, twist_rad: Array | None = None) -> Array:
     """Return the load of the centrifugal field on the straight blade over Omega^2, (size,).
 
-    Propeller moment, untwisting by tension, and tension on the line of the centroids; with ``twist_rad`` (elements, 4)
-    those of the blade twisted by it, less the linear part that :func:`stiffness_matrices` holds.
+    The load consists of propeller moment, untwisting by tension, and tension on the line of the centroids. With
+    ``twist_rad`` (elements, 4) it is the load of the twisted blade, minus the linear part in
+    :func:`stiffness_matrices`.
     """
     s, theta = beam.shape_functions, beam.twist_rad + pitch_rad
     phi = np.zeros_like(theta) if twist_rad is None else twist_rad

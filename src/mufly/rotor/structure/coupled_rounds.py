@@ -1,4 +1,4 @@
-"""Elastic blades with another solver's loads: deform the blade, solve, deform again, until the twist rests.
+"""Elastic blades with another solver's loads: deform the blade, solve, deform again, until the twist converges.
 
 The solver, for example a Navier-Stokes solver, is a function of a rotor. Each round hands it the rotor with the elastic
 twist added to the built-in twist, and takes back the loads along the span. Blade element momentum theory gives the
@@ -126,7 +126,7 @@ def iterate_elastic_twist(
     n_crit: float = 0.1,
     tolerance_rad: float = TWIST_TOLERANCE_RAD,
 ) -> AeroelasticIteration:
-    """Alternate between a solver of rigid rotors and the beam of the blade until the tip's twist rests.
+    """Alternate between a solver of rigid rotors and the beam of the blade until the tip's twist converges.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def iterate_elastic_twist(
     Raises
     ------
     MuflyError
-        If the twist does not rest within eight rounds, or the blade diverges.
+        If the twist does not converge within eight rounds, or the blade diverges.
     """
     polars = compute_rotor_polars(rotor, n_crit=n_crit)
     blading, gas = prepare_blading(rotor, polars), air or Air()
