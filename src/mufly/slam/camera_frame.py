@@ -30,7 +30,8 @@ class FrameInfo:
     rotor_speed : (2,) array
         Upper, lower (rad/s); zero if unknown: vibration is then averaged, not modelled.
     rotor_phase : (2,) array or None
-        Phases of the rotors from commutation, up to a constant (rad). With them the vibration is learnt.
+        Phases of the rotors from commutation, up to a constant (rad). With them the amplitudes of the vibration are
+        averaged.
     tilt_sigma, height_sigma : float
         Standard deviations of tilt and height (rad, m).
     tilt_time_s, height_time_s : float
@@ -119,13 +120,13 @@ class Odometry:
 
         x_k = x_(k-1) + (v_(k-1) + v_k) / 2 dt,        psi_k likewise.
 
-    Velocity errors are correlated over longer than a gap, so they add up linearly, not as noise would. A velocity that
-    changes otherwise, with an acceleration of at most a, misses the area of a triangle:
+    Velocity errors are correlated over longer than a gap, so they add up linearly, not as noise would. If the velocity
+    changes in another way, with an acceleration of at most a, the displacement errs by the area of a triangle:
 
         s_k = s_(k-1) + (s_v,(k-1) + s_v,k) / 2 dt + a dt^2 / 4.
 
-    So the displacement over a gap of t s is known to s_v t (and half a millimetre a picture), not to a t^2 / 2. Without
-    velocities from the vehicle, that of the last results is used, with the error a t^2 / 2.
+    The displacement over a gap of t s therefore has an error of s_v t (and half a millimetre a picture) instead of a
+    t^2 / 2. Without velocities from the vehicle, the velocity of the last results is used, with the error a t^2 / 2.
 
     Attributes
     ----------
@@ -199,8 +200,8 @@ class MotionPrior:
     def advance_to(self, frame: CameraFrame, heading_rad: float) -> MotionPrior:
         """Return the motion propagated to the next picture.
 
-        A helicopter whose rotors turn accelerates as it tilts, v' = g (-tan pitch, tan roll) in the axes of its
-        heading ``heading_rad`` (rad). Otherwise the velocity by the last results stays.
+        A helicopter whose rotors turn accelerates as it tilts, v' = g (-tan pitch, tan roll) in the axes of its heading
+        ``heading_rad`` (rad). With still rotors the velocity of the last results is kept.
         """
         told, before, velocity = frame.vehicle_estimate, self.latest, self.velocity_m_s
         if before is not None and told.rotor_speed.any():
@@ -226,7 +227,9 @@ class MotionPrior:
 
     @property
     def free_sigma(self) -> tuple[float, float]:
-        """Deviations of the predicted place (m) and heading (rad) since a picture showed both directions."""
+        """Deviations of the predicted position (m) and heading (rad) since a picture last showed texture in both
+        directions.
+        """
         if self.textured is None:
             return _MAX_FREE_SIGMA_M, 0.1
         sigma_m = 0.005 + self.textured.predict_displacement(self.velocity_m_s)[1]

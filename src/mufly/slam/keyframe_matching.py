@@ -358,7 +358,7 @@ def _match_directly(
 
 
 def _common_variance(context: FrameContext) -> float:
-    """Return the variance of a place by errors that all points of a picture share (m^2)."""
+    """Return the variance (m^2) of the position by errors that all points of a picture share."""
     common_px = math.hypot(_COMMON_SHAKE_SHARE * context.shake_rms_px, _COMMON_SIGMA_PX)
     return (common_px * context.view.height_m / context.view.focal_px) ** 2
 

@@ -122,9 +122,10 @@ class KeyframePriors:
 def gauss_markov_transition(
     elapsed_s: float, before: float, sigma: float, time_s: float, white: float = 0.0
 ) -> tuple[float, float]:
-    """Return r and the noise variance that relate two Gauss-Markov errors, as above.
+    """Return r and the noise variance that relate two Gauss-Markov errors, see the module docstring.
 
-    The deviations are ``before`` and ``sigma``. If the second is smaller, the error is scaled down with it.
+    The standard deviations of the errors are ``before`` and ``sigma``. If the second is smaller, the error is scaled
+    down in proportion.
     """
     keep = math.exp(-elapsed_s / time_s) * min(1.0, sigma / before) if elapsed_s >= 0.0 else 0.0
     return keep, max(sigma**2 - keep**2 * before**2, 1e-12) + (1.0 + keep**2) * white**2

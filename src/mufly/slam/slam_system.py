@@ -367,8 +367,9 @@ class SlamSystem:
     def _learn_vibration(self, view: ViewPrior, pose: PoseEstimate) -> None:
         """Average the amplitudes of the vibration over pictures.
 
-        A rotor that turns twice per picture distorts consecutive pictures alike. Their difference shows little of the
-        vibration, and the map would stay bent. An average over many pictures, whose rotor phases drift, finds it.
+        A rotor that turns twice per picture distorts consecutive pictures alike, so their difference shows little of
+        the vibration, and the map would stay distorted. Over many pictures the rotor phases drift, so the average shows
+        the vibration.
         """
         if view.rotor_phases_rad.any():
             self._shake_frame_count += 1
@@ -497,7 +498,9 @@ class SlamSystem:
             self._trial_frame_count = 0
 
     def _bridge_gap(self, context: FrameContext, why: str) -> TrackingResult:
-        """Create a keyframe on trial at the vehicle's estimate, with an edge to the last one of that uncertainty."""
+        """Create a keyframe on trial at the vehicle's estimate, with an edge of the estimate's uncertainty to the last
+        keyframe.
+        """
         frame = context.frame
         if self._trial_frame_count > 0:
             self._end_trial()

@@ -131,7 +131,7 @@ def calibrate_from_folder(
     folder : Path
         In the layout of mufly (``pictures.csv``, ``imu.csv``, ``sonar.csv``) or of EuRoC.
     camera : Camera
-        Initial values, and all that is not estimated (distortion but k1, readout).
+            Initial values of the estimated parameters, and all other parameters (distortion except k1, readout).
     height_m : float, optional
         Mean height above the floor (m), for a folder without ``sonar.csv``; known to 20 %.
     on_picture : callable, optional
@@ -182,15 +182,15 @@ def fit_camera(
     Parameters
     ----------
     tracks : PointTracks
-        Of raw pictures of ``camera``'s size.
+            Tracks in raw pictures of ``camera``'s size.
     camera : Camera
-        Initial values, and all that is not estimated.
+            Initial values of the estimated parameters, and all other parameters.
     imu : InertialData
-        On the clock to which the delay refers.
+            Inertial data, on the clock to which the delay refers.
     height_m : callable
-        Times (n,) to heights (n,) of the inertial unit above the floor (m).
+            Function from times (n,) (s) to heights (n,) of the inertial unit above the floor (m).
     height_sigma_m : float
-        Their standard deviation (m).
+            Standard deviation of these heights (m).
     frames : callable, optional
         Returns stamps (s) and raw pictures, to track them again with patches warped by the first fit.
 
@@ -220,7 +220,9 @@ def fit_camera(
 
 
 def _minimise(problem: _Problem, shared: _Array, segment_states: _Array) -> tuple[_Array, _Array, _Array, float]:
-    """Return the unknowns at the minimum, the covariance of the shared ones, and the deviation of pixels."""
+    """Return the unknowns at the minimum, the covariance of those that all segments share, and the deviation of
+    pixels.
+    """
     covariance, sigma_px = np.zeros((SHARED_SIZE, SHARED_SIZE)), 0.0
     for _ in range(_MAX_ITERATIONS):
         sigma_px = problem.pixel_sigma(shared, segment_states)
@@ -296,7 +298,7 @@ class _Problem:
         return mean
 
     def integrate(self, shared: _Array) -> IntegratedMotion:
-        """Return the motion by the inertial data."""
+        """Return the motion that follows from the inertial data."""
         tilt = quaternion_exponential(np.array([[*shared[TILT], 0.0]]))
         return integrate_inertial(
             self.imu, multiply_quaternions(tilt, self.start[None])[0], gyro_bias=shared[GYRO_BIAS],
@@ -346,9 +348,11 @@ class _Problem:
         self, shared: _Array, segment_states: _Array, att: IntegratedMotion, k: NDArray[np.int64], pixels: _Array,
         rows_of: _Array, is_forward: bool,
     ) -> _Array:  # fmt: skip
-        """Return where the floor points at pixels (n, 2) of one picture of segments ``k`` are in the other one.
+        """Return the pixels (n, 2) in one picture of segments ``k`` of the floor points that the other picture shows at
+        given pixels.
 
-        The rows of ``rows_of`` (n, 2) give the times in the other picture; ``is_forward``: from the first to the last.
+        The rows of ``rows_of`` (n, 2) give the exposure times of the result. ``is_forward``: from the first picture to
+        the last.
         """
         lens, mount, lever = self.lens_of(shared), self.mount_of(shared), shared[LEVER]
         begin, end = (self.tracks.times_s - shared[DELAY]).T
@@ -378,7 +382,9 @@ class _Problem:
         return project_points(lens, seen)
 
     def chain_residuals(self, shared: _Array, segment_states: _Array, att: IntegratedMotion) -> _Array:
-        """Return the residuals (m, 8) of segments: velocity and floor against the next, height, rotation."""
+        """Return the residuals (m, 8) of the segments: velocity and floor against the next segment, height,
+        rotation.
+        """
         begin, end = (self.tracks.times_s - shared[DELAY]).T
         v, height = segment_states[:, _VELOCITY], np.exp(segment_states[:, _LOG_HEIGHT])
         lever_d = np.einsum("nij,j->ni", att.rotation_at(begin), shared[LEVER])[:, 2]

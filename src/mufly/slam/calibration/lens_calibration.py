@@ -121,7 +121,7 @@ def calibrate_lens(
 
 
 def resize_camera(camera: Camera, width: int, height: int) -> Camera:
-    """Return a camera with pictures of another size: its lens is scaled with the width, lengths in pixels too."""
+    """Return a camera for pictures of another size: its lens and other lengths in pixels are scaled with the width."""
     if (width, height) == (camera.sensor.width, camera.sensor.height):
         return camera
     scale = width / camera.sensor.width

@@ -282,7 +282,7 @@ class CameraMonitor:
         self._last_level_velocity = math.exp(-dt / _VELOCITY_DECAY_S) * self._last_level_velocity + dt * push
 
     def _predict_motion(self, before: FrameInfo, now: FrameInfo, velocity: _Array) -> complex:
-        """Return p, above (pixels/s)."""
+        """Return the predicted motion p of the module docstring (pixels/s)."""
         w = self._camera_from_body @ (0.5 * (before.rates + now.rates))
         place = self._camera.mount.place.to_array()[0]
         lever = np.cross(0.5 * (before.rates + now.rates), place)
@@ -296,8 +296,8 @@ def advance_slow_part(
 ) -> NDArray[np.complex128]:
     """Return the slow part of motions in the picture, ``dt`` (s) later.
 
-    A velocity that is steady towards north and east, as that by a steady tilt against the wind, turns in the picture
-    as the nose turns. The slow part turns with it, so that no turn passes for a motion.
+    A velocity that is steady in N-E axes, as in a steady wind, rotates in the picture when the vehicle yaws. The slow
+    part is rotated in the same way, so that yawing does not count as motion.
     """
     keep = math.exp(-dt / _HIGH_PASS_S)
     turned: NDArray[np.complex128] = keep * cmath.exp(-1j * yaw_rate_rad_s * dt) * slow + (1.0 - keep) * motion
@@ -349,7 +349,7 @@ class MotionFit:
     estimate, sigma : (3,) arrays
         m, n and k, and their standard deviations along one axis.
     weight : float
-        Number of pictures that count.
+            Effective number of pictures.
     """
 
     def __init__(self, memory_s: float) -> None:
@@ -421,7 +421,7 @@ def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdi
 
 
 class DirtMask:
-    """Mask of pixels that stay as they are while the floor moves.
+    """Mask of pixels that do not change while the floor moves.
 
     Attributes
     ----------
@@ -437,7 +437,7 @@ class DirtMask:
         self.wide_mask: NDArray[np.uint8] | None = None
 
     def add_picture(self, picture: NDArray[np.uint8]) -> None:
-        """Add an undistorted picture of other floor than the one before."""
+        """Add an undistorted picture that shows another part of the floor than the preceding one."""
         cv2 = load_opencv()
         high, wide = picture.shape
         small = cv2.resize(

@@ -72,7 +72,7 @@ class AlignedPicture(NamedTuple):
     pixels : (n, 2) array
         Measured pixels of the points.
     information : (n, 2, 2) array
-        Information of these (1/pixel^2), with the points' own errors.
+        Information of these pixels (1/pixel^2), reduced by the points' own errors.
     patches : PatchInformation
     unknown : (k, 2) array
         Unit vectors N, E along which the place is only predicted.
@@ -170,7 +170,9 @@ def align_picture(
 
 
 def _prediction_information(unknown: _Array, sigma: tuple[float, float]) -> _Array | None:
-    """Return the information (4, 4) of the prediction, with the heading: vibration bends stripes like a turn."""
+    """Return the information (4, 4) of the prediction, including the heading, since vibration bends stripes as a turn
+    does.
+    """
     if not len(unknown):
         return None
     out = np.zeros((POSE_TILT, POSE_TILT))

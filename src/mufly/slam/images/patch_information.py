@@ -123,7 +123,7 @@ def measure_patches(
     row_slope : float
         Rms slope of vertical lines by vibration in a rolling shutter.
     caution : float
-        Factor on the least S: above one where the shift is known poorly, so that chance would find a place.
+        Factor on the least S; above one if the shift is poorly known, because chance then finds a false match.
     """
     sums = np.zeros((len(points), PATCH_SUMS))
     _sum_patches(template, picture, np.ascontiguousarray(points), np.ascontiguousarray(there), half, sums)
@@ -133,7 +133,7 @@ def measure_patches(
 def weigh_patches(
     sums: _Array, smooth: float, axes: _Array, pixels: int, row_slope: float = 0.0, caution: float = 1.0
 ) -> PatchInformation:
-    """Return the information of patches from their sums (n, 12), as above.
+    """Return the information of patches from their sums (n, 12), by the equations of the module docstring.
 
     Parameters
     ----------
