@@ -87,7 +87,7 @@ def save_case(
 
     Tip, hub and Gurney flap are those of :func:`mufly.cfd.blade_geometry.make_blade_geometry`. With ``gap_m`` a second,
     counter-rotating rotor of the same file lies at that distance below (:mod:`mufly.cfd.rotor_pair`). By default it has
-    the same pitch setting and speed; both rotors are frozen. ``other_m`` is for :func:`solve_pair`.
+    the same pitch setting and speed; both rotors are frozen in one mesh. ``other_m`` is for :func:`solve_pair`.
 
     With ``neighbour``, a solved case of another speed, pitch setting or tip with the same cells, the case starts from
     the scaled solution of the neighbour.
@@ -366,12 +366,12 @@ class PairSolution:
 
     @property
     def thrust_ratio(self) -> float:
-        """Lower over upper."""
+        """Thrust of the lower rotor over that of the upper rotor."""
         return self.lower.verdict.thrust_N / self.upper.verdict.thrust_N
 
     @property
     def torque_ratio(self) -> float:
-        """Lower over upper."""
+        """Torque of the lower rotor over that of the upper rotor."""
         return self.lower.verdict.torque_Nm / self.upper.verdict.torque_Nm
 
 

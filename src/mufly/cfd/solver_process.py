@@ -402,7 +402,7 @@ def _read_function_rows(folder: Path, what: str, file: str, last: int | None = N
 
 
 def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceVerdict:
-    """Judge the present state of a case; for a pair of one rotor."""
+    """Judge the present state of a case, of a pair for one of its rotors."""
     point = _point_for_verdict(folder)
     loads = read_history(folder, patch=patch)
     flow = _read_function_rows(folder, "flows", "surfaceFieldValue.dat")
