@@ -331,6 +331,8 @@ def test_the_command_writes_a_tree_that_says_what_it_is(tmp_path) -> None:
         "README.md",
     ):
         assert (tmp_path / "fw" / name).exists()
+    licence = Path(__file__).parents[2] / "LICENSE"
+    assert (tmp_path / "fw" / "LICENSE").read_text() == licence.read_text()  # its terms require a copy with the sources
     if COMPILERS and shutil.which("make"):
         done = subprocess.run(["make", "-C", str(tmp_path / "fw"), "check"], capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
