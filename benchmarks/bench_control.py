@@ -94,7 +94,7 @@ def tables(controller: FlightController) -> None:
         for c in r.candidates:
             print(
                 f"{c.order:5d} {c.kept_modes:4d} {c.method:14} {c.sensitivity_peak_dB:7.2f} "
-                f"{c.complementary_peak_dB:7.2f} {c.norm:8.3f}{' *' if c.passed else ''}"
+                f"{c.complementary_peak_dB:7.2f} {c.norm:8.3f}{' *' if c.meets_tolerance else ''}"
             )
     poles = np.linalg.eigvals(controller.heave_yaw.discrete.A)
     print("\ndirect form of heave-yaw's denominator: largest pole after rounding")

@@ -29,7 +29,7 @@ import numpy as np
 
 from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.hinf import PartitionedPlant
-from mufly.control.tuning.fixed_order import Aim, controller_gain, tune_controller
+from mufly.control.tuning.fixed_order import NormAim, controller_gain, tune_controller
 from mufly.control.tuning.nonsmooth_bfgs import minimise_nonsmooth
 
 TOLERANCE = 1.02
@@ -199,7 +199,7 @@ def stabilising_gains(plant: PublishedPlant, count: int, rng: np.random.Generato
 
 def tuned_norm(plant: PublishedPlant, seed: int = 0) -> tuple[float, np.ndarray]:
     """Return the smallest norm found with a static gain, and the gain."""
-    aim = Aim("norm", plant.partitioned, plant.gamma)
+    aim = NormAim("norm", plant.partitioned, plant.gamma)
     inputs, outputs = ([f"{name}{i}" for i in range(n)] for name, n in (("y", len(plant.C)), ("u", plant.B.shape[1])))
     starts = [
         state_space(

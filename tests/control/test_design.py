@@ -12,7 +12,7 @@ import pytest
 
 import mufly
 from mufly.control import (
-    DEFAULT_RATE_HZ,
+    DEFAULT_CONTROL_RATE_HZ,
     DesignSettings,
     FlightController,
     TransferFunction,
@@ -309,7 +309,7 @@ def test_summaries(controller: FlightController) -> None:
     for word in ("heave-yaw", "roll-pitch", "velocity", "gamma", "200 Hz", "cascade"):
         assert word in text
     data = json.loads(json.dumps(to_plain_data(controller), allow_nan=False))
-    assert data["rate_Hz"] == DEFAULT_RATE_HZ
+    assert data["rate_Hz"] == DEFAULT_CONTROL_RATE_HZ
     assert [d["name"] for d in data["designs"]] == ["heave-yaw", "roll-pitch", "velocity"]
     assert data["designs"][0]["thesis"]["gamma"] == 1.38
     assert controller.roll_pitch.published.resonance == 14.5  # Sec. 6.1.5

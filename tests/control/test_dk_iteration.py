@@ -24,8 +24,8 @@ from mufly.control.designs import ControllerDesign, weight_roll_pitch
 from mufly.control.linear_systems import replace_matrices, state_space
 from mufly.control.robust import Block, mu_upper_bound
 from mufly.control.robust.dk_iteration import (
-    Channel,
     ScalingFilter,
+    UncertaintyChannel,
     fit_magnitude,
     iterate_dk,
     scale_channels,
@@ -36,7 +36,7 @@ from mufly.control.synthesis.weighting_schemes import scale_plant
 from mufly.control.tuning.fixed_order import add_delay
 from mufly.errors import ArgumentError
 
-CHANNELS = [Channel(1, 1), Channel(1, 1), Channel(2, 2)]
+CHANNELS = [UncertaintyChannel(1, 1), UncertaintyChannel(1, 1), UncertaintyChannel(2, 2)]
 G0 = np.array([[87.8, -86.4], [108.2, -109.6]])
 
 
@@ -122,10 +122,12 @@ def test_scaled_plant_is_the_plant_between_the_filters(column: control.StateSpac
 def test_a_block_may_be_wide() -> None:
     rng = np.random.default_rng(0)
     M = rng.normal(size=(4, 2, 3)) + 1j * rng.normal(size=(4, 2, 3))
-    assert sweep_complex_mu(M, [Channel(2, 3)])[0] == pytest.approx(np.linalg.norm(M, 2, axis=(1, 2)), rel=1e-4)
+    assert sweep_complex_mu(M, [UncertaintyChannel(2, 3)])[0] == pytest.approx(
+        np.linalg.norm(M, 2, axis=(1, 2)), rel=1e-4
+    )
     with pytest.raises(ArgumentError, match="channels"):
         iterate_dk(state_space(-np.eye(1), np.ones((1, 3)), np.ones((3, 1)), np.zeros((3, 3)),
-                   inputs=list("abc"), outputs=list("def")), [Channel(2, 1)], 1, 1, np.ones(3))  # fmt: skip
+                   inputs=list("abc"), outputs=list("def")), [UncertaintyChannel(2, 1)], 1, 1, np.ones(3))  # fmt: skip
 
 
 def _changes(plant: control.StateSpace, spreads: Sequence[float]) -> list[np.ndarray]:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.control import connect_blocks, frequency_response, hinf_norm, singular_values
-from mufly.control.linear_systems import _closed_poles, is_stable_loop, replace_matrices, state_space
+from mufly.control.linear_systems import _closed_loop_poles, is_stable_loop, replace_matrices, state_space
 from mufly.errors import MuflyError
 
 
@@ -66,7 +66,7 @@ def test_connect_closes_a_loop_as_feedback_does(through: float) -> None:
         closed = connect_blocks([G, turned], {"u": {"v": 1.0}, "e": {"y": -1.0}}, ["r"], ["y"])
         poles = np.linalg.eigvals(closed.A)
         assert is_stable_loop(G, turned) == (poles.real.max() < 0.0)
-        np.testing.assert_allclose(np.sort_complex(_closed_poles(G, turned)), np.sort_complex(poles), atol=1e-8)
+        np.testing.assert_allclose(np.sort_complex(_closed_loop_poles(G, turned)), np.sort_complex(poles), atol=1e-8)
 
 
 def test_connect_names_an_unknown_signal_and_a_singular_loop() -> None:

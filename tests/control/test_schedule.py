@@ -17,7 +17,7 @@ from mufly.control.law import roll_pitch_init, roll_pitch_step
 from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.synthesis_methods import SynthesisedController, SynthesisMethod, SynthesisProblem
 from mufly.control.tuning import output_schedule
-from mufly.control.tuning.fixed_order import Aim, margin_plants, tune_controller
+from mufly.control.tuning.fixed_order import NormAim, margin_plants, tune_controller
 from mufly.control.tuning.output_schedule import OutputSchedule, continuous_matrices
 from mufly.dynamics import find_trim, linearise_vehicle
 from mufly.errors import MuflyError
@@ -87,7 +87,7 @@ def test_tuning_of_outputs_leaves_the_states_alone() -> None:
         return state_space(*(np.array([[v]]) for v in matrices), inputs=["e"], outputs=["u"])
 
     plant, start = system(-1.0, 1.0, 2.0, 0.0), system(-0.5, 0.7, 2.0, 1.0)
-    aims = [Aim("sensitivity", margin_plants(plant, np.ones(1), 1)["sensitivity"], 1.0)]
+    aims = [NormAim("sensitivity", margin_plants(plant, np.ones(1), 1)["sensitivity"], 1.0)]
     tuned = tune_controller(aims, [start], max_steps=5, outputs_only=True)
     assert (tuned.controller.A, tuned.controller.B) == (start.A, start.B)
     assert tuned.objective < tuned.start_objective
@@ -112,7 +112,7 @@ def test_frozen_speeds_are_those_of_the_blended_controller(
     mapped: Vehicle, ltr: FlightController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(output_schedule, "recall_controller", _halved)
-    monkeypatch.setattr(output_schedule, "GRID_INTERVALS", 2)
+    monkeypatch.setattr(output_schedule, "SPEED_GRID_INTERVALS", 2)
     K = ltr.roll_pitch.discrete
     found = output_schedule.schedule_outputs(
         mapped, _loop(ltr, K), speed_m_s=2.0, voltage=ltr.voltage_V, tilt_limit=0.15
@@ -126,7 +126,7 @@ def test_frozen_speeds_are_those_of_the_blended_controller(
     assert found.frozen[0].sensitivity_peak_dB == pytest.approx(ltr.roll_pitch.sampled_loop.sensitivity_peak_dB)
     assert found.frozen[2].disk_margin != pytest.approx(found.frozen[2].hover_disk_margin, abs=1e-3)
     assert all(f.least_disk_margin <= min(f.disk_margin, f.hover_disk_margin) for f in found.frozen)
-    assert found.slowest_saturated < 1.0
+    assert found.max_saturated_pole_modulus < 1.0
     flown = replace(ltr, schedule=found)
     plants = roll_pitch_over_speed(mapped, (1.0, 2.0, 50.0), ltr.voltage_V)
     assert list(plants) == [1.0, 2.0]  # there is no steady flight at 50 m/s
@@ -138,7 +138,7 @@ def test_frozen_speeds_are_those_of_the_blended_controller(
     axes = draw_schedule(found).axes
     assert axes[0].lines[0].get_xydata()[-1] == pytest.approx([2.0, found.frozen[2].disk_margin])
     assert "2.00 sideways" in str(flown)
-    assert found.fastest_change == pytest.approx(2 * 9.81 * np.tan(0.15) / 2.0, rel=1e-3)
+    assert found.max_share_rate_1_s == pytest.approx(2 * 9.81 * np.tan(0.15) / 2.0, rel=1e-3)
 
 
 def test_a_speed_without_steady_flight_is_lowered(
@@ -147,7 +147,7 @@ def test_a_speed_without_steady_flight_is_lowered(
     """Clamped blades bring the servos to their limit below 1 m/s."""
     clamped = replace_parameters(vehicle, {"rotors.flight_map": "mufly-1.1-clamped"})
     monkeypatch.setattr(output_schedule, "recall_controller", _halved)
-    monkeypatch.setattr(output_schedule, "GRID_INTERVALS", 2)
+    monkeypatch.setattr(output_schedule, "SPEED_GRID_INTERVALS", 2)
     loop = _loop(ltr, ltr.roll_pitch.discrete)
     found = output_schedule.schedule_outputs(clamped, loop, speed_m_s=1.0, voltage=ltr.voltage_V, tilt_limit=0.15)
     assert 0.0 < found.speed_m_s < 1.0

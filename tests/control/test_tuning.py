@@ -27,9 +27,14 @@ from mufly.control import (
 from mufly.control.designs import design_roll_pitch
 from mufly.control.robust import analyse_parameter_robustness
 from mufly.control.synthesis.weighting_schemes import one_degree_plant, scale_plant
-from mufly.control.tuning import flight_aims, reduced_starts, tune_controller
+from mufly.control.tuning import flight_aims, reduce_start_controllers, tune_controller
 from mufly.control.tuning.fixed_order import add_delay, aim_norms, controller_gain
-from mufly.control.tuning.loop_tuning import TuningGoals, find_starts, pose_loop_problem, settings_with
+from mufly.control.tuning.loop_tuning import (
+    TuningGoals,
+    find_start_controllers,
+    make_loop_tuning_problem,
+    settings_with_tuned_controller,
+)
 from mufly.control.tuning.tuned_loop import load_tuned_settings, tune_loop
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import ArgumentError, InputError, MuflyError
@@ -59,7 +64,7 @@ def test_gradient_is_exact(problem) -> None:
     generalised, aims, full = problem
     rng = np.random.default_rng(0)
     checked = 0
-    for start in reduced_starts(generalised, [full], 4):
+    for start in reduce_start_controllers(generalised, [full], 4):
         K = controller_gain(start)
         for aim in aims:
             loop = aim.loop(4)
@@ -78,11 +83,11 @@ def test_gradients_of_disk_activity_and_mu_are_exact(vehicle: Vehicle, controlle
     spreads = {"body.inertia_xx": 2e-5, "swash_plate.linkage": 0.2, "stabiliser_bar.time_constant": 0.07}
     goals = TuningGoals(disk_margin=0.9, activity=1.0, mu=0.3)
     noise = np.radians([0.1, 0.1, 0.3, 0.3])
-    p = pose_loop_problem(vehicle, controller, "roll-pitch", goals, noise, spreads)
+    p = make_loop_tuning_problem(vehicle, controller, "roll-pitch", goals, noise, spreads)
     assert [a.name for a in p.aims] == ["disk", "activity", "mu"]
-    K = find_starts(p, ["delay"], 4)[0]
+    K = find_start_controllers(p, ["delay"], 4)[0]
     gain = controller_gain(K)
-    bound = p.mu.rescale(gain, 4)
+    bound = p.mu.update_scalings(gain, 4)
     rng = np.random.default_rng(3)
     for aim in p.aims:
         loop = aim.loop(4)
@@ -92,7 +97,7 @@ def test_gradients_of_disk_activity_and_mu_are_exact(vehicle: Vehicle, controlle
         assert by_difference == pytest.approx(np.sum(gradient * step), rel=1e-3)
         assert norm == pytest.approx(bound, rel=1e-6) or aim.name != "mu"
     # The activity is the deviation of the sampled loop's inputs, the disk its margin, and mu the analysis's bound.
-    flown = design_flight_controller(vehicle, settings=settings_with(DesignSettings(), p, K))
+    flown = design_flight_controller(vehicle, settings=settings_with_tuned_controller(DesignSettings(), p, K))
     d = flown.roll_pitch
     loop = sample_plant(d.plant, flown.period_s, 1), d.feedback_controller(d.discrete.to_state_space())
     norms = aim_norms(p.aims, K)
@@ -133,13 +138,13 @@ def test_tuned_loop_is_continued_flown_and_refused(vehicle: Vehicle, tmp_path: P
 
 def test_descent_is_never_above_its_start(problem) -> None:
     generalised, aims, full = problem
-    starts = reduced_starts(generalised, [full], 2)
+    starts = reduce_start_controllers(generalised, [full], 2)
     found = tune_controller(aims, starts, descents=1, max_steps=4)
     assert found.objective <= found.start_objective
     assert found.objective == pytest.approx(max(found.norms[a.name] / a.level for a in aims), rel=1e-6)
     assert found.controller.nstates == 2
     with pytest.raises(MuflyError, match="no starting controller has this order"):
-        tune_controller(aims, reduced_starts(generalised, [full], 30))
+        tune_controller(aims, reduce_start_controllers(generalised, [full], 30))
 
 
 def test_order_two_reaches_the_margins(vehicle: Vehicle, controller: FlightController) -> None:

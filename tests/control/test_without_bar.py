@@ -96,7 +96,7 @@ def test_settings_that_state_weights_keep_them(bare: Vehicle, vehicle: Vehicle) 
 
 def test_servo_map_knows_lag_frame_and_rate(bare: Vehicle) -> None:
     found = map_servos(bare, lags_s=[0.01, 0.08], rates_Hz=[50.0, 400.0], frames_s=[0.0, 0.02])
-    margin, speed = found.table.disk_margin, found.table.plate_speed_rad_s
+    margin, speed = found.table.disk_margin, found.table.swash_plate_rate_rad_s
     assert (margin.sel(frame_s=0.0, rate_Hz=400.0) >= SAFE_DISK_MARGIN).all()
     assert (margin.sel(frame_s=0.02, rate_Hz=50.0) < SAFE_DISK_MARGIN).all()  # 40 ms of dead time
     assert found.slowest_servo_s(0.0, 400.0) == 0.08

@@ -278,16 +278,16 @@ def schedule(
 
     Example: mufly control schedule --flight-map pair.toml --speed 0 --speed 1 --speed 2
     """
-    from mufly.control.analysis.speed_schedule import SCHEDULED_METHODS, SPEEDS_m_s, compare_schedules
+    from mufly.control.analysis.speed_schedule import FAST_SYNTHESIS_METHODS, SPEEDS_m_s, compare_schedules
     from mufly.vehicle import load_vehicle, replace_parameters
 
     loaded = load_vehicle(vehicle)
     if flight_map is not None:
         loaded = replace_parameters(loaded, {"rotors.flight_map": flight_map})
-    chosen = [method for method in SCHEDULED_METHODS if methods is None or method in methods]
+    chosen = [method for method in FAST_SYNTHESIS_METHODS if methods is None or method in methods]
     for name in methods or ():
-        if name not in SCHEDULED_METHODS:
-            raise InputError("--methods", name, "is not a method", f"give one of {', '.join(SCHEDULED_METHODS)}")
+        if name not in FAST_SYNTHESIS_METHODS:
+            raise InputError("--methods", name, "is not a method", f"give one of {', '.join(FAST_SYNTHESIS_METHODS)}")
     speeds = check_grid("--speed", speed, 0.0, 50.0, "m/s") or list(SPEEDS_m_s)
     with progress_bar("Designing", not as_json) as progress:
         found = compare_schedules(loaded, chosen, speeds_m_s=speeds, progress=progress)
@@ -398,13 +398,13 @@ tuning that has had fewer.
       mufly control tune --order 8 --start ltr --start tuned/roll-pitch.json --out further
     """
     from mufly.control.analysis.plots import draw_tuned_loop
-    from mufly.control.synthesis.synthesis_methods import METHODS
+    from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHODS
     from mufly.control.tuning.loop_tuning import DEFAULT_GOALS, DEFAULT_ORDERS, TuningGoals
     from mufly.control.tuning.tuned_loop import DEFAULT_STARTS, tune_loop
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
-    known = [m for m in METHODS if m not in ("mu", "fixed", "scheduled", "indi")] + ["delay"]
+    known = [m for m in SYNTHESIS_METHODS if m not in ("mu", "fixed", "scheduled", "indi")] + ["delay"]
     for start in starts or ():
         if start not in known and not start.endswith(".json"):
             raise InputError("--start", start, "is no start", f"give one of {', '.join(known)}, or a file")
@@ -490,24 +490,24 @@ bounds of mu and flights resume.
     from dataclasses import replace
 
     from mufly.control import DesignSettings
-    from mufly.control.analysis.comparison import FlightFigures, compare_methods, comparison_dataset, judge_comparison
+    from mufly.control.analysis.comparison import FlightFigures, compare_methods, comparison_dataset, recommend_method
     from mufly.control.analysis.plots import draw_comparison
     from mufly.control.analysis.speed_schedule import SPEEDS_m_s
-    from mufly.control.synthesis.synthesis_methods import METHODS
+    from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHODS
     from mufly.control.tuning.tuned_loop import load_tuned_settings
     from mufly.firmware.proof.sil_pil import describe_missing_tools, measure_law_instructions
     from mufly.logs.tables.columnar_files import write_netcdf
     from mufly.vehicle import load_vehicle
 
-    wanted = tuple(dict.fromkeys(methods or METHODS))
+    wanted = tuple(dict.fromkeys(methods or SYNTHESIS_METHODS))
     for name in wanted:
-        if name not in METHODS:
-            raise InputError("--methods", name, "is not a method", f"give one of {', '.join(METHODS)}")
+        if name not in SYNTHESIS_METHODS:
+            raise InputError("--methods", name, "is not a method", f"give one of {', '.join(SYNTHESIS_METHODS)}")
     loaded = load_vehicle(vehicle)
     speeds = check_grid("--speed", speed, 0.0, 50.0, "m/s") or SPEEDS_m_s
     settings = DesignSettings()
     settings = replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=order))
-    chosen = [method for method in METHODS if method in wanted]
+    chosen = [method for method in SYNTHESIS_METHODS if method in wanted]
     given = [load_tuned_settings([one], DesignSettings()) for one in tuned or ()]
     with progress_bar("Designing", not as_json) as progress:
         found, controllers = compare_methods(
@@ -552,7 +552,7 @@ bounds of mu and flights resume.
                 over = sorted(f.overshoot_m for f in flown if f.overshoot_m is not None)
                 worst = over[min(len(over) - 1, int(0.95 * len(over)))] if over else None
                 rows.append(replace(row, flights=FlightFigures(flights, good, *wilson_interval(good, flights), worst)))
-        found = judge_comparison(found.vehicle_name, found.rate_Hz, rows)
+        found = recommend_method(found.vehicle_name, found.rate_Hz, rows)
     with report_write_errors("--out", "give a folder that can be written", str(out)):
         out.mkdir(parents=True, exist_ok=True)
         written = [out / "compare.json", out / "compare.png", out / "compare.nc"]

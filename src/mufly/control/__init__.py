@@ -2,7 +2,7 @@
 
 from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_noise
 from mufly.control.designs import (
-    DEFAULT_RATE_HZ,
+    DEFAULT_CONTROL_RATE_HZ,
     ControllerDesign,
     FlightController,
     design_flight_controller,
@@ -48,7 +48,7 @@ from mufly.control.synthesis.weighting_schemes import (
 )
 
 __all__ = [
-    "DEFAULT_RATE_HZ",
+    "DEFAULT_CONTROL_RATE_HZ",
     "ControllerDesign",
     "DesignSettings",
     "DiscreteController",

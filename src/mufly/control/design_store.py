@@ -1,7 +1,7 @@
 """Store of controllers whose synthesis takes long, so that a design is computed once and an interrupted run resumes.
 
-The name of a file contains the hash of all inputs of the synthesis (:func:`synthesis_question`): plants, weights, aims,
-and source files.
+The name of a file contains the hash of all inputs of the synthesis (:func:`hash_synthesis_problem`): plants, weights,
+aims, and source files.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mufly.files.answer_store import cache_folder, hash_question, read_answer, w
 
 STORED_METHODS: tuple[SynthesisMethod, ...] = ("mu", "fixed", "scheduled")
 """Methods that take seconds to minutes."""
-_NUMBERS = ("gamma", "gamma_optimal", "norm")
+_STORED_SCALARS = ("gamma", "gamma_optimal", "norm")
 
 
 @cache
@@ -31,7 +31,7 @@ def _source_digest() -> str:
     return hash_question(libraries, *(path.read_bytes() for path in sources))
 
 
-def synthesis_question(method: SynthesisMethod, problem: SynthesisProblem) -> str:
+def hash_synthesis_problem(method: SynthesisMethod, problem: SynthesisProblem) -> str:
     """Return the hash of all that the controller of a method depends on."""
     p = problem
 
@@ -59,13 +59,13 @@ def recall_controller(
     taken = problem.given_controller is not None and method != "scheduled"
     if folder is None or taken or method not in STORED_METHODS:
         return compute(method, problem)
-    question = synthesis_question(method, problem)
+    question = hash_synthesis_problem(method, problem)
     path = folder / f"{method}-{question[:24]}.npz"
     kept = read_answer(path, question)
     if kept is None:
         found = compute(method, problem)
         K = found.controller
-        numbers = {name: np.array(getattr(found, name)) for name in _NUMBERS}
+        numbers = {name: np.array(getattr(found, name)) for name in _STORED_SCALARS}
         write_answer(path, question, {"A": K.A, "B": K.B, "C": K.C, "D": K.D, "actuation": found.actuation, **numbers})
         return found
     n, m = problem.n_measurements, problem.plant.ninputs
@@ -73,4 +73,4 @@ def recall_controller(
         *(kept[name] for name in "ABCD"),
         inputs=problem.generalised.output_labels[-n:], outputs=problem.generalised.input_labels[-m:],
     )  # fmt: skip
-    return SynthesisedController(K, kept["actuation"], *(float(kept[name]) for name in _NUMBERS))
+    return SynthesisedController(K, kept["actuation"], *(float(kept[name]) for name in _STORED_SCALARS))

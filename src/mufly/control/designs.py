@@ -45,8 +45,8 @@ from mufly.control.robust.parameter_spreads import default_spreads, spread_deriv
 from mufly.control.synthesis.indi import IndiGains
 from mufly.control.synthesis.lqg import LqgWeights
 from mufly.control.synthesis.synthesis_methods import (
-    METHOD_NAMES,
-    METHODS,
+    SYNTHESIS_METHOD_NAMES,
+    SYNTHESIS_METHODS,
     FixedOrderAims,
     GivenController,
     RobustAims,
@@ -74,8 +74,8 @@ from mufly.errors import ArgumentError, MuflyError
 from mufly.results import ShownBlock, format_value, result, show_lines, show_table
 from mufly.vehicle import Vehicle, battery_voltage_range
 
-DEFAULT_RATE_HZ = 200.0
-POSITION_DIVIDER = 4  # the position cascade runs in every fourth period
+DEFAULT_CONTROL_RATE_HZ = 200.0
+POSITION_LOOP_RATE_DIVIDER = 4  # the position cascade runs in every fourth period
 
 
 @result
@@ -107,7 +107,7 @@ class PublishedFigures:
     order: int | None = None
 
 
-HEAVE_YAW = PublishedFigures(
+PUBLISHED_HEAVE_YAW = PublishedFigures(
     gamma=1.38,
     plant_crossovers=(2.82, 575.0),
     crossover=3.26,
@@ -115,8 +115,8 @@ HEAVE_YAW = PublishedFigures(
     complementary_peak_dB=3.93,
     order=10,
 )
-ROLL_PITCH = PublishedFigures(crossover=36.0, complementary_peak_dB=1.9, resonance=14.5, order=8)
-VELOCITY = PublishedFigures()
+PUBLISHED_ROLL_PITCH = PublishedFigures(crossover=36.0, complementary_peak_dB=1.9, resonance=14.5, order=8)
+PUBLISHED_VELOCITY = PublishedFigures()
 
 
 @result(
@@ -134,7 +134,7 @@ class ControllerDesign:
     ----------
     name : str
     method : str
-        Method of synthesis: a key of ``synthesis_methods.METHOD_NAMES``.
+        Method of synthesis: a key of ``synthesis_methods.SYNTHESIS_METHOD_NAMES``.
     plant : control.StateSpace
         Plant in physical units.
     scaling : SignalScaling
@@ -223,7 +223,7 @@ class ControllerDesign:
             loop_row("delay margin (ms)", "delay_margin_s", ".0f", factor=1e3),
         ]
         heads = ("", "full order", "reduced", f"{self.discrete.rate_Hz:g} Hz*", "thesis")
-        title = self.name if self.method == "hinf" else f"{self.name}, {METHOD_NAMES[self.method]}"
+        title = self.name if self.method == "hinf" else f"{self.name}, {SYNTHESIS_METHOD_NAMES[self.method]}"
         return [show_table(heads, rows, title=title)]
 
 
@@ -354,11 +354,13 @@ def design_flight_controller(
         step.
     """
     s = complete_settings(DesignSettings() if settings is None else settings, vehicle)
-    if s.method not in METHODS:
-        raise ArgumentError("method", "", f"{s.method!r} is not a method", f"give one of {', '.join(METHODS)}")
+    if s.method not in SYNTHESIS_METHODS:
+        raise ArgumentError(
+            "method", "", f"{s.method!r} is not a method", f"give one of {', '.join(SYNTHESIS_METHODS)}"
+        )
     if not 2 <= s.roll_pitch_aims.order <= ROLL_PITCH_ORDER:
         raise ArgumentError("order", "", f"{s.roll_pitch_aims.order} is out of range", f"give 2 to {ROLL_PITCH_ORDER}")
-    rate = DEFAULT_RATE_HZ if rate_Hz is None else float(rate_Hz)
+    rate = DEFAULT_CONTROL_RATE_HZ if rate_Hz is None else float(rate_Hz)
     if not (np.isfinite(rate) and 20.0 <= rate <= 5000.0):
         raise ArgumentError("rate_Hz", "", f"{rate:g} Hz is out of range", "give 20 to 5000 Hz; 200 is usual")
     low, full = battery_voltage_range(vehicle.battery)
@@ -378,10 +380,10 @@ def design_flight_controller(
     try:
         heave_yaw = design_heave_yaw(linear.heave_yaw, s, period)
         roll_pitch = design_roll_pitch(linear.roll_pitch, s, period, derivatives)
-        velocity = design_velocity(s, POSITION_DIVIDER * period)
+        velocity = design_velocity(s, POSITION_LOOP_RATE_DIVIDER * period)
         schedule = _schedule_roll_pitch(vehicle, roll_pitch, s, linear) if s.method == "scheduled" else None
         cascade = analyse_cascade(
-            linear.full, roll_pitch.discrete, velocity.discrete, s.position_gain, POSITION_DIVIDER
+            linear.full, roll_pitch.discrete, velocity.discrete, s.position_gain, POSITION_LOOP_RATE_DIVIDER
         )
         if not cascade.stable:
             raise MuflyError(
@@ -394,13 +396,13 @@ def design_flight_controller(
     motor = np.asarray(linear.trim.motor_input, dtype=float)
     volts = float(linear.trim.battery_voltage_V)
     lower_upper = motor[::-1].copy()
-    lags = reference_lags(heave_yaw)
+    lags = ramp_following_lags(heave_yaw)
     acceleration = heave_acceleration(vehicle, linear, s)
     return FlightController(
         vehicle_name=vehicle.name,
         rate_Hz=rate,
         period_s=period,
-        position_divider=POSITION_DIVIDER,
+        position_divider=POSITION_LOOP_RATE_DIVIDER,
         voltage_V=volts,
         motor_trim=motor,
         heave_yaw=heave_yaw,
@@ -564,7 +566,7 @@ def _design_controller(
     )
 
 
-def _given_orders(given: GivenController | None, highest: int) -> tuple[int, int] | None:
+def _given_order_range(given: GivenController | None, highest: int) -> tuple[int, int] | None:
     """Return the order of a given controller as the only order of its reduction, which then leaves it unchanged."""
     if given is None:
         return None
@@ -606,10 +608,10 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
         tracked=(0, 1),
         references=(0, 1),
         # LQG fits on board as it is; a lower order would lose the roll-off that gives yaw its delay margin.
-        orders=_given_orders(given, HEAVE_YAW_ORDER)
+        orders=_given_order_range(given, HEAVE_YAW_ORDER)
         or (8 if settings.method in ("lqg", "ltr") else 6, HEAVE_YAW_ORDER),
         slow=(0.1, 3.0),
-        published=HEAVE_YAW,
+        published=PUBLISHED_HEAVE_YAW,
         scheme="weights of eq. 6.4",
         windup_rate=settings.heave_yaw_windup,
     )
@@ -638,10 +640,10 @@ def design_roll_pitch(
         indi=settings.indi_gains if indi else None,
         fixed=settings.roll_pitch_aims if tuned else None,
         tracked=(0, 1),
-        orders=_given_orders(given, ROLL_PITCH_ORDER)
+        orders=_given_order_range(given, ROLL_PITCH_ORDER)
         or ((settings.roll_pitch_aims.order,) * 2 if tuned else (ROLL_PITCH_ORDER if indi else 4, ROLL_PITCH_ORDER)),
         slow=(0.1,),
-        published=ROLL_PITCH,
+        published=PUBLISHED_ROLL_PITCH,
         windup_rate=None if indi else settings.roll_pitch_windup,
     )
 
@@ -673,11 +675,11 @@ def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesi
         # Order two suffices for the peaks, but loses the roll-off that keeps noise out of the tilt reference.
         orders=(4, VELOCITY_ORDER),
         slow=(0.05,),
-        published=VELOCITY,
+        published=PUBLISHED_VELOCITY,
     )
 
 
-def reference_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
+def ramp_following_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
     """Return the lag (s) of height and heading behind a ramp reference: phase lag divided by a low frequency."""
     frequency = np.array([0.05])
     sampled = sample_plant(heave_yaw.plant, heave_yaw.discrete.period_s, 1)

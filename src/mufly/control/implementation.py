@@ -52,8 +52,8 @@ from mufly.dynamics import extract_submodel
 from mufly.errors import MuflyError
 from mufly.results import result
 
-LOOP_TOLERANCES = ((0.1, 1.01), (0.2, 1.05), (0.5, 1.2), (1.0, 1.5))  # dB on the peaks, factor on the norm
-_NORM_TOLERANCE = 1e-6  # relative difference below which two norms count as equal
+REDUCTION_TOLERANCES = ((0.1, 1.01), (0.2, 1.05), (0.5, 1.2), (1.0, 1.5))  # dB on the peaks, factor on the norm
+_RELATIVE_NORM_TOLERANCE = 1e-6  # relative difference below which two norms count as equal
 
 
 @result
@@ -71,7 +71,7 @@ class ReducedCandidate:
         Peaks of S_u and T_u; inf if unstable.
     norm : float
         Norm from ``w`` to ``z``; nan if the peaks already exclude the candidate.
-    passed : bool
+    meets_tolerance : bool
     """
 
     order: int
@@ -80,7 +80,7 @@ class ReducedCandidate:
     sensitivity_peak_dB: float
     complementary_peak_dB: float
     norm: float
-    passed: bool
+    meets_tolerance: bool
 
 
 @result
@@ -114,10 +114,10 @@ class Reduction:
 def split_modes(A: Array, slow: float) -> tuple[Array, int]:
     """Return T that block-diagonalises A into modes slower than ``slow`` (rad/s) or unstable, and the rest."""
 
-    def is_kept(real: float, imag: float) -> bool:
+    def is_slow_or_unstable(real: float, imag: float) -> bool:
         return real >= 0.0 or np.hypot(real, imag) < slow
 
-    T, Z, count = linalg.schur(A, output="real", sort=is_kept)
+    T, Z, count = linalg.schur(A, output="real", sort=is_slow_or_unstable)
     n = A.shape[0]
     if 0 < count < n:
         # A11 R - R A22 = -A12 removes the coupling.
@@ -177,7 +177,7 @@ def reduce_controller(
     *,
     order_max: int,
     order_min: int = 1,
-    tolerances: Sequence[tuple[float, float]] = LOOP_TOLERANCES,
+    tolerances: Sequence[tuple[float, float]] = REDUCTION_TOLERANCES,
     slow: Sequence[float] = (0.1,),
 ) -> Reduction:
     """Reduce a controller to the lowest order whose closed loop stays within the tolerance.
@@ -234,7 +234,7 @@ def reduce_controller(
                     tried.append((ReducedCandidate(order, method, kept, s, t, np.nan, False), *removed))
 
     for tolerance, factor in tolerances:
-        tried = [_with_norm(entry, generalised, full_s + tolerance, full_t + tolerance) for entry in tried]
+        tried = [_add_loop_norm(entry, generalised, full_s + tolerance, full_t + tolerance) for entry in tried]
         good = [
             entry
             for entry in tried
@@ -245,9 +245,12 @@ def reduce_controller(
         if good:
             sound = [e for e in good if np.linalg.eigvals(e[1].A - e[2] @ e[1].C).real.max() < -1e-4]
             chosen, K, M = _choose_candidate(sound or good)
-            passed = {id(entry[0]) for entry in good}
-            listed = tuple(replace(c, passed=id(c) in passed) for c, _, _ in sorted(tried, key=lambda e: e[0].order))
-            chosen = replace(chosen, passed=True)
+            meets_tolerance = {id(entry[0]) for entry in good}
+            listed = tuple(
+                replace(c, meets_tolerance=id(c) in meets_tolerance)
+                for c, _, _ in sorted(tried, key=lambda e: e[0].order)
+            )
+            chosen = replace(chosen, meets_tolerance=True)
             return Reduction(K, M, chosen, tolerance, factor, n, full_norm, listed)
     best = min((entry[0] for entry in tried), key=lambda c: max(c.sensitivity_peak_dB, c.complementary_peak_dB))
     raise MuflyError(
@@ -258,7 +261,7 @@ def reduce_controller(
     )
 
 
-def _with_norm(
+def _add_loop_norm(
     entry: tuple[ReducedCandidate, control.StateSpace, Array], generalised: control.StateSpace, s: float, t: float
 ) -> tuple[ReducedCandidate, control.StateSpace, Array]:
     """Return a candidate with the norm of its loop, if its peaks are at most ``s`` and ``t`` (dB)."""
@@ -276,7 +279,9 @@ def _choose_candidate(
     Among nearly equal norms the first candidate is chosen, so that every processor makes the same choice.
     """
     least = min((c.order, c.norm) for c, _, _ in entries)
-    return next(e for e in entries if e[0].order == least[0] and e[0].norm <= least[1] * (1.0 + _NORM_TOLERANCE))
+    return next(
+        e for e in entries if e[0].order == least[0] and e[0].norm <= least[1] * (1.0 + _RELATIVE_NORM_TOLERANCE)
+    )
 
 
 class _LoopPeaks:
@@ -517,7 +522,7 @@ def discretise_controller(
     A, B, C, M = A * scale / scale[:, None], B / scale[:, None], C * scale, M / scale[:, None]
 
     anti_windup = "observer"
-    back = None if windup_rate is None else _back_calculation(A, C, math.exp(-windup_rate * T))
+    back = None if windup_rate is None else _back_calculation_gain(A, C, math.exp(-windup_rate * T))
     if back is not None:
         anti_windup, M = "integrators", back
     if n and np.abs(np.linalg.eigvals(A - M @ C)).max() >= 1.0 - 1e-7:
@@ -528,7 +533,7 @@ def discretise_controller(
     )
 
 
-def _back_calculation(A: Array, C: Array, pole: float) -> Array | None:
+def _back_calculation_gain(A: Array, C: Array, pole: float) -> Array | None:
     """Return M that moves the slowest modes, one per output, to ``pole`` and keeps the others; None if impossible."""
     n, m = A.shape[0], C.shape[0]
     if n <= m:

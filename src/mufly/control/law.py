@@ -66,7 +66,7 @@ def _clip_value(value: float, low: float, high: float) -> float:
 
 
 @cached_njit
-def _add_compensated(value: float, change: float, dropped: float) -> tuple[float, float]:
+def _add_with_rounding_error(value: float, change: float, dropped: float) -> tuple[float, float]:
     """Return the sum and its rounding error, which is added the next time."""
     more = change + dropped
     total = value + more
@@ -101,7 +101,7 @@ def _add_scheduled_output(g: Any, x: Array, e: Array, speed: float, u: Array) ->
 
 
 @cached_njit
-def _state_change(g: Any, i: int, x: Array, e: Array, excess: Array) -> float:
+def _controller_state_change(g: Any, i: int, x: Array, e: Array, excess: Array) -> float:
     """Return the change of state ``i`` in a period."""
     s = 0.0
     for j in range(g.F.shape[0]):
@@ -116,7 +116,7 @@ def _state_change(g: Any, i: int, x: Array, e: Array, excess: Array) -> float:
 @cached_njit
 def _update_state(g: Any, x: Array, e: Array, excess: Array, new: Array) -> None:
     for i in range(g.F.shape[0]):
-        new[i] = x[i] + _state_change(g, i, x, e, excess)
+        new[i] = x[i] + _controller_state_change(g, i, x, e, excess)
 
 
 @cached_njit
@@ -141,7 +141,7 @@ def _filter_reference(
         wanted = math.copysign(math.sqrt(2.0 * braking * (abs(gap) - 0.5 * linear)), gap)
     wanted = _clip_value(wanted + target_rate, -speed, speed)
     rate += period * _clip_value(2.0 * bandwidth * (wanted - rate), -acceleration, acceleration)
-    value, dropped = _add_compensated(value, period * rate, dropped)
+    value, dropped = _add_with_rounding_error(value, period * rate, dropped)
     return value, dropped, rate
 
 
@@ -184,7 +184,11 @@ def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: 
         measurement[1],
         0.0,
     )
-    state[ORIGIN_Z], state[ORIGIN_PSI], state[FILTERED_VOLTAGE] = measurement[0], measurement[1], believed
+    state[CONTROLLER_ORIGIN_Z], state[CONTROLLER_ORIGIN_PSI], state[FILTERED_VOLTAGE] = (
+        measurement[0],
+        measurement[1],
+        believed,
+    )
     return state
 
 
@@ -219,7 +223,7 @@ def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
     new = state.copy()
     if left < 0.0:
         new[FILTERED_Z] = z - math.copysign(gains.heave_slack, trails)
-        new[ROUNDING_REST_Z] = 0.0
+        new[REFERENCE_ROUNDING_ERROR_Z] = 0.0
     less = _clip_value(away - fastest, 0.0, 2.0 * gains.heave_acceleration * gains.period)
     new[FILTERED_W] += -less if trails < 0.0 else less
     return new
@@ -251,10 +255,10 @@ def heave_yaw_step(
     """
     z, psi, climb, turn = reference[0], reference[1], reference[2], reference[3]
     new = np.empty(HEAVE_YAW_STATE_SIZE)
-    new[ORIGIN_Z], new[ORIGIN_PSI] = state[ORIGIN_Z], state[ORIGIN_PSI]
-    new[FILTERED_Z], new[ROUNDING_REST_Z], new[FILTERED_W] = _filter_reference(
+    new[CONTROLLER_ORIGIN_Z], new[CONTROLLER_ORIGIN_PSI] = state[CONTROLLER_ORIGIN_Z], state[CONTROLLER_ORIGIN_PSI]
+    new[FILTERED_Z], new[REFERENCE_ROUNDING_ERROR_Z], new[FILTERED_W] = _filter_reference(
         state[FILTERED_Z],
-        state[ROUNDING_REST_Z],
+        state[REFERENCE_ROUNDING_ERROR_Z],
         state[FILTERED_W],
         z,
         climb,
@@ -263,9 +267,9 @@ def heave_yaw_step(
         gains.heave_speed,
         gains.period,
     )
-    new[FILTERED_PSI], new[ROUNDING_REST_PSI], new[FILTERED_R] = _filter_reference(
+    new[FILTERED_PSI], new[REFERENCE_ROUNDING_ERROR_PSI], new[FILTERED_R] = _filter_reference(
         state[FILTERED_PSI],
-        state[ROUNDING_REST_PSI],
+        state[REFERENCE_ROUNDING_ERROR_PSI],
         state[FILTERED_R],
         psi,
         turn,
@@ -283,9 +287,12 @@ def heave_yaw_step(
     # Lead only on the reference's own rate: a bare step must not be sharpened.
     climb = _limit_lead_rate(new[FILTERED_W], climb)
     turn = _limit_lead_rate(new[FILTERED_R], turn)
-    e[_ERROR_Z] = new[FILTERED_Z] + gains.heave_lead * climb - new[ORIGIN_Z]
-    e[_ERROR_PSI] = new[FILTERED_PSI] + gains.yaw_lead * turn - new[ORIGIN_PSI]
-    e[_MEASURED_Z], e[_MEASURED_PSI] = new[ORIGIN_Z] - measurement[0], new[ORIGIN_PSI] - measurement[1]
+    e[_ERROR_Z] = new[FILTERED_Z] + gains.heave_lead * climb - new[CONTROLLER_ORIGIN_Z]
+    e[_ERROR_PSI] = new[FILTERED_PSI] + gains.yaw_lead * turn - new[CONTROLLER_ORIGIN_PSI]
+    e[_MEASURED_Z], e[_MEASURED_PSI] = (
+        new[CONTROLLER_ORIGIN_Z] - measurement[0],
+        new[CONTROLLER_ORIGIN_PSI] - measurement[1],
+    )
     e[_MEASURED_R] = -measurement[2]
     u = np.empty(2)
     _compute_output(gains, state, e, u)
@@ -295,8 +302,8 @@ def heave_yaw_step(
     excess = np.empty(2)
     excess[0], excess[1] = mean - half - lower, mean + half - upper
     for i in range(HEAVE_YAW_ORDER):
-        new[i], new[ROUNDING_REST + i] = _add_compensated(
-            state[i], _state_change(gains, i, state, e, excess), state[ROUNDING_REST + i]
+        new[i], new[STATE_ROUNDING_ERRORS + i] = _add_with_rounding_error(
+            state[i], _controller_state_change(gains, i, state, e, excess), state[STATE_ROUNDING_ERRORS + i]
         )
     motor_input = np.empty(2)
     # By rounding, top - |half| + |half| may exceed top.
@@ -384,12 +391,22 @@ POSITION_GAINS = np.dtype(
 )
 # Indices in the heave-yaw state after the controller's states: filtered references, origins, filtered voltage, rounding
 # errors of the controller's states and of the references.
-FILTERED_Z, FILTERED_W, FILTERED_PSI, FILTERED_R, ORIGIN_Z, ORIGIN_PSI, FILTERED_VOLTAGE, ROUNDING_REST = range(
-    HEAVE_YAW_ORDER, HEAVE_YAW_ORDER + 8
-)
+(
+    FILTERED_Z,
+    FILTERED_W,
+    FILTERED_PSI,
+    FILTERED_R,
+    CONTROLLER_ORIGIN_Z,
+    CONTROLLER_ORIGIN_PSI,
+    FILTERED_VOLTAGE,
+    STATE_ROUNDING_ERRORS,
+) = range(HEAVE_YAW_ORDER, HEAVE_YAW_ORDER + 8)
 _ERROR_Z, _ERROR_PSI, _MEASURED_Z, _MEASURED_PSI, _MEASURED_R = range(5)  # inputs of the heave-yaw controller
-ROUNDING_REST_Z, ROUNDING_REST_PSI = ROUNDING_REST + HEAVE_YAW_ORDER, ROUNDING_REST + HEAVE_YAW_ORDER + 1
-HEAVE_YAW_STATE_SIZE = ROUNDING_REST_PSI + 1
+REFERENCE_ROUNDING_ERROR_Z, REFERENCE_ROUNDING_ERROR_PSI = (
+    STATE_ROUNDING_ERRORS + HEAVE_YAW_ORDER,
+    STATE_ROUNDING_ERRORS + HEAVE_YAW_ORDER + 1,
+)
+HEAVE_YAW_STATE_SIZE = REFERENCE_ROUNDING_ERROR_PSI + 1
 
 
 def pack_gains(dtype: np.dtype, controller: DiscreteController, **values: object) -> np.void:

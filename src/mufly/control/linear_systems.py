@@ -114,7 +114,7 @@ def connect_blocks(
     row = {name: i for i, name in enumerate(block_outputs)}
     column = {name: i for i, name in enumerate(inputs)}
 
-    def sum_matrices(names: Sequence[str]) -> tuple[Array, Array]:
+    def summation_matrix(names: Sequence[str]) -> tuple[Array, Array]:
         M, N = np.zeros((len(names), len(row))), np.zeros((len(names), len(column)))
         for i, name in enumerate(names):
             terms = wiring.get(name)
@@ -133,12 +133,12 @@ def connect_blocks(
     B = linalg.block_diag(*(block.B for block in blocks))
     C = linalg.block_diag(*(block.C for block in blocks))
     D = linalg.block_diag(*(block.D for block in blocks))
-    M, N = sum_matrices(block_inputs)
+    M, N = summation_matrix(block_inputs)
     loop = np.eye(len(block_inputs)) - M @ D
     if np.linalg.cond(loop) > 1e12:
         raise MuflyError("block diagram: its algebraic loop has no unique solution")
     EM, EN = np.linalg.solve(loop, M), np.linalg.solve(loop, N)
-    P, Q = sum_matrices(outputs)
+    P, Q = summation_matrix(outputs)
     states = [label for block in blocks for label in block.state_labels]
     return state_space(
         A + B @ EM @ C,
@@ -327,11 +327,11 @@ def feedback_part(controller: control.StateSpace, plant: control.StateSpace, row
 
 def is_stable_loop(plant: control.StateSpace, feedback: control.StateSpace) -> bool:
     """Return whether ``u = -feedback y`` stabilises the plant (both continuous or both discrete)."""
-    poles = _closed_poles(plant, feedback)
+    poles = _closed_loop_poles(plant, feedback)
     return bool(np.abs(poles).max() < 1.0) if plant.dt else bool(poles.real.max() < 0.0)
 
 
-def _closed_poles(plant: control.StateSpace, feedback: control.StateSpace) -> ComplexArray:
+def _closed_loop_poles(plant: control.StateSpace, feedback: control.StateSpace) -> ComplexArray:
     E = np.linalg.inv(np.eye(plant.noutputs) + plant.D @ feedback.D)
     A = np.block(
         [

@@ -22,13 +22,13 @@ import numpy as np
 import xarray as xr
 
 from mufly.compiled.numba_cache import imported_sources
-from mufly.control.analysis.gust_response import gust_response
+from mufly.control.analysis.gust_response import compute_gust_response
 from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_noise
 from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
 from mufly.control.linear_systems import Array, LoopAnalysis, analyse_loop, sample_plant
 from mufly.control.robust import parameter_robustness
 from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
-from mufly.control.synthesis.synthesis_methods import METHOD_NAMES, SynthesisMethod
+from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHOD_NAMES, SynthesisMethod
 from mufly.control.synthesis.weighting_schemes import DesignSettings
 from mufly.dynamics import find_trim, linearise_vehicle
 from mufly.errors import MuflyError
@@ -42,11 +42,11 @@ HEIGHT_NOISE_M = 0.003
 """Deviation of the estimated height from sample to sample."""
 DEFAULT_GYRO_NOISE_RAD_S = float(np.radians(0.3))
 """Deviation of a gyro's sample on a vehicle without a modelled IMU."""
-LARGEST_PEAK_DB = 6.0
-TUNED = "tuned"
+MAX_SENSITIVITY_PEAK_DB = 6.0
+TUNED_METHOD_NAME = "tuned"
 """Name of the first tuned loop of a comparison."""
-_SAME_DISK_MARGIN = 0.05
-_SAME_GUST_TILT = 1.2
+_EQUAL_DISK_MARGIN_TOLERANCE = 0.05
+_EQUAL_GUST_TILT_RATIO = 1.2
 
 
 @result
@@ -120,8 +120,9 @@ class ForwardFigures:
 class MethodFigures:
     """One method: its two loops, its cascade's peak, its tilt in gusts, instructions and flights (None if not known).
 
-    ``method`` is a method of synthesis, or the name of a tuned loop (:data:`TUNED`). ``instructions`` are those of the
-    whole law in a period on a Cortex-M4, mean over a self-test. ``forward`` is roll-pitch at forward speeds.
+    ``method`` is a method of synthesis, or the name of a tuned loop (:data:`TUNED_METHOD_NAME`). ``instructions`` are
+    those of the whole law in a period on a Cortex-M4, mean over a self-test. ``forward`` is roll-pitch at forward
+    speeds.
     """
 
     method: str
@@ -136,7 +137,7 @@ class MethodFigures:
     @property
     def label(self) -> str:
         """Name of the method, with the order of a tuned controller."""
-        name = next((text for key, text in METHOD_NAMES.items() if key == self.method), self.method)
+        name = next((text for key, text in SYNTHESIS_METHOD_NAMES.items() if key == self.method), self.method)
         return (
             f"{name} {self.roll_pitch.order}" if name == self.method or self.method in ("fixed", "scheduled") else name
         )
@@ -151,7 +152,7 @@ class MethodFigures:
         """First requirement that the loops miss; empty if they meet all."""
         for name, loop in (("heave-yaw", self.heave_yaw), ("roll-pitch", self.roll_pitch)):
             peak = max(loop.sampled.sensitivity_peak_dB, loop.sampled.complementary_peak_dB)
-            if peak > LARGEST_PEAK_DB:
+            if peak > MAX_SENSITIVITY_PEAK_DB:
                 return f"{name} peaks at {peak:.1f} dB"
             if not loop.mu_upper < 1.0:
                 return f"{name} has mu up to {loop.mu_upper:.2f}"
@@ -308,7 +309,7 @@ def compare_methods(
     """
     base = DesignSettings() if settings is None else settings
     wanted: dict[str, DesignSettings] = {method: replace(base, method=method) for method in methods}
-    wanted |= {f"{TUNED}-{k}" if k > 1 else TUNED: given for k, given in enumerate(tuned, 1)}
+    wanted |= {f"{TUNED_METHOD_NAME}-{k}" if k > 1 else TUNED_METHOD_NAME: given for k, given in enumerate(tuned, 1)}
     rows: list[MethodFigures] = []
     controllers: dict[str, FlightController] = {}
     plants: dict[float, control.StateSpace] | None = None
@@ -319,14 +320,14 @@ def compare_methods(
         linear = linearise_vehicle(vehicle, voltage=c.voltage_V)
         if plants is None:
             plants = roll_pitch_over_speed(vehicle, speeds_m_s, c.voltage_V)
-        bounds = recall_bounds(vehicle, c, points, None if folder is None else folder / f"mu-{method}.json")
+        bounds = recall_mu_bounds(vehicle, c, points, None if folder is None else folder / f"mu-{method}.json")
         rows.append(
             MethodFigures(
                 method,
                 loop_figures(vehicle, c.heave_yaw, bounds[0]),
                 loop_figures(vehicle, c.roll_pitch, bounds[1], scheduled=c.schedule is not None),
                 c.cascade.sensitivity_peak_dB,
-                gust_response(linear, c),
+                compute_gust_response(linear, c),
                 forward=forward_figures(c, plants),
             )
         )
@@ -334,7 +335,7 @@ def compare_methods(
         if progress is not None:
             progress(k + 1, len(wanted))
     rate = next(iter(controllers.values())).rate_Hz
-    return judge_comparison(vehicle.name, rate, rows), controllers
+    return recommend_method(vehicle.name, rate, rows), controllers
 
 
 def roll_pitch_over_speed(
@@ -365,7 +366,7 @@ def forward_figures(c: FlightController, plants: Mapping[float, control.StateSpa
     return tuple(found)
 
 
-def recall_bounds(
+def recall_mu_bounds(
     vehicle: Vehicle, c: FlightController, points: int, path: Path | None
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return upper and lower bound of mu of heave-yaw and of roll-pitch, from the file if it holds them."""
@@ -386,24 +387,24 @@ def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
     """Return the figures over controller (by method) and loop, and flights over controller."""
     loops = ("roll-pitch", "heave-yaw")
 
-    def over_loops(figure: Callable[[LoopFigures], float]) -> tuple[tuple[str, str], list[list[float]]]:
+    def loop_figure_array(figure: Callable[[LoopFigures], float]) -> tuple[tuple[str, str], list[list[float]]]:
         return ("controller", "loop"), [
             [float(figure(x)) for x in (m.roll_pitch, m.heave_yaw)] for m in comparison.methods
         ]
 
     variables: dict[str, Any] = {
-        "gamma": over_loops(lambda x: x.norm),
-        "sensitivity_peak_dB": over_loops(lambda x: x.sampled.sensitivity_peak_dB),
-        "complementary_peak_dB": over_loops(lambda x: x.sampled.complementary_peak_dB),
-        "gain_margin_dB": over_loops(lambda x: x.sampled.gain_margin_dB),
-        "phase_margin_deg": over_loops(lambda x: x.sampled.phase_margin_deg),
-        "delay_margin_s": over_loops(lambda x: x.sampled.delay_margin_s),
-        "disk_margin": over_loops(lambda x: x.disk.margin),
-        "mu_upper": over_loops(lambda x: x.mu_upper),
-        "mu_lower": over_loops(lambda x: x.mu_lower),
-        "input_noise": over_loops(lambda x: x.input_noise),
-        "order": over_loops(lambda x: x.order),
-        "multiply_adds": over_loops(lambda x: x.multiply_adds),
+        "gamma": loop_figure_array(lambda x: x.norm),
+        "sensitivity_peak_dB": loop_figure_array(lambda x: x.sampled.sensitivity_peak_dB),
+        "complementary_peak_dB": loop_figure_array(lambda x: x.sampled.complementary_peak_dB),
+        "gain_margin_dB": loop_figure_array(lambda x: x.sampled.gain_margin_dB),
+        "phase_margin_deg": loop_figure_array(lambda x: x.sampled.phase_margin_deg),
+        "delay_margin_s": loop_figure_array(lambda x: x.sampled.delay_margin_s),
+        "disk_margin": loop_figure_array(lambda x: x.disk.margin),
+        "mu_upper": loop_figure_array(lambda x: x.mu_upper),
+        "mu_lower": loop_figure_array(lambda x: x.mu_lower),
+        "input_noise": loop_figure_array(lambda x: x.input_noise),
+        "order": loop_figure_array(lambda x: x.order),
+        "multiply_adds": loop_figure_array(lambda x: x.multiply_adds),
         "cascade_peak_dB": ("controller", [m.cascade_peak_dB for m in comparison.methods]),
         "gust_tilt_rad": ("controller", [m.gust_tilt_rad for m in comparison.methods]),
         "instructions": (
@@ -435,7 +436,7 @@ def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
     )  # fmt: skip
 
 
-def judge_comparison(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodFigures]) -> ControllerComparison:
+def recommend_method(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodFigures]) -> ControllerComparison:
     """Return the comparison with its verdict; the criteria are those of the module's docstring."""
     reasons = [f"{m.label} is excluded: {m.shortcoming}" for m in rows if m.shortcoming]
     left = [m for m in rows if not m.shortcoming]
@@ -452,13 +453,13 @@ def judge_comparison(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodFig
         left = kept
     if len(left) > 1:
         widest = max(m.weaker_disk_margin for m in left)
-        kept = [m for m in left if m.weaker_disk_margin >= widest - _SAME_DISK_MARGIN]
+        kept = [m for m in left if m.weaker_disk_margin >= widest - _EQUAL_DISK_MARGIN_TOLERANCE]
         if len(kept) < len(left):
             decided = f"the disk margin of its weaker loop, {widest:.2f}"
         left = kept
     if len(left) > 1:
         stiffest = min(m.gust_tilt_rad for m in left)
-        kept = [m for m in left if m.gust_tilt_rad <= _SAME_GUST_TILT * stiffest]
+        kept = [m for m in left if m.gust_tilt_rad <= _EQUAL_GUST_TILT_RATIO * stiffest]
         if len(kept) < len(left):
             decided = f"tilt of {np.degrees(stiffest):.2f} degrees in gusts"
         left = kept

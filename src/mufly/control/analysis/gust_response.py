@@ -33,23 +33,23 @@ class GustResponse:
     ----------
     tilt_rad : float
             Standard deviation of roll or pitch, whichever is larger.
-    plate_speed_rad_s : float
+    swash_plate_rate_rad_s : float
             Standard deviation of the swash plate's speed about its faster axis: change of tilt in a period, divided by
             the period.
     """
 
     tilt_rad: float
-    plate_speed_rad_s: float
+    swash_plate_rate_rad_s: float
 
 
-def gust_response(linear: Linearisation, controller: FlightController) -> float:
+def compute_gust_response(linear: Linearisation, controller: FlightController) -> float:
     """Return the larger deviation of roll and pitch (rad) in gusts, with one period of delay and without noise."""
     c = controller
-    found = lateral_gust_response(linear, c.roll_pitch, c.velocity, c.settings.position_gain)
+    found = compute_lateral_gust_response(linear, c.roll_pitch, c.velocity, c.settings.position_gain)
     return found.tilt_rad
 
 
-def lateral_gust_response(
+def compute_lateral_gust_response(
     linear: Linearisation,
     roll_pitch: ControllerDesign,
     velocity: ControllerDesign,

@@ -80,13 +80,13 @@ def disk_margin(plant: control.StateSpace, feedback: control.StateSpace, *, poin
         return DiskMargin(0.0, 0.0, 0.0, float("nan"))
     half, eye = 0.5 * np.eye(plant.ninputs), np.eye(plant.ninputs)
 
-    def size_at(w: Array) -> Array:
+    def mu_at_frequency(w: Array) -> Array:
         loop = frequency_response(feedback, w) @ frequency_response(plant, w)
         return scalar_block_mu(np.linalg.inv(eye + loop) - half)
 
     frequency = np.geomspace(1e-2, 0.999 * np.pi / plant.dt if plant.dt else 1e4, points)
     for _ in range(3):
-        size = size_at(frequency)
+        size = mu_at_frequency(frequency)
         i = int(np.argmax(size))
         worst, where = float(size[i]), float(frequency[i])
         frequency = np.geomspace(frequency[max(i - 1, 0)], frequency[min(i + 1, frequency.size - 1)], 25)

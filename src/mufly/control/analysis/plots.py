@@ -104,7 +104,7 @@ def draw_plant(design: ControllerDesign) -> Figure:
     return figure
 
 
-def _design_curves(design: ControllerDesign, controller: control.StateSpace) -> LoopCurves:
+def _compute_design_curves(design: ControllerDesign, controller: control.StateSpace) -> LoopCurves:
     dt = controller.dt or 0.0
     if dt:
         frequency = _FREQUENCY_GRID[: int(np.searchsorted(_FREQUENCY_GRID, np.pi / dt))]
@@ -125,7 +125,7 @@ def draw_loop(design: ControllerDesign) -> Figure:
     _set_up_axes(upper, f"{design.name}: loop gain $L_u$ at the plant's input {_thesis_figure(design, 1)}", -80, 120)
     _set_up_axes(lower, f"{design.name}: sensitivity $S_u$ and complementary sensitivity $T_u$", -60, 12)
     for controller, label, line, width in cases:
-        curves, label = _design_curves(design, controller), f"order {controller.nstates}, {label}"
+        curves, label = _compute_design_curves(design, controller), f"order {controller.nstates}, {label}"
         _plot_columns(upper, curves.frequency, curves.loop, BLUE, label, linestyle=line, linewidth=width)
         for name, values, colour in (
             ("$S_u$", curves.sensitivity, GREEN),
@@ -170,7 +170,7 @@ def draw_sensitivities(controller: FlightController) -> Figure:
     """Draw sensitivity and complementary sensitivity of every design, sampled with one sample of delay."""
     figure = blank_figure(10.5, 3.4)
     for axes, design in zip(figure.subplots(1, 3, sharey=True), controller.all_designs, strict=True):
-        curves, loop = _design_curves(design, design.discrete.to_state_space()), design.sampled_loop
+        curves, loop = _compute_design_curves(design, design.discrete.to_state_space()), design.sampled_loop
         _set_up_axes(axes, design.name, -60, 12)
         _plot_columns(
             axes,
@@ -219,7 +219,7 @@ def draw_servo_map(found: ServoMap) -> Figure:
         for rate in t.rate_Hz.values:
             cell = t.sel(frame_s=frame, rate_Hz=rate)
             column[0].semilogx(1e3 * t.lag_s, cell.disk_margin, "o-", markersize=3, label=f"{rate:g} Hz")
-            column[1].loglog(1e3 * t.lag_s, np.degrees(cell.plate_speed_rad_s), "o-", markersize=3)
+            column[1].loglog(1e3 * t.lag_s, np.degrees(cell.swash_plate_rate_rad_s), "o-", markersize=3)
         column[0].axhline(SAFE_DISK_MARGIN, color="black", linewidth=0.7)
         column[0].set_title(f"servo frame {1e3 * frame:g} ms", loc="left", fontsize=9)
         column[1].set_xlabel("servo lag (ms)")

@@ -7,7 +7,8 @@ delay:
 
 - height and heading: deviations by disturbances of both motors' inputs and by the noise of all sensors, from the
   covariance of the loop, ``X = A X A' + B B'``. Disturbances represent gusts, ground and battery as changes of the
-  inputs. They are independent, with the deviation :data:`DISTURBANCE` below the frequency :data:`DISTURBANCE_RAD_S`;
+  inputs. They are independent, with the deviation :data:`INPUT_DISTURBANCE_DEVIATION` below the frequency
+  :data:`INPUT_DISTURBANCE_CORNER_RAD_S`;
 - inputs: the larger deviation of a motor's command.
 
 The verdict compares the smallest height deviations with a disk margin of :data:`LEAST_DISK_MARGIN`.
@@ -41,12 +42,12 @@ from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
 
 CONTROL_WEIGHTS = (0.4, 0.2, 0.1, 0.05, 0.025, 0.0125)
-DISTURBANCE, DISTURBANCE_RAD_S = 0.02, 2.0
+INPUT_DISTURBANCE_DEVIATION, INPUT_DISTURBANCE_CORNER_RAD_S = 0.02, 2.0
 LEAST_DISK_MARGIN = 0.7
-DEFAULT_SPEED_NOISE_V = 0.01
+DEFAULT_BACK_EMF_NOISE_V = 0.01
 """Noise of a back-EMF reading (V) on a vehicle without that sensor."""
-_STATES = ["z", "w", "psi", "r", "Omega_dw", "Omega_up"]
-_SPEEDS = ["Omega_dw", "Omega_up"]
+_HEAVE_YAW_STATES = ["z", "w", "psi", "r", "Omega_dw", "Omega_up"]
+_ROTOR_SPEED_STATES = ["Omega_dw", "Omega_up"]
 _HEAVE_YAW_OUTPUTS = ["z", "psi", "r"]
 
 
@@ -134,7 +135,7 @@ def rotor_speed_noise(vehicle: Vehicle) -> float:
     ratio.
     """
     sensor = getattr(vehicle.sensors, "rotor_speed", None) if vehicle.sensors is not None else None
-    volts = DEFAULT_SPEED_NOISE_V if sensor is None else float(sensor.noise)
+    volts = DEFAULT_BACK_EMF_NOISE_V if sensor is None else float(sensor.noise)
     return volts / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
 
 
@@ -150,11 +151,11 @@ def compare_rotor_speeds(
     """
     full = linearise_vehicle(vehicle).full
     speed_noise, period = rotor_speed_noise(vehicle), 1.0 / rate_Hz
-    base = heave_yaw_scaling(extract_submodel(full, _STATES, LINEAR_INPUTS[:2], _HEAVE_YAW_OUTPUTS))
+    base = heave_yaw_scaling(extract_submodel(full, _HEAVE_YAW_STATES, LINEAR_INPUTS[:2], _HEAVE_YAW_OUTPUTS))
     rows = []
     for measured in (False, True):
-        outputs = [*_HEAVE_YAW_OUTPUTS, *(_SPEEDS if measured else [])]
-        plant = extract_submodel(full, _STATES, LINEAR_INPUTS[:2], outputs, name="heave_yaw")
+        outputs = [*_HEAVE_YAW_OUTPUTS, *(_ROTOR_SPEED_STATES if measured else [])]
+        plant = extract_submodel(full, _HEAVE_YAW_STATES, LINEAR_INPUTS[:2], outputs, name="heave_yaw")
         noise = sensor_noise(vehicle, outputs)
         noise[len(_HEAVE_YAW_OUTPUTS) :] = speed_noise
         scaling = SignalScaling((*base.outputs, *[100.0] * (len(outputs) - len(_HEAVE_YAW_OUTPUTS))), base.inputs)
@@ -184,27 +185,27 @@ def _heave_yaw_row(
     loop = analyse_loop(held, feedback, output_scale=so)
     if not loop.stable:
         return None
-    deviations = _deviations(plant, K, noise, period)
+    deviations = _closed_loop_deviations(plant, K, noise, period)
     return HeaveYawRow(
         measured, weights.control, min(loop.crossovers, default=float("nan")), loop.sensitivity_peak_dB,
         disk_margin(held, feedback).margin, *deviations,
     )  # fmt: skip
 
 
-def _deviations(
+def _closed_loop_deviations(
     plant: control.StateSpace, K: control.StateSpace, noise: Array, period: float
 ) -> tuple[float, float, float]:
     """Return the deviations of height (m), heading (rad) and the larger input by disturbances and sensor noise."""
     states = list(plant.state_labels)
     held = control.sample_system(plant, period, method="zoh")
     n, m, k, p = plant.nstates, plant.ninputs, K.nstates, len(noise)
-    pole = np.exp(-DISTURBANCE_RAD_S * period)
+    pole = np.exp(-INPUT_DISTURBANCE_CORNER_RAD_S * period)
     A, shocks = np.zeros((n + 2 * m + k,) * 2), np.zeros((n + 2 * m + k, m + p))
     x, d, q, e = slice(0, n), slice(n, n + m), slice(n + m, n + m + k), slice(n + m + k, None)
     A[x, x], A[x, d], A[x, e] = held.A, held.B, held.B
     A[d, x], A[d, q] = -K.D @ plant.C, K.C
     A[q, x], A[q, q] = -K.B @ plant.C, K.A
-    A[e, e], shocks[e, :m] = pole * np.eye(m), DISTURBANCE * np.sqrt(1.0 - pole**2) * np.eye(m)
+    A[e, e], shocks[e, :m] = pole * np.eye(m), INPUT_DISTURBANCE_DEVIATION * np.sqrt(1.0 - pole**2) * np.eye(m)
     shocks[d, m:], shocks[q, m:] = K.D * noise, K.B * noise
     X = linalg.solve_discrete_lyapunov(A, shocks @ shocks.T)
     spread = np.sqrt(np.maximum(X.diagonal(), 0.0))

@@ -6,10 +6,10 @@ frame 0 describes a servo that follows every command. Commands are delayed by on
 periods.
 
 For every cell several bandwidths of the H-infinity design are tried: the frequencies of the weights are multiplied by
-:data:`BANDWIDTHS`. Among the sampled loops with a disk margin of :data:`SAFE_DISK_MARGIN` or more, the loop with the
-least tilt in gusts is used; without such a loop, the loop with the largest margin. The designs do not know the delay,
-and orders differ from cell to cell, so the figures are not smooth over lag. The speed of the swash plate is three
-standard deviations, in gusts of 0.5 m/s and with the sensors' noise; a slower servo cannot follow.
+:data:`BANDWIDTH_FACTORS`. Among the sampled loops with a disk margin of :data:`SAFE_DISK_MARGIN` or more, the loop with
+the least tilt in gusts is used; without such a loop, the loop with the largest margin. The designs do not know the
+delay, and orders differ from cell to cell, so the figures are not smooth over lag. The speed of the swash plate is
+three standard deviations, in gusts of 0.5 m/s and with the sensors' noise; a slower servo cannot follow.
 
 Sec. 6.1.9 of the dissertation doubts that servos are fast enough without the stabiliser bar.
 
@@ -26,9 +26,9 @@ import numpy as np
 import xarray as xr
 
 from mufly.control.analysis.comparison import sensor_noise
-from mufly.control.analysis.gust_response import GUST_m_s, lateral_gust_response
+from mufly.control.analysis.gust_response import GUST_m_s, compute_lateral_gust_response
 from mufly.control.analysis.loop_margins import disk_margin
-from mufly.control.designs import POSITION_DIVIDER, design_roll_pitch, design_velocity
+from mufly.control.designs import POSITION_LOOP_RATE_DIVIDER, design_roll_pitch, design_velocity
 from mufly.control.linear_systems import analyse_loop, sample_plant
 from mufly.control.synthesis.weighting_schemes import DesignSettings, TransferFunction, complete_settings
 from mufly.dynamics import linearise_vehicle
@@ -39,15 +39,15 @@ from mufly.vehicle import Vehicle, replace_parameters
 LAGS_s = (0.001, 0.01, 0.03, 0.05, 0.08, 0.12)
 RATES_Hz = (50.0, 100.0, 200.0, 400.0)
 FRAMES_s = (0.0, 0.02)
-BANDWIDTHS = (0.35, 0.7, 1.4)
+BANDWIDTH_FACTORS = (0.35, 0.7, 1.4)
 """Factors on the frequencies of the roll-pitch weights."""
 SAFE_DISK_MARGIN = 0.6
 """Least disk margin that counts as enough: gains within 5.4 dB and phases within 33 degrees, in both servos."""
-_FIGURES = {
+_FIGURE_LABELS_AND_UNITS = {
     "disk_margin": ("disk margin", "1"), "sensitivity_peak_dB": ("peak of S_u", "dB"),
     "crossover_rad_s": ("highest crossover of the loop gain", "rad/s"),
     "gust_tilt_rad": (f"tilt in gusts of {GUST_m_s:g} m/s", "rad"),
-    "plate_speed_rad_s": ("speed of the swash plate, three deviations", "rad/s"),
+    "swash_plate_rate_rad_s": ("speed of the swash plate, three deviations", "rad/s"),
 }  # fmt: skip
 
 
@@ -62,7 +62,7 @@ class ServoMap:
         Whether the vehicle has a stabiliser bar.
     table : xarray.Dataset
         Over ``frame_s``, ``rate_Hz``, ``lag_s``: ``disk_margin``, ``sensitivity_peak_dB``, ``crossover_rad_s``,
-        ``gust_tilt_rad``, ``plate_speed_rad_s``; nan where no design is stable.
+        ``gust_tilt_rad``, ``swash_plate_rate_rad_s``; nan where no design is stable.
     """
 
     vehicle_name: str
@@ -94,7 +94,7 @@ class ServoMap:
                 for name, factor, form in (
                     ("disk_margin", 1.0, ".2f"),
                     ("gust_tilt_rad", np.degrees(1.0), ".2f"),
-                    ("plate_speed_rad_s", np.degrees(1.0), ".0f"),
+                    ("swash_plate_rate_rad_s", np.degrees(1.0), ".0f"),
                 ):
                     label = {"disk_margin": "disk margin", "gust_tilt_rad": "tilt (deg)"}.get(name, "plate (deg/s)")
                     cells = [
@@ -142,14 +142,14 @@ def map_servos(
     """
     s = complete_settings(DesignSettings(), vehicle)
     shape = len(frames_s), len(rates_Hz), len(lags_s)
-    values = {name: np.full(shape, np.nan) for name in _FIGURES}
+    values = {name: np.full(shape, np.nan) for name in _FIGURE_LABELS_AND_UNITS}
     best = dict.fromkeys(np.ndindex(shape), (0.0, 0.0))
-    velocities = [design_velocity(s, POSITION_DIVIDER / rate) for rate in rates_Hz]
+    velocities = [design_velocity(s, POSITION_LOOP_RATE_DIVIDER / rate) for rate in rates_Hz]
     for j, lag in enumerate(lags_s):
         slow = replace_parameters(vehicle, {"swash_plate.time_constant": lag})
         linear = linearise_vehicle(slow)
         for i, rate in enumerate(rates_Hz):
-            for factor in BANDWIDTHS:
+            for factor in BANDWIDTH_FACTORS:
                 try:
                     design = design_roll_pitch(linear.roll_pitch, scale_bandwidth(s, factor), 1.0 / rate)
                 except MuflyError:
@@ -163,7 +163,7 @@ def map_servos(
                     if not loop.stable:
                         continue
                     margin = disk_margin(plant, design.feedback_controller(K)).margin
-                    gust = lateral_gust_response(
+                    gust = compute_lateral_gust_response(
                         linear, design, velocities[i], s.position_gain, delay_samples=delay, noise=noise
                     )
                     rank = min(margin, SAFE_DISK_MARGIN), -gust.tilt_rad
@@ -171,14 +171,18 @@ def map_servos(
                         continue
                     best[f, i, j] = rank
                     new = (margin, loop.sensitivity_peak_dB, max(loop.crossovers, default=np.nan), gust.tilt_rad,
-                           3.0 * gust.plate_speed_rad_s)  # fmt: skip
+                           3.0 * gust.swash_plate_rate_rad_s)  # fmt: skip
                     for name, value in zip(values, new, strict=True):
                         values[name][f, i, j] = value
         if progress is not None:
             progress(j + 1, len(lags_s))
     table = xr.Dataset(
         {
-            name: (("frame_s", "rate_Hz", "lag_s"), array, {"long_name": _FIGURES[name][0], "units": _FIGURES[name][1]})
+            name: (
+                ("frame_s", "rate_Hz", "lag_s"),
+                array,
+                {"long_name": _FIGURE_LABELS_AND_UNITS[name][0], "units": _FIGURE_LABELS_AND_UNITS[name][1]},
+            )
             for name, array in values.items()
         },
         {"frame_s": list(frames_s), "rate_Hz": list(rates_Hz), "lag_s": list(lags_s)},

@@ -15,18 +15,18 @@ from dataclasses import replace
 import numpy as np
 
 from mufly.control.analysis.loop_margins import disk_margin
-from mufly.control.designs import DEFAULT_RATE_HZ, design_roll_pitch
+from mufly.control.designs import DEFAULT_CONTROL_RATE_HZ, design_roll_pitch
 from mufly.control.linear_systems import Array, analyse_loop, sample_plant
-from mufly.control.synthesis.synthesis_methods import METHOD_NAMES, SynthesisMethod
+from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHOD_NAMES, SynthesisMethod
 from mufly.control.synthesis.weighting_schemes import DesignSettings, complete_settings
 from mufly.dynamics import find_trim, linearise_vehicle
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
 
 SPEEDS_m_s = (0.0, 1.0, 2.0)
-SCHEDULED_METHODS: tuple[SynthesisMethod, ...] = ("hinf", "h2", "lqg", "ltr", "indi")
+FAST_SYNTHESIS_METHODS: tuple[SynthesisMethod, ...] = ("hinf", "h2", "lqg", "ltr", "indi")
 """Methods that design in a fraction of a second."""
-WORTHWHILE = 0.1
+MIN_WORTHWHILE_MARGIN_GAIN = 0.1
 """Gain of the disk margin from which a schedule is worth its effort."""
 
 
@@ -49,7 +49,7 @@ class SpeedSchedule:
     sensitivity_peak_dB: Array
 
     @property
-    def gain(self) -> float:
+    def disk_margin_gain(self) -> float:
         """Largest gain of the disk margin by the design at the speed over the one at the first speed."""
         return float(np.max(np.diag(self.disk_margin) - self.disk_margin[0]))
 
@@ -72,9 +72,15 @@ class ScheduleComparison:
     @property
     def verdict(self) -> str:
         """Sentence on whether scheduling over speed is worthwhile."""
-        most = max(self.schedules, key=lambda s: s.gain)
-        said = f"Scheduling over speed gains at most {most.gain:.2f} of disk margin ({METHOD_NAMES[most.method]}): " + (
-            "worthwhile." if most.gain >= WORTHWHILE else "one design at the first speed is sufficient for all."
+        most = max(self.schedules, key=lambda s: s.disk_margin_gain)
+        said = (
+            f"Scheduling over speed gains at most {most.disk_margin_gain:.2f} of disk margin "
+            f"({SYNTHESIS_METHOD_NAMES[most.method]}): "
+            + (
+                "worthwhile."
+                if most.disk_margin_gain >= MIN_WORTHWHILE_MARGIN_GAIN
+                else "one design at the first speed is sufficient for all."
+            )
         )
         if not self.has_flight_map:
             said += " The vehicle has no flight map, so only its drag changes with speed."
@@ -86,7 +92,7 @@ class ScheduleComparison:
         heads = ("method", "designed at", *(f"at {v:g} m/s" for v in speeds))
         rows = [
             (
-                METHOD_NAMES[s.method] if i == 0 else "", f"{v:g} m/s",
+                SYNTHESIS_METHOD_NAMES[s.method] if i == 0 else "", f"{v:g} m/s",
                 *(f"{d:.2f}, {p:.2f} dB" for d, p in zip(s.disk_margin[i], s.sensitivity_peak_dB[i], strict=True)),
             )
             for s in self.schedules for i, v in enumerate(speeds)
@@ -97,7 +103,7 @@ class ScheduleComparison:
 
 def compare_schedules(
     vehicle: Vehicle,
-    methods: Sequence[SynthesisMethod] = SCHEDULED_METHODS,
+    methods: Sequence[SynthesisMethod] = FAST_SYNTHESIS_METHODS,
     *,
     speeds_m_s: Sequence[float] = SPEEDS_m_s,
     progress: Callable[[int, int], None] | None = None,
@@ -119,7 +125,7 @@ def compare_schedules(
         If there is no steady flight at a speed, or a design fails.
     """
     base = complete_settings(DesignSettings(), vehicle)
-    period, n = 1.0 / DEFAULT_RATE_HZ, len(speeds_m_s)
+    period, n = 1.0 / DEFAULT_CONTROL_RATE_HZ, len(speeds_m_s)
     plants = [linearise_vehicle(vehicle, find_trim(vehicle, velocity=(v, 0.0, 0.0))).roll_pitch for v in speeds_m_s]
     held = [sample_plant(plant, period, 1) for plant in plants]
     found = []

@@ -8,15 +8,15 @@ from mufly.control.robust.parameter_robustness import (
 from mufly.control.robust.parameter_spreads import default_spreads
 from mufly.control.robust.structured_singular_value import (
     Block,
-    UpperBound,
+    MuUpperBound,
     mu_upper_bound,
 )
 
 __all__ = [
     "Block",
     "LoopRobustness",
+    "MuUpperBound",
     "ParameterRobustness",
-    "UpperBound",
     "analyse_parameter_robustness",
     "default_spreads",
     "mu_upper_bound",

@@ -28,11 +28,11 @@ from mufly.control.synthesis.hinf import HinfResult, close_loop, hinfsyn
 from mufly.errors import ArgumentError, MuflyError
 from mufly.results import result
 
-_REGULARISATION = 1e-5  # of the synthesis where rounding denies it an exact one
-_FIT_WEIGHT = 4.0  # power of mu's bound, relative to its peak, that weights the errors of a filter
+_SYNTHESIS_REGULARISATION = 1e-5  # of the synthesis where rounding denies it an exact one
+_FIT_WEIGHT_EXPONENT = 4.0  # power of mu's bound, relative to its peak, that weights the errors of a filter
 
 
-class Channel(NamedTuple):
+class UncertaintyChannel(NamedTuple):
     """A full complex block: numbers of the plant's outputs that enter it and of inputs that leave it."""
 
     outputs: int
@@ -69,7 +69,7 @@ class ScalingFilter(NamedTuple):
 
 
 @result
-class DkRound:
+class DkIterationRound:
     """One round of the iteration.
 
     Attributes
@@ -88,7 +88,7 @@ class DkRound:
 
 
 @result
-class DkResult:
+class DkIterationResult:
     """The best controller of the iteration.
 
     Attributes
@@ -102,7 +102,7 @@ class DkResult:
         Largest upper bound of mu over the frequencies.
     frequency, bound : array, shape (n,)
         Frequencies (rad/s) and upper bound of mu.
-    rounds : tuple of DkRound
+    rounds : tuple of DkIterationRound
     """
 
     controller: control.StateSpace
@@ -111,7 +111,7 @@ class DkResult:
     mu: float
     frequency: Array
     bound: Array
-    rounds: tuple[DkRound, ...]
+    rounds: tuple[DkIterationRound, ...]
 
 
 def fit_magnitude(
@@ -146,12 +146,12 @@ def fit_magnitude(
         if least <= tolerance:
             break
 
-        def errors(x: Array, n: int = order) -> Array:
+        def weighted_log_errors(x: Array, n: int = order) -> Array:
             z, p = np.exp(2.0 * x[1 : n + 1]), np.exp(2.0 * x[n + 1 :])
             value: Array = x[0] + 0.5 * (np.log(w2 + z) - np.log(w2 + p)).sum(axis=1) - log
             return share * value
 
-        def slopes(x: Array, n: int = order) -> Array:
+        def log_magnitude_jacobian(x: Array, n: int = order) -> Array:
             z, p = np.exp(2.0 * x[1 : n + 1]), np.exp(2.0 * x[n + 1 :])
             return share[:, None] * np.hstack([np.ones_like(w2), z / (w2 + z), -p / (w2 + p)])
 
@@ -162,7 +162,9 @@ def fit_magnitude(
         centre = low + (np.arange(order) + 0.5) / order * (high - low)
         for shift in (0.3, -0.3):
             x0 = np.concatenate([[np.log(best.gain)], centre + shift, centre - shift])
-            found = optimize.least_squares(errors, x0, jac=slopes, bounds=bounds, max_nfev=200)
+            found = optimize.least_squares(
+                weighted_log_errors, x0, jac=log_magnitude_jacobian, bounds=bounds, max_nfev=200
+            )
             rms = float(np.sqrt(2.0 * found.cost))
             if rms < least:
                 k, z, p = found.x[0], found.x[1 : order + 1], found.x[order + 1 :]
@@ -171,14 +173,14 @@ def fit_magnitude(
 
 
 def scale_channels(
-    plant: control.StateSpace, channels: Sequence[Channel], filters: Sequence[ScalingFilter]
+    plant: control.StateSpace, channels: Sequence[UncertaintyChannel], filters: Sequence[ScalingFilter]
 ) -> control.StateSpace:
     """Return the plant with every channel's outputs filtered, and its inputs by the inverse; other signals as they are.
 
     Parameters
     ----------
     plant : control.StateSpace
-    channels : sequence of Channel
+    channels : sequence of UncertaintyChannel
         The plant's first channels.
     filters : sequence of ScalingFilter
         One for each channel.
@@ -208,14 +210,14 @@ def scale_channels(
     )
 
 
-def sweep_complex_mu(response: ComplexArray, channels: Sequence[Channel]) -> tuple[Array, Array]:
+def sweep_complex_mu(response: ComplexArray, channels: Sequence[UncertaintyChannel]) -> tuple[Array, Array]:
     """Return the upper bound of mu over frequency, and the magnitudes of the scalings relative to the last channel's.
 
     Parameters
     ----------
     response : complex array, shape (n, outputs, inputs)
         Closed loop of all channels.
-    channels : sequence of Channel
+    channels : sequence of UncertaintyChannel
 
     Returns
     -------
@@ -242,7 +244,7 @@ def sweep_complex_mu(response: ComplexArray, channels: Sequence[Channel]) -> tup
 
 def iterate_dk(
     plant: control.StateSpace,
-    channels: Sequence[Channel],
+    channels: Sequence[UncertaintyChannel],
     n_measurements: int,
     n_controls: int,
     frequency: Array,
@@ -253,14 +255,14 @@ def iterate_dk(
     order_max: int = 4,
     fit_tolerance: float = 0.01,
     relaxation: float = 1.002,
-) -> DkResult:
+) -> DkIterationResult:
     """Synthesise a controller by D-K iteration.
 
     Parameters
     ----------
     plant : control.StateSpace
         Generalised plant, continuous time: the channels' signals, then those of the controller.
-    channels : sequence of Channel
+    channels : sequence of UncertaintyChannel
         Full complex blocks in the order of the signals; the last one keeps the scaling 1.
     n_measurements, n_controls : int
         Numbers of the controller's inputs and outputs.
@@ -281,7 +283,7 @@ def iterate_dk(
 
     Returns
     -------
-    DkResult
+    DkIterationResult
 
     Raises
     ------
@@ -299,20 +301,20 @@ def iterate_dk(
         )  # fmt: skip
     none = np.zeros(0)
     filters = [ScalingFilter(float(d), none, none) for d in (scalings or [1.0] * len(channels))]
-    done: list[DkRound] = []
-    best: DkResult | None = None
+    done: list[DkIterationRound] = []
+    best: DkIterationResult | None = None
     poor = 0
 
-    def sweep(K: control.StateSpace) -> tuple[Array, Array]:
+    def sweep_controller_mu(K: control.StateSpace) -> tuple[Array, Array]:
         return sweep_complex_mu(frequency_response(close_loop(plant, K), frequency), channels)
 
-    def fit(bound: Array, magnitudes: Array) -> list[ScalingFilter]:
-        share = (bound / bound.max()) ** _FIT_WEIGHT
+    def fit_scaling_filters(bound: Array, magnitudes: Array) -> list[ScalingFilter]:
+        share = (bound / bound.max()) ** _FIT_WEIGHT_EXPONENT
         fitted = [fit_magnitude(frequency, d, order_max, fit_tolerance, share) for d in magnitudes.T[:-1]]
         return [*fitted, ScalingFilter(1.0, none, none)]
 
     if start is not None:
-        filters = fit(*sweep(start))
+        filters = fit_scaling_filters(*sweep_controller_mu(start))
     for k in range(rounds):
         try:
             found = _synthesise(scale_channels(plant, channels, filters), n_measurements, n_controls, relaxation)
@@ -320,21 +322,23 @@ def iterate_dk(
             if best is None:
                 raise
             break
-        bound, magnitudes = sweep(found.controller)
+        bound, magnitudes = sweep_controller_mu(found.controller)
         peak = float(bound.max())
-        done.append(DkRound(found.gamma, peak, found.controller.nstates))
+        done.append(DkIterationRound(found.gamma, peak, found.controller.nstates))
         poor = poor + 1 if best is not None and peak > 0.999 * best.mu else 0
         if best is None or peak < best.mu:
-            best = DkResult(found.controller, found.actuation, found.gamma, peak, frequency, bound, ())
+            best = DkIterationResult(found.controller, found.actuation, found.gamma, peak, frequency, bound, ())
         if poor == 2 or k + 1 == rounds:
             break
-        filters = fit(bound, magnitudes)
+        filters = fit_scaling_filters(bound, magnitudes)
     assert best is not None
-    return DkResult(best.controller, best.actuation, best.gamma, best.mu, frequency, best.bound, tuple(done))
+    return DkIterationResult(best.controller, best.actuation, best.gamma, best.mu, frequency, best.bound, tuple(done))
 
 
 def _synthesise(plant: control.StateSpace, n_measurements: int, n_controls: int, relaxation: float) -> HinfResult:
     try:
         return hinfsyn(plant, n_measurements, n_controls, relaxation=relaxation)
     except MuflyError:
-        return hinfsyn(plant, n_measurements, n_controls, relaxation=relaxation, regularisation=_REGULARISATION)
+        return hinfsyn(
+            plant, n_measurements, n_controls, relaxation=relaxation, regularisation=_SYNTHESIS_REGULARISATION
+        )

@@ -34,8 +34,8 @@ from mufly.vehicle import Vehicle, replace_parameters
 if TYPE_CHECKING:
     from mufly.control.designs import ControllerDesign, FlightController
 
-_DELAY_PERIODS = 1.5
-_SMALLEST_FACTOR, _LARGEST_FACTOR = 0.1, 10.0  # of the spreads, in the search for the worst parameters
+_INPUT_DELAY_PERIODS = 1.5
+_MIN_SPREAD_FACTOR, _MAX_SPREAD_FACTOR = 0.1, 10.0  # of the spreads, in the search for the worst parameters
 _ENOUGH = 0.8  # share of the lower bound's peak at which the descent of the upper bound ends
 
 
@@ -165,7 +165,7 @@ class UncertainLoop:
     def __init__(self, design: ControllerDesign, derivatives: Sequence[Array]) -> None:
         self.name = design.name
         self.plant, self.feedback = design.plant, design.feedback_controller(design.reduced)
-        self.delay_s = _DELAY_PERIODS * design.discrete.period_s
+        self.delay_s = _INPUT_DELAY_PERIODS * design.discrete.period_s
         n = self.plant.nstates
         factors = factor_derivatives(derivatives, float(np.linalg.norm(self.plant.A)))
         self.kept = [i for i, (L, _) in enumerate(factors) if L.shape[1]]
@@ -218,14 +218,16 @@ class UncertainLoop:
         return nominal, steps
 
 
-def _least_damped(A: Array) -> tuple[complex, Array, Array]:
+def _find_least_damped_mode(A: Array) -> tuple[complex, Array, Array]:
     """Return the eigenvalue nearest to instability by its damping ratio, and its left and right eigenvectors."""
     values, left, right = cast(tuple[Any, Any, Any], linalg.eig(A, left=True, right=True))
     k = int(np.argmax(values.real / np.maximum(np.abs(values), 1e-12) + 1e3 * (values.real > 0) * np.abs(values.real)))
     return complex(values[k]), left[:, k], right[:, k]
 
 
-def _worst_corner(nominal: Array, steps: Sequence[Array], size: float, starts: Sequence[Array]) -> tuple[float, Array]:
+def _search_unstable_corner(
+    nominal: Array, steps: Sequence[Array], size: float, starts: Sequence[Array]
+) -> tuple[float, Array]:
     """Return the largest real part of an eigenvalue over the corners of a box of given size, and the corner where it
     occurs.
     """
@@ -235,7 +237,7 @@ def _worst_corner(nominal: Array, steps: Sequence[Array], size: float, starts: S
         while tuple(np.sign(z)) not in seen:
             seen.add(tuple(np.sign(z)))
             A = nominal + sum(size * v * E for v, E in zip(z, steps, strict=True))
-            value, y, x = _least_damped(A)
+            value, y, x = _find_least_damped_mode(A)
             if value.real > best:
                 best, at = value.real, z.copy()
             slope = np.array([(np.vdot(y, E @ x) / np.vdot(y, x)).real for E in steps])
@@ -252,8 +254,8 @@ def find_worst_parameters(loop: UncertainLoop, least: float) -> tuple[float, flo
     rng = np.random.default_rng(0)
     starts = [np.zeros(len(steps)), *rng.choice([-1.0, 1.0], (5, len(steps)))]
     low, high, corner = 0.0, least, None
-    while high <= _LARGEST_FACTOR:
-        value, at = _worst_corner(nominal, steps, high, starts)
+    while high <= _MAX_SPREAD_FACTOR:
+        value, at = _search_unstable_corner(nominal, steps, high, starts)
         if value > 0.0:
             corner = at
             break
@@ -265,7 +267,7 @@ def find_worst_parameters(loop: UncertainLoop, least: float) -> tuple[float, flo
     for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if np.linalg.eigvals(nominal + middle * direction).real.max() > 0 else (middle, high)
-    pole = _least_damped(nominal + high * direction)[0]
+    pole = _find_least_damped_mode(nominal + high * direction)[0]
     return high, abs(pole.imag), corner
 
 
@@ -277,7 +279,7 @@ def sweep_mu(loop: UncertainLoop, points: int, names: Sequence[str]) -> LoopRobu
     frequency = np.geomspace(0.3 * inside.min(initial=1.0), 5.0 * inside.max(initial=30.0), points)
     if not loop.blocks:
         return LoopRobustness(loop.name, frequency, np.zeros(points), 0.0, np.nan, 0.0, np.nan, {}, (), 0.0)
-    size, where, corner = find_worst_parameters(loop, _SMALLEST_FACTOR)
+    size, where, corner = find_worst_parameters(loop, _MIN_SPREAD_FACTOR)
     if np.isfinite(where) and where > 0.0:  # the grid must hold the frequency at which the lower bound is
         frequency[int(np.argmin(np.abs(np.log(frequency / where))))] = where
     M = loop.responses(frequency)
@@ -357,7 +359,7 @@ def analyse_parameter_robustness(
     direction = np.array([worst.worst.get(name, 0.0) for name in names])
     direction *= min(1.0, 1.0 / max(float(np.abs(direction).max(initial=0.0)), 1e-12))
     values = [
-        _nearest_possible(vehicle, key, middle, middle + step)
+        _nearest_valid_value(vehicle, key, middle, middle + step)
         for key, middle, step in zip(keys, centre.tolist(), (spread_matrix @ direction).tolist(), strict=True)
     ]
     return ParameterRobustness(
@@ -371,7 +373,7 @@ def analyse_parameter_robustness(
     )
 
 
-def _nearest_possible(vehicle: Vehicle, key: str, middle: float, wanted: float) -> float:
+def _nearest_valid_value(vehicle: Vehicle, key: str, middle: float, wanted: float) -> float:
     """Return the permitted value of a parameter between ``middle`` and ``wanted`` that is nearest to ``wanted``."""
     low, high = 0.0, 1.0
     share = high

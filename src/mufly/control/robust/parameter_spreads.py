@@ -27,7 +27,7 @@ DEFAULT_SPREADS: Mapping[str, float] = {
 }
 """Relative spreads of parameters for which a vehicle file states no standard deviation."""
 
-STANDARD_DEVIATIONS = 2.0
+SPREAD_STANDARD_DEVIATIONS = 2.0
 """Size of a stated standard deviation's range."""
 
 _RANK_TOLERANCE = 1e-4
@@ -38,7 +38,7 @@ def default_spreads(vehicle: Vehicle) -> dict[str, float]:
     parameters = {p.key: p for p in list_parameters(vehicle) if isinstance(p.value, float)}
     left_out = ("mass_budget.", "range_ring.", "sensors.")
     spreads = {
-        key: STANDARD_DEVIATIONS * float(p.std)
+        key: SPREAD_STANDARD_DEVIATIONS * float(p.std)
         for key, p in parameters.items()
         if p.std and not key.startswith(left_out)
     }

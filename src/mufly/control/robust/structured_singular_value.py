@@ -24,7 +24,7 @@ from mufly.control.linear_systems import Array, ComplexArray
 from mufly.control.tuning.nonsmooth_bfgs import minimise_nonsmooth
 from mufly.errors import ArgumentError
 
-_LARGEST_PARAMETER = 60.0  # of the scalings, for a matrix of norm one: logarithms of D, and G
+_MAX_SCALING_PARAMETER = 60.0  # of the scalings, for a matrix of norm one: logarithms of D, and G
 
 
 class Block(NamedTuple):
@@ -34,7 +34,7 @@ class Block(NamedTuple):
     is_real: bool
 
 
-class UpperBound(NamedTuple):
+class MuUpperBound(NamedTuple):
     """The upper bound of mu, the scalings' parameters for a warm start, and D and G that attain it.
 
     G is in the units of ``M* D M + j (G M - M* G)``.
@@ -92,7 +92,7 @@ class _Scalings:
 
     def evaluate(self, x: Array) -> tuple[float, Array]:
         """Return the largest eigenvalue of the pencil and its gradient."""
-        if np.abs(x).max() > _LARGEST_PARAMETER:
+        if np.abs(x).max() > _MAX_SCALING_PARAMETER:
             return np.inf, np.zeros(self.size)
         M = self.M
         C, G = self.matrices(x)
@@ -130,7 +130,7 @@ def mu_upper_bound(
     tolerance: float = 1e-9,
     max_steps: int = 400,
     enough: float = 0.0,
-) -> UpperBound:
+) -> MuUpperBound:
     """Return an upper bound of the structured singular value by D and G scaling.
 
     Parameters
@@ -140,7 +140,7 @@ def mu_upper_bound(
     blocks : sequence of Block
         Their sizes add up to n.
     start : array, optional
-        ``UpperBound.parameters`` of a similar matrix.
+        ``MuUpperBound.parameters`` of a similar matrix.
     restarts : int
         Number of further descents from a disturbed best point.
     tolerance : float
@@ -152,7 +152,7 @@ def mu_upper_bound(
 
     Returns
     -------
-    UpperBound
+    MuUpperBound
 
     Raises
     ------
@@ -163,7 +163,7 @@ def mu_upper_bound(
     scalings = _Scalings(M / (size or 1.0), blocks)
     x = np.zeros(scalings.size) if start is None else np.array(start, dtype=float)
     if size == 0.0:
-        return UpperBound(0.0, x, np.eye(len(M)).astype(complex), np.zeros_like(M, dtype=complex))
+        return MuUpperBound(0.0, x, np.eye(len(M)).astype(complex), np.zeros_like(M, dtype=complex))
     rng = np.random.default_rng(0)
     best = None
     for k in range(restarts + 1):
@@ -178,4 +178,4 @@ def mu_upper_bound(
             break
     assert best is not None
     C, G = scalings.matrices(best.x)
-    return UpperBound(size * float(np.sqrt(max(best.value, 0.0))), best.x, C.conj().T @ C, size * G)
+    return MuUpperBound(size * float(np.sqrt(max(best.value, 0.0))), best.x, C.conj().T @ C, size * G)

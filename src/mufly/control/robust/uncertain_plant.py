@@ -19,11 +19,11 @@ import numpy as np
 from scipy import linalg
 
 from mufly.control.linear_systems import Array, state_space
-from mufly.control.robust.dk_iteration import Channel
+from mufly.control.robust.dk_iteration import UncertaintyChannel
 from mufly.control.robust.parameter_spreads import factor_derivatives
 
-_CORNER = 20.0  # rad/s, at which W_I begins to grow
-_HIGHEST = 4.0  # gain of W_I at high frequency
+_INPUT_UNCERTAINTY_CORNER_RAD_S = 20.0  # rad/s, at which W_I begins to grow
+_HIGH_FREQUENCY_INPUT_UNCERTAINTY = 4.0  # gain of W_I at high frequency
 
 
 def add_uncertainty(
@@ -32,7 +32,7 @@ def add_uncertainty(
     n_measurements: int,
     derivatives: Sequence[Array],
     input_uncertainty: float,
-) -> tuple[control.StateSpace, list[Channel]]:
+) -> tuple[control.StateSpace, list[UncertaintyChannel]]:
     """Return the generalised plant with the channels of its uncertainty, and all channels.
 
     Parameters
@@ -52,7 +52,7 @@ def add_uncertainty(
     -------
     plant : control.StateSpace
         Inputs and outputs: parameters, plant inputs, performance, controller.
-    channels : list of Channel
+    channels : list of UncertaintyChannel
         One of size 1 for every scalar, then that of the performance.
     """
     P, n, k = generalised, plant.nstates, plant.ninputs
@@ -65,7 +65,11 @@ def add_uncertainty(
     Ux, Uw = inverse @ (P.A[:n] - np.hstack([plant.A, np.zeros((n, rest))])), inverse @ P.B[:n]
     Rx, Ru = R[:, :n], R[:, n:]
     i = k if input_uncertainty > 0.0 else 0
-    g, pole, eye = input_uncertainty, _HIGHEST * _CORNER / (input_uncertainty or 1.0), np.eye(k)[:i]
+    g, pole, eye = (
+        input_uncertainty,
+        _HIGH_FREQUENCY_INPUT_UNCERTAINTY * _INPUT_UNCERTAINTY_CORNER_RAD_S / (input_uncertainty or 1.0),
+        np.eye(k)[:i],
+    )
     A = linalg.block_diag(P.A, -pole * np.eye(i))
     A[P.nstates :, : P.nstates] = eye @ Ux
     B = np.block(
@@ -74,14 +78,19 @@ def add_uncertainty(
     C = np.vstack(
         [
             np.hstack([np.hstack([Rx, np.zeros((m, rest))]) + Ru @ Ux, np.zeros((m, i))]),
-            np.hstack([_HIGHEST * eye @ Ux, (g - _HIGHEST) * pole * np.eye(i)]),
+            np.hstack(
+                [
+                    _HIGH_FREQUENCY_INPUT_UNCERTAINTY * eye @ Ux,
+                    (g - _HIGH_FREQUENCY_INPUT_UNCERTAINTY) * pole * np.eye(i),
+                ]
+            ),
             np.hstack([P.C, np.zeros((P.noutputs, i))]),
         ]
     )
     D = np.block(
         [
             [np.zeros((m, m)), Ru[:, :i], Ru @ Uw],
-            [np.zeros((i, m + i)), _HIGHEST * eye @ Uw],
+            [np.zeros((i, m + i)), _HIGH_FREQUENCY_INPUT_UNCERTAINTY * eye @ Uw],
             [np.zeros((P.noutputs, m + i)), P.D],
         ]
     )
@@ -91,4 +100,6 @@ def add_uncertainty(
         inputs=[*(f"w_{name}" for name in names), *P.input_labels],
         outputs=[*(f"z_{name}" for name in names), *P.output_labels],
     )  # fmt: skip
-    return whole, [Channel(1, 1)] * (m + i) + [Channel(P.noutputs - n_measurements, P.ninputs - k)]
+    return whole, [UncertaintyChannel(1, 1)] * (m + i) + [
+        UncertaintyChannel(P.noutputs - n_measurements, P.ninputs - k)
+    ]

@@ -116,7 +116,7 @@ def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpa
 
 
 _MAX_GAMMA, _MIN_GAMMA = 1e20, 1e-18  # bounds of the level search, for a plant with all signals near one
-_UNSCALED_BITS = 10  # signals within 2^10 of one are not scaled, so that ordinary plants keep every bit
+_UNSCALED_EXPONENT_BITS = 10  # signals within 2^10 of one are not scaled, so that ordinary plants keep every bit
 
 
 def _scale_signals(P: control.StateSpace, inputs: Array, outputs: Array) -> control.StateSpace:
@@ -163,7 +163,7 @@ def _signal_scales(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Arra
         ):
             size[:common] = np.linalg.norm(size[:common])
             bits = np.round(np.log2(np.where(size > 0, size, 1.0)))
-            far = np.abs(bits) > _UNSCALED_BITS
+            far = np.abs(bits) > _UNSCALED_EXPONENT_BITS
             if far.any() and not changed:
                 factors *= np.exp2(np.where(far, -bits, 0.0))
                 changed = True

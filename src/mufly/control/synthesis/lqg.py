@@ -27,7 +27,7 @@ from mufly.control.linear_systems import Array, ComplexArray, state_space
 from mufly.errors import ArgumentError, MuflyError
 from mufly.results import result
 
-_LEAK_RATE = 1e-3  # rad/s, of the integrators: far below every loop, but stable
+_INTEGRATOR_LEAK_RATE_RAD_S = 1e-3  # rad/s, of the integrators: far below every loop, but stable
 _STATE_NOISE = 1e-4  # process noise on every state, so that no mode of the plant is without noise
 _STATE_WEIGHT = 1e-9  # weight on every state, so that modes that no weighted output shows have one
 
@@ -92,7 +92,7 @@ class LqgResult:
 def augment_integrators(plant: control.StateSpace, references: Sequence[int]) -> tuple[Array, Array]:
     """Return A and B of the plant with the (leaking) integrals of the outputs ``references`` as further states."""
     n, k = plant.nstates, len(references)
-    A = np.block([[plant.A, np.zeros((n, k))], [plant.C[list(references)], -_LEAK_RATE * np.eye(k)]])
+    A = np.block([[plant.A, np.zeros((n, k))], [plant.C[list(references)], -_INTEGRATOR_LEAK_RATE_RAD_S * np.eye(k)]])
     return A, np.vstack([plant.B, np.zeros((k, plant.ninputs))])
 
 
@@ -128,19 +128,19 @@ def largest_recovery(plant: control.StateSpace, weights: LqgWeights, fastest: fl
     """
     own = np.linalg.eigvals(plant.A)
 
-    def fastest_moved(q: float) -> float:
+    def fastest_filter_pole(q: float) -> float:
         poles = np.linalg.eigvals(plant.A - kalman_gain(plant, q, np.array(weights.noise)) @ plant.C)
         moved = np.abs(poles[:, None] - own).min(axis=1) > 0.1 * np.abs(poles)
         return float(np.abs(poles[moved]).max(initial=0.0))
 
-    if fastest_moved(weights.recovery) <= fastest:
+    if fastest_filter_pole(weights.recovery) <= fastest:
         return weights.recovery
     low, high = 0.0, weights.recovery
     for _ in range(30):
         middle = float(np.sqrt(low * high)) if low else high / 10.0
         if middle < weights.process_noise:
             return weights.process_noise
-        low, high = (middle, high) if fastest_moved(middle) <= fastest else (low, middle)
+        low, high = (middle, high) if fastest_filter_pole(middle) <= fastest else (low, middle)
         if low > 0.999 * high:
             break
     return low

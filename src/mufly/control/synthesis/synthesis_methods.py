@@ -20,12 +20,19 @@ from mufly.control.synthesis.h2 import h2syn
 from mufly.control.synthesis.hinf import close_loop, hinfsyn
 from mufly.control.synthesis.indi import IndiGains, design_indi
 from mufly.control.synthesis.lqg import LqgWeights, design_lqg, largest_recovery
-from mufly.control.tuning.fixed_order import Aim, add_delay, aim_norms, flight_aims, reduced_starts, tune_controller
+from mufly.control.tuning.fixed_order import (
+    NormAim,
+    add_delay,
+    aim_norms,
+    flight_aims,
+    reduce_start_controllers,
+    tune_controller,
+)
 from mufly.errors import MuflyError
 
 SynthesisMethod = Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed", "scheduled", "indi"]
-METHODS: tuple[SynthesisMethod, ...] = get_args(SynthesisMethod)
-METHOD_NAMES: dict[SynthesisMethod, str] = {
+SYNTHESIS_METHODS: tuple[SynthesisMethod, ...] = get_args(SynthesisMethod)
+SYNTHESIS_METHOD_NAMES: dict[SynthesisMethod, str] = {
     "hinf": "H-infinity",
     "h2": "H2",
     "lqg": "LQG",
@@ -221,9 +228,9 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
     if method == "scheduled" and p.fixed is not None and p.given_controller is not None:
         aims, _ = _fixed_order_aims(p, p.fixed, _delayed_plants(p))
         tuned = tune_controller(aims, [p.given_controller], outputs_only=True)
-        return _describe_controller(p, tuned.controller)
+        return _wrap_given_controller(p, tuned.controller)
     if p.given_controller is not None:
-        return _describe_controller(p, p.given_controller)
+        return _wrap_given_controller(p, p.given_controller)
     if method == "h2":
         optimal = h2syn(p.generalised, p.n_measurements, n_controls)
         norm = hinf_norm(optimal.closed_loop)[0]
@@ -240,7 +247,7 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
     if method == "mu":
         return _iterate_dk(p, p.robust)
     if method == "fixed" and p.fixed is not None:
-        return _tune(p, p.fixed)
+        return _tune_fixed_order(p, p.fixed)
     found = hinfsyn(p.generalised, p.n_measurements, n_controls, relaxation=p.relaxation)
     return SynthesisedController(found.controller, found.actuation, found.gamma, found.gamma_optimal, found.norm)
 
@@ -266,7 +273,7 @@ def _iterate_dk(p: SynthesisProblem, aims: RobustAims) -> SynthesisedController:
     return SynthesisedController(found.controller, found.actuation, found.gamma, found.gamma, norm)
 
 
-def _tune(p: SynthesisProblem, fixed: FixedOrderAims) -> SynthesisedController:
+def _tune_fixed_order(p: SynthesisProblem, fixed: FixedOrderAims) -> SynthesisedController:
     """Return a tuned controller that starts from H-infinity with and without the delay, and from LTR."""
     delayed = _delayed_plants(p)
     aims, plain = _fixed_order_aims(p, fixed, delayed)
@@ -274,8 +281,8 @@ def _tune(p: SynthesisProblem, fixed: FixedOrderAims) -> SynthesisedController:
     starts = [plain, hinfsyn(generalised, p.n_measurements, p.plant.ninputs, relaxation=p.relaxation).controller]
     if p.lqg is not None:
         starts.append(synthesise_controller("ltr", p).controller)
-    tuned = tune_controller(aims, reduced_starts(generalised, starts, fixed.order), descents=fixed.descents)
-    return _describe_controller(p, tuned.controller)
+    tuned = tune_controller(aims, reduce_start_controllers(generalised, starts, fixed.order), descents=fixed.descents)
+    return _wrap_given_controller(p, tuned.controller)
 
 
 def _delayed_plants(p: SynthesisProblem) -> tuple[control.StateSpace, control.StateSpace]:
@@ -286,7 +293,7 @@ def _delayed_plants(p: SynthesisProblem) -> tuple[control.StateSpace, control.St
 
 def _fixed_order_aims(
     p: SynthesisProblem, fixed: FixedOrderAims, delayed: tuple[control.StateSpace, control.StateSpace]
-) -> tuple[list[Aim], control.StateSpace]:
+) -> tuple[list[NormAim], control.StateSpace]:
     """Return the aims on the plants with delay, and the H-infinity controller that their levels refer to."""
     plain = hinfsyn(p.generalised, p.n_measurements, p.plant.ninputs, relaxation=p.relaxation)
     levels = {
@@ -302,7 +309,7 @@ def _fixed_order_aims(
     return aims, plain.controller
 
 
-def _describe_controller(p: SynthesisProblem, K: control.StateSpace) -> SynthesisedController:
+def _wrap_given_controller(p: SynthesisProblem, K: control.StateSpace) -> SynthesisedController:
     """Return a controller without an observer, with the norm of its loop."""
     norm = hinf_norm(close_loop(p.generalised, K))[0]
     return SynthesisedController(K, np.zeros((K.nstates, p.plant.ninputs)), np.nan, np.nan, norm)

@@ -293,7 +293,8 @@ class DesignSettings:
     Attributes
     ----------
     method : str
-        Method of synthesis of heave-yaw and roll-pitch (``synthesis_methods.METHODS``); velocity is H-infinity.
+        Method of synthesis of heave-yaw and roll-pitch (``synthesis_methods.SYNTHESIS_METHODS``); velocity is
+        H-infinity.
     heave_yaw_scaling : SignalScaling or None
         Outputs z (m), psi (rad), r (rad/s); inputs motor lower, upper. None: from the motors' capability, see
         :func:`heave_yaw_scaling`.

@@ -36,12 +36,12 @@ from mufly.errors import MuflyError
 from mufly.results import result
 
 _FREQUENCIES = np.concatenate([[1e-7, 1e-6, 1e-5, 1e-4], np.geomspace(1e-3, 3e3, 90)])
-_SLOW = (0.1, 3.0)  # rad/s; modes of a start below these are kept by its reduction
-_POWERS = (8.0, 30.0, np.inf)  # of the mean of all aims, in successive descents; inf is the largest
+_SLOW_MODE_LIMITS_RAD_S = (0.1, 3.0)  # rad/s; modes of a start below these are kept by its reduction
+_AIM_MEAN_POWERS = (8.0, 30.0, np.inf)  # of the mean of all aims, in successive descents; inf is the largest
 _STABILITY_MARGIN = 1e-5  # rad/s; least distance of the closed loop's poles from the axis
 
 
-class NormOfGain(Protocol):
+class LoopNormByGain(Protocol):
     """A norm as a function of the gain ``[Ak Bk; Ck Dk]``."""
 
     def norm_and_gradient(self, K: Array) -> tuple[float, Array]:
@@ -59,11 +59,11 @@ class TuningAim(Protocol):
     def level(self) -> float:
         """Level that the norm is to stay below."""
 
-    def loop(self, order: int) -> NormOfGain:
+    def loop(self, order: int) -> LoopNormByGain:
         """Return the norm for controllers of an order."""
 
 
-class Aim(NamedTuple):
+class NormAim(NamedTuple):
     """A norm of a closed loop that is to stay below a level.
 
     Attributes
@@ -83,7 +83,7 @@ class Aim(NamedTuple):
     level: float
     kind: str = "hinf"
 
-    def loop(self, order: int) -> NormOfGain:
+    def loop(self, order: int) -> LoopNormByGain:
         """Return the norm for controllers of an order."""
         return _StaticLoop(self.plant, order, self.kind)
 
@@ -242,7 +242,7 @@ def aim_norms(aims: Sequence[TuningAim], controller: control.StateSpace) -> dict
     return {aim.name: aim.loop(controller.nstates).norm_and_gradient(K)[0] for aim in aims}
 
 
-def reduced_starts(
+def reduce_start_controllers(
     generalised: control.StateSpace, controllers: Sequence[control.StateSpace], order: int
 ) -> list[control.StateSpace]:
     """Return controllers of an order: all balanced reductions of some controllers, as in the reduction of a design."""
@@ -251,7 +251,7 @@ def reduced_starts(
         if K.nstates < order:
             continue
         counts = set()
-        for threshold in _SLOW:
+        for threshold in _SLOW_MODE_LIMITS_RAD_S:
             Z, kept = split_modes(K.A, threshold)
             if kept in counts or kept > order:
                 continue
@@ -330,18 +330,26 @@ def tune_controller(
     best, best_K, first, steps = np.inf, controller_gain(starts[0]), ranked[0][0], 0
     for _, i in ranked:
         K, value, done, began = controller_gain(starts[i]), np.inf, 0, time.process_time()
-        for power in _POWERS:
+        for power in _AIM_MEAN_POWERS:
             K0 = K
             row, column = np.abs(K0).max(axis=1, keepdims=True), np.abs(K0).max(axis=0, keepdims=True)
             unit = np.abs(K0) + 0.05 * np.sqrt(row * column) + 1e-6  # entries of size one for the search
 
-            def scaled(x: Array, K0: Array = K0, unit: Array = unit, power: float = power) -> tuple[float, Array]:
+            def scaled_objective(
+                x: Array, K0: Array = K0, unit: Array = unit, power: float = power
+            ) -> tuple[float, Array]:
                 mean, slope = objective(K0 + unit * x.reshape(shape), power)
                 return mean, (slope * unit).ravel()
 
             left = budget_s - (time.process_time() - began)
             found = minimise_nonsmooth(
-                scaled, np.zeros(K0.size), max_steps=max_steps, tolerance=1e-4, window=20, first_step=0.1, budget_s=left
+                scaled_objective,
+                np.zeros(K0.size),
+                max_steps=max_steps,
+                tolerance=1e-4,
+                window=20,
+                first_step=0.1,
+                budget_s=left,
             )
             K, done = K0 + unit * found.x.reshape(shape), done + found.steps
             value = objective(K)[0]
@@ -361,7 +369,7 @@ def flight_aims(
     noise: Array,
     levels: Mapping[str, float],
     period_s: float = 0.0,
-) -> list[Aim]:
+) -> list[NormAim]:
     """Return the aims of a flight loop; ``generalised`` and ``plant`` carry the delay.
 
     Parameters
@@ -383,4 +391,4 @@ def flight_aims(
     )
     plants = {"weighted": weighted, **margin_plants(plant, noise, n_measurements, period_s)}
     kinds = {"activity": "h2", "disk": "disk"}
-    return [Aim(name, plants[name], level, kinds.get(name, "hinf")) for name, level in levels.items()]
+    return [NormAim(name, plants[name], level, kinds.get(name, "hinf")) for name, level in levels.items()]

@@ -32,7 +32,7 @@ from mufly.control.tuning.fixed_order import (
     aim_norms,
     controller_gain,
     flight_aims,
-    reduced_starts,
+    reduce_start_controllers,
     tune_controller,
 )
 from mufly.control.tuning.parameter_aim import ParameterAim
@@ -40,8 +40,8 @@ from mufly.errors import MuflyError
 from mufly.vehicle import Vehicle
 
 LoopName = Literal["heave-yaw", "roll-pitch"]
-_FAST_PADDING = 300.0  # rad/s, of states that a start of lower order gets
-_DELAY_PERIODS = 1.5
+_PADDING_POLE_RAD_S = 300.0  # rad/s, of states that a start of lower order gets
+_INPUT_DELAY_PERIODS = 1.5
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ HIGHEST_ORDERS: dict[LoopName, int] = {"heave-yaw": 10, "roll-pitch": 8}
 """Largest orders that the law on board holds."""
 
 
-class LoopProblem(NamedTuple):
+class LoopTuningProblem(NamedTuple):
     """One loop with everything that its tuning needs.
 
     Attributes
@@ -147,14 +147,14 @@ class TuningState(NamedTuple):
         return cls(tuple((tuple(tuple(row) for row in line["gain"]), tuple(line["objectives"])) for line in record))
 
 
-def pose_loop_problem(
+def make_loop_tuning_problem(
     vehicle: Vehicle,
     base: FlightController,
     name: LoopName,
     goals: TuningGoals,
     noise: Array,
     spreads: Mapping[str, float],
-) -> LoopProblem:
+) -> LoopTuningProblem:
     """Return the problem of a loop.
 
     Parameters
@@ -176,7 +176,7 @@ def pose_loop_problem(
     n_references = d.controller.ninputs - d.plant.noutputs
     read = np.concatenate([output_scale[:n_references], output_scale])
     plant = scale_plant(d.plant, d.scaling)
-    delayed = add_delay(plant, _DELAY_PERIODS * base.period_s)
+    delayed = add_delay(plant, _INPUT_DELAY_PERIODS * base.period_s)
     generalised = weight(delayed, s)
     levels = goals.norm_levels()
     norms = flight_aims(generalised, delayed, read.size, noise / output_scale, levels, base.period_s)
@@ -195,7 +195,7 @@ def pose_loop_problem(
         s.heave_yaw_lqg if heave else s.roll_pitch_lqg, None,
         lambda scaled: weight(scaled, s), 2 * np.pi / base.period_s,
     )  # fmt: skip
-    return LoopProblem(name, d, generalised, aims, mu, read, input_scale, synthesis)
+    return LoopTuningProblem(name, d, generalised, aims, mu, read, input_scale, synthesis)
 
 
 def _scale_controller(K: control.StateSpace, read: Array, input_scale: Array) -> control.StateSpace:
@@ -203,7 +203,7 @@ def _scale_controller(K: control.StateSpace, read: Array, input_scale: Array) ->
     return replace_matrices(K, B=K.B * read, C=K.C / out, D=K.D * read / out)
 
 
-def find_starts(problem: LoopProblem, names: Sequence[str], order: int) -> list[control.StateSpace]:
+def find_start_controllers(problem: LoopTuningProblem, names: Sequence[str], order: int) -> list[control.StateSpace]:
     """Return starts of an order: balanced reductions of controllers of other methods.
 
     ``delay`` names the H-infinity controller whose plant has the delay.
@@ -215,26 +215,26 @@ def find_starts(problem: LoopProblem, names: Sequence[str], order: int) -> list[
             full.append(hinfsyn(problem.generalised, p.n_measurements, 2, relaxation=p.relaxation).controller)
         else:
             full.append(synthesise_controller(name, problem.synthesis).controller)  # type: ignore[arg-type]
-    found = reduced_starts(problem.generalised, full, order)
+    found = reduce_start_controllers(problem.generalised, full, order)
     return [K for K in found if np.isfinite(max(aim_norms(problem.aims, K).values()))]
 
 
-def raise_order(controller: control.StateSpace, order: int) -> control.StateSpace:
+def add_fast_states(controller: control.StateSpace, order: int) -> control.StateSpace:
     """Return a controller with further fast states, without effect until the tuning uses them."""
     k = order - controller.nstates
     if k <= 0:
         return controller
     K, rng = controller, np.random.default_rng(0)
-    poles = -_FAST_PADDING * np.linspace(0.5, 1.0, k)
+    poles = -_PADDING_POLE_RAD_S * np.linspace(0.5, 1.0, k)
     size = 1e-2 * np.linalg.norm(K.D) / np.sqrt(K.ninputs * K.noutputs) if K.D.any() else 1e-2
     A = np.block([[K.A, np.zeros((K.nstates, k))], [np.zeros((k, K.nstates)), np.diag(poles)]])
-    B = np.vstack([K.B, rng.normal(size=(k, K.ninputs)) * np.sqrt(_FAST_PADDING)])
-    C = np.hstack([K.C, rng.normal(size=(K.noutputs, k)) * np.sqrt(_FAST_PADDING) * size])
+    B = np.vstack([K.B, rng.normal(size=(k, K.ninputs)) * np.sqrt(_PADDING_POLE_RAD_S)])
+    C = np.hstack([K.C, rng.normal(size=(K.noutputs, k)) * np.sqrt(_PADDING_POLE_RAD_S) * size])
     return replace_matrices(K, A=A, B=B, C=C)
 
 
 def continue_tuning(
-    problem: LoopProblem,
+    problem: LoopTuningProblem,
     starts: Sequence[control.StateSpace],
     *,
     rounds: int,
@@ -246,7 +246,7 @@ def continue_tuning(
 
     Parameters
     ----------
-    problem : LoopProblem
+    problem : LoopTuningProblem
     starts : sequence of control.StateSpace
             Starts of one order (scaled); descents begin at the best two of them.
     rounds, steps : int
@@ -291,9 +291,9 @@ def continue_tuning(
     total = rounds * len(every)
     for i in range(len(every)):
         while len(every[i][1]) <= rounds:
-            K = _controller(starts[0], np.array(every[i][0]))
+            K = _controller_from_gain(starts[0], np.array(every[i][0]))
             if problem.mu is not None:
-                problem.mu.rescale(controller_gain(K), order)
+                problem.mu.update_scalings(controller_gain(K), order)
             found = tune_controller(problem.aims, [K], descents=1, max_steps=steps, budget_s=np.inf)
             value = _largest_relative_aim(problem, found.controller)
             history = every[i][1]
@@ -308,13 +308,13 @@ def continue_tuning(
             if progress is not None:
                 progress(sum(len(h) - 1 for _, h in every), total, state)
     best = min(every, key=lambda line: line[1][-1])
-    return _controller(starts[0], np.array(best[0])), TuningState(tuple(every))
+    return _controller_from_gain(starts[0], np.array(best[0])), TuningState(tuple(every))
 
 
-def _largest_relative_aim(problem: LoopProblem, K: control.StateSpace) -> float:
+def _largest_relative_aim(problem: LoopTuningProblem, K: control.StateSpace) -> float:
     """Return the largest ratio of an aim to its level; the aim mu gets scalings that are best for this controller."""
     if problem.mu is not None:
-        problem.mu.rescale(controller_gain(K), K.nstates)
+        problem.mu.update_scalings(controller_gain(K), K.nstates)
     return max(norm / aim.level for aim, norm in zip(problem.aims, aim_norms(problem.aims, K).values(), strict=True))
 
 
@@ -322,12 +322,14 @@ def _matrix_rows(K: Array) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(v) for v in row) for row in K)
 
 
-def _controller(like: control.StateSpace, gain: Array) -> control.StateSpace:
+def _controller_from_gain(like: control.StateSpace, gain: Array) -> control.StateSpace:
     k = like.nstates
     return replace_matrices(like, A=gain[:k, :k], B=gain[:k, k:], C=gain[k:, :k], D=gain[k:, k:])
 
 
-def settings_with(base: DesignSettings, problem: LoopProblem, controller: control.StateSpace) -> DesignSettings:
+def settings_with_tuned_controller(
+    base: DesignSettings, problem: LoopTuningProblem, controller: control.StateSpace
+) -> DesignSettings:
     """Return design settings that fly a tuned controller (scaled) in its loop."""
     K, read, out = controller, problem.read_scale, problem.input_scale[:, None]
     given = GivenController.from_matrices(K.A, K.B / read, K.C * out, K.D * out / read)

@@ -17,7 +17,7 @@ import numpy as np
 from mufly.control.linear_systems import Array
 
 Objective = Callable[[Array], tuple[float, Array]]
-_ARMIJO, _WOLFE = 1e-4, 0.5
+_ARMIJO_CONSTANT, _WOLFE_CONSTANT = 1e-4, 0.5
 
 
 class Minimum(NamedTuple):
@@ -79,9 +79,9 @@ def minimise_nonsmooth(
         low, high, t, found = 0.0, np.inf, 1.0, None
         for _ in range(50):
             fn, gn = objective(x + t * d)
-            if not fn <= f + _ARMIJO * t * slope:
+            if not fn <= f + _ARMIJO_CONSTANT * t * slope:
                 high = t
-            elif float(gn @ d) < _WOLFE * slope:
+            elif float(gn @ d) < _WOLFE_CONSTANT * slope:
                 low, found = t, (t, fn, gn)
             else:
                 found = (t, fn, gn)

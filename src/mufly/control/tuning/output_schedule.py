@@ -15,7 +15,8 @@ with the model linearised at each of them. In wind the speed over ground is not 
 closed with every share. In sideways flight the law is that of hover.
 
 Margins at frozen speeds hold as long as the speed changes slowly against the loop (Shamma and Athans, IEEE Trans.
-Autom. Control 35, 1990). :attr:`OutputSchedule.fastest_change` is the bound of the change of ``s`` by the largest tilt.
+Autom. Control 35, 1990). :attr:`OutputSchedule.max_share_rate_1_s` is the bound of the change of ``s`` by the largest
+tilt.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from mufly.vehicle import Vehicle
 
 SPEED_STEP_m_s = 0.25
 """Step of the search for the largest speed of steady flight."""
-GRID_INTERVALS = 8
+SPEED_GRID_INTERVALS = 8
 """Intervals between hover and the scheduled speed in the verification; an even number."""
 
 
@@ -108,9 +109,9 @@ class OutputSchedule:
         Change of C and D of the discrete controller from hover to V.
     has_flight_map : bool
     frozen : tuple of FrozenSpeed
-    slowest_saturated : float
+    max_saturated_pole_modulus : float
         Largest modulus of the poles of the saturated controller ``A - M C`` over the shares.
-    fastest_change : float
+    max_share_rate_1_s : float
         Largest change of the share (1/s), by a tilt at its limit: ``2 g tan(tilt) / V``.
     crossover : float
         Slowest crossover of the loop at hover (rad/s).
@@ -121,8 +122,8 @@ class OutputSchedule:
     D_forward: Array
     has_flight_map: bool
     frozen: tuple[FrozenSpeed, ...]
-    slowest_saturated: float
-    fastest_change: float
+    max_saturated_pole_modulus: float
+    max_share_rate_1_s: float
     crossover: float
 
     @property
@@ -150,7 +151,7 @@ class OutputSchedule:
             for f in self.frozen
         ]  # fmt: skip
         lines = [
-            f"Margins hold at frozen speed: the share changes by at most {self.fastest_change:.2f} 1/s, the loop "
+            f"Margins hold at frozen speed: the share changes by at most {self.max_share_rate_1_s:.2f} 1/s, the loop "
             f"crosses over at {self.crossover:.0f} rad/s."
         ]
         if not self.has_flight_map:
@@ -202,20 +203,20 @@ def schedule_outputs(
     MuflyError
         If no step has steady flight, the tuning fails, or a loop is unstable at a frozen speed.
     """
-    fastest, plant = _fastest_plant(vehicle, speed_m_s, voltage)
+    fastest, plant = _plant_at_greatest_speed(vehicle, speed_m_s, voltage)
     hover = loop.controller
     T = hover.period_s
     C_forward, D_forward = _tune_outputs(plant, loop)
-    speeds = fastest * np.arange(GRID_INTERVALS + 1) / GRID_INTERVALS
+    speeds = fastest * np.arange(SPEED_GRID_INTERVALS + 1) / SPEED_GRID_INTERVALS
     controllers = [blend_outputs(hover, C_forward, D_forward, float((v / fastest) ** 2)) for v in speeds]
     feedbacks = [feedback_part(K, plant, range(plant.noutputs)) for K in controllers]
     saturated = max(float(np.abs(np.linalg.eigvals(K.A - hover.M @ K.C)).max()) for K in controllers)
     if saturated >= 1.0:
         raise MuflyError("schedule: the anti-windup is unstable at a speed; choose another order")
     frozen: list[FrozenSpeed] = []
-    sideways = [(v, 1) for v in (0.5 * fastest, fastest) if _has_trim(vehicle, (0.0, v, 0.0), voltage)]
+    sideways = [(v, 1) for v in (0.5 * fastest, fastest) if _has_steady_flight(vehicle, (0.0, v, 0.0), voltage)]
     for v, axis in [(float(v), 0) for v in speeds] + sideways:
-        held = sample_plant(_plant_at(vehicle, (v, 0.0, 0.0) if axis == 0 else (0.0, v, 0.0), voltage), T, 1)
+        held = sample_plant(_plant_at_velocity(vehicle, (v, 0.0, 0.0) if axis == 0 else (0.0, v, 0.0), voltage), T, 1)
         share = (v / fastest) ** 2 if axis == 0 else 0.0
         k = int(np.argmin(np.abs(speeds - v))) if axis == 0 else 0
         found = analyse_loop(held, feedbacks[k])
@@ -228,7 +229,7 @@ def schedule_outputs(
                 min(margins),
             )
         )  # fmt: skip
-    still = sample_plant(_plant_at(vehicle, (0.0, 0.0, 0.0), voltage), T, 1)
+    still = sample_plant(_plant_at_velocity(vehicle, (0.0, 0.0, 0.0), voltage), T, 1)
     slowest = min(analyse_loop(still, feedbacks[0]).crossovers)
     return OutputSchedule(
         fastest, C_forward, D_forward, vehicle.rotors.flight_map is not None, tuple(frozen), saturated,
@@ -236,11 +237,11 @@ def schedule_outputs(
     )  # fmt: skip
 
 
-def _plant_at(vehicle: Vehicle, velocity: tuple[float, float, float], voltage: float) -> control.StateSpace:
+def _plant_at_velocity(vehicle: Vehicle, velocity: tuple[float, float, float], voltage: float) -> control.StateSpace:
     return linearise_vehicle(vehicle, find_trim(vehicle, velocity=velocity, voltage=voltage)).roll_pitch
 
 
-def _has_trim(vehicle: Vehicle, velocity: tuple[float, float, float], voltage: float) -> bool:
+def _has_steady_flight(vehicle: Vehicle, velocity: tuple[float, float, float], voltage: float) -> bool:
     try:
         find_trim(vehicle, velocity=velocity, voltage=voltage)
     except MuflyError:
@@ -248,11 +249,11 @@ def _has_trim(vehicle: Vehicle, velocity: tuple[float, float, float], voltage: f
     return True
 
 
-def _fastest_plant(vehicle: Vehicle, speed_m_s: float, voltage: float) -> tuple[float, control.StateSpace]:
+def _plant_at_greatest_speed(vehicle: Vehicle, speed_m_s: float, voltage: float) -> tuple[float, control.StateSpace]:
     """Return the largest speed with steady flight, and the plant there."""
     for v in np.arange(speed_m_s, 0.5 * SPEED_STEP_m_s, -SPEED_STEP_m_s):
-        if _has_trim(vehicle, (float(v), 0.0, 0.0), voltage):
-            return float(v), _plant_at(vehicle, (float(v), 0.0, 0.0), voltage)
+        if _has_steady_flight(vehicle, (float(v), 0.0, 0.0), voltage):
+            return float(v), _plant_at_velocity(vehicle, (float(v), 0.0, 0.0), voltage)
     raise MuflyError(f"schedule: there is no steady flight at {SPEED_STEP_m_s:g} m/s; use the method fixed")
 
 

@@ -2,8 +2,8 @@
 
 At fixed frequencies and with fixed scalings D and G the upper bound of mu is the root of the largest eigenvalue of the
 pencil ``M* D M + j (G M - M* G)`` and D (Fan, Tits and Doyle, IEEE Trans. Autom. Control 36, 1991). As a function of
-the controller this value has the gradient of a simple eigenvalue. :meth:`ParameterAim.rescale` finds the best scalings
-for a controller; tuning and rescaling alternate, as in D-K iteration.
+the controller this value has the gradient of a simple eigenvalue. :meth:`ParameterAim.update_scalings` finds the best
+scalings for a controller; tuning and rescaling alternate, as in D-K iteration.
 
 The loop is that of :mod:`mufly.control.robust.parameter_robustness`: affine in the parameters, with 1.5 periods of
 exact delay. The frequencies are the tuning's own; ``analyse_parameter_robustness`` judges on others.
@@ -18,10 +18,10 @@ import numpy as np
 from mufly.control.linear_systems import Array, ComplexArray
 from mufly.control.robust.parameter_robustness import UncertainLoop
 from mufly.control.robust.structured_singular_value import mu_upper_bound
-from mufly.control.tuning.fixed_order import NormOfGain
+from mufly.control.tuning.fixed_order import LoopNormByGain
 
-_RANGE = (0.5, 2.0)  # of the slowest and fastest mode of the loop, about which the frequencies lie
-_POINTS = 24
+_FREQUENCY_RANGE_FACTORS = (0.5, 2.0)  # of the slowest and fastest mode of the loop, about which the frequencies lie
+_FREQUENCY_COUNT = 24
 _ENOUGH = 0.7  # share of the level at which the descent for the scalings of a frequency ends
 
 
@@ -61,15 +61,17 @@ class ParameterAim:
         poles = np.abs(np.linalg.eigvals(loop.closed_matrices()[0]))
         inside = poles[(poles > 1.0) & (poles < 60.0)]
         low, high = inside.min(initial=4.0), inside.max(initial=20.0)
-        self.frequency = np.geomspace(_RANGE[0] * low, _RANGE[1] * high, _POINTS)
+        self.frequency = np.geomspace(
+            _FREQUENCY_RANGE_FACTORS[0] * low, _FREQUENCY_RANGE_FACTORS[1] * high, _FREQUENCY_COUNT
+        )
         m, P = loop.left.shape[1], loop.open_responses(self.frequency)
         delay = np.exp(-1j * self.frequency * loop.delay_s)[:, None, None]
         self.M11, self.P12 = P[:, :m, :m], P[:, :m, m:] * np.asarray(input_scale) * delay
         scale = np.asarray(read_scale)[self.rows][:, None]
         self.P21, self.P22 = P[:, m:, :m] / scale, P[:, m:, m:] * np.asarray(input_scale) * delay / scale
         self.size = m
-        self._D = np.broadcast_to(np.eye(m, dtype=complex), (_POINTS, m, m)).copy()
-        self._G = np.zeros((_POINTS, m, m), dtype=complex)
+        self._D = np.broadcast_to(np.eye(m, dtype=complex), (_FREQUENCY_COUNT, m, m)).copy()
+        self._G = np.zeros((_FREQUENCY_COUNT, m, m), dtype=complex)
 
     def response(self, K: Array, order: int) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Return M at the frequencies for a gain ``[Ak Bk; Ck Dk]``, and its factors ``dM = left dK right``."""
@@ -87,11 +89,11 @@ class ParameterAim:
         right = np.concatenate([R @ B @ before, np.broadcast_to(picked, (len(R), *picked.shape)) @ before], axis=1)
         return M, left, right
 
-    def rescale(self, K: Array, order: int) -> float:
+    def update_scalings(self, K: Array, order: int) -> float:
         """Set the scalings that are best for a gain; return the upper bound of mu at the frequencies."""
         M = self.response(K, order)[0]
         kept = np.sqrt(np.maximum(_pencil_values(M, self._D, self._G)[0], 0.0))
-        for k in range(_POINTS):
+        for k in range(_FREQUENCY_COUNT):
             if kept[k] < _ENOUGH * self.level:
                 continue
             found = mu_upper_bound(
@@ -101,7 +103,7 @@ class ParameterAim:
                 kept[k], self._D[k], self._G[k] = found.value, found.scaling, found.skew
         return float(kept.max())
 
-    def loop(self, order: int) -> NormOfGain:
+    def loop(self, order: int) -> LoopNormByGain:
         """Return the norm for controllers of an order."""
         return _ScaledBound(self, order)
 

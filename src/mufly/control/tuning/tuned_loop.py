@@ -21,23 +21,23 @@ from mufly.control.tuning.fixed_order import aim_norms
 from mufly.control.tuning.loop_tuning import (
     HIGHEST_ORDERS,
     LoopName,
-    LoopProblem,
+    LoopTuningProblem,
     TuningGoals,
     TuningState,
+    add_fast_states,
     continue_tuning,
-    find_starts,
-    pose_loop_problem,
-    raise_order,
-    settings_with,
+    find_start_controllers,
+    make_loop_tuning_problem,
+    settings_with_tuned_controller,
 )
 from mufly.errors import ArgumentError, InputError
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
 
 DEFAULT_STARTS = ("hinf", "delay", "ltr")
-_FORMAT = "mufly tuned controller 1"
-_KEYS = {"heave-yaw": "heave_yaw_given", "roll-pitch": "roll_pitch_given"}
-_UNITS = {"weighted": "", "sensitivity": "dB", "complementary": "dB", "disk": "", "activity": "%", "mu": ""}
+_FILE_FORMAT = "mufly tuned controller 1"
+_SETTINGS_KEY_BY_LOOP = {"heave-yaw": "heave_yaw_given", "roll-pitch": "roll_pitch_given"}
+_AIM_UNITS = {"weighted": "", "sensitivity": "dB", "complementary": "dB", "disk": "", "activity": "%", "mu": ""}
 
 
 @result(picture="mufly.control.analysis.plots:draw_tuned_loop")
@@ -99,7 +99,7 @@ class TunedLoop:
         rows = []
         for name, level in self.levels.items():
             reached = self.norms[name]
-            if _UNITS[name] == "dB":
+            if _AIM_UNITS[name] == "dB":
                 level, shown, reached = 20 * np.log10(level), 20 * np.log10(reached), reached
                 rows.append((f"{name} (dB)", f"{level:.2f}", f"{shown:.2f}", f"{reached / self.levels[name]:.3f}"))
             else:
@@ -171,51 +171,55 @@ def tune_loop(
     base = design_flight_controller(vehicle, rate_Hz=rate_Hz)
     spreads = default_spreads(vehicle) if spreads is None else dict(spreads)
     d = base.heave_yaw if loop == "heave-yaw" else base.roll_pitch
-    problem = pose_loop_problem(vehicle, base, loop, goals, sensor_noise(vehicle, d.plant.output_labels), spreads)
+    problem = make_loop_tuning_problem(
+        vehicle, base, loop, goals, sensor_noise(vehicle, d.plant.output_labels), spreads
+    )
     question = {
-        "format": _FORMAT, "vehicle": vehicle.name, "loop": loop, "order": order, "rate_Hz": base.rate_Hz,
-        "goals": asdict(goals), "starts": list(starts), "steps": steps, "plant": _plant_numbers(d),
+        "format": _FILE_FORMAT, "vehicle": vehicle.name, "loop": loop, "order": order, "rate_Hz": base.rate_Hz,
+        "goals": asdict(goals), "starts": list(starts), "steps": steps, "plant": _plant_fingerprint(d),
     }  # fmt: skip
-    state = _read_state(path, question)
+    state = _read_tuning_state(path, question)
     files = [name for name in starts if name.endswith(".json")]
     methods = [name for name in starts if name not in files]
-    first = find_starts(problem, methods, order) if methods else []
+    first = find_start_controllers(problem, methods, order) if methods else []
     for file in files:
-        given = _read_record(Path(file))[1]
+        given = _read_tuning_record(Path(file))[1]
         K = given.to_scaled(problem.generalised, problem.read_scale, problem.input_scale)
         if K.nstates > order:
             raise InputError(
                 file, "", f"contains a controller of order {K.nstates}", f"give --order {K.nstates} or more"
             )
-        first.insert(0, raise_order(K, order))
+        first.insert(0, add_fast_states(K, order))
 
     def report(done: int, total: int, reached: TuningState) -> None:
         if path is not None:
-            _write_record(path, question, problem, reached)
+            _write_tuning_record(path, question, problem, reached)
         if progress is not None:
             progress(done, total)
 
     K, state = continue_tuning(problem, first, rounds=rounds, steps=steps, state=state, progress=report)
     if path is not None:
-        _write_record(path, question, problem, state)
+        _write_tuning_record(path, question, problem, state)
     norms = aim_norms([a for a in problem.aims if a is not problem.mu], K)
     if problem.mu is not None:
         gain = np.block([[K.A, K.B], [K.C, K.D]])
-        norms["mu"] = problem.mu.rescale(gain, order)
-    c = design_flight_controller(vehicle, rate_Hz=rate_Hz, settings=settings_with(DesignSettings(), problem, K))
+        norms["mu"] = problem.mu.update_scalings(gain, order)
+    c = design_flight_controller(
+        vehicle, rate_Hz=rate_Hz, settings=settings_with_tuned_controller(DesignSettings(), problem, K)
+    )
     robust = analyse_parameter_robustness(vehicle, c, spreads, points=40)
     mu = robust.heave_yaw if loop == "heave-yaw" else robust.roll_pitch
     figures = loop_figures(vehicle, c.heave_yaw if loop == "heave-yaw" else c.roll_pitch, (mu.peak, mu.lower))
     return TunedLoop(loop, order, {a.name: a.level for a in problem.aims}, norms, figures, c)
 
 
-def _plant_numbers(d: ControllerDesign) -> list[float]:
+def _plant_fingerprint(d: ControllerDesign) -> list[float]:
     """Return numbers that differ between plants, to tell whether a file belongs to the same problem."""
     scaled = scale_plant(d.plant, d.scaling)
     return [float(f"{np.linalg.norm(M):.9g}") for M in (scaled.A, scaled.B, scaled.C)]
 
 
-def _read_state(path: Path | None, question: Mapping[str, Any]) -> TuningState | None:
+def _read_tuning_state(path: Path | None, question: Mapping[str, Any]) -> TuningState | None:
     if path is None or not path.exists():
         return None
     try:
@@ -232,7 +236,9 @@ def _read_state(path: Path | None, question: Mapping[str, Any]) -> TuningState |
     )
 
 
-def _write_record(path: Path, question: Mapping[str, Any], problem: LoopProblem, state: TuningState) -> None:
+def _write_tuning_record(
+    path: Path, question: Mapping[str, Any], problem: LoopTuningProblem, state: TuningState
+) -> None:
     gain, history = min(state.lines, key=lambda line: line[1][-1])
     k = len(gain) - len(problem.input_scale)
     g, read, out = np.array(gain), problem.read_scale, problem.input_scale[:, None]
@@ -246,11 +252,11 @@ def _write_record(path: Path, question: Mapping[str, Any], problem: LoopProblem,
     os.replace(partial, path)
 
 
-def _read_record(path: Path) -> tuple[dict[str, Any], GivenController]:
+def _read_tuning_record(path: Path) -> tuple[dict[str, Any], GivenController]:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         question = record["question"]
-        if question["format"] != _FORMAT:
+        if question["format"] != _FILE_FORMAT:
             raise KeyError("format")
         return question, GivenController.from_matrices(*(record["controller"][k] for k in "ABCD"))
     except OSError as error:
@@ -271,8 +277,8 @@ def load_tuned_settings(paths: Sequence[str | Path], base: DesignSettings | None
     """
     settings = DesignSettings() if base is None else base
     for path in paths:
-        question, given = _read_record(Path(path))
-        key = _KEYS[question["loop"]]
+        question, given = _read_tuning_record(Path(path))
+        key = _SETTINGS_KEY_BY_LOOP[question["loop"]]
         if getattr(settings, key) is not None:
             raise InputError(str(path), "", f"is a second controller for {question['loop']}", "give one file per loop")
         changes: dict[str, Any] = {key: given}

@@ -4,7 +4,7 @@
 #include "control/mixer.h"
 
 /* value += change; the rounding error is added the next time. */
-static void add_compensated(real_t *value, real_t *dropped, real_t change)
+static void add_with_rounding_error(real_t *value, real_t *dropped, real_t change)
 {
     const real_t more = change + *dropped;
     const real_t total = *value + more;
@@ -47,7 +47,7 @@ static void filter_reference(real_t *value, real_t *dropped, real_t *rate, real_
     }
     wanted = real_clip(wanted + target_rate, -speed, speed);
     *rate += period * real_clip((REAL(2.0) * bandwidth) * (wanted - *rate), -acceleration, acceleration);
-    add_compensated(value, dropped, period * *rate);
+    add_with_rounding_error(value, dropped, period * *rate);
 }
 
 /* rate limited to the range between zero and whole. */
@@ -139,7 +139,7 @@ void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const 
     linear_change(HEAVE_YAW_ORDER, HEAVE_YAW_ERRORS, &g->F[0][0], &g->B[0][0], &g->M[0][0], state->x, e, excess,
                   change);
     for (int32_t i = 0; i < HEAVE_YAW_ORDER; i++) {
-        add_compensated(&state->x[i], &state->dropped[i], change[i]);
+        add_with_rounding_error(&state->x[i], &state->dropped[i], change[i]);
     }
     /* By rounding, top - |half| + |half| may exceed top. */
     motor_input[0] = real_clip((mean + half) / top, REAL(0.0), REAL(1.0));
