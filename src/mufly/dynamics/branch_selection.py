@@ -26,7 +26,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 _PARAMETERS_VARIABLE = "p"
-_RENAMED = {"np.uint64": "whole_number", "math.sin": "sine_of", "math.cos": "cosine_of"}
+_REPLACED_CALLS = {"np.uint64": "whole_number", "math.sin": "sine_of", "math.cos": "cosine_of"}
 
 
 def select_branches(
@@ -52,10 +52,10 @@ def select_branches(
     file : str, optional
         File of the rewritten functions; Numba caches them under its sources.
     """
-    return _Rewriter(dict(namespace), wrap, frozenset(absent), file).rewrite(function)
+    return _FunctionRewriter(dict(namespace), wrap, frozenset(absent), file).rewrite(function)
 
 
-class _Rewriter:
+class _FunctionRewriter:
     def __init__(
         self, namespace: dict[str, Any], wrap: Callable[[Any], Any], absent: frozenset[str], file: str | None
     ) -> None:
@@ -76,7 +76,7 @@ class _Rewriter:
         body = definition.body
         if isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
             body = body[1:]
-        definition.body = _Selection(self._absent).block(body, defined)
+        definition.body = _StatementRewriter(self._absent).block(body, defined)
         # Numba tells functions of a file apart by line and name.
         definition.name = f"{plain.__module__.rpartition('.')[2]}_{plain.__name__}_{len(self._absent)}"
         ast.increment_lineno(tree, plain.__code__.co_firstlineno - 1)
@@ -84,7 +84,7 @@ class _Rewriter:
         scope = {**plain.__globals__, **self._namespace}
         for name in _called_names(definition):
             value = self._namespace.get(name, plain.__globals__.get(name))
-            if _is_source(value) and name not in self._namespace:
+            if _is_package_function(value) and name not in self._namespace:
                 scope[name] = self.rewrite(value)
         scope["__name__"] = plain.__module__ if self._file is None else __name__
         code = compile(tree, self._file or f"<{plain.__name__}>", "exec")
@@ -93,7 +93,7 @@ class _Rewriter:
         return made
 
 
-def _is_source(value: Any) -> bool:
+def _is_package_function(value: Any) -> bool:
     """Return True for a function of this package, compiled or with another form for compiled callers."""
     return hasattr(value, "py_func") or (inspect.isfunction(value) and value.__module__.startswith("mufly."))
 
@@ -108,34 +108,34 @@ def _assigned_names(statements: list[ast.stmt]) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _call(name: str, *arguments: ast.expr) -> ast.Call:
+def _make_call_node(name: str, *arguments: ast.expr) -> ast.Call:
     return ast.Call(ast.Name(name, ast.Load()), list(arguments), [])
 
 
-def _assign_name(name: str, value: ast.expr) -> ast.Assign:
+def _make_assignment_node(name: str, value: ast.expr) -> ast.Assign:
     return ast.Assign([ast.Name(name, ast.Store())], value)
 
 
-def _load_name(name: str) -> ast.Name:
+def _make_name_node(name: str) -> ast.Name:
     return ast.Name(name, ast.Load())
 
 
-class _Expressions(ast.NodeTransformer):
+class _ExpressionRewriter(ast.NodeTransformer):
     """``a and b`` of tests, sine, cosine and whole numbers of an index as calls of the type's functions."""
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
         self.generic_visit(node)
         if not isinstance(node.op, ast.And) or len(node.values) != 2:
             raise NotImplementedError("only `a and b`")
-        return _call("both_of", *node.values)
+        return _make_call_node("both_of", *node.values)
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
         self.generic_visit(node)
-        name = _RENAMED.get(ast.unparse(node.func))
-        return node if name is None else _call(name, *node.args)
+        name = _REPLACED_CALLS.get(ast.unparse(node.func))
+        return node if name is None else _make_call_node(name, *node.args)
 
 
-class _Selection:
+class _StatementRewriter:
     """Rewrites the statements of one function."""
 
     def __init__(self, absent: frozenset[str]) -> None:
@@ -154,11 +154,11 @@ class _Selection:
                 if isinstance(last, ast.Continue):
                     if len(statement.body) > 1:
                         raise NotImplementedError("statements before continue")
-                    test = _call("negate", _Expressions().visit(statement.test))
-                    return out + self._selected(test, rest, defined)
+                    test = _make_call_node("negate", _ExpressionRewriter().visit(statement.test))
+                    return out + self._select_results(test, rest, defined)
                 if isinstance(last, ast.Return) and last.value is not None:
-                    return out + self._guard(statement, last.value, rest, defined)
-                out += self._selected(_Expressions().visit(statement.test), statement.body, defined)
+                    return out + self._rewrite_early_return(statement, last.value, rest, defined)
+                out += self._select_results(_ExpressionRewriter().visit(statement.test), statement.body, defined)
                 continue
             if isinstance(statement, ast.For):
                 inner = set(defined) | set(_assigned_names([statement]))
@@ -167,7 +167,7 @@ class _Selection:
                 defined |= inner
                 out.append(statement)
                 continue
-            out.append(_Expressions().visit(statement))
+            out.append(_ExpressionRewriter().visit(statement))
             defined |= set(_assigned_names([statement]))
         return out
 
@@ -185,30 +185,41 @@ class _Selection:
         self._count += 1
         return f"{kind}_{self._count}"
 
-    def _selected(self, test: ast.expr, body: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
+    def _select_results(self, test: ast.expr, body: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
         """Return the statements of ``body``, each result selected by ``test`` from the new and the previous value."""
         stores = [n for s in body for n in ast.walk(s) if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store)]
         if stores or any(isinstance(s, ast.Expr) for s in body):  # writes to arrays: the same for all vehicles
-            return [ast.If(_call("uniform", test), self.block(body, defined), [])]
+            return [ast.If(_make_call_node("uniform", test), self.block(body, defined), [])]
         merged = [name for name in _assigned_names(body) if name in defined]
         test_name = self._unused_name("test")
         kept = {name: self._unused_name("kept") for name in merged}
-        inside: list[ast.stmt] = [_assign_name(kept[name], _load_name(name)) for name in merged]
+        inside: list[ast.stmt] = [_make_assignment_node(kept[name], _make_name_node(name)) for name in merged]
         inside += self.block(body, set(defined))
         inside += [
-            _assign_name(n, _call("select", _load_name(test_name), _load_name(n), _load_name(kept[n]))) for n in merged
+            _make_assignment_node(
+                n, _make_call_node("select", _make_name_node(test_name), _make_name_node(n), _make_name_node(kept[n]))
+            )
+            for n in merged
         ]
-        return [_assign_name(test_name, test), ast.If(_call("any_of", _load_name(test_name)), inside, [])]
+        return [
+            _make_assignment_node(test_name, test),
+            ast.If(_make_call_node("any_of", _make_name_node(test_name)), inside, []),
+        ]
 
-    def _guard(self, guard: ast.If, value: ast.expr, rest: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
+    def _rewrite_early_return(
+        self, guard: ast.If, value: ast.expr, rest: list[ast.stmt], defined: set[str]
+    ) -> list[ast.stmt]:
         """Return the statements after ``if test: return value``, with a selection in the last ``return``."""
         if len(guard.body) > 1 or not isinstance(rest[-1], ast.Return) or rest[-1].value is None:
             raise NotImplementedError("`if test: return value` with further statements, or without a last return")
         test_name, value_name = self._unused_name("test"), self._unused_name("value")
         out: list[ast.stmt] = [
-            _assign_name(test_name, _Expressions().visit(guard.test)),
-            _assign_name(value_name, _Expressions().visit(value)),
+            _make_assignment_node(test_name, _ExpressionRewriter().visit(guard.test)),
+            _make_assignment_node(value_name, _ExpressionRewriter().visit(value)),
         ]  # fmt: skip
         out += self.block(rest[:-1], defined)
-        last = _Expressions().visit(rest[-1].value)
-        return [*out, ast.Return(_call("select", _load_name(test_name), _load_name(value_name), last))]
+        last = _ExpressionRewriter().visit(rest[-1].value)
+        return [
+            *out,
+            ast.Return(_make_call_node("select", _make_name_node(test_name), _make_name_node(value_name), last)),
+        ]

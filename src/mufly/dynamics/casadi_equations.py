@@ -61,14 +61,14 @@ def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> Any:
     kind = casadi.SX if p["map_nodes"] == 0 and p["flight_map_nodes"] == 0 else casadi.MX
     names = {"state": STATE_SIZE, "inputs": INPUT_SIZE, "wind": 3}
     symbols: dict[str, Any] = {name: kind.sym(name, size) for name, size in names.items()}
-    arguments = [[_Symbol(symbols[name][k]) for k in range(size)] for name, size in names.items()]
+    arguments = [[_CasadiSymbol(symbols[name][k]) for k in range(size)] for name, size in names.items()]
     derivative: list[Any] = [0.0] * STATE_SIZE
-    select_branches(state_derivative, _NAMESPACE)(*arguments, _Parameters(p), derivative)
+    select_branches(state_derivative, _CASADI_NAMESPACE)(*arguments, _SymbolicParameters(p), derivative)
     out = casadi.vertcat(*(_unwrap_symbol(d) for d in derivative))
     return casadi.Function("derivative", list(symbols.values()), [out], list(names), ["derivative"])
 
 
-class _Symbol:
+class _CasadiSymbol:
     """A CasADi expression, with the operations that the equations use."""
 
     __array_ufunc__ = None
@@ -79,143 +79,143 @@ class _Symbol:
     def __bool__(self) -> bool:
         raise TypeError("a decision on a symbol; see mufly.dynamics.branch_selection")
 
-    def __add__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value + _unwrap_symbol(other))
+    def __add__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(self.value + _unwrap_symbol(other))
 
-    def __radd__(self, other: Any) -> _Symbol:
-        return _Symbol(_unwrap_symbol(other) + self.value)
+    def __radd__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(_unwrap_symbol(other) + self.value)
 
-    def __sub__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value - _unwrap_symbol(other))
+    def __sub__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(self.value - _unwrap_symbol(other))
 
-    def __rsub__(self, other: Any) -> _Symbol:
-        return _Symbol(_unwrap_symbol(other) - self.value)
+    def __rsub__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(_unwrap_symbol(other) - self.value)
 
-    def __mul__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value * _unwrap_symbol(other))
+    def __mul__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(self.value * _unwrap_symbol(other))
 
-    def __rmul__(self, other: Any) -> _Symbol:
-        return _Symbol(_unwrap_symbol(other) * self.value)
+    def __rmul__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(_unwrap_symbol(other) * self.value)
 
-    def __truediv__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value / _unwrap_symbol(other))
+    def __truediv__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(self.value / _unwrap_symbol(other))
 
-    def __rtruediv__(self, other: Any) -> _Symbol:
-        return _Symbol(_unwrap_symbol(other) / self.value)
+    def __rtruediv__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(_unwrap_symbol(other) / self.value)
 
-    def __neg__(self) -> _Symbol:
-        return _Symbol(-self.value)
+    def __neg__(self) -> _CasadiSymbol:
+        return _CasadiSymbol(-self.value)
 
-    def __abs__(self) -> _Symbol:
-        return _apply("fabs", self)
+    def __abs__(self) -> _CasadiSymbol:
+        return _casadi_function("fabs", self)
 
-    def __lt__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value < _unwrap_symbol(other))
+    def __lt__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(self.value < _unwrap_symbol(other))
 
-    def __le__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value <= _unwrap_symbol(other))
+    def __le__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(self.value <= _unwrap_symbol(other))
 
-    def __gt__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value > _unwrap_symbol(other))
+    def __gt__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(self.value > _unwrap_symbol(other))
 
-    def __ge__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value >= _unwrap_symbol(other))
+    def __ge__(self, other: Any) -> _CasadiSymbol:
+        return _CasadiSymbol(self.value >= _unwrap_symbol(other))
 
     def __eq__(self, other: object) -> Any:
-        return _Symbol(self.value == _unwrap_symbol(other))
+        return _CasadiSymbol(self.value == _unwrap_symbol(other))
 
     __hash__ = None  # type: ignore[assignment]
 
 
 def _unwrap_symbol(number: Any) -> Any:
     """Return the CasADi expression of a symbol, or the number."""
-    return number.value if isinstance(number, _Symbol) else float(number)
+    return number.value if isinstance(number, _CasadiSymbol) else float(number)
 
 
-def _apply(name: str, *numbers: Any) -> Any:
+def _casadi_function(name: str, *numbers: Any) -> Any:
     """Return CasADi's function of numbers or symbols."""
     import casadi
 
-    if not any(isinstance(n, _Symbol) for n in numbers):
+    if not any(isinstance(n, _CasadiSymbol) for n in numbers):
         return float(getattr(casadi, name)(*numbers))
-    return _Symbol(getattr(casadi, name)(*(_unwrap_symbol(n) for n in numbers)))
+    return _CasadiSymbol(getattr(casadi, name)(*(_unwrap_symbol(n) for n in numbers)))
 
 
-def _select(test: Any, a: Any, b: Any) -> Any:
-    if not isinstance(test, _Symbol):
+def _select_value(test: Any, a: Any, b: Any) -> Any:
+    if not isinstance(test, _CasadiSymbol):
         return a if test else b
-    return _apply("if_else", test, a, b)
+    return _casadi_function("if_else", test, a, b)
 
 
 def _integer_part(number: Any) -> Any:
     """Return the integer part, as ``int`` of a number that is not negative or an index below."""
-    if not isinstance(number, _Symbol):
+    if not isinstance(number, _CasadiSymbol):
         return int(number)
-    return _select(number >= 0.0, _apply("floor", number), _apply("ceil", number))
+    return _select_value(number >= 0.0, _casadi_function("floor", number), _casadi_function("ceil", number))
 
 
-def _greatest(*numbers: Any) -> Any:
-    if not any(isinstance(n, _Symbol) for n in numbers):
+def _greatest_value(*numbers: Any) -> Any:
+    if not any(isinstance(n, _CasadiSymbol) for n in numbers):
         return max(numbers)
     out = numbers[0]
     for n in numbers[1:]:
-        out = _apply("fmax", out, n)
+        out = _casadi_function("fmax", out, n)
     return out
 
 
-def _least(*numbers: Any) -> Any:
-    if not any(isinstance(n, _Symbol) for n in numbers):
+def _least_value(*numbers: Any) -> Any:
+    if not any(isinstance(n, _CasadiSymbol) for n in numbers):
         return min(numbers)
     out = numbers[0]
     for n in numbers[1:]:
-        out = _apply("fmin", out, n)
+        out = _casadi_function("fmin", out, n)
     return out
 
 
-_NAMESPACE: dict[str, Any] = {
-    "math": SimpleNamespace(sqrt=lambda x: _apply("sqrt", x)),
-    "sine_of": lambda x: _apply("sin", x),
-    "cosine_of": lambda x: _apply("cos", x),
-    "min": _least,
-    "max": _greatest,
+_CASADI_NAMESPACE: dict[str, Any] = {
+    "math": SimpleNamespace(sqrt=lambda x: _casadi_function("sqrt", x)),
+    "sine_of": lambda x: _casadi_function("sin", x),
+    "cosine_of": lambda x: _casadi_function("cos", x),
+    "min": _least_value,
+    "max": _greatest_value,
     "int": _integer_part,
-    "select": _select,
-    "any_of": lambda test: isinstance(test, _Symbol) or bool(test),
-    "both_of": lambda a, b: b if a is True else _select(a, b, False),
-    "negate": lambda test: 1.0 - test if isinstance(test, _Symbol) else not test,
+    "select": _select_value,
+    "any_of": lambda test: isinstance(test, _CasadiSymbol) or bool(test),
+    "both_of": lambda a, b: b if a is True else _select_value(a, b, False),
+    "negate": lambda test: 1.0 - test if isinstance(test, _CasadiSymbol) else not test,
     "uniform": bool,
     "whole_number": lambda n: n,
 }
 
 
-class _Parameters:
+class _SymbolicParameters:
     """A record of parameters with tables that take a symbolic index."""
 
     def __init__(self, record: np.void) -> None:
         for name in PARAMETER_DTYPE.names or ():
             value = record[name]
             if value.ndim:
-                setattr(self, name, _Table(value))
+                setattr(self, name, _SymbolicTable(value))
             else:
                 setattr(self, name, int(value) if value.dtype.kind == "i" else float(value))
 
 
-class _Table:
+class _SymbolicTable:
     def __init__(self, numbers: NDArray[Any]) -> None:
         self._numbers = numbers
         self.shape = numbers.shape
         self._looked_up: Any = None
 
     def __getitem__(self, index: Any) -> Any:
-        if not isinstance(index, _Symbol):
+        if not isinstance(index, _CasadiSymbol):
             return self._numbers[index].item()
         import casadi
 
         if isinstance(index.value, casadi.MX):
             if self._looked_up is None:
                 self._looked_up = casadi.MX(casadi.DM(self._numbers))
-            return _Symbol(self._looked_up[index.value])
-        return _Symbol(self._bisect_table(index.value, 0, len(self._numbers)))
+            return _CasadiSymbol(self._looked_up[index.value])
+        return _CasadiSymbol(self._bisect_table(index.value, 0, len(self._numbers)))
 
     def _bisect_table(self, index: Any, first: int, end: int) -> Any:
         """Return the entry of a table at a symbolic index, by bisection."""

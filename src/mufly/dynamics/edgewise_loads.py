@@ -50,11 +50,11 @@ from mufly.rotor.forward.edgewise_map import interpolate_flow_loads, interpolate
 
 _Array = NDArray[np.float64]
 
-_MIN_ROTOR_SPEED = 1e-3  # rad/s
-_EDGE_SLACK = 1e-6  # steps
+_MIN_ROTOR_SPEED_RAD_S = 1e-3  # rad/s
+_MAP_EDGE_TOLERANCE = 1e-6  # steps
 _THRUST, _TORQUE, _DRAG, _SIDE, _ROLL_MOMENT, _PITCH_MOMENT, _LOWER_THRUST, _LOWER_TORQUE, _LOWER_DRAG = range(9)
 """Indices of the flow's loads in :data:`mufly.vehicle.flight_map.LOAD_COLUMNS`, upper rotor first."""
-_LOWER_RATES = 4  # first load of rates of the lower rotor
+_FIRST_LOWER_RATE_LOAD = 4  # first load of rates of the lower rotor
 
 
 MapWrench = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -84,13 +84,13 @@ def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, 
     """
     air_x, air_y, air_z = air_velocity(x, wind)
     up, dw = abs(x[MODEL_SPEED_UPPER]), abs(x[MODEL_SPEED_LOWER])
-    tip = max(0.5 * (up + dw), _MIN_ROTOR_SPEED) * p.flight_map_radius
+    tip = max(0.5 * (up + dw), _MIN_ROTOR_SPEED_RAD_S) * p.flight_map_radius
     z = 0.5 * (p.z_up + p.z_dw)
     v_x, v_y = air_x + x[MODEL_RATES + 1] * z, air_y - x[MODEL_RATES] * z
     square = v_x * v_x + v_y * v_y
     edge = square / (square + p.flight_map_knee2 * tip * tip)
     # One division instead of two, which a processor does one after the other.
-    least_up = max(up, _MIN_ROTOR_SPEED)
+    least_up = max(up, _MIN_ROTOR_SPEED_RAD_S)
     each = 1.0 / (tip * least_up)
     climb = (-air_z * (each * least_up) - p.flight_map_start[0]) * p.flight_map_per_step[0]
     return dw * (each * tip), climb, edge * p.flight_map_per_step[1]
@@ -108,7 +108,7 @@ def _flow_loads(
 
 
 @cached_njit(error_model="numpy", forceinline=True)
-def _hub_wrench(
+def _rotor_hub_wrench(
     hub: tuple[float, float, float, float], turning: tuple[float, float, float, float], v_x: float, v_y: float,
     roll: float, pitch: float, scale: float, radius: float, inplane: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
@@ -155,12 +155,14 @@ def flight_map_loads(
     speed_up, speed_dw = abs(x[MODEL_SPEED_UPPER]), abs(x[MODEL_SPEED_LOWER])
     flow = _flow_loads(p, point)
     turning = interpolate_rate_loads(p.flight_map_rate_loads, p.flight_map_size[1], point[2])
-    ux, uy, mx_up, my_up = _hub_wrench(
-        flow[_DRAG:_LOWER_THRUST], turning[:_LOWER_RATES], air_x + pitch * p.z_up, air_y - roll * p.z_up, roll, pitch,
+    ux, uy, mx_up, my_up = _rotor_hub_wrench(
+        flow[_DRAG:_LOWER_THRUST], turning[:_FIRST_LOWER_RATE_LOAD],
+        air_x + pitch * p.z_up, air_y - roll * p.z_up, roll, pitch,
         p.flight_map_scale * speed_up, p.flight_map_radius, p.inplane * speed_up,
     )  # fmt: skip
-    lx, ly, mx_dw, my_dw = _hub_wrench(
-        flow[_LOWER_DRAG:], turning[_LOWER_RATES:], air_x + pitch * p.z_dw, air_y - roll * p.z_dw, roll, pitch,
+    lx, ly, mx_dw, my_dw = _rotor_hub_wrench(
+        flow[_LOWER_DRAG:], turning[_FIRST_LOWER_RATE_LOAD:],
+        air_x + pitch * p.z_dw, air_y - roll * p.z_dw, roll, pitch,
         p.flight_map_scale * speed_dw, p.flight_map_radius, p.inplane * speed_dw,
     )  # fmt: skip
     return (
@@ -197,7 +199,7 @@ def add_swash_phase(u: _Array, p: ModelParameters, dx: _Array) -> None:
     dx[MODEL_SWASH_PITCH] -= full * (less * servo_1 - sine * servo_2)
 
 
-def edgewise_factors(
+def edgewise_load_factors(
     x: _Array, wind: _Array, p: np.void | ModelParameters
 ) -> tuple[tuple[float, float], tuple[float, float]]:  # fmt: skip
     """Return the factors of the map on thrust and torque of the upper and of the lower rotor at a state."""
@@ -211,12 +213,12 @@ def inside_flight_map(x: _Array, wind: _Array, p: np.void) -> bool:
     last = p["flight_map_size"] - 1
     return bool(
         p["flight_map_ratio"][1] <= ratio <= p["flight_map_ratio"][2]
-        and -_EDGE_SLACK <= climb <= last[0] + _EDGE_SLACK
-        and edge <= last[1] + _EDGE_SLACK
+        and -_MAP_EDGE_TOLERANCE <= climb <= last[0] + _MAP_EDGE_TOLERANCE
+        and edge <= last[1] + _MAP_EDGE_TOLERANCE
     )
 
 
-def flight_map_rates(p: np.void, speed: float) -> float:
+def flight_map_rate_bound(p: np.void, speed: float) -> float:
     """Return an upper bound of the rates (1/s) that a flight map adds, for ``longest_step``.
 
     Parameters

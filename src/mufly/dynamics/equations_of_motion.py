@@ -368,7 +368,7 @@ def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) 
     dx[MODEL_RATES + 1] += (p.z_up * fx_up + p.z_dw * fx_dw) / p.Iyy
 
 
-_MIN_ROTOR_SPEED = 1e-3  # rad/s; below this speed rotor forces are negligible
+_MIN_ROTOR_SPEED_RAD_S = 1e-3  # rad/s; below this speed rotor forces are negligible
 
 
 @cached_njit(error_model="numpy")
@@ -390,8 +390,8 @@ def map_coefficients(
     """Interpolate thrust over squared speed (N s^2) of upper and lower rotor, then torque (N m s^2), in the map."""
     up, dw = abs(speed_up), abs(speed_dw)
     mean = 0.5 * (up + dw)
-    ratio = dw / max(up, _MIN_ROTOR_SPEED)
-    climb_ratio = climb / (max(mean, _MIN_ROTOR_SPEED) * p.map_radius)
+    ratio = dw / max(up, _MIN_ROTOR_SPEED_RAD_S)
+    climb_ratio = climb / (max(mean, _MIN_ROTOR_SPEED_RAD_S) * p.map_radius)
     t_up, q_up, t_dw, q_dw = maps_interpolate(
         p.thrust_over_speed2_table_up, p.torque_over_speed2_table_up,
         p.thrust_over_speed2_table_dw, p.torque_over_speed2_table_dw,
@@ -432,8 +432,10 @@ def inside_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float)
     if m is None:
         return True
     mean = 0.5 * (abs(speed_up) + abs(speed_dw))
-    tip = max(mean, _MIN_ROTOR_SPEED) * float(vehicle.rotors.radius)
-    return not bool(interpolate_map(m, mean, abs(speed_dw) / max(abs(speed_up), _MIN_ROTOR_SPEED), climb / tip)[1])
+    tip = max(mean, _MIN_ROTOR_SPEED_RAD_S) * float(vehicle.rotors.radius)
+    return not bool(
+        interpolate_map(m, mean, abs(speed_dw) / max(abs(speed_up), _MIN_ROTOR_SPEED_RAD_S), climb / tip)[1]
+    )
 
 
 def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:

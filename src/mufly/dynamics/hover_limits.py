@@ -19,7 +19,7 @@ SPEED_OF_SOUND_M_S = 343.2
 """Speed of sound in dry air of 20 degC (m/s)."""
 MAX_TIP_MACH = 1.0
 """Tip Mach number from which no hover is credible."""
-_USUAL_TIP_MACH = 0.6  # wave drag of thick blades begins; coefficients depend on the Mach number above
+_MAX_USUAL_TIP_MACH = 0.6  # wave drag of thick blades begins; coefficients depend on the Mach number above
 _DISC_LOADING_RANGE = 3.0, 250.0  # N/m2: human-powered helicopters; unmanned helicopters of 200 kg
 _MAX_ACTUATOR_POWER_W_KG = 3000.0  # electrical power of small motors with controllers, for minutes
 _MAX_DISCHARGE_RATE_PER_H = 30.0  # current in hover over capacity; cells give twice that in bursts
@@ -35,11 +35,11 @@ def judge_hover(vehicle: Vehicle, hover: HoverPerformance) -> Iterator[UnusualPa
     """Yield the limits that a vehicle exceeds in hover, each with its parameter and a remedy."""
     radius, mass = float(vehicle.rotors.radius), float(vehicle.body.mass)
     mach, rpm = tip_mach_number(vehicle, hover), max(hover.rotor_speed_rad_s) / RPM
-    if mach > _USUAL_TIP_MACH:
+    if mach > _MAX_USUAL_TIP_MACH:
         yield UnusualParameter(
             "rotors.radius",
             f"the tips run at Mach {mach:.2f} in hover ({rpm:.0f} rpm), and constant coefficients hold up to "
-            f"Mach {_USUAL_TIP_MACH:g}",
+            f"Mach {_MAX_USUAL_TIP_MACH:g}",
             "give larger rotors or less mass",
         )
     disc = math.pi * radius**2

@@ -26,35 +26,37 @@ from mufly.rotor.forward.row_sums import (
 )
 
 _types: Any = types
-_DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
-_VECTOR, _WORDS = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_WORD, LANES)
-_INDICES = ir.VectorType(ir.IntType(32), LANES)
+_LLVM_DOUBLE, _LLVM_INT64 = ir.DoubleType(), ir.IntType(64)
+_LLVM_DOUBLE_LANES, _LLVM_INT64_LANES = ir.VectorType(_LLVM_DOUBLE, LANES), ir.VectorType(_LLVM_INT64, LANES)
+_LLVM_INT32_LANES = ir.VectorType(ir.IntType(32), LANES)
 
 
-def _lane_form(table: Any, places: tuple[Any, ...], weights: int, columns: int, emit: Callable[..., list[Any]]) -> Any:
+def _lane_sum_code(
+    table: Any, places: tuple[Any, ...], weights: int, columns: int, emit: Callable[..., list[Any]]
+) -> Any:
     """Return Numba type and code of a sum; indices are lanes, or integers common to all vehicles; weights are lanes."""
     kinds = [_types.int64 if isinstance(k, types.Integer) else VECTOR for k in places] + [VECTOR] * weights
     made = _types.UniTuple(VECTOR, columns)(table, *kinds)
 
-    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        indices = [_whole_places(builder, v) for v in given[1 : 1 + len(places)]]
+    def generate_lane_code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        indices = [_integer_indices(builder, v) for v in given[1 : 1 + len(places)]]
         weights, quartets = given[1 + len(places) :], []
         for lane in range(LANES):
 
-            def spread(k: int, count: int, lane: int = lane) -> Any:
+            def broadcast_to_lanes(k: int, count: int, lane: int = lane) -> Any:
                 return spread_number(builder, weights[k], count, lane)
 
             k = ir.Constant(ir.IntType(32), lane)
-            pointer = builder.inttoptr(builder.extract_element(given[0], k), _DOUBLE.as_pointer())
-            own = [v if v.type == _WORD else builder.extract_element(v, k) for v in indices]
-            quartets.append(emit(builder, pointer, own, spread, LANES))
-        numbers = [n for of_lanes in zip(*quartets, strict=True) for n in _transpose(builder, of_lanes)]
+            pointer = builder.inttoptr(builder.extract_element(given[0], k), _LLVM_DOUBLE.as_pointer())
+            own = [v if v.type == _LLVM_INT64 else builder.extract_element(v, k) for v in indices]
+            quartets.append(emit(builder, pointer, own, broadcast_to_lanes, LANES))
+        numbers = [n for of_lanes in zip(*quartets, strict=True) for n in _transpose_lanes(builder, of_lanes)]
         return context.make_tuple(builder, signature.return_type, numbers)
 
-    return made, generate
+    return made, generate_lane_code
 
 
-def _transpose(builder: Any, quartets: Sequence[Any]) -> list[Any]:
+def _transpose_lanes(builder: Any, quartets: Sequence[Any]) -> list[Any]:
     """Return four vectors of eight lanes from the eight lanes' vectors of four numbers."""
     pairs = [pick_numbers(builder, quartets[k], range(8), quartets[k + 2]) for k in (0, 1, 4, 5)]
     out = []
@@ -67,25 +69,25 @@ def _transpose(builder: Any, quartets: Sequence[Any]) -> list[Any]:
     return out
 
 
-def _whole_places(builder: Any, place: Any) -> Any:
+def _integer_indices(builder: Any, place: Any) -> Any:
     """Return table indices as integers; NaN (a vehicle whose state has diverged) becomes 0."""
-    if place.type == _WORD:
+    if place.type == _LLVM_INT64:
         return place
-    none = ir.Constant(_VECTOR, [0.0] * LANES)
+    none = ir.Constant(_LLVM_DOUBLE_LANES, [0.0] * LANES)
     inside = builder.select(builder.fcmp_ordered(">=", place, none), place, none)
-    return builder.sext(builder.fptosi(inside, _INDICES), _WORDS)
+    return builder.sext(builder.fptosi(inside, _LLVM_INT32_LANES), _LLVM_INT64_LANES)
 
 
 @intrinsic
 def sum_flow_lanes(context, table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
     """:func:`mufly.rotor.forward.row_sums.sum_flow_rows` for lanes."""
-    return _lane_form(table, (first, later, stride), 8, FLOW_COLUMN_COUNT, emit_flow_sum)
+    return _lane_sum_code(table, (first, later, stride), 8, FLOW_COLUMN_COUNT, emit_flow_sum)
 
 
 @intrinsic
 def sum_rate_lanes(context, table, first, ea, eb, ec):
     """:func:`mufly.rotor.forward.row_sums.sum_rate_rows` for lanes."""
-    return _lane_form(table, (first,), 3, RATE_COLUMN_COUNT, emit_rate_sum)
+    return _lane_sum_code(table, (first,), 3, RATE_COLUMN_COUNT, emit_rate_sum)
 
 
 LANE_ROW_SUMS: dict[str, Any] = {"sum_flow_rows": sum_flow_lanes, "sum_rate_rows": sum_rate_lanes}

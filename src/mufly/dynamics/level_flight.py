@@ -45,8 +45,8 @@ _TRIM_TOLERANCE = 1e-5  # of weight, full servo moment and hover torque
 _TRIM_OPTIONS: Any = {"eps": 1e-4}  # relative step of the differences, far above the tolerance of the coupling
 _COUPLING_TOLERANCE = 1e-6
 _CYCLIC_STEP_RAD = math.radians(0.5)
-_MAX_SERVO = 1.6  # of full input, up to which a trim is followed
-_CHARGE = 0.5  # of the battery, as for the hover performance
+_MAX_SERVO_INPUT = 1.6  # of full input, up to which a trim is followed
+_BATTERY_CHARGE_FRACTION = 0.5  # of the battery, as for the hover performance
 _RADIUS_TOLERANCE = 0.01
 
 
@@ -94,7 +94,7 @@ class LevelTrim:
         return max(abs(self.servo_pitch), abs(self.servo_roll))
 
 
-_COLUMNS = (
+_RESULT_COLUMNS = (
     ResultColumn("flap_frequency_ratio", form=".3g", head="nu"),
     ResultColumn("airspeed_m_s", form=".3g", head="V", own_unit="m/s"),
     ResultColumn("pitch_rad", "deg", "z.1f", head="pitch"),
@@ -145,7 +145,7 @@ class LevelFlight:
             limit = f"{low:.1f} to {high:.1f} m/s"
         blocks: list[ShownBlock] = [
             show_lines(f" with blades {self.rotor}; {self.flap_basis}", head=self.vehicle),
-            tabulate_results(rows, _COLUMNS),
+            tabulate_results(rows, _RESULT_COLUMNS),
             show_lines(
                 f"greatest level airspeed: {limit} (full servo or full motor input); least power: at {least:.1f} to "
                 f"{most:.1f} m/s"
@@ -159,14 +159,21 @@ class LevelFlight:
         return tuple(blocks)
 
 
-_PITCH, _ROLL, _SERVO_ROLL, _SERVO_PITCH, _UPPER_FACTOR, _LOWER_FACTOR = range(6)  # unknowns of a trim
+(
+    _UNKNOWN_PITCH,
+    _UNKNOWN_ROLL,
+    _UNKNOWN_SERVO_ROLL,
+    _UNKNOWN_SERVO_PITCH,
+    _UNKNOWN_UPPER_SPEED_FACTOR,
+    _UNKNOWN_LOWER_SPEED_FACTOR,
+) = range(6)  # unknowns of a trim
 
 
 class LevelFlightModel:
     """Blades, hover point and servo authority of a vehicle for one pair of flap modes."""
 
     def __init__(self, vehicle: Vehicle, blading: Blading, flaps: tuple[BladeFlap, BladeFlap]) -> None:
-        hover = find_trim(vehicle, charge=_CHARGE)
+        hover = find_trim(vehicle, charge=_BATTERY_CHARGE_FRACTION)
         self.vehicle, self.blading, self.flaps = vehicle, blading, flaps
         self.air = Air(density_kg_m3=float(vehicle.air.density))
         self.heights = (-float(vehicle.rotors.upper.hub_z), -float(vehicle.rotors.lower.hub_z))
@@ -216,14 +223,14 @@ class LevelFlightModel:
     def _find_pitch(self, thrust: tuple[float, float]) -> tuple[float, float]:
         """Return the pitch settings that give the thrusts in hover."""
 
-        def miss(pitch: Array) -> Array:
+        def hover_thrust_error(pitch: Array) -> Array:
             self.pitch = (float(pitch[0]), float(pitch[1]))
             pair = self.solve_pair()
             return np.array([pair.upper.thrust_N / thrust[0] - 1.0, pair.lower.thrust_N / thrust[1] - 1.0])
 
         self.pitch = (0.2, 0.2)
         try:
-            found: Any = root(miss, np.array(self.pitch), tol=1e-6, options={"eps": 1e-3})
+            found: Any = root(hover_thrust_error, np.array(self.pitch), tol=1e-6, options={"eps": 1e-3})
         except MuflyError:
             found = None
         if found is None or not np.max(np.abs(found.fun)) < 1e-4:
@@ -238,17 +245,17 @@ class LevelFlightModel:
     def wrench(self, x: Array, airspeed: float) -> tuple[Array, ForwardPair]:
         """Return the residuals of a trim for pitch, roll, servo roll, servo pitch and the factors of both speeds."""
         v, body = self.vehicle, self.vehicle.body
-        pitch, roll = float(x[_PITCH]), float(x[_ROLL])
+        pitch, roll = float(x[_UNKNOWN_PITCH]), float(x[_UNKNOWN_ROLL])
         flow = airspeed * np.array(
             [math.cos(pitch), math.sin(pitch) * math.sin(roll), math.sin(pitch) * math.cos(roll)]
         )
         edgewise, azimuth = math.hypot(flow[0], flow[1]), math.atan2(flow[1], flow[0])
-        cyclic = self.cyclic_per_servo @ x[[_SERVO_ROLL, _SERVO_PITCH]]
+        cyclic = self.cyclic_per_servo @ x[[_UNKNOWN_SERVO_ROLL, _UNKNOWN_SERVO_PITCH]]
         pair = self.solve_pair(
             edgewise,
             -float(flow[2]),
             azimuth,
-            (float(x[_UPPER_FACTOR]), float(x[_LOWER_FACTOR])),
+            (float(x[_UNKNOWN_UPPER_SPEED_FACTOR]), float(x[_UNKNOWN_LOWER_SPEED_FACTOR])),
             (float(cyclic[0]), float(cyclic[1])),
         )
         weight = float(body.mass) * GRAVITY
@@ -268,17 +275,19 @@ class LevelFlightModel:
     def trim(self, airspeed: float, start: Array) -> tuple[Array, ForwardPair] | None:
         """Solve level flight at an airspeed (m/s): return the unknowns of :meth:`wrench` and the loads, or None."""
 
-        def miss_of(x: Array) -> Array:
+        def trim_residual(x: Array) -> Array:
             return self.wrench(x, airspeed)[0]
 
         try:
-            found: Any = root(miss_of, start, tol=1e-7, options=_TRIM_OPTIONS)
+            found: Any = root(trim_residual, start, tol=1e-7, options=_TRIM_OPTIONS)
             miss, pair = self.wrench(found.x, airspeed)
         except MuflyError:
             return None
         return (found.x, pair) if np.max(np.abs(miss)) < _TRIM_TOLERANCE else None
 
-    def electrical(self, torques: Sequence[float], speeds: Sequence[float]) -> tuple[float, tuple[float, float]]:
+    def battery_power_and_inputs(
+        self, torques: Sequence[float], speeds: Sequence[float]
+    ) -> tuple[float, tuple[float, float]]:
         """Return the battery power (W) and the inputs of both motors, nan beyond the battery's power."""
         m = drive_of_vehicle(self.vehicle).motor_constants()
         ratio, battery = float(m.gear_ratio), self.vehicle.battery
@@ -288,7 +297,7 @@ class LevelFlightModel:
             current = (load + float(m.friction_Nm_s) * ratio * speed) / float(m.torque_Nm_A)
             volts.append(float(m.resistance_ohm) * current + float(m.back_emf_V_s) * ratio * speed)
             watts += volts[-1] * current / float(m.controller_efficiency)
-        supply = float(battery_voltage(battery, open_circuit_voltage(battery, _CHARGE), watts))
+        supply = float(battery_voltage(battery, open_circuit_voltage(battery, _BATTERY_CHARGE_FRACTION), watts))
         inputs = (volts[0] / supply, volts[1] / supply)
         return watts + supply * float(battery.electronics_current), inputs
 
@@ -297,7 +306,7 @@ class LevelFlightModel:
         low, high = 0.2, 5.0
         for _ in range(50):
             middle = 0.5 * (low + high)
-            inputs = self.electrical([q * middle**2 for q in torques], [w * middle for w in speeds])[1]
+            inputs = self.battery_power_and_inputs([q * middle**2 for q in torques], [w * middle for w in speeds])[1]
             if max(inputs) <= 1.0:  # false for nan
                 low = middle
             else:
@@ -355,7 +364,7 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
     if not all(math.isfinite(v) and v >= 0.0 for v in wanted):
         raise InputError(vehicle.name, "airspeeds", "are not all 0 or more", "give finite airspeeds")
     blading = prepare_blading(rotor)
-    hover = find_trim(vehicle, charge=_CHARGE)
+    hover = find_trim(vehicle, charge=_BATTERY_CHARGE_FRACTION)
     bands = [flap_modes_of_band(rotor, float(w)) for w in hover.rotor_speed]
     lines, greatest, best = [], [], []
     for end in range(2):
@@ -368,16 +377,19 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
                 break
             x, pair = found
             torques = [k * r.torque_Nm for k, r in zip(model.torque_scale, (pair.upper, pair.lower), strict=True)]
-            speeds = (float(x[_UPPER_FACTOR]) * model.speeds[0], float(x[_LOWER_FACTOR]) * model.speeds[1])
-            power, inputs = model.electrical(torques, speeds)
+            speeds = (
+                float(x[_UNKNOWN_UPPER_SPEED_FACTOR]) * model.speeds[0],
+                float(x[_UNKNOWN_LOWER_SPEED_FACTOR]) * model.speeds[1],
+            )
+            power, inputs = model.battery_power_and_inputs(torques, speeds)
             line.append(
                 LevelTrim(
                     v,
                     model.flaps[0].frequency_ratio,
-                    float(x[_PITCH]),
-                    float(x[_ROLL]),
-                    float(x[_SERVO_PITCH]),
-                    float(x[_SERVO_ROLL]),
+                    float(x[_UNKNOWN_PITCH]),
+                    float(x[_UNKNOWN_ROLL]),
+                    float(x[_UNKNOWN_SERVO_PITCH]),
+                    float(x[_UNKNOWN_SERVO_ROLL]),
                     speeds,
                     sum(q * w for q, w in zip(torques, speeds, strict=True)),
                     power,
@@ -386,7 +398,7 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
                     pair.upper.outside or pair.lower.outside,
                 )
             )
-            if line[-1].servo > _MAX_SERVO:
+            if line[-1].servo > _MAX_SERVO_INPUT:
                 break
         flown = [t.airspeed_m_s for t in line]
         limit = min(

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
-from mufly.dynamics.edgewise_loads import edgewise_factors, inside_flight_map, tip_path_tilt_target
+from mufly.dynamics.edgewise_loads import edgewise_load_factors, inside_flight_map, tip_path_tilt_target
 from mufly.dynamics.equations_of_motion import (
     battery_state,
     climb_velocity,
@@ -234,7 +234,7 @@ def find_trim(
     t_up, t_dw, q_up, q_dw = rotor_loads(p, speed_up, speed_dw, climb)
     inside = inside_map(vehicle, speed_up, speed_dw, climb)
     if p["flight_map_nodes"] > 0:
-        f_up, f_dw = edgewise_factors(x, wind_, p)
+        f_up, f_dw = edgewise_load_factors(x, wind_, p)
         t_up, q_up, t_dw, q_dw = t_up * f_up[0], q_up * f_up[1], t_dw * f_dw[0], q_dw * f_dw[1]
         inside = inside and inside_flight_map(x, wind_, p)
     return Trim(
@@ -285,7 +285,7 @@ def _hover_estimate(
     return speed, armature_voltage / voltage, voltage
 
 
-_CHARGE_POINTS = 21
+_ENDURANCE_CHARGE_POINTS = 21
 
 
 @result
@@ -349,7 +349,7 @@ def hover_performance(vehicle: Vehicle) -> HoverPerformance:
 
 
 def _hover_endurance(vehicle: Vehicle) -> float:
-    charges = np.linspace(1.0, 0.0, _CHARGE_POINTS)
+    charges = np.linspace(1.0, 0.0, _ENDURANCE_CHARGE_POINTS)
     seconds_per_charge: list[float] = []
     for charge in charges:
         try:
@@ -360,7 +360,7 @@ def _hover_endurance(vehicle: Vehicle) -> float:
             break
         seconds_per_charge.append(float(vehicle.battery.capacity) / t.battery_current_A)
     y = np.array(seconds_per_charge)
-    return float(np.sum((y[1:] + y[:-1]) / 2) / (_CHARGE_POINTS - 1))
+    return float(np.sum((y[1:] + y[:-1]) / 2) / (_ENDURANCE_CHARGE_POINTS - 1))
 
 
 def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
@@ -406,8 +406,8 @@ LINEAR_POSITION, LINEAR_VELOCITY, LINEAR_ATTITUDE, LINEAR_RATES, LINEAR_TILT_PIT
 LINEAR_BAR_ROLL, LINEAR_BAR_PITCH, LINEAR_SPEED_LOWER, LINEAR_SPEED_UPPER, LINEAR_CHARGE = 14, 15, 16, 17, 18
 """Indices into :data:`LINEAR_STATES`; the first of three for position, velocity, angles and rates."""
 LINEAR_INPUTS = ["motor_lower", "motor_upper", "servo_1", "servo_2"]
-_STATE_SCALE = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 400, 400, 1], dtype=np.float64)
-_RELATIVE_STEP = 1e-5
+_DIFFERENCE_STATE_SCALE = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 400, 400, 1], dtype=np.float64)
+_DIFFERENCE_STEP = 1e-5
 
 
 @result
@@ -480,20 +480,20 @@ def linearise_vehicle(vehicle: Vehicle, at: Trim | None = None, *, voltage: floa
     def state_rates(x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
         return _minimal_rates(x, u, point.wind, p, heading)
 
-    h = _RELATIVE_STEP
+    h = _DIFFERENCE_STEP
     n = len(LINEAR_STATES)
     A, B = np.empty((n, n)), np.empty((n, 4))
     for j in range(n):
         d = np.zeros(n)
-        d[j] = h * _STATE_SCALE[j]
+        d[j] = h * _DIFFERENCE_STATE_SCALE[j]
         A[:, j] = (state_rates(x0 + d, u0) - state_rates(x0 - d, u0)) / (2 * d[j])
     for j in range(4):
         d = np.zeros(4)
         d[j] = h
         B[:, j] = (state_rates(x0, u0 + d) - state_rates(x0, u0 - d)) / (2 * h)
     # Entries below the error of the differences (round-off, and h drag / m from |v| v near rest) are set to zero.
-    A[np.abs(A) < 1e-6 * _STATE_SCALE[:, None] / _STATE_SCALE[None, :]] = 0.0
-    B[np.abs(B) < 1e-6 * _STATE_SCALE[:, None]] = 0.0
+    A[np.abs(A) < 1e-6 * _DIFFERENCE_STATE_SCALE[:, None] / _DIFFERENCE_STATE_SCALE[None, :]] = 0.0
+    B[np.abs(B) < 1e-6 * _DIFFERENCE_STATE_SCALE[:, None]] = 0.0
 
     full = control.ss(
         A,

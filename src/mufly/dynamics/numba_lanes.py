@@ -50,10 +50,12 @@ PrimitiveModel: Any = extending.models.PrimitiveModel
 LANES = 8
 """Vehicles in a block."""
 
-_DOUBLE, _WORD, _BIT, _INDEX = ir.DoubleType(), ir.IntType(64), ir.IntType(1), ir.IntType(32)
-_VECTOR, _MASK, _WORDS = (ir.VectorType(kind, LANES) for kind in (_DOUBLE, _BIT, _WORD))
-_POINTER = ir.IntType(8).as_pointer()
-_ALIGNMENT = 64
+_LLVM_DOUBLE, _LLVM_INT64, _LLVM_BIT, _LLVM_INT32 = ir.DoubleType(), ir.IntType(64), ir.IntType(1), ir.IntType(32)
+_LLVM_DOUBLE_LANES, _LLVM_BIT_LANES, _LLVM_INT64_LANES = (
+    ir.VectorType(kind, LANES) for kind in (_LLVM_DOUBLE, _LLVM_BIT, _LLVM_INT64)
+)
+_LLVM_POINTER = ir.IntType(8).as_pointer()
+_ALIGNMENT_BYTES = 64
 
 
 class LaneVector(types.Type):
@@ -121,21 +123,21 @@ def _register_primitive(kind: type, make: Callable[[Any], ir.Type]) -> None:
 
 
 for _kind, _ir_type in (
-    (LaneVector, _VECTOR), (LaneMask, _MASK), (LaneRows, _POINTER), (LaneTable, _WORDS), (LaneIntegers, _POINTER),
-    (LaneRecord, _POINTER),
+    (LaneVector, _LLVM_DOUBLE_LANES), (LaneMask, _LLVM_BIT_LANES), (LaneRows, _LLVM_POINTER),
+    (LaneTable, _LLVM_INT64_LANES), (LaneIntegers, _LLVM_POINTER), (LaneRecord, _LLVM_POINTER),
 ):  # fmt: skip
     _register_primitive(_kind, lambda _, made=_ir_type: made)  # type: ignore[misc]
 
 
 def _constant_index(k: int) -> ir.Constant:
-    return ir.Constant(_INDEX, k)
+    return ir.Constant(_LLVM_INT32, k)
 
 
-def _splat(builder: Any, value: Any, vector: ir.VectorType = _VECTOR) -> Any:
+def _broadcast_to_lanes(builder: Any, value: Any, vector: ir.VectorType = _LLVM_DOUBLE_LANES) -> Any:
     empty = ir.Constant(vector, ir.Undefined)
     return builder.shuffle_vector(
         builder.insert_element(empty, value, _constant_index(0)), empty,
-        ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES),
+        ir.Constant(ir.VectorType(_LLVM_INT32, LANES), [0] * LANES),
     )  # fmt: skip
 
 
@@ -143,14 +145,14 @@ def _splat(builder: Any, value: Any, vector: ir.VectorType = _VECTOR) -> Any:
 @lower_cast(types.Integer, LaneVector)
 @lower_cast(types.IntegerLiteral, LaneVector)
 def _number_to_lanes(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
-    return _splat(builder, context.cast(builder, value, _numba_types.unliteral(source), types.float64))
+    return _broadcast_to_lanes(builder, context.cast(builder, value, _numba_types.unliteral(source), types.float64))
 
 
 def _is_number(kind: Any) -> bool:
     return isinstance(kind, LaneVector | types.Float | types.Integer | types.IntegerLiteral)
 
 
-def _declare(function: Any, count: int, result: Any) -> None:
+def _declare_lane_function(function: Any, count: int, result: Any) -> None:
     """Declare a function of ``count`` numbers for lanes, if one of them is lanes."""
 
     class Template(AbstractTemplate):
@@ -165,17 +167,17 @@ def _declare(function: Any, count: int, result: Any) -> None:
 def _register_operation(functions: Iterable[Any], count: int, emit: Callable[..., Any], result: Any = VECTOR) -> None:
     """Make Python functions of ``count`` numbers known for lanes: ``emit`` writes their LLVM code."""
     for function in functions:
-        _declare(function, count, result)
+        _declare_lane_function(function, count, result)
 
-        def lower(context: Any, builder: Any, made: Any, values: Any, emit: Any = emit) -> Any:
+        def lower_to_llvm(context: Any, builder: Any, made: Any, values: Any, emit: Any = emit) -> Any:
             return emit(builder, *values)
 
-        lower_builtin(function, *[LaneVector] * count)(lower)
+        lower_builtin(function, *[LaneVector] * count)(lower_to_llvm)
 
 
 def _intrinsic_call(name: str) -> Callable[..., Any]:
     def emit(builder: Any, x: Any) -> Any:
-        kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        kind = ir.FunctionType(_LLVM_DOUBLE_LANES, [_LLVM_DOUBLE_LANES])
         return builder.call(_get_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), [x])
 
     return emit
@@ -234,7 +236,7 @@ def whole_number(x: Any) -> Any:
     raise NotImplementedError
 
 
-def _declare_decision(function: Any, make: Callable[..., Any]) -> None:
+def _declare_lane_decision(function: Any, make: Callable[..., Any]) -> None:
     class Template(AbstractTemplate):
         def generic(self, arguments: Any, keywords: Any) -> Any:
             return make(*arguments)
@@ -250,7 +252,7 @@ def _select_signature(test: Any, a: Any, b: Any) -> Any:
     return signature(types.float64, test, types.float64, types.float64)
 
 
-def _either(result_of_mask: Any) -> Callable[..., Any]:
+def _mask_or_boolean_signature(result_of_mask: Any) -> Callable[..., Any]:
     def make(*tests: Any) -> Any:
         if all(isinstance(t, LaneMask | types.Boolean) for t in tests):
             is_mask = any(isinstance(t, LaneMask) for t in tests)
@@ -260,12 +262,12 @@ def _either(result_of_mask: Any) -> Callable[..., Any]:
     return make
 
 
-_declare_decision(select, _select_signature)
-_declare_decision(any_of, _either(types.boolean))
-_declare_decision(uniform, _either(types.boolean))
-_declare_decision(negate, _either(MASK))
-_declare_decision(both_of, _either(MASK))
-_declare_decision(whole_number, lambda x: signature(x, x) if _is_number(x) else None)
+_declare_lane_decision(select, _select_signature)
+_declare_lane_decision(any_of, _mask_or_boolean_signature(types.boolean))
+_declare_lane_decision(uniform, _mask_or_boolean_signature(types.boolean))
+_declare_lane_decision(negate, _mask_or_boolean_signature(MASK))
+_declare_lane_decision(both_of, _mask_or_boolean_signature(MASK))
+_declare_lane_decision(whole_number, lambda x: signature(x, x) if _is_number(x) else None)
 
 
 @lower_builtin(select, types.Any, types.Any, types.Any)
@@ -273,12 +275,12 @@ def _lower_select(context: Any, builder: Any, made: Any, values: Any) -> Any:
     test = values[0]
     if isinstance(made.args[0], types.Boolean):
         test = context.cast(builder, test, made.args[0], types.boolean)
-        test = builder.trunc(test, _BIT) if test.type != _BIT else test
+        test = builder.trunc(test, _LLVM_BIT) if test.type != _LLVM_BIT else test
     return builder.select(test, values[1], values[2])
 
 
 @lower_builtin(any_of, types.Any)
-def _lower_any(context: Any, builder: Any, made: Any, values: Any) -> Any:
+def _lower_any_of(context: Any, builder: Any, made: Any, values: Any) -> Any:
     if not isinstance(made.args[0], LaneMask):
         return values[0]
     bits = builder.bitcast(values[0], ir.IntType(LANES))
@@ -298,16 +300,18 @@ def _lower_negate(context: Any, builder: Any, made: Any, values: Any) -> Any:
 
 
 @lower_builtin(both_of, types.Any, types.Any)
-def _lower_both(context: Any, builder: Any, made: Any, values: Any) -> Any:
+def _lower_both_of(context: Any, builder: Any, made: Any, values: Any) -> Any:
     a, b = (
-        v if isinstance(kind, LaneMask) or not isinstance(made.return_type, LaneMask) else _splat(builder, v, _MASK)
+        v
+        if isinstance(kind, LaneMask) or not isinstance(made.return_type, LaneMask)
+        else _broadcast_to_lanes(builder, v, _LLVM_BIT_LANES)
         for v, kind in zip(values, made.args, strict=True)
     )
     return builder.and_(a, b)
 
 
 @lower_builtin(whole_number, types.Any)
-def _lower_whole(context: Any, builder: Any, made: Any, values: Any) -> Any:
+def _lower_whole_number(context: Any, builder: Any, made: Any, values: Any) -> Any:
     return values[0]
 
 
@@ -315,13 +319,13 @@ def _lower_whole(context: Any, builder: Any, made: Any, values: Any) -> Any:
 # Memory: rows, tables and records.
 
 
-def _row_pointer(builder: Any, base: Any, row: Any, kind: Any = _VECTOR) -> Any:
+def _row_pointer(builder: Any, base: Any, row: Any, kind: Any = _LLVM_DOUBLE_LANES) -> Any:
     return builder.gep(builder.bitcast(base, kind.as_pointer()), [row])
 
 
-def _load_row(builder: Any, base: Any, row: Any, kind: Any = _VECTOR) -> Any:
+def _load_row(builder: Any, base: Any, row: Any, kind: Any = _LLVM_DOUBLE_LANES) -> Any:
     value = builder.load(_row_pointer(builder, base, row, kind))
-    value.align = _ALIGNMENT
+    value.align = _ALIGNMENT_BYTES
     return value
 
 
@@ -353,52 +357,52 @@ class _SetItem(AbstractTemplate):
 
 
 @lower_builtin(operator.getitem, LaneRows, types.Integer)
-def _get_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
+def _get_lane_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
     return _load_row(builder, *values)
 
 
 @lower_builtin(operator.setitem, LaneRows, types.Integer, LaneVector)
-def _set_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
+def _set_lane_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
     stored = builder.store(values[2], _row_pointer(builder, values[0], values[1]))
-    stored.align = _ALIGNMENT
+    stored.align = _ALIGNMENT_BYTES
     return context.get_dummy_value()
 
 
 @lower_builtin(operator.getitem, LaneIntegers, types.Integer)
-def _get_integer(context: Any, builder: Any, made: Any, values: Any) -> Any:
-    return builder.load(builder.gep(builder.bitcast(values[0], _WORD.as_pointer()), [values[1]]))
+def _get_shared_integer(context: Any, builder: Any, made: Any, values: Any) -> Any:
+    return builder.load(builder.gep(builder.bitcast(values[0], _LLVM_INT64.as_pointer()), [values[1]]))
 
 
-def _gather(builder: Any, addresses: Any, offset: Any) -> Any:
+def _gather_from_addresses(builder: Any, addresses: Any, offset: Any) -> Any:
     """Load the number at an offset (eight words, in numbers) from eight addresses."""
-    where = builder.add(addresses, builder.shl(offset, ir.Constant(_WORDS, [3] * LANES)))
-    out = ir.Constant(_VECTOR, ir.Undefined)
+    where = builder.add(addresses, builder.shl(offset, ir.Constant(_LLVM_INT64_LANES, [3] * LANES)))
+    out = ir.Constant(_LLVM_DOUBLE_LANES, ir.Undefined)
     for k in range(LANES):
-        at = builder.inttoptr(builder.extract_element(where, _constant_index(k)), _DOUBLE.as_pointer())
+        at = builder.inttoptr(builder.extract_element(where, _constant_index(k)), _LLVM_DOUBLE.as_pointer())
         out = builder.insert_element(out, builder.load(at), _constant_index(k))
     return out
 
 
 @lower_builtin(operator.getitem, LaneTable, LaneVector)
-def _get_entries(context: Any, builder: Any, made: Any, values: Any) -> Any:
+def _get_table_entries(context: Any, builder: Any, made: Any, values: Any) -> Any:
     # An index that is not a number, of a vehicle that has left the model, reads the first entry.
-    first, last = (ir.Constant(_VECTOR, [float(k)] * LANES) for k in (0, made.args[0].length - 1))
+    first, last = (ir.Constant(_LLVM_DOUBLE_LANES, [float(k)] * LANES) for k in (0, made.args[0].length - 1))
     inside = builder.select(builder.fcmp_ordered(">=", values[1], first), values[1], first)
     inside = builder.select(builder.fcmp_ordered("<=", inside, last), inside, last)
-    index = builder.sext(builder.fptosi(inside, ir.VectorType(_INDEX, LANES)), _WORDS)
-    return _gather(builder, values[0], index)
+    index = builder.sext(builder.fptosi(inside, ir.VectorType(_LLVM_INT32, LANES)), _LLVM_INT64_LANES)
+    return _gather_from_addresses(builder, values[0], index)
 
 
 @lower_builtin(operator.getitem, LaneTable, types.Integer)
-def _get_entry(context: Any, builder: Any, made: Any, values: Any) -> Any:
-    return _gather(builder, values[0], _splat(builder, values[1], _WORDS))
+def _get_table_entry(context: Any, builder: Any, made: Any, values: Any) -> Any:
+    return _gather_from_addresses(builder, values[0], _broadcast_to_lanes(builder, values[1], _LLVM_INT64_LANES))
 
 
 @lower_builtin(operator.getitem, LaneTable, types.UniTuple)
-def _get_entry_of_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
+def _get_table_entry_of_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
     row, column = (builder.extract_value(values[1], k) for k in range(2))
-    index = builder.add(builder.mul(row, ir.Constant(_WORD, made.args[0].columns)), column)
-    return _gather(builder, values[0], _splat(builder, index, _WORDS))
+    index = builder.add(builder.mul(row, ir.Constant(_LLVM_INT64, made.args[0].columns)), column)
+    return _gather_from_addresses(builder, values[0], _broadcast_to_lanes(builder, index, _LLVM_INT64_LANES))
 
 
 @infer_getattr
@@ -411,7 +415,7 @@ class _TableAttributes(AttributeTemplate):
 
 @lower_getattr_generic(LaneTable)
 def _get_shape(context: Any, builder: Any, table: Any, value: Any, name: str) -> Any:
-    return ir.Constant(ir.ArrayType(_WORD, 1), [ir.Constant(_WORD, table.length)])
+    return ir.Constant(ir.ArrayType(_LLVM_INT64, 1), [ir.Constant(_LLVM_INT64, table.length)])
 
 
 @infer_getattr
@@ -430,24 +434,24 @@ class _RecordAttributes(AttributeTemplate):
 
 
 @lower_getattr_generic(LaneRecord)
-def _get_field(context: Any, builder: Any, record: Any, value: Any, name: str) -> Any:
+def _get_record_field(context: Any, builder: Any, record: Any, value: Any, name: str) -> Any:
     kind, offset = record.dtype.fields[name][:2]
     if name in record.numbers:
-        return _load_row(builder, value, ir.Constant(_WORD, 1 + record.numbers.index(name)))
-    addresses = _load_row(builder, value, ir.Constant(_WORD, 0), _WORDS)
+        return _load_row(builder, value, ir.Constant(_LLVM_INT64, 1 + record.numbers.index(name)))
+    addresses = _load_row(builder, value, ir.Constant(_LLVM_INT64, 0), _LLVM_INT64_LANES)
     if kind.base.kind == "f":
-        return builder.add(addresses, ir.Constant(_WORDS, [offset] * LANES))
-    first = builder.add(builder.extract_element(addresses, _constant_index(0)), ir.Constant(_WORD, offset))
+        return builder.add(addresses, ir.Constant(_LLVM_INT64_LANES, [offset] * LANES))
+    first = builder.add(builder.extract_element(addresses, _constant_index(0)), ir.Constant(_LLVM_INT64, offset))
     if kind.shape == ():
-        return builder.load(builder.inttoptr(first, _WORD.as_pointer()))
-    return builder.inttoptr(first, _POINTER)
+        return builder.load(builder.inttoptr(first, _LLVM_INT64.as_pointer()))
+    return builder.inttoptr(first, _LLVM_POINTER)
 
 
-def _allocate(builder: Any, rows: int) -> Any:
+def _allocate_rows(builder: Any, rows: int) -> Any:
     with builder.goto_entry_block():
-        memory = builder.alloca(_VECTOR, ir.Constant(_INDEX, rows))
-        memory.align = _ALIGNMENT
-    return builder.bitcast(memory, _POINTER)
+        memory = builder.alloca(_LLVM_DOUBLE_LANES, ir.Constant(_LLVM_INT32, rows))
+        memory.align = _ALIGNMENT_BYTES
+    return builder.bitcast(memory, _LLVM_POINTER)
 
 
 @intrinsic(prefer_literal=True)
@@ -455,7 +459,7 @@ def make_rows(context: Any, count: Any) -> Any:
     """``make_rows(21)``: rows of eight numbers on the stack; the number is a constant."""
 
     def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
-        return _allocate(builder, count.literal_value)
+        return _allocate_rows(builder, count.literal_value)
 
     return ROWS(count), emit
 
@@ -466,8 +470,8 @@ def put_number(context: Any, rows: Any, row: Any, lane: Any, value: Any) -> Any:
 
     def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
         into, which, number, stored = values
-        base = builder.bitcast(into, _DOUBLE.as_pointer())
-        at = builder.add(builder.mul(which, ir.Constant(_WORD, LANES)), number)
+        base = builder.bitcast(into, _LLVM_DOUBLE.as_pointer())
+        at = builder.add(builder.mul(which, ir.Constant(_LLVM_INT64, LANES)), number)
         builder.store(stored, builder.gep(base, [at]))
         return ctx.get_dummy_value()
 
@@ -479,8 +483,8 @@ def take_number(context: Any, rows: Any, row: Any, lane: Any) -> Any:
     """``take_number(rows, row, lane)``: read one vehicle's number."""
 
     def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
-        base = builder.bitcast(values[0], _DOUBLE.as_pointer())
-        at = builder.add(builder.mul(values[1], ir.Constant(_WORD, LANES)), values[2])
+        base = builder.bitcast(values[0], _LLVM_DOUBLE.as_pointer())
+        at = builder.add(builder.mul(values[1], ir.Constant(_LLVM_INT64, LANES)), values[2])
         return builder.load(builder.gep(base, [at]))
 
     return types.float64(ROWS, types.intp, types.intp), emit
@@ -494,7 +498,7 @@ def allocate_lane_record(context: Any, like: Any) -> Any:
     record = LaneRecord(as_dtype(like.dtype))
 
     def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
-        return _allocate(builder, record.row_count)
+        return _allocate_rows(builder, record.row_count)
 
     return record(like), emit
 
@@ -505,13 +509,13 @@ def put_record(context: Any, record: Any, lane: Any, address: Any) -> Any:
 
     def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
         memory, lane_value, at = values
-        words = builder.bitcast(memory, _WORD.as_pointer())
+        words = builder.bitcast(memory, _LLVM_INT64.as_pointer())
         builder.store(at, builder.gep(words, [lane_value]))
-        numbers = builder.bitcast(memory, _DOUBLE.as_pointer())
+        numbers = builder.bitcast(memory, _LLVM_DOUBLE.as_pointer())
         for k, name in enumerate(record.numbers):
             offset = record.dtype.fields[name][1]
-            source = builder.inttoptr(builder.add(at, ir.Constant(_WORD, offset)), _DOUBLE.as_pointer())
-            to = builder.add(ir.Constant(_WORD, (1 + k) * LANES), lane_value)
+            source = builder.inttoptr(builder.add(at, ir.Constant(_LLVM_INT64, offset)), _LLVM_DOUBLE.as_pointer())
+            to = builder.add(ir.Constant(_LLVM_INT64, (1 + k) * LANES), lane_value)
             builder.store(builder.load(source), builder.gep(numbers, [to]))
         return ctx.get_dummy_value()
 

@@ -277,15 +277,15 @@ def _build_similar(
         }.items()},
     })  # fmt: skip
     _scale_sensors(tables, k, la)
-    _set_specified(tables, "body.mass", mass_kg)
-    _set_specified(tables, "rotors.radius", radius_m)
-    _set_specified(tables, "battery.capacity", capacity_As)
+    _set_specified_value(tables, "body.mass", mass_kg)
+    _set_specified_value(tables, "rotors.radius", radius_m)
+    _set_specified_value(tables, "battery.capacity", capacity_As)
     for group in tables.get("mass_budget", {}).values():
         group |= {"value": group["value"] * mu, "source": "estimated", "note": f"guess: share of {k.name}"}
     if speed_constant_rad_Vs is not None and resistance_ohm is not None:
         _set_motor(tables, k, speed_constant_rad_Vs, resistance_ohm, no_load_current_A)
     if gear_ratio is not None:
-        _set_specified(tables, "gear.ratio", gear_ratio)
+        _set_specified_value(tables, "gear.ratio", gear_ratio)
         _adapt_drive_to_gear(tables, float(k.gear.ratio), gear_ratio)
     try:
         vehicle = validate_model(Vehicle, tables, name)
@@ -297,11 +297,11 @@ def _build_similar(
         ) from None  # fmt: skip
     if gear_ratio is None and speed_constant_rad_Vs is not None:
         vehicle = _choose_gear(vehicle, tables)
-    _check_trim(vehicle)
+    _check_hover_trim(vehicle)
     return vehicle
 
 
-def _find_entry(tables: dict[str, Any], key: str) -> dict[str, Any]:
+def _find_file_entry(tables: dict[str, Any], key: str) -> dict[str, Any]:
     found: Any = tables
     for part in key.split("."):
         found = found[part]
@@ -309,16 +309,16 @@ def _find_entry(tables: dict[str, Any], key: str) -> dict[str, Any]:
     return found
 
 
-def _set_specified(tables: dict[str, Any], key: str, value: float | None) -> None:
+def _set_specified_value(tables: dict[str, Any], key: str, value: float | None) -> None:
     if value is not None:
-        entry = _find_entry(tables, key)
+        entry = _find_file_entry(tables, key)
         entry.pop("std", None)
         entry |= {"value": value, "source": "specified", "note": "given"}
 
 
 def _scale_entries(tables: dict[str, Any], known: str, rules: dict[str, tuple[float, str]]) -> None:
     for key, (factor, why) in rules.items():
-        entry = _find_entry(tables, key)
+        entry = _find_file_entry(tables, key)
         entry |= {"value": _scale_value(entry["value"], factor), "source": "estimated"}
         entry["note"] = f"guess: {known}'s, by {why}" if factor != 1.0 else f"guess: as {known}, {why}"
         if "std" in entry:
@@ -346,10 +346,10 @@ def _set_motor(
     tables: dict[str, Any], known: Vehicle, speed_constant: float, resistance: float, no_load: float | None
 ) -> None:
     constant = float(f"{1.0 / speed_constant:.5g}")
-    _set_specified(tables, "motor.back_emf_constant", constant)
-    _set_specified(tables, "motor.torque_constant", constant)
+    _set_specified_value(tables, "motor.back_emf_constant", constant)
+    _set_specified_value(tables, "motor.torque_constant", constant)
     tables["motor"]["torque_constant"]["note"] = "as the back-EMF constant: given"
-    _set_specified(tables, "motor.resistance", resistance)
+    _set_specified_value(tables, "motor.resistance", resistance)
     m, friction = known.motor, tables["motor"]["friction"]
     if no_load is None:
         share = float(m.friction) * float(m.resistance) / float(m.torque_constant) ** 2
@@ -363,7 +363,7 @@ def _set_motor(
             "correct it, or the resistance",
         )  # fmt: skip
     turns = (volts - no_load * resistance) / constant
-    _set_specified(tables, "motor.friction", _scale_value(constant * no_load, 1.0 / turns))
+    _set_specified_value(tables, "motor.friction", _scale_value(constant * no_load, 1.0 / turns))
     tables["motor"]["friction"]["note"] = "from the current without load: given"
 
 
@@ -401,7 +401,7 @@ def _choose_gear(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
     return validate_model(Vehicle, tables, vehicle.name)
 
 
-def _check_trim(vehicle: Vehicle) -> None:
+def _check_hover_trim(vehicle: Vehicle) -> None:
     try:
         find_trim(vehicle, charge=0.5)
     except MuflyError:

@@ -40,7 +40,7 @@ from scipy.special import gammainc
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import borrow_arrays
 from mufly.drive.drive_train import FULL_FRICTION_SPEED_rad_s
-from mufly.dynamics.edgewise_loads import flight_map_rates
+from mufly.dynamics.edgewise_loads import flight_map_rate_bound
 from mufly.dynamics.equations_of_motion import battery_state, coefficient_bounds, state_derivative
 from mufly.dynamics.model_state import (
     ATTITUDE,
@@ -175,7 +175,7 @@ def _mode_rates(p: np.void) -> dict[str, float]:
         "stabiliser_bar.linkage": swing,
         "rotors.inplane_drag": float(inplane),
         "rotors.coefficient_map": float(heave),
-        "rotors.flight_map": flight_map_rates(p, float(speed)),
+        "rotors.flight_map": flight_map_rate_bound(p, float(speed)),
         "contact.stiffness": math.sqrt(p["leg_stiffness"] * mobility),
         "contact.damping": float(p["leg_damping"] * mobility),
     }
@@ -234,8 +234,8 @@ def simulate_open_loop(
     x = _check_shape(state, (STATE_SIZE,), "state").copy()
     samples = max(1, round(duration_s / sample_s))
     steps = max(1, math.ceil(sample_s / step_s - 1e-9))
-    u = _per_sample(inputs, INPUT_SIZE, samples, "inputs")
-    w = _per_sample(wind, 3, samples, "wind")
+    u = _repeat_per_sample(inputs, INPUT_SIZE, samples, "inputs")
+    w = _repeat_per_sample(wind, 3, samples, "wind")
     states = np.empty((samples + 1, STATE_SIZE))
     states[0] = x
     for k in range(samples):
@@ -253,7 +253,7 @@ def _check_shape(array: ArrayLike, shape: Sequence[int], name: str) -> NDArray[n
     return a
 
 
-def _per_sample(array: ArrayLike, width: int, samples: int, name: str) -> NDArray[np.float64]:
+def _repeat_per_sample(array: ArrayLike, width: int, samples: int, name: str) -> NDArray[np.float64]:
     a = np.atleast_2d(np.asarray(array, dtype=np.float64))
     rows = a[np.minimum(np.arange(samples), len(a) - 1)]
     return _check_shape(rows, (samples, width), name)
@@ -297,7 +297,7 @@ def state_dataset(
     return make_dataset(time_s, values)
 
 
-_MIN_WIND_SPEED = 0.5  # m/s
+_MIN_DRYDEN_WIND_SPEED_M_S = 0.5  # m/s
 
 
 def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.float64], ...]:
@@ -326,7 +326,7 @@ def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.flo
     return transition, noise, np.array([0.5, math.sqrt(0.75)]), np.eye(2)
 
 
-_MASS_TOLERANCE = 0.02  # of a vehicle that takes the level speed of a built-in flight map
+_BUILTIN_MASS_TOLERANCE = 0.02  # of a vehicle that takes the level speed of a built-in flight map
 MAX_INFLOW_CHANGE = 0.1
 """Relative change of the hover inflow up to which constant coefficients are valid."""
 
@@ -379,7 +379,7 @@ def level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
     if own is not None:
         return own.level_speed_m_s
     for built_in in _load_builtin_maps():
-        is_same_mass = abs(built_in.mass_kg / float(vehicle.body.mass) - 1.0) < _MASS_TOLERANCE
+        is_same_mass = abs(built_in.mass_kg / float(vehicle.body.mass) - 1.0) < _BUILTIN_MASS_TOLERANCE
         if is_same_mass and not describe_other_rotors(vehicle.rotors, built_in):
             return built_in.level_speed_m_s
     return None
@@ -464,7 +464,7 @@ class DrydenWind:
             raise InputError("wind", "seed", f"{seed}", "give a whole number that is not negative")
         self._gust = gust
         self._rng = np.random.default_rng(seed)
-        speed = max(float(np.linalg.norm(self.steady)), _MIN_WIND_SPEED)
+        speed = max(float(np.linalg.norm(self.steady)), _MIN_DRYDEN_WIND_SPEED_M_S)
         T = length_m / speed
         self._decay = math.exp(-step_s / T)
         self._lateral = dryden_filter(T, step_s)

@@ -26,12 +26,12 @@ from mufly.rotor.forward.edgewise_map import MAP_ADVANCE_RATIO, compute_flight_l
 from mufly.vehicle import FlightMap, FlightMapTables, Vehicle, replace_parameters
 from mufly.vehicle.flight_map import format_flight_table
 
-RATIO_FACTORS = (0.8, 1.25)
+SPEED_RATIO_FACTORS = (0.8, 1.25)
 """Speed ratios of a map over that of hover."""
-CLIMB_FACTORS = (-0.5, -0.25, 0.0, 0.25, 0.5, 0.75)
+CLIMB_VELOCITY_FACTORS = (-0.5, -0.25, 0.0, 0.25, 0.5, 0.75)
 """Climb velocities of a map over the induced velocity of hover, of both rotors as one disc."""
-EDGEWISE_COUNT = 9
-_COARSE_CLIMBS, _COARSE_COUNT = (-0.25, 0.0, 0.25), 7  # of the maps that give the band of level speeds
+EDGEWISE_SPEED_COUNT = 9
+_COARSE_CLIMB_FACTORS, _COARSE_EDGEWISE_COUNT = (-0.25, 0.0, 0.25), 7  # of the maps that give the band of level speeds
 _SPEED_TOLERANCE_M_S = 0.02
 _SPEED_STEP_M_S = 0.25
 
@@ -121,8 +121,8 @@ def make_flight_map(
     knee = round(math.sqrt(weight / disc) / (mean * radius), 5)
     spacing = model.heights[0] - model.heights[1]
     counts = (
-        len(RATIO_FACTORS) * len(CLIMB_FACTORS) * EDGEWISE_COUNT,
-        len(_COARSE_CLIMBS) * _COARSE_COUNT,
+        len(SPEED_RATIO_FACTORS) * len(CLIMB_VELOCITY_FACTORS) * EDGEWISE_SPEED_COUNT,
+        len(_COARSE_CLIMB_FACTORS) * _COARSE_EDGEWISE_COUNT,
     )
     done_before = 0
 
@@ -139,7 +139,7 @@ def make_flight_map(
             edgewise=make_edgewise_axis(knee, count), air=model.air, progress=report,
         )  # fmt: skip
 
-    tables, missing = compute(flaps, RATIO_FACTORS, CLIMB_FACTORS, EDGEWISE_COUNT)
+    tables, missing = compute(flaps, SPEED_RATIO_FACTORS, CLIMB_VELOCITY_FACTORS, EDGEWISE_SPEED_COUNT)
     thrust_scale = float(vehicle.air.density) * math.pi * radius**4
     made = FlightMap(
         name=name or vehicle.name,
@@ -157,16 +157,16 @@ def make_flight_map(
         mean_speed_rad_s=mean, density_kg_m3=float(vehicle.air.density), knee=knee,
         level_speed_m_s=(0.0, 0.0), table=format_flight_table(tables, knee),
     )  # fmt: skip
-    found = [_level_speed_with(plain, made)]
+    found = [_find_level_speed_with_map(plain, made)]
     for k, modes in enumerate(ends):
         done_before = counts[0] + k * counts[1]
-        coarse, _ = compute(modes, (1.0,), _COARSE_CLIMBS, _COARSE_COUNT)
+        coarse, _ = compute(modes, (1.0,), _COARSE_CLIMB_FACTORS, _COARSE_EDGEWISE_COUNT)
         end_map = made.model_copy(update={"table": format_flight_table(coarse, knee)})
-        found.append(_level_speed_with(plain, end_map))
+        found.append(_find_level_speed_with_map(plain, end_map))
     return made.model_copy(update={"level_speed_m_s": (round(min(found), 2), round(max(found), 2))})
 
 
-def _level_speed_with(vehicle: Vehicle, flight_map: FlightMap) -> float:
+def _find_level_speed_with_map(vehicle: Vehicle, flight_map: FlightMap) -> float:
     rotors = vehicle.rotors.model_copy(update={"flight_map": flight_map})
     return find_level_speed(vehicle.model_copy(update={"rotors": rotors}))
 
@@ -187,10 +187,10 @@ def check_map_blades(flight_map: FlightMap, rotor: Rotor) -> None:
 
 
 __all__ = [
-    "CLIMB_FACTORS",
-    "EDGEWISE_COUNT",
+    "CLIMB_VELOCITY_FACTORS",
+    "EDGEWISE_SPEED_COUNT",
     "MAP_ADVANCE_RATIO",
-    "RATIO_FACTORS",
+    "SPEED_RATIO_FACTORS",
     "check_map_blades",
     "find_level_speed",
     "make_flight_map",

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics.edgewise_loads import edgewise_factors
+from mufly.dynamics.edgewise_loads import edgewise_load_factors
 from mufly.dynamics.equations_of_motion import (
     battery_state,
     climb_velocity,
@@ -113,7 +113,7 @@ def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _
     free_up, free_dw = kT_up * speed_up * speed_up, kT_dw * speed_dw * speed_dw
     thrust_up, thrust_dw = free_up, free_dw
     if p.flight_map_nodes > 0:
-        factors = edgewise_factors(x, wind, p)
+        factors = edgewise_load_factors(x, wind, p)
         thrust_up, thrust_dw = factors[0][0] * free_up, factors[1][0] * free_dw
     if p.ground_effect > 0.0:
         v_n, v_e = x[MODEL_VELOCITY] - wind[0], x[MODEL_VELOCITY + 1] - wind[1]
