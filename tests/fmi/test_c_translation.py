@@ -11,7 +11,7 @@ from mufly.compiled.toolchain import compile_library, find_compiler
 from mufly.dynamics import PARAMETER_DTYPE
 from mufly.errors import MuflyError
 from mufly.fmi.c_translation import CTranslation
-from mufly.fmi.c_types import REAL, WHOLE, TablesType, TableType
+from mufly.fmi.c_types import REAL, WHOLE, TableTupleType, TableType
 from mufly.fmi.unit_sources import render_flight_model
 
 _WEIGHT = 0.3
@@ -96,7 +96,11 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     folder: Path = tmp_path_factory.mktemp("c")
     translation.add_function(
         walk,
-        [TableType(REAL, (4, 3)), TablesType((TableType(REAL, (1,)), TableType(REAL, (2,)))), TableType(REAL, (4,))],
+        [
+            TableType(REAL, (4, 3)),
+            TableTupleType((TableType(REAL, (1,)), TableType(REAL, (2,)))),
+            TableType(REAL, (4,)),
+        ],
     )
     text = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n" + translation.source()
     (folder / "f.c").write_text(

@@ -46,14 +46,14 @@ from mufly.fmi.c_types import (
     WHOLE,
     CType,
     RecordType,
-    TablesType,
+    TableTupleType,
     TableType,
     TupleType,
     pointer_declaration,
     type_name,
 )
 
-HELPERS = """\
+C_HELPER_FUNCTIONS = """\
 static inline double smaller(double a, double b) { return b < a ? b : a; }
 static inline double greater(double a, double b) { return b > a ? b : a; }
 static inline int64_t smaller_int(int64_t a, int64_t b) { return b < a ? b : a; }
@@ -68,39 +68,53 @@ static inline double remainder_real(double a, double b)
     return rest == 0.0 ? copysign(0.0, b) : (rest < 0.0) != (b < 0.0) ? rest + b : rest;
 }
 """
-_C_WORDS = frozenset((
+_C_KEYWORDS = frozenset((
     "auto", "bool", "case", "char", "const", "default", "do", "double", "enum", "extern", "false", "float", "goto",
     "inline", "int", "long", "register", "restrict", "short", "signed", "sizeof", "static", "struct", "switch", "true",
     "typedef", "union", "unsigned", "void", "volatile",
 ))  # fmt: skip
 _MATH_FUNCTIONS = ("sqrt", "sin", "cos", "tan", "asin", "atan2", "exp", "copysign", "ceil")
-_TESTS = ("isnan", "isfinite")
-_TERNARY, _OR, _AND, _COMPARE, _ADD, _MULTIPLY, _UNARY, _ATOM = range(8)  # precedences
-_ARITHMETIC = {ast.Add: ("+", _ADD), ast.Sub: ("-", _ADD), ast.Mult: ("*", _MULTIPLY), ast.Div: ("/", _MULTIPLY)}
-_FOLDED: dict[type[ast.operator], Callable[[int, int], int]] = {
+_FLOAT_TEST_FUNCTIONS = ("isnan", "isfinite")
+(
+    _PRECEDENCE_TERNARY,
+    _PRECEDENCE_OR,
+    _PRECEDENCE_AND,
+    _PRECEDENCE_COMPARE,
+    _PRECEDENCE_ADD,
+    _PRECEDENCE_MULTIPLY,
+    _PRECEDENCE_UNARY,
+    _PRECEDENCE_ATOM,
+) = range(8)  # precedences
+_ARITHMETIC_OPERATORS = {
+    ast.Add: ("+", _PRECEDENCE_ADD),
+    ast.Sub: ("-", _PRECEDENCE_ADD),
+    ast.Mult: ("*", _PRECEDENCE_MULTIPLY),
+    ast.Div: ("/", _PRECEDENCE_MULTIPLY),
+}
+_FOLDED_OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.FloorDiv: operator.floordiv,
     ast.Mod: operator.mod,
 }  # fmt: skip
-_RESULT_PLACE, _CONST_MARK = "\1", "\2"
+_RESULT_ARGUMENT_MARK, _CONST_MARK = "\1", "\2"
 """Marks in C text, replaced later: the place of a returned matrix; ``const``, unless a table is written."""
-_COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+_COMPARISON_OPERATORS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 
 
 @dataclass(frozen=True)
-class Expression:
+class CExpression:
     """C text of an expression, its precedence and its type."""
 
     text: str
     level: int
     kind: CType
 
-    def inside(self, level: int) -> str:
+    def as_operand(self, level: int) -> str:
         """Return the text as an operand of an operation of a precedence, in brackets where they are needed."""
         return self.text if self.level >= level else f"({self.text})"
 
 
 @dataclass(frozen=True)
-class Function:
+class CFunction:
     """A translated function: its C name, the type of its result, and which arguments it writes to.
 
     A function that returns a matrix writes it to a last argument in C.
@@ -128,13 +142,13 @@ class CTranslation:
     def __init__(self, record: np.dtype[Any], record_name: str, written_in_c: Mapping[Any, str] | None = None) -> None:
         self.record = RecordType(record_name, record)
         self.written_in_c = dict(written_in_c or {})
-        self._functions: dict[Any, Function] = {}
+        self._functions: dict[Any, CFunction] = {}
         self._names: dict[str, object] = {}
         self._constants: dict[str, float | int | tuple[float, ...]] = {}
         self._tuples: dict[str, TupleType] = {}
         self._bodies: list[str] = []
 
-    def add_function(self, function: Any, kinds: Sequence[CType]) -> Function:
+    def add_function(self, function: Any, kinds: Sequence[CType]) -> CFunction:
         """Translate a function, and all that it calls, for arguments of some types.
 
         Raises
@@ -168,7 +182,7 @@ class CTranslation:
             members = " ".join(f"{type_name(part)} f{k};" for k, part in enumerate(kind.parts))
             structs.append(f"typedef struct {{ {members} }} {name};")
         enum = ["enum {", *whole, "};"] if whole else []
-        return "\n".join([HELPERS, *enum, "", *real, "", *structs, "", *self._bodies])
+        return "\n".join([C_HELPER_FUNCTIONS, *enum, "", *real, "", *structs, "", *self._bodies])
 
     def use_tuple(self, parts: Sequence[str | TupleType]) -> TupleType:
         """Return the type of a tuple, whose struct is then declared."""
@@ -176,18 +190,18 @@ class CTranslation:
         self._tuples.setdefault(kind.name, kind)
         return kind
 
-    def use_constant(self, name: str, value: float | int, module: str) -> Expression:
+    def use_constant(self, name: str, value: float | int, module: str) -> CExpression:
         """Return a constant of a module, which is then declared."""
         number = int(value) if isinstance(value, int | np.integer) else float(value)
         c_name = self._unique_name(name, number, module)
         self._constants[c_name] = number
-        return Expression(c_name, _ATOM, WHOLE if isinstance(number, int) else REAL)
+        return CExpression(c_name, _PRECEDENCE_ATOM, WHOLE if isinstance(number, int) else REAL)
 
-    def use_table(self, name: str, values: tuple[float, ...], module: str) -> Expression:
+    def use_table(self, name: str, values: tuple[float, ...], module: str) -> CExpression:
         """Return a tuple of numbers of a module as a constant table, which is then declared."""
         c_name = self._unique_name(name, values, module)
         self._constants[c_name] = values
-        return Expression(c_name, _ATOM, TableType(REAL, (len(values),)))
+        return CExpression(c_name, _PRECEDENCE_ATOM, TableType(REAL, (len(values),)))
 
     def _unique_name(self, name: str, what: object, module: str) -> str:
         """Return a C name: without leading underscores, and with the module's name if another thing has it already."""
@@ -222,8 +236,8 @@ class _FunctionTranslation:
         self._hoisted: list[str] = []
         self._depth, self._count = 1, 0
 
-    def translate(self) -> tuple[Function, str]:
-        self._block(self._tree.body)
+    def translate(self) -> tuple[CFunction, str]:
+        self._translate_block(self._tree.body)
         result: CType = NOTHING if self._result is None else self._result
         arguments = []
         for argument in self._arguments:
@@ -231,7 +245,7 @@ class _FunctionTranslation:
             constant = "" if argument in self._written else "const "
             if isinstance(kind, TableType):
                 arguments.append(constant + pointer_declaration(kind, _c_name(argument)))
-            elif isinstance(kind, TablesType):
+            elif isinstance(kind, TableTupleType):
                 arguments += [
                     constant + pointer_declaration(part, f"{argument}_{k}") for k, part in enumerate(kind.parts)
                 ]
@@ -253,95 +267,97 @@ class _FunctionTranslation:
         )
         mark = f"{_CONST_MARK}(.*?){_CONST_MARK}"
         text = re.sub(mark, lambda found: "" if found[1] in (*self._written, "") else "const ", text)
-        return Function(self._name, result, written), text
+        return CFunction(self._name, result, written), text
 
     # Statements
 
-    def _emit(self, text: str) -> None:
+    def _emit_line(self, text: str) -> None:
         self._lines += _wrap_code("    " * self._depth + text)
 
-    def _refuse(self, node: ast.AST) -> NotImplementedError:
+    def _raise_unsupported(self, node: ast.AST) -> NotImplementedError:
         return NotImplementedError(f"{self._function.__name__}: no C form of `{ast.unparse(node)}`")
 
-    def _block(self, statements: Sequence[ast.stmt]) -> None:
+    def _translate_block(self, statements: Sequence[ast.stmt]) -> None:
         for statement in statements:
-            self._statement(statement)
+            self._translate_statement(statement)
 
-    def _nested_block(self, statements: Sequence[ast.stmt]) -> None:
+    def _translate_nested_block(self, statements: Sequence[ast.stmt]) -> None:
         self._depth += 1
-        self._block(statements)
+        self._translate_block(statements)
         self._depth -= 1
 
-    def _statement(self, node: ast.stmt) -> None:
+    def _translate_statement(self, node: ast.stmt) -> None:
         match node:
             case ast.Expr(value=ast.Constant()):
                 pass
             case ast.Expr(value=ast.Call()):
-                self._emit(f"{self._expression(node.value).text};")
+                self._emit_line(f"{self._translate_expression(node.value).text};")
             case ast.Assign(targets=[ast.Tuple() as targets]):
-                self._assign_tuple(targets, node.value)
+                self._translate_tuple_assignment(targets, node.value)
             case ast.Assign(targets=[ast.Name(id=name)]) if self._is_alias(node.value):
-                self._point_to(name, self._expression(node.value), self._root(node.value))
+                self._declare_table_alias(name, self._translate_expression(node.value), self._root_argument(node.value))
             case ast.Assign():
-                value = self._expression(node.value) if not _is_new_array(node.value) else None
+                value = self._translate_expression(node.value) if not _is_new_array(node.value) else None
                 for target in node.targets:
                     if value is None:
                         self._declare_array(target, node.value)
                     else:
-                        self._assign(target, value)
+                        self._translate_assignment(target, value)
             case ast.AugAssign():
-                place = self._target(node.target)
-                if type(node.op) in _ARITHMETIC:
-                    sign = _ARITHMETIC[type(node.op)][0]
-                    self._emit(f"{place} {sign}= {self._expression(node.value).text};")
+                place = self._translate_target(node.target)
+                if type(node.op) in _ARITHMETIC_OPERATORS:
+                    sign = _ARITHMETIC_OPERATORS[type(node.op)][0]
+                    self._emit_line(f"{place} {sign}= {self._translate_expression(node.value).text};")
                 else:
                     read = ast.parse(ast.unparse(node.target), mode="eval").body
-                    self._emit(f"{place} = {self._arithmetic(ast.BinOp(read, node.op, node.value)).text};")
+                    self._emit_line(
+                        f"{place} = {self._translate_arithmetic(ast.BinOp(read, node.op, node.value)).text};"
+                    )
             case ast.If():
-                self._emit(f"if ({self._expression(node.test).text}) {{")
-                self._nested_block(node.body)
+                self._emit_line(f"if ({self._translate_expression(node.test).text}) {{")
+                self._translate_nested_block(node.body)
                 if node.orelse:
-                    self._emit("} else {")
-                    self._nested_block(node.orelse)
-                self._emit("}")
+                    self._emit_line("} else {")
+                    self._translate_nested_block(node.orelse)
+                self._emit_line("}")
             case ast.For(target=ast.Name(id=name), iter=ast.Call(func=ast.Name(id="range"), args=bounds), orelse=[]):
-                limits = [self._expression(b).text for b in bounds]
+                limits = [self._translate_expression(b).text for b in bounds]
                 first, end = ("0", limits[0]) if len(limits) == 1 else limits
                 c_name = _c_name(name)
                 if name in self._kinds:  # its value after the loop would be another in C
-                    raise self._refuse(node.target)
+                    raise self._raise_unsupported(node.target)
                 self._kinds[name] = WHOLE
-                self._emit(f"for (int64_t {c_name} = {first}; {c_name} < {end}; {c_name}++) {{")
-                self._nested_block(node.body)
-                self._emit("}")
+                self._emit_line(f"for (int64_t {c_name} = {first}; {c_name} < {end}; {c_name}++) {{")
+                self._translate_nested_block(node.body)
+                self._emit_line("}")
                 del self._kinds[name]
             case ast.For(target=ast.Name(id=name), iter=ast.Name(id=looped), orelse=[]):
-                rows = self._expression(node.iter)
+                rows = self._translate_expression(node.iter)
                 if not isinstance(rows.kind, TableType) or name in self._kinds:
-                    raise self._refuse(node.target)
+                    raise self._raise_unsupported(node.target)
                 row = TableType(rows.kind.element, rows.kind.shape[1:])
                 index = f"{name}_row"
-                self._emit(f"for (int64_t {index} = 0; {index} < {rows.kind.shape[0]}; {index}++) {{")
+                self._emit_line(f"for (int64_t {index} = 0; {index} < {rows.kind.shape[0]}; {index}++) {{")
                 self._kinds[name], self._roots[name] = row, self._roots.get(looped, "")
                 mark = f"{_CONST_MARK}{self._roots[name]}{_CONST_MARK}"
-                self._emit(f"    {mark}{pointer_declaration(row, _c_name(name))} = {rows.text}[{index}];")
-                self._nested_block(node.body)
-                self._emit("}")
+                self._emit_line(f"    {mark}{pointer_declaration(row, _c_name(name))} = {rows.text}[{index}];")
+                self._translate_nested_block(node.body)
+                self._emit_line("}")
                 del self._kinds[name]
             case ast.While(orelse=[]):
-                self._emit(f"while ({self._expression(node.test).text}) {{")
-                self._nested_block(node.body)
-                self._emit("}")
+                self._emit_line(f"while ({self._translate_expression(node.test).text}) {{")
+                self._translate_nested_block(node.body)
+                self._emit_line("}")
             case ast.Continue():
-                self._emit("continue;")
+                self._emit_line("continue;")
             case ast.Break():
-                self._emit("break;")
+                self._emit_line("break;")
             case ast.Return(value=None):
-                self._emit("return;")
+                self._emit_line("return;")
             case ast.Return(value=ast.expr() as value):
-                self._return(value)
+                self._translate_return(value)
             case _:
-                raise self._refuse(node)
+                raise self._raise_unsupported(node)
 
     def _is_alias(self, node: ast.expr) -> bool:
         """Return whether an expression is a table, or a part of one, that exists already."""
@@ -351,21 +367,21 @@ class _FunctionTranslation:
             case ast.Name(id=name):
                 return isinstance(self._kinds.get(name), TableType)
             case ast.Subscript():
-                return isinstance(self._expression(node).kind, TableType)
+                return isinstance(self._translate_expression(node).kind, TableType)
             case ast.Attribute(value=ast.Name(id=name)) if isinstance(self._kinds.get(name), RecordType):
-                return isinstance(self._expression(node).kind, TableType)
+                return isinstance(self._translate_expression(node).kind, TableType)
         return False
 
-    def _root(self, node: ast.expr) -> str:
+    def _root_argument(self, node: ast.expr) -> str:
         """Return the argument that a table is part of; "" for a local one."""
         match node:
             case ast.Call(args=[inner]) | ast.Subscript(value=inner) | ast.Attribute(value=inner):
-                return self._root(inner)
+                return self._root_argument(inner)
             case ast.Name(id=name):
                 return self._roots.get(name, "")
         return ""
 
-    def _point_to(self, name: str, value: Expression, root: str) -> None:
+    def _declare_table_alias(self, name: str, value: CExpression, root: str) -> None:
         """Let a name stand for a table, or a part of one."""
         assert isinstance(value.kind, TableType)
         if value.text == _c_name(name):  # the same array under the same name
@@ -375,316 +391,347 @@ class _FunctionTranslation:
         if known is not None and (known, self._roots.get(name)) != (value.kind, root):
             raise NotImplementedError(f"{self._function.__name__}: {name} is another table before")
         if known is not None:
-            self._emit(f"{_c_name(name)} = {value.text};")
+            self._emit_line(f"{_c_name(name)} = {value.text};")
         elif self._depth > 1:
             self._hoisted.append(f"    {declared};")
-            self._emit(f"{_c_name(name)} = {value.text};")
+            self._emit_line(f"{_c_name(name)} = {value.text};")
         else:
-            self._emit(f"{declared} = {value.text};")
+            self._emit_line(f"{declared} = {value.text};")
         self._kinds[name], self._roots[name] = value.kind, root
 
-    def _return(self, node: ast.expr) -> None:
+    def _translate_return(self, node: ast.expr) -> None:
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "np.array" and isinstance(node.args[0], ast.List):
             rows = [row.elts for row in node.args[0].elts if isinstance(row, ast.List)]
             if rows:
                 self._result = TableType(REAL, (len(rows), len(rows[0])))
                 for i, row in enumerate(rows):
                     for k, entry in enumerate(row):
-                        self._emit(f"result_[{i}][{k}] = {self._expression(entry).text};")
+                        self._emit_line(f"result_[{i}][{k}] = {self._translate_expression(entry).text};")
                 return
-            value = self._expression(ast.Tuple(node.args[0].elts, ast.Load()))
+            value = self._translate_expression(ast.Tuple(node.args[0].elts, ast.Load()))
         else:
-            value = self._expression(node)
+            value = self._translate_expression(node)
         if self._result is not None and self._result != value.kind:
-            raise self._refuse(node)
+            raise self._raise_unsupported(node)
         self._result = value.kind
-        self._emit(f"return {value.text};")
+        self._emit_line(f"return {value.text};")
 
-    def _assign_tuple(self, target: ast.Tuple, value: ast.expr) -> None:
+    def _translate_tuple_assignment(self, target: ast.Tuple, value: ast.expr) -> None:
         if isinstance(value, ast.Tuple) and any(self._makes_table(v) for v in value.elts):
             stored = [t.id if isinstance(t, ast.Name) else "" for t in target.elts]
             for j, (one, part) in enumerate(zip(target.elts, value.elts, strict=True)):
                 if {n.id for n in ast.walk(part) if isinstance(n, ast.Name)} & {*stored[:j]}:
-                    raise self._refuse(value)
-                self._statement(ast.Assign([one], part))
+                    raise self._raise_unsupported(value)
+                self._translate_statement(ast.Assign([one], part))
             return
         if isinstance(value, ast.Tuple):
-            values = [self._expression(v) for v in value.elts]
+            values = [self._translate_expression(v) for v in value.elts]
             names = [ast.unparse(t.value if isinstance(t, ast.Subscript) else t) for t in target.elts]
             read = [{n.id for n in ast.walk(v) if isinstance(n, ast.Name)} for v in value.elts]
             if any(names[k] in read[j] for j in range(len(names)) for k in range(j)):
                 values = [self._store_constant(v) for v in values]
         else:
-            whole = self._expression(value)
-            if isinstance(whole.kind, TablesType) and isinstance(value, ast.Name):
+            whole = self._translate_expression(value)
+            if isinstance(whole.kind, TableTupleType) and isinstance(value, ast.Name):
                 for k, (one, table) in enumerate(zip(target.elts, whole.kind.parts, strict=True)):
                     assert isinstance(one, ast.Name)
-                    self._point_to(one.id, Expression(f"{value.id}_{k}", _ATOM, table), value.id)
+                    self._declare_table_alias(one.id, CExpression(f"{value.id}_{k}", _PRECEDENCE_ATOM, table), value.id)
                 return
             if isinstance(whole.kind, TableType) and whole.kind.shape == (len(target.elts),):
                 for k, one in enumerate(target.elts):
-                    self._assign(one, Expression(f"{whole.inside(_ATOM)}[{k}]", _ATOM, whole.kind.element))
+                    self._translate_assignment(
+                        one,
+                        CExpression(f"{whole.as_operand(_PRECEDENCE_ATOM)}[{k}]", _PRECEDENCE_ATOM, whole.kind.element),
+                    )
                 return
             if not isinstance(whole.kind, TupleType) or len(whole.kind.parts) != len(target.elts):
-                raise self._refuse(value)
+                raise self._raise_unsupported(value)
             if all(isinstance(t, ast.Name) and t.id == "_" for t in target.elts):
                 return
             name = self._store_constant(whole).text
-            values = [Expression(f"{name}.f{k}", _ATOM, part) for k, part in enumerate(whole.kind.parts)]
+            values = [CExpression(f"{name}.f{k}", _PRECEDENCE_ATOM, part) for k, part in enumerate(whole.kind.parts)]
         for one, number in zip(target.elts, values, strict=True):
             if not (isinstance(one, ast.Name) and one.id == "_"):
-                self._assign(one, number)
+                self._translate_assignment(one, number)
 
     def _makes_table(self, node: ast.expr) -> bool:
         """Return whether an expression is a table: a new one, one that exists, or a matrix that a function returns."""
         if _is_new_array(node) or self._is_alias(node):
             return True
-        return isinstance(node, ast.Call) and isinstance(self._expression(node).kind, TableType)
+        return isinstance(node, ast.Call) and isinstance(self._translate_expression(node).kind, TableType)
 
-    def _store_constant(self, value: Expression) -> Expression:
+    def _store_constant(self, value: CExpression) -> CExpression:
         """Store a value in a constant of its own."""
         self._count += 1
         name = f"t{self._count}_"
-        self._emit(f"const {type_name(value.kind)} {name} = {value.text};")
-        return Expression(name, _ATOM, value.kind)
+        self._emit_line(f"const {type_name(value.kind)} {name} = {value.text};")
+        return CExpression(name, _PRECEDENCE_ATOM, value.kind)
 
-    def _assign(self, target: ast.expr, value: Expression) -> None:
+    def _translate_assignment(self, target: ast.expr, value: CExpression) -> None:
         if not isinstance(target, ast.Name):
-            self._emit(f"{self._target(target)} = {value.text};")
+            self._emit_line(f"{self._translate_target(target)} = {value.text};")
             return
         name, known = _c_name(target.id), self._kinds.get(target.id)
         if isinstance(value.kind, TableType):
-            if _RESULT_PLACE not in value.text or known is not None or self._depth > 1:
-                raise self._refuse(target)
-            self._emit(f"{value.kind.element} {name}{''.join(f'[{n}]' for n in value.kind.shape)};")
-            self._emit(value.text.replace(_RESULT_PLACE, name) + ";")
+            if _RESULT_ARGUMENT_MARK not in value.text or known is not None or self._depth > 1:
+                raise self._raise_unsupported(target)
+            self._emit_line(f"{value.kind.element} {name}{''.join(f'[{n}]' for n in value.kind.shape)};")
+            self._emit_line(value.text.replace(_RESULT_ARGUMENT_MARK, name) + ";")
         elif value.kind == WHOLE and value.text.isdecimal() and self._store_counts[target.id] == 1:
             self._known_integers[target.id] = value.text
         elif known is not None:
             if known != value.kind and (known, value.kind) != (REAL, WHOLE):
-                raise self._refuse(target)
-            self._emit(f"{name} = {value.text};")
+                raise self._raise_unsupported(target)
+            self._emit_line(f"{name} = {value.text};")
             return
         elif self._depth > 1:
             self._hoisted.append(f"    {type_name(value.kind)} {name};")
-            self._emit(f"{name} = {value.text};")
+            self._emit_line(f"{name} = {value.text};")
         else:
-            self._emit(f"{type_name(value.kind)} {name} = {value.text};")
+            self._emit_line(f"{type_name(value.kind)} {name} = {value.text};")
         self._kinds[target.id] = value.kind
 
     def _declare_array(self, target: ast.expr, value: ast.expr) -> None:
         assert isinstance(value, ast.Call)
         shape = value.args[0]
-        sizes = [self._expression(n).text for n in (shape.elts if isinstance(shape, ast.Tuple) else [shape])]
+        sizes = [self._translate_expression(n).text for n in (shape.elts if isinstance(shape, ast.Tuple) else [shape])]
         if not isinstance(target, ast.Name) or not all(s.isdecimal() for s in sizes):
-            raise self._refuse(value)
-        self._emit(f"double {_c_name(target.id)}{''.join(f'[{n}]' for n in sizes)};")
+            raise self._raise_unsupported(value)
+        self._emit_line(f"double {_c_name(target.id)}{''.join(f'[{n}]' for n in sizes)};")
         self._kinds[target.id] = TableType(REAL, tuple(map(int, sizes)))
 
-    def _target(self, target: ast.expr) -> str:
+    def _translate_target(self, target: ast.expr) -> str:
         if isinstance(target, ast.Subscript) and isinstance(target.value, ast.Name):
             self._written.add(self._roots.get(target.value.id, ""))
-        return self._expression(target).text
+        return self._translate_expression(target).text
 
     # Expressions
 
-    def _expression(self, node: ast.expr) -> Expression:
+    def _translate_expression(self, node: ast.expr) -> CExpression:
         match node:
             case ast.Constant(value=bool(value)):
-                return Expression(str(value).lower(), _ATOM, TRUTH)
+                return CExpression(str(value).lower(), _PRECEDENCE_ATOM, TRUTH)
             case ast.Constant(value=int(value) | float(value)):
-                return Expression(repr(value), _ATOM, WHOLE if isinstance(value, int) else REAL)
+                return CExpression(repr(value), _PRECEDENCE_ATOM, WHOLE if isinstance(value, int) else REAL)
             case ast.Name(id=name) if name in self._known_integers:
-                return Expression(self._known_integers[name], _ATOM, WHOLE)
-            case ast.Name(id=name) if isinstance(tables := self._kinds.get(name), TablesType):
-                return Expression(", ".join(f"{name}_{k}" for k in range(len(tables.parts))), _ATOM, tables)
+                return CExpression(self._known_integers[name], _PRECEDENCE_ATOM, WHOLE)
+            case ast.Name(id=name) if isinstance(tables := self._kinds.get(name), TableTupleType):
+                return CExpression(", ".join(f"{name}_{k}" for k in range(len(tables.parts))), _PRECEDENCE_ATOM, tables)
             case ast.Name(id=name) if name in self._kinds:
-                return Expression(_c_name(name), _ATOM, self._kinds[name])
+                return CExpression(_c_name(name), _PRECEDENCE_ATOM, self._kinds[name])
             case ast.Name(id=name) if isinstance(self._globals.get(name), int | float):
                 return self._owner.use_constant(name, self._globals[name], self._function.__module__)
             case ast.Name(id=name) if isinstance(values := self._globals.get(name), tuple):
                 return self._owner.use_table(name, values, self._function.__module__)
             case ast.Attribute(value=array, attr="size") if (
-                isinstance(table := self._expression(array).kind, TableType) and -1 not in table.shape
+                isinstance(table := self._translate_expression(array).kind, TableType) and -1 not in table.shape
             ):
-                return Expression(str(math.prod(table.shape)), _ATOM, WHOLE)
+                return CExpression(str(math.prod(table.shape)), _PRECEDENCE_ATOM, WHOLE)
             case ast.Attribute(value=ast.Name(id="math"), attr=name):
-                return Expression({"inf": "INFINITY", "nan": "NAN"}.get(name) or repr(getattr(math, name)), _ATOM, REAL)
+                return CExpression(
+                    {"inf": "INFINITY", "nan": "NAN"}.get(name) or repr(getattr(math, name)), _PRECEDENCE_ATOM, REAL
+                )
             case ast.Attribute(value=ast.Name(id=name), attr=field):
-                return self._field(node, name, field)
+                return self._translate_field(node, name, field)
             case ast.Subscript():
-                return self._element(node)
+                return self._translate_element(node)
             case ast.UnaryOp(op=ast.USub()):
-                operand = self._expression(node.operand)
-                text = operand.inside(_UNARY)
-                return Expression(f"-{text if not text.startswith('-') else f'({text})'}", _UNARY, operand.kind)
+                operand = self._translate_expression(node.operand)
+                text = operand.as_operand(_PRECEDENCE_UNARY)
+                return CExpression(
+                    f"-{text if not text.startswith('-') else f'({text})'}", _PRECEDENCE_UNARY, operand.kind
+                )
             case ast.UnaryOp(op=ast.Not()):
-                return Expression(f"!({self._expression(node.operand).text})", _UNARY, TRUTH)
+                return CExpression(f"!({self._translate_expression(node.operand).text})", _PRECEDENCE_UNARY, TRUTH)
             case ast.BinOp():
-                return self._arithmetic(node)
+                return self._translate_arithmetic(node)
             case ast.BoolOp():
-                sign, level = ("&&", _AND) if isinstance(node.op, ast.And) else ("||", _OR)
-                parts = [self._expression(v).inside(_COMPARE) for v in node.values]
-                return Expression(f" {sign} ".join(parts), level, TRUTH)
+                sign, level = ("&&", _PRECEDENCE_AND) if isinstance(node.op, ast.And) else ("||", _PRECEDENCE_OR)
+                parts = [self._translate_expression(v).as_operand(_PRECEDENCE_COMPARE) for v in node.values]
+                return CExpression(f" {sign} ".join(parts), level, TRUTH)
             case ast.Compare():
-                sides = [self._expression(v).inside(_ADD) for v in (node.left, *node.comparators)]
-                parts = [
-                    f"{a} {_COMPARISONS[type(o)]} {b}" for o, a, b in zip(node.ops, sides, sides[1:], strict=False)
+                sides = [
+                    self._translate_expression(v).as_operand(_PRECEDENCE_ADD) for v in (node.left, *node.comparators)
                 ]
-                return Expression(" && ".join(parts), _COMPARE if len(parts) == 1 else _AND, TRUTH)
+                parts = [
+                    f"{a} {_COMPARISON_OPERATORS[type(o)]} {b}"
+                    for o, a, b in zip(node.ops, sides, sides[1:], strict=False)
+                ]
+                return CExpression(
+                    " && ".join(parts), _PRECEDENCE_COMPARE if len(parts) == 1 else _PRECEDENCE_AND, TRUTH
+                )
             case ast.IfExp():
-                test, a, b = (self._expression(v) for v in (node.test, node.body, node.orelse))
+                test, a, b = (self._translate_expression(v) for v in (node.test, node.body, node.orelse))
                 kind = a.kind if a.kind == b.kind else REAL
-                text = f"{test.inside(_COMPARE)} ? {a.inside(_ADD)} : {b.inside(_ADD)}"
-                return Expression(f"({text})", _ATOM, kind)
+                chosen = f"{a.as_operand(_PRECEDENCE_ADD)} : {b.as_operand(_PRECEDENCE_ADD)}"
+                text = f"{test.as_operand(_PRECEDENCE_COMPARE)} ? {chosen}"
+                return CExpression(f"({text})", _PRECEDENCE_ATOM, kind)
             case ast.Tuple():
-                return self._tuple([self._expression(v) for v in node.elts], node)
+                return self._translate_tuple([self._translate_expression(v) for v in node.elts], node)
             case ast.Call():
-                return self._call(node)
-        raise self._refuse(node)
+                return self._translate_call(node)
+        raise self._raise_unsupported(node)
 
-    def _field(self, node: ast.expr, name: str, field: str) -> Expression:
+    def _translate_field(self, node: ast.expr, name: str, field: str) -> CExpression:
         kind = self._kinds.get(name)
         if not isinstance(kind, RecordType) or kind.fields.fields is None:
-            raise self._refuse(node)
+            raise self._raise_unsupported(node)
         of = kind.fields.fields[field][0]
         element = REAL if of.base.kind == "f" else WHOLE
-        return Expression(f"{name}->{field}", _ATOM, TableType(element, of.shape) if of.shape else element)
+        return CExpression(f"{name}->{field}", _PRECEDENCE_ATOM, TableType(element, of.shape) if of.shape else element)
 
-    def _fixed_index(self, node: ast.expr) -> int:
+    def _constant_tuple_index(self, node: ast.expr) -> int:
         """Return an index of a tuple: a literal, or an integer of the module by name."""
         match node:
             case ast.Constant(value=int(k)) | ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int(k))):
                 return k if isinstance(node, ast.Constant) else -k
             case ast.Name(id=name) if name not in self._kinds and isinstance(self._globals.get(name), int):
                 return int(self._globals[name])
-        raise self._refuse(node)
+        raise self._raise_unsupported(node)
 
-    def _element(self, node: ast.Subscript) -> Expression:
+    def _translate_element(self, node: ast.Subscript) -> CExpression:
         match node.value, node.slice:
             case ast.Attribute(attr="shape", value=array), ast.Constant(value=int(k)):
-                kind = self._expression(array).kind
+                kind = self._translate_expression(array).kind
                 if isinstance(kind, TableType):
-                    return Expression(str(kind.shape[k]), _ATOM, WHOLE)
-                raise self._refuse(node)
-        held = self._expression(node.value)
+                    return CExpression(str(kind.shape[k]), _PRECEDENCE_ATOM, WHOLE)
+                raise self._raise_unsupported(node)
+        held = self._translate_expression(node.value)
         if isinstance(held.kind, TupleType):
-            parts = [Expression(f"{held.text}.f{k}", _ATOM, part) for k, part in enumerate(held.kind.parts)]
+            parts = [CExpression(f"{held.text}.f{k}", _PRECEDENCE_ATOM, part) for k, part in enumerate(held.kind.parts)]
             if isinstance(node.slice, ast.Slice):
-                bounds = (None if b is None else self._fixed_index(b) for b in (node.slice.lower, node.slice.upper))
-                return self._tuple(parts[slice(*bounds)], node)
-            return parts[self._fixed_index(node.slice)]
-        if isinstance(held.kind, TablesType) and isinstance(node.value, ast.Name):
-            k = self._fixed_index(node.slice)
-            return Expression(f"{node.value.id}_{k}", _ATOM, held.kind.parts[k])
+                bounds = (
+                    None if b is None else self._constant_tuple_index(b) for b in (node.slice.lower, node.slice.upper)
+                )
+                return self._translate_tuple(parts[slice(*bounds)], node)
+            return parts[self._constant_tuple_index(node.slice)]
+        if isinstance(held.kind, TableTupleType) and isinstance(node.value, ast.Name):
+            k = self._constant_tuple_index(node.slice)
+            return CExpression(f"{node.value.id}_{k}", _PRECEDENCE_ATOM, held.kind.parts[k])
         if not isinstance(held.kind, TableType):
-            raise self._refuse(node)
+            raise self._raise_unsupported(node)
         if isinstance(node.slice, ast.Name) and isinstance(part := self._globals.get(node.slice.id), slice):
-            return self._part(held, str(part.start), str(part.stop))
+            return self._translate_table_slice(held, str(part.start), str(part.stop))
         if isinstance(node.slice, ast.Slice):
             lower, upper = node.slice.lower, node.slice.upper
-            first = "0" if lower is None else self._expression(lower).inside(_ADD)
-            return self._part(held, first, str(held.kind.shape[0]) if upper is None else self._expression(upper).text)
+            first = "0" if lower is None else self._translate_expression(lower).as_operand(_PRECEDENCE_ADD)
+            return self._translate_table_slice(
+                held, first, str(held.kind.shape[0]) if upper is None else self._translate_expression(upper).text
+            )
         index = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         inner = held.kind.shape[len(index) :]
-        text = held.inside(_ATOM) + "".join(f"[{self._expression(i).text}]" for i in index)
-        return Expression(text, _ATOM, TableType(held.kind.element, inner) if inner else held.kind.element)
+        text = held.as_operand(_PRECEDENCE_ATOM) + "".join(f"[{self._translate_expression(i).text}]" for i in index)
+        return CExpression(text, _PRECEDENCE_ATOM, TableType(held.kind.element, inner) if inner else held.kind.element)
 
-    def _part(self, held: Expression, first: str, stop: str) -> Expression:
+    def _translate_table_slice(self, held: CExpression, first: str, stop: str) -> CExpression:
         """Return the rows of a table from the first one up to another."""
         assert isinstance(held.kind, TableType)
         is_known = first.isdecimal() and stop.isdecimal()
         kind = TableType(held.kind.element, (int(stop) - int(first) if is_known else -1, *held.kind.shape[1:]))
-        return Expression(held.text if first == "0" else f"{held.inside(_ADD)} + {first}", _ADD, kind)
+        return CExpression(
+            held.text if first == "0" else f"{held.as_operand(_PRECEDENCE_ADD)} + {first}", _PRECEDENCE_ADD, kind
+        )
 
-    def _arithmetic(self, node: ast.BinOp) -> Expression:
-        left, right = self._expression(node.left), self._expression(node.right)
+    def _translate_arithmetic(self, node: ast.BinOp) -> CExpression:
+        left, right = self._translate_expression(node.left), self._translate_expression(node.right)
         if not {left.kind, right.kind} <= {REAL, WHOLE}:
-            raise self._refuse(node)
+            raise self._raise_unsupported(node)
         kind = WHOLE if left.kind == right.kind == WHOLE else REAL
         form, texts = type(node.op), (left.text, right.text)
-        if kind == WHOLE and form in _FOLDED and left.text.isdecimal() and right.text.isdecimal():
-            folded = _FOLDED[form](int(left.text), int(right.text))
+        if kind == WHOLE and form in _FOLDED_OPERATORS and left.text.isdecimal() and right.text.isdecimal():
+            folded = _FOLDED_OPERATORS[form](int(left.text), int(right.text))
             if folded >= 0:
-                return Expression(str(folded), _ATOM, WHOLE)
+                return CExpression(str(folded), _PRECEDENCE_ATOM, WHOLE)
         if form is ast.Pow and right.text == "2" and left.kind == REAL:
-            return Expression(f"squared({left.text})", _ATOM, REAL)
+            return CExpression(f"squared({left.text})", _PRECEDENCE_ATOM, REAL)
         if form is ast.BitAnd and kind == WHOLE:
-            return Expression(f"({left.inside(_ADD)} & {right.inside(_ADD)})", _ATOM, WHOLE)
+            return CExpression(
+                f"({left.as_operand(_PRECEDENCE_ADD)} & {right.as_operand(_PRECEDENCE_ADD)})", _PRECEDENCE_ATOM, WHOLE
+            )
         if form is ast.FloorDiv and kind == WHOLE:
-            return Expression(f"quotient({', '.join(texts)})", _ATOM, WHOLE)
+            return CExpression(f"quotient({', '.join(texts)})", _PRECEDENCE_ATOM, WHOLE)
         if form is ast.Mod:
-            return Expression(f"remainder_{'int' if kind == WHOLE else 'real'}({', '.join(texts)})", _ATOM, kind)
-        if form not in _ARITHMETIC:
-            raise self._refuse(node)
-        sign, level = _ARITHMETIC[form]
+            return CExpression(
+                f"remainder_{'int' if kind == WHOLE else 'real'}({', '.join(texts)})", _PRECEDENCE_ATOM, kind
+            )
+        if form not in _ARITHMETIC_OPERATORS:
+            raise self._raise_unsupported(node)
+        sign, level = _ARITHMETIC_OPERATORS[form]
         if sign == "/" and kind == WHOLE:
-            return Expression(f"(double){left.inside(_ATOM)} / (double){right.inside(_ATOM)}", level, REAL)
+            return CExpression(
+                f"(double){left.as_operand(_PRECEDENCE_ATOM)} / (double){right.as_operand(_PRECEDENCE_ATOM)}",
+                level,
+                REAL,
+            )
         # C groups from the left, as Python does: an operand on the right of the same precedence needs brackets.
-        return Expression(f"{left.inside(level)} {sign} {right.inside(level + 1)}", level, kind)
+        return CExpression(f"{left.as_operand(level)} {sign} {right.as_operand(level + 1)}", level, kind)
 
-    def _tuple(self, parts: Sequence[Expression], node: ast.expr) -> Expression:
+    def _translate_tuple(self, parts: Sequence[CExpression], node: ast.expr) -> CExpression:
         kinds = [p.kind for p in parts if isinstance(p.kind, str | TupleType)]
         if len(kinds) != len(parts):
-            raise self._refuse(node)
+            raise self._raise_unsupported(node)
         kind = self._owner.use_tuple(kinds)
-        return Expression(f"({kind.name}){{{', '.join(p.text for p in parts)}}}", _ATOM, kind)
+        return CExpression(f"({kind.name}){{{', '.join(p.text for p in parts)}}}", _PRECEDENCE_ATOM, kind)
 
-    def _call(self, node: ast.Call) -> Expression:
+    def _translate_call(self, node: ast.Call) -> CExpression:
         name = ast.unparse(node.func)
         if name in ("np.uint64", "borrow_arrays"):
-            return self._expression(node.args[0])
+            return self._translate_expression(node.args[0])
         values = [a.value if isinstance(a, ast.Starred) else a for a in node.args]
-        arguments = [self._expression(a) for a in values]
+        arguments = [self._translate_expression(a) for a in values]
         texts = ", ".join(a.text for a in arguments)
         function = name.removeprefix("math.").removeprefix("np.")
         if name.startswith("math.") and function in _MATH_FUNCTIONS:
             text = f"{function}({texts})"
-            return Expression(
-                f"whole_part({text})" if function == "ceil" else text, _ATOM, WHOLE if function == "ceil" else REAL
+            return CExpression(
+                f"whole_part({text})" if function == "ceil" else text,
+                _PRECEDENCE_ATOM,
+                WHOLE if function == "ceil" else REAL,
             )
-        if name.startswith("math.") and function in _TESTS:
-            return Expression(f"({function}({texts}) != 0)", _ATOM, TRUTH)
+        if name.startswith("math.") and function in _FLOAT_TEST_FUNCTIONS:
+            return CExpression(f"({function}({texts}) != 0)", _PRECEDENCE_ATOM, TRUTH)
         if name == "np.rint":
-            return Expression(f"rint({texts})", _ATOM, REAL)
+            return CExpression(f"rint({texts})", _PRECEDENCE_ATOM, REAL)
         if name == "abs" and arguments[0].kind == REAL:
-            return Expression(f"fabs({texts})", _ATOM, REAL)
+            return CExpression(f"fabs({texts})", _PRECEDENCE_ATOM, REAL)
         if name == "int":
-            return Expression(f"whole_part({texts})", _ATOM, WHOLE)
+            return CExpression(f"whole_part({texts})", _PRECEDENCE_ATOM, WHOLE)
         if name in ("min", "max") and len(arguments) == 2:
             is_whole = all(a.kind == WHOLE for a in arguments)
             c_name = {"min": "smaller", "max": "greater"}[name] + ("_int" if is_whole else "")
-            return Expression(f"{c_name}({texts})", _ATOM, WHOLE if is_whole else REAL)
+            return CExpression(f"{c_name}({texts})", _PRECEDENCE_ATOM, WHOLE if is_whole else REAL)
         called = self._globals.get(name)
         if not callable(called) or node.keywords:
-            raise self._refuse(node)
+            raise self._raise_unsupported(node)
         if (in_c := self._owner.written_in_c.get(called)) is not None:
-            self._written.update(map(self._root, values))
+            self._written.update(map(self._root_argument, values))
             last = arguments[-1].kind
             assert isinstance(last, TableType)
-            return Expression(f"{in_c}({texts}, {math.prod(last.shape)})", _ATOM, NOTHING)
+            return CExpression(f"{in_c}({texts}, {math.prod(last.shape)})", _PRECEDENCE_ATOM, NOTHING)
         kinds: list[CType] = []
         written_to: list[ast.expr] = []
         for value, argument in zip(values, arguments, strict=True):
-            tables = argument.kind.parts if isinstance(argument.kind, TablesType) else None
-            is_spread = tables is not None and len(values) != len(inspect.signature(_plain(called)).parameters)
+            tables = argument.kind.parts if isinstance(argument.kind, TableTupleType) else None
+            is_spread = tables is not None and len(values) != len(
+                inspect.signature(_without_decorator(called)).parameters
+            )
             kinds += tables if tables is not None and is_spread else [argument.kind]
             written_to += [value] * (len(tables) if tables is not None and is_spread else 1)
         made = self._owner.add_function(called, kinds)
         for value, is_written in zip(written_to, made.written, strict=True):
             if is_written:
-                self._written.add(self._root(value))
+                self._written.add(self._root_argument(value))
         if isinstance(made.result, TableType):
-            return Expression(f"{made.name}({texts}, {_RESULT_PLACE})", _ATOM, made.result)
-        return Expression(f"{made.name}({texts})", _ATOM, made.result)
+            return CExpression(f"{made.name}({texts}, {_RESULT_ARGUMENT_MARK})", _PRECEDENCE_ATOM, made.result)
+        return CExpression(f"{made.name}({texts})", _PRECEDENCE_ATOM, made.result)
 
 
-def _plain(function: Any) -> Callable[..., Any]:
+def _without_decorator(function: Any) -> Callable[..., Any]:
     return getattr(function, "py_func", function)
 
 
 def _c_name(name: str) -> str:
-    return f"{name}_" if name in _C_WORDS or name == "_" else name
+    return f"{name}_" if name in _C_KEYWORDS or name == "_" else name
 
 
 def _is_new_array(node: ast.expr) -> bool:

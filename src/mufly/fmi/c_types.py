@@ -19,7 +19,7 @@ class TableType:
 
 
 @dataclass(frozen=True)
-class TablesType:
+class TableTupleType:
     """Type of a tuple of arrays, which are separate arguments in C."""
 
     parts: tuple[TableType, ...]
@@ -48,7 +48,7 @@ class TupleType:
         )
 
 
-CType = str | TableType | TablesType | RecordType | TupleType
+CType = str | TableType | TableTupleType | RecordType | TupleType
 
 
 def type_name(kind: CType) -> str:

@@ -18,8 +18,8 @@ from mufly.files.answer_store import replace_file
 from mufly.fmi.model_description import (
     model_identifier,
     render_build_description,
+    render_documentation_page,
     render_model_description,
-    render_page,
 )
 from mufly.fmi.unit_sensors import UnitSensors
 from mufly.fmi.unit_sources import (
@@ -34,9 +34,13 @@ from mufly.results import result
 from mufly.vehicle import Vehicle, format_vehicle_toml
 
 _COPIED_SOURCES = (UNIT_SOURCE, "unsupported_functions.h", "fmi3.h")
-_MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
-_SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "windows": ("windows", ".dll")}
-_ZIP_TIME = (1980, 1, 1, 0, 0, 0)
+_FMI_MACHINE_NAMES = {"x86_64": "x86_64", "amd64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
+_FMI_SYSTEM_NAMES_AND_ENDINGS = {
+    "linux": ("linux", ".so"),
+    "darwin": ("darwin", ".dylib"),
+    "windows": ("windows", ".dll"),
+}
+_ZIP_ENTRY_TIME = (1980, 1, 1, 0, 0, 0)
 
 
 @result
@@ -75,7 +79,10 @@ class ExportedUnit:
 
 def platform_tuple() -> tuple[str, str]:
     """Return FMI's name of this platform and the ending of its libraries; ("", "") for others than FMI's examples."""
-    machine, system = _MACHINES.get(platform.machine().lower()), _SYSTEMS.get(platform.system().lower())
+    machine, system = (
+        _FMI_MACHINE_NAMES.get(platform.machine().lower()),
+        _FMI_SYSTEM_NAMES_AND_ENDINGS.get(platform.system().lower()),
+    )
     return ("", "") if machine is None or system is None else (f"{machine}-{system[0]}", system[1])
 
 
@@ -113,7 +120,7 @@ def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True, seeds: int =
     files |= {
         "modelDescription.xml": render_model_description(vehicle, interface, token),
         "sources/buildDescription.xml": render_build_description(vehicle, sensors is not None),
-        "documentation/index.html": render_page(vehicle, interface),
+        "documentation/index.html": render_documentation_page(vehicle, interface),
         "documentation/licenses/license.txt": (SOURCE_FOLDER / "license.txt").read_text(encoding="utf-8"),
         "resources/vehicle.toml": format_vehicle_toml(vehicle),
     }
@@ -128,7 +135,7 @@ def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True, seeds: int =
         zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
         for file, content in sorted(files.items()):
-            info = zipfile.ZipInfo(file, _ZIP_TIME)
+            info = zipfile.ZipInfo(file, _ZIP_ENTRY_TIME)
             info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(info, content)
     return ExportedUnit(

@@ -87,7 +87,7 @@ def render_model_description(vehicle: Vehicle, interface: UnitInterface, token: 
         )
     for v in outputs:
         ElementTree.SubElement(structure, "InitialUnknown", {"valueReference": references[v.name]})
-    return _to_text(root)
+    return _xml_to_text(root)
 
 
 def _add_units(parent: ElementTree.Element, interface: UnitInterface) -> None:
@@ -140,15 +140,15 @@ def render_build_description(vehicle: Vehicle, has_sensors: bool = False) -> str
         ElementTree.SubElement(files, "IncludeDirectory", {"name": "."})
     about = "mathematics of the C library, where that is a library of its own"
     ElementTree.SubElement(configuration, "Library", {"name": "m", "external": "true", "description": about})
-    return _to_text(root)
+    return _xml_to_text(root)
 
 
-def _to_text(root: ElementTree.Element) -> str:
+def _xml_to_text(root: ElementTree.Element) -> str:
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-_PAGE = """<!DOCTYPE html>
+_DOCUMENTATION_TEMPLATE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{name}</title>
 <style>body{{font-family:sans-serif;max-width:60em;margin:2em auto;padding:0 1em}}td,th{{text-align:left;\
 padding:.1em .8em .1em 0;vertical-align:top}}code{{white-space:nowrap}}</style></head><body>
@@ -168,22 +168,22 @@ compilation for other platforms.</p>
 <p>A change of these keys of the vehicle file needs a new export: {fixed}.</p>
 </body></html>
 """
-_SENSED_START = (
+_SENSED_START_TEXT = (
     f"At the start the helicopter stands on the floor. Sensors and filter run at {RATE_HZ:g} Hz. Parameters act on the "
     "flight model, while sensors and filter keep the vehicle file's. The filter's C sources are those that fly on "
     "board. The sonar reads NaN without an echo."
 )
-_TITLES = {
+_SECTION_TITLES = {
     "input": "Inputs", "output": "Outputs", "start": "Start values, until the end of initialisation",
     "step": "Integration, until the end of initialisation", "seed": "Sensors, until the end of initialisation",
     "parameter": "Parameters, at any time",
 }  # fmt: skip
 
 
-def render_page(vehicle: Vehicle, interface: UnitInterface) -> str:
+def render_documentation_page(vehicle: Vehicle, interface: UnitInterface) -> str:
     """Return the text of ``documentation/index.html``."""
     tables = []
-    for role, title in _TITLES.items():
+    for role, title in _SECTION_TITLES.items():
         rows = "".join(
             f"<tr><td><code>{html.escape(v.name)}</code></td><td>{'' if role == 'output' else f'{v.start:.6g}'}</td>"
             f"<td>{html.escape(v.unit)}</td><td>{html.escape(v.description)}</td></tr>\n"
@@ -192,8 +192,8 @@ def render_page(vehicle: Vehicle, interface: UnitInterface) -> str:
         )
         head = "<tr><th>name</th><th>start</th><th>unit</th><th>meaning</th></tr>"
         tables.append(f"<h2>{title}</h2>\n<table>{head}\n{rows}</table>")
-    return _PAGE.format(
-        start=_SENSED_START if interface.count("seed") else "The start values are those of hover.",
+    return _DOCUMENTATION_TEMPLATE.format(
+        start=_SENSED_START_TEXT if interface.count("seed") else "The start values are those of hover.",
         name=html.escape(vehicle.name), description=html.escape(vehicle.description), version=__version__,
         tables="\n".join(tables), fixed=", ".join(f"<code>{html.escape(k)}</code>" for k in interface.fixed),
     )  # fmt: skip

@@ -40,7 +40,7 @@ from mufly.vehicle import Vehicle
 from mufly.world import World
 
 _LOG_TYPE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
-_OK = 0
+_STATUS_OK = 0
 _STEP_SIZES_S = (0.01, 0.004, 0.0105, 0.02, 0.0007)
 _MOTION_START = {
     "start.position_down": -1.5, "start.velocity_north": 1.1, "start.velocity_east": -0.6,
@@ -176,7 +176,7 @@ class UnitInstance:
 
     def check_status(self, status: int) -> None:
         """Raise the last message if a status is not OK."""
-        if status != _OK:
+        if status != _STATUS_OK:
             raise MuflyError(f"the unit reports: {self.messages[-1] if self.messages else 'an error'}")
 
 

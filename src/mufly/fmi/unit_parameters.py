@@ -26,7 +26,7 @@ _MODEL_TABLES = (
     "body", "air", "rotors", "swash_plate", "stabiliser_bar", "motor", "gear", "battery", "contact",
 )  # fmt: skip
 _RATIO_EFFECT_TOLERANCE = 1e-13
-_ZERO_PROBE = 2.0**-4
+_PROBE_FOR_ZERO_VALUE = 2.0**-4
 
 
 @dataclass(frozen=True)
@@ -69,14 +69,14 @@ def list_unit_parameters(vehicle: Vehicle) -> tuple[list[UnitParameter], list[st
     for key, value in values.items():
         if value == 0.0:
             try:
-                occupied = replace_parameters(occupied, {key: _ZERO_PROBE})
-                start[key] = _ZERO_PROBE
+                occupied = replace_parameters(occupied, {key: _PROBE_FOR_ZERO_VALUE})
+                start[key] = _PROBE_FOR_ZERO_VALUE
             except MuflyError:
                 fixed.append(key)
     nominal = model_parameters(occupied)
     found = {key: _find_effects(occupied, key, start[key], nominal) for key in values if key not in fixed}
     fixed += [key for key, effects in found.items() if effects is None]
-    shared = _share_fields({key: effects for key, effects in found.items() if effects}, values)
+    shared = _find_ratio_effects({key: effects for key, effects in found.items() if effects}, values)
     fixed += [key for key, effects in shared.items() if effects is None]
     offered = []
     for p in listed:
@@ -109,7 +109,7 @@ def _find_effects(vehicle: Vehicle, key: str, value: float, nominal: np.void) ->
     return effects
 
 
-def _share_fields(
+def _find_ratio_effects(
     found: dict[str, list[ParameterEffect]], values: dict[str, float]
 ) -> dict[str, list[ParameterEffect] | None]:
     """Return the effects with ratios for all but one parameter of a field; None for a parameter that cannot share."""

@@ -50,7 +50,7 @@ from mufly.estimate.kalman_estimator import filter_ring_scan
 from mufly.firmware.export.estimate_tables import filter_buffer_sizes
 from mufly.flight.simulated_plant import true_attitude
 from mufly.fmi.c_translation import CTranslation
-from mufly.fmi.c_types import REAL, TablesType, TableType
+from mufly.fmi.c_types import REAL, TableTupleType, TableType
 from mufly.quantities.quantity_table import DIMENSION_LABELS
 from mufly.quantities.sensor_table import READINGS, SENSORS
 from mufly.sensors import FittedSensors, Imu, PeriodicSensor, draw_leaning_vehicle, fitted_sensors
@@ -72,12 +72,12 @@ from mufly.world import World
 
 RATE_HZ = 200.0
 """Rate of sensors and filter (Hz): that of the flight software."""
-WRITTEN_IN_C = {draw_normals: "draw_normals", draw_uniforms: "draw_uniforms"}
+FUNCTIONS_WRITTEN_IN_C = {draw_normals: "draw_normals", draw_uniforms: "draw_uniforms"}
 SEEDED_STARTS = ("position_down", "roll", "pitch", "bar_roll", "bar_pitch")
 """Start values that depend on the seed: the vehicle stands on legs of random lengths."""
-_ELEMENTS = {"f": "double", "i": "int64_t", "u": "uint64_t"}
-_COMPONENT_WORDS = {"N": "north", "E": "east", "D": "down", "p": "roll", "q": "pitch", "r": "yaw"}
-_STATE, _THREE, _TWO = (TableType(REAL, (n,)) for n in (STATE_SIZE, 3, 2))
+_C_TYPE_BY_KIND = {"f": "double", "i": "int64_t", "u": "uint64_t"}
+_COMPONENT_NAMES = {"N": "north", "E": "east", "D": "down", "p": "roll", "q": "pitch", "r": "yaw"}
+_STATE_TABLE, _VECTOR_3_TABLE, _VECTOR_2_TABLE = (TableType(REAL, (n,)) for n in (STATE_SIZE, 3, 2))
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ class UnitSensors:
                 count = 1 if isinstance(part, int) else part.stop - part.start
                 labels = DIMENSION_LABELS.get(row.dim or "", range(count))
                 for k in range(count):
-                    end = "" if row.dim is None else f"_{_COMPONENT_WORDS.get(str(labels[k]), labels[k])}"
+                    end = "" if row.dim is None else f"_{_COMPONENT_NAMES.get(str(labels[k]), labels[k])}"
                     unit = "rad" if row.unit_components is not None and k >= row.unit_components else row.unit
                     value = f"sensors->{name}.{member}[{first + k}]"
                     yield SensedOutput(f"sensor.{reading}{end}", "" if unit == "1" else unit, row.meaning, value)
@@ -190,8 +190,8 @@ class UnitSensors:
     def add_functions(self, translation: CTranslation) -> str:
         """Translate the functions of the sensors; return the C text that samples all of them."""
         structs, steps, calls = [], [], []
-        translation.add_function(true_attitude, [_STATE, _THREE])
-        translation.add_function(battery_state, [_STATE, REAL, REAL, translation.record])
+        translation.add_function(true_attitude, [_STATE_TABLE, _VECTOR_3_TABLE])
+        translation.add_function(battery_state, [_STATE_TABLE, REAL, REAL, translation.record])
         for name, sensor in _named_sensors(self._sensors):
             arrays = self._arrays[name]
             members = "".join(f"    {_declare_member(member, array)};\n" for member, array in arrays)
@@ -203,7 +203,7 @@ class UnitSensors:
                 assert isinstance(sensor, PeriodicSensor)
                 steps.append(_render_periodic(translation, name, sensor))
                 calls.append(f"    if (sample_{name}_sensor(t, x, attitude, supply, &sensors->{name})) {{")
-                calls += self._pass_readings(translation, name, sensor)
+                calls += self._render_reading_hand_over(translation, name, sensor)
                 calls.append("    }")
         fields = "".join(f"    {name}_sensor {name};\n" for name in self._arrays)
         head = (
@@ -223,7 +223,7 @@ class UnitSensors:
             + outputs + "}\n",
         ])  # fmt: skip
 
-    def _pass_readings(self, translation: CTranslation, name: str, sensor: PeriodicSensor) -> Iterator[str]:
+    def _render_reading_hand_over(self, translation: CTranslation, name: str, sensor: PeriodicSensor) -> Iterator[str]:
         row = f"sensors->{name}.rows[0]"
         measured, valid = f"{row}[{ROW_MEASURED_TIME}]", f"{row}[{ROW_IS_VALID}]"
         for reading, part in sensor.published_readings.items():
@@ -331,22 +331,22 @@ def _pack_words(arrays: Iterator[tuple[str, list[tuple[str, NDArray[Any]]]]]) ->
 
 
 def _table_type(array: NDArray[Any]) -> TableType:
-    return TableType(_ELEMENTS[array.dtype.kind], array.shape)
+    return TableType(_C_TYPE_BY_KIND[array.dtype.kind], array.shape)
 
 
 def _declare_member(name: str, array: NDArray[Any]) -> str:
     sizes = "".join(f"[{max(1, n) if k == 0 else n}]" for k, n in enumerate(array.shape))
-    return f"{_ELEMENTS[array.dtype.kind]} {name}{sizes}"
+    return f"{_C_TYPE_BY_KIND[array.dtype.kind]} {name}{sizes}"
 
 
 def _render_imu(translation: CTranslation, imu: Imu) -> str:
     source, normals, clock, last_state, output, unit = imu.sampling_arguments(1.0 / RATE_HZ)
-    parts = TablesType(tuple(map(_table_type, unit)))
+    parts = TableTupleType(tuple(map(_table_type, unit)))
     places = ", ".join(f"s->part_{k}" for k in range(len(unit)))
     common = [_table_type(a) for a in (clock, last_state, output)]
-    begin = translation.add_function(begin_imu, [_STATE, REAL, *common, _table_type(imu.mounting), parts])
+    begin = translation.add_function(begin_imu, [_STATE_TABLE, REAL, *common, _table_type(imu.mounting), parts])
     sample = translation.add_function(
-        sample_imu, [_STATE, REAL, _table_type(source), _table_type(normals), *common, parts]
+        sample_imu, [_STATE_TABLE, REAL, _table_type(source), _table_type(normals), *common, parts]
     )
     lines = "\n".join(
         f"        filter->values[{start} + k] = s->output{place};"
@@ -382,7 +382,15 @@ def _render_periodic(translation: CTranslation, name: str, sensor: PeriodicSenso
     row = TableType(REAL, rows.shape[1:])
     measure = translation.add_function(
         type(sensor).sample_function,
-        [REAL, _STATE, _THREE, _TWO, _table_type(source), TablesType(tuple(map(_table_type, parts))), row],
+        [
+            REAL,
+            _STATE_TABLE,
+            _VECTOR_3_TABLE,
+            _VECTOR_2_TABLE,
+            _table_type(source),
+            TableTupleType(tuple(map(_table_type, parts))),
+            row,
+        ],
     )
     due = translation.add_function(advance_if_due, [REAL, _table_type(clock)])
     publish = translation.add_function(

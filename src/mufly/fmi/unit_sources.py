@@ -26,7 +26,7 @@ from mufly.firmware.export.estimate_tables import render_estimator_files
 from mufly.fmi.c_translation import CTranslation
 from mufly.fmi.c_types import REAL, WHOLE, TableType
 from mufly.fmi.unit_equations import OUTPUT_COUNT, START_COUNT, write_outputs, write_start_state
-from mufly.fmi.unit_sensors import RATE_HZ, SEEDED_STARTS, WRITTEN_IN_C, UnitSensors
+from mufly.fmi.unit_sensors import FUNCTIONS_WRITTEN_IN_C, RATE_HZ, SEEDED_STARTS, UnitSensors
 from mufly.fmi.unit_variables import UnitInterface
 from mufly.vehicle import Vehicle
 
@@ -36,7 +36,7 @@ UNIT_SOURCE = "cosimulation_unit.c"
 FILTER_SOURCES = ("filter_unit.c", "estimate_tables.c", *(f"{name}.c" for name in TRANSLATED_FILTER))
 """Further files that are compiled for a unit with sensors."""
 _SENSOR_SOURCES = ("filter_unit.c", "filter_unit.h", "random_numbers.h")
-_RECORD = "model_parameters"
+_RECORD_NAME = "model_parameters"
 
 
 @cache
@@ -49,7 +49,7 @@ def render_flight_model(sensors: UnitSensors | None = None) -> str:
         If the equations have a form without a translation.
     """
     state, inputs, wind = (TableType(REAL, (n,)) for n in (STATE_SIZE, INPUT_SIZE, 3))
-    translation = CTranslation(PARAMETER_DTYPE, _RECORD, WRITTEN_IN_C)
+    translation = CTranslation(PARAMETER_DTYPE, _RECORD_NAME, FUNCTIONS_WRITTEN_IN_C)
     p = translation.record
     translation.add_function(integrate_state, [state, inputs, wind, p, REAL, WHOLE])
     translation.add_function(write_start_state, [TableType(REAL, (START_COUNT,)), state])
@@ -65,7 +65,7 @@ def _record_lines() -> Iterator[str]:
         size = "".join(f"[{n}]" for n in field.shape)
         unit = f" ({field.unit})" if field.unit else ""
         yield f"    {'int64_t' if field.is_int else 'double'} {name}{size}; /* {field.meaning}{unit} */"
-    yield f"}} {_RECORD};"
+    yield f"}} {_RECORD_NAME};"
 
 
 def render_sensor_sources(sensors: UnitSensors) -> dict[str, str]:
@@ -100,7 +100,7 @@ def render_vehicle_data(
     rows = []
     for key, effect in effects:
         count = math.prod(np.atleast_1d(np.zeros(PARAMETER_DTYPE[effect.field].shape)).shape)
-        place = f"offsetof({_RECORD}, {effect.field}), {count}"
+        place = f"offsetof({_RECORD_NAME}, {effect.field}), {count}"
         rows.append(f"{{{index[key]}, EFFECT_{effect.kind}, {place}, {format_real(effect.factor)}}}, /* {key} */")
     body = [
         "enum {",
@@ -121,7 +121,7 @@ def render_vehicle_data(
         *_array_lines("const double LOWEST_VALUES[SETTABLE_COUNT]", (f"{format_real(v.lowest)}," for v in settable)),
         *_array_lines("const double HIGHEST_VALUES[SETTABLE_COUNT]", (f"{format_real(v.highest)}," for v in settable)),
         *_array_lines("const parameter_effect PARAMETER_EFFECTS[]", rows),
-        *_array_lines(f"const {_RECORD} NOMINAL_PARAMETERS", _parameter_lines(model_parameters(vehicle))),
+        *_array_lines(f"const {_RECORD_NAME} NOMINAL_PARAMETERS", _parameter_lines(model_parameters(vehicle))),
     ]
     if sensors is not None:
         seeded = ", ".join(str(index[f"start.{name}"] - inputs) for name in SEEDED_STARTS)

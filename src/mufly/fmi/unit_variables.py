@@ -31,9 +31,9 @@ Role = Literal["input", "start", "step", "seed", "parameter", "output"]
 
 _HEIGHT_RADII = 10.0
 """Start height over the rotor radius, 1 m at least; there the ground effect is below a thousandth."""
-_LARGEST = sys.float_info.max
-_ROUNDING = 1e-12  # of the trim
-_INPUTS = (
+_LARGEST_FLOAT = sys.float_info.max
+_ROUNDING_TOLERANCE = 1e-12  # of the trim
+_INPUT_VARIABLES = (
     ("motor_input_upper", "", "duty of the upper motor, limited to 0..1"),
     ("motor_input_lower", "", "duty of the lower motor, limited to 0..1"),
     ("servo_input_1", "", "swash plate servo 1, limited to -1..1; positive pitches the nose down"),
@@ -42,7 +42,7 @@ _INPUTS = (
     ("wind_east", "m/s", "velocity of the air, east"),
     ("wind_down", "m/s", "velocity of the air, down"),
 )
-_STARTS = (
+_START_VARIABLES = (
     ("position_north", "m", "position at the start, north"),
     ("position_east", "m", "position at the start, east"),
     ("position_down", "m", "position at the start, down; the floor is at 0"),
@@ -63,9 +63,9 @@ _STARTS = (
     ("rotor_speed_lower", "rad/s", "speed of the lower rotor at the start"),
     ("battery_charge", "", "fraction of the battery's charge at the start"),
 )
-_WIND = ("wind_north", "wind_east", "wind_down")
-_MOTORS = ("motor_input_upper", "motor_input_lower")
-_OUTPUTS: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
+_WIND_NAMES = ("wind_north", "wind_east", "wind_down")
+_MOTOR_INPUT_NAMES = ("motor_input_upper", "motor_input_lower")
+_OUTPUT_VARIABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("position_north", "m", "position of the centre of gravity, north", ()),
     ("position_east", "m", "position of the centre of gravity, east", ()),
     ("position_down", "m", "position of the centre of gravity, down; the floor is at 0", ()),
@@ -90,13 +90,13 @@ _OUTPUTS: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("roll", "rad", "roll angle (yaw, then pitch, then roll)", ()),
     ("pitch", "rad", "pitch angle", ()),
     ("yaw", "rad", "yaw angle, -pi to pi", ()),
-    ("thrust_upper", "N", "thrust of the upper rotor along its disc's normal", _WIND),
-    ("thrust_lower", "N", "thrust of the lower rotor along its disc's normal", _WIND),
-    ("battery_voltage", "V", "terminal voltage of the battery", _MOTORS),
-    ("battery_current", "A", "current from the battery", _MOTORS),
-    ("specific_force_x", "m/s^2", "what an ideal accelerometer at the centre of gravity measures, body x", _WIND),
-    ("specific_force_y", "m/s^2", "what an ideal accelerometer at the centre of gravity measures, body y", _WIND),
-    ("specific_force_z", "m/s^2", "what an ideal accelerometer at the centre of gravity measures, body z", _WIND),
+    ("thrust_upper", "N", "thrust of the upper rotor along its disc's normal", _WIND_NAMES),
+    ("thrust_lower", "N", "thrust of the lower rotor along its disc's normal", _WIND_NAMES),
+    ("battery_voltage", "V", "terminal voltage of the battery", _MOTOR_INPUT_NAMES),
+    ("battery_current", "A", "current from the battery", _MOTOR_INPUT_NAMES),
+    ("specific_force_x", "m/s^2", "what an ideal accelerometer at the centre of gravity measures, body x", _WIND_NAMES),
+    ("specific_force_y", "m/s^2", "what an ideal accelerometer at the centre of gravity measures, body y", _WIND_NAMES),
+    ("specific_force_z", "m/s^2", "what an ideal accelerometer at the centre of gravity measures, body z", _WIND_NAMES),
 )
 _DISPLAY_UNITS = {"rad": "deg", "kg": "g", "A s": "mA h", "m/s^2": "", "rad/s": "deg/s"}
 
@@ -126,8 +126,8 @@ class UnitVariable:
     display_unit: str
     description: str
     start: float = math.nan
-    lowest: float = -_LARGEST
-    highest: float = _LARGEST
+    lowest: float = -_LARGEST_FLOAT
+    highest: float = _LARGEST_FLOAT
     inputs: tuple[str, ...] = ()
 
 
@@ -178,21 +178,26 @@ def list_unit_variables(vehicle: Vehicle, sensors: UnitSensors | None = None) ->
         step *= 0.5
     parameters, fixed = list_unit_parameters(vehicle)
 
-    def display(name: str, unit: str) -> str:
+    def display_unit_of(name: str, unit: str) -> str:
         return "rpm" if "rotor_speed" in name and unit == "rad/s" else _DISPLAY_UNITS.get(unit, "")
 
-    def tidy(value: float) -> float:
-        return 0.0 if abs(value) < _ROUNDING else float(value)
+    def round_start_value(value: float) -> float:
+        return 0.0 if abs(value) < _ROUNDING_TOLERANCE else float(value)
 
     variables = [
-        UnitVariable(name, "input", unit, "", description, tidy(start))
-        for (name, unit, description), start in zip(_INPUTS, inputs, strict=True)
+        UnitVariable(name, "input", unit, "", description, round_start_value(start))
+        for (name, unit, description), start in zip(_INPUT_VARIABLES, inputs, strict=True)
     ]
     variables += [
         UnitVariable(
-            f"start.{name}", "start", unit, display(name, unit), description, tidy(start) if sensors is None else start
+            f"start.{name}",
+            "start",
+            unit,
+            display_unit_of(name, unit),
+            description,
+            round_start_value(start) if sensors is None else start,
         )
-        for (name, unit, description), start in zip(_STARTS, starts, strict=True)
+        for (name, unit, description), start in zip(_START_VARIABLES, starts, strict=True)
     ]
     variables[-1] = replace(variables[-1], lowest=0.0, highest=1.0)
     variables.append(
@@ -207,17 +212,19 @@ def list_unit_variables(vehicle: Vehicle, sensors: UnitSensors | None = None) ->
         )  # fmt: skip
     variables += [
         UnitVariable(
-            p.key, "parameter", "" if p.unit == "1" else p.unit, display(p.key, p.unit), p.description, p.value,
-            max(p.lowest, -_LARGEST), min(p.highest, _LARGEST),
+            p.key, "parameter", "" if p.unit == "1" else p.unit, display_unit_of(p.key, p.unit), p.description, p.value,
+            max(p.lowest, -_LARGEST_FLOAT), min(p.highest, _LARGEST_FLOAT),
         )
         for p in parameters
     ]  # fmt: skip
     variables += [
-        UnitVariable(name, "output", unit, display(name, unit), description, inputs=inputs)
-        for name, unit, description, inputs in _OUTPUTS
+        UnitVariable(name, "output", unit, display_unit_of(name, unit), description, inputs=inputs)
+        for name, unit, description, inputs in _OUTPUT_VARIABLES
     ]
     sensed = [] if sensors is None else sensors.list_outputs()
-    variables += [UnitVariable(o.name, "output", o.unit, display(o.name, o.unit), o.description) for o in sensed]
+    variables += [
+        UnitVariable(o.name, "output", o.unit, display_unit_of(o.name, o.unit), o.description) for o in sensed
+    ]
     found = UnitInterface(variables, parameters, fixed)
     assert (found.count("input"), found.count("start"), found.count("output")) == (
         INPUT_SIZE + 3, START_COUNT, OUTPUT_COUNT + len(sensed),
