@@ -63,7 +63,7 @@ class Session:
 
 @pytest.fixture
 def plant(monkeypatch):
-    monkeypatch.setattr(betaflight_link, "READY_S", 0.0)
+    monkeypatch.setattr(betaflight_link, "PORT_OPEN_TIME_S", 0.0)
     faults = (parse_fault("position.jump=2@1s"),)
     with AutopilotPlant(
         load_vehicle("mufly-1.1"), Mission(name="hall"), rate_Hz=BETAFLIGHT_RATE_HZ, autopilot="Betaflight",
@@ -90,7 +90,7 @@ def test_the_time_stands_until_betaflight_answers_and_advances_by_a_period_with_
 
 
 def test_a_start_that_failed_is_named(plant, monkeypatch):
-    monkeypatch.setattr(betaflight_link, "START_S", 0.1)
+    monkeypatch.setattr(betaflight_link, "START_TIMEOUT_S", 0.1)
     session = Session(plant)
     session.await_event("answers no state")
     session.peer.answer()
@@ -138,7 +138,7 @@ def test_the_pilot_arms_then_raises_the_throttle(session):
 
 
 def test_a_refused_arming_is_explained_by_its_reasons(plant, monkeypatch):
-    monkeypatch.setattr(betaflight_link, "ARMING_PATIENCE_S", 0.1)
+    monkeypatch.setattr(betaflight_link, "ARMING_TIMEOUT_S", 0.1)
     serial = SerialPort(flags=1 << 12 | 1 << 28)
     session = Session(plant, serial.port)
     try:
@@ -223,10 +223,10 @@ def test_gains_in_betaflights_units_give_the_same_input():
 
 
 def test_the_square_is_closed_rests_in_its_corners_and_has_the_velocity_of_its_positions():
-    plan = PilotPlan(side_m=1.0, leg_s=6.0)
-    corners = [find_square_point(plan, k * plan.leg_s)[0] for k in range(5)]
+    plan = PilotPlan(square_side_m=1.0, leg_duration_s=6.0)
+    corners = [find_square_point(plan, k * plan.leg_duration_s)[0] for k in range(5)]
     assert np.allclose(corners, [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
-    assert all(np.allclose(find_square_point(plan, k * plan.leg_s)[1], 0.0) for k in range(5))
+    assert all(np.allclose(find_square_point(plan, k * plan.leg_duration_s)[1], 0.0) for k in range(5))
     for t, dt in itertools.product((1.0, 8.3, 13.1, 22.9), (1e-5,)):
         ahead, behind = find_square_point(plan, t + dt)[0], find_square_point(plan, t - dt)[0]
         assert (ahead - behind) / (2.0 * dt) == pytest.approx(find_square_point(plan, t)[1], abs=1e-6)
@@ -254,7 +254,7 @@ def test_the_real_betaflight_arms_takes_off_hovers_in_wind_and_lands(tmp_path):
             pytest.skip(f"another program uses Betaflight's UDP port {BETAFLIGHT_ENDPOINT.port}")
     vehicle = load_vehicle("mufly-1.1")
     warm_up_plant(vehicle, BETAFLIGHT_RATE_HZ)
-    plan = PilotPlan(height_m=0.6, hover_s=10.0, side_m=0.0)
+    plan = PilotPlan(height_m=0.6, hover_s=10.0, square_side_m=0.0)
     for _ in range(STARTS):  # one start in ten of the program never answers a state on a busy machine
         pilot, events, rows = BetaflightPilot(GAINS, plan), [], []
         with (

@@ -130,7 +130,7 @@ def test_a_silent_px4_stops_the_time(monkeypatch):
     from mufly.bridges.px4 import px4_link
 
     monkeypatch.setattr(px4_link, "SILENCE_S", 0.2)
-    monkeypatch.setattr(px4_link, "SKIP_S", 0.1)
+    monkeypatch.setattr(px4_link, "ANSWER_TIMEOUT_S", 0.1)
     stuck = threading.Event()
 
     def law(time_s, state):
@@ -162,8 +162,8 @@ def test_a_silent_px4_stops_the_time(monkeypatch):
 def test_other_rates_are_named(monkeypatch, settings, word):
     from mufly.bridges.px4 import px4_link
 
-    monkeypatch.setattr(px4_link, "SKIP_S", 0.02)
-    monkeypatch.setattr(px4_link, "_CHECK_PERIODS", 50)
+    monkeypatch.setattr(px4_link, "ANSWER_TIMEOUT_S", 0.02)
+    monkeypatch.setattr(px4_link, "_PERIODS_BETWEEN_CHECKS", 50)
     with plant() as vehicle, Session(vehicle) as session:
         peer = ScriptedPx4(session.port, idle, **settings)
         session.wait(lambda: session.told(word))
@@ -182,7 +182,7 @@ def test_other_rates_are_named(monkeypatch, settings, word):
 def test_another_airframe_is_named(monkeypatch, outputs, word):
     from mufly.bridges.px4 import px4_link
 
-    monkeypatch.setattr(px4_link, "_CHECK_PERIODS", 50)
+    monkeypatch.setattr(px4_link, "_PERIODS_BETWEEN_CHECKS", 50)
     with plant() as vehicle, Session(vehicle) as session:
         peer = ScriptedPx4(session.port, lambda time_s, state: (True, outputs))
         session.wait(lambda: session.told(word))

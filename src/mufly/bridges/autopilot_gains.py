@@ -54,13 +54,13 @@ ANGLE_ERROR_DEG = 10.0
 GYRO_CUTOFF_HZ, GYRO_RATE_CUTOFF_HZ, VELOCITY_RATE_CUTOFF_HZ = 60.0, 40.0, 5.0
 """Cut-offs of PX4's low passes: IMU_GYRO_CUTOFF, IMU_DGYRO_CUTOFF, MPC_VELD_LP."""
 CONTROL_RATE_HZ = 250.0
-_DELAY_PERIODS = 1.5
-_FREQUENCY = np.geomspace(1e-2, 600.0, 120)
-_STABLE = -1e-3
-_PENALTY = 40.0
-_EVALUATIONS = 200
+_INPUT_DELAY_PERIODS = 1.5
+_FREQUENCY_GRID = np.geomspace(1e-2, 600.0, 120)
+_MAX_STABLE_REAL_PART = -1e-3
+_CONSTRAINT_PENALTY = 40.0
+_MAX_COST_EVALUATIONS = 200
 _STEP_RESPONSE_S = 20.0
-_STATES = {
+_AXIS_STATES = {
     "roll": ("v", "phi", "p", "b_dw", "bar_roll"),
     "pitch": ("u", "theta", "q", "a_dw", "bar_pitch"),
     "yaw": ("r", "Omega_dw", "Omega_up"),
@@ -193,11 +193,11 @@ def design_autopilot_gains(vehicle: Vehicle, *, angle_delay_s: float = 0.0) -> A
     upper, lower = (float(u) for u in trim.motor_input)
     hover = 0.5 * (upper + lower)
     axes = {
-        name: replace(_make_axis(vehicle, model, name, hover), angle_delay_s=angle_delay_s) for name in _STATES
+        name: replace(_make_axis(vehicle, model, name, hover), angle_delay_s=angle_delay_s) for name in _AXIS_STATES
     }  # fmt: skip
-    gains = {name: _design_angle(axes[name]) for name in ("roll", "pitch", "yaw")}
-    shared = _design_position([axes["roll"], axes["pitch"]], [gains["roll"], gains["pitch"]])
-    vertical = _design_position([axes["vertical"]], [CascadeGains()])
+    gains = {name: _design_angle_gains(axes[name]) for name in ("roll", "pitch", "yaw")}
+    shared = _design_position_gains([axes["roll"], axes["pitch"]], [gains["roll"], gains["pitch"]])
+    vertical = _design_position_gains([axes["vertical"]], [CascadeGains()])
     for name in ("roll", "pitch"):
         gains[name] = _with_position_gains(gains[name], shared)
     gains["vertical"] = vertical
@@ -215,7 +215,7 @@ def _with_position_gains(inner: CascadeGains, outer: CascadeGains) -> CascadeGai
 def _make_axis(vehicle: Vehicle, model: Linearisation, name: str, hover: float) -> _Axis:
     full, states = model.full, list(model.full.state_labels)
     inputs = list(full.input_labels)
-    rows = [states.index(s) for s in _STATES[name]]
+    rows = [states.index(s) for s in _AXIS_STATES[name]]
     part = full.A[np.ix_(rows, rows)]
     column = {s: full.B[rows, inputs.index(s)] for s in inputs}
     speed = {"roll": "v", "pitch": "u"}.get(name, "w")
@@ -227,7 +227,7 @@ def _make_axis(vehicle: Vehicle, model: Linearisation, name: str, hover: float) 
         "vertical": column["motor_upper"] + column["motor_lower"],
     }[name]
     n = len(rows) + 1  # the last state is the integral of the velocity, or of the rate
-    local = _STATES[name]
+    local = _AXIS_STATES[name]
     A = np.zeros((n, n))
     A[:-1, :-1] = part
     C = np.zeros((4, n))
@@ -251,7 +251,7 @@ def _make_axis(vehicle: Vehicle, model: Linearisation, name: str, hover: float) 
         filters.append(2.0 * math.pi * float(imu.bandwidth))
     return _Axis(
         name, A, np.append(B, 0.0), C, wind, hover / GRAVITY if name == "vertical" else 1.0 / GRAVITY,
-        _DELAY_PERIODS / CONTROL_RATE_HZ, tuple(filters),
+        _INPUT_DELAY_PERIODS / CONTROL_RATE_HZ, tuple(filters),
     )  # fmt: skip
 
 
@@ -351,7 +351,7 @@ def _closed_loop(axis: _Axis, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
 def _damping_excess(axis: _Axis, k: CascadeGains) -> float:
     """Return by how much the slowest mode misses stability (1/s); 0 for a stable loop."""
     A, _, _ = _closed_loop(axis, k)
-    return max(0.0, float(np.max(np.linalg.eigvals(A).real)) - _STABLE)
+    return max(0.0, float(np.max(np.linalg.eigvals(A).real)) - _MAX_STABLE_REAL_PART)
 
 
 # Design
@@ -360,7 +360,7 @@ def _damping_excess(axis: _Axis, k: CascadeGains) -> float:
 def _search_gains(cost: Callable[[_Array], float], starts: Sequence[Sequence[float]]) -> _Array:
     """Return the gains of least cost; they are searched as logarithms, from each start."""
     best: tuple[float, _Array] | None = None
-    options: Any = {"maxfev": _EVALUATIONS, "xatol": 1e-3, "fatol": 1e-4}
+    options: Any = {"maxfev": _MAX_COST_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-4}
     for start in starts:
         found = minimize(  # type: ignore[call-overload]
             lambda x: cost(_exponential(x)), np.log(start), method="Nelder-Mead",
@@ -385,24 +385,24 @@ def _outer_sensitivity(plant: _Complex, feedback: _Complex) -> _Complex:
 def _loop_cost(axis: _Axis, k: CascadeGains, plant: _Complex, disturbance: _Complex, output: int, peak: float) -> float:
     """Return the logarithm of the integral of the squared error after a step, with penalties."""
     excess = _damping_excess(axis, k)
-    feedback, reference = _controller_response(axis, k, _FREQUENCY)
+    feedback, reference = _controller_response(axis, k, _FREQUENCY_GRID)
     loop = np.sum(feedback * plant, axis=1)
     sensitivity = 1.0 / (1.0 + loop)
     error = disturbance[:, output] - plant[:, output] * sensitivity * np.sum(feedback * disturbance, axis=1)
-    ise = float(np.trapezoid(np.abs(error / _FREQUENCY) ** 2, _FREQUENCY)) / math.pi
+    ise = float(np.trapezoid(np.abs(error / _FREQUENCY_GRID) ** 2, _FREQUENCY_GRID)) / math.pi
     answer = float(np.max(np.abs(plant[:, output] * reference * sensitivity)))
     over = max(0.0, float(np.max(np.abs(sensitivity))) / MAX_SENSITIVITY - 1.0) + max(0.0, answer / peak - 1.0)
     if output == 0:
         over += max(0.0, float(np.max(np.abs(_outer_sensitivity(plant, feedback)))) / MAX_SENSITIVITY - 1.0)
     elif axis.name != "yaw":
         over += max(0.0, k.angle * k.rate_proportional * math.radians(ANGLE_ERROR_DEG) / 0.5 - 1.0)
-    return math.log(ise) + _PENALTY * over + _PENALTY * (10.0 + excess) * (excess > 0.0)
+    return math.log(ise) + _CONSTRAINT_PENALTY * over + _CONSTRAINT_PENALTY * (10.0 + excess) * (excess > 0.0)
 
 
-_ANGLE_LIMITS = {"roll": (12.0, 0.5, 4.0, 0.01), "pitch": (12.0, 0.6, 4.0, 0.01), "yaw": (5.0, 0.6, 4.0, 0.0)}
-_XY_LIMITS, _Z_LIMITS = (2.0, 5.0, 60.0, 2.0), (1.5, 15.0, 3.0, 2.0)
-_XY_LEAST, _Z_LEAST = (0.0, 1.2, 0.0, 0.1), (0.1, 2.0, 0.2, 0.0)
-_ANGLE_PEAK = 1.3
+_MAX_ANGLE_GAINS = {"roll": (12.0, 0.5, 4.0, 0.01), "pitch": (12.0, 0.6, 4.0, 0.01), "yaw": (5.0, 0.6, 4.0, 0.0)}
+_MAX_XY_GAINS, _MAX_Z_GAINS = (2.0, 5.0, 60.0, 2.0), (1.5, 15.0, 3.0, 2.0)
+_MIN_XY_GAINS, _MIN_Z_GAINS = (0.0, 1.2, 0.0, 0.1), (0.1, 2.0, 0.2, 0.0)
+_MAX_ANGLE_RESPONSE_PEAK = 1.3
 
 
 def _without_velocity(axis: _Axis) -> _Axis:
@@ -414,14 +414,14 @@ def _without_velocity(axis: _Axis) -> _Axis:
     )  # fmt: skip
 
 
-def _drop_small(gain: float) -> float:
+def _drop_small_gain(gain: float) -> float:
     return float(gain) if gain > 1e-5 else 0.0
 
 
-def _design_angle(axis: _Axis) -> CascadeGains:
+def _design_angle_gains(axis: _Axis) -> CascadeGains:
     axis = _without_velocity(axis)
-    limits = _ANGLE_LIMITS[axis.name]
-    plant = _plant_response(axis, _FREQUENCY, axis.B)
+    limits = _MAX_ANGLE_GAINS[axis.name]
+    plant = _plant_response(axis, _FREQUENCY_GRID, axis.B)
 
     def to_gains(x: _Array) -> CascadeGains:
         angle, rate, integral, slope = np.minimum(x, limits)
@@ -429,11 +429,11 @@ def _design_angle(axis: _Axis) -> CascadeGains:
             angle=float(angle),
             rate_proportional=float(rate),
             rate_integral=float(integral),
-            rate_derivative=_drop_small(slope),
+            rate_derivative=_drop_small_gain(slope),
         )
 
     def cost(x: _Array) -> float:
-        return _loop_cost(axis, to_gains(x), plant, plant, 2, _ANGLE_PEAK)
+        return _loop_cost(axis, to_gains(x), plant, plant, 2, _MAX_ANGLE_RESPONSE_PEAK)
 
     scale = 0.02 if axis.name == "yaw" else 0.2
     slope = 1e-9 if axis.name == "yaw" else 3e-3
@@ -443,11 +443,11 @@ def _design_angle(axis: _Axis) -> CascadeGains:
     return k
 
 
-def _design_position(axes: Sequence[_Axis], inner: Sequence[CascadeGains]) -> CascadeGains:
+def _design_position_gains(axes: Sequence[_Axis], inner: Sequence[CascadeGains]) -> CascadeGains:
     vertical = axes[0].name == "vertical"
-    most, least = (_Z_LIMITS, _Z_LEAST) if vertical else (_XY_LIMITS, _XY_LEAST)
-    plants = [_plant_response(axis, _FREQUENCY, axis.B) for axis in axes]
-    winds = [_plant_response(axis, _FREQUENCY, axis.wind) for axis in axes]
+    most, least = (_MAX_Z_GAINS, _MIN_Z_GAINS) if vertical else (_MAX_XY_GAINS, _MIN_XY_GAINS)
+    plants = [_plant_response(axis, _FREQUENCY_GRID, axis.B) for axis in axes]
+    winds = [_plant_response(axis, _FREQUENCY_GRID, axis.wind) for axis in axes]
 
     def to_gains(x: _Array, k: CascadeGains) -> CascadeGains:
         place, speed, integral, slope = np.clip(x, least, most)
@@ -483,7 +483,7 @@ def predict_margins(axis: _Axis, k: CascadeGains) -> AxisMargins:
     phase = [abs(math.degrees(np.angle(-loop[i]))) for i in crossings]
     real = np.flatnonzero(np.diff(np.sign(loop.imag)) * (loop.real[:-1] < 0.0))
     gains_dB = [abs(20.0 * math.log10(size[i])) for i in real]
-    push = math.nan if axis.name in ("yaw", "vertical") else 0.5 * _step_peak(axis, k)
+    push = math.nan if axis.name in ("yaw", "vertical") else 0.5 * _wind_step_displacement(axis, k)
     return AxisMargins(
         axis=axis.name,
         crossover_rad_s=float(w[crossings[-1]]) if crossings.size else math.nan,
@@ -498,7 +498,7 @@ def predict_margins(axis: _Axis, k: CascadeGains) -> AxisMargins:
     )
 
 
-def _step_peak(axis: _Axis, k: CascadeGains) -> float:
+def _wind_step_displacement(axis: _Axis, k: CascadeGains) -> float:
     """Return the largest displacement (m) after a step of the wind of 1 m/s."""
     A, _, wind = _closed_loop(axis, k)
     n, step_s = len(A), 0.01

@@ -39,7 +39,7 @@ _Array = NDArray[np.float64]
 
 ARMED_STATE, DISARMED_STATE = "armed", "disarmed"
 """States of a flight in the recording."""
-_INPUT_LEAST = np.array([0.0, 0.0, -1.0, -1.0])
+_MIN_INPUTS = np.array([0.0, 0.0, -1.0, -1.0])
 _NO_REFERENCE = (np.full(3, math.nan), np.full(3, math.nan), np.full(3, math.nan))
 
 
@@ -127,7 +127,7 @@ class AutopilotPlant:
         self.acting = self.sent = Actuators.idle()
         self.is_armed = self._has_flown = self._has_moved = False
         self.sensors.reset()
-        self._measure()
+        self._take_readings()
 
     @property
     def time_s(self) -> float:
@@ -154,14 +154,14 @@ class AutopilotPlant:
         armed : bool
             Whether the autopilot is armed; otherwise the motors are off.
         """
-        clipped = np.clip(np.nan_to_num(np.asarray(inputs, dtype=np.float64), nan=0.0), _INPUT_LEAST, 1.0)
+        clipped = np.clip(np.nan_to_num(np.asarray(inputs, dtype=np.float64), nan=0.0), _MIN_INPUTS, 1.0)
         if not armed:
             clipped[:2] = 0.0
         self.set_armed(armed)
         self.sent = Actuators(clipped[:2], clipped[2:])
         self.plant.advance_period(self.acting)
         self.acting = self.sent
-        self._measure()
+        self._take_readings()
         if self.plant.period_count % self._look_periods == 0:
             self._check_events()
 
@@ -179,7 +179,7 @@ class AutopilotPlant:
         self.plant.reset(self._start)
         self.acting = self.sent = Actuators.idle()
         self._crash_told, self._battery_was_low, self._has_moved = "", False, False
-        self._measure()
+        self._take_readings()
         self.log_event("the vehicle is back at the start")
 
     def log_event(self, text: str, level: str = "info") -> None:
@@ -242,7 +242,7 @@ class AutopilotPlant:
         else:
             self.recorder.__exit__(kind, error, trace)
 
-    def _measure(self) -> None:
+    def _take_readings(self) -> None:
         self.truth: Truth = self.plant.truth
         self.readings: Readings = self.sensors.read(self.truth)
         state = ARMED_STATE if self.is_armed else DISARMED_STATE

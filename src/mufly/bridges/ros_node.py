@@ -196,8 +196,8 @@ class RosPublisher:
 
     def _subscribe(self) -> None:
         pose, twist = (load_message_class(f"geometry_msgs/msg/{name}") for name in ("PoseStamped", "Twist"))
-        self._node.create_subscription(pose, "/goal_pose", self._take_goal, _QUEUE_DEPTH)
-        self._node.create_subscription(twist, "/cmd_vel", self._take_velocity, _QUEUE_DEPTH)
+        self._node.create_subscription(pose, "/goal_pose", self._handle_goal_message, _QUEUE_DEPTH)
+        self._node.create_subscription(twist, "/cmd_vel", self._handle_velocity_message, _QUEUE_DEPTH)
         try:
             trigger = importlib.import_module("std_srvs.srv").Trigger
         except ImportError:
@@ -222,7 +222,7 @@ class RosPublisher:
 
         return answer
 
-    def _take_goal(self, message: Any) -> None:
+    def _handle_goal_message(self, message: Any) -> None:
         frame = message.header.frame_id
         p, q = message.pose.position, message.pose.orientation
         place = ned_to_enu(np.array([[p.x, p.y, p.z]]))[0]
@@ -243,7 +243,7 @@ class RosPublisher:
 
         self.view.request(fly)
 
-    def _take_velocity(self, message: Any) -> None:
+    def _handle_velocity_message(self, message: Any) -> None:
         v = message.linear
         ahead, right, down = body_to_flu(np.array([[v.x, v.y, v.z]]))[0].tolist()
         turn = -float(message.angular.z)

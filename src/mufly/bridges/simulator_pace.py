@@ -91,7 +91,7 @@ class SimulatorPace:
         period_s = self._vehicle.period_s
         self._pacer = RealTimePacer(self._clock(), period_s / (self.speed or 1.0))
 
-    def rest_s(self, *, in_real_time: bool = False) -> float:
+    def time_to_next_period_s(self, *, in_real_time: bool = False) -> float:
         """Return the time until the next period (s); 0 or less if it is due, and at once without a wanted speed."""
         if self.speed == 0.0 and not in_real_time:
             return 0.0

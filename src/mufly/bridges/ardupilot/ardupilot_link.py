@@ -41,12 +41,12 @@ ROLL_CHANNEL, PITCH_CHANNEL, ROLL_MIRROR, PITCH_MIRROR, UPPER_CHANNEL, LOWER_CHA
 """Outputs of ArduPilot's CoaxCopter; the fifth one is the motor that yaws right."""
 _CHANNELS_BY_MAGIC = {18458: 16, 29569: 32}
 _SERVO_HEAD_STRUCT = struct.Struct("<HHI")
-_CENTRE_US, _HALF_US, _LEAST_US = 1500.0, 500.0, 1000.0
-_MIRROR_US = 40.0  # largest difference of mirrored outputs from their mean
-_SPINNING = 0.01
-_WAIT_S = 0.05
+_PULSE_CENTRE_US, _PULSE_HALF_RANGE_US, _MIN_PULSE_US = 1500.0, 500.0, 1000.0
+_MIRROR_TOLERANCE_US = 40.0  # largest difference of mirrored outputs from their mean
+_SPINNING_MOTOR_INPUT = 0.01
+_RECEIVE_TIMEOUT_S = 0.05
 _REPLY_DIGITS = 9
-_UNSEEN_SENSORS = ("position_fix", "pressure", "magnetometer")
+_SENSORS_NOT_SENT = ("position_fix", "pressure", "magnetometer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +71,8 @@ class ServoPacket:
     def inputs(self) -> NDArray[np.float64]:
         """Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1)."""
         p = self.pulse_us
-        motors = (p[[UPPER_CHANNEL, LOWER_CHANNEL]] - _LEAST_US) / (2.0 * _HALF_US)
-        roll, pitch = (p[[ROLL_CHANNEL, PITCH_CHANNEL]] - _CENTRE_US) / _HALF_US
+        motors = (p[[UPPER_CHANNEL, LOWER_CHANNEL]] - _MIN_PULSE_US) / (2.0 * _PULSE_HALF_RANGE_US)
+        roll, pitch = (p[[ROLL_CHANNEL, PITCH_CHANNEL]] - _PULSE_CENTRE_US) / _PULSE_HALF_RANGE_US
         return np.array([*motors, -pitch, roll])
 
     @property
@@ -96,15 +96,18 @@ def encode_state(vehicle: AutopilotPlant, start_s: float) -> bytes:
     """Return the answer to ArduPilot at the present time; ``start_s`` is the time of its start (s)."""
     truth, readings = vehicle.truth, vehicle.readings
 
-    def plain(values: Any) -> list[float]:
+    def round_numbers(values: Any) -> list[float]:
         return [round(float(v), _REPLY_DIGITS) for v in values]
 
     state: dict[str, Any] = {
         "timestamp": round(truth.time_s - start_s, 6),
-        "imu": {"gyro": plain(readings["rates"].value), "accel_body": plain(readings["acceleration"].value)},
-        "position": plain(truth.position),
-        "attitude": plain([*truth.attitude[:2], math.remainder(truth.attitude[2], 2.0 * math.pi)]),
-        "velocity": plain(truth.velocity),
+        "imu": {
+            "gyro": round_numbers(readings["rates"].value),
+            "accel_body": round_numbers(readings["acceleration"].value),
+        },
+        "position": round_numbers(truth.position),
+        "attitude": round_numbers([*truth.attitude[:2], math.remainder(truth.attitude[2], 2.0 * math.pi)]),
+        "velocity": round_numbers(truth.velocity),
     }
     if "ground_distance" in readings and readings["ground_distance"].valid:
         state["rng_1"] = round(float(readings["ground_distance"].value), 4)
@@ -157,11 +160,11 @@ class ArduPilotSimulator(AutopilotSimulator):
     def _announce(self) -> None:
         self.vehicle.log_event(f"waiting for ArduPilot at {self.port.endpoint}")
         self.vehicle.warn_of_unseen_faults(
-            lambda name: name not in _UNSEEN_SENSORS, "ArduPilot simulates this sensor itself"
+            lambda name: name not in _SENSORS_NOT_SENT, "ArduPilot simulates this sensor itself"
         )
 
     def _advance(self, stop: Callable[[], bool]) -> None:
-        self._wait(_WAIT_S)
+        self._wait(_RECEIVE_TIMEOUT_S)
         for peer, data in self.port.receive():
             self._answer(peer, data, stop)
         if self.state == "lockstep" and self._clock() - self._heard_s > SILENCE_S:
@@ -183,25 +186,25 @@ class ArduPilotSimulator(AutopilotSimulator):
             self.pace.restart()
         last = self._last
         if last is None or packet.frame < last.frame:
-            self._begin(peer, again=last is not None)
+            self._begin_session(peer, again=last is not None)
         elif packet.frame == last.frame:  # its answer was lost
             self.port.send(peer, self._reply)
             return
         elif packet.frame > last.frame + 1:
             self.unanswered_count += packet.frame - last.frame - 1
         self._last, self.state = packet, "lockstep"
-        self._check(packet)
-        while (rest_s := self.pace.rest_s()) > 0.0 and not stop():
-            time.sleep(min(rest_s, _WAIT_S))
+        self._check_channels(packet)
+        while (time_to_next_period_s := self.pace.time_to_next_period_s()) > 0.0 and not stop():
+            time.sleep(min(time_to_next_period_s, _RECEIVE_TIMEOUT_S))
         self.pace.record_period()
         inputs = packet.inputs if packet.is_started else np.zeros(4)
-        self.vehicle.advance_period(inputs, bool(np.any(inputs[:2] > _SPINNING)))
+        self.vehicle.advance_period(inputs, bool(np.any(inputs[:2] > _SPINNING_MOTOR_INPUT)))
         self.step_count += 1
         self._reply = encode_state(self.vehicle, self._start_s)
         self.port.send(peer, self._reply)
         self.on_period()
 
-    def _begin(self, peer: Peer, *, again: bool) -> None:
+    def _begin_session(self, peer: Peer, *, again: bool) -> None:
         self.vehicle.log_event(f"ArduPilot {'has restarted' if again else 'sends'} from {peer.address}")
         self.vehicle.allow_warnings()
         if self.vehicle.has_moved:
@@ -209,7 +212,7 @@ class ArduPilotSimulator(AutopilotSimulator):
         self._start_s = self.vehicle.time_s
         self.pace.restart()
 
-    def _check(self, packet: ServoPacket) -> None:
+    def _check_channels(self, packet: ServoPacket) -> None:
         rate_Hz = 1.0 / self.vehicle.period_s
         if abs(packet.rate_Hz - rate_Hz) > 1.0:
             self.vehicle.warn_once(
@@ -225,7 +228,10 @@ def describe_wrong_channels(packet: ServoPacket) -> str:
     if not packet.is_started:
         return ""
     pairs = ((ROLL_CHANNEL, ROLL_MIRROR), (PITCH_CHANNEL, PITCH_MIRROR))
-    if any(abs(float(packet.pulse_us[[a, b]].sum()) - 2.0 * _CENTRE_US) > 2.0 * _MIRROR_US for a, b in pairs):
+    if any(
+        abs(float(packet.pulse_us[[a, b]].sum()) - 2.0 * _PULSE_CENTRE_US) > 2.0 * _MIRROR_TOLERANCE_US
+        for a, b in pairs
+    ):
         return (
             "ArduPilot's outputs 1 to 4 are not mirrored, so it uses another frame; load the file of "
             "`mufly autopilot gains ardupilot` (FRAME_CLASS 8)"

@@ -25,8 +25,8 @@ CLI_ENDPOINT = Endpoint("tcp", "127.0.0.1", 5761)
 """Address of Betaflight's first serial port."""
 STATE_PORT = 9003
 """UDP port where Betaflight receives the state of the simulated vehicle."""
-_CALL_S, _ANSWER_S, _RETRY_S = 20.0, 20.0, 0.02
-_STARTS, _START_S = 3, 10.0
+_CONNECT_TIMEOUT_S, _ANSWER_TIMEOUT_S, _CONNECT_RETRY_PERIOD_S = 20.0, 20.0, 0.02
+_MAX_START_ATTEMPTS, _START_TIMEOUT_S = 3, 10.0
 _ERROR_MARK = b"###ERROR"
 
 
@@ -57,16 +57,16 @@ def load_cli_file(text: str, *, endpoint: Endpoint = CLI_ENDPOINT) -> None:
 
 
 def _open_connection(endpoint: Endpoint) -> socket.socket:
-    end_s = time.monotonic() + _CALL_S
+    end_s = time.monotonic() + _CONNECT_TIMEOUT_S
     while True:
         try:
-            return socket.create_connection((endpoint.host, endpoint.port), timeout=_ANSWER_S)
+            return socket.create_connection((endpoint.host, endpoint.port), timeout=_ANSWER_TIMEOUT_S)
         except OSError as error:
             if time.monotonic() > end_s:
                 raise MuflyError(
                     f"no Betaflight answers at {endpoint} ({error.strerror or error}); start its SITL"
                 ) from None
-            time.sleep(_RETRY_S)
+            time.sleep(_CONNECT_RETRY_PERIOD_S)
 
 
 def _send_and_receive(line: socket.socket, data: bytes, endpoint: Endpoint) -> bytes:
@@ -131,7 +131,7 @@ def run_betaflight(program: Path, folder: Path, text: str) -> Iterator[subproces
         process = _start_program(program, folder, log)
         try:
             load_cli_file(text)
-            process.wait(_ANSWER_S)
+            process.wait(_ANSWER_TIMEOUT_S)
             process = _start_program(program, folder, log)
             yield process
         finally:
@@ -141,13 +141,13 @@ def run_betaflight(program: Path, folder: Path, text: str) -> Iterator[subproces
 
 def _start_program(program: Path, folder: Path, log: IO[bytes]) -> subprocess.Popen[bytes]:
     """Start Betaflight and wait until it answers MSP; a start that hangs or crashes, as a few do, is tried again."""
-    for _ in range(_STARTS):
+    for _ in range(_MAX_START_ATTEMPTS):
         process = subprocess.Popen([program.absolute()], cwd=folder, stdout=log, stderr=subprocess.STDOUT)
-        end_s = time.monotonic() + _START_S
+        end_s = time.monotonic() + _START_TIMEOUT_S
         while process.poll() is None and time.monotonic() < end_s:
             with (
                 contextlib.suppress(OSError),
-                socket.create_connection((CLI_ENDPOINT.host, CLI_ENDPOINT.port), timeout=_START_S) as line,
+                socket.create_connection((CLI_ENDPOINT.host, CLI_ENDPOINT.port), timeout=_START_TIMEOUT_S) as line,
             ):
                 line.sendall(encode_status_request())
                 answer = b""
@@ -155,7 +155,7 @@ def _start_program(program: Path, folder: Path, log: IO[bytes]) -> subprocess.Po
                     answer += part
                     if read_arming_obstacles(answer) is not None:
                         return process
-            time.sleep(_RETRY_S)
+            time.sleep(_CONNECT_RETRY_PERIOD_S)
         process.kill()
         process.wait()
     raise MuflyError(f"{program} does not answer at port {CLI_ENDPOINT.port}; see {folder / 'betaflight.log'}")

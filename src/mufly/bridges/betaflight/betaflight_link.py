@@ -2,7 +2,7 @@
 
 Betaflight answers each state of the vehicle with at most one packet of outputs. The simulation waits for it, so both
 run in lockstep; a lost packet is sent again. A state that comes while Betaflight starts can crash it. So states are
-sent, and sent again, only after its serial port has been open for :data:`READY_S`.
+sent, and sent again, only after its serial port has been open for :data:`PORT_OPEN_TIME_S`.
 
 Betaflight's clock follows the ratio of simulated to wall-clock time between the last two states. So states come at
 even intervals, and a slow machine slows both down. Its loop has 8000 periods per simulated second, and sleeps 0.05 ms
@@ -37,8 +37,8 @@ import numpy as np
 
 from mufly.bridges.autopilot_plant import AutopilotPlant
 from mufly.bridges.betaflight.betaflight_messages import (
-    GAZEBO_BYTES,
-    LEAST_US,
+    GAZEBO_PACKET_BYTES,
+    MIN_PULSE_US,
     BetaflightOutputs,
     encode_channels,
     encode_state,
@@ -56,18 +56,18 @@ BETAFLIGHT_ENDPOINT = Endpoint("udpout", "127.0.0.1", 9003)
 """Address where Betaflight receives the state of the vehicle."""
 BETAFLIGHT_RATE_HZ = 500.0
 """Rate of the simulation."""
-READY_S = 0.5
+PORT_OPEN_TIME_S = 0.5
 """Wall-clock time that Betaflight's serial port has been open before it receives states (s)."""
-START_S = 10.0
+START_TIMEOUT_S = 10.0
 """Wall-clock time that the port has been open without an answer, after which the start counts as failed (s)."""
-ARMING_PATIENCE_S = 4.0
+ARMING_TIMEOUT_S = 4.0
 """Simulated time of a refused arming after which Betaflight is asked for its reasons (s)."""
 _PILOT_PERIODS = round(BETAFLIGHT_RATE_HZ / PILOT_RATE_HZ)
-_RESEND_S, _WAIT_S, _PROBE_S = 0.1, 0.02, 0.5
-_ARMED_US = LEAST_US + 500.0 * MOTOR_IDLE
-_MAX_SPEED = 1.0
+_RESEND_PERIOD_S, _RECEIVE_TIMEOUT_S, _PORT_PROBE_PERIOD_S = 0.1, 0.02, 0.5
+_ARMED_US = MIN_PULSE_US + 500.0 * MOTOR_IDLE
+_MAX_REAL_TIME_FACTOR = 1.0
 _SERVO_PULSES = slice(2, 4)  # of the outputs; the motors come before
-_SEEN_SENSORS = ("imu", "pressure")
+_SENT_SENSORS = ("imu", "pressure")
 
 
 class BetaflightPorts(NamedTuple):
@@ -119,9 +119,10 @@ class BetaflightSimulator(AutopilotSimulator):
         where: str = "endpoint",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        if not 0.0 < speed <= _MAX_SPEED:
+        if not 0.0 < speed <= _MAX_REAL_TIME_FACTOR:
             raise InputError(
-                "speed", "", f"{speed:g} is too fast for Betaflight's loop", f"give a speed up to {_MAX_SPEED:g}"
+                "speed", "", f"{speed:g} is too fast for Betaflight's loop",
+                f"give a speed up to {_MAX_REAL_TIME_FACTOR:g}"
             )  # fmt: skip
         ports = ports or BetaflightPorts()
         listens = "127.0.0.1" if endpoint.host in ("127.0.0.1", "localhost") else "0.0.0.0"
@@ -143,14 +144,14 @@ class BetaflightSimulator(AutopilotSimulator):
 
     def _announce(self) -> None:
         self.vehicle.log_event(f"waiting for Betaflight at {self._state_port.endpoint}")
-        self.vehicle.warn_of_unseen_faults(_SEEN_SENSORS.__contains__, "Betaflight does not receive this sensor")
+        self.vehicle.warn_of_unseen_faults(_SENT_SENSORS.__contains__, "Betaflight does not receive this sensor")
 
     def _advance(self, stop: Callable[[], bool]) -> None:
         if self.state == "waiting":
             if self._is_ready():
-                self._send()
+                self._send_state()
                 self._check_start()
-            self._wait(_WAIT_S)
+            self._wait(_RECEIVE_TIMEOUT_S)
             self._receive()
         else:
             self._run_period(stop)
@@ -167,10 +168,12 @@ class BetaflightSimulator(AutopilotSimulator):
         self._receive()  # answers to states that were sent twice
         self._is_answered, self._open_s = False, math.nan
         sent_s = self._clock()
-        self._send()
+        self._send_state()
         self._await_answer(sent_s, stop)
-        while (rest_s := max(self.pace.rest_s(), sent_s + self._interval_s - self._clock())) > 0.0 and not stop():
-            time.sleep(min(rest_s, _WAIT_S))
+        while (
+            time_to_next_period_s := max(self.pace.time_to_next_period_s(), sent_s + self._interval_s - self._clock())
+        ) > 0.0 and not stop():
+            time.sleep(min(time_to_next_period_s, _RECEIVE_TIMEOUT_S))
         if stop() or self.state != "running" or self._command is None:
             return
         self.pace.record_period()
@@ -184,7 +187,7 @@ class BetaflightSimulator(AutopilotSimulator):
         self._watch_arming(is_armed)
         self.on_period()
 
-    def _send(self) -> None:
+    def _send_state(self) -> None:
         """Send the state, and at the pilot's rate the channels."""
         vehicle = self.vehicle
         if self.pilot is not None and self.step_count % _PILOT_PERIODS == 0:
@@ -198,9 +201,9 @@ class BetaflightSimulator(AutopilotSimulator):
             self._state_port.send(peer, encode_state(vehicle.time_s, vehicle.truth, vehicle.readings))
 
     def _await_answer(self, begun_s: float, stop: Callable[[], bool]) -> None:
-        again_s = begun_s + _RESEND_S
+        again_s = begun_s + _RESEND_PERIOD_S
         while not self._is_answered and not stop():
-            self._wait(_WAIT_S)
+            self._wait(_RECEIVE_TIMEOUT_S)
             self._receive()
             now_s = self._clock()
             if self.state == "running" and now_s - begun_s > SILENCE_S and not self._is_answered:
@@ -210,32 +213,34 @@ class BetaflightSimulator(AutopilotSimulator):
                     "warning",
                 )
             if not self._is_answered and now_s >= again_s and self._is_ready():
-                again_s = now_s + _RESEND_S
+                again_s = now_s + _RESEND_PERIOD_S
                 self.unanswered_count += 1
-                self._send()
+                self._send_state()
         if self._is_answered and self.state == "silent":
             self.state = "running"
             self.vehicle.log_event("Betaflight answers again")
             self.pace.restart()
 
     def _is_ready(self) -> bool:
-        """Return whether Betaflight's serial port has been open for :data:`READY_S`; it is called every so often."""
+        """Return whether Betaflight's serial port has been open for :data:`PORT_OPEN_TIME_S`; it is called often."""
         now_s = self._clock()
-        if not now_s - self._probed_s < _PROBE_S:
+        if not now_s - self._probed_s < _PORT_PROBE_PERIOD_S:
             self._probed_s = now_s
             try:
-                socket.create_connection((self._msp_endpoint.host, self._msp_endpoint.port), timeout=_PROBE_S).close()
+                socket.create_connection(
+                    (self._msp_endpoint.host, self._msp_endpoint.port), timeout=_PORT_PROBE_PERIOD_S
+                ).close()
             except OSError:
                 self._open_s = math.nan
             else:
                 self._open_s = now_s if math.isnan(self._open_s) else self._open_s
-        return now_s - self._open_s >= READY_S
+        return now_s - self._open_s >= PORT_OPEN_TIME_S
 
     def _check_start(self) -> None:
         """Report a start that failed: the clock of some stands still from the beginning."""
-        if self._clock() - self._open_s > START_S:
+        if self._clock() - self._open_s > START_TIMEOUT_S:
             self.vehicle.warn_once(
-                "start", f"Betaflight's port is open, but it answers no state for {START_S:g} s; start it again"
+                "start", f"Betaflight's port is open, but it answers no state for {START_TIMEOUT_S:g} s; start it again"
             )
 
     # Packets of Betaflight
@@ -246,16 +251,16 @@ class BetaflightSimulator(AutopilotSimulator):
             if outputs is None:
                 what = (
                     "the packets of port 9002, which carry no servos; Betaflight's outputs are at 9001"
-                    if len(data) == GAZEBO_BYTES
+                    if len(data) == GAZEBO_PACKET_BYTES
                     else "packets that are not Betaflight's; close that program"
                 )
                 self.vehicle.warn_once("packet", f"{peer.address} sends {what}")
                 continue
             if peer != self._peer:
-                self._meet_autopilot(peer)
+                self._register_autopilot(peer)
             self._command, self._is_answered = outputs, True
 
-    def _meet_autopilot(self, peer: Peer) -> None:
+    def _register_autopilot(self, peer: Peer) -> None:
         again, self._peer, self.state = self._peer is not None, peer, "running"
         self.vehicle.log_event(f"Betaflight {'has restarted' if again else 'answers'} from {peer.address}")
         self.vehicle.allow_warnings()
@@ -276,7 +281,7 @@ class BetaflightSimulator(AutopilotSimulator):
             self._close_msp()
             return
         self._refused_s += self.vehicle.period_s
-        if self._refused_s < ARMING_PATIENCE_S or self.vehicle.has_warned("arming"):
+        if self._refused_s < ARMING_TIMEOUT_S or self.vehicle.has_warned("arming"):
             return
         if self._msp is None:
             self._msp, self._msp_data = open_port(self._msp_endpoint), b""

@@ -35,9 +35,9 @@ from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 _STATE_STRUCT = struct.Struct("<d3d3d4d3d3dd")
 _CHANNELS_STRUCT = struct.Struct("<d16H")
 _OUTPUTS_STRUCT = struct.Struct("<H2x16f")
-GAZEBO_BYTES = 16
+GAZEBO_PACKET_BYTES = 16
 """Size of the packets that Betaflight sends to port 9002, which carry four motors and no servo."""
-CENTRE_US, HALF_US, LEAST_US, MOST_US = 1500.0, 500.0, 1000.0, 2000.0
+PULSE_CENTRE_US, PULSE_HALF_RANGE_US, MIN_PULSE_US, MAX_PULSE_US = 1500.0, 500.0, 1000.0, 2000.0
 _CHANNEL_COUNT = 16
 _MSP_HEAD, _MSP_ANSWER = b"$M<", b"$M>"
 _MSP_STATUS_EX = 150
@@ -77,8 +77,10 @@ class BetaflightOutputs:
         down, and roll, right.
         """
         lower, upper, pitch, roll = self.pulse_us[:4]
-        motors = (np.array([upper, lower]) - LEAST_US) / (MOST_US - LEAST_US)
-        return np.array([*motors, (pitch - CENTRE_US) / HALF_US, (roll - CENTRE_US) / HALF_US])
+        motors = (np.array([upper, lower]) - MIN_PULSE_US) / (MAX_PULSE_US - MIN_PULSE_US)
+        return np.array(
+            [*motors, (pitch - PULSE_CENTRE_US) / PULSE_HALF_RANGE_US, (roll - PULSE_CENTRE_US) / PULSE_HALF_RANGE_US]
+        )
 
 
 def read_outputs(data: bytes) -> BetaflightOutputs | None:
@@ -110,9 +112,9 @@ def encode_state(time_s: float, truth: Truth, readings: Readings) -> bytes:
 
 def encode_channels(time_s: float, pulse_us: NDArray[np.float64]) -> bytes:
     """Return the packet of the transmitter's channels (us), at most 16: roll, pitch, throttle, yaw, auxiliary ones."""
-    pulses = np.full(_CHANNEL_COUNT, LEAST_US)
+    pulses = np.full(_CHANNEL_COUNT, MIN_PULSE_US)
     pulses[: len(pulse_us)] = pulse_us
-    return _CHANNELS_STRUCT.pack(time_s, *np.clip(np.rint(pulses), LEAST_US, MOST_US).astype(int).tolist())
+    return _CHANNELS_STRUCT.pack(time_s, *np.clip(np.rint(pulses), MIN_PULSE_US, MAX_PULSE_US).astype(int).tolist())
 
 
 def encode_status_request() -> bytes:

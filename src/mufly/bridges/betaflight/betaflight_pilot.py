@@ -23,7 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.bridges.autopilot_gains import VELOCITY_RATE_CUTOFF_HZ, AutopilotGains, CascadeGains
-from mufly.bridges.betaflight.betaflight_messages import CENTRE_US, HALF_US, LEAST_US, MOST_US
+from mufly.bridges.betaflight.betaflight_messages import (
+    MAX_PULSE_US,
+    MIN_PULSE_US,
+    PULSE_CENTRE_US,
+    PULSE_HALF_RANGE_US,
+)
 from mufly.bridges.betaflight.betaflight_settings import (
     ANGLE_LIMIT_DEG,
     LOW_THROTTLE_US,
@@ -37,20 +42,20 @@ from mufly.sensors import Readings, Truth
 _Array = NDArray[np.float64]
 
 PilotPhase = Literal["ready", "arming", "spool-up", "take-off", "hover", "square", "landing", "landed"]
-REST_S, ARMING_S = 0.5, 2.0
+DISARMED_TIME_S, ARMING_TIME_S = 0.5, 2.0
 """Time of the switch ARM off before arming, and on before it is switched off and on again (s)."""
-SPOOL_UP_S = 2.0
+MOTOR_SPOOL_UP_TIME_S = 2.0
 """Time in which the throttle rises to that of hover (s)."""
 MAX_TILT_DEG = 12.0
-LANDED_M = 0.015
+LANDED_HEIGHT_M = 0.015
 """Height above the start below which the vehicle has landed (m)."""
 _MAX_VELOCITY_M_S, _MAX_TRIM_M_S2, _MAX_CLIMB_M_S2 = 0.6, 1.5, 3.0
 _ARM_CHANNEL = 4
 _VOLTAGE_FILTER_S = 1.0
-_BELOW_FLOOR_M = 0.15  # of the reference at the end of a landing
+_LANDING_REFERENCE_DEPTH_M = 0.15  # of the reference at the end of a landing
 
 
-REST_PULSES_US = np.array([CENTRE_US, CENTRE_US, LEAST_US, CENTRE_US, LEAST_US, MOST_US])
+REST_PULSES_US = np.array([PULSE_CENTRE_US, PULSE_CENTRE_US, MIN_PULSE_US, PULSE_CENTRE_US, MIN_PULSE_US, MAX_PULSE_US])
 """Channels of a disarmed vehicle: sticks in the middle, no throttle, ARM off, ANGLE on."""
 
 
@@ -63,9 +68,9 @@ class PilotPlan:
     height_m : float
         Height above the start.
     hover_s : float
-    side_m : float
+    square_side_m : float
         Side of the square, flown north first and clockwise; 0: no square.
-    leg_s : float
+    leg_duration_s : float
         Time of one side (s).
     climb_m_s, sink_m_s : float
         Largest speed of the take-off, and speed of the landing.
@@ -73,8 +78,8 @@ class PilotPlan:
 
     height_m: float = 0.6
     hover_s: float = 10.0
-    side_m: float = 1.0
-    leg_s: float = 6.0
+    square_side_m: float = 1.0
+    leg_duration_s: float = 6.0
     climb_m_s: float = 0.3
     sink_m_s: float = 0.25
 
@@ -160,50 +165,50 @@ class BetaflightPilot:
         self.phase_s += 1.0 / PILOT_RATE_HZ
         if np.isnan(self._start[0]):
             self._start, self._yaw = truth.position.copy(), float(truth.attitude[2])
-        self._follow_voltage(readings)
+        self._filter_voltage(readings)
         self._advance_phase(truth, is_armed)
         if self.phase in ("ready", "arming", "landed"):
             pulses = REST_PULSES_US.copy()
-            if self.phase == "arming" and self.phase_s < ARMING_S - REST_S:
-                pulses[_ARM_CHANNEL] = MOST_US
+            if self.phase == "arming" and self.phase_s < ARMING_TIME_S - DISARMED_TIME_S:
+                pulses[_ARM_CHANNEL] = MAX_PULSE_US
             return pulses
-        self._move_reference()
-        return self._fly(truth)
+        self._set_phase_reference()
+        return self._command_flight(truth)
 
     # The flight
 
-    def _enter(self, phase: PilotPhase) -> None:
+    def _enter_phase(self, phase: PilotPhase) -> None:
         self.phase, self.phase_s = phase, 0.0
 
     def _advance_phase(self, truth: Truth, is_armed: bool) -> None:
         plan, height_m = self.plan, float(self._start[2] - truth.position[2])
-        if self.phase == "ready" and self.phase_s >= REST_S:
-            self._enter("arming")
+        if self.phase == "ready" and self.phase_s >= DISARMED_TIME_S:
+            self._enter_phase("arming")
         elif self.phase == "arming":
             if is_armed:
-                self._enter("spool-up")
-            elif self.phase_s >= ARMING_S:
+                self._enter_phase("spool-up")
+            elif self.phase_s >= ARMING_TIME_S:
                 self.phase_s = 0.0
         elif not is_armed and self.phase not in ("ready", "landed"):
-            self._enter("landed")
-        elif self.phase == "spool-up" and self.phase_s >= SPOOL_UP_S:
-            self._enter("take-off")
+            self._enter_phase("landed")
+        elif self.phase == "spool-up" and self.phase_s >= MOTOR_SPOOL_UP_TIME_S:
+            self._enter_phase("take-off")
         elif self.phase == "take-off" and self.phase_s >= plan.take_off_s:
-            self._enter("hover")
+            self._enter_phase("hover")
         elif self.phase == "hover" and self.phase_s >= plan.hover_s:
-            self._enter("square" if plan.side_m > 0.0 else "landing")
-        elif self.phase == "square" and self.phase_s >= 4.0 * plan.leg_s:
-            self._enter("landing")
+            self._enter_phase("square" if plan.square_side_m > 0.0 else "landing")
+        elif self.phase == "square" and self.phase_s >= 4.0 * plan.leg_duration_s:
+            self._enter_phase("landing")
         elif self.phase == "landing" and (
-            height_m < LANDED_M or self.phase_s >= (plan.height_m + _BELOW_FLOOR_M) / plan.sink_m_s
+            height_m < LANDED_HEIGHT_M or self.phase_s >= (plan.height_m + _LANDING_REFERENCE_DEPTH_M) / plan.sink_m_s
         ):
-            self._enter("landed")
+            self._enter_phase("landed")
 
-    def _move_reference(self) -> None:
+    def _set_phase_reference(self) -> None:
         """Set the reference of the phase, with its velocity."""
         plan, place, speed = self.plan, self._start.copy(), np.zeros(3)
         if self.phase == "take-off":
-            share, rate = _blend(self.phase_s, plan.take_off_s)
+            share, rate = _smooth_path_share(self.phase_s, plan.take_off_s)
             place[2] -= plan.height_m * share
             speed[2] = -plan.height_m * rate
         elif self.phase in ("hover", "square"):
@@ -217,14 +222,14 @@ class BetaflightPilot:
             speed[:2] = drift
         self.reference, self._reference_velocity = place, speed
 
-    def _follow_voltage(self, readings: Readings) -> None:
+    def _filter_voltage(self, readings: Readings) -> None:
         reading = readings.latest.get("battery_voltage")
         voltage_V = self._gains.hover_voltage_V if reading is None or not reading.valid else float(reading.value)
         if math.isnan(self._voltage_V):
             self._voltage_V = voltage_V
         self._voltage_V += (voltage_V - self._voltage_V) / (_VOLTAGE_FILTER_S * PILOT_RATE_HZ)
 
-    def _fly(self, truth: Truth) -> _Array:
+    def _command_flight(self, truth: Truth) -> _Array:
         on_floor = self.phase == "spool-up"
         error = self.reference - truth.position
         north, east = (
@@ -243,26 +248,26 @@ class BetaflightPilot:
         tilt = math.radians(MAX_TILT_DEG)
         roll, down = (0.0 if on_floor else min(max(a / GRAVITY, -tilt), tilt) for a in (right, forward))
         hover = self._gains.hover_thrust * self._gains.hover_voltage_V / self._voltage_V
-        motors = hover * (min(0.9, self.phase_s / SPOOL_UP_S) if on_floor else 1.0 + up / GRAVITY)
+        motors = hover * (min(0.9, self.phase_s / MOTOR_SPOOL_UP_TIME_S) if on_floor else 1.0 + up / GRAVITY)
         turn_deg_s = math.degrees(self._gains.yaw.angle * (self._yaw - yaw))
         throttle = min(max((motors - MOTOR_IDLE) / (1.0 - MOTOR_IDLE), 0.0), 1.0)
         limit = math.radians(ANGLE_LIMIT_DEG)
         sticks = np.clip([roll / limit, down / limit, turn_deg_s / YAW_RATE_LIMIT_DEG_S], -1.0, 1.0)
-        pulses = CENTRE_US + HALF_US * sticks
-        throttle_us = LOW_THROTTLE_US + (MOST_US - LOW_THROTTLE_US) * throttle
-        return np.array([pulses[0], pulses[1], throttle_us, pulses[2], MOST_US, MOST_US])
+        pulses = PULSE_CENTRE_US + PULSE_HALF_RANGE_US * sticks
+        throttle_us = LOW_THROTTLE_US + (MAX_PULSE_US - LOW_THROTTLE_US) * throttle
+        return np.array([pulses[0], pulses[1], throttle_us, pulses[2], MAX_PULSE_US, MAX_PULSE_US])
 
 
 def find_square_point(plan: PilotPlan, time_s: float) -> tuple[_Array, _Array]:
     """Return the offset N, E (m) from the square's first corner, and its velocity (m/s), at rest in the corners."""
-    corners = plan.side_m * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
-    leg = min(int(time_s / plan.leg_s), 3)
-    share, rate = _blend(time_s - leg * plan.leg_s, plan.leg_s)
+    corners = plan.square_side_m * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
+    leg = min(int(time_s / plan.leg_duration_s), 3)
+    share, rate = _smooth_path_share(time_s - leg * plan.leg_duration_s, plan.leg_duration_s)
     way = corners[leg + 1] - corners[leg]
     return corners[leg] + way * share, way * rate
 
 
-def _blend(time_s: float, length_s: float) -> tuple[float, float]:
+def _smooth_path_share(time_s: float, length_s: float) -> tuple[float, float]:
     """Return the share (0..1) of a way from rest to rest, and its rate (1/s)."""
     turn = 2.0 * math.pi * min(time_s / length_s, 1.0)
     return (turn - math.sin(turn)) / (2.0 * math.pi), (1.0 - math.cos(turn)) / length_s

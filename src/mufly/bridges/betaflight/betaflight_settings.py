@@ -46,7 +46,7 @@ ANGLE_DELAY_S = max(3.0 / (2.0 * math.pi * ATTITUDE_CUTOFF_HZ * _THIRD_ORDER_FAC
 """Delay of the loops of the angles: of the low pass in roll and pitch, of the pilot in yaw; the longer one (s)."""
 _P_SCALE, _I_SCALE, _D_SCALE, _YAW_I_FACTOR = 0.032029, 0.244381, 0.000529, 2.5
 _SERVO_PER_SUM, _MOTOR_PER_SUM = 0.7 / 500.0, (1.0 - MOTOR_IDLE) / 1000.0
-_MOST_RATE_GAIN, _MOST_ANGLE_GAIN = 250, 200
+_MAX_RATE_GAIN, _MAX_ANGLE_GAIN = 250, 200
 _SUM_LIMIT, _YAW_SUM_LIMIT = 500, 750
 _PITCH_SERVO, _ROLL_SERVO = 4, 5
 
@@ -98,9 +98,9 @@ def convert_rate_gains(axis: str, gains: CascadeGains) -> RateIntegers:
         gains.rate_derivative / (per_error * _D_SCALE),
     )  # fmt: skip
     for name, value in zip(RateIntegers._fields, values, strict=True):
-        if value > _MOST_RATE_GAIN + 0.5:
+        if value > _MAX_RATE_GAIN + 0.5:
             raise MuflyError(
-                f"the {axis} gain {name} is {value:.0f} in Betaflight's units, beyond its limit of {_MOST_RATE_GAIN}; "
+                f"the {axis} gain {name} is {value:.0f} in Betaflight's units, beyond its limit of {_MAX_RATE_GAIN}; "
                 "the vehicle's actuator is too weak for it"
             )
     return RateIntegers(*(round(value) for value in values))
@@ -114,10 +114,10 @@ def list_betaflight_settings(gains: AutopilotGains) -> list[BetaflightLine]:
     gains : AutopilotGains
         From :func:`design_betaflight_gains`.
     """
-    return [*_list_frame(), *_list_gains(gains), *_list_filters(), *_list_limits()]
+    return [*_list_frame_settings(), *_list_gain_settings(gains), *_list_filter_settings(), *_list_limit_settings()]
 
 
-def _list_frame() -> Iterator[BetaflightLine]:
+def _list_frame_settings() -> Iterator[BetaflightLine]:
     yield BetaflightLine("mixer DUALCOPTER", "motors lower and upper, servos of pitch and roll")
     for servo, what in ((_PITCH_SERVO, "servo 1 pitches the nose down"), (_ROLL_SERVO, "servo 2 rolls to the right")):
         yield BetaflightLine(f"servo {servo} 1000 2000 1500 100 -1", f"{what}; not reversed")
@@ -132,7 +132,7 @@ def _list_frame() -> Iterator[BetaflightLine]:
     yield BetaflightLine(f"set motor_idle = {round(1e4 * MOTOR_IDLE)}", "(0.01 %)")
 
 
-def _list_gains(gains: AutopilotGains) -> Iterator[BetaflightLine]:
+def _list_gain_settings(gains: AutopilotGains) -> Iterator[BetaflightLine]:
     yield BetaflightLine("set simplified_pids_mode = OFF")
     for axis in ("roll", "pitch", "yaw"):
         for name, value in convert_rate_gains(axis, getattr(gains, axis))._asdict().items():
@@ -141,12 +141,12 @@ def _list_gains(gains: AutopilotGains) -> Iterator[BetaflightLine]:
         yield BetaflightLine(f"set d_max_{axis} = 0")
     angle = 0.5 * (gains.roll.angle + gains.pitch.angle)
     yield BetaflightLine(
-        f"set angle_p_gain = {min(round(10.0 * angle), _MOST_ANGLE_GAIN)}", "angles (0.1/s), mean of roll and pitch"
+        f"set angle_p_gain = {min(round(10.0 * angle), _MAX_ANGLE_GAIN)}", "angles (0.1/s), mean of roll and pitch"
     )
     yield BetaflightLine("set angle_feedforward = 0")
 
 
-def _list_filters() -> Iterator[BetaflightLine]:
+def _list_filter_settings() -> Iterator[BetaflightLine]:
     yield BetaflightLine("set gyro_lpf1_type = BIQUAD")
     yield BetaflightLine(f"set gyro_lpf1_static_hz = {GYRO_CUTOFF_HZ:.0f}", "as in the design of the gains")
     for name in ("simplified_gyro_filter", "simplified_dterm_filter"):
@@ -163,7 +163,7 @@ def _list_filters() -> Iterator[BetaflightLine]:
     yield BetaflightLine("set rc_smoothing = OFF")
 
 
-def _list_limits() -> Iterator[BetaflightLine]:
+def _list_limit_settings() -> Iterator[BetaflightLine]:
     yield BetaflightLine(f"set angle_limit = {ANGLE_LIMIT_DEG:.0f}", "angle of full sticks (deg)")
     yield BetaflightLine("set rates_type = ACTUAL", "linear sticks")
     for axis in ("roll", "pitch", "yaw"):

@@ -27,7 +27,7 @@ from mufly.vehicle import Vehicle
 
 AIRFRAME_NUMBER = 22001
 """Number of the airframe file, in the range that PX4 leaves to custom airframes."""
-SPOOL_UP_S, INTEGRAL_LIMIT = 2.0, 0.15
+MOTOR_SPOOL_UP_TIME_S, INTEGRAL_LIMIT = 2.0, 0.15
 _MEAN_OF_HALF_NORMAL = math.sqrt(2.0 / math.pi)
 
 
@@ -77,7 +77,7 @@ def _frame_parameters() -> Iterator[Px4Parameter]:
     outputs = ((101, "lower motor"), (102, "upper motor"), (201, "servo 1"), (202, "servo 2"))
     for k, (function, what) in enumerate(outputs, 1):
         yield Px4Parameter(f"PWM_MAIN_FUNC{k}", function, what)
-    yield Px4Parameter("COM_SPOOLUP_TIME", SPOOL_UP_S, "time of the rotors to hover speed (s)")
+    yield Px4Parameter("COM_SPOOLUP_TIME", MOTOR_SPOOL_UP_TIME_S, "time of the rotors to hover speed (s)")
 
 
 def _gain_parameters(gains: AutopilotGains) -> Iterator[Px4Parameter]:

@@ -45,17 +45,18 @@ PX4_RATE_HZ = 250.0
 """Rate of HIL_SENSOR, which PX4's start-up script for simulators expects (IMU_INTEG_RATE)."""
 DEFAULT_ORIGIN = GlobalOrigin(47.3977, 8.5456, 488.0)
 """Global position of N = E = D = 0 (deg, m): the start that PX4's own simulators use."""
-SKIP_S = 1.0
+ANSWER_TIMEOUT_S = 1.0
 """Wall-clock time without an answer after which one further period is sent (s)."""
-_WAIT_S = 0.05
-_FIRST_WAIT_S, _START_WAIT_S = 0.02, 0.2  # for an answer while PX4 starts; if it has answered the previous period
-_FIRST_PERIODS = 50  # answered in a row, after which the lockstep begins
-_TRUTH_PERIODS = 5
-_CHECK_PERIODS = 250  # of one check of rates and outputs
-_MANY_ANSWERS = 1.2  # answers to a period
-_FEW_ANSWERS = 3  # skipped periods with an answer after each
+_RECEIVE_TIMEOUT_S = 0.05
+_FIRST_ANSWER_TIMEOUT_S = 0.02  # while PX4 starts
+_START_ANSWER_TIMEOUT_S = 0.2  # while PX4 starts, if it has answered the previous period
+_PERIODS_BEFORE_LOCKSTEP = 50  # answered in a row, after which the lockstep begins
+_PERIODS_BETWEEN_TRUTHS = 5
+_PERIODS_BETWEEN_CHECKS = 250  # of one check of rates and outputs
+_ANSWERS_PER_PERIOD_TOLERANCE = 1.2  # answers to a period
+_MAX_SKIPS_WITH_ANSWER = 3  # skipped periods with an answer after each
 _NOISE_BYTES = 500
-_ALIKE, _SPINNING = 0.02, 0.05  # of outputs
+_EQUAL_OUTPUT_TOLERANCE, _ACTIVE_OUTPUT_THRESHOLD = 0.02, 0.05  # of outputs
 
 
 class Px4Simulator(AutopilotSimulator):
@@ -87,11 +88,11 @@ class Px4Simulator(AutopilotSimulator):
     _periods: int
     _answer_count: int
     _skip_count: int
-    _streak: int
+    _answered_in_a_row: int
     _truth_periods: int
     _was_answered: bool
     _skipped: bool
-    _noise_told: bool
+    _noise_reported: bool
 
     def __init__(
         self,
@@ -117,7 +118,7 @@ class Px4Simulator(AutopilotSimulator):
     def _advance(self, stop: Callable[[], bool]) -> None:
         self._receive()
         if self._peer is None:
-            self._wait(_WAIT_S)
+            self._wait(_RECEIVE_TIMEOUT_S)
         else:
             self._run_period(stop)
 
@@ -130,19 +131,19 @@ class Px4Simulator(AutopilotSimulator):
             self._await_answer(stop)
         begun_s = self._clock()
         while self._peer is not None and not stop():
-            rest_s = self.pace.rest_s(in_real_time=self.state != "lockstep")
+            time_to_next_period_s = self.pace.time_to_next_period_s(in_real_time=self.state != "lockstep")
             if self.state == "starting" and self._command is not None and not self._is_answered:
-                patience_s = _START_WAIT_S if self._streak else _FIRST_WAIT_S
-                rest_s = max(rest_s, begun_s + patience_s - self._clock())
-            if rest_s <= 0.0:
+                patience_s = _START_ANSWER_TIMEOUT_S if self._answered_in_a_row else _FIRST_ANSWER_TIMEOUT_S
+                time_to_next_period_s = max(time_to_next_period_s, begun_s + patience_s - self._clock())
+            if time_to_next_period_s <= 0.0:
                 break
-            self._wait(rest_s)
+            self._wait(time_to_next_period_s)
             self._receive()
         if self._peer is None or stop():
             return
         if self.state == "starting":
-            self._streak = self._streak + 1 if self._is_answered else 0
-            if self._streak >= _FIRST_PERIODS:
+            self._answered_in_a_row = self._answered_in_a_row + 1 if self._is_answered else 0
+            if self._answered_in_a_row >= _PERIODS_BEFORE_LOCKSTEP:
                 self._begin_lockstep()
         self.pace.record_period()
         self._periods += 1
@@ -151,7 +152,7 @@ class Px4Simulator(AutopilotSimulator):
             np.zeros(4) if self._command is None else self._command.inputs,
             self._command is not None and self._command.is_armed,
         )
-        if self._periods % _CHECK_PERIODS == 0:
+        if self._periods % _PERIODS_BETWEEN_CHECKS == 0:
             self._check_outputs()
         self.on_period()
 
@@ -169,10 +170,10 @@ class Px4Simulator(AutopilotSimulator):
         """Wait for the answer to the last HIL_SENSOR; a PX4 that has answered the previous one may skip one."""
         begun_s = self._clock()
         while not self._is_answered and self._peer is not None and not stop():
-            self._wait(_WAIT_S)
+            self._wait(_RECEIVE_TIMEOUT_S)
             self._receive()
             waited_s = self._clock() - begun_s
-            if self._was_answered and not self._is_answered and waited_s > SKIP_S:
+            if self._was_answered and not self._is_answered and waited_s > ANSWER_TIMEOUT_S:
                 self.unanswered_count += 1
                 self._was_answered = False
                 self._skipped = True
@@ -191,7 +192,7 @@ class Px4Simulator(AutopilotSimulator):
             self.pace.restart()
         if self._skipped and not self._was_answered:
             self._skip_count += 1
-            if self._skip_count == _FEW_ANSWERS:
+            if self._skip_count == _MAX_SKIPS_WITH_ANSWER:
                 self.vehicle.log_event(
                     f"PX4 answers only some of the periods; set IMU_GYRO_RATEMAX and IMU_INTEG_RATE to "
                     f"{1.0 / self.vehicle.period_s:g} Hz or more",
@@ -208,12 +209,12 @@ class Px4Simulator(AutopilotSimulator):
     def _receive(self) -> None:
         for peer, data in self.port.receive():
             if peer != self._peer:
-                self._meet_autopilot(peer)
+                self._register_autopilot(peer)
             for message in self._decoder.receive(self._clock(), peer, data):
                 self._handle_message(message)
             counts = self._decoder.packet_counts(peer)
-            if not counts.received_count and counts.garbage_bytes > _NOISE_BYTES and not self._noise_told:
-                self._noise_told = True
+            if not counts.received_count and counts.garbage_bytes > _NOISE_BYTES and not self._noise_reported:
+                self._noise_reported = True
                 self.vehicle.log_event(f"{peer.address} sends no MAVLink messages; connect PX4 instead", "warning")
         gone = self._peer is not None and self._peer not in self.port.peers
         if gone:
@@ -222,9 +223,9 @@ class Px4Simulator(AutopilotSimulator):
             self.vehicle.log_event("PX4 has closed the connection; the simulation waits for a new one", "warning")
         if self._peer is None:
             for peer in self.port.peers:
-                self._meet_autopilot(peer)
+                self._register_autopilot(peer)
 
-    def _meet_autopilot(self, peer: Peer) -> None:
+    def _register_autopilot(self, peer: Peer) -> None:
         if self._peer is not None:
             self.vehicle.log_event("another PX4 has connected and replaces the first one", "warning")
         self._peer, self.state = peer, "starting"
@@ -241,11 +242,11 @@ class Px4Simulator(AutopilotSimulator):
         self._periods = 0
         self._answer_count = 0
         self._skip_count = 0
-        self._streak = 0
-        self._truth_periods = _TRUTH_PERIODS
+        self._answered_in_a_row = 0
+        self._truth_periods = _PERIODS_BETWEEN_TRUTHS
         self._was_answered = False
         self._skipped = False
-        self._noise_told = False
+        self._noise_reported = False
         self.vehicle.allow_warnings()
 
     def _handle_message(self, message: MavMessage) -> None:
@@ -276,14 +277,14 @@ class Px4Simulator(AutopilotSimulator):
         command = self._command
         if command is None:
             return
-        if self.state == "lockstep" and answers > _MANY_ANSWERS * _CHECK_PERIODS:
+        if self.state == "lockstep" and answers > _ANSWERS_PER_PERIOD_TOLERANCE * _PERIODS_BETWEEN_CHECKS:
             self.vehicle.warn_once(
                 "rate",
-                f"PX4 sends {answers / _CHECK_PERIODS:.1f} answers a period; set IMU_GYRO_RATEMAX to "
+                f"PX4 sends {answers / _PERIODS_BETWEEN_CHECKS:.1f} answers a period; set IMU_GYRO_RATEMAX to "
                 f"{1.0 / self.vehicle.period_s:g} Hz",
             )
-        if self.state == "free-running" and answers < _CHECK_PERIODS / _MANY_ANSWERS:
-            rate_Hz = answers / _CHECK_PERIODS / self.vehicle.period_s
+        if self.state == "free-running" and answers < _PERIODS_BETWEEN_CHECKS / _ANSWERS_PER_PERIOD_TOLERANCE:
+            rate_Hz = answers / _PERIODS_BETWEEN_CHECKS / self.vehicle.period_s
             self.vehicle.warn_once(
                 "rate", f"PX4 sends its outputs at {rate_Hz:.0f} Hz, less often than the sensors' rate"
             )
@@ -299,11 +300,11 @@ def describe_wrong_outputs(command: ActuatorCommand) -> str:
         return ""
     if not np.isfinite(u).all():
         return f"PX4's outputs are not finite numbers; {remedy}"
-    if np.any(np.abs(u[OUTPUT_COUNT:]) > _SPINNING):
+    if np.any(np.abs(u[OUTPUT_COUNT:]) > _ACTIVE_OUTPUT_THRESHOLD):
         return f"PX4 drives more than {OUTPUT_COUNT} outputs, so it uses another airframe; {remedy}"
     motors, servos = u[:2], u[2:OUTPUT_COUNT]
-    if np.all(servos > _SPINNING) and np.ptp(u[:OUTPUT_COUNT]) < _ALIKE:
+    if np.all(servos > _ACTIVE_OUTPUT_THRESHOLD) and np.ptp(u[:OUTPUT_COUNT]) < _EQUAL_OUTPUT_TOLERANCE:
         return f"PX4 drives outputs 1 to {OUTPUT_COUNT} alike, as a quadrotor; {remedy}"
-    if np.all(motors == 0.0) and np.any(np.abs(servos) > _SPINNING):
+    if np.all(motors == 0.0) and np.any(np.abs(servos) > _ACTIVE_OUTPUT_THRESHOLD):
         return f"PX4 is armed and outputs 1 and 2 are off; {remedy}"
     return ""

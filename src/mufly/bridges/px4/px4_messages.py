@@ -111,14 +111,14 @@ class SensorMessages:
     def encode_readings(self, time_us: int, readings: Readings) -> list[MavMessage]:
         """Return the messages of one instant; HIL_SENSOR, which advances PX4's clock, is the last one."""
         out: list[MavMessage] = []
-        if (fix := self._take_new("position_fix", readings)) is not None:
+        if (fix := self._take_new_reading("position_fix", readings)) is not None:
             out += self._encode_fix(time_us, fix)
-        if self._sonar is not None and (echo := self._take_new("ground_distance", readings)) is not None:
-            out.append(self._encode_echo(time_us, float(echo.value)))
+        if self._sonar is not None and (echo := self._take_new_reading("ground_distance", readings)) is not None:
+            out.append(self._encode_sonar_echo(time_us, float(echo.value)))
         out.append(self._encode_inertial(time_us, readings))
         return out
 
-    def _take_new(self, name: str, readings: Readings) -> Reading | None:
+    def _take_new_reading(self, name: str, readings: Readings) -> Reading | None:
         """Return a valid reading that has not been sent yet."""
         reading = readings.latest.get(name)
         if reading is None or self._sent.get(name) is reading:
@@ -128,7 +128,10 @@ class SensorMessages:
 
     def _encode_inertial(self, time_us: int, readings: Readings) -> MavMessage:
         fields = _INERTIAL_FIELDS
-        field, pressure = self._take_new("magnetic_field", readings), self._take_new("pressure", readings)
+        field, pressure = (
+            self._take_new_reading("magnetic_field", readings),
+            self._take_new_reading("pressure", readings),
+        )
         magnetic, pressure_hPa, height_m = np.zeros(3), 0.0, 0.0
         if field is not None:
             fields |= _MAGNETIC_FIELDS
@@ -168,7 +171,7 @@ class SensorMessages:
             )
         ]  # fmt: skip
 
-    def _encode_echo(self, time_us: int, distance_m: float) -> MavMessage:
+    def _encode_sonar_echo(self, time_us: int, distance_m: float) -> MavMessage:
         assert self._sonar is not None
         least, most, noise = (round(100.0 * x) for x in self._sonar)
         return mavlink.MAVLink_distance_sensor_message(
