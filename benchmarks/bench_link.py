@@ -12,7 +12,7 @@ import os
 import time
 from pathlib import Path
 
-from mufly.link import Endpoint, FrameDecoder, FrameEncoder, open_port, start_vehicle, wait_readable
+from mufly.link import Endpoint, FrameDecoder, FrameEncoder, open_port, start_vehicle, wait_for_input
 from mufly.link import mavlink as m
 from mufly.mission import Mission
 
@@ -58,7 +58,7 @@ def vehicle() -> None:
     def hear(seconds: float) -> int:
         end, heard = time.monotonic() + seconds, 0
         while time.monotonic() < end:
-            wait_readable([port], 0.02)
+            wait_for_input([port], 0.02)
             heard += sum(len(codec.receive(time.monotonic(), *part)) for part in port.receive())
             if time.monotonic() - said[0] > 1.0:
                 said[0] = time.monotonic()

@@ -13,8 +13,8 @@ from mufly.link import (
     MissionReceiver,
     MissionSender,
     VehicleLink,
+    encode_transfer_message,
     parse_transfer_message,
-    to_mavlink,
 )
 from mufly.link import mavlink as m
 from mufly.mission import Mission, parse_mission
@@ -81,7 +81,7 @@ class Station:
 
     def _notes(self, notes):
         for _, note in notes:
-            self.say(to_mavlink(note, 1, 1))
+            self.say(encode_transfer_message(note, 1, 1))
 
     def live(self):
         """What a station does by itself."""

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from link_rig import Rig, waypoint
 
-from mufly.link import FrameEncoder, to_mavlink
+from mufly.link import FrameEncoder, encode_transfer_message
 from mufly.link import mavlink as m
 
 ARM, TAKE_OFF, LAND = m.MAV_CMD_COMPONENT_ARM_DISARM, m.MAV_CMD_NAV_TAKEOFF, m.MAV_CMD_NAV_LAND
 
 
 def on_the_wire(item):
-    return FrameEncoder(1, 1)(to_mavlink(item, 1, 1))
+    return FrameEncoder(1, 1)(encode_transfer_message(item, 1, 1))
 
 
 def test_arm_take_off_mission_land():

@@ -26,7 +26,7 @@ from mufly.link import (
     unpack_custom_mode,
 )
 from mufly.link import mavlink as m
-from mufly.link.clients import MAX_CLIENTS, MAX_STREAM_HZ, Clients, StreamSchedule, judge_link_loss
+from mufly.link.clients import MAX_CLIENTS, MAX_STREAM_HZ, Clients, StreamSchedule, next_link_loss_stage
 from mufly.link.codec import action_for_mode
 from mufly.link.command_protocol import answer_message_request
 from mufly.link.steering_input import parse_manual_control, parse_rc_override, parse_set_point
@@ -352,12 +352,12 @@ def test_failsafe_once_each():
     f, said = "", []
     for k in range(400):
         silent = k * 0.1 if k < 350 else 0.0
-        f, order = judge_link_loss(f, silent_s=silent, flying=True, ending=False, loss_s=10.0, land_s=20.0)
+        f, order = next_link_loss_stage(f, silent_s=silent, flying=True, ending=False, loss_s=10.0, land_s=20.0)
         said += [(order, round(silent))] if order else []
     assert said == [("hover", 10), ("land", 30), ("back", 0)]
-    f, order = judge_link_loss("", silent_s=99.0, flying=False, ending=False, loss_s=10.0, land_s=20.0)
+    f, order = next_link_loss_stage("", silent_s=99.0, flying=False, ending=False, loss_s=10.0, land_s=20.0)
     assert order == ""
-    f, order = judge_link_loss("", silent_s=99.0, flying=True, ending=True, loss_s=10.0, land_s=20.0)
+    f, order = next_link_loss_stage("", silent_s=99.0, flying=True, ending=True, loss_s=10.0, land_s=20.0)
     assert order == ""
 
 

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from mufly.errors import InputError
-from mufly.link import Endpoint, open_port, parse_endpoint, wait_readable
+from mufly.link import Endpoint, open_port, parse_endpoint, wait_for_input
 from mufly.link.ports import MAX_PEERS, RECONNECT_PERIOD_S
 
 
@@ -16,7 +16,7 @@ def gather(port, until, seconds=3.0):
     """Receive until ``until(bytes so far)``."""
     data, end = b"", time.monotonic() + seconds
     while not until(data) and time.monotonic() < end:
-        wait_readable([port], 0.02)
+        wait_for_input([port], 0.02)
         data += b"".join(part for _, part in port.receive())
     return data
 
@@ -29,7 +29,7 @@ def test_udp_there_and_back():
     with contextlib.closing(listening("udpin")) as here:
         there = open_port(Endpoint("udpout", "127.0.0.1", here.port))
         there.send(None, b"hello")
-        wait_readable([here], 1.0)
+        wait_for_input([here], 1.0)
         ((peer, data),) = here.receive()
         assert data == b"hello"
         here.send(peer, b"back")
@@ -54,7 +54,7 @@ def test_udp_serves_many_but_not_without_end():
         callers = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(MAX_PEERS + 5)]
         for caller in callers:
             caller.sendto(b"x", ("127.0.0.1", here.port))
-            wait_readable([here], 1.0)
+            wait_for_input([here], 1.0)
             here.receive()
             caller.close()
         assert len(here.peers) == MAX_PEERS
@@ -165,7 +165,7 @@ def test_what_waited_unheard_is_thrown_away_and_the_line_goes_on(kinds):
         assert gather(here, lambda d: d == b"first") == b"first"
         for _ in range(400):
             there.send(None, b"land")
-        wait_readable([here], 1.0)
+        wait_for_input([here], 1.0)
         here.discard_input()
         assert here.receive() == []
         there._retry_s = -RECONNECT_PERIOD_S  # it may call at once
@@ -183,7 +183,7 @@ def test_what_waited_unheard_is_thrown_away_and_the_line_goes_on(kinds):
 def test_a_connection_that_nobody_acknowledges_is_given_up_soon_with_what_waits_in_it():
     with contextlib.closing(listening("tcpin")) as here, contextlib.closing(socket.socket()) as caller:
         caller.connect(("127.0.0.1", here.port))
-        wait_readable([here], 1.0)
+        wait_for_input([here], 1.0)
         here.receive()
         ((line, _),) = here._lines.values()
         assert 0 < line.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) <= 3000

@@ -24,10 +24,15 @@ from mufly.link import (
     open_port,
     run_real_time,
     start_vehicle,
-    wait_readable,
+    wait_for_input,
 )
 from mufly.link import mavlink as m
-from mufly.link.real_time.real_time_loop import CATCH_UP_SPEED, MAX_CATCH_UP_S, PACE_WINDOW_S, RealTimePacer
+from mufly.link.real_time.real_time_loop import (
+    CATCH_UP_SPEED_FACTOR,
+    MAX_CAUGHT_UP_STALL_S,
+    PACE_WINDOW_S,
+    RealTimePacer,
+)
 from mufly.logs import read_log, read_raw
 from mufly.mission import REQUEST_ACCEPTED, Mission
 
@@ -53,7 +58,7 @@ def test_the_pace_does_not_drift():
 def test_a_short_stall_is_made_up_for_without_a_burst():
     pace, out = ticks(10.0, 0.01, lambda k: 0.5 if k == 100 else 0.0, 20.0)
     assert len(out) == pytest.approx(1000, abs=2)
-    assert min(b - a for a, b in itertools.pairwise(out)) > 0.99 * 0.01 / CATCH_UP_SPEED
+    assert min(b - a for a, b in itertools.pairwise(out)) > 0.99 * 0.01 / CATCH_UP_SPEED_FACTOR
     assert pace.lost_time_s == 0.0
     assert pace.worst_lateness_s > 0.4
 
@@ -62,12 +67,12 @@ def test_a_long_stall_is_not():
     pace, out = ticks(10.0, 0.01, lambda k: 4.0 if k == 100 else 0.0, 20.0)
     assert pace.lost_time_s == pytest.approx(4.0 - 0.01)
     assert len(out) == pytest.approx(600, abs=3)
-    assert MAX_CATCH_UP_S < 4.0
+    assert MAX_CAUGHT_UP_STALL_S < 4.0
 
 
 def test_real_time_that_is_lost_is_measured_and_said(monkeypatch):
     """A clock that goes five times as fast as the machine can tick, from 8 s to 18 s; no load is needed for that."""
-    monkeypatch.setattr("mufly.link.real_time.real_time_loop.wait_readable", lambda ports, timeout_s: None)
+    monkeypatch.setattr("mufly.link.real_time.real_time_loop.wait_for_input", lambda ports, timeout_s: None)
     flight, said, told = new_flight(), [], {}
     link = VehicleLink(flight)
     flight.autopilot.listeners.append(lambda e: "real time" in e.text and said.append((e.level, e.text)))
@@ -94,7 +99,7 @@ def test_real_time_that_is_lost_is_measured_and_said(monkeypatch):
         assert max(found) < most, (begin, max(found))
     # 8 s of 10 are lost; what is not more than CATCH_UP_S behind is made up for.
     assert pace.slip_count == link.slip_count == 7
-    assert pace.lost_time_s == pytest.approx(8.0, abs=MAX_CATCH_UP_S + 0.1)
+    assert pace.lost_time_s == pytest.approx(8.0, abs=MAX_CAUGHT_UP_STALL_S + 0.1)
     assert flight.time_s == pytest.approx(29.0 - pace.lost_time_s, abs=0.1)
     kept = pace.recording_attributes
     assert kept["realtime_factor"] == pytest.approx(flight.time_s / 29.0, abs=0.01)
@@ -111,7 +116,7 @@ def test_what_was_asked_while_the_vehicle_stood_still_is_not_carried_out(monkeyp
     flight.autopilot.listeners.append(lambda e: said.append(e.text))
     clock = [100.0]
     monkeypatch.setattr(
-        "mufly.link.real_time.real_time_loop.wait_readable",
+        "mufly.link.real_time.real_time_loop.wait_for_input",
         lambda ports, timeout_s: clock.__setitem__(0, clock[0] + timeout_s),
     )
     encode, turns = FrameEncoder(255, 190), itertools.count()
@@ -146,7 +151,7 @@ def hear(port, seconds, want=lambda message: False):
     """Messages that come in within some time, or until one is wanted."""
     codec, out, end = FrameDecoder(), [], time.monotonic() + seconds
     while time.monotonic() < end:
-        wait_readable([port], 0.05)
+        wait_for_input([port], 0.05)
         for peer, data in port.receive():
             for message in codec.receive(0.0, peer, data):
                 out.append(message)

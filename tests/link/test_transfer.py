@@ -21,11 +21,11 @@ from mufly.link import (
     MissionRequestList,
     MissionResultCode,
     MissionSender,
+    encode_transfer_message,
     mavlink,
     parse_transfer_message,
-    to_mavlink,
 )
-from mufly.link.mission_transfer import MAX_ITEMS, SETTLE_TIME_S, RetryTimer
+from mufly.link.mission_transfer import MAX_ITEMS, STALE_PACKET_TIME_S, RetryTimer
 
 STEP_S = 0.05
 
@@ -272,7 +272,7 @@ def test_a_receiver_that_starts_anew_lets_old_packets_run_dry():
     while not (notes := vehicle.step(t)):
         t += STEP_S
     assert notes == [("a", MissionRequestItem(0))]
-    assert t == pytest.approx(0.1 + SETTLE_TIME_S, abs=2 * STEP_S)
+    assert t == pytest.approx(0.1 + STALE_PACKET_TIME_S, abs=2 * STEP_S)
 
 
 @pytest.mark.parametrize(
@@ -289,7 +289,7 @@ def test_a_receiver_that_starts_anew_lets_old_packets_run_dry():
 )
 def test_notes_survive_the_wire(note):
     link = mavlink.MAVLink(None)
-    data = to_mavlink(note, 1, 1).pack(link)
+    data = encode_transfer_message(note, 1, 1).pack(link)
     assert parse_transfer_message(link.decode(bytearray(data))) == note
 
 

@@ -17,9 +17,9 @@ from mufly.link import (
     MissionRequestItem,
     MissionRequestList,
     MissionSender,
+    encode_transfer_message,
     mavlink,
     parse_transfer_message,
-    to_mavlink,
 )
 from mufly.station import GroundLink
 
@@ -120,7 +120,7 @@ class MockVehicle:
             notes = [n for _, n in self._sender.receive(now_s, note)]
         elif note is not None:
             notes = [n for _, n in self._receiver.receive(now_s, who, note)]
-        self._out += [to_mavlink(n, *who) for n in notes]
+        self._out += [encode_transfer_message(n, *who) for n in notes]
 
     def _value(self, k):
         name = list(self.parameters)[k]
@@ -158,7 +158,7 @@ class MockVehicle:
         notes = self._receiver.step(now_s)
         if self._sender:
             notes += self._sender.step(now_s)
-        out += [to_mavlink(n, *who) for who, n in notes]
+        out += [encode_transfer_message(n, *who) for who, n in notes]
         return [self.encode(m) for m in out]
 
 

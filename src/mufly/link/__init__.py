@@ -32,11 +32,11 @@ from mufly.link.mission_transfer import (
     MissionResultCode,
     MissionSender,
     TransferMessage,
+    encode_transfer_message,
     parse_transfer_message,
-    to_mavlink,
 )
 from mufly.link.parameter_protocol import INTEGER_RANGES, LINK_PARAMETERS, decode_parameter, encode_parameter
-from mufly.link.ports import Endpoint, Peer, Port, open_port, parse_endpoint, wait_readable
+from mufly.link.ports import Endpoint, Peer, Port, open_port, parse_endpoint, wait_for_input
 from mufly.link.real_time.real_time_loop import LoopReport, run_real_time, warm_up
 from mufly.link.real_time.vehicle_process import VehicleProcess, start_vehicle
 from mufly.link.telemetry_streams import (
@@ -98,6 +98,7 @@ __all__ = [
     "VehicleProcess",
     "decode_parameter",
     "encode_parameter",
+    "encode_transfer_message",
     "mavlink",
     "mission_from_items",
     "mission_to_items",
@@ -110,8 +111,7 @@ __all__ = [
     "parse_transfer_message",
     "run_real_time",
     "start_vehicle",
-    "to_mavlink",
     "unpack_custom_mode",
-    "wait_readable",
+    "wait_for_input",
     "warm_up",
 ]

@@ -298,7 +298,7 @@ class CommandAuthority:
         """Hover, then land, when the commander is silent for COM_DL_LOSS_T, then COM_DL_LAND_T more (s)."""
         status, silent = self._autopilot.status, self.commander_silence_s(now_s)
         ending = status.state == "landing" or status.returning_home
-        self._stage, order = judge_link_loss(
+        self._stage, order = next_link_loss_stage(
             self._stage, silent_s=silent, flying=status.flying, ending=ending, loss_s=loss_s, land_s=land_s
         )
         if order == "back":
@@ -321,7 +321,7 @@ class CommandAuthority:
             changed()
 
 
-def judge_link_loss(
+def next_link_loss_stage(
     stage: FailsafeStage, *, silent_s: float, flying: bool, ending: bool, loss_s: float, land_s: float
 ) -> tuple[FailsafeStage, Literal["", "hover", "land", "back"]]:
     """Return the next stage of the link failsafe, and its action.

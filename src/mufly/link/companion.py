@@ -38,7 +38,7 @@ from mufly.slam import FrameInfo, TrackingResult
 _Array = NDArray[np.float64]
 COMPANION_COMPONENT_ID = 197
 REQUESTED_RATE_HZ = 50.0
-HISTORY_S, MAX_AGE_S = 3.0, 0.5
+MESSAGE_HISTORY_S, MAX_MESSAGE_AGE_S = 3.0, 0.5
 """Duration for which messages are kept, and greatest age of a message relative to its picture (s)."""
 _REQUEST_PERIOD_S = 1.0
 _REQUESTED_MESSAGE_IDS = (
@@ -51,8 +51,8 @@ _MIN_TILT_SIGMA_RAD, _TILT_CORRELATION_TIME_S = math.radians(0.15), 20.0
 _POSITION_SIGMA_M, _HEADING_SIGMA_RAD = 0.1, math.radians(2.0)
 """Standard deviations of position (m) and heading that are assumed where none is received."""
 _STATIONARY_SIGMA_M = 0.002
-_TILT_VARIANCES = 15, 18  # indices of roll and pitch in the upper triangle of a (6, 6) covariance
-_CLOCK_DRIFT_S = 0.003  # drift between two clocks in 30 s
+_TILT_VARIANCE_INDICES = 15, 18  # indices of roll and pitch in the upper triangle of a (6, 6) covariance
+_CLOCK_DRIFT_TOLERANCE_S = 0.003  # drift between two clocks in 30 s
 
 
 class VisionCompanion:
@@ -108,10 +108,10 @@ class VisionCompanion:
                 sent_s = m.ts1 * 1e-9
                 if 0.0 <= now_s - sent_s < 1.0:
                     way, offset = now_s - sent_s, m.tc1 * 1e-9 - 0.5 * (sent_s + now_s)
-                    if any(abs(offset - o) > 0.5 * (way + w) + _CLOCK_DRIFT_S for _, w, o in self._synced):
+                    if any(abs(offset - o) > 0.5 * (way + w) + _CLOCK_DRIFT_TOLERANCE_S for _, w, o in self._synced):
                         self._synced.clear()  # the error of each is at most half its round trip: a clock was set
                         self._guessed.clear()
-                    self._append_recent(self._synced, now_s, way, offset)
+                    self._append_recent_row(self._synced, now_s, way, offset)
             elif kind == "ATTITUDE":
                 t = self._record_boot_time(now_s, m.time_boot_ms)
                 self._append_in_order(self._tilt, (t, m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed))
@@ -128,7 +128,7 @@ class VisionCompanion:
                 if now_s - self._ranged_s > 1.0:
                     self._append_in_order(self._height, (t, -m.z))
             elif kind == "ODOMETRY" and (told := m.pose_covariance):
-                roll, pitch = (told[k] for k in _TILT_VARIANCES)
+                roll, pitch = (told[k] for k in _TILT_VARIANCE_INDICES)
                 if roll > 0.0 and pitch > 0.0:
                     self._tilt_sigma = max(_MIN_TILT_SIGMA_RAD, math.sqrt(max(roll, pitch)))
             elif kind == "RAW_RPM" and m.index < len(self._rotors) and math.isfinite(m.frequency):
@@ -138,11 +138,11 @@ class VisionCompanion:
 
     def _record_boot_time(self, now_s: float, boot_ms: int) -> float:
         theirs_s = 1e-3 * boot_ms
-        self._append_recent(self._guessed, now_s, theirs_s - now_s)
+        self._append_recent_row(self._guessed, now_s, theirs_s - now_s)
         return theirs_s
 
     @staticmethod
-    def _append_recent(row: deque[Any], now_s: float, *values: float) -> None:
+    def _append_recent_row(row: deque[Any], now_s: float, *values: float) -> None:
         row.append((now_s, *values))
         while row[0][0] < now_s - CLOCK_OFFSET_WINDOW_S:
             row.popleft()
@@ -150,11 +150,11 @@ class VisionCompanion:
     @staticmethod
     def _append_in_order(row: deque[Any], values: tuple[float, ...]) -> None:
         if row and values[0] <= row[-1][0]:
-            if values[0] > row[-1][0] - HISTORY_S:
+            if values[0] > row[-1][0] - MESSAGE_HISTORY_S:
                 return
             row.clear()  # the vehicle restarted
         row.append(values)
-        while row[0][0] < values[0] - HISTORY_S:
+        while row[0][0] < values[0] - MESSAGE_HISTORY_S:
             row.popleft()
 
     def step(self, now_s: float) -> list[bytes]:
@@ -194,16 +194,16 @@ class VisionCompanion:
         if not self._tilt or not self._height or not math.isfinite(t):
             return None
         if (
-            t - self._tilt[-1][0] > MAX_AGE_S
-            or self._tilt[0][0] - t > MAX_AGE_S
-            or abs(t - self._height[-1][0]) > 2 * MAX_AGE_S
+            t - self._tilt[-1][0] > MAX_MESSAGE_AGE_S
+            or self._tilt[0][0] - t > MAX_MESSAGE_AGE_S
+            or abs(t - self._height[-1][0]) > 2 * MAX_MESSAGE_AGE_S
         ):
             return None
         a, h = np.array(self._tilt), np.array(self._height)
         roll, pitch, yaw, *rates = (float(np.interp(t, a[:, 0], c)) for c in np.unwrap(a[:, 1:], axis=0).T)
         height = float(np.interp(t, h[:, 0], h[:, 1]))
         velocity = place = None
-        if self._motion and abs(t - self._motion[-1][0]) < MAX_AGE_S:
+        if self._motion and abs(t - self._motion[-1][0]) < MAX_MESSAGE_AGE_S:
             m = np.array(self._motion)
             n, e, *v = (float(np.interp(t, m[:, 0], c)) for c in m.T[1:])
             velocity, place = np.array(v), np.array([n, e, math.remainder(yaw, 2 * math.pi)])

@@ -112,13 +112,13 @@ def estimator_status_message(state: FlightState, usec: int) -> MavMessage:
     if _has_status(checks, "acceleration", "faulty", "rejected"):
         flags |= mavlink.ESTIMATOR_ACCEL_ERROR
 
-    def squared_test_ratio(name: str) -> float:
+    def reading_test_ratio(name: str) -> float:
         return to_float32((checks[name].ratio / INNOVATION_GATE) ** 2) if name in checks else 0.0
 
     return mavlink.MAVLink_estimator_status_message(
         usec,
         flags,
-        *(squared_test_ratio(name) for name, _ in TEST_RATIOS.values()),
+        *(reading_test_ratio(name) for name, _ in TEST_RATIOS.values()),
         to_float32(level),
         to_float32(height),
     )

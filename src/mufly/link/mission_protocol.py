@@ -22,7 +22,7 @@ from mufly.link.mission_transfer import (
     MissionRequestList,
     MissionSender,
     TransferMessage,
-    to_mavlink,
+    encode_transfer_message,
 )
 from mufly.link.telemetry_streams import MissionProgress
 from mufly.mission import (
@@ -93,7 +93,7 @@ class MissionProtocol:
         """Process a station's message; only the commander may start an upload or clear the mission."""
         if isinstance(note, MissionCount | MissionClearAll) and not self._authority.may_command(now_s, station):
             denied = MissionAck(MissionResultCode.DENIED, note.mission_type)  # the authority has reported the reason
-            self._clients.send_message(station.peer, to_mavlink(denied, station.system, station.component))
+            self._clients.send_message(station.peer, encode_transfer_message(denied, station.system, station.component))
         else:
             self._send_messages(self._cancel_foreign_uploads())
             self._send_messages(self._handle_message(now_s, station, note))
@@ -178,7 +178,9 @@ class MissionProtocol:
     def _send_messages(self, notes: AddressedMessages) -> None:
         for station, note in notes:
             if isinstance(station, MessageSource):
-                self._clients.send_message(station.peer, to_mavlink(note, station.system, station.component))
+                self._clients.send_message(
+                    station.peer, encode_transfer_message(note, station.system, station.component)
+                )
                 if isinstance(note, MissionAck) and not self._refused and note.result in _REFUSAL_TEXTS:
                     self._clients.send_text(_REFUSAL_TEXTS[note.result], "warning", station.peer)
         if self._refused:

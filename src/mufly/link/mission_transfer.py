@@ -14,8 +14,8 @@ Packets get lost, doubled, delayed and reordered. The receiver drives the transf
 other, repeats unanswered requests, and ignores items that it does not wait for. Complete items are handed over once.
 
 MAVLink items do not name their transfer. So that two missions are not mixed, a receiver that starts again first waits
-until packets of the last transfer have arrived (`SETTLE_TIME_S`). A sender that starts again first stops the receiver
-(`QUIET_PERIOD_S`): its items could otherwise answer requests of the last transfer.
+until packets of the last transfer have arrived (`STALE_PACKET_TIME_S`). A sender that starts again first stops the
+receiver (`QUIET_PERIOD_S`): its items could otherwise answer requests of the last transfer.
 
 An answer is expected after one round trip; the retry time follows the measured round trips.
 
@@ -44,7 +44,7 @@ TRANSFER_TIMEOUT_S = 12.0
 With 30 % loss and 300 ms each way an item is requested 16 times within this time. Each request succeeds with
 probability 0.49, so one item in 48 000 is given up.
 """
-SETTLE_TIME_S = 1.0
+STALE_PACKET_TIME_S = 1.0
 """Time for which packets of an earlier transfer may still arrive (s)."""
 MAX_ITEMS = 500
 """Largest number of items that a receiver accepts."""
@@ -109,7 +109,9 @@ _MESSAGE_TYPES: dict[type, Any] = {
     MissionClearAll: mavlink.MAVLink_mission_clear_all_message,
 }
 """MAVLink messages, and the transfer messages with the same fields after target system and component."""
-_NOTE_TYPES = {m.msgname: note for note, m in _MESSAGE_TYPES.items()} | {"MISSION_REQUEST": MissionRequestItem}
+_TRANSFER_TYPE_BY_MESSAGE = {m.msgname: note for note, m in _MESSAGE_TYPES.items()} | {
+    "MISSION_REQUEST": MissionRequestItem
+}
 
 
 def parse_transfer_message(message: MavMessage) -> TransferMessage | None:
@@ -120,11 +122,11 @@ def parse_transfer_message(message: MavMessage) -> TransferMessage | None:
         x, y = (m.x, m.y) if kind == "MISSION_ITEM_INT" else (scale_to_integer(v, factor) for v in (m.x, m.y))
         params = (m.param1, m.param2, m.param3, m.param4)
         return MissionItem(m.seq, m.frame, m.command, m.current, m.autocontinue, params, x, y, m.z, m.mission_type)
-    note = _NOTE_TYPES.get(kind)
+    note = _TRANSFER_TYPE_BY_MESSAGE.get(kind)
     return None if note is None else note(*(getattr(m, name) for name in m.fieldnames[2 : 2 + len(fields(note))]))
 
 
-def to_mavlink(note: TransferMessage, system: int, component: int) -> MavMessage:
+def encode_transfer_message(note: TransferMessage, system: int, component: int) -> MavMessage:
     """Return the MAVLink message to ``system`` and ``component``, ready for a codec to send."""
     if isinstance(note, MissionItem):
         n = note
@@ -309,7 +311,7 @@ class MissionReceiver:
         self.peer, self._fetching = peer, fetching
         self.result, self.timed_out, self._done = None, False, None
         self._count, self._items = None, []
-        self._settled_s = self._touched_s + SETTLE_TIME_S
+        self._settled_s = self._touched_s + STALE_PACKET_TIME_S
         self._retry = RetryTimer()
         self._retry.mark_started(now_s)
 
@@ -381,9 +383,9 @@ class MissionSender:
         """
         self._retry.mark_started(now_s)
         if not hush:
-            return [(self.peer, self._count_message())]
+            return [(self.peer, self._make_count_message())]
         self._hush_s, self._hushed_s = now_s + QUIET_PERIOD_S, now_s
-        return [(self.peer, self._cancel_message())]
+        return [(self.peer, self._make_cancel_message())]
 
     def receive(self, now_s: float, note: TransferMessage) -> AddressedMessages:
         """Answer a message of the peer; messages that do not fit the state are ignored."""
@@ -391,15 +393,15 @@ class MissionSender:
             return []
         if self.result is not None:
             # The peer waits for items of a finished transfer, perhaps started by a doubled Count.
-            return [(self.peer, self._cancel_message())] if isinstance(note, MissionRequestItem) else []
+            return [(self.peer, self._make_cancel_message())] if isinstance(note, MissionRequestItem) else []
         if self._hush_s > -math.inf:
             if isinstance(note, MissionRequestItem):
                 self._hush_s = now_s + QUIET_PERIOD_S
-                return [(self.peer, self._cancel_message())]
+                return [(self.peer, self._make_cancel_message())]
             return []
         if isinstance(note, MissionRequestList) and not self._uploading:
             self._retry.mark_progress(now_s)
-            return [(self.peer, self._count_message())]
+            return [(self.peer, self._make_count_message())]
         if isinstance(note, MissionRequestItem):
             # Items are requested in order: a request out of turn answers an earlier sender.
             if not 0 <= note.seq < len(self.items) or note.seq > self._served + 1:
@@ -416,13 +418,13 @@ class MissionSender:
             return []
         if self._retry.has_timed_out(now_s):
             self.timed_out, self.result = True, MissionResultCode.OPERATION_CANCELLED
-            return [(self.peer, self._cancel_message())] if self._uploading else []
+            return [(self.peer, self._make_cancel_message())] if self._uploading else []
         if self._hush_s > -math.inf:
             return self._quiet_receiver(now_s)
         if not self._uploading or not self._retry.should_retry(now_s):
             return []
         if self._served < 0:
-            return [(self.peer, self._count_message())]
+            return [(self.peer, self._make_count_message())]
         # During the transfer the receiver repeats requests; after the last item its Ack may be lost.
         last = self._served == len(self.items) - 1
         return [(self.peer, self.items[-1])] if last else []
@@ -432,7 +434,7 @@ class MissionSender:
         if self.result is not None:
             return []
         self.result = MissionResultCode.OPERATION_CANCELLED
-        return [(self.peer, self._cancel_message())]
+        return [(self.peer, self._make_cancel_message())]
 
     def _quiet_receiver(self, now_s: float) -> AddressedMessages:
         if now_s >= self._hush_s:
@@ -441,7 +443,7 @@ class MissionSender:
         if now_s - self._hushed_s < 0.2 * QUIET_PERIOD_S:
             return []
         self._hushed_s = now_s
-        return [(self.peer, self._cancel_message())]
+        return [(self.peer, self._make_cancel_message())]
 
     def _handle_ack(self, now_s: float, note: MissionAck) -> AddressedMessages:
         if note.result == MissionResultCode.INVALID_SEQUENCE:
@@ -452,12 +454,12 @@ class MissionSender:
             # It expects fewer items than there are: the Count was lost. Repeat it.
             self._served = -1
             self._retry.mark_progress(now_s)
-            return [(self.peer, self._count_message())]
+            return [(self.peer, self._make_count_message())]
         self.result = note.result
         return []
 
-    def _count_message(self) -> MissionCount:
+    def _make_count_message(self) -> MissionCount:
         return MissionCount(len(self.items), self.mission_type)
 
-    def _cancel_message(self) -> MissionAck:
+    def _make_cancel_message(self) -> MissionAck:
         return MissionAck(MissionResultCode.OPERATION_CANCELLED, self.mission_type)

@@ -132,7 +132,7 @@ class ParameterProtocol:
             self._clients.send_text(why, "warning", station.peer)
         if name in self._places:
             self._told[name] = self[name]
-            self._clients.send_message(None, self._value_message(name))
+            self._clients.send_message(None, self._make_value_message(name))
         else:
             self._send_value_or_error(station, name, message)
 
@@ -154,7 +154,7 @@ class ParameterProtocol:
         if self._lists and now_s >= self._due_s:
             self._due_s = max(self._due_s + 1.0 / LIST_RATE_HZ, now_s)  # counted from the last message
             for station, k in list(self._lists.items()):
-                self._clients.send_message(station.peer, self._value_message(self._names[k]))
+                self._clients.send_message(station.peer, self._make_value_message(self._names[k]))
                 if k + 1 < len(self._names):
                     self._lists[station] = k + 1
                 else:
@@ -165,12 +165,12 @@ class ParameterProtocol:
             told, self._told = self._told, {name: self[name] for name in self._names}
             for name in self._names:
                 if self._told[name] != told[name]:
-                    self._clients.send_message(None, self._value_message(name))
+                    self._clients.send_message(None, self._make_value_message(name))
 
     def _send_value_or_error(self, station: MessageSource, name: str, message: MavMessage, index: int = -1) -> None:
         """Send a value, or a report that no parameter has this name or index."""
         if name in self._places:
-            self._clients.send_message(station.peer, self._value_message(name))
+            self._clients.send_message(station.peer, self._make_value_message(name))
             return
         self._clients.send_message(
             station.peer,
@@ -183,7 +183,7 @@ class ParameterProtocol:
             ),
         )
 
-    def _value_message(self, name: str) -> MavMessage:
+    def _make_value_message(self, name: str) -> MavMessage:
         return mavlink.MAVLink_param_value_message(
             encode_text_field(name, 16),
             to_float32(self[name]),

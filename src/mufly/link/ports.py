@@ -29,7 +29,7 @@ from mufly.errors import ArgumentError
 
 MAX_PEERS = 32
 """Largest number of peers of a listening port; the peer that was silent for longest makes room."""
-MAX_READS, MAX_READ_BYTES = 256, 65_536
+MAX_READS_PER_CALL, MAX_READ_BYTES = 256, 65_536
 """Largest number of datagrams or blocks received in one call, and the largest size of one (bytes)."""
 RECONNECT_PERIOD_S = 1.0
 """Time between two attempts to call a TCP server or to open a serial device (s)."""
@@ -94,7 +94,7 @@ def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
         raise error.with_location(where) from error
 
 
-MAX_STALL_S = 1.0
+MAX_REQUEST_DELAY_S = 1.0
 """Greatest delay with which a request to a vehicle is executed (s); older requests are dropped."""
 _BOOT_CLOCK_ID = getattr(time, "CLOCK_BOOTTIME", None)
 
@@ -107,7 +107,7 @@ def read_boot_clock() -> float:
     return time.monotonic() if _BOOT_CLOCK_ID is None else time.clock_gettime(_BOOT_CLOCK_ID)
 
 
-def wait_readable(ports: Iterable[Port], timeout_s: float) -> None:
+def wait_for_input(ports: Iterable[Port], timeout_s: float) -> None:
     """Sleep until a port has something to receive, for ``timeout_s`` at most."""
     numbers = [n for n in (port.fileno() for port in ports) if n >= 0]
     if not numbers or timeout_s <= 0.0:
@@ -386,7 +386,7 @@ class UdpPort(Port):
 
     def receive(self) -> list[tuple[Peer, bytes]]:
         out = []
-        for _ in range(MAX_READS):
+        for _ in range(MAX_READS_PER_CALL):
             try:
                 data, address = self._socket.recvfrom(MAX_READ_BYTES)
             except (BlockingIOError, InterruptedError):
@@ -424,7 +424,7 @@ class ByteStream:
         out = bytearray()
         try:
             self.flush()
-            for _ in range(MAX_READS):
+            for _ in range(MAX_READS_PER_CALL):
                 block = self._read(MAX_READ_BYTES)
                 if not block:
                     return bytes(out), True

@@ -31,7 +31,7 @@ from mufly.link.telemetry_streams import (
 from mufly.link.vision_input import VisionInput
 
 _READY_CHECK_PERIOD_S = 0.5
-_MAX_EVENTS = 200
+_MAX_QUEUED_EVENTS = 200
 _ACCEPTED_COMPONENTS = (0, 1)  # all, and the autopilot
 
 
@@ -86,7 +86,7 @@ class VehicleLink:
         )
         outside = flight.outside_fixes
         self._positions = VisionInput(None if outside is None else outside.submit_fix, flight.log_event)
-        self._events: deque[FlightEvent] = deque(maxlen=_MAX_EVENTS)
+        self._events: deque[FlightEvent] = deque(maxlen=_MAX_QUEUED_EVENTS)
         self._shown: tuple[object, ...] = ()
         self._ready, self._ready_s = False, -_READY_CHECK_PERIOD_S
         self.autopilot.listeners.append(self._events.append)

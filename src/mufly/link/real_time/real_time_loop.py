@@ -4,10 +4,10 @@
 is due at ``start + k period``, counted from the start so that errors do not accumulate. Until then the loop sleeps in
 the ports, which wake it on input.
 
-After a stall (of the process or the machine) of up to :data:`MAX_CATCH_UP_S` the missed ticks follow at no more than
-:data:`CATCH_UP_SPEED` times the normal pace, so that flight and stations see no burst. A longer stall is a timing
-overrun: the vehicle's clock stops meanwhile. :class:`RealTimePacer` measures the real-time factor. It is published to
-stations and stands in recording and summary. Events of the flight report when it falls below
+After a stall (of the process or the machine) of up to :data:`MAX_CAUGHT_UP_STALL_S` the missed ticks follow at no more
+than :data:`CATCH_UP_SPEED_FACTOR` times the normal pace, so that flight and stations see no burst. A longer stall is a
+timing overrun: the vehicle's clock stops meanwhile. :class:`RealTimePacer` measures the real-time factor. It is
+published to stations and stands in recording and summary. Events of the flight report when it falls below
 :data:`mufly.link.telemetry_streams.SLOW_REAL_TIME_FACTOR`, and when it is restored.
 """
 
@@ -23,7 +23,7 @@ from typing import Any, Literal
 from mufly.control import FlightController
 from mufly.flight import ALIGNMENT_TIMEOUT_S, Flight, FlightEvent, FlightState
 from mufly.flight.record.live_view import LiveViewConfig
-from mufly.link.ports import MAX_STALL_S, Endpoint, Peer, Port, open_port, read_boot_clock, wait_readable
+from mufly.link.ports import MAX_REQUEST_DELAY_S, Endpoint, Peer, Port, open_port, read_boot_clock, wait_for_input
 from mufly.link.telemetry_streams import SLOW_REAL_TIME_FACTOR
 from mufly.link.vehicle_link import VehicleLink
 from mufly.logs.tlog import TlogWriter
@@ -33,9 +33,9 @@ from mufly.vehicle import Vehicle
 SensorMode = Literal["ideal", "fitted"]
 """Sensors of a simulated vehicle (:class:`mufly.flight.Flight`)."""
 
-MAX_CATCH_UP_S = 1.0
+MAX_CAUGHT_UP_STALL_S = 1.0
 """Longest stall that is made up for (s)."""
-CATCH_UP_SPEED = 2.0
+CATCH_UP_SPEED_FACTOR = 2.0
 """Speed of the loop relative to real time while it makes up for a stall."""
 PACE_WINDOW_S = 5.0
 """Averaging time of the real-time factor (s)."""
@@ -118,12 +118,12 @@ class RealTimePacer:
     def sleep_time_s(self, now_s: float) -> float:
         """Return the sleep time until the next tick (s)."""
         # While catching up, ticks keep a distance.
-        return max(self.next_tick_s, self._last_s + self.period_s / CATCH_UP_SPEED) - now_s
+        return max(self.next_tick_s, self._last_s + self.period_s / CATCH_UP_SPEED_FACTOR) - now_s
 
     def record_tick(self, now_s: float) -> None:
         """Record that a tick happens now."""
         late = max(0.0, now_s - self.next_tick_s)
-        if late > MAX_CATCH_UP_S:
+        if late > MAX_CAUGHT_UP_STALL_S:
             self.lost_time_s += late
             self.slip_count += 1
             self.next_tick_s = now_s
@@ -192,7 +192,7 @@ class _PortGroup:
         # The process may be suspended at any line, so the clock is read after the bytes.
         stood_s = (self._clock() if came else now_s) - self._heard_s
         self._heard_s = now_s
-        if stood_s > MAX_STALL_S and self.ports:
+        if stood_s > MAX_REQUEST_DELAY_S and self.ports:
             for port in self.ports:
                 port.discard_input()
             link.resume_after_stall(now_s)
@@ -320,7 +320,7 @@ def run_real_time(
             now_s = clock()
             rest = pace.sleep_time_s(now_s)
             while rest > 0.0:
-                wait_readable(ports, rest)
+                wait_for_input(ports, rest)
                 now_s = clock()
                 wire.receive(link, now_s)
                 rest = pace.sleep_time_s(now_s)
@@ -342,7 +342,7 @@ def run_real_time(
                     for line in (line for port in ports for line in port.take_notices()):
                         on_notice(line)
                 if on_report is not None:
-                    on_report(_make_report(flight, link, pace, spent, counted))
+                    on_report(_make_loop_report(flight, link, pace, spent, counted))
                 counted = (link.received_count, link.sent_count)
                 pace.worst_lateness_s = 0.0
     return pace
@@ -356,7 +356,7 @@ def _start_mission(flight: Flight) -> None:
         flight.log_event(f"the mission does not start: {answer.reason}", "warning")
 
 
-def _make_report(
+def _make_loop_report(
     flight: Flight, link: VehicleLink, pace: RealTimePacer, spent_s: float, before: tuple[int, int]
 ) -> LoopReport:
     commander = link.authority.commander

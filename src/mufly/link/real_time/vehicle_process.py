@@ -41,7 +41,7 @@ START_TIMEOUT_S = 120.0
 """Time without a new stage after which the start of a vehicle's process is given up (s)."""
 STAGE_DESIGNING, STAGE_COMPILING = "designing the controllers", "compiling the model"
 """Stages of a start; the second takes longest on a machine that has not compiled the model yet."""
-_MAX_EVENTS = 1000
+_MAX_QUEUED_EVENTS = 1000
 _MAX_QUEUED_REPORTS = 1000
 
 
@@ -71,8 +71,8 @@ class VehicleProcess:
         self._pipe, theirs = context.Pipe()
         self._on_stage = on_stage or (lambda _: None)
         self.stage = "loading the vehicle's libraries"
-        self.events: deque[FlightEvent] = deque(maxlen=_MAX_EVENTS)
-        self.notices: deque[str] = deque(maxlen=_MAX_EVENTS)
+        self.events: deque[FlightEvent] = deque(maxlen=_MAX_QUEUED_EVENTS)
+        self.notices: deque[str] = deque(maxlen=_MAX_QUEUED_EVENTS)
         self.report: LoopReport | None = None
         self.sight: TrackedPicture | None = None
         self.outcome = self.reason = self.error = ""
@@ -272,7 +272,7 @@ class _StatusPublisher:
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
         self._queue: queue.Queue[tuple[str, Any] | None] = queue.Queue(_MAX_QUEUED_REPORTS)
-        self._thread = threading.Thread(target=self._send_queue, daemon=True)
+        self._thread = threading.Thread(target=self._flush_report_queue, daemon=True)
         self._thread.start()
 
     def __call__(self, kind: str, content: Any = None) -> None:
@@ -285,7 +285,7 @@ class _StatusPublisher:
             self._queue.put(None, timeout=1.0)
         self._thread.join(1.0)
 
-    def _send_queue(self) -> None:
+    def _flush_report_queue(self) -> None:
         while (said := self._queue.get()) is not None:
             try:
                 self._pipe.send(said)

@@ -29,8 +29,8 @@ from mufly.link.mission_transfer import (
     MissionReceiver,
     MissionResultCode,
     MissionSender,
+    encode_transfer_message,
     parse_transfer_message,
-    to_mavlink,
 )
 from mufly.link.parameter_protocol import INTEGER_RANGES, decode_parameter, encode_parameter
 from mufly.station.remote.remote_commands import RETRY_PERIOD_S, RepeatedRequest, StatusTextLog
@@ -148,7 +148,7 @@ class RemoteMission:
             if job.request.is_done:
                 self._jobs.popleft()
         notes, self._out = self._out, []
-        return [to_mavlink(note, *self.target) for _, note in notes]
+        return [encode_transfer_message(note, *self.target) for _, note in notes]
 
     def give_up(self, answer: str) -> None:
         """End all open transfers."""

@@ -19,7 +19,7 @@ from mufly.flight import TunableParameter
 from mufly.link.codec import MavMessage, mavlink
 from mufly.link.command_protocol import Command
 from mufly.link.mission_transfer import TYPE_FENCE
-from mufly.link.ports import MAX_STALL_S
+from mufly.link.ports import MAX_REQUEST_DELAY_S
 from mufly.mission import Fence, Mission, fence_from_items, fence_to_items, load_mission
 from mufly.mission.files.mission_items import MissionRefusedError, mission_to_items
 from mufly.station.mission_rows import rows_from_items
@@ -548,7 +548,7 @@ class RemoteVehicle:
         """
         silent_s = now_s - self._heard_s
         usual_s = _MAX_MISSED_MESSAGES / self._usual_rate_Hz if self._usual_rate_Hz > 0.0 else LOST_TIMEOUT_S
-        if math.isfinite(silent_s) and silent_s >= min(LOST_TIMEOUT_S, max(MAX_STALL_S, usual_s)):
+        if math.isfinite(silent_s) and silent_s >= min(LOST_TIMEOUT_S, max(MAX_REQUEST_DELAY_S, usual_s)):
             why = f"not executed: no message from the vehicle for {silent_s:.1f} s"
             self._give_up_moves(why)
             self._give_up_changes(why)
