@@ -216,10 +216,10 @@ def test_a_delay_that_the_record_does_not_tell_is_not_determined():
     wave = np.sin(2 * np.pi * t / 0.3)  # seen a period later it is the same
     swinging = estimate_delay(t, wave, np.roll(wave, 5) + 0.05 * rng.standard_normal(len(t)), causal=True)
     assert not swinging.is_determined
-    turns = (swinging.rival_s - swinging.delay_s) / 0.3
+    turns = (swinging.second_peak_delay_s - swinging.delay_s) / 0.3
     assert turns == pytest.approx(round(turns), abs=0.07)
     assert abs(turns) > 0.5
-    both = f"{1e3 * swinging.delay_s:.1f} ms and {1e3 * swinging.rival_s:.0f} ms"
+    both = f"{1e3 * swinging.delay_s:.1f} ms and {1e3 * swinging.second_peak_delay_s:.0f} ms"
     assert f"not determined ({both} fit equally well)" == swinging.describe_delay()
     tones = sum(np.sin(2 * np.pi * f * t) for f in (4.7, 5.0, 5.3))  # nearly as high a period later, but never higher
     assert estimate_delay(t, tones, np.roll(tones, 3)).is_determined
@@ -227,8 +227,8 @@ def test_a_delay_that_the_record_does_not_tell_is_not_determined():
     assert late.at_limit
     assert not late.is_determined
     short = estimate_delay(t[:30], x[:30], y[:30])
-    assert short.freedom == 2  # three pieces are all that 30 samples give
-    assert estimate_delay(t[:32], x[:32], y[:32]).freedom == 3
+    assert short.degrees_of_freedom == 2  # three pieces are all that 30 samples give
+    assert estimate_delay(t[:32], x[:32], y[:32]).degrees_of_freedom == 3
 
 
 @pytest.mark.parametrize("cycles", [0.05, 0.2, 0.4])

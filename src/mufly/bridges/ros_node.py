@@ -38,7 +38,7 @@ from mufly.logs.ros.ros_messages import (
     body_to_flu,
     ned_to_enu,
     pick_message,
-    present_rows,
+    rows_with_data,
     select_topics,
     stamp_message,
     stamp_times_ns,
@@ -173,7 +173,7 @@ class RosPublisher:
         self, topic: RosTopic, publisher: Any, kind: type, blocks: Mapping[str, _Array], time_s: _Array
     ) -> None:
         index = []
-        for k in present_rows(topic, blocks).tolist():
+        for k in rows_with_data(topic, blocks).tolist():
             if time_s[k] >= self._due_s.get(topic.name, -1.0) - 1e-6:
                 self._due_s[topic.name] = time_s[k] + 1.0 / topic.live_rate_Hz
                 index.append(k)

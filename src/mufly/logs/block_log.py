@@ -24,7 +24,7 @@ BLOCK_LOG_FORMAT = "mufly block log"
 BLOCK_BYTES = 512
 _MAGIC = b"mlog"
 _HEADER_STRUCT = struct.Struct("<4s3IHH")
-_NO_START = 0xFFFF
+_NO_MESSAGE_START = 0xFFFF
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,8 @@ def _join_blocks(number: int, blocks: dict[int, tuple[int, int, bytes]]) -> Bloc
         if index != expected:
             missing += index - expected
             del out[_end_of_messages(out, last_begin) :]
-            payload, first = (b"", _NO_START) if first == _NO_START else (payload[first:], 0)
-        if first != _NO_START:
+            payload, first = (b"", _NO_MESSAGE_START) if first == _NO_MESSAGE_START else (payload[first:], 0)
+        if first != _NO_MESSAGE_START:
             last_begin = max(len(out) + first, ULOG_HEADER_SIZE)
         out += payload
         expected = index + 1

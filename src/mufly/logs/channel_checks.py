@@ -212,9 +212,9 @@ def apply_physical_limits(
 
 
 _MAD_TO_STD = 1.4826
-_HALF_WINDOW = 3  # samples on either side of the judged one; longest run of outliers
-_OUTLIER_SIGMAS = 7.0  # flags fewer than one sample in a million of Gaussian noise
-_MIN_FROZEN, _MIN_SATURATED = 8, 5  # samples of a run
+_MEDIAN_HALF_WINDOW_SAMPLES = 3  # samples on either side of the judged one; longest run of outliers
+_OUTLIER_THRESHOLD_SIGMAS = 7.0  # flags fewer than one sample in a million of Gaussian noise
+_MIN_FROZEN_SAMPLES, _MIN_SATURATED_SAMPLES = 8, 5  # samples of a run
 
 
 def find_outliers(x: _Array) -> NDArray[np.int64]:
@@ -231,10 +231,10 @@ def find_outliers(x: _Array) -> NDArray[np.int64]:
     """
     known = np.flatnonzero(np.isfinite(x))
     values = x[known]
-    wide = 20 * _HALF_WINDOW + 1
+    wide = 20 * _MEDIAN_HALF_WINDOW_SAMPLES + 1
     if len(values) < wide:
         return np.empty(0, dtype=np.int64)
-    away = np.abs(values - median_filter(values, size=2 * _HALF_WINDOW + 1, mode="nearest"))
+    away = np.abs(values - median_filter(values, size=2 * _MEDIAN_HALF_WINDOW_SAMPLES + 1, mode="nearest"))
     step = np.abs(np.diff(values, append=values[-1]))
     spread = np.maximum(
         _MAD_TO_STD * median_filter(away, size=wide, mode="nearest"),
@@ -244,12 +244,12 @@ def find_outliers(x: _Array) -> NDArray[np.int64]:
     floor = max(0.5 * float(np.median(spread)), quantum, 1e-12 * float(np.abs(values).max()))
     # Large steps are common in a manoeuvre; in Gaussian noise a tenth of all steps exceeds 2.3 sigma.
     usual = 3 * percentile_filter(step, 90, size=wide, mode="nearest")
-    flagged = away > np.maximum(_OUTLIER_SIGMAS * np.maximum(spread, floor), usual)
+    flagged = away > np.maximum(_OUTLIER_THRESHOLD_SIGMAS * np.maximum(spread, floor), usual)
     # Common steps of several quanta in coarse signals are no outliers.
     if (step > 0).mean() < 0.2 and (step > 0).any():
         flagged &= away > 5 * float(np.median(step[step > 0]))
     out = known[flagged]
-    return np.asarray(out[_in_short_runs(out, _HALF_WINDOW)], dtype=np.int64)
+    return np.asarray(out[_in_short_runs(out, _MEDIAN_HALF_WINDOW_SAMPLES)], dtype=np.int64)
 
 
 def _in_short_runs(index: NDArray[np.int64], longest: int) -> NDArray[np.bool_]:
@@ -283,10 +283,10 @@ def find_frozen(x: _Array) -> NDArray[np.int64]:
     """
     steps = np.abs(np.diff(x))
     same = steps == 0
-    if len(x) < 4 * _MIN_FROZEN or same.mean() > 0.2:
+    if len(x) < 4 * _MIN_FROZEN_SAMPLES or same.mean() > 0.2:
         return np.empty((0, 2), dtype=np.int64)
     runs = _find_runs(same) + np.array([0, 1])
-    runs = runs[(runs[:, 0] > 0) & (runs[:, 1] < len(x)) & (runs[:, 1] - runs[:, 0] >= _MIN_FROZEN)]
+    runs = runs[(runs[:, 0] > 0) & (runs[:, 1] < len(x)) & (runs[:, 1] - runs[:, 0] >= _MIN_FROZEN_SAMPLES)]
     least = steps[steps > 0].min(initial=np.inf)
     turned = np.maximum(steps[runs[:, 0] - 1], steps[runs[:, 1] - 1]) < 1.5 * least
     return runs[~turned]
@@ -299,7 +299,7 @@ def find_saturation(x: _Array) -> tuple[float, float]:
     next to it. A clipped signal accumulates at the limit; a signal with few levels accumulates everywhere.
     """
     values = x[np.isfinite(x)]
-    if len(values) < 10 * _MIN_SATURATED or values.min() == values.max():
+    if len(values) < 10 * _MIN_SATURATED_SAMPLES or values.min() == values.max():
         return 0.0, 0.0
     levels = np.unique(values)
     if len(levels) < 10:
@@ -311,7 +311,7 @@ def find_saturation(x: _Array) -> tuple[float, float]:
         (levels[-1], values >= levels[-1] - margin),
     ):
         runs = _find_runs(values == limit)
-        runs = runs[runs[:, 1] - runs[:, 0] >= _MIN_SATURATED]
+        runs = runs[runs[:, 1] - runs[:, 0] >= _MIN_SATURATED_SAMPLES]
         held = int((runs[:, 1] - runs[:, 0]).sum())
         shares.append(held / len(values) if held > 0.5 * near.sum() else 0.0)
     return shares[0], shares[1]

@@ -209,7 +209,7 @@ def _attitude_role(c: Channel) -> tuple[str, str, int] | None:
     return None
 
 
-def _settle_angle_units(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
+def _determine_angle_units(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
     """Guess missing units of angles and rates, and check stated units; return the channels and notes on guesses."""
     groups: dict[str, _ChannelsByRole] = {}
     for c in channels:
@@ -339,7 +339,7 @@ def map_signals(
     used: set[tuple[str, str]] = set()
     ours_by_guess: set[str] = set()
     for entry, must in entries:
-        found = _resolve_entry(raw, entry, must)
+        found = _resolve_map_entry(raw, entry, must)
         if found is None:
             continue
         table, entry, names = found
@@ -369,7 +369,7 @@ def map_signals(
             variable = _to_identifier(f"{table.name}_{field}")
             values = table.fields[field][index]
             out[variable] = Channel(variable, unit, time, values, name, long_name=name)
-    settled, said = _settle_angle_units(list(out.values()))
+    settled, said = _determine_angle_units(list(out.values()))
     shares, called = _rename_normalised_outputs([_convert_to_si(c) for c in settled])
     sound, beyond = apply_physical_limits(shares, lambda c: c.signal_name in ours_by_guess)
     return sound, words + said + called + beyond + _describe_unknown_units(sound)
@@ -433,7 +433,7 @@ def _suggest_names(name: str, known: list[str], what: str) -> str:
     return f"{'did you mean' if near else f'{what} are:'} {', '.join(shown)}{more}{'?' if near else ''}"
 
 
-def _resolve_entry(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTable, SignalEntry, list[str]] | None:
+def _resolve_map_entry(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTable, SignalEntry, list[str]] | None:
     """Return table, entry and field names of a map entry; None if optional fields are missing or empty."""
     if entry.topic is None and len(raw) != 1:
         problem = f"{entry.name} names no topic, and the log has {len(raw)}"

@@ -7,9 +7,9 @@ smooth their noise by an amount that depends on the fraction, and bias the delay
 
 Uncertainty: the record is cut into twelve blocks, and the delay is estimated with each block left out. The variance is
 that of the delete-one-block jackknife, (K - 1) / K sum (tau_k - mean)^2, with Student's quantile for K - 1 degrees of
-freedom (Kuensch 1989, "The jackknife and the bootstrap for general stationary observations"). The jackknife needs no
-model of the residual, which in flight data is neither white nor stationary. The model is a pure delay: for a response
-that is filtered instead, tau is the delay that fits best.
+freedom (Kuensch 1989, "The jackknife and the bootstrap for general stationary observations"). The jackknife
+needs no model of the residual, which in flight data is neither white nor stationary. The model is a pure delay: for a
+response that is filtered instead, tau is the delay that fits best.
 
 A record does not determine the delay in three cases:
 
@@ -59,10 +59,10 @@ class DelayEstimate:
         Whether the best delay is the longest that was tried, which is no result.
     step_s : float
         Sampling step (s).
-    rival_s : float
+    second_peak_delay_s : float
         Another delay that fits as well (s); NaN without one.
-    freedom : int
-        Degrees of freedom of ``std_s``.
+    degrees_of_freedom : int
+        Degrees of degrees_of_freedom of ``std_s``.
     """
 
     delay_s: float
@@ -70,13 +70,13 @@ class DelayEstimate:
     correlation: float
     at_limit: bool
     step_s: float
-    rival_s: float = math.nan
-    freedom: int = _JACKKNIFE_PIECES - 1
+    second_peak_delay_s: float = math.nan
+    degrees_of_freedom: int = _JACKKNIFE_PIECES - 1
 
     @property
     def is_determined(self) -> bool:
         """Whether the record determines the delay."""
-        return not self.at_limit and abs(self.correlation) >= _MIN_CORRELATION and math.isnan(self.rival_s)
+        return not self.at_limit and abs(self.correlation) >= _MIN_CORRELATION and math.isnan(self.second_peak_delay_s)
 
     @property
     def low_s(self) -> float:
@@ -90,7 +90,7 @@ class DelayEstimate:
 
     @property
     def _half_interval_s(self) -> float:
-        return _student_quantile(self.freedom) * self.std_s
+        return _student_quantile(self.degrees_of_freedom) * self.std_s
 
     def describe_delay(self) -> str:
         """Return the delay as one line of text."""
@@ -101,15 +101,16 @@ class DelayEstimate:
             share = 100 * self.correlation**2
             little = f"a delay explains {share:.2g} % of the response"
             return f"not determined (correlation {self.correlation:.2f}: {little})"
-        if not math.isnan(self.rival_s):
-            return f"not determined ({1e3 * self.delay_s:.1f} ms and {1e3 * self.rival_s:.0f} ms fit equally well)"
+        if not math.isnan(self.second_peak_delay_s):
+            second_ms = 1e3 * self.second_peak_delay_s
+            return f"not determined ({1e3 * self.delay_s:.1f} ms and {second_ms:.0f} ms fit equally well)"
         spread = 1e3 * self._half_interval_s
         return f"{1e3 * self.delay_s:.1f} +- {spread:.1f} ms (95 %), correlation {self.correlation:.2f}"
 
 
-def _student_quantile(freedom: int) -> float:
+def _student_quantile(degrees_of_freedom: int) -> float:
     """Return Student's t quantile for a 95 % interval."""
-    return float(stdtrit(freedom, 0.975))
+    return float(stdtrit(degrees_of_freedom, 0.975))
 
 
 def estimate_delay(
@@ -175,14 +176,16 @@ def estimate_delay(
     inside = (np.abs(lags) <= most) & ((lags >= 0) | (not causal))
     k = int(lags[inside][(c if causal else np.abs(c))[inside].argmax()])
     sign = float(np.sign(c[lags == k][0])) or 1.0
-    lag, height = _refine_peak(lags, sign * c, k)
+    lag, height = _refine_correlation_peak(lags, sign * c, k)
     at_limit = abs(lag) > most - 0.5
     close = np.abs(lags - k) <= 2 * _SINC_HALF_WIDTH
-    others = [_refine_peak(lags, sign * w, int(lags[close][(sign * w)[close].argmax()]))[0] for w in without]
+    others = [
+        _refine_correlation_peak(lags, sign * w, int(lags[close][(sign * w)[close].argmax()]))[0] for w in without
+    ]
     std = float(np.sqrt((pieces - 1) * np.var(others)))
-    rival = _find_rival_lag(lags, sign * c, [sign * w for w in without], k, inside)
-    rival_s = math.nan if rival is None else rival * step
-    return DelayEstimate(lag * step, step * std, sign * height, at_limit, step, rival_s, pieces - 1)
+    rival = _find_second_peak_lag(lags, sign * c, [sign * w for w in without], k, inside)
+    second_peak_delay_s = math.nan if rival is None else rival * step
+    return DelayEstimate(lag * step, step * std, sign * height, at_limit, step, second_peak_delay_s, pieces - 1)
 
 
 def _normalise_correlation(product: _Array, size: _Array, energy: float, floor: float) -> _Array:
@@ -190,7 +193,7 @@ def _normalise_correlation(product: _Array, size: _Array, energy: float, floor: 
     return out
 
 
-def _refine_peak(lags: NDArray[np.int64], values: _Array, k: int) -> tuple[float, float]:
+def _refine_correlation_peak(lags: NDArray[np.int64], values: _Array, k: int) -> tuple[float, float]:
     """Return position and height of the peak near the integer lag ``k``."""
     near = np.abs(lags - k) <= _SINC_HALF_WIDTH
     found = minimize_scalar(
@@ -200,7 +203,7 @@ def _refine_peak(lags: NDArray[np.int64], values: _Array, k: int) -> tuple[float
     return float(found.x), -float(found.fun)
 
 
-def _find_rival_lag(
+def _find_second_peak_lag(
     lags: NDArray[np.int64], c: _Array, without: list[_Array], k: int, inside: NDArray[np.bool_]
 ) -> int | None:
     """Return another lag outside the half width of the peak that is as high within the jackknife interval."""

@@ -76,7 +76,7 @@ _MAGIC_BY_FORMAT: dict[str, bytes | tuple[bytes, ...]] = {
 
 _HEAD_SIZE = 65536
 SQLITE_MAGIC = b"SQLite format 3\0"
-MCAP_PROFILE, ROS_PROFILE = slice(17, 25), b"\4\0\0\0ros2"
+MCAP_PROFILE_SLICE, ROS_PROFILE = slice(17, 25), b"\4\0\0\0ros2"
 """Offset of the profile in the header of an MCAP file (mcap.dev/spec), and the profile of ROS 2."""
 
 
@@ -102,7 +102,7 @@ def detect_log_format(path: str | Path) -> str:
         raise InputError(where, "", problem, "give a log" if not head else "give another copy of the log")
     if packed and not looks_like_table(head):
         raise InputError(where, "", "is compressed (gzip) but not a text table", "unpack it: gunzip FILE")
-    if head.startswith(SQLITE_MAGIC) or (head.startswith(MCAP_MAGIC) and head[MCAP_PROFILE] == ROS_PROFILE):
+    if head.startswith(SQLITE_MAGIC) or (head.startswith(MCAP_MAGIC) and head[MCAP_PROFILE_SLICE] == ROS_PROFILE):
         return "rosbag2"
     for kind, magic in _MAGIC_BY_FORMAT.items():
         if head.startswith(magic):
@@ -425,7 +425,7 @@ def resample_channels(channels: list[Channel], rate_hz: float | None, notes: lis
         attrs.setdefault("source_rate_hz", float(f"{_median_rate_hz(c.time):.4g}"))
         if c.long_name:
             attrs["long_name"] = c.long_name
-    _align_turns(data)
+    _align_full_turns(data)
     data.attrs["rate_hz"] = float(f"{_median_rate_hz(time):.6g}")
     return data
 
@@ -449,7 +449,7 @@ def _resample_channel(c: Channel, time: NDArray[np.float64]) -> NDArray[Any]:
     return out
 
 
-def _align_turns(data: xr.Dataset) -> None:
+def _align_full_turns(data: xr.Dataset) -> None:
     """Shift references and estimates by whole turns to the measured angle."""
     if "measured_attitude" not in data:
         return

@@ -226,7 +226,7 @@ def read_recording_summary(path: str | Path) -> dict[str, Any]:
 
 _RECORD_HEAD_STRUCT = struct.Struct("<BQ")  # opcode, length
 _TIME_RANGE_STRUCT = struct.Struct("<QQ")
-_MAGIC_BYTES = 8
+_MAGIC_SIZE_BYTES = 8
 _MESSAGE_OPCODE, _CHUNK_OPCODE, _METADATA_OPCODE, _LAST_OPCODE = 0x05, 0x06, 0x0C, 0x0F
 
 
@@ -238,7 +238,7 @@ def _scan_records(path: str | Path) -> tuple[int, int, int, dict[str, Any]]:
     first, last, count, metadata = 0, 0, 0, {}
     with open(path, "rb") as stream:
         size = stream.seek(0, 2)
-        at = _MAGIC_BYTES
+        at = _MAGIC_SIZE_BYTES
         while at + _RECORD_HEAD_STRUCT.size <= size:
             stream.seek(at)
             opcode, length = _RECORD_HEAD_STRUCT.unpack(stream.read(_RECORD_HEAD_STRUCT.size))

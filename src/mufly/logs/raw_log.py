@@ -449,7 +449,7 @@ def _find_wild_stamps(time: _Array) -> NDArray[np.bool_]:
     return out if out.sum() <= max(3.0, _MAX_BACKWARD_SHARE * len(known)) else np.zeros_like(out)
 
 
-_MAX_SAMPLES = 50_000_000
+_MAX_RESAMPLED_SAMPLES = 50_000_000
 
 
 def common_clock(spans: list[tuple[float, float]], rate_hz: float) -> _Array:
@@ -466,7 +466,7 @@ def common_clock(spans: list[tuple[float, float]], rate_hz: float) -> _Array:
         If there are more than 50 million instants, which indicates a wrong time stamp.
     """
     first, last = min(a for a, _ in spans), max(b for _, b in spans)
-    if not (last - first) * rate_hz < _MAX_SAMPLES:
+    if not (last - first) * rate_hz < _MAX_RESAMPLED_SAMPLES:
         problem = f"lasts from {first:.6g} to {last:.6g} s, at {rate_hz:.6g} Hz too many instants"
         raise InputError("the log", "time", problem, "a time stamp is wrong, or give a lower rate")
     tolerance = 1e-6

@@ -109,7 +109,7 @@ def _unwrap_sequence_numbers(numbers: NDArray[np.int64], arrival: _Array) -> NDA
     return np.concatenate(([0], np.cumsum(step)))
 
 
-def order_by_number(
+def order_by_packet_number(
     places: PacketPlaces, arrival: _Array, number: NDArray[np.int64]
 ) -> tuple[_Array, NDArray[np.bool_]]:
     """Correct the order of arrival by the senders' packet numbers, and find duplicates.

@@ -32,7 +32,7 @@ from mufly.logs.sender_clocks import (
     MessageKey,
     estimate_sending_times,
     find_sender_clock,
-    order_by_number,
+    order_by_packet_number,
     remove_arrival_leaps,
     repair_arrival_times,
 )
@@ -163,20 +163,22 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     arrival, set_back, said = repair_arrival_times((came_us - zero) / 1e6, kept)
     notes += said
     zero += round(1e6 * arrival[kept].min())
-    arrival, again = order_by_number(_packet_places(rows), arrival - arrival[kept].min(), number)
+    arrival, again = order_by_packet_number(_packet_file_positions(rows), arrival - arrival[kept].min(), number)
     twice = int(again.sum())
     if twice:
         _drop_packets(rows, {key: ~again[places] for key, (places, _) in rows.items()})
     contents = {
-        key: _message_columns(messages) for key, (_, messages) in rows.items() if key[2] not in _MESSAGES_WITHOUT_TABLE
+        key: _columns_of_messages(messages)
+        for key, (_, messages) in rows.items()
+        if key[2] not in _MESSAGES_WITHOUT_TABLE
     }
     if (beats := (*vehicle, "HEARTBEAT")) in contents:
         modes = _flight_mode_names(rows[beats][1], vehicle[1])
         contents[beats][0].update({"mode": modes} if modes.any() else {})
     clocks = {key: clock for key, (fields, _) in contents.items() if (clock := find_sender_clock(fields)) is not None}
-    arrival, said = remove_arrival_leaps(arrival, _packet_places(rows), clocks, vehicle, set_back)
+    arrival, said = remove_arrival_leaps(arrival, _packet_file_positions(rows), clocks, vehicle, set_back)
     notes += said
-    times, said = estimate_sending_times(arrival, _packet_places(rows), clocks, vehicle)
+    times, said = estimate_sending_times(arrival, _packet_file_positions(rows), clocks, vehicle)
     notes += said
     tables: dict[str, RawTable] = {}
     late = 0
@@ -321,11 +323,11 @@ def _describe_vehicle(dialect: Any, vehicle: tuple[int, int], rows: _MessageRows
     beats = rows[*vehicle, "HEARTBEAT"][1]
     beat = max(reversed(beats), key=lambda m: vehicle_rank(m.type, m.autopilot, vehicle[1]))
 
-    def enum_word(enum: str, value: int) -> str:
+    def enum_entry_text(enum: str, value: int) -> str:
         known = dialect.enums[enum].get(value)
         return "" if known is None else known.name.removeprefix(f"{enum}_").lower().replace("_", " ")
 
-    said = [enum_word("MAV_TYPE", beat.type), enum_word("MAV_AUTOPILOT", beat.autopilot)]
+    said = [enum_entry_text("MAV_TYPE", beat.type), enum_entry_text("MAV_AUTOPILOT", beat.autopilot)]
     return ", ".join([*(w for w in said if w not in ("", "generic", "invalid")), f"system {number}"])
 
 
@@ -359,7 +361,7 @@ def _parameter_value(message: Any, bytewise: bool) -> float:
     return float(struct.unpack(layout, struct.pack("<f", message.param_value))[0])
 
 
-def _packet_places(rows: _MessageRows) -> dict[MessageKey, NDArray[np.int64]]:
+def _packet_file_positions(rows: _MessageRows) -> dict[MessageKey, NDArray[np.int64]]:
     return {key: places for key, (places, _) in rows.items()}
 
 
@@ -382,7 +384,7 @@ def _find_repeated_rows(time: NDArray[np.float64], fields: Mapping[str, NDArray[
     return again
 
 
-def _message_columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+def _columns_of_messages(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
     kind = type(messages[0])
     out: dict[str, NDArray[Any]] = {}
     units: dict[str, str] = {}

@@ -42,9 +42,9 @@ _HEAD_SIZE, _STAMP_SIZE = 3, 8  # bytes of length and type of a message, and of 
 HEADER_SIZE = 16
 _SYNC_BYTES = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _LEVEL_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
-_TYPE_OFFSET = 2  # of a message, after its size
+_MESSAGE_TYPE_OFFSET = 2  # of a message, after its size
 _INCOMPATIBLE_FLAGS = slice(8, 16)  # of the message of flag bits
-_SUBSCRIPTION_NAME = 3  # after instance and number
+_SUBSCRIPTION_NAME_OFFSET = 3  # after instance and number
 _MAX_HEADER_OFFSET_US = 600_000_000
 _NUMPY_TYPES = {
     "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
@@ -96,7 +96,7 @@ class _ScanResult:
     topics_by_id: dict[int, _SubscribedTopic] = field(default_factory=dict)
     log_texts: list[tuple[int, int, str]] = field(default_factory=list)  # stamp, level, text
     dropouts: list[tuple[int, int]] = field(default_factory=list)  # stamp, duration (ms)
-    in_data: bool = False
+    in_data_section: bool = False
     unknown_type_counts: dict[str, int] = field(default_factory=dict)  # messages of unknown types
     undescribed_count: int = 0  # data messages without a subscription
     appended_offsets: list[int] = field(default_factory=list)
@@ -156,7 +156,7 @@ def parse_ulog(data: bytes, where: str) -> RawLog:
         start_time=_find_start_time(tables, scan.info),
         info=info,
         messages=tuple(
-            (t, _level_word(level), text)
+            (t, _severity_text(level), text)
             for t, (_, level, text) in zip(times[_LOG_TEXTS_KEY].tolist(), scan.log_texts, strict=True)
         ),
         dropouts=tuple(
@@ -186,7 +186,12 @@ def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
                     topic.body_offsets.append(at + 5)
                     at = stop
                     continue
-                if topic is None and scan.in_data and stop <= limit and _messages_follow(data, stop, limit, scan):
+                if (
+                    topic is None
+                    and scan.in_data_section
+                    and stop <= limit
+                    and _messages_follow(data, stop, limit, scan)
+                ):
                     scan.undescribed_count += 1
                     at = stop
                     continue
@@ -197,7 +202,7 @@ def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
             ):
                 at = stop
                 if kind == _FLAG_BITS_MESSAGE and not limits:
-                    limits = _check_flags(scan, where, end)
+                    limits = _read_flag_bits(scan, where, end)
                     limit = limits.pop(0)
                 elif kind == _SUBSCRIPTION_MESSAGE:
                     heads = None
@@ -243,7 +248,7 @@ def _note_damage(scan: _ScanResult, data: bytes, at: int, stop: int, after: int,
         scan.damage.append(f"it ends inside a message at byte {at}, {limit - at} of {stop - at} bytes of it are there")
 
 
-def _check_flags(scan: _ScanResult, where: str, end: int) -> list[int]:
+def _read_flag_bits(scan: _ScanResult, where: str, end: int) -> list[int]:
     """Return the ends of the file's parts: the log, and data appended to it."""
     flags, offsets = scan.info.pop(_FLAG_BITS_NAME)
     if flags[0] & ~_APPENDED_DATA_FLAG or any(flags[1:]):
@@ -266,9 +271,9 @@ def _find_next_message(data: bytes, start: int, limit: int, scan: _ScanResult, h
         if _messages_follow(data, found.start(), limit, scan):
             start, limit = start, found.start()
             break
-    if not scan.in_data:
+    if not scan.in_data_section:
         for at in range(start, min(limit, start + 70_000)):
-            if data[at + _TYPE_OFFSET : at + _TYPE_OFFSET + 1] in (
+            if data[at + _MESSAGE_TYPE_OFFSET : at + _MESSAGE_TYPE_OFFSET + 1] in (
                 b"F",
                 b"I",
                 b"M",
@@ -315,7 +320,7 @@ def _process_message(scan: _ScanResult, kind: int, body: bytes, header: int, dat
         elif kind in (_INFO_MESSAGE, _PARAMETER_MESSAGE):
             type_name, key, value = _split_key_value(body)
             known = scan.info if kind == _INFO_MESSAGE else scan.parameters
-            if kind == _INFO_MESSAGE or not scan.in_data:
+            if kind == _INFO_MESSAGE or not scan.in_data_section:
                 known[key] = _decode_value(type_name, value)
         elif kind == _INFO_MULTIPLE_MESSAGE:
             _, key, value = _split_key_value(body[1:])
@@ -326,7 +331,7 @@ def _process_message(scan: _ScanResult, kind: int, body: bytes, header: int, dat
                 return False
             stamp = struct.unpack_from("<Q", body, skip)[0]
             scan.log_texts.append((stamp, body[0], body[skip + _STAMP_SIZE :].decode(errors="ignore")))
-            scan.in_data = True
+            scan.in_data_section = True
         elif kind == _DROPOUT_MESSAGE:
             (duration,) = struct.unpack("<H", body)
             last = (struct.unpack_from("<Q", data, t.body_offsets[-1] + t.stamp_offset)[0]
@@ -356,7 +361,7 @@ def _decode_value(type_name: str, value: bytes) -> Any:
 def _add_subscription(scan: _ScanResult, body: bytes) -> None:
     """Process a subscription; KeyError, ValueError if its format is unknown or contradictory."""
     instance, number = struct.unpack_from("<BH", body)
-    name = body[_SUBSCRIPTION_NAME:].decode("ascii")
+    name = body[_SUBSCRIPTION_NAME_OFFSET:].decode("ascii")
     fields = _expand_fields(scan.formats, name)
     most = 2 + np.dtype(fields).itemsize
     while fields and fields[-1][0].startswith("_padding"):
@@ -368,7 +373,7 @@ def _add_subscription(scan: _ScanResult, body: bytes) -> None:
         stamp_at = dtype.fields["timestamp"][1] if dtype.fields and "timestamp" in dtype.fields else 0
         known = scan.topics[label] = _SubscribedTopic(label, dtype, (2 + dtype.itemsize, most), stamp_at)
     scan.topics_by_id[number] = known
-    scan.in_data = True
+    scan.in_data_section = True
 
 
 def _expand_fields(
@@ -444,7 +449,7 @@ def _seconds_since_start(
     return out, notes
 
 
-def _level_word(number: int) -> str:
+def _severity_text(number: int) -> str:
     index = number - ord("0") if number >= ord("0") else number
     return _LEVEL_WORDS[index] if 0 <= index < len(_LEVEL_WORDS) else "info"
 

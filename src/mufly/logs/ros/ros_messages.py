@@ -35,11 +35,15 @@ Columns = dict[str, Any]
 
 MAP_FRAME, BODY_FRAME = "map", "base_link"
 _TO_FLU = np.array([1.0, -1.0, -1.0])
-_ULTRASOUND, _DISCHARGING, _LITHIUM_POLYMER = 0, 2, 3  # sensor_msgs/Range, sensor_msgs/BatteryState
+_RANGE_TYPE_ULTRASOUND, _BATTERY_STATUS_DISCHARGING, _BATTERY_TYPE_LITHIUM_POLYMER = (
+    0,
+    2,
+    3,
+)  # sensor_msgs/Range, sensor_msgs/BatteryState
 _MAX_RING_BEAMS = 64
-_FIX_HEADING = 3  # of a fix and its variances: north, east, down, heading
-_ENU_VARIANCES = (1, 0, 2, _FIX_HEADING)
-NANOSECONDS = 1_000_000_000
+_FIX_HEADING_ROW = 3  # of a fix and its variances: north, east, down, heading
+_ENU_VARIANCE_ORDER = (1, 0, 2, _FIX_HEADING_ROW)
+NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 class RangeLimits(NamedTuple):
@@ -109,17 +113,17 @@ def attitude_to_ros(attitude: _Array) -> _Array:
     return np.column_stack((attitude[:, 0], -attitude[:, 1], 0.5 * math.pi - attitude[:, 2]))
 
 
-def _vector(values: _Array) -> Columns:
+def _vector_message(values: _Array) -> Columns:
     return dict(zip("xyz", values.T, strict=True))
 
 
-def _orientation(attitude: _Array) -> Columns:
+def _orientation_message(attitude: _Array) -> Columns:
     """Return the quaternion of attitudes of mufly; unknown angles count as zero."""
     quaternion = quaternions_from_euler(attitude_to_ros(np.nan_to_num(attitude, nan=0.0)))
     return dict(zip("wxyz", quaternion.T, strict=True))
 
 
-def _header(frame: str) -> Columns:
+def _header_message(frame: str) -> Columns:
     return {"frame_id": frame}
 
 
@@ -128,7 +132,7 @@ def _signal_or_nan(blocks: Blocks, name: str, like: _Array) -> _Array:
     return blocks[name] if name in blocks else np.full(like.shape, math.nan)
 
 
-def _diagonal(variances: _Array) -> _Array:
+def _diagonal_covariances(variances: _Array) -> _Array:
     """Return variances (n, k) as flat row-major matrices (n, k * k); unknown ones are zero."""
     n, k = variances.shape
     out = np.zeros((n, k, k))
@@ -153,16 +157,19 @@ def _make_odometry(prefix: str) -> Callable[[Blocks, RangeLimits], Columns]:
         twist[:, range(3, 6), range(3, 6)] = sigma["rates"] ** 2
         pose_variance = np.hstack((sigma["position"][:, [1, 0, 2]] ** 2, sigma["attitude"] ** 2))
         return {
-            "header": _header(MAP_FRAME),
+            "header": _header_message(MAP_FRAME),
             "child_frame_id": BODY_FRAME,
             "pose": {
-                "pose": {"position": _vector(ned_to_enu(position)), "orientation": _orientation(attitude)},
-                "covariance": _diagonal(pose_variance),
+                "pose": {
+                    "position": _vector_message(ned_to_enu(position)),
+                    "orientation": _orientation_message(attitude),
+                },
+                "covariance": _diagonal_covariances(pose_variance),
             },
             "twist": {
                 "twist": {
-                    "linear": _vector(np.einsum("nij,nj->ni", to_base, velocity)),
-                    "angular": _vector(body_to_flu(rates)),
+                    "linear": _vector_message(np.einsum("nij,nj->ni", to_base, velocity)),
+                    "angular": _vector_message(body_to_flu(rates)),
                 },
                 "covariance": twist.reshape(-1, 36),
             },
@@ -175,11 +182,11 @@ def _make_transform(prefix: str) -> Callable[[Blocks, RangeLimits], Columns]:
     def encode(blocks: Blocks, _: RangeLimits) -> Columns:
         position = blocks[f"{prefix}_position"]
         transform = {
-            "header": _header(MAP_FRAME),
+            "header": _header_message(MAP_FRAME),
             "child_frame_id": BODY_FRAME,
             "transform": {
-                "translation": _vector(ned_to_enu(position)),
-                "rotation": _orientation(_signal_or_nan(blocks, f"{prefix}_attitude", position)),
+                "translation": _vector_message(ned_to_enu(position)),
+                "rotation": _orientation_message(_signal_or_nan(blocks, f"{prefix}_attitude", position)),
             },
         }
         return {"transforms": [transform]}
@@ -192,18 +199,18 @@ def _encode_imu(blocks: Blocks, _: RangeLimits) -> Columns:
     unknown[0] = -1.0  # no orientation (sensor_msgs/Imu)
     force = blocks["measured_acceleration"]
     return {
-        "header": _header(BODY_FRAME),
+        "header": _header_message(BODY_FRAME),
         "orientation": {"w": 1.0},
         "orientation_covariance": np.tile(unknown, (len(force), 1)),
-        "angular_velocity": _vector(body_to_flu(_signal_or_nan(blocks, "measured_rates", force))),
-        "linear_acceleration": _vector(body_to_flu(force)),
+        "angular_velocity": _vector_message(body_to_flu(_signal_or_nan(blocks, "measured_rates", force))),
+        "linear_acceleration": _vector_message(body_to_flu(force)),
     }
 
 
 def _encode_sonar(blocks: Blocks, limits: RangeLimits) -> Columns:
     return {
-        "header": _header("sonar_link"),
-        "radiation_type": _ULTRASOUND,
+        "header": _header_message("sonar_link"),
+        "radiation_type": _RANGE_TYPE_ULTRASOUND,
         "field_of_view": limits.sonar_cone_rad,
         "min_range": limits.sonar_min_m,
         "max_range": limits.sonar_max_m,
@@ -217,7 +224,7 @@ def _make_scan(signal: str) -> Callable[[Blocks, RangeLimits], Columns]:
         count = distances.shape[1]
         step = 2.0 * math.pi / count
         return {
-            "header": _header(BODY_FRAME),
+            "header": _header_message(BODY_FRAME),
             "angle_min": -limits.first_beam_rad,
             "angle_max": -limits.first_beam_rad + (count - 1) * step,
             "angle_increment": step,
@@ -238,12 +245,12 @@ def _encode_battery(blocks: Blocks, _: RangeLimits) -> Columns:
     voltage = blocks["battery_voltage"]
     unknown = dict.fromkeys(("temperature", "charge", "capacity", "design_capacity"), math.nan)
     return {
-        "header": _header(BODY_FRAME),
+        "header": _header_message(BODY_FRAME),
         "voltage": voltage[:, 0],
         "current": -_signal_or_nan(blocks, "battery_current", voltage)[:, 0],  # negative when discharging
         "percentage": _signal_or_nan(blocks, "battery_charge", voltage)[:, 0],
-        "power_supply_status": _DISCHARGING,
-        "power_supply_technology": _LITHIUM_POLYMER,
+        "power_supply_status": _BATTERY_STATUS_DISCHARGING,
+        "power_supply_technology": _BATTERY_TYPE_LITHIUM_POLYMER,
         "present": True,
         **unknown,
     }
@@ -253,43 +260,48 @@ def _encode_pose_setpoint(blocks: Blocks, _: RangeLimits) -> Columns:
     position = blocks["reference_position"]
     attitude = _signal_or_nan(blocks, "reference_attitude", position)
     return {
-        "header": _header(MAP_FRAME),
-        "pose": {"position": _vector(ned_to_enu(position)), "orientation": _orientation(attitude)},
+        "header": _header_message(MAP_FRAME),
+        "pose": {"position": _vector_message(ned_to_enu(position)), "orientation": _orientation_message(attitude)},
     }
 
 
 def _encode_velocity_setpoint(blocks: Blocks, _: RangeLimits) -> Columns:
-    return {"header": _header(MAP_FRAME), "twist": {"linear": _vector(ned_to_enu(blocks["reference_velocity"]))}}
+    return {
+        "header": _header_message(MAP_FRAME),
+        "twist": {"linear": _vector_message(ned_to_enu(blocks["reference_velocity"]))},
+    }
 
 
 def _encode_fix(blocks: Blocks, _: RangeLimits) -> Columns:
     fix = blocks["measured_position_fix"]
     level = np.zeros((len(fix), 2))
-    variance = _signal_or_nan(blocks, "measured_position_fix_variance", fix)[:, _ENU_VARIANCES]
+    variance = _signal_or_nan(blocks, "measured_position_fix_variance", fix)[:, _ENU_VARIANCE_ORDER]
     return {
-        "header": _header(MAP_FRAME),
+        "header": _header_message(MAP_FRAME),
         "pose": {
             "pose": {
-                "position": _vector(ned_to_enu(fix[:, :3])),
-                "orientation": _orientation(np.column_stack((level, fix[:, _FIX_HEADING]))),
+                "position": _vector_message(ned_to_enu(fix[:, :3])),
+                "orientation": _orientation_message(np.column_stack((level, fix[:, _FIX_HEADING_ROW]))),
             },
-            "covariance": _diagonal(np.column_stack((variance[:, :3], level, variance[:, _FIX_HEADING]))),
+            "covariance": _diagonal_covariances(
+                np.column_stack((variance[:, :3], level, variance[:, _FIX_HEADING_ROW]))
+            ),
         },
     }
 
 
 def _encode_magnetic_field(blocks: Blocks, _: RangeLimits) -> Columns:
     field = body_to_flu(blocks["measured_magnetic_field"])
-    return {"header": _header(BODY_FRAME), "magnetic_field": _vector(field)}
+    return {"header": _header_message(BODY_FRAME), "magnetic_field": _vector_message(field)}
 
 
 def _encode_pressure(blocks: Blocks, _: RangeLimits) -> Columns:
-    return {"header": _header(BODY_FRAME), "fluid_pressure": blocks["measured_pressure"][:, 0]}
+    return {"header": _header_message(BODY_FRAME), "fluid_pressure": blocks["measured_pressure"][:, 0]}
 
 
 def _encode_rotors(blocks: Blocks, _: RangeLimits) -> Columns:
     return {
-        "header": _header(BODY_FRAME),
+        "header": _header_message(BODY_FRAME),
         "name": ["rotor_upper", "rotor_lower"],
         "velocity": blocks["measured_rotor_speed"],
     }
@@ -299,15 +311,15 @@ def _encode_actuators(blocks: Blocks, _: RangeLimits) -> Columns:
     return {"data": np.hstack((blocks["motor_input"], blocks["servo_input"]))}
 
 
-_ODOMETRY, _SCAN = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan"
-_TRANSFORMS = "tf2_msgs/msg/TFMessage"
+_ODOMETRY_TYPE, _SCAN_TYPE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan"
+_TRANSFORMS_TYPE = "tf2_msgs/msg/TFMessage"
 ROS_TOPICS: tuple[RosTopic, ...] = (
     *(
-        RosTopic(name, _ODOMETRY, f"{prefix}_position", _make_odometry(prefix), prefix=prefix)
+        RosTopic(name, _ODOMETRY_TYPE, f"{prefix}_position", _make_odometry(prefix), prefix=prefix)
         for name, prefix in (("/odom", "estimated"), ("/measured/odom", "measured"), ("/ground_truth/odom", "truth"))
     ),
-    RosTopic("/tf", _TRANSFORMS, "estimated_position", _make_transform("estimated")),
-    RosTopic("/tf", _TRANSFORMS, "measured_position", _make_transform("measured")),
+    RosTopic("/tf", _TRANSFORMS_TYPE, "estimated_position", _make_transform("estimated")),
+    RosTopic("/tf", _TRANSFORMS_TYPE, "measured_position", _make_transform("measured")),
     RosTopic(
         "/imu/data_raw", "sensor_msgs/msg/Imu", "measured_acceleration", _encode_imu,
         "measured_acceleration_time", "measured_acceleration_valid", 200.0, "measured",
@@ -317,10 +329,10 @@ ROS_TOPICS: tuple[RosTopic, ...] = (
         "measured_ground_distance_time", "measured_ground_distance_valid", prefix="measured_ground_distance",
     ),
     RosTopic(
-        "/scan", _SCAN, "measured_ranges", _make_scan("measured_ranges"),
+        "/scan", _SCAN_TYPE, "measured_ranges", _make_scan("measured_ranges"),
         "measured_ranges_time", "measured_ranges_valid", prefix="measured_ranges",
     ),
-    RosTopic("/obstacles/scan", _SCAN, "range", _make_scan("range"), live_rate_Hz=25.0, prefix="range"),
+    RosTopic("/obstacles/scan", _SCAN_TYPE, "range", _make_scan("range"), live_rate_Hz=25.0, prefix="range"),
     RosTopic(
         "/pose_fix", "geometry_msgs/msg/PoseWithCovarianceStamped", "measured_position_fix", _encode_fix,
         "measured_position_fix_time", "measured_position_fix_valid", prefix="measured",
@@ -362,7 +374,7 @@ def select_topics(names: Mapping[str, Any]) -> list[RosTopic]:
     return list(found.values())
 
 
-def present_rows(topic: RosTopic, blocks: Blocks) -> NDArray[np.int64]:
+def rows_with_data(topic: RosTopic, blocks: Blocks) -> NDArray[np.int64]:
     """Return the rows that give a message of a topic."""
     there = np.isfinite(blocks[topic.signal]).all(axis=1)
     if topic.valid_signal in blocks:
@@ -373,7 +385,7 @@ def present_rows(topic: RosTopic, blocks: Blocks) -> NDArray[np.int64]:
 def stamp_times_ns(topic: RosTopic, blocks: Blocks, time_s: _Array, start_ns: int) -> NDArray[np.int64]:
     """Return the stamps of rows (ns since 1970): the time of measurement where it is known, else that of the row."""
     when = blocks[topic.time_signal][:, 0] if topic.time_signal in blocks else time_s
-    return np.rint(np.where(np.isfinite(when), when, time_s) * NANOSECONDS).astype(np.int64) + start_ns
+    return np.rint(np.where(np.isfinite(when), when, time_s) * NANOSECONDS_PER_SECOND).astype(np.int64) + start_ns
 
 
 def pick_message(columns: Any, k: int) -> Any:
@@ -390,7 +402,10 @@ def pick_message(columns: Any, k: int) -> Any:
 def stamp_message(message: dict[str, Any], time_ns: int) -> None:
     """Set the time stamps of a message and of the messages inside it."""
     if "header" in message:
-        message["header"]["stamp"] = {"sec": time_ns // NANOSECONDS, "nanosec": time_ns % NANOSECONDS}
+        message["header"]["stamp"] = {
+            "sec": time_ns // NANOSECONDS_PER_SECOND,
+            "nanosec": time_ns % NANOSECONDS_PER_SECOND,
+        }
     for inner in message.get("transforms", ()):
         stamp_message(inner, time_ns)
 
@@ -402,7 +417,7 @@ def stamp_message(message: dict[str, Any], time_ns: int) -> None:
 Fields = Mapping[str, NDArray[Any]]
 
 
-def _columns_of(fields: Fields, stem: str, parts: Sequence[str] = "xyz") -> _Array | None:
+def _stack_field_columns(fields: Fields, stem: str, parts: Sequence[str] = "xyz") -> _Array | None:
     names = [f"{stem}{p}" for p in parts]
     if not all(n in fields for n in names):
         return None
@@ -410,7 +425,7 @@ def _columns_of(fields: Fields, stem: str, parts: Sequence[str] = "xyz") -> _Arr
 
 
 def _decode_attitude(fields: Fields, stem: str) -> _Array | None:
-    quaternion = _columns_of(fields, stem, "wxyz")
+    quaternion = _stack_field_columns(fields, stem, "wxyz")
     if quaternion is None:
         return None
     attitude = attitude_to_ros(euler_from_measured_quaternion(quaternion))
@@ -427,33 +442,39 @@ def _decode_covariance(fields: Fields, stem: str, first: int) -> _Array | None:
     return block if (block[:, range(3), range(3)] > 0.0).any() else None
 
 
-def _deviation(covariance: _Array | None, order: tuple[int, int, int] = (0, 1, 2)) -> _Array | None:
+def _standard_deviation(covariance: _Array | None, order: tuple[int, int, int] = (0, 1, 2)) -> _Array | None:
     return None if covariance is None else np.sqrt(covariance[:, order, order])
 
 
 def _decode_odometry(fields: Fields, prefix: str) -> dict[str, _Array | None]:
-    position = _columns_of(fields, "pose.pose.position.")
+    position = _stack_field_columns(fields, "pose.pose.position.")
     attitude = _decode_attitude(fields, "pose.pose.orientation.")
-    speed, rates = _columns_of(fields, "twist.twist.linear."), _columns_of(fields, "twist.twist.angular.")
+    speed, rates = (
+        _stack_field_columns(fields, "twist.twist.linear."),
+        _stack_field_columns(fields, "twist.twist.angular."),
+    )
     out: dict[str, _Array | None] = {
         f"{prefix}_position": None if position is None else ned_to_enu(position),
         f"{prefix}_attitude": attitude,
         f"{prefix}_rates": None if rates is None else body_to_flu(rates),
-        f"{prefix}_position_sigma": _deviation(_decode_covariance(fields, "pose.covariance", 0), (1, 0, 2)),
-        f"{prefix}_attitude_sigma": _deviation(_decode_covariance(fields, "pose.covariance", 3)),
-        f"{prefix}_rates_sigma": _deviation(_decode_covariance(fields, "twist.covariance", 3)),
+        f"{prefix}_position_sigma": _standard_deviation(_decode_covariance(fields, "pose.covariance", 0), (1, 0, 2)),
+        f"{prefix}_attitude_sigma": _standard_deviation(_decode_covariance(fields, "pose.covariance", 3)),
+        f"{prefix}_rates_sigma": _standard_deviation(_decode_covariance(fields, "twist.covariance", 3)),
     }
     if attitude is not None and speed is not None:
         to_ned = body_to_ned_matrices(attitude) * _TO_FLU
         out[f"{prefix}_velocity"] = np.einsum("nij,nj->ni", to_ned, speed)
         covariance = _decode_covariance(fields, "twist.covariance", 0)
         if covariance is not None:
-            out[f"{prefix}_velocity_sigma"] = _deviation(to_ned @ covariance @ to_ned.transpose(0, 2, 1))
+            out[f"{prefix}_velocity_sigma"] = _standard_deviation(to_ned @ covariance @ to_ned.transpose(0, 2, 1))
     return out
 
 
 def _decode_imu(fields: Fields, prefix: str) -> dict[str, _Array | None]:
-    force, rates = _columns_of(fields, "linear_acceleration."), _columns_of(fields, "angular_velocity.")
+    force, rates = (
+        _stack_field_columns(fields, "linear_acceleration."),
+        _stack_field_columns(fields, "angular_velocity."),
+    )
     out = {
         f"{prefix}_acceleration": None if force is None else body_to_flu(force),
         f"{prefix}_rates": None if rates is None else body_to_flu(rates),
@@ -464,7 +485,7 @@ def _decode_imu(fields: Fields, prefix: str) -> dict[str, _Array | None]:
 
 
 def _decode_pose(fields: Fields, prefix: str) -> dict[str, _Array | None]:
-    position = _columns_of(fields, "pose.position.")
+    position = _stack_field_columns(fields, "pose.position.")
     return {
         f"{prefix}_position": None if position is None else ned_to_enu(position),
         f"{prefix}_attitude": _decode_attitude(fields, "pose.orientation."),
@@ -472,7 +493,7 @@ def _decode_pose(fields: Fields, prefix: str) -> dict[str, _Array | None]:
 
 
 def _decode_fix(fields: Fields, prefix: str) -> dict[str, _Array | None]:
-    position = _columns_of(fields, "pose.pose.position.")
+    position = _stack_field_columns(fields, "pose.pose.position.")
     attitude = _decode_attitude(fields, "pose.pose.orientation.")
     if position is None or attitude is None:
         return {}
@@ -480,7 +501,7 @@ def _decode_fix(fields: Fields, prefix: str) -> dict[str, _Array | None]:
 
 
 def _decode_twist(fields: Fields, prefix: str) -> dict[str, _Array | None]:
-    velocity = _columns_of(fields, "twist.linear.")
+    velocity = _stack_field_columns(fields, "twist.linear.")
     return {f"{prefix}_velocity": None if velocity is None else ned_to_enu(velocity)}
 
 
@@ -502,12 +523,12 @@ def _decode_battery(fields: Fields, prefix: str) -> dict[str, _Array | None]:
 
 
 def _decode_actuators(fields: Fields, prefix: str) -> dict[str, _Array | None]:
-    inputs = _columns_of(fields, "data[", ("0]", "1]", "2]", "3]"))
+    inputs = _stack_field_columns(fields, "data[", ("0]", "1]", "2]", "3]"))
     return {} if inputs is None else {"motor_input": inputs[:, :2], "servo_input": inputs[:, 2:]}
 
 
 def _decode_rotors(fields: Fields, prefix: str) -> dict[str, _Array | None]:
-    return {prefix: _columns_of(fields, "velocity[", ("0]", "1]"))}
+    return {prefix: _stack_field_columns(fields, "velocity[", ("0]", "1]"))}
 
 
 def _decode_scalar(field: str) -> Callable[[Fields, str], dict[str, _Array | None]]:
@@ -515,7 +536,7 @@ def _decode_scalar(field: str) -> Callable[[Fields, str], dict[str, _Array | Non
 
 
 def _decode_magnetic_field(fields: Fields, prefix: str) -> dict[str, _Array | None]:
-    field = _columns_of(fields, "magnetic_field.")
+    field = _stack_field_columns(fields, "magnetic_field.")
     return {prefix: None if field is None else body_to_flu(field)}
 
 
@@ -527,10 +548,10 @@ class RosDecoder(NamedTuple):
 
 
 ROS_DECODERS: dict[str, RosDecoder] = {
-    _ODOMETRY: RosDecoder(_decode_odometry, "measured"),
+    _ODOMETRY_TYPE: RosDecoder(_decode_odometry, "measured"),
     "sensor_msgs/msg/Imu": RosDecoder(_decode_imu, "measured"),
     "sensor_msgs/msg/Range": RosDecoder(_decode_scalar("range"), "measured_ground_distance"),
-    _SCAN: RosDecoder(_decode_scan, "measured_ranges"),
+    _SCAN_TYPE: RosDecoder(_decode_scan, "measured_ranges"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": RosDecoder(_decode_fix, "measured"),
     "geometry_msgs/msg/PoseStamped": RosDecoder(_decode_pose, "measured"),
     "geometry_msgs/msg/TwistStamped": RosDecoder(_decode_twist, "measured"),

@@ -31,13 +31,13 @@ from mufly.logs.ros.ros_messages import (
     EVENT_TYPE,
     IMAGE_TOPIC,
     IMAGE_TYPE,
-    NANOSECONDS,
+    NANOSECONDS_PER_SECOND,
     STATE_TOPIC,
     STATE_TYPE,
     RangeLimits,
     decode_fields,
     pick_message,
-    present_rows,
+    rows_with_data,
     select_topics,
     stamp_message,
     stamp_times_ns,
@@ -48,10 +48,10 @@ BAG_ENDING = ".rosbag2"
 """Ending of a bag's folder in mufly's commands; ROS accepts any name."""
 METADATA_FILE = "metadata.yaml"
 _BAG_VERSION = 8  # rosbag2 of Iron, read by every later release
-_CUSTOM_KEY = "mufly"
+_CUSTOM_DATA_KEY = "mufly"
 _BLOCK_ROWS = 1000
 _MAX_LIST_LENGTH = 64  # a longer list is a picture or a point cloud
-_BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields in the type system of rosbags
+_FIELD_TYPE_BASE, _FIELD_TYPE_NAME, _FIELD_TYPE_ARRAY = 1, 2, 3  # kinds of fields in the type system of rosbags
 
 
 def _import_rosbags() -> ModuleType:
@@ -83,26 +83,26 @@ class _MessageMaker:
     def _message_maker(self, message_type: str) -> Callable[[Mapping[str, Any]], Any]:
         if message_type not in self._makers:
             cls = self._store.types[message_type]
-            fields = [(name, self._converter(kind)) for name, kind in self._store.fielddefs[message_type][1]]
+            fields = [(name, self._field_converter(kind)) for name, kind in self._store.fielddefs[message_type][1]]
             self._makers[message_type] = lambda content: cls(*[make(content.get(name)) for name, make in fields])
         return self._makers[message_type]
 
-    def _converter(self, field: tuple[Any, Any]) -> Callable[[Any], Any]:
+    def _field_converter(self, field: tuple[Any, Any]) -> Callable[[Any], Any]:
         """Return the function from a value or None to a field of a message."""
         kind, about = int(field[0]), field[1]
-        if kind == _BASE:
+        if kind == _FIELD_TYPE_BASE:
             zero: Any = "" if about[0] == "string" else 0
             return lambda value: zero if value is None else value
-        if kind == _NAME:
+        if kind == _FIELD_TYPE_NAME:
             make = self._message_maker(about)
             return lambda value: make(value or {})
         (inner_kind, inner), length = about
-        if int(inner_kind) == _NAME:
+        if int(inner_kind) == _FIELD_TYPE_NAME:
             one = self._message_maker(inner)
             return lambda value: [one(v) for v in value or ()]
         if inner[0] == "string":
             return lambda value: list(value or ())
-        zeros = np.zeros(length if kind == _ARRAY else 0, dtype=inner[0])
+        zeros = np.zeros(length if kind == _FIELD_TYPE_ARRAY else 0, dtype=inner[0])
         return lambda value: zeros if value is None else np.asarray(value, dtype=zeros.dtype)
 
 
@@ -142,7 +142,7 @@ def write_rosbag2(
         for name, v in dataset.data_vars.items()
         if v.dims[:1] == ("time",) and v.ndim <= 2 and v.dtype.kind in "fiub"
     }
-    topics = [t for t in select_topics(blocks) if len(present_rows(t, blocks))]
+    topics = [t for t in select_topics(blocks) if len(rows_with_data(t, blocks))]
     if not topics:
         raise InputError(str(path), "", "no signal has a ROS topic", "choose motion, sensors, battery or references")
     if path.exists() and not is_bag(path):
@@ -160,7 +160,7 @@ def write_rosbag2(
         writer.set_compression(bags.rosbag2.CompressionMode.STORAGE, bags.rosbag2.CompressionFormat.ZSTD)
         try:
             with writer:
-                writer.set_custom_data(_CUSTOM_KEY, json.dumps(to_json_value(dataset.attrs)))
+                writer.set_custom_data(_CUSTOM_DATA_KEY, json.dumps(to_json_value(dataset.attrs)))
                 messages = _iterate_messages(dataset, blocks, topics, limits or RangeLimits(), start_ns, pictures)
                 for time_ns, topic, kind, content in messages:
                     if topic not in connections:
@@ -188,10 +188,10 @@ def _iterate_messages(
         rows = slice(first, first + _BLOCK_ROWS)
         until = np.inf if rows.stop >= len(time) else time[rows.stop]
         part = {name: block[rows] for name, block in blocks.items()}
-        arrival = np.rint(time[rows] * NANOSECONDS).astype(np.int64) + start_ns
+        arrival = np.rint(time[rows] * NANOSECONDS_PER_SECOND).astype(np.int64) + start_ns
         out: list[tuple[int, str, str, dict[str, Any]]] = []
         for topic in topics:
-            index = present_rows(topic, part)
+            index = rows_with_data(topic, part)
             mine = {name: block[index] for name, block in part.items()}
             columns = topic.encode(mine, limits)
             stamps = stamp_times_ns(topic, mine, time[rows][index], start_ns)
@@ -203,16 +203,16 @@ def _iterate_messages(
             out.append((int(arrival[k]), STATE_TOPIC, STATE_TYPE, {"data": state}))
         while events and events[0].time_s < until:
             event = events.pop(0)
-            when = round(event.time_s * NANOSECONDS) + start_ns
+            when = round(event.time_s * NANOSECONDS_PER_SECOND) + start_ns
             content = {
-                "stamp": {"sec": when // NANOSECONDS, "nanosec": when % NANOSECONDS},
+                "stamp": {"sec": when // NANOSECONDS_PER_SECOND, "nanosec": when % NANOSECONDS_PER_SECOND},
                 "level": EVENT_LEVELS.get(event.level, EVENT_LEVELS["info"]),
                 "name": event.state,
                 "msg": event.text,
             }
             out.append((when, EVENT_TOPIC, EVENT_TYPE, content))
         while image is not None and image[0] < until:
-            when = round(image[0] * NANOSECONDS) + start_ns
+            when = round(image[0] * NANOSECONDS_PER_SECOND) + start_ns
             content = {"header": {"frame_id": "camera"}, "format": "jpeg", "data": np.frombuffer(image[1], np.uint8)}
             stamp_message(content, when)
             out.append((when, IMAGE_TOPIC, IMAGE_TYPE, content))
@@ -271,7 +271,7 @@ def read_rosbag2(path: str | Path) -> RawLog:
     ours, tables = attributes is not None, {}
     for topic, messages in found.items():
         fields = dict(_iterate_columns(messages))
-        time = (np.array(times[topic], dtype=np.int64) - zero) / NANOSECONDS
+        time = (np.array(times[topic], dtype=np.int64) - zero) / NANOSECONDS_PER_SECOND
         units: dict[str, str] = {}
         for name, values in decode_fields(topic, kinds[topic], fields, ours=ours).items():
             known = find_quantity(name)
@@ -318,7 +318,7 @@ def _read_custom_data(path: Path) -> dict[str, Any] | None:
 
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
         content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
-        found: dict[str, Any] = json.loads(content["rosbag2_bagfile_information"]["custom_data"][_CUSTOM_KEY])
+        found: dict[str, Any] = json.loads(content["rosbag2_bagfile_information"]["custom_data"][_CUSTOM_DATA_KEY])
         return found
     return None
 
@@ -327,7 +327,7 @@ def _stamp_ns(message: Any) -> int:
     """Return the stamp of a message's header (ns); 0 without one."""
     header = getattr(message, "header", message)
     stamp = getattr(header, "stamp", None)
-    return 0 if stamp is None else int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+    return 0 if stamp is None else int(stamp.sec) * NANOSECONDS_PER_SECOND + int(stamp.nanosec)
 
 
 def _iterate_columns(values: list[Any], name: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
