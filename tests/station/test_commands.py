@@ -10,9 +10,9 @@ from mufly.station import RequestOutcome
 from mufly.station.remote import autopilots
 from mufly.station.remote.autopilots import identify_firmware, select_commands
 from mufly.station.remote.remote_commands import (
-    MAX_TRIES,
+    MAX_COMMAND_TRIES,
     PROGRESS_TIMEOUT_S,
-    REASON_WAIT_S,
+    REFUSAL_REASON_WAIT_S,
     RETRY_PERIOD_S,
     OperatorControl,
     RemoteCommands,
@@ -40,7 +40,7 @@ def test_a_command_is_repeated_counted_up_and_given_up():
     commands, _, request = asked()
     sent = [commands.step(10.0 + 0.1 * k) for k in range(1, 120)]
     again = [(0.1 * k, m.confirmation) for k, out in enumerate(sent, 1) for m in out]
-    assert [n for _, n in again] == list(range(1, MAX_TRIES))
+    assert [n for _, n in again] == list(range(1, MAX_COMMAND_TRIES))
     assert all(RETRY_PERIOD_S - 1e-6 < b - a < RETRY_PERIOD_S + 0.11 for (a, _), (b, _) in pairwise([(0.0, 0), *again]))
     assert (request.outcome, request.answer) == (
         RequestOutcome.TIMED_OUT,
@@ -68,10 +68,10 @@ def test_what_is_in_progress_is_waited_for():
 def test_a_refusal_waits_a_moment_for_its_reason():
     commands, _, request = asked()
     commands.handle(10.5, ack(mavlink.MAV_RESULT_DENIED))
-    commands.step(10.5 + REASON_WAIT_S - 0.1)
+    commands.step(10.5 + REFUSAL_REASON_WAIT_S - 0.1)
     assert not request.is_done
     commands.handle(10.6, ack(mavlink.MAV_RESULT_ACCEPTED))  # a refusal stands
-    commands.step(10.5 + REASON_WAIT_S + 0.01)
+    commands.step(10.5 + REFUSAL_REASON_WAIT_S + 0.01)
     assert (request.outcome, request.answer) == (RequestOutcome.REFUSED, "denied")
     commands, texts, request = asked()
     commands.handle(10.5, ack(mavlink.MAV_RESULT_DENIED))

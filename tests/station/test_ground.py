@@ -112,7 +112,7 @@ def test_the_autopilot_takes_over_from_a_companion_that_calls_itself_a_quadrotor
     (vehicle,) = world.seen
     assert vehicle.component == 191
     early = vehicle.arm()
-    vehicle.telemetry.clock.place_stamp(9_000_000, world.t)  # the companion's clock is hours ahead
+    vehicle.telemetry.clock.to_monotonic_time(9_000_000, world.t)  # the companion's clock is hours ahead
     world.run(8.0, lambda: ready(vehicle))
     assert world.seen == [vehicle]
     assert (vehicle.component, vehicle.firmware) == (1, "PX4")

@@ -105,13 +105,13 @@ def test_a_clock_is_measured_anew_after_a_restart():
 
 def test_a_vehicle_is_started_anew_when_three_stamps_go_on_from_its_beginning():
     clock = VehicleClock()
-    assert clock.place_stamp(100_000, 50.0) == 100.0
-    assert math.isnan(clock.place_stamp(1_000, 60.0))
-    assert math.isnan(clock.place_stamp(1_020, 60.02))  # two may be late, or damaged
+    assert clock.to_monotonic_time(100_000, 50.0) == 100.0
+    assert math.isnan(clock.to_monotonic_time(1_000, 60.0))
+    assert math.isnan(clock.to_monotonic_time(1_020, 60.02))  # two may be late, or damaged
     assert clock.restart_count == 0
-    assert clock.place_stamp(1_040, 60.04) == pytest.approx(100.0 + 10.04)
+    assert clock.to_monotonic_time(1_040, 60.04) == pytest.approx(100.0 + 10.04)
     assert clock.restart_count == 1
-    assert clock.place_stamp(2_040, 61.04) == pytest.approx(111.04)
+    assert clock.to_monotonic_time(2_040, 61.04) == pytest.approx(111.04)
 
 
 def test_the_first_fix_is_the_origin_and_heights_are_above_home():
@@ -352,17 +352,17 @@ def test_absurd_numbers_raise_nothing(value):
 
 def test_the_clock_goes_on_over_a_wrap():
     clock, wrap = VehicleClock(), 2**32
-    times = [clock.place_stamp((wrap - 50 + 10 * k) % wrap, 0.01 * k) for k in range(20)]
+    times = [clock.to_monotonic_time((wrap - 50 + 10 * k) % wrap, 0.01 * k) for k in range(20)]
     np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-6)
-    assert clock.place_stamp(wrap - 10, 0.2) == pytest.approx(times[4], abs=1e-6)  # from before it, late
+    assert clock.to_monotonic_time(wrap - 10, 0.2) == pytest.approx(times[4], abs=1e-6)  # from before it, late
     assert clock.restart_count == 0
 
 
 @pytest.mark.parametrize("uptime_s", [10.0, 1e6, 3e6])
 def test_the_clock_goes_on_over_a_restart(uptime_s):
     clock = VehicleClock()
-    clock.place_stamp(round(uptime_s * 1e3), 100.0)
-    placed = [clock.place_stamp(round(1e3 * t), 103.0 + t) for t in (0.1, 0.12, 0.14, 0.16)]
+    clock.to_monotonic_time(round(uptime_s * 1e3), 100.0)
+    placed = [clock.to_monotonic_time(round(1e3 * t), 103.0 + t) for t in (0.1, 0.12, 0.14, 0.16)]
     assert clock.restart_count == 1
     assert math.isnan(placed[0])
     assert placed[3] == pytest.approx(uptime_s + 3.16, abs=0.1)
@@ -371,8 +371,8 @@ def test_the_clock_goes_on_over_a_restart(uptime_s):
 def test_one_stamp_that_is_far_behind_is_no_restart():
     clock = VehicleClock()
     for k in range(5):
-        clock.place_stamp(10_000 + 10 * k, 0.01 * k)
-        assert math.isnan(clock.place_stamp(500, 0.01 * k))
+        clock.to_monotonic_time(10_000 + 10 * k, 0.01 * k)
+        assert math.isnan(clock.to_monotonic_time(500, 0.01 * k))
     assert clock.restart_count == 0
 
 

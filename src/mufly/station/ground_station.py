@@ -28,7 +28,7 @@ from mufly.vehicle_types import is_vehicle, vehicle_rank, vehicle_type_name
 
 HEARTBEAT_PERIOD_S = 1.0
 MAX_VEHICLES = 32
-_LINK_WINDOW_S = 1.0
+_LINK_QUALITY_WINDOW_S = 1.0
 _LOG = logging.getLogger(__name__)
 
 
@@ -131,7 +131,7 @@ class GroundLink:
         stood_s, self._stepped_s = now_s - self._stepped_s, now_s
         if MAX_REQUEST_DELAY_S < stood_s < math.inf:
             for vehicle in self.vehicles:
-                vehicle.note_stall(stood_s)
+                vehicle.handle_stall(stood_s)
         out = self._make_heartbeats(now_s, peers)
         self._report_equipment(now_s)
         for heard in self._heard.values():
@@ -188,7 +188,7 @@ class GroundLink:
             if same and now_s - lost.last_heard_s >= LOST_TIMEOUT_S:
                 del self._heard[key]
                 lost.peer = peer
-                lost.vehicle.note_new_address()
+                lost.vehicle.handle_new_address()
                 self._heard[peer, system] = lost
                 return lost
         if len(self._heard) >= MAX_VEHICLES:
@@ -212,13 +212,13 @@ class GroundLink:
     def _update_link_quality(self, now_s: float, heard: _HeardVehicle) -> None:
         """Pass the link quality over the last second to a vehicle."""
         since_s, received, lost, messages = heard.last_counts
-        if now_s - since_s < _LINK_WINDOW_S:
+        if now_s - since_s < _LINK_QUALITY_WINDOW_S:
             return
         counts = self._codec.packet_counts(heard.peer)
         new, gone = counts.received_count - received, counts.lost_count - lost
         if since_s:
             loss = max(0, gone) / (new + max(0, gone)) if new + gone > 0 else 1.0
-            heard.vehicle.note_link(now_s, loss, (heard.message_count - messages) / (now_s - since_s))
+            heard.vehicle.store_link_quality(now_s, loss, (heard.message_count - messages) / (now_s - since_s))
         heard.last_counts = (now_s, counts.received_count, counts.lost_count, heard.message_count)
 
     def _report_fault(self, heard: _HeardVehicle, where: str, error: Exception) -> None:
@@ -240,8 +240,8 @@ _SYSTEM_IDS, _COMPONENT_IDS = (
     range(25, 100),
 )  # below 255, which others use; MAV_COMP_ID_USER1 to USER75
 _FULL_RATE_BYTES_S = 45_000.0
-_LINE_SHARE = 0.6
-_MAX_FAULTS = 100
+_TELEMETRY_LINE_SHARE = 0.6
+_MAX_REPORTED_FAULTS = 100
 
 
 def choose_telemetry_rate(endpoint: Endpoint, rate_Hz: float = 100.0) -> float:
@@ -252,7 +252,7 @@ def choose_telemetry_rate(endpoint: Endpoint, rate_Hz: float = 100.0) -> float:
     """
     if endpoint.kind != "serial":
         return rate_Hz
-    share = _LINE_SHARE * endpoint.port / 10.0 / _FULL_RATE_BYTES_S
+    share = _TELEMETRY_LINE_SHARE * endpoint.port / 10.0 / _FULL_RATE_BYTES_S
     return max(1.0, min(rate_Hz, 100.0 * share))
 
 
@@ -435,7 +435,7 @@ class GroundStation:
             yield
         except Exception as error:
             text = f"internal error, the station continues ({type(error).__name__}: {error})"
-            if text not in self._faults and len(self._faults) < _MAX_FAULTS:
+            if text not in self._faults and len(self._faults) < _MAX_REPORTED_FAULTS:
                 self._faults.add(text)
                 _LOG.error(text, exc_info=error)
                 self._add_notice(text)

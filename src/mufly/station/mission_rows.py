@@ -47,7 +47,7 @@ DELAY_COMMANDS = (Cmd.NAV_DELAY, Cmd.CONDITION_DELAY)
 """Wait commands without a position."""
 _HEADING_COMMANDS = (Cmd.NAV_WAYPOINT, Cmd.NAV_TAKEOFF, Cmd.NAV_LAND, Cmd.NAV_LOITER_UNLIM)
 """Commands whose parameter 4 is a heading (deg; NaN: none), unlike NAV_LOITER_TIME and NAV_LOITER_TURNS."""
-_PLACE_COMMANDS = (*_HEADING_COMMANDS, Cmd.NAV_LOITER_TURNS, Cmd.NAV_LOITER_TIME, Cmd.NAV_SPLINE_WAYPOINT)
+_POSITION_COMMANDS = (*_HEADING_COMMANDS, Cmd.NAV_LOITER_TURNS, Cmd.NAV_LOITER_TIME, Cmd.NAV_SPLINE_WAYPOINT)
 _HOLD_COMMANDS = (Cmd.NAV_WAYPOINT, Cmd.NAV_LOITER_TIME, Cmd.NAV_SPLINE_WAYPOINT, *DELAY_COMMANDS)
 _NO_POSITION = (math.nan, math.nan, math.nan)
 
@@ -79,7 +79,7 @@ def _make_row(item: MissionItem, origin: GlobalOrigin | None, reached: bool) -> 
         return MissionRow(action, reached=reached, text=of + words)
     if command == Cmd.CONDITION_YAW:
         return MissionRow(action, heading_rad=math.radians(item.params[0]), reached=reached)
-    if item.frame in (FRAME_LOCAL_NED, FRAME_LOCAL_ENU) and command in _PLACE_COMMANDS:
+    if item.frame in (FRAME_LOCAL_NED, FRAME_LOCAL_ENU) and command in _POSITION_COMMANDS:
         position = read_position(item, origin)
     elif is_global_frame(item) and item.x != COORDINATE_NOT_GIVEN:
         if has_global_position(item):

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from mufly.station import MissionRow, OperatorRequest, RequestOutcome, StatusMessage, VehicleSnapshot
-from mufly.station.page.alerts import MAX_ALERTS_PER_LOOK, REPEAT_PERIOD_S, AlertWatch, SpokenAlert
+from mufly.station.page.alerts import ALERT_REPEAT_PERIOD_S, MAX_ALERTS_PER_CALL, AlertWatch, SpokenAlert
 
 FLIES = VehicleSnapshot(connected=True, armed=True, flying=True, state="waypoint", battery_charge=0.8)
 
@@ -79,11 +79,11 @@ def test_warnings_in_words_are_said_the_gravest_first_and_not_all_the_time() -> 
     told.append(StatusMessage(2.0, "warning", "limit cycle in height, 1.2 Hz"))
     assert said(watch, 2.0, FLIES, told) == []
     told.append(StatusMessage(3.0, "warning", "limit cycle in height, 1.2 Hz"))
-    assert len(said(watch, 1.0 + REPEAT_PERIOD_S, FLIES, told)) == 1
+    assert len(said(watch, 1.0 + ALERT_REPEAT_PERIOD_S, FLIES, told)) == 1
     told.append(StatusMessage(3.5, "warning", "limit cycle in height, 1.3 Hz"))
-    assert said(watch, 2.0 + REPEAT_PERIOD_S, FLIES, told) == []  # the same with other numbers
+    assert said(watch, 2.0 + ALERT_REPEAT_PERIOD_S, FLIES, told) == []  # the same with other numbers
     told += [StatusMessage(4.0, "warning", f"fault {letter}") for letter in "abcdefghi"]
-    assert len(watch.find_new_alerts(60.0, FLIES, told)) == MAX_ALERTS_PER_LOOK
+    assert len(watch.find_new_alerts(60.0, FLIES, told)) == MAX_ALERTS_PER_CALL
     told.append(StatusMessage(5.0, "warning", "mufly, system 1: communication lost"))  # the link says it, graver
     lost = watch.find_new_alerts(70.0, replace(FLIES, connected=False), told)
     assert lost == [SpokenAlert("error", "communication lost")]

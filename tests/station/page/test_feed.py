@@ -27,14 +27,14 @@ from mufly.station import (
 )
 from mufly.station.page.frame_feed import (
     MAX_FRAMES_IN_FLIGHT,
-    MAX_POINTS,
+    MAX_PLOT_POINTS,
     DisplayRequest,
     FrameFeed,
     build_catalog,
     encode_snapshot,
     list_sensor_states,
 )
-from mufly.station.page.page_session import ANSWER_DISPLAY_S, CONTROLS_GRACE_S, StationSession
+from mufly.station.page.page_session import ANSWER_DISPLAY_S, CONTROLS_RELEASE_DELAY_S, StationSession
 
 
 class Vehicle:
@@ -153,7 +153,7 @@ def test_a_long_window_is_thinned_with_its_newest_sample_kept(vehicle: Vehicle, 
     vehicle.go(30_000)
     want(feed, signals=["battery_voltage"], window_s=600)
     h = frame(feed)["h"]
-    assert len(h["t"]) <= MAX_POINTS
+    assert len(h["t"]) <= MAX_PLOT_POINTS
     assert h["t"][-1] == pytest.approx(300.0)
 
 
@@ -256,9 +256,9 @@ def test_the_first_window_holds_the_controls_and_the_last_one_left_gets_them(ses
     two.take_controls()
     assert [v.has_controls for v in (one, two, three)] == [False, True, False]
     two.close_stream()
-    clock.now += 0.5 * CONTROLS_GRACE_S  # type: ignore[attr-defined]
+    clock.now += 0.5 * CONTROLS_RELEASE_DELAY_S  # type: ignore[attr-defined]
     assert not one.has_controls  # it may only have been reloaded
-    clock.now += CONTROLS_GRACE_S  # type: ignore[attr-defined]
+    clock.now += CONTROLS_RELEASE_DELAY_S  # type: ignore[attr-defined]
     assert not one.has_controls  # there are two: somebody has to press
     assert not three.has_controls
     three.close_stream()
@@ -358,7 +358,7 @@ def test_the_camera_is_shown_to_who_looks_at_it(vehicle: Vehicle, session: Stati
     sketch = MapView(np.zeros((3, 3), np.float32), np.array([[0, 1, 0], [1, 2, 0], [0, 2, 1]], np.int32))
     answer = TrackingResult(0.03, True, "", np.array([1.0, 2.0, -1.0]), 0.5, np.diag([1e-4, 4e-4, 1e-4, 1e-4]), 2, 9, 7)
     now = TrackedPicture(0.01, b"floor")
-    session.latest_sight = lambda: now
+    session.latest_slam_picture = lambda: now
     feed = FrameFeed(session.open_view("window"))
     want(feed, sections=["messages"])
     assert "camera" not in frame(feed)

@@ -22,11 +22,11 @@ from mufly.station.signal_history import (
     VehicleSnapshot,
 )
 
-LOW_CHARGE, EMPTY_CHARGE, CHARGE_HYSTERESIS = 0.3, 0.15, 0.05
+LOW_CHARGE_FRACTION, EMPTY_CHARGE_FRACTION, CHARGE_HYSTERESIS = 0.3, 0.15, 0.05
 """Battery charge (0..1) of a warning and of an error, and the rise that re-arms them."""
-REPEAT_PERIOD_S = 20.0
+ALERT_REPEAT_PERIOD_S = 20.0
 """Time within which the same alert is not repeated (s)."""
-MAX_ALERTS_PER_LOOK = 3
+MAX_ALERTS_PER_CALL = 3
 _NUMBER_PATTERN = re.compile(r"[-+.\d]+")
 _RANK_BY_LEVEL = {"info": 0, "warning": 1, "error": 2}
 
@@ -84,11 +84,13 @@ class AlertWatch:
         out = []
         for alert in sorted(found, key=lambda a: -_RANK_BY_LEVEL.get(a.level, 0)):
             words = _NUMBER_PATTERN.sub("", alert.text)  # the same with other numbers is the same
-            if now_s - self._last_spoken_s.get(words, -math.inf) >= REPEAT_PERIOD_S:
+            if now_s - self._last_spoken_s.get(words, -math.inf) >= ALERT_REPEAT_PERIOD_S:
                 self._last_spoken_s[words] = now_s
                 out.append(alert)
-        self._last_spoken_s = {text: at for text, at in self._last_spoken_s.items() if now_s - at < REPEAT_PERIOD_S}
-        return out[:MAX_ALERTS_PER_LOOK]
+        self._last_spoken_s = {
+            text: at for text, at in self._last_spoken_s.items() if now_s - at < ALERT_REPEAT_PERIOD_S
+        }
+        return out[:MAX_ALERTS_PER_CALL]
 
     def _check_link(self, s: VehicleSnapshot) -> list[SpokenAlert]:
         before, self._was_connected = self._was_connected, s.connected
@@ -104,10 +106,10 @@ class AlertWatch:
         charge = s.battery_charge
         if not math.isfinite(charge) or not s.connected:
             return []
-        level = 2 if charge < EMPTY_CHARGE else 1 if charge < LOW_CHARGE else 0
+        level = 2 if charge < EMPTY_CHARGE_FRACTION else 1 if charge < LOW_CHARGE_FRACTION else 0
         up = (
             level < self._charge_level
-            and charge < (EMPTY_CHARGE if self._charge_level == 2 else LOW_CHARGE) + CHARGE_HYSTERESIS
+            and charge < (EMPTY_CHARGE_FRACTION if self._charge_level == 2 else LOW_CHARGE_FRACTION) + CHARGE_HYSTERESIS
         )
         before, self._charge_level = self._charge_level, self._charge_level if up else level
         if level <= before:

@@ -18,15 +18,15 @@ from mufly.mission import Fence, Mission, describe_fence_violation, describe_pat
 from mufly.mission.files.geofence import FENCE_MARGIN_M
 from mufly.mission.files.mission_timing import compute_time_to_land_at
 from mufly.station.mission_endurance import mission_with_limits
-from mufly.station.preflight_checks import BATTERY_RESERVE, MIN_BATTERY_CHARGE, OWN_CHECKS_NAME
+from mufly.station.preflight_checks import BATTERY_RESERVE_SHARE, MIN_BATTERY_CHARGE, OWN_CHECKS_NAME
 from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
 
 CONFIRM_TIMEOUT_S = 3.0
 """Time limit of the second press (s)."""
-FAR_DISTANCE_M = 10.0
+MAX_UNCONFIRMED_DISTANCE_M = 10.0
 """Distance from the vehicle beyond which a destination without a fence needs confirmation (m)."""
-CHARGE_CRITICAL, REMAINING_CRITICAL_S, REMAINING_LOW_S = 0.15, 30.0, 60.0
+CRITICAL_CHARGE_FRACTION, CRITICAL_REMAINING_TIME_S, LOW_REMAINING_TIME_S = 0.15, 30.0, 60.0
 CONFIRMED_COMMANDS = {
     "mission": "start the mission",
     "take_off": "take off",
@@ -114,13 +114,13 @@ def check_destination(
                 f"{format_clock(s.battery_left_s)}"
             )
         )
-    if needed > (1.0 - BATTERY_RESERVE) * s.battery_left_s:
+    if needed > (1.0 - BATTERY_RESERVE_SHARE) * s.battery_left_s:
         return DestinationCheck(
             caution_reason=(
                 f"flight takes {format_clock(needed)}, battery time left is {format_clock(s.battery_left_s)}"
             )
         )
-    if fence is None and away > FAR_DISTANCE_M:
+    if fence is None and away > MAX_UNCONFIRMED_DISTANCE_M:
         return DestinationCheck(caution_reason=f"{away:.0f} m away, no geofence")
     return DestinationCheck()
 
@@ -141,8 +141,8 @@ def describe_battery(s: VehicleSnapshot) -> tuple[str, str] | None:
     if math.isfinite(left):
         parts.append(f"{format_clock(left)} left")
     empty, low = (
-        charge <= CHARGE_CRITICAL or left <= REMAINING_CRITICAL_S,
-        charge < MIN_BATTERY_CHARGE or left <= REMAINING_LOW_S,
+        charge <= CRITICAL_CHARGE_FRACTION or left <= CRITICAL_REMAINING_TIME_S,
+        charge < MIN_BATTERY_CHARGE or left <= LOW_REMAINING_TIME_S,
     )
     return "error" if empty else "warning" if low else "", ", ".join(parts)
 

@@ -40,7 +40,7 @@ from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
 MAX_WHOLE_READ_BYTES = 60_000_000
 """Largest foreign log that is read whole for the list (bytes)."""
-GROWING_AGE_S = 5.0
+GROWING_FILE_AGE_S = 5.0
 """Age of the last write below which an unfinished recording counts as still running (s)."""
 _UPDATE_PERIOD_S = 0.4
 
@@ -96,7 +96,7 @@ def read_flight_facts(path: Path) -> FlightFacts:
     start_s = float(start_ns) * 1e-9 if isinstance(start_ns, int | float) and start_ns > 0 else _parse_start_time(facts)
     outcome = ": ".join(str(facts[k]) for k in ("outcome", "reason") if facts.get(k))
     if not facts.get("complete", True) and not outcome:
-        growing = abs(time.time() - path.stat().st_mtime) < GROWING_AGE_S
+        growing = abs(time.time() - path.stat().st_mtime) < GROWING_FILE_AGE_S
         outcome = "being recorded" if growing else "incomplete"
     vehicle = facts.get("vehicle") or facts.get("system") or ""
     return FlightFacts(kind, start_s, length_s, str(vehicle), str(facts.get("mission") or ""), outcome)
@@ -257,7 +257,7 @@ class FlightList:
 
 def reading_priority(path: Path) -> tuple[bool, bool]:
     """Return the reading priority: mufly's recordings before foreign logs, growing files last in each group."""
-    return path.suffix.lower() != ".mcap", abs(time.time() - _file_state(path)[0] * 1e-9) < GROWING_AGE_S
+    return path.suffix.lower() != ".mcap", abs(time.time() - _file_state(path)[0] * 1e-9) < GROWING_FILE_AGE_S
 
 
 def _file_state(path: Path) -> tuple[int, int]:

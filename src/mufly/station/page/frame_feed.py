@@ -30,13 +30,13 @@ from mufly.station.replay import ReplayHistory
 from mufly.station.signal_history import SignalHistory, StatusMessage, VehicleSnapshot
 
 MAX_FRAMES_IN_FLIGHT = 2
-MAX_POINTS = 6000
+MAX_PLOT_POINTS = 6000
 MAX_SIGNALS = 64
 MAX_WINDOW_S = 36_000.0
-TABLE_PERIOD_S = 0.25  # tables are looked at this often
-SPECTRUM_PERIOD_S = 0.5
+TABLE_UPDATE_PERIOD_S = 0.25  # tables are looked at this often
+SPECTRUM_UPDATE_PERIOD_S = 0.5
 TRAIL_LENGTH_S = 600.0
-RECENT_VALUES_S = 2.0
+RECENT_VALUE_AGE_S = 2.0
 MAX_TRAIL_POINTS = 3000
 MAX_TEXT_LENGTH = 1000
 """Number of characters shown of a message; the recording has all."""
@@ -106,7 +106,7 @@ def encode_snapshot(s: VehicleSnapshot) -> dict[str, Any]:
     return {name: v.astype(np.float32) if isinstance(v, np.ndarray) else v for name, v in told.items()}
 
 
-def encode_sight(sight: TrackedPicture) -> dict[str, Any]:
+def encode_slam_picture(sight: TrackedPicture) -> dict[str, Any]:
     """Return a picture with its features and the state of SLAM."""
     answer, counts = sight.result, sight.counts
     out: dict[str, Any] = {
@@ -198,16 +198,16 @@ class FrameFeed:
                 out["h"] = self._encode_samples(source)
             if "messages" in self.display_request.sections:
                 self._add_messages(source, out)
-            if now_s - self._slow_at >= TABLE_PERIOD_S:
+            if now_s - self._slow_at >= TABLE_UPDATE_PERIOD_S:
                 self._slow_at = now_s
                 self._add_changed_tables(source, out)
-            if self.display_request.spectrum_signal and now_s - self._spectrum_at >= SPECTRUM_PERIOD_S:
+            if self.display_request.spectrum_signal and now_s - self._spectrum_at >= SPECTRUM_UPDATE_PERIOD_S:
                 self._spectrum_at = now_s
                 out["spectrum"] = self._encode_spectrum(source, snapshot)
-        if "camera" in self.display_request.sections and (sight := self._view.shown_sight()) is not self._sight:
+        if "camera" in self.display_request.sections and (sight := self._view.shown_slam_picture()) is not self._sight:
             self._sight = sight
             if sight is not None:
-                out["camera"] = encode_sight(sight)
+                out["camera"] = encode_slam_picture(sight)
         if "scene" in self.display_request.sections:
             out["others"] = [
                 _encode_other_vehicle(self._view.session.vehicle_label(v), v.color, scene_shape(v), v.snapshot)
@@ -227,7 +227,7 @@ class FrameFeed:
             times, values = source.history.rows_since(self._last_s, names)
         if len(times):
             self._last_s = float(times[-1])
-        step = max(1, math.ceil(len(times) / MAX_POINTS))
+        step = max(1, math.ceil(len(times) / MAX_PLOT_POINTS))
         # From the end, so that the newest sample is always among them.
         times, values = times[::-1][::step][::-1], values[::-1][::step][::-1]
         out: dict[str, Any] = {
@@ -277,7 +277,10 @@ class FrameFeed:
             out["sensors"] = sensors
         if (names := take_changed("catalog", lambda: self._find_known_names(source))) is not None:
             out["catalog"] = build_catalog(names, source.history.signal_unit)
-        if take_changed("camera", self._map_time_s) is not None and (sight := self._view.shown_sight()) is not None:
+        if (
+            take_changed("camera", self._map_time_s) is not None
+            and (sight := self._view.shown_slam_picture()) is not None
+        ):
             out["floor_map"] = {
                 "keyframes": sight.map_view.keyframe_poses, "ties": sight.map_view.edge_indices, "path": sight.path_m,
             }  # fmt: skip
@@ -294,13 +297,13 @@ class FrameFeed:
 
     def _map_time_s(self) -> float | None:
         """Return a value that changes when the floor map must be redrawn."""
-        sight = self._view.shown_sight()
+        sight = self._view.shown_slam_picture()
         return None if sight is None else sight.time_s
 
     def _find_known_names(self, source: PanelSource) -> list[str]:
         """Return the signals that had a value from this source; a real vehicle has no true values."""
         names = list(source.history.names)
-        _, values = source.history.recent_rows(RECENT_VALUES_S, names)
+        _, values = source.history.recent_rows(RECENT_VALUE_AGE_S, names)
         alive = np.asarray(np.isfinite(values).any(axis=0)).tolist()
         self._alive |= {n for n, yes in zip(names, alive, strict=True) if yes}
         return [n for n in names if n in self._alive]
@@ -404,7 +407,7 @@ def list_sensor_states(
     names = [f"{kind}_{name}" for name in CHECKED_READINGS for kind in ("status", "innovation")]
     if not set(names) <= set(history.names):
         return []  # a recording of a flight on what is true
-    _, values = history.recent_rows(RECENT_VALUES_S, names)
+    _, values = history.recent_rows(RECENT_VALUE_AGE_S, names)
     if not len(values):
         return []
     now = values[-1].tolist()

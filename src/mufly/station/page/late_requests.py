@@ -25,7 +25,7 @@ FRAME_HEADER = "x-mufly-frame"
 """HTTP header of an uploaded file: the newest frame that the window had."""
 _MAX_FRAMES = 128  # frames: more than are made in LATE_S
 _NOTICE_PERIOD_S = 1.0
-_STATE_EVENTS = ("change", "place", "hello", "failed", "rejected")
+_DISPLAY_STATE_EVENTS = ("change", "place", "hello", "failed", "rejected")
 
 
 class FrameTimes:
@@ -120,7 +120,7 @@ def _is_display_event(sender: Element | None, listener: object) -> bool:
     """Return whether an event only changes the window's own display: a field, a tab, a rejected file."""
     # NiceGUI keeps the listeners of an element here alone.
     known = sender._event_listeners.get(listener) if sender and isinstance(listener, str) else None
-    return known is not None and (known.type in _STATE_EVENTS or known.type.startswith("update:"))
+    return known is not None and (known.type in _DISPLAY_STATE_EVENTS or known.type.startswith("update:"))
 
 
 def _element_label(element: Element) -> str:

@@ -54,7 +54,7 @@ class FlightMonitor:
             If the vehicle's process has ended.
         """
         process = self._process
-        self._pass_on_events()
+        self._forward_events()
         if process.error:
             raise MuflyError(process.error)
         if process.is_finished:
@@ -79,10 +79,10 @@ class FlightMonitor:
     def stop_process(self) -> str:
         """End the process; return the outcome of the flight, "" if there was none."""
         self._process.stop()
-        self._pass_on_events()
+        self._forward_events()
         return self._process.outcome if self.has_flown else ""
 
-    def _pass_on_events(self) -> None:
+    def _forward_events(self) -> None:
         while self._process.events:
             self._on_event(self._process.events.popleft())
 
@@ -178,7 +178,7 @@ def fly_with_page(flight: PageFlight, address: PageAddress, page: StartPage) -> 
             rotor_radius_m=float(vehicle.rotors.radius),
             battery_data=(hover_performance(vehicle).battery_current_A, float(vehicle.battery.capacity) / 3600.0),
             title=f"mufly: {flight.mission.name}",
-            latest_sight=(lambda: process.sight) if flight.has_camera else None,
+            latest_slam_picture=(lambda: process.sight) if flight.has_camera else None,
             startup=flight.startup,
         )  # fmt: skip
 

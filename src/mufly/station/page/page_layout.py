@@ -243,7 +243,7 @@ def _build_dock(view: WindowView, editor: MissionEditor) -> Callable[[], None]:
             plots, spectrum, plan, parameters, recordings = map(
                 ui.tab, ("Plots", "Spectrum", "Plan", "Parameters", "Recordings")
             )
-            camera = None if view.session.latest_sight is None else ui.tab("Camera")
+            camera = None if view.session.latest_slam_picture is None else ui.tab("Camera")
         with ui.tab_panels(tabs, value=camera or plots, animated=False, keep_alive=False) as panels:
             panels.classes("mf-tab-panels")
             if camera is not None:

@@ -41,8 +41,8 @@ MAX_RECORDINGS = 200
 _FLIGHT_FILES = ("flight.mcap", "station.mcap")
 """File names in the folder of a flight, one or both."""
 MAX_UNDO_STEPS = 200
-CONTROLS_GRACE_S = 1.0
-MAX_REQUESTS = 3
+CONTROLS_RELEASE_DELAY_S = 1.0
+MAX_SHOWN_REQUESTS = 3
 ANSWER_DISPLAY_S = 20.0
 """Time for which an answer is shown (s)."""
 ALERT_DISPLAY_S = 20.0
@@ -77,7 +77,7 @@ class StationSession:
         Battery of the vehicle, if known, against which a draft is checked.
     shared_draft : SharedDraft
         Draft of the mission editor.
-    latest_sight : callable or None
+    latest_slam_picture : callable or None
         Returns the last picture processed by SLAM, for a vehicle that flies on pictures.
     startup : Startup or None
         Progress of the vehicle's start, if this station starts a vehicle.
@@ -99,7 +99,7 @@ class StationSession:
     initial_recording: FlightRecording | None = None
     battery_data: tuple[float, float] | None = None
     shared_draft: SharedDraft = field(default_factory=SharedDraft)
-    latest_sight: Callable[[], TrackedPicture | None] | None = None
+    latest_slam_picture: Callable[[], TrackedPicture | None] | None = None
     startup: Startup | None = None
     opened_count: int = 0
     link_problems: Callable[[], Sequence[str]] | None = None
@@ -128,10 +128,10 @@ class StationSession:
         start = self.startup
         return None if start is None or (start.is_done and not start.fault) else start.status_fields()
 
-    def settle_controls(self) -> None:
+    def assign_free_controls(self) -> None:
         """Give the controls to the only window, one second after their holder is gone."""
         holder = self.view_by_client.get(self.controls_holder)
-        if holder is not None and (holder.is_live or self.clock() - holder.stream_closed_s < CONTROLS_GRACE_S):
+        if holder is not None and (holder.is_live or self.clock() - holder.stream_closed_s < CONTROLS_RELEASE_DELAY_S):
             return
         live = [view for view in self.view_by_client.values() if view.is_live]
         # The first of all windows gets them without asking; of several that are left, none does.
@@ -192,7 +192,7 @@ class WindowView:
         """Register a new stream of frames; return its number, the newest of which is in use."""
         self._streams += 1
         self.newest_stream += 1
-        self.session.settle_controls()
+        self.session.assign_free_controls()
         return self.newest_stream
 
     def close_stream(self) -> None:
@@ -265,9 +265,13 @@ class WindowView:
         jumps = self.replay.jumps if self.replay is not None else 0
         return f"{self._shows}/{id(self.shown_source())}/{jumps}"
 
-    def shown_sight(self) -> TrackedPicture | None:
+    def shown_slam_picture(self) -> TrackedPicture | None:
         """Return the last SLAM picture of the displayed vehicle."""
-        return None if self.replay is not None or self.session.latest_sight is None else self.session.latest_sight()
+        return (
+            None
+            if self.replay is not None or self.session.latest_slam_picture is None
+            else self.session.latest_slam_picture()
+        )
 
     def other_vehicles(self) -> list[RemoteVehicle]:
         """Return the vehicles in the scene that are not selected."""
@@ -349,7 +353,7 @@ class WindowView:
     @property
     def has_controls(self) -> bool:
         """Return whether this window may command."""
-        self.session.settle_controls()
+        self.session.assign_free_controls()
         return self.session.controls_holder == self.client_id
 
     def take_controls(self) -> None:
@@ -373,7 +377,7 @@ class WindowView:
         for asked in self._asked:
             if asked.request.is_done:
                 asked.answered_s = min(asked.answered_s, now)
-        newest = list(self._asked)[-MAX_REQUESTS:]
+        newest = list(self._asked)[-MAX_SHOWN_REQUESTS:]
         granted = [k for k, a in enumerate(newest) if a.request.outcome is RequestOutcome.ACCEPTED]
         last = granted[-1] if granted else -1
         return [

@@ -36,7 +36,7 @@ from mufly.vehicle_types import AUTOPILOT_COMPONENT
 
 STATIC_FOLDER = Path(__file__).parent / "static"
 MAX_UPLOAD_BYTES, MAX_RECORDING_BYTES = 2_000_000, 1_000_000_000
-REQUEST_WATCH_S = 30.0
+REQUEST_WATCH_TIME_S = 30.0
 _POLL_PERIOD_S = 0.05
 _THREE_JS_FOLDER = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
 CENTRE_TOLERANCE = 0.15
@@ -245,7 +245,7 @@ def build_check_drawer(view: WindowView) -> None:
 
 async def wait_until_accepted(request: OperatorRequest) -> bool:
     """Wait for the outcome of a request; return whether it was accepted. The command bar shows the outcome."""
-    for _ in range(int(REQUEST_WATCH_S / _POLL_PERIOD_S)):
+    for _ in range(int(REQUEST_WATCH_TIME_S / _POLL_PERIOD_S)):
         if request.is_done:
             break
         await asyncio.sleep(_POLL_PERIOD_S)

@@ -197,7 +197,7 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
             place = urlsplit(self.path)
             if not address.token and not is_loopback(host_name(self.headers.get("Host", ""))):
                 self._send_answer(403, "text/plain", "host name not allowed; open the address that the station printed")
-            elif not self._known(place.query):
+            elif not self._has_valid_token(place.query):
                 self._send_answer(401, "text/plain", "the station is starting; token required")
             elif place.path == "/starting":
                 asked()
@@ -209,7 +209,7 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
             else:
                 self._send_answer(503, "text/plain", "the station is starting")
 
-        def _known(self, query: str) -> bool:
+        def _has_valid_token(self, query: str) -> bool:
             if not address.token:
                 return True
             given = parse_qs(query).get("token", [""])[0]

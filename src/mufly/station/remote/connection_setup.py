@@ -37,7 +37,7 @@ _FOREIGN_MESSAGES = (
     ("BATTERY_STATUS", 0.01),
     ("EXTENDED_SYS_STATE", 0.02),
 )
-_STREAM_HZ = 10
+_STREAM_RATE_HZ = 10
 _CAPABILITY_BYTEWISE, _CAPABILITY_C_CAST = 16, 131072  # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_*
 _VERSION_TIMEOUT_S = 3.0
 
@@ -123,7 +123,7 @@ class ConnectionSetup:
             self._older = True
             everything = mavlink.MAV_DATA_STREAM_ALL
             self._commands.send_message(
-                mavlink.MAVLink_request_data_stream_message(*self._commands.target, everything, _STREAM_HZ, 1)
+                mavlink.MAVLink_request_data_stream_message(*self._commands.target, everything, _STREAM_RATE_HZ, 1)
             )
 
 

@@ -19,11 +19,11 @@ from mufly.link.command_protocol import Command
 from mufly.station.signal_history import OperatorRequest, RequestOutcome, StatusMessage
 
 RETRY_PERIOD_S = 0.8
-MAX_TRIES = 12
+MAX_COMMAND_TRIES = 12
 """Tries of a command, within 9.9 s. At 30 % packet loss each way, one command in 3000 fails."""
 PROGRESS_TIMEOUT_S = 30.0
 """Time limit of the answer after "in progress" (s)."""
-REASON_WAIT_S = 0.4
+REFUSAL_REASON_WAIT_S = 0.4
 """Wait of a refusal without a reason for a status text (s)."""
 MAX_MESSAGES = 500
 _QUERY_COMMANDS = (511, 512)  # SET_MESSAGE_INTERVAL, REQUEST_MESSAGE
@@ -102,7 +102,7 @@ class RepeatedRequest:
         """Return whether to send the request at this time, and count the try; end the request after the last try."""
         if self.request.is_done or now_s - self.last_sent_s < RETRY_PERIOD_S:
             return False
-        if self.send_count >= MAX_TRIES:
+        if self.send_count >= MAX_COMMAND_TRIES:
             self.request.set_outcome(
                 RequestOutcome.TIMED_OUT, f"no answer in {now_s - self.first_sent_s:.0f} s; check the link"
             )
@@ -153,7 +153,7 @@ class RemoteCommands:
         request = OperatorRequest(text)
         entry = _OpenCommand(request, command=command)
         if command.is_emergency_stop:
-            self.give_up_actions(f"superseded by: {text}")
+            self.cancel_actions(f"superseded by: {text}")
             self._open[command.command_id] = entry
         else:
             if len(self._waiting) == self._waiting.maxlen:
@@ -179,7 +179,7 @@ class RemoteCommands:
                 entry.request.progress = message.progress / 100.0
         else:
             entry.refusal_text = _RESULT_TEXTS.get(message.result, f"result {message.result}")
-            entry.answer_deadline_s = now_s + REASON_WAIT_S
+            entry.answer_deadline_s = now_s + REFUSAL_REASON_WAIT_S
 
     def step(self, now_s: float) -> list[MavMessage]:
         """Return the messages to send."""
@@ -204,7 +204,7 @@ class RemoteCommands:
                 del self._open[number]
         return out
 
-    def give_up_actions(self, answer: str, *, moves_only: bool = False, stops: bool = True) -> None:
+    def cancel_actions(self, answer: str, *, moves_only: bool = False, stops: bool = True) -> None:
         """Cancel all open actions, so that a waiting arming cannot follow a stop.
 
         Parameters

@@ -160,7 +160,7 @@ class RemoteMission:
         self._out = []
         self._messy_s = None
 
-    def give_up_changes(self, answer: str) -> None:
+    def cancel_changes(self, answer: str) -> None:
         """Cancel transfers that change the vehicle's mission; downloads continue."""
         for job in [j for j in self._jobs if j.items is not None or j.is_clearing]:
             job.request.set_outcome(RequestOutcome.REFUSED, answer)
@@ -354,7 +354,7 @@ class RemoteParameters:
                 request.set_outcome(RequestOutcome.TIMED_OUT, answer)
         self._sets.clear()
 
-    def give_up_changes(self, answer: str) -> None:
+    def cancel_changes(self, answer: str) -> None:
         """Cancel parameter writes; reading continues."""
         for entry in self._sets.values():
             entry.request.set_outcome(RequestOutcome.REFUSED, answer)

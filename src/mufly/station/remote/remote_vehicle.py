@@ -50,7 +50,7 @@ LOST_TIMEOUT_S = 3.0
 _MAX_MISSED_MESSAGES = 10
 """Number of missed messages after which open actions are cancelled."""
 
-_NO_MISSION = 65535  # MISSION_CURRENT.total
+_NO_MISSION_ITEM = 65535  # MISSION_CURRENT.total
 _ChainLink = Callable[[], OperatorRequest | None]
 
 
@@ -152,7 +152,7 @@ class RemoteVehicle:
     @property
     def is_in_command(self) -> bool:
         """Return whether this station has control; true also if the vehicle publishes no commander."""
-        return self.telemetry.commander_id in (None, self._own_number)
+        return self.telemetry.commander_id in (None, self._own_station_number)
 
     @property
     def commander(self) -> str:
@@ -160,7 +160,7 @@ class RemoteVehicle:
         number = self.telemetry.commander_id
         if not number:
             return ""
-        if number == self._own_number:
+        if number == self._own_station_number:
             return "this station"
         return f"station {number // 256} (component {number % 256})"
 
@@ -247,8 +247,8 @@ class RemoteVehicle:
         before = self._select_commands(autopilots.PRE_ARM_COMMANDS)
         if isinstance(before, str):
             return _refused_request(text, before)
-        links += self._make_links("take off", before)
-        climb = self._make_links("take off", (autopilots.take_off_command(self.firmware, height_m),))
+        links += self._make_chain_links("take off", before)
+        climb = self._make_chain_links("take off", (autopilots.take_off_command(self.firmware, height_m),))
         return self._request_motion(text, lambda: self._start_chain(text, [*links, self._arm_if_needed, *climb]))
 
     def start_mission(self) -> OperatorRequest:
@@ -258,7 +258,7 @@ class RemoteVehicle:
         text, commands = "start the mission", self._select_commands(autopilots.START_MISSION_COMMANDS)
         if isinstance(commands, str):
             return _refused_request(text, commands)
-        start = self._make_links("start", commands)
+        start = self._make_chain_links("start", commands)
         return self._request_motion(text, lambda: self._start_chain(text, [self._arm_if_needed, *start]))
 
     def pause(self) -> OperatorRequest:
@@ -287,7 +287,7 @@ class RemoteVehicle:
 
     def emergency_stop(self) -> OperatorRequest:
         """Stop the motors at once, in flight too; cancel all open requests."""
-        self._give_up_moves("superseded by: EMERGENCY STOP")
+        self._cancel_moves("superseded by: EMERGENCY STOP")
         self.sticks.release_sticks()
         self._by_hand = False
         return self._request_command("EMERGENCY STOP", autopilots.EMERGENCY_STOP_COMMAND)
@@ -417,16 +417,16 @@ class RemoteVehicle:
         waiting = self._moving
         if waiting is not None and not waiting.is_done and waiting.text == text:
             return waiting
-        self._give_up_moves(f"superseded by: {text}", moves_only=True)
+        self._cancel_moves(f"superseded by: {text}", moves_only=True)
         self._moving = make()
         return self._moving
 
-    def _give_up_moves(self, why: str, *, moves_only: bool = False, stops: bool = False) -> None:
+    def _cancel_moves(self, why: str, *, moves_only: bool = False, stops: bool = False) -> None:
         for chain in self._chains:
             chain.request.set_outcome(RequestOutcome.REFUSED, why)
-        self.commands.give_up_actions(why, moves_only=moves_only, stops=stops)
+        self.commands.cancel_actions(why, moves_only=moves_only, stops=stops)
 
-    def _make_links(self, text: str, commands: Iterable[Command]) -> list[_ChainLink]:
+    def _make_chain_links(self, text: str, commands: Iterable[Command]) -> list[_ChainLink]:
         return [partial(self._request_command, text, command) for command in commands]
 
     def _arm_if_needed(self) -> OperatorRequest | None:
@@ -493,11 +493,11 @@ class RemoteVehicle:
         out += self.fence_transfers.step(now_s)
         return out + self._control.step(now_s, self.telemetry.commander_id)
 
-    def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
+    def store_link_quality(self, now_s: float, loss: float, rate_Hz: float) -> None:
         """Store the link quality: share of packets lost (1), message rate (Hz)."""
         self._loss, self._rate_Hz = loss, rate_Hz
         self._usual_rate_Hz = max(0.5 * self._usual_rate_Hz, rate_Hz)
-        self.telemetry.note_link(now_s, loss, rate_Hz)
+        self.telemetry.store_link_quality(now_s, loss, rate_Hz)
 
     def change_component(self, component: int) -> None:
         """Replace the vehicle's component by the autopilot, if another component was heard first.
@@ -512,23 +512,23 @@ class RemoteVehicle:
             chain.request.set_outcome(RequestOutcome.REFUSED, text)
         for part in (self.commands, self._parameters, self.transfers, self.fence_transfers):
             part.give_up(text)
-        self.telemetry.change_speaker()
+        self.telemetry.switch_component()
         self._reached = -1
         self._set_target(component)
         self.add_note("warning", text)
 
-    def note_new_address(self) -> None:
+    def handle_new_address(self) -> None:
         """Repeat the stream requests after a change of the vehicle's address."""
         self._connection.request_streams_again()
 
-    def note_stall(self, seconds: float) -> None:
+    def handle_stall(self, seconds: float) -> None:
         """Cancel open actions after a stall of the station (s).
 
         The sticks are released too: the vehicle's own time-out has ended manual flight.
         """
         why = f"not executed: the station stalled for {seconds:.0f} s"
-        self._give_up_moves(why, stops=True)
-        self._give_up_changes(why)
+        self._cancel_moves(why, stops=True)
+        self._cancel_changes(why)
         self.sticks.release_sticks()
         self._by_hand = False
         self.add_note(
@@ -536,12 +536,12 @@ class RemoteVehicle:
             f"the station stalled for {seconds:.1f} s; open requests are cancelled",
         )
 
-    def _give_up_changes(self, why: str) -> None:
-        self._parameters.give_up_changes(why)
-        self.transfers.give_up_changes(why)
+    def _cancel_changes(self, why: str) -> None:
+        self._parameters.cancel_changes(why)
+        self.transfers.cancel_changes(why)
         self._control.give_up(why)
 
-    def _give_up_unheard(self, now_s: float) -> None:
+    def _cancel_unheard_actions(self, now_s: float) -> None:
         """Cancel open actions, except emergency stops, after more missed messages than chance explains.
 
         A repeated action would otherwise be executed whenever the link returns.
@@ -550,11 +550,11 @@ class RemoteVehicle:
         usual_s = _MAX_MISSED_MESSAGES / self._usual_rate_Hz if self._usual_rate_Hz > 0.0 else LOST_TIMEOUT_S
         if math.isfinite(silent_s) and silent_s >= min(LOST_TIMEOUT_S, max(MAX_REQUEST_DELAY_S, usual_s)):
             why = f"not executed: no message from the vehicle for {silent_s:.1f} s"
-            self._give_up_moves(why)
-            self._give_up_changes(why)
+            self._cancel_moves(why)
+            self._cancel_changes(why)
 
     def _update_link_state(self, now_s: float) -> None:
-        self._give_up_unheard(now_s)
+        self._cancel_unheard_actions(now_s)
         lost = now_s - self._heard_s >= LOST_TIMEOUT_S
         if lost and not self._lost:
             self.add_note("warning", f"{self.name}: communication lost")
@@ -576,14 +576,14 @@ class RemoteVehicle:
         items = self.transfers.items
         if items is None or not message.total or self.transfers.is_busy:  # total 0: not supported
             return
-        total = 0 if message.total == _NO_MISSION else message.total
+        total = 0 if message.total == _NO_MISSION_ITEM else message.total
         # ArduPilot's first item is its home, which this total omits.
         own = 1 if self.telemetry.autopilot == ARDUPILOT else 0
         if total != max(0, len(items) - own):
             self.transfers.download_items()  # another station has sent a mission
 
     @property
-    def _own_number(self) -> int:
+    def _own_station_number(self) -> int:
         return self.own_ids[0] * 256 + self.own_ids[1]
 
 

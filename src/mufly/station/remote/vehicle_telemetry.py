@@ -197,13 +197,13 @@ class VehicleTelemetry:
             if "ranges" in self._present.forget_stale(now_s):
                 self.ranges = BeamRanges()
 
-    def change_speaker(self) -> None:
+    def switch_component(self) -> None:
         """Switch to another component with its own clock; the history continues."""
         self.clock.change_clock()
         self._stamps.clear()
         self.mission_current, self.mission_state, self.commander_id = None, 0, None
 
-    def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
+    def store_link_quality(self, now_s: float, loss: float, rate_Hz: float) -> None:
         """Set the signals of the link quality."""
         self._present.accept_message(now_s, "link")
         self._present.set_variable("link", "link_loss", (loss,))
@@ -243,7 +243,7 @@ class VehicleTelemetry:
         boot_ms = getattr(message, stamp) // tick
         if tick > 1 and not self.clock.matches_stamp(boot_ms):
             return True  # some vehicles use the time of day as stamp
-        time_s = self.clock.place_stamp(boot_ms, now_s)
+        time_s = self.clock.to_monotonic_time(boot_ms, now_s)
         if math.isnan(time_s) or time_s < self._stamps.get(name, -math.inf):
             return False
         self._stamps[name] = time_s
@@ -589,7 +589,7 @@ class VehicleClock:
         )  # arrival time of a stamp, and its age
         self._marked_s = -math.inf
 
-    def place_stamp(self, boot_ms: int, now_s: float) -> float:
+    def to_monotonic_time(self, boot_ms: int, now_s: float) -> float:
         """Convert a stamp to the monotonic clock.
 
         Parameters
