@@ -14,7 +14,7 @@ from mufly.cli.options import (
     DEFAULT_FREE_WAKE_OPTIONS,
     DEFAULT_POLAR_OPTIONS,
     SPEED_RANGE,
-    WAKE_FIELDS,
+    WAKE_JSON_FIELDS,
     AirspeedsOption,
     ClimbOption,
     CommandGroup,
@@ -30,7 +30,7 @@ from mufly.cli.options import (
     WakeOptions,
     define_argument,
     define_option,
-    wake_progress,
+    show_wake_progress,
     write_wakes,
 )
 from mufly.cli.output import (
@@ -108,7 +108,7 @@ def pair_to_json(setup: StudySetup, point: SystemSolution, alone: tuple[RotorRes
         "isolated": alone and {side: found.as_record() for side, found in zip(sides, alone, strict=True)},
         "change_from_isolated": alone and point.interference_losses(alone),
         "method": setup.method,
-        "wake": select_fields(point, WAKE_FIELDS) if point.wakes else None,
+        "wake": select_fields(point, WAKE_JSON_FIELDS) if point.wakes else None,
     }
 
 
@@ -350,7 +350,7 @@ def _solve_and_print(setup: StudySetup, isolated: bool, out: Path | None, as_jso
     from mufly.study import solve_case, solve_isolated_rotors
 
     wakes = setup.method == "wake"
-    with wake_progress("coaxial pair", wakes and not as_json, out) as progress:
+    with show_wake_progress("coaxial pair", wakes and not as_json, out) as progress:
         point = solve_case(setup, progress=progress if wakes else None)
     if not point.converged:
         if out is not None:
@@ -358,7 +358,7 @@ def _solve_and_print(setup: StudySetup, isolated: bool, out: Path | None, as_jso
         raise MuflyError(f"coaxial wake: {point.message}" + ("" if out is None else f"; its history is in {out}"))
     single = None
     if isolated:
-        with wake_progress("each rotor alone", wakes and not as_json, out) as progress:
+        with show_wake_progress("each rotor alone", wakes and not as_json, out) as progress:
             single = solve_isolated_rotors(setup, point, progress if wakes else None)
     files = write_pair(point, single, out) if out is not None else []
     print_answer(as_json, pair_to_json(setup, point, single), lambda: print_pair(setup, point, single), files)
@@ -469,10 +469,10 @@ def compute_coax_map(
             part.write_text(format_map_toml(made), encoding="utf-8")
         files = [out, save_figure(map_picture(made), out.parent, out.stem)]
     content = {**made.model_dump(exclude={"table"}), **made.parse_tables()._asdict()}
-    print_answer(as_json, content, lambda: _print_map(made), files)
+    print_answer(as_json, content, lambda: _print_rotor_map(made), files)
 
 
-def _print_map(made: CoefficientMap) -> None:
+def _print_rotor_map(made: CoefficientMap) -> None:
     t = made.parse_tables()
     c = make_console()
     c.print(f"[bold]{made.name}[/bold]  {made.description}", highlight=False)

@@ -212,7 +212,7 @@ speed of the swash plate there (three deviations), which the servos must reach.
     if no_bar:
         loaded = replace_parameters(loaded, {"stabiliser_bar.fitted": False})
     grids = [
-        check_grid(name, given, low, high, unit)
+        check_value_grid(name, given, low, high, unit)
         for name, given, low, high, unit in (
             ("--lag", lag, 0.1, 1e3, "ms"), ("--rate", rate, 20.0, 5e3, "Hz"), ("--frame", frame, 0.0, 100.0, "ms")
         )
@@ -288,13 +288,13 @@ def schedule(
     for name in methods or ():
         if name not in FAST_SYNTHESIS_METHODS:
             raise InputError("--methods", name, "is not a method", f"give one of {', '.join(FAST_SYNTHESIS_METHODS)}")
-    speeds = check_grid("--speed", speed, 0.0, 50.0, "m/s") or list(SPEEDS_m_s)
+    speeds = check_value_grid("--speed", speed, 0.0, 50.0, "m/s") or list(SPEEDS_m_s)
     with progress_bar("Designing", not as_json) as progress:
         found = compare_schedules(loaded, chosen, speeds_m_s=speeds, progress=progress)
     print_answer(as_json, found)
 
 
-def check_grid(option: str, given: list[float] | None, low: float, high: float, unit: str) -> list[float]:
+def check_value_grid(option: str, given: list[float] | None, low: float, high: float, unit: str) -> list[float]:
     """Return the values of an option in rising order, each once; empty if none are given.
 
     Raises
@@ -504,7 +504,7 @@ bounds of mu and flights resume.
         if name not in SYNTHESIS_METHODS:
             raise InputError("--methods", name, "is not a method", f"give one of {', '.join(SYNTHESIS_METHODS)}")
     loaded = load_vehicle(vehicle)
-    speeds = check_grid("--speed", speed, 0.0, 50.0, "m/s") or SPEEDS_m_s
+    speeds = check_value_grid("--speed", speed, 0.0, 50.0, "m/s") or SPEEDS_m_s
     settings = DesignSettings()
     settings = replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=order))
     chosen = [method for method in SYNTHESIS_METHODS if method in wanted]

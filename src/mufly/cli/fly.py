@@ -17,7 +17,7 @@ import typer
 
 from mufly.cli.control import parse_design_settings
 from mufly.cli.onboard.camera_options import FlightCameraOption, FloorOption, FloorWidthOption, make_position_camera
-from mufly.cli.onboard.view_options import FoxgloveOption, RosOption, make_views
+from mufly.cli.onboard.view_options import FoxgloveOption, RosOption, make_live_views
 from mufly.cli.options import (
     JsonOption,
     MethodOption,
@@ -28,7 +28,7 @@ from mufly.cli.options import (
     VehicleOption,
     define_option,
 )
-from mufly.cli.output import LiveDisplay, check_place, make_console, print_blocks, print_lines
+from mufly.cli.output import LiveDisplay, check_output_place, make_console, print_blocks, print_lines
 from mufly.cli.station import (
     BrowserOption,
     FaultOption,
@@ -281,7 +281,7 @@ def fly_mission(
             show = replace(show, page_address=address, start_page=page)
         steady = resolve_wind(wind, gust, seed)
         folder = out if out is not None else new_dated_folder()
-        check_place("--out", folder, make=False)
+        check_output_place("--out", folder, make=False)
         ends = parse_endpoints(links, "vehicle")
         from mufly.mission import check_preflight, load_mission
         from mufly.vehicle import load_vehicle
@@ -296,7 +296,7 @@ def fly_mission(
             faults, select_flight_software(firmware, fixed_point, policy, (design_vehicle or helicopter).name),
             design_vehicle,
             make_position_camera(position, sensors, camera, floor, floor_width, flown, mission, camera_fault, stream),
-            position == "link", views=make_views(foxglove, ros),
+            position == "link", views=make_live_views(foxglove, ros),
         )  # fmt: skip
         if ros and not order.extra_links and show.page_address is None:
             raise InputError("--ros", "", "needs a flight in real time", "leave --headless out, or add --link")

@@ -59,7 +59,7 @@ and the way around obstacles that the file names.
     if toml:
         print(dump_mission(m), end="")
         return
-    rows = _waypoint_rows(m)
+    rows = _make_waypoint_rows(m)
     if as_json:
         return print_json({"name": m.name, "description": m.description, "waypoints": rows, "at_end": m.at_end})
     make_console().print(f"[bold]{m.name}[/bold]  {m.description}")
@@ -101,7 +101,7 @@ and the way around obstacles that the file names.
     )
 
 
-def _waypoint_rows(m: Mission) -> list[dict[str, Any]]:
+def _make_waypoint_rows(m: Mission) -> list[dict[str, Any]]:
     from mufly.mission import plan_legs
 
     return [

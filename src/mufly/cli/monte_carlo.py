@@ -25,7 +25,7 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
-    check_place,
+    check_output_place,
     make_console,
     print_answer,
     print_blocks,
@@ -172,7 +172,7 @@ def run_monte_carlo(
         raise InputError("--tolerance", "", f"{tolerance:g} m", "give more than 0, and 10 m at most")
     towards = parse_wind(wind)
     resolve_wind(None, gust, seed)
-    check_place("--out", out)
+    check_output_place("--out", out)
 
     from mufly.mission import load_mission
     from mufly.vehicle import load_vehicle

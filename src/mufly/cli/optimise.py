@@ -24,10 +24,10 @@ from mufly.cli.options import (
     WakeOptions,
     define_option,
     load_drive_option,
-    wake_progress,
+    show_wake_progress,
 )
 from mufly.cli.output import (
-    check_place,
+    check_output_place,
     make_console,
     print_answer,
     print_files,
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 def _write_rotor_file(rotor: Rotor, path: Path) -> Path:
     from mufly.rotor import format_rotor_toml
 
-    check_place("--out", path.parent)
+    check_output_place("--out", path.parent)
     return write_text_file(path, format_rotor_toml(rotor), "give another place")
 
 
@@ -211,7 +211,7 @@ def optimise_pairs(
         files = [_write_rotor_file(getattr(best, side), out / f"{side}.toml") for side in ("upper", "lower")]
     checked: tuple[SystemSolution | str, SystemSolution | str] | None = None
     if check:
-        with wake_progress("start and optimum", not as_json, out) as told:
+        with show_wake_progress("start and optimum", not as_json, out) as told:
             checked = verify_by_wake(setup, best, told)
     if out is not None:
         after = checked[1] if checked is not None and not isinstance(checked[1], str) else best.after
@@ -219,13 +219,13 @@ def optimise_pairs(
     bemt = {"start": best.before, "pitch_only": best.pitched, "optimum": best.after}
     content = {
         **select_fields(best, "upper=upper.toml_tables lower=lower.toml_tables changes at_limit evaluations"),
-        "bemt": {name: _point_summary(point) for name, point in bemt.items()},
-        "wake": checked and dict(zip(("start", "optimum"), map(_point_summary, checked), strict=True)),
+        "bemt": {name: _format_point_summary(point) for name, point in bemt.items()},
+        "wake": checked and dict(zip(("start", "optimum"), map(_format_point_summary, checked), strict=True)),
     }
     print_answer(as_json, content, lambda: _print_pair_optimum(best, checked), files)
 
 
-def _point_summary(point: SystemSolution | str | None) -> dict[str, Any] | None:
+def _format_point_summary(point: SystemSolution | str | None) -> dict[str, Any] | None:
     if point is None or isinstance(point, str):
         return None if point is None else {"fault": point}
     each = "pitch_rad speed_rad_s thrust_N torque_Nm power_W outside_share"

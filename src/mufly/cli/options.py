@@ -18,7 +18,7 @@ from typer.core import TyperCommand
 from typer.models import OptionInfo
 
 from mufly.cli.output import (
-    check_place,
+    check_output_place,
     make_console,
     save_figure,
     write_csv,
@@ -100,13 +100,13 @@ class CommandGroup(typer.Typer):
         register = super().command(name, **{"cls": OptionNamingCommand, **more})
 
         def register_function(function: Callable[..., Any]) -> Callable[..., Any]:
-            register(_spread_records(function))
+            register(_expand_option_records(function))
             return function
 
         return register_function
 
 
-def _spread_records(function: Callable[..., Any]) -> Callable[..., Any]:
+def _expand_option_records(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function with each field of its option records, such as :class:`PolarOptions`, as a separate argument.
 
     Numeric options without a notation are plain counts or numbers. Fields with an option annotation become options;
@@ -435,7 +435,7 @@ def load_drive_option(name: str | None) -> DriveTrain | None:
 
 
 _INTEGER_WAKE_SETTINGS = ("phases", "iterations", "stations")
-WAKE_FIELDS = "converged message iterations residual settings"
+WAKE_JSON_FIELDS = "converged message iterations residual settings"
 """Fields of a solution that JSON output has of its wakes."""
 
 
@@ -580,7 +580,7 @@ class WakeProgress:
 
 
 @contextmanager
-def wake_progress(label: str, shown: bool, folder: Path | None = None) -> Iterator[WakeProgress]:
+def show_wake_progress(label: str, shown: bool, folder: Path | None = None) -> Iterator[WakeProgress]:
     """Report the iterations of a wake on standard error; after a stop or failure its history is left in the folder."""
     try:
         if not shown:
@@ -660,7 +660,7 @@ def load_start_vehicle(name: str | None, write: Path | None) -> Vehicle | None:
 
     if name is None and write is not None:
         raise InputError("--write", str(write), "needs a vehicle to start from", "add --vehicle mufly-1.1 or a file")
-    check_place("--write", write, "file")
+    check_output_place("--write", write, "file")
     return None if name is None else load_vehicle(name)
 
 

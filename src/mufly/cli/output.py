@@ -92,7 +92,7 @@ def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = 
     foldable = [k in text and (k == last or words[k] > _MIN_TEXT_WIDTH) for k in range(len(heads))]
     least = [max(heading[k], 0 if foldable[k] else words[k] if k in text else cells[k]) for k in range(len(heads))]
     natural = [max(c, *map(len, head.split("\n"))) for c, head in zip(cells, heads, strict=True)]
-    fitted = [None] * len(heads) if below else _fit_widths(natural, least, make_console().width - 2 * len(heads))
+    fitted = [None] * len(heads) if below else _fit_column_widths(natural, least, make_console().width - 2 * len(heads))
 
     def build_table(members: Sequence[Sequence[Text]], *, head: bool) -> Table:
         made = Table(
@@ -115,7 +115,7 @@ def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = 
         out.print(build_table([row], head=False), Padding(row[last], (0, 0, 0, 5)), highlight=False)
 
 
-def _fit_widths(natural: Sequence[int], least: Sequence[int], room: int) -> list[int | None]:
+def _fit_column_widths(natural: Sequence[int], least: Sequence[int], room: int) -> list[int | None]:
     """Return widths of columns with the sum ``room``; None for each if they need no more, or more even at the least."""
     if not sum(least) <= room < sum(natural):
         return [None] * len(natural)
@@ -242,7 +242,7 @@ def write_records(path: Path, records: Sequence[Mapping[str, Any]]) -> Path:
     return write_csv(path, list(records[0]), [record.values() for record in records])
 
 
-def check_place(
+def check_output_place(
     option: str, place: Path | None, kind: Literal["folder", "file"] = "folder", *, make: bool = True
 ) -> None:
     """Check that results can be written to a place, before their computation.

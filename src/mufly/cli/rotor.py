@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from mufly.cli.options import (
     SPEED_RANGE,
-    WAKE_FIELDS,
+    WAKE_JSON_FIELDS,
     ClimbOption,
     CommandGroup,
     DensityOption,
@@ -24,7 +24,7 @@ from mufly.cli.options import (
     define_argument,
     define_option,
     load_drive_option,
-    wake_progress,
+    show_wake_progress,
     write_wakes,
 )
 from mufly.cli.output import (
@@ -367,7 +367,7 @@ def hover(
     blading = theory.prepare_blading(r, count)
     theta = math.radians(pitch) if pitch is not None else None
     speed = rpm * RPM if rpm is not None else None
-    with wake_progress("wake", theory.method == "wake" and not as_json, out) as progress:
+    with show_wake_progress("wake", theory.method == "wake" and not as_json, out) as progress:
         found = solve_system(
             RotorSystem.single_rotor(blading), OperatingCondition(theta, speed, thrust, climb, air), theory.method,
             settings=settings, progress=progress,
@@ -396,7 +396,8 @@ def hover(
         content = {
             "rotor": r.name, **select_fields(theory, "model n_crit"), **result.as_record(), "drive": point,
             "band": around,
-            **({} if solution is None else {"wake": select_fields(solution, WAKE_FIELDS)}), "method": theory.method,
+            **({} if solution is None else {"wake": select_fields(solution, WAKE_JSON_FIELDS)}),
+            "method": theory.method,
         }  # fmt: skip
         return print_answer(as_json, content, None, files)
     c = make_console()

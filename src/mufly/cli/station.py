@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from mufly.cli.options import define_option
-from mufly.cli.output import LiveDisplay, check_place, make_console, progress_bar
+from mufly.cli.output import LiveDisplay, check_output_place, make_console, progress_bar
 from mufly.errors import InputError
 from mufly.quantities.quantity_grammar import read_vector
 
@@ -347,7 +347,7 @@ def open_station(
     words = connect or ([] if open_file is not None else [DEFAULT_ENDPOINT])
     endpoints = parse_endpoints(words, "station", "--connect")
     world = load_mission(mission) if mission is not None else None
-    check_place("--out", out, make=False)
+    check_output_place("--out", out, make=False)
 
     from mufly.station.page.page_address import bind_page_address
     from mufly.station.page.start_page import StartPage, Startup

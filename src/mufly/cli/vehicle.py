@@ -21,7 +21,7 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
-    check_place,
+    check_output_place,
     make_console,
     print_answer,
     print_blocks,
@@ -404,7 +404,7 @@ def create_vehicle_project(
         "blade.chord": chord,
     }
     rotor = replace_rotor(blade, shape, source="estimated")
-    check_place("--out", folder)
+    check_output_place("--out", folder)
     texts = {
         "vehicle": format_vehicle_toml(vehicle),
         "rotor": format_rotor_toml(rotor),

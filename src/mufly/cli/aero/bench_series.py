@@ -21,7 +21,7 @@ from mufly.cli.options import (
     define_argument,
     define_option,
 )
-from mufly.cli.output import check_place, make_console, print_answer, print_lines, write_text_file
+from mufly.cli.output import check_output_place, make_console, print_answer, print_lines, write_text_file
 from mufly.errors import InputError
 from mufly.quantities.quantity_grammar import read_values
 
@@ -132,7 +132,7 @@ def plan(
     )  # fmt: skip
     if out.exists():
         raise InputError("--out", str(out), "already exists", "give another name, or remove the file")
-    check_place("--out", out, "file")
+    check_output_place("--out", out, "file")
     write_text_file(out, made.to_toml())
 
     print_answer(
@@ -184,7 +184,7 @@ def run(
     from mufly.cli.station import ShutdownHandler
 
     made = read_plan(plan)
-    check_place("--out", out)
+    check_output_place("--out", out)
     real = _load_real_rig(rig, fault) if rig != "sim" else None
     record = SeriesRecord(out)
     last_s = float(record.lines[-1]["time"]) + 60.0 if record.lines else 0.0

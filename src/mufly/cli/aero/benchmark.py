@@ -9,7 +9,7 @@ import numpy as np
 
 from mufly.cli.options import JsonOption, OutOption, define_option
 from mufly.cli.output import (
-    check_place,
+    check_output_place,
     make_console,
     print_answer,
     print_files,
@@ -87,7 +87,7 @@ def benchmark(
     """
     from mufly.study import benchmark as room
 
-    check_place("--out", out)
+    check_output_place("--out", out)
     codes = [_parse_code(text, n_crit, limit) for text in code or ["bemt"]]
     cases, missing = room.load_cases(data, only)
     with progress_bar("rotors", not as_json) as progress:

@@ -71,10 +71,10 @@ def compute_flight_map(
         **made.parse_tables()._asdict(),
         "at_mean_ratio_without_climb": loads._asdict(),
     }
-    print_answer(as_json, content, lambda: _print_map(made, loads), files)
+    print_answer(as_json, content, lambda: _print_rotor_map(made, loads), files)
 
 
-def _print_map(made: FlightMap, loads: MapLoads) -> None:
+def _print_rotor_map(made: FlightMap, loads: MapLoads) -> None:
     c = make_console()
     tables = made.parse_tables()
     shape = tables.loads.shape
@@ -98,12 +98,12 @@ def _print_map(made: FlightMap, loads: MapLoads) -> None:
     )  # fmt: skip
     c.print(
         f"rate damping of the hubs: {1e3 * loads.rate_damping_Nms:z.3f} mN m per rad/s; greatest level airspeed over "
-        f"the band of flap frequencies: {_describe_band(made)}",
+        f"the band of flap frequencies: {_describe_flap_frequency_band(made)}",
         highlight=False,
     )
 
 
-def _describe_band(made: FlightMap) -> str:
+def _describe_flap_frequency_band(made: FlightMap) -> str:
     low, high = made.level_speed_m_s
     beyond = math.isclose(high, made.edges_m_s[0], abs_tol=0.02)
     return f"{low:.1f} to {'more than ' if beyond else ''}{high:.1f} m/s"

@@ -84,7 +84,7 @@ def show_forward(
     omega = rpm * RPM if rpm is not None else None
     note = ""
     if sum(v is not None for v in (pitch, rpm, thrust)) < 2:
-        theta, omega, thrust, note = _complete_hover(r, theta, omega, thrust)
+        theta, omega, thrust, note = _complete_hover_condition(r, theta, omega, thrust)
     if thrust is not None:
         found = solve_for_thrust(blading, thrust_N=thrust, pitch_rad=theta, speed_rad_s=omega, air=air)
         theta, omega = found.pitch_rad, found.speed_rad_s
@@ -113,7 +113,7 @@ def show_forward(
     print_answer(as_json, sweep, None, files)
 
 
-def _complete_hover(
+def _complete_hover_condition(
     rotor: Rotor, pitch_rad: float | None, speed_rad_s: float | None, thrust_N: float | None
 ) -> tuple[float | None, float | None, float | None, str]:
     """Return pitch, speed and thrust of which two are given, and a note on those that are defaults."""

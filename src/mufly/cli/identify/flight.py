@@ -23,7 +23,7 @@ from mufly.cli.options import (
     write_vehicle,
 )
 from mufly.cli.output import (
-    check_place,
+    check_output_place,
     make_console,
     print_estimates,
     print_files,
@@ -169,9 +169,9 @@ def flight(
     chosen = None if outputs is None else [o.strip() for o in outputs.split(",") if o.strip()]
     for name in chosen or ():
         check_choice("--outputs", name, FLIGHT_OUTPUTS)
-    check_place("--out", out, "file")
-    check_place("--report", report)
-    check_place("--checkpoint", checkpoint, "file")
+    check_output_place("--out", out, "file")
+    check_output_place("--report", report)
+    check_output_place("--checkpoint", checkpoint, "file")
     start = load_vehicle(vehicle)
     records, said = _read_records(logs, columns, prefix, start, as_is)
     held, more = _read_records(hold_out or [], columns, prefix, start, as_is)
@@ -196,7 +196,7 @@ def flight(
         "outputs": chosen, "held_exact": held_exact,
     }  # fmt: skip
     try:
-        with run_on_cluster(cluster), _fit_progress(not as_json) as on_progress:
+        with run_on_cluster(cluster), _show_fit_progress(not as_json) as on_progress:
             if part == "split":
                 fit = fit_parts_separately(start, wanted, records, on_progress=on_progress, **options)
             else:
@@ -240,7 +240,7 @@ def _read_records(
 
 
 @contextmanager
-def _fit_progress(shown: bool) -> Iterator[Callable[[FitProgress], None] | None]:
+def _show_fit_progress(shown: bool) -> Iterator[Callable[[FitProgress], None] | None]:
     """Show stage, iteration, cost, parameters and an upper bound of the time left, on standard error."""
     if not shown:
         yield None
@@ -312,20 +312,20 @@ def demo(
     """
     from mufly.identify import run_identification_demo
 
-    check_place("--report", report)
-    check_place("--logs", logs)
+    check_output_place("--report", report)
+    check_output_place("--logs", logs)
     if logs is not None:
-        _write_flights(logs, seed, moving)
-    with _fit_progress(not as_json) as on_progress:
+        _write_demo_flights(logs, seed, moving)
+    with _show_fit_progress(not as_json) as on_progress:
         shown = run_identification_demo(seed=seed, method=method, moving=moving, on_progress=on_progress)
     page = _write_report(shown.fit, report, not as_json)
     if as_json:
         return print_json(shown)
-    _print_demo(shown)
+    _print_identification_demo(shown)
     print_files(page, "Report")
 
 
-def _write_flights(folder: Path, seed: int, moving: bool) -> None:
+def _write_demo_flights(folder: Path, seed: int, moving: bool) -> None:
     from mufly.identify.flight.identification_demo import fly_demo_flights
     from mufly.identify.flight_record import record_to_dataset
     from mufly.logs import write_log
@@ -336,7 +336,7 @@ def _write_flights(folder: Path, seed: int, moving: bool) -> None:
         write_log(record_to_dataset(r), folder / f"{r.name}.mcap")
 
 
-def _print_demo(shown: IdentificationDemo) -> None:
+def _print_identification_demo(shown: IdentificationDemo) -> None:
     inside, estimates = shown.truth_inside_interval(), shown.fit.estimates
     beside = {
         "truth": {k: f"{v:.5g}" for k, v in shown.truth.items()},

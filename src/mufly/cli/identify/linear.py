@@ -18,7 +18,7 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
-    check_place,
+    check_output_place,
     print_answer,
     print_files,
     print_json,
@@ -140,7 +140,7 @@ def linear(
 
     Example: mufly identify linear a.csv b.csv --hold-out c.csv --method equation-error --inputs lat,lon --outputs p,q
     """
-    check_place("--out", out)
+    check_output_place("--out", out)
     if starts < 1:
         raise InputError("--starts", "", f"{starts} is not a number of searches", "give 1 or more")
     records = [_read_record(log, columns, start_s, end_s) for log in logs]
@@ -175,7 +175,7 @@ def linear(
             report.append(write_linear_report(result, out, progress=progress))
     if as_json:
         return print_json(result)
-    _print_linear(result)
+    _print_linear_model(result)
     print_files(report, "Report")
 
 
@@ -234,7 +234,7 @@ def _parse_column_names(text: str) -> dict[str, str]:
     return found
 
 
-def _print_linear(r: LinearResult) -> None:
+def _print_linear_model(r: LinearResult) -> None:
     from mufly.identify.fit_report import (
         candidate_table,
         estimate_table,
@@ -346,7 +346,7 @@ def frequency(
     from mufly.errors import ArgumentError
     from mufly.identify.linear.sweep_response import MIN_COHERENCE, fit_transfer_function
 
-    check_place("--out", out)
+    check_output_place("--out", out)
     orders = None
     if fit is not None:
         try:
@@ -381,13 +381,13 @@ def frequency(
     heads = ("pair", f"coherence >= {MIN_COHERENCE:g} (Hz)", "points", "most", "random error")
     print_table(heads, rows, title="Frequency responses, each input conditioned on the others", text=(0, 1))
     for one in fits:
-        _print_transfer(one)
+        _print_transfer_function(one)
     if unfitted:
         print_lines(f"{', '.join(unfitted)}: {why}", mark="Not fitted")
     print_files(files)
 
 
-def _print_transfer(t: TransferFunctionFit) -> None:
+def _print_transfer_function(t: TransferFunctionFit) -> None:
     rows = [
         (f"{letter}{power}", f"{value:.4g}", f"{std:.2g}")
         for letter, values, stds in (
@@ -455,7 +455,7 @@ def bandwidth(
     from mufly.identify.linear.bandwidth import measure_bandwidth as read_off
     from mufly.identify.linear.sweep_response import MIN_COHERENCE
 
-    check_place("--out", out)
+    check_output_place("--out", out)
     inputs, outputs = _parse_column_names(f"{input_},{others}"), _parse_column_names(output)
     if len(outputs) != 1:
         raise InputError("--output", "", f"{output!r} is not one output", "give one")
@@ -537,7 +537,7 @@ def compatibility(
     from mufly.identify.linear.flight_path_reconstruction import FLIGHT_PATH_STATES
     from mufly.identify.linear.flight_path_reconstruction import reconstruct_flight_path as reconstruct
 
-    check_place("--out", out)
+    check_output_place("--out", out)
     found = reconstruct(
         _read_record(log, columns, start_s, end_s), _parse_column_names(imu), _parse_column_names(measured)
     )

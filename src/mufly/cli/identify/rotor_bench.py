@@ -26,7 +26,7 @@ from mufly.cli.options import (
     write_vehicle,
 )
 from mufly.cli.output import (
-    check_place,
+    check_output_place,
     print_answer,
     print_estimates,
     print_lines,
@@ -137,7 +137,7 @@ def rotor(
     from mufly.rotor import load_rotor, prepare_blading
 
     start = load_start_vehicle(vehicle, write)
-    check_place("--out", out)
+    check_output_place("--out", out)
     if place not in (None, "upper", "lower"):
         raise InputError("--as", "", f"{place!r} is not a rotor of a vehicle", "use upper or lower")
     blades = load_rotor(predict_with) if predict_with is not None else None
@@ -293,7 +293,7 @@ def plan(
     symbols = [s.strip() for s in free.split(",") if s.strip()]
     channels = list(dict.fromkeys(c.strip() for c in channel.split(",") if c.strip()))
     kinds = SIGNAL_KINDS if kind == "best" else (cast("SignalKind", kind),)
-    check_place("--out", out)
+    check_output_place("--out", out)
     _check_time_grid(duration, delay, sample, window)
     limits, std, frequencies = _parse_limits(limit), _parse_noise(noise, SENSOR_NOISE_STD), _parse_band(band)
     plans: list[ExcitationPlan] = []
@@ -316,7 +316,7 @@ def plan(
 
     def print_plans() -> None:
         for p in plans:
-            _print_plan(p)
+            _print_excitation_plan(p)
         if len(plans) > 1:
             print_table(
                 ["", *symbols], [["all flights", *(_format_percent(s) for s in relative)]],
@@ -414,7 +414,7 @@ def _format_percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
 
 
-def _print_plan(p: ExcitationPlan) -> None:
+def _print_excitation_plan(p: ExcitationPlan) -> None:
     symbols = [f.symbol for f in p.free_parameters]
     low, high = p.band_Hz
     rows = [
@@ -505,7 +505,7 @@ def motor(
     from mufly.identify.motor_fit import MOTOR_CHANNELS, GearKnowledge, fit_motor, parse_noise
 
     start = load_start_vehicle(vehicle, write)
-    check_place("--out", out)
+    check_output_place("--out", out)
     ratio, ratio_std = read_optional_with_std("--gear", gear_ratio, "1")
     eta, eta_std = read_optional_with_std("--gear-efficiency", gear_efficiency, "1")
     if eta is not None and eta > 1.0:

@@ -21,7 +21,7 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
-    check_place,
+    check_output_place,
     print_answer,
     print_lines,
     print_table,
@@ -132,7 +132,7 @@ def run(
     from mufly.flight.record.foreign_log import AidRequest, parse_aid, read_foreign_log
     from mufly.logs import detect_log_format
 
-    check_place("--out", out)
+    check_output_place("--out", out)
     of_aids = {
         "--map": map_file, "--column": column, "--aid": aid, "--aid-std": aid_std, "--aid-heading-std": aid_heading_std,
         "--aid-rate": aid_rate, "--aid-delay": aid_delay or None, "--gyro-noise": gyro_noise,

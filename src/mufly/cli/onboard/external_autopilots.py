@@ -10,12 +10,12 @@ from typing import Annotated, Literal
 import typer
 
 from mufly.cli.options import CommandGroup, JsonOption, VehicleOption, define_argument, define_option
-from mufly.cli.output import LiveDisplay, check_place, make_console, print_answer, print_lines, print_table
+from mufly.cli.output import LiveDisplay, check_output_place, make_console, print_answer, print_lines, print_table
 from mufly.cli.station import ShutdownHandler, check_sensor_options, describe_sensor_source, resolve_wind
 from mufly.errors import InputError, report_write_errors
 
 Autopilot = Literal["px4", "ardupilot", "betaflight"]
-_NAMES: dict[Autopilot, str] = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
+_AUTOPILOT_NAMES: dict[Autopilot, str] = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
 PositionOption = Annotated[
     Literal["vision", "gps"],
     define_option(
@@ -55,7 +55,7 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
       mufly autopilot gains betaflight --out parameters
     """
     if out is not None:
-        check_place("--out", out, make=False)
+        check_output_place("--out", out, make=False)
     from mufly.bridges.autopilot_gains import AXIS_NAMES, design_autopilot_gains
     from mufly.results import format_value
     from mufly.vehicle import load_vehicle
@@ -104,7 +104,7 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
         )
         heads = ("axis", "P_x 1/s", "P_v 1/s", "I_v 1/s^2", "D_v", "P_angle 1/s", "P", "I")
         rows = [(axis, *(f"{getattr(getattr(designed, axis), f):.3g}" for f in fields)) for axis in AXIS_NAMES]
-        print_table(heads, rows, title=f"Gains of {_NAMES[autopilot]}'s cascades for {loaded.name}")
+        print_table(heads, rows, title=f"Gains of {_AUTOPILOT_NAMES[autopilot]}'s cascades for {loaded.name}")
         titles = ("axis", "crossover rad/s", "sensitivity", "outer", "gain dB", "phase deg", "pushed m")
         names = ("crossover_rad_s", "sensitivity", "outer_sensitivity", "gain_margin_dB", "phase_margin_deg", "push_m")
         margins = [(m.axis, *(format_value(getattr(m, n), ".3g") for n in names)) for m in designed.margins]
@@ -185,7 +185,7 @@ def run_simulator(
             raise InputError(given, "", "Betaflight receives no position", "leave it out")
         raise InputError(given, "", "ArduPilot makes its global position itself", "leave it out; see its option --home")
     if out is not None:
-        check_place("--out", out, make=False)
+        check_output_place("--out", out, make=False)
     from mufly.mission import Mission, load_mission
     from mufly.vehicle import load_vehicle
 
@@ -193,7 +193,7 @@ def run_simulator(
     plan = Mission(name="no mission") if mission is None else load_mission(mission)
     faults = check_sensor_options(helicopter, "fitted", fault)
     terminal, over = make_console(), ShutdownHandler()
-    name = _NAMES[autopilot]
+    name = _AUTOPILOT_NAMES[autopilot]
     terminal.print(f"[bold]{helicopter.name}[/bold] is simulated for {name}", highlight=False)
     print_lines(describe_sensor_source(helicopter, "fitted"))
     with LiveDisplay(terminal) as display:

@@ -26,7 +26,7 @@ from mufly.cli.options import (
 )
 from mufly.cli.output import (
     LiveDisplay,
-    check_place,
+    check_output_place,
     make_console,
     print_answer,
     print_files,
@@ -202,21 +202,21 @@ def sil(
     with progress_bar("flights", not as_json) as progress:
         results = compare(
             helicopter, names, flights=flights, wind=steady, gust=gust, faults=faults,
-            on_flight=_count_flights(progress, len(names) * flights),
+            on_flight=_make_flight_counter(progress, len(names) * flights),
             sensors=sensors, drawn=drawn, keep=keep,
         )  # fmt: skip
-    print_answer(as_json, {"flights": results}, lambda: _print_sil(results))
+    print_answer(as_json, {"flights": results}, lambda: _print_sil_results(results))
     if any(r.different + r.estimator_different + r.steps_different for r in results):
         raise typer.Exit(1)
 
 
-def _count_flights(progress: Callable[[int, int], None] | None, total: int) -> Callable[[object], None]:
+def _make_flight_counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[[object], None]:
     """Return a function to be called with every flight, which moves a progress bar."""
     numbers = itertools.count(1)
     return lambda _: None if progress is None else progress(next(numbers), total)
 
 
-def _print_sil(results: list[SilResult]) -> None:
+def _print_sil_results(results: list[SilResult]) -> None:
     columns = (
         "mission",
         "seed",
@@ -252,7 +252,7 @@ def _compare_fixed_point(vehicle: Vehicle, names: list[str], flights: int, keep:
     from mufly.firmware import fly_fixed_point
 
     with progress_bar("flights", not as_json) as progress:
-        on_flight = _count_flights(progress, len(names) * flights)
+        on_flight = _make_flight_counter(progress, len(names) * flights)
         results = fly_fixed_point(vehicle, names, flights=flights, keep=keep, on_flight=on_flight)
     print_answer(as_json, {"flights": results}, lambda: _print_fixed_flights(results))
     if any(r.overflows for r in results):
@@ -327,9 +327,9 @@ def fly(
     terminal = make_console(stderr=as_json)
     steady = resolve_wind(wind, gust, seed)
     folder = out if out is not None else new_dated_folder()
-    check_place("--out", folder, make=False)
+    check_output_place("--out", folder, make=False)
     if log is not None:
-        check_place("--log", log.parent, make=False)
+        check_output_place("--log", log.parent, make=False)
     helicopter, flown = load_vehicle(vehicle), load_mission(mission)
     faults = check_sensor_options(helicopter, "fitted", fault)
     check_preflight(helicopter, flown, vehicle_file=vehicle, mission_file=mission)
@@ -379,7 +379,7 @@ def split_log(
         raise InputError(str(image), "", problem, "give a copy of the whole device") from error
     if not sessions:
         raise InputError(str(image), "", "holds no log of a board", "give a copy of the whole device")
-    check_place("--out", out, make=False)
+    check_output_place("--out", out, make=False)
     files, rows = [], []
     with report_write_errors("--out", key=str(out)):
         out.mkdir(parents=True, exist_ok=True)
@@ -411,12 +411,12 @@ def pil(vehicle: VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False,
     from mufly.vehicle import load_vehicle
 
     results = firmware.run_pil(load_vehicle(vehicle), fixed_point=fixed_point)
-    print_answer(as_json, {"processors": results}, lambda: _print_pil(results, fixed_point))
+    print_answer(as_json, {"processors": results}, lambda: _print_pil_results(results, fixed_point))
     if not all(r.same for r in results):
         raise typer.Exit(1)
 
 
-def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
+def _print_pil_results(results: list[PilResult], fixed_point: bool) -> None:
     columns = (
         ResultColumn("machine", head="emulated"),
         ResultColumn("tested_part", head="part"),

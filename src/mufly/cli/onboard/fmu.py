@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mufly.cli.options import JsonOption, VehicleArgument, define_option
-from mufly.cli.output import check_place, print_answer, print_lines
+from mufly.cli.output import check_output_place, print_answer, print_lines
 from mufly.cli.vehicle import app
 from mufly.errors import InputError
 
@@ -51,7 +51,7 @@ def export_vehicle(
         raise InputError("--out", str(out), "does not end in .fmu", "give a name that ends in .fmu")
     if check and sources_only:
         raise InputError("--check", "", "needs a library", "leave out --sources-only")
-    check_place("--out", out, "file")
+    check_output_place("--out", out, "file")
     from mufly.fmi import check_unit, export_fmu
     from mufly.vehicle import load_vehicle
 
@@ -62,12 +62,12 @@ def export_vehicle(
         raise error.with_location(vehicle) if error.where == loaded.name else error from None
     compared = check_unit(out, loaded) if check else None
     content = made if compared is None else {**vars(made), "check": compared}
-    print_answer(as_json, content, lambda: _print_unit(made, compared, sources_only), [out])
+    print_answer(as_json, content, lambda: _print_exported_unit(made, compared, sources_only), [out])
     if compared is not None and compared.different:
         raise typer.Exit(1)
 
 
-def _print_unit(made: ExportedUnit, compared: UnitComparison | None, sources_only: bool) -> None:
+def _print_exported_unit(made: ExportedUnit, compared: UnitComparison | None, sources_only: bool) -> None:
     print_lines(
         f"Unit {made.model}: {made.inputs} inputs, {made.outputs} outputs, {made.parameters} parameters, "
         f"{made.start_values} start values" + (f", {made.seeds} seeds of the sensors." if made.seeds else " of hover."),

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from mufly.cli.onboard.external_autopilots import PositionOption, run_simulator
-from mufly.cli.onboard.view_options import FoxgloveOption, RosOption, make_views
+from mufly.cli.onboard.view_options import FoxgloveOption, RosOption, make_live_views
 from mufly.cli.options import OptionalMissionArgument, SeedOption, VehicleOption, define_option
-from mufly.cli.output import LiveDisplay, check_place, make_console, print_lines
+from mufly.cli.output import LiveDisplay, check_output_place, make_console, print_lines
 from mufly.cli.station import (
     FaultOption,
     FirmwareOption,
@@ -152,9 +152,9 @@ def run_link(
     if not 1 <= system <= 255:
         raise InputError("--system", "", f"{system} is not a MAVLink system", "give 1 to 255")
     steady = resolve_wind(wind, gust, seed)
-    views = make_views(foxglove, ros)
+    views = make_live_views(foxglove, ros)
     if out is not None:
-        check_place("--out", out, make=False)
+        check_output_place("--out", out, make=False)
 
     # Errors of the input are found before the heavy libraries are loaded.
     from mufly.link.codec import parse_origin
@@ -236,7 +236,7 @@ def _run_emulated_board(
 ) -> None:  # fmt: skip
     """Fly the image of a board in QEMU until Ctrl-C; stations connect to its UART."""
     if out is not None:
-        check_place("--out", out, make=False)
+        check_output_place("--out", out, make=False)
     from mufly.firmware.emulated.board_link import run_linked_board
     from mufly.mission import check_preflight, load_mission
     from mufly.vehicle import load_vehicle
@@ -257,7 +257,7 @@ def _run_emulated_board(
                 highlight=False,
             ),
         )  # fmt: skip
-    slower = " (slower than real time)" if flown.realtime_factor < SLOWEST_REAL_TIME else ""
+    slower = " (slower than real time)" if flown.realtime_factor < MIN_REAL_TIME_FACTOR else ""
     terminal.print(f"{flown.realtime_factor:.2f} times real time{slower}.", highlight=False)
     if flown.different:
         raise MuflyError(f"the emulated board differs from this machine: {flown.first_difference}")
@@ -265,7 +265,7 @@ def _run_emulated_board(
     raise typer.Exit(over.exit_status)
 
 
-SLOWEST_REAL_TIME = 0.95
+MIN_REAL_TIME_FACTOR = 0.95
 """Real-time factor below which a warning is printed."""
 _DEFAULT_LINK_ENDPOINTS = ("udp:127.0.0.1:14550", "udp:127.0.0.1:14540")
 

@@ -15,7 +15,7 @@ from mufly.cli.options import (
     VehicleOption,
 )
 from mufly.cli.output import (
-    check_place,
+    check_output_place,
     print_answer,
     print_json,
     print_lines,
@@ -101,7 +101,7 @@ def simulate(
 
     wrong = [parse_fault(text) for text in fault or []]
     steady = resolve_wind(wind, gust, seed)
-    check_place("--out", out)
+    check_output_place("--out", out)
     with progress_bar("flight", not as_json) as progress:
         logs = log_sensors(
             load_vehicle(vehicle), load_mission(mission), seed=seed, faults=wrong,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from mufly.cli.options import CommandGroup, JsonOption, SeedOption, define_argument, define_option
 from mufly.cli.output import (
-    check_place,
+    check_output_place,
     print_answer,
     print_blocks,
     print_lines,
@@ -124,7 +124,7 @@ def render(
         path = make_hand_path(duration_s=duration, height_m=height, seed=seed)
     else:
         path = make_square_path(duration_s=duration, side_m=side, height_m=height, speed_m_s=speed, seed=seed)
-    check_place("--out", out)
+    check_output_place("--out", out)
     made = render_frames(
         lens,
         ground,
@@ -163,7 +163,7 @@ def floors(
     """
     from mufly.camera import FLOOR_KINDS, PACKAGE_FLOORS, write_floor_set
 
-    check_place("--out", out)
+    check_output_place("--out", out)
     written = [] if out is None else write_floor_set(out)
     rows = [
         {
@@ -300,7 +300,7 @@ def run(
     if link is not None and not is_live_source(place):
         raise InputError("--link", "", "is for live pictures", "give a camera or a stream, or --telemetry")
     told = None if telemetry is None else read_telemetry(telemetry, offset)
-    check_place("--out", out)
+    check_output_place("--out", out)
     known = None if floor_map is None else FloorMap.load(floor_map)
     with contextlib.ExitStack() as stack:
         ending = ShutdownHandler(patient=False)

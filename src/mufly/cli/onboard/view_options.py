@@ -24,7 +24,7 @@ RosOption = Annotated[
 ]
 
 
-def make_views(foxglove: str, ros: bool) -> tuple[LiveViewConfig, ...]:
+def make_live_views(foxglove: str, ros: bool) -> tuple[LiveViewConfig, ...]:
     """Return the live views of the options.
 
     Raises
