@@ -395,7 +395,7 @@ class FlightSoftware:
         return descent_time_s(height, float(self._controller.position_gains["gravity"]))
 
     def _switch_motors(self, motors: str, m: Estimate) -> None:
-        """Change the mode of the motors; engage_heave_yaw the controllers with a bumpless transfer."""
+        """Change the mode of the motors; engage the controllers with a bumpless transfer."""
         if motors == "fly":
             self._controllers.engage_heave_yaw(m, self._motor_input)
             self._lifted = False
