@@ -10,7 +10,8 @@ import pytest
 
 import mufly
 from mufly.control import DesignSettings, FlightController, design_flight_controller
-from mufly.control.designs import ControllerDesign, design_roll_pitch
+from mufly.control.controller_design import ControllerDesign
+from mufly.control.designs import design_roll_pitch
 from mufly.control.robust.parameter_spreads import spread_derivatives
 from mufly.control.synthesis.synthesis_methods import RobustAims
 from mufly.dynamics import linearise_vehicle

@@ -20,7 +20,7 @@ from mufly.control import (
     input_noise,
     sample_plant,
 )
-from mufly.control.designs import ControllerDesign, weight_roll_pitch
+from mufly.control.controller_design import ControllerDesign
 from mufly.control.linear_systems import replace_matrices, state_space
 from mufly.control.robust import Block, mu_upper_bound
 from mufly.control.robust.dk_iteration import (
@@ -32,7 +32,7 @@ from mufly.control.robust.dk_iteration import (
     sweep_complex_mu,
 )
 from mufly.control.robust.uncertain_plant import add_uncertainty
-from mufly.control.synthesis.weighting_schemes import scale_plant
+from mufly.control.synthesis.weighting_schemes import scale_plant, weight_roll_pitch
 from mufly.control.tuning.fixed_order import add_delay
 from mufly.errors import ArgumentError
 

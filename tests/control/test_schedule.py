@@ -11,14 +11,13 @@ import pytest
 from mufly.control import DesignSettings, FlightController, design_flight_controller
 from mufly.control.analysis.comparison import forward_figures, roll_pitch_over_speed
 from mufly.control.analysis.plots import draw_schedule
-from mufly.control.designs import pack_schedule
 from mufly.control.implementation import DiscreteController
 from mufly.control.law import roll_pitch_init, roll_pitch_step
 from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.synthesis_methods import SynthesisedController, SynthesisMethod, SynthesisProblem
 from mufly.control.tuning import output_schedule
 from mufly.control.tuning.fixed_order import NormAim, margin_plants, tune_controller
-from mufly.control.tuning.output_schedule import OutputSchedule, continuous_matrices
+from mufly.control.tuning.output_schedule import OutputSchedule, continuous_matrices, pack_schedule
 from mufly.dynamics import find_trim, linearise_vehicle
 from mufly.errors import MuflyError
 from mufly.flight.controllers import copy_record

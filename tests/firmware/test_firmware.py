@@ -16,10 +16,9 @@ from typer.testing import CliRunner
 from mufly.cli import app
 from mufly.compiled.portable_math import sine_cosine
 from mufly.control import DesignSettings, design_flight_controller
-from mufly.control.designs import pack_schedule
 from mufly.control.law import SCHEDULE_FIELDS
 from mufly.control.synthesis.synthesis_methods import GivenController, RobustAims
-from mufly.control.tuning.output_schedule import OutputSchedule
+from mufly.control.tuning.output_schedule import OutputSchedule, pack_schedule
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.firmware import (

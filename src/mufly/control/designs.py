@@ -13,10 +13,15 @@ from dataclasses import replace
 import control
 import numpy as np
 
+from mufly.control.controller_design import (
+    PUBLISHED_HEAVE_YAW,
+    PUBLISHED_ROLL_PITCH,
+    PUBLISHED_VELOCITY,
+    ControllerDesign,
+    PublishedFigures,
+)
 from mufly.control.design_store import recall_controller
 from mufly.control.implementation import (
-    DiscreteController,
-    Reduction,
     analyse_cascade,
     discretise_controller,
     reduce_controller,
@@ -45,7 +50,6 @@ from mufly.control.robust.parameter_spreads import default_spreads, spread_deriv
 from mufly.control.synthesis.indi import IndiGains
 from mufly.control.synthesis.lqg import LqgWeights
 from mufly.control.synthesis.synthesis_methods import (
-    SYNTHESIS_METHOD_NAMES,
     SYNTHESIS_METHODS,
     FixedOrderAims,
     GivenController,
@@ -55,7 +59,6 @@ from mufly.control.synthesis.synthesis_methods import (
     synthesise_controller,
 )
 from mufly.control.synthesis.weighting_schemes import (
-    ROLL_PITCH_WEIGHTS,
     DesignSettings,
     SignalScaling,
     complete_settings,
@@ -64,167 +67,19 @@ from mufly.control.synthesis.weighting_schemes import (
     one_degree_plant,
     roll_pitch_scaling,
     scale_plant,
-    two_degree_plant,
     unscale_controller,
+    weight_heave_yaw,
+    weight_roll_pitch,
 )
-from mufly.control.tuning.output_schedule import OutputSchedule, ScheduledLoop, schedule_outputs
+from mufly.control.tuning.output_schedule import OutputSchedule, pack_schedule, schedule_roll_pitch
 from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise_vehicle, model_parameters
 from mufly.dynamics.model_state import MODEL_CHARGE
 from mufly.errors import ArgumentError, MuflyError
-from mufly.results import ShownBlock, format_value, result, show_lines, show_table
+from mufly.results import ShownBlock, result, show_lines
 from mufly.vehicle import Vehicle, battery_voltage_range
 
 DEFAULT_CONTROL_RATE_HZ = 200.0
 POSITION_LOOP_RATE_DIVIDER = 4  # the position cascade runs in every fourth period
-
-
-@result
-class PublishedFigures:
-    """Figures of one design printed in the thesis; None where it prints none.
-
-    Attributes
-    ----------
-    gamma : float
-        H-infinity level reached.
-    plant_crossovers : tuple of float
-        0 dB crossings of the unscaled plant's singular values (rad/s).
-    crossover : float
-        Crossover frequency of the loop gain (rad/s).
-    sensitivity_peak_dB, complementary_peak_dB : float
-        Peaks of S_u and T_u.
-    resonance : float
-        Resonance frequency of the plant (rad/s).
-    order : int
-        Order on the processor, after reduction.
-    """
-
-    gamma: float | None = None
-    plant_crossovers: tuple[float, ...] | None = None
-    crossover: float | None = None
-    sensitivity_peak_dB: float | None = None
-    complementary_peak_dB: float | None = None
-    resonance: float | None = None
-    order: int | None = None
-
-
-PUBLISHED_HEAVE_YAW = PublishedFigures(
-    gamma=1.38,
-    plant_crossovers=(2.82, 575.0),
-    crossover=3.26,
-    sensitivity_peak_dB=3.7398,
-    complementary_peak_dB=3.93,
-    order=10,
-)
-PUBLISHED_ROLL_PITCH = PublishedFigures(crossover=36.0, complementary_peak_dB=1.9, resonance=14.5, order=8)
-PUBLISHED_VELOCITY = PublishedFigures()
-
-
-@result(
-    picture="mufly.control.analysis.plots:draw_loop",
-    json="name method gamma norm plant_crossovers_rad_s=plant_crossovers output_scale=scaling.outputs "
-    "input_scale=scaling.inputs order_full=controller.nstates order_reduced=reduced.nstates "
-    "reduction_method=reduction.chosen.method reduction_tolerance_dB=reduction.tolerance_dB rate_Hz=discrete.rate_Hz "
-    "form=discrete.form anti_windup=discrete.anti_windup full=full_loop reduced=reduced_loop "
-    "sampled_with_one_sample_of_delay=sampled_loop thesis=published",
-)
-class ControllerDesign:
-    """One controller, from synthesis to difference equations.
-
-    Attributes
-    ----------
-    name : str
-    method : str
-        Method of synthesis: a key of ``synthesis_methods.SYNTHESIS_METHOD_NAMES``.
-    plant : control.StateSpace
-        Plant in physical units.
-    scaling : SignalScaling
-    generalised : control.StateSpace
-        Generalised plant of the synthesis: scaled, with weights.
-    controller : control.StateSpace
-        Controller: continuous, full order, physical units.
-    gamma, gamma_optimal, norm : float
-        Level of the controller, smallest feasible level found, and computed norm of the closed loop with weights; the
-        levels are nan for methods that claim none.
-    reduction : Reduction
-    reduced : control.StateSpace
-        Reduced controller: continuous, physical units.
-    discrete : DiscreteController
-    full_loop, reduced_loop, sampled_loop : LoopAnalysis
-        Analyses of the loop with the full, reduced and discrete controller, the last with hold and one sample of
-        delay.
-    plant_crossovers : tuple of float
-        0 dB crossings of the unscaled plant's singular values, rad/s.
-    feedback_inputs : tuple of int
-        Controller inputs that are errors of the plant's outputs.
-    published : PublishedFigures
-        Figures of the thesis.
-    """
-
-    name: str
-    method: SynthesisMethod
-    plant: control.StateSpace
-    scaling: SignalScaling
-    generalised: control.StateSpace
-    controller: control.StateSpace
-    gamma: float
-    gamma_optimal: float
-    norm: float
-    reduction: Reduction
-    reduced: control.StateSpace
-    discrete: DiscreteController
-    full_loop: LoopAnalysis
-    reduced_loop: LoopAnalysis
-    sampled_loop: LoopAnalysis
-    plant_crossovers: tuple[float, ...]
-    feedback_inputs: tuple[int, ...]
-    published: PublishedFigures
-
-    @property
-    def loop_analyses(self) -> tuple[tuple[str, int, LoopAnalysis], ...]:
-        """Name, order and analysis of the loops with the full, the reduced and the sampled controller."""
-        return (
-            ("full", self.controller.nstates, self.full_loop),
-            ("reduced", self.reduced.nstates, self.reduced_loop),
-            ("sampled", self.discrete.order, self.sampled_loop),
-        )
-
-    def feedback_controller(self, controller: control.StateSpace | None = None) -> control.StateSpace:
-        """Return K of ``u = -K y``, for the full controller or another one with the same inputs."""
-        return feedback_part(self.controller if controller is None else controller, self.plant, self.feedback_inputs)
-
-    def shown_blocks(self) -> list[ShownBlock]:
-        """Return a table of the figures of the three controllers beside those of the thesis."""
-        thesis = self.published
-        loops = (self.full_loop, self.reduced_loop, self.sampled_loop)
-
-        def loop_row(label: str, field: str, form: str, theirs: str = "-", factor: float = 1.0) -> tuple[str, ...]:
-            return (label, *(f"{factor * getattr(loop, field):{form}}" for loop in loops), theirs)
-
-        crossovers = (", ".join(f"{w:.1f}" for w in loop.crossovers) for loop in loops)
-        plant = ", ".join(f"{w:.3g}" for w in self.plant_crossovers)
-        printed = ", ".join(f"{w:g}" for w in thesis.plant_crossovers or ()) or "-"
-        sensitivity, complementary = thesis.sensitivity_peak_dB, thesis.complementary_peak_dB
-        rows = [
-            ("order", *(f"{order}" for _, order, _ in self.loop_analyses), format_value(thesis.order)),
-            (
-                "gamma claimed",
-                f"{self.gamma:.3f}" if np.isfinite(self.gamma) else "-",
-                "",
-                "",
-                format_value(thesis.gamma, ".2f"),
-            ),
-            ("norm achieved", f"{self.norm:.3f}", f"{self.reduction.chosen.norm:.3f}", "", "-"),
-            ("plant's crossovers (rad/s)", plant, "", "", printed),
-            ("loop's crossovers (rad/s)", *crossovers, format_value(thesis.crossover)),
-            loop_row("peak of S_u (dB)", "sensitivity_peak_dB", ".2f", format_value(sensitivity, ".2f")),
-            loop_row("peak of T_u (dB)", "complementary_peak_dB", ".2f", format_value(complementary, ".2f")),
-            loop_row("gain margin (dB)", "gain_margin_dB", ".1f"),
-            loop_row("phase margin (deg)", "phase_margin_deg", ".1f"),
-            loop_row("delay margin (ms)", "delay_margin_s", ".0f", factor=1e3),
-        ]
-        heads = ("", "full order", "reduced", f"{self.discrete.rate_Hz:g} Hz*", "thesis")
-        title = self.name if self.method == "hinf" else f"{self.name}, {SYNTHESIS_METHOD_NAMES[self.method]}"
-        return [show_table(heads, rows, title=title)]
 
 
 @result(
@@ -381,7 +236,7 @@ def design_flight_controller(
         heave_yaw = design_heave_yaw(linear.heave_yaw, s, period)
         roll_pitch = design_roll_pitch(linear.roll_pitch, s, period, derivatives)
         velocity = design_velocity(s, POSITION_LOOP_RATE_DIVIDER * period)
-        schedule = _schedule_roll_pitch(vehicle, roll_pitch, s, linear) if s.method == "scheduled" else None
+        schedule = schedule_roll_pitch(vehicle, roll_pitch, s, linear) if s.method == "scheduled" else None
         cascade = analyse_cascade(
             linear.full, roll_pitch.discrete, velocity.discrete, s.position_gain, POSITION_LOOP_RATE_DIVIDER
         )
@@ -444,33 +299,6 @@ def design_flight_controller(
         settings=s,
         schedule=schedule,
     )
-
-
-def _schedule_roll_pitch(
-    vehicle: Vehicle, hover: ControllerDesign, settings: DesignSettings, linear: Linearisation
-) -> OutputSchedule:
-    """Return the schedule of a roll-pitch design over forward speed."""
-    loop = ScheduledLoop(
-        hover.discrete,
-        hover.scaling,
-        lambda scaled: weight_roll_pitch(scaled, settings),
-        settings.roll_pitch_relaxation,
-        settings.roll_pitch_aims,
-    )
-    return schedule_outputs(
-        vehicle,
-        loop,
-        speed_m_s=settings.schedule_speed,
-        voltage=float(linear.trim.battery_voltage_V),
-        tilt_limit=settings.tilt_limit,
-    )
-
-
-def pack_schedule(schedule: OutputSchedule) -> dict[str, object]:
-    """Return the fields of ``ROLL_PITCH_GAINS`` that hold a schedule."""
-    C = np.zeros((2, ROLL_PITCH_ORDER))
-    C[:, : schedule.C_forward.shape[1]] = schedule.C_forward
-    return {"C_forward": C, "D_forward": schedule.D_forward, "schedule": schedule.inverse_square}
 
 
 def _design_controller(
@@ -573,16 +401,6 @@ def _given_order_range(given: GivenController | None, highest: int) -> tuple[int
     if given.order > highest:
         raise MuflyError(f"the given controller has order {given.order}, the on-board law at most {highest}; reduce it")
     return given.order, given.order
-
-
-def weight_heave_yaw(scaled: control.StateSpace, settings: DesignSettings) -> control.StateSpace:
-    """Return the generalised plant of heave-yaw from its scaled plant."""
-    return two_degree_plant(scaled, ("z", "psi"), settings.heave_yaw_weights)
-
-
-def weight_roll_pitch(scaled: control.StateSpace, settings: DesignSettings) -> control.StateSpace:
-    """Return the generalised plant of roll-pitch from its scaled plant."""
-    return one_degree_plant(scaled, ("phi", "theta"), settings.roll_pitch_weights or ROLL_PITCH_WEIGHTS)
 
 
 def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:

@@ -24,7 +24,8 @@ import xarray as xr
 from mufly.compiled.numba_cache import imported_sources
 from mufly.control.analysis.gust_response import compute_gust_response
 from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_noise
-from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
+from mufly.control.controller_design import ControllerDesign
+from mufly.control.designs import FlightController, design_flight_controller
 from mufly.control.linear_systems import Array, LoopAnalysis, analyse_loop, sample_plant
 from mufly.control.robust import parameter_robustness
 from mufly.control.robust.parameter_robustness import analyse_parameter_robustness

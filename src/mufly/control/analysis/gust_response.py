@@ -15,7 +15,8 @@ import control
 import numpy as np
 from scipy import linalg
 
-from mufly.control.designs import ControllerDesign, FlightController
+from mufly.control.controller_design import ControllerDesign
+from mufly.control.designs import FlightController
 from mufly.control.implementation import LATERAL_STATES
 from mufly.control.linear_systems import Array, sample_plant, state_space
 from mufly.dynamics import Linearisation, dryden_filter

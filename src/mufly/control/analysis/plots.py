@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 
 from mufly.control.analysis.comparison import ControllerComparison, LoopFigures
 from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, ServoMap
-from mufly.control.designs import ControllerDesign, FlightController
+from mufly.control.controller_design import ControllerDesign
+from mufly.control.designs import FlightController
 from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
 from mufly.control.robust.parameter_robustness import ParameterRobustness
 from mufly.control.tuning.output_schedule import OutputSchedule

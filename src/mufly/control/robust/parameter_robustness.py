@@ -32,7 +32,8 @@ from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle, replace_parameters
 
 if TYPE_CHECKING:
-    from mufly.control.designs import ControllerDesign, FlightController
+    from mufly.control.controller_design import ControllerDesign
+    from mufly.control.designs import FlightController
 
 _INPUT_DELAY_PERIODS = 1.5
 _MIN_SPREAD_FACTOR, _MAX_SPREAD_FACTOR = 0.1, 10.0  # of the spreads, in the search for the worst parameters

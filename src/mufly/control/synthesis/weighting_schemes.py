@@ -425,3 +425,13 @@ def roll_pitch_scaling(plant: control.StateSpace) -> SignalScaling:
     tilt = -np.linalg.solve(plant.A[np.ix_(tilts, tilts)], plant.B[tilts])
     turn = np.abs(plant.A[np.ix_([states.index("p"), states.index("q")], tilts)] @ tilt).max(axis=0)
     return SignalScaling(outputs=(0.5, 0.5, 5.0, 5.0), inputs=tuple(float(v) for v in 40.0 / turn))
+
+
+def weight_heave_yaw(scaled: control.StateSpace, settings: DesignSettings) -> control.StateSpace:
+    """Return the generalised plant of heave-yaw from its scaled plant."""
+    return two_degree_plant(scaled, ("z", "psi"), settings.heave_yaw_weights)
+
+
+def weight_roll_pitch(scaled: control.StateSpace, settings: DesignSettings) -> control.StateSpace:
+    """Return the generalised plant of roll-pitch from its scaled plant."""
+    return one_degree_plant(scaled, ("phi", "theta"), settings.roll_pitch_weights or ROLL_PITCH_WEIGHTS)

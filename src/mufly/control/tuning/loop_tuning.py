@@ -14,18 +14,14 @@ from typing import Any, Literal, NamedTuple
 import control
 import numpy as np
 
-from mufly.control.designs import (
-    ControllerDesign,
-    FlightController,
-    weight_heave_yaw,
-    weight_roll_pitch,
-)
+from mufly.control.controller_design import ControllerDesign
+from mufly.control.designs import FlightController
 from mufly.control.linear_systems import Array, replace_matrices
 from mufly.control.robust.parameter_robustness import UncertainLoop
 from mufly.control.robust.parameter_spreads import spread_derivatives
 from mufly.control.synthesis.hinf import hinfsyn
 from mufly.control.synthesis.synthesis_methods import GivenController, SynthesisProblem, synthesise_controller
-from mufly.control.synthesis.weighting_schemes import DesignSettings, scale_plant
+from mufly.control.synthesis.weighting_schemes import DesignSettings, scale_plant, weight_heave_yaw, weight_roll_pitch
 from mufly.control.tuning.fixed_order import (
     TuningAim,
     add_delay,

@@ -28,12 +28,14 @@ import control
 import numpy as np
 
 from mufly.control.analysis.loop_margins import disk_margin
+from mufly.control.controller_design import ControllerDesign
 from mufly.control.design_store import recall_controller
 from mufly.control.implementation import DiscreteController
+from mufly.control.law import ROLL_PITCH_ORDER
 from mufly.control.linear_systems import Array, analyse_loop, feedback_part, sample_plant, state_space
 from mufly.control.synthesis.synthesis_methods import FixedOrderAims, SynthesisProblem, synthesise_controller
-from mufly.control.synthesis.weighting_schemes import SignalScaling, scale_plant
-from mufly.dynamics import GRAVITY, find_trim, linearise_vehicle
+from mufly.control.synthesis.weighting_schemes import DesignSettings, SignalScaling, scale_plant, weight_roll_pitch
+from mufly.dynamics import GRAVITY, Linearisation, find_trim, linearise_vehicle
 from mufly.errors import MuflyError
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
@@ -279,3 +281,30 @@ def _tune_outputs(plant: control.StateSpace, loop: ScheduledLoop) -> tuple[Array
     discrete_C = C_fast @ (K.A + np.eye(K.order)) / 2.0
     discrete_D = D_fast + discrete_C @ B * (T / 2)
     return discrete_C - K.C, discrete_D - K.D
+
+
+def schedule_roll_pitch(
+    vehicle: Vehicle, hover: ControllerDesign, settings: DesignSettings, linear: Linearisation
+) -> OutputSchedule:
+    """Return the schedule of a roll-pitch design over forward speed."""
+    loop = ScheduledLoop(
+        hover.discrete,
+        hover.scaling,
+        lambda scaled: weight_roll_pitch(scaled, settings),
+        settings.roll_pitch_relaxation,
+        settings.roll_pitch_aims,
+    )
+    return schedule_outputs(
+        vehicle,
+        loop,
+        speed_m_s=settings.schedule_speed,
+        voltage=float(linear.trim.battery_voltage_V),
+        tilt_limit=settings.tilt_limit,
+    )
+
+
+def pack_schedule(schedule: OutputSchedule) -> dict[str, object]:
+    """Return the fields of ``ROLL_PITCH_GAINS`` that hold a schedule."""
+    C = np.zeros((2, ROLL_PITCH_ORDER))
+    C[:, : schedule.C_forward.shape[1]] = schedule.C_forward
+    return {"C_forward": C, "D_forward": schedule.D_forward, "schedule": schedule.inverse_square}

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from mufly.control.analysis.comparison import LoopFigures, loop_figures, sensor_noise
-from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
+from mufly.control.controller_design import ControllerDesign
+from mufly.control.designs import FlightController, design_flight_controller
 from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
 from mufly.control.robust.parameter_spreads import default_spreads
 from mufly.control.synthesis.synthesis_methods import GivenController
