@@ -117,7 +117,7 @@ def test_every_compiled_function_of_the_package_is_kept_by_its_sources():
 
 def test_a_function_that_cannot_be_kept_is_told():
     """Numba warns with the file's name from our locator."""
-    locator = numba_cache._BySource(record_as_array, Path(numba_cache.__file__))
+    locator = numba_cache._SourceHashCacheLocator(record_as_array, Path(numba_cache.__file__))
     compiled = SimpleNamespace(
         lifted=[], library=SimpleNamespace(has_dynamic_globals=True), fndesc=SimpleNamespace(qualname="m.gain")
     )

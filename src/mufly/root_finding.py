@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-_BRACKET_STEPS = (0.05, 0.2, 0.5, 1.0)  # logarithms; the last value repeats
+_BRACKET_LOG_STEPS = (0.05, 0.2, 0.5, 1.0)  # logarithms; the last value repeats
 _MAX_ITERATIONS = 200
 
 
@@ -60,7 +60,7 @@ def find_rising_root(
     for step in range(_MAX_ITERATIONS):
         if seek.size == 0:
             break
-        grow, low = _BRACKET_STEPS[min(step, len(_BRACKET_STEPS) - 1)], rising[seek]
+        grow, low = _BRACKET_LOG_STEPS[min(step, len(_BRACKET_LOG_STEPS) - 1)], rising[seek]
         at = np.where(low, np.minimum(a[seek] + grow, top[seek]), np.maximum(b[seek] - grow, bottom))
         value = function(np.exp(at), seek)
         below = value < 0.0

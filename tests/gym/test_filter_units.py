@@ -29,14 +29,14 @@ def filter_in_c() -> None:
 
 
 def test_a_unit_equals_a_flight_to_the_last_bit() -> None:
-    vehicle = filter_units.without_ring(load_vehicle("mufly-1.1"))
+    vehicle = filter_units.remove_range_ring(load_vehicle("mufly-1.1"))
     mission = filter_units.hover_mission(0, 1.0, 30.0)
     flight = filter_units.fly_to_hover(
         vehicle, vehicle, design_flight_controller(vehicle), mission, np.array([0.3, -0.2, 0.0]), 0.8, 5
     )
     assert flight is not None
-    unit, memory = filter_units.read_flight(flight, 4)
-    room = filter_units.UnitRoom(unit, memory, flight.estimator)
+    unit, memory = filter_units.extract_unit_arrays(flight, 4)
+    room = filter_units.UnitMemoryLayout(unit, memory, flight.estimator)
     row = np.zeros((1, room.size), np.uint8)
     room.write_row(unit, memory, row[0])
     starts = filter_units.UnitStarts(row, unit, None, 0.005, (flight,))
@@ -47,7 +47,7 @@ def test_a_unit_equals_a_flight_to_the_last_bit() -> None:
         inputs = flight.sent_actuators.input_array + rng.uniform(-0.02, 0.02, (1, 4))
         wind = rng.uniform(-0.5, 0.5, (1, 3))
         units.move_units(
-            SimpleNamespace(inputs_before=before, inputs=inputs, delay=np.array([1]), wind=wind, state=state)
+            SimpleNamespace(previous_inputs=before, inputs=inputs, delay=np.array([1]), wind=wind, state=state)
         )
         # The same in objects: one period of computing time and one of delay before the inputs act.
         sent = [before[0], inputs[0], inputs[0], inputs[0], inputs[0]]

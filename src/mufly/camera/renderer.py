@@ -37,7 +37,7 @@ from mufly.camera.camera_model import Camera, body_from_camera_rotation, unproje
 from mufly.camera.floor_texture import DETAIL_PIXEL_M, DETAIL_PIXELS, SHADOW_PIXEL_M, SHADOW_PIXELS, Floor
 from mufly.compiled.numba_cache import cached_njit
 from mufly.world import Box, World
-from mufly.world.obstacles import BOX_CENTRE, BOX_COS, BOX_HALF, BOX_SIN
+from mufly.world.obstacles import BOX_CENTRE, BOX_COS, BOX_HALF_EDGES, BOX_SIN
 
 _Array = NDArray[np.float64]
 _MOTION_VELOCITY, _MOTION_RATES, _MOTION_ROTOR_SPEED, _MOTION_ROTOR_PHASE = 3, 6, 9, 11
@@ -253,7 +253,9 @@ class Renderer:
         here = motion.position + motion.attitude @ self._mount
         reach = float(np.abs(self._rays).max()) + 0.2
         for k, b in enumerate(self._boxes):
-            corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * b[BOX_HALF:BOX_COS]
+            corners = (
+                np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * b[BOX_HALF_EDGES:BOX_COS]
+            )
             c, si = b[BOX_COS], b[BOX_SIN]
             at = np.stack(
                 [
@@ -263,7 +265,7 @@ class Renderer:
                 ],
                 1,
             )
-            p = (at + b[BOX_CENTRE:BOX_HALF] - here) @ turn
+            p = (at + b[BOX_CENTRE:BOX_HALF_EDGES] - here) @ turn
             if (p[:, 2] < 0.02).any():
                 out[k] = 0, s.height - 1, 0, s.width - 1
                 continue
@@ -470,7 +472,7 @@ def _intersect_box(
     for i in range(3):
         p = px if i == 0 else (py if i == 1 else od)
         u = ux if i == 0 else (uy if i == 1 else d)
-        half = boxes[k, BOX_HALF + i]
+        half = boxes[k, BOX_HALF_EDGES + i]
         if abs(u) < 1e-12:
             if abs(p) > half:
                 return -1.0, False

@@ -183,7 +183,7 @@ def _function_cache_folder(file: Path) -> Path:
     return folder
 
 
-class _BySource(_CacheLocator):
+class _SourceHashCacheLocator(_CacheLocator):
     """Numba cache locator for the functions of this package."""
 
     def __init__(self, function: Any, file: Path) -> None:
@@ -201,11 +201,11 @@ class _BySource(_CacheLocator):
         return str(self._line)
 
     @classmethod
-    def from_function(cls, function: Any, file: str) -> _BySource | None:
+    def from_function(cls, function: Any, file: str) -> _SourceHashCacheLocator | None:
         path = Path(file).resolve()
         return cls(function, path) if path.is_relative_to(_PACKAGE_FOLDER) and path.is_file() else None
 
 
 # Numba's list of cache locators; this one serves functions of this package only.
-if not any(locator.__name__ == "_BySource" for locator in CacheImpl._locator_classes):
-    CacheImpl._locator_classes.insert(0, _BySource)
+if not any(locator.__name__ == "_SourceHashCacheLocator" for locator in CacheImpl._locator_classes):
+    CacheImpl._locator_classes.insert(0, _SourceHashCacheLocator)

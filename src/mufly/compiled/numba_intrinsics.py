@@ -127,7 +127,7 @@ def _load_item(ctx: Any, builder: Any, what: Any, given: Any) -> Any:
     return _load_member(builder, what.args[0], value, index)
 
 
-def _refer_to(context: Any, what: Any) -> Any:
+def _reference_to_tuple(context: Any, what: Any) -> Any:
     kind = TupleReference(what)
 
     def generate_reference(ctx: Any, builder: Any, signature: Any, given: Any) -> Any:
@@ -137,7 +137,7 @@ def _refer_to(context: Any, what: Any) -> Any:
     return kind(what), generate_reference
 
 
-refer_to: Any = intrinsic(_refer_to)
+refer_to: Any = intrinsic(_reference_to_tuple)
 """``refer_to(tuple)``: a :class:`TupleReference` to a tuple of arrays and tuples, without reference counting.
 
 The reference ends with the function that makes it. See :data:`borrow_arrays` for the lifetime of the arrays.
@@ -171,7 +171,7 @@ tuple_size: Any = intrinsic(_tuple_size)
 """``tuple_size(tuple)``: bytes that :data:`store_tuple` writes."""
 
 
-def _refer_at(context: Any, address: Any, like: Any) -> Any:
+def _reference_at_address(context: Any, address: Any, like: Any) -> Any:
     kind = TupleReference(like)
 
     def generate_address(ctx: Any, builder: Any, signature: Any, given: Any) -> Any:
@@ -180,5 +180,5 @@ def _refer_at(context: Any, address: Any, like: Any) -> Any:
     return kind(address, like), generate_address
 
 
-refer_at: Any = intrinsic(_refer_at)
+refer_at: Any = intrinsic(_reference_at_address)
 """``refer_at(address, like)``: a :class:`TupleReference` to a tuple of the type of ``like`` that was stored there."""

@@ -118,7 +118,7 @@ def exp_decay(x: float) -> float:
 
 _TWO_PI_1, _TWO_PI_2 = float.fromhex("0x1.921fb544p+2"), float.fromhex("0x1.0b46p-32")
 """Parts whose sum is 2 pi; n times either part is exact for |n| < 2^20."""
-_ATAN_TABLE = tuple(
+_ATAN_OF_EIGHTHS = tuple(
     float.fromhex(x)
     for x in (
         "0x0.0p+0", "0x1.fd5ba9aac2f6ep-4", "0x1.f5b75f92c80ddp-3", "0x1.6f61941e4def1p-2", "0x1.dac670561bb4fp-2",
@@ -126,7 +126,7 @@ _ATAN_TABLE = tuple(
     )
 )  # fmt: skip
 """atan(n / 8)."""
-_MAX_COMPONENT = 1e30
+_MAX_ATAN2_COMPONENT = 1e30
 
 
 def wrap_angle(angle: float) -> float:
@@ -143,7 +143,7 @@ def portable_atan2(y: float, x: float) -> float:
     """Return the angle (rad) from the first axis to (x, y), as ``atan2``; zero for a zero vector."""
     a, b = abs(x), abs(y)
     big, small = (a, b) if a >= b else (b, a)
-    if not (0.0 < big < _MAX_COMPONENT and small <= big):
+    if not (0.0 < big < _MAX_ATAN2_COMPONENT and small <= big):
         return 0.0
     n = int(8.0 * small / big + 0.5)
     c = 0.125 * n
@@ -155,7 +155,7 @@ def portable_atan2(y: float, x: float) -> float:
     s = -1.0 / 7.0 + q * s
     s = 1.0 / 5.0 + q * s
     s = -1.0 / 3.0 + q * s
-    angle = _ATAN_TABLE[n] + (r + r * (q * s))
+    angle = _ATAN_OF_EIGHTHS[n] + (r + r * (q * s))
     if b > a:
         angle = 0.5 * math.pi - angle
     if x < 0.0:

@@ -116,7 +116,7 @@ class MotorConstants:
         return MotorConstants(**{k: v[case] if np.ndim(v) else v for k, v in vars(self).items()})
 
 
-KV_RANGE = (0.1, 1e6)
+SPEED_CONSTANT_RANGE = (0.1, 1e6)
 """Range of speed constants (rad/s/V), from the permitted back-EMF constants of a vehicle file."""
 
 
@@ -147,9 +147,9 @@ class DatasheetMotor(ParameterGroup):
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)
-            or not KV_RANGE[0] <= value * units[raw["unit"]] <= KV_RANGE[1]
+            or not SPEED_CONSTANT_RANGE[0] <= value * units[raw["unit"]] <= SPEED_CONSTANT_RANGE[1]
         ):
-            raise model_error(f"{value!r} is out of range", "give {:g} to {:g} rad/s/V".format(*KV_RANGE))
+            raise model_error(f"{value!r} is out of range", "give {:g} to {:g} rad/s/V".format(*SPEED_CONSTANT_RANGE))
         return {**raw, "value": value * units[raw["unit"]], "unit": "rad/s/V"}
 
     @model_validator(mode="after")
@@ -402,7 +402,7 @@ def battery_voltage(battery: Battery, open_circuit_V: ArrayLike, power_W: ArrayL
     return np.where((inside >= 0) & (e > 0), 0.5 * (e + np.sqrt(np.maximum(inside, 0.0))), np.nan)
 
 
-_GAUSS_NODES = 8
+_GAUSS_NODE_COUNT = 8
 
 
 @result
@@ -472,7 +472,7 @@ def hover_endurance(battery: Battery, *, power_W: float, motor_voltage_V: float)
         k = int(below[-1])
         left = float(charge[k] + (rest_end - rest[k]) / (rest[k + 1] - rest[k]) * (charge[k + 1] - charge[k]))
         charge, rest = np.r_[left, charge[k + 1 :]], np.r_[rest_end, rest[k + 1 :]]
-    node, weight = np.polynomial.legendre.leggauss(_GAUSS_NODES)
+    node, weight = np.polynomial.legendre.leggauss(_GAUSS_NODE_COUNT)
     half, middle = 0.5 * np.diff(charge)[:, None], 0.5 * (charge[1:] + charge[:-1])[:, None]
     at = middle + half * node
     current = power_W / battery_voltage(battery, np.interp(at, charge, rest), power_W) + electronics

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 _MAX_NEWTON_STEPS = 20  # the start is an upper bound, above which the polynomial is convex: no step overshoots
 
-GEAR_CURVES = {
+GEAR_CURVE_LABELS = {
     "input_power_W": ("W", "electrical input power"),
     "mechanical_power_W": ("W", "mechanical power at the rotor"),
     "thrust_N": ("N", "thrust"),
@@ -122,7 +122,7 @@ def gear_curve(
     return xr.Dataset(
         {
             name: ("gear_ratio", getattr(point, name), {"units": unit, "long_name": text})
-            for name, (unit, text) in GEAR_CURVES.items()
+            for name, (unit, text) in GEAR_CURVE_LABELS.items()
         },
         coords={"gear_ratio": ("gear_ratio", ratio, {"units": "1", "long_name": "gear ratio"})},
         attrs={"drive": drive.name, "motor_voltage_V": float(point.motor_voltage_V[0])},

@@ -51,7 +51,7 @@ from mufly.vehicle import battery_voltage_range
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-SUPPLY_VOLTAGE_SHARES = (0.01, 3.0)
+SUPPLY_VOLTAGE_FACTORS = (0.01, 3.0)
 """Range of bench supply voltages: factors on the battery's lowest and highest voltage in use."""
 MIN_SPEED_rad_s, MAX_SPEED_rad_s = 1e-2, 2e4  # rad/s; limits of the speeds of rotors
 _rotor_acceleration: Callable[..., Array] = rotor_acceleration.py_func  # the uncompiled function works on arrays
@@ -244,18 +244,22 @@ def find_operating_point(
     if not (np.all(np.isfinite(ratio)) and np.all(ratio > 0)):
         raise InputError(place, "gear_ratio", "is not above 0", "give motor speed over rotor speed")
     low, full = battery_voltage_range(drive.battery)
-    if supply_V is not None and not SUPPLY_VOLTAGE_SHARES[0] * low <= supply_V <= SUPPLY_VOLTAGE_SHARES[1] * full:
+    if supply_V is not None and not SUPPLY_VOLTAGE_FACTORS[0] * low <= supply_V <= SUPPLY_VOLTAGE_FACTORS[1] * full:
         raise ArgumentError(
             "supply_V", "", f"{supply_V:g} V is out of range for {drive.name}, whose battery has {low:g} to "
             f"{full:g} V",
-            f"give {SUPPLY_VOLTAGE_SHARES[0] * low:g} to {SUPPLY_VOLTAGE_SHARES[1] * full:g} V",
+            f"give {SUPPLY_VOLTAGE_FACTORS[0] * low:g} to {SUPPLY_VOLTAGE_FACTORS[1] * full:g} V",
         )  # fmt: skip
     c = replace(own, gear_ratio=ratio.ravel().copy())
     if charge is None:
         supply = _PowerSupply(drive, float(supply_V or float(drive.battery.nominal_voltage)), sags_under_load=False)
     else:
         supply = _PowerSupply(drive, open_circuit_voltage(drive.battery, charge), sags_under_load=True)
-    find = {"thrust_N": _point_at_thrust, "duty": _point_at_duty, "motor_voltage_V": _point_at_voltage}[key]
+    find = {
+        "thrust_N": _operating_point_at_thrust,
+        "duty": _operating_point_at_duty,
+        "motor_voltage_V": _operating_point_at_voltage,
+    }[key]
     point = find(supply, c, load, value)
     return replace(point, **{k: v.reshape(shape) for k, v in vars(point).items()})
 
@@ -287,7 +291,9 @@ class _PowerSupply:
         )
 
 
-def _point_at_thrust(supply: _PowerSupply, c: MotorConstants, load: RotorLoad, thrust: Array) -> OperatingPoint:
+def _operating_point_at_thrust(
+    supply: _PowerSupply, c: MotorConstants, load: RotorLoad, thrust: Array
+) -> OperatingPoint:
     speed, _ = find_speed_for_thrust(load, thrust)
     _, torque = load(np.where(np.isfinite(speed), speed, 1.0), np.arange(thrust.size))
     voltage = supply.voltage_at_power(compute_operating_point(c, speed, thrust, torque, 1.0).input_power_W)
@@ -296,7 +302,7 @@ def _point_at_thrust(supply: _PowerSupply, c: MotorConstants, load: RotorLoad, t
     if np.any(short):
         k = int(np.argmax(short))
         one = c.select_cases(np.array([k]))
-        most = _point_at_duty(supply, one, lambda s, case: load(s, np.full(s.shape, k)), np.ones(1))
+        most = _operating_point_at_duty(supply, one, lambda s, case: load(s, np.full(s.shape, k)), np.ones(1))
         raise MuflyError(
             f"a thrust of {thrust[k]:.4g} N is out of reach: at full duty and gear ratio "
             f"{float(most.gear_ratio[0]):.4g} the drive {supply.drive.name!r} turns this rotor at "
@@ -305,7 +311,7 @@ def _point_at_thrust(supply: _PowerSupply, c: MotorConstants, load: RotorLoad, t
     return point
 
 
-def _point_at_duty(supply: _PowerSupply, c: MotorConstants, load: RotorLoad, duty: Array) -> OperatingPoint:
+def _operating_point_at_duty(supply: _PowerSupply, c: MotorConstants, load: RotorLoad, duty: Array) -> OperatingPoint:
     def terminal_voltage_of(speed: Array, case: Integers) -> Array:
         return supply.voltage_at_duty(c.select_cases(case), duty[case], speed)
 
@@ -316,7 +322,9 @@ def _point_at_duty(supply: _PowerSupply, c: MotorConstants, load: RotorLoad, dut
     return compute_operating_point(c, speed, thrust, torque, terminal_voltage_of(speed, np.arange(duty.size)))
 
 
-def _point_at_voltage(supply: _PowerSupply, c: MotorConstants, load: RotorLoad, voltage: Array) -> OperatingPoint:
+def _operating_point_at_voltage(
+    supply: _PowerSupply, c: MotorConstants, load: RotorLoad, voltage: Array
+) -> OperatingPoint:
     speed, found = find_speed_at_voltage(c, load, voltage)
     thrust, torque = _evaluate_load(supply.drive, load, speed, found)
     fed = supply.voltage_at_power(compute_operating_point(c, speed, thrust, torque, 1.0).input_power_W)

@@ -53,7 +53,7 @@ _Array = NDArray[np.float64]
 _MIN_ROTOR_SPEED_RAD_S = 1e-3  # rad/s
 _MAP_EDGE_TOLERANCE = 1e-6  # steps
 _THRUST, _TORQUE, _DRAG, _SIDE, _ROLL_MOMENT, _PITCH_MOMENT, _LOWER_THRUST, _LOWER_TORQUE, _LOWER_DRAG = range(9)
-"""Indices of the flow's loads in :data:`mufly.vehicle.flight_map.LOAD_COLUMNS`, upper rotor first."""
+"""Indices of the flow's loads in :data:`mufly.vehicle.flight_map.ROTOR_LOAD_COLUMNS`, upper rotor first."""
 _FIRST_LOWER_RATE_LOAD = 4  # first load of rates of the lower rotor
 
 

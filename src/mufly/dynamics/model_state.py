@@ -39,8 +39,8 @@ from mufly.rotations import quaternion_from_euler
 from mufly.rotor.coax_maps import interpolate_map, pack_map_tables
 from mufly.rotor.forward.edgewise_map import fit_flight_splines
 from mufly.vehicle import Vehicle
-from mufly.vehicle.coefficient_map import MAP_NODES
-from mufly.vehicle.flight_map import MAP_CLIMBS, MAP_EDGES
+from mufly.vehicle.coefficient_map import MAX_MAP_NODES
+from mufly.vehicle.flight_map import MAX_MAP_ADVANCE_RATIOS, MAX_MAP_CLIMBS
 from mufly.vehicle.vehicle_schema import MAX_LEGS
 
 _Array = NDArray[np.float64]
@@ -200,10 +200,10 @@ class ModelParameters:
     map_start: _Array = _real("first of each", 3)
     map_per_step: _Array = _real("inverse of the step of each", 3)
     map_radius: float = _real("rotor radius", unit="m")
-    thrust_over_speed2_table_up: _Array = _real("upper thrust over the speed's square", MAP_NODES, unit="N s2")
-    torque_over_speed2_table_up: _Array = _real("upper torque over the speed's square", MAP_NODES, unit="N m s2")
-    thrust_over_speed2_table_dw: _Array = _real("lower thrust over the speed's square", MAP_NODES, unit="N s2")
-    torque_over_speed2_table_dw: _Array = _real("lower torque over the speed's square", MAP_NODES, unit="N m s2")
+    thrust_over_speed2_table_up: _Array = _real("upper thrust over the speed's square", MAX_MAP_NODES, unit="N s2")
+    torque_over_speed2_table_up: _Array = _real("upper torque over the speed's square", MAX_MAP_NODES, unit="N m s2")
+    thrust_over_speed2_table_dw: _Array = _real("lower thrust over the speed's square", MAX_MAP_NODES, unit="N s2")
+    torque_over_speed2_table_dw: _Array = _real("lower torque over the speed's square", MAX_MAP_NODES, unit="N m s2")
     swash_phase: float = _real(
         "lag of the lower disc's tilt behind the plate's", unit="rad", source="swash_plate.phase"
     )
@@ -216,9 +216,9 @@ class ModelParameters:
     flight_map_scale: float = _real("rho pi R^3", unit="kg")
     flight_map_radius: float = _real("rotor radius", unit="m", source="rotors.radius")
     flight_map_table: _Array = _real(
-        "spline coefficients of the loads of both rotors", 12 * (MAP_CLIMBS + 2) * MAP_EDGES
+        "spline coefficients of the loads of both rotors", 12 * (MAX_MAP_CLIMBS + 2) * MAX_MAP_ADVANCE_RATIOS
     )
-    flight_map_rate_loads: _Array = _real("loads of roll and pitch rate", 8 * MAP_EDGES)
+    flight_map_rate_loads: _Array = _real("loads of roll and pitch rate", 8 * MAX_MAP_ADVANCE_RATIOS)
 
 
 _PARAMETER_GETTERS = {
@@ -356,7 +356,7 @@ def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]
             )  # fmt: skip
         level = np.array([constants[f] for f in ("thrust_up", "torque_up", "thrust_dw", "torque_dw")]) / unit / there
     *tables, size, start, per_step = pack_map_tables(m)
-    full = np.array([np.concatenate([t, np.full(MAP_NODES - t.size, t[-1])]) for t in tables])
+    full = np.array([np.concatenate([t, np.full(MAX_MAP_NODES - t.size, t[-1])]) for t in tables])
     full *= (level * unit)[:, None]
     return {
         "map_nodes": int(tables[0].size),
@@ -376,8 +376,8 @@ def _flight_map_fields(vehicle: Vehicle) -> dict[str, Any]:
     splines = fit_flight_splines(m.parse_tables())
     padded = {}
     for name, values, room in (
-        ("flight_map_table", splines.coefficient_table, 12 * (MAP_CLIMBS + 2) * MAP_EDGES),
-        ("flight_map_rate_loads", splines.rates, 8 * MAP_EDGES),
+        ("flight_map_table", splines.coefficient_table, 12 * (MAX_MAP_CLIMBS + 2) * MAX_MAP_ADVANCE_RATIOS),
+        ("flight_map_rate_loads", splines.rates, 8 * MAX_MAP_ADVANCE_RATIOS),
     ):
         padded[name] = np.zeros(room)
         padded[name][: values.size] = values.ravel()

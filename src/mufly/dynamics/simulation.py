@@ -356,7 +356,7 @@ def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
     more, less = 1.0 + MAX_INFLOW_CHANGE, (1.0 - MAX_INFLOW_CHANGE) ** 2
     along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else VORTEX_RING_RANGE[0]
     flight_map, band = vehicle.rotors.flight_map, level_speed_band(vehicle)
-    across = math.sqrt((1.0 - less**2) / less) * induced if flight_map is None else flight_map.edges_m_s[0]
+    across = math.sqrt((1.0 - less**2) / less) * induced if flight_map is None else flight_map.velocity_limits_m_s[0]
     return induced, along * induced, min(across, math.inf if band is None else band[1])
 
 

@@ -30,7 +30,7 @@ One = TypeVar("One")
 Words = tuple[str, str]
 """Problem and remedy of an :class:`mufly.errors.InputError`."""
 
-_FAULTS = (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile)
+_UNREADABLE_ANSWER_ERRORS = (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile)
 
 
 def cache_folder(room: str) -> Path | None:
@@ -120,7 +120,7 @@ def read_answer(
         else:
             content = json.loads(path.read_text(encoding="utf-8"))
         found = str(content.pop("question"))
-    except _FAULTS as error:
+    except _UNREADABLE_ANSWER_ERRORS as error:
         if damaged is not None:
             raise InputError(str(where or path), "", *damaged) from error
         return None
@@ -187,7 +187,7 @@ class AnswerLines(Generic[One]):
             for k, line in enumerate(lines[len(head) : -1], len(head)):
                 try:
                     key, one = read(json.loads(line))
-                except _FAULTS:
+                except _UNREADABLE_ANSWER_ERRORS:
                     if damaged is not None:
                         raise InputError(str(path), f"line {k + 1}", *damaged) from None
                     kept, cut = lines[:k], True

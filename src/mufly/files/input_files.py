@@ -117,7 +117,7 @@ def validate_model(model: type[ModelT], tables: Mapping[str, Any], where: str) -
         raise _first_model_error(error, model, where) from None
 
 
-TOO_MANY_DIGITS = ("a whole number of more than 300 digits", "give a value of ordinary size")
+TOO_MANY_DIGITS_ERROR = ("a whole number of more than 300 digits", "give a value of ordinary size")
 _MAX_ORDINARY_INTEGER = 10**300
 
 
@@ -148,7 +148,7 @@ def _first_model_error(error: ValidationError, model: type[BaseModel], where: st
         # A tuple that is too short is reported at its first missing place.
         kind, loc = "length", loc[:-1]
     key = _dotted_key(loc)
-    beside = _model_at(model, loc[:-1])
+    beside = _model_at_location(model, loc[:-1])
     field = beside.model_fields.get(str(loc[-1])) if loc else None
     meaning = (field.description or "") if field is not None else ""
     if kind == "mufly":
@@ -169,7 +169,7 @@ def _first_model_error(error: ValidationError, model: type[BaseModel], where: st
     elif kind == "finite_number":
         problem, remedy = f"{given} is not a finite number", "give a finite number"
     elif isinstance(given, int) and abs(given) > _MAX_ORDINARY_INTEGER:
-        problem, remedy = TOO_MANY_DIGITS
+        problem, remedy = TOO_MANY_DIGITS_ERROR
     elif kind in _TYPE_WORDS:
         what, remedy = _TYPE_WORDS[kind]
         problem = f"{_shorten_value(given)} is not {what}"
@@ -235,7 +235,7 @@ def nested_model(annotation: Any) -> type[BaseModel] | None:
     return None
 
 
-def _model_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> type[BaseModel]:
+def _model_at_location(model: type[BaseModel], loc: tuple[int | str, ...]) -> type[BaseModel]:
     for part in loc:
         field = model.model_fields.get(str(part))
         inner = nested_model(field.annotation) if field is not None else None

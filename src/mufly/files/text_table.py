@@ -270,7 +270,7 @@ def read_text_table(path: str | Path, *, short_rows: Literal["refuse", "cut", "d
     header = [" ".join(c.split()) for c in header]
     table = TextTable(where, header, units, rows, numbers, separator, decimal, notes, preamble, damage, 0)
     widths = count_cells(rows, separator)
-    return table if all(w == len(header) for w in widths) else _with_fitting_rows(table, widths, short_rows)
+    return table if all(w == len(header) for w in widths) else _drop_misfit_rows(table, widths, short_rows)
 
 
 def decode_text(raw: bytes) -> str:
@@ -543,7 +543,7 @@ def _units_below(rows: Sequence[str], width: int, separator: str, decimal: str) 
     return units if sum(map(bool, units)) >= max(1, sum(map(bool, cells)) // 2) else []
 
 
-def _with_fitting_rows(table: TextTable, widths: list[int], short_rows: str) -> TextTable:
+def _drop_misfit_rows(table: TextTable, widths: list[int], short_rows: str) -> TextTable:
     """Return the table with rows as wide as the header, and notes on omitted rows."""
     wanted, separator, lines = len(table.header), table.separator, table.lines
     rows = [

@@ -47,30 +47,30 @@ from mufly.flight.policy.observation import (
     heading_direction,
     map_action,
 )
-from mufly.gym.fleet import LEAST_CHARGE
+from mufly.gym.fleet import MIN_START_CHARGE
 from mufly.gym.tasks import (
-    COLUMN_COUNT,
     COLUMN_SIZE,
-    OBSTACLE,
-    WAYPOINT,
+    OBSTACLE_COLUMN_COUNT,
+    TASK_OBSTACLE,
+    TASK_WAYPOINT,
     draw_waypoint,
     judge_step,
     place_task,
     shift_task,
 )
 from mufly.sensors.rng import draw_normals, draw_uniforms
-from mufly.world.obstacles import first_hit, packed_obstacle_distances
+from mufly.world.obstacles import first_hit_distance, packed_obstacle_distances
 
 _Array = NDArray[np.float64]
 _Ints = NDArray[np.int64]
 
-_UNIFORMS = 40  # drawn at the start of an episode
+_UNIFORMS_PER_EPISODE = 40  # drawn at the start of an episode
 _START_TILT_RAD, _START_SPEED_M_S, _START_RATE_rad_s = 0.15, 0.3, 0.3
-ERR_POSITION, ERR_HEADING, ERR_LEVEL, ERROR_SIZE = 0, 3, 4, 6
+ERR_POSITION, ERR_HEADING, ERR_TILT, ERR_COUNT = 0, 3, 4, 6
 """Indices of the correlated errors of an estimate."""
-WHITE_POSITION, WHITE_VELOCITY, WHITE_HEADING, WHITE_RATES = 0, 1, 2, 3
+WHITE_NOISE_POSITION, WHITE_NOISE_VELOCITY, WHITE_NOISE_HEADING, WHITE_NOISE_RATES = 0, 1, 2, 3
 """Indices of the standard deviations of an estimate's white errors."""
-DRAW_POSITION, DRAW_VELOCITY, DRAW_RATES, DRAW_HEADING, DRAW_DRIFT = 0, 3, 6, 9, 10
+DRAWN_POSITION_NOISE, DRAWN_VELOCITY_NOISE, DRAWN_RATE_NOISE, DRAWN_HEADING_NOISE, DRAWN_ERROR_DRIFT = 0, 3, 6, 9, 10
 """First indices, in the normal numbers of a step, of those for white and for correlated errors."""
 
 
@@ -87,7 +87,7 @@ class EpisodeArrays(NamedTuple):
         Target and the target after it (m).
     heading : (n, 2) array
         Cosine and sine of the target heading.
-    action, inputs_before, inputs : (n, 4) array
+    action, previous_inputs, inputs : (n, 4) array
         Action, and inputs of the flight model in the preceding step and in this one.
     wind : (n, 3) array
         Velocity of the air (m/s).
@@ -109,7 +109,7 @@ class EpisodeArrays(NamedTuple):
     next_target: _Array
     heading: _Array
     action: _Array
-    inputs_before: _Array
+    previous_inputs: _Array
     inputs: _Array
     wind: _Array
     vehicle: _Ints
@@ -130,7 +130,7 @@ class EpisodeSettings(NamedTuple):
 
     Attributes
     ----------
-    kind, most_steps : int
+    kind, max_steps : int
         Index of the task, and steps of an episode.
     delay : int
         Greatest delay of an action, in integration steps.
@@ -144,7 +144,7 @@ class EpisodeSettings(NamedTuple):
         Bounds of an observation.
     has_errors : bool
         Whether an observation has errors.
-    in_hover : bool
+    starts_in_hover : bool
         Whether episodes start in the hover of a flight, and not turned and moving.
     decay, sigma : (6,) array
         Decay in a step and standard deviation of the correlated errors.
@@ -153,7 +153,7 @@ class EpisodeSettings(NamedTuple):
     """
 
     kind: int
-    most_steps: int
+    max_steps: int
     delay: int
     trim: _Array
     nominal_V: float
@@ -162,7 +162,7 @@ class EpisodeSettings(NamedTuple):
     low: _Array
     high: _Array
     has_errors: bool
-    in_hover: bool
+    starts_in_hover: bool
     decay: _Array
     sigma: _Array
     white: _Array
@@ -172,17 +172,31 @@ def make_episodes(count: int) -> EpisodeArrays:
     """Return the arrays of ``count`` environments before their first episode."""
     n = count
 
-    def whole() -> _Ints:
+    def zero_integers() -> _Ints:
         return np.zeros(n, dtype=np.int64)
 
     return EpisodeArrays(
-        state=np.zeros((n, STATE_SIZE)), source=np.zeros(n, dtype=np.uint64), target=np.zeros((n, 3)),
-        next_target=np.zeros((n, 3)), heading=np.zeros((n, 2)), action=np.zeros((n, ACTION_SIZE)),
-        inputs_before=np.zeros((n, 4)), inputs=np.zeros((n, 4)), wind=np.zeros((n, 3)), vehicle=whole(),
-        wind_series=whole(), wind_sample=whole(), delay=whole(), steps=whole(), distance=np.zeros(n),
-        speed=np.zeros(n), change=np.zeros(n), error=np.zeros((n, ERROR_SIZE)),
-        columns=np.zeros((n, COLUMN_COUNT, COLUMN_SIZE)), reached=whole(),
-    )  # fmt: skip
+        state=np.zeros((n, STATE_SIZE)),
+        source=np.zeros(n, dtype=np.uint64),
+        target=np.zeros((n, 3)),
+        next_target=np.zeros((n, 3)),
+        heading=np.zeros((n, 2)),
+        action=np.zeros((n, ACTION_SIZE)),
+        previous_inputs=np.zeros((n, 4)),
+        inputs=np.zeros((n, 4)),
+        wind=np.zeros((n, 3)),
+        vehicle=zero_integers(),
+        wind_series=zero_integers(),
+        wind_sample=zero_integers(),
+        delay=zero_integers(),
+        steps=zero_integers(),
+        distance=np.zeros(n),
+        speed=np.zeros(n),
+        change=np.zeros(n),
+        error=np.zeros((n, ERR_COUNT)),
+        columns=np.zeros((n, OBSTACLE_COLUMN_COUNT, COLUMN_SIZE)),
+        reached=zero_integers(),
+    )
 
 
 @cached_njit(error_model="numpy")
@@ -202,7 +216,7 @@ def start_episodes(
     ``states`` (k, 21), ``inputs`` (k, 4) and ``series`` (k,) are those of the fleet in hover, ``winds`` is
     (w, samples, 3).
     """
-    r, start = np.empty(_UNIFORMS), np.empty(3)
+    r, start = np.empty(_UNIFORMS_PER_EPISODE), np.empty(3)
     for k in range(which.size):
         if not which[k]:
             continue
@@ -216,7 +230,7 @@ def start_episodes(
         place_task(s.kind, r[14:], start, e.target[k], e.next_target[k], e.columns[k])
         # Start heading, and target heading within a quarter turn of it; no heading to hold on the way to a target.
         yaw = math.pi * (2.0 * r[4] - 1.0)
-        if s.in_hover:
+        if s.starts_in_hover:
             shift_task(s.kind, start, x[POSITION], e.target[k])
             c, sn = heading_direction(
                 x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
@@ -226,19 +240,19 @@ def start_episodes(
             copy_numbers(start, x[POSITION])
         wanted = yaw + 0.5 * math.pi * (2.0 * r[5] - 1.0)
         e.heading[k, 1], e.heading[k, 0] = sine_cosine(wanted)
-        if not s.in_hover:
+        if not s.starts_in_hover:
             roll, pitch = _START_TILT_RAD * (2.0 * r[6] - 1.0), _START_TILT_RAD * (2.0 * r[7] - 1.0)
             _set_attitude(x, roll, pitch, yaw)
             for i in range(3):
                 x[MODEL_VELOCITY + i] = _START_SPEED_M_S * (2.0 * r[8 + i] - 1.0)
                 x[MODEL_RATES + i] = _START_RATE_rad_s * (2.0 * r[11 + i] - 1.0)
-            x[MODEL_CHARGE] = LEAST_CHARGE + (1.0 - LEAST_CHARGE) * r[39]
+            x[MODEL_CHARGE] = MIN_START_CHARGE + (1.0 - MIN_START_CHARGE) * r[39]
         copy_numbers(inputs[e.vehicle[k]], e.inputs[k])
         copy_numbers(winds[e.wind_series[k], e.wind_sample[k]], e.wind[k])
         for i in range(ACTION_SIZE):
             e.action[k, i] = 0.0
         e.steps[k], e.reached[k], e.change[k] = 0, 0, 0.0
-        e.distance[k], e.speed[k] = _distance(x, e.target[k]), _speed(x)
+        e.distance[k], e.speed[k] = _target_distance(x, e.target[k]), _speed(x)
         if s.has_errors:
             draw_normals(e.source[k : k + 1], e.error[k])
 
@@ -259,7 +273,7 @@ def _set_attitude(x: _Array, roll: float, pitch: float, yaw: float) -> None:
 
 
 @cached_njit(error_model="numpy")
-def _distance(x: _Array, target: _Array) -> float:
+def _target_distance(x: _Array, target: _Array) -> float:
     n, e, d = target[0] - x[MODEL_POSITION], target[1] - x[MODEL_POSITION + 1], target[2] - x[MODEL_POSITION + 2]
     return math.sqrt(n * n + e * e + d * d)
 
@@ -287,7 +301,7 @@ def command_episodes(
             change += (a - e.action[k, i]) ** 2
             e.action[k, i] = a
         e.change[k] = change
-        copy_numbers(e.inputs[k], e.inputs_before[k])
+        copy_numbers(e.inputs[k], e.previous_inputs[k])
         map_action(e.action[k], s.trim, e.inputs[k])
         e.wind_sample[k] = (e.wind_sample[k] + 1) % winds.shape[1]
         copy_numbers(winds[e.wind_series[k], e.wind_sample[k]], e.wind[k])
@@ -303,7 +317,7 @@ def move_episodes(
     """
     blocks = lay_out_blocks(group[e.vehicle])
     integrate_lanes(
-        e.state, e.inputs_before, e.inputs, e.delay, e.wind, fleet, e.vehicle, blocks, dt, steps, threads=threads
+        e.state, e.previous_inputs, e.inputs, e.delay, e.wind, fleet, e.vehicle, blocks, dt, steps, threads=threads
     )
 
 
@@ -319,10 +333,10 @@ def judge_episodes(
             continue
         x = e.state[k]
         p = fleet[e.vehicle[k]]
-        now = _distance(x, e.target[k])
+        now = _target_distance(x, e.target[k])
         touches = x[MODEL_POSITION + 2] + p.contact_reach > 0.0 and lowest_point(x, p)[0] > 0.0
         collides = False
-        if s.kind == OBSTACLE:
+        if s.kind == TASK_OBSTACLE:
             near = packed_obstacle_distances(x[POSITION].reshape(1, 3), boxes, e.columns[k], s.limits)[0][0]
             collides = not near > s.radius
         w, i, j, z = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
@@ -336,14 +350,14 @@ def judge_episodes(
         )  # fmt: skip
         if success[k]:
             e.reached[k] += 1
-            if s.kind == WAYPOINT:
+            if s.kind == TASK_WAYPOINT:
                 copy_numbers(e.next_target[k], e.target[k])
                 draw_uniforms(e.source[k : k + 1], r)
                 draw_waypoint(r, e.next_target[k])
-                now = _distance(x, e.target[k])
+                now = _target_distance(x, e.target[k])
         e.distance[k] = now
         e.steps[k] += 1
-        truncated[k] = not terminated[k] and e.steps[k] >= s.most_steps
+        truncated[k] = not terminated[k] and e.steps[k] >= s.max_steps
 
 
 @cached_njit(error_model="numpy", nogil=True)
@@ -357,7 +371,7 @@ def observe_episodes(
     voltages (V), NaN for the true one.
     """
     row, boxes = np.empty(s.low.size), np.empty((0, 8))
-    error, velocity, rates, white = np.empty(3), np.empty(3), np.empty(3), np.empty(DRAW_DRIFT + ERROR_SIZE)
+    error, velocity, rates, white = np.empty(3), np.empty(3), np.empty(3), np.empty(DRAWN_ERROR_DRIFT + ERR_COUNT)
     for k in range(which.size):
         if not which[k]:
             continue
@@ -377,17 +391,19 @@ def observe_episodes(
             for i in range(3):
                 error[i] -= (
                     s.sigma[ERR_POSITION + i] * drift[ERR_POSITION + i]
-                    + s.white[WHITE_POSITION] * white[DRAW_POSITION + i]
+                    + s.white[WHITE_NOISE_POSITION] * white[DRAWN_POSITION_NOISE + i]
                 )
-                velocity[i] += s.white[WHITE_VELOCITY] * white[DRAW_VELOCITY + i]
-                rates[i] += s.white[WHITE_RATES] * white[DRAW_RATES + i]
-            noise = s.white[WHITE_HEADING] * white[DRAW_HEADING]
+                velocity[i] += s.white[WHITE_NOISE_VELOCITY] * white[DRAWN_VELOCITY_NOISE + i]
+                rates[i] += s.white[WHITE_NOISE_RATES] * white[DRAWN_RATE_NOISE + i]
+            noise = s.white[WHITE_NOISE_HEADING] * white[DRAWN_HEADING_NOISE]
             turn_s, turn_c = sine_cosine(s.sigma[ERR_HEADING] * drift[ERR_HEADING] + noise)
             c, sn = c * turn_c - sn * turn_s, sn * turn_c + c * turn_s
-            down_x -= s.sigma[ERR_LEVEL + 1] * drift[ERR_LEVEL + 1]
-            down_y += s.sigma[ERR_LEVEL] * drift[ERR_LEVEL]
-            for i in range(ERROR_SIZE):
-                drift[i] = s.decay[i] * drift[i] + math.sqrt(1.0 - s.decay[i] * s.decay[i]) * white[DRAW_DRIFT + i]
+            down_x -= s.sigma[ERR_TILT + 1] * drift[ERR_TILT + 1]
+            down_y += s.sigma[ERR_TILT] * drift[ERR_TILT]
+            for i in range(ERR_COUNT):
+                drift[i] = (
+                    s.decay[i] * drift[i] + math.sqrt(1.0 - s.decay[i] * s.decay[i]) * white[DRAWN_ERROR_DRIFT + i]
+                )
         voltage = volts[k]
         if voltage != voltage:
             voltage = battery_state(e.state[k], e.inputs[k, U_MOTOR_UPPER], e.inputs[k, U_MOTOR_LOWER], p)[0]
@@ -395,17 +411,17 @@ def observe_episodes(
             row, error, velocity, (down_x, down_y, down_z), rates, (c, sn), (e.heading[k, 0], e.heading[k, 1]),
             voltage / s.nominal_V, e.action[k], -e.target[k, 2] + error[2],
         )  # fmt: skip
-        if s.kind == WAYPOINT:
+        if s.kind == TASK_WAYPOINT:
             north, east = (
                 e.next_target[k, 0] - e.target[k, 0] + error[0],
                 e.next_target[k, 1] - e.target[k, 1] + error[1],
             )
             row[OBS_TASK_INPUTS], row[OBS_TASK_INPUTS + 1] = c * north + sn * east, c * east - sn * north
             row[OBS_TASK_INPUTS + 2] = e.next_target[k, 2] - e.target[k, 2] + error[2]
-        elif s.kind == OBSTACLE:
+        elif s.kind == TASK_OBSTACLE:
             for i in range(OBSERVED_RANGE_COUNT):
                 sa, ca = sine_cosine(i * 2.0 * math.pi / OBSERVED_RANGE_COUNT)
-                row[OBS_TASK_INPUTS + i] = first_hit(
+                row[OBS_TASK_INPUTS + i] = first_hit_distance(
                     e.state[k, :3], c * ca - sn * sa, sn * ca + c * sa, 0.0, MAX_RANGE_M, boxes, e.columns[k], s.limits
                 )
         for i in range(row.size):

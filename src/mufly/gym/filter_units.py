@@ -5,8 +5,8 @@ first episode, :func:`prepare_starts` flies units with the flight software into 
 instants. An episode starts as a copy of a stored unit with new random numbers. The filter is therefore settled, and
 biases, mounting errors and the wander of the position fix are those of a flight.
 
-Units have no ring of range beams (:func:`without_ring`): it costs as much as all other sensors, and the filter uses it
-only with walls known in advance, which no task has. The distances that ``Obstacle`` observes are exact.
+Units have no ring of range beams (:func:`remove_range_ring`): it costs as much as all other sensors, and the filter
+uses it only with walls known in advance, which no task has. The distances that ``Obstacle`` observes are exact.
 
 All arrays of a unit stand in one row of bytes, so that a start copies one row. Compiled code finds a unit by the
 address of its arrays (:func:`mufly.compiled.numba_intrinsics.store_tuple`): one call steps all units, period by period
@@ -57,8 +57,8 @@ from mufly.firmware.quick.compiled_loop import (
 from mufly.flight.mission_flight import align_and_start
 from mufly.flight.period_stages import CONTINUE_LOOP, LOOP_DONE, make_stepper
 from mufly.flight.simulated_flight import Flight
-from mufly.gym.fleet import LEAST_CHARGE, Fleet
-from mufly.gym.tasks import OBSTACLE, OBSTACLE_START_NORTH_M, OBSTACLE_TARGET_HEIGHT_M
+from mufly.gym.fleet import MIN_START_CHARGE, Fleet
+from mufly.gym.tasks import OBSTACLE_START_NORTH_M, OBSTACLE_TARGET_HEIGHT_M, TASK_OBSTACLE
 from mufly.mission import Mission, State
 from mufly.sensors import FittedSensors, Imu
 from mufly.sensors.faults import FaultySensor
@@ -72,14 +72,14 @@ _Bytes = NDArray[np.uint8]
 
 STARTS_PER_FLIGHT, START_INTERVAL_S = 4, 1.0
 """Instants of a flight in hover that episodes start from, and the time between them."""
-HEIGHTS_M = (0.7, 1.5)
+HOVER_HEIGHT_RANGE_M = (0.7, 1.5)
 """Least and greatest height of these flights; those of Obstacle are at 1 m."""
 _SETTLING_S, _FLIGHT_TIMEOUT_S = 3.0, 40.0
-_MOST_ATTEMPTS = 20
-_NO_TEXTS = np.zeros(1, np.int64)  # nobody reads the reasons of a unit's sensor checks
-_ALIGNMENT = 64  # bytes, of every array
-_VOLTAGE = READING_STARTS[READING_BATTERY]
-_BITS, _SHIFT, _STRIDE = 2.0**53, np.uint64(11), np.uint64(0x9E3779B97F4A7C15)
+_MAX_DRAW_ATTEMPTS = 20
+_NO_REASON_TEXTS = np.zeros(1, np.int64)  # nobody reads the reasons of a unit's sensor checks
+_ARRAY_ALIGNMENT_BYTES = 64  # bytes, of every array
+_VOLTAGE_START = READING_STARTS[READING_BATTERY]
+_UNIFORM_RANGE, _UNIFORM_SHIFT, _SEED_STRIDE = 2.0**53, np.uint64(11), np.uint64(0x9E3779B97F4A7C15)
 
 
 class UnitPeriods(NamedTuple):
@@ -172,7 +172,7 @@ def _read_unit(p: UnitPeriods, state: _Array, estimate: _Array) -> float:
         estimate[MODEL_RATES + i] = f.rates[i]
     for i in range(4):
         estimate[MODEL_ATTITUDE + i] = f.state[NOMINAL_ATTITUDE + i]
-    volts = f.values[_VOLTAGE]
+    volts = f.values[_VOLTAGE_START]
     return volts if volts > 0.0 else math.nan
 
 
@@ -214,7 +214,9 @@ def _renew_sources(source: NDArray[np.uint64], sources: NDArray[np.uint64]) -> N
     r = np.empty(2)
     for k in range(sources.size):
         draw_uniforms(source, r)
-        sources[k] = (np.uint64(r[0] * _BITS) << _SHIFT) ^ (np.uint64(r[1] * _BITS) * _STRIDE)
+        sources[k] = (np.uint64(r[0] * _UNIFORM_RANGE) << _UNIFORM_SHIFT) ^ (
+            np.uint64(r[1] * _UNIFORM_RANGE) * _SEED_STRIDE
+        )
 
 
 # ----------------------------------------------------------------------------
@@ -230,25 +232,27 @@ def _list_arrays(parts: Any) -> Iterator[NDArray[Any]]:
         yield np.asarray(parts) if isinstance(parts, np.ndarray) else np.ndarray((1,), parts.dtype, parts.data)
 
 
-class UnitRoom:
+class UnitMemoryLayout:
     """Places of all arrays of a unit in a row of bytes."""
 
     def __init__(self, like: UnitPeriods, memory: NDArray[np.void], filtered: KalmanEstimator) -> None:
         self._like, self._filter = like, filtered
-        self._shapes = [(a.shape, a.dtype) for a in self._list_own(like, memory)]
+        self._shapes = [(a.shape, a.dtype) for a in self._list_unit_arrays(like, memory)]
         sizes = [math.prod(shape) * kind.itemsize for shape, kind in self._shapes]
-        self._starts = np.concatenate([[0], np.cumsum([-(-n // _ALIGNMENT) * _ALIGNMENT for n in sizes])]).astype(int)
+        self._starts = np.concatenate(
+            [[0], np.cumsum([-(-n // _ARRAY_ALIGNMENT_BYTES) * _ARRAY_ALIGNMENT_BYTES for n in sizes])]
+        ).astype(int)
         self.size = int(self._starts[-1])
         self.sources = [k for k, (_, kind) in enumerate(self._shapes) if kind == np.uint64]
 
     @staticmethod
-    def _list_own(p: UnitPeriods, memory: NDArray[np.void]) -> list[NDArray[Any]]:
+    def _list_unit_arrays(p: UnitPeriods, memory: NDArray[np.void]) -> list[NDArray[Any]]:
         """Return what a row holds: the filter's memory, its readings, and all other arrays."""
         f = p.filter
         rest = (p.clock, p.plant, p.software, p.ranges, p.sensors, p.command, p.delay)
         return [memory, f.values, f.is_new, f.age, f.reading_times, f.ring_scans, *_list_arrays(rest)]
 
-    def views(self, row: _Bytes) -> list[NDArray[Any]]:
+    def row_views(self, row: _Bytes) -> list[NDArray[Any]]:
         """Return the arrays in a row."""
         return [
             np.ndarray(shape, kind, row.data, int(start))
@@ -263,22 +267,22 @@ class UnitRoom:
         MuflyError
             If its arrays have other sizes.
         """
-        given = self._list_own(p, memory)
+        given = self._list_unit_arrays(p, memory)
         if [(a.shape, a.dtype) for a in given] != self._shapes:
             raise MuflyError(
                 "the drawn vehicles need records of different sizes; do not vary delays or numbers of beams"
             )
-        for to, of in zip(self.views(row), given, strict=True):
+        for to, of in zip(self.row_views(row), given, strict=True):
             to[...] = of
 
-    def place_unit(self, row: _Bytes) -> UnitPeriods:
+    def unit_from_row(self, row: _Bytes) -> UnitPeriods:
         """Return a unit whose arrays are those of a row."""
-        memory, values, is_new, age, times, scans, *rest = self.views(row)
+        memory, values, is_new, age, times, scans, *rest = self.row_views(row)
         found = iter(rest)
 
-        def put(parts: Any) -> Any:
+        def with_own_arrays(parts: Any) -> Any:
             if isinstance(parts, tuple):
-                inside = [put(part) for part in parts]
+                inside = [with_own_arrays(part) for part in parts]
                 return type(parts)(*inside) if hasattr(parts, "_fields") else tuple(inside)
             if isinstance(parts, np.ndarray):
                 return next(found)
@@ -286,10 +290,10 @@ class UnitRoom:
 
         like = self._like
         clock, plant, software, ranges, sensors, command, delay = (
-            put(part) for part in (like.clock, like.plant, like.software, like.ranges, like.sensors, like.command,
-                                   like.delay)
-        )  # fmt: skip
-        own = make_filter_arrays(self._filter, _NO_TEXTS, (memory, values, is_new, age, times, scans))
+            with_own_arrays(part)
+            for part in (like.clock, like.plant, like.software, like.ranges, like.sensors, like.command, like.delay)
+        )
+        own = make_filter_arrays(self._filter, _NO_REASON_TEXTS, (memory, values, is_new, age, times, scans))
         return UnitPeriods(clock, plant, software, ranges, sensors, own, command, delay)
 
 
@@ -297,7 +301,7 @@ class UnitRoom:
 # Flights into hover
 
 
-def without_ring(vehicle: Vehicle) -> Vehicle:
+def remove_range_ring(vehicle: Vehicle) -> Vehicle:
     """Return a vehicle without the sensor of the range beams."""
     if vehicle.sensors is None:
         return vehicle
@@ -306,7 +310,7 @@ def without_ring(vehicle: Vehicle) -> Vehicle:
 
 def hover_mission(kind: int, height_m: float, heading_deg: float) -> Mission:
     """Return the mission that hovers at the start of a task, given by its index."""
-    north = OBSTACLE_START_NORTH_M if kind == OBSTACLE else 0.0
+    north = OBSTACLE_START_NORTH_M if kind == TASK_OBSTACLE else 0.0
     return Mission.model_validate({
         "name": "hover", "start_m": [north, 0.0], "start_heading_deg": heading_deg,
         "take_off": {"height_m": height_m, "wait_s": 0.0}, "at_end": "hover", "avoidance": {"enabled": False},
@@ -314,7 +318,7 @@ def hover_mission(kind: int, height_m: float, heading_deg: float) -> Mission:
     })  # fmt: skip
 
 
-def read_flight(flight: Flight, steps_per_period: int) -> tuple[UnitPeriods, NDArray[np.void]]:
+def extract_unit_arrays(flight: Flight, steps_per_period: int) -> tuple[UnitPeriods, NDArray[np.void]]:
     """Return the arrays of a flight as a unit's, and the memory of its filter."""
     plant, filtered, sensors = flight.plant, flight.estimator, flight.sensors
     assert isinstance(filtered, KalmanEstimator)
@@ -344,7 +348,7 @@ def read_flight(flight: Flight, steps_per_period: int) -> tuple[UnitPeriods, NDA
     unit = UnitPeriods(
         clock, on_plant, software, filtered.ranges,
         SensorArrays(imu.sampling_arguments(flight.period_s), quiet, has_come, readings, of_sensors),
-        make_filter_arrays(filtered, _NO_TEXTS),
+        make_filter_arrays(filtered, _NO_REASON_TEXTS),
         np.zeros((2, 4)), np.zeros(1, np.int64),
     )  # fmt: skip
     return unit, filtered.memory_array
@@ -364,13 +368,13 @@ def fly_to_hover(
         return None
     while flight.time_s < _FLIGHT_TIMEOUT_S and not flight.plant.crash_cause:
         if flight.autopilot.software.state == State.HOVER:
-            _advance_by(flight, _SETTLING_S)
+            _advance_flight(flight, _SETTLING_S)
             return flight
         flight.advance_until(flight.plant.period_count + round(0.1 * flight.plant.rate_Hz))
     return None
 
 
-def _advance_by(flight: Flight, time_s: float) -> None:
+def _advance_flight(flight: Flight, time_s: float) -> None:
     until = flight.plant.period_count + round(time_s * flight.plant.rate_Hz)
     while flight.plant.period_count < until:
         flight.advance_until(until)
@@ -378,7 +382,7 @@ def _advance_by(flight: Flight, time_s: float) -> None:
 
 def prepare_starts(
     nominal: Vehicle, fleet: Fleet, kind: int, winds: _Array, period_s: float, count: int, seed: int
-) -> tuple[UnitStarts, UnitRoom]:
+) -> tuple[UnitStarts, UnitMemoryLayout]:
     """Fly the vehicles of a fleet into hover, and return their units at several instants.
 
     Controllers and filter are designed for the nominal vehicle. Each flight has a sensor error, a heading, a battery
@@ -409,7 +413,7 @@ def prepare_starts(
         raise ArgumentError("sensors", "", f"{nominal.name} has no sensors.imu", "use 'ideal' sensors")
     if why := explain_numba_choice(nominal):
         raise MuflyError(f"sensors='fitted' needs the filter in C, but {why}; use 'noisy' sensors")
-    nominal, controller = without_ring(nominal), design_flight_controller(nominal)
+    nominal, controller = remove_range_ring(nominal), design_flight_controller(nominal)
     periods = round(period_s * controller.rate_Hz)
     if periods < 1 or abs(periods / controller.rate_Hz - period_s) > 1e-9:
         whole = 1e3 / controller.rate_Hz
@@ -417,32 +421,32 @@ def prepare_starts(
     rng = np.random.default_rng([seed, 2])
     rows: list[_Bytes] = []
     parts: list[tuple[Any, _Array, _Array, int, Vehicle]] = []
-    room: UnitRoom | None = None
+    room: UnitMemoryLayout | None = None
     like: UnitPeriods | None = None
     kept: Any = None
-    flights, attempts_left = 0, _MOST_ATTEMPTS + 2 * count
+    flights, attempts_left = 0, _MAX_DRAW_ATTEMPTS + 2 * count
     while flights < count:
         if (attempts_left := attempts_left - 1) < 0:
             raise MuflyError(f"only {flights} of {count} vehicles reach hover on their sensors; vary less")
-        vehicle = without_ring(fleet.vehicles[flights % len(fleet.vehicles)])
-        height = OBSTACLE_TARGET_HEIGHT_M if kind == OBSTACLE else float(rng.uniform(*HEIGHTS_M))
+        vehicle = remove_range_ring(fleet.vehicles[flights % len(fleet.vehicles)])
+        height = OBSTACLE_TARGET_HEIGHT_M if kind == TASK_OBSTACLE else float(rng.uniform(*HOVER_HEIGHT_RANGE_M))
         mission = hover_mission(kind, height, float(rng.uniform(-180.0, 180.0)))
-        charge = LEAST_CHARGE + (1.0 - LEAST_CHARGE) * float(rng.random())
+        charge = MIN_START_CHARGE + (1.0 - MIN_START_CHARGE) * float(rng.random())
         wind = winds[flights % len(winds)].mean(axis=0)
         flight = fly_to_hover(vehicle, nominal, controller, mission, wind, charge, int(rng.integers(2**31)))
         if flight is None:
             continue
         for k in range(STARTS_PER_FLIGHT):
-            unit, memory = read_flight(flight, periods)
+            unit, memory = extract_unit_arrays(flight, periods)
             if room is None:
-                room, like, kept = UnitRoom(unit, memory, cast(KalmanEstimator, flight.estimator)), unit, flight
+                room, like, kept = UnitMemoryLayout(unit, memory, cast(KalmanEstimator, flight.estimator)), unit, flight
             row = np.zeros(room.size, np.uint8)
             room.write_row(unit, memory, row)
             rows.append(row)
             inputs = np.array(flight.acting_actuators.input_array, dtype=np.float64)
             parts.append((flight.plant.parameters, flight.plant.state.copy(), inputs, flights % len(winds), vehicle))
             if k + 1 < STARTS_PER_FLIGHT:
-                _advance_by(flight, START_INTERVAL_S)
+                _advance_flight(flight, START_INTERVAL_S)
         flights += 1
     assert room is not None
     assert like is not None
@@ -463,7 +467,7 @@ class FilterUnits:
     Parameters
     ----------
     starts : UnitStarts
-    room : UnitRoom
+    room : UnitMemoryLayout
     count : int
         Number of environments.
     periods : int
@@ -479,14 +483,14 @@ class FilterUnits:
         Measured voltage (V).
     """
 
-    def __init__(self, starts: UnitStarts, room: UnitRoom, count: int, periods: int, threads: int) -> None:
+    def __init__(self, starts: UnitStarts, room: UnitMemoryLayout, count: int, periods: int, threads: int) -> None:
         self._starts, self._periods = starts, periods
         self._rows = np.zeros((count, room.size), np.uint8)
         self._rows[:] = starts.rows[0]
-        self._units = [room.place_unit(row) for row in self._rows]
-        self._sources = [[room.views(row)[k] for k in room.sources] for row in self._rows]
+        self._units = [room.unit_from_row(row) for row in self._rows]
+        self._sources = [[room.row_views(row)[k] for k in room.sources] for row in self._rows]
         size = _measure_unit(self._units[0])
-        self._stored = np.zeros((count, -(-size // _ALIGNMENT) * _ALIGNMENT), np.uint8)
+        self._stored = np.zeros((count, -(-size // _ARRAY_ALIGNMENT_BYTES) * _ARRAY_ALIGNMENT_BYTES), np.uint8)
         self._addresses = self._stored.ctypes.data + self._stored.shape[1] * np.arange(count, dtype=np.int64)
         for unit, address in zip(self._units, self._addresses.tolist(), strict=True):
             _store_unit(unit, address)
@@ -512,7 +516,7 @@ class FilterUnits:
     def _step(self, e: Any, periods: int) -> None:
         def step_part(part: slice) -> None:
             _step_units(
-                self._addresses[part], self._starts.like, e.inputs_before[part], e.inputs[part], e.delay[part],
+                self._addresses[part], self._starts.like, e.previous_inputs[part], e.inputs[part], e.delay[part],
                 e.wind[part], periods, e.state[part], self.estimate[part], self.volts[part],
             )  # fmt: skip
 

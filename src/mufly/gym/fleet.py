@@ -33,14 +33,14 @@ _Array = NDArray[np.float64]
 TRIM_CHARGE = 0.8
 """Charge of the battery at which the inputs of hover are computed."""
 
-LEAST_CHARGE = 0.5
+MIN_START_CHARGE = 0.5
 """Least charge of the battery at the start of an episode."""
 
-MAX_TRIM_INPUT = 0.95
+MAX_TRIM_MOTOR_INPUT = 0.95
 """Greatest motor input of a drawn vehicle in hover at the least charge; others are drawn again."""
 
 _WIND_SERIES_S = 60.0
-_MOST_ATTEMPTS = 20  # for each vehicle of the fleet
+_MAX_DRAW_ATTEMPTS = 20  # for each vehicle of the fleet
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,17 +96,17 @@ def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> 
     made: list[tuple[np.void, _Array, _Array]] = []
     vehicles: list[Vehicle] = []
     refused = ""
-    for _ in range(_MOST_ATTEMPTS * count if variations else 1):
+    for _ in range(_MAX_DRAW_ATTEMPTS * count if variations else 1):
         try:
             drawn = vehicle
             for variation in variations:
                 drawn = replace_parameters(drawn, variation.parameter_values(variation.draw_variables(rng)))
             hover = find_trim(drawn, charge=TRIM_CHARGE)
-            weak = find_trim(drawn, charge=LEAST_CHARGE)
+            weak = find_trim(drawn, charge=MIN_START_CHARGE)
         except (InputError, MuflyError) as error:
             refused = str(error)
             continue
-        if variations and weak.motor_input.max() > MAX_TRIM_INPUT:
+        if variations and weak.motor_input.max() > MAX_TRIM_MOTOR_INPUT:
             refused = f"hover at half charge takes a motor input of {weak.motor_input.max():.2f}"
             continue
         made.append((model_parameters(drawn), hover.state, hover.input))
@@ -125,7 +125,7 @@ def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> 
     return Fleet(parameters, states, inputs, trim, voltage, tuple(vehicles), anyone)
 
 
-def common_step(fleet: Fleet, period_s: float) -> tuple[float, int]:
+def common_integration_step(fleet: Fleet, period_s: float) -> tuple[float, int]:
     """Return the longest step (s) that divides a period and is stable for all vehicles, and the steps per period.
 
     Raises

@@ -15,8 +15,8 @@ from mufly.dynamics.model_state import ATTITUDE, POSITION
 from mufly.gym.episodes import EpisodeArrays
 from mufly.gym.tasks import COLUMN_EAST, COLUMN_NORTH, COLUMN_RADIUS, COLUMN_TOP, OBSTACLE_WORLD
 
-_HUBS_M = (-0.03, -0.08)  # drawn discs, body axes
-_TILTED = np.linspace(-1.0, 1.0, 2)
+_HUB_HEIGHTS_M = (-0.03, -0.08)  # drawn discs, body axes
+_TILTED_ROTOR_SPAN = np.linspace(-1.0, 1.0, 2)
 
 
 def draw_episode(episodes: EpisodeArrays, index: int, task: str, radius_m: float, period_s: float) -> NDArray[np.uint8]:
@@ -46,9 +46,9 @@ def draw_episode(episodes: EpisodeArrays, index: int, task: str, radius_m: float
     top.add_patch(Circle((e, n), radius_m, fill=False, color="tab:blue"))
     nose = axes[:, 0] * 2.0 * radius_m
     top.plot([e, e + nose[1]], [n, n + nose[0]], color="tab:blue")
-    for hub in _HUBS_M:
+    for hub in _HUB_HEIGHTS_M:
         middle = x[POSITION] + axes[:, 2] * hub
-        disc = middle[:, None] + radius_m * axes[:, 1][:, None] * _TILTED
+        disc = middle[:, None] + radius_m * axes[:, 1][:, None] * _TILTED_ROTOR_SPAN
         side.plot(disc[1], -disc[2], color="tab:blue", linewidth=2)
     foot = x[POSITION] + axes[:, 2] * 0.06
     side.plot([foot[1], e], [-foot[2], -d], color="tab:blue")

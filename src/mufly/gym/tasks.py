@@ -33,26 +33,26 @@ from mufly.world.obstacles import Room
 
 _Array = NDArray[np.float64]
 
-TASKS = ("hover", "waypoint", "obstacle", "land")
-HOVER, WAYPOINT, OBSTACLE, LAND = range(4)
-DURATIONS_S = (10.0, 20.0, 20.0, 10.0)
+TASK_NAMES = ("hover", "waypoint", "obstacle", "land")
+TASK_HOVER, TASK_WAYPOINT, TASK_OBSTACLE, TASK_LAND = range(4)
+TASK_DURATIONS_S = (10.0, 20.0, 20.0, 10.0)
 """Default length of an episode of each task."""
 
-COLUMN_COUNT = 6
+OBSTACLE_COLUMN_COUNT = 6
 COLUMN_NORTH, COLUMN_EAST, COLUMN_RADIUS, COLUMN_TOP, COLUMN_FOOT, COLUMN_SIZE = 0, 1, 2, 3, 4, 5
 """Indices of a column: axis, radius, upper and lower end (m; down is positive)."""
 OBSTACLE_WORLD = World(room=Room((-3.0, 3.0), (-2.0, 2.0), 2.5))
 """Walls and ceiling of ``Obstacle``; its columns differ from episode to episode."""
 
-REACHED_M = 0.2
-MOST_DISTANCE_M, MOST_DISTANCE_OBSTACLE_M = 3.0, 6.0
-LEAST_UPRIGHT = 0.5  # cosine of the tilt
+REACHED_DISTANCE_M = 0.2
+MAX_TARGET_DISTANCE_M, MAX_TARGET_DISTANCE_OBSTACLE_M = 3.0, 6.0
+MIN_UPRIGHT_COSINE = 0.5  # cosine of the tilt
 OBSTACLE_TARGET_HEIGHT_M = 1.0
 OBSTACLE_START_NORTH_M = -2.0
 HOVER_HEIGHTS_M = (0.2, 2.0)
 START_SPREAD_M = 0.5
-SOFT_SPEED_M_S, SOFT_UPRIGHT = 0.5, 0.94  # touchdown: greatest speed, least cosine of the tilt
-_FALL = -5.0
+SOFT_LANDING_SPEED_M_S, SOFT_LANDING_UPRIGHT_COSINE = 0.5, 0.94  # touchdown: greatest speed, least cosine of the tilt
+_FAILURE_REWARD = -5.0
 
 
 @cached_njit(error_model="numpy")
@@ -62,24 +62,24 @@ def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Arra
     ``r`` are uniform numbers; ``columns`` has the layout of a packed :class:`mufly.world.World`.
     """
     target[0], target[1], target[2] = 0.0, 0.0, -OBSTACLE_TARGET_HEIGHT_M
-    if kind == HOVER:  # a height that differs from episode to episode is no measure of the error
+    if kind == TASK_HOVER:  # a height that differs from episode to episode is no measure of the error
         target[2] = -(HOVER_HEIGHTS_M[0] + (HOVER_HEIGHTS_M[1] - HOVER_HEIGHTS_M[0]) * r[3])
     for i in range(3):
         start[i] = target[i] + START_SPREAD_M * (2.0 * r[i] - 1.0)
-    if kind == HOVER:
+    if kind == TASK_HOVER:
         start[2] = min(start[2], -HOVER_HEIGHTS_M[0])
-    elif kind == WAYPOINT:
+    elif kind == TASK_WAYPOINT:
         draw_waypoint(r[3:6], target)
         draw_waypoint(r[6:9], after)
-    elif kind == OBSTACLE:
+    elif kind == TASK_OBSTACLE:
         start[0], target[0] = OBSTACLE_START_NORTH_M + 0.4 * (r[0] - 0.5), 2.0
         target[1] = 2.0 * (r[3] - 0.5)
-        for k in range(COLUMN_COUNT):
-            columns[k, COLUMN_NORTH] = -1.3 + 2.6 * (k + r[4 + k]) / COLUMN_COUNT
+        for k in range(OBSTACLE_COLUMN_COUNT):
+            columns[k, COLUMN_NORTH] = -1.3 + 2.6 * (k + r[4 + k]) / OBSTACLE_COLUMN_COUNT
             columns[k, COLUMN_EAST] = 3.2 * (r[10 + k] - 0.5)
             columns[k, COLUMN_RADIUS] = 0.1 + 0.15 * r[16 + k]
             columns[k, COLUMN_TOP], columns[k, COLUMN_FOOT] = -2.5, 0.0
-    elif kind == LAND:
+    elif kind == TASK_LAND:
         start[2] = -0.8 - 0.7 * r[2]
         target[2] = 0.0
 
@@ -91,10 +91,10 @@ def shift_task(kind: int, start: _Array, place: _Array, target: _Array) -> None:
     Hover and Land keep the drawn distance between start and target; the heights of their targets stay in range. The
     targets of Waypoint and Obstacle stay.
     """
-    if kind in (HOVER, LAND):
+    if kind in (TASK_HOVER, TASK_LAND):
         target[0] += place[0] - start[0]
         target[1] += place[1] - start[1]
-    if kind == HOVER:
+    if kind == TASK_HOVER:
         target[2] = min(max(target[2] + place[2] - start[2], -HOVER_HEIGHTS_M[1]), -HOVER_HEIGHTS_M[0])
 
 
@@ -114,7 +114,7 @@ def judge_step(
     Parameters
     ----------
     kind : int
-        Index of the task in :data:`TASKS`.
+        Index of the task in :data:`TASK_NAMES`.
     before, now : float
         Distance to the target before and after the step (m).
     heading_cosine : float
@@ -128,22 +128,22 @@ def judge_step(
     touches, collides : bool
         Whether a leg or a rotor touches the floor, and a rotor an obstacle.
     """
-    far = now > (MOST_DISTANCE_OBSTACLE_M if kind == OBSTACLE else MOST_DISTANCE_M)
-    lost = not (upright > LEAST_UPRIGHT) or far or collides or not (speed < 100.0)
-    if kind == HOVER:
+    far = now > (MAX_TARGET_DISTANCE_OBSTACLE_M if kind == TASK_OBSTACLE else MAX_TARGET_DISTANCE_M)
+    lost = not (upright > MIN_UPRIGHT_COSINE) or far or collides or not (speed < 100.0)
+    if kind == TASK_HOVER:
         if lost or touches:
             return 0.0, True, False
         still = 0.2 / (1.0 + rates_squared + 10.0 * speed * speed)
         near = 0.3 / (1.0 + 4.0 * now * now) + 0.3 / (1.0 + 100.0 * now * now)
         return near + still + 0.1 * (1.0 + heading_cosine) - 0.1 * change_squared, False, False
     reward = 2.0 * (before - now) - 0.02 * change_squared - 0.01 * (1.0 - heading_cosine)
-    if kind == LAND and touches and not lost:
-        soft = speed < SOFT_SPEED_M_S and upright > SOFT_UPRIGHT
-        return (reward + max(10.0 - 5.0 * now, 0.0), True, True) if soft else (_FALL, True, False)
+    if kind == TASK_LAND and touches and not lost:
+        soft = speed < SOFT_LANDING_SPEED_M_S and upright > SOFT_LANDING_UPRIGHT_COSINE
+        return (reward + max(10.0 - 5.0 * now, 0.0), True, True) if soft else (_FAILURE_REWARD, True, False)
     if lost or touches:
-        return _FALL, True, False
-    if now < REACHED_M and kind == WAYPOINT:
+        return _FAILURE_REWARD, True, False
+    if now < REACHED_DISTANCE_M and kind == TASK_WAYPOINT:
         return reward + 5.0, False, True
-    if now < REACHED_M and kind == OBSTACLE:
+    if now < REACHED_DISTANCE_M and kind == TASK_OBSTACLE:
         return reward + 10.0, True, True
     return reward, False, False

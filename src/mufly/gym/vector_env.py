@@ -26,10 +26,10 @@ from mufly.dynamics.lane_equations import group_vehicles
 from mufly.errors import ArgumentError
 from mufly.flight.policy.observation import ACTION_SIZE, observation_limits
 from mufly.gym.episodes import (
+    ERR_COUNT,
     ERR_HEADING,
-    ERR_LEVEL,
     ERR_POSITION,
-    ERROR_SIZE,
+    ERR_TILT,
     EpisodeArrays,
     EpisodeSettings,
     command_episodes,
@@ -39,9 +39,9 @@ from mufly.gym.episodes import (
     observe_episodes,
     start_episodes,
 )
-from mufly.gym.fleet import common_step, draw_fleet, draw_winds
+from mufly.gym.fleet import common_integration_step, draw_fleet, draw_winds
 from mufly.gym.pictures import draw_episode
-from mufly.gym.tasks import DURATIONS_S, OBSTACLE_WORLD, TASKS
+from mufly.gym.tasks import OBSTACLE_WORLD, TASK_DURATIONS_S, TASK_NAMES
 from mufly.sensors.rng import make_random_source
 from mufly.vehicle import Vehicle, load_vehicle
 
@@ -130,19 +130,19 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
             from mufly.gym.filter_units import FilterUnits, prepare_starts  # the filter takes a second to load
 
             starts, room = prepare_starts(
-                nominal, self.fleet, TASKS.index(task), self._winds, period_s, fleet_size, fleet_seed
+                nominal, self.fleet, TASK_NAMES.index(task), self._winds, period_s, fleet_size, fleet_seed
             )
             self.fleet = starts.fleet
             self.units = FilterUnits(starts, room, num_envs, round(period_s / starts.period_s), threads)
         self._group, self._threads = group_vehicles(self.fleet.parameters), threads
-        self._step_s, self._step_count = common_step(self.fleet, period_s)
-        kind = TASKS.index(task)
+        self._step_s, self._step_count = common_integration_step(self.fleet, period_s)
+        kind = TASK_NAMES.index(task)
         low, high = observation_limits(task)
-        length = DURATIONS_S[kind] if duration_s is None else duration_s
+        length = TASK_DURATIONS_S[kind] if duration_s is None else duration_s
         errors = (
             _error_process_parameters(nominal, period_s)
             if sensors == "noisy"
-            else (np.zeros(ERROR_SIZE),) * 2 + (np.zeros(4),)
+            else (np.zeros(ERR_COUNT),) * 2 + (np.zeros(4),)
         )
         delay_unit_s = self._step_s if self.units is None else starts.period_s
         self._settings = EpisodeSettings(
@@ -318,7 +318,7 @@ def _check_options(
             raise ArgumentError(name, "", f"{value!r} is out of range", remedy)
 
     check("num_envs", num_envs, num_envs >= 1, "give 1 or more")
-    check("task", task, task in TASKS, f"give one of {', '.join(TASKS)}")
+    check("task", task, task in TASK_NAMES, f"give one of {', '.join(TASK_NAMES)}")
     check("threads", threads, 1 <= threads <= 256, "give 1 to 256")
     check("fleet_size", fleet_size, fleet_size >= 1, "give 1 or more")
     check("sensors", sensors, sensors in ("ideal", "noisy", "fitted"), "give 'ideal', 'noisy' or 'fitted'")
@@ -337,11 +337,11 @@ def _error_process_parameters(vehicle: Vehicle, period_s: float) -> tuple[_Array
         raise ArgumentError(
             "sensors", "", f"{vehicle.name} has no tables sensors.position_fix and sensors.imu", "use 'ideal' sensors"
         )
-    decay, sigma = np.ones(ERROR_SIZE), np.zeros(ERROR_SIZE)
-    decay[ERR_POSITION:ERR_LEVEL] = math.exp(-period_s / float(fix.wander_time))
+    decay, sigma = np.ones(ERR_COUNT), np.zeros(ERR_COUNT)
+    decay[ERR_POSITION:ERR_TILT] = math.exp(-period_s / float(fix.wander_time))
     sigma[ERR_POSITION:ERR_HEADING] = float(fix.wander)
     sigma[ERR_HEADING] = float(fix.heading_wander)
-    sigma[ERR_LEVEL:] = float(imu.level)
+    sigma[ERR_TILT:] = float(imu.level)
     white = np.array([
         float(fix.noise), float(fix.noise) / float(fix.period), float(fix.heading_noise),
         float(imu.gyro_noise) / math.sqrt(2.0 * period_s),

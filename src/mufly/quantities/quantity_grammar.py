@@ -20,11 +20,11 @@ from mufly.errors import ArgumentError, InputError
 from mufly.quantities.units import compatible_units, normalise_unit, unit_conversion
 
 NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-MAX_VALUES = 100_000
+MAX_OPTION_VALUES = 100_000
 """Greatest number of values in a list or range of an option."""
 
 # Units of autopilots' messages, not offered to users.
-_RARE_UNITS = (
+_UNLISTED_UNITS = (
     "1", "d%", "c%", "cdeg", "ddeg", "degE7", "cdeg/s", "ddeg/s", "mrad", "mrad/s", "cV", "cA", "us", "ns", "um",
 )  # fmt: skip
 _MAX_SHOWN_UNITS = 8  # greatest number of units in a message
@@ -147,7 +147,9 @@ def read_integer(where: str, text: str) -> int:
     return int(value.value)
 
 
-def read_values(where: str, text: str, unit: str, *, bare: bool = True, most: int = MAX_VALUES) -> tuple[float, ...]:
+def read_values(
+    where: str, text: str, unit: str, *, bare: bool = True, most: int = MAX_OPTION_VALUES
+) -> tuple[float, ...]:
     """Return the numbers of a list or range, ``"5000,6000"`` or ``"3000:7000:500rpm"``, in a unit.
 
     The last value of a range is included if the steps reach it; the default step is one unit.
@@ -263,7 +265,7 @@ def read_time_span(where: str, text: str) -> tuple[float, float]:
 
 def offered_units(unit: str) -> tuple[str, ...]:
     """Return the units offered for a quantity, the unit of bare numbers first."""
-    known = [u for u in compatible_units(_si_dimension(unit)) if u not in _RARE_UNITS and u != unit]
+    known = [u for u in compatible_units(_si_dimension(unit)) if u not in _UNLISTED_UNITS and u != unit]
     return (*([] if unit == "1" else [unit]), *known)
 
 

@@ -348,7 +348,7 @@ _UNIT_ENDINGS |= {end: end for end in _word_set(
 )}  # fmt: skip
 # Suffixes that are units of one quantity only: letter, unit, and words that identify the quantity. For other names the
 # letter is an index, an axis or a symbol (RPM_A, gain_K).
-_LETTER_UNITS = {
+_SINGLE_LETTER_UNITS = {
     "s": ("s", "s"), "m": ("m", "m"), "V": ("V", "V"), "A": ("A", "A"), "W": ("W", "W"), "N": ("N", "N"),
     "K": ("K", "K"), "C": ("degC", "K"), "F": ("degF", "K"), "T": ("T", "T"), "J": ("J", "J"), "in": ("in", "span"),
     "G": ("gauss", "T"),
@@ -461,7 +461,7 @@ def parse_column_unit(name: str, written: str) -> str | None:
         return text[:3] + ("" if words & _QUANTITY_WORDS["rad"] else "/s")
     if not known and text in ("S", "M") and words & _QUANTITY_WORDS[text.lower()]:
         return text.lower()
-    if text in _LETTER_UNITS and text != "V" and known:
+    if text in _SINGLE_LETTER_UNITS and text != "V" and known:
         certain = {_UNAMBIGUOUS_WORDS[w] for w in words if w in _UNAMBIGUOUS_WORDS}
         if certain and _SI_BY_UNIT[known][0] not in certain:
             return None
@@ -529,12 +529,12 @@ def _split_column_header(text: str, ends: Mapping[str, set[str]]) -> tuple[str, 
             return (text, None) if settled is None else (name, settled)
     name, found, letter = text.rpartition("_")
     words = _split_words(name)
-    if not found or not name or (letter not in _LETTER_UNITS and letter != "g"):
+    if not found or not name or (letter not in _SINGLE_LETTER_UNITS and letter != "g"):
         return text, ""
     if letter == "g":
         settled = parse_column_unit(name, "g") if not words & _DIMENSIONLESS_WORDS else None
         return (text, None) if settled is None else (name, settled)
-    unit, kind = _LETTER_UNITS[letter]
+    unit, kind = _SINGLE_LETTER_UNITS[letter]
     if letter == "N" and words & (_QUANTITY_WORDS["m"] | _QUANTITY_WORDS["m/s"] | _QUANTITY_WORDS["m/s^2"]) - {
         "h",
         "d",

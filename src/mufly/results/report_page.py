@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @cache
-def _environment() -> Environment:
+def _template_environment() -> Environment:
     import jinja2
 
     loader = jinja2.FileSystemLoader(Path(__file__).parent)
@@ -27,8 +27,8 @@ def _environment() -> Environment:
 
 
 @cache
-def _body_of(source: str) -> Template:
-    return _environment().from_string(source)
+def _html_body(source: str) -> Template:
+    return _template_environment().from_string(source)
 
 
 def render_page(title: str, body: str, **values: Any) -> str:
@@ -45,4 +45,4 @@ def render_page(title: str, body: str, **values: Any) -> str:
     **values
         Variables of the body; with ``refresh_s`` the page reloads periodically.
     """
-    return _environment().get_template("report_page.html").render(title=title, body=_body_of(body), **values)
+    return _template_environment().get_template("report_page.html").render(title=title, body=_html_body(body), **values)

@@ -31,8 +31,8 @@ _AXIS_LABELS = (
     "distance",
     "lag",
 )  # labels, in order of preference
-_MAX_PANELS = 9
-_MAX_LINES = 8
+_MAX_FIGURE_PANELS = 9
+_MAX_LINES_PER_PANEL = 8
 _MAX_BAR_VALUES = 6  # arrays up to this length are drawn as bars, one per value
 
 
@@ -100,7 +100,7 @@ def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[s
     for q in found:
         if q.values.size <= _MAX_BAR_VALUES:
             bars.setdefault(q.unit, []).append(q)
-    panels = (curves + list(bars.values()))[:_MAX_PANELS]
+    panels = (curves + list(bars.values()))[:_MAX_FIGURE_PANELS]
     if not panels:
         return _draw_text_table(title, table)
     wide = min(len(panels), 3)
@@ -128,7 +128,7 @@ def _line_panels(arrays: Sequence[PlotSeries]) -> list[_LinePanel]:
         for q in group:
             if q is not axis:
                 by_unit.setdefault(q.unit or q.label, []).append(q)
-        out += [(axis, some[:_MAX_LINES]) for some in by_unit.values()]
+        out += [(axis, some[:_MAX_LINES_PER_PANEL]) for some in by_unit.values()]
     return out
 
 

@@ -47,7 +47,7 @@ from mufly.rotor.rotor_system import (
     check_pitch,
 )
 from mufly.vehicle import CoefficientMap, MapTables
-from mufly.vehicle.coefficient_map import MAP_NODES, format_table
+from mufly.vehicle.coefficient_map import MAX_MAP_NODES, format_table
 
 Array = NDArray[np.float64]
 MapPointValues = tuple[
@@ -238,8 +238,8 @@ def _check_map_axes(axes: Sequence[Array]) -> None:
     if not axes[2][0] <= 0.0 <= axes[2][-1]:
         raise InputError("coax map", "climb", "does not include 0 (hover)", "give a range that holds it")
     nodes = math.prod(a.size for a in axes)
-    if nodes > MAP_NODES:
-        raise InputError("coax map", "", f"{nodes} points", f"give fewer points ({MAP_NODES} at most)")
+    if nodes > MAX_MAP_NODES:
+        raise InputError("coax map", "", f"{nodes} points", f"give fewer points ({MAX_MAP_NODES} at most)")
 
 
 def _fill_unsolved(values: Array, solved: NDArray[np.bool_]) -> Array:

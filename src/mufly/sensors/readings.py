@@ -23,7 +23,7 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import body_to_ned_matrix
 from mufly.dynamics.model_state import ATTITUDE, MODEL_CHARGE, POSITION, RATES, ROTOR_SPEEDS, VELOCITY
 from mufly.vehicle import Vehicle
-from mufly.world import World, first_hit
+from mufly.world import World, first_hit_distance
 
 _Array = NDArray[np.float64]
 
@@ -259,4 +259,4 @@ def measure_ranges(
         n = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c
         e = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c
         d = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c
-        out[k] = max(first_hit(x, n, e, d, most, boxes, cylinders, limits), least)
+        out[k] = max(first_hit_distance(x, n, e, d, most, boxes, cylinders, limits), least)

@@ -28,7 +28,7 @@ from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import SonarParameters
-from mufly.world import World, first_hit
+from mufly.world import World, first_hit_distance
 
 _Array = NDArray[np.float64]
 SPEED_OF_SOUND_M_S = 343.2  # dry air of 20 degC
@@ -50,9 +50,9 @@ def _nearest_distance_in_cone(
         n = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c
         e = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c
         d = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c
-        best = first_hit(here, n, e, d, best, boxes, cylinders, limits)
+        best = first_hit_distance(here, n, e, d, best, boxes, cylinders, limits)
     if turn[2, 2] >= upright:  # the perpendicular lies in the cone
-        best = first_hit(here, 0.0, 0.0, 1.0, best, boxes, cylinders, limits)
+        best = first_hit_distance(here, 0.0, 0.0, 1.0, best, boxes, cylinders, limits)
     return best
 
 

@@ -26,8 +26,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from mufly.errors import InputError
 from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
 
-MAP_NODES = 512  # size of the tables in the flight model's record, e.g. 3 mean speeds x 13 ratios x 13 climbs
-_AXIS_COUNT = 3  # first arrays of the tables
+MAX_MAP_NODES = 512  # size of the tables in the flight model's record, e.g. 3 mean speeds x 13 ratios x 13 climbs
+_MAP_AXIS_COUNT = 3  # first arrays of the tables
 TABLE_COLUMNS = (
     "mean_speed_rad_s",
     "ratio",
@@ -40,7 +40,7 @@ TABLE_COLUMNS = (
 )
 
 _BUILTIN_MAPS_FOLDER = resources.files("mufly.vehicle") / "maps"
-_MAX_STEP_DEVIATION = 1e-3  # greatest deviation of a step, relative
+_MAX_GRID_STEP_DEVIATION = 1e-3  # greatest deviation of a step, relative
 
 
 class MapTables(NamedTuple):
@@ -138,8 +138,8 @@ def _parse_table(text: str) -> MapTables:
             f"{len(rows)} points are no full grid of {shape[0]} mean speeds, {shape[1]} ratios and {shape[2]} climbs",
             "give every combination once",
         )
-    if len(rows) > MAP_NODES:
-        raise _table_error(f"{len(rows)} points", f"give {MAP_NODES} at most")
+    if len(rows) > MAX_MAP_NODES:
+        raise _table_error(f"{len(rows)} points", f"give {MAX_MAP_NODES} at most")
     for name, axis, least, positive in zip(
         TABLE_COLUMNS, axes, (1, 2, 2), (True, True, False), strict=False
     ):  # fmt: skip
@@ -148,7 +148,7 @@ def _parse_table(text: str) -> MapTables:
             raise _table_error(f"{name} has {axis.size} value", f"give {least} or more")
         if positive and not axis[0] > 0:
             raise _table_error(f"{name} {axis[0]:g} is out of range", "give numbers above 0")
-        if step.size and float(np.ptp(step)) > _MAX_STEP_DEVIATION * float(step.mean()) + 1e-5 * float(
+        if step.size and float(np.ptp(step)) > _MAX_GRID_STEP_DEVIATION * float(step.mean()) + 1e-5 * float(
             np.abs(axis).max()
         ):
             raise _table_error(f"{name} is not evenly spaced", "give equal steps")
@@ -167,8 +167,8 @@ def _parse_table(text: str) -> MapTables:
 
 def format_table(tables: MapTables) -> str:
     """Return the tables of a map as the text of the key ``table`` in a map file: a header, then a line per point."""
-    grid = np.meshgrid(*tables[:_AXIS_COUNT], indexing="ij")
-    columns = [np.ravel(a) for a in (*grid, *tables[_AXIS_COUNT:])]
+    grid = np.meshgrid(*tables[:_MAP_AXIS_COUNT], indexing="ij")
+    columns = [np.ravel(a) for a in (*grid, *tables[_MAP_AXIS_COUNT:])]
     lines = [" ".join(f"{v:.7g}" for v in row[:-1]) + f" {int(row[-1])}" for row in zip(*columns, strict=True)]
     return "\n".join([" ".join(TABLE_COLUMNS), *lines]) + "\n"
 

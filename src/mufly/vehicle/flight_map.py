@@ -47,16 +47,19 @@ from mufly.vehicle.coefficient_map import load_coefficient_map, parse_table_rows
 
 Array = NDArray[np.float64]
 
-MAP_CLIMBS, MAP_EDGES = 8, 12  # greatest numbers of climbs and advance ratios, by the flight model's record
-LOAD_COLUMNS = (
+MAX_MAP_CLIMBS, MAX_MAP_ADVANCE_RATIOS = (
+    8,
+    12,
+)  # greatest numbers of climbs and advance ratios, by the flight model's record
+ROTOR_LOAD_COLUMNS = (
     "thrust_excess", "torque_excess", "drag", "side_force", "roll_moment", "pitch_moment", "rate_force", "rate_side",
     "rate_damping", "rate_coupling",
 )  # fmt: skip
 AXIS_COLUMNS = ("ratio", "climb_ratio", "advance_ratio")
-FLIGHT_TABLE_COLUMNS = (*AXIS_COLUMNS, *(f"{name}_{side}" for side in ("up", "dw") for name in LOAD_COLUMNS))
+FLIGHT_TABLE_COLUMNS = (*AXIS_COLUMNS, *(f"{name}_{side}" for side in ("up", "dw") for name in ROTOR_LOAD_COLUMNS))
 
-_BUILTIN_FOLDER = resources.files("mufly.vehicle") / "flight_maps"
-_STEP_TOLERANCE = 1e-3  # of a step
+_BUILTIN_FLIGHT_MAPS_FOLDER = resources.files("mufly.vehicle") / "flight_maps"
+_GRID_STEP_TOLERANCE = 1e-3  # of a step
 _table_error = partial(model_error, key="table")
 
 
@@ -70,7 +73,7 @@ class FlightMapTables(NamedTuple):
     edgewise : 1-D array
         Axis e in equal steps from 0.
     loads : (ratios, climbs, advance ratios, 20) array
-        :data:`LOAD_COLUMNS` of the upper rotor, then of the lower one.
+        :data:`ROTOR_LOAD_COLUMNS` of the upper rotor, then of the lower one.
     """
 
     ratio: Array
@@ -112,7 +115,7 @@ class FlightMap(BaseModel):
         return _parse_flight_table(self.table, self.knee)
 
     @property
-    def edges_m_s(self) -> tuple[float, float, float]:
+    def velocity_limits_m_s(self) -> tuple[float, float, float]:
         """Greatest edgewise velocity, greatest sink and greatest climb (m/s) at the mean speed of the map."""
         tables, tip = self.parse_tables(), self.mean_speed_rad_s * self.radius_m
         last = float(tables.edgewise[-1])
@@ -141,11 +144,12 @@ def _parse_flight_table(text: str, knee: float) -> FlightMapTables:
         step = np.diff(axis)
         if axis.size < least:
             raise _table_error(f"{name} has {axis.size} value", f"give {least} or more")
-        if step.size and float(np.ptp(step)) > _STEP_TOLERANCE * float(step.mean()) + 2e-5:
+        if step.size and float(np.ptp(step)) > _GRID_STEP_TOLERANCE * float(step.mean()) + 2e-5:
             raise _table_error(f"{name} is not evenly spaced", "make the map again: mufly coax flight-map")
-    if shape[1] > MAP_CLIMBS or shape[2] > MAP_EDGES:
+    if shape[1] > MAX_MAP_CLIMBS or shape[2] > MAX_MAP_ADVANCE_RATIOS:
         raise _table_error(
-            f"{shape[1]} climbs and {shape[2]} advance ratios", f"give {MAP_CLIMBS} and {MAP_EDGES} at most"
+            f"{shape[1]} climbs and {shape[2]} advance ratios",
+            f"give {MAX_MAP_CLIMBS} and {MAX_MAP_ADVANCE_RATIOS} at most",
         )
     if not axes[1][0] <= 0.0 <= axes[1][-1]:
         raise _table_error("climb_ratio does not include 0 (hover)", "give a range that holds it")
@@ -153,7 +157,7 @@ def _parse_flight_table(text: str, knee: float) -> FlightMapTables:
         raise _table_error("ratio is not above 0, or advance_ratio does not begin at 0", "correct the table")
     ordered = rows[np.lexsort(rows[:, 2::-1].T)]
     ratio, climb_ratio, edgewise = axes
-    loads = np.ascontiguousarray(ordered[:, len(AXIS_COLUMNS) :]).reshape(*shape, 2 * len(LOAD_COLUMNS))
+    loads = np.ascontiguousarray(ordered[:, len(AXIS_COLUMNS) :]).reshape(*shape, 2 * len(ROTOR_LOAD_COLUMNS))
     out = FlightMapTables(ratio, climb_ratio, edgewise, loads)
     for array in out:
         array.setflags(write=False)
@@ -177,7 +181,7 @@ def format_flight_map_toml(flight_map: FlightMap) -> str:
 
 def builtin_flight_maps() -> list[str]:
     """Return the names of the built-in flight maps."""
-    return builtin_file_names(_BUILTIN_FOLDER)
+    return builtin_file_names(_BUILTIN_FLIGHT_MAPS_FOLDER)
 
 
 def load_flight_map(name_or_path: str | Path, folder: Path | None = None) -> FlightMap:
@@ -195,7 +199,7 @@ def load_flight_map(name_or_path: str | Path, folder: Path | None = None) -> Fli
     InputError
         If the file does not exist, is not TOML, or is no flight map.
     """
-    tables, where = read_toml(name_or_path, _BUILTIN_FOLDER, "flight map", folder)
+    tables, where = read_toml(name_or_path, _BUILTIN_FLIGHT_MAPS_FOLDER, "flight map", folder)
     if "table" not in tables or "knee" not in tables:
         raise InputError(where, "table", "is missing: the file is not a flight map", "make one: mufly coax flight-map")
     return validate_model(FlightMap, tables, where)

@@ -44,7 +44,7 @@ def find_unusual_parameters(vehicle: Vehicle) -> list[UnusualParameter]:
     return [
         *_check_body(vehicle),
         *_check_rotors(vehicle),
-        *_check_bar(vehicle),
+        *_check_stabiliser_bar(vehicle),
         *_check_battery(vehicle),
         *_check_legs(vehicle),
         *_check_sensors(vehicle),
@@ -97,7 +97,7 @@ def _check_rotors(v: Vehicle) -> Iterator[UnusualParameter]:
         )
 
 
-def _check_bar(v: Vehicle) -> Iterator[UnusualParameter]:
+def _check_stabiliser_bar(v: Vehicle) -> Iterator[UnusualParameter]:
     if not v.stabiliser_bar.fitted:
         yield UnusualParameter(
             "stabiliser_bar.fitted",

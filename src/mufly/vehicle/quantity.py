@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-from mufly.files.input_files import TOO_MANY_DIGITS, model_error
+from mufly.files.input_files import TOO_MANY_DIGITS_ERROR, model_error
 from mufly.quantities.units import compatible_units
 
 ValueSource = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
@@ -113,7 +113,7 @@ def _scale_value(value: Any, factor: float) -> Any:
     try:
         return float(value) * factor
     except OverflowError:
-        raise model_error(*TOO_MANY_DIGITS) from None
+        raise model_error(*TOO_MANY_DIGITS_ERROR) from None
 
 
 def _flatten_values(value: Any) -> list[float]:

@@ -31,8 +31,11 @@ from mufly.vehicle.sensor_schema import SensorSuite
 # relations between parameters, such as conservation of energy.
 
 MAX_LEGS = 16
-_RADIUS_TOLERANCE = 0.01
-_SPACING_TOLERANCE, _THRUST_TOLERANCE = 0.25, 0.25  # of a flight map, wide enough for drawn and fitted parameters
+_MAP_RADIUS_TOLERANCE = 0.01
+_MAP_SPACING_TOLERANCE, _MAP_THRUST_TOLERANCE = (
+    0.25,
+    0.25,
+)  # of a flight map, wide enough for drawn and fitted parameters
 MAX_PLACE_TO_REACH_RATIO = 2.0
 """Greatest distance of a sensor from the centre of gravity over the reach of rotors and legs; a boom is shorter."""
 MAX_TORQUE_TO_EMF_RATIO = 1.02
@@ -122,7 +125,7 @@ class Rotors(ParameterGroup):
     @model_validator(mode="after")
     def _check_map_radius(self) -> Rotors:
         m, radius = self.coefficient_map, float(self.radius)
-        if m is not None and abs(m.radius_m / radius - 1.0) > _RADIUS_TOLERANCE:
+        if m is not None and abs(m.radius_m / radius - 1.0) > _MAP_RADIUS_TOLERANCE:
             raise model_error(
                 f"map {m.name!r} is for rotors of {1e3 * m.radius_m:g} mm, these have {1e3 * radius:g} mm",
                 "make a map for these rotors: mufly coax map",
@@ -175,8 +178,8 @@ def describe_other_rotors(rotors: Rotors, flight_map: FlightMap) -> str:
     m, c = flight_map, rotors.coefficient_map
     spacing = float(rotors.lower.hub_z) - float(rotors.upper.hub_z)
     for name, made, own, tolerance in (
-        ("radius", m.radius_m, float(rotors.radius), _RADIUS_TOLERANCE),
-        ("distance of the discs", m.spacing_m, spacing, _SPACING_TOLERANCE),
+        ("radius", m.radius_m, float(rotors.radius), _MAP_RADIUS_TOLERANCE),
+        ("distance of the discs", m.spacing_m, spacing, _MAP_SPACING_TOLERANCE),
     ):
         if abs(made / own - 1.0) > tolerance:
             return f"rotors with a {name} of {1e3 * made:.4g} mm, these have {1e3 * own:.4g} mm"
@@ -186,7 +189,7 @@ def describe_other_rotors(rotors: Rotors, flight_map: FlightMap) -> str:
         return ""
     for side, made in zip(("upper", "lower"), m.thrust_coefficients, strict=True):
         own = float(getattr(rotors, side).thrust_coefficient)
-        if abs(made / own - 1.0) > _THRUST_TOLERANCE:
+        if abs(made / own - 1.0) > _MAP_THRUST_TOLERANCE:
             return f"a {side} rotor with thrust coefficient {made:.3g}, this one has {own:.3g}"
     return ""
 
@@ -404,7 +407,7 @@ class Vehicle(ParameterGroup):
     mass_budget: MassBudget | None = None
 
     @model_validator(mode="after")
-    def _check_standing(self) -> Vehicle:
+    def _check_standing_on_legs(self) -> Vehicle:
         """Check that the legs carry the weight with the centre of gravity above the floor."""
         tips = self.contact.legs.to_array()
         lowest, stiffness = float(tips[:, 2].max()), float(self.contact.stiffness)

@@ -210,7 +210,7 @@ def make_wall(
 
 
 _Array = NDArray[np.float64]
-BOX_CENTRE, BOX_HALF, BOX_COS, BOX_SIN = 0, 3, 6, 7
+BOX_CENTRE, BOX_HALF_EDGES, BOX_COS, BOX_SIN = 0, 3, 6, 7
 """Indices in the row of a packed box: N, E, D of the centre, half edges, cosine and sine of the heading."""
 CYLINDER_RADIUS, CYLINDER_TOP, CYLINDER_BOTTOM = 2, 3, 4
 """Indices in the row of a packed cylinder, after N and E of the axis."""
@@ -228,16 +228,16 @@ def _clip_to_slab(x: float, u: float, half: float, near: float, far: float) -> t
 
 
 @cached_njit
-def first_hit(
+def first_hit_distance(
     x: _Array, un: float, ue: float, ud: float, best: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> float:
     """Return the distance (m) from ``x`` (3,) along a unit vector to the first surface, at most ``best``."""
     for b in boxes:
         dn, de = x[0] - b[0], x[1] - b[1]
         c, s = b[BOX_COS], b[BOX_SIN]
-        near, far = _clip_to_slab(c * dn + s * de, c * un + s * ue, b[BOX_HALF], 0.0, best)
-        near, far = _clip_to_slab(-s * dn + c * de, -s * un + c * ue, b[BOX_HALF + 1], near, far)
-        near, far = _clip_to_slab(x[2] - b[2], ud, b[BOX_HALF + 2], near, far)
+        near, far = _clip_to_slab(c * dn + s * de, c * un + s * ue, b[BOX_HALF_EDGES], 0.0, best)
+        near, far = _clip_to_slab(-s * dn + c * de, -s * un + c * ue, b[BOX_HALF_EDGES + 1], near, far)
+        near, far = _clip_to_slab(x[2] - b[2], ud, b[BOX_HALF_EDGES + 2], near, far)
         if near <= far:
             best = near
     for row in cylinders:
@@ -277,7 +277,7 @@ def _cast_beams(
     out = np.empty(directions.shape[0])
     for k in range(directions.shape[0]):
         un, ue, ud = directions[k, 0], directions[k, 1], directions[k, 2]
-        out[k] = first_hit(x, un, ue, ud, max_range, boxes, cylinders, limits)
+        out[k] = first_hit_distance(x, un, ue, ud, max_range, boxes, cylinders, limits)
     return out
 
 
@@ -294,9 +294,9 @@ def packed_obstacle_distances(
         for i in range(nb):
             b = boxes[i]
             dn, de = x[0] - b[0], x[1] - b[1]
-            qx = abs(b[BOX_COS] * dn + b[BOX_SIN] * de) - b[BOX_HALF]
-            qy = abs(-b[BOX_SIN] * dn + b[BOX_COS] * de) - b[BOX_HALF + 1]
-            qz = abs(x[2] - b[2]) - b[BOX_HALF + 2]
+            qx = abs(b[BOX_COS] * dn + b[BOX_SIN] * de) - b[BOX_HALF_EDGES]
+            qy = abs(-b[BOX_SIN] * dn + b[BOX_COS] * de) - b[BOX_HALF_EDGES + 1]
+            qz = abs(x[2] - b[2]) - b[BOX_HALF_EDGES + 2]
             d = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2)
             d += min(max(qx, qy, qz), 0.0)
             if d < least[k]:

@@ -3,7 +3,7 @@
 #include "real.h"
 
 #define MAX_ANGLE REAL(1e5)
-#define MAX_COMPONENT REAL(1e30)
+#define MAX_ATAN2_COMPONENT REAL(1e30)
 #define TWO_OVER_PI REAL(0x1.45f306dc9c883p-1)
 #define PER_LN2 REAL(0x1.71547652b82fep+0)
 #ifdef MUFLY_FLOAT
@@ -107,7 +107,7 @@ real_t real_atan2(real_t y, real_t x)
     const real_t small = (a >= b) ? b : a;
     real_t angle = REAL(0.0);
 
-    if ((big > REAL(0.0)) && (big < MAX_COMPONENT) && (small <= big)) {
+    if ((big > REAL(0.0)) && (big < MAX_ATAN2_COMPONENT) && (small <= big)) {
         const int32_t n = (int32_t)(((REAL(8.0) * small) / big) + REAL(0.5));
         const real_t c = REAL(0.125) * (real_t)n;
         const real_t r = (small - (c * big)) / (big + (c * small));

@@ -29,12 +29,12 @@ from mufly.rotor.forward.forward_results import BladeFlap, ForwardCondition, For
 from mufly.rotor.forward.row_sums import sum_flow_rows, sum_rate_rows
 from mufly.rotor.forward.skewed_pair import ForwardPair, solve_forward_pair
 from mufly.rotor.rotor_system import Air
-from mufly.vehicle.flight_map import LOAD_COLUMNS, FlightMap, FlightMapTables
+from mufly.vehicle.flight_map import ROTOR_LOAD_COLUMNS, FlightMap, FlightMapTables
 
 Array = NDArray[np.float64]
 
-LOAD_COLUMN_COUNT = len(LOAD_COLUMNS)
-FLOW_COLUMN_COUNT = LOAD_COLUMNS.index("rate_force")
+LOAD_COLUMN_COUNT = len(ROTOR_LOAD_COLUMNS)
+FLOW_COLUMN_COUNT = ROTOR_LOAD_COLUMNS.index("rate_force")
 """Columns of the flow; those of rates follow."""
 MAP_ADVANCE_RATIO = 0.35
 """Greatest advance ratio of a map."""

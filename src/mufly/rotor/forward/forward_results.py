@@ -214,7 +214,7 @@ class CyclicResponse:
         return self.moment_Nm_rad * math.pi / 180.0
 
 
-LOAD_COLUMNS = (
+ROTOR_LOAD_COLUMNS = (
     ResultColumn("flap_frequency_ratio", form=".3g", head="nu"),
     ResultColumn("edgewise_m_s", form=".3g", head="V", own_unit="m/s"),
     ResultColumn("advance_ratio", form=".3f", head="mu"),
@@ -285,7 +285,7 @@ class ForwardSweep:
                 f"Lock number {first.lock_number:.2f}; {self.flap_basis}",
                 head=self.rotor,
             ),
-            tabulate_results(rows, LOAD_COLUMNS),
+            tabulate_results(rows, ROTOR_LOAD_COLUMNS),
             tabulate_results(
                 both, _FLAP_COLUMNS,
                 title=f"Flapping, and the response to {math.degrees(self.cyclic_rad):g}° of cyclic pitch",
