@@ -16,6 +16,7 @@ both motors at full input in steady state, with the voltage drop of the battery.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -315,8 +316,11 @@ class HoverPerformance:
     thrust_to_weight_half: float
 
 
+@functools.lru_cache(maxsize=16)
 def hover_current_A(vehicle: Vehicle) -> float:
     """Return the current (A) in hover on a half-full battery, equal to that of :func:`hover_performance` but faster.
+
+    The last results are cached: a campaign of flights asks for the same vehicle in each flight.
 
     Raises
     ------

@@ -276,7 +276,7 @@ class Flight:
 
     def _estimate_and_sonar(self) -> tuple[Estimate | None, float]:
         """Return the estimate of the previous period and the latest sonar reading (m), for a picture."""
-        if not hasattr(self, "readings"):
+        if not hasattr(self, "_readings"):
             return None, math.nan
         sonar = self.readings.latest.get("ground_distance")
         return self._estimate, math.nan if sonar is None else float(sonar.value)
@@ -330,9 +330,19 @@ class Flight:
         if self._many is None or not self._many(until, **more):
             self.step_period()
 
-    def set_instant(self, truth: Truth, readings: Readings, estimate: Estimate) -> None:
-        """Set truth, readings and estimate after periods of the compiled loop."""
-        self._truth, self.readings, self._estimate = truth, readings, estimate
+    def set_instant(self, truth: Truth, readings: Readings | None, estimate: Estimate) -> None:
+        """Set truth, readings and estimate after periods of the compiled loop.
+
+        Readings of None are gathered from the sensors when they are asked for.
+        """
+        self._truth, self._readings, self._estimate = truth, readings, estimate
+
+    @property
+    def readings(self) -> Readings:
+        """Latest readings of the sensors."""
+        if self._readings is None:
+            self._readings = self.sensors.gather_latest(self._truth.time_s)
+        return self._readings
 
     @property
     def records_truth(self) -> bool:
@@ -368,7 +378,7 @@ class Flight:
     def _measure_sensors(self) -> int:
         if not self._is_estimated:
             self._truth = self.plant.truth
-            self.readings = self.sensors.read(self._truth)
+            self._readings = self.sensors.read(self._truth)
         return CONTINUE_LOOP
 
     def _update_estimate(self) -> int:

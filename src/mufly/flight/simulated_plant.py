@@ -47,7 +47,7 @@ from mufly.world import World, obstacle_distance, packed_obstacle_distances
 MIN_STEP_S = 1e-5
 COLLISION_CAUSE_TEXT, TIP_OVER_CAUSE_TEXT = "a rotor hit the", "tipped over"
 """First words of the cause of a crash: collision with an obstacle, and tip-over."""
-_WIND_BLOCK_S = 5.0  # duration of wind drawn at once (s); no effect on the wind
+_WIND_BLOCK_S = 20.0  # duration of wind drawn at once (s); no effect on the wind
 
 
 @cached_njit(error_model="numpy")

@@ -54,6 +54,7 @@ _float_to_bits: Any = intrinsic(_bitcast_intrinsic(ir.IntType(64), types.uint64)
 _COUNTER_STEP, _MIX_FACTOR_1, _MIX_FACTOR_2 = (
     np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 )
+_TWO_STEPS = np.uint64(2 * int(_COUNTER_STEP) % 2**64)
 _27, _30, _31, _12, _52, _2 = (np.uint64(n) for n in (27, 30, 31, 12, 52, 2))
 _EXPONENT_OF_ONE = np.uint64(0x3FF0000000000000)  # exponent bits of numbers from 1 to 2
 _FRACTION_MASK = np.uint64(0x000FFFFFFFFFFFFF)
@@ -92,8 +93,8 @@ def _normal_pair(a: float, b: float) -> tuple[float, float]:
     )
     far = math.sqrt(-(power * _LN2 + 2.0 * s * series))  # the factor sqrt(2) is in the lines below
     x = b - 1.5  # turns
-    y = (x if x > 0.0 else -x) - 0.25
-    t = 2.0 * math.pi * ((y if y > 0.0 else -y) - 0.125)
+    y = abs(x) - 0.25
+    t = 2.0 * math.pi * (abs(y) - 0.125)
     p = t * t
     sine = t * (1.0 + p * (_SINE_3 + p * (_SINE_5 + p * (_SINE_7 + p * (_SINE_9 + p * (_SINE_11 + p * _SINE_13))))))
     cosine = 1.0 + p * (
@@ -114,11 +115,11 @@ def _fill_normals(source: Any, numbers: Any, size: int) -> None:
     counter, out = carray(source, 1), carray(numbers, size)
     start, half = counter[0], size // 2
     counter[0] = start + np.uint64(size + size % 2) * _COUNTER_STEP
+    at = start
     for i in range(half):
-        at = start + np.uint64(2 * i) * _COUNTER_STEP
         out[i], out[half + i] = _normal_pair(_uniform_1_to_2(at), _uniform_1_to_2(at + _COUNTER_STEP))
+        at += _TWO_STEPS
     if size % 2:
-        at = start + np.uint64(2 * half) * _COUNTER_STEP
         out[2 * half] = _normal_pair(_uniform_1_to_2(at), _uniform_1_to_2(at + _COUNTER_STEP))[0]
 
 

@@ -6,6 +6,7 @@ double precision. Fields and constants added in Python appear in C with the next
 
 from __future__ import annotations
 
+import functools
 import types
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -130,12 +131,12 @@ def render_records_header(
     kept, waiting : int
         Numbers of stored input blocks and of queued measurements.
     """
-    numbers = {
-        **collect_constants(),
-        "INPUT_BLOCK_COUNT": kept,
-        "QUEUE_SIZE": waiting,
-        "MAP_NODES": max(int(p["map_nodes"]), 1),
-    }
+    return _render_records(max(int(p["map_nodes"]), 1), kept, waiting)
+
+
+@functools.lru_cache(maxsize=8)
+def _render_records(nodes: int, kept: int, waiting: int) -> str:
+    numbers = {**collect_constants(), "INPUT_BLOCK_COUNT": kept, "QUEUE_SIZE": waiting, "MAP_NODES": nodes}
     lines = [
         "/* Constants and records of the estimator, made from those of Python (mufly.estimate); do not edit. */",
         "#ifndef MUFLY_RECORDS_H",
@@ -146,7 +147,7 @@ def render_records_header(
         *(_constant_definition(name, value) for name, value in numbers.items()),
         "",
     ]
-    sizes = {max(int(p["map_nodes"]), 1): "MAP_NODES"}
+    sizes = {nodes: "MAP_NODES"}
     memory = filter_records.memory_type(kept=kept, waiting=waiting)
     for name, record, fields in (
         (
@@ -154,7 +155,7 @@ def render_records_header(
             filter_records.settings_type(),
             record_fields(filter_records.FilterSettings),
         ),
-        ("flight_model_t", flight_model_dtype(p), record_fields(ModelParameters)),
+        ("flight_model_t", flight_model_dtype({"map_nodes": nodes}), record_fields(ModelParameters)),
         ("estimator_t", memory, record_fields(filter_records.FilterMemory)),
     ):
         lines += ["typedef struct {", *_struct_members(record, sizes, fields), f"}} {name};", ""]

@@ -366,8 +366,8 @@ class CompiledFlight:
                 )
         self._reported_periods = periods
 
-    def _read_sensors_and_estimate(self, truth: Truth) -> tuple[Readings, Estimate]:
-        """Return the latest readings and the estimate."""
+    def _read_sensors_and_estimate(self, truth: Truth) -> tuple[Readings | None, Estimate]:
+        """Return the latest readings, None for those that the flight gathers when asked, and the estimate."""
         flight, filtered, c = self._flight, self._filter, self._clock
         if filtered is None:
             readings = flight.sensors.read(truth)
@@ -375,7 +375,7 @@ class CompiledFlight:
         estimate = filtered.read_estimate(
             truth.time_s, bool(c.is_estimate_valid), int(c.filter_periods) - filtered.period_count
         )  # fmt: skip
-        return flight.sensors.gather_latest(truth.time_s), estimate
+        return None, estimate
 
     def _synchronise_simulation(self, why: int, wind: _Array, ran: bool) -> None:
         """Copy the results of the loop into the simulation."""

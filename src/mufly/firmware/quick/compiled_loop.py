@@ -46,7 +46,7 @@ from mufly.sensors.sampling import SAMPLED_READING_INDICES, sample_all
 
 _Array = NDArray[np.float64]
 
-MAX_PERIODS_PER_CALL = 1024
+MAX_PERIODS_PER_CALL = 4096
 """Maximum number of periods per call."""
 
 # Codes of the stages: reasons for the return to Python

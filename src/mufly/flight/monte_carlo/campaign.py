@@ -495,7 +495,7 @@ def judge_flight(
     """
     # Recordings with sensors have a row each period; the evaluation at 100 Hz gives equal results for all recordings.
     step = round(0.01 / float(np.median(np.diff(data.time.values[:100]))))
-    data = data.isel(time=slice(None, None, max(1, step)))
+    data = data.isel(time=slice(None, None, step)) if step > 1 else data
     s = summarise_flight(
         data,
         [w.position_m for w in mission.waypoint],
@@ -543,8 +543,8 @@ def _failure_reason(s: FlightSummary, data: xr.Dataset, tolerance_m: float) -> s
             return f"{name} was not reached"
         if (w.distance_at_reach_m or 0.0) > tolerance_m:
             return f"{name} was reported as reached from {w.distance_at_reach_m:.2f} m away"
-    last = data.isel(time=-1)
-    up = float(data.truth_position.values[0, 2] - last.truth_position.values[2])
+    down = data.truth_position.values[:, 2]
+    up = float(down[0] - down[-1])
     if abs(up) > LANDED_HEIGHT_TOLERANCE_M:
         return f"final position {up:.2f} m above the take-off position"
     tilt = final_tilt_deg(data)
@@ -553,7 +553,7 @@ def _failure_reason(s: FlightSummary, data: xr.Dataset, tolerance_m: float) -> s
     speed = final_speed_m_s(data)
     if speed > LANDED_MAX_SPEED_M_S:
         return f"final speed {speed:.2f} m/s"
-    if np.any(last.motor_input.values > 0.0):
+    if np.any(data.motor_input.values[-1] > 0.0):
         return "motors still running at the end"
     if (s.landing_distance_m or 0.0) > tolerance_m:
         return f"it landed {s.landing_distance_m:.2f} m from the landing position"

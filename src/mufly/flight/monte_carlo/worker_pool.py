@@ -6,10 +6,12 @@ Every finished flight becomes a line of ``flights.jsonl`` at once, so that an ab
 
 from __future__ import annotations
 
+import functools
 import gc
 import math
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -85,8 +87,12 @@ class WorkerPool:
             with open_executor(self._cluster, self.worker_count) as executor:
                 yield executor
         elif self.worker_count == 1:
-            with ThreadPoolExecutor(1) as alone:
-                yield alone
+            gc.freeze()  # excludes imported objects from garbage collection
+            try:
+                with ThreadPoolExecutor(1) as alone:
+                    yield alone
+            finally:
+                gc.unfreeze()
         else:
             pool = ProcessPoolExecutor(self.worker_count, _process_context(), initializer=_initialise_worker)
             try:
@@ -111,13 +117,18 @@ class WorkerPool:
         """
         todo, flying = iter(cases), set[Future[FlightResult]]()
         more = True
+        packed = pickle.dumps(campaign) if isinstance(self._executor, ProcessPoolExecutor) else None
         try:
             while True:
                 while more and not stop() and len(flying) < self._ahead:
                     case, path = next(todo, (None, None))
                     more = case is not None
                     if case is not None:
-                        flying.add(self._executor.submit(fly_case, campaign, case, path))
+                        flying.add(
+                            self._executor.submit(fly_case, campaign, case, path)
+                            if packed is None
+                            else self._executor.submit(_fly_packed, packed, case, path)
+                        )
                 if not flying:
                     return
                 landed, flying = wait(flying, timeout=0.2, return_when=FIRST_COMPLETED)
@@ -133,6 +144,18 @@ class WorkerPool:
         finally:
             for future in flying:
                 future.cancel()
+
+
+def _fly_packed(packed: bytes, case: FlightCase, path: Path | None) -> FlightResult:
+    """Simulate one flight of a pickled campaign."""
+    return fly_case(_unpack_campaign(packed), case, path)
+
+
+@functools.lru_cache(maxsize=1)
+def _unpack_campaign(packed: bytes) -> Campaign:
+    """Return a pickled campaign, the same object for all its flights in a worker process."""
+    campaign: Campaign = pickle.loads(packed)
+    return campaign
 
 
 def _process_context() -> Any:

@@ -511,10 +511,17 @@ class FlightRecorder:
             view.show_row(row, state)
 
     def append_rows(self, rows: NDArray[np.float64], states: Sequence[str]) -> None:
-        """Append many rows (n, layout.column_count), each with the state of the mission."""
+        """Append many rows (n, layout.column_count), each with the state of the mission.
+
+        Without a file the array itself is kept: the caller must not change it afterwards.
+        """
         for view in self.views:
             for row, state in zip(rows, states, strict=True):
                 view.show_row(row, state)
+        if self._stream is None and len(rows):
+            self._flush_block(float(rows[0, 0]))
+            self._keep_rows(rows, self._count_increasing(rows), states)
+            return
         first = 0
         while first < len(rows):
             if rows[first, 0] >= self._flush_at or self._n == BLOCK_ROWS:
@@ -565,10 +572,9 @@ class FlightRecorder:
         """
         if not self._keep:
             raise MuflyError(f"rows are not kept in memory; read {self._path or 'a recording on disk'}")
-        rows = np.concatenate([*self._all_rows, self._block[: self._n]])
         attributes = {**self._attributes, **(self._outcome if self._closed else {}), "complete": self._closed}
         return rows_to_dataset(
-            rows,
+            [*self._all_rows, self._block[: self._n]],
             self._all_states + self._states,
             self.layout,
             attributes=attributes,
@@ -588,16 +594,11 @@ class FlightRecorder:
 
     def _flush_block(self, time_s: float) -> None:
         """Write the block to disk and begin the next one at ``time_s``."""
-        rows = self._block[: self._n].copy()
-        times = np.concatenate(([self._last_time], rows[:, 0]))
-        wrong = ~(np.diff(times) > 0)
-        if wrong.any():
-            first = int(wrong.argmax())
-            self._n, self._states = first, self._states[:first]  # the valid rows are still written
-            raise MuflyError(
-                f"the times of a recording's rows must increase: {times[first + 1]:g} s follows {times[first]:g} s"
-            )
-        states, events = self._states, self._events
+        rows, states, events = self._block[: self._n].copy(), self._states, self._events
+        valid = self._count_increasing(rows)
+        if valid < len(rows):
+            self._n, self._states = valid, states[:valid]  # the valid rows are still written
+            raise self._time_error(rows, valid)
         if self._stream is not None and (len(rows) or events):
             try:
                 self._file.write_chunk(self._encoder.encode_rows(rows, states, events))
@@ -607,12 +608,34 @@ class FlightRecorder:
         self._n = 0
         self._states = []
         self._events = []
-        self._last_time = times[-1]
         self._flush_at = time_s + BLOCK_DURATION_S
+        if len(rows):
+            self._last_time = rows[-1, 0]
         if self._keep:
             self._all_rows += (rows,)
             self._all_states += states
             self._all_events += events
+
+    def _keep_rows(self, rows: NDArray[np.float64], valid: int, states: Sequence[str]) -> None:
+        """Store the first ``valid`` rows without a copy; an invalid row raises an error."""
+        if valid:
+            self._last_time = rows[valid - 1, 0]
+        if self._keep:
+            self._all_rows += (rows[:valid],)
+            self._all_states += states[:valid]
+        if valid < len(rows):
+            raise self._time_error(rows, valid)
+
+    def _count_increasing(self, rows: NDArray[np.float64]) -> int:
+        """Return the number of rows before the first whose time does not exceed the previous one."""
+        if not len(rows):
+            return 0
+        wrong = ~(np.diff(rows[:, 0], prepend=self._last_time) > 0)
+        return int(wrong.argmax()) if wrong.any() else len(rows)
+
+    def _time_error(self, rows: NDArray[np.float64], k: int) -> MuflyError:
+        before = rows[k - 1, 0] if k else self._last_time
+        return MuflyError(f"the times of a recording's rows must increase: {rows[k, 0]:g} s follows {before:g} s")
 
     def _write_error(self, error: OSError) -> MuflyError:
         return MuflyError(f"{self._path}: the recording cannot be written ({error.strerror})")

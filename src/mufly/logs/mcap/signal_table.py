@@ -16,7 +16,7 @@ import csv
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, lru_cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -121,6 +121,7 @@ class RecordingLayout:
         return cls(tuple(Quantity(**q) for q in content["quantities"]), int(content["beams"]), others)
 
 
+@cache
 def flight_layout(beams: int = 8, *, sensors: bool = False) -> RecordingLayout:
     """Return the layout of a flight's rows with ``beams`` range beams, on ideal sensors or on sensor models."""
     return RecordingLayout(
@@ -129,7 +130,7 @@ def flight_layout(beams: int = 8, *, sensors: bool = False) -> RecordingLayout:
 
 
 def rows_to_dataset(
-    rows: NDArray[np.float64],
+    rows: NDArray[np.float64] | Sequence[NDArray[np.float64]],
     states: Sequence[str],
     layout: RecordingLayout,
     *,
@@ -140,8 +141,8 @@ def rows_to_dataset(
 
     Parameters
     ----------
-    rows : (n, layout.width) array
-        One row for each instant; column 0 is the time (s).
+    rows : (n, layout.width) array, or sequence of such arrays
+        One row for each instant, in one block or several; column 0 is the time (s).
     states : sequence of n str
         Mission state at each instant.
     layout : RecordingLayout
@@ -157,18 +158,36 @@ def rows_to_dataset(
     xarray.Dataset
         Coordinate ``time`` (s); every variable has ``units`` and ``long_name``.
     """
-    coords: dict[str, Any] = {"time": ("time", rows[:, 0].copy(), _TIME_ATTRIBUTES)}
+    blocks = [rows] if isinstance(rows, np.ndarray) else rows
     variables: dict[str, Any] = {}
     for quantity in layout.quantities:
-        block = rows[:, layout.column_slices[quantity.name]].copy()
+        columns = layout.column_slices[quantity.name]
+        block = np.concatenate([part[:, columns] for part in blocks])
         attrs = {"units": quantity.units, "long_name": quantity.long_name}
         if quantity.dim is None:
             variables[quantity.name] = ("time", block[:, 0], attrs)
         else:
-            coords[quantity.dim] = list(layout.component_labels(quantity))
             variables[quantity.name] = (("time", quantity.dim), block, attrs)
     variables["mission_state"] = ("time", np.array(states, dtype=str), {"long_name": "state of the mission"})
-    return xr.Dataset(variables | event_variables(events), coords, dict(attributes or {}))
+    coordinates = _make_coordinates(np.concatenate([part[:, 0] for part in blocks]), layout)
+    return xr.Dataset(variables | event_variables(events), coordinates, dict(attributes or {}))
+
+
+def _make_coordinates(time_s: NDArray[np.float64], layout: RecordingLayout) -> xr.Coordinates:
+    """Return the time and the labels of all dimensions of a layout, with their indexes."""
+    time = {"time": xr.Variable("time", time_s, _TIME_ATTRIBUTES)}
+    index = xr.indexes.PandasIndex.from_variables(time, options={})
+    labels = _label_coordinates(layout)
+    return xr.Coordinates(
+        {**index.create_variables(time), **labels.variables}, indexes={"time": index, **labels.xindexes}
+    )
+
+
+@lru_cache(maxsize=32)
+def _label_coordinates(layout: RecordingLayout) -> xr.Coordinates:
+    """Return the labels of all dimensions, cached because indexes of text are slow to make."""
+    labels = {q.dim: list(layout.component_labels(q)) for q in layout.quantities if q.dim is not None}
+    return xr.Dataset(coords=labels).coords
 
 
 def event_variables(events: Sequence[FlightEvent]) -> dict[str, Any]:
