@@ -40,7 +40,7 @@ class BlockLogSession:
     missing_blocks : int
         Blocks between the first and the last one that are overwritten or damaged.
     has_begin : bool
-        Whether its definitions are there; without them it cannot be read.
+        Whether the session's definitions exist; without them the session cannot be read.
     """
 
     number: int

@@ -1,5 +1,4 @@
-"""Column maps: assignment of a log's topics and columns to signals, with unit conversion and notes on guesses.
-A column map assigns columns of a foreign log to signals of this package, with unit and sign.
+"""Column maps: assignment of a foreign log's topics and columns to signals, with unit, sign and notes on guesses.
 
 A map is a TOML file (or a dictionary of the same shape); the built-in maps for PX4 and ArduPilot are such files, too.
 It has one table per signal::

@@ -108,7 +108,7 @@ class ForwardFigures:
     ----------
     speed_m_s : float
     disk_margin, sensitivity_peak_dB, complementary_peak_dB : float
-            The margin is zero and the peaks are ``inf`` for an unstable loop.
+        The margin is zero and the peaks are ``inf`` for an unstable loop.
     """
 
     speed_m_s: float

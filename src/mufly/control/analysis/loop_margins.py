@@ -31,8 +31,8 @@ class DiskMargin:
     margin : float
         Radius ``a``; 0 for an unstable loop.
     gain_dB, phase_deg : float
-            Largest change of gain alone (up and down), and of phase alone, within the disk; ``inf`` dB from a radius of
-            2 on.
+        Largest change of gain alone (up and down), and of phase alone, within the disk; ``inf`` dB from a radius of
+        2 on.
     frequency : float
         Frequency of the least margin (rad/s).
     """

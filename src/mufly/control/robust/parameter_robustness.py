@@ -91,7 +91,7 @@ class ParameterRobustness:
         Parameters (SI) of the worst vehicle within the spreads, or at the boundary of stability if that is nearer. A
         value beyond the range of its parameter is the range's end.
     worst_loop : str
-            Loop for which these parameters are the worst.
+        Loop for which these parameters are the worst.
     """
 
     vehicle_name: str

@@ -280,7 +280,7 @@ def tune_controller(
     ----------
     aims : sequence of TuningAim
     starts : sequence of control.StateSpace
-            Controllers of the required order; descents begin at the best of them.
+        Controllers of the required order; descents begin at the best of them.
     descents : int
         Number of starts used.
     max_steps : int

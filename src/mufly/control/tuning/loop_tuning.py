@@ -244,7 +244,7 @@ def continue_tuning(
     ----------
     problem : LoopTuningProblem
     starts : sequence of control.StateSpace
-            Starts of one order (scaled); descents begin at the best two of them.
+        Starts of one order (scaled); descents begin at the best two of them.
     rounds, steps : int
         Rounds of a line, and steps of every descent in a round.
     state : TuningState, optional

@@ -53,7 +53,7 @@ def minimise_nonsmooth(
     window : int
         Number of steps over which ``tolerance`` applies.
     first_step : float
-            Length of the first trial step; later steps adapt their length.
+        Length of the first trial step; later steps adapt their length.
     budget_s : float
         Processor time after which the search ends (s).
     enough : float

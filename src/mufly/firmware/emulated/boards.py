@@ -66,7 +66,7 @@ class HostBoard:
     log_blocks : (LOG_BLOCKS, 128) array of uint32
         Contents of the block device of the log, kept over restarts.
     flash_model, block_model : cffi pointers
-            Models of flash and block device, with their faults.
+        Models of flash and block device, with their faults.
     """
 
     def __init__(self, ffi: Any, lib: Any) -> None:

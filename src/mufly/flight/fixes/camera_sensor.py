@@ -93,14 +93,14 @@ class CameraConfig:
     Attributes
     ----------
     camera : Camera
-            Camera that SLAM assumes.
+        Camera that SLAM assumes.
     true_camera : Camera, optional
         Camera that takes the pictures, of the same size, if ``camera`` is wrong. Default: ``camera``.
     floor_texture : str, optional
         Floor for :func:`mufly.camera.find_floor`: a kind, a package's picture or a picture file. Default: the floor of
         the mission, or :data:`DEFAULT_FLOOR`.
     floor_width_m : float, optional
-            Width on the ground of a floor picture (m).
+        Width on the ground of a floor picture (m).
     shadow_share : float
         Share of the light that shadows remove.
     camera_faults : tuple of CameraFault

@@ -76,7 +76,7 @@ class RosTopic(NamedTuple):
     signal : str
         Signal without which there is no message; rows where it is NaN give none.
     encode : callable
-        From signals and the sensors' geometry to columns.
+        Function from signals and the sensors' geometry to columns.
     time_signal, valid_signal : str
         Signals with the time of measurement and its validity; invalid readings give no message.
     live_rate_Hz : float

@@ -131,7 +131,7 @@ def calibrate_from_folder(
     folder : Path
         In the layout of mufly (``pictures.csv``, ``imu.csv``, ``sonar.csv``) or of EuRoC.
     camera : Camera
-            Initial values of the estimated parameters, and all other parameters (distortion except k1, readout).
+        Initial values of the estimated parameters, and all other parameters (distortion except k1, readout).
     height_m : float, optional
         Mean height above the floor (m), for a folder without ``sonar.csv``; known to 20 %.
     on_picture : callable, optional
@@ -182,15 +182,15 @@ def fit_camera(
     Parameters
     ----------
     tracks : PointTracks
-            Tracks in raw pictures of ``camera``'s size.
+        Tracks in raw pictures of ``camera``'s size.
     camera : Camera
-            Initial values of the estimated parameters, and all other parameters.
+        Initial values of the estimated parameters, and all other parameters.
     imu : InertialData
-            Inertial data, on the clock to which the delay refers.
+        Inertial data, on the clock to which the delay refers.
     height_m : callable
-            Function from times (n,) (s) to heights (n,) of the inertial unit above the floor (m).
+        Function from times (n,) (s) to heights (n,) of the inertial unit above the floor (m).
     height_sigma_m : float
-            Standard deviation of these heights (m).
+        Standard deviation of these heights (m).
     frames : callable, optional
         Returns stamps (s) and raw pictures, to track them again with patches warped by the first fit.
 

@@ -92,7 +92,7 @@ def integrate_inertial(
     gyro_bias, gyro_scale : (3,) arrays
         Bias (rad/s) and error of the scale (share) of the gyroscopes.
     accel_bias : (3,) array
-            Bias of the accelerometers (m/s^2).
+        Bias of the accelerometers (m/s^2).
     """
     t = imu.time_s
     rates = (imu.rates_rad_s - gyro_bias) / (1.0 + gyro_scale)

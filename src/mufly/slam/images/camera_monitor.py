@@ -349,7 +349,7 @@ class MotionFit:
     estimate, sigma : (3,) arrays
         m, n and k, and their standard deviations along one axis.
     weight : float
-            Effective number of pictures.
+        Effective number of pictures.
     """
 
     def __init__(self, memory_s: float) -> None:
