@@ -100,7 +100,7 @@ def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, 
 def _flow_loads(
     p: ModelParameters, point: tuple[float, float, float]
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:
-    """Return the six first columns of both rotors at a point of the map."""
+    """Return the first six columns of both rotors at a point of the map."""
     away = min(max(point[0], p.flight_map_ratio[1]), p.flight_map_ratio[2]) - p.flight_map_ratio[0]
     return interpolate_flow_loads(
         p.flight_map_table, p.flight_map_size[0], p.flight_map_size[1], away, point[1], point[2]

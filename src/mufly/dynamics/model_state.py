@@ -1,20 +1,20 @@
 """State and input vectors of the flight model, and the record of its parameters.
 
-The state is a flat array (21,) with the indices ``RS_...``; vectors in it also have a slice:
+The state is a flat array (21,) with the indices ``MODEL_...``; vectors in it also have a slice:
 
-==================  ================  =======================================================================
-first index         slice             meaning
-==================  ================  =======================================================================
-``MODEL_POSITION``          ``POSITION``      N, E, D of the centre of gravity (m)
-``MODEL_VELOCITY``          ``VELOCITY``      N, E, D (m/s)
-``MODEL_ATTITUDE``          ``ATTITUDE``      quaternion w, x, y, z: rotates body vectors to N-E-D, unit length
+=====================  ================  ======================================================================
+first index            slice             meaning
+=====================  ================  ======================================================================
+``MODEL_POSITION``     ``POSITION``      N, E, D of the centre of gravity (m)
+``MODEL_VELOCITY``     ``VELOCITY``      N, E, D (m/s)
+``MODEL_ATTITUDE``     ``ATTITUDE``      quaternion w, x, y, z: rotates body vectors to N-E-D, unit length
 ``MODEL_RATES``        ``RATES``         p, q, r (rad/s), body axes
 ``MODEL_SWASH_ROLL``                     alpha_dw, tilt of the lower tip-path plane about x (rad)
 ``MODEL_SWASH_PITCH``                    beta_dw, tilt of the lower tip-path plane about y (rad)
 ``MODEL_BAR``          ``BAR_NORMAL``    upward normal of the stabiliser bar's disc in N-E-D, unit length
 ``MODEL_SPEED_UPPER``  ``ROTOR_SPEEDS``  speeds of upper and, at ``MODEL_SPEED_LOWER``, lower rotor (rad/s)
 ``MODEL_CHARGE``                         remaining fraction of the battery's charge
-==================  ================  =======================================================================
+=====================  ================  ======================================================================
 
 The input is ``[motor upper, motor lower, servo 1, servo 2]``, with the indices ``U_...``: motors 0..1, servos -1..1.
 Positive servo 1 pitches the nose down, positive servo 2 rolls to the right (docs/thesis/thesis-errata.md, point 2).

@@ -368,8 +368,8 @@ def _load_builtin_maps() -> tuple[FlightMap, ...]:
 def level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
     """Return the greatest level airspeed (m/s) as a band over the flap frequency; None if it is not known.
 
-    It stands in the vehicle's flight map. Without one, it is that of the built-in map for the vehicle's rotors and
-    mass.
+    The band is part of the vehicle's flight map. Without a flight map, the band is that of the built-in map for the
+    vehicle's rotors and mass.
 
     Parameters
     ----------

@@ -39,7 +39,8 @@ _SPEED_STEP_M_S = 0.25
 def find_level_speed(vehicle: Vehicle) -> float:
     """Return the greatest level airspeed (m/s) at which the flight model has a trim within its inputs' range.
 
-    With a flight map the search ends at the map's last advance ratio. Only speeds below the first without a trim count.
+    With a flight map the search ends at the map's last advance ratio. Speeds above the first one without a trim are
+    ignored.
 
     Parameters
     ----------
