@@ -1,13 +1,14 @@
 """Tasks of the environments: start, target, reward and end of an episode.
 
-==========  ==============================================================================================
-Hover       hold a point 0.2 to 2 m above the floor and a heading, from up to 0.5 m beside it. A step earns at most 1
-Waypoint    fly to points within 1.5 m, one after the other; reward 5 at 0.2 m from a point, 2 for each metre of
-approach Obstacle    fly 4 m north around six columns between walls 4 m apart; reward 10 at the target, 2 for each metre
-of approach Land        descend to a point on the floor; reward 10 for a soft touchdown, minus 5 for each metre beside
-the point,
-            2 for each metre of approach
-==========  ==============================================================================================
+========  ================================================================================================
+Hover     hold a point 0.2 to 2 m above the floor and a heading, from up to 0.5 m beside it; a step earns at most 1
+Waypoint  fly to points within 1.5 m, one after the other; reward 5 at 0.2 m from a point, 2 for each metre of
+          approach
+Obstacle  fly 4 m north around six columns between walls 4 m apart; reward 10 at the target, 2 for each metre of
+          approach
+Land      descend to a point on the floor; reward 10 for a soft touchdown, minus 5 for each metre beside the point,
+          2 for each metre of approach
+========  ================================================================================================
 
 With e the distance (m), v the speed (m/s), psi the heading error, w the body rates (rad/s) and a the action, a step of
 Hover earns
