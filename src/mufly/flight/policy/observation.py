@@ -3,21 +3,20 @@
 An observation holds only quantities of an estimate, so that a policy can fly on a filter. The heading frame is level:
 x along the vehicle's heading, y to the right, z down.
 
-==============  ==============================================================================================
-index           meaning
-==============  ==============================================================================================
-``OBS_POSITION_ERROR``   target minus position, heading frame (m)
-``OBS_VELOCITY``     velocity, heading frame (m/s)
-``OBS_DOWN_DIRECTION``    direction of gravity, body axes
-``OBS_RATES``   p, q, r (rad/s)
-``OBS_HEADING``  sine and cosine of target heading minus heading
+======================  ==============================================================================================
+index                   meaning
+======================  ==============================================================================================
+``OBS_POSITION_ERROR``  target minus position, heading frame (m)
+``OBS_VELOCITY``        velocity, heading frame (m/s)
+``OBS_DOWN_DIRECTION``  direction of gravity, body axes
+``OBS_RATES``           p, q, r (rad/s)
+``OBS_HEADING``         sine and cosine of target heading minus heading
 ``OBS_SUPPLY_VOLTAGE``  battery voltage over nominal voltage, minus 1
-``OBS_LAST_ACTION``  action of the preceding step
-``OBS_HEIGHT``  height above the floor (m)
-``OBS_TASK_INPUTS``   Waypoint: the next target minus position, heading frame (m). Obstacle: distances (m) to the
-nearest
-                surface in eight level directions, clockwise from the heading
-==============  ==============================================================================================
+``OBS_LAST_ACTION``     action of the preceding step
+``OBS_HEIGHT``          height above the floor (m)
+``OBS_TASK_INPUTS``     Waypoint: the next target minus position, heading frame (m). Obstacle: distances (m) to the
+                        nearest surface in eight level directions, clockwise from the heading
+======================  ==============================================================================================
 
 An action has four numbers from -1 to 1: collective, turn to the right, forward, right. With the inputs of hover
 ``trim``, the inputs of the flight model are
