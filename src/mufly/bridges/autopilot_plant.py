@@ -223,7 +223,7 @@ class AutopilotPlant:
         return self.recorder.to_dataset()
 
     def close(self) -> None:
-        """Finish the recording; its outcome tells a crash."""
+        """Finish the recording; its outcome states whether the vehicle crashed."""
         if self.plant.crash_cause:
             self.recorder.set_outcome("failed", self.plant.crash_cause, mission_flown=self._has_flown)
         else:

@@ -237,7 +237,7 @@ class BetaflightSimulator(AutopilotSimulator):
         return now_s - self._open_s >= PORT_OPEN_TIME_S
 
     def _check_start(self) -> None:
-        """Report a start that failed: the clock of some stands still from the beginning."""
+        """Report a failed start of Betaflight, of which the clock does not advance from the beginning."""
         if self._clock() - self._open_s > START_TIMEOUT_S:
             self.vehicle.warn_once(
                 "start", f"Betaflight's port is open, but it answers no state for {START_TIMEOUT_S:g} s; start it again"

@@ -98,7 +98,7 @@ class _CascadeAxis:
         self._smooth = math.nan
 
     def command_acceleration(self, error_m: float, reference_m_s: float, velocity_m_s: float, *, hold: bool) -> float:
-        """Return the acceleration (m/s^2); with ``hold`` the integral rests."""
+        """Return the acceleration (m/s^2); with ``hold`` the integral stays constant."""
         k, dt = self.gains, 1.0 / PILOT_RATE_HZ
         wanted = reference_m_s + k.position * error_m
         wanted = min(max(wanted, -_MAX_VELOCITY_M_S), _MAX_VELOCITY_M_S)
