@@ -60,7 +60,8 @@ def write_start_state(start: _Array, x: _Array) -> None:
     Parameters
     ----------
     start : (19,) array
-        Indices ``SV_...``: attitude as roll, pitch, yaw (rad), the bar's disc by its roll and pitch at that yaw (rad).
+        Start values at the indices ``START_...``: attitude as roll, pitch, yaw (rad), the bar's disc by its roll and
+        pitch at that yaw (rad).
     x : (21,) array
         Output: state.
     """

@@ -133,7 +133,7 @@ class UnitVariable:
 
 @dataclass(frozen=True)
 class UnitInterface:
-    """Variables of a unit, parameters among them with their effects, and keys that are fixed in it."""
+    """Variables of a unit, its parameters with their effects, and the keys of the vehicle file that are fixed in it."""
 
     variables: list[UnitVariable]
     parameters: list[UnitParameter]
