@@ -1,4 +1,4 @@
-"""From a TOML file to a checked model, with one clear line when it is wrong; and a text with columns, to its cells.
+"""Reading of TOML files to validated models; a fault becomes one line that a user can act on.
 
 Vehicles, missions and rotors are all read the same way: by the name of a built-in file or by path, parsed, and
 validated by a pydantic model. This module holds the parts that they share: finding and reading the file, and turning
@@ -122,7 +122,7 @@ _MAX_ORDINARY_INTEGER = 10**300
 
 
 def model_error(problem: str, remedy: str, key: str = "") -> PydanticCustomError:
-    """Return what a model's own check raises; ``key`` where that of the field checked would not do."""
+    """Return the error that a model's own check raises; ``key`` replaces the key of the checked field."""
     context = {"problem": problem, "remedy": remedy} | ({"key": key} if key else {})
     return PydanticCustomError("mufly", "{problem}; {remedy}", context)
 

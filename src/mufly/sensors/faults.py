@@ -152,7 +152,7 @@ class FaultySensor(Sensor):
     """Wrapper of a sensor that applies ``faults``, which may change in flight; readings without a fault are unchanged.
 
     ``is_altered`` says whether a fault was active at the last reading. A compiled loop that samples the sensor itself
-    clears it.
+    sets it to False.
     """
 
     def __init__(self, sensor: Sensor, faults: Sequence[Fault], rng: np.random.Generator) -> None:

@@ -33,10 +33,10 @@ class GustResponse:
     Attributes
     ----------
     tilt_rad : float
-            Standard deviation of roll or pitch, whichever is larger.
+        Standard deviation of roll or pitch, whichever is larger.
     swash_plate_rate_rad_s : float
-            Standard deviation of the swash plate's speed about its faster axis: change of tilt in a period, divided by
-            the period.
+        Standard deviation of the swash plate's speed about its faster axis: change of tilt in a period, divided by
+        the period.
     """
 
     tilt_rad: float
