@@ -8,10 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mufly.estimate.filter import filter_inputs
 from mufly.estimate.filter.filter_records import (
     AID_COUNT,
     AID_POSITION,
     ERROR_GYRO_BIAS,
+    ERROR_STATE_COUNT,
+    INPUT_ACCEL_WEIGHT,
+    INPUT_NOISE_DENSITY,
+    INPUT_ROW_SIZE,
     NOMINAL_ATTITUDE,
     NOMINAL_POSITION,
     PHASE_FLYING,
@@ -120,18 +125,21 @@ def test_two_agreeing_outliers_of_gyroscopes_are_no_jump_and_a_jump_is_removed(s
     assert m.gyro_offset == pytest.approx(np.full(3, 0.2), abs=0.02)
 
 
-@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1.2, False), (0.5, True), (1.6, True)])
+@pytest.mark.parametrize(
+    ("factor", "current_A", "told"),
+    [(1.0, 2.7, False), (1.2, 2.7, False), (0.5, 2.7, True), (1.6, 2.7, True), (1.45, 2.7, True), (1.45, 4.0, False)],
+)
 def test_a_field_of_another_strength_than_the_earth_s_is_no_heading(
-    settings: Any, faults: list[int], monkeypatch: pytest.MonkeyPatch, factor: float, told: bool
+    settings: Any, faults: list[int], monkeypatch: pytest.MonkeyPatch, factor: float, current_A: float, told: bool
 ) -> None:
-    """Errors of the file make 4 uT of 48: five deviations are 20 uT."""
+    """Errors of the file make 4 uT of 48 in hover: five deviations are 20 uT, in a lift-off 23 uT."""
     fused: list[float] = []
     monkeypatch.setattr(fusion, "_fuse_drifting_aid", lambda m, s, k, bias, nu, *rest: fused.append(nu))
     for name in ("h_row_begin", "h_row_add"):
         monkeypatch.setattr(fusion, name, lambda *of: None)
     x = np.zeros(STATE_COUNT)
     x[NOMINAL_ATTITUDE] = 1.0
-    m = SimpleNamespace(x=x, noise_scale=np.ones(AID_COUNT), yaw_rate=0.0)
+    m = SimpleNamespace(x=x, noise_scale=np.ones(AID_COUNT), yaw_rate=0.0, supply_current=current_A)
     fusion.fuse_magnetic_heading.py_func(m, settings, factor * settings.earth_field, 0.0, np.zeros(9))
     assert (faults == [READING_MAGNETIC_FIELD], bool(fused)) == (told, not told)
 
@@ -164,6 +172,63 @@ def test_a_turn_on_the_legs_under_running_rotors_is_no_gyroscope_bias(
     monkeypatch.setattr(fusion, "fuse_scalar", lambda *of: None)
     x = np.zeros(STATE_COUNT)
     x[NOMINAL_ATTITUDE] = 1.0
-    m = SimpleNamespace(x=x, gyro_mean=np.full(3, 0.01), accel_mean=np.array([0.0, 0.0, -9.81]))
+    m = SimpleNamespace(
+        x=x, gyro_mean=np.full(3, 0.01), gyro_mean_prev=np.zeros(3), accel_mean=np.array([0.0, 0.0, -9.81])
+    )
     fusion.fuse_zero_motion.py_func(m, settings, np.empty(9), 8, phase, axis)
     assert (ERROR_GYRO_BIAS + axis in rows) == learnt
+
+
+def test_rates_that_change_on_the_legs_are_motion_and_lasting_ones_a_bias(
+    settings: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wind rocks a light vehicle on its legs by 0.3 rad/s, 34 deviations of the bias of its gyroscopes."""
+    fused: list[tuple[float, float]] = []
+    monkeypatch.setattr(fusion, "h_row_begin", lambda *of: None)
+    monkeypatch.setattr(fusion, "h_row_add", lambda *of: None)
+    monkeypatch.setattr(fusion, "fuse_error_state", lambda *of: None)
+    monkeypatch.setattr(fusion, "innovation_ratio", lambda *of: 99.0)
+    monkeypatch.setattr(fusion, "fuse_scalar", lambda m, nu, r: fused.append((nu, r)))
+    x = np.zeros(STATE_COUNT)
+    x[NOMINAL_ATTITUDE] = 1.0
+    m = SimpleNamespace(x=x, gyro_mean=np.zeros(3), gyro_mean_prev=np.zeros(3), accel_mean=np.array([0.0, 0.0, -9.81]))
+    for rate in (-0.28, 0.085, 0.02, 0.02):
+        m.gyro_mean[1] = rate
+        fusion.fuse_zero_motion.py_func(m, settings, np.empty(9), 8, PHASE_STANDING, 1)
+    innovations, variances = np.array(fused).T
+    assert innovations == pytest.approx([-0.28, 0.085, 0.02, 0.02])
+    assert np.all(np.sqrt(variances[:3]) >= np.abs([0.28, 0.365, 0.065]) - 1e-12)
+    assert variances[3] == pytest.approx(2.0 * settings.rest_gyro_sigma**2 / 8)
+
+
+@pytest.mark.parametrize("rate_rad_s", [376.0, 444.0])
+def test_the_velocity_of_vibration_has_the_variance_of_its_integral(
+    settings: Any, monkeypatch: pytest.MonkeyPatch, rate_rad_s: float
+) -> None:
+    """The filter sums a sin(w t) and adds the last sample over the lag of the unit; a constant error leaks away."""
+    monkeypatch.setattr(filter_inputs, "_backdate_accel_noise", lambda *of: None)
+    row = np.zeros(INPUT_ROW_SIZE)
+    row[INPUT_ACCEL_WEIGHT : INPUT_ACCEL_WEIGHT + 3], row[INPUT_NOISE_DENSITY : INPUT_NOISE_DENSITY + 3] = 0.5, 1e-3
+    three = {
+        name: np.zeros(3)
+        for name in (
+            "accel_noise_slow", "slow_residual_sum", "slow_residual_mean_prev",
+            "vibration_velocity", "vibration_velocity_variance", "axis_work", "clip_share",
+        )
+    }  # fmt: skip
+    m = SimpleNamespace(
+        **three, inputs_now=row, x=np.zeros(STATE_COUNT), sigma_output=np.zeros(ERROR_STATE_COUNT),
+        slow_residual_count=0, slow_residual_mean_count=0, flight_phase=PHASE_MOTORS_RUNNING, tick=0, grounded_tick=0,
+        status=np.ones(SENSOR_COUNT, dtype=int), fault_until_tick=np.zeros(SENSOR_COUNT),
+    )  # fmt: skip
+    found = []
+    for m.tick in range(4000):
+        z = np.array([9.0, 0.3, 0.0]) * (np.sin(rate_rad_s * settings.dt * m.tick), 1.0, 0.0)
+        filter_inputs.estimate_accel_noise.py_func(m, settings, z)
+        found.append(m.vibration_velocity_variance.copy())
+    x, y, z = np.mean(found[3000:], axis=0)
+    half = 0.5 * rate_rad_s * settings.dt  # the sum of samples: dt / (2 sin(w dt / 2)), half a sample later
+    size = np.hypot(0.5 * settings.dt + settings.imu_lag, 0.5 * settings.dt / np.tan(half))
+    assert x == pytest.approx(0.5 * (9.0 * size) ** 2, rel=0.15)
+    assert y < 1e-3 * x
+    assert z == 0.0

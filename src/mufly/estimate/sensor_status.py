@@ -94,7 +94,8 @@ _ACCEL_OR_MODEL, _ROTOR_MODEL = (
     "accelerometers or rotor model (thrust, drag, wind): ",
     "rotor model (thrust, drag, wind): ",
 )
-REASONS_WITH_CAUSES = (_FIX_OR_SONAR, _FIX_OR_GYRO, _ACCEL_OR_MODEL, _ROTOR_MODEL)
+_MAGNETOMETER_OR_IRON = "magnetometer, steel or motor currents: "
+REASONS_WITH_CAUSES = (_FIX_OR_SONAR, _FIX_OR_GYRO, _ACCEL_OR_MODEL, _ROTOR_MODEL, _MAGNETOMETER_OR_IRON)
 """Openings of reasons that name the possible causes themselves, where this sensor alone is not accused."""
 _REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
     g.REASON_NONE: lambda x, u: "",
@@ -120,6 +121,7 @@ _REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
     g.REASON_FORCE_CONFLICT: lambda x, u: f"{_ACCEL_OR_MODEL}they differ by {x:.3g} {u}",
     g.REASON_MODEL_WRONG: lambda x, u: f"{_ROTOR_MODEL}differs by {x:.3g} {u} from the accelerometers",
     g.REASON_LEVELLED: lambda x, u: f"mounted {math.degrees(x):.1f} degrees off level; its axes are turned level",
+    g.REASON_FIELD_STRENGTH: lambda x, u: f"{_MAGNETOMETER_OR_IRON}field differs by {1e6 * x:.0f} uT from the earth's",
     g.REASON_JUMP: lambda x, u: f"sudden offset of {x:.2g} {u}, subtracted from its readings",
 }
 

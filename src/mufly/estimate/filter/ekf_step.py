@@ -90,7 +90,7 @@ def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
     m.rotor_state[MODEL_POSITION + 2] = -1000.0  # far above the floor
     m.rotor_state[MODEL_BAR + 2] = -1.0
     for k in range(3):
-        m.accel_noise[k] = m.accel_noise_slow[k] = INITIAL_ACCEL_NOISE_DENSITY
+        m.accel_noise_slow[k] = INITIAL_ACCEL_NOISE_DENSITY
 
 
 @cached_njit(error_model="numpy")

@@ -230,9 +230,12 @@ def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
         m.gyro_mean[k] /= n
         m.thrust_slope[k] /= n
         m.velocity_slope[k] /= n
-        # Noise density of the difference at the horizon, from the weights used there
+        # Noise density of the difference at the horizon, from the weights used there. The mean of a vibration is the
+        # difference of two velocities over the time between them; the lag at least doubles the output's variance.
         share = max(e[INPUT_ACCEL_WEIGHT + k], 1e-9)
-        m.residual_density[k] = e[INPUT_NOISE_DENSITY + k] / share / max(1 - share, 1e-9) + m.accel_noise[k]
+        m.residual_density[k] = e[INPUT_NOISE_DENSITY + k] / share / max(1 - share, 1e-9) + (
+            m.vibration_velocity_variance[k] / (m.block_mean_ticks * s.dt)
+        )
 
 
 @cached_njit(error_model="numpy")

@@ -74,6 +74,10 @@ _Array = NDArray[np.float64]
 
 SLOW_NOISE_TICKS = 32
 """Periods over which low-frequency force noise is estimated."""
+VIBRATION_HIGH_PASS_S, VIBRATION_VARIANCE_GAIN = 0.04, 0.002
+"""Time constant of the high pass that separates the velocity of vibration from other errors (s), some revolutions of
+the rotors; gain of its mean square per period (1). A fast gain would take a fault of the accelerometers for vibration.
+"""
 LEVELLING_REST_S, LEVELLING_MAX_RATE, LEVELLING_GATE_SIGMAS = 0.5, 0.1, 3.0
 """Time at rest in which the tilt of the inertial unit is measured (s), largest rate meanwhile (rad/s), and deviations
 of the standing tilt beyond which the unit is taken for tilted (1)."""
@@ -218,7 +222,9 @@ def sample_inputs(
             ] + s.imu_lag_remainder * m.rotor_force[b, ROTOR_FORCE_STATIC + 3 * g + k]
         clip = m.clip_share[k] * CLIPPING_ERROR_SHARE * s.accel_range
         # Without vibration; but if the attitude is unknown, the model's force is the better one.
-        noise = m.accel_noise_slow[k] if m.status[READING_RATES] < STATUS_MISSING else m.accel_noise[k]
+        noise = m.accel_noise_slow[k]
+        if m.status[READING_RATES] >= STATUS_MISSING:
+            noise = m.vibration_velocity_variance[k] / (FORCE_MEAN_TICKS * s.dt)
         felt = (
             max(s.accel_noise_density, noise) if s.has_rotor_model > 0 else s.accel_noise_density
         ) + TWICE_ACCEL_ERROR_CORRELATION_S * clip * clip
@@ -287,13 +293,12 @@ def _backdate_accel_noise(m: FilterMemory, s: FilterSettings, k: int) -> None:
 
 @cached_njit(error_model="numpy")
 def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
-    """Estimate the noise of the difference of accelerometers and model from means over short and over long blocks.
+    """Estimate the noise of the difference of accelerometers and model: vibration, and noise at low frequencies.
 
-    Means over short blocks contain the effect of vibration on the velocity. Means over long blocks have triangular
-    weights, which suppress vibration.
+    The integral of the residual contains the effect of vibration on the velocity. Means over long blocks have
+    triangular weights, which suppress vibration.
     """
     row = m.inputs_now
-    m.accel_noise_count += 1
     m.slow_residual_count += 1
     weight = (
         m.slow_residual_count
@@ -302,8 +307,15 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
     )
     for k in range(3):
         off = z[k] - (m.x[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC_FORCE + k] + row[INPUT_FORCE_REMAINDER + k])
-        m.accel_noise_sum[k] += off
-        m.slow_residual_sum[k] += weight * (off - row[INPUT_FORCE_SLOPE + k] * m.axis_work[k])
+        off -= row[INPUT_FORCE_SLOPE + k] * m.axis_work[k]
+        m.slow_residual_sum[k] += weight * off
+        off -= m.slow_residual_mean_prev[k]
+        m.vibration_velocity[k] += s.dt * (off - m.vibration_velocity[k] / VIBRATION_HIGH_PASS_S)
+        # The output adds the last acceleration over the lag of the inertial unit.
+        vibrating = m.vibration_velocity[k] + s.imu_lag * off
+        m.vibration_velocity_variance[k] += VIBRATION_VARIANCE_GAIN * (
+            vibrating * vibrating - m.vibration_velocity_variance[k]
+        )
     if m.slow_residual_count >= SLOW_NOISE_TICKS:
         half = float(SLOW_NOISE_TICKS // 2)
         span = 0.75 * SLOW_NOISE_TICKS * s.dt
@@ -334,17 +346,6 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
         m.slow_residual_mean_count += 1
         if m.status[READING_ACCELERATION] == STATUS_REJECTED and m.tick >= m.fault_until_tick[READING_ACCELERATION]:
             m.status[READING_ACCELERATION], m.reason[READING_ACCELERATION] = STATUS_FUSED, REASON_NONE
-    if m.accel_noise_count >= FORCE_MEAN_TICKS:
-        span = m.accel_noise_count * s.dt
-        for k in range(3):
-            mean = m.accel_noise_sum[k] / m.accel_noise_count
-            step = mean - m.accel_noise_mean[k]
-            m.accel_noise_mean[k] = mean
-            density = max(0.5 * step * step * span - s.model_accel_noise_density[k], 0.0)
-            density = min(density, 100.0)
-            m.accel_noise[k] += (0.2 if density > m.accel_noise[k] else 0.05) * (density - m.accel_noise[k])
-            m.accel_noise_sum[k] = 0.0
-        m.accel_noise_count = 0
 
 
 @cached_njit(error_model="numpy")
@@ -392,11 +393,10 @@ def _decide_levelling(m: FilterMemory, s: FilterSettings) -> None:
     x, y, d = -y / size, x / size, -d / size
     tilt = s.initial_sigma[ERROR_ACCEL_BIAS] / GRAVITY
     q = x * x + y * y
-    m.mount_variance[0] = m.mount_variance[1] = 0.5 * q  # the tilt may be a bias, a lean or the unit's
-    if (
-        q > LEVELLING_GATE_SIGMAS * LEVELLING_GATE_SIGMAS * (s.rest_tilt_sigma * s.rest_tilt_sigma + tilt * tilt)
-        and d > 0.875
-    ):
+    explained = s.rest_tilt_sigma * s.rest_tilt_sigma + tilt * tilt
+    # Variance of an axis beyond that of lean and bias
+    m.mount_variance[0] = m.mount_variance[1] = max(0.5 * q - explained, 0.0)
+    if q > LEVELLING_GATE_SIGMAS * LEVELLING_GATE_SIGMAS * explained and d > 0.875:
         half = math.sqrt(0.5 * d + 0.5)
         turn = np.array((half, 0.5 * x / half, 0.5 * y / half, 0.0))
         rotation_matrix(turn, m.level_rotation)

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from mufly.compiled.record_fields import int_or_array_field as _int
 from mufly.compiled.record_fields import real_or_array_field as _real
 from mufly.compiled.record_fields import record_type
-from mufly.dynamics import GRAVITY, model_parameters, standing_height
+from mufly.dynamics import GRAVITY, hover_current_A, model_parameters, standing_height
 from mufly.dynamics.model_state import hover_speeds
 from mufly.quantities.quantity_table import CHECKED_READINGS, DIMENSION_LABELS
 from mufly.quantities.sensor_table import CHECKED
@@ -196,6 +196,7 @@ class FilterMemory:
     rotor_state: _Array = _real("state of the flight model in body axes, indices RS", 21)
     actuators: _Array = _real("actuator inputs of the last period: motors, servos", 4)
     motor_accel_bias: _Array = _real("error of the modelled rotor acceleration: upper, lower", 2, unit="rad/s2")
+    supply_current: float = _real("modelled supply current", unit="A")
     ang_accel_bias: _Array = _real(
         "error of the modelled angular acceleration times the period, body axes", 3, unit="rad/s"
     )
@@ -209,11 +210,10 @@ class FilterMemory:
     queue_value: _Array = _real("value of each measurement", "QUEUE_SIZE", MAX_FUSED_BEAMS)
     queue_ahead: _Array = _real("time of each measurement after the start of its period", "QUEUE_SIZE", unit="s")
     # Noise of the accelerometers about the model
-    accel_noise_sum: _Array = _real("sum of residuals since the last mean", 3, unit="m/s2")
     gyro_rates_prev: _Array = _real("rates of the previous period, body axes", 3, unit="rad/s")
-    accel_noise_count: int = _int("residuals in accel_noise_sum")
-    accel_noise: _Array = _real("noise density from means over short blocks", 3, unit="m2/s3")
     accel_noise_slow: _Array = _real("density of the noise at low frequencies", 3, unit="m2/s3")
+    vibration_velocity: _Array = _real("integral of the residuals, high-passed", 3, unit="m/s")
+    vibration_velocity_variance: _Array = _real("variance of the output's velocity due to vibration", 3, unit="m2/s2")
     slow_residual_sum: _Array = _real("weighted sum of residuals since the last slow mean", 3, unit="m/s2")
     slow_residual_mean_prev: _Array = _real("last slow mean", 3, unit="m/s2")
     slow_residual_count: int = _int("residuals in slow_residual_sum")
@@ -278,6 +278,7 @@ class FilterMemory:
     )
     is_heading_aligned: int = _int("1: a fix has been fused")
     gyro_mean: _Array = _real("measured rates, mean since the last comparison", 3, unit="rad/s")
+    gyro_mean_prev: _Array = _real("last such mean of each axis on the floor", 3, unit="rad/s")
     is_initialised: int = _int("1: the estimate is initialised and may be used")
     # Output: the state of now
     x_output: _Array = _real("current nominal state, indices SX", STATE_COUNT)
@@ -329,7 +330,6 @@ class FilterMemory:
     height_reset_tick: int = _int("period of the last reset of the height by the sonar")
     spike_residual_carry: _Array = _real("gyroscope residuals carried to the next period", 3, unit="rad/s")
     motor_accel_mean: _Array = _real("motor_accel_bias, mean over seconds", 2, unit="rad/s2")
-    accel_noise_mean: _Array = _real("last mean of residuals over a short block", 3, unit="m/s2")
     # Work
     axis_work: _Array = _real("work", 3)
     h_term_count: int = _int("terms of the row of H")
@@ -406,9 +406,8 @@ class FilterSettings:
     pressure_height_slope: float = _real("derivative of pressure with respect to D", unit="Pa/m")
     pressure_downwash: _Array = _real("pressure of the downwash over squared rotor speed: upper, lower", 2)
     mag_heading_variance: float = _real("variance of the magnetic heading", unit="rad2")
-    mag_field_variance: float = _real(
-        "variance of the field per axis, including motor currents of heave control", unit="T2"
-    )
+    mag_field_variance: float = _real("variance of the field per axis without current", unit="T2")
+    mag_current_variance: float = _real("variance of the motors' field per axis and squared current", unit="T2/A2")
     earth_field: _Array = _real("magnetic field of the earth, N, E, D", 3, unit="T")
     rotor_speed_gain: float = _real("gain of the rotor speed filter")
     motor_error_gain: float = _real("gain of the estimate of motor_accel_bias", unit="1/s")
@@ -438,7 +437,6 @@ WIND_SIGMA_AND_TIME = (0.5, 10.0)
 """Of an axis (m/s), and for how long (s): a mean of 0.5 m/s from anywhere and gusts of 0.3 m/s make 0.46."""
 MOTOR_SPEED_NOISE = 1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
 EARTH_FIELD_ERROR = 0.02  # of a place, over its strength: the file names a city
-HOVER_CURRENT_A = 2.0  # of both motors in a hover (A)
 TERRAIN_EDGE_DURATION_S, MAX_FLOOR_HEIGHT, FLOOR_SETTLED_SIGMA = 3.0, 0.05, 0.01
 """An edge in the sonar's cone counts for this long (s) where it is not flown over sooner; what is lower is the floor
 (m), and known to be once its height is uncertain by more than the last (m)."""
@@ -603,13 +601,14 @@ def filter_settings(
         noisy[READING_MAGNETIC_FIELD] = float(compass.noise) > 0
         s["earth_field"] = earth_field(float(compass.field), float(compass.inclination))
         field = max(float(s["earth_field"][0]), 1e-9)
-        # Heave control swings the current by half of a hover's, and its field with it
-        swing = 0.5 * HOVER_CURRENT_A * float(compass.motor_field)
+        # Heave control swings the motors' current by half of a hover's, and its field with it
+        current = hover_current_A(vehicle)
+        swing = 0.5 * (current - float(vehicle.battery.electronics_current)) * float(compass.motor_field)
         s["mag_heading_variance"] = (math.hypot(float(compass.noise), swing) / field) ** 2
-        current = float(vehicle.battery.electronics_current) + HOVER_CURRENT_A
-        wrong = math.hypot(float(compass.distortion), float(compass.hard_iron), float(compass.motor_field) * current)
-        off = math.hypot(wrong, swing, float(compass.noise), EARTH_FIELD_ERROR * float(compass.field))
-        s["mag_field_variance"] = off**2
+        steady = math.hypot(float(compass.distortion), float(compass.hard_iron))
+        wrong = math.hypot(steady, float(compass.motor_field) * current)
+        off = math.hypot(steady, float(compass.noise), EARTH_FIELD_ERROR * float(compass.field))
+        s["mag_field_variance"], s["mag_current_variance"] = off**2, float(compass.motor_field) ** 2
         sigma[ERROR_MAG_BIAS], tau[ERROR_MAG_BIAS] = min(wrong / field, 2.0), float(compass.distortion_length) / 0.3
         bound[READING_MAGNETIC_FIELD] = 1e-3
     if (rotor := sensing.rotor_speed) is not None:

@@ -108,11 +108,10 @@ def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None
         m.covariance_output[k, ERROR_VELOCITY + k] += m.now_velocity_variance[k] * span / 2.0
         m.covariance_output[ERROR_VELOCITY + k, ERROR_VELOCITY + k] += m.now_velocity_variance[k]
         for i in range(3):
-            # Vibration affects the velocity for half a revolution; block means measure its size.
+            # The filter integrates the vibration of the accelerometers
             share = r[3 * k + i] * m.inputs_now[INPUT_ACCEL_WEIGHT + i]
-            shaking = max(m.accel_noise[i] - m.accel_noise_slow[i], 0.0)
             m.covariance_output[ERROR_VELOCITY + k, ERROR_VELOCITY + k] += (
-                share * share * ((FORCE_MEAN_TICKS * s.dt) * shaking)
+                share * share * m.vibration_velocity_variance[i]
             )
         m.covariance_output[ERROR_ATTITUDE + k, ERROR_ATTITUDE + k] += s.gyro_noise_density * span
 

@@ -281,6 +281,7 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     x[MODEL_SPEED_UPPER] = max(x[MODEL_SPEED_UPPER] + 0.5 * dt * up, 0.0)
     x[MODEL_SPEED_LOWER] = max(x[MODEL_SPEED_LOWER] + 0.5 * dt * dw, 0.0)
     x[MODEL_CHARGE] = min(max(x[MODEL_CHARGE] + dt * dx[MODEL_CHARGE], 0.0), 1.0)
+    m.supply_current = max(0.0, -p.battery_capacity * dx[MODEL_CHARGE])
 
 
 @cached_njit(error_model="numpy")

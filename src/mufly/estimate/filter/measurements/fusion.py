@@ -76,9 +76,9 @@ from mufly.estimate.filter.measurements.scalar_fusion import (
     reset_timeout_expired,
 )
 from mufly.estimate.filter.measurements.sensor_checks import (
+    REASON_FIELD_STRENGTH,
     REASON_INNOVATION,
     REASON_NO_WALL,
-    REASON_OUT_OF_RANGE,
     REASON_RESET,
     REASON_STUCK,
     REASON_TERRAIN_SLOPE,
@@ -102,7 +102,8 @@ SONAR_MEAN_GATE = PRESSURE_MEAN_GATE = 2.2
 """Mean of five ratios or so of the sonar, and of the pressure: six and a half deviations."""
 MAGNETIC_FIELD_GATE = 5.0
 """Deviations of the magnetic field from the earth's, across and along the vertical, above which a field is no heading.
-A healthy sensor exceeds them at one place in 270 000 (chi-square of two)."""
+A healthy sensor exceeds them at one place in 270 000 (chi-square of two). Its variance is that of steel and hard iron,
+and that of the motors' field at the modelled current."""
 SONAR_STUCK_PROBABILITY = 1e-14
 """Probability that a healthy sonar repeats a reading for so long."""
 LEG_CLEARANCE_HEIGHT = 0.15
@@ -449,14 +450,15 @@ def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: 
     east = r[3] * z[0] + r[4] * z[1] + r[5] * z[2]
     across = math.sqrt(north * north + east * east) - s.earth_field[0]
     along = r[6] * z[0] + r[7] * z[1] + r[8] * z[2] - s.earth_field[2]
-    if across * across + along * along > MAGNETIC_FIELD_GATE * MAGNETIC_FIELD_GATE * s.mag_field_variance:
-        set_fault(m, s, READING_MAGNETIC_FIELD, STATUS_FAULTY, REASON_OUT_OF_RANGE, 0.0)
+    square = across * across + along * along
+    variance_now = s.mag_field_variance + s.mag_current_variance * m.supply_current * m.supply_current
+    if square > MAGNETIC_FIELD_GATE * MAGNETIC_FIELD_GATE * variance_now:
+        set_fault(m, s, READING_MAGNETIC_FIELD, STATUS_FAULTY, REASON_FIELD_STRENGTH, math.sqrt(square))
         return
     h_row_begin(m, ERROR_ATTITUDE + 2, 1.0)
     h_row_add(m, ERROR_ATTITUDE, -s.earth_field[2] / s.earth_field[0])
     h_row_add(m, ERROR_MAG_BIAS, 1.0)
-    off = -portable_atan2(east, north) - ahead * m.yaw_rate - m.x[NOMINAL_MAG_BIAS]
-    nu = wrap_angle(off)
+    nu = wrap_angle(-portable_atan2(east, north) - ahead * m.yaw_rate - m.x[NOMINAL_MAG_BIAS])
     _fuse_drifting_aid(m, s, READING_MAGNETIC_FIELD, ERROR_MAG_BIAS, nu, variance, z, 3, 1e-5)
 
 
@@ -526,6 +528,10 @@ def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, 
         return
     h_row_begin(m, ERROR_GYRO_BIAS + i, 1.0)
     calm = 2.0 * s.rest_gyro_sigma * s.rest_gyro_sigma / count if still else 5e-5
+    # Wind may rock the vehicle on its legs: a rate that changes is motion, not bias.
+    change = m.gyro_mean[i] - m.gyro_mean_prev[i]
+    calm = max(calm, change * change)
+    m.gyro_mean_prev[i] = m.gyro_mean[i]
     off = m.gyro_mean[i] - m.x[NOMINAL_GYRO_BIAS + i]
     # With running rotors the vehicle may slide on its legs.
     if still or abs(innovation_ratio(m, off, calm)) < INNOVATION_GATE:

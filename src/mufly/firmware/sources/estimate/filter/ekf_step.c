@@ -37,7 +37,6 @@ void estimator_reset(estimator_t *m, const estimator_settings_t *s)
     m->rotor_state[MODEL_POSITION + 2] = REAL(-1000.0); /* far above the floor */
     m->rotor_state[MODEL_BAR + 2] = REAL(-1.0);
     for (int32_t k = 0; k < 3; k++) {
-        m->accel_noise[k] = INITIAL_ACCEL_NOISE_DENSITY;
         m->accel_noise_slow[k] = INITIAL_ACCEL_NOISE_DENSITY;
     }
 }

@@ -176,7 +176,8 @@ static void average_block_forces(estimator_t *m, const estimator_settings_t *s)
         m->thrust_slope[k] /= n;
         m->velocity_slope[k] /= n;
         m->residual_density[k] =
-            ((e[INPUT_NOISE_DENSITY + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9))) + m->accel_noise[k];
+            ((e[INPUT_NOISE_DENSITY + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9))) +
+            (m->vibration_velocity_variance[k] / ((real_t)m->block_mean_ticks * s->dt));
     }
 }
 

@@ -154,7 +154,9 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
     for (int32_t k = 0; k < 3; k++) {
         const real_t clip = (m->clip_share[k] * CLIPPING_ERROR_SHARE) * s->accel_range;
         /* Without vibration; but if the attitude is unknown, the model's force is the better one. */
-        const real_t noise = (m->status[READING_RATES] < STATUS_MISSING) ? m->accel_noise_slow[k] : m->accel_noise[k];
+        const real_t noise = (m->status[READING_RATES] < STATUS_MISSING)
+                                 ? m->accel_noise_slow[k]
+                                 : (m->vibration_velocity_variance[k] / ((real_t)FORCE_MEAN_TICKS * s->dt));
         real_t felt = ((s->has_rotor_model > 0) ? real_max(s->accel_noise_density, noise) : s->accel_noise_density) + ((TWICE_ACCEL_ERROR_CORRELATION_S * clip) * clip);
         real_t made = s->model_accel_noise_density[k];
         real_t share;
@@ -234,14 +236,18 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
     const real_t *row = m->inputs_now;
     real_t weight;
 
-    m->accel_noise_count += 1;
     m->slow_residual_count += 1;
     weight = (real_t)((m->slow_residual_count <= (SLOW_NOISE_TICKS / 2)) ? m->slow_residual_count : ((SLOW_NOISE_TICKS + 1) - m->slow_residual_count));
     for (int32_t k = 0; k < 3; k++) {
-        const real_t off = z[k] - ((m->x[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC_FORCE + k]) + row[INPUT_FORCE_REMAINDER + k]);
+        real_t off = z[k] - ((m->x[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC_FORCE + k]) + row[INPUT_FORCE_REMAINDER + k]);
+        real_t vibrating;
 
-        m->accel_noise_sum[k] += off;
-        m->slow_residual_sum[k] += weight * (off - (row[INPUT_FORCE_SLOPE + k] * m->axis_work[k]));
+        off -= row[INPUT_FORCE_SLOPE + k] * m->axis_work[k];
+        m->slow_residual_sum[k] += weight * off;
+        off -= m->slow_residual_mean_prev[k];
+        m->vibration_velocity[k] += s->dt * (off - (m->vibration_velocity[k] / VIBRATION_HIGH_PASS_S));
+        vibrating = m->vibration_velocity[k] + (s->imu_lag * off);
+        m->vibration_velocity_variance[k] += VIBRATION_VARIANCE_GAIN * ((vibrating * vibrating) - m->vibration_velocity_variance[k]);
     }
     if (m->slow_residual_count >= SLOW_NOISE_TICKS) {
         const real_t half = (real_t)(SLOW_NOISE_TICKS / 2);
@@ -284,22 +290,6 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
             m->status[READING_ACCELERATION] = STATUS_FUSED;
             m->reason[READING_ACCELERATION] = REASON_NONE;
         }
-    }
-    if (m->accel_noise_count >= FORCE_MEAN_TICKS) {
-        const real_t span = (real_t)m->accel_noise_count * s->dt;
-
-        for (int32_t k = 0; k < 3; k++) {
-            const real_t mean = m->accel_noise_sum[k] / (real_t)m->accel_noise_count;
-            const real_t step = mean - m->accel_noise_mean[k];
-            real_t density =
-                real_max((((REAL(0.5) * step) * step) * span) - s->model_accel_noise_density[k], REAL(0.0));
-
-            m->accel_noise_mean[k] = mean;
-            density = real_min(density, REAL(100.0));
-            m->accel_noise[k] += ((density > m->accel_noise[k]) ? REAL(0.2) : REAL(0.05)) * (density - m->accel_noise[k]);
-            m->accel_noise_sum[k] = REAL(0.0);
-        }
-        m->accel_noise_count = 0;
     }
 }
 
@@ -351,9 +341,9 @@ static void reset_to_level(estimator_t *m, const estimator_settings_t *s)
         const real_t bias = s->initial_sigma[ERROR_ACCEL_BIAS + k];
 
         if (k < 2) {
-            inflate_variance(m, ERROR_ATTITUDE + k, tilt * tilt);
+            inflate_by_sigma(m, ERROR_ATTITUDE + k, tilt);
         }
-        inflate_variance(m, ERROR_ACCEL_BIAS + k, bias * bias);
+        inflate_by_sigma(m, ERROR_ACCEL_BIAS + k, bias);
     }
 }
 
@@ -367,10 +357,12 @@ static void decide_levelling(estimator_t *m, const estimator_settings_t *s)
     const real_t d = -m->level_accel_sum[2] / size;
     const real_t tilt = s->initial_sigma[ERROR_ACCEL_BIAS] / GRAVITY;
     const real_t q = (x * x) + (y * y);
+    const real_t explained = (s->rest_tilt_sigma * s->rest_tilt_sigma) + (tilt * tilt);
+    const real_t excess = real_max((REAL(0.5) * q) - explained, REAL(0.0));
 
-    m->mount_variance[0] = REAL(0.5) * q;
-    m->mount_variance[1] = REAL(0.5) * q;
-    if ((q > ((LEVELLING_GATE_SIGMAS * LEVELLING_GATE_SIGMAS) * ((s->rest_tilt_sigma * s->rest_tilt_sigma) + (tilt * tilt)))) && (d > REAL(0.875))) {
+    m->mount_variance[0] = excess;
+    m->mount_variance[1] = excess;
+    if ((q > ((LEVELLING_GATE_SIGMAS * LEVELLING_GATE_SIGMAS) * explained)) && (d > REAL(0.875))) {
         const real_t half = real_sqrt((REAL(0.5) * d) + REAL(0.5));
         const real_t turn[4] = {half, (REAL(0.5) * x) / half, (REAL(0.5) * y) / half, REAL(0.0)};
 

@@ -94,11 +94,10 @@ static void propagate_covariance(estimator_t *m, const estimator_settings_t *s, 
         m->covariance_output[k][ERROR_VELOCITY + k] += (m->now_velocity_variance[k] * span) / REAL(2.0);
         m->covariance_output[ERROR_VELOCITY + k][ERROR_VELOCITY + k] += m->now_velocity_variance[k];
         for (int32_t i = 0; i < 3; i++) {
-            /* Vibration affects the velocity for half a revolution; block means measure its size. */
+            /* The filter integrates the vibration of the accelerometers */
             const real_t share = r[(3 * k) + i] * m->inputs_now[INPUT_ACCEL_WEIGHT + i];
-            const real_t shaking = real_max(m->accel_noise[i] - m->accel_noise_slow[i], REAL(0.0));
 
-            m->covariance_output[ERROR_VELOCITY + k][ERROR_VELOCITY + k] += (share * share) * (((real_t)FORCE_MEAN_TICKS * s->dt) * shaking);
+            m->covariance_output[ERROR_VELOCITY + k][ERROR_VELOCITY + k] += (share * share) * m->vibration_velocity_variance[i];
         }
         m->covariance_output[ERROR_ATTITUDE + k][ERROR_ATTITUDE + k] += s->gyro_noise_density * span;
     }

@@ -216,4 +216,5 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     x[MODEL_SPEED_UPPER] = real_max(x[MODEL_SPEED_UPPER] + ((REAL(0.5) * dt) * up), REAL(0.0));
     x[MODEL_SPEED_LOWER] = real_max(x[MODEL_SPEED_LOWER] + ((REAL(0.5) * dt) * dw), REAL(0.0));
     x[MODEL_CHARGE] = real_min(real_max(x[MODEL_CHARGE] + (dt * dx[MODEL_CHARGE]), REAL(0.0)), REAL(1.0));
+    m->supply_current = real_max(REAL(0.0), -p->battery_capacity * dx[MODEL_CHARGE]);
 }

@@ -323,6 +323,11 @@ void inflate_variance(estimator_t *m, int32_t state, real_t variance)
     rank_one_update(m, state, variance);
 }
 
+void inflate_by_sigma(estimator_t *m, int32_t state, real_t sigma)
+{
+    inflate_variance(m, state, sigma * sigma);
+}
+
 real_t state_variance(const estimator_t *m, int32_t state)
 {
     real_t s = m->ud_diagonal[state];

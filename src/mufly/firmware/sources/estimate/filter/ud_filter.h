@@ -22,6 +22,9 @@ void gauss_markov_update(estimator_t *m, int32_t state, real_t keep, real_t q);
 /* Add a variance to a state. */
 void inflate_variance(estimator_t *m, int32_t state, real_t variance);
 
+/* The same by a standard deviation. */
+void inflate_by_sigma(estimator_t *m, int32_t state, real_t sigma);
+
 /* Return the variance of a state. */
 real_t state_variance(const estimator_t *m, int32_t state);
 

@@ -91,7 +91,7 @@ static real_t inflate_fix_bias_walk(estimator_t *m, const estimator_settings_t *
         return ratio;
     }
     m->bias_walk_scale[aid] = real_max(m->bias_walk_scale[aid], scale);
-    inflate_variance(m, ERROR_FIX_BIAS + i, spread * spread);
+    inflate_by_sigma(m, ERROR_FIX_BIAS + i, spread);
     return innovation_ratio(m, nu, fix_variance(m, s, i));
 }
 
@@ -134,14 +134,14 @@ static void reset_to_fix(estimator_t *m, const real_t z[4], real_t ahead)
     for (int32_t i = 0; i < 3; i++) {
         nu = fix_innovation(m, z, i, ahead);
         if ((i == FIX_DOWN) ? height_held : place_held) {
-            inflate_variance(m, ERROR_FIX_BIAS + i, nu * nu);
+            inflate_by_sigma(m, ERROR_FIX_BIAS + i, nu);
         } else {
-            inflate_variance(m, ERROR_POSITION + i, nu * nu);
+            inflate_by_sigma(m, ERROR_POSITION + i, nu);
             inflate_variance(m, ERROR_VELOCITY + i, REAL(0.01) + ((REAL(0.1) * nu) * nu));
         }
     }
     nu = fix_innovation(m, z, FIX_HEADING, ahead);
-    inflate_variance(m, ERROR_ATTITUDE + 2, nu * nu);
+    inflate_by_sigma(m, ERROR_ATTITUDE + 2, nu);
 }
 
 /* Return whether the height is the one component of the fix that lies outside the gate. */
@@ -185,7 +185,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
             down = fix_height_consistent(m, s, nu, ratio);
         } else if ((m->is_heading_aligned == 0) && (real_abs(ratio) > INNOVATION_GATE)) {
             /* The initial position is unknown: the first fix sets it. */
-            inflate_variance(m, (i < FIX_HEADING) ? (ERROR_POSITION + i) : (ERROR_ATTITUDE + 2), nu * nu);
+            inflate_by_sigma(m, (i < FIX_HEADING) ? (ERROR_POSITION + i) : (ERROR_ATTITUDE + 2), nu);
             ratio = innovation_ratio(m, nu, fix_variance(m, s, i));
         } else {
             /* within the gate, or judged below */

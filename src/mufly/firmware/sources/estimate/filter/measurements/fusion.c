@@ -34,14 +34,14 @@ static void reset_height(estimator_t *m, const estimator_settings_t *s, real_t n
 {
     const int32_t before = m->height_reset_tick;
 
-    inflate_variance(m, ERROR_POSITION + 2, nu * nu); /* the sonar may have measured the foot of a wall in its cone */
+    inflate_by_sigma(m, ERROR_POSITION + 2, nu); /* the sonar may have measured the foot of a wall in its cone */
     m->height_reset_tick = m->horizon_tick;
     if (!((before > 0) && (((real_t)(m->horizon_tick - before) * s->dt) < SECOND_HEIGHT_RESET_WINDOW_S))) {
         return;
     }
-    inflate_variance(m, ERROR_VELOCITY + 2, SECOND_HEIGHT_RESET_SPEED_SIGMA * SECOND_HEIGHT_RESET_SPEED_SIGMA);
-    inflate_variance(m, ERROR_ACCEL_BIAS + 2, SECOND_HEIGHT_RESET_ACCEL_BIAS_SIGMA * SECOND_HEIGHT_RESET_ACCEL_BIAS_SIGMA);
-    inflate_variance(m, ERROR_THRUST_SCALE, SECOND_HEIGHT_RESET_THRUST_SCALE_SIGMA * SECOND_HEIGHT_RESET_THRUST_SCALE_SIGMA);
+    inflate_by_sigma(m, ERROR_VELOCITY + 2, SECOND_HEIGHT_RESET_SPEED_SIGMA);
+    inflate_by_sigma(m, ERROR_ACCEL_BIAS + 2, SECOND_HEIGHT_RESET_ACCEL_BIAS_SIGMA);
+    inflate_by_sigma(m, ERROR_THRUST_SCALE, SECOND_HEIGHT_RESET_THRUST_SCALE_SIGMA);
 }
 
 /* Decide whether terrain or height is wrong after rejected ranges; return whether the range may be fused. */
@@ -63,7 +63,7 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
         taken = false;
     } else if (step && (m->terrain_steps >= MAX_TERRAIN_STEPS)) {
         /* Repeated steps: the height is wrong, not the terrain. */
-        inflate_variance(m, ERROR_POSITION + 2, nu * nu);
+        inflate_by_sigma(m, ERROR_POSITION + 2, nu);
         inflate_variance(m, ERROR_VELOCITY + 2, REAL(0.1));
         inflate_variance(m, ERROR_THRUST_SCALE, REAL(0.01));
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
@@ -71,15 +71,15 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
         reset_height(m, s, nu); /* no surface lies below the floor */
         set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_SLOPE, nu);
     } else if (step) {
-        inflate_variance(m, ERROR_TERRAIN, nu * nu);
+        inflate_by_sigma(m, ERROR_TERRAIN, nu);
         m->reject_score[k] = REAL(0.0);
         set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_STEP, floor_height);
         m->terrain_edge_weight = REAL(1.0);
     } else if (reset_timeout_expired(m, s, k)) {
         if ((((real_t)(m->tick - m->last_fused_tick[READING_POSITION_FIX]) * s->dt) < RESET_TIMEOUT_S) && (m->last_fused_tick[READING_POSITION_FIX] > 0)) {
-            inflate_variance(m, ERROR_TERRAIN, nu * nu); /* the fix holds the height */
+            inflate_by_sigma(m, ERROR_TERRAIN, nu); /* the fix holds the height */
         } else {
-            inflate_variance(m, ERROR_POSITION + 2, nu * nu);
+            inflate_by_sigma(m, ERROR_POSITION + 2, nu);
             inflate_variance(m, ERROR_VELOCITY + 2, REAL(0.1) + (nu * nu));
         }
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
@@ -169,7 +169,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
         /* Over an object the surface steps. */
         m->terrain_steps += 1;
         m->terrain_edge_weight = REAL(1.0);
-        inflate_variance(m, ERROR_TERRAIN, nu * nu);
+        inflate_by_sigma(m, ERROR_TERRAIN, nu);
         (void)sonar_h_row(m, s, r);
     } else if (real_abs(ratio) > INNOVATION_GATE) {
         if (!reset_to_sonar(m, s, z, nu, nearest)) {
@@ -310,7 +310,7 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
 /* Free the bias of an aid after consistent innovations nu. */
 static void reset_aid_bias(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t bias, real_t nu)
 {
-    inflate_variance(m, bias, nu * nu);
+    inflate_by_sigma(m, bias, nu);
     set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
 }
 
@@ -363,6 +363,7 @@ static void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s,
     real_t east;
     real_t across;
     real_t along;
+    real_t square;
     real_t nu;
 
     rotation_matrix(&m->x[NOMINAL_ATTITUDE], r);
@@ -370,8 +371,10 @@ static void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s,
     east = ((r[3] * z[0]) + (r[4] * z[1])) + (r[5] * z[2]);
     across = real_sqrt((north * north) + (east * east)) - s->earth_field[0];
     along = (((r[6] * z[0]) + (r[7] * z[1])) + (r[8] * z[2])) - s->earth_field[2];
-    if (((across * across) + (along * along)) > ((MAGNETIC_FIELD_GATE * MAGNETIC_FIELD_GATE) * s->mag_field_variance)) {
-        set_fault(m, s, READING_MAGNETIC_FIELD, STATUS_FAULTY, REASON_OUT_OF_RANGE, REAL(0.0));
+    square = (across * across) + (along * along);
+    if (square > ((MAGNETIC_FIELD_GATE * MAGNETIC_FIELD_GATE) *
+                  (s->mag_field_variance + ((s->mag_current_variance * m->supply_current) * m->supply_current)))) {
+        set_fault(m, s, READING_MAGNETIC_FIELD, STATUS_FAULTY, REASON_FIELD_STRENGTH, real_sqrt(square));
         return;
     }
     h_row_begin(m, ERROR_ATTITUDE + 2, REAL(1.0));
@@ -460,13 +463,16 @@ void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t 
 void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t mode, int32_t i)
 {
     const bool still = mode == PHASE_STANDING;
-    const real_t calm = still ? (((REAL(2.0) * s->rest_gyro_sigma) * s->rest_gyro_sigma) / (real_t)count) : REAL(5e-5);
+    const real_t change = m->gyro_mean[i] - m->gyro_mean_prev[i];
+    real_t calm = still ? (((REAL(2.0) * s->rest_gyro_sigma) * s->rest_gyro_sigma) / (real_t)count) : REAL(5e-5);
     real_t off;
 
     fuse_error_state(m, ERROR_VELOCITY + i, -m->x[NOMINAL_VELOCITY + i], REAL(4e-4));
     if ((mode == PHASE_ROTORS_COASTING) || ((i == 2) && !still)) {
         return; /* rotors turn the vehicle on its legs at a lasting rate, which is no noise */
     }
+    calm = real_max(calm, change * change); /* a rate that changes is motion on the legs, not bias */
+    m->gyro_mean_prev[i] = m->gyro_mean[i];
     off = m->gyro_mean[i] - m->x[NOMINAL_GYRO_BIAS + i];
     h_row_begin(m, ERROR_GYRO_BIAS + i, REAL(1.0));
     /* With running rotors the vehicle may slide on its legs. */

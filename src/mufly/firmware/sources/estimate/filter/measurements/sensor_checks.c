@@ -202,11 +202,11 @@ void reset_on_divergence(estimator_t *m, const estimator_settings_t *s)
 {
     if (m->divergence_ticks <= 1) {
         for (int32_t k = 0; k < 3; k++) {
-            inflate_variance(m, ERROR_GYRO_BIAS + k, DIVERGED_GYRO_BIAS_SIGMA * DIVERGED_GYRO_BIAS_SIGMA);
-            inflate_variance(m, ERROR_ATTITUDE + k, DIVERGED_ATTITUDE_SIGMA * DIVERGED_ATTITUDE_SIGMA);
+            inflate_by_sigma(m, ERROR_GYRO_BIAS + k, DIVERGED_GYRO_BIAS_SIGMA);
+            inflate_by_sigma(m, ERROR_ATTITUDE + k, DIVERGED_ATTITUDE_SIGMA);
         }
-        inflate_variance(m, ERROR_VELOCITY, DIVERGED_SPEED_SIGMA * DIVERGED_SPEED_SIGMA);
-        inflate_variance(m, ERROR_VELOCITY + 1, DIVERGED_SPEED_SIGMA * DIVERGED_SPEED_SIGMA);
+        inflate_by_sigma(m, ERROR_VELOCITY, DIVERGED_SPEED_SIGMA);
+        inflate_by_sigma(m, ERROR_VELOCITY + 1, DIVERGED_SPEED_SIGMA);
     }
     m->divergence_ticks = (int32_t)(FREE_GYRO_BIAS_DURATION_S / s->dt);
 }
@@ -273,7 +273,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
             const real_t off = m->gyro_rates[k] - m->axis_work[k];
 
             m->gyro_offset[k] += off;
-            inflate_variance(m, ERROR_GYRO_BIAS + k, (REAL(0.1) * off) * (REAL(0.1) * off));
+            inflate_by_sigma(m, ERROR_GYRO_BIAS + k, REAL(0.1) * off);
         }
         m->spike_repeats = 0;
         m->spike_count = 0;
