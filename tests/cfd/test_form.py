@@ -139,7 +139,7 @@ def test_three_blades_share_a_hub_and_the_file_s_square_tip_is_the_same_as_none(
         (lambda: BladeTip(plate_above=0.8), "holds no higher"),
         (lambda: HubCylinder(-0.001, 0.002), "above 0"),
         (lambda: make_blade_geometry(gurney=-0.01), "0.003 to 0.1"),
-        (lambda: BladeGeometry(BLADE_TIPS["plate-up"], gurney_height=0.02), "meets the Gurney flap"),
+        (lambda: BladeGeometry(BLADE_TIPS["plate-up"], gurney_height=0.02), "cannot be combined with a Gurney flap"),
         (lambda: shape(make_blade_geometry(hub_m=0.02)), "blades begin at 9 mm"),
         (lambda: shape(BladeGeometry(hub=HubCylinder(0.004, 0.05))), "at most 12 mm"),
         (lambda: shape(BladeGeometry(BladeTip(length=4.0, taper=0.5))), "too long for the blade"),

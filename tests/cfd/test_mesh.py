@@ -247,7 +247,7 @@ def test_a_contour_keeps_to_its_airfoil_and_has_a_tail() -> None:
         (lambda: propeller(1), 5.0, "one blade has no periodic sector"),
         (lambda: propeller(2, 0.02), 5.0, "blades meet at the shaft"),
         (lambda: propeller(2), 70.0, "give -60 to 60"),
-        (lambda: propeller(2), 55.0, "give at most 75 in all"),
+        (lambda: propeller(2), 55.0, "give at most 75 deg"),
         (
             lambda: make_rotor(name="wide", blades=6, radius_m=0.06, chord_m=0.02, airfoils="naca0012"),
             5.0,

@@ -187,7 +187,7 @@ def test_parameters_are_listed_with_units() -> None:
         (("sweep", "--vary", "pitch=6:8:1deg", "--set", "pitch=6deg"), "is varied too"),
         (("sweep", "--vary", "pitch=6:8:1deg", "--set", "thrust=0.1,0.2N"), "vary it with --vary"),
         (("sweep", "--vary", "pitch=6deg", "--set", "speed=5000rpm", "--plot", "beauty"), "is not a result"),
-        (("rank", "--set", "pitch=6deg"), "holds what a ranking varies"),
+        (("rank", "--set", "pitch=6deg"), "a ranking varies pitch and airfoil"),
         (("compare", "naca0012-r60-c20", "nothing.csv"), "cannot be read"),
         (("hover", "--pitch", "12", "--rpm", "5000", "--section", "guessed"), "add --band"),
         (

@@ -170,7 +170,10 @@ def test_order_out_of_range_is_refused(vehicle: Vehicle) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("control", "tune", "--start", "pid"), "--start: pid: is no start; give one of hinf, h2, lqg, ltr, delay"),
+        (
+            ("control", "tune", "--start", "pid"),
+            "--start: pid: is neither a synthesis method nor a file; give one of hinf, h2, lqg, ltr, delay",
+        ),
         (("control", "tune", "--order", "9"), "give 2 to 8 for roll-pitch"),
         (("control", "tune", "--only"), "no goal is given"),
         (("control", "design", "--tuned", "absent.json"), "absent.json: No such file"),

@@ -29,7 +29,7 @@ def test_the_longest_step_is_where_the_swash_plate_turns_unstable(vehicle) -> No
     ],
 )
 def test_a_vehicle_too_fast_for_the_step_is_named(vehicle, values) -> None:
-    with pytest.raises(InputError, match=r"mufly-1\.1's fastest part; give a step below") as caught:
+    with pytest.raises(InputError, match=r"the fastest mode of mufly-1\.1; give a step below") as caught:
         simulate_open_loop(replace_parameters(vehicle, values), REST, np.zeros(4), duration_s=0.1)
     assert caught.value.key == "step_s"
 

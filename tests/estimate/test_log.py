@@ -168,7 +168,7 @@ def test_a_log_of_others_through_the_command(
     assert json.loads(run.stdout[run.stdout.index("{") :])["aids"]["nis"] > 5.0
     for more, words in (
         ([], "needed when the fixes are made from the truth"),
-        (["--aid-std", "0.02", "--aid", "speed=x"], "is not an aid"),
+        (["--aid-std", "0.02", "--aid", "speed=x"], "is not a reference for the estimate"),
         (["--aid-std", "-1"], "not above zero"),
         (["--aid-std", "0.02", "--aid-delay", "9"], "that the filter stores"),
         (["--aid-std", "0.02", "wy turned"], "runs against"),

@@ -253,7 +253,7 @@ def test_every_number_in_the_tables_is_the_controllers(tree) -> None:
 
 def test_a_folder_that_holds_something_else_is_left_alone(tmp_path, tree) -> None:
     (tmp_path / "mine.txt").write_text("keep")
-    with pytest.raises(InputError, match="holds something else"):
+    with pytest.raises(InputError, match="contains files of another origin"):
         export_firmware(design_flight_controller(load_vehicle("mufly-1.1")), tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
     export_firmware(design_flight_controller(load_vehicle("mufly-2.0")), tree)  # over an earlier one

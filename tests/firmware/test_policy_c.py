@@ -168,7 +168,7 @@ def test_policy_of_the_documents_turns_towards_its_target() -> None:
     r"outputs"),
     (lambda c: c.update(version=2), "version"),
     (lambda c: c.pop("trim"), "trim: is missing"),
-    (lambda c: c["action"].reverse(), "action: has other outputs"),
+    (lambda c: c["action"].reverse(), "action: has unknown or reordered outputs"),
 ])  # fmt: skip
 def test_damaged_and_unfit_files_are_refused_in_one_line(change: object, message: str, tmp_path: Path) -> None:
     path = tmp_path / "policy.json"
@@ -191,7 +191,7 @@ def test_files_that_are_no_policy_are_refused(tmp_path: Path) -> None:
         load_policy(tmp_path / "none.json")
     (tmp_path / "held").mkdir()
     (tmp_path / "held" / "thesis.txt").write_text("x")
-    with pytest.raises(InputError, match="holds something else"):
+    with pytest.raises(InputError, match="contains files of another origin"):
         export_policy(make_policy(), tmp_path / "held")
 
 

@@ -127,19 +127,19 @@ def test_an_identified_covariance_is_drawn_from(tmp_path: Path, vehicle: Vehicle
 @pytest.mark.parametrize(
     ("texts", "why"),
     [
-        (["parameters=5"], "a value or a spread"),
+        (["parameters=5"], "could mean a value or a spread"),
         (["wings=5%"], "is not a parameter of mufly-1.1"),
         (["m=+-2furlong"], "use one of: kg, g, mg, lb, oz, or %"),
         (["rotors=+-2"], "vary them in %"),
-        (["m=100:90g"], "contains nothing"),
-        (["m=300:50%"], "contains nothing"),
+        (["m=100:90g"], "contains no value"),
+        (["m=300:50%"], "contains no value"),
         (["m=-50:300%"], "changes its sign; give shares of 0 % or more"),
         (["m=50:high%"], "'50:high%' is not a variation"),
-        (["motor.friction_torque=50:300%"], "a share of 0 is 0"),
+        (["motor.friction_torque=50:300%"], "has no percentage"),
         (["standart"], "did you mean 'standard'"),
         (["m=100%"], "includes zero"),
         (["m=0%"], "above 0"),
-        (["motor.friction_torque=5%"], "a share of 0 is 0"),
+        (["motor.friction_torque=5%"], "has no percentage"),
         (["body.inertia_zz=std"], "no standard deviation is stated"),
         (["body.mass"], "names no parameter"),
         (["m=5%", "body.mass=3%"], "is varied by 'm=5%'"),
@@ -311,7 +311,7 @@ def test_wilson_interval_is_the_published_one() -> None:
     ):
         np.testing.assert_allclose(wilson_interval(successes, flights), (low, high), atol=5e-5)
     assert wilson_interval(20, 20)[1] == 1.0
-    with pytest.raises(InputError, match="21 of 20"):
+    with pytest.raises(InputError, match="21 successes in 20 flights"):
         wilson_interval(21, 20)
 
 

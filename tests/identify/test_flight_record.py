@@ -67,7 +67,7 @@ def test_inputs_in_per_cent_and_in_microseconds_are_recognised():
 
 
 def test_a_record_in_which_nothing_moves_is_refused():
-    with pytest.raises(InputError, match="none of them moves"):
+    with pytest.raises(InputError, match="no input varies"):
         check_record(record(inputs=np.tile(record().inputs[:1], (len(T), 1))))
 
 

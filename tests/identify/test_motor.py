@@ -286,8 +286,8 @@ def test_a_voltage_or_current_without_unit_in_thousandths_is_decided_by_the_powe
 @pytest.mark.parametrize(
     ("old", "new", "what"),
     [
-        ("Torque (N·m)", "Torque (bananas)", r"Torque \(bananas\): the unit 'bananas' is none of torque"),
-        ("Voltage (V)", "Voltage (N)", r"Voltage \(N\): the unit 'N' is none of voltage"),
+        ("Torque (N·m)", "Torque (bananas)", r"Torque \(bananas\): 'bananas' is not a known unit of torque"),
+        ("Voltage (V)", "Voltage (N)", r"Voltage \(N\): 'N' is not a known unit of voltage"),
         (
             "Motor Electrical Speed (RPM)",
             "erpm",

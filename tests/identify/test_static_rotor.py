@@ -432,7 +432,7 @@ def test_lines_in_axial_flight_are_left_out(tmp_path):
 
 
 def test_an_unknown_unit_of_a_load_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"Torque \(bananas\): the unit 'bananas' is none of torque"):
+    with pytest.raises(InputError, match=r"Torque \(bananas\): 'bananas' is not a known unit of torque"):
         found(written(tmp_path, "RPM,T(N),Torque (bananas)\n3000,1,1\n4000,2,1\n"))
 
 

@@ -131,7 +131,7 @@ def test_inches_at_a_names_end_and_an_airfoil_of_ones_own(tmp_path):
         ("a.csv", "r_mm,chord_mm,twist [grad]\n10,2,4\n20,2,4\n", "has the unit 'grad'"),
         ("a.csv", "r_mm,chord_mm,beta\n0.01,0.002,30\n0.06,0.002,10\n", "the radius would be 0.06 mm"),
         ("a.csv", "r_m,chord_m,beta\n10,20,14\n60,20,8\n", "the radius would be 6e\\+04 mm"),
-        ("a.csv", "r_mm,chord_mm,beta\n10,0.02,14\n60,0.02,8\n", "chord: is 0.02 mm at most"),
+        ("a.csv", "r_mm,chord_mm,beta\n10,0.02,14\n60,0.02,8\n", "chord: is at most 0.02 mm"),
         ("a.csv", "r_mm,chord_mm,beta\n10,2,nan\n20,2,3\n", "line 2, beta: is nan; give a finite number"),
         ("a.csv", "r_mm,chord_mm,beta\n10,2,30\n20,10\n", "line 3: has 2 cells, the header 3"),
         ("a.PE0", "STATION CHORD\n1 2\n", "no RADIUS"),

@@ -88,7 +88,7 @@ def test_axial_flight_is_read_and_compared(tmp_path, case):
     assert "axial_m_s" in str(out)
     with pytest.raises(InputError, match="nowhere above 0"):
         fit_rotor(case.rotors[0], replace(bench, thrust_N=-bench.thrust_N))
-    with pytest.raises(InputError, match="J: is a ratio"):
+    with pytest.raises(InputError, match="J: needs the rotor's diameter"):
         read_measurements(path)
 
 
@@ -263,7 +263,7 @@ def test_units_and_signs_of_loads(tmp_path, case, heads, thrust, torque, words):
     [
         ("RPM,thrust", 1.0, "thrust: has no unit; name it with its unit, as thrust_N"),
         ("speed,thrust_N", 1.0, "speed: has no unit; name it with its unit, as speed_rpm"),
-        ("RPM,Thrust (bananas)", 1.0, r"Thrust \(bananas\): the unit 'bananas' is none of thrust"),
+        ("RPM,Thrust (bananas)", 1.0, r"Thrust \(bananas\): 'bananas' is not a known unit of thrust"),
     ],
 )
 def test_loads_whose_unit_nothing_tells_are_asked_for(tmp_path, case, heads, scale, message):

@@ -100,5 +100,5 @@ def test_naca_digits() -> None:
     assert modify_naca_name("NACA 4412", {"camber_position": 0.7}) == "naca4712"
     with pytest.raises(InputError, match="not a four-digit"):
         modify_naca_name("goe394", {"camber": 0.02})
-    with pytest.raises(InputError, match="not in the series"):
+    with pytest.raises(InputError, match="not in the NACA four-digit series"):
         modify_naca_name("naca4412", {"camber": 0.025})

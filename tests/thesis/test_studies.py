@@ -65,7 +65,7 @@ def test_unknown_study_is_named_and_a_photograph_is_no_study() -> None:
         run_study("fig-9.9")
     with pytest.raises(InputError, match=r"fig-2\.2: is a photograph.*mufly thesis show fig-2\.2"):
         run_study("fig-2.2")
-    with pytest.raises(InputError, match="takes no case"):
+    with pytest.raises(InputError, match="does not use a CFD case"):
         run_study("fig-2.4", case=DOCS)
 
 

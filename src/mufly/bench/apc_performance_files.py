@@ -74,7 +74,10 @@ def read_apc_performance(path: str | Path) -> ApcPerformance | None:
         elif names and words and re.fullmatch(r"[-+]?[\d.]+", words[0]):
             if len(words) != len(names):
                 raise InputError(
-                    where, f"line {number}", f"has {len(words)} cells, the header {len(names)}", "fill it up"
+                    where,
+                    f"line {number}",
+                    f"has {len(words)} cells, but the header has {len(names)}",
+                    "complete the line",
                 )
             try:
                 row = _convert_row(names, units, [float(w.replace("-NaN", "nan")) for w in words], speed)

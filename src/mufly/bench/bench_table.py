@@ -119,7 +119,7 @@ class BenchTable:
                 header, unit = self.misread[name]
                 si = SI_UNITS[base_quantity_of(name)]
                 raise InputError(
-                    self.source, header, f"the unit {unit!r} is none of {base_quantity_of(name)} that is known",
+                    self.source, header, f"{unit!r} is not a known unit of {base_quantity_of(name)}",
                     f"use one of: {', '.join(compatible_units(si))}",
                 )  # fmt: skip
 
@@ -228,7 +228,7 @@ def _mapped_header(header: str, line: ColumnLine) -> str:
         remedy = f"use one of {', '.join(_QUANTITY_NAMES)}, with _upper, _lower or _raw"
         raise ArgumentError("columns", line.name, "is not a quantity of a bench", remedy)
     si = SI_UNITS[known.base_quantity]
-    problem = f"the unit {line.unit!r} is none of {known.base_quantity} that is known"
+    problem = f"{line.unit!r} is not a known unit of {known.base_quantity}"
     raise ArgumentError("columns", line.name, problem, f"use one of: {', '.join(compatible_units(si))}")
 
 

@@ -116,7 +116,9 @@ def read_measurements(
     climb = table["airspeed"] if "airspeed" in table else np.zeros(len(table))
     if "airspeed" not in table and "advance_ratio" in table:
         if not diameter_m:
-            raise table.column_error("advance_ratio", "is a ratio", "name the rotor, or give airspeed_m_s")
+            raise table.column_error(
+                "advance_ratio", "needs the rotor's diameter", "name the rotor, or give airspeed_m_s"
+            )
         climb = table["advance_ratio"] * speed / (2.0 * math.pi) * diameter_m
     notes = list(table.notes)
     if math.isfinite(table.diameter_m) and diameter_m and abs(table.diameter_m / diameter_m - 1.0) > 0.02:

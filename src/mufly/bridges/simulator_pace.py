@@ -92,7 +92,7 @@ class SimulatorPace:
         self._pacer = RealTimePacer(self._clock(), period_s / (self.speed or 1.0))
 
     def time_to_next_period_s(self, *, in_real_time: bool = False) -> float:
-        """Return the time until the next period (s); 0 or less if it is due, and at once without a wanted speed."""
+        """Return the time until the next period (s): at most 0 if the period is due, and 0 if no speed is requested."""
         if self.speed == 0.0 and not in_real_time:
             return 0.0
         return self._pacer.sleep_time_s(self._clock())

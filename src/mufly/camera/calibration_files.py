@@ -90,7 +90,9 @@ def _parse_colmap_line(line: list[str], where: str) -> tuple[tuple[int, int], li
         f_x, f_y, c_x, c_y, *coefficients = (values[k] for k in places)
         size = int(width), int(height)
     except (ValueError, IndexError):
-        raise InputError(where, model, "has too few numbers, or invalid ones", "export it anew") from None
+        raise InputError(
+            where, model, "has too few or invalid numbers", "export the camera file again from COLMAP"
+        ) from None
     # COLMAP puts the centre of the first pixel at (0.5, 0.5).
     return size, [f_x, f_y, c_x - 0.5, c_y - 0.5], coefficients
 

@@ -84,7 +84,7 @@ class Mount(ParameterGroup):
     @model_validator(mode="after")
     def _check_single_place(self) -> Mount:
         if len(self.place.value) != 1:
-            raise model_error(f"{len(self.place.value)} points", "give one, [[x, y, z]]", "mount.place")
+            raise model_error(f"has {len(self.place.value)} points", "give one point, [[x, y, z]]", "mount.place")
         return self
 
 
@@ -146,7 +146,7 @@ class Camera(ParameterGroup):
         if float(self.shutter.exposure) > float(self.sensor.period):
             raise model_error(
                 f"{float(self.shutter.exposure):g} s is longer than the period between pictures",
-                "expose for less",
+                "give a shorter exposure",
                 "shutter.exposure",
             )
         corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])

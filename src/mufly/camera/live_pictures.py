@@ -199,7 +199,7 @@ class LivePictures:
         opencv: Callable[[], Any] | None = None,
     ) -> None:  # fmt: skip
         if not 0.0 <= delay_s <= 5.0:
-            raise InputError("--delay", "", f"{delay_s:g} s is out of range", "give 0 to 5")
+            raise InputError("--delay", "", f"{delay_s:g} s is out of range", "give 0 to 5 s")
         device = not place.startswith("http")
         if device and clock == "sender":
             raise InputError("--clock", "", "a camera device sends no time stamps", "omit it, and give --delay")

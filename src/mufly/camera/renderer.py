@@ -149,8 +149,8 @@ class Renderer:
         ----------
         motion : VehicleMotion
         light : float
-            Light of the room over that for which the camera's file holds; the exposure follows a change within half
-            a second.
+            Light of the room over the light for which the camera's file is valid; the exposure follows a change within
+            half a second.
         """
         s, shutter, q = self.camera.sensor, self.camera.shutter, self.camera.quality
         if self._perfect:
@@ -235,7 +235,7 @@ class Renderer:
         return math.sqrt(_READ_NOISE_SHARE * gain * gain + (1.0 - _READ_NOISE_SHARE) * gain * level)
 
     def _lose_strips(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Replace lost strips by those of the previous picture, like a video decoder."""
+        """Replace lost strips by the same strips of the previous picture, as a video decoder does."""
         lost = float(self.camera.quality.strips_lost)
         if lost > 0.0:
             for first in range(0, len(picture), STRIP_ROWS):

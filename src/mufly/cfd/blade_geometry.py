@@ -162,7 +162,9 @@ class BladeGeometry:
         if not (self.gurney_height == 0.0 or 0.003 <= self.gurney_height <= 0.1):
             raise InputError("gurney", "height", f"is {self.gurney_height:g} chords", "give 0 or 0.003 to 0.1")
         if self.gurney_height and (self.tip.plate_above or self.tip.plate_below):
-            raise InputError("tip", "plate", "meets the Gurney flap", "give one of the two")
+            raise InputError(
+                "tip", "plate", "cannot be combined with a Gurney flap", "give a tip plate or a Gurney flap"
+            )
 
 
 def make_blade_geometry(

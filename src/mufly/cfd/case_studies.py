@@ -185,7 +185,8 @@ def save_case(
         other = [name for name in same if getattr(near, name) != getattr(point, name)]
         if other:
             raise InputError(
-                str(neighbour), other[0], f"is {getattr(near, other[0])}, not {getattr(point, other[0])}",
+                str(neighbour), other[0],
+                f"is {getattr(near, other[0])} in this case and {getattr(point, other[0])} in the new one",
                 "start from a case that differs in speed, pitch setting or tip only",
             )  # fmt: skip
         state = scale_state(neighbour, mesh, ratio)
@@ -437,7 +438,7 @@ def solve_pair(
         "bemt",
     )
     if not guess.converged:
-        raise MuflyError(f"the pair has no first guess by blade elements: {guess.message}")
+        raise MuflyError(f"blade element theory finds no initial state of the pair: {guess.message}")
     settings = list(zip(pitches, speeds, strict=True))
     loads = [_make_disc(span_loads(one, "bemt"), *at) for one, at in zip(guess.rotors, settings, strict=True)]
     for i, name in enumerate(PAIR_FOLDERS):

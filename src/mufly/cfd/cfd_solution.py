@@ -502,7 +502,7 @@ def _parse_values(data: bytes, at: int, count: int, file: Path) -> Array:
     begin = data.index(b"(", at) + 1
     told = int(data[data.index(b">", at) + 1 : begin - 1].split()[0])
     if told != count:
-        raise InputError(str(file), "", f"holds {told} values for {count} cells", "run the case again")
+        raise InputError(str(file), "", f"has {told} values, but the mesh has {count} cells", "run the case again")
     if re.search(rb"format\s+binary", data[: data.index(b"}")]):
         end = begin + 8 * size * count
         if end > len(data):

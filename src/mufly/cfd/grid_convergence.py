@@ -79,7 +79,9 @@ def estimate_grid_convergence(name: str, cells: Sequence[int], values: Sequence[
         If there are not three meshes, or two have the same number of cells.
     """
     if len(cells) != 3 or len(values) != 3 or len(set(cells)) != 3:
-        raise InputError("mesh", name, f"{len(set(cells))} different meshes", "give three cases of three meshes")
+        raise InputError(
+            "mesh", name, f"there are {len(set(cells))} different meshes", "give three cases with different meshes"
+        )
     (n1, v1), (n2, v2), (n3, v3) = sorted(zip(cells, values, strict=True), reverse=True)
     r21, r32 = (n1 / n2) ** (1 / 3), (n2 / n3) ** (1 / 3)
     e21, e32 = v2 - v1, v3 - v2

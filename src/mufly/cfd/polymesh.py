@@ -246,7 +246,7 @@ def _pair_periodic_faces(mesh: SectorMesh, left: Index, right: Index) -> tuple[I
     found = cKDTree(at_right).query(at_left)
     miss, partner = np.asarray(found[0]), np.asarray(found[1])
     if len(left) and (miss.max() > 1e-9 or len(np.unique(partner)) != len(left)):
-        raise MuflyError(f"mesh: the periodic planes miss each other by {miss.max() * size:.2g} m")
+        raise MuflyError(f"mesh: faces of the two periodic planes lie up to {miss.max() * size:.2g} m apart")
     order = np.lexsort((at_left[:, 2], np.hypot(at_left[:, 0], at_left[:, 1])))
     partner = partner[order]
     faces = right[partner][:, ::-1]

@@ -122,7 +122,7 @@ class MeshDomain:
                 raise InputError("domain", name, f"is {getattr(self, name):g} R", f"give {least:g} to 50")
         for name in ("turning_above", "turning_below"):
             if not getattr(self, name) >= 0.5:
-                raise InputError("domain", name, f"is {getattr(self, name):g} R", "give 0.5 or more")
+                raise InputError("domain", name, f"is {getattr(self, name):g} R", "give 0.5 R or more")
 
 
 @dataclass(frozen=True, eq=False)
@@ -566,13 +566,14 @@ def _check_rotor(rotor: Rotor, pitch_rad: float, form: BladeGeometry) -> None:
             f"give at least {_MIN_ROOT_CUTOUT:g}, where the blades begin",
         )  # fmt: skip
     if not abs(pitch_rad) <= math.radians(60.0):
-        raise InputError(rotor.name, "pitch", f"{math.degrees(pitch_rad):g} deg", "give -60 to 60 degrees")
+        raise InputError(rotor.name, "pitch", f"{math.degrees(pitch_rad):g} deg", "give -60 to 60 deg")
     x = np.linspace(float(rotor.hub_cutout), 1.0, 201)
     angle = rotor.twist_rad(x) + pitch_rad
     if float(np.max(np.abs(angle))) > math.radians(75.0):
         raise InputError(
-            rotor.name, "twist", f"and pitch turn a section by {math.degrees(float(np.max(np.abs(angle)))):.0f} deg",
-            "give at most 75 in all",
+            rotor.name, "twist",
+            f"a section has {math.degrees(float(np.max(np.abs(angle)))):.0f} deg of twist and pitch in sum",
+            "give at most 75 deg",
         )  # fmt: skip
     if rotor.blades > 2:
         # The tail is critical: 0.75 chords aft, in a sector whose planes lie at |x| cot(pi/N).

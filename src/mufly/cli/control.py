@@ -407,7 +407,12 @@ tuning that has had fewer.
     known = [m for m in SYNTHESIS_METHODS if m not in ("mu", "fixed", "scheduled", "indi")] + ["delay"]
     for start in starts or ():
         if start not in known and not start.endswith(".json"):
-            raise InputError("--start", start, "is no start", f"give one of {', '.join(known)}, or a file")
+            raise InputError(
+                "--start",
+                start,
+                "is neither a synthesis method nor a file",
+                f"give one of {', '.join(known)}, or a .json file",
+            )
     goals = (TuningGoals() if only else DEFAULT_GOALS[loop]).merge_goals(
         {
             "gamma": gamma, "sensitivity_dB": sensitivity, "complementary_dB": complementary, "disk_margin": disk,

@@ -221,7 +221,9 @@ def plot(
     names = signals or []
     if beside is not None:
         if spectrum or map_file or column:
-            raise InputError("--with", "", "draws over time and by our names", "leave out --spectrum, --map, --column")
+            raise InputError(
+                "--with", "", "cannot be combined with these options", "leave out --spectrum, --map and --column"
+            )
         _plot_two_logs(log, beside, names, align, offset_s, (from_s, to_s), out)
         return
     fields = [n for n in names if "/" in n]

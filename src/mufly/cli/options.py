@@ -530,7 +530,7 @@ class WakeOptions(PolarOptions):
             )
         stations = given.pop("stations", STATION_COUNT)
         if not 4 <= stations <= 200:
-            raise InputError("--wake-set", "stations", f"is {stations}", "give 4 to 200")
+            raise InputError("--wake-set", "stations", f"is {stations}", "give 4 to 200 stations")
         return WakeSettings(model=self.wake_geometry, **given), stations  # type: ignore[arg-type]
 
     def make_study_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:

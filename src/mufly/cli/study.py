@@ -274,7 +274,7 @@ def rank(
     given = parse_set_options(set_ or standard, ROTOR_PARAMETERS, "give one value of something else")
     setup = polars.make_study_setup(rotor, given, drive=load_drive_option(drive), with_outside_share=False)
     if "pitch" in given or "airfoil" in given:
-        raise InputError("--set", "", "holds what a ranking varies", "give one value of something else")
+        raise InputError("--set", "", "a ranking varies pitch and airfoil", "fix other parameters")
     pitches = [math.radians(p) for p in read_values("--pitch", pitch, "deg")]
     names = choose_airfoils(airfoils or ["thesis"])
     with progress_bar("rank", not as_json) as progress:

@@ -205,7 +205,7 @@ class DriveTrain(ParameterGroup):
                 if self.motor is None
                 else "both [motor] and [datasheet] are given"
             )
-            raise model_error(f"{given} is given", "give one of the two", "motor")
+            raise model_error(given, "give one of the two", "motor")
         return self
 
     def motor_constants(self, **overrides: FloatOrArray | None) -> MotorConstants:

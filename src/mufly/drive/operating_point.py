@@ -228,7 +228,7 @@ def find_operating_point(
     given = [("thrust_N", thrust_N), ("duty", duty), ("motor_voltage_V", motor_voltage_V)]
     asked = [(k, v) for k, v in given if v is not None]
     if len(asked) != 1:
-        raise InputError(place, "", f"{len(asked)} quantities are given", "give one: thrust, duty or voltage")
+        raise InputError(place, "", f"{len(asked)} of thrust, duty and voltage are given", "give exactly one")
     if supply_V is not None and charge is not None:
         raise InputError(place, "supply", "both a voltage and a charge are given", "give one of the two")
     key, raw = asked[0]
@@ -460,7 +460,12 @@ def make_scaled_load(load: RotorLoad, speed_rad_s: float, thrust_N: float, torqu
     factors = []
     for name, known, ours in (("thrust_N", thrust_N, thrust[0]), ("torque_Nm", torque_Nm, torque[0])):
         if not known * ours > 0.0:
-            raise InputError("load", name, f"is {ours:.3g} where {known:.3g} is known", "check the operating point")
+            raise InputError(
+                "load",
+                name,
+                f"is {ours:.3g} in the load model, but {known:.3g} in the given operating point",
+                "check the operating point",
+            )
         factors.append(known / ours)
 
     def evaluate_scaled(speed: Array, case: Integers) -> tuple[Array, Array]:

@@ -149,11 +149,11 @@ class _StatementRewriter:
                 if self._is_absent(statement.test):
                     continue
                 if statement.orelse:
-                    raise NotImplementedError("if with else")
+                    raise NotImplementedError("an `if` with an `else` cannot be translated")
                 last = statement.body[-1]
                 if isinstance(last, ast.Continue):
                     if len(statement.body) > 1:
-                        raise NotImplementedError("statements before continue")
+                        raise NotImplementedError("a branch with statements before `continue` cannot be translated")
                     test = _make_call_node("negate", _ExpressionRewriter().visit(statement.test))
                     return out + self._select_results(test, rest, defined)
                 if isinstance(last, ast.Return) and last.value is not None:

@@ -77,7 +77,7 @@ class _CasadiSymbol:
         self.value = value
 
     def __bool__(self) -> bool:
-        raise TypeError("a decision on a symbol; see mufly.dynamics.branch_selection")
+        raise TypeError("a symbol has no truth value; mufly.dynamics.branch_selection must rewrite this `if`")
 
     def __add__(self, other: Any) -> _CasadiSymbol:
         return _CasadiSymbol(self.value + _unwrap_symbol(other))

@@ -57,7 +57,7 @@ def _lane_sum_code(
 
 
 def _transpose_lanes(builder: Any, quartets: Sequence[Any]) -> list[Any]:
-    """Return four vectors of eight lanes from the eight lanes' vectors of four numbers."""
+    """Transpose eight vectors of four numbers, one vector for each lane, to four vectors of eight lanes."""
     pairs = [pick_numbers(builder, quartets[k], range(8), quartets[k + 2]) for k in (0, 1, 4, 5)]
     out = []
     for column in range(4):

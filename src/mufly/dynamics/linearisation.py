@@ -270,7 +270,7 @@ def _hover_estimate(
         if p["map_nodes"]:
             loads = np.array(rotor_loads(p, speed[0], speed[1])).reshape(2, 2) / speed**2
             if not np.all(loads > 0.0):
-                raise MuflyError("the coefficient map has no lift or no drag at hover; use another map")
+                raise MuflyError("thrust or torque is not positive at hover in the coefficient map; use another map")
             # Half steps: a faster lower rotor has less inflow from the upper rotor and needs less speed.
             thrust, drag = 0.5 * (thrust + loads[0]), 0.5 * (drag + loads[1])
     torque = drag * speed**2

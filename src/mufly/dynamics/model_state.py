@@ -146,8 +146,8 @@ _MAX_FRICTION_RATE = 2000.0  # 1/s, resolved by Runge-Kutta steps of 1 ms
 class ModelParameters:
     """Parameters of the equations of motion (:func:`model_parameters`), SI units.
 
-    Without a coefficient map its tables are zero; with one ``thrust_up`` to ``torque_dw`` are not used. The fields from
-    ``swash_phase`` on are not part of the filter's model.
+    Without a coefficient map, the tables of the map are zero. With a map, ``thrust_up`` to ``torque_dw`` are not used.
+    The fields from ``swash_phase`` on are not part of the filter's model.
     """
 
     mass: float = _real("mass", unit="kg", source="body.mass")

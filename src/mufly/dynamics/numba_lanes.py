@@ -227,12 +227,12 @@ def negate(test: Any) -> Any:
 
 
 def uniform(test: Any) -> Any:
-    """Return a test that is the same for all vehicles of a block."""
+    """Return a test whose result is the same for all vehicles of a block."""
     raise NotImplementedError
 
 
 def whole_number(x: Any) -> Any:
-    """Return a whole number."""
+    """Return a number unchanged; the rewritten source calls this function in place of ``np.uint64``."""
     raise NotImplementedError
 
 

@@ -1,7 +1,7 @@
 """Initial design of a vehicle of another mass and size by similarity with a known vehicle.
 
 For the mass ratio ``mu``, the length ratio ``la`` and the same air, the rotors are geometrically similar and keep their
-coefficients. Own derivation; ``w`` is the ratio of the rotor speeds in hover, ``P`` that of the powers:
+coefficients. Own derivation; ``w`` is the ratio of the rotor speeds in hover, ``P`` the ratio of the powers:
 
 ================================================  =========================================================
 thrust = weight: c_T rho pi R^4 Omega^2           w = sqrt(mu) / la^2
@@ -165,7 +165,7 @@ _OPTION_REMEDIES: dict[str, tuple[tuple[str, ...], str]] = {
 def _blame_option(
     known: Vehicle, weak: _TooWeakError, mass_kg: float, radius_m: float, given: dict[str, Any]
 ) -> ArgumentError:
-    """Return the error about the first option without which, all others equal, the vehicle hovers."""
+    """Return an error that names the first option whose omission alone lets the vehicle hover."""
     _, full = battery_voltage_range(weak.vehicle.battery)
     problem = f"{weak.what} ({full:.3g} V, {1e3 * mass_kg:.4g} g)"
     for option, (left_out, remedy) in _OPTION_REMEDIES.items():
@@ -359,8 +359,9 @@ def _set_motor(
     volts = tables["battery"]["nominal_voltage"]["value"]
     if no_load * resistance >= volts:
         raise ArgumentError(
-            "no_load_current_A", "", f"{no_load:g} A through {resistance:g} ohm take all of {volts:g} V",
-            "correct it, or the resistance",
+            "no_load_current_A", "",
+            f"{no_load:g} A times {resistance:g} ohm is not less than the {volts:g} V of the battery",
+            "correct the current or the resistance",
         )  # fmt: skip
     turns = (volts - no_load * resistance) / constant
     _set_specified_value(tables, "motor.friction", _scale_value(constant * no_load, 1.0 / turns))

@@ -228,7 +228,7 @@ def simulate_open_loop(
         raise InputError(
             "simulate",
             "step_s",
-            f"{min(step_s, sample_s) * 1e3:g} ms is too long for {vehicle.name}'s fastest part",
+            f"{min(step_s, sample_s) * 1e3:g} ms is too long for the fastest mode of {vehicle.name}",
             f"give a step below {longest_step(p) * 1e3:.3g} ms",
         )
     x = _check_shape(state, (STATE_SIZE,), "state").copy()

@@ -1,4 +1,4 @@
-"""Flight map of a vehicle: blades at its own hover, the map, and the greatest level speed of the flight model with it.
+"""Flight map of a vehicle: pitch settings of its blades in hover, the map, and the greatest level speed with the map.
 
 Pitch settings of the blades give the hover thrusts of the vehicle's own coefficients at its own hover speeds, as in
 :mod:`mufly.dynamics.level_flight`. The knee of the edgewise axis is the inflow ratio of hover.

@@ -536,7 +536,7 @@ class Autopilot:
         if n == 0:
             return reject_temporarily("no mission loaded; load one first")
         if first is not None and not 0 <= first < n:
-            return deny_request(f"waypoint {first} refused: the mission has 0 to {n - 1}")
+            return deny_request(f"waypoint {first} refused: the mission has the waypoints 0 to {n - 1}")
         if self.software.mission_state.state == "init":
             answer = self._check_climb(VehicleRequest.START, self.software.plan.mission.take_off.height_m)
             if answer and self._estimate is not None:

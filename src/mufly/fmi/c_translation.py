@@ -210,7 +210,7 @@ class CTranslation:
             known = self._names.setdefault(candidate, what)
             if known is what or (isinstance(what, int | float) and type(known) is type(what) and known == what):
                 return candidate
-        raise NotImplementedError(f"a third meaning of {name}")
+        raise NotImplementedError(f"the name {name} has more than two meanings")
 
 
 class _FunctionTranslation:
@@ -382,14 +382,14 @@ class _FunctionTranslation:
         return ""
 
     def _declare_table_alias(self, name: str, value: CExpression, root: str) -> None:
-        """Let a name stand for a table, or a part of one."""
+        """Declare a name as an alias of a table or of a part of a table."""
         assert isinstance(value.kind, TableType)
         if value.text == _c_name(name):  # the same array under the same name
             return
         declared = f"{_CONST_MARK}{root}{_CONST_MARK}{pointer_declaration(value.kind, _c_name(name))}"
         known = self._kinds.get(name)
         if known is not None and (known, self._roots.get(name)) != (value.kind, root):
-            raise NotImplementedError(f"{self._function.__name__}: {name} is another table before")
+            raise NotImplementedError(f"{self._function.__name__}: {name} already names another table")
         if known is not None:
             self._emit_line(f"{_c_name(name)} = {value.text};")
         elif self._depth > 1:

@@ -613,5 +613,7 @@ def low_pass(signal: Array, dt: float, cut_hz: float) -> Array:
     from scipy.signal import butter, sosfiltfilt
 
     if not 0.0 < cut_hz < 0.5 / dt:
-        raise ArgumentError("cut_hz", "", f"{cut_hz:g} Hz is not below the Nyquist frequency", f"under {0.5 / dt:g}")
+        raise ArgumentError(
+            "cut_hz", "", f"{cut_hz:g} Hz is not below the Nyquist frequency", f"give less than {0.5 / dt:g} Hz"
+        )
     return np.asarray(sosfiltfilt(butter(4, cut_hz, fs=1.0 / dt, output="sos"), signal, axis=0))

@@ -132,7 +132,7 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
                 )
             amount[kind] += value
         if not any(amount.values()):
-            raise ArgumentError("noise", name, "is zero", "leave it out, or give an amount above zero")
+            raise ArgumentError("noise", name, "is zero", "omit this noise, or give an amount above zero")
         result[name] = ChannelNoise(**amount)
     return result
 

@@ -282,7 +282,7 @@ def check_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
     warnings = list(refuse_fatal_faults(r, find_signal_faults(r), as_is=as_is))
     still = [n for k, n in enumerate(FLIGHT_INPUTS) if np.ptp(r.inputs[:, k]) < 1e-6]
     if len(still) == 4:
-        raise InputError(r.name, "inputs", "none of them moves", "fly an excitation: `mufly identify plan`")
+        raise InputError(r.name, "inputs", "no input varies", "fly an excitation: `mufly identify plan`")
     warnings += [f"{r.name}: {n} is constant, so the record holds no information about its effects" for n in still]
     for k, name in enumerate(r.outputs):
         y = r.measured[np.isfinite(r.measured[:, k]), k]

@@ -102,7 +102,11 @@ class SignalEntry(_MapTable):
                 remedy += "; actuator_command has as many components as there are motors"
             raise _entry_error("columns", problem, remedy)
         if isinstance(self.sign, tuple) and len(self.sign) != len(self.columns):
-            raise _entry_error("sign", f"{len(self.sign)} signs", "give one, or one a column")
+            raise _entry_error(
+                "sign",
+                f"{len(self.sign)} signs for {len(self.columns)} columns",
+                "give one for all, or one for each column",
+            )
         return self
 
     @property

@@ -144,7 +144,9 @@ def estimate_delay(
         raise InputError("delay", "time", "is not evenly spaced", "resample first: give a rate")
     both = np.isfinite(reference) & np.isfinite(response)
     if both.sum() < 30:
-        raise InputError("delay", "", f"{int(both.sum())} samples in common", "give at least 30")
+        raise InputError(
+            "delay", "", f"only {int(both.sum())} samples have both signals", "give a log with at least 30"
+        )
     step = 1 / clock.rate_hz
     first, last = np.flatnonzero(both)[[0, -1]]
     x, y = _remove_trend(reference[first : last + 1]), _remove_trend(response[first : last + 1])

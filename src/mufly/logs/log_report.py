@@ -248,7 +248,7 @@ def read_channels(
         table, field = find_raw_field(raw, name)
         values = table.fields[field]
         if values.dtype.kind in "US":
-            raise InputError(str(path), name, "is text", "choose a number")
+            raise InputError(str(path), name, "is text", "choose a field that contains numbers")
         order = np.argsort(table.time, kind="stable")
         units = table.units.get(field, "")
         out.append(Channel(f"{table.name}/{field}", units, table.time[order], values[order].astype(float)))

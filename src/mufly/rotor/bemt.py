@@ -386,7 +386,12 @@ def solve_rotor_batch(
     _check_operating_points(*points)
     index = which_rotor.astype(np.int64).ravel()
     if index.size and (index.min() < 0 or index.max() >= len(blading.rotors)):
-        raise InputError("rotor", "which", f"there are {len(blading.rotors)} rotors", "count from 0")
+        raise InputError(
+            "rotor",
+            "which",
+            f"has an index out of range: there are {len(blading.rotors)} rotors",
+            "give indices from 0",
+        )
     pitch, speed, climb = (v.flatten() for v in points)
     totals, _ = _solve_points(blading, index, pitch, speed, climb, gas, False)
     thrust, torque = totals[:, 0], totals[:, 1]

@@ -194,10 +194,10 @@ class SectionCandidate(ParameterGroup):
     def _check_change_limits(self) -> SectionCandidate:
         if any(abs(v) > most for v, most in zip(self.change, FIT_CHANGE_LIMITS, strict=True)):
             raise _make_validation_error(
-                "fit.candidates.change", f"{self.change} is not a small correction", "fit the rotor again"
+                "fit.candidates.change", f"{self.change} exceeds the limits of a fit", "fit the rotor again"
             )
         if any(len(row) != 5 for row in self.covariance):
-            raise _make_validation_error("fit.candidates.covariance", "is no 5 by 5 matrix", "fit the rotor again")
+            raise _make_validation_error("fit.candidates.covariance", "is not a 5 by 5 matrix", "fit the rotor again")
         return self
 
 
@@ -257,7 +257,9 @@ class Rotor(ParameterGroup):
         x = self.blade.r_over_R.value
         if float(self.hub_cutout) > 0.9:
             raise _make_validation_error(
-                "hub_cutout", f"{float(self.hub_cutout):g} leaves no blade", "give at most 0.9"
+                "hub_cutout",
+                f"{float(self.hub_cutout):g} leaves no blade outside the hub",
+                "give at most 0.9 of the radius",
             )
         widest = max(self.blade.chord.value)
         if widest > float(self.radius):
@@ -484,7 +486,7 @@ def rotor_from_tables(tables: Mapping[str, Any], where: str = "rotor") -> Rotor:
     widest = max(rotor.blade.chord.value)
     if widest < _MIN_CHORD_OVER_RADIUS * rotor.radius_m:
         raise InputError(
-            where, "blade.chord", f"{1e3 * widest:g} mm is no blade of a radius of {1e3 * rotor.radius_m:g} mm",
+            where, "blade.chord", f"{1e3 * widest:g} mm is too narrow for a radius of {1e3 * rotor.radius_m:g} mm",
             "check both, and their units",
         )  # fmt: skip
     return rotor

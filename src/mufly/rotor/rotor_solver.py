@@ -206,7 +206,9 @@ def _solve_unknowns(
     if count == 1:
         return _solve_for_thrust(solve_point, system, condition, pitch[0], speed[0], enough, start)
     if count != 2:
-        raise InputError("rotor", "", f"{count} rotors have no trim", "give pitch and speed of each")
+        raise InputError(
+            "rotor", "", f"a system of {count} rotors cannot be trimmed", "give pitch and speed of each rotor"
+        )
     if len(known_pitch) == 2:
         if thrust is not None and not 0.0 < thrust < math.inf:
             raise InputError("coaxial", "thrust_N", f"is {thrust:g}", "give a number above 0")
@@ -221,7 +223,7 @@ def _solve_unknowns(
             solve_point, known_pitch, speed[0], thrust, start
         )  # secant steps may diverge where blades stall
     if pitch[0] is None or len(known_speed) != 2:
-        raise InputError("coaxial", "", "leaves more than one unknown", "give the upper pitch and both speeds")
+        raise InputError("coaxial", "", "has more than one unknown", "give the upper pitch and both speeds")
     return _trim_lower_pitch(solve_point, pitch[0], known_speed, thrust, enough, start)
 
 

@@ -53,7 +53,7 @@ class Air:
                 raise InputError(
                     "air",
                     key,
-                    f"is {getattr(self, key):g}, which is no air's",
+                    f"is {getattr(self, key):g}, which is impossible for air",
                     f"give {low:g} to {high:g}, in SI units",
                 )
 
@@ -182,7 +182,9 @@ class RotorSystem:
 
     def __post_init__(self) -> None:
         if not self.bladings or any(b >= a for a, b in zip(self.disc_heights_m, self.disc_heights_m[1:], strict=False)):
-            raise InputError("rotor", "height_m", "does not fall", "give the uppermost rotor first")
+            raise InputError(
+                "rotor", "height_m", "does not decrease from rotor to rotor", "give the uppermost rotor first"
+            )
 
     @classmethod
     def single_rotor(cls, blading: Blading | Rotor, *, which: int = 0) -> RotorSystem:

@@ -280,9 +280,9 @@ class OptimisationProblem:
             if name not in FREE_PARAMETERS:
                 raise InputError("optimise", name, "cannot be free", f"free some of: {', '.join(FREE_PARAMETERS)}")
             if name in setup.fixed_parameters:
-                raise InputError("optimise", name, "is fixed and free", "leave one of the two out")
+                raise InputError("optimise", name, "is both fixed and to be optimised", "omit one of the two")
         if len(set(free)) != len(free):
-            raise InputError("optimise", "", "frees something twice", "name each once")
+            raise InputError("optimise", "", "names a parameter twice", "name each parameter once")
         fixed = dict(setup.fixed_parameters)
         if goal == "endurance":
             fixed.setdefault("voltage", float(setup.drive.battery.low_voltage))
@@ -292,7 +292,9 @@ class OptimisationProblem:
 
     def _rank_candidates(self, airfoils: list[str]) -> list[str]:
         if not airfoils:
-            raise InputError("optimise", "airfoil", "is free without candidates", "give candidate airfoils")
+            raise InputError(
+                "optimise", "airfoil", "is to be optimised, but there are no candidates", "give candidate airfoils"
+            )
         start = replace(
             self.setup,
             fixed_parameters={k: v for k, v in self.setup.fixed_parameters.items() if k != "pitch"}
@@ -323,7 +325,9 @@ class OptimisationProblem:
         if "pitch" not in self.setup.fixed_parameters:
             names.append("pitch")
         if not names:
-            raise InputError("optimise", "", "leaves nothing to search", "free a parameter, or the pitch")
+            raise InputError(
+                "optimise", "", "there is no parameter to optimise", "name a parameter, or do not fix the pitch"
+            )
         low, high = [], []
         for name in names:
             bounds = (0.0, len(self.candidates) - 1.0) if name == "airfoil" else search_bounds(name, self.limits)
@@ -504,8 +508,8 @@ def _search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, flo
         raise InputError(
             "limit",
             name,
-            f"{low:g} to {high:g} {PAIR_PARAMETERS[name].unit} contains nothing",
-            "widen the limits",
+            f"{low:g} to {high:g} {PAIR_PARAMETERS[name].unit} is an empty range",
+            "give limits that leave a range",
         )
     return low, high
 

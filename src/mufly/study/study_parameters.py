@@ -294,5 +294,7 @@ def search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, floa
     high = min(tops) if tops else max(high, low)
     if low > high:
         unit = ROTOR_PARAMETERS[name].unit
-        raise InputError("limit", name, f"{low:g} to {high:g} {unit} contains nothing", "widen the limits")
+        raise InputError(
+            "limit", name, f"{low:g} to {high:g} {unit} is an empty range", "give limits that leave a range"
+        )
     return low, high

@@ -256,7 +256,7 @@ def modify_naca_name(base: str, changes: Mapping[str, ParameterValue]) -> str:
             number = float(changes[key]) / step
             if abs(number - round(number)) > 1e-6 or not 0 <= round(number) <= most:
                 raise InputError(
-                    key, "", f"{100 * float(changes[key]):g} % is not in the series",
+                    key, "", f"{100 * float(changes[key]):g} % is not in the NACA four-digit series",
                     f"give multiples of {100 * step:g} % up to {100 * step * most:g} %",
                 )  # fmt: skip
             digits[place] = round(number)

@@ -89,7 +89,7 @@ def sweep_parameters(
     check_parameters(setup, names)
     for name, listed in zip(names, values, strict=True):
         if not listed:
-            raise InputError(subject, name, "has no value", "give at least one")
+            raise InputError(subject, name, "has no value", "give at least one value")
         if len(set(listed)) != len(listed):
             raise InputError(subject, name, "lists a value twice", "give each value once")
     if setup.lower_rotor is not None:

@@ -323,7 +323,9 @@ def run_study_with_case(name: str, case: Path) -> StudyFindings:
         If the study takes no case, or the folder holds none.
     """
     if name not in CFD_CASE_STUDIES:
-        raise InputError("thesis", name, "takes no case", f"use --case with one of: {', '.join(CFD_CASE_STUDIES)}")
+        raise InputError(
+            "thesis", name, "does not use a CFD case", f"use --case with one of: {', '.join(CFD_CASE_STUDIES)}"
+        )
     if not case.is_dir():
         raise InputError(str(case), "", "is not a folder", "give a folder that `mufly cfd run --out` wrote")
     return CFD_CASE_STUDIES[name](None, case)

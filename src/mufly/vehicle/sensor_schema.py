@@ -120,7 +120,7 @@ class ImuParameters(ParameterGroup):
     @model_validator(mode="after")
     def _check_single_place(self) -> ImuParameters:
         if len(self.place.value) != 1:
-            raise model_error(f"{len(self.place.value)} points", "give one, [[x, y, z]]", "sensors.imu.place")
+            raise model_error(f"has {len(self.place.value)} points", "give one point, [[x, y, z]]", "sensors.imu.place")
         return self
 
 
@@ -273,5 +273,7 @@ class SensorSuite(ParameterGroup):
                 "sensors.sonar.resolution",
             )
         if len(self.sonar.place.value) != 1:
-            raise model_error(f"{len(self.sonar.place.value)} points", "give one, [[x, y, z]]", "sensors.sonar.place")
+            raise model_error(
+                f"has {len(self.sonar.place.value)} points", "give one point, [[x, y, z]]", "sensors.sonar.place"
+            )
         return self

@@ -204,7 +204,7 @@ def make_wall(
     north, east = end[0] - start[0], end[1] - start[1]
     length = math.hypot(north, east)
     if not length > 0.0:
-        raise InputError(name, "end", f"{end} is also the start of the wall", "give two different ends")
+        raise InputError(name, "end", f"{end} equals the start of the wall", "give two different ends")
     centre = (0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1]), -0.5 * height)
     return Box(centre, (length, thickness, height), math.atan2(east, north), name)
 

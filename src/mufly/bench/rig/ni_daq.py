@@ -73,7 +73,7 @@ class NiDaq:
         self._last_data_s = time.monotonic()
 
     def set_speed(self, axis: str, speed_rad_s: float) -> None:
-        raise DeviceError(f"{self.name}: turns nothing")
+        raise DeviceError(f"{self.name}: reads sensors and drives no motor")
 
     def read(self) -> Samples:
         if self._task is None:

@@ -64,7 +64,7 @@ class DeviceTable(ParameterGroup):
         if self.kind == "nidaq" and not self.inputs:
             raise model_error("names no inputs", 'write inputs = { thrust_raw = "Dev1/ai0" }', "inputs")
         if self.kind in ("epos", "stand") and len(self.axes) != 1:
-            raise model_error("drives one axis", 'write axes = ["upper"]', "axes")
+            raise model_error("drives exactly one axis", 'write axes = ["upper"]', "axes")
         if self.kind == "esc" and not self.axes:
             raise model_error("names no axis", 'write axes = ["upper"]', "axes")
         return self
@@ -120,7 +120,7 @@ class RigTable(ParameterGroup):
     def _check_axes(self) -> RigTable:
         axes = [a for d in self.device for a in d.axes]
         if not axes:
-            raise model_error("no device drives an axis", "give a device axes", "device")
+            raise model_error("no device drives an axis", 'write axes = ["upper"] for a device with a motor', "device")
         if len(axes) != len(set(axes)):
             raise model_error("two devices drive the same axis", "give each axis one device", "device")
         return self

@@ -58,7 +58,7 @@ class SerialLoadCells:
         raise DeviceError(f"{self.name}: sends no data; check the sketch and the baud rate")
 
     def set_speed(self, axis: str, speed_rad_s: float) -> None:
-        raise DeviceError(f"{self.name}: turns nothing")
+        raise DeviceError(f"{self.name}: reads load cells and drives no motor")
 
     def read(self) -> Samples:
         out: dict[str, list[float]] = {name: [] for name in self.channels}

@@ -75,7 +75,11 @@ class BladeMounting(ParameterGroup):
     @model_validator(mode="after")
     def _check_consistency(self) -> BladeMounting:
         if (self.axis == "pair") != bool(self.lower_rotor):
-            raise model_error("a pair, and only a pair, has a lower_rotor", "name it, or change axis", "lower_rotor")
+            raise model_error(
+                "a mounting needs a lower_rotor if its axis is 'pair', and none otherwise",
+                "correct lower_rotor or axis",
+                "lower_rotor",
+            )
         if self.use == "reference" and self.axis == "pair":
             raise model_error(
                 "the reference rotor is measured on a single axis", "give axis 'upper' or 'lower'", "axis"

@@ -226,9 +226,14 @@ def compute_cell_loads(
     columns = [f"{n}_raw" if raw else n for n in names]
     if "thrust" not in names or any(c not in points.mean for c in columns):
         missing = next((c for c in columns if c not in points.mean), "thrust")
-        raise InputError("record", missing, "was never read", "check the bench file")
+        raise InputError("record", missing, "has no readings", "name this column in the bench file")
     if not len(zeros):
-        raise InputError("record", "tare", "contains no zero", "measure at least one mounting to its end")
+        raise InputError(
+            "record",
+            "tare",
+            "contains no zero reading (the load cells without load)",
+            "complete the measurement of one mounting",
+        )
     inverse = np.eye(len(names)) if cells is None else np.linalg.inv(cells.sensitivity)
     walks = [fit_random_walk(zeros.time_s, zeros.mean[c], zeros.std[c], start=start) for c in columns]
     n = len(points)

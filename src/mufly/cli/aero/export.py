@@ -87,7 +87,12 @@ def export(
                 bodies.write_stl(out, body, r.name)
         else:
             if whole:
-                raise InputError("--whole", "", "is for STL", "STEP holds one blade; a CAD program copies it")
+                raise InputError(
+                    "--whole",
+                    "",
+                    "is for STL only: a STEP file contains one blade",
+                    "leave out --whole; copy the blade in a CAD program",
+                )
             with report_write_errors("--out", key=str(out)):
                 bodies.write_step(out, sections * ([1.0, -1.0, 1.0] if clockwise else [1.0, 1.0, 1.0]))
         told = {

@@ -88,7 +88,9 @@ def measure(
     if readings is not None:
         r, chord, angle, thickness = read_station_readings(readings)
     elif out is None and not as_json:
-        raise InputError("--out", "", "is missing", "give one, as --out mine.toml: what is asked for would be lost")
+        raise InputError(
+            "--out", "", "is missing: your answers would be lost", "give a file, for example --out mine.toml"
+        )
     else:
         r, chord, angle, thickness, tip_height = _ask_readings(radius, tip_height)
     found = measure_geometry(

@@ -153,7 +153,8 @@ def run(
     if vehicle is not None:
         raise InputError(
             "--vehicle", vehicle, "needs a flight of `mufly fly` on sensors, without options of fixes" if said else
-            "needs a flight of `mufly fly` on sensors: other logs are estimated without a rotor model", "leave it out",
+            "needs a flight of `mufly fly` on sensors: other logs are estimated without a rotor model",
+            "leave out --vehicle",
         )  # fmt: skip
     kinds = dict(parse_aid(text) for text in aid or ())
     asked = AidRequest(

@@ -162,7 +162,7 @@ def run_simulator(
 ) -> None:
     """Simulate the vehicle for another autopilot until Ctrl-C (``mufly link --simulator``)."""
     if sensors != "fitted":
-        raise InputError("--sensors", sensors, f"{autopilot} flies on sensors", "leave it out")
+        raise InputError("--sensors", sensors, f"{autopilot} needs simulated sensors", "leave out --sensors")
     if ends is not None and len(ends) > 1:
         raise InputError("--link", "", "a simulator has one endpoint", "give it once")
     from mufly.bridges.ardupilot.ardupilot_link import ARDUPILOT_ENDPOINT
@@ -177,7 +177,7 @@ def run_simulator(
     default = {"px4": PX4_ENDPOINT, "ardupilot": ARDUPILOT_ENDPOINT, "betaflight": BETAFLIGHT_ENDPOINT}[autopilot]
     endpoint = parse_endpoint(ends[0], "vehicle", "--link") if ends else default
     if endpoint.kind != default.kind:
-        raise InputError("--link", str(endpoint), f"{autopilot} needs {default.kind}", f"write {default}")
+        raise InputError("--link", str(endpoint), f"{autopilot} uses {default.kind}", f"for example {default}")
     place = None if origin is None else parse_origin(origin)
     if autopilot != "px4" and (place is not None or position != "vision"):
         given = "--origin" if place is not None else "--position"

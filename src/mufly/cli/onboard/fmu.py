@@ -50,7 +50,7 @@ def export_vehicle(
     if out.suffix != ".fmu":
         raise InputError("--out", str(out), "does not end in .fmu", "give a name that ends in .fmu")
     if check and sources_only:
-        raise InputError("--check", "", "needs a library", "leave out --sources-only")
+        raise InputError("--check", "", "needs the compiled library", "leave out --sources-only")
     check_output_place("--out", out, "file")
     from mufly.fmi import check_unit, export_fmu
     from mufly.vehicle import load_vehicle

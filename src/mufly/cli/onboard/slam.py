@@ -296,7 +296,7 @@ def run(
     load_opencv()
     for name, value, most in (("--give-up", give_up, 3600.0), ("--duration", duration, 1e6)):
         if value is not None and not 0.0 < value <= most:
-            raise InputError(name, "", f"{value:g} s is out of range", f"give up to {most:g}")
+            raise InputError(name, "", f"{value:g} s is out of range", f"give up to {most:g} s")
     if link is not None and not is_live_source(place):
         raise InputError("--link", "", "is for live pictures", "give a camera or a stream, or --telemetry")
     told = None if telemetry is None else read_telemetry(telemetry, offset)

@@ -296,8 +296,9 @@ def iterate_dk(
     need = sum(c.outputs for c in channels), sum(c.inputs for c in channels)
     if have != need:
         raise ArgumentError(
-            "channels", "", f"cover {need[0]} outputs and {need[1]} inputs; the plant has {have[0]} and {have[1]}",
-            "give channels that cover all of them",
+            "channels", "",
+            f"have {need[0]} outputs and {need[1]} inputs, but the plant has {have[0]} and {have[1]} of them",
+            "give channels for all outputs and inputs",
         )  # fmt: skip
     none = np.zeros(0)
     filters = [ScalingFilter(float(d), none, none) for d in (scalings or [1.0] * len(channels))]

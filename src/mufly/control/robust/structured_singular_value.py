@@ -49,7 +49,9 @@ class MuUpperBound(NamedTuple):
 def _block_slices(M: ComplexArray, blocks: Sequence[Block]) -> list[slice]:
     total = sum(b.size for b in blocks)
     if M.shape != (total, total):
-        raise ArgumentError("blocks", "", f"cover {total} rows; the matrix has shape {M.shape}", "cover all of it")
+        raise ArgumentError(
+            "blocks", "", f"have {total} rows in all, but the matrix has shape {M.shape}", "give blocks for all rows"
+        )
     ends = np.cumsum([b.size for b in blocks])
     return [slice(int(e) - b.size, int(e)) for e, b in zip(ends, blocks, strict=True)]
 

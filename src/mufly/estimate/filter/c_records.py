@@ -108,7 +108,7 @@ def collect_constants() -> dict[str, int | float | tuple[int, ...]]:
             if name.isupper() and (isinstance(value, (int, float)) or whole):
                 known = found.setdefault(_macro_name(name), value)
                 if known != value:
-                    raise ValueError(f"{module.__name__}.{name} = {value!r} is {known!r} elsewhere")
+                    raise ValueError(f"{module.__name__}.{name} is {value!r}, but {known!r} in another module")
     return found
 
 

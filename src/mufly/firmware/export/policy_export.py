@@ -45,7 +45,7 @@ def export_policy(policy: LearnedPolicy, out: str | Path) -> list[Path]:
     if folder.exists() and (
         not folder.is_dir() or (any(folder.iterdir()) and not (folder / "policy/policy.c").exists())
     ):
-        raise InputError("out", str(out), "holds something else", "name a new or empty folder")
+        raise InputError("out", str(out), "contains files of another origin", "name a new or empty folder")
     folder.mkdir(parents=True, exist_ok=True)
     texts = render_policy_files(policy)
     for name, text in texts.items():

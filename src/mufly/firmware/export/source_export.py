@@ -79,7 +79,7 @@ def export_firmware(
     """
     out = Path(out)
     if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not (out / "tables.c").exists())):
-        raise InputError("out", str(out), "holds something else", "name a new or empty folder")
+        raise InputError("out", str(out), "contains files of another origin", "name a new or empty folder")
     known = mission.world if world is None and mission is not None else world
     others = dict(render_estimator_files(vehicle, known, controller.rate_Hz))
     if vehicle is not None and mission is not None:

@@ -227,7 +227,7 @@ def _impulse_bounds(A: Array, B: Array, C: Array, terms: int = 4096) -> tuple[Ar
         X = A @ X
     rest = np.abs(np.linalg.matrix_power(A, terms))
     if np.abs(np.linalg.eigvals(rest)).max(initial=0.0) >= 1.0:
-        raise MuflyError("fixed point: no bound; what runs while actuators saturate is not stable enough")
+        raise MuflyError("fixed point: the controller states have no bound while actuators saturate")
     whole = np.linalg.solve(np.eye(len(A)) - rest, total)
     return whole, seen + np.abs(C) @ rest @ whole
 

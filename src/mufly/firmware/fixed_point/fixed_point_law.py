@@ -58,7 +58,9 @@ def fixed_point_gains(controller: FlightController, law: FixedPointLaw) -> _Gain
     """
     h, r, p = controller.heave_yaw_gains, controller.roll_pitch_gains, controller.position_gains
     if float(h["period"]) >= 2.0**-5:
-        raise InputError("rate_Hz", f"{controller.rate_Hz:g}", "is too slow for whole numbers", "give 33 Hz or more")
+        raise InputError(
+            "rate_Hz", f"{controller.rate_Hz:g}", "is too low for the fixed-point law", "give 33 Hz or more"
+        )
     found = {
         "heave_yaw": {
             **_coefficient_table(law.heave_yaw.update_rows, law.heave_yaw.output_rows, law.heave_yaw.start_rows),

@@ -89,7 +89,7 @@ def wilson_interval(successes: int, flights: int, z: float = _NORMAL_QUANTILE_95
         raise InputError(
             "wilson",
             "",
-            f"{successes} of {flights}",
+            f"{successes} successes in {flights} flights",
             "give at least one flight, and at most as many successes as flights",
         )
     p, n = successes / flights, flights

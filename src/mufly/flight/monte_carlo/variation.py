@@ -216,7 +216,9 @@ def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
     elif match["normal"] or match["sides"]:
         widths = np.full(len(keys), _to_si_amount(match["number"], unit, chosen, text))
     else:
-        raise ArgumentError("vary", text, f"{how!r} may be a value or a spread", "write +-2g or normal:2g for a spread")
+        raise ArgumentError(
+            "vary", text, f"{how!r} could mean a value or a spread", "write +-2g or normal:2g for a spread"
+        )
     return _independent_variation(text, chosen, widths.tolist(), "normal" if match["normal"] else "uniform")
 
 
@@ -233,7 +235,9 @@ def _range_variation(text: str, how: str, match: re.Match[str], chosen: Sequence
     else:
         low, high = (_to_si_amount(match[k], match["unit"], chosen, text) for k in ("low", "high"))
     if not low <= high:
-        raise ArgumentError("vary", text, f"{how} contains nothing", "write LOW:HIGH with LOW not above HIGH")
+        raise ArgumentError(
+            "vary", text, f"the range {how} contains no value", "write LOW:HIGH with LOW not above HIGH"
+        )
     scale = np.array([p.value if is_share else 1.0 for p in chosen])
     half = 0.5 * (high - low) * np.abs(scale)
     spread = np.diag(half) if high > low else np.zeros((len(chosen), 0))
@@ -244,7 +248,9 @@ def _without_zeros(chosen: Sequence[Parameter], text: str) -> list[Parameter]:
     """Return the parameters that are not 0: a percentage of 0 (no ground effect, no friction) does not vary."""
     kept = [p for p in chosen if p.value != 0.0]
     if not kept:
-        raise ArgumentError("vary", text, "a share of 0 is 0", "write +-AMOUNT, or LOW:HIGH, with its unit")
+        raise ArgumentError(
+            "vary", text, "a parameter of value 0 has no percentage", "write +-AMOUNT or LOW:HIGH with a unit"
+        )
     return kept
 
 

@@ -169,12 +169,12 @@ def _check_content(where: str, content: dict[str, Any]) -> _PolicyFile:
     if got != names or list(got) != list(names):
         wrong = next(b for a, b in zip(names.items(), got.items(), strict=False) if a != b)
         raise InputError(
-            where, "observation", f"has the input {wrong[0]} ({wrong[1]}), another one than the task "
-            f"{checked.task} has there",
+            where, "observation",
+            f"has the input {wrong[0]} ({wrong[1]}), which the task {checked.task} does not have at this place",
             f"give {', '.join(names)}",
         )  # fmt: skip
     if tuple(one.name for one in checked.action) != ACTION_NAMES:
-        raise InputError(where, "action", "has other outputs", f"give {', '.join(ACTION_NAMES)}")
+        raise InputError(where, "action", "has unknown or reordered outputs", f"give {', '.join(ACTION_NAMES)}")
     before = len(names)
     for k, layer in enumerate(checked.layers):
         shape = {len(row) for row in layer.weights}

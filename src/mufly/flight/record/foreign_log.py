@@ -86,7 +86,10 @@ def parse_aid(text: str, where: str = "--aid") -> tuple[str, str]:
     kind, _, signal = text.partition("=")
     if kind not in ("position", "heading") or not signal:
         raise InputError(
-            where, text, "is not an aid", "write position=SIGNAL or heading=SIGNAL, as in position=truth_position"
+            where,
+            text,
+            "is not a reference for the estimate",
+            "write position=SIGNAL or heading=SIGNAL, for example position=truth_position",
         )
     return kind, signal
 
@@ -234,7 +237,9 @@ def _find_aids(by: dict[str, Channel], asked: AidRequest, where: str, log: Inert
     pick = np.arange(0, len(time), every)
     pick = pick[(time[pick] >= log.time_s[0]) & np.isfinite(x[pick]).all(axis=1)]
     if len(pick) < 5:
-        raise InputError(where, str(name), f"has {len(pick)} positions while the inertial unit runs", "give more")
+        raise InputError(
+            where, str(name), f"has {len(pick)} positions during the readings of the inertial unit", "give at least 5"
+        )
     taken, place = time[pick].astype(float), x[pick].astype(float)
     std = asked.std_m
     if std is None:

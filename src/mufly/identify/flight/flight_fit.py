@@ -128,7 +128,7 @@ def fit_flight_records(
     Thesis: Fig. 5.2; Sec. 5.3.
     """
     if not records:
-        raise InputError("records", "", "none is given", "give one at least")
+        raise InputError("records", "", "no record is given", "give at least one")
     start = time.perf_counter()
     voltage = _available_voltage(voltage, vehicle, records)
     options: dict[str, Any] = {"part": part, "outputs": outputs, "delay_s": delay_s, "prior": prior}
@@ -275,7 +275,7 @@ def _dynamics_part(f: FreeParameter) -> str:
         return "heave-yaw"
     if f.symbol in ROLL_PITCH_SYMBOLS:
         return "roll-pitch"
-    raise ArgumentError("free", f.symbol, "acts on heave and yaw and on roll and pitch", "fit with part=both")
+    raise ArgumentError("free", f.symbol, "acts on both parts, heave-yaw and roll-pitch", "fit with part=both")
 
 
 def fit_parts_separately(

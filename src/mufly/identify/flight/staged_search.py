@@ -380,6 +380,6 @@ _OTHER_FIT = ("belongs to a fit of other records, parameters or method", "delete
 
 def _point_from_json(d: dict[str, Any] | None) -> FitPoint:
     if d is None:
-        raise InputError("checkpoint", "", "contains no iterate", "delete it to start again")
+        raise InputError("checkpoint", "", "contains no result of the fit", "delete it to start again")
     states = [np.array(s) for s in d["states"]]
     return FitPoint(np.array(d["theta"]), states, d["cost"], d["damping"], d["simulations"])

@@ -83,7 +83,7 @@ def measure_bandwidth(frequency_hz: Array, response: ComplexArray, error: Array 
     w, h = 2.0 * np.pi * np.asarray(frequency_hz)[good], np.asarray(response)[good]
     eps = np.zeros(len(w)) if error is None else np.asarray(error)[good]
     if len(w) < 4:
-        raise InputError("bandwidth", "", f"{len(w)} points", "give four or more, coherent ones")
+        raise InputError("bandwidth", "", f"{len(w)} coherent points are too few", "give four or more")
     phase = np.degrees(np.unwrap(np.angle(h)))
     phase -= 360.0 * np.round(
         (phase[0] + 90.0) / 360.0

@@ -382,7 +382,8 @@ def fit_frequency_response(
     good &= good.sum(0) >= 4
     if 2 * good.sum() < len(structure.parameters):
         raise InputError(
-            "frequency response", "", f"{int(good.sum())} coherent points for {len(structure.parameters)} parameters",
+            "frequency response", "",
+            f"{int(good.sum())} coherent points are too few for {len(structure.parameters)} parameters",
             "give a longer record or more excitation",
         )  # fmt: skip
     weight = 1.58 * (1.0 - np.exp(-data.partial))

@@ -158,7 +158,7 @@ class _LinearFitProblem:
         """Return residuals (n, outputs), NaN if masked; the response to each linear unknown; and their estimate."""
         got = self.simulate_with_linear_unknowns(self.coordinates.to_values(z))
         if got is None:
-            raise ArgumentError("structure", self.structure.name, "cannot be simulated", "try a simpler one")
+            raise ArgumentError("structure", self.structure.name, "cannot be simulated", "choose a simpler structure")
         forced, added, linear = got
         return np.where(self.is_used, self.measured - forced - added @ linear, np.nan), added, linear
 
@@ -278,7 +278,12 @@ def fit_linear_model(
         assert best is not None
         solution, start = best
         if not np.isfinite(solution.cost) or solution.cost >= 0.4e12 * problem.is_used.sum():
-            raise ArgumentError("structure", structure.name, "cannot be simulated from any start", "try a simpler one")
+            raise ArgumentError(
+                "structure",
+                structure.name,
+                "cannot be simulated with any initial parameters",
+                "choose a simpler structure",
+            )
         for k in range(_WEIGHT_ITERATIONS):
             # Maximum likelihood: alternate between weights from the residuals and parameters.
             variance = np.nanvar(problem.solve_linear_unknowns(solution.x)[0], axis=0)

@@ -206,7 +206,7 @@ def identify_linear_model(
     _refuse_degrees(record, outputs, y)
     cut = round(split * len(y)) if split_at_s is None else int((record.time_s < split_at_s).sum())
     if not 100 <= cut <= len(y):
-        raise ArgumentError("split", "", f"leaves {cut} samples for the fit", "leave at least 100")
+        raise ArgumentError("split", "", f"leaves {cut} samples for the fit", "give a split that leaves at least 100")
     notes = record.column_notes(inputs, outputs)
     moving = np.std(us[:cut], axis=0) > 1e-9 * np.maximum(1.0, np.abs(us[:cut]).max(axis=0))
     for name, moves in zip(inputs, moving, strict=True):

@@ -89,7 +89,7 @@ def read_blade(
     where = Path(path).name
     geometry = "maker" if Path(path).suffix.lower() == ".pe0" else None
     if radius_m is not None and not 0.0 < radius_m < 100.0:
-        raise ArgumentError("radius", f"{radius_m:g} m", "is out of range", "give metres, above 0 and below 100")
+        raise ArgumentError("radius", f"{radius_m:g} m", "is out of range", "give more than 0 and less than 100 m")
     notes: list[str] = []
     if Path(path).suffix.lower() == ".pe0":
         table = _read_apc_file(Path(path), notes)
@@ -115,7 +115,9 @@ def read_blade(
     if not keep.all():
         notes.append(f"{int((~keep).sum())} station(s) beyond the tip or without chord omitted")
     if keep.sum() < 2 <= inside.sum():
-        problem = f"is {1e3 * float(chord[inside].max()):.3g} mm at most, no blade of a radius of {1e3 * radius:.3g} mm"
+        problem = (
+            f"is at most {1e3 * float(chord[inside].max()):.3g} mm: too narrow for a radius of {1e3 * radius:.3g} mm"
+        )
         raise InputError(where, "chord", problem, "check both, and their units")
     if keep.sum() < 2:
         raise InputError(where, "", "has fewer than two stations within the radius", "check radius and units")
@@ -205,7 +207,9 @@ def _read_station_table(
             elif low in _LENGTH_COLUMN_HEADERS[quantity]:
                 if unit not in compatible_units("m"):
                     said = f"has the unit {unit!r}" if unit else "has no unit"
-                    raise InputError(where, header, said, f"name a length's, as {stem}_mm or {stem} (in)")
+                    raise InputError(
+                        where, header, said, f"give a unit of length, for example {stem}_mm or {stem} (in)"
+                    )
                 known.setdefault(quantity, (k, unit_conversion(unit, "m")[1]))
         if low in _ANGLE_COLUMN_HEADERS or whole in _ANGLE_COLUMN_HEADERS:
             if unit and not normalise_unit(unit, "rad"):
@@ -242,7 +246,7 @@ def _read_station_table(
             raise InputError(
                 where, headers[index],
                 f"is not above 0 and up to {100 * MAX_THICKNESS_RATIO:g} % of the chord everywhere",
-                "correct it, or its unit",
+                "correct the value or its unit",
             )  # fmt: skip
     if "airfoil" in known:
         foils = written.read_texts(known["airfoil"][0])

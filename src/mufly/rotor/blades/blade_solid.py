@@ -459,7 +459,7 @@ def rotor_from_body(
     corners, turned = _turn_blade_to_x(read_step(path) if step else read_stl(path, unit_m or 1.0 / _MM_PER_M))
     radius = float(corners[:, :, 0].max())
     if not radius > 0.0:
-        raise InputError(where, "", "has nothing at x > 0", "let the blade lie along x, the shaft along z")
+        raise InputError(where, "", "has no surface at x > 0", "orient the body: one blade along x, shaft along z")
     outer = corners[
         (corners[:, :, 0] > 0.5 * radius).all(axis=1) & (np.abs(corners[:, :, 1]) < 0.5 * radius).all(axis=1)
     ]

@@ -235,7 +235,7 @@ def _identify_columns(header: Sequence[str], where: str) -> list[tuple[str, floa
             raise InputError(where, name, "the column is missing", f"give the columns {', '.join(_REQUIRED_COLUMNS)}")
     for k, name in enumerate(names):
         if name and name in names[:k]:
-            raise InputError(where, header[k], f"is {name} again", "give one column of it")
+            raise InputError(where, header[k], f"is a second column of {name}", "give one column of each quantity")
     return found
 
 
@@ -254,7 +254,8 @@ def _check_units(rows: list[tuple[int, dict[str, float]]], headers: dict[str, st
     rise = float(np.ptp(cl[near])) / max(float(np.ptp(alpha[near])), 1e-9) if near.sum() > 2 else 0.0
     if rise > _MAX_LIFT_SLOPE_PER_DEG:
         raise InputError(
-            where, header, f"lift would rise by {rise:.3g} a degree", "name the column alpha_rad if that is its unit"
+            where, header,
+            f"the lift coefficient would rise by {rise:.3g} per degree", "name the column alpha_rad if that is its unit"
         )  # fmt: skip
     numbers = np.array([v["reynolds"] for _, v in rows])
     if np.any(numbers > 0) and float(np.max(numbers)) < _MIN_REYNOLDS:

@@ -185,7 +185,9 @@ def compute_blade_passing(solution: SystemSolution, *, points: int = 24) -> Blad
     settings, air, climb = solution.settings or WakeSettings(), solution.air, solution.climb_m_s
     units = [RotorState(p, settings) for p in rotors]
     if units[0].surface.blade_count != units[1].surface.blade_count:
-        raise InputError("wake", "blades", "differ between the rotors", "give rotors of as many blades")
+        raise InputError(
+            "wake", "blades", "differ in number between the rotors", "give rotors with equal numbers of blades"
+        )
     initialise_wakes(units, solution, climb)
     for unit in units:
         unit.build_filaments(settings, air.viscosity_Pa_s / air.density_kg_m3)

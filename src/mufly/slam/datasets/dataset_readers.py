@@ -183,7 +183,7 @@ def info_from_height(height_m: float | None, where: str) -> Callable[[_Array], l
     if height_m is None:
         raise InputError(where, "", "does not state the height above the floor", "give --height or --telemetry")
     if not 0.02 <= height_m <= 1000.0:
-        raise InputError("--height", "", f"{height_m:g} m is out of range", "give it in metres above the floor")
+        raise InputError("--height", "", f"{height_m:g} m is out of range", "give the height above the floor in metres")
     return lambda times: [
         FrameInfo(0.0, 0.0, height_m, tilt_sigma=_UNKNOWN_TILT_SIGMA_RAD, height_sigma=0.02) for _ in times
     ]
@@ -363,8 +363,9 @@ def _read_heights(folder: Path, times: _Array, height_m: float | None) -> _Array
         raise InputError(str(file), "", "has no rows of two numbers", "write time and distance (s, m)")
     if len(times) and (times[-1] < a[0, 0] or times[0] > a[-1, 0]):
         raise InputError(
-            str(file), "time_s", f"goes from {a[0, 0]:.9g} to {a[-1, 0]:.9g} s, pictures from {times[0]:.9g} s on",
-            "give it the clock of the pictures (s), or leave it out and give --height",
+            str(file), "time_s",
+            f"goes from {a[0, 0]:.9g} to {a[-1, 0]:.9g} s, but the pictures begin at {times[0]:.9g} s",
+            "use the clock of the pictures (s), or omit this file and give --height",
         )  # fmt: skip
     return np.interp(times, a[:, 0], a[:, 1])
 
@@ -508,7 +509,7 @@ def _read_telemetry_infos(file: Path, times: _Array) -> list[FrameInfo]:
     table = read_text_table(file)
     phased = table.header == [*TELEMETRY_COLUMNS, *PHASE_COLUMNS]
     if not phased and table.header != [*TELEMETRY_COLUMNS]:
-        raise InputError(str(file), "", "has another first row", f"write {', '.join(TELEMETRY_COLUMNS)}")
+        raise InputError(str(file), "", "has an unexpected first row", f"write {', '.join(TELEMETRY_COLUMNS)}")
     a = table.read_matrix()
     if not len(a) or (np.diff(a[:, 0]) <= 0).any():
         raise InputError(str(file), "time_s", "does not increase", "sort it by time")
@@ -546,7 +547,9 @@ def _open_video(
     beside = next((f for f in names if f is not None and (f is times or f.is_file())), None)
     listed = None if beside is None else _read_video_times(beside)
     if listed is None and not 0.1 <= rate <= 1000.0:
-        raise InputError(str(file), "", f"gives {rate:g} pictures a second", "give --rate or --times")
+        raise InputError(
+            str(file), "", f"states an implausible rate of {rate:g} pictures per second", "give --rate or --times"
+        )
     if listed is not None and count > 0 and len(listed) != count:
         raise InputError(
             str(beside),

@@ -237,7 +237,7 @@ def path_from_recording(recording: xr.Dataset, where: str = "recording") -> Vehi
     """
     for name in ("truth_position", "truth_velocity", "truth_attitude", "truth_rates"):
         if name not in recording:
-            raise InputError(where, name, "is not in it", "give a recording of a simulated flight")
+            raise InputError(where, name, "is missing", "give a recording of a simulated flight")
     t = recording["time"].values.astype(np.float64)
     speed = (
         recording["truth_rotor_speed"].values

@@ -115,7 +115,7 @@ def _replace_waypoints(mission: Mission, waypoints: Sequence[Waypoint | Mapping[
 def _find_waypoint(mission: Mission, k: int) -> Waypoint:
     if not 1 <= k <= len(mission.waypoint):
         problem = f"there is no waypoint {k}"
-        raise InputError(ERROR_LOCATION, "waypoint", problem, f"the mission has {len(mission.waypoint)}")
+        raise InputError(ERROR_LOCATION, "waypoint", problem, f"give 1 to {len(mission.waypoint)}")
     return mission.waypoint[k - 1]
 
 

@@ -105,7 +105,7 @@ def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0
     try:
         found = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError) as error:
-        raise InputError("--code", text, f"cannot be had ({error})", "check PYTHONPATH and the name") from None
+        raise InputError("--code", text, f"cannot be imported ({error})", "check PYTHONPATH and the name") from None
     return PredictionCode(name or function, lambda case: _predict_by_function(found, what, case))
 
 
