@@ -12,7 +12,7 @@ import pytest
 
 from mufly.camera import Camera, VehicleMotion, load_camera, make_floor
 from mufly.flight.fixes.onboard_camera import add_dirt
-from mufly.slam import CameraFrame, SlamSystem, make_square_path, render_frames
+from mufly.slam import CameraFrame, FrameInfo, SlamSystem, make_square_path, render_frames
 from mufly.slam.datasets.synthetic_datasets import make_hand_path
 from mufly.slam.image_tools import Undistorter
 from mufly.slam.images.camera_monitor import CameraMonitor, DirtMask, FlipTest, advance_slow_part, judge_motion
@@ -198,6 +198,34 @@ def test_dirt_is_masked_where_it_is_and_floor_is_not(flown: Flown) -> None:
     assert dirty.mask[79, 99]
     assert dirty.mask[149, 230]
     assert 0.01 < np.mean(dirty.mask > 0) < 0.15
+
+
+def test_a_hover_over_the_same_floor_shows_no_dirt() -> None:
+    """Two shades of smooth tiles stay near their pixels while the vehicle moves to and fro by some pixels."""
+    camera, rng = load_camera("mufly-2.0"), np.random.default_rng(4)
+    row, column = np.mgrid[:300, :380] // 90
+    floor = np.where((row + column) % 2, 200.0, 90.0) + cv2.GaussianBlur(rng.normal(0.0, 5.0, (300, 380)), (0, 0), 1.5)
+    monitor, never_moved = CameraMonitor(camera, 250.0, 1.6), DirtMask()
+    for k in range(70):
+        x, y = 30 + round(8.0 * math.sin(1.3 * k)), 30 + round(8.0 * math.cos(0.9 * k))
+        picture = np.clip(floor[y : y + 240, x : x + 320] + rng.normal(0.0, 2.0, (240, 320)), 0, 255).astype(np.uint8)
+        monitor.check_motion(CameraFrame(0.033 * k, picture, FrameInfo(0.0, 0.0, 1.0)), picture)
+        if k % 7 == 0:
+            never_moved.add_picture(picture)
+    assert never_moved.mask is not None  # what pictures of one place show
+    assert monitor.dirt_mask is None
+
+
+def test_places_of_the_mean_move_with_the_floor() -> None:
+    mask = DirtMask()
+    assert mask.sees_new_floor
+    mask.add_picture(np.zeros((24, 32), np.uint8))
+    for turned_rad in (0.0, 0.4):  # there and back, as the nose turns in between
+        mask.advance(60.0 + 10.0j, 0.0)
+        assert mask.sees_new_floor
+        mask.advance(0j, turned_rad)
+        mask.advance(-(60.0 + 10.0j) * cmath.exp(-1j * turned_rad), 0.0)
+        assert not mask.sees_new_floor
 
 
 def test_a_lasting_tilt_error_is_reported() -> None:

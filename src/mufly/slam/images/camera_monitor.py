@@ -36,7 +36,8 @@ each axis against y = p finds them first (Wald, *Sequential Analysis*, 1947). Ow
 **Dirt** stays at its pixels. In the mean of n pictures of different floor the dirt remains, while the floor, with grey
 levels of deviation s, averages out to s / sqrt(n). A pixel is dirty under two conditions: its mean differs from the
 surroundings by more than :data:`_DIRT_SIGMAS` s / sqrt(n), and its own deviation is below :data:`_DIRT_STILLNESS` s,
-since dirt hides the floor. More than :data:`_MAX_DIRT_SHARE` of a picture is not dirt but a floor that repeats along
+since dirt hides the floor. The pictures of the mean were taken at different places: a hover would show the same floor
+at the same pixels. More than :data:`_MAX_DIRT_SHARE` of a picture is not dirt but a floor that repeats along
 the path, such as stripes.
 """
 
@@ -71,8 +72,8 @@ _BACKGROUND_PX = 25  # side of the mean that is subtracted, at half the resoluti
 _MIN_HEIGHT_M = 0.2  # below which the height is known too poorly
 _TILT_AVERAGE_S, _TILT_SIGMAS, _MIN_TILT_RAD = 1.5, 2.5, math.radians(1.2)
 _DIRT_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_STEP_PX, _DIRT_MIN_COUNT, _DIRT_COUNT = 4, 8.0, 40.0, 7, 9
-"""Reduction of the picture, smoothing of the surroundings (reduced pixels), motion between pictures that count
-(pixels), and their least and largest number."""
+"""Reduction of the picture, smoothing of the surroundings (reduced pixels), least distance between the places of two
+pictures (pixels), and least and largest number of pictures."""
 _DIRT_SIGMAS, _DIRT_STILLNESS, _MIN_DIRT_GREY, _MAX_DIRT_SHARE, _DIRT_MARGIN_PX = 5.0, 0.5, 10.0, 0.25, 12
 _MIN_CONTRAST = 2.0
 """Standard deviation of grey levels below which equal pictures are dark, not frozen."""
@@ -139,7 +140,6 @@ class CameraMonitor:
         self._verdict, self._held_until_s = _HEALTHY, -math.inf
         self._tilt, self._tilt_weight, self._tilt_time_s = np.zeros(2), 0.0, math.nan
         self._dirt = DirtMask()
-        self._moved_px = 0.0
 
     @property
     def estimate(self) -> NDArray[np.complex128]:
@@ -219,9 +219,9 @@ class CameraMonitor:
         if moved is None:
             self._past = []
             return
-        self._moved_px += 2.0 * abs(moved)
-        if self._moved_px > _DIRT_STEP_PX:
-            self._moved_px = 0.0
+        yaw_rate = 0.5 * (last.vehicle_estimate.heading_rate_rad_s + frame.vehicle_estimate.heading_rate_rad_s)
+        self._dirt.advance(2.0 * moved, yaw_rate * dt)
+        if self._dirt.sees_new_floor:
             clean = self._dirt.mask is None
             self._dirt.add_picture(picture)
             if clean and self._dirt.mask is not None:  # it has held the motion back
@@ -230,7 +230,6 @@ class CameraMonitor:
         y = 2.0 * moved / dt
         velocity = 0.5 * (velocity + self._last_level_velocity)
         p = self._predict_motion(last.vehicle_estimate, frame.vehicle_estimate, velocity)
-        yaw_rate = 0.5 * (last.vehicle_estimate.heading_rate_rad_s + frame.vehicle_estimate.heading_rate_rad_s)
         self._slow = advance_slow_part(self._slow, np.array([y, p]), dt, yaw_rate)
         self._past = [*self._past[-2:], (y - self._slow[0], p - self._slow[1])]
         if len(self._past) == 3:
@@ -433,11 +432,22 @@ class DirtMask:
 
     def __init__(self) -> None:
         self._pictures: deque[NDArray[np.float32]] = deque(maxlen=_DIRT_COUNT)
+        self._places: deque[complex] = deque(maxlen=_DIRT_COUNT)
         self.mask: NDArray[np.uint8] | None = None
         self.wide_mask: NDArray[np.uint8] | None = None
 
+    def advance(self, moved_px: complex, turned_rad: float) -> None:
+        """Move the places of the pictures with the floor: its motion in the picture, and the turn of the nose (rad)."""
+        turn = cmath.exp(-1j * turned_rad)
+        self._places = deque((turn * place + moved_px for place in self._places), _DIRT_COUNT)
+
+    @property
+    def sees_new_floor(self) -> bool:
+        """Whether the present picture is far from all of the mean; a hover shows the same floor again and again."""
+        return all(abs(place) > _DIRT_STEP_PX for place in self._places)
+
     def add_picture(self, picture: NDArray[np.uint8]) -> None:
-        """Add an undistorted picture that shows another part of the floor than the preceding one."""
+        """Add an undistorted picture that shows another part of the floor than those before."""
         cv2 = load_opencv()
         high, wide = picture.shape
         small = cv2.resize(
@@ -445,6 +455,7 @@ class DirtMask:
         ).astype(np.float32)
         small -= cv2.GaussianBlur(small, (0, 0), _DIRT_BACKGROUND_PX)
         self._pictures.append(small)
+        self._places.append(0j)
         count = len(self._pictures)
         if count < _DIRT_MIN_COUNT:
             return
