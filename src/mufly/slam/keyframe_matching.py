@@ -37,7 +37,7 @@ from mufly.slam.image_tools import (
 from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, align_picture, floor_axes
 from mufly.slam.images.patch_information import measure_patches, remove_background
 from mufly.slam.keyframe_map import FloorMap, view_overlap
-from mufly.slam.place_recognition import MIN_INLIERS, correlate_pictures, is_unambiguous
+from mufly.slam.place_recognition import MIN_INLIERS, CorrelationPeak, correlate_pictures, is_unambiguous
 from mufly.slam.pose_graph import HEADING, LOG_HEIGHT, TILT
 
 _Array = NDArray[np.float64]
@@ -226,10 +226,10 @@ def match_keyframe(
     view, picture, straight = context.view, context.picture, context.undistorter
     keyframe, at = floor_map.keyframes[k], floor_map.nodes[k]
     if coarse:
-        found = _align_coarsely(floor_map, k, context, node, 3.0 * context.position_sigma_m + 0.03)
-        if found is None:
+        found = correlate_keyframe(floor_map, k, context, node)
+        if found is None or found[1].is_ambiguous:
             return None
-        node = found
+        node = found[0]
     homography = _floor_homography(floor_map, k, context, node)
     template, covered = warp_over_picture(match_brightness(keyframe.picture, picture), homography, picture)
     h = np.column_stack([keyframe.pixels, np.ones(len(keyframe.pixels))]) @ homography.T
@@ -389,20 +389,37 @@ def _floor_homography(floor_map: FloorMap, k: int, context: FrameContext, node: 
     return m @ now.T @ plane @ then @ np.linalg.inv(m)
 
 
-def _align_coarsely(floor_map: FloorMap, k: int, context: FrameContext, node: _Array, reach: float) -> _Array | None:
-    """Return the node by correlation of small pictures within a reach (m); None if it is ambiguous."""
+def correlate_keyframe(
+    floor_map: FloorMap, k: int, context: FrameContext, node: _Array
+) -> tuple[_Array, CorrelationPeak] | None:
+    """Return the node (4,) by correlation of small pictures within three deviations, and the peak; None without one.
+
+    Parameters
+    ----------
+    floor_map : FloorMap
+    k : int
+        Index of the keyframe.
+    context : FrameContext
+    node : (4,) array
+        Predicted node of the picture.
+    """
     view = context.view
     seen = warp_picture(
         floor_map.keyframes[k].picture,
         _floor_homography(floor_map, k, context, node),
         context.undistorter.picture_size,
     )
-    pixel = correlate_pictures(seen, context.picture, max(10.0, reach / view.height_m * view.focal_px))
-    if pixel is None:
+    reach = 3.0 * context.position_sigma_m + 0.03
+    peak = correlate_pictures(seen, context.picture, max(10.0, reach / view.height_m * view.focal_px))
+    if peak is None:
         return None
     # The shift of the warped keyframe against the picture is the camera's displacement over the floor.
-    d = attitude_matrix(view, None, node[HEADING]) @ view.body_from_camera @ np.append(pixel / view.focal_px, 0.0)
-    return node + np.array([d[0] * view.height_m, d[1] * view.height_m, 0.0, 0.0])
+    d = (
+        attitude_matrix(view, None, node[HEADING])
+        @ view.body_from_camera
+        @ np.append(peak.shift_px / view.focal_px, 0.0)
+    )
+    return node + np.array([d[0] * view.height_m, d[1] * view.height_m, 0.0, 0.0]), peak
 
 
 def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: FrameContext, node: _Array) -> str:

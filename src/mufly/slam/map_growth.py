@@ -2,7 +2,8 @@
 
 Residuals of inliers correct a keyframe's points, which averages vibration and noise out of the map. A loop is closed
 under three conditions: enough inliers, a result within the covariance of the map, and no other place within that
-covariance that looks the same. On a floor of tiles no loop is closed if the covariance is too large.
+covariance that looks nearly the same, in this keyframe or in another. On a floor of tiles no loop is closed if the
+covariance is too large.
 """
 
 from __future__ import annotations
@@ -25,8 +26,14 @@ from mufly.slam.camera_pose import (
 )
 from mufly.slam.image_tools import detect_corners
 from mufly.slam.keyframe_map import FloorMap, Keyframe, compose_pose, remove_pose_fit
-from mufly.slam.keyframe_matching import FrameContext, KeyframeMatch, match_keyframe, rejection_reason
-from mufly.slam.place_recognition import MIN_INLIERS
+from mufly.slam.keyframe_matching import (
+    FrameContext,
+    KeyframeMatch,
+    correlate_keyframe,
+    match_keyframe,
+    rejection_reason,
+)
+from mufly.slam.place_recognition import MAX_SECOND_PEAK_RATIO, MIN_INLIERS, are_places_apart, is_unambiguous
 from mufly.slam.pose_graph import (
     EDGE_SIZE,
     EDGE_TILT_A,
@@ -43,6 +50,7 @@ _Array = NDArray[np.float64]
 LOOP_MIN_OVERLAP = 0.4
 LOOP_MAX_CHI2 = 28.0  # of eight numbers: rejects one true closure in 2000
 _LOOP_SEARCH_SIGMAS = 2.5  # standard deviations within which keyframes are searched
+_MAX_OTHER_PLACES = 8  # keyframes that are compared with the best before a loop is closed
 NEWEST_TRANSITION = (np.ones(3), np.full(3, 1e-10))
 """Correlation factors and noise variances between errors of a picture and the newest keyframe if both are the same."""
 _WHITE_LEVEL, _MAX_WHITE_SHARE = 248, 0.02
@@ -200,15 +208,17 @@ class LoopSearch:
                 may.append((-round(share - before, 1), tries, -share, k, node, h * sigma))
         if not may:
             return None
-        _, tries, share, k, node, sigma = min(may, key=lambda m: m[:3])
+        may.sort(key=lambda m: m[:3])
+        _, tries, share, k, node, sigma = may[0]
         self._failed_closures[k] = (tries + 1, -share)
-        # Always coarse: this search includes the test for other places that look the same.
+        # Always coarse: this search includes the test for other places in the keyframe that look the same.
         match = match_keyframe(floor_map, k, replace(context, position_sigma_m=2.0 * sigma), node, coarse=True)
         if (
             match is None
             or len(match.unknown)
             or len(match.inlier_indices) < max(1.5 * MIN_INLIERS, 0.5 * match.tracked_count)
             or match.pose.residual_scale > 3.0
+            or _has_second_place(floor_map, match, context, last_node, [(m[3], m[4], m[5]) for m in may[1:]])
         ):
             return None
         return match
@@ -223,6 +233,31 @@ class LoopSearch:
             return False
         self._failed_closures = {}
         return True
+
+
+def _has_second_place(
+    floor_map: FloorMap, match: KeyframeMatch, context: FrameContext, last_node: _Array,
+    others: list[tuple[int, _Array, float]],
+) -> bool:  # fmt: skip
+    """Return whether another keyframe that may be in view shows a place that looks nearly like that of a match.
+
+    ``others`` are keyframes with the predicted node of the picture and its deviation (m). Their places compete by the
+    correlation of small pictures, as two places within a keyframe do. The place of the last result, ``last_node``,
+    does not: a loop that is to be closed contradicts it.
+    """
+    place, height = match.pose_graph_node, context.view.height_m
+    first = correlate_keyframe(floor_map, match.keyframe, replace(context, position_sigma_m=0.0), place)
+    least = 0.0 if first is None else MAX_SECOND_PEAK_RATIO * first[1].score
+    off = place[:2] - last_node[:2]
+    for k, node, sigma in others[:_MAX_OTHER_PLACES]:
+        found = correlate_keyframe(floor_map, k, replace(context, position_sigma_m=2.0 * sigma), node)
+        if found is None or found[1].score < least:
+            continue
+        other = found[0]
+        apart = are_places_apart(other, place, height) and are_places_apart(other, last_node, height)
+        if apart and not is_unambiguous(off, (other - place)[None, :2], sigma):
+            return True
+    return False
 
 
 def _level_rays(context: FrameContext, pose: PoseEstimate, pixels: _Array, seconds: _Array) -> NDArray[np.complex128]:

@@ -7,7 +7,7 @@ keyframe with the most inliers is the result, unless another has nearly as many:
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,10 @@ MIN_INLIERS = 14
 """Least number of inliers."""
 MAX_SECOND_PEAK_RATIO = 0.75
 """Ratio of the second peak of the correlation to the first above which the place is ambiguous."""
+MAX_SECOND_INLIER_RATIO = 0.6
+"""Ratio of the inliers of another place to those of the best above which the place is ambiguous."""
+MIN_PLACE_DISTANCE = 0.3
+"""Distance of two results, over the height, from which they are different places."""
 MAX_AMBIGUITY = 1e-3
 """Largest relative probability of another place that looks the same."""
 
@@ -91,16 +95,41 @@ def relocalize_by_orb(
     results.sort(key=lambda r: -r[0])
     count, k, node = results[0]
     for other, _, elsewhere in results[1:]:
-        apart = math.hypot(*(elsewhere[:2] - node[:2])) > 0.3 * view.height_m
-        if apart and other > 0.6 * count:
+        if are_places_apart(elsewhere, node, view.height_m) and other > MAX_SECOND_INLIER_RATIO * count:
             return None
     return k, node
 
 
-def correlate_pictures(seen: Any, picture: Any, reach: float) -> _Array | None:
-    """Return the shift (2,) in pixels between a warped keyframe picture and a picture, by correlation of small copies.
+def are_places_apart(a: _Array, b: _Array, height_m: float) -> bool:
+    """Return whether two nodes (N, E, ...) are different places at a height (m)."""
+    return math.hypot(*(a[:2] - b[:2])) > MIN_PLACE_DISTANCE * height_m
 
-    The result is None if they do not correlate, or nearly as much at another shift within reach.
+
+class CorrelationPeak(NamedTuple):
+    """Correlation of a keyframe with a picture.
+
+    Attributes
+    ----------
+    shift_px : (2,) array
+        Shift with the highest correlation (pixels).
+    score, second_score : float
+        Highest correlation, and that of the second peak; -1 without one.
+    """
+
+    shift_px: _Array
+    score: float
+    second_score: float
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether they correlate nearly as much at another shift within reach."""
+        return self.second_score > MAX_SECOND_PEAK_RATIO * self.score
+
+
+def correlate_pictures(seen: Any, picture: Any, reach: float) -> CorrelationPeak | None:
+    """Return the peak of the correlation of small copies of a warped keyframe picture and a picture.
+
+    The result is None if they do not correlate.
 
     Parameters
     ----------
@@ -136,10 +165,8 @@ def correlate_pictures(seen: Any, picture: Any, reach: float) -> _Array | None:
     if peak < 0.35:
         return None
     away = np.hypot(rows - best[0], columns - best[1])
-    rest = score[away > 4.0]
-    if len(rest) and float(rest.max()) > MAX_SECOND_PEAK_RATIO * peak:
-        return None
-    return np.array([(best[1] - middle[1]) * 4.0, (best[0] - middle[0]) * 4.0])
+    shift = np.array([(best[1] - middle[1]) * 4.0, (best[0] - middle[0]) * 4.0])
+    return CorrelationPeak(shift, peak, float(score[away > 4.0].max(initial=-1.0)))
 
 
 def is_unambiguous(off: _Array, alike: _Array, sigma: float) -> bool:
