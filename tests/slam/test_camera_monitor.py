@@ -216,6 +216,23 @@ def test_a_hover_over_the_same_floor_shows_no_dirt() -> None:
     assert monitor.dirt_mask is None
 
 
+@pytest.mark.parametrize("dirty", [False, True])
+def test_a_band_along_a_straight_path_is_no_dirt(dirty: bool) -> None:
+    """A smooth, bright plank stays at its pixels while the vehicle flies along it; a spot on the lens does, too."""
+    rng, mask = np.random.default_rng(7), DirtMask()
+    rough = cv2.GaussianBlur(rng.normal(0.0, 60.0, (800, 320)), (0, 0), 3.0)
+    rough[:, 200:240] = 25.0 + 0.2 * rough[:, 200:240]
+    for k in range(9):
+        picture = np.clip(120.0 + rough[50 * k : 50 * k + 240] + rng.normal(0.0, 2.0, (240, 320)), 0, 255)
+        mask.advance(-50.0j, 0.0)
+        mask.add_picture(add_dirt(picture.astype(np.uint8)) if dirty else picture.astype(np.uint8))
+    assert (mask.mask is not None) == dirty
+    if mask.mask is not None:
+        assert mask.mask[79, 99]
+        assert mask.mask[149, 230]
+        assert np.mean(mask.mask > 0) < 0.2
+
+
 def test_places_of_the_mean_move_with_the_floor() -> None:
     mask = DirtMask()
     assert mask.sees_new_floor

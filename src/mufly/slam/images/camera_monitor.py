@@ -37,7 +37,8 @@ each axis against y = p finds them first (Wald, *Sequential Analysis*, 1947). Ow
 levels of deviation s, averages out to s / sqrt(n). A pixel is dirty under two conditions: its mean differs from the
 surroundings by more than :data:`_DIRT_SIGMAS` s / sqrt(n), and its own deviation is below :data:`_DIRT_STILLNESS` s,
 since dirt hides the floor. The pictures of the mean were taken at different places: a hover would show the same floor
-at the same pixels. More than :data:`_MAX_DIRT_SHARE` of a picture is not dirt but a floor that repeats along
+at the same pixels. On a straight path, bands along it stay, too, so the mean must also differ from its surroundings
+along the path. More than :data:`_MAX_DIRT_SHARE` of a picture is not dirt but a floor that repeats along
 the path, such as stripes.
 """
 
@@ -74,6 +75,7 @@ _TILT_AVERAGE_S, _TILT_SIGMAS, _MIN_TILT_RAD = 1.5, 2.5, math.radians(1.2)
 _DIRT_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_STEP_PX, _DIRT_MIN_COUNT, _DIRT_COUNT = 4, 8.0, 40.0, 7, 9
 """Reduction of the picture, smoothing of the surroundings (reduced pixels), least distance between the places of two
 pictures (pixels), and least and largest number of pictures."""
+_DIRT_PATH_PX = 16.0  # smoothing of the surroundings along the path (reduced pixels)
 _DIRT_SIGMAS, _DIRT_STILLNESS, _MIN_DIRT_GREY, _MAX_DIRT_SHARE, _DIRT_MARGIN_PX = 5.0, 0.5, 10.0, 0.25, 12
 _MIN_CONTRAST = 2.0
 """Standard deviation of grey levels below which equal pictures are dark, not frozen."""
@@ -463,7 +465,8 @@ class DirtMask:
         usual = math.sqrt(float(np.median(variance)))
         least = max(_MIN_DIRT_GREY, _DIRT_SIGMAS * usual / math.sqrt(count))
         still = cv2.blur(variance, (3, 3)) < (_DIRT_STILLNESS * usual) ** 2
-        dirty = ((np.abs(mean) > least) & still).astype(np.uint8)
+        beside = np.abs(mean - cv2.filter2D(mean, -1, self._path_kernel()))
+        dirty = ((np.abs(mean) > least) & (beside > least) & still).astype(np.uint8)
         dirty = cv2.morphologyEx(dirty, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         self.mask = self.wide_mask = None
         if 0 < int(dirty.sum()) < _MAX_DIRT_SHARE * dirty.size:
@@ -472,6 +475,18 @@ class DirtMask:
                 cv2.dilate(whole, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))
                 for margin in (_DIRT_MARGIN_PX, _DIRT_MARGIN_PX + _WINDOW_PX)
             )
+
+    def _path_kernel(self) -> _Array:
+        """Return the kernel of the mean along the path, the principal axis of the pictures' places."""
+        places = np.array(self._places) - np.mean(self._places)
+        # The sum of squares has twice the angle of the axis.
+        axis = cmath.exp(0.5j * cmath.phase(complex((places**2).sum())))
+        reach = round(2.0 * _DIRT_PATH_PX)
+        y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+        along, across = x * axis.real + y * axis.imag, y * axis.real - x * axis.imag
+        kernel = np.exp(-0.5 * (along / _DIRT_PATH_PX) ** 2 - 0.5 * (across / 0.7) ** 2)
+        out: _Array = kernel / kernel.sum()
+        return out
 
 
 def measure_shift(
