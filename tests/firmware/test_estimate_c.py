@@ -7,14 +7,18 @@ import shutil
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import cffi
 import numpy as np
 import pytest
 
+from mufly.compiled.toolchain import build_cached_library
 from mufly.control import design_flight_controller
-from mufly.dynamics.model_state import MODEL_SPEED_UPPER
+from mufly.dynamics import find_trim, model_parameters
+from mufly.dynamics.equations_of_motion import state_derivative_tilted
+from mufly.dynamics.model_state import MODEL_SPEED_UPPER, STATE_SIZE
 from mufly.errors import MuflyError
 from mufly.estimate import KalmanEstimator, filter_backend
-from mufly.estimate.filter.c_records import PYTHON_ONLY_FIELDS
+from mufly.estimate.filter.c_records import PYTHON_ONLY_FIELDS, flight_model_record, render_records_header
 from mufly.estimate.filter.filter_records import (
     ERROR_TERRAIN,
     NOMINAL_ATTITUDE,
@@ -121,6 +125,31 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
         assert c.memory["flight_phase"] == PHASE_FLYING
         c.memory["x"][NOMINAL_TERRAIN] += 1e-15
         assert not same(c._memory_array, python._memory_array)  # the comparison can fail
+
+
+@needs_cc
+def test_rotors_that_hardly_turn_have_equal_loads_in_both_languages() -> None:
+    """Below 1 rad/s the coefficient map reads another ratio of the speeds than at full speed."""
+    mapped = replace_parameters(load_vehicle("mufly-2.0"), {"rotors.coefficient_map": "walkera-5g6-bemt"})
+    p, still = model_parameters(mapped), np.zeros(3)
+    sources = filter_backend.collect_filter_sources(render_records_header(p))
+    ffi = cffi.FFI()
+    ffi.cdef(
+        "void flight_model(const double *x, const double *u, const double *wind, const void *p, const double *swash,"
+        " double *dx);"
+    )
+    lib = ffi.dlopen(str(build_cached_library("estimate", sources)))
+    record = ffi.from_buffer(flight_model_record(p))
+    ours, theirs = np.empty(STATE_SIZE), np.empty(STATE_SIZE)
+    for speeds in ((0.3, 0.7), (0.9, 0.2), (5e-4, 2e-4), (1.5, 1.2), (300.0, 310.0)):
+        x, u = find_trim(mapped).state, np.array([0.1, 0.1, 0.0, 0.0])
+        x[MODEL_SPEED_UPPER : MODEL_SPEED_UPPER + 2] = speeds
+        state_derivative_tilted(x, u, still, p, 0.0, 1.0, 0.0, 1.0, False, ours)
+        buffers = (ffi.from_buffer("double[]", a) for a in (x, u, still))
+        lib.flight_model(
+            *buffers, record, ffi.new("double[4]", [0.0, 1.0, 0.0, 1.0]), ffi.from_buffer("double[]", theirs)
+        )
+        assert ours.tobytes() == theirs.tobytes(), speeds
 
 
 @needs_cc

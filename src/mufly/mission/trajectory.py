@@ -141,6 +141,7 @@ _GAUSS_WEIGHTS = tuple(
 )
 """Three-point Gauss-Legendre rule, written out for equal values on all machines."""
 _MIN_DENOMINATOR = 1e-9
+_MIN_CURVE_SPEED_M_S = 0.05  # least speed of a curve
 
 
 @dataclass(frozen=True)
@@ -298,7 +299,7 @@ class PendingCurve(NamedTuple):
             self.descent / max(math.sqrt(sink), _MIN_DENOMINATOR),
             math.sqrt(share / max(math.sqrt(bend), _MIN_DENOMINATOR)),
         )
-        if peak < 0.05:
+        if peak < _MIN_CURVE_SPEED_M_S:
             return None
         return TimedSpline(cubics, tuple(arc), make_motion_profile(arc[-1], peak, share))
 

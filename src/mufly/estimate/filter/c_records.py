@@ -98,7 +98,7 @@ def collect_constants() -> dict[str, int | float | tuple[int, ...]]:
     found: dict[str, int | float | tuple[int, ...]] = {
         "GRAVITY": GRAVITY,
         **{name: value for name, value in vars(model_state).items() if name.startswith(("MODEL_", "U_"))},
-        "STANDSTILL": equations_of_motion._MIN_ROTOR_SPEED_RAD_S,
+        "MIN_ROTOR_SPEED_RAD_S": equations_of_motion._MIN_ROTOR_SPEED_RAD_S,
         "MODEL_STATES": STATE_SIZE,
         "CURVE_POINTS": PARAMETER_DTYPE["battery_curve"].shape[0],
     }

@@ -73,6 +73,7 @@ _FLYING_STATES = frozenset({State.TAKE_OFF, State.HOVER, State.WAYPOINT, State.O
 _TIPPED_OVER_ANGLE_RAD = math.radians(60.0)
 _LOW_BATTERY_DURATION_S = 1.0
 _VOLTAGE_LAG_S = 0.5
+_LONGEST_STEP_S = 0.5
 _DEPARTURE_HEIGHT_TOLERANCE_M, _DEPARTURE_HEADING_TOLERANCE_RAD = 0.1, math.radians(8.0)
 
 _STEP_FUNCTION_BY_STATE = {
@@ -238,7 +239,7 @@ def step_mission(
 
     Thesis: Fig. 6.15; Sec. 6.2.1.
     """
-    dt = min(max(estimate.time_s - state.time_s, 0.0), 0.5)
+    dt = min(max(estimate.time_s - state.time_s, 0.0), _LONGEST_STEP_S)
     s = _update_clocks(plan, _finish_pending_curve(state), estimate, dt)
     s = _apply_any_state_transitions(plan, s, estimate, command, dt)
     if s.state is State.OFFBOARD:

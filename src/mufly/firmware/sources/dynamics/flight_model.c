@@ -53,7 +53,7 @@ static cubic_weights_t cubic_weights(real_t at, int32_t n)
         b = b - d;
         d = REAL(0.0);
     }
-    found.first_waypoint = i - 1;
+    found.first = i - 1;
     found.weight[0] = a;
     found.weight[1] = b;
     found.weight[2] = c;
@@ -77,8 +77,8 @@ static void loads_from_map(const real_t x[MODEL_STATES], const real_t wind[3], c
     const real_t up = real_abs(x[MODEL_SPEED_UPPER]);
     const real_t dw = real_abs(x[MODEL_SPEED_LOWER]);
     const real_t mean = REAL(0.5) * (up + dw);
-    const real_t ratio = dw / real_max(up, FULL_FRICTION_SPEED);
-    const real_t climb_ratio = climb / (real_max(mean, FULL_FRICTION_SPEED) * p->map_radius);
+    const real_t ratio = dw / real_max(up, MIN_ROTOR_SPEED_RAD_S);
+    const real_t climb_ratio = climb / (real_max(mean, MIN_ROTOR_SPEED_RAD_S) * p->map_radius);
     const int32_t speeds = p->map_size[0];
     const int32_t ratios = p->map_size[1];
     const int32_t climbs = p->map_size[2];
@@ -100,10 +100,10 @@ static void loads_from_map(const real_t x[MODEL_STATES], const real_t wind[3], c
             for (int32_t j = 0; j < 4; j++) {
                 const real_t v = w * by_ratio.weight[j];
                 const int32_t row =
-                    (((k0 + k) * ratios) + min_int(max_int(by_ratio.first_waypoint + j, 0), ratios - 1)) * climbs;
-                const int32_t at[4] = {row + max_int(by_climb.first_waypoint, 0), row + by_climb.first_waypoint + 1,
-                                       row + by_climb.first_waypoint + 2,
-                                       row + min_int(by_climb.first_waypoint + 3, climbs - 1)};
+                    (((k0 + k) * ratios) + min_int(max_int(by_ratio.first + j, 0), ratios - 1)) * climbs;
+                const int32_t at[4] = {row + max_int(by_climb.first, 0), row + by_climb.first + 1,
+                                       row + by_climb.first + 2,
+                                       row + min_int(by_climb.first + 3, climbs - 1)};
 
                 out->thrust_up += v * interpolate_climb(p->thrust_over_speed2_table_up, at, by_climb.weight);
                 out->torque_up += v * interpolate_climb(p->torque_over_speed2_table_up, at, by_climb.weight);

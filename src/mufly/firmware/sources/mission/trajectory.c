@@ -4,7 +4,7 @@
 
 #define PEAK_SPEED_RATIO REAL(1.875)
 #define MIN_DISTANCE_M REAL(1e-3) /* distance below which a path has no direction (m) */
-#define MIN_UD_DIAGONAL REAL(1e-9)
+#define MIN_DENOMINATOR REAL(1e-9)
 #define MIN_CURVE_SPEED_M_S REAL(0.05) /* least speed of a curve (m/s) */
 #define GAUSS_NODE_COUNT 3
 #define EXTREME_REFINEMENT_COUNT 5 /* of a step, around each extreme point of a curve */
@@ -285,12 +285,12 @@ static bool time_curve(timed_spline_t *c, const curve_extremes_t *worst, const r
     const real_t whole = c->arc_lengths[ARC_PIECE_COUNT];
     bool can = false;
 
-    if (!(real_sqrt(worst->least_squared_tangent) < (REAL(0.05) * real_max(whole, MIN_UD_DIAGONAL)))) {
-        real_t peak = pace[0] / real_max(real_sqrt(worst->demands[0]), MIN_UD_DIAGONAL);
+    if (!(real_sqrt(worst->least_squared_tangent) < (REAL(0.05) * real_max(whole, MIN_DENOMINATOR)))) {
+        real_t peak = pace[0] / real_max(real_sqrt(worst->demands[0]), MIN_DENOMINATOR);
 
-        peak = real_min(peak, pace[1] / real_max(real_sqrt(worst->demands[1]), MIN_UD_DIAGONAL));
-        peak = real_min(peak, pace[2] / real_max(real_sqrt(worst->demands[2]), MIN_UD_DIAGONAL));
-        peak = real_min(peak, real_sqrt(share / real_max(real_sqrt(worst->demands[3]), MIN_UD_DIAGONAL)));
+        peak = real_min(peak, pace[1] / real_max(real_sqrt(worst->demands[1]), MIN_DENOMINATOR));
+        peak = real_min(peak, pace[2] / real_max(real_sqrt(worst->demands[2]), MIN_DENOMINATOR));
+        peak = real_min(peak, real_sqrt(share / real_max(real_sqrt(worst->demands[3]), MIN_DENOMINATOR)));
         if (peak >= MIN_CURVE_SPEED_M_S) {
             make_motion_profile(whole, peak, share, &c->speed_profile);
             can = true;
@@ -399,7 +399,7 @@ static void end_derivative(const real_t direction[3], real_t reach, const real_t
     const real_t size = real_vector_length(direction);
 
     for (int32_t i = 0; i < 3; i++) {
-        out[i] = (size > MIN_UD_DIAGONAL) ? ((direction[i] / size) * reach) : chord[i];
+        out[i] = (size > MIN_DENOMINATOR) ? ((direction[i] / size) * reach) : chord[i];
     }
 }
 
