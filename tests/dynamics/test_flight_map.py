@@ -220,7 +220,7 @@ def test_vehicle_files_name_or_contain_the_map(clamped, tmp_path):
     table = clamped.rotors.flight_map.table.splitlines()
     short = "\n".join(table[:-1])
     for wrong, words in (
-        (short, "no full grid"),
+        (short, "do not fill a grid"),
         ("a b\n1 2\n", f"begin with: {FLIGHT_TABLE_COLUMNS[0]}"),
         ("\n".join([table[0], *table[1:10]]), "has 1 value"),
     ):

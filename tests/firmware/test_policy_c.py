@@ -161,7 +161,7 @@ def test_policy_of_the_documents_turns_towards_its_target() -> None:
 
 @pytest.mark.parametrize(("change", "message"), [
     (lambda c: c["layers"][0]["bias"].__setitem__(0, 0.5), "sha256: is not the checksum of the content"),
-    (lambda c: c["observation"].pop(), "observation: has 19 inputs, the task hover 20"),
+    (lambda c: c["observation"].pop(), "observation: has 19 inputs, but the task hover has 20"),
     (lambda c: c["observation"][2].update(name="depth"), r"observation: has the input depth \(m\)"),
     (lambda c: c["observation"][2].update(scale=0.0), r"observation\[3\].scale: 0.0 is out of range"),
     (lambda c: c["layers"][1]["weights"].pop(), r"layers\[2\]: weights or bias do not fit 9 inputs and 7 "
@@ -205,7 +205,7 @@ def test_policies_of_another_vehicle_task_or_period_do_not_fly(design) -> None:
     PolicyControllers(design, right)
     for change, message in (
         ({"vehicle_name": "mufly-2.0"}, "trained for mufly-2.0, not for mufly-1.1"),
-        ({"period_s": 0.01}, r"0.01 s, the mission logic has 0.02 s; train with period_s=0.02"),
+        ({"period_s": 0.01}, r"0.01 s, but the mission logic has 0.02 s; train with period_s=0.02"),
     ):
         with pytest.raises(InputError, match=message):
             PolicyControllers(design, dataclasses.replace(right, **change))

@@ -189,7 +189,7 @@ def test_a_composite_is_as_good_as_the_best_window_everywhere():
     (long,) = windows.values()
     assert np.median(d.error[-15:, 0, 0]) < np.median(long.error[-15:, 0, 0])
     assert (d.window_s[0, 0, 0] > 2.0 * d.window_s[-1, 0, 0]).all()
-    with pytest.raises(InputError, match=r"holds less than 1\.5 periods"):
+    with pytest.raises(InputError, match=r"has less than 1\.5 periods"):
         estimate_composite_response(us, ys, DT, **{**KINDS, "windows_s": (4.0,)})
 
 

@@ -209,7 +209,7 @@ def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], 
     with pytest.raises(InputError, match="give --offset: clock of the recording minus clock of the pictures"):
         open_pictures(film, CAMERA, told=read_telemetry(log, -50.0))
     for text, why in (
-        ("1\n2\n3\n", "has 3 times, the video has 5 pictures"),
+        ("1\n2\n3\n", "has 3 times, but the video has 5 pictures"),
         ("1\n2\nx\n4\n5\n", "line 3, column 1: 'x' is not a number"),
         ("1\n2\n1.5\n4\n5\n", "row 3: its time, 1.500000 s, is not after"), ("", "is empty"),
     ):  # fmt: skip

@@ -76,7 +76,7 @@ def squeezed(text):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (without_row, "no full grid"),
+        (without_row, "do not fill a grid"),
         (squeezed, "evenly spaced"),
         (lambda t: t.replace("cT_upper", "CT"), "does not name the columns"),
         (lambda t: t + "1 2 3\n", "is not 8 finite numbers: 1 2 3"),

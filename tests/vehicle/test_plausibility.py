@@ -21,7 +21,7 @@ IMPOSSIBLE = [
     ("sensors.sonar.resolution", 4.0, "leaves less than two steps"),
     ("rotors.upper.hub_z", -0.04, "the upper hub, z = -0.04 m, is not above the lower, z = -0.051 m"),
     ("rotors.lower.hub_z", -0.091, "the upper hub, z = -0.091 m, is not above"),
-    ("rotors.lower.torque_coefficient", 8e-4, "a figure of merit above 1"),
+    ("rotors.lower.torque_coefficient", 8e-4, "the figure of merit would exceed 1"),
     ("rotors.upper.thrust_coefficient", 0.03, "is below 0.00367, the ideal rotor's"),
     ("contact.stiffness", 3.0, "presses the legs in by 77.7 mm"),
 ]

@@ -78,7 +78,9 @@ def add_loads_from_coefficients(table: BenchTable, radius_m: float | None, densi
         if name not in table or load in table:
             continue
         if not radius_m:
-            raise table.column_error(name, "is a coefficient", "name the rotor, or give thrust_N")
+            raise table.column_error(
+                name, "is a coefficient, and the rotor is unknown", "name the rotor, or give thrust_N"
+            )
         table = resolve_speed_unit(table, radius_m)
         table.require_columns(("speed",))
         _check_convention(table, name)

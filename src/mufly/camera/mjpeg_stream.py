@@ -232,7 +232,7 @@ def parse_boundary(content_type: str, where: str) -> bytes:
     boundary = words.get("boundary", "").strip('"')
     if not kind.strip().lower().startswith("multipart/") or not boundary:
         raise InputError(
-            where, "", f"sends {kind.strip() or 'nothing named'}, no stream of JPEGs",
+            where, "", f"sends {kind.strip() or 'nothing named'}, which is not a stream of JPEGs",
             "give the address of the stream itself (multipart/x-mixed-replace)",
         )  # fmt: skip
     # Some servers include the two hyphens in the boundary.

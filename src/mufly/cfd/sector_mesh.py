@@ -219,8 +219,9 @@ def make_sector_mesh(
         box = replace(box, **{"top_m" if other_m > 0.0 else "bottom_m": 0.5 * other_m})
     if outer < 1.2 * inside or domain.above * radius < 1.2 * box.level_height_m:
         raise InputError(
-            "domain", "", f"is {domain.radius:g} R wide, {domain.above:g} R above the disc: too close to the blade",
-            f"give at least {1.2 * inside / radius:.2g} and {1.2 * box.level_height_m / radius:.2g}",
+            "domain", "",
+            f"has a radius of {domain.radius:g} R and ends {domain.above:g} R above the disc: too close to the blade",
+            f"give at least {1.2 * inside / radius:.2g} R and {1.2 * box.level_height_m / radius:.2g} R",
         )  # fmt: skip
 
     size = (inside - 0.5 * (half + far)) / k.inner

@@ -204,7 +204,10 @@ def run_monte_carlo(
 
         if not untold:
             raise InputError(
-                "--tuned" if tuned else "--method", "", "is one design for all flights", "leave out --redesign"
+                "--tuned" if tuned else "--method",
+                "",
+                "gives one controller design for all flights",
+                "leave out --redesign",
             )
         controller = design_flight_controller(helicopter, settings=parse_design_settings(method, order, tuned))
     campaign = Campaign.create_checked(

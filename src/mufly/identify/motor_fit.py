@@ -370,7 +370,7 @@ def _check_variation(table: BenchTable, data: MotorData) -> None:
     if data.torque_Nm.size and not np.any(data.torque_Nm):
         raise InputError(
             table.source, table.headers["torque"], "is zero in every line",
-            "load the motor: without load only the ratio of dR and kM is seen",
+            "load the motor: without load only the ratio of friction dR and torque constant kM can be fitted",
         )  # fmt: skip
 
 

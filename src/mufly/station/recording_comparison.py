@@ -92,7 +92,9 @@ class RecordingComparison:
 
     def __post_init__(self) -> None:
         if self.alignment_event not in ALIGNMENTS:
-            raise ArgumentError("align", self.alignment_event, "is not an event", f"use {', '.join(ALIGNMENTS)}")
+            raise ArgumentError(
+                "align", self.alignment_event, "is not an event for the alignment", f"use {', '.join(ALIGNMENTS)}"
+            )
         if not math.isfinite(self.manual_offset_s):
             raise ArgumentError("offset", f"{self.manual_offset_s:g}", "is not a time", "give seconds")
 

@@ -580,7 +580,7 @@ def optimise_pair(
         if name not in setup.fixed_parameters:
             raise InputError("optimise", name, "is missing", "fix it")
     if not names:
-        raise InputError("optimise", "", "nothing is free", f"free some of: {', '.join(PAIR_FREE_PARAMETERS)}")
+        raise InputError("optimise", "", "no parameter is free", f"free some of: {', '.join(PAIR_FREE_PARAMETERS)}")
     before = solve_case(fast)
     rough = replace(fast, station_count=min(_SEARCH_STATIONS, setup.station_count))
     bounds = [_search_bounds(n, limits) for n in names]

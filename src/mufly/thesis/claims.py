@@ -157,7 +157,9 @@ def judge(key: str, model: str, ours: str, **quantities: Any) -> Verdict:
     row = _ROWS[key]
     limits = row["limits"]
     if set(limits) != set(quantities):
-        raise KeyError(f"{VERDICTS_FILE.name}: {key}: limits of {sorted(limits)}, computed are {sorted(quantities)}")
+        raise KeyError(
+            f"{VERDICTS_FILE.name}: {key}: has limits of {sorted(limits)}, but the study computes {sorted(quantities)}"
+        )
     agrees = all(meets_limits(value, limits[name]) for name, value in quantities.items())
     reason = row.get("reason_by_model", {}).get(model, CLAIMS[key].reason)
     return Verdict(replace(CLAIMS[key], reason=reason), model, ours, agrees, row["rule"])

@@ -135,7 +135,7 @@ def _parse_table(text: str) -> MapTables:
     shape = tuple(a.size for a in axes)
     if len(rows) != np.prod(shape) or len(np.unique(rows[:, :3], axis=0)) != len(rows):
         raise _table_error(
-            f"{len(rows)} points are no full grid of {shape[0]} mean speeds, {shape[1]} ratios and {shape[2]} climbs",
+            f"{len(rows)} points do not fill a grid of {shape[0]} mean speeds, {shape[1]} ratios and {shape[2]} climbs",
             "give every combination once",
         )
     if len(rows) > MAX_MAP_NODES:

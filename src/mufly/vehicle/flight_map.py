@@ -137,7 +137,7 @@ def _parse_flight_table(text: str, knee: float) -> FlightMapTables:
     shape = tuple(a.size for a in axes)
     if len(rows) != np.prod(shape) or len(np.unique(rows[:, :3], axis=0)) != len(rows):
         raise _table_error(
-            f"{len(rows)} points are no full grid of {shape[0]} ratios, {shape[1]} climbs and {shape[2]} speeds",
+            f"{len(rows)} points do not fill a grid of {shape[0]} ratios, {shape[1]} climbs and {shape[2]} speeds",
             "give every combination once",
         )
     for name, axis, least in zip(AXIS_COLUMNS, axes, (1, 3, 3), strict=True):

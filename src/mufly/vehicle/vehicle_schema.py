@@ -165,8 +165,8 @@ class Rotors(ParameterGroup):
             ideal = float(rotor.thrust_coefficient) ** 1.5 / math.sqrt(2.0)
             if float(rotor.torque_coefficient) < ideal:
                 raise model_error(
-                    f"{float(rotor.torque_coefficient):g} is below {ideal:.3g}, the ideal rotor's at this "
-                    f"thrust_coefficient: a figure of merit above 1",
+                    f"{float(rotor.torque_coefficient):g} is below {ideal:.3g}, the ideal rotor's value "
+                    f"at this thrust_coefficient: the figure of merit would exceed 1",
                     "raise torque_coefficient, or lower thrust_coefficient",
                     f"rotors.{name}.torque_coefficient",
                 )

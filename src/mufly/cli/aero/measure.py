@@ -78,7 +78,7 @@ def measure(
     from mufly.rotor.blades.measured_geometry import GeometryReadings, format_reading_table, measure_geometry
 
     if diameter is None:
-        raise InputError("--diameter", "", "is missing", "give it, as 5in: twice the radius of the tips")
+        raise InputError("--diameter", "", "is missing", "give twice the radius of the tips, for example 5in")
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
     radius = 0.5 * diameter

@@ -161,7 +161,7 @@ def flight(
     from mufly.vehicle import load_vehicle
 
     if not 0.0 <= hold_out_share <= 0.8:
-        raise InputError("--hold-out-share", "", f"{hold_out_share:g} is not a share", "give 0 to 0.8")
+        raise InputError("--hold-out-share", "", f"{hold_out_share:g} is not a share of the record", "give 0 to 0.8")
     if not 0.0 <= delay_ms <= 1000.0:
         raise InputError("--delay", "", f"{delay_ms:g} ms is out of range", "give 0 to 1000 ms")
     if window is not None and not window > 0.0:

@@ -302,7 +302,10 @@ def _compute_responses(
     for r in records:
         if abs(r.dt / dt - 1.0) > 0.01:
             raise InputError(
-                r.name, "time", f"has {1 / r.dt:.4g} Hz, {records[0].name} {1 / dt:.4g} Hz", "resample one"
+                r.name,
+                "time",
+                f"has a rate of {1 / r.dt:.4g} Hz, but {records[0].name} has {1 / dt:.4g} Hz",
+                "resample one of them",
             )
     us = [r.stack_columns(inputs, "inputs") for r in records]
     ys = [r.stack_columns(outputs, "outputs") for r in records]
@@ -458,7 +461,7 @@ def bandwidth(
     check_output_place("--out", out)
     inputs, outputs = _parse_column_names(f"{input_},{others}"), _parse_column_names(output)
     if len(outputs) != 1:
-        raise InputError("--output", "", f"{output!r} is not one output", "give one")
+        raise InputError("--output", "", f"{output!r} is not a single output", "give one output")
     data = _compute_responses(logs, inputs, outputs, columns, start_s, end_s, band, windows, points)
     name = data.outputs[0]
     if name in ("p", "q", "r"):

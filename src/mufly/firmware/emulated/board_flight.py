@@ -238,7 +238,12 @@ class BoardSoftware(FirmwareSoftware):
     def change_limits(self, mission: Mission) -> None:
         """Refuse another mission in flight: the board's image contains its mission."""
         if self._software_instance is not None:
-            raise InputError("mission", mission.name, "the image holds another one", "build it again with this one")
+            raise InputError(
+                "mission",
+                mission.name,
+                "the board's image contains another mission",
+                "build the image again with this mission",
+            )
         super().change_limits(mission)
 
     def step(self, estimate: Estimate, command: Command) -> Actuators:

@@ -549,7 +549,7 @@ def find_deepest_stack(folder: Path, entry: str) -> int:
             place, size, kind = line.split("\t")
             name = place.rsplit(":", 1)[1]
             if kind != "static":
-                raise MuflyError(f"stack: that of {name} is {kind}; there is no bound")
+                raise MuflyError(f"stack: the use of {name} is {kind} and has no bound")
             own[name] = int(size)
     calls: dict[str, set[str]] = {name: set() for name in own}
     for file in folder.glob("*.expand"):

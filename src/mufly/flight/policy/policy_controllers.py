@@ -129,7 +129,7 @@ class PolicyControllers(Controllers):
         period_s = design.position_divider * design.period_s
         if abs(policy.period_s - period_s) > 1e-6:
             raise InputError(
-                "policy", "period_s", f"{policy.period_s:g} s, the mission logic has {period_s:g} s",
+                "policy", "period_s", f"is {policy.period_s:g} s, but the mission logic has {period_s:g} s",
                 f"train with period_s={period_s:g}",
             )  # fmt: skip
         self._policy, self._packed = policy, policy.packed

@@ -163,7 +163,8 @@ def _check_content(where: str, content: dict[str, Any]) -> _PolicyFile:
     got = {one.name: one.unit for one in checked.observation}
     if len(checked.observation) != len(names):
         raise InputError(
-            where, "observation", f"has {len(checked.observation)} inputs, the task {checked.task} {len(names)}",
+            where, "observation",
+            f"has {len(checked.observation)} inputs, but the task {checked.task} has {len(names)}",
             "train the policy in this version's environment",
         )  # fmt: skip
     if got != names or list(got) != list(names):

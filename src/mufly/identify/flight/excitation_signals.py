@@ -101,7 +101,7 @@ def make_excitation(
     rest = round(_END_REST_S / sample_s)
     active = n - 2 * rest
     if active * sample_s < 2 * math.pi / math.sqrt(low * high) or active < 20:
-        raise ArgumentError("duration_s", "", f"{duration_s:g} s is too short for this band", "give a longer one")
+        raise ArgumentError("duration_s", "", f"{duration_s:g} s is too short for this band", "give a longer duration")
     t = np.arange(active) * sample_s
     if kind == "chirp":
         value, words = _make_chirp(t, low, high)
@@ -129,7 +129,12 @@ def _make_multisine(t: Array, sample_s: float, low: float, high: float) -> tuple
     first = max(1, math.ceil(low * period / (2 * math.pi) - 0.05))
     last = math.floor(high * period / (2 * math.pi) + 0.05)
     if last < first + 1:
-        raise ArgumentError("duration_s", "", f"{period:.3g} s hold no two harmonics in this band", "give a longer one")
+        raise ArgumentError(
+            "duration_s",
+            "",
+            f"a period of {period:.3g} s has fewer than two harmonics in this band",
+            "give a longer duration",
+        )
     k = np.arange(first, last + 1)
     start = -np.pi * np.arange(k.size) * np.arange(1, k.size + 1) / k.size
     # 16 samples per cycle of the highest harmonic resolve the peaks of the signal.

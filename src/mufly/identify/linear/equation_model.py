@@ -244,7 +244,7 @@ def identify_equation_model(
             if cut_hz >= 0.45 / r.dt:
                 raise ArgumentError(
                     "cut_hz", "", f"{cut_hz:g} Hz is too high for {r.name}, sampled at {1.0 / r.dt:.4g} Hz",
-                    f"give less than {0.45 / r.dt:.3g}",
+                    f"give less than {0.45 / r.dt:.3g} Hz",
                 )  # fmt: skip
             if len(r.time_s) * r.dt < 10.0 / cut_hz:
                 raise InputError(

@@ -83,7 +83,7 @@ def estimate_composite_response(
         raise ArgumentError(
             "windows_s",
             "",
-            f"the longest, {longest:g} s, holds less than {_MIN_PERIODS_PER_WINDOW:g} periods of {low_hz:.3g} Hz",
+            f"the longest window, {longest:g} s, has less than {_MIN_PERIODS_PER_WINDOW:g} periods of {low_hz:.3g} Hz",
             f"give one of {_MIN_PERIODS_PER_WINDOW / low_hz:.3g} s, or a band from "
             f"{_MIN_PERIODS_PER_WINDOW / max(longest, 1e-9):.3g} Hz",
         )

@@ -306,12 +306,14 @@ def naca_contour(digits: str, per_side: int = _POINTS_PER_SIDE) -> Array:
         raise InputError(where, "", "is not a NACA designation", "give four or five digits, as naca4412 or naca23012")
     t = int(digits[-2:]) / 100
     if not 0.01 <= t <= 0.40:
-        raise InputError(where, "", f"a thickness of {t:.0%} is out of range", "let the last two digits be 01 to 40")
+        raise InputError(where, "", f"a thickness of {t:.0%} is out of range", "give 01 to 40 as the last two digits")
     x = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, per_side)))
     if len(digits) == 4:
         m, p = int(digits[0]) / 100, int(digits[1]) / 10
         if (m == 0) != (p == 0):
-            raise InputError(where, "", "has camber without position, or position without camber", "as in naca4412")
+            raise InputError(
+                where, "", "has camber without position, or position without camber", "give both, as in naca4412"
+            )
         y_c, slope = _four_digit_camber_line(x, m, p)
     else:
         families = {"0": _NORMAL_CAMBER_LINES, "1": _REFLEX_CAMBER_LINES}

@@ -408,7 +408,8 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
         t = times + offset_s
         if t[0] < a[0, 0] - _MAX_CLOCK_MARGIN_S or t[-1] > a[-1, 0] + _MAX_CLOCK_MARGIN_S:
             raise InputError(
-                str(file), "", f"is of {a[0, 0]:.3f} to {a[-1, 0]:.3f} s, pictures of {t[0]:.3f} to {t[-1]:.3f} s",
+                str(file), "",
+                f"covers {a[0, 0]:.3f} to {a[-1, 0]:.3f} s, but the pictures {t[0]:.3f} to {t[-1]:.3f} s",
                 "give --offset: clock of the recording minus clock of the pictures",
             )  # fmt: skip
         b = np.stack([np.interp(t, a[:, 0], c) for c in a.T], axis=1)
@@ -554,8 +555,8 @@ def _open_video(
         raise InputError(
             str(beside),
             "",
-            f"has {len(listed)} times, the video has {count} pictures",
-            "give one a picture",
+            f"has {len(listed)} times, but the video has {count} pictures",
+            "give one time for each picture",
         )
     clock = np.arange(max(count, 1)) / rate if listed is None else listed
     tellings = told(clock)
@@ -569,7 +570,7 @@ def _open_video(
                     raise InputError(
                         str(file),
                         f"picture {k + 1}",
-                        f"cannot be read, {count} were announced",
+                        f"cannot be read, although the video states {count} pictures",
                         "give another copy",
                     )
                 return

@@ -130,7 +130,7 @@ def bind_page_address(host: str = "127.0.0.1", port: int | None = None, token: s
             continue
         bound.setblocking(False)
         return PageAddress(bound, host, secret)
-    raise AssertionError("a port was tried")
+    raise AssertionError("unreachable: the last port is bound or refused")
 
 
 def open_in_browser(address: PageAddress) -> None:

@@ -98,7 +98,7 @@ def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0
         raise InputError(
             "--code",
             text,
-            "is not a code",
+            "is not a known prediction code",
             "use bemt, wake, module:function, or a command with {folder} among its words",
         )
     sys.path.insert(0, "") if "" not in sys.path else None

@@ -177,7 +177,7 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
         if not cases:
             raise InputError("--data", str(folder), "contains no measurements in a known format", _FETCH_REMEDY)
         names = ", ".join(sorted({c.group for c in cases}))
-        raise InputError("--only", only, "is in the name of no rotor or group", f"choose from {names}")
+        raise InputError("--only", only, "matches no name of a rotor or group", f"choose from {names}")
     return chosen, missing
 
 
