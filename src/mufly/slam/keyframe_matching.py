@@ -392,7 +392,10 @@ def _floor_homography(floor_map: FloorMap, k: int, context: FrameContext, node: 
 def correlate_keyframe(
     floor_map: FloorMap, k: int, context: FrameContext, node: _Array
 ) -> tuple[_Array, CorrelationPeak] | None:
-    """Return the node (4,) by correlation of small pictures within three deviations, and the peak; None without one.
+    """Return the node (4,) of the picture by correlation of reduced pictures, and the correlation peak.
+
+    The shift is searched within three standard deviations of the predicted position. The result is None if there is no
+    peak.
 
     Parameters
     ----------

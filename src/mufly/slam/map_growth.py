@@ -239,11 +239,11 @@ def _has_second_place(
     floor_map: FloorMap, match: KeyframeMatch, context: FrameContext, last_node: _Array,
     others: list[tuple[int, _Array, float]],
 ) -> bool:  # fmt: skip
-    """Return whether another keyframe that may be in view shows a place that looks nearly like that of a match.
+    """Return whether another keyframe that may be in view shows a place that looks nearly like the matched place.
 
-    ``others`` are keyframes with the predicted node of the picture and its deviation (m). Their places compete by the
-    correlation of small pictures, as two places within a keyframe do. The place of the last result, ``last_node``,
-    does not: a loop that is to be closed contradicts it.
+    ``others`` are keyframes with the predicted node of the picture and its standard deviation (m). Their places are
+    compared by the correlation of small pictures, as are two places within a keyframe. The place of the last result,
+    ``last_node``, is not compared, since a loop that is to be closed contradicts it.
     """
     place, height = match.pose_graph_node, context.view.height_m
     first = correlate_keyframe(floor_map, match.keyframe, replace(context, position_sigma_m=0.0), place)

@@ -23,9 +23,9 @@ MIN_INLIERS = 14
 MAX_SECOND_PEAK_RATIO = 0.75
 """Ratio of the second peak of the correlation to the first above which the place is ambiguous."""
 MAX_SECOND_INLIER_RATIO = 0.6
-"""Ratio of the inliers of another place to those of the best above which the place is ambiguous."""
+"""Ratio of the inliers of another place to the inliers of the best place, above which the place is ambiguous."""
 MIN_PLACE_DISTANCE = 0.3
-"""Distance of two results, over the height, from which they are different places."""
+"""Least distance of two results over the height at which they are different places."""
 MAX_AMBIGUITY = 1e-3
 """Largest relative probability of another place that looks the same."""
 
@@ -113,7 +113,7 @@ class CorrelationPeak(NamedTuple):
     shift_px : (2,) array
         Shift with the highest correlation (pixels).
     score, second_score : float
-        Highest correlation, and that of the second peak; -1 without one.
+        Correlation at the highest and at the second peak; ``second_score`` is -1 if there is no second peak.
     """
 
     shift_px: _Array
@@ -122,14 +122,14 @@ class CorrelationPeak(NamedTuple):
 
     @property
     def is_ambiguous(self) -> bool:
-        """Whether they correlate nearly as much at another shift within reach."""
+        """Whether keyframe and picture correlate nearly as much at another shift within reach."""
         return self.second_score > MAX_SECOND_PEAK_RATIO * self.score
 
 
 def correlate_pictures(seen: Any, picture: Any, reach: float) -> CorrelationPeak | None:
     """Return the peak of the correlation of small copies of a warped keyframe picture and a picture.
 
-    The result is None if they do not correlate.
+    The result is None if the two pictures do not correlate.
 
     Parameters
     ----------

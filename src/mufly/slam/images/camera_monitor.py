@@ -439,13 +439,14 @@ class DirtMask:
         self.wide_mask: NDArray[np.uint8] | None = None
 
     def advance(self, moved_px: complex, turned_rad: float) -> None:
-        """Move the places of the pictures with the floor: its motion in the picture, and the turn of the nose (rad)."""
+        """Turn the positions of the stored pictures by the vehicle's yaw (rad), then shift them by the floor's
+        motion."""
         turn = cmath.exp(-1j * turned_rad)
         self._places = deque((turn * place + moved_px for place in self._places), _DIRT_COUNT)
 
     @property
     def sees_new_floor(self) -> bool:
-        """Whether the present picture is far from all of the mean; a hover shows the same floor again and again."""
+        """Whether the present picture shows another part of the floor than all stored pictures."""
         return all(abs(place) > _DIRT_STEP_PX for place in self._places)
 
     def add_picture(self, picture: NDArray[np.uint8]) -> None:
@@ -477,7 +478,7 @@ class DirtMask:
             )
 
     def _path_kernel(self) -> _Array:
-        """Return the kernel of the mean along the path, the principal axis of the pictures' places."""
+        """Return a smoothing kernel along the path: the principal axis of the stored pictures' positions."""
         places = np.array(self._places) - np.mean(self._places)
         # The sum of squares has twice the angle of the axis.
         axis = cmath.exp(0.5j * cmath.phase(complex((places**2).sum())))
