@@ -439,8 +439,7 @@ class DirtMask:
         self.wide_mask: NDArray[np.uint8] | None = None
 
     def advance(self, moved_px: complex, turned_rad: float) -> None:
-        """Turn the positions of the stored pictures by the vehicle's yaw (rad), then shift them by the floor's
-        motion."""
+        """Turn the stored pictures' positions by the vehicle's yaw (rad), then shift them by the floor's motion."""
         turn = cmath.exp(-1j * turned_rad)
         self._places = deque((turn * place + moved_px for place in self._places), _DIRT_COUNT)
 
