@@ -92,7 +92,10 @@ def _show_warning(message: Warning | str, category: type[Warning], *where: Any, 
 
 
 def main() -> None:
-    """Run the command line: an error is one line on standard error, with status 1 (2 for an unknown option)."""
+    """Run the command line.
+
+    An error is printed as one line on standard error, with exit status 1 (2 for an unknown option).
+    """
     warnings.showwarning = _show_warning
     # Libraries and compilers create a million permanent objects. With Python's default thresholds the garbage collector
     # takes an eighth of the first start for them.

@@ -69,7 +69,10 @@ _END_LOAD_AVERAGING_RADII = 0.03  # of R: length at each end of a blade over whi
 
 
 def _load_per_radius(result: RotorResult, load: Array) -> Array:
-    """Return a load per radius; the force on the side edge, all in the outermost panel, is averaged over the tip."""
+    """Return a load per radius.
+
+    The outermost panel contains the whole side-edge force, which is averaged over the tip.
+    """
     out: Array = load / result.dr_m
     length = _END_LOAD_AVERAGING_RADII * (result.r_m[-1] + 0.5 * result.dr_m[-1])
     for order in (slice(None), slice(None, None, -1)):

@@ -145,7 +145,7 @@ def start_leg(
 
 
 def start_leg_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState:
-    """Fly to above the take-off position, not descending, and land there."""
+    """Fly to a point above the take-off position without descending, and land there."""
 
     def plan_straight_leg_home(at: Triple, heading: float) -> Trajectory:
         n, e, _ = s.home_position

@@ -277,8 +277,10 @@ def extrapolation_flags(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike
 def stack_extrapolation_flags(
     stack: PolarStack, k: int | NDArray[np.int64], alpha: Array, reynolds: Array
 ) -> NDArray[np.uint8]:
-    """Flag extended values of tables of a stack at points (n,); ``k`` is one index, or (..., n) for a table per
-    point."""
+    """Flag values in the extended range of the tables of a stack at points (n,).
+
+    ``k`` is one table index, or (..., n) indices with a table per point.
+    """
     log_re, rows = np.log(reynolds), stack.grid.shape[1]
     v = np.clip((log_re - stack.log_reynolds_min) * stack.rows_per_log_reynolds, 0.0, rows - 1.0)
     j = np.minimum(v.astype(np.int64), max(rows - 2, 0))
