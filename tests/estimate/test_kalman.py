@@ -105,7 +105,7 @@ def test_it_knows_how_far_it_is_off(vehicle: Vehicle, flown, felt) -> None:
         found.append(measure_consistency(flown[0], told, after_s=8.0))
     all_ = Consistency.merge_flights(found)
     assert 0.5 < all_.nees < 1.6
-    assert all_.inside > 0.85
+    assert all_.inside_share > 0.85
     assert all_.xy_rms < 0.10
     assert all_.z_rms < 0.03
     assert math.degrees(all_.tilt_rms) < 0.6
@@ -180,7 +180,7 @@ def test_it_knows_it_of_a_vehicle_that_is_not_its_model(vehicle: Vehicle, flown,
     _, told = run(replace_parameters(vehicle, changes), felt(10_000), flown[1])
     found = measure_consistency(flown[0], told, after_s=9.0)
     assert 0.3 < found.nees < 2.0
-    assert found.inside > 0.85
+    assert found.inside_share > 0.85
     assert told[-1].auxiliary_states is not None
     lifts = share**4 / (2.0 - share)
     assert told[-1].auxiliary_states.thrust_scale * lifts == pytest.approx(1.0, abs=0.15)
