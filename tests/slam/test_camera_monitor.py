@@ -252,10 +252,34 @@ def test_a_lasting_tilt_error_is_reported() -> None:
     for k in range(150):  # errors as the filter expects them
         monitor.check_tilt(0.033 * k, math.radians(0.5) * rng.standard_normal(2), math.radians(0.5))
     assert monitor.verdict_at(0.033 * 149).fault == ""
+    assert monitor.tilt_verdict_at(0.033 * 149).fault == ""
     for k in range(150, 240):
         monitor.check_tilt(0.033 * k, math.radians(0.5) * rng.standard_normal(2) + [0.04, 0.0], math.radians(0.5))
-    assert monitor.verdict_at(0.033 * 239).fault == "tilted"
-    assert "degrees off the attitude" in monitor.verdict_at(0.033 * 239).message
+    assert monitor.tilt_verdict_at(0.033 * 239).fault == "tilted"
+    assert "degrees off the attitude" in monitor.tilt_verdict_at(0.033 * 239).message
+    assert monitor.verdict_at(0.033 * 239).fault == ""  # poses continue, less accurate
+    message = monitor.tilt_verdict_at(0.033 * 239).message
+    for k in range(240, 300):
+        monitor.check_tilt(0.033 * k, math.radians(0.5) * rng.standard_normal(2) + [0.035, 0.0], math.radians(0.5))
+        assert monitor.tilt_verdict_at(0.033 * k).message == message
+    for k in range(300, 390):
+        monitor.check_tilt(0.033 * k, math.radians(0.5) * rng.standard_normal(2) + [0.12, 0.0], math.radians(0.5))
+    assert monitor.verdict_at(0.033 * 389).fault == "tilted"
+
+
+def test_poses_of_a_tilted_camera_continue_with_a_larger_covariance(flown: Flown) -> None:
+    camera, sigma = load_camera("mufly-2.0"), []
+    for tilt_rad in (0.0, 0.03):
+        slam = SlamSystem(camera, start=[*flown[0][1].position[:2].tolist(), 0.0])
+        for k in range(90):
+            slam.monitor.check_tilt(flown[0][0].time_s - 3.0 + 0.033 * k, np.array([tilt_rad, 0.0]), math.radians(0.3))
+        result = [slam.process_frame(f) for f, _ in flown[:6]][-1]
+        assert result.trusted
+        assert ("degrees off the attitude" in result.camera_fault) == (tilt_rad > 0.0)
+        assert set(slam.camera_verdicts) == ({"tilted"} if tilt_rad else set())
+        sigma.append(math.sqrt(result.covariance[0, 0]))
+    height_m = flown[0][0].vehicle_estimate.height_m
+    assert sigma[1] == pytest.approx(math.hypot(sigma[0], math.radians(4.0) * height_m), rel=0.1)
 
 
 @pytest.mark.parametrize("yaw_rate", [0.4, -0.4])

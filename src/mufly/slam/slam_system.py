@@ -23,7 +23,7 @@ from mufly.camera import Camera, body_from_camera_rotation, check_picture_size
 from mufly.slam.camera_frame import LOST_AFTER_S, CameraFrame, MotionPrior, Odometry
 from mufly.slam.camera_pose import POSE_SIZE, SHAKE_SIZE, PoseEstimate, ViewPrior, attitude_matrix
 from mufly.slam.image_tools import Undistorter
-from mufly.slam.images.camera_monitor import CameraMonitor, CameraVerdict
+from mufly.slam.images.camera_monitor import TILTED_SIGMA_RAD, CameraMonitor, CameraVerdict
 from mufly.slam.keyframe_map import FloorMap
 from mufly.slam.keyframe_matching import FrameContext, KeyframeMatch, match_keyframe, rejection_reason
 from mufly.slam.map_growth import (
@@ -92,7 +92,7 @@ class TrackingResult:
         Whether the picture became a keyframe, whether a loop was closed.
     camera_fault : str
         Defect of the camera that the checks report (:mod:`mufly.slam.images.camera_monitor`); a result that is trusted
-        nevertheless does without the defective pixels.
+        nevertheless does without the defective pixels, or has a larger covariance.
     """
 
     time_s: float
@@ -425,10 +425,15 @@ class SlamSystem:
         to[0, 0] = to[1, 1] = to[-1, HEADING] = 1.0
         to[2, LOG_HEIGHT] = -h
         heading = (node[HEADING] + math.pi) % (2 * math.pi) - math.pi
+        covariance, tilted = to @ known @ to.T, self.monitor.tilt_verdict_at(context.frame.time_s)
+        if tilted.fault:
+            self._note_verdict(context.frame.time_s, tilted)
+            covariance[[0, 1], [0, 1]] += (h * TILTED_SIGMA_RAD) ** 2
+        dirt = "" if self.monitor.dirt_mask is None else DIRT_MESSAGE
         return TrackingResult(
-            context.frame.time_s, True, "", position, heading, to @ known @ to.T, here,
+            context.frame.time_s, True, "", position, heading, covariance, here,
             match.tracked_count, len(match.inlier_indices), match.inlier_pixels, pose.residual_scale,
-            match.bound_m(view), made, closed, "" if self.monitor.dirt_mask is None else DIRT_MESSAGE,
+            match.bound_m(view), made, closed, tilted.message or dirt,
         )  # fmt: skip
 
     # ------------------------------------------------------------------ Start of a map, and bridges over gaps

@@ -29,7 +29,8 @@ flipped along x or y or both have y = -conj(p), conj(p) or -p. These have no unk
 each axis against y = p finds them first (Wald, *Sequential Analysis*, 1947). Own derivation.
 
 **Tilt.** Tracking estimates the errors of the reported tilt from the shear of the floor
-(:mod:`mufly.slam.camera_pose`). An error that stays beyond the filter's deviation shows a tilted mount.
+(:mod:`mufly.slam.camera_pose`). An error that stays beyond the filter's deviation shows a tilted mount. A small tilt
+moves the place by the height times it, so poses continue with that deviation; without them the landing is blind.
 
 **Copies.** Noise makes any two new pictures differ, so identical pictures are copies.
 
@@ -71,7 +72,9 @@ _CONFIRM_COUNT, _GROSS_CONFIRM_COUNT, _HOLD_S = 10, 6, 10.0
 seen (s)."""
 _BACKGROUND_PX = 25  # side of the mean that is subtracted, at half the resolution
 _MIN_HEIGHT_M = 0.2  # below which the height is known too poorly
-_TILT_AVERAGE_S, _TILT_SIGMAS, _MIN_TILT_RAD = 1.5, 2.5, math.radians(1.2)
+_TILT_AVERAGE_S, _TILT_SIGMAS, _MIN_TILT_RAD, _MAX_USABLE_TILT_RAD = 1.5, 2.5, math.radians(1.2), math.radians(3.0)
+TILTED_SIGMA_RAD = math.radians(4.0)
+"""Standard deviation of the tilt of a mount that is reported, and not refused (rad). Tracking finds a part of it."""
 _DIRT_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_STEP_PX, _DIRT_MIN_COUNT, _DIRT_COUNT = 4, 8.0, 40.0, 7, 9
 """Reduction of the picture, smoothing of the surroundings (reduced pixels), least distance between the places of two
 pictures (pixels), and least and largest number of pictures."""
@@ -141,6 +144,7 @@ class CameraMonitor:
         self._candidate, self._candidate_count = _HEALTHY, 0
         self._verdict, self._held_until_s = _HEALTHY, -math.inf
         self._tilt, self._tilt_weight, self._tilt_time_s = np.zeros(2), 0.0, math.nan
+        self._tilt_verdict, self._tilt_held_until_s = _HEALTHY, -math.inf
         self._dirt = DirtMask()
 
     @property
@@ -190,8 +194,12 @@ class CameraMonitor:
         return self.verdict_at(frame.time_s)
 
     def verdict_at(self, time_s: float) -> CameraVerdict:
-        """Return the verdict that holds at a time (s)."""
+        """Return the verdict that holds at a time (s), and for which no pose is used."""
         return self._verdict if time_s < self._held_until_s else _HEALTHY
+
+    def tilt_verdict_at(self, time_s: float) -> CameraVerdict:
+        """Return the verdict on a tilt that holds at a time (s), and with which poses are less accurate."""
+        return self._tilt_verdict if time_s < self._tilt_held_until_s else _HEALTHY
 
     def check_tilt(self, time_s: float, tilt_error_rad: _Array, sigma_rad: float) -> None:
         """Update by the tilt error (2,) that tracking estimates, with the filter's standard deviation (rad)."""
@@ -203,7 +211,12 @@ class CameraMonitor:
         size = math.hypot(*self._tilt) / max(self._tilt_weight, 1e-9)
         if self._tilt_weight > 0.7 and size > max(_MIN_TILT_RAD, _TILT_SIGMAS * sigma_rad):
             message = f"the floor is seen {math.degrees(size):.1f} degrees off the attitude: check the camera's mount"
-            self._verdict, self._held_until_s = CameraVerdict("tilted", message), time_s + _HOLD_S
+            verdict, until_s = CameraVerdict("tilted", message), time_s + _HOLD_S
+            if size > _MAX_USABLE_TILT_RAD:
+                self._verdict, self._held_until_s = verdict, until_s
+            else:  # one report, whose message stays
+                held = self.tilt_verdict_at(time_s)
+                self._tilt_verdict, self._tilt_held_until_s = held if held.fault else verdict, until_s
             self._tilt, self._tilt_weight = np.zeros(2), 0.0
 
     def _measure_motion(self, frame: CameraFrame, picture: NDArray[np.uint8]) -> None:
