@@ -161,7 +161,7 @@ def test_plan(tmp_path):
         (("--free", "Izzz"), "did you mean"),
         (("--free", "Izz", "--kind", "noise"), "--kind: 'noise' is unknown"),
         (("--free", "Izz", "--limit", "speed=3"), "--limit: speed"),
-        (("--free", "Izz", "--limit", "motor=0.6"), "leaves no room"),
+        (("--free", "Izz", "--limit", "motor=0.6"), "leaves no range"),
         (("--free", "Izz", "--band", "1"), "--band"),
         (("--free", "Izz", "--delay", "0.013"), "--delay"),
         (("--free", "Izz", "--sample", "0.0105"), "--sample"),

@@ -327,7 +327,7 @@ def _sensed_values(outputs: Sequence[str], truth: Truth, readings: Readings, est
 def check_unit(file: Path, vehicle: Vehicle) -> UnitComparison:
     """Compare the library in an archive with the Python model of a vehicle; see :func:`compare_unit`.
 
-    A unit with sensors is compared for its last seed.
+    A unit with sensors contains the sensor errors of the seeds 0 to ``seed_count - 1``; the last one is compared.
 
     Parameters
     ----------

@@ -137,8 +137,10 @@ def select_tube_edges(stations: int) -> NDArray[np.int64]:
 
 @lru_cache(maxsize=256)
 def _tube_influence(source: bytes, target: bytes, below_m: float) -> tuple[Array, Array]:
-    """Return the velocity per unit strength of the source's cells, at the target's panels and at the middles of its
-    cells.
+    """Return two matrices of the axial velocity per unit strength of the source's wake cells.
+
+    The first one is averaged over the panels of the target's disc, the second one holds at the middles of the target's
+    own wake cells.
 
     ``below_m`` is the distance of the target below the source (m).
     """
@@ -216,7 +218,11 @@ def swirl_influence(r_m: Array, edge_m: float, distance_m: float, at_m: Array, w
 
 
 def rotor_swirl_influence(source: PlacedRotor, target: PlacedRotor) -> Array:
-    """Return the matrix from moment of momentum of a rotor's stream to velocity against the motion of a lower rotor."""
+    """Return the matrix that turns a rotor's swirl into the swirl that a lower rotor meets.
+
+    It is multiplied by the moment of momentum r u of the upper rotor's stream (m2/s). The result is a velocity (m/s),
+    positive against the motion of the lower rotor's blades.
+    """
     r, dr = target.blading.r_m[target.rotor_index], target.blading.dr_m[target.rotor_index]
     edge, apart = source.blading.rotors[source.rotor_index].radius_m, source.height_m - target.height_m
     return (

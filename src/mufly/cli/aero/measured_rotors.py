@@ -271,7 +271,12 @@ def compare(
     air = bench.air
     settings, stations = theory.wake_settings()
     if calibrate is not None and theory.method == "wake":
-        raise InputError("--calibrate", "", "scales blade element theory", "leave out --calibrate or --method wake")
+        raise InputError(
+            "--calibrate",
+            "",
+            "does not apply to --method wake; it scales blade element theory",
+            "leave out --calibrate or --method wake",
+        )
     blading = theory.prepare_blading(r, stations)
     if calibrate is not None:
         blading = scale(blading, bench, _point_index("--calibrate", calibrate, bench), air=air)

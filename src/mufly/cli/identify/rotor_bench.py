@@ -387,7 +387,12 @@ def _parse_limits(text: str | None) -> FlightLimits:
     given = _parse_named_numbers("--limit", text, units)
     for name, top in (("motor", 0.5), ("servo", 1.0)):
         if (given.get(name) or 0.0) >= top:
-            raise InputError("--limit", name, f"{given[name]} leaves no room", f"give a number below {top:g}")
+            raise InputError(
+                "--limit",
+                name,
+                f"a margin of {given[name]:g} leaves no range for the input",
+                f"give a number below {top:g}",
+            )
     return FlightLimits(**{names[k][0]: v * names[k][1] for k, v in given.items() if v is not None})
 
 

@@ -103,6 +103,8 @@ class FrozenSpeed:
 class OutputSchedule:
     """Outputs of roll-pitch over forward speed, and the loops at frozen speeds.
 
+    The share s = min((v_x / V)^2, 1) blends the outputs from hover (0) to the speed V (1).
+
     Attributes
     ----------
     speed_m_s : float
@@ -112,9 +114,9 @@ class OutputSchedule:
     has_flight_map : bool
     frozen : tuple of FrozenSpeed
     max_saturated_pole_modulus : float
-        Largest modulus of the poles of the saturated controller ``A - M C`` over the shares.
+        Largest modulus of the poles of the saturated controller ``A - M C`` over all shares.
     max_share_rate_1_s : float
-        Largest change of the share (1/s), by a tilt at its limit: ``2 g tan(tilt) / V``.
+        Largest rate of change of s (1/s), when the vehicle accelerates at its tilt limit: ``2 g tan(tilt) / V``.
     crossover : float
         Slowest crossover of the loop at hover (rad/s).
     """

@@ -321,7 +321,9 @@ class FilterMemory:
     invalid_count: _Ints = _int("readings in a row that are marked invalid by the sensor", SENSOR_COUNT)
     duplicate_count: _Ints = _int("readings in a row that arrived twice", SENSOR_COUNT)
     decimation_count: _Ints = _int("number of readings, for decimation", SENSOR_COUNT)
-    fix_height_gap: float = _real("height of the fix minus that of the sonar during a conflict, else 0", unit="m")
+    fix_height_gap: float = _real(
+        "absolute difference of the heights by fix and sonar during a conflict, else 0", unit="m"
+    )
     sonar_range_prev: float = _real("last range of the sonar", unit="m")
     sonar_least_range: float = _real(
         "least range of the sonar: that of the vehicle file, or a longer one shown at rest", unit="m"

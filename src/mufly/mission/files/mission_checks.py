@@ -164,7 +164,8 @@ def _check_paths_over_and_under_obstacles(mission: Mission, where: str, key: str
                 f"the path to it, at a height of {height:.2f} m, passes the {name} (from "
                 f"{round(-foot, 2) + 0.0:.2f} m "
                 f"to {-top:.2f} m high) where the level beams may miss it",
-                f"pass its top or foot by {clear:g} m or more, or well within its height",
+                f"keep {clear:g} m from its top or foot, or fly {_BEAM_HIT_MARGIN_M:g} m inside its height, "
+                "where the beams hit it",
             )
 
 

@@ -190,7 +190,8 @@ def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> boo
 
     With the resolution h, a reading equals the preceding one with a probability of about h / (sqrt(2 pi) sigma)
     exp(-nu^2 / (2 sigma^2)), where sigma is the standard deviation of the innovation nu; the code uses exp(-x) <= 1 /
-    (1 + x). If the vehicle may stand on the floor, by the height of the fix, equal readings prove nothing.
+    (1 + x). While fix and sonar disagree on the height, the vehicle may be lower by the gap between them. If it
+    may then stand on the floor, equal readings prove nothing.
     """
     same = z == m.sonar_range_prev
     m.sonar_range_prev = z
