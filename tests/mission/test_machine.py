@@ -329,35 +329,6 @@ def test_a_touchdown_says_how_hard_it_was(rig, speed, believed, on_floor, text, 
     assert ("1.70 m/s, above 0.3 m/s" in touched[0].text) is (level == "warning")
 
 
-def landing_references(rig, sigma_m: float, jump_m: float = 0.0) -> np.ndarray:
-    """Land from 0.5 m with a drift of 0.5 m/s; return reference and estimated position (n, 2, 3; m)."""
-    plan = rig.plan_for(HOP)
-    begun = initial_mission_state(plan, measurement())
-    s = fail_and_land(
-        replace(begun, state=State.HOVER, motors="fly", has_taken_off=True, hold_position=(0.0, 0.0, -0.57)), "lost"
-    )
-    rows = []
-    for k in range(150):
-        north = 0.01 * k + (jump_m if k > 50 else 0.0)
-        m = measurement(0.02 * k, (north, 0.0, s.hold_position[2]), (0.5, 0.0, s.descent_rate))
-        m = replace(m, auxiliary_states=BELIEFS, covariance=np.diag([sigma_m**2, sigma_m**2, *[1e-4] * 7]))
-        s, r = step_mission(plan, s, m, Command())
-        rows.append([r.position, m.position])
-    return np.array(rows)
-
-
-def test_a_landing_with_an_unknown_drift_neither_waits_nor_returns(rig) -> None:
-    """The drift grows with the time in the air, and a correction of the estimate moves the point of the landing."""
-    known, unknown = landing_references(rig, 0.1), landing_references(rig, 0.7)
-    assert -known[-1, 0, 2] > 0.3  # it waits for the drift to end
-    assert -unknown[-1, 0, 2] < 0.07
-    sinks = np.diff(unknown[:, 0, 2])[-10:] / 0.02
-    np.testing.assert_allclose(sinks, 0.25, atol=0.01)
-    jumped = landing_references(rig, 0.7, jump_m=2.0)
-    np.testing.assert_allclose(jumped[:, 0, :2], jumped[:, 1, :2], atol=1e-12)
-    assert abs(known[-1, 0, 0]) < 1e-9
-
-
 def test_oscillating_actuators_end_a_mission_but_not_a_pilots_flight(rig):
     flying = replace(
         initial_mission_state(rig.plan_for(HOP), measurement()), state=State.HOVER, motors="fly", has_taken_off=True

@@ -17,7 +17,7 @@ from mufly.mission.machine.log_messages import LogMessage
 from mufly.mission.machine.mission_reference import current_reference, predict_reference
 from mufly.mission.machine.mission_state import MissionPlan, MissionState, State, enter_state, fail_mission, log_event
 from mufly.mission.machine.offboard import DRIFTING_DESCENT_RATE_M_S
-from mufly.mission.trajectory import BrakingMotion, Triple, plan_stop
+from mufly.mission.trajectory import Triple, plan_stop
 
 _REST_DURATION_ON_FLOOR_S = 0.3
 _NEAR_FLOOR_HEIGHT_M = 0.1
@@ -25,8 +25,6 @@ _DRIFT_CHECK_HEIGHT_M, _DRIFT_SPEED_M_S = (
     0.6,
     0.3,
 )  # below this, above this drift, it descends at DRIFTING_DESCENT_RATE_M_S
-_UNKNOWN_DRIFT_SIGMA_M = 0.6  # horizontal standard deviation of the position from which the drift is unknown
-_QUICK_TOUCHDOWN_M_S = 0.25  # least touchdown speed with unknown drift: the greatest that a mission may ask for
 _MAX_DESCENT_LAG_M = 0.25  # largest height error during descent
 _STANDING_HEIGHT_M, _PRESS_DOWN_DEPTH_M, _PRESS_DOWN_DURATION_S = (
     0.02,
@@ -89,29 +87,8 @@ def _judge_outcome(s: MissionState) -> MissionState:
     )
 
 
-def _is_drift_unknown(m: Estimate) -> bool:
-    """Return whether the position is so uncertain that the estimated velocity does not show the drift."""
-    most = _UNKNOWN_DRIFT_SIGMA_M * _UNKNOWN_DRIFT_SIGMA_M
-    return m.auxiliary_states is not None and bool(m.covariance[0, 0] > most or m.covariance[1, 1] > most)
-
-
-def _move_landing_point(s: MissionState, m: Estimate) -> MissionState:
-    """Return the state with the reference at the estimated horizontal position; its velocity is unchanged."""
-    if not isinstance(s.motion, BrakingMotion):
-        return s
-    at, start = s.motion.evaluate(s.motion_clock_s).position, s.motion.start
-    n, e, _ = measured_position(m)
-    moved = (start[0] + (n - at[0]), start[1] + (e - at[1]), start[2])
-    return replace(s, motion=replace(s.motion, start=moved))
-
-
 def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Descend, slower near the floor, then press down until the legs carry the weight, and stop the rotors.
-
-    A vehicle that drifts waits near the floor until its controller has stopped the drift. If the position is uncertain,
-    the estimated velocity does not show the drift, which grows with the time in the air at g times the error of the
-    tilt. The vehicle then does not wait, touches down at 0.25 m/s at least, and does not return to its point:
-    corrections of the estimate move that point by metres, and the vehicle would slide while it follows.
 
     If the height is known with certainty, the rotors stop as soon as the vehicle is 3 cm above its reference and within
     2 cm of the floor. Otherwise the controllers could follow an undetected drift of the position and tip the vehicle
@@ -125,14 +102,10 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
     q = plan.mission.limits
     a = q.climb_acceleration_m_s2
     above = s.home_position[2] - s.hold_position[2]
-    unknown_drift = _is_drift_unknown(m)
-    s = _move_landing_point(s, m) if unknown_drift else s
-    touchdown = max(q.touchdown_m_s, _QUICK_TOUCHDOWN_M_S) if unknown_drift else q.touchdown_m_s
-    wanted = compute_landing_rate(above, max(q.descent_m_s, touchdown), touchdown, a)
-    drifts = not unknown_drift and m.velocity[0] ** 2 + m.velocity[1] ** 2 > _DRIFT_SPEED_M_S**2
+    wanted = compute_landing_rate(above, q.descent_m_s, q.touchdown_m_s, a)
     if above < -0.3:
         wanted = 0.0
-    elif drifts and 0.0 < above < _DRIFT_CHECK_HEIGHT_M:
+    elif 0.0 < above < _DRIFT_CHECK_HEIGHT_M and m.velocity[0] ** 2 + m.velocity[1] ** 2 > _DRIFT_SPEED_M_S**2:
         wanted = min(wanted, DRIFTING_DESCENT_RATE_M_S)
     ask = min(max((wanted - s.descent_rate) / DESCENT_LAG_S, -a), a)
     rate = s.descent_acceleration + (ask - s.descent_acceleration) * min(1.0, dt / 0.1)

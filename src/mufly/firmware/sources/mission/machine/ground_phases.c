@@ -12,8 +12,6 @@
 #define MAX_HEIGHT_DEVIATION_M REAL(0.05)   /* with this height deviation at most */
 #define DRIFT_CHECK_HEIGHT_M REAL(0.6)
 #define DRIFT_SPEED_M_S REAL(0.3)
-#define UNKNOWN_DRIFT_SIGMA_M REAL(0.6) /* horizontal deviation of the position from which the drift is unknown */
-#define QUICK_TOUCHDOWN_M_S REAL(0.25)  /* least touchdown speed then */
 #define SLOW_LANDING_HEIGHT_M REAL(0.4)
 #define HARD_TOUCHDOWN_M_S REAL(0.3)
 #define MAX_START_TILT_DEG REAL(6.0)
@@ -83,35 +81,14 @@ static void judge_outcome(mission_t *s)
     }
 }
 
-static bool is_drift_unknown(const estimate_t *m)
-{
-    const real_t most = UNKNOWN_DRIFT_SIGMA_M * UNKNOWN_DRIFT_SIGMA_M;
-
-    return m->judged && ((m->position_variance[0] > most) || (m->position_variance[1] > most));
-}
-
-/* Move the reference to the estimated horizontal position; its velocity is unchanged. */
-static void move_landing_point(mission_t *s, const estimate_t *m)
-{
-    trajectory_point_t at;
-
-    braking_evaluate(&s->course.brake, s->motion_clock_s, &at);
-    for (int32_t i = 0; i < 2; i++) {
-        s->course.brake.start[i] = s->course.brake.start[i] + (m->motion.position[i] - at.position[i]);
-    }
-}
-
 void step_landing(const plan_t *plan, mission_t *s, const estimate_t *m, real_t dt)
 {
     const real_t a = plan->limits.climb_acceleration;
     const real_t z = m->motion.position[2];
     const real_t w = m->motion.velocity[2];
     real_t above;
-    real_t touchdown;
     real_t wanted;
     real_t ask;
-    bool unknown_drift;
-    bool drifts;
     bool lying;
     bool stands;
     bool near;
@@ -127,18 +104,13 @@ void step_landing(const plan_t *plan, mission_t *s, const estimate_t *m, real_t 
         }
     } else {
         above = s->home_position[2] - s->hold_position[2];
-        unknown_drift = is_drift_unknown(m);
-        if (unknown_drift) {
-            move_landing_point(s, m);
-        }
-        touchdown = unknown_drift ? real_max(plan->touchdown, QUICK_TOUCHDOWN_M_S) : plan->touchdown;
-        wanted = real_min(real_max(plan->limits.descent, touchdown),
-                          real_sqrt((touchdown * touchdown) + (real_max(REAL(0.0), above - SLOW_LANDING_HEIGHT_M) * a)));
-        drifts = !unknown_drift && (((m->motion.velocity[0] * m->motion.velocity[0]) +
-                                     (m->motion.velocity[1] * m->motion.velocity[1])) > (DRIFT_SPEED_M_S * DRIFT_SPEED_M_S));
+        wanted = real_min(plan->limits.descent, real_sqrt((plan->touchdown * plan->touchdown) +
+                                                          (real_max(REAL(0.0), above - SLOW_LANDING_HEIGHT_M) * a)));
         if (above < REAL(-0.3)) {
             wanted = REAL(0.0);
-        } else if (drifts && (above > REAL(0.0)) && (above < DRIFT_CHECK_HEIGHT_M)) {
+        } else if ((above > REAL(0.0)) && (above < DRIFT_CHECK_HEIGHT_M) &&
+                   (((m->motion.velocity[0] * m->motion.velocity[0]) +
+                     (m->motion.velocity[1] * m->motion.velocity[1])) > (DRIFT_SPEED_M_S * DRIFT_SPEED_M_S))) {
             wanted = real_min(wanted, DRIFTING_DESCENT_RATE_M_S);
         } else {
             /* full rate */
