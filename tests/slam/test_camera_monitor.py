@@ -15,7 +15,7 @@ from mufly.flight.fixes.onboard_camera import add_dirt
 from mufly.slam import CameraFrame, FrameInfo, SlamSystem, make_square_path, render_frames
 from mufly.slam.datasets.synthetic_datasets import make_hand_path
 from mufly.slam.image_tools import Undistorter
-from mufly.slam.images.camera_monitor import CameraMonitor, DirtMask, FlipTest, advance_slow_part, judge_motion
+from mufly.slam.images.camera_monitor import CameraMonitor, DirtMask, FlipTest, judge_motion, low_pass_motion
 from mufly.vehicle.quantity import Quantity
 
 cv2 = pytest.importorskip("cv2")
@@ -288,5 +288,5 @@ def test_a_steady_velocity_is_no_motion_while_the_nose_turns(yaw_rate: float) ->
     dt, seen, slow = 0.04, 80.0 + 30.0j, np.full(2, 80.0 + 30.0j)
     for _ in range(100):
         seen *= cmath.exp(-1j * yaw_rate * dt)
-        slow = advance_slow_part(slow, np.full(2, seen), dt, yaw_rate)
+        slow = low_pass_motion(slow, np.full(2, seen), dt, yaw_rate)
         assert np.allclose(slow, seen)

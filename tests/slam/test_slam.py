@@ -24,8 +24,8 @@ from mufly.slam.camera_pose import (
     solve_pose,
 )
 from mufly.slam.image_tools import find_repeat_shifts
-from mufly.slam.keyframe_map import remove_pose_fit
-from mufly.slam.keyframe_matching import VARIANCE_INFLATION, KeyframeMatch
+from mufly.slam.keyframe_map import residuals_without_pose_error
+from mufly.slam.keyframe_matching import POINT_VARIANCE_INFLATION, KeyframeMatch
 from mufly.slam.place_recognition import is_unambiguous
 from mufly.slam.pose_graph import (
     GraphEdge,
@@ -166,9 +166,9 @@ def test_what_pose_and_tilts_explain_is_not_the_floors_shape() -> None:
     weight = rng.uniform(0.5, 2.0, 80)
     turns = d_rays_d_tilt(own) @ [0.004, -0.002] + d_rays_d_tilt(seen) @ [-0.003, 0.001]
     pose = 0.01 - 0.02j + (0.003 + 0.005j) * own + turns[:, 0] + 1j * turns[:, 1]
-    assert np.abs(remove_pose_fit(pose, own, seen, weight)).max() < 1e-12
-    left = remove_pose_fit(pose + noise, own, seen, weight)
-    assert left == pytest.approx(remove_pose_fit(noise, own, seen, weight), abs=1e-12)
+    assert np.abs(residuals_without_pose_error(pose, own, seen, weight)).max() < 1e-12
+    left = residuals_without_pose_error(pose + noise, own, seen, weight)
+    assert left == pytest.approx(residuals_without_pose_error(noise, own, seen, weight), abs=1e-12)
     assert abs(np.sum(weight**2 * left)) < 1e-9
     assert 0.8 < np.linalg.norm(left) / np.linalg.norm(noise) < 1.0  # eight of 160 numbers are gone
 
@@ -273,9 +273,9 @@ def test_more_points_never_beat_the_error_that_all_share() -> None:
     for scale in (1e2, 1e5, 1e8):
         rich = replace(match, pose=replace(pose, pixel_information=scale * np.eye(8)))
         variance = rich.place_variance * rich.variance_inflation
-        assert variance == pytest.approx(VARIANCE_INFLATION / scale + 1e-6)
+        assert variance == pytest.approx(POINT_VARIANCE_INFLATION / scale + 1e-6)
     striped = replace(match, unknown=np.array([[1.0, 0.0]]))
-    assert striped.variance_inflation == VARIANCE_INFLATION
+    assert striped.variance_inflation == POINT_VARIANCE_INFLATION
 
 
 def test_what_repeats_is_told_apart_only_by_a_way_that_is_known() -> None:

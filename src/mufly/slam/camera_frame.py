@@ -102,14 +102,14 @@ _MAX_UNKNOWN_ACCEL_M_S2 = 1.0
 """Largest unpredicted acceleration between pictures (m/s^2)."""
 _UNKNOWN_VELOCITY_SIGMA_M_S = 0.02
 """Standard deviation of a velocity derived from SLAM results, for a vehicle that sends none (m/s)."""
-_MAX_FREE_SIGMA_M = 5.0
+_MAX_UNOBSERVED_SIGMA_M = 5.0
 """Largest standard deviation of a place along a direction without texture (m)."""
 HEADING_DRIFT_RAD_S = 0.01
 """Drift of the heading by integrated rates (rad/s)."""
-LOST_AFTER_S = 0.7
+TRACKING_LOST_AFTER_S = 0.7
 """Time without a result after which the vehicle's own estimate may predict the pose (s)."""
-_MAX_ACCELERATED_S = 0.2  # time without a picture for which the tilt gives the change of velocity
-_CAUTION_AFTER_S = 0.1  # of results without texture along one direction
+_MAX_TILT_ACCELERATION_S = 0.2  # time without a picture for which the tilt gives the change of velocity
+_STRIPE_CAUTION_AFTER_S = 0.1  # of results without texture along one direction
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ class MotionPrior:
             pitch, roll = 0.5 * (before.last_info.pitch + told.pitch), 0.5 * (before.last_info.roll + told.roll)
             c, s = math.cos(heading_rad), math.sin(heading_rad)
             push = np.array([[c, -s], [s, c]]) @ np.array([-math.tan(pitch), math.tan(roll)])
-            velocity = velocity + GRAVITY * min(frame.time_s - before.time_s, _MAX_ACCELERATED_S) * push
+            velocity = velocity + GRAVITY * min(frame.time_s - before.time_s, _MAX_TILT_ACCELERATION_S) * push
         latest, textured = (
             None if q is None else q.advance_to(frame.time_s, told) for q in (self.latest, self.textured)
         )
@@ -220,17 +220,17 @@ class MotionPrior:
         return MotionPrior(here, here, self.velocity_m_s)
 
     @property
-    def is_striped(self) -> bool:
+    def has_texture_in_one_direction(self) -> bool:
         """Whether the last results show texture along one direction only."""
         known, latest = self.textured, self.latest
-        return known is None or latest is None or known.elapsed_s > latest.elapsed_s + _CAUTION_AFTER_S
+        return known is None or latest is None or known.elapsed_s > latest.elapsed_s + _STRIPE_CAUTION_AFTER_S
 
     @property
-    def free_sigma(self) -> tuple[float, float]:
+    def unobserved_sigma(self) -> tuple[float, float]:
         """Deviations of the predicted position (m) and heading (rad) since a picture last showed texture in both
         directions.
         """
         if self.textured is None:
-            return _MAX_FREE_SIGMA_M, 0.1
+            return _MAX_UNOBSERVED_SIGMA_M, 0.1
         sigma_m = 0.005 + self.textured.predict_displacement(self.velocity_m_s)[1]
-        return min(_MAX_FREE_SIGMA_M, sigma_m), 0.003 + HEADING_DRIFT_RAD_S * self.textured.elapsed_s
+        return min(_MAX_UNOBSERVED_SIGMA_M, sigma_m), 0.003 + HEADING_DRIFT_RAD_S * self.textured.elapsed_s

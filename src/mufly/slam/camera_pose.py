@@ -51,7 +51,7 @@ POSE_HEIGHT, POSE_HEADING, POSE_TILT, POSE_KEYFRAME_TILT, POSE_SIZE = 2, 3, 4, 6
 SHAKE_SIZE = 8  # for each rotor cosine and sine along x, then along y
 _MAX_ITERATIONS = 6
 _MIN_HEIGHT_RATIO = 0.1  # of the sonar's height; smaller ones fit any points
-_CAUCHY_SCALE = 2.0  # residual, in standard deviations, with weight 1/2
+_CAUCHY_LOSS_SCALE = 2.0  # residual, in standard deviations, with weight 1/2
 
 
 class ViewPrior(NamedTuple):
@@ -451,7 +451,7 @@ def _minimise_residuals(
             xx, xy, yy = information[i, 0, 0], information[i, 0, 1], information[i, 1, 1]
             force_x, force_y = xx * off[i, 0] + xy * off[i, 1], xy * off[i, 0] + yy * off[i, 1]
             loose = 0.5 * (off[i, 0] * force_x + off[i, 1] * force_y)
-            weight[i] = 1.0 / (1.0 + loose / (_CAUCHY_SCALE * _CAUCHY_SCALE))
+            weight[i] = 1.0 / (1.0 + loose / (_CAUCHY_LOSS_SCALE * _CAUCHY_LOSS_SCALE))
             w = weight[i]
             for a_ in range(size):
                 hx = w * (xx * row[0, a_] + xy * row[1, a_])

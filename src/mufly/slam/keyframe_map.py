@@ -280,7 +280,7 @@ def compose_pose(a: _Array, b: _Array) -> _Array:
     return np.array([a[0] + h * (c * b[0] - s * b[1]), a[1] + h * (s * b[0] + c * b[1]), *(a[PLACE] + b)[HEADING:]])
 
 
-def remove_pose_fit(
+def residuals_without_pose_error(
     off: NDArray[np.complex128], own: NDArray[np.complex128], seen: NDArray[np.complex128], weight: _Array
 ) -> NDArray[np.complex128]:
     """Return the residuals of points after removal of the part that a change of the pose explains.

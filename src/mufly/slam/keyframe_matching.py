@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.slam.camera_frame import HEADING_DRIFT_RAD_S, LOST_AFTER_S, CameraFrame, MotionPrior
+from mufly.slam.camera_frame import HEADING_DRIFT_RAD_S, TRACKING_LOST_AFTER_S, CameraFrame, MotionPrior
 from mufly.slam.camera_pose import (
     POSE_HEADING,
     POSE_TILT,
@@ -34,23 +34,23 @@ from mufly.slam.image_tools import (
     warp_over_picture,
     warp_picture,
 )
-from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, align_picture, floor_axes
+from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, align_picture, pixel_floor_jacobian
 from mufly.slam.images.patch_information import measure_patches, remove_background
 from mufly.slam.keyframe_map import FloorMap, view_overlap
 from mufly.slam.place_recognition import MIN_INLIERS, CorrelationPeak, correlate_pictures, is_unambiguous
 from mufly.slam.pose_graph import HEADING, LOG_HEIGHT, TILT
 
 _Array = NDArray[np.float64]
-MIN_CORRELATION = 0.5
-_STRAY_PX = 5.0  # maximum unexplained error of a point (pixels)
+MIN_PATCH_CORRELATION = 0.5
+_MAX_UNEXPLAINED_PIXEL_ERROR_PX = 5.0  # maximum unexplained error of a point (pixels)
 _TILT_DRIFT_PER_HEIGHT = 0.005
 """Change of position between pictures by tilt errors, over the height (docs/log/2026-11-24-slam-accuracy.md)."""
-_MAX_TURN_RAD = 0.015  # change of the heading between pictures by tilt errors (rad)
+_MAX_UNEXPLAINED_TURN_RAD = 0.015  # change of the heading between pictures by tilt errors (rad)
 _MIN_TRACK_SIGMA_PX = 0.08  # least standard deviation of a tracked point
 _MAX_STRIPE_RESIDUAL = 1.7  # of a floor with texture along one direction, where the next stripe looks the same
-_USUAL_ROTOR_SPEED_RAD_S = 400.0  # where it is not reported
+_ASSUMED_ROTOR_SPEED_RAD_S = 400.0  # where it is not reported
 _STRIPES_REASON = "the floor shows texture along one direction only"
-VARIANCE_INFLATION = 3.0
+POINT_VARIANCE_INFLATION = 3.0
 """Ratio of the joint variance of all points to that of independent points, for correlated errors of neighbours.
 
 A compromise over twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges with true tilts need 3.9, results less."""
@@ -58,8 +58,8 @@ _COMMON_SHAKE_SHARE, _COMMON_SIGMA_PX = 0.1, 0.05
 """Deviation of a place that no number of points reduces: share of the vibration's rms that remains unmodelled, and part
 without vibration (pixels)."""
 _JOINT_ALIGNMENT_BELOW_SHARE = 0.75  # of the points in view, below which all patches are aligned together
-_NO_DIRECTION = np.zeros((0, 2))
-_BOTH_TILTS = np.ix_([6, 7, 4, 5], [6, 7, 4, 5])  # tilt errors of the picture, then of the keyframe
+_NO_UNKNOWN_DIRECTIONS = np.zeros((0, 2))
+_TILT_COVARIANCE_INDEX = np.ix_([6, 7, 4, 5], [6, 7, 4, 5])  # tilt errors of the picture, then of the keyframe
 
 
 @dataclass(frozen=True)
@@ -110,12 +110,12 @@ class FrameContext:
     @property
     def texture_caution(self) -> float:
         """Factor on the texture that a direction needs: larger after results without texture along it."""
-        return 2.0 if self.motion.is_striped else 1.0
+        return 2.0 if self.motion.has_texture_in_one_direction else 1.0
 
     @property
     def row_slope(self) -> float:
         """Rms slope by which vibration bends vertical lines in a rolling shutter."""
-        fastest = float(self.view.rotor_speeds_rad_s.max(initial=_USUAL_ROTOR_SPEED_RAD_S))
+        fastest = float(self.view.rotor_speeds_rad_s.max(initial=_ASSUMED_ROTOR_SPEED_RAD_S))
         return self.shake_rms_px * self.row_time_s * fastest
 
     def view_overlap(self, a: _Array, b: _Array) -> float:
@@ -170,7 +170,16 @@ class KeyframeMatch:
         """Return the match of the first keyframe to itself."""
         nobody = np.zeros(0, np.intp)
         return cls(
-            0, pose, nobody, np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2, 2)), 0, _NO_DIRECTION, np.zeros(2), 1.0
+            0,
+            pose,
+            nobody,
+            np.zeros((0, 2)),
+            np.zeros(0),
+            np.zeros((0, 2, 2)),
+            0,
+            _NO_UNKNOWN_DIRECTIONS,
+            np.zeros(2),
+            1.0,
         )
 
     def bound_m(self, view: ViewPrior) -> float:
@@ -195,10 +204,10 @@ class KeyframeMatch:
     def variance_inflation(self) -> float:
         """Ratio of the variance of the pose to that of independent points.
 
-        Neighbouring points have correlated errors (:data:`VARIANCE_INFLATION`). Vibration that is not modelled shifts
-        all points of a picture alike, so the variance does not fall below ``common_variance_m2``.
+        Neighbouring points have correlated errors (:data:`POINT_VARIANCE_INFLATION`). Vibration that is not modelled
+        shifts all points of a picture alike, so the variance does not fall below ``common_variance_m2``.
         """
-        return VARIANCE_INFLATION + self.common_variance_m2 / self.place_variance
+        return POINT_VARIANCE_INFLATION + self.common_variance_m2 / self.place_variance
 
     @property
     def known_projection(self) -> _Array:
@@ -236,17 +245,17 @@ def match_keyframe(
     there = h[:, :2] / h[:, 2:]
     clean = is_in_mask(context.usable_mask, there) & is_in_mask(context.usable_mask, keyframe.pixels)
     use = np.nonzero((h[:, 2] > 0) & (keyframe.missed < 8) & is_in_mask(covered, there) & clean)[0]
-    if len(use) < MIN_INLIERS:
+    if len(use) < MIN_ORB_INLIERS:
         return None
-    tilts = floor_map.predict_covariance(k, *context.error_transition)[_BOTH_TILTS]
+    tilts = floor_map.predict_covariance(k, *context.error_transition)[_TILT_COVARIANCE_INDEX]
     # A match further away than the total uncertainty is a false one, for example the next tile.
     unsure = 0.0 if coarse else context.position_sigma_m / view.height_m * view.focal_px
     tilted = view.focal_px * math.sqrt(tilts[0, 0] + tilts[2, 2])
-    reach = _STRAY_PX + 4.0 * unsure + 3.0 * (context.shake_rms_px + tilted)
+    reach = _MAX_UNEXPLAINED_PIXEL_ERROR_PX + 4.0 * unsure + 3.0 * (context.shake_rms_px + tilted)
     # Without repeats, a search over the whole picture is best.
     looked = reach if len(floor_map.repeat_offsets(k, view.focal_px)) else math.inf
     seen, correlation, sigma = track_points(template, picture, there[use], straight.smoothing_sigma_px, looked)
-    good = (correlation > MIN_CORRELATION) & (sigma < 1.5)
+    good = (correlation > MIN_PATCH_CORRELATION) & (sigma < 1.5)
     good &= is_in_mask(context.usable_mask, seen) & (np.hypot(*(seen - there[use]).T) < reach)
     flat = remove_background(template), remove_background(picture)
     points = FloorPoints(
@@ -259,7 +268,7 @@ def match_keyframe(
         straight.exposure_offsets(there[use]),
     )
     match = None
-    if good.sum() >= MIN_INLIERS:
+    if good.sum() >= MIN_ORB_INLIERS:
         match = _match_points(floor_map, k, context, node, flat, points, use, good, seen, sigma)
     if match is not None and len(match.inlier_indices) >= _JOINT_ALIGNMENT_BELOW_SHARE * len(use):
         return match
@@ -268,7 +277,7 @@ def match_keyframe(
     direct = _match_directly(k, context, node, flat, points, use)
     if direct is not None and (match is None or direct.place_variance < match.place_variance):
         return direct
-    if match is None and not coarse and len(keyframe.pixels) >= MIN_INLIERS:
+    if match is None and not coarse and len(keyframe.pixels) >= MIN_ORB_INLIERS:
         return match_keyframe(floor_map, k, context, node, coarse=True)
     return match
 
@@ -292,19 +301,19 @@ def _match_points(
         view.height_sigma_m,
         context.rng,
     )
-    if fits.sum() < MIN_INLIERS:
+    if fits.sum() < MIN_ORB_INLIERS:
         return None
     begin = np.array([node[0], node[1], view.height_m, node[HEADING]])
     isotropic = sigma[:, None, None] ** -2 * np.eye(2)
     pose = solve_pose(
         view, begin, places[fits], bend[fits], points.tilt_covariance, pixels[fits], seconds[fits], isotropic[fits]
     )
-    if pose.inlier_mask.sum() < MIN_INLIERS:
+    if pose.inlier_mask.sum() < MIN_ORB_INLIERS:
         return None
     keep = np.nonzero(fits)[0][pose.inlier_mask]
     # Tracks fit the noise of their patch, so the texture is measured where the pose expects each point.
     expected = seen[keep] - pose.pixel_residuals[pose.inlier_mask]
-    axes = floor_axes(view, pose.state, pose.shake_amplitudes_px, places[keep], bend[keep], seconds[keep])
+    axes = pixel_floor_jacobian(view, pose.state, pose.shake_amplitudes_px, places[keep], bend[keep], seconds[keep])
     patches = measure_patches(
         *flat, points.template_pixels[good][keep], expected, straight.smoothing_sigma_px, axes,
         row_slope=context.row_slope, caution=context.texture_caution,
@@ -321,7 +330,7 @@ def _match_points(
     keyframe.missed[use[out]] += 1
     keyframe.missed[use[keep]] = np.maximum(keyframe.missed[use[keep]] - 2, -4)
     return KeyframeMatch(
-        k, pose, use[keep], seen[keep], seconds[keep], information, len(use), _NO_DIRECTION,
+        k, pose, use[keep], seen[keep], seconds[keep], information, len(use), _NO_UNKNOWN_DIRECTIONS,
         patches.bound_px, float(patches.significance.min()), _common_variance(context),
     )  # fmt: skip
 
@@ -340,7 +349,7 @@ def _match_directly(
         points,
         straight.principal_point,
         straight.smoothing_sigma_px,
-        context.motion.free_sigma,
+        context.motion.unobserved_sigma,
         context.row_slope,
         context.texture_caution,
     )
@@ -348,7 +357,7 @@ def _match_directly(
         return None
     seen = (np.trace(found.information, axis1=1, axis2=2) > 0.0) & is_in_mask(context.usable_mask, found.pixels)
     keep = np.nonzero(found.pose.inlier_mask & seen)[0]
-    if len(keep) < MIN_INLIERS:
+    if len(keep) < MIN_ORB_INLIERS:
         return None
     return KeyframeMatch(
         k, found.pose, use[keep], found.pixels[keep], points.exposure_offsets_s[keep], found.information[keep],
@@ -366,12 +375,12 @@ def _common_variance(context: FrameContext) -> float:
 def _unexplained_turn(match: KeyframeMatch, context: FrameContext, node: _Array) -> float:
     """Return the heading's deviation from its prediction (rad), or 0 if rates, tilts and pixels explain it."""
     latest = context.motion.latest
-    if latest is None or latest.elapsed_s > LOST_AFTER_S:
+    if latest is None or latest.elapsed_s > TRACKING_LOST_AFTER_S:
         return 0.0
     off = match.pose.heading_rad - float(node[HEADING])
     off = abs((off + math.pi) % (2.0 * math.pi) - math.pi)
     sigma = math.sqrt(float(match.pose.covariance[POSE_HEADING, POSE_HEADING]))
-    return off if off > _MAX_TURN_RAD + 4.0 * (sigma + HEADING_DRIFT_RAD_S * latest.elapsed_s) else 0.0
+    return off if off > _MAX_UNEXPLAINED_TURN_RAD + 4.0 * (sigma + HEADING_DRIFT_RAD_S * latest.elapsed_s) else 0.0
 
 
 def _floor_homography(floor_map: FloorMap, k: int, context: FrameContext, node: _Array) -> _Array:
@@ -432,9 +441,13 @@ def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: 
     the places within reach that look the same (:func:`mufly.slam.place_recognition.is_unambiguous`).
     """
     if match is None:
-        return _STRIPES_REASON if context.motion.is_striped else "too few points of the floor are recognised"
+        return (
+            _STRIPES_REASON
+            if context.motion.has_texture_in_one_direction
+            else "too few points of the floor are recognised"
+        )
     pose, height = match.pose, context.view.height_m
-    if len(match.inlier_indices) < max(MIN_INLIERS, 0.4 * match.tracked_count):
+    if len(match.inlier_indices) < max(MIN_ORB_INLIERS, 0.4 * match.tracked_count):
         return f"only {len(match.inlier_indices)} of {match.tracked_count} points agree"
     if pose.residual_scale > (_MAX_STRIPE_RESIDUAL if len(match.unknown) else 4.0):
         return "the points scatter too much"

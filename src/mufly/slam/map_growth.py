@@ -53,7 +53,7 @@ _LOOP_SEARCH_SIGMAS = 2.5  # standard deviations within which keyframes are sear
 _MAX_OTHER_PLACES = 8  # keyframes that are compared with the best before a loop is closed
 NEWEST_TRANSITION = (np.ones(3), np.full(3, 1e-10))
 """Correlation factors and noise variances between errors of a picture and the newest keyframe if both are the same."""
-_WHITE_LEVEL, _MAX_WHITE_SHARE = 248, 0.02
+_OVEREXPOSED_GREY_LEVEL, _MAX_OVEREXPOSED_SHARE = 248, 0.02
 """Overexposure: grey level, and largest share of brighter pixels in a keyframe. A camera that was covered overexposes
 for half a second; white areas have no corners."""
 
@@ -68,7 +68,7 @@ def create_keyframe(context: FrameContext, pose: PoseEstimate, sigma_px: float) 
     """Return the picture as a keyframe with points of deviation ``sigma_px``; None without corners or if too bright."""
     frame, view, picture = context.frame, context.view, context.picture
     pixels = detect_corners(picture, context.usable_mask)
-    if len(pixels) < MIN_INLIERS or np.mean(picture > _WHITE_LEVEL) > _MAX_WHITE_SHARE:
+    if len(pixels) < MIN_ORB_INLIERS or np.mean(picture > _OVEREXPOSED_GREY_LEVEL) > _MAX_OVEREXPOSED_SHARE:
         return None
     seconds = context.undistorter.exposure_offsets(pixels)
     turn = _remove_heading(attitude_matrix(view, pose.tilt_error_rad, pose.heading_rad), pose.heading_rad)
@@ -108,7 +108,7 @@ def insert_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
     k = floor_map.add_keyframe(keyframe, make_node(context, match.pose), [edge])
     # It is the newest keyframe from here on
     view = context.view._replace(tilt_error_rad=floor_map.nodes[k, TILT].copy())
-    context = replace(context, view=view, error_transition=NEWEST_TRANSITION)
+    context = replace(context, view=view, error_transition=SAME_PICTURE_ERROR_TRANSITION)
     for other in others[:1]:
         if context.view_overlap(floor_map.nodes[other], node) > 0.25:
             second = match_keyframe(floor_map, other, context, node)
@@ -167,7 +167,7 @@ def refine_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
     sigmas = np.where(det > 1e-8, sigmas, 100.0)
     # Residuals that pose and tilt errors can explain are not the floor's shape.
     own = keyframe.slopes[match.inlier_indices]
-    to_keyframe = own + remove_pose_fit(to_keyframe - own, own, seen, 1.0 / sigmas)
+    to_keyframe = own + residuals_without_pose_error(to_keyframe - own, own, seen, 1.0 / sigmas)
     keyframe.refine_points(
         match.inlier_indices,
         to_keyframe,
@@ -216,7 +216,7 @@ class LoopSearch:
         if (
             match is None
             or len(match.unknown)
-            or len(match.inlier_indices) < max(1.5 * MIN_INLIERS, 0.5 * match.tracked_count)
+            or len(match.inlier_indices) < max(1.5 * MIN_ORB_INLIERS, 0.5 * match.tracked_count)
             or match.pose.residual_scale > 3.0
             or _has_second_place(floor_map, match, context, last_node, [(m[3], m[4], m[5]) for m in may[1:]])
         ):

@@ -18,7 +18,7 @@ from mufly.slam.keyframe_map import FloorMap
 from mufly.slam.pose_graph import HEADING, LOG_HEIGHT
 
 _Array = NDArray[np.float64]
-MIN_INLIERS = 14
+MIN_ORB_INLIERS = 14
 """Least number of inliers."""
 MAX_SECOND_PEAK_RATIO = 0.75
 """Ratio of the second peak of the correlation to the first above which the place is ambiguous."""
@@ -57,7 +57,7 @@ def relocalize_by_orb(
     cv2 = load_opencv()
     orb = cv2.ORB_create(nfeatures=400, scaleFactor=1.3, nlevels=4, fastThreshold=7)
     points, words = orb.detectAndCompute(picture, None)
-    if words is None or len(points) < MIN_INLIERS:
+    if words is None or len(points) < MIN_ORB_INLIERS:
         return None
     pixels = np.array([p.pt for p in points])
     seconds = straight.exposure_offsets(pixels)
@@ -74,11 +74,11 @@ def relocalize_by_orb(
             )
             keyframe.orb_features = (described, (rays[:, 0] + 1j * rays[:, 1]) / rays[:, 2])
         described, theirs_m = keyframe.orb_features
-        if described is None or len(described) < MIN_INLIERS:
+        if described is None or len(described) < MIN_ORB_INLIERS:
             continue
         pairs = matcher.knnMatch(words, described, k=2)
         good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < 0.8 * p[1].distance and p[0].distance < 70]
-        if len(good) < MIN_INLIERS:
+        if len(good) < MIN_ORB_INLIERS:
             continue
         at = floor_map.nodes[k]
         places = (
@@ -88,7 +88,7 @@ def relocalize_by_orb(
         c, h, heading, fits = ransac_two_points(
             places, m[[g.queryIdx for g in good]], rough, view.height_m, view.height_sigma_m, rng, 200
         )
-        if fits.sum() >= MIN_INLIERS:
+        if fits.sum() >= MIN_ORB_INLIERS:
             results.append((int(fits.sum()), k, np.array([c.real, c.imag, heading, math.log(h)])))
     if not results:
         return None
@@ -177,8 +177,8 @@ def is_unambiguous(off: _Array, alike: _Array, sigma: float) -> bool:
 
         p_k / p = exp(-(|off + alike_k|^2 - |off|^2) / (2 sigma^2)),
 
-    which must be below :data:`MAX_AMBIGUITY` for all. The right place (off = 0) passes while sigma is below 0.27 of the
-    distance to the next; a place at half that distance from the prediction never passes.
+    which must be below :data:`MAX_OTHER_PLACE_LIKELIHOOD` for all. The right place (off = 0) passes while sigma is
+    below 0.27 of the distance to the next; a place at half that distance from the prediction never passes.
     """
     further = ((off + alike) ** 2).sum(axis=1) - (off**2).sum()
-    return bool((further > -2.0 * math.log(MAX_AMBIGUITY) * sigma**2).all())
+    return bool((further > -2.0 * math.log(MAX_OTHER_PLACE_LIKELIHOOD) * sigma**2).all())

@@ -47,7 +47,7 @@ EDGE_TILT_A, EDGE_TILT_B, EDGE_SIZE = slice(4, 6), slice(6, 8), 8
 """Slices of an edge after the four numbers of the relation: tilt errors of its first and second node."""
 _HEIGHT_CONSTRAINT_VARIANCE = 1e-6  # variance of ln h given the sonar's error
 _LOOP_ROBUST_CHI2 = 16.0  # chi^2 at which a closure has weight 1/2
-_MAX_ITERATIONS = 10
+_MAX_GRAPH_ITERATIONS = 10
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def solve_graph(
         height = gauss_markov_transition(since, heights[last], heights[k], known.height_time_s[k])
         chain[k] = np.array([tilt, tilt, height]).T
     chi2 = np.zeros(len(edges))
-    for turn in range(_MAX_ITERATIONS):
+    for turn in range(_MAX_GRAPH_ITERATIONS):
         blocks: list[tuple[int, int, _Array]] = []
         right = np.zeros((n, NODE_SIZE))
         for k, edge in enumerate(edges):
@@ -266,9 +266,9 @@ def solve_graph(
         ).tocsc()
         factor = splu(normal)
         step = factor.solve(right.ravel()).reshape(n, NODE_SIZE)
-        if turn < _MAX_ITERATIONS - 1:
+        if turn < _MAX_GRAPH_ITERATIONS - 1:
             x = x + step
-        if np.abs(step).max() < 1e-7 or turn == _MAX_ITERATIONS - 1:
+        if np.abs(step).max() < 1e-7 or turn == _MAX_GRAPH_ITERATIONS - 1:
             break
     return GraphSolution(x, chi2, factor)
 

@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.camera import Camera, body_from_camera_rotation, check_picture_size
-from mufly.slam.camera_frame import LOST_AFTER_S, CameraFrame, MotionPrior, Odometry
+from mufly.slam.camera_frame import TRACKING_LOST_AFTER_S, CameraFrame, MotionPrior, Odometry
 from mufly.slam.camera_pose import POSE_SIZE, SHAKE_SIZE, PoseEstimate, ViewPrior, attitude_matrix
 from mufly.slam.image_tools import Undistorter
 from mufly.slam.images.camera_monitor import TILTED_SIGMA_RAD, CameraMonitor, CameraVerdict
 from mufly.slam.keyframe_map import FloorMap
 from mufly.slam.keyframe_matching import FrameContext, KeyframeMatch, match_keyframe, rejection_reason
 from mufly.slam.map_growth import (
-    NEWEST_TRANSITION,
+    SAME_PICTURE_ERROR_TRANSITION,
     LoopSearch,
     create_keyframe,
     insert_keyframe,
@@ -35,7 +35,7 @@ from mufly.slam.map_growth import (
     pose_information,
     refine_keyframe,
 )
-from mufly.slam.place_recognition import MIN_INLIERS, relocalize_by_orb
+from mufly.slam.place_recognition import MIN_ORB_INLIERS, relocalize_by_orb
 from mufly.slam.pose_graph import HEADING, LOG_HEIGHT, PLACE, TILT, GraphEdge, fuse_pose, relative_pose
 
 _Array = NDArray[np.float64]
@@ -43,15 +43,15 @@ MIN_HEIGHT_M = 0.1  # least camera height for the start of a map
 TOO_NEAR_REASON = "too near to the floor"
 """Reason of a missing result below that height."""
 DIRT_MESSAGE = "dirt on the lens: pixels that do not move with the floor are not used"
-FEW_INLIERS = 30  # below this number of inliers a new keyframe may help
+NEW_KEYFRAME_INLIERS = 30  # below this number of inliers a new keyframe may help
 NEW_KEYFRAME_OVERLAP = 0.55  # least overlap of a keyframe and the picture
-LOOP_CHECK_INTERVAL = 8
-_RELOCALIZE_INTERVAL = 4
-_WEAK_SIGNIFICANCE = 1.7  # of the texture, below which a new keyframe follows earlier
-MAX_KNOWN_SIGMA = (0.5, 0.5, 0.5, 0.5)
+LOOP_CHECK_INTERVAL_FRAMES = 8
+_RELOCALIZE_INTERVAL_FRAMES = 4
+_NEW_KEYFRAME_SIGNIFICANCE = 1.7  # of the texture, below which a new keyframe follows earlier
+MAX_KNOWN_AXIS_SIGMA = (0.5, 0.5, 0.5, 0.5)
 """Standard deviations of N, E, D (m) and heading (rad) from which an axis counts as unknown."""
-_MIN_CONFIRMATIONS = 3
-_SHAKE_GAIN, _SHAKE_LEARNED_FRAMES, _SHAKE_REMAINING_SHARE = 0.02, 150, 0.3
+_MIN_RELOCALIZATION_CONFIRMATIONS = 3
+_SHAKE_LEARNING_WEIGHT, _SHAKE_LEARNED_FRAMES, _SHAKE_REMAINING_SHARE = 0.02, 150, 0.3
 """Learning of the vibration: weight of a picture, number of pictures, and remaining share of the uncertainty."""
 _BRIDGE_AFTER_S, _YOUNG_BRIDGE_AFTER_S, _YOUNG_MAP_KEYFRAMES, _TRIAL_FRAMES = 1.5, 0.1, 5, 25
 """Time (s) after which a lost system continues from the vehicle's estimate; the shorter time for a young map.
@@ -113,8 +113,8 @@ class TrackingResult:
 
     @property
     def known_axes(self) -> NDArray[np.bool_]:
-        """Mask (4,) of N, E, D and heading: whether the deviation is below :data:`MAX_KNOWN_SIGMA`."""
-        known: NDArray[np.bool_] = np.diag(self.covariance) < np.square(MAX_KNOWN_SIGMA)
+        """Mask (4,) of N, E, D and heading: whether the deviation is below :data:`MAX_KNOWN_AXIS_SIGMA`."""
+        known: NDArray[np.bool_] = np.diag(self.covariance) < np.square(MAX_KNOWN_AXIS_SIGMA)
         return known
 
 
@@ -179,15 +179,15 @@ class SlamSystem:
         check_picture_size(self.camera, frame.picture.shape, f"picture at {frame.time_s:g} s")
         verdict = self.monitor.check_stamp(frame.time_s, self._last_time_s)
         if frame.time_s <= self._last_time_s:
-            return self._refuse(frame, verdict, "not later than the previous picture")
+            return self._make_untrusted_result(frame, verdict, "not later than the previous picture")
         self._last_time_s = frame.time_s
         self._frame_count += 1
         if self.monitor.is_copy(frame.picture):
-            return self._refuse(frame, self.monitor.frozen_verdict, "a copy of the previous picture")
+            return self._make_untrusted_result(frame, self.monitor.frozen_verdict, "a copy of the previous picture")
         picture = self.undistorted_picture = self._undistorter.undistort_picture(frame.picture)
         verdict = self.monitor.check_motion(frame, picture)
         if verdict.fault:
-            return self._refuse(frame, verdict, "")
+            return self._make_untrusted_result(frame, verdict, "")
         self._motion = self._motion.advance_to(frame, float(self._last_node[HEADING]))
         context = self._make_context(frame, picture)
         if not self.floor_map.keyframes:
@@ -205,7 +205,7 @@ class SlamSystem:
         context = replace(context, position_sigma_m=sigma_m)
         coarse = sigma_m / context.view.height_m * context.view.focal_px > 12.0
         match = None
-        for k in self._select_reference_keyframes(context, node, elapsed > LOST_AFTER_S):
+        for k in self._select_reference_keyframes(context, node, elapsed > TRACKING_LOST_AFTER_S):
             match = match_keyframe(self.floor_map, k, context, node, coarse=coarse)
             if match is not None:
                 break
@@ -221,19 +221,19 @@ class SlamSystem:
                 return self._start_map(context)
             if self._should_bridge(context, elapsed):
                 return self._bridge_gap(context, why)
-            if elapsed > LOST_AFTER_S or self._trial_frame_count > 0:
+            if elapsed > TRACKING_LOST_AFTER_S or self._trial_frame_count > 0:
                 return self._relocalize(context, why)
             return TrackingResult(frame.time_s, False, why, keyframe=self._reference_index)
         if self._trial_frame_count > 0 and (answer := self._confirm_trial(context, match)) is not None:
             return answer
         return self._accept_match(context, match)
 
-    def _refuse(self, frame: CameraFrame, verdict: CameraVerdict, why: str) -> TrackingResult:
+    def _make_untrusted_result(self, frame: CameraFrame, verdict: CameraVerdict, why: str) -> TrackingResult:
         """Return an untrusted result with its reason, including a fault of the camera."""
-        self._note_verdict(frame.time_s, verdict)
+        self._store_verdict(frame.time_s, verdict)
         return TrackingResult(frame.time_s, False, verdict.message or why, camera_fault=verdict.message)
 
-    def _note_verdict(self, time_s: float, verdict: CameraVerdict) -> None:
+    def _store_verdict(self, time_s: float, verdict: CameraVerdict) -> None:
         if verdict.fault:
             self.camera_verdicts.setdefault(verdict.fault, (time_s, verdict.message))
 
@@ -242,7 +242,7 @@ class SlamSystem:
         dirt = self.monitor.dirt_mask
         if dirt is None:
             return self._undistorter.valid_mask
-        self._note_verdict(time_s, CameraVerdict("dirt", DIRT_MESSAGE))
+        self._store_verdict(time_s, CameraVerdict("dirt", DIRT_MESSAGE))
         return np.where(dirt > 0, 0, self._undistorter.valid_mask).astype(np.uint8)
 
     # ------------------------------------------------------------------ Prediction
@@ -299,7 +299,7 @@ class SlamSystem:
         estimate = context.frame.vehicle_estimate
         moved, sigma_m = way.predict_displacement(context.motion.velocity_m_s)
         believed = 0.05 + 2.0 * estimate.place_sigma[0]
-        if way.elapsed_s > LOST_AFTER_S and estimate.place is not None and believed < sigma_m:
+        if way.elapsed_s > TRACKING_LOST_AFTER_S and estimate.place is not None and believed < sigma_m:
             return make_node(context, self._pose_from_vehicle(context.view, *estimate.place))[PLACE], believed
         return np.append(self._last_node[:LOG_HEIGHT] + moved, math.log(context.view.height_m)), sigma_m
 
@@ -355,11 +355,11 @@ class SlamSystem:
         made = closed = False
         inliers = len(match.inlier_indices)
         share = context.view_overlap(self.floor_map.nodes[match.keyframe], node)
-        few = share < 0.85 and (inliers < FEW_INLIERS or match.significance < _WEAK_SIGNIFICANCE)
-        if (share < NEW_KEYFRAME_OVERLAP or few) and inliers >= MIN_INLIERS:
+        few = share < 0.85 and (inliers < NEW_KEYFRAME_INLIERS or match.significance < _NEW_KEYFRAME_SIGNIFICANCE)
+        if (share < NEW_KEYFRAME_OVERLAP or few) and inliers >= MIN_ORB_INLIERS:
             made = self._insert_keyframe(context, match)
         self._frames_since_loop_check += 1
-        if self.is_closing_loops and (self._frames_since_loop_check >= LOOP_CHECK_INTERVAL or made):
+        if self.is_closing_loops and (self._frames_since_loop_check >= LOOP_CHECK_INTERVAL_FRAMES or made):
             self._frames_since_loop_check = 0
             made, closed = self._try_loop_closure(context, match, made)
         return self._make_result(context, match, made, closed)
@@ -373,7 +373,7 @@ class SlamSystem:
         """
         if view.rotor_phases_rad.any():
             self._shake_frame_count += 1
-            gain = max(_SHAKE_GAIN, 1.0 / self._shake_frame_count)
+            gain = max(_SHAKE_LEARNING_WEIGHT, 1.0 / self._shake_frame_count)
             self._shake_amplitudes_px = self._shake_amplitudes_px + gain * (
                 pose.shake_amplitudes_px - self._shake_amplitudes_px
             )
@@ -392,7 +392,7 @@ class SlamSystem:
         Returns whether the picture is a keyframe, and whether a loop was closed.
         """
         if made:
-            context = replace(context, error_transition=NEWEST_TRANSITION)
+            context = replace(context, error_transition=SAME_PICTURE_ERROR_TRANSITION)
         other = self._loop_search.match_candidate(self.floor_map, self._reference_index, context, self._last_node)
         if other is None or (not made and not self._insert_keyframe(context, match)):
             return made, False
@@ -416,7 +416,7 @@ class SlamSystem:
             node, known = fuse_pose(at[PLACE], belief, match.pose_graph_node, tilts, *pose_information(match), height)
         for u in match.unknown:  # at least the variance of the prediction since the direction was seen
             along = np.concatenate([u, np.zeros(2)])
-            free = context.motion.free_sigma[0] ** 2 - along @ known @ along
+            free = context.motion.unobserved_sigma[0] ** 2 - along @ known @ along
             known = known + max(0.0, free) * np.outer(along, along)
         lever = attitude_matrix(view, pose.tilt_error_rad, node[HEADING]) @ self._camera_position_m
         h = math.exp(node[LOG_HEIGHT])
@@ -473,7 +473,9 @@ class SlamSystem:
     @property
     def _should_relocalize(self) -> bool:
         """Whether to search the whole map with this picture."""
-        return not self._is_map_young and (bool(self._found_poses) or self._frame_count % _RELOCALIZE_INTERVAL == 0)
+        return not self._is_map_young and (
+            bool(self._found_poses) or self._frame_count % _RELOCALIZE_INTERVAL_FRAMES == 0
+        )
 
     @property
     def _is_map_young(self) -> bool:
@@ -488,7 +490,7 @@ class SlamSystem:
         if self._should_relocalize and (found := self._find_in_map(context)) is not None:
             return self._accept_match(context, found)
         self._trial_frame_count += 1
-        if self._trial_frame_count <= (_MIN_CONFIRMATIONS if self._is_map_young else _TRIAL_FRAMES):
+        if self._trial_frame_count <= (_MIN_RELOCALIZATION_CONFIRMATIONS if self._is_map_young else _TRIAL_FRAMES):
             self._last_node, self._motion = match.pose_graph_node, self._motion.restart_at(context.frame)
             self._learn_vibration(context.view, match.pose)
             refine_keyframe(self.floor_map, context, match)
@@ -536,7 +538,7 @@ class SlamSystem:
     def _relocalize(self, context: FrameContext, why: str) -> TrackingResult:
         """Search the whole map by ORB; accept the result when several in a row agree."""
         lost = TrackingResult(context.frame.time_s, False, why or "lost", keyframe=-1)
-        if self._frame_count % _RELOCALIZE_INTERVAL and not self._found_poses:
+        if self._frame_count % _RELOCALIZE_INTERVAL_FRAMES and not self._found_poses:
             return lost
         match = self._find_in_map(context)
         if match is not None:
@@ -555,7 +557,7 @@ class SlamSystem:
         if (
             match is None
             or len(match.unknown)
-            or len(match.inlier_indices) < 1.5 * MIN_INLIERS
+            or len(match.inlier_indices) < 1.5 * MIN_ORB_INLIERS
             or match.pose.residual_scale > 3.0
         ):
             return None
@@ -563,7 +565,7 @@ class SlamSystem:
         if found and math.hypot(*(here[:2] - found[-1][1][:2])) > 0.1 + 1.0 * (time_s - found[-1][0]):
             found = []
         self._found_poses = [*found, (time_s, here)]
-        if len(self._found_poses) < _MIN_CONFIRMATIONS:
+        if len(self._found_poses) < _MIN_RELOCALIZATION_CONFIRMATIONS:
             return None
         self._end_trial()
         self._motion = MotionPrior().restart_at(context.frame)

@@ -39,8 +39,8 @@ _MIN_POSITION_SIGMA_M = 1e-4
 """Positions with a smaller sigma (m) are given, not estimated, as at the start of a map; NEES omits them."""
 
 
-_MIN_ROWS = 3
-_MAX_GAP_S, _MAX_GAP_STEPS = 0.2, 5.0
+_MIN_POSE_ROWS = 3
+_MAX_GAP_S, _MAX_GAP_INTERVALS = 0.2, 5.0
 """Larger gaps (s, and steps) between rows of the truth are excluded from the comparison."""
 _MIN_AXES_ERROR_M = 0.02
 _QUATERNION_NORM_TOLERANCE, _MIN_QUATERNION_NORM = 1e-3, 1e-6
@@ -219,19 +219,19 @@ def _drop_invalid_rows(rows: _Array, numbers: list[int], said: list[str]) -> tup
     finite = np.isfinite(rows).all(axis=1)
     length = np.linalg.norm(rows[:, _QUATERNION], axis=1)
     turned = length > _MIN_QUATERNION_NORM
-    _note_lines(said, "with NaN or infinity, skipped", np.flatnonzero(~finite), numbers)
-    _note_lines(said, "with a quaternion of zeros, skipped", np.flatnonzero(finite & ~turned), numbers)
+    _note_skipped_lines(said, "with NaN or infinity, skipped", np.flatnonzero(~finite), numbers)
+    _note_skipped_lines(said, "with a quaternion of zeros, skipped", np.flatnonzero(finite & ~turned), numbers)
     keep = np.flatnonzero(finite & turned)
     odd = keep[np.abs(length[keep] - 1) > _QUATERNION_NORM_TOLERANCE]
     if len(odd):
         worst = length[odd[np.argmax(np.abs(np.log(length[odd])))]]
-        _note_lines(said, f"whose quaternion is not of unit length ({worst:.3g}), normalised", odd, numbers)
+        _note_skipped_lines(said, f"whose quaternion is not of unit length ({worst:.3g}), normalised", odd, numbers)
     out = rows[keep]
     out[:, _QUATERNION] /= length[keep, None]
     return out, keep.tolist()
 
 
-def _note_lines(said: list[str], what: str, which: NDArray[np.intp], numbers: list[int]) -> None:
+def _note_skipped_lines(said: list[str], what: str, which: NDArray[np.intp], numbers: list[int]) -> None:
     if len(which):
         first = f"line {numbers[which[0]]}" if len(which) == 1 else f"the first in line {numbers[which[0]]}"
         said.append(f"{len(which)} row{'s' if len(which) > 1 else ''} {what} ({first})")
@@ -257,11 +257,11 @@ def _stamps_to_seconds(stamps: _Array, ns: bool) -> tuple[_Array, str]:
 def _sort_by_time(stamps: _Array, numbers: list[int], said: list[str]) -> tuple[NDArray[np.intp], int]:
     """Return the order by time, with the last row of each time, and the number of duplicates."""
     late = np.flatnonzero(np.diff(stamps) < 0) + 1
-    _note_lines(said, "earlier than the previous row, sorted by time", late, numbers)
+    _note_skipped_lines(said, "earlier than the previous row, sorted by time", late, numbers)
     order = np.argsort(stamps, kind="stable")
     last = np.append(np.diff(stamps[order]) > 0, True)[: len(order)]
     repeated = order[~last]
-    _note_lines(said, "with the time of another row; the last of them is kept", np.sort(repeated), numbers)
+    _note_skipped_lines(said, "with the time of another row; the last of them is kept", np.sort(repeated), numbers)
     return order[last], len(repeated)
 
 
@@ -323,10 +323,10 @@ def evaluate_trajectory(
         If results and truth do not overlap in time.
     """
     inside = (time >= true_time[0] - 0.02) & (time <= true_time[-1] + 0.02)
-    if inside.sum() < _MIN_ROWS:
+    if inside.sum() < _MIN_POSE_ROWS:
         raise InputError(*_explain_no_overlap(time, true_time))
     inside &= ~_is_in_gap(time, true_time)
-    if inside.sum() < _MIN_ROWS:
+    if inside.sum() < _MIN_POSE_ROWS:
         raise InputError("truth", "", "has gaps at the times of all results", "give a truth without gaps there")
     t, x, psi = time[inside], position[inside], heading[inside]
     true = np.stack([np.interp(t, true_time, c) for c in true_position.T], axis=1)
@@ -361,9 +361,9 @@ def evaluate_trajectory(
 def _explain_no_overlap(time: _Array, true_time: _Array) -> tuple[str, str, str, str]:
     """Return the problem of two clocks that do not overlap, and the remedy."""
     for who, stamps in (("trajectory", time), ("truth", true_time)):
-        if len(stamps) < _MIN_ROWS:
+        if len(stamps) < _MIN_POSE_ROWS:
             problem = f"the {who} has {len(stamps)} usable rows with different times"
-            return "trajectory", "time", problem, f"give {_MIN_ROWS} or more, stamps with enough digits"
+            return "trajectory", "time", problem, f"give {_MIN_POSE_ROWS} or more, stamps with enough digits"
     spans = f"{time[0]:.3f} to {time[-1]:.3f} s, the truth's from {true_time[0]:.3f} to {true_time[-1]:.3f} s"
     ratio = (time[-1] - time[0]) / max(true_time[-1] - true_time[0], 1e-9)
     for factor, unit in ((1e9, "ns"), (1e6, "us"), (1e3, "ms")):
@@ -390,14 +390,14 @@ def _is_in_gap(time: _Array, true_time: _Array) -> NDArray[np.bool_]:
         return np.zeros(len(time), dtype=bool)
     steps = np.diff(true_time)
     after = np.clip(np.searchsorted(true_time, time), 1, len(steps))
-    longest = max(_MAX_GAP_S, _MAX_GAP_STEPS * float(np.median(steps)))
+    longest = max(_MAX_GAP_S, _MAX_GAP_INTERVALS * float(np.median(steps)))
     return (steps[after - 1] > longest) & ~np.isin(time, true_time)
 
 
 def detect_other_axes(time: _Array, position: _Array, true_time: _Array, true_position: _Array) -> str:
     """Return the name of other axes that fit the truth far better than the given ones; ``""`` if there are none."""
     inside = (time >= true_time[0]) & (time <= true_time[-1])
-    if inside.sum() < _MIN_ROWS:
+    if inside.sum() < _MIN_POSE_ROWS:
         return ""
     x = position[inside]
     true = np.stack([np.interp(time[inside], true_time, c) for c in true_position.T], axis=1)

@@ -16,12 +16,12 @@ plus row offset. Residuals, divided by their deviations, are
 - pixels of the points in the last picture (Huber weights; deviation from their median absolute residual);
 - steps of velocity, and of the height of the floor, between neighbouring segments;
 - height of the camera against the sonar; rotation errors against the noise of the gyroscopes;
-- priors of principal point, radial coefficient, lever arm, sensor scales and biases (:data:`_PRIOR_SIGMA`).
+- priors of principal point, radial coefficient, lever arm, sensor scales and biases (:data:`_SHARED_PRIOR_SIGMA`).
 
 Attitude, gravity and rates determine rotations in absolute terms, so the focal length needs no chessboard. It is the
 ratio of pixels to radians; the perspective of the picture separates it from the scale of the gyroscopes. Mount and tilt
 can be separated because the floor is level and gravity is measured. Gauss-Newton solves the sparse normal equations;
-standard deviations are those of their inverse, times :data:`_INFLATION`, since errors of neighbouring tracks and
+standard deviations are those of their inverse, times :data:`_STD_INFLATION`, since errors of neighbouring tracks and
 segments are correlated. The pictures are then tracked again with patches warped by this fit, and fitted again. Tracking
 by shift alone has errors of some hundredths of a pixel where the motion varies within a patch, which would shift the
 principal point by pixels.
@@ -68,12 +68,12 @@ from mufly.vehicle.quantity import Quantity
 _Array = NDArray[np.float64]
 SEGMENT_PICTURES = 3
 """Pictures from the first to the last of a segment."""
-_INFLATION = 2.0
+_STD_INFLATION = 2.0
 """Factor on all standard deviations, determined on other recordings than those used for validation."""
-_CONFIDENCE_95 = 1.96
+_SIGMAS_PER_95_PERCENT = 1.96
 _MIN_SEGMENTS = 20
 _MAX_FOCAL_SIGMA, _MAX_MOUNT_SIGMA_RAD = 0.03, math.radians(1.5)
-_MAX_ITERATIONS, _TOLERANCE, _ROW_ITERATIONS = 15, 0.05, 3
+_MAX_ITERATIONS, _STEP_TOLERANCE_SIGMAS, _ROW_TIME_ITERATIONS = 15, 0.05, 3
 _DELAY_GRID_S = np.arange(-0.15, 0.301, 0.01)
 
 FOCAL, CENTRE, RADIAL, MOUNT, DELAY = slice(0, 1), slice(1, 3), slice(3, 4), slice(4, 7), slice(7, 8)
@@ -83,19 +83,19 @@ SHARED_SIZE, SEGMENT_SIZE = 22, 7
 """Unknowns of the whole recording (tilt has two), and of a segment: velocity, logarithm of the height, rotation."""
 _VELOCITY, _LOG_HEIGHT, _TURN_ERROR = slice(0, 3), 3, slice(4, 7)
 _VELOCITY_STEP, _FLOOR_STEP, _HEIGHT_ERROR, _ROTATION_ERROR = slice(0, 3), 3, 4, slice(5, 8)  # columns of residuals
-_PRIOR_SIGMA = np.array(
+_SHARED_PRIOR_SIGMA = np.array(
     [0.5, 8.0, 8.0, 0.03, 3.0, 3.0, 3.0, 0.3, *[0.2] * 3, *[0.03] * 3, *[0.3] * 3, *[0.1] * 3, 0.5, 0.5]
 )
 """Deviations of the priors: focal length (share), centre (pixels of a 320 pixel picture), k1, mount (rad), delay (s),
 gyroscopes (rad/s, share), accelerometers (m/s^2), lever arm (m), initial tilt (rad)."""
-_STEPS = np.array(
+_SHARED_DIFFERENCE_STEPS = np.array(
     [1e-4, 0.05, 0.05, 1e-4, *[1e-4] * 3, 1e-4, *[1e-4] * 3, *[1e-4] * 3, *[1e-3] * 3, *[1e-3] * 3, 1e-4, 1e-4]
 )
-_SEGMENT_STEPS = np.array([*[1e-3] * 3, 1e-4, *[1e-4] * 3])
+_SEGMENT_DIFFERENCE_STEPS = np.array([*[1e-3] * 3, 1e-4, *[1e-4] * 3])
 _SONAR_SIGMA_M, _VELOCITY_STEP_M_S, _FLOOR_STEP_M = 0.025, 0.02, 0.004
-_GUESS_SHARE = 0.2
+_GIVEN_HEIGHT_STD_SHARE = 0.2
 """Standard deviation of a given mean height, as a share of it."""
-_MIN_PIXEL_SIGMA, _HUBER = 0.05, 1.5
+_MIN_PIXEL_SIGMA, _HUBER_THRESHOLD_SIGMAS = 0.05, 1.5
 _TRANSLATION_SHARE = 0.3
 
 
@@ -113,7 +113,7 @@ class HandCalibration:
     def shown_blocks(self) -> list[ShownBlock]:
         """Return the calibration as a sentence and a table."""
         rows = [
-            (n, f"{v:.5g}", f"{v - _CONFIDENCE_95 * s:.5g} to {v + _CONFIDENCE_95 * s:.5g}")
+            (n, f"{v:.5g}", f"{v - _SIGMAS_PER_95_PERCENT * s:.5g} to {v + _SIGMAS_PER_95_PERCENT * s:.5g}")
             for (n, v), s in zip(self.values.items(), self.deviations.values(), strict=True)
         ]
         said = f"{self.tracks} tracks in {self.segments} segments; residual {self.residual_px:.2f} pixels"
@@ -160,15 +160,15 @@ def calibrate_from_folder(
             heights.append((frame.time_s, frame.vehicle_estimate.height_m))
             yield frame.time_s, frame.picture
 
-    def note_picture(k: int) -> None:
+    def report_picture(k: int) -> None:
         if on_picture is not None:
             on_picture(k + 1, source.frame_count)
 
-    tracks = track_segments(iterate_pictures(), SEGMENT_PICTURES, note_picture)
+    tracks = track_segments(iterate_pictures(), SEGMENT_PICTURES, report_picture)
     times, values = np.array(heights).T
     return fit_camera(
         tracks, camera, imu, height_m=lambda t: np.interp(t, times, values), frames=iterate_pictures,
-        height_sigma_m=_SONAR_SIGMA_M if height_m is None else _GUESS_SHARE * height_m,
+        height_sigma_m=_SONAR_SIGMA_M if height_m is None else _GIVEN_HEIGHT_STD_SHARE * height_m,
     )  # fmt: skip
 
 
@@ -207,7 +207,7 @@ def fit_camera(
             "pictures", "", f"{len(tracks.times_s)} segments show the floor and have inertial data",
             "record 60 s over a floor with texture, 0.3 to 1.5 m above it",
         )  # fmt: skip
-    problem = _Problem.prepare(tracks, camera, imu, height_m, height_sigma_m)
+    problem = _CalibrationProblem.prepare(tracks, camera, imu, height_m, height_sigma_m)
     shared, segment_states, covariance, sigma_px = _minimise(problem, problem.shared, problem.segment_states)
     if frames is not None:
         att = problem.integrate(shared)
@@ -216,10 +216,12 @@ def fit_camera(
         )
         problem = replace(problem, tracks=again)
         shared, segment_states, covariance, sigma_px = _minimise(problem, shared, segment_states)
-    return problem.describe(shared, _INFLATION**2 * covariance, sigma_px)
+    return problem.describe(shared, _STD_INFLATION**2 * covariance, sigma_px)
 
 
-def _minimise(problem: _Problem, shared: _Array, segment_states: _Array) -> tuple[_Array, _Array, _Array, float]:
+def _minimise(
+    problem: _CalibrationProblem, shared: _Array, segment_states: _Array
+) -> tuple[_Array, _Array, _Array, float]:
     """Return the unknowns at the minimum, the covariance of those that all segments share, and the deviation of
     pixels.
     """
@@ -234,7 +236,7 @@ def _minimise(problem: _Problem, shared: _Array, segment_states: _Array) -> tupl
         unit = np.zeros((len(step), SHARED_SIZE))
         unit[:SHARED_SIZE] = np.eye(SHARED_SIZE)
         covariance = factor.solve(unit)[:SHARED_SIZE]
-        if np.abs(step[:SHARED_SIZE] / np.sqrt(np.diag(covariance))).max() < _TOLERANCE:
+        if np.abs(step[:SHARED_SIZE] / np.sqrt(np.diag(covariance))).max() < _STEP_TOLERANCE_SIGMAS:
             break
     return shared, segment_states, covariance, sigma_px
 
@@ -246,7 +248,7 @@ def _select_segments(tracks: PointTracks, keep: NDArray[np.bool_]) -> PointTrack
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _CalibrationProblem:
     """Residuals of the calibration and their derivatives."""
 
     tracks: PointTracks
@@ -260,13 +262,13 @@ class _Problem:
     segment_states: _Array
     gyro_noise: float
     accel_noise: float
-    linked: NDArray[np.bool_]
+    is_next_linked: NDArray[np.bool_]
 
     @classmethod
     def prepare(
         cls, tracks: PointTracks, camera: Camera, imu: InertialData, height_m: Callable[[_Array], _Array],
         height_sigma_m: float,
-    ) -> _Problem:  # fmt: skip
+    ) -> _CalibrationProblem:  # fmt: skip
         """Return the problem with initial values."""
         calm = imu.force_m_s2[: max(2, int(np.searchsorted(imu.time_s, imu.time_s[0] + 1.0)))].mean(axis=0)
         roll, pitch = math.atan2(-calm[1], -calm[2]), math.atan2(calm[0], math.hypot(calm[1], calm[2]))
@@ -305,7 +307,7 @@ class _Problem:
             gyro_scale=shared[GYRO_SCALE], accel_bias=shared[ACCEL_BIAS],
         )  # fmt: skip
 
-    def lens_of(self, shared: _Array) -> Camera:
+    def camera_with_lens(self, shared: _Array) -> Camera:
         """Return the camera with the estimated lens."""
         lens, scale = self.camera.lens, math.exp(shared[FOCAL][0])
 
@@ -320,11 +322,11 @@ class _Problem:
             "k1": changed(lens.k1, float(lens.k1) + shared[RADIAL][0]),
         })})  # fmt: skip
 
-    def mount_of(self, shared: _Array) -> _Array:
+    def mount_rotation(self, shared: _Array) -> _Array:
         """Return the rotation matrix (3, 3) from camera to body axes."""
         return np.asarray(self.mount @ _rotate(shared[MOUNT]))
 
-    def _row_offsets(self, pixels: _Array) -> _Array:
+    def _row_time_offsets_s(self, pixels: _Array) -> _Array:
         rows = self.camera.sensor.height
         return np.asarray((pixels[:, 1] / (rows - 1.0) - 0.5) * float(self.camera.shutter.readout))
 
@@ -340,7 +342,7 @@ class _Problem:
     ) -> _Array:
         """Return the pixels (n, 2) of the first picture that show the floor points at pixels of the last one."""
         k, first_px = np.full(len(last_px), segment), last_px
-        for _ in range(_ROW_ITERATIONS):
+        for _ in range(_ROW_TIME_ITERATIONS):
             first_px = self._transfer_points(shared, segment_states, att, k, last_px, first_px, False)
         return first_px
 
@@ -354,27 +356,27 @@ class _Problem:
         The rows of ``rows_of`` (n, 2) give the exposure times of the result. ``is_forward``: from the first picture to
         the last.
         """
-        lens, mount, lever = self.lens_of(shared), self.mount_of(shared), shared[LEVER]
+        lens, mount, lever = self.camera_with_lens(shared), self.mount_rotation(shared), shared[LEVER]
         begin, end = (self.tracks.times_s - shared[DELAY]).T
         v, e = segment_states[:, _VELOCITY], segment_states[k, _TURN_ERROR]
-        speed0, way0 = att.speed_at(begin), att.way_at(begin)
+        speed0, way0 = att.velocity_at(begin), att.displacement_at(begin)
 
-        def place_at(t: _Array, turn: _Array) -> _Array:
+        def floor_position_at(t: _Array, turn: _Array) -> _Array:
             dt = (t - begin[k])[:, None]
-            moved = v[k] * dt + att.way_at(t) - way0[k] - speed0[k] * dt
+            moved = v[k] * dt + att.displacement_at(t) - way0[k] - speed0[k] * dt
             return np.asarray(moved + turn @ lever)
 
         here, there = (begin, end) if is_forward else (end, begin)
-        ta, tb = here[k] + self._row_offsets(pixels), there[k] + self._row_offsets(rows_of)
+        ta, tb = here[k] + self._row_time_offsets_s(pixels), there[k] + self._row_time_offsets_s(rows_of)
         turn_a, turn_b = att.rotation_at(ta), att.rotation_at(tb)
         floor_d = (att.rotation_at(begin) @ lever)[k, 2] + np.exp(segment_states[k, _LOG_HEIGHT])
         ray = np.concatenate([unproject_pixels(lens, pixels), np.ones((len(k), 1))], axis=1) @ mount.T
         if not is_forward:
             ray = ray + np.cross(e, ray)
         d = np.einsum("nij,nj->ni", turn_a, ray)
-        at = place_at(ta, turn_a)
+        at = floor_position_at(ta, turn_a)
         point = at + d * ((floor_d - at[:, 2]) / np.maximum(d[:, 2], 0.05))[:, None]
-        seen = np.einsum("nji,nj->ni", turn_b, point - place_at(tb, turn_b))
+        seen = np.einsum("nji,nj->ni", turn_b, point - floor_position_at(tb, turn_b))
         if is_forward:
             seen = seen - np.cross(e, seen)
         seen = seen @ mount
@@ -388,14 +390,14 @@ class _Problem:
         begin, end = (self.tracks.times_s - shared[DELAY]).T
         v, height = segment_states[:, _VELOCITY], np.exp(segment_states[:, _LOG_HEIGHT])
         lever_d = np.einsum("nij,j->ni", att.rotation_at(begin), shared[LEVER])[:, 2]
-        speed, way = att.speed_at(begin), att.way_at(begin)
+        speed, way = att.velocity_at(begin), att.displacement_at(begin)
         dt = (end - begin)[:, None]
         out = np.zeros((len(begin), 8))
         step = (v[1:] - v[:-1] - speed[1:] + speed[:-1]) / self._velocity_sigma
         moved = (v[:-1] * dt[:-1] + way[1:] - way[:-1] - speed[:-1] * dt[:-1])[:, 2]
         floor = moved + lever_d[1:] + height[1:] - lever_d[:-1] - height[:-1]
-        out[:-1, _VELOCITY_STEP] = step * self.linked[:, None]
-        out[:-1, _FLOOR_STEP] = floor / _FLOOR_STEP_M * self.linked
+        out[:-1, _VELOCITY_STEP] = step * self.is_next_linked[:, None]
+        out[:-1, _FLOOR_STEP] = floor / _FLOOR_STEP_M * self.is_next_linked
         out[:, _HEIGHT_ERROR] = (height + lever_d - self.heights_m) / self.height_sigma_m
         out[:, _ROTATION_ERROR] = segment_states[:, _TURN_ERROR] / self._rotation_sigma
         return out
@@ -429,31 +431,37 @@ class _Problem:
             self.chain_residuals(shared, segment_states, att),
         )
         size = np.hypot(*points.T) / sigma_px
-        weight = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(size, 1e-9)))[:, None] / sigma_px
+        weight = np.sqrt(np.minimum(1.0, _HUBER_THRESHOLD_SIGMAS / np.maximum(size, 1e-9)))[:, None] / sigma_px
         n, m = points.size, chain.size
         dense = np.empty((n + m, SHARED_SIZE))
         for j in range(SHARED_SIZE):
             moved = shared.copy()
-            moved[j] += _STEPS[j]
+            moved[j] += _SHARED_DIFFERENCE_STEPS[j]
             integral = GYRO_BIAS.start <= j < LEVER.start or j >= TILT.start
             other = self.integrate(moved) if integral else att
-            dense[:n, j] = (weight * (self.point_residuals(moved, segment_states, other) - points)).ravel() / _STEPS[j]
-            dense[n:, j] = (self.chain_residuals(moved, segment_states, other) - chain).ravel() / _STEPS[j]
+            dense[:n, j] = (
+                weight * (self.point_residuals(moved, segment_states, other) - points)
+            ).ravel() / _SHARED_DIFFERENCE_STEPS[j]
+            dense[n:, j] = (
+                self.chain_residuals(moved, segment_states, other) - chain
+            ).ravel() / _SHARED_DIFFERENCE_STEPS[j]
         rows, columns, values = [], [], []
         of_point = np.repeat(self.tracks.segment, 2)
         of_chain = np.repeat(np.arange(len(segment_states)), chain.shape[1])
         for j in range(SEGMENT_SIZE):
             moved = segment_states.copy()
-            moved[:, j] += _SEGMENT_STEPS[j]
-            change = (weight * (self.point_residuals(shared, moved, att) - points)).ravel() / _SEGMENT_STEPS[j]
+            moved[:, j] += _SEGMENT_DIFFERENCE_STEPS[j]
+            change = (weight * (self.point_residuals(shared, moved, att) - points)).ravel() / _SEGMENT_DIFFERENCE_STEPS[
+                j
+            ]
             rows.append(np.arange(n))
             columns.append(SHARED_SIZE + SEGMENT_SIZE * of_point + j)
             values.append(change)
             for parity in (0, 1):  # a row depends on its segment and the next
                 mask = np.arange(len(segment_states)) % 2 == parity
                 moved = segment_states.copy()
-                moved[mask, j] += _SEGMENT_STEPS[j]
-                change = (self.chain_residuals(shared, moved, att) - chain).ravel() / _SEGMENT_STEPS[j]
+                moved[mask, j] += _SEGMENT_DIFFERENCE_STEPS[j]
+                change = (self.chain_residuals(shared, moved, att) - chain).ravel() / _SEGMENT_DIFFERENCE_STEPS[j]
                 whose = np.where(mask[of_chain], of_chain, of_chain + 1)
                 used = (whose < len(segment_states)) & (change != 0.0)
                 rows.append(n + np.flatnonzero(used))
@@ -472,7 +480,7 @@ class _Problem:
 
     @property
     def _prior_sigma(self) -> _Array:
-        out = _PRIOR_SIGMA.copy()
+        out = _SHARED_PRIOR_SIGMA.copy()
         out[CENTRE] *= self.camera.sensor.width / 320.0
         return out
 
@@ -485,12 +493,12 @@ class _Problem:
                 f"the mount by {math.degrees(sigma[MOUNT].max()):.1f} degrees (one sigma)",
                 "turn the vehicle by 20 degrees about all three axes, repeatedly, for 60 s",
             )  # fmt: skip
-        lens, mount = self.lens_of(shared), self.mount_of(shared)
+        lens, mount = self.camera_with_lens(shared), self.mount_rotation(shared)
         angles, slopes = _mount_angles(mount), np.empty((3, 3))
         for j in range(3):
             turned = shared.copy()
             turned[MOUNT.start + j] += 1e-5
-            slopes[:, j] = (_mount_angles(self.mount_of(turned)) - angles) / 1e-5
+            slopes[:, j] = (_mount_angles(self.mount_rotation(turned)) - angles) / 1e-5
         angle_sigma = np.sqrt(np.diag(slopes @ covariance[MOUNT, MOUNT] @ slopes.T))
         focal = float(lens.lens.focal_x)
         values = {

@@ -62,16 +62,16 @@ class IntegratedMotion:
             multiply_quaternions(self.quaternion[k], quaternion_exponential(self.rates[k] * dt[:, None]))
         )
 
-    def speed_at(self, t: _Array) -> _Array:
+    def velocity_at(self, t: _Array) -> _Array:
         k, dt = self._locate_samples(t)
-        return self.speed[k] + (self.speed[k + 1] - self.speed[k]) * (dt / self._step(k))[:, None]
+        return self.speed[k] + (self.speed[k + 1] - self.speed[k]) * (dt / self._sample_interval_s(k))[:, None]
 
-    def way_at(self, t: _Array) -> _Array:
+    def displacement_at(self, t: _Array) -> _Array:
         k, dt = self._locate_samples(t)
-        share = (dt / self._step(k))[:, None]
+        share = (dt / self._sample_interval_s(k))[:, None]
         return self.displacement[k] + dt[:, None] * (self.speed[k] + 0.5 * share * (self.speed[k + 1] - self.speed[k]))
 
-    def _step(self, k: NDArray[np.int64]) -> _Array:
+    def _sample_interval_s(self, k: NDArray[np.int64]) -> _Array:
         return np.asarray(self.time_s[k + 1] - self.time_s[k])
 
     def _locate_samples(self, t: _Array) -> tuple[NDArray[np.int64], _Array]:

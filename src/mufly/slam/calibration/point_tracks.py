@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from mufly.slam.image_tools import detect_corners, load_opencv
 
 _Array = NDArray[np.float64]
-_MAX_POINTS, _MIN_POINTS = 70, 12
-_WINDOW_PX, _LEVELS, _MAX_RETURN_PX = 17, 3, 0.7
-_SMOOTHING_PX, _LIGHT_PX = 1.2, 12.0
-_MAP_STEP_PX, _MAX_SHIFT_PX = 8, 3.0
+_MAX_TRACKED_POINTS, _MIN_TRACKED_POINTS = 70, 12
+_TRACKING_WINDOW_PX, _PYRAMID_LEVEL_COUNT, _MAX_FORWARD_BACKWARD_PX = 17, 3, 0.7
+_SMOOTHING_PX, _LOCAL_MEAN_PX = 1.2, 12.0
+_WARP_GRID_STEP_PX, _MAX_PREDICTION_SHIFT_PX = 8, 3.0
 """Grid of the predicted map (pixels), and largest shift from the prediction (pixels)."""
 _GREY_MEAN, _GREY_GAIN = 128.0, 256.0
 
@@ -71,21 +71,21 @@ def track_segments(
     first: NDArray[np.uint8] | None = None
     start_s, start, now = math.nan, np.zeros((0, 2)), np.zeros((0, 2))
     for k, (time_s, raw) in enumerate(frames):
-        picture = _flatten_light(raw)
+        picture = _normalise_brightness(raw)
         if first is not None and len(now):
             now, kept = _track_points(first, picture, start, now)
             start, now = start[kept], now[kept]
         if k % length == 0:
-            if first is not None and len(now) >= _MIN_POINTS:
+            if first is not None and len(now) >= _MIN_TRACKED_POINTS:
                 back, kept = _track_points(picture, first, now, start)
-                good = kept & (np.hypot(*(back - start).T) < _MAX_RETURN_PX)
-                if good.sum() >= _MIN_POINTS:
+                good = kept & (np.hypot(*(back - start).T) < _MAX_FORWARD_BACKWARD_PX)
+                if good.sum() >= _MIN_TRACKED_POINTS:
                     owners.append(np.full(int(good.sum()), len(times), np.int64))
                     times.append((start_s, time_s))
                     first_px.append(start[good])
                     last_px.append(now[good])
             first, start_s = picture, time_s
-            start = detect_corners(picture, np.full_like(picture, 255), _MAX_POINTS)
+            start = detect_corners(picture, np.full_like(picture, 255), _MAX_TRACKED_POINTS)
             now = start.copy()
         on_picture(k)
     if not times:
@@ -122,21 +122,23 @@ def retrack_segments(
         at_start, at_end = starts.get(time_s), ends.get(time_s)
         if at_start is None and at_end is None:
             continue
-        picture = _flatten_light(raw)
+        picture = _normalise_brightness(raw)
         if at_end is not None and (first := held.pop(at_end, None)) is not None:
             k, (high, wide) = at_end, picture.shape
-            x, y = (np.arange(0, n + _MAP_STEP_PX, _MAP_STEP_PX, dtype=np.float64) for n in (wide, high))
+            x, y = (np.arange(0, n + _WARP_GRID_STEP_PX, _WARP_GRID_STEP_PX, dtype=np.float64) for n in (wide, high))
             nodes = np.stack(np.meshgrid(x, y), axis=-1)
             coarse = predict_first(k, nodes.reshape(-1, 2)).reshape(nodes.shape).astype(np.float32)
-            v, u = (np.mgrid[:high, :wide] / _MAP_STEP_PX).astype(np.float32)
+            v, u = (np.mgrid[:high, :wide] / _WARP_GRID_STEP_PX).astype(np.float32)
             fine = cv2.remap(coarse, u, v, cv2.INTER_LINEAR)
             template = cv2.remap(first, fine[..., 0], fine[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             inside = (fine > 0).all(axis=-1) & (fine[..., 0] < wide - 1) & (fine[..., 1] < high - 1)
-            seen = cv2.erode(inside.astype(np.uint8), np.ones((_WINDOW_PX + 2, _WINDOW_PX + 2), np.uint8))
-            points = detect_corners(template, seen, _MAX_POINTS)
+            seen = cv2.erode(
+                inside.astype(np.uint8), np.ones((_TRACKING_WINDOW_PX + 2, _TRACKING_WINDOW_PX + 2), np.uint8)
+            )
+            points = detect_corners(template, seen, _MAX_TRACKED_POINTS)
             there, kept = _track_points(template, picture, points, points)
-            kept &= np.hypot(*(there - points).T) < _MAX_SHIFT_PX
-            if kept.sum() >= _MIN_POINTS:
+            kept &= np.hypot(*(there - points).T) < _MAX_PREDICTION_SHIFT_PX
+            if kept.sum() >= _MIN_TRACKED_POINTS:
                 owners.append(np.full(int(kept.sum()), k, np.int64))
                 first_px.append(predict_first(k, points[kept]))
                 last_px.append(there[kept])
@@ -147,11 +149,11 @@ def retrack_segments(
     return PointTracks(times_s, np.concatenate(owners), np.concatenate(first_px), np.concatenate(last_px))
 
 
-def _flatten_light(raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _normalise_brightness(raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a smoothed picture divided by its local mean, so that vignetting does not bias the tracks."""
     cv2 = load_opencv()
     picture = cv2.GaussianBlur(raw, (0, 0), _SMOOTHING_PX).astype(np.float32)
-    mean = cv2.GaussianBlur(picture, (0, 0), _LIGHT_PX)
+    mean = cv2.GaussianBlur(picture, (0, 0), _LOCAL_MEAN_PX)
     ratio = picture / np.maximum(mean, 1.0) - 1.0
     return np.clip(_GREY_MEAN + _GREY_GAIN * ratio, 0.0, 255.0).astype(np.uint8)
 
@@ -165,11 +167,12 @@ def _track_points(
     cv2 = load_opencv()
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         template, picture, points.astype(np.float32).reshape(-1, 1, 2),
-        guess.astype(np.float32).reshape(-1, 1, 2).copy(), winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01), flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        guess.astype(np.float32).reshape(-1, 1, 2).copy(), winSize=(_TRACKING_WINDOW_PX, _TRACKING_WINDOW_PX),
+        maxLevel=_PYRAMID_LEVEL_COUNT, criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
     there = there.reshape(-1, 2).astype(np.float64)
     high, wide = picture.shape
-    half = _WINDOW_PX // 2
+    half = _TRACKING_WINDOW_PX // 2
     inside = (there > half).all(axis=1) & (there[:, 0] < wide - half) & (there[:, 1] < high - half)
     return there, (found.reshape(-1) > 0) & inside

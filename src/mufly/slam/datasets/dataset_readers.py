@@ -439,20 +439,20 @@ def _telemetry_from_recording(file: Path) -> tuple[_Array, _Array | None]:
     """
     ds = read_log(file)
 
-    def first_known_signal(what: str, *whose: str) -> _Array | None:
+    def first_recorded_signal(what: str, *whose: str) -> _Array | None:
         there = (ds[f"{who}_{what}"].values.astype(np.float64) for who in whose if f"{who}_{what}" in ds)
         return next((values for values in there if np.isfinite(values).any()), None)
 
     who = ("estimated", "measured", "truth")
-    attitude, position = first_known_signal("attitude", *who), first_known_signal("position", *who)
+    attitude, position = first_recorded_signal("attitude", *who), first_recorded_signal("position", *who)
     if attitude is None or position is None:
         what = "attitude" if attitude is None else "position"
         raise InputError(str(file), what, "is missing", "give a recording with it, or leave out --telemetry")
     n = len(attitude)
-    rates, rotors = first_known_signal("rates", *who), first_known_signal("rotor_speed", "measured", "truth")
+    rates, rotors = first_recorded_signal("rates", *who), first_recorded_signal("rotor_speed", "measured", "truth")
     tilt, height = (
-        first_known_signal("attitude_sigma", "estimated"),
-        first_known_signal("position_sigma", "estimated"),
+        first_recorded_signal("attitude_sigma", "estimated"),
+        first_recorded_signal("position_sigma", "estimated"),
     )
     rows = np.column_stack([
         ds["time"].values, attitude[:, :2], np.maximum(0.02, -position[:, 2]),
@@ -465,13 +465,13 @@ def _telemetry_from_recording(file: Path) -> tuple[_Array, _Array | None]:
         good = np.isfinite(rows[:, k])
         rows[:, k] = np.interp(rows[:, 0], rows[good, 0], rows[good, k]) if good.any() else 0.0
     velocity, known = (
-        first_known_signal("velocity", *who),
+        first_recorded_signal("velocity", *who),
         np.isfinite(attitude[:, 2]) & np.isfinite(position).all(axis=1),
     )
     if velocity is None or not known.any():
         return rows, None
     known &= np.isfinite(velocity).all(axis=1)
-    speed = first_known_signal("velocity_sigma", "estimated")
+    speed = first_recorded_signal("velocity_sigma", "estimated")
     motion = np.column_stack([
         velocity, np.full(n, 0.05) if speed is None else np.maximum(0.01, speed[:, :2].max(axis=1)), position[:, :2],
         np.zeros(n), np.full(n, _PLACE_SIGMA_M) if height is None else np.maximum(0.01, height[:, :2].max(axis=1)),

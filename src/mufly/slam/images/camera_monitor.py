@@ -6,7 +6,7 @@ r"""Checks of a camera against gyroscopes and attitude: frozen pictures, clock, 
 
 in pixels per second; v is its velocity. A helicopter accelerates as it tilts, v' = g (-theta, phi) in the axes of its
 heading, so attitude alone gives v up to a constant. Slow parts are removed from both sides by the same high pass
-(:data:`_HIGH_PASS_S`), since biases, drag and wind are slow. With p and the measured motion y as complex numbers
+(:data:`_MOTION_HIGH_PASS_S`), since biases, drag and wind are slow. With p and the measured motion y as complex numbers
 (picture x + i y), a camera that differs from its file shows
 
     y = m p + n conj(p) + k p',        p' the derivative of p.
@@ -20,11 +20,11 @@ heading, so attitude alone gives v up to a constant. Slow parts are removed from
 | pictures late by t | 1 | 0 | -t |
 
 A vehicle with still rotors is carried by hand: p is then the rotation alone, and the residuals contain the way.
-Recursive least squares with exponential forgetting (:data:`_MEMORY_S`) gives m, n, k and their covariance from the
+Recursive least squares with exponential forgetting (:data:`_FIT_MEMORY_S`) gives m, n, k and their covariance from the
 residuals (Ljung, *System Identification*, 1999, Sec. 11.2), times (1 + r) / (1 - r) by hand, for residuals with the
 correlation r from picture to picture. A fault is reported if a steady estimate deviates by
-:data:`_MIN_SIGMAS` standard deviations and by a least amount. A second estimate forgets within
-:data:`_QUICK_MEMORY_S`, so that an opposite motion is also found soon after a time without fault. Pictures that are
+:data:`_MIN_FAULT_SIGMAS` standard deviations and by a least amount. A second estimate forgets within
+:data:`_GROSS_FIT_MEMORY_S`, so that an opposite motion is also found soon after a time without fault. Pictures that are
 flipped along x or y or both have y = -conj(p), conj(p) or -p. These have no unknown number, so a sequential test of
 each axis against y = p finds them first (Wald, *Sequential Analysis*, 1947). Own derivation.
 
@@ -61,13 +61,15 @@ from mufly.slam.images.direct_alignment import add_point_errors
 from mufly.slam.images.patch_information import measure_patches, remove_background
 
 _Array = NDArray[np.float64]
-_HIGH_PASS_S, _MEMORY_S, _QUICK_MEMORY_S, _VELOCITY_DECAY_S = 0.4, 6.0, 1.2, 4.0
-_MIN_SIGMAS, _MIN_FRAMES, _MIN_GROSS_FRAMES = 5.0, 40, 12
-_MIN_TURN_RAD, _MIN_SCALE, _MIN_DELAY_S = math.radians(7.0), 0.1, 0.03
+_MOTION_HIGH_PASS_S, _FIT_MEMORY_S, _GROSS_FIT_MEMORY_S, _VELOCITY_DECAY_S = 0.4, 6.0, 1.2, 4.0
+_MIN_FAULT_SIGMAS, _MIN_FAULT_FRAMES, _MIN_GROSS_FRAMES = 5.0, 40, 12
+_MIN_TURN_ERROR_RAD, _MIN_FOCAL_ERROR_SHARE, _MIN_DELAY_ERROR_S = math.radians(7.0), 0.1, 0.03
 """Least errors of turn, focal length (share) and delay that are reported."""
-_LEAST_SCALE = 0.5  # below which no focal length is wrong, but the estimate passes from 1 to that of a flip
-_FROZEN_COUNT, _STOPPED_COUNT = 4, 4
-_CONFIRM_COUNT, _GROSS_CONFIRM_COUNT, _HOLD_S = 10, 6, 10.0
+_MIN_PLAUSIBLE_FOCAL_SCALE = (
+    0.5  # below which no focal length is wrong, but the estimate passes from 1 to that of a flip
+)
+_FROZEN_PICTURE_COUNT, _STOPPED_CLOCK_COUNT = 4, 4
+_FAULT_CONFIRM_COUNT, _GROSS_FAULT_CONFIRM_COUNT, _FAULT_REPORT_HOLD_S = 10, 6, 10.0
 """Consecutive pictures that confirm a fault, and a gross fault; time for which a fault is reported after it was last
 seen (s)."""
 _BACKGROUND_PX = 25  # side of the mean that is subtracted, at half the resolution
@@ -82,21 +84,23 @@ _DIRT_PATH_PX = 16.0  # smoothing of the surroundings along the path (reduced pi
 _DIRT_SIGMAS, _DIRT_STILLNESS, _MIN_DIRT_GREY, _MAX_DIRT_SHARE, _DIRT_MARGIN_PX = 5.0, 0.5, 10.0, 0.25, 12
 _MIN_CONTRAST = 2.0
 """Standard deviation of grey levels below which equal pictures are dark, not frozen."""
-_GROSS_SIGMAS = 3.0
-_MAX_CORRELATION = 0.95  # of neighbouring residuals
-_FLIP_SIGMA_PX_S, _MAX_FLIP_STEP, _FLIP_LIMIT = 15.0, 3.0, 15.0
+_GROSS_FAULT_SIGMAS = 3.0
+_MAX_RESIDUAL_CORRELATION = 0.95  # of neighbouring residuals
+_FLIP_SIGMA_PX_S, _MAX_FLIP_LOG_LIKELIHOOD_STEP, _FLIP_LOG_LIKELIHOOD_LIMIT = 15.0, 3.0, 15.0
 """Usual residual of the motion along an axis (pixels/s), and the largest step and the limit of the logarithm of the
 likelihood ratio between a flipped and a correct axis."""
-_CARRIED_SIGMA_PX_S = 60.0
+_HAND_CARRIED_FLIP_SIGMA_PX_S = 60.0
 """The same by hand, where the place moves by an unknown velocity."""
-_FLIP_MEMORY_S, _FLIP_SHARE = 0.5, 0.25
+_FLIP_MEMORY_S, _MAX_FLIP_RESIDUAL_SHARE = 0.5, 0.25
 """Memory of the residuals (s), and largest share of the motion that a flip leaves; other faults leave more."""
 _MAX_STEADY_CHANGE_SHARE, _MAX_STEADY_CHANGE = 0.3, 0.05
 """Largest change of a steady estimate over the confirming pictures: share of its deviation, and absolute."""
-_MIRRORED = "the picture moves mirrored against the gyroscopes: check the camera's driver"
-_MIN_POINTS, _WINDOW_PX, _MIN_CORRELATION, _STRONG_CORRELATION = 24, 21, 0.5, 0.85
-_UPSIDE_DOWN = "the camera is upside down against the gyroscopes: check mount.turn"
-_WOBBLE_PX = 1.0  # deviation of a patch by vibration in a rolling shutter (pixels of half the resolution)
+_MIRRORED_MESSAGE = "the picture moves mirrored against the gyroscopes: check the camera's driver"
+_MIN_CORRELATED_POINTS, _CORRELATION_WINDOW_PX, _MIN_CORRELATION, _MIN_STRONG_CORRELATION = 24, 21, 0.5, 0.85
+_UPSIDE_DOWN_MESSAGE = "the camera is upside down against the gyroscopes: check mount.turn"
+_ROLLING_SHUTTER_SHIFT_SIGMA_PX = (
+    1.0  # deviation of a patch by vibration in a rolling shutter (pixels of half the resolution)
+)
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ class CameraVerdict:
     message: str = ""
 
 
-_HEALTHY = CameraVerdict()
+_HEALTHY_VERDICT = CameraVerdict()
 
 
 class CameraMonitor:
@@ -138,11 +142,11 @@ class CameraMonitor:
         self._last_level_velocity = np.zeros(2)
         self._slow = np.zeros(2, complex)  # slow parts of y and p
         self._past: list[tuple[complex, complex]] = []  # y and p at the latest pictures, high-passed
-        self._fit, self._quick_fit = MotionFit(_MEMORY_S), MotionFit(_QUICK_MEMORY_S)
+        self._fit, self._quick_fit = MotionFit(_FIT_MEMORY_S), MotionFit(_GROSS_FIT_MEMORY_S)
         self._flips = FlipTest()
-        self._latest: deque[NDArray[np.complex128]] = deque(maxlen=_CONFIRM_COUNT)  # estimates
-        self._candidate, self._candidate_count = _HEALTHY, 0
-        self._verdict, self._held_until_s = _HEALTHY, -math.inf
+        self._latest: deque[NDArray[np.complex128]] = deque(maxlen=_FAULT_CONFIRM_COUNT)  # estimates
+        self._candidate, self._candidate_count = _HEALTHY_VERDICT, 0
+        self._verdict, self._held_until_s = _HEALTHY_VERDICT, -math.inf
         self._tilt, self._tilt_weight, self._tilt_time_s = np.zeros(2), 0.0, math.nan
         self._tilt_verdict, self._tilt_held_until_s = _HEALTHY, -math.inf
         self._dirt = DirtMask()
@@ -160,8 +164,8 @@ class CameraMonitor:
     def check_stamp(self, time_s: float, last_time_s: float) -> CameraVerdict:
         """Return the verdict on the time of a picture."""
         self._stopped_count = self._stopped_count + 1 if time_s <= last_time_s else 0
-        if self._stopped_count < _STOPPED_COUNT:
-            return _HEALTHY
+        if self._stopped_count < _STOPPED_CLOCK_COUNT:
+            return _HEALTHY_VERDICT
         return CameraVerdict("clock", f"the times of the pictures do not advance (at {time_s:.3f} s)")
 
     def is_copy(self, picture: NDArray[np.uint8]) -> bool:
@@ -171,7 +175,7 @@ class CameraMonitor:
             before is not None
             and float(self._camera.quality.noise) > 0.0
             and np.array_equal(before, picture)
-            and float(picture[::4, ::4].std()) > _MIN_CONTRAST
+            and float(picture[::4, ::4].std()) > _MIN_LIT_GREY_STD
         )
         self._equal_count = self._equal_count + 1 if equal else 0
         return equal
@@ -179,8 +183,8 @@ class CameraMonitor:
     @property
     def frozen_verdict(self) -> CameraVerdict:
         """The verdict on copies."""
-        if self._equal_count < _FROZEN_COUNT:
-            return _HEALTHY
+        if self._equal_count < _FROZEN_PICTURE_COUNT:
+            return _HEALTHY_VERDICT
         return CameraVerdict("frozen", "the pictures are frozen: they are identical")
 
     @property
@@ -205,11 +209,11 @@ class CameraMonitor:
         """Update by the tilt error (2,) that tracking estimates, with the filter's standard deviation (rad)."""
         dt = time_s - self._tilt_time_s if self._tilt_time_s < time_s else 0.0
         self._tilt_time_s = time_s
-        keep = math.exp(-dt / _TILT_AVERAGE_S)
+        keep = math.exp(-dt / _MOUNT_TILT_AVERAGE_S)
         self._tilt = keep * self._tilt + (1.0 - keep) * tilt_error_rad
         self._tilt_weight = keep * self._tilt_weight + 1.0 - keep
         size = math.hypot(*self._tilt) / max(self._tilt_weight, 1e-9)
-        if self._tilt_weight > 0.7 and size > max(_MIN_TILT_RAD, _TILT_SIGMAS * sigma_rad):
+        if self._tilt_weight > 0.7 and size > max(_MIN_MOUNT_TILT_FAULT_RAD, _MOUNT_TILT_FAULT_SIGMAS * sigma_rad):
             message = f"the floor is seen {math.degrees(size):.1f} degrees off the attitude: check the camera's mount"
             verdict, until_s = CameraVerdict("tilted", message), time_s + _HOLD_S
             if size > _MAX_USABLE_TILT_RAD:
@@ -229,7 +233,10 @@ class CameraMonitor:
         velocity = self._last_level_velocity
         self._advance_velocity(last.vehicle_estimate, frame.vehicle_estimate, min(dt, 0.5))
         moved = None
-        if 0.0 < dt < 1.6 * float(self._camera.sensor.period) and frame.vehicle_estimate.height_m > _MIN_HEIGHT_M:
+        if (
+            0.0 < dt < 1.6 * float(self._camera.sensor.period)
+            and frame.vehicle_estimate.height_m > _MIN_CHECKED_HEIGHT_M
+        ):
             moved = measure_shift(before, small, self._smooth, self._dirt.wide_mask)
         if moved is None:
             self._past = []
@@ -253,13 +260,13 @@ class CameraMonitor:
             driven = bool(frame.vehicle_estimate.rotor_speed.any())
             for fit in (self._fit, self._quick_fit):
                 fit.add_picture(dt, row, y)
-            self._flips.add_picture(dt, p, y, _FLIP_SIGMA_PX_S if driven else _CARRIED_SIGMA_PX_S)
+            self._flips.add_picture(dt, p, y, _FLIP_SIGMA_PX_S if driven else _HAND_CARRIED_FLIP_SIGMA_PX_S)
             self._latest.append(self.estimate[:2].copy())
-            self._confirm(frame.time_s)
+            self._confirm_fault(frame.time_s)
 
-    def _confirm(self, time_s: float) -> None:
+    def _confirm_fault(self, time_s: float) -> None:
         """Report a fault that several pictures in a row show."""
-        is_known = self._fit.weight > _MIN_FRAMES
+        is_known = self._fit.weight > _MIN_FAULT_FRAMES
         flip = found = self._flips.judge_flips()
         if not found.fault:
             found = judge_gross_motion(self._quick_fit.estimate, self._quick_fit.sigma)
@@ -269,11 +276,11 @@ class CameraMonitor:
             found = judge_gross_motion(self.estimate, self.sigma)
         self._candidate_count = self._candidate_count + 1 if found.fault == self._candidate.fault else 1
         self._candidate = found
-        needed = 1 if flip.fault else _CONFIRM_COUNT if is_known else _GROSS_CONFIRM_COUNT
+        needed = 1 if flip.fault else _FAULT_CONFIRM_COUNT if is_known else _GROSS_FAULT_CONFIRM_COUNT
         if found.fault and self._candidate_count >= needed:
             if time_s > self._held_until_s or self._verdict.fault != found.fault:
                 self._verdict = found
-            self._held_until_s = time_s + _HOLD_S
+            self._held_until_s = time_s + _FAULT_REPORT_HOLD_S
 
     @property
     def _is_steady(self) -> bool:
@@ -305,7 +312,7 @@ class CameraMonitor:
         return self._focal_px * complex(flow[0], flow[1])
 
 
-def advance_slow_part(
+def low_pass_motion(
     slow: NDArray[np.complex128], motion: NDArray[np.complex128], dt: float, yaw_rate_rad_s: float
 ) -> NDArray[np.complex128]:
     """Return the slow part of motions in the picture, ``dt`` (s) later.
@@ -313,7 +320,7 @@ def advance_slow_part(
     A velocity that is steady in N-E axes, as in a steady wind, rotates in the picture when the vehicle yaws. The slow
     part is rotated in the same way, so that yawing does not count as motion.
     """
-    keep = math.exp(-dt / _HIGH_PASS_S)
+    keep = math.exp(-dt / _MOTION_HIGH_PASS_S)
     turned: NDArray[np.complex128] = keep * cmath.exp(-1j * yaw_rate_rad_s * dt) * slow + (1.0 - keep) * motion
     return turned
 
@@ -322,7 +329,9 @@ class FlipTest:
     """Sequential test of pictures that are flipped along x, along y or along both, against correct ones."""
 
     def __init__(self) -> None:
-        self._ratio = np.full(2, -_FLIP_LIMIT)  # logarithm of the likelihood ratio, flipped over correct; x, y
+        self._ratio = np.full(
+            2, -_FLIP_LOG_LIKELIHOOD_LIMIT
+        )  # logarithm of the likelihood ratio, flipped over correct; x, y
         self._squares = np.zeros((2, 2))  # of the residuals, by flips along x and y
         self._motion_square = 0.0
 
@@ -333,8 +342,8 @@ class FlipTest:
         """
         p, y = np.array([predicted.real, predicted.imag]), np.array([measured.real, measured.imag])
         # (y + p)^2 - (y - p)^2 = 4 p y; halved again, since the errors of successive pictures are alike
-        step = np.clip(-p * y / sigma**2, -_MAX_FLIP_STEP, _MAX_FLIP_STEP)
-        self._ratio = np.clip(self._ratio + step, -_FLIP_LIMIT, 1.2 * _FLIP_LIMIT)
+        step = np.clip(-p * y / sigma**2, -_MAX_FLIP_LOG_LIKELIHOOD_STEP, _MAX_FLIP_LOG_LIKELIHOOD_STEP)
+        self._ratio = np.clip(self._ratio + step, -_FLIP_LOG_LIKELIHOOD_LIMIT, 1.2 * _FLIP_LOG_LIKELIHOOD_LIMIT)
         keep = math.exp(-dt / _FLIP_MEMORY_S)
         (x0, y0), (x1, y1) = (y - p) ** 2, (y + p) ** 2
         self._squares = keep * self._squares + np.array([[x0 + y0, x0 + y1], [x1 + y0, x1 + y1]])
@@ -342,12 +351,16 @@ class FlipTest:
 
     def judge_flips(self) -> CameraVerdict:
         """Return the verdict on flipped pictures."""
-        flipped = self._ratio > _FLIP_LIMIT
-        if not flipped.any() or not (flipped | (self._ratio < -0.5 * _FLIP_LIMIT)).all():
-            return _HEALTHY
-        if self._squares[int(flipped[0]), int(flipped[1])] > _FLIP_SHARE * self._motion_square:
-            return _HEALTHY
-        return CameraVerdict("turned", _UPSIDE_DOWN) if flipped.all() else CameraVerdict("mirrored", _MIRRORED)
+        flipped = self._ratio > _FLIP_LOG_LIKELIHOOD_LIMIT
+        if not flipped.any() or not (flipped | (self._ratio < -0.5 * _FLIP_LOG_LIKELIHOOD_LIMIT)).all():
+            return _HEALTHY_VERDICT
+        if self._squares[int(flipped[0]), int(flipped[1])] > _MAX_FLIP_RESIDUAL_SHARE * self._motion_square:
+            return _HEALTHY_VERDICT
+        return (
+            CameraVerdict("turned", _UPSIDE_DOWN_MESSAGE)
+            if flipped.all()
+            else CameraVerdict("mirrored", _MIRRORED_MESSAGE)
+        )
 
 
 class MotionFit:
@@ -395,7 +408,7 @@ class MotionFit:
             return
         inverse = np.linalg.inv(self._normal + 1e-6 * np.eye(3))
         self.estimate = inverse @ self._right
-        rho = min(max(self._lagged / max(self._square, 1e-9), 0.0), _MAX_CORRELATION)
+        rho = min(max(self._lagged / max(self._square, 1e-9), 0.0), _MAX_RESIDUAL_CORRELATION)
         alike = (1.0 + rho) / (1.0 - rho)
         self.sigma = np.sqrt(np.abs(np.diag(inverse)) * alike * self._square / max(self.weight - 3.0, 1.0) / 2.0)
 
@@ -403,35 +416,37 @@ class MotionFit:
 def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdict:
     """Return the verdict on a picture that moves against the gyroscopes, for which few pictures suffice."""
     m, n, _ = estimate
-    if abs(n) > 0.5 + _GROSS_SIGMAS * sigma[1] and abs(n) > abs(m) + _GROSS_SIGMAS * sigma[0]:
-        return CameraVerdict("mirrored", _MIRRORED)
-    if m.real < -0.3 - _GROSS_SIGMAS * sigma[0]:
-        return CameraVerdict("turned", _UPSIDE_DOWN)
-    return _HEALTHY
+    if abs(n) > 0.5 + _GROSS_FAULT_SIGMAS * sigma[1] and abs(n) > abs(m) + _GROSS_FAULT_SIGMAS * sigma[0]:
+        return CameraVerdict("mirrored", _MIRRORED_MESSAGE)
+    if m.real < -0.3 - _GROSS_FAULT_SIGMAS * sigma[0]:
+        return CameraVerdict("turned", _UPSIDE_DOWN_MESSAGE)
+    return _HEALTHY_VERDICT
 
 
 def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdict:
     """Return the verdict on m, n, k and their standard deviations along one axis."""
     m, n, k = estimate
     if max(sigma[0], sigma[1]) > 0.2:
-        return _HEALTHY
+        return _HEALTHY_VERDICT
     if abs(n) > 0.5 and abs(n) > 1.5 * abs(m):
-        return CameraVerdict("mirrored", _MIRRORED)
+        return CameraVerdict("mirrored", _MIRRORED_MESSAGE)
     turn, scale, s = cmath.phase(m), abs(m), sigma[0]
-    if abs(turn) > max(_MIN_TURN_RAD, _MIN_SIGMAS * s / max(scale, 0.2)) and scale > 0.4:
+    if abs(turn) > max(_MIN_TURN_ERROR_RAD, _MIN_FAULT_SIGMAS * s / max(scale, 0.2)) and scale > 0.4:
         how = "upside down" if abs(turn) > math.radians(150.0) else f"turned by {math.degrees(turn):.0f} degrees"
         return CameraVerdict("turned", f"the camera is {how} against the gyroscopes: check mount.turn")
     delay = -(k / m).real if scale > 0.4 else 0.0
-    if abs(delay) > max(_MIN_DELAY_S, _MIN_SIGMAS * sigma[2] / max(scale, 0.2)):
+    if abs(delay) > max(_MIN_DELAY_ERROR_S, _MIN_FAULT_SIGMAS * sigma[2] / max(scale, 0.2)):
         return CameraVerdict("delay", f"the pictures are {1e3 * delay:.0f} ms late against the gyroscopes")
     # Stripes hold back the motion along them: n is then as large as the deviation of m.
-    if scale > _LEAST_SCALE and abs(scale - 1.0) > max(_MIN_SCALE, _MIN_SIGMAS * s, 2.0 * abs(n)):
+    if scale > _MIN_PLAUSIBLE_FOCAL_SCALE and abs(scale - 1.0) > max(
+        _MIN_FOCAL_ERROR_SHARE, _MIN_FAULT_SIGMAS * s, 2.0 * abs(n)
+    ):
         or_dirt = " and the lens for dirt" if scale < 1.0 else ""
         return CameraVerdict(
             "focal length",
             f"the picture moves {scale:.2f} times as far as the gyroscopes: check the focal length{or_dirt}",
         )
-    return _HEALTHY
+    return _HEALTHY_VERDICT
 
 
 class DirtMask:
@@ -466,13 +481,13 @@ class DirtMask:
         cv2 = load_opencv()
         high, wide = picture.shape
         small = cv2.resize(
-            picture, (wide // _DIRT_REDUCTION, high // _DIRT_REDUCTION), interpolation=cv2.INTER_AREA
+            picture, (wide // _DIRT_PICTURE_REDUCTION, high // _DIRT_PICTURE_REDUCTION), interpolation=cv2.INTER_AREA
         ).astype(np.float32)
         small -= cv2.GaussianBlur(small, (0, 0), _DIRT_BACKGROUND_PX)
         self._pictures.append(small)
         self._places.append(0j)
         count = len(self._pictures)
-        if count < _DIRT_MIN_COUNT:
+        if count < _DIRT_MIN_PICTURES:
             return
         mean, variance = np.mean(self._pictures, axis=0), np.var(self._pictures, axis=0, ddof=1)
         usual = math.sqrt(float(np.median(variance)))
@@ -486,7 +501,7 @@ class DirtMask:
             whole = cv2.resize(dirty, (wide, high), interpolation=cv2.INTER_NEAREST)
             self.mask, self.wide_mask = (
                 cv2.dilate(whole, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))
-                for margin in (_DIRT_MARGIN_PX, _DIRT_MARGIN_PX + _WINDOW_PX)
+                for margin in (_DIRT_MARGIN_PX, _DIRT_MARGIN_PX + _CORRELATION_WINDOW_PX)
             )
 
     def _path_kernel(self) -> _Array:
@@ -508,8 +523,8 @@ def measure_shift(
     """Return the motion of the middle between two pictures (pixels); None if a direction shows no texture.
 
     Points are tracked, and a shift, a rotation and a scale are fitted to them. Noise draws tracks to no motion, so on
-    a floor whose patches correlate less than :data:`_STRONG_CORRELATION` all patches are then aligned together, with
-    the information of :mod:`mufly.slam.images.patch_information`.
+    a floor whose patches correlate less than :data:`_MIN_STRONG_CORRELATION` all patches are then aligned together,
+    with the information of :mod:`mufly.slam.images.patch_information`.
 
     Parameters
     ----------
@@ -526,17 +541,18 @@ def measure_shift(
     points = np.column_stack([x.ravel(), y.ravel()])
     if dirt is not None:
         points = points[~is_in_mask(dirt, 2.0 * points)]
-        if len(points) < _MIN_POINTS:
+        if len(points) < _MIN_CORRELATED_POINTS:
             return None
     there, found, _ = cv2.calcOpticalFlowPyrLK(
-        before, now, points.astype(np.float32).reshape(-1, 1, 2), None, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=2,
+        before, now, points.astype(np.float32).reshape(-1, 1, 2), None,
+        winSize=(_CORRELATION_WINDOW_PX, _CORRELATION_WINDOW_PX), maxLevel=2,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.02),
     )  # fmt: skip
     there = there.reshape(-1, 2).astype(np.float64)
     correlation, sigma = np.zeros(len(points)), np.full(len(points), 1e3)
     correlate_patches(before, now, points, there, found.reshape(-1), smooth, correlation, sigma)
     good = correlation > _MIN_CORRELATION
-    if good.sum() < _MIN_POINTS // 2:
+    if good.sum() < _MIN_CORRELATED_POINTS // 2:
         return None
     cx, cy = (points - [0.5 * (wide - 1), 0.5 * (high - 1)]).T
     one, none = np.ones(len(points)), np.zeros(len(points))
@@ -546,11 +562,11 @@ def measure_shift(
         fit = np.linalg.lstsq(jacobian[use].reshape(-1, 4), (there - points)[use].ravel(), rcond=None)[0]
         off = np.hypot(*(there - points - jacobian @ fit).T)
         use = good & (off < max(0.5, 2.5 * float(np.median(off[good]))))
-    if use.sum() < _MIN_POINTS // 2:
+    if use.sum() < _MIN_CORRELATED_POINTS // 2:
         return None
-    if float(correlation[good].mean()) > _STRONG_CORRELATION:
+    if float(correlation[good].mean()) > _MIN_STRONG_CORRELATION:
         return complex(fit[0], fit[1])
-    flat = remove_background(before, _BACKGROUND_PX), remove_background(now, _BACKGROUND_PX)
+    flat = remove_background(before, _LOCAL_MEAN_SIDE_PX), remove_background(now, _LOCAL_MEAN_SIDE_PX)
     coarse = (cv2.pyrDown(flat[0]), cv2.pyrDown(flat[1]), 0.5 * math.hypot(smooth, 1.0))
     level_axes, known = np.tile(np.eye(2), (len(points), 1, 1)), False
     for scale, half, (a, b, s) in ((2.0, 5, coarse), (1.0, 7, (*flat, smooth)), (1.0, 7, (*flat, smooth))):
@@ -563,7 +579,9 @@ def measure_shift(
         if not known:
             continue
         shift = moved + scale * patches.shift_px
-        information = add_point_errors(patches.information / scale**2, np.full(len(points), _WOBBLE_PX))
+        information = add_point_errors(
+            patches.information / scale**2, np.full(len(points), _ROLLING_SHUTTER_SHIFT_SIGMA_PX)
+        )
         for _ in range(2):
             off = shift - jacobian @ fit
             square = np.einsum("ni,nij,nj->n", off, information, off)

@@ -33,7 +33,7 @@ from mufly.slam.image_tools import load_opencv
 from mufly.slam.images.patch_information import PatchInformation, measure_patches
 
 _Array = NDArray[np.float64]
-_LEVELS = ((2, 5), (1, 7), (0, 10), (0, 10))
+_HALVINGS_AND_PATCH_HALF_SIZES = ((2, 5), (1, 7), (0, 10), (0, 10))
 """Number of halvings of the picture, and half the side of a patch (pixels), for each iteration."""
 
 
@@ -92,7 +92,9 @@ def add_point_errors(information: _Array, sigma_px: _Array) -> _Array:
     return np.asarray(0.5 * (out + np.swapaxes(out, 1, 2)))
 
 
-def floor_axes(view: ViewPrior, state: _Array, shakes: _Array, points: _Array, bend: _Array, seconds: _Array) -> _Array:
+def pixel_floor_jacobian(
+    view: ViewPrior, state: _Array, shakes: _Array, points: _Array, bend: _Array, seconds: _Array
+) -> _Array:
     """Return d pixel / d floor point (n, pixel axis, N/E), in units of focal length (pixels) over height (m).
 
     Arguments are those of :func:`mufly.slam.camera_pose.predict_pixels`.
@@ -111,7 +113,7 @@ def align_picture(
     points: FloorPoints,
     principal_point: _Array,
     smooth: float,
-    free_sigma: tuple[float, float],
+    unobserved_sigma: tuple[float, float],
     row_slope: float,
     caution: float,
 ) -> AlignedPicture | None:
@@ -129,7 +131,7 @@ def align_picture(
         Of the undistorted picture (pixels).
     smooth : float
         Smoothing of both pictures (pixels).
-    free_sigma : (2,) tuple
+    unobserved_sigma : (2,) tuple
         Standard deviations of the prediction along directions without texture (m), and of the heading then (rad).
     row_slope : float
         Rms slope of vertical lines by vibration.
@@ -138,14 +140,14 @@ def align_picture(
     """
     cv2 = load_opencv()
     pyramid = [(template, picture, smooth)]
-    for _ in range(_LEVELS[0][0]):
+    for _ in range(_HALVINGS_AND_PATCH_HALF_SIZES[0][0]):
         t, p, s = pyramid[-1]
         pyramid.append((cv2.pyrDown(t), cv2.pyrDown(p), 0.5 * math.hypot(s, 1.0)))
     seconds, out = points.exposure_offsets_s, None
     begin = np.concatenate([start, view.tilt_error_rad, np.zeros(2)])
     seen = view.shake_amplitudes_px, points.positions_m, points.tilt_jacobian, seconds
-    expected, axes = principal_point + predict_pixels(view, begin, *seen), floor_axes(view, begin, *seen)
-    for level, half in _LEVELS:
+    expected, axes = principal_point + predict_pixels(view, begin, *seen), pixel_floor_jacobian(view, begin, *seen)
+    for level, half in _HALVINGS_AND_PATCH_HALF_SIZES:
         t, p, s = pyramid[level]
         scale = 2.0**level
         middle = 0.5 * (scale - 1.0)  # of a coarse pixel, in fine ones
@@ -162,7 +164,7 @@ def align_picture(
         unknown = patches.directions[~patches.known]
         pose = solve_pose(
             view, start, points.positions_m, points.tilt_jacobian, points.tilt_covariance, pixels - principal_point,
-            seconds, information, _prediction_information(unknown, free_sigma),
+            seconds, information, _prediction_information(unknown, unobserved_sigma),
         )  # fmt: skip
         expected = pixels - pose.pixel_residuals
         out = AlignedPicture(pose, pixels, information, patches, unknown)

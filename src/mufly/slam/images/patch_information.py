@@ -19,8 +19,8 @@ look like texture. The cross tensor contains the floor alone, since the noise of
 where P are the powers of both gradients along v in a patch of n pixels (floor and noise). The area c, over which
 products of noise gradients are correlated, is the integral of the squared autocorrelation of a smoothed gradient.
 Vibration bends stripes in a rolling shutter: by a random slope e of the rows (rms), different in both pictures. So
-stripes across v with the sum S' add e^2 S' / 2 to S. A direction has information if S exceeds :data:`MIN_SIGNIFICANCE`
-F + 2 e^2 S'.
+stripes across v with the sum S' add e^2 S' / 2 to S. A direction has information if S exceeds
+:data:`MIN_TEXTURE_SIGNIFICANCE` F + 2 e^2 S'.
 Along all other directions the negative part of every tensor is removed, and all tensors are scaled so that their sum
 remains S. Own derivation.
 """
@@ -37,11 +37,11 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.slam.image_tools import load_opencv
 
 _Array = NDArray[np.float64]
-MIN_SIGNIFICANCE = 4.0
+MIN_TEXTURE_SIGNIFICANCE = 4.0
 """Least ratio of the texture along a direction to the scatter of noise, for the direction to count as seen."""
-_BENT_SHARE = 2.0
+_BENDING_ERROR_FACTOR = 2.0
 """Factor on e^2 S', above."""
-_BACKGROUND_PX = 31  # side of the mean that is subtracted: vignette and shadows move with the camera
+_LOCAL_MEAN_SIDE_PX = 31  # side of the mean that is subtracted: vignette and shadows move with the camera
 (
     GRADIENT_XX,
     GRADIENT_XY,
@@ -54,10 +54,10 @@ _BACKGROUND_PX = 31  # side of the mean that is subtracted: vignette and shadows
     PICTURE_GRADIENT_XX,
     PICTURE_GRADIENT_XY,
     PICTURE_GRADIENT_YY,
-    VARIANCE,
+    GREY_VARIANCE,
 ) = range(12)
 """Columns of a patch's sums: G, b, both pictures' own tensors, and mean square difference."""
-PATCH_SUMS = 12
+PATCH_SUM_COUNT = 12
 
 
 class PatchInformation(NamedTuple):
@@ -90,7 +90,7 @@ class PatchInformation(NamedTuple):
         return self.significance > 1.0
 
 
-def remove_background(picture: NDArray[np.uint8], side: int = _BACKGROUND_PX) -> NDArray[np.float32]:
+def remove_background(picture: NDArray[np.uint8], side: int = _LOCAL_MEAN_SIDE_PX) -> NDArray[np.float32]:
     """Return a picture as floats without its local mean over ``side`` pixels."""
     cv2 = load_opencv()
     mean = cv2.blur(picture, (side, side))
@@ -125,7 +125,7 @@ def measure_patches(
     caution : float
         Factor on the least S; above one if the shift is poorly known, because chance then finds a false match.
     """
-    sums = np.zeros((len(points), PATCH_SUMS))
+    sums = np.zeros((len(points), PATCH_SUM_COUNT))
     _sum_patches(template, picture, np.ascontiguousarray(points), np.ascontiguousarray(there), half, sums)
     return weigh_patches(sums, smooth, axes, (2 * half - 1) ** 2, row_slope, caution)
 
@@ -148,11 +148,13 @@ def weigh_patches(
     """
     smooth = max(smooth, 0.3)
     side = math.sqrt(pixels)
-    v = max(1.0, 2.0 * math.sqrt(math.pi) * smooth - 4.0 * smooth**2 / side) ** 2 * np.maximum(sums[:, VARIANCE], 1e-6)
+    v = max(1.0, 2.0 * math.sqrt(math.pi) * smooth - 4.0 * smooth**2 / side) ** 2 * np.maximum(
+        sums[:, GREY_VARIANCE], 1e-6
+    )
     # Over the floor, where a direction without texture is the same for all patches
     across = np.swapaxes(axes, 1, 2)
     own, template, picture = (
-        across @ (_tensors(sums, at) / v[:, None, None]) @ axes
+        across @ (_tensors_from_sums(sums, at) / v[:, None, None]) @ axes
         for at in (GRADIENT_XX, TEMPLATE_GRADIENT_XX, PICTURE_GRADIENT_XX)
     )
     pull = np.einsum("nji,nj->ni", axes, sums[:, [SHIFT_X, SHIFT_Y]] / v[:, None])
@@ -162,7 +164,7 @@ def weigh_patches(
     strength, along = np.einsum("nkk->k", own), np.einsum("nkk->nk", own)
     power = np.einsum("nkk->nk", template) * np.einsum("nkk->nk", picture)
     scatter = np.sqrt(np.maximum(power - along**2, 0.0).sum(axis=0) * 1.5 * math.pi * smooth**2 / pixels)
-    least = MIN_SIGNIFICANCE * scatter + _BENT_SHARE * row_slope**2 * np.maximum(strength[::-1], 0.0)
+    least = MIN_TEXTURE_SIGNIFICANCE * scatter + _BENDING_ERROR_FACTOR * row_slope**2 * np.maximum(strength[::-1], 0.0)
     significance = strength / np.maximum(caution * least, 1e-12)
     known = significance > 1.0
     values, vectors = _split_tensors(own * np.outer(known, known))
@@ -171,9 +173,9 @@ def weigh_patches(
     kept = np.einsum("nij,nj,nkj->nik", vectors, values, vectors) * np.outer(scale, scale)
     values, vectors = _split_tensors(kept)
     with np.errstate(divide="ignore"):
-        inverse = np.where(values > _MIN_INFORMATION, 1.0 / values, 0.0)
+        inverse = np.where(values > _MIN_PATCH_INFORMATION_PER_PX2, 1.0 / values, 0.0)
         bound = np.where(known, 1.0 / np.sqrt(np.maximum(strength, 1e-12)), math.inf)
-    values = np.where(values > _MIN_INFORMATION, values, 0.0)
+    values = np.where(values > _MIN_PATCH_INFORMATION_PER_PX2, values, 0.0)
     kept = np.einsum("nij,nj,nkj->nik", vectors, values, vectors)
     shift = np.einsum("nij,nj,nkj,nk->ni", vectors, inverse, vectors, pull @ directions.T * known) @ directions
     back = np.linalg.inv(axes)
@@ -191,11 +193,11 @@ def _split_tensors(tensors: _Array) -> tuple[_Array, _Array]:
     return np.maximum(np.stack([mean + half, mean - half], axis=1), 0.0), vectors
 
 
-_MIN_INFORMATION = 1e-4
+_MIN_PATCH_INFORMATION_PER_PX2 = 1e-4
 """Least information of a patch along a direction (1/pixel^2): a deviation of 100 pixels."""
 
 
-def _tensors(sums: _Array, at: int) -> _Array:
+def _tensors_from_sums(sums: _Array, at: int) -> _Array:
     """Return the tensors (n, 2, 2) whose three numbers begin at a column."""
     return sums[:, [at, at + 1, at + 1, at + 2]].reshape(-1, 2, 2)
 
@@ -237,7 +239,7 @@ def _sum_patches(
             continue
         _sample_patch(template, x, y, half, a)
         _sample_patch(picture, u, v, half, b)
-        s = np.zeros(PATCH_SUMS)
+        s = np.zeros(PATCH_SUM_COUNT)
         sum_ax = sum_ay = sum_bx = sum_by = total = 0.0
         for r in range(1, n - 1):
             for c in range(1, n - 1):
@@ -255,7 +257,7 @@ def _sum_patches(
                 s[PICTURE_GRADIENT_XX] += bx * bx
                 s[PICTURE_GRADIENT_XY] += bx * by
                 s[PICTURE_GRADIENT_YY] += by * by
-                s[VARIANCE] += off * off
+                s[GREY_VARIANCE] += off * off
                 sum_ax += ax
                 sum_ay += ay
                 sum_bx += bx
@@ -274,5 +276,5 @@ def _sum_patches(
         s[PICTURE_GRADIENT_XX] -= one * sum_bx * sum_bx
         s[PICTURE_GRADIENT_XY] -= one * sum_bx * sum_by
         s[PICTURE_GRADIENT_YY] -= one * sum_by * sum_by
-        s[VARIANCE] = one * (s[VARIANCE] - one * total * total)
+        s[GREY_VARIANCE] = one * (s[GREY_VARIANCE] - one * total * total)
         sums[i] = s
