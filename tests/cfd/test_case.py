@@ -33,7 +33,7 @@ from mufly.cfd import (
     save_case,
     write_case,
 )
-from mufly.cfd.cfd_solution import read_field, scale_state, wake_load_ratios
+from mufly.cfd.cfd_solution import read_field, scale_solution_state, wake_load_ratios
 from mufly.cfd.initial_flow import vortex_ring_velocity
 from mufly.cfd.solver_process import list_complete_states, read_history
 from mufly.cli import app
@@ -379,7 +379,7 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
     assert read_history(faster)[0, 1] == pytest.approx(found.thrust_N * 1.4**2, rel=0.05)
     # Another pitch setting has the same cells in other places: its fluxes balance in each as they did.
     mesh_16 = make_poly_mesh(make_sector_mesh(rotor, math.radians(16), level="tiny"))
-    state, inside = scale_state(tmp_path, mesh_16, 1.0), len(mesh_16.neighbour)
+    state, inside = scale_solution_state(tmp_path, mesh_16, 1.0), len(mesh_16.neighbour)
     assert not np.allclose(mesh_16.points, mesh().points, atol=1e-4)
     assert np.array_equal(state["U"], read_field(tmp_path / "120" / "U", mesh_16.cell_count))
     flux = state["phi"]

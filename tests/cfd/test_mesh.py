@@ -20,7 +20,7 @@ from mufly.cfd import (
     write_poly_mesh,
 )
 from mufly.cfd.section_mesh import (
-    MIN_TAIL_THICKNESS,
+    MIN_TAIL_THICKNESS_CHORDS,
     SectionLayout,
     geometric_spacing,
     ring_contour,
@@ -89,7 +89,7 @@ def test_the_blade_is_one_closed_surface_around_the_right_volume(name: str) -> N
     unit = []
     for airfoil in sections.airfoil_names:
         p = load_airfoil(airfoil).coordinates
-        tail = max(0.0, MIN_TAIL_THICKNESS - float(np.linalg.norm(p[0] - p[-1])))
+        tail = max(0.0, MIN_TAIL_THICKNESS_CHORDS - float(np.linalg.norm(p[0] - p[-1])))
         a, b = p, np.roll(p, -1, axis=0)
         unit.append(0.5 * float(np.sum(a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1])) + 0.5 * tail)
     ratio = (1 - sections.second_weight) * np.array(unit)[sections.first_airfoil] + sections.second_weight * np.array(
@@ -236,9 +236,9 @@ def test_a_contour_keeps_to_its_airfoil_and_has_a_tail() -> None:
     assert len(loop) == 2 * (MESH_LEVELS["medium"].along + MESH_LEVELS["medium"].across)
     area = -0.5 * np.sum(loop[:, 0] * np.roll(loop[:, 1], -1) - np.roll(loop[:, 0], -1) * loop[:, 1])
     assert area == pytest.approx(
-        0.0817 + 0.5 * (MIN_TAIL_THICKNESS - 0.00252), rel=0.01
+        0.0817 + 0.5 * (MIN_TAIL_THICKNESS_CHORDS - 0.00252), rel=0.01
     )  # 0.685 t, and the tail opened
-    assert np.ptp(loop[loop[:, 0] > 0.9999, 1]) == pytest.approx(MIN_TAIL_THICKNESS, rel=1e-3)
+    assert np.ptp(loop[loop[:, 0] > 0.9999, 1]) == pytest.approx(MIN_TAIL_THICKNESS_CHORDS, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ from mufly.errors import InputError
 Array = NDArray[np.float64]
 MAX_TIP_SLOPE_RAD = math.radians(60.0)
 """Slope at which the edges of a round tip end (rad)."""
-_FADE_CHORDS, _UPRIGHT_BEND_RADII, _BACK_TURN_BEND_RADII = 5.0, 0.5, 2.0
+_TIP_FADE_CHORDS, _UPRIGHT_BEND_RADII, _BACK_TURN_BEND_RADII = 5.0, 0.5, 2.0
 """Chords above and below the blade over which displacements fade; bend radii over which sections turn upright; bend
 radii of the turn beyond the end."""
 _MAX_CANT_RAD = math.radians(70.0)
@@ -72,30 +72,32 @@ class BladeTip:
     curved: bool = False
 
     def __post_init__(self) -> None:
-        def refuse(key: str, remedy: str) -> None:
+        def raise_tip_error(key: str, remedy: str) -> None:
             raise InputError("tip", key, f"is {getattr(self, key):g}", remedy)
 
         if not 0.0 <= self.length <= 10.0:
-            refuse("length", "give 0 to 10 chords")
+            raise_tip_error("length", "give 0 to 10 chords")
         if not 0.15 <= self.taper <= 2.0:
-            refuse("taper", "give 0.15 to 2: a pointed tip cannot be meshed")
+            raise_tip_error("taper", "give 0.15 to 2: a pointed tip cannot be meshed")
         if not abs(self.cant_rad) <= _MAX_CANT_RAD:
-            refuse("cant_rad", f"give at most {_MAX_CANT_RAD:.3g} (70 degrees); a plate stands at 90")
+            raise_tip_error("cant_rad", f"give at most {_MAX_CANT_RAD:.3g} (70 degrees); a plate stands at 90")
         if self.cant_rad:
             if not 0.3 <= self.bend <= 3.0:
-                refuse("bend", "give 0.3 to 3 chords")
+                raise_tip_error("bend", "give 0.3 to 3 chords")
             turn = self.bend * (1.0 - math.cos(self.cant_rad))
             if not turn <= self.height <= 3.0:
-                refuse("height", f"give {turn:.3g} (what the turn takes) to 3 chords")
+                raise_tip_error("height", f"give {turn:.3g} (what the turn takes) to 3 chords")
         for key in ("plate_above", "plate_below"):
             if not (getattr(self, key) == 0.0 or 0.02 <= getattr(self, key) <= 0.35):
-                refuse(key, "give 0 or 0.02 to 0.35 chords: the mesh's ring holds no higher one")
+                raise_tip_error(key, "give 0 or 0.02 to 0.35 chords: the mesh's ring holds no higher one")
         if self.plate_above and self.plate_below and self.plate_above != self.plate_below:
-            refuse("plate_below", f"give {self.plate_above:g} as above, or 0")
+            raise_tip_error("plate_below", f"give {self.plate_above:g} as above, or 0")
         if self.length and not self.round:
             steepest = max(abs(self.aft - 0.25 * (1 - self.taper)), abs(self.aft + 0.75 * (self.taper - 1)))
             if steepest > 2.2 * self.length:
-                refuse("length", f"an edge would slope more than 65 degrees: give at least {steepest / 2.2:.2g}")
+                raise_tip_error(
+                    "length", f"an edge would slope more than 65 degrees: give at least {steepest / 2.2:.2g}"
+                )
 
 
 BLADE_TIPS: Mapping[str, BladeTip] = MappingProxyType(
@@ -274,7 +276,7 @@ def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord
     return BladeLine(y, aft * chord_m, up, cant, chord, bow)
 
 
-def smooth_fade(t: Array) -> Array:
+def cubic_fade(t: Array) -> Array:
     """Return a cubic that falls from 1 at 0 to 0 at 1, level at both ends."""
     u = np.clip(t, 0.0, 1.0)
     return (1.0 - u) ** 2 * (1.0 + 2.0 * u)
@@ -320,8 +322,8 @@ def place_sections(
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     q, n = c * x - s * z, s * x + c * z  # along the chord, and above it
     near = 1.5 * chord_m
-    keep = smooth_fade((np.abs(x) - near) / (half_m - near))
-    keep = keep * smooth_fade((np.abs(z) - 0.5 * chord_m) / (min(_FADE_CHORDS * chord_m, level_m) - 0.5 * chord_m))
+    keep = cubic_fade((np.abs(x) - near) / (half_m - near))
+    keep = keep * cubic_fade((np.abs(z) - 0.5 * chord_m) / (min(_TIP_FADE_CHORDS * chord_m, level_m) - 0.5 * chord_m))
     reach = _UPRIGHT_BEND_RADII * tip.bend * chord_m
     h = reach * np.tanh(n / reach)
     y = line.radius_m[:, None] - np.sin(line.cant_rad)[:, None] * h * keep

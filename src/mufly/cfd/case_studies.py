@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.cfd.blade_geometry import BladeGeometry, make_blade_geometry
-from mufly.cfd.cfd_solution import CfdSolution, read_field, read_solution, scale_state
+from mufly.cfd.cfd_solution import CfdSolution, read_field, read_solution, scale_solution_state
 from mufly.cfd.openfoam_case import (
-    MIN_ITERATIONS,
+    MIN_VERDICT_ITERATIONS,
     TURBULENCE_MODELS,
     OperatingPoint,
     momentum_induced_velocity,
@@ -57,7 +57,7 @@ from mufly.rotor.structure.flap_modes import make_blade_beam
 Array = NDArray[np.float64]
 SCALED_START_ITERATIONS = 400
 """Iterations before a verdict if the start is the scaled solution of a neighbour."""
-_SAME_TWIST_RAD = 1e-5
+_TWIST_MATCH_TOLERANCE_RAD = 1e-5
 RESHAPED_START_ITERATIONS = 800
 """Iterations before a verdict if the neighbour has another pitch setting or tip."""
 
@@ -189,7 +189,7 @@ def save_case(
                 f"is {getattr(near, other[0])} in this case and {getattr(point, other[0])} in the new one",
                 "start from a case that differs in speed, pitch setting or tip only",
             )  # fmt: skip
-        state = scale_state(neighbour, mesh, ratio)
+        state = scale_solution_state(neighbour, mesh, ratio)
     write_case(folder, mesh, point, cores=cores, state=state)
     return found
 
@@ -208,7 +208,7 @@ def solve_operating_point(
     return read_solution(folder)
 
 
-_ROUND_FILE = "elastic.json"
+_TWIST_ITERATION_FILE = "elastic.json"
 
 
 def solve_elastic_blade(
@@ -256,10 +256,10 @@ def solve_elastic_blade(
 
     def solve(deformed: Rotor, twist_rad: Array, turn: int) -> StripLoads:
         place = folder / f"round-{turn}"
-        note = place / _ROUND_FILE
+        note = place / _TWIST_ITERATION_FILE
         if note.is_file():
             before = np.array(json.loads(note.read_text(encoding="utf-8"))["twist_rad"])
-            if before.shape != twist_rad.shape or np.max(np.abs(before - twist_rad)) > _SAME_TWIST_RAD:
+            if before.shape != twist_rad.shape or np.max(np.abs(before - twist_rad)) > _TWIST_MATCH_TOLERANCE_RAD:
                 raise InputError(
                     str(place), "", "contains a blade of another twist", "give another folder, or delete it"
                 )
@@ -378,7 +378,7 @@ class PairSolution:
 
 PAIR_FOLDERS = ("upper", "lower")
 """Folders of the two cases of a pair."""
-MAX_PAIR_ROUNDS, PAIR_LOAD_TOLERANCE = 6, 0.01
+MAX_PAIR_ITERATIONS, PAIR_LOAD_TOLERANCE = 6, 0.01
 """Greatest number of alternations between the rotors of a pair, and relative change of loads at convergence."""
 
 
@@ -448,11 +448,11 @@ def solve_pair(
             loads[i] = _make_disc(before, *settings[i]).scale_loads(ratio)
         if (
             read_actuator_disc(folder / name) is not None
-            and max(list_complete_states(folder / name), default=0) >= MIN_ITERATIONS
+            and max(list_complete_states(folder / name), default=0) >= MIN_VERDICT_ITERATIONS
         ):
             loads[i] = _make_disc(read_solution(folder / name), *settings[i])
     meshes: dict[str, PolyMesh] = {}
-    for _ in range(MAX_PAIR_ROUNDS):
+    for _ in range(MAX_PAIR_ITERATIONS):
         for i, name in enumerate(PAIR_FOLDERS):
             place, (theta, speed) = folder / name, settings[i]
             if name not in meshes:
@@ -518,7 +518,7 @@ def _mean_downwash(folder: Path, height_m: float) -> float:
     return float(speed[cells] @ area / area.sum())
 
 
-DOMAIN_WIDENING = 1.5
+DOMAIN_SIZE_FACTOR = 1.5
 """Factor by which the domain study enlarges the limits of the domain."""
 
 
@@ -536,7 +536,7 @@ def list_study_cases(what: str) -> dict[str, dict[str, Any]]:
         return {model: {"model": model} for model in TURBULENCE_MODELS}
     if what == "domain":
         own, names = MeshDomain(), ("radius", "above", "below")
-        wider = {name: replace(own, **{name: DOMAIN_WIDENING * getattr(own, name)}) for name in names}
+        wider = {name: replace(own, **{name: DOMAIN_SIZE_FACTOR * getattr(own, name)}) for name in names}
         return {"usual": {}, **{name: {"domain": domain} for name, domain in wider.items()}}
     raise InputError("study", what, "is unknown", "use one of: mesh, domain, model")
 

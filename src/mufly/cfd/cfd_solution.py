@@ -398,10 +398,10 @@ def compute_wake_profile(mesh: PolyMesh, flow: FlowField, point: OperatingPoint,
     return WakeProfile(h, r, -u[..., 2], sense * u[..., 1], edge, speed)
 
 
-_SPEED_EXPONENTS = {"U": 1, "p": 2, "phi": 1, "k": 2, "epsilon": 3, "omega": 1, "nut": 1}
+_FIELD_SPEED_EXPONENTS = {"U": 1, "p": 2, "phi": 1, "k": 2, "epsilon": 3, "omega": 1, "nut": 1}
 
 
-def scale_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
+def scale_solution_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
     """Scale the last state of a case to another speed, pitch setting or tip.
 
     Velocities and fluxes are multiplied by the ratio of speeds, pressure by its square.
@@ -418,7 +418,7 @@ def scale_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
     if not at:
         raise InputError(str(folder), "", "contains no solution", "run it first: mufly cfd run")
     before = read_poly_mesh(folder)
-    of = _match_faces(before, mesh)
+    of = _map_faces_between_meshes(before, mesh)
     if of is None:
         raise InputError(
             str(folder),
@@ -427,7 +427,7 @@ def scale_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
             "start from a case of the same level and kind of tip",
         )
     place, out = folder / str(at[-1]), {}
-    for name, power in _SPEED_EXPONENTS.items():
+    for name, power in _FIELD_SPEED_EXPONENTS.items():
         file = place / name
         if not file.is_file():
             continue
@@ -440,7 +440,7 @@ def scale_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
     return out
 
 
-def _match_faces(before: PolyMesh, mesh: PolyMesh) -> NDArray[np.int64] | None:
+def _map_faces_between_meshes(before: PolyMesh, mesh: PolyMesh) -> NDArray[np.int64] | None:
     """Return the index of each face in another mesh; None if faces or cells differ."""
     if before.faces.shape != mesh.faces.shape or before.patches != mesh.patches:
         return None
@@ -487,12 +487,12 @@ def read_patch_field(file: Path, patch: str, faces: int) -> Array:
     return _parse_values(data, at + len(b"value"), faces, file)
 
 
-_HEAD_BYTES = 200
+_FIELD_HEADER_BYTES = 200
 """Bytes that hold a field's head, and the whole of a uniform one."""
 
 
 def _parse_values(data: bytes, at: int, count: int, file: Path) -> Array:
-    head = data[at : at + _HEAD_BYTES]
+    head = data[at : at + _FIELD_HEADER_BYTES]
     words = head.split()
     if words[:1] == [b"uniform"]:
         text = head.partition(b"uniform")[2].partition(b";")[0].replace(b"(", b" ").replace(b")", b" ")

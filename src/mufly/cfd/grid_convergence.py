@@ -24,8 +24,8 @@ from mufly.cfd.solver_process import judge_case
 from mufly.errors import InputError
 from mufly.results import result
 
-_ORDER_LIMITS = (0.5, 3.0)
-_MAX_ITERATIONS = 200
+_CONVERGENCE_ORDER_RANGE = (0.5, 3.0)
+_MAX_ORDER_ITERATIONS = 200
 
 
 @result
@@ -90,7 +90,7 @@ def estimate_grid_convergence(name: str, cells: Sequence[int], values: Sequence[
         return GridConvergence(name, (n1, n2, n3), (v1, v2, v3), math.nan, v1, math.nan, last, False)
     s = math.copysign(1.0, e32 / e21)
     p = 1.0
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(_MAX_ORDER_ITERATIONS):
         up, low = r21**p - s, r32**p - s
         q = math.log(up / low) if up > 0.0 and low > 0.0 else 0.0
         new = abs(math.log(abs(e32 / e21)) + q) / math.log(r21)
@@ -101,7 +101,7 @@ def estimate_grid_convergence(name: str, cells: Sequence[int], values: Sequence[
     gain = r21**p - 1.0
     return GridConvergence(
         name, (n1, n2, n3), (v1, v2, v3), p, (r21**p * v1 - v2) / gain, 1.25 * abs((v1 - v2) / v1) / gain, last,
-        s > 0.0 and _ORDER_LIMITS[0] <= p <= _ORDER_LIMITS[1],
+        s > 0.0 and _CONVERGENCE_ORDER_RANGE[0] <= p <= _CONVERGENCE_ORDER_RANGE[1],
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.special import ellipe, ellipk
 
 Array = NDArray[np.float64]
-_RING_SPACING = 0.05  # spacing of the rings near the disc, over R
+_VORTEX_RING_SPACING_RADII = 0.05  # spacing of the rings near the disc, over R
 
 
 def vortex_ring_velocity(r: Array, z: Array, radius: Array, height: Array, core: float | Array) -> tuple[Array, Array]:
@@ -61,7 +61,9 @@ def momentum_slipstream(points: Array, *, radius_m: float, induced_m_s: float, c
     up = np.concatenate((np.linspace(0.0, 1.0, 21), np.geomspace(1.1, max(1.2, 1.01 * high / radius_m), 10)))
     down = np.concatenate((np.linspace(0.0, 1.0, 21), np.geomspace(1.1, max(1.2, -1.01 * low / radius_m), 16)))
     grid_z = np.concatenate((-down[:0:-1], up))
-    edges = np.concatenate((np.arange(0.0, 8.0, _RING_SPACING), np.arange(8.0, 40.1, 8.0 * _RING_SPACING)))
+    edges = np.concatenate(
+        (np.arange(0.0, 8.0, _VORTEX_RING_SPACING_RADII), np.arange(8.0, 40.1, 8.0 * _VORTEX_RING_SPACING_RADII))
+    )
     step, z_ring = np.diff(edges), -0.5 * (edges[1:] + edges[:-1])
     size = 1.0 / np.sqrt(1.0 - z_ring / np.sqrt(1.0 + z_ring**2))
     rr, zz = np.meshgrid(grid_r, grid_z, indexing="ij")

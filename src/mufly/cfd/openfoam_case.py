@@ -46,15 +46,15 @@ Array = NDArray[np.float64]
 
 TURBULENCE_MODELS = {"laminar": "", "k-epsilon": "kEpsilon", "sst": "kOmegaSST", "k-omega": "kOmega"}
 """Turbulence models by OpenFOAM's names."""
-UPWIND_ITERATIONS = 80
+FIRST_ORDER_ITERATIONS = 80
 """Number of iterations with the upwind scheme."""
-MIN_ITERATIONS = 1200
+MIN_VERDICT_ITERATIONS = 1200
 """Least number of iterations before a verdict."""
-MAX_DESCENT_RATIO = 0.5
+MAX_DESCENT_OVER_INDUCED_VELOCITY = 0.5
 """Greatest ratio of descent velocity to induced velocity in hover; above it (vortex ring state) no case is solved."""
 LOAD_FUNCTION_OBJECTS = {"blade": "loads", LOWER_BLADE_PATCH: "loads_lower"}
 """Function objects that report the loads of each rotor, by patch."""
-WRITE_INTERVAL = 40
+STATE_WRITE_ITERATIONS = 40
 """Number of iterations between written states."""
 
 
@@ -107,8 +107,8 @@ class OperatingPoint:
     density_kg_m3: float
     viscosity_Pa_s: float
     induced_m_s: float
-    upwind: int = UPWIND_ITERATIONS
-    least: int = MIN_ITERATIONS
+    upwind: int = FIRST_ORDER_ITERATIONS
+    least: int = MIN_VERDICT_ITERATIONS
     tip: str = "square"
     hub_m: float = 0.0
     gurney: float = 0.0
@@ -124,7 +124,7 @@ class OperatingPoint:
                 "cfd", "model", f"{self.model!r} is unknown", f"use one of: {', '.join(TURBULENCE_MODELS)}"
             )
         check_pitch("cfd", "pitch_rad", [self.pitch_rad, self.lower_pitch_rad])
-        slowest = -MAX_DESCENT_RATIO * self.induced_m_s
+        slowest = -MAX_DESCENT_OVER_INDUCED_VELOCITY * self.induced_m_s
         if not slowest <= self.climb_m_s < math.inf:
             raise InputError(
                 "cfd", "climb", f"is {self.climb_m_s:g} m/s",
@@ -181,7 +181,7 @@ def write_case(
     cores : int
         Number of processes.
     state : dict of arrays, optional
-        Initial state from :func:`mufly.cfd.cfd_solution.scale_state`; default: momentum theory.
+        Initial state from :func:`mufly.cfd.cfd_solution.scale_solution_state`; default: momentum theory.
 
     Raises
     ------
@@ -229,10 +229,10 @@ def _dictionary_texts(point: OperatingPoint, cores: int) -> dict[str, str]:
     turbulent = TURBULENCE_MODELS[point.model]
     kind = f"RAS; RAS {{ RASModel {turbulent}; turbulence on; printCoeffs off; }}" if turbulent else "laminar;"
     return {
-        "system/controlDict": _format_control_dict(point, UPWIND_ITERATIONS),
+        "system/controlDict": _format_control_dict(point, FIRST_ORDER_ITERATIONS),
         "system/fvSchemes": _format_fv_schemes(upwind=True),
         "system/fvSchemes.second": _format_fv_schemes(upwind=False),
-        "system/fvSolution": foam_header("dictionary", "fvSolution", "system") + _FV_SOLUTION,
+        "system/fvSolution": foam_header("dictionary", "fvSolution", "system") + _FV_SOLUTION_DICTIONARY,
         "system/decomposeParDict": foam_header("dictionary", "decomposeParDict", "system") + (
             f"numberOfSubdomains {cores};\nmethod hierarchical;\n"
             f"coeffs {{ n ({_factor_cores(cores)[0]} {_factor_cores(cores)[1]} 1); delta 0.001; order xyz; }}\n"
@@ -264,7 +264,7 @@ def _factor_cores(cores: int) -> tuple[int, int]:
 def _format_control_dict(point: OperatingPoint, end: int) -> str:
     return foam_header("dictionary", "controlDict", "system") + (
         "application simpleFoam;\nstartFrom latestTime;\nstartTime 0;\nstopAt endTime;\n"
-        f"endTime {end};\ndeltaT 1;\nwriteControl timeStep;\nwriteInterval {WRITE_INTERVAL};\npurgeWrite 2;\n"
+        f"endTime {end};\ndeltaT 1;\nwriteControl timeStep;\nwriteInterval {STATE_WRITE_ITERATIONS};\npurgeWrite 2;\n"
         "writeFormat binary;\n"
         "writePrecision 10;\ntimeFormat general;\ntimePrecision 8;\nrunTimeModifiable no;\n"
         "functions\n{\n"
@@ -299,7 +299,7 @@ def _format_fv_schemes(upwind: bool) -> str:
     )
 
 
-_FV_SOLUTION = """solvers
+_FV_SOLUTION_DICTIONARY = """solvers
 {
     p { solver GAMG; smoother GaussSeidel; tolerance 1e-9; relTol 0.01; nPreSweeps 0; nPostSweeps 2; maxIter 50; }
     "(U|k|epsilon|omega)" { solver smoothSolver; smoother symGaussSeidel; tolerance 1e-10; relTol 0.1; maxIter 10; }

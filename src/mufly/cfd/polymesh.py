@@ -162,7 +162,7 @@ def make_poly_mesh(mesh: SectorMesh) -> PolyMesh:
     if np.any(same[1:] & same[:-1]):
         raise MuflyError("mesh: a face is shared by three cells")
     # Plate faces are walls of the cells on both sides.
-    same[same] = ~_faces_among(sorted_key[:-1][same], np.sort(mesh.plate_faces, axis=1), len(mesh.points))
+    same[same] = ~_is_face_among(sorted_key[:-1][same], np.sort(mesh.plate_faces, axis=1), len(mesh.points))
     first = order[:-1][same]
     second = order[1:][same]
     alone = np.ones(len(order), dtype=bool)
@@ -225,7 +225,7 @@ def make_poly_mesh(mesh: SectorMesh) -> PolyMesh:
     )
 
 
-def _faces_among(faces: Index, wanted: Index, points: int) -> NDArray[np.bool_]:
+def _is_face_among(faces: Index, wanted: Index, points: int) -> NDArray[np.bool_]:
     """Return which faces, with sorted points, are among others; faces are compared by their three lowest points."""
     size = np.array([points**2, points, 1], dtype=np.int64)
     return np.isin(faces[:, :3] @ size, wanted[:, :3] @ size)
@@ -350,7 +350,7 @@ def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
     note += f"nInternalFaces:{len(mesh.neighbour)}"
     place = "constant/polyMesh"
 
-    def write_list_file(name: str, kind: str, *parts: bytes) -> None:
+    def write_openfoam_list(name: str, kind: str, *parts: bytes) -> None:
         head = foam_header(kind, name, place, binary=True, note=note if name in ("owner", "neighbour") else "")
         (folder / name).write_bytes(head.encode() + b"\n".join(parts) + b"\n")
 
@@ -360,11 +360,11 @@ def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
     def encode_labels(values: Index) -> bytes:
         return encode_block(values.astype("<i4"), len(values))
 
-    write_list_file("points", "vectorField", encode_block(mesh.points.astype("<f8"), len(mesh.points)))
+    write_openfoam_list("points", "vectorField", encode_block(mesh.points.astype("<f8"), len(mesh.points)))
     starts = np.arange(0, 4 * len(mesh.faces) + 1, 4)
-    write_list_file("faces", "faceCompactList", encode_labels(starts), encode_labels(mesh.faces.ravel()))
-    write_list_file("owner", "labelList", encode_labels(mesh.owner))
-    write_list_file("neighbour", "labelList", encode_labels(mesh.neighbour))
+    write_openfoam_list("faces", "faceCompactList", encode_labels(starts), encode_labels(mesh.faces.ravel()))
+    write_openfoam_list("owner", "labelList", encode_labels(mesh.owner))
+    write_openfoam_list("neighbour", "labelList", encode_labels(mesh.neighbour))
     turn = 360.0 / mesh.blade_count
     entries = []
     for name, (start, count) in mesh.patches.items():

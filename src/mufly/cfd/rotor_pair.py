@@ -169,13 +169,13 @@ def find_disc_cells(mesh: PolyMesh, height_m: float, radius_m: float) -> tuple[N
     up = mesh.face_areas[:inside, 2] / np.linalg.norm(mesh.face_areas[:inside], axis=1)
     size = np.linalg.norm(mesh.face_areas[:inside], axis=1)
     area = np.zeros(mesh.cell_count)
-    area += np.bincount(a, size * (cut[a] & ~cut[b] & (up > _MIN_UPWARD_NORMAL)), mesh.cell_count)
-    area += np.bincount(b, size * (cut[b] & ~cut[a] & (up < -_MIN_UPWARD_NORMAL)), mesh.cell_count)
+    area += np.bincount(a, size * (cut[a] & ~cut[b] & (up > _MIN_DISC_FACE_NORMAL_Z)), mesh.cell_count)
+    area += np.bincount(b, size * (cut[b] & ~cut[a] & (up < -_MIN_DISC_FACE_NORMAL_Z)), mesh.cell_count)
     cells = np.flatnonzero(cut)
     return cells, area[cells]
 
 
-_MIN_UPWARD_NORMAL = 0.8
+_MIN_DISC_FACE_NORMAL_Z = 0.8
 
 
 def write_actuator_disc(folder: Path, mesh: PolyMesh, point: OperatingPoint, disc: ActuatorDisc) -> None:
@@ -243,10 +243,10 @@ def write_actuator_disc(folder: Path, mesh: PolyMesh, point: OperatingPoint, dis
         encoding="utf-8",
     )
     (folder / "constant" / "fvOptions").write_text(text, encoding="utf-8")
-    (folder / _DISC_FILE).write_text(json.dumps(asdict(disc), indent=1) + "\n", encoding="utf-8")
+    (folder / _ACTUATOR_DISC_FILE).write_text(json.dumps(asdict(disc), indent=1) + "\n", encoding="utf-8")
 
 
-_DISC_FILE = "disc.json"
+_ACTUATOR_DISC_FILE = "disc.json"
 
 
 def read_actuator_disc(folder: Path) -> ActuatorDisc | None:
@@ -257,7 +257,7 @@ def read_actuator_disc(folder: Path) -> ActuatorDisc | None:
     InputError
         If its file is truncated.
     """
-    file = folder / _DISC_FILE
+    file = folder / _ACTUATOR_DISC_FILE
     if not file.is_file():
         return None
     try:

@@ -25,16 +25,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from mufly.cfd.blade_geometry import smooth_fade
+from mufly.cfd.blade_geometry import cubic_fade
 from mufly.errors import InputError
 from mufly.rotor import Airfoil, is_polar_file, load_airfoil
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-NOSE_LENGTH = 0.02
+NOSE_LENGTH_CHORDS = 0.02
 """Length of the contour (chords) on either side that belongs to the core's nose side."""
-MIN_TAIL_THICKNESS = 0.006
+MIN_TAIL_THICKNESS_CHORDS = 0.006
 """Least trailing edge thickness over chord (0.12 mm of 20 mm), which can be made and meshed; thinner edges are
 opened."""
 
@@ -122,7 +122,7 @@ def ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
     points = airfoil.coordinates
     nose = int(np.argmin(points[:, 0]))
     upper, lower = points[: nose + 1][::-1].copy(), points[nose:].copy()
-    missing = max(0.0, MIN_TAIL_THICKNESS - float(np.linalg.norm(upper[-1] - lower[-1])))
+    missing = max(0.0, MIN_TAIL_THICKNESS_CHORDS - float(np.linalg.norm(upper[-1] - lower[-1])))
     for side, sign in ((upper, 0.5), (lower, -0.5)):
         side[:, 1] += sign * missing * np.clip(side[:, 0], 0.0, 1.0)
     whole = np.concatenate((upper[::-1], lower[1:]))
@@ -135,12 +135,12 @@ def ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
     curve = PchipInterpolator(s, whole)
     at_nose = s[nose]
     tail = float(np.linalg.norm(whole[0] - whole[-1])) / m
-    front = 2.0 * NOSE_LENGTH / m
-    up, low = at_nose - NOSE_LENGTH, s[-1] - at_nose - NOSE_LENGTH
-    top = at_nose - NOSE_LENGTH - up * vinokur_spacing(n, front / up, min(tail / up, 0.5 / n))
-    bottom = at_nose + NOSE_LENGTH + low * vinokur_spacing(n, front / low, min(tail / low, 0.5 / n))
+    front = 2.0 * NOSE_LENGTH_CHORDS / m
+    up, low = at_nose - NOSE_LENGTH_CHORDS, s[-1] - at_nose - NOSE_LENGTH_CHORDS
+    top = at_nose - NOSE_LENGTH_CHORDS - up * vinokur_spacing(n, front / up, min(tail / up, 0.5 / n))
+    bottom = at_nose + NOSE_LENGTH_CHORDS + low * vinokur_spacing(n, front / low, min(tail / low, 0.5 / n))
     base = whole[0] + np.linspace(0.0, 1.0, m + 1)[:, None] * (whole[-1] - whole[0])
-    arc = curve(np.linspace(at_nose + NOSE_LENGTH, at_nose - NOSE_LENGTH, m + 1))
+    arc = curve(np.linspace(at_nose + NOSE_LENGTH_CHORDS, at_nose - NOSE_LENGTH_CHORDS, m + 1))
     return np.concatenate((curve(top)[:-1], base[:-1], curve(bottom)[::-1][:-1], arc[:-1]))
 
 
@@ -287,8 +287,8 @@ class SectionShape:
 
 BLOCK_MARGIN_CHORDS, BLOCK_HALF_HEIGHT_CHORDS = 0.40, 0.45
 _NORMAL_SMOOTHING_PASSES = 6
-_FLAP_LEAN_FACTOR = 0.5
-_SIDE_STRETCHING = 0.2
+_GURNEY_NORMAL_LEAN_FACTOR = 0.5
+_SIDE_CELL_STRETCHING = 0.2
 """Margin of the centre block ahead of the nose and behind the tail, and its half height, in chords."""
 
 
@@ -315,7 +315,7 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
     spread = (1 - g) * (0.65 * even + 0.35 * crowd) + g * even
     wider = 2 * even - 1
     if shape.has_level_block:  # the blade lies behind its middle: wider cells to the sides slant the ring less
-        wider = (1.0 - _SIDE_STRETCHING) * wider + _SIDE_STRETCHING * wider**3
+        wider = (1.0 - _SIDE_CELL_STRETCHING) * wider + _SIDE_CELL_STRETCHING * wider**3
     x_in = (1 - whole) * (low + (right - low) * spread) + whole * half * wider
     tall = (1 - whole) * BLOCK_HALF_HEIGHT_CHORDS * c + whole * high
     z_in = tall * np.linspace(-1.0, 1.0, m + 1)
@@ -328,15 +328,15 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
         box,
     )
     x = np.concatenate((x_in[0] - wide_l * aside[::-1], x_in[1:-1], x_in[-1] + wide_r * aside))
-    own = (tall - above[0]) * smooth_fade((above - above[0]) / (box.level_height_m - above[0]))
-    own_below = (tall + below[0]) * smooth_fade((below[0] - below) / (box.level_height_m + below[0]))
+    own = (tall - above[0]) * cubic_fade((above - above[0]) / (box.level_height_m - above[0]))
+    own_below = (tall + below[0]) * cubic_fade((below[0] - below) / (box.level_height_m + below[0]))
     z = np.concatenate(((below - own_below)[::-1], z_in[1:-1], above + own))
     grid = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
     # The centre block is turned with the blade; what surrounds it follows, less with distance.
     near = np.stack((np.clip(grid[..., 0], x_in[0], x_in[-1]), np.clip(grid[..., 1], -tall, tall)), axis=-1)
     away = np.abs(grid - near)
     reach_x = np.where(grid[..., 0] < 0, wide_l, wide_r)
-    follow = smooth_fade(away[..., 0] / reach_x) * smooth_fade(away[..., 1] / min(4.0 * c, box.level_height_m - tall))
+    follow = cubic_fade(away[..., 0] / reach_x) * cubic_fade(away[..., 1] / min(4.0 * c, box.level_height_m - tall))
     grid = grid + follow[..., None] * (_rotate_nose_up(near, (1 - whole) * shape.angle_rad) - near)
 
     out = np.full((layout.point_count, 2), np.nan)
@@ -421,8 +421,8 @@ def _turn_normals_around_flap(normal: Array, loop: Array, shape: SectionShape, c
     n, corner = counts.along, counts.along + counts.across
     out, (down, ahead) = normal.copy(), _rotate_nose_up(np.array([[0.0, -1.0], [-1.0, 0.0]]), shape.angle_rad)
     off = np.linalg.norm(loop[corner : corner + n] - loop[corner], axis=1) / (0.3 * shape.chord_m)
-    w = smooth_fade(off)[:, None]
-    lean = _FLAP_LEAN_FACTOR * (w * (1 - np.exp(-off / 0.05)[:, None]))
+    w = cubic_fade(off)[:, None]
+    lean = _GURNEY_NORMAL_LEAN_FACTOR * (w * (1 - np.exp(-off / 0.05)[:, None]))
     out[corner : corner + n] = (1 - w) * normal[corner : corner + n] + w * down + lean * ahead
     begin, end = math.atan2(normal[n, 1], normal[n, 0]), math.atan2(down[1], down[0])
     angle = np.linspace(begin, end if end < begin else end - 2.0 * math.pi, corner - n + 1)
@@ -435,7 +435,7 @@ def _stretch_through_value(t: Array, layer: int, value: float) -> Array:
     return np.where(t <= t[layer], t * (value / t[layer]), 1.0 - (1.0 - t) * ((1.0 - value) / (1.0 - t[layer])))
 
 
-def layer_at_height(counts: CellCounts, height: float, far: float) -> int:
+def ring_layer_at_height(counts: CellCounts, height: float, far: float) -> int:
     """Return the ring layer, from the wall, nearest to a height (chords) in a ring of a given width (chords)."""
     t = geometric_spacing(counts.ring, counts.wall / BLOCK_HALF_HEIGHT_CHORDS)[1:-2]
     return 1 + int(np.argmin(np.abs(np.log(t * far / height))))

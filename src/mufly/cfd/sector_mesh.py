@@ -52,9 +52,9 @@ from mufly.cfd.section_mesh import (
     SectionShape,
     compute_section_points,
     geometric_spacing,
-    layer_at_height,
     load_meshable_airfoil,
     ring_contour,
+    ring_layer_at_height,
     vinokur_spacing,
 )
 from mufly.errors import InputError
@@ -63,38 +63,42 @@ from mufly.rotor import Rotor
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_MEDIUM_COUNTS = CellCounts(
+_MEDIUM_CELL_COUNTS = CellCounts(
     along=34, across=8, ring=16, side=8, above=11, below=14, gap=6, blade=20, beyond=6, inner=5, outer=4, wall=0.002,
     tip=0.0067,
 )  # fmt: skip
 
 
-def _scale_counts(factor: float) -> CellCounts:
+def _scale_cell_counts(factor: float) -> CellCounts:
     numbers = {
-        name: max(2, round(factor * getattr(_MEDIUM_COUNTS, name)))
+        name: max(2, round(factor * getattr(_MEDIUM_CELL_COUNTS, name)))
         for name in ("ring", "side", "above", "below", "gap", "blade", "beyond", "inner", "outer")
     }
-    even = {name: 2 * max(2, round(factor * getattr(_MEDIUM_COUNTS, name) / 2)) for name in ("along", "across")}
+    even = {name: 2 * max(2, round(factor * getattr(_MEDIUM_CELL_COUNTS, name) / 2)) for name in ("along", "across")}
     return replace(
-        _MEDIUM_COUNTS, **numbers, **even, wall=_MEDIUM_COUNTS.wall / factor, tip=_MEDIUM_COUNTS.tip / factor
+        _MEDIUM_CELL_COUNTS,
+        **numbers,
+        **even,
+        wall=_MEDIUM_CELL_COUNTS.wall / factor,
+        tip=_MEDIUM_CELL_COUNTS.tip / factor,
     )
 
 
 MESH_LEVELS: Mapping[str, CellCounts] = MappingProxyType(
     {
-        "tiny": _scale_counts(0.5),
-        "coarse": _scale_counts(0.77),
-        "medium": _MEDIUM_COUNTS,
-        "fine": _scale_counts(1.4),
+        "tiny": _scale_cell_counts(0.5),
+        "coarse": _scale_cell_counts(0.77),
+        "medium": _MEDIUM_CELL_COUNTS,
+        "fine": _scale_cell_counts(1.4),
     }
 )
 """Cell counts of the refinement levels; the cell sizes have the ratios 2 : 1.3 : 1 : 0.71 in every direction."""
 
-_MIN_ROOT_CUTOUT = 0.04  # least root cut-out over R
+_MIN_ROOT_CUTOUT_RADII = 0.04  # least root cut-out over R
 
 
-_BOX_HALF_WIDTH, _BOX_SPAN, _BOX_LEVEL_HEIGHT = 0.75, 1.2, 0.6  # size of the sections' box, over R
-_CYLINDER_FACTOR = 1.06  # radius of the cylinder around the box over that of its corners
+_BOX_HALF_WIDTH_RADII, _BOX_SPAN_RADII, _BOX_LEVEL_HEIGHT_RADII = 0.75, 1.2, 0.6  # size of the sections' box, over R
+_CYLINDER_RADIUS_FACTOR = 1.06  # radius of the cylinder around the box over that of its corners
 
 
 @dataclass(frozen=True)
@@ -203,8 +207,8 @@ def make_sector_mesh(
     slope = 1.0 / math.tan(math.pi / rotor.blades) if rotor.blades > 2 else 0.0
     # Space in which the centre block turns back, and for the sections of a winglet.
     room = 0.6 * widest if form.tip.cant_rad else 0.0
-    half, far = max(_BOX_HALF_WIDTH * radius, (1.4 + 2.4 * steepest) * widest), _BOX_SPAN * radius + room
-    level_m = max(_BOX_LEVEL_HEIGHT * radius + room, (BLOCK_HALF_HEIGHT_CHORDS + 4.0 * steepest) * widest)
+    half, far = max(_BOX_HALF_WIDTH_RADII * radius, (1.4 + 2.4 * steepest) * widest), _BOX_SPAN_RADII * radius + room
+    level_m = max(_BOX_LEVEL_HEIGHT_RADII * radius + room, (BLOCK_HALF_HEIGHT_CHORDS + 4.0 * steepest) * widest)
     if slope:
         half = min(half, 0.6 * radius / slope)
         if half < 1.5 * widest:
@@ -213,7 +217,7 @@ def make_sector_mesh(
                 f"give at most {1e3 * half / 1.5:.3g} mm, or fewer blades",
             )  # fmt: skip
     box = SectionBox(half, domain.above * radius, -domain.below * radius, level_m)
-    outer, inside = domain.radius * radius, _CYLINDER_FACTOR * math.hypot(half, far)
+    outer, inside = domain.radius * radius, _CYLINDER_RADIUS_FACTOR * math.hypot(half, far)
     if other_m:
         tall = _pair_block_height(rotor, pitch_rad, 0.5 * abs(other_m))
         box = replace(box, **{"top_m" if other_m > 0.0 else "bottom_m": 0.5 * other_m})
@@ -257,14 +261,14 @@ def make_sector_mesh(
     t = np.clip((s - root) / span, 0.0, 1.0)
     fade = 1.0 - t * t * (3.0 - 2.0 * t)
 
-    def sector_bend(x: Array) -> Array:
+    def bend_into_sector(x: Array) -> Array:
         return fade[:, None] * (np.hypot(y[:, None], np.abs(x) * slope) - y[:, None])
 
     n2, nz = layout.point_count, layout.nz
     flat = place_sections(
         stack, line, form.tip, angle_rad=tip_angle, chord_m=tip_chord, half_m=half, level_m=box.level_height_m
     )
-    flat[..., 1] += sector_bend(stack[..., 0])
+    flat[..., 1] += bend_into_sector(stack[..., 0])
     # Beyond the box the last section fans out to the cylinder around it and on to the outer one.
     corner = math.atan2(half, far)
     near = np.linspace(0.0, 1.0, k.inner + 1)[1:]
@@ -277,7 +281,7 @@ def make_sector_mesh(
     fan[: k.inner, :, :2] += near[:, None, None] * (arc - flat[-1, :, :2])
     fan[k.inner :, :, :2] = beyond[:, None, None] * arc
     # The wings begin at the sides of the box.
-    side_y = y + sector_bend(np.array([half]))[:, 0]
+    side_y = y + bend_into_sector(np.array([half]))[:, 0]
     share = (side_y - side_y[0]) / (side_y[-1] - side_y[0])
     angle = math.pi / rotor.blades + (corner - math.pi / rotor.blades) * share
     ends = inside * np.stack((np.sin(angle), np.cos(angle)), axis=-1)[:-1]
@@ -500,11 +504,11 @@ def _build_sections(
     if form.gurney_height:
         gurney = (
             form.gurney_height,
-            layer_at_height(k, form.gurney_height, math.hypot(BLOCK_MARGIN_CHORDS, BLOCK_HALF_HEIGHT_CHORDS)),
+            ring_layer_at_height(k, form.gurney_height, math.hypot(BLOCK_MARGIN_CHORDS, BLOCK_HALF_HEIGHT_CHORDS)),
         )
     high = max(form.tip.plate_above, form.tip.plate_below)
     if high:
-        plate = (high, layer_at_height(k, high, BLOCK_HALF_HEIGHT_CHORDS - 0.06))
+        plate = (high, ring_layer_at_height(k, high, BLOCK_HALF_HEIGHT_CHORDS - 0.06))
     typical = float(np.max(at.chord_m))
     sine = math.sin(math.pi / rotor.blades)
     out = np.empty((len(s), layout.point_count, 2))
@@ -561,10 +565,10 @@ def _check_rotor(rotor: Rotor, pitch_rad: float, form: BladeGeometry) -> None:
         )  # fmt: skip
     if rotor.blades < 2:
         raise InputError(rotor.name, "blades", "is 1", "give two or more: one blade has no periodic sector")
-    if float(rotor.hub_cutout) < _MIN_ROOT_CUTOUT:
+    if float(rotor.hub_cutout) < _MIN_ROOT_CUTOUT_RADII:
         raise InputError(
             rotor.name, "hub_cutout", f"{float(rotor.hub_cutout):g} lets the blades meet at the shaft",
-            f"give at least {_MIN_ROOT_CUTOUT:g}, where the blades begin",
+            f"give at least {_MIN_ROOT_CUTOUT_RADII:g}, where the blades begin",
         )  # fmt: skip
     if not abs(pitch_rad) <= math.radians(60.0):
         raise InputError(rotor.name, "pitch", f"{math.degrees(pitch_rad):g} deg", "give -60 to 60 deg")

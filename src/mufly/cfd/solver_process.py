@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from mufly.cfd.openfoam_case import (
     LOAD_FUNCTION_OBJECTS,
-    WRITE_INTERVAL,
+    STATE_WRITE_ITERATIONS,
     OperatingPoint,
     read_point,
     set_solver_phase,
@@ -47,10 +47,10 @@ from mufly.results import result
 
 Array = NDArray[np.float64]
 
-MAX_ITERATIONS, VERDICT_WINDOW = 2800, 400
+MAX_ITERATIONS, VERDICT_WINDOW_ITERATIONS = 2800, 400
 """Greatest number of iterations, and length of the window for the verdict."""
-_MAX_DRIFT, _MAX_SWING, _MAX_LEAK = 3e-3, 1e-2, 1e-3
-_DEBIAN_OPENFOAM = Path("/usr/share/openfoam")
+_MAX_LOAD_DRIFT, _MAX_LOAD_SWING, _MAX_CONTINUITY_ERROR = 3e-3, 1e-2, 1e-3
+_DEBIAN_OPENFOAM_FOLDER = Path("/usr/share/openfoam")
 _LOG_FILE = "log.simpleFoam"
 
 
@@ -136,8 +136,8 @@ def find_solver(name: str = "simpleFoam") -> str:
 def openfoam_environment() -> dict[str, str]:
     """Return the environment in which OpenFOAM's programs find their own files."""
     env = dict(os.environ)
-    if "WM_PROJECT_DIR" not in env and _DEBIAN_OPENFOAM.is_dir():
-        env["WM_PROJECT_DIR"] = str(_DEBIAN_OPENFOAM)
+    if "WM_PROJECT_DIR" not in env and _DEBIAN_OPENFOAM_FOLDER.is_dir():
+        env["WM_PROJECT_DIR"] = str(_DEBIAN_OPENFOAM_FOLDER)
     return env
 
 
@@ -207,8 +207,14 @@ def run_case(
             _reconstruct_state(folder, done)
             verdict, done = _judge_rotors(folder, point)
             while not _is_finished(verdict, done, most):
-                end = point.upwind if done < point.upwind else min(most, max(point.least, done + VERDICT_WINDOW))
-                end = WRITE_INTERVAL * math.ceil(end / WRITE_INTERVAL)  # so that the last state is written
+                end = (
+                    point.upwind
+                    if done < point.upwind
+                    else min(most, max(point.least, done + VERDICT_WINDOW_ITERATIONS))
+                )
+                end = STATE_WRITE_ITERATIONS * math.ceil(
+                    end / STATE_WRITE_ITERATIONS
+                )  # so that the last state is written
                 set_solver_phase(folder, upwind=done < point.upwind, end=end)
                 _remove_partial_states(folder, done)
                 _run_solver(folder, log, done, end, cores, progress)
@@ -300,9 +306,9 @@ def _run_solver(
             log.write(line)
             if line.startswith("Time = "):
                 iteration = int(float(line.split()[2]))
-            elif found := _RESIDUAL.search(line):
+            elif found := _RESIDUAL_LINE.search(line):
                 residuals[found[1]] = float(found[2])
-            elif found := _CONTINUITY.search(line):
+            elif found := _CONTINUITY_LINE.search(line):
                 continuity = float(found[1])
             elif line.startswith("ExecutionTime") and progress is not None:
                 loads = read_history(folder, last=1)
@@ -339,8 +345,8 @@ def _run_utility(folder: Path, command: tuple[str, ...], env: dict[str, str]) ->
         raise MuflyError(f"{command[0]} ended with status {done.returncode}; see {folder / f'log.{command[0]}'}")
 
 
-_RESIDUAL = re.compile(r"Solving for (\w+), Initial residual = ([^,]+),")
-_CONTINUITY = re.compile(r"continuity errors : sum local = ([^,]+),")
+_RESIDUAL_LINE = re.compile(r"Solving for (\w+), Initial residual = ([^,]+),")
+_CONTINUITY_LINE = re.compile(r"continuity errors : sum local = ([^,]+),")
 
 
 def _read_tail(log: Path, size: int = 6000) -> str:
@@ -348,7 +354,7 @@ def _read_tail(log: Path, size: int = 6000) -> str:
     return data.decode("utf-8", errors="replace")
 
 
-_ERROR_LINES = 3
+_SHOWN_ERROR_LINE_COUNT = 3
 """Lines of a fatal error that state it."""
 
 
@@ -356,7 +362,7 @@ def _find_first_error(log: Path) -> str:
     lines = _read_tail(log).splitlines()
     for i, line in enumerate(lines):
         if "FOAM FATAL" in line:
-            return " ".join(" ".join(lines[i : i + _ERROR_LINES]).split())
+            return " ".join(" ".join(lines[i : i + _SHOWN_ERROR_LINE_COUNT]).split())
     return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
 
 
@@ -414,7 +420,11 @@ def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceVerdict:
 def _point_for_verdict(folder: Path) -> OperatingPoint:
     """Return the operating point of a case; after a change of the actuator disc a whole window precedes the verdict."""
     point, disc = read_point(folder), read_actuator_disc(folder)
-    return point if disc is None else replace(point, least=max(point.least, disc.set_iteration + VERDICT_WINDOW))
+    return (
+        point
+        if disc is None
+        else replace(point, least=max(point.least, disc.set_iteration + VERDICT_WINDOW_ITERATIONS))
+    )
 
 
 def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: OperatingPoint) -> ConvergenceVerdict:
@@ -433,7 +443,7 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
     count = int(loads[-1, 0]) if len(loads) else 0
     if not len(loads):
         return ConvergenceVerdict(False, "not begun", 0, math.nan, math.nan, math.nan, math.nan, outflow_m3_s, math.nan)
-    window = loads[-VERDICT_WINDOW:]
+    window = loads[-VERDICT_WINDOW_ITERATIONS:]
     mean = window[:, 1:].mean(axis=0)
     size = np.maximum(np.abs(mean), 1e-300)
     # A thrust that is physically impossible: c_T of 1 or more.
@@ -455,11 +465,11 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
         what = "not done"
     elif not outflow_m3_s > 0.0 and not point.climb_m_s < 0.0:
         what = "blown back"
-    elif swing.max() > _MAX_SWING:
+    elif swing.max() > _MAX_LOAD_SWING:
         what = "sloshing"
-    elif drift.max() > _MAX_DRIFT:
+    elif drift.max() > _MAX_LOAD_DRIFT:
         what = "plateau"
-    elif not leak < _MAX_LEAK:
+    elif not leak < _MAX_CONTINUITY_ERROR:
         what = "leaking"
     return ConvergenceVerdict(
         what == "settled", what, count, float(mean[0]), float(mean[1]), float(drift.max()), float(swing.max()),
@@ -471,5 +481,5 @@ def _last_continuity(log: Path) -> float:
     if not log.is_file():
         return math.nan
     # Single iterations jump by a factor of two or more; the window has about twenty iterations.
-    found = _CONTINUITY.findall(_read_tail(log, 20000))
+    found = _CONTINUITY_LINE.findall(_read_tail(log, 20000))
     return float(np.median([float(x) for x in found])) if found else math.nan
