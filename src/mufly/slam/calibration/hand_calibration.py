@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from mufly.camera import Camera, body_from_camera_rotation, unproject_pixels
-from mufly.camera.camera_model import NOSE_UP, project_points
+from mufly.camera.camera_model import BODY_FROM_DOWN_CAMERA, project_points
 from mufly.errors import InputError
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.slam.calibration.inertial_motion import (
@@ -559,7 +559,7 @@ def _rotate(vector: _Array) -> _Array:
 
 def _mount_angles(mount: _Array) -> _Array:
     """Return roll, pitch and turn (3,) of the rotation from camera to body axes."""
-    r = mount @ NOSE_UP.T
+    r = mount @ BODY_FROM_DOWN_CAMERA.T
     return np.array(
         [math.atan2(r[2, 1], r[2, 2]), -math.asin(max(-1.0, min(1.0, r[2, 0]))), math.atan2(r[1, 0], r[0, 0])]
     )
