@@ -27,7 +27,7 @@ from mufly.bench.rig.simulated_rig import SimulatedRig
 from mufly.bench.series.series_analysis import analyse_series
 from mufly.bench.series.series_plan import StepTimes, make_plan
 from mufly.bench.series.series_record import SeriesRecord
-from mufly.bench.series.series_runner import Stopped, run_series
+from mufly.bench.series.series_runner import StopRequested, run_series
 
 COUNTS = 1e6
 _spec = importlib.util.spec_from_file_location("far", Path(__file__).parents[1] / "tests" / "bench" / "emulators.py")
@@ -89,7 +89,7 @@ def main(points: int, pace: float) -> None:
                 truth=lambda s: ask("truth", plan.mounting[s.mounting_index].turning_sides),
             )  # fmt: skip
             break
-        except Stopped:
+        except StopRequested:
             stops += 1
         finally:
             rig.close()

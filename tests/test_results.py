@@ -100,7 +100,7 @@ _NO_RESULTS = {
     "camera": "Floor FloorSource PackageFloor RecordedPictures",  # made to be rendered, or looked at
     "cfd": "BladeGeometry SectorMesh OperatingPoint PolyMesh",  # shapes and cases; mesh_picture draws them
     "estimate": "Estimate EstimateMonitor",  # of one instant, a thousand times a second
-    "identify": "EvenLogTable FreeParameter",
+    "identify": "UniformLogTable FreeParameter",
     "firmware": "FixedPointLaw EvidenceSection",
     "flight": "Estimate RecordingLayout TrajectoryLimits Readings Truth",
     "flight.monte_carlo": "FlightCase ParameterVariation",

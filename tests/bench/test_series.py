@@ -13,7 +13,7 @@ from mufly.bench.series.series_analysis import analyse_series
 from mufly.bench.series.series_files import compare_series, compare_with_theory, write_series_results
 from mufly.bench.series.series_plan import BenchLimits, SeriesPlan, StepTimes, make_plan, read_plan
 from mufly.bench.series.series_record import SeriesRecord, read_lines, read_record
-from mufly.bench.series.series_runner import LimitError, Stopped, run_series
+from mufly.bench.series.series_runner import LimitError, StopRequested, run_series
 from mufly.errors import InputError
 from mufly.files.input_files import validate_model
 from mufly.quantities.units import RPM
@@ -199,7 +199,7 @@ def test_a_kill_at_any_moment_loses_at_most_the_point_that_was_measured(tmp_path
     again = SeriesRecord(tmp_path)
     assert len(again.lines) == kept - 1
     before = again.completed_steps
-    with pytest.raises(Stopped):
+    with pytest.raises(StopRequested):
         measured(
             made,
             record=again,
@@ -247,7 +247,7 @@ def test_a_limit_stops_the_bench(limits, word):
 
 
 def test_a_request_and_a_fault_of_the_program_stop_the_bench():
-    for error, act in ((Stopped, {"asked": lambda: True}), (ZeroDivisionError, {"told": lambda p: 1 / 0})):
+    for error, act in ((StopRequested, {"asked": lambda: True}), (ZeroDivisionError, {"told": lambda p: 1 / 0})):
         rig = Watched(0)
         with pytest.raises(error):
             measured(plan(), rig, **act)

@@ -36,7 +36,7 @@ def server() -> Iterator[StreamServer]:
 
 def sent(server: StreamServer, pictures: list[bytes], first: int = 0) -> None:
     """Send them one by one, when somebody looks."""
-    while not server.watcher_count:
+    while not server.client_count:
         time.sleep(0.001)
     for k, jpeg in enumerate(pictures):
         server.publish_picture(jpeg, 5.0 + 0.1 * (first + k))
@@ -59,7 +59,7 @@ def test_a_stream_is_read_with_the_senders_time_or_the_arrivals(server: StreamSe
         LivePictures(server.url, CAMERA, clock="sender", delay_s=0.02) as theirs,
         LivePictures(server.url, CAMERA, delay_s=0.02) as ours,
     ):
-        while server.watcher_count < 2:
+        while server.client_count < 2:
             time.sleep(0.001)
         in_thread(lambda: sent(server, PICTURES)).join()
         by_sender, by_arrival = (

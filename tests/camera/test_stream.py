@@ -47,7 +47,7 @@ def test_what_is_published_is_received_with_its_time(server: StreamServer) -> No
         for k in range(1, 6):
             server.publish_picture(PICTURES[k], 1.25 + k)
             assert next(got) == (PICTURES[k], 1.25 + k)
-        assert server.watcher_count == 1
+        assert server.client_count == 1
         server.publish_picture(PICTURES[0], 9.0)
         server.close()
         assert [t for _, t in got] == [9.0]  # what waits is sent before it ends

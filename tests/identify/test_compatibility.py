@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.identify import EvenLogTable
+from mufly.identify import UniformLogTable
 from mufly.identify.flight_record import low_pass
 from mufly.identify.linear.flight_path_reconstruction import (
     FLIGHT_PATH_STATES,
@@ -42,7 +42,7 @@ def made(seed, n=700, dt=0.02):
     states = np.c_[angle, speed(t), speed.antiderivative()(t)]
     z = states + rng.normal(size=(n, 9)) * NOISE[1]
     columns = dict(zip((*IMU_CHANNELS, *FLIGHT_PATH_STATES), np.c_[imu, z].T, strict=True))
-    return EvenLogTable("made", t, columns), truth, states, np.c_[rates, force], speed(t, 1), along(t, 1)
+    return UniformLogTable("made", t, columns), truth, states, np.c_[rates, force], speed(t, 1), along(t, 1)
 
 
 def test_kinematics_of_a_known_path_are_its_derivatives():
@@ -77,7 +77,7 @@ def spoilt(**change):
     columns = dict(record.columns)
     for name, with_ in change.items():
         columns[name] = with_(columns)
-    return EvenLogTable("made", record.time_s, columns)
+    return UniformLogTable("made", record.time_s, columns)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_a_shaking_rotor_does_not_enlarge_scale_factors_and_a_recordings_names_a
     columns |= {f"truth_{e}": states[:, k] for k, e in enumerate(ends)}
     columns |= {f"estimated_{e}": states[:, k] + 0.1 for k, e in enumerate(ends)}
     unused = {"measured_pressure": 7}
-    c = reconstruct_flight_path(EvenLogTable("made", t, columns, filled_counts=unused), *NAMES)
+    c = reconstruct_flight_path(UniformLogTable("made", t, columns, filled_counts=unused), *NAMES)
     assert c.converged
     value = np.array([e.value for e in c.estimates])
     assert value[:3] == pytest.approx(truth[:3], abs=2e-3)

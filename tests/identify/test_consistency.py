@@ -10,7 +10,7 @@ from mufly.dynamics import DrydenWind
 from mufly.errors import InputError
 from mufly.identify import FlightRecord, check_flight_records, check_record
 from mufly.identify.flight.identification_demo import (
-    SAMPLE_S,
+    DEMO_SAMPLE_S,
     DemoExcitation,
     fly_demo_flights,
     fly_demo_record,
@@ -120,7 +120,7 @@ def test_the_height_of_a_record_that_hardly_moves():
     """Answers to the sensor's own noise tell metres; noise or resolution centimetres; else it is said, not passed."""
     n = 800
     still = DemoExcitation(np.zeros((n, 4)), np.zeros((n, 2)))
-    air = DrydenWind((0.5, 0.0, 0.0), 0.3, step_s=SAMPLE_S)
+    air = DrydenWind((0.5, 0.0, 0.0), 0.3, step_s=DEMO_SAMPLE_S)
     r = fly_demo_record(VEHICLE, still, np.random.default_rng(0), name="hover", air=air)
     assert check_flight_records([r], VEHICLE) == ()  # what the motors do against the sensor's noise is enough
     with pytest.raises(InputError, match=r"height: .*centimetres"):

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import ArgumentError, InputError
-from mufly.identify import EvenLogTable, identify_linear_model, read_columns
+from mufly.identify import UniformLogTable, identify_linear_model, read_columns
 from mufly.identify.flight_record import low_pass
 from mufly.identify.linear.equation_error import regress_rate_derivatives
 from mufly.identify.linear.equation_model import identify_equation_model
@@ -304,7 +304,7 @@ def flown(seed, n=2000, dt=0.01, noise=0.02):
         "lon": u[:, 1],
         "still": 0.0 * u[:, 0],
     }
-    return EvenLogTable(f"flight {seed}", dt * np.arange(n), columns)
+    return UniformLogTable(f"flight {seed}", dt * np.arange(n), columns)
 
 
 @pytest.mark.parametrize("domain", ["time", "frequency"])
@@ -355,7 +355,7 @@ def test_intervals_of_the_equation_error_hold_under_feedback_and_gusts():
 
 def test_a_sum_of_columns_is_an_input_and_what_is_none_is_said():
     t = np.arange(30.0)
-    r = EvenLogTable("x", t, {"m1": t, "m2": 2 * t, "a-b": 3 * t})
+    r = UniformLogTable("x", t, {"m1": t, "m2": 2 * t, "a-b": 3 * t})
     assert r.stack_columns({"lat": "m2-m1", "lon": "-0.5*m1+1e-1*m2", "ped": "a-b"}, "inputs") == pytest.approx(
         np.c_[t, -0.3 * t, 3 * t]
     )
@@ -448,7 +448,7 @@ def test_columns_of_matlab_and_of_headless_files(tmp_path):
 
 def test_names_are_found_by_their_end_and_ambiguity_is_said():
     t = np.arange(30.0)
-    r = EvenLogTable(
+    r = UniformLogTable(
         "x", t, {"measured_rates.p": t, "reference_rates.p": -t, "reference_rates.q": t, "a.s": t, "b.s": t}
     )
     assert r.find_column("p", "outputs") is r.columns["measured_rates.p"]

@@ -135,7 +135,7 @@ def test_a_stream_gives_the_trajectory_that_its_folder_gives(layouts: dict[str, 
                 server.publish_picture(data, frame.time_s)
                 yield next(frames)
 
-        while not server.watcher_count:
+        while not server.client_count:
             time.sleep(0.001)
         streamed = run_slam(SlamSystem(CAMERA, start=start), sent())
     assert len(streamed.time) == len(direct.time) > 10

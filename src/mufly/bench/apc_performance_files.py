@@ -25,11 +25,11 @@ from mufly.quantities.units import RPM, normalise_unit, unit_conversion
 
 Array = NDArray[np.float64]
 
-_SPEED_LINE = re.compile(r"PROP(?:ELLER)?\s+RPM\s*=\s*(\d+\.?\d*)", re.IGNORECASE)
-_SIZE_IN_NAME = re.compile(r"(\d+(?:\.\d+)?)\s*x\s*\d")
-_UNIT_IN_HEADER = re.compile(r"\(([^)]*)\)|(?<=\s)-(?=\s|$)")
-_INCH = 0.0254
-_MIN_DENSITY_CT = 0.02  # least thrust coefficient of a line used to find the density
+_SPEED_LINE_PATTERN = re.compile(r"PROP(?:ELLER)?\s+RPM\s*=\s*(\d+\.?\d*)", re.IGNORECASE)
+_DIAMETER_IN_NAME_PATTERN = re.compile(r"(\d+(?:\.\d+)?)\s*x\s*\d")
+_UNIT_IN_HEADER_PATTERN = re.compile(r"\(([^)]*)\)|(?<=\s)-(?=\s|$)")
+_INCH_M = 0.0254
+_MIN_DENSITY_FIT_CT = 0.02  # least thrust coefficient of a line used to find the density
 _COLUMN_UNITS = {"v": "m/s", "thrust": "N", "torque": "N m", "pwr": "W"}
 
 
@@ -55,22 +55,22 @@ def read_apc_performance(path: str | Path) -> ApcPerformance | None:
         text = decode_text(Path(path).read_bytes())
     except OSError:
         return None  # the table reader reports the error
-    if not _SPEED_LINE.search(text):
+    if not _SPEED_LINE_PATTERN.search(text):
         return None
     lines = text.splitlines()
-    size = next((_SIZE_IN_NAME.search(line) for line in lines if line.strip()), None)
+    size = next((_DIAMETER_IN_NAME_PATTERN.search(line) for line in lines if line.strip()), None)
     speed, names, units = math.nan, [], []  # type: tuple[float, list[str], list[str]]
     rows: list[tuple[int, dict[str, float]]] = []
     lost = 0
     for number, line in enumerate(lines, 1):
         words = line.split()
-        block = _SPEED_LINE.search(line)
+        block = _SPEED_LINE_PATTERN.search(line)
         if block is not None:
             speed = RPM * float(block[1])
         elif [w.lower() for w in words[:2]] == ["v", "j"]:
             names, units = [w.lower() for w in words], []
         elif names and not units and "(" in line:
-            units = [m[1] or "" for m in _UNIT_IN_HEADER.finditer(line)]
+            units = [m[1] or "" for m in _UNIT_IN_HEADER_PATTERN.finditer(line)]
         elif names and words and re.fullmatch(r"[-+]?[\d.]+", words[0]):
             if len(words) != len(names):
                 raise InputError(
@@ -96,14 +96,14 @@ def read_apc_performance(path: str | Path) -> ApcPerformance | None:
             "give an unchanged copy of the manufacturer's file",
         )
     columns = {name: np.array([row[name] for _, row in rows]) for name in rows[0][1]}
-    diameter = _INCH * float(size[1]) if size else math.nan
+    diameter = _INCH_M * float(size[1]) if size else math.nan
     notes = [f"{where} is the manufacturer's computed performance, not a measurement"]
     if lost:
         notes.append(f"{lost} lines without numbers are omitted")
     if "power" in columns:
         columns["torque"] = columns.pop("power") / columns["speed"]
     if "thrust" in columns and math.isfinite(diameter):
-        seen = columns["thrust_coefficient"] > _MIN_DENSITY_CT
+        seen = columns["thrust_coefficient"] > _MIN_DENSITY_FIT_CT
         turns = columns["speed"][seen] / (2.0 * math.pi)
         if seen.any():
             unit = columns["thrust_coefficient"][seen] * turns**2 * diameter**4

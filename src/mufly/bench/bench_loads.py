@@ -199,7 +199,7 @@ def calibrate_cells(table: BenchTable) -> CellCalibration:
     )
 
 
-_MAX_DEGREE = 3
+_MAX_DRIFT_DEGREE = 3
 
 
 @result(eq=False)
@@ -267,7 +267,7 @@ def fit_zero_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> Z
     middle, half = 0.5 * (t.max() + t.min()), max(0.5 * float(np.ptp(t)), 1e-9)
     tau, n = (t - middle) / half, y.size
     chosen, least = 0, np.inf
-    for degree in range(min(_MAX_DEGREE, blocks - 1, n - 3) + 1 if n > 3 else 1):
+    for degree in range(min(_MAX_DRIFT_DEGREE, blocks - 1, n - 3) + 1 if n > 3 else 1):
         a = np.vander(tau, degree + 1, increasing=True)
         rest = y - a @ np.linalg.lstsq(a, y, rcond=None)[0]
         k = degree + 2
@@ -343,7 +343,7 @@ def compute_loads(
         If a raw channel has no calibration, a calibration has no raw channel, or a column has a wrong unit. Also if a
         coefficient has no radius, all lines are in axial flight, or a load has no speed.
     """
-    table.reject_wrong_units(c for c in table.misread if base_quantity_of(c) in (*LOAD_QUANTITIES, "speed"))
+    table.reject_wrong_units(c for c in table.mismatched_units if base_quantity_of(c) in (*LOAD_QUANTITIES, "speed"))
     table = add_loads_from_coefficients(table, radius_m, resolve_air_density(table, density_kg_m3)[0])
     axial = select_axial_lines(table, radius_m)
     if axial.any():

@@ -32,7 +32,7 @@ from mufly.quantities.units import compatible_units, conversion_factor, normalis
 from mufly.results import result
 
 Array = NDArray[np.float64]
-_UNIT_ASSUMED = "no unit is written, taken as"
+_ASSUMED_UNIT_MESSAGE = "no unit is written, taken as"
 
 
 class TruncatedFileWarning(UserWarning):
@@ -58,7 +58,7 @@ class BenchTable:
         Columns without a stated unit, interpreted as SI until :meth:`rescale_column` changes them.
     notes : tuple of str
         Notes on skipped columns and guesses.
-    misread : dict of str to (str, str)
+    mismatched_units : dict of str to (str, str)
         Header and unit of quantities whose columns have a wrong unit.
     diameter_m : float
         Rotor diameter if the file states it, else NaN.
@@ -70,7 +70,7 @@ class BenchTable:
     line: NDArray[np.int64]
     unitless: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    misread: dict[str, tuple[str, str]] = field(default_factory=dict)
+    mismatched_units: dict[str, tuple[str, str]] = field(default_factory=dict)
     diameter_m: float = math.nan
 
     def __len__(self) -> int:
@@ -115,8 +115,8 @@ class BenchTable:
             For the first such quantity; the error names column and unit.
         """
         for name in names:
-            if name not in self.columns and name in self.misread:
-                header, unit = self.misread[name]
+            if name not in self.columns and name in self.mismatched_units:
+                header, unit = self.mismatched_units[name]
                 si = SI_UNITS[base_quantity_of(name)]
                 raise InputError(
                     self.source, header, f"{unit!r} is not a known unit of {base_quantity_of(name)}",
@@ -140,7 +140,7 @@ class BenchTable:
 
         The note replaces that of the first reading, which took a column without a unit as SI.
         """
-        first = f"{self.headers[name]}: {_UNIT_ASSUMED}"
+        first = f"{self.headers[name]}: {_ASSUMED_UNIT_MESSAGE}"
         known = replace(self, notes=tuple(n for n in self.notes if not n.startswith(first)))
         return known.with_columns(note, **{name: self.columns[name] * factor})
 
@@ -203,7 +203,7 @@ def _find_mapped_column(table: TextTable, line: ColumnLine) -> int | None:
     """Return the position of a map line's column, found by its header with or without the unit."""
     if line.topic and line.topic != Path(table.where).name:
         return None
-    bare = [match[1] if (match := _BRACKETED_UNIT.match(h)) else h for h in table.header]
+    bare = [match[1] if (match := _BRACKETED_UNIT_PATTERN.match(h)) else h for h in table.header]
     return next((names.index(line.columns[0]) for names in (table.header, bare) if line.columns[0] in names), None)
 
 
@@ -225,7 +225,7 @@ def _mapped_header(header: str, line: ColumnLine) -> str:
             return text
     known = parse_header(line.name)
     if known is None:
-        remedy = f"use one of {', '.join(_QUANTITY_NAMES)}, with _upper, _lower or _raw"
+        remedy = f"use one of {', '.join(_QUANTITY_UNITS_AND_NAMES)}, with _upper, _lower or _raw"
         raise ArgumentError("columns", line.name, "is not a quantity of a bench", remedy)
     si = SI_UNITS[known.base_quantity]
     problem = f"{line.unit!r} is not a known unit of {known.base_quantity}"
@@ -243,7 +243,7 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
         warnings.warn(f"{where}: {cut}", TruncatedFileWarning, stacklevel=4)
     line = np.array(written.lines, dtype=np.int64)
     found: dict[str, list[_ColumnReading]] = {}
-    misread: dict[str, tuple[str, str]] = {}
+    mismatched_units: dict[str, tuple[str, str]] = {}
     unused: list[str] = []
     for index, header in enumerate(written.header):
         for text, sign in mapped.get(index, [(written.titles[index], 1.0)]):
@@ -252,7 +252,7 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
                 unused.append(header)
                 doubt = _mismatched_unit(text)
                 if doubt is not None:
-                    misread.setdefault(doubt[0], (header, doubt[1]))
+                    mismatched_units.setdefault(doubt[0], (header, doubt[1]))
                 continue
             if column.base_quantity == "run":
                 known: dict[str, float] = {}
@@ -260,8 +260,8 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
             else:
                 values = sign * _read_values(written, index, column) * column.factor + column.offset
             found.setdefault(column.name, []).append(_ColumnReading(header, column, values))
-    if not found and misread:
-        BenchTable(where, {}, {}, line, misread=misread).reject_wrong_units(misread)
+    if not found and mismatched_units:
+        BenchTable(where, {}, {}, line, mismatched_units=mismatched_units).reject_wrong_units(mismatched_units)
     if not found:
         raise InputError(
             where, "", f"no column is understood ({', '.join(written.header)})",
@@ -277,13 +277,13 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
     notes = [*told, *notes]
     unitless = tuple(n for n, r in chosen.items() if r.column.unit == "" and not n.endswith("_raw"))
     notes += [
-        f"{r.header}: {_UNIT_ASSUMED} {SI_UNITS[r.column.base_quantity]}"
+        f"{r.header}: {_ASSUMED_UNIT_MESSAGE} {SI_UNITS[r.column.base_quantity]}"
         for n, r in chosen.items()
         if n in unitless and r.column.base_quantity not in ("speed", "pitch")
     ]
     table = BenchTable(
         where, {n: r.values for n, r in chosen.items()}, {n: r.header for n, r in chosen.items()}, line, unitless,
-        tuple(notes), misread,
+        tuple(notes), mismatched_units,
     )  # fmt: skip
     return _resolve_pitch_unit(_convert_duty(table, chosen.get("duty")))
 
@@ -418,7 +418,7 @@ def _read_values(table: TextTable, index: int, column: ColumnMeaning) -> Array:
     return values
 
 
-_QUANTITY_NAMES = {
+_QUANTITY_UNITS_AND_NAMES = {
     # quantity: its unit here, and its names
     "voltage": (
         "V",
@@ -456,10 +456,10 @@ _QUANTITY_NAMES = {
     "pressure": ("Pa", "pressure"),
     "humidity": ("1", "humidity relative_humidity rh"),
 }
-SI_UNITS = {quantity: unit for quantity, (unit, _) in _QUANTITY_NAMES.items()}
+SI_UNITS = {quantity: unit for quantity, (unit, _) in _QUANTITY_UNITS_AND_NAMES.items()}
 
 _SIDE_WORDS = {"upper": "upper up top", "lower": "lower dw low down bottom"}
-_BRACKETED_UNIT = re.compile(r"^(.*?)\s*[\(\[]\s*([^\)\]]*?)\s*[\)\]]$")
+_BRACKETED_UNIT_PATTERN = re.compile(r"^(.*?)\s*[\(\[]\s*([^\)\]]*?)\s*[\)\]]$")
 _DIMENSIONLESS_QUANTITIES = (
     "duty", "run", "thrust_coefficient", "propeller_thrust_coefficient", "power_coefficient", "torque_coefficient",
     "rotor_thrust_coefficient", "rotor_torque_coefficient", "advance_ratio", "humidity",
@@ -514,7 +514,7 @@ def parse_header(header: str) -> ColumnMeaning | None:
 def _header_candidates(header: str) -> list[tuple[str, str]]:
     """Return candidate pairs of name and unit for a header, most likely first."""
     text = " ".join(header.strip().lower().split())
-    match = _BRACKETED_UNIT.match(text)
+    match = _BRACKETED_UNIT_PATTERN.match(text)
     if match:
         return [(match[1], match[2])]
     parts = text.split("_")
@@ -527,7 +527,7 @@ def _mismatched_unit(header: str) -> tuple[str, str] | None:
     for name, unit in _header_candidates(header):
         stem, full = _split_column_name(name)
         if unit and (len(stem) > 1 or not normalise_unit(unit)):
-            for quantity, (_, names) in _QUANTITY_NAMES.items():
+            for quantity, (_, names) in _QUANTITY_UNITS_AND_NAMES.items():
                 if stem in names.split():
                     written = re.search(re.escape(unit), header, re.IGNORECASE)
                     return full.format(quantity), written[0] if written else unit
@@ -546,7 +546,7 @@ def _split_column_name(name: str) -> tuple[str, str]:
 def _match_column(name: str, unit: str) -> ColumnMeaning | None:
     stem, form = _split_column_name(name)
     raw = form.endswith("_raw")
-    for quantity, (si, names) in _QUANTITY_NAMES.items():
+    for quantity, (si, names) in _QUANTITY_UNITS_AND_NAMES.items():
         if stem not in names.split():
             continue
         full = form.format(quantity)

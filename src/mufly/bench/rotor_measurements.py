@@ -37,7 +37,7 @@ from mufly.bench.unit_conventions import (
 from mufly.errors import InputError
 from mufly.rotor import Air, RotorMeasurements
 
-_PITCH_LIMIT_RAD = math.pi / 2
+_MAX_PITCH_RAD = math.pi / 2
 
 
 def read_measurements(
@@ -100,7 +100,7 @@ def read_measurements(
     table.require_columns(("speed", "thrust"))
     _check_pitch_and_speed(table, pitch_rad)
     table = _resolve_units(table, radius, density if math.isfinite(density) else Air().density_kg_m3)
-    table = _fix_signs(table)
+    table = _invert_negative_loads(table)
     if not {"airspeed", "advance_ratio"} & set(table.columns):
         # In a tunnel the thrust may vanish or become negative (windmilling).
         _require_column_values(table, "thrust", table["thrust"] != 0.0, "not be 0; delete the line")
@@ -134,7 +134,7 @@ def _check_pitch_and_speed(table: BenchTable, pitch_rad: float | None) -> None:
         table.require_columns(("pitch",))
         if pitch_rad is not None:
             raise table.column_error("pitch", "is a column of the file", "omit the pitch given in addition")
-        within = np.abs(table["pitch"]) <= _PITCH_LIMIT_RAD
+        within = np.abs(table["pitch"]) <= _MAX_PITCH_RAD
         _require_column_values(table, "pitch", within, "lie within 90 degrees; check its unit")
     _require_column_values(table, "speed", table["speed"] > 0.0, "be above 0")
     table.require_columns([n for n in ("airspeed", "advance_ratio") if n in table])
@@ -154,7 +154,7 @@ def _resolve_units(table: BenchTable, radius_m: float | None, density_kg_m3: flo
     return table
 
 
-def _fix_signs(table: BenchTable) -> BenchTable:
+def _invert_negative_loads(table: BenchTable) -> BenchTable:
     """Invert a thrust or torque that is negative in every line, with a note."""
     for name, sign in (("thrust", "the load cell"), ("torque", "the sense of rotation")):
         if name in table:

@@ -39,7 +39,7 @@ TYPICAL_THRUST_COEFFICIENT = 0.01
 LOAD_QUANTITIES = ("thrust", "torque")
 _HOVER_THRUST_COEFFICIENTS = 0.0015, 0.045  # range of c_T of hovering rotors
 _HOVER_TORQUE_COEFFICIENTS = 1e-4, 6e-3  # range of c_Q
-_HEAVY_THRUST_COEFFICIENT, _LIGHT_THRUST_COEFFICIENT = 0.025, 2e-4  # c_T at which newtons may be grams
+_MIN_GRAM_THRUST_COEFFICIENT, _MAX_KILOGRAM_THRUST_COEFFICIENT = 0.025, 2e-4  # c_T at which newtons may be grams
 _HOVER_FIGURES_OF_MERIT = (0.15, 0.95)  # range of the figure of merit of hovering rotors
 _MIN_PROPELLER_CT = 0.02
 _CANDIDATE_THRUST_UNITS, _CANDIDATE_TORQUE_UNITS = ("N", "gf", "kgf"), ("N m", "mN m", "N cm", "kgf cm")
@@ -208,7 +208,7 @@ def guess_load_units(
             merit = median_figure_of_merit(
                 loads[channel] * conversion_factor("gf"), beside, squares, density_kg_m3, radius_m
             )
-            if size > _HEAVY_THRUST_COEFFICIENT and light > _LIGHT_THRUST_COEFFICIENT and math.isnan(merit):
+            if size > _MIN_GRAM_THRUST_COEFFICIENT and light > _MAX_KILOGRAM_THRUST_COEFFICIENT and math.isnan(merit):
                 fits.append(("gf", conversion_factor("gf"), merit))
         if len(fits) != 1:
             what = " or ".join(u for u, _, _ in fits) if fits else "no unit"

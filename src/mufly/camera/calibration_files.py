@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 from mufly.errors import InputError
 
-_RADTAN_MODELS = (
+_RADIAL_TANGENTIAL_LENS_NAMES = (
     "",
     "none",
     "radtan",
@@ -27,7 +27,7 @@ _RADTAN_MODELS = (
     "opencv",
     "pinhole",
 )
-_PINHOLE_MODELS = ("", "pinhole", "plumb_bob", "perspective", "mono")
+_PINHOLE_CAMERA_NAMES = ("", "pinhole", "plumb_bob", "perspective", "mono")
 _UNSUPPORTED_LENS_REMEDY = "undistort the pictures to a pinhole model, or calibrate the lens: mufly slam calibrate"
 _YAML_KEY_PATTERN = re.compile(r"(\s*)(?:- )?([A-Za-z_][\w.\-]*|\"[^\"]+\")\s*:(?:\s+(.*))?$")
 _DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3")
@@ -185,7 +185,7 @@ def _parse_calibration(
     }  # fmt: skip
     whose = next((name for name, keys in marks.items() if any(k in v for k in keys)), "a calibration")
     whose = "Kalibr's camchain" if cameras else whose
-    for kind, read in ((model, _PINHOLE_MODELS), (bent, _RADTAN_MODELS)):
+    for kind, read in ((model, _PINHOLE_CAMERA_NAMES), (bent, _RADIAL_TANGENTIAL_LENS_NAMES)):
         if kind not in read:
             raise InputError(
                 where,

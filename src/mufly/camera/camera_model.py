@@ -166,7 +166,7 @@ def builtin_cameras() -> list[str]:
     return builtin_file_names(_BUILTIN_FOLDER)
 
 
-_FALLBACK_CAMERA = "webcam"
+_DEFAULT_CAMERA_NAME = "webcam"
 """Built-in camera that supplies the values another program's calibration lacks."""
 
 
@@ -185,11 +185,11 @@ def load_camera(name_or_path: str | Path) -> Camera:
     if str(name_or_path) not in builtin_cameras() and path.suffix.lower() != ".toml" and path.is_file():
         text = decode_text(path.read_bytes())
         if not _is_toml(text):
-            rest, _ = read_toml(_FALLBACK_CAMERA, _BUILTIN_FOLDER, "camera")
+            rest, _ = read_toml(_DEFAULT_CAMERA_NAME, _BUILTIN_FOLDER, "camera")
             tables, whose = convert_calibration(text, str(path), rest)
             note = (
                 f"is {whose}: lens and size are read; mount, shutter, radio and all else are those of "
-                f"{_FALLBACK_CAMERA}"
+                f"{_DEFAULT_CAMERA_NAME}"
             )
             warnings.warn(f"{path.name}: {note}; camera_toml writes a file to change", LogWarning, stacklevel=2)
             return validate_model(Camera, tables, str(path))
@@ -245,10 +245,10 @@ def body_from_camera_rotation(camera: Camera) -> _Array:
     """Return the rotation matrix (3, 3) from the camera's to the body's axes."""
     mount = camera.mount
     turn: _Array = body_to_ned_matrices(np.array([float(mount.roll), float(mount.pitch), float(mount.turn)]))
-    return turn @ NOSE_UP
+    return turn @ BODY_FROM_DOWN_CAMERA
 
 
-NOSE_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+BODY_FROM_DOWN_CAMERA = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Rotation matrix from the camera's to the body's axes for a mount without turn, pitch and roll."""
 
 

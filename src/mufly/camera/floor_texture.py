@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 from mufly.errors import ArgumentError, InputError
 
 FLOOR_KINDS = ("rich", "poor", "tiles", "plain")
-PIXEL_SIZE_M = 2e-3
+FLOOR_PIXEL_SIZE_M = 2e-3
 """Pixel size of the built-in floors (m)."""
-DETAIL_PIXEL_M, DETAIL_PIXELS = 5e-4, 512
-SHADOW_PIXEL_M, SHADOW_PIXELS = 0.04, 256
-TILE_PIXELS = 128
-_MEAN_GREY = 118.0
+DETAIL_MAP_PIXEL_M, DETAIL_MAP_SIDE_PIXELS = 5e-4, 512
+SHADOW_MAP_PIXEL_M, SHADOW_MAP_SIDE_PIXELS = 0.04, 256
+FLOOR_TILE_SIDE_PIXELS = 128
+_FLOOR_MEAN_GREY = 118.0
 _CONTRAST_BY_KIND = {"rich": 20.0, "poor": 6.0, "tiles": 20.0, "plain": 0.0}
 _DETAIL_CONTRAST_BY_KIND = {"rich": 12.0, "poor": 3.0, "tiles": 8.0, "plain": 0.0}
 
@@ -47,9 +47,9 @@ class Floor:
     pixel_size_m : (2,) tuple
         Length of a pixel of the first level along each axis (m).
     detail_map : (512, 512) float32 array
-        Detail added at low height (grey levels), :data:`DETAIL_PIXEL_M` a pixel.
+        Detail added at low height (grey levels), :data:`DETAIL_MAP_PIXEL_M` a pixel.
     shadow_map : (256, 256) float32 array
-        Share of the light that arrives, :data:`SHADOW_PIXEL_M` a pixel.
+        Share of the light that arrives, :data:`SHADOW_MAP_PIXEL_M` a pixel.
     """
 
     name: str
@@ -92,18 +92,18 @@ def make_floor(kind: str = "rich", seed: int = 0, *, size: int = 4096, shadows: 
     if size < 128 or size & (size - 1):
         raise ArgumentError("size", str(size), "is not a power of two from 128", "give 1024, 2048 or 4096")
     rng = np.random.default_rng([seed, FLOOR_KINDS.index(kind)])
-    n = TILE_PIXELS if kind == "tiles" else size
-    picture = _MEAN_GREY + _CONTRAST_BY_KIND[kind] * _make_pink_noise(rng, n)
+    n = FLOOR_TILE_SIDE_PIXELS if kind == "tiles" else size
+    picture = _FLOOR_MEAN_GREY + _CONTRAST_BY_KIND[kind] * _make_pink_noise(rng, n)
     if kind in ("rich", "tiles"):
-        _draw_random_shapes(picture, rng, round(90 * (n * PIXEL_SIZE_M) ** 2))
+        _draw_random_shapes(picture, rng, round(90 * (n * FLOOR_PIXEL_SIZE_M) ** 2))
     if kind == "tiles":
         picture[:2] = picture[:, :2] = 60.0
         picture = np.tile(picture, (size // n, size // n))
-    detail = _DETAIL_CONTRAST_BY_KIND[kind] * _make_pink_noise(rng, DETAIL_PIXELS)
+    detail = _DETAIL_CONTRAST_BY_KIND[kind] * _make_pink_noise(rng, DETAIL_MAP_SIDE_PIXELS)
     return Floor(
         kind,
         _build_mip_levels(_to_uint8(picture)),
-        (PIXEL_SIZE_M, PIXEL_SIZE_M),
+        (FLOOR_PIXEL_SIZE_M, FLOOR_PIXEL_SIZE_M),
         detail.astype(np.float32),
         _make_shadow_map(rng, shadows),
     )
@@ -131,7 +131,7 @@ def load_floor_picture(path: str | Path, width_m: float, *, seed: int = 0, shado
     height_m = width_m * picture.height / picture.width
     wide, high = (min(8192, max(64, 1 << (n - 1).bit_length())) for n in picture.size)
     grey = np.asarray(picture.resize((wide, high), Image.Resampling.LANCZOS))[::-1]  # rows increase northwards
-    nothing = np.zeros((DETAIL_PIXELS, DETAIL_PIXELS), np.float32)
+    nothing = np.zeros((DETAIL_MAP_SIDE_PIXELS, DETAIL_MAP_SIDE_PIXELS), np.float32)
     shade = _make_shadow_map(np.random.default_rng(seed), shadows)
     return Floor(
         str(path),
@@ -197,7 +197,7 @@ def _build_mip_levels(a: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], ...]:
 
 def _make_shadow_map(rng: np.random.Generator, depth: float) -> NDArray[np.float32]:
     """Return a shadow map: soft bands and blotches."""
-    n = SHADOW_PIXELS
+    n = SHADOW_MAP_SIDE_PIXELS
     a = rng.standard_normal((8, 8), dtype=np.float32)
     while len(a) < n:
         a = _upsample_twice(a)

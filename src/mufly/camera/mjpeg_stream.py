@@ -25,7 +25,7 @@ from mufly.errors import ArgumentError, InputError
 
 MJPEG_BOUNDARY = "mufly-picture"
 MAX_QUEUED_PICTURES = 8  # pictures in the queue of a slow client
-MAX_WATCHERS = 16
+MAX_STREAM_CLIENTS = 16
 SOCKET_TIMEOUT_S = 5.0
 MAX_PICTURE_BYTES = 32_000_000
 """Largest size of a received picture; longer parts are refused."""
@@ -71,7 +71,7 @@ class StreamServer:
     ----------
     url : str
         Address of the stream.
-    watcher_count : int
+    client_count : int
         Number of connected clients.
 
     Raises
@@ -105,7 +105,7 @@ class StreamServer:
         threading.Thread(target=self._http.serve_forever, args=(0.1,), name="camera stream", daemon=True).start()
 
     @property
-    def watcher_count(self) -> int:
+    def client_count(self) -> int:
         return len(self._queues)
 
     def publish_picture(self, jpeg: bytes, time_s: float) -> None:
@@ -140,7 +140,7 @@ class StreamServer:
         """Yield pictures as they come, the latest at once; yield none if there are too many clients."""
         queue: deque[tuple[bytes, float]] = deque(maxlen=MAX_QUEUED_PICTURES)
         with self._change:
-            if len(self._queues) >= MAX_WATCHERS:
+            if len(self._queues) >= MAX_STREAM_CLIENTS:
                 return
             self._queues.append(queue)
             if self._latest is not None:

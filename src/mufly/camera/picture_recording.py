@@ -23,8 +23,8 @@ from mufly.logs.mcap_recording import foxglove_time, object_schema
 
 CAMERA_FILE_NAME = "camera.mcap"
 IMAGE_SCHEMA_NAME = "foxglove.CompressedImage"
-_CHUNK_S = 1.0
-_TOPICS = ("/camera", "/camera/told")
+_MCAP_CHUNK_DURATION_S = 1.0
+_RECORDING_TOPICS = ("/camera", "/camera/told")
 _TEXT_TYPE, _NUMBER_TYPE, _INTEGER_TYPE = {"type": "string"}, {"type": "number"}, {"type": "integer"}
 _TIME_SCHEMA = object_schema({"sec": _INTEGER_TYPE, "nsec": _INTEGER_TYPE}, "time")
 _IMAGE_SCHEMA = object_schema(
@@ -68,14 +68,14 @@ class PictureRecorder:
         self._file.write_metadata("mufly.camera", {**facts, "start_ns": str(start_ns)})
         self._file.write_attachment("camera.toml", "text/plain", camera.encode(), start_ns)
         told = orjson.dumps({"title": "mufly.Told", "type": "object"})
-        self._image = self._file.add_channel(_TOPICS[0], IMAGE_SCHEMA_NAME, orjson.dumps(_IMAGE_SCHEMA))
-        self._told = self._file.add_channel(_TOPICS[1], "mufly.Told", told)
+        self._image = self._file.add_channel(_RECORDING_TOPICS[0], IMAGE_SCHEMA_NAME, orjson.dumps(_IMAGE_SCHEMA))
+        self._told = self._file.add_channel(_RECORDING_TOPICS[1], "mufly.Told", told)
 
     def add_picture(self, time_s: float, jpeg: bytes, told: Mapping[str, Any]) -> None:
         """Add a picture and the vehicle's data for it; raise MuflyError if the disk is full."""
         if time_s >= self._due_s:
             self._flush_chunk()
-            self._due_s = time_s + _CHUNK_S
+            self._due_s = time_s + _MCAP_CHUNK_DURATION_S
         at = self._start_ns + round(time_s * 1e9)
         image = {
             "timestamp": foxglove_time(at),
@@ -160,10 +160,10 @@ def read_pictures(path: Path) -> RecordedPictures:
     """
     beside = path.with_name(CAMERA_FILE_NAME)
     contents = read_mcap(path)
-    images = contents.messages_by_topic.get(_TOPICS[0]) or _find_image_messages(contents.messages_by_topic)
+    images = contents.messages_by_topic.get(_RECORDING_TOPICS[0]) or _find_image_messages(contents.messages_by_topic)
     if not images and path.name != CAMERA_FILE_NAME and beside.is_file():
         path, contents = beside, read_mcap(beside)
-        images = contents.messages_by_topic.get(_TOPICS[0], [])
+        images = contents.messages_by_topic.get(_RECORDING_TOPICS[0], [])
     if not images:
         raise InputError(
             str(path),
@@ -174,7 +174,7 @@ def read_pictures(path: Path) -> RecordedPictures:
         )
     facts = contents.metadata.get("mufly.camera", {})
     start_ns = int(facts.get("start_ns", images[0][0]))
-    tellings = contents.messages_by_topic.get(_TOPICS[1], [])
+    tellings = contents.messages_by_topic.get(_RECORDING_TOPICS[1], [])
     if tellings and not contents.is_complete:  # a picture and its data have the same time
         both = {t for t, _ in images} & {t for t, _ in tellings}
         images, tellings = ([m for m in kind if m[0] in both] for kind in (images, tellings))

@@ -18,7 +18,7 @@ below that level pictures become dark. A longer exposure smears moving pictures.
 level y follows the data sheets of image sensors (EMVA 1288): read noise grows with g, and the variance of shot noise
 with g y,
 
-    n(g, y)^2 = n^2 (s g^2 + (1 - s) g y / y_target),        s = :data:`_READ_NOISE_SHARE`.
+    n(g, y)^2 = n^2 (s g^2 + (1 - s) g y / y_target),        s = :data:`_READ_NOISE_VARIANCE_SHARE`.
 
 Own derivation; rolling shutter as in Meingast, Geyer and Sastry 2005.
 """
@@ -34,7 +34,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.camera.camera_model import Camera, body_from_camera_rotation, unproject_pixels
-from mufly.camera.floor_texture import DETAIL_PIXEL_M, DETAIL_PIXELS, SHADOW_PIXEL_M, SHADOW_PIXELS, Floor
+from mufly.camera.floor_texture import (
+    DETAIL_MAP_PIXEL_M,
+    DETAIL_MAP_SIDE_PIXELS,
+    SHADOW_MAP_PIXEL_M,
+    SHADOW_MAP_SIDE_PIXELS,
+    Floor,
+)
 from mufly.compiled.numba_cache import cached_njit
 from mufly.world import Box, World
 from mufly.world.obstacles import BOX_CENTRE, BOX_COS, BOX_HALF_EDGES, BOX_SIN
@@ -42,16 +48,16 @@ from mufly.world.obstacles import BOX_CENTRE, BOX_COS, BOX_HALF_EDGES, BOX_SIN
 _Array = NDArray[np.float64]
 _MOTION_VELOCITY, _MOTION_RATES, _MOTION_ROTOR_SPEED, _MOTION_ROTOR_PHASE = 3, 6, 9, 11
 """Indices in the motion array of a picture, after the position."""
-_SHAKE_Y, _LAST_COLUMN = 2, 3
+_VIBRATION_SHIFT_Y, _BOX_LAST_COLUMN = 2, 3
 """Columns of amplitude and phase along y in a rotor's vibration; column of the last pixel column of a box."""
-STRIP_ROWS = 16
+VIDEO_STRIP_ROWS = 16
 """Rows of a picture that are lost together, as with JPEG's blocks."""
 _EXPOSURE_SAMPLES = 3  # instants per exposure
 _NOISE_TABLE_SIZE = 1 << 16
-_DETAIL_MAX_HEIGHT_M = 0.6
+_MAX_DETAILED_FLOOR_HEIGHT_M = 0.6
 _TARGET_GREY = 112.0  # mean grey level that the exposure control aims at
 _EXPOSURE_TIME_CONSTANT_S = 0.4
-_MAX_AMPLIFICATION, _MAX_EXPOSURE_SHARE, _READ_NOISE_SHARE = 4.0, 0.15, 0.5
+_MAX_AMPLIFICATION, _MAX_EXPOSURE_SHARE, _READ_NOISE_VARIANCE_SHARE = 4.0, 0.15, 0.5
 """Largest product of the factors of exposure and gain, largest exposure over the period, and share of read noise in the
 variance of the file's noise."""
 
@@ -181,7 +187,7 @@ class Renderer:
             level,
             np.array(self.floor.pixel_size_m),
             self.floor.detail_map,
-            min(1.0, max(0.0, _DETAIL_MAX_HEIGHT_M / height - 1.0)),
+            min(1.0, max(0.0, _MAX_DETAILED_FLOOR_HEIGHT_M / height - 1.0)),
             self.floor.shadow_map,
             self._own_shadow,
             self._boxes,
@@ -201,7 +207,7 @@ class Renderer:
             return picture
         if q.jpeg:
             picture = decode_picture(encode_jpeg(picture, q.jpeg))
-        return self._lose_strips(picture)
+        return self._replace_lost_strips(picture)
 
     def _adapt_exposure(self, time_s: float, light: float) -> None:
         """Set the exposure: directly for the first picture, then with a first-order lag."""
@@ -215,9 +221,9 @@ class Renderer:
             share = 1.0 - math.exp(-max(0.0, time_s - self._last_s) / _EXPOSURE_TIME_CONSTANT_S)
             self._gain *= (wanted / self._gain) ** share
         self._last_s = time_s
-        self._share_amplification(mean / light if light > 0.0 else 0.0, light)
+        self._split_amplification(mean / light if light > 0.0 else 0.0, light)
 
-    def _share_amplification(self, bright_mean: float, light: float) -> None:
+    def _split_amplification(self, bright_mean: float, light: float) -> None:
         """Divide the amplification into exposure and gain; ``bright_mean`` is the mean grey level at light 1."""
         usual = min(_MAX_AMPLIFICATION, max(1.0 / _MAX_AMPLIFICATION, _TARGET_GREY / max(bright_mean, 1e-3)))
         more = max(1.0, self._gain / usual) if light < 1.0 else 1.0
@@ -232,15 +238,15 @@ class Renderer:
             return 1.0
         level = float(self._out[::8, ::8].mean()) * light * self._gain / _TARGET_GREY
         gain = self._sensor_gain
-        return math.sqrt(_READ_NOISE_SHARE * gain * gain + (1.0 - _READ_NOISE_SHARE) * gain * level)
+        return math.sqrt(_READ_NOISE_VARIANCE_SHARE * gain * gain + (1.0 - _READ_NOISE_VARIANCE_SHARE) * gain * level)
 
     def _lose_strips(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Replace lost strips by the same strips of the previous picture, as a video decoder does."""
         lost = float(self.camera.quality.strips_lost)
         if lost > 0.0:
-            for first in range(0, len(picture), STRIP_ROWS):
+            for first in range(0, len(picture), VIDEO_STRIP_ROWS):
                 if self._rng.uniform() < lost:
-                    strip = slice(first, first + STRIP_ROWS)
+                    strip = slice(first, first + VIDEO_STRIP_ROWS)
                     picture[strip] = 128 if self._before is None else self._before[strip]
             self._before = picture.copy()
         return picture
@@ -417,7 +423,7 @@ def _render_irradiance(
             for k in range(2):
                 phase = place[_MOTION_ROTOR_PHASE + k] + place[_MOTION_ROTOR_SPEED + k] * s
                 shift_x += shake[k, 0] * math.cos(phase + shake[k, 1])
-                shift_y += shake[k, _SHAKE_Y] * math.cos(phase + shake[k, _SHAKE_Y + 1])
+                shift_y += shake[k, _VIBRATION_SHIFT_Y] * math.cos(phase + shake[k, _VIBRATION_SHIFT_Y + 1])
             for i in range(3):  # small rotation: (x, y, 1) becomes (x - s_x, y - s_y, 1 + s_x x + s_y y)
                 a, b, g = m[i, 0], m[i, 1], m[i, 2]
                 m[i, 0], m[i, 1], m[i, 2] = a + g * shift_x, b + g * shift_y, g - a * shift_x - b * shift_y
@@ -434,7 +440,7 @@ def _render_irradiance(
                 dark, off = 1.0, 0.0
                 if some:
                     for k in range(len(boxes)):
-                        if seen[k, 0] <= r <= seen[k, 1] and seen[k, 2] <= c <= seen[k, _LAST_COLUMN]:
+                        if seen[k, 0] <= r <= seen[k, 1] and seen[k, 2] <= c <= seen[k, _BOX_LAST_COLUMN]:
                             hit, top = _intersect_box(boxes, k, at_n, at_e, at_d, n, e, d)
                             if 0.0 < hit < far:
                                 far, dark, off = hit, (1.0 if top else 0.6), 1.7 * (k + 1)
@@ -444,11 +450,13 @@ def _render_irradiance(
                 )
                 if near > 0.0:
                     grey += near * _sample_periodic_map(
-                        detail, DETAIL_PIXELS, to_n / DETAIL_PIXEL_M, to_e / DETAIL_PIXEL_M
+                        detail, DETAIL_MAP_SIDE_PIXELS, to_n / DETAIL_MAP_PIXEL_M, to_e / DETAIL_MAP_PIXEL_M
                     )
                 if q == 0:
                     # Light varies slowly over the floor: one sample per pixel suffices.
-                    light = _sample_periodic_map(shade, SHADOW_PIXELS, to_n / SHADOW_PIXEL_M, to_e / SHADOW_PIXEL_M)
+                    light = _sample_periodic_map(
+                        shade, SHADOW_MAP_SIDE_PIXELS, to_n / SHADOW_MAP_PIXEL_M, to_e / SHADOW_MAP_PIXEL_M
+                    )
                     if own_shadow > 0.0:
                         a, b = to_n - place[0] + 0.25 * place[2], to_e - place[1] - 0.15 * place[2]
                         soft = 0.03 + 0.15 * height

@@ -9,7 +9,7 @@ from mufly.identify.flight.free_parameters import FreeParameter, choose_free_par
 from mufly.identify.flight.identification_demo import IdentificationDemo, run_identification_demo
 from mufly.identify.flight.input_polarity import check_flight_records
 from mufly.identify.flight.staged_search import FitProgress
-from mufly.identify.flight_record import EvenLogTable, FlightRecord, make_record, read_columns, split_record
+from mufly.identify.flight_record import FlightRecord, UniformLogTable, make_record, read_columns, split_record
 from mufly.identify.linear.linear_fit import LinearFit
 from mufly.identify.linear.linear_identification import LinearResult, identify_linear_model
 from mufly.identify.motor_fit import GearKnowledge, MotorFit, fit_motor
@@ -23,7 +23,6 @@ from mufly.identify.residual_analysis import (
 from mufly.identify.rotor_coefficients import RotorFit, fit_rotor_coefficients
 
 __all__ = [
-    "EvenLogTable",
     "ExcitationPlan",
     "ExcitationSignal",
     "FitProgress",
@@ -41,6 +40,7 @@ __all__ = [
     "RecordPrediction",
     "ReportSection",
     "RotorFit",
+    "UniformLogTable",
     "apply_estimates",
     "assess_prediction",
     "assess_record",

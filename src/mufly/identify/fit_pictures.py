@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from mufly.identify.linear.linear_identification import LinearResult
 
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
-_MAX_POINTS = 4000
-_MAX_LAG_S = 2.0  # s, largest lag of drawn correlations
+_MAX_DRAWN_SAMPLES = 4000
+_MAX_DRAWN_LAG_S = 2.0  # s, largest lag of drawn correlations
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ def label_decades(axes: Axes) -> None:
 
 
 def _thinning_slice(record: RecordPrediction) -> slice:
-    return slice(None, None, max(1, len(record.time_s) // _MAX_POINTS))
+    return slice(None, None, max(1, len(record.time_s) // _MAX_DRAWN_SAMPLES))
 
 
 def _axis_label(name: str, unit: str) -> str:
@@ -136,7 +136,7 @@ def residual_picture(record: RecordPrediction) -> Figure:
         if np.isfinite(noise) and noise > 0.0:
             left.axhspan(-1.96 * noise, 1.96 * noise, color=GREEN, alpha=0.18, linewidth=0)
         left.set_ylabel(_axis_label(record.output_names[j], record.units[j]))
-        c = residual_autocorrelation(e, dt, max_lag_s=_MAX_LAG_S)
+        c = residual_autocorrelation(e, dt, max_lag_s=_MAX_DRAWN_LAG_S)
         middle.axhspan(-c.confidence_bound, c.confidence_bound, color=GREEN, alpha=0.25, linewidth=0)
         middle.plot(c.lag_s, c.value, color=BLUE)
         middle.set_ylim(min(-0.3, float(c.value.min()) - 0.05), 1.05)
@@ -160,7 +160,7 @@ def cross_correlation_picture(record: RecordPrediction) -> Figure:
     for j in range(m):
         for i in range(k):
             axes: Axes = panels[j][i]
-            c = input_cross_correlation(record.inputs[:, i], record.residual[:, j], dt, max_lag_s=_MAX_LAG_S)
+            c = input_cross_correlation(record.inputs[:, i], record.residual[:, j], dt, max_lag_s=_MAX_DRAWN_LAG_S)
             if c.confidence_bound < 1.0:
                 axes.axhspan(-c.confidence_bound, c.confidence_bound, color=GREEN, alpha=0.22, linewidth=0)
                 axes.plot(c.lag_s, c.value, color=BLUE)
@@ -436,7 +436,7 @@ def _draw_residual_band(ax: Axes) -> None:
 
 _PLAN_COLOURS = {"chirp": BLUE, "multisine": GREEN, "3211": VERMILION, "doublet": PURPLE}
 _INPUT_LABELS = ("motor upper", "motor lower", "servo 1", "servo 2")
-_OUTPUTS_SHOWN = {
+_SHOWN_OUTPUTS_BY_CHANNEL = {
     "yaw": ("yaw", "r", "height"), "heave": ("height", "yaw"), "roll": ("roll", "pitch", "p"),
     "pitch": ("pitch", "roll", "q"),
 }  # fmt: skip
@@ -506,7 +506,7 @@ def _draw_spectra(ax: Axes, plan: ExcitationPlan) -> None:
 
 
 def _draw_flight(ax: Axes, plan: ExcitationPlan, c: ExcitationCandidate) -> None:
-    shown = [o for o in _OUTPUTS_SHOWN[plan.channel] if o in c.record.outputs]
+    shown = [o for o in _SHOWN_OUTPUTS_BY_CHANNEL[plan.channel] if o in c.record.outputs]
     labels = []
     for line, name in zip(_LINE_COLOURS, shown, strict=False):
         unit, factor = OUTPUT_UNITS[name], 1.0

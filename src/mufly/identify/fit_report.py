@@ -118,7 +118,7 @@ def write_report(
         album = _ReportPictures(folder, count, progress)
         page = render_page(
             f"{fit.vehicle}: identification",
-            _BODY,
+            _PAGE_BODY_TEMPLATE,
             heading=fit.vehicle,
             fit=fit,
             sections=sections,
@@ -164,7 +164,7 @@ def _command_line() -> str:
     return shlex.join(["mufly", *sys.argv[1:]]) if called.startswith("mufly") else ""
 
 
-_BODY = """
+_PAGE_BODY_TEMPLATE = """
 {% if not fit.converged %}<p class="warn">The search did not converge: intervals do not hold.</p>{% endif %}
 {{ table((), summary) }}
 {% if command %}<p>Repeat with</p><pre>{{ command }}</pre>{% endif %}

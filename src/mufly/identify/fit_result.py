@@ -278,17 +278,19 @@ def apply_estimates(vehicle: Vehicle, estimates: Iterable[ParameterEstimate], no
 
 Array = NDArray[np.float64]
 
-UNSEEN_RELATIVE_STD = 0.5  # relative standard deviation above which a direction counts as undetermined
-_UNINFORMATIVE_STD = 100.0  # relative standard deviation above which no number is printed
+UNDETERMINED_RELATIVE_STD = 0.5  # relative standard deviation above which a direction counts as undetermined
+_MAX_PRINTED_RELATIVE_STD = 100.0  # relative standard deviation above which no number is printed
 _MIN_COMPONENT_SHARE = 0.15  # share of a direction's largest component below which a parameter is not named
 _MIN_PAIR_CORRELATION = 0.98  # correlation above which a pair of parameters is hardly separable ...
-_MIN_PAIR_STD = 0.005  # ... if the relative standard deviation of each exceeds this value
-_MAX_CORRELATION_LAG, _WHITE_LAGS_TO_STOP = 300, 10  # samples
+_MIN_PAIR_RELATIVE_STD = 0.005  # ... if the relative standard deviation of each exceeds this value
+_MAX_CORRELATION_LAG_SAMPLES, _INSIGNIFICANT_LAGS_TO_STOP = 300, 10  # samples
 _DECISIVE_LIKELIHOOD_DIFFERENCE = 4.0  # difference of 2 log L that decides between error shapes, as for AIC
 _LAG_WINDOW_PER_CORRELATION_REACH = (
     4  # window length per correlation reach; 2 loses a quarter of the variance of a slowly varying sensitivity
 )
-_SIGNIFICANT_DEVIATIONS = 3.9  # standard deviations; about 300 lags are tested, and none should exceed it by chance
+_SIGNIFICANT_CORRELATION_SIGMAS = (
+    3.9  # standard deviations; about 300 lags are tested, and none should exceed it by chance
+)
 
 
 def parzen_window(lags: int) -> Array:
@@ -306,9 +308,9 @@ def correlation_reach(residual: Array, longest: int) -> int:
     full = np.asarray(np.fft.irfft(np.abs(np.fft.rfft(e, 2 * n)) ** 2)[: longest + 1], np.float64) / power
     reach = 0
     for lag in range(1, len(full)):
-        if abs(full[lag]) > _SIGNIFICANT_DEVIATIONS / np.sqrt(n):
+        if abs(full[lag]) > _SIGNIFICANT_CORRELATION_SIGMAS / np.sqrt(n):
             reach = lag
-        elif lag - reach >= _WHITE_LAGS_TO_STOP:
+        elif lag - reach >= _INSIGNIFICANT_LAGS_TO_STOP:
             break
     return reach
 
@@ -346,7 +348,7 @@ def coloured_covariance(
     middle, coloured = prior.copy(), False
     for s, e in zip(sensitivities, residuals, strict=True):
         n, m, _ = s.shape
-        reach = [correlation_reach(e[:, k], min(_MAX_CORRELATION_LAG, n // 4)) for k in range(m)]
+        reach = [correlation_reach(e[:, k], min(_MAX_CORRELATION_LAG_SAMPLES, n // 4)) for k in range(m)]
         coloured = coloured or any(reach)
         for a in range(m):
             for b in range(m):
@@ -415,7 +417,7 @@ def describe_undetermined_combinations(
     symbols : sequence of str
     covariance : (p, p) array
         Covariance of the relative parameters from the data alone. A direction is named if its standard deviation
-        exceeds ``UNSEEN_RELATIVE_STD``.
+        exceeds ``UNDETERMINED_RELATIVE_STD``.
     within : (p, p) array, optional
         Covariance with the priors, searched for hardly separable pairs; by default ``covariance``.
     """
@@ -426,7 +428,7 @@ def describe_undetermined_combinations(
     size, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
     covered: list[set[str]] = []
     for k in np.argsort(-size):
-        if size[k] > UNSEEN_RELATIVE_STD**2:
+        if size[k] > UNDETERMINED_RELATIVE_STD**2:
             share = vectors[:, k] / vectors[np.argmax(np.abs(vectors[:, k])), k]
             parts = [j for j in np.argsort(-np.abs(share)) if abs(share[j]) >= _MIN_COMPONENT_SHARE]
             covered.append({names[j] for j in parts})
@@ -437,7 +439,7 @@ def describe_undetermined_combinations(
         c = float(correlation[i, j])
         if (
             abs(c) < _MIN_PAIR_CORRELATION
-            or min(std[i], std[j]) < _MIN_PAIR_STD
+            or min(std[i], std[j]) < _MIN_PAIR_RELATIVE_STD
             or any({names[i], names[j]} <= s for s in covered)
         ):
             continue
@@ -450,11 +452,11 @@ def describe_undetermined_combinations(
 
 def _describe_direction(names: Sequence[str], share: Array, std: float) -> str:
     """Describe one direction of relative changes; ``share`` is each component over the largest."""
-    doubt = "no bound" if std > _UNINFORMATIVE_STD else f"standard deviation {100 * std:.0f} %"
+    doubt = "no bound" if std > _MAX_PRINTED_RELATIVE_STD else f"standard deviation {100 * std:.0f} %"
     if len(names) == 1:
         return (
             f"{names[0]} is not determined by the data"
-            if std > _UNINFORMATIVE_STD
+            if std > _MAX_PRINTED_RELATIVE_STD
             else f"{names[0]} is hardly seen: {doubt} of its value"
         )
     if len(names) == 2 and abs(abs(share[1]) - 1.0) < 0.2:

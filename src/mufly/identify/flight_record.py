@@ -57,8 +57,8 @@ OUTPUT_UNITS = {o: _QUANTITY_UNITS[f"measured_{name}"] for name, parts in _OUTPU
 OUTPUT_UNITS |= {"voltage": _QUANTITY_UNITS["battery_voltage"]}
 FLIGHT_OUTPUTS = tuple(OUTPUT_UNITS)
 (
-    OUT_NORTH, OUT_EAST, OUT_HEIGHT, OUT_V_NORTH, OUT_V_EAST, OUT_CLIMB, OUT_ROLL, OUT_PITCH, OUT_YAW, OUT_P, OUT_Q,
-    OUT_R, OUT_SPEED_UPPER, OUT_SPEED_LOWER, OUT_VOLTAGE,
+    OUTPUT_NORTH, OUTPUT_EAST, OUTPUT_HEIGHT, OUTPUT_V_NORTH, OUTPUT_V_EAST, OUTPUT_CLIMB, OUTPUT_ROLL,
+    OUTPUT_PITCH, OUTPUT_YAW, OUTPUT_P, OUTPUT_Q, OUTPUT_R, OUTPUT_SPEED_UPPER, OUTPUT_SPEED_LOWER, OUTPUT_VOLTAGE,
 ) = range(len(FLIGHT_OUTPUTS))  # fmt: skip
 _MIN_NOISE_STD = {
     "height": 1e-3,
@@ -343,7 +343,7 @@ _SIGNAL_SOURCES = ("measured", "truth", "estimated")
 
 
 @dataclass(frozen=True, eq=False)
-class EvenLogTable:
+class UniformLogTable:
     """Table of columns on a uniform clock.
 
     Attributes
@@ -449,12 +449,12 @@ class EvenLogTable:
             terms.append((-factor if part.startswith("-") else factor, column))
         return terms
 
-    def slice_samples(self, start: int, stop: int) -> EvenLogTable:
+    def slice_samples(self, start: int, stop: int) -> UniformLogTable:
         """Return samples ``start`` to ``stop`` (excluded)."""
         columns = {k: v[start:stop] for k, v in self.columns.items()}
         return replace(self, time_s=self.time_s[start:stop], columns=columns)
 
-    def slice_time(self, from_s: float | None, to_s: float | None) -> EvenLogTable:
+    def slice_time(self, from_s: float | None, to_s: float | None) -> UniformLogTable:
         """Return the samples from ``from_s`` to ``to_s`` (s), both included; None sets no limit."""
         if from_s is None and to_s is None:
             return self
@@ -465,7 +465,7 @@ class EvenLogTable:
 
 def read_columns(
     path: str | Path, *, columns: Mapping[str, str] | Sequence[str] = (), rate_hz: float | None = None
-) -> EvenLogTable:
+) -> UniformLogTable:
     """Read a log into a table with a uniform clock.
 
     Parameters
@@ -566,7 +566,7 @@ def _read_log_columns(path: Path, columns: Mapping[str, str] | Sequence[str], no
     }
 
 
-def _resample_evenly(name: str, found: dict[str, Array], rate_hz: float | None, notes: list[str]) -> EvenLogTable:
+def _resample_evenly(name: str, found: dict[str, Array], rate_hz: float | None, notes: list[str]) -> UniformLogTable:
     key = next((c for c in found if c.lower() in _TIME_COLUMN_NAMES), None)
     if key is None:
         raise InputError(
@@ -597,7 +597,7 @@ def _resample_evenly(name: str, found: dict[str, Array], rate_hz: float | None, 
             empty.append(k)
             continue
         columns[k] = v if even and good.all() else np.interp(t, time[good], v[good])
-    return EvenLogTable(name, t, columns, tuple(notes), tuple(empty), {k: missing[k] for k in columns if missing[k]})
+    return UniformLogTable(name, t, columns, tuple(notes), tuple(empty), {k: missing[k] for k in columns if missing[k]})
 
 
 def low_pass(signal: Array, dt: float, cut_hz: float) -> Array:

@@ -54,25 +54,33 @@ from mufly.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 MOTOR_CHANNELS = ("voltage", "current", "speed", "torque")
-VEHICLE_KEYS = {
+MOTOR_CONSTANT_KEYS = {
     "kE": ("motor.back_emf_constant", "V s"),
     "kM": ("motor.torque_constant", "N m/A"),
     "Rohm": ("motor.resistance", "ohm"),
     "dR": ("motor.friction", "N m s"),
     "Mf": ("motor.friction_torque", "N m"),
 }
-_DAMPING, _FRICTION = 3, 4
+_DAMPING_INDEX, _FRICTION_INDEX = 3, 4
 """Indices of viscous friction d and constant friction c in (R, a, b, d, c)."""
-_MIN_POINTS = 6
-_ROUNDING_RESIDUAL = 1e-6  # ratio of residuals to expected errors below which the residuals are rounding errors
+_MIN_MOTOR_POINTS = 6
+_MAX_ROUNDING_RESIDUAL_RATIO = (
+    1e-6  # ratio of residuals to expected errors below which the residuals are rounding errors
+)
 _UNIT_MISTAKES = (
     ("speed", "rpm", RPM), ("speed", "revolutions a second", 2 * math.pi), ("torque", "mN m", 1e-3),
     ("torque", "N cm", 1e-2),
 )  # fmt: skip
-_MIN_EFFICIENCY = 0.02  # efficiency below which units are doubtful
-_MAX_EFFICIENCY = 1.02  # efficiency above which units are wrong
-_MAX_CONSTANT_RATIO = 1.05  # kM / kE
-_ERROR_SHAPES = ((1.0, 0.2), (1.0, 0.05), (1.0, 0.5), (1.0, 2.0), (0.0, 1.0))  # % of reading, % of full scale
+_MIN_PLAUSIBLE_EFFICIENCY = 0.02  # efficiency below which units are doubtful
+_MAX_PLAUSIBLE_EFFICIENCY = 1.02  # efficiency above which units are wrong
+_MAX_TORQUE_CONSTANT_RATIO = 1.05  # kM / kE
+_READING_AND_SCALE_ERROR_SHARES = (
+    (1.0, 0.2),
+    (1.0, 0.05),
+    (1.0, 0.5),
+    (1.0, 2.0),
+    (0.0, 1.0),
+)  # % of reading, % of full scale
 
 
 @dataclass(frozen=True)
@@ -240,8 +248,8 @@ def fit_motor(
     gear = gear or GearKnowledge()
     data, notes = extract_motor_data(table)
     n = data.voltage_V.size
-    if n < _MIN_POINTS:
-        raise InputError(table.source, "", f"{n} points are too few", f"give {_MIN_POINTS} or more")
+    if n < _MIN_MOTOR_POINTS:
+        raise InputError(table.source, "", f"{n} points are too few", f"give {_MIN_MOTOR_POINTS} or more")
     std, words = _expected_errors(data, noise)
     notes.append(words)
     same = _MotorEquations(data, std)
@@ -249,8 +257,8 @@ def fit_motor(
     free = np.array([True, True, True, True, vehicle is not None and float(vehicle.motor.friction_torque) > 0])
     while True:
         effective, scales = same.solve_constants(free)
-        if free[_DAMPING] and effective[_DAMPING] < 0:
-            free[_DAMPING] = False
+        if free[_DAMPING_INDEX] and effective[_DAMPING_INDEX] < 0:
+            free[_DAMPING_INDEX] = False
             notes.append("the friction dR would be below zero and was held at 0: torque or current may have an offset")
             continue
         jacobian = same.whitened_sensitivities(effective, scales)
@@ -259,7 +267,7 @@ def fit_motor(
             jacobian[:, free], white.ravel(), channel=np.tile([0, 1], n), run=np.repeat(data.run, 2),
             group=np.repeat(_number_settings(data, std), 2),
         )  # fmt: skip
-        if np.max(scales) <= _ROUNDING_RESIDUAL:
+        if np.max(scales) <= _MAX_ROUNDING_RESIDUAL_RATIO:
             break
         asked, rubbing = _find_unmodelled_terms(
             jacobian[:, free], white, same.whitening_matrices(effective, scales), found, free
@@ -270,7 +278,7 @@ def fit_motor(
             notes += [found.describe_pattern()] if found.pattern != "white" else []
             notes += asked
             break
-        free[_FRICTION] = True
+        free[_FRICTION_INDEX] = True
     _check_physical(table, data, effective, found.covariance, free, found.t_quantile_95)
     covariance = np.zeros((5, 5))
     covariance[np.ix_(free, free)] = found.covariance
@@ -391,7 +399,7 @@ def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) ->
         data = replace(data, speed_rad_s=data.speed_rad_s * factor)
         e = _mean_efficiency(data)
     for name, unit in (("voltage", "mV"), ("current", "mA")):
-        if name in table.unitless and e < _MIN_EFFICIENCY < 1e3 * e < _MAX_EFFICIENCY:
+        if name in table.unitless and e < _MIN_PLAUSIBLE_EFFICIENCY < 1e3 * e < _MAX_PLAUSIBLE_EFFICIENCY:
             notes.append(
                 f"{table.headers[name]}: as {SI_UNITS[name]} only {100 * e:.2g} % would be mechanical: taken as {unit}"
             )
@@ -401,9 +409,9 @@ def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) ->
     if e < 0:
         against = "the motor delivers no power (torque against speed)"
         raise InputError(table.source, "", against, "give both with the same sign")
-    if e > _MAX_EFFICIENCY:
+    if e > _MAX_PLAUSIBLE_EFFICIENCY:
         # The mistake whose correction restores the balance with the highest efficiency is the most likely.
-        mended = [(e * f, name, unit) for name, unit, f in _UNIT_MISTAKES if _MIN_EFFICIENCY < e * f <= 1.0]
+        mended = [(e * f, name, unit) for name, unit, f in _UNIT_MISTAKES if _MIN_PLAUSIBLE_EFFICIENCY < e * f <= 1.0]
         guess = "check the units"
         if mended:
             best = max(mended, key=lambda m: m[0] if m[1] == "speed" else 0.5 * m[0])
@@ -413,7 +421,7 @@ def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) ->
             )
         much = f"the motor would deliver {e:.3g} times the power that it takes"
         raise InputError(table.source, "", much, guess)
-    if e < _MIN_EFFICIENCY:
+    if e < _MIN_PLAUSIBLE_EFFICIENCY:
         notes.append(
             f"only {100 * e:.2g} % of the electrical power becomes mechanical: unless the motor ran without load, "
             "a unit is wrong (rad/s for rpm, N m for mN m)"
@@ -470,11 +478,11 @@ class _MotorEquations:
         start[:2] = np.linalg.lstsq(np.column_stack([i, w]), u, rcond=None)[0]
         start[2:][free[2:]] = np.linalg.lstsq(np.column_stack([i, -w, -np.ones_like(w)])[:, free[2:]], q, rcond=None)[0]
         size = np.abs(start) + 1e-12 * np.max(np.abs(start))
-        size[_DAMPING] = max(size[_DAMPING], 1e-3 * float(np.max(np.abs(q)) / np.max(np.abs(w))))
-        size[_FRICTION] = max(size[_FRICTION], 1e-3 * float(np.max(np.abs(q))))
+        size[_DAMPING_INDEX] = max(size[_DAMPING_INDEX], 1e-3 * float(np.max(np.abs(q)) / np.max(np.abs(w))))
+        size[_FRICTION_INDEX] = max(size[_FRICTION_INDEX], 1e-3 * float(np.max(np.abs(q))))
         mechanical = int(np.sum(free[2:]))
 
-        def expand_free(z: Array) -> Array:
+        def fill_free_constants(z: Array) -> Array:
             full = np.where(free, 0.0, start)
             full[free] = z * size[free]
             return full
@@ -483,12 +491,12 @@ class _MotorEquations:
         for _ in range(3):
 
             def scaled_residuals(z: Array, scales: Array = scales) -> Array:
-                return self.whitened_residuals(expand_free(z), scales).ravel()
+                return self.whitened_residuals(fill_free_constants(z), scales).ravel()
 
             found = least_squares(
                 scaled_residuals, x[free] / size[free], method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14
             )
-            x = expand_free(found.x)
+            x = fill_free_constants(found.x)
             # Scale of each equation from its residuals over expected errors, with its own degrees of freedom.
             e = self.equation_residuals(x) / self.residual_std(x, np.ones(2))
             scales = np.maximum(np.sqrt(np.sum(e**2, axis=0) / (len(e) - np.array([2, mechanical]))), 1e-9)
@@ -507,7 +515,13 @@ class _MotorEquations:
         """Return the whitened derivatives of e1 and e2 by (R, a, b, d, c) at the adjusted readings, (2 n, 5)."""
         _, i, w, _ = self.adjust_readings(x).channel_arrays()
         raw = np.zeros((i.size, 2, 5))
-        raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, _DAMPING], raw[:, 1, _FRICTION] = -i, -w, i, -w, -1.0
+        raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, _DAMPING_INDEX], raw[:, 1, _FRICTION_INDEX] = (
+            -i,
+            -w,
+            i,
+            -w,
+            -1.0,
+        )
         return np.einsum("nij,njk->nik", self.whitening_matrices(x, scales), raw).reshape(-1, 5)
 
 
@@ -532,7 +546,7 @@ def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> 
         size = np.sum(same.whitened_residuals(x, scales) ** 2)
         return std, float(size - 2 * np.sum(np.log(w[:, 0, 0] * w[:, 1, 1])))
 
-    std, words = choose_error_shape(_ERROR_SHAPES, likelihood_of_shape)
+    std, words = choose_error_shape(_READING_AND_SCALE_ERROR_SHARES, likelihood_of_shape)
     shape = f"errors in all four channels assumed in proportion to {words} (the most likely shape)"
     return std, f"{shape}; size from the residuals"
 
@@ -548,13 +562,15 @@ def _needs_constant_friction(
     same: _MotorEquations, effective: Array, scales: Array, free: NDArray[np.bool_], gear: GearKnowledge
 ) -> bool:
     """Return whether a constant friction restores the energy balance and halves the residual of the torque equation."""
-    if free[_FRICTION] or not _torque_constant_ratio(effective, gear) > _MAX_CONSTANT_RATIO:
+    if free[_FRICTION_INDEX] or not _torque_constant_ratio(effective, gear) > _MAX_TORQUE_CONSTANT_RATIO:
         return False
     x, s = same.solve_constants(np.array([True, True, True, True, True]))
-    if x[_DAMPING] < 0.0:
+    if x[_DAMPING_INDEX] < 0.0:
         x, s = same.solve_constants(np.array([True, True, True, False, True]))
     return bool(
-        x[_FRICTION] > 0.0 and s[1] < 0.5 * scales[1] and _torque_constant_ratio(x, gear) <= _MAX_CONSTANT_RATIO
+        x[_FRICTION_INDEX] > 0.0
+        and s[1] < 0.5 * scales[1]
+        and _torque_constant_ratio(x, gear) <= _MAX_TORQUE_CONSTANT_RATIO
     )
 
 
@@ -570,7 +586,7 @@ def _find_unmodelled_terms(
     words: list[str] = []
     n = len(white)
     terms = [(0, "a constant voltage drop", "V", 1.0)]
-    if not free[_FRICTION]:
+    if not free[_FRICTION_INDEX]:
         terms.append((1, "a constant friction", "mN m", 1e3))
     for row, name, unit, factor in terms:
         extra = whitening[:, :, row].reshape(2 * n, 1)
@@ -592,7 +608,7 @@ def _find_unmodelled_terms(
 def _check_energy_balance(x: Array, gear: GearKnowledge) -> list[str]:
     """Describe constants that violate the energy balance, or have unusual losses."""
     ratio = _torque_constant_ratio(x, gear)
-    if ratio > _MAX_CONSTANT_RATIO:
+    if ratio > _MAX_TORQUE_CONSTANT_RATIO:
         return [f"kM/kE = {ratio:.2f}: more mechanical than electrical power; check units and the current's channel"]
     if ratio < 0.3:
         return [f"kM/kE = {ratio:.2f} is small: check the units of speed and torque (rpm for rad/s? mN m for N m?)"]
@@ -617,7 +633,10 @@ def _estimates_of_constants(
     ratio, efficiency = 5, 6
     jacobian = np.zeros((5, 7))
     jacobian[0, 1], jacobian[1, 2], jacobian[2, 0] = 1 / unit_ratio, 1 / both, 1.0
-    jacobian[_DAMPING, _DAMPING], jacobian[_FRICTION, _FRICTION] = 1 / (unit_ratio * both), 1 / both
+    jacobian[_DAMPING_INDEX, _DAMPING_INDEX], jacobian[_FRICTION_INDEX, _FRICTION_INDEX] = (
+        1 / (unit_ratio * both),
+        1 / both,
+    )
     jacobian[:, ratio] = np.array([-1.0, -1.0, 0.0, -2.0, -1.0]) * value / unit_ratio
     jacobian[:, efficiency] = np.array([0.0, -1.0, 0.0, -1.0, -1.0]) * value / unit_eta
     whole = np.zeros((7, 7))
@@ -625,7 +644,7 @@ def _estimates_of_constants(
     whole[ratio, ratio] = gear.ratio_std**2 if i is not None else 0.0
     whole[efficiency, efficiency] = gear.efficiency_std**2 if eta is not None else 0.0
     cov = jacobian @ whole @ jacobian.T
-    tails = dict.fromkeys(VEHICLE_KEYS, "")
+    tails = dict.fromkeys(MOTOR_CONSTANT_KEYS, "")
     undetermined: list[str] = []
     if i is None:
         tails |= {"kE": "*igear", "kM": "*igear", "dR": "*igear^2", "Mf": "*igear"}
@@ -639,10 +658,10 @@ def _estimates_of_constants(
             "kM and dR cannot be separated from the gear's efficiency: only kM*eta_gear and dR*eta_gear are observable"
         )
     estimates = []
-    told = [*range(4), *([_FRICTION] if free[_FRICTION] else [])]
+    told = [*range(4), *([_FRICTION_INDEX] if free[_FRICTION_INDEX] else [])]
     cov, value = cov[np.ix_(told, told)], value[told]
-    for k, (symbol, (key, unit)) in enumerate(list(VEHICLE_KEYS.items())[: len(told)]):
-        std, tail, bound = math.sqrt(cov[k, k]), tails[symbol], symbol == "dR" and not free[_DAMPING]
+    for k, (symbol, (key, unit)) in enumerate(list(MOTOR_CONSTANT_KEYS.items())[: len(told)]):
+        std, tail, bound = math.sqrt(cov[k, k]), tails[symbol], symbol == "dR" and not free[_DAMPING_INDEX]
         names = symbol + tail, "" if tail else key, unit
         e = ParameterEstimate.from_std(*names, vehicle, float(value[k]), std, quantile=quantile, at_bound=bound)
         estimates.append(replace(e, std=math.nan) if bound else e)

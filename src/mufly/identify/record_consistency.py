@@ -34,11 +34,11 @@ from mufly.logs.delay_estimation import estimate_delay
 
 Array = NDArray[np.float64]
 
-_AVERAGING_SPAN_S = 0.2  # averaging time of both sides
-_MAX_LAG_S = 0.5  # largest lag of the search
-_MIN_CORRELATION = 0.6  # least correlation of a judged pair
+_SIGNAL_AVERAGING_SPAN_S = 0.2  # averaging time of both sides
+_MAX_SEARCHED_LAG_S = 0.5  # largest lag of the search
+_MIN_JUDGED_CORRELATION = 0.6  # least correlation of a judged pair
 _MAX_UNRELATED_CORRELATION = 0.3  # largest correlation of an unrelated pair
-_EXCHANGED_CORRELATION = 0.8  # least correlation with an exchanged axis
+_MIN_EXCHANGED_AXIS_CORRELATION = 0.8  # least correlation with an exchanged axis
 _REPORTED_LAG_S, _REFUSED_LAG_S = 0.015, 0.05  # lags above which a warning, or an error, is issued
 _REPORTED_SCALE_ERROR, _REFUSED_SCALE_ERROR = 0.1, 0.2  # scale errors above which a warning, or an error, is issued
 _MAX_ACCELERATION_m_s2 = 20.0  # m/s2, RMS: two g, more than a rotorcraft with thrust to weight of 3 reaches
@@ -106,7 +106,7 @@ def compare_signals(read: Array, made: Array, sample_s: float) -> SignalAgreemen
     n = len(read)
     if n < 60 or read.std() == 0.0 or made.std() == 0.0:
         return SignalAgreement(0.0, np.nan, np.nan, 0.0, np.inf)
-    longest = min(_MAX_LAG_S, 0.2 * n * sample_s)
+    longest = min(_MAX_SEARCHED_LAG_S, 0.2 * n * sample_s)
     found = estimate_delay(np.asarray(np.arange(n) * sample_s, dtype=np.float64), made, read, longest_s=longest)
     told = found.is_determined
     shift = round(found.delay_s / sample_s) if told else 0
@@ -160,11 +160,11 @@ def check_signals(
     """
     own = [compare_signals(read[:, k], made[:, k], sample_s) for k in range(len(names))]
     for k, (name, a) in enumerate(zip(names, own, strict=True)):
-        if abs(a.correlation) < _MIN_CORRELATION:
+        if abs(a.correlation) < _MIN_JUDGED_CORRELATION:
             cross = [_zero_lag_correlation(read[:, k], made[:, j]) if j != k else 0.0 for j in range(len(names))]
             j = int(np.argmax(np.abs(cross)))
             if (
-                abs(cross[j]) > _EXCHANGED_CORRELATION
+                abs(cross[j]) > _MIN_EXCHANGED_AXIS_CORRELATION
                 and abs(_zero_lag_correlation(read[:, k], made[:, k])) < _MAX_UNRELATED_CORRELATION
             ):
                 sign = "the opposite of " if cross[j] < 0.0 else ""
@@ -296,14 +296,14 @@ def _check_angles(r: FlightRecord) -> list[SignalFault]:
     angles_and_rates = [o for o in ("roll", "pitch", "yaw", "p", "q", "r") if o in r.outputs]
     known = {o: fill_gaps(r.measured[:, r.outputs.index(o)]) for o in angles_and_rates}
     pairs = [(a, w) for a, w in (("roll", "p"), ("pitch", "q"), ("yaw", "r")) if a in known and w in known]
-    samples, dt, n = max(1, round(_AVERAGING_SPAN_S / r.sample_s)), r.sample_s, len(r.time_s)
+    samples, dt, n = max(1, round(_SIGNAL_AVERAGING_SPAN_S / r.sample_s)), r.sample_s, len(r.time_s)
     found: list[SignalFault] = []
     # Degrees are detected first with small angles, because the Euler equations need radians.
     for angle, rate in pairs:
         w = 0.5 * (known[rate][1:] + known[rate][:-1])
         a = compare_signals(moving_average(w, samples), moving_average(np.diff(known[angle]) / dt, samples), dt)
         ratio = float(np.sqrt(a.scale_low * a.scale_high)) if a.scale_low > 0.0 else 1.0
-        if abs(a.correlation) > _MIN_CORRELATION and (30.0 < ratio < 110.0 or 1 / 110.0 < ratio < 1 / 30.0):
+        if abs(a.correlation) > _MIN_JUDGED_CORRELATION and (30.0 < ratio < 110.0 or 1 / 110.0 < ratio < 1 / 30.0):
             found += _check_scale(rate, angle, a, "angle a second")
     for angle in ("roll", "pitch"):
         if angle not in known or any(f.signal == angle for f in found):
@@ -336,7 +336,7 @@ def _check_angles(r: FlightRecord) -> list[SignalFault]:
 def _check_velocities(r: FlightRecord) -> list[SignalFault]:
     """Compare velocities with derivatives of positions; north and east together, because they may be exchanged."""
     found: list[SignalFault] = []
-    samples, dt = max(1, round(_AVERAGING_SPAN_S / r.sample_s)), r.sample_s
+    samples, dt = max(1, round(_SIGNAL_AVERAGING_SPAN_S / r.sample_s)), r.sample_s
     for some in ((("north", "v_north"), ("east", "v_east")), (("height", "climb"),)):
         pairs = [(a, v) for a, v in some if a in r.outputs and v in r.outputs]
         if pairs:

@@ -297,11 +297,13 @@ def estimate_high_frequency_noise(signal: Array, dt: float, *, above_hz: float) 
     return float(np.std(sosfiltfilt(butter(4, above_hz, "highpass", fs=1.0 / dt, output="sos"), signal)))
 
 
-_CONFIDENCE = 0.99  # of the bound of the largest correlation, widened for the number of independent lags (Bonferroni)
-_MIN_CORRELATION = 0.1  # least correlation that is reported
-_MAX_DIRECT_LAG_S = 0.05
+_CORRELATION_BOUND_CONFIDENCE = (
+    0.99  # of the bound of the largest correlation, widened for the number of independent lags (Bonferroni)
+)
+_MIN_REPORTED_CORRELATION = 0.1  # least correlation that is reported
+_MAX_DIRECT_INPUT_LAG_S = 0.05
 _MIN_VIBRATION_HZ = 3.0
-_LINE_DENSITY_RATIO = 25.0  # least ratio of a line's density to the density around it
+_MIN_SPECTRAL_LINE_RATIO = 25.0  # least ratio of a line's density to the density around it
 
 
 def describe_residuals(record: RecordPrediction, *, max_lag_s: float = 2.0) -> tuple[str, ...]:
@@ -341,13 +343,15 @@ def _describe_input_correlation(
             (0.05, f"{name} never moved in this record, so the record holds no information about the response to it")
         ]
     looks = max(1.0, 2.0 * max_lag_s / _correlation_time(u, dt))
-    c = input_cross_correlation(u, e, dt, max_lag_s=max_lag_s, confidence=1.0 - (1.0 - _CONFIDENCE) / looks)
+    c = input_cross_correlation(
+        u, e, dt, max_lag_s=max_lag_s, confidence=1.0 - (1.0 - _CORRELATION_BOUND_CONFIDENCE) / looks
+    )
     middle = c.lag_s.size // 2
     ahead, behind = np.abs(c.value[middle:]), np.abs(c.value[:middle])
-    if max(ahead.max(), behind.max(initial=0.0)) < max(c.confidence_bound, _MIN_CORRELATION):
+    if max(ahead.max(), behind.max(initial=0.0)) < max(c.confidence_bound, _MIN_REPORTED_CORRELATION):
         return []
     # Feedback by a pilot appears at negative lags; its extension to positive lags is the colour of the disturbance.
-    if ahead.max() < max(c.confidence_bound, _MIN_CORRELATION) or behind.max(initial=0.0) > 1.5 * ahead.max():
+    if ahead.max() < max(c.confidence_bound, _MIN_REPORTED_CORRELATION) or behind.max(initial=0.0) > 1.5 * ahead.max():
         lag = -c.lag_s[int(behind.argmax())]
         return [
             (
@@ -358,9 +362,9 @@ def _describe_input_correlation(
         ]
     best = int(ahead.argmax())
     size, lag = float(c.value[middle + best]), float(c.lag_s[middle + best])
-    lasting = dt * float(np.sum(ahead > max(c.confidence_bound, _MIN_CORRELATION)))
+    lasting = dt * float(np.sum(ahead > max(c.confidence_bound, _MIN_REPORTED_CORRELATION)))
     own = _correlation_time(u, dt)
-    if lag <= _MAX_DIRECT_LAG_S:
+    if lag <= _MAX_DIRECT_INPUT_LAG_S:
         cause = f"the gain, the direct path or the delay of {name} is off"
     elif lasting > 2.0 * own:
         cause = f"a lag or a slow mode between {name} and {output} is missing"
@@ -435,7 +439,7 @@ def find_spectral_lines(signal: Array, dt: float) -> list[tuple[float, float]]:
     frequency, density = welch(good, 1.0 / dt, nperseg=segment)
     step = float(frequency[1] - frequency[0])
     around = median_filter(density, size=max(11, 2 * (density.size // 30) + 1), mode="nearest")
-    high = density > _LINE_DENSITY_RATIO * np.maximum(around, 1e-300)
+    high = density > _MIN_SPECTRAL_LINE_RATIO * np.maximum(around, 1e-300)
     high[: max(2, int(0.5 / step))] = False  # excludes the slow part of a coloured residual
     lines = []
     edges = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))

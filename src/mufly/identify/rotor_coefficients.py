@@ -52,11 +52,17 @@ COEFFICIENT_DEFINITIONS = {
     "thrust": ("cT", "thrust_coefficient", 4),
     "torque": ("cQ", "torque_coefficient", 5),
 }
-_ERROR_SHAPES = ((1.0, 0.3), (1.0, 0.02), (1.0, 0.1), (1.0, 1.0), (0.0, 1.0))  # % of reading, % of full scale
-_ORDINARY_THRUST_COEFFICIENTS = (0.0005, 0.06)  # range of thrust coefficients of hovering rotors
+_READING_AND_SCALE_ERROR_SHARES = (
+    (1.0, 0.3),
+    (1.0, 0.02),
+    (1.0, 0.1),
+    (1.0, 1.0),
+    (0.0, 1.0),
+)  # % of reading, % of full scale
+_HOVER_THRUST_COEFFICIENT_RANGE = (0.0005, 0.06)  # range of thrust coefficients of hovering rotors
 _PITCH_TOLERANCE_rad = math.radians(0.05)  # largest difference of equal blade pitch settings
-_MAX_ORDER_CORRELATION = 0.8  # rank correlation of speed and order above which drift and trend are not separable
-_SPEED_TOLERANCE = 0.02  # relative difference below which speeds count as equal
+_MAX_SPEED_ORDER_CORRELATION = 0.8  # rank correlation of speed and order above which drift and trend are not separable
+_SAME_SPEED_TOLERANCE = 0.02  # relative difference below which speeds count as equal
 _AICC_TOLERANCE = 2.0  # difference of AICc below which two models fit equally well
 
 
@@ -171,11 +177,12 @@ def fit_coefficient_trend(
     reference = float(np.exp(np.sum(weight * np.log(speed)) / np.sum(weight)))
     x = np.log(speed / reference)
     ordered = (
-        bool(np.ptp(speed) > 0) and abs(float(stats.spearmanr(np.arange(n), speed).statistic)) > _MAX_ORDER_CORRELATION
+        bool(np.ptp(speed) > 0)
+        and abs(float(stats.spearmanr(np.arange(n), speed).statistic)) > _MAX_SPEED_ORDER_CORRELATION
     )
     # In an ordered measurement correlated errors and a trend over speed are not separable.
     runs = np.arange(n) if ordered else run
-    bends = n >= 8 and np.unique(np.round(x / _SPEED_TOLERANCE)).size >= 4
+    bends = n >= 8 and np.unique(np.round(x / _SAME_SPEED_TOLERANCE)).size >= 4
     columns = [np.vander(x, d + 1, increasing=True) * (unit / expected)[:, None] for d in (1, 2)]
     scores = [_corrected_aic(a, b) for a in columns[: 1 + bends]]
     chosen = 2 if bends and scores[1] < scores[0] - _AICC_TOLERANCE else 1
@@ -428,11 +435,11 @@ def _resolve_speed_unit(loads: BenchLoads, radius: float) -> tuple[BenchLoads, l
         with np.errstate(divide="ignore", invalid="ignore"):
             c = loads.values[channel] / (1.2 * math.pi * radius**4 * table[name] ** 2)
         typical = float(np.nanmedian(np.abs(c)))
-        if not _ORDINARY_THRUST_COEFFICIENTS[0] < typical < _ORDINARY_THRUST_COEFFICIENTS[1]:
+        if not _HOVER_THRUST_COEFFICIENT_RANGE[0] < typical < _HOVER_THRUST_COEFFICIENT_RANGE[1]:
             notes.append(
                 f"{table.headers[name]}: c_T near {typical:.2g} is far from the usual "
-                f"{_ORDINARY_THRUST_COEFFICIENTS[0]} to "
-                f"{_ORDINARY_THRUST_COEFFICIENTS[1]}; check the units (rpm or rad/s), the radius and the thrust"
+                f"{_HOVER_THRUST_COEFFICIENT_RANGE[0]} to "
+                f"{_HOVER_THRUST_COEFFICIENT_RANGE[1]}; check the units (rpm or rad/s), the radius and the thrust"
             )
     return replace(loads, turning_lines=table), notes
 
@@ -556,7 +563,7 @@ def _expected_errors(unit: Array, load: Array) -> tuple[Array, str]:
         size = load.size * np.log(max(float(r @ r), 1e-300))
         return std, size + 2 * float(np.sum(np.log(std)))
 
-    return choose_error_shape(_ERROR_SHAPES, likelihood_of_shape)
+    return choose_error_shape(_READING_AND_SCALE_ERROR_SHARES, likelihood_of_shape)
 
 
 def _number_settings(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:

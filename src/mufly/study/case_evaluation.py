@@ -94,13 +94,13 @@ class StudyResults:
 
 _POLAR_CACHE: dict[tuple[str, Transition, str, str], PolarTable | str] = {}  # most recently used polars
 _MAX_CACHED_POLARS = 300  # 0.3 MB each
-_POLAR_LOCK = threading.Lock()
+_POLAR_CACHE_LOCK = threading.Lock()
 
 
 def load_polar_tables(names: Sequence[str], transition: Transition, setup: StudySetup) -> dict[str, PolarTable | str]:
     """Return the polars of airfoils, or the reason of failure; missing polars are computed together on all cores."""
     key = {name: (name, transition, setup.polar_engine, setup.polar_model) for name in names}
-    with _POLAR_LOCK:
+    with _POLAR_CACHE_LOCK:
         missing = [name for name in names if key[name] not in _POLAR_CACHE]
         if missing:
             faults: dict[str, str] = {}
@@ -357,9 +357,9 @@ def _add_drive_results(
 # that converged only with thicker cores is not used as a start, because other cases would inherit the cores.
 #
 # The wake method uses all cores, and Numba's default threading layer serves one caller at a time.
-_WAKE_LOCK = threading.Lock()
+_LAST_WAKES_LOCK = threading.Lock()
 _LAST_WAKES: dict[int, tuple[WakeSettings, SystemSolution]] = {}  # by number of rotors: the last converged wake
-_SPEED_TOLERANCE = 5e-4  # of the speed: 0.1 % of the thrust
+_SPEED_ROOT_TOLERANCE = 5e-4  # of the speed: 0.1 % of the thrust
 _MAX_WAKE_SOLUTIONS = 8
 
 
@@ -379,7 +379,7 @@ def _solve_from_last_wake(setup: StudySetup, solved: Callable[..., SystemSolutio
     if setup.method != "wake":
         return solved(start=None)
     kind = len(setup.rotors)
-    with _WAKE_LOCK:
+    with _LAST_WAKES_LOCK:
         settings, known = _LAST_WAKES.get(kind, (None, None))
         known = known if settings == setup.wake_settings else None
         now = solve_from_neighbour(solved, known)
@@ -424,7 +424,7 @@ def _solve_by_wake(
         following = float(find(scaled_load_of)[k])
         if not np.isfinite(following):
             raise MuflyError("the wake method finds no speed for this thrust")
-        if abs(following / omega - 1.0) <= max(_SPEED_TOLERANCE, 0.5 * setup.wake_settings.tolerance):
+        if abs(following / omega - 1.0) <= max(_SPEED_ROOT_TOLERANCE, 0.5 * setup.wake_settings.tolerance):
             return now
         omega = following
     raise MuflyError(f"the speed does not converge within {_MAX_WAKE_SOLUTIONS} wake solutions")

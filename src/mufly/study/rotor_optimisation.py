@@ -64,8 +64,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ProgressCallback = Callable[[int, int], None]
 
-_GENERATIONS = 60
-_POPULATION = 12  # times the number of unknowns
+_MAX_GENERATIONS = 60
+_POPULATION_PER_UNKNOWN = 12  # times the number of unknowns
 
 
 @result
@@ -136,7 +136,7 @@ def optimise_rotor(
     limits: Sequence[DesignLimit] = (),
     airfoils: Sequence[str] = (),
     seed: int = 0,
-    generations: int = _GENERATIONS,
+    generations: int = _MAX_GENERATIONS,
     progress: ProgressCallback | None = None,
 ) -> RotorOptimum:
     """Optimise a rotor.
@@ -173,8 +173,8 @@ def optimise_rotor(
     search: Callable[..., Any] = differential_evolution  # its type stubs lack vectorised functions
     found = search(
         lambda x: problem.evaluate_cost(names, np.atleast_2d(x.T)), list(zip(low, high, strict=True)),
-        integrality=whole, rng=np.random.default_rng(seed), maxiter=generations, popsize=_POPULATION, tol=1e-6,
-        mutation=(0.4, 0.9), recombination=0.8, polish=False, vectorized=True, updating="deferred", init="sobol",
+        integrality=whole, rng=np.random.default_rng(seed), maxiter=generations, popsize=_POPULATION_PER_UNKNOWN,
+        tol=1e-6, mutation=(0.4, 0.9), recombination=0.8, polish=False, vectorized=True, updating="deferred", init="sobol",
         callback=_count_generations(progress, generations),
     )  # fmt: skip
     best = problem.case_from_point(names, found.x)
@@ -442,12 +442,12 @@ class OptimisationProblem:
 PAIR_FREE_PARAMETERS = tuple(
     f"{side}_{name}" for name in ("twist", "chord", "pitch", "taper") for side in ("upper", "lower")
 )
-_PAIR_POPULATION = 8  # times the number of unknowns
-_PAIR_GENERATIONS = 30
-_SEARCH_STATIONS = 16  # stations along a blade during the search
-_FAILURE_COST = 1e3  # W; cost of impossible candidates
-_BALANCE_TOLERANCE = 1e-4
-_CLEARANCE_SPACING_SHARE = 0.9  # of the spacing: greatest vertical extent of the pitched blades
+_PAIR_POPULATION_PER_UNKNOWN = 8  # times the number of unknowns
+_MAX_PAIR_GENERATIONS = 30
+_SEARCH_STATION_COUNT = 16  # stations along a blade during the search
+_FAILURE_COST_W = 1e3  # W; cost of impossible candidates
+_TORQUE_BALANCE_TOLERANCE = 1e-4
+_MAX_BLADE_REACH_SPACING_SHARE = 0.9  # of the spacing: greatest vertical extent of the pitched blades
 
 
 @result
@@ -526,7 +526,7 @@ def _solve_balanced_pair(system: RotorSystem, at: OperatingCondition, start: lis
         if not (r.thrust_N > 0.0 and r.upper.torque_Nm > 0.0 and r.lower.torque_Nm > 0.0):
             return None
         fault, short = math.log(r.lower.torque_Nm / r.upper.torque_Nm), math.log(at.thrust_N / r.thrust_N)
-        if abs(fault) < _BALANCE_TOLERANCE and abs(short) < _BALANCE_TOLERANCE:
+        if abs(fault) < _TORQUE_BALANCE_TOLERANCE and abs(short) < _TORQUE_BALANCE_TOLERANCE:
             start[:] = [speed, ratio]
             return r
         place = math.log(ratio)
@@ -546,7 +546,7 @@ def optimise_pair(
     *,
     limits: Sequence[DesignLimit] = (),
     seed: int = 0,
-    generations: int = _PAIR_GENERATIONS,
+    generations: int = _MAX_PAIR_GENERATIONS,
     progress: Callable[[int, int], None] | None = None,
 ) -> PairOptimum:
     """Optimise a pair for the least power.
@@ -582,7 +582,7 @@ def optimise_pair(
     if not names:
         raise InputError("optimise", "", "no parameter is free", f"free some of: {', '.join(PAIR_FREE_PARAMETERS)}")
     before = solve_case(fast)
-    rough = replace(fast, station_count=min(_SEARCH_STATIONS, setup.station_count))
+    rough = replace(fast, station_count=min(_SEARCH_STATION_COUNT, setup.station_count))
     bounds = [_search_bounds(n, limits) for n in names]
     count = 0
     start = [before.upper.speed_rad_s, before.lower.speed_rad_s / before.upper.speed_rad_s]
@@ -596,21 +596,21 @@ def optimise_pair(
         case = dict(zip(names, map(float, np.clip(x, *np.transpose(bounds))), strict=True))
         try:
             system, at = still or build_system(rough, case), build_condition(rough, case)
-            near = RotorSystem.coaxial_pair(*system.bladings, spacing_m=_CLEARANCE_SPACING_SHARE * spacing)
+            near = RotorSystem.coaxial_pair(*system.bladings, spacing_m=_MAX_BLADE_REACH_SPACING_SHARE * spacing)
             check_rotors(near.place_rotors(tuple(at.pitch_rad), (1.0, 1.0)), 0.0)  # type: ignore[arg-type]
             r = _solve_balanced_pair(system, at, list(start))
         except MuflyError:
-            return 2.0 * _FAILURE_COST
+            return 2.0 * _FAILURE_COST_W
         if r is None:
-            return 2.0 * _FAILURE_COST
+            return 2.0 * _FAILURE_COST_W
         tips = [p.speed_rad_s * b.rotors[0].radius_m for p, b in zip(r.rotors, system.bladings, strict=True)]
-        return r.power_W if max(tips) <= MAX_TIP_SPEED_M_S else _FAILURE_COST
+        return r.power_W if max(tips) <= MAX_TIP_SPEED_M_S else _FAILURE_COST_W
 
     search: Callable[..., Any] = differential_evolution
     first = np.clip([_start_value(setup, n) for n in names], *np.transpose(bounds))
     found = search(
-        evaluate_power, bounds, rng=np.random.default_rng(seed), maxiter=generations, popsize=_PAIR_POPULATION,
-        tol=1e-4, x0=first, mutation=(0.4, 0.9), recombination=0.8, polish=False, init="sobol",
+        evaluate_power, bounds, rng=np.random.default_rng(seed), maxiter=generations,
+        popsize=_PAIR_POPULATION_PER_UNKNOWN, tol=1e-4, x0=first, mutation=(0.4, 0.9), recombination=0.8, polish=False, init="sobol",
         callback=_count_generations(progress, generations),
     )  # fmt: skip
     effort = {"maxfev": 60 * len(names), "xatol": 1e-5, "fatol": 1e-5}

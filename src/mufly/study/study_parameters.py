@@ -219,17 +219,17 @@ def to_display_unit(name: str, values: Iterable[ParameterValue]) -> tuple[np.nda
 # for every candidate. A range has two limits.
 
 
-_DEGREE = math.pi / 180.0
+_DEGREE_RAD = math.pi / 180.0
 
 # Default search ranges (SI).
 SEARCH_RANGES: dict[str, tuple[float, float]] = {
     "chord": (0.008, 0.035),
-    "twist": (0.0, 20.0 * _DEGREE),
+    "twist": (0.0, 20.0 * _DEGREE_RAD),
     "taper": (0.2, 1.5),
     "radius": (0.04, 0.09),
     "hub_cutout": (0.1, 0.35),
     "blades": (2.0, 5.0),
-    "pitch": (2.0 * _DEGREE, 26.0 * _DEGREE),
+    "pitch": (2.0 * _DEGREE_RAD, 26.0 * _DEGREE_RAD),
 }
 DERIVED_LIMITS: dict[str, str] = {
     "thickness_mm": "least thickness of the blade along its span",

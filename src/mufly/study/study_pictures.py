@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_MAX_LINES = 12
+_MAX_SWEEP_LINES = 12
 
 
 def axis_label(attributes: dict[str, str], unit: str | None = None) -> str:
@@ -52,8 +52,8 @@ def sweep_picture(data: xr.Dataset, y: str, *, x: str | None = None, title: str 
         raise InputError("picture", y, f"cannot be drawn over {along}", f"vary one of {', '.join(ROTOR_PARAMETERS)}")
     others = [n for n in names if n != along]
     count = int(np.prod([data.sizes[n] for n in others], dtype=int))
-    if count > _MAX_LINES:
-        raise InputError("picture", y, f"{count} lines", f"draw a part of the data ({_MAX_LINES} lines at most)")
+    if count > _MAX_SWEEP_LINES:
+        raise InputError("picture", y, f"{count} lines", f"draw a part of the data ({_MAX_SWEEP_LINES} lines at most)")
     figure = blank_figure(7.0, 4.6)
     axes = figure.subplots()
     horizontal, unit = to_display_unit(along, data[along].values.tolist())

@@ -232,7 +232,7 @@ def _check_pair(setup: StudySetup, every: set[str]) -> tuple[str, str, str] | No
 
 Array = NDArray[np.float64]
 
-_STUDY_SOURCE = {"source": "specified", "note": "set by a study"}
+_STUDY_VALUE_PROVENANCE = {"source": "specified", "note": "set by a study"}
 _NACA_PARAMETERS = ("camber", "camber_position", "thickness")
 
 
@@ -311,13 +311,13 @@ def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
         columns["thickness"] = rotor.stated_thickness(x)
     for key, values in columns.items():
         if not np.array_equal(values, getattr(rotor.blade, key).array()):
-            blade[key] = {**blade[key], "value": values.tolist(), **_STUDY_SOURCE}
+            blade[key] = {**blade[key], "value": values.tolist(), **_STUDY_VALUE_PROVENANCE}
     for key in ("radius", "hub_cutout"):
         if key in changes:
-            tables[key] = {**tables[key], "value": float(changes[key]), **_STUDY_SOURCE}
+            tables[key] = {**tables[key], "value": float(changes[key]), **_STUDY_VALUE_PROVENANCE}
     for key in ("trip_upper", "trip_lower"):
         if key in changes:
-            blade[key] = {"value": float(changes[key]), "unit": "1", **_STUDY_SOURCE}
+            blade[key] = {"value": float(changes[key]), "unit": "1", **_STUDY_VALUE_PROVENANCE}
     if "blades" in changes:
         tables["blades"] = round(float(changes["blades"]))
     return rotor_from_tables(tables, rotor.name)

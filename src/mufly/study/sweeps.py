@@ -128,7 +128,7 @@ def _evaluate_grid(
     starts = list(range(0, total, chunk))
     place = None if folder is None else Path(folder)
     if place is not None:
-        claim_folder(place, "sweep.json", question, {"version": __version__}, _OTHER_SWEEP)
+        claim_folder(place, "sweep.json", question, {"version": __version__}, _OTHER_SWEEP_MESSAGE)
     answers: dict[int, StudyResults] = {}
     done = 0
 
@@ -137,7 +137,7 @@ def _evaluate_grid(
         return [dict(zip(names, combination, strict=True)) for combination in every]
 
     for start in starts:
-        known = None if place is None else _recall_chunk(place, start, question)
+        known = None if place is None else _read_stored_chunk(place, start, question)
         if known is not None:
             answers[start] = known
             done += len(known.fault)
@@ -242,14 +242,14 @@ def _airfoil_digests(names: Iterable[str]) -> dict[str, str]:
     return found
 
 
-_OTHER_SWEEP = ("holds the results of another sweep", "give another folder, or delete this one")
+_OTHER_SWEEP_MESSAGE = ("holds the results of another sweep", "give another folder, or delete this one")
 
 
 def _chunk_file(folder: Path, start: int) -> Path:
     return folder / "chunks" / f"{start:09d}.npz"
 
 
-def _recall_chunk(folder: Path, start: int, question: str) -> StudyResults | None:
+def _read_stored_chunk(folder: Path, start: int, question: str) -> StudyResults | None:
     content = read_answer(_chunk_file(folder, start), question)
     return None if content is None else StudyResults(content, [str(reason) for reason in content.pop("fault")])
 

@@ -192,8 +192,8 @@ def study_bar_lag(progress: ProgressCallback | None = None) -> StudyFindings:
     return StudyFindings(verdicts, drawn, {"run": data})
 
 
-_VIBRATION_LEVELS = ((0.0, 0.0), (4.0, 2.0), (6.0, 3.0), (8.0, 4.0))
-_IMU_COUNT = 10
+_IMU_VIBRATION_LEVELS = ((0.0, 0.0), (4.0, 2.0), (6.0, 3.0), (8.0, 4.0))
+_SIMULATED_IMU_COUNT = 10
 
 
 def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFindings:
@@ -204,8 +204,8 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
 
     Thesis: Fig. 2.6.
     """
-    tilt = np.empty((len(_VIBRATION_LEVELS), _IMU_COUNT))
-    for k, (once, twice) in enumerate(_VIBRATION_LEVELS):
+    tilt = np.empty((len(_IMU_VIBRATION_LEVELS), _SIMULATED_IMU_COUNT))
+    for k, (once, twice) in enumerate(_IMU_VIBRATION_LEVELS):
         g = STANDARD_GRAVITY_M_S2
         vehicle = replace_parameters(
             load_vehicle("mufly-1.1"),
@@ -216,7 +216,7 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
             },
         )
         state = find_trim(vehicle).state
-        for seed in range(_IMU_COUNT):
+        for seed in range(_SIMULATED_IMU_COUNT):
             imu = fitted_sensors(vehicle, World(), seed=seed, only=["imu"])
             low, shown = None, []
             for tick in range(800):
@@ -226,7 +226,7 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
                 shown.append(math.degrees(math.atan2(math.hypot(low[0], low[1]), -low[2])))
             tilt[k, seed] = np.median(shown[len(shown) // 2 :])
         if progress is not None:
-            progress(k + 1, len(_VIBRATION_LEVELS))
+            progress(k + 1, len(_IMU_VIBRATION_LEVELS))
     middle = np.median(tilt, axis=1)
     limit = float(load_vehicle("mufly-1.1").sensors.imu.accelerometer_range) / g  # type: ignore[union-attr]
     verdicts = [
@@ -234,15 +234,17 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
         judge(
             "fig-2.6/shaken-beyond-it-attitude-is-up",
             "sensor model",
-            "; ".join(f"{a:g} + {b:g} g: {m:.1f} degrees" for (a, b), m in zip(_VIBRATION_LEVELS, middle, strict=True))
-            + f" (median of {_IMU_COUNT} units)",
+            "; ".join(
+                f"{a:g} + {b:g} g: {m:.1f} degrees" for (a, b), m in zip(_IMU_VIBRATION_LEVELS, middle, strict=True)
+            )
+            + f" (median of {_SIMULATED_IMU_COUNT} units)",
             middle_first=middle[0],
             middle_last=middle[-1],
         ),
     ]
     drawn = blank_figure(6.5, 3.8)
     axes = drawn.subplots()
-    axes.boxplot(tilt.T, tick_labels=[f"{a:g} + {b:g}" for a, b in _VIBRATION_LEVELS])
+    axes.boxplot(tilt.T, tick_labels=[f"{a:g} + {b:g}" for a, b in _IMU_VIBRATION_LEVELS])
     axes.axhline(20, color="C3", linestyle=":", label="source: up to 20 degrees")
     axes.set(
         xlabel="Vibration of each rotor at 1/rev + 2/rev (g)",
@@ -252,7 +254,7 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
     axes.legend()
     data = xr.Dataset(
         {"tilt_deg": (("shaking", "unit"), tilt)},
-        coords={"shaking": [f"{a:g}+{b:g} g" for a, b in _VIBRATION_LEVELS]},
+        coords={"shaking": [f"{a:g}+{b:g} g" for a, b in _IMU_VIBRATION_LEVELS]},
     )
     return StudyFindings(verdicts, drawn, {"tilt": data})
 

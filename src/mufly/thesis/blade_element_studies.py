@@ -33,7 +33,7 @@ from mufly.rotor.coax_maps import interpolate_map as map_at
 from mufly.study import sweep_parameters
 from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, judge_item
 from mufly.thesis.single_rotor_studies import (
-    RANKED_QUANTITY,
+    RANKED_OUTPUT_NAME,
     blade_form_gain,
     judge_blade_forms,
     standard_setup,
@@ -311,7 +311,7 @@ def study_blade_tips(progress: ProgressCallback | None = None) -> StudyFindings:
         rotor = replace_rotor(load_rotor("naca0012-r60-c20"), changed)
         lines.append(
             sweep_parameters(standard_setup("full", rotor), {"pitch": [float(p) for p in np.radians(pitch)]})[
-                RANKED_QUANTITY
+                RANKED_OUTPUT_NAME
             ].values
         )
     values = np.array(lines)
@@ -339,7 +339,7 @@ def study_blade_tips(progress: ProgressCallback | None = None) -> StudyFindings:
         axes.legend(fontsize="x-small")
     drawn.suptitle("Fig. 3.38: tip shapes by blade elements (NACA 0012, sizes ours)")
     data = xr.Dataset(
-        {RANKED_QUANTITY: (("tip", "pitch_deg"), values)},
+        {RANKED_OUTPUT_NAME: (("tip", "pitch_deg"), values)},
         coords={"tip": list(TIP_SHAPES), "pitch_deg": pitch},
     )
     return StudyFindings(
@@ -364,7 +364,7 @@ def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFinding
     names = ["naca0012", *(f"naca0012+gurney{f:g}" for f in GURNEY_HEIGHTS_PERCENT[1:])]
     setup = standard_setup("full", "naca0012-r60-c20")
     found = sweep_parameters(setup, {"airfoil": names, "pitch": [float(p) for p in np.radians(pitch)]})
-    values = found[RANKED_QUANTITY].values
+    values = found[RANKED_OUTPUT_NAME].values
     best = np.nanmax(values, axis=1)
     gain = 100 * (best / best[0] - 1)
     numbers = ", ".join(f"{g:+.1f} % ({f:g} %)" for f, g in zip(GURNEY_HEIGHTS_PERCENT[1:], gain[1:], strict=True))

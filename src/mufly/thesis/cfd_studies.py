@@ -33,23 +33,23 @@ from mufly.rotor import field_picture, load_rotor
 from mufly.study import sweep_parameters
 from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, Verdict, judge
 from mufly.thesis.single_rotor_studies import (
-    RANKED_QUANTITY,
+    RANKED_OUTPUT_NAME,
     blade_form_gain,
     judge_blade_forms,
     standard_setup,
 )
 from mufly.thesis.wake_studies import solve_single_rotor, tip_vortex_path
 
-MESH_LEVEL = "coarse"
+STUDY_MESH_LEVEL = "coarse"
 
 # docs/log/2026-11-28-cfd-table-3-2.md: 12 degrees, 5 000 rpm, coarse mesh: thrust (mN) of the radii from,
 # to (mm) by CFD and by blade elements.
-_TIP_MM = (55, 60)
-SPAN_LOADS_MN: dict[tuple[int, int], tuple[float, float]] = {
+_TIP_STRIP_RADII_MM = (55, 60)
+STRIP_LOADS_MN: dict[tuple[int, int], tuple[float, float]] = {
     (9, 30): (14.9, 18.2),
     (30, 50): (66.9, 81.8),
     (50, 55): (28.0, 30.1),
-    _TIP_MM: (36.4, 22.3),
+    _TIP_STRIP_RADII_MM: (36.4, 22.3),
 }
 
 
@@ -66,19 +66,19 @@ def study_mesh_setup(progress: ProgressCallback | None = None) -> StudyFindings:
     Thesis: Fig. 3.21.
     """
     domain, rotor = MeshDomain(), load_rotor("naca0012-r60-c20")
-    mesh = make_poly_mesh(make_sector_mesh(rotor, math.radians(12), level=MESH_LEVEL, domain=domain))
+    mesh = make_poly_mesh(make_sector_mesh(rotor, math.radians(12), level=STUDY_MESH_LEVEL, domain=domain))
     q = measure_mesh_quality(mesh)
     above = 1e3 * domain.above * rotor.radius_m
     periodic = {"sector_left", "sector_right"} <= set(mesh.patches)
     verdicts = [
         judge(
             "fig-3.21/half-of-the-rotor-is-meshed",
-            f"{MESH_LEVEL} mesh",
+            f"{STUDY_MESH_LEVEL} mesh",
             f"one blade of {mesh.blade_count}; patches {', '.join(mesh.patches)}",
             blade_count=mesh.blade_count,
             holds=periodic,
         ),
-        judge("fig-3.21/200-mm-above-the-blade-are", f"{MESH_LEVEL} mesh", f"{above:.0f} mm", above=above),
+        judge("fig-3.21/200-mm-above-the-blade-are", f"{STUDY_MESH_LEVEL} mesh", f"{above:.0f} mm", above=above),
     ]
     note = (
         f"one block-structured sector of {mesh.cell_count} hexahedra, its inner cylinder turning and the rest "
@@ -175,8 +175,8 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
         drawn = pressure_picture(mesh, found)
         drawn.suptitle(f"Fig. 3.23: pressure on the blade ({where})")
         return StudyFindings(verdicts, drawn, note=f"verdict of the run: {found.verdict}")
-    outer = SPAN_LOADS_MN[_TIP_MM]
-    inner = [sum(v[k] for (a, b), v in SPAN_LOADS_MN.items() if b <= _TIP_MM[0]) for k in (0, 1)]
+    outer = STRIP_LOADS_MN[_TIP_STRIP_RADII_MM]
+    inner = [sum(v[k] for (a, b), v in STRIP_LOADS_MN.items() if b <= _TIP_STRIP_RADII_MM[0]) for k in (0, 1)]
     verdicts = [
         judge(
             "fig-3.23/there-is-strong-suction-at-the",
@@ -189,10 +189,10 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
     ]
     drawn = blank_figure(6.5, 4.0)
     axes = drawn.subplots()
-    at = np.arange(len(SPAN_LOADS_MN))
+    at = np.arange(len(STRIP_LOADS_MN))
     for k, name in enumerate(("CFD, laminar, coarse mesh", "blade elements")):
-        axes.bar(at + 0.4 * k - 0.2, [v[k] / (b - a) for (a, b), v in SPAN_LOADS_MN.items()], 0.38, label=name)
-    axes.set_xticks(at, [f"{a} to {b} mm" for a, b in SPAN_LOADS_MN])
+        axes.bar(at + 0.4 * k - 0.2, [v[k] / (b - a) for (a, b), v in STRIP_LOADS_MN.items()], 0.38, label=name)
+    axes.set_xticks(at, [f"{a} to {b} mm" for a, b in STRIP_LOADS_MN])
     axes.set(
         ylabel="Thrust per radius (mN/mm)",
         title=("Fig. 3.23's suction at the tip, by what docs/explanation/cfd.md states"),
@@ -268,7 +268,7 @@ def study_winglets(progress: ProgressCallback | None = None) -> StudyFindings:
     """
     pitch = np.arange(12.0, 20.1, 0.5)
     base = standard_setup("full", "naca0012-r60-c20")
-    values = sweep_parameters(base, {"pitch": [float(p) for p in np.radians(pitch)]})[RANKED_QUANTITY].values
+    values = sweep_parameters(base, {"pitch": [float(p) for p in np.radians(pitch)]})[RANKED_OUTPUT_NAME].values
     best = float(pitch[int(np.nanargmax(values))])
     verdicts = [
         judge("fig-3.40/the-standard-blade-is-best-at", "full", f"{best:g} degrees", best=best),
@@ -295,7 +295,7 @@ def study_winglets(progress: ProgressCallback | None = None) -> StudyFindings:
     )
     axes.legend(fontsize="small")
     axes.grid(alpha=0.3)
-    data = xr.Dataset({RANKED_QUANTITY: ("pitch_deg", values)}, coords={"pitch_deg": pitch})
+    data = xr.Dataset({RANKED_OUTPUT_NAME: ("pitch_deg", values)}, coords={"pitch_deg": pitch})
     return StudyFindings(
         verdicts,
         drawn,

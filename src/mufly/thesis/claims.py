@@ -128,11 +128,11 @@ class Study:
 
 VERDICTS_FILE = Path(__file__).with_name("verdicts.toml")
 """File with one table for each verdict: claim, limits, rule in words, and the reason of a difference."""
-_ROWS: dict[str, dict[str, Any]] = tomllib.loads(VERDICTS_FILE.read_text(encoding="utf-8"))
+_VERDICT_TABLE: dict[str, dict[str, Any]] = tomllib.loads(VERDICTS_FILE.read_text(encoding="utf-8"))
 
 CLAIMS: dict[str, Claim] = {
     key: Claim(**{name: row[name] for name in ("where", "text", "value", "unit", "basis", "reason") if name in row})
-    for key, row in _ROWS.items()
+    for key, row in _VERDICT_TABLE.items()
 }
 """Claim of each verdict, by the verdict's key."""
 
@@ -154,7 +154,7 @@ def judge(key: str, model: str, ours: str, **quantities: Any) -> Verdict:
     KeyError
         If there is no such row, or it has limits for other quantities.
     """
-    row = _ROWS[key]
+    row = _VERDICT_TABLE[key]
     limits = row["limits"]
     if set(limits) != set(quantities):
         raise KeyError(

@@ -39,7 +39,7 @@ from mufly.thesis.claims import TABLE_3_4_VALUES, Verdict, judge
 
 COAXIAL_MODELS = ("wake", "full")
 _METHOD_BY_MODEL: dict[str, SolverMethod] = {"wake": "wake", "full": "bemt"}
-PITCH_DEG = 14.0
+PAIR_PITCH_DEG = 14.0
 SPACING_M = 0.02
 UPPER_RPM = 6000.0
 _FIELD_UNITS = {"thrust_N": "N", "torque_Nm": "N m", "power_W": "W", "c_T": "1", "c_Q": "1"}
@@ -49,7 +49,7 @@ _FIELD_UNITS = {"thrust_N": "N", "torque_Nm": "N m", "power_W": "W", "c_T": "1",
 class _PairPoint:
     upper_rpm: float = UPPER_RPM
     lower_rpm: float = UPPER_RPM
-    lower_pitch_deg: float = PITCH_DEG
+    lower_pitch_deg: float = PAIR_PITCH_DEG
     spacing_m: float = SPACING_M
     balances_torque: bool = False
     """Whether to find the lower speed that balances the torques."""
@@ -70,7 +70,7 @@ def _solve_pair(
     kept = _SOLVED_PAIRS.get((model, point)) if settings is None else None
     if kept is not None:
         return kept, ""
-    pitch = (math.radians(PITCH_DEG), math.radians(point.lower_pitch_deg))
+    pitch = (math.radians(PAIR_PITCH_DEG), math.radians(point.lower_pitch_deg))
     speed = (point.upper_rpm * RPM, None if point.balances_torque else point.lower_rpm * RPM)
     try:
         pair = RotorSystem.coaxial_pair(blade, blade, spacing_m=point.spacing_m)
@@ -147,7 +147,7 @@ def compute_equal_speeds(
     both = _solve_grid(
         model, {"rpm": list(rpm)}, lambda rpm: _PairPoint(upper_rpm=rpm, lower_rpm=rpm), settings, progress
     )
-    blade, pitch = _load_blade(), math.radians(PITCH_DEG)
+    blade, pitch = _load_blade(), math.radians(PAIR_PITCH_DEG)
     known: SystemSolution | None = None
     single: dict[str, list[float]] = {field: [] for field in _FIELD_UNITS}
     for speed in rpm:

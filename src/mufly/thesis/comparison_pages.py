@@ -141,9 +141,9 @@ def _link_documents(text: str) -> str:
     return re.sub(r"docs/([\w/-]+\.md)", r"[\1](../\1)", text)
 
 
-_BADGES = {"agrees": "yes", "in part": "part", "DIFFERS": "no"}
+_BADGE_CLASSES = {"agrees": "yes", "in part": "part", "DIFFERS": "no"}
 
-_BODY = """
+_PAGE_BODY_TEMPLATE = """
 {% macro word(a) %}
 <span class="badge {{ badges.get(a.verdict_word) or "" }}">{{ a.verdict_word }}
 {%- if a.agreement_share %} ({{ a.agreement_share }}){% endif %}</span>
@@ -189,10 +189,10 @@ def render_html_page(answers: Sequence[StudyAnswer]) -> str:
     every = [known[name] for name in THESIS_ITEMS]
     return render_page(
         "The dissertation, figure by figure",
-        _BODY,
+        _PAGE_BODY_TEMPLATE,
         answers=every,
         total=_summarise_verdicts([a.to_dict() for a in every]),
         chapter=_chapter_number,
         code=_render_code_marks,
-        badges=_BADGES,
+        badges=_BADGE_CLASSES,
     )

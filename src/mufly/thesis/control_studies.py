@@ -27,8 +27,8 @@ from mufly.thesis.claims import CLAIMS, ProgressCallback, Study, StudyFindings, 
 from mufly.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
-_BODY_RATES = slice(2, 4)  # p and q among the outputs of the roll-pitch plant
-_NOMINAL_VOLTAGE_V, _USED_BATTERY_VOLTAGE_V = 7.2, 6.4
+_BODY_RATE_OUTPUTS = slice(2, 4)  # p and q among the outputs of the roll-pitch plant
+_NOMINAL_VOLTAGE_V, _HALF_CHARGED_VOLTAGE_V = 7.2, 6.4
 
 
 @functools.lru_cache(maxsize=2)
@@ -45,7 +45,7 @@ def _singular_value_curves(one: ControllerDesign) -> xr.Dataset:
 def study_heave_yaw_plant(progress: ProgressCallback | None = None) -> StudyFindings:
     """Fig. 6.3, at the nominal voltage and at the voltage that fits the printed crossings."""
     verdicts = []
-    for volt in (_NOMINAL_VOLTAGE_V, _USED_BATTERY_VOLTAGE_V):
+    for volt in (_NOMINAL_VOLTAGE_V, _HALF_CHARGED_VOLTAGE_V):
         found = _design_controller(volt).heave_yaw.plant_crossovers
         for k, name in enumerate(("first", "second")):
             key = f"fig-6.3/{name}-crossing"
@@ -101,7 +101,9 @@ def study_roll_pitch_plant(progress: ProgressCallback | None = None) -> StudyFin
     poles = one.plant.poles()
     damped = sorted({round(abs(float(p.imag)), 2) for p in poles if p.imag > 1.0})
     frequency = np.geomspace(5, 30, 1500)
-    rates = np.abs(frequency_response(one.plant, frequency)[:, _BODY_RATES, :]).max(axis=2)  # of the larger input
+    rates = np.abs(frequency_response(one.plant, frequency)[:, _BODY_RATE_OUTPUTS, :]).max(
+        axis=2
+    )  # of the larger input
     peaks = [float(frequency[k]) for k in rates.argmax(axis=0)]
     verdicts = [
         judge(

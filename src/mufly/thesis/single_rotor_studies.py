@@ -36,7 +36,7 @@ JudgeFunction = Callable[[str, Array, Array], list[Verdict]]
 
 STUDY_THRUST_N = 0.4
 PITCH_SETTINGS_DEG = tuple(float(p) for p in range(6, 21))
-RANKED_QUANTITY = "thrust_per_power_N_W"
+RANKED_OUTPUT_NAME = "thrust_per_power_N_W"
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def run_sweep(study: SweepStudy, model: str) -> tuple[xr.Dataset, list[Verdict]]
     }
     data = sweep_parameters(standard_setup(model), vary)
     data = data.assign_coords(label=(study.parameter, list(study.labels)))
-    return data, study.judge(model, np.array(PITCH_SETTINGS_DEG), data[RANKED_QUANTITY].values)
+    return data, study.judge(model, np.array(PITCH_SETTINGS_DEG), data[RANKED_OUTPUT_NAME].values)
 
 
 def _best_over_pitch(values: Array) -> Array:

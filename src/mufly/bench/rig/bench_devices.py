@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Samples = Mapping[str, Sequence[float] | Array]
 SampleCallback = Callable[[Samples], None]
 
-STOP_TRIES = 3
+MAX_STOP_TRIES = 3
 
 
 class DeviceError(MuflyError):
@@ -250,7 +250,7 @@ class DeviceRig:
         left = [d for d in self.devices if d.axes]
         reasons: dict[str, str] = {}
         interrupted: BaseException | None = None
-        for _ in range(STOP_TRIES):
+        for _ in range(MAX_STOP_TRIES):
             failed = []
             for d in left:
                 try:

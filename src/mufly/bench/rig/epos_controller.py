@@ -30,9 +30,9 @@ from mufly.bench.rig.bench_devices import DeviceError, Samples
 from mufly.bench.rig.serial_line import REPLY_TIMEOUT_s, SerialLine
 from mufly.quantities.units import RPM
 
-DLE, STX = 0x90, 0x02
-REQUEST_TRIES = 3
-_CODE_BYTES = 4  # the error code, first in an answer
+FRAME_ESCAPE_BYTE, FRAME_START_BYTE = 0x90, 0x02
+MAX_REQUEST_TRIES = 3
+_ERROR_CODE_BYTES = 4  # the error code, first in an answer
 _READS_PER_STATUS_CHECK = 10  # readings between two checks of the status word
 
 CONTROL_WORD = (0x6040, 0)
@@ -71,7 +71,9 @@ def compute_frame_crc(opcode: int, data: bytes) -> int:
 def build_frame(opcode: int, data: bytes) -> bytes:
     """Return the bytes of a frame with byte stuffing; ``data`` has an even length."""
     body = bytes((opcode, len(data) // 2)) + data + struct.pack("<H", compute_frame_crc(opcode, data))
-    return bytes((DLE, STX)) + body.replace(bytes((DLE,)), bytes((DLE, DLE)))
+    return bytes((FRAME_ESCAPE_BYTE, FRAME_START_BYTE)) + body.replace(
+        bytes((FRAME_ESCAPE_BYTE,)), bytes((FRAME_ESCAPE_BYTE, FRAME_ESCAPE_BYTE))
+    )
 
 
 class FrameParser:
@@ -94,15 +96,15 @@ class FrameParser:
         for byte in data:
             if self._after_dle:
                 self._after_dle = False
-                if byte == STX:
+                if byte == FRAME_START_BYTE:
                     self.broken_frames += self._frame_body is not None and len(self._frame_body) > 0
                     self._frame_body = bytearray()
                     continue
-                if byte != DLE:  # neither a start nor a stuffed byte: bytes were lost
+                if byte != FRAME_ESCAPE_BYTE:  # neither a start nor a stuffed byte: bytes were lost
                     self.broken_frames += self._frame_body is not None
                     self._frame_body = None
                     continue
-            elif byte == DLE:
+            elif byte == FRAME_ESCAPE_BYTE:
                 self._after_dle = True
                 continue
             if self._frame_body is None:
@@ -154,7 +156,7 @@ class EposController:
         return self._frames.broken_frames
 
     def _send_request(
-        self, opcode: int, data: bytes, tries: int = REQUEST_TRIES, patience_s: float = REPLY_TIMEOUT_s
+        self, opcode: int, data: bytes, tries: int = MAX_REQUEST_TRIES, patience_s: float = REPLY_TIMEOUT_s
     ) -> bytes:
         """Send a request until it is answered; return the data of the answer after the error code."""
         for _ in range(tries):
@@ -164,14 +166,14 @@ class EposController:
             until = time.monotonic() + patience_s
             while (left := until - time.monotonic()) > 0:
                 for answer, payload in self._frames.feed_bytes(self._line.read(left)):
-                    if answer != 0x00 or len(payload) < _CODE_BYTES:
+                    if answer != 0x00 or len(payload) < _ERROR_CODE_BYTES:
                         continue
-                    code = struct.unpack("<I", payload[:_CODE_BYTES])[0]
+                    code = struct.unpack("<I", payload[:_ERROR_CODE_BYTES])[0]
                     if code == 0x0504_0005 or code & 0xFFFF_0000 == 0x0F00_0000:
                         break  # the device rejected a damaged frame: repeat
                     if code:
                         raise DeviceError(f"{self.name}: refuses the request (error 0x{code:08X})")
-                    return payload[_CODE_BYTES:]
+                    return payload[_ERROR_CODE_BYTES:]
         raise DeviceError(f"{self.name}: does not answer ({tries} tries of {patience_s:g} s)")
 
     def _object_address(self, item: tuple[int, int]) -> bytes:
@@ -191,7 +193,7 @@ class EposController:
         self,
         item: tuple[int, int],
         value: int,
-        tries: int = REQUEST_TRIES,
+        tries: int = MAX_REQUEST_TRIES,
         patience_s: float = REPLY_TIMEOUT_s,
     ) -> None:
         """Set an object's value."""

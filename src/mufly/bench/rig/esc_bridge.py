@@ -26,7 +26,7 @@ from mufly.bench.rig.bench_devices import DeviceError, Samples
 from mufly.bench.rig.serial_line import ChecksummedLine, REPLY_TIMEOUT_s
 from mufly.quantities.units import RPM
 
-COMMAND_TRIES = 4
+MAX_COMMAND_TRIES = 4
 KEEP_ALIVE_s = 0.15
 _FIELDS_PER_AXIS = 4
 
@@ -85,7 +85,7 @@ class EscBridge:
             if heat > 0:
                 self._samples.setdefault(f"motor_temperature_{axis}", []).append(heat / 100.0)
 
-    def _send_command(self, body: str, answer: list[str], tries: int = COMMAND_TRIES) -> None:
+    def _send_command(self, body: str, answer: list[str], tries: int = MAX_COMMAND_TRIES) -> None:
         for _ in range(tries):
             self._replies.clear()
             self._line.send_line(body)

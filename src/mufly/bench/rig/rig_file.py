@@ -27,7 +27,7 @@ from mufly.bench.rig.bench_devices import BenchFacts, Clock, Device, DeviceRig, 
 from mufly.bench.rig.epos_controller import EposController
 from mufly.bench.rig.esc_bridge import EscBridge
 from mufly.bench.rig.ni_daq import NiDaq
-from mufly.bench.rig.serial_load_cells import ADC_RANGE, SerialLoadCells
+from mufly.bench.rig.serial_load_cells import ADC_COUNT_RANGE, SerialLoadCells
 from mufly.bench.rig.thrust_stand import ThrustStand
 from mufly.bench.series.series_plan import RotorSide
 from mufly.errors import InputError
@@ -82,10 +82,10 @@ class DeviceTable(ParameterGroup):
             return SerialLoadCells(self.port, self.channels or ("thrust_raw", "torque_raw"), baud=self.baud)
         return NiDaq(self.inputs, scale=self.scale, rate_Hz=self.rate_Hz, average=self.average, range_V=self.range_V)
 
-    def reading_ranges(self) -> dict[str, tuple[float, float]]:
+    def cell_reading_ranges(self) -> dict[str, tuple[float, float]]:
         """Return the range of the readings of each load cell channel."""
         if self.kind == "cells":
-            return dict.fromkeys(self.channels or ("thrust_raw", "torque_raw"), ADC_RANGE)
+            return dict.fromkeys(self.channels or ("thrust_raw", "torque_raw"), ADC_COUNT_RANGE)
         if self.kind == "nidaq":
             # 0.1 % margin, because the trimmed range of converters may be slightly smaller.
             ends = {n: 0.999 * self.range_V * self.scale.get(n, 1.0) for n in self.inputs if n.endswith("_raw")}
@@ -140,7 +140,7 @@ def load_rig(path: str | Path) -> DeviceRig:
     tables, where = read_toml(file, file.parent, "bench")
     table = validate_model(RigTable, tables, where)
     calibration = {}
-    ranges = {n: r for d in table.device for n, r in d.reading_ranges().items()}
+    ranges = {n: r for d in table.device for n, r in d.cell_reading_ranges().items()}
     if table.cells:
         calibration = calibration_to_dict(calibrate_cells(read_bench_file(file.parent / table.cells)))
         raw = {f"{c}_raw" for c in calibration["channels"]}

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from mufly.bench.rig.bench_devices import DeviceError, Samples
 from mufly.bench.rig.serial_line import ChecksummedLine
 
-ADC_RANGE = (-8388608.0, 8388607.0)
+ADC_COUNT_RANGE = (-8388608.0, 8388607.0)
 
 
 class SerialLoadCells:

@@ -49,7 +49,7 @@ from mufly.rotor import (
 
 Array = NDArray[np.float64]
 
-MAP_AIR = Air()
+ROTOR_MAP_AIR = Air()
 SAMPLE_RATE_Hz = 100.0
 _MAP_SPEEDS_rad_s = np.geomspace(800.0, 12000.0, 12) * RPM
 _MAP_PITCH_OFFSETS_rad = np.radians([-0.6, 0.0, 0.6])  # offsets from the nominal pitch
@@ -64,12 +64,12 @@ def _load_blading(rotor: str) -> Blading:
 
 @lru_cache(maxsize=256)
 def compute_rotor_map(rotor: str, pitch_deg: float) -> tuple[RectBivariateSpline, RectBivariateSpline]:
-    """Return thrust and torque over speed squared, as functions of pitch offset (rad) and log speed, at MAP_AIR."""
+    """Return thrust and torque over speed squared, functions of pitch offset (rad) and log speed, at ROTOR_MAP_AIR."""
     at = solve_rotor_batch(
         _load_blading(rotor),
         pitch_rad=np.radians(pitch_deg) + _MAP_PITCH_OFFSETS_rad[:, None],
         speed_rad_s=_MAP_SPEEDS_rad_s[None, :],
-        air=MAP_AIR,
+        air=ROTOR_MAP_AIR,
     )
     x, y = _MAP_PITCH_OFFSETS_rad, np.log(_MAP_SPEEDS_rad_s)
     thrust, torque = (
@@ -82,7 +82,7 @@ def compute_rotor_map(rotor: str, pitch_deg: float) -> tuple[RectBivariateSpline
 def compute_pair_map(
     upper: str, lower: str, upper_pitch_deg: float, lower_pitch_deg: float, spacing_m: float
 ) -> tuple[RectBivariateSpline, ...]:
-    """Return T_up, Q_up, T_dw, Q_dw over their speed squared, over log mean speed and log speed ratio, at MAP_AIR."""
+    """Return T_up, Q_up, T_dw, Q_dw over speed squared, over log mean speed and log speed ratio, at ROTOR_MAP_AIR."""
     system = RotorSystem.coaxial_pair(_load_blading(upper), _load_blading(lower), spacing_m=spacing_m)
     speeds = np.geomspace(1500.0, 9000.0, 5) * RPM
     pitch = (np.radians(upper_pitch_deg), np.radians(lower_pitch_deg))
@@ -90,7 +90,7 @@ def compute_pair_map(
     for i, s in enumerate(speeds):
         for j, r in enumerate(_MAP_SPEED_RATIOS):
             up = 2.0 * s / (1.0 + r)
-            a, b = solve_system(system, OperatingCondition(pitch, (up, r * up), air=MAP_AIR)).rotors
+            a, b = solve_system(system, OperatingCondition(pitch, (up, r * up), air=ROTOR_MAP_AIR)).rotors
             found[:, i, j] = (
                 a.thrust_N / up**2, a.torque_Nm / up**2, b.thrust_N / (r * up) ** 2, b.torque_Nm / (r * up) ** 2,
             )  # fmt: skip
@@ -318,7 +318,7 @@ class SimulatedRig:
     def true_loads(self, speeds_rad_s: Mapping[str, float], *, as_mounted: bool = True) -> dict[str, float]:
         """Return the true loads at the present air density: thrust (N), torque of each axis (N m)."""
         thrust, torque = self.true_loads_at(speeds_rad_s, self._pitch_error_rad if as_mounted else 0.0)
-        scale = self.true_density() / MAP_AIR.density_kg_m3
+        scale = self.true_density() / ROTOR_MAP_AIR.density_kg_m3
         return {
             "thrust": scale * float(thrust),
             **{f"torque_{s}": scale * float(torque[s]) for s in ROTOR_SIDES},
@@ -356,7 +356,7 @@ class SimulatedRig:
             smooth = self.commanded_speed[side] + (self.speed[side] - self.commanded_speed[side]) * went
             self.speed[side] = float(smooth[-1])
             speed[side] = smooth * (1 + b.speed_ripple * np.sin(2 * np.pi * 2.7 * t + rng.uniform(0, 6.3)))
-        scale = self.true_density() / MAP_AIR.density_kg_m3
+        scale = self.true_density() / ROTOR_MAP_AIR.density_kg_m3
         thrust, torque = self.true_loads_at(speed, self._pitch_error_rad)
         thrust = scale * thrust
         total = scale * sum(self.facts.torque_signs[s] * torque[s] for s in ROTOR_SIDES)

@@ -27,10 +27,10 @@ from mufly.bench.rig.bench_devices import DeviceError, Samples
 from mufly.bench.rig.serial_line import SerialLine, SILENCE_TIMEOUT_s
 
 MIN_PULSE_us, MAX_PULSE_us = 1000.0, 2000.0
-_SPEED_GAIN = 0.35  # share of the speed error that one step corrects
+_SPEED_CORRECTION_GAIN = 0.35  # share of the speed error that one step corrects
 _INITIAL_SLOPE_us = 0.12  # us per rad/s, before the slope is estimated
 _MAX_PULSE_STEP_us = 60.0  # largest step of the pulse width
-_PLAUSIBLE_LIMITS = {"thrust": 1e3, "torque": 100.0, "speed": 2e4, "current": 1e3, "voltage": 1e3}
+_MAX_PLAUSIBLE_READINGS = {"thrust": 1e3, "torque": 100.0, "speed": 2e4, "current": 1e3, "voltage": 1e3}
 
 
 class ThrustStand:
@@ -109,7 +109,7 @@ class ThrustStand:
             for column, value in zip(self._columns, values, strict=True):
                 if column is not None:
                     si = column.factor * value + column.offset
-                    if abs(si) > _PLAUSIBLE_LIMITS.get(column.base_quantity, math.inf):
+                    if abs(si) > _MAX_PLAUSIBLE_READINGS.get(column.base_quantity, math.inf):
                         row = {}
                         self.broken_rows += 1
                         break
@@ -136,7 +136,7 @@ class ThrustStand:
             if abs(moved) > 2.0 and moved * turned > 0.0:
                 self._pulse_per_speed = min(max(0.5 * self._pulse_per_speed + 0.5 * moved / turned, 0.02), 2.0)
         self._last_pulse_and_speed, self._last_pulse_s = (self._pulse_us, speed), now
-        step = _SPEED_GAIN * self._pulse_per_speed * (self._target_speed - speed)
+        step = _SPEED_CORRECTION_GAIN * self._pulse_per_speed * (self._target_speed - speed)
         self._pulse_us = min(
             max(self._pulse_us + min(max(step, -_MAX_PULSE_STEP_us), _MAX_PULSE_STEP_us), MIN_PULSE_us),
             MAX_PULSE_us,

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-BATCH_COUNT = 16
-_SPIKE_THRESHOLD = 7.0  # robust standard deviations
+MEAN_BATCH_COUNT = 16
+_SPIKE_THRESHOLD_SIGMAS = 7.0  # robust standard deviations
 _MAX_AUTOCORRELATION = 0.8
 
 
@@ -67,11 +67,11 @@ def compute_block_mean(samples: ArrayLike) -> BlockMean:
     low, high = float(x.min()), float(x.max())
     middle = float(np.median(x))
     size = 1.4826 * float(np.median(np.abs(x - middle)))
-    keep = np.abs(x - middle) <= _SPIKE_THRESHOLD * size if size > 0.0 and n >= 8 else np.ones(n, dtype=bool)
+    keep = np.abs(x - middle) <= _SPIKE_THRESHOLD_SIGMAS * size if size > 0.0 and n >= 8 else np.ones(n, dtype=bool)
     x = x[keep]
     spikes = n - x.size
     value = float(x.mean())
-    batches = min(BATCH_COUNT, x.size)
+    batches = min(MEAN_BATCH_COUNT, x.size)
     if batches < 3:
         return BlockMean(value, float(np.ptp(x)), 1.0, n, spikes, low, high, 0.0)
     edges = np.linspace(0, x.size, batches + 1).astype(np.intp)

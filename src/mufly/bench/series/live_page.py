@@ -18,7 +18,7 @@ from mufly.results.report_page import render_page
 PAGE_FILE_NAME = "live.html"
 _LINE_COLOURS = ("#1b6ca8", "#c4532d", "#3a7d44", "#7b4f9d", "#a8871b", "#2d9ca0", "#b03a6b", "#5b6770")
 _PLOT_WIDTH, _PLOT_HEIGHT, _LEFT_MARGIN, _BOTTOM_MARGIN = 460, 260, 58, 34
-_BODY = """
+_PAGE_BODY_TEMPLATE = """
 <p><progress value="{{ "%.3f" | format(share) }}"></progress> {{ "%.0f" | format(100 * share) }} % – {{ status }}</p>
 <div>
 {% for plot in plots %}
@@ -82,7 +82,7 @@ def write_live_page(
     events = [x for x in lines if x["kind"] == "event" and x["what"] != "mounted"][-5:]
     text = render_page(
         plan.name,
-        _BODY,
+        _PAGE_BODY_TEMPLATE,
         share=share,
         status=status,
         plots=list(filter(None, plots)),

@@ -45,7 +45,7 @@ from mufly.rotor import RotorMeasurements
 Array = NDArray[np.float64]
 
 LOAD_NAMES = ("thrust", "torque_upper", "torque_lower")
-_ASSUMED_DOF = 15.0
+_CALIBRATION_DOF = 15.0
 
 
 @result(eq=False)
@@ -268,7 +268,7 @@ def check_reference(name: str, channel: LoadChannel, plan: SeriesPlan) -> Iterat
         ]
         for k, ((before, before_sigma), (after, after_sigma)) in enumerate(itertools.pairwise(mine), 1):
             step, doubt = float(after - before), math.hypot(before_sigma, after_sigma)
-            if abs(step) > REFERENCE_LIMIT and abs(step) > 4.0 * doubt:
+            if abs(step) > MAX_REFERENCE_CHANGE and abs(step) > 4.0 * doubt:
                 yield SeriesIssue(
                     "reference",
                     f"the reference's {name} on the {axis} axis changed by {100 * step:+.1f} +- "
@@ -309,7 +309,7 @@ def find_outliers(
             std[i] = math.sqrt(u[i] ** 2 + float(design[i] @ cov @ design[i]))
         # An outlier also shifts the line of the other points, so only the worst point is reported.
         i = int(np.argmax(np.abs(off) / std))
-        if abs(off[i]) > OUTLIER_LIMIT and abs(off[i]) > 5.0 * std[i]:
+        if abs(off[i]) > MAX_OUTLIER_DEVIATION and abs(off[i]) > 5.0 * std[i]:
             yield SeriesIssue(
                 "outlier",
                 f"{name} of {m.describe_mounting()} at {points.nominal_rpm[at[i]]:g} rpm is {100 * off[i]:+.1f} +- "
@@ -318,8 +318,8 @@ def find_outliers(
             )
 
 
-OUTLIER_LIMIT = 0.025
-REFERENCE_LIMIT = 0.02
+MAX_OUTLIER_DEVIATION = 0.025
+MAX_REFERENCE_CHANGE = 0.02
 """Relative change of the reference's loads between visits above which an issue is reported."""
 
 
@@ -510,5 +510,5 @@ class _SettingAverager:
         tau2 = self.repeatability[name][1]
         if not mounted:
             variance += tau2 * value**2 / len(set(self.points.mounting_index[at].tolist()))
-        dof = _ASSUMED_DOF * n * (variance / own) ** 2 if own > 0 else np.inf
+        dof = _CALIBRATION_DOF * n * (variance / own) ** 2 if own > 0 else np.inf
         return LoadInterval(value, math.sqrt(variance), float(stats.t.ppf(0.975, max(dof, 1.0))) * math.sqrt(variance))

@@ -29,7 +29,7 @@ from mufly.bench.series.series_plan import SeriesPlan
 from mufly.bench.series.series_readings import SeriesReadings
 from mufly.bench.series.series_record import SeriesRecord
 
-ZERO_JUMP_LIMIT, MAX_BAD_POINT_SHARE = 0.05, 0.2
+MAX_ZERO_JUMP, MAX_BAD_POINT_SHARE = 0.05, 0.2
 
 
 class SeriesIssue(NamedTuple):
@@ -96,7 +96,7 @@ def _check_zero_jumps(points: SeriesReadings, zeros: SeriesReadings) -> Iterator
         largest = float(np.nanmax(np.abs(points.mean[name] - np.interp(points.time_s, zeros.time_s, zero))))
         step = np.abs(np.diff(zero))
         k = int(np.argmax(step))
-        if step[k] > ZERO_JUMP_LIMIT * largest:
+        if step[k] > MAX_ZERO_JUMP * largest:
             yield SeriesIssue(
                 "zero",
                 f"the zero of {name} jumped by {100 * step[k] / largest:.0f} % of the largest load at "

@@ -32,10 +32,13 @@ from mufly.quantities.units import RPM
 
 Array = NDArray[np.float64]
 
-STEP_TRIES = 3
-_SPEED_TOLERANCE, _LOAD_TOLERANCE = 0.002, 0.004  # shares of the reading, and of the largest load so far
+MAX_STEP_TRIES = 3
+_SETTLED_SPEED_TOLERANCE, _SETTLED_LOAD_TOLERANCE = (
+    0.002,
+    0.004,
+)  # shares of the reading, and of the largest load so far
 _REST_SPEED_rad_s = 1.0
-_THRUST_PRECISION = 0.002  # relative standard uncertainty of thrust that ends the averaging of a point
+_REQUIRED_THRUST_PRECISION = 0.002  # relative standard uncertainty of thrust that ends the averaging of a point
 _SPEED_DEVIATION_LIMIT = 0.02  # relative speed error above which a point counts as not at speed
 _MAX_WARM_PAUSE_s = 900.0  # longest pause without a new warm-up
 
@@ -44,7 +47,7 @@ class LimitError(MuflyError):
     """Error for an exceeded limit; the bench is stopped."""
 
 
-class Stopped(MuflyError):
+class StopRequested(MuflyError):
     """Exception for a requested stop; the bench is stopped."""
 
 
@@ -97,7 +100,7 @@ class LimitGuard:
 
     def __call__(self, samples: Samples) -> None:
         if self.stop_requested():
-            raise Stopped("stopped on request; the same command resumes the series")
+            raise StopRequested("stopped on request; the same command resumes the series")
         most = {
             "speed": (self.limits.speed_rpm * RPM, 1 / RPM, "rpm"), "current": (self.limits.current_A, 1.0, "A"),
             "vibration": (self.limits.vibration_m_s2, 1.0, "m/s2"),
@@ -192,7 +195,7 @@ def run_series(
     ------
     InputError
         If the record belongs to another plan, or the bench lacks an axis or channel of the plan.
-    LimitError, Stopped, DeviceError, StopError
+    LimitError, StopRequested, DeviceError, StopError
         If the series is interrupted. The bench is stopped, and the record holds all completed readings.
     """
     _check_plan(plan, rig, record)
@@ -210,7 +213,7 @@ def run_series(
             if (step.mounting_index, step.step_in_mounting) not in record.completed_steps:
                 runner.run_step(number, step)
         told(SeriesProgress(len(steps), len(steps), "done"))
-    except (LimitError, Stopped, DeviceError) as error:
+    except (LimitError, StopRequested, DeviceError) as error:
         rig.stop()
         record.append_line({"kind": "event", "what": type(error).__name__, "why": str(error), "time": rig.now()})
         raise
@@ -275,7 +278,7 @@ class _SeriesRunner:
             self.record.append_line(
                 {"kind": "event", "what": "mounted", "mounting": step.mounting_index, "time": self.rig.now()}
             )
-        for tries in range(1, STEP_TRIES + 1):
+        for tries in range(1, MAX_STEP_TRIES + 1):
             try:
                 if self.is_cold and step.kind != "warm-up":
                     self._run_warm_up(number, mounting, float(np.median(mounting.speeds_rpm)), -1, step.mounting_index)
@@ -299,7 +302,7 @@ class _SeriesRunner:
                         "time": self.rig.now(),
                     }
                 )
-                if tries == STEP_TRIES:
+                if tries == MAX_STEP_TRIES:
                     raise
                 self._report_progress(number, f"{error}; trying again")
                 self.rig.open()
@@ -393,7 +396,7 @@ class _SeriesRunner:
             for k, m in now.items():
                 if k.startswith("speed"):
                     goal = wanted.get(k.removeprefix("speed_"), 0.0)
-                    tolerance = max(_SPEED_TOLERANCE * abs(goal), _REST_SPEED_rad_s)
+                    tolerance = max(_SETTLED_SPEED_TOLERANCE * abs(goal), _REST_SPEED_rad_s)
                     # A settled but wrong speed is detected later.
                     good = (
                         good
@@ -405,7 +408,7 @@ class _SeriesRunner:
                         self.largest_loads.get(k, 0.0),
                         abs(m.value - self.guard.zero_readings.get(k, m.value)),
                     )
-                    tolerance = max(_LOAD_TOLERANCE * self.largest_loads[k], m.std)
+                    tolerance = max(_SETTLED_LOAD_TOLERANCE * self.largest_loads[k], m.std)
                     good = good and k in before and has_settled(before[k], m, tolerance)
             if good:
                 return True
@@ -417,6 +420,6 @@ class _SeriesRunner:
         for k in ("thrust_raw", "torque_raw", "thrust", "torque"):
             if k in means:
                 load = abs(means[k].value - self.guard.zero_readings.get(k, 0.0))
-                if means[k].std > _THRUST_PRECISION * load:
+                if means[k].std > _REQUIRED_THRUST_PRECISION * load:
                     return False
         return True

@@ -179,7 +179,7 @@ def run(
     from mufly.bench.series.live_page import PAGE_FILE_NAME, write_live_page
     from mufly.bench.series.series_plan import read_plan
     from mufly.bench.series.series_record import SeriesRecord
-    from mufly.bench.series.series_runner import LimitError, Stopped, run_series
+    from mufly.bench.series.series_runner import LimitError, StopRequested, run_series
     from mufly.bench.series.series_tables import format_progress_line
     from mufly.cli.station import ShutdownHandler
 
@@ -232,11 +232,11 @@ def run(
                 keep_samples=samples,
                 truth=truth,
             )
-        except (Stopped, LimitError) as error:
+        except (StopRequested, LimitError) as error:
             write_live_page(
                 out, made, record.lines, str(error), len(record.completed_steps) / len(made.steps), over=True
             )
-            if isinstance(error, Stopped):
+            if isinstance(error, StopRequested):
                 print_lines(str(error))
                 raise typer.Exit(ending.exit_status or 130) from error
             raise
@@ -248,7 +248,7 @@ def run(
 
 def _wait_for_mounting(m: BladeMounting, asked: threading.Event) -> None:
     """Wait for Enter, or for the request to stop."""
-    from mufly.bench.series.series_runner import Stopped
+    from mufly.bench.series.series_runner import StopRequested
 
     entered = threading.Event()
 
@@ -260,7 +260,7 @@ def _wait_for_mounting(m: BladeMounting, asked: threading.Event) -> None:
     threading.Thread(target=read_enter, daemon=True).start()
     while not entered.wait(0.1):
         if asked.is_set():
-            raise Stopped("stopped on request; the same command resumes the series")
+            raise StopRequested("stopped on request; the same command resumes the series")
 
 
 def _load_real_rig(name: str, fault: str | None) -> BenchRig:

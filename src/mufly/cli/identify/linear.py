@@ -34,7 +34,7 @@ from mufly.quantities.quantity_grammar import read_interval, read_values
 from mufly.results import to_plain_data, to_records
 
 if TYPE_CHECKING:
-    from mufly.identify import EvenLogTable, LinearResult
+    from mufly.identify import LinearResult, UniformLogTable
     from mufly.identify.linear.bandwidth import Bandwidth
     from mufly.identify.linear.frequency_response import FrequencyResponse
     from mufly.identify.linear.sweep_response import TransferFunctionFit
@@ -179,7 +179,9 @@ def linear(
     print_files(report, "Report")
 
 
-def _read_record(log: Path, columns: Sequence[str] | None, start_s: float | None, end_s: float | None) -> EvenLogTable:
+def _read_record(
+    log: Path, columns: Sequence[str] | None, start_s: float | None, end_s: float | None
+) -> UniformLogTable:
     """Read a log, or part of it."""
     from mufly.identify.flight_record import read_columns
 
@@ -193,7 +195,7 @@ def _read_record(log: Path, columns: Sequence[str] | None, start_s: float | None
 
 
 def _fit_by_equations(
-    records: Sequence[EvenLogTable], held: Sequence[EvenLogTable], inputs: Mapping[str, str],
+    records: Sequence[UniformLogTable], held: Sequence[UniformLogTable], inputs: Mapping[str, str],
     outputs: Mapping[str, str], products: bool, without: str, domain: str,
     lowpass: float | None, highpass: float | None, out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
@@ -347,7 +349,7 @@ def frequency(
     Example: mufly identify frequency lat.csv lon.csv --inputs lat,lon --outputs p,q --band 0.2:8 --fit 0/1 --out sweep
     """
     from mufly.errors import ArgumentError
-    from mufly.identify.linear.sweep_response import MIN_COHERENCE, fit_transfer_function
+    from mufly.identify.linear.sweep_response import MIN_PARTIAL_COHERENCE, fit_transfer_function
 
     check_output_place("--out", out)
     orders = None
@@ -376,12 +378,12 @@ def frequency(
     rows = []
     f = data.frequency_hz
     for o, i in pairs:
-        good = data.partial[:, o, i] >= MIN_COHERENCE
+        good = data.partial[:, o, i] >= MIN_PARTIAL_COHERENCE
         text = f"{f[good][0]:.2g} to {f[good][-1]:.2g}" if good.any() else "none"
         size = f"{100 * np.median(data.error[good, o, i]):.1f} %" if good.any() else "-"
         numbers = (f"{int(good.sum())} of {len(f)}", f"{data.partial[:, o, i].max():.2f}", size)
         rows.append((f"{data.inputs[i]} to {data.outputs[o]}", text, *numbers))
-    heads = ("pair", f"coherence >= {MIN_COHERENCE:g} (Hz)", "points", "most", "random error")
+    heads = ("pair", f"coherence >= {MIN_PARTIAL_COHERENCE:g} (Hz)", "points", "most", "random error")
     print_table(heads, rows, title="Frequency responses, each input conditioned on the others", text=(0, 1))
     for one in fits:
         _print_transfer_function(one)
@@ -456,7 +458,7 @@ def bandwidth(
     from dataclasses import replace
 
     from mufly.identify.linear.bandwidth import measure_bandwidth as read_off
-    from mufly.identify.linear.sweep_response import MIN_COHERENCE
+    from mufly.identify.linear.sweep_response import MIN_PARTIAL_COHERENCE
 
     check_output_place("--out", out)
     inputs, outputs = _parse_column_names(f"{input_},{others}"), _parse_column_names(output)
@@ -467,7 +469,7 @@ def bandwidth(
     if name in ("p", "q", "r"):
         turned = data.response / (2j * np.pi * data.frequency_hz[:, None, None])
         data = replace(data, response=turned, outputs=(f"{name}/s",))
-    good = data.partial[:, 0, 0] >= MIN_COHERENCE
+    good = data.partial[:, 0, 0] >= MIN_PARTIAL_COHERENCE
     found = read_off(data.frequency_hz, np.where(good, data.response[:, 0, 0], np.nan), data.error[:, 0, 0])
     files = [] if out is None else _write_bandwidth(data, found, out)
     if as_json:

@@ -454,7 +454,7 @@ def serve(
                 f"the pictures are open to every program that can reach {host}:{port}", mark="Warning", style="yellow"
             )
         try:
-            while not server.watcher_count:
+            while not server.client_count:
                 time.sleep(0.01)
             began, first = time.monotonic(), math.nan
             for frame in source.read_frames():

@@ -65,18 +65,18 @@ from mufly.identify.flight_record import (
     MOTION_EULER,
     MOTION_RATES,
     MOTION_VELOCITY,
-    OUT_CLIMB,
-    OUT_EAST,
-    OUT_HEIGHT,
-    OUT_P,
-    OUT_PITCH,
-    OUT_R,
-    OUT_ROLL,
-    OUT_SPEED_LOWER,
-    OUT_SPEED_UPPER,
-    OUT_V_EAST,
-    OUT_V_NORTH,
-    OUT_YAW,
+    OUTPUT_CLIMB,
+    OUTPUT_EAST,
+    OUTPUT_HEIGHT,
+    OUTPUT_P,
+    OUTPUT_PITCH,
+    OUTPUT_R,
+    OUTPUT_ROLL,
+    OUTPUT_SPEED_LOWER,
+    OUTPUT_SPEED_UPPER,
+    OUTPUT_V_EAST,
+    OUTPUT_V_NORTH,
+    OUTPUT_YAW,
 )
 from mufly.study.sweeps import open_executor
 
@@ -161,24 +161,24 @@ def _write_outputs(
     yaw += 2 * math.pi * round((last_yaw - yaw) / (2 * math.pi))
     for c in range(codes.shape[0]):
         code = codes[c]
-        if code <= OUT_EAST:
+        if code <= OUTPUT_EAST:
             y[c] = x[MODEL_POSITION + code]
-        elif code == OUT_HEIGHT:
+        elif code == OUTPUT_HEIGHT:
             y[c] = -x[MODEL_POSITION + 2]
-        elif code <= OUT_V_EAST:
-            y[c] = x[MODEL_VELOCITY + code - OUT_V_NORTH]
-        elif code == OUT_CLIMB:
+        elif code <= OUTPUT_V_EAST:
+            y[c] = x[MODEL_VELOCITY + code - OUTPUT_V_NORTH]
+        elif code == OUTPUT_CLIMB:
             y[c] = -x[MODEL_VELOCITY + 2]
-        elif code == OUT_ROLL:
+        elif code == OUTPUT_ROLL:
             y[c] = math.atan2(2 * (w * i + j * k), 1 - 2 * (i * i + j * j))
-        elif code == OUT_PITCH:
+        elif code == OUTPUT_PITCH:
             y[c] = math.asin(min(max(2 * (w * j - k * i), -1.0), 1.0))
-        elif code == OUT_YAW:
+        elif code == OUTPUT_YAW:
             y[c] = yaw
-        elif code <= OUT_R:
-            y[c] = x[MODEL_RATES + code - OUT_P]
-        elif code <= OUT_SPEED_LOWER:
-            y[c] = x[MODEL_SPEED_UPPER + code - OUT_SPEED_UPPER]
+        elif code <= OUTPUT_R:
+            y[c] = x[MODEL_RATES + code - OUTPUT_P]
+        elif code <= OUTPUT_SPEED_LOWER:
+            y[c] = x[MODEL_SPEED_UPPER + code - OUTPUT_SPEED_UPPER]
         else:
             upper, lower = min(max(u[U_MOTOR_UPPER], 0.0), 1.0), min(max(u[U_MOTOR_LOWER], 0.0), 1.0)
             y[c] = battery_state(x, upper, lower, p)[0]
@@ -400,7 +400,7 @@ def solve_hover(p: NDArray[np.void]) -> tuple[_Array, _Array]:
     return speed, volts / p["battery_curve"][:, -1:]
 
 
-def bar_normal(attitude: _Array, tilt: _Array) -> _Array:
+def stabiliser_bar_normal(attitude: _Array, tilt: _Array) -> _Array:
     """Return the upward normals (b, 3) in N-E-D of bars tilted by roll and pitch ``tilt`` (rad) against the mast."""
     roll, pitch, yaw = attitude[:, 0] + tilt[:, 0], attitude[:, 1] + tilt[:, 1], attitude[:, 2]
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_BLOCK_S = 0.04  # shortest block: below it sensor noise dominates the difference of a rate
-_NOISE_MEMORY_S = 0.4  # memory of the noise model: about the period of the fastest loop of a helicopter of 100 g
-_ITERATIONS = 4
+_MIN_BLOCK_S = 0.04  # shortest block: below it sensor noise dominates the difference of a rate
+_NOISE_MODEL_MEMORY_S = 0.4  # memory of the noise model: about the period of the fastest loop of a helicopter of 100 g
+_GAIN_NOISE_ITERATIONS = 4
 _MIN_BLOCKS = 60
 
 
@@ -87,13 +87,13 @@ def estimate_causal_gain(
         return None
     y = np.interp(np.arange(len(measured)), known, measured[known])
     spacing = float(np.median(np.diff(known)))  # in samples: a slow sensor has no value in most of them
-    block = max(round(_BLOCK_S / sample_s), 1 if spacing == 1.0 else 2 * round(spacing))
+    block = max(round(_MIN_BLOCK_S / sample_s), 1 if spacing == 1.0 else 2 * round(spacing))
     first = round(max(skip_s, longest_lag_s) / sample_s)
     blocks = (len(y) - 1 - first) // block
     if blocks < _MIN_BLOCKS:
         return None
     y = y[first : first + blocks * block + 1 : block]
-    order = min(max(2, round(_NOISE_MEMORY_S / (block * sample_s))), len(y) // 15)
+    order = min(max(2, round(_NOISE_MODEL_MEMORY_S / (block * sample_s))), len(y) // 15)
     powers = np.linspace(-1.0, 1.0, len(y))[:, None] ** np.arange(3)
     if is_rate:
         y, powers = np.diff(y), powers[1:, :1]
@@ -109,7 +109,7 @@ def estimate_causal_gain(
     none = _fit_gains(y, still, order, np.zeros(still.shape[1]))[2]
     best: tuple[float, Array, Array, int] | None = None
     other = {1: none, -1: none}
-    step = max(1, round(0.5 * _BLOCK_S / sample_s))
+    step = max(1, round(0.5 * _MIN_BLOCK_S / sample_s))
     for lag in range(0, round(longest_lag_s / sample_s) + 1, step):
         x = np.column_stack([integrate(predicted, lag), still])
         spread = x[:, :k].std(axis=0)
@@ -131,7 +131,7 @@ def estimate_causal_gain(
 def _fit_gains(y: Array, x: Array, order: int, start: Array) -> tuple[Array, Array, float]:
     """Return gains, their standard deviations and the variance of the innovations, with autoregressive noise."""
     g = start
-    for _ in range(_ITERATIONS):
+    for _ in range(_GAIN_NOISE_ITERATIONS):
         n = y - x @ g
         past = np.column_stack([n[order - i - 1 : len(n) - i - 1] for i in range(order)])
         a = np.linalg.lstsq(past, n[order:], rcond=None)[0]

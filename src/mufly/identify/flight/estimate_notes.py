@@ -22,7 +22,7 @@ _Array = NDArray[np.float64]
 
 _MIN_CHANNEL_MOTION = 3.0  # ratio of motion to sensor noise below which a channel counts as unexcited
 _PARABOLIC_RISE_RANGE = (0.5, 2.0)  # rise of the cost at two deviations, relative to a parabola
-MAX_NOISE_RATIO = 1.5  # ratio of residuals to sensor noise above which a note is written
+MAX_RESIDUAL_NOISE_RATIO = 1.5  # ratio of residuals to sensor noise above which a note is written
 
 
 def describe_held_parameters(
@@ -53,7 +53,7 @@ def _nonparabolic_parameters(linear: LinearisedProblem, rise: _Array) -> list[st
 
 
 _CHANNEL_PARAMETERS = ((("heave", "yaw"), HEAVE_YAW_SYMBOLS), (("roll", "pitch"), ROLL_PITCH_SYMBOLS))
-_OWN_PARAMETERS = {"roll": ("Ixx",), "pitch": ("Iyy",)}  # not determined by the other channel
+_SINGLE_CHANNEL_PARAMETERS = {"roll": ("Ixx",), "pitch": ("Iyy",)}  # not determined by the other channel
 
 
 def _describe_quiet_channels(problem: OutputErrorProblem) -> list[str]:
@@ -62,7 +62,11 @@ def _describe_quiet_channels(problem: OutputErrorProblem) -> list[str]:
     for channels, own in _CHANNEL_PARAMETERS:
         moves = {c: max((most[o] for o in CHANNEL_OUTPUTS[c] if o in most), default=0.0) for c in channels}
         quiet = [c for c, size in moves.items() if size < _MIN_CHANNEL_MOTION]
-        shown = own if len(quiet) == len(channels) else tuple(s for c in quiet for s in _OWN_PARAMETERS.get(c, ()))
+        shown = (
+            own
+            if len(quiet) == len(channels)
+            else tuple(s for c in quiet for s in _SINGLE_CHANNEL_PARAMETERS.get(c, ()))
+        )
         hidden = [f.symbol for f in problem.free_parameters if f.symbol in shown]
         if hidden:
             said.append(
@@ -83,7 +87,7 @@ def estimate_notes(
     """Return notes on the reliability of the estimates; ``rise`` is the result of :func:`straightness`."""
     held = [f.symbol for f, b in zip(problem.free_parameters, at_bound, strict=True) if b]
     notes = [f"{symbol} stopped at its bound: its interval does not hold" for symbol in held]
-    large = [f"{o} ({v:.1f} times)" for o, v in residual_over_noise(problem).items() if v > MAX_NOISE_RATIO]
+    large = [f"{o} ({v:.1f} times)" for o, v in residual_over_noise(problem).items() if v > MAX_RESIDUAL_NOISE_RATIO]
     if large:
         notes.append(f"residuals above the sensor noise: {', '.join(large)}; wind or the model; try windows of 3 s")
     notes += _describe_quiet_channels(problem)

@@ -23,7 +23,7 @@ the loop are further states::
 
     minimise  sum (x' W_x x + u' W_u u),      W = diag(1 / tolerable deviation^2)        (Bryson's rule)
 
-with the tolerable deviations of ``_STATE_TOLERANCES``. The feedback is weak, so that it does not cancel the
+with the tolerable deviations of ``_LQR_STATE_TOLERANCES``. The feedback is weak, so that it does not cancel the
 excitation. It receives the true state; a real controller needs an observer for rotor speeds and bar tilt. The plan
 uses only the inputs that would be recorded, which depend little on the controller. The design is an own choice; the
 dissertation (Sec. 5.3.2) uses a PID and does not state its gains.
@@ -148,14 +148,14 @@ class FlightLimits:
 _Floats = NDArray[np.float64]
 
 # State deviations with the same cost as 0.1 of the motor range or 0.3 of the servo range.
-_STATE_TOLERANCES = {
+_LQR_STATE_TOLERANCES = {
     "x": 1.0, "y": 1.0, "z": 1.0, "u": 1.0, "v": 1.0, "w": 1.5, "phi": 0.25, "theta": 0.25, "psi": 2.0,
     "p": 2.0, "q": 2.0, "r": 8.0, "a_dw": 10.0, "b_dw": 10.0, "bar_roll": 10.0, "bar_pitch": 10.0,
     "Omega_dw": 1e4, "Omega_up": 1e4,
 }  # fmt: skip
-_INPUT_TOLERANCES = np.array([0.1, 0.1, 0.3, 0.3])
+_LQR_INPUT_TOLERANCES = np.array([0.1, 0.1, 0.3, 0.3])
 _SIMULATION_STEP_S = 1e-3
-_HOVER_HEIGHT_M, _BATTERY_CHARGE = 2.0, 0.7  # height of the hover; state of charge
+_HOVER_HEIGHT_M, _HOVER_BATTERY_CHARGE = 2.0, 0.7  # height of the hover; state of charge
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +196,7 @@ def design_pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: f
     MuflyError
         If the vehicle cannot hover, or the hover cannot be stabilised.
     """
-    hover = find_trim(vehicle, charge=_BATTERY_CHARGE)
+    hover = find_trim(vehicle, charge=_HOVER_BATTERY_CHARGE)
     full = linearise_vehicle(vehicle, hover).full
     names = list(full.state_labels)
     A, B = full.A, full.B[:, MOTORS_SWAPPED]
@@ -212,12 +212,12 @@ def design_pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: f
     keep = [k for k, name in enumerate(names) if name != "charge"]
     late = round(delay_s / sample_s)
     a, b = _discretise_with_delay(A[np.ix_(keep, keep)], B[keep], sample_s, late)
-    weight = np.r_[[1.0 / _STATE_TOLERANCES[names[k]] ** 2 for k in keep], np.full(4 * late, 1e-9)]
+    weight = np.r_[[1.0 / _LQR_STATE_TOLERANCES[names[k]] ** 2 for k in keep], np.full(4 * late, 1e-9)]
     try:
-        P = solve_discrete_are(a, b, np.diag(weight), np.diag(1.0 / _INPUT_TOLERANCES**2))
+        P = solve_discrete_are(a, b, np.diag(weight), np.diag(1.0 / _LQR_INPUT_TOLERANCES**2))
     except (LinAlgError, ValueError) as error:
         raise MuflyError(f"{vehicle.name}: no feedback stabilises the hover; excitation cannot be planned") from error
-    gain = np.linalg.solve(np.diag(1.0 / _INPUT_TOLERANCES**2) + b.T @ P @ b, b.T @ P @ a)
+    gain = np.linalg.solve(np.diag(1.0 / _LQR_INPUT_TOLERANCES**2) + b.T @ P @ b, b.T @ P @ a)
     collective, differential = (v / np.max(np.abs(v)) for v in (-inverse[:, 0], inverse[:, 1]))
     return PilotSupport(hover, gain, collective, differential, sample_s, delay_s)
 
@@ -317,7 +317,7 @@ def _fly_batch_closed_loop(
         _fly_closed_loop(x[b], hover, trimmed, gain, added[b], p[b], late, dt, steps, height, *one)
 
 
-def fly_supported(
+def simulate_supported_flight(
     vehicle: Vehicle, support: PilotSupport, added: Array
 ) -> tuple[_Floats, _Floats, _Floats]:  # fmt: skip
     """Simulate the whole model in closed loop, one flight for each signal.
@@ -368,8 +368,8 @@ SENSOR_NOISE_STD = {"height": 0.01, "roll": 0.01, "pitch": 0.01, "yaw": 0.02, "p
 _PART_BY_CHANNEL: dict[str, DynamicsPart] = dict(
     zip(CONTROL_CHANNELS, 2 * ("heave-yaw",) + 2 * ("roll-pitch",), strict=True)
 )
-_AMPLITUDE_TRIALS = 14
-_UNSEEN_RELATIVE_STD = 100.0  # relative standard deviation above which a parameter counts as unidentifiable
+_MAX_AMPLITUDE_TRIALS = 14
+_UNIDENTIFIABLE_RELATIVE_STD = 100.0  # relative standard deviation above which a parameter counts as unidentifiable
 _MAX_AMPLITUDE, _MIN_AMPLITUDE = 1.0, 1e-3  # shares of the input range
 
 
@@ -411,7 +411,7 @@ class ExcitationCandidate:
     geometric_mean_std: float
 
 
-_CANDIDATE_FIGURES = (
+_CANDIDATE_RECORD_FIELDS = (
     "kind=signal.kind amplitude bound_by=binding_limit limit_used=limit_share crest_factor=signal.crest "
     "signal=signal.description mean=geometric_mean_std"
 )
@@ -464,7 +464,10 @@ class ExcitationPlan:
         """Return the numbers of all candidates as dictionaries, with standard deviations by symbol."""
         symbols = [f.symbol for f in self.free_parameters]
         return [
-            {**select_fields(c, _CANDIDATE_FIGURES), "relative_std": dict(zip(symbols, c.relative_std, strict=True))}
+            {
+                **select_fields(c, _CANDIDATE_RECORD_FIELDS),
+                "relative_std": dict(zip(symbols, c.relative_std, strict=True)),
+            }
             for c in self.candidates
         ]
 
@@ -549,7 +552,7 @@ def design_excitation(
                 progress(3 * i + step, total)
 
         size, bound_by, share = _max_safe_amplitude(vehicle, support, shape, amplitude, limits, report_progress)
-        states, inputs, voltage = fly_supported(vehicle, support, size * shape[None])
+        states, inputs, voltage = simulate_supported_flight(vehicle, support, size * shape[None])
         record = _record_from_states(
             states[0], inputs[0], voltage[0], signal.time_s, outputs, f"{channel} {signal.kind}"
         )
@@ -601,9 +604,9 @@ def _max_safe_amplitude(
     if not (math.isfinite(top) and 0 < top <= _MAX_AMPLITUDE):
         raise ArgumentError("amplitude", "", f"{top:g} is out of range", "give a share of the inputs' range, up to 1")
     low, high, low_share, binding = 0.0, top, math.inf, "as asked"
-    ladder = np.geomspace(min(_MIN_AMPLITUDE, top), top, _AMPLITUDE_TRIALS)
+    ladder = np.geomspace(min(_MIN_AMPLITUDE, top), top, _MAX_AMPLITUDE_TRIALS)
     for step in (1, 2):
-        states, inputs, _ = fly_supported(vehicle, support, ladder[:, None, None] * shape[None])
+        states, inputs, _ = simulate_supported_flight(vehicle, support, ladder[:, None, None] * shape[None])
         shares, names = limits.limit_usage(states, inputs)
         safe = np.all(shares <= 1.0, axis=1)
         tick(step)
@@ -619,7 +622,7 @@ def _max_safe_amplitude(
                 )
             break
         low, low_share, high = float(ladder[first - 1]), float(shares[first - 1].max()), float(ladder[first])
-        ladder = np.linspace(low, high, _AMPLITUDE_TRIALS)[1:-1]
+        ladder = np.linspace(low, high, _MAX_AMPLITUDE_TRIALS)[1:-1]
     return low, binding, low_share
 
 
@@ -670,6 +673,6 @@ def _relative_std_and_mean(information: Array) -> tuple[Array, float]:
         return std, math.inf
     values, vectors = np.linalg.eigh(information[np.ix_(some, some)] / np.outer(size, size))
     std[some] = np.sqrt(np.diag((vectors / np.maximum(values, 1e-13)) @ vectors.T)) / size
-    std[std > _UNSEEN_RELATIVE_STD] = np.inf
+    std[std > _UNIDENTIFIABLE_RELATIVE_STD] = np.inf
     seen = np.isfinite(std)
     return std, float(np.exp(np.mean(np.log(std[seen])))) if seen.any() else math.inf

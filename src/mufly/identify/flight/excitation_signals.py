@@ -30,7 +30,7 @@ Array = NDArray[np.floating[Any]]
 SignalKind = Literal["chirp", "multisine", "3211", "doublet"]
 SIGNAL_KINDS: tuple[SignalKind, ...] = get_args(SignalKind)
 
-_END_REST_S = 0.5
+_SIGNAL_END_REST_S = 0.5
 _CHIRP_FADE_SHARE = 0.1  # share of the chirp's duration for each fade
 _PHASE_OPTIMISATION_STARTS = 6  # Schroeder's phases and random phases; the first is often not the best
 
@@ -98,7 +98,7 @@ def make_excitation(
             remedy,
         )
     n = round(duration_s / sample_s) + 1
-    rest = round(_END_REST_S / sample_s)
+    rest = round(_SIGNAL_END_REST_S / sample_s)
     active = n - 2 * rest
     if active * sample_s < 2 * math.pi / math.sqrt(low * high) or active < 20:
         raise ArgumentError("duration_s", "", f"{duration_s:g} s is too short for this band", "give a longer duration")

@@ -47,9 +47,9 @@ HEAVE_YAW_SYMBOLS = ("cT_up", "cT_dw", "cQ_up", "cQ_dw", "Jdrive_up", "Jdrive_dw
 ROLL_PITCH_SYMBOLS = ("Ixx", "Iyy", "z_up", "z_dw", "Tf_up", "Tf_dw", "l_up", "l_dw", "theta_SP_max", "cH", "cDAx",
               "cDAy", "phi_SP")  # fmt: skip
 # Groups of the vehicle file that the equations of free flight may depend on.
-_FLIGHT_GROUPS = ("body", "air", "rotors", "swash_plate", "stabiliser_bar", "motor", "gear", "battery")
+_FLIGHT_PARAMETER_GROUPS = ("body", "air", "rotors", "swash_plate", "stabiliser_bar", "motor", "gear", "battery")
 _MAX_DELAY_S = 0.2  # s
-_ANGLE_SCALE = 0.1  # rad a step of a parameter that may have either sign
+_SIGNED_THETA_SCALE = 0.1  # rad a step of a parameter that may have either sign
 _BIAS_BOUNDS = {"m": 1.0, "m/s": 1.0, "rad": 0.3, "rad/s": 0.5, "V": 1.0}  # bound by unit; the prior is a tenth of it
 
 
@@ -157,9 +157,11 @@ def choose_free_parameters(
             raise ArgumentError("symbols", symbol, "is not a parameter of a vehicle that can be fitted", remedy)
         bounds = limits.get(row.key, [])
         if _has_either_sign(bounds):
-            low, high = ((limit - row.value) / _ANGLE_SCALE for limit in (min(bounds), max(bounds)))
-            std = (PROVENANCE_DOUBT[row.source][0] if row.std is None else row.std) / _ANGLE_SCALE
-            chosen.append(FreeParameter(symbol, row.key, row.unit, row.value, _ANGLE_SCALE, low, high, std, row.source))
+            low, high = ((limit - row.value) / _SIGNED_THETA_SCALE for limit in (min(bounds), max(bounds)))
+            std = (PROVENANCE_DOUBT[row.source][0] if row.std is None else row.std) / _SIGNED_THETA_SCALE
+            chosen.append(
+                FreeParameter(symbol, row.key, row.unit, row.value, _SIGNED_THETA_SCALE, low, high, std, row.source)
+            )
             continue
         if row.value == 0.0:
             raise InputError(vehicle.name, row.key, "starts at 0", "give a start value of the right order of magnitude")
@@ -185,13 +187,13 @@ def list_held_parameters(
     for row in list_parameters(vehicle):
         if row.symbol in chosen or not isinstance(row.value, float):
             continue
-        if row.key.partition(".")[0] not in _FLIGHT_GROUPS:
+        if row.key.partition(".")[0] not in _FLIGHT_PARAMETER_GROUPS:
             continue
         added = _has_either_sign(limits.get(row.key, []))
         if not added and row.value == 0.0:
             continue
         if added:
-            scale, doubt = _ANGLE_SCALE, (row.std or 0.0) / _ANGLE_SCALE
+            scale, doubt = _SIGNED_THETA_SCALE, (row.std or 0.0) / _SIGNED_THETA_SCALE
         else:
             scale, doubt = 0.0, PROVENANCE_DOUBT[row.source][2] if row.std is None else row.std / abs(row.value)
         one = FreeParameter(row.symbol, row.key, row.unit, row.value, scale, -np.inf, np.inf, doubt, row.source)

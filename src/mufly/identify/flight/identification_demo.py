@@ -45,8 +45,8 @@ from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parame
 
 _Array = NDArray[np.float64]
 
-SAMPLE_S = 0.01
-_SETTLING_SAMPLES = 500
+DEMO_SAMPLE_S = 0.01
+_DEMO_SETTLING_SAMPLES = 500
 RADIO_DELAY_S = 0.025
 # Standard deviations: ultrasonic height (m), attitude and yaw of the IMU (rad), gyros (rad/s), voltage (V).
 SENSOR_NOISE_STD = {
@@ -75,12 +75,12 @@ def linear_chirp(time_s: _Array, low_hz: float, high_hz: float) -> _Array:
 
 
 def _make_excitations(n: int, rng: np.random.Generator) -> dict[str, DemoExcitation]:
-    t = np.arange(n) * SAMPLE_S
-    pilot_b, pilot_a = butter(2, 2 * 0.3 * SAMPLE_S)
+    t = np.arange(n) * DEMO_SAMPLE_S
+    pilot_b, pilot_a = butter(2, 2 * 0.3 * DEMO_SAMPLE_S)
 
     def pilot_noise(size: float) -> _Array:
         """Return a slow random variation of a set-point."""
-        noise = lfilter(pilot_b, pilot_a, rng.standard_normal(n + _SETTLING_SAMPLES))[_SETTLING_SAMPLES:]
+        noise = lfilter(pilot_b, pilot_a, rng.standard_normal(n + _DEMO_SETTLING_SAMPLES))[_DEMO_SETTLING_SAMPLES:]
         return size * noise / np.std(noise) * np.clip((t - 0.5) / 1.0, 0.0, 1.0)
 
     late = np.clip(t - 0.5, 0.0, None)
@@ -123,7 +123,7 @@ def fly_demo_record(
         Generator of the sensor noise.
     name : str
     air : DrydenWind, optional
-        Wind with steps of ``SAMPLE_S``; calm air by default.
+        Wind with steps of ``DEMO_SAMPLE_S``; calm air by default.
     """
     p, n = model_parameters(vehicle), len(excitation.motor_input)
     hover = find_trim(vehicle, charge=_INITIAL_CHARGE)
@@ -132,7 +132,7 @@ def fly_demo_record(
     std = np.array([SENSOR_NOISE_STD[o] for o in _LOGGED_OUTPUTS])
     inputs, measured = np.empty((n, 4)), np.empty((n, len(_LOGGED_OUTPUTS)))
     controller = _PilotPid(hover.input)
-    steps = round(SAMPLE_S / 1e-3)
+    steps = round(DEMO_SAMPLE_S / 1e-3)
     late = round(RADIO_DELAY_S / 1e-3)
     whole, part = divmod(late, steps)
     yaw = 0.0
@@ -151,7 +151,7 @@ def fly_demo_record(
         now = inputs[max(k - whole, 0)] if k >= whole else hover.input
         integrate_state(x, before, wind[k], p, 1e-3, part)
         integrate_state(x, now, wind[k], p, 1e-3, steps - part)
-    time_s = np.arange(n, dtype=np.float64) * SAMPLE_S
+    time_s = np.arange(n, dtype=np.float64) * DEMO_SAMPLE_S
     return FlightRecord(name, time_s, inputs, _LOGGED_OUTPUTS, measured, measured[:, -1].copy())
 
 
@@ -173,10 +173,10 @@ class _PilotPid:
         y_height, y_angles, (_, p, q, r) = y[0], y[_ANGLES], y[_CLIMB_AND_RATES]
         # Height and climb from a second-order observer with poles at -6 1/s.
         error = y_height - self._height_estimate
-        self._height_estimate += SAMPLE_S * (self._climb_estimate + 12.0 * error)
-        self._climb_estimate += SAMPLE_S * 36.0 * error
+        self._height_estimate += DEMO_SAMPLE_S * (self._climb_estimate + 12.0 * error)
+        self._climb_estimate += DEMO_SAMPLE_S * 36.0 * error
         off = set_point - [self._height_estimate, *y_angles]
-        self._error_integral = np.clip(self._error_integral + SAMPLE_S * off, -1.0, 1.0)
+        self._error_integral = np.clip(self._error_integral + DEMO_SAMPLE_S * off, -1.0, 1.0)
         height, roll, pitch, yaw = off
         i_height, i_roll, i_pitch, i_yaw = self._error_integral
         heave = 0.05 * height - 0.10 * self._climb_estimate + 0.01 * i_height
@@ -218,12 +218,12 @@ def fly_demo_flights(
         Records to fit (yaw, heave, roll, pitch), and the held-out record (mixed).
     """
     rng = np.random.default_rng(seed)
-    before = round(_UNRECORDED_LEAD_S / SAMPLE_S) if moving else 0
-    n = round(seconds / SAMPLE_S) + 1 + before
+    before = round(_UNRECORDED_LEAD_S / DEMO_SAMPLE_S) if moving else 0
+    n = round(seconds / DEMO_SAMPLE_S) + 1 + before
     signals = _make_excitations(n, rng)
     flown = {}
     for k, (name, signal) in enumerate(signals.items()):
-        air = DrydenWind((wind, 0.0, 0.0), gust, step_s=SAMPLE_S, seed=5 * seed + k) if wind or gust else None
+        air = DrydenWind((wind, 0.0, 0.0), gust, step_s=DEMO_SAMPLE_S, seed=5 * seed + k) if wind or gust else None
         flown[name] = fly_demo_record(vehicle, signal, rng, name=f"demo-{name}", air=air).slice_samples(before, n)
     return [flown[k] for k in ("yaw", "heave", "roll", "pitch")], [flown["mixed"]]
 
@@ -231,7 +231,7 @@ def fly_demo_flights(
 DEMO_FREE_SYMBOLS = (
     "cQ_up", "cQ_dw", "Jdrive_up", "Jdrive_dw", "Jrot_up", "Jrot_dw", "Izz", "Iyy", "l_up", "l_dw", "Tf_up", "delay",
 )  # fmt: skip
-_START_ERROR = 0.5
+_START_VALUE_ERROR_SHARE = 0.5
 
 
 @result(eq=False, picture="mufly.identify.fit_pictures:fit_picture")
@@ -303,7 +303,9 @@ def run_identification_demo(
     rows = {r.symbol: r for r in list_parameters(truth)}
     true = {s: RADIO_DELAY_S if s == "delay" else float(rows[s].value) for s in DEMO_FREE_SYMBOLS}
     random = np.random.default_rng([seed, 1])
-    factors = np.where(random.random(len(DEMO_FREE_SYMBOLS)) < 0.5, 1 - _START_ERROR, 1 + _START_ERROR)
+    factors = np.where(
+        random.random(len(DEMO_FREE_SYMBOLS)) < 0.5, 1 - _START_VALUE_ERROR_SHARE, 1 + _START_VALUE_ERROR_SHARE
+    )
     factor = dict(zip(DEMO_FREE_SYMBOLS, factors, strict=True))
     values = {rows[s].key: true[s] * float(factor[s]) for s in DEMO_FREE_SYMBOLS if s != "delay"}
     start = replace_parameters(truth, values, source="estimated")

@@ -27,7 +27,7 @@ _Array = NDArray[np.float64]
 MIN_COST_DECREASE = 0.01  # least predicted cost decrease of a step: a tenth of a standard deviation
 _FIRST_HORIZON_S, _HORIZON_GROWTH = 1.0, 2.5
 _MAX_STEPS_PER_HORIZON = 25
-_STEP_FRACTIONS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])  # fractions of a step, evaluated in one batch
+_LINE_SEARCH_FRACTIONS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])  # fractions of a step, evaluated in one batch
 _MAX_STATE_STEP = 0.25  # largest step over the prior standard deviation
 _CONTINUOUS_STATES = np.isin(
     np.array(MOTION_STATES + ACTUATOR_STATES),
@@ -106,7 +106,7 @@ def _find_record_start(problem: OutputErrorProblem, i: int, theta: _Array, state
     cost = float(start_costs(state[None])[0])
     for _ in range(_MAX_STEPS_PER_HORIZON):
         e, slope = problem.initial_state_jacobian(i, theta, state)
-        flown += 1 + state.shape[1] + len(_STEP_FRACTIONS)
+        flown += 1 + state.shape[1] + len(_LINE_SEARCH_FRACTIONS)
         rows = np.vstack([slope.reshape(-1, len(spread)), np.diag(1.0 / spread)])
         q, r = np.linalg.qr(rows)
         target = q.T @ np.concatenate([e.ravel(), (state / spread).ravel()])
@@ -114,7 +114,7 @@ def _find_record_start(problem: OutputErrorProblem, i: int, theta: _Array, state
             return state, True, flown
         step = -np.linalg.solve(r, target)
         step *= min(1.0, _MAX_STATE_STEP / float(np.max(np.abs(step / spread))))
-        trials = state + _STEP_FRACTIONS[:, None, None] * step
+        trials = state + _LINE_SEARCH_FRACTIONS[:, None, None] * step
         found = start_costs(trials)
         k = int(np.argmin(found))
         if not found[k] < cost:

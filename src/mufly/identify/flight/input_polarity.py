@@ -66,11 +66,11 @@ from mufly.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 _ROTOR_SETTLING_S = 1.0  # settling time of the rotors after a guessed initial speed
-_MAX_LAG_S = 0.16  # largest lag of the motion behind the inputs
-_MIN_SIGNIFICANCE = 5.0  # least gain over its standard deviation
-_MIN_GAIN = 0.25  # least absolute gain
-_MIN_EVIDENCE = 10.0  # least logarithm of the likelihood ratio against the other sign
-_MAX_METRE_GAIN = 10.0  # largest heave gain of a height in metres; a smaller unit gives a larger gain
+_MAX_MOTION_LAG_S = 0.16  # largest lag of the motion behind the inputs
+_MIN_GAIN_SIGMAS = 5.0  # least gain over its standard deviation
+_MIN_ABSOLUTE_INPUT_GAIN = 0.25  # least absolute gain
+_MIN_SIGN_LOG_LIKELIHOOD_RATIO = 10.0  # least logarithm of the likelihood ratio against the other sign
+_MAX_HEAVE_GAIN_IN_METRES = 10.0  # largest heave gain of a height in metres; a smaller unit gives a larger gain
 _MAX_HEIGHT_NOISE_M = 0.2  # m; noise or resolution that no height sensor exceeds
 _THRUST_TO_WEIGHT_RANGE = (0.2, 5.0)  # accepted mean thrust over weight before identification
 _VOLTAGE_RATIO_RANGE = (0.4, 1.8)  # accepted ratio to the nominal battery voltage
@@ -114,7 +114,7 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
 
     found: dict[str, InputGain] = {}
     turn = body_to_ned_matrices(m[:, MOTION_EULER:MOTION_RATES])
-    lagged = {"skip_s": _ROTOR_SETTLING_S, "longest_lag_s": _MAX_LAG_S}
+    lagged = {"skip_s": _ROTOR_SETTLING_S, "longest_lag_s": _MAX_MOTION_LAG_S}
 
     def gain(rate: str, angle: str, *made: Array, sign: float = 1.0, **options: Any) -> InputGain:
         is_rate = rate in has
@@ -192,7 +192,10 @@ def _judge_gain(found: CausalGain | None, is_crossed: bool) -> InputGain:
     if found is None:
         return InputGain(0.0, np.inf)
     g, std, lead = found.value, found.std, found.lead_samples
-    sure = abs(g[lead]) > max(_MIN_GAIN, _MIN_SIGNIFICANCE * std[lead]) and found.evidence > _MIN_EVIDENCE
+    sure = (
+        abs(g[lead]) > max(_MIN_ABSOLUTE_INPUT_GAIN, _MIN_GAIN_SIGMAS * std[lead])
+        and found.evidence > _MIN_SIGN_LOG_LIKELIHOOD_RATIO
+    )
     # The other servo counts only if the own servo has little effect in comparison.
     sure = bool(sure and (lead == 0 or abs(g[0]) < 0.4 * abs(g[1])))
     side = (1 if g[lead] > 0.0 else -1) if sure else 0
@@ -339,7 +342,7 @@ def _check_height(r: FlightRecord, heave: InputGain | None) -> list[SignalFault]
         ]  # fmt: skip
     low, high = heave.value - 3.0 * heave.std, heave.value + 3.0 * heave.std
     unit = "millimetres" if heave.value > 300.0 else "centimetres"
-    if low > _MAX_METRE_GAIN:
+    if low > _MAX_HEAVE_GAIN_IN_METRES:
         what = f"accelerates {heave.value:.3g} +- {heave.std:.2g} times as much as thrust makes it"
         return [
             SignalFault(
@@ -357,7 +360,7 @@ def _check_height(r: FlightRecord, heave: InputGain | None) -> list[SignalFault]
     if coarse > _MAX_HEIGHT_NOISE_M:
         what = f"is resolved to {coarse:.2g} m only: it seems to be in centimetres or millimetres"
         return [SignalFault("height", what, "state the unit in the column map ('cm' or 'mm')")]
-    if high < _MAX_METRE_GAIN and heave.value > 0.1:
+    if high < _MAX_HEAVE_GAIN_IN_METRES and heave.value > 0.1:
         return []
     size = f"{heave.value:.2g} +- {heave.std:.2g} of the model's"
     what = f"responds too little to thrust to distinguish metres from centimetres ({size})"

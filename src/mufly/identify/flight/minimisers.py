@@ -47,9 +47,9 @@ _DAMPING_FACTORS = np.array([0.1, 1.0, 10.0, 1000.0])
 _MIN_DAMPING, _MAX_DAMPING = 1e-9, 1e9
 _MIN_STEP_SHARE = 1e-4
 _MAX_STATE_STEP = 0.25
-_CHORD_STEPS, _MAX_WINDOWS_FOR_CHORDS = 3, 100
+_MAX_CHORD_STEPS, _MAX_WINDOWS_FOR_CHORDS = 3, 100
 _CURVATURE_CHORD_STEPS = 4
-_MIN_SINGULAR_VALUE = 2.0  # singular value above which an axis counts as determined: standard deviation 0.5
+_MIN_DETERMINED_SINGULAR_VALUE = 2.0  # singular value above which an axis counts as determined: standard deviation 0.5
 _MAX_COST_RATIO = 1e6  # cost ratio above which a trial is not corrected
 
 
@@ -246,7 +246,7 @@ def _try_damped_steps(linear: LinearisedProblem) -> tuple[FitPoint | None, int]:
     q, triangle = linear.qr_factors
     start = q.T @ linear.residual_at_point
     flown = now.simulations + linear.simulation_count
-    chords = _CHORD_STEPS if sum(len(s) for s in problem.window_starts) <= _MAX_WINDOWS_FOR_CHORDS else 0
+    chords = _MAX_CHORD_STEPS if sum(len(s) for s in problem.window_starts) <= _MAX_WINDOWS_FOR_CHORDS else 0
     damping, share = now.damping, 1.0
     while damping <= _MAX_DAMPING and share > _MIN_STEP_SHARE:
         dampings = np.clip(damping * _DAMPING_FACTORS, _MIN_DAMPING, _MAX_DAMPING)
@@ -406,7 +406,7 @@ def cost_rise_along_axes(linear: LinearisedProblem) -> tuple[_Array, int]:
     low, high = problem.bounds
     rise[np.any((thetas <= low) | (thetas >= high), axis=1)] = np.nan
     rise = rise.reshape(2, t).T
-    rise[np.linalg.svd(linear.jacobian, compute_uv=False) < _MIN_SINGULAR_VALUE] = np.nan
+    rise[np.linalg.svd(linear.jacobian, compute_uv=False) < _MIN_DETERMINED_SINGULAR_VALUE] = np.nan
     return rise, (2 * _CURVATURE_CHORD_STEPS + 1) * len(sides) * len(linear.reduced_records)
 
 
@@ -414,7 +414,7 @@ def _follow_valley_floor(linear: LinearisedProblem, sides: _Array, chords: int) 
     """Return theta and initial states at ``sides`` (b, t) along the axes, with all other coordinates optimised."""
     problem, point = linear.problem, linear.point
     u, s, vt = np.linalg.svd(linear.jacobian, full_matrices=False)
-    axes = vt.T / np.maximum(s, _MIN_SINGULAR_VALUE)  # a weakly determined axis is followed for at most 0.5
+    axes = vt.T / np.maximum(s, _MIN_DETERMINED_SINGULAR_VALUE)  # a weakly determined axis is followed for at most 0.5
     low, high = problem.bounds
     thetas = np.clip(point.theta + sides @ axes.T, low, high)
     states = [

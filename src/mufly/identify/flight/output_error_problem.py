@@ -42,9 +42,9 @@ from mufly.dynamics.model_state import (
 )
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.flight.batch_simulation import (
-    bar_normal,
     simulate_batch,
     solve_hover,
+    stabiliser_bar_normal,
     steady_rotor_speeds,
 )
 from mufly.identify.flight.free_parameters import (
@@ -106,10 +106,10 @@ _STATES_SEEN_BY_OUTPUT = {
     "p": (MOTION_RATES,), "q": (MOTION_RATES + 1,), "r": (MOTION_RATES + 2,),
 }  # fmt: skip
 # Difference steps: small against the curvature of the cost over a whole record, and far above round-off.
-_THETA_DIFFERENCE, _STATE_DIFFERENCE = 1e-7, 1e-6
-_HOVER_TOLERANCE = 0.02
+_THETA_DIFFERENCE_STEP, _STATE_DIFFERENCE_STEP = 1e-7, 1e-6
+_HOVER_EQUATION_TOLERANCE = 0.02
 _MIN_START_SAMPLES = 20  # least number of samples for the fit of an initial state
-_ROLL_PITCH_VOLTAGE = 100.0  # V, for roll-pitch, where the motors only hold their speed
+_ROLL_PITCH_MOTOR_VOLTAGE_V = 100.0  # V, for roll-pitch, where the motors only hold their speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +322,7 @@ class OutputErrorProblem:
         x[:, MODEL_SWASH_ROLL], x[:, MODEL_SWASH_PITCH] = tip_path_tilt_target.py_func(
             *np.clip(f.inputs[0, [U_SERVO_1, U_SERVO_2]], -1.0, 1.0), p["swash_gain"], p["swash_phase"]
         )
-        x[:, BAR_NORMAL] = bar_normal(
+        x[:, BAR_NORMAL] = stabiliser_bar_normal(
             motion[:, 0, MOTION_EULER:MOTION_RATES], actuator[:, ACTUATOR_BAR:ACTUATOR_CHARGE]
         )
         x[:, ROTOR_SPEEDS] = speeds * np.maximum(1.0 + actuator[:, :ACTUATOR_BAR], 0.01)
@@ -384,19 +384,19 @@ class OutputErrorProblem:
         t, k = len(theta), states.shape[1]
         thetas = np.repeat(theta[None], 1 + t + k, axis=0)
         starts = np.repeat(states[None], 1 + t + k, axis=0)
-        thetas[1 + np.arange(t), np.arange(t)] += _THETA_DIFFERENCE
-        starts[1 + t + np.arange(k), :, np.arange(k)] += _STATE_DIFFERENCE
+        thetas[1 + np.arange(t), np.arange(t)] += _THETA_DIFFERENCE_STEP
+        starts[1 + t + np.arange(k), :, np.arange(k)] += _STATE_DIFFERENCE_STEP
         e = self.record_residual(i, thetas, starts)
         slope = np.moveaxis(e[1:] - e[0], 0, -1)
-        return LinearisedRecord(e[0], slope[..., :t] / _THETA_DIFFERENCE, slope[..., t:] / _STATE_DIFFERENCE)
+        return LinearisedRecord(e[0], slope[..., :t] / _THETA_DIFFERENCE_STEP, slope[..., t:] / _STATE_DIFFERENCE_STEP)
 
     def initial_state_jacobian(self, i: int, theta: _Array, states: _Array) -> tuple[_Array, _Array]:
         """Return the residual (n, m) of record ``i`` and its derivative (n, m, k) by the initial states."""
         k = states.shape[1]
         starts = np.repeat(states[None], 1 + k, axis=0)
-        starts[1 + np.arange(k), :, np.arange(k)] += _STATE_DIFFERENCE
+        starts[1 + np.arange(k), :, np.arange(k)] += _STATE_DIFFERENCE_STEP
         e = self.record_residual(i, np.repeat(theta[None], 1 + k, axis=0), starts)
-        return e[0], np.moveaxis(e[1:] - e[0], 0, -1) / _STATE_DIFFERENCE
+        return e[0], np.moveaxis(e[1:] - e[0], 0, -1) / _STATE_DIFFERENCE_STEP
 
     def hover_residual(self, theta: _Array) -> _Array:
         """Return the residual of eq. 5.1 at the mean motor inputs over its tolerance, (b, 2 records) or (b, 0)."""
@@ -410,7 +410,7 @@ class OutputErrorProblem:
             weight = p["mass"] * GRAVITY + p["downwash"]
             up, dw = p["torque_up"] * speed[:, 0] ** 2, p["torque_dw"] * speed[:, 1] ** 2
             lift = p["thrust_up"] * speed[:, 0] ** 2 + p["thrust_dw"] * speed[:, 1] ** 2
-            out += [np.log(lift / weight) / _HOVER_TOLERANCE, np.log(up / dw) / _HOVER_TOLERANCE]
+            out += [np.log(lift / weight) / _HOVER_EQUATION_TOLERANCE, np.log(up / dw) / _HOVER_EQUATION_TOLERANCE]
         return np.column_stack(out)
 
 
@@ -478,7 +478,7 @@ def _prepare_record(
         u[:, :2] = np.clip(u[:, :2], 0.0, 1.0) * (np.asarray(volts) / top)[:, None]
         volts = top
     if part == "roll-pitch":
-        volts, charge = _ROLL_PITCH_VOLTAGE, 1.0
+        volts, charge = _ROLL_PITCH_MOTOR_VOLTAGE_V, 1.0
         motion[:, [*range(MOTION_EULER), MOTION_EULER + 2, MOTION_RATES + 2]] = 0.0
     if volts is None:
         known = np.full(2, float(vehicle.battery.nominal_voltage)) if r.voltage is None else r.voltage
@@ -488,7 +488,7 @@ def _prepare_record(
         constant = float(np.max(volts))
         held = (constant, constant)
     base, changes = scaled_parameters(vehicle, free, constant)
-    mast = bar_normal(motion[:, MOTION_EULER:MOTION_RATES], np.zeros((len(motion), 2)))
+    mast = stabiliser_bar_normal(motion[:, MOTION_EULER:MOTION_RATES], np.zeros((len(motion), 2)))
     none, begin = np.zeros(0, dtype=np.int64), np.zeros(len(MOTION_STATES) + len(ACTUATOR_STATES))
     return PreparedRecord(
         r,

@@ -37,7 +37,7 @@ from scipy.optimize import least_squares
 
 from mufly.errors import InputError
 from mufly.files.answer_store import hash_question, read_answer, write_answer
-from mufly.identify.flight.estimate_notes import MAX_NOISE_RATIO, residual_over_noise
+from mufly.identify.flight.estimate_notes import MAX_RESIDUAL_NOISE_RATIO, residual_over_noise
 from mufly.identify.flight.free_parameters import theta_to_values
 from mufly.identify.flight.initial_states import MIN_COST_DECREASE, find_initial_offsets, find_initial_states
 from mufly.identify.flight.minimisers import EvolutionHistory, FitPoint, levenberg_marquardt, run_cma_es
@@ -52,12 +52,12 @@ _WINDOW_LENGTHS_S = (0.1, 0.4, 1.5, 3.0, 6.0)
 _MIN_WINDOW_SAMPLES = 8
 _ROTOR_TRANSIENT_S = 2.0  # decay time of errors of the initial rotor speeds
 _VOLTAGE_NOISE_FACTOR = 5.0  # factor on the voltage noise while the battery charge is not an unknown
-_NOISE_RELAXATIONS = 2
+_NOISE_UPDATE_COUNT = 2
 _SWAPPABLE_ROTOR_INERTIAS = (("Jdrive_up", "Jdrive_dw"), ("Jrot_up", "Jrot_dw"))
 _DECISIVE_LIKELIHOOD_DIFFERENCE = (
     25.0  # decisive difference of the negative log-likelihood, per mean square whitened residual
 )
-_SAME_MINIMUM_TOLERANCE = 0.02  # largest difference in theta of equal minima
+_SAME_MINIMUM_THETA_TOLERANCE = 0.02  # largest difference in theta of equal minima
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,11 @@ class StagedSearch:
     def use_checkpoint(self, place: Path | None, digest: str) -> None:
         """Write checkpoints to ``place``, and resume from an existing one."""
         self._checkpoint_path, self._problem_digest = place, digest
-        kept = None if place is None else read_answer(place, digest, damaged=_DAMAGED, other=_OTHER_FIT)
+        kept = (
+            None
+            if place is None
+            else read_answer(place, digest, damaged=_DAMAGED_CHECKPOINT_MESSAGE, other=_OTHER_FIT_MESSAGE)
+        )
         if kept is not None:
             self.state = _SearchState(**{f.name: kept[f.name] for f in fields(_SearchState)})
             self.state.point = _point_from_json(kept["point"])
@@ -206,7 +210,7 @@ class StagedSearch:
         mine, its = self.state.stage_results[k], other.state.stage_results[k]
         rise = its.negative_log_likelihood - mine.negative_log_likelihood
         there, last = np.array(its.theta) - np.array(mine.theta), k + 1 == len(self._stages)
-        same = float(np.max(np.abs(there))) < _SAME_MINIMUM_TOLERANCE
+        same = float(np.max(np.abs(there))) < _SAME_MINIMUM_THETA_TOLERANCE
         apart = k > 0 and abs(rise) > _DECISIVE_LIKELIHOOD_DIFFERENCE * max(1.0, mine.scale, its.scale)
         if not (same or apart or last):
             return ""
@@ -220,7 +224,7 @@ class StagedSearch:
         if same or apart:
             return ""
         free, worse = self._final_problem.free_parameters, np.array((mine if rise < 0.0 else its).theta)
-        moved = [k for k, d in enumerate(there) if abs(d) > _SAME_MINIMUM_TOLERANCE]
+        moved = [k for k, d in enumerate(there) if abs(d) > _SAME_MINIMUM_THETA_TOLERANCE]
         values = ", ".join(
             f"{free[k].symbol} {v:.4g}" for k, v in zip(moved, theta_to_values(free, worse)[moved], strict=True)
         )
@@ -253,7 +257,7 @@ class StagedSearch:
             problem = problem.with_noise(_noise_with_voltage_slack(problem))
         if k == 0 and not last:
             problem = replace(problem, ignored_start_s=min(_ROTOR_TRANSIENT_S, self._shortest_record_s / 4))
-        rounds = 1 + (_NOISE_RELAXATIONS if last else 0)
+        rounds = 1 + (_NOISE_UPDATE_COUNT if last else 0)
         for r in range(state.round, rounds):
             if last and state.noise is not None:
                 problem = problem.with_noise(state.noise)
@@ -271,7 +275,11 @@ class StagedSearch:
                 point = FitPoint(theta, states, np.inf, 1e-2, flown)
             state.round, state.is_within_stage, left = r, True, False
             point, converged = self._minimise_stage(problem, point, stage, k)
-            if last and stage.window_s is None and max(residual_over_noise(problem).values()) > MAX_NOISE_RATIO:
+            if (
+                last
+                and stage.window_s is None
+                and max(residual_over_noise(problem).values()) > MAX_RESIDUAL_NOISE_RATIO
+            ):
                 point, converged = self._resolve_from_new_starts(problem, point, stage, k, converged)
             state.evolution, state.iteration, state.point = None, 0, point
             theta, flown = point.theta, point.simulations
@@ -374,8 +382,8 @@ def problem_digest(problem: OutputErrorProblem, method: str) -> str:
     return hash_question(*parts, problem.vehicle.model_dump_json())
 
 
-_DAMAGED = ("is not a checkpoint of a fit", "delete it to start again")
-_OTHER_FIT = ("belongs to a fit of other records, parameters or method", "delete it to start again")
+_DAMAGED_CHECKPOINT_MESSAGE = ("is not a checkpoint of a fit", "delete it to start again")
+_OTHER_FIT_MESSAGE = ("belongs to a fit of other records, parameters or method", "delete it to start again")
 
 
 def _point_from_json(d: dict[str, Any] | None) -> FitPoint:

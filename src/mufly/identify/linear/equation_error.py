@@ -59,9 +59,9 @@ ComplexArray = NDArray[np.complex128]
 REGRESSION_DOMAINS = ("time", "frequency")
 _DERIVATIVE_LETTERS = {"p": "L", "q": "M", "r": "N", "u": "X", "v": "Y", "w": "Z"}
 _BODY_RATES = ("p", "q", "r")
-_ENTRY_SIGNIFICANCE = 0.05
+_TERM_ENTRY_SIGNIFICANCE = 0.05
 _MAX_STEPWISE_STEPS = 40  # bound on a stepwise search, against cycles
-_MIN_COHERENCE = 0.5
+_MIN_INPUT_COHERENCE = 0.5
 _MAX_ACTUATOR_ITERATIONS = 20  # iterations of the refinement of lag and delay
 RegressorFunction = Callable[[Sequence[tuple[str, ...]], Array], list[Array]]  # (terms, (lag, delay)) -> rows by record
 BiasRemover = Callable[[Sequence[Array]], list[Array]]  # removes the bias of each record from rows
@@ -398,7 +398,7 @@ def fit_derivative_equation(
     pool = remove_biases(regression_columns(candidates, actuator))
     chosen: list[int] = []
     steps: list[StepwiseStep] = []
-    f_in = float(chi2.isf(_ENTRY_SIGNIFICANCE / max(len(candidates), 1), 1))
+    f_in = float(chi2.isf(_TERM_ENTRY_SIGNIFICANCE / max(len(candidates), 1), 1))
     for _ in range(2 if domain == "frequency" else 1):
         weighted = [p * w[:, None, None] for p, w in zip(pool, weights, strict=True)]
         right = [b * w[:, None] for b, w in zip(plain, weights, strict=True)]
@@ -475,7 +475,7 @@ def find_coherent_band(records: Sequence[RegressionRecord], k: int, cut_hz: floa
         frequency_hz=np.geomspace(1.5 / segment, cut_hz, 40),
     )  # fmt: skip
     chance = min(0.9, float(moving.sum()) / max(data.averages, 1.0))
-    good = (data.coherence[:, 0] - chance) / (1.0 - chance) >= _MIN_COHERENCE
+    good = (data.coherence[:, 0] - chance) / (1.0 - chance) >= _MIN_INPUT_COHERENCE
     edges = np.flatnonzero(np.diff(np.r_[False, good, False].astype(int)))
     if not edges.size:
         return 0.0, cut_hz

@@ -46,7 +46,7 @@ from mufly.identify.fit_result import (
     describe_undetermined_combinations,
     divide_by_values,
 )
-from mufly.identify.flight_record import EvenLogTable, low_pass, smooth_signal
+from mufly.identify.flight_record import UniformLogTable, low_pass, smooth_signal
 from mufly.identify.record_consistency import SignalFault
 from mufly.quantities.units import GRAVITY
 from mufly.results import result
@@ -56,19 +56,19 @@ Array = NDArray[np.float64]
 
 IMU_CHANNELS = ("p", "q", "r", "ax", "ay", "az")
 FLIGHT_PATH_STATES = ("phi", "theta", "psi", "v_north", "v_east", "v_down", "north", "east", "down")
-_PATH_VELOCITY, _PATH_POSITION = 3, 6
+_PATH_VELOCITY_INDEX, _PATH_POSITION_INDEX = 3, 6
 """First indices of velocity and position in ``FLIGHT_PATH_STATES``, after the attitude."""
-_VELOCITY_STATES = FLIGHT_PATH_STATES[_PATH_VELOCITY:_PATH_POSITION]
-_POSITION_STATES = FLIGHT_PATH_STATES[_PATH_POSITION:]
+_VELOCITY_STATES = FLIGHT_PATH_STATES[_PATH_VELOCITY_INDEX:_PATH_POSITION_INDEX]
+_POSITION_STATES = FLIGHT_PATH_STATES[_PATH_POSITION_INDEX:]
 STATE_UNITS = (
-    dict.fromkeys(FLIGHT_PATH_STATES[:_PATH_VELOCITY], "rad")
+    dict.fromkeys(FLIGHT_PATH_STATES[:_PATH_VELOCITY_INDEX], "rad")
     | dict.fromkeys(_VELOCITY_STATES, "m/s")
     | dict.fromkeys(_POSITION_STATES, "m")
 )
-_IMU_FORCE = 3
+_IMU_FORCE_INDEX = 3
 """First index of the specific force in ``IMU_CHANNELS``, after the rates."""
 IMU_ERROR_SYMBOLS = tuple(f"b_{n}" for n in IMU_CHANNELS) + tuple(f"lambda_{n}" for n in IMU_CHANNELS)
-_PRIOR_STD = np.array([0.2] * 3 + [1.0] * 3 + [0.1] * 6)
+_IMU_ERROR_PRIOR_STD = np.array([0.2] * 3 + [1.0] * 3 + [0.1] * 6)
 _MIN_OUTPUT_NOISE = {
     "phi": 2e-4,
     "theta": 2e-4,
@@ -78,7 +78,10 @@ _MIN_OUTPUT_NOISE = {
     "v_down": 2e-3,
 } | dict.fromkeys(("north", "east", "down"), 2e-4)  # least accepted noise, SI
 _MIN_IMU_NOISE = np.array([1e-3] * 3 + [1e-2] * 3)
-_MAX_ITERATIONS, _CONVERGENCE_TOLERANCE = 8, 0.02  # largest number of iterations; last step over the standard deviation
+_MAX_FIT_ITERATIONS, _CONVERGENCE_TOLERANCE = (
+    8,
+    0.02,
+)  # largest number of iterations; last step over the standard deviation
 _MAX_PITCH_rad = np.radians(80.0)
 _MOTION_BANDWIDTH_HZ = 5.0  # separates vehicle motion (below) from rotor vibration (above)
 
@@ -154,9 +157,9 @@ def flight_path_derivative(x: Array, m: Array) -> Array:
     s1, c1 = np.sin(x[:, 0]), np.cos(x[:, 0])
     turn = m[:, 1] * s1 + m[:, 2] * c1
     attitude = np.stack([m[:, 0] + turn * np.tan(x[:, 1]), m[:, 1] * c1 - m[:, 2] * s1, turn / np.cos(x[:, 1])], axis=1)
-    force = np.einsum("nij,nj->ni", body_to_ned_matrices(x[:, :_PATH_VELOCITY]), m[:, _IMU_FORCE:])
+    force = np.einsum("nij,nj->ni", body_to_ned_matrices(x[:, :_PATH_VELOCITY_INDEX]), m[:, _IMU_FORCE_INDEX:])
     return np.concatenate(
-        [attitude, force + np.array([0.0, 0.0, GRAVITY]), x[:, _PATH_VELOCITY:_PATH_POSITION]], axis=1
+        [attitude, force + np.array([0.0, 0.0, GRAVITY]), x[:, _PATH_VELOCITY_INDEX:_PATH_POSITION_INDEX]], axis=1
     )
 
 
@@ -173,10 +176,10 @@ def _step_jacobians(x: Array, m: Array, dt: float) -> tuple[Array, Array]:
     """Return the derivatives of a step by states (n, 9, 9) and by instruments (n, 9, 6), from central differences."""
     by_x, by_m = np.zeros((len(x), 9, 9)), np.zeros((len(x), 9, 6))
     for k in range(9):
-        if k >= _PATH_VELOCITY:  # linear: velocity and position
+        if k >= _PATH_VELOCITY_INDEX:  # linear: velocity and position
             by_x[:, k, k] = 1.0
-            if k < _PATH_POSITION:
-                by_x[:, k + _PATH_POSITION - _PATH_VELOCITY, k] = dt
+            if k < _PATH_POSITION_INDEX:
+                by_x[:, k + _PATH_POSITION_INDEX - _PATH_VELOCITY_INDEX, k] = dt
             continue
         step = np.zeros(9)
         step[k] = 1e-5
@@ -189,13 +192,13 @@ def _step_jacobians(x: Array, m: Array, dt: float) -> tuple[Array, Array]:
 
 
 def reconstruct_flight_path(
-    record: EvenLogTable, imu: Mapping[str, str], outputs: Mapping[str, str]
+    record: UniformLogTable, imu: Mapping[str, str], outputs: Mapping[str, str]
 ) -> ReconstructedPath:
     """Reconstruct a flight path, and estimate biases and scale factors of the instruments.
 
     Parameters
     ----------
-    record : EvenLogTable
+    record : UniformLogTable
     imu : dict
         Columns, or sums of columns, of p, q, r (rad/s) and ax, ay, az (m/s^2, specific force); all are required.
     outputs : dict
@@ -221,7 +224,7 @@ def reconstruct_flight_path(
         return _reconstruct_path(record, imu, outputs)
 
 
-def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Mapping[str, str]) -> ReconstructedPath:
+def _reconstruct_path(record: UniformLogTable, imu: Mapping[str, str], outputs: Mapping[str, str]) -> ReconstructedPath:
     raw = record.stack_columns({n: imu[n] for n in IMU_CHANNELS}, "imu")
     z = record.stack_columns(outputs, "measured")
     outs, dt = tuple(outputs), record.dt
@@ -254,15 +257,15 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
     whitened = np.zeros_like(z)
     covariance = bound = np.eye(12)
     size = np.ones(12)
-    for turn in range(_MAX_ITERATIONS):
+    for turn in range(_MAX_FIT_ITERATIONS):
         true, by_theta = _correct_imu(raw, theta, dt)
         f = _run_kalman_filter(x, true, by_theta, z, at, noise, imu_noise, dt)
         whitened = f.innovations
-        covariance, bound, _ = coloured_covariance([f.sensitivities], [whitened], _PRIOR_STD)
+        covariance, bound, _ = coloured_covariance([f.sensitivities], [whitened], _IMU_ERROR_PRIOR_STD)
         # A variance that the coloured estimate makes too small is raised to the white bound.
         size = np.sqrt(np.maximum(np.diag(covariance), np.diag(bound)))
-        information = np.einsum("nmt,nmu->tu", f.sensitivities, f.sensitivities) + np.diag(_PRIOR_STD**-2)
-        right = np.einsum("nmt,nm->t", f.sensitivities, whitened) - theta / _PRIOR_STD**2
+        information = np.einsum("nmt,nmu->tu", f.sensitivities, f.sensitivities) + np.diag(_IMU_ERROR_PRIOR_STD**-2)
+        right = np.einsum("nmt,nm->t", f.sensitivities, whitened) - theta / _IMU_ERROR_PRIOR_STD**2
         change = np.linalg.solve(information, right)
         smooth_x, smooth_p = _run_rts_smoother(x, f)
         x = smooth_x
@@ -271,7 +274,7 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
         ratio = np.sqrt(np.mean(whitened[len(z) // 10 :] ** 2, axis=0))
         for members, driven in (((0, 1, 2), slice(0, 3)), (range(3, 9), slice(3, 6))):
             chosen = [k for k, s in enumerate(at) if s in members]
-            if chosen and turn < _MAX_ITERATIONS - 3:
+            if chosen and turn < _MAX_FIT_ITERATIONS - 3:
                 scale = float(np.clip(np.sqrt(np.mean(ratio[chosen] ** 2)), 0.3, 3.0))
                 noise[chosen] *= scale
                 imu_noise[driven] *= scale
@@ -279,8 +282,10 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
         if converged and turn >= 3:
             break
     std = size
-    if np.any(std > 0.8 * _PRIOR_STD):
-        names = ", ".join(n for n, s, p in zip(IMU_ERROR_SYMBOLS, std, _PRIOR_STD, strict=True) if s > 0.8 * p)
+    if np.any(std > 0.8 * _IMU_ERROR_PRIOR_STD):
+        names = ", ".join(
+            n for n, s, p in zip(IMU_ERROR_SYMBOLS, std, _IMU_ERROR_PRIOR_STD, strict=True) if s > 0.8 * p
+        )
         notes.append(
             f"{names}: the flight hardly determines these parameters, the values are those of the prior; "
             "turn more about these axes"
@@ -290,7 +295,9 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
         for n, unit, v, s in zip(IMU_ERROR_SYMBOLS, ["rad/s"] * 3 + ["m/s^2"] * 3 + ["1"] * 6, theta, std, strict=True)
     )
     # Relative to the prior deviations, because the values are near zero.
-    undetermined = describe_undetermined_combinations(IMU_ERROR_SYMBOLS, divide_by_values(covariance, _PRIOR_STD))
+    undetermined = describe_undetermined_combinations(
+        IMU_ERROR_SYMBOLS, divide_by_values(covariance, _IMU_ERROR_PRIOR_STD)
+    )
     return ReconstructedPath(
         estimates, np.sqrt(np.diag(bound)), covariance, record.time_s, smooth_x, np.sqrt(smooth_p), outs, z, whitened,
         imu_noise, noise, _correct_imu(raw, theta, dt)[0], converged, undetermined, tuple(notes),
@@ -324,7 +331,7 @@ def _initial_path(z: Array, outs: tuple[str, ...], dt: float) -> Array:
     for k, name in enumerate(FLIGHT_PATH_STATES):
         if name in outs:
             x[:, k] = smooth_signal(z[:, outs.index(name)], dt)
-    for k, (speed, place) in enumerate(zip(_VELOCITY_STATES, _POSITION_STATES, strict=True), _PATH_VELOCITY):
+    for k, (speed, place) in enumerate(zip(_VELOCITY_STATES, _POSITION_STATES, strict=True), _PATH_VELOCITY_INDEX):
         if speed not in outs and place in outs:
             x[:, k] = smooth_signal(z[:, outs.index(place)], dt, 0.3, slope=True)
     return x
@@ -413,7 +420,7 @@ def check_sensor_axes(raw: Array, z: Array, outs: tuple[str, ...], dt: float) ->
         if speed in known and place in known:
             slope = smooth_signal(known[place], dt, 0.3, slope=True)
             yield from _compare_axes((speed,), known[speed][:, None], slope[:, None], place, "")
-    mean = float(np.linalg.norm(raw[:, _IMU_FORCE:], axis=1).mean())
+    mean = float(np.linalg.norm(raw[:, _IMU_FORCE_INDEX:], axis=1).mean())
     if 0.5 < mean < 2.0:
         what = f"have a mean size of {mean:.3g}: they seem to be in g, not m/s^2"
         yield SignalFault("ax, ay, az", what, "write ax=9.80665*COLUMN")
@@ -426,8 +433,8 @@ def check_sensor_axes(raw: Array, z: Array, outs: tuple[str, ...], dt: float) ->
         changes = [smooth_signal(known[name], dt, 0.3, slope=True) for name in _VELOCITY_STATES]
         pull = np.column_stack(changes) - [0.0, 0.0, GRAVITY]
         force = np.einsum("nji,nj->ni", body_to_ned_matrices(angle), pull)
-        wide = np.column_stack([smooth_signal(column, dt, 0.3) for column in raw[:, _IMU_FORCE:].T])
-        yield from _compare_axes(IMU_CHANNELS[_IMU_FORCE:], wide, force, "the change of velocity", "")
+        wide = np.column_stack([smooth_signal(column, dt, 0.3) for column in raw[:, _IMU_FORCE_INDEX:].T])
+        yield from _compare_axes(IMU_CHANNELS[_IMU_FORCE_INDEX:], wide, force, "the change of velocity", "")
 
 
 def _compare_axes(names: tuple[str, ...], seen: Array, made: Array, source: str, degrees: str) -> Iterator[SignalFault]:

@@ -55,8 +55,8 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _MIN_PARTIAL_COHERENCE = 0.5  # of a fit
-_FIT_FREQUENCIES = 60  # number of frequencies of a fit
-_SEGMENT_INDEPENDENCE = 18.0 / 19.0  # independent segments per half-overlapping Hann segment
+_FIT_FREQUENCY_COUNT = 60  # number of frequencies of a fit
+_INDEPENDENT_SEGMENT_SHARE = 18.0 / 19.0  # independent segments per half-overlapping Hann segment
 
 
 @result(
@@ -194,7 +194,7 @@ def average_cross_spectra(
             spectra += np.conj(transform)[:, :, None] * transform[:, None, :]
             count += 1
     spectra /= count
-    return spectra, _SEGMENT_INDEPENDENCE * count
+    return spectra, _INDEPENDENT_SEGMENT_SHARE * count
 
 
 def condition_spectra(s: ComplexArray, k: int) -> tuple[ComplexArray, Array, Array, Array]:
@@ -371,7 +371,7 @@ def fit_frequency_response(
     """
     structure = scale_structure(structure, u, y)
     data = estimate_frequency_response(
-        u, y, dt, segment_s=segment_s, low_hz=1.5 / segment_s, high_hz=high_hz, points=_FIT_FREQUENCIES,
+        u, y, dt, segment_s=segment_s, low_hz=1.5 / segment_s, high_hz=high_hz, points=_FIT_FREQUENCY_COUNT,
         input_names=structure.inputs, output_names=structure.outputs,
     )  # fmt: skip
     least = max(

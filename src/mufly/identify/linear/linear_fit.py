@@ -34,7 +34,7 @@ from mufly.results import result
 
 Array = NDArray[np.float64]
 
-_WEIGHT_ITERATIONS = 3
+_NOISE_WEIGHT_ITERATIONS = 3
 
 
 @result(eq=False)
@@ -264,7 +264,7 @@ def fit_linear_model(
         values = zip(structure.symbols, at.to_values(solution.x).tolist(), strict=True)
         history.append({"iteration": len(history), "cost": float(2.0 * solution.cost), **dict(values)})
         if progress is not None:
-            progress(len(history), starts + _WEIGHT_ITERATIONS)
+            progress(len(history), starts + _NOISE_WEIGHT_ITERATIONS)
         return solution
 
     # The matrix products are small: BLAS threads cost more than they gain.

@@ -25,7 +25,7 @@ from mufly.identify.fit_result import (
     describe_undetermined_combinations,
     divide_by_values,
 )
-from mufly.identify.flight_record import EvenLogTable, low_pass
+from mufly.identify.flight_record import UniformLogTable, low_pass
 from mufly.identify.linear.equation_error import regress_rate_derivatives
 from mufly.identify.linear.frequency_response import FrequencyResponseFit, fit_frequency_response
 from mufly.identify.linear.linear_fit import LinearFit, fit_linear_model, simulate_linear_fit
@@ -98,7 +98,7 @@ class OutputCheck:
     against_angle: float
 
 
-_RECORDED_CHECKS = {
+_CHECK_RECORD_FIELDS = {
     "quality": "quality", "quality_slow": "slow", "noise_floor": "floor", "ceiling_percent": "ceiling",
     "ceiling_slow_percent": "ceiling_slow", "against_angle_percent": "against_angle",
 }  # fmt: skip
@@ -154,7 +154,7 @@ class LinearResult:
         """Return model, scores by role and output, and notes."""
         checks = {
             key: {role: [getattr(c, name) for c in checks] for role, checks in self.checks.items()}
-            for key, name in _RECORDED_CHECKS.items()
+            for key, name in _CHECK_RECORD_FIELDS.items()
         }
         return {
             **select_fields(
@@ -166,7 +166,7 @@ class LinearResult:
 
 
 def identify_linear_model(
-    record: EvenLogTable, inputs: Mapping[str, str], outputs: Mapping[str, str], *, model: str = "auto",
+    record: UniformLogTable, inputs: Mapping[str, str], outputs: Mapping[str, str], *, model: str = "auto",
     candidates: Sequence[str] = CANDIDATE_MODELS, split: float = 0.5, split_at_s: float | None = None,
     lowpass_hz: float | None = 5.0,
     rate_hz: float | None = 25.0, starts: int = 6, seed: int = 0, hold: bool = False,
@@ -176,7 +176,7 @@ def identify_linear_model(
 
     Parameters
     ----------
-    record : EvenLogTable
+    record : UniformLogTable
     inputs, outputs : dict
         Model names (lat, lon, ped, col; p, q, r, phi, theta, u, v, w) -> columns; ``-`` before a column inverts its
         sign.
@@ -203,7 +203,7 @@ def identify_linear_model(
     if not 0.1 <= split <= 1.0:
         raise ArgumentError("split", "", f"{split:g} is not a share of the record", "give 0.1 to 1")
     us, y = record.stack_columns(inputs, "inputs"), record.stack_columns(outputs, "outputs")
-    _refuse_degrees(record, outputs, y)
+    _check_angles_in_radians(record, outputs, y)
     cut = round(split * len(y)) if split_at_s is None else int((record.time_s < split_at_s).sum())
     if not 100 <= cut <= len(y):
         raise ArgumentError("split", "", f"leaves {cut} samples for the fit", "give a split that leaves at least 100")
@@ -298,7 +298,7 @@ def identify_linear_model(
     )
 
 
-def _refuse_degrees(record: EvenLogTable, outputs: Mapping[str, str], y: Array) -> None:
+def _check_angles_in_radians(record: UniformLogTable, outputs: Mapping[str, str], y: Array) -> None:
     """Raise an error for angles and rates in degrees, which a fit would accept with wrong parameters."""
     names = list(outputs)
     for angle, rate in (("phi", "p"), ("theta", "q"), ("", "r")):
@@ -313,7 +313,7 @@ def _refuse_degrees(record: EvenLogTable, outputs: Mapping[str, str], y: Array) 
                 )  # fmt: skip
 
 
-def _angle_of_rate(record: EvenLogTable, name: str, outs: tuple[str, ...], y: Array) -> Array | None:
+def _angle_of_rate(record: UniformLogTable, name: str, outs: tuple[str, ...], y: Array) -> Array | None:
     angle = _ANGLE_OF_RATE.get(name)
     if angle is None:
         return None
@@ -366,7 +366,7 @@ def _check_outputs(
 
 
 def _predict_record_part(
-    record: EvenLogTable, role: str, part: slice, linear: LinearFit, y: Array, simulated: Array,
+    record: UniformLogTable, role: str, part: slice, linear: LinearFit, y: Array, simulated: Array,
     checks: Sequence[OutputCheck], u: Array, names: tuple[str, ...],
 ) -> RecordPrediction:  # fmt: skip
     t, noise = record.time_s[part], np.array([max(c.floor.total, 1e-12) for c in checks])

@@ -101,7 +101,7 @@ class LinearStructure:
 
 
 _RATE_PER_ANGLE = 3.0  # 1/s: assumed size of an unmeasured rate over the size of its angle
-_INTEGRAL_OF = {"p": "phi", "q": "theta", "phi": "v", "theta": "u"}
+_INTEGRAL_OF_SIGNAL = {"p": "phi", "q": "theta", "phi": "v", "theta": "u"}
 
 
 def scale_structure(structure: LinearStructure, u: Array, y: Array) -> LinearStructure:
@@ -123,7 +123,7 @@ def scale_structure(structure: LinearStructure, u: Array, y: Array) -> LinearStr
     def signal_size(name: str) -> float:
         if name in size:
             return size[name]
-        inner = _INTEGRAL_OF.get(name)
+        inner = _INTEGRAL_OF_SIGNAL.get(name)
         if inner is None:
             return 0.0
         return _RATE_PER_ANGLE * signal_size(inner) / (GRAVITY if inner in "uv" else 1.0)
@@ -213,7 +213,7 @@ class StructureBuilder:
         # A lagged stick drives its own state; the delay belongs to the stick.
         for i in self.inputs:
             if i in driven:
-                self.add_parameter(f"tau_{i}", "s", 0.04, -skew, _MAX_DELAY_S, f"delay of {i}")
+                self.add_parameter(f"tau_{i}", "s", 0.04, -skew, _MAX_INPUT_DELAY_S, f"delay of {i}")
         row = {s: k for k, s in enumerate(self.states)}
         column = {s: k for k, s in enumerate(self.inputs)}
         nx, nu, ny = len(row), len(column), len(outputs)
@@ -238,8 +238,8 @@ class StructureBuilder:
 
 ANGULAR_MODELS = ("first-order", "second-order", "hybrid")
 MODEL_EXTRAS = ("coupled", "collective", "gyro", "speed", "skew")
-_MAX_SKEW_S = 0.3
-_MAX_DELAY_S = 0.3  # largest delay of an input
+_MAX_OUTPUT_SKEW_S = 0.3
+_MAX_INPUT_DELAY_S = 0.3  # largest delay of an input
 _STICK_OF_RATE = {"p": "lat", "q": "lon"}
 _FLAPPING_OF_RATE = {"p": "b", "q": "a"}
 _MOMENT_LETTER = {"p": "L", "q": "M"}
@@ -365,7 +365,7 @@ def structure_by_name(name: str, inputs: tuple[str, ...], outputs: tuple[str, ..
         )  # fmt: skip
     return helicopter_structure(
         inputs, outputs, angular=base, coupled="coupled" in words, collective="collective" in words,
-        gyro="gyro" in words, speed="speed" in words, skew_s=_MAX_SKEW_S if "skew" in words else 0.0,
+        gyro="gyro" in words, speed="speed" in words, skew_s=_MAX_OUTPUT_SKEW_S if "skew" in words else 0.0,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mufly.identify import fit_pictures
 from mufly.identify.linear.bandwidth import Bandwidth
 from mufly.identify.linear.frequency_response import FrequencyResponse
-from mufly.identify.linear.sweep_response import MIN_COHERENCE, TransferFunctionFit
+from mufly.identify.linear.sweep_response import MIN_PARTIAL_COHERENCE, TransferFunctionFit
 from mufly.results.result_figure import blank_figure
 
 if TYPE_CHECKING:
@@ -48,13 +48,14 @@ def response_picture(
         top, middle, bottom = panels[:, i]
         h, gamma = data.response[:, output, i], data.partial[:, output, i]
         seen = np.isfinite(h)
-        good = seen & (gamma >= MIN_COHERENCE)
+        good = seen & (gamma >= MIN_PARTIAL_COHERENCE)
         level = 20.0 * np.log10(np.maximum(np.abs(np.where(seen, h, 1.0)), 1e-12))
         phase = _unwrap_phase(np.where(seen, h, 1.0), good)
         spread = np.minimum(data.relative_interval[:, output, i], 1.0)
         bar = {"fmt": "o", "markersize": 2.5, "linewidth": 0.7}
         for points, colour, label in (
-            (good, fit_pictures.BLUE, "coherent, 95 %"), (seen & ~good, "0.65", f"coherence < {MIN_COHERENCE:g}"),
+            (good, fit_pictures.BLUE, "coherent, 95 %"),
+            (seen & ~good, "0.65", f"coherence < {MIN_PARTIAL_COHERENCE:g}"),
         ):  # fmt: skip
             if not points.any():
                 continue
@@ -96,7 +97,7 @@ def response_picture(
                 middle.legend(fontsize=7.0)
         bottom.plot(f, gamma, color=fit_pictures.BLUE, label="partial")
         bottom.plot(f, data.coherence[:, output], color=fit_pictures.text_colour(), linewidth=0.8, label="all inputs")
-        bottom.axhline(MIN_COHERENCE, color="0.5", linestyle=":", linewidth=1.0)
+        bottom.axhline(MIN_PARTIAL_COHERENCE, color="0.5", linestyle=":", linewidth=1.0)
         bottom.set(ylim=(0.0, 1.03), xlabel="frequency (Hz)", xscale="log")
         fit_pictures.label_decades(bottom)
         top.set_title(f"{data.inputs[i]} to {data.outputs[output]}")

@@ -43,10 +43,10 @@ from mufly.results import result
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-MIN_COHERENCE = 0.6  # least partial coherence of a point (Tischler and Remple, Sec. 7.5.3)
+MIN_PARTIAL_COHERENCE = 0.6  # least partial coherence of a point (Tischler and Remple, Sec. 7.5.3)
 _MIN_PERIODS_PER_WINDOW = 1.5  # least number of periods of a frequency in a window
-_PHASE_WEIGHT = 0.01745  # weight of a squared degree relative to a squared decibel
-_HANN_BANDWIDTH = 1.5  # width of the window in 1 / T
+_SQUARED_DEGREE_WEIGHT = 0.01745  # weight of a squared degree relative to a squared decibel
+_HANN_BANDWIDTH_BINS = 1.5  # width of the window in 1 / T
 
 
 def estimate_composite_response(
@@ -213,11 +213,12 @@ def fit_transfer_function(
     if not 0 <= zeros <= poles or poles < 1:
         raise ArgumentError("zeros", "", f"{zeros} zeros and {poles} poles", "give 1 pole or more, and no more zeros")
     h, gamma = data.response[:, output, input], data.partial[:, output, input]
-    good = np.isfinite(h) & (gamma >= MIN_COHERENCE) & (np.abs(np.nan_to_num(h)) > 0.0)
+    good = np.isfinite(h) & (gamma >= MIN_PARTIAL_COHERENCE) & (np.abs(np.nan_to_num(h)) > 0.0)
     name = f"{_signal_name(data.inputs, input)} to {_signal_name(data.outputs, output)}"
     if good.sum() < zeros + poles + 3:
         raise InputError(
-            "transfer function", name, f"only {int(good.sum())} points have a coherence of {MIN_COHERENCE:g} or more",
+            "transfer function", name,
+            f"only {int(good.sum())} points have a coherence of {MIN_PARTIAL_COHERENCE:g} or more",
             "give more excitation, longer records or fewer poles and zeros",
         )  # fmt: skip
     f, h, gamma = data.frequency_hz[good], h[good], gamma[good]
@@ -233,7 +234,7 @@ def fit_transfer_function(
         b, a, tau = split_parameters(x)
         ratio = np.polyval(b, s) / np.polyval(a, s) * np.exp(-tau * s) / h
         level = 20.0 * np.log10(np.maximum(np.abs(ratio), 1e-12))
-        return np.r_[scale * level, np.sqrt(_PHASE_WEIGHT) * scale * np.degrees(np.angle(ratio))]
+        return np.r_[scale * level, np.sqrt(_SQUARED_DEGREE_WEIGHT) * scale * np.degrees(np.angle(ratio))]
 
     trials = []
     for tau in np.r_[0.0, np.geomspace(0.02, 2.0, 9) / np.abs(s).max()]:
@@ -252,9 +253,9 @@ def fit_transfer_function(
     b, a, tau = split_parameters(best.x)
     # Random error propagated through the fit; frequencies within one window's bandwidth are fully correlated.
     eps = np.maximum(data.error[:, output, input][good], 1e-9)
-    noise = np.r_[8.686 * scale * eps, np.sqrt(_PHASE_WEIGHT) * np.degrees(1.0) * scale * eps]
+    noise = np.r_[8.686 * scale * eps, np.sqrt(_SQUARED_DEGREE_WEIGHT) * np.degrees(1.0) * scale * eps]
     width = data.window_s[:, output, input][good] if data.window_s is not None else np.full(len(f), 1.0 / f[0])
-    shared = np.maximum(1.0, _HANN_BANDWIDTH / (width * np.gradient(f)))
+    shared = np.maximum(1.0, _HANN_BANDWIDTH_BINS / (width * np.gradient(f)))
     jac = np.asarray(best.jac)
     inverse = np.linalg.pinv(jac.T @ jac, rcond=1e-14)
     weighted = jac * (noise * np.sqrt(np.r_[shared, shared]))[:, None]

@@ -21,7 +21,7 @@ from mufly.study.benchmark.rotor_cases import RotorCase
 
 Array = NDArray[np.float64]
 
-_GRID_POINTS, _SLOW_GRID_POINTS = 45, 9
+_ADVANCE_GRID_POINTS, _SLOW_ADVANCE_GRID_POINTS = 45, 9
 # Range of the predicted points, of the advance ratio of zero thrust.
 _MIN_ADVANCE_SHARE, _MAX_ADVANCE_SHARE = 0.25, 1.4
 
@@ -96,7 +96,7 @@ def score_propellers(
             else 1.15 * float(j[-1])
         )
         grid = end * np.linspace(
-            _MIN_ADVANCE_SHARE, _MAX_ADVANCE_SHARE, _SLOW_GRID_POINTS if code.is_slow else _GRID_POINTS
+            _MIN_ADVANCE_SHARE, _MAX_ADVANCE_SHARE, _SLOW_ADVANCE_GRID_POINTS if code.is_slow else _ADVANCE_GRID_POINTS
         )
         same = np.full(grid.size, 1.0)
         asked = RotorMeasurements(run.pitch_rad[0] * same, speed * same, same, same, run.source, grid * per_speed)

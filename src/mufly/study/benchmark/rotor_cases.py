@@ -14,7 +14,7 @@ are skipped and reported with their source, because some may not be redistribute
 
 The sections of the propellers are unknown. The assumptions (:data:`SECTION_BY_PREFIX`) were made without knowledge of
 the results, except for the GWS propellers: their flat-bottomed section was chosen after a comparison. Trailing edges of
-moulded, printed and formed blades have the thickness :data:`TRAILING_EDGE_M`.
+moulded, printed and formed blades have the thickness :data:`TRAILING_EDGE_THICKNESS_M`.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ SECTION_BY_PREFIX: dict[str, tuple[str, str, bool]] = {
         False,
     ),  # substitutes named by the source: GOE 450, and GOE 408 at the two outermost stations
 }
-_UNKNOWN_SECTION = ("other", "naca4412", False)
-TRAILING_EDGE_M = 3e-4
+_DEFAULT_SECTION = ("other", "naca4412", False)
+TRAILING_EDGE_THICKNESS_M = 3e-4
 """Trailing edge thickness of propellers (m), limited by moulding and printing; an estimate, not measured."""
 
 DATA_SOURCES = {
@@ -183,7 +183,7 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
 
 def section_of_propeller(name: str) -> tuple[str, str, bool]:
     """Return family, section, and whether the section is known, of a propeller by name."""
-    return next((v for k, v in SECTION_BY_PREFIX.items() if name.startswith(k)), _UNKNOWN_SECTION)
+    return next((v for k, v in SECTION_BY_PREFIX.items() if name.startswith(k)), _DEFAULT_SECTION)
 
 
 def _airfoils_by_station(section: str, x: Array) -> tuple[str, ...]:
@@ -250,7 +250,9 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
         foils = _airfoils_by_station(section, g[:, 0])
         rotor = _build_rotor(name, int(blades), radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], *foils)
         rotor = replace_rotor(
-            rotor, {"trailing_edge": TRAILING_EDGE_M, **_photographed_geometry(name, radius)}, source="estimated"
+            rotor,
+            {"trailing_edge": TRAILING_EDGE_THICKNESS_M, **_photographed_geometry(name, radius)},
+            source="estimated",
         )
         n, d = m[:, 0] / 60, 2 * radius
         rho = BENCHMARK_AIR.density_kg_m3
@@ -268,7 +270,7 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
     return out
 
 
-_STATED_PITCH_IN_NAME = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(?P<deg>\d+(?:\.\d+)?)deg")
+_STATED_PITCH_PATTERN = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(?P<deg>\d+(?:\.\d+)?)deg")
 
 
 def _photographed_geometry(name: str, radius_m: float) -> dict[str, object]:
@@ -276,7 +278,7 @@ def _photographed_geometry(name: str, radius_m: float) -> dict[str, object]:
 
     A name as 5x3 or 96x70 states diameter and pitch in the same unit, 15deg the blade angle at 0.75 R.
     """
-    found = _STATED_PITCH_IN_NAME.search(name)
+    found = _STATED_PITCH_PATTERN.search(name)
     if found is None:
         return {"blade.geometry": "photograph"}
     if found["deg"]:
@@ -286,8 +288,8 @@ def _photographed_geometry(name: str, radius_m: float) -> dict[str, object]:
     return {"blade.geometry": "photograph", "nominal_pitch": pitch}
 
 
-_INCH = 0.0254
-_DIAMETER_IN_NAME = re.compile(r"_(\d+(?:\.\d+)?)(?:x\d|_\d+deg)")
+_INCH_M = 0.0254
+_STATED_DIAMETER_PATTERN = re.compile(r"_(\d+(?:\.\d+)?)(?:x\d|_\d+deg)")
 
 
 def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
@@ -300,7 +302,7 @@ def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
     for geometry, more in product(sorted(folder.rglob("*_geom.txt")), ("", "_3b", "_4b")):
         name = geometry.name.removesuffix("_geom.txt") + more
         runs = sorted(geometry.parent.glob(f"{name}_static*.txt"))
-        size, several = _DIAMETER_IN_NAME.search(name), re.search(r"_(\d)b(_|$)", name)
+        size, several = _STATED_DIAMETER_PATTERN.search(name), re.search(r"_(\d)b(_|$)", name)
         blades = int(several[1]) if several else 2
         used |= {geometry, *runs} if runs else set()
         if runs and size is None:
@@ -309,7 +311,7 @@ def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
             )
         if not runs or size is None:
             continue
-        diameter = float(size[1]) * (_INCH if float(size[1]) < 30.0 else 1e-3)
+        diameter = float(size[1]) * (_INCH_M if float(size[1]) < 30.0 else 1e-3)
         family, section, known = section_of_propeller(name)
         try:
             rotor = _read_best_geometry(geometry, name, diameter, blades, section)
@@ -336,7 +338,7 @@ def _read_best_geometry(photographed: Path, name: str, diameter_m: float, blades
     A scan ``NAME.stl`` comes first, then the maker's ``NAME.PE0``, which has sections of its own.
     """
     beside = {p.suffix.lower(): p for p in photographed.parent.glob(f"{name}.*")}
-    values: dict[str, object] = {"hub_cutout": 0.15, "trailing_edge": TRAILING_EDGE_M}
+    values: dict[str, object] = {"hub_cutout": 0.15, "trailing_edge": TRAILING_EDGE_THICKNESS_M}
     values |= _photographed_geometry(name, 0.5 * diameter_m)
     if ".stl" in beside:
         with tempfile.TemporaryDirectory() as contours:  # chord and twist alone are used
