@@ -174,7 +174,8 @@ def optimise_rotor(
     found = search(
         lambda x: problem.evaluate_cost(names, np.atleast_2d(x.T)), list(zip(low, high, strict=True)),
         integrality=whole, rng=np.random.default_rng(seed), maxiter=generations, popsize=_POPULATION_PER_UNKNOWN,
-        tol=1e-6, mutation=(0.4, 0.9), recombination=0.8, polish=False, vectorized=True, updating="deferred", init="sobol",
+        tol=1e-6, mutation=(0.4, 0.9), recombination=0.8, polish=False,
+        vectorized=True, updating="deferred", init="sobol",
         callback=_count_generations(progress, generations),
     )  # fmt: skip
     best = problem.case_from_point(names, found.x)
@@ -610,7 +611,8 @@ def optimise_pair(
     first = np.clip([_start_value(setup, n) for n in names], *np.transpose(bounds))
     found = search(
         evaluate_power, bounds, rng=np.random.default_rng(seed), maxiter=generations,
-        popsize=_PAIR_POPULATION_PER_UNKNOWN, tol=1e-4, x0=first, mutation=(0.4, 0.9), recombination=0.8, polish=False, init="sobol",
+        popsize=_PAIR_POPULATION_PER_UNKNOWN, tol=1e-4, x0=first,
+        mutation=(0.4, 0.9), recombination=0.8, polish=False, init="sobol",
         callback=_count_generations(progress, generations),
     )  # fmt: skip
     effort = {"maxfev": 60 * len(names), "xatol": 1e-5, "fatol": 1e-5}
