@@ -240,7 +240,7 @@ class Renderer:
         gain = self._sensor_gain
         return math.sqrt(_READ_NOISE_VARIANCE_SHARE * gain * gain + (1.0 - _READ_NOISE_VARIANCE_SHARE) * gain * level)
 
-    def _lose_strips(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _replace_lost_strips(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Replace lost strips by the same strips of the previous picture, as a video decoder does."""
         lost = float(self.camera.quality.strips_lost)
         if lost > 0.0:

@@ -37,7 +37,7 @@ from mufly.slam.image_tools import (
 from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, align_picture, pixel_floor_jacobian
 from mufly.slam.images.patch_information import measure_patches, remove_background
 from mufly.slam.keyframe_map import FloorMap, view_overlap
-from mufly.slam.place_recognition import MIN_INLIERS, CorrelationPeak, correlate_pictures, is_unambiguous
+from mufly.slam.place_recognition import MIN_ORB_INLIERS, CorrelationPeak, correlate_pictures, is_unambiguous
 from mufly.slam.pose_graph import HEADING, LOG_HEIGHT, TILT
 
 _Array = NDArray[np.float64]

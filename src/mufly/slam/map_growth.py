@@ -25,7 +25,7 @@ from mufly.slam.camera_pose import (
     normalised_rays,
 )
 from mufly.slam.image_tools import detect_corners
-from mufly.slam.keyframe_map import FloorMap, Keyframe, compose_pose, remove_pose_fit
+from mufly.slam.keyframe_map import FloorMap, Keyframe, compose_pose, residuals_without_pose_error
 from mufly.slam.keyframe_matching import (
     FrameContext,
     KeyframeMatch,
@@ -33,7 +33,7 @@ from mufly.slam.keyframe_matching import (
     match_keyframe,
     rejection_reason,
 )
-from mufly.slam.place_recognition import MAX_SECOND_PEAK_RATIO, MIN_INLIERS, are_places_apart, is_unambiguous
+from mufly.slam.place_recognition import MAX_SECOND_PEAK_RATIO, MIN_ORB_INLIERS, are_places_apart, is_unambiguous
 from mufly.slam.pose_graph import (
     EDGE_SIZE,
     EDGE_TILT_A,
@@ -51,7 +51,7 @@ LOOP_MIN_OVERLAP = 0.4
 LOOP_MAX_CHI2 = 28.0  # of eight numbers: rejects one true closure in 2000
 _LOOP_SEARCH_SIGMAS = 2.5  # standard deviations within which keyframes are searched
 _MAX_OTHER_PLACES = 8  # keyframes that are compared with the best before a loop is closed
-NEWEST_TRANSITION = (np.ones(3), np.full(3, 1e-10))
+SAME_PICTURE_ERROR_TRANSITION = (np.ones(3), np.full(3, 1e-10))
 """Correlation factors and noise variances between errors of a picture and the newest keyframe if both are the same."""
 _OVEREXPOSED_GREY_LEVEL, _MAX_OVEREXPOSED_SHARE = 248, 0.02
 """Overexposure: grey level, and largest share of brighter pixels in a keyframe. A camera that was covered overexposes

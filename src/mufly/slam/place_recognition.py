@@ -26,7 +26,7 @@ MAX_SECOND_INLIER_RATIO = 0.6
 """Ratio of the inliers of another place to the inliers of the best place, above which the place is ambiguous."""
 MIN_PLACE_DISTANCE = 0.3
 """Least distance of two results over the height at which they are different places."""
-MAX_AMBIGUITY = 1e-3
+MAX_OTHER_PLACE_LIKELIHOOD = 1e-3
 """Largest relative probability of another place that looks the same."""
 
 

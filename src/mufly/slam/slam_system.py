@@ -427,7 +427,7 @@ class SlamSystem:
         heading = (node[HEADING] + math.pi) % (2 * math.pi) - math.pi
         covariance, tilted = to @ known @ to.T, self.monitor.tilt_verdict_at(context.frame.time_s)
         if tilted.fault:
-            self._note_verdict(context.frame.time_s, tilted)
+            self._store_verdict(context.frame.time_s, tilted)
             covariance[[0, 1], [0, 1]] += (h * TILTED_SIGMA_RAD) ** 2
         dirt = "" if self.monitor.dirt_mask is None else DIRT_MESSAGE
         return TrackingResult(

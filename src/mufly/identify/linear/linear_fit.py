@@ -284,7 +284,7 @@ def fit_linear_model(
                 "cannot be simulated with any initial parameters",
                 "choose a simpler structure",
             )
-        for k in range(_WEIGHT_ITERATIONS):
+        for k in range(_NOISE_WEIGHT_ITERATIONS):
             # Maximum likelihood: alternate between weights from the residuals and parameters.
             variance = np.nanvar(problem.solve_linear_unknowns(solution.x)[0], axis=0)
             weight = 1.0 / np.maximum(variance, (1e-9 * spread) ** 2)

@@ -36,11 +36,11 @@ moves the place by the height times it, so poses continue with that deviation; w
 
 **Dirt** stays at its pixels. In the mean of n pictures of different floor the dirt remains, while the floor, with grey
 levels of deviation s, averages out to s / sqrt(n). A pixel is dirty under two conditions: its mean differs from the
-surroundings by more than :data:`_DIRT_SIGMAS` s / sqrt(n), and its own deviation is below :data:`_DIRT_STILLNESS` s,
-since dirt hides the floor. The pictures of the mean were taken at different places: a hover would show the same floor
-at the same pixels. On a straight path, bands along it stay, too, so the mean must also differ from its surroundings
-along the path. More than :data:`_MAX_DIRT_SHARE` of a picture is not dirt but a floor that repeats along
-the path, such as stripes.
+surroundings by more than :data:`_DIRT_SIGMAS` s / sqrt(n), and its own deviation is below
+:data:`_DIRT_MAX_DEVIATION_SHARE` s, since dirt hides the floor. The pictures of the mean were taken at different
+places: a hover would show the same floor at the same pixels. On a straight path, bands along it stay, too, so the
+mean must also differ from its surroundings along the path. More than :data:`_MAX_DIRT_SHARE` of a picture is not dirt
+but a floor that repeats along the path, such as stripes.
 """
 
 from __future__ import annotations
@@ -72,17 +72,34 @@ _FROZEN_PICTURE_COUNT, _STOPPED_CLOCK_COUNT = 4, 4
 _FAULT_CONFIRM_COUNT, _GROSS_FAULT_CONFIRM_COUNT, _FAULT_REPORT_HOLD_S = 10, 6, 10.0
 """Consecutive pictures that confirm a fault, and a gross fault; time for which a fault is reported after it was last
 seen (s)."""
-_BACKGROUND_PX = 25  # side of the mean that is subtracted, at half the resolution
-_MIN_HEIGHT_M = 0.2  # below which the height is known too poorly
-_TILT_AVERAGE_S, _TILT_SIGMAS, _MIN_TILT_RAD, _MAX_USABLE_TILT_RAD = 1.5, 2.5, math.radians(1.2), math.radians(3.0)
+_LOCAL_MEAN_SIDE_PX = 25  # side of the mean that is subtracted, at half the resolution
+_MIN_CHECKED_HEIGHT_M = 0.2  # below which the height is known too poorly
+_MOUNT_TILT_AVERAGE_S, _MOUNT_TILT_FAULT_SIGMAS, _MIN_MOUNT_TILT_FAULT_RAD, _MAX_USABLE_TILT_RAD = (
+    1.5,
+    2.5,
+    math.radians(1.2),
+    math.radians(3.0),
+)
 TILTED_SIGMA_RAD = math.radians(4.0)
 """Standard deviation of the tilt of a mount that is reported, and not refused (rad). Tracking finds a part of it."""
-_DIRT_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_STEP_PX, _DIRT_MIN_COUNT, _DIRT_COUNT = 4, 8.0, 40.0, 7, 9
+_DIRT_PICTURE_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_MIN_MOTION_PX, _DIRT_MIN_PICTURES, _DIRT_MAX_PICTURES = (
+    4,
+    8.0,
+    40.0,
+    7,
+    9,
+)
 """Reduction of the picture, smoothing of the surroundings (reduced pixels), least distance between the places of two
 pictures (pixels), and least and largest number of pictures."""
 _DIRT_PATH_PX = 16.0  # smoothing of the surroundings along the path (reduced pixels)
-_DIRT_SIGMAS, _DIRT_STILLNESS, _MIN_DIRT_GREY, _MAX_DIRT_SHARE, _DIRT_MARGIN_PX = 5.0, 0.5, 10.0, 0.25, 12
-_MIN_CONTRAST = 2.0
+_DIRT_SIGMAS, _DIRT_MAX_DEVIATION_SHARE, _MIN_DIRT_GREY_LEVELS, _MAX_DIRT_SHARE, _DIRT_MARGIN_PX = (
+    5.0,
+    0.5,
+    10.0,
+    0.25,
+    12,
+)
+_MIN_LIT_GREY_STD = 2.0
 """Standard deviation of grey levels below which equal pictures are dark, not frozen."""
 _GROSS_FAULT_SIGMAS = 3.0
 _MAX_RESIDUAL_CORRELATION = 0.95  # of neighbouring residuals
@@ -148,7 +165,7 @@ class CameraMonitor:
         self._candidate, self._candidate_count = _HEALTHY_VERDICT, 0
         self._verdict, self._held_until_s = _HEALTHY_VERDICT, -math.inf
         self._tilt, self._tilt_weight, self._tilt_time_s = np.zeros(2), 0.0, math.nan
-        self._tilt_verdict, self._tilt_held_until_s = _HEALTHY, -math.inf
+        self._tilt_verdict, self._tilt_held_until_s = _HEALTHY_VERDICT, -math.inf
         self._dirt = DirtMask()
 
     @property
@@ -199,11 +216,11 @@ class CameraMonitor:
 
     def verdict_at(self, time_s: float) -> CameraVerdict:
         """Return the verdict that holds at a time (s), and for which no pose is used."""
-        return self._verdict if time_s < self._held_until_s else _HEALTHY
+        return self._verdict if time_s < self._held_until_s else _HEALTHY_VERDICT
 
     def tilt_verdict_at(self, time_s: float) -> CameraVerdict:
         """Return the verdict on a tilt that holds at a time (s), and with which poses are less accurate."""
-        return self._tilt_verdict if time_s < self._tilt_held_until_s else _HEALTHY
+        return self._tilt_verdict if time_s < self._tilt_held_until_s else _HEALTHY_VERDICT
 
     def check_tilt(self, time_s: float, tilt_error_rad: _Array, sigma_rad: float) -> None:
         """Update by the tilt error (2,) that tracking estimates, with the filter's standard deviation (rad)."""
@@ -215,7 +232,7 @@ class CameraMonitor:
         size = math.hypot(*self._tilt) / max(self._tilt_weight, 1e-9)
         if self._tilt_weight > 0.7 and size > max(_MIN_MOUNT_TILT_FAULT_RAD, _MOUNT_TILT_FAULT_SIGMAS * sigma_rad):
             message = f"the floor is seen {math.degrees(size):.1f} degrees off the attitude: check the camera's mount"
-            verdict, until_s = CameraVerdict("tilted", message), time_s + _HOLD_S
+            verdict, until_s = CameraVerdict("tilted", message), time_s + _FAULT_REPORT_HOLD_S
             if size > _MAX_USABLE_TILT_RAD:
                 self._verdict, self._held_until_s = verdict, until_s
             else:  # one report, whose message stays
@@ -252,7 +269,7 @@ class CameraMonitor:
         y = 2.0 * moved / dt
         velocity = 0.5 * (velocity + self._last_level_velocity)
         p = self._predict_motion(last.vehicle_estimate, frame.vehicle_estimate, velocity)
-        self._slow = advance_slow_part(self._slow, np.array([y, p]), dt, yaw_rate)
+        self._slow = low_pass_motion(self._slow, np.array([y, p]), dt, yaw_rate)
         self._past = [*self._past[-2:], (y - self._slow[0], p - self._slow[1])]
         if len(self._past) == 3:
             (_, p0), (y, p), (_, p2) = self._past
@@ -461,20 +478,20 @@ class DirtMask:
     """
 
     def __init__(self) -> None:
-        self._pictures: deque[NDArray[np.float32]] = deque(maxlen=_DIRT_COUNT)
-        self._places: deque[complex] = deque(maxlen=_DIRT_COUNT)
+        self._pictures: deque[NDArray[np.float32]] = deque(maxlen=_DIRT_MAX_PICTURES)
+        self._places: deque[complex] = deque(maxlen=_DIRT_MAX_PICTURES)
         self.mask: NDArray[np.uint8] | None = None
         self.wide_mask: NDArray[np.uint8] | None = None
 
     def advance(self, moved_px: complex, turned_rad: float) -> None:
         """Turn the stored pictures' positions by the vehicle's yaw (rad), then shift them by the floor's motion."""
         turn = cmath.exp(-1j * turned_rad)
-        self._places = deque((turn * place + moved_px for place in self._places), _DIRT_COUNT)
+        self._places = deque((turn * place + moved_px for place in self._places), _DIRT_MAX_PICTURES)
 
     @property
     def sees_new_floor(self) -> bool:
         """Whether the present picture shows another part of the floor than all stored pictures."""
-        return all(abs(place) > _DIRT_STEP_PX for place in self._places)
+        return all(abs(place) > _DIRT_MIN_MOTION_PX for place in self._places)
 
     def add_picture(self, picture: NDArray[np.uint8]) -> None:
         """Add an undistorted picture that shows another part of the floor than those before."""
@@ -491,8 +508,8 @@ class DirtMask:
             return
         mean, variance = np.mean(self._pictures, axis=0), np.var(self._pictures, axis=0, ddof=1)
         usual = math.sqrt(float(np.median(variance)))
-        least = max(_MIN_DIRT_GREY, _DIRT_SIGMAS * usual / math.sqrt(count))
-        still = cv2.blur(variance, (3, 3)) < (_DIRT_STILLNESS * usual) ** 2
+        least = max(_MIN_DIRT_GREY_LEVELS, _DIRT_SIGMAS * usual / math.sqrt(count))
+        still = cv2.blur(variance, (3, 3)) < (_DIRT_MAX_DEVIATION_SHARE * usual) ** 2
         beside = np.abs(mean - cv2.filter2D(mean, -1, self._path_kernel()))
         dirty = ((np.abs(mean) > least) & (beside > least) & still).astype(np.uint8)
         dirty = cv2.morphologyEx(dirty, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
