@@ -108,7 +108,7 @@ def drawn(vehicle: Vehicle, what: str, seed: int) -> Vehicle:
     while True:
         values = {}
         for variation in parse_variations([what], vehicle):
-            values |= variation.parameter_values(variation.draw_variables(rng))
+            values |= variation.parameter_values(variation.draw_normalised_variables(rng))
         try:
             return replace_parameters(vehicle, values)
         except InputError:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mufly.control import DesignSettings, FlightController, design_flight_controller
-from mufly.control.analysis.comparison import forward_figures, roll_pitch_over_speed
+from mufly.control.analysis.comparison import forward_figures, roll_pitch_plants_by_speed
 from mufly.control.analysis.plots import draw_schedule
 from mufly.control.implementation import DiscreteController
 from mufly.control.law import roll_pitch_init, roll_pitch_step
@@ -127,7 +127,7 @@ def test_frozen_speeds_are_those_of_the_blended_controller(
     assert all(f.least_disk_margin <= min(f.disk_margin, f.hover_disk_margin) for f in found.frozen)
     assert found.max_saturated_pole_modulus < 1.0
     flown = replace(ltr, schedule=found)
-    plants = roll_pitch_over_speed(mapped, (1.0, 2.0, 50.0), ltr.voltage_V)
+    plants = roll_pitch_plants_by_speed(mapped, (1.0, 2.0, 50.0), ltr.voltage_V)
     assert list(plants) == [1.0, 2.0]  # there is no steady flight at 50 m/s
     for f, frozen in zip(forward_figures(flown, plants), found.frozen[1:3], strict=True):
         assert f.disk_margin == pytest.approx(frozen.disk_margin, rel=1e-9)

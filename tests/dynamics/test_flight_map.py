@@ -9,8 +9,8 @@ import pytest
 from mufly.dynamics import (
     find_trim,
     initial_state,
-    level_speed_band,
     linearise_vehicle,
+    max_level_speed_band,
     model_parameters,
     state_derivative,
 )
@@ -188,11 +188,11 @@ def test_trim_and_level_speed(vehicle, clamped, hinged):
     assert slow.inside_map
     assert slow.servo_input[0] > 0.4  # the lower rotor holds the nose down against blow-back
     assert slow.thrust_N.sum() == pytest.approx(find_trim(vehicle).thrust_N.sum(), rel=0.01)
-    low, high = level_speed_band(clamped)
+    low, high = max_level_speed_band(clamped)
     assert find_level_speed(clamped) == pytest.approx(low, abs=0.1)
     assert find_level_speed(hinged) == pytest.approx(high, rel=0.1)
-    assert level_speed_band(vehicle) is not None  # of the built-in map with the same rotors
-    assert level_speed_band(replace_parameters(vehicle, {"body.mass": 0.07})) is None
+    assert max_level_speed_band(vehicle) is not None  # of the built-in map with the same rotors
+    assert max_level_speed_band(replace_parameters(vehicle, {"body.mass": 0.07})) is None
 
 
 def test_a_map_of_another_rotor_is_refused(vehicle):

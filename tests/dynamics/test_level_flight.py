@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli.vehicle import app
-from mufly.dynamics import describe_model_excess, find_trim, level_speed_band
+from mufly.dynamics import describe_model_excess, find_trim, max_level_speed_band
 from mufly.dynamics import level_flight as level_flight_module
 from mufly.dynamics.level_flight import level_flight
 from mufly.errors import InputError
@@ -48,7 +48,7 @@ def test_the_flight_map_reaches_full_servo_at_the_same_speeds(flight):
     """The flight model with a map and the rotors solved at every trim agree within a tenth of a metre per second."""
     vehicle = load_vehicle("mufly-1.1")
     low, high = flight.greatest_speed_m_s
-    band = level_speed_band(vehicle)
+    band = max_level_speed_band(vehicle)
     assert band[0] == pytest.approx(low, abs=0.1)
     assert band[1] > 2.0
     assert high > 2.0

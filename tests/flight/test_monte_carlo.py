@@ -81,14 +81,16 @@ def test_spreads_and_ranges_are_kept_and_the_particular_takes_precedence(vehicle
     assert not any(k.startswith(("sensors", "mass_budget", "range_ring")) for k in everything.keys)
     assert everything.variable_count == len(everything.keys)
     rng = np.random.default_rng(1)
-    drawn = np.array([list(everything.parameter_values(everything.draw_variables(rng)).values()) for _ in range(400)])
+    drawn = np.array(
+        [list(everything.parameter_values(everything.draw_normalised_variables(rng)).values()) for _ in range(400)]
+    )
     off = np.abs(drawn / everything.nominal_values - 1.0)
     assert off.max() <= 0.1 + 1e-12
     assert off.max() > 0.099
-    masses = [mass.parameter_values(mass.draw_variables(rng))["body.mass"] for _ in range(400)]
+    masses = [mass.parameter_values(mass.draw_normalised_variables(rng))["body.mass"] for _ in range(400)]
     assert 0.09 <= min(masses) < 0.0902
     assert 0.0998 < max(masses) <= 0.1
-    stiff = [legs.parameter_values(legs.draw_variables(rng))["contact.stiffness"] for _ in range(2000)]
+    stiff = [legs.parameter_values(legs.draw_normalised_variables(rng))["contact.stiffness"] for _ in range(2000)]
     assert np.mean(stiff) == pytest.approx(150.0, abs=0.2)
     assert np.std(stiff) == pytest.approx(2.0, rel=0.06)
 
@@ -116,7 +118,9 @@ def test_an_identified_covariance_is_drawn_from(tmp_path: Path, vehicle: Vehicle
     assert "body.mass at a bound" in found.note
     assert "body.inertia_xx not determined" in found.note
     rng = np.random.default_rng(0)
-    drawn = np.array([list(found.parameter_values(found.draw_variables(rng)).values()) for _ in range(20_000)])
+    drawn = np.array(
+        [list(found.parameter_values(found.draw_normalised_variables(rng)).values()) for _ in range(20_000)]
+    )
     covariance = np.cov(drawn[:, :2].T)
     wanted = np.array([[1.6e-7, -0.99 * 2e-7], [-0.99 * 2e-7, 2.5e-7]])
     np.testing.assert_allclose(covariance, wanted, rtol=0.03)

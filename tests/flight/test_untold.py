@@ -64,7 +64,10 @@ def test_a_range_of_percent_is_a_share_of_the_vehicles_value() -> None:
     (wander,) = parse_variations(["sensors.position_fix.wander=50:300%"], VEHICLE)
     np.testing.assert_allclose(value_span(wander, "sensors.position_fix.wander"), (0.015, 0.09))
     rng = np.random.default_rng(2)
-    drawn = [wander.parameter_values(wander.draw_variables(rng))["sensors.position_fix.wander"] for _ in range(4000)]
+    drawn = [
+        wander.parameter_values(wander.draw_normalised_variables(rng))["sensors.position_fix.wander"]
+        for _ in range(4000)
+    ]
     np.testing.assert_allclose(np.percentile(drawn, [0, 25, 50, 75, 100]), np.linspace(0.015, 0.09, 5), atol=0.002)
     (hub,) = parse_variations(["rotors.upper.hub_z=50:150%"], VEHICLE)  # negative: above
     np.testing.assert_allclose(value_span(hub, "rotors.upper.hub_z"), (-0.1365, -0.0455))
@@ -90,7 +93,7 @@ def test_the_standard_set_draws_all_together_and_gives_way_to_what_is_asked_for(
         np.testing.assert_allclose(value_span(STANDARD, key), np.multiply(span, told[key]))
     np.testing.assert_allclose(value_span(STANDARD, "sensors.position_fix.latency"), (0.2, 0.35))
     np.testing.assert_allclose(value_span(STANDARD, "sensors.imu.mount_pitch"), np.radians([-3.0, 3.0]))
-    drawn = STANDARD.parameter_values(STANDARD.draw_variables(np.random.default_rng(0)))
+    drawn = STANDARD.parameter_values(STANDARD.draw_normalised_variables(np.random.default_rng(0)))
     assert all(drawn[key] != told[key] for key in STANDARD.keys)
     standard, mass = parse_variations(["standard", "m=30%"], VEHICLE)
     assert "body.mass" not in standard.keys

@@ -427,7 +427,7 @@ def test_degrees_are_refused_or_converted_where_the_header_says_so(tmp_path):
     with pytest.raises(InputError, match=r"p: seems to be in deg/s"):
         identify_linear_model(wrong, {"lat": "lat"}, {"p": "p"}, model="first-order", starts=1)
     with pytest.raises(InputError, match="contains no numbers"):
-        wrong.find_column("none", "outputs")
+        wrong.column_by_name("none", "outputs")
 
 
 def test_columns_of_matlab_and_of_headless_files(tmp_path):
@@ -451,12 +451,12 @@ def test_names_are_found_by_their_end_and_ambiguity_is_said():
     r = UniformLogTable(
         "x", t, {"measured_rates.p": t, "reference_rates.p": -t, "reference_rates.q": t, "a.s": t, "b.s": t}
     )
-    assert r.find_column("p", "outputs") is r.columns["measured_rates.p"]
-    assert r.find_column("q", "outputs") is r.columns["reference_rates.q"]
+    assert r.column_by_name("p", "outputs") is r.columns["measured_rates.p"]
+    assert r.column_by_name("q", "outputs") is r.columns["reference_rates.q"]
     with pytest.raises(InputError, match="several"):
-        r.find_column("s", "outputs")
+        r.column_by_name("s", "outputs")
     with pytest.raises(InputError, match=r"not a column.*measured_rates\.p"):
-        r.find_column("lat", "inputs")
+        r.column_by_name("lat", "inputs")
 
 
 @pytest.mark.parametrize(

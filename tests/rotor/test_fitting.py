@@ -14,7 +14,6 @@ from mufly.rotor import (
     Corrections,
     RotorMeasurements,
     compute_polar,
-    fit_picture,
     fit_rotor,
     format_rotor_toml,
     load_rotor,
@@ -22,6 +21,7 @@ from mufly.rotor import (
     predict_interval,
     prepare_blading,
     replace_rotor,
+    rotor_fit_picture,
     solve_rotor,
     solve_rotor_batch,
 )
@@ -168,4 +168,4 @@ def test_a_tunnel_tells_the_angle_from_the_lift_and_what_hover_is():
     at = {"pitch_rad": 0.0, "speed_rad_s": speed}
     inside, outside = (predict_interval(found.rotor, climb_m_s=v, **at) for v in (5.0, 0.0))
     assert outside.thrust_share["method"][0] > inside.thrust_share["method"][0] == 0.0
-    assert fit_picture(found).axes[0].get_xlabel().startswith("Advance")
+    assert rotor_fit_picture(found).axes[0].get_xlabel().startswith("Advance")

@@ -13,7 +13,7 @@ from mufly.cli.aero import measure as measure_command
 from mufly.errors import InputError
 from mufly.rotor import (
     RotorMeasurements,
-    append_tunnel_points,
+    add_zero_load_points,
     effective_pitch_prior,
     fit_rotor,
     load_rotor,
@@ -146,16 +146,16 @@ def turned():
 def test_an_advance_ratio_without_thrust_finds_the_pitch(turned):
     rotor, bench, (zero_thrust, zero_torque) = turned
     without = fit_rotor(rotor, bench, section="known")
-    points = append_tunnel_points(bench, 0.06, zero_thrust=zero_thrust, zero_torque=zero_torque)
+    points = add_zero_load_points(bench, 0.06, zero_thrust=zero_thrust, zero_torque=zero_torque)
     assert points.thrust_N[2] == 0.0
     assert np.isnan(points.torque_Nm[2])
     found = fit_rotor(rotor, points, section="known")
     assert found.std[0] < 0.7 * without.std[0]
     assert found.change[0] == pytest.approx(-2.0 * DEG, abs=0.5 * DEG)
-    alone = append_tunnel_points(bench, 0.06, zero_thrust=zero_thrust).select_points(np.array([2]))
+    alone = add_zero_load_points(bench, 0.06, zero_thrust=zero_thrust).select_points(np.array([2]))
     assert fit_rotor(rotor, alone, section="known").change[0] == pytest.approx(-2.0 * DEG, abs=0.5 * DEG)
     with pytest.raises(InputError, match="zero thrust"):
-        append_tunnel_points(bench, 0.06, zero_thrust=-0.2)
+        add_zero_load_points(bench, 0.06, zero_thrust=-0.2)
 
 
 def test_copies_of_a_point_count_as_one(turned):

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 _MIN_LIKELIHOOD_GAIN = 2.71
-_MIN_DEGREES_OF_FREEDOM = 8  # degrees of freedom below which a pattern is not distinguishable from chance
+_MIN_PATTERN_DEGREES_OF_FREEDOM = 8  # degrees of freedom below which a pattern is not distinguishable from chance
 
 
 @result(eq=False)
@@ -106,7 +106,7 @@ def estimate_covariance(
     inverse = np.linalg.inv(jacobian.T @ jacobian)
     series, repeats = _group_rows(channel, run), _group_rows(channel, zeros if group is None else group)
     patterns: dict[str, list[Integers]] = {}
-    if n - p >= _MIN_DEGREES_OF_FREEDOM:
+    if n - p >= _MIN_PATTERN_DEGREES_OF_FREEDOM:
         patterns["drift"] = series
         if group is not None and len(repeats) < n:
             patterns["repeats"] = repeats

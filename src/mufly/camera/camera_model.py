@@ -88,7 +88,7 @@ class Mount(ParameterGroup):
         return self
 
 
-class Shutter(ParameterGroup):
+class ShutterTiming(ParameterGroup):
     exposure: Quantity = declare_parameter("s", "T_exp", "of each row", at_least=0, at_most=1)
     readout: Quantity = declare_parameter(
         "s", "T_roll", "readout time from the first row to the last; 0: global shutter", at_least=0, at_most=1
@@ -137,7 +137,7 @@ class Camera(ParameterGroup):
     sensor: Sensor
     lens: Lens
     mount: Mount
-    shutter: Shutter
+    shutter: ShutterTiming
     quality: ImageQuality
     radio: RadioLink
 

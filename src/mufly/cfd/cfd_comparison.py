@@ -61,7 +61,7 @@ def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
     """
     written = read_text_table(table)
     needed = [
-        written.find_column(name, "give columns pitch_deg, rpm, T_... and Q_...") for name in ("pitch_deg", "rpm")
+        written.column_by_name(name, "give columns pitch_deg, rpm, T_... and Q_...") for name in ("pitch_deg", "rpm")
     ]
     pitches, speeds = (written.read_numbers(k) for k in needed)
     loads = {k: written.read_numbers(i, optional=True) for i, k in enumerate(written.header) if k[:2] in ("T_", "Q_")}

@@ -412,7 +412,7 @@ def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceVerdict:
     point = _point_for_verdict(folder)
     loads = read_history(folder, patch=patch)
     flow = _read_function_rows(folder, "flows", "surfaceFieldValue.dat")
-    continuity = _last_continuity(folder / _LOG_FILE)
+    continuity = _recent_continuity(folder / _LOG_FILE)
     outflow = flow[max(flow)][0] if flow else math.nan
     return judge_loads(loads, outflow, continuity, point)
 
@@ -477,7 +477,7 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
     )  # fmt: skip
 
 
-def _last_continuity(log: Path) -> float:
+def _recent_continuity(log: Path) -> float:
     if not log.is_file():
         return math.nan
     # Single iterations jump by a factor of two or more; the window has about twenty iterations.

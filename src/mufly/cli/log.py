@@ -214,7 +214,13 @@ def plot(
     mufly log plot flight.ulg sensor_combined/gyro_rad[0] --from 10 --to 20;
     mufly log plot monday.mcap attitude --with tuesday.ulg --align take-off
     """  # fmt: skip
-    from mufly.logs import draw_channels, group_channels, read_channels, select_channels, select_fastest_fields
+    from mufly.logs import (
+        draw_channels,
+        group_channels,
+        read_channels,
+        select_channels,
+        select_fields_of_fastest_topics,
+    )
 
     if from_s is not None and to_s is not None and not from_s < to_s:
         raise InputError("--from", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
@@ -234,7 +240,7 @@ def plot(
     if names:
         wanted = select_channels(found, names, str(log), "; or write topic/field")
     else:
-        wanted = found or select_fastest_fields(raw)
+        wanted = found or select_fields_of_fastest_topics(raw)
     kept = []
     for channel in wanted:
         inside = (channel.time >= (from_s if from_s is not None else -1e300)) & (

@@ -152,7 +152,7 @@ def _is_number(kind: Any) -> bool:
     return isinstance(kind, LaneVector | types.Float | types.Integer | types.IntegerLiteral)
 
 
-def _declare_lane_function(function: Any, count: int, result: Any) -> None:
+def _declare_lane_overload(function: Any, count: int, result: Any) -> None:
     """Declare a function of ``count`` numbers for lanes, if one of them is lanes."""
 
     class Template(AbstractTemplate):
@@ -167,7 +167,7 @@ def _declare_lane_function(function: Any, count: int, result: Any) -> None:
 def _register_operation(functions: Iterable[Any], count: int, emit: Callable[..., Any], result: Any = VECTOR) -> None:
     """Make Python functions of ``count`` numbers known for lanes: ``emit`` writes their LLVM code."""
     for function in functions:
-        _declare_lane_function(function, count, result)
+        _declare_lane_overload(function, count, result)
 
         def lower_to_llvm(context: Any, builder: Any, made: Any, values: Any, emit: Any = emit) -> Any:
             return emit(builder, *values)

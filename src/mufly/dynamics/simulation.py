@@ -343,7 +343,7 @@ def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
     which differs from one by ``MAX_INFLOW_CHANGE`` at ``x = 0.19`` and ``y = 0.65``. (For muFly that is 0.8 and 2.6
     m/s; the thesis relies on its constant coefficients up to 0.5 m/s, Sec. 4.3.1.) A coefficient map covers climb and
     descent up to half of v_h, where the vortex ring state begins. A flight map covers edgewise flow up to its last
-    advance ratio. Blow-back limits the level speed as well (:func:`level_speed_band`): across the mast, the limit is
+    advance ratio. Blow-back limits the level speed, too (:func:`max_level_speed_band`): across the mast, the limit is
     at most the upper end of that band.
 
     Parameters
@@ -355,7 +355,7 @@ def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
     induced = math.sqrt(weight / (2.0 * float(vehicle.air.density) * area))
     more, less = 1.0 + MAX_INFLOW_CHANGE, (1.0 - MAX_INFLOW_CHANGE) ** 2
     along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else VORTEX_RING_RANGE[0]
-    flight_map, band = vehicle.rotors.flight_map, level_speed_band(vehicle)
+    flight_map, band = vehicle.rotors.flight_map, max_level_speed_band(vehicle)
     across = math.sqrt((1.0 - less**2) / less) * induced if flight_map is None else flight_map.velocity_limits_m_s[0]
     return induced, along * induced, min(across, math.inf if band is None else band[1])
 
@@ -365,7 +365,7 @@ def _load_builtin_maps() -> tuple[FlightMap, ...]:
     return tuple(load_flight_map(name) for name in builtin_flight_maps())
 
 
-def level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
+def max_level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
     """Return the greatest level airspeed (m/s) as a band over the flap frequency; None if it is not known.
 
     The band is part of the vehicle's flight map. Without a flight map, the band is that of the built-in map for the
@@ -387,7 +387,7 @@ def level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
 
 def describe_level_speed(vehicle: Vehicle) -> str:
     """Return the greatest level airspeed as a band, in words; "" if it is not known."""
-    band = level_speed_band(vehicle)
+    band = max_level_speed_band(vehicle)
     if band is None:
         return ""
     return f"level flight ends at {band[0]:.1f} to {band[1]:.1f} m/s (blow-back at full servo, by flap frequency)"

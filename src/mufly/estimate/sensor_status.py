@@ -200,7 +200,7 @@ def _make_status(k: int, row: Sequence[float], dt: float, tick: int, part: int) 
     )
 
 
-_INNOVATION_REASONS = (g.REASON_INNOVATION, g.REASON_RESET, g.REASON_FUSED_THOUGH_OFFSET)
+_INNOVATION_REASON_CODES = (g.REASON_INNOVATION, g.REASON_RESET, g.REASON_FUSED_THOUGH_OFFSET)
 
 
 def describe_reason(why: int, number: float, sensor: int, component: int = 0) -> str:
@@ -210,7 +210,7 @@ def describe_reason(why: int, number: float, sensor: int, component: int = 0) ->
     of a position fix to which ``number`` belongs: N, E, D (m) or the heading (rad).
     """
     in_unit = CHECKED[sensor].unit_components
-    if in_unit is not None and component >= in_unit and why in _INNOVATION_REASONS:
+    if in_unit is not None and component >= in_unit and why in _INNOVATION_REASON_CODES:
         return _REASON_TEXTS[why](math.degrees(number), "deg in heading")
     return _REASON_TEXTS[why](number, _reason_unit(sensor))
 

@@ -114,7 +114,7 @@ class TextTable:
         units = self.units or [""] * len(self.header)
         return [f"{name} ({unit})" if unit else name for name, unit in zip(self.header, units, strict=True)]
 
-    def find_column(self, name: str, remedy: str = "") -> int:
+    def column_by_name(self, name: str, remedy: str = "") -> int:
         """Return the index of a column; without ``remedy`` an error lists the existing columns.
 
         Raises
@@ -334,7 +334,7 @@ def count_cells(rows: Sequence[str], separator: str) -> list[int]:
     return [len(split_cells(row, separator)) for row in rows]
 
 
-def drop_surplus_cells(row: str, separator: str, width: int, wanted: int) -> str:
+def drop_empty_trailing_cells(row: str, separator: str, width: int, wanted: int) -> str:
     """Return a row without the trailing empty cells of some loggers."""
     while width > wanted and row.rstrip(" ").endswith(separator):
         row, width = row.rstrip(" ")[: -len(separator)], width - 1
@@ -547,7 +547,7 @@ def _drop_misfit_rows(table: TextTable, widths: list[int], short_rows: str) -> T
     """Return the table with rows as wide as the header, and notes on omitted rows."""
     wanted, separator, lines = len(table.header), table.separator, table.lines
     rows = [
-        drop_surplus_cells(s, separator, w, wanted) if w > wanted else s
+        drop_empty_trailing_cells(s, separator, w, wanted) if w > wanted else s
         for s, w in zip(table.rows, widths, strict=True)
     ]
     widths = [w if w <= wanted else n for w, n in zip(widths, count_cells(rows, separator), strict=True)]

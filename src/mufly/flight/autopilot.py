@@ -179,7 +179,9 @@ class Autopilot:
             return self._follow_exported_software(estimate)
         due = software.is_mission_step_due
         software.is_armed = self._armed
-        actuators = software.step(estimate, self._collect_command() if due or self._command.stop_reason else NO_COMMAND)
+        actuators = software.step(
+            estimate, self._collect_operator_command() if due or self._command.stop_reason else NO_COMMAND
+        )
         if estimate.auxiliary_states is not None:
             for text, level in self._sensors.step(
                 estimate.auxiliary_states.checks, self._period_s, self.excused_sensors()
@@ -245,7 +247,7 @@ class Autopilot:
         if due:
             self._check_after_step()
 
-    def _collect_command(self) -> Command:
+    def _collect_operator_command(self) -> Command:
         """Return the command for the mission logic: a single request, or repeated sticks or set-points."""
         c, self._command = self._command, NO_COMMAND
         if self._sticks is not None:

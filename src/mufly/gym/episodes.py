@@ -66,7 +66,7 @@ _Ints = NDArray[np.int64]
 
 _UNIFORMS_PER_EPISODE = 40  # drawn at the start of an episode
 _START_TILT_RAD, _START_SPEED_M_S, _START_RATE_rad_s = 0.15, 0.3, 0.3
-ERR_POSITION, ERR_HEADING, ERR_TILT, ERR_COUNT = 0, 3, 4, 6
+ESTIMATE_ERROR_POSITION, ESTIMATE_ERROR_HEADING, ESTIMATE_ERROR_TILT, ESTIMATE_ERROR_COUNT = 0, 3, 4, 6
 """Indices of the correlated errors of an estimate."""
 WHITE_NOISE_POSITION, WHITE_NOISE_VELOCITY, WHITE_NOISE_HEADING, WHITE_NOISE_RATES = 0, 1, 2, 3
 """Indices of the standard deviations of an estimate's white errors."""
@@ -193,7 +193,7 @@ def make_episodes(count: int) -> EpisodeArrays:
         distance=np.zeros(n),
         speed=np.zeros(n),
         change=np.zeros(n),
-        error=np.zeros((n, ERR_COUNT)),
+        error=np.zeros((n, ESTIMATE_ERROR_COUNT)),
         columns=np.zeros((n, OBSTACLE_COLUMN_COUNT, COLUMN_SIZE)),
         reached=zero_integers(),
     )
@@ -371,7 +371,12 @@ def observe_episodes(
     voltages (V), NaN for the true one.
     """
     row, boxes = np.empty(s.low.size), np.empty((0, 8))
-    error, velocity, rates, white = np.empty(3), np.empty(3), np.empty(3), np.empty(DRAWN_ERROR_DRIFT + ERR_COUNT)
+    error, velocity, rates, white = (
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(DRAWN_ERROR_DRIFT + ESTIMATE_ERROR_COUNT),
+    )
     for k in range(which.size):
         if not which[k]:
             continue
@@ -390,17 +395,17 @@ def observe_episodes(
             drift = e.error[k]
             for i in range(3):
                 error[i] -= (
-                    s.sigma[ERR_POSITION + i] * drift[ERR_POSITION + i]
+                    s.sigma[ESTIMATE_ERROR_POSITION + i] * drift[ESTIMATE_ERROR_POSITION + i]
                     + s.white[WHITE_NOISE_POSITION] * white[DRAWN_POSITION_NOISE + i]
                 )
                 velocity[i] += s.white[WHITE_NOISE_VELOCITY] * white[DRAWN_VELOCITY_NOISE + i]
                 rates[i] += s.white[WHITE_NOISE_RATES] * white[DRAWN_RATE_NOISE + i]
             noise = s.white[WHITE_NOISE_HEADING] * white[DRAWN_HEADING_NOISE]
-            turn_s, turn_c = sine_cosine(s.sigma[ERR_HEADING] * drift[ERR_HEADING] + noise)
+            turn_s, turn_c = sine_cosine(s.sigma[ESTIMATE_ERROR_HEADING] * drift[ESTIMATE_ERROR_HEADING] + noise)
             c, sn = c * turn_c - sn * turn_s, sn * turn_c + c * turn_s
-            down_x -= s.sigma[ERR_TILT + 1] * drift[ERR_TILT + 1]
-            down_y += s.sigma[ERR_TILT] * drift[ERR_TILT]
-            for i in range(ERR_COUNT):
+            down_x -= s.sigma[ESTIMATE_ERROR_TILT + 1] * drift[ESTIMATE_ERROR_TILT + 1]
+            down_y += s.sigma[ESTIMATE_ERROR_TILT] * drift[ESTIMATE_ERROR_TILT]
+            for i in range(ESTIMATE_ERROR_COUNT):
                 drift[i] = (
                     s.decay[i] * drift[i] + math.sqrt(1.0 - s.decay[i] * s.decay[i]) * white[DRAWN_ERROR_DRIFT + i]
                 )

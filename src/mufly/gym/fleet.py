@@ -100,7 +100,7 @@ def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> 
         try:
             drawn = vehicle
             for variation in variations:
-                drawn = replace_parameters(drawn, variation.parameter_values(variation.draw_variables(rng)))
+                drawn = replace_parameters(drawn, variation.parameter_values(variation.draw_normalised_variables(rng)))
             hover = find_trim(drawn, charge=TRIM_CHARGE)
             weak = find_trim(drawn, charge=MIN_START_CHARGE)
         except (InputError, MuflyError) as error:

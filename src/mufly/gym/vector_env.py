@@ -26,10 +26,10 @@ from mufly.dynamics.lane_equations import group_vehicles
 from mufly.errors import ArgumentError
 from mufly.flight.policy.observation import ACTION_SIZE, observation_limits
 from mufly.gym.episodes import (
-    ERR_COUNT,
-    ERR_HEADING,
-    ERR_POSITION,
-    ERR_TILT,
+    ESTIMATE_ERROR_COUNT,
+    ESTIMATE_ERROR_HEADING,
+    ESTIMATE_ERROR_POSITION,
+    ESTIMATE_ERROR_TILT,
     EpisodeArrays,
     EpisodeSettings,
     command_episodes,
@@ -142,7 +142,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         errors = (
             _error_process_parameters(nominal, period_s)
             if sensors == "noisy"
-            else (np.zeros(ERR_COUNT),) * 2 + (np.zeros(4),)
+            else (np.zeros(ESTIMATE_ERROR_COUNT),) * 2 + (np.zeros(4),)
         )
         delay_unit_s = self._step_s if self.units is None else starts.period_s
         self._settings = EpisodeSettings(
@@ -337,11 +337,11 @@ def _error_process_parameters(vehicle: Vehicle, period_s: float) -> tuple[_Array
         raise ArgumentError(
             "sensors", "", f"{vehicle.name} has no tables sensors.position_fix and sensors.imu", "use 'ideal' sensors"
         )
-    decay, sigma = np.ones(ERR_COUNT), np.zeros(ERR_COUNT)
-    decay[ERR_POSITION:ERR_TILT] = math.exp(-period_s / float(fix.wander_time))
-    sigma[ERR_POSITION:ERR_HEADING] = float(fix.wander)
-    sigma[ERR_HEADING] = float(fix.heading_wander)
-    sigma[ERR_TILT:] = float(imu.level)
+    decay, sigma = np.ones(ESTIMATE_ERROR_COUNT), np.zeros(ESTIMATE_ERROR_COUNT)
+    decay[ESTIMATE_ERROR_POSITION:ESTIMATE_ERROR_TILT] = math.exp(-period_s / float(fix.wander_time))
+    sigma[ESTIMATE_ERROR_POSITION:ESTIMATE_ERROR_HEADING] = float(fix.wander)
+    sigma[ESTIMATE_ERROR_HEADING] = float(fix.heading_wander)
+    sigma[ESTIMATE_ERROR_TILT:] = float(imu.level)
     white = np.array([
         float(fix.noise), float(fix.noise) / float(fix.period), float(fix.heading_noise),
         float(imu.gyro_noise) / math.sqrt(2.0 * period_s),

@@ -114,7 +114,7 @@ def prediction_picture(record: RecordPrediction) -> Figure:
     return figure
 
 
-def fit_picture(found: FitResult | IdentificationDemo | LinearResult) -> Figure:
+def rotor_fit_picture(found: FitResult | IdentificationDemo | LinearResult) -> Figure:
     """Draw the prediction of a held-out record, else of a fitted record, else the correlation of the estimates."""
     fit = found if isinstance(found, FitResult) else found.fit
     shown = (*fit.records_with_role("held out"), *fit.records)

@@ -150,7 +150,7 @@ class RecordPrediction:
 
 @result(
     eq=False,
-    picture="mufly.identify.fit_pictures:fit_picture",
+    picture="mufly.identify.fit_pictures:rotor_fit_picture",
     json="vehicle method converged message parameters=estimates correlation undetermined held records cost "
     "simulations seconds",
 )

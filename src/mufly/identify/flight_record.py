@@ -373,7 +373,7 @@ class UniformLogTable:
         """Sample time (s)."""
         return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
 
-    def find_column(self, name: str, argument: str) -> Array:
+    def column_by_name(self, name: str, argument: str) -> Array:
         """Return a column by its name, the end of its name where that is unique, or its symbol (``ax``, ``phi``).
 
         Raises
@@ -384,7 +384,7 @@ class UniformLogTable:
         return self.columns[self.full_column_name(name, argument)]
 
     def full_column_name(self, name: str, argument: str) -> str:
-        """Return the full name of the column that :meth:`find_column` returns."""
+        """Return the full name of the column that :meth:`column_by_name` returns."""
         if name in self.columns:
             return name
         ends = [c for c in self.columns if c.endswith(f".{name}")]

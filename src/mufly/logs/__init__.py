@@ -26,7 +26,7 @@ from mufly.logs.log_report import (
     examine_log,
     group_channels,
     read_channels,
-    select_fastest_fields,
+    select_fields_of_fastest_topics,
 )
 from mufly.logs.mcap import (
     FlightEvent,
@@ -105,7 +105,7 @@ __all__ = [
     "resample_signal",
     "rows_to_dataset",
     "select_channels",
-    "select_fastest_fields",
+    "select_fields_of_fastest_topics",
     "select_usable_samples",
     "to_csv",
     "write_log",

@@ -187,7 +187,7 @@ def _format_number(value: float, digits: int = 3) -> str:
     return "" if value != value else f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
 
 
-def select_fastest_fields(raw: RawLog) -> list[Channel]:
+def select_fields_of_fastest_topics(raw: RawLog) -> list[Channel]:
     """Return the first numeric fields of the fastest topics, for the display of a log without a column map."""
     out = []
     for table in sorted(raw.values(), key=lambda t: -len(t.time))[:6]:

@@ -23,15 +23,15 @@ from mufly.rotor.measured.bench_comparison import (
     calibrate_blading,
     compare_measurements,
 )
-from mufly.rotor.measured.rotor_fit import RotorFit, append_tunnel_points, fit_rotor
+from mufly.rotor.measured.rotor_fit import RotorFit, add_zero_load_points, fit_rotor
 from mufly.rotor.measured.uncertainty import InputUncertainty, PredictionInterval, predict_interval
 from mufly.rotor.rotor_pictures import (
     blade_picture,
     field_picture,
-    fit_picture,
     history_picture,
     map_picture,
     plane_velocity,
+    rotor_fit_picture,
     rotor_loads_picture,
     spanwise_picture,
     wake_picture,
@@ -97,7 +97,7 @@ __all__ = [
     "SolverMethod",
     "SystemSolution",
     "VortexRingWarning",
-    "append_tunnel_points",
+    "add_zero_load_points",
     "blade_picture",
     "blade_stations",
     "blade_thickness_m",
@@ -114,7 +114,6 @@ __all__ = [
     "effective_pitch_prior",
     "extrapolation_flags",
     "field_picture",
-    "fit_picture",
     "fit_rotor",
     "format_rotor_toml",
     "history_picture",
@@ -130,6 +129,7 @@ __all__ = [
     "prepare_blading",
     "read_blade",
     "replace_rotor",
+    "rotor_fit_picture",
     "rotor_from_tables",
     "rotor_loads_picture",
     "solve_elastic_rotor",

@@ -113,7 +113,7 @@ def spanwise_picture(result: RotorResult) -> Figure:
     return figure
 
 
-def fit_picture(found: RotorFit) -> Figure:
+def rotor_fit_picture(found: RotorFit) -> Figure:
     """Draw measured loads, the prediction before the fit, and the fit with its 90 % interval over rotor speed.
 
     Each pitch setting has a colour. Tunnel runs are drawn over the advance ratio, with a colour for each pitch and

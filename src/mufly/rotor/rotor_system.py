@@ -453,7 +453,7 @@ class RotorWake:
         Bound circulation of the panels.
     free_point_count : int
         Number of free points of a filament, counted from the trailing edge.
-    chords_per_step : int
+    segments_per_free_step : int
         Number of segments of ``filament_paths_m`` between free points.
     """
 
@@ -465,7 +465,7 @@ class RotorWake:
     core_radius_m: Array
     bound_circulation_m2_s: Array
     free_point_count: int
-    chords_per_step: int = 1
+    segments_per_free_step: int = 1
 
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:result_picture")

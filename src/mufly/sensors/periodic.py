@@ -21,7 +21,7 @@ from mufly.sensors.rng import draw_normals, make_random_source
 _Array = NDArray[np.float64]
 
 # Indices of a clock: time of the next measurement, earliest time of the next sample, period (s)
-CLOCK_NEXT_MEASUREMENT, CLOCK_NEXT_SAMPLE, CLOCK_PERIOD = range(3)
+CLOCK_NEXT_MEASUREMENT, CLOCK_NEXT_SAMPLE, CLOCK_PERIOD_INDEX = range(3)
 # Indices of the counts: pending measurements, published samples
 PENDING_COUNT, PUBLISHED_COUNT = range(2)
 # Columns of a row: time of publishing, time of measurement (s), validity; the values follow
@@ -40,8 +40,8 @@ def advance_if_due(t: float, clock: _Array) -> bool:
     """
     if t < clock[CLOCK_NEXT_MEASUREMENT] - _TIME_TOLERANCE_S:
         return False
-    late = t - clock[CLOCK_NEXT_MEASUREMENT] > clock[CLOCK_PERIOD]
-    clock[CLOCK_NEXT_MEASUREMENT] = (t if late else clock[CLOCK_NEXT_MEASUREMENT]) + clock[CLOCK_PERIOD]
+    late = t - clock[CLOCK_NEXT_MEASUREMENT] > clock[CLOCK_PERIOD_INDEX]
+    clock[CLOCK_NEXT_MEASUREMENT] = (t if late else clock[CLOCK_NEXT_MEASUREMENT]) + clock[CLOCK_PERIOD_INDEX]
     return True
 
 

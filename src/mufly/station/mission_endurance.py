@@ -128,7 +128,7 @@ def _compute_timing(
     return compute_mission_timing(mission), came_from, ", ".join([*words, *left_out])
 
 
-def mission_with_limits(parameters: Mapping[str, TunableParameter], base: Mission | None = None) -> Mission:
+def mission_of_vehicle_limits(parameters: Mapping[str, TunableParameter], base: Mission | None = None) -> Mission:
     """Return a mission without waypoints, with the limits known from a vehicle's parameters or a mission file."""
     told = tuple(limits_from_parameters(parameters).items())
     return _apply_limits(base or Mission(), told, _avoidance_from_parameters(parameters))

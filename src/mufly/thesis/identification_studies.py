@@ -55,7 +55,7 @@ BENCH_METHODS = {
     "motor.friction": "motor",
     "motor.resistance": "motor",
 }
-_PARAMETERS_IDENTIFIED_IN_FLIGHT = {"rotors.lower.drive_inertia", "rotors.upper.drive_inertia"}
+_GROUND_PARAMETERS_REFITTED_IN_FLIGHT = {"rotors.lower.drive_inertia", "rotors.upper.drive_inertia"}
 
 
 def _draw_table(
@@ -82,9 +82,11 @@ def study_ground_parameters(progress: ProgressCallback | None = None) -> StudyFi
     rows = {p.key: p for p in list_parameters(load_vehicle("mufly-1.1"))}
     said = {k: rows[k].source for k in GROUND_METHODS}
     other = [
-        k for k, method in GROUND_METHODS.items() if said[k] != method and k not in _PARAMETERS_IDENTIFIED_IN_FLIGHT
+        k
+        for k, method in GROUND_METHODS.items()
+        if said[k] != method and k not in _GROUND_PARAMETERS_REFITTED_IN_FLIGHT
     ]
-    later = [k for k in _PARAMETERS_IDENTIFIED_IN_FLIGHT if said[k] == "identified"]
+    later = [k for k in _GROUND_PARAMETERS_REFITTED_IN_FLIGHT if said[k] == "identified"]
     same = len(GROUND_METHODS) - len(other) - len(later)
     verdicts = [
         judge(

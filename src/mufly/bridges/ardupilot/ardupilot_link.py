@@ -37,7 +37,7 @@ ARDUPILOT_ENDPOINT = Endpoint("udpin", "127.0.0.1", 9002)
 """Address where ArduPilot sends to its simulator."""
 ARDUPILOT_RATE_HZ = 400.0
 """Rate of the simulation: the loop rate of ArduPilot's copters."""
-ROLL_CHANNEL, PITCH_CHANNEL, ROLL_MIRROR, PITCH_MIRROR, UPPER_CHANNEL, LOWER_CHANNEL = range(6)
+ROLL_OUTPUT, PITCH_OUTPUT, ROLL_MIRROR_OUTPUT, PITCH_MIRROR_OUTPUT, UPPER_OUTPUT, LOWER_OUTPUT = range(6)
 """Outputs of ArduPilot's CoaxCopter; the fifth one is the motor that yaws right."""
 _CHANNELS_BY_MAGIC = {18458: 16, 29569: 32}
 _SERVO_HEAD_STRUCT = struct.Struct("<HHI")
@@ -71,14 +71,14 @@ class ServoPacket:
     def inputs(self) -> NDArray[np.float64]:
         """Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1)."""
         p = self.pulse_us
-        motors = (p[[UPPER_CHANNEL, LOWER_CHANNEL]] - _MIN_PULSE_US) / (2.0 * _PULSE_HALF_RANGE_US)
-        roll, pitch = (p[[ROLL_CHANNEL, PITCH_CHANNEL]] - _PULSE_CENTRE_US) / _PULSE_HALF_RANGE_US
+        motors = (p[[UPPER_OUTPUT, LOWER_OUTPUT]] - _MIN_PULSE_US) / (2.0 * _PULSE_HALF_RANGE_US)
+        roll, pitch = (p[[ROLL_OUTPUT, PITCH_OUTPUT]] - _PULSE_CENTRE_US) / _PULSE_HALF_RANGE_US
         return np.array([*motors, -pitch, roll])
 
     @property
     def is_started(self) -> bool:
         """Whether ArduPilot drives its outputs; while it starts they are zero."""
-        return bool(np.all(self.pulse_us[: LOWER_CHANNEL + 1] > 0.0))
+        return bool(np.all(self.pulse_us[: LOWER_OUTPUT + 1] > 0.0))
 
 
 def read_servo_packet(data: bytes) -> ServoPacket | None:
@@ -227,7 +227,7 @@ def describe_wrong_channels(packet: ServoPacket) -> str:
     """Return why outputs are not those of a CoaxCopter; "" if they can be."""
     if not packet.is_started:
         return ""
-    pairs = ((ROLL_CHANNEL, ROLL_MIRROR), (PITCH_CHANNEL, PITCH_MIRROR))
+    pairs = ((ROLL_OUTPUT, ROLL_MIRROR_OUTPUT), (PITCH_OUTPUT, PITCH_MIRROR_OUTPUT))
     if any(
         abs(float(packet.pulse_us[[a, b]].sum()) - 2.0 * _PULSE_CENTRE_US) > 2.0 * _MIRROR_TOLERANCE_US
         for a, b in pairs

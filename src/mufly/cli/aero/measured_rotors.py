@@ -160,7 +160,7 @@ def fit(
     import numpy as np
 
     from mufly.errors import InputError
-    from mufly.rotor import append_tunnel_points, fit_picture, fit_rotor, format_rotor_toml, load_rotor
+    from mufly.rotor import add_zero_load_points, fit_rotor, format_rotor_toml, load_rotor, rotor_fit_picture
     from mufly.rotor.measured.rotor_fit import FIT_PARAMETERS
 
     if out is not None and out.suffix != ".toml":
@@ -170,7 +170,7 @@ def fit(
     air = bench.air
     if point is not None:
         bench = bench.select_points(np.array([_point_index("--point", point, bench)]))
-    bench = append_tunnel_points(bench, r.radius_m, zero_thrust=zero_thrust, zero_torque=zero_torque)
+    bench = add_zero_load_points(bench, r.radius_m, zero_thrust=zero_thrust, zero_torque=zero_torque)
     with progress_bar("sections", not as_json) as progress:
         found = fit_rotor(
             r, bench, section=section, family=family, air=air, n_crit=polars.n_crit, engine=polars.engine,
@@ -179,7 +179,7 @@ def fit(
     files = []
     if out is not None:
         write_text_file(out, format_rotor_toml(found.rotor))
-        files = [out, save_figure(fit_picture(found), out.parent, out.stem)]
+        files = [out, save_figure(rotor_fit_picture(found), out.parent, out.stem)]
     if as_json:
         content = {
             "rotor": r.name, "measurements": bench.source, "names": FIT_PARAMETERS,

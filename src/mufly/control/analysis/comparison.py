@@ -320,7 +320,7 @@ def compare_methods(
         c = design_flight_controller(vehicle, settings=chosen)
         linear = linearise_vehicle(vehicle, voltage=c.voltage_V)
         if plants is None:
-            plants = roll_pitch_over_speed(vehicle, speeds_m_s, c.voltage_V)
+            plants = roll_pitch_plants_by_speed(vehicle, speeds_m_s, c.voltage_V)
         bounds = recall_mu_bounds(vehicle, c, points, None if folder is None else folder / f"mu-{method}.json")
         rows.append(
             MethodFigures(
@@ -339,7 +339,7 @@ def compare_methods(
     return recommend_method(vehicle.name, rate, rows), controllers
 
 
-def roll_pitch_over_speed(
+def roll_pitch_plants_by_speed(
     vehicle: Vehicle, speeds_m_s: Sequence[float], voltage: float
 ) -> dict[float, control.StateSpace]:
     """Return the plants of roll-pitch by forward speed; speeds without steady flight are left out."""

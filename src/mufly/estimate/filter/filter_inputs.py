@@ -61,8 +61,8 @@ from mufly.estimate.filter.measurements.sensor_checks import (
     STATUS_MISSING,
     STATUS_REJECTED,
     VERDICT_MODEL_WRONG,
-    battery_voltage_consistent,
-    rotor_speed_consistent,
+    check_battery_voltage,
+    check_rotor_speed,
     set_fault,
 )
 from mufly.estimate.filter.output_predictor import FORCE_MEAN_TICKS
@@ -199,14 +199,14 @@ def sample_inputs(
             m.rotor_state[MODEL_SPEED_UPPER + k] += s.dt * m.motor_accel_bias[k]
         if new[READING_ROTOR_SPEED] == 1:
             a = READING_STARTS[READING_ROTOR_SPEED]
-            if rotor_speed_consistent(m, s, z, a):
+            if check_rotor_speed(m, s, z, a):
                 for k in range(2):
                     off = z[a + k] - m.rotor_state[MODEL_SPEED_UPPER + k]
                     m.rotor_state[MODEL_SPEED_UPPER + k] += s.rotor_speed_gain * off
                     m.motor_accel_bias[k] += s.motor_error_gain * off
         if new[READING_BATTERY] == 1:
             off = z[READING_STARTS[READING_BATTERY]] - predict_terminal_voltage(m, p)
-            if battery_voltage_consistent(m, s, off):
+            if check_battery_voltage(m, s, off):
                 fast = 0.2 if m.tick * s.dt < 1.0 else 0.02
                 m.rotor_state[MODEL_CHARGE] = min(max(m.rotor_state[MODEL_CHARGE] + fast * off, 0.0), 1.0)
     rises = _update_flight_phase(m, s, z)

@@ -200,7 +200,7 @@ class CompiledFlight:
         c.last_due_tick, c.current_A, c.next_python_sample_s = -1, flight.current_A, math.inf
         self._acting[1], self._acting[2] = flight.acting_actuators.input_array, flight.sent_actuators.input_array
         self._mission_state, ran = str(self._software.state), self._software.motors != "off"
-        p, run = self._make_arrays(wind)
+        p, run = self._assemble_loop(wind)
         self._reported_periods = 0
         while True:
             why = run(p)
@@ -224,7 +224,7 @@ class CompiledFlight:
         self._synchronise_simulation(why, wind, ran)
         return True
 
-    def _make_arrays(self, wind: _Array) -> tuple[Any, Any]:
+    def _assemble_loop(self, wind: _Array) -> tuple[Any, Any]:
         """Return the arrays that the loop works on, and the loop."""
         plant = self._flight.plant
         on_plant = PlantArrays(
@@ -233,7 +233,9 @@ class CompiledFlight:
         )  # fmt: skip
         if self._filter is not None:
             self._clock.filter_periods = self._filter.period_count
-            sensors = SensorArrays(self._imu.sampling_arguments(self._flight.period_s), *self._assign_sensors())
+            sensors = SensorArrays(
+                self._imu.sampling_arguments(self._flight.period_s), *self._assign_sensors_by_fault()
+            )
             return FittedPeriods(
                 self._clock, on_plant, self._software_arrays, self._filter.ranges, self._log_rows, sensors,
                 self._filter_arrays, self._status_rows, self._listener_rows,
@@ -278,7 +280,7 @@ class CompiledFlight:
         if filtered.reading_times[READING_RANGE_RING] != scanned_s:
             self._board.write_ranges(filtered.ranges)
 
-    def _assign_sensors(self) -> Any:
+    def _assign_sensors_by_fault(self) -> Any:
         """Assign sensors without an active fault to the loop, the others to Python; return the sampling table."""
         flight, filtered = self._flight, self._filter
         assert filtered is not None
@@ -324,7 +326,7 @@ class CompiledFlight:
             together(true, estimated, covariances, rows[:, LISTENER_VALID] != 0.0)
             return
         for row in rows:
-            self._publish_status_up_to(int(row[LISTENER_STATUS_ROW]))
+            self._publish_status_of_row(int(row[LISTENER_STATUS_ROW]))
             tick = int(row[LISTENER_TICK])
             truth = Truth(
                 tick / rate,
@@ -348,7 +350,7 @@ class CompiledFlight:
                 ),
             )
 
-    def _publish_status_up_to(self, rows: int) -> None:
+    def _publish_status_of_row(self, rows: int) -> None:
         """Publish the filter's status up to a row, if not yet published."""
         if rows > self._published_row:
             assert self._filter is not None
@@ -394,7 +396,7 @@ class CompiledFlight:
         if filtered is not None:
             self._call_listener()
             self._report_status(periods, str(software.state))
-            self._publish_status_up_to(int(c.status_rows))
+            self._publish_status_of_row(int(c.status_rows))
         self._record_rows(0, rows - last)
         if filtered is not None or whole:
             readings, estimate = self._read_sensors_and_estimate(truth)

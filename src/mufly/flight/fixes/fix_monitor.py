@@ -64,13 +64,18 @@ less than :data:`_SMALL_MOTION_RATIO` times as far, both are larger by a factor.
 fault leaves; number of fixes that confirm a fault."""
 _MAX_HEADING_DIFFERENCE_RAD, _HEADING_DRIFT_TIME_S = math.radians(20.0), 30.0
 """Largest difference of heading and integrated gyroscopes (rad), and time constant of their slow drift (s)."""
-_MAX_TRIED_DELAY_S, _MIN_REPORTED_DELAY_S, _HEADING_WINDOW_S, _MIN_HEADING_LAG_RAD = 0.8, 0.12, 3.0, math.radians(2.5)
-_TRIED_DELAYS_S = np.arange(0.0, _MAX_TRIED_DELAY_S, 0.04)
+_MAX_TRIED_HEADING_DELAY_S, _MIN_REPORTED_DELAY_S, _HEADING_WINDOW_S, _MIN_HEADING_LAG_RAD = (
+    0.8,
+    0.12,
+    3.0,
+    math.radians(2.5),
+)
+_TRIED_HEADING_DELAYS_S = np.arange(0.0, _MAX_TRIED_HEADING_DELAY_S, 0.04)
 """Fit of the heading's delay: largest delay tried, least delay reported, window (s), and least rms difference from the
 gyroscopes (rad)."""
 _WITHHOLD_HEADING_CHANGE_RAD = math.radians(3.0)
 """Change of the heading against the gyroscopes within a second from which fixes are withheld (rad)."""
-_LONG_FIT_STEP_S, _LONG_FIT_MEMORY_S, _LONG_FIT_CORRELATED_FIXES, _LONG_FIT_REPORT_SIGMAS = 2.5, 60.0, 30.0, 3.5
+_LONG_FIT_WINDOW_STEP_S, _LONG_FIT_MEMORY_S, _LONG_FIT_CORRELATED_FIXES, _LONG_FIT_REPORT_SIGMAS = 2.5, 60.0, 30.0, 3.5
 """Long fit: step between windows and memory (s), number of fixes with correlated errors, deviations until a report."""
 _LONG_FIT_MIN_RMS_RATIO = 0.15  # least rms residual of the long fit, over the usual drift
 _LONG_FIT_MIN_SCALE_ERROR, _LONG_FIT_MAX_TURN_RAD = 0.2, math.radians(20.0)
@@ -391,11 +396,11 @@ class FixMonitor:
             self._headings.popleft()
         t, y, own = (np.array(c) for c in zip(*self._headings, strict=True))
         self.heading_fit = (0.0, 0.0, 0.0)
-        if len(t) >= _MIN_FIT_FIX_COUNT and t[-1] - t[0] > _MIN_FIT_SPAN_S + _MAX_TRIED_DELAY_S:
-            used = (t > t[0] + _MAX_TRIED_DELAY_S) & (t > t[-1] - _HEADING_WINDOW_S)
-            rms = [float(np.std(y[used] - np.interp(t[used] - d, t, own))) for d in _TRIED_DELAYS_S]
+        if len(t) >= _MIN_FIT_FIX_COUNT and t[-1] - t[0] > _MIN_FIT_SPAN_S + _MAX_TRIED_HEADING_DELAY_S:
+            used = (t > t[0] + _MAX_TRIED_HEADING_DELAY_S) & (t > t[-1] - _HEADING_WINDOW_S)
+            rms = [float(np.std(y[used] - np.interp(t[used] - d, t, own))) for d in _TRIED_HEADING_DELAYS_S]
             best = int(np.argmin(rms))
-            self.heading_fit = rms[0], rms[best], float(_TRIED_DELAYS_S[best])
+            self.heading_fit = rms[0], rms[best], float(_TRIED_HEADING_DELAYS_S[best])
 
     def _judge_heading(self) -> str:
         """Return the fault of a source whose heading lags behind the gyroscopes."""
@@ -422,7 +427,7 @@ class FixMonitor:
         if (size := float(np.vdot(b, b).real)) > len(t) * _MIN_TURN_EFFECT**2:
             mirror_y = y - b.conj() * (np.vdot(b.conj(), y) / size)
             y, a, v = (c - b * (np.vdot(b, c) / size) for c in (y, a, v))
-        if t[-1] > self._long_s + _LONG_FIT_STEP_S and span > 0.9 * PATH_WINDOW_S:
+        if t[-1] > self._long_s + _LONG_FIT_WINDOW_STEP_S and span > 0.9 * PATH_WINDOW_S:
             self._long_s = float(t[-1])
             self._add_window(y, a)
         off = y - a
@@ -440,7 +445,7 @@ class FixMonitor:
 
     def _add_window(self, y: NDArray[np.complexfloating], a: NDArray[np.complexfloating]) -> None:
         """Add a window to the long fit y = m a, and update the standard deviation of m."""
-        self._long_sums *= math.exp(-_LONG_FIT_STEP_S / _LONG_FIT_MEMORY_S)
+        self._long_sums *= math.exp(-_LONG_FIT_WINDOW_STEP_S / _LONG_FIT_MEMORY_S)
         self._long_sums += [np.vdot(a, a), np.vdot(a, y), np.vdot(y, y), len(a)]
         square, product, total, count = self._long_sums
         m = complex(product / square)

@@ -312,7 +312,9 @@ class Campaign:
         rng = np.random.default_rng([self.seed, index])
         seed, towards = int(rng.integers(2**53)), rng.uniform(-1.0, 1.0)
         for refused in range(MAX_VEHICLE_DRAWS):
-            case = self._make_case(index, seed, towards, [v.draw_variables(rng) for v in self.variations], refused)
+            case = self._make_case(
+                index, seed, towards, [v.draw_normalised_variables(rng) for v in self.variations], refused
+            )
             try:
                 self.make_vehicle(case)
             except InputError as error:

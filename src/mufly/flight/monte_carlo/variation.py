@@ -76,7 +76,7 @@ class ParameterVariation:
         """Return the parameters (SI) at ``z`` (m,)."""
         return dict(zip(self.keys, (self.nominal_values + self.spread_matrix @ z).tolist(), strict=True))
 
-    def draw_variables(self, rng: np.random.Generator) -> _Array:
+    def draw_normalised_variables(self, rng: np.random.Generator) -> _Array:
         """Return a random ``z`` (m,)."""
         return (
             rng.uniform(-1.0, 1.0, self.variable_count)

@@ -234,7 +234,7 @@ DEMO_FREE_SYMBOLS = (
 _START_VALUE_ERROR_SHARE = 0.5
 
 
-@result(eq=False, picture="mufly.identify.fit_pictures:fit_picture")
+@result(eq=False, picture="mufly.identify.fit_pictures:rotor_fit_picture")
 class IdentificationDemo:
     """Fit of the demonstration with the true parameters.
 

@@ -140,7 +140,7 @@ def _diagonal_covariances(variances: _Array) -> _Array:
     return out.reshape(n, k * k)
 
 
-def _make_odometry(prefix: str) -> Callable[[Blocks, RangeLimits], Columns]:
+def _make_odometry_encoder(prefix: str) -> Callable[[Blocks, RangeLimits], Columns]:
     def encode(blocks: Blocks, _: RangeLimits) -> Columns:
         position = blocks[f"{prefix}_position"]
         velocity, attitude, rates = (
@@ -315,7 +315,7 @@ _ODOMETRY_TYPE, _SCAN_TYPE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan
 _TRANSFORMS_TYPE = "tf2_msgs/msg/TFMessage"
 ROS_TOPICS: tuple[RosTopic, ...] = (
     *(
-        RosTopic(name, _ODOMETRY_TYPE, f"{prefix}_position", _make_odometry(prefix), prefix=prefix)
+        RosTopic(name, _ODOMETRY_TYPE, f"{prefix}_position", _make_odometry_encoder(prefix), prefix=prefix)
         for name, prefix in (("/odom", "estimated"), ("/measured/odom", "measured"), ("/ground_truth/odom", "truth"))
     ),
     RosTopic("/tf", _TRANSFORMS_TYPE, "estimated_position", _make_transform("estimated")),

@@ -237,7 +237,7 @@ def _read_station_table(
         return scale * written.read_numbers(index, optional=optional)
 
     r, chord, twist = scaled_column("radius"), scaled_column("chord"), scaled_column("twist")
-    _check_columns(where, {q: headers[k] for q, (k, _) in known.items()}, known, r, chord, twist, radius_m)
+    _check_column_units(where, {q: headers[k] for q, (k, _) in known.items()}, known, r, chord, twist, radius_m)
     thick = None
     if "thickness" in known:
         index, factor = known["thickness"]
@@ -256,7 +256,7 @@ def _read_station_table(
     return _StationTable(r, chord, twist, foils, thick, radius_m or float(r.max(initial=0.0)), None)
 
 
-def _check_columns(
+def _check_column_units(
     where: str, header: dict[str, str], known: dict[str, tuple[int, float]], r: Array, chord: Array, twist: Array,
     radius_m: float | None,
 ) -> None:  # fmt: skip

@@ -519,11 +519,11 @@ def _turn_blade_to_x(corners: Array) -> tuple[Array, float]:
     points = corners.reshape(-1, 3)
     size, angle = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
     tips = size > 0.99 * size.max()
-    if np.any(tips & (np.abs(angle) < _MAX_TIP_SWEEP_RAD)):
+    if np.any(tips & (np.abs(angle) < _MAX_ASSUMED_TIP_SWEEP_RAD)):
         return corners, 0.0
     first = angle[np.argmax(size)]
     apart = (angle - first + math.pi) % (2.0 * math.pi) - math.pi
-    blade = (size > 0.7 * size.max()) & (np.abs(apart) < _MAX_TIP_SWEEP_RAD)
+    blade = (size > 0.7 * size.max()) & (np.abs(apart) < _MAX_ASSUMED_TIP_SWEEP_RAD)
     turn = -float(first + 0.5 * (apart[blade].min() + apart[blade].max()))
     near = _turn_about_shaft(corners, turn)
     radii = float(near[:, :, 0].max()) * np.linspace(0.35, 0.95, 13)
@@ -557,7 +557,7 @@ def _drop_hub_slices(slices: list[BladeSlice], step_m: float) -> list[BladeSlice
     return slices
 
 
-_MAX_TIP_SWEEP_RAD = math.radians(20.0)
+_MAX_ASSUMED_TIP_SWEEP_RAD = math.radians(20.0)
 _MAX_BLADE_CHORD_JUMP_SHARE, _MAX_BLADE_TWIST_JUMP_RAD = (
     0.2,
     math.radians(8.0),

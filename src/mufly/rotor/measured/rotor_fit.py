@@ -17,7 +17,7 @@ T_s, Q_s are the measured T_m, Q_m in hover. In axial flight, where thrust vanis
 0.3 of the greatest measured load, scaled by the square of the rotor speed, because the error of a balance is a fraction
 of its range. Tunnel runs separate angle and lift, because induced velocity is small where thrust vanishes: the advance
 ratio without thrust gives the pitch, the one without torque (windmilling) pitch and drag together. A single point of
-either kind is used (:func:`append_tunnel_points`); T_s and Q_s are then shares of the predicted loads in hover.
+either kind is used (:func:`add_zero_load_points`); T_s and Q_s are then shares of the predicted loads in hover.
 
 Points at the same pitch, speed and airspeed repeat one error of the method: m copies count as one point together.
 
@@ -72,7 +72,7 @@ _MIN_CANDIDATE_PROBABILITY = 0.01  # candidates below this probability are left 
 _UNINFORMED_STD_RATIO, _HIGH_CORRELATION = 0.8, 0.9
 
 
-@result(eq=False, picture="mufly.rotor.rotor_pictures:fit_picture")
+@result(eq=False, picture="mufly.rotor.rotor_pictures:rotor_fit_picture")
 class RotorFit:
     """Result of a fit to a bench run.
 
@@ -294,7 +294,7 @@ def _value_range(values: Array) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def append_tunnel_points(
+def add_zero_load_points(
     measurements: RotorMeasurements,
     radius_m: float,
     *,

@@ -131,7 +131,7 @@ def initialise_wakes(units: Sequence[RotorState], start: SystemSolution | None, 
             and (known.free_point_count == unit.free_ages_rad.size)
         ):
             free = known.filament_paths_m[
-                :, 1 : 2 + known.chords_per_step * (known.free_point_count - 1) : known.chords_per_step
+                :, 1 : 2 + known.segments_per_free_step * (known.free_point_count - 1) : known.segments_per_free_step
             ].copy()
             free[..., 1] *= unit.placed.rotation_sign
             free[..., 2] -= known.placed.height_m
@@ -377,7 +377,7 @@ class RotorState:
 
             self.induce_function, self.pack_segments = induce_velocity_gpu, tuple
         self.free_ages_rad = free_wake_ages(settings.turns, math.radians(settings.step_deg))
-        self.chords_per_step = max(round(settings.step_deg / settings.chord_deg), 1)
+        self.segments_per_free_step = max(round(settings.step_deg / settings.chord_deg), 1)
         self.free_points_m = np.empty((n + 1, self.free_ages_rad.size, 3))
         ground = math.inf if settings.ground_m is None else settings.ground_m
         self.ground_z_m = -(ground + placed.height_m)
@@ -441,13 +441,13 @@ class RotorState:
             self.free_ages_rad,
             settings.far_turns,
             math.radians(settings.far_step_deg),
-            self.chords_per_step,
+            self.segments_per_free_step,
         )
         self.filament_paths_m = self.lift_above_ground(self.filament_paths_m)
         # The same with coarse chords, on radii that give their polygons the area of the arcs.
-        end = 1 + self.chords_per_step * (self.free_ages_rad.size - 1)
+        end = 1 + self.segments_per_free_step * (self.free_ages_rad.size - 1)
         far = np.unique(np.append(np.arange(end, self.filament_ages_rad.size, 2), self.filament_ages_rad.size - 1))
-        piece = (self.free_ages_rad[1] - self.free_ages_rad[0]) / self.chords_per_step
+        piece = (self.free_ages_rad[1] - self.free_ages_rad[0]) / self.segments_per_free_step
         skip = max(round(_COARSE_CHORD_RAD / piece), 1)
         kept = np.concatenate([[0], np.arange(1, end, skip), far])
         self.coarse_paths_m = self.filament_paths_m[:, kept]
@@ -621,5 +621,5 @@ def make_rotor_wake(unit: RotorState) -> RotorWake:
         core_radius_m=unit.core_radius_m,
         bound_circulation_m2_s=unit.blade_state.circulation_m2_s,
         free_point_count=unit.free_ages_rad.size,
-        chords_per_step=unit.chords_per_step,
+        segments_per_free_step=unit.segments_per_free_step,
     )

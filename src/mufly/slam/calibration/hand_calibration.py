@@ -82,7 +82,12 @@ TILT = slice(20, 22)
 SHARED_SIZE, SEGMENT_SIZE = 22, 7
 """Unknowns of the whole recording (tilt has two), and of a segment: velocity, logarithm of the height, rotation."""
 _VELOCITY, _LOG_HEIGHT, _TURN_ERROR = slice(0, 3), 3, slice(4, 7)
-_VELOCITY_STEP, _FLOOR_STEP, _HEIGHT_ERROR, _ROTATION_ERROR = slice(0, 3), 3, 4, slice(5, 8)  # columns of residuals
+_VELOCITY_STEP_COLUMNS, _FLOOR_STEP_COLUMN, _HEIGHT_ERROR_COLUMN, _ROTATION_ERROR_COLUMNS = (
+    slice(0, 3),
+    3,
+    4,
+    slice(5, 8),
+)  # columns of residuals
 _SHARED_PRIOR_SIGMA = np.array(
     [0.5, 8.0, 8.0, 0.03, 3.0, 3.0, 3.0, 0.3, *[0.2] * 3, *[0.03] * 3, *[0.3] * 3, *[0.1] * 3, 0.5, 0.5]
 )
@@ -396,10 +401,10 @@ class _CalibrationProblem:
         step = (v[1:] - v[:-1] - speed[1:] + speed[:-1]) / self._velocity_sigma
         moved = (v[:-1] * dt[:-1] + way[1:] - way[:-1] - speed[:-1] * dt[:-1])[:, 2]
         floor = moved + lever_d[1:] + height[1:] - lever_d[:-1] - height[:-1]
-        out[:-1, _VELOCITY_STEP] = step * self.is_next_linked[:, None]
-        out[:-1, _FLOOR_STEP] = floor / _FLOOR_STEP_M * self.is_next_linked
-        out[:, _HEIGHT_ERROR] = (height + lever_d - self.heights_m) / self.height_sigma_m
-        out[:, _ROTATION_ERROR] = segment_states[:, _TURN_ERROR] / self._rotation_sigma
+        out[:-1, _VELOCITY_STEP_COLUMNS] = step * self.is_next_linked[:, None]
+        out[:-1, _FLOOR_STEP_COLUMN] = floor / _FLOOR_STEP_M * self.is_next_linked
+        out[:, _HEIGHT_ERROR_COLUMN] = (height + lever_d - self.heights_m) / self.height_sigma_m
+        out[:, _ROTATION_ERROR_COLUMNS] = segment_states[:, _TURN_ERROR] / self._rotation_sigma
         return out
 
     @property

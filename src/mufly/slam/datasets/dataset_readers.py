@@ -376,7 +376,7 @@ TELEMETRY_COLUMNS = (
 )  # fmt: skip
 _ROLL, _PITCH, _HEIGHT, _TILT_SIGMA, _HEIGHT_SIGMA = 1, 2, 3, 9, 10  # columns of telemetry
 _RATES, _ROTOR_SPEEDS, _ROTOR_PHASES = slice(4, 7), slice(7, 9), slice(11, 13)
-_MOTION_VELOCITY, _MOTION_VELOCITY_SIGMA, _MOTION_PLACE = slice(0, 3), 3, slice(4, 7)  # columns of a motion
+_MOTION_VELOCITY, _MOTION_VELOCITY_SIGMA, _MOTION_PLACE_COLUMNS = slice(0, 3), 3, slice(4, 7)  # columns of a motion
 _MOTION_HEADING, _MOTION_PLACE_SIGMA, _MOTION_HEADING_SIGMA = 6, 7, 8
 PHASE_COLUMNS = ("rotor_upper_rad", "rotor_lower_rad")
 """Optional columns of the telemetry; phases are continuous."""
@@ -422,7 +422,7 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
                 one,
                 velocity=m[_MOTION_VELOCITY],
                 velocity_sigma=m[_MOTION_VELOCITY_SIGMA],
-                place=m[_MOTION_PLACE],
+                place=m[_MOTION_PLACE_COLUMNS],
                 place_sigma=(m[_MOTION_PLACE_SIGMA], m[_MOTION_HEADING_SIGMA]),
             )
             for one, m in zip(infos, c, strict=True)

@@ -62,7 +62,7 @@ from mufly.slam.images.patch_information import measure_patches, remove_backgrou
 
 _Array = NDArray[np.float64]
 _MOTION_HIGH_PASS_S, _FIT_MEMORY_S, _GROSS_FIT_MEMORY_S, _VELOCITY_DECAY_S = 0.4, 6.0, 1.2, 4.0
-_MIN_FAULT_SIGMAS, _MIN_FAULT_FRAMES, _MIN_GROSS_FRAMES = 5.0, 40, 12
+_MIN_FAULT_SIGMAS, _MIN_FAULT_FRAMES, _MIN_GROSS_FIT_FRAMES = 5.0, 40, 12
 _MIN_TURN_ERROR_RAD, _MIN_FOCAL_ERROR_SHARE, _MIN_DELAY_ERROR_S = math.radians(7.0), 0.1, 0.03
 """Least errors of turn, focal length (share) and delay that are reported."""
 _MIN_PLAUSIBLE_FOCAL_SCALE = (
@@ -421,7 +421,7 @@ class MotionFit:
         self._square, self.weight = keep * self._square + w * abs(off) ** 2, keep * self.weight + w
         self._lagged = keep * self._lagged + w * (off * self._last_off.conjugate()).real
         self._last_off = off
-        if self.weight < _MIN_GROSS_FRAMES:
+        if self.weight < _MIN_GROSS_FIT_FRAMES:
             return
         inverse = np.linalg.inv(self._normal + 1e-6 * np.eye(3))
         self.estimate = inverse @ self._right

@@ -213,7 +213,7 @@ def _predict_by_command(command: str, case: RotorCase, limit_s: float) -> RotorP
             return _failed_prediction(case, f"ended with status {done.returncode}: {last}")
         try:
             answer = read_text_table(folder / "answer.csv")
-            found = [answer.read_numbers(answer.find_column(n), optional=True) for n in ("thrust_N", "torque_Nm")]
+            found = [answer.read_numbers(answer.column_by_name(n), optional=True) for n in ("thrust_N", "torque_Nm")]
             return _check_prediction(np.array(found), words[0], case)
         except MuflyError as error:
             return _failed_prediction(case, str(error).replace(f"{folder}/", ""))

@@ -240,7 +240,7 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
     """Load the 17 propellers of the UIUC data set, volume 2; blades begin at 0.15 R."""
     home = folder / "uiuc_micro"
     index = read_text_table(home / "index.csv")
-    columns = [index.read_texts(index.find_column(n)) for n in ("name", "diameter_m", "blades", "geometry")]
+    columns = [index.read_texts(index.column_by_name(n)) for n in ("name", "diameter_m", "blades", "geometry")]
     out = []
     for name, diameter, blades, geometry in zip(*columns, strict=True):
         radius = float(diameter) / 2

@@ -429,7 +429,7 @@ def _fuse_drifting_aid(
 
 
 @cached_njit(error_model="numpy")
-def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
+def fuse_pressure(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse the pressure minus the standard pressure and minus the part that the rotors cause."""
     variance = s.pressure_variance * m.noise_scale[AID_PRESSURE]
     h_row_begin(m, ERROR_POSITION + 2, s.pressure_height_slope)
@@ -485,7 +485,7 @@ def fuse_measurement(m: FilterMemory, s: FilterSettings, i: int, r: _Array, cost
     elif kind == READING_RANGE_RING:
         return bool(fuse_wall_ranges(m, s, z, ahead, r, cost))
     elif kind == READING_PRESSURE:
-        fuse_pressure_height(m, s, z, ahead)
+        fuse_pressure(m, s, z, ahead)
     else:
         fuse_magnetic_heading(m, s, z, ahead, r)
     return True

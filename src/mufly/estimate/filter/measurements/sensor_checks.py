@@ -351,7 +351,7 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
 
 
 @cached_njit(error_model="numpy")
-def rotor_speed_consistent(m: FilterMemory, s: FilterSettings, z: _Array, start: int) -> bool:
+def check_rotor_speed(m: FilterMemory, s: FilterSettings, z: _Array, start: int) -> bool:
     """Return whether measured rotor speeds agree with the motor equations.
 
     The filter estimates the error of these equations, including a slow sensor drift, within a second. In flight the
@@ -380,7 +380,7 @@ def rotor_speed_consistent(m: FilterMemory, s: FilterSettings, z: _Array, start:
 
 
 @cached_njit(error_model="numpy")
-def battery_voltage_consistent(m: FilterMemory, s: FilterSettings, off: float) -> bool:
+def check_battery_voltage(m: FilterMemory, s: FilterSettings, off: float) -> bool:
     """Return whether the measured voltage agrees with the battery's model.
 
     Without rotor speeds the model's current is unknown, and a difference is no fault."""

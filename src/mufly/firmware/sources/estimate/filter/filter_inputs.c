@@ -72,7 +72,7 @@ static void update_rotor_model(estimator_t *m, const estimator_settings_t *s, co
     if (fresh[READING_ROTOR_SPEED] == 1) {
         const real_t *speed = &z[READING_STARTS[READING_ROTOR_SPEED]];
 
-        if (rotor_speed_consistent(m, s, speed)) {
+        if (check_rotor_speed(m, s, speed)) {
             for (int32_t k = 0; k < 2; k++) {
                 const real_t off = speed[k] - m->rotor_state[MODEL_SPEED_UPPER + k];
 
@@ -88,7 +88,7 @@ static void update_rotor_model(estimator_t *m, const estimator_settings_t *s, co
 
         battery_state(m->rotor_state, m->actuators[0], m->actuators[1], p, &voltage, &current);
         off = z[READING_STARTS[READING_BATTERY]] - voltage;
-        if (battery_voltage_consistent(m, s, off)) {
+        if (check_battery_voltage(m, s, off)) {
             const real_t fast = (((real_t)m->tick * s->dt) < REAL(1.0)) ? REAL(0.2) : REAL(0.02);
 
             m->rotor_state[MODEL_CHARGE] =

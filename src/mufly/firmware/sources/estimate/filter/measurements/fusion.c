@@ -343,7 +343,7 @@ static void fuse_drifting_aid(estimator_t *m, const estimator_settings_t *s, int
 }
 
 /* Fuse the pressure less the standard one and less the rotors' part. */
-static void fuse_pressure_height(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
+static void fuse_pressure(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
 {
     const real_t variance = s->pressure_variance * m->noise_scale[AID_PRESSURE];
     real_t nu;
@@ -422,7 +422,7 @@ bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, 
         all = fuse_wall_ranges(m, s, z, ahead, cost);
         break;
     case READING_PRESSURE:
-        fuse_pressure_height(m, s, z, ahead);
+        fuse_pressure(m, s, z, ahead);
         break;
     default:
         fuse_magnetic_heading(m, s, z, ahead);

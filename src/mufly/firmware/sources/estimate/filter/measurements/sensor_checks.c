@@ -289,7 +289,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
     }
 }
 
-bool rotor_speed_consistent(estimator_t *m, const estimator_settings_t *s, const real_t speed[2])
+bool check_rotor_speed(estimator_t *m, const estimator_settings_t *s, const real_t speed[2])
 {
     const real_t flown = (real_t)(m->tick - m->grounded_tick) * s->dt;
     real_t *mean = m->motor_accel_mean; /* mean error of the motor equations */
@@ -323,7 +323,7 @@ bool rotor_speed_consistent(estimator_t *m, const estimator_settings_t *s, const
     return !(led || off);
 }
 
-bool battery_voltage_consistent(estimator_t *m, const estimator_settings_t *s, real_t off)
+bool check_battery_voltage(estimator_t *m, const estimator_settings_t *s, real_t off)
 {
     bool believed = true;
 

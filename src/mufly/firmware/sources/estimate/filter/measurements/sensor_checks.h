@@ -23,9 +23,9 @@ void reset_on_divergence(estimator_t *m, const estimator_settings_t *s);
 void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool flying);
 
 /* Return whether measured rotor speeds agree with the motors' equations. */
-bool rotor_speed_consistent(estimator_t *m, const estimator_settings_t *s, const real_t speed[2]);
+bool check_rotor_speed(estimator_t *m, const estimator_settings_t *s, const real_t speed[2]);
 /* Return whether the measured voltage agrees with the battery's model. */
-bool battery_voltage_consistent(estimator_t *m, const estimator_settings_t *s, real_t off);
+bool check_battery_voltage(estimator_t *m, const estimator_settings_t *s, real_t off);
 /* Compare the mean of accelerometers less model over 0.4 s with its expected deviation. */
 void check_accel_model(estimator_t *m, const estimator_settings_t *s, const real_t r[9], real_t height, real_t nu,
                        real_t variance, real_t known, int32_t i);
