@@ -56,7 +56,7 @@ class Device:
         self.lib.block_log_start(self.log)
         self.messages, self.begun = [], False
 
-    def step(self, k, every=4) -> None:
+    def step(self, k, every=4, may_work=True) -> None:
         """Run a period; every fourth a message is appended: its number, as a ULog message."""
         if not self.begun:
             self.begun = self.lib.block_log_append(self.log, HEADER, len(HEADER), True)
@@ -65,7 +65,7 @@ class Device:
             message = (ROW_BYTES - 3).to_bytes(2, "little") + b"D" + count.to_bytes(4, "little") + bytes(ROW_BYTES - 7)
             if self.lib.block_log_append(self.log, message, ROW_BYTES, True):
                 self.messages.append((k, message))
-        self.lib.block_log_step(self.log)
+        self.lib.block_log_step(self.log, may_work)
 
     def run(self, periods, **options) -> int:
         """Run until the power is cut; return the period of the cut."""
@@ -196,6 +196,14 @@ def test_a_device_that_refuses_or_is_silent_fails_in_two_seconds(library) -> Non
             device.run(2 * RATE + 120)
             assert (device.log.state, device.log.faults) == (device.lib.BLOCK_LOG_FAILED, FAILED)
             assert not device.lib.block_log_append(device.log, b"x", 1, True)
+    # Two seconds also where every fifth period appends a row and does not touch the device.
+    device = Device(library)
+    device.start()
+    device.run(500)
+    device.model.is_silent = True
+    for k in range(2 * RATE + 20):
+        device.step(k, may_work=k % 5 != 0)
+    assert device.log.state == device.lib.BLOCK_LOG_FAILED
     device = Device(library, 8)
     device.start()
     device.run(300)

@@ -266,28 +266,35 @@ static void begin_operation(block_log_t *l)
     }
 }
 
-void block_log_step(block_log_t *l)
+static void work_on_device(block_log_t *l)
+{
+    if (l->operation == (int32_t)SUMS) {
+        begin_write(l);
+    } else if (l->operation != (int32_t)IDLE) {
+        const int32_t now = hal_block_poll();
+
+        if (now != (int32_t)BLOCK_BUSY) {
+            conclude_operation(l, now == (int32_t)BLOCK_DONE);
+        } else if (l->waited > (PATIENCE_S * mufly_rate_Hz)) {
+            fail(l);
+        } else {
+            /* wait */
+        }
+    } else {
+        /* idle */
+    }
+    if ((l->operation == (int32_t)IDLE) && (l->state != (int32_t)BLOCK_LOG_FAILED)) {
+        begin_operation(l);
+    }
+}
+
+void block_log_step(block_log_t *l, bool may_work)
 {
     if ((l->state != (int32_t)BLOCK_LOG_ABSENT) && (l->state != (int32_t)BLOCK_LOG_FAILED)) {
         l->since_flush++;
-        if (l->operation == (int32_t)SUMS) {
-            begin_write(l);
-        } else if (l->operation != (int32_t)IDLE) {
-            const int32_t now = hal_block_poll();
-
-            l->waited++;
-            if (now != (int32_t)BLOCK_BUSY) {
-                conclude_operation(l, now == (int32_t)BLOCK_DONE);
-            } else if (l->waited > (PATIENCE_S * mufly_rate_Hz)) {
-                fail(l);
-            } else {
-                /* wait */
-            }
-        } else {
-            /* idle */
-        }
-        if ((l->operation == (int32_t)IDLE) && (l->state != (int32_t)BLOCK_LOG_FAILED)) {
-            begin_operation(l);
+        l->waited++;
+        if (may_work) {
+            work_on_device(l);
         }
     }
 }

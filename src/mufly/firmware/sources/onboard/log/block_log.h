@@ -58,7 +58,7 @@ bool block_log_append(block_log_t *l, const uint8_t bytes[], int32_t count, bool
 /* Free bytes of the buffers. */
 int32_t block_log_room(const block_log_t *l);
 
-/* End the present operation of the device, if it is over, and begin another. Call once a period. */
-void block_log_step(block_log_t *l);
+/* Count a period; if it may work on the device, end the present operation, if it is over, and begin another. Call once a period. */
+void block_log_step(block_log_t *l, bool may_work);
 
 #endif

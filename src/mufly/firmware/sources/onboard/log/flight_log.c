@@ -188,7 +188,5 @@ void flight_log_step(flight_log_t *g, const flight_log_vehicle_t *v)
         }
         g->periods_to_row--;
     }
-    if (!appended) { /* a period either appends or works on the device, to bound its length */
-        block_log_step(&g->device);
-    }
+    block_log_step(&g->device, !appended); /* a period either appends or works on the device, to bound its length */
 }
