@@ -14,6 +14,8 @@ from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import standing_attitude, standing_height
 from mufly.errors import InputError
 from mufly.estimate import ERROR_STATES, AuxiliaryStates, Estimate, Estimator, KalmanEstimator, SensorStatus
+from mufly.estimate.filter.measurements.sensor_checks import REASON_DUPLICATED, STATUS_WAITING
+from mufly.estimate.sensor_status import _make_status
 from mufly.flight import Flight, fly_mission, read_recording, replace_estimates, replay_estimator
 from mufly.flight.estimator_health import (
     FAULT_REPORT_DELAY_S,
@@ -279,6 +281,15 @@ def test_what_is_said_of_sensors_comes_soon_and_once() -> None:
     said = [text for _ in range(100) for text, _ in watch.step(odd, 0.005)]
     assert said == ["gyroscope is used despite a fault: has spikes"]
     assert not watch.has_nothing_to_report(odd)
+
+
+def test_a_fault_is_reported_of_a_ring_that_sees_no_wall() -> None:
+    row = (STATUS_WAITING, REASON_DUPLICATED, 0.0, 0.0, 1.0, 0, 100)
+    check = _make_status(CHECKED_READINGS.index("ranges"), row, 0.005, 100, 0)
+    assert (check.status, check.is_suspicious) == ("waiting", True)
+    watch = SensorEventReporter()
+    said = [text for _ in range(100) for text, _ in watch.step((check,), 0.005)]
+    assert said == ["laser ring has a fault: every reading arrives twice; duplicates are ignored"]
 
 
 def test_smoothing_lets_motion_through_and_spreads_corrections() -> None:

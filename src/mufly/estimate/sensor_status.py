@@ -37,7 +37,7 @@ class SensorStatus:
     reason : str
         Explanation of the status; empty without a problem.
     is_suspicious : bool
-        Whether a fused sensor has a problem, which ``reason`` explains.
+        Whether a fused or waiting sensor has a problem, which ``reason`` explains.
     """
 
     name: str
@@ -129,7 +129,7 @@ REASON_COUNT = len(_REASON_TEXTS)
 SUSPICIOUS_REASONS = (
     g.REASON_DUPLICATED, g.REASON_SPIKES, g.REASON_JUMP, g.REASON_FUSED_THOUGH_OFFSET, g.REASON_MODEL_WRONG,
 )  # fmt: skip
-"""Reasons that mark a fused sensor as suspicious. Clipping is usual and only reduces the weight."""
+"""Reasons that mark a fused or waiting sensor as suspicious. Clipping is usual and only reduces the weight."""
 
 
 class LazySensorStatuses(Sequence[SensorStatus]):
@@ -196,7 +196,7 @@ def _make_status(k: int, row: Sequence[float], dt: float, tick: int, part: int) 
         nu / spread if spread > 0.0 else 0.0,
         (tick - int(used)) * dt,
         describe_reason(int(why), number, k, part),
-        code == g.STATUS_FUSED and int(why) in SUSPICIOUS_REASONS,
+        code in (g.STATUS_FUSED, g.STATUS_WAITING) and int(why) in SUSPICIOUS_REASONS,
     )
 
 

@@ -133,7 +133,7 @@ def describe_check(check: SensorStatus, checks: Sequence[SensorStatus] = ()) -> 
         return f"{describe_sensor(check.name)}{joint}{others}: {check.reason}"
     state = {"missing": "is missing", "rejected": "is rejected", "faulty": "is faulty"}
     if check.is_suspicious:
-        state["fused"] = "is used despite a fault"
+        state |= {"fused": "is used despite a fault", "waiting": "has a fault"}
     return f"{describe_sensor(check.name)} {state.get(check.status, check.status)}" + (
         f": {check.reason}" if check.reason else ""
     )
