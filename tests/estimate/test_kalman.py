@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mufly.control import design_flight_controller
 from mufly.estimate import Estimate, SensorStatus
-from mufly.estimate.filter.filter_records import AID_PRESSURE, ERROR_ATTITUDE, READING_POSITION_FIX
+from mufly.estimate.filter.filter_records import AID_POSITION, AID_PRESSURE, ERROR_ATTITUDE, READING_POSITION_FIX
 from mufly.estimate.filter.measurements import sensor_checks as g
 from mufly.estimate.kalman_estimator import KalmanEstimator
 from mufly.estimate.nees import Consistency, measure_consistency
@@ -495,3 +495,13 @@ def test_a_reason_names_the_unit_of_its_number() -> None:
     )
     assert describe_reason(g.REASON_INNOVATION, 0.4, READING_POSITION_FIX, 1) == "differs from the estimate by 0.4 m"
     assert describe_reason(g.REASON_FROZEN, 0.5, READING_POSITION_FIX, 3) == "value frozen for 0.50 s"
+
+
+def test_the_noise_of_the_fix_is_told_beside_that_of_the_file() -> None:
+    estimator = KalmanEstimator(load_vehicle("mufly-1.1"), World(), 200.0)
+    assert "position 0.5 cm (0.5)" in estimator.describe_noise()
+    estimator.memory["noise_scale"][AID_POSITION] = 4.0
+    estimator.memory["bias_walk_scale"][AID_POSITION] = 2.25
+    text = estimator.describe_noise()
+    assert "position 1 cm (0.5)" in text
+    assert text.endswith("drift over the file's: position 1.5, heading 1")

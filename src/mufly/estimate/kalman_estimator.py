@@ -13,6 +13,11 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import model_parameters
 from mufly.estimate.estimator import Estimate, Estimator
 from mufly.estimate.filter.filter_records import (
+    AID_HEADING,
+    AID_MAGNETIC,
+    AID_POSITION,
+    AID_PRESSURE,
+    AID_SONAR,
     ERROR_ACCEL_BIAS,
     ERROR_FIX_BIAS,
     ERROR_FIX_HEADING,
@@ -29,8 +34,10 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_WIND,
     READING_ACCELERATION,
     READING_BATTERY,
+    READING_MAGNETIC_FIELD,
     READING_OFFSETS,
     READING_POSITION_FIX,
+    READING_PRESSURE,
     READING_RANGE_RING,
     READING_SONAR,
     READING_STARTS,
@@ -54,6 +61,14 @@ _VOLTAGE_START = READING_STARTS[READING_BATTERY]
 _ACCELERATION_SLICE = slice(READING_STARTS[READING_ACCELERATION], READING_STARTS[READING_ACCELERATION] + 3)
 MAX_MISSED_PERIODS = 10
 """Lost periods that the filter makes up at once; a board's watchdog allows no more (50 ms at 200 Hz)."""
+_AIDS = (
+    (AID_POSITION, "position", READING_POSITION_FIX, "fix_variance", 100.0, "cm"),
+    (AID_HEADING, "heading", READING_POSITION_FIX, "heading_variance", math.degrees(1.0), "deg"),
+    (AID_SONAR, "sonar", READING_SONAR, "sonar_variance", 100.0, "cm"),
+    (AID_PRESSURE, "pressure", READING_PRESSURE, "pressure_variance", 1.0, "Pa s^0.5"),
+    (AID_MAGNETIC, "magnetic heading", READING_MAGNETIC_FIELD, "mag_heading_variance", math.degrees(1.0), "deg"),
+)
+"""Aids whose noise is estimated: index, name, reading, setting of the variance, factor to the shown unit, unit."""
 PUBLISHED_FIELDS = (
     "covariance_output", "sigma_output", "status", "reason", "reason_number", "innovation", "innovation_sigma",
     "last_fused_tick", "last_new_tick", "fault_component", "tick",
@@ -158,9 +173,7 @@ class KalmanEstimator(Estimator):
     def set_settings(self, settings: Any) -> None:
         """Replace the settings (:func:`mufly.estimate.filter.filter_records.filter_settings`) and reset."""
         self._settings = settings
-        self._vehicle_noise = {
-            name: np.array(settings[name]) for name in ("fix_variance", "heading_variance", "initial_sigma")
-        }
+        self._vehicle_noise = {name: np.array(settings[name]) for name in ("initial_sigma", *(aid[3] for aid in _AIDS))}
         self.backend = make_backend(
             settings,
             self._parameters,
@@ -194,6 +207,22 @@ class KalmanEstimator(Estimator):
             self.process_missed_periods(missed)
         valid = self.backend.step_filter(self._memory_array)
         return self.read_estimate(readings.time_s, valid)
+
+    def describe_noise(self) -> str:
+        """Return the noise of each aid as the filter estimates it at present, with the vehicle file's in brackets.
+
+        Noise is a standard deviation. The drift of the position fix is a ratio to the file's.
+        """
+        m, used = self.memory, self.backend.settings
+        parts, drifts = [], []
+        for aid, name, reading, field, scale, unit in _AIDS:
+            if not self._settings["is_fitted"][reading]:
+                continue
+            estimated = scale * math.sqrt(float(used[field]) * float(m["noise_scale"][aid]))
+            parts.append(f"{name} {estimated:.2g} {unit} ({scale * math.sqrt(float(self._vehicle_noise[field])):.2g})")
+            if aid in (AID_POSITION, AID_HEADING):
+                drifts.append(f"{name} {math.sqrt(float(m['bias_walk_scale'][aid])):.2g}")
+        return ", ".join(parts) + (f"; drift over the file's: {', '.join(drifts)}" if drifts else "")
 
     def process_missed_periods(self, count: int) -> None:
         """Advance by lost periods, each with the inertial readings and actuator inputs of the first period after them.

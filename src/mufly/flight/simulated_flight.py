@@ -501,6 +501,8 @@ class Flight:
         self._close_position_sources()
         if outcome is None:
             outcome, reason = self.judge_outcome()
+        if isinstance(self.estimator, KalmanEstimator):
+            attributes["estimated_noise"] = self.estimator.describe_noise()
         self.recorder.set_outcome(outcome, reason, mission_flown=self._mission_flown, **attributes)
         self.recorder.close()
 

@@ -110,6 +110,7 @@ class FlightSummary:
     realtime_factor: float | None
     realtime_factor_least: float | None
     slips: int | None
+    estimated_noise: str
     outside_model: str
     events: tuple[tuple[float, str, str], ...]
 
@@ -216,6 +217,7 @@ def summarise_flight(
         realtime_factor=realtime_factor,
         realtime_factor_least=dataset.attrs.get("realtime_factor_least"),
         slips=dataset.attrs.get("slips"),
+        estimated_noise=str(dataset.attrs.get("estimated_noise", "")),
         outside_model=str(dataset.attrs.get("outside_model", "")) or _describe_model_excess(dataset, airborne),
         events=tuple((float(e[0]), str(e[1]), str(e[2])) for e in events),
     )
@@ -456,8 +458,8 @@ def summary_rows(summary: FlightSummary) -> list[tuple[str, str]]:
         ("Real-time factor", summary.realtime_factor, _format_realtime_factor(summary)),
     ]
     rows = [(label, form.format(value)) for label, value, form in lines if value is not None]
-    beyond = [("Beyond the model", summary.outside_model)] if summary.outside_model else []
-    return [("Outcome", outcome), *rows, *beyond]
+    notes = (("Noise in flight (vehicle file)", summary.estimated_noise), ("Beyond the model", summary.outside_model))
+    return [("Outcome", outcome), *rows, *(note for note in notes if note[1])]
 
 
 def _format_realtime_factor(summary: FlightSummary) -> str:
