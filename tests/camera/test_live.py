@@ -105,7 +105,7 @@ def test_what_cannot_be_opened_is_one_line(server: StreamServer) -> None:
     for place, why in (
         (server.url + "s", "the server answers 404"),
         ("http://127.0.0.1:9/stream", "refused"),
-        (server.url.removesuffix("stream"), "sends text/html, no stream of JPEGs"),
+        (server.url.removesuffix("stream"), "sends text/html, which is not a stream of JPEGs"),
     ):
         with pytest.raises(InputError, match=why):
             LivePictures(place, CAMERA)

@@ -113,7 +113,7 @@ def test_streams_of_other_servers() -> None:
         assert len(cut) < 5
     assert parse_boundary('multipart/x-mixed-replace; boundary="--b"', "") == b"--b"
     assert parse_boundary("multipart/x-mixed-replace;boundary=b", "") == b"--b"
-    with pytest.raises(InputError, match="sends text/html, no stream"):
+    with pytest.raises(InputError, match="sends text/html, which is not a stream"):
         parse_boundary("text/html; charset=utf-8", "http://x")
 
 

@@ -53,7 +53,7 @@ def test_a_schedule_is_judged_by_its_diagonal(vehicle: Vehicle) -> None:
     assert "one design at the first speed is sufficient for all" in found.verdict
     assert "no flight map" in found.verdict
     wide = replace(ltr, disk_margin=np.array([[1.0, 0.5], [0.4, 0.9]]))
-    assert wide.gain == pytest.approx(0.4)
+    assert wide.disk_margin_gain == pytest.approx(0.4)
     judged = ScheduleComparison("vehicle", True, (ltr, wide))
     assert "gains at most 0.40 of disk margin (LQG/LTR): worthwhile." in judged.verdict
 

@@ -365,7 +365,7 @@ def test_command_writes_and_checks_a_unit(tmp_path: Path) -> None:
     assert zipfile.is_zipfile(tmp_path / "m.fmu")
     for arguments, message in (
         (["--out", "m.zip"], "does not end in .fmu"),
-        (["--out", "m.fmu", "--sources-only", "--check"], "needs a library"),
+        (["--out", "m.fmu", "--sources-only", "--check"], "needs the compiled library"),
         (["--out", str(tmp_path / "none" / "m.fmu")], "its folder does not exist"),
     ):
         refused = CliRunner().invoke(app, ["vehicle", "export", "mufly-1.1", *arguments])

@@ -207,7 +207,7 @@ def test_a_third_rotor_far_below_meets_both_streams_and_leaves_the_pair_alone():
     )
     assert_allclose([r.thrust_N for r in three.rotors[:2]], [r.thrust_N for r in two.rotors], rtol=1e-4)
     assert three.lower.thrust_N < two.lower.thrust_N
-    with pytest.raises(InputError, match="no trim"):
+    with pytest.raises(InputError, match="cannot be trimmed"):
         solve_system(
             RotorSystem((case,) * 3, (0.0, -0.02, -50.0), (1, -1, 1), (0,) * 3),
             OperatingCondition(PITCH, None, 1.0),

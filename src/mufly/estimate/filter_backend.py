@@ -46,7 +46,7 @@ from mufly.estimate.filter.measurements import (
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "03f0cb4167c7db10"
+VERIFIED_STAMP = "c7cc6aee0dddff75"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (

@@ -394,8 +394,7 @@ def _decide_levelling(m: FilterMemory, s: FilterSettings) -> None:
     tilt = s.initial_sigma[ERROR_ACCEL_BIAS] / GRAVITY
     q = x * x + y * y
     explained = s.rest_tilt_sigma * s.rest_tilt_sigma + tilt * tilt
-    # Variance of an axis beyond that of lean and bias
-    m.mount_variance[0] = m.mount_variance[1] = max(0.5 * q - explained, 0.0)
+    m.mount_variance[0] = m.mount_variance[1] = 0.5 * q  # the tilt may be a bias, a lean or the unit's
     if q > LEVELLING_GATE_SIGMAS * LEVELLING_GATE_SIGMAS * explained and d > 0.875:
         half = math.sqrt(0.5 * d + 0.5)
         turn = np.array((half, 0.5 * x / half, 0.5 * y / half, 0.0))

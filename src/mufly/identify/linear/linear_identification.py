@@ -328,7 +328,7 @@ def _filter_and_decimate(
     step = 1 if rate_hz is None else max(1, round(1.0 / (rate_hz * dt)))
     if step > 1 and (lowpass_hz is None or lowpass_hz > 0.45 / (dt * step)):
         problem = f"{1.0 / (dt * step):g} Hz would alias higher frequencies"
-        raise ArgumentError("rate_hz", "", problem, "give lowpass_hz below 0.45 times this rate")
+        raise ArgumentError("rate_hz", "", problem, "give lowpass_hz=HZ, below 0.45 times this rate")
     return u[::step], y[::step], dt * step
 
 

@@ -358,10 +358,9 @@ static void decide_levelling(estimator_t *m, const estimator_settings_t *s)
     const real_t tilt = s->initial_sigma[ERROR_ACCEL_BIAS] / GRAVITY;
     const real_t q = (x * x) + (y * y);
     const real_t explained = (s->rest_tilt_sigma * s->rest_tilt_sigma) + (tilt * tilt);
-    const real_t excess = real_max((REAL(0.5) * q) - explained, REAL(0.0));
 
-    m->mount_variance[0] = excess;
-    m->mount_variance[1] = excess;
+    m->mount_variance[0] = REAL(0.5) * q; /* the tilt may be a bias, a lean or the unit's */
+    m->mount_variance[1] = m->mount_variance[0];
     if ((q > ((LEVELLING_GATE_SIGMAS * LEVELLING_GATE_SIGMAS) * explained)) && (d > REAL(0.875))) {
         const real_t half = real_sqrt((REAL(0.5) * d) + REAL(0.5));
         const real_t turn[4] = {half, (REAL(0.5) * x) / half, (REAL(0.5) * y) / half, REAL(0.0)};
