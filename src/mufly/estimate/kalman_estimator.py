@@ -14,10 +14,8 @@ from mufly.dynamics import model_parameters
 from mufly.estimate.estimator import Estimate, Estimator
 from mufly.estimate.filter.filter_records import (
     AID_HEADING,
-    AID_MAGNETIC,
+    AID_NOISES,
     AID_POSITION,
-    AID_PRESSURE,
-    AID_SONAR,
     ERROR_ACCEL_BIAS,
     ERROR_FIX_BIAS,
     ERROR_FIX_HEADING,
@@ -34,10 +32,8 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_WIND,
     READING_ACCELERATION,
     READING_BATTERY,
-    READING_MAGNETIC_FIELD,
     READING_OFFSETS,
     READING_POSITION_FIX,
-    READING_PRESSURE,
     READING_RANGE_RING,
     READING_SONAR,
     READING_STARTS,
@@ -61,14 +57,6 @@ _VOLTAGE_START = READING_STARTS[READING_BATTERY]
 _ACCELERATION_SLICE = slice(READING_STARTS[READING_ACCELERATION], READING_STARTS[READING_ACCELERATION] + 3)
 MAX_MISSED_PERIODS = 10
 """Lost periods that the filter makes up at once; a board's watchdog allows no more (50 ms at 200 Hz)."""
-_AIDS = (
-    (AID_POSITION, "position", READING_POSITION_FIX, "fix_variance", 100.0, "cm"),
-    (AID_HEADING, "heading", READING_POSITION_FIX, "heading_variance", math.degrees(1.0), "deg"),
-    (AID_SONAR, "sonar", READING_SONAR, "sonar_variance", 100.0, "cm"),
-    (AID_PRESSURE, "pressure", READING_PRESSURE, "pressure_variance", 1.0, "Pa s^0.5"),
-    (AID_MAGNETIC, "magnetic heading", READING_MAGNETIC_FIELD, "mag_heading_variance", math.degrees(1.0), "deg"),
-)
-"""Aids whose noise is estimated: index, name, reading, setting of the variance, factor to the shown unit, unit."""
 PUBLISHED_FIELDS = (
     "covariance_output", "sigma_output", "status", "reason", "reason_number", "innovation", "innovation_sigma",
     "last_fused_tick", "last_new_tick", "fault_component", "tick",
@@ -173,7 +161,7 @@ class KalmanEstimator(Estimator):
     def set_settings(self, settings: Any) -> None:
         """Replace the settings (:func:`mufly.estimate.filter.filter_records.filter_settings`) and reset."""
         self._settings = settings
-        self._vehicle_noise = {name: np.array(settings[name]) for name in ("initial_sigma", *(aid[3] for aid in _AIDS))}
+        self._store_vehicle_noise()
         self.backend = make_backend(
             settings,
             self._parameters,
@@ -183,6 +171,11 @@ class KalmanEstimator(Estimator):
             self._backend_name,
         )
         self.reset()
+
+    def _store_vehicle_noise(self) -> None:
+        """Copy the vehicle file's noise from the settings, in which that of an external fix may replace it."""
+        names = ("initial_sigma", *(aid[3] for aid in AID_NOISES))
+        self._vehicle_noise = {name: np.array(self._settings[name]) for name in names}
 
     def reset(self) -> None:
         for row in (self._memory_array, self._input_values, self._input_is_new, self._input_age):
@@ -215,7 +208,7 @@ class KalmanEstimator(Estimator):
         """
         m, used = self.memory, self.backend.settings
         parts, drifts = [], []
-        for aid, name, reading, field, scale, unit in _AIDS:
+        for aid, name, reading, field, scale, unit in AID_NOISES:
             if not self._settings["is_fitted"][reading]:
                 continue
             estimated = scale * math.sqrt(float(used[field]) * float(m["noise_scale"][aid]))

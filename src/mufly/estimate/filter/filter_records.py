@@ -165,6 +165,14 @@ TRANSITION_SIZE = 33
 AID_POSITION, AID_HEADING, AID_SONAR, AID_PRESSURE, AID_MAGNETIC = range(5)
 AID_COUNT = 5
 """Aids whose noise is estimated in flight; of the first two, parts of the position fix, the random walk too."""
+AID_NOISES = (
+    (AID_POSITION, "position", READING_POSITION_FIX, "fix_variance", 100.0, "cm"),
+    (AID_HEADING, "heading", READING_POSITION_FIX, "heading_variance", math.degrees(1.0), "deg"),
+    (AID_SONAR, "sonar", READING_SONAR, "sonar_variance", 100.0, "cm"),
+    (AID_PRESSURE, "pressure", READING_PRESSURE, "pressure_variance", 1.0, "Pa s^0.5"),
+    (AID_MAGNETIC, "magnetic heading", READING_MAGNETIC_FIELD, "mag_heading_variance", math.degrees(1.0), "deg"),
+)
+"""Of each aid: index, name, reading, setting of the variance, factor to the shown unit, unit."""
 MAX_H_TERMS = 8  # largest number of states in a measurement equation
 ROTOR_FORCE_HISTORY = 8  # periods for which forces of the model wait for the slower inertial unit
 

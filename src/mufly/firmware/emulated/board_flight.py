@@ -124,9 +124,7 @@ class BoardEstimator(KalmanEstimator):
     def set_settings(self, settings: Any) -> None:
         """Store the settings, which the board's image contains already, and reset."""
         self._settings = settings
-        self._vehicle_noise = {
-            name: np.array(settings[name]) for name in ("fix_variance", "heading_variance", "initial_sigma")
-        }
+        self._store_vehicle_noise()
         self.backend = FilterBackend(
             "board", "", lambda memory: self._board.restart(), lambda memory: self._step_board(), settings=settings
         )
