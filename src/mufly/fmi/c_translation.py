@@ -274,7 +274,7 @@ class _FunctionTranslation:
     def _emit_line(self, text: str) -> None:
         self._lines += _wrap_code("    " * self._depth + text)
 
-    def _raise_unsupported(self, node: ast.AST) -> NotImplementedError:
+    def _unsupported_form_error(self, node: ast.AST) -> NotImplementedError:
         return NotImplementedError(f"{self._function.__name__}: no C form of `{ast.unparse(node)}`")
 
     def _translate_block(self, statements: Sequence[ast.stmt]) -> None:
@@ -325,7 +325,7 @@ class _FunctionTranslation:
                 first, end = ("0", limits[0]) if len(limits) == 1 else limits
                 c_name = _c_name(name)
                 if name in self._kinds:  # its value after the loop would be another in C
-                    raise self._raise_unsupported(node.target)
+                    raise self._unsupported_form_error(node.target)
                 self._kinds[name] = WHOLE
                 self._emit_line(f"for (int64_t {c_name} = {first}; {c_name} < {end}; {c_name}++) {{")
                 self._translate_nested_block(node.body)
@@ -334,7 +334,7 @@ class _FunctionTranslation:
             case ast.For(target=ast.Name(id=name), iter=ast.Name(id=looped), orelse=[]):
                 rows = self._translate_expression(node.iter)
                 if not isinstance(rows.kind, TableType) or name in self._kinds:
-                    raise self._raise_unsupported(node.target)
+                    raise self._unsupported_form_error(node.target)
                 row = TableType(rows.kind.element, rows.kind.shape[1:])
                 index = f"{name}_row"
                 self._emit_line(f"for (int64_t {index} = 0; {index} < {rows.kind.shape[0]}; {index}++) {{")
@@ -357,7 +357,7 @@ class _FunctionTranslation:
             case ast.Return(value=ast.expr() as value):
                 self._translate_return(value)
             case _:
-                raise self._raise_unsupported(node)
+                raise self._unsupported_form_error(node)
 
     def _is_alias(self, node: ast.expr) -> bool:
         """Return whether an expression is a table, or a part of one, that exists already."""
@@ -412,7 +412,7 @@ class _FunctionTranslation:
         else:
             value = self._translate_expression(node)
         if self._result is not None and self._result != value.kind:
-            raise self._raise_unsupported(node)
+            raise self._unsupported_form_error(node)
         self._result = value.kind
         self._emit_line(f"return {value.text};")
 
@@ -421,7 +421,7 @@ class _FunctionTranslation:
             stored = [t.id if isinstance(t, ast.Name) else "" for t in target.elts]
             for j, (one, part) in enumerate(zip(target.elts, value.elts, strict=True)):
                 if {n.id for n in ast.walk(part) if isinstance(n, ast.Name)} & {*stored[:j]}:
-                    raise self._raise_unsupported(value)
+                    raise self._unsupported_form_error(value)
                 self._translate_statement(ast.Assign([one], part))
             return
         if isinstance(value, ast.Tuple):
@@ -445,7 +445,7 @@ class _FunctionTranslation:
                     )
                 return
             if not isinstance(whole.kind, TupleType) or len(whole.kind.parts) != len(target.elts):
-                raise self._raise_unsupported(value)
+                raise self._unsupported_form_error(value)
             if all(isinstance(t, ast.Name) and t.id == "_" for t in target.elts):
                 return
             name = self._store_constant(whole).text
@@ -474,14 +474,14 @@ class _FunctionTranslation:
         name, known = _c_name(target.id), self._kinds.get(target.id)
         if isinstance(value.kind, TableType):
             if _RESULT_ARGUMENT_MARK not in value.text or known is not None or self._depth > 1:
-                raise self._raise_unsupported(target)
+                raise self._unsupported_form_error(target)
             self._emit_line(f"{value.kind.element} {name}{''.join(f'[{n}]' for n in value.kind.shape)};")
             self._emit_line(value.text.replace(_RESULT_ARGUMENT_MARK, name) + ";")
         elif value.kind == WHOLE and value.text.isdecimal() and self._store_counts[target.id] == 1:
             self._known_integers[target.id] = value.text
         elif known is not None:
             if known != value.kind and (known, value.kind) != (REAL, WHOLE):
-                raise self._raise_unsupported(target)
+                raise self._unsupported_form_error(target)
             self._emit_line(f"{name} = {value.text};")
             return
         elif self._depth > 1:
@@ -496,7 +496,7 @@ class _FunctionTranslation:
         shape = value.args[0]
         sizes = [self._translate_expression(n).text for n in (shape.elts if isinstance(shape, ast.Tuple) else [shape])]
         if not isinstance(target, ast.Name) or not all(s.isdecimal() for s in sizes):
-            raise self._raise_unsupported(value)
+            raise self._unsupported_form_error(value)
         self._emit_line(f"double {_c_name(target.id)}{''.join(f'[{n}]' for n in sizes)};")
         self._kinds[target.id] = TableType(REAL, tuple(map(int, sizes)))
 
@@ -570,12 +570,12 @@ class _FunctionTranslation:
                 return self._translate_tuple([self._translate_expression(v) for v in node.elts], node)
             case ast.Call():
                 return self._translate_call(node)
-        raise self._raise_unsupported(node)
+        raise self._unsupported_form_error(node)
 
     def _translate_field(self, node: ast.expr, name: str, field: str) -> CExpression:
         kind = self._kinds.get(name)
         if not isinstance(kind, RecordType) or kind.fields.fields is None:
-            raise self._raise_unsupported(node)
+            raise self._unsupported_form_error(node)
         of = kind.fields.fields[field][0]
         element = REAL if of.base.kind == "f" else WHOLE
         return CExpression(f"{name}->{field}", _PRECEDENCE_ATOM, TableType(element, of.shape) if of.shape else element)
@@ -587,7 +587,7 @@ class _FunctionTranslation:
                 return k if isinstance(node, ast.Constant) else -k
             case ast.Name(id=name) if name not in self._kinds and isinstance(self._globals.get(name), int):
                 return int(self._globals[name])
-        raise self._raise_unsupported(node)
+        raise self._unsupported_form_error(node)
 
     def _translate_element(self, node: ast.Subscript) -> CExpression:
         match node.value, node.slice:
@@ -595,7 +595,7 @@ class _FunctionTranslation:
                 kind = self._translate_expression(array).kind
                 if isinstance(kind, TableType):
                     return CExpression(str(kind.shape[k]), _PRECEDENCE_ATOM, WHOLE)
-                raise self._raise_unsupported(node)
+                raise self._unsupported_form_error(node)
         held = self._translate_expression(node.value)
         if isinstance(held.kind, TupleType):
             parts = [CExpression(f"{held.text}.f{k}", _PRECEDENCE_ATOM, part) for k, part in enumerate(held.kind.parts)]
@@ -609,7 +609,7 @@ class _FunctionTranslation:
             k = self._constant_tuple_index(node.slice)
             return CExpression(f"{node.value.id}_{k}", _PRECEDENCE_ATOM, held.kind.parts[k])
         if not isinstance(held.kind, TableType):
-            raise self._raise_unsupported(node)
+            raise self._unsupported_form_error(node)
         if isinstance(node.slice, ast.Name) and isinstance(part := self._globals.get(node.slice.id), slice):
             return self._translate_table_slice(held, str(part.start), str(part.stop))
         if isinstance(node.slice, ast.Slice):
@@ -635,7 +635,7 @@ class _FunctionTranslation:
     def _translate_arithmetic(self, node: ast.BinOp) -> CExpression:
         left, right = self._translate_expression(node.left), self._translate_expression(node.right)
         if not {left.kind, right.kind} <= {REAL, WHOLE}:
-            raise self._raise_unsupported(node)
+            raise self._unsupported_form_error(node)
         kind = WHOLE if left.kind == right.kind == WHOLE else REAL
         form, texts = type(node.op), (left.text, right.text)
         if kind == WHOLE and form in _FOLDED_OPERATORS and left.text.isdecimal() and right.text.isdecimal():
@@ -655,7 +655,7 @@ class _FunctionTranslation:
                 f"remainder_{'int' if kind == WHOLE else 'real'}({', '.join(texts)})", _PRECEDENCE_ATOM, kind
             )
         if form not in _ARITHMETIC_OPERATORS:
-            raise self._raise_unsupported(node)
+            raise self._unsupported_form_error(node)
         sign, level = _ARITHMETIC_OPERATORS[form]
         if sign == "/" and kind == WHOLE:
             return CExpression(
@@ -669,7 +669,7 @@ class _FunctionTranslation:
     def _translate_tuple(self, parts: Sequence[CExpression], node: ast.expr) -> CExpression:
         kinds = [p.kind for p in parts if isinstance(p.kind, str | TupleType)]
         if len(kinds) != len(parts):
-            raise self._raise_unsupported(node)
+            raise self._unsupported_form_error(node)
         kind = self._owner.use_tuple(kinds)
         return CExpression(f"({kind.name}){{{', '.join(p.text for p in parts)}}}", _PRECEDENCE_ATOM, kind)
 
@@ -702,7 +702,7 @@ class _FunctionTranslation:
             return CExpression(f"{c_name}({texts})", _PRECEDENCE_ATOM, WHOLE if is_whole else REAL)
         called = self._globals.get(name)
         if not callable(called) or node.keywords:
-            raise self._raise_unsupported(node)
+            raise self._unsupported_form_error(node)
         if (in_c := self._owner.written_in_c.get(called)) is not None:
             self._written.update(map(self._root_argument, values))
             last = arguments[-1].kind

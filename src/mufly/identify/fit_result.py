@@ -24,9 +24,8 @@ from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
 
-MAX_RESIDUAL_OVER_NOISE = (
-    10.0  # ratio of residuals to sensor noise above which a minimum, or a prediction, is not credible
-)
+MAX_RESIDUAL_OVER_NOISE = 10.0
+"""Ratio of residuals to sensor noise above which a minimum, or a prediction, is not credible."""
 
 
 @result
@@ -285,12 +284,10 @@ _MIN_PAIR_CORRELATION = 0.98  # correlation above which a pair of parameters is 
 _MIN_PAIR_RELATIVE_STD = 0.005  # ... if the relative standard deviation of each exceeds this value
 _MAX_CORRELATION_LAG_SAMPLES, _INSIGNIFICANT_LAGS_TO_STOP = 300, 10  # samples
 _DECISIVE_LIKELIHOOD_DIFFERENCE = 4.0  # difference of 2 log L that decides between error shapes, as for AIC
-_LAG_WINDOW_PER_CORRELATION_REACH = (
-    4  # window length per correlation reach; 2 loses a quarter of the variance of a slowly varying sensitivity
-)
-_SIGNIFICANT_CORRELATION_SIGMAS = (
-    3.9  # standard deviations; about 300 lags are tested, and none should exceed it by chance
-)
+_LAG_WINDOW_PER_CORRELATION_REACH = 4
+"""Window length per correlation reach; 2 loses a quarter of the variance of a slowly varying sensitivity."""
+_SIGNIFICANT_CORRELATION_SIGMAS = 3.9
+"""Standard deviations; about 300 lags are tested, and none should exceed it by chance."""
 
 
 def parzen_window(lags: int) -> Array:

@@ -64,9 +64,8 @@ MOTOR_CONSTANT_KEYS = {
 _DAMPING_INDEX, _FRICTION_INDEX = 3, 4
 """Indices of viscous friction d and constant friction c in (R, a, b, d, c)."""
 _MIN_MOTOR_POINTS = 6
-_MAX_ROUNDING_RESIDUAL_RATIO = (
-    1e-6  # ratio of residuals to expected errors below which the residuals are rounding errors
-)
+_MAX_ROUNDING_RESIDUAL_RATIO = 1e-6
+"""Ratio of residuals to expected errors below which the residuals are rounding errors."""
 _UNIT_MISTAKES = (
     ("speed", "rpm", RPM), ("speed", "revolutions a second", 2 * math.pi), ("torque", "mN m", 1e-3),
     ("torque", "N cm", 1e-2),

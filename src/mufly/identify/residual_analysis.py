@@ -297,9 +297,8 @@ def estimate_high_frequency_noise(signal: Array, dt: float, *, above_hz: float) 
     return float(np.std(sosfiltfilt(butter(4, above_hz, "highpass", fs=1.0 / dt, output="sos"), signal)))
 
 
-_CORRELATION_BOUND_CONFIDENCE = (
-    0.99  # of the bound of the largest correlation, widened for the number of independent lags (Bonferroni)
-)
+_CORRELATION_BOUND_CONFIDENCE = 0.99
+"""Confidence of the bound of the largest correlation, widened for the number of independent lags (Bonferroni)."""
 _MIN_REPORTED_CORRELATION = 0.1  # least correlation that is reported
 _MAX_DIRECT_INPUT_LAG_S = 0.05
 _MIN_VIBRATION_HZ = 3.0

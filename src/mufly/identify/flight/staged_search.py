@@ -54,9 +54,8 @@ _ROTOR_TRANSIENT_S = 2.0  # decay time of errors of the initial rotor speeds
 _VOLTAGE_NOISE_FACTOR = 5.0  # factor on the voltage noise while the battery charge is not an unknown
 _NOISE_UPDATE_COUNT = 2
 _SWAPPABLE_ROTOR_INERTIAS = (("Jdrive_up", "Jdrive_dw"), ("Jrot_up", "Jrot_dw"))
-_DECISIVE_LIKELIHOOD_DIFFERENCE = (
-    25.0  # decisive difference of the negative log-likelihood, per mean square whitened residual
-)
+_DECISIVE_LIKELIHOOD_DIFFERENCE = 25.0
+"""Decisive difference of the negative log-likelihood, per mean square whitened residual."""
 _SAME_MINIMUM_THETA_TOLERANCE = 0.02  # largest difference in theta of equal minima
 
 

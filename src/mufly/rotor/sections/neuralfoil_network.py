@@ -56,9 +56,8 @@ _UPPER_SIDE_INPUTS, _LOWER_SIDE_INPUTS, _NOSE_INPUT, _SECTION_INPUT_COUNT = slic
 _CL_OUTPUT, _LOG_CD_OUTPUT, _CM_OUTPUT = 1, 2, 3  # outputs of the network, behind its confidence
 _OUTPUT_COLUMNS = slice(0, 4)  # confidence, lift, drag, moment
 _MAX_FIT_ERROR = 0.01  # of chord
-_MAX_GURNEY_HEIGHT = (
-    0.02  # of chord; up to this height lift agrees with XFOIL within 0.05 (docs/log/2026-11-28-polars.md)
-)
+_MAX_GURNEY_HEIGHT = 0.02
+"""Height (of chord) up to which lift agrees with XFOIL within 0.05 (docs/log/2026-11-28-polars.md)."""
 _BATCH_SIZE = 8192  # activations of one layer fit in the cache of a processor core
 
 

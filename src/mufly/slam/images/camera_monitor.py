@@ -65,9 +65,8 @@ _MOTION_HIGH_PASS_S, _FIT_MEMORY_S, _GROSS_FIT_MEMORY_S, _VELOCITY_DECAY_S = 0.4
 _MIN_FAULT_SIGMAS, _MIN_FAULT_FRAMES, _MIN_GROSS_FIT_FRAMES = 5.0, 40, 12
 _MIN_TURN_ERROR_RAD, _MIN_FOCAL_ERROR_SHARE, _MIN_DELAY_ERROR_S = math.radians(7.0), 0.1, 0.03
 """Least errors of turn, focal length (share) and delay that are reported."""
-_MIN_PLAUSIBLE_FOCAL_SCALE = (
-    0.5  # below which no focal length is wrong, but the estimate passes from 1 to that of a flip
-)
+_MIN_PLAUSIBLE_FOCAL_SCALE = 0.5
+"""Scale below which no focal length is wrong, but the estimate passes from 1 to that of a flip."""
 _FROZEN_PICTURE_COUNT, _STOPPED_CLOCK_COUNT = 4, 4
 _FAULT_CONFIRM_COUNT, _GROSS_FAULT_CONFIRM_COUNT, _FAULT_REPORT_HOLD_S = 10, 6, 10.0
 """Consecutive pictures that confirm a fault, and a gross fault; time for which a fault is reported after it was last
@@ -115,9 +114,8 @@ _MAX_STEADY_CHANGE_SHARE, _MAX_STEADY_CHANGE = 0.3, 0.05
 _MIRRORED_MESSAGE = "the picture moves mirrored against the gyroscopes: check the camera's driver"
 _MIN_CORRELATED_POINTS, _CORRELATION_WINDOW_PX, _MIN_CORRELATION, _MIN_STRONG_CORRELATION = 24, 21, 0.5, 0.85
 _UPSIDE_DOWN_MESSAGE = "the camera is upside down against the gyroscopes: check mount.turn"
-_ROLLING_SHUTTER_SHIFT_SIGMA_PX = (
-    1.0  # deviation of a patch by vibration in a rolling shutter (pixels of half the resolution)
-)
+_ROLLING_SHUTTER_SHIFT_SIGMA_PX = 1.0
+"""Deviation of a patch by vibration in a rolling shutter (pixels of half the resolution)."""
 
 
 @dataclass(frozen=True)
