@@ -414,7 +414,6 @@ class FilterSettings:
     wall_planes: _Array = _real("walls of the room: N lower, upper; E lower, upper; D of ceiling, floor", 6, unit="m")
     pressure_variance: float = _real("noise density of the pressure sensor", unit="Pa2 s")
     pressure_height_slope: float = _real("derivative of pressure with respect to D", unit="Pa/m")
-    pressure_downwash: _Array = _real("pressure of the downwash over squared rotor speed: upper, lower", 2)
     mag_heading_variance: float = _real("variance of the magnetic heading", unit="rad2")
     mag_field_variance: float = _real("variance of the field per axis without current", unit="T2")
     mag_current_variance: float = _real("variance of the motors' field per axis and squared current", unit="T2/A2")
@@ -601,8 +600,6 @@ def filter_settings(
         s["pressure_variance"] = float(air.noise) ** 2
         density = float(vehicle.air.density)
         s["pressure_height_slope"] = density * GRAVITY
-        area = math.pi * float(vehicle.rotors.radius) ** 2
-        s["pressure_downwash"] = float(air.downwash) * np.array([p["thrust_up"], p["thrust_dw"]]) / area
         sigma[ERROR_PRESSURE_BIAS], tau[ERROR_PRESSURE_BIAS] = float(air.drift), float(air.drift_time)
         bound[READING_PRESSURE] = 2e5
     if (compass := sensing.magnetometer) is not None:
