@@ -528,6 +528,22 @@ def test_still_pictures_of_a_survey_are_refused(tmp_path: Path) -> None:
     assert "photogrammetry" in str(said.exception)
 
 
+def test_pictures_that_share_too_little_floor_are_refused(tmp_path: Path) -> None:
+    pytest.importorskip("cv2")
+    from mufly.camera import make_floor
+
+    path = make_square_path(duration_s=8.0, side_m=2.0, speed_m_s=0.4, seed=5)
+    for k, (frame, _) in enumerate(render_frames(CAMERA, make_floor("rich"), path, seed=1)):
+        if k % 20:
+            continue
+        (tmp_path / f"{frame.time_s:.3f}.png").write_bytes(encode_jpeg(frame.picture, 90))
+    (tmp_path / "camera.toml").write_text(format_camera_toml(CAMERA))
+    said = CliRunner().invoke(app, ["slam", "run", str(tmp_path), "--height", "1"])
+    assert said.exit_code == 1
+    assert re.search(r"neighbouring pictures share [78]\d% of the floor, and tracking needs 90%", str(said.exception))
+    assert "photogrammetry" in str(said.exception)
+
+
 def test_from_rendering_to_errors_on_the_command_line(tmp_path: Path) -> None:
     pytest.importorskip("cv2")
     data, out = str(tmp_path / "data"), tmp_path / "out"

@@ -4,6 +4,7 @@ from mufly.slam.calibration.lens_calibration import LensCalibration, calibrate_l
 from mufly.slam.camera_frame import CameraFrame, FrameInfo
 from mufly.slam.datasets.dataset_readers import FrameSource, info_from_height, open_live, open_pictures, read_telemetry
 from mufly.slam.datasets.dataset_writers import DATASET_LAYOUTS, format_camera_toml, write_dataset
+from mufly.slam.datasets.picture_overlap import check_overlap
 from mufly.slam.datasets.synthetic_datasets import (
     PHASE_SIGMA_RAD,
     FrameInfoSimulator,
@@ -53,6 +54,7 @@ __all__ = [
     "TrajectoryEvaluation",
     "VehiclePath",
     "calibrate_lens",
+    "check_overlap",
     "collect_results",
     "evaluate_trajectory",
     "format_camera_toml",

@@ -283,6 +283,7 @@ def run(
         TOO_NEAR_REASON,
         FloorMap,
         SlamSystem,
+        check_overlap,
         evaluate_trajectory,
         info_from_height,
         load_opencv,
@@ -361,6 +362,8 @@ def run(
         raise InputError("--link", str(link), "received no attitude and height", "check both ends of the link")
     if failed and len(found.time) < 3:
         raise failed[0]
+    if not failed and found.pictures:
+        check_overlap(source, len(found.time) / found.pictures)
     if len(found.time) < 3:
         why = max(found.reasons, key=lambda k: found.reasons[k], default="there were none")
         raise InputError(

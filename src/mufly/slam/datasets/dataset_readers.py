@@ -50,6 +50,7 @@ _UNKNOWN_TILT_SIGMA_RAD = math.radians(3.0)  # assumed for a vehicle without att
 _MAX_CLOCK_MARGIN_S = 0.1
 MAX_PICTURE_INTERVAL_S = 1.0
 """Longest time between pictures that odometry bridges (s)."""
+STILL_PICTURE_REMEDY = "give a video or a faster sequence; still pictures need photogrammetry (COLMAP)"
 _PLACE_SIGMA_M, _HEADING_SIGMA_RAD = 0.1, math.radians(2.0)  # of a recording that states none
 _FLU_TO_FRD = np.array([1.0, -1.0, -1.0])  # x forward, y left, z up to body axes, and back
 
@@ -82,7 +83,7 @@ class FrameSource:
                 self.name,
                 "",
                 f"the pictures are {self.interval_s:.2g} s apart, more than {MAX_PICTURE_INTERVAL_S:g} s",
-                "give a video or a faster sequence; still pictures need photogrammetry (COLMAP)",
+                STILL_PICTURE_REMEDY,
             )  # fmt: skip
 
     def read_frames(self) -> Iterator[CameraFrame]:
