@@ -66,7 +66,7 @@ Array = NDArray[np.float64]
 
 @result(eq=False)
 class CellCalibration:
-    """Sensitivity of load cells.
+    """Calibrated load cells: sensitivity matrix with its covariance.
 
     Attributes
     ----------
@@ -228,7 +228,7 @@ class ZeroDrift:
     change: float
 
     def time_powers(self, time: Array) -> Array:
-        """Return powers of tau, (n, d + 1)."""
+        """Return the powers of the scaled time tau that form the drift polynomial, (n, d + 1)."""
         return np.vander((time - self.middle) / self.half, self.coefficients.size, increasing=True)
 
     def zero_at(self, time: Array) -> Array:
@@ -325,7 +325,7 @@ def compute_loads(
     radius_m: float | None = None,
     density_kg_m3: float | None = None,
 ) -> BenchLoads:
-    """Return the loads of a bench file at its static lines.
+    """Return the loads of a bench file, with uncertainty, at its lines with turning rotors and without axial flow.
 
     Parameters
     ----------

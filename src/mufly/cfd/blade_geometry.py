@@ -172,7 +172,8 @@ class BladeGeometry:
 def make_blade_geometry(
     tip: str = "square", hub_m: float = 0.0, gurney: float = 0.0, *, hub_joined: bool = True
 ) -> BladeGeometry:
-    """Make the geometry from the name of a tip, the hub radius (m; its half height is half of it) and a Gurney flap.
+    """Make the geometry from the name of a tip, the hub radius (m; the hub extends half of it up and down) and a Gurney
+    flap.
 
     Raises
     ------
@@ -277,7 +278,7 @@ def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord
 
 
 def cubic_fade(t: Array) -> Array:
-    """Return a cubic that falls from 1 at 0 to 0 at 1, level at both ends."""
+    """Return a cubic that falls from 1 at x = 0 to 0 at x = 1 with zero slope at both ends."""
     u = np.clip(t, 0.0, 1.0)
     return (1.0 - u) ** 2 * (1.0 + 2.0 * u)
 

@@ -202,7 +202,9 @@ def solve_operating_point(
     progress: Callable[[SolverProgress], None] | None = None,
     **given: Any,
 ) -> CfdSolution:
-    """Mesh, run, judge and read an operating point; arguments as for :func:`save_case`."""
+    """Mesh an operating point, run the solver, compute the verdict and read the solution; arguments as for
+    :func:`save_case`.
+    """
     save_case(folder, rotor, cores=cores, **given)
     run_case(folder, cores=cores, progress=progress)
     return read_solution(folder)
@@ -291,7 +293,8 @@ def sweep_speed(
     progress: Callable[[SolverProgress], None] | None = None,
     **given: Any,
 ) -> list[CfdSolution]:
-    """Solve several speeds, each after the first from its neighbour's solution; solved speeds are not repeated.
+    """Solve several rotor speeds; each case after the first starts from its neighbour's solution, and solved cases are
+    kept.
 
     Parameters
     ----------
@@ -323,7 +326,7 @@ def sweep_climb(
     progress: Callable[[SolverProgress], None] | None = None,
     **given: Any,
 ) -> list[CfdSolution]:
-    """Solve several climb velocities at one speed, each from its own start; solved climbs are not repeated.
+    """Solve several climb velocities at one speed, each from its own initial flow; solved cases are kept.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @result
 class CaseComparison:
-    """Comparison of a case with its row of a table.
+    """Thrust and torque of a CFD case beside those of the same point in a table.
 
     Attributes
     ----------

@@ -89,7 +89,7 @@ POSITION_LOOP_RATE_DIVIDER = 4  # the position cascade runs in every fourth peri
     "designs=all_designs cascade schedule",
 )
 class FlightController:
-    """All designs of a vehicle and the gains of the law on board.
+    """All controllers of a vehicle, and the gains of the control law on board.
 
     Attributes
     ----------

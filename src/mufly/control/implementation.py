@@ -148,7 +148,7 @@ def balancing_transform(P: Array, Q: Array) -> tuple[Array, Array]:
 
 
 def remove_states(K: control.StateSpace, M: Array, order: int, match: bool) -> tuple[control.StateSpace, Array] | None:
-    """Remove the states after ``order``; ``M`` is an input without feedthrough."""
+    """Reduce a controller to its first ``order`` states, by truncation or with the same static gain (``match``)."""
     A, B, C, D = K.A, np.hstack([K.B, M]), K.C, np.hstack([K.D, np.zeros((K.noutputs, M.shape[1]))])
     if match and order < K.nstates:
         A22 = A[order:, order:]

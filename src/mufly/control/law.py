@@ -155,7 +155,7 @@ def _limit_lead_rate(rate: float, whole: float) -> float:
 
 @cached_njit
 def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: float) -> Array:
-    """Return a state that engages heave-yaw bumplessly.
+    """Return the state with which the heave-yaw controller starts without a jump of the motor inputs.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: 
 
 @cached_njit
 def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
-    """Return the heave-yaw state, with the filtered reference within the slack (m) of the height z (m, down), in
+    """Return the heave-yaw state with its height reference limited to the slack (m) about the height z (m, down), in
     flight.
 
     The slack is the permitted distance of the reference from the height. The permitted speed of the reference falls
@@ -465,7 +465,7 @@ def _initialise_state(g: Any, e: Array, output: Array, x: Array) -> None:
 
 @cached_njit
 def roll_pitch_init(gains: Any, measurement: Array) -> Array:
-    """Return a state that engages roll-pitch bumplessly: servos at trim, level reference.
+    """Return the state with which the roll-pitch controller starts without a jump: servos at trim, level reference.
 
     Parameters
     ----------

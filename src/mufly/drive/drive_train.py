@@ -332,7 +332,7 @@ def drive_to_toml(drive: DriveTrain) -> str:
 
 @cached_njit(error_model="numpy")
 def interpolate_table(table: Array, fraction: float) -> float:
-    """Interpolate ``table`` (n values at equal steps from 0 to 1) linearly; the end values hold outside."""
+    """Interpolate ``table`` (n values at equal steps from 0 to 1) linearly; outside, return the value at the end."""
     last = table.shape[0] - 1
     position = min(max(fraction, 0.0), 1.0) * last
     k = min(int(position), last - 1)
@@ -347,7 +347,7 @@ def terminal_voltage(
     source_current: float,
     electronics_current: float,
 ) -> float:
-    """Return the terminal voltage (V) under load; never below zero (equation above)."""
+    """Return the terminal voltage of the battery (V) under load; never below zero."""
     voltage = (open_circuit + resistance * (source_current - electronics_current)) / (1.0 + resistance * conductance)
     return max(voltage, 0.0)
 

@@ -37,7 +37,8 @@ def select_branches(
     absent: Collection[str] = (),
     file: str | None = None,
 ) -> Any:
-    """Return a function in which decisions on data are selections, also in all functions that it calls.
+    """Return a copy of a function, and of the functions that it calls, in which a selection of values replaces each
+    branch on data.
 
     Parameters
     ----------

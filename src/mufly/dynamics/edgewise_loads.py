@@ -72,7 +72,8 @@ def air_velocity(x: _Array, wind: _Array) -> tuple[float, float, float]:
 
 @cached_njit(error_model="numpy", forceinline=True)
 def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, float, float]:
-    """Return the speed ratio of a state, and its climb ratio and e in steps of the flight map's axes.
+    """Return the speed ratio of a state, and its climb ratio and edgewise coordinate e in steps of the flight map's
+    axes.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def _rotor_hub_wrench(
 def flight_map_loads(
     x: _Array, air: tuple[float, float], point: tuple[float, float, float], p: ModelParameters
 ) -> MapWrench:
-    """Return the loads of the map in body axes.
+    """Return the forces, moments and load factors that a flight map adds, in body axes.
 
     Parameters
     ----------
@@ -202,7 +203,9 @@ def add_swash_phase(u: _Array, p: ModelParameters, dx: _Array) -> None:
 def edgewise_load_factors(
     x: _Array, wind: _Array, p: np.void | ModelParameters
 ) -> tuple[tuple[float, float], tuple[float, float]]:  # fmt: skip
-    """Return the factors of the map on thrust and torque of the upper and of the lower rotor at a state."""
+    """Return the factors by which a flight map multiplies thrust and torque of the upper and of the lower rotor at a
+    state.
+    """
     flow = _flow_loads(p, find_map_point(x, wind, p))
     return (1.0 + flow[_THRUST], 1.0 + flow[_TORQUE]), (1.0 + flow[_LOWER_THRUST], 1.0 + flow[_LOWER_TORQUE])
 

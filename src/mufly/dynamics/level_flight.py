@@ -207,7 +207,7 @@ class LevelFlightModel:
         self, edgewise: float = 0.0, climb: float = 0.0, azimuth: float = 0.0,
         factors: tuple[float, float] = (1.0, 1.0), cyclic: tuple[float, float] = (0.0, 0.0),
     ) -> ForwardPair:  # fmt: skip
-        """Solve both rotors from the last solution."""
+        """Compute both rotors in forward flight, starting from the preceding solution."""
         first = ForwardCondition(
             self.pitch[0], factors[0] * self.speeds[0], edgewise, climb, wind_azimuth_rad=azimuth, air=self.air
         )
@@ -243,7 +243,9 @@ class LevelFlightModel:
         return float(found.x[0]), float(found.x[1])
 
     def wrench(self, x: Array, airspeed: float) -> tuple[Array, ForwardPair]:
-        """Return the residuals of a trim for pitch, roll, servo roll, servo pitch and the factors of both speeds."""
+        """Return the unbalanced forces and moments at a pitch, roll, both servo inputs and the factors of both rotor
+        speeds.
+        """
         v, body = self.vehicle, self.vehicle.body
         pitch, roll = float(x[_UNKNOWN_PITCH]), float(x[_UNKNOWN_ROLL])
         flow = airspeed * np.array(
@@ -302,7 +304,9 @@ class LevelFlightModel:
         return watts + supply * float(battery.electronics_current), inputs
 
     def thrust_margin(self, torques: Sequence[float], speeds: Sequence[float]) -> float:
-        """Return the thrust margin: both speeds are scaled together until a motor is at full input."""
+        """Return the greatest thrust over the thrust in use: both speeds rise by one factor until a motor is at full
+        input.
+        """
         low, high = 0.2, 5.0
         for _ in range(50):
             middle = 0.5 * (low + high)

@@ -529,7 +529,9 @@ def extract_submodel(
     *,
     name: str | None = None,
 ) -> control.StateSpace:
-    """Return the submodel of some states and inputs of a linear model, with the others constant; outputs are states."""
+    """Return a linear model with some states and inputs of another; its outputs are its states, and all other states
+    stay constant.
+    """
     i, j = (
         [known.index(s) for s in some] for known, some in ((full.state_labels, states), (full.input_labels, inputs))
     )

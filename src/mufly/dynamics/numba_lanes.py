@@ -59,7 +59,7 @@ _ALIGNMENT_BYTES = 64
 
 
 class LaneVector(types.Type):
-    """Eight numbers."""
+    """Numba type of eight numbers, one for each vehicle of a block."""
 
     def __init__(self) -> None:
         super().__init__(name="LaneVector")
@@ -69,21 +69,21 @@ class LaneVector(types.Type):
 
 
 class LaneMask(types.Type):
-    """Eight truth values."""
+    """Numba type of eight truth values, one for each vehicle of a block."""
 
     def __init__(self) -> None:
         super().__init__(name="LaneMask")
 
 
 class LaneRows(types.Type):
-    """Rows of eight numbers in memory."""
+    """Numba type of rows of eight numbers in memory."""
 
     def __init__(self) -> None:
         super().__init__(name="LaneRows")
 
 
 class LaneTable(types.Type):
-    """A table of each vehicle, of one or more columns."""
+    """Numba type of a table of one or more columns for each vehicle of a block."""
 
     def __init__(self, length: int, columns: int) -> None:
         self.length, self.columns = length, columns
@@ -91,14 +91,14 @@ class LaneTable(types.Type):
 
 
 class LaneIntegers(types.Type):
-    """Integers that all vehicles of a block share."""
+    """Numba type of integers that all vehicles of a block share."""
 
     def __init__(self) -> None:
         super().__init__(name="LaneIntegers")
 
 
 class LaneRecord(types.Type):
-    """A NumPy record of each vehicle of a block: a row of addresses, then a row of each number."""
+    """Numba type of a NumPy record for each vehicle of a block: a row of addresses, then a row for each number."""
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
         self.dtype = dtype
@@ -212,7 +212,7 @@ def select(test: Any, a: Any, b: Any) -> Any:
 
 
 def any_of(test: Any) -> Any:
-    """Return whether a test is true for any vehicle."""
+    """Return True if a test holds for any vehicle of the block."""
     raise NotImplementedError
 
 
@@ -227,7 +227,7 @@ def negate(test: Any) -> Any:
 
 
 def uniform(test: Any) -> Any:
-    """Return a test whose result is the same for all vehicles of a block."""
+    """Return a test as one truth value; its result must be the same for all vehicles of a block."""
     raise NotImplementedError
 
 

@@ -332,7 +332,8 @@ MAX_INFLOW_CHANGE = 0.1
 
 
 def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
-    """Induced velocity in hover, and the air speeds along and across the mast up to which the model holds (m/s).
+    """Return the induced velocity in hover, and the air speeds along and across the mast up to which the model holds
+    (m/s).
 
     With both rotors as one disc, ``v_h = sqrt((m g + W_hub) / (2 rho pi R^2))``. In momentum theory at constant thrust
     (Leishman 2006, Secs 2.13 and 2.14) the flow through the disc over ``v_h`` is, at a climb of ``x v_h`` and in an

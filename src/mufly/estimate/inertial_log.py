@@ -149,7 +149,7 @@ class InertialNoise:
 
 @result
 class AidInnovations:
-    """Innovations of the aids, predicted before their arrival.
+    """Innovations of the external position measurements (aids): measurement less its prediction.
 
     Attributes
     ----------

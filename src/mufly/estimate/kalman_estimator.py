@@ -202,7 +202,8 @@ class KalmanEstimator(Estimator):
         return self.read_estimate(readings.time_s, valid)
 
     def describe_noise(self) -> str:
-        """Return the noise of each aid as the filter estimates it at present, with the vehicle file's in brackets.
+        """Return the noise of each sensor as the filter estimates it at present, with the vehicle file's value in
+        brackets.
 
         Noise is a standard deviation. The drift of the position fix is a ratio to the file's.
         """

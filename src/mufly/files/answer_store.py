@@ -45,7 +45,7 @@ def cache_folder(room: str) -> Path | None:
 
 
 def hash_question(*parts: object) -> str:
-    """Return the hash of all inputs of an answer.
+    """Return a hash of all inputs of a computation, which identifies its stored result.
 
     Arrays and bytes are hashed as they are, other values as JSON with sorted keys, or by ``repr`` if not JSON.
     """
@@ -79,7 +79,7 @@ def replace_file(path: Path, remedy: str = "give another place") -> Iterator[Pat
 
 
 def write_answer(path: Path, question: str, content: Mapping[str, Any], *, indent: int | None = None) -> None:
-    """Write the answer to a question: arrays as ``.npz``, else JSON.
+    """Store the result of a computation with the hash of its inputs (``question``): arrays as ``.npz``, else JSON.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def read_answer(
     other: Words | None = None,
     where: Path | None = None,
 ) -> dict[str, Any] | None:
-    """Read an answer written by :func:`write_answer`; None if it is missing, damaged or of another question.
+    """Read a stored result of :func:`write_answer`; None if it is missing, damaged or belongs to other inputs.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def read_answer(
 
 
 def claim_folder(folder: Path, note: str, question: str, content: Mapping[str, Any], other: Words) -> None:
-    """Reserve a folder for the answers to a question by the file ``note``.
+    """Reserve a folder for the results of one computation; the file ``note`` in it states the inputs.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def claim_folder(folder: Path, note: str, question: str, content: Mapping[str, A
 
 
 class AnswerLines(Generic[One]):
-    """File of answers, one line of JSON each, written immediately; a truncated last line is removed.
+    """File of computed results, one line of JSON each, written immediately; a truncated last line is removed.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ class AnswerLines(Generic[One]):
                     part.write_bytes(b"".join(line + b"\n" for line in kept))
 
     def add(self, key: Any, one: One, content: Any) -> None:
-        """Store an answer with ``content`` as its line."""
+        """Append a result as one line with this content."""
         if self._path is not None:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(content) + "\n")

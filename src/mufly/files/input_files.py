@@ -122,7 +122,9 @@ _MAX_ORDINARY_INTEGER = 10**300
 
 
 def model_error(problem: str, remedy: str, key: str = "") -> PydanticCustomError:
-    """Return the error that a model's own check raises; ``key`` replaces the key of the checked field."""
+    """Return the validation error for a refused value: problem and remedy; ``key`` names another field than the checked
+    one.
+    """
     context = {"problem": problem, "remedy": remedy} | ({"key": key} if key else {})
     return PydanticCustomError("mufly", "{problem}; {remedy}", context)
 

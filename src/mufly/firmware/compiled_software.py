@@ -109,7 +109,7 @@ class FirmwareSoftware(FlightSoftware):
             self.clear_cached_records()
 
     def retune_controllers(self, controller: FlightController) -> None:
-        """Blend to other gains of the same control law, without a jump of the outputs."""
+        """Change to other gains of the same control law gradually, without a jump of the outputs."""
         self.law.retune_gains(controller)
         super().retune_controllers(controller)
 
@@ -157,7 +157,7 @@ class FirmwareSoftware(FlightSoftware):
 
     @property
     def motors(self) -> str:
-        """Return the motor mode."""
+        """Return the mode of the motors, such as stopped or running."""
         return (
             "off"
             if self._software_instance is None

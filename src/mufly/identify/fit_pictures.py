@@ -59,7 +59,7 @@ def report_style() -> Iterator[None]:
 
 
 def text_colour() -> str:
-    """Return the colour of text."""
+    """Return the colour of text in the figures of a report."""
     from matplotlib import rcParams
 
     return str(rcParams["text.color"])

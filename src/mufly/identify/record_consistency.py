@@ -76,7 +76,8 @@ class SignalFault:
 
 @dataclass(frozen=True)
 class SignalAgreement:
-    """Agreement of a sensor with the kinematic prediction from others; ``read(t) = factor made(t - lag_s)``.
+    """Agreement of a sensor signal with its prediction by kinematics from other sensors: scale factor, lag and
+    correlation.
 
     Attributes
     ----------

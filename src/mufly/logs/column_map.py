@@ -116,7 +116,7 @@ class SignalEntry(_MapTable):
 
 
 class ColumnMap(_MapTable):
-    """Column map; see the module docstring."""
+    """Column map: assigns columns of a log to signals, with unit, sign, factor and clock."""
 
     title: str = ""
     kind: Literal["", "ULog", "DataFlash", "MAVLink tlog", "Crazyflie"] = ""

@@ -133,7 +133,9 @@ def _decode_text(raw: bytes) -> str:
 
 
 def read_binary(data: bytes) -> tuple[list[RawTable], _InstanceTopics, str]:
-    """Return the tables (times as written), the topics of each kind's instances, and the unknown byte ranges."""
+    """Read the binary form: tables with unchanged times, table names by message type and instance, and a text on
+    unreadable bytes.
+    """
     kinds, skipped = _index_messages(data)
     stream = np.frombuffer(data, dtype=np.uint8)
     rows = {}
@@ -284,7 +286,7 @@ def split_tables(
     units: dict[str, str],
     instance: str | None,
 ) -> list[RawTable]:
-    """Create tables of the messages of one kind, one per instance.
+    """Return the messages of one type as tables, one for each instance (such as each battery).
 
     The first instance keeps the name of the kind, others are ``name:instance``. Times are in seconds, as written.
     """

@@ -75,7 +75,7 @@ class DelayEstimate:
 
     @property
     def is_determined(self) -> bool:
-        """Whether the record determines the delay."""
+        """True if the estimate is reliable: a single clear peak of the correlation inside the search range."""
         return not self.at_limit and abs(self.correlation) >= _MIN_CORRELATION and math.isnan(self.second_peak_delay_s)
 
     @property

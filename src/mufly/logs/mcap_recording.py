@@ -269,7 +269,7 @@ def object_schema(properties: dict[str, Any], title: str = "") -> dict[str, Any]
 
 
 def foxglove_time(time_ns: int) -> dict[str, int]:
-    """Return a time as in Foxglove messages."""
+    """Return a time (ns) as the seconds and nanoseconds of a Foxglove message."""
     return {"sec": time_ns // 1_000_000_000, "nsec": time_ns % 1_000_000_000}
 
 

@@ -344,7 +344,7 @@ def check_clock(time: _Array) -> ClockReport:
 
 
 def find_foreign_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[np.bool_]], list[str]]:
-    """Find stamps in another epoch than the log.
+    """Find time stamps that count from another epoch than those of the rest of the log.
 
     No flight lasts a day, but epochs differ by years. The board's clock counts since its start, the GPS clock since
     1980 or since Sunday, UTC since 1970. A stamp never set is 0, and a damaged stamp may have any value. Stamps of all

@@ -46,7 +46,7 @@ _RETURN_WINDOW = 64  # packets within which a late one is followed by its succes
 
 
 def repair_arrival_times(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Array, NDArray[np.int64], list[str]]:
-    """Return increasing times of arrival, since the order in the file is that of arrival.
+    """Return arrival times that increase in the order of the file, in which packets were stored as they arrived.
 
     Single stamps far from both neighbours are interpolated; where the recording computer's clock was set back, later
     stamps are shifted to continue.
@@ -112,7 +112,7 @@ def _unwrap_sequence_numbers(numbers: NDArray[np.int64], arrival: _Array) -> NDA
 def order_by_packet_number(
     places: PacketPlaces, arrival: _Array, number: NDArray[np.int64]
 ) -> tuple[_Array, NDArray[np.bool_]]:
-    """Correct the order of arrival by the senders' packet numbers, and find duplicates.
+    """Correct the arrival order by the senders' packet numbers, and find duplicates.
 
     Parameters
     ----------

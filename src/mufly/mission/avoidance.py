@@ -296,7 +296,9 @@ class PathCheck(NamedTuple):
         return _find_nearest_point(self.nearest_point_by_sector, place[0], place[1])
 
     def nearest_blocking_point(self, place: tuple[float, ...]) -> tuple[float, float, float]:
-        """Return the same as :meth:`nearest_point`, for the blocking point."""
+        """Return the distance of the nearest point that blocks the path from a place N, E (m), and the unit vector to
+        the place.
+        """
         if self.nearest_blocking_distance_sq == math.inf:
             return math.inf, 0.0, 0.0
         return _distance_and_unit_vector(self.nearest_blocking_north, self.nearest_blocking_east, place[0], place[1])

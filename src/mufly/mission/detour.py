@@ -133,7 +133,7 @@ def begin_detour(
     sight: PathCheck,
     before: Detour | None,
 ) -> Detour:
-    """Start a detour at the reference; ``before`` is the last one on this leg, or None."""
+    """Start a detour at the reference; ``before`` is the preceding detour on this leg, or None."""
     here = (position[0], position[1])
     far = _planar_distance(goal, here)
     side = -1.0 if sight.mean_blocking_offset > 0.0 else 1.0
@@ -168,7 +168,7 @@ def follow_contour(
     speed: float,
     dt: float,
 ) -> Detour:
-    """Run one step of a detour.
+    """Move the detour's reference by one time step along the contour of the obstacle.
 
     Parameters
     ----------

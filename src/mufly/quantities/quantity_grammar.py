@@ -54,7 +54,7 @@ class ValueWithStd(NamedTuple):
 
 
 class ColumnLine(NamedTuple):
-    """Line of a column map as written.
+    """Entry of a column map: signal, its columns in a file, their signs and their unit.
 
     Attributes
     ----------
@@ -189,7 +189,7 @@ def read_list(where: str, text: str, unit: str) -> tuple[float, ...]:
 
 
 def read_vector(where: str, text: str, unit: str) -> tuple[float, ...]:
-    """Return the three components of a vector, or its length as a single number."""
+    """Return the three components of a vector such as ``"0.5,0,0"``, or the vector's magnitude given as one number."""
     values = read_list(where, text, unit)
     if len(values) not in (1, 3):
         raise InputError(
@@ -264,7 +264,7 @@ def read_time_span(where: str, text: str) -> tuple[float, float]:
 
 
 def offered_units(unit: str) -> tuple[str, ...]:
-    """Return the units offered for a quantity, the unit of bare numbers first."""
+    """Return the units that help texts list for a quantity; the first applies to numbers without a unit."""
     known = [u for u in compatible_units(_si_dimension(unit)) if u not in _UNLISTED_UNITS and u != unit]
     return (*([] if unit == "1" else [unit]), *known)
 

@@ -252,7 +252,9 @@ def to_plain_data(value: Any) -> Any:
 
 
 def format_value(value: Any, form: str = ".6g") -> str:
-    """Return a value as text: numbers in ``form``, ``"-"`` for unknown values, long arrays by size and range."""
+    """Return a value as text: numbers by the format ``form``, ``"-"`` for unknown values, long arrays by size and
+    range.
+    """
     if value is None or (isinstance(value, float | np.floating) and math.isnan(value)):
         return "-"
     if isinstance(value, bool | np.bool_):
@@ -287,7 +289,7 @@ def result_rows(value: Any, names: Iterable[str] | None = None) -> list[ResultRo
 
 
 def format_result(value: Any) -> str:
-    """Return a result as plain text: its own blocks, else a table with a line for each field."""
+    """Return a result as plain text: the blocks that its class defines, otherwise a line for each field."""
     if hasattr(value, "shown_blocks"):
         return format_blocks(value.shown_blocks())
     lines = result_rows(value)
@@ -316,7 +318,7 @@ def plot_result(self: Any) -> Figure:
 
 
 def draw_result_numbers(value: Any) -> Figure:
-    """Draw the numbers of a result, or those of its parts if it has none."""
+    """Draw the numbers of a result, or those of its parts if it has no numbers of its own."""
     known = field_meanings(type(value))
     numbers = [q for f in fields(value) for q in _plottable_series(known[f.name], getattr(value, f.name))]
     named = getattr(value, "name", "")
@@ -364,7 +366,7 @@ def _first_sentence(words: str) -> str:
 
 @dataclass(frozen=True)
 class ShownLines:
-    """Lines of text.
+    """Block of a printed result: lines of text.
 
     Attributes
     ----------
@@ -385,7 +387,7 @@ class ShownLines:
 
 @dataclass(frozen=True)
 class ShownTable:
-    """Table of texts.
+    """Block of a printed result: a table of texts.
 
     Attributes
     ----------

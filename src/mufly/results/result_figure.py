@@ -51,7 +51,7 @@ class PlotSeries(NamedTuple):
 
 
 def blank_figure(width: float, height: float, *, dpi: float | None = None) -> Figure:
-    """Return an empty figure (inches)."""
+    """Return an empty matplotlib figure of a width and height in inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), dpi=dpi, layout="constrained")
@@ -83,7 +83,7 @@ def make_series(label: str, unit: str, value: Any) -> PlotSeries | None:
 
 
 def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[str, str]] = ()) -> Figure:
-    """Draw series of numbers.
+    """Draw arrays as lines and short series as bars, in one panel for each unit.
 
     Parameters
     ----------

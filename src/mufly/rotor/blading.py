@@ -121,7 +121,7 @@ TEXTBOOK_CORRECTIONS = Corrections(lifting_surface=False, rotation="none")  # te
 
 
 def stall_delay_strength(kind: StallDelayModel, chord_over_r: Array) -> Array:
-    """Return the stall delay strength g of the module docstring, (stations,).
+    """Return the share g of the lift lost by stall that rotation restores at each station, (stations,).
 
     For Chaviaropoulos and Hansen the factor cos^4 theta is left out.
 
@@ -244,7 +244,7 @@ class Blading:
 
     @property
     def blades(self) -> Array:
-        """Blades of each rotor."""
+        """Number of blades of each rotor."""
         return np.array([float(rotor.blades) for rotor in self.rotors])
 
 
@@ -499,7 +499,7 @@ def near_wake_downwash(
 def lifting_surface_chord_factor(
     mid_x: Array, edge_x: Array, mid_c: Array, edge_c: Array, *, straight_wake: float = 0.0
 ) -> Array:
-    """Return e of the module docstring: loss of angle of attack (rad) per unit lift coefficient, (n,).
+    """Return the finite-chord factor e: loss of angle of attack (rad) per unit lift coefficient at each panel, (n,).
 
     Parameters
     ----------

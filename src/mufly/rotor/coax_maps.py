@@ -309,7 +309,7 @@ def interpolate_tables(
     ratio: float,
     climb_ratio: float,
 ) -> tuple[float, float, float, float]:
-    """Interpolate four tables at one point.
+    """Interpolate thrust and torque of both rotors of a coefficient map at one speed, speed ratio and climb ratio.
 
     Parameters
     ----------

@@ -69,7 +69,8 @@ _MIN_INDUCED_RATIO = 0.005  # of the tip speed: least induced velocity of that s
 
 @cached_njit(error_model="numpy")
 def tube_velocity(r: float, z: float, radius: float) -> float:
-    """Return K of the module docstring: axial velocity of a semi-infinite vortex tube over the velocity in its disc.
+    """Return the axial velocity that a semi-infinite vortex tube induces, over the velocity in its disc (K of the
+    module docstring).
 
     The two elliptic integrals combine into Bulirsch's cel(k', p, a, b) (Numer. Math. 7, 1965), as in Derby and Olbert's
     formula for solenoids (Am. J. Phys. 78, 2010).
@@ -114,7 +115,7 @@ def tube_axis_speed(distance_m: float, radius_m: float) -> float:
 
 
 def wake_contraction(distance_m: float, radius_m: float) -> float:
-    """Return the contraction s of the module docstring at a distance below the disc; 1 above it."""
+    """Return the radius of a wake tube at a distance below the disc over its radius in the disc; 1 above the disc."""
     return 1.0 / math.sqrt(tube_axis_speed(max(distance_m, 0.0), radius_m))
 
 
@@ -131,7 +132,7 @@ def _fill_cell_influence(out: Array, r: Array, z: Array, tubes: Array, starts: A
 
 
 def select_tube_edges(stations: int) -> NDArray[np.int64]:
-    """Select the panel edges at which tubes begin."""
+    """Select the blade panel edges at which vortex tubes begin."""
     return np.unique(np.linspace(0, stations, min(stations, _MAX_TUBES) + 1).round().astype(np.int64))
 
 
@@ -207,7 +208,8 @@ def axial_influence(r_m: Array, edge_m: float, narrow: float, at_m: Array, width
 
 
 def swirl_influence(r_m: Array, edge_m: float, distance_m: float, at_m: Array, width_m: Array) -> Array:
-    """Return the same matrix from moment of momentum r u (m^2/s) to u (m/s) at a distance below the disc.
+    """Return the matrix from moment of momentum r u (m^2/s) at a rotor's stations to swirl u (m/s) at panels
+    downstream.
 
     r u is conserved downstream, r becomes s r. Swirl is zero inside the blade roots, and there is no mixing.
     """

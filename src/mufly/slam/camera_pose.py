@@ -209,7 +209,7 @@ def ransac_two_points(
     rng: np.random.Generator,
     tries: int = 120,
 ) -> tuple[complex, float, float, NDArray[np.bool_]]:
-    """Return C, h, heading and the inliers, from floor points and their slopes.
+    """Return camera position C, height h, heading and the inliers, from floor points and the slopes of their rays.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ _TILT_COVARIANCE_INDEX = np.ix_([6, 7, 4, 5], [6, 7, 4, 5])  # tilt errors of th
 
 @dataclass(frozen=True)
 class FrameContext:
-    """A picture with its prior knowledge, before it is matched.
+    """A picture, with prior knowledge of its pose, before it is matched to a keyframe.
 
     Attributes
     ----------
@@ -435,7 +435,7 @@ def correlate_keyframe(
 
 
 def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: FrameContext, node: _Array) -> str:
-    """Return the reason not to trust a match; "" if it is trusted.
+    """Return the reason to reject a match; "" if it is accepted.
 
     A match is tested by its inliers, its residuals, its covariance, its distance from the predicted ``node`` (4,), and
     the places within reach that look the same (:func:`mufly.slam.place_recognition.is_unambiguous`).

@@ -34,7 +34,7 @@ def relocalize_by_orb(
     floor_map: FloorMap, known: int, view: ViewPrior, picture: Any, straight: Undistorter, shake_rms: float,
     rng: np.random.Generator,
 ) -> tuple[int, _Array] | None:  # fmt: skip
-    """Return the keyframe and node that the ORB matches support.
+    """Return the keyframe, and the pose (node) of the picture, on which most ORB matches agree.
 
     The result is None if another place has nearly as many inliers, or the picture repeats itself.
 

@@ -76,7 +76,7 @@ class GraphEdge:
     is_loop_closure: bool = False
 
     def compute_residual(self, a: _Array, b: _Array) -> _Array:
-        """Return the eight numbers of nodes ``a`` and ``b`` minus the measurement."""
+        """Return the residual (8,): relative pose and tilts of nodes ``a`` and ``b`` less the measured ones."""
         out = np.concatenate([relative_pose(a, b), a[TILT], b[TILT]]) - self.measurement
         out[2] = _wrap_angle(out[2])
         return out
@@ -122,7 +122,7 @@ class KeyframePriors:
 def gauss_markov_transition(
     elapsed_s: float, before: float, sigma: float, time_s: float, white: float = 0.0
 ) -> tuple[float, float]:
-    """Return r and the noise variance that relate two Gauss-Markov errors, see the module docstring.
+    """Return the correlation r and the noise variance between two samples of a Gauss-Markov error.
 
     The standard deviations of the errors are ``before`` and ``sigma``. If the second is smaller, the error is scaled
     down in proportion.

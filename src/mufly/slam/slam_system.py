@@ -62,7 +62,7 @@ pictures."""
 
 @dataclass(frozen=True)
 class TrackingResult:
-    """Result of a picture.
+    """Result of a picture: pose with covariance, or the reason why there is none.
 
     Attributes
     ----------

@@ -82,7 +82,7 @@ class SlamTrajectory:
 
 
 def collect_results(answers: Iterable[TrackingResult]) -> SlamTrajectory:
-    """Collect results; those that are not trusted are counted."""
+    """Collect the results of SLAM in a trajectory; pictures without an accepted pose are counted."""
     good: list[TrackingResult] = []
     reasons: dict[str, int] = {}
     count = 0

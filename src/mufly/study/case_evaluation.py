@@ -98,7 +98,9 @@ _POLAR_CACHE_LOCK = threading.Lock()
 
 
 def load_polar_tables(names: Sequence[str], transition: Transition, setup: StudySetup) -> dict[str, PolarTable | str]:
-    """Return the polars of airfoils, or the reason of failure; missing polars are computed together on all cores."""
+    """Return the polar table of each airfoil, or the reason of its failure; missing tables are computed together on all
+    cores.
+    """
     key = {name: (name, transition, setup.polar_engine, setup.polar_model) for name in names}
     with _POLAR_CACHE_LOCK:
         missing = [name for name in names if key[name] not in _POLAR_CACHE]
@@ -122,7 +124,7 @@ def load_polar_tables(names: Sequence[str], transition: Transition, setup: Study
 
 
 def evaluate_cases(setup: StudySetup, cases: Sequence[StudyCase]) -> StudyResults:
-    """Solve cases.
+    """Compute the results of cases, each a dictionary of parameters.
 
     Parameters
     ----------

@@ -120,7 +120,7 @@ class RotorOptimum:
 
     @property
     def unit(self) -> str:
-        """Unit of the goal."""
+        """Unit of the optimised quantity."""
         return "s" if self.goal == "endurance" else "N/W"
 
     def plot(self) -> Figure:
@@ -417,7 +417,7 @@ class OptimisationProblem:
         return "; ".join(broken) or "the battery cannot hold the hover"
 
     def optimise_pitch(self, case: Mapping[str, float | str], own_gear: bool) -> tuple[float, float]:
-        """Return the greatest goal over the pitch, and its pitch."""
+        """Return the greatest value of the goal over the pitch, and the pitch at which it occurs."""
         if "pitch" in self.setup.fixed_parameters:
             goal, _, _ = self.evaluate_goal([case], own_gear=own_gear)
             return float(goal[0]), float(self.setup.fixed_parameters["pitch"])
@@ -662,7 +662,9 @@ def _start_value(setup: StudySetup, name: str) -> float:
 def verify_by_wake(
     setup: StudySetup, best: PairOptimum, progress: Callable[[int, float, float], None] | None = None
 ) -> tuple[SystemSolution | str, SystemSolution | str]:
-    """Solve start and optimum at the same thrust, balanced, by the wake method; return the reason of a failure."""
+    """Solve initial pair and optimum at the same thrust with balanced torques by the wake method; return the reason of
+    a failure.
+    """
     slow = replace(setup, method="wake", balance_by="lower-speed")
     answers: list[SystemSolution | str] = []
     known: SystemSolution | None = None

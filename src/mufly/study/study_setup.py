@@ -139,7 +139,7 @@ class StudySetup:
 
     @property
     def error_subject(self) -> str:
-        """Subject of error messages about the study."""
+        """Name of the study in error messages."""
         return "study" if self.lower_rotor is None else "coaxial"
 
     @property

@@ -174,7 +174,7 @@ class Rotors(ParameterGroup):
 
 
 def describe_other_rotors(rotors: Rotors, flight_map: FlightMap) -> str:
-    """Return the differences between a flight map's rotors and a vehicle's; "" without any."""
+    """Return a text on the differences between a flight map's rotors and a vehicle's; ``""`` if there are none."""
     m, c = flight_map, rotors.coefficient_map
     spacing = float(rotors.lower.hub_z) - float(rotors.upper.hub_z)
     for name, made, own, tolerance in (

@@ -1,4 +1,4 @@
-"""Bench file (TOML): devices, load cell calibration and uncertainties. Example:
+"""Bench file (TOML): devices, load cell calibration and uncertainties. For example:
 
 name = "bench in the cellar"
 cells = "load_cells.csv"                    # calibration, beside this file: see docs/reference/bench.md

@@ -78,7 +78,7 @@ class SerialLine:
             raise DeviceError(f"{self.name}: is disconnected ({error})") from error
 
     def close(self) -> None:
-        """Close."""
+        """Close the port."""
         if self._line is not None:
             with contextlib.suppress(OSError):
                 self._line.close()

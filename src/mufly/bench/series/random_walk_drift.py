@@ -99,13 +99,13 @@ class RandomWalkDrift:
         return self.predict(time, np.zeros((time.size, self.design_matrix.shape[1])))
 
     def estimate_coefficients(self) -> tuple[Array, Array]:
-        """Return beta (p,) and its covariance (p, p)."""
+        """Return the coefficients beta (p,) of the linear model and their covariance (p, p)."""
         p = self.design_matrix.shape[1]
         return self.predict(np.full(p, self.start_time), np.eye(p))
 
     @property
     def mean_variance_inflation(self) -> float:
-        """Return the mean of kappa, the inflation of the stated variance of the readings."""
+        """Return the mean of kappa, the factor by which the variance of the readings exceeds the stated one."""
         return float(self.grid_weights @ self.grid_nodes[:, 1])
 
 

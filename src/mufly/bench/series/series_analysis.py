@@ -145,7 +145,7 @@ class SeriesResult:
 
     @property
     def fatal_issues(self) -> tuple[SeriesIssue, ...]:
-        """Issues that make the series invalid."""
+        """Issues for which the results of the series are refused."""
         return tuple(d for d in self.doubts if d.is_fatal)
 
 
@@ -260,7 +260,7 @@ def _describe_drifts(loads: dict[str, LoadChannel], points: SeriesReadings) -> I
 
 
 def check_reference(name: str, channel: LoadChannel, plan: SeriesPlan) -> Iterator[SeriesIssue]:
-    """Yield issues about changes of the reference rotor between its visits, by axis."""
+    """Yield issues about changes of the reference rotor's loads between its runs, by axis."""
     visits = channel.reference_visits
     for axis in ("upper", "lower"):
         mine = [

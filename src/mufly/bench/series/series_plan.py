@@ -90,7 +90,7 @@ class BladeMounting(ParameterGroup):
 
     @property
     def turning_sides(self) -> tuple[RotorSide, ...]:
-        """Axes that turn in this mounting."""
+        """Axes (upper, lower) that turn in this mounting."""
         return SIDES_BY_AXIS[self.axis]
 
     def speeds_rad_s(self, speed_rpm: float) -> dict[str, float]:
@@ -144,7 +144,7 @@ class SeriesPlan(ParameterGroup):
 
     @property
     def point_count(self) -> int:
-        """Number of points, including the reference."""
+        """Number of measured points, those of the reference rotor included."""
         return sum(len(m.speeds_rpm) for m in self.mounting)
 
     def estimate_duration_s(self) -> float:
@@ -179,7 +179,8 @@ def make_plan(
     speed_ratios: Sequence[float] = (1.0,), reference_every: int = 4, seed: int = 0,
     limits: BenchLimits | None = None, times: StepTimes | None = None, spacing_m: float = 0.04, tare_every: int = 4,
 ) -> SeriesPlan:  # fmt: skip
-    """Create a plan: every rotor at every pitch and speed, repeated, in random order, between reference visits.
+    """Create a plan: every rotor at every pitch and speed, repeated in random order, with runs of the reference rotor
+    in between.
 
     Parameters
     ----------

@@ -313,7 +313,9 @@ def compute_reference_visits(
     density: Array,
     speed: dict[str, Array],
 ) -> Array:
-    """Return time, ln(load / mean load), its standard uncertainty and mounting of every reference visit (v, 4)."""
+    """Return, for every run v of the reference rotor, time, ln(load / mean load), its standard uncertainty and
+    mounting, (v, 4).
+    """
     load = np.full(len(points), np.nan)
     for i, k in enumerate(points.mounting_index):
         m = plan.mounting[k]
@@ -342,7 +344,7 @@ def compute_reference_visits(
 
 
 def setting_key(m: BladeMounting, nominal_rpm: float) -> tuple[Any, ...]:
-    """Return the key that is equal for points of the same setting."""
+    """Return a key that is equal for all points with the same blades, pitch and speed."""
     return (
         m.axis,
         m.rotor,

@@ -81,7 +81,7 @@ class LoopFigures:
 
 @result
 class FlightFigures:
-    """Outcome of a method's flights.
+    """Results of simulated flights with the controllers of one method.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class FlightFigures:
 
 @result
 class ForwardFigures:
-    """Sampled roll-pitch loop in forward flight, its model linearised at that speed.
+    """Figures of the sampled roll-pitch loop in forward flight, with the model linearised at that speed.
 
     Attributes
     ----------
@@ -119,7 +119,8 @@ class ForwardFigures:
 
 @result
 class MethodFigures:
-    """One method: its two loops, its cascade's peak, its tilt in gusts, instructions and flights (None if not known).
+    """Figures of one method: both loops, peak of the cascade, tilt in gusts, instructions and flights (None if not
+    known).
 
     ``method`` is a method of synthesis, or the name of a tuned loop (:data:`TUNED_METHOD_NAME`). ``instructions`` are
     those of the whole law in a period on a Cortex-M4, mean over a self-test. ``forward`` is roll-pitch at forward
@@ -162,7 +163,7 @@ class MethodFigures:
 
 @result(picture="mufly.control.analysis.plots:draw_comparison")
 class ControllerComparison:
-    """Methods on one vehicle.
+    """Comparison of several synthesis methods on one vehicle.
 
     Attributes
     ----------

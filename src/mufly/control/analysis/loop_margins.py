@@ -24,7 +24,7 @@ from mufly.results import result
 
 @result
 class DiskMargin:
-    """Largest simultaneous disk of gain and phase in all inputs.
+    """Disk margin: the largest simultaneous change of gain and phase in all inputs at which the loop stays stable.
 
     Attributes
     ----------

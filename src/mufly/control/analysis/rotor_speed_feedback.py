@@ -53,7 +53,7 @@ _HEAVE_YAW_OUTPUTS = ["z", "psi", "r"]
 
 @result
 class HeaveYawRow:
-    """One loop: whether it reads rotor speeds, the weight of its inputs, and its figures.
+    """One heave-yaw loop: whether it measures rotor speeds, the weight of its inputs, and its figures.
 
     Attributes
     ----------

@@ -50,7 +50,9 @@ class SpeedSchedule:
 
     @property
     def disk_margin_gain(self) -> float:
-        """Largest gain of the disk margin by the design at the speed over the one at the first speed."""
+        """Largest increase of the disk margin at any speed, if the design for that speed replaces the design for the
+        first speed.
+        """
         return float(np.max(np.diag(self.disk_margin) - self.disk_margin[0]))
 
 

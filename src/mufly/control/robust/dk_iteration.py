@@ -33,7 +33,7 @@ _FIT_WEIGHT_EXPONENT = 4.0  # power of mu's bound, relative to its peak, that we
 
 
 class UncertaintyChannel(NamedTuple):
-    """A full complex block: numbers of the plant's outputs that enter it and of inputs that leave it."""
+    """A full complex block of the uncertainty: how many outputs of the plant enter it, and how many inputs leave it."""
 
     outputs: int
     inputs: int

@@ -161,7 +161,7 @@ class ParameterRobustness:
 
 
 class UncertainLoop:
-    """A loop with the derivatives of its plant by the components of z."""
+    """A control loop with the derivatives of its plant by the uncertain parameters, the components of z."""
 
     def __init__(self, design: ControllerDesign, derivatives: Sequence[Array]) -> None:
         self.name = design.name
@@ -189,7 +189,7 @@ class UncertainLoop:
         return response
 
     def responses(self, frequency: Array) -> ComplexArray:
-        """Return M at the frequencies (rad/s)."""
+        """Return the response M that the uncertain parameters meet in the closed loop, at frequencies (rad/s)."""
         m, P = self.left.shape[1], self.open_responses(frequency)
         delay = np.exp(-1j * frequency[:, None, None] * self.delay_s)
         K = -frequency_response(self.feedback, frequency) * delay
@@ -247,7 +247,8 @@ def _search_unstable_corner(
 
 
 def find_worst_parameters(loop: UncertainLoop, least: float) -> tuple[float, float, Array]:
-    """Return the smallest box, from the size ``least`` on, with an unstable corner: size, pole frequency, corner.
+    """Return the smallest parameter box with an unstable corner: its size in spreads, frequency of the pole, and
+    corner.
 
     The size is ``inf`` if there is none up to ten times the spreads.
     """

@@ -57,7 +57,8 @@ def parameter_values(vehicle: Vehicle, keys: Sequence[str]) -> Array:
 def spread_derivatives(
     vehicle: Vehicle, voltage_V: float, keys: Sequence[str], spread_matrix: Array
 ) -> dict[str, list[Array]]:
-    """Return the derivatives ``[dA dB]`` of heave-yaw and roll-pitch by every component of z, by the loop's name.
+    """Return the derivatives ``[dA dB]`` of the heave-yaw and roll-pitch plants by every uncertain parameter, by the
+    loop's name.
 
     Parameters
     ----------

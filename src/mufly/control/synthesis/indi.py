@@ -60,7 +60,7 @@ class IndiGains:
 
 
 class IndiLaw(NamedTuple):
-    """The law in scaled units.
+    """The INDI control law in scaled units.
 
     Attributes
     ----------

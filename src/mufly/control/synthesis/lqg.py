@@ -62,7 +62,7 @@ class LqgWeights:
 
 @result
 class LqgResult:
-    """A controller of LQG and its two halves.
+    """An LQG controller with its state feedback and its Kalman filter.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ def kalman_gain(plant: control.StateSpace, intensity: float, noise: Array) -> Ar
 
 
 def largest_recovery(plant: control.StateSpace, weights: LqgWeights, fastest: float) -> float:
-    """Return the recovery of the weights, or the largest smaller one with filter poles up to ``fastest`` (rad/s).
+    """Return the recovery q of the weights, or the largest smaller value with filter poles up to ``fastest`` (rad/s).
 
     Poles that the plant has itself (a fast servo) do not count: the filter leaves them where they are.
     """

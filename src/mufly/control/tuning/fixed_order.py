@@ -60,7 +60,7 @@ class TuningAim(Protocol):
         """Level that the norm is to stay below."""
 
     def loop(self, order: int) -> LoopNormByGain:
-        """Return the norm for controllers of an order."""
+        """Return the norm as a function of the gain of a controller of this order."""
 
 
 class NormAim(NamedTuple):
@@ -84,13 +84,13 @@ class NormAim(NamedTuple):
     kind: str = "hinf"
 
     def loop(self, order: int) -> LoopNormByGain:
-        """Return the norm for controllers of an order."""
+        """Return the norm as a function of the gain of a controller of this order."""
         return _StaticLoop(self.plant, order, self.kind)
 
 
 @result
 class TunedController:
-    """A tuned controller and what it reached.
+    """A tuned controller, with the norm that it reaches for each aim.
 
     Attributes
     ----------

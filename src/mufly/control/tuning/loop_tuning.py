@@ -77,7 +77,7 @@ class TuningGoals:
         return {name: level for name, level in found.items() if level is not None}
 
     def merge_goals(self, other: Mapping[str, float | None]) -> TuningGoals:
-        """Return the goals with those that ``other`` states."""
+        """Return the goals, replaced by those of ``other`` where it states any."""
         changes: dict[str, Any] = {k: v for k, v in other.items() if v is not None}
         return replace(self, **changes)
 
@@ -238,7 +238,7 @@ def continue_tuning(
     state: TuningState | None = None,
     progress: Callable[[int, int, TuningState], None] | None = None,
 ) -> tuple[control.StateSpace, TuningState]:
-    """Tune until every line has its rounds.
+    """Continue the tuning from each start until it has run the given number of rounds; return the best controller.
 
     Parameters
     ----------

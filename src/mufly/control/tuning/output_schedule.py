@@ -72,7 +72,7 @@ class ScheduledLoop:
 
 @result
 class FrozenSpeed:
-    """Sampled loop at one frozen velocity, with one sample of delay.
+    """Sampled loop at one constant forward speed, with one sample of delay.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ class OutputSchedule:
 
     @property
     def inverse_square(self) -> float:
-        """Factor from the square of the speed to the share (s2/m2)."""
+        """Factor (s2/m2) that turns the square of the forward speed into the share of the schedule, 0 to 1."""
         return 1.0 / self.speed_m_s**2
 
     def controller_at(self, hover: DiscreteController, share: float) -> control.StateSpace:

@@ -74,7 +74,9 @@ class ParameterAim:
         self._G = np.zeros((_FREQUENCY_COUNT, m, m), dtype=complex)
 
     def response(self, K: Array, order: int) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Return M at the frequencies for a gain ``[Ak Bk; Ck Dk]``, and its factors ``dM = left dK right``."""
+        """Return the response M at the frequencies for a gain ``[Ak Bk; Ck Dk]``, and the factors ``dM = left dK
+        right``.
+        """
         eye = np.eye(order)
         R = np.linalg.inv(1j * self.frequency[:, None, None] * eye - K[:order, :order])
         picked = np.zeros((self.n_inputs, len(self.rows)))
@@ -104,7 +106,7 @@ class ParameterAim:
         return float(kept.max())
 
     def loop(self, order: int) -> LoopNormByGain:
-        """Return the norm for controllers of an order."""
+        """Return the norm as a function of the gain of a controller of this order."""
         return _ScaledBound(self, order)
 
 

@@ -73,7 +73,7 @@ INITIAL_ACCEL_NOISE_DENSITY = 5.0
 
 @cached_njit(error_model="numpy")
 def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
-    """Set the memory to its initial values."""
+    """Set the memory of the filter to its initial values."""
     for i in range(STATE_COUNT):
         m.x[i] = m.x_repropagating[i] = m.x_now[i] = s.initial_state[i]
     for i in range(ERROR_STATE_COUNT):

@@ -92,7 +92,7 @@ MIN_CROSS_AXIS_YAW_RATE = 0.25
 def queue_measurement(
     m: FilterMemory, s: FilterSettings, kind: int, at: float, z: _Array, start: int, count: int
 ) -> bool:
-    """Queue a measurement of tick ``at`` until the horizon reaches it.
+    """Store a measurement taken in period ``at`` until the horizon reaches that period.
 
     Returns False if the horizon has passed it by more than :data:`MAX_BACKDATE_S`, or the queue is full."""
     due = s.block_ticks * floor_int(at / s.block_ticks + 0.5)
@@ -240,7 +240,7 @@ def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
 
 @cached_njit(error_model="numpy")
 def clear_block_forces(m: FilterMemory) -> None:
-    """Restart the means of the forces of accelerometers and model."""
+    """Restart the averages of the measured and of the modelled specific force."""
     for k in range(3):
         m.accel_mean[k] = m.model_accel_mean[k] = m.gyro_mean[k] = 0.0
         m.thrust_slope[k] = m.velocity_slope[k] = 0.0

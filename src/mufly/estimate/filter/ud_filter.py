@@ -170,7 +170,7 @@ def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
 
 @cached_njit(error_model="numpy")
 def ud_time_update(ut: _Array, d: _Array, span: float, transition: _Array, q: _Array, w: _Array, v: _Array) -> None:
-    """Propagate the states of motion over a step.
+    """Propagate the factors of the covariance over a step of position, velocity and attitude.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def state_variance(ut: _Array, d: _Array, i: int) -> float:
 
 
 def ud_factorise(covariance: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Return ``ut`` and ``d`` of a positive definite covariance (n, n)."""
+    """Return the factors U^T (``ut``) and D (``d``) of a positive definite covariance (n, n)."""
     p = np.array(covariance, dtype=np.float64)
     n = len(p)
     ut, d = np.eye(n), np.zeros(n)

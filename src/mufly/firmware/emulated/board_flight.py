@@ -141,7 +141,7 @@ class BoardEstimator(KalmanEstimator):
         return super().update(readings, acting, missed)
 
     def process_missed_periods(self, count: int) -> None:
-        """Report the number of periods lost before this one to the board, which makes them up."""
+        """Report the number of periods lost before this one to the board, which computes them."""
         self._missed = count
 
     def _step_board(self) -> bool:
@@ -196,7 +196,7 @@ class BoardInstance(SoftwareInstance):
         self._log_count = 0
 
     def step_board(self, command: Command | None, armed: bool) -> Actuators:
-        """Run the second half of a period; return the inputs that the board sends to its actuators.
+        """Run the control half of a period; return the inputs that the board sends to its actuators.
 
         Without a command, the board takes its commands from its own link and supervisor.
         """

@@ -42,10 +42,10 @@ class Board(Protocol):
         """Return to the state after power-up."""
 
     def compute_estimate(self, period: Any) -> None:
-        """Run the first half of a period; ``period`` is a ``board_period_t *``."""
+        """Run the first half of a period, which updates the estimate; ``period`` is a ``board_period_t *``."""
 
     def compute_control(self, request: Any) -> None:
-        """Run the second half of a period; ``request`` is a ``board_request_t *``."""
+        """Run the second half of a period, which computes the actuator inputs (``board_request_t * request``)."""
 
     def close(self) -> None:
         """End the board."""
@@ -100,12 +100,12 @@ class HostBoard:
         self.lib.block_model_attach(self.block_model)
 
     def compute_estimate(self, period: Any) -> None:
-        """Run the first half of a period."""
+        """Run the first half of a period, which updates the estimate."""
         self.lib.merge_readings(self.ffi.addressof(self.record, "readings"), self.ffi.addressof(period, "readings"))
         self.lib.board_estimate(self.record, period.time_s, period.missed)
 
     def compute_control(self, request: Any) -> None:
-        """Run the second half of a period."""
+        """Run the second half of a period, which computes the actuator inputs."""
         given = self.ffi.addressof(request, "given") if request.is_given else self.ffi.NULL
         self._attach_models()
         self.lib.board_control(self.record, given)
@@ -220,12 +220,12 @@ class EmulatedBoard:
         return process
 
     def compute_estimate(self, period: Any) -> None:
-        """Run the first half of a period."""
+        """Run the first half of a period, which updates the estimate."""
         self._run_half_period(period, self._twin.compute_estimate)
         self.period_count += 1
 
     def compute_control(self, request: Any) -> None:
-        """Run the second half of a period."""
+        """Run the second half of a period, which computes the actuator inputs."""
         self._run_half_period(request, self._twin.compute_control, self._conclude_period)
 
     def _conclude_period(self) -> None:

@@ -129,7 +129,7 @@ def render_supervisor_source(vehicle: Vehicle) -> str:
 
 
 def render_texts_source() -> str:
-    """Return the text of ``onboard/link/texts.c``: the templates of the log."""
+    """Return the text of ``onboard/link/texts.c``: the templates of the log messages."""
     rows = [f"    {json.dumps(message.value, ensure_ascii=True)}," for message in LogMessage]
     return "\n".join(
         ["/* Templates of the log, made from those of Python; do not edit. */", '#include "onboard/link/text.h"', "",

@@ -439,7 +439,7 @@ class FixedPointLaw:
 
     @property
     def chosen_losses(self) -> tuple[QuantisationLoss, ...]:
-        """Return the losses of the chosen forms."""
+        """Return the loss of stability margins of each controller in its chosen fixed-point form."""
         forms = [c.form for c in self.controllers]
         loops = [_LOOP_DESIGNS[c.name].replace("_", "-") for c in self.controllers]
         return tuple(

@@ -62,7 +62,7 @@ MAX_PERIODS_PER_CALL = 4096
 
 
 class LoopClock:
-    """Next stage, counters, intervals and constants of a call."""
+    """Next stage, counters, intervals and constants of one call of the compiled loop."""
 
     stage: int = int_or_array_field("stage due next")
     tick: int = int_or_array_field("periods of the plant since its start")

@@ -35,7 +35,7 @@ _MIN_BLOCKS = 60
 
 @dataclass(frozen=True)
 class CausalGain:
-    """Gains of the best fit, and its evidence against the other sign.
+    """Gains from predicted accelerations to a measured motion, and the evidence for the sign of the largest.
 
     Attributes
     ----------

@@ -84,7 +84,7 @@ def estimate_notes(
     linear: LinearisedProblem,
     rise: _Array,
 ) -> list[str]:
-    """Return notes on the reliability of the estimates; ``rise`` is the result of :func:`straightness`."""
+    """Return notes on the reliability of the estimates; ``rise`` is the result of :func:`cost_rise_along_axes`."""
     held = [f.symbol for f, b in zip(problem.free_parameters, at_bound, strict=True) if b]
     notes = [f"{symbol} stopped at its bound: its interval does not hold" for symbol in held]
     large = [f"{o} ({v:.1f} times)" for o, v in residual_over_noise(problem).items() if v > MAX_RESIDUAL_NOISE_RATIO]

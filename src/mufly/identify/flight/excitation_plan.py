@@ -160,7 +160,7 @@ _HOVER_HEIGHT_M, _HOVER_BATTERY_CHARGE = 2.0, 0.7  # height of the hover; state 
 
 @dataclass(frozen=True, eq=False)
 class PilotSupport:
-    """Hover and the feedback that holds it.
+    """Hover state of a vehicle, and the feedback that stabilises the vehicle during a planned flight.
 
     Attributes
     ----------

@@ -118,7 +118,9 @@ class ReducedRecord:
         ]
 
     def project_rows(self, rows: list[_Array]) -> _Array:
-        """Return ``(1 - Q Q^T) e``, window after window."""
+        """Return the part of the rows ``e`` that no change of the initial states explains, ``(1 - Q Q^T) e``, window
+        after window.
+        """
         return np.concatenate(
             [e - q @ (q.T @ e) for (_, _, q, _, _), e in zip(self._window_factors, rows, strict=True)]
         )

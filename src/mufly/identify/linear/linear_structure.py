@@ -138,7 +138,7 @@ def scale_structure(structure: LinearStructure, u: Array, y: Array) -> LinearStr
 
 
 class SearchCoordinates:
-    """Search coordinates of parameters: the logarithm of positive parameters, the others over their scale.
+    """Search coordinates of parameters: the logarithm of positive parameters; other parameters divided by their scale.
 
     Attributes
     ----------

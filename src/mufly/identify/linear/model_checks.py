@@ -231,7 +231,7 @@ def predict_ahead(
 
 @result(json="split_hz above below input_share total")
 class NoiseFloor:
-    """Noise of one output; standard deviations in its unit.
+    """Noise of one measured output below and above a frequency; standard deviations in the unit of the output.
 
     Attributes
     ----------

@@ -46,7 +46,7 @@ _CRC_SIZE = 4
 
 
 class LostPart(NamedTuple):
-    """Unusable part of a file.
+    """Part of a damaged file that cannot be read.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class LostPart(NamedTuple):
 
 @dataclass
 class McapContents:
-    """Readable contents of a file.
+    """All messages, metadata and attachments that could be read from a file.
 
     Attributes
     ----------

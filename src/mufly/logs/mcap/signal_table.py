@@ -52,7 +52,7 @@ class FlightEvent(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordingLayout:
-    """Layout of a row: quantity of each column.
+    """Layout of a row of numbers: which quantity each column holds.
 
     Attributes
     ----------
@@ -280,7 +280,9 @@ def to_json_value(value: Any) -> Any:
 
 
 def describe_dataset(dataset: xr.Dataset) -> str:
-    """Return as JSON the information outside the columns, for :func:`restore_dataset`."""
+    """Return labels, attributes and all else of a dataset but its numbers over time as JSON, for
+    :func:`restore_dataset`.
+    """
     variables = {}
     for key, variable in dataset.data_vars.items():
         if "time" in variable.dims and variable.ndim <= 2:
@@ -293,7 +295,7 @@ def describe_dataset(dataset: xr.Dataset) -> str:
 
 
 def restore_dataset(time: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], description: str) -> xr.Dataset:
-    """Return the dataset of columns and description, the inverse of :func:`component_channels`.
+    """Return the dataset from its numbers over time and the text of :func:`describe_dataset`.
 
     Raises
     ------

@@ -47,7 +47,7 @@ NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 class RangeLimits(NamedTuple):
-    """Geometry of the range sensors of a vehicle, which a recording does not hold.
+    """Geometry of a vehicle's range sensors, which a recording does not contain but ROS messages require.
 
     Attributes
     ----------
@@ -375,7 +375,7 @@ def select_topics(names: Mapping[str, Any]) -> list[RosTopic]:
 
 
 def rows_with_data(topic: RosTopic, blocks: Blocks) -> NDArray[np.int64]:
-    """Return the rows that give a message of a topic."""
+    """Return the indices of the recording's rows that contain data for a message of a topic."""
     there = np.isfinite(blocks[topic.signal]).all(axis=1)
     if topic.valid_signal in blocks:
         there &= blocks[topic.valid_signal][:, 0] > 0.5
@@ -389,7 +389,7 @@ def stamp_times_ns(topic: RosTopic, blocks: Blocks, time_s: _Array, start_ns: in
 
 
 def pick_message(columns: Any, k: int) -> Any:
-    """Return message ``k`` of columns: nested dictionaries of numbers, texts, arrays and lists."""
+    """Return the message at row ``k`` from columns over time, as nested dictionaries of numbers, texts and lists."""
     if isinstance(columns, dict):
         return {name: pick_message(value, k) for name, value in columns.items()}
     if isinstance(columns, np.ndarray):

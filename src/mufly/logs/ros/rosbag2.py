@@ -293,7 +293,9 @@ def read_rosbag2(path: str | Path) -> RawLog:
 
 
 def bag_column_map(raw: RawLog) -> ColumnMap:
-    """Return the map from the decoded fields of a bag to signals; of several topics the first counts."""
+    """Return the map from the decoded fields of a bag to signals; if several topics contain a signal, the first one is
+    used.
+    """
     entries: list[dict[str, Any]] = []
     for topic, table in raw.items():
         for name in dict.fromkeys(f.partition(".")[0] for f in table.units):

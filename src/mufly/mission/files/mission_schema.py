@@ -301,7 +301,7 @@ class Mission(_MissionTable):
 
     @cached_property
     def scans_with_nose(self) -> bool:
-        """Whether the helicopter scans for obstacles by swinging its nose."""
+        """Whether the helicopter yaws to and fro to scan for obstacles."""
         chosen = self.avoidance.scan
         named = bool(self.box or self.cylinder or self.wall)
         return self.avoidance.enabled and (named if chosen is None else chosen)

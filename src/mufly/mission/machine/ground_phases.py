@@ -88,7 +88,7 @@ def _judge_outcome(s: MissionState) -> MissionState:
 
 
 def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """Descend, slower near the floor, then press down until the legs carry the weight, and stop the rotors.
+    """Descend, slower near the floor, then reduce the thrust until the legs carry the weight, and stop the rotors.
 
     If the height is known with certainty, the rotors stop as soon as the vehicle is 3 cm above its reference and within
     2 cm of the floor. Otherwise the controllers could follow an undetected drift of the position and tip the vehicle
@@ -153,7 +153,7 @@ def fail_and_land(s: MissionState, why: str) -> MissionState:
 
 
 def finish_blind_descent(s: MissionState, time_s: float) -> MissionState:
-    """Finish the descent without measurements after its time."""
+    """End the flight after the descent without measurements: motors off, mission finished."""
     s = replace(s, time_s=time_s)
     return enter_state(s, State.INIT, LogMessage.MOTORS_OFF_AFTER_DESCENT(), motors="off", finished=True)
 

@@ -1,4 +1,4 @@
-"""Reference of the mission for the controllers: the point of the present motion, and the swing of the nose."""
+"""Reference of the mission for the controllers: the point of the present motion, and the yaw oscillation that scans."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ZERO_VECTOR = (0.0, 0.0, 0.0)
 
 
 def current_reference(s: MissionState) -> TrajectoryPoint:
-    """Return the present reference, without the swing of the nose."""
+    """Return the present reference, without the yaw oscillation that scans for obstacles."""
     if s.state is State.OBSTACLE and s.detour is not None:
         return TrajectoryPoint(s.detour.position, s.detour.velocity, s.detour.acceleration, s.hold_heading, 0.0)
     if s.state in (State.OFFBOARD, State.WAYPOINT) and s.set_point_reference is not None:
@@ -60,12 +60,14 @@ def has_departed(s: MissionState) -> bool:
 
 
 def is_scanning(plan: MissionPlan, s: MissionState) -> bool:
-    """Return whether the nose swings: around an obstacle, and on a level path if the mission scans."""
+    """Return whether the vehicle yaws to and fro to scan: around an obstacle, or on a level path of a scanning
+    mission.
+    """
     return s.state is State.OBSTACLE or (plan.scans_with_nose and s.state is State.WAYPOINT and has_departed(s))
 
 
 def scan_yaw(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
-    """Return angle and rate of the nose swing (rad, rad/s).
+    """Return angle (rad) and rate (rad/s) of the yaw oscillation that scans for obstacles.
 
     The amplitude is half the angle between two beams. It rises over the first second of a scan and falls over a second
     after its end.

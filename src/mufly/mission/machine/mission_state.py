@@ -39,7 +39,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """The user's signals at one step; the default is no signal.
+    """Requests of the user at one step; by default none.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ class MissionPlan:
 
     @property
     def scans_with_nose(self) -> bool:
-        """Whether the vehicle scans for obstacles with its nose."""
+        """Whether the vehicle yaws to and fro to scan for obstacles."""
         return self.mission.scans_with_nose
 
 

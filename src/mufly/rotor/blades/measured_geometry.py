@@ -63,7 +63,9 @@ class GeometryReadings(NamedTuple):
 
 
 class MeasuredGeometry(NamedTuple):
-    """Measured rotor, standard deviations of its angles as a whole (rad) and of a chord (m), and notes."""
+    """Measured rotor, with the standard deviation of the error common to all its angles (rad), that of a chord (m), and
+    notes.
+    """
 
     rotor: Rotor
     pitch_std_rad: float

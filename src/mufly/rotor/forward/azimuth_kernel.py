@@ -419,7 +419,8 @@ def _newton_step(
 def solve_azimuth(
     blade: AzimuthBlade, point: AzimuthPoint, trig: Array, ways: Array, inflow: Array, x: Array
 ) -> tuple[int, float, float]:
-    """Solve a point by Newton steps; return their number, the last residual and w.
+    """Solve an operating point by Newton's method; return the number of steps, the last residual and the weight w of
+    annulus inflow.
 
     Parameters
     ----------

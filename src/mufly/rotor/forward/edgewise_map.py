@@ -44,7 +44,9 @@ _COUPLING_TOLERANCE = 1e-5  # of the coupling
 
 
 def make_edgewise_axis(knee: float, count: int, *, advance_ratio: float = MAP_ADVANCE_RATIO) -> Array:
-    """Return ``count`` even steps of e from 0 to the one of an advance ratio."""
+    """Return ``count`` evenly spaced values of the axis variable e = mu^2 / (mu^2 + knee^2), from 0 to that of an
+    advance ratio mu.
+    """
     return np.round(np.linspace(0.0, advance_ratio**2 / (advance_ratio**2 + knee**2), count), 5)
 
 
@@ -218,7 +220,7 @@ def spline_matrix(n: int) -> Array:
 def interpolate_flow_loads(
     table: Array, climbs: int, edges: int, ratio: float, climb: float, edge: float
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:
-    """Interpolate the first six columns of both rotors.
+    """Return the six loads of each rotor that edgewise flow causes, interpolated in a flight map: 12 numbers.
 
     Parameters
     ----------
@@ -244,7 +246,9 @@ def interpolate_flow_loads(
 def interpolate_rate_loads(
     rates: Array, edges: int, edge: float
 ) -> tuple[float, float, float, float, float, float, float, float]:
-    """Interpolate the last four columns of both rotors over e; ``rates`` are (edges * 8,) spline coefficients."""
+    """Return the four loads of each rotor that roll and pitch rate cause, interpolated over the edgewise axis e: 8
+    numbers.
+    """
     i0, ea, eb, ec = spline_weights(edge, edges)
     return sum_rate_rows(rates, 8 * i0, ea, eb, ec)
 

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BladeFlap:
-    """Flap mode of a blade: the rigid shape, with a frequency of its own.
+    """Flap mode of a rigid blade on a hinge, with a given natural frequency.
 
     Attributes
     ----------

@@ -96,7 +96,9 @@ def disc_through_flow(hover_m_s: float, axial_m_s: float, edgewise_m_s: float) -
 
 @cached_njit(error_model="numpy")
 def momentum_induced_velocity(hover_squared: float, axial_m_s: float, edgewise_m_s: float) -> float:
-    """Return the mean induced velocity (m/s) of a load; ``hover_squared``: signed square of u_h (m^2/s^2)."""
+    """Return the mean induced velocity (m/s) of a loaded disc; ``hover_squared`` is the signed square of that in hover
+    (m^2/s^2).
+    """
     size = math.sqrt(abs(hover_squared))
     if size < 1e-9:
         return 0.0
@@ -109,7 +111,8 @@ def momentum_induced_velocity(hover_squared: float, axial_m_s: float, edgewise_m
 def pitt_peters_inflow(
     c_t: float, c_c: float, c_s: float, mean: float, axial: float, mu: float
 ) -> tuple[float, float, float, float]:
-    """Return l0, lc, ls that the loads induce, and cos chi; all velocities over Omega R.
+    """Return the mean inflow l0 and its two gradients lc, ls that the loads induce, over Omega R, and the cosine of the
+    wake's skew angle chi.
 
     Parameters
     ----------

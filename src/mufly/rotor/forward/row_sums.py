@@ -89,7 +89,7 @@ def sum_flow_rows(
 def sum_rate_rows(
     table: Array, first: int, ea: float, eb: float, ec: float
 ) -> tuple[float, float, float, float, float, float, float, float]:
-    """Return the weighted sum of three neighbouring rows of 8 columns; ``first`` is the place of the first."""
+    """Return the weighted sum of three neighbouring rows of 8 columns, beginning at index ``first``."""
     return (
         _sum_rows(table, first, ea, eb, ec),
         _sum_rows(table, first + 1, ea, eb, ec),

@@ -66,7 +66,7 @@ _MIN_SECTION_PROBABILITY = 0.003  # sections below this probability are left out
 
 @dataclass(frozen=True)
 class InputUncertainty:
-    """Standard deviations of the causes; the defaults are those of a known section."""
+    """Standard deviations of the causes of prediction errors; the defaults are those of a blade of known section."""
 
     n_crit: tuple[float, ...] = (4.0, 9.0)
     lift: float = 0.04
@@ -265,7 +265,8 @@ def interval_quantile(level: float) -> float:
 
 
 def fit_interval_scale(errors: Sequence[Array]) -> float:
-    """Return the likeliest scale k of errors, each error in standard deviations of its prediction.
+    """Return the most likely scale k of Student's distribution for errors divided by their predicted standard
+    deviations.
 
     The root mean square z_i of a rotor's errors counts as one draw, so that neither long sweeps nor copies of a point
     count more than others. The maximum of sum_i log(f_3(z_i / k) / k), f_3 Student's density with n = 3 degrees of

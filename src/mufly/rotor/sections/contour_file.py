@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 
 class SectionWarning(UserWarning):
-    """Warning: the data of a section is used in another form than written."""
+    """Warning that the data of a section was changed before use, for instance moved or rotated."""
 
 
 _MIN_POINTS = 20
@@ -51,7 +51,7 @@ _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
 
 
 def read_contour(path: Path) -> Array:
-    """Read a coordinate file whose frame is that of the catalogue.
+    """Read a coordinate file of an airfoil database, whose axes are kept.
 
     Returns
     -------

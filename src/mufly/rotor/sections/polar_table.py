@@ -277,7 +277,7 @@ def extrapolation_flags(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike
 def stack_extrapolation_flags(
     stack: PolarStack, k: int | NDArray[np.int64], alpha: Array, reynolds: Array
 ) -> NDArray[np.uint8]:
-    """Flag values in the extended range of the tables of a stack at points (n,).
+    """Return flags of points (n,) that lie outside the computed range of the tables of a stack.
 
     ``k`` is one table index, or (..., n) indices with a table per point.
     """

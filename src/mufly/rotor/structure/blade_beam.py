@@ -121,7 +121,7 @@ class BladeBeam:
 
     @cached_property
     def weights_m(self) -> Array:
-        """Length that each Gauss point stands for, (elements, 4)."""
+        """Integration weight of each Gauss point, as a length along the span, (elements, 4)."""
         return self.length_m[:, None] * _GAUSS_WEIGHTS
 
     def integrate_over_span(self, values: Array) -> float:
@@ -203,7 +203,9 @@ class BladeBeam:
         return np.column_stack([*extra, keep]) if extra else keep
 
     def assemble_matrix(self, *parts: tuple[Array | float, Array, Array], symmetric: bool = True) -> Array:
-        """Return the sum of int factor left right^T dr over all parts, (size, size), by default its symmetric part."""
+        """Return the integral of factor left right^T along the span, summed over all parts: (size, size), by default
+        its symmetric part.
+        """
         total = np.zeros((self.length_m.size, _ELEMENT_DOF_COUNT, _ELEMENT_DOF_COUNT))
         for factor, left, right in parts:
             total += np.swapaxes((self.weights_m * factor)[..., None] * left, 1, 2) @ right
@@ -214,7 +216,7 @@ class BladeBeam:
         return out
 
     def assemble_load(self, *parts: tuple[Array | float, Array]) -> Array:
-        """Return the load vector sum of int factor shape dr over all parts, (size,)."""
+        """Return the load vector, the integral of factor times shape along the span, summed over all parts: (size,)."""
         out = np.zeros(self.dof_count)
         for factor, shape in parts:
             np.add.at(out, self._dof_indices, np.einsum("eg,egi->ei", self.weights_m * factor, shape))

@@ -80,7 +80,9 @@ class BladeStructure(ParameterGroup):
 
 
 def relative_std(quantity: Quantity | None, unknown: float = 0.0) -> float:
-    """Return the relative standard deviation of a quantity: its own, or that of its source; ``unknown`` for None."""
+    """Return the relative standard deviation of a quantity: the stated one, or the usual one of its source; ``unknown``
+    for None.
+    """
     if quantity is None:
         return unknown
     if quantity.std is not None:

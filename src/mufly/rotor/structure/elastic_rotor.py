@@ -173,7 +173,8 @@ def load_derivative(beam: BladeBeam, below: SpanLoads, above: SpanLoads, step_ra
 
 
 def divergence_speed(beam: BladeBeam, elastic: Array, destabilising: Array) -> float:
-    """Return the square root of the least positive mu with K_e x = mu D x; infinite if there is none.
+    """Return the divergence speed: the root of the least positive eigenvalue mu of K_e x = mu D x; infinite if there is
+    none.
 
     Parameters
     ----------
@@ -202,7 +203,7 @@ def twisted_loads(
     air: Air,
     more_rad: float = 0.0,
 ) -> tuple[RotorResult, SpanLoads]:
-    """Return solution and loads of a rotor with an elastic twist at the Gauss points, and some more pitch."""
+    """Return solution and span loads of a rotor with an elastic twist at the Gauss points and an additional pitch."""
     there = np.interp(blading.r_m[0], beam.points_m.ravel(), twist_rad.ravel())
     bent = replace(blading, twist_rad=blading.twist_rad + there)
     found = solve_rotor(bent, pitch_rad=pitch_rad + more_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air)
@@ -320,7 +321,7 @@ class ElasticRotorResult:
 
     @property
     def is_near_divergence(self) -> bool:
-        """True if the band holds a blade beyond 0.7 of its divergence speed."""
+        """True if a blade within the 90 % band turns at more than 0.7 of its divergence speed."""
         return self.rigid.speed_rad_s > NEAR_DIVERGENCE_SPEED_RATIO * self.divergence_low_rad_s
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
@@ -374,7 +375,8 @@ def solve_elastic_rotor(
     engine: PolarEngine = "neuralfoil",
     corrections: Corrections | None = None,
 ) -> ElasticRotorResult:
-    """Return a rotor with elastic blades beside the rigid rotor, with bands for what the rotor file leaves out.
+    """Return a rotor with elastic blades beside the rigid rotor, with 90 % bands for properties that the rotor file
+    leaves open.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Frequencies of a rotor file's blade over rotor speed, with bands for what the file does not say.
+"""Frequencies of a rotor file's blade over rotor speed, with bands for properties that the file does not state.
 
 :func:`make_blade_beam` turns a rotor file into a :class:`BladeBeam`. :func:`compute_flap_mode` gives the first flap
 mode of a blade at one speed, for models of the rotor in forward flight, and :func:`compute_campbell` the frequencies
@@ -439,7 +439,7 @@ def compute_campbell(
 
 
 def select_modes(found: BeamModes) -> Array:
-    """Return the frequencies of the modes of a Campbell diagram (rad/s); nan for one beyond the computed modes."""
+    """Return the frequencies of selected modes of a Campbell diagram (rad/s); nan for a mode that was not computed."""
     out = []
     for kind, order in _CAMPBELL_MODES:
         places = [k for k, name in enumerate(found.kind) if name == kind]

@@ -169,7 +169,7 @@ def make_segments(paths: Array, core: Array, strength: Array) -> tuple[Array, Ar
 
 
 class SingleSegments(NamedTuple):
-    """Segments in single precision, in groups; lengths are over ``length_m``, against underflow.
+    """Segments in single precision, in groups of equal size; lengths are divided by ``length_m`` to avoid underflow.
 
     ``rows``, (10, groups, segments): start, line to the end, its square, s^2, s^2 times that square, circulation.
     """

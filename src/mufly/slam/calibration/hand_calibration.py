@@ -182,7 +182,7 @@ def fit_camera(
     height_sigma_m: float = _SONAR_SIGMA_M,
     frames: Callable[[], Iterable[tuple[float, NDArray[np.uint8]]]] | None = None,
 ) -> HandCalibration:  # fmt: skip
-    """Calibrate a camera from tracks.
+    """Estimate lens, mounting and delay of a camera from tracks of floor points, inertial data and heights.
 
     Parameters
     ----------

@@ -120,7 +120,7 @@ _ROLLING_SHUTTER_SHIFT_SIGMA_PX = 1.0
 
 @dataclass(frozen=True)
 class CameraVerdict:
-    """Result of the checks.
+    """Result of the checks of a camera: its fault, or none.
 
     Attributes
     ----------
@@ -168,12 +168,12 @@ class CameraMonitor:
 
     @property
     def estimate(self) -> NDArray[np.complex128]:
-        """The numbers m, n and k (3,)."""
+        """Estimated coefficients m, n and k (3,) of the motion in the picture; 1, 0 and 0 for a correct camera."""
         return self._fit.estimate
 
     @property
     def sigma(self) -> _Array:
-        """Standard deviations (3,) of m, n and k along one axis."""
+        """Standard deviations (3,) of the coefficients m, n and k along one axis."""
         return self._fit.sigma
 
     def check_stamp(self, time_s: float, last_time_s: float) -> CameraVerdict:
@@ -197,7 +197,7 @@ class CameraMonitor:
 
     @property
     def frozen_verdict(self) -> CameraVerdict:
-        """The verdict on copies."""
+        """The verdict on frozen pictures, that is successive identical copies."""
         if self._equal_count < _FROZEN_PICTURE_COUNT:
             return _HEALTHY_VERDICT
         return CameraVerdict("frozen", "the pictures are frozen: they are identical")
@@ -213,11 +213,11 @@ class CameraMonitor:
         return self.verdict_at(frame.time_s)
 
     def verdict_at(self, time_s: float) -> CameraVerdict:
-        """Return the verdict that holds at a time (s), and for which no pose is used."""
+        """Return the fault that is valid at a time (s); while there is one, no pose is used."""
         return self._verdict if time_s < self._held_until_s else _HEALTHY_VERDICT
 
     def tilt_verdict_at(self, time_s: float) -> CameraVerdict:
-        """Return the verdict on a tilt that holds at a time (s), and with which poses are less accurate."""
+        """Return the fault by a tilted mount that is valid at a time (s); poses are less accurate meanwhile."""
         return self._tilt_verdict if time_s < self._tilt_held_until_s else _HEALTHY_VERDICT
 
     def check_tilt(self, time_s: float, tilt_error_rad: _Array, sigma_rad: float) -> None:
@@ -379,7 +379,8 @@ class FlipTest:
 
 
 class MotionFit:
-    """Recursive least squares of m, n and k with exponential forgetting.
+    """Recursive least squares, with exponential forgetting, of the coefficients m, n and k of the motion in the
+    picture.
 
     Parameters
     ----------
@@ -429,7 +430,7 @@ class MotionFit:
 
 
 def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdict:
-    """Return the verdict on a picture that moves against the gyroscopes, for which few pictures suffice."""
+    """Return the verdict on mirrored or reversed motion in the picture, for which few pictures suffice."""
     m, n, _ = estimate
     if abs(n) > 0.5 + _GROSS_FAULT_SIGMAS * sigma[1] and abs(n) > abs(m) + _GROSS_FAULT_SIGMAS * sigma[0]:
         return CameraVerdict("mirrored", _MIRRORED_MESSAGE)
@@ -439,7 +440,7 @@ def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> Camer
 
 
 def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdict:
-    """Return the verdict on m, n, k and their standard deviations along one axis."""
+    """Return the verdict on the camera from the coefficients m, n, k and their standard deviations along one axis."""
     m, n, k = estimate
     if max(sigma[0], sigma[1]) > 0.2:
         return _HEALTHY_VERDICT

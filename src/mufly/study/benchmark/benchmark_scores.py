@@ -67,7 +67,7 @@ class RotorScore:
         return _mean_of_known(np.abs(getattr(self, f"{of}_error")))
 
     def mean_error(self, of: str) -> float:
-        """Return the mean error."""
+        """Return the mean relative error with sign (bias) of ``"thrust"`` or ``"torque"``; nan if there is none."""
         return _mean_of_known(getattr(self, f"{of}_error"))
 
 
@@ -77,7 +77,7 @@ def _mean_of_known(values: Array) -> float:
 
 
 def select_points(case: RotorCase, index: NDArray[np.intp]) -> RotorCase:
-    """Return a case with selected points."""
+    """Return a benchmark case that contains only the selected points."""
     return replace(case, measured=case.measured.select_points(index))
 
 

@@ -51,8 +51,9 @@ RotorDescription = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class RotorPrediction:
-    """Predicted thrust (N) and torque (N m) of a case's points, (points,) arrays, nan where it failed; reason of
-    failure."""
+    """Predicted thrust (N) and torque (N m) of a case's points, (points,) arrays, nan where the code failed, and the
+    reason of the failure.
+    """
 
     thrust_N: Array
     torque_Nm: Array
@@ -61,7 +62,9 @@ class RotorPrediction:
 
 @dataclass(frozen=True)
 class PredictionCode:
-    """Prediction code: name, function, whether a point takes seconds, and inputs beside the case."""
+    """Prediction code: name, function, whether a point takes seconds, and the inputs that identify its stored
+    predictions.
+    """
 
     name: str
     predict: Callable[[RotorCase], RotorPrediction]
@@ -70,7 +73,7 @@ class PredictionCode:
 
 
 def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0) -> PredictionCode:
-    """Return the code named by a text ``[NAME=]WHAT``, with WHAT as in the module docstring.
+    """Return the prediction code that a text ``[NAME=]WHAT`` names; WHAT is a method, a Python function or a program.
 
     ``n_crit`` is the transition parameter of mufly's methods. The default is :data:`HOVER_N_CRIT` in hover, where a
     rotor works in its own turbulent wake, and in a tunnel the value for the tunnel's turbulence
@@ -147,7 +150,8 @@ HOVER_N_CRIT = 0.1
 
 
 def n_crit_of_turbulence(turbulence: float) -> float:
-    """Return n_crit for a turbulence Tu (rms over mean speed): -8.43 - 2.4 ln Tu (Mack, AGARD R-709, 1984).
+    """Return the n_crit of a stream with turbulence Tu (rms over mean speed): -8.43 - 2.4 ln Tu (Mack, AGARD R-709,
+    1984).
 
     The formula is valid from 0.07 to 2.98 %, where it is 0.
     """

@@ -93,7 +93,7 @@ _FETCH_REMEDY = f"fetch measurements, as {DATA_SOURCES['uiuc_micro']}, and name 
 
 @dataclass(frozen=True)
 class RotorCase:
-    """Measured rotor of the benchmark; pitch settings are in ``measured``, twist in the rotor.
+    """Measured rotor of the benchmark; ``measured`` contains the pitch settings, the rotor its twist.
 
     Attributes
     ----------

@@ -518,7 +518,8 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
 
 @cached_njit(error_model="numpy")
 def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, mode: int, i: int) -> None:
-    """Fuse on the floor zero velocity along axis ``i``, zero rate about axes that the legs hold, and gravity at rest.
+    """Fuse, while the vehicle stands, zero velocity along axis ``i``, zero rate about axes that the legs hold, and
+    gravity at rest.
 
     The torque of running or stopping rotors turns the vehicle on its legs about the mast for seconds. Fused as zero,
     this real rate would become a gyroscope bias, of equal sign at each take-off.

@@ -160,5 +160,5 @@ def adapt_noise_scale(scale: _Array, aid: int, gain: float, change: float) -> No
 
 @cached_njit(error_model="numpy")
 def estimate_noise(m: FilterMemory, aid: int, ratio: float) -> None:
-    """Estimate the noise of an aid that measures one component from its innovation ratio."""
+    """Adapt the noise variance of a sensor with one component (such as the sonar) to its innovation ratio."""
     adapt_noise_scale(m.noise_scale, aid, NOISE_GAIN_AID, min(ratio * ratio, MAX_SQUARED_INNOVATION_RATIO) - 1.0)
