@@ -1,4 +1,4 @@
-"""Bridges: other people's autopilots fly the simulated vehicle.
+"""Bridges: PX4, ArduPilot and Betaflight fly the simulated vehicle; live views for Foxglove and ROS 2.
 
 The plant, its wind, its sensors with their faults, its battery and the recording are those of
 :class:`mufly.flight.Flight` (:mod:`mufly.bridges.autopilot_plant`). PX4 exchanges MAVLink messages in lockstep

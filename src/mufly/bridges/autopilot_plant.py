@@ -201,7 +201,7 @@ class AutopilotPlant:
         return topic in self._warned
 
     def allow_warnings(self) -> None:
-        """Let every topic warn again, as for an autopilot that starts anew."""
+        """Permit the warning of every topic again, for an autopilot that has restarted."""
         self._warned.clear()
 
     def warn_of_unseen_faults(self, is_seen: Callable[[str], bool], why: str) -> None:

@@ -29,7 +29,7 @@ _SCENE_PERIOD_S = 2.0  # a viewer that connects later gets the scene within this
 
 
 def load_foxglove() -> ModuleType:
-    """Return the package foxglove.
+    """Import the package foxglove (Foxglove's SDK), and return it.
 
     Raises
     ------

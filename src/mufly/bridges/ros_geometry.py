@@ -25,7 +25,9 @@ def vehicle_range_limits(vehicle: Vehicle) -> RangeLimits:
 
 
 def recorded_range_limits(vehicle_file: bytes) -> RangeLimits:
-    """Return the limits by the vehicle file in a recording; none without one that can be read."""
+    """Return the limits of the range sensors from the vehicle file of a recording; empty limits if the file is
+    unreadable.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "vehicle.toml"
         path.write_bytes(vehicle_file)

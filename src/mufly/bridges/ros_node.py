@@ -52,7 +52,7 @@ _MAX_CALLBACKS = 50  # in one batch
 
 
 def load_rclpy() -> ModuleType:
-    """Return rclpy.
+    """Import rclpy, ROS 2's client library for Python, and return it.
 
     Raises
     ------

@@ -117,7 +117,7 @@ class SimulatorPace:
 
 
 class AutopilotSimulator(ABC):
-    """Simulator that one autopilot flies.
+    """Simulator of a vehicle that one instance of an autopilot flies.
 
     Parameters
     ----------

@@ -180,7 +180,9 @@ def describe_sensor_source(vehicle: Vehicle, sensors: str) -> str:
 
 
 def describe_computation(vehicle: Vehicle, sensors: str, firmware: bool) -> str:
-    """Return a description of the code that computes law and estimator; the estimator in C is built if needed."""
+    """Return a description of the code that computes control law and estimator; the estimator in C is built if
+    needed.
+    """
     by = "Mission and control law: exported C code" if firmware else ""
     if sensors == "ideal" or vehicle.sensors is None:
         return by

@@ -274,7 +274,7 @@ MAX_CORRECTION_M_S, MAX_CORRECTION_RAD_S = 0.5, 0.5
 
 
 class CorrectionSmoother:
-    """Output predictor: position and heading without the steps of a filter's corrections.
+    """Smoother of position and heading, which removes the steps that the filter's corrections cause.
 
     Both move with the estimated velocity and yaw rate, and approach the estimate::
 

@@ -516,7 +516,7 @@ def ramp_down_motor_input(released: _Array, elapsed_s: float) -> _Array:
 
 
 def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_V: float) -> _Array:
-    """Return the motor inputs (2,) of a blind descent.
+    """Return the motor inputs (2,) of a descent without measurements.
 
     They are the fraction ``share`` of the hover voltages ``held_up_V`` (2,), and fall to zero in the last second.
     """
@@ -530,7 +530,9 @@ def descent_voltage_share(height_m: float, descent_m_s: float) -> float:
 
 
 def descent_time_s(height_m: float, gravity: float) -> float:
-    """Return the duration of a blind descent from a height (m), plus a margin of 1 s (s); ``gravity`` in m/s2."""
+    """Return the duration (s) of a descent without measurements from a height (m), with a margin of 1 s; ``gravity``
+    in m/s2.
+    """
     return (
         math.sqrt(2.0 * max(0.0, height_m) / ((1.0 - DESCENT_VOLTAGE_SHARE * DESCENT_VOLTAGE_SHARE) * gravity))
         + _DESCENT_MARGIN_S

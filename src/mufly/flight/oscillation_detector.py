@@ -90,7 +90,9 @@ class Oscillation:
 
 @cached_njit(error_model="numpy")
 def may_oscillate(inputs: _Array) -> bool:
-    """Whether any of the inputs (n, 4) turns often enough for an oscillation; a fast test without the period."""
+    """Return whether any of the inputs (n, 4) reverses often enough for an oscillation; a fast test that ignores the
+    period.
+    """
     for k in range(4):
         back, rising, extreme, turns = MIN_SWING_INPUT_SHARE * ACTUATOR_INPUT_RANGES[k], True, -math.inf, 0
         for value in inputs[:, k]:
@@ -178,7 +180,7 @@ class OscillationDetector:
 def steering_demands(
     state: str, velocity: Sequence[float], heading_rate: float, roll: float, pitch: float
 ) -> tuple[float, ...] | None:
-    """Return the command (6,) of a pilot or a program in a state of the mission; None where the mission flies.
+    """Return the command (6,) of a pilot or a program in a state of the mission; None where the mission commands.
 
     In manual flight the reference's horizontal velocity is the measured one, not a command: it is set to 0.
     """

@@ -38,7 +38,7 @@ Stage = Callable[[Any], int]
 
 @dataclass(slots=True)
 class PeriodClock:
-    """Clock of an executor in Python; ``stage`` is the next stage."""
+    """Position of a Python loop within a period; ``stage`` is the next stage to run."""
 
     stage: int = STAGE_BEGIN_PERIOD
 
@@ -53,7 +53,7 @@ def make_stepper(
     record: Stage,
     end_period: Stage,
 ) -> Stage:
-    """Return the executor of these stages.
+    """Return a function that runs these stages in their order, period after period.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Start of the state and outputs of a co-simulation unit, as source of its C functions.
+"""Initial state and outputs of a co-simulation unit; the unit's C functions are translated from this source.
 
 :mod:`mufly.fmi.c_translation` translates these functions together with the equations of motion that they call. They
 are not compiled for Python.
@@ -55,7 +55,7 @@ OUTPUT_COUNT = OUT_FORCE + 3
 
 
 def write_start_state(start: _Array, x: _Array) -> None:
-    """Write the state of some start values, as :func:`mufly.dynamics.initial_state`.
+    """Write the initial state that some start values describe, as :func:`mufly.dynamics.initial_state` does.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def write_start_state(start: _Array, x: _Array) -> None:
 
 
 def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _Array) -> None:
-    """Write the outputs at a state: the state, and what the indices ``OUT_...`` name.
+    """Write the outputs at a state: the state itself, then the quantities of the indices ``OUT_...``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Units with their own sensors and filter: ``sensors="fitted"`` of the environments.
+"""Vehicles with their own sensors and filter (units), for ``sensors="fitted"`` of the environments.
 
 A unit is a vehicle with the sensors of its file and the filter of :mod:`mufly.estimate`, as in a flight. Before the
 first episode, :func:`prepare_starts` flies units with the flight software into hover and stores them at several
@@ -97,7 +97,7 @@ class UnitPeriods(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class UnitStarts:
-    """Units in hover that episodes start from.
+    """Stored units in hover, from which episodes start.
 
     Attributes
     ----------

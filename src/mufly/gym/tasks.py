@@ -87,7 +87,7 @@ def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Arra
 
 @cached_njit(error_model="numpy")
 def shift_task(kind: int, start: _Array, place: _Array, target: _Array) -> None:
-    """Move the target (3,) of a task that was placed for ``start`` (3,) to a vehicle that hovers at ``place`` (3,).
+    """Shift the target (3,) of a task from its planned start (3,) to the place (3,) where the vehicle hovers.
 
     Hover and Land keep the drawn distance between start and target; the heights of their targets stay in range. The
     targets of Waypoint and Obstacle stay.

@@ -68,7 +68,7 @@ class StreamSchedule:
         return -1 if period == math.inf else min(round(period * 1e6), 2**31 - 1)
 
     def set_group_rate(self, now_s: float, group: int, rate_Hz: float) -> None:
-        """Set the rate of a message group, in the older form (0: all default streams)."""
+        """Set the rate of a message group by the older message REQUEST_DATA_STREAM (0: all default streams)."""
         for k, stream in enumerate(MESSAGE_STREAMS):
             if stream.default_rate_Hz and stream.stream_group and group in (0, stream.stream_group):
                 self._set_period(now_s, k, _period_from_rate(min(rate_Hz, MAX_STREAM_HZ)))
@@ -261,7 +261,9 @@ class CommandAuthority:
         return 0.0 if self.commander is None else max(0.0, now_s - self._heard_s)
 
     def may_command(self, now_s: float, station: MessageSource) -> bool:
-        """Return whether a station may command; the first that asks becomes commander, others get the reason."""
+        """Return whether a station may command. The first station with a request becomes commander; others get the
+        reason.
+        """
         if self.commander not in (None, station) and self.commander_silence_s(now_s) < COMMANDER_TIMEOUT_S:
             self._clients.send_refusal(
                 now_s, station, f"denied: {self.commander} has operator control; release it there first"

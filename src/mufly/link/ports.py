@@ -286,7 +286,7 @@ class Port(ABC):
 
     @property
     def call_targets(self) -> list[Peer]:
-        """Return the configured peers that can be called."""
+        """Return the configured peers to which frames can be sent before they have been heard."""
         return []
 
     def discard_input(self) -> None:

@@ -17,7 +17,7 @@ from mufly.world import World, make_wall
 
 
 def study_mass_budget(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 2.4: mass budgets of both prototypes. The figure has no numbers; the text has sums and two groups.
+    """Fig. 2.4: mass budgets of both prototypes. The figure has no numbers; the text gives sums and two groups.
 
     Thesis: Fig. 2.4.
     """
@@ -99,7 +99,8 @@ def _simulate_tilted_release(vehicle: Vehicle, seconds: float = 2.0) -> xr.Datas
 
 
 def study_stabiliser_bar(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 2.5: the same tilt with the bar's linkage as identified, and without; and the low pass of the bar.
+    """Fig. 2.5: flights from the same tilt, with the identified linkage of the stabiliser bar and without; its low-pass
+    effect.
 
     Thesis: Fig. 2.5.
     """
@@ -146,7 +147,8 @@ def study_stabiliser_bar(progress: ProgressCallback | None = None) -> StudyFindi
 
 
 def study_bar_lag(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 4.4: a roll of 20 degrees with T = 0.2 s as in the source, and with the identified 0.24 s.
+    """Fig. 4.4: response of the bar to a roll of 20 degrees, with the dissertation's lag of 0.2 s and the identified
+    0.24 s.
 
     Thesis: Fig. 4.4.
     """
@@ -197,7 +199,8 @@ _SIMULATED_IMU_COUNT = 10
 
 
 def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 2.6, a photograph; the text states that clipping at 6 g caused tilt errors up to 20 degrees on the ground.
+    """Fig. 2.6 is a photograph; its text states that clipping at 6 g caused tilt errors of up to 20 degrees on the
+    ground.
 
     Ten units of ``mufly-1.1`` stand level with rotors at hover speed and vibrate at 1/rev and 2/rev. A low pass of 1 s
     computes the tilt from the accelerometers.

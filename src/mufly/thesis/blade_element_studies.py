@@ -122,7 +122,7 @@ def study_reynolds_effect(progress: ProgressCallback | None = None) -> StudyFind
 
 
 def study_transition(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Table 3.1: the bench's four points by blade elements with polars at several n_crit."""
+    """Table 3.1: thrust and torque at the four bench points by blade elements, with polars at several n_crit."""
     rotor, measured = load_rotor("naca0012-r60-c20"), load_bench_points()
     found = [compare_measurements(prepare_blading(rotor, n_crit=n), measured) for n in N_CRIT_VALUES]
     thrust = np.array([100 * c.mean_thrust_error for c in found])
@@ -226,7 +226,7 @@ def study_current_and_torque(progress: ProgressCallback | None = None) -> StudyF
 
 
 def study_bench_blades(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.15: three aerofoils, tuned on one point of one of them as the source did.
+    """Fig. 3.15: three aerofoils, tuned on one point of one of them as in the dissertation.
 
     The text gives measurements of NACA 0012 at Table 3.2's points only; the pitch of the figure is not stated, so 12
     and 16 degrees are drawn.
@@ -293,7 +293,8 @@ TIP_SHAPES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
 
 
 def study_blade_tips(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.38: blade tips, as far as a chord distribution describes them. The source used CFD, and gives no sizes.
+    """Fig. 3.38: blade tips, as far as a chord distribution describes them. The dissertation used CFD and gives no
+    sizes.
 
     Tip 1 loses half its chord in the outer tenth (like the Walkera blade), tip 2 tapers to 8 mm from three quarters on.
 

@@ -61,7 +61,7 @@ OUR_MESH_CONVERGENCE: tuple[tuple[float, ...], tuple[float, ...]] = (
 
 
 def study_mesh_setup(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.21: this package's mesh beside the source's three domains.
+    """Fig. 3.21: this package's mesh beside the dissertation's three domains.
 
     Thesis: Fig. 3.21.
     """
@@ -145,7 +145,7 @@ def study_mesh_convergence(progress: ProgressCallback | None = None, case: Path 
 
 
 def study_surface_pressure(progress: ProgressCallback | None = None, case: Path | None = None) -> StudyFindings:
-    """Fig. 3.23: suction at tip and leading edge, of a case or by the loads stated in docs/explanation/cfd.md."""
+    """Fig. 3.23: suction at tip and leading edge, from a solved case or from the loads in docs/explanation/cfd.md."""
     if case is not None:
         folder = _find_solved_cases(case)[0]
         mesh = read_poly_mesh(folder)
@@ -204,7 +204,7 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
 
 
 def study_downwash(progress: ProgressCallback | None = None, case: Path | None = None) -> StudyFindings:
-    """Fig. 3.24: the vena contracta, of a case or of the wake method.
+    """Fig. 3.24: contraction of the stream below the rotor, from a solved case or by the wake method.
 
     Thesis: Fig. 3.24.
     """
@@ -262,7 +262,7 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
 
 
 def study_winglets(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.40: the standard blade by blade elements, winglets by CFD as stated in docs/explanation/cfd.md.
+    """Fig. 3.40: the standard blade by blade elements, and winglets by CFD with results in docs/explanation/cfd.md.
 
     Thesis: Fig. 3.40.
     """

@@ -257,7 +257,7 @@ def _describe_unconverged(data: xr.Dataset) -> str:
 
 
 def judge_equal_speeds(model: str, data: xr.Dataset) -> list[Verdict]:
-    """Judge Fig. 3.43."""
+    """Return the verdicts on the claims about Fig. 3.43, a pair at equal rotor speeds."""
     rpm = f"at {_format_list(data.rpm.values, '{:.0f}')} rpm{_describe_unconverged(data)}"
     thrust, torque = _lower_over_upper(data, "thrust_N"), _lower_over_upper(data, "torque_Nm")
     more = [100 * (data[f"upper_{k}"].values / data[f"single_{k}"].values - 1) for k in ("thrust_N", "torque_Nm")]
@@ -281,7 +281,7 @@ def judge_equal_speeds(model: str, data: xr.Dataset) -> list[Verdict]:
 
 
 def judge_one_speed_fixed(model: str, data: xr.Dataset) -> list[Verdict]:
-    """Judge Fig. 3.44."""
+    """Return the verdicts on the claims about Fig. 3.44, a pair with one constant rotor speed."""
     upper, lower = data.sel(varied="upper"), data.sel(varied="lower")
     known = [part.isel(rpm=np.flatnonzero(np.isfinite(part.lower_c_T.values))) for part in (upper, lower)]
     c_T = [1e3 * part.lower_c_T.values for part in known]
@@ -309,7 +309,7 @@ def judge_one_speed_fixed(model: str, data: xr.Dataset) -> list[Verdict]:
 
 
 def judge_balance(model: str, data: xr.Dataset) -> list[Verdict]:
-    """Judge the example of Sec. 3.4.7 and Table 3.4."""
+    """Return the verdicts on the example of Sec. 3.4.7 and on Table 3.4, pairs with balanced torques."""
     first = data.sel(lower_pitch_deg=14)
     rpm = float(first.lower_rpm)
     deficit = 100 * (1 - float(first.lower_thrust_N / first.upper_thrust_N))
@@ -334,7 +334,7 @@ def judge_balance(model: str, data: xr.Dataset) -> list[Verdict]:
 
 
 def judge_rotor_spacing(model: str, data: xr.Dataset) -> list[Verdict]:
-    """Judge Fig. 3.45."""
+    """Return the verdicts on the claims about Fig. 3.45, a pair at four spacings."""
     thrust = data.lower_thrust_N
     spread = np.asarray(100 * ((thrust.max("spacing_mm") - thrust.min("spacing_mm")) / thrust.mean("spacing_mm")))
     speeds = _format_list(data.rpm.values, "{:.0f}")

@@ -43,7 +43,9 @@ def _singular_value_curves(one: ControllerDesign) -> xr.Dataset:
 
 
 def study_heave_yaw_plant(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.3, at the nominal voltage and at the voltage that fits the printed crossings."""
+    """Fig. 6.3: singular values of the heave-yaw plant, at the nominal voltage and at the voltage that fits the
+    printed crossings.
+    """
     verdicts = []
     for volt in (_NOMINAL_VOLTAGE_V, _HALF_CHARGED_VOLTAGE_V):
         found = _design_controller(volt).heave_yaw.plant_crossovers
@@ -214,7 +216,7 @@ def _pitch_reference(t: float) -> float:
 
 
 def study_pitch_tracking(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.12: steps of pitch between 0 and -0.14 rad; the text does not state the figure's own.
+    """Fig. 6.12: steps of pitch between 0 and -0.14 rad; the text does not state the steps of the figure.
 
     Thesis: Fig. 6.12.
     """
@@ -311,7 +313,7 @@ def _time_slice(d: xr.Dataset, begin: float, end: float) -> xr.Dataset:
 
 
 def study_heave_step_flown(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.11, a measurement in the source: a climb of 0.5 m, flown on simulated sensors with the filter.
+    """Fig. 6.11, a measured climb of 0.5 m in the dissertation: here flown on simulated sensors with the filter.
 
     The mission commands a smooth climb instead of a step; sensor errors are typical, air is calm.
 
@@ -364,7 +366,7 @@ def study_heave_step_flown(progress: ProgressCallback | None = None) -> StudyFin
 
 
 def study_pitch_tracking_flown(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.13, a measurement in the source: pitch commanded by stick, flown on simulated sensors.
+    """Fig. 6.13, a measured flight with pitch commanded by stick: here flown on simulated sensors.
 
     Thesis: Fig. 6.13.
     """

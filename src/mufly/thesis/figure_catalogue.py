@@ -53,7 +53,7 @@ class ThesisItem:
 
     @property
     def cli_command(self) -> str:
-        """Command that repeats or shows it."""
+        """Command that repeats or shows the figure or table."""
         return f"mufly thesis {'run' if self.kind == 'result' else 'show'} {self.name}"
 
 

@@ -75,7 +75,7 @@ def _draw_table(
 
 
 def study_ground_parameters(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Table 5.1: the source of each number by the vehicle file, beside the table's method.
+    """Table 5.1: source of each number in the vehicle file, beside the method that the table states.
 
     Thesis: Table 5.1.
     """
@@ -138,7 +138,7 @@ def _compare_with_truth(fit: MotorFit) -> tuple[int, str]:
 
 
 def study_bench_parameters(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Table 5.2: the eight numbers from benches, with the commands that find them here."""
+    """Table 5.2: the eight numbers measured on benches, with the mufly commands that measure them."""
     rows = {p.key: p for p in list_parameters(load_vehicle("mufly-1.1"))}
     words = {k: rows[k].source for k in BENCH_METHODS}
     held, _ = _compare_with_truth(_fit_motor())
@@ -241,22 +241,22 @@ def _study_flight(name: str) -> StudyFindings:
 
 
 def study_yaw_flight(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 5.3."""
+    """Fig. 5.3: yaw flight for identification, simulated and fitted."""
     return _study_flight("yaw")
 
 
 def study_heave_flight(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 5.4."""
+    """Fig. 5.4: heave flight for identification, simulated and fitted."""
     return _study_flight("heave")
 
 
 def study_roll_flight(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 5.5."""
+    """Fig. 5.5: roll flight for identification, simulated and fitted."""
     return _study_flight("roll")
 
 
 def study_pitch_flight(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 5.6."""
+    """Fig. 5.6: pitch flight for identification, simulated and fitted."""
     return _study_flight("pitch")
 
 

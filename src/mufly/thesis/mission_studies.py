@@ -105,7 +105,7 @@ def _run_state_machine(
 
 
 def study_state_machine(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.15: every transition of the figure, made by the state machine; and its table of requests."""
+    """Fig. 6.15: every transition of the figure, made by mufly's state machine; and the table of requests."""
     mission = parse_mission(_MISSION_TABLES)
 
     def start_then_command(at: float, command: Command, hold: bool = False) -> Callable[[float, MissionState], Command]:

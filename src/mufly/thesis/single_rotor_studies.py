@@ -75,7 +75,7 @@ def standard_setup(model: str, rotor: str | Rotor = "naca4412-r60-c20") -> Study
 
 
 def run_sweep(study: SweepStudy, model: str) -> tuple[xr.Dataset, list[Verdict]]:
-    """Compute a figure with one model, and judge it.
+    """Compute the figure of a sweep with one model, with the verdicts on its claims.
 
     Thesis: Figs 3.26 to 3.28, 3.30 to 3.32, 3.35, 3.36.
     """
@@ -327,7 +327,7 @@ SECTION_FIGURES: dict[str, tuple[str, Sequence[str]]] = {
 
 
 def compute_airfoil_ranking(model: str, progress: ProgressCallback | None = None) -> tuple[xr.Dataset, list[Verdict]]:
-    """Rank the 247 airfoils with one model, and judge Table 3.3.
+    """Rank the 247 airfoils with one model, with the verdicts on Table 3.3.
 
     Thesis: Table 3.3.
     """
@@ -395,7 +395,7 @@ def blade_form_gain(name: str) -> float:
 
 
 def judge_blade_forms(names: tuple[str, ...], key: str) -> Verdict:
-    """Judge whether no form is better than the square blade beyond the uncertainty of the mesh.
+    """Return the verdict whether any blade form is better than the square blade beyond the uncertainty of the mesh.
 
     Parameters
     ----------

@@ -112,7 +112,7 @@ def _format_error(off: float) -> str:
 
 
 def study_straight_vortex(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.17: eq. 3.16 for a straight vortex, and this package's, beside the integral of eq. 3.15.
+    """Fig. 3.17: velocity of a straight vortex by eq. 3.16 and by this package, beside the integral of eq. 3.15.
 
     Thesis: Fig. 3.17.
     """
@@ -317,7 +317,7 @@ OUR_CFD_LOADS: dict[tuple[int, int], tuple[float, float]] = {
 
 
 def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Table 3.2: blade elements, wake and CFD beside the bench and the source's CFD, at four points.
+    """Table 3.2: blade elements, wake and CFD beside the bench and the dissertation's CFD, at four points.
 
     CFD is not run here: its results are those of docs/log/2026-11-28-cfd-table-3-2.md (OpenFOAM, laminar, coarse mesh).
     """

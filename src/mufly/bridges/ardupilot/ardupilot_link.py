@@ -77,7 +77,7 @@ class ServoPacket:
 
     @property
     def is_started(self) -> bool:
-        """Whether ArduPilot drives its outputs; while it starts they are zero."""
+        """Whether ArduPilot commands its outputs; during its start they are zero."""
         return bool(np.all(self.pulse_us[: LOWER_OUTPUT + 1] > 0.0))
 
 
@@ -121,7 +121,7 @@ def encode_state(vehicle: AutopilotPlant, start_s: float) -> bytes:
 
 
 class ArduPilotSimulator(AutopilotSimulator):
-    """Simulator that one ArduPilot flies.
+    """Simulator of a vehicle that one instance of ArduPilot flies.
 
     Parameters
     ----------

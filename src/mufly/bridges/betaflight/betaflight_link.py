@@ -79,7 +79,7 @@ class BetaflightPorts(NamedTuple):
 
 
 class BetaflightSimulator(AutopilotSimulator):
-    """Simulator that one Betaflight flies.
+    """Simulator of a vehicle that one instance of Betaflight flies.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ class PilotPlan:
 
     @property
     def take_off_s(self) -> float:
-        """Time of the take-off, whose largest speed is twice its mean (s)."""
+        """Duration of the take-off (s); its largest speed is twice its mean speed."""
         return 2.0 * self.height_m / self.climb_m_s
 
 
@@ -136,7 +136,7 @@ class BetaflightPilot:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, on the floor."""
+        """Return to the beginning of the flight: vehicle on the floor, not armed."""
         self.phase: PilotPhase = "ready"
         self.phase_s = 0.0
         self.reference = np.full(3, math.nan)

@@ -59,7 +59,7 @@ class BetaflightLine(NamedTuple):
 
 
 class RateIntegers(NamedTuple):
-    """Betaflight's gains of one rate."""
+    """Betaflight's integer gains of the controller of one body rate."""
 
     P: int
     I: int

@@ -60,7 +60,7 @@ _EQUAL_OUTPUT_TOLERANCE, _ACTIVE_OUTPUT_THRESHOLD = 0.02, 0.05  # of outputs
 
 
 class Px4Simulator(AutopilotSimulator):
-    """Simulator that one PX4 flies.
+    """Simulator of a vehicle that one instance of PX4 flies.
 
     Parameters
     ----------

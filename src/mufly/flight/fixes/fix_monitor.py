@@ -187,7 +187,7 @@ class FixMonitor:
         self._estimate: tuple[complex, complex] = 0j, 0j  # place and velocity
 
     def observe(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
-        """Propagate by the latest readings of the inertial unit.
+        """Propagate the path of the inertial unit by its latest readings.
 
         Parameters
         ----------

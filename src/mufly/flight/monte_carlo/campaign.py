@@ -247,7 +247,7 @@ class Campaign:
 
     @property
     def keys_known_on_board(self) -> list[str]:
-        """Return the varied keys whose drawn values the flight software knows (control, filter, fault detection)."""
+        """Return the varied keys whose drawn values the flight software uses (control, filter, fault detection)."""
         return [key for key in self.varied_keys if self.redesign and not key.startswith(UNKNOWN_TO_FILTER_PREFIX)]
 
     @property
@@ -256,7 +256,9 @@ class Campaign:
         return [key for key in self.varied_keys if not self.redesign or key.startswith(UNKNOWN_TO_FILTER_PREFIX)]
 
     def describe_knowledge(self) -> str:
-        """Return as text how many of the varied parameters the flight software knows, and how many it does not."""
+        """Return a text: for how many varied parameters the flight software uses the drawn values, and for how many
+        not.
+        """
         told, untold = len(self.keys_known_on_board), len(self.keys_unknown_on_board)
         parts = [
             f"{n} varied parameter{'s' if n > 1 else ''} {word}"
@@ -389,7 +391,9 @@ class Campaign:
         return {p.key: p.value for p in list_parameters(self.vehicle) if isinstance(p.value, float)}
 
     def wrong_sources(self, case: FlightCase) -> frozenset[str]:
-        """Return the sensors whose true errors differ from those that the filter knows, by their names in messages."""
+        """Return the sensors whose true errors differ from those that the filter assumes, by their names in
+        messages.
+        """
         untold = {key: case.parameter_values[key] for key in self.keys_unknown_on_board if key in case.parameter_values}
         return wrong_sources(self.faults, untold, self._vehicle_file_values)
 

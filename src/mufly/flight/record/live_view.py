@@ -85,7 +85,7 @@ class LiveViewThread:
         self._events.append(event)
 
     def request(self, act: Callable[[Flight], Any], *, wait: bool = False) -> Any:
-        """Ask the flight's loop for an action; with ``wait`` return its answer, or None after a second.
+        """Request an action from the flight's loop; with ``wait`` return its answer, or None after a second.
 
         Called from the thread of the view.
         """

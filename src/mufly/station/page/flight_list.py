@@ -110,7 +110,9 @@ def _parse_start_time(facts: dict[Any, Any]) -> float:
 
 
 def has_better_recording(path: Path) -> bool:
-    """Return whether the folder holds a better recording of the same flight: the vehicle's, or the signals."""
+    """Return whether the folder holds a better recording of the flight: the vehicle's own, or signals in place of
+    packets.
+    """
     best = path.with_name("flight.mcap")
     if best.is_file():
         return path.name != best.name and path.name.startswith(("station", "link"))
