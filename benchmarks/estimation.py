@@ -131,7 +131,11 @@ def felt(vehicle: Vehicle, mission: Mission, seed: int, scenario: Scenario, leve
 
 def vehicle_of(scenario: Scenario) -> Vehicle:
     once, twice = (g * STANDARD_GRAVITY_M_S2 for g in scenario.vibration_g)
-    changes = {"sensors.imu.vibration.once": once, "sensors.imu.vibration.twice": twice, **scenario.changes}
+    changes = {
+        "sensors.imu.vibration.once_per_rev": once,
+        "sensors.imu.vibration.twice_per_rev": twice,
+        **scenario.changes,
+    }
     v = replace_parameters(load_vehicle("mufly-2.0"), changes)
     if scenario.without:
         v = v.model_copy(update={"sensors": v.sensors.model_copy(update=dict.fromkeys(scenario.without))})

@@ -71,7 +71,7 @@ ROOM = parse_mission(
 SETTLED_S = 10.0
 CHARGED_EVERY = 200  # periods
 CONSISTENCY_EVERY = 20  # periods: a covariance is published so often
-NO_ERROR_SIZES = ("mount_roll", "mount_pitch", "mount_yaw", "latency", "period", "wander_time")
+NO_ERROR_SIZES = ("mount_roll", "mount_pitch", "mount_yaw", "latency", "period", "drift_correlation_time")
 SENSOR_SOURCES = tuple(sorted({row.source for row in READINGS.values() if row.source}))
 
 

@@ -22,20 +22,22 @@ from mufly.vehicle import load_vehicle
 
 _FIX = "sensors.position_fix."
 _ALL = {
-    "imu": "accelerometer_noise accelerometer_bias accelerometer_drift accelerometer_temperature gyro_noise gyro_bias "
-    "gyro_drift gyro_temperature gyro_g_sensitivity scale_error misalignment level vibration.once vibration.twice "
-    "vibration.passing",
-    "sonar": "noise resolution dropout multipath",
-    "pressure": "noise drift downwash",
-    "magnetometer": "noise distortion hard_iron motor_field",
-    "rotor_speed": "noise constant_error",
-    "battery": "voltage_noise current_noise current_scale",
-    "position_fix": "jitter noise wander heading_noise heading_wander dropout",
-    "ring_camera": "calibration blur missed",
+    "imu": "accelerometer_noise_density accelerometer_bias accelerometer_drift "
+    "accelerometer_temperature_coefficient gyro_noise_density gyro_bias gyro_drift "
+    "gyro_temperature_coefficient gyro_g_sensitivity scale_error misalignment "
+    "standing_tilt_error vibration.once_per_rev vibration.twice_per_rev "
+    "vibration.blade_passing",
+    "sonar": "noise resolution dropout_probability multipath_probability",
+    "pressure": "noise drift downwash_coefficient",
+    "magnetometer": "noise distortion hard_iron field_per_current",
+    "rotor_speed": "voltage_noise back_emf_constant_error",
+    "battery": "voltage_noise current_noise current_scale_error",
+    "position_fix": "latency_jitter noise drift heading_noise heading_drift dropout_probability",
+    "ring_camera": "calibration_error spot_radius missed_spot_probability",
 }
 GROUPS = {
-    "wander": [f"{_FIX}wander"],
-    "heading": [f"{_FIX}heading_noise", f"{_FIX}heading_wander"],
+    "wander": [f"{_FIX}drift"],
+    "heading": [f"{_FIX}heading_noise", f"{_FIX}heading_drift"],
     "noise": [f"{_FIX}noise"],
     "all": [f"sensors.{sensor}.{key}" for sensor, keys in _ALL.items() for key in keys.split()],
 }

@@ -37,8 +37,8 @@ CLOSELY_KNOWN = ("body.mass", "body.inertia", "air.", "rotors.", "swash_plate.",
 CLOSE, WIDE = (0.8, 1.25), (0.5, 2.0)
 SHIFTS = {  # of numbers that are 0 in the file, and of positions (m, rad, 1, N m)
     "sensors.imu.mount_roll": 0.035, "sensors.imu.mount_pitch": 0.035, "sensors.imu.mount_yaw": 0.035,
-    "sensors.imu.place": 0.02, "sensors.sonar.place": 0.02, "swash_plate.phase": 0.087, "rotors.ground_effect": 1.0,
-    "motor.friction_torque": 2e-4,
+    "sensors.imu.position": 0.02, "sensors.sonar.position": 0.02, "swash_plate.phase": 0.087,
+    "rotors.ground_effect": 1.0, "motor.friction_torque": 2e-4,
 }  # fmt: skip
 UNREAD = {
     "mass_budget": "neither side: the flight model reads body.mass",

@@ -148,7 +148,7 @@ def test_too_heavy_and_unknown(tmp_path) -> None:
 
 def test_check_warns_of_unusual_values_and_states_a_high_sonar(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    made = {"body.drag_area_x": 0.4, "sensors.sonar.place": [[0.0, 0.0, -0.02]]}
+    made = {"body.drag_area_x": 0.4, "sensors.sonar.position": [[0.0, 0.0, -0.02]]}
     path.write_text(format_vehicle_toml(replace_parameters(load_vehicle("mufly-1.1"), made)))
     said = output("check", str(path))
     assert "mine.toml: body.drag_area_x: 0.4 m2 is 17 times the rotor disc's area" in " ".join(said.split())

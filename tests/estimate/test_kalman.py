@@ -134,7 +134,7 @@ def test_beams_that_are_wrong_alike_do_not_grow_true_by_being_many(vehicle: Vehi
     base = float(camera.baseline)
     row = 1.25 * math.atan(base / float(camera.min_range)) / camera.radial_pixels
     n, e = ways[np.abs(ways[:, 0]) > 0.9, :2].T
-    lasts = n * ((1.2 / n) ** 2 + base**2) / base * row * float(camera.calibration)
+    lasts = n * ((1.2 / n) ** 2 + base**2) / base * row * float(camera.calibration_error)
     heading = 0.0
     for k in range(1200):
         t = 0.005 * k
@@ -149,7 +149,7 @@ def test_beams_that_are_wrong_alike_do_not_grow_true_by_being_many(vehicle: Vehi
             assert told.position[:2] == pytest.approx([-0.02 / n.size, 0.0], abs=1e-3)
 
 
-UNTOLD = ("position_fix.noise", "position_fix.wander", "position_fix.heading_wander", "pressure.noise", "sonar.noise")
+UNTOLD = ("position_fix.noise", "position_fix.drift", "position_fix.heading_drift", "pressure.noise", "sonar.noise")
 
 
 @pytest.mark.parametrize("seed", [3, 4, 6])

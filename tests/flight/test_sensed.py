@@ -93,7 +93,7 @@ def test_a_sonar_high_on_the_fuselage_takes_the_floor_for_no_flight(
     """On the floor such a sonar reads more than its least range, and still the vehicle stands (no lift-off)."""
     high = replace_parameters(
         vehicle,
-        {"sensors.sonar.place": [[0.0, 0.0, -0.02]], "sensors.sonar.noise": noise_m},
+        {"sensors.sonar.position": [[0.0, 0.0, -0.02]], "sensors.sonar.noise": noise_m},
     )
     reads = standing_sonar_range(high)
     assert reads == pytest.approx(standing_height(high) + 0.02)

@@ -50,11 +50,11 @@ def test_tips_in_no_plane_are_taken_to_stand_upright():
 
 def test_units_stand_as_level_as_the_file_says():
     stood = np.array([standing_attitude(draw_leaning_vehicle(VEHICLE, seed=k)) for k in range(400)])
-    told = float(VEHICLE.sensors.imu.level)
+    told = float(VEHICLE.sensors.imu.standing_tilt_error)
     assert told == pytest.approx(math.radians(0.12))
     assert stood.std(axis=0) == pytest.approx([told, told], rel=0.1)
     assert np.abs(stood.mean(axis=0)).max() < 3 * told / math.sqrt(400)
-    exact = replace_parameters(VEHICLE, {"sensors.imu.level": 0.0})
+    exact = replace_parameters(VEHICLE, {"sensors.imu.standing_tilt_error": 0.0})
     assert draw_leaning_vehicle(exact, seed=3) is exact
 
 
@@ -71,7 +71,7 @@ def test_it_stands_still_as_it_leans_and_the_filter_does_not_know():
     assert stands[-1].attitude[:2] == pytest.approx(lean, abs=2e-5)
     told = filter_settings(VEHICLE, World(), 200.0)
     level, bias = told["rest_tilt_sigma"], told["initial_sigma"][ERROR_ACCEL_BIAS] / GRAVITY
-    assert level == float(VEHICLE.sensors.imu.level)
+    assert level == float(VEHICLE.sensors.imu.standing_tilt_error)
     # Of what accelerometers say, bias and lean in one, it takes for lean what is to be expected of that.
     assert np.abs(estimate.attitude[:2]).max() < 3.0 * level**2 / np.hypot(level, bias)
 
@@ -100,5 +100,5 @@ def test_a_tilt_on_the_floor_is_off_by_the_lean_and_told_to_be() -> None:
     leans = np.array([standing_attitude(draw_leaning_vehicle(VEHICLE, seed=k)) for k in range(16)])
     # Its accelerometers' biases, 0.63 degrees, move it by 3.5 % of that, 0.18 of the lean
     assert np.corrcoef(np.ravel(off), -np.ravel(leans))[0, 1] > 0.85
-    assert 0.98 < np.sqrt(np.mean(told)) / float(VEHICLE.sensors.imu.level) < 1.05
+    assert 0.98 < np.sqrt(np.mean(told)) / float(VEHICLE.sensors.imu.standing_tilt_error) < 1.05
     assert 0.5 < np.mean(np.square(off) / told) < 1.6

@@ -61,19 +61,19 @@ def value_span(variation: ParameterVariation, key: str) -> tuple[float, float]:
 
 
 def test_a_range_of_percent_is_a_share_of_the_vehicles_value() -> None:
-    (wander,) = parse_variations(["sensors.position_fix.wander=50:300%"], VEHICLE)
-    np.testing.assert_allclose(value_span(wander, "sensors.position_fix.wander"), (0.015, 0.09))
+    (wander,) = parse_variations(["sensors.position_fix.drift=50:300%"], VEHICLE)
+    np.testing.assert_allclose(value_span(wander, "sensors.position_fix.drift"), (0.015, 0.09))
     rng = np.random.default_rng(2)
     drawn = [
-        wander.parameter_values(wander.draw_normalised_variables(rng))["sensors.position_fix.wander"]
+        wander.parameter_values(wander.draw_normalised_variables(rng))["sensors.position_fix.drift"]
         for _ in range(4000)
     ]
     np.testing.assert_allclose(np.percentile(drawn, [0, 25, 50, 75, 100]), np.linspace(0.015, 0.09, 5), atol=0.002)
     (hub,) = parse_variations(["rotors.upper.hub_z=50:150%"], VEHICLE)  # negative: above
     np.testing.assert_allclose(value_span(hub, "rotors.upper.hub_z"), (-0.1365, -0.0455))
     # A share also of what has no unit, and of each parameter of a table.
-    (lost,) = parse_variations(["sensors.position_fix.dropout=50:100%"], VEHICLE)
-    np.testing.assert_allclose(value_span(lost, "sensors.position_fix.dropout"), (0.01, 0.02))
+    (lost,) = parse_variations(["sensors.position_fix.dropout_probability=50:100%"], VEHICLE)
+    np.testing.assert_allclose(value_span(lost, "sensors.position_fix.dropout_probability"), (0.01, 0.02))
     (sonar,) = parse_variations(["sensors.sonar=50:200%"], VEHICLE)
     assert sonar.variable_count == len(sonar.keys) == 8
 
@@ -88,7 +88,7 @@ def test_the_standard_set_draws_all_together_and_gives_way_to_what_is_asked_for(
     told = {p.key: p.value for p in list_parameters(VEHICLE)}
     for key, span in {
         "body.mass": (0.85, 1.15), "rotors.lower.thrust_coefficient": (0.85, 1.15), "sensors.sonar.noise": (0.5, 3.0),
-        "sensors.position_fix.period": (1.0, 3.0), "sensors.imu.gyro_noise": (0.5, 2.0),
+        "sensors.position_fix.period": (1.0, 3.0), "sensors.imu.gyro_noise_density": (0.5, 2.0),
     }.items():  # fmt: skip
         np.testing.assert_allclose(value_span(STANDARD, key), np.multiply(span, told[key]))
     np.testing.assert_allclose(value_span(STANDARD, "sensors.position_fix.latency"), (0.2, 0.35))
@@ -101,7 +101,9 @@ def test_the_standard_set_draws_all_together_and_gives_way_to_what_is_asked_for(
     assert VEHICLE.sensors is not None
     deaf = VEHICLE.model_copy(update={"sensors": VEHICLE.sensors.model_copy(update={"sonar": None})})
     (without,) = parse_variations(["standard"], deaf)
-    assert set(STANDARD.keys) - set(without.keys) == {f"sensors.sonar.{n}" for n in ("noise", "dropout", "multipath")}
+    assert set(STANDARD.keys) - set(without.keys) == {
+        f"sensors.sonar.{n}" for n in ("noise", "dropout_probability", "multipath_probability")
+    }
 
 
 # Only the truth varies
@@ -157,7 +159,7 @@ def test_an_untold_parameter_changes_the_truth_and_no_bit_of_the_software(
 
 
 @pytest.mark.parametrize(
-    "key", ["body.mass", "sensors.position_fix.wander", "sensors.position_fix.latency", "sensors.sonar.noise"]
+    "key", ["body.mass", "sensors.position_fix.drift", "sensors.position_fix.latency", "sensors.sonar.noise"]
 )
 def test_a_told_parameter_changes_the_software(campaign: Campaign, nominal: tuple[bytes, bytes], key: str) -> None:
     told = replace(campaign, redesign=True, controller=None)

@@ -221,7 +221,7 @@ def test_fleet_wind_delay_and_errors_differ_between_episodes() -> None:
     true = e.target[:, 2] - e.state[:, 2]
     error = seen[:, OBS_POSITION_ERROR + 2] - true
     fix = env.vehicle.sensors.position_fix
-    assert np.std(error) == pytest.approx(math.hypot(float(fix.noise), float(fix.wander)), rel=0.2)
+    assert np.std(error) == pytest.approx(math.hypot(float(fix.noise), float(fix.drift)), rel=0.2)
 
 
 def test_a_delayed_action_acts_later_in_the_step() -> None:

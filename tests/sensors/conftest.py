@@ -18,16 +18,17 @@ def exact(vehicle: Vehicle) -> Vehicle:
     """The vehicle with sensors that have no errors but those of their kind: steps, cones, clipping, filters."""
     sensors = "sensors."
     zero = {
-        "imu.": "accelerometer_noise accelerometer_bias accelerometer_drift gyro_noise gyro_bias gyro_drift "
-        "scale_error gyro_g_sensitivity misalignment accelerometer_temperature gyro_temperature warming vibration.once "
-        "vibration.twice vibration.passing",
-        "sonar.": "noise dropout multipath resolution",
-        "pressure.": "noise drift downwash delay",
-        "magnetometer.": "noise distortion hard_iron motor_field",
-        "rotor_speed.": "noise constant_error",
-        "battery.": "voltage_noise current_noise current_scale voltage_resolution",
-        "position_fix.": "noise wander heading_noise heading_wander dropout jitter latency",
-        "ring_camera.": "missed calibration",
+        "imu.": "accelerometer_noise_density accelerometer_bias accelerometer_drift gyro_noise_density "
+        "gyro_bias gyro_drift scale_error gyro_g_sensitivity misalignment "
+        "accelerometer_temperature_coefficient gyro_temperature_coefficient temperature_rise "
+        "vibration.once_per_rev vibration.twice_per_rev vibration.blade_passing",
+        "sonar.": "noise dropout_probability multipath_probability resolution",
+        "pressure.": "noise drift downwash_coefficient filter_delay",
+        "magnetometer.": "noise distortion hard_iron field_per_current",
+        "rotor_speed.": "voltage_noise back_emf_constant_error",
+        "battery.": "voltage_noise current_noise current_scale_error voltage_resolution",
+        "position_fix.": "noise drift heading_noise heading_drift dropout_probability latency_jitter latency",
+        "ring_camera.": "missed_spot_probability calibration_error",
     }
     return replace_parameters(
         vehicle, {f"{sensors}{group}{name}": 0.0 for group, names in zero.items() for name in names.split()}

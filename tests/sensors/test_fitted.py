@@ -36,15 +36,15 @@ def stream(sensor, name, truths):
 @pytest.mark.parametrize("tilt", [0.0, 0.2, 0.45])
 def test_sonar_hears_the_shortest_way_to_the_floor(exact, at, tilt) -> None:
     truth = at(position=(0, 0, -2.0), attitude=(tilt, 0, 0))
-    lower = (body_to_ned_matrix(truth.state[6:10]) @ exact.sensors.sonar.place.to_array()[0])[2]
+    lower = (body_to_ned_matrix(truth.state[6:10]) @ exact.sensors.sonar.position.to_array()[0])[2]
     sonar = one(exact, "sonar").sensors[0]
     assert sonar.true_readings(truth)["ground_distance"] == pytest.approx(2.0 - lower)
 
 
 def test_sonar_beyond_its_cone_hears_the_floor_aslant(exact, at) -> None:
-    tilt, half = 0.8, 0.5 * float(exact.sensors.sonar.cone)
+    tilt, half = 0.8, 0.5 * float(exact.sensors.sonar.cone_angle)
     truth = at(position=(0, 0, -2.0), attitude=(tilt, 0, 0))
-    lower = (body_to_ned_matrix(truth.state[6:10]) @ exact.sensors.sonar.place.to_array()[0])[2]
+    lower = (body_to_ned_matrix(truth.state[6:10]) @ exact.sensors.sonar.position.to_array()[0])[2]
     heard = one(exact, "sonar").sensors[0].true_readings(truth)["ground_distance"]
     assert heard == pytest.approx((2.0 - lower) / math.cos(tilt - half), rel=0.01)
 
@@ -68,7 +68,9 @@ def test_sonar_has_steps_limits_and_takes_its_time(vehicle, exact, at) -> None:
     assert all(0.02 < came - r.time_s < 0.03 for came, r in readings)  # 8 m of way
     far = stream(one(exact, "sonar"), "ground_distance", [at(k / 200, position=(0, 0, -7.0)) for k in range(50)])
     assert not any(r.valid for _, r in far)
-    noisy = replace_parameters(vehicle, {"sensors.sonar.dropout": 0.2, "sensors.sonar.multipath": 0.1})
+    noisy = replace_parameters(
+        vehicle, {"sensors.sonar.dropout_probability": 0.2, "sensors.sonar.multipath_probability": 0.1}
+    )
     said = [r for _, r in stream(one(noisy, "sonar"), "ground_distance", [at(k / 20) for k in range(2000)])]
     assert np.mean([not r.valid for r in said]) == pytest.approx(0.2, abs=0.04)
     good = np.array([r.value for r in said if r.valid])
@@ -89,7 +91,9 @@ def ring_errors(vehicle, at, half, seeds=(0,), pictures=60):
 
 
 def test_ring_error_of_calibration_grows_with_the_square_of_the_distance(exact, at) -> None:
-    off = replace_parameters(exact, {"sensors.ring_camera.calibration": 0.1, "sensors.ring_camera.brightness": 1e4})
+    off = replace_parameters(
+        exact, {"sensors.ring_camera.calibration_error": 0.1, "sensors.ring_camera.spot_brightness": 1e4}
+    )
     near, far = (ring_errors(off, at, half, range(40), 2) for half in (0.35, 1.05))
     distance = np.array([0.35, 1.05]) / math.cos(math.pi / 8)
     squares = (distance[1] ** 2 + 0.08**2) / (distance[0] ** 2 + 0.08**2)
@@ -113,7 +117,7 @@ def test_ring_sees_nothing_in_the_open_and_misses_what_is_swallowed(exact, at) -
     empty = [r.value for _, r in stream(one(exact, "ring_camera"), "ranges", [at(k * 0.04) for k in range(500)])]
     assert np.mean(np.array(empty) < 1.5) < 1e-3
     world = World(room=Room((-0.7, 0.7), (-0.7, 0.7), 3.0))
-    dull = replace_parameters(exact, {"sensors.ring_camera.missed": 0.3})
+    dull = replace_parameters(exact, {"sensors.ring_camera.missed_spot_probability": 0.3})
     said = np.array(
         [r.value for _, r in stream(one(dull, "ring_camera", world), "ranges", [at(k * 0.04) for k in range(200)])]
     )
@@ -141,7 +145,7 @@ def test_ring_picture_holds_the_spots_where_triangulation_puts_them(exact, at) -
 def test_pressure_falls_with_height_and_rises_under_the_rotors(exact, at) -> None:
     low, high = (one(exact, "pressure").read(at(position=(0, 0, -h)))["pressure"].value for h in (0.0, 10.0))
     assert low - high == pytest.approx(10.0 * float(exact.air.density) * GRAVITY)
-    windy = replace_parameters(exact, {"sensors.pressure.downwash": 0.05})
+    windy = replace_parameters(exact, {"sensors.pressure.downwash_coefficient": 0.05})
     hovering = one(windy, "pressure").read(at(position=(0, 0, 0.0), rotor_speed=(376.0, 443.0)))["pressure"].value
     radius = float(exact.rotors.radius)
     loading = float(exact.body.mass) * GRAVITY / (math.pi * radius**2)
@@ -153,16 +157,16 @@ def test_magnetic_field_turns_with_the_body_and_not_its_strength(exact, at) -> N
         one(exact, "magnetometer").read(at(attitude=a))["magnetic_field"].value
         for a in ((0, 0, 0), (0, 0, math.pi / 2), (0.3, -0.2, 1.0))
     ]
-    np.testing.assert_allclose([np.linalg.norm(m) for m in said], float(exact.sensors.magnetometer.field))
+    np.testing.assert_allclose([np.linalg.norm(m) for m in said], float(exact.sensors.magnetometer.field_strength))
     np.testing.assert_allclose(said[1], [said[0][1], -said[0][0], said[0][2]], atol=1e-12)
-    loud = replace_parameters(exact, {"sensors.magnetometer.motor_field": 5e-6})
+    loud = replace_parameters(exact, {"sensors.magnetometer.field_per_current": 5e-6})
     off = one(loud, "magnetometer").read(at(current=2.0))["magnetic_field"].value - said[0]
     assert 1e-6 < np.linalg.norm(off) < 5e-5
 
 
 def test_steel_bends_the_field_smoothly(exact, at) -> None:
     bent = replace_parameters(
-        exact, {"sensors.magnetometer.distortion": 3e-6, "sensors.magnetometer.distortion_length": 1.5}
+        exact, {"sensors.magnetometer.distortion": 3e-6, "sensors.magnetometer.distortion_correlation_length": 1.5}
     )
     places = np.random.default_rng(1).uniform(-20, 20, (400, 3))
     sensor = one(bent, "magnetometer")
@@ -177,7 +181,7 @@ def test_speeds_and_battery_are_read_with_their_steps_and_scales(vehicle, exact,
     truth = at(rotor_speed=(376.0, 443.0), voltage=7.4137, current=2.0)
     np.testing.assert_allclose(one(exact, "rotor_speed").read(truth)["rotor_speed"].value, [376.0, 443.0])
     many = np.array([one(vehicle, "rotor_speed", seed=s).read(truth)["rotor_speed"].value[0] for s in range(200)])
-    noise = float(vehicle.sensors.rotor_speed.noise) / (
+    noise = float(vehicle.sensors.rotor_speed.voltage_noise) / (
         float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio)
     )
     assert many.std() == pytest.approx(math.hypot(3.76, noise), rel=0.2)
@@ -200,7 +204,9 @@ def test_fixes_come_late_in_their_rhythm_and_stay_wrong_together(exact, at) -> N
     assert all(r.value[0] == pytest.approx(r.time_s) for _, r in plain)
     assert len(plain) == pytest.approx((2.0 - 0.2) * 15, abs=2)
     tau = 2.0
-    wrong = replace_parameters(exact, {"sensors.position_fix.wander": 0.03, "sensors.position_fix.wander_time": tau})
+    wrong = replace_parameters(
+        exact, {"sensors.position_fix.drift": 0.03, "sensors.position_fix.drift_correlation_time": tau}
+    )
     said = stream(one(wrong, "position_fix"), "position_fix", [at(k / 15) for k in range(15 * 600)])
     error = np.array([r.value[:3] - [0, 0, -1.0] for _, r in said])
     assert error.std() == pytest.approx(0.03, rel=0.15)
@@ -321,7 +327,9 @@ def test_columns_are_sorted_together(rows) -> None:
 
 
 def test_what_overtakes_on_its_way_is_said_in_the_order_of_its_coming(exact, at) -> None:
-    vehicle = replace_parameters(exact, {"sensors.position_fix.latency": 0.4, "sensors.position_fix.jitter": 0.2})
+    vehicle = replace_parameters(
+        exact, {"sensors.position_fix.latency": 0.4, "sensors.position_fix.latency_jitter": 0.2}
+    )
     truths = [at(k / 200, position=(0.01 * k, 0, -1.0)) for k in range(3000)]
     said = stream(one(vehicle, "position_fix"), "position_fix", truths)
     came, taken = np.array([t for t, _ in said]), np.array([r.time_s for _, r in said])

@@ -41,7 +41,7 @@ def test_in_free_fall_it_feels_nothing(exact, at) -> None:
 
 def test_off_the_centre_it_feels_the_turning(exact, at) -> None:
     """w x (w x r) in a steady turn about z, dw/dt x r while it begins."""
-    place = exact.sensors.imu.place.to_array()[0]
+    place = exact.sensors.imu.position.to_array()[0]
     steady = settle(unit(exact), [at(k / 200, rates=(0.0, 0.0, 10.0)) for k in range(60)])
     np.testing.assert_allclose(steady["acceleration"].value, [-100.0 * place[0], 0.0, -GRAVITY], atol=1e-6)
     starts = settle(unit(exact), [at(k / 200, rates=(0.0, 50.0 * k / 200, 0.0)) for k in range(60)])
@@ -54,7 +54,7 @@ def test_noise_has_the_density_of_the_data_sheet(exact, at) -> None:
     """White noise of density N behind a second-order Butterworth filter: N sqrt(1.11 f_c)."""
     density, cutoff_Hz = 2e-3, 30.0
     v = replace_parameters(
-        exact, {"sensors.imu.accelerometer_noise": density, "sensors.imu.bandwidth": 2 * math.pi * cutoff_Hz}
+        exact, {"sensors.imu.accelerometer_noise_density": density, "sensors.imu.bandwidth": 2 * math.pi * cutoff_Hz}
     )
     imu = unit(v)
     said = np.array([imu.read(at(k / 200))["acceleration"].value for k in range(4000)])[100:]
@@ -80,7 +80,7 @@ def test_the_filter_passes_what_is_slow_and_halves_the_power_at_its_cut_off() ->
 
 def test_the_board_exaggerates_its_resonance(vehicle) -> None:
     v = vehicle.sensors.imu.vibration
-    w, damping = float(v.resonance), float(v.damping)
+    w, damping = float(v.resonance_frequency), float(v.damping_ratio)
     assert resonance_gain(0.0, w, damping) == 1.0
     assert resonance_gain(w, w, damping) == pytest.approx(0.5 / damping)
     assert resonance_gain(10 * w, w, damping) == pytest.approx(0.01, rel=0.05)
@@ -89,7 +89,7 @@ def test_the_board_exaggerates_its_resonance(vehicle) -> None:
 def false_tilt_deg(vehicle, at, hover, once, twice, seeds=7) -> float:
     """Median over units of the tilt that the mean of the accelerometers shows, standing with rotors running."""
     v = replace_parameters(
-        vehicle, {"sensors.imu.vibration.once": once * GEE, "sensors.imu.vibration.twice": twice * GEE}
+        vehicle, {"sensors.imu.vibration.once_per_rev": once * GEE, "sensors.imu.vibration.twice_per_rev": twice * GEE}
     )
     tilt = []
     for seed in range(seeds):
@@ -113,7 +113,9 @@ def test_clipping_makes_a_tilt_out_of_a_lopsided_shaking(exact, at) -> None:
 
 
 def test_it_says_how_much_was_clipped_and_shakes_with_the_square_of_the_speed(exact, at) -> None:
-    v = replace_parameters(exact, {"sensors.imu.vibration.once": 9 * GEE, "sensors.imu.vibration.resonance": 1e5})
+    v = replace_parameters(
+        exact, {"sensors.imu.vibration.once_per_rev": 9 * GEE, "sensors.imu.vibration.resonance_frequency": 1e5}
+    )
     full, half, none = (
         np.array([imu.read(at(k / 200, rotor_speed=(s * 376.0, s * 443.0)))["clipping"].value for k in range(200)])
         for s, imu in ((s, unit(v)) for s in (1.0, 0.5, 0.0))

@@ -133,7 +133,7 @@ def test_what_would_fly_on_energy_from_nowhere_is_refused() -> None:
             replace_parameters(vehicle, {f"battery.{name}": 9.0})
 
 
-_SIGNED = ("sensors.pressure.downwash", "sensors.magnetometer.inclination")
+_SIGNED = ("sensors.pressure.downwash_coefficient", "sensors.magnetometer.inclination")
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")

@@ -20,7 +20,7 @@ def vehicle_range_limits(vehicle: Vehicle) -> RangeLimits:
         return limits
     sonar = sensors.sonar
     return limits._replace(
-        sonar_cone_rad=float(sonar.cone), sonar_min_m=float(sonar.min_range), sonar_max_m=float(sonar.max_range)
+        sonar_cone_rad=float(sonar.cone_angle), sonar_min_m=float(sonar.min_range), sonar_max_m=float(sonar.max_range)
     )
 
 

@@ -73,7 +73,7 @@ variation with fewer parameters takes precedence:
 
   --vary m=+-2g                 uniformly within 2 g either way; m=90:100g: between both
 
-  --vary sensors.position_fix.wander=50:300%    uniformly, between shares of the file's value
+  --vary sensors.position_fix.drift=50:300%    uniformly, between shares of the file's value
 
   --vary standard               sensor errors, delays, mounting, mass and thrust at once (docs/reference/monte-carlo.md)
 

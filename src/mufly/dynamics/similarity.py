@@ -338,8 +338,8 @@ def _scale_sensors(tables: dict[str, Any], known: Vehicle, la: float) -> None:
         for entry in sensor.values():
             if isinstance(entry, dict) and "source" in entry:
                 entry |= {"source": "estimated", "note": f"guess: as {known.name}"}
-        if "place" in sensor:
-            sensor["place"]["value"] = _scale_value(sensor["place"]["value"], la)
+        if "position" in sensor:
+            sensor["position"]["value"] = _scale_value(sensor["position"]["value"], la)
 
 
 def _set_motor(

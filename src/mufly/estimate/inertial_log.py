@@ -321,18 +321,18 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
         load_vehicle("mufly-2.0"),
         {
             "sensors.imu.bandwidth": 1e4,
-            "sensors.imu.gyro_noise": noise.gyro,
-            "sensors.imu.accelerometer_noise": noise.accelerometer,
+            "sensors.imu.gyro_noise_density": noise.gyro,
+            "sensors.imu.accelerometer_noise_density": noise.accelerometer,
             "sensors.imu.accelerometer_bias": ACCEL_BIAS_SIGMA,
             "sensors.imu.accelerometer_range": 200.0,
             "sensors.imu.gyro_range": 70.0,
             "sensors.position_fix.period": period_s,
             "sensors.position_fix.latency": late,
-            "sensors.position_fix.jitter": 0.0,
+            "sensors.position_fix.latency_jitter": 0.0,
             "sensors.position_fix.noise": aids.std_m,
-            "sensors.position_fix.wander": 0.1 * aids.std_m,
+            "sensors.position_fix.drift": 0.1 * aids.std_m,
             "sensors.position_fix.heading_noise": aids.heading_std_rad,
-            "sensors.position_fix.heading_wander": 0.05 * aids.heading_std_rad,
+            "sensors.position_fix.heading_drift": 0.05 * aids.heading_std_rad,
         },
     )
     assert v.sensors is not None

@@ -338,12 +338,12 @@ def _error_process_parameters(vehicle: Vehicle, period_s: float) -> tuple[_Array
             "sensors", "", f"{vehicle.name} has no tables sensors.position_fix and sensors.imu", "use 'ideal' sensors"
         )
     decay, sigma = np.ones(ESTIMATE_ERROR_COUNT), np.zeros(ESTIMATE_ERROR_COUNT)
-    decay[ESTIMATE_ERROR_POSITION:ESTIMATE_ERROR_TILT] = math.exp(-period_s / float(fix.wander_time))
-    sigma[ESTIMATE_ERROR_POSITION:ESTIMATE_ERROR_HEADING] = float(fix.wander)
-    sigma[ESTIMATE_ERROR_HEADING] = float(fix.heading_wander)
-    sigma[ESTIMATE_ERROR_TILT:] = float(imu.level)
+    decay[ESTIMATE_ERROR_POSITION:ESTIMATE_ERROR_TILT] = math.exp(-period_s / float(fix.drift_correlation_time))
+    sigma[ESTIMATE_ERROR_POSITION:ESTIMATE_ERROR_HEADING] = float(fix.drift)
+    sigma[ESTIMATE_ERROR_HEADING] = float(fix.heading_drift)
+    sigma[ESTIMATE_ERROR_TILT:] = float(imu.standing_tilt_error)
     white = np.array([
         float(fix.noise), float(fix.noise) / float(fix.period), float(fix.heading_noise),
-        float(imu.gyro_noise) / math.sqrt(2.0 * period_s),
+        float(imu.gyro_noise_density) / math.sqrt(2.0 * period_s),
     ])  # fmt: skip
     return decay, sigma, white

@@ -64,8 +64,8 @@ class BackEmfSensor(PeriodicSensor):
         self, table: RotorSpeedSensorParameters, vehicle: Vehicle, world: World, rng: np.random.Generator
     ) -> None:
         s = table
-        noise = float(s.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
-        scale = 1.0 + float(s.constant_error) * rng.standard_normal(2)
+        noise = float(s.voltage_noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
+        scale = 1.0 + float(s.back_emf_constant_error) * rng.standard_normal(2)
         super().__init__(float(s.period), rng, (np.array([*scale, noise]),))
 
     def true_readings(self, truth: Truth) -> dict[str, Any]:
@@ -104,7 +104,7 @@ class BatterySensor(PeriodicSensor):
         self, table: BatteryMonitorParameters, vehicle: Vehicle, world: World, rng: np.random.Generator
     ) -> None:
         b = table
-        scale = 1.0 + float(b.current_scale) * float(rng.standard_normal())
+        scale = 1.0 + float(b.current_scale_error) * float(rng.standard_normal())
         numbers = [float(b.voltage_noise), float(b.voltage_resolution), scale, float(b.current_noise)]
         super().__init__(float(b.period), rng, (np.array(numbers),))
 

@@ -99,12 +99,24 @@ class Imu(Sensor):
         hover = find_trim(vehicle).state[ROTOR_SPEEDS]  # the file gives the vibration at this speed
         shake = imu.vibration
         self._vibration_numbers = np.array(
-            [float(q) for q in (shake.once, shake.twice, shake.passing, shake.resonance, shake.damping)]
-            + [*hover, *(float(q) for q in (imu.drift_time, imu.warming, imu.warming_time))]
+            [
+                float(q)
+                for q in (
+                    shake.once_per_rev,
+                    shake.twice_per_rev,
+                    shake.blade_passing,
+                    shake.resonance_frequency,
+                    shake.damping_ratio,
+                )
+            ]
+            + [
+                *hover,
+                *(float(q) for q in (imu.drift_correlation_time, imu.temperature_rise, imu.temperature_time_constant)),
+            ]
         )
-        self._place = imu.place.to_array()[0].copy()
+        self._place = imu.position.to_array()[0].copy()
         self._dt = float(imu.sample_period)
-        density = np.repeat([float(imu.accelerometer_noise), float(imu.gyro_noise)], 3)
+        density = np.repeat([float(imu.accelerometer_noise_density), float(imu.gyro_noise_density)], 3)
         self._white_noise = density * math.sqrt(0.5 / self._dt)
         self._limit = np.repeat([float(imu.accelerometer_range), float(imu.gyro_range)], 3)
         self._range = self._limit.copy()
@@ -112,7 +124,7 @@ class Imu(Sensor):
         # Constant errors of this unit
         self._axes = np.stack([_axis_matrix(rng, float(imu.scale_error), float(imu.misalignment)) for _ in range(2)])
         on = np.repeat([float(imu.accelerometer_bias), float(imu.gyro_bias)], 3)
-        heat = np.repeat([float(imu.accelerometer_temperature), float(imu.gyro_temperature)], 3)
+        heat = np.repeat([float(imu.accelerometer_temperature_coefficient), float(imu.gyro_temperature_coefficient)], 3)
         self.turn_on_bias = on * rng.standard_normal(6)
         self._temperature_bias = heat * rng.standard_normal(6)
         self._g_sensitivity = float(imu.gyro_g_sensitivity) * rng.standard_normal((3, 3))

@@ -87,13 +87,13 @@ class MagnetometerSensor(PeriodicSensor):
 
     def __init__(self, table: MagnetometerParameters, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         m = table
-        self.earth_field_T = earth_field(float(m.field), float(m.inclination))
-        self._waves = rng.standard_normal((_DISTORTION_WAVE_COUNT, 3)) / float(m.distortion_length)
+        self.earth_field_T = earth_field(float(m.field_strength), float(m.inclination))
+        self._waves = rng.standard_normal((_DISTORTION_WAVE_COUNT, 3)) / float(m.distortion_correlation_length)
         shifts = rng.uniform(0.0, 2 * math.pi, (_DISTORTION_WAVE_COUNT, 3))
         self._wave_phases = np.array([[sine_cosine(p) for p in row] for row in shifts])
         self._strength = float(m.distortion) * math.sqrt(2.0 / _DISTORTION_WAVE_COUNT)
         self.hard_iron = float(m.hard_iron) * rng.standard_normal(3)
-        self.motor_field_per_ampere = float(m.motor_field) * rng.standard_normal(3)
+        self.motor_field_per_ampere = float(m.field_per_current) * rng.standard_normal(3)
         numbers = [
             *self.earth_field_T,
             *self.hard_iron,

@@ -70,10 +70,10 @@ class PositionFixSensor(PeriodicSensor):
 
     def __init__(self, table: PositionFixParameters, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         f = table
-        jitter, latency = float(f.jitter), float(f.latency)
+        jitter, latency = float(f.latency_jitter), float(f.latency)
         white = [*[float(f.noise)] * 3, float(f.heading_noise)]
-        numbers = np.array([float(f.dropout), jitter, latency, float(f.wander_time), *white])
-        self._sigma = np.array([*[float(f.wander)] * 3, float(f.heading_wander)])
+        numbers = np.array([float(f.dropout_probability), jitter, latency, float(f.drift_correlation_time), *white])
+        self._sigma = np.array([*[float(f.drift)] * 3, float(f.heading_drift)])
         self._memory = np.empty(5)
         parts = (numbers, self._sigma, self._memory)
         super().__init__(float(f.period), rng, parts, latency + 6.0 * jitter)

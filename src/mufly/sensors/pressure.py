@@ -103,10 +103,10 @@ class PressureSensor(PeriodicSensor):
         self._air_weight = density * GRAVITY
         numbers = [
             float(p.noise),
-            float(p.delay),
-            float(p.drift_time),
+            float(p.filter_delay),
+            float(p.drift_correlation_time),
             self._air_weight,
-            float(p.downwash),
+            float(p.downwash_coefficient),
             *loading,
         ]
         self._sigma, self._memory, self._rotor_pressure = np.array([float(p.drift)]), np.empty(2), np.empty(2)

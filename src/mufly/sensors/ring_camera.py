@@ -184,7 +184,7 @@ class RingCamera(PeriodicSensor):
         c = table
         self._camera, self._world = c, world
         self._directions = beam_directions(vehicle)
-        self._baseline, self._blur = float(c.baseline), float(c.blur)
+        self._baseline, self._blur = float(c.baseline), float(c.spot_radius)
         self._nearest, self._farthest = float(c.min_range), float(c.max_range)
         self._no_return_range = float(vehicle.range_ring.max_range)
         self._max_elevation = ELEVATION_MARGIN * math.atan(self._baseline / self._nearest)
@@ -194,15 +194,15 @@ class RingCamera(PeriodicSensor):
         half = max(1, math.ceil(_WINDOW_HALF_WIDTH_RADII * self._blur))
         self._columns = np.floor(self._centres)[:, None].astype(int) + np.arange(-half, half + 1)  # (n, w), not wrapped
         self._rows = np.arange(c.radial_pixels) + 0.5
-        self._calibration_offset = float(c.calibration) * rng.standard_normal(len(self._centres))
-        self._ambient = float(c.ambient) * rng.uniform(0.5, 1.5, c.angular_pixels)
+        self._calibration_offset = float(c.calibration_error) * rng.standard_normal(len(self._centres))
+        self._ambient = float(c.ambient_light) * rng.uniform(0.5, 1.5, c.angular_pixels)
         self._column_profile = np.exp(-0.5 * ((self._columns + 0.5 - self._centres[:, None]) / self._blur) ** 2)
         # The weights keep the noise of the sum at one.
         self._column_weights = self._column_profile / np.sqrt((self._column_profile**2).sum(axis=1, keepdims=True))
         self._ambient_light = self._ambient[self._columns % c.angular_pixels]
         self._numbers = np.array(
             [
-                float(c.brightness),
+                float(c.spot_brightness),
                 self._blur,
                 self._row_elevation,
                 self._baseline,
@@ -212,7 +212,7 @@ class RingCamera(PeriodicSensor):
         )
         count = len(self._centres)
         parts = (
-            np.array([self._no_return_range, float(c.missed)]),
+            np.array([self._no_return_range, float(c.missed_spot_probability)]),
             self._numbers,
             self._directions,
             *world.packed_tables,
@@ -246,7 +246,7 @@ class RingCamera(PeriodicSensor):
 
     def _spot_brightness(self, distance: _Array) -> _Array:
         with np.errstate(divide="ignore"):
-            return float(self._camera.brightness) / np.maximum(distance, 0.05) ** 2
+            return float(self._camera.spot_brightness) / np.maximum(distance, 0.05) ** 2
 
     def _row_profile(self, distance: _Array) -> _Array:
         """Return the share of a spot's brightness in each row (n, rows)."""

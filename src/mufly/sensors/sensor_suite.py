@@ -149,8 +149,9 @@ def draw_leaning_vehicle(vehicle: Vehicle, *, seed: int = 0) -> Vehicle:
     """Return the vehicle with legs of random lengths, so that it stands at a small random tilt.
 
     The calibration takes the standing attitude for level, but legs differ in length and floors slope. Roll and pitch
-    are drawn with the deviation ``sensors.imu.level``. The plane of the tips of the legs is turned about the centre of
-    gravity, so that :func:`mufly.dynamics.standing_attitude` gives the drawn angles, before and after a flight.
+    are drawn with the deviation ``sensors.imu.standing_tilt_error``. The plane of the tips of the legs is turned about
+    the centre of gravity, so that :func:`mufly.dynamics.standing_attitude` gives the drawn angles, before and after a
+    flight.
 
     Parameters
     ----------
@@ -158,10 +159,10 @@ def draw_leaning_vehicle(vehicle: Vehicle, *, seed: int = 0) -> Vehicle:
     seed : int
         Same seed, same legs; the other sensors' errors do not depend on this draw.
     """
-    if vehicle.sensors is None or vehicle.sensors.imu is None or float(vehicle.sensors.imu.level) == 0.0:
+    if vehicle.sensors is None or vehicle.sensors.imu is None or float(vehicle.sensors.imu.standing_tilt_error) == 0.0:
         return vehicle
     own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_LEG_LENGTH_RANDOM_STREAM,)))
-    roll, pitch = float(vehicle.sensors.imu.level) * own.standard_normal(2)
+    roll, pitch = float(vehicle.sensors.imu.standing_tilt_error) * own.standard_normal(2)
     legs = vehicle.contact.legs.to_array() @ body_to_ned_matrix(quaternion_from_euler(roll, pitch, 0.0))
     tips = vehicle.contact.legs.model_copy(update={"value": tuple((float(x), float(y), float(z)) for x, y, z in legs)})
     return vehicle.model_copy(update={"contact": vehicle.contact.model_copy(update={"legs": tips})})

@@ -97,13 +97,16 @@ class UltrasonicSensor(PeriodicSensor):
     argument_dimensions = (1, 1, 2, 2, 2, 1)
 
     def __init__(self, table: SonarParameters, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
-        s, half = table, 0.5 * float(table.cone)
+        s, half = table, 0.5 * float(table.cone_angle)
         longest = float(s.max_range)
         self._upright = math.cos(half)
-        numbers = [float(q) for q in (s.noise, s.dropout, s.multipath, longest, s.min_range, s.resolution)]
+        numbers = [
+            float(q)
+            for q in (s.noise, s.dropout_probability, s.multipath_probability, longest, s.min_range, s.resolution)
+        ]
         parts = (
             np.array([*numbers, self._upright]),
-            s.place.to_array()[0].copy(),
+            s.position.to_array()[0].copy(),
             cone_rays(half),
             *world.packed_tables,
         )
@@ -122,7 +125,7 @@ def standing_sonar_range(vehicle: Vehicle) -> float:
         return math.nan
     roll, pitch = standing_attitude(vehicle)
     down = (-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch))
-    return standing_height(vehicle) - float(sonar.place.to_array()[0] @ down)
+    return standing_height(vehicle) - float(sonar.position.to_array()[0] @ down)
 
 
 def max_grounded_range(vehicle: Vehicle) -> float:

@@ -213,9 +213,9 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
         vehicle = replace_parameters(
             load_vehicle("mufly-1.1"),
             {
-                "sensors.imu.vibration.once": once * g,
-                "sensors.imu.vibration.twice": twice * g,
-                "sensors.imu.vibration.passing": 0.0,
+                "sensors.imu.vibration.once_per_rev": once * g,
+                "sensors.imu.vibration.twice_per_rev": twice * g,
+                "sensors.imu.vibration.blade_passing": 0.0,
             },
         )
         state = find_trim(vehicle).state

@@ -155,7 +155,7 @@ def _check_sensors(v: Vehicle) -> Iterator[UnusualParameter]:
     reach = vehicle_reach_m(v)
     for name in ("imu", "sonar"):
         sensor = getattr(v.sensors, name)
-        away = 0.0 if sensor is None else math.hypot(*sensor.place.value[0])
+        away = 0.0 if sensor is None else math.hypot(*sensor.position.value[0])
         if away > reach:
             yield UnusualParameter(
                 f"sensors.{name}.place",
@@ -184,10 +184,10 @@ def _check_sensors(v: Vehicle) -> Iterator[UnusualParameter]:
                 "lower it, or shorten sample_period",
             )
     if (sonar := v.sensors.sonar) is not None:
-        x, y, z = sonar.place.value[0]
+        x, y, z = sonar.position.value[0]
         if z < float(v.rotors.lower.hub_z) and math.hypot(x, y) < float(v.rotors.radius):
             yield UnusualParameter(
-                "sensors.sonar.place",
+                "sensors.sonar.position",
                 f"z = {z:g} m is above the lower rotor, z = {float(v.rotors.lower.hub_z):g} m: the beam meets blades",
                 "give a place below the rotors",
             )
@@ -200,10 +200,10 @@ def _check_sensors(v: Vehicle) -> Iterator[UnusualParameter]:
             )
     if (compass := v.sensors.magnetometer) is not None:
         low, high = _EARTH_FIELD_RANGE_T
-        if not low <= float(compass.field) <= high:
+        if not low <= float(compass.field_strength) <= high:
             yield UnusualParameter(
-                "sensors.magnetometer.field",
-                f"{1e6 * float(compass.field):.3g} uT is not the Earth's field",
+                "sensors.magnetometer.field_strength",
+                f"{1e6 * float(compass.field_strength):.3g} uT is not the Earth's field",
                 f"give {1e6 * low:g} to {1e6 * high:g} uT",
             )
     if (monitor := v.sensors.battery) is not None:

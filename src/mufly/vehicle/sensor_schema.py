@@ -19,19 +19,21 @@ from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, declare
 class VibrationParameters(ParameterGroup):
     """Vibration of the board due to the rotors: amplitude in the direction of vibration at the hover speed."""
 
-    once: Quantity = declare_parameter(
+    once_per_rev: Quantity = declare_parameter(
         "m/s^2", "a1", "amplitude once per revolution of each rotor, from imbalance", at_least=0, at_most=2000
     )
-    twice: Quantity = declare_parameter(
+    twice_per_rev: Quantity = declare_parameter(
         "m/s^2", "a2", "amplitude twice per revolution of each rotor, from its two blades", at_least=0, at_most=2000
     )
-    passing: Quantity = declare_parameter(
+    blade_passing: Quantity = declare_parameter(
         "m/s^2", "ap", "amplitude at the passing frequency of the blades of both rotors", at_least=0, at_most=2000
     )
-    resonance: Quantity = declare_parameter(
+    resonance_frequency: Quantity = declare_parameter(
         "rad/s", "w_r", "resonance of the board on its mounting", at_least=1, at_most=1e6
     )
-    damping: Quantity = declare_parameter("1", "zeta_r", "damping ratio of that resonance", at_least=0.001, at_most=2)
+    damping_ratio: Quantity = declare_parameter(
+        "1", "zeta_r", "damping ratio of that resonance", at_least=0.001, at_most=2
+    )
 
 
 DEFAULT_LEVEL_ERROR_RAD = math.radians(0.12)
@@ -62,7 +64,7 @@ class ImuParameters(ParameterGroup):
     accelerometer_range: Quantity = declare_parameter(
         "m/s^2", "a_max", "largest measured acceleration of an axis", above=GRAVITY, at_most=100000
     )
-    accelerometer_noise: Quantity = declare_parameter(
+    accelerometer_noise_density: Quantity = declare_parameter(
         "m/s^2/sqrt(Hz)", "n_a", "density of white noise", at_least=0, at_most=10
     )
     accelerometer_bias: Quantity = declare_parameter(
@@ -74,7 +76,9 @@ class ImuParameters(ParameterGroup):
     gyro_range: Quantity = declare_parameter(
         "rad/s", "w_max", "largest measured rate of an axis", at_least=0.1, at_most=10000
     )
-    gyro_noise: Quantity = declare_parameter("rad/s/sqrt(Hz)", "n_g", "density of white noise", at_least=0, at_most=1)
+    gyro_noise_density: Quantity = declare_parameter(
+        "rad/s/sqrt(Hz)", "n_g", "density of white noise", at_least=0, at_most=1
+    )
     gyro_bias: Quantity = declare_parameter("rad/s", "b_g", "bias at switching on, one sigma", at_least=0, at_most=10)
     gyro_drift: Quantity = declare_parameter("rad/s", "d_g", "drift of the bias, one sigma", at_least=0, at_most=10)
     gyro_g_sensitivity: Quantity = declare_parameter(
@@ -84,27 +88,29 @@ class ImuParameters(ParameterGroup):
         at_least=0,
         at_most=1,
     )
-    drift_time: Quantity = declare_parameter(
+    drift_correlation_time: Quantity = declare_parameter(
         "s", "tau_b", "correlation time of both bias drifts", at_least=0.01, at_most=1e7
     )
     scale_error: Quantity = declare_parameter(
         "1", "e_s", "scale error of each axis, one sigma", at_least=0, at_most=0.2
     )
     misalignment: Quantity = declare_parameter("rad", "e_m", "of each axis, one sigma", at_least=0, at_most=0.2)
-    accelerometer_temperature: Quantity = declare_parameter(
+    accelerometer_temperature_coefficient: Quantity = declare_parameter(
         "m/s^2/K", "k_a", "bias per warming, one sigma", at_least=0, at_most=1
     )
-    gyro_temperature: Quantity = declare_parameter(
+    gyro_temperature_coefficient: Quantity = declare_parameter(
         "rad/s/K", "k_g", "bias per warming, one sigma", at_least=0, at_most=1
     )
-    warming: Quantity = declare_parameter(
+    temperature_rise: Quantity = declare_parameter(
         "K", "dT", "final temperature rise of the board after switching on", at_least=0, at_most=200
     )
-    warming_time: Quantity = declare_parameter("s", "tau_T", "time constant of the warming", at_least=0.01, at_most=1e6)
-    place: BodyPoints = declare_parameter(
+    temperature_time_constant: Quantity = declare_parameter(
+        "s", "tau_T", "time constant of the warming", at_least=0.01, at_most=1e6
+    )
+    position: BodyPoints = declare_parameter(
         "m", "r_imu", "one point: position of the element, body axes", at_least=-10, at_most=10
     )
-    level: Quantity = declare_parameter(
+    standing_tilt_error: Quantity = declare_parameter(
         "rad",
         "s_level",
         "roll and pitch of the vehicle standing on its legs, one sigma each",
@@ -119,23 +125,27 @@ class ImuParameters(ParameterGroup):
 
     @model_validator(mode="after")
     def _check_single_place(self) -> ImuParameters:
-        if len(self.place.value) != 1:
-            raise model_error(f"has {len(self.place.value)} points", "give one point, [[x, y, z]]", "sensors.imu.place")
+        if len(self.position.value) != 1:
+            raise model_error(
+                f"has {len(self.position.value)} points", "give one point, [[x, y, z]]", "sensors.imu.position"
+            )
         return self
 
 
 class SonarParameters(ParameterGroup):
     period: Quantity = declare_parameter("s", "T_us", "between pulses", at_least=0.0001, at_most=10)
-    cone: Quantity = declare_parameter("rad", "beta_us", "full angle of the cone", at_least=0.001, below=3.0)
+    cone_angle: Quantity = declare_parameter("rad", "beta_us", "full angle of the cone", at_least=0.001, below=3.0)
     min_range: Quantity = declare_parameter("m", "l_us_min", "shortest distance", at_least=0, at_most=100)
     max_range: Quantity = declare_parameter("m", "l_us_max", "greatest distance", at_least=0.01, at_most=100)
     resolution: Quantity = declare_parameter("m", "dl_us", "step of the reading", at_least=0, at_most=10)
     noise: Quantity = declare_parameter("m", "n_us", "one sigma before that", at_least=0, at_most=10)
-    dropout: Quantity = declare_parameter("1", "p_us", "share of pulses without an echo", at_least=0, at_most=1)
-    multipath: Quantity = declare_parameter(
+    dropout_probability: Quantity = declare_parameter(
+        "1", "p_us", "share of pulses without an echo", at_least=0, at_most=1
+    )
+    multipath_probability: Quantity = declare_parameter(
         "1", "p_mp", "share of echoes reflected by a second surface", at_least=0, at_most=1
     )
-    place: BodyPoints = declare_parameter(
+    position: BodyPoints = declare_parameter(
         "m", "r_us", "one point: position of the sonar, body axes; it points along z", at_least=-10, at_most=10
     )
 
@@ -155,23 +165,23 @@ class RingCameraParameters(ParameterGroup):
     max_range: Quantity = declare_parameter(
         "m", "l_cam_max", "greatest distance that is decoded", at_least=0.01, at_most=1000
     )
-    blur: Quantity = declare_parameter(
+    spot_radius: Quantity = declare_parameter(
         "1", "s_cam", "radius of a spot, in pixels, one sigma", at_least=0.1, at_most=100
     )
-    calibration: Quantity = declare_parameter(
+    calibration_error: Quantity = declare_parameter(
         "1",
         "e_cam",
         "calibration error of each beam's spot, in pixels along the radius, one sigma",
         at_least=0,
         at_most=100,
     )
-    brightness: Quantity = declare_parameter(
+    spot_brightness: Quantity = declare_parameter(
         "1", "I_1", "brightness of a spot at 1 m, over the noise of a pixel", at_least=0.001, at_most=1e6
     )
-    ambient: Quantity = declare_parameter(
+    ambient_light: Quantity = declare_parameter(
         "1", "I_a", "mean of the ambient light, over the noise of a pixel", at_least=0, at_most=1e6
     )
-    missed: Quantity = declare_parameter(
+    missed_spot_probability: Quantity = declare_parameter(
         "1", "p_cam", "share of spots lost on absorbing surfaces", at_least=0, at_most=1
     )
 
@@ -180,28 +190,34 @@ class PressureSensorParameters(ParameterGroup):
     period: Quantity = declare_parameter("s", "T_p", "between readings", at_least=0.0001, at_most=100)
     noise: Quantity = declare_parameter("Pa", "n_p", "one sigma", at_least=0, at_most=10000)
     drift: Quantity = declare_parameter("Pa", "d_p", "drift by weather and doors, one sigma", at_least=0, at_most=10000)
-    drift_time: Quantity = declare_parameter("s", "tau_p", "its correlation time", at_least=0.01, at_most=1e7)
-    downwash: Quantity = declare_parameter(
+    drift_correlation_time: Quantity = declare_parameter(
+        "s", "tau_p", "its correlation time", at_least=0.01, at_most=1e7
+    )
+    downwash_coefficient: Quantity = declare_parameter(
         "1", "k_p", "share of the disc loading that adds to the pressure at the port", at_least=-10, at_most=10
     )
-    delay: Quantity = declare_parameter("s", "T_dp", "of its filter", at_least=0, at_most=10)
+    filter_delay: Quantity = declare_parameter("s", "T_dp", "of its filter", at_least=0, at_most=10)
 
 
 class MagnetometerParameters(ParameterGroup):
     period: Quantity = declare_parameter("s", "T_m", "between readings", at_least=0.0001, at_most=100)
     noise: Quantity = declare_parameter("T", "n_m", "one sigma an axis", at_least=0, at_most=0.01)
-    field: Quantity = declare_parameter("T", "B", "strength of the field in the room", at_least=1e-7, at_most=0.01)
+    field_strength: Quantity = declare_parameter(
+        "T", "B", "strength of the field in the room", at_least=1e-7, at_most=0.01
+    )
     inclination: Quantity = declare_parameter(
         "rad", "I_B", "inclination of the field below the horizon", at_least=-1.58, at_most=1.58
     )
     distortion: Quantity = declare_parameter(
         "T", "d_m", "distortion of the field by steel in walls and floor, one sigma", at_least=0, at_most=0.01
     )
-    distortion_length: Quantity = declare_parameter("m", "L_m", "over which it changes", at_least=0.01, at_most=10000)
+    distortion_correlation_length: Quantity = declare_parameter(
+        "m", "L_m", "over which it changes", at_least=0.01, at_most=10000
+    )
     hard_iron: Quantity = declare_parameter(
         "T", "h_m", "hard iron that remains after calibration, one sigma per axis", at_least=0, at_most=0.01
     )
-    motor_field: Quantity = declare_parameter(
+    field_per_current: Quantity = declare_parameter(
         "T/A", "k_m", "field per supply current, one sigma per axis", at_least=0, at_most=0.001
     )
 
@@ -210,8 +226,8 @@ class RotorSpeedSensorParameters(ParameterGroup):
     """Rotor speed from the back-EMF of the motors."""
 
     period: Quantity = declare_parameter("s", "T_n", "between readings", at_least=0.0001, at_most=10)
-    noise: Quantity = declare_parameter("V", "n_n", "noise of the voltage, one sigma", at_least=0, at_most=100)
-    constant_error: Quantity = declare_parameter(
+    voltage_noise: Quantity = declare_parameter("V", "n_n", "noise of the voltage, one sigma", at_least=0, at_most=100)
+    back_emf_constant_error: Quantity = declare_parameter(
         "1", "e_kE", "relative error of the back-EMF constant, one sigma", at_least=0, at_most=0.5
     )
 
@@ -221,7 +237,7 @@ class BatteryMonitorParameters(ParameterGroup):
     voltage_resolution: Quantity = declare_parameter("V", "dU", "step of the voltage", at_least=0, at_most=10)
     voltage_noise: Quantity = declare_parameter("V", "n_U", "one sigma", at_least=0, at_most=10)
     current_noise: Quantity = declare_parameter("A", "n_I", "one sigma", at_least=0, at_most=100)
-    current_scale: Quantity = declare_parameter(
+    current_scale_error: Quantity = declare_parameter(
         "1", "e_I", "scale error of the current, one sigma", at_least=0, at_most=1
     )
 
@@ -231,13 +247,17 @@ class PositionFixParameters(ParameterGroup):
 
     period: Quantity = declare_parameter("s", "T_x", "between fixes", at_least=0.001, at_most=100)
     latency: Quantity = declare_parameter("s", "L_x", "time from the picture to the fix", at_least=0, at_most=10)
-    jitter: Quantity = declare_parameter("s", "j_x", "jitter of the latency, one sigma", at_least=0, at_most=10)
+    latency_jitter: Quantity = declare_parameter("s", "j_x", "jitter of the latency, one sigma", at_least=0, at_most=10)
     noise: Quantity = declare_parameter("m", "n_x", "white, one sigma an axis", at_least=0, at_most=100)
-    wander: Quantity = declare_parameter("m", "d_x", "correlated error, one sigma per axis", at_least=0, at_most=100)
-    wander_time: Quantity = declare_parameter("s", "tau_x", "its correlation time", at_least=0.01, at_most=1e6)
+    drift: Quantity = declare_parameter("m", "d_x", "correlated error, one sigma per axis", at_least=0, at_most=100)
+    drift_correlation_time: Quantity = declare_parameter(
+        "s", "tau_x", "its correlation time", at_least=0.01, at_most=1e6
+    )
     heading_noise: Quantity = declare_parameter("rad", "n_psi", "white, one sigma", at_least=0, at_most=3.2)
-    heading_wander: Quantity = declare_parameter("rad", "d_psi", "correlated, one sigma", at_least=0, at_most=3.2)
-    dropout: Quantity = declare_parameter("1", "p_x", "share of fixes that are missing", at_least=0, at_most=1)
+    heading_drift: Quantity = declare_parameter("rad", "d_psi", "correlated, one sigma", at_least=0, at_most=3.2)
+    dropout_probability: Quantity = declare_parameter(
+        "1", "p_x", "share of fixes that are missing", at_least=0, at_most=1
+    )
 
 
 class SensorSuite(ParameterGroup):
@@ -272,8 +292,8 @@ class SensorSuite(ParameterGroup):
                 "give a smaller step",
                 "sensors.sonar.resolution",
             )
-        if len(self.sonar.place.value) != 1:
+        if len(self.sonar.position.value) != 1:
             raise model_error(
-                f"has {len(self.sonar.place.value)} points", "give one point, [[x, y, z]]", "sensors.sonar.place"
+                f"has {len(self.sonar.position.value)} points", "give one point, [[x, y, z]]", "sensors.sonar.position"
             )
         return self

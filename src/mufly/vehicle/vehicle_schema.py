@@ -430,7 +430,7 @@ class Vehicle(ParameterGroup):
         reach = vehicle_reach_m(self)
         for name in ("imu", "sonar"):
             sensor = getattr(self.sensors, name)
-            away = 0.0 if sensor is None else math.hypot(*sensor.place.value[0])
+            away = 0.0 if sensor is None else math.hypot(*sensor.position.value[0])
             if away > MAX_PLACE_TO_REACH_RATIO * reach:
                 raise model_error(
                     f"{away:.3g} m from the centre of gravity; rotors and legs reach {reach:.3g} m",
@@ -439,12 +439,12 @@ class Vehicle(ParameterGroup):
                 )
         lowest = max(z for _, _, z in self.contact.legs.value)
         if self.sensors.sonar is not None:
-            low, longest = self.sensors.sonar.place.value[0][2], float(self.sensors.sonar.max_range)
+            low, longest = self.sensors.sonar.position.value[0][2], float(self.sensors.sonar.max_range)
             if low >= lowest:
                 raise model_error(
                     f"z = {low:g} m is not above the tips of the legs, z = {lowest:g} m (z points down)",
                     "give the sonar's place a smaller z, or longer legs",
-                    "sensors.sonar.place",
+                    "sensors.sonar.position",
                 )
             if lowest - low >= longest:
                 raise model_error(

@@ -120,7 +120,7 @@ def _limit_parameters(gains: AutopilotGains) -> Iterator[Px4Parameter]:
 
 def _estimator_parameters(vehicle: Vehicle, position: PositionSource) -> Iterator[Px4Parameter]:
     fix = None if vehicle.sensors is None else vehicle.sensors.position_fix
-    delay_ms = 0.0 if fix is None else 1e3 * (float(fix.latency) + _MEAN_OF_HALF_NORMAL * float(fix.jitter))
+    delay_ms = 0.0 if fix is None else 1e3 * (float(fix.latency) + _MEAN_OF_HALF_NORMAL * float(fix.latency_jitter))
     yield Px4Parameter("EKF2_DELAY_MAX", max(200.0, math.ceil(1.3 * delay_ms)), "covers the latency of the fixes (ms)")
     if position == "gps":
         yield Px4Parameter("EKF2_GPS_DELAY", delay_ms, "mean latency of the fixes (ms)")
@@ -128,8 +128,8 @@ def _estimator_parameters(vehicle: Vehicle, position: PositionSource) -> Iterato
     yield Px4Parameter("EKF2_EV_CTRL", 11, "position, height and heading of VISION_POSITION_ESTIMATE")
     yield Px4Parameter("EKF2_EV_DELAY", delay_ms, "mean latency of the fixes (ms)")
     if fix is not None:
-        yield Px4Parameter("EKF2_EVP_NOISE", math.hypot(float(fix.noise), float(fix.wander)), "(m)")
-        heading = math.hypot(float(fix.heading_noise), float(fix.heading_wander))
+        yield Px4Parameter("EKF2_EVP_NOISE", math.hypot(float(fix.noise), float(fix.drift)), "(m)")
+        heading = math.hypot(float(fix.heading_noise), float(fix.heading_drift))
         yield Px4Parameter("EKF2_EVA_NOISE", max(heading, 0.05), "(rad)")
     yield Px4Parameter("EKF2_HGT_REF", 3, "height of the fixes")
     yield Px4Parameter("EKF2_GPS_CTRL", 0, "no GPS in a room")

@@ -199,8 +199,8 @@ def _fix_covariance(vehicle: Vehicle) -> list[float]:
     fix = None if vehicle.sensors is None else vehicle.sensors.position_fix
     if fix is None:
         return [math.nan] * 21
-    place = float(fix.noise) ** 2 + float(fix.wander) ** 2
-    heading = float(fix.heading_noise) ** 2 + float(fix.heading_wander) ** 2
+    place = float(fix.noise) ** 2 + float(fix.drift) ** 2
+    heading = float(fix.heading_noise) ** 2 + float(fix.heading_drift) ** 2
     for k, variance in zip(_COVARIANCE_DIAGONAL, (place, place, place, heading, heading, heading), strict=True):
         out[k] = variance
     return out

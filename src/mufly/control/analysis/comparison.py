@@ -242,7 +242,7 @@ def sensor_noise(vehicle: Vehicle, outputs: Sequence[str]) -> Array:
     gyro = DEFAULT_GYRO_NOISE_RAD_S
     if imu is not None:  # white noise behind a filter of first order
         bandwidth_Hz = float(imu.bandwidth) / (2 * np.pi)
-        gyro = float(imu.gyro_noise) * float(np.sqrt(bandwidth_Hz * np.pi / 2))
+        gyro = float(imu.gyro_noise_density) * float(np.sqrt(bandwidth_Hz * np.pi / 2))
     kinds = {"p": gyro, "q": gyro, "r": gyro, "z": HEIGHT_NOISE_M}
     return np.array([kinds.get(name, ATTITUDE_NOISE_RAD) for name in outputs])
 

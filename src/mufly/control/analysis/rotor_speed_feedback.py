@@ -135,7 +135,7 @@ def rotor_speed_noise(vehicle: Vehicle) -> float:
     ratio.
     """
     sensor = getattr(vehicle.sensors, "rotor_speed", None) if vehicle.sensors is not None else None
-    volts = DEFAULT_BACK_EMF_NOISE_V if sensor is None else float(sensor.noise)
+    volts = DEFAULT_BACK_EMF_NOISE_V if sensor is None else float(sensor.voltage_noise)
     return volts / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
 
 

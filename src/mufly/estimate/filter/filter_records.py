@@ -488,7 +488,7 @@ def filter_settings(
         3e-3,
         0.01,
     )
-    level = DEFAULT_LEVEL_ERROR_RAD if sensing.imu is None else float(sensing.imu.level)
+    level = DEFAULT_LEVEL_ERROR_RAD if sensing.imu is None else float(sensing.imu.standing_tilt_error)
     sigma[ERROR_ATTITUDE : ERROR_ATTITUDE + 2], sigma[ERROR_ATTITUDE + 2] = level, math.pi
     sigma[ERROR_TERRAIN], walk[ERROR_TERRAIN] = (
         INITIAL_TERRAIN_SIGMA,
@@ -516,20 +516,20 @@ def filter_settings(
         fitted[[READING_ACCELERATION, READING_RATES]] = 1
         lag = math.sqrt(2.0) / float(imu.bandwidth)  # of a second-order Butterworth filter at low frequencies
         noisy[READING_ACCELERATION], noisy[READING_RATES] = (
-            float(imu.accelerometer_noise) > 0,
-            float(imu.gyro_noise) > 0,
+            float(imu.accelerometer_noise_density) > 0,
+            float(imu.gyro_noise_density) > 0,
         )
         slack[[READING_ACCELERATION, READING_RATES]] = 1.5 * dt
         s["imu_lag"], s["imu_lag_ticks"], s["imu_lag_remainder"] = lag, int(lag / dt), lag / dt - int(lag / dt)
-        s["imu_position"] = imu.place.to_array()[0]
+        s["imu_position"] = imu.position.to_array()[0]
         s["gyro_noise_density"], s["accel_noise_density"] = (
-            float(imu.gyro_noise) ** 2,
-            float(imu.accelerometer_noise) ** 2,
+            float(imu.gyro_noise_density) ** 2,
+            float(imu.accelerometer_noise_density) ** 2,
         )
         s["gyro_axis_variance"] = np.square([float(imu.misalignment)] * 2 + [float(imu.scale_error)])
         s["accel_range"], s["gyro_range"] = float(imu.accelerometer_range), float(imu.gyro_range)
         bound[READING_ACCELERATION], bound[READING_RATES] = 1.2 * s["accel_range"], 1.2 * s["gyro_range"]
-        heat = float(imu.warming)
+        heat = float(imu.temperature_rise)
         band = float(imu.bandwidth) / (2 * math.pi)
         # Scale and misalignment of axes that stand level are a bias; so is what gyroscopes feel of gravity.
         off = math.hypot(float(imu.scale_error), float(imu.misalignment)) * GRAVITY
@@ -537,30 +537,34 @@ def filter_settings(
         sigma[ERROR_GYRO_BIAS:ERROR_ACCEL_BIAS] = math.hypot(
             float(imu.gyro_bias), float(imu.gyro_g_sensitivity) * GRAVITY
         )
-        time = float(imu.drift_time)
+        time = float(imu.drift_correlation_time)
         for axes, drift, warm in (
-            (slice(ERROR_ACCEL_BIAS, ERROR_TERRAIN), imu.accelerometer_drift, imu.accelerometer_temperature),
-            (slice(ERROR_GYRO_BIAS, ERROR_ACCEL_BIAS), imu.gyro_drift, imu.gyro_temperature),
+            (
+                slice(ERROR_ACCEL_BIAS, ERROR_TERRAIN),
+                imu.accelerometer_drift,
+                imu.accelerometer_temperature_coefficient,
+            ),
+            (slice(ERROR_GYRO_BIAS, ERROR_ACCEL_BIAS), imu.gyro_drift, imu.gyro_temperature_coefficient),
         ):
             # Wandering, and warming taken as a random walk that reaches as far in the warming's time
             walk[axes] = math.hypot(
                 float(drift) * math.sqrt(2.0 / time),
-                0.6 * float(warm) * heat / math.sqrt(float(imu.warming_time)),
+                0.6 * float(warm) * heat / math.sqrt(float(imu.temperature_time_constant)),
             )
-        s["rest_accel_sigma"] = max(float(imu.accelerometer_noise) * math.sqrt(1.1 * band), 0.02)
-        s["rest_gyro_sigma"] = max(float(imu.gyro_noise) * math.sqrt(1.1 * band), 1e-4)
+        s["rest_accel_sigma"] = max(float(imu.accelerometer_noise_density) * math.sqrt(1.1 * band), 0.02)
+        s["rest_gyro_sigma"] = max(float(imu.gyro_noise_density) * math.sqrt(1.1 * band), 1e-4)
     else:
         s["imu_lag_remainder"] = 0.0
     if (sonar := sensing.sonar) is not None:
         fitted[READING_SONAR], period[READING_SONAR] = 1, float(sonar.period)
-        s["sonar_position"] = sonar.place.to_array()[0]
+        s["sonar_position"] = sonar.position.to_array()[0]
         s["sonar_variance"] = float(sonar.noise) ** 2 + float(sonar.resolution) ** 2 / 12 + 1e-6
         s["sonar_resolution"] = float(sonar.resolution)
-        s["sonar_cone_cosine"] = math.cos(0.5 * float(sonar.cone))
+        s["sonar_cone_cosine"] = math.cos(0.5 * float(sonar.cone_angle))
         # Of an edge that comes into the cone: how much farther than its top it is, and how far ahead
         s["sonar_cone_edge_excess"], s["sonar_cone_radius_ratio"] = (
             1.0 / s["sonar_cone_cosine"] - 1.0,
-            math.tan(0.5 * float(sonar.cone)),
+            math.tan(0.5 * float(sonar.cone_angle)),
         )
         s["sonar_min"], s["sonar_max"] = max_grounded_range(vehicle), float(sonar.max_range)
         bound[READING_SONAR] = 1.01 * s["sonar_max"]
@@ -579,12 +583,12 @@ def filter_settings(
         # (docs/explanation/estimation.md).
         row = ELEVATION_MARGIN * math.atan(float(ring.baseline) / float(ring.min_range)) / ring.radial_pixels
         row /= float(ring.baseline)
-        blur = float(ring.blur)
+        blur = float(ring.spot_radius)
         reach = max(1, math.ceil(1.5 * blur))
         columns = math.sqrt(math.sqrt(math.pi) * blur)
         rows = math.sqrt(reach * (reach + 1) * (2 * reach + 1) / 3)
-        rows /= float(ring.brightness) * columns * math.sqrt(2 * math.pi) * blur
-        s["ring_constant_variance"] = max(row * float(ring.calibration), _MIN_BEAM_ERROR) ** 2
+        rows /= float(ring.spot_brightness) * columns * math.sqrt(2 * math.pi) * blur
+        s["ring_constant_variance"] = max(row * float(ring.calibration_error), _MIN_BEAM_ERROR) ** 2
         s["ring_noise_variance"] = (row * rows) ** 2
         bound[READING_RANGE_RING] = 1.01 * max(float(vehicle.range_ring.max_range), float(ring.max_range))
         noisy[READING_RANGE_RING] = 1
@@ -600,27 +604,30 @@ def filter_settings(
         s["pressure_variance"] = float(air.noise) ** 2
         density = float(vehicle.air.density)
         s["pressure_height_slope"] = density * GRAVITY
-        sigma[ERROR_PRESSURE_BIAS], tau[ERROR_PRESSURE_BIAS] = float(air.drift), float(air.drift_time)
+        sigma[ERROR_PRESSURE_BIAS], tau[ERROR_PRESSURE_BIAS] = float(air.drift), float(air.drift_correlation_time)
         bound[READING_PRESSURE] = 2e5
     if (compass := sensing.magnetometer) is not None:
         fitted[READING_MAGNETIC_FIELD], period[READING_MAGNETIC_FIELD] = 1, float(compass.period)
         every[READING_MAGNETIC_FIELD] = max(1, round(0.1 / float(compass.period)))
         noisy[READING_MAGNETIC_FIELD] = float(compass.noise) > 0
-        s["earth_field"] = earth_field(float(compass.field), float(compass.inclination))
+        s["earth_field"] = earth_field(float(compass.field_strength), float(compass.inclination))
         field = max(float(s["earth_field"][0]), 1e-9)
         # Heave control swings the motors' current by half of a hover's, and its field with it
         current = hover_current_A(vehicle)
-        swing = 0.5 * (current - float(vehicle.battery.electronics_current)) * float(compass.motor_field)
+        swing = 0.5 * (current - float(vehicle.battery.electronics_current)) * float(compass.field_per_current)
         s["mag_heading_variance"] = (math.hypot(float(compass.noise), swing) / field) ** 2
         steady = math.hypot(float(compass.distortion), float(compass.hard_iron))
-        wrong = math.hypot(steady, float(compass.motor_field) * current)
-        off = math.hypot(steady, float(compass.noise), EARTH_FIELD_ERROR * float(compass.field))
-        s["mag_field_variance"], s["mag_current_variance"] = off**2, float(compass.motor_field) ** 2
-        sigma[ERROR_MAG_BIAS], tau[ERROR_MAG_BIAS] = min(wrong / field, 2.0), float(compass.distortion_length) / 0.3
+        wrong = math.hypot(steady, float(compass.field_per_current) * current)
+        off = math.hypot(steady, float(compass.noise), EARTH_FIELD_ERROR * float(compass.field_strength))
+        s["mag_field_variance"], s["mag_current_variance"] = off**2, float(compass.field_per_current) ** 2
+        sigma[ERROR_MAG_BIAS], tau[ERROR_MAG_BIAS] = (
+            min(wrong / field, 2.0),
+            float(compass.distortion_correlation_length) / 0.3,
+        )
         bound[READING_MAGNETIC_FIELD] = 1e-3
     if (rotor := sensing.rotor_speed) is not None:
         fitted[READING_ROTOR_SPEED], period[READING_ROTOR_SPEED] = 1, float(rotor.period)
-        noise = float(rotor.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
+        noise = float(rotor.voltage_noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
         noisy[READING_ROTOR_SPEED] = noise > 0
         # Steady Kalman filter of a random walk of these steps, read with this noise
         s["rotor_speed_gain"] = 2.0 / (
@@ -641,13 +648,13 @@ def filter_settings(
         delay_s = max(delay_s, float(fix.latency))
         s["fix_variance"], s["heading_variance"] = float(fix.noise) ** 2, float(fix.heading_noise) ** 2
         sigma[ERROR_FIX_BIAS : ERROR_FIX_BIAS + 3], sigma[ERROR_FIX_HEADING] = (
-            float(fix.wander),
-            float(fix.heading_wander),
+            float(fix.drift),
+            float(fix.heading_drift),
         )
-        tau[ERROR_FIX_BIAS : ERROR_FIX_BIAS + 4] = float(fix.wander_time)
+        tau[ERROR_FIX_BIAS : ERROR_FIX_BIAS + 4] = float(fix.drift_correlation_time)
         bound[READING_POSITION_FIX] = 1e4
         noisy[READING_POSITION_FIX] = float(fix.noise) > 0
-        slack[READING_POSITION_FIX] = 6 * float(fix.jitter) + dt
+        slack[READING_POSITION_FIX] = 6 * float(fix.latency_jitter) + dt
     # What moves steps by blocks, what the fix is off by so many of them; of other biases one a period, in turn.
     block = max(1, round(block_s / dt))
     state = np.arange(ERROR_STATE_COUNT)

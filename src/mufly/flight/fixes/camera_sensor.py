@@ -163,10 +163,10 @@ def position_fix_errors(camera: Camera) -> PositionFixParameters:
     return PositionFixParameters(
         period=make_quantity(max(MIN_FIX_INTERVAL_S, float(camera.sensor.period)), "s"),
         latency=make_quantity(float(camera.radio.latency), "s"),
-        jitter=make_quantity(float(camera.radio.jitter), "s"),
-        noise=make_quantity(0.01, "m"), wander=make_quantity(0.03, "m"), wander_time=make_quantity(3.0, "s"),
-        heading_noise=make_quantity(math.radians(0.3), "rad"), heading_wander=make_quantity(math.radians(1.2), "rad"),
-        dropout=make_quantity(float(camera.radio.loss), "1"),
+        latency_jitter=make_quantity(float(camera.radio.jitter), "s"),
+        noise=make_quantity(0.01, "m"), drift=make_quantity(0.03, "m"), drift_correlation_time=make_quantity(3.0, "s"),
+        heading_noise=make_quantity(math.radians(0.3), "rad"), heading_drift=make_quantity(math.radians(1.2), "rad"),
+        dropout_probability=make_quantity(float(camera.radio.loss), "1"),
     )  # fmt: skip
 
 
@@ -229,10 +229,10 @@ class CameraSensor(Sensor):
         self._stands_m = standing_height(vehicle)
         self._film = make_camera(eye, vehicle, world, seed)
         self._fixes = position_fix_errors(eye.camera)
-        self.fix_drift_time_s = float(self._fixes.wander_time)
+        self.fix_drift_time_s = float(self._fixes.drift_correlation_time)
         self.estimate_source: Callable[[], tuple[Estimate | None, float]] = lambda: (None, math.nan)
         self.on_map_view: Callable[[TrackedPicture], None] | None = None
-        self._monitor = FixMonitor(float(self._fixes.wander))
+        self._monitor = FixMonitor(float(self._fixes.drift))
         self._process: SlamProcess | None = None
         self.stream_server = None if eye.stream_address is None else StreamServer(*eye.stream_address)
         self._record: PictureRecorder | None = None
@@ -417,8 +417,8 @@ class CameraSensor(Sensor):
         # Map coordinates are those of the fixes: the estimated fix bias is added, and its uncertainty is left out.
         bias = np.zeros(4) if estimate.auxiliary_states is None else estimate.auxiliary_states.fix_bias
         north, east, height, v_north, v_east, _, roll_off, pitch_off, yaw_off = sigma[:ERROR_GYRO_BIAS].tolist()
-        place = math.sqrt(max(max(north, east) ** 2 - float(self._fixes.wander) ** 2, 0.01**2))
-        heading = math.sqrt(max(yaw_off**2 - float(self._fixes.heading_wander) ** 2, 0.005**2))
+        place = math.sqrt(max(max(north, east) ** 2 - float(self._fixes.drift) ** 2, 0.01**2))
+        heading = math.sqrt(max(yaw_off**2 - float(self._fixes.heading_drift) ** 2, 0.005**2))
         return FrameInfo(
             roll, pitch, max(0.02, -float(x[2])), estimate.rates.copy(), self._scale * truth.rotor_speed,
             self._film.rotor_phase + self._offset + PHASE_SIGMA_RAD * self._rng.standard_normal(2),

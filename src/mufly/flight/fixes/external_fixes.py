@@ -57,7 +57,7 @@ class ExternalFixes(Sensor):
                 "fixes require; add them to [sensors]"
             )
         self._stream = stream
-        self._monitor = FixMonitor(float(sensors.position_fix.wander))
+        self._monitor = FixMonitor(float(sensors.position_fix.drift))
         self.reset()
 
     def reset(self) -> None:
