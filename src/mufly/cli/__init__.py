@@ -30,7 +30,7 @@ __all__ = ["app", "main"]
 
 app = CommandGroup(
     help="Coaxial micro helicopters, from blade geometry to autonomous flight.\n\n"
-    "Start with [bold]mufly fly[/bold]; every command explains itself with --help.",
+    "Start with [bold]mufly fly[/bold]; --help explains every command.",
     no_args_is_help=True,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -204,8 +204,8 @@ def hover(
 ) -> None:
     """Compute thrust, torque and power of both rotors, and their interference losses.
 
-    Without options: the dissertation's pair (Sec. 3.4.7). With --out: pictures of wake, air velocity, loads along
-    the blades and the convergence, and tables. A wake that does not converge ends the command with status 1, its
+    Without options, the dissertation's pair (Sec. 3.4.7) is computed. With --out: pictures of wake, air velocity, loads
+    along the blades and the convergence, and tables. A wake that does not converge ends the command with status 1, its
     history written.
 
     Examples: mufly coax hover; mufly coax hover naca0012-r60-c20 naca4412-r60-c20 --spacing 30mm --rpm 6000,6500
@@ -244,8 +244,8 @@ def forward(
 ) -> None:
     """Compute a pair in forward flight, the lower rotor in the skewed stream of the upper one.
 
-    Pitch and speed of both rotors stay constant. At rest the pair is that of `mufly coax hover --method bemt`. With
-    --out: pictures over airspeed (forward.png) and over both discs at the last airspeed. Method:
+    Pitch and speed of both rotors stay constant. At airspeed 0 the results equal those of `mufly coax hover --method
+    bemt`. With --out: pictures over airspeed (forward.png) and over both discs at the last airspeed. Method:
     docs/explanation/forward-flight.md.
     Example: mufly coax forward walkera-5g6 --speed 0:6:1 --rpm 3600,4240 --pitch 13,14 --out pair
     """

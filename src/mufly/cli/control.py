@@ -133,9 +133,9 @@ def mu(
 ) -> None:
     """Bound the structured singular value of both loops over the vehicle's uncertain parameters.
 
-    An upper bound below 1 proves the loop stable for all parameters within their spreads. The lower bound comes \
-from an example: parameters with a pole on the axis. worst.toml is that vehicle, within the spreads; fly it with \
-`mufly fly --vehicle worst.toml --designed-for VEHICLE`.
+    An upper bound below 1 proves the loop stable for all parameters within their spreads. The lower bound is an \
+example: parameters that move a pole of the loop onto the imaginary axis. worst.toml is the vehicle with these \
+parameters, limited to the spreads; fly it with `mufly fly --vehicle worst.toml --designed-for VEHICLE`.
 
     Examples:
 
@@ -192,8 +192,8 @@ def servo_map(
 ) -> None:
     """Map the servo lag, servo frame and control rate that roll-pitch needs, with or without the stabiliser bar.
 
-    A cell is the best of several bandwidths of the H-infinity design: disk margin, tilt in gusts of 0.5 m/s, and the \
-speed of the swash plate there (three deviations), which the servos must reach.
+    Each cell is the best of several bandwidths of the H-infinity design. It gives the disk margin, and for gusts of \
+0.5 m/s the tilt and the speed of the swash plate (three standard deviations), which the servos must reach.
 
     Examples:
 
@@ -274,7 +274,8 @@ def schedule(
 ) -> None:
     """Assess gain scheduling of roll-pitch over forward speed.
 
-    Every design is closed around the model at every speed. A schedule has at best the diagonal's margins.
+    Every design is assessed with the model at every speed. A schedule has at best the margins on the diagonal of the \
+table, where model and design have the same speed.
 
     Example: mufly control schedule --flight-map pair.toml --speed 0 --speed 1 --speed 2
     """
@@ -382,9 +383,9 @@ def tune(
 ) -> None:
     """Tune the controller of one loop, of a given order, for several aims at once.
 
-    The descent lowers the largest aim relative to its level: below 1 all aims are reached. Aims are computed with \
-1.5 periods of delay; the figures below the table are those of the sampled loop. --rounds continues a \
-tuning that has had fewer.
+    Tuning lowers the largest ratio of an aim to its level; below 1 all aims are reached. Aims are computed with \
+1.5 periods of delay; the figures below the table are those of the sampled loop. A larger --rounds continues an \
+earlier tuning.
 
     LOOP.json is the controller: give it as --tuned to `mufly control design`, `mufly control mu`, `mufly fly`, \
 `mufly monte-carlo` and `mufly firmware export`.

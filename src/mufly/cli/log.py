@@ -208,7 +208,7 @@ def plot(
     map_file: MapOption = None,
     column: ColumnOption = None,
 ) -> None:
-    """Draw the signals of a log over time, or their spectra; with --with two logs in the same plots.
+    """Draw the signals of a log over time, or their spectra; --with adds a second log to the plots.
 
     Examples: mufly log plot flight.ulg --out pictures; mufly log plot flight.ulg measured_rates --spectrum;
     mufly log plot flight.ulg sensor_combined/gyro_rad[0] --from 10 --to 20;

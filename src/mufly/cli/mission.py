@@ -115,7 +115,7 @@ def _make_waypoint_rows(m: Mission) -> list[dict[str, Any]]:
 
 @app.command()
 def check(mission: _MissionArgument, vehicle: VehicleOption = "mufly-1.1", as_json: JsonOption = False) -> None:
-    """Check a mission file, and whether the vehicle's battery suffices. If not: the reason, and exit status 1."""
+    """Check a mission file, and whether the vehicle's battery suffices. If not, exit with status 1 and a reason."""
     from mufly.control import design_flight_controller
     from mufly.firmware.export.plan_tables import MAX_WAYPOINTS
     from mufly.flight import controller_limits

@@ -63,8 +63,8 @@ the landing mark. Flight K of a seed is the same on every machine. A stopped cam
 resumes with the same command; a larger --flights extends it.
 
 --vary draws parameters of the true vehicle for each flight, all together. With --untold, the default, controllers, \
-filter and fault detection stay designed for --vehicle and do not know the drawn values. With --redesign they are \
-designed for each drawn vehicle. The mounting angles sensors.imu.mount_... are never known to them.
+filter and fault detection stay designed for --vehicle. With --redesign they are designed for each drawn vehicle, \
+except for the mounting angles sensors.imu.mount_...
 
 NAME is `parameters` (the whole flight model), a table (rotors, sensors.imu), a key (body.mass) or a symbol (m). The \
 variation with fewer parameters takes precedence:

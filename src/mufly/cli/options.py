@@ -315,9 +315,10 @@ MethodOption = Annotated[
     Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed", "scheduled", "indi"],
     define_option(
         "--method WHICH",
-        "Method of synthesis: hinf, h2 (the same weights), lqg or ltr (LQG with loop transfer recovery). Of roll-pitch "
-        "alone, with heave-yaw by hinf: mu (D-K iteration over the vehicle's parameters), fixed (--order, tuned for "
-        "several aims), scheduled (fixed, with outputs over forward speed) or indi (incremental inversion).",
+        "Method of synthesis: hinf, h2 (the same weights), lqg or ltr (LQG with loop transfer recovery). Four more "
+        "apply to roll-pitch only, while heave-yaw stays hinf: mu (D-K iteration over the vehicle's parameters), fixed "
+        "(--order, tuned for several aims), scheduled (fixed, with outputs over forward speed) and indi (incremental "
+        "inversion).",
     ),
 ]
 OrderOption = Annotated[

@@ -303,9 +303,9 @@ def hover(
 
     Give two of --pitch, --rpm and --thrust. With --drive, the electrical power at the same point is printed as well.
     With --out, the stations are drawn and written as CSV; with --method wake also wake and air velocity. A wake that
-    does not converge ends the command with status 1; its history is written. With --method cfd it is `mufly cfd run`
-    with its defaults, which takes minutes and OpenFOAM. With --elastic the blades are beams
-    (docs/explanation/blade-structure.md); values that the rotor file leaves out widen a band of 90 %.
+    does not converge ends the command with status 1; its history is written. --method cfd runs `mufly cfd run` with
+    its defaults, which takes minutes and needs OpenFOAM. --elastic computes the blades as beams
+    (docs/explanation/blade-structure.md), with a 90 % band for values that the rotor file leaves out.
     Examples: mufly rotor hover naca0012-r60-c20 --pitch 12 --rpm 5000; mufly rotor hover --pitch 12 --thrust 0.4
     --drive mufly; mufly rotor hover naca0012-r60-c20 --pitch 14 --rpm 6000 --method wake --out wake
     """

@@ -262,9 +262,9 @@ def rank(
     polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
-    """Rank airfoils by the rotor's performance with each, at its best pitch.
+    """Rank airfoils by the performance of a rotor, with each airfoil at its best pitch.
 
-    Without --set: thrust=0.4N gear=adapted, as in the dissertation's Table 3.3.
+    Without --set, thrust=0.4N and gear=adapted apply, as in the dissertation's Table 3.3.
 
     Examples: mufly rotor rank; mufly rotor rank --airfoils my_airfoils/ --set thrust=0.3N --set gear=1.5
     """
@@ -349,7 +349,8 @@ def sweep_pairs(
     """Evaluate a pair for every combination of some parameters' values.
 
     Parameters: `mufly coax parameters`. Spacing is 20mm and pitch 14deg unless varied or set. With upper_speed (or
-    upper_rpm) and lower_speed or speed_ratio the pair is evaluated there; with upper_speed alone, or with thrust, the
+    upper_rpm) and lower_speed or speed_ratio the pair is evaluated at these speeds; with upper_speed
+    alone, or with thrust, the
     torques are balanced. A case that fails has its reason in 'fault' and does not stop the others. A wake takes
     seconds; with --out each result is stored at once.
 
@@ -498,7 +499,7 @@ def run_thesis_study(
 
 @thesis_commands.command("show")
 def show_thesis_item(name: _NameArgument, as_json: JsonOption = False) -> None:
-    """Show a figure or table: the printed and the computed values, the verdict, and the picture; computed if missing.
+    """Show a figure or table: the printed and the computed values, the verdict, and the picture; compute it if missing.
 
     Example: mufly thesis show fig-6.11
     """

@@ -122,7 +122,7 @@ def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False, to
 
 @app.command()
 def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
-    """Check a vehicle file, every value, and whether the vehicle can hover and for how long."""
+    """Check every value of a vehicle file, and whether the vehicle can hover and for how long."""
     from mufly.dynamics import (
         DEFAULT_STEP_S,
         fastest_mode_key,

@@ -61,8 +61,8 @@ def benchmark(
         bool,
         define_option(
             "--held-out",
-            "Score the 90 % intervals as well: fitted to the other families of rotors, to one point, and "
-            "to half of each sweep, and scored on the rest.",
+            "Also fit each rotor to one point and to half of its sweep, and score the other points; "
+            "score 90 % intervals that are fitted to other families of rotors.",
         ),
     ] = False,
     n_crit: Annotated[

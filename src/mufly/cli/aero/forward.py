@@ -63,9 +63,9 @@ def show_forward(
 ) -> None:
     """Compute a rotor in forward flight: loads, flapping, hub moments and the response to cyclic pitch.
 
-    Give two of --pitch, --rpm and --thrust; pitch and speed then stay those of hover. With one or none, missing ones
-    are those of the upper rotor of mufly-1.1 in hover if its radius is that of the rotor, else 12 degrees and a tip
-    speed of 35 m/s; the answer says which. The flap frequency of a small
+    Give two of --pitch, --rpm and --thrust; pitch and speed then stay those of hover. Missing values are
+    those of the upper rotor of mufly-1.1 in hover if it has the same radius, else 12 degrees and a tip speed of 35 m/s;
+    the output states which. The flap frequency of a small
     blade is usually uncertain, so the results are ranges over its band. With --out: pictures over airspeed
     (forward.png) and over the disc at the last airspeed (disc.png). Method: docs/explanation/forward-flight.md.
     Examples: mufly rotor forward walkera-5g6 --pitch 13 --rpm 3600 --speed 0:8:2; mufly rotor forward --thrust 0.46

@@ -42,8 +42,8 @@ def show_beam(
     """Compute the natural frequencies of a blade over rotor speed: flap, lag and torsion of a rotating beam.
 
     The table blade.structure of a rotor file names material, thickness and root; docs/explanation/blade-structure.md
-    has the equations. Values that the file leaves out widen the band. With --out, the Campbell diagram is drawn
-    (campbell.png) and written as CSV.
+    has the equations. Values that the file leaves out widen the 90 % band of the frequencies. With --out, the Campbell
+    diagram is drawn (campbell.png) and written as CSV.
     Examples: mufly rotor beam walkera-5g6 --rpm 0:9000:500; mufly rotor beam naca0012-r60-c20 --material spruce
     """
     from mufly.quantities.quantity_grammar import read_range

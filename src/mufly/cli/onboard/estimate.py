@@ -67,7 +67,8 @@ def run(
         float | None,
         define_option(
             "--aid-std",
-            "Noise of a position fix (standard deviation), added to a fix made from the truth. Default: its scatter.",
+            "Standard deviation of the noise of position fixes; it is added to fixes that are made from the truth. "
+            "Default: the scatter of the fixes.",
             unit="m",
         ),
     ] = None,

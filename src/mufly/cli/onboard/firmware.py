@@ -178,8 +178,9 @@ def sil(
 ) -> None:
     """Fly missions in Python and compare the exported code, bit by bit, in every period (software in the loop).
 
-    Compared are the control law, the flight software with mission and log, and on fitted sensors the estimator, with
-    their whole state. With --fixed-point the fixed-point code flies by itself, beside a flight in double precision.
+    The comparison covers the control law, the flight software with mission and log, and on fitted sensors the
+    estimator, each with its whole state. With --fixed-point the fixed-point code flies by itself, beside a flight in
+    double precision.
 
     Needs a C compiler. Ends with status 1 if a bit differs, or a fixed-point number overflows.
     """
@@ -366,7 +367,7 @@ def split_log(
 ) -> None:
     """Extract the logs of a board from its SD card or flash, as ULog.
 
-    `mufly log` also reads the image itself: its latest log.
+    `mufly log` also reads the latest log directly from the image.
 
     Example: mufly firmware log card.img --out logs, then mufly log info logs/session-0003.ulg
     """

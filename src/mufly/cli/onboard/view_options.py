@@ -13,7 +13,8 @@ FoxgloveOption = Annotated[
     str,
     define_option(
         "--foxglove [HOST:]PORT",
-        "Address at which Foxglove shows the running flight (docs/how-to/use-with-ros.md); its own default is 8765.",
+        "Address at which Foxglove shows the running flight (docs/how-to/use-with-ros.md). Foxglove's default port is "
+        "8765.",
     ),
 ]
 RosOption = Annotated[
