@@ -9,7 +9,7 @@ from scipy import stats
 from mufly.dynamics import body_to_ned_matrix
 from mufly.errors import InputError
 from mufly.quantities.units import GRAVITY
-from mufly.sensors import fitted_sensors, ring_camera
+from mufly.sensors import column_medians, fitted_sensors
 from mufly.sensors import rng as random_numbers
 from mufly.sensors.periodic import gauss_markov_reset, gauss_markov_step
 from mufly.vehicle import replace_parameters
@@ -318,12 +318,15 @@ def test_who_draws_goes_on_where_it_was_and_sources_differ() -> None:
     assert np.intersect1d(a[0], b).size == 0
 
 
-@pytest.mark.parametrize("rows", [1, 2, 3, 48, 64, 65])
-def test_columns_are_sorted_together(rows) -> None:
-    columns = np.random.default_rng(rows).standard_normal((rows, 7))
-    flat = columns.ravel().copy()
-    ring_camera._sort_columns(flat, 7)
-    np.testing.assert_array_equal(flat.reshape(rows, 7), np.sort(columns, axis=0))
+@pytest.mark.parametrize("rows", [4, 5, 48, 64, 65])
+@pytest.mark.parametrize("grid", [0.0, 0.5, 1e-5])
+def test_medians_of_columns_are_exact_also_with_equal_and_far_values(rows, grid) -> None:
+    values = np.random.default_rng(rows).standard_normal((rows, 7))
+    values = np.round(values / grid) * grid if grid else values  # equal values, and values that are equal as keys
+    values[:, 5] += 100.0 * np.arange(rows)  # beyond the keys' range
+    medians, levels = np.empty(7), np.linspace(-2.0, 2.0, 7)
+    column_medians.write_column_medians(values.ravel(), levels, column_medians.median_comparators(rows), rows, medians)
+    np.testing.assert_array_equal(medians, np.median(values, axis=0))
 
 
 def test_what_overtakes_on_its_way_is_said_in_the_order_of_its_coming(exact, at) -> None:

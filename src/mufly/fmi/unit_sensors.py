@@ -54,6 +54,7 @@ from mufly.fmi.c_types import REAL, TableTupleType, TableType
 from mufly.quantities.quantity_table import DIMENSION_LABELS
 from mufly.quantities.sensor_table import READINGS, SENSORS
 from mufly.sensors import FittedSensors, Imu, PeriodicSensor, draw_leaning_vehicle, fitted_sensors
+from mufly.sensors.column_medians import write_column_medians
 from mufly.sensors.faults import FaultySensor
 from mufly.sensors.imu import begin_imu, sample_imu
 from mufly.sensors.periodic import (
@@ -72,7 +73,7 @@ from mufly.world import World
 
 RATE_HZ = 200.0
 """Rate of sensors and filter (Hz): that of the flight software."""
-FUNCTIONS_WRITTEN_IN_C = {draw_normals: "draw_normals", draw_uniforms: "draw_uniforms"}
+FUNCTIONS_WRITTEN_IN_C = {f: f.__name__ for f in (draw_normals, draw_uniforms, write_column_medians)}
 SEEDED_STARTS = ("position_down", "roll", "pitch", "bar_roll", "bar_pitch")
 """Start values that depend on the seed: the vehicle stands on legs of random lengths."""
 _C_TYPE_BY_KIND = {"f": "double", "i": "int64_t", "u": "uint64_t"}

@@ -35,7 +35,7 @@ UNIT_SOURCE = "cosimulation_unit.c"
 """The only file that is compiled; it includes the others."""
 FILTER_SOURCES = ("filter_unit.c", "estimate_tables.c", *(f"{name}.c" for name in TRANSLATED_FILTER))
 """Further files that are compiled for a unit with sensors."""
-_SENSOR_SOURCES = ("filter_unit.c", "filter_unit.h", "random_numbers.h")
+_SENSOR_SOURCES = ("filter_unit.c", "filter_unit.h", "random_numbers.h", "column_medians.h")
 _RECORD_NAME = "model_parameters"
 
 
@@ -141,7 +141,7 @@ def render_vehicle_data(
         f'#define INSTANTIATION_TOKEN "{token}"',
         f"#define HAS_SENSORS {int(sensors is not None)}",
         "",
-        *(('#include "random_numbers.h"', '#include "filter_unit.h"') if sensors is not None else ()),
+        *(f'#include "{name}"' for name in _SENSOR_SOURCES[::-1] if sensors is not None and name.endswith(".h")),
         '#include "flight_model.h"',
         "",
     ]

@@ -59,21 +59,20 @@ _VIBRATION_ELEVATION_RAD = math.asin(math.sqrt(1 / 3))  # of the vibration above
 ROOM_TEMPERATURE_K = 293.15
 _VIBRATION_LINE_COUNT = 5  # 1/rev and 2/rev of both rotors, and the blade passage
 FIRST_GYRO_AXIS, _IMU_AXIS_COUNT = 3, 6  # index of the first gyroscope among the axes, and their number
-# Indices of the parameters: amplitudes, resonance, damping, hover speeds, drift time, warming and its time constant
+# Indices of the parameters: amplitudes, resonance, damping, hover speeds, drift time, warming and its time constant,
+# and the resonance's gain of each vibration line in hover
 (
     _ONCE_PER_REV_INDEX, _TWICE_PER_REV_INDEX, _BLADE_PASSAGE_INDEX, _RESONANCE_INDEX, _DAMPING_INDEX,
     _UPPER_HOVER_SPEED_INDEX, _LOWER_HOVER_SPEED_INDEX, _DRIFT_TIME_INDEX, _WARMING_INDEX, _WARMING_TIME_INDEX,
-) = range(10)  # fmt: skip
-# Columns of a rotor's phasor
-_PHASOR_COS, _PHASOR_SIN, _PHASOR_STEP_COS, _PHASOR_STEP_SIN, _PHASOR_GROWTH_COS, _PHASOR_GROWTH_SIN = range(6)
+    _HOVER_GAIN_INDEX,
+) = range(11)  # fmt: skip
 # Places among the arrays of the unit
 _POSITION_ARRAY, _TURN_ON_BIAS_ARRAY, _BIAS_DRIFT_ARRAY = 1, 7, 13
 _LOW_PASS_MEMORY_ARRAY, _SPECIFIC_FORCE_ARRAY = 14, 15
-_UPPER_TWICE_PER_REV_ROW, _LOWER_TWICE_PER_REV_ROW, _BLADE_PASSAGE_ROW = (
-    2,
-    6,
-    8,
-)  # first rows of the vibration lines; each has a cosine and a sine row
+# Rows of the work of a period: cosine and sine of the vibration lines, middles of the samples, inputs of the axes
+_MIDDLE_ROW, _FIRST_AXIS_ROW = 2 * _VIBRATION_LINE_COUNT, 2 * _VIBRATION_LINE_COUNT + 1
+# Columns of an axis' inputs: coefficients of the vibration lines, input at the start, and its increase
+_AXIS_START, _AXIS_INCREASE = 10, 11
 
 
 class Imu(Sensor):
@@ -113,6 +112,10 @@ class Imu(Sensor):
                 *hover,
                 *(float(q) for q in (imu.drift_correlation_time, imu.temperature_rise, imu.temperature_time_constant)),
             ]
+            + [
+                resonance_gain(speed, float(shake.resonance_frequency), float(shake.damping_ratio))
+                for speed in _line_frequencies(*hover)
+            ]
         )
         self._place = imu.position.to_array()[0].copy()
         self._dt = float(imu.sample_period)
@@ -137,7 +140,8 @@ class Imu(Sensor):
         e = np.column_stack(
             [level * np.cos(azimuth), level * np.sin(azimuth), np.full(3, math.sin(_VIBRATION_ELEVATION_RAD))]
         )
-        self._vibration_directions = np.ascontiguousarray(e[[0, 0, 1, 1, 2]])
+        directions = e[[0, 0, 1, 1, 2]]
+        self._line_response = np.hstack([_project_lines(m, directions) for m in (self._axes[0], self._g_sensitivity)])
         self._phases = np.array(
             [(math.cos(p), math.sin(p)) for p in rng.uniform(0.0, 2 * math.pi, _VIBRATION_LINE_COUNT)]
         )
@@ -185,7 +189,7 @@ class Imu(Sensor):
             self._place,
             self._axes,
             self._g_sensitivity,
-            self._vibration_directions,
+            self._line_response,
             self._phases,
             self._temperature_bias,
             self.turn_on_bias,
@@ -245,6 +249,17 @@ def _axis_matrix(rng: np.random.Generator, scale: float, misalignment: float) ->
     return np.eye(3) + np.diag(scale * rng.standard_normal(3)) + off - np.diag(np.diag(off))
 
 
+def _line_frequencies(upper: float, lower: float) -> tuple[float, ...]:
+    """Return the frequencies (rad/s) of the vibration lines at two rotor speeds (rad/s)."""
+    return 1.0 * upper, 2.0 * upper, 1.0 * lower, 2.0 * lower, 2.0 * (upper + lower)
+
+
+def _project_lines(axes: _Array, directions: _Array) -> _Array:
+    """Return the share of each vibration line in each axis (5, 3), summed in the same order on every machine."""
+    x, y, z = directions.T[:, :, None]
+    return x * axes[:, 0] + y * axes[:, 1] + z * axes[:, 2]
+
+
 # A period of the flight software is one compiled function: forty samples of six axes cost less than ten calls of
 # NumPy. The vibration lines are rotating phasors. A rotor's speed changes linearly within a period, so the angle per
 # sample grows by a constant step, and sine and cosine are evaluated three times a rotor and period instead of ten
@@ -283,6 +298,19 @@ def _mean_specific_force(was: _Array, now: _Array, elapsed: float, place: _Array
 
 
 @cached_njit(error_model="numpy")
+def _begin_phasor(
+    azimuth: float, first: float, last: float, elapsed: float, n: int
+) -> tuple[float, float, float, float, float, float]:
+    """Return a rotor's phasor as cosines and sines: at the azimuth, of the first rotation, and of its growth.
+
+    The rotor's speed changes from ``first`` to ``last`` (rad/s) over ``n`` samples.
+    """
+    dt, growth = elapsed / n, (last - first) / n
+    turn, more = dt * (first + 0.5 * growth), dt * growth
+    return math.cos(azimuth), math.sin(azimuth), math.cos(turn), math.sin(turn), math.cos(more), math.sin(more)
+
+
+@cached_njit(error_model="numpy")
 def simulate_imu_period(
     was: _Array,
     now: _Array,
@@ -293,7 +321,7 @@ def simulate_imu_period(
     place: _Array,
     axes: _Array,
     feigned: _Array,
-    directions: _Array,
+    response: _Array,
     phases: _Array,
     heat: _Array,
     switched_on: _Array,
@@ -312,7 +340,8 @@ def simulate_imu_period(
 
     ``azimuth``, ``wander``, and ``memory`` (6, 2) of the filter keep the state between calls. ``normal`` (6 + 6 n) are
     standard normal numbers: of the drift, then of each axis' samples. ``force`` is the mean specific force at the
-    element. ``out`` and ``clipped`` (6,) are the readings and the shares of samples that clipped.
+    element. ``response`` (5, 6) is the share of each vibration line in each axis. ``out`` and ``clipped`` (6,) are the
+    readings and the shares of samples that clipped.
     """
     n, warmth = normal.size // 6 - 1, _temperature_rise_K(t, numbers)
     once, twice, passing = numbers[_ONCE_PER_REV_INDEX], numbers[_TWICE_PER_REV_INDEX], numbers[_BLADE_PASSAGE_INDEX]
@@ -328,14 +357,15 @@ def simulate_imu_period(
         wander[j] += -wander[j] * elapsed / drift_time + drift[j] * step * normal[j]
 
     # Input of the six axes: at the start, its increase up to the end, and coefficients of each line's cosine and sine.
-    begin, slope, wave = np.empty(6), np.empty(6), np.empty((6, 10))
+    wave, lines = np.empty((6, 12)), np.empty((17, n))  # the translation to C needs sizes as numbers
     for j in range(3):
         a = w = more = 0.0
         for m in range(3):
             a += axes[0, j, m] * force[m]
             w += axes[1, j, m] * was[MODEL_RATES + m] + feigned[j, m] * force[m]
             more += axes[1, j, m] * (now[MODEL_RATES + m] - was[MODEL_RATES + m])
-        begin[j], begin[FIRST_GYRO_AXIS + j], slope[j], slope[FIRST_GYRO_AXIS + j] = a, w, 0.0, more
+        wave[j, _AXIS_START], wave[j, _AXIS_INCREASE] = a, 0.0
+        wave[FIRST_GYRO_AXIS + j, _AXIS_START], wave[FIRST_GYRO_AXIS + j, _AXIS_INCREASE] = w, more
     up = 0.5 * (was[MODEL_SPEED_UPPER] + now[MODEL_SPEED_UPPER])
     dw = 0.5 * (was[MODEL_SPEED_LOWER] + now[MODEL_SPEED_LOWER])
     for line in range(5):
@@ -347,81 +377,83 @@ def simulate_imu_period(
             speed, hover, times, amplitude = up + dw, hover_up + hover_dw, 2.0, passing
         share = speed / hover
         amplitude *= share * share
-        amplitude *= resonance_gain(times * speed, natural, damping) / resonance_gain(times * hover, natural, damping)
+        amplitude *= resonance_gain(times * speed, natural, damping) / numbers[_HOVER_GAIN_INDEX + line]
         c, s = amplitude * phases[line, 0], amplitude * phases[line, 1]
-        for j in range(3):
-            a = w = 0.0
-            for m in range(3):
-                a += axes[0, j, m] * directions[line, m]
-                w += feigned[j, m] * directions[line, m]
-            wave[j, 2 * line], wave[j, 2 * line + 1] = c * a, -s * a
-            wave[FIRST_GYRO_AXIS + j, 2 * line], wave[FIRST_GYRO_AXIS + j, 2 * line + 1] = c * w, -s * w
+        for j in range(6):
+            wave[j, 2 * line], wave[j, 2 * line + 1] = c * response[line, j], -s * response[line, j]
     for j in range(6):
-        begin[j] += switched_on[j] + wander[j] + heat[j] * warmth
+        wave[j, _AXIS_START] += switched_on[j] + wander[j] + heat[j] * warmth
 
     # Phasors of the rotors: current value, next rotation, and growth of the rotation per sample.
-    dt = elapsed / n
-    phasor = np.empty((2, 6))
-    for k in range(2):
-        first, last = was[MODEL_SPEED_UPPER + k], now[MODEL_SPEED_UPPER + k]
-        growth = (last - first) / n
-        angle, turn, more = azimuth[k], dt * (first + 0.5 * growth), dt * growth
-        phasor[k, _PHASOR_COS], phasor[k, _PHASOR_SIN] = math.cos(angle), math.sin(angle)
-        phasor[k, _PHASOR_STEP_COS], phasor[k, _PHASOR_STEP_SIN] = math.cos(turn), math.sin(turn)
-        phasor[k, _PHASOR_GROWTH_COS], phasor[k, _PHASOR_GROWTH_SIN] = math.cos(more), math.sin(more)
-        azimuth[k] = (angle + 0.5 * elapsed * (first + last)) % (2.0 * math.pi)
-    lines, felt = np.empty((10, n)), np.empty((6, n))
+    up_first, up_last = was[MODEL_SPEED_UPPER], now[MODEL_SPEED_UPPER]
+    dw_first, dw_last = was[MODEL_SPEED_LOWER], now[MODEL_SPEED_LOWER]
+    c, s, tc, ts, gc, gs = _begin_phasor(azimuth[0], up_first, up_last, elapsed, n)
+    e, f, te, tf, ge, gf = _begin_phasor(azimuth[1], dw_first, dw_last, elapsed, n)
+    azimuth[0] = (azimuth[0] + 0.5 * elapsed * (up_first + up_last)) % (2.0 * math.pi)
+    azimuth[1] = (azimuth[1] + 0.5 * elapsed * (dw_first + dw_last)) % (2.0 * math.pi)
+    l0, l1, l2, l3 = borrow_arrays(lines[0]), borrow_arrays(lines[1]), borrow_arrays(lines[2]), borrow_arrays(lines[3])
+    l4, l5, l6, l7 = borrow_arrays(lines[4]), borrow_arrays(lines[5]), borrow_arrays(lines[6]), borrow_arrays(lines[7])
+    l8, l9 = borrow_arrays(lines[8]), borrow_arrays(lines[9])
+    middle = borrow_arrays(lines[_MIDDLE_ROW])
     for i in range(n):
-        for k in range(2):
-            c, s, tc, ts = (
-                phasor[k, _PHASOR_COS],
-                phasor[k, _PHASOR_SIN],
-                phasor[k, _PHASOR_STEP_COS],
-                phasor[k, _PHASOR_STEP_SIN],
-            )
-            c, s = c * tc - s * ts, c * ts + s * tc
-            phasor[k, _PHASOR_COS], phasor[k, _PHASOR_SIN] = c, s
-            phasor[k, _PHASOR_STEP_COS] = tc * phasor[k, _PHASOR_GROWTH_COS] - ts * phasor[k, _PHASOR_GROWTH_SIN]
-            phasor[k, _PHASOR_STEP_SIN] = tc * phasor[k, _PHASOR_GROWTH_SIN] + ts * phasor[k, _PHASOR_GROWTH_COS]
-            first_row, second_row = 4 * k, 4 * k + _UPPER_TWICE_PER_REV_ROW
-            lines[first_row, i], lines[first_row + 1, i] = c, s
-            lines[second_row, i], lines[second_row + 1, i] = c * c - s * s, 2.0 * c * s
-        up_c, up_s = lines[_UPPER_TWICE_PER_REV_ROW, i], lines[_UPPER_TWICE_PER_REV_ROW + 1, i]
-        dw_c, dw_s = lines[_LOWER_TWICE_PER_REV_ROW, i], lines[_LOWER_TWICE_PER_REV_ROW + 1, i]
-        lines[_BLADE_PASSAGE_ROW, i], lines[_BLADE_PASSAGE_ROW + 1, i] = (
-            up_c * dw_c - up_s * dw_s,
-            up_c * dw_s + up_s * dw_c,
-        )
-    # One axis after the other, all its samples together.
+        c, s = c * tc - s * ts, c * ts + s * tc
+        e, f = e * te - f * tf, e * tf + f * te
+        tc, ts = tc * gc - ts * gs, tc * gs + ts * gc
+        te, tf = te * ge - tf * gf, te * gf + tf * ge
+        l0[i], l1[i], l4[i], l5[i] = c, s, e, f
+    for i in range(n):
+        l2[i], l3[i] = l0[i] * l0[i] - l1[i] * l1[i], 2.0 * l0[i] * l1[i]
+    for i in range(n):
+        l6[i], l7[i] = l4[i] * l4[i] - l5[i] * l5[i], 2.0 * l4[i] * l5[i]
+    for i in range(n):
+        l8[i], l9[i] = l2[i] * l6[i] - l3[i] * l7[i], l2[i] * l7[i] + l3[i] * l6[i]
+    for i in range(n):
+        middle[i] = (i + 0.5) / n
+    # One axis after the other, all its samples together, with a few lines in each pass over them.
     for j in range(6):
-        x, noise, weights = (
-            borrow_arrays(felt[j]),
+        x, noise = (
+            borrow_arrays(lines[_FIRST_AXIS_ROW + j]),
             borrow_arrays(normal[_IMU_AXIS_COUNT + n * j : _IMU_AXIS_COUNT + n * (j + 1)]),
-            borrow_arrays(wave[j]),
         )
-        start, more, loud, most, beyond = begin[j], slope[j], white[j], limit[j], 0
+        start, more, loud, most, beyond = wave[j, _AXIS_START], wave[j, _AXIS_INCREASE], white[j], limit[j], 0
+        w0, w1, w2, w3, w4 = wave[j, 0], wave[j, 1], wave[j, 2], wave[j, 3], wave[j, 4]
+        w5, w6, w7, w8, w9 = wave[j, 5], wave[j, 6], wave[j, 7], wave[j, 8], wave[j, 9]
         for i in range(n):
-            x[i] = start + (i + 0.5) / n * more + loud * noise[i]
-        for m in range(10):
-            line, weight = borrow_arrays(lines[m]), weights[m]
-            for i in range(n):
-                x[i] += weight * line[i]
+            x[i] = start + middle[i] * more + loud * noise[i] + w0 * l0[i] + w1 * l1[i] + w2 * l2[i] + w3 * l3[i]
+        for i in range(n):
+            x[i] = x[i] + w4 * l4[i] + w5 * l5[i] + w6 * l6[i] + w7 * l7[i] + w8 * l8[i] + w9 * l9[i]
         for i in range(n):
             beyond += 1 if abs(x[i]) > most else 0
             x[i] = max(min(x[i], most), -most)
         clipped[j] = beyond / n
-    # Direct form II with its states in units of the signal: at rest both states equal the signal.
+    # Direct form II with its states in units of the signal: at rest both states equal the signal. Three axes at a time,
+    # because each step of one axis waits for the step before.
     b0, b1, b2, a1, a2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3], coefficients[4]
     gain = 1.0 + a1 + a2
-    for j in range(6):
-        x, first, second = borrow_arrays(felt[j]), memory[j, 0], memory[j, 1]
+    for half in range(2):
+        j = FIRST_GYRO_AXIS * half
+        x, y, z = (
+            borrow_arrays(lines[_FIRST_AXIS_ROW + j]),
+            borrow_arrays(lines[_FIRST_AXIS_ROW + j + 1]),
+            borrow_arrays(lines[_FIRST_AXIS_ROW + j + 2]),
+        )
+        x1, x2, y1, y2, z1, z2 = (
+            memory[j, 0], memory[j, 1], memory[j + 1, 0], memory[j + 1, 1], memory[j + 2, 0], memory[j + 2, 1],
+        )  # fmt: skip
         for i in range(n - 1):
-            first, second = gain * x[i] - a1 * first - a2 * second, first
-        s = gain * x[n - 1] - a1 * first - a2 * second
-        out[j] = (b0 * s + b1 * first + b2 * second) / gain
-        memory[j, 0], memory[j, 1] = s, first
+            x1, x2 = gain * x[i] - a1 * x1 - a2 * x2, x1
+            y1, y2 = gain * y[i] - a1 * y1 - a2 * y2, y1
+            z1, z2 = gain * z[i] - a1 * z1 - a2 * z2, z1
+        x0 = gain * x[n - 1] - a1 * x1 - a2 * x2
+        y0 = gain * y[n - 1] - a1 * y1 - a2 * y2
+        z0 = gain * z[n - 1] - a1 * z1 - a2 * z2
+        out[j] = (b0 * x0 + b1 * x1 + b2 * x2) / gain
+        out[j + 1] = (b0 * y0 + b1 * y1 + b2 * y2) / gain
+        out[j + 2] = (b0 * z0 + b1 * z1 + b2 * z2) / gain
+        memory[j, 0], memory[j, 1], memory[j + 1, 0] = x0, x1, y0
+        memory[j + 1, 1], memory[j + 2, 0], memory[j + 2, 1] = y1, z0, z1
     # This use keeps the borrowed arrays alive up to here.
-    lines[0, 0], felt[0, 0], wave[0, 0] = 0.0, 0.0, 0.0
+    lines[0, 0], wave[0, 0] = 0.0, 0.0
 
 
 @cached_njit(error_model="numpy")

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import borrow_arrays
+from mufly.sensors.column_medians import median_comparators, write_column_medians
 from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, PeriodicSensor
 from mufly.sensors.readings import Truth, beam_angles, beam_directions, measure_ranges
 from mufly.sensors.rng import draw_normals, draw_uniforms
@@ -43,38 +44,9 @@ ELEVATION_MARGIN = 1.25  # rows reach up to this multiple of the elevation of th
 
 
 @cached_njit(error_model="numpy")
-def _sort_columns(a: _Array, lanes: int) -> None:
-    """Sort each column of an array (rows, lanes), stored row by row in ``a`` (rows * lanes,).
-
-    The exchanges do not depend on the data (Batcher's, as in Knuth, The Art of Computer Programming 3, 5.2.2 M), so all
-    lanes make each exchange together in vector registers. Sorting column by column, with unpredictable branches, takes
-    20 times as long.
-    """
-    rows = a.size // lanes
-    top = 1
-    while 2 * top < rows:
-        top *= 2
-    p = top
-    while p > 0:
-        q, r, d = top, 0, p
-        while True:
-            for i in range(rows - d):
-                if i & p == r:
-                    first = borrow_arrays(a[i * lanes : (i + 1) * lanes])
-                    second = borrow_arrays(a[(i + d) * lanes : (i + d + 1) * lanes])
-                    for k in range(lanes):
-                        u, v = first[k], second[k]
-                        first[k], second[k] = u if u < v else v, v if u < v else u
-            if q == p:
-                break
-            d, q, r = q - p, q // 2, p
-        p //= 2
-
-
-@cached_njit(error_model="numpy")
 def _decode_ranges(
     seen: _Array,
-    order: _Array,
+    comparators: _Array,
     distance: _Array,
     across: _Array,
     light: _Array,
@@ -89,8 +61,8 @@ def _decode_ranges(
     ----------
     seen : (rows * n * w,) array
         Unit noise of the w columns around each beam, row by row; becomes the picture.
-    order : (rows * n * w,) array
-        Work space.
+    comparators : (k, 2) array
+        Exchanges of :func:`mufly.sensors.column_medians.median_comparators`.
     distance : (n,) array
         Distance of each spot (m); infinite without a spot.
     across, light, weight : (n * w,) arrays
@@ -121,14 +93,12 @@ def _decode_ranges(
                 bright = strength * math.exp(-0.5 * off * off)
                 for c in range(k * wide, (k + 1) * wide):
                     seen[r * lanes + c] += bright * across[c]
-    for k in range(seen.size):
-        order[k] = seen[k]
-    _sort_columns(order, lanes)
-    sums, low, high = np.empty(rows), (rows - 1) // 2 * lanes, rows // 2 * lanes
+    medians, sums = np.empty(lanes), np.empty(rows)
+    write_column_medians(seen, light, comparators, rows, medians)
     for k in range(distance.size):
         best, median = 0, 0.0
         for c in range(k * wide, (k + 1) * wide):
-            median += weight[c] * 0.5 * (order[low + c] + order[high + c])
+            median += weight[c] * medians[c]
         for r in range(rows):
             total = -median
             for c in range(k * wide, (k + 1) * wide):
@@ -160,7 +130,7 @@ def _sample_ranges(
     parts: tuple[Any, ...],
     row: _Array,
 ) -> float:
-    limits, numbers, directions, boxes, cylinders, walls, across, light, weight, offset, work, pictures = parts
+    limits, numbers, directions, boxes, cylinders, walls, across, light, weight, offset, work, picture, network = parts
     distance, share = work[0], work[1]
     measure_ranges(x, directions, 0.0, math.inf, boxes, cylinders, walls, distance)
     draw_uniforms(source, share)
@@ -169,8 +139,8 @@ def _sample_ranges(
         row[ROW_FIRST_VALUE + k] = limits[0]
         if share[k] < limits[1]:
             distance[k] = math.inf
-    draw_normals(source, pictures[0])
-    _decode_ranges(pictures[0], pictures[1], distance, across, light, weight, offset, numbers, row[ROW_FIRST_VALUE:])
+    draw_normals(source, picture)
+    _decode_ranges(picture, network, distance, across, light, weight, offset, numbers, row[ROW_FIRST_VALUE:])
     return 0.0
 
 
@@ -178,7 +148,7 @@ class RingCamera(PeriodicSensor):
     """Sensor of ``ranges`` (n,): distance along each beam (m), the ring's maximum range where nothing was decoded."""
 
     sample_function = _sample_ranges
-    argument_dimensions = (1, 1, 2, 2, 2, 1, 1, 1, 1, 1, 2, 2)
+    argument_dimensions = (1, 1, 2, 2, 2, 1, 1, 1, 1, 1, 2, 1, 2)
 
     def __init__(self, table: RingTable, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         c = table
@@ -221,7 +191,8 @@ class RingCamera(PeriodicSensor):
             self._column_weights.ravel(),
             self._calibration_offset,
             np.zeros((2, count)),
-            np.zeros((2, self._rows.size * self._column_profile.size)),
+            np.zeros(self._rows.size * self._column_profile.size),
+            median_comparators(self._rows.size),
         )
         self.published_readings = {"ranges": slice(0, count)}
         super().__init__(float(c.period), rng, parts)
