@@ -19,7 +19,14 @@ from mufly.firmware import (
     run_fuzzer,
     write_report,
 )
-from mufly.firmware.proof.evidence_report import ADVISORY_RULES, judge_findings, parse_deviations, read_branches
+from mufly.firmware.export.source_export import find_sources
+from mufly.firmware.proof.evidence_report import (
+    ADVISORY_RULES,
+    CHECKED_SOURCES,
+    judge_findings,
+    parse_deviations,
+    read_branches,
+)
 from mufly.firmware.proof.proof_flights import draw_conditions, resume_flights
 from mufly.sensors.faults import parse_fault
 from mufly.vehicle import load_vehicle
@@ -82,6 +89,16 @@ def test_every_deviation_names_files_that_are_there(tree) -> None:
         assert len(reason) > 20
         for one in files:
             assert any(fnmatch(name, one) for name in names), one
+
+
+def test_sources_of_boards_are_checked_as_well(tree) -> None:
+    """All but programs of tests, QEMU's board and the Crazyflie's controller."""
+    checked = {str(p.relative_to(tree)) for p in find_sources(tree, CHECKED_SOURCES)}
+    left = {str(p.relative_to(tree)) for p in tree.rglob("*.c")} - checked
+    assert {name.rsplit("/", 1)[0] for name in left} <= {
+        "check/models", "check/platforms", "check/programs", "boards/qemu", "boards/crazyflie",
+    }  # fmt: skip
+    assert {"onboard/link/mavlink.c", "boards/board.c", "boards/stm32/startup.c"} <= checked
 
 
 def test_a_missing_tool_is_named_and_the_report_is_written(vehicle, tmp_path, monkeypatch) -> None:

@@ -56,6 +56,11 @@ ADVISORY_RULES = frozenset([
 ])  # fmt: skip
 """Advisory rules of MISRA C:2012; all others are required or mandatory."""
 
+CHECKED_SOURCES = (
+    *SOFTWARE_SOURCES, *FIXED_POINT_SOURCES, *ONBOARD_SOURCES, "boards/*.c", "boards/stm32/*.c",
+)  # fmt: skip
+"""Sources of the MISRA check: flight software, drivers, link, log, receiver, storage, supervisor and the STM32F405."""
+
 RESOURCE_TARGETS = {
     "flash_bytes": 64_000,
     "ram_bytes": 16_000,
@@ -302,7 +307,8 @@ def _report_misra(vehicle: Vehicle, out: Path) -> EvidenceSection:
     _require_tool("cppcheck", "cppcheck")
     with tempfile.TemporaryDirectory(prefix="mufly-report-") as temporary:
         folder = Path(temporary) / "fw"
-        sources = _export_tree(vehicle, folder)
+        _export_tree(vehicle, folder)
+        sources = [str(p.relative_to(folder)) for p in find_sources(folder, CHECKED_SOURCES)]
         command = [
             "cppcheck", "--addon=misra", "--std=c99", "--platform=unix32", "-DMUFLY_FLOAT",
             "-UMUFLY_DECLARATIONS", "-I.",

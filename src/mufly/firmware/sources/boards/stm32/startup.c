@@ -2,6 +2,7 @@
 #include <stddef.h>
 
 #include "boards/stm32/registers.h"
+#include "boards/stm32/stm32f405.h"
 
 #define INTERRUPTS 82
 
@@ -12,8 +13,6 @@ void stm32_period(void);
 void stm32_link_interrupt(void);
 void stm32_receiver_interrupt(void);
 void stm32_fault(uint32_t address);
-void i2c_event_interrupt(void);
-void i2c_error_interrupt(void);
 void start_processor(void);
 void handle_fault(void);
 void handle_unexpected(void);

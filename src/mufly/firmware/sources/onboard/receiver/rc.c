@@ -51,7 +51,7 @@ static real_t deflection(const rc_t *rc, real_t number)
     return value;
 }
 
-static int32_t send_request(const rc_vehicle_t *v, int32_t kind, bool force)
+static int32_t send_pilot_request(const rc_vehicle_t *v, int32_t kind, bool force)
 {
     user_request_t ask = no_request;
 
@@ -67,15 +67,15 @@ static void handle_switch(rc_t *rc, const rc_vehicle_t *v, int32_t which)
 
     if (which == (int32_t)RC_SWITCH_ARM) {
         if (!on) {
-            (void)send_request(v, USER_DISARM, false);
+            (void)send_pilot_request(v, USER_DISARM, false);
         } else if (rc->was_off && !rc->is_on[RC_SWITCH_KILL]) {
-            rc->tells_faults = send_request(v, USER_ARM, false) != ANSWER_ACCEPTED;
+            rc->tells_faults = send_pilot_request(v, USER_ARM, false) != ANSWER_ACCEPTED;
         } else {
             /* on since the start, or killed */
         }
     } else if ((which == (int32_t)RC_SWITCH_MANUAL) && !on) {
         rc->steers = false;
-        (void)send_request(v, USER_RELEASE_STICKS, false);
+        (void)send_pilot_request(v, USER_RELEASE_STICKS, false);
     } else {
         /* the kill switch acts in every period, the sticks in every frame */
     }
@@ -139,14 +139,14 @@ static void handle_loss(rc_t *rc, const rc_vehicle_t *v)
         rc->owes_landing = rc->steers;
         if (rc->steers) {
             rc->steers = false;
-            (void)send_request(v, USER_RELEASE_STICKS, false);
+            (void)send_pilot_request(v, USER_RELEASE_STICKS, false);
         }
     }
     if (!supervisor_in_air(v->software, v->belief) || commanded) {
         rc->owes_landing = false; /* on the floor, or a station decides */
     }
     if (rc->owes_landing && (silent >= (rc->settings.loss_s + s->settings.link_land_s))) {
-        if (send_request(v, USER_LAND, false) == ANSWER_ACCEPTED) {
+        if (send_pilot_request(v, USER_LAND, false) == ANSWER_ACCEPTED) {
             rc->owes_landing = false;
         }
     }
@@ -163,6 +163,6 @@ void rc_step(rc_t *rc, const rc_vehicle_t *v)
         handle_loss(rc, v);
     }
     if (rc->is_alive && rc->is_on[RC_SWITCH_KILL] && (v->supervisor->armed || (v->software->motors != MOTORS_OFF))) {
-        (void)send_request(v, USER_DISARM, true);
+        (void)send_pilot_request(v, USER_DISARM, true);
     }
 }

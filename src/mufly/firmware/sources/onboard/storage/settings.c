@@ -10,11 +10,11 @@
 typedef union {
     float number;
     uint32_t bits;
-} float_bits_t;
+} stored_bits_t;
 
 static uint32_t to_bits(real_t value)
 {
-    float_bits_t as;
+    stored_bits_t as;
 
     as.number = (float)value;
     return as.bits;
@@ -22,7 +22,7 @@ static uint32_t to_bits(real_t value)
 
 static real_t from_bits(uint32_t bits)
 {
-    float_bits_t as;
+    stored_bits_t as;
 
     as.bits = bits;
     return (real_t)as.number;
