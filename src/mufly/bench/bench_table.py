@@ -490,7 +490,7 @@ class ColumnMeaning:
 
     @property
     def base_quantity(self) -> str:
-        """Quantity without rotor and ``_raw``."""
+        """Name of the quantity without the rotor's ending (``_upper``, ``_lower``) and without ``_raw``."""
         return base_quantity_of(self.name)
 
 

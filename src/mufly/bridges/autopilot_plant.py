@@ -131,7 +131,7 @@ class AutopilotPlant:
 
     @property
     def time_s(self) -> float:
-        """Time of the readings (s)."""
+        """Simulated time of the latest readings (s)."""
         return self.truth.time_s
 
     @property
@@ -219,7 +219,7 @@ class AutopilotPlant:
                 self.log_event(f"{fault}: {why}, so the fault has no effect", "warning")
 
     def to_dataset(self) -> xr.Dataset:
-        """Return the rows kept in memory."""
+        """Return the rows of the recording as a dataset."""
         return self.recorder.to_dataset()
 
     def close(self) -> None:

@@ -96,14 +96,14 @@ class FoxglovePublisher:
         self.port = int(self._server.port)
 
     def add_channel(self, topic: str, schema_name: str, schema: bytes) -> int:
-        """Add a topic, for the encoder."""
+        """Add a topic to the server."""
         known = self._library.Schema(name=schema_name, encoding="jsonschema", data=schema)
         channel = self._library.Channel(topic, schema=known, message_encoding="json", context=self._context)
         self._channels.append(channel)
         return len(self._channels) - 1
 
     def publish(self, rows: NDArray[np.float64], states: Sequence[str], events: Sequence[FlightEvent]) -> None:
-        """Send rows and events."""
+        """Send rows and events of the flight to the connected viewers."""
         for number, time_ns, content in self._encoder.encode_rows(rows, states, events):
             self._channels[number].log(content, log_time=time_ns)
         if len(rows) and time.monotonic() >= self._scene_due_s:

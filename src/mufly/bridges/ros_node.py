@@ -187,7 +187,7 @@ class RosPublisher:
             publisher.publish(fill_message(kind(), content))
 
     def close(self) -> None:
-        """Destroy the node."""
+        """Destroy the ROS 2 node."""
         self._executor.shutdown(timeout_sec=0.5)
         self._node.destroy_node()
         self._context.try_shutdown()

@@ -39,7 +39,7 @@ _BUILTIN_FOLDER = resources.files("mufly.camera") / "builtin"
 
 
 class Sensor(ParameterGroup):
-    """Size and period of the pictures."""
+    """Number of pixels of the camera's pictures, and time between pictures."""
 
     width: int = Field(ge=32, le=8192, strict=True, description="pixels in a row")
     height: int = Field(ge=32, le=8192, strict=True, description="rows")
@@ -99,7 +99,7 @@ class ShutterTiming(ParameterGroup):
 
 
 class ImageQuality(ParameterGroup):
-    """Degradation of the picture."""
+    """Degradation of the picture by lens, vibration, light and noise."""
 
     blur: Quantity = declare_parameter(
         "1", "s_b", "radius of the lens's spot, in pixels, one sigma", at_least=0, at_most=20
@@ -130,7 +130,7 @@ class RadioLink(ParameterGroup):
 
 
 class Camera(ParameterGroup):
-    """Content of a camera file."""
+    """Model of a camera, as its file states it: sensor, lens, mounting, image quality and radio link."""
 
     name: str = Field(min_length=1, description="what it is called")
     description: str = Field(default="", description="one line")

@@ -87,7 +87,7 @@ class PolyMesh:
         return len(self.cell_strip)
 
     def patch_faces(self, name: str) -> slice:
-        """Return the faces of a patch."""
+        """Return the indices of the faces of a patch."""
         start, count = self.patches[name]
         return slice(start, start + count)
 

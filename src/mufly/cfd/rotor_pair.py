@@ -135,7 +135,7 @@ class ActuatorDisc:
     set_iteration: int = 0
 
     def scale_loads(self, ratio: float) -> ActuatorDisc:
-        """Return the loads times a ratio."""
+        """Return the disc with its loads multiplied by a ratio."""
         return replace(
             self,
             thrust_N_m=tuple(ratio * x for x in self.thrust_N_m),

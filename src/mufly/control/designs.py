@@ -131,7 +131,7 @@ class FlightController:
 
     @property
     def all_designs(self) -> tuple[ControllerDesign, ControllerDesign, ControllerDesign]:
-        """Designs of heave-yaw, roll-pitch and velocity."""
+        """The three controller designs: heave-yaw, roll-pitch and velocity."""
         return self.heave_yaw, self.roll_pitch, self.velocity
 
     @property

@@ -421,7 +421,7 @@ class DiscreteController:
 
     @property
     def order(self) -> int:
-        """Number of states."""
+        """Number of states of the controller."""
         return self.A.shape[0]
 
     @property

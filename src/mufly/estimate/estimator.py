@@ -85,7 +85,7 @@ class Estimator:
         raise NotImplementedError
 
     def reset(self) -> None:
-        """Reset to the initial state."""
+        """Return the estimator to its state before the first update."""
 
 
 _MISSING_READING = Reading(_nan_vector(), math.nan)

@@ -409,8 +409,8 @@ def estimate_flight_noise(
     least: InertialNoise,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> InertialNoise:
-    """Return the noise densities, at least ``least``, that maximise the likelihood of the aids in the first minute of
-    flight.
+    """Return the noise densities, at least ``least``, that maximise the likelihood of the position fixes in the first
+    minute of flight.
 
     A density at its upper bound shows that noise does not explain the difference of aids and inertial unit. Possible
     causes are readings clipped at the unit's range, wrong axes, and aids later than stated.

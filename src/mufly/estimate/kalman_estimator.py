@@ -368,7 +368,7 @@ class KalmanEstimator(Estimator):
 
     @property
     def sensor_statuses(self) -> Sequence[SensorStatus]:
-        """Return the status of the sensors."""
+        """Return the status (fused, rejected, missing, faulty) of each sensor."""
         return self._sensor_statuses
 
     @property

@@ -205,6 +205,6 @@ class AnswerLines(Generic[One]):
         self.known[key] = one
 
     def discard(self) -> None:
-        """Delete the file."""
+        """Delete the file with its results."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)

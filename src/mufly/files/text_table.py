@@ -335,7 +335,7 @@ def count_cells(rows: Sequence[str], separator: str) -> list[int]:
 
 
 def drop_empty_trailing_cells(row: str, separator: str, width: int, wanted: int) -> str:
-    """Return a row without the trailing empty cells of some loggers."""
+    """Return a row without the empty cells that some loggers append to it."""
     while width > wanted and row.rstrip(" ").endswith(separator):
         row, width = row.rstrip(" ")[: -len(separator)], width - 1
     return row

@@ -89,7 +89,7 @@ class FirmwareSoftware(FlightSoftware):
         self.clear_cached_records()
 
     def change_limits(self, mission: Mission) -> None:
-        """Apply the limits of another mission."""
+        """Apply the limits of another mission with the same waypoints."""
         before = None if self._software_instance is None else (self.plan, self.requested_mission, self.slowdown_note)
         super().change_limits(mission)
         if self._software_instance is None or before is None:
@@ -119,7 +119,7 @@ class FirmwareSoftware(FlightSoftware):
         return self._software_instance is None or bool(self._software_instance.software_record.tick == 0)
 
     def step(self, estimate: Estimate, command: Command) -> Actuators:
-        """Advance by one period."""
+        """Compute one control period in the exported code."""
         board = self._software_instance
         assert board is not None
         board.setup_record.gains = self.law.current_gains()
@@ -283,7 +283,7 @@ class ComparedSoftware(FlightSoftware):
             self._software_instance.start_software()
 
     def change_limits(self, mission: Mission) -> None:
-        """Apply the limits of another mission."""
+        """Apply the limits of another mission with the same waypoints."""
         super().change_limits(mission)
         if self._software_instance is not None:
             self._software_instance.set_plan(self.plan)
@@ -294,7 +294,7 @@ class ComparedSoftware(FlightSoftware):
         return self.mission_state.logged_event_count
 
     def step(self, estimate: Estimate, command: Command) -> Actuators:
-        """Advance by one period."""
+        """Compute one control period in Python and in the exported code, and compare both."""
         if self._software_instance is None:
             self._software_instance = SoftwareInstance(self.firmware, self._controller, self.plan)
         board, logged = self._software_instance, self.mission_state.logged_event_count

@@ -74,7 +74,7 @@ class TextTable:
         return self._numbers_by_text[text]
 
     def look_up_text(self, number: int) -> str:
-        """Return the text of a number."""
+        """Return the text that the C code represents by a number."""
         return self._texts_by_number[number]
 
 
@@ -144,7 +144,7 @@ class SoftwareInstance:
     # Inputs
 
     def write_estimate(self, m: Estimate) -> None:
-        """Copy an estimate into its record."""
+        """Copy an estimate into the C record that the software reads."""
         b = self.estimate_record
         b.time_s, b.valid = m.time_s, m.valid
         now = b.motion
@@ -255,7 +255,7 @@ class SoftwareInstance:
         return self.text_table.look_up_text(b.why)
 
     def format_message(self, message: Any) -> str:
-        """Return the text of a ``message_t``."""
+        """Return the text of a log entry (``message_t``)."""
         word, numbers = _MESSAGE_TEMPLATES[message.code], list(message.number)
         wrong = [
             SensorStatus(
@@ -336,7 +336,7 @@ class SoftwareInstance:
 
     @property
     def reference(self) -> Reference:
-        """Return the reference of the controllers."""
+        """Return the present reference of the controllers."""
         r = self.software_record.reference
         p = r.path
         return Reference(

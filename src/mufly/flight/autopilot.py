@@ -595,7 +595,7 @@ class Autopilot:
         return self._request_command(VehicleRequest.RETURN, Command(return_requested=True))
 
     def land(self) -> RequestAnswer:
-        """Brake and land."""
+        """Brake to a hover and land there."""
         if self.software.mission_state.state == "landing":
             return REQUEST_ACCEPTED
         return self._request_command(VehicleRequest.LAND, Command(land=True))

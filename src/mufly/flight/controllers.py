@@ -45,7 +45,7 @@ class Actuators:
 
     @classmethod
     def idle(cls) -> Actuators:
-        """Return zero inputs."""
+        """Return zero inputs for all motors and servos."""
         return cls(np.zeros(2), np.zeros(2))
 
     @property

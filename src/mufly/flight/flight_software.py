@@ -214,7 +214,7 @@ class FlightSoftware:
 
     @property
     def state(self) -> State:
-        """State of the mission."""
+        """Present state of the mission's state machine."""
         return self.mission_state.state
 
     @property

@@ -306,7 +306,7 @@ class Flight:
 
     @property
     def time_s(self) -> float:
-        """Time of the last readings (s)."""
+        """Simulated time of the latest readings (s)."""
         return self._truth.time_s
 
     def step_period(self) -> None:

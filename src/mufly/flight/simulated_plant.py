@@ -183,7 +183,7 @@ class SimulatedPlant:
         )
 
     def advance_period(self, actuators: Actuators) -> None:
-        """Advance by one period."""
+        """Advance the true helicopter by one control period."""
         self.consume_wind(self.upcoming_wind(1)[0], 1)
         advance_period(
             self.state,

@@ -12,7 +12,7 @@ REAL, WHOLE, TRUTH, NOTHING = "double", "int64_t", "bool", "void"
 
 @dataclass(frozen=True)
 class TableType:
-    """Type of an array of numbers."""
+    """Type of an array of numbers with a given shape."""
 
     element: str
     shape: tuple[int, ...]
@@ -35,7 +35,7 @@ class RecordType:
 
 @dataclass(frozen=True)
 class TupleType:
-    """Type of a tuple of numbers."""
+    """Type of a tuple of numbers, which is a struct in C."""
 
     parts: tuple[Any, ...]
 

@@ -134,7 +134,7 @@ class UnitSensors:
 
     @cached_property
     def seeded_starts(self) -> NDArray[np.float64]:
-        """:data:`SEEDED_STARTS` of each seed (seeds, 5)."""
+        """Start values that depend on the seed (:data:`SEEDED_STARTS`): height, attitude and bar angles, (seeds, 5)."""
         rows = []
         for seed in range(self.seed_count):
             unit = draw_leaning_vehicle(self.vehicle, seed=seed)

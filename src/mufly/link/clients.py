@@ -150,7 +150,7 @@ class Clients:
         return len(self._all)
 
     def find_client(self, peer: Hashable) -> Client | None:
-        """Return a peer that is served."""
+        """Return the record of a connected peer; None for an unknown peer."""
         return self._all.get(peer)
 
     def mark_heard(self, now_s: float, peer: Hashable) -> Client:
@@ -162,7 +162,7 @@ class Clients:
         return client
 
     def add_client(self, now_s: float, peer: Hashable, *, fixed: bool) -> Client:
-        """Add a peer."""
+        """Add a peer, which then receives the default messages."""
         client = self._all[peer] = Client(peer, FrameEncoder(*self._who), StreamSchedule(now_s), fixed, now_s)
         return client
 
@@ -194,7 +194,7 @@ class Clients:
             self.send_text(why, "warning", station.peer)
 
     def take_outgoing(self) -> list[OutgoingFrame]:
-        """Return the frames to send."""
+        """Return the queued frames, and clear the queue."""
         out, self._out = self._out, []
         return out
 

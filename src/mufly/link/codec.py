@@ -489,12 +489,12 @@ def mode_from_state(state: str, manual: bool = False, returning: bool = False) -
 
 
 def pack_custom_mode(mode: Px4Mode) -> int:
-    """Return the ``custom_mode`` of a heartbeat."""
+    """Return PX4's main and sub mode as the field ``custom_mode`` of a HEARTBEAT."""
     return mode.main_mode << 16 | mode.sub_mode << 24
 
 
 def unpack_custom_mode(number: int) -> Px4Mode:
-    """Inverse of :func:`pack_custom_mode`."""
+    """Return PX4's main and sub mode from the field ``custom_mode`` of a HEARTBEAT."""
     return Px4Mode(number >> 16 & 0xFF, number >> 24 & 0xFF)
 
 

@@ -210,7 +210,7 @@ class CommandProtocol:
         return choice if now_s - since_s <= MODE_CHOICE_TIMEOUT_S else ""
 
     def handle_command(self, now_s: float, station: MessageSource, message: MavMessage) -> None:
-        """Process a COMMAND_LONG or COMMAND_INT."""
+        """Execute a COMMAND_LONG or COMMAND_INT, and send its acknowledgement."""
         command = parse_command(message)
         if command.command_id in MESSAGE_REQUEST_COMMANDS:
             wishes = self._clients.mark_heard(now_s, station.peer).schedule

@@ -95,7 +95,7 @@ class VisionCompanion:
         return 0.0 if ours else self.clock_offset_s
 
     def receive(self, now_s: float, data: bytes) -> None:
-        """Process received bytes."""
+        """Process bytes received from the autopilot."""
         for m in self._codec.receive(now_s, "vehicle", data):
             kind, system = m.get_type(), m.get_srcSystem()
             if kind == "HEARTBEAT" and self.system is None:
@@ -270,7 +270,7 @@ class CompanionPort:
         return [self.companion.frame_info_at(t) for t in times.tolist()]
 
     def send_position(self, answer: TrackingResult) -> None:
-        """Send a trusted result."""
+        """Send the position of an accepted SLAM result to the autopilot."""
         if self._peer is not None and (data := self.companion.encode_position(answer)) is not None:
             self._port.send(self._peer, data)
 

@@ -148,7 +148,7 @@ class MissionProtocol:
         return answer
 
     def mission_progress(self, status: FlightState) -> MissionProgress:
-        """Return the progress of the mission."""
+        """Return the current item, the number of items and the state of the mission."""
         self._refresh_plan(status)
         total = len(self.plan.items)
         if not self.plan.mission.waypoint:

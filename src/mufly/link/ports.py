@@ -377,7 +377,7 @@ class UdpPort(Port):
 
     @property
     def port(self) -> int:
-        """Number of the bound port."""
+        """UDP port number to which the socket is bound."""
         return int(self._socket.getsockname()[1])
 
     @property
@@ -453,7 +453,7 @@ class ByteStream:
 
 
 class TcpServer(Port):
-    """A TCP server with several connections."""
+    """TCP server that accepts several connections."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)

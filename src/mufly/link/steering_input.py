@@ -147,7 +147,7 @@ def parse_rc_override(message: MavMessage) -> StickDeflection | None:
 
 
 def parse_manual_control(message: MavMessage) -> StickDeflection:
-    """Return the sticks of a MANUAL_CONTROL."""
+    """Return the stick deflections in a MANUAL_CONTROL."""
     x, y, z, r = (None if v == _AXIS_NOT_GIVEN else v / 1000 for v in (message.x, message.y, message.z, message.r))
     return _apply_deadband(y or 0.0, -(x or 0.0), 0.0 if z is None else 2.0 * z - 1.0, r or 0.0)
 
@@ -172,7 +172,7 @@ class ManualControl:
         return self._by_hand
 
     def handle_rc_override(self, message: MavMessage) -> RequestAnswer:
-        """Process an RC_CHANNELS_OVERRIDE."""
+        """Apply the sticks of an RC_CHANNELS_OVERRIDE, or end manual control if the channels are released."""
         wanted = parse_rc_override(message)
         if wanted is not None:
             self._overridden = True
@@ -183,7 +183,7 @@ class ManualControl:
         return REQUEST_ACCEPTED
 
     def handle_manual_control(self, now_s: float, message: MavMessage) -> RequestAnswer:
-        """Process a MANUAL_CONTROL."""
+        """Store the sticks of a MANUAL_CONTROL, and apply them in a manual mode."""
         self._manual, self._heard_s = parse_manual_control(message), now_s
         return self._send_sticks(self._manual) if self._by_hand else REQUEST_ACCEPTED
 

@@ -151,7 +151,7 @@ def attitude_message(p: TelemetryState) -> MavMessage:
 
 
 def attitude_quaternion_message(p: TelemetryState) -> MavMessage:
-    """Return ATTITUDE_QUATERNION."""
+    """Return ATTITUDE_QUATERNION: attitude as a quaternion, and body rates (rad/s)."""
     q = _quaternion_from_angles(p.flight_state.estimate.attitude)
     return mavlink.MAVLink_attitude_quaternion_message(
         p.boot_time_ms, *q, *_to_float32_list(p.flight_state.estimate.rates)
@@ -443,7 +443,7 @@ def battery_status_message(p: TelemetryState) -> MavMessage:
 
 
 def landed_state(p: TelemetryState) -> int:
-    """Return MAV_LANDED_STATE."""
+    """Return MAV_LANDED_STATE: on ground, taking off, in air or landing."""
     if not p.flight_state.flying:
         return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
     if p.flight_state.state == State.TAKE_OFF:
@@ -515,7 +515,7 @@ def _estimated_position(p: TelemetryState) -> tuple[float, float, float]:
 
 
 def global_position_message(p: TelemetryState) -> MavMessage:
-    """Return GLOBAL_POSITION_INT."""
+    """Return GLOBAL_POSITION_INT: latitude, longitude, altitude, velocity and heading."""
     m = p.flight_state.estimate
     speeds = [clip_to_integer(v * 100.0, -32768, 32767) for v in m.velocity.tolist()]
     yaw = math.degrees(float(m.attitude[2])) % 360.0 if math.isfinite(m.attitude[2]) else math.nan
@@ -622,11 +622,11 @@ class MessageStream:
 
     @property
     def message_id(self) -> int:
-        """Id of the message."""
+        """MAVLink id of the message."""
         return int(getattr(mavlink, f"MAVLINK_MSG_ID_{self.message_name.split(' ')[0]}"))
 
     def build_messages(self, now: TelemetryState) -> list[MavMessage]:
-        """Return the messages of an instant."""
+        """Return the messages for the present state of the flight."""
         made = None if self.needs_origin and now.origin is None else self.make_messages(now)
         return made if isinstance(made, list) else [] if made is None else [made]
 

@@ -111,7 +111,7 @@ class SignalEntry(_MapTable):
 
     @property
     def column_signs(self) -> tuple[float, ...]:
-        """Sign of each column."""
+        """Sign (1 or -1) of each column."""
         return self.sign if isinstance(self.sign, tuple) else (self.sign,) * len(self.columns)
 
 

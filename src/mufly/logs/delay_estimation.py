@@ -276,7 +276,7 @@ _MIN_DELAY_SAMPLES, _MIN_PAIR_CORRELATION = 30, 0.3
 
 @result
 class DelayReport:
-    """Delay between two named channels."""
+    """Estimated delay between two named channels of a log."""
 
     reference: str
     response: str

@@ -145,7 +145,7 @@ class ObstacleMap:
 
     @staticmethod
     def empty() -> ObstacleMap:
-        """Return an empty map."""
+        """Return an obstacle map without points."""
         return ObstacleMap(np.zeros((MAP_CAPACITY, 4)))
 
 

@@ -63,17 +63,17 @@ REQUEST_ACCEPTED = RequestAnswer(True)
 
 
 def deny_request(reason: str) -> RequestAnswer:
-    """Return a permanent refusal."""
+    """Return a refusal that waiting does not change (MAV_RESULT_DENIED)."""
     return RequestAnswer(False, reason)
 
 
 def reject_temporarily(reason: str, brief: str = "") -> RequestAnswer:
-    """Return a temporary refusal."""
+    """Return a refusal that holds only at present (MAV_RESULT_TEMPORARILY_REJECTED)."""
     return RequestAnswer(False, reason, is_temporary=True, short_reason=brief or reason)
 
 
 class VehicleRequest(StrEnum):
-    """Requests to a vehicle."""
+    """Requests to a vehicle, such as arm, take off and land."""
 
     ARM = "arm"
     DISARM = "disarm"

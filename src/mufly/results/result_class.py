@@ -409,14 +409,14 @@ ShownBlock = ShownLines | ShownTable
 
 
 def show_lines(*lines: str, head: str = "", mark: str = "", style: str = "") -> ShownLines:
-    """Return lines of text; see :class:`ShownLines`."""
+    """Return lines of text as a block of a printed result."""
     return ShownLines(lines, head, mark, style)
 
 
 def show_table(
     heads: Iterable[str], rows: Iterable[Sequence[str]], *, title: str = "", text: Iterable[int] = (0,)
 ) -> ShownTable:
-    """Return a table of texts; see :class:`ShownTable`."""
+    """Return a table of texts as a block of a printed result."""
     return ShownTable(tuple(heads), tuple(rows), title, tuple(text))
 
 
@@ -506,7 +506,7 @@ def _looks_like_number(text: str) -> bool:
 
 
 def format_blocks(blocks: Iterable[ShownBlock]) -> str:
-    """Return blocks as plain text."""
+    """Return blocks of lines and tables as plain text."""
     lines: list[str] = []
     for block in blocks:
         if isinstance(block, ShownLines):

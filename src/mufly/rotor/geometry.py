@@ -61,7 +61,7 @@ class StationColumn(ParameterGroup):
     note: str = ""
 
     def array(self) -> Array:
-        """Return the values, SI, shape (stations,)."""
+        """Return the values in SI units, shape (stations,)."""
         return np.array(self.value, dtype=np.float64)
 
 

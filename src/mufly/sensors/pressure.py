@@ -86,7 +86,7 @@ def _sample_pressure(
 
 
 class PressureSensor(PeriodicSensor):
-    """Sensor of ``pressure`` (Pa)."""
+    """Sensor of the absolute air pressure, ``pressure`` (Pa)."""
 
     published_readings = {"pressure": 0}  # noqa: RUF012
     sample_function = _sample_pressure

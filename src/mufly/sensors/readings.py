@@ -142,7 +142,7 @@ class SensorSet:
         self.sensors = sensors
 
     def read(self, truth: Truth) -> Readings:
-        """Read all sensors."""
+        """Read all sensors at the present instant; return their latest readings."""
         latest: dict[str, Reading] = {}
         for sensor in self.sensors:
             latest |= sensor.read(truth)
@@ -222,7 +222,7 @@ class IdealRangeRing(Sensor):
 
     @property
     def range_arguments(self) -> tuple[Any, ...]:
-        """Arguments of :func:`measure_ranges` after the state."""
+        """Arguments of :func:`measure_ranges` that follow the state: beam directions, limits and obstacles."""
         return self._directions, *self._limits.values(), *self._world.packed_tables
 
 

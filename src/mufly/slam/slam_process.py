@@ -105,7 +105,7 @@ class TrackedPicture:
 
 
 def make_map_view(floor_map: FloorMap) -> MapView:
-    """Return a map for display."""
+    """Return a copy of a SLAM map for display."""
     ties = [(e.first_index, e.second_index, e.is_loop_closure) for e in floor_map.edges]
     return MapView(floor_map.nodes[:, :3].astype(np.float32), np.array(ties, dtype=np.int32).reshape(-1, 3))
 

@@ -175,7 +175,7 @@ class PreflightCheck:
 
 
 class RequestOutcome(StrEnum):
-    """The outcome of a request."""
+    """Outcome of a request to a vehicle: waiting, accepted, refused or timed out."""
 
     WAITING = "waiting"
     ACCEPTED = "accepted"
@@ -212,7 +212,7 @@ class OperatorRequest:
         return self.outcome is not RequestOutcome.WAITING
 
     def set_outcome(self, outcome: RequestOutcome, answer: str = "") -> None:
-        """Set the outcome and answer, once."""
+        """Set outcome and answer of the request; only the first call has an effect."""
         if not self.is_done:
             self.outcome, self.answer = outcome, answer
             if outcome is RequestOutcome.ACCEPTED:
@@ -393,7 +393,7 @@ class PresentSignals:
         return self.values[self.slice_by_variable[name]].copy()
 
     def accept_message(self, now_s: float, group: str, rank: int = 0) -> bool:
-        """Return whether a message of this rank (0 is best) is accepted; record its time if so."""
+        """Return whether a message is used: no message of better rank (0 is best) was received recently."""
         told = self._told.get(group)
         if told is not None and told[0] < rank and now_s - told[1] < SIGNAL_TIMEOUT_S:
             return False
@@ -413,7 +413,7 @@ class PresentSignals:
             self.set_value(group, k, float(value))
 
     def forget_stale(self, now_s: float) -> list[str]:
-        """Clear expired signals; return their groups."""
+        """Clear the values that are too old; return the message groups to which they belong."""
         gone = [
             group
             for group, (_, told_s) in self._told.items()

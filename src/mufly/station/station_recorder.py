@@ -120,7 +120,7 @@ class StationRecorder:
         return path
 
     def stop(self, outcome: str = "stopped", reason: str = "") -> None:
-        """Close the files with an outcome."""
+        """Close the files of the recording with an outcome."""
         if not self.recording:
             return
         self.recording = False

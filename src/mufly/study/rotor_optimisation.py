@@ -368,7 +368,7 @@ class OptimisationProblem:
         return (times if self.goal == "endurance" else per_power), values, results.fault
 
     def rotor_of_case(self, case: Mapping[str, float | str]) -> Rotor:
-        """Return the rotor of a case."""
+        """Return the rotor with the parameters of a case."""
         every = {**self.setup.fixed_parameters, **case}
         return reshape_rotor(self.setup.rotor, {name: every[name] for name in GEOMETRY_PARAMETERS if name in every})
 

@@ -74,7 +74,7 @@ class Verdict:
     rule: str
 
     def format_line(self) -> str:
-        """Return the verdict in one line."""
+        """Return claim, computed value and verdict in one line."""
         word = "agrees" if self.agrees else "DIFFERS"
         known = f" Why: {self.claim.reason}." if self.claim.reason and not self.agrees else ""
         return (

@@ -177,7 +177,7 @@ class BenchRig(Protocol):
         """Initialise every device at rest, also after a failure."""
 
     def mount(self, mounting: BladeMounting) -> None:
-        """State which blades are mounted."""
+        """Record which blades are mounted."""
 
     def set_speeds(self, speeds_rad_s: Mapping[str, float]) -> None:
         """Command the speeds of axes (rad/s); axes that are not named stop."""

@@ -152,7 +152,7 @@ class EposController:
 
     @property
     def broken_frames(self) -> int:
-        """Number of discarded frames."""
+        """Number of received frames that were discarded because of a wrong checksum or form."""
         return self._frames.broken_frames
 
     def _send_request(
@@ -183,7 +183,7 @@ class EposController:
         return struct.pack("<HBB", index, sub, self._node)
 
     def read_object(self, item: tuple[int, int]) -> int:
-        """Return an object's value, as a signed number of 32 bits."""
+        """Return the value of an object of the controller's dictionary (CANopen), as a signed number of 32 bits."""
         data = self._send_request(self._protocol.read_opcode, self._object_address(item))
         if len(data) < 4:
             raise DeviceError(f"{self.name}: an answer is too short")
@@ -196,7 +196,7 @@ class EposController:
         tries: int = MAX_REQUEST_TRIES,
         patience_s: float = REPLY_TIMEOUT_s,
     ) -> None:
-        """Set an object's value."""
+        """Write a value to an object of the controller's dictionary (CANopen)."""
         self._send_request(
             self._protocol.write_opcode,
             self._object_address(item) + struct.pack("<i", value),

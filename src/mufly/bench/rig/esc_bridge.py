@@ -54,7 +54,7 @@ class EscBridge:
 
     @property
     def broken_lines(self) -> int:
-        """Number of discarded lines."""
+        """Number of received lines that were discarded because of a wrong checksum or form."""
         return self._line.broken_lines
 
     def _process_lines(self, wait_s: float = 0.0) -> None:

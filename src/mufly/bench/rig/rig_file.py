@@ -70,7 +70,7 @@ class DeviceTable(ParameterGroup):
         return self
 
     def make_driver(self, pace: float) -> Device:
-        """Return the driver of the device."""
+        """Return the driver of the device, not yet connected."""
         if self.kind == "epos":
             return EposController(self.port, self.axes[0], baud=self.baud, node=self.node, generation=self.generation,
                         direction=self.direction, gear=self.gear)  # fmt: skip
@@ -94,7 +94,7 @@ class DeviceTable(ParameterGroup):
 
 
 class RigTable(ParameterGroup):
-    """Contents of a bench file."""
+    """Contents of a bench file: devices, calibration of the load cells, and uncertainties."""
 
     name: str = Field(min_length=1, description="name of the bench")
     cells: str = Field(default="", description="calibration file of the cells; none if readings are loads")

@@ -55,7 +55,7 @@ class SerialLine:
             ) from error
 
     def write(self, data: bytes) -> None:
-        """Send bytes."""
+        """Send bytes through the serial port."""
         if self._line is None:
             raise DeviceError(f"{self.name}: is not open")
         try:
@@ -91,7 +91,7 @@ def compute_crc16(data: bytes) -> int:
 
 
 def with_checksum(body: str) -> bytes:
-    """Return a line with its checksum."""
+    """Return a text line with its checksum appended."""
     raw = body.encode("ascii")
     return b"$" + raw + b"*%04X\n" % compute_crc16(raw)
 
@@ -142,5 +142,5 @@ class ChecksummedLine(SerialLine):
             raise DeviceError(f"{self.name}: silent for {silent:.1f} s ({self.broken_lines} broken lines so far)")
 
     def send_line(self, body: str) -> None:
-        """Send a line with its checksum."""
+        """Send a text line with its checksum appended."""
         self.write(with_checksum(body))

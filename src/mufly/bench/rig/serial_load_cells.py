@@ -46,7 +46,7 @@ class SerialLoadCells:
 
     @property
     def broken_lines(self) -> int:
-        """Number of discarded lines."""
+        """Number of received lines that were discarded because of a wrong checksum or form."""
         return self._line.broken_lines
 
     def open(self) -> None:

@@ -54,7 +54,7 @@ points="{% for x, y in points %}{{ "%.1f,%.1f " | format(x, y) }}{% endfor %}"/>
 def write_live_page(
     folder: Path, plan: SeriesPlan, lines: Sequence[dict[str, Any]], status: str, share: float, *, over: bool
 ) -> None:
-    """Write the live page atomically."""
+    """Write the page that shows the progress of a series; a browser never reads a half-written page."""
     points = [x for x in lines if x["kind"] == "reading" and x["what"] == "point"]
     zeros = [x for x in lines if x["kind"] == "reading" and x["what"] == "tare"]
     names: dict[str, list[dict[str, Any]]] = {}

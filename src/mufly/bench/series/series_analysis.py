@@ -112,7 +112,7 @@ class SettingResult:
 
     @property
     def torque(self) -> LoadInterval | None:
-        """Torque of a single rotor."""
+        """Torque of the measured rotor, for a setting with a single rotor."""
         return self.torque_lower if self.axis == "lower" else self.torque_upper
 
 

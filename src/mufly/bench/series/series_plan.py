@@ -47,7 +47,7 @@ class BenchLimits(ParameterGroup):
 
 
 class StepTimes(ParameterGroup):
-    """Durations of the steps (s)."""
+    """Durations (s) of warm-up, settling, averaging and zero readings."""
 
     warm_up_s: float = Field(default=600.0, ge=0, description="warm-up time of the reference rotor at its middle speed")
     settle_s: float = Field(default=30.0, gt=0, description="longest time until speed and loads are steady")

@@ -67,7 +67,7 @@ class SeriesRecord:
 
     @property
     def readings(self) -> list[dict[str, Any]]:
-        """Readings in the order of measurement."""
+        """All readings of the series in the order of measurement."""
         return [line for line in self.lines if line["kind"] == "reading"]
 
     @property

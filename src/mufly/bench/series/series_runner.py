@@ -95,7 +95,7 @@ class LimitGuard:
         self._cells: CellCalibration | None = self.facts.cell_calibration()
 
     def clear_saturation(self) -> None:
-        """Clear the set of saturated channels."""
+        """Clear the set of channels that have reached the end of their range."""
         self.saturated_channels = set()
 
     def __call__(self, samples: Samples) -> None:

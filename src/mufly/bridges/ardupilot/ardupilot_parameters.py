@@ -25,7 +25,7 @@ _OUTPUT_COUNT = 6
 
 
 class ArduPilotParameter(NamedTuple):
-    """Parameter of ArduPilot: name, value, reason."""
+    """Line of ArduPilot's parameter file: name, value, and reason for the value."""
 
     name: str
     value: float

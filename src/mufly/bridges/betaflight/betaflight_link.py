@@ -71,7 +71,7 @@ _SENT_SENSORS = ("imu", "pressure")
 
 
 class BetaflightPorts(NamedTuple):
-    """Ports of Betaflight beside that of its state, which are fixed in it: outputs and channels (UDP), MSP (TCP)."""
+    """Ports of Betaflight's simulator interface: actuator outputs and stick channels (UDP), status by MSP (TCP)."""
 
     outputs: int = 9001
     channels: int = 9004

@@ -32,7 +32,7 @@ _MEAN_OF_HALF_NORMAL = math.sqrt(2.0 / math.pi)
 
 
 class Px4Parameter(NamedTuple):
-    """Parameter of PX4: name, value, reason."""
+    """Line of PX4's airframe file: name, value, and reason for the value."""
 
     name: str
     value: float

@@ -48,7 +48,7 @@ class ScalingFilter(NamedTuple):
 
     @property
     def inverse(self) -> ScalingFilter:
-        """The inverse filter."""
+        """The filter with the reciprocal transfer function."""
         return ScalingFilter(1.0 / self.gain, self.poles, self.zeros)
 
     def magnitude(self, frequency: Array) -> Array:

@@ -104,7 +104,7 @@ class ParameterRobustness:
 
     @property
     def loops(self) -> tuple[LoopRobustness, LoopRobustness]:
-        """Heave-yaw and roll-pitch."""
+        """Results of both loops: heave-yaw and roll-pitch."""
         return self.heave_yaw, self.roll_pitch
 
     def as_record(self) -> dict[str, Any]:

@@ -49,7 +49,7 @@ def default_spreads(vehicle: Vehicle) -> dict[str, float]:
 
 
 def parameter_values(vehicle: Vehicle, keys: Sequence[str]) -> Array:
-    """Return the values (SI) of parameters."""
+    """Return the values (SI) of a vehicle's parameters by key."""
     known = {p.key: float(p.value) for p in list_parameters(vehicle) if isinstance(p.value, float)}
     return np.array([known[key] for key in keys])
 

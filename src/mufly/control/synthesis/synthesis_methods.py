@@ -117,7 +117,7 @@ class GivenController:
 
     @property
     def order(self) -> int:
-        """Number of states."""
+        """Number of states of the controller."""
         return len(self.A)
 
     def to_scaled(self, generalised: control.StateSpace, read_scale: Array, input_scale: Array) -> control.StateSpace:

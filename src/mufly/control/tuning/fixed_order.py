@@ -53,7 +53,7 @@ class TuningAim(Protocol):
 
     @property
     def name(self) -> str:
-        """Name in results."""
+        """Name of the aim in results and messages."""
 
     @property
     def level(self) -> float:

@@ -134,12 +134,12 @@ class TuningState(NamedTuple):
     lines: tuple[tuple[tuple[tuple[float, ...], ...], tuple[float, ...]], ...] = ()
 
     def to_record(self) -> list[dict[str, Any]]:
-        """Return JSON data."""
+        """Return the state as JSON data."""
         return [{"gain": K, "objectives": history} for K, history in self.lines]
 
     @classmethod
     def from_record(cls, record: Sequence[Mapping[str, Any]]) -> TuningState:
-        """Return the state of JSON data."""
+        """Return the state from JSON data, the inverse of :meth:`to_record`."""
         return cls(tuple((tuple(tuple(row) for row in line["gain"]), tuple(line["objectives"])) for line in record))
 
 

@@ -167,7 +167,7 @@ class OutputSchedule:
 
 
 def blend_outputs(hover: DiscreteController, C_forward: Array, D_forward: Array, share: float) -> control.StateSpace:
-    """Return a controller with a share of changed outputs added to its own."""
+    """Return the hover controller with a share of the outputs of forward flight added to its own."""
     return state_space(
         hover.A, hover.B, hover.C + share * C_forward, hover.D + share * D_forward,
         inputs=hover.inputs, outputs=hover.outputs, dt=hover.period_s,

@@ -71,7 +71,7 @@ class TunedLoop:
 
     @property
     def design(self) -> ControllerDesign:
-        """Design of the loop."""
+        """Complete design of the loop with the tuned controller: reduced, sampled and analysed."""
         c = self.controller
         return c.heave_yaw if self.loop == "heave-yaw" else c.roll_pitch
 
@@ -96,7 +96,7 @@ class TunedLoop:
         }
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return the aims and the figures."""
+        """Return the text of the result: each aim with its level, and the figures of the loop."""
         rows = []
         for name, level in self.levels.items():
             reached = self.norms[name]

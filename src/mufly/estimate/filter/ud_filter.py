@@ -246,7 +246,7 @@ def inflate_variance(ut: _Array, d: _Array, j: int, variance: float, v: _Array) 
 
 @cached_njit(error_model="numpy")
 def state_variance(ut: _Array, d: _Array, i: int) -> float:
-    """Return the variance of state ``i``."""
+    """Return the variance of error state ``i`` from the factors U and D."""
     s = d[i]
     for k in range(i + 1, d.shape[0]):
         s += d[k] * ut[k, i] * ut[k, i]
@@ -266,6 +266,6 @@ def ud_factorise(covariance: NDArray[np.floating]) -> tuple[NDArray[np.floating]
 
 
 def ud_covariance(ut: NDArray[np.floating], d: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return P = U D U^T."""
+    """Return the covariance P = U D U^T from its factors."""
     u = np.eye(len(d)) + np.tril(ut, -1).T
     return (u * d) @ u.T

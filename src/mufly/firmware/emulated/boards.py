@@ -30,7 +30,7 @@ _FLASH_MEMORY_BYTES = 16 * 2**20  # of the emulated memory that holds sectors an
 
 
 class Board(Protocol):
-    """A board with the memory ``record`` (``board_t *``), which both halves of a period change."""
+    """Interface of a board: each half of a period changes its memory ``record`` (``board_t *``)."""
 
     ffi: Any
     lib: Any
@@ -48,7 +48,7 @@ class Board(Protocol):
         """Run the second half of a period, which computes the actuator inputs (``board_request_t * request``)."""
 
     def close(self) -> None:
-        """End the board."""
+        """End the run of the board and release its resources."""
 
 
 class HostBoard:

@@ -188,7 +188,7 @@ class SensorArrays(NamedTuple):
 
 
 class IdealPeriods(NamedTuple):
-    """Data of :func:`run_ideal_periods`."""
+    """Arguments of :func:`run_ideal_periods`: clock, plant and software of a flight on the true state."""
 
     clock: LoopClock
     plant: PlantArrays
@@ -200,7 +200,7 @@ class IdealPeriods(NamedTuple):
 
 
 class FittedPeriods(NamedTuple):
-    """Data of :func:`run_fitted_periods`."""
+    """Arguments of :func:`run_fitted_periods`: clock, plant, sensors, filter and software of a flight on sensors."""
 
     clock: LoopClock
     plant: PlantArrays

@@ -134,7 +134,7 @@ def with_mission_floor(eye: CameraConfig, mission: Mission) -> CameraConfig:
 
 
 def make_camera(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) -> OnboardCamera:
-    """Return the camera of a flight."""
+    """Return the onboard camera of a flight, with its floor and faults."""
     return OnboardCamera(
         eye.true_camera or eye.camera,
         find_floor(eye.floor_name, eye.floor_width_m).make_floor(seed, eye.shadow_share),

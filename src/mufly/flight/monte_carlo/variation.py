@@ -42,7 +42,7 @@ _RANGE_PATTERN = re.compile(r"(?P<low>[0-9.eE+-]+) *: *(?P<high>[0-9.eE+-]+) *(?
 
 @dataclass(frozen=True, eq=False)
 class ParameterVariation:
-    """Parameters that are drawn together.
+    """Parameters that vary together, as linear functions of random variables ``z``.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class ParameterVariation:
 
     @property
     def variable_count(self) -> int:
-        """Number of components of ``z``."""
+        """Number of random variables ``z`` of the variation."""
         return self.spread_matrix.shape[1]
 
     def parameter_values(self, z: _Array) -> dict[str, float]:
@@ -77,7 +77,7 @@ class ParameterVariation:
         return dict(zip(self.keys, (self.nominal_values + self.spread_matrix @ z).tolist(), strict=True))
 
     def draw_normalised_variables(self, rng: np.random.Generator) -> _Array:
-        """Return a random ``z`` (m,)."""
+        """Return random variables ``z`` (m,) of the variation's distribution."""
         return (
             rng.uniform(-1.0, 1.0, self.variable_count)
             if self.distribution == "uniform"

@@ -109,12 +109,12 @@ class LearnedPolicy:
 
     @property
     def input_count(self) -> int:
-        """Size of the observation."""
+        """Number of values in an observation."""
         return int(self.mean.size)
 
     @functools.cached_property
     def packed(self) -> PackedPolicy:
-        """Arrays for :func:`evaluate_policy`."""
+        """Weights and limits as arrays for the compiled :func:`evaluate_policy`."""
         low, high = observation_limits(self.task)
         return PackedPolicy(
             np.array([self.input_count, *(layer.bias.size for layer in self.layers)], dtype=np.int64),

@@ -65,7 +65,7 @@ class ReadingLog:
         return enable_notebook_display(draw_sensors({self.name: self}))
 
     def component_labels(self) -> Sequence[str]:
-        """Return the names of the components."""
+        """Return the names of the reading's components, such as x, y, z."""
         known = DIMENSION_LABELS.get(READINGS[self.name].dim or "", ())
         return tuple(map(str, known)) or (
             [str(k) for k in range(self.value[0].size)] if self.value[0].size > 1 else [""]

@@ -179,7 +179,7 @@ class LinearisedProblem:
 
     @cached_property
     def residual_at_point(self) -> _Array:
-        """Residual at the point of linearisation."""
+        """Residual at the point of linearisation, with eliminated initial states."""
         return self.projected_residual(self.point.theta, [r.window_rows for r in self.reduced_records])
 
     def predicted_cost_decrease(self) -> float:

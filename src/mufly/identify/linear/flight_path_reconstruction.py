@@ -148,7 +148,7 @@ class ReconstructedPath:
 
     @property
     def residual(self) -> Array:
-        """Measured less reconstructed outputs (n, m)."""
+        """Measured outputs less reconstructed outputs (n, m), in SI units."""
         return self.measured - self.states[:, [FLIGHT_PATH_STATES.index(o) for o in self.outputs]]
 
 

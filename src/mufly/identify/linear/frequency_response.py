@@ -334,7 +334,7 @@ class FrequencyResponseFit:
 
 
 def structure_response(structure: LinearStructure, values: Array, frequency_hz: Array) -> ComplexArray:
-    """Return the frequency response (f, outputs, inputs) of a structure at given values."""
+    """Return the frequency response (f, outputs, inputs) of a model structure with given parameter values."""
     a, b, c, d, delay = structure.state_space_matrices(values)
     return state_space_response(a, b, c, d, frequency_hz, delay)
 

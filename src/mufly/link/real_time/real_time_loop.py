@@ -173,7 +173,7 @@ class RealTimePacer:
 
     @property
     def recording_attributes(self) -> dict[str, Any]:
-        """Return the figures for a recording."""
+        """Return the real-time factors and the number of slips, as attributes of a recording."""
         overall = self.mean_real_time_factor()
         least = min(self.min_real_time_factor, overall)
         return {"realtime_factor": overall, "realtime_factor_least": least, "slips": self.slip_count}

@@ -94,7 +94,7 @@ class VehicleProcess:
 
     @property
     def pid(self) -> int | None:
-        """Number of the process."""
+        """Process id of the vehicle's process."""
         return self._process.pid
 
     @property
@@ -143,7 +143,7 @@ class VehicleProcess:
         self._send_fault(fault)
 
     def clear_faults(self) -> None:
-        """Clear all sensor faults."""
+        """Clear all sensor faults of the vehicle."""
         self._send_fault(None)
 
     def _send_fault(self, fault: Fault | None) -> None:

@@ -73,7 +73,7 @@ class GlobalOrigin:
 
 
 class MissionResultCode(IntEnum):
-    """Result codes MAV_MISSION_RESULT."""
+    """Result codes of the MAVLink mission protocol (MAV_MISSION_RESULT)."""
 
     ACCEPTED = 0
     ERROR = 1

@@ -54,7 +54,7 @@ class TakeOff(_MissionTable):
 
 
 class Waypoint(_MissionTable):
-    """A waypoint."""
+    """Waypoint of a mission file: position, wait, heading and speed."""
 
     position_m: Triple = Field(description="N, E, D; heights above the floor are negative D")
     wait_s: float = _strict_field(0.0, "wait once it is reached", ge=0.0, le=3600.0)
@@ -70,7 +70,9 @@ class Waypoint(_MissionTable):
 
 
 class Limits(_MissionTable):
-    """Limits of the trajectories."""
+    """Limits of the reference trajectories: speeds, accelerations, and the radius within which a waypoint counts as
+    reached.
+    """
 
     speed_m_s: float = _strict_field(0.6, "horizontal speed", ge=0.01, le=3.0)
     climb_m_s: float = _strict_field(0.5, "rate of climb", ge=0.01, le=2.0)
@@ -114,7 +116,7 @@ class Avoidance(_MissionTable):
 
 
 class Battery(_MissionTable):
-    """Use of the battery's charge."""
+    """Voltage at which the vehicle lands, and share of the charge that a mission may use."""
 
     low_V: float | None = _strict_field(
         None, "land below this voltage; default: the vehicle's limit", gt=0.0, le=1000.0
@@ -189,7 +191,7 @@ def _crosses_itself(corners: tuple[Pair, ...]) -> bool:
 
 
 class BoxTable(_MissionTable):
-    """An upright box."""
+    """Upright box as an obstacle."""
 
     name: str = Field(default="box", description="what messages call it")
     centre_m: Triple = Field(description="N, E, D of its centre")
@@ -198,7 +200,7 @@ class BoxTable(_MissionTable):
 
 
 class CylinderTable(_MissionTable):
-    """An upright cylinder."""
+    """Upright cylinder as an obstacle."""
 
     name: str = Field(default="cylinder", description="what messages call it")
     centre_m: Pair = Field(description="N, E of its axis")
@@ -208,7 +210,7 @@ class CylinderTable(_MissionTable):
 
 
 class WallTable(_MissionTable):
-    """A free-standing wall."""
+    """Free-standing wall as an obstacle."""
 
     name: str = Field(default="wall", description="what messages call it")
     start_m: Pair = Field(description="N, E of one end")
@@ -289,7 +291,7 @@ class Mission(_MissionTable):
 
     @cached_property
     def world(self) -> World:
-        """All obstacles."""
+        """Room, boxes, cylinders and walls of the mission as one world."""
         boxes = [Box(b.centre_m, b.size_m, math.radians(b.yaw_deg), b.name) for b in self.box]
         boxes += [
             make_wall(w.start_m, w.end_m, height=w.height_m, thickness=w.thickness_m, name=w.name) for w in self.wall

@@ -82,7 +82,7 @@ def scan_yaw(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
 
 
 def make_reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> Reference:
-    """Return the reference for the controllers."""
+    """Return the reference of position, velocity and heading for the controllers at this step."""
     if s.state is State.RC:
         position = np.array((m.position[0], m.position[1], s.hold_position[2]))
         velocity = np.array((m.velocity[0], m.velocity[1], s.descent_rate))

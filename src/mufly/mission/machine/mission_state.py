@@ -142,12 +142,12 @@ class MissionPlan:
 
     @property
     def trajectory_limits(self) -> TrajectoryLimits:
-        """The mission's limits on trajectories."""
+        """Limits of the mission's trajectories."""
         return self.mission.trajectory_limits
 
     @property
     def avoids_obstacles(self) -> bool:
-        """Whether the vehicle avoids obstacles."""
+        """Whether the vehicle detects and avoids obstacles."""
         return self.mission.avoidance.enabled
 
     @property

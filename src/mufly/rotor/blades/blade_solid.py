@@ -213,7 +213,7 @@ def join_solids(solids: Sequence[TriangleSolid]) -> TriangleSolid:
 
 
 def rotate_about_shaft(solid: TriangleSolid, angle_rad: float) -> TriangleSolid:
-    """Return a solid rotated about z."""
+    """Return a solid rotated about the shaft (z axis) by an angle (rad)."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return TriangleSolid(solid.points_m @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]), solid.triangles)
 

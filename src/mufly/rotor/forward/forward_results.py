@@ -248,7 +248,7 @@ class _SweepRow:
 
 @result(eq=False, picture="mufly.rotor.forward.forward_pictures:sweep_picture")
 class ForwardSweep:
-    """Rotor over airspeed for one or several flap frequencies.
+    """Results of a rotor over airspeed, for one or several flap frequencies.
 
     Attributes
     ----------
@@ -274,7 +274,7 @@ class ForwardSweep:
     cyclic_rad: float
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
-        """Return the text of the sweep."""
+        """Return the results over airspeed as printed text."""
         first = self.points[0][0]
         rows = [p for line in self.points for p in line]
         answers = [r for line in self.responses for r in line]

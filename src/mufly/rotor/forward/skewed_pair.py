@@ -93,12 +93,12 @@ class ForwardPair:
 
     @property
     def h_force_N(self) -> float:
-        """Force aft (N)."""
+        """Sum of the in-plane forces of both rotors towards the tail (N)."""
         return self.upper.h_force_N + self.lower.h_force_N
 
     @property
     def y_force_N(self) -> float:
-        """Force to the right (N)."""
+        """Sum of the in-plane forces of both rotors to the right (N)."""
         return self.upper.y_force_N + self.lower.y_force_N
 
     @property
@@ -117,7 +117,7 @@ class ForwardPair:
         return self.lower.torque_Nm - self.upper.torque_Nm
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
-        """Return the text of the pair."""
+        """Return loads and moments of the pair as printed text."""
         return format_forward_pairs((self,))
 
 
@@ -276,7 +276,7 @@ class PairSweep:
     points: tuple[tuple[ForwardPair, ...], ...]
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
-        """Return the text of the sweep."""
+        """Return the results of the pair over airspeed as printed text."""
         head = show_lines(
             f", {1e3 * self.points[0][0].spacing_m:g} mm apart; {self.flap_basis}", head=" over ".join(self.rotors)
         )

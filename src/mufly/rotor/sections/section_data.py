@@ -57,7 +57,7 @@ class SectionData:
 
 
 def cache_put(key: str, data: SectionData) -> None:
-    """Store ``data`` under ``key``."""
+    """Store section coefficients ``data`` on disk under the hash ``key``."""
     folder = cache_folder("polars")
     if folder is not None:
         with suppress(InputError):
@@ -65,7 +65,9 @@ def cache_put(key: str, data: SectionData) -> None:
 
 
 def cache_get(key: str, name: str) -> SectionData | None:
-    """Return the data stored under ``key`` with the present name of the airfoil, or None."""
+    """Return the section coefficients stored on disk under the hash ``key``, with the present name of the airfoil;
+    None if absent.
+    """
     folder = cache_folder("polars")
     found = None if folder is None else read_answer(folder / f"{key}.npz", key)
     if found is None:

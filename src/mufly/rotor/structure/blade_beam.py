@@ -277,7 +277,7 @@ def stiffness_matrices(beam: BladeBeam, pitch_rad: float, twist_rad: Array | Non
 
 
 def mass_matrix(beam: BladeBeam, pitch_rad: float) -> Array:
-    """Return the mass matrix, (size, size)."""
+    """Return the mass matrix of the beam of the blade, (size, size)."""
     s, theta = beam.shape_functions, beam.twist_rad + pitch_rad
     m, e = beam.mass_kg_m, beam.centroid_behind_m
     turn = beam.flap_inertia + beam.lag_inertia + m * e**2

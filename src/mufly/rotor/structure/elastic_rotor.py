@@ -325,7 +325,7 @@ class ElasticRotorResult:
         return self.rigid.speed_rad_s > NEAR_DIVERGENCE_SPEED_RATIO * self.divergence_low_rad_s
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
-        """Return the text of the result."""
+        """Return loads and twist of the elastic and the rigid rotor as printed text."""
         rigid, bent = self.rigid, self.elastic
 
         def percent(new: float, old: float) -> str:

@@ -351,7 +351,7 @@ class CampbellDiagram:
     root_known: bool
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
-        """Return the text of the result."""
+        """Return the natural frequencies over rotor speed as printed text."""
         head = ShownLines((self.assumptions,), head=f"{self.rotor}: ")
         about = ShownLines((
             f"one blade: {1e3 * self.blade_mass_kg:.3g} g, {1e9 * self.flap_inertia_kg_m2:.4g} g mm2 about the "

@@ -106,7 +106,7 @@ _TRANSLATION_SHARE = 0.3
 
 @result(json="values deviations residual_px segments tracks")
 class HandCalibration:
-    """A camera calibrated on its vehicle."""
+    """Camera with calibrated focal length, mounting and delay, and their standard deviations."""
 
     values: dict[str, float] = field(metadata={"unit": "1", "meaning": "estimates; the names state units"})
     deviations: dict[str, float] = field(metadata={"unit": "1", "meaning": "one sigma of each"})

@@ -26,7 +26,7 @@ _LENS_PARAMETERS = ("focal_x", "focal_y", "centre_x", "centre_y", "k1", "k2", "p
 
 @result(json="values deviations residual_px used")
 class LensCalibration:
-    """A calibrated lens."""
+    """Camera with calibrated lens, and the standard deviations of its parameters."""
 
     values: dict[str, float] = field(metadata={"unit": "1", "meaning": "as in the table lens of a camera file"})
     deviations: dict[str, float] = field(metadata={"unit": "1", "meaning": "one sigma of each"})

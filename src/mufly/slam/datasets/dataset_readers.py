@@ -191,7 +191,7 @@ def info_from_height(height_m: float | None, where: str) -> Callable[[_Array], l
 
 
 def detect_layout(folder: Path) -> DatasetLayout:
-    """Return the layout of a folder."""
+    """Return the layout of a folder of pictures: mufly, EuRoC, TUM or pictures named by time."""
     if (folder / "pictures.csv").is_file():
         return "mufly"
     if (folder / "mav0").is_dir() or (folder / "cam0").is_dir():

@@ -365,7 +365,7 @@ class FlipTest:
         self._motion_square = keep * self._motion_square + float(y @ y)
 
     def judge_flips(self) -> CameraVerdict:
-        """Return the verdict on flipped pictures."""
+        """Return the verdict whether the pictures are flipped along an axis."""
         flipped = self._ratio > _FLIP_LOG_LIKELIHOOD_LIMIT
         if not flipped.any() or not (flipped | (self._ratio < -0.5 * _FLIP_LOG_LIKELIHOOD_LIMIT)).all():
             return _HEALTHY_VERDICT

@@ -328,7 +328,7 @@ class SharedDraft:
     _is_checking: bool = False
 
     def set_draft(self, draft: MissionDraft) -> None:
-        """Replace the draft."""
+        """Replace the mission draft for all windows."""
         if draft.mission is not self.draft.mission:
             self.verdict = None
         if draft is not self.draft:

@@ -70,7 +70,7 @@ _POINTER_HINTS = (
 
 
 def build_page(view: WindowView) -> None:
-    """Build the page of one window."""
+    """Build all elements of the page of one browser window."""
     ui.add_head_html(f'<link rel="stylesheet" href="{static_url()}/station.css">')
     dark = ui.dark_mode(None)
     ui.colors(primary="#2f7fb8")

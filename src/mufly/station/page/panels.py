@@ -82,7 +82,7 @@ class BrowserPanel(Element, component=STATIC_FOLDER / "mufly_panel.js", esm={"ni
 
 
 def make_element(tag: str, text: str = "", classes: str = "") -> Element:
-    """Return an element with a text."""
+    """Return an HTML element of a kind with a text."""
     made = ui.element(tag).classes(classes)
     if text:
         made._text = text
@@ -516,7 +516,7 @@ class FlightStrip:
         self.refresh()
 
     def refresh(self) -> None:
-        """Update the button."""
+        """Update the emergency stop button."""
         vehicle = self._view.selected_vehicle()
         label, note = "EMERGENCY STOP", ""
         if vehicle is not None and self._confirmation.is_second_press(vehicle):

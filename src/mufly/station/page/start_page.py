@@ -81,7 +81,7 @@ class Startup:
             self.on_change(text)
 
     def finish(self) -> None:
-        """Finish the start successfully."""
+        """Mark the start as successfully finished."""
         self._finish_start("")
 
     def fail(self, why: str) -> None:

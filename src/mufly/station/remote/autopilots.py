@@ -170,7 +170,7 @@ def go_to_command(
 
 
 def request_message_command(number: int) -> Command:
-    """Return REQUEST_MESSAGE for a message number."""
+    """Return the command REQUEST_MESSAGE, which requests a message by its number once."""
     return _make_command(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
 

@@ -87,14 +87,14 @@ class ConnectionSetup:
         self.request_streams_again()
 
     def handle_version(self, message: MavMessage) -> None:
-        """Process AUTOPILOT_VERSION."""
+        """Read from AUTOPILOT_VERSION whether the vehicle runs mufly."""
         self._version = message
         self.is_mufly = bytes(message.flight_custom_version).startswith(b"mufly")
         if self.is_mufly:
             self._parameters.set_descriptions(_mufly_parameter_descriptions())
 
     def step(self, now_s: float, telemetry: VehicleTelemetry) -> None:
-        """Send the next request."""
+        """Send the next request of the connection sequence that is due."""
         if math.isnan(self._asked_s):
             self._asked_s = now_s
             version = autopilots.request_message_command(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)

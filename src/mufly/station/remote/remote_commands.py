@@ -74,7 +74,7 @@ class StatusTextLog:
         self._add_texts(now_s, time_s, self._pieces.take_overdue(now_s))
 
     def add_message(self, time_s: float, level: str, text: str) -> None:
-        """Add a message of the station."""
+        """Add a message of the station itself to the log."""
         self.messages.append(message := StatusMessage(time_s, level, text))
         if self.on_message is not None:
             self.on_message(message)
@@ -182,7 +182,7 @@ class RemoteCommands:
             entry.answer_deadline_s = now_s + REFUSAL_REASON_WAIT_S
 
     def step(self, now_s: float) -> list[MavMessage]:
-        """Return the messages to send."""
+        """Return the commands and messages to send at present, repetitions included."""
         for _ in range(len(self._waiting)):
             entry = self._waiting.popleft()
             if entry.command.command_id in self._open:
@@ -291,13 +291,13 @@ class OperatorControl:
         return self._start_request(OperatorRequest("release operator control"), 1)
 
     def give_up(self, answer: str) -> None:
-        """End the open request."""
+        """End the open request for operator control."""
         if self._open is not None:
             self._open.request.set_outcome(RequestOutcome.REFUSED, answer)
             self._open = None
 
     def handle(self, now_s: float, message: MavMessage) -> None:
-        """Process CHANGE_OPERATOR_CONTROL_ACK."""
+        """Process the vehicle's answer to a request for operator control (CHANGE_OPERATOR_CONTROL_ACK)."""
         if self._open is None or (message.gcs_system_id, message.control_request) != (
             self._us[0],
             self._wish,
@@ -310,7 +310,7 @@ class OperatorControl:
             request.set_outcome(RequestOutcome.REFUSED, _CONTROL_RESULT_TEXTS.get(message.ack, f"result {message.ack}"))
 
     def step(self, now_s: float, commander: int | None) -> list[MavMessage]:
-        """Return the messages to send."""
+        """Return the requests for operator control to send at present."""
         if self._open is None:
             return []
         if self._open.should_send(now_s):

@@ -133,7 +133,7 @@ class RemoteMission:
             self._out += self._receiver.receive(now_s, _PEER_NAME, note)
 
     def step(self, now_s: float) -> list[MavMessage]:
-        """Return the messages to send."""
+        """Return the messages of the mission transfer to send at present."""
         if self._messy_s is None:
             self._messy_s = now_s  # an earlier station may have left a transfer open
         if self._jobs:
@@ -151,7 +151,7 @@ class RemoteMission:
         return [encode_transfer_message(note, *self.target) for _, note in notes]
 
     def give_up(self, answer: str) -> None:
-        """End all open transfers."""
+        """End all open mission transfers."""
         for job in self._jobs:
             job.request.set_outcome(RequestOutcome.TIMED_OUT, answer)
         self._jobs.clear()
@@ -290,7 +290,7 @@ class RemoteParameters:
         self._about, self._table = about, None
 
     def set_bytewise_encoding(self, yes: bool) -> None:
-        """Set the encoding of integers."""
+        """Set whether the vehicle sends integers bytewise in the ``float`` field."""
         if yes != self.bytewise:
             self.bytewise, self._table = yes, None
 
@@ -320,7 +320,7 @@ class RemoteParameters:
         return request
 
     def handle(self, now_s: float, message: MavMessage) -> None:
-        """Process a PARAM_VALUE."""
+        """Store the parameter value of a PARAM_VALUE."""
         name = message.param_id
         if not name or (len(self._raw) >= MAX_PARAMETERS and name not in self._raw):
             return
@@ -344,11 +344,11 @@ class RemoteParameters:
         self._handle_answer(now_s, name)
 
     def step(self, now_s: float) -> list[MavMessage]:
-        """Return the messages to send."""
+        """Return the requests for parameters to send at present."""
         return self._request_missing(now_s) + self._send_writes(now_s)
 
     def give_up(self, answer: str) -> None:
-        """End all open requests."""
+        """End all open requests for parameters."""
         for request in (*(entry.request for entry in self._sets.values()), self._list):
             if request is not None:
                 request.set_outcome(RequestOutcome.TIMED_OUT, answer)

@@ -129,7 +129,7 @@ class RemoteVehicle:
 
     @property
     def kind(self) -> str:
-        """Return ``"mufly"`` or ``"other"``."""
+        """Return ``"mufly"`` for a mufly vehicle, ``"other"`` for another autopilot."""
         return "mufly" if self._connection.is_mufly else "other"
 
     @property
@@ -369,7 +369,7 @@ class RemoteVehicle:
         return self.fence_transfers.upload_items(fence_to_items(fence, on_globe))
 
     def set_parameter(self, name: str, value: float) -> OperatorRequest:
-        """Set a parameter."""
+        """Write a parameter's value to the vehicle."""
         return self._parameters.set_parameter(name, value)
 
     def refresh_parameters(self) -> OperatorRequest:
@@ -394,7 +394,7 @@ class RemoteVehicle:
         return request
 
     def add_note(self, level: str, text: str) -> None:
-        """Add a message of the station."""
+        """Add a message of the station itself to the messages."""
         self.texts.add_message(self.telemetry.time_s, level, text)
 
     def _request_command(self, text: str, command: Command) -> OperatorRequest:

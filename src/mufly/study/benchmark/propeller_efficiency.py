@@ -37,7 +37,7 @@ class EfficiencyFigures:
 
 @dataclass(frozen=True)
 class PropellerScore:
-    """Measured and predicted efficiency curve of a run, for one code."""
+    """Measured efficiency curve of a propeller run, and the curve that one prediction code predicts."""
 
     code: str
     case: RotorCase
