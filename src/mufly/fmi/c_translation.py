@@ -29,7 +29,6 @@ from __future__ import annotations
 import ast
 import inspect
 import math
-import operator
 import re
 import textwrap
 from collections import Counter
@@ -39,6 +38,23 @@ from typing import Any
 
 import numpy as np
 
+from mufly.fmi.c_expressions import (
+    ARITHMETIC_OPERATORS,
+    C_HELPER_FUNCTIONS,
+    PRECEDENCE_ADD,
+    PRECEDENCE_AND,
+    PRECEDENCE_ATOM,
+    PRECEDENCE_COMPARE,
+    PRECEDENCE_OR,
+    PRECEDENCE_UNARY,
+    CExpression,
+    call_library_function,
+    choose_expression,
+    combine_arithmetic,
+    compare_expressions,
+    escape_c_name,
+    slice_table,
+)
 from mufly.fmi.c_types import (
     NOTHING,
     REAL,
@@ -53,64 +69,8 @@ from mufly.fmi.c_types import (
     type_name,
 )
 
-C_HELPER_FUNCTIONS = """\
-static inline double smaller(double a, double b) { return b < a ? b : a; }
-static inline double greater(double a, double b) { return b > a ? b : a; }
-static inline int64_t smaller_int(int64_t a, int64_t b) { return b < a ? b : a; }
-static inline int64_t greater_int(int64_t a, int64_t b) { return b > a ? b : a; }
-static inline int64_t whole_part(double x) { return x > -1e15 && x < 1e15 ? (int64_t)x : 0; }
-static inline double squared(double x) { return x * x; }
-static inline int64_t quotient(int64_t a, int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
-static inline int64_t remainder_int(int64_t a, int64_t b) { return a - quotient(a, b) * b; }
-static inline double remainder_real(double a, double b)
-{
-    const double rest = fmod(a, b);
-    return rest == 0.0 ? copysign(0.0, b) : (rest < 0.0) != (b < 0.0) ? rest + b : rest;
-}
-"""
-_C_KEYWORDS = frozenset((
-    "auto", "bool", "case", "char", "const", "default", "do", "double", "enum", "extern", "false", "float", "goto",
-    "inline", "int", "long", "register", "restrict", "short", "signed", "sizeof", "static", "struct", "switch", "true",
-    "typedef", "union", "unsigned", "void", "volatile",
-))  # fmt: skip
-_MATH_FUNCTIONS = ("sqrt", "sin", "cos", "tan", "asin", "atan2", "exp", "copysign", "ceil")
-_FLOAT_TEST_FUNCTIONS = ("isnan", "isfinite")
-(
-    _PRECEDENCE_TERNARY,
-    _PRECEDENCE_OR,
-    _PRECEDENCE_AND,
-    _PRECEDENCE_COMPARE,
-    _PRECEDENCE_ADD,
-    _PRECEDENCE_MULTIPLY,
-    _PRECEDENCE_UNARY,
-    _PRECEDENCE_ATOM,
-) = range(8)  # precedences
-_ARITHMETIC_OPERATORS = {
-    ast.Add: ("+", _PRECEDENCE_ADD),
-    ast.Sub: ("-", _PRECEDENCE_ADD),
-    ast.Mult: ("*", _PRECEDENCE_MULTIPLY),
-    ast.Div: ("/", _PRECEDENCE_MULTIPLY),
-}
-_FOLDED_OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.FloorDiv: operator.floordiv,
-    ast.Mod: operator.mod,
-}  # fmt: skip
 _RESULT_ARGUMENT_MARK, _CONST_MARK = "\1", "\2"
 """Marks in C text, replaced later: the place of a returned matrix; ``const``, unless a table is written."""
-_COMPARISON_OPERATORS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
-
-
-@dataclass(frozen=True)
-class CExpression:
-    """C text of an expression, its precedence and its type."""
-
-    text: str
-    level: int
-    kind: CType
-
-    def as_operand(self, level: int) -> str:
-        """Return the text as an operand of an operation of a precedence, in brackets where they are needed."""
-        return self.text if self.level >= level else f"({self.text})"
 
 
 @dataclass(frozen=True)
@@ -195,13 +155,13 @@ class CTranslation:
         number = int(value) if isinstance(value, int | np.integer) else float(value)
         c_name = self._unique_name(name, number, module)
         self._constants[c_name] = number
-        return CExpression(c_name, _PRECEDENCE_ATOM, WHOLE if isinstance(number, int) else REAL)
+        return CExpression(c_name, PRECEDENCE_ATOM, WHOLE if isinstance(number, int) else REAL)
 
     def use_table(self, name: str, values: tuple[float, ...], module: str) -> CExpression:
         """Return a tuple of numbers of a module as a constant table, which is then declared."""
         c_name = self._unique_name(name, values, module)
         self._constants[c_name] = values
-        return CExpression(c_name, _PRECEDENCE_ATOM, TableType(REAL, (len(values),)))
+        return CExpression(c_name, PRECEDENCE_ATOM, TableType(REAL, (len(values),)))
 
     def _unique_name(self, name: str, what: object, module: str) -> str:
         """Return a C name: without leading underscores, and with the module's name if another thing has it already."""
@@ -244,7 +204,7 @@ class _FunctionTranslation:
             kind = self._kinds[argument]
             constant = "" if argument in self._written else "const "
             if isinstance(kind, TableType):
-                arguments.append(constant + pointer_declaration(kind, _c_name(argument)))
+                arguments.append(constant + pointer_declaration(kind, escape_c_name(argument)))
             elif isinstance(kind, TableTupleType):
                 arguments += [
                     constant + pointer_declaration(part, f"{argument}_{k}") for k, part in enumerate(kind.parts)
@@ -252,7 +212,7 @@ class _FunctionTranslation:
             elif isinstance(kind, RecordType):
                 arguments.append(f"const {kind.name} *{argument}")
             else:
-                arguments.append(f"{type_name(kind)} {_c_name(argument)}")
+                arguments.append(f"{type_name(kind)} {escape_c_name(argument)}")
         if isinstance(result, TableType):
             arguments.append(pointer_declaration(result, "result_"))
         head = f"static {type_name(result)} {self._name}({', '.join(arguments)})"
@@ -305,14 +265,13 @@ class _FunctionTranslation:
                         self._translate_assignment(target, value)
             case ast.AugAssign():
                 place = self._translate_target(node.target)
-                if type(node.op) in _ARITHMETIC_OPERATORS:
-                    sign = _ARITHMETIC_OPERATORS[type(node.op)][0]
+                if type(node.op) in ARITHMETIC_OPERATORS:
+                    sign = ARITHMETIC_OPERATORS[type(node.op)][0]
                     self._emit_line(f"{place} {sign}= {self._translate_expression(node.value).text};")
                 else:
                     read = ast.parse(ast.unparse(node.target), mode="eval").body
-                    self._emit_line(
-                        f"{place} = {self._translate_arithmetic(ast.BinOp(read, node.op, node.value)).text};"
-                    )
+                    changed = self._translate_expression(ast.BinOp(read, node.op, node.value))
+                    self._emit_line(f"{place} = {changed.text};")
             case ast.If():
                 self._emit_line(f"if ({self._translate_expression(node.test).text}) {{")
                 self._translate_nested_block(node.body)
@@ -323,7 +282,7 @@ class _FunctionTranslation:
             case ast.For(target=ast.Name(id=name), iter=ast.Call(func=ast.Name(id="range"), args=bounds), orelse=[]):
                 limits = [self._translate_expression(b).text for b in bounds]
                 first, end = ("0", limits[0]) if len(limits) == 1 else limits
-                c_name = _c_name(name)
+                c_name = escape_c_name(name)
                 if name in self._kinds:  # its value after the loop would be another in C
                     raise self._unsupported_form_error(node.target)
                 self._kinds[name] = WHOLE
@@ -340,7 +299,7 @@ class _FunctionTranslation:
                 self._emit_line(f"for (int64_t {index} = 0; {index} < {rows.kind.shape[0]}; {index}++) {{")
                 self._kinds[name], self._roots[name] = row, self._roots.get(looped, "")
                 mark = f"{_CONST_MARK}{self._roots[name]}{_CONST_MARK}"
-                self._emit_line(f"    {mark}{pointer_declaration(row, _c_name(name))} = {rows.text}[{index}];")
+                self._emit_line(f"    {mark}{pointer_declaration(row, escape_c_name(name))} = {rows.text}[{index}];")
                 self._translate_nested_block(node.body)
                 self._emit_line("}")
                 del self._kinds[name]
@@ -384,17 +343,17 @@ class _FunctionTranslation:
     def _declare_table_alias(self, name: str, value: CExpression, root: str) -> None:
         """Declare a name as an alias of a table or of a part of a table."""
         assert isinstance(value.kind, TableType)
-        if value.text == _c_name(name):  # the same array under the same name
+        if value.text == escape_c_name(name):  # the same array under the same name
             return
-        declared = f"{_CONST_MARK}{root}{_CONST_MARK}{pointer_declaration(value.kind, _c_name(name))}"
+        declared = f"{_CONST_MARK}{root}{_CONST_MARK}{pointer_declaration(value.kind, escape_c_name(name))}"
         known = self._kinds.get(name)
         if known is not None and (known, self._roots.get(name)) != (value.kind, root):
             raise NotImplementedError(f"{self._function.__name__}: {name} already names another table")
         if known is not None:
-            self._emit_line(f"{_c_name(name)} = {value.text};")
+            self._emit_line(f"{escape_c_name(name)} = {value.text};")
         elif self._depth > 1:
             self._hoisted.append(f"    {declared};")
-            self._emit_line(f"{_c_name(name)} = {value.text};")
+            self._emit_line(f"{escape_c_name(name)} = {value.text};")
         else:
             self._emit_line(f"{declared} = {value.text};")
         self._kinds[name], self._roots[name] = value.kind, root
@@ -429,27 +388,27 @@ class _FunctionTranslation:
             names = [ast.unparse(t.value if isinstance(t, ast.Subscript) else t) for t in target.elts]
             read = [{n.id for n in ast.walk(v) if isinstance(n, ast.Name)} for v in value.elts]
             if any(names[k] in read[j] for j in range(len(names)) for k in range(j)):
-                values = [self._store_constant(v) for v in values]
+                values = [self._emit_local_constant(v) for v in values]
         else:
             whole = self._translate_expression(value)
             if isinstance(whole.kind, TableTupleType) and isinstance(value, ast.Name):
                 for k, (one, table) in enumerate(zip(target.elts, whole.kind.parts, strict=True)):
                     assert isinstance(one, ast.Name)
-                    self._declare_table_alias(one.id, CExpression(f"{value.id}_{k}", _PRECEDENCE_ATOM, table), value.id)
+                    self._declare_table_alias(one.id, CExpression(f"{value.id}_{k}", PRECEDENCE_ATOM, table), value.id)
                 return
             if isinstance(whole.kind, TableType) and whole.kind.shape == (len(target.elts),):
                 for k, one in enumerate(target.elts):
                     self._translate_assignment(
                         one,
-                        CExpression(f"{whole.as_operand(_PRECEDENCE_ATOM)}[{k}]", _PRECEDENCE_ATOM, whole.kind.element),
+                        CExpression(f"{whole.as_operand(PRECEDENCE_ATOM)}[{k}]", PRECEDENCE_ATOM, whole.kind.element),
                     )
                 return
             if not isinstance(whole.kind, TupleType) or len(whole.kind.parts) != len(target.elts):
                 raise self._unsupported_form_error(value)
             if all(isinstance(t, ast.Name) and t.id == "_" for t in target.elts):
                 return
-            name = self._store_constant(whole).text
-            values = [CExpression(f"{name}.f{k}", _PRECEDENCE_ATOM, part) for k, part in enumerate(whole.kind.parts)]
+            name = self._emit_local_constant(whole).text
+            values = [CExpression(f"{name}.f{k}", PRECEDENCE_ATOM, part) for k, part in enumerate(whole.kind.parts)]
         for one, number in zip(target.elts, values, strict=True):
             if not (isinstance(one, ast.Name) and one.id == "_"):
                 self._translate_assignment(one, number)
@@ -460,18 +419,18 @@ class _FunctionTranslation:
             return True
         return isinstance(node, ast.Call) and isinstance(self._translate_expression(node).kind, TableType)
 
-    def _store_constant(self, value: CExpression) -> CExpression:
+    def _emit_local_constant(self, value: CExpression) -> CExpression:
         """Store a value in a constant of its own."""
         self._count += 1
         name = f"t{self._count}_"
         self._emit_line(f"const {type_name(value.kind)} {name} = {value.text};")
-        return CExpression(name, _PRECEDENCE_ATOM, value.kind)
+        return CExpression(name, PRECEDENCE_ATOM, value.kind)
 
     def _translate_assignment(self, target: ast.expr, value: CExpression) -> None:
         if not isinstance(target, ast.Name):
             self._emit_line(f"{self._translate_target(target)} = {value.text};")
             return
-        name, known = _c_name(target.id), self._kinds.get(target.id)
+        name, known = escape_c_name(target.id), self._kinds.get(target.id)
         if isinstance(value.kind, TableType):
             if _RESULT_ARGUMENT_MARK not in value.text or known is not None or self._depth > 1:
                 raise self._unsupported_form_error(target)
@@ -497,7 +456,7 @@ class _FunctionTranslation:
         sizes = [self._translate_expression(n).text for n in (shape.elts if isinstance(shape, ast.Tuple) else [shape])]
         if not isinstance(target, ast.Name) or not all(s.isdecimal() for s in sizes):
             raise self._unsupported_form_error(value)
-        self._emit_line(f"double {_c_name(target.id)}{''.join(f'[{n}]' for n in sizes)};")
+        self._emit_line(f"double {escape_c_name(target.id)}{''.join(f'[{n}]' for n in sizes)};")
         self._kinds[target.id] = TableType(REAL, tuple(map(int, sizes)))
 
     def _translate_target(self, target: ast.expr) -> str:
@@ -510,15 +469,15 @@ class _FunctionTranslation:
     def _translate_expression(self, node: ast.expr) -> CExpression:
         match node:
             case ast.Constant(value=bool(value)):
-                return CExpression(str(value).lower(), _PRECEDENCE_ATOM, TRUTH)
+                return CExpression(str(value).lower(), PRECEDENCE_ATOM, TRUTH)
             case ast.Constant(value=int(value) | float(value)):
-                return CExpression(repr(value), _PRECEDENCE_ATOM, WHOLE if isinstance(value, int) else REAL)
+                return CExpression(repr(value), PRECEDENCE_ATOM, WHOLE if isinstance(value, int) else REAL)
             case ast.Name(id=name) if name in self._known_integers:
-                return CExpression(self._known_integers[name], _PRECEDENCE_ATOM, WHOLE)
+                return CExpression(self._known_integers[name], PRECEDENCE_ATOM, WHOLE)
             case ast.Name(id=name) if isinstance(tables := self._kinds.get(name), TableTupleType):
-                return CExpression(", ".join(f"{name}_{k}" for k in range(len(tables.parts))), _PRECEDENCE_ATOM, tables)
+                return CExpression(", ".join(f"{name}_{k}" for k in range(len(tables.parts))), PRECEDENCE_ATOM, tables)
             case ast.Name(id=name) if name in self._kinds:
-                return CExpression(_c_name(name), _PRECEDENCE_ATOM, self._kinds[name])
+                return CExpression(escape_c_name(name), PRECEDENCE_ATOM, self._kinds[name])
             case ast.Name(id=name) if isinstance(self._globals.get(name), int | float):
                 return self._owner.use_constant(name, self._globals[name], self._function.__module__)
             case ast.Name(id=name) if isinstance(values := self._globals.get(name), tuple):
@@ -526,10 +485,10 @@ class _FunctionTranslation:
             case ast.Attribute(value=array, attr="size") if (
                 isinstance(table := self._translate_expression(array).kind, TableType) and -1 not in table.shape
             ):
-                return CExpression(str(math.prod(table.shape)), _PRECEDENCE_ATOM, WHOLE)
+                return CExpression(str(math.prod(table.shape)), PRECEDENCE_ATOM, WHOLE)
             case ast.Attribute(value=ast.Name(id="math"), attr=name):
                 return CExpression(
-                    {"inf": "INFINITY", "nan": "NAN"}.get(name) or repr(getattr(math, name)), _PRECEDENCE_ATOM, REAL
+                    {"inf": "INFINITY", "nan": "NAN"}.get(name) or repr(getattr(math, name)), PRECEDENCE_ATOM, REAL
                 )
             case ast.Attribute(value=ast.Name(id=name), attr=field):
                 return self._translate_field(node, name, field)
@@ -537,35 +496,26 @@ class _FunctionTranslation:
                 return self._translate_element(node)
             case ast.UnaryOp(op=ast.USub()):
                 operand = self._translate_expression(node.operand)
-                text = operand.as_operand(_PRECEDENCE_UNARY)
+                text = operand.as_operand(PRECEDENCE_UNARY)
                 return CExpression(
-                    f"-{text if not text.startswith('-') else f'({text})'}", _PRECEDENCE_UNARY, operand.kind
+                    f"-{text if not text.startswith('-') else f'({text})'}", PRECEDENCE_UNARY, operand.kind
                 )
             case ast.UnaryOp(op=ast.Not()):
-                return CExpression(f"!({self._translate_expression(node.operand).text})", _PRECEDENCE_UNARY, TRUTH)
+                return CExpression(f"!({self._translate_expression(node.operand).text})", PRECEDENCE_UNARY, TRUTH)
             case ast.BinOp():
-                return self._translate_arithmetic(node)
+                left, right = self._translate_expression(node.left), self._translate_expression(node.right)
+                if (combined := combine_arithmetic(type(node.op), left, right)) is not None:
+                    return combined
             case ast.BoolOp():
-                sign, level = ("&&", _PRECEDENCE_AND) if isinstance(node.op, ast.And) else ("||", _PRECEDENCE_OR)
-                parts = [self._translate_expression(v).as_operand(_PRECEDENCE_COMPARE) for v in node.values]
+                sign, level = ("&&", PRECEDENCE_AND) if isinstance(node.op, ast.And) else ("||", PRECEDENCE_OR)
+                parts = [self._translate_expression(v).as_operand(PRECEDENCE_COMPARE) for v in node.values]
                 return CExpression(f" {sign} ".join(parts), level, TRUTH)
             case ast.Compare():
-                sides = [
-                    self._translate_expression(v).as_operand(_PRECEDENCE_ADD) for v in (node.left, *node.comparators)
-                ]
-                parts = [
-                    f"{a} {_COMPARISON_OPERATORS[type(o)]} {b}"
-                    for o, a, b in zip(node.ops, sides, sides[1:], strict=False)
-                ]
-                return CExpression(
-                    " && ".join(parts), _PRECEDENCE_COMPARE if len(parts) == 1 else _PRECEDENCE_AND, TRUTH
-                )
+                sides = [self._translate_expression(v) for v in (node.left, *node.comparators)]
+                return compare_expressions(node.ops, sides)
             case ast.IfExp():
                 test, a, b = (self._translate_expression(v) for v in (node.test, node.body, node.orelse))
-                kind = a.kind if a.kind == b.kind else REAL
-                chosen = f"{a.as_operand(_PRECEDENCE_ADD)} : {b.as_operand(_PRECEDENCE_ADD)}"
-                text = f"{test.as_operand(_PRECEDENCE_COMPARE)} ? {chosen}"
-                return CExpression(f"({text})", _PRECEDENCE_ATOM, kind)
+                return choose_expression(test, a, b)
             case ast.Tuple():
                 return self._translate_tuple([self._translate_expression(v) for v in node.elts], node)
             case ast.Call():
@@ -578,7 +528,7 @@ class _FunctionTranslation:
             raise self._unsupported_form_error(node)
         of = kind.fields.fields[field][0]
         element = REAL if of.base.kind == "f" else WHOLE
-        return CExpression(f"{name}->{field}", _PRECEDENCE_ATOM, TableType(element, of.shape) if of.shape else element)
+        return CExpression(f"{name}->{field}", PRECEDENCE_ATOM, TableType(element, of.shape) if of.shape else element)
 
     def _constant_tuple_index(self, node: ast.expr) -> int:
         """Return an index of a tuple: a literal, or an integer of the module by name."""
@@ -594,11 +544,11 @@ class _FunctionTranslation:
             case ast.Attribute(attr="shape", value=array), ast.Constant(value=int(k)):
                 kind = self._translate_expression(array).kind
                 if isinstance(kind, TableType):
-                    return CExpression(str(kind.shape[k]), _PRECEDENCE_ATOM, WHOLE)
+                    return CExpression(str(kind.shape[k]), PRECEDENCE_ATOM, WHOLE)
                 raise self._unsupported_form_error(node)
         held = self._translate_expression(node.value)
         if isinstance(held.kind, TupleType):
-            parts = [CExpression(f"{held.text}.f{k}", _PRECEDENCE_ATOM, part) for k, part in enumerate(held.kind.parts)]
+            parts = [CExpression(f"{held.text}.f{k}", PRECEDENCE_ATOM, part) for k, part in enumerate(held.kind.parts)]
             if isinstance(node.slice, ast.Slice):
                 bounds = (
                     None if b is None else self._constant_tuple_index(b) for b in (node.slice.lower, node.slice.upper)
@@ -607,71 +557,28 @@ class _FunctionTranslation:
             return parts[self._constant_tuple_index(node.slice)]
         if isinstance(held.kind, TableTupleType) and isinstance(node.value, ast.Name):
             k = self._constant_tuple_index(node.slice)
-            return CExpression(f"{node.value.id}_{k}", _PRECEDENCE_ATOM, held.kind.parts[k])
+            return CExpression(f"{node.value.id}_{k}", PRECEDENCE_ATOM, held.kind.parts[k])
         if not isinstance(held.kind, TableType):
             raise self._unsupported_form_error(node)
         if isinstance(node.slice, ast.Name) and isinstance(part := self._globals.get(node.slice.id), slice):
-            return self._translate_table_slice(held, str(part.start), str(part.stop))
+            return slice_table(held, str(part.start), str(part.stop))
         if isinstance(node.slice, ast.Slice):
             lower, upper = node.slice.lower, node.slice.upper
-            first = "0" if lower is None else self._translate_expression(lower).as_operand(_PRECEDENCE_ADD)
-            return self._translate_table_slice(
+            first = "0" if lower is None else self._translate_expression(lower).as_operand(PRECEDENCE_ADD)
+            return slice_table(
                 held, first, str(held.kind.shape[0]) if upper is None else self._translate_expression(upper).text
             )
         index = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         inner = held.kind.shape[len(index) :]
-        text = held.as_operand(_PRECEDENCE_ATOM) + "".join(f"[{self._translate_expression(i).text}]" for i in index)
-        return CExpression(text, _PRECEDENCE_ATOM, TableType(held.kind.element, inner) if inner else held.kind.element)
-
-    def _translate_table_slice(self, held: CExpression, first: str, stop: str) -> CExpression:
-        """Return the rows of a table from the first one up to another."""
-        assert isinstance(held.kind, TableType)
-        is_known = first.isdecimal() and stop.isdecimal()
-        kind = TableType(held.kind.element, (int(stop) - int(first) if is_known else -1, *held.kind.shape[1:]))
-        return CExpression(
-            held.text if first == "0" else f"{held.as_operand(_PRECEDENCE_ADD)} + {first}", _PRECEDENCE_ADD, kind
-        )
-
-    def _translate_arithmetic(self, node: ast.BinOp) -> CExpression:
-        left, right = self._translate_expression(node.left), self._translate_expression(node.right)
-        if not {left.kind, right.kind} <= {REAL, WHOLE}:
-            raise self._unsupported_form_error(node)
-        kind = WHOLE if left.kind == right.kind == WHOLE else REAL
-        form, texts = type(node.op), (left.text, right.text)
-        if kind == WHOLE and form in _FOLDED_OPERATORS and left.text.isdecimal() and right.text.isdecimal():
-            folded = _FOLDED_OPERATORS[form](int(left.text), int(right.text))
-            if folded >= 0:
-                return CExpression(str(folded), _PRECEDENCE_ATOM, WHOLE)
-        if form is ast.Pow and right.text == "2" and left.kind == REAL:
-            return CExpression(f"squared({left.text})", _PRECEDENCE_ATOM, REAL)
-        if form is ast.BitAnd and kind == WHOLE:
-            return CExpression(
-                f"({left.as_operand(_PRECEDENCE_ADD)} & {right.as_operand(_PRECEDENCE_ADD)})", _PRECEDENCE_ATOM, WHOLE
-            )
-        if form is ast.FloorDiv and kind == WHOLE:
-            return CExpression(f"quotient({', '.join(texts)})", _PRECEDENCE_ATOM, WHOLE)
-        if form is ast.Mod:
-            return CExpression(
-                f"remainder_{'int' if kind == WHOLE else 'real'}({', '.join(texts)})", _PRECEDENCE_ATOM, kind
-            )
-        if form not in _ARITHMETIC_OPERATORS:
-            raise self._unsupported_form_error(node)
-        sign, level = _ARITHMETIC_OPERATORS[form]
-        if sign == "/" and kind == WHOLE:
-            return CExpression(
-                f"(double){left.as_operand(_PRECEDENCE_ATOM)} / (double){right.as_operand(_PRECEDENCE_ATOM)}",
-                level,
-                REAL,
-            )
-        # C groups from the left, as Python does: an operand on the right of the same precedence needs brackets.
-        return CExpression(f"{left.as_operand(level)} {sign} {right.as_operand(level + 1)}", level, kind)
+        text = held.as_operand(PRECEDENCE_ATOM) + "".join(f"[{self._translate_expression(i).text}]" for i in index)
+        return CExpression(text, PRECEDENCE_ATOM, TableType(held.kind.element, inner) if inner else held.kind.element)
 
     def _translate_tuple(self, parts: Sequence[CExpression], node: ast.expr) -> CExpression:
         kinds = [p.kind for p in parts if isinstance(p.kind, str | TupleType)]
         if len(kinds) != len(parts):
             raise self._unsupported_form_error(node)
         kind = self._owner.use_tuple(kinds)
-        return CExpression(f"({kind.name}){{{', '.join(p.text for p in parts)}}}", _PRECEDENCE_ATOM, kind)
+        return CExpression(f"({kind.name}){{{', '.join(p.text for p in parts)}}}", PRECEDENCE_ATOM, kind)
 
     def _translate_call(self, node: ast.Call) -> CExpression:
         name = ast.unparse(node.func)
@@ -679,27 +586,9 @@ class _FunctionTranslation:
             return self._translate_expression(node.args[0])
         values = [a.value if isinstance(a, ast.Starred) else a for a in node.args]
         arguments = [self._translate_expression(a) for a in values]
+        if (in_library := call_library_function(name, arguments)) is not None:
+            return in_library
         texts = ", ".join(a.text for a in arguments)
-        function = name.removeprefix("math.").removeprefix("np.")
-        if name.startswith("math.") and function in _MATH_FUNCTIONS:
-            text = f"{function}({texts})"
-            return CExpression(
-                f"whole_part({text})" if function == "ceil" else text,
-                _PRECEDENCE_ATOM,
-                WHOLE if function == "ceil" else REAL,
-            )
-        if name.startswith("math.") and function in _FLOAT_TEST_FUNCTIONS:
-            return CExpression(f"({function}({texts}) != 0)", _PRECEDENCE_ATOM, TRUTH)
-        if name == "np.rint":
-            return CExpression(f"rint({texts})", _PRECEDENCE_ATOM, REAL)
-        if name == "abs" and arguments[0].kind == REAL:
-            return CExpression(f"fabs({texts})", _PRECEDENCE_ATOM, REAL)
-        if name == "int":
-            return CExpression(f"whole_part({texts})", _PRECEDENCE_ATOM, WHOLE)
-        if name in ("min", "max") and len(arguments) == 2:
-            is_whole = all(a.kind == WHOLE for a in arguments)
-            c_name = {"min": "smaller", "max": "greater"}[name] + ("_int" if is_whole else "")
-            return CExpression(f"{c_name}({texts})", _PRECEDENCE_ATOM, WHOLE if is_whole else REAL)
         called = self._globals.get(name)
         if not callable(called) or node.keywords:
             raise self._unsupported_form_error(node)
@@ -707,7 +596,7 @@ class _FunctionTranslation:
             self._written.update(map(self._root_argument, values))
             last = arguments[-1].kind
             assert isinstance(last, TableType)
-            return CExpression(f"{in_c}({texts}, {math.prod(last.shape)})", _PRECEDENCE_ATOM, NOTHING)
+            return CExpression(f"{in_c}({texts}, {math.prod(last.shape)})", PRECEDENCE_ATOM, NOTHING)
         kinds: list[CType] = []
         written_to: list[ast.expr] = []
         for value, argument in zip(values, arguments, strict=True):
@@ -722,16 +611,12 @@ class _FunctionTranslation:
             if is_written:
                 self._written.add(self._root_argument(value))
         if isinstance(made.result, TableType):
-            return CExpression(f"{made.name}({texts}, {_RESULT_ARGUMENT_MARK})", _PRECEDENCE_ATOM, made.result)
-        return CExpression(f"{made.name}({texts})", _PRECEDENCE_ATOM, made.result)
+            return CExpression(f"{made.name}({texts}, {_RESULT_ARGUMENT_MARK})", PRECEDENCE_ATOM, made.result)
+        return CExpression(f"{made.name}({texts})", PRECEDENCE_ATOM, made.result)
 
 
 def _without_decorator(function: Any) -> Callable[..., Any]:
     return getattr(function, "py_func", function)
-
-
-def _c_name(name: str) -> str:
-    return f"{name}_" if name in _C_KEYWORDS or name == "_" else name
 
 
 def _is_new_array(node: ast.expr) -> bool:
