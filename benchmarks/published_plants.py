@@ -29,7 +29,7 @@ import numpy as np
 
 from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.hinf import PartitionedPlant
-from mufly.control.tuning.fixed_order import NormAim, controller_gain, tune_controller
+from mufly.control.tuning.fixed_order import NormGoal, controller_gain, tune_controller
 from mufly.control.tuning.nonsmooth_bfgs import minimise_nonsmooth
 
 TOLERANCE = 1.02
@@ -199,7 +199,7 @@ def stabilising_gains(plant: PublishedPlant, count: int, rng: np.random.Generato
 
 def tuned_norm(plant: PublishedPlant, seed: int = 0) -> tuple[float, np.ndarray]:
     """Return the smallest norm found with a static gain, and the gain."""
-    aim = NormAim("norm", plant.partitioned, plant.gamma)
+    goal = NormGoal("norm", plant.partitioned, plant.gamma)
     inputs, outputs = ([f"{name}{i}" for i in range(n)] for name, n in (("y", len(plant.C)), ("u", plant.B.shape[1])))
     starts = [
         state_space(
@@ -207,7 +207,7 @@ def tuned_norm(plant: PublishedPlant, seed: int = 0) -> tuple[float, np.ndarray]
         )
         for K in stabilising_gains(plant, STARTS, np.random.default_rng(seed))
     ]
-    found = tune_controller([aim], starts, descents=6, max_steps=600, budget_s=20.0)
+    found = tune_controller([goal], starts, descents=6, max_steps=600, budget_s=20.0)
     return found.norms["norm"], controller_gain(found.controller)
 
 

@@ -199,4 +199,4 @@ def test_design_of_roll_pitch_with_few_frequencies(
     assert input_noise(*loops[0], noise).max() < 0.5 * input_noise(*loops[1], noise).max()
     assert d.sampled_loop.complementary_peak_dB < today.sampled_loop.complementary_peak_dB
     assert d.sampled_loop.delay_margin_s > today.sampled_loop.delay_margin_s
-    assert DesignSettings(method="mu").robust_aims.rounds == 3
+    assert DesignSettings(method="mu").robust_goals.rounds == 3

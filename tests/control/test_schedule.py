@@ -16,7 +16,7 @@ from mufly.control.law import roll_pitch_init, roll_pitch_step
 from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.synthesis_methods import SynthesisedController, SynthesisMethod, SynthesisProblem
 from mufly.control.tuning import output_schedule
-from mufly.control.tuning.fixed_order import NormAim, margin_plants, tune_controller
+from mufly.control.tuning.fixed_order import NormGoal, margin_plants, tune_controller
 from mufly.control.tuning.output_schedule import OutputSchedule, continuous_matrices, pack_schedule
 from mufly.dynamics import find_trim, linearise_vehicle
 from mufly.errors import MuflyError
@@ -86,11 +86,11 @@ def test_tuning_of_outputs_leaves_the_states_alone() -> None:
         return state_space(*(np.array([[v]]) for v in matrices), inputs=["e"], outputs=["u"])
 
     plant, start = system(-1.0, 1.0, 2.0, 0.0), system(-0.5, 0.7, 2.0, 1.0)
-    aims = [NormAim("sensitivity", margin_plants(plant, np.ones(1), 1)["sensitivity"], 1.0)]
-    tuned = tune_controller(aims, [start], max_steps=5, outputs_only=True)
+    goals = [NormGoal("sensitivity", margin_plants(plant, np.ones(1), 1)["sensitivity"], 1.0)]
+    tuned = tune_controller(goals, [start], max_steps=5, outputs_only=True)
     assert (tuned.controller.A, tuned.controller.B) == (start.A, start.B)
     assert tuned.objective < tuned.start_objective
-    free = tune_controller(aims, [start], max_steps=5)
+    free = tune_controller(goals, [start], max_steps=5)
     assert free.controller.A != start.A
 
 
@@ -104,7 +104,7 @@ def _halved(method: SynthesisMethod, problem: SynthesisProblem, _: object) -> Sy
 
 def _loop(c: FlightController, K: DiscreteController) -> output_schedule.ScheduledLoop:
     s = c.settings
-    return output_schedule.ScheduledLoop(K, c.roll_pitch.scaling, lambda scaled: scaled, 1.2, s.roll_pitch_aims)
+    return output_schedule.ScheduledLoop(K, c.roll_pitch.scaling, lambda scaled: scaled, 1.2, s.roll_pitch_goals)
 
 
 def test_frozen_speeds_are_those_of_the_blended_controller(

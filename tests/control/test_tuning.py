@@ -1,4 +1,4 @@
-"""Tuning of fixed order: exact gradients, monotone descent, and the aims reached by a design."""
+"""Tuning of fixed order: exact gradients, monotone descent, and the goals reached by a design."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from mufly.control import (
 from mufly.control.designs import design_roll_pitch
 from mufly.control.robust import analyse_parameter_robustness
 from mufly.control.synthesis.weighting_schemes import one_degree_plant, scale_plant
-from mufly.control.tuning import flight_aims, reduce_start_controllers, tune_controller
-from mufly.control.tuning.fixed_order import add_delay, aim_norms, controller_gain
+from mufly.control.tuning import make_flight_goals, reduce_start_controllers, tune_controller
+from mufly.control.tuning.fixed_order import add_delay, controller_gain, evaluate_goal_norms
 from mufly.control.tuning.loop_tuning import (
-    TuningGoals,
+    GoalLevels,
     find_start_controllers,
     make_loop_tuning_problem,
     settings_with_tuned_controller,
@@ -50,24 +50,24 @@ def problem(controller: FlightController):
     generalised = one_degree_plant(plant, ("phi", "theta"), controller.settings.roll_pitch_weights)
     noise = np.radians([0.1, 0.1, 0.3, 0.3]) / np.array(d.scaling.outputs)
     full = hinfsyn(generalised, 4, 2, relaxation=1.2).controller
-    return generalised, flight_aims(generalised, plant, 4, noise, LEVELS, controller.period_s), full
+    return generalised, make_flight_goals(generalised, plant, 4, noise, LEVELS, controller.period_s), full
 
 
 def test_norms_are_those_of_the_closed_loop(problem) -> None:
-    generalised, aims, full = problem
-    norms = aim_norms(aims, full)
+    generalised, goals, full = problem
+    norms = evaluate_goal_norms(goals, full)
     assert norms["weighted"] == pytest.approx(hinf_norm(close_loop(generalised, full))[0], rel=1e-5)
     assert norms["sensitivity"] > 1.0
 
 
 def test_gradient_is_exact(problem) -> None:
-    generalised, aims, full = problem
+    generalised, goals, full = problem
     rng = np.random.default_rng(0)
     checked = 0
     for start in reduce_start_controllers(generalised, [full], 4):
         K = controller_gain(start)
-        for aim in aims:
-            loop = aim.loop(4)
+        for goal in goals:
+            loop = goal.loop(4)
             norm, gradient = loop.norm_and_gradient(K)
             if not np.isfinite(norm):
                 continue
@@ -81,26 +81,26 @@ def test_gradient_is_exact(problem) -> None:
 
 def test_gradients_of_disk_activity_and_mu_are_exact(vehicle: Vehicle, controller: FlightController) -> None:
     spreads = {"body.inertia_xx": 2e-5, "swash_plate.linkage": 0.2, "stabiliser_bar.time_constant": 0.07}
-    goals = TuningGoals(disk_margin=0.9, activity=1.0, mu=0.3)
+    goals = GoalLevels(disk_margin=0.9, activity=1.0, mu=0.3)
     noise = np.radians([0.1, 0.1, 0.3, 0.3])
     p = make_loop_tuning_problem(vehicle, controller, "roll-pitch", goals, noise, spreads)
-    assert [a.name for a in p.aims] == ["disk", "activity", "mu"]
+    assert [a.name for a in p.goals] == ["disk", "activity", "mu"]
     K = find_start_controllers(p, ["delay"], 4)[0]
     gain = controller_gain(K)
     bound = p.mu.update_scalings(gain, 4)
     rng = np.random.default_rng(3)
-    for aim in p.aims:
-        loop = aim.loop(4)
+    for goal in p.goals:
+        loop = goal.loop(4)
         norm, gradient = loop.norm_and_gradient(gain)
         step = 1e-5 * np.abs(gain) * rng.normal(size=gain.shape)
         by_difference = (loop.norm_and_gradient(gain + step)[0] - loop.norm_and_gradient(gain - step)[0]) / 2
         assert by_difference == pytest.approx(np.sum(gradient * step), rel=1e-3)
-        assert norm == pytest.approx(bound, rel=1e-6) or aim.name != "mu"
+        assert norm == pytest.approx(bound, rel=1e-6) or goal.name != "mu"
     # The activity is the deviation of the sampled loop's inputs, the disk its margin, and mu the analysis's bound.
     flown = design_flight_controller(vehicle, settings=settings_with_tuned_controller(DesignSettings(), p, K))
     d = flown.roll_pitch
     loop = sample_plant(d.plant, flown.period_s, 1), d.feedback_controller(d.discrete.to_state_space())
-    norms = aim_norms(p.aims, K)
+    norms = evaluate_goal_norms(p.goals, K)
     deviation = input_noise(*loop, noise) / np.array(d.scaling.inputs)
     assert norms["activity"] == pytest.approx(np.linalg.norm(deviation), rel=0.1)
     assert 1 / norms["disk"] == pytest.approx(disk_margin(*loop).margin, rel=0.05)
@@ -110,7 +110,7 @@ def test_gradients_of_disk_activity_and_mu_are_exact(vehicle: Vehicle, controlle
 
 def test_tuned_loop_is_continued_flown_and_refused(vehicle: Vehicle, tmp_path: Path) -> None:
     path = tmp_path / "roll-pitch.json"
-    goals = TuningGoals(sensitivity_dB=2.6, complementary_dB=2.4)
+    goals = GoalLevels(sensitivity_dB=2.6, complementary_dB=2.4)
     more = {"starts": ["delay"], "steps": 3, "spreads": {"swash_plate.linkage": 0.2}, "path": path}
     calls: list[int] = []
     first = tune_loop(vehicle, "roll-pitch", 2, goals, rounds=1, progress=lambda a, b: calls.append(a), **more)
@@ -137,19 +137,19 @@ def test_tuned_loop_is_continued_flown_and_refused(vehicle: Vehicle, tmp_path: P
 
 
 def test_descent_is_never_above_its_start(problem) -> None:
-    generalised, aims, full = problem
+    generalised, goals, full = problem
     starts = reduce_start_controllers(generalised, [full], 2)
-    found = tune_controller(aims, starts, descents=1, max_steps=4)
+    found = tune_controller(goals, starts, descents=1, max_steps=4)
     assert found.objective <= found.start_objective
-    assert found.objective == pytest.approx(max(found.norms[a.name] / a.level for a in aims), rel=1e-6)
+    assert found.objective == pytest.approx(max(found.norms[a.name] / a.level for a in goals), rel=1e-6)
     assert found.controller.nstates == 2
     with pytest.raises(MuflyError, match="no starting controller has this order"):
-        tune_controller(aims, reduce_start_controllers(generalised, [full], 30))
+        tune_controller(goals, reduce_start_controllers(generalised, [full], 30))
 
 
 def test_order_two_reaches_the_margins(vehicle: Vehicle, controller: FlightController) -> None:
     settings = DesignSettings(method="fixed")
-    settings = replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=2, descents=1))
+    settings = replace(settings, roll_pitch_goals=replace(settings.roll_pitch_goals, order=2, descents=1))
     d = design_roll_pitch(linearise_vehicle(vehicle).roll_pitch, settings, controller.period_s)
     assert d.discrete.order == 2
     assert d.sampled_loop.sensitivity_peak_dB <= 3.0
@@ -163,7 +163,7 @@ def test_order_out_of_range_is_refused(vehicle: Vehicle) -> None:
     settings = DesignSettings(method="fixed")
     with pytest.raises(ArgumentError, match="give 2 to 8"):
         design_flight_controller(
-            vehicle, settings=replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=9))
+            vehicle, settings=replace(settings, roll_pitch_goals=replace(settings.roll_pitch_goals, order=9))
         )
 
 

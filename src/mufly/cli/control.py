@@ -39,7 +39,7 @@ def parse_design_settings(method: SynthesisMethod, order: int | None, tuned: lis
         return settings
     if method not in ("fixed", "scheduled"):
         raise InputError("--order", "", f"--method {method} chooses its order", "add --method fixed or scheduled")
-    return replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=order))
+    return replace(settings, roll_pitch_goals=replace(settings.roll_pitch_goals, order=order))
 
 
 app = CommandGroup(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
@@ -322,20 +322,20 @@ def tune(
     gamma: Annotated[
         float | None,
         define_option(
-            "--gamma LEVEL", "Aim for the norm of the weighted loop. Default: 0.66; heave-yaw 1.05.", min=0.01
+            "--gamma LEVEL", "Goal for the norm of the weighted loop. Default: 0.66; heave-yaw 1.05.", min=0.01
         ),
     ] = None,
     sensitivity: Annotated[
         float | None,
         define_option(
-            "--sensitivity DB", "Aim for the peak of the sensitivity S_u in dB. Default: 2.5; heave-yaw 3.2.", min=0.01
+            "--sensitivity DB", "Goal for the peak of the sensitivity S_u in dB. Default: 2.5; heave-yaw 3.2.", min=0.01
         ),
     ] = None,
     complementary: Annotated[
         float | None,
         define_option(
             "--complementary DB",
-            "Aim for the peak of the complementary sensitivity T_u in dB. Default: 2.4; heave-yaw 3.1.",
+            "Goal for the peak of the complementary sensitivity T_u in dB. Default: 2.4; heave-yaw 3.1.",
             min=0.01,
         ),
     ] = None,
@@ -343,7 +343,7 @@ def tune(
         float | None,
         define_option(
             "--disk RADIUS",
-            "Aim for the disk margin, with one input disturbed at a time. Default: 0.97; heave-yaw none.",
+            "Goal for the disk margin, with one input disturbed at a time. Default: 0.97; heave-yaw none.",
             min=0.01,
             max=1.99,
         ),
@@ -352,18 +352,18 @@ def tune(
         float | None,
         define_option(
             "--activity RATIO",
-            "Aim for the input's noise by the sensors, relative to H-infinity. Default: 1; heave-yaw 1.2.",
+            "Goal for the input's noise by the sensors, relative to H-infinity. Default: 1; heave-yaw 1.2.",
             min=0.01,
         ),
     ] = None,
     mu: Annotated[
         float | None,
         define_option(
-            "--mu LEVEL", "Aim for mu over the vehicle's parameters. Default: 0.6; heave-yaw none.", min=0.01
+            "--mu LEVEL", "Goal for mu over the vehicle's parameters. Default: 0.6; heave-yaw none.", min=0.01
         ),
     ] = None,
     only: Annotated[
-        bool, define_option("--only", "Use only the given aims; without this option the default aims are added.")
+        bool, define_option("--only", "Use only the given goals; without this option the default goals are added.")
     ] = False,
     starts: Annotated[
         list[str] | None,
@@ -381,9 +381,9 @@ def tune(
     ] = Path("tuned"),
     as_json: JsonOption = False,
 ) -> None:
-    """Tune the controller of one loop, of a given order, for several aims at once.
+    """Tune the controller of one loop, of a given order, for several goals at once.
 
-    Tuning lowers the largest ratio of an aim to its level; below 1 all aims are reached. Aims are computed with \
+    Tuning lowers the largest ratio of a goal to its level; below 1 all goals are reached. Goals are computed with \
 1.5 periods of delay; the figures below the table are those of the sampled loop. A larger --rounds continues an \
 earlier tuning.
 
@@ -400,7 +400,7 @@ earlier tuning.
     """
     from mufly.control.analysis.plots import draw_tuned_loop
     from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHODS
-    from mufly.control.tuning.loop_tuning import DEFAULT_GOALS, DEFAULT_ORDERS, TuningGoals
+    from mufly.control.tuning.loop_tuning import DEFAULT_GOALS, DEFAULT_ORDERS, GoalLevels
     from mufly.control.tuning.tuned_loop import DEFAULT_STARTS, tune_loop
     from mufly.vehicle import load_vehicle
 
@@ -414,7 +414,7 @@ earlier tuning.
                 "is neither a synthesis method nor a file",
                 f"give one of {', '.join(known)}, or a .json file",
             )
-    goals = (TuningGoals() if only else DEFAULT_GOALS[loop]).merge_goals(
+    goals = (GoalLevels() if only else DEFAULT_GOALS[loop]).merge_goals(
         {
             "gamma": gamma, "sensitivity_dB": sensitivity, "complementary_dB": complementary, "disk_margin": disk,
             "activity": activity, "mu": mu,
@@ -512,7 +512,7 @@ bounds of mu and flights resume.
     loaded = load_vehicle(vehicle)
     speeds = check_value_grid("--speed", speed, 0.0, 50.0, "m/s") or SPEEDS_m_s
     settings = DesignSettings()
-    settings = replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=order))
+    settings = replace(settings, roll_pitch_goals=replace(settings.roll_pitch_goals, order=order))
     chosen = [method for method in SYNTHESIS_METHODS if method in wanted]
     given = [load_tuned_settings([one], DesignSettings()) for one in tuned or ()]
     with progress_bar("Designing", not as_json) as progress:

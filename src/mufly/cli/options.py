@@ -317,7 +317,7 @@ MethodOption = Annotated[
         "--method WHICH",
         "Method of synthesis: hinf, h2 (the same weights), lqg or ltr (LQG with loop transfer recovery). Four more "
         "apply to roll-pitch only, while heave-yaw stays hinf: mu (D-K iteration over the vehicle's parameters), fixed "
-        "(--order, tuned for several aims), scheduled (fixed, with outputs over forward speed) and indi (incremental "
+        "(--order, tuned for several goals), scheduled (fixed, with outputs over forward speed) and indi (incremental "
         "inversion).",
     ),
 ]

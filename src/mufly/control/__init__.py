@@ -4,9 +4,9 @@ from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_n
 from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import DEFAULT_CONTROL_RATE_HZ, FlightController, design_flight_controller
 from mufly.control.implementation import (
+    ControllerReduction,
     DiscreteController,
     ReducedCandidate,
-    Reduction,
     discretise_controller,
     reduce_controller,
 )
@@ -46,6 +46,7 @@ from mufly.control.synthesis.weighting_schemes import (
 __all__ = [
     "DEFAULT_CONTROL_RATE_HZ",
     "ControllerDesign",
+    "ControllerReduction",
     "DesignSettings",
     "DiscreteController",
     "DiskMargin",
@@ -58,7 +59,6 @@ __all__ = [
     "LqgWeights",
     "OneDegreeWeights",
     "ReducedCandidate",
-    "Reduction",
     "SignalScaling",
     "TransferFunction",
     "TwoDegreeWeights",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import control
 import numpy as np
 
-from mufly.control.implementation import DiscreteController, Reduction
+from mufly.control.implementation import ControllerReduction, DiscreteController
 from mufly.control.linear_systems import LoopAnalysis, feedback_part
 from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHOD_NAMES, SynthesisMethod
 from mufly.control.synthesis.weighting_schemes import SignalScaling
@@ -79,7 +79,7 @@ class ControllerDesign:
     gamma, gamma_optimal, norm : float
         Level of the controller, smallest feasible level found, and computed norm of the closed loop with weights; the
         levels are nan for methods that claim none.
-    reduction : Reduction
+    reduction : ControllerReduction
     reduced : control.StateSpace
         Reduced controller: continuous, physical units.
     discrete : DiscreteController
@@ -103,7 +103,7 @@ class ControllerDesign:
     gamma: float
     gamma_optimal: float
     norm: float
-    reduction: Reduction
+    reduction: ControllerReduction
     reduced: control.StateSpace
     discrete: DiscreteController
     full_loop: LoopAnalysis

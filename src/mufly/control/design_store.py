@@ -1,7 +1,7 @@
 """Store of controllers whose synthesis takes long, so that a design is computed once and an interrupted run resumes.
 
 The name of a file contains the hash of all inputs of the synthesis (:func:`hash_synthesis_problem`): plants, weights,
-aims, and source files.
+goals, and source files.
 """
 
 from __future__ import annotations

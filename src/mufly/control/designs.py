@@ -51,9 +51,9 @@ from mufly.control.synthesis.indi import IndiGains
 from mufly.control.synthesis.lqg import LqgWeights
 from mufly.control.synthesis.synthesis_methods import (
     SYNTHESIS_METHODS,
-    FixedOrderAims,
+    FixedOrderGoals,
     GivenController,
-    RobustAims,
+    RobustGoals,
     SynthesisMethod,
     SynthesisProblem,
     synthesise_controller,
@@ -213,8 +213,8 @@ def design_flight_controller(
         raise ArgumentError(
             "method", "", f"{s.method!r} is not a method", f"give one of {', '.join(SYNTHESIS_METHODS)}"
         )
-    if not 2 <= s.roll_pitch_aims.order <= ROLL_PITCH_ORDER:
-        raise ArgumentError("order", "", f"{s.roll_pitch_aims.order} is out of range", f"give 2 to {ROLL_PITCH_ORDER}")
+    if not 2 <= s.roll_pitch_goals.order <= ROLL_PITCH_ORDER:
+        raise ArgumentError("order", "", f"{s.roll_pitch_goals.order} is out of range", f"give 2 to {ROLL_PITCH_ORDER}")
     rate = DEFAULT_CONTROL_RATE_HZ if rate_Hz is None else float(rate_Hz)
     if not (np.isfinite(rate) and 20.0 <= rate <= 5000.0):
         raise ArgumentError("rate_Hz", "", f"{rate:g} Hz is out of range", "give 20 to 5000 Hz; 200 is usual")
@@ -311,10 +311,10 @@ def _design_controller(
     *,
     method: SynthesisMethod = "hinf",
     lqg: LqgWeights | None = None,
-    fixed: FixedOrderAims | None = None,
+    fixed: FixedOrderGoals | None = None,
     given: GivenController | None = None,
     derivatives: Sequence[Array] = (),
-    robust: RobustAims | None = None,
+    robust: RobustGoals | None = None,
     indi: IndiGains | None = None,
     tracked: tuple[int, ...],
     references: tuple[int, ...] = (),
@@ -340,7 +340,7 @@ def _design_controller(
             generalised, scaled, tracked, bool(references), read.size, relaxation, lqg, fixed, generalise,
             2 * np.pi / period_s, None if given is None else given.to_scaled(generalised, read, input_scale),
             tuple(E * np.concatenate([np.ones(plant.nstates), input_scale]) for E in derivatives),
-            robust or RobustAims(), indi,
+            robust or RobustGoals(), indi,
         )  # fmt: skip
         found = recall_controller(method, problem, synthesise_controller)
         reduction = reduce_controller(
@@ -454,12 +454,12 @@ def design_roll_pitch(
         lqg=settings.roll_pitch_lqg,
         given=given,
         derivatives=derivatives,
-        robust=settings.robust_aims,
+        robust=settings.robust_goals,
         indi=settings.indi_gains if indi else None,
-        fixed=settings.roll_pitch_aims if tuned else None,
+        fixed=settings.roll_pitch_goals if tuned else None,
         tracked=(0, 1),
         orders=_given_order_range(given, ROLL_PITCH_ORDER)
-        or ((settings.roll_pitch_aims.order,) * 2 if tuned else (ROLL_PITCH_ORDER if indi else 4, ROLL_PITCH_ORDER)),
+        or ((settings.roll_pitch_goals.order,) * 2 if tuned else (ROLL_PITCH_ORDER if indi else 4, ROLL_PITCH_ORDER)),
         slow=(0.1,),
         published=PUBLISHED_ROLL_PITCH,
         windup_rate=None if indi else settings.roll_pitch_windup,

@@ -84,7 +84,7 @@ class ReducedCandidate:
 
 
 @result
-class Reduction:
+class ControllerReduction:
     """The chosen reduced controller, and all candidates.
 
     Attributes
@@ -179,7 +179,7 @@ def reduce_controller(
     order_min: int = 1,
     tolerances: Sequence[tuple[float, float]] = REDUCTION_TOLERANCES,
     slow: Sequence[float] = (0.1,),
-) -> Reduction:
+) -> ControllerReduction:
     """Reduce a controller to the lowest order whose closed loop stays within the tolerance.
 
     Parameters
@@ -203,7 +203,7 @@ def reduce_controller(
 
     Returns
     -------
-    Reduction
+    ControllerReduction
 
     Raises
     ------
@@ -251,7 +251,7 @@ def reduce_controller(
                 for c, _, _ in sorted(tried, key=lambda e: e[0].order)
             )
             chosen = replace(chosen, meets_tolerance=True)
-            return Reduction(K, M, chosen, tolerance, factor, n, full_norm, listed)
+            return ControllerReduction(K, M, chosen, tolerance, factor, n, full_norm, listed)
     best = min((entry[0] for entry in tried), key=lambda c: max(c.sensitivity_peak_dB, c.complementary_peak_dB))
     raise MuflyError(
         f"order reduction: no controller of order {order_max} or less is within the tolerance (full order {n}: peaks "

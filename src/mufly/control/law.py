@@ -114,7 +114,7 @@ def _controller_state_change(g: Any, i: int, x: Array, e: Array, excess: Array) 
 
 
 @cached_njit
-def _update_state(g: Any, x: Array, e: Array, excess: Array, new: Array) -> None:
+def _write_next_state(g: Any, x: Array, e: Array, excess: Array, new: Array) -> None:
     for i in range(g.F.shape[0]):
         new[i] = x[i] + _controller_state_change(g, i, x, e, excess)
 
@@ -516,7 +516,7 @@ def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Arr
         wanted = servo[i] + gains.trim[i]
         servo[i] = _clip_value(wanted, -1.0, 1.0)
         excess[i] = servo[i] - wanted
-    _update_state(gains, state, e, excess, new)
+    _write_next_state(gains, state, e, excess, new)
     return servo, new
 
 
@@ -569,5 +569,5 @@ def position_step(
     sine, cosine = sine_cosine(heading)
     c, s = factor * cosine, factor * sine
     tilt[0], tilt[1] = c * phi + s * theta, c * theta - s * phi
-    _update_state(gains, state, e, excess, new)
+    _write_next_state(gains, state, e, excess, new)
     return tilt, new

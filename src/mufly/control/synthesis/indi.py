@@ -35,7 +35,9 @@ import numpy as np
 from mufly.control.linear_systems import Array, state_space
 from mufly.errors import MuflyError
 
-_INTEGRATOR_LEAK_SHARE = 0.002  # share of the servo model's output that is lost, which makes the integrator a slow pole
+_INTEGRATOR_LEAK_FRACTION = (
+    0.002  # share of the servo model's output that is lost, which makes the integrator a slow pole
+)
 _RATE_FILTER_DAMPING = 0.7
 
 
@@ -110,7 +112,7 @@ def design_indi(plant: control.StateSpace, gains: IndiGains, period_s: float) ->
     servo, delay = one / slower, total - slower
     model = np.block([
         [-2.0 * _RATE_FILTER_DAMPING * w * one, one, none, none],
-        [-w * w * one, none, none, (1.0 - _INTEGRATOR_LEAK_SHARE) * w * w * one],
+        [-w * w * one, none, none, (1.0 - _INTEGRATOR_LEAK_FRACTION) * w * w * one],
         [none, none, -servo, none],
         [none, none, one / delay, -one / delay],
     ])  # fmt: skip

@@ -21,10 +21,10 @@ from mufly.control.synthesis.hinf import close_loop, hinfsyn
 from mufly.control.synthesis.indi import IndiGains, design_indi
 from mufly.control.synthesis.lqg import LqgWeights, design_lqg, largest_recovery
 from mufly.control.tuning.fixed_order import (
-    NormAim,
+    NormGoal,
     add_delay,
-    aim_norms,
-    flight_aims,
+    evaluate_goal_norms,
+    make_flight_goals,
     reduce_start_controllers,
     tune_controller,
 )
@@ -45,7 +45,7 @@ SYNTHESIS_METHOD_NAMES: dict[SynthesisMethod, str] = {
 
 
 @dataclass(frozen=True)
-class FixedOrderAims:
+class FixedOrderGoals:
     """Order and levels of a tuned controller.
 
     Attributes
@@ -71,7 +71,7 @@ class FixedOrderAims:
 
 
 @dataclass(frozen=True)
-class RobustAims:
+class RobustGoals:
     """Settings of D-K iteration.
 
     Attributes
@@ -159,8 +159,8 @@ class SynthesisProblem(NamedTuple):
         Factor on the smallest H-infinity level; see ``hinfsyn``.
     lqg : LqgWeights or None
         Weights of LQG and LTR.
-    fixed : FixedOrderAims or None
-        Aims of a tuned controller, with the noise in scaled units.
+    fixed : FixedOrderGoals or None
+        Goals of a tuned controller, with the noise in scaled units.
     generalise : callable
         Function from the scaled plant to the plant with weights.
     sampling_rate : float
@@ -169,7 +169,7 @@ class SynthesisProblem(NamedTuple):
         Controller that exists, in place of a synthesis; for ``scheduled`` the one whose states are kept.
     derivatives : tuple of array
         Derivatives ``[dA dB]`` of the plant by uncertain parameters, one spread each, for ``mu``.
-    robust : RobustAims
+    robust : RobustGoals
         Settings of ``mu``.
     indi : IndiGains or None
         Gains of INDI.
@@ -182,12 +182,12 @@ class SynthesisProblem(NamedTuple):
     n_measurements: int
     relaxation: float
     lqg: LqgWeights | None
-    fixed: FixedOrderAims | None
+    fixed: FixedOrderGoals | None
     generalise: Callable[[control.StateSpace], control.StateSpace]
     sampling_rate: float
     given_controller: control.StateSpace | None = None
     derivatives: tuple[Array, ...] = ()
-    robust: RobustAims = RobustAims()
+    robust: RobustGoals = RobustGoals()
     indi: IndiGains | None = None
 
 
@@ -226,8 +226,8 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
     """
     p, n_controls = problem, problem.plant.ninputs
     if method == "scheduled" and p.fixed is not None and p.given_controller is not None:
-        aims, _ = _fixed_order_aims(p, p.fixed, _delayed_plants(p))
-        tuned = tune_controller(aims, [p.given_controller], outputs_only=True)
+        goals, _ = _make_fixed_order_goals(p, p.fixed, _delayed_plants(p))
+        tuned = tune_controller(goals, [p.given_controller], outputs_only=True)
         return _wrap_given_controller(p, tuned.controller)
     if p.given_controller is not None:
         return _wrap_given_controller(p, p.given_controller)
@@ -252,36 +252,38 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
     return SynthesisedController(found.controller, found.actuation, found.gamma, found.gamma_optimal, found.norm)
 
 
-def _iterate_dk(p: SynthesisProblem, aims: RobustAims) -> SynthesisedController:
+def _iterate_dk(p: SynthesisProblem, goals: RobustGoals) -> SynthesisedController:
     """Return the controller of D-K iteration on the plant with delay and uncertainty; it starts from H-infinity."""
     n_controls = p.plant.ninputs
     generalised = p.generalise(add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate))
-    uncertain, channels = add_uncertainty(generalised, p.plant, p.n_measurements, p.derivatives, aims.input_uncertainty)
+    uncertain, channels = add_uncertainty(
+        generalised, p.plant, p.n_measurements, p.derivatives, goals.input_uncertainty
+    )
     found = iterate_dk(
         uncertain,
         channels,
         p.n_measurements,
         n_controls,
-        np.geomspace(*aims.frequencies),
+        np.geomspace(*goals.frequencies),
         start=hinfsyn(p.generalised, p.n_measurements, n_controls, relaxation=p.relaxation).controller,
-        rounds=aims.rounds,
-        order_max=aims.filter_order,
+        rounds=goals.rounds,
+        order_max=goals.filter_order,
         fit_tolerance=0.1,
-        relaxation=aims.relaxation,
+        relaxation=goals.relaxation,
     )
     norm = hinf_norm(close_loop(p.generalised, found.controller))[0]
     return SynthesisedController(found.controller, found.actuation, found.gamma, found.gamma, norm)
 
 
-def _tune_fixed_order(p: SynthesisProblem, fixed: FixedOrderAims) -> SynthesisedController:
+def _tune_fixed_order(p: SynthesisProblem, fixed: FixedOrderGoals) -> SynthesisedController:
     """Return a tuned controller that starts from H-infinity with and without the delay, and from LTR."""
     delayed = _delayed_plants(p)
-    aims, plain = _fixed_order_aims(p, fixed, delayed)
+    goals, plain = _make_fixed_order_goals(p, fixed, delayed)
     generalised = delayed[0]
     starts = [plain, hinfsyn(generalised, p.n_measurements, p.plant.ninputs, relaxation=p.relaxation).controller]
     if p.lqg is not None:
         starts.append(synthesise_controller("ltr", p).controller)
-    tuned = tune_controller(aims, reduce_start_controllers(generalised, starts, fixed.order), descents=fixed.descents)
+    tuned = tune_controller(goals, reduce_start_controllers(generalised, starts, fixed.order), descents=fixed.descents)
     return _wrap_given_controller(p, tuned.controller)
 
 
@@ -291,10 +293,10 @@ def _delayed_plants(p: SynthesisProblem) -> tuple[control.StateSpace, control.St
     return p.generalise(delayed), delayed
 
 
-def _fixed_order_aims(
-    p: SynthesisProblem, fixed: FixedOrderAims, delayed: tuple[control.StateSpace, control.StateSpace]
-) -> tuple[list[NormAim], control.StateSpace]:
-    """Return the aims on the plants with delay, and the H-infinity controller that their levels refer to."""
+def _make_fixed_order_goals(
+    p: SynthesisProblem, fixed: FixedOrderGoals, delayed: tuple[control.StateSpace, control.StateSpace]
+) -> tuple[list[NormGoal], control.StateSpace]:
+    """Return the goals on the plants with delay, and the H-infinity controller that their levels refer to."""
     plain = hinfsyn(p.generalised, p.n_measurements, p.plant.ninputs, relaxation=p.relaxation)
     levels = {
         "weighted": fixed.weighted * plain.norm,
@@ -303,10 +305,10 @@ def _fixed_order_aims(
         "noise": 1.0,
     }
     noise = np.array(fixed.noise_outputs)
-    aims = flight_aims(*delayed, p.n_measurements, noise, levels)
-    reached = aim_norms(aims, plain.controller)["noise"]
-    aims = [aim._replace(level=fixed.noise * reached) if aim.name == "noise" else aim for aim in aims]
-    return aims, plain.controller
+    goals = make_flight_goals(*delayed, p.n_measurements, noise, levels)
+    reached = evaluate_goal_norms(goals, plain.controller)["noise"]
+    goals = [goal._replace(level=fixed.noise * reached) if goal.name == "noise" else goal for goal in goals]
+    return goals, plain.controller
 
 
 def _wrap_given_controller(p: SynthesisProblem, K: control.StateSpace) -> SynthesisedController:

@@ -36,7 +36,7 @@ from scipy import signal
 from mufly.control.linear_systems import Array, connect_blocks, replace_matrices, state_space
 from mufly.control.synthesis.indi import IndiGains
 from mufly.control.synthesis.lqg import LqgWeights
-from mufly.control.synthesis.synthesis_methods import FixedOrderAims, GivenController, RobustAims, SynthesisMethod
+from mufly.control.synthesis.synthesis_methods import FixedOrderGoals, GivenController, RobustGoals, SynthesisMethod
 from mufly.errors import MuflyError
 from mufly.vehicle import Vehicle
 
@@ -278,11 +278,11 @@ ROLL_PITCH_LQG = LqgWeights(
 )  # fmt: skip
 
 
-ROLL_PITCH_AIMS = FixedOrderAims(
+ROLL_PITCH_GOALS = FixedOrderGoals(
     order=4, sensitivity_dB=2.6, complementary_dB=2.0,
     noise_outputs=(math.radians(0.1), math.radians(0.1), math.radians(0.3), math.radians(0.3)),
 )  # fmt: skip
-ROBUST_AIMS = RobustAims()
+ROBUST_GOALS = RobustGoals()
 INDI_GAINS = IndiGains()
 
 
@@ -308,14 +308,14 @@ class DesignSettings:
         Likewise: u, v (m/s); phi, theta (rad).
     heave_yaw_lqg, roll_pitch_lqg : LqgWeights
         Weights of LQG and LTR, in scaled units.
-    roll_pitch_aims : FixedOrderAims
-        Order and aims of the method ``fixed``, which tunes roll-pitch; heave-yaw is H-infinity then.
+    roll_pitch_goals : FixedOrderGoals
+        Order and goals of the method ``fixed``, which tunes roll-pitch; heave-yaw is H-infinity then.
     schedule_speed : float
-        Forward speed to which the method ``scheduled`` schedules roll-pitch (m/s); its order and aims are those of
+        Forward speed to which the method ``scheduled`` schedules roll-pitch (m/s); its order and goals are those of
         ``fixed``.
     indi_gains : IndiGains
         Gains of the method ``indi``, which designs roll-pitch; heave-yaw is H-infinity then.
-    robust_aims : RobustAims
+    robust_goals : RobustGoals
         Settings of the method ``mu``, which designs roll-pitch; heave-yaw is H-infinity then.
     heave_yaw_given, roll_pitch_given : GivenController or None
         Controllers that exist, in place of a synthesis.
@@ -359,10 +359,10 @@ class DesignSettings:
     velocity_relaxation: float = 1.2
     heave_yaw_lqg: LqgWeights = HEAVE_YAW_LQG
     roll_pitch_lqg: LqgWeights = ROLL_PITCH_LQG
-    roll_pitch_aims: FixedOrderAims = ROLL_PITCH_AIMS
+    roll_pitch_goals: FixedOrderGoals = ROLL_PITCH_GOALS
     schedule_speed: float = 2.0
     indi_gains: IndiGains = INDI_GAINS
-    robust_aims: RobustAims = ROBUST_AIMS
+    robust_goals: RobustGoals = ROBUST_GOALS
     heave_yaw_given: GivenController | None = None
     roll_pitch_given: GivenController | None = None
     heave_yaw_windup: float | None = 1.5

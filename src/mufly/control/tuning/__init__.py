@@ -1,9 +1,9 @@
-"""Controllers of fixed order, tuned for several aims at once by a minimiser for functions with kinks."""
+"""Controllers of fixed order, tuned for several goals at once by a minimiser for functions with kinks."""
 
 from mufly.control.tuning.fixed_order import (
-    NormAim,
+    NormGoal,
     TunedController,
-    flight_aims,
+    make_flight_goals,
     reduce_start_controllers,
     tune_controller,
 )
@@ -11,9 +11,9 @@ from mufly.control.tuning.nonsmooth_bfgs import Minimum, minimise_nonsmooth
 
 __all__ = [
     "Minimum",
-    "NormAim",
+    "NormGoal",
     "TunedController",
-    "flight_aims",
+    "make_flight_goals",
     "minimise_nonsmooth",
     "reduce_start_controllers",
     "tune_controller",

@@ -1,20 +1,20 @@
 """Controllers of a given order, tuned so that several norms of the loop stay below their levels.
 
 The controller's matrices ``[Ak Bk; Ck Dk]`` are one static gain of a plant whose states include the controller's. With
-this gain every aim is the H-infinity norm of a closed loop; the objective is the largest of ``norm / level``. At the
+this gain every goal is the H-infinity norm of a closed loop; the objective is the largest of ``norm / level``. At the
 peak, with frequency w and singular vectors u and v, the gradient is ``Re (u* T_zu)' (T_yw v)'`` (Gumussoy and Overton,
 ACC 2008). BFGS for functions with kinks descends from reduced controllers of other methods.
 
-Aims of a flight loop, on the scaled plant with 1.5 periods of delay (Pade approximation of second order):
+Goals of a flight loop, on the scaled plant with 1.5 periods of delay (Pade approximation of second order):
 
-- ``weighted``: the generalised plant's norm, the aim of the H-infinity design;
+- ``weighted``: the generalised plant's norm, the goal of the H-infinity design;
 - ``sensitivity`` and ``complementary``: the peaks of S_u and T_u, which the sampled loop then has nearly;
 - ``noise``: from the sensors' noise to the inputs. Without it the tuning buys margins with servo activity;
 - ``activity``: the deviation of the inputs by the sensors' noise, an H2 norm. A sampled sequence of noise is modelled
   as white noise behind a pole at ``2 / T``, which has the sequence's variance;
 - ``disk``: the inverse of the disk margin with a factor of its own on each input.
 
-An aim is any object with a name, a level and a ``loop`` that returns norm and gradient; see :class:`TuningAim`.
+An goal is any object with a name, a level and a ``loop`` that returns norm and gradient; see :class:`TuningGoal`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from mufly.results import result
 
 _FREQUENCIES = np.concatenate([[1e-7, 1e-6, 1e-5, 1e-4], np.geomspace(1e-3, 3e3, 90)])
 _SLOW_MODE_LIMITS_RAD_S = (0.1, 3.0)  # rad/s; modes of a start below these are kept by its reduction
-_AIM_MEAN_POWERS = (8.0, 30.0, np.inf)  # of the mean of all aims, in successive descents; inf is the largest
+_GOAL_MEAN_POWERS = (8.0, 30.0, np.inf)  # of the mean of all goals, in successive descents; inf is the largest
 _STABILITY_MARGIN = 1e-5  # rad/s; least distance of the closed loop's poles from the axis
 
 
@@ -48,7 +48,7 @@ class LoopNormByGain(Protocol):
         """Return the norm, ``inf`` for an unstable loop, and its gradient."""
 
 
-class TuningAim(Protocol):
+class TuningGoal(Protocol):
     """A norm that is to stay below a level."""
 
     @property
@@ -63,7 +63,7 @@ class TuningAim(Protocol):
         """Return the norm as a function of the gain of a controller of this order."""
 
 
-class NormAim(NamedTuple):
+class NormGoal(NamedTuple):
     """A norm of a closed loop that is to stay below a level.
 
     Attributes
@@ -90,16 +90,16 @@ class NormAim(NamedTuple):
 
 @result
 class TunedController:
-    """A tuned controller, with the norm that it reaches for each aim.
+    """A tuned controller, with the norm that it reaches for each goal.
 
     Attributes
     ----------
     controller : control.StateSpace
         Controller in scaled units.
     objective, start_objective : float
-        Largest norm over its level: at the end and at the start. Below 1 all aims are reached.
+        Largest norm over its level: at the end and at the start. Below 1 all goals are reached.
     norms, levels : dict
-        Norm and level of every aim, by its name.
+        Norm and level of every goal, by its name.
     steps : int
         Steps of the descent.
     """
@@ -129,7 +129,7 @@ def add_delay(plant: control.StateSpace, delay_s: float) -> control.StateSpace:
 def margin_plants(
     plant: control.StateSpace, noise: Array, n_measurements: int, period_s: float = 0.0
 ) -> dict[str, PartitionedPlant]:
-    """Return the plants of all aims but ``weighted`` for a controller whose last inputs are ``-y``.
+    """Return the plants of all goals but ``weighted`` for a controller whose last inputs are ``-y``.
 
     ``activity`` is among them if a sampling period is given.
     """
@@ -161,7 +161,7 @@ def margin_plants(
 
 
 class _StaticLoop:
-    """The loop of one aim as static feedback of the plant with the controller's states."""
+    """The loop of one goal as static feedback of the plant with the controller's states."""
 
     def __init__(self, p: PartitionedPlant, order: int, kind: str = "hinf") -> None:
         self.kind = kind
@@ -236,10 +236,10 @@ def controller_gain(K: control.StateSpace) -> Array:
     return np.block([[K.A, K.B], [K.C, K.D]])
 
 
-def aim_norms(aims: Sequence[TuningAim], controller: control.StateSpace) -> dict[str, float]:
-    """Return the norm of every aim with a controller, by name; ``inf`` for an unstable loop."""
+def evaluate_goal_norms(goals: Sequence[TuningGoal], controller: control.StateSpace) -> dict[str, float]:
+    """Return the norm of every goal with a controller, by name; ``inf`` for an unstable loop."""
     K = controller_gain(controller)
-    return {aim.name: aim.loop(controller.nstates).norm_and_gradient(K)[0] for aim in aims}
+    return {goal.name: goal.loop(controller.nstates).norm_and_gradient(K)[0] for goal in goals}
 
 
 def reduce_start_controllers(
@@ -266,7 +266,7 @@ def reduce_start_controllers(
 
 
 def tune_controller(
-    aims: Sequence[TuningAim],
+    goals: Sequence[TuningGoal],
     starts: Sequence[control.StateSpace],
     *,
     descents: int = 2,
@@ -274,11 +274,11 @@ def tune_controller(
     budget_s: float = 30.0,
     outputs_only: bool = False,
 ) -> TunedController:
-    """Tune a controller of fixed order for several aims.
+    """Tune a controller of fixed order for several goals.
 
     Parameters
     ----------
-    aims : sequence of TuningAim
+    goals : sequence of TuningGoal
     starts : sequence of control.StateSpace
         Controllers of the required order; descents begin at the best of them.
     descents : int
@@ -303,17 +303,17 @@ def tune_controller(
     if not starts:
         raise MuflyError("tuning: no starting controller has this order; choose another order")
     order = starts[0].nstates
-    loops = [aim.loop(order) for aim in aims]
+    loops = [goal.loop(order) for goal in goals]
     shape = controller_gain(starts[0]).shape
 
     def objective(K: Array, power: float = np.inf) -> tuple[float, Array]:
         """Return the largest norm over its level, or the mean of that power, and its gradient."""
-        shares, slopes = np.empty(len(aims)), np.empty((len(aims), *shape))
-        for i, (aim, loop) in enumerate(zip(aims, loops, strict=True)):
+        shares, slopes = np.empty(len(goals)), np.empty((len(goals), *shape))
+        for i, (goal, loop) in enumerate(zip(goals, loops, strict=True)):
             norm, gradient = loop.norm_and_gradient(K)
             if not np.isfinite(norm):
                 return np.inf, np.zeros(shape)
-            shares[i], slopes[i] = norm / aim.level, gradient / aim.level
+            shares[i], slopes[i] = norm / goal.level, gradient / goal.level
         if outputs_only:
             slopes[:, :order] = 0.0
         worst = int(np.argmax(shares))
@@ -330,7 +330,7 @@ def tune_controller(
     best, best_K, first, steps = np.inf, controller_gain(starts[0]), ranked[0][0], 0
     for _, i in ranked:
         K, value, done, began = controller_gain(starts[i]), np.inf, 0, time.process_time()
-        for power in _AIM_MEAN_POWERS:
+        for power in _GOAL_MEAN_POWERS:
             K0 = K
             row, column = np.abs(K0).max(axis=1, keepdims=True), np.abs(K0).max(axis=0, keepdims=True)
             unit = np.abs(K0) + 0.05 * np.sqrt(row * column) + 1e-6  # entries of size one for the search
@@ -359,18 +359,20 @@ def tune_controller(
                 break
     k = order
     tuned = replace_matrices(starts[0], A=best_K[:k, :k], B=best_K[:k, k:], C=best_K[k:, :k], D=best_K[k:, k:])
-    return TunedController(tuned, best, first, aim_norms(aims, tuned), {aim.name: aim.level for aim in aims}, steps)
+    return TunedController(
+        tuned, best, first, evaluate_goal_norms(goals, tuned), {goal.name: goal.level for goal in goals}, steps
+    )
 
 
-def flight_aims(
+def make_flight_goals(
     generalised: control.StateSpace,
     plant: control.StateSpace,
     n_measurements: int,
     noise: Array,
     levels: Mapping[str, float],
     period_s: float = 0.0,
-) -> list[NormAim]:
-    """Return the aims of a flight loop; ``generalised`` and ``plant`` carry the delay.
+) -> list[NormGoal]:
+    """Return the goals of a flight loop; ``generalised`` and ``plant`` carry the delay.
 
     Parameters
     ----------
@@ -382,7 +384,7 @@ def flight_aims(
         Noise of the scaled outputs.
     levels : mapping
         Levels by name: ``weighted``, ``sensitivity``, ``complementary``, ``noise``, ``activity``, ``disk``; an absent
-        name sets no aim.
+        name sets no goal.
     period_s : float
         Sampling period, for ``activity``.
     """
@@ -391,4 +393,4 @@ def flight_aims(
     )
     plants = {"weighted": weighted, **margin_plants(plant, noise, n_measurements, period_s)}
     kinds = {"activity": "h2", "disk": "disk"}
-    return [NormAim(name, plants[name], level, kinds.get(name, "hinf")) for name, level in levels.items()]
+    return [NormGoal(name, plants[name], level, kinds.get(name, "hinf")) for name, level in levels.items()]

@@ -1,7 +1,7 @@
-"""Tuning of a vehicle's heave-yaw or roll-pitch loop for several aims at once, in rounds that can be continued.
+"""Tuning of a vehicle's heave-yaw or roll-pitch loop for several goals at once, in rounds that can be continued.
 
-A round minimises the largest ratio of an aim to its level (:func:`tune_controller`), then finds new scalings of mu
-(:class:`ParameterAim`). Each start has its own sequence of rounds, a line; the result is the best controller of all
+A round minimises the largest ratio of an goal to its level (:func:`tune_controller`), then finds new scalings of mu
+(:class:`RobustnessGoal`). Each start has its own sequence of rounds, a line; the result is the best controller of all
 rounds. After each round the state contains everything that the next round needs.
 """
 
@@ -23,15 +23,15 @@ from mufly.control.synthesis.hinf import hinfsyn
 from mufly.control.synthesis.synthesis_methods import GivenController, SynthesisProblem, synthesise_controller
 from mufly.control.synthesis.weighting_schemes import DesignSettings, scale_plant, weight_heave_yaw, weight_roll_pitch
 from mufly.control.tuning.fixed_order import (
-    TuningAim,
+    TuningGoal,
     add_delay,
-    aim_norms,
     controller_gain,
-    flight_aims,
+    evaluate_goal_norms,
+    make_flight_goals,
     reduce_start_controllers,
     tune_controller,
 )
-from mufly.control.tuning.parameter_aim import ParameterAim
+from mufly.control.tuning.robustness_goal import RobustnessGoal
 from mufly.errors import MuflyError
 from mufly.vehicle import Vehicle
 
@@ -41,7 +41,7 @@ _INPUT_DELAY_PERIODS = 1.5
 
 
 @dataclass(frozen=True)
-class TuningGoals:
+class GoalLevels:
     """Levels of a tuning; None sets no goal.
 
     Attributes
@@ -66,7 +66,7 @@ class TuningGoals:
     mu: float | None = None
 
     def norm_levels(self) -> dict[str, float]:
-        """Return the levels of all aims but mu as norms, by the names of :func:`flight_aims`."""
+        """Return the levels of all goals but mu as norms, by the names of :func:`make_flight_goals`."""
         found = {
             "weighted": self.gamma,
             "sensitivity": None if self.sensitivity_dB is None else 10 ** (self.sensitivity_dB / 20),
@@ -76,15 +76,15 @@ class TuningGoals:
         }
         return {name: level for name, level in found.items() if level is not None}
 
-    def merge_goals(self, other: Mapping[str, float | None]) -> TuningGoals:
+    def merge_goals(self, other: Mapping[str, float | None]) -> GoalLevels:
         """Return the goals, replaced by those of ``other`` where it states any."""
         changes: dict[str, Any] = {k: v for k, v in other.items() if v is not None}
         return replace(self, **changes)
 
 
-DEFAULT_GOALS: dict[LoopName, TuningGoals] = {
-    "heave-yaw": TuningGoals(gamma=1.05, sensitivity_dB=3.2, complementary_dB=3.1, activity=1.2),
-    "roll-pitch": TuningGoals(
+DEFAULT_GOALS: dict[LoopName, GoalLevels] = {
+    "heave-yaw": GoalLevels(gamma=1.05, sensitivity_dB=3.2, complementary_dB=3.1, activity=1.2),
+    "roll-pitch": GoalLevels(
         gamma=0.66, sensitivity_dB=2.5, complementary_dB=2.4, disk_margin=0.97, activity=1.0, mu=0.6
     ),
 }
@@ -104,8 +104,8 @@ class LoopTuningProblem(NamedTuple):
         H-infinity design of the loop.
     generalised : control.StateSpace
         Scaled plant with weights and delay.
-    aims : list of TuningAim
-    mu : ParameterAim or None
+    goals : list of TuningGoal
+    mu : RobustnessGoal or None
     read_scale, input_scale : array
         Scales of the controller's inputs and outputs.
     synthesis : SynthesisProblem
@@ -115,8 +115,8 @@ class LoopTuningProblem(NamedTuple):
     name: LoopName
     design: ControllerDesign
     generalised: control.StateSpace
-    aims: list[TuningAim]
-    mu: ParameterAim | None
+    goals: list[TuningGoal]
+    mu: RobustnessGoal | None
     read_scale: Array
     input_scale: Array
     synthesis: SynthesisProblem
@@ -147,7 +147,7 @@ def make_loop_tuning_problem(
     vehicle: Vehicle,
     base: FlightController,
     name: LoopName,
-    goals: TuningGoals,
+    goal_levels: GoalLevels,
     noise: Array,
     spreads: Mapping[str, float],
 ) -> LoopTuningProblem:
@@ -159,7 +159,7 @@ def make_loop_tuning_problem(
     base : FlightController
         H-infinity design of the vehicle.
     name : str
-    goals : TuningGoals
+    goal_levels : GoalLevels
     noise : array, shape (outputs,)
         Deviation of each measured output from sample to sample (SI).
     spreads : mapping
@@ -174,24 +174,26 @@ def make_loop_tuning_problem(
     plant = scale_plant(d.plant, d.scaling)
     delayed = add_delay(plant, _INPUT_DELAY_PERIODS * base.period_s)
     generalised = weight(delayed, s)
-    levels = goals.norm_levels()
-    norms = flight_aims(generalised, delayed, read.size, noise / output_scale, levels, base.period_s)
+    levels = goal_levels.norm_levels()
+    norms = make_flight_goals(generalised, delayed, read.size, noise / output_scale, levels, base.period_s)
     if "activity" in levels:
-        reached = aim_norms([a for a in norms if a.name == "activity"], _scale_controller(d.reduced, read, input_scale))
+        reached = evaluate_goal_norms(
+            [a for a in norms if a.name == "activity"], _scale_controller(d.reduced, read, input_scale)
+        )
         norms = [a._replace(level=a.level * reached["activity"]) if a.name == "activity" else a for a in norms]
-    aims: list[TuningAim] = [*norms]
+    goals: list[TuningGoal] = [*norms]
     mu = None
-    if goals.mu is not None:
+    if goal_levels.mu is not None:
         E = spread_derivatives(vehicle, base.voltage_V, list(spreads), np.diag(list(spreads.values())))[name]
-        mu = ParameterAim(UncertainLoop(d, E), d.feedback_inputs, read, input_scale, goals.mu)
-        aims.append(mu)
+        mu = RobustnessGoal(UncertainLoop(d, E), d.feedback_inputs, read, input_scale, goal_levels.mu)
+        goals.append(mu)
     synthesis = SynthesisProblem(
         weight(plant, s), plant, (0, 1), n_references > 0, read.size,
         s.heave_yaw_relaxation if heave else s.roll_pitch_relaxation,
         s.heave_yaw_lqg if heave else s.roll_pitch_lqg, None,
         lambda scaled: weight(scaled, s), 2 * np.pi / base.period_s,
     )  # fmt: skip
-    return LoopTuningProblem(name, d, generalised, aims, mu, read, input_scale, synthesis)
+    return LoopTuningProblem(name, d, generalised, goals, mu, read, input_scale, synthesis)
 
 
 def _scale_controller(K: control.StateSpace, read: Array, input_scale: Array) -> control.StateSpace:
@@ -212,7 +214,7 @@ def find_start_controllers(problem: LoopTuningProblem, names: Sequence[str], ord
         else:
             full.append(synthesise_controller(name, problem.synthesis).controller)  # type: ignore[arg-type]
     found = reduce_start_controllers(problem.generalised, full, order)
-    return [K for K in found if np.isfinite(max(aim_norms(problem.aims, K).values()))]
+    return [K for K in found if np.isfinite(max(evaluate_goal_norms(problem.goals, K).values()))]
 
 
 def add_fast_states(controller: control.StateSpace, order: int) -> control.StateSpace:
@@ -269,10 +271,10 @@ def continue_tuning(
         )
     order = starts[0].nstates
     if state is None or not state.lines:
-        quick = [aim for aim in problem.aims if aim is not problem.mu] or problem.aims
-        levels = [aim.level for aim in quick]
+        quick = [goal for goal in problem.goals if goal is not problem.mu] or problem.goals
+        levels = [goal.level for goal in quick]
         ranked = sorted(
-            (max(n / v for n, v in zip(aim_norms(quick, K).values(), levels, strict=True)), i)
+            (max(n / v for n, v in zip(evaluate_goal_norms(quick, K).values(), levels, strict=True)), i)
             for i, K in enumerate(starts)
         )
         picked = [starts[i] for value, i in ranked if np.isfinite(value)][:2]
@@ -281,7 +283,7 @@ def continue_tuning(
                 f"{problem.name}: no starting controller of order {order} stabilises the loop; give a higher order"
             )
         state = TuningState(
-            tuple((_matrix_rows(controller_gain(K)), (_largest_relative_aim(problem, K),)) for K in picked)
+            tuple((_matrix_rows(controller_gain(K)), (_largest_relative_goal(problem, K),)) for K in picked)
         )
     every = list(state.lines)
     total = rounds * len(every)
@@ -290,8 +292,8 @@ def continue_tuning(
             K = _controller_from_gain(starts[0], np.array(every[i][0]))
             if problem.mu is not None:
                 problem.mu.update_scalings(controller_gain(K), order)
-            found = tune_controller(problem.aims, [K], descents=1, max_steps=steps, budget_s=np.inf)
-            value = _largest_relative_aim(problem, found.controller)
+            found = tune_controller(problem.goals, [K], descents=1, max_steps=steps, budget_s=np.inf)
+            value = _largest_relative_goal(problem, found.controller)
             history = every[i][1]
             better = value < history[-1]
             every[i] = (
@@ -307,11 +309,14 @@ def continue_tuning(
     return _controller_from_gain(starts[0], np.array(best[0])), TuningState(tuple(every))
 
 
-def _largest_relative_aim(problem: LoopTuningProblem, K: control.StateSpace) -> float:
-    """Return the largest ratio of an aim to its level; the aim mu gets scalings that are best for this controller."""
+def _largest_relative_goal(problem: LoopTuningProblem, K: control.StateSpace) -> float:
+    """Return the largest ratio of an goal to its level; the goal mu gets scalings that are best for this controller."""
     if problem.mu is not None:
         problem.mu.update_scalings(controller_gain(K), K.nstates)
-    return max(norm / aim.level for aim, norm in zip(problem.aims, aim_norms(problem.aims, K).values(), strict=True))
+    return max(
+        norm / goal.level
+        for goal, norm in zip(problem.goals, evaluate_goal_norms(problem.goals, K).values(), strict=True)
+    )
 
 
 def _matrix_rows(K: Array) -> tuple[tuple[float, ...], ...]:

@@ -9,7 +9,7 @@ speed, so the modes of two designs cannot be confused, and no state is transferr
 continuous in ``s``. The share ``s`` is even in ``v_x`` because the plant is: half a turn about the vertical maps flight
 forwards to flight backwards, and leaves the rotors and a body without products of inertia as they are.
 
-A and B are those of the hover design. C and D at ``V`` are tuned for the plant there, with the aims of the method
+A and B are those of the hover design. C and D at ``V`` are tuned for the plant there, with the goals of the method
 ``fixed`` (:mod:`mufly.control.tuning.fixed_order`). Between the two the loop is verified on a grid of frozen speeds,
 with the model linearised at each of them. In wind the speed over ground is not the airspeed, so every plant is also
 closed with every share. In sideways flight the law is that of hover.
@@ -33,7 +33,7 @@ from mufly.control.design_store import recall_controller
 from mufly.control.implementation import DiscreteController
 from mufly.control.law import ROLL_PITCH_ORDER
 from mufly.control.linear_systems import Array, analyse_loop, feedback_part, sample_plant, state_space
-from mufly.control.synthesis.synthesis_methods import FixedOrderAims, SynthesisProblem, synthesise_controller
+from mufly.control.synthesis.synthesis_methods import FixedOrderGoals, SynthesisProblem, synthesise_controller
 from mufly.control.synthesis.weighting_schemes import DesignSettings, SignalScaling, scale_plant, weight_roll_pitch
 from mufly.dynamics import GRAVITY, Linearisation, find_trim, linearise_vehicle
 from mufly.errors import MuflyError
@@ -48,7 +48,7 @@ SPEED_GRID_INTERVALS = 8
 
 @dataclass(frozen=True)
 class ScheduledLoop:
-    """Hover controller, scaling and aims from which the outputs of a schedule are tuned.
+    """Hover controller, scaling and goals from which the outputs of a schedule are tuned.
 
     Attributes
     ----------
@@ -58,16 +58,16 @@ class ScheduledLoop:
     generalise : callable
         Function from the scaled plant to the plant with weights.
     relaxation : float
-        Factor on the smallest H-infinity level, to which the aims refer.
-    aims : FixedOrderAims
-        Aims at the scheduled speed, with the noise in SI.
+        Factor on the smallest H-infinity level, to which the goals refer.
+    goals : FixedOrderGoals
+        Goals at the scheduled speed, with the noise in SI.
     """
 
     controller: DiscreteController
     scaling: SignalScaling
     generalise: Callable[[control.StateSpace], control.StateSpace]
     relaxation: float
-    aims: FixedOrderAims
+    goals: FixedOrderGoals
 
 
 @result
@@ -273,10 +273,10 @@ def _tune_outputs(plant: control.StateSpace, loop: ScheduledLoop) -> tuple[Array
         A, B * output_scale, C / out, D * output_scale / out,
         inputs=generalised.output_labels[-n:], outputs=generalised.input_labels[-plant.ninputs:],
     )  # fmt: skip
-    noise = tuple(float(v) for v in np.array(loop.aims.noise_outputs) / output_scale)
-    aims = FixedOrderAims(**{**vars(loop.aims), "noise_outputs": noise})
+    noise = tuple(float(v) for v in np.array(loop.goals.noise_outputs) / output_scale)
+    goals = FixedOrderGoals(**{**vars(loop.goals), "noise_outputs": noise})
     problem = SynthesisProblem(
-        generalised, scaled, (0, 1), False, n, loop.relaxation, None, aims, loop.generalise, 2 * np.pi / T, given
+        generalised, scaled, (0, 1), False, n, loop.relaxation, None, goals, loop.generalise, 2 * np.pi / T, given
     )
     tuned = recall_controller("scheduled", problem, synthesise_controller).controller
     C_fast, D_fast = out * tuned.C, out * tuned.D / output_scale
@@ -294,7 +294,7 @@ def schedule_roll_pitch(
         hover.scaling,
         lambda scaled: weight_roll_pitch(scaled, settings),
         settings.roll_pitch_relaxation,
-        settings.roll_pitch_aims,
+        settings.roll_pitch_goals,
     )
     return schedule_outputs(
         vehicle,

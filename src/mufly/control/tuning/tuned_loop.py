@@ -18,12 +18,12 @@ from mufly.control.robust.parameter_robustness import analyse_parameter_robustne
 from mufly.control.robust.parameter_spreads import default_spreads
 from mufly.control.synthesis.synthesis_methods import GivenController
 from mufly.control.synthesis.weighting_schemes import DesignSettings, scale_plant
-from mufly.control.tuning.fixed_order import aim_norms
+from mufly.control.tuning.fixed_order import evaluate_goal_norms
 from mufly.control.tuning.loop_tuning import (
     HIGHEST_ORDERS,
+    GoalLevels,
     LoopName,
     LoopTuningProblem,
-    TuningGoals,
     TuningState,
     add_fast_states,
     continue_tuning,
@@ -38,7 +38,7 @@ from mufly.vehicle import Vehicle
 DEFAULT_STARTS = ("hinf", "delay", "ltr")
 _FILE_FORMAT = "mufly tuned controller 1"
 _SETTINGS_KEY_BY_LOOP = {"heave-yaw": "heave_yaw_given", "roll-pitch": "roll_pitch_given"}
-_AIM_UNITS = {"weighted": "", "sensitivity": "dB", "complementary": "dB", "disk": "", "activity": "%", "mu": ""}
+_GOAL_UNITS = {"weighted": "", "sensitivity": "dB", "complementary": "dB", "disk": "", "activity": "%", "mu": ""}
 
 
 @result(picture="mufly.control.analysis.plots:draw_tuned_loop")
@@ -66,7 +66,7 @@ class TunedLoop:
 
     @property
     def objective(self) -> float:
-        """Largest aim over its level; below 1 all aims are reached."""
+        """Largest goal over its level; below 1 all goals are reached."""
         return max(self.norms[name] / level for name, level in self.levels.items())
 
     @property
@@ -76,13 +76,13 @@ class TunedLoop:
         return c.heave_yaw if self.loop == "heave-yaw" else c.roll_pitch
 
     def as_record(self) -> dict[str, Any]:
-        """Return aims and figures as JSON data."""
+        """Return goals and figures as JSON data."""
         f = self.figures
         return {
             "loop": self.loop,
             "order": self.order,
             "objective": self.objective,
-            "aims": {name: {"level": level, "reached": self.norms[name]} for name, level in self.levels.items()},
+            "goals": {name: {"level": level, "reached": self.norms[name]} for name, level in self.levels.items()},
             "sampled": {
                 "gamma": f.norm,
                 "sensitivity_peak_dB": f.sampled.sensitivity_peak_dB,
@@ -96,11 +96,11 @@ class TunedLoop:
         }
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return the text of the result: each aim with its level, and the figures of the loop."""
+        """Return the text of the result: each goal with its level, and the figures of the loop."""
         rows = []
         for name, level in self.levels.items():
             reached = self.norms[name]
-            if _AIM_UNITS[name] == "dB":
+            if _GOAL_UNITS[name] == "dB":
                 level, shown, reached = 20 * np.log10(level), 20 * np.log10(reached), reached
                 rows.append((f"{name} (dB)", f"{level:.2f}", f"{shown:.2f}", f"{reached / self.levels[name]:.3f}"))
             else:
@@ -108,12 +108,12 @@ class TunedLoop:
         f, s = self.figures, self.figures.sampled
         title = f"{self.controller.vehicle_name}, {self.loop}, order {self.order}"
         return [
-            show_table(("aim", "level", "reached", "share"), rows, title=title),
+            show_table(("goal", "level", "reached", "share"), rows, title=title),
             show_lines(
                 f"Sampled at {self.controller.rate_Hz:g} Hz: gamma {f.norm:.3f}, S_u {s.sensitivity_peak_dB:.2f} dB, "
                 f"T_u {s.complementary_peak_dB:.2f} dB, disk margin {f.disk.margin:.2f}, mu {f.mu_upper:.3f}, input "
                 f"noise {100 * f.input_noise:.2f} %, {f.multiply_adds} multiply-adds",
-                "All aims are reached" if self.objective <= 1.0 else "Not all aims are reached: shares above 1",
+                "All goals are reached" if self.objective <= 1.0 else "Not all goals are reached: shares above 1",
             ),
         ]
 
@@ -122,7 +122,7 @@ def tune_loop(
     vehicle: Vehicle,
     loop: LoopName,
     order: int,
-    goals: TuningGoals,
+    goal_levels: GoalLevels,
     *,
     starts: Sequence[str] = DEFAULT_STARTS,
     rounds: int = 4,
@@ -141,7 +141,7 @@ def tune_loop(
         ``"heave-yaw"`` or ``"roll-pitch"``.
     order : int
         Order of the controller.
-    goals : TuningGoals
+    goal_levels : GoalLevels
     starts : sequence of str
         Methods whose reduced controllers are starts, ``"delay"`` (H-infinity with the delay), or files of tuned loops.
     rounds, steps : int
@@ -167,17 +167,17 @@ def tune_loop(
     """
     if not 2 <= order <= HIGHEST_ORDERS[loop]:
         raise ArgumentError("order", "", f"{order} is out of range", f"give 2 to {HIGHEST_ORDERS[loop]} for {loop}")
-    if not any(v is not None for v in asdict(goals).values()):
-        raise ArgumentError("goals", "", "no goal is given", "give one of " + ", ".join(asdict(goals)))
+    if not any(v is not None for v in asdict(goal_levels).values()):
+        raise ArgumentError("goals", "", "no goal is given", "give one of " + ", ".join(asdict(goal_levels)))
     base = design_flight_controller(vehicle, rate_Hz=rate_Hz)
     spreads = default_spreads(vehicle) if spreads is None else dict(spreads)
     d = base.heave_yaw if loop == "heave-yaw" else base.roll_pitch
     problem = make_loop_tuning_problem(
-        vehicle, base, loop, goals, sensor_noise(vehicle, d.plant.output_labels), spreads
+        vehicle, base, loop, goal_levels, sensor_noise(vehicle, d.plant.output_labels), spreads
     )
     question = {
         "format": _FILE_FORMAT, "vehicle": vehicle.name, "loop": loop, "order": order, "rate_Hz": base.rate_Hz,
-        "goals": asdict(goals), "starts": list(starts), "steps": steps, "plant": _plant_fingerprint(d),
+        "goals": asdict(goal_levels), "starts": list(starts), "steps": steps, "plant": _plant_fingerprint(d),
     }  # fmt: skip
     state = _read_tuning_state(path, question)
     files = [name for name in starts if name.endswith(".json")]
@@ -201,7 +201,7 @@ def tune_loop(
     K, state = continue_tuning(problem, first, rounds=rounds, steps=steps, state=state, progress=report)
     if path is not None:
         _write_tuning_record(path, question, problem, state)
-    norms = aim_norms([a for a in problem.aims if a is not problem.mu], K)
+    norms = evaluate_goal_norms([a for a in problem.goals if a is not problem.mu], K)
     if problem.mu is not None:
         gain = np.block([[K.A, K.B], [K.C, K.D]])
         norms["mu"] = problem.mu.update_scalings(gain, order)
@@ -211,7 +211,7 @@ def tune_loop(
     robust = analyse_parameter_robustness(vehicle, c, spreads, points=40)
     mu = robust.heave_yaw if loop == "heave-yaw" else robust.roll_pitch
     figures = loop_figures(vehicle, c.heave_yaw if loop == "heave-yaw" else c.roll_pitch, (mu.peak, mu.lower))
-    return TunedLoop(loop, order, {a.name: a.level for a in problem.aims}, norms, figures, c)
+    return TunedLoop(loop, order, {a.name: a.level for a in problem.goals}, norms, figures, c)
 
 
 def _plant_fingerprint(d: ControllerDesign) -> list[float]:

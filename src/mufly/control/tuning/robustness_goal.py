@@ -1,8 +1,8 @@
-"""The structured singular value over a vehicle's parameters as an aim of the tuning.
+"""The structured singular value over a vehicle's parameters as an goal of the tuning.
 
 At fixed frequencies and with fixed scalings D and G the upper bound of mu is the root of the largest eigenvalue of the
 pencil ``M* D M + j (G M - M* G)`` and D (Fan, Tits and Doyle, IEEE Trans. Autom. Control 36, 1991). As a function of
-the controller this value has the gradient of a simple eigenvalue. :meth:`ParameterAim.update_scalings` finds the best
+the controller this value has the gradient of a simple eigenvalue. :meth:`RobustnessGoal.update_scalings` finds the best
 scalings for a controller; tuning and rescaling alternate, as in D-K iteration.
 
 The loop is that of :mod:`mufly.control.robust.parameter_robustness`: affine in the parameters, with 1.5 periods of
@@ -36,8 +36,8 @@ def _pencil_values(M: ComplexArray, D: ComplexArray, G: ComplexArray) -> tuple[A
     return np.linalg.eigvalsh(whole)[:, -1], whole, root
 
 
-class ParameterAim:
-    """The upper bound of mu over a vehicle's parameters, as an aim.
+class RobustnessGoal:
+    """The upper bound of mu over a vehicle's parameters, as an goal.
 
     Parameters
     ----------
@@ -111,18 +111,18 @@ class ParameterAim:
 
 
 class _ScaledBound:
-    """The bound with the aim's present scalings."""
+    """The bound with the goal's present scalings."""
 
-    def __init__(self, aim: ParameterAim, order: int) -> None:
-        self.aim, self.order = aim, order
+    def __init__(self, goal: RobustnessGoal, order: int) -> None:
+        self.goal, self.order = goal, order
 
     def norm_and_gradient(self, K: Array) -> tuple[float, Array]:
         """Return the bound, at least a small positive number, and its gradient by K."""
-        M, left, right = self.aim.response(K, self.order)
-        values, whole, root = _pencil_values(M, self.aim._D, self.aim._G)
+        M, left, right = self.goal.response(K, self.order)
+        values, whole, root = _pencil_values(M, self.goal._D, self.goal._G)
         k = int(np.argmax(values))
         u = np.linalg.solve(root[k].conj().T, np.linalg.eigh(whole[k])[1][:, -1])
         norm = float(np.sqrt(max(values[k], 1e-6)))
-        co = u.conj() @ (M[k].conj().T @ self.aim._D[k] + 1j * self.aim._G[k])
+        co = u.conj() @ (M[k].conj().T @ self.goal._D[k] + 1j * self.goal._G[k])
         slope = 2.0 * np.outer(co @ left[k], right[k] @ u).real
         return norm, slope / (2.0 * norm)
