@@ -23,7 +23,7 @@ from mufly.rotor import (
     TEXTBOOK_CORRECTIONS,
     OperatingCondition,
     RotorSystem,
-    compute_polars,
+    compute_airfoil_polars,
     load_rotor,
     prepare_blading,
     replace_rotor,
@@ -50,7 +50,7 @@ def main() -> None:
     record = take_record_option(sys.argv)
     start = time.perf_counter()
     rotor = load_rotor("naca0012-r60-c20")
-    tables = compute_polars(["naca0012"])
+    tables = compute_airfoil_polars(["naca0012"])
     case = prepare_blading(rotor, tables)
     first = solve_rotor(case, pitch_rad=0.2, speed_rad_s=600.0)
     print(f"start, polar, first point                {time.perf_counter() - start:8.2f} s ({first.thrust_N:.3f} N)")

@@ -11,7 +11,7 @@ argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescrip
 
 with tempfile.TemporaryDirectory() as folder:
     os.environ["MUFLY_CACHE"] = folder
-    from mufly.rotor import compute_polar, compute_polars, database_airfoils, load_airfoil, lookup_lift_drag
+    from mufly.rotor import compute_airfoil_polars, compute_polar, database_airfoils, load_airfoil, lookup_lift_drag
     from mufly.rotor.sections.polar_engines import DEFAULT_REYNOLDS
 
     def timed(what, function, repeat=1):
@@ -29,8 +29,8 @@ with tempfile.TemporaryDirectory() as folder:
     names = database_airfoils()[::8][:247]
     sections = [load_airfoil(n) for n in names]
     cases = len(sections) * DEFAULT_REYNOLDS.size * 41
-    timed(f"{len(sections)} airfoils, {cases} cases, fresh", lambda: compute_polars(sections))
-    timed(f"{len(sections)} airfoils, from the cache", lambda: compute_polars(sections), 3)
+    timed(f"{len(sections)} airfoils, {cases} cases, fresh", lambda: compute_airfoil_polars(sections))
+    timed(f"{len(sections)} airfoils, from the cache", lambda: compute_airfoil_polars(sections), 3)
     rng = np.random.default_rng(0)
     alpha, reynolds = rng.uniform(-0.2, 0.3, 1_000_000), np.exp(rng.uniform(8, 12, 1_000_000))
     lookup_lift_drag(table, 0.0, 1e4)

@@ -70,7 +70,7 @@ from mufly.rotor import (
     SystemSolution,
     calibrate_blading,
     compare_measurements,
-    compute_polars,
+    compute_airfoil_polars,
     prepare_blading,
     replace_rotor,
     solve_system,
@@ -114,9 +114,9 @@ def make_blading(
     """Lay a case out with another transition, corrections, section or hub cut-out."""
     rotor = case.rotor if cutout is None else replace_rotor(case.rotor, {"hub_cutout": cutout})
     names = list(rotor.airfoil_names())
-    tables = compute_polars(names, n_crit=n_crit)
+    tables = compute_airfoil_polars(names, n_crit=n_crit)
     if section:
-        tables = dict.fromkeys(names, compute_polars([section], n_crit=n_crit)[section])
+        tables = dict.fromkeys(names, compute_airfoil_polars([section], n_crit=n_crit)[section])
     return prepare_blading(rotor, tables, corrections=corrections)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from mufly.cfd import solve_elastic_blade
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Air, compute_polars, load_rotor, prepare_blading, solve_rotor
+from mufly.rotor import Air, compute_airfoil_polars, load_rotor, prepare_blading, solve_rotor
 from mufly.rotor.structure.coupled_rounds import StripLoads, deform_rotor, iterate_elastic_twist
 from mufly.rotor.structure.elastic_rotor import section_moment, solve_equilibrium
 from mufly.rotor.structure.flap_modes import make_blade_beam
@@ -26,7 +26,7 @@ class StandIn:
     settled: bool = True
 
     def __post_init__(self):
-        self.polars = compute_polars(["goe417a"])
+        self.polars = compute_airfoil_polars(["goe417a"])
         self.starts, self.rotors = [], []
 
     def strips(self, rotor, twist_rad=None, turn=1):

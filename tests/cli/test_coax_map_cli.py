@@ -35,7 +35,7 @@ def test_writes_a_map_that_a_vehicle_flies_with(tmp_path) -> None:
     assert sorted(f.name for f in tmp_path.iterdir()) == ["pair.png", "pair.toml"]
     made = load_coefficient_map(file)
     assert (made.upper_pitch_deg, made.lower_pitch_deg, made.spacing_m) == (13, 14, 0.04)
-    t = made.parse_tables()
+    t = made.decode_map_tables()
     np.testing.assert_allclose(t.ratio, [0.8, 1.0, 1.2, 1.4])
     np.testing.assert_allclose(t.climb_ratio * 4000 * np.pi / 30 * 0.0875, [-1, 0, 1, 2], atol=1e-6)
 

@@ -110,7 +110,7 @@ def test_beyond_the_edges_the_last_values_hold(clamped):
 
 def test_maps_are_dissipative(clamped, hinged):
     for v in (clamped, hinged):
-        loads = v.rotors.flight_map.parse_tables().loads.reshape(-1, 2, 10)
+        loads = v.rotors.flight_map.decode_map_tables().loads.reshape(-1, 2, 10)
         assert np.all(loads[..., 2] > 0.0)  # drag
         assert np.all(loads[..., 8] <= 1e-9)  # rate damping
     assert np.abs(loads[..., [4, 5, 8, 9]]).max() < 1e-7  # a free hinge has no hub moments
@@ -127,7 +127,7 @@ def test_rates_are_damped(vehicle, clamped, hinged):
 
 def test_the_map_passes_through_its_points(clamped):
     flight_map = clamped.rotors.flight_map
-    tables, splines = flight_map.parse_tables(), fit_flight_splines(flight_map.parse_tables())
+    tables, splines = flight_map.decode_map_tables(), fit_flight_splines(flight_map.decode_map_tables())
     climbs, edges = splines.size
     flow = tables.loads.reshape(*tables.loads.shape[:3], 2, 10)[..., :6].reshape(*tables.loads.shape[:3], 12)
     at = partial(interpolate_flow_loads, splines.coefficient_table.ravel(), int(climbs), int(edges))
@@ -238,7 +238,7 @@ def test_rate_derivative_matches_the_table(clamped, hinged):
         slope = (derivative(v, turning) - derivative(v, x))[MODEL_RATES] / 1e-3
         bare = replace_parameters(v, {"rotors.flight_map": None})
         without = (derivative(bare, turning) - derivative(bare, x))[MODEL_RATES] / 1e-3
-        tables = v.rotors.flight_map.parse_tables()
+        tables = v.rotors.flight_map.decode_map_tables()
         loads = tables.loads.mean(axis=0)[int(np.argmin(np.abs(tables.climb_ratio))), 0].reshape(2, 10)
         speeds, z = x[ROTOR_SPEEDS], np.array([p["z_up"], p["z_dw"]])
         scale, radius = p["flight_map_scale"] * speeds, float(p["flight_map_radius"])

@@ -212,4 +212,4 @@ def test_a_map_without_lift_at_hover_cannot_be_scaled(vehicle) -> None:
 def test_the_builtin_map_is_for_the_builtin_rotor() -> None:
     m = load_coefficient_map("walkera-5g6-bemt")
     assert m.radius_m == pytest.approx(0.0875)
-    assert np.mean(m.parse_tables().solved) > 0.95
+    assert np.mean(m.decode_map_tables().solved) > 0.95

@@ -218,8 +218,8 @@ def test_the_velocity_of_vibration_has_the_variance_of_its_integral(
     }  # fmt: skip
     m = SimpleNamespace(
         **three, inputs_now=row, x=np.zeros(STATE_COUNT), sigma_output=np.zeros(ERROR_STATE_COUNT),
-        slow_residual_count=0, slow_residual_mean_count=0, flight_phase=PHASE_MOTORS_RUNNING, tick=0, grounded_tick=0,
-        status=np.ones(SENSOR_COUNT, dtype=int), fault_until_tick=np.zeros(SENSOR_COUNT),
+        slow_residual_count=0, slow_residual_mean_count=0, flight_phase=PHASE_MOTORS_RUNNING, tick=0,
+        grounded_tick=0, status=np.ones(SENSOR_COUNT, dtype=int), fault_until_tick=np.zeros(SENSOR_COUNT),
     )  # fmt: skip
     found = []
     for m.tick in range(4000):

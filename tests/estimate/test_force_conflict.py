@@ -34,7 +34,8 @@ class Flight:
     def __init__(self) -> None:
         self.s = SimpleNamespace(dt=PERIOD_S, is_fitted=np.ones(SENSOR_COUNT, int))
         self.m = SimpleNamespace(
-            tick=1000, is_accel_distrusted=0, accel_model_difference_tick=0, accel_model_verdict=checks.VERDICT_AGREE,
+            tick=1000, is_accel_distrusted=0, accel_model_difference_tick=0,
+            accel_model_verdict=checks.VERDICT_AGREE,
             accel_model_conflict_start_tick=0, accel_residual_lp=np.zeros(3), accel_residual_sigma=np.zeros(3),
             fix_ratio_mean=np.zeros(4), last_fused_tick=np.full(SENSOR_COUNT, 1000),
             status=np.full(SENSOR_COUNT, checks.STATUS_FUSED), reason=np.zeros(SENSOR_COUNT, int),

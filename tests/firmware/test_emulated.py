@@ -19,7 +19,7 @@ from mufly.firmware.emulated.board_flight import BoardEstimator, make_board_soft
 from mufly.firmware.emulated.board_memory import MemoryLayout
 from mufly.flight import Flight, fly_mission
 from mufly.flight.controllers import Actuators
-from mufly.flight.mission_flight import align_and_start
+from mufly.flight.mission_flight import await_estimate_and_start
 from mufly.mission import load_mission
 from mufly.sensors import parse_fault
 from mufly.vehicle import load_vehicle
@@ -148,7 +148,7 @@ def _fly_with_lost_periods(vehicle, mission, estimator, controller, software, lo
             return step(estimate)
 
         estimator.update, flight.autopilot.step = update_or_miss, step_or_miss
-        align_and_start(flight)
+        await_estimate_and_start(flight)
         while flight.time_s < 12.0 and not flight.plant.crash_cause:
             flight.step_period()
             m = flight.estimate

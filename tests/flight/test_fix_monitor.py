@@ -14,7 +14,7 @@ from mufly.flight import Flight
 from mufly.flight.fixes.camera_sensor import judge_camera_path
 from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.fixes.fix_monitor import FixMonitor
-from mufly.flight.mission_flight import align_and_start
+from mufly.flight.mission_flight import await_estimate_and_start
 from mufly.mission import load_mission
 from mufly.sensors import Reading, Readings
 from mufly.vehicle import load_vehicle
@@ -221,7 +221,7 @@ def test_a_flight_on_a_turned_source_lands_upright_and_blames_no_sensor() -> Non
                 source.submit_fix(t, *queue.pop(0), None)
 
         flight.step_period = flight.advance_until = lambda *_, **__: step()  # type: ignore[method-assign]
-        assert align_and_start(flight) == ""
+        assert await_estimate_and_start(flight) == ""
         while not flight.autopilot.software.finished and not flight.plant.crash_cause and flight.time_s < 40.0:
             step()
         outcome, reason = flight.judge_outcome()

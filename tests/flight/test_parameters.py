@@ -14,7 +14,7 @@ from mufly.dynamics import linearise_vehicle
 from mufly.flight import ControllerReference, Flight, controllers, simulate_response
 from mufly.flight.controllers import copy_record
 from mufly.flight.tunable_parameters import DEGREES_PER_RADIAN, PARAMETERS, STORAGE_KEYS
-from mufly.mission import MISSION_SHARE_OF_CONTROL_LIMITS, parse_mission
+from mufly.mission import MISSION_FRACTION_OF_CONTROL_LIMITS, parse_mission
 from mufly.vehicle import Vehicle, load_vehicle
 
 HOP = parse_mission({"name": "hop", "waypoint": [{"position_m": [0.5, 0.0, -1.0], "wait_s": 2.0}]})
@@ -100,7 +100,7 @@ def test_limits_of_the_mission_follow_those_of_the_controllers(flight: Flight) -
     assert a.set_parameter("LIM_CLIMB", 0.7)
     assert a.set_parameter("CTL_HEAVE_SPD", 0.5)
     p = a.parameters["LIM_CLIMB"]
-    assert p.value == p.maximum == pytest.approx(MISSION_SHARE_OF_CONTROL_LIMITS * 0.5)
+    assert p.value == p.maximum == pytest.approx(MISSION_FRACTION_OF_CONTROL_LIMITS * 0.5)
     # What was asked for is not forgotten.
     assert a.set_parameter("CTL_HEAVE_SPD", 1.0)
     assert a.parameters["LIM_CLIMB"].value == pytest.approx(0.7)
@@ -179,7 +179,7 @@ def test_tuning_on_the_run_makes_no_bump(flight: Flight, name: str, end: str) ->
 
 
 def test_a_gain_that_jumps_would_make_one(flight: Flight, monkeypatch) -> None:
-    monkeypatch.setattr(controllers, "RETUNE_TIME_S", 1e-9)
+    monkeypatch.setattr(controllers, "GAIN_BLEND_TIME_CONSTANT_S", 1e-9)
     assert greatest_steps(flight, "CTL_POS_GAIN", "maximum")[2:].max() > 0.035
 
 

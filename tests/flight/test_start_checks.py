@@ -15,7 +15,7 @@ from mufly.firmware import FirmwareSoftware, GenericFirmwareSoftware
 from mufly.flight import Flight
 from mufly.flight.arming import find_arming_faults
 from mufly.flight.flight_software import FlightSoftware
-from mufly.flight.mission_flight import align_and_start
+from mufly.flight.mission_flight import await_estimate_and_start
 from mufly.mission import Command, Mission, SetPoint, parse_mission
 from mufly.sensors import parse_fault
 from mufly.vehicle import Vehicle, load_vehicle
@@ -89,7 +89,7 @@ def test_a_vehicle_that_leans_is_not_armed(vehicle, controller, lean_deg):
     leaning = vehicle.model_copy(update={"contact": vehicle.contact.model_copy(update={"legs": legs})})
     options = {"controller": controller, "designed_for": vehicle, "sensors": "fitted", "seed": 7, "keep": False}
     with Flight(leaning, HOP, **options) as flight:
-        why = align_and_start(flight)
+        why = await_estimate_and_start(flight)
         assert np.abs(flight.status.estimate.attitude[:2]).max() < math.radians(1.0)
         assert f"stands tilted {lean_deg - 0.3:.1f}"[:-2] in why
         assert "degrees; limit 6; set the vehicle on level ground" in why

@@ -8,13 +8,13 @@ from scipy.signal import lfilter
 
 from mufly.identify import ParameterEstimate, RecordPrediction, assess_prediction, describe_residuals
 from mufly.identify.fit_result import (
-    choose_error_shape,
     coloured_covariance,
     correlation_reach,
     covariance_from_information,
     describe_undetermined_combinations,
     divide_by_values,
     parzen_window,
+    select_error_model,
 )
 from mufly.identify.residual_analysis import (
     estimate_high_frequency_noise,
@@ -258,7 +258,7 @@ def test_the_first_shape_of_errors_holds_unless_another_is_clearly_likelier(seco
     def tried(reading, full):
         return np.array([reading, full]), minus_log[reading, full]
 
-    std, words = choose_error_shape(list(minus_log), tried)
+    std, words = select_error_model(list(minus_log), tried)
     assert words == shape
     assert tuple(std) == ((1.0, 0.0) if second > 6.0 else (0.0, 0.5))
 

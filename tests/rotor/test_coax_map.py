@@ -13,7 +13,7 @@ from mufly.rotor import (
     RotorSystem,
     compute_coax_map,
     load_rotor,
-    make_climb_ratio_axis,
+    make_climb_axis_over_tip_speed,
     prepare_blading,
     solve_system,
 )
@@ -35,7 +35,7 @@ def blading():
 
 @pytest.fixture(scope="module")
 def axes(blading):
-    climbs = make_climb_ratio_axis([-1.0, 0.0, 1.0, 2.0], SPEEDS, float(blading.radius_m[0]))
+    climbs = make_climb_axis_over_tip_speed([-1.0, 0.0, 1.0, 2.0], SPEEDS, float(blading.radius_m[0]))
     return {"mean_speed_rad_s": SPEEDS, "ratio": RATIOS, "climb_ratio": climbs.tolist()}
 
 
@@ -55,7 +55,7 @@ def made_map(function, axes) -> CoefficientMap:
 
 
 def test_points_are_the_solver_s(made, blading) -> None:
-    t = made.parse_tables()
+    t = made.decode_map_tables()
     assert t.solved.all()
     for k, j, i in ((0, 2, 1), (1, 2, 3), (1, 1, 2), (0, 0, 0)):
         mean, r, m = t.mean_speed_rad_s[k], t.ratio[j], t.climb_ratio[i]
@@ -73,7 +73,7 @@ def test_points_are_the_solver_s(made, blading) -> None:
 
 
 def test_physics(made) -> None:
-    t = made.parse_tables()
+    t = made.decode_map_tables()
     total = t.cT_upper + t.cT_lower
     assert np.all(np.diff(total, axis=2) < 0)  # climb lowers the thrust
     assert np.all(np.diff(t.cT_lower, axis=1) > 0)  # a slower upper rotor sends down less
@@ -110,7 +110,7 @@ def test_file_round_trip(made, tmp_path) -> None:
     file.write_text(format_map_toml(made), encoding="utf-8")
     assert load_coefficient_map(file) == made
     assert load_coefficient_map("pair.toml", tmp_path) == made
-    for ours, theirs in zip(load_coefficient_map(file).parse_tables(), made.parse_tables(), strict=True):
+    for ours, theirs in zip(load_coefficient_map(file).decode_map_tables(), made.decode_map_tables(), strict=True):
         assert_array_equal(ours, theirs)
 
 
@@ -141,7 +141,7 @@ def test_a_stopped_run_goes_on(blading, axes, made, tmp_path) -> None:
     )
     assert seen[-1] == 24
     assert not kept.exists()
-    t, full = resumed.parse_tables(), made.parse_tables()
+    t, full = resumed.decode_map_tables(), made.decode_map_tables()
     assert t.cT_upper[tuple(point)] == 0.5
     other = np.ones(t.grid_shape, dtype=bool)
     other[tuple(point)] = False
@@ -183,7 +183,7 @@ def test_wakes_start_from_their_neighbours_and_are_marked_where_they_do_not_sett
     monkeypatch.setitem(room_function.__globals__, "solve_system", stands_in)
     small = {"mean_speed_rad_s": [420.0], "ratio": [1.0, 1.2], "climb_ratio": [-0.03, 0.0, 0.03]}
     made = compute_coax_map(blading, blading, **PAIR, **small, method="wake", settings=WakeSettings(step_deg=30.0))
-    t = made.parse_tables()
+    t = made.decode_map_tables()
     assert made.method == "wake"
     assert "free wake, step 30 deg" in made.settings
     assert_array_equal(t.solved[0], [[False, True, True]] * 2)

@@ -11,7 +11,14 @@ from uniform_beam import uniform_beam
 from mufly.cli import app
 from mufly.errors import MuflyError
 from mufly.quantities.units import RPM
-from mufly.rotor import BladeStructure, compute_polars, load_rotor, prepare_blading, solve_elastic_rotor, solve_rotor
+from mufly.rotor import (
+    BladeStructure,
+    compute_airfoil_polars,
+    load_rotor,
+    prepare_blading,
+    solve_elastic_rotor,
+    solve_rotor,
+)
 from mufly.rotor.structure.blade_beam import stiffness_matrices
 from mufly.rotor.structure.elastic_rotor import SpanLoads, divergence_speed, load_derivative, solve_equilibrium
 from mufly.rotor.structure.flap_modes import make_blade_beam
@@ -36,7 +43,7 @@ def constant(beam, axial=0.0, inplane=0.0, moment=0.0):
 @pytest.fixture(scope="module")
 def walkera():
     rotor = load_rotor("walkera-5g6")
-    polars = compute_polars(rotor.airfoil_names())
+    polars = compute_airfoil_polars(rotor.airfoil_names())
     return rotor, polars, prepare_blading(rotor, polars)
 
 
@@ -125,7 +132,7 @@ def test_thin_moulded_blade_gains_thrust_within_a_band(walkera):
 
 def test_thick_blade_changes_thrust_little_and_with_the_square_of_the_speed():
     rotor = load_rotor("naca0012-r60-c20")  # 12 % of 20 mm
-    polars = compute_polars(rotor.airfoil_names())
+    polars = compute_airfoil_polars(rotor.airfoil_names())
     blading, b = prepare_blading(rotor, polars), make_blade_beam(rotor, BladeStructure(material="photopolymer"))
     change = []
     for speed in (3000 * RPM, 6000 * RPM):

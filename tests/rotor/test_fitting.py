@@ -88,8 +88,8 @@ def test_intervals_shrink_with_the_bench_and_widen_away_from_it(swept):
     half = (known.thrust_high_N - known.thrust_N) / known.thrust_N
     assert half[0] < 0.5 * ((guess.thrust_high_N - guess.thrust_N) / guess.thrust_N)[0]
     assert np.all(half[1:] > 1.5 * half[0])
-    assert set(known.thrust_share) == {"fit", "section", "scatter", "method"}
-    assert known.thrust_share["method"][0] == 0.0
+    assert set(known.thrust_relative_std) == {"fit", "section", "scatter", "method"}
+    assert known.thrust_relative_std["method"][0] == 0.0
 
 
 def test_truths_lie_inside_the_intervals():
@@ -167,5 +167,5 @@ def test_a_tunnel_tells_the_angle_from_the_lift_and_what_hover_is():
     assert_allclose([again.thrust_N / hovering.thrust_N, again.torque_Nm / hovering.torque_Nm], 1.0, atol=0.05)
     at = {"pitch_rad": 0.0, "speed_rad_s": speed}
     inside, outside = (predict_interval(found.rotor, climb_m_s=v, **at) for v in (5.0, 0.0))
-    assert outside.thrust_share["method"][0] > inside.thrust_share["method"][0] == 0.0
+    assert outside.thrust_relative_std["method"][0] > inside.thrust_relative_std["method"][0] == 0.0
     assert rotor_fit_picture(found).axes[0].get_xlabel().startswith("Advance")

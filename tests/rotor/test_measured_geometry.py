@@ -48,7 +48,9 @@ def test_stated_pitch_and_photograph_are_weighted_by_their_variances():
     assert prior.std_rad == pytest.approx(DEG / math.sqrt(1 / 4 + 1 / 9))
     near, far = prepare_blading(photo).twist_rad[0], prepare_blading(rotor).twist_rad[0]
     np.testing.assert_allclose(near - far, prior.mean_rad)
-    spread = [predict_interval(r, pitch_rad=0.0, speed_rad_s=500.0).thrust_share["pitch"][0] for r in (rotor, photo)]
+    spread = [
+        predict_interval(r, pitch_rad=0.0, speed_rad_s=500.0).thrust_relative_std["pitch"][0] for r in (rotor, photo)
+    ]
     assert spread[1] > 2.0 * spread[0]
 
 

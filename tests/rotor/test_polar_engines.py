@@ -15,8 +15,8 @@ from mufly.rotor import (
     RotorSystem,
     RotorWarning,
     compare_measurements,
+    compute_airfoil_polars,
     compute_polar,
-    compute_polars,
     extrapolation_flags,
     load_airfoil,
     lookup_lift_drag,
@@ -203,9 +203,9 @@ def test_drag_falls_with_reynolds_number_and_early_transition_keeps_the_flow_att
 
 def test_faults_are_raised_or_collected():
     with pytest.raises(InputError, match="no such airfoil"):
-        compute_polars(["naca0012", "no-such"])
+        compute_airfoil_polars(["naca0012", "no-such"])
     faults: dict[str, str] = {}
-    found = compute_polars(["naca0012", "no-such", "naca9900"], faults=faults)
+    found = compute_airfoil_polars(["naca0012", "no-such", "naca9900"], faults=faults)
     assert list(found) == ["naca0012"]
     assert set(faults) == {"no-such", "naca9900"}
     for change, words in (

@@ -14,7 +14,7 @@ from mufly.station.remote.remote_commands import (
     PROGRESS_TIMEOUT_S,
     REFUSAL_REASON_WAIT_S,
     RETRY_PERIOD_S,
-    OperatorControl,
+    OperatorControlClient,
     RemoteCommands,
     StatusTextLog,
 )
@@ -81,7 +81,7 @@ def test_a_refusal_waits_a_moment_for_its_reason():
 
 
 def test_command_is_taken_when_the_vehicle_answers_us_and_what_we_asked():
-    control = OperatorControl(1, (250, 190))
+    control = OperatorControlClient(1, (250, 190))
 
     def answer(station, request, result):
         control.handle(1.0, mavlink.MAVLink_change_operator_control_ack_message(station, request, result))

@@ -58,7 +58,7 @@ def test_a_vehicle_carries_its_map(vehicle, tmp_path) -> None:
 
 def test_tables_cannot_be_written_to() -> None:
     with pytest.raises(ValueError, match="read-only"):
-        load_coefficient_map(MAP).parse_tables().cT_upper[0, 0, 0] = 1.0
+        load_coefficient_map(MAP).decode_map_tables().cT_upper[0, 0, 0] = 1.0
 
 
 def without_row(text):

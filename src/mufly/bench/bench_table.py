@@ -505,7 +505,7 @@ def parse_header(header: str) -> ColumnMeaning | None:
     Examples: ``"torque_mNm"``, ``"T(N)"``, ``"RPM"``, ``"speed_upper_rpm"``, ``"thrust_raw_mV"``.
     """
     for name, unit in _header_candidates(header):
-        found = _match_column(name, unit)
+        found = _interpret_column_name(name, unit)
         if found is not None:
             return found
     return None
@@ -543,7 +543,7 @@ def _split_column_name(name: str) -> tuple[str, str]:
     return stem, "{}" + (f"_{side}" if side else "") + ("_raw" if "raw" in words else "")
 
 
-def _match_column(name: str, unit: str) -> ColumnMeaning | None:
+def _interpret_column_name(name: str, unit: str) -> ColumnMeaning | None:
     stem, form = _split_column_name(name)
     raw = form.endswith("_raw")
     for quantity, (si, names) in _QUANTITY_UNITS_AND_NAMES.items():

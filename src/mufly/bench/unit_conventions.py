@@ -16,7 +16,7 @@ units are possible, an error is raised.
 **Rest.** A line gives the zero of the load cells under three conditions: the speed is 0, the throttle is below
 :data:`_MAX_REST_DUTY`, and the load differs from the adjacent turning lines. The difference must exceed
 :data:`_LOST_SPEED_LOAD_TOLERANCE` of ``c W^2``, with c from ``load = zero + c W^2`` at the turning lines. Other lines
-without speed are omitted as failed speed readings. Loads ``c W^2`` below :data:`_MIN_COMPARED_LOAD_SHARE` of the
+without speed are omitted as failed speed readings. Loads ``c W^2`` below :data:`_MIN_COMPARED_LOAD_FRACTION` of the
 largest are not used for this decision.
 """
 
@@ -44,7 +44,7 @@ _HOVER_FIGURES_OF_MERIT = (0.15, 0.95)  # range of the figure of merit of hoveri
 _MIN_PROPELLER_CT = 0.02
 _CANDIDATE_THRUST_UNITS, _CANDIDATE_TORQUE_UNITS = ("N", "gf", "kgf"), ("N m", "mN m", "N cm", "kgf cm")
 _MAX_TIP_SPEED_M_S = 300.0
-_MAX_REST_DUTY, _LOST_SPEED_LOAD_TOLERANCE, _MIN_COMPARED_LOAD_SHARE = 0.05, 0.4, 0.05
+_MAX_REST_DUTY, _LOST_SPEED_LOAD_TOLERANCE, _MIN_COMPARED_LOAD_FRACTION = 0.05, 0.4, 0.05
 _MAX_HOVER_ADVANCE_RATIO = 0.02  # advance ratio V / (n D) below which a rotor hovers
 _ELECTRICAL_POWER_TOLERANCE = 0.03  # relative tolerance of power to voltage times current
 
@@ -281,5 +281,5 @@ def select_rest_lines(table: BenchTable, speeds: list[str]) -> tuple[LineMask, L
         after = np.searchsorted(rows, np.flatnonzero(resting))
         for beside in (rows[np.maximum(after - 1, 0)], rows[np.minimum(after, rows.size - 1)]):
             alike = np.abs(y[resting] - y[beside]) < _LOST_SPEED_LOAD_TOLERANCE * load[beside]
-            lost[resting] |= alike & (load[beside] > _MIN_COMPARED_LOAD_SHARE * load[turning].max())
+            lost[resting] |= alike & (load[beside] > _MIN_COMPARED_LOAD_FRACTION * load[turning].max())
     return still & ~lost, lost

@@ -13,12 +13,12 @@ Both rotors have equal shares, so that the rms of their sum is the amplitude of 
 beta, for which there is no measurement.
 
 **Low light.** The values of the file are valid at the light level 1. At lower levels the exposure control lengthens the
-exposure up to :data:`_MAX_EXPOSURE_SHARE` of the period and then raises the gain, together by at most the factor 4;
+exposure up to :data:`_MAX_EXPOSURE_FRACTION` of the period and then raises the gain, together by at most the factor 4;
 below that level pictures become dark. A longer exposure smears moving pictures. Noise at the gain g and the mean grey
 level y follows the data sheets of image sensors (EMVA 1288): read noise grows with g, and the variance of shot noise
 with g y,
 
-    n(g, y)^2 = n^2 (s g^2 + (1 - s) g y / y_target),        s = :data:`_READ_NOISE_VARIANCE_SHARE`.
+    n(g, y)^2 = n^2 (s g^2 + (1 - s) g y / y_target),        s = :data:`_READ_NOISE_VARIANCE_FRACTION`.
 
 Own derivation; rolling shutter as in Meingast, Geyer and Sastry 2005.
 """
@@ -43,7 +43,7 @@ from mufly.camera.floor_texture import (
 )
 from mufly.compiled.numba_cache import cached_njit
 from mufly.world import Box, World
-from mufly.world.obstacles import BOX_CENTRE, BOX_COS, BOX_HALF_EDGES, BOX_SIN
+from mufly.world.obstacles import BOX_CENTRE_INDEX, BOX_HALF_EDGES_INDEX, BOX_HEADING_COS_INDEX, BOX_HEADING_SIN_INDEX
 
 _Array = NDArray[np.float64]
 _MOTION_VELOCITY, _MOTION_RATES, _MOTION_ROTOR_SPEED, _MOTION_ROTOR_PHASE = 3, 6, 9, 11
@@ -57,7 +57,7 @@ _NOISE_TABLE_SIZE = 1 << 16
 _MAX_DETAILED_FLOOR_HEIGHT_M = 0.6
 _TARGET_GREY = 112.0  # mean grey level that the exposure control aims at
 _EXPOSURE_TIME_CONSTANT_S = 0.4
-_MAX_AMPLIFICATION, _MAX_EXPOSURE_SHARE, _READ_NOISE_VARIANCE_SHARE = 4.0, 0.15, 0.5
+_MAX_AMPLIFICATION, _MAX_EXPOSURE_FRACTION, _READ_NOISE_VARIANCE_FRACTION = 4.0, 0.15, 0.5
 """Largest product of the factors of exposure and gain, largest exposure over the period, and share of read noise in the
 variance of the file's noise."""
 
@@ -228,7 +228,7 @@ class Renderer:
         usual = min(_MAX_AMPLIFICATION, max(1.0 / _MAX_AMPLIFICATION, _TARGET_GREY / max(bright_mean, 1e-3)))
         more = max(1.0, self._gain / usual) if light < 1.0 else 1.0
         exposure = float(self.camera.shutter.exposure)
-        longest = _MAX_EXPOSURE_SHARE * float(self.camera.sensor.period) / exposure if exposure > 0.0 else 1.0
+        longest = _MAX_EXPOSURE_FRACTION * float(self.camera.sensor.period) / exposure if exposure > 0.0 else 1.0
         self._exposure_factor = min(more, max(1.0, longest))
         self._sensor_gain = more / self._exposure_factor
 
@@ -238,7 +238,9 @@ class Renderer:
             return 1.0
         level = float(self._out[::8, ::8].mean()) * light * self._gain / _TARGET_GREY
         gain = self._sensor_gain
-        return math.sqrt(_READ_NOISE_VARIANCE_SHARE * gain * gain + (1.0 - _READ_NOISE_VARIANCE_SHARE) * gain * level)
+        return math.sqrt(
+            _READ_NOISE_VARIANCE_FRACTION * gain * gain + (1.0 - _READ_NOISE_VARIANCE_FRACTION) * gain * level
+        )
 
     def _replace_lost_strips(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Replace lost strips by the same strips of the previous picture, as a video decoder does."""
@@ -260,9 +262,10 @@ class Renderer:
         reach = float(np.abs(self._rays).max()) + 0.2
         for k, b in enumerate(self._boxes):
             corners = (
-                np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * b[BOX_HALF_EDGES:BOX_COS]
+                np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+                * b[BOX_HALF_EDGES_INDEX:BOX_HEADING_COS_INDEX]
             )
-            c, si = b[BOX_COS], b[BOX_SIN]
+            c, si = b[BOX_HEADING_COS_INDEX], b[BOX_HEADING_SIN_INDEX]
             at = np.stack(
                 [
                     c * corners[:, 0] - si * corners[:, 1],
@@ -271,7 +274,7 @@ class Renderer:
                 ],
                 1,
             )
-            p = (at + b[BOX_CENTRE:BOX_HALF_EDGES] - here) @ turn
+            p = (at + b[BOX_CENTRE_INDEX:BOX_HALF_EDGES_INDEX] - here) @ turn
             if (p[:, 2] < 0.02).any():
                 out[k] = 0, s.height - 1, 0, s.width - 1
                 continue
@@ -472,7 +475,7 @@ def _intersect_box(
     boxes: _Array, k: int, at_n: float, at_e: float, at_d: float, n: float, e: float, d: float
 ) -> tuple[float, bool]:
     """Return the distance along the ray to box k (negative: missed), and whether it hits the top face."""
-    c, s = boxes[k, BOX_COS], boxes[k, BOX_SIN]
+    c, s = boxes[k, BOX_HEADING_COS_INDEX], boxes[k, BOX_HEADING_SIN_INDEX]
     on, oe, od = at_n - boxes[k, 0], at_e - boxes[k, 1], at_d - boxes[k, 2]
     px, py = c * on + s * oe, -s * on + c * oe
     ux, uy = c * n + s * e, -s * n + c * e
@@ -480,7 +483,7 @@ def _intersect_box(
     for i in range(3):
         p = px if i == 0 else (py if i == 1 else od)
         u = ux if i == 0 else (uy if i == 1 else d)
-        half = boxes[k, BOX_HALF_EDGES + i]
+        half = boxes[k, BOX_HALF_EDGES_INDEX + i]
         if abs(u) < 1e-12:
             if abs(p) > half:
                 return -1.0, False

@@ -166,7 +166,7 @@ def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight
                 if told.converged:
                     values[i] = told.rotors[0].thrust_N / scale
     tip = abs(first.speed_rad_s) * first.radius_m
-    mean = float(np.mean(flight.parse_tables().mean_speed_rad_s))
+    mean = float(np.mean(flight.decode_map_tables().mean_speed_rad_s))
     thrust, outside = interpolate_map(flight, mean, 1.0, climb / tip)
     hover = interpolate_map(flight, mean, 1.0, 0.0)[0][..., 0]
     part = np.where(outside, math.nan, thrust[:, 0] / hover)

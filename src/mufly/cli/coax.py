@@ -434,7 +434,7 @@ def compute_coax_map(
     mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
     """
     from mufly.files.answer_store import replace_file
-    from mufly.rotor import Air, load_rotor, make_climb_ratio_axis, map_picture
+    from mufly.rotor import Air, load_rotor, make_climb_axis_over_tip_speed, map_picture
     from mufly.rotor.coax_maps import compute_coax_map as compute
     from mufly.vehicle import format_map_toml
 
@@ -453,7 +453,9 @@ def compute_coax_map(
             made = compute(
                 blades[0], blades[1], spacing_m=spacing, upper_pitch_rad=pitches[0],
                 lower_pitch_rad=pitches[-1], mean_speed_rad_s=speeds.tolist(), ratio=ratios,
-                climb_ratio=make_climb_ratio_axis(climbs, speeds.tolist(), blades[0].rotors[0].radius_m).tolist(),
+                climb_ratio=make_climb_axis_over_tip_speed(
+                    climbs, speeds.tolist(), blades[0].rotors[0].radius_m
+                ).tolist(),
                 method=theory.method, air=Air(density_kg_m3=density), settings=settings if wakes else None,
                 name=name or (out.stem if out is not None else ""),
                 note=f"polars {theory.engine}, n_crit {theory.n_crit:g}, corrections {theory.model}",
@@ -468,12 +470,12 @@ def compute_coax_map(
         with replace_file(out) as part:
             part.write_text(format_map_toml(made), encoding="utf-8")
         files = [out, save_figure(map_picture(made), out.parent, out.stem)]
-    content = {**made.model_dump(exclude={"table"}), **made.parse_tables()._asdict()}
+    content = {**made.model_dump(exclude={"table"}), **made.decode_map_tables()._asdict()}
     print_answer(as_json, content, lambda: _print_rotor_map(made), files)
 
 
 def _print_rotor_map(made: CoefficientMap) -> None:
-    t = made.parse_tables()
+    t = made.decode_map_tables()
     c = make_console()
     c.print(f"[bold]{made.name}[/bold]  {made.description}", highlight=False)
     k, i = t.grid_shape[0] // 2, int(np.argmin(np.abs(t.climb_ratio)))

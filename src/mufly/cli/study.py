@@ -48,7 +48,7 @@ from mufly.results import ResultColumn, to_records
 if TYPE_CHECKING:
     import xarray as xr
 
-    from mufly.study.study_parameters import ParameterValue, StudyParameter
+    from mufly.study.study_parameters import ParameterValue, StudyParameterSpec
     from mufly.thesis import StudyAnswer
 
 _MAX_PRINTED_ROWS = 40  # rows of a sweep in the terminal
@@ -70,7 +70,7 @@ AirfoilsOption = Annotated[
 
 
 def parse_set_options(
-    texts: list[str] | None, table: dict[str, StudyParameter], remedy: str
+    texts: list[str] | None, table: dict[str, StudyParameterSpec], remedy: str
 ) -> dict[str, ParameterValue]:
     """Return the settings of ``--set``, each with one value."""
     from mufly.study import parse_settings
@@ -82,7 +82,7 @@ def parse_set_options(
     return {name: values[0] for name, values in settings.items()}
 
 
-def _list_parameters(table: dict[str, StudyParameter], as_json: bool) -> None:
+def _list_parameters(table: dict[str, StudyParameterSpec], as_json: bool) -> None:
     if as_json:
         return print_json(
             {k: {"unit": p.unit, "units": list(p.accepted_units), "meaning": p.meaning} for k, p in table.items()}

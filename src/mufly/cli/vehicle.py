@@ -205,7 +205,7 @@ def _describe_coefficients(v: Vehicle) -> str:
         "computed": "as computed: the constants cT and cQ above are not used",
         "constants": "scaled to the constants cT and cQ above at hover",
     }[v.rotors.map_level]
-    shape = m.parse_tables().grid_shape
+    shape = m.decode_map_tables().grid_shape
     return (
         f"In flight cT and cQ come from coefficient map {m.name!r} ({m.description}; {shape[0]} mean "
         f"speeds, {shape[1]} ratios, {shape[2]} climbs), {level}."

@@ -373,7 +373,7 @@ def _flight_map_fields(vehicle: Vehicle) -> dict[str, Any]:
     m = vehicle.rotors.flight_map
     if m is None:
         return {}
-    splines = fit_flight_splines(m.parse_tables())
+    splines = fit_flight_splines(m.decode_map_tables())
     padded = {}
     for name, values, room in (
         ("flight_map_table", splines.coefficient_table, 12 * (MAX_MAP_CLIMBS + 2) * MAX_MAP_ADVANCE_RATIOS),

@@ -40,7 +40,7 @@ from mufly.files.input_files import validate_model
 from mufly.quantities.units import RPM
 from mufly.vehicle import Vehicle, battery_voltage_range, replace_parameters
 
-MAX_HOVER_VOLTAGE_SHARE = 0.8
+MAX_HOVER_VOLTAGE_FRACTION = 0.8
 """Greatest motor voltage in hover over the half-full battery's voltage; the rest is a margin for climb and gusts."""
 
 
@@ -384,7 +384,7 @@ def _choose_gear(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
     upper, lower = hover_speeds(p)
     torque = float(p["torque_up"]) * upper**2  # equals the lower rotor's torque in trim
     curve = vehicle.battery.open_circuit_voltage
-    available = MAX_HOVER_VOLTAGE_SHARE * float(curve.sample_evenly(3)[1])
+    available = MAX_HOVER_VOLTAGE_FRACTION * float(curve.sample_evenly(3)[1])
     constants = MotorConstants(
         back_emf_V_s=float(m.back_emf_constant), torque_Nm_A=float(m.torque_constant),
         resistance_ohm=float(m.resistance), friction_Nm_s=float(m.friction), gear_ratio=1.0,

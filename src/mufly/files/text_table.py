@@ -56,10 +56,10 @@ _FORTRAN_NUMBER_PATTERN = re.compile(r"([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]?\d+)")
 _MAX_SAMPLED_CELLS = 20_000
 _MIN_TRAILING_ZEROS = 16  # at least this number of trailing zero bytes is no text
 # Up to this fraction of short rows the rows are faulty; above it the header is.
-_MAX_SHORT_ROW_SHARE = 0.5
+_MAX_SHORT_ROW_FRACTION = 0.5
 _MAX_PREAMBLE_LINES = 2000
 _SAMPLED_ROWS = 50
-_MIN_USUAL_WIDTH_SHARE = 0.65  # of the rows below a table's first line
+_MIN_USUAL_WIDTH_FRACTION = 0.65  # of the rows below a table's first line
 _MISSING_VALUES = {"", "nan", "na", "n/a", "null", "none", "-", "inf", "-inf", "+inf", "infinity"}
 
 
@@ -497,7 +497,7 @@ def _find_header_line(lines: Sequence[str], first: int) -> int:
     for separator in (";", "\t", ","):
         widths = count_cells(tail, separator)
         usual = max(set(widths), key=widths.count)
-        if usual < 2 or widths.count(usual) < _MIN_USUAL_WIDTH_SHARE * len(widths):
+        if usual < 2 or widths.count(usual) < _MIN_USUAL_WIDTH_FRACTION * len(widths):
             continue
         if count_cells([lines[first]], separator)[0] >= usual:
             return first
@@ -557,7 +557,7 @@ def _drop_misfit_rows(table: TextTable, widths: list[int], short_rows: str) -> T
     long = [k for k, w in enumerate(widths) if w > wanted]
     short = [k for k, w in enumerate(widths) if w < wanted]
     cut = len(rows) > 1 and short == [len(rows) - 1]
-    allowed = {"refuse": 0.0, "cut": float(cut), "drop": _MAX_SHORT_ROW_SHARE * len(rows)}[short_rows]
+    allowed = {"refuse": 0.0, "cut": float(cut), "drop": _MAX_SHORT_ROW_FRACTION * len(rows)}[short_rows]
     if long or len(short) > allowed:
         bad = long or short
         raise row_width_error(table.where, lines[bad[0]], widths[bad[0]], wanted, len(bad) - 1)

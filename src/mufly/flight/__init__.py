@@ -5,7 +5,7 @@ from mufly.flight.controllers import Actuators, Controllers, controller_limits
 from mufly.flight.flight_software import FlightSoftware
 from mufly.flight.flight_state import FlightState
 from mufly.flight.mission_flight import ALIGNMENT_TIMEOUT_S, FlightProgress, fly_mission
-from mufly.flight.record.estimate_pictures import draw_checks, draw_estimate, draw_estimate_pictures
+from mufly.flight.record.estimate_pictures import draw_estimate, draw_estimate_pictures, draw_sensor_innovations
 from mufly.flight.record.flight_pictures import draw_flight
 from mufly.flight.record.flight_summary import FlightSummary, summarise_flight, summary_rows
 from mufly.flight.record.recorder import FlightRecorder
@@ -51,10 +51,10 @@ __all__ = [
     "SimulatedPlant",
     "TunableParameter",
     "controller_limits",
-    "draw_checks",
     "draw_estimate",
     "draw_estimate_pictures",
     "draw_flight",
+    "draw_sensor_innovations",
     "draw_sensors",
     "flight_layout",
     "fly_mission",

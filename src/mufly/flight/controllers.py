@@ -67,7 +67,7 @@ HEAVE_YAW_TUNABLE = (
 POSITION_TUNABLE = ("position_gain", "speed_limit", "tilt_limit")
 """Parameters of the control law that may change in flight: limits, and gains outside the H-infinity controllers."""
 
-RETUNE_TIME_S = 0.5
+GAIN_BLEND_TIME_CONSTANT_S = 0.5
 """Time constant of a change of parameters (s): a step of a gain would be a step of the output."""
 
 
@@ -122,7 +122,7 @@ class Controllers:
 
     def _blend_gains(self) -> None:
         """Advance the change to the target's parameters by one period."""
-        blend = 1.0 - math.exp(-self._design.period_s / RETUNE_TIME_S)
+        blend = 1.0 - math.exp(-self._design.period_s / GAIN_BLEND_TIME_CONSTANT_S)
         far = False
         for mine, wanted, names in (
             (self._design.heave_yaw_gains, self._target.heave_yaw_gains, HEAVE_YAW_TUNABLE),

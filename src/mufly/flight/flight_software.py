@@ -76,7 +76,7 @@ _Array = NDArray[np.floating[Any]]
 MEASUREMENT_TIMEOUT_S = 0.5
 """Longest time without a new estimate in flight (s)."""
 
-RAMP_DOWN_SKIPPED_SHARE = 0.8
+RAMP_DOWN_SKIPPED_FRACTION = 0.8
 """Fraction of the motors' ramp-down that is skipped if the touchdown is certain."""
 
 MAX_MOTOR_INPUT_STEP, MAX_SERVO_INPUT_STEP = 0.1, 0.2
@@ -371,14 +371,14 @@ class FlightSoftware:
         if knows:  # the timed descent continues from here if the height is lost
             self._since_s = now + self._descent_time_s(height)
         elif height <= TOUCHDOWN_HEIGHT_M:  # touchdown: thrust on the legs would tip the vehicle over
-            self._since_s = min(self._since_s, now - RAMP_DOWN_SKIPPED_SHARE * ROTOR_RUN_DOWN_TIME_S)
+            self._since_s = min(self._since_s, now - RAMP_DOWN_SKIPPED_FRACTION * ROTOR_RUN_DOWN_TIME_S)
         left_s = self._since_s + ROTOR_RUN_DOWN_TIME_S - now
         if left_s <= 0.0:
             self.mission_state = finish_blind_descent(self.mission_state, now)
             self._reference = replace(self._reference, motors="off")
             self._motors, self._motor_input = "off", np.zeros(2)
         else:
-            share = descent_voltage_share(height, float(told.velocity[2])) if knows else DESCENT_VOLTAGE_SHARE
+            share = descent_voltage_share(height, float(told.velocity[2])) if knows else DESCENT_VOLTAGE_FRACTION
             self._motor_input = descent_motor_input(self._held_up, share, left_s, w.last_good.battery_voltage)
         return Actuators(self._motor_input, np.zeros(2))
 
@@ -417,7 +417,7 @@ class FlightSoftware:
             self._motor_input = spin_up_motor_input(hover_V, elapsed, self._volts)
         elif motors == "ramp_down":
             known = m.auxiliary_states is None  # else the vehicle may slide, and remaining thrust tip it over
-            ahead = 0.0 if known else RAMP_DOWN_SKIPPED_SHARE * ROTOR_RUN_DOWN_TIME_S
+            ahead = 0.0 if known else RAMP_DOWN_SKIPPED_FRACTION * ROTOR_RUN_DOWN_TIME_S
             self._motor_input = ramp_down_motor_input(self._released, elapsed + ahead)
         else:
             self._motor_input = np.zeros(2)
@@ -479,8 +479,8 @@ ControlImplementation = Callable[[FlightController], Controllers] | type[FlightS
 # rate: the acceleration (1 - s^2) g reaches the wanted rate with a time constant of 0.4 s.
 
 
-SPIN_UP_VOLTAGE_SHARE = 0.9
-DESCENT_VOLTAGE_SHARE = 0.98
+SPIN_UP_VOLTAGE_FRACTION = 0.9
+DESCENT_VOLTAGE_FRACTION = 0.98
 TOUCHDOWN_HEIGHT_M = 0.03
 """Height below which the vehicle has touched down (m)."""
 _MAX_DESCENT_M_S, _TOUCHDOWN_DESCENT_M_S = (
@@ -488,7 +488,7 @@ _MAX_DESCENT_M_S, _TOUCHDOWN_DESCENT_M_S = (
     0.5,
 )  # limits of the rate of descent; a slow descent drifts farther
 _DESCENT_ENERGY_GAIN = 1.0 / (2.0 * GRAVITY * 0.4)  # voltage fraction per rate of descent (s/m)
-_MIN_DESCENT_SHARE, _MAX_DESCENT_SHARE = 0.92, 1.08
+_MIN_DESCENT_FRACTION, _MAX_DESCENT_FRACTION = 0.92, 1.08
 _DESCENT_MARGIN_S = 1.0
 
 
@@ -506,7 +506,7 @@ def spin_up_motor_input(hover_V: _Array, elapsed_s: float, battery_V: float) -> 
     battery_V : float
         Battery voltage (V).
     """
-    share = SPIN_UP_VOLTAGE_SHARE * min(1.0, 2.0 * elapsed_s / ROTOR_SPIN_UP_TIME_S)
+    share = SPIN_UP_VOLTAGE_FRACTION * min(1.0, 2.0 * elapsed_s / ROTOR_SPIN_UP_TIME_S)
     return np.minimum(share * hover_V / battery_V, 1.0)
 
 
@@ -526,7 +526,7 @@ def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_
 def descent_voltage_share(height_m: float, descent_m_s: float) -> float:
     """Return the fraction of the hover voltages that controls the rate of descent at a height above the floor (m)."""
     wanted = min(max(height_m, _TOUCHDOWN_DESCENT_M_S), _MAX_DESCENT_M_S)
-    return min(max(1.0 + _DESCENT_ENERGY_GAIN * (descent_m_s - wanted), _MIN_DESCENT_SHARE), _MAX_DESCENT_SHARE)
+    return min(max(1.0 + _DESCENT_ENERGY_GAIN * (descent_m_s - wanted), _MIN_DESCENT_FRACTION), _MAX_DESCENT_FRACTION)
 
 
 def descent_time_s(height_m: float, gravity: float) -> float:
@@ -534,6 +534,6 @@ def descent_time_s(height_m: float, gravity: float) -> float:
     in m/s2.
     """
     return (
-        math.sqrt(2.0 * max(0.0, height_m) / ((1.0 - DESCENT_VOLTAGE_SHARE * DESCENT_VOLTAGE_SHARE) * gravity))
+        math.sqrt(2.0 * max(0.0, height_m) / ((1.0 - DESCENT_VOLTAGE_FRACTION * DESCENT_VOLTAGE_FRACTION) * gravity))
         + _DESCENT_MARGIN_S
     )

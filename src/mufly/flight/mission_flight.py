@@ -166,7 +166,7 @@ def _run_flight(
     began = shown = time.perf_counter()
     ended_at = math.inf
     if flight.uses_fitted_sensors:
-        refused = align_and_start(flight)
+        refused = await_estimate_and_start(flight)
         if refused:
             ended_at = flight.time_s
     else:
@@ -191,7 +191,7 @@ def _run_flight(
     return time.perf_counter() - began
 
 
-def align_and_start(flight: Flight) -> str:
+def await_estimate_and_start(flight: Flight) -> str:
     """Wait on the floor for a valid estimate, arm and start the mission; return the reason of a failure, or ""."""
     autopilot, why = flight.autopilot, ["nothing is measured yet"]
     last = math.floor(ALIGNMENT_TIMEOUT_S * flight.plant.rate_Hz)

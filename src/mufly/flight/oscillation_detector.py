@@ -27,7 +27,7 @@ _Array = NDArray[np.float64]
 
 ACTUATOR_INPUT_NAMES = ("motor_input upper", "motor_input lower", "servo_input 1", "servo_input 2")
 ACTUATOR_INPUT_RANGES = (1.0, 1.0, 2.0, 2.0)
-MIN_SWING_INPUT_SHARE, MIN_OSCILLATION_PERIODS, MIN_OSCILLATION_S = 0.5, 4, 2.0
+MIN_SWING_INPUT_FRACTION, MIN_OSCILLATION_PERIODS, MIN_OSCILLATION_S = 0.5, 4, 2.0
 """Smallest swing (fraction of the input's range), number of consecutive periods, and duration (s) of an oscillation."""
 MAX_OSCILLATION_PERIOD_S, MAX_PERIOD_RATIO = 4.0, 1.6
 """Longest period (s), and largest ratio of consecutive periods."""
@@ -94,7 +94,7 @@ def may_oscillate(inputs: _Array) -> bool:
     period.
     """
     for k in range(4):
-        back, rising, extreme, turns = MIN_SWING_INPUT_SHARE * ACTUATOR_INPUT_RANGES[k], True, -math.inf, 0
+        back, rising, extreme, turns = MIN_SWING_INPUT_FRACTION * ACTUATOR_INPUT_RANGES[k], True, -math.inf, 0
         for value in inputs[:, k]:
             ahead = value - extreme if rising else extreme - value
             if ahead > 0.0:
@@ -111,7 +111,7 @@ class OscillationDetector:
 
     def __init__(self) -> None:
         self._inputs = tuple(
-            _InputOscillation(_TurningPoints(MIN_SWING_INPUT_SHARE * r)) for r in ACTUATOR_INPUT_RANGES
+            _InputOscillation(_TurningPoints(MIN_SWING_INPUT_FRACTION * r)) for r in ACTUATOR_INPUT_RANGES
         )
         self._asked = tuple(_TurningPoints(back) for back in _STEERING_THRESHOLDS)
 

@@ -27,7 +27,7 @@ from mufly.control import FlightController
 from mufly.errors import InputError
 from mufly.flight.controllers import controller_limits, copy_record
 from mufly.flight.flight_software import FlightSoftware
-from mufly.mission import MISSION_SHARE_OF_CONTROL_LIMITS, limits_to_file_units
+from mufly.mission import MISSION_FRACTION_OF_CONTROL_LIMITS, limits_to_file_units
 from mufly.vehicle import Vehicle
 
 DEGREES_PER_RADIAN = math.degrees(1.0)
@@ -158,8 +158,8 @@ class TunableParameters(Mapping[str, TunableParameter]):
             least = 0.5 * greatest
         elif most is not None:
             least, greatest = (
-                min(least, MISSION_SHARE_OF_CONTROL_LIMITS * most),
-                min(greatest, MISSION_SHARE_OF_CONTROL_LIMITS * most),
+                min(least, MISSION_FRACTION_OF_CONTROL_LIMITS * most),
+                min(greatest, MISSION_FRACTION_OF_CONTROL_LIMITS * most),
             )
         return replace(p, value=self._stored_value(table, key) * _unit_scale(p, table), minimum=least, maximum=greatest)
 

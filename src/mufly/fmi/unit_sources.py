@@ -159,16 +159,16 @@ def _parameter_lines(record: np.void) -> Iterator[str]:
             continue
         if values.ndim == 0:
             unit = f" {field.unit}" if field.unit else ""
-            yield f".{name} = {_format_entry(values.item())}, /* {float(values):.9g}{unit} */"
+            yield f".{name} = {_format_c_number(values.item())}, /* {float(values):.9g}{unit} */"
         else:
             yield f".{name} = {{"
             for row in values.reshape(len(values), -1):
-                text = ", ".join(map(_format_entry, row.tolist()))
+                text = ", ".join(map(_format_c_number, row.tolist()))
                 yield f"    {{{text}}}," if values.ndim > 1 else f"    {text},"
             yield "},"
 
 
-def _format_entry(value: float | int) -> str:
+def _format_c_number(value: float | int) -> str:
     return str(value) if isinstance(value, int) else format_real(value)
 
 

@@ -54,7 +54,7 @@ from mufly.firmware.quick.compiled_loop import (
     advance_plant,
     sample_sensors,
 )
-from mufly.flight.mission_flight import align_and_start
+from mufly.flight.mission_flight import await_estimate_and_start
 from mufly.flight.period_stages import CONTINUE_LOOP, LOOP_DONE, make_stepper
 from mufly.flight.simulated_flight import Flight
 from mufly.gym.fleet import MIN_START_CHARGE, Fleet
@@ -364,7 +364,7 @@ def fly_to_hover(
         controllers=GenericFirmwareSoftware, designed_for=believed, brief=True,
     )  # fmt: skip
     flight.plant.state[MODEL_CHARGE] = charge
-    if align_and_start(flight):
+    if await_estimate_and_start(flight):
         return None
     while flight.time_s < _FLIGHT_TIMEOUT_S and not flight.plant.crash_cause:
         if flight.autopilot.software.state == State.HOVER:

@@ -279,7 +279,7 @@ Array = NDArray[np.float64]
 
 UNDETERMINED_RELATIVE_STD = 0.5  # relative standard deviation above which a direction counts as undetermined
 _MAX_PRINTED_RELATIVE_STD = 100.0  # relative standard deviation above which no number is printed
-_MIN_COMPONENT_SHARE = 0.15  # share of a direction's largest component below which a parameter is not named
+_MIN_COMPONENT_FRACTION = 0.15  # share of a direction's largest component below which a parameter is not named
 _MIN_PAIR_CORRELATION = 0.98  # correlation above which a pair of parameters is hardly separable ...
 _MIN_PAIR_RELATIVE_STD = 0.005  # ... if the relative standard deviation of each exceeds this value
 _MAX_CORRELATION_LAG_SAMPLES, _INSIGNIFICANT_LAGS_TO_STOP = 300, 10  # samples
@@ -427,7 +427,7 @@ def describe_undetermined_combinations(
     for k in np.argsort(-size):
         if size[k] > UNDETERMINED_RELATIVE_STD**2:
             share = vectors[:, k] / vectors[np.argmax(np.abs(vectors[:, k])), k]
-            parts = [j for j in np.argsort(-np.abs(share)) if abs(share[j]) >= _MIN_COMPONENT_SHARE]
+            parts = [j for j in np.argsort(-np.abs(share)) if abs(share[j]) >= _MIN_COMPONENT_FRACTION]
             covered.append({names[j] for j in parts})
             said.append(_describe_direction([names[j] for j in parts], share[parts], float(np.sqrt(size[k]))))
     whole = inner if within is None else within[np.ix_(found, found)]
@@ -464,7 +464,7 @@ def _describe_direction(names: Sequence[str], share: Array, std: float) -> str:
     return f"{', '.join(names)} are determined only in combination: {what}"
 
 
-def choose_error_shape(
+def select_error_model(
     shapes: Sequence[tuple[float, float]], tried: Callable[[float, float], tuple[Array, float]]
 ) -> tuple[Array, str]:
     """Return the most likely error model: unscaled standard deviations and a description.

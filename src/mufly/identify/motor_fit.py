@@ -43,9 +43,9 @@ from mufly.errors import ArgumentError, InputError
 from mufly.identify.fit_result import (
     EstimateLookup,
     ParameterEstimate,
-    choose_error_shape,
     describe_undetermined_combinations,
     divide_by_values,
+    select_error_model,
 )
 from mufly.quantities.units import RPM
 from mufly.results import result
@@ -73,7 +73,7 @@ _UNIT_MISTAKES = (
 _MIN_PLAUSIBLE_EFFICIENCY = 0.02  # efficiency below which units are doubtful
 _MAX_PLAUSIBLE_EFFICIENCY = 1.02  # efficiency above which units are wrong
 _MAX_TORQUE_CONSTANT_RATIO = 1.05  # kM / kE
-_READING_AND_SCALE_ERROR_SHARES = (
+_READING_AND_SCALE_ERROR_FRACTIONS = (
     (1.0, 0.2),
     (1.0, 0.05),
     (1.0, 0.5),
@@ -536,7 +536,7 @@ def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> 
         )
         return std, "shape of the errors as given; their size from the residuals"
 
-    def likelihood_of_shape(reading: float, full_scale: float) -> tuple[Array, float]:
+    def likelihood_of_error_model(reading: float, full_scale: float) -> tuple[Array, float]:
         channel = ChannelNoise(0.01 * reading, 0.01 * full_scale)
         std = np.column_stack([channel.error_std(v) for v in data.channel_arrays()])
         same = _MotorEquations(data, std)
@@ -545,7 +545,7 @@ def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> 
         size = np.sum(same.whitened_residuals(x, scales) ** 2)
         return std, float(size - 2 * np.sum(np.log(w[:, 0, 0] * w[:, 1, 1])))
 
-    std, words = choose_error_shape(_READING_AND_SCALE_ERROR_SHARES, likelihood_of_shape)
+    std, words = select_error_model(_READING_AND_SCALE_ERROR_FRACTIONS, likelihood_of_error_model)
     shape = f"errors in all four channels assumed in proportion to {words} (the most likely shape)"
     return std, f"{shape}; size from the residuals"
 

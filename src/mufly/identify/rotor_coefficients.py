@@ -36,9 +36,9 @@ from mufly.errors import ArgumentError, InputError
 from mufly.identify.fit_result import (
     EstimateLookup,
     ParameterEstimate,
-    choose_error_shape,
     describe_undetermined_combinations,
     divide_by_values,
+    select_error_model,
 )
 from mufly.quantities.units import RPM
 from mufly.results import result
@@ -52,7 +52,7 @@ COEFFICIENT_DEFINITIONS = {
     "thrust": ("cT", "thrust_coefficient", 4),
     "torque": ("cQ", "torque_coefficient", 5),
 }
-_READING_AND_SCALE_ERROR_SHARES = (
+_READING_AND_SCALE_ERROR_FRACTIONS = (
     (1.0, 0.3),
     (1.0, 0.02),
     (1.0, 0.1),
@@ -555,7 +555,7 @@ def _fit_channel(
 def _expected_errors(unit: Array, load: Array) -> tuple[Array, str]:
     """Return the most likely unscaled errors (n,) and a description of their shape."""
 
-    def likelihood_of_shape(reading: float, full_scale: float) -> tuple[Array, float]:
+    def likelihood_of_error_model(reading: float, full_scale: float) -> tuple[Array, float]:
         fitted = np.abs(unit @ np.linalg.lstsq(unit, load, rcond=None)[0])
         std = 0.01 * np.hypot(reading * fitted, full_scale * np.max(np.abs(load)))
         a, b = unit / std[:, None], load / std
@@ -563,7 +563,7 @@ def _expected_errors(unit: Array, load: Array) -> tuple[Array, str]:
         size = load.size * np.log(max(float(r @ r), 1e-300))
         return std, size + 2 * float(np.sum(np.log(std)))
 
-    return choose_error_shape(_READING_AND_SCALE_ERROR_SHARES, likelihood_of_shape)
+    return select_error_model(_READING_AND_SCALE_ERROR_FRACTIONS, likelihood_of_error_model)
 
 
 def _number_settings(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:

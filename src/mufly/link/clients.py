@@ -15,7 +15,7 @@ from typing import Literal
 
 from mufly.flight import Autopilot
 from mufly.link.codec import FrameEncoder, MavMessage, MessageSource, OutgoingFrame, StatusTextSplitter, mavlink
-from mufly.link.steering_input import ManualControl
+from mufly.link.steering_input import StickInputHandler
 from mufly.link.telemetry_streams import MESSAGE_STREAMS
 
 MAX_STREAM_HZ = 200.0
@@ -233,7 +233,7 @@ class CommandAuthority:
     ----------
     autopilot : Autopilot
     clients : Clients
-    manual : ManualControl
+    manual : StickInputHandler
         Manual control, which ends when its commander changes.
 
     Attributes
@@ -243,7 +243,7 @@ class CommandAuthority:
         Called when the commander changes or leaves, to end the actions of the former commander.
     """
 
-    def __init__(self, autopilot: Autopilot, clients: Clients, manual: ManualControl) -> None:
+    def __init__(self, autopilot: Autopilot, clients: Clients, manual: StickInputHandler) -> None:
         self.commander: MessageSource | None = None
         self.on_change: list[Callable[[], None]] = [manual.forget_sticks]
         self._autopilot, self._clients, self._manual = autopilot, clients, manual

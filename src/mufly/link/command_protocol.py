@@ -55,7 +55,7 @@ from mufly.link.codec import (
     unpack_custom_mode,
 )
 from mufly.link.mission_protocol import MissionProtocol
-from mufly.link.steering_input import ManualControl
+from mufly.link.steering_input import StickInputHandler
 from mufly.link.telemetry_streams import ORIGIN_MESSAGE_IDS
 from mufly.mission import (
     MAX_HEIGHT_M,
@@ -180,7 +180,7 @@ class CommandProtocol:
     flight : Flight
     clients : Clients
     authority : CommandAuthority
-    manual : ManualControl
+    manual : StickInputHandler
     missions : MissionProtocol
     origin : GlobalOrigin or None
     """
@@ -190,7 +190,7 @@ class CommandProtocol:
         flight: Flight,
         clients: Clients,
         authority: CommandAuthority,
-        manual: ManualControl,
+        manual: StickInputHandler,
         missions: MissionProtocol,
         origin: GlobalOrigin | None,
     ) -> None:

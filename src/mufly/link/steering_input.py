@@ -152,7 +152,7 @@ def parse_manual_control(message: MavMessage) -> StickDeflection:
     return _apply_deadband(y or 0.0, -(x or 0.0), 0.0 if z is None else 2.0 * z - 1.0, r or 0.0)
 
 
-class ManualControl:
+class StickInputHandler:
     """The sticks in use, and their commands to the autopilot.
 
     Parameters

@@ -18,7 +18,7 @@ from mufly.link.command_protocol import CommandProtocol
 from mufly.link.mission_protocol import MissionProtocol
 from mufly.link.mission_transfer import parse_transfer_message
 from mufly.link.parameter_protocol import ParameterProtocol
-from mufly.link.steering_input import ManualControl, parse_rc_override, parse_set_point
+from mufly.link.steering_input import StickInputHandler, parse_rc_override, parse_set_point
 from mufly.link.telemetry_streams import (
     MESSAGE_STREAMS,
     TelemetryState,
@@ -77,7 +77,7 @@ class VehicleLink:
         self.on_received: Callable[[bytes], None] | None = None
         self._codec = FrameDecoder()
         self.clients = Clients(system, component)
-        self._manual = ManualControl(self.autopilot)
+        self._manual = StickInputHandler(self.autopilot)
         self.authority = CommandAuthority(self.autopilot, self.clients, self._manual)
         self._parameters = ParameterProtocol(self.autopilot, self.clients, self.authority)
         self._missions = MissionProtocol(self.autopilot, self.clients, self.authority, self.origin)

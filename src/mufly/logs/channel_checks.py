@@ -154,7 +154,7 @@ def check_channels(
 
 
 # Largest share of values outside the limits that count as outliers; a larger share indicates a wrong unit.
-_MAX_REMOVED_SHARE = 0.05
+_MAX_REMOVED_FRACTION = 0.05
 
 
 def apply_physical_limits(
@@ -199,7 +199,7 @@ def apply_physical_limits(
         most = max(float(b.sum()) / max(int(np.isfinite(c.values).sum()), 1) for c, b in zip(group, bad, strict=True))
         if not assumed(first):
             words.append(f"{what} reaches {peak:.4g}{unit}, but {limits.reason}: is its unit right?")
-        elif most <= _MAX_REMOVED_SHARE:
+        elif most <= _MAX_REMOVED_FRACTION:
             many = "1 value is" if count == 1 else f"{count} values are"
             words.append(f"{what}: {many} implausible ({peak:.4g}{unit}; {limits.reason}) and replaced by NaN")
             out |= {c.name: c._replace(values=np.where(b, np.nan, c.values)) for c, b in zip(group, bad, strict=True)}

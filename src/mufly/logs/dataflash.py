@@ -145,7 +145,7 @@ def read_binary(data: bytes) -> tuple[list[RawTable], _InstanceTopics, str]:
             body = np.ascontiguousarray(stream[starts[:, None] + np.arange(3, kind.message_size)])
             rows[number] = body.view(_message_dtype(kind.format_letters, kind.columns))[:, 0]
     named = {kinds[n].name: part for n, part in rows.items() if kinds[n].name in DEFINITION_MESSAGES}
-    units, instances = _field_units(kinds, {name: _definition_rows(part) for name, part in named.items()})
+    units, instances = _field_units(kinds, {name: _records_to_dicts(part) for name, part in named.items()})
     messages: list[_MessageTable] = []
     for number, part in rows.items():
         kind = kinds[number]
@@ -233,7 +233,7 @@ def _to_numbers(column: NDArray[Any], letter: str) -> NDArray[Any]:
     return column if factor == 1.0 else column / factor
 
 
-def _definition_rows(part: NDArray[Any]) -> list[dict[str, Any]]:
+def _records_to_dicts(part: NDArray[Any]) -> list[dict[str, Any]]:
     names = part.dtype.names or ()
     return [
         {n: _decode_text(v) if isinstance(v, bytes) else v for n, v in zip(names, row, strict=True)}

@@ -226,7 +226,7 @@ class Channel(NamedTuple):
 _Array = NDArray[np.float64]
 _DAY_S = 86_400.0
 # A larger share of steps back, or a longer step back, is no swap of messages.
-_MAX_BACKWARD_SHARE, _MAX_BACKWARD_S = 0.02, 2.0
+_MAX_BACKWARD_FRACTION, _MAX_BACKWARD_S = 0.02, 2.0
 MIN_GAP_STEPS = 5.0
 # Occasional messages have no rate, and so no gaps.
 _MIN_GAP_TEST_STEPS = 15
@@ -266,7 +266,7 @@ class ClockReport:
     @property
     def is_reset(self) -> bool:
         """Return whether time runs backward beyond repair."""
-        few = max(3.0, _MAX_BACKWARD_SHARE * self.samples)
+        few = max(3.0, _MAX_BACKWARD_FRACTION * self.samples)
         return self.backward > 0 and (self.back_s > _MAX_BACKWARD_S or self.backward > few)
 
     def describe_faults(self) -> list[str]:
@@ -446,7 +446,7 @@ def _find_wild_stamps(time: _Array) -> NDArray[np.bool_]:
         t = time[known]
         out[known[np.abs(t - median_filter(t, size=5, mode="nearest")) > _MAX_BACKWARD_S]] = True
     # If they are frequent, the rows are out of order.
-    return out if out.sum() <= max(3.0, _MAX_BACKWARD_SHARE * len(known)) else np.zeros_like(out)
+    return out if out.sum() <= max(3.0, _MAX_BACKWARD_FRACTION * len(known)) else np.zeros_like(out)
 
 
 _MAX_RESAMPLED_SAMPLES = 50_000_000

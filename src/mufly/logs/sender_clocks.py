@@ -41,7 +41,7 @@ _MIN_ARRIVAL_LEAP_S, _MAX_CLOCK_STEP_S, _MIN_LEAP_STEPS = 5.0, 2.0, 10.0
 _DUPLICATE_WINDOW_S, _DUPLICATE_WINDOW_PACKETS = 1.0, 100
 _REORDER_STEP_S = 1e-6  # distance of a late packet before its successor
 # Share of packets out of order above which numbers are not used; silence in median steps.
-_MAX_UNORDERED_SHARE, _MIN_PAUSE_STEPS = 0.05, 20.0
+_MAX_UNORDERED_FRACTION, _MIN_PAUSE_STEPS = 0.05, 20.0
 _RETURN_WINDOW = 64  # packets within which a late one is followed by its successors
 
 
@@ -98,7 +98,7 @@ def _unwrap_sequence_numbers(numbers: NDArray[np.int64], arrival: _Array) -> NDA
     """
     step = (np.diff(numbers) + 128) % 256 - 128
     behind = np.flatnonzero(step <= 0)
-    if len(behind) > _MAX_UNORDERED_SHARE * len(numbers):
+    if len(behind) > _MAX_UNORDERED_FRACTION * len(numbers):
         return None
     pause = _MIN_PAUSE_STEPS * float(np.median(np.diff(arrival))) if len(arrival) > 1 else 0.0
     for k in behind.tolist():

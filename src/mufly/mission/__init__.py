@@ -10,7 +10,7 @@ from mufly.mission.files.geofence import (
 )
 from mufly.mission.files.ground_files import FILE_ENDINGS, GROUND_FILE_DESCRIPTION, is_ground_station_text
 from mufly.mission.files.mission_checks import (
-    MISSION_SHARE_OF_CONTROL_LIMITS,
+    MISSION_FRACTION_OF_CONTROL_LIMITS,
     MissionEstimate,
     check_geometry,
     check_mission,
@@ -92,7 +92,7 @@ __all__ = [
     "MAX_HEIGHT_M",
     "MAX_WIND_M_S",
     "MIN_WAYPOINT_HEIGHT_M",
-    "MISSION_SHARE_OF_CONTROL_LIMITS",
+    "MISSION_FRACTION_OF_CONTROL_LIMITS",
     "MOTORS_STOPPING",
     "NO_COMMAND",
     "OFF_FLOOR_HEIGHT_M",

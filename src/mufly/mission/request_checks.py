@@ -11,7 +11,7 @@ from typing import Protocol
 from mufly.estimate import Estimate
 from mufly.mission.machine.mission_state import MissionState, State
 
-REQUEST_TABLE = """
+REQUEST_PERMISSION_TABLE = """
 asked     init      take-off  hover     waypoint  obstacle  landing   rc        offboard
 arm       at-rest   at-rest   at-rest   at-rest   at-rest   at-rest   at-rest   at-rest
 disarm    grounded  grounded  grounded  grounded  grounded  grounded  grounded  grounded
@@ -234,16 +234,16 @@ _CONDITION_BY_WORD: dict[str, Callable[[_RequestFacts], RequestAnswer]] = {
     "still": _allow_motors_off,
     "waits": _allow_mission_waiting,
 }
-"""Condition functions by the words of :data:`REQUEST_TABLE`."""
+"""Condition functions by the words of :data:`REQUEST_PERMISSION_TABLE`."""
 
 
-def _parse_request_table() -> dict[tuple[str, str], Callable[[_RequestFacts], RequestAnswer]]:
-    head, *rows = (line.split() for line in REQUEST_TABLE.strip().splitlines())
+def _parse_permission_table() -> dict[tuple[str, str], Callable[[_RequestFacts], RequestAnswer]]:
+    head, *rows = (line.split() for line in REQUEST_PERMISSION_TABLE.strip().splitlines())
     words = {(ask, state): word for ask, *cells in rows for state, word in zip(head[1:], cells, strict=True)}
     return {key: _CONDITION_BY_WORD[word] for key, word in words.items()}
 
 
-_CONDITION_BY_REQUEST = _parse_request_table()
+_CONDITION_BY_REQUEST = _parse_permission_table()
 
 
 def check_request(

@@ -353,7 +353,7 @@ class PhysicalLimits(NamedTuple):
     reason: str
 
 
-_SHARE_LIMIT_REASON = "a share of the full range ends at 1"
+_FRACTION_LIMIT_REASON = "a share of the full range ends at 1"
 PHYSICAL_LIMITS: Mapping[str, PhysicalLimits] = {
     "rates": PhysicalLimits(-70.0, 70.0, "gyroscopes end at 4000 deg/s, 70 rad/s"),
     "acceleration": PhysicalLimits(-2000.0, 2000.0, "accelerometers end at 200 g, 2000 m/s^2"),
@@ -366,9 +366,9 @@ PHYSICAL_LIMITS: Mapping[str, PhysicalLimits] = {
     ),
     "battery_current": PhysicalLimits(-1000.0, 1000.0, "at 1000 A the leads of such a battery melt"),
     "battery_charge": PhysicalLimits(0.0, 1.01, "a battery is at most full"),
-    "motor_input": PhysicalLimits(-1.01, 1.01, _SHARE_LIMIT_REASON),
-    "servo_input": PhysicalLimits(-1.01, 1.01, _SHARE_LIMIT_REASON),
-    "actuator_command": PhysicalLimits(-1.01, 1.01, _SHARE_LIMIT_REASON),
+    "motor_input": PhysicalLimits(-1.01, 1.01, _FRACTION_LIMIT_REASON),
+    "servo_input": PhysicalLimits(-1.01, 1.01, _FRACTION_LIMIT_REASON),
+    "actuator_command": PhysicalLimits(-1.01, 1.01, _FRACTION_LIMIT_REASON),
     "actuator_output": PhysicalLimits(0.0, 3000.0, "pulses to servos and motor controllers last 0.1 to 2.6 ms"),
     "pilot_input": PhysicalLimits(0.0, 3000.0, "pulses of a remote control last 0.8 to 2.2 ms"),
 }

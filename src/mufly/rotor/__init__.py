@@ -4,7 +4,7 @@ from mufly.rotor.bemt import BatchResult, solve_rotor, solve_rotor_batch, warn_r
 from mufly.rotor.blades.blade_families import BLADE_FAMILY_PRIORS
 from mufly.rotor.blades.blade_files import read_blade
 from mufly.rotor.blading import TEXTBOOK_CORRECTIONS, Blading, Corrections, prepare_blading
-from mufly.rotor.coax_maps import compute_coax_map, make_climb_ratio_axis
+from mufly.rotor.coax_maps import compute_coax_map, make_climb_axis_over_tip_speed
 from mufly.rotor.effective_pitch import PitchPrior, effective_pitch_prior
 from mufly.rotor.geometry import (
     BladeSections,
@@ -50,7 +50,7 @@ from mufly.rotor.rotor_system import (
     compute_tip_mach,
 )
 from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoil
-from mufly.rotor.sections.polar_engines import compute_polar, compute_polars
+from mufly.rotor.sections.polar_engines import compute_airfoil_polars, compute_polar
 from mufly.rotor.sections.polar_file import is_polar_file
 from mufly.rotor.sections.polar_table import (
     PolarStack,
@@ -104,11 +104,11 @@ __all__ = [
     "builtin_rotors",
     "calibrate_blading",
     "compare_measurements",
+    "compute_airfoil_polars",
     "compute_campbell",
     "compute_coax_map",
     "compute_flap_mode",
     "compute_polar",
-    "compute_polars",
     "compute_tip_mach",
     "database_airfoils",
     "effective_pitch_prior",
@@ -121,7 +121,7 @@ __all__ = [
     "load_airfoil",
     "load_rotor",
     "lookup_lift_drag",
-    "make_climb_ratio_axis",
+    "make_climb_axis_over_tip_speed",
     "make_rotor",
     "map_picture",
     "plane_velocity",

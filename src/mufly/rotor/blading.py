@@ -398,7 +398,7 @@ def compute_rotor_polars(
                 f"rotor {rotor.name}", f"blade.{key}", f"cannot move the transition of {fixed}, which is a table",
                 "delete it, or give an airfoil with a contour",
             )  # fmt: skip
-    return polar_engines.compute_polars(names, n_crit=transition.n_crit, engine=engine, xtr=transition.xtr)
+    return polar_engines.compute_airfoil_polars(names, n_crit=transition.n_crit, engine=engine, xtr=transition.xtr)
 
 
 def apply_section_fit(table: PolarTable, change: Sequence[float], reynolds: float) -> PolarTable:
@@ -416,11 +416,11 @@ def apply_section_fit(table: PolarTable, change: Sequence[float], reynolds: floa
     return replace(
         table,
         cl=table.cl * np.exp(lift + lift_exponent * ratio),
-        cd=np.maximum(cd, _MIN_FITTED_DRAG_SHARE * table.cd),
+        cd=np.maximum(cd, _MIN_FITTED_DRAG_FRACTION * table.cd),
     )
 
 
-_MIN_FITTED_DRAG_SHARE = 0.3  # of the polar's drag: least drag of a fit
+_MIN_FITTED_DRAG_FRACTION = 0.3  # of the polar's drag: least drag of a fit
 _FIT_REYNOLDS_RATIO_RANGE = (0.2, 5.0)  # range of Re / Re_m in which the fitted exponents apply
 
 

@@ -54,10 +54,12 @@ MapPointValues = tuple[
     float, float, float, float, bool
 ]  # c_T, c_Q of upper and lower rotor; whether the method converged
 
-_MIN_SOLVED_SHARE = 0.5
+_MIN_SOLVED_FRACTION = 0.5
 
 
-def make_climb_ratio_axis(climb_m_s: Sequence[float], mean_speed_rad_s: Sequence[float], radius_m: float) -> Array:
+def make_climb_axis_over_tip_speed(
+    climb_m_s: Sequence[float], mean_speed_rad_s: Sequence[float], radius_m: float
+) -> Array:
     """Return a climb axis that covers these climb velocities (m/s) at every one of these mean speeds."""
     return np.asarray(climb_m_s, dtype=np.float64) / (min(mean_speed_rad_s) * radius_m)
 
@@ -101,7 +103,8 @@ def compute_coax_map(
     spacing_m, upper_pitch_rad, lower_pitch_rad, air
         As in :class:`mufly.rotor.RotorSystem` and :class:`mufly.rotor.OperatingCondition`.
     mean_speed_rad_s, ratio, climb_ratio : sequences of float
-        Axes, increasing in equal steps; see :class:`mufly.vehicle.MapTables` and :func:`make_climb_ratio_axis`.
+        Axes, increasing in equal steps; see :class:`mufly.vehicle.MapTables` and
+        :func:`make_climb_axis_over_tip_speed`.
     method : 'bemt' or 'wake'
         Blade elements (milliseconds a point) or vortex wakes (seconds).
     settings : WakeSettings, optional
@@ -183,7 +186,7 @@ def compute_coax_map(
         values[point], solved[point] = coefficients, converged and np.all(np.isfinite(coefficients))
     if progress is not None:
         progress(len(points), len(points))
-    if np.mean(solved) < _MIN_SOLVED_SHARE:
+    if np.mean(solved) < _MIN_SOLVED_FRACTION:
         store.discard()
         raise MuflyError(
             f"coax map: only {np.count_nonzero(solved)} of {solved.size} points are solved"
@@ -353,7 +356,7 @@ def interpolate_tables(
 @lru_cache(maxsize=32)
 def pack_map_tables(coefficients: CoefficientMap) -> tuple[Any, ...]:
     """Return the first seven arguments of :func:`interpolate_tables` for a map; the tables hold c_T and c_Q."""
-    t = coefficients.parse_tables()
+    t = coefficients.decode_map_tables()
     axes = (t.mean_speed_rad_s, t.ratio, t.climb_ratio)
     step = [float((a[-1] - a[0]) / (a.size - 1)) if a.size > 1 else np.inf for a in axes]
     return (
@@ -386,7 +389,7 @@ def interpolate_map(
     flat = zip(*(p.ravel().tolist() for p in points), strict=True)
     values = np.array([interpolate_tables(*arguments, *point) for point in flat]).reshape(*points[0].shape, 4)
     outside = np.zeros(points[0].shape, dtype=np.bool_)
-    for p, axis in zip(points, coefficients.parse_tables()[:3], strict=True):
+    for p, axis in zip(points, coefficients.decode_map_tables()[:3], strict=True):
         if axis.size > 1:
             slack = 1e-9 * float(axis[-1] - axis[0])
             outside |= (p < axis[0] - slack) | (p > axis[-1] + slack)

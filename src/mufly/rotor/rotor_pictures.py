@@ -172,7 +172,7 @@ def map_picture(coefficients: CoefficientMap) -> Figure:
     The left side is over the speed ratio for three climbs, the right side over the climb velocity for three ratios.
     Lines are the interpolation of the flight model, dots the solved points, crosses points filled from neighbours.
     """
-    t = coefficients.parse_tables()
+    t = coefficients.decode_map_tables()
     k = t.grid_shape[0] // 2
     mean = float(t.mean_speed_rad_s[k])
     tip = mean * coefficients.radius_m

@@ -45,7 +45,7 @@ STANDARD_PRESSURE_PA = READINGS["pressure"].filter_offset
     _DELAY_INDEX,
     _DRIFT_TIME_INDEX,
     _AIR_WEIGHT_INDEX,
-    _DOWNWASH_SHARE_INDEX,
+    _DOWNWASH_FRACTION_INDEX,
     _UPPER_DISC_LOADING_INDEX,
     _LOWER_DISC_LOADING_INDEX,
 ) = range(7)
@@ -73,7 +73,7 @@ def _sample_pressure(
     true = (
         STANDARD_PRESSURE_PA
         + numbers[_AIR_WEIGHT_INDEX] * x[MODEL_POSITION + 2]
-        + numbers[_DOWNWASH_SHARE_INDEX] * loading
+        + numbers[_DOWNWASH_FRACTION_INDEX] * loading
         + memory[1]
     )
     if math.isnan(felt[0]) or delay == 0.0:

@@ -102,7 +102,7 @@ _MAX_UNKNOWN_ACCEL_M_S2 = 1.0
 """Largest unpredicted acceleration between pictures (m/s^2)."""
 _UNKNOWN_VELOCITY_SIGMA_M_S = 0.02
 """Standard deviation of a velocity derived from SLAM results, for a vehicle that sends none (m/s)."""
-_MAX_UNOBSERVED_SIGMA_M = 5.0
+_UNOBSERVED_SIGMA_CAP_M = 5.0
 """Largest standard deviation of a place along a direction without texture (m)."""
 HEADING_DRIFT_RAD_S = 0.01
 """Drift of the heading by integrated rates (rad/s)."""
@@ -231,6 +231,6 @@ class MotionPrior:
         directions.
         """
         if self.textured is None:
-            return _MAX_UNOBSERVED_SIGMA_M, 0.1
+            return _UNOBSERVED_SIGMA_CAP_M, 0.1
         sigma_m = 0.005 + self.textured.predict_displacement(self.velocity_m_s)[1]
-        return min(_MAX_UNOBSERVED_SIGMA_M, sigma_m), 0.003 + HEADING_DRIFT_RAD_S * self.textured.elapsed_s
+        return min(_UNOBSERVED_SIGMA_CAP_M, sigma_m), 0.003 + HEADING_DRIFT_RAD_S * self.textured.elapsed_s

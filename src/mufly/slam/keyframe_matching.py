@@ -54,10 +54,10 @@ POINT_VARIANCE_INFLATION = 3.0
 """Ratio of the joint variance of all points to that of independent points, for correlated errors of neighbours.
 
 A compromise over twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges with true tilts need 3.9, results less."""
-_COMMON_SHAKE_SHARE, _COMMON_SIGMA_PX = 0.1, 0.05
+_COMMON_SHAKE_FRACTION, _COMMON_SIGMA_PX = 0.1, 0.05
 """Deviation of a place that no number of points reduces: share of the vibration's rms that remains unmodelled, and part
 without vibration (pixels)."""
-_JOINT_ALIGNMENT_BELOW_SHARE = 0.75  # of the points in view, below which all patches are aligned together
+_JOINT_ALIGNMENT_BELOW_FRACTION = 0.75  # of the points in view, below which all patches are aligned together
 _NO_UNKNOWN_DIRECTIONS = np.zeros((0, 2))
 _TILT_COVARIANCE_INDEX = np.ix_([6, 7, 4, 5], [6, 7, 4, 5])  # tilt errors of the picture, then of the keyframe
 
@@ -270,7 +270,7 @@ def match_keyframe(
     match = None
     if good.sum() >= MIN_ORB_INLIERS:
         match = _match_points(floor_map, k, context, node, flat, points, use, good, seen, sigma)
-    if match is not None and len(match.inlier_indices) >= _JOINT_ALIGNMENT_BELOW_SHARE * len(use):
+    if match is not None and len(match.inlier_indices) >= _JOINT_ALIGNMENT_BELOW_FRACTION * len(use):
         return match
     # Few points of a weak floor are tracked, while all its patches together are known well. Where many points are
     # tracked, all patches may disagree instead: neighbouring bricks look alike.
@@ -368,7 +368,7 @@ def _match_directly(
 
 def _common_variance(context: FrameContext) -> float:
     """Return the variance (m^2) of the position by errors that all points of a picture share."""
-    common_px = math.hypot(_COMMON_SHAKE_SHARE * context.shake_rms_px, _COMMON_SIGMA_PX)
+    common_px = math.hypot(_COMMON_SHAKE_FRACTION * context.shake_rms_px, _COMMON_SIGMA_PX)
     return (common_px * context.view.height_m / context.view.focal_px) ** 2
 
 

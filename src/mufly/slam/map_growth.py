@@ -53,7 +53,7 @@ _LOOP_SEARCH_SIGMAS = 2.5  # standard deviations within which keyframes are sear
 _MAX_OTHER_PLACES = 8  # keyframes that are compared with the best before a loop is closed
 SAME_PICTURE_ERROR_TRANSITION = (np.ones(3), np.full(3, 1e-10))
 """Correlation factors and noise variances between errors of a picture and the newest keyframe if both are the same."""
-_OVEREXPOSED_GREY_LEVEL, _MAX_OVEREXPOSED_SHARE = 248, 0.02
+_OVEREXPOSED_GREY_LEVEL, _MAX_OVEREXPOSED_FRACTION = 248, 0.02
 """Overexposure: grey level, and largest share of brighter pixels in a keyframe. A camera that was covered overexposes
 for half a second; white areas have no corners."""
 
@@ -68,7 +68,7 @@ def create_keyframe(context: FrameContext, pose: PoseEstimate, sigma_px: float) 
     """Return the picture as a keyframe with points of deviation ``sigma_px``; None without corners or if too bright."""
     frame, view, picture = context.frame, context.view, context.picture
     pixels = detect_corners(picture, context.usable_mask)
-    if len(pixels) < MIN_ORB_INLIERS or np.mean(picture > _OVEREXPOSED_GREY_LEVEL) > _MAX_OVEREXPOSED_SHARE:
+    if len(pixels) < MIN_ORB_INLIERS or np.mean(picture > _OVEREXPOSED_GREY_LEVEL) > _MAX_OVEREXPOSED_FRACTION:
         return None
     seconds = context.undistorter.exposure_offsets(pixels)
     turn = _remove_heading(attitude_matrix(view, pose.tilt_error_rad, pose.heading_rad), pose.heading_rad)

@@ -51,9 +51,9 @@ _NEW_KEYFRAME_SIGNIFICANCE = 1.7  # of the texture, below which a new keyframe f
 MAX_KNOWN_AXIS_SIGMA = (0.5, 0.5, 0.5, 0.5)
 """Standard deviations of N, E, D (m) and heading (rad) from which an axis counts as unknown."""
 _MIN_RELOCALIZATION_CONFIRMATIONS = 3
-_SHAKE_LEARNING_WEIGHT, _SHAKE_LEARNED_FRAMES, _SHAKE_REMAINING_SHARE = 0.02, 150, 0.3
+_SHAKE_LEARNING_WEIGHT, _SHAKE_LEARNED_FRAMES, _SHAKE_REMAINING_FRACTION = 0.02, 150, 0.3
 """Learning of the vibration: weight of a picture, number of pictures, and remaining share of the uncertainty."""
-_BRIDGE_AFTER_S, _YOUNG_BRIDGE_AFTER_S, _YOUNG_MAP_KEYFRAMES, _TRIAL_FRAMES = 1.5, 0.1, 5, 25
+_BRIDGE_AFTER_S, _YOUNG_BRIDGE_AFTER_S, _YOUNG_MAP_KEYFRAMES, _KEYFRAME_TRIAL_FRAMES = 1.5, 0.1, 5, 25
 """Time (s) after which a lost system continues from the vehicle's estimate; the shorter time for a young map.
 
 A map is young up to this number of keyframes, too few to relocalise. A new keyframe is on trial for this number of
@@ -270,7 +270,7 @@ class SlamSystem:
         if told.rotor_phase is not None:
             view = view._replace(rotor_phases_rad=told.rotor_phase, shake_amplitudes_px=self._shake_amplitudes_px)
             if self._shake_frame_count > _SHAKE_LEARNED_FRAMES:
-                view = view._replace(shake_sigma_px=_SHAKE_REMAINING_SHARE * view.shake_sigma_px)
+                view = view._replace(shake_sigma_px=_SHAKE_REMAINING_FRACTION * view.shake_sigma_px)
         height = max(MIN_HEIGHT_M, told.height_m)
         predicted_errors, keep, noise = self.floor_map.predict_sensor_errors(
             frame.time_s, (told.tilt_sigma, told.tilt_time_s, shake_tilt_rad),
@@ -490,7 +490,9 @@ class SlamSystem:
         if self._should_relocalize and (found := self._find_in_map(context)) is not None:
             return self._accept_match(context, found)
         self._trial_frame_count += 1
-        if self._trial_frame_count <= (_MIN_RELOCALIZATION_CONFIRMATIONS if self._is_map_young else _TRIAL_FRAMES):
+        if self._trial_frame_count <= (
+            _MIN_RELOCALIZATION_CONFIRMATIONS if self._is_map_young else _KEYFRAME_TRIAL_FRAMES
+        ):
             self._last_node, self._motion = match.pose_graph_node, self._motion.restart_at(context.frame)
             self._learn_vibration(context.view, match.pose)
             refine_keyframe(self.floor_map, context, match)

@@ -240,7 +240,7 @@ _SYSTEM_IDS, _COMPONENT_IDS = (
     range(25, 100),
 )  # below 255, which others use; MAV_COMP_ID_USER1 to USER75
 _FULL_RATE_BYTES_S = 45_000.0
-_TELEMETRY_LINE_SHARE = 0.6
+_TELEMETRY_LINE_FRACTION = 0.6
 _MAX_REPORTED_FAULTS = 100
 
 
@@ -252,7 +252,7 @@ def choose_telemetry_rate(endpoint: Endpoint, rate_Hz: float = 100.0) -> float:
     """
     if endpoint.kind != "serial":
         return rate_Hz
-    share = _TELEMETRY_LINE_SHARE * endpoint.port / 10.0 / _FULL_RATE_BYTES_S
+    share = _TELEMETRY_LINE_FRACTION * endpoint.port / 10.0 / _FULL_RATE_BYTES_S
     return max(1.0, min(rate_Hz, 100.0 * share))
 
 

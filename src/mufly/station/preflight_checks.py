@@ -26,7 +26,7 @@ MAX_LINK_LOSS = 0.1
 MIN_BATTERY_CHARGE = 0.3
 MAX_TILT_RAD = math.radians(5.0)
 MAX_STANDING_SPEED_M_S = 0.1
-BATTERY_RESERVE_SHARE = 0.2
+BATTERY_RESERVE_FRACTION = 0.2
 """Share of the battery that must remain after a mission."""
 MIN_DISK_BYTES = 200e6
 OWN_CHECKS_NAME = "vehicle's pre-arm checks"
@@ -192,9 +192,9 @@ def _check_endurance(
     if math.isnan(s.battery_left_s):
         return None, f"{words}; battery time not reported"
     words += f", battery {format_clock(s.battery_left_s)}"
-    if plan.duration_s <= (1.0 - BATTERY_RESERVE_SHARE) * s.battery_left_s:
+    if plan.duration_s <= (1.0 - BATTERY_RESERVE_FRACTION) * s.battery_left_s:
         return True, words
-    return False, f"{words}: {BATTERY_RESERVE_SHARE:.0%} reserve needed; charge the battery or shorten the mission"
+    return False, f"{words}: {BATTERY_RESERVE_FRACTION:.0%} reserve needed; charge the battery or shorten the mission"
 
 
 def _check_parameters(parameters: RemoteParameters) -> _CheckResult:

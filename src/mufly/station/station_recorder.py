@@ -185,7 +185,7 @@ class StationRecorder:
             return
         try:
             if track.recorder is None:
-                self._open_file(track, time_s)
+                self._open_vehicle_recording(track, time_s)
             assert track.recorder is not None
             assert track.latest_row is not None
             track.latest_row[0] = time_s
@@ -195,7 +195,7 @@ class StationRecorder:
         except MuflyError as error:
             self._end_recording(str(error))
 
-    def _open_file(self, track: _VehicleRecording, time_s: float) -> None:
+    def _open_vehicle_recording(self, track: _VehicleRecording, time_s: float) -> None:
         assert self.path is not None
         name = "station.mcap" if track.vehicle_number == 1 else f"station-{track.vehicle_number}.mcap"
         layout = track.vehicle.history.layout

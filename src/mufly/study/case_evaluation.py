@@ -54,7 +54,7 @@ from mufly.rotor import (
     RotorResult,
     RotorSystem,
     SystemSolution,
-    compute_polars,
+    compute_airfoil_polars,
     prepare_blading,
     solve_rotor,
     solve_rotor_batch,
@@ -106,7 +106,7 @@ def load_polar_tables(names: Sequence[str], transition: Transition, setup: Study
         missing = [name for name in names if key[name] not in _POLAR_CACHE]
         if missing:
             faults: dict[str, str] = {}
-            found = compute_polars(
+            found = compute_airfoil_polars(
                 missing,
                 n_crit=transition.n_crit,
                 xtr=transition.xtr,

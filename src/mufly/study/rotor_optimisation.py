@@ -448,7 +448,7 @@ _MAX_PAIR_GENERATIONS = 30
 _SEARCH_STATION_COUNT = 16  # stations along a blade during the search
 _FAILURE_COST_W = 1e3  # W; cost of impossible candidates
 _TORQUE_BALANCE_TOLERANCE = 1e-4
-_MAX_BLADE_REACH_SPACING_SHARE = 0.9  # of the spacing: greatest vertical extent of the pitched blades
+_MAX_BLADE_REACH_SPACING_FRACTION = 0.9  # of the spacing: greatest vertical extent of the pitched blades
 
 
 @result
@@ -597,7 +597,7 @@ def optimise_pair(
         case = dict(zip(names, map(float, np.clip(x, *np.transpose(bounds))), strict=True))
         try:
             system, at = still or build_system(rough, case), build_condition(rough, case)
-            near = RotorSystem.coaxial_pair(*system.bladings, spacing_m=_MAX_BLADE_REACH_SPACING_SHARE * spacing)
+            near = RotorSystem.coaxial_pair(*system.bladings, spacing_m=_MAX_BLADE_REACH_SPACING_FRACTION * spacing)
             check_rotors(near.place_rotors(tuple(at.pitch_rad), (1.0, 1.0)), 0.0)  # type: ignore[arg-type]
             r = _solve_balanced_pair(system, at, list(start))
         except MuflyError:

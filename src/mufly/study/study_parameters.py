@@ -21,7 +21,7 @@ ParameterValue = float | str
 
 
 @dataclass(frozen=True)
-class StudyParameter:
+class StudyParameterSpec:
     """Parameter that a study can vary.
 
     Attributes
@@ -53,66 +53,68 @@ class StudyParameter:
         return offered_units(self.display_unit)
 
 
-GEOMETRY_PARAMETERS: dict[str, StudyParameter] = {
-    "blades": StudyParameter("1", "", "number of blades", is_integer=True, is_positive=True),
-    "radius": StudyParameter("m", "mm", "radius; chords are unchanged", is_positive=True),
-    "chord": StudyParameter("m", "mm", "mean chord; all chords are scaled to it", is_positive=True),
-    "taper": StudyParameter("1", "", "tip over hub chord, straight between, blade area unchanged", is_positive=True),
-    "twist": StudyParameter("rad", "deg", "twist from hub to tip, straight, zero at the tip"),
-    "hub_cutout": StudyParameter("1", "", "radius over R at which the blade begins"),
-    "airfoil": StudyParameter("text", "", "airfoil of the whole blade: NACA number, database name or file"),
-    "thickness": StudyParameter("1", "%", "thickness over chord of a four-digit NACA section"),
-    "camber": StudyParameter("1", "%", "camber over chord of a four-digit NACA section"),
-    "camber_position": StudyParameter("1", "%", "position of the camber, x/c, of a four-digit NACA section"),
-    "trip_upper": StudyParameter("1", "", "position x/c of a turbulator on the upper side; 1: none"),
-    "trip_lower": StudyParameter("1", "", "position x/c of a turbulator on the lower side; 1: none"),
+GEOMETRY_PARAMETERS: dict[str, StudyParameterSpec] = {
+    "blades": StudyParameterSpec("1", "", "number of blades", is_integer=True, is_positive=True),
+    "radius": StudyParameterSpec("m", "mm", "radius; chords are unchanged", is_positive=True),
+    "chord": StudyParameterSpec("m", "mm", "mean chord; all chords are scaled to it", is_positive=True),
+    "taper": StudyParameterSpec(
+        "1", "", "tip over hub chord, straight between, blade area unchanged", is_positive=True
+    ),
+    "twist": StudyParameterSpec("rad", "deg", "twist from hub to tip, straight, zero at the tip"),
+    "hub_cutout": StudyParameterSpec("1", "", "radius over R at which the blade begins"),
+    "airfoil": StudyParameterSpec("text", "", "airfoil of the whole blade: NACA number, database name or file"),
+    "thickness": StudyParameterSpec("1", "%", "thickness over chord of a four-digit NACA section"),
+    "camber": StudyParameterSpec("1", "%", "camber over chord of a four-digit NACA section"),
+    "camber_position": StudyParameterSpec("1", "%", "position of the camber, x/c, of a four-digit NACA section"),
+    "trip_upper": StudyParameterSpec("1", "", "position x/c of a turbulator on the upper side; 1: none"),
+    "trip_lower": StudyParameterSpec("1", "", "position x/c of a turbulator on the lower side; 1: none"),
 }
-OPERATION_PARAMETERS: dict[str, StudyParameter] = {
-    "pitch": StudyParameter("rad", "deg", "pitch setting, added to the twist"),
-    "speed": StudyParameter("rad/s", "rpm", "rotor speed", is_positive=True),
-    "thrust": StudyParameter("N", "N", "thrust, for which the speed is found", is_positive=True),
-    "duty": StudyParameter("1", "", "share of the supply voltage at the motor", is_positive=True),
-    "climb": StudyParameter("m/s", "m/s", "axial speed, positive in climb"),
-    "density": StudyParameter("kg/m3", "kg/m3", "density of the air", is_positive=True),
-    "viscosity": StudyParameter("Pa s", "uPa s", "dynamic viscosity of the air", is_positive=True),
-    "n_crit": StudyParameter("1", "", "amplification exponent of transition in the polars"),
+OPERATION_PARAMETERS: dict[str, StudyParameterSpec] = {
+    "pitch": StudyParameterSpec("rad", "deg", "pitch setting, added to the twist"),
+    "speed": StudyParameterSpec("rad/s", "rpm", "rotor speed", is_positive=True),
+    "thrust": StudyParameterSpec("N", "N", "thrust, for which the speed is found", is_positive=True),
+    "duty": StudyParameterSpec("1", "", "share of the supply voltage at the motor", is_positive=True),
+    "climb": StudyParameterSpec("m/s", "m/s", "axial speed, positive in climb"),
+    "density": StudyParameterSpec("kg/m3", "kg/m3", "density of the air", is_positive=True),
+    "viscosity": StudyParameterSpec("Pa s", "uPa s", "dynamic viscosity of the air", is_positive=True),
+    "n_crit": StudyParameterSpec("1", "", "amplification exponent of transition in the polars"),
 }
-DRIVE_PARAMETERS: dict[str, StudyParameter] = {
-    "gear": StudyParameter("1", "", "gear ratio; 'adapted' and 'best' find it for the thrust", is_positive=True),
-    "voltage": StudyParameter("V", "V", "supply voltage", is_positive=True),
-    "back_emf": StudyParameter("V s", "mV s", "back-EMF constant of the motor", is_positive=True),
-    "torque_constant": StudyParameter("N m/A", "mN m/A", "torque constant of the motor", is_positive=True),
-    "resistance": StudyParameter("ohm", "ohm", "motor and controller resistance", is_positive=True),
-    "friction": StudyParameter("N m s", "uN m s", "viscous friction of the motor"),
-    "friction_torque": StudyParameter("N m", "mN m", "constant friction of the motor"),
-    "gear_efficiency": StudyParameter("1", "", "efficiency of the gear", is_positive=True),
-    "controller_efficiency": StudyParameter("1", "", "efficiency of the speed controller", is_positive=True),
+DRIVE_PARAMETERS: dict[str, StudyParameterSpec] = {
+    "gear": StudyParameterSpec("1", "", "gear ratio; 'adapted' and 'best' find it for the thrust", is_positive=True),
+    "voltage": StudyParameterSpec("V", "V", "supply voltage", is_positive=True),
+    "back_emf": StudyParameterSpec("V s", "mV s", "back-EMF constant of the motor", is_positive=True),
+    "torque_constant": StudyParameterSpec("N m/A", "mN m/A", "torque constant of the motor", is_positive=True),
+    "resistance": StudyParameterSpec("ohm", "ohm", "motor and controller resistance", is_positive=True),
+    "friction": StudyParameterSpec("N m s", "uN m s", "viscous friction of the motor"),
+    "friction_torque": StudyParameterSpec("N m", "mN m", "constant friction of the motor"),
+    "gear_efficiency": StudyParameterSpec("1", "", "efficiency of the gear", is_positive=True),
+    "controller_efficiency": StudyParameterSpec("1", "", "efficiency of the speed controller", is_positive=True),
 }
-ROTOR_PARAMETERS: dict[str, StudyParameter] = {
+ROTOR_PARAMETERS: dict[str, StudyParameterSpec] = {
     **GEOMETRY_PARAMETERS,
     **OPERATION_PARAMETERS,
     **DRIVE_PARAMETERS,
 }
 
 # Parameters of a study of a coaxial pair; names shared with single rotors have the same meaning.
-PAIR_PARAMETERS: dict[str, StudyParameter] = {
-    "spacing": StudyParameter("m", "mm", "distance between the discs", is_positive=True),
-    "upper_speed": StudyParameter("rad/s", "rpm", "speed of the upper rotor", is_positive=True),
-    "lower_speed": StudyParameter(
+PAIR_PARAMETERS: dict[str, StudyParameterSpec] = {
+    "spacing": StudyParameterSpec("m", "mm", "distance between the discs", is_positive=True),
+    "upper_speed": StudyParameterSpec("rad/s", "rpm", "speed of the upper rotor", is_positive=True),
+    "lower_speed": StudyParameterSpec(
         "rad/s", "rpm", "speed of the lower rotor; without it and a ratio, the torques are balanced", is_positive=True
     ),
-    "speed_ratio": StudyParameter("1", "", "lower over upper speed", is_positive=True),
-    "thrust": StudyParameter(
+    "speed_ratio": StudyParameterSpec("1", "", "lower over upper speed", is_positive=True),
+    "thrust": StudyParameterSpec(
         "N",
         "N",
         "thrust of the pair, for which both speeds are found, torques balanced",
         is_positive=True,
     ),
-    "pitch": StudyParameter("rad", "deg", "pitch setting of both rotors, added to the twist"),
-    "upper_pitch": StudyParameter("rad", "deg", "pitch setting of the upper rotor"),
-    "lower_pitch": StudyParameter("rad", "deg", "pitch setting of the lower rotor"),
+    "pitch": StudyParameterSpec("rad", "deg", "pitch setting of both rotors, added to the twist"),
+    "upper_pitch": StudyParameterSpec("rad", "deg", "pitch setting of the upper rotor"),
+    "lower_pitch": StudyParameterSpec("rad", "deg", "pitch setting of the lower rotor"),
     **{
-        f"{side}_{name}": StudyParameter(
+        f"{side}_{name}": StudyParameterSpec(
             p.unit, p.display_unit, f"{side} rotor: {p.meaning}", is_positive=p.is_positive
         )
         for side in ("upper", "lower")
@@ -123,12 +125,14 @@ PAIR_PARAMETERS: dict[str, StudyParameter] = {
 }
 
 
-def find_parameter(name: str) -> StudyParameter:
+def find_parameter(name: str) -> StudyParameterSpec:
     """Return a parameter of a rotor or of a pair by name."""
     return ROTOR_PARAMETERS[name] if name in ROTOR_PARAMETERS else PAIR_PARAMETERS[name]
 
 
-def look_up_parameter(name: str, where: str, table: Mapping[str, StudyParameter] = ROTOR_PARAMETERS) -> StudyParameter:
+def look_up_parameter(
+    name: str, where: str, table: Mapping[str, StudyParameterSpec] = ROTOR_PARAMETERS
+) -> StudyParameterSpec:
     """Return a parameter by name.
 
     Raises
@@ -141,7 +145,7 @@ def look_up_parameter(name: str, where: str, table: Mapping[str, StudyParameter]
     return table[name]
 
 
-def parse_quantity(name: str, text: str, table: Mapping[str, StudyParameter] = ROTOR_PARAMETERS) -> ParameterValue:
+def parse_quantity(name: str, text: str, table: Mapping[str, StudyParameterSpec] = ROTOR_PARAMETERS) -> ParameterValue:
     """Return one value in SI units from a text such as ``"12deg"``.
 
     Raises
@@ -156,7 +160,7 @@ def parse_quantity(name: str, text: str, table: Mapping[str, StudyParameter] = R
 
 
 def parse_values(
-    text: str, table: Mapping[str, StudyParameter] = ROTOR_PARAMETERS
+    text: str, table: Mapping[str, StudyParameterSpec] = ROTOR_PARAMETERS
 ) -> tuple[str, tuple[ParameterValue, ...]]:
     """Return name and values (SI) from a text such as ``"chord=10:30:5mm"``; ``table`` lists the known parameters.
 
@@ -183,7 +187,7 @@ def parse_values(
 
 
 def parse_settings(
-    texts: Iterable[str], table: Mapping[str, StudyParameter] = ROTOR_PARAMETERS
+    texts: Iterable[str], table: Mapping[str, StudyParameterSpec] = ROTOR_PARAMETERS
 ) -> dict[str, tuple[ParameterValue, ...]]:
     """Return ``{name: values}`` from several texts as for :func:`parse_values`.
 

@@ -21,7 +21,7 @@ from mufly.study.study_parameters import (
     PAIR_PARAMETERS,
     ROTOR_PARAMETERS,
     ParameterValue,
-    StudyParameter,
+    StudyParameterSpec,
 )
 
 # Blade element momentum theory as recommended, as in textbooks, and as in the dissertation (Sec. 3.3.1: effective #
@@ -148,7 +148,7 @@ class StudySetup:
         return (self.rotor,) if self.lower_rotor is None else (self.rotor, self.lower_rotor)
 
     @property
-    def parameters(self) -> Mapping[str, StudyParameter]:
+    def parameters(self) -> Mapping[str, StudyParameterSpec]:
         """Parameters that can be varied or fixed."""
         return ROTOR_PARAMETERS if self.lower_rotor is None else PAIR_PARAMETERS
 

@@ -20,7 +20,7 @@ from mufly.control import (
 from mufly.control.analysis.plots import draw_loop, draw_plant
 from mufly.errors import MuflyError
 from mufly.flight import ControllerReference, Flight, simulate_response
-from mufly.flight.mission_flight import align_and_start
+from mufly.flight.mission_flight import await_estimate_and_start
 from mufly.mission import parse_mission
 from mufly.results.result_figure import blank_figure
 from mufly.thesis.claims import CLAIMS, ProgressCallback, Study, StudyFindings, judge, judge_item
@@ -278,7 +278,7 @@ def _fly_on_sensors() -> tuple[xr.Dataset, float, float]:
         "mufly-1.1", parse_mission(_CLIMB_MISSION), controller=_design_controller(), seed=7, sensors="fitted"
     ) as flight:
         pilot = flight.autopilot
-        refused = align_and_start(flight)
+        refused = await_estimate_and_start(flight)
         if refused:
             raise MuflyError(refused)
         while flight.time_s < 120.0:

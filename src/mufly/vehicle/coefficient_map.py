@@ -75,7 +75,7 @@ _table_error = partial(model_error, key="table")
 
 
 class CoefficientMap(BaseModel):
-    """Validated coefficient map; :meth:`parse_tables` returns its arrays."""
+    """Validated coefficient map; :meth:`decode_map_tables` returns its arrays."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -93,13 +93,13 @@ class CoefficientMap(BaseModel):
     settings: str = Field(default="", description="how the method was set")
     table: str = Field(description=f"one line for each point: {' '.join(TABLE_COLUMNS)}")
 
-    def parse_tables(self) -> MapTables:
+    def decode_map_tables(self) -> MapTables:
         """Return axes and coefficients as read-only arrays."""
         return _parse_table(self.table)
 
     @model_validator(mode="after")
     def _check_table(self) -> CoefficientMap:
-        self.parse_tables()
+        self.decode_map_tables()
         return self
 
 

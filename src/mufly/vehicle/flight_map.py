@@ -83,7 +83,7 @@ class FlightMapTables(NamedTuple):
 
 
 class FlightMap(BaseModel):
-    """Validated flight map; :meth:`parse_tables` returns its arrays."""
+    """Validated flight map; :meth:`decode_map_tables` returns its arrays."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -110,21 +110,21 @@ class FlightMap(BaseModel):
     )
     table: str = Field(description="one line a point: axes, then the loads of upper and lower rotor")
 
-    def parse_tables(self) -> FlightMapTables:
+    def decode_map_tables(self) -> FlightMapTables:
         """Return axes and loads as read-only arrays."""
         return _parse_flight_table(self.table, self.knee)
 
     @property
     def velocity_limits_m_s(self) -> tuple[float, float, float]:
         """Greatest edgewise velocity, greatest sink and greatest climb (m/s) at the mean speed of the map."""
-        tables, tip = self.parse_tables(), self.mean_speed_rad_s * self.radius_m
+        tables, tip = self.decode_map_tables(), self.mean_speed_rad_s * self.radius_m
         last = float(tables.edgewise[-1])
         climb = tables.climb_ratio
         return tip * self.knee * (last / (1.0 - last)) ** 0.5, -tip * float(climb[0]), tip * float(climb[-1])
 
     @model_validator(mode="after")
     def _check_table(self) -> FlightMap:
-        self.parse_tables()
+        self.decode_map_tables()
         return self
 
 

@@ -22,7 +22,7 @@ _MAX_LEG_SPAN_RATIO = 3.0  # horizontal distance of a leg's tip over the rotor r
 _MIN_ACCELEROMETER_RANGE_G = 2.0  # standing and vibration take 1 g each
 _MIN_GYRO_RANGE_RAD_S = 2.0  # gusts and control turn a helicopter of 0.1 kg by about 1 rad/s
 _MAX_SPECIFIC_ENERGY_WH_KG = 300.0  # lithium cells, 2025
-_BATTERY_MASS_SHARE = 0.5  # of the take-off mass, where the mass budget is missing
+_BATTERY_MASS_FRACTION = 0.5  # of the take-off mass, where the mass budget is missing
 _MAX_BLIND_HEIGHT_M = 0.3  # height up to which the estimator accepts the sonar's word about lift-off
 _AIR_DENSITY_RANGE = 0.3, 1.6  # kg/m3: 11 km height; sea level at -50 degC
 _EARTH_FIELD_RANGE_T = 15e-6, 100e-6  # the Earth's field is 22 to 67 uT
@@ -119,7 +119,7 @@ def _check_battery(v: Vehicle) -> Iterator[UnusualParameter]:
     if v.mass_budget is not None and float(v.mass_budget.battery) > 0.0:
         mass = float(v.mass_budget.battery)
     else:
-        mass = _BATTERY_MASS_SHARE * float(v.body.mass)
+        mass = _BATTERY_MASS_FRACTION * float(v.body.mass)
     energy = nominal * float(b.capacity) / 3600.0
     if energy > _MAX_SPECIFIC_ENERGY_WH_KG * mass:
         yield UnusualParameter(

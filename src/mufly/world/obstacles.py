@@ -210,11 +210,11 @@ def make_wall(
 
 
 _Array = NDArray[np.float64]
-BOX_CENTRE, BOX_HALF_EDGES, BOX_COS, BOX_SIN = 0, 3, 6, 7
+BOX_CENTRE_INDEX, BOX_HALF_EDGES_INDEX, BOX_HEADING_COS_INDEX, BOX_HEADING_SIN_INDEX = 0, 3, 6, 7
 """Indices in the row of a packed box: N, E, D of the centre, half edges, cosine and sine of the heading."""
-CYLINDER_RADIUS, CYLINDER_TOP, CYLINDER_BOTTOM = 2, 3, 4
+CYLINDER_RADIUS_INDEX, CYLINDER_TOP_INDEX, CYLINDER_BOTTOM_INDEX = 2, 3, 4
 """Indices in the row of a packed cylinder, after N and E of the axis."""
-ROOM_CEILING, ROOM_FLOOR = 4, 5
+ROOM_CEILING_INDEX, ROOM_FLOOR_INDEX = 4, 5
 """Indices among the limits of a packed room, after those of N and E."""
 
 
@@ -234,14 +234,14 @@ def first_hit_distance(
     """Return the distance (m) from ``x`` (3,) along a unit vector to the first surface, at most ``best``."""
     for b in boxes:
         dn, de = x[0] - b[0], x[1] - b[1]
-        c, s = b[BOX_COS], b[BOX_SIN]
-        near, far = _clip_to_slab(c * dn + s * de, c * un + s * ue, b[BOX_HALF_EDGES], 0.0, best)
-        near, far = _clip_to_slab(-s * dn + c * de, -s * un + c * ue, b[BOX_HALF_EDGES + 1], near, far)
-        near, far = _clip_to_slab(x[2] - b[2], ud, b[BOX_HALF_EDGES + 2], near, far)
+        c, s = b[BOX_HEADING_COS_INDEX], b[BOX_HEADING_SIN_INDEX]
+        near, far = _clip_to_slab(c * dn + s * de, c * un + s * ue, b[BOX_HALF_EDGES_INDEX], 0.0, best)
+        near, far = _clip_to_slab(-s * dn + c * de, -s * un + c * ue, b[BOX_HALF_EDGES_INDEX + 1], near, far)
+        near, far = _clip_to_slab(x[2] - b[2], ud, b[BOX_HALF_EDGES_INDEX + 2], near, far)
         if near <= far:
             best = near
     for row in cylinders:
-        radius, top, bottom = row[CYLINDER_RADIUS], row[CYLINDER_TOP], row[CYLINDER_BOTTOM]
+        radius, top, bottom = row[CYLINDER_RADIUS_INDEX], row[CYLINDER_TOP_INDEX], row[CYLINDER_BOTTOM_INDEX]
         mid, half = 0.5 * (top + bottom), 0.5 * (bottom - top)
         near, far = _clip_to_slab(x[2] - mid, ud, half, 0.0, best)
         dn, de = x[0] - row[0], x[1] - row[1]
@@ -264,9 +264,9 @@ def first_hit_distance(
         elif u > 0.0:
             best = min(best, max(0.0, (limits[2 * axis + 1] - x[axis]) / u))
     if ud < 0.0:
-        best = min(best, max(0.0, (limits[ROOM_CEILING] - x[2]) / ud))
+        best = min(best, max(0.0, (limits[ROOM_CEILING_INDEX] - x[2]) / ud))
     elif ud > 0.0:
-        best = min(best, max(0.0, (limits[ROOM_FLOOR] - x[2]) / ud))
+        best = min(best, max(0.0, (limits[ROOM_FLOOR_INDEX] - x[2]) / ud))
     return best
 
 
@@ -294,17 +294,17 @@ def packed_obstacle_distances(
         for i in range(nb):
             b = boxes[i]
             dn, de = x[0] - b[0], x[1] - b[1]
-            qx = abs(b[BOX_COS] * dn + b[BOX_SIN] * de) - b[BOX_HALF_EDGES]
-            qy = abs(-b[BOX_SIN] * dn + b[BOX_COS] * de) - b[BOX_HALF_EDGES + 1]
-            qz = abs(x[2] - b[2]) - b[BOX_HALF_EDGES + 2]
+            qx = abs(b[BOX_HEADING_COS_INDEX] * dn + b[BOX_HEADING_SIN_INDEX] * de) - b[BOX_HALF_EDGES_INDEX]
+            qy = abs(-b[BOX_HEADING_SIN_INDEX] * dn + b[BOX_HEADING_COS_INDEX] * de) - b[BOX_HALF_EDGES_INDEX + 1]
+            qz = abs(x[2] - b[2]) - b[BOX_HALF_EDGES_INDEX + 2]
             d = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2)
             d += min(max(qx, qy, qz), 0.0)
             if d < least[k]:
                 least[k], which[k] = d, i
         for i in range(nc):
             c = cylinders[i]
-            qr = math.hypot(x[0] - c[0], x[1] - c[1]) - c[CYLINDER_RADIUS]
-            qz = max(c[CYLINDER_TOP] - x[2], x[2] - c[CYLINDER_BOTTOM])
+            qr = math.hypot(x[0] - c[0], x[1] - c[1]) - c[CYLINDER_RADIUS_INDEX]
+            qz = max(c[CYLINDER_TOP_INDEX] - x[2], x[2] - c[CYLINDER_BOTTOM_INDEX])
             d = math.sqrt(max(qr, 0.0) ** 2 + max(qz, 0.0) ** 2) + min(max(qr, qz), 0.0)
             if d < least[k]:
                 least[k], which[k] = d, nb + i

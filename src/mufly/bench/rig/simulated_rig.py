@@ -54,7 +54,7 @@ SAMPLE_RATE_Hz = 100.0
 _MAP_SPEEDS_rad_s = np.geomspace(800.0, 12000.0, 12) * RPM
 _MAP_PITCH_OFFSETS_rad = np.radians([-0.6, 0.0, 0.6])  # offsets from the nominal pitch
 _MAP_SPEED_RATIOS = np.array([0.6, 0.8, 1.0, 1.25, 1.6])
-ROTOR_SIDES = ("upper", "lower")
+ROTOR_SIDE_NAMES = ("upper", "lower")
 
 
 @lru_cache(maxsize=32)
@@ -205,16 +205,16 @@ class SimulatedRig:
 
     def __post_init__(self) -> None:
         rng = self._rng = np.random.default_rng([self.seed, 7])
-        self.axes = ROTOR_SIDES
+        self.axes = ROTOR_SIDE_NAMES
         self._sensitivity = np.array([[2.0, 5.0], [0.01, 150.0]]) * (1 + 0.02 * rng.standard_normal((2, 2)))
         self._zero_offset_V = np.array([0.12, -0.4])
         if self.faults.force_cell_saturates:
             self._sensitivity[0] *= 12.0
         self.facts = self._calibrate_cells()
-        self._motors = {s: SimulatedMotor(0.0255 * (1 + 0.03 * rng.standard_normal())) for s in ROTOR_SIDES}
-        self._motor_heat = {s: _MotorHeat() for s in ROTOR_SIDES}
-        self.speed = dict.fromkeys(ROTOR_SIDES, 0.0)
-        self.commanded_speed = dict.fromkeys(ROTOR_SIDES, 0.0)
+        self._motors = {s: SimulatedMotor(0.0255 * (1 + 0.03 * rng.standard_normal())) for s in ROTOR_SIDE_NAMES}
+        self._motor_heat = {s: _MotorHeat() for s in ROTOR_SIDE_NAMES}
+        self.speed = dict.fromkeys(ROTOR_SIDE_NAMES, 0.0)
+        self.commanded_speed = dict.fromkeys(ROTOR_SIDE_NAMES, 0.0)
         self._zero_walk_V, self._correlated_noise_V = np.zeros(2), np.zeros(2)
         self._room_state = np.array([295.0 + rng.standard_normal(), 96500.0 + 800 * rng.standard_normal(), 0.45])
         self._room_temperature_offset = np.zeros(1)
@@ -266,11 +266,11 @@ class SimulatedRig:
         self._cool_motors(90.0)
 
     def set_speeds(self, speeds_rad_s: Mapping[str, float]) -> None:
-        for side in ROTOR_SIDES:
+        for side in ROTOR_SIDE_NAMES:
             self.commanded_speed[side] = float(speeds_rad_s.get(side, 0.0)) * (1.0 - self.faults.speed_shortfall_share)
 
     def stop(self) -> None:
-        self.commanded_speed = dict.fromkeys(ROTOR_SIDES, 0.0)
+        self.commanded_speed = dict.fromkeys(ROTOR_SIDE_NAMES, 0.0)
 
     def close(self) -> None:
         self.stop()
@@ -293,7 +293,7 @@ class SimulatedRig:
         """Return the true thrust of all rotors (N) and torque of each (N m), at 1.2 kg/m3, for speeds (rad/s)."""
         m = self.mounting
         zero = np.zeros(np.shape(next(iter(speed.values()))))
-        torque: dict[str, Any] = dict.fromkeys(ROTOR_SIDES, zero)
+        torque: dict[str, Any] = dict.fromkeys(ROTOR_SIDE_NAMES, zero)
         if m is None:
             return zero, torque
         if m.axis != "pair":
@@ -303,7 +303,7 @@ class SimulatedRig:
             torque[m.axis] = q(x, y, grid=False) * w**2
             return t(x, y, grid=False) * w**2, torque
         maps = compute_pair_map(m.rotor, m.lower_rotor, m.pitch_deg, m.lower_pitch_deg, self.spacing_m)
-        up, low = (np.maximum(speed[s], 1.0) for s in ROTOR_SIDES)
+        up, low = (np.maximum(speed[s], 1.0) for s in ROTOR_SIDE_NAMES)
         x = np.clip(np.log(0.5 * (up + low)), np.log(1500 * RPM), np.log(9000 * RPM))
         y = np.clip(np.log(low / up), np.log(_MAP_SPEED_RATIOS[0]), np.log(_MAP_SPEED_RATIOS[-1]))
         tu, qu, td, qd = (f(x, y, grid=False) for f in maps)
@@ -321,11 +321,11 @@ class SimulatedRig:
         scale = self.true_density() / ROTOR_MAP_AIR.density_kg_m3
         return {
             "thrust": scale * float(thrust),
-            **{f"torque_{s}": scale * float(torque[s]) for s in ROTOR_SIDES},
+            **{f"torque_{s}": scale * float(torque[s]) for s in ROTOR_SIDE_NAMES},
         }
 
     def _cool_motors(self, duration_s: float) -> None:
-        for side in ROTOR_SIDES:
+        for side in ROTOR_SIDE_NAMES:
             heat, motor = self._motor_heat[side], self._motors[side]
             heat.winding_rise_K *= np.exp(-duration_s / motor.winding_time_constant_s)
             heat.magnet_rise_K *= np.exp(-duration_s / motor.magnet_time_constant_s)
@@ -351,7 +351,7 @@ class SimulatedRig:
         dt = duration_s / n
         t = self.time_s + dt * np.arange(1, n + 1)
         speed: dict[str, Array] = {}
-        for side in ROTOR_SIDES:
+        for side in ROTOR_SIDE_NAMES:
             went = np.exp(-dt * np.arange(1, n + 1) / 0.35)
             smooth = self.commanded_speed[side] + (self.speed[side] - self.commanded_speed[side]) * went
             self.speed[side] = float(smooth[-1])
@@ -359,7 +359,7 @@ class SimulatedRig:
         scale = self.true_density() / ROTOR_MAP_AIR.density_kg_m3
         thrust, torque = self.true_loads_at(speed, self._pitch_error_rad)
         thrust = scale * thrust
-        total = scale * sum(self.facts.torque_signs[s] * torque[s] for s in ROTOR_SIDES)
+        total = scale * sum(self.facts.torque_signs[s] * torque[s] for s in ROTOR_SIDE_NAMES)
         before = self._zero_walk_V.copy()
         self._drift_sensors(duration_s)
         along = np.linspace(0, 1, n)[:, None]
@@ -374,7 +374,7 @@ class SimulatedRig:
         gain = 1.0 + self._gain_drift_signs * np.array(b.gain_per_K) * self._room_temperature_offset[0]
         y = self._zero_offset_V + gain * (np.column_stack([thrust, total]) @ self._sensitivity.T) + zero + slow
         y += np.array(b.white_noise_V) * rng.standard_normal((n, 2))
-        for side in ROTOR_SIDES:
+        for side in ROTOR_SIDE_NAMES:
             phase = np.cumsum(speed[side]) * dt
             # Averaging over the sample time attenuates a vibration; without it 6000 rpm would alias to zero.
             size = (speed[side] / (7000 * RPM)) ** 2 * np.sinc(speed[side] * dt / (2 * np.pi))
@@ -385,9 +385,9 @@ class SimulatedRig:
             y[hit] = rng.uniform(-5, 5, int(hit.sum()))
         y = np.clip(np.round(y / 1e-4) * 1e-4, -5.0, 5.0)
         out = {"thrust_raw": y[:, 0], "torque_raw": y[:, 1]}
-        for side in ROTOR_SIDES:
+        for side in ROTOR_SIDE_NAMES:
             out |= self._motor_samples(side, speed[side], scale * torque[side], duration_s)
-        shaken = float(sum(float(np.mean(speed[s]) / (7000 * RPM)) ** 2 for s in ROTOR_SIDES))
+        shaken = float(sum(float(np.mean(speed[s]) / (7000 * RPM)) ** 2 for s in ROTOR_SIDE_NAMES))
         out["vibration"] = np.abs(12.0 * shaken * (1 + 0.1 * rng.standard_normal(n)))
         air = self._room_state + np.array([self._room_temperature_offset[0], 0.0, 0.0]) + self._sensor_error
         for name, value, noise in zip(("temperature", "pressure", "humidity"), air, (0.02, 3.0, 0.002), strict=True):

@@ -242,15 +242,15 @@ def _parse_plan(record: SeriesRecord) -> dict[str, object]:
 def _describe_drifts(loads: dict[str, LoadChannel], points: SeriesReadings) -> Iterator[str]:
     span = max(float(np.ptp(points.time_s)), 1.0)
     for name, c in loads.items():
-        zero, cov = c.zero_drift.predict(points.time_s, np.ones((len(points), 1)))
+        zero, cov = c.zero_drift_model.predict(points.time_s, np.ones((len(points), 1)))
         yield (
-            f"{name}: zero read {c.zero_drift.time_s.size} times, went {np.ptp(zero):.3g} of the reading's unit in "
-            f"{span / 60:.0f} min; followed to {math.sqrt(float(np.mean(np.diag(cov)))):.2g}"
+            f"{name}: zero read {c.zero_drift_model.time_s.size} times, went {np.ptp(zero):.3g} of the reading's unit "
+            f"in {span / 60:.0f} min; followed to {math.sqrt(float(np.mean(np.diag(cov)))):.2g}"
         )
-        if c.gain_drift is None:
+        if c.gain_drift_model is None:
             yield f"{name}: the reference was not mounted twice, so a drift of the gain is unknown"
         else:
-            gain, gcov = c.gain_drift.predict_drift(points.time_s)
+            gain, gcov = c.gain_drift_model.predict_drift(points.time_s)
             yield (
                 f"{name}: gain drifts by {100 * (gain[-1]):+.2f} % to the end, corrected to "
                 f"{100 * math.sqrt(float(np.mean(np.diag(gcov)))):.2f} % by {len(c.reference_visits)} "
@@ -398,7 +398,7 @@ def _loads_by_axis(
             value[where] = split.torque_Nm[side][turns]
             common[np.ix_(where, where)] = split.covariance[side][np.ix_(turns, turns)]
         if np.isfinite(value).any():
-            out[f"torque_{side}"] = LoadChannel(value, common, own, blank.zero_drift, None, np.zeros((0, 4)))
+            out[f"torque_{side}"] = LoadChannel(value, common, own, blank.zero_drift_model, None, np.zeros((0, 4)))
     return out
 
 

@@ -29,7 +29,7 @@ from mufly.bench.series.series_plan import SeriesPlan
 from mufly.bench.series.series_readings import SeriesReadings
 from mufly.bench.series.series_record import SeriesRecord
 
-MAX_ZERO_JUMP, MAX_BAD_POINT_SHARE = 0.05, 0.2
+MAX_ZERO_JUMP, MAX_BAD_POINT_FRACTION = 0.05, 0.2
 
 
 class SeriesIssue(NamedTuple):
@@ -63,14 +63,14 @@ def find_series_issues(
     slow = points.select_readings(~points.at_speed | ~points.settled)
     if len(slow):
         text = f"{len(slow)} of {n} points did not reach their speed or did not settle ({describe_points(slow)})"
-        yield SeriesIssue("speed", f"{text}: these points are omitted", len(slow) > MAX_BAD_POINT_SHARE * n)
+        yield SeriesIssue("speed", f"{text}: these points are omitted", len(slow) > MAX_BAD_POINT_FRACTION * n)
     wild = points.select_readings(points.spike_share >= 0.02)
     if len(wild):
         text = f"more than 2 % of a cell's samples were invalid at {len(wild)} of {n} points ({describe_points(wild)})"
         yield SeriesIssue(
             "nonsense",
             f"{text}: check the wiring; these points are omitted",
-            len(wild) > MAX_BAD_POINT_SHARE * n,
+            len(wild) > MAX_BAD_POINT_FRACTION * n,
         )
     done = record.completed_steps
     left = [s for s in plan.steps if s.kind != "warm-up" and (s.mounting_index, s.step_in_mounting) not in done]

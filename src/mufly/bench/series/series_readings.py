@@ -157,9 +157,9 @@ class LoadChannel:
         Covariance from common errors: calibration, linearity, gain.
     own_covariance : (n, n) array
         Covariance from readings and zeros.
-    zero_drift : RandomWalkDrift
+    zero_drift_model : RandomWalkDrift
         Zero drift of the cell of this load.
-    gain_drift : RandomWalkDrift or None
+    gain_drift_model : RandomWalkDrift or None
         Drift of the logarithmic gain; None for fewer than two reference visits.
     reference_visits : (v, 4) array
         Time, logarithm of load over mean load, standard uncertainty and mounting of each reference visit.
@@ -168,8 +168,8 @@ class LoadChannel:
     value: Array
     common_covariance: Array
     own_covariance: Array
-    zero_drift: RandomWalkDrift
-    gain_drift: RandomWalkDrift | None
+    zero_drift_model: RandomWalkDrift
+    gain_drift_model: RandomWalkDrift | None
     reference_visits: Array
 
     @property
@@ -294,14 +294,14 @@ def _correct_gain_drift(
     design = design[:, design.any(axis=0)]
     if len(visits) < design.shape[1] + 1:
         return LoadChannel(
-            channel.value, channel.common_covariance, channel.own_covariance, channel.zero_drift, None, visits
+            channel.value, channel.common_covariance, channel.own_covariance, channel.zero_drift_model, None, visits
         )
     walk = fit_random_walk(time_s, log_ratio, sigma, design, start)
     gain, cov = walk.predict_drift(points.time_s)
     value = channel.value * np.exp(-gain)
     scale = np.outer(np.exp(-gain), np.exp(-gain))
     common = scale * channel.common_covariance + np.outer(value, value) * cov
-    return LoadChannel(value, common, scale * channel.own_covariance, channel.zero_drift, walk, visits)
+    return LoadChannel(value, common, scale * channel.own_covariance, channel.zero_drift_model, walk, visits)
 
 
 def compute_reference_visits(

@@ -173,7 +173,7 @@ class BetaflightPilot:
                 pulses[_ARM_CHANNEL] = MAX_PULSE_US
             return pulses
         self._set_phase_reference()
-        return self._command_flight(truth)
+        return self._compute_flight_pulses(truth)
 
     # The flight
 
@@ -229,7 +229,7 @@ class BetaflightPilot:
             self._voltage_V = voltage_V
         self._voltage_V += (voltage_V - self._voltage_V) / (_VOLTAGE_FILTER_S * PILOT_RATE_HZ)
 
-    def _command_flight(self, truth: Truth) -> _Array:
+    def _compute_flight_pulses(self, truth: Truth) -> _Array:
         on_floor = self.phase == "spool-up"
         error = self.reference - truth.position
         north, east = (

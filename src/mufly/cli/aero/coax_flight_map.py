@@ -68,7 +68,7 @@ def compute_flight_map(
         files = [out, save_figure(flight_map_picture(made, loads), out.parent, out.stem)]
     content: dict[str, Any] = {
         **made.model_dump(exclude={"table"}),
-        **made.parse_tables()._asdict(),
+        **made.decode_map_tables()._asdict(),
         "at_mean_ratio_without_climb": loads._asdict(),
     }
     print_answer(as_json, content, lambda: _print_rotor_map(made, loads), files)
@@ -76,7 +76,7 @@ def compute_flight_map(
 
 def _print_rotor_map(made: FlightMap, loads: MapLoads) -> None:
     c = make_console()
-    tables = made.parse_tables()
+    tables = made.decode_map_tables()
     shape = tables.loads.shape
     edge, sink, climb = made.velocity_limits_m_s
     c.print(f"[bold]{made.name}[/bold]  {made.description}", highlight=False)

@@ -18,7 +18,7 @@ from mufly.sensors import Fault
 from mufly.vehicle import Vehicle
 
 _MAX_REALTIME_LAG_S = 0.2  # of the flight behind the clock; a longer delay is dropped
-_UNTHROTTLED_SILENCE_SHARE = 0.5  # of COM_DL_LOSS_T that a silent commander's flight may exceed real time
+_UNTHROTTLED_SILENCE_FRACTION = 0.5  # of COM_DL_LOSS_T that a silent commander's flight may exceed real time
 
 
 def _pace_for_commander(pace: float, supervisor: Any) -> float:
@@ -29,7 +29,7 @@ def _pace_for_commander(pace: float, supervisor: Any) -> float:
     ten times real time a heartbeat would arrive every 10 s of flight, and the board would hold because of a lost link.
     """
     silent_s = supervisor.now_s - supervisor.commander_heard_s if supervisor.has_commander else 0.0
-    if silent_s <= _UNTHROTTLED_SILENCE_SHARE * supervisor.settings.link_loss_s:
+    if silent_s <= _UNTHROTTLED_SILENCE_FRACTION * supervisor.settings.link_loss_s:
         return pace
     return min(pace, 1.0) if pace > 0.0 else 1.0
 

@@ -19,10 +19,10 @@ For a mirrored source conj(B) replaces it.
 
 Each row is fitted alone. The best fit names the fault under two conditions: the residual of a correct source exceeds
 :data:`_REPORT_RESIDUAL_RATIO` times the usual drift, and that of the fault is at most the share
-:data:`_MAX_UNEXPLAINED_SHARE` of it. The controller follows the drift of a source, and the drift then looks like a lag,
-so the residual for a lag must be :data:`_LAG_RESIDUAL_FACTOR` times as large. An error of scale whose effect in one
-window is below the drift is found by a long fit over :data:`_LONG_FIT_MEMORY_S`. A steady drift of a source in flight
-is not found: it is a part of the parabola.
+:data:`_MAX_UNEXPLAINED_FRACTION` of it. The controller follows the drift of a source, and the drift then looks like a
+lag, so the residual for a lag must be :data:`_LAG_RESIDUAL_FACTOR` times as large. An error of scale whose effect in
+one window is below the drift is found by a long fit over :data:`_LONG_FIT_MEMORY_S`. A steady drift of a source in
+flight is not found: it is a part of the parabola.
 
 The heading is checked against the integrated gyroscopes, whose offset is adapted slowly. In a turn a lagging heading
 shows the delay d long before the path does: psi(t) = psi_gyro(t - d) is fitted over d. While the motors are off, the
@@ -57,7 +57,7 @@ PATH_WINDOW_S, REACCEPTANCE_TIME_S = 5.0, 10.0
 _MIN_FIT_SPAN_S, _MIN_FIT_FIX_COUNT = 1.2, 12
 """Least span (s) and number of fixes for a fit."""
 _WITHHOLD_RESIDUAL_RATIO, _REPORT_RESIDUAL_RATIO, _LAG_RESIDUAL_FACTOR = 0.8, 1.2, 1.5
-_MAX_UNEXPLAINED_SHARE, _FAULT_CONFIRMING_FIXES = 0.45, 6
+_MAX_UNEXPLAINED_FRACTION, _FAULT_CONFIRMING_FIXES = 0.45, 6
 _SMALL_MOTION_RATIO, _SMALL_MOTION_RESIDUAL_FACTOR = 0.6, 4.0
 """Residuals over the usual drift from which fixes are withheld and the fault is reported. For sources that lag or move
 less than :data:`_SMALL_MOTION_RATIO` times as far, both are larger by a factor. Largest share of the residual that the
@@ -354,7 +354,7 @@ class FixMonitor:
             return _HEADING_LAG_TEXT, False, False
         self._fit_path()
         fit, fault = self.path_fit, self._judge_path(self._report_m) or self._judge_long_fit()
-        agrees = fit.motion_rms_m > self._report_m and fit.healthy_rms_m < _MAX_UNEXPLAINED_SHARE * fit.motion_rms_m
+        agrees = fit.motion_rms_m > self._report_m and fit.healthy_rms_m < _MAX_UNEXPLAINED_FRACTION * fit.motion_rms_m
         return fault or self._judge_path(self._withhold_m), bool(fault), agrees
 
     def _is_jump(self, fix: tuple[float, complex, complex, complex, complex]) -> bool:
@@ -405,7 +405,9 @@ class FixMonitor:
     def _judge_heading(self) -> str:
         """Return the fault of a source whose heading lags behind the gyroscopes."""
         off, left, delay = self.heading_fit
-        explains = off > _MIN_HEADING_LAG_RAD and left < _MAX_UNEXPLAINED_SHARE * off and delay > _MIN_REPORTED_DELAY_S
+        explains = (
+            off > _MIN_HEADING_LAG_RAD and left < _MAX_UNEXPLAINED_FRACTION * off and delay > _MIN_REPORTED_DELAY_S
+        )
         return _delay_fault_text(delay) if explains else ""
 
     def _is_heading_apart(self, time_s: float) -> bool:
@@ -468,7 +470,7 @@ class FixMonitor:
         if fit.healthy_rms_m < least_m:
             return ""
         best = min(fit.rms_m, key=lambda name: fit.rms_m[name])
-        if fit.rms_m[best] > _MAX_UNEXPLAINED_SHARE * fit.healthy_rms_m:
+        if fit.rms_m[best] > _MAX_UNEXPLAINED_FRACTION * fit.healthy_rms_m:
             return ""
         simple = [name for name in ("late", "scaled") if fit.rms_m[name] < 1.3 * fit.rms_m[best]]
         kind = min(simple, key=lambda name: fit.rms_m[name]) if simple else best

@@ -33,9 +33,9 @@ from mufly.files.answer_store import hash_question
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.policy.observation import (
     ACTION_SIZE,
-    COLLECTIVE_ACTION_SPAN,
+    MAX_COLLECTIVE_DUTY_CHANGE,
+    MAX_YAW_DUTY_CHANGE,
     OBS_TASK_INPUTS,
-    YAW_ACTION_SPAN,
     fill_observation,
     map_action,
 )
@@ -184,7 +184,11 @@ class PolicyControllers(Controllers):
 def find_equal_action(inputs: _Array, trim: _Array) -> NDArray[np.float64]:
     """Return the action (4,) that commands inputs (4,) of the flight model, within -1..1."""
     upper, lower = inputs[0] - trim[0], inputs[1] - trim[1]
-    wanted = (0.5 * (upper + lower) / COLLECTIVE_ACTION_SPAN, 0.5 * (upper - lower) / YAW_ACTION_SPAN, *inputs[SERVOS])
+    wanted = (
+        0.5 * (upper + lower) / MAX_COLLECTIVE_DUTY_CHANGE,
+        0.5 * (upper - lower) / MAX_YAW_DUTY_CHANGE,
+        *inputs[SERVOS],
+    )
     return np.clip(np.array(wanted, dtype=np.float64), -1.0, 1.0)
 
 

@@ -69,7 +69,7 @@ def draw_estimate_pictures(dataset: xr.Dataset, folder: str | Path) -> list[Path
         return []
     paths = [Path(folder) / f"{name}.png" for name in ("estimate", "sensors", "way")]
     with mpl.rc_context(PLOT_STYLE):
-        figures = draw_estimate(dataset), draw_checks(dataset), draw_ground_track(dataset)
+        figures = draw_estimate(dataset), draw_sensor_innovations(dataset), draw_ground_track(dataset)
         for path, figure in zip(paths, figures, strict=True):
             figure.savefig(path, dpi=110, **FAST_PNG_OPTIONS)
     return paths
@@ -215,7 +215,7 @@ def _draw_header(figure: Figure, dataset: xr.Dataset) -> None:
     figure.text(0.02, 0.974, "bands: three standard deviations", fontsize=8.5, va="top", color=GREY)
 
 
-def draw_checks(dataset: xr.Dataset) -> Figure:
+def draw_sensor_innovations(dataset: xr.Dataset) -> Figure:
     """Draw the innovations of every sensor in standard deviations, coloured by status (fused, rejected, ...)."""
     names = [name for name in CHECKED_READINGS if np.isfinite(dataset[f"status_{name}"].values).any()]
     height = 1.2 + 1.15 * max(1, len(names))

@@ -25,7 +25,7 @@ _MAX_RATE_HZ = 250.0
 _MIN_STD_M = 0.01
 _HEADING_STD_RAD = math.radians(2.0)
 _MAX_BRIDGED_GAP_S = 0.1
-_RUNNING_MOTOR_SHARE = 0.03  # share of full power at which motors turn
+_RUNNING_MOTOR_FRACTION = 0.03  # share of full power at which motors turn
 _AXIS_LABELS = {
     "position": ("N", "E", "D"),
     "velocity": ("N", "E", "D"),
@@ -149,12 +149,12 @@ def read_foreign_log(
     motors = [
         c
         for c in found
-        if c.signal_name in ("actuator_command", "motor_input") and np.ptp(c.values) > _RUNNING_MOTOR_SHARE
+        if c.signal_name in ("actuator_command", "motor_input") and np.ptp(c.values) > _RUNNING_MOTOR_FRACTION
     ]
     tells = "its motors"
     if motors:
         power = np.nanmean([resample_signal(c.time, c.values, time, hold=True) for c in motors], axis=0)
-        on = power > _RUNNING_MOTOR_SHARE
+        on = power > _RUNNING_MOTOR_FRACTION
         flying = np.arange(len(time)) >= (np.argmax(on) if on.any() else len(time))
     else:
         flying, tells = detect_flight(time, w, f), "its inertial unit"

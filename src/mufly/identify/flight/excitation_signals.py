@@ -31,7 +31,7 @@ SignalKind = Literal["chirp", "multisine", "3211", "doublet"]
 SIGNAL_KINDS: tuple[SignalKind, ...] = get_args(SignalKind)
 
 _SIGNAL_END_REST_S = 0.5
-_CHIRP_FADE_SHARE = 0.1  # share of the chirp's duration for each fade
+_CHIRP_FADE_FRACTION = 0.1  # share of the chirp's duration for each fade
 _PHASE_OPTIMISATION_STARTS = 6  # Schroeder's phases and random phases; the first is often not the best
 
 
@@ -119,7 +119,7 @@ def _make_chirp(t: Array, low: float, high: float) -> tuple[Array, str]:
     length = t[-1]
     rate = math.log(high / low)
     phase = low * length / rate * np.expm1(rate * t / length)
-    fade = np.clip(np.minimum(t, length - t) / (_CHIRP_FADE_SHARE * length), 0.0, 1.0)
+    fade = np.clip(np.minimum(t, length - t) / (_CHIRP_FADE_FRACTION * length), 0.0, 1.0)
     return np.sin(phase) * fade, f"{low / 2 / math.pi:.2g} to {high / 2 / math.pi:.2g} Hz, exponential"
 
 

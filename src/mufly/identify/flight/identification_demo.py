@@ -231,7 +231,7 @@ def fly_demo_flights(
 DEMO_FREE_SYMBOLS = (
     "cQ_up", "cQ_dw", "Jdrive_up", "Jdrive_dw", "Jrot_up", "Jrot_dw", "Izz", "Iyy", "l_up", "l_dw", "Tf_up", "delay",
 )  # fmt: skip
-_START_VALUE_ERROR_SHARE = 0.5
+_START_VALUE_ERROR_FRACTION = 0.5
 
 
 @result(eq=False, picture="mufly.identify.fit_pictures:rotor_fit_picture")
@@ -304,7 +304,7 @@ def run_identification_demo(
     true = {s: RADIO_DELAY_S if s == "delay" else float(rows[s].value) for s in DEMO_FREE_SYMBOLS}
     random = np.random.default_rng([seed, 1])
     factors = np.where(
-        random.random(len(DEMO_FREE_SYMBOLS)) < 0.5, 1 - _START_VALUE_ERROR_SHARE, 1 + _START_VALUE_ERROR_SHARE
+        random.random(len(DEMO_FREE_SYMBOLS)) < 0.5, 1 - _START_VALUE_ERROR_FRACTION, 1 + _START_VALUE_ERROR_FRACTION
     )
     factor = dict(zip(DEMO_FREE_SYMBOLS, factors, strict=True))
     values = {rows[s].key: true[s] * float(factor[s]) for s in DEMO_FREE_SYMBOLS if s != "delay"}

@@ -28,7 +28,7 @@ MIN_COST_DECREASE = 0.01  # least predicted cost decrease of a step: a tenth of 
 _FIRST_HORIZON_S, _HORIZON_GROWTH = 1.0, 2.5
 _MAX_STEPS_PER_HORIZON = 25
 _LINE_SEARCH_FRACTIONS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])  # fractions of a step, evaluated in one batch
-_MAX_STATE_STEP = 0.25  # largest step over the prior standard deviation
+_MAX_STATE_STEP_SIGMAS = 0.25  # largest step over the prior standard deviation
 _CONTINUOUS_STATES = np.isin(
     np.array(MOTION_STATES + ACTUATOR_STATES),
     ("v_north", "v_east", "speed_up", "speed_dw", "bar_roll", "bar_pitch"),
@@ -113,7 +113,7 @@ def _find_record_start(problem: OutputErrorProblem, i: int, theta: _Array, state
         if 0.5 * float(target @ target) < MIN_COST_DECREASE:
             return state, True, flown
         step = -np.linalg.solve(r, target)
-        step *= min(1.0, _MAX_STATE_STEP / float(np.max(np.abs(step / spread))))
+        step *= min(1.0, _MAX_STATE_STEP_SIGMAS / float(np.max(np.abs(step / spread))))
         trials = state + _LINE_SEARCH_FRACTIONS[:, None, None] * step
         found = start_costs(trials)
         k = int(np.argmin(found))

@@ -65,7 +65,7 @@ from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-_ROTOR_SETTLING_S = 1.0  # settling time of the rotors after a guessed initial speed
+_START_TRANSIENT_S = 1.0  # settling time of the rotors after a guessed initial speed
 _MAX_MOTION_LAG_S = 0.16  # largest lag of the motion behind the inputs
 _MIN_GAIN_SIGMAS = 5.0  # least gain over its standard deviation
 _MIN_ABSOLUTE_INPUT_GAIN = 0.25  # least absolute gain
@@ -114,7 +114,7 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
 
     found: dict[str, InputGain] = {}
     turn = body_to_ned_matrices(m[:, MOTION_EULER:MOTION_RATES])
-    lagged = {"skip_s": _ROTOR_SETTLING_S, "longest_lag_s": _MAX_MOTION_LAG_S}
+    lagged = {"skip_s": _START_TRANSIENT_S, "longest_lag_s": _MAX_MOTION_LAG_S}
 
     def gain(rate: str, angle: str, *made: Array, sign: float = 1.0, **options: Any) -> InputGain:
         is_rate = rate in has
@@ -146,8 +146,8 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
         pull = -turn[:, :2, 2] * GRAVITY
         for k, axis in enumerate(("north", "east")):
             if has & {axis, f"v_{axis}"}:
-                found[axis] = gain(f"v_{axis}", axis, pull[:, k], pull[:, 1 - k], skip_s=_ROTOR_SETTLING_S)
-    settled = min(round(_ROTOR_SETTLING_S / dt), len(m) // 2)
+                found[axis] = gain(f"v_{axis}", axis, pull[:, k], pull[:, 1 - k], skip_s=_START_TRANSIENT_S)
+    settled = min(round(_START_TRANSIENT_S / dt), len(m) // 2)
     return found, float(thrust[settled:].sum(axis=1).mean() / (p["mass"] * GRAVITY))
 
 

@@ -45,7 +45,7 @@ _Array = NDArray[np.float64]
 _MAX_THETA_STEP = np.log(2.0)
 _DAMPING_FACTORS = np.array([0.1, 1.0, 10.0, 1000.0])
 _MIN_DAMPING, _MAX_DAMPING = 1e-9, 1e9
-_MIN_STEP_SHARE = 1e-4
+_MIN_STEP_FRACTION = 1e-4
 _MAX_STATE_STEP = 0.25
 _MAX_CHORD_STEPS, _MAX_WINDOWS_FOR_CHORDS = 3, 100
 _CURVATURE_CHORD_STEPS = 4
@@ -250,7 +250,7 @@ def _try_damped_steps(linear: LinearisedProblem) -> tuple[FitPoint | None, int]:
     flown = now.simulations + linear.simulation_count
     chords = _MAX_CHORD_STEPS if sum(len(s) for s in problem.window_starts) <= _MAX_WINDOWS_FOR_CHORDS else 0
     damping, share = now.damping, 1.0
-    while damping <= _MAX_DAMPING and share > _MIN_STEP_SHARE:
+    while damping <= _MAX_DAMPING and share > _MIN_STEP_FRACTION:
         dampings = np.clip(damping * _DAMPING_FACTORS, _MIN_DAMPING, _MAX_DAMPING)
         steps = [_damped_step(problem, now.theta, triangle, start, d) for d in dampings]
         moves = [[r.initial_state_change(r.window_rows, step) for step in steps] for r in reduced]

@@ -56,7 +56,7 @@ ComplexArray = NDArray[np.complex128]
 
 _MIN_PARTIAL_COHERENCE = 0.5  # of a fit
 _FIT_FREQUENCY_COUNT = 60  # number of frequencies of a fit
-_INDEPENDENT_SEGMENT_SHARE = 18.0 / 19.0  # independent segments per half-overlapping Hann segment
+_INDEPENDENT_SEGMENT_FRACTION = 18.0 / 19.0  # independent segments per half-overlapping Hann segment
 
 
 @result(
@@ -194,7 +194,7 @@ def average_cross_spectra(
             spectra += np.conj(transform)[:, :, None] * transform[:, None, :]
             count += 1
     spectra /= count
-    return spectra, _INDEPENDENT_SEGMENT_SHARE * count
+    return spectra, _INDEPENDENT_SEGMENT_FRACTION * count
 
 
 def condition_spectra(s: ComplexArray, k: int) -> tuple[ComplexArray, Array, Array, Array]:

@@ -51,7 +51,7 @@ _BAG_VERSION = 8  # rosbag2 of Iron, read by every later release
 _CUSTOM_DATA_KEY = "mufly"
 _BLOCK_ROWS = 1000
 _MAX_LIST_LENGTH = 64  # a longer list is a picture or a point cloud
-_FIELD_TYPE_BASE, _FIELD_TYPE_NAME, _FIELD_TYPE_ARRAY = 1, 2, 3  # kinds of fields in the type system of rosbags
+_NODE_TYPE_BASE, _NODE_TYPE_NAME, _NODE_TYPE_ARRAY = 1, 2, 3  # kinds of fields in the type system of rosbags
 
 
 def _import_rosbags() -> ModuleType:
@@ -90,19 +90,19 @@ class _MessageMaker:
     def _field_converter(self, field: tuple[Any, Any]) -> Callable[[Any], Any]:
         """Return the function from a value or None to a field of a message."""
         kind, about = int(field[0]), field[1]
-        if kind == _FIELD_TYPE_BASE:
+        if kind == _NODE_TYPE_BASE:
             zero: Any = "" if about[0] == "string" else 0
             return lambda value: zero if value is None else value
-        if kind == _FIELD_TYPE_NAME:
+        if kind == _NODE_TYPE_NAME:
             make = self._message_maker(about)
             return lambda value: make(value or {})
         (inner_kind, inner), length = about
-        if int(inner_kind) == _FIELD_TYPE_NAME:
+        if int(inner_kind) == _NODE_TYPE_NAME:
             one = self._message_maker(inner)
             return lambda value: [one(v) for v in value or ()]
         if inner[0] == "string":
             return lambda value: list(value or ())
-        zeros = np.zeros(length if kind == _FIELD_TYPE_ARRAY else 0, dtype=inner[0])
+        zeros = np.zeros(length if kind == _NODE_TYPE_ARRAY else 0, dtype=inner[0])
         return lambda value: zeros if value is None else np.asarray(value, dtype=zeros.dtype)
 
 

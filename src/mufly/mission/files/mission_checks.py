@@ -445,7 +445,7 @@ def check_preflight(
 # the controllers' limits.
 
 
-MISSION_SHARE_OF_CONTROL_LIMITS = 0.8
+MISSION_FRACTION_OF_CONTROL_LIMITS = 0.8
 """Share of the controllers' limits available to a mission; the rest is for corrections."""
 
 
@@ -467,12 +467,12 @@ def reduce_mission_limits(mission: Mission, able: TrajectoryLimits) -> tuple[Mis
         Description of the changes: ``"climb_m_s 0.8 in place of 2"``; empty without changes.
     """
     can = limits_to_file_units(able)
-    most = MISSION_SHARE_OF_CONTROL_LIMITS * able.speed
+    most = MISSION_FRACTION_OF_CONTROL_LIMITS * able.speed
     hasty = [k for k, w in enumerate(mission.waypoint) if w.speed_m_s is not None and w.speed_m_s > most]
     slower = {
-        key: MISSION_SHARE_OF_CONTROL_LIMITS * most
+        key: MISSION_FRACTION_OF_CONTROL_LIMITS * most
         for key, most in can.items()
-        if MISSION_SHARE_OF_CONTROL_LIMITS * most < getattr(mission.limits, key)
+        if MISSION_FRACTION_OF_CONTROL_LIMITS * most < getattr(mission.limits, key)
     }
     if not slower and not hasty:
         return mission, ""

@@ -215,7 +215,7 @@ DRIFTING_DESCENT_RATE_M_S = 0.05
 
 _STICK_LIMIT_HEIGHT_M = 1.0
 _FULL_TILT_HEIGHT_M, _MIN_TILT_FRACTION = 0.3, 0.2
-_MAX_SPEED_AT_FLOOR_M_S, _MAX_SPEED_RISE_1_S = (
+_MAX_HORIZONTAL_SPEED_AT_FLOOR_M_S, _MAX_HORIZONTAL_SPEED_SLOPE_1_S = (
     0.3,
     1.2,
 )  # speed limit on the floor (m/s), and its rise with height (1/s)
@@ -223,8 +223,8 @@ _BRAKING_TIME_S, _MAX_BRAKING_TILT_RAD = 0.5, 0.09  # s, rad
 _FLARE_TIME_S = 1.0  # height over the permitted descent rate beyond that of a touchdown (s)
 
 
-def _max_speed_near_floor(height: float) -> float:
-    return _MAX_SPEED_AT_FLOOR_M_S + _MAX_SPEED_RISE_1_S * max(0.0, height)
+def _max_horizontal_speed_near_floor(height: float) -> float:
+    return _MAX_HORIZONTAL_SPEED_AT_FLOOR_M_S + _MAX_HORIZONTAL_SPEED_SLOPE_1_S * max(0.0, height)
 
 
 def limit_manual_tilt(
@@ -255,7 +255,7 @@ def limit_manual_tilt(
     sine, cosine = sine_cosine(yaw)
     ahead, right = (cosine * vn + sine * ve) / speed, (cosine * ve - sine * vn) / speed
     along = right * roll - ahead * pitch
-    most = max((_max_speed_near_floor(height) - speed) / (GRAVITY * _BRAKING_TIME_S), -_MAX_BRAKING_TILT_RAD)
+    most = max((_max_horizontal_speed_near_floor(height) - speed) / (GRAVITY * _BRAKING_TIME_S), -_MAX_BRAKING_TILT_RAD)
     if along > most:
         roll, pitch = roll + (most - along) * right, pitch - (most - along) * ahead
     return roll, pitch
@@ -273,6 +273,6 @@ def limit_manual_climb(height: float, velocity: tuple[float, float], touchdown: 
     climb : float
         Climb rate of the sticks (m/s).
     """
-    if height < _STICK_LIMIT_HEIGHT_M and vector_length(*velocity) > _max_speed_near_floor(height):
+    if height < _STICK_LIMIT_HEIGHT_M and vector_length(*velocity) > _max_horizontal_speed_near_floor(height):
         return max(climb, -DRIFTING_DESCENT_RATE_M_S)
     return max(climb, -(touchdown + max(0.0, height) / _FLARE_TIME_S))

@@ -550,7 +550,7 @@ def _drop_hub_slices(slices: list[BladeSlice], step_m: float) -> list[BladeSlice
         bent = abs(inner.twist_rad - outer.twist_rad)
         if (
             outer.r_m - inner.r_m > 2.5 * step_m
-            or jump > _MAX_BLADE_CHORD_JUMP_SHARE
+            or jump > _MAX_BLADE_CHORD_JUMP_FRACTION
             or bent > _MAX_BLADE_TWIST_JUMP_RAD
         ):
             return slices[k:]
@@ -558,7 +558,7 @@ def _drop_hub_slices(slices: list[BladeSlice], step_m: float) -> list[BladeSlice
 
 
 _MAX_ASSUMED_TIP_SWEEP_RAD = math.radians(20.0)
-_MAX_BLADE_CHORD_JUMP_SHARE, _MAX_BLADE_TWIST_JUMP_RAD = (
+_MAX_BLADE_CHORD_JUMP_FRACTION, _MAX_BLADE_TWIST_JUMP_RAD = (
     0.2,
     math.radians(8.0),
 )  # of chord or thickness; of the angle, between neighbouring cuts

@@ -33,7 +33,7 @@ STATION_RATIOS = (0.25, 0.40, 0.55, 0.70, 0.85, 0.95)
 CHORD_STD_M, BLADE_ANGLE_STD_RAD = 2e-4, math.radians(1.0)
 """Standard deviations of a caliper's chord on rounded edges, and of a protractor's angle."""
 _PLATE_ANGLE_STD_RAD = math.radians(0.5)
-_SAME_STATION_RADIUS_SHARE = 0.01  # of the radius: readings closer than this are of one station
+_SAME_STATION_RADIUS_FRACTION = 0.01  # of the radius: readings closer than this are of one station
 _MAX_ANGLE_DISAGREEMENT_SIGMAS = 3.0  # standard deviations between protractor and caliper at the last station
 _ANGLE_OUTLIER_SIGMAS = 3.0  # standard deviations of an angle from a smooth curve through the others
 
@@ -108,7 +108,7 @@ def measure_geometry(
             name, "r", f"goes from {1e3 * r[0]:g} to {1e3 * r[-1]:g} mm",
             f"measure within the radius of {1e3 * radius_m:g} mm, from the middle of the shaft",
         )  # fmt: skip
-    starts = np.flatnonzero(np.diff(r, prepend=-math.inf) > _SAME_STATION_RADIUS_SHARE * radius_m)
+    starts = np.flatnonzero(np.diff(r, prepend=-math.inf) > _SAME_STATION_RADIUS_FRACTION * radius_m)
     if starts.size < 3:
         raise InputError(name, "stations", f"are {starts.size}", "measure at three radii or more; six are recommended")
     counts = np.diff(np.append(starts, r.size))

@@ -38,7 +38,7 @@ FLOW_COLUMN_COUNT = ROTOR_LOAD_COLUMNS.index("rate_force")
 """Columns of the flow; those of rates follow."""
 MAP_ADVANCE_RATIO = 0.35
 """Greatest advance ratio of a map."""
-_MIN_ADVANCE_SHARE_OF_KNEE = 0.01  # of the knee, where loads over V are those of V = 0
+_MIN_ADVANCE_FRACTION_OF_KNEE = 0.01  # of the knee, where loads over V are those of V = 0
 _BODY_RATE_STEP_RATIO = 0.002  # of the rotor speed, the rates of the differences
 _COUPLING_TOLERANCE = 1e-5  # of the coupling
 
@@ -168,7 +168,7 @@ def compute_flight_loads(
             rest, last = None, hover
             for k in range(shape[2]):
                 e = float(axes[2][k])
-                edge = tip * knee * (math.sqrt(e / (1.0 - e)) if k else _MIN_ADVANCE_SHARE_OF_KNEE)
+                edge = tip * knee * (math.sqrt(e / (1.0 - e)) if k else _MIN_ADVANCE_FRACTION_OF_KNEE)
                 try:
                     last = pair = solve_at(edge, climb, last)
                     by_rate = _rate_load_columns(
@@ -344,8 +344,8 @@ class MapLoads(NamedTuple):
 
 def evaluate_flight_map(flight_map: FlightMap) -> MapLoads:
     """Return the loads of a flight map at its airspeeds, in SI units, as the flight model interpolates them."""
-    splines = fit_flight_splines(flight_map.parse_tables())
-    edge = flight_map.parse_tables().edgewise
+    splines = fit_flight_splines(flight_map.decode_map_tables())
+    edge = flight_map.decode_map_tables().edgewise
     mean, radius = flight_map.mean_speed_rad_s, flight_map.radius_m
     up = 2.0 * mean / (1.0 + splines.ratio)
     speeds = np.array([up, splines.ratio * up])

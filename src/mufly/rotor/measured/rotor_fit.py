@@ -64,9 +64,12 @@ from mufly.rotor.sections.polar_table import PolarTable, stack_polars
 Array = NDArray[np.float64]
 
 FIT_PARAMETERS = ("pitch", "lift", "drag", "lift over Re", "drag over Re")
-_THRUST_SCATTER_SHARE, _TORQUE_SCATTER_SHARE = 0.02, 0.03  # scatter of the method's error from point to point, relative
+_THRUST_SCATTER_FRACTION, _TORQUE_SCATTER_FRACTION = (
+    0.02,
+    0.03,
+)  # scatter of the method's error from point to point, relative
 _PRIOR_WIDTH_FACTORS = (1.0, 2.0, 4.0)  # factors on the deviations of pitch, lift and drag
-_MIN_AXIAL_LOAD_SCALE_SHARE = 0.3  # least T_s and Q_s in axial flight, of the greatest load
+_MIN_AXIAL_LOAD_SCALE_FRACTION = 0.3  # least T_s and Q_s in axial flight, of the greatest load
 _DERIVATIVE_STEP = 1e-3  # step of derivatives, in prior deviations
 _MIN_CANDIDATE_PROBABILITY = 0.01  # candidates below this probability are left out of the file
 _UNINFORMED_STD_RATIO, _HIGH_CORRELATION = 0.8, 0.9
@@ -353,7 +356,7 @@ def _compute_load_scales(measurements: RotorMeasurements, load: Array, hover: Ar
     greatest = np.nanmax(np.where(np.isfinite(load), np.abs(load) / square, 0.0), axis=1)
     if hover.size:
         greatest = np.where(greatest > 0.0, greatest, np.max(np.abs(hover) / square, axis=1))
-    least = np.where(measurements.climb_m_s != 0.0, _MIN_AXIAL_LOAD_SCALE_SHARE * greatest[:, None] * square, 0.0)
+    least = np.where(measurements.climb_m_s != 0.0, _MIN_AXIAL_LOAD_SCALE_FRACTION * greatest[:, None] * square, 0.0)
     return np.asarray(np.maximum(np.abs(load), least), dtype=np.float64)
 
 
@@ -399,7 +402,7 @@ def _fit_sections(
     bench: _BenchPoints,
 ) -> list[_FittedSection]:
     """Fit every section; return the fits, the likeliest first."""
-    size = np.outer((_THRUST_SCATTER_SHARE, _TORQUE_SCATTER_SHARE), np.sqrt(_count_copies(bench))).ravel()
+    size = np.outer((_THRUST_SCATTER_FRACTION, _TORQUE_SCATTER_FRACTION), np.sqrt(_count_copies(bench))).ravel()
     known = np.isfinite(bench.measured_loads.ravel())
     found = []
     widths = [wide * [f, f, f, 1.0, 1.0] for f in _PRIOR_WIDTH_FACTORS]
@@ -464,7 +467,7 @@ def _estimate_scatter(best: _FittedSection) -> tuple[float, float]:
     used = np.isfinite(best.scaled_errors).sum()  # copies do not lessen what is unknown: freedom counts them as one
     grow = math.sqrt(used / max(best.degrees_of_freedom, 1.0)) if used > 5 else 1.0
     out = []
-    for errors, least in zip(best.scaled_errors, (_THRUST_SCATTER_SHARE, _TORQUE_SCATTER_SHARE), strict=True):
+    for errors, least in zip(best.scaled_errors, (_THRUST_SCATTER_FRACTION, _TORQUE_SCATTER_FRACTION), strict=True):
         left = errors[np.isfinite(errors)]
         out.append(max(least, grow * float(np.sqrt(np.mean(left**2))) if left.size else least))
     return out[0], out[1]

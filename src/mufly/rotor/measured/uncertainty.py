@@ -100,7 +100,7 @@ class PredictionInterval:
         Bounds of the intervals.
     level : float
         Nominal coverage probability.
-    thrust_share, torque_share : dict of str to (n,) arrays
+    thrust_relative_std, torque_relative_std : dict of str to (n,) arrays
         Relative standard deviation due to each cause.
     """
 
@@ -111,8 +111,8 @@ class PredictionInterval:
     torque_low_Nm: Array
     torque_high_Nm: Array
     level: float
-    thrust_share: Mapping[str, Array]
-    torque_share: Mapping[str, Array]
+    thrust_relative_std: Mapping[str, Array]
+    torque_relative_std: Mapping[str, Array]
 
     def as_record(self, k: int = 0) -> dict[str, Any]:
         """Return level, nominal values and intervals of point ``k``."""

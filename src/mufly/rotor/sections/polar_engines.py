@@ -80,7 +80,7 @@ def compute_polar(
     Thesis: Table 3.1.
     """
     given = airfoil.name if isinstance(airfoil, Airfoil) else str(airfoil)
-    found = compute_polars(
+    found = compute_airfoil_polars(
         [airfoil],
         n_crit=n_crit,
         engine=engine,
@@ -92,7 +92,7 @@ def compute_polar(
     return found[given]
 
 
-def compute_polars(
+def compute_airfoil_polars(
     airfoils: Iterable[str | Path | Airfoil],
     *,
     n_crit: float = 0.1,

@@ -295,7 +295,7 @@ def stack_extrapolation_flags(
 
 DEFAULT_ASPECT_RATIO = 5.0  # blades of micro rotors have 2.5 to 8; C_max then lies within 5 % of the value for 5
 _MAX_SPLINE_STEP_RAD = math.radians(2.5)  # wider gaps between known angles are interpolated without overshoot
-_MIN_SPLINE_DRAG_SHARE = 0.5  # of the least known drag; limits undershoot of the spline
+_MIN_SPLINE_DRAG_FRACTION = 0.5  # of the least known drag; limits undershoot of the spline
 
 
 def flat_plate_drag(aspect_ratio: float) -> float:
@@ -406,4 +406,4 @@ def _blend_into_stall(a: Array, values: tuple[Array, ...], c_max: float) -> tupl
     for c, value in zip(out, values, strict=True):
         c[:, inside] = spline(a, value, axis=1)(np.clip(grid[inside], a[0], a[-1]))
     cl, cd, cm = out
-    return cl, np.maximum(cd, _MIN_SPLINE_DRAG_SHARE * skin), cm
+    return cl, np.maximum(cd, _MIN_SPLINE_DRAG_FRACTION * skin), cm

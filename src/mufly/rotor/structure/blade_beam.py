@@ -115,7 +115,7 @@ class BladeBeam:
         return np.diff(self.edges_m)
 
     @cached_property
-    def points_m(self) -> Array:
+    def gauss_radii_m(self) -> Array:
         """Radius of the Gauss points, (elements, 4)."""
         return self.edges_m[:-1, None] + self.length_m[:, None] * GAUSS_POINTS
 
@@ -136,7 +136,7 @@ class BladeBeam:
     @property
     def flap_inertia_kg_m2(self) -> float:
         """Moment of inertia of the blade about the shaft."""
-        return self.integrate_over_span(self.mass_kg_m * self.points_m**2)
+        return self.integrate_over_span(self.mass_kg_m * self.gauss_radii_m**2)
 
     def differentiate_along_span(self, values: Array) -> Array:
         """Return the derivative along the span of values at the Gauss points, (elements, 4)."""
@@ -145,7 +145,7 @@ class BladeBeam:
     @cached_property
     def tension_over_speed2_kg_m(self) -> Array:
         """Tension over Omega^2 at the Gauss points, (elements, 4)."""
-        pull = self.mass_kg_m * self.points_m
+        pull = self.mass_kg_m * self.gauss_radii_m
         each = np.sum(self.weights_m * pull, axis=1)
         beyond = np.concatenate((np.cumsum(each[::-1])[::-1][1:], [0.0]))
         return np.asarray(beyond[:, None] + self.length_m[:, None] * (pull @ _INTEGRATION_MATRIX.T))
@@ -178,7 +178,7 @@ class BladeBeam:
             ("v1", slope, _LAG_DOFS), ("w1", slope, _FLAP_DOFS), ("p1", turn, _TWIST_DOFS),
             ("v2", bend, _LAG_DOFS), ("w2", bend, _FLAP_DOFS),
         ):  # fmt: skip
-            full = np.zeros((*self.points_m.shape, _ELEMENT_DOF_COUNT))
+            full = np.zeros((*self.gauss_radii_m.shape, _ELEMENT_DOF_COUNT))
             full[..., where] = np.moveaxis(values, 0, -1)
             out[name] = full
         return out
@@ -272,7 +272,9 @@ def stiffness_matrices(beam: BladeBeam, pitch_rad: float, twist_rad: Array | Non
     )
     if math.isfinite(beam.flap_root_N_m):  # tension in the rigid arm between hinge and blade
         arm = float(beam.edges_m[0]) - beam.hinge_radius_m
-        centrifugal[_ROOT_FLAP_SLOPE_DOF, _ROOT_FLAP_SLOPE_DOF] += arm * beam.integrate_over_span(m * beam.points_m)
+        centrifugal[_ROOT_FLAP_SLOPE_DOF, _ROOT_FLAP_SLOPE_DOF] += arm * beam.integrate_over_span(
+            m * beam.gauss_radii_m
+        )
     return elastic, centrifugal
 
 

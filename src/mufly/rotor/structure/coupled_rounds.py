@@ -64,7 +64,7 @@ class StripLoads:
         """Return the loads about the elastic axis at the Gauss points of a beam with an elastic twist."""
 
         def to_gauss_points(values: Array) -> Array:
-            return np.interp(beam.points_m, self.r_m, values)
+            return np.interp(beam.gauss_radii_m, self.r_m, values)
 
         theta = beam.twist_rad + pitch_rad + twist_rad
         axial, inplane = to_gauss_points(self.axial_N_m), to_gauss_points(self.inplane_N_m)

@@ -112,7 +112,7 @@ def span_loads(
     inplane = -found.dQ_Nm / (found.r_m * found.dr_m * count)
 
     def to_gauss_points(values: Array) -> Array:
-        return np.interp(beam.points_m, found.r_m, values)
+        return np.interp(beam.gauss_radii_m, found.r_m, values)
 
     arm = to_gauss_points(size * normal) * (beam.axis_over_chord - 0.25)
     return SpanLoads(
@@ -204,7 +204,7 @@ def twisted_loads(
     more_rad: float = 0.0,
 ) -> tuple[RotorResult, SpanLoads]:
     """Return solution and span loads of a rotor with an elastic twist at the Gauss points and an additional pitch."""
-    there = np.interp(blading.r_m[0], beam.points_m.ravel(), twist_rad.ravel())
+    there = np.interp(blading.r_m[0], beam.gauss_radii_m.ravel(), twist_rad.ravel())
     bent = replace(blading, twist_rad=blading.twist_rad + there)
     found = solve_rotor(bent, pitch_rad=pitch_rad + more_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air)
     return found, span_loads(beam, found, blading, polars, air)
@@ -425,7 +425,7 @@ def solve_elastic_rotor(
     first = states[0]
     beam = first.beam
     reach = float(beam.edges_m[-1]) - (beam.hinge_radius_m if s.root == "hinged" else float(beam.edges_m[0]))
-    axis = float(np.interp(0.75 * rotor.radius_m, beam.points_m.ravel(), beam.axis_over_chord.ravel()))
+    axis = float(np.interp(0.75 * rotor.radius_m, beam.gauss_radii_m.ravel(), beam.axis_over_chord.ravel()))
     return ElasticRotorResult(
         rigid, first.rotor, beam.edges_m, first.twist_rad, low[2:], high[2:], first.deflection_m,
         float(first.twist_rad[-1]), math.atan(float(first.deflection_m[-1]) / reach), float(low[0]), float(high[0]),

@@ -39,7 +39,7 @@ LIFT_SLOPE = 5.7
 """Lift slope (1/rad) of the Lock number."""
 _SIGMAS_PER_90_PERCENT = 1.645
 _STIFFNESS_STATION_RATIO = 0.75  # r/R at which measured stiffnesses hold
-_MIN_TIP_CHORD_SHARE = 1e-3  # of the blade's greatest chord: least chord of a pointed tip
+_MIN_TIP_CHORD_FRACTION = 1e-3  # of the blade's greatest chord: least chord of a pointed tip
 
 ASSUMED_STRUCTURE = BladeStructure(material="abs")
 """Structure of a blade whose file has none: moulded ABS, solid, with an unknown root."""
@@ -105,7 +105,7 @@ def make_blade_beam(
     points = edges[:-1, None] + np.diff(edges)[:, None] * GAUSS_POINTS
     at = np.concatenate((points.ravel(), [max(_STIFFNESS_STATION_RATIO * big, r0)])) / big
     cut = rotor.sections_at(at)
-    chord = np.maximum(cut.chord_m, _MIN_TIP_CHORD_SHARE * cut.chord_m.max())
+    chord = np.maximum(cut.chord_m, _MIN_TIP_CHORD_FRACTION * cut.chord_m.max())
     names = (s.contour,) * len(cut.airfoil_names) if s.contour else cut.airfoil_names
     lines = [thickness_and_camber_lines(name) for name in names]
     share = cut.second_weight[:, None]
@@ -242,7 +242,7 @@ class FlapMode:
 def lock_number(rotor: Rotor, beam: BladeBeam, air: Air | None = None) -> float:
     """Return the Lock number of a blade."""
     density = (air or Air()).density_kg_m3
-    moment = beam.integrate_over_span(beam.chord_m * beam.points_m**3)
+    moment = beam.integrate_over_span(beam.chord_m * beam.gauss_radii_m**3)
     return 4.0 * density * LIFT_SLOPE * moment / beam.flap_inertia_kg_m2
 
 
@@ -291,7 +291,7 @@ def compute_flap_mode(rotor: Rotor, speed_rad_s: float, *, pitch_rad: float = 0.
     modes = compute_modes(beam, speed_rad_s, pitch_rad=pitch_rad, count=4)
     x = modes.shape[modes.find_mode("flap")]
     shape = x[FLAP_AT_NODES]
-    mass = np.interp(beam.edges_m, beam.points_m.ravel(), beam.mass_kg_m.ravel())
+    mass = np.interp(beam.edges_m, beam.gauss_radii_m.ravel(), beam.mass_kg_m.ravel())
     return FlapMode(
         speed_rad_s, float(value[0]), float(low[0]), float(high[0]), lock_number(rotor, beam), beam.edges_m,
         shape / shape[-1], mass, known, _describe_assumptions(s, known),
@@ -423,7 +423,7 @@ def compute_campbell(
     free = np.array([m.frequency_rad_s[m.find_mode("flap")] for m in found])
     if s.root == "unknown":
         low[:, 0] = free
-    places, at = beam.points_m.ravel(), _STIFFNESS_STATION_RATIO * rotor.radius_m
+    places, at = beam.gauss_radii_m.ravel(), _STIFFNESS_STATION_RATIO * rotor.radius_m
 
     def at_station(values: Array) -> float:
         return float(np.interp(at, places, values.ravel()))

@@ -98,10 +98,10 @@ _SHARED_DIFFERENCE_STEPS = np.array(
 )
 _SEGMENT_DIFFERENCE_STEPS = np.array([*[1e-3] * 3, 1e-4, *[1e-4] * 3])
 _SONAR_SIGMA_M, _VELOCITY_STEP_M_S, _FLOOR_STEP_M = 0.025, 0.02, 0.004
-_GIVEN_HEIGHT_STD_SHARE = 0.2
+_GIVEN_HEIGHT_STD_FRACTION = 0.2
 """Standard deviation of a given mean height, as a share of it."""
 _MIN_PIXEL_SIGMA, _HUBER_THRESHOLD_SIGMAS = 0.05, 1.5
-_TRANSLATION_SHARE = 0.3
+_TRANSLATION_FRACTION = 0.3
 
 
 @result(json="values deviations residual_px segments tracks")
@@ -173,7 +173,7 @@ def calibrate_from_folder(
     times, values = np.array(heights).T
     return fit_camera(
         tracks, camera, imu, height_m=lambda t: np.interp(t, times, values), frames=iterate_pictures,
-        height_sigma_m=_SONAR_SIGMA_M if height_m is None else _GIVEN_HEIGHT_STD_SHARE * height_m,
+        height_sigma_m=_SONAR_SIGMA_M if height_m is None else _GIVEN_HEIGHT_STD_FRACTION * height_m,
     )  # fmt: skip
 
 
@@ -596,7 +596,7 @@ def _guess_rotation(tracks: PointTracks, camera: Camera, imu: InertialData) -> t
         if share > best[0]:
             best = (share, float(delay), m, n)
     share, delay, m, n = best
-    if share < _TRANSLATION_SHARE:
+    if share < _TRANSLATION_FRACTION:
         raise InputError(
             "pictures", "", "the motion of the pictures does not follow the gyroscopes",
             "turn the vehicle rather than shift it, and check that both clocks are the same",

@@ -37,10 +37,10 @@ moves the place by the height times it, so poses continue with that deviation; w
 **Dirt** stays at its pixels. In the mean of n pictures of different floor the dirt remains, while the floor, with grey
 levels of deviation s, averages out to s / sqrt(n). A pixel is dirty under two conditions: its mean differs from the
 surroundings by more than :data:`_DIRT_SIGMAS` s / sqrt(n), and its own deviation is below
-:data:`_DIRT_MAX_DEVIATION_SHARE` s, since dirt hides the floor. The pictures of the mean were taken at different
+:data:`_DIRT_MAX_DEVIATION_FRACTION` s, since dirt hides the floor. The pictures of the mean were taken at different
 places: a hover would show the same floor at the same pixels. On a straight path, bands along it stay, too, so the
-mean must also differ from its surroundings along the path. More than :data:`_MAX_DIRT_SHARE` of a picture is not dirt
-but a floor that repeats along the path, such as stripes.
+mean must also differ from its surroundings along the path. More than :data:`_MAX_DIRT_FRACTION` of a picture is not
+dirt but a floor that repeats along the path, such as stripes.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ from mufly.slam.images.patch_information import measure_patches, remove_backgrou
 _Array = NDArray[np.float64]
 _MOTION_HIGH_PASS_S, _FIT_MEMORY_S, _GROSS_FIT_MEMORY_S, _VELOCITY_DECAY_S = 0.4, 6.0, 1.2, 4.0
 _MIN_FAULT_SIGMAS, _MIN_FAULT_FRAMES, _MIN_GROSS_FIT_FRAMES = 5.0, 40, 12
-_MIN_TURN_ERROR_RAD, _MIN_FOCAL_ERROR_SHARE, _MIN_DELAY_ERROR_S = math.radians(7.0), 0.1, 0.03
+_MIN_TURN_ERROR_RAD, _MIN_FOCAL_ERROR_FRACTION, _MIN_DELAY_ERROR_S = math.radians(7.0), 0.1, 0.03
 """Least errors of turn, focal length (share) and delay that are reported."""
 _MIN_PLAUSIBLE_FOCAL_SCALE = 0.5
 """Scale below which no focal length is wrong, but the estimate passes from 1 to that of a flip."""
@@ -91,7 +91,7 @@ _DIRT_PICTURE_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_MIN_MOTION_PX, _DIRT_MIN_PIC
 """Reduction of the picture, smoothing of the surroundings (reduced pixels), least distance between the places of two
 pictures (pixels), and least and largest number of pictures."""
 _DIRT_PATH_PX = 16.0  # smoothing of the surroundings along the path (reduced pixels)
-_DIRT_SIGMAS, _DIRT_MAX_DEVIATION_SHARE, _MIN_DIRT_GREY_LEVELS, _MAX_DIRT_SHARE, _DIRT_MARGIN_PX = (
+_DIRT_SIGMAS, _DIRT_MAX_DEVIATION_FRACTION, _MIN_DIRT_GREY_LEVELS, _MAX_DIRT_FRACTION, _DIRT_MARGIN_PX = (
     5.0,
     0.5,
     10.0,
@@ -107,9 +107,9 @@ _FLIP_SIGMA_PX_S, _MAX_FLIP_LOG_LIKELIHOOD_STEP, _FLIP_LOG_LIKELIHOOD_LIMIT = 15
 likelihood ratio between a flipped and a correct axis."""
 _HAND_CARRIED_FLIP_SIGMA_PX_S = 60.0
 """The same by hand, where the place moves by an unknown velocity."""
-_FLIP_MEMORY_S, _MAX_FLIP_RESIDUAL_SHARE = 0.5, 0.25
+_FLIP_MEMORY_S, _MAX_FLIP_RESIDUAL_FRACTION = 0.5, 0.25
 """Memory of the residuals (s), and largest share of the motion that a flip leaves; other faults leave more."""
-_MAX_STEADY_CHANGE_SHARE, _MAX_STEADY_CHANGE = 0.3, 0.05
+_MAX_STEADY_CHANGE_FRACTION, _MAX_STEADY_CHANGE = 0.3, 0.05
 """Largest change of a steady estimate over the confirming pictures: share of its deviation, and absolute."""
 _MIRRORED_MESSAGE = "the picture moves mirrored against the gyroscopes: check the camera's driver"
 _MIN_CORRELATED_POINTS, _CORRELATION_WINDOW_PX, _MIN_CORRELATION, _MIN_STRONG_CORRELATION = 24, 21, 0.5, 0.85
@@ -302,7 +302,7 @@ class CameraMonitor:
         """Whether m and n are steady; after a change of the camera they pass through meaningless values."""
         first, last = self._latest[0], self._latest[-1]
         off = float(np.abs(last - [1.0, 0.0]).max())
-        return float(np.abs(last - first).max()) < max(_MAX_STEADY_CHANGE, _MAX_STEADY_CHANGE_SHARE * off)
+        return float(np.abs(last - first).max()) < max(_MAX_STEADY_CHANGE, _MAX_STEADY_CHANGE_FRACTION * off)
 
     def _advance_velocity(self, before: FrameInfo, now: FrameInfo, dt: float) -> None:
         """Integrate the velocity forward and to the right from the tilt; it decays, so that errors do not add up.
@@ -369,7 +369,7 @@ class FlipTest:
         flipped = self._ratio > _FLIP_LOG_LIKELIHOOD_LIMIT
         if not flipped.any() or not (flipped | (self._ratio < -0.5 * _FLIP_LOG_LIKELIHOOD_LIMIT)).all():
             return _HEALTHY_VERDICT
-        if self._squares[int(flipped[0]), int(flipped[1])] > _MAX_FLIP_RESIDUAL_SHARE * self._motion_square:
+        if self._squares[int(flipped[0]), int(flipped[1])] > _MAX_FLIP_RESIDUAL_FRACTION * self._motion_square:
             return _HEALTHY_VERDICT
         return (
             CameraVerdict("turned", _UPSIDE_DOWN_MESSAGE)
@@ -455,7 +455,7 @@ def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdi
         return CameraVerdict("delay", f"the pictures are {1e3 * delay:.0f} ms late against the gyroscopes")
     # Stripes hold back the motion along them: n is then as large as the deviation of m.
     if scale > _MIN_PLAUSIBLE_FOCAL_SCALE and abs(scale - 1.0) > max(
-        _MIN_FOCAL_ERROR_SHARE, _MIN_FAULT_SIGMAS * s, 2.0 * abs(n)
+        _MIN_FOCAL_ERROR_FRACTION, _MIN_FAULT_SIGMAS * s, 2.0 * abs(n)
     ):
         or_dirt = " and the lens for dirt" if scale < 1.0 else ""
         return CameraVerdict(
@@ -508,12 +508,12 @@ class DirtMask:
         mean, variance = np.mean(self._pictures, axis=0), np.var(self._pictures, axis=0, ddof=1)
         usual = math.sqrt(float(np.median(variance)))
         least = max(_MIN_DIRT_GREY_LEVELS, _DIRT_SIGMAS * usual / math.sqrt(count))
-        still = cv2.blur(variance, (3, 3)) < (_DIRT_MAX_DEVIATION_SHARE * usual) ** 2
+        still = cv2.blur(variance, (3, 3)) < (_DIRT_MAX_DEVIATION_FRACTION * usual) ** 2
         beside = np.abs(mean - cv2.filter2D(mean, -1, self._path_kernel()))
         dirty = ((np.abs(mean) > least) & (beside > least) & still).astype(np.uint8)
         dirty = cv2.morphologyEx(dirty, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         self.mask = self.wide_mask = None
-        if 0 < int(dirty.sum()) < _MAX_DIRT_SHARE * dirty.size:
+        if 0 < int(dirty.sum()) < _MAX_DIRT_FRACTION * dirty.size:
             whole = cv2.resize(dirty, (wide, high), interpolation=cv2.INTER_NEAREST)
             self.mask, self.wide_mask = (
                 cv2.dilate(whole, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))

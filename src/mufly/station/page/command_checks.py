@@ -18,7 +18,7 @@ from mufly.mission import Fence, Mission, describe_fence_violation, describe_pat
 from mufly.mission.files.geofence import FENCE_MARGIN_M
 from mufly.mission.files.mission_timing import compute_time_to_land_at
 from mufly.station.mission_endurance import mission_of_vehicle_limits
-from mufly.station.preflight_checks import BATTERY_RESERVE_SHARE, MIN_BATTERY_CHARGE, OWN_CHECKS_NAME
+from mufly.station.preflight_checks import BATTERY_RESERVE_FRACTION, MIN_BATTERY_CHARGE, OWN_CHECKS_NAME
 from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
 
@@ -114,7 +114,7 @@ def check_destination(
                 f"{format_clock(s.battery_left_s)}"
             )
         )
-    if needed > (1.0 - BATTERY_RESERVE_SHARE) * s.battery_left_s:
+    if needed > (1.0 - BATTERY_RESERVE_FRACTION) * s.battery_left_s:
         return DestinationCheck(
             caution_reason=(
                 f"flight takes {format_clock(needed)}, battery time left is {format_clock(s.battery_left_s)}"

@@ -266,7 +266,7 @@ class RequestChain:
                 self._now = self._links.popleft()()
 
 
-class OperatorControl:
+class OperatorControlClient:
     """Operator control of a vehicle, which accepts one station at a time.
 
     Parameters

@@ -28,7 +28,7 @@ from mufly.station.remote import autopilots
 from mufly.station.remote.autopilots import select_commands
 from mufly.station.remote.connection_setup import ConnectionSetup
 from mufly.station.remote.pilot_sticks import PilotSticks
-from mufly.station.remote.remote_commands import OperatorControl, RemoteCommands, RequestChain, StatusTextLog
+from mufly.station.remote.remote_commands import OperatorControlClient, RemoteCommands, RequestChain, StatusTextLog
 from mufly.station.remote.remote_transfers import (
     RemoteMission,
     RemoteParameters,
@@ -47,7 +47,7 @@ from mufly.vehicle_types import ARDUPILOT, ardupilot_family, is_vehicle, vehicle
 
 LOST_TIMEOUT_S = 3.0
 """Silence after which a vehicle is lost (s)."""
-_MAX_MISSED_MESSAGES = 10
+_CANCEL_AFTER_MISSED_MESSAGES = 10
 """Number of missed messages after which open actions are cancelled."""
 
 _NO_MISSION_ITEM = 65535  # MISSION_CURRENT.total
@@ -97,7 +97,7 @@ class RemoteVehicle:
         self.telemetry = VehicleTelemetry(self.history)
         self.texts = StatusTextLog()
         self._set_target(component)
-        self._control = OperatorControl(system, us)
+        self._control = OperatorControlClient(system, us)
         self.sticks = PilotSticks(system)
         self._by_hand = False
         self.station_context = StationContext()
@@ -547,7 +547,7 @@ class RemoteVehicle:
         A repeated action would otherwise be executed whenever the link returns.
         """
         silent_s = now_s - self._heard_s
-        usual_s = _MAX_MISSED_MESSAGES / self._usual_rate_Hz if self._usual_rate_Hz > 0.0 else LOST_TIMEOUT_S
+        usual_s = _CANCEL_AFTER_MISSED_MESSAGES / self._usual_rate_Hz if self._usual_rate_Hz > 0.0 else LOST_TIMEOUT_S
         if math.isfinite(silent_s) and silent_s >= min(LOST_TIMEOUT_S, max(MAX_REQUEST_DELAY_S, usual_s)):
             why = f"not executed: no message from the vehicle for {silent_s:.1f} s"
             self._cancel_moves(why)

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 _ADVANCE_GRID_POINTS, _SLOW_ADVANCE_GRID_POINTS = 45, 9
 # Range of the predicted points, of the advance ratio of zero thrust.
-_MIN_ADVANCE_SHARE, _MAX_ADVANCE_SHARE = 0.25, 1.4
+_MIN_ADVANCE_FRACTION, _MAX_ADVANCE_FRACTION = 0.25, 1.4
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,9 @@ def score_propellers(
             else 1.15 * float(j[-1])
         )
         grid = end * np.linspace(
-            _MIN_ADVANCE_SHARE, _MAX_ADVANCE_SHARE, _SLOW_ADVANCE_GRID_POINTS if code.is_slow else _ADVANCE_GRID_POINTS
+            _MIN_ADVANCE_FRACTION,
+            _MAX_ADVANCE_FRACTION,
+            _SLOW_ADVANCE_GRID_POINTS if code.is_slow else _ADVANCE_GRID_POINTS,
         )
         same = np.full(grid.size, 1.0)
         asked = RotorMeasurements(run.pitch_rad[0] * same, speed * same, same, same, run.source, grid * per_speed)

@@ -5,7 +5,7 @@
 #define FEEDFORWARD_LIMIT 67108864 /* 64 m/s2 */
 
 /* w: states, errors, saturation excess. x: the next states. */
-static void update_state(int32_t n, int32_t inputs, const fixed_coefficient_t update[], const uint8_t down[], int32_t kept,
+static void write_next_state(int32_t n, int32_t inputs, const fixed_coefficient_t update[], const uint8_t down[], int32_t kept,
                     const int32_t w[], int32_t x[], uint32_t *overflows)
 {
     for (int32_t i = 0; i < n; i++) {
@@ -170,7 +170,7 @@ static void drive_motors(const fixed_heave_yaw_t *h, fixed_controllers_t *c, con
     upper = (sum + most) / 2;
     e[5] = fixed_saturate_int32(fixed_round_shift(lower - u[0], EXCESS_SHIFT), &c->overflows);
     e[6] = fixed_saturate_int32(fixed_round_shift(upper - u[1], EXCESS_SHIFT), &c->overflows);
-    update_state(FIXED_HEAVE_YAW_ORDER, FIXED_MAX_INPUTS, &h->update[0][0], h->update_down, h->kept, w, c->heave_yaw,
+    write_next_state(FIXED_HEAVE_YAW_ORDER, FIXED_MAX_INPUTS, &h->update[0][0], h->update_down, h->kept, w, c->heave_yaw,
             &c->overflows);
     motor_input[0] = (int32_t)fixed_clip((upper * FIXED_ONE) / top, 0, FIXED_ONE);
     motor_input[1] = (int32_t)fixed_clip((lower * FIXED_ONE) / top, 0, FIXED_ONE);
@@ -194,7 +194,7 @@ static void drive_servos(const fixed_roll_pitch_t *r, fixed_controllers_t *c, co
         servo_input[i] = clip_symmetric(wanted, FIXED_ONE);
         e[4 + i] = fixed_saturate_int32(fixed_round_shift(servo_input[i] - wanted, EXCESS_SHIFT), &c->overflows);
     }
-    update_state(FIXED_ROLL_PITCH_ORDER, 14, &r->update[0][0], r->update_down, r->kept, w, c->roll_pitch, &c->overflows);
+    write_next_state(FIXED_ROLL_PITCH_ORDER, 14, &r->update[0][0], r->update_down, r->kept, w, c->roll_pitch, &c->overflows);
 }
 
 /* Limit the length of a vector, keeping its direction. */
@@ -244,7 +244,7 @@ void fixed_compute_tilt_command(const fixed_gains_t *g, fixed_controllers_t *c, 
     fixed_sine_cosine(now->attitude[2], &sine, &cosine);
     tilt[0] = (int32_t)fixed_round_shift((cosine * given[0]) + (sine * given[1]), 30U);
     tilt[1] = (int32_t)fixed_round_shift((cosine * given[1]) - (sine * given[0]), 30U);
-    update_state(FIXED_POSITION_ORDER, 10, &p->update[0][0], p->update_down, p->kept, w, c->position, &c->overflows);
+    write_next_state(FIXED_POSITION_ORDER, 10, &p->update[0][0], p->update_down, p->kept, w, c->position, &c->overflows);
 }
 
 void fixed_step(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,

@@ -2,17 +2,17 @@
 
 #include "mission/machine/mission_state.h"
 
-#define SPIN_UP_VOLTAGE_SHARE REAL(0.9)
+#define SPIN_UP_VOLTAGE_FRACTION REAL(0.9)
 #define MAX_DESCENT_M_S REAL(0.9)
 #define TOUCHDOWN_DESCENT_M_S REAL(0.5)
 #define DESCENT_ENERGY_GAIN (REAL(1.0) / (REAL(2.0) * REAL(9.81) * REAL(0.4)))
-#define MIN_DESCENT_SHARE REAL(0.92)
-#define MAX_DESCENT_SHARE REAL(1.08)
+#define MIN_DESCENT_FRACTION REAL(0.92)
+#define MAX_DESCENT_FRACTION REAL(1.08)
 #define DESCENT_MARGIN_S REAL(1.0)
 
 void spin_up_motor_input(const real_t hover_V[2], real_t elapsed_s, real_t battery_V, real_t out[2])
 {
-    const real_t share = SPIN_UP_VOLTAGE_SHARE * real_min(REAL(1.0), (REAL(2.0) * elapsed_s) / ROTOR_SPIN_UP_TIME_S);
+    const real_t share = SPIN_UP_VOLTAGE_FRACTION * real_min(REAL(1.0), (REAL(2.0) * elapsed_s) / ROTOR_SPIN_UP_TIME_S);
 
     for (int32_t i = 0; i < 2; i++) {
         out[i] = real_min((share * hover_V[i]) / battery_V, REAL(1.0));
@@ -41,12 +41,12 @@ real_t descent_voltage_share(real_t height, real_t descent)
 {
     const real_t wanted = real_min(real_max(height, TOUCHDOWN_DESCENT_M_S), MAX_DESCENT_M_S);
 
-    return real_min(real_max(REAL(1.0) + (DESCENT_ENERGY_GAIN * (descent - wanted)), MIN_DESCENT_SHARE), MAX_DESCENT_SHARE);
+    return real_min(real_max(REAL(1.0) + (DESCENT_ENERGY_GAIN * (descent - wanted)), MIN_DESCENT_FRACTION), MAX_DESCENT_FRACTION);
 }
 
 real_t descent_time_s(real_t height, real_t gravity)
 {
-    const real_t falls = (REAL(1.0) - (DESCENT_VOLTAGE_SHARE * DESCENT_VOLTAGE_SHARE)) * gravity;
+    const real_t falls = (REAL(1.0) - (DESCENT_VOLTAGE_FRACTION * DESCENT_VOLTAGE_FRACTION)) * gravity;
 
     return real_sqrt((REAL(2.0) * real_max(REAL(0.0), height)) / falls) + DESCENT_MARGIN_S;
 }

@@ -11,7 +11,7 @@ void spin_up_motor_input(const real_t hover_V[2], real_t elapsed_s, real_t batte
 void ramp_down_motor_input(const real_t released[2], real_t elapsed_s, real_t out[2]);
 
 /* Blind descent without a height: fraction of the hover voltages. */
-#define DESCENT_VOLTAGE_SHARE REAL(0.98)
+#define DESCENT_VOLTAGE_FRACTION REAL(0.98)
 
 /* Blind descent: inputs for a fraction of the hover voltages (V), to zero in the last second. */
 void descent_motor_input(const real_t held_up_V[2], real_t share, real_t left_s, real_t battery_V, real_t out[2]);

@@ -13,7 +13,7 @@
 #define HOVER_VOLTAGE_FILTER_S REAL(1.0)
 #define BATTERY_FILTER_S REAL(0.5) /* time constant of the battery filter during spin-up */
 #define TOUCHDOWN_HEIGHT_M REAL(0.03) /* height below which the vehicle counts as landed */
-#define RAMP_DOWN_SKIPPED_SHARE REAL(0.8) /* share of the ramp-down that is skipped after a certain touchdown */
+#define RAMP_DOWN_SKIPPED_FRACTION REAL(0.8) /* share of the ramp-down that is skipped after a certain touchdown */
 
 static void set_pair(real_t a, real_t b, real_t out[2])
 {
@@ -231,7 +231,7 @@ static void step_blind_descent(const flight_setup_t *setup, software_t *s, const
     if (knows) { /* starting point in case the height is lost */
         s->motors_since_s = now + descent_time_s(height, gravity);
     } else if (down) { /* on the legs, a rotor that still lifts can tip the vehicle over */
-        s->motors_since_s = real_min(s->motors_since_s, now - (RAMP_DOWN_SKIPPED_SHARE * ROTOR_RUN_DOWN_TIME_S));
+        s->motors_since_s = real_min(s->motors_since_s, now - (RAMP_DOWN_SKIPPED_FRACTION * ROTOR_RUN_DOWN_TIME_S));
     } else {
         /* descend for the calculated duration */
     }
@@ -242,7 +242,7 @@ static void step_blind_descent(const flight_setup_t *setup, software_t *s, const
         s->motors = MOTORS_OFF;
         set_pair(REAL(0.0), REAL(0.0), s->motor_input);
     } else {
-        descent_motor_input(s->hover_voltages, knows ? descent_voltage_share(height, told->motion.velocity[2]) : DESCENT_VOLTAGE_SHARE, left_s,
+        descent_motor_input(s->hover_voltages, knows ? descent_voltage_share(height, told->motion.velocity[2]) : DESCENT_VOLTAGE_FRACTION, left_s,
                       good->motion.voltage, s->motor_input);
     }
     set_pair(s->motor_input[0], s->motor_input[1], out->motor_input);
@@ -284,7 +284,7 @@ static void step_floor_motors(const flight_setup_t *setup, software_t *s, const 
     } else if (s->motors == MOTORS_RAMP_DOWN) {
         /* The vehicle may slide with an estimate's error, and a rotor that still lifts can tip it over. */
         ramp_down_motor_input(s->released_motor_input,
-                              m->judged ? (elapsed + (RAMP_DOWN_SKIPPED_SHARE * ROTOR_RUN_DOWN_TIME_S)) : elapsed, s->motor_input);
+                              m->judged ? (elapsed + (RAMP_DOWN_SKIPPED_FRACTION * ROTOR_RUN_DOWN_TIME_S)) : elapsed, s->motor_input);
     } else {
         set_pair(REAL(0.0), REAL(0.0), s->motor_input);
     }

@@ -2,7 +2,7 @@
 
 #include <stddef.h>
 
-#define MIN_SWING_INPUT_SHARE REAL(0.5)
+#define MIN_SWING_INPUT_FRACTION REAL(0.5)
 #define MIN_OSCILLATION_PERIODS 4
 #define MIN_OSCILLATION_S REAL(2.0)
 #define MAX_OSCILLATION_PERIOD_S REAL(4.0)
@@ -24,7 +24,7 @@ void oscillation_detector_reset(oscillation_detector_t *o)
                                                     REAL(0.2), REAL(0.05), REAL(0.05)};
 
     for (int32_t i = 0; i < OSCILLATION_INPUTS; i++) {
-        turning_points_reset(&o->inputs[i].turning_points, MIN_SWING_INPUT_SHARE * ranges[i]);
+        turning_points_reset(&o->inputs[i].turning_points, MIN_SWING_INPUT_FRACTION * ranges[i]);
         o->inputs[i].start_s = REAL(0.0);
         o->inputs[i].half_period_count = 0;
         o->inputs[i].period_s = REAL(0.0);

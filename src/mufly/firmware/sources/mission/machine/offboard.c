@@ -13,8 +13,8 @@
 #define STICK_LIMIT_HEIGHT_M REAL(1.0)
 #define FULL_TILT_HEIGHT_M REAL(0.3)
 #define MIN_TILT_FRACTION REAL(0.2)
-#define MAX_SPEED_AT_FLOOR_M_S REAL(0.3)
-#define MAX_SPEED_RISE_1_S REAL(1.2)
+#define MAX_HORIZONTAL_SPEED_AT_FLOOR_M_S REAL(0.3)
+#define MAX_HORIZONTAL_SPEED_SLOPE_1_S REAL(1.2)
 #define BRAKING_TIME_S REAL(0.5)
 #define MAX_BRAKING_TILT_RAD REAL(0.09)
 #define FLARE_TIME_S REAL(1.0)
@@ -168,9 +168,9 @@ void follow_set_point(trajectory_point_t *tracker, const set_point_t *wanted, co
 
 /* A pilot's sticks near the floor */
 
-static real_t max_speed_near_floor(real_t height)
+static real_t max_horizontal_speed_near_floor(real_t height)
 {
-    return MAX_SPEED_AT_FLOOR_M_S + (MAX_SPEED_RISE_1_S * real_max(REAL(0.0), height));
+    return MAX_HORIZONTAL_SPEED_AT_FLOOR_M_S + (MAX_HORIZONTAL_SPEED_SLOPE_1_S * real_max(REAL(0.0), height));
 }
 
 void limit_manual_tilt(real_t height, const real_t velocity[2], real_t yaw, real_t *roll, real_t *pitch)
@@ -182,7 +182,7 @@ void limit_manual_tilt(real_t height, const real_t velocity[2], real_t yaw, real
         *roll = share * *roll;
         *pitch = share * *pitch;
         if (speed > REAL(0.0)) {
-            const real_t most = real_max((max_speed_near_floor(height) - speed) / (STANDARD_GRAVITY * BRAKING_TIME_S), -MAX_BRAKING_TILT_RAD);
+            const real_t most = real_max((max_horizontal_speed_near_floor(height) - speed) / (STANDARD_GRAVITY * BRAKING_TIME_S), -MAX_BRAKING_TILT_RAD);
             real_t sine;
             real_t cosine;
             real_t ahead;
@@ -205,7 +205,7 @@ real_t limit_manual_climb(real_t height, const real_t velocity[2], real_t touchd
 {
     real_t least = -(touchdown + (real_max(REAL(0.0), height) / FLARE_TIME_S));
 
-    if ((height < STICK_LIMIT_HEIGHT_M) && (real_hypot(velocity[0], velocity[1]) > max_speed_near_floor(height))) {
+    if ((height < STICK_LIMIT_HEIGHT_M) && (real_hypot(velocity[0], velocity[1]) > max_horizontal_speed_near_floor(height))) {
         least = -DRIFTING_DESCENT_RATE_M_S;
     }
     return real_max(climb, least);
