@@ -333,7 +333,7 @@ def report_faults(asked: argparse.Namespace) -> None:
         "cell saturated": SimulatedFaults(force_cell_saturates=True),
         "nonsense in 5 % of the samples": SimulatedFaults(spike_share=0.05),
         "nonsense in 0.5 % of the samples": SimulatedFaults(spike_share=0.005),
-        "speed not reached by 4 %": SimulatedFaults(speed_shortfall_share=0.04),
+        "speed not reached by 4 %": SimulatedFaults(speed_shortfall_fraction=0.04),
     }
     plan = make_series_plan("upper")
     for name, fault in cases.items():

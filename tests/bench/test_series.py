@@ -146,7 +146,7 @@ def test_without_a_torque_cell_the_reference_tells_the_torque(single):
         (SimulatedFaults(reference_moved_deg=0.5, reference_moved_after=1), "reference"),
         (SimulatedFaults(force_cell_saturates=True), "saturated"),
         (SimulatedFaults(spike_share=0.05), "nonsense"),
-        (SimulatedFaults(speed_shortfall_share=0.04), "speed"),
+        (SimulatedFaults(speed_shortfall_fraction=0.04), "speed"),
     ],
 )
 def test_a_series_that_cannot_be_trusted_is_refused(fault, kind):

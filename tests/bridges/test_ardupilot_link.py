@@ -130,7 +130,7 @@ def test_wrong_rate_frame_program_and_lost_packets_are_named(session):
 def test_silence_is_named(session, monkeypatch):
     from mufly.bridges.ardupilot import ardupilot_link
 
-    monkeypatch.setattr(ardupilot_link, "SILENCE_S", 0.2)
+    monkeypatch.setattr(ardupilot_link, "SILENCE_TIMEOUT_S", 0.2)
     simulator, events = session
     peer = Peer(simulator.port.port)
     peer.send(REST)

@@ -153,7 +153,7 @@ def test_a_refused_arming_is_explained_by_its_reasons(plant, monkeypatch):
 
 
 def test_silence_and_a_restart_are_named(session, monkeypatch):
-    monkeypatch.setattr(betaflight_link, "SILENCE_S", 0.2)
+    monkeypatch.setattr(betaflight_link, "SILENCE_TIMEOUT_S", 0.2)
     peer, vehicle = session.peer, session.simulator.vehicle
     for _ in range(500):
         peer.answer((1900, 1900, 1500, 1500))

@@ -129,7 +129,7 @@ def test_a_px4_that_dies_and_calls_again_starts_anew():
 def test_a_silent_px4_stops_the_time(monkeypatch):
     from mufly.bridges.px4 import px4_link
 
-    monkeypatch.setattr(px4_link, "SILENCE_S", 0.2)
+    monkeypatch.setattr(px4_link, "SILENCE_TIMEOUT_S", 0.2)
     monkeypatch.setattr(px4_link, "ANSWER_TIMEOUT_S", 0.1)
     stuck = threading.Event()
 

@@ -211,7 +211,7 @@ def test_still_air_turning_with_the_blade_puts_nothing_on_it_and_a_gradient_lift
     for factor, share in ((0.0, 0.0), (2.0, 1.0)):
         shutil.rmtree(tmp_path)
         solved_by_hand(tmp_path, np.zeros(m.cell_count), factor * u)
-        assert read_solution(tmp_path).reversed_share == pytest.approx(share, abs=0.02)
+        assert read_solution(tmp_path).reversed_flow_fraction == pytest.approx(share, abs=0.02)
 
 
 def test_the_wake_s_torque_and_thrust_are_its_flows_of_momentum() -> None:

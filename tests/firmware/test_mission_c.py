@@ -25,7 +25,7 @@ from mufly.firmware import Firmware, export_firmware, find_compiler
 from mufly.firmware.compiled_software import diff_fields
 from mufly.firmware.export.source_export import ONBOARD_SOURCES, find_sources
 from mufly.firmware.software_instance import SoftwareInstance, read_course, read_point
-from mufly.flight.flight_software import FlightSoftware, descent_voltage_share
+from mufly.flight.flight_software import FlightSoftware, descent_voltage_fraction
 from mufly.flight.oscillation_detector import ACTUATOR_INPUT_NAMES, OscillationDetector
 from mufly.mission import (
     Command,
@@ -118,8 +118,8 @@ def test_a_blind_descent_holds_its_rate_alike_in_both_languages(firmware) -> Non
     """Hover voltage at the wanted rate of 0.5 to 0.9 m/s, in proportion between the limits of 0.92 and 1.08."""
     for height, wanted in ((-0.1, 0.5), (0.3, 0.5), (0.7, 0.7), (5.0, 0.9)):
         rates = wanted + np.linspace(-1.0, 1.0, 41)
-        shares = [descent_voltage_share(height, rate) for rate in rates.tolist()]
-        assert shares == [firmware.lib.descent_voltage_share(height, rate) for rate in rates.tolist()]
+        shares = [descent_voltage_fraction(height, rate) for rate in rates.tolist()]
+        assert shares == [firmware.lib.descent_voltage_fraction(height, rate) for rate in rates.tolist()]
         assert shares[20] == 1.0
         inside = np.abs(rates - wanted) < 0.6
         slopes = np.diff(np.array(shares)[inside]) / np.diff(rates[inside])

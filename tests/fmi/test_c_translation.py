@@ -11,7 +11,7 @@ from mufly.compiled.toolchain import compile_library, find_compiler
 from mufly.dynamics import PARAMETER_DTYPE
 from mufly.errors import MuflyError
 from mufly.fmi.c_translation import CTranslation
-from mufly.fmi.c_types import REAL, WHOLE, TableTupleType, TableType
+from mufly.fmi.c_types import C_DOUBLE, C_INT64, TableTupleType, TableType
 from mufly.fmi.unit_sources import render_flight_model
 
 _WEIGHT = 0.3
@@ -91,15 +91,15 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     except MuflyError as error:
         pytest.skip(str(error))
     translation = CTranslation(PARAMETER_DTYPE, "record")
-    made = translation.add_function(fill, [TableType(REAL, (5,)), TableType(REAL, (8,))])
+    made = translation.add_function(fill, [TableType(C_DOUBLE, (5,)), TableType(C_DOUBLE, (8,))])
     assert made.written == (False, True)
     folder: Path = tmp_path_factory.mktemp("c")
     translation.add_function(
         walk,
         [
-            TableType(REAL, (4, 3)),
-            TableTupleType((TableType(REAL, (1,)), TableType(REAL, (2,)))),
-            TableType(REAL, (4,)),
+            TableType(C_DOUBLE, (4, 3)),
+            TableTupleType((TableType(C_DOUBLE, (1,)), TableType(C_DOUBLE, (2,)))),
+            TableType(C_DOUBLE, (4,)),
         ],
     )
     text = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n" + translation.source()
@@ -165,7 +165,7 @@ def _with_whole_power(n: int) -> float:
 
 @pytest.mark.parametrize("function", [_with_list, _with_power, _with_two_kinds, _with_whole_power])
 def test_other_forms_are_refused(function: object) -> None:
-    kind = WHOLE if function is _with_whole_power else REAL
+    kind = C_INT64 if function is _with_whole_power else C_DOUBLE
     with pytest.raises(NotImplementedError, match="no C form of"):
         CTranslation(PARAMETER_DTYPE, "record").add_function(function, [kind])
 

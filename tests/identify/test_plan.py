@@ -71,7 +71,7 @@ def test_the_motors_directions_do_one_thing_each(vehicle):
 
 def test_the_flight_stays_within_its_limits_and_uses_them(plan):
     for c in plan.candidates:
-        assert 0.9 < c.limit_share <= 1.0
+        assert 0.9 < c.limit_fraction <= 1.0
         assert c.binding_limit in ("body rates", "heading", "motor input", "height", "attitude")
         assert np.all(c.record.inputs[:, :2] >= 0.05)
         assert np.all(c.record.inputs[:, :2] <= 0.95)

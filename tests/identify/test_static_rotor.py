@@ -153,7 +153,7 @@ def test_doubt_of_zero_and_calibration_matches_the_scatter():
         (result,) = fit_rotor_coefficients(loads, radius_m=R, density_kg_m3=RHO)
         found.append([e.value for e in result.estimates])
         stated.append([e.std for e in result.estimates])
-        shares.append(result.systematic_variance_shares()["cT"])
+        shares.append(result.systematic_variance_fractions()["cT"])
     assert_allclose(np.mean(stated, axis=0), np.std(found, axis=0), rtol=0.3)
     assert_allclose(np.mean(found, axis=0), [C_T, C_Q], rtol=0.02)
     assert np.mean(shares) > 0.8

@@ -356,5 +356,5 @@ def test_progress_is_the_share_of_the_items():
     taker.fetch_items(10.0, "vehicle")
     taker.receive(12.0, "vehicle", MissionCount(4))
     for k in range(3):
-        assert taker.completed_share == pytest.approx(k / 4)
+        assert taker.completed_fraction == pytest.approx(k / 4)
         taker.receive(12.1, "vehicle", mission(4)[k])

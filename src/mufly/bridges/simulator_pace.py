@@ -13,9 +13,9 @@ from mufly.errors import InputError
 from mufly.link.ports import Port
 from mufly.link.real_time.real_time_loop import RealTimePacer
 
-MAX_SPEED = 100.0
+MAX_REAL_TIME_FACTOR = 100.0
 REPORT_PERIOD_S = 0.5
-SILENCE_S = 2.0
+SILENCE_TIMEOUT_S = 2.0
 """Wall-clock time without an answer after which an autopilot counts as silent (s)."""
 
 
@@ -62,10 +62,12 @@ def check_speed(speed: float, where: str = "speed") -> float:
     Raises
     ------
     InputError
-        If it is not between 0 and :data:`MAX_SPEED`.
+        If it is not between 0 and :data:`MAX_REAL_TIME_FACTOR`.
     """
-    if not 0.0 <= speed <= MAX_SPEED:
-        raise InputError(where, "", f"{speed:g} is not a valid speed", f"give 0 (as fast as possible) to {MAX_SPEED:g}")
+    if not 0.0 <= speed <= MAX_REAL_TIME_FACTOR:
+        raise InputError(
+            where, "", f"{speed:g} is not a valid speed", f"give 0 (as fast as possible) to {MAX_REAL_TIME_FACTOR:g}"
+        )
     return speed
 
 

@@ -197,7 +197,7 @@ class BladeLine:
         Angle of the line to the disc.
     chord_ratio : array
         Chord over that of the rotor file.
-    rounding_share : array
+    rounding_fraction : array
         Fraction of the curvature of a round tip's end face, 0 to 1.
     """
 
@@ -206,7 +206,7 @@ class BladeLine:
     height_m: Array
     cant_rad: Array
     chord_ratio: Array
-    rounding_share: Array
+    rounding_fraction: Array
 
 
 def blade_line_length(tip: BladeTip, root_m: float, radius_m: float, chord_m: float) -> float:
@@ -337,7 +337,7 @@ def place_sections(
         slope, run = b / a / math.tan(MAX_TIP_SLOPE_RAD), 0.3 * chord_m
         shape = b * (np.sqrt(1.0 - (inner / a) ** 2) - math.sin(MAX_TIP_SLOPE_RAD))
         shape -= slope * run * (1.0 - np.exp(-(np.abs(middle) - inner) / run))
-        y = y + line.rounding_share[:, None] * shape * keep
+        y = y + line.rounding_fraction[:, None] * shape * keep
     x_out = x + c * aft + s * up
     if tip.curved:
         # sqrt(r^2 - x^2) instead of r, in the part of sin(cant); ahead of and behind the blade no further.

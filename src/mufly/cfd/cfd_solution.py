@@ -65,7 +65,7 @@ class CfdSolution:
         Fractions of torque and thrust found in the wake under the rotor (:func:`wake_load_ratios`); 1 if conserved.
         With an actuator disc for another rotor: the fraction of both thrusts, and the missing part of both torques over
         this rotor's torque.
-    reversed_share : (strips,) array
+    reversed_flow_fraction : (strips,) array
         Fraction of the upper side with wall shear towards the nose, which indicates separated flow.
     """
 
@@ -88,7 +88,7 @@ class CfdSolution:
     eddy_ratio: float = 0.0
     wake_torque: float = math.nan
     wake_thrust: float = math.nan
-    reversed_share: Array = field(default_factory=lambda: np.empty(0))
+    reversed_flow_fraction: Array = field(default_factory=lambda: np.empty(0))
     moment_Nm_m: Array = field(default_factory=lambda: np.empty(0))
 
 

@@ -256,7 +256,7 @@ class SectionShape:
         Contour over chord, the quarter chord at (0, 0).
     chord_m, angle_rad : float
         Chord, and its angle to the disc, nose up.
-    axis_share : float
+    axis_chord_fraction : float
         0 at the blade; 1 on the axis, where the section is mirror symmetric without refinement.
     block_half_size_m, core_half_size_m : two float
         Half width and half height of the centre block, and of its core, on the axis.
@@ -275,7 +275,7 @@ class SectionShape:
     contour_ratio: Array
     chord_m: float
     angle_rad: float
-    axis_share: float
+    axis_chord_fraction: float
     block_half_size_m: tuple[float, float]
     core_half_size_m: tuple[float, float]
     ring_relaxation: float
@@ -300,7 +300,7 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
     (points, 2) array
         x and z (m).
     """
-    k, c, g = layout.counts, shape.chord_m, shape.axis_share
+    k, c, g = layout.counts, shape.chord_m, shape.axis_chord_fraction
     n, m = k.along, k.across
     # The contour, and the centre block before it is turned: blade, and plain (its own mirror image in x).
     loop = _rotate_nose_up(c * shape.contour_ratio, shape.angle_rad)
@@ -384,7 +384,7 @@ def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: 
     for _ in range(_NORMAL_SMOOTHING_PASSES):
         normal = 0.25 * np.roll(normal, 1, axis=0) + 0.5 * normal + 0.25 * np.roll(normal, -1, axis=0)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    if shape.gurney_layer[1] and not shape.axis_share:
+    if shape.gurney_layer[1] and not shape.axis_chord_fraction:
         # Only at the blade: near a hub, where sections change fast, it would skew the cells to 87 degrees.
         normal = _turn_normals_around_flap(normal, loop, shape, counts)
     across = edge - loop
@@ -395,10 +395,10 @@ def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: 
     for (height, layer), line in ((shape.gurney_layer, corner), (shape.plate_layer, counts.along // 2)):
         if layer:
             drawn = _stretch_through_value(t, layer, height * shape.chord_m / float(far[line, 0]))
-            t = (1 - shape.axis_share) * drawn + shape.axis_share * t
+            t = (1 - shape.axis_chord_fraction) * drawn + shape.axis_chord_fraction * t
     t = (1 - shape.ring_relaxation) * t + shape.ring_relaxation * np.linspace(0, 1, counts.ring + 1)
     # A plate is plane: the lines follow the wall's normal up to its edge and bend beyond.
-    straight = (1 - shape.axis_share) * reach if shape.gurney_layer[1] else 0.0
+    straight = (1 - shape.axis_chord_fraction) * reach if shape.gurney_layer[1] else 0.0
     begin, leave = loop + straight * far * normal, (1.0 - straight) * far * normal
     u = np.maximum(t[::-1, None, None] - straight, 0.0) / (1.0 - straight)
     within = np.minimum(t[::-1, None, None] - straight, 0.0)

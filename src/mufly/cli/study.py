@@ -442,7 +442,10 @@ def list_thesis_items(as_json: JsonOption = False) -> None:
         return print_json([a.to_dict() for a in answers])
     print_table(
         ("name", "kind", "section", "verdict", "agree", "title"),
-        [(a.item.name, a.item.kind, a.item.section, a.verdict_word, a.agreement_share, a.item.title) for a in answers],
+        [
+            (a.item.name, a.item.kind, a.item.section, a.verdict_word, a.agreement_fraction, a.item.title)
+            for a in answers
+        ],
         text=(0, 1, 2, 3, 4, 5),
     )
     make_console().print(", ".join(f"{n} {word}" for word, n in count_verdicts(answers).items()) + ".", highlight=False)
@@ -560,7 +563,7 @@ def write_thesis_report(
 def _print_answer(found: StudyAnswer) -> None:
     c = make_console()
     i = found.item
-    share = f" ({found.agreement_share})" if found.agreement_share else ""
+    share = f" ({found.agreement_fraction})" if found.agreement_fraction else ""
     c.print(f"[bold]{i.name}[/bold]  {i.title}  [bold]{found.verdict_word}{share}[/bold]", highlight=False)
     if i.kind != "result":
         c.print(f"  A {i.kind}; counterpart in mufly: {i.counterpart}.", highlight=False, markup=False)

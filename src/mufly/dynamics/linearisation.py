@@ -411,7 +411,7 @@ LINEAR_BAR_ROLL, LINEAR_BAR_PITCH, LINEAR_SPEED_LOWER, LINEAR_SPEED_UPPER, LINEA
 """Indices into :data:`LINEAR_STATES`; the first of three for position, velocity, angles and rates."""
 LINEAR_INPUTS = ["motor_lower", "motor_upper", "servo_1", "servo_2"]
 _DIFFERENCE_STATE_SCALE = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 400, 400, 1], dtype=np.float64)
-_DIFFERENCE_STEP = 1e-5
+_FINITE_DIFFERENCE_STEP = 1e-5
 
 
 @result
@@ -484,7 +484,7 @@ def linearise_vehicle(vehicle: Vehicle, at: Trim | None = None, *, voltage: floa
     def state_rates(x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
         return _minimal_rates(x, u, point.wind, p, heading)
 
-    h = _DIFFERENCE_STEP
+    h = _FINITE_DIFFERENCE_STEP
     n = len(LINEAR_STATES)
     A, B = np.empty((n, n)), np.empty((n, 4))
     for j in range(n):

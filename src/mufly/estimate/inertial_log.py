@@ -73,7 +73,7 @@ ACCEL_BIAS_SIGMA = 0.3
 """One sigma (m/s^2): 30 mg, the bias of small MEMS units over temperature."""
 _GYRO_BIAS_SIGMAS = 0.03, 0.01
 """One sigma (rad/s) without and after calibration at rest; vibration and temperature change the bias."""
-_TILT_SIGMA_AT_REST, _TILT_SIGMA_IN_FLIGHT = math.radians(2.0), math.radians(15.0)
+_REST_TILT_SIGMA_RAD, _FLIGHT_TILT_SIGMA_RAD = math.radians(2.0), math.radians(15.0)
 _INITIAL_SPEED_SIGMA = 1.0  # m/s, for a log that begins in flight
 
 
@@ -355,12 +355,12 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
         felt = np.nanmean(log.acceleration[rest], axis=0)
         roll, pitch = math.atan2(-felt[1], -felt[2]), math.atan2(felt[0], math.hypot(felt[1], felt[2]))
         start[NOMINAL_GYRO_BIAS:NOMINAL_ACCEL_BIAS] = np.nanmean(log.rates[rest], axis=0)
-        s["rest_tilt_sigma"] = math.hypot(_TILT_SIGMA_AT_REST, ACCEL_BIAS_SIGMA / GRAVITY)
+        s["rest_tilt_sigma"] = math.hypot(_REST_TILT_SIGMA_RAD, ACCEL_BIAS_SIGMA / GRAVITY)
         s["rest_accel_sigma"] = max(float(np.nanstd(log.acceleration[rest], axis=0).max()), 0.02)
         s["rest_gyro_sigma"] = max(float(np.nanstd(log.rates[rest], axis=0).max()), 1e-4)
         sigma[ERROR_VELOCITY:ERROR_ATTITUDE] = 0.01
     else:
-        s["rest_tilt_sigma"], sigma[ERROR_VELOCITY:ERROR_ATTITUDE] = _TILT_SIGMA_IN_FLIGHT, _INITIAL_SPEED_SIGMA
+        s["rest_tilt_sigma"], sigma[ERROR_VELOCITY:ERROR_ATTITUDE] = _FLIGHT_TILT_SIGMA_RAD, _INITIAL_SPEED_SIGMA
         sigma[ERROR_POSITION:ERROR_VELOCITY] += _INITIAL_SPEED_SIGMA * (
             float(aids.measured_s[0]) - float(log.time_s[0])
         )

@@ -378,7 +378,7 @@ class FlightSoftware:
             self._reference = replace(self._reference, motors="off")
             self._motors, self._motor_input = "off", np.zeros(2)
         else:
-            share = descent_voltage_share(height, float(told.velocity[2])) if knows else DESCENT_VOLTAGE_FRACTION
+            share = descent_voltage_fraction(height, float(told.velocity[2])) if knows else DESCENT_VOLTAGE_FRACTION
             self._motor_input = descent_motor_input(self._held_up, share, left_s, w.last_good.battery_voltage)
         return Actuators(self._motor_input, np.zeros(2))
 
@@ -523,7 +523,7 @@ def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_
     return np.minimum(share * min(1.0, left_s / ROTOR_RUN_DOWN_TIME_S) * held_up_V / battery_V, 1.0)
 
 
-def descent_voltage_share(height_m: float, descent_m_s: float) -> float:
+def descent_voltage_fraction(height_m: float, descent_m_s: float) -> float:
     """Return the fraction of the hover voltages that controls the rate of descent at a height above the floor (m)."""
     wanted = min(max(height_m, _TOUCHDOWN_DESCENT_M_S), _MAX_DESCENT_M_S)
     return min(max(1.0 + _DESCENT_ENERGY_GAIN * (descent_m_s - wanted), _MIN_DESCENT_FRACTION), _MAX_DESCENT_FRACTION)

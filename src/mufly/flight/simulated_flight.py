@@ -350,7 +350,7 @@ class Flight:
         return self._write_sensed is None
 
     @property
-    def current_filter_share(self) -> float:
+    def current_filter_weight(self) -> float:
         """Weight of a new sample in the low pass of the battery current, every ``look_periods`` periods."""
         return self.look_periods * self.period_s / _CURRENT_FILTER_S
 
@@ -370,7 +370,7 @@ class Flight:
         if plant.period_count % self.look_periods == 0:
             plant.check_collision()
             flying = autopilot.software.motors == "fly"
-            self.current_A += self.current_filter_share * (
+            self.current_A += self.current_filter_weight * (
                 (float(plant.current) if flying else autopilot.energy_check.hover_current_A) - self.current_A
             )
         return CONTINUE_LOOP

@@ -106,7 +106,7 @@ def _parse_rows() -> tuple[dict[str, TunableParameter], dict[str, tuple[str, str
     return known, keys
 
 
-PARAMETERS, STORAGE_KEYS = _parse_rows()
+TUNABLE_PARAMETERS, STORAGE_KEYS = _parse_rows()
 """Every parameter without its value, by name; the table and key that store each value, by name."""
 
 
@@ -143,14 +143,14 @@ class TunableParameters(Mapping[str, TunableParameter]):
         self._software = software
 
     def __len__(self) -> int:
-        return len(PARAMETERS)
+        return len(TUNABLE_PARAMETERS)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(PARAMETERS)
+        return iter(TUNABLE_PARAMETERS)
 
     def __getitem__(self, name: str) -> TunableParameter:
         table, key = STORAGE_KEYS[name]
-        p = PARAMETERS[name]
+        p = TUNABLE_PARAMETERS[name]
         least, greatest = p.minimum, p.maximum
         most = limits_to_file_units(controller_limits(self._controller)).get(key) if table == "limits" else None
         if key == "low_V":
@@ -171,7 +171,7 @@ class TunableParameters(Mapping[str, TunableParameter]):
         str
             Reason of a refusal; "" if the value is set.
         """
-        if name not in PARAMETERS:
+        if name not in TUNABLE_PARAMETERS:
             return f"there is no parameter {name[:40]!r}; use a name of the parameter list"
         p = self[name]
         least, greatest = p.minimum, p.maximum

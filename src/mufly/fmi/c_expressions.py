@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from mufly.fmi.c_types import REAL, TRUTH, WHOLE, CType, TableType
+from mufly.fmi.c_types import C_BOOL, C_DOUBLE, C_INT64, CType, TableType
 
 C_HELPER_FUNCTIONS = """\
 static inline double smaller(double a, double b) { return b < a ? b : a; }
@@ -86,12 +86,12 @@ def compare_expressions(signs: Sequence[ast.cmpop], sides: Sequence[CExpression]
     """Return the C form of a comparison, also of a chain such as ``a < b < c``."""
     texts = [side.as_operand(PRECEDENCE_ADD) for side in sides]
     parts = [f"{a} {_COMPARISON_OPERATORS[type(o)]} {b}" for o, a, b in zip(signs, texts, texts[1:], strict=False)]
-    return CExpression(" && ".join(parts), PRECEDENCE_COMPARE if len(parts) == 1 else PRECEDENCE_AND, TRUTH)
+    return CExpression(" && ".join(parts), PRECEDENCE_COMPARE if len(parts) == 1 else PRECEDENCE_AND, C_BOOL)
 
 
 def choose_expression(test: CExpression, a: CExpression, b: CExpression) -> CExpression:
     """Return the C form of ``a if test else b``."""
-    kind = a.kind if a.kind == b.kind else REAL
+    kind = a.kind if a.kind == b.kind else C_DOUBLE
     chosen = f"{a.as_operand(PRECEDENCE_ADD)} : {b.as_operand(PRECEDENCE_ADD)}"
     text = f"{test.as_operand(PRECEDENCE_COMPARE)} ? {chosen}"
     return CExpression(f"({text})", PRECEDENCE_ATOM, kind)
@@ -99,32 +99,34 @@ def choose_expression(test: CExpression, a: CExpression, b: CExpression) -> CExp
 
 def combine_arithmetic(form: type[ast.operator], left: CExpression, right: CExpression) -> CExpression | None:
     """Return the C form of an arithmetic operation on two numbers; None if it has none."""
-    if not {left.kind, right.kind} <= {REAL, WHOLE}:
+    if not {left.kind, right.kind} <= {C_DOUBLE, C_INT64}:
         return None
-    kind = WHOLE if left.kind == right.kind == WHOLE else REAL
+    kind = C_INT64 if left.kind == right.kind == C_INT64 else C_DOUBLE
     texts = (left.text, right.text)
-    if kind == WHOLE and form in _FOLDED_OPERATORS and left.text.isdecimal() and right.text.isdecimal():
+    if kind == C_INT64 and form in _FOLDED_OPERATORS and left.text.isdecimal() and right.text.isdecimal():
         folded = _FOLDED_OPERATORS[form](int(left.text), int(right.text))
         if folded >= 0:
-            return CExpression(str(folded), PRECEDENCE_ATOM, WHOLE)
-    if form is ast.Pow and right.text == "2" and left.kind == REAL:
-        return CExpression(f"squared({left.text})", PRECEDENCE_ATOM, REAL)
-    if form is ast.BitAnd and kind == WHOLE:
+            return CExpression(str(folded), PRECEDENCE_ATOM, C_INT64)
+    if form is ast.Pow and right.text == "2" and left.kind == C_DOUBLE:
+        return CExpression(f"squared({left.text})", PRECEDENCE_ATOM, C_DOUBLE)
+    if form is ast.BitAnd and kind == C_INT64:
         return CExpression(
-            f"({left.as_operand(PRECEDENCE_ADD)} & {right.as_operand(PRECEDENCE_ADD)})", PRECEDENCE_ATOM, WHOLE
+            f"({left.as_operand(PRECEDENCE_ADD)} & {right.as_operand(PRECEDENCE_ADD)})", PRECEDENCE_ATOM, C_INT64
         )
-    if form is ast.FloorDiv and kind == WHOLE:
-        return CExpression(f"quotient({', '.join(texts)})", PRECEDENCE_ATOM, WHOLE)
+    if form is ast.FloorDiv and kind == C_INT64:
+        return CExpression(f"quotient({', '.join(texts)})", PRECEDENCE_ATOM, C_INT64)
     if form is ast.Mod:
-        return CExpression(f"remainder_{'int' if kind == WHOLE else 'real'}({', '.join(texts)})", PRECEDENCE_ATOM, kind)
+        return CExpression(
+            f"remainder_{'int' if kind == C_INT64 else 'real'}({', '.join(texts)})", PRECEDENCE_ATOM, kind
+        )
     if form not in ARITHMETIC_OPERATORS:
         return None
     sign, level = ARITHMETIC_OPERATORS[form]
-    if sign == "/" and kind == WHOLE:
+    if sign == "/" and kind == C_INT64:
         return CExpression(
             f"(double){left.as_operand(PRECEDENCE_ATOM)} / (double){right.as_operand(PRECEDENCE_ATOM)}",
             level,
-            REAL,
+            C_DOUBLE,
         )
     # C groups from the left, as Python does: an operand on the right of the same precedence needs brackets.
     return CExpression(f"{left.as_operand(level)} {sign} {right.as_operand(level + 1)}", level, kind)
@@ -139,20 +141,20 @@ def call_library_function(name: str, arguments: Sequence[CExpression]) -> CExpre
         return CExpression(
             f"whole_part({text})" if function == "ceil" else text,
             PRECEDENCE_ATOM,
-            WHOLE if function == "ceil" else REAL,
+            C_INT64 if function == "ceil" else C_DOUBLE,
         )
     if name.startswith("math.") and function in _FLOAT_TEST_FUNCTIONS:
-        return CExpression(f"({function}({texts}) != 0)", PRECEDENCE_ATOM, TRUTH)
+        return CExpression(f"({function}({texts}) != 0)", PRECEDENCE_ATOM, C_BOOL)
     if name == "np.rint":
-        return CExpression(f"rint({texts})", PRECEDENCE_ATOM, REAL)
-    if name == "abs" and arguments[0].kind == REAL:
-        return CExpression(f"fabs({texts})", PRECEDENCE_ATOM, REAL)
+        return CExpression(f"rint({texts})", PRECEDENCE_ATOM, C_DOUBLE)
+    if name == "abs" and arguments[0].kind == C_DOUBLE:
+        return CExpression(f"fabs({texts})", PRECEDENCE_ATOM, C_DOUBLE)
     if name == "int":
-        return CExpression(f"whole_part({texts})", PRECEDENCE_ATOM, WHOLE)
+        return CExpression(f"whole_part({texts})", PRECEDENCE_ATOM, C_INT64)
     if name in ("min", "max") and len(arguments) == 2:
-        is_whole = all(a.kind == WHOLE for a in arguments)
+        is_whole = all(a.kind == C_INT64 for a in arguments)
         c_name = {"min": "smaller", "max": "greater"}[name] + ("_int" if is_whole else "")
-        return CExpression(f"{c_name}({texts})", PRECEDENCE_ATOM, WHOLE if is_whole else REAL)
+        return CExpression(f"{c_name}({texts})", PRECEDENCE_ATOM, C_INT64 if is_whole else C_DOUBLE)
     return None
 
 

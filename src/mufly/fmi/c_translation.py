@@ -56,10 +56,10 @@ from mufly.fmi.c_expressions import (
     slice_table,
 )
 from mufly.fmi.c_types import (
-    NOTHING,
-    REAL,
-    TRUTH,
-    WHOLE,
+    C_BOOL,
+    C_DOUBLE,
+    C_INT64,
+    C_VOID,
     CType,
     RecordType,
     TableTupleType,
@@ -155,13 +155,13 @@ class CTranslation:
         number = int(value) if isinstance(value, int | np.integer) else float(value)
         c_name = self._unique_name(name, number, module)
         self._constants[c_name] = number
-        return CExpression(c_name, PRECEDENCE_ATOM, WHOLE if isinstance(number, int) else REAL)
+        return CExpression(c_name, PRECEDENCE_ATOM, C_INT64 if isinstance(number, int) else C_DOUBLE)
 
     def use_table(self, name: str, values: tuple[float, ...], module: str) -> CExpression:
         """Return a tuple of numbers of a module as a constant table, which is then declared."""
         c_name = self._unique_name(name, values, module)
         self._constants[c_name] = values
-        return CExpression(c_name, PRECEDENCE_ATOM, TableType(REAL, (len(values),)))
+        return CExpression(c_name, PRECEDENCE_ATOM, TableType(C_DOUBLE, (len(values),)))
 
     def _unique_name(self, name: str, what: object, module: str) -> str:
         """Return a C name: without leading underscores, and with the module's name if another thing has it already."""
@@ -198,7 +198,7 @@ class _FunctionTranslation:
 
     def translate(self) -> tuple[CFunction, str]:
         self._translate_block(self._tree.body)
-        result: CType = NOTHING if self._result is None else self._result
+        result: CType = C_VOID if self._result is None else self._result
         arguments = []
         for argument in self._arguments:
             kind = self._kinds[argument]
@@ -285,7 +285,7 @@ class _FunctionTranslation:
                 c_name = escape_c_name(name)
                 if name in self._kinds:  # its value after the loop would be another in C
                     raise self._unsupported_form_error(node.target)
-                self._kinds[name] = WHOLE
+                self._kinds[name] = C_INT64
                 self._emit_line(f"for (int64_t {c_name} = {first}; {c_name} < {end}; {c_name}++) {{")
                 self._translate_nested_block(node.body)
                 self._emit_line("}")
@@ -362,7 +362,7 @@ class _FunctionTranslation:
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "np.array" and isinstance(node.args[0], ast.List):
             rows = [row.elts for row in node.args[0].elts if isinstance(row, ast.List)]
             if rows:
-                self._result = TableType(REAL, (len(rows), len(rows[0])))
+                self._result = TableType(C_DOUBLE, (len(rows), len(rows[0])))
                 for i, row in enumerate(rows):
                     for k, entry in enumerate(row):
                         self._emit_line(f"result_[{i}][{k}] = {self._translate_expression(entry).text};")
@@ -436,10 +436,10 @@ class _FunctionTranslation:
                 raise self._unsupported_form_error(target)
             self._emit_line(f"{value.kind.element} {name}{''.join(f'[{n}]' for n in value.kind.shape)};")
             self._emit_line(value.text.replace(_RESULT_ARGUMENT_MARK, name) + ";")
-        elif value.kind == WHOLE and value.text.isdecimal() and self._store_counts[target.id] == 1:
+        elif value.kind == C_INT64 and value.text.isdecimal() and self._store_counts[target.id] == 1:
             self._known_integers[target.id] = value.text
         elif known is not None:
-            if known != value.kind and (known, value.kind) != (REAL, WHOLE):
+            if known != value.kind and (known, value.kind) != (C_DOUBLE, C_INT64):
                 raise self._unsupported_form_error(target)
             self._emit_line(f"{name} = {value.text};")
             return
@@ -457,7 +457,7 @@ class _FunctionTranslation:
         if not isinstance(target, ast.Name) or not all(s.isdecimal() for s in sizes):
             raise self._unsupported_form_error(value)
         self._emit_line(f"double {escape_c_name(target.id)}{''.join(f'[{n}]' for n in sizes)};")
-        self._kinds[target.id] = TableType(REAL, tuple(map(int, sizes)))
+        self._kinds[target.id] = TableType(C_DOUBLE, tuple(map(int, sizes)))
 
     def _translate_target(self, target: ast.expr) -> str:
         if isinstance(target, ast.Subscript) and isinstance(target.value, ast.Name):
@@ -469,11 +469,11 @@ class _FunctionTranslation:
     def _translate_expression(self, node: ast.expr) -> CExpression:
         match node:
             case ast.Constant(value=bool(value)):
-                return CExpression(str(value).lower(), PRECEDENCE_ATOM, TRUTH)
+                return CExpression(str(value).lower(), PRECEDENCE_ATOM, C_BOOL)
             case ast.Constant(value=int(value) | float(value)):
-                return CExpression(repr(value), PRECEDENCE_ATOM, WHOLE if isinstance(value, int) else REAL)
+                return CExpression(repr(value), PRECEDENCE_ATOM, C_INT64 if isinstance(value, int) else C_DOUBLE)
             case ast.Name(id=name) if name in self._known_integers:
-                return CExpression(self._known_integers[name], PRECEDENCE_ATOM, WHOLE)
+                return CExpression(self._known_integers[name], PRECEDENCE_ATOM, C_INT64)
             case ast.Name(id=name) if isinstance(tables := self._kinds.get(name), TableTupleType):
                 return CExpression(", ".join(f"{name}_{k}" for k in range(len(tables.parts))), PRECEDENCE_ATOM, tables)
             case ast.Name(id=name) if name in self._kinds:
@@ -485,10 +485,10 @@ class _FunctionTranslation:
             case ast.Attribute(value=array, attr="size") if (
                 isinstance(table := self._translate_expression(array).kind, TableType) and -1 not in table.shape
             ):
-                return CExpression(str(math.prod(table.shape)), PRECEDENCE_ATOM, WHOLE)
+                return CExpression(str(math.prod(table.shape)), PRECEDENCE_ATOM, C_INT64)
             case ast.Attribute(value=ast.Name(id="math"), attr=name):
                 return CExpression(
-                    {"inf": "INFINITY", "nan": "NAN"}.get(name) or repr(getattr(math, name)), PRECEDENCE_ATOM, REAL
+                    {"inf": "INFINITY", "nan": "NAN"}.get(name) or repr(getattr(math, name)), PRECEDENCE_ATOM, C_DOUBLE
                 )
             case ast.Attribute(value=ast.Name(id=name), attr=field):
                 return self._translate_field(node, name, field)
@@ -501,7 +501,7 @@ class _FunctionTranslation:
                     f"-{text if not text.startswith('-') else f'({text})'}", PRECEDENCE_UNARY, operand.kind
                 )
             case ast.UnaryOp(op=ast.Not()):
-                return CExpression(f"!({self._translate_expression(node.operand).text})", PRECEDENCE_UNARY, TRUTH)
+                return CExpression(f"!({self._translate_expression(node.operand).text})", PRECEDENCE_UNARY, C_BOOL)
             case ast.BinOp():
                 left, right = self._translate_expression(node.left), self._translate_expression(node.right)
                 if (combined := combine_arithmetic(type(node.op), left, right)) is not None:
@@ -509,7 +509,7 @@ class _FunctionTranslation:
             case ast.BoolOp():
                 sign, level = ("&&", PRECEDENCE_AND) if isinstance(node.op, ast.And) else ("||", PRECEDENCE_OR)
                 parts = [self._translate_expression(v).as_operand(PRECEDENCE_COMPARE) for v in node.values]
-                return CExpression(f" {sign} ".join(parts), level, TRUTH)
+                return CExpression(f" {sign} ".join(parts), level, C_BOOL)
             case ast.Compare():
                 sides = [self._translate_expression(v) for v in (node.left, *node.comparators)]
                 return compare_expressions(node.ops, sides)
@@ -527,7 +527,7 @@ class _FunctionTranslation:
         if not isinstance(kind, RecordType) or kind.fields.fields is None:
             raise self._unsupported_form_error(node)
         of = kind.fields.fields[field][0]
-        element = REAL if of.base.kind == "f" else WHOLE
+        element = C_DOUBLE if of.base.kind == "f" else C_INT64
         return CExpression(f"{name}->{field}", PRECEDENCE_ATOM, TableType(element, of.shape) if of.shape else element)
 
     def _constant_tuple_index(self, node: ast.expr) -> int:
@@ -544,7 +544,7 @@ class _FunctionTranslation:
             case ast.Attribute(attr="shape", value=array), ast.Constant(value=int(k)):
                 kind = self._translate_expression(array).kind
                 if isinstance(kind, TableType):
-                    return CExpression(str(kind.shape[k]), PRECEDENCE_ATOM, WHOLE)
+                    return CExpression(str(kind.shape[k]), PRECEDENCE_ATOM, C_INT64)
                 raise self._unsupported_form_error(node)
         held = self._translate_expression(node.value)
         if isinstance(held.kind, TupleType):
@@ -596,7 +596,7 @@ class _FunctionTranslation:
             self._written.update(map(self._root_argument, values))
             last = arguments[-1].kind
             assert isinstance(last, TableType)
-            return CExpression(f"{in_c}({texts}, {math.prod(last.shape)})", PRECEDENCE_ATOM, NOTHING)
+            return CExpression(f"{in_c}({texts}, {math.prod(last.shape)})", PRECEDENCE_ATOM, C_VOID)
         kinds: list[CType] = []
         written_to: list[ast.expr] = []
         for value, argument in zip(values, arguments, strict=True):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-REAL, WHOLE, TRUTH, NOTHING = "double", "int64_t", "bool", "void"
+C_DOUBLE, C_INT64, C_BOOL, C_VOID = "double", "int64_t", "bool", "void"
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class TupleType:
     @property
     def name(self) -> str:
         """Name of its C struct, with a letter or a number of letters for each member."""
-        letters = {REAL: "r", WHOLE: "i", TRUTH: "b"}
+        letters = {C_DOUBLE: "r", C_INT64: "i", C_BOOL: "b"}
         return "tuple_" + "".join(
             letters[p] if isinstance(p, str) else f"{len(p.parts)}{p.name.removeprefix('tuple_')}" for p in self.parts
         )
@@ -54,7 +54,7 @@ CType = str | TableType | TableTupleType | RecordType | TupleType
 def type_name(kind: CType) -> str:
     """Return the C name of a type; a function that returns a table writes to an argument instead."""
     if isinstance(kind, TableType):
-        return NOTHING
+        return C_VOID
     return kind.name if isinstance(kind, TupleType) else str(kind)
 
 

@@ -50,7 +50,7 @@ from mufly.estimate.kalman_estimator import filter_ring_scan
 from mufly.firmware.export.estimate_tables import filter_buffer_sizes
 from mufly.flight.simulated_plant import true_attitude
 from mufly.fmi.c_translation import CTranslation
-from mufly.fmi.c_types import REAL, TableTupleType, TableType
+from mufly.fmi.c_types import C_DOUBLE, TableTupleType, TableType
 from mufly.quantities.quantity_table import DIMENSION_LABELS
 from mufly.quantities.sensor_table import READINGS, SENSORS
 from mufly.sensors import FittedSensors, Imu, PeriodicSensor, draw_leaning_vehicle, fitted_sensors
@@ -78,7 +78,7 @@ SEEDED_STARTS = ("position_down", "roll", "pitch", "bar_roll", "bar_pitch")
 """Start values that depend on the seed: the vehicle stands on legs of random lengths."""
 _C_TYPE_BY_KIND = {"f": "double", "i": "int64_t", "u": "uint64_t"}
 _COMPONENT_NAMES = {"N": "north", "E": "east", "D": "down", "p": "roll", "q": "pitch", "r": "yaw"}
-_STATE_TABLE, _VECTOR_3_TABLE, _VECTOR_2_TABLE = (TableType(REAL, (n,)) for n in (STATE_SIZE, 3, 2))
+_STATE_TABLE, _VECTOR_3_TABLE, _VECTOR_2_TABLE = (TableType(C_DOUBLE, (n,)) for n in (STATE_SIZE, 3, 2))
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ class UnitSensors:
         """Translate the functions of the sensors; return the C text that samples all of them."""
         structs, steps, calls = [], [], []
         translation.add_function(true_attitude, [_STATE_TABLE, _VECTOR_3_TABLE])
-        translation.add_function(battery_state, [_STATE_TABLE, REAL, REAL, translation.record])
+        translation.add_function(battery_state, [_STATE_TABLE, C_DOUBLE, C_DOUBLE, translation.record])
         for name, sensor in _named_sensors(self._sensors):
             arrays = self._arrays[name]
             members = "".join(f"    {_declare_member(member, array)};\n" for member, array in arrays)
@@ -234,8 +234,8 @@ class UnitSensors:
             at = ROW_FIRST_VALUE + (part if isinstance(part, int) else part.start)
             if reading == "ranges":
                 count = sensor.pending_rows.shape[1] - ROW_FIRST_VALUE
-                scan, ranges = TableType(REAL, (count,)), TableType(REAL, (3, count))
-                made = translation.add_function(filter_ring_scan, [scan, REAL, ranges, scan])
+                scan, ranges = TableType(C_DOUBLE, (count,)), TableType(C_DOUBLE, (3, count))
+                made = translation.add_function(filter_ring_scan, [scan, C_DOUBLE, ranges, scan])
                 longest = float(self.vehicle.range_ring.max_range).hex()
                 yield f"        if (begin_reading(filter, {index}, t, {measured}, {valid})) {{"
                 for k, beam in enumerate(fused_beam_indices(count)):
@@ -345,9 +345,9 @@ def _render_imu(translation: CTranslation, imu: Imu) -> str:
     parts = TableTupleType(tuple(map(_table_type, unit)))
     places = ", ".join(f"s->part_{k}" for k in range(len(unit)))
     common = [_table_type(a) for a in (clock, last_state, output)]
-    begin = translation.add_function(begin_imu, [_STATE_TABLE, REAL, *common, _table_type(imu.mounting), parts])
+    begin = translation.add_function(begin_imu, [_STATE_TABLE, C_DOUBLE, *common, _table_type(imu.mounting), parts])
     sample = translation.add_function(
-        sample_imu, [_STATE_TABLE, REAL, _table_type(source), _table_type(normals), *common, parts]
+        sample_imu, [_STATE_TABLE, C_DOUBLE, _table_type(source), _table_type(normals), *common, parts]
     )
     lines = "\n".join(
         f"        filter->values[{start} + k] = s->output{place};"
@@ -380,11 +380,11 @@ static void sample_imu_sensor(double t, const double *x, imu_sensor *s, filter_u
 
 def _render_periodic(translation: CTranslation, name: str, sensor: PeriodicSensor) -> str:
     clock, counts, rows, source, parts = sensor.sampling_arguments
-    row = TableType(REAL, rows.shape[1:])
+    row = TableType(C_DOUBLE, rows.shape[1:])
     measure = translation.add_function(
         type(sensor).sample_function,
         [
-            REAL,
+            C_DOUBLE,
             _STATE_TABLE,
             _VECTOR_3_TABLE,
             _VECTOR_2_TABLE,
@@ -393,9 +393,9 @@ def _render_periodic(translation: CTranslation, name: str, sensor: PeriodicSenso
             row,
         ],
     )
-    due = translation.add_function(advance_if_due, [REAL, _table_type(clock)])
+    due = translation.add_function(advance_if_due, [C_DOUBLE, _table_type(clock)])
     publish = translation.add_function(
-        publish_if_due, [REAL, REAL, _table_type(clock), _table_type(counts), _table_type(rows)]
+        publish_if_due, [C_DOUBLE, C_DOUBLE, _table_type(clock), _table_type(counts), _table_type(rows)]
     )
     places = ", ".join(f"s->part_{k}" for k in range(len(parts)))
     return f"""\

@@ -24,7 +24,7 @@ from mufly.estimate.filter_backend import collect_filter_sources
 from mufly.files.answer_store import hash_question
 from mufly.firmware.export.estimate_tables import render_estimator_files
 from mufly.fmi.c_translation import CTranslation
-from mufly.fmi.c_types import REAL, WHOLE, TableType
+from mufly.fmi.c_types import C_DOUBLE, C_INT64, TableType
 from mufly.fmi.unit_equations import OUTPUT_COUNT, START_COUNT, write_outputs, write_start_state
 from mufly.fmi.unit_sensors import FUNCTIONS_WRITTEN_IN_C, RATE_HZ, SEEDED_STARTS, UnitSensors
 from mufly.fmi.unit_variables import UnitInterface
@@ -48,12 +48,12 @@ def render_flight_model(sensors: UnitSensors | None = None) -> str:
     NotImplementedError
         If the equations have a form without a translation.
     """
-    state, inputs, wind = (TableType(REAL, (n,)) for n in (STATE_SIZE, INPUT_SIZE, 3))
+    state, inputs, wind = (TableType(C_DOUBLE, (n,)) for n in (STATE_SIZE, INPUT_SIZE, 3))
     translation = CTranslation(PARAMETER_DTYPE, _RECORD_NAME, FUNCTIONS_WRITTEN_IN_C)
     p = translation.record
-    translation.add_function(integrate_state, [state, inputs, wind, p, REAL, WHOLE])
-    translation.add_function(write_start_state, [TableType(REAL, (START_COUNT,)), state])
-    translation.add_function(write_outputs, [state, inputs, wind, p, TableType(REAL, (OUTPUT_COUNT,))])
+    translation.add_function(integrate_state, [state, inputs, wind, p, C_DOUBLE, C_INT64])
+    translation.add_function(write_start_state, [TableType(C_DOUBLE, (START_COUNT,)), state])
+    translation.add_function(write_outputs, [state, inputs, wind, p, TableType(C_DOUBLE, (OUTPUT_COUNT,))])
     sampling = "" if sensors is None else sensors.add_functions(translation)
     head = "/* Equations of motion, translated by mufly from Python (docs/explanation/dynamics.md); do not edit. */"
     return "\n".join([head, "", *_record_lines(), "", translation.source(), sampling])

@@ -49,8 +49,8 @@ from mufly.flight.policy.observation import (
 )
 from mufly.gym.fleet import MIN_START_CHARGE
 from mufly.gym.tasks import (
-    COLUMN_SIZE,
-    OBSTACLE_COLUMN_COUNT,
+    PILLAR_COUNT,
+    PILLAR_ROW_SIZE,
     TASK_OBSTACLE,
     TASK_WAYPOINT,
     draw_waypoint,
@@ -194,7 +194,7 @@ def make_episodes(count: int) -> EpisodeArrays:
         speed=np.zeros(n),
         change=np.zeros(n),
         error=np.zeros((n, ESTIMATE_ERROR_COUNT)),
-        columns=np.zeros((n, OBSTACLE_COLUMN_COUNT, COLUMN_SIZE)),
+        columns=np.zeros((n, PILLAR_COUNT, PILLAR_ROW_SIZE)),
         reached=zero_integers(),
     )
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mufly.dynamics import body_to_ned_matrix
 from mufly.dynamics.model_state import ATTITUDE, POSITION
 from mufly.gym.episodes import EpisodeArrays
-from mufly.gym.tasks import COLUMN_EAST, COLUMN_NORTH, COLUMN_RADIUS, COLUMN_TOP, OBSTACLE_WORLD
+from mufly.gym.tasks import OBSTACLE_WORLD, PILLAR_EAST_INDEX, PILLAR_NORTH_INDEX, PILLAR_RADIUS_INDEX, PILLAR_TOP_INDEX
 
 _HUB_HEIGHTS_M = (-0.03, -0.08)  # drawn discs, body axes
 _TILTED_ROTOR_SPAN = np.linspace(-1.0, 1.0, 2)
@@ -73,7 +73,7 @@ def _draw_world(top: Any, side: Any, episodes: EpisodeArrays, index: int, task: 
     top.add_patch(Rectangle((west, south), east - west, north - south, fill=False))
     side.add_patch(Rectangle((west, 0.0), east - west, room.height, fill=False))
     for column in episodes.columns[index]:
-        north, east, radius = column[COLUMN_NORTH], column[COLUMN_EAST], column[COLUMN_RADIUS]
+        north, east, radius = column[PILLAR_NORTH_INDEX], column[PILLAR_EAST_INDEX], column[PILLAR_RADIUS_INDEX]
         top.add_patch(Circle((east, north), radius, color="tab:brown"))
-        height = -column[COLUMN_TOP]
+        height = -column[PILLAR_TOP_INDEX]
         side.add_patch(Rectangle((east - radius, 0.0), 2.0 * radius, height, color="tab:brown", alpha=0.3))

@@ -39,8 +39,15 @@ TASK_HOVER, TASK_WAYPOINT, TASK_OBSTACLE, TASK_LAND = range(4)
 TASK_DURATIONS_S = (10.0, 20.0, 20.0, 10.0)
 """Default length of an episode of each task."""
 
-OBSTACLE_COLUMN_COUNT = 6
-COLUMN_NORTH, COLUMN_EAST, COLUMN_RADIUS, COLUMN_TOP, COLUMN_FOOT, COLUMN_SIZE = 0, 1, 2, 3, 4, 5
+PILLAR_COUNT = 6
+PILLAR_NORTH_INDEX, PILLAR_EAST_INDEX, PILLAR_RADIUS_INDEX, PILLAR_TOP_INDEX, PILLAR_FOOT_INDEX, PILLAR_ROW_SIZE = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+)
 """Indices of a column: axis, radius, upper and lower end (m; down is positive)."""
 OBSTACLE_WORLD = World(room=Room((-3.0, 3.0), (-2.0, 2.0), 2.5))
 """Walls and ceiling of ``Obstacle``; its columns differ from episode to episode."""
@@ -75,11 +82,11 @@ def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Arra
     elif kind == TASK_OBSTACLE:
         start[0], target[0] = OBSTACLE_START_NORTH_M + 0.4 * (r[0] - 0.5), 2.0
         target[1] = 2.0 * (r[3] - 0.5)
-        for k in range(OBSTACLE_COLUMN_COUNT):
-            columns[k, COLUMN_NORTH] = -1.3 + 2.6 * (k + r[4 + k]) / OBSTACLE_COLUMN_COUNT
-            columns[k, COLUMN_EAST] = 3.2 * (r[10 + k] - 0.5)
-            columns[k, COLUMN_RADIUS] = 0.1 + 0.15 * r[16 + k]
-            columns[k, COLUMN_TOP], columns[k, COLUMN_FOOT] = -2.5, 0.0
+        for k in range(PILLAR_COUNT):
+            columns[k, PILLAR_NORTH_INDEX] = -1.3 + 2.6 * (k + r[4 + k]) / PILLAR_COUNT
+            columns[k, PILLAR_EAST_INDEX] = 3.2 * (r[10 + k] - 0.5)
+            columns[k, PILLAR_RADIUS_INDEX] = 0.1 + 0.15 * r[16 + k]
+            columns[k, PILLAR_TOP_INDEX], columns[k, PILLAR_FOOT_INDEX] = -2.5, 0.0
     elif kind == TASK_LAND:
         start[2] = -0.8 - 0.7 * r[2]
         target[2] = 0.0

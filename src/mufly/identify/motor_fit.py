@@ -88,20 +88,20 @@ class ChannelNoise:
 
     Attributes
     ----------
-    reading_share, full_scale_share : float
+    reading_fraction, full_scale_fraction : float
         Shares of the reading and of the largest reading.
     absolute_std : float
         Absolute standard deviation (SI).
     """
 
-    reading_share: float = 0.01
-    full_scale_share: float = 0.003
+    reading_fraction: float = 0.01
+    full_scale_fraction: float = 0.003
     absolute_std: float = 0.0
 
     def error_std(self, value: Array) -> Array:
         """Return the standard deviations (n,) of readings (n,)."""
-        full = self.full_scale_share * float(np.max(np.abs(value)))
-        return np.sqrt((self.reading_share * value) ** 2 + full**2 + self.absolute_std**2)
+        full = self.full_scale_fraction * float(np.max(np.abs(value)))
+        return np.sqrt((self.reading_fraction * value) ** 2 + full**2 + self.absolute_std**2)
 
 
 def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, ChannelNoise]:
@@ -122,13 +122,13 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
         name, _, amounts = (t.strip() for t in part.partition("="))
         if name not in result:
             raise ArgumentError("noise", name, "is not a channel", f"use one of {', '.join(channels)}")
-        amount = {"reading_share": 0.0, "full_scale_share": 0.0, "absolute_std": 0.0}
+        amount = {"reading_fraction": 0.0, "full_scale_fraction": 0.0, "absolute_std": 0.0}
         for piece in amounts.lower().replace(" ", "").split("+"):
             kind, number = "absolute_std", piece
             if piece.endswith("%fs"):
-                kind, number = "full_scale_share", piece[:-3]
+                kind, number = "full_scale_fraction", piece[:-3]
             elif piece.endswith("%"):
-                kind, number = "reading_share", piece[:-1]
+                kind, number = "reading_fraction", piece[:-1]
             try:
                 value = float(number) * (1.0 if kind == "absolute_std" else 0.01)
             except ValueError:

@@ -226,7 +226,7 @@ class CoefficientFit:
         Coefficients (1).
     covariance : (p, p) array
         Covariance of the coefficients.
-    systematic_share : (p,) array
+    systematic_variance_fraction : (p,) array
         Share of each variance caused by calibration, zeros, density and radius.
     speed_rad_s : (n, p) array
     load_per_coefficient : (n, p) array
@@ -242,7 +242,7 @@ class CoefficientFit:
     symbols: tuple[str, ...]
     value: Array
     covariance: Array
-    systematic_share: Array
+    systematic_variance_fraction: Array
     speed_rad_s: Array
     load_per_coefficient: Array
     load: Array
@@ -296,9 +296,9 @@ class RotorFit(EstimateLookup):
         """Return descriptions of the coefficients' trends over speed."""
         return [t.describe_trend() for f in self.fits for t in f.trends]
 
-    def systematic_variance_shares(self) -> dict[str, float]:
+    def systematic_variance_fractions(self) -> dict[str, float]:
         """Return by symbol the share of the variance caused by calibration, zeros, density and radius."""
-        return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_share, strict=True)}
+        return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_variance_fraction, strict=True)}
 
 
 def estimates_of_coefficients(fit: CoefficientFit, vehicle: Vehicle | None) -> list[ParameterEstimate]:

@@ -227,7 +227,7 @@ class MissionReceiver:
         return self.peer is not None
 
     @property
-    def completed_share(self) -> float:
+    def completed_fraction(self) -> float:
         """Share of the items received, 0..1."""
         return len(self._items) / self._count if self._count else 0.0
 
@@ -367,7 +367,7 @@ class MissionSender:
         self._retry = RetryTimer()
 
     @property
-    def completed_share(self) -> float:
+    def completed_fraction(self) -> float:
         """Share of the items requested, 0..1."""
         return (self._served + 1) / len(self.items) if self.items else float(self.result is not None)
 

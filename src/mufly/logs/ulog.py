@@ -101,7 +101,7 @@ class _ScanResult:
     undescribed_count: int = 0  # data messages without a subscription
     appended_offsets: list[int] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
-    damaged_places: list[tuple[int, int]] = field(default_factory=list)
+    damaged_offsets: list[tuple[int, int]] = field(default_factory=list)
 
 
 def read_ulog(path: str | Path) -> RawLog:
@@ -221,12 +221,12 @@ def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
         at = max(at, limit)
     if scan.undescribed_count:
         scan.damage.append(f"{scan.undescribed_count} messages belong to topics without a description")
-    if len(scan.damaged_places) > 1:
-        size = sum(s for _, s in scan.damaged_places)
-        scan.damage.insert(0, f"{size} bytes in {len(scan.damaged_places)} places are not complete "
-        f"messages, the first at byte {scan.damaged_places[0][0]}")  # fmt: skip
-    elif scan.damaged_places:
-        place, size = scan.damaged_places[0]
+    if len(scan.damaged_offsets) > 1:
+        size = sum(s for _, s in scan.damaged_offsets)
+        scan.damage.insert(0, f"{size} bytes in {len(scan.damaged_offsets)} places are not complete "
+        f"messages, the first at byte {scan.damaged_offsets[0][0]}")  # fmt: skip
+    elif scan.damaged_offsets:
+        place, size = scan.damaged_offsets[0]
         scan.damage.insert(0, f"{size} bytes at byte {place} are not a complete message")
     return scan
 
@@ -239,7 +239,7 @@ def _note_damage(scan: _ScanResult, data: bytes, at: int, stop: int, after: int,
             at = last.body_offsets.pop() - 5  # the zeros may have begun inside the last message
         scan.damage.append(f"{limit - at} bytes from byte {at} on are zero")
     elif after < limit or stop <= limit:
-        scan.damaged_places.append((at, after - at))
+        scan.damaged_offsets.append((at, after - at))
     elif limit < len(data):
         scan.damage.append(f"logging stopped inside a message at byte {limit}; data were appended after it")
     elif at + 3 > limit:

@@ -229,7 +229,7 @@ _CLEAR_PATH_TO_LEAVE_M = PATH_LOOK_AHEAD_M + 0.3
 BLOCKED_PATH_MARGIN_M = 0.05
 """A path is blocked by points closer than the clearance plus this margin (m)."""
 
-_APPROACH_SPEED_PER_DISTANCE = 0.8
+_APPROACH_SPEED_PER_DISTANCE_1_S = 0.8
 """lambda (1/s): slow enough for the position loop's lag of 0.3 s."""
 
 _MAX_HEIGHT_DIFFERENCE_M = 0.5
@@ -492,7 +492,7 @@ def _limit_approach_to_points(
             dist = _planar_length(qn, qe)
             if dist > 2.0 or dist < 1e-9:
                 continue
-            short = -_APPROACH_SPEED_PER_DISTANCE * (dist - keep) - (vn * qn + ve * qe) / dist
+            short = -_APPROACH_SPEED_PER_DISTANCE_1_S * (dist - keep) - (vn * qn + ve * qe) / dist
             if short > 1e-6:
                 vn += short * qn / dist
                 ve += short * qe / dist

@@ -23,7 +23,7 @@ from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format
 from mufly.vehicle_types import ARDUPILOT
 
 MAX_LINK_LOSS = 0.1
-MIN_BATTERY_CHARGE = 0.3
+MIN_BATTERY_CHARGE_FRACTION = 0.3
 MAX_TILT_RAD = math.radians(5.0)
 MAX_STANDING_SPEED_M_S = 0.1
 BATTERY_RESERVE_FRACTION = 0.2
@@ -145,7 +145,7 @@ def _check_battery(s: VehicleSnapshot) -> _CheckResult:
     if math.isnan(s.battery_charge):
         return None, voltage or "not reported"
     text = f"{100 * s.battery_charge:.0f} %" + (f", {voltage}" if voltage else "")
-    return s.battery_charge >= MIN_BATTERY_CHARGE, text
+    return s.battery_charge >= MIN_BATTERY_CHARGE_FRACTION, text
 
 
 def _check_level(s: VehicleSnapshot) -> _CheckResult:

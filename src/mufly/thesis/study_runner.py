@@ -166,7 +166,7 @@ class StudyAnswer:
         return "agrees" if agree == len(self.verdicts) else "in part" if agree else "DIFFERS"
 
     @property
-    def agreement_share(self) -> str:
+    def agreement_fraction(self) -> str:
         """Number of verdicts that agree, as ``3 of 4``; "" without any."""
         return f"{sum(v.agrees for v in self.verdicts)} of {len(self.verdicts)}" if self.verdicts else ""
 

@@ -107,7 +107,7 @@ class SimulatedMotor:
     friction_Nm_s: float = 3.0e-6
     winding_resistance_K_W: float = 4.0
     winding_time_constant_s: float = 40.0
-    magnet_heating_share: float = 0.6
+    magnet_heating_fraction: float = 0.6
     magnet_time_constant_s: float = 500.0
 
 
@@ -127,7 +127,7 @@ class SimulatedFaults:
         Time from which the bench does not answer.
     spike_share : float
         Share of invalid samples of the cells.
-    speed_shortfall_share : float
+    speed_shortfall_fraction : float
         Share by which a motor fails to reach its commanded speed.
     """
 
@@ -136,7 +136,7 @@ class SimulatedFaults:
     force_cell_saturates: bool = False
     silent_from_s: float = np.inf
     spike_share: float = 0.0
-    speed_shortfall_share: float = 0.0
+    speed_shortfall_fraction: float = 0.0
 
 
 SIMULATED_FAULTS: dict[str, SimulatedFaults] = {
@@ -144,7 +144,7 @@ SIMULATED_FAULTS: dict[str, SimulatedFaults] = {
     "saturated": SimulatedFaults(force_cell_saturates=True),
     "silent": SimulatedFaults(silent_from_s=1500.0),
     "spikes": SimulatedFaults(spike_share=0.05),
-    "speed": SimulatedFaults(speed_shortfall_share=0.04),
+    "speed": SimulatedFaults(speed_shortfall_fraction=0.04),
 }
 """Faults by their names in ``mufly bench run --fault``."""
 
@@ -267,7 +267,9 @@ class SimulatedRig:
 
     def set_speeds(self, speeds_rad_s: Mapping[str, float]) -> None:
         for side in ROTOR_SIDE_NAMES:
-            self.commanded_speed[side] = float(speeds_rad_s.get(side, 0.0)) * (1.0 - self.faults.speed_shortfall_share)
+            self.commanded_speed[side] = float(speeds_rad_s.get(side, 0.0)) * (
+                1.0 - self.faults.speed_shortfall_fraction
+            )
 
     def stop(self) -> None:
         self.commanded_speed = dict.fromkeys(ROTOR_SIDE_NAMES, 0.0)
@@ -409,7 +411,7 @@ class SimulatedRig:
                 1 - np.exp(-duration_s / motor.winding_time_constant_s)
             )
             loss = slack * float(np.mean(motor.friction_Nm * speed))
-            to = motor.magnet_heating_share * motor.winding_resistance_K_W * (power + loss)
+            to = motor.magnet_heating_fraction * motor.winding_resistance_K_W * (power + loss)
             heat.magnet_rise_K += (to - heat.magnet_rise_K) * (1 - np.exp(-duration_s / motor.magnet_time_constant_s))
         voltage = np.where(turning, k * speed + resistance * current, 0.0)
         n = speed.size

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.bridges.autopilot_plant import AutopilotPlant
-from mufly.bridges.simulator_pace import SILENCE_S, AutopilotSimulator
+from mufly.bridges.simulator_pace import SILENCE_TIMEOUT_S, AutopilotSimulator
 from mufly.link.ports import Endpoint, Peer, open_port
 
 ARDUPILOT_ENDPOINT = Endpoint("udpin", "127.0.0.1", 9002)
@@ -167,10 +167,11 @@ class ArduPilotSimulator(AutopilotSimulator):
         self._wait(_RECEIVE_TIMEOUT_S)
         for peer, data in self.port.receive():
             self._answer(peer, data, stop)
-        if self.state == "lockstep" and self._clock() - self._heard_s > SILENCE_S:
+        if self.state == "lockstep" and self._clock() - self._heard_s > SILENCE_TIMEOUT_S:
             self.state = "silent"
             self.vehicle.log_event(
-                f"ArduPilot has sent nothing for {SILENCE_S:g} s of wall-clock time; the simulation waits", "warning"
+                f"ArduPilot has sent nothing for {SILENCE_TIMEOUT_S:g} s of wall-clock time; the simulation waits",
+                "warning",
             )
 
     def _answer(self, peer: Peer, data: bytes, stop: Callable[[], bool]) -> None:

@@ -13,7 +13,7 @@ state                  condition
 ====================== ========================================================================================
 waiting                no Betaflight has answered; the simulated time stands
 running                every period waits for its answer
-silent                 Betaflight has not answered for SILENCE_S; the simulated time stands
+silent                 Betaflight has not answered for SILENCE_TIMEOUT_S; the simulated time stands
 ====================== ========================================================================================
 
 Inertial readings and pressure are those of the vehicle's sensors, with their faults. The SITL takes the attitude from
@@ -48,7 +48,7 @@ from mufly.bridges.betaflight.betaflight_messages import (
 )
 from mufly.bridges.betaflight.betaflight_pilot import REST_PULSES_US, BetaflightPilot
 from mufly.bridges.betaflight.betaflight_settings import MOTOR_IDLE, PILOT_RATE_HZ
-from mufly.bridges.simulator_pace import SILENCE_S, AutopilotSimulator
+from mufly.bridges.simulator_pace import SILENCE_TIMEOUT_S, AutopilotSimulator
 from mufly.errors import InputError
 from mufly.link.ports import Endpoint, Peer, Port, UdpPort, open_port
 
@@ -206,10 +206,11 @@ class BetaflightSimulator(AutopilotSimulator):
             self._wait(_RECEIVE_TIMEOUT_S)
             self._receive()
             now_s = self._clock()
-            if self.state == "running" and now_s - begun_s > SILENCE_S and not self._is_answered:
+            if self.state == "running" and now_s - begun_s > SILENCE_TIMEOUT_S and not self._is_answered:
                 self.state = "silent"
                 self.vehicle.log_event(
-                    f"Betaflight has not answered for {SILENCE_S:g} s of wall-clock time; the simulation waits for it",
+                    f"Betaflight has not answered for {SILENCE_TIMEOUT_S:g} s of wall-clock time; "
+                    "the simulation waits for it",
                     "warning",
                 )
             if not self._is_answered and now_s >= again_s and self._is_ready():

@@ -208,7 +208,7 @@ class BetaflightPilot:
         """Set the reference of the phase, with its velocity."""
         plan, place, speed = self.plan, self._start.copy(), np.zeros(3)
         if self.phase == "take-off":
-            share, rate = _smooth_path_share(self.phase_s, plan.take_off_s)
+            share, rate = _smooth_path_fraction(self.phase_s, plan.take_off_s)
             place[2] -= plan.height_m * share
             speed[2] = -plan.height_m * rate
         elif self.phase in ("hover", "square"):
@@ -262,12 +262,12 @@ def find_square_point(plan: PilotPlan, time_s: float) -> tuple[_Array, _Array]:
     """Return the offset N, E (m) from the square's first corner, and its velocity (m/s), at rest in the corners."""
     corners = plan.square_side_m * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
     leg = min(int(time_s / plan.leg_duration_s), 3)
-    share, rate = _smooth_path_share(time_s - leg * plan.leg_duration_s, plan.leg_duration_s)
+    share, rate = _smooth_path_fraction(time_s - leg * plan.leg_duration_s, plan.leg_duration_s)
     way = corners[leg + 1] - corners[leg]
     return corners[leg] + way * share, way * rate
 
 
-def _smooth_path_share(time_s: float, length_s: float) -> tuple[float, float]:
+def _smooth_path_fraction(time_s: float, length_s: float) -> tuple[float, float]:
     """Return the share (0..1) of a way from rest to rest, and its rate (1/s)."""
     turn = 2.0 * math.pi * min(time_s / length_s, 1.0)
     return (turn - math.sin(turn)) / (2.0 * math.pi), (1.0 - math.cos(turn)) / length_s

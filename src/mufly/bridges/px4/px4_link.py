@@ -11,7 +11,7 @@ waiting                no PX4 is connected; the simulated time stands
 starting               PX4 is connected and does not answer every period yet; real time
 lockstep               every period waits for its answer
 free-running           PX4 has no lockstep; real time
-silent                 PX4 has not answered for SILENCE_S; the simulated time stands
+silent                 PX4 has not answered for SILENCE_TIMEOUT_S; the simulated time stands
 ====================== ========================================================================================
 
 A PX4 that hangs up and calls again is a new one: the vehicle returns to the start. PX4 itself does not call again after
@@ -35,7 +35,7 @@ from mufly.bridges.px4.px4_messages import (
     SensorMessages,
     read_actuator_command,
 )
-from mufly.bridges.simulator_pace import SILENCE_S, AutopilotSimulator
+from mufly.bridges.simulator_pace import SILENCE_TIMEOUT_S, AutopilotSimulator
 from mufly.link.codec import FrameDecoder, FrameEncoder, GlobalOrigin, MavMessage, mavlink
 from mufly.link.ports import Endpoint, Peer, open_port
 
@@ -178,10 +178,10 @@ class Px4Simulator(AutopilotSimulator):
                 self._was_answered = False
                 self._skipped = True
                 return
-            if self.state != "silent" and waited_s > SILENCE_S:
+            if self.state != "silent" and waited_s > SILENCE_TIMEOUT_S:
                 self.state = "silent"
                 self.vehicle.log_event(
-                    f"PX4 has not answered for {SILENCE_S:g} s of wall-clock time; the simulation waits for it",
+                    f"PX4 has not answered for {SILENCE_TIMEOUT_S:g} s of wall-clock time; the simulation waits for it",
                     "warning",
                 )
         if not self._is_answered:

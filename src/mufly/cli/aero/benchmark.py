@@ -151,7 +151,7 @@ _TUNNEL_KEYS = (
 
 
 def _print_scores(rows: list[ScoreRow], title: str) -> None:
-    def format_share(value: float) -> str:
+    def format_percent(value: float) -> str:
         return f"{100 * value:.0f}" if np.isfinite(value) else "-"
 
     make_console().print(title, style="bold")
@@ -162,7 +162,7 @@ def _print_scores(rows: list[ScoreRow], title: str) -> None:
                 r.code, r.group, f"{r.rotors}",
                 f"{r.points}" + (f" ({r.unpredicted} without answer)" if r.unpredicted else ""),
                 _format_error_and_bias(r.thrust, r.thrust_bias), _format_error_and_bias(r.torque, r.torque_bias),
-                f"{format_share(r.thrust_inside)}, {format_share(r.torque_inside)}",
+                f"{format_percent(r.thrust_inside)}, {format_percent(r.torque_inside)}",
             )
             for r in rows
         ],

@@ -131,8 +131,8 @@ def _write_solution_report(
     files = [
         write_csv(place / "history.csv", ("iteration", "thrust_N", "torque_Nm"), past),
         write_csv(
-            place / "loads.csv", ("r_m", "dr_m", "thrust_N_m", "torque_Nm_m", "reversed_share"),
-            zip(found.r_m, found.dr_m, found.thrust_N_m, found.torque_Nm_m, found.reversed_share, strict=True),
+            place / "loads.csv", ("r_m", "dr_m", "thrust_N_m", "torque_Nm_m", "reversed_flow_fraction"),
+            zip(found.r_m, found.dr_m, found.thrust_N_m, found.torque_Nm_m, found.reversed_flow_fraction, strict=True),
         ),
         save_figure(cfd.loads_picture(found, others), place, "loads"),
         save_figure(cfd.pressure_picture(poly, found), place, "pressure"),
@@ -170,7 +170,7 @@ def _write_solution_report(
 
     kept = (
         "verdict thrust_N torque_Nm power_W c_T c_Q figure_of_merit friction_torque r_m dr_m thrust_N_m torque_Nm_m "
-        "reversed_share"
+        "reversed_flow_fraction"
     )
     content = {
         "point": found.point, **select_fields(found, f"{kept} eddy_ratio wake_torque wake_thrust"),
@@ -236,7 +236,7 @@ def _print_solution(found: CfdSolution, others: list[SpanLoads], p: OperatingPoi
         + (f"; turbulent over molecular viscosity up to {found.eddy_ratio:.3g}" if found.eddy_ratio else ""),
         highlight=False,
     )
-    left = 100 * float(np.average(found.reversed_share, weights=found.dr_m))
+    left = 100 * float(np.average(found.reversed_flow_fraction, weights=found.dr_m))
     c.print(
         f"The flow is separated on {left:.0f} % of the upper side (friction towards the leading edge).", highlight=False
     )

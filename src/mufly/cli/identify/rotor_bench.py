@@ -188,7 +188,7 @@ def rotor(
         for fit in fits:
             kind = "coaxial pair" if fit.coaxial else "single rotor"
             at = "" if math.isnan(fit.pitch_rad) else f" at {math.degrees(fit.pitch_rad):.3g} deg"
-            shares = fit.systematic_variance_shares()
+            shares = fit.systematic_variance_fractions()
             print_estimates(
                 fit.estimates, f"{fit.source}: {kind}{at}, R {1e3 * fit.radius_m:g} mm",
                 {"systematic": {e.symbol: f"{100 * shares.get(e.symbol, 0.0):.0f} %" for e in fit.estimates}},

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _INPUT_DELAY_PERIODS = 1.5
 _MIN_SPREAD_FACTOR, _MAX_SPREAD_FACTOR = 0.1, 10.0  # of the spreads, in the search for the worst parameters
-_ENOUGH = 0.8  # share of the lower bound's peak at which the descent of the upper bound ends
+_DESCENT_END_FRACTION = 0.8  # share of the lower bound's peak at which the descent of the upper bound ends
 
 
 @result
@@ -285,7 +285,7 @@ def sweep_mu(loop: UncertainLoop, points: int, names: Sequence[str]) -> LoopRobu
     if np.isfinite(where) and where > 0.0:  # the grid must hold the frequency at which the lower bound is
         frequency[int(np.argmin(np.abs(np.log(frequency / where))))] = where
     M = loop.responses(frequency)
-    enough = _ENOUGH / size if np.isfinite(size) else 0.1
+    enough = _DESCENT_END_FRACTION / size if np.isfinite(size) else 0.1
     # Every frequency starts anew: the scalings of its neighbour are often at a kink that the descent does not leave.
     upper = np.array(
         [mu_upper_bound(m, loop.blocks, restarts=0, tolerance=1e-3, max_steps=150, enough=enough).value for m in M]

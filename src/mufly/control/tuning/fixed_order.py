@@ -38,7 +38,7 @@ from mufly.results import result
 _FREQUENCIES = np.concatenate([[1e-7, 1e-6, 1e-5, 1e-4], np.geomspace(1e-3, 3e3, 90)])
 _SLOW_MODE_LIMITS_RAD_S = (0.1, 3.0)  # rad/s; modes of a start below these are kept by its reduction
 _GOAL_MEAN_POWERS = (8.0, 30.0, np.inf)  # of the mean of all goals, in successive descents; inf is the largest
-_STABILITY_MARGIN = 1e-5  # rad/s; least distance of the closed loop's poles from the axis
+_MIN_POLE_DISTANCE_RAD_S = 1e-5  # rad/s; least distance of the closed loop's poles from the axis
 
 
 class LoopNormByGain(Protocol):
@@ -181,7 +181,7 @@ class _StaticLoop:
         B, C = self.B1 + self.B @ K @ self.D21, self.C1 + self.D12 @ K @ self.C
         D = self.D11 + self.D12 @ K @ self.D21
         values, V = np.linalg.eig(A)
-        if values.real.max() >= -_STABILITY_MARGIN:
+        if values.real.max() >= -_MIN_POLE_DISTANCE_RAD_S:
             return np.inf, np.zeros_like(K)
         if self.kind == "h2":
             P = linalg.solve_continuous_lyapunov(A, -B @ B.T)

@@ -22,7 +22,7 @@ from mufly.control.tuning.fixed_order import LoopNormByGain
 
 _FREQUENCY_RANGE_FACTORS = (0.5, 2.0)  # of the slowest and fastest mode of the loop, about which the frequencies lie
 _FREQUENCY_COUNT = 24
-_ENOUGH = 0.7  # share of the level at which the descent for the scalings of a frequency ends
+_DESCENT_END_FRACTION = 0.7  # share of the level at which the descent for the scalings of a frequency ends
 
 
 def _pencil_values(M: ComplexArray, D: ComplexArray, G: ComplexArray) -> tuple[Array, ComplexArray, ComplexArray]:
@@ -96,10 +96,10 @@ class RobustnessGoal:
         M = self.response(K, order)[0]
         kept = np.sqrt(np.maximum(_pencil_values(M, self._D, self._G)[0], 0.0))
         for k in range(_FREQUENCY_COUNT):
-            if kept[k] < _ENOUGH * self.level:
+            if kept[k] < _DESCENT_END_FRACTION * self.level:
                 continue
             found = mu_upper_bound(
-                M[k], self.blocks, restarts=0, tolerance=1e-3, max_steps=150, enough=_ENOUGH * self.level
+                M[k], self.blocks, restarts=0, tolerance=1e-3, max_steps=150, enough=_DESCENT_END_FRACTION * self.level
             )
             if found.value < kept[k]:
                 kept[k], self._D[k], self._G[k] = found.value, found.scaling, found.skew

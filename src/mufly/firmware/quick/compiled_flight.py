@@ -144,7 +144,7 @@ class CompiledFlight:
         clock.beam_count = min(beams, self._board.beam_count)
         clock.hover_current_A, clock.current_filter_weight = (
             flight.autopilot.energy_check.hover_current_A,
-            flight.current_filter_share,
+            flight.current_filter_weight,
         )
         self._log_rows = np.empty((MAX_PERIODS_PER_CALL, LOG_ROW_SIZE + beams))
         self._acting = np.zeros((3, 4))

@@ -101,7 +101,7 @@ class CameraConfig:
         the mission, or :data:`DEFAULT_FLOOR`.
     floor_width_m : float, optional
         Width on the ground of a floor picture (m).
-    shadow_share : float
+    shadow_fraction : float
         Share of the light that shadows remove.
     camera_faults : tuple of CameraFault
     on_tracking_result : callable, optional
@@ -113,7 +113,7 @@ class CameraConfig:
     camera: Camera
     floor_texture: str | None = None
     floor_width_m: float | None = None
-    shadow_share: float = 0.3
+    shadow_fraction: float = 0.3
     camera_faults: tuple[CameraFault, ...] = ()
     on_tracking_result: Callable[[TrackingResult], None] | None = None
     stream_address: tuple[str, int] | None = None
@@ -137,7 +137,7 @@ def make_camera(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) ->
     """Return the onboard camera of a flight, with its floor and faults."""
     return OnboardCamera(
         eye.true_camera or eye.camera,
-        find_floor(eye.floor_name, eye.floor_width_m).make_floor(seed, eye.shadow_share),
+        find_floor(eye.floor_name, eye.floor_width_m).make_floor(seed, eye.shadow_fraction),
         vehicle,
         world,
         seed,

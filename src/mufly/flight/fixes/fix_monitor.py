@@ -84,7 +84,7 @@ _REST_CHECK_WINDOW_S, _MAX_REST_SPEED_M_S = 4.0, 0.04
 _MIN_JUMP_M, _MAX_SPEED_M_S, _WITHHOLD_AFTER_JUMP_S = 0.3, 2.0, 4.0
 """Change between two fixes that counts as a jump: a length (m), and a speed (m/s) that no flight has; time for which
 fixes are withheld after a jump (s)."""
-_MIN_TURN_EFFECT = 0.005  # rms of B beside a parabola, below which the nose did not turn (s^2)
+_MIN_TURN_EFFECT_S2 = 0.005  # rms of B beside a parabola, below which the nose did not turn (s^2)
 _WITHHELD_TEXT = "it is withheld: "
 _HEADING_LAG_TEXT = "its heading does not follow the measured turn rate"
 _ATTITUDE_CORRECTION_S, _REST_AVERAGE_S = 20.0, 1.0
@@ -426,7 +426,7 @@ class FixMonitor:
         q, _ = np.linalg.qr(np.stack([np.ones_like(u), u, u * u], axis=1))
         y, a, v, b = (c - q @ (q.T @ c) for c in (place, path, speed, bias))
         mirror_y = y
-        if (size := float(np.vdot(b, b).real)) > len(t) * _MIN_TURN_EFFECT**2:
+        if (size := float(np.vdot(b, b).real)) > len(t) * _MIN_TURN_EFFECT_S2**2:
             mirror_y = y - b.conj() * (np.vdot(b.conj(), y) / size)
             y, a, v = (c - b * (np.vdot(b, c) / size) for c in (y, a, v))
         if t[-1] > self._long_s + _LONG_FIT_WINDOW_STEP_S and span > 0.9 * PATH_WINDOW_S:

@@ -301,7 +301,9 @@ class Campaign:
         if eye is None:
             return {}
         true = [] if eye.true_camera is None else [eye.true_camera.model_dump_json()]
-        return {"camera": [eye.camera.model_dump_json(), eye.floor_texture, eye.floor_width_m, eye.shadow_share, *true]}
+        return {
+            "camera": [eye.camera.model_dump_json(), eye.floor_texture, eye.floor_width_m, eye.shadow_fraction, *true]
+        }
 
     def draw_case(self, index: int) -> FlightCase:
         """Return the drawn settings of flight ``index``.

@@ -385,7 +385,7 @@ class ExcitationCandidate:
         Largest addition to an input (motors 0..1, servos -1..1).
     binding_limit : str
         Name of the limit that binds, or ``"as asked"`` for the wanted amplitude.
-    limit_share : float
+    limit_fraction : float
         Used share of the nearest limit.
     added_inputs : (n, 4) array
         Signals added to upper motor, lower motor, servo 1 and servo 2.
@@ -403,7 +403,7 @@ class ExcitationCandidate:
     signal: ExcitationSignal
     amplitude: float
     binding_limit: str
-    limit_share: float
+    limit_fraction: float
     added_inputs: Array
     record: FlightRecord
     fisher_information: Array
@@ -412,7 +412,7 @@ class ExcitationCandidate:
 
 
 _CANDIDATE_RECORD_FIELDS = (
-    "kind=signal.kind amplitude bound_by=binding_limit limit_used=limit_share crest_factor=signal.crest "
+    "kind=signal.kind amplitude bound_by=binding_limit limit_used=limit_fraction crest_factor=signal.crest "
     "signal=signal.description mean=geometric_mean_std"
 )
 

@@ -54,7 +54,7 @@ SENSOR_NOISE_STD = {
 }  # fmt: skip
 _LOGGED_OUTPUTS = ("height", "roll", "pitch", "yaw", "p", "q", "r", "voltage")
 _FLIGHT_HEIGHT_M = 1.5  # m
-_INITIAL_CHARGE = 0.7
+_INITIAL_CHARGE_FRACTION = 0.7
 _UNRECORDED_LEAD_S = 2.0  # flight time before the record begins, for records that begin in motion
 
 
@@ -126,7 +126,7 @@ def fly_demo_record(
         Wind with steps of ``DEMO_SAMPLE_S``; calm air by default.
     """
     p, n = model_parameters(vehicle), len(excitation.motor_input)
-    hover = find_trim(vehicle, charge=_INITIAL_CHARGE)
+    hover = find_trim(vehicle, charge=_INITIAL_CHARGE_FRACTION)
     x, wind = hover.state.copy(), np.zeros((n, 3)) if air is None else air.draw_wind_samples(n)
     x[MODEL_POSITION + 2] = -_FLIGHT_HEIGHT_M
     std = np.array([SENSOR_NOISE_STD[o] for o in _LOGGED_OUTPUTS])

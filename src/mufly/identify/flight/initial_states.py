@@ -25,7 +25,7 @@ from mufly.identify.flight.output_error_problem import ACTUATOR_STATES, MOTION_S
 _Array = NDArray[np.float64]
 
 MIN_COST_DECREASE = 0.01  # least predicted cost decrease of a step: a tenth of a standard deviation
-_FIRST_HORIZON_S, _HORIZON_GROWTH = 1.0, 2.5
+_FIRST_HORIZON_S, _HORIZON_GROWTH_FACTOR = 1.0, 2.5
 _MAX_STEPS_PER_HORIZON = 25
 _LINE_SEARCH_FRACTIONS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])  # fractions of a step, evaluated in one batch
 _MAX_STATE_STEP_SIGMAS = 0.25  # largest step over the prior standard deviation
@@ -69,7 +69,7 @@ def find_initial_states(problem: OutputErrorProblem, theta: _Array) -> InitialSt
             flown += count * min(1.0, horizon / whole)
             if last:
                 break
-            horizon *= _HORIZON_GROWTH
+            horizon *= _HORIZON_GROWTH_FACTOR
         states.append(state)
         converged.append(ended)
     return InitialStates(states, tuple(converged), round(flown))
@@ -82,7 +82,7 @@ def find_initial_offsets(problem: OutputErrorProblem, theta: _Array) -> list[_Ar
     In a record that begins in motion the steady motor speeds are wrong for the first one or two seconds.
     """
     whole = len(MOTION_STATES) + len(ACTUATOR_STATES)
-    opening = problem.truncate_records(_FIRST_HORIZON_S * _HORIZON_GROWTH).with_initial_offset(
+    opening = problem.truncate_records(_FIRST_HORIZON_S * _HORIZON_GROWTH_FACTOR).with_initial_offset(
         [np.zeros(whole)] * len(problem.prepared_records)
     )
     found, begin = find_initial_states(opening.with_windows(None), theta), []

@@ -60,7 +60,7 @@ Array = NDArray[np.float64]
 InflowModel = Literal["annular", "pitt-peters", "uniform"]
 
 AZIMUTH_COUNT = 24
-LIFT_SLOPE = 5.7
+LIFT_SLOPE_PER_RAD = 5.7
 """Lift slope (1/rad) of the Lock number."""
 MAX_ADVANCE_RATIO = 0.35
 """Advance ratio up to which strips and polars are sound; beyond, reversed flow covers much of the retreating side."""
@@ -123,7 +123,7 @@ def lock_number(r_m: Array, dr_m: Array, chord_m: Array, flap: BladeFlap, air: A
     flap : BladeFlap
     air : Air
     """
-    return 4.0 * air.density_kg_m3 * LIFT_SLOPE * float(np.sum(chord_m * r_m**3 * dr_m)) / flap.inertia_kg_m2
+    return 4.0 * air.density_kg_m3 * LIFT_SLOPE_PER_RAD * float(np.sum(chord_m * r_m**3 * dr_m)) / flap.inertia_kg_m2
 
 
 def _check_condition(c: ForwardCondition) -> None:

@@ -35,7 +35,7 @@ from mufly.rotor.structure.materials import find_material
 Array = NDArray[np.float64]
 
 ELEMENT_COUNT = 20
-LIFT_SLOPE = 5.7
+LIFT_SLOPE_PER_RAD = 5.7
 """Lift slope (1/rad) of the Lock number."""
 _SIGMAS_PER_90_PERCENT = 1.645
 _STIFFNESS_STATION_RATIO = 0.75  # r/R at which measured stiffnesses hold
@@ -243,7 +243,7 @@ def lock_number(rotor: Rotor, beam: BladeBeam, air: Air | None = None) -> float:
     """Return the Lock number of a blade."""
     density = (air or Air()).density_kg_m3
     moment = beam.integrate_over_span(beam.chord_m * beam.gauss_radii_m**3)
-    return 4.0 * density * LIFT_SLOPE * moment / beam.flap_inertia_kg_m2
+    return 4.0 * density * LIFT_SLOPE_PER_RAD * moment / beam.flap_inertia_kg_m2
 
 
 def _describe_assumptions(structure: BladeStructure, known: bool) -> str:
@@ -355,7 +355,7 @@ class CampbellDiagram:
         head = ShownLines((self.assumptions,), head=f"{self.rotor}: ")
         about = ShownLines((
             f"one blade: {1e3 * self.blade_mass_kg:.3g} g, {1e9 * self.flap_inertia_kg_m2:.4g} g mm2 about the "
-            f"shaft, Lock number {self.lock_number:.2f} (lift slope {LIFT_SLOPE:g})",
+            f"shaft, Lock number {self.lock_number:.2f} (lift slope {LIFT_SLOPE_PER_RAD:g})",
             f"at 0.75 R: EI {1e3 * self.flap_EI:.3g} mN m2, GJ {1e3 * self.torsion_GJ:.3g} mN m2, elastic axis at "
             f"{self.shear_centre:.3f} c, centroid at {self.centroid:.3f} c",
         ))  # fmt: skip

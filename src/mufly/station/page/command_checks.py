@@ -18,7 +18,7 @@ from mufly.mission import Fence, Mission, describe_fence_violation, describe_pat
 from mufly.mission.files.geofence import FENCE_MARGIN_M
 from mufly.mission.files.mission_timing import compute_time_to_land_at
 from mufly.station.mission_endurance import mission_of_vehicle_limits
-from mufly.station.preflight_checks import BATTERY_RESERVE_FRACTION, MIN_BATTERY_CHARGE, OWN_CHECKS_NAME
+from mufly.station.preflight_checks import BATTERY_RESERVE_FRACTION, MIN_BATTERY_CHARGE_FRACTION, OWN_CHECKS_NAME
 from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
 
@@ -142,7 +142,7 @@ def describe_battery(s: VehicleSnapshot) -> tuple[str, str] | None:
         parts.append(f"{format_clock(left)} left")
     empty, low = (
         charge <= CRITICAL_CHARGE_FRACTION or left <= CRITICAL_REMAINING_TIME_S,
-        charge < MIN_BATTERY_CHARGE or left <= LOW_REMAINING_TIME_S,
+        charge < MIN_BATTERY_CHARGE_FRACTION or left <= LOW_REMAINING_TIME_S,
     )
     return "error" if empty else "warning" if low else "", ", ".join(parts)
 

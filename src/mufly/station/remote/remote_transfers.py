@@ -180,7 +180,7 @@ class RemoteMission:
     def _continue_job(self, now_s: float, job: _TransferJob) -> None:
         machine = self._sender if self._sender is not None else self._receiver
         self._out += machine.step(now_s)
-        job.request.progress = max(job.request.progress, machine.completed_share)
+        job.request.progress = max(job.request.progress, machine.completed_fraction)
         if machine.result is None:
             return
         self._sender = None

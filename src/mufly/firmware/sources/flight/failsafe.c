@@ -37,7 +37,7 @@ void descent_motor_input(const real_t held_up_V[2], real_t share, real_t left_s,
     }
 }
 
-real_t descent_voltage_share(real_t height, real_t descent)
+real_t descent_voltage_fraction(real_t height, real_t descent)
 {
     const real_t wanted = real_min(real_max(height, TOUCHDOWN_DESCENT_M_S), MAX_DESCENT_M_S);
 

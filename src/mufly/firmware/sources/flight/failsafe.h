@@ -17,7 +17,7 @@ void ramp_down_motor_input(const real_t released[2], real_t elapsed_s, real_t ou
 void descent_motor_input(const real_t held_up_V[2], real_t share, real_t left_s, real_t battery_V, real_t out[2]);
 
 /* Fraction for a known height (m) and rate of descent (m/s). */
-real_t descent_voltage_share(real_t height, real_t descent);
+real_t descent_voltage_fraction(real_t height, real_t descent);
 
 /* Duration of a blind descent from a height (m), with a reserve of one second. */
 real_t descent_time_s(real_t height, real_t gravity);

@@ -242,7 +242,7 @@ static void step_blind_descent(const flight_setup_t *setup, software_t *s, const
         s->motors = MOTORS_OFF;
         set_pair(REAL(0.0), REAL(0.0), s->motor_input);
     } else {
-        descent_motor_input(s->hover_voltages, knows ? descent_voltage_share(height, told->motion.velocity[2]) : DESCENT_VOLTAGE_FRACTION, left_s,
+        descent_motor_input(s->hover_voltages, knows ? descent_voltage_fraction(height, told->motion.velocity[2]) : DESCENT_VOLTAGE_FRACTION, left_s,
                       good->motion.voltage, s->motor_input);
     }
     set_pair(s->motor_input[0], s->motor_input[1], out->motor_input);

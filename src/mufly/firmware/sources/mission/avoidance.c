@@ -14,7 +14,7 @@
 #define LEAVE_CONTOUR_MARGIN_M REAL(0.08)
 #define FOLLOW_CONTOUR_MARGIN_M REAL(0.15)
 #define APPROACH_BARRIER_MARGIN_M REAL(0.06)
-#define APPROACH_SPEED_PER_DISTANCE REAL(0.8) /* 1/s */
+#define APPROACH_SPEED_PER_DISTANCE_1_S REAL(0.8) /* 1/s */
 #define REPULSION_GAIN REAL(0.15)
 #define CONTOUR_CONVERGENCE_DISTANCE_M REAL(0.4)
 #define VELOCITY_LAG_S REAL(0.2)
@@ -299,7 +299,7 @@ void limit_approach_velocity(const path_check_t *sight, const real_t position[],
 
             if (!(dist > REAL(2.0)) && !(dist < REAL(1e-9))) {
                 const real_t shortage =
-                    (-APPROACH_SPEED_PER_DISTANCE * (dist - keep)) - (((velocity[0] * qn) + (velocity[1] * qe)) / dist);
+                    (-APPROACH_SPEED_PER_DISTANCE_1_S * (dist - keep)) - (((velocity[0] * qn) + (velocity[1] * qe)) / dist);
                 if (shortage > REAL(1e-6)) {
                     velocity[0] += (shortage * qn) / dist;
                     velocity[1] += (shortage * qe) / dist;
