@@ -241,7 +241,7 @@ def test_noise_floor_is_the_noise_put_in():
     f = estimate_noise_floor(rate + 0.1 * rng.normal(size=n), rate[:, None], dt, split_hz=5.0, angle=angle)
     assert f.total == pytest.approx(0.1, rel=0.05)
     assert f.below == pytest.approx(0.1 * np.sqrt(0.1), rel=0.15)
-    assert f.input_noise_fraction > 0.95
+    assert f.input_power_below_fraction > 0.95
 
 
 def test_gains_follow_the_unit_of_the_input_whatever_their_size():

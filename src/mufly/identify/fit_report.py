@@ -451,8 +451,8 @@ def write_linear_report(
             (f"Fits in per cent: as recorded, with both low-passed at {r.slow_hz:g} Hz, and of the latter against the "
              "derivative of the measured angle instead of the gyro. At most: what a model would reach whose only error "
              f"is the noise floor, which is what the output holds above {r.slow_hz:g} Hz (noise >; the inputs have "
-             f"{100 * min(c.floor.input_noise_fraction for c in r.checks['fit']):.1f} % of their power below) and what "
-             "disagrees with the angle's derivative below (noise <). Error and noise in the output's unit.",),
+             f"{100 * min(c.floor.input_power_below_fraction for c in r.checks['fit']):.1f} % of their power below) "
+             "and what disagrees with the angle's derivative below (noise <). Error and noise in the output's unit.",),
             heads, rows, partial(slow_motion_picture, r), "slow",
         )
     )  # fmt: skip

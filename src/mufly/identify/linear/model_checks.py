@@ -229,7 +229,7 @@ def predict_ahead(
     return predicted
 
 
-@result(json="split_hz above below input_noise_fraction total")
+@result(json="split_hz above below input_power_below_fraction total")
 class NoiseFloor:
     """Noise of one measured output below and above a frequency; standard deviations in the unit of the output.
 
@@ -241,14 +241,14 @@ class NoiseFloor:
         Content of the output above ``split_hz``.
     below : float
         Difference to the measured angle's derivative below ``split_hz``; zero without a measured angle.
-    input_noise_fraction : float
+    input_power_below_fraction : float
         Share of the normalised inputs' power below ``split_hz``.
     """
 
     split_hz: float
     above: float
     below: float
-    input_noise_fraction: float
+    input_power_below_fraction: float
 
     @property
     def total(self) -> float:
