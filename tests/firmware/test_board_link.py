@@ -21,7 +21,7 @@ from mufly.control import design_flight_controller
 from mufly.firmware import describe_missing_tools, export_firmware
 from mufly.firmware.emulated.board_link import run_linked_board
 from mufly.firmware.emulated.image_build import build_host_board
-from mufly.flight.tunable_parameters import PARAMETERS
+from mufly.flight.tunable_parameters import TUNABLE_PARAMETERS
 from mufly.link.parameter_protocol import LINK_PARAMETERS
 from mufly.link.telemetry_streams import MESSAGE_STREAMS
 from mufly.mission import LogMessage, load_mission
@@ -117,7 +117,7 @@ def test_parameters_are_read_and_set_within_the_bounds_of_python(library) -> Non
     assert names == sorted(names)
     assert len(set(names)) == 32
     names = [n for n in names if not n.startswith(("CAL_", "RC_", "COM_RC_"))]
-    known = {**PARAMETERS, **LINK_PARAMETERS}
+    known = {**TUNABLE_PARAMETERS, **LINK_PARAMETERS}
 
     def set_parameter(name, value) -> float:
         s.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, 9))

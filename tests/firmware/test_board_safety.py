@@ -23,7 +23,7 @@ from mufly.flight.autopilot import AUTO_DISARM_S
 from mufly.flight.flight_software import FlightSoftware
 from mufly.link.clients import Clients, CommandAuthority
 from mufly.link.parameter_protocol import LINK_PARAMETERS
-from mufly.link.steering_input import ManualControl
+from mufly.link.steering_input import StickInputHandler
 from mufly.mission import NO_COMMAND, Command, SetPoint, load_mission
 from mufly.vehicle import load_vehicle
 
@@ -194,7 +194,7 @@ def test_the_supervisor_answers_arms_and_disarms_as_the_autopilot_does(vehicle, 
         vehicle, mission, controller=controller, controllers=software, sensors="fitted", seed=seed, brief=True
     ) as flight:
         autopilot = flight.autopilot
-        authority = CommandAuthority(autopilot, Clients(1, 1), ManualControl(autopilot))
+        authority = CommandAuthority(autopilot, Clients(1, 1), StickInputHandler(autopilot))
         original = autopilot.step
         authority.commander = "somebody"
 

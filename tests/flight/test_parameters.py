@@ -13,7 +13,7 @@ from mufly.control.implementation import analyse_cascade
 from mufly.dynamics import linearise_vehicle
 from mufly.flight import ControllerReference, Flight, controllers, simulate_response
 from mufly.flight.controllers import copy_record
-from mufly.flight.tunable_parameters import DEGREES_PER_RADIAN, PARAMETERS, STORAGE_KEYS
+from mufly.flight.tunable_parameters import DEGREES_PER_RADIAN, STORAGE_KEYS, TUNABLE_PARAMETERS
 from mufly.mission import MISSION_FRACTION_OF_CONTROL_LIMITS, parse_mission
 from mufly.vehicle import Vehicle, load_vehicle
 
@@ -54,7 +54,7 @@ def hover(flight: Flight, seconds: float = 12.0) -> None:
 
 def test_names_fit_a_mavlink_parameter_and_values_their_bounds(flight: Flight) -> None:
     parameters = flight.autopilot.parameters
-    assert len(parameters) == len(PARAMETERS) >= 26
+    assert len(parameters) == len(TUNABLE_PARAMETERS) >= 26
     for name, p in parameters.items():
         assert name == p.name
         assert len(name) <= 16
@@ -152,7 +152,7 @@ def test_the_take_off_height(flight: Flight) -> None:
 # no bump
 
 
-TUNED = [name for name in PARAMETERS if name.startswith("CTL_")]
+TUNED = [name for name in TUNABLE_PARAMETERS if name.startswith("CTL_")]
 
 
 def greatest_steps(flight: Flight, name: str, end: str) -> np.ndarray:
@@ -211,7 +211,7 @@ def test_the_position_loop_is_robust_at_both_bounds(name: str) -> None:
     vehicle = load_vehicle(name)
     c = design_flight_controller(vehicle)
     full = linearise_vehicle(vehicle).full
-    row = PARAMETERS["CTL_POS_GAIN"]
+    row = TUNABLE_PARAMETERS["CTL_POS_GAIN"]
     for gain in (row.minimum, row.maximum):
         loop = analyse_cascade(full, c.roll_pitch.discrete, c.velocity.discrete, gain, c.position_divider)
         assert loop.stable
@@ -226,7 +226,7 @@ def test_the_position_loop_is_robust_at_both_bounds(name: str) -> None:
     "name", ["CTL_HEAVE_BW", "CTL_HEAVE_SPD", "CTL_HEAVE_ACC", "CTL_YAW_BW", "CTL_YAW_RATE", "CTL_YAW_ACC"]
 )
 def test_steps_settle_at_the_bounds_of_the_filters(vehicle, controller, name: str, end: str) -> None:
-    row = PARAMETERS[name]
+    row = TUNABLE_PARAMETERS[name]
     gains = copy_record(controller.heave_yaw_gains)
     gains[STORAGE_KEYS[name][1]] = getattr(row, end) / (DEGREES_PER_RADIAN if row.unit.startswith("deg") else 1.0)
     tuned = dataclasses.replace(controller, heave_yaw_gains=gains)

@@ -8,7 +8,7 @@ from mock_vehicle import Channel
 
 from mufly.control import design_flight_controller
 from mufly.flight import Flight, read_recording
-from mufly.flight.tunable_parameters import PARAMETERS
+from mufly.flight.tunable_parameters import TUNABLE_PARAMETERS
 from mufly.link import VehicleLink
 from mufly.logs import read_log
 from mufly.mission import Mission, parse_mission
@@ -130,7 +130,7 @@ def test_a_flight_by_hand(helicopter, tmp_path):
     scene.stations[0]._on_packet = recorder.record_packet
     vehicle = scene.vehicle()
     assert vehicle.kind == "mufly"
-    assert set(PARAMETERS) <= set(vehicle.parameters)
+    assert set(TUNABLE_PARAMETERS) <= set(vehicle.parameters)
     assert vehicle.parameters["LIM_SPEED"].unit == "m/s"
     scene.run(2.0)
     failed = [c for c in vehicle.checks if c.ok is False]

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from mufly.flight import TunableParameter
-from mufly.flight.tunable_parameters import PARAMETERS
+from mufly.flight.tunable_parameters import TUNABLE_PARAMETERS
 from mufly.link.codec import MavMessage, mavlink
 from mufly.link.parameter_protocol import LINK_PARAMETERS
 from mufly.station.remote import autopilots
@@ -129,4 +129,4 @@ class ConnectionSetup:
 
 def _mufly_parameter_descriptions() -> dict[str, TunableParameter]:
     """Return unit, bounds and help of the parameters of mufly vehicles."""
-    return PARAMETERS | {name: replace(p, value=math.nan) for name, p in LINK_PARAMETERS.items()}
+    return TUNABLE_PARAMETERS | {name: replace(p, value=math.nan) for name, p in LINK_PARAMETERS.items()}
