@@ -70,7 +70,7 @@ picture
 # %% [markdown]
 # ## Comparison with the truth
 #
-# The simulation knows the true loads. About 95 of 100 intervals of 95 % should contain them.
+# The simulation contains the true loads. About 95 of 100 intervals of 95 % should include them.
 
 # %%
 held = [abs(s.thrust.value - s.truth["thrust"]) <= s.thrust.expanded for s in series.settings if s.truth]
