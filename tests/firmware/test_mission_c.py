@@ -269,8 +269,8 @@ def test_what_may_be_asked_is_one_table(firmware, vehicle, controller) -> None:
         for state in range(8):
             for motors in range(5):
                 for outcome in range(3):
-                    for height, armed, manual in ((0.1, True, True), (0.3, False, True), (1.0, True, False)):
-                        s.state, s.motors, s.outcome, s.manual = state, motors, outcome, manual
+                    for height, armed, user_in_control in ((0.1, True, True), (0.3, False, True), (1.0, True, False)):
+                        s.state, s.motors, s.outcome, s.user_in_control = state, motors, outcome, user_in_control
                         flying = state != 0
                         right = check_request(ask, board.state, height_m=height, armed=armed, flying=flying)
                         assert firmware.lib.check_request(k, s, height, armed, flying) == bool(right), (

@@ -99,7 +99,7 @@ def test_takes_off_to_the_parameter_s_height_hovers_and_lands(pilot: Pilot) -> N
     assert a.set_parameter("MIS_TAKEOFF_ALT", 0.9)
     pilot.take_off()
     s = a.status
-    assert (s.armed, s.flying, s.manual, s.mission_running) == (True, True, True, False)
+    assert (s.armed, s.flying, s.user_in_control, s.mission_running) == (True, True, True, False)
     assert pilot.position[2] == pytest.approx(-0.9, abs=0.06)
     assert s.home_position == pytest.approx((0.0, 0.0, s.home_position[2]))
     pilot.run(2.0)

@@ -333,7 +333,7 @@ def test_a_full_stick_asks_for_what_the_parameters_say():
     rig.link.autopilot.set_sticks = lambda *values: asked.append(values)
     for name, value in (("STK_TILT", 8.0), ("STK_YAWRATE", 40.0), ("STK_CLIMB", 0.3)):
         assert rig.link.autopilot.set_parameter(name, value)
-    manual = rig.link._manual
+    manual = rig.link._stick_input
     manual.handle_rc_override(m.MAVLink_rc_channels_override_message(1, 1, 2000, 1000, 1750, 1250, 0, 0, 0, 0))
     half = (0.5 - 0.03) / 0.97
     assert asked[-1] == pytest.approx((math.radians(8.0), -math.radians(8.0), -half * math.radians(40.0), half * 0.3))

@@ -129,9 +129,9 @@ LIFTS, LANDS, HANGS = (
         (VehicleRequest.LOAD, 0.0, {}, ""),
         (VehicleRequest.LOAD, 0.0, {"motors": "ramp_down"}, "in flight"),
         (VehicleRequest.LOAD, 1.0, HANGS, "mission under way"),
-        (VehicleRequest.LOAD, 1.0, HANGS | {"manual": True}, ""),
-        (VehicleRequest.LOAD, 1.0, HANGS | {"manual": True, "motors": "ramp_down"}, "in flight"),
-        (VehicleRequest.LOAD, 1.0, HANGS | {"manual": True, "outcome": "failed"}, "landing"),
+        (VehicleRequest.LOAD, 1.0, HANGS | {"user_in_control": True}, ""),
+        (VehicleRequest.LOAD, 1.0, HANGS | {"user_in_control": True, "motors": "ramp_down"}, "in flight"),
+        (VehicleRequest.LOAD, 1.0, HANGS | {"user_in_control": True, "outcome": "failed"}, "landing"),
     ],
 )
 def test_what_a_button_says(ask: VehicleRequest, height: float, facts: dict, brief: str) -> None:

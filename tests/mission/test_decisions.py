@@ -70,7 +70,7 @@ def test_a_low_battery_is_told_to_a_pilot_who_flies_once(rig, motors, told):
 
 @pytest.mark.parametrize(("before", "after"), [("", "failed"), ("succeeded", "succeeded")])
 def test_a_low_battery_lands_and_fails_only_what_was_open(rig, before, after):
-    plan, s = hovering(rig, outcome=before, manual=True, battery_V=5.5)
+    plan, s = hovering(rig, outcome=before, user_in_control=True, battery_V=5.5)
     for k in range(1, 60):
         s, _ = step_mission(plan, s, measured(0.02 * k, volts=5.5), Command())
     assert s.state is State.LANDING
@@ -103,7 +103,7 @@ def test_after_the_last_wait_it_does_what_the_mission_says(rig, at_end, state, o
     [(1, True, "", None, 1), (2, True, "succeeded", None, 0), (0, True, "", 1, 1), (1, False, "", None, 1)],
 )
 def test_start_goes_on_where_it_was_and_anew_when_it_was_over(rig, index, begun, outcome, first, then):
-    plan, s = hovering(rig, waypoint_index=index, mission_begun=begun, outcome=outcome, manual=True)
+    plan, s = hovering(rig, waypoint_index=index, mission_begun=begun, outcome=outcome, user_in_control=True)
     s, _ = step_mission(plan, s, measured(), Command(start=True, first_waypoint=first))
     assert (s.state, s.waypoint_index, s.outcome) == (State.WAYPOINT, then, "")
     texts = [e.text for e in s.events]
@@ -114,7 +114,7 @@ def test_start_goes_on_where_it_was_and_anew_when_it_was_over(rig, index, begun,
 @pytest.mark.parametrize(("signal", "word"), [({"land": True}, "land"), ({"return_requested": True}, "return")])
 @pytest.mark.parametrize(("index", "left"), [(0, "2 waypoints to go"), (1, "1 waypoint to go"), (2, "")])
 def test_what_a_user_breaks_off_is_counted(rig, signal, word, index, left):
-    plan, s = hovering(rig, waypoint_index=index, manual=index == 2)
+    plan, s = hovering(rig, waypoint_index=index, user_in_control=index == 2)
     s, _ = step_mission(plan, s, measured(), Command(**signal))
     assert s.abort_reason == (f"{word} signal with {left}" if left else "")
 
@@ -267,7 +267,9 @@ def test_the_nose_swings_on_the_level_way_and_not_while_it_turns_or_climbs_befor
 )
 def test_what_was_seen_near_is_avoided_unless_that_is_off_or_it_lands(rig, tables, outcome, state):
     seen = point_at(0.3, -1.0)
-    plan, s = hovering(rig, TWO | {"avoidance": tables}, manual=True, outcome=outcome, hover_until_s=9.0, **seen)
+    plan, s = hovering(
+        rig, TWO | {"avoidance": tables}, user_in_control=True, outcome=outcome, hover_until_s=9.0, **seen
+    )
     s, _ = step_mission(plan, s, measured(), Command())
     assert s.state == state
 

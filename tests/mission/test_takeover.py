@@ -9,7 +9,9 @@ from mufly.estimate import Estimate
 from mufly.mission import MissionState, State
 from mufly.mission.external_control import exit_manual
 
-FLYING = MissionState(state=State.RC, motors="fly", has_taken_off=True, home_position=(0.0, 0.0, -0.07), manual=True)
+FLYING = MissionState(
+    state=State.RC, motors="fly", has_taken_off=True, home_position=(0.0, 0.0, -0.07), user_in_control=True
+)
 
 
 def measured(height, sink):

@@ -35,7 +35,7 @@ from mufly.rotor.bemt import induced_velocity_ratio
 from mufly.rotor.blades.blade_solid import blade_contours
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 
-NO_LOSS = Corrections(tip_loss="none", hub_loss=False, swirl=False, lifting_surface=False, rotation="none")
+NO_LOSS = Corrections(tip_loss="none", hub_loss=False, swirl=False, lifting_surface=False, stall_delay="none")
 SLOPE = 5.73
 
 
@@ -104,7 +104,9 @@ def test_momentum_holds_in_every_annulus():
 
 @pytest.mark.parametrize("climb", [0.0, 3.0])
 def test_shaft_power_is_what_the_air_and_the_drag_take(climb):
-    out = solve_rotor(blading(REAL, Corrections(rotation="none")), pitch_rad=0.25, speed_rad_s=100.0, climb_m_s=climb)
+    out = solve_rotor(
+        blading(REAL, Corrections(stall_delay="none")), pitch_rad=0.25, speed_rad_s=100.0, climb_m_s=climb
+    )
     omega = 100.0
     wind = (omega * out.r_m - out.swirl_m_s) / np.cos(out.phi_rad)
     push = 0.5 * 1.2 * wind**2 * out.chord_m * 2 * out.dr_m
@@ -124,7 +126,7 @@ def test_coefficients_do_not_depend_on_speed_at_constant_reynolds_number():
     assert_allclose(fast.thrust_N, 16.0 * slow.thrust_N, rtol=1e-12)
 
 
-@pytest.mark.parametrize("corrections", [TEXTBOOK_CORRECTIONS, Corrections(), Corrections(rotation="snel"), NO_LOSS])
+@pytest.mark.parametrize("corrections", [TEXTBOOK_CORRECTIONS, Corrections(), Corrections(stall_delay="snel"), NO_LOSS])
 @pytest.mark.parametrize("climb", [-20.0, -3.0, 0.0, 3.0])
 def test_upside_down_is_the_mirror_image(corrections, climb):
     case = blading(REAL, corrections)
@@ -182,7 +184,7 @@ def test_few_slender_blades_approach_no_loss_and_more_blades_lose_less():
     ratio = []
     for n in (1, 2, 4, 16):
         kw = {"blades": n, "chord": (0.1 / n, 0.1 / n)}
-        lossy = Corrections(lifting_surface=False, rotation="none", hub_loss=False, swirl=False)
+        lossy = Corrections(lifting_surface=False, stall_delay="none", hub_loss=False, swirl=False)
         ratio.append(solve_rotor(blading(REAL, lossy, **kw), pitch_rad=0.2, speed_rad_s=100.0).thrust_N / free)
     assert all(a < b for a, b in pairwise(ratio))
     assert ratio[-1] > 0.97
@@ -218,7 +220,9 @@ def test_tips_beyond_mach_0_7_are_said_at_once():
 
 
 def test_effective_radius_is_eq_3_13():
-    case = blading(REAL, Corrections(tip_loss="effective_radius", lifting_surface=False, rotation="none"), stations=200)
+    case = blading(
+        REAL, Corrections(tip_loss="effective_radius", lifting_surface=False, stall_delay="none"), stations=200
+    )
     out = solve_rotor(case, pitch_rad=0.2, speed_rad_s=100.0)
     lam = np.average(out.inflow_m_s, weights=out.r_m * out.dr_m) / (100.0 * 0.5)
     wanted = 0.5 * (1.0 - 1.386 / 2 * lam / math.sqrt(1 + lam**2))
@@ -261,13 +265,13 @@ def test_batch_is_bit_by_bit_the_single_point():
     twist=st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5)),
     blades=st.integers(1, 8),
     x0=st.floats(0.0, 0.8),
-    rotation=st.sampled_from(["none", "snel", "chaviaropoulos-hansen", "dumitrescu-cardos"]),
+    stall_delay=st.sampled_from(["none", "snel", "chaviaropoulos-hansen", "dumitrescu-cardos"]),
     tip=st.sampled_from(["none", "prandtl", "effective_radius"]),
     surface=st.booleans(),
     swirl=st.booleans(),
 )
-def test_never_fails_and_always_solves(pitch, speed, climb, chord, twist, blades, x0, rotation, tip, surface, swirl):
-    fixes = Corrections(tip_loss=tip, swirl=swirl, lifting_surface=surface, rotation=rotation)
+def test_never_fails_and_always_solves(pitch, speed, climb, chord, twist, blades, x0, stall_delay, tip, surface, swirl):
+    fixes = Corrections(tip_loss=tip, swirl=swirl, lifting_surface=surface, stall_delay=stall_delay)
     case = blading(REAL, fixes, blades=blades, x0=x0, x=(0.0, 1.0), chord=chord, twist=twist)
     out = solve_rotor(case, pitch_rad=math.radians(pitch), speed_rad_s=speed, climb_m_s=climb)
     assert math.isfinite(out.thrust_N)
@@ -280,7 +284,7 @@ def test_never_fails_and_always_solves(pitch, speed, climb, chord, twist, blades
 @settings(max_examples=60, deadline=None)
 @given(pitch=st.floats(-60, 60), climb=st.floats(-30, 30), blades=st.integers(1, 6), surface=st.booleans())
 def test_blade_and_momentum_agree_at_the_solution(pitch, climb, blades, surface):
-    fixes = Corrections(rotation="none", lifting_surface=surface)
+    fixes = Corrections(stall_delay="none", lifting_surface=surface)
     out = solve_rotor(
         blading(REAL, fixes, blades=blades), pitch_rad=math.radians(pitch), speed_rad_s=60.0, climb_m_s=climb
     )
@@ -320,7 +324,7 @@ def test_faults_are_named():
     with pytest.raises(InputError, match="no polar"):
         prepare_blading(a_rotor(), {"other": REAL})
     with pytest.raises(InputError, match="unknown"):
-        Corrections(rotation="magic")
+        Corrections(stall_delay="magic")
     with pytest.raises(InputError, match="above 0"):
         Air(density_kg_m3=0.0)
 

@@ -121,7 +121,7 @@ def test_a_rotor_without_thrust_leaves_no_swirl_below_it():
 
 def test_touching_rotors_share_one_stream():
     # At zero distance both discs see each other's inflow: two rotors of one disc, like one of twice the blades.
-    no_swirl = Corrections(tip_loss="none", hub_loss=False, lifting_surface=False, rotation="none", swirl=False)
+    no_swirl = Corrections(tip_loss="none", hub_loss=False, lifting_surface=False, stall_delay="none", swirl=False)
     both = pair(spacing=1e-9, case=blading(no_swirl, chord=0.005))
     double = solve_rotor(blading(no_swirl, chord=0.01), pitch_rad=PITCH, speed_rad_s=SPEED)
     # Momentum: 2 rotors, each dT = 4 pi rho r (u + u) u, together 2 x 2; one rotor with v = 2u: 4 pi rho r v^2.
@@ -279,7 +279,7 @@ def test_tubes_far_apart_and_of_one_rotor_are_blade_elements():
 
 def test_touching_tubes_share_one_stream_and_only_swirl_favours_the_lower_rotor():
     # Momentum theory at zero distance: two discs in one stream, as one rotor of twice the blades, share alike.
-    plain = {"tip_loss": "none", "hub_loss": False, "lifting_surface": False, "rotation": "none"}
+    plain = {"tip_loss": "none", "hub_loss": False, "lifting_surface": False, "stall_delay": "none"}
     double = solve_rotor(blading(Corrections(**plain, swirl=False), chord=0.01), pitch_rad=PITCH, speed_rad_s=SPEED)
     both = tubes(1e-6, case=blading(Corrections(**plain, swirl=False), chord=0.005))
     assert_allclose(both.thrust_N, double.thrust_N, rtol=0.02)

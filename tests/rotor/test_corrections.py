@@ -60,10 +60,10 @@ def test_rotation_is_a_share(ratio, kind):
 
 @pytest.mark.parametrize("kind", KINDS[:3])
 def test_rotation_returns_lift_where_the_polar_has_stalled_normal_to_the_chord(kind):
-    base = Corrections(lifting_surface=False, rotation="none")
+    base = Corrections(lifting_surface=False, stall_delay="none")
     still, turning = (
         solved(STALLING, base),
-        solved(STALLING, Corrections(lifting_surface=False, rotation=kind)),
+        solved(STALLING, Corrections(lifting_surface=False, stall_delay=kind)),
     )
     assert turning.thrust_N > still.thrust_N
     assert turning.cl.max() > 1.05 * still.cl.max()
@@ -75,8 +75,8 @@ def test_rotation_leaves_attached_potential_flow_alone():
     potential = 2 * np.pi * np.sin(ALPHA_GRID) * np.cos(ALPHA_GRID) ** 2
     for kind in KINDS[:3]:
         with_, without = (
-            solved(potential, Corrections(rotation=kind)),
-            solved(potential, Corrections(rotation="none")),
+            solved(potential, Corrections(stall_delay=kind)),
+            solved(potential, Corrections(stall_delay="none")),
         )
         assert_allclose(with_.thrust_N, without.thrust_N, rtol=1e-4)
         assert_allclose(with_.torque_Nm, without.torque_Nm, rtol=1e-4)
@@ -85,7 +85,7 @@ def test_rotation_leaves_attached_potential_flow_alone():
 def test_finite_chord_takes_thrust_the_more_the_wider_the_blade():
     lost = []
     for chord in (0.05, 0.15, 0.3):
-        wide = solved(5.7 * np.sin(ALPHA_GRID), Corrections(rotation="none"), pitch=0.2, chord=chord)
+        wide = solved(5.7 * np.sin(ALPHA_GRID), Corrections(stall_delay="none"), pitch=0.2, chord=chord)
         line = solved(5.7 * np.sin(ALPHA_GRID), TEXTBOOK_CORRECTIONS, pitch=0.2, chord=chord)
         lost.append(1.0 - wide.thrust_N / line.thrust_N)
     assert 0.0 < lost[0] < lost[1] < lost[2] < 0.3
@@ -93,7 +93,7 @@ def test_finite_chord_takes_thrust_the_more_the_wider_the_blade():
 
 def test_factors_scale_the_section():
     once, twice = solved(STALLING, TEXTBOOK_CORRECTIONS, pitch=0.1), solved(STALLING, Corrections(
-        lifting_surface=False, rotation="none", drag_factor=2.0), pitch=0.1)  # fmt: skip
+        lifting_surface=False, stall_delay="none", drag_factor=2.0), pitch=0.1)  # fmt: skip
     assert_allclose(twice.cd, 2 * once.cd, rtol=1e-9)
     assert_allclose(twice.cl, once.cl, rtol=1e-9)
     assert twice.calibrated
@@ -105,7 +105,9 @@ def test_zero_lift_angle_is_found_where_it_is():
     assert find_zero_lift_angle(table(np.zeros(721) + 0.3)) == 0.0
 
 
-@pytest.mark.parametrize("bad", [{"rotation": "x"}, {"tip_loss": "x"}, {"drag_factor": 0.0}, {"lift_factor": math.inf}])
+@pytest.mark.parametrize(
+    "bad", [{"stall_delay": "x"}, {"tip_loss": "x"}, {"drag_factor": 0.0}, {"lift_factor": math.inf}]
+)
 def test_odd_switches_are_refused(bad):
     with pytest.raises(InputError):
         Corrections(**bad)

@@ -39,7 +39,7 @@ from mufly.rotor.sections.polar_table import ALPHA_GRID
 
 SLOPE, CHORD, RADIUS, SPEED, PITCH = 5.7, 0.018, 0.0875, 444.0, 0.2
 STILL = Air(sound_m_s=1e6)
-BARE = Corrections(tip_loss="none", hub_loss=False, swirl=False, lifting_surface=False, rotation="none")
+BARE = Corrections(tip_loss="none", hub_loss=False, swirl=False, lifting_surface=False, stall_delay="none")
 ZERO = np.zeros((2, ALPHA_GRID.size))
 LINEAR = PolarTable(
     "s", ALPHA_GRID, np.array([1e3, 1e6]), ZERO + SLOPE * ALPHA_GRID, ZERO + 0.01, ZERO,

@@ -119,7 +119,7 @@ def test_bemt_with_finite_chord_meets_a_lattice_with_the_whole_wake(x0, chord, d
     got = {}
     for surface in (True, False):
         case = prepare_blading(
-            rotor, {"plate": flat_plate()}, corrections=Corrections(rotation="none", lifting_surface=surface)
+            rotor, {"plate": flat_plate()}, corrections=Corrections(stall_delay="none", lifting_surface=surface)
         )
         got[surface] = solve_rotor(case, pitch_rad=math.radians(deg), speed_rad_s=10.0).c_T
     lattice = helical_lattice(x0, chord, math.radians(deg), math.sqrt(got[True] / 2))

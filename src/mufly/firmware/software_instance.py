@@ -297,7 +297,7 @@ class SoftwareInstance:
             outcome=_MISSION_OUTCOMES[s.outcome],
             reason=self.format_message(s.reason),
             finished=s.finished,
-            manual=s.manual,
+            user_in_control=s.user_in_control,
             has_taken_off=s.has_taken_off,
             mission_begun=s.mission_begun,
             reached_waypoint_count=s.reached_waypoint_count,

@@ -182,7 +182,9 @@ class FlightSoftware:
             s = replace(s, waypoint_index=0, mission_begun=False)
             # A flight in progress continues in manual mode until the new mission is started.
             flying = s.state is not State.INIT
-            self.mission_state = replace(s, outcome="", reason="", manual=True, abort_reason="") if flying else s
+            self.mission_state = (
+                replace(s, outcome="", reason="", user_in_control=True, abort_reason="") if flying else s
+            )
 
     def retune_controllers(self, controller: FlightController) -> None:
         """Change gains and limits of the control law without a step in its output."""
@@ -343,7 +345,7 @@ class FlightSoftware:
         ):
             return now.reason
         if now.action == "hold" and not self._held and s.state in (State.WAYPOINT, State.OBSTACLE, State.HOVER):
-            self._held, self._waits = True, s.mission_begun and not s.manual and s.outcome == ""
+            self._held, self._waits = True, s.mission_begun and not s.user_in_control and s.outcome == ""
             s = log_event(s, now.reason, level="warning")
             self.mission_state = pause_mission(self.plan, s, LogMessage.WAITING_FOR_POSITION())
         elif now is not before and now.action == "land":
@@ -351,7 +353,7 @@ class FlightSoftware:
         elif now is not before and s.state is State.RC:
             self.mission_state = log_event(s, now.reason or LogMessage.POSITION_KNOWN_AGAIN(), level="warning")
         elif self._held and now.action == "":
-            goes_on = self._waits and s.state is State.HOVER and s.manual
+            goes_on = self._waits and s.state is State.HOVER and s.user_in_control
             self._held = self._waits = False
             if goes_on:
                 self.mission_state = resume_mission(self.plan, log_event(s, LogMessage.POSITION_KNOWN_AGAIN()), None)

@@ -42,7 +42,7 @@ class FlightState:
         Whether the vehicle flies the waypoints of the mission without interruption.
     mission_begun : bool
         Whether the mission has been started since take-off.
-    manual : bool
+    user_in_control : bool
         Whether the user has taken over and the mission waits.
     returning_home : bool
         Whether the vehicle is returning home.
@@ -96,7 +96,7 @@ class FlightState:
     motors: str = ""
     mission_running: bool = False
     mission_begun: bool = False
-    manual: bool = False
+    user_in_control: bool = False
     returning_home: bool = False
     waypoint_index: int = 0
     reached_waypoint_count: int = 0

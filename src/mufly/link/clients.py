@@ -233,7 +233,7 @@ class CommandAuthority:
     ----------
     autopilot : Autopilot
     clients : Clients
-    manual : StickInputHandler
+    stick_input : StickInputHandler
         Manual control, which ends when its commander changes.
 
     Attributes
@@ -243,10 +243,10 @@ class CommandAuthority:
         Called when the commander changes or leaves, to end the actions of the former commander.
     """
 
-    def __init__(self, autopilot: Autopilot, clients: Clients, manual: StickInputHandler) -> None:
+    def __init__(self, autopilot: Autopilot, clients: Clients, stick_input: StickInputHandler) -> None:
         self.commander: MessageSource | None = None
-        self.on_change: list[Callable[[], None]] = [manual.forget_sticks]
-        self._autopilot, self._clients, self._manual = autopilot, clients, manual
+        self.on_change: list[Callable[[], None]] = [stick_input.forget_sticks]
+        self._autopilot, self._clients, self._stick_input = autopilot, clients, stick_input
         self._heard_s = -math.inf
         self._stage: FailsafeStage = ""
         self._owed: FailsafeStage = ""
@@ -306,7 +306,7 @@ class CommandAuthority:
         if order == "back":
             self._autopilot.log_event("commanding station connected again")
         elif order:
-            self._manual.release_sticks()
+            self._stick_input.release_sticks()
             then = f"stop and hover, land in {land_s:g} s" if order == "hover" else "land"
             self._autopilot.log_event(f"commander not heard for {silent:.0f} s: {then}", "warning")
             self._owed = order

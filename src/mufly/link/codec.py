@@ -469,21 +469,21 @@ _MODE_BY_STATE: dict[str, Px4Mode] = {
 }
 
 
-def mode_from_state(state: str, manual: bool = False, returning: bool = False) -> Px4Mode:
+def mode_from_state(state: str, user_in_control: bool = False, returning: bool = False) -> Px4Mode:
     """Return the flight mode of a state of the mission.
 
     Parameters
     ----------
     state : str
         A text of :class:`mufly.mission.State`.
-    manual : bool
+    user_in_control : bool
         Whether a user's signal is flown instead of the mission.
     returning : bool
         Whether the vehicle is returning.
     """
     if returning and state in (State.WAYPOINT, State.OBSTACLE):
         return MODE_RETURN
-    if manual and state in (State.WAYPOINT, State.OBSTACLE):
+    if user_in_control and state in (State.WAYPOINT, State.OBSTACLE):
         return MODE_LOITER
     return _MODE_BY_STATE[state]
 

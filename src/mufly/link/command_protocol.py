@@ -180,7 +180,7 @@ class CommandProtocol:
     flight : Flight
     clients : Clients
     authority : CommandAuthority
-    manual : StickInputHandler
+    stick_input : StickInputHandler
     missions : MissionProtocol
     origin : GlobalOrigin or None
     """
@@ -190,13 +190,13 @@ class CommandProtocol:
         flight: Flight,
         clients: Clients,
         authority: CommandAuthority,
-        manual: StickInputHandler,
+        stick_input: StickInputHandler,
         missions: MissionProtocol,
         origin: GlobalOrigin | None,
     ) -> None:
         self._flight, self._autopilot = flight, flight.autopilot
         self._clients, self._authority = clients, authority
-        self._manual, self._missions, self._origin = manual, missions, origin
+        self._stick_input, self._missions, self._origin = stick_input, missions, origin
         self._last: OrderedDict[MessageSource, OrderedDict[bytes, _AcceptedCommand]] = (
             OrderedDict()
         )  # the newest is last
@@ -227,9 +227,9 @@ class CommandProtocol:
             self._send_ack(station, command.command_id, _RESULT_DENIED)
         elif (before := self._find_repeated_answer(now_s, station, command)) is not None:
             self._send_answer(station, command.command_id, before)
-        elif self._manual.is_manual_mode and self._autopilot.status.sticks_active:
+        elif self._stick_input.is_manual_mode and self._autopilot.status.sticks_active:
             # The flight software releases the sticks in its next step; only then it accepts another command.
-            self._manual.release_sticks()
+            self._stick_input.release_sticks()
             self._held = (now_s + _STICK_RELEASE_TIMEOUT_S, station, command)
         else:
             self._execute_command(now_s, station, command)
@@ -433,7 +433,7 @@ class CommandProtocol:
             "mission": self._missions.start_mission,
             "return": autopilot.return_home,
             "land": autopilot.land,
-            "rc": lambda: self._manual.enter_manual_mode(now_s),
+            "rc": lambda: self._stick_input.enter_manual_mode(now_s),
             "offboard": lambda: autopilot.set_offboard(True),
         }
         action = actions.get(wanted)

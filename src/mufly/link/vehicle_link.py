@@ -77,12 +77,12 @@ class VehicleLink:
         self.on_received: Callable[[bytes], None] | None = None
         self._codec = FrameDecoder()
         self.clients = Clients(system, component)
-        self._manual = StickInputHandler(self.autopilot)
-        self.authority = CommandAuthority(self.autopilot, self.clients, self._manual)
+        self._stick_input = StickInputHandler(self.autopilot)
+        self.authority = CommandAuthority(self.autopilot, self.clients, self._stick_input)
         self._parameters = ParameterProtocol(self.autopilot, self.clients, self.authority)
         self._missions = MissionProtocol(self.autopilot, self.clients, self.authority, self.origin)
         self._commands = CommandProtocol(
-            flight, self.clients, self.authority, self._manual, self._missions, self.origin
+            flight, self.clients, self.authority, self._stick_input, self._missions, self.origin
         )
         outside = flight.outside_fixes
         self._positions = VisionInput(None if outside is None else outside.submit_fix, flight.log_event)
@@ -157,12 +157,12 @@ class VehicleLink:
         # Releasing sticks that are not in use needs no command.
         releases = parse_rc_override(m) is None and self.authority.commander != station
         if not releases and self.authority.may_command(now_s, station):
-            self.clients.send_refusal(now_s, station, self._manual.handle_rc_override(m).reason)
+            self.clients.send_refusal(now_s, station, self._stick_input.handle_rc_override(m).reason)
 
     def _handle_manual_control(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
         # A joystick sends all the time: it does not take command, and counts only if its station commands.
         if self.authority.commander in (None, station):
-            self.clients.send_refusal(now_s, station, self._manual.handle_manual_control(now_s, m).reason)
+            self.clients.send_refusal(now_s, station, self._stick_input.handle_manual_control(now_s, m).reason)
 
     def _handle_vision(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
         self._positions.delay_s = 1e-3 * self._parameters["EKF2_EV_DELAY"]

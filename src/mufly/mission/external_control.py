@@ -61,7 +61,7 @@ def step_manual(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt:
             s,
             has_taken_off=True,
             mission_begun=False,
-            manual=True,
+            user_in_control=True,
             waypoint_index=0,
             reached_waypoint_count=0,
             home_position=x,
@@ -115,7 +115,7 @@ def exit_manual(s: MissionState, m: Estimate) -> MissionState:
         brake = plan_stop(x, (m.velocity[0], m.velocity[1], w), psi, DETOUR_ACCELERATION_M_S2)
         n, e, d = brake.evaluate(math.inf).position
     at = (n, e, d)
-    return enter_hover(s, LogMessage.RC_OFF(), at, psi, motion=brake, manual=True)
+    return enter_hover(s, LogMessage.RC_OFF(), at, psi, motion=brake, user_in_control=True)
 
 
 # Set-points of a program
@@ -132,7 +132,7 @@ def enter_offboard(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionSta
             LogMessage.OFFBOARD_ON(),
             set_point_reference=predict_reference(s),
             detour=None,
-            manual=True,
+            user_in_control=True,
             returning_home=False,
         )
     x = measured_position(m)
@@ -142,7 +142,7 @@ def enter_offboard(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionSta
     if fault:
         return log_start_refusal(s, fault)
     return enter_state(
-        reset_mission(s, m, manual=True), State.OFFBOARD, LogMessage.OFFBOARD_TAKE_OFF(), motors="spin_up"
+        reset_mission(s, m, user_in_control=True), State.OFFBOARD, LogMessage.OFFBOARD_TAKE_OFF(), motors="spin_up"
     )
 
 

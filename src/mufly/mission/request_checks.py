@@ -104,7 +104,7 @@ class RequestContext(Protocol):
     @property
     def reason(self) -> str: ...
     @property
-    def manual(self) -> bool: ...
+    def user_in_control(self) -> bool: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +212,7 @@ def _allow_mission_waiting(f: _RequestFacts) -> RequestAnswer:
         return _deny_as_busy(f)
     return (
         _allow_unless_failed(f)
-        if f.context.manual
+        if f.context.user_in_control
         else reject_temporarily("a mission is being flown; pause it first", "mission under way")
     )
 

@@ -69,7 +69,7 @@ def _is_already_requested(s: MissionState, goal: Triple | None, heading: float |
         else before is not None and abs(heading - before) <= _SAME_HEADING_TOLERANCE_RAD
     )
     near = goal is None or all(abs(a - b) <= _SAME_POSITION_TOLERANCE_M for a, b in zip(goal, s.goal, strict=True))
-    return s.manual and not s.returning_home and same and near
+    return s.user_in_control and not s.returning_home and same and near
 
 
 def _can_stop_at_goal(s: MissionState) -> bool:
@@ -98,26 +98,26 @@ def fly_to_user_waypoint(
         text = LogMessage.TO_USER_WAYPOINT_WITH_HEADING(*goal, math.degrees(heading))
 
     place = (s.goal if _can_stop_at_goal(s) else None) if goal is None else goal
-    if place is not None and s.manual and not s.returning_home and s.state in (State.WAYPOINT, State.OBSTACLE):
+    if place is not None and s.user_in_control and not s.returning_home and s.state in (State.WAYPOINT, State.OBSTACLE):
         quiet = s.time_s - s.state_entered_s < _TARGET_LOG_INTERVAL_S
         return change_leg_goal(plan, s, text, place, heading, quiet=quiet)
 
     def plan_straight_leg(at: Triple, psi: float) -> Trajectory:
         return plan_straight(at, at if goal is None else goal, psi, plan.trajectory_limits, final_heading=heading)
 
-    return start_leg(plan, s, text, plan_straight_leg, manual=True, requested_heading=heading)
+    return start_leg(plan, s, text, plan_straight_leg, user_in_control=True, requested_heading=heading)
 
 
 def pause_mission(plan: MissionPlan, s: MissionState, why: str = LogMessage.MISSION_PAUSED.value) -> MissionState:
     """Stop and hover; the mission waits."""
     if s.state is State.HOVER:
-        return s if s.manual else replace(log_event(s, why), manual=True, abort_reason="")
+        return s if s.user_in_control else replace(log_event(s, why), user_in_control=True, abort_reason="")
     brake = plan_braking(plan, s)
     at = brake.evaluate(math.inf)
     n, e, d = at.position
     place = (n, e, min(d, -MIN_WAYPOINT_HEIGHT_M) if s.state is State.LANDING else d)
     flags: dict[str, Any] = {
-        "manual": True,
+        "user_in_control": True,
         "returning_home": False,
         "abort_reason": "",
         "requested_heading": None,
@@ -131,13 +131,15 @@ def resume_mission(plan: MissionPlan, s: MissionState, first: int | None) -> Mis
     n = len(plan.mission.waypoint)
     over = s.outcome == "succeeded" or s.waypoint_index >= n
     index = first if first is not None else 0 if over else s.waypoint_index
-    if s.state is State.WAYPOINT and not s.manual and index == s.waypoint_index:
+    if s.state is State.WAYPOINT and not s.user_in_control and index == s.waypoint_index:
         return s
     why = LogMessage.MISSION_CONTINUES() if s.mission_begun and not over else LogMessage.MISSION_BEGINS()
     if first is not None:
         why = LogMessage.ON_TO_WAYPOINT(first + 1)
     s = replace(log_event(s, why), hover_until_s=s.time_s) if s.state is State.HOVER else pause_mission(plan, s, why)
-    return replace(s, manual=False, mission_begun=True, waypoint_index=index, outcome="", reason="", abort_reason="")
+    return replace(
+        s, user_in_control=False, mission_begun=True, waypoint_index=index, outcome="", reason="", abort_reason=""
+    )
 
 
 def queue_mission_after_take_off(s: MissionState, first: int | None) -> MissionState:
@@ -147,7 +149,7 @@ def queue_mission_after_take_off(s: MissionState, first: int | None) -> MissionS
     )
     return replace(
         s,
-        manual=False,
+        user_in_control=False,
         mission_begun=True,
         waypoint_index=first or 0,
         abort_reason="",

@@ -152,7 +152,7 @@ def _solve_points(
         _TIP_LOSS_CODES[fixes.tip_loss],
         int(fixes.hub_loss),
         int(fixes.swirl),
-        int(fixes.rotation == "chaviaropoulos-hansen"),
+        int(fixes.stall_delay == "chaviaropoulos-hansen"),
         float(fixes.lift_factor),
         float(fixes.drag_factor),
     )

@@ -12,10 +12,10 @@ docs/log/2026-11-28-bemt-accuracy.md.
 * ``hub_loss``: the same factor at the inner end of the blade, f = N (r - r0) / (2 r0 |sin phi|).
 * ``swirl``: induced velocity at right angles to the relative wind, not to the disc.
 * ``lifting_surface``: flow tangency at three quarters of the chord (below).
-* ``rotation``: stall delay. Centrifugal and Coriolis forces act on the separated air of a rotating blade, so that the
-  pressure stays closer to that of attached flow than in two dimensions. Attached potential flow gives a thin section
-  the normal force c_n = 2 pi sin a cos a (a = alpha - alpha_0). A fraction g of the lift deficit of the polar is
-  restored. Leading-edge suction is not: the recovered force is normal to the chord (own derivation)::
+* ``stall_delay``: stall delay due to rotation. Centrifugal and Coriolis forces act on the separated air of a rotating
+  blade, so that the pressure stays closer to that of attached flow than in two dimensions. Attached potential flow
+  gives a thin section the normal force c_n = 2 pi sin a cos a (a = alpha - alpha_0). A fraction g of the lift deficit
+  of the polar is restored. Leading-edge suction is not: the recovered force is normal to the chord (own derivation)::
 
       delta c_l = g (2 pi sin a cos^2 a - c_l),    delta c_d = delta c_l tan alpha
 
@@ -91,14 +91,14 @@ class Corrections:
     hub_loss: bool = True
     swirl: bool = True
     lifting_surface: bool = True
-    rotation: StallDelayModel = "dumitrescu-cardos"
+    stall_delay: StallDelayModel = "dumitrescu-cardos"
     lift_factor: float = 1.0
     drag_factor: float = 1.0
 
     def __post_init__(self) -> None:
         for key, allowed in (
             ("tip_loss", ("prandtl", "effective_radius", "none")),
-            ("rotation", ("dumitrescu-cardos", "snel", "chaviaropoulos-hansen", "none")),
+            ("stall_delay", ("dumitrescu-cardos", "snel", "chaviaropoulos-hansen", "none")),
         ):
             if getattr(self, key) not in allowed:
                 raise InputError(
@@ -117,7 +117,7 @@ class Corrections:
         return self.lift_factor != 1.0 or self.drag_factor != 1.0
 
 
-TEXTBOOK_CORRECTIONS = Corrections(lifting_surface=False, rotation="none")  # textbook blade element momentum theory
+TEXTBOOK_CORRECTIONS = Corrections(lifting_surface=False, stall_delay="none")  # textbook blade element momentum theory
 
 
 def stall_delay_strength(kind: StallDelayModel, chord_over_r: Array) -> Array:
@@ -348,7 +348,7 @@ def prepare_blading(
         weight[k] = cut.second_weight
         if fixes.lifting_surface:
             e[k] = lifting_surface_chord_factor(mid, edges, cut.chord_m / big, rotor.chord_m(edges) / big)
-        g[k] = stall_delay_strength(fixes.rotation, chord[k] / r[k])
+        g[k] = stall_delay_strength(fixes.stall_delay, chord[k] / r[k])
         base[k] = blunt_edge_drag(float(rotor.trailing_edge), chord[k])
     stack = stack_polars(tables)
     return Blading(

@@ -140,7 +140,7 @@ def study_state_machine(progress: ProgressCallback | None = None) -> StudyFindin
         (a, s): bool(
             check_request(
                 a,
-                MissionState(state=s, motors="off" if s is State.INIT else "fly", manual=True),
+                MissionState(state=s, motors="off" if s is State.INIT else "fly", user_in_control=True),
                 height_m=1.0,
             )
         )

@@ -53,7 +53,7 @@ class TuningGoal(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the aim in results and messages."""
+        """Name of the goal in results and messages."""
 
     @property
     def level(self) -> float:

@@ -207,7 +207,7 @@ class MissionState:
         "" while undecided, then "succeeded" or "failed", and the reason.
     finished : bool
         On the floor with the motors off, after a mission.
-    manual : bool
+    user_in_control : bool
         The user's signals have interrupted the mission; ``start`` resumes it.
     has_taken_off : bool
         The vehicle has taken off, so ``home_position`` is valid.
@@ -273,7 +273,7 @@ class MissionState:
     outcome: Literal["", "succeeded", "failed"] = ""
     reason: str = ""
     finished: bool = False
-    manual: bool = False
+    user_in_control: bool = False
     has_taken_off: bool = False
     mission_begun: bool = False
     reached_waypoint_count: int = 0

@@ -56,7 +56,9 @@ def start_flight(
     first: int | None = None,
 ) -> MissionState:
     """Start a new flight: the mission or, with a ``height`` (m), a take-off only."""
-    fresh = reset_mission(s, m, mission_begun=height is None, manual=height is not None, waypoint_index=first or 0)
+    fresh = reset_mission(
+        s, m, mission_begun=height is None, user_in_control=height is not None, waypoint_index=first or 0
+    )
     x = fresh.home_position
     up = plan.mission.take_off.height_m if height is None else height
     goal = (x[0], x[1], -up)
@@ -137,7 +139,7 @@ def start_leg(
         "detour": None,
         "detour_duration_s": 0.0,
         "resumed_after_detour": False,
-        "manual": False,
+        "user_in_control": False,
         "returning_home": False,
     }
     fresh |= {"requested_heading": None, "motion": motion, "goal": motion.goal}
@@ -152,14 +154,14 @@ def start_leg_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState
         goal = (n, e, min(at[2], -MIN_WAYPOINT_HEIGHT_M))
         return plan_straight(at, goal, heading, plan.trajectory_limits, nose_offset=nose_offset(plan))
 
-    return start_leg(plan, s, why, plan_straight_leg_home, manual=True, returning_home=True)
+    return start_leg(plan, s, why, plan_straight_leg_home, user_in_control=True, returning_home=True)
 
 
 def _complete_mission(plan: MissionPlan, s: MissionState) -> MissionState:
     """Finish the mission after the last wait, as its file states."""
     if plan.mission.at_end == "hover":
         s = log_event(s, LogMessage.MISSION_COMPLETE_HOLDING())
-        return replace(s, manual=True, outcome="succeeded", reason=LogMessage.MISSION_COMPLETE())
+        return replace(s, user_in_control=True, outcome="succeeded", reason=LogMessage.MISSION_COMPLETE())
     if plan.mission.at_end == "return":
         return start_leg_home(plan, s, LogMessage.MISSION_COMPLETE_RETURNING())
     return start_landing(s, LogMessage.MISSION_COMPLETE())
@@ -170,7 +172,7 @@ def step_hover(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Mi
     if s.outcome == "failed":
         return start_landing(s, s.reason, level="warning") if s.time_s >= s.hover_until_s else s
     s = _start_detour_at_obstacle(plan, s)
-    if s.state is not State.HOVER or s.manual or s.time_s < s.hover_until_s:
+    if s.state is not State.HOVER or s.user_in_control or s.time_s < s.hover_until_s:
         return s
     if s.waypoint_index >= len(plan.mission.waypoint):
         return _complete_mission(plan, s)
@@ -244,7 +246,7 @@ def _track_changed_goal(plan: MissionPlan, s: MissionState, m: Estimate, way: Tr
 
 
 def _leg_message(s: MissionState, mission: LogMessage, users: LogMessage, home: LogMessage, *numbers: float) -> str:
-    if s.returning_home or s.manual:
+    if s.returning_home or s.user_in_control:
         return (home if s.returning_home else users)(*numbers)
     return mission(s.waypoint_index + 1, *numbers)
 
@@ -284,7 +286,7 @@ def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
         )
         if s.returning_home:
             return start_landing(s, why)
-        if s.manual:
+        if s.user_in_control:
             at = s.goal if s.set_point_reference is None else s.set_point_reference.position
             return _hover_until(s, why, at, s.time_s)
         wait = plan.mission.waypoint[s.waypoint_index].wait_s

@@ -129,7 +129,9 @@ def _pause_or_defer_pause(plan: MissionPlan, s: MissionState, m: Estimate) -> Mi
     if s.state is State.TAKE_OFF and not is_request_permitted(VehicleRequest.GO_TO, s, m):
         if s.hover_after_take_off:
             return s
-        return replace(log_event(s, LogMessage.WILL_HOVER_AFTER_TAKE_OFF()), hover_after_take_off=True, manual=True)
+        return replace(
+            log_event(s, LogMessage.WILL_HOVER_AFTER_TAKE_OFF()), hover_after_take_off=True, user_in_control=True
+        )
     why = LogMessage.LANDING_ABORTED() if s.state is State.LANDING else LogMessage.MISSION_PAUSED()
     return pause_mission(plan, s, why)
 
@@ -142,7 +144,7 @@ def _handle_request(plan: MissionPlan, s: MissionState, m: Estimate, c: Command)
         s = exit_offboard(plan, s, m)
         if s.state is State.INIT:
             return s
-    fresh = s.manual or c.first_waypoint is not None
+    fresh = s.user_in_control or c.first_waypoint is not None
     if (
         s.state is State.INIT
         and (c.start or c.take_off_height is not None)

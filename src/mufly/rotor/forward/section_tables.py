@@ -61,8 +61,8 @@ def station_tables(blading: Blading, which: int, air: Air) -> Array:
         For corrections that depend on the pitch setting.
     """
     fixes, stack = blading.corrections, blading.polars
-    if fixes.rotation == "chaviaropoulos-hansen" or fixes.tip_loss == "effective_radius":
-        name = fixes.rotation if fixes.rotation == "chaviaropoulos-hansen" else fixes.tip_loss
+    if fixes.stall_delay == "chaviaropoulos-hansen" or fixes.tip_loss == "effective_radius":
+        name = fixes.stall_delay if fixes.stall_delay == "chaviaropoulos-hansen" else fixes.tip_loss
         raise InputError(
             "rotor forward", "corrections", f"{name!r} is not available over azimuth",
             "use --model full or plain (Prandtl's tip loss; stall delay of Dumitrescu and Cardos, Snel or none)",

@@ -232,7 +232,7 @@ def solve_circulation(
     log_unit = math.log(air.density_kg_m3 / air.viscosity_Pa_s) + np.log(c)
     fixes = blading.corrections
     g = blading.stall_delay[which]
-    if fixes.rotation == "chaviaropoulos-hansen":
+    if fixes.stall_delay == "chaviaropoulos-hansen":
         g = g * np.cos(surface.pitch_rad) ** 4
     factors = float(fixes.lift_factor), float(fixes.drag_factor)
     out = np.empty((c.size, 2))

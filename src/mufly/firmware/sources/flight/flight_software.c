@@ -147,7 +147,7 @@ static void hold_and_wait(const flight_setup_t *setup, software_t *s)
     const message_t holds = make_message(SAY_WAITING_FOR_POSITION);
 
     s->is_holding = true;
-    s->resumes_mission = x->mission_begun && !x->manual && (x->outcome == OUTCOME_OPEN);
+    s->resumes_mission = x->mission_begun && !x->user_in_control && (x->outcome == OUTCOME_OPEN);
     log_event(x, &s->doubts.verdict.reason, LEVEL_WARNING);
     pause_mission(setup->plan, x, &holds);
 }
@@ -180,7 +180,7 @@ static bool act_on_health(const flight_setup_t *setup, software_t *s, const esti
         } else if (anew && (x->state == STATE_RC)) {
             log_event(x, (now->action == FAILSAFE_NONE) ? &known : &now->reason, LEVEL_WARNING);
         } else if (s->is_holding && (now->action == FAILSAFE_NONE)) {
-            const bool goes_on = s->resumes_mission && (x->state == STATE_HOVER) && x->manual;
+            const bool goes_on = s->resumes_mission && (x->state == STATE_HOVER) && x->user_in_control;
 
             s->is_holding = false;
             s->resumes_mission = false;

@@ -42,7 +42,7 @@ void step_manual(const plan_t *plan, mission_t *s, const estimate_t *m, const co
     } else if (s->motors == MOTORS_OFF) {
         s->has_taken_off = true;
         s->mission_begun = false;
-        s->manual = true;
+        s->user_in_control = true;
         s->waypoint_index = 0;
         s->reached_waypoint_count = 0;
         copy_vector(x, s->home_position);
@@ -125,7 +125,7 @@ void exit_manual(mission_t *s, const estimate_t *m)
         enter_hover(s, &why, at.position, psi, LEVEL_INFO);
         s->course.kind = COURSE_STOP;
         s->course.brake = brake;
-        s->manual = true;
+        s->user_in_control = true;
     }
 }
 
@@ -145,7 +145,7 @@ void enter_offboard(mission_t *s, const estimate_t *m, const set_point_t *wanted
         s->set_point_reference = at;
         s->has_set_point_reference = true;
         s->has_detour = false;
-        s->manual = true;
+        s->user_in_control = true;
         s->returning_home = false;
     } else if (needs_lift_off(wanted, m->motion.position)) {
         why = describe_start_fault(m);
@@ -154,7 +154,7 @@ void enter_offboard(mission_t *s, const estimate_t *m, const set_point_t *wanted
         } else {
             why = make_message(SAY_OFFBOARD_TAKE_OFF);
             reset_mission(s, m);
-            s->manual = true;
+            s->user_in_control = true;
             enter_state(s, STATE_OFFBOARD, &why, LEVEL_INFO);
             s->motors = MOTORS_SPIN_UP;
         }

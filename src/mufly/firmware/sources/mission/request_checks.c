@@ -57,7 +57,7 @@ bool check_request(int32_t ask, const mission_t *s, real_t height, bool armed, b
         can = off;
         break;
     case ALLOW_MISSION_WAITING: /* hovers or flies by user signals, no mission in progress */
-        can = knows && s->manual && ((s->motors == MOTORS_SPIN_UP) || (s->motors == MOTORS_FLY));
+        can = knows && s->user_in_control && ((s->motors == MOTORS_SPIN_UP) || (s->motors == MOTORS_FLY));
         break;
     default:
         can = false;

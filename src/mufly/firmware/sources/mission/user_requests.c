@@ -73,7 +73,7 @@ static bool is_already_requested(const mission_t *s, const command_t *c)
                              ? (s->has_requested_heading && (real_abs(c->heading - s->requested_heading) <= SAME_HEADING_TOLERANCE_RAD))
                              : !s->has_requested_heading;
 
-    return s->manual && !s->returning_home && heading && (!c->has_waypoint || is_same_place(c->waypoint, s->goal));
+    return s->user_in_control && !s->returning_home && heading && (!c->has_waypoint || is_same_place(c->waypoint, s->goal));
 }
 
 /* Whether the reference may as well stop at the goal of the present leg for a turn. */
@@ -118,7 +118,7 @@ void fly_to_user_waypoint(const plan_t *plan, mission_t *s, const command_t *c)
         } else {
             what = make_message_3(SAY_TO_USER_WAYPOINT, c->waypoint[0], c->waypoint[1], c->waypoint[2]);
         }
-        if (s->manual && !s->returning_home && ((s->state == STATE_WAYPOINT) || (s->state == STATE_OBSTACLE)) &&
+        if (s->user_in_control && !s->returning_home && ((s->state == STATE_WAYPOINT) || (s->state == STATE_OBSTACLE)) &&
             (c->has_waypoint || can_stop_at_goal(s))) {
             if (!c->has_waypoint) {
                 copy_vector(s->goal, errand.goal);
@@ -136,9 +136,9 @@ void fly_to_user_waypoint(const plan_t *plan, mission_t *s, const command_t *c)
 void pause_mission(const plan_t *plan, mission_t *s, const message_t *why)
 {
     if (s->state == STATE_HOVER) {
-        if (!s->manual) {
+        if (!s->user_in_control) {
             log_event(s, why, LEVEL_INFO);
-            s->manual = true;
+            s->user_in_control = true;
             s->abort_reason = make_message(SAY_NO_MESSAGE);
         }
     } else {
@@ -154,7 +154,7 @@ void pause_mission(const plan_t *plan, mission_t *s, const message_t *why)
         s->course.kind = COURSE_STOP;
         s->course.brake = brake;
         s->hover_until_s = s->time_s;
-        s->manual = true;
+        s->user_in_control = true;
         s->returning_home = false;
         s->abort_reason = make_message(SAY_NO_MESSAGE);
         s->has_requested_heading = false;
@@ -170,7 +170,7 @@ void resume_mission(const plan_t *plan, mission_t *s, const int32_t *first)
     if (first != NULL) {
         index = *first;
     }
-    if ((s->state != STATE_WAYPOINT) || s->manual || (index != s->waypoint_index)) {
+    if ((s->state != STATE_WAYPOINT) || s->user_in_control || (index != s->waypoint_index)) {
         message_t why = (s->mission_begun && !over) ? make_message(SAY_MISSION_CONTINUES) : make_message(SAY_MISSION_BEGINS);
 
         if (first != NULL) {
@@ -182,7 +182,7 @@ void resume_mission(const plan_t *plan, mission_t *s, const int32_t *first)
         } else {
             pause_mission(plan, s, &why);
         }
-        s->manual = false;
+        s->user_in_control = false;
         s->mission_begun = true;
         s->waypoint_index = index;
         s->outcome = OUTCOME_OPEN;
@@ -201,7 +201,7 @@ void reset_for_loaded_mission(const plan_t *plan, mission_t *s)
     if (s->state != STATE_INIT) { /* a flight in progress continues without a mission until the new one starts */
         s->outcome = OUTCOME_OPEN;
         s->reason = make_message(SAY_NO_MESSAGE);
-        s->manual = true;
+        s->user_in_control = true;
         s->abort_reason = make_message(SAY_NO_MESSAGE);
     }
 }
@@ -211,7 +211,7 @@ void queue_mission_after_take_off(mission_t *s, int32_t first)
     const message_t what = (first > 0) ? make_message_1(SAY_MISSION_AFTER_TAKE_OFF_FROM, (real_t)(first + 1)) : make_message(SAY_MISSION_AFTER_TAKE_OFF);
 
     log_event(s, &what, LEVEL_INFO);
-    s->manual = false;
+    s->user_in_control = false;
     s->mission_begun = true;
     s->waypoint_index = first;
     s->abort_reason = make_message(SAY_NO_MESSAGE);

@@ -81,7 +81,7 @@ void clear_mission(mission_t *s)
     s->outcome = OUTCOME_OPEN;
     s->reason = make_message(SAY_NO_MESSAGE);
     s->finished = false;
-    s->manual = false;
+    s->user_in_control = false;
     s->has_taken_off = false;
     s->mission_begun = false;
     s->reached_waypoint_count = 0;

@@ -104,7 +104,7 @@ typedef struct {
     int32_t waypoint_index; /* present or next waypoint (from 0) */
     int32_t outcome;
     message_t reason;
-    bool finished, manual, has_taken_off, mission_begun;
+    bool finished, user_in_control, has_taken_off, mission_begun;
     int32_t reached_waypoint_count;
     message_t abort_reason; /* reason for the user's abort; counts after landing */
     bool returning_home;

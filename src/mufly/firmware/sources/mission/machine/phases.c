@@ -18,7 +18,7 @@ void start_flight(const plan_t *plan, mission_t *s, const estimate_t *m, const r
 
     reset_mission(s, m);
     s->mission_begun = height == NULL;
-    s->manual = height != NULL;
+    s->user_in_control = height != NULL;
     s->waypoint_index = first;
     copy_vector(s->home_position, s->goal);
     s->goal[2] = -up;
@@ -164,7 +164,7 @@ void start_leg(const plan_t *plan, mission_t *s, const message_t *why, const leg
     s->has_detour = false;
     s->detour_duration_s = REAL(0.0);
     s->resumed_after_detour = false;
-    s->manual = errand->kind != LEG_TO_WAYPOINT;
+    s->user_in_control = errand->kind != LEG_TO_WAYPOINT;
     s->returning_home = errand->kind == LEG_TO_HOME;
     s->has_requested_heading = (errand->kind == LEG_TO_USER_WAYPOINT) && errand->has_heading;
     s->requested_heading = errand->heading;
@@ -186,7 +186,7 @@ static void complete_mission(const plan_t *plan, mission_t *s)
     if (plan->at_end == AT_END_HOVER) {
         why = make_message(SAY_MISSION_COMPLETE_HOLDING);
         log_event(s, &why, LEVEL_INFO);
-        s->manual = true;
+        s->user_in_control = true;
         succeed_mission(s, SAY_MISSION_COMPLETE);
     } else if (plan->at_end == AT_END_RETURN) {
         why = make_message(SAY_MISSION_COMPLETE_RETURNING);
@@ -205,7 +205,7 @@ static void step_hover(const plan_t *plan, mission_t *s)
         }
     } else {
         detect_obstacle(plan, s);
-        if ((s->state == STATE_HOVER) && !s->manual && !(s->time_s < s->hover_until_s)) {
+        if ((s->state == STATE_HOVER) && !s->user_in_control && !(s->time_s < s->hover_until_s)) {
             if (s->waypoint_index >= plan->count) {
                 complete_mission(plan, s);
             } else {
@@ -318,7 +318,7 @@ static void step_leg(const plan_t *plan, mission_t *s, const estimate_t *m, real
     if (there && s->returning_home) {
         why = make_message_1(SAY_HOME_REACHED, REAL(100.0) * off);
         start_landing(s, &why, LEVEL_INFO);
-    } else if (there && s->manual) {
+    } else if (there && s->user_in_control) {
         why = make_message_1(SAY_USER_WAYPOINT_REACHED, REAL(100.0) * off);
         if (s->has_set_point_reference) { /* no jump of the reference */
             copy_vector(s->set_point_reference.position, s->goal);
@@ -332,7 +332,7 @@ static void step_leg(const plan_t *plan, mission_t *s, const estimate_t *m, real
     } else if (spent > ((REAL(2.0) * duration) + REAL(20.0))) {
         if (s->returning_home) {
             why = make_message_2(SAY_HOME_MISSED, spent, off);
-        } else if (s->manual) {
+        } else if (s->user_in_control) {
             why = make_message_2(SAY_USER_WAYPOINT_MISSED, spent, off);
         } else {
             why = make_message_3(SAY_WAYPOINT_MISSED, number, spent, off);

@@ -85,7 +85,7 @@ static void pause_or_defer_pause(const plan_t *plan, mission_t *s, const estimat
             what = make_message(SAY_WILL_HOVER_AFTER_TAKE_OFF);
             log_event(s, &what, LEVEL_INFO);
             s->hover_after_take_off = true;
-            s->manual = true;
+            s->user_in_control = true;
         }
     } else {
         what = make_message((s->state == STATE_LANDING) ? SAY_LANDING_ABORTED : SAY_MISSION_PAUSED);
@@ -107,7 +107,7 @@ static void handle_request(const plan_t *plan, mission_t *s, const estimate_t *m
         exit_offboard(plan, s, m);
         waits = s->state != STATE_INIT;
     }
-    fresh = s->manual || c->has_first_waypoint;
+    fresh = s->user_in_control || c->has_first_waypoint;
     if (waits && (s->state == STATE_INIT) && (c->start || c->has_take_off_height) && is_request_permitted(REQUEST_START, s, m)) {
         const message_t fault = describe_start_fault(m);
 

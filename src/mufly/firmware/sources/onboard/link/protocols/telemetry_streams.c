@@ -33,7 +33,7 @@ static uint32_t displayed_mode(const mission_t *x)
         main_mode = 2U;
     } else if (x->state == STATE_OFFBOARD) {
         main_mode = 6U;
-    } else if (x->manual && ((x->state == STATE_WAYPOINT) || (x->state == STATE_OBSTACLE))) {
+    } else if (x->user_in_control && ((x->state == STATE_WAYPOINT) || (x->state == STATE_OBSTACLE))) {
         sub_mode = 3U;
     } else {
         /* by the state alone */
