@@ -38,7 +38,7 @@ _MIN_PATTERN_DEGREES_OF_FREEDOM = 8  # degrees of freedom below which a pattern 
 
 @result(eq=False)
 class CovarianceEstimate:
-    """Covariance of least-squares estimates with the error pattern behind it.
+    """Covariance of least-squares estimates, and the correlation pattern that describes the errors of the readings.
 
     Attributes
     ----------

@@ -191,7 +191,7 @@ class OptionChoices:
     words: tuple[str, ...]
 
     def check_option(self, param: typer.CallbackParam, value: Any) -> Any:
-        """Reject other words; typer calls this."""
+        """Reject a value that is not among the choices; typer calls this method."""
         if value is not None:
             check_choice(_option_name(param), value, self.words)
         return value

@@ -80,13 +80,13 @@ def _integer_indices(builder: Any, place: Any) -> Any:
 
 @intrinsic
 def sum_flow_lanes(context, table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
-    """Return :func:`mufly.rotor.forward.row_sums.sum_flow_rows` for eight vehicles in lanes."""
+    """Return the sums of :func:`mufly.rotor.forward.row_sums.sum_flow_rows` for eight vehicles at once."""
     return _lane_sum_code(table, (first, later, stride), 8, FLOW_COLUMN_COUNT, emit_flow_sum)
 
 
 @intrinsic
 def sum_rate_lanes(context, table, first, ea, eb, ec):
-    """Return :func:`mufly.rotor.forward.row_sums.sum_rate_rows` for eight vehicles in lanes."""
+    """Return the sums of :func:`mufly.rotor.forward.row_sums.sum_rate_rows` for eight vehicles at once."""
     return _lane_sum_code(table, (first,), 3, RATE_COLUMN_COUNT, emit_rate_sum)
 
 

@@ -529,8 +529,8 @@ def extract_submodel(
     *,
     name: str | None = None,
 ) -> control.StateSpace:
-    """Return a linear model with some states and inputs of another; its outputs are its states, and all other states
-    stay constant.
+    """Return a linear model with some states and inputs of another; its outputs are selected states, and all other
+    states stay constant.
     """
     i, j = (
         [known.index(s) for s in some] for known, some in ((full.state_labels, states), (full.input_labels, inputs))

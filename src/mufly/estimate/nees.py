@@ -96,7 +96,7 @@ class Consistency:
         )
 
     def format_row(self) -> str:
-        """Return the errors in centimetres and degrees, for a table."""
+        """Return the errors (cm, degrees) and the consistency as one row of a table."""
         d = np.degrees
         cells = (
             f"{self.nees:.2f}", f"{100 * self.inside_share:.1f}", f"{100 * self.xy_rms:.1f}",

@@ -41,7 +41,7 @@ class TupleType:
 
     @property
     def name(self) -> str:
-        """Name of its C struct, with a letter or a number of letters for each member."""
+        """Name of the tuple's C struct, which contains a letter or a count of letters for each member."""
         letters = {C_DOUBLE: "r", C_INT64: "i", C_BOOL: "b"}
         return "tuple_" + "".join(
             letters[p] if isinstance(p, str) else f"{len(p.parts)}{p.name.removeprefix('tuple_')}" for p in self.parts

@@ -54,7 +54,7 @@ class RawTable:
 
     @property
     def rate_hz(self) -> float:
-        """Rate of the median step of the clock (Hz); NaN for fewer than two different instants."""
+        """Sample rate (Hz), the reciprocal of the median time step; NaN for fewer than two different instants."""
         steps = np.diff(self.time)
         steps = steps[steps > 0]
         return float(1 / np.median(steps)) if len(steps) else float("nan")

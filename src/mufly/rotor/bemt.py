@@ -254,7 +254,9 @@ def solve_rotor(
 
 
 def solve_placed_rotor(placed: PlacedRotor, climb_m_s: float, air: Air, stream: Stream | None = None) -> RotorResult:
-    """Solve a placed rotor of a system; ``stream`` and errors are those of :func:`solve_rotor`."""
+    """Solve one rotor of a system at its place, pitch and speed; ``stream`` and errors are those of
+    :func:`solve_rotor`.
+    """
     point = _operating_point_arrays(placed, climb_m_s)
     _check_operating_points(*point)
     totals, stations = _solve_points(placed.blading, placed.rotor_index, *point, air, True, stream)

@@ -209,7 +209,7 @@ class RotorSystem:
         return cls((above, below), (0.0, -spacing_m), (1, -1), (0, 0))
 
     def place_rotors(self, pitch_rad: Sequence[float], speed_rad_s: Sequence[float]) -> tuple[PlacedRotor, ...]:
-        """Return the placed rotors with their pitch and speed."""
+        """Return the rotors of the system, each with its pitch, its speed and its place on the shaft."""
         return tuple(
             PlacedRotor(b, p, s, h, hand, which)
             for b, p, s, h, hand, which in zip(

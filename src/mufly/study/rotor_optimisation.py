@@ -70,7 +70,7 @@ _POPULATION_PER_UNKNOWN = 12  # times the number of unknowns
 
 @result
 class DesignStep:
-    """Change of one parameter of a rotor.
+    """Change of one parameter from the initial to the optimised rotor, with its gain.
 
     Attributes
     ----------

@@ -1,4 +1,6 @@
-"""Pages of all answers: Markdown for the documents, and self-contained HTML with the pictures."""
+"""Pages that compare every figure and table with the dissertation: Markdown for the documents, HTML with the
+pictures.
+"""
 
 from __future__ import annotations
 

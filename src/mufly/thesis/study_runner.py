@@ -128,7 +128,7 @@ def _to_netcdf_types(data: xr.Dataset) -> xr.Dataset:
 
 @result
 class StudyAnswer:
-    """Answer to a figure or table: its item, and the outcome of its study if it has run.
+    """Figure or table of the dissertation, with the outcome of its study if it has run.
 
     Attributes
     ----------
@@ -410,7 +410,7 @@ def study_digest(name: str) -> str:
 
 
 def load_cached_answer(name: str, folder: Path | None = None) -> StudyAnswer:
-    """Return the cached answer to a figure or table; not ``known`` if it is missing or outdated."""
+    """Return the stored outcome of a figure's or table's study; not ``known`` if it is missing or outdated."""
     of = find_item(name)
     if of.kind != "result":
         return StudyAnswer(of, known=True)
@@ -437,7 +437,7 @@ def answer_study(
     case: Path | None = None,
     again: bool = False,
 ) -> StudyAnswer:
-    """Return the answer to a figure or table, computed if it is not cached.
+    """Return the outcome of a figure's or table's study, computed if it is not stored.
 
     Parameters
     ----------

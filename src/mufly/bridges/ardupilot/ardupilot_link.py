@@ -51,7 +51,7 @@ _SENSORS_NOT_SENT = ("position_fix", "pressure", "magnetometer")
 
 @dataclass(frozen=True, slots=True)
 class ServoPacket:
-    """Packet of ArduPilot.
+    """Packet with the actuator pulses that ArduPilot sends.
 
     Attributes
     ----------

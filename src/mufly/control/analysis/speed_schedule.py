@@ -58,7 +58,7 @@ class SpeedSchedule:
 
 @result
 class ScheduleComparison:
-    """Schedules of several methods.
+    """Margins over forward speed of the roll-pitch designs of several methods.
 
     Attributes
     ----------

@@ -112,7 +112,7 @@ class GivenController:
 
     @classmethod
     def from_matrices(cls, A: Array, B: Array, C: Array, D: Array) -> GivenController:
-        """Return the record of a controller's matrices."""
+        """Make the controller from its state-space matrices A, B, C and D."""
         return cls(*(tuple(tuple(float(v) for v in row) for row in np.asarray(M)) for M in (A, B, C, D)))
 
     @property

@@ -92,7 +92,7 @@ class CoefficientRows:
 
 @result
 class OverflowProof:
-    """Bounds of a controller's numbers for any inputs.
+    """Bounds of the states and sums of a fixed-point controller, valid for any inputs in their ranges.
 
     Attributes
     ----------

@@ -45,7 +45,7 @@ class LiveViewConfig(Protocol):
     """Description of a live view, which can be sent to the process of the vehicle."""
 
     def open_view(self, flight: Flight) -> LiveViewThread:
-        """Open the view of a flight."""
+        """Open the live view of a flight, and return the thread that publishes its rows."""
 
 
 class LiveViewThread:

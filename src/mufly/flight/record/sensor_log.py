@@ -191,7 +191,7 @@ def log_sensors(
 
 
 def reading_errors(log: ReadingLog) -> ReadingErrors:
-    """Return the errors of the readings of one name."""
+    """Return the errors (measured less true values) of all readings of one name."""
     error = np.array(log.value) - np.array(log.true)
     turns = [k for k, label in enumerate(log.component_labels()) if label == "heading"]
     error[:, turns] = np.angle(np.exp(1j * error[:, turns]))

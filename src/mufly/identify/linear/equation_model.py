@@ -125,7 +125,7 @@ def simulate_equations(
     model: EquationModel, u: Array, dt: float, first: Array, bias: Array, *,
     starts: NDArray[np.int_] | None = None, steps: int = 0,
 ) -> Array:  # fmt: skip
-    """Simulate the equations of a model.
+    """Simulate the outputs of an equation model from inputs and first values.
 
     Parameters
     ----------

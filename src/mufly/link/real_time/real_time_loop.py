@@ -167,7 +167,7 @@ class RealTimePacer:
 
     @property
     def loss_text(self) -> str:
-        """Return the count of overruns and the dropped time as the end of a sentence; "" without overruns."""
+        """Return a text on the number of overruns and the dropped time, to end a sentence; "" without overruns."""
         overruns = f"{self.slip_count} timing overrun{'s' if self.slip_count > 1 else ''}"
         return f"; {overruns}, {self.lost_time_s:.1f} s dropped since the start" if self.slip_count else ""
 

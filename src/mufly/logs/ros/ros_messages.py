@@ -96,17 +96,17 @@ class RosTopic(NamedTuple):
 
 
 def ned_to_enu(values: _Array) -> _Array:
-    """Return vectors (n, 3) N, E, D as east, north, up; the function is its own inverse."""
+    """Convert vectors (n, 3) from north-east-down to east-north-up; the function is its own inverse."""
     return np.column_stack((values[:, 1], values[:, 0], -values[:, 2]))
 
 
 def body_to_flu(values: _Array) -> _Array:
-    """Return vectors (n, 3) along forward, right, down along forward, left, up; the function is its own inverse."""
+    """Convert vectors (n, 3) from body axes forward-right-down to forward-left-up; the function is its own inverse."""
     return values * _TO_FLU
 
 
 def attitude_to_ros(attitude: _Array) -> _Array:
-    """Return attitudes (n, 3) of forward-right-down in N-E-D as those of forward-left-up in east-north-up.
+    """Convert attitudes (n, 3) of forward-right-down in N-E-D to those of forward-left-up in east-north-up.
 
     The function is its own inverse.
     """

@@ -158,7 +158,7 @@ def _picture_size(file: Path) -> tuple[int, int]:
 
 
 def list_board_pictures(folder: Path) -> list[Path]:
-    """Return the pictures of a folder.
+    """Return the paths of the chessboard pictures in a folder.
 
     Raises
     ------

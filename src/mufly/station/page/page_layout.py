@@ -380,7 +380,7 @@ class SentDestination:
 
 
 class CommandBar:
-    """Commands of one window.
+    """Bar with the command buttons and destination fields of one browser window.
 
     Parameters
     ----------

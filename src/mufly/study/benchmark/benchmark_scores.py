@@ -255,13 +255,15 @@ class ScoreRow:
 
 
 def tabulate_by_group(scores: Sequence[RotorScore]) -> list[ScoreRow]:
-    """Return the scores by code and group, in order of appearance; see also :func:`tabulate_by_family`."""
+    """Return the scores of each code for each group of rotors, in order of appearance; see also
+    :func:`tabulate_by_family`.
+    """
     pairs = dict.fromkeys((s.code, s.case.group) for s in scores)
     return [_make_row(c, g, [s for s in scores if (s.code, s.case.group) == (c, g)]) for c, g in pairs]
 
 
 def tabulate_by_family(scores: Sequence[RotorScore]) -> list[ScoreRow]:
-    """Return the scores by code and family."""
+    """Return the scores of each code for each family of rotors."""
     pairs = dict.fromkeys((s.code, s.case.family) for s in scores)
     return [_make_row(c, f, [s for s in scores if (s.code, s.case.family) == (c, f)]) for c, f in pairs]
 
