@@ -98,7 +98,7 @@ def test_a_result_of_the_package_prints_with_units() -> None:
 # Dataclasses that public functions return and that are no answers: what goes in, what runs, what is sent over a wire.
 _NO_RESULTS = {
     "camera": "Floor FloorSource PackageFloor RecordedPictures",  # made to be rendered, or looked at
-    "cfd": "BladeGeometry SectorMesh OperatingPoint PolyMesh",  # shapes and cases; mesh_picture draws them
+    "cfd": "BladeGeometry SectorMesh OperatingPoint PolyMesh",  # shapes and cases; draw_mesh draws them
     "estimate": "Estimate EstimateMonitor",  # of one instant, a thousand times a second
     "identify": "UniformLogTable FreeParameter",
     "firmware": "FixedPointLaw EvidenceSection",

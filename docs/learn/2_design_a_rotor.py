@@ -12,14 +12,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from mufly.drive import find_operating_point, load_drive, make_blade_load
-from mufly.rotor import blade_picture, load_rotor, prepare_blading, solve_rotor
+from mufly.rotor import draw_blade, load_rotor, prepare_blading, solve_rotor
 from mufly.study import (
     StudySetup,
+    draw_sweep,
     optimise_rotor,
     parse_limit,
     parse_settings,
     sweep_parameters,
-    sweep_picture,
 )
 
 rotor = load_rotor("naca4412-r60-c20")
@@ -75,7 +75,7 @@ figure.savefig(folder / "drive.png")
 # %%
 setup = StudySetup(rotor, drive, {"thrust": 0.4, "gear": "adapted"})
 data = sweep_parameters(setup, parse_settings(["chord=10:30:10mm", "pitch=6:20:1deg"]))
-picture = sweep_picture(data, "thrust_per_power_N_W")
+picture = draw_sweep(data, "thrust_per_power_N_W")
 picture.savefig(folder / "sweep.png")
 picture
 
@@ -99,7 +99,7 @@ for step in best.steps:
     print(f"  {step.parameter:8s} to {step.value:.3g} (SI): {100 * step.gain:+.1f} %")
 
 # %%
-picture = blade_picture(best.rotor)
+picture = draw_blade(best.rotor)
 picture.savefig(folder / "blade.png")
 picture
 

@@ -13,8 +13,8 @@ import pytest
 from mufly.cfd import (
     CfdSolution,
     OperatingPoint,
-    climb_picture,
     compare_climbs,
+    draw_climb_comparison,
     estimate_grid_convergence,
     study_grid_convergence,
     sweep_climb,
@@ -72,7 +72,7 @@ def test_thrust_over_the_climb_is_laid_beside_the_flight_models_map() -> None:
     less, hover, more, beyond = found.map_part
     assert less > hover == 1.0 > more
     assert math.isnan(beyond)
-    assert climb_picture(found).axes[0].get_xlabel().startswith("climb")
+    assert draw_climb_comparison(found).axes[0].get_xlabel().startswith("climb")
     faster = replace(solved(1.0, 0.2).point, speed_rad_s=600.0)
     other = cast(CfdSolution, SimpleNamespace(point=faster, verdict=None))
     with pytest.raises(InputError, match="speed_rad_s: differs"):

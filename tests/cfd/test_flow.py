@@ -17,9 +17,9 @@ from mufly.cfd import (
     OperatingPoint,
     PolyMesh,
     compute_wake_profile,
+    draw_skin_friction,
     extract_iso_surface,
     extract_vortex_surface,
-    friction_picture,
     make_blade_geometry,
     make_poly_mesh,
     make_sector_mesh,
@@ -118,5 +118,5 @@ def test_what_lies_in_the_blade_or_the_hub_is_told_from_air() -> None:
     assert probe.is_inside_solid(r, around, z, ["blade"]).tolist() == [True, True, False, False, False, False]
     # Friction lines are the blade's; the hub's faces are not on its plan.
     solved = SimpleNamespace(point=POINT, friction_Pa=m.face_centres[m.patch_faces("blade")])
-    drawn = friction_picture(m, cast(CfdSolution, solved))
+    drawn = draw_skin_friction(m, cast(CfdSolution, solved))
     assert drawn.axes[0].get_xlim()[0] > 6.0

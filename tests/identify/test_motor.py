@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from mufly.bench import BenchTable, read_bench_file
 from mufly.errors import InputError
 from mufly.identify import GearKnowledge, apply_estimates, fit_motor
-from mufly.identify.fit_pictures import motor_picture
+from mufly.identify.fit_pictures import draw_motor_fit
 from mufly.identify.motor_fit import ChannelNoise, parse_noise
 from mufly.vehicle import load_vehicle
 
@@ -209,7 +209,7 @@ def test_noise_is_read():
 
 @pytest.mark.parametrize("voltages", [(6.0,), (4.0, 5.5, 7.2), tuple(np.linspace(3, 8, 9))])
 def test_the_picture_has_units_on_every_axis(voltages):
-    figure = motor_picture(fit_motor(bench(0, 0.01, voltages=voltages)))
+    figure = draw_motor_fit(fit_motor(bench(0, 0.01, voltages=voltages)))
     assert len(figure.axes) == 4
     assert all("(" in ax.get_xlabel() and "(" in ax.get_ylabel() for ax in figure.axes)
 

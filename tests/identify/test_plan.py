@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
 from mufly.identify import FlightLimits, design_excitation
-from mufly.identify.fit_pictures import plan_picture
+from mufly.identify.fit_pictures import draw_excitation_plan
 from mufly.identify.fit_result import covariance_from_information, describe_undetermined_combinations
 from mufly.identify.flight.excitation_plan import (
     SENSOR_NOISE_STD,
@@ -196,6 +196,6 @@ def test_what_cannot_be_planned(vehicle, arguments, what):
 
 
 def test_the_picture_has_units_on_every_axis(plan):
-    figure = plan_picture(plan)
+    figure = draw_excitation_plan(plan)
     assert len(figure.axes) == 4
     assert all(ax.get_xlabel() and "(" in ax.get_ylabel() for ax in figure.axes)

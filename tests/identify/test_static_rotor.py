@@ -18,7 +18,7 @@ from mufly.bench import (
 )
 from mufly.errors import InputError
 from mufly.identify import fit_rotor_coefficients
-from mufly.identify.fit_pictures import rotor_picture
+from mufly.identify.fit_pictures import draw_rotor_coefficients
 from mufly.identify.rotor_coefficients import assign_rotor_side, describe_interference
 from mufly.rotor import load_rotor, prepare_blading, solve_rotor_batch
 from mufly.vehicle import load_vehicle
@@ -260,7 +260,7 @@ def test_a_measured_pair_and_its_single_rotor():
     words = describe_interference(fits)
     assert any(w.startswith("cT_up") and "unaffected" in w for w in words)
     assert fits[0].fits[0].trends[0].is_significant  # from 0.0079 to 0.0089: plain in the readings
-    figure = rotor_picture(fits)
+    figure = draw_rotor_coefficients(fits)
     assert all(ax.get_ylabel() for ax in figure.axes)
 
 

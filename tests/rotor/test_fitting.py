@@ -14,6 +14,7 @@ from mufly.rotor import (
     Corrections,
     RotorMeasurements,
     compute_polar,
+    draw_rotor_fit,
     fit_rotor,
     format_rotor_toml,
     load_rotor,
@@ -21,7 +22,6 @@ from mufly.rotor import (
     predict_interval,
     prepare_blading,
     replace_rotor,
-    rotor_fit_picture,
     solve_rotor,
     solve_rotor_batch,
 )
@@ -168,4 +168,4 @@ def test_a_tunnel_tells_the_angle_from_the_lift_and_what_hover_is():
     at = {"pitch_rad": 0.0, "speed_rad_s": speed}
     inside, outside = (predict_interval(found.rotor, climb_m_s=v, **at) for v in (5.0, 0.0))
     assert outside.thrust_relative_std["method"][0] > inside.thrust_relative_std["method"][0] == 0.0
-    assert rotor_fit_picture(found).axes[0].get_xlabel().startswith("Advance")
+    assert draw_rotor_fit(found).axes[0].get_xlabel().startswith("Advance")

@@ -12,10 +12,10 @@ from mufly.rotor import format_rotor_toml, load_rotor
 from mufly.rotor.measured.uncertainty import fit_interval_scale, interval_quantile
 from mufly.study.benchmark import (
     describe_case,
+    draw_scores,
     load_cases,
     parse_code,
     score_codes,
-    score_picture,
     score_propellers,
     tabulate_by_family,
     tabulate_by_group,
@@ -112,7 +112,7 @@ def test_outside_codes_answer_or_say_why_not(data, tmp_path):
     ]  # fmt: skip
     assert rows[-1].unpredicted == 1
     assert len(tabulate_by_family(scores)) == 9
-    assert len(score_picture(scores).axes) == 2
+    assert len(draw_scores(scores).axes) == 2
 
 
 def test_what_was_answered_is_not_asked_again(data, tmp_path):

@@ -12,15 +12,15 @@ from mufly.rotor import (
     RotorMeasurements,
     RotorSystem,
     compare_measurements,
-    field_picture,
-    history_picture,
+    draw_flow_field,
+    draw_iteration_history,
+    draw_rotor_loads,
+    draw_wake,
     load_rotor,
     plane_velocity,
     prepare_blading,
-    rotor_loads_picture,
     solve_rotor,
     solve_system,
-    wake_picture,
 )
 from mufly.rotor.wake import WakeSettings
 from mufly.study import (
@@ -128,15 +128,15 @@ def test_pictures_are_drawn(wake_point, tmp_path) -> None:
     s = wake_point
     for k, figure in enumerate(
         (
-            wake_picture(s), field_picture(s, points=24, phases=2), field_picture(s, mean=False, points=24),
-            rotor_loads_picture(wake_point.upper, wake_point.lower), history_picture(s.history, residual=0.05),
+            draw_wake(s), draw_flow_field(s, points=24, phases=2), draw_flow_field(s, mean=False, points=24),
+            draw_rotor_loads(wake_point.upper, wake_point.lower), draw_iteration_history(s.history, residual=0.05),
         )
     ):  # fmt: skip
         figure.savefig(tmp_path / f"{k}.png", dpi=50)
         assert (tmp_path / f"{k}.png").stat().st_size > 5_000
         assert all(axes.get_xlabel() or axes.get_ylabel() for axes in figure.axes)
     with pytest.raises(InputError, match="points"):
-        field_picture(s, points=2)
+        draw_flow_field(s, points=2)
 
 
 def test_sweep_of_pairs_has_units_faults_and_resumes(pair: StudySetup, tmp_path) -> None:

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.rotor import blade_picture, database_airfoils, load_airfoil
+from mufly.rotor import database_airfoils, draw_blade, load_airfoil
 from mufly.study import (
     TABLE_3_3_AIRFOILS,
     StudySetup,
     choose_airfoils,
+    draw_ranking,
+    draw_sweep,
     rank_airfoils,
-    ranking_picture,
     sweep_parameters,
-    sweep_picture,
     thesis_airfoils,
 )
 
@@ -67,27 +67,27 @@ def test_less_drag_ranks_higher_and_failures_come_last(setup: StudySetup, tmp_pa
     one = sweep_parameters(free, {"airfoil": [names[1]], "pitch": [0.15, 0.2, 0.25]})
     assert ranking.thrust_per_power_N_W.values[0] == one.thrust_per_power_N_W.values.max()
     assert ranking.pitch.values[0] == one.pitch.values[one.thrust_per_power_N_W.values[0].argmax()]
-    assert len(ranking_picture(ranking).axes) == 1
+    assert len(draw_ranking(ranking).axes) == 1
     with pytest.raises(InputError, match="is not a result"):
         rank_airfoils(free, names, [0.2], by="beauty")
 
 
 def test_pictures_label_their_axes(setup: StudySetup) -> None:
     data = sweep_parameters(setup, {"chord": [0.015, 0.02], "pitch": [0.1, 0.2, 0.3]})
-    axes = sweep_picture(data, "thrust_per_power_N_W").axes[0]
+    axes = draw_sweep(data, "thrust_per_power_N_W").axes[0]
     assert axes.get_xlabel() == "Pitch setting, added to the twist (deg)"
     assert axes.get_ylabel() == "Thrust per electrical power (N/W)"
     assert [t.get_text() for t in axes.get_legend().get_texts()] == ["15 mm", "20 mm"]
     np.testing.assert_allclose(axes.lines[0].get_xdata(), np.degrees([0.1, 0.2, 0.3]), atol=1e-6)
     with pytest.raises(InputError, match="cannot be drawn"):
-        sweep_picture(data, "beauty")
+        draw_sweep(data, "beauty")
     many = sweep_parameters(setup, {"chord": np.linspace(0.01, 0.03, 14).tolist(), "pitch": [0.2]})
     with pytest.raises(InputError, match="14 lines"):
-        sweep_picture(many, "power_W")
+        draw_sweep(many, "power_W")
 
 
 def test_a_blade_is_drawn_in_millimetres(setup: StudySetup) -> None:
-    plan, twist, section = blade_picture(setup.rotor).axes
+    plan, twist, section = draw_blade(setup.rotor).axes
     assert twist.get_xlabel() == "Radius (mm)"
     assert plan.get_xlim()[1] > 60
     assert section.lines

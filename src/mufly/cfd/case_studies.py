@@ -349,7 +349,7 @@ def sweep_climb(
     ]
 
 
-@result(eq=False, picture="mufly.cfd.cfd_pictures:pair_picture")
+@result(eq=False, picture="mufly.cfd.cfd_pictures:draw_rotor_pair")
 class PairSolution:
     """Solution of a counter-rotating pair, each rotor with the other as an actuator disc.
 

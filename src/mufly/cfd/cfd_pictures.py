@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def mesh_picture(mesh: PolyMesh) -> Figure:
+def draw_mesh(mesh: PolyMesh) -> Figure:
     """Draw a mesh: blade surface from above, periodic plane, and section at mid-span."""
     figure = blank_figure(11.0, 7.5)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
@@ -55,7 +55,7 @@ def _draw_quads(axes: Axes, quads: Array) -> None:
     axes.set_aspect("equal")
 
 
-def pressure_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
+def draw_surface_pressure(mesh: PolyMesh, solution: CfdSolution) -> Figure:
     """Draw the pressure on the upper and lower side of the blade.
 
     Thesis: Fig. 3.23.
@@ -87,7 +87,7 @@ def pressure_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
 _METHOD_LABELS = {"bemt": "blade elements", "wake": "vortex wake"}
 
 
-def loads_picture(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> Figure:
+def draw_span_loads(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> Figure:
     """Draw thrust and torque along the blade, with those of other methods."""
     figure = blank_figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
@@ -117,7 +117,7 @@ def loads_picture(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> Fi
     return figure
 
 
-def pair_picture(pair: PairSolution) -> Figure:
+def draw_rotor_pair(pair: PairSolution) -> Figure:
     """Draw thrust and torque along the blades of both rotors of a pair."""
     figure = blank_figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
@@ -136,7 +136,7 @@ def pair_picture(pair: PairSolution) -> Figure:
     return figure
 
 
-def climb_picture(found: ClimbComparison) -> Figure:
+def draw_climb_comparison(found: ClimbComparison) -> Figure:
     """Draw the thrust coefficient over climb, and thrust relative to hover of each method and of the flight model's
     map.
 
@@ -172,7 +172,7 @@ def climb_picture(found: ClimbComparison) -> Figure:
     return figure
 
 
-def history_picture(history: Array) -> Figure:
+def draw_iteration_history(history: Array) -> Figure:
     """Draw thrust and torque over the iterations, scaled to show false plateaus 3 to 4 % below the final values."""
     figure = blank_figure(7.0, 4.0)
     axes = figure.subplots(2, 1, sharex=True)
@@ -185,7 +185,7 @@ def history_picture(history: Array) -> Figure:
     return figure
 
 
-def friction_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
+def draw_skin_friction(mesh: PolyMesh, solution: CfdSolution) -> Figure:
     """Draw skin-friction lines on the upper and lower side of the blade, seen from above, with regions of reversed
     flow.
 
@@ -229,7 +229,7 @@ def friction_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
     return figure
 
 
-def vorticity_picture(mesh: PolyMesh, flow: FlowField, point: OperatingPoint) -> Figure:
+def draw_vorticity(mesh: PolyMesh, flow: FlowField, point: OperatingPoint) -> Figure:
     """Draw the azimuthal vorticity in planes through the shaft, at the blade and behind it."""
     figure = blank_figure(10.0, 6.5)
     radius, probe = point.radius_m, FlowProbe(mesh, flow)
@@ -264,7 +264,7 @@ VORTICITY_PLANES_DEG = (0, 15, 30, 60, 90, 150)
 """Planes of the vorticity picture, in degrees behind a blade."""
 
 
-def vortices_picture(
+def draw_vortices(
     surface: tuple[Array, NDArray[np.int64], dict[str, NDArray]], mesh: PolyMesh, point: OperatingPoint
 ) -> Figure:
     """Draw the vortex surfaces in 3-D with the blades, coloured by the downward velocity."""
@@ -302,7 +302,7 @@ def vortices_picture(
     return figure
 
 
-def wake_picture(wake: WakeProfile) -> Figure:
+def draw_wake(wake: WakeProfile) -> Figure:
     """Draw the azimuthally averaged velocity under the disc over radius, with that of momentum theory."""
     figure = blank_figure(9.0, 4.4)
     axes = figure.subplots(1, 2)

@@ -31,7 +31,7 @@ from mufly.results import result
 Array = NDArray[np.float64]
 
 
-@result(eq=False, picture="mufly.cfd.cfd_pictures:loads_picture")
+@result(eq=False, picture="mufly.cfd.cfd_pictures:draw_span_loads")
 class CfdSolution:
     """Solution of a case.
 
@@ -348,7 +348,7 @@ WAKE_PROFILE_DEPTHS = (0.25, 0.5, 1.0)
 """Distances below the disc, in radii, of the wake profiles."""
 
 
-@result(eq=False, picture="mufly.cfd.cfd_pictures:wake_picture")
+@result(eq=False, picture="mufly.cfd.cfd_pictures:draw_wake")
 class WakeProfile:
     """Azimuthally averaged velocity in horizontal planes under the disc.
 

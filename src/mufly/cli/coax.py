@@ -156,13 +156,13 @@ def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResul
 
 def write_pair(point: SystemSolution, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
     """Write stations and pictures of a point; of a wake also its geometry, velocity field and history."""
-    from mufly.rotor import rotor_loads_picture
+    from mufly.rotor import draw_rotor_loads
     from mufly.study import write_stations
 
     return [
         write_stations(point.upper, folder, "stations-upper"),
         write_stations(point.lower, folder, "stations-lower"),
-        save_figure(rotor_loads_picture(point.upper, point.lower, alone), folder, "loads"),
+        save_figure(draw_rotor_loads(point.upper, point.lower, alone), folder, "loads"),
         *(write_wakes(point, folder) if point.settings is not None else ()),
     ]
 
@@ -252,7 +252,7 @@ def forward(
     from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import Air, load_rotor
     from mufly.rotor.forward import ForwardCondition, flap_modes_of_band, make_flap_mode, sweep_forward_pair
-    from mufly.rotor.forward.forward_pictures import disc_picture, pair_sweep_picture
+    from mufly.rotor.forward.forward_pictures import draw_disc_fields, draw_pair_sweep
 
     angles, speeds, air = parse_pitch_angles(pitch), parse_rotor_speeds(rpm), Air(density_kg_m3=density)
     rotors = (load_rotor(upper), load_rotor(upper if lower is None else lower))
@@ -278,9 +278,9 @@ def forward(
     if out is not None:
         last = sweep.points[-1][-1]
         files = [
-            save_figure(pair_sweep_picture(sweep), out, "forward"),
-            save_figure(disc_picture(last.upper), out, "disc-upper"),
-            save_figure(disc_picture(last.lower), out, "disc-lower"),
+            save_figure(draw_pair_sweep(sweep), out, "forward"),
+            save_figure(draw_disc_fields(last.upper), out, "disc-upper"),
+            save_figure(draw_disc_fields(last.lower), out, "disc-lower"),
         ]
     print_answer(as_json, sweep, None, files)
 
@@ -434,7 +434,7 @@ def compute_coax_map(
     mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
     """
     from mufly.files.answer_store import replace_file
-    from mufly.rotor import Air, load_rotor, make_climb_axis_over_tip_speed, map_picture
+    from mufly.rotor import Air, draw_coefficient_map, load_rotor, make_climb_axis_over_tip_speed
     from mufly.rotor.coax_maps import compute_coax_map as compute
     from mufly.vehicle import format_map_toml
 
@@ -469,7 +469,7 @@ def compute_coax_map(
     if out is not None:
         with replace_file(out) as part:
             part.write_text(format_map_toml(made), encoding="utf-8")
-        files = [out, save_figure(map_picture(made), out.parent, out.stem)]
+        files = [out, save_figure(draw_coefficient_map(made), out.parent, out.stem)]
     content = {**made.model_dump(exclude={"table"}), **made.decode_map_tables()._asdict()}
     print_answer(as_json, content, lambda: _print_rotor_map(made), files)
 

@@ -213,7 +213,7 @@ def sweep(
     Example: mufly drive sweep mufly --thrust 0.6 --out gears
     """
     from mufly.drive import find_gear_optima, gear_curve, load_drive
-    from mufly.study import gear_curve_picture, write_results
+    from mufly.study import draw_gear_curve, write_results
 
     d = load_drive(drive)
     load, name = _make_rotor_load(rotor, vehicle, pitch, model)
@@ -222,7 +222,7 @@ def sweep(
     marks = {k.replace("_", " "): v for k, v in vars(best).items() if k != "for_thrust" or math.isfinite(v)}
     files = []
     if out is not None:
-        picture = gear_curve_picture(curve, marks=marks, thrust_N=thrust, title=f"{d.name}, {name}")
+        picture = draw_gear_curve(curve, marks=marks, thrust_N=thrust, title=f"{d.name}, {name}")
         files = [*write_results(curve, out, "gear"), save_figure(picture, out, "gear")]
 
     def print_sweep() -> None:

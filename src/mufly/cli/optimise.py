@@ -185,7 +185,7 @@ def optimise_pairs(
     Examples: mufly coax optimise --thrust 0.9 --out better; mufly coax optimise --vary upper_pitch,lower_pitch
     --limit 'upper_pitch<=20deg'
     """
-    from mufly.rotor import rotor_loads_picture
+    from mufly.rotor import draw_rotor_loads
     from mufly.study import PAIR_FREE_PARAMETERS, optimise_pair, parse_pair_limit, verify_by_wake
 
     if not 0.0 < thrust < math.inf:
@@ -215,7 +215,7 @@ def optimise_pairs(
             checked = verify_by_wake(setup, best, told)
     if out is not None:
         after = checked[1] if checked is not None and not isinstance(checked[1], str) else best.after
-        files.append(save_figure(rotor_loads_picture(after.upper, after.lower), out, "loads"))
+        files.append(save_figure(draw_rotor_loads(after.upper, after.lower), out, "loads"))
     bemt = {"start": best.before, "pitch_only": best.pitched, "optimum": best.after}
     content = {
         **select_fields(best, "upper=upper.toml_tables lower=lower.toml_tables changes at_limit evaluations"),

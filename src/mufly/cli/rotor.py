@@ -127,13 +127,13 @@ def show(
     With --out, planform, twist and sections are drawn (blade.png).
     Example: mufly rotor show walkera-5g6 --rpm 4000 --out walkera
     """
-    from mufly.rotor import blade_picture, blade_stations, format_rotor_toml, load_rotor
+    from mufly.rotor import blade_stations, draw_blade, format_rotor_toml, load_rotor
 
     r = load_rotor(rotor)
     if toml:
         return print(format_rotor_toml(r), end="")
     stations = blade_stations(r, rpm * RPM)
-    picture = save_figure(blade_picture(r), out, "blade") if out is not None else None
+    picture = save_figure(draw_blade(r), out, "blade") if out is not None else None
     if as_json:
         about = select_fields(r, f"name description {_GEOMETRY} airfoils=airfoil_names")
         return print_json({**about, "speed_rpm": rpm, "stations": stations})
@@ -317,10 +317,10 @@ def hover(
         Air,
         OperatingCondition,
         RotorSystem,
+        draw_spanwise_loads,
         load_rotor,
         predict_interval,
         solve_system,
-        spanwise_picture,
     )
     from mufly.study import write_stations
 
@@ -391,7 +391,7 @@ def hover(
             family=family,
         )  # fmt: skip
     if out is not None:
-        files = [save_figure(spanwise_picture(result), out, "stations"), write_stations(result, out), *files]
+        files = [save_figure(draw_spanwise_loads(result), out, "stations"), write_stations(result, out), *files]
     if as_json:
         content = {
             "rotor": r.name, **select_fields(theory, "model n_crit"), **result.as_record(), "drive": point,

@@ -137,11 +137,11 @@ def _print_failure_reasons(data: xr.Dataset) -> None:
 def _write_sweep(
     data: xr.Dataset, folder: Path, variable: str, x: str | None = None, *, quiet: bool = False
 ) -> list[Path]:
-    from mufly.study import sweep_picture, write_results
+    from mufly.study import draw_sweep, write_results
 
     files = write_results(data, folder)
     try:
-        picture = sweep_picture(data, variable, x=x, title=data.attrs["rotor"])
+        picture = draw_sweep(data, variable, x=x, title=data.attrs["rotor"])
         files.append(save_figure(picture, folder, variable))
     except InputError as error:  # too many lines for a picture: the tables are written
         if not quiet:
@@ -268,7 +268,7 @@ def rank(
 
     Examples: mufly rotor rank; mufly rotor rank --airfoils my_airfoils/ --set thrust=0.3N --set gear=1.5
     """
-    from mufly.study import ROTOR_PARAMETERS, choose_airfoils, rank_airfoils, ranking_picture, write_results
+    from mufly.study import ROTOR_PARAMETERS, choose_airfoils, draw_ranking, rank_airfoils, write_results
 
     standard = ["thrust=0.4N", "gear=adapted"] if drive not in (None, "none") else ["thrust=0.4N"]
     given = parse_set_options(set_ or standard, ROTOR_PARAMETERS, "give one value of something else")
@@ -281,7 +281,7 @@ def rank(
         ranking = rank_airfoils(setup, names, pitches, by=by, folder=out, progress=progress, cluster=cluster)
     files = []
     if out is not None:
-        files = [*write_results(ranking, out, "ranking"), save_figure(ranking_picture(ranking), out, "ranking")]
+        files = [*write_results(ranking, out, "ranking"), save_figure(draw_ranking(ranking), out, "ranking")]
     rows = to_records({str(v): ranking[v].values.tolist() for v in ("airfoil", *ranking.data_vars)})
     if as_json:
         return print_answer(as_json, {**ranking.attrs, "ranking": rows}, None, files)

@@ -106,7 +106,7 @@ _RESULT_COLUMNS = (
 )
 
 
-@result(eq=False, picture="mufly.dynamics.level_flight:level_flight_picture")
+@result(eq=False, picture="mufly.dynamics.level_flight:draw_level_flight")
 class LevelFlight:
     """Level flight over airspeed for both ends of the band of the flap frequency.
 
@@ -419,7 +419,7 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
     )
 
 
-def level_flight_picture(flight: LevelFlight) -> Figure:
+def draw_level_flight(flight: LevelFlight) -> Figure:
     """Draw power, attitude, servo inputs and thrust margin over airspeed, a line for each flap frequency."""
     figure = blank_figure(10.0, 7.0)
     axes = power, attitude, servo, margin = figure.subplots(2, 2).ravel()

@@ -86,7 +86,7 @@ def _median_sample_s(record: RecordPrediction) -> float:
     return float(np.median(np.diff(record.time_s)))
 
 
-def prediction_picture(record: RecordPrediction) -> Figure:
+def draw_prediction(record: RecordPrediction) -> Figure:
     """Draw every output as measured and as predicted from the inputs alone, with the inputs below."""
     m, k = len(record.output_names), len(record.input_names)
     ratios = [2.0] * m + ([1.6] if k else [])
@@ -114,14 +114,14 @@ def prediction_picture(record: RecordPrediction) -> Figure:
     return figure
 
 
-def rotor_fit_picture(found: FitResult | IdentificationDemo | LinearResult) -> Figure:
+def draw_fit_result(found: FitResult | IdentificationDemo | LinearResult) -> Figure:
     """Draw the prediction of a held-out record, else of a fitted record, else the correlation of the estimates."""
     fit = found if isinstance(found, FitResult) else found.fit
     shown = (*fit.records_with_role("held out"), *fit.records)
-    return prediction_picture(shown[0]) if shown else correlation_picture(fit)
+    return draw_prediction(shown[0]) if shown else draw_correlation(fit)
 
 
-def residual_picture(record: RecordPrediction) -> Figure:
+def draw_residuals(record: RecordPrediction) -> Figure:
     """Draw the residual of every output over time, its autocorrelation with 95 % bounds, and its spectrum."""
     from scipy.signal import welch
 
@@ -152,7 +152,7 @@ def residual_picture(record: RecordPrediction) -> Figure:
     return figure
 
 
-def cross_correlation_picture(record: RecordPrediction) -> Figure:
+def draw_cross_correlation(record: RecordPrediction) -> Figure:
     """Draw the correlation of every residual with every input, with 95 % bounds; at positive lags the input leads."""
     m, k, dt = len(record.output_names), len(record.input_names), _median_sample_s(record)
     figure = blank_figure(min(10.0, 2.0 + 2.4 * k), 0.6 + 1.5 * m)
@@ -195,7 +195,7 @@ def estimate_coherence(record: RecordPrediction) -> tuple[FrequencyResponse, Fre
     return two[0], two[1]
 
 
-def coherence_picture(record: RecordPrediction) -> Figure | None:
+def draw_coherence(record: RecordPrediction) -> Figure | None:
     """Draw the coherence of every output, and of its residual, with the inputs over frequency."""
     both = estimate_coherence(record)
     if both is None:
@@ -227,7 +227,7 @@ def coherence_picture(record: RecordPrediction) -> Figure | None:
     return figure
 
 
-def theil_coefficient_picture(records: tuple[RecordPrediction, ...]) -> Figure:
+def draw_theil_coefficient(records: tuple[RecordPrediction, ...]) -> Figure:
     """Draw Theil's coefficient of every output and record, split into bias, variance and covariance."""
     rows = [(f"{r.output_names[j]}, {r.role}", q) for r in records for j, q in enumerate(assess_record(r))]
     figure = blank_figure(8.0, 0.9 + 0.28 * len(rows))
@@ -248,7 +248,7 @@ def theil_coefficient_picture(records: tuple[RecordPrediction, ...]) -> Figure:
     return figure
 
 
-def correlation_picture(fit: FitResult) -> Figure:
+def draw_correlation(fit: FitResult) -> Figure:
     """Draw the correlation of the estimates as a map."""
     n = len(fit.estimates)
     size = float(np.clip(2.2 + 0.38 * n, 3.6, 10.0))
@@ -272,7 +272,7 @@ def correlation_picture(fit: FitResult) -> Figure:
     return figure
 
 
-def history_picture(fit: FitResult) -> Figure | None:
+def draw_iteration_history(fit: FitResult) -> Figure | None:
     """Draw the cost and the parameters relative to their final values over the iterations; None without history."""
     rows = [r for r in fit.history if "cost" in r]
     if len(rows) < 2:
@@ -313,7 +313,7 @@ def _group_by_voltage(voltage: Array) -> list[NDArray[np.bool_]]:
     return [label == k for k in range(count)]
 
 
-def motor_picture(fit: MotorFit, *, title: str = "") -> Figure:
+def draw_motor_fit(fit: MotorFit, *, title: str = "") -> Figure:
     """Draw current over torque and torque over speed with the fitted lines, and the residuals of both equations.
 
     Every voltage level gets a line at its mean voltage. Without distinct levels the adjusted readings are drawn.
@@ -359,7 +359,7 @@ def motor_picture(fit: MotorFit, *, title: str = "") -> Figure:
     return figure
 
 
-def rotor_picture(
+def draw_rotor_coefficients(
     fits: RotorFit | Sequence[RotorFit],
     *,
     predicted: dict[str, tuple[Array, Array]] | None = None,
@@ -443,7 +443,7 @@ _SHOWN_OUTPUTS_BY_CHANNEL = {
 _MAX_SHOWN_STD_PERCENT = 1e3  # per cent; end of the bars of unidentifiable parameters
 
 
-def plan_picture(plan: ExcitationPlan, chosen: ExcitationCandidate | None = None) -> Figure:
+def draw_excitation_plan(plan: ExcitationPlan, chosen: ExcitationCandidate | None = None) -> Figure:
     """Draw an excitation plan: signal, spectra, predicted flight and expected accuracy.
 
     Parameters

@@ -171,7 +171,7 @@ _PAGE_BODY_TEMPLATE = """
 <h2>Parameters</h2>
 {{ table(*parameters, numbers=range(1, 6), warn=parameters[0] | length - 1) }}
 {% if correlated %}
-{{ figure(album("correlation", pictures.correlation_picture, fit), "Correlation of estimates") }}
+{{ figure(album("correlation", pictures.draw_correlation, fit), "Correlation of estimates") }}
 {% endif %}
 {% if fit.held %}
 <h2>Uncertain because of held parameters</h2>
@@ -187,20 +187,20 @@ _PAGE_BODY_TEMPLATE = """
 {% endif %}
 <p>Fit: 100 % is exact, 0 % is the mean of the record. Over noise: 1 is the measurement's own noise floor. p below 0.05:
 the residual is not white, so that plain Cramér-Rao bounds would be too small.</p>
-{{ figure(album("theil", pictures.theil_coefficient_picture, fit.records), "Theil's coefficient") }}
+{{ figure(album("theil", pictures.draw_theil_coefficient, fit.records), "Theil's coefficient") }}
 {% endif %}
 {% for record in fit.records %}
 {% set name = loop.index ~ "-" ~ record.role.replace(" ", "-") %}
 <h2>{{ record.name }} <small>({{ record.role }})</small></h2>
 {% if record.doubt %}<p class="warn">{{ record.doubt }}.</p>{% endif %}
-{{ figure(album(name ~ "-prediction", pictures.prediction_picture, record), "Prediction") }}
+{{ figure(album(name ~ "-prediction", pictures.draw_prediction, record), "Prediction") }}
 {% if record.time_s | length >= enough %}
 <h3>Findings from the residuals</h3>
 {{ listed(what_is_missing(record), "Nothing stands out of the noise.") }}
-{{ figure(album(name ~ "-residuals", pictures.residual_picture, record), "Residuals") }}
+{{ figure(album(name ~ "-residuals", pictures.draw_residuals, record), "Residuals") }}
 {% if record.input_names %}
-{{ figure(album(name ~ "-cross", pictures.cross_correlation_picture, record), "Residuals and inputs") }}
-{{ figure(album(name ~ "-coherence", pictures.coherence_picture, record), "Coherence") }}
+{{ figure(album(name ~ "-cross", pictures.draw_cross_correlation, record), "Residuals and inputs") }}
+{{ figure(album(name ~ "-coherence", pictures.draw_coherence, record), "Coherence") }}
 {% endif %}
 {% endif %}
 {% endfor %}
@@ -216,7 +216,7 @@ the residual is not white, so that plain Cramér-Rao bounds would be too small.<
 {% endfor %}
 {% if fit.history | length > 1 %}
 <h2>Convergence</h2>
-{{ figure(album("history", pictures.history_picture, fit), "Cost and parameters") }}
+{{ figure(album("history", pictures.draw_iteration_history, fit), "Cost and parameters") }}
 {% endif %}
 """
 
@@ -354,7 +354,7 @@ def cross_check_table(r: LinearResult) -> ReportTable:
     return ("parameter", "output error", "equation error", "frequency response", "unit"), tuple(rows)
 
 
-def bode_comparison_picture(r: LinearResult, s: FrequencyResponseFit) -> Figure:
+def draw_bode_comparison(r: LinearResult, s: FrequencyResponseFit) -> Figure:
     """Draw measured frequency responses with error bounds, and those of the time-domain and spectral fits."""
     data: FrequencyResponse = s.measured_response
     fitted = structure_response(r.linear.structure, r.linear.values, data.frequency_hz)
@@ -401,7 +401,7 @@ def format_pole(p: complex) -> str:
     return f"{p.real:.2f}" if abs(p.imag) < 1e-9 else f"{p.real:.2f}{p.imag:+.2f}j"
 
 
-def slow_motion_picture(r: LinearResult) -> Figure:
+def draw_slow_motion(r: LinearResult) -> Figure:
     """Draw measured and simulated outputs, both low-passed, over the fitted and the held-out part."""
     m, ink = len(r.linear.structure.outputs), fit_pictures.text_colour()
     figure = blank_figure(9.5, 0.8 + 1.7 * m)
@@ -453,7 +453,7 @@ def write_linear_report(
              f"is the noise floor, which is what the output holds above {r.slow_hz:g} Hz (noise >; the inputs have "
              f"{100 * min(c.floor.input_power_below_fraction for c in r.checks['fit']):.1f} % of their power below) "
              "and what disagrees with the angle's derivative below (noise <). Error and noise in the output's unit.",),
-            heads, rows, partial(slow_motion_picture, r), "slow",
+            heads, rows, partial(draw_slow_motion, r), "slow",
         )
     )  # fmt: skip
     if r.ahead:
@@ -487,6 +487,6 @@ def _cross_check_section(r: LinearResult) -> ReportSection:
         tuple(text),
         heads,
         rows,
-        partial(bode_comparison_picture, r, r.spectral_fit),
+        partial(draw_bode_comparison, r, r.spectral_fit),
         "bode",
     )

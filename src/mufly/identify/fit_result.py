@@ -93,7 +93,7 @@ class EstimateLookup:
 
 @result(
     eq=False,
-    picture="mufly.identify.fit_pictures:prediction_picture",
+    picture="mufly.identify.fit_pictures:draw_prediction",
     json="name role outputs=output_names noise_std error_over_noise=rms_over_noise converged doubt",
 )
 class RecordPrediction:
@@ -149,7 +149,7 @@ class RecordPrediction:
 
 @result(
     eq=False,
-    picture="mufly.identify.fit_pictures:rotor_fit_picture",
+    picture="mufly.identify.fit_pictures:draw_fit_result",
     json="vehicle method converged message parameters=estimates correlation undetermined held records cost "
     "simulations seconds",
 )

@@ -35,7 +35,7 @@ _PAIR_SIDE_NAMES = ("upper", "lower")
 _ROTOR_COLOURS = ("C0", "C3")
 
 
-def blade_picture(rotor: Rotor) -> Figure:
+def draw_blade(rotor: Rotor) -> Figure:
     """Draw planform (quarter chord line straight), twist and sections of a blade, lengths in millimetres."""
     x = np.linspace(float(rotor.hub_cutout), 1.0, 101)
     r, chord = 1e3 * rotor.radius_m * x, 1e3 * rotor.chord_m(x)
@@ -82,7 +82,7 @@ def _load_per_radius(result: RotorResult, load: Array) -> Array:
     return out
 
 
-def spanwise_picture(result: RotorResult) -> Figure:
+def draw_spanwise_loads(result: RotorResult) -> Figure:
     """Draw angle of attack, inflow, lift coefficient and Reynolds number along the blade, and thrust per radius."""
     r = 1e3 * result.r_m
     panels = (
@@ -113,7 +113,7 @@ def spanwise_picture(result: RotorResult) -> Figure:
     return figure
 
 
-def rotor_fit_picture(found: RotorFit) -> Figure:
+def draw_rotor_fit(found: RotorFit) -> Figure:
     """Draw measured loads, the prediction before the fit, and the fit with its 90 % interval over rotor speed.
 
     Each pitch setting has a colour. Tunnel runs are drawn over the advance ratio, with a colour for each pitch and
@@ -166,7 +166,7 @@ def rotor_fit_picture(found: RotorFit) -> Figure:
     return figure
 
 
-def map_picture(coefficients: CoefficientMap) -> Figure:
+def draw_coefficient_map(coefficients: CoefficientMap) -> Figure:
     """Draw thrust and torque coefficients of both rotors at the middle of the mean speeds.
 
     The left side is over the speed ratio for three climbs, the right side over the climb velocity for three ratios.
@@ -219,7 +219,7 @@ def map_picture(coefficients: CoefficientMap) -> Figure:
     return figure
 
 
-def section_picture(airfoil: Airfoil) -> Figure:
+def draw_airfoil_section(airfoil: Airfoil) -> Figure:
     """Draw the contour of a section."""
     figure = blank_figure(7.0, 2.4)
     axes = figure.subplots()
@@ -233,7 +233,7 @@ def section_picture(airfoil: Airfoil) -> Figure:
     return figure
 
 
-def polar_picture(polar: PolarTable, reynolds: Sequence[float] = (1e4, 2e4, 5e4, 1e5)) -> Figure:
+def draw_polar(polar: PolarTable, reynolds: Sequence[float] = (1e4, 2e4, 5e4, 1e5)) -> Figure:
     """Draw lift over angle of attack and over drag, at the tabulated Reynolds numbers next to those given.
 
     Lines are solid where the engine computed the polar and dotted where it is extended.
@@ -257,7 +257,7 @@ def polar_picture(polar: PolarTable, reynolds: Sequence[float] = (1e4, 2e4, 5e4,
     return figure
 
 
-def comparison_picture(found: MeasurementComparison) -> Figure:
+def draw_bench_comparison(found: MeasurementComparison) -> Figure:
     """Draw measured and predicted loads over rotor speed, or over climb if there is any; a colour for each pitch."""
     figure = blank_figure(9.0, 4.0)
     m = found.measured
@@ -296,7 +296,7 @@ def _rotor_names(count: int) -> Sequence[str]:
     return _PAIR_SIDE_NAMES if count == 2 else ("rotor",)
 
 
-def wake_picture(solution: SystemSolution) -> Figure:
+def draw_wake(solution: SystemSolution) -> Figure:
     """Draw two turns of the trailing vortices in 3-D, coloured by the magnitude of circulation, one panel per rotor."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -377,7 +377,7 @@ def plane_velocity(solution: SystemSolution, x_m: Array, z_m: Array, *, phases: 
     return total[..., 0], total[..., 1], total[..., 2]
 
 
-def field_picture(solution: SystemSolution, *, mean: bool = True, points: int = 80, phases: int = 12) -> Figure:
+def draw_flow_field(solution: SystemSolution, *, mean: bool = True, points: int = 80, phases: int = 12) -> Figure:
     """Draw the air in a vertical plane through the shaft.
 
     With ``mean``, speed and streamlines are averaged over azimuth. Without it an instant is drawn: vorticity normal to
@@ -431,7 +431,7 @@ def field_picture(solution: SystemSolution, *, mean: bool = True, points: int = 
     return figure
 
 
-def rotor_loads_picture(upper: RotorResult, lower: RotorResult, alone: Sequence[RotorResult] | None = None) -> Figure:
+def draw_rotor_loads(upper: RotorResult, lower: RotorResult, alone: Sequence[RotorResult] | None = None) -> Figure:
     """Draw inflow, angle of attack, lift, thrust and torque along the blades of both rotors, isolated rotors dashed."""
     figure = blank_figure(10.0, 6.0)
     panels: tuple[tuple[str, Callable[[RotorResult], Array]], ...] = (
@@ -465,14 +465,14 @@ def rotor_loads_picture(upper: RotorResult, lower: RotorResult, alone: Sequence[
     return figure
 
 
-def result_picture(found: SystemSolution) -> Figure:
+def draw_rotor_result(found: SystemSolution) -> Figure:
     """Draw the spanwise loads of a system of one rotor or a pair."""
     return (
-        spanwise_picture(found.rotors[0]) if len(found.rotors) == 1 else rotor_loads_picture(found.upper, found.lower)
+        draw_spanwise_loads(found.rotors[0]) if len(found.rotors) == 1 else draw_rotor_loads(found.upper, found.lower)
     )
 
 
-def history_picture(history: Array, *, residual: float | None = None, note: str = "") -> Figure:
+def draw_iteration_history(history: Array, *, residual: float | None = None, note: str = "") -> Figure:
     """Draw the convergence of a wake.
 
     Parameters

@@ -249,7 +249,7 @@ class OperatingCondition:
     air: Air = field(default_factory=Air)
 
 
-@result(eq=False, picture="mufly.rotor.rotor_pictures:spanwise_picture")
+@result(eq=False, picture="mufly.rotor.rotor_pictures:draw_spanwise_loads")
 class RotorResult:
     """Loads of a rotor at an operating point, in total and along the blade.
 
@@ -468,7 +468,7 @@ class RotorWake:
     segments_per_free_step: int = 1
 
 
-@result(eq=False, picture="mufly.rotor.rotor_pictures:result_picture")
+@result(eq=False, picture="mufly.rotor.rotor_pictures:draw_rotor_result")
 class SystemSolution:
     """Solution of a rotor system at an operating point.
 

@@ -26,9 +26,9 @@ from mufly.study.study_parameters import (
     parse_values,
 )
 from mufly.study.study_pictures import (
-    gear_curve_picture,
-    ranking_picture,
-    sweep_picture,
+    draw_gear_curve,
+    draw_ranking,
+    draw_sweep,
 )
 from mufly.study.study_setup import AERODYNAMIC_METHODS, BEMT_MODELS, StudySetup, reshape_rotor
 from mufly.study.sweeps import (
@@ -56,8 +56,10 @@ __all__ = [
     "build_condition",
     "build_system",
     "choose_airfoils",
+    "draw_gear_curve",
+    "draw_ranking",
+    "draw_sweep",
     "evaluate_cases",
-    "gear_curve_picture",
     "optimise_pair",
     "optimise_rotor",
     "parse_limit",
@@ -66,13 +68,11 @@ __all__ = [
     "parse_settings",
     "parse_values",
     "rank_airfoils",
-    "ranking_picture",
     "read_results",
     "reshape_rotor",
     "solve_case",
     "solve_isolated_rotors",
     "sweep_parameters",
-    "sweep_picture",
     "thesis_airfoils",
     "verify_by_wake",
     "write_results",

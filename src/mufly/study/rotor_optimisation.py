@@ -38,11 +38,11 @@ from mufly.rotor import (
     Rotor,
     RotorSystem,
     SystemSolution,
-    blade_picture,
+    draw_blade,
+    draw_rotor_loads,
     is_polar_file,
     load_airfoil,
     replace_rotor,
-    rotor_loads_picture,
     solve_system,
 )
 from mufly.rotor.wake import check_rotors
@@ -125,7 +125,7 @@ class RotorOptimum:
 
     def plot(self) -> Figure:
         """Draw the optimum; return a matplotlib figure."""
-        return enable_notebook_display(blade_picture(self.rotor))
+        return enable_notebook_display(draw_blade(self.rotor))
 
 
 def optimise_rotor(
@@ -481,7 +481,7 @@ class PairOptimum:
 
     def plot(self) -> Figure:
         """Draw the optimum; return a matplotlib figure."""
-        return enable_notebook_display(rotor_loads_picture(self.after.upper, self.after.lower))
+        return enable_notebook_display(draw_rotor_loads(self.after.upper, self.after.lower))
 
 
 def parse_pair_limit(text: str) -> DesignLimit:

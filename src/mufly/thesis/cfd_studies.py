@@ -15,10 +15,10 @@ import xarray as xr
 
 from mufly.cfd import (
     MeshDomain,
+    draw_mesh,
+    draw_surface_pressure,
     make_poly_mesh,
     make_sector_mesh,
-    mesh_picture,
-    pressure_picture,
     read_point,
     read_poly_mesh,
     read_solution,
@@ -29,7 +29,7 @@ from mufly.cfd.solver_process import list_complete_states
 from mufly.errors import InputError
 from mufly.quantities.units import RPM
 from mufly.results.result_figure import blank_figure
-from mufly.rotor import field_picture, load_rotor
+from mufly.rotor import draw_flow_field, load_rotor
 from mufly.study import sweep_parameters
 from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, Verdict, judge
 from mufly.thesis.single_rotor_studies import (
@@ -85,7 +85,7 @@ def study_mesh_setup(progress: ProgressCallback | None = None) -> StudyFindings:
         f"standing, where the source has a structured blade domain, an unstructured rotating and a standing one, "
         f"joined by interfaces; greatest non-orthogonality {q.non_orthogonality_deg:.0f} degrees"
     )
-    drawn = mesh_picture(mesh)
+    drawn = draw_mesh(mesh)
     drawn.suptitle("Fig. 3.21: the sector that is meshed here")
     return StudyFindings(verdicts, drawn, note=note)
 
@@ -172,7 +172,7 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
                 holds=(tip < 1.5 * min(middle, 0.0)) and (tip < lower),
             ),
         ]
-        drawn = pressure_picture(mesh, found)
+        drawn = draw_surface_pressure(mesh, found)
         drawn.suptitle(f"Fig. 3.23: pressure on the blade ({where})")
         return StudyFindings(verdicts, drawn, note=f"verdict of the run: {found.verdict}")
     outer = STRIP_LOADS_MN[_TIP_STRIP_RADII_MM]
@@ -223,7 +223,7 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
         ),
     ]
     if case is None:
-        drawn = field_picture(found, mean=True, points=60, phases=6)
+        drawn = draw_flow_field(found, mean=True, points=60, phases=6)
         drawn.suptitle("Fig. 3.24: air around the rotor by the wake method, 12 deg, 7 000 rpm", fontsize="medium")
         return StudyFindings(
             verdicts, drawn, missing="CFD", note="`mufly thesis run fig-3.24 --case DIR` with a solved case"

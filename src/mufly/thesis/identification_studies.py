@@ -17,7 +17,7 @@ import xarray as xr
 
 from mufly.bench import BenchTable
 from mufly.identify import IdentificationDemo, MotorFit, fit_motor, run_identification_demo
-from mufly.identify.fit_pictures import motor_picture, prediction_picture
+from mufly.identify.fit_pictures import draw_motor_fit, draw_prediction
 from mufly.identify.flight.identification_demo import SENSOR_NOISE_STD
 from mufly.identify.residual_analysis import assess_record
 from mufly.quantities.units import RPM
@@ -186,7 +186,7 @@ def study_motor_fit(progress: ProgressCallback | None = None) -> StudyFindings:
             idle=idle / RPM,
         ),
     ]
-    drawn = motor_picture(
+    drawn = draw_motor_fit(
         fit, title="Fig. 5.1: motor constants by least squares (simulated bench with Table 5.3's motor)"
     )
     data = xr.Dataset(
@@ -228,7 +228,7 @@ def _study_flight(name: str) -> StudyFindings:
         ),
         judge(key, "flown vehicle", f"{np.nanmin(last):.2f} to {np.nanmax(last):.2f}", span=np.ptp(last)),
     ]
-    drawn = prediction_picture(record)
+    drawn = draw_prediction(record)
     drawn.suptitle(f"{CLAIMS[key].where}: actuation in {name}; half the parameters forgotten, found again")
     data = xr.Dataset(
         {

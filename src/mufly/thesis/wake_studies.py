@@ -24,12 +24,12 @@ from mufly.rotor import (
     SolverMethod,
     SystemSolution,
     compare_measurements,
-    field_picture,
+    draw_flow_field,
+    draw_wake,
     load_rotor,
     plane_velocity,
     prepare_blading,
     solve_system,
-    wake_picture,
 )
 from mufly.rotor.blading import ensure_blading
 from mufly.rotor.rotor_system import WakeSettings
@@ -94,7 +94,7 @@ def study_wake_pair(progress: ProgressCallback | None = None) -> StudyFindings:
             share=share,
         )
     ]
-    drawn = field_picture(found, mean=False, points=60)
+    drawn = draw_flow_field(found, mean=False, points=60)
     drawn.suptitle("Fig. 3.6: vorticity of a pair, 14 deg, 6 000 rpm", fontsize="medium")
     data = xr.Dataset({"tip_r_over_R": ("point", r), "tip_z_m": ("point", z)})
     return StudyFindings(verdicts, drawn, {"wake": data}, found.message)
@@ -188,7 +188,7 @@ def study_wake_shapes(progress: ProgressCallback | None = None) -> StudyFindings
             torque=abs(torque),
         ),
     ]
-    drawn = wake_picture(pair)
+    drawn = draw_wake(pair)
     drawn.suptitle("Fig. 3.18: wakes of a pair, 14 deg, 6 000 rpm", fontsize="medium")
     data = {name: xr.Dataset({"tip_r_over_R": ("point", r), "tip_z_m": ("point", z)}) for name, (r, z) in radii.items()}
     return StudyFindings(verdicts, drawn, data)
@@ -217,7 +217,7 @@ def study_wake_velocities(progress: ProgressCallback | None = None) -> StudyFind
         ),
         assess("the-air-around-moves-up-more", f"up to {up:+.2f} m/s beyond 1.2 R", up=up),
     ]
-    drawn = field_picture(found, mean=False, points=60)
+    drawn = draw_flow_field(found, mean=False, points=60)
     drawn.suptitle("Fig. 3.19: one rotor, 12 deg, 7 000 rpm", fontsize="medium")
     data = xr.Dataset({"w_m_s": (("z_m", "x_m"), w)}, coords={"x_m": x, "z_m": z})
     note = (

@@ -116,7 +116,7 @@ class SettingResult:
         return self.torque_lower if self.axis == "lower" else self.torque_upper
 
 
-@result(eq=False, picture="mufly.bench.series.series_pictures:series_picture")
+@result(eq=False, picture="mufly.bench.series.series_pictures:draw_series_result")
 class SeriesResult:
     """Result of the analysis of a series.
 

@@ -18,7 +18,7 @@ _LOAD_AXES = (
 )
 
 
-def series_picture(series: SeriesResult) -> Figure:
+def draw_series_result(series: SeriesResult) -> Figure:
     """Draw every setting with its 95 % intervals."""
 
     shown = [x for x in _LOAD_AXES if any(getattr(s, x[0]) is not None for s in series.settings)]

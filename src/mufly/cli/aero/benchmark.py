@@ -104,7 +104,7 @@ def benchmark(
     rows, by_family = room.tabulate_by_group(scores), room.tabulate_by_family(scores)
     files = []
     if out is not None:
-        files = [save_figure(room.score_picture(scores), out, "errors"), _write_points_csv(scores, out / "points.csv")]
+        files = [save_figure(room.draw_scores(scores), out, "errors"), _write_points_csv(scores, out / "points.csv")]
         files += [write_records(out / "scores.csv", [select_fields(r, _GROUP_KEYS) for r in rows])]
         files += [write_records(out / "families.csv", [select_fields(r, _GROUP_KEYS) for r in by_family])]
         if advancing:

@@ -142,7 +142,7 @@ def mesh(
     if out is not None:
         with report_write_errors("--out", key=str(out)):
             files.append(cfd.write_poly_mesh(found, out))
-        files.append(save_figure(cfd.mesh_picture(found), out, "mesh"))
+        files.append(save_figure(cfd.draw_mesh(found), out, "mesh"))
 
     def print_mesh_quality() -> None:
         print_blocks(tabulate_fields(

@@ -47,11 +47,11 @@ def report_case(folder: Path, rotor: Rotor | None, as_json: bool, rounds: Aeroel
 def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: bool) -> bool:
     """Print both rotors of a pair, with the means of the other rotor, and their ratios; return whether it has
     settled."""
-    from mufly.cfd import pair_picture
+    from mufly.cfd import draw_rotor_pair
 
     upper, show_upper, upper_files, upper_loads = _write_solution_report(folder / "upper", rotor)
     lower, show_lower, lower_files, lower_loads = _write_solution_report(folder / "lower", rotor)
-    files = [save_figure(pair_picture(pair), folder, "pair"), *upper_files, *lower_files]
+    files = [save_figure(draw_rotor_pair(pair), folder, "pair"), *upper_files, *lower_files]
     ratios = [("cfd", pair.upper.verdict, pair.lower.verdict), *_pair_by_method(upper_loads, lower_loads)]
 
     def print_pair() -> None:
@@ -74,7 +74,7 @@ def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: 
 
 def report_inflow(folder: Path, rotor: Rotor | None, solutions: list[CfdSolution], as_json: bool) -> None:
     """Print, write and draw the thrust over the climb velocity."""
-    from mufly.cfd import climb_picture, compare_climbs
+    from mufly.cfd import compare_climbs, draw_climb_comparison
     from mufly.vehicle import load_coefficient_map
 
     found = compare_climbs(solutions, rotor, load_coefficient_map("walkera-5g6-bemt"))
@@ -87,7 +87,7 @@ def report_inflow(folder: Path, rotor: Rotor | None, solutions: list[CfdSolution
             "verdict": [s.verdict.outcome for s in found.solutions],
         }
     )  # fmt: skip
-    files = [write_records(folder / "inflow.csv", rows), save_figure(climb_picture(found), folder, "inflow")]
+    files = [write_records(folder / "inflow.csv", rows), save_figure(draw_climb_comparison(found), folder, "inflow")]
     slopes = {
         name: {f"{reach:g}": found.thrust_slope(values, reach) for reach in (0.5, 1.0)}
         for name, values in columns.items()
@@ -134,9 +134,9 @@ def _write_solution_report(
             place / "loads.csv", ("r_m", "dr_m", "thrust_N_m", "torque_Nm_m", "reversed_flow_fraction"),
             zip(found.r_m, found.dr_m, found.thrust_N_m, found.torque_Nm_m, found.reversed_flow_fraction, strict=True),
         ),
-        save_figure(cfd.loads_picture(found, others), place, "loads"),
-        save_figure(cfd.pressure_picture(poly, found), place, "pressure"),
-        save_figure(cfd.history_picture(past), place, "history"),
+        save_figure(cfd.draw_span_loads(found, others), place, "loads"),
+        save_figure(cfd.draw_surface_pressure(poly, found), place, "pressure"),
+        save_figure(cfd.draw_iteration_history(past), place, "history"),
         cfd.write_vtp(place / "blades.vtp", points, faces, data),
         cfd.write_glb(place / "blades.glb", points, faces, cfd.map_colours(data["pressure_Pa"]), found.point.rotor),
     ]  # fmt: skip
@@ -145,10 +145,10 @@ def _write_solution_report(
     wake = cfd.compute_wake_profile(poly, flow, found.point, found.thrust_N + (second.thrust_N if second else 0.0))
     vortices = cfd.extract_vortex_surface(poly, flow, found.point)
     files += [
-        save_figure(cfd.friction_picture(poly, found), place, "friction"),
-        save_figure(cfd.vorticity_picture(poly, flow, found.point), place, "vorticity"),
-        save_figure(cfd.vortices_picture(vortices, poly, found.point), place, "vortices"),
-        save_figure(cfd.wake_picture(wake), place, "wake"),
+        save_figure(cfd.draw_skin_friction(poly, found), place, "friction"),
+        save_figure(cfd.draw_vorticity(poly, flow, found.point), place, "vorticity"),
+        save_figure(cfd.draw_vortices(vortices, poly, found.point), place, "vortices"),
+        save_figure(cfd.draw_wake(wake), place, "wake"),
         cfd.write_vtp(place / "vortices.vtp", *vortices),
         cfd.write_glb(
             place / "vortices.glb",

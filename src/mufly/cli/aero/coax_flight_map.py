@@ -49,7 +49,7 @@ def compute_flight_map(
     from mufly.files.answer_store import replace_file
     from mufly.rotor import load_rotor
     from mufly.rotor.forward.edgewise_map import evaluate_flight_map
-    from mufly.rotor.forward.forward_pictures import flight_map_picture
+    from mufly.rotor.forward.forward_pictures import draw_flight_map
     from mufly.vehicle import format_flight_map_toml, load_vehicle
 
     if out is not None and out.suffix != ".toml":
@@ -65,7 +65,7 @@ def compute_flight_map(
     if out is not None:
         with replace_file(out) as part:
             part.write_text(format_flight_map_toml(made), encoding="utf-8")
-        files = [out, save_figure(flight_map_picture(made, loads), out.parent, out.stem)]
+        files = [out, save_figure(draw_flight_map(made, loads), out.parent, out.stem)]
     content: dict[str, Any] = {
         **made.model_dump(exclude={"table"}),
         **made.decode_map_tables()._asdict(),

@@ -61,7 +61,7 @@ def solve_elastic_point(
     from mufly.results import to_plain_data
     from mufly.rotor import Air, load_rotor
     from mufly.rotor.structure.elastic_rotor import solve_elastic_rotor
-    from mufly.rotor.structure.structure_pictures import elastic_picture
+    from mufly.rotor.structure.structure_pictures import draw_elastic_blade
 
     r = load_rotor(name)
     found = solve_elastic_rotor(
@@ -69,6 +69,6 @@ def solve_elastic_point(
         air=Air(density_kg_m3=density), structure=choose_structure(r, material, thickness), n_crit=theory.n_crit,
         engine=theory.engine, corrections=theory.select_corrections(),
     )  # fmt: skip
-    files = [] if out is None else [save_figure(elastic_picture(found), out, "elastic")]
+    files = [] if out is None else [save_figure(draw_elastic_blade(found), out, "elastic")]
     content = {"rotor": r.name, "method": "bemt", "elastic_blades": to_plain_data(found)} if as_json else found
     print_answer(as_json, content, None, files)

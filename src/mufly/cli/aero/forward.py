@@ -74,7 +74,7 @@ def show_forward(
     from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import Air, load_rotor, solve_for_thrust
     from mufly.rotor.forward import ForwardCondition, flap_modes_of_band, make_flap_mode, sweep_forward
-    from mufly.rotor.forward.forward_pictures import disc_picture, sweep_picture
+    from mufly.rotor.forward.forward_pictures import draw_disc_fields, draw_sweep
 
     if None not in (pitch, rpm, thrust):
         raise InputError("rotor forward", "", "has all of --pitch, --rpm and --thrust", "give two; the third is found")
@@ -107,8 +107,8 @@ def show_forward(
     files = []
     if out is not None:
         files = [
-            save_figure(sweep_picture(sweep), out, "forward"),
-            save_figure(disc_picture(sweep.points[-1][-1]), out, "disc"),
+            save_figure(draw_sweep(sweep), out, "forward"),
+            save_figure(draw_disc_fields(sweep.points[-1][-1]), out, "disc"),
         ]
     print_answer(as_json, sweep, None, files)
 

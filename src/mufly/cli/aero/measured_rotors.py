@@ -160,7 +160,7 @@ def fit(
     import numpy as np
 
     from mufly.errors import InputError
-    from mufly.rotor import add_zero_load_points, fit_rotor, format_rotor_toml, load_rotor, rotor_fit_picture
+    from mufly.rotor import add_zero_load_points, draw_rotor_fit, fit_rotor, format_rotor_toml, load_rotor
     from mufly.rotor.measured.rotor_fit import FIT_PARAMETERS
 
     if out is not None and out.suffix != ".toml":
@@ -179,7 +179,7 @@ def fit(
     files = []
     if out is not None:
         write_text_file(out, format_rotor_toml(found.rotor))
-        files = [out, save_figure(rotor_fit_picture(found), out.parent, out.stem)]
+        files = [out, save_figure(draw_rotor_fit(found), out.parent, out.stem)]
     if as_json:
         content = {
             "rotor": r.name, "measurements": bench.source, "names": FIT_PARAMETERS,

@@ -51,7 +51,7 @@ def show_beam(
     from mufly.rotor import Air, load_rotor
     from mufly.rotor.structure.flap_modes import compute_campbell
     from mufly.rotor.structure.materials import MATERIALS
-    from mufly.rotor.structure.structure_pictures import campbell_picture
+    from mufly.rotor.structure.structure_pictures import draw_campbell
 
     if materials:
         if as_json:
@@ -87,5 +87,5 @@ def show_beam(
             ]
             for k, w in enumerate(found.speed_rad_s)
         ]  # fmt: skip
-        files = [save_figure(campbell_picture(found), out, "campbell"), write_csv(out / "campbell.csv", heads, rows)]
+        files = [save_figure(draw_campbell(found), out, "campbell"), write_csv(out / "campbell.csv", heads, rows)]
     print_answer(as_json, to_plain_data(found) if as_json else found, None, files)

@@ -416,7 +416,7 @@ def _print_transfer_function(t: TransferFunctionFit) -> None:
 
 def _write_responses(data: FrequencyResponse, out: Path, fits: Sequence[TransferFunctionFit]) -> list[Path]:
     from mufly.identify import fit_pictures
-    from mufly.identify.linear.response_pictures import response_picture
+    from mufly.identify.linear.response_pictures import draw_frequency_response
 
     heads, columns = ["frequency_Hz"], [data.frequency_hz]
     for name, pair in data.tabulate_pairs().items():
@@ -427,7 +427,7 @@ def _write_responses(data: FrequencyResponse, out: Path, fits: Sequence[Transfer
     files = [write_csv(out / "responses.csv", heads, np.column_stack(columns).tolist())]
     for k, name in enumerate(data.outputs):
         with fit_pictures.report_style():
-            files.append(save_figure(response_picture(data, k, fits=fits), out, f"response-{name}"))
+            files.append(save_figure(draw_frequency_response(data, k, fits=fits), out, f"response-{name}"))
     return files
 
 
@@ -494,7 +494,7 @@ def _write_bandwidth(data: FrequencyResponse, found: Bandwidth, out: Path) -> li
     from dataclasses import replace
 
     from mufly.identify import fit_pictures
-    from mufly.identify.linear.response_pictures import response_picture
+    from mufly.identify.linear.response_pictures import draw_frequency_response
 
     first = slice(0, 1)
     one = replace(
@@ -504,7 +504,7 @@ def _write_bandwidth(data: FrequencyResponse, found: Bandwidth, out: Path) -> li
         outputs=(data.outputs[0].replace("/", "-over-"),),
     )  # fmt: skip
     with fit_pictures.report_style():
-        picture = save_figure(response_picture(one, 0, read=found), out, "bandwidth")
+        picture = save_figure(draw_frequency_response(one, 0, read=found), out, "bandwidth")
     (pair,) = one.tabulate_pairs().values()
     return [write_records(out / "response.csv", to_records({"frequency_Hz": one.frequency_hz, **pair})), picture]
 
@@ -549,7 +549,7 @@ def compatibility(
     files = []
     if out is not None:
         from mufly.identify import fit_pictures
-        from mufly.identify.linear.response_pictures import reconstruction_picture
+        from mufly.identify.linear.response_pictures import draw_reconstructed_path
 
         stds, corrected = (f"{s}_std" for s in FLIGHT_PATH_STATES), (f"{n}_corrected" for n in _parse_column_names(imu))
         heads = ["time_s", *FLIGHT_PATH_STATES, *stds, *corrected]
@@ -557,7 +557,7 @@ def compatibility(
         with fit_pictures.report_style():
             files = [
                 write_csv(out / "path.csv", heads, rows.tolist()),
-                save_figure(reconstruction_picture(found), out, "path"),
+                save_figure(draw_reconstructed_path(found), out, "path"),
             ]
     if as_json:
         return print_answer(as_json, found, None, files)

@@ -127,7 +127,7 @@ def rotor(
     Example: mufly identify rotor bench.csv --radius 0.0875 --calibration cells.csv --out rotor
     """
     from mufly.bench import calibrate_cells, compute_loads, predict_loads, read_bench_files
-    from mufly.identify.fit_pictures import rotor_picture
+    from mufly.identify.fit_pictures import draw_rotor_coefficients
     from mufly.identify.rotor_coefficients import (
         RotorFit,
         assign_rotor_side,
@@ -179,7 +179,7 @@ def rotor(
     found = (e for f in fits for e in f.estimates)
     files = write_vehicle(start, found, write, f"mufly identify rotor {sources}, {format_today()}")
     if out is not None:
-        files.append(save_figure(rotor_picture(fits, predicted=drawn, title=sources), out, "rotor"))
+        files.append(save_figure(draw_rotor_coefficients(fits, predicted=drawn, title=sources), out, "rotor"))
     effects = describe_interference(fits)
 
     def print_results() -> None:
@@ -280,7 +280,7 @@ def plan(
 
     Example: mufly identify plan mufly-1.1 --free cT_dw,cQ_dw,Jdrive_dw --channel yaw,heave --out plan
     """
-    from mufly.identify.fit_pictures import plan_picture
+    from mufly.identify.fit_pictures import draw_excitation_plan
     from mufly.identify.flight.excitation_plan import (
         SENSOR_NOISE_STD,
         combined_information,
@@ -311,7 +311,7 @@ def plan(
     files = []
     if out is not None:
         for p, c in zip(plans, chosen, strict=True):
-            files.append(save_figure(plan_picture(p, c), out, f"plan_{p.channel}"))
+            files.append(save_figure(draw_excitation_plan(p, c), out, f"plan_{p.channel}"))
             files.append(_write_signal(out / f"signal_{p.channel}_{c.signal.kind}.csv", c))
 
     def print_plans() -> None:
@@ -506,7 +506,7 @@ def motor(
     Example: mufly identify motor motor.csv --vehicle mufly-1.1 --write mine.toml --out motor
     """
     from mufly.bench import read_bench_file
-    from mufly.identify.fit_pictures import motor_picture
+    from mufly.identify.fit_pictures import draw_motor_fit
     from mufly.identify.motor_fit import MOTOR_CHANNELS, GearKnowledge, fit_motor, parse_noise
 
     start = load_start_vehicle(vehicle, write)
@@ -522,7 +522,7 @@ def motor(
     )  # fmt: skip
     files = write_vehicle(start, fit.estimates, write, f"mufly identify motor {table.source}, {format_today()}")
     if out is not None:
-        picture = motor_picture(fit, title=f"{table.source}: motor constants by least squares")
+        picture = draw_motor_fit(fit, title=f"{table.source}: motor constants by least squares")
         files.append(save_figure(picture, out, "motor"))
 
     def print_results() -> None:

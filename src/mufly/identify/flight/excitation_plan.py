@@ -419,7 +419,7 @@ _CANDIDATE_RECORD_FIELDS = (
 
 @result(
     eq=False,
-    picture="mufly.identify.fit_pictures:plan_picture",
+    picture="mufly.identify.fit_pictures:draw_excitation_plan",
     json="channel band_Hz modes_Hz noise limits candidates=candidate_records",
 )
 class ExcitationPlan:

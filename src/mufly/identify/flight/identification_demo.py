@@ -234,7 +234,7 @@ DEMO_FREE_SYMBOLS = (
 _START_VALUE_ERROR_FRACTION = 0.5
 
 
-@result(eq=False, picture="mufly.identify.fit_pictures:rotor_fit_picture")
+@result(eq=False, picture="mufly.identify.fit_pictures:draw_fit_result")
 class IdentificationDemo:
     """Fit of the demonstration with the true parameters.
 

@@ -61,7 +61,7 @@ _INDEPENDENT_SEGMENT_FRACTION = 18.0 / 19.0  # independent segments per half-ove
 
 @result(
     eq=False,
-    picture="mufly.identify.linear.response_pictures:response_picture",
+    picture="mufly.identify.linear.response_pictures:draw_frequency_response",
     json="frequency_hz responses=tabulate_pairs coherence",
 )
 class FrequencyResponse:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def response_picture(
+def draw_frequency_response(
     data: FrequencyResponse,
     output: int = 0,
     *,
@@ -108,7 +108,7 @@ def response_picture(
     return figure
 
 
-def reconstruction_picture(c: ReconstructedPath) -> Figure:
+def draw_reconstructed_path(c: ReconstructedPath) -> Figure:
     """Draw measured and reconstructed outputs, with their residuals beside them."""
     from mufly.identify.linear.flight_path_reconstruction import FLIGHT_PATH_STATES, STATE_UNITS
 

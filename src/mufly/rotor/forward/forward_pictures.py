@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mufly.vehicle import FlightMap
 
 
-def disc_picture(result: ForwardResult) -> Figure:
+def draw_disc_fields(result: ForwardResult) -> Figure:
     """Draw induced velocity, onset angle and load of a blade over the disc, seen from above, the air from the top."""
 
     disc = result.disc
@@ -57,7 +57,7 @@ def disc_picture(result: ForwardResult) -> Figure:
     return figure
 
 
-def sweep_picture(sweep: ForwardSweep) -> Figure:
+def draw_sweep(sweep: ForwardSweep) -> Figure:
     """Draw loads, moments, flapping and the response to cyclic pitch over airspeed, a line for each flap frequency."""
     figure = blank_figure(12.0, 7.5)
     axes = figure.subplots(2, 4).ravel()
@@ -82,12 +82,12 @@ def sweep_picture(sweep: ForwardSweep) -> Figure:
     return figure
 
 
-def pair_picture(pair: ForwardPair) -> Figure:
+def draw_rotor_pair(pair: ForwardPair) -> Figure:
     """Draw induced velocity, onset angle and load over the disc of the lower rotor, in the stream of the upper one."""
-    return disc_picture(pair.lower)
+    return draw_disc_fields(pair.lower)
 
 
-def pair_sweep_picture(sweep: PairSweep) -> Figure:
+def draw_pair_sweep(sweep: PairSweep) -> Figure:
     """Draw the loads of both rotors and their sums over airspeed, a colour for each flap frequency."""
     figure = blank_figure(12.0, 7.0)
     axes = figure.subplots(2, 3).ravel()
@@ -122,7 +122,7 @@ def pair_sweep_picture(sweep: PairSweep) -> Figure:
     return figure
 
 
-def flight_map_picture(flight_map: FlightMap, loads: MapLoads) -> Figure:
+def draw_flight_map(flight_map: FlightMap, loads: MapLoads) -> Figure:
     """Draw the loads of a flight map over airspeed at its middle speed ratio without climb."""
     figure = blank_figure(12.0, 6.5)
     axes = figure.subplots(2, 3).ravel()

@@ -103,7 +103,7 @@ class SolverState:
     annulus_values: Array
 
 
-@result(eq=False, picture="mufly.rotor.forward.forward_pictures:disc_picture")
+@result(eq=False, picture="mufly.rotor.forward.forward_pictures:draw_disc_fields")
 class ForwardResult:
     """Loads of a rotor in forward flight; forces and moments of the hub in axes forward, right, with the shaft up.
 
@@ -246,7 +246,7 @@ class _SweepRow:
     response: CyclicResponse
 
 
-@result(eq=False, picture="mufly.rotor.forward.forward_pictures:sweep_picture")
+@result(eq=False, picture="mufly.rotor.forward.forward_pictures:draw_sweep")
 class ForwardSweep:
     """Results of a rotor over airspeed, for one or several flap frequencies.
 

@@ -53,7 +53,7 @@ PAIR_COLUMNS = (
 
 @result(
     eq=False,
-    picture="mufly.rotor.forward.forward_pictures:pair_picture",
+    picture="mufly.rotor.forward.forward_pictures:draw_rotor_pair",
     json="upper lower spacing_m shift_m overlap thrust_N power_W h_force_N y_force_N roll_moment_Nm pitch_moment_Nm "
     "yaw_torque_Nm",
 )
@@ -257,7 +257,7 @@ def solve_forward_pair(
     )
 
 
-@result(eq=False, picture="mufly.rotor.forward.forward_pictures:pair_sweep_picture")
+@result(eq=False, picture="mufly.rotor.forward.forward_pictures:draw_pair_sweep")
 class PairSweep:
     """Pairs over airspeed for one or several flap frequencies.
 

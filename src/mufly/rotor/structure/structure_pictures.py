@@ -21,7 +21,7 @@ _SHOWN_MODES = ("flap 1", "flap 2", "torsion 1")
 """Modes that set the height of the picture."""
 
 
-def campbell_picture(found: CampbellDiagram) -> Figure:
+def draw_campbell(found: CampbellDiagram) -> Figure:
     """Draw the frequencies over rotor speed with their bands, and the harmonics of the rotor speed."""
     figure = blank_figure(8.0, 5.0)
     axes = figure.subplots()
@@ -48,7 +48,7 @@ def campbell_picture(found: CampbellDiagram) -> Figure:
     return figure
 
 
-def elastic_picture(found: ElasticRotorResult) -> Figure:
+def draw_elastic_blade(found: ElasticRotorResult) -> Figure:
     """Draw elastic twist with its band, deflection, and thrust per radius of the rigid and of the elastic blade."""
     figure = blank_figure(10.0, 3.6)
     twist, bend, load = figure.subplots(1, 3)

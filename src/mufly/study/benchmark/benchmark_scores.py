@@ -286,7 +286,7 @@ def _make_row(code: str, group: str, part: list[RotorScore]) -> ScoreRow:
 _MAX_ROTOR_LINES = 60
 
 
-def score_picture(scores: Sequence[RotorScore]) -> Figure:
+def draw_scores(scores: Sequence[RotorScore]) -> Figure:
     """Draw the errors: a line for each rotor, or for more than sixty rotors the fraction of rotors below an error."""
 
     names = list(dict.fromkeys(s.case.name for s in scores))
