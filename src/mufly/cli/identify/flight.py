@@ -173,8 +173,10 @@ def flight(
     check_output_place("--report", report)
     check_output_place("--checkpoint", checkpoint, "file")
     start = load_vehicle(vehicle)
-    records, said = _read_records(logs, columns, prefix, start, as_is)
-    held, more = _read_records(hold_out or [], columns, prefix, start, as_is)
+    volts = _parse_voltage(voltage)
+    uses_voltage = volts in ("model", "measured")
+    records, said = _read_records(logs, columns, prefix, start, as_is, uses_voltage)
+    held, more = _read_records(hold_out or [], columns, prefix, start, as_is, uses_voltage)
     if not hold_out and hold_out_share > 0:
         parts = [cut(r, hold_out_share) for r in records]
         records, held = [p[0] for p in parts], [p[1] for p in parts]
@@ -191,7 +193,7 @@ def flight(
     elif any(p.exists() for p in kept) and not as_json:
         print_lines(f"Resuming from {keep}.")
     options: dict[str, Any] = {
-        "held_out": held, "voltage": _parse_voltage(voltage), "delay_s": delay_ms / 1e3, "prior": not no_prior,
+        "held_out": held, "voltage": volts, "delay_s": delay_ms / 1e3, "prior": not no_prior,
         "window_s": window, "method": method, "seed": seed, "restarts": restarts, "checkpoint": keep,
         "outputs": chosen, "held_exact": held_exact,
     }  # fmt: skip
@@ -223,7 +225,7 @@ def _parse_voltage(text: str) -> str | float:
 
 
 def _read_records(
-    paths: list[Path], columns: Path | None, prefix: str, vehicle: Vehicle, as_is: bool
+    paths: list[Path], columns: Path | None, prefix: str, vehicle: Vehicle, as_is: bool, uses_voltage: bool
 ) -> tuple[list[FlightRecord], list[str]]:
     from mufly.identify import check_flight_records, make_record
     from mufly.logs import LogWarning, read_log
@@ -236,7 +238,7 @@ def _read_records(
             data = read_log(path, columns=columns)
         said += [f"{path.name}: {note}" for note in data.attrs.get("notes", [])]
         records.append(make_record(data, path.name, prefix=prefix))
-    return records, [*said, *check_flight_records(records, vehicle, as_is=as_is)]
+    return records, [*said, *check_flight_records(records, vehicle, as_is=as_is, uses_voltage=uses_voltage)]
 
 
 @contextmanager

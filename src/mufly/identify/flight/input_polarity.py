@@ -203,7 +203,9 @@ def _judge_gain(found: CausalGain | None, is_crossed: bool) -> InputGain:
     return InputGain(float(g[0]), float(std[0]), *cross, side, sure and lead == 1)
 
 
-def check_flight_records(records: Sequence[FlightRecord], vehicle: Vehicle, *, as_is: bool = False) -> tuple[str, ...]:
+def check_flight_records(
+    records: Sequence[FlightRecord], vehicle: Vehicle, *, as_is: bool = False, uses_voltage: bool = True
+) -> tuple[str, ...]:
     """Check records for faults that would cause wrong parameters in a fit of this vehicle.
 
     All records count as output of one logger: signs and axes found in one record help to name faults of the others.
@@ -215,6 +217,8 @@ def check_flight_records(records: Sequence[FlightRecord], vehicle: Vehicle, *, a
         Vehicle with start values; only order of magnitude and sign of its parameters need be correct.
     as_is : bool
         Report faults as warnings, and reject only a record in which no input moves.
+    uses_voltage : bool
+        Whether the fit uses the recorded voltage; otherwise an implausible voltage gives a warning.
 
     Returns
     -------
@@ -232,6 +236,9 @@ def check_flight_records(records: Sequence[FlightRecord], vehicle: Vehicle, *, a
     for r in records:
         warnings += check_record(r, as_is=as_is)
         volts = _check_voltage_unit(r, vehicle)
+        if volts and not uses_voltage:
+            warnings.append(f"{r.name}: voltage {volts[0].problem}. The fit does not use it.")
+            r, volts = dataclasses_replace(r, voltage=None), []
         warnings += refuse_fatal_faults(r, volts, as_is=as_is)
         if not volts and not (as_is and any(f.is_fatal for f in find_signal_faults(r))):
             seen.append((r, *estimate_input_gains(vehicle, r)))
@@ -259,8 +266,9 @@ def _check_voltage_unit(r: FlightRecord, vehicle: Vehicle) -> list[SignalFault]:
         if _VOLTAGE_RATIO_RANGE[0] < volts / nominal / size < _VOLTAGE_RATIO_RANGE[1]:
             what = f"reads {volts:.4g} where the vehicle's battery has {nominal:g} V: it seems to be in {words}"
             return [SignalFault("voltage", what, f"scale it by {1.0 / size:g} in the column map")]
-    what = f"reads {volts:.3g} V where the vehicle's battery has {nominal:g} V: another battery, or no voltage"
-    return [SignalFault("voltage", what, "correct or omit the signal, or set the battery in the vehicle file")]
+    what = f"reads {volts:.3g} V where the vehicle's battery has {nominal:g} V: another or a simulated battery"
+    remedy = "state the voltage with --voltage (nominal or a number), or set the battery in the vehicle file"
+    return [SignalFault("voltage", what, remedy)]
 
 
 def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> Iterator[SignalFault]:
