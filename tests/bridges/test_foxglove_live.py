@@ -8,9 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from mufly.bridges.autopilot_plant import AutopilotPlant
 from mufly.errors import InputError
 from mufly.flight import FlightRecorder, flight_layout
 from mufly.logs import read_mcap
+from mufly.mission import Mission
+from mufly.vehicle import load_vehicle
 
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed: pip install 'mufly[foxglove]'")
 websockets = pytest.importorskip("websockets", reason="websockets is not installed")
@@ -63,6 +66,32 @@ def test_a_client_gets_the_topics_schemas_and_messages_of_the_recording(tmp_path
     assert topics["/tf"]["schemaName"] == "foxglove.FrameTransforms"
     assert topics["/truth"]["schemaName"] == "mufly.truth"
     assert json.loads(topics["/truth"]["schema"])["properties"]["position"]["required"] == ["N", "E", "D"]
+
+
+def test_the_plant_of_another_autopilot_is_shown():
+    with AutopilotPlant(load_vehicle("mufly-1.1"), Mission(name="hall"), rate_Hz=250.0, autopilot="PX4") as plant:
+        view = FoxgloveViewConfig(port=0).open_view(plant)
+
+        async def watch():
+            address = f"ws://127.0.0.1:{view._publisher.port}"
+            async with websockets.connect(address, subprotocols=["foxglove.sdk.v1"], max_size=None) as client:
+                topics = {}
+                while "/truth" not in topics.values():
+                    message = await asyncio.wait_for(client.recv(), 10)
+                    if isinstance(message, str) and json.loads(message)["op"] == "advertise":
+                        topics |= {c["id"]: c["topic"] for c in json.loads(message)["channels"]}
+                wanted = [{"id": k, "channelId": k} for k, topic in topics.items() if topic == "/truth"]
+                await client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+                await asyncio.sleep(0.3)
+                for _ in range(50):
+                    plant.advance_period(np.array([0.9, 0.9, 0.0, 0.0]), True)
+                while isinstance(message := await asyncio.wait_for(client.recv(), 10), str):
+                    pass
+                return json.loads(message[13:])
+
+        told = asyncio.run(watch())
+        view.close()
+    assert told["position"]["D"] == pytest.approx(plant.truth.position[2], abs=0.01)
 
 
 def test_a_port_in_use_is_named():

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.flight import Flight
-from mufly.flight.record.live_view import LiveViewThread
+from mufly.flight.record.live_view import LiveViewThread, RecordedFlight
 from mufly.flight.record.recorder import FlightRecorder, RecordingEncoder
 from mufly.logs.mcap import FlightEvent
 
@@ -58,7 +57,7 @@ class FoxgloveViewConfig:
     host: str = "127.0.0.1"
     port: int = DEFAULT_PORT
 
-    def open_view(self, flight: Flight) -> LiveViewThread:
+    def open_view(self, flight: RecordedFlight) -> LiveViewThread:
         """Start the server.
 
         Raises

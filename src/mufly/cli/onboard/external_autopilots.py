@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from mufly.cli.onboard.view_options import make_foxglove_view
 from mufly.cli.options import CommandGroup, JsonOption, VehicleOption, define_argument, define_option
 from mufly.cli.output import LiveDisplay, check_output_place, make_console, print_answer, print_lines, print_table
 from mufly.cli.station import ShutdownHandler, check_sensor_options, describe_sensor_source, resolve_wind
@@ -159,6 +160,7 @@ def run_simulator(
     fault: list[str] | None,
     position: Literal["vision", "gps"],
     speed: float,
+    foxglove: str,
 ) -> None:
     """Simulate the vehicle for another autopilot until Ctrl-C (``mufly link --simulator``)."""
     if sensors != "fitted":
@@ -168,12 +170,13 @@ def run_simulator(
     from mufly.bridges.ardupilot.ardupilot_link import ARDUPILOT_ENDPOINT
     from mufly.bridges.betaflight.betaflight_link import BETAFLIGHT_ENDPOINT
     from mufly.bridges.px4.px4_link import PX4_ENDPOINT
-    from mufly.bridges.simulator_pace import AutopilotSimulator, check_speed
+    from mufly.bridges.simulator_pace import AutopilotSimulator, SimulatorReport, check_speed
     from mufly.link.codec import parse_origin
     from mufly.link.ports import parse_endpoint
 
     check_speed(speed, "--speed")
     steady = resolve_wind(wind, gust, seed)
+    view_config = make_foxglove_view(foxglove) if foxglove else None
     default = {"px4": PX4_ENDPOINT, "ardupilot": ARDUPILOT_ENDPOINT, "betaflight": BETAFLIGHT_ENDPOINT}[autopilot]
     endpoint = parse_endpoint(ends[0], "vehicle", "--link") if ends else default
     if endpoint.kind != default.kind:
@@ -217,6 +220,7 @@ def run_simulator(
     )  # fmt: skip
     with plant, over, LiveDisplay(terminal) as display:
         plant.listeners.append(display.show_event)
+        view = None if view_config is None else view_config.open_view(plant)
         simulator: AutopilotSimulator
         if autopilot == "px4":
             simulator = Px4Simulator(
@@ -227,7 +231,15 @@ def run_simulator(
         else:
             simulator = ArduPilotSimulator(plant, endpoint=endpoint, speed=speed, where="--link")
         terminal.print("Ctrl-C ends it.", style="dim")
-        simulator.run(over.stop_requested.is_set, lambda report: display.set_live_line(str(report)))
+
+        def show_report(report: SimulatorReport) -> None:
+            display.set_live_line(str(report))
+            if view is not None:
+                view.serve_requests()
+
+        simulator.run(over.stop_requested.is_set, show_report)
+        if view is not None:
+            view.close()
     if path is not None:
         print_lines(f"Ended; the recording is in {path}")
     raise typer.Exit(over.exit_status)

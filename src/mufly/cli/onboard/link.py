@@ -126,8 +126,8 @@ def run_link(
     ros: RosOption = False,
 ) -> None:
     """Run the simulated helicopter as a MAVLink vehicle, in real time."""
-    if (simulator is not None or qemu) and (foxglove or ros):
-        which = "--foxglove" if foxglove else "--ros"
+    if (simulator is not None and ros) or (qemu and (foxglove or ros)):
+        which = "--foxglove" if foxglove and qemu else "--ros"
         raise InputError(which, "", "shows flights of mufly's own flight software", "leave it out")
     if simulator is not None:
         for name, chosen in {"--qemu": qemu, "--firmware": firmware}.items():
@@ -135,7 +135,7 @@ def run_link(
                 raise InputError(name, "", f"with --simulator {simulator} flies", "leave it out")
         run_simulator(
             simulator, mission=mission, vehicle=vehicle, ends=ends, origin=origin, out=out, wind=wind, gust=gust,
-            seed=seed, sensors=sensors, fault=fault, position=position, speed=speed,
+            seed=seed, sensors=sensors, fault=fault, position=position, speed=speed, foxglove=foxglove,
         )  # fmt: skip
         return
     if qemu:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from mufly.cli.options import define_option
 
 if TYPE_CHECKING:
+    from mufly.bridges.foxglove_live import FoxgloveViewConfig
     from mufly.flight.record.live_view import LiveViewConfig
 
 FoxgloveOption = Annotated[
@@ -35,14 +36,25 @@ def make_live_views(foxglove: str, ros: bool) -> tuple[LiveViewConfig, ...]:
     """
     views: list[LiveViewConfig] = []
     if foxglove:
-        from mufly.bridges.foxglove_live import FoxgloveViewConfig, load_foxglove
-        from mufly.camera import parse_address
-
-        load_foxglove()
-        views.append(FoxgloveViewConfig(*parse_address(foxglove, "--foxglove")))
+        views.append(make_foxglove_view(foxglove))
     if ros:
         from mufly.bridges.ros_node import RosViewConfig, load_rclpy
 
         load_rclpy()
         views.append(RosViewConfig())
     return tuple(views)
+
+
+def make_foxglove_view(address: str) -> FoxgloveViewConfig:
+    """Return the view for Foxglove at an address.
+
+    Raises
+    ------
+    InputError
+        If the address is wrong or foxglove-sdk is missing.
+    """
+    from mufly.bridges.foxglove_live import FoxgloveViewConfig, load_foxglove
+    from mufly.camera import parse_address
+
+    load_foxglove()
+    return FoxgloveViewConfig(*parse_address(address, "--foxglove"))

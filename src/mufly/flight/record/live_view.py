@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from mufly.logs.mcap import FlightEvent
 
 if TYPE_CHECKING:
+    from mufly.flight.record.recorder import FlightRecorder
     from mufly.flight.simulated_flight import Flight
 
 _Rows = NDArray[np.float64]
@@ -41,6 +42,15 @@ class Publisher(Protocol):
         """Close the connection."""
 
 
+class RecordedFlight(Protocol):
+    """Flight with a recorder; a :class:`~mufly.flight.Flight`, or the plant of another autopilot."""
+
+    recorder: FlightRecorder
+
+    def log_event(self, text: str, level: str = "info") -> None:
+        """Append an event to the recording."""
+
+
 class LiveViewConfig(Protocol):
     """Description of a live view, which can be sent to the process of the vehicle."""
 
@@ -53,7 +63,7 @@ class LiveViewThread:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
     publisher : Publisher
     rate_Hz : float
         Highest rate of rows, by the clock of the flight.
@@ -61,13 +71,13 @@ class LiveViewThread:
         For the event of a failure.
     """
 
-    def __init__(self, flight: Flight, publisher: Publisher, *, rate_Hz: float, name: str) -> None:
+    def __init__(self, flight: RecordedFlight, publisher: Publisher, *, rate_Hz: float, name: str) -> None:
         self._flight, self._publisher, self._name = flight, publisher, name
         # With a small tolerance, so that rounding of the times drops no row.
         self._least_s, self._last_s = (1.0 - 1e-6) / rate_Hz, -np.inf
         self._rows: deque[tuple[_Rows, str]] = deque(maxlen=QUEUED_ROWS)
         self._events: deque[FlightEvent] = deque(maxlen=QUEUED_ROWS)
-        self._requests: deque[tuple[Callable[[Flight], Any], list[Any], threading.Event]] = deque(maxlen=QUEUED_ROWS)
+        self._requests: deque[tuple[Callable[[Any], Any], list[Any], threading.Event]] = deque(maxlen=QUEUED_ROWS)
         self._ended = threading.Event()
         self._failure = ""
         self._thread = threading.Thread(target=self._run_publisher, name=f"mufly {name}", daemon=True)
