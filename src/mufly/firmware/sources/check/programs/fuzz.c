@@ -509,6 +509,58 @@ static void check_board(const board_t *board)
     }
 }
 
+/* Messages that the board handles, with the place of the target's system; commands that it executes. */
+static const struct {
+    uint8_t number, target;
+} handled[] = {
+    {MSG_COMMAND_LONG, 30U}, {MSG_COMMAND_INT, 30U}, {MSG_PARAM_REQUEST_READ, 2U}, {MSG_PARAM_REQUEST_LIST, 0U},
+    {MSG_PARAM_SET, 4U}, {MSG_MISSION_REQUEST_LIST, 0U}, {MSG_MISSION_COUNT, 2U}, {MSG_MISSION_REQUEST_INT, 2U},
+    {MSG_MISSION_ITEM_INT, 32U}, {MSG_MANUAL_CONTROL, 10U}, {MSG_SET_POSITION_TARGET_LOCAL_NED, 50U},
+};
+static const uint16_t commands[] = {400U, 185U, 22U, 24U, 21U, 23U, 189U, 20U, 300U, 193U, 192U, 245U, 176U, 512U, 520U};
+
+#define COUNT(list) (sizeof(list) / sizeof((list)[0]))
+
+/* Any message of one of four stations, mostly a handled one to this board, with physical numbers or any bits. */
+static void any_message(mavlink_message_t *m)
+{
+    const uint8_t which = next_byte();
+    const uint8_t how = next_byte();
+    const size_t k = which % COUNT(handled);
+
+    if (which < 220U) {
+        const int32_t target = (int32_t)handled[k].target;
+
+        mavlink_begin(m, handled[k].number, 60);
+        for (int32_t i = 0; i < 60; i += 4) {
+            if ((how & 4U) != 0U) {
+                const float number = (float)next_number(REAL(4.0));
+                (void)memcpy(&m->payload[i], &number, sizeof number);
+            } else {
+                fill_raw(&m->payload[i], 4U);
+            }
+        }
+        if ((how & 8U) != 0U) {
+            m->payload[target] = 1U;
+            m->payload[target + 1] = 1U;
+        }
+        if (target == 30) {
+            const uint16_t command = commands[next_byte() % COUNT(commands)];
+            m->payload[28] = (uint8_t)(command & 0xFFU);
+            m->payload[29] = (uint8_t)(command >> 8U);
+        } else if (m->message == MSG_PARAM_SET) {
+            const char *name = parameter_name((int32_t)(next_byte() % PARAMETERS));
+            (void)memcpy(&m->payload[6], name, strlen(name) + 1U);
+        } else {
+            /* every bit is drawn */
+        }
+    } else {
+        mavlink_begin(m, next_byte(), (int32_t)(next_byte() % 60U) + 1);
+        fill_raw(m->payload, (size_t)m->length);
+    }
+    m->system = (uint8_t)(1U + (how & 3U));
+}
+
 /* A board with its link: any bytes at the UART and of a receiver, any flash, in a flight without readings. */
 static void fuzz_link(void)
 {
@@ -537,10 +589,7 @@ static void fuzz_link(void)
             uint8_t frame[MAVLINK_FRAME];
             int32_t length;
 
-            mavlink_begin(&m, next_byte(), (int32_t)(next_byte() % 60U) + 1);
-            for (int32_t i = 0; i < m.length; i++) {
-                m.payload[i] = next_byte();
-            }
+            any_message(&m);
             length = mavlink_encode(&m, 0U, frame);
             for (int32_t i = 0; i < length; i++) {
                 board.link.input[board.link.input_count] = frame[i];
