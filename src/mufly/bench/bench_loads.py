@@ -236,7 +236,7 @@ class ZeroDrift:
         return self.time_powers(time) @ self.coefficients
 
     def zero_std_at(self, time: Array) -> Array:
-        """Return the standard deviation (n,) of the zero."""
+        """Return the standard deviation (n,) of the zero reading at times (n,)."""
         b = self.time_powers(time)
         return np.sqrt(np.einsum("ij,jk,ik->i", b, self.covariance_estimate.covariance, b))
 
@@ -290,7 +290,7 @@ def fit_zero_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> Z
 
 @result(eq=False)
 class BenchLoads:
-    """Loads at the lines with turning rotors.
+    """Loads (thrust, torque) of the lines of a bench file with turning rotors, with covariance.
 
     Attributes
     ----------
@@ -466,7 +466,7 @@ def resolve_air_density(table: BenchTable, density_kg_m3: float | None) -> tuple
 
 @result(eq=False)
 class BenchPrediction:
-    """Predicted loads at the measured points.
+    """Loads at the measured points, predicted by blade elements, with their relative errors.
 
     Attributes
     ----------

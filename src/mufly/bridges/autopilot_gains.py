@@ -70,7 +70,7 @@ _AXIS_STATES = {
 
 @dataclass(frozen=True, slots=True)
 class CascadeGains:
-    """Gains of one axis, in the order of the module's equations.
+    """Gains of the cascaded controllers of one axis, in the order of the module's equations.
 
     Attributes
     ----------

@@ -370,7 +370,7 @@ class PairSolution:
 
     @property
     def thrust_ratio(self) -> float:
-        """Thrust of the lower rotor over that of the upper rotor."""
+        """Thrust of the lower rotor divided by the thrust of the upper rotor."""
         return self.lower.verdict.thrust_N / self.upper.verdict.thrust_N
 
     @property

@@ -85,7 +85,7 @@ class ReducedCandidate:
 
 @result
 class ControllerReduction:
-    """The chosen reduced controller, and all candidates.
+    """Result of the order reduction: the chosen controller, and all candidates with their figures.
 
     Attributes
     ----------

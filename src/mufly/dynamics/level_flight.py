@@ -132,7 +132,7 @@ class LevelFlight:
     endurance_speed_m_s: tuple[float, float]
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
-        """Return the trims, and the limits of airspeed that follow, as text."""
+        """Return the results over airspeed, and the limits of airspeed, as printed text."""
         rows = [t for line in self.trims for t in line]
         low, high = self.greatest_speed_m_s
         fastest = max((t.airspeed_m_s for t in rows), default=0.0)

@@ -103,7 +103,7 @@ _DISPLAY_UNITS = {"rad": "deg", "kg": "g", "A s": "mA h", "m/s^2": "", "rad/s": 
 
 @dataclass(frozen=True)
 class UnitVariable:
-    """Variable of a unit.
+    """Variable of a co-simulation unit (FMU): name, role, unit and start value.
 
     Attributes
     ----------

@@ -462,7 +462,7 @@ def prepare_starts(
 
 
 class FilterUnits:
-    """Units of the environments of a vector.
+    """Vehicles with sensors and filter (units), one for each environment of a vector.
 
     Parameters
     ----------

@@ -115,7 +115,9 @@ def draw_prediction(record: RecordPrediction) -> Figure:
 
 
 def draw_fit_result(found: FitResult | IdentificationDemo | LinearResult) -> Figure:
-    """Draw the prediction of a held-out record, else of a fitted record, else the correlation of the estimates."""
+    """Draw the prediction of a held-out record; without one, that of a fitted record, else the correlation of the
+    estimates.
+    """
     fit = found if isinstance(found, FitResult) else found.fit
     shown = (*fit.records_with_role("held out"), *fit.records)
     return draw_prediction(shown[0]) if shown else draw_correlation(fit)

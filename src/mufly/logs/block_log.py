@@ -55,7 +55,7 @@ def looks_like_block_log(head: bytes) -> bool:
 
 
 def split_sessions(image: bytes) -> list[BlockLogSession]:
-    """Return the sessions in the image of a block device, the latest last."""
+    """Return the sessions (one for each start of the board) in the image of a block device, the latest last."""
     count = len(image) // BLOCK_BYTES
     blocks = np.frombuffer(image[: count * BLOCK_BYTES], np.uint8).reshape(count, BLOCK_BYTES)
     sessions: dict[int, dict[int, tuple[int, int, bytes]]] = {}

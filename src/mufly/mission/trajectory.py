@@ -281,7 +281,7 @@ class PendingCurve(NamedTuple):
     """Limit of the total acceleration (m/s2)."""
 
     def time_curve(self) -> TimedSpline | None:
-        """Return the curve timed from rest to rest within its limits.
+        """Return the curve with its motion over time, from rest to rest within the limits.
 
         None if the curve has a point without tangent (a cusp or no length) or a bend that limits the speed to less
         than 5 cm/s; a straight line is then better.

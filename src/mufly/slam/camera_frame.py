@@ -155,7 +155,7 @@ class Odometry:
     has_all_velocities: bool = True
 
     def advance_to(self, time_s: float, told: FrameInfo) -> Odometry:
-        """Return the odometry propagated to the next picture."""
+        """Return the odometry integrated up to the time of the next picture."""
         dt, before = time_s - self.time_s, self.last_info
         moved, sigma_m, complete = self.displacement_m, self.position_sigma_m, False
         if self.has_all_velocities and before.velocity is not None and told.velocity is not None:

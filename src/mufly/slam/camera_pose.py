@@ -163,7 +163,9 @@ class PoseEstimate:
 
 
 def attitude_matrix(view: ViewPrior, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
-    """Return the rotation from body axes to N-E-D for heading, pitch, roll and tilt errors (default: prior mean)."""
+    """Return the rotation matrix from body axes to N-E-D for heading, pitch, roll and tilt errors (default: prior
+    mean).
+    """
     return _compute_attitude(view.roll_rad, view.pitch_rad, heading, *(view.tilt_error_rad if tilt is None else tilt))
 
 

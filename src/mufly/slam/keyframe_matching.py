@@ -125,7 +125,7 @@ class FrameContext:
 
 @dataclass(frozen=True)
 class KeyframeMatch:
-    """A picture matched to a keyframe.
+    """Result of matching a picture to a keyframe: pose, inliers and their information.
 
     Attributes
     ----------

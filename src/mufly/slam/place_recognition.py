@@ -170,7 +170,7 @@ def correlate_pictures(seen: Any, picture: Any, reach: float) -> CorrelationPeak
 
 
 def is_unambiguous(off: _Array, alike: _Array, sigma: float) -> bool:
-    """Return whether a place is unambiguous among places that look the same.
+    """Return whether a place is much more likely than all other places that look the same.
 
     The place is ``off`` (2,) from its prediction, which has the deviation ``sigma`` along an axis; the places at
     offsets ``alike`` (n, 2) from it look the same. A Gaussian prediction gives the probability of each relative to it,

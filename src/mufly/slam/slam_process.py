@@ -30,7 +30,7 @@ from mufly.slam.slam_system import SlamSystem, TrackingResult
 
 @dataclass(frozen=True, eq=False)
 class MapView:
-    """A map for display.
+    """SLAM map for display: poses of the keyframes, and the edges between them.
 
     Attributes
     ----------

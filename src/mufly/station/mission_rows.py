@@ -55,7 +55,7 @@ _NO_POSITION = (math.nan, math.nan, math.nan)
 def rows_from_items(
     items: Sequence[MissionItem], origin: GlobalOrigin | None = None, reached: int = 0
 ) -> list[MissionRow]:
-    """Return the table rows of mission items.
+    """Return the rows of the page's mission table that show mission items.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ OutlookState = Literal["built", "in part", "open", "context"]
 
 @dataclass(frozen=True)
 class OutlookSentence:
-    """Sentence of the dissertation's outlook.
+    """Sentence of the dissertation's outlook, with mufly's state of the task that it names.
 
     Attributes
     ----------

@@ -64,7 +64,9 @@ def _load_blading(rotor: str) -> Blading:
 
 @lru_cache(maxsize=256)
 def compute_rotor_map(rotor: str, pitch_deg: float) -> tuple[RectBivariateSpline, RectBivariateSpline]:
-    """Return thrust and torque over speed squared, functions of pitch offset (rad) and log speed, at ROTOR_MAP_AIR."""
+    """Return two splines over pitch offset (rad) and log speed: thrust and torque over speed squared, at
+    ROTOR_MAP_AIR.
+    """
     at = solve_rotor_batch(
         _load_blading(rotor),
         pitch_rad=np.radians(pitch_deg) + _MAP_PITCH_OFFSETS_rad[:, None],

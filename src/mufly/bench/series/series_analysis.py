@@ -118,7 +118,7 @@ class SettingResult:
 
 @result(eq=False, picture="mufly.bench.series.series_pictures:draw_series_result")
 class SeriesResult:
-    """Result of the analysis of a series.
+    """Results of a measurement series: loads of each setting with intervals, and issues.
 
     Attributes
     ----------
@@ -286,7 +286,7 @@ def find_outliers(
     density: Array,
     speed: dict[str, Array],
 ) -> Iterator[SeriesIssue]:
-    """Yield issues about points that deviate from the other points of their mounting.
+    """Yield issues about points that deviate from the other points of the same mounting.
 
     The logarithm of a load over ``rho W^2`` changes slowly with the logarithm of the speed (Reynolds number). A point
     is an outlier if it deviates from the line through the others by 2.5 % and five standard uncertainties.

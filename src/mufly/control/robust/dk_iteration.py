@@ -58,7 +58,7 @@ class ScalingFilter(NamedTuple):
         return size
 
     def to_matrices(self) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C, D of the factors in series."""
+        """Return the state-space matrices A, B, C, D of the filter, its factors in series."""
         n = len(self.poles)
         A, B, C, D = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n)), 1.0
         for i, (z, p) in enumerate(zip(self.zeros, self.poles, strict=True)):
@@ -89,7 +89,7 @@ class DkIterationRound:
 
 @result
 class DkIterationResult:
-    """The best controller of the iteration.
+    """The best controller of a D-K iteration, with its bound of mu and the rounds.
 
     Attributes
     ----------

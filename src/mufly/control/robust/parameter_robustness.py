@@ -132,7 +132,7 @@ class ParameterRobustness:
         }
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return the bounds, the verdict and the worst parameters."""
+        """Return the bounds of mu, the verdict and the worst parameters as printed text."""
         rows = [
             ("mu, upper bound", *(f"{x.peak:.3f}" for x in self.loops)),
             ("at (rad/s)", *(f"{x.peak_frequency:.3g}" for x in self.loops)),

@@ -260,7 +260,7 @@ class BoardSoftware(FirmwareSoftware):
 
 
 def make_board_software(board: Board) -> type[BoardSoftware]:
-    """Return the class of flight software that runs on a board."""
+    """Return a class of flight software whose control periods are computed by a board."""
     return type("BoardSoftware", (BoardSoftware,), {"board": board})
 
 

@@ -186,5 +186,5 @@ def _format_decimal(value: float, unit: str) -> str:
 
 
 def escape_comment(text: str) -> str:
-    """Return the text with end markers of C comments and line breaks replaced."""
+    """Return a text without line breaks and end markers, for use inside a C comment."""
     return text.replace("*/", "* /").replace("\n", " ")

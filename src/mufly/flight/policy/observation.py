@@ -121,7 +121,7 @@ def fill_observation(
     action: _Array,
     height: float,
 ) -> None:
-    """Write the common part of an observation.
+    """Write the part of an observation that all tasks share.
 
     Parameters
     ----------

@@ -461,7 +461,7 @@ class ExcitationPlan:
         return [w / (2 * math.pi) for w in self.modes_rad_s]
 
     def candidate_records(self) -> list[dict[str, Any]]:
-        """Return the numbers of all candidates as dictionaries, with standard deviations by symbol."""
+        """Return amplitudes and expected standard deviations of all candidate signals as dictionaries."""
         symbols = [f.symbol for f in self.free_parameters]
         return [
             {

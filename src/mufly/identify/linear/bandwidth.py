@@ -63,7 +63,7 @@ class Bandwidth:
 
 
 def measure_bandwidth(frequency_hz: Array, response: ComplexArray, error: Array | None = None) -> Bandwidth:
-    """Compute bandwidth and phase delay from a frequency response.
+    """Compute bandwidth and phase delay by the rules of ADS-33 from a frequency response.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Score of one structure on the fitted part of a record.
+    """Prediction score of one model structure by cross-validation on the fitted part of a record.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ def cross_validate_structure(
 
 @dataclass(frozen=True, eq=False)
 class DisturbanceModel:
-    """Model of the simulation error as process and measurement noise of a fitted model.
+    """Process noise and measurement noise that explain the simulation error of a fitted model.
 
     Attributes
     ----------

@@ -195,14 +195,14 @@ def has_spun_up(s: MissionState, m: Estimate) -> bool:
 
 
 def step_on_floor(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """Step on the floor; the motors run down after a flight."""
+    """Run one mission step on the floor, where the vehicle waits for a start; after a flight the motors run down."""
     if s.motors == "ramp_down" and s.motion_clock_s > ROTOR_RUN_DOWN_TIME_S:
         return replace(s, motors="off", finished=s.outcome != "")
     return s
 
 
 def reset_mission(s: MissionState, m: Estimate, **changes: Any) -> MissionState:
-    """Return the state of a new flight from the present position."""
+    """Return the mission state at the start of a new flight from the present position."""
     x = measured_position(m)
     return MissionState(
         time_s=s.time_s,

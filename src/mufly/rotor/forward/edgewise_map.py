@@ -254,7 +254,7 @@ def interpolate_rate_loads(
 
 
 class FlightSplines(NamedTuple):
-    """Spline coefficients of a flight map.
+    """Coefficients of the quadratic splines that interpolate a flight map.
 
     Attributes
     ----------

@@ -262,7 +262,8 @@ def lookup_moment(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> A
 
 
 def extrapolation_flags(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> NDArray[np.uint8]:
-    """Flag the points at which a table returns extended values.
+    """Return flags of points (bits) that lie outside the computed range of a table, in angle of attack or Reynolds
+    number.
 
     Returns
     -------

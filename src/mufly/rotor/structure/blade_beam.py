@@ -350,7 +350,7 @@ class BeamModes:
 
 
 def compute_modes(beam: BladeBeam, speed_rad_s: float, *, pitch_rad: float = 0.0, count: int = 8) -> BeamModes:
-    """Return the modes of a blade.
+    """Compute the natural frequencies and mode shapes of a blade at a rotor speed.
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ class DestinationCheck:
 def check_destination(
     s: VehicleSnapshot, fence: Fence | None, limits: Mission, place: tuple[float, float, float]
 ) -> DestinationCheck:
-    """Check a destination of a vehicle.
+    """Check whether a vehicle may be sent to a destination: distance, geofence and battery.
 
     Parameters
     ----------

@@ -153,7 +153,7 @@ class FrameFeed:
 
     @property
     def is_ready(self) -> bool:
-        """Return whether the window can take a frame."""
+        """Return whether the window has drawn enough frames to receive another one."""
         return self.sent_frame - self.drawn_frame < MAX_FRAMES_IN_FLIGHT
 
     def handle_message(self, text: str | bytes) -> None:

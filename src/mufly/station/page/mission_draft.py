@@ -273,7 +273,7 @@ class DraftVerdict:
 def judge_draft(
     mission: Mission, battery: tuple[float, float] | None = None, able: TrajectoryLimits | None = None
 ) -> DraftVerdict:
-    """Check a mission as the command line checks its file.
+    """Check whether a mission draft can be flown, by the checks of ``mufly mission check``.
 
     Parameters
     ----------

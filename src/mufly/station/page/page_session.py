@@ -544,7 +544,7 @@ class ParameterEdits:
     _redo: deque[ParameterChange] = field(default_factory=deque)
 
     def record_baseline(self, parameters: Mapping[str, TunableParameter]) -> None:
-        """Remember the first value of parameters not seen before."""
+        """Store the first received value of every parameter, as the value before any edit."""
         if len(parameters) != len(self.baseline):
             for name, parameter in parameters.items():
                 self.baseline.setdefault(name, parameter.value)

@@ -43,7 +43,7 @@ _VERSION_TIMEOUT_S = 3.0
 
 
 class ConnectionSetup:
-    """Requests to a vehicle that was found, or found again.
+    """Sequence of requests to a vehicle that is heard for the first time, or again after a loss.
 
     The first is the identity (AUTOPILOT_VERSION), then the message rates (SET_MESSAGE_INTERVAL, or REQUEST_DATA_STREAM
     if unsupported), then the parameters and the mission.

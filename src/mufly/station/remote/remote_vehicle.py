@@ -386,7 +386,7 @@ class RemoteVehicle:
         self.set_shown_mission(mission)
 
     def add_mark(self, text: str) -> OperatorRequest:
-        """Add a mark to the recording and the messages."""
+        """Add a mark with the present time to the recording and to the messages."""
         request = OperatorRequest(f"mark: {text}")
         recorded = self.on_mark is not None and self.on_mark(text)
         self.add_note("info", f"mark: {text}")

@@ -123,7 +123,7 @@ class RotorCase:
 
 
 def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]]:
-    """Read all measured rotors of a folder.
+    """Read all measured rotors of the benchmark from a folder.
 
     Parameters
     ----------
