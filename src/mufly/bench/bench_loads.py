@@ -204,7 +204,7 @@ _MAX_DRIFT_DEGREE = 3
 
 @result(eq=False)
 class ZeroDrift:
-    """Zero of one sensor (reading without load) over time.
+    """Zero reading of one sensor (its reading without load) as a polynomial of time.
 
     Attributes
     ----------

@@ -194,7 +194,8 @@ def _find_image_messages(messages: Mapping[str, list[tuple[int, bytes]]]) -> lis
 
 
 def find_camera(place: Path, given: str | None = None) -> Camera:
-    """Return the camera of pictures: ``given`` by name or file, else that of their folder or recording.
+    """Return the camera that took pictures: ``given`` by name or file, else the one stored in their folder or
+    recording.
 
     Raises
     ------

@@ -486,7 +486,7 @@ class PolarOptions:
 
 @dataclass(frozen=True)
 class WakeOptions(PolarOptions):
-    """Options of vortex wakes."""
+    """Command-line options of vortex wakes."""
 
     method: Literal["bemt", "tubes", "wake", "cfd"] = "wake"  # no option here, but one in TheoryOptions
     wake_geometry: Annotated[

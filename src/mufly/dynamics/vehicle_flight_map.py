@@ -77,7 +77,7 @@ def make_flight_map(
     name: str = "",
     progress: Callable[[int, int], None] | None = None,
 ) -> FlightMap:
-    """Compute the flight map of a vehicle.
+    """Compute the flight map of a vehicle (loads in edgewise flow and at body rates) for its rotors in hover pitch.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ class SensorStatus:
 
 @dataclass(frozen=True, slots=True)
 class AuxiliaryStates:
-    """States of a filter besides the motion.
+    """Filter states besides the motion: biases, wind, terrain and thrust scale.
 
     Attributes
     ----------

@@ -144,7 +144,7 @@ class FirmwareSoftware(FlightSoftware):
 
     @property
     def software_instance(self) -> SoftwareInstance:
-        """Return the instance with the C records."""
+        """Return the instance of the exported software, with its C records."""
         assert self._software_instance is not None
         return self._software_instance
 

@@ -101,7 +101,7 @@ class UnitLibrary:
 
 
 class UnitInstance:
-    """Instance of a unit.
+    """Running instance of a co-simulation unit (FMU), called through its C interface.
 
     Parameters
     ----------

@@ -145,7 +145,7 @@ class UnitInterface:
 
 
 def list_unit_variables(vehicle: Vehicle, sensors: UnitSensors | None = None) -> UnitInterface:
-    """Return the variables of a vehicle's unit.
+    """Return the variables of a vehicle's co-simulation unit (FMU).
 
     Parameters
     ----------

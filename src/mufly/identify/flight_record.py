@@ -426,7 +426,9 @@ class UniformLogTable:
         return np.column_stack([sum((f * self.columns[c] for f, c in terms), zero) for terms in sums])
 
     def column_notes(self, *wanted: Mapping[str, str]) -> list[str]:
-        """Return the notes on the table, and on filled gaps of the columns in the expressions ``wanted``."""
+        """Return the notes on the table, and notes on filled gaps of the columns that the expressions ``wanted``
+        use.
+        """
         used = [c for names in wanted for n, text in names.items() for _, c in self._parse_terms(text or n, "columns")]
         holes = [c for c in dict.fromkeys(used) if c in self.filled_counts]
         return [

@@ -214,7 +214,7 @@ def _corrected_aic(a: Array, b: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CoefficientFit:
-    """Fit of the loads of one channel on one or two rotors.
+    """Fitted coefficients of one load (thrust or torque) of one or two rotors, with covariance and data.
 
     Attributes
     ----------

@@ -156,7 +156,7 @@ class RetryTimer:
         self._repeated = False
 
     def mark_started(self, now_s: float) -> None:
-        """Record that the first request is sent now."""
+        """Record that the first request of the transfer is sent now."""
         self._asked_s = self._moved_s = now_s
         self._repeated = False
 
@@ -430,7 +430,7 @@ class MissionSender:
         return [(self.peer, self.items[-1])] if last else []
 
     def cancel(self) -> AddressedMessages:
-        """Cancel the transfer; the receiver is informed."""
+        """Cancel the transfer, and inform the receiver."""
         if self.result is not None:
             return []
         self.result = MissionResultCode.OPERATION_CANCELLED

@@ -598,7 +598,7 @@ def autopilot_version_message(p: TelemetryState) -> MavMessage:
 
 @dataclass(frozen=True, slots=True)
 class MessageStream:
-    """One message of the table.
+    """Row of the table of telemetry messages: message, default rate, and the function that builds it.
 
     Attributes
     ----------

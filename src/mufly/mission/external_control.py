@@ -35,7 +35,7 @@ from mufly.mission.user_requests import pause_mission
 
 
 def enter_manual(s: MissionState, m: Estimate) -> MissionState:
-    """Give control to the pilot, from any state."""
+    """Enter manual control, in which the pilot's sticks command the vehicle; possible in any state."""
     x, psi = measured_position(m), float(m.attitude[2])
     return enter_state(
         s,

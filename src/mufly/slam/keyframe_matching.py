@@ -183,7 +183,7 @@ class KeyframeMatch:
         )
 
     def bound_m(self, view: ViewPrior) -> float:
-        """Return the Cramer-Rao bound of the place along the least known direction with texture (m)."""
+        """Return the Cramer-Rao bound (m) of the position along the least certain direction with texture."""
         bounds = self.bound_px[np.isfinite(self.bound_px) & (self.bound_px > 0.0)]
         return float(bounds.max(initial=0.0)) * view.height_m / view.focal_px or math.nan
 

@@ -82,7 +82,7 @@ class GraphEdge:
         return out
 
     def compute_chi2(self, off: _Array, covariance: _Array | None = None) -> float:
-        """Return chi-squared of a residual against the pixels alone.
+        """Return chi-squared of a residual, with the covariance by pixel noise alone.
 
         With ``covariance`` (8, 8), the residual's own uncertainty is included.
         """

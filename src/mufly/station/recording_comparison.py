@@ -128,7 +128,9 @@ class RecordingComparison:
         return next((n for n in others if np.isfinite(_find_column(self.second_recording, n)).any()), "")
 
     def sample_second(self, name: str, times: _Array) -> _Array:
-        """Return a signal of the second at times of the first (n,; s); NaN outside its range and in its gaps."""
+        """Return a signal of the second recording at times (n,; s) of the first; NaN outside its range and in its
+        gaps.
+        """
         own = self.find_counterpart(name)
         out = np.full(len(times), math.nan)
         if not own or not len(times):

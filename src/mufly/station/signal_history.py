@@ -300,7 +300,7 @@ class SignalHistory:
         return self._units[name]
 
     def append_row(self, time_s: float, values: NDArray[np.floating]) -> None:
-        """Add a row.
+        """Add the values of all signals at one time.
 
         Parameters
         ----------

@@ -349,7 +349,7 @@ class OptimisationProblem:
     def evaluate_goal(
         self, cases: Sequence[Mapping[str, float | str]], *, own_gear: bool = False
     ) -> tuple[Array, dict[str, Array], list[str]]:
-        """Return goal (nan for failed cases), results and faults of cases."""
+        """Return for each case the value of the goal (nan if it failed), all results, and the reason of a failure."""
         extra = {} if own_gear else self._gear_setting()
         results = evaluate_cases(replace(self.setup, fixed_parameters={**self.setup.fixed_parameters, **extra}), cases)
         per_power = results.values["thrust_per_power_N_W"]

@@ -85,7 +85,7 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class StudyFindings:
-    """Results of a study.
+    """Results of a study: verdicts, picture and data.
 
     Attributes
     ----------

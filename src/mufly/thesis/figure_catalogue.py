@@ -25,7 +25,7 @@ TABLE_COUNTS = {3: 4, 5: 3}
 
 @dataclass(frozen=True)
 class ThesisItem:
-    """One figure or table.
+    """Figure or table of the dissertation.
 
     Attributes
     ----------

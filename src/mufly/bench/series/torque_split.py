@@ -34,7 +34,7 @@ _MIN_TRAINING_POINTS = 5
 
 @dataclass(frozen=True, eq=False)
 class TorqueSplit:
-    """Torque of each axis at the points of pairs.
+    """Torque of each rotor of a pair at the measured points, separated by the motor currents.
 
     Attributes
     ----------

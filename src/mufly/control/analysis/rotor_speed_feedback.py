@@ -79,7 +79,7 @@ class HeaveYawRow:
 
 @result
 class RotorSpeedComparison:
-    """Heave-yaw with and without rotor speeds.
+    """Figures of heave-yaw loops with and without measured rotor speeds.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ def rotor_speed_noise(vehicle: Vehicle) -> float:
 def compare_rotor_speeds(
     vehicle: Vehicle, *, rate_Hz: float = 200.0, control_weights: Sequence[float] = CONTROL_WEIGHTS
 ) -> RotorSpeedComparison:
-    """Compare heave-yaw with and without rotor speeds as measurements.
+    """Design heave-yaw controllers with and without measured rotor speeds, and compare their margins and errors.
 
     Raises
     ------

@@ -232,7 +232,7 @@ class _StaticLoop:
 
 
 def controller_gain(K: control.StateSpace) -> Array:
-    """Return a controller's matrices as one gain ``[A B; C D]``."""
+    """Return the matrices A, B, C, D of a controller as one gain matrix ``[A B; C D]``."""
     return np.block([[K.A, K.B], [K.C, K.D]])
 
 

@@ -144,7 +144,7 @@ class OutputSchedule:
         return min(self.inverse_square * speed_m_s**2, 1.0)
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return the table of frozen speeds and its limits."""
+        """Return the table of loops at constant speeds, and their least margins, as printed text."""
         heads = ("speed (m/s)", "share", "disk margin", "S_u (dB)", "T_u (dB)", "unscheduled", "any share")
         rows = [
             (

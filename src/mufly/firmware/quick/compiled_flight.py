@@ -113,7 +113,7 @@ def _unpack_status_row(row: _Array) -> dict[str, Any]:
 
 
 class CompiledFlight:
-    """The compiled loop of one flight with the exported flight software.
+    """Compiled loop that simulates one flight with the exported flight software, many periods in one call.
 
     Parameters
     ----------

@@ -147,7 +147,7 @@ class OnboardCamera:
         return picture
 
     def camera_motion(self, truth: Truth) -> VehicleMotion:
-        """Return the vehicle's motion at the middle of the exposure."""
+        """Return position, attitude, velocity and rates of the vehicle at the middle of the exposure."""
         share = min(1.5, (float(np.mean(truth.rotor_speed)) / self._hover) ** 2)
         return VehicleMotion(
             truth.time_s, truth.position.copy(), truth.velocity.copy(), body_to_ned_matrix(truth.state[ATTITUDE]),
@@ -156,7 +156,7 @@ class OnboardCamera:
 
 
 class PictureStream:
-    """Stream of a flight's rendered pictures for other programs.
+    """Server that streams a flight's rendered pictures to other programs (MJPEG).
 
     Parameters
     ----------

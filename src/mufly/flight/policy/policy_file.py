@@ -83,7 +83,7 @@ class _PolicyFile(_PolicyFileRecord):
 
 
 def save_policy(policy: LearnedPolicy, path: str | Path) -> None:
-    """Write a policy to a file.
+    """Write a learned policy to a JSON file with a checksum.
 
     Raises
     ------

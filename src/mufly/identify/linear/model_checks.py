@@ -76,7 +76,7 @@ class CrossValidation:
 def cross_validate_structure(
     structure: LinearStructure, u: Array, y: Array, dt: float, *, blocks: int = 4, starts: int = 3, hold: bool = False,
 ) -> tuple[CrossValidation, LinearFit]:  # fmt: skip
-    """Score a structure by blocked cross-validation.
+    """Score a model structure by cross-validation: each block of the record is predicted by a fit to the other blocks.
 
     Parameters
     ----------

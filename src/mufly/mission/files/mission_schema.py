@@ -134,7 +134,7 @@ class Wind(_MissionTable):
 
 
 class Fence(_MissionTable):
-    """Bounds for the vehicle's position, and its action outside them."""
+    """Geofence: areas in which the vehicle must stay or which it must avoid, and its action on a breach."""
 
     polygon_m: tuple[Pair, ...] = Field(default=(), description="corners N, E of the inclusion area, three or more")
     centre_m: Pair | None = Field(default=None, description="N, E of the centre of an inclusion circle")

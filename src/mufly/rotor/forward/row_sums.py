@@ -146,7 +146,7 @@ def _split_quartets(builder: Any, vector: Any) -> list[Any]:
 
 
 def emit_flow_sum(builder: Any, table: Any, places: Sequence[Any], spread: Spread, width: int) -> list[Any]:
-    """Emit code for :func:`sum_flow_rows`.
+    """Emit the compiled code of :func:`sum_flow_rows`.
 
     Parameters
     ----------

@@ -347,7 +347,7 @@ _STALLED_CL_SHAPE, _STALLED_CD_SHAPE = _stalled_coefficient_shapes()
 
 
 def extend_full_circle(data: SectionData, *, aspect_ratio: float = DEFAULT_ASPECT_RATIO) -> PolarTable:
-    """Extend the coefficients of an engine to a full-circle table.
+    """Extend section coefficients of an engine to all angles of attack (full circle) by flat-plate data.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ _GREY_MEAN, _GREY_GAIN = 128.0, 256.0
 
 @dataclass(frozen=True)
 class PointTracks:
-    """Points of n tracks in m segments.
+    """Tracks of n floor points in m short segments of a picture sequence.
 
     Attributes
     ----------

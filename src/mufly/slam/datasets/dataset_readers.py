@@ -200,7 +200,7 @@ def detect_layout(folder: Path) -> DatasetLayout:
 
 
 def read_picture(file: Path, camera: Camera) -> NDArray[np.uint8]:
-    """Read a picture of the camera in grey levels.
+    """Read a picture file in grey levels, and check its size against the camera.
 
     Raises
     ------

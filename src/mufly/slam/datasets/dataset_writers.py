@@ -192,7 +192,8 @@ def format_camera_toml(camera: Camera) -> str:
 def write_tum(
     file: Path, time: _Array, position: _Array, attitude: _Array, axes: str, covariance: _Array | None = None
 ) -> None:
-    """Write a trajectory as TUM's text: t x y z qx qy qz qw.
+    """Write a trajectory as a text file in the format of the TUM data sets: a line ``t x y z qx qy qz qw`` for each
+    pose.
 
     With a covariance, each row also has its upper triangle over N, E, D and heading (10 numbers).
     """

@@ -86,7 +86,7 @@ class PatchInformation(NamedTuple):
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Mask (2,) of the directions with texture."""
+        """Mask (2,) of the directions in which the patches have texture."""
         return self.significance > 1.0
 
 

@@ -90,7 +90,7 @@ class PageAddress:
 
 
 def bind_page_address(host: str = "127.0.0.1", port: int | None = None, token: str | None = None) -> PageAddress:
-    """Bind the page's port.
+    """Bind a socket to the port of the page, or to the next free one; return the address.
 
     Parameters
     ----------

@@ -344,7 +344,7 @@ class WindowView:
         }
 
     def parameter_baseline(self) -> Mapping[str, float]:
-        """Return the parameter values before any edit here."""
+        """Return the values that the parameters had before any edit on this page."""
         vehicle = self.shown_vehicle()
         return {} if vehicle is None else self.session.parameter_edits(vehicle).baseline
 
@@ -357,7 +357,7 @@ class WindowView:
         return self.session.controls_holder == self.client_id
 
     def take_controls(self) -> None:
-        """Take the controls; their former holder only watches."""
+        """Take the controls for this window; the window that had them can then only watch."""
         self.session.controls_holder = self.client_id
 
     def keep_request(self, request: OperatorRequest) -> None:
@@ -509,7 +509,7 @@ def find_refusal_reasons(
 
 
 def mission_button_label(s: VehicleSnapshot | None) -> str:
-    """Return the label of the mission button."""
+    """Return the text of the mission button: "Start mission", "Mission running" or "Resume mission"."""
     if s is None or not s.mission_begun:
         return "Start mission"
     return "Mission running" if s.mission_running else "Resume mission"

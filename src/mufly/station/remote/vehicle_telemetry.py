@@ -74,7 +74,7 @@ _VariableValues = Mapping[str, Sequence[float]] | None
 
 
 class VehicleTelemetry:
-    """The telemetry of one vehicle.
+    """Signals of one vehicle from its telemetry: history and present values.
 
     Attributes
     ----------
