@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from mufly.bench.series.block_means import compute_block_mean, has_settled
-from mufly.bench.series.moist_air import moist_air_density, relative_density_std
+from mufly.bench.series.moist_air import compute_moist_air_density, compute_relative_density_std
 from mufly.bench.series.random_walk_drift import fit_random_walk
 
 
@@ -91,9 +91,9 @@ def test_no_drift_and_honest_readings_is_the_ordinary_fit():
 
 def test_density_of_air():
     # Dry air at 20 C, 101325 Pa: 1.2046 (CIPM-2007); OIML R 111-1's short formula holds to 2e-4 around it.
-    assert moist_air_density(101325.0, 293.15) == pytest.approx(1.2046, abs=1e-4)
+    assert compute_moist_air_density(101325.0, 293.15) == pytest.approx(1.2046, abs=1e-4)
     p, t, h = 95000.0, 298.15, 0.6
     short = (0.34848 * p / 100 - 0.009 * 100 * h * np.exp(0.061 * (t - 273.15))) / t
-    assert moist_air_density(p, t, h) == pytest.approx(short, rel=2e-4)
+    assert compute_moist_air_density(p, t, h) == pytest.approx(short, rel=2e-4)
     doubt = {"pressure_std_Pa": 0.0, "temperature_std_K": 0.3, "humidity_std": 0.0}
-    assert relative_density_std(101325.0, 293.15, 0.0, **doubt) == pytest.approx(0.3 / 293.15, rel=0.01)
+    assert compute_relative_density_std(101325.0, 293.15, 0.0, **doubt) == pytest.approx(0.3 / 293.15, rel=0.01)

@@ -21,12 +21,12 @@ from mufly.cfd import (
     OperatingPoint,
     PolyMesh,
     compare_cases,
+    compute_momentum_slipstream,
     find_solver,
     judge_loads,
     list_study_cases,
     make_poly_mesh,
     make_sector_mesh,
-    momentum_slipstream,
     read_point,
     read_solution,
     run_case,
@@ -34,7 +34,7 @@ from mufly.cfd import (
     write_case,
 )
 from mufly.cfd.cfd_solution import read_field, scale_solution_state, wake_load_ratios
-from mufly.cfd.initial_flow import vortex_ring_velocity
+from mufly.cfd.initial_flow import compute_vortex_ring_velocity
 from mufly.cfd.solver_process import list_complete_states, read_history
 from mufly.cli import app
 from mufly.cli.aero import cfd_case_report
@@ -56,14 +56,14 @@ def mesh() -> PolyMesh:
 
 def test_a_ring_moves_the_air_on_its_axis_as_biot_savart_says() -> None:
     z = np.linspace(-2.0, 2.0, 9)
-    radial, axial = vortex_ring_velocity(np.zeros(9), z, np.ones(9), np.zeros(9), core=0.0)
+    radial, axial = compute_vortex_ring_velocity(np.zeros(9), z, np.ones(9), np.zeros(9), core=0.0)
     assert np.allclose(axial, 0.5 / (1.0 + z**2) ** 1.5)
     assert np.allclose(radial, 0.0)
 
 
 def test_the_start_is_the_slipstream_of_momentum_theory() -> None:
     at = np.array([[0, 0, 0.3], [0, 0, 0.0], [0, 0, -0.35], [0.28, 0, 0.0]])
-    w = momentum_slipstream(at, radius_m=0.06, induced_m_s=2.0)[:, 2]
+    w = compute_momentum_slipstream(at, radius_m=0.06, induced_m_s=2.0)[:, 2]
     assert abs(w[0]) < 0.1
     assert w[1] == pytest.approx(-2.0, rel=0.12)  # slower on the axis than in the disc's mean, as it contracts
     assert w[2] == pytest.approx(-4.0, rel=0.03)
@@ -72,11 +72,11 @@ def test_the_start_is_the_slipstream_of_momentum_theory() -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
     h = np.linspace(-0.1, 0.1, 81)
     side = np.array([[0.05 * np.cos(t), 0.05 * np.sin(t), z] for t in turn for z in h])
-    u = momentum_slipstream(side, radius_m=0.06, induced_m_s=2.0)
+    u = compute_momentum_slipstream(side, radius_m=0.06, induced_m_s=2.0)
     inward = -(u[:, :2] * side[:, :2]).sum(axis=1).reshape(8, 81).mean(axis=0) / 0.05
     r = np.linspace(0.0, 0.05, 51)
     ends = [
-        momentum_slipstream(np.column_stack((r, 0 * r, 0 * r + z)), radius_m=0.06, induced_m_s=2.0)[:, 2]
+        compute_momentum_slipstream(np.column_stack((r, 0 * r, 0 * r + z)), radius_m=0.06, induced_m_s=2.0)[:, 2]
         for z in (0.1, -0.1)
     ]
     flow = [float(np.trapezoid(2 * np.pi * r * w, r)) for w in ends]

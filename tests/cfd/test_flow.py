@@ -16,6 +16,7 @@ from mufly.cfd import (
     FlowProbe,
     OperatingPoint,
     PolyMesh,
+    compute_velocity_gradient,
     compute_wake_profile,
     draw_skin_friction,
     extract_iso_surface,
@@ -23,7 +24,6 @@ from mufly.cfd import (
     make_blade_geometry,
     make_poly_mesh,
     make_sector_mesh,
-    velocity_gradient,
 )
 from mufly.cfd.cfd_solution import FlowField
 from mufly.quantities.units import RPM
@@ -40,7 +40,7 @@ def mesh() -> PolyMesh:
 
 
 def flow_of(m: PolyMesh, velocity: np.ndarray) -> FlowField:
-    return FlowField(velocity, velocity_gradient(m, velocity, {}))
+    return FlowField(velocity, compute_velocity_gradient(m, velocity, {}))
 
 
 def test_air_that_turns_as_a_body_has_twice_its_speed_as_vorticity_and_stretched_air_none() -> None:

@@ -22,9 +22,9 @@ from mufly.cfd import (
 from mufly.cfd.section_mesh import (
     MIN_TAIL_THICKNESS_CHORDS,
     SectionLayout,
-    geometric_spacing,
-    ring_contour,
-    vinokur_spacing,
+    make_geometric_spacing,
+    make_ring_contour,
+    make_vinokur_spacing,
 )
 from mufly.cfd.sector_mesh import MESH_LEVELS
 from mufly.errors import InputError
@@ -219,20 +219,20 @@ def test_files_come_back_as_they_were(tmp_path: Path) -> None:
 
 def test_points_on_a_line_have_the_sizes_asked_for() -> None:
     for first, last in ((0.01, 0.05), (0.2, 0.01), (0.05, 0.05)):
-        t = vinokur_spacing(20, first, last)
+        t = make_vinokur_spacing(20, first, last)
         assert t[0] == 0.0
         assert t[-1] == pytest.approx(1.0)
         assert np.all(np.diff(t) > 0)
         assert np.diff(t)[0] == pytest.approx(first, rel=0.35)
         assert np.diff(t)[-1] == pytest.approx(last, rel=0.35)
-    t = geometric_spacing(12, 0.01)
+    t = make_geometric_spacing(12, 0.01)
     ratio = np.diff(t)[1:] / np.diff(t)[:-1]
     assert np.diff(t)[0] == pytest.approx(0.01)
     assert np.allclose(ratio, ratio[0])
 
 
 def test_a_contour_keeps_to_its_airfoil_and_has_a_tail() -> None:
-    loop = ring_contour(load_airfoil("naca0012"), MESH_LEVELS["medium"])
+    loop = make_ring_contour(load_airfoil("naca0012"), MESH_LEVELS["medium"])
     assert len(loop) == 2 * (MESH_LEVELS["medium"].along + MESH_LEVELS["medium"].across)
     area = -0.5 * np.sum(loop[:, 0] * np.roll(loop[:, 1], -1) - np.roll(loop[:, 0], -1) * loop[:, 1])
     assert area == pytest.approx(

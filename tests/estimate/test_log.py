@@ -18,8 +18,8 @@ from mufly.estimate import (
     InertialLog,
     InertialNoise,
     PositionAids,
-    aid_innovations,
     check_inertial_log,
+    compute_aid_innovations,
     detect_flight,
     estimate_flight_noise,
     estimate_rest_noise,
@@ -79,7 +79,7 @@ def test_it_is_as_good_as_it_says_with_the_noise_that_is_there() -> None:
         found.append(
             (
                 measure_row_consistency(truth, told, after_s=REST_S + 2).nees,
-                aid_innovations(log, aids, told, from_s=4.0, to_s=END_S).nis,
+                compute_aid_innovations(log, aids, told, from_s=4.0, to_s=END_S).nis,
             )
         )
     nees, nis = np.mean(found, axis=0)
@@ -193,7 +193,7 @@ def test_the_search_for_noise_stays_within_its_bounds(
     monkeypatch.setattr(inertial_log, "run_filter_on_log", run_without_filter)
     for likelihood in (lambda n: np.log(n.gyro * n.accelerometer) * 100.0, lambda n: -np.inf):
         monkeypatch.setattr(
-            inertial_log, "aid_innovations",
+            inertial_log, "compute_aid_innovations",
             lambda log, aids, noise, likelihood=likelihood, **_: AidInnovations(1, 1.0, 0.1, float(likelihood(noise))),
         )  # fmt: skip
         found = estimate_flight_noise(log, aids, InertialNoise(gyro=1e-3, accelerometer=1e-2))

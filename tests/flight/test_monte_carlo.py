@@ -21,6 +21,7 @@ from mufly.flight.monte_carlo import (
     FlightResult,
     WorkerPool,
     case_from_result,
+    compute_wilson_interval,
     draw_distributions,
     draw_influences,
     flight_severity,
@@ -32,7 +33,6 @@ from mufly.flight.monte_carlo import (
     search_worst_case,
     sort_by_severity,
     summarise_outcome,
-    wilson_interval,
 )
 from mufly.flight.monte_carlo.worker_pool import StopCheck, _end_with_parent
 from mufly.mission import Mission, parse_mission
@@ -313,10 +313,10 @@ def test_wilson_interval_is_the_published_one() -> None:
         (0, 20, 0.0, 0.1611),
         (1, 29, 0.0061, 0.1718),
     ):
-        np.testing.assert_allclose(wilson_interval(successes, flights), (low, high), atol=5e-5)
-    assert wilson_interval(20, 20)[1] == 1.0
+        np.testing.assert_allclose(compute_wilson_interval(successes, flights), (low, high), atol=5e-5)
+    assert compute_wilson_interval(20, 20)[1] == 1.0
     with pytest.raises(InputError, match="21 successes in 20 flights"):
-        wilson_interval(21, 20)
+        compute_wilson_interval(21, 20)
 
 
 def test_wilson_interval_holds_the_truth_as_often_as_it_says() -> None:
@@ -324,7 +324,7 @@ def test_wilson_interval_holds_the_truth_as_often_as_it_says() -> None:
     from scipy.stats import binom
 
     n = 50
-    intervals = np.array([wilson_interval(k, n) for k in range(n + 1)])
+    intervals = np.array([compute_wilson_interval(k, n) for k in range(n + 1)])
     for p in (0.5, 0.9, 0.99):
         inside = (intervals[:, 0] <= p) & (p <= intervals[:, 1])
         assert 0.90 < binom.pmf(np.arange(n + 1), n, p)[inside].sum() < 0.99

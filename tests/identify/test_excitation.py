@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
 from mufly.identify import make_excitation
-from mufly.identify.flight.excitation_signals import SIGNAL_KINDS, amplitude_spectrum, crest_factor
+from mufly.identify.flight.excitation_signals import SIGNAL_KINDS, compute_amplitude_spectrum, crest_factor
 
 BAND = (2 * math.pi * 0.2, 2 * math.pi * 2.0)
 
@@ -30,7 +30,7 @@ def test_all_kinds_rest_at_both_ends_and_reach_one(kind):
 @pytest.mark.parametrize("kind", ["chirp", "multisine"])
 def test_the_power_lies_in_the_band(kind):
     e = make(kind)
-    frequency, amplitude = amplitude_spectrum(e.value[50:-50], 0.01)
+    frequency, amplitude = compute_amplitude_spectrum(e.value[50:-50], 0.01)
     power = amplitude**2
     inside = (frequency >= 0.15) & (frequency <= 2.3)
     assert power[inside].sum() > 0.9 * power.sum()
@@ -39,7 +39,7 @@ def test_the_power_lies_in_the_band(kind):
 def test_a_multisine_is_flat_over_its_harmonics_and_flatter_in_time_than_schroeder():
     e = make("multisine")
     active = e.value[50:-50]
-    frequency, amplitude = amplitude_spectrum(active, 0.01)
+    frequency, amplitude = compute_amplitude_spectrum(active, 0.01)
     k = (frequency > 0.19) & (frequency < 2.01)
     assert_allclose(amplitude[k], amplitude[k].mean(), rtol=0.01)
     assert amplitude[~k].max() < 0.02 * amplitude[k].mean()
@@ -57,7 +57,7 @@ def test_crest_factors_in_closed_form():
     t = np.arange(1000) / 1000
     assert crest_factor(np.sin(2 * np.pi * 5 * t)) == pytest.approx(math.sqrt(2))
     assert crest_factor(np.sign(np.sin(2 * np.pi * 5 * (t + 1e-4)))) == pytest.approx(1)
-    frequency, amplitude = amplitude_spectrum(0.7 * np.sin(2 * np.pi * 5 * t), 1e-3)
+    frequency, amplitude = compute_amplitude_spectrum(0.7 * np.sin(2 * np.pi * 5 * t), 1e-3)
     assert frequency[np.argmax(amplitude)] == 5
     assert amplitude.max() == pytest.approx(0.7)
 

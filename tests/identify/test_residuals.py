@@ -17,11 +17,11 @@ from mufly.identify.fit_result import (
     select_error_model,
 )
 from mufly.identify.residual_analysis import (
+    compute_input_cross_correlation,
+    compute_residual_autocorrelation,
     estimate_high_frequency_noise,
     find_spectral_lines,
-    input_cross_correlation,
     ljung_box_test,
-    residual_autocorrelation,
     residual_determinant,
 )
 from mufly.vehicle import load_vehicle
@@ -42,10 +42,12 @@ def share_outside(c):
 def test_autocorrelation_of_a_first_order_process_is_its_power_series():
     rng = np.random.default_rng(1)
     e = lfilter([1.0], [1.0, -0.9], rng.normal(size=200_000))
-    c = residual_autocorrelation(e, 0.1, max_lag_s=2.0)
+    c = compute_residual_autocorrelation(e, 0.1, max_lag_s=2.0)
     assert c.lag_s == pytest.approx(0.1 * np.arange(21))
     assert c.value == pytest.approx(0.9 ** np.arange(21), abs=0.02)
-    assert 0.03 < share_outside(residual_autocorrelation(rng.normal(size=4000), 0.1, max_lag_s=100.0)) < 0.07  # 95 %
+    assert (
+        0.03 < share_outside(compute_residual_autocorrelation(rng.normal(size=4000), 0.1, max_lag_s=100.0)) < 0.07
+    )  # 95 %
 
 
 def test_ljung_box_is_wrong_as_often_as_it_says_on_white_noise_and_finds_colour():
@@ -61,19 +63,19 @@ def test_cross_correlation_bounds_hold_for_independent_signals_of_any_colour(col
     outside = []
     for _ in range(records):
         u, e = (lfilter([1.0], [1.0, -colour], rng.normal(size=samples)) for _ in range(2))
-        outside.append(share_outside(input_cross_correlation(u, e, 0.01, max_lag_s=0.5)))
+        outside.append(share_outside(compute_input_cross_correlation(u, e, 0.01, max_lag_s=0.5)))
     assert 0.03 < np.mean(outside) < 0.075
 
 
 def test_cross_correlation_peaks_at_the_lag_by_which_the_residual_follows():
     rng = np.random.default_rng(4)
     u = rng.normal(size=3000)
-    c = input_cross_correlation(u, np.roll(u, 17), 0.01, max_lag_s=0.5)
+    c = compute_input_cross_correlation(u, np.roll(u, 17), 0.01, max_lag_s=0.5)
     assert c.lag_s[c.value.argmax()] == pytest.approx(0.17)
 
 
 def test_a_constant_input_correlates_with_nothing():
-    c = input_cross_correlation(np.ones(100), np.arange(100.0), 0.1, max_lag_s=1.0)
+    c = compute_input_cross_correlation(np.ones(100), np.arange(100.0), 0.1, max_lag_s=1.0)
     assert not c.value.any()
 
 
@@ -105,7 +107,7 @@ def test_gaps_are_left_out():
     z, y = np.arange(50.0), np.arange(50.0) + 1.0
     z[10:20] = np.nan
     assert assess_prediction(z, y).rms == pytest.approx(1.0)
-    assert np.isfinite(residual_autocorrelation(z, 1.0, max_lag_s=5).value).all()
+    assert np.isfinite(compute_residual_autocorrelation(z, 1.0, max_lag_s=5).value).all()
     assert np.isnan(assess_prediction(np.full(5, np.nan), np.zeros(5)).fit_percent)
 
 

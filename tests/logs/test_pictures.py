@@ -15,7 +15,7 @@ from mufly.logs import (
     read_recording_summary,
     write_log,
 )
-from mufly.logs.log_report import power_spectrum
+from mufly.logs.log_report import compute_power_spectrum
 
 TIME = 0.01 * np.arange(1000)
 WAVE = 0.3 * np.sin(2 * np.pi * TIME)
@@ -80,13 +80,13 @@ def test_a_spectrum_has_the_power_of_its_wave_where_that_is():
     time = 0.01 * np.arange(4000)
     values = 3.0 + 0.2 * time + 0.7 * np.sin(2 * np.pi * 5.0 * time)
     values[1000:1003] = np.nan
-    frequency, density = power_spectrum(time, values)
+    frequency, density = compute_power_spectrum(time, values)
     assert frequency[density.argmax()] == pytest.approx(5.0, abs=0.1)
     assert np.sum(density) * (frequency[1] - frequency[0]) == pytest.approx(0.7**2 / 2, rel=0.02)
     # Of a record with a long hole the longest stretch counts: here the one with another wave.
     time = np.r_[time[:500], time[1500:]]
     values = np.where(time < 10.0, np.sin(2 * np.pi * 20.0 * time), np.sin(2 * np.pi * 5.0 * time))
-    frequency, density = power_spectrum(time, values)
+    frequency, density = compute_power_spectrum(time, values)
     assert density[np.abs(frequency - 20.0) < 1.0].max() < 1e-3 * density.max()
     line, faint = draw_channels(
         [
@@ -101,7 +101,7 @@ def test_a_spectrum_has_the_power_of_its_wave_where_that_is():
     with pytest.raises(InputError, match="no channel is long enough"):
         draw_channels([channel("flap", WAVE[:20], time=TIME[:20])], spectra=True)
     with pytest.raises(InputError, match="31 samples"):
-        power_spectrum(TIME[:31], WAVE[:31])
+        compute_power_spectrum(TIME[:31], WAVE[:31])
 
 
 def test_messages_of_a_recording_stand_at_their_wall_time_in_its_blocks(tmp_path):

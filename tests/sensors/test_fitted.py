@@ -38,21 +38,21 @@ def test_sonar_hears_the_shortest_way_to_the_floor(exact, at, tilt) -> None:
     truth = at(position=(0, 0, -2.0), attitude=(tilt, 0, 0))
     lower = (body_to_ned_matrix(truth.state[6:10]) @ exact.sensors.sonar.position.to_array()[0])[2]
     sonar = one(exact, "sonar").sensors[0]
-    assert sonar.true_readings(truth)["ground_distance"] == pytest.approx(2.0 - lower)
+    assert sonar.error_free_readings(truth)["ground_distance"] == pytest.approx(2.0 - lower)
 
 
 def test_sonar_beyond_its_cone_hears_the_floor_aslant(exact, at) -> None:
     tilt, half = 0.8, 0.5 * float(exact.sensors.sonar.cone_angle)
     truth = at(position=(0, 0, -2.0), attitude=(tilt, 0, 0))
     lower = (body_to_ned_matrix(truth.state[6:10]) @ exact.sensors.sonar.position.to_array()[0])[2]
-    heard = one(exact, "sonar").sensors[0].true_readings(truth)["ground_distance"]
+    heard = one(exact, "sonar").sensors[0].error_free_readings(truth)["ground_distance"]
     assert heard == pytest.approx((2.0 - lower) / math.cos(tilt - half), rel=0.01)
 
 
 def test_sonar_steps_up_early_over_a_box(exact, at) -> None:
     world = World(boxes=(Box((1.0, 0.0, -0.15), (0.6, 2.0, 0.3)),))
     sonar = one(exact, "sonar", world).sensors[0]
-    heard = [sonar.true_readings(at(position=(n, 0, -1.05)))["ground_distance"] for n in (0.0, 0.45, 1.0)]
+    heard = [sonar.error_free_readings(at(position=(n, 0, -1.05)))["ground_distance"] for n in (0.0, 0.45, 1.0)]
     assert heard[0] == pytest.approx(1.0)
     assert heard[2] == pytest.approx(0.7)
     assert 0.7 < heard[1] < 0.9  # its edge is heard before it is below
@@ -86,7 +86,7 @@ def ring_errors(vehicle, at, half, seeds=(0,), pictures=60):
     for seed in seeds:
         camera = one(vehicle, "ring_camera", world, seed)
         said = np.array([r.value for _, r in stream(camera, "ranges", [at(k * 0.04) for k in range(pictures)])])
-        error.append(np.where(said < 1.5, said - camera.sensors[0].true_readings(at())["ranges"], np.nan))
+        error.append(np.where(said < 1.5, said - camera.sensors[0].error_free_readings(at())["ranges"], np.nan))
     return np.concatenate(error)
 
 
@@ -131,7 +131,7 @@ def test_ring_picture_holds_the_spots_where_triangulation_puts_them(exact, at) -
     picture = camera.render_picture(at().state)
     assert picture.shape == (c.radial_pixels, c.angular_pixels)
     top = 1.25 * math.atan(float(c.baseline) / float(c.min_range))
-    true = camera.true_readings(at())["ranges"]
+    true = camera.error_free_readings(at())["ranges"]
     bright = picture - np.median(picture, axis=0)
     for k, distance in enumerate(true):
         column = int((math.pi / 8 + k * math.pi / 4) / (2 * math.pi) * c.angular_pixels)

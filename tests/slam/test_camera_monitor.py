@@ -251,20 +251,20 @@ def test_a_lasting_tilt_error_is_reported() -> None:
     rng = np.random.default_rng(0)
     for k in range(150):  # errors as the filter expects them
         monitor.check_tilt(0.033 * k, math.radians(0.5) * rng.standard_normal(2), math.radians(0.5))
-    assert monitor.verdict_at(0.033 * 149).fault == ""
-    assert monitor.tilt_verdict_at(0.033 * 149).fault == ""
+    assert monitor.diagnose_at(0.033 * 149).fault == ""
+    assert monitor.diagnose_tilt_at(0.033 * 149).fault == ""
     for k in range(150, 240):
         monitor.check_tilt(0.033 * k, math.radians(0.5) * rng.standard_normal(2) + [0.04, 0.0], math.radians(0.5))
-    assert monitor.tilt_verdict_at(0.033 * 239).fault == "tilted"
-    assert "degrees off the attitude" in monitor.tilt_verdict_at(0.033 * 239).message
-    assert monitor.verdict_at(0.033 * 239).fault == ""  # poses continue, less accurate
-    message = monitor.tilt_verdict_at(0.033 * 239).message
+    assert monitor.diagnose_tilt_at(0.033 * 239).fault == "tilted"
+    assert "degrees off the attitude" in monitor.diagnose_tilt_at(0.033 * 239).message
+    assert monitor.diagnose_at(0.033 * 239).fault == ""  # poses continue, less accurate
+    message = monitor.diagnose_tilt_at(0.033 * 239).message
     for k in range(240, 300):
         monitor.check_tilt(0.033 * k, math.radians(0.5) * rng.standard_normal(2) + [0.035, 0.0], math.radians(0.5))
-        assert monitor.tilt_verdict_at(0.033 * k).message == message
+        assert monitor.diagnose_tilt_at(0.033 * k).message == message
     for k in range(300, 390):
         monitor.check_tilt(0.033 * k, math.radians(0.5) * rng.standard_normal(2) + [0.12, 0.0], math.radians(0.5))
-    assert monitor.verdict_at(0.033 * 389).fault == "tilted"
+    assert monitor.diagnose_at(0.033 * 389).fault == "tilted"
 
 
 def test_poses_of_a_tilted_camera_continue_with_a_larger_covariance(flown: Flown) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mufly.bench.bench_table import SI_UNITS, BenchTable, base_quantity_of
 from mufly.bench.residual_covariance import CovarianceEstimate, estimate_covariance, join_covariances
-from mufly.bench.series.moist_air import moist_air_density
+from mufly.bench.series.moist_air import compute_moist_air_density
 from mufly.bench.unit_conventions import (
     LOAD_QUANTITIES,
     add_loads_from_coefficients,
@@ -457,7 +457,7 @@ def resolve_air_density(table: BenchTable, density_kg_m3: float | None) -> tuple
         table.require_columns(("temperature", "pressure"))
         if "humidity" in table:
             table.require_columns(("humidity",))
-            moist = moist_air_density(table["pressure"], table["temperature"] + 273.15, table["humidity"])
+            moist = compute_moist_air_density(table["pressure"], table["temperature"] + 273.15, table["humidity"])
             return moist, f"density {moist.mean():.4g} kg/m3 from temperature, pressure and humidity"
         rho = table["pressure"] / (287.05 * (table["temperature"] + 273.15))
         return rho, f"density {rho.mean():.4g} kg/m3 from temperature and pressure (dry air)"

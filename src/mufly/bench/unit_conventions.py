@@ -198,14 +198,14 @@ def guess_load_units(
             factor = conversion_factor(unit)
             load = loads[channel] * factor
             pair = (load, beside) if quantity == "thrust" else (beside, load)
-            merit = median_figure_of_merit(pair[0], pair[1], squares, density_kg_m3, radius_m)
+            merit = compute_median_figure_of_merit(pair[0], pair[1], squares, density_kg_m3, radius_m)
             ordinary = low < factor * size < high or (quantity == "torque" and beside is not None)
             if ordinary and (math.isnan(merit) or _HOVER_FIGURES_OF_MERIT[0] < merit < _HOVER_FIGURES_OF_MERIT[1]):
                 fits.append((unit, factor, merit))
         if quantity == "thrust" and [u for u, _, _ in fits] == ["N"]:
             # Grams of a rotor at low pitch look like newtons of a heavily loaded one.
             light = conversion_factor("gf") * size
-            merit = median_figure_of_merit(
+            merit = compute_median_figure_of_merit(
                 loads[channel] * conversion_factor("gf"), beside, squares, density_kg_m3, radius_m
             )
             if size > _MIN_GRAM_THRUST_COEFFICIENT and light > _MAX_KILOGRAM_THRUST_COEFFICIENT and math.isnan(merit):
@@ -225,7 +225,7 @@ def guess_load_units(
     return found
 
 
-def median_figure_of_merit(
+def compute_median_figure_of_merit(
     thrust: Array | None, torque: Array | None, speed_squared: Array, density_kg_m3: float, radius_m: float
 ) -> float:
     """Return the median figure of merit, T^1.5 / (sqrt(2 rho A) Q Omega); NaN if a load is missing."""

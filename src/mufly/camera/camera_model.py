@@ -82,7 +82,7 @@ class Mount(ParameterGroup):
     )
 
     @model_validator(mode="after")
-    def _check_single_place(self) -> Mount:
+    def _check_single_position(self) -> Mount:
         if len(self.place.value) != 1:
             raise model_error(f"has {len(self.place.value)} points", "give one point, [[x, y, z]]", "mount.place")
         return self

@@ -4,6 +4,7 @@ from mufly.cfd.blade_geometry import BLADE_TIPS, BladeGeometry, BladeTip, HubCyl
 from mufly.cfd.case_studies import (
     PairSolution,
     SpanLoads,
+    compute_span_loads,
     list_study_cases,
     read_pair,
     save_case,
@@ -11,7 +12,6 @@ from mufly.cfd.case_studies import (
     solve_operating_point,
     solve_pair,
     solve_study,
-    span_loads,
     sweep_climb,
     sweep_speed,
 )
@@ -39,13 +39,13 @@ from mufly.cfd.cfd_solution import (
     FlowField,
     FlowProbe,
     WakeProfile,
+    compute_velocity_gradient,
     compute_wake_profile,
     read_flow,
     read_solution,
-    velocity_gradient,
 )
 from mufly.cfd.grid_convergence import GridConvergence, estimate_grid_convergence, study_grid_convergence
-from mufly.cfd.initial_flow import momentum_slipstream
+from mufly.cfd.initial_flow import compute_momentum_slipstream
 from mufly.cfd.openfoam_case import TURBULENCE_MODELS, OperatingPoint, read_point, write_case
 from mufly.cfd.polymesh import (
     MeshQuality,
@@ -58,7 +58,7 @@ from mufly.cfd.polymesh import (
 from mufly.cfd.section_mesh import CellCounts
 from mufly.cfd.sector_mesh import MESH_LEVELS, MeshDomain, SectorMesh, make_sector_mesh
 from mufly.cfd.solver_process import (
-    ConvergenceVerdict,
+    ConvergenceAssessment,
     SolverProgress,
     find_solver,
     judge_case,
@@ -86,7 +86,7 @@ __all__ = [
     "CellCounts",
     "CfdSolution",
     "ClimbComparison",
-    "ConvergenceVerdict",
+    "ConvergenceAssessment",
     "FlowField",
     "FlowProbe",
     "GridConvergence",
@@ -103,6 +103,9 @@ __all__ = [
     "average_at_points",
     "compare_cases",
     "compare_climbs",
+    "compute_momentum_slipstream",
+    "compute_span_loads",
+    "compute_velocity_gradient",
     "compute_wake_profile",
     "draw_climb_comparison",
     "draw_iteration_history",
@@ -127,7 +130,6 @@ __all__ = [
     "make_sector_mesh",
     "map_colours",
     "measure_mesh_quality",
-    "momentum_slipstream",
     "predict_span_loads",
     "read_flow",
     "read_history",
@@ -141,11 +143,9 @@ __all__ = [
     "solve_operating_point",
     "solve_pair",
     "solve_study",
-    "span_loads",
     "study_grid_convergence",
     "sweep_climb",
     "sweep_speed",
-    "velocity_gradient",
     "write_case",
     "write_glb",
     "write_poly_mesh",

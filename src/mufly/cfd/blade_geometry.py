@@ -209,7 +209,7 @@ class BladeLine:
     rounding_fraction: Array
 
 
-def blade_line_length(tip: BladeTip, root_m: float, radius_m: float, chord_m: float) -> float:
+def compute_blade_line_length(tip: BladeTip, root_m: float, radius_m: float, chord_m: float) -> float:
     """Return the length (m) of the blade's line from root to end, with the end at the rotor radius."""
     turn, straight = _winglet_lengths(tip, chord_m)
     b, a = tip.bend * chord_m, abs(tip.cant_rad)

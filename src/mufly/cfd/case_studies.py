@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mufly.cfd.blade_geometry import BladeGeometry, make_blade_geometry
 from mufly.cfd.cfd_solution import CfdSolution, read_field, read_solution, scale_solution_state
 from mufly.cfd.openfoam_case import (
-    MIN_VERDICT_ITERATIONS,
+    MIN_ASSESSMENT_ITERATIONS,
     TURBULENCE_MODELS,
     OperatingPoint,
     momentum_induced_velocity,
@@ -29,7 +29,7 @@ from mufly.cfd.rotor_pair import (
     read_actuator_disc,
     write_actuator_disc,
 )
-from mufly.cfd.sector_mesh import MeshDomain, blade_vertical_reach, make_sector_mesh
+from mufly.cfd.sector_mesh import MeshDomain, compute_blade_vertical_reach, make_sector_mesh
 from mufly.cfd.solver_process import (
     MAX_ITERATIONS,
     SolverProgress,
@@ -428,7 +428,7 @@ def solve_pair(
     """
     pitches = (pitch_rad, pitch_rad if lower_pitch_rad is None else lower_pitch_rad)
     speeds = (speed_rad_s, speed_rad_s if lower_speed_rad_s is None else lower_speed_rad_s)
-    least = blade_vertical_reach(rotor, pitches[0]) + blade_vertical_reach(rotor, pitches[1])
+    least = compute_blade_vertical_reach(rotor, pitches[0]) + compute_blade_vertical_reach(rotor, pitches[1])
     if not least < gap_m <= 2.0 * rotor.radius_m:
         raise InputError(
             "pair", "gap", f"is {1e3 * gap_m:g} mm", f"give {1e3 * least:.3g} to {2e3 * rotor.radius_m:g} mm"
@@ -443,7 +443,7 @@ def solve_pair(
     if not guess.converged:
         raise MuflyError(f"blade element theory finds no initial state of the pair: {guess.message}")
     settings = list(zip(pitches, speeds, strict=True))
-    loads = [_make_disc(span_loads(one, "bemt"), *at) for one, at in zip(guess.rotors, settings, strict=True)]
+    loads = [_make_disc(compute_span_loads(one, "bemt"), *at) for one, at in zip(guess.rotors, settings, strict=True)]
     for i, name in enumerate(PAIR_FOLDERS):
         if neighbour is not None:
             before = read_solution(neighbour / name)
@@ -451,7 +451,7 @@ def solve_pair(
             loads[i] = _make_disc(before, *settings[i]).scale_loads(ratio)
         if (
             read_actuator_disc(folder / name) is not None
-            and max(list_complete_states(folder / name), default=0) >= MIN_VERDICT_ITERATIONS
+            and max(list_complete_states(folder / name), default=0) >= MIN_ASSESSMENT_ITERATIONS
         ):
             loads[i] = _make_disc(read_solution(folder / name), *settings[i])
     meshes: dict[str, PolyMesh] = {}
@@ -582,7 +582,7 @@ class SpanLoads:
     torque_Nm: float
 
 
-def span_loads(result: RotorResult, method: str) -> SpanLoads:
+def compute_span_loads(result: RotorResult, method: str) -> SpanLoads:
     """Convert the result of another method to loads per span, for comparison with a CFD solution."""
     return SpanLoads(
         method,

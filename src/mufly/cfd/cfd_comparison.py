@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.cfd.case_studies import SpanLoads, span_loads
+from mufly.cfd.case_studies import SpanLoads, compute_span_loads
 from mufly.cfd.cfd_solution import CfdSolution
 from mufly.cfd.openfoam_case import OperatingPoint, read_point
 from mufly.cfd.rotor_pair import ActuatorDisc
-from mufly.cfd.solver_process import ConvergenceVerdict, judge_case
+from mufly.cfd.solver_process import ConvergenceAssessment, judge_case
 from mufly.errors import InputError, MuflyError
 from mufly.files.text_table import read_text_table
 from mufly.quantities.units import RPM
@@ -40,7 +40,7 @@ class CaseComparison:
 
     case: str
     point: OperatingPoint
-    verdict: ConvergenceVerdict
+    verdict: ConvergenceAssessment
     thrust: dict[str, float]
     torque: dict[str, float]
 
@@ -208,5 +208,5 @@ def predict_span_loads(
         except MuflyError:
             continue
         if solution.converged:
-            out.append(span_loads(solution.rotors[which], method))
+            out.append(compute_span_loads(solution.rotors[which], method))
     return out

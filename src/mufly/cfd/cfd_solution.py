@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from mufly.cfd.openfoam_case import OperatingPoint, read_point
 from mufly.cfd.polymesh import PolyMesh, read_poly_mesh
 from mufly.cfd.rotor_pair import read_actuator_disc
-from mufly.cfd.solver_process import ConvergenceVerdict, judge_case, list_complete_states
+from mufly.cfd.solver_process import ConvergenceAssessment, judge_case, list_complete_states
 from mufly.errors import InputError
 from mufly.results import result
 
@@ -70,7 +70,7 @@ class CfdSolution:
     """
 
     point: OperatingPoint
-    verdict: ConvergenceVerdict
+    verdict: ConvergenceAssessment
     thrust_N: float
     torque_Nm: float
     power_W: float
@@ -248,10 +248,10 @@ def read_flow(folder: Path, mesh: PolyMesh) -> FlowField:
     if not at:
         raise InputError(str(folder), "", "contains no solution", "run it first: mufly cfd run")
     velocity = read_field(folder / str(at[-1]) / "U", mesh.cell_count)
-    return FlowField(velocity, velocity_gradient(mesh, velocity, read_point(folder).patch_speeds_rad_s))
+    return FlowField(velocity, compute_velocity_gradient(mesh, velocity, read_point(folder).patch_speeds_rad_s))
 
 
-def velocity_gradient(mesh: PolyMesh, velocity: Array, walls: dict[str, float]) -> Array:
+def compute_velocity_gradient(mesh: PolyMesh, velocity: Array, walls: dict[str, float]) -> Array:
     """Return the velocity gradient in the cells by least squares over the neighbours; exact for a linear field.
 
     Neighbours are weighted by the inverse square of the distance. Across a periodic plane the neighbours are cells of

@@ -23,7 +23,9 @@ Array = NDArray[np.float64]
 _VORTEX_RING_SPACING_RADII = 0.05  # spacing of the rings near the disc, over R
 
 
-def vortex_ring_velocity(r: Array, z: Array, radius: Array, height: Array, core: float | Array) -> tuple[Array, Array]:
+def compute_vortex_ring_velocity(
+    r: Array, z: Array, radius: Array, height: Array, core: float | Array
+) -> tuple[Array, Array]:
     """Return radial and axial velocity (m/s) at (r, z) due to vortex rings of strength 1 m^2/s; arrays broadcast."""
     dz = z - height
     far = (radius + r) ** 2 + dz**2 + core**2
@@ -36,7 +38,7 @@ def vortex_ring_velocity(r: Array, z: Array, radius: Array, height: Array, core:
     return np.where(r > 1e-9, radial, 0.0), axial
 
 
-def momentum_slipstream(points: Array, *, radius_m: float, induced_m_s: float, climb_m_s: float = 0.0) -> Array:
+def compute_momentum_slipstream(points: Array, *, radius_m: float, induced_m_s: float, climb_m_s: float = 0.0) -> Array:
     """Return the velocity of the air by momentum theory.
 
     Parameters
@@ -67,7 +69,7 @@ def momentum_slipstream(points: Array, *, radius_m: float, induced_m_s: float, c
     step, z_ring = np.diff(edges), -0.5 * (edges[1:] + edges[:-1])
     size = 1.0 / np.sqrt(1.0 - z_ring / np.sqrt(1.0 + z_ring**2))
     rr, zz = np.meshgrid(grid_r, grid_z, indexing="ij")
-    radial, axial = vortex_ring_velocity(rr[..., None], zz[..., None], size, z_ring, core=1.5 * step)
+    radial, axial = compute_vortex_ring_velocity(rr[..., None], zz[..., None], size, z_ring, core=1.5 * step)
     fields = [
         RegularGridInterpolator((grid_r, grid_z), -2.0 * induced_m_s * (f @ step), bounds_error=False, fill_value=None)
         for f in (radial, axial)

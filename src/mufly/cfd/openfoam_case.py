@@ -34,8 +34,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.cfd.initial_flow import momentum_slipstream
-from mufly.cfd.polymesh import LOWER_BLADE_PATCH, PolyMesh, foam_header, write_poly_mesh
+from mufly.cfd.initial_flow import compute_momentum_slipstream
+from mufly.cfd.polymesh import LOWER_BLADE_PATCH, PolyMesh, format_foam_header, write_poly_mesh
 from mufly.cfd.sector_mesh import MeshDomain
 from mufly.errors import InputError, report_write_errors
 from mufly.quantities.units import RPM
@@ -48,7 +48,7 @@ TURBULENCE_MODELS = {"laminar": "", "k-epsilon": "kEpsilon", "sst": "kOmegaSST",
 """Turbulence models by OpenFOAM's names."""
 FIRST_ORDER_ITERATIONS = 80
 """Number of iterations with the upwind scheme."""
-MIN_VERDICT_ITERATIONS = 1200
+MIN_ASSESSMENT_ITERATIONS = 1200
 """Least number of iterations before a verdict."""
 MAX_DESCENT_OVER_INDUCED_VELOCITY = 0.5
 """Greatest ratio of descent velocity to induced velocity in hover; above it (vortex ring state) no case is solved."""
@@ -108,7 +108,7 @@ class OperatingPoint:
     viscosity_Pa_s: float
     induced_m_s: float
     upwind: int = FIRST_ORDER_ITERATIONS
-    least: int = MIN_VERDICT_ITERATIONS
+    least: int = MIN_ASSESSMENT_ITERATIONS
     tip: str = "square"
     hub_m: float = 0.0
     gurney: float = 0.0
@@ -232,20 +232,20 @@ def _dictionary_texts(point: OperatingPoint, cores: int) -> dict[str, str]:
         "system/controlDict": _format_control_dict(point, FIRST_ORDER_ITERATIONS),
         "system/fvSchemes": _format_fv_schemes(upwind=True),
         "system/fvSchemes.second": _format_fv_schemes(upwind=False),
-        "system/fvSolution": foam_header("dictionary", "fvSolution", "system") + _FV_SOLUTION_DICTIONARY,
-        "system/decomposeParDict": foam_header("dictionary", "decomposeParDict", "system") + (
+        "system/fvSolution": format_foam_header("dictionary", "fvSolution", "system") + _FV_SOLUTION_DICTIONARY,
+        "system/decomposeParDict": format_foam_header("dictionary", "decomposeParDict", "system") + (
             f"numberOfSubdomains {cores};\nmethod hierarchical;\n"
             f"coeffs {{ n ({_factor_cores(cores)[0]} {_factor_cores(cores)[1]} 1); delta 0.001; order xyz; }}\n"
         ),
-        "constant/MRFProperties": foam_header("dictionary", "MRFProperties", "constant") + "".join(
+        "constant/MRFProperties": format_foam_header("dictionary", "MRFProperties", "constant") + "".join(
             f"{patch}\n{{\n    cellZone {'rotor' if patch == 'blade' else 'lower'};\n    active yes;\n"
             "    nonRotatingPatches (top side bottom);\n"
             f"    origin (0 0 0);\n    axis (0 0 1);\n    omega constant {speed:.10g};\n}}\n"
             for patch, speed in point.patch_speeds_rad_s.items()
         ),
-        "constant/transportProperties": foam_header("dictionary", "transportProperties", "constant")
+        "constant/transportProperties": format_foam_header("dictionary", "transportProperties", "constant")
         + f"transportModel Newtonian;\nnu {point.kinematic_viscosity_m2_s:.10g};\n",
-        "constant/turbulenceProperties": foam_header("dictionary", "turbulenceProperties", "constant")
+        "constant/turbulenceProperties": format_foam_header("dictionary", "turbulenceProperties", "constant")
         + f"simulationType {kind}\n",
         "Allrun": (
             "#!/bin/sh\n# The whole case without mufly: first order, then second.\nset -e\ncd \"$(dirname \"$0\")\"\n"
@@ -262,7 +262,7 @@ def _factor_cores(cores: int) -> tuple[int, int]:
 
 
 def _format_control_dict(point: OperatingPoint, end: int) -> str:
-    return foam_header("dictionary", "controlDict", "system") + (
+    return format_foam_header("dictionary", "controlDict", "system") + (
         "application simpleFoam;\nstartFrom latestTime;\nstartTime 0;\nstopAt endTime;\n"
         f"endTime {end};\ndeltaT 1;\nwriteControl timeStep;\nwriteInterval {STATE_WRITE_ITERATIONS};\npurgeWrite 2;\n"
         "writeFormat binary;\n"
@@ -285,7 +285,7 @@ def _format_control_dict(point: OperatingPoint, end: int) -> str:
 def _format_fv_schemes(upwind: bool) -> str:
     first = "bounded Gauss upwind"
     u = first if upwind else "bounded Gauss linearUpwind limited"
-    return foam_header("dictionary", "fvSchemes", "system") + (
+    return format_foam_header("dictionary", "fvSchemes", "system") + (
         "ddtSchemes { default steadyState; }\n"
         "gradSchemes\n{\n    default Gauss linear;\n    limited cellLimited Gauss linear 1;\n"
         "    grad(k) cellLimited Gauss linear 1;\n    grad(omega) cellLimited Gauss linear 1;\n}\n"
@@ -319,7 +319,7 @@ def _write_fields(folder: Path, mesh: PolyMesh, point: OperatingPoint, state: Ma
     folder.mkdir(parents=True, exist_ok=True)
     u = state.get("U")
     if u is None:
-        u = momentum_slipstream(
+        u = compute_momentum_slipstream(
             mesh.cell_centres,
             radius_m=point.radius_m,
             induced_m_s=point.induced_m_s,
@@ -431,14 +431,14 @@ def _write_flux(file: Path, mesh: PolyMesh, flux: Array) -> None:
     for name in mesh.patches:
         kind = "cyclic" if name.startswith("sector") else "calculated"
         body += f"    {name} {{ type {kind}; value ".encode() + encode_values(flux[mesh.patch_faces(name)]) + b"; }\n"
-    head = foam_header("surfaceScalarField", "phi", file.parent.name, binary=True).encode()
+    head = format_foam_header("surfaceScalarField", "phi", file.parent.name, binary=True).encode()
     file.write_bytes(head + body + b"}\n")
 
 
 def write_field(file: Path, kind: str, unit: str, values: str | Array, boundary: dict[str, str]) -> None:
     """Write a field: ``"uniform 0"`` or a value for each cell."""
     binary = not isinstance(values, str)
-    head = foam_header(kind, file.name, file.parent.name, binary=binary).encode()
+    head = format_foam_header(kind, file.name, file.parent.name, binary=binary).encode()
     if isinstance(values, str):
         body = values.encode()
     else:

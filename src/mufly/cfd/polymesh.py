@@ -332,7 +332,7 @@ def measure_mesh_quality(mesh: PolyMesh) -> MeshQuality:
 # Files
 
 
-def foam_header(kind: str, name: str, place: str, *, binary: bool = False, note: str = "") -> str:
+def format_foam_header(kind: str, name: str, place: str, *, binary: bool = False, note: str = "") -> str:
     """Return the header of an OpenFOAM file."""
     form = 'binary;\n    arch        "LSB;label=32;scalar=64"' if binary else "ascii"
     more = f'    note        "{note}";\n' if note else ""
@@ -351,7 +351,7 @@ def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
     place = "constant/polyMesh"
 
     def write_openfoam_list(name: str, kind: str, *parts: bytes) -> None:
-        head = foam_header(kind, name, place, binary=True, note=note if name in ("owner", "neighbour") else "")
+        head = format_foam_header(kind, name, place, binary=True, note=note if name in ("owner", "neighbour") else "")
         (folder / name).write_bytes(head.encode() + b"\n".join(parts) + b"\n")
 
     def encode_block(values: NDArray, count: int) -> bytes:
@@ -379,9 +379,9 @@ def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
                 f"neighbourPatch {other};"
             )
         entries.append(f"    {name} {{ type {kind}; {more} nFaces {count}; startFace {start}; }}")
-    text = foam_header("polyBoundaryMesh", "boundary", place, note=f"sector of {turn:g} degrees")
+    text = format_foam_header("polyBoundaryMesh", "boundary", place, note=f"sector of {turn:g} degrees")
     (folder / "boundary").write_text(text + f"{len(entries)}\n(\n" + "\n".join(entries) + "\n)\n", encoding="utf-8")
-    zone = foam_header("regIOobject", "cellZones", place, binary=True).encode()
+    zone = format_foam_header("regIOobject", "cellZones", place, binary=True).encode()
     zones = {"rotor": 1.0, **({"lower": -1.0} if LOWER_BLADE_PATCH in mesh.patches else {})}
     zone += f"{len(zones)}\n(\n".encode()
     for name, sense in zones.items():

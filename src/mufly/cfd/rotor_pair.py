@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from mufly.cfd.openfoam_case import OperatingPoint
-from mufly.cfd.polymesh import PolyMesh, foam_header
+from mufly.cfd.polymesh import PolyMesh, format_foam_header
 from mufly.cfd.section_mesh import CellCounts
 from mufly.cfd.sector_mesh import MeshDomain, SectorMesh, make_sector_mesh
 from mufly.errors import InputError, MuflyError
@@ -224,7 +224,7 @@ def write_actuator_disc(folder: Path, mesh: PolyMesh, point: OperatingPoint, dis
         f"        at{i} {{ type lookup; data ((-180 {d:.9g} {c:.9g}) (180 {d:.9g} {c:.9g})); }}"
         for i, (c, d) in enumerate(zip(lift, drag, strict=True))
     )
-    text = foam_header("dictionary", "fvOptions", "constant") + (
+    text = format_foam_header("dictionary", "fvOptions", "constant") + (
         "other\n{\n    type rotorDisk;\n    active yes;\n    selectionMode cellSet;\n    cellSet disc;\n"
         f"    fields (U);\n    nBlades {point.blades};\n    tipEffect 2;\n    rpm {30.0 / math.pi:.12g};\n"
         f"    rhoRef {point.density_kg_m3:.9g};\n"
@@ -239,7 +239,7 @@ def write_actuator_disc(folder: Path, mesh: PolyMesh, point: OperatingPoint, dis
     sets.mkdir(parents=True, exist_ok=True)
     listed = "\n".join(str(i) for i in cells)
     (sets / "disc").write_text(
-        foam_header("cellSet", "disc", "constant/polyMesh/sets") + f"{len(cells)}\n(\n{listed}\n)\n",
+        format_foam_header("cellSet", "disc", "constant/polyMesh/sets") + f"{len(cells)}\n(\n{listed}\n)\n",
         encoding="utf-8",
     )
     (folder / "constant" / "fvOptions").write_text(text, encoding="utf-8")

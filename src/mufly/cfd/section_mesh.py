@@ -76,7 +76,7 @@ class CellCounts:
     tip: float
 
 
-def vinokur_spacing(cells: int, first: float, last: float) -> Array:
+def make_vinokur_spacing(cells: int, first: float, last: float) -> Array:
     """Return points on 0..1 with given sizes of the first and the last cell (Vinokur, 1983).
 
     Returns
@@ -96,7 +96,7 @@ def vinokur_spacing(cells: int, first: float, last: float) -> Array:
     return u / (a + (1.0 - a) * u)
 
 
-def geometric_spacing(cells: int, first: float) -> Array:
+def make_geometric_spacing(cells: int, first: float) -> Array:
     """Return points on 0..1 whose cells grow by a constant ratio from the first size; (cells + 1,) array."""
     if first * cells >= 1.0 - 1e-9:
         return np.linspace(0.0, 1.0, cells + 1)
@@ -104,7 +104,7 @@ def geometric_spacing(cells: int, first: float) -> Array:
     return np.asarray((ratio ** np.arange(cells + 1) - 1.0) / (ratio**cells - 1.0), dtype=np.float64)
 
 
-def ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
+def make_ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
     """Return the points of the contour at the ring's lines.
 
     Returns
@@ -137,8 +137,8 @@ def ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
     tail = float(np.linalg.norm(whole[0] - whole[-1])) / m
     front = 2.0 * NOSE_LENGTH_CHORDS / m
     up, low = at_nose - NOSE_LENGTH_CHORDS, s[-1] - at_nose - NOSE_LENGTH_CHORDS
-    top = at_nose - NOSE_LENGTH_CHORDS - up * vinokur_spacing(n, front / up, min(tail / up, 0.5 / n))
-    bottom = at_nose + NOSE_LENGTH_CHORDS + low * vinokur_spacing(n, front / low, min(tail / low, 0.5 / n))
+    top = at_nose - NOSE_LENGTH_CHORDS - up * make_vinokur_spacing(n, front / up, min(tail / up, 0.5 / n))
+    bottom = at_nose + NOSE_LENGTH_CHORDS + low * make_vinokur_spacing(n, front / low, min(tail / low, 0.5 / n))
     base = whole[0] + np.linspace(0.0, 1.0, m + 1)[:, None] * (whole[-1] - whole[0])
     arc = curve(np.linspace(at_nose + NOSE_LENGTH_CHORDS, at_nose - NOSE_LENGTH_CHORDS, m + 1))
     return np.concatenate((curve(top)[:-1], base[:-1], curve(bottom)[::-1][:-1], arc[:-1]))
@@ -173,7 +173,7 @@ class SectionLayout:
         self.point_count = last + int(free.sum())
 
     def _core_edge_indices(self) -> list[tuple[int, int]]:
-        """Return the indices of the core's edge in the order of :func:`ring_contour`."""
+        """Return the indices of the core's edge in the order of :func:`make_ring_contour`."""
         n, m = self.counts.along, self.counts.across
         return (
             [(i, m) for i in range(n)]
@@ -203,7 +203,7 @@ class SectionLayout:
 
 
 def interpolate_transfinite(edge: Array, along: int, across: int) -> Array:
-    """Fill a four-sided loop, in the order of :func:`ring_contour`, by transfinite interpolation.
+    """Fill a four-sided loop, in the order of :func:`make_ring_contour`, by transfinite interpolation.
 
     Returns
     -------
@@ -359,9 +359,9 @@ def _compute_outer_lines(k: CellCounts, chord_m: float, high: float, box: Sectio
     dz = 2 * high / k.across
     up, down = box.top_m - high, -box.bottom_m - high
     return (
-        geometric_spacing(k.side, step / wide),
-        high + up * geometric_spacing(k.above, dz / up),
-        -high - down * geometric_spacing(k.below, dz / down),
+        make_geometric_spacing(k.side, step / wide),
+        high + up * make_geometric_spacing(k.above, dz / up),
+        -high - down * make_geometric_spacing(k.below, dz / down),
     )
 
 
@@ -390,7 +390,7 @@ def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: 
     across = edge - loop
     far = np.linalg.norm(across, axis=1, keepdims=True)
     first = counts.wall * shape.chord_m / (BLOCK_HALF_HEIGHT_CHORDS * shape.chord_m)
-    t = geometric_spacing(counts.ring, first)
+    t = make_geometric_spacing(counts.ring, first)
     reach = shape.gurney_layer[0] * shape.chord_m / float(far[corner, 0])
     for (height, layer), line in ((shape.gurney_layer, corner), (shape.plate_layer, counts.along // 2)):
         if layer:
@@ -435,9 +435,9 @@ def _stretch_through_value(t: Array, layer: int, value: float) -> Array:
     return np.where(t <= t[layer], t * (value / t[layer]), 1.0 - (1.0 - t) * ((1.0 - value) / (1.0 - t[layer])))
 
 
-def ring_layer_at_height(counts: CellCounts, height: float, far: float) -> int:
+def find_ring_layer_at_height(counts: CellCounts, height: float, far: float) -> int:
     """Return the ring layer, from the wall, nearest to a height (chords) in a ring of a given width (chords)."""
-    t = geometric_spacing(counts.ring, counts.wall / BLOCK_HALF_HEIGHT_CHORDS)[1:-2]
+    t = make_geometric_spacing(counts.ring, counts.wall / BLOCK_HALF_HEIGHT_CHORDS)[1:-2]
     return 1 + int(np.argmin(np.abs(np.log(t * far / height))))
 
 

@@ -42,7 +42,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.cfd.blade_geometry import BladeGeometry, blade_line_length, compute_blade_line, place_sections
+from mufly.cfd.blade_geometry import BladeGeometry, compute_blade_line, compute_blade_line_length, place_sections
 from mufly.cfd.section_mesh import (
     BLOCK_HALF_HEIGHT_CHORDS,
     BLOCK_MARGIN_CHORDS,
@@ -51,11 +51,11 @@ from mufly.cfd.section_mesh import (
     SectionLayout,
     SectionShape,
     compute_section_points,
-    geometric_spacing,
+    find_ring_layer_at_height,
     load_meshable_airfoil,
-    ring_contour,
-    ring_layer_at_height,
-    vinokur_spacing,
+    make_geometric_spacing,
+    make_ring_contour,
+    make_vinokur_spacing,
 )
 from mufly.errors import InputError
 from mufly.rotor import Rotor
@@ -234,7 +234,7 @@ def make_sector_mesh(
         k = replace(k, **{"above" if other_m > 0.0 else "below": max(2, k.across // 3)})
     layout = SectionLayout(k)
     tip_chord, tip_angle = float(rotor.chord_m(1.0)), float(rotor.twist_rad(1.0)) + pitch_rad
-    span = blade_line_length(form.tip, root, radius, tip_chord)
+    span = compute_blade_line_length(form.tip, root, radius, tip_chord)
     blade = (root, root + span)
     tip = min(k.tip * radius, 0.5 * span / k.blade)
     at_root = min(1.5 * tip, 0.5 * root / k.gap, 0.5 * span / k.blade)
@@ -246,8 +246,8 @@ def make_sector_mesh(
     s = np.concatenate(
         (
             inner,
-            root + span * vinokur_spacing(k.blade, at_root / span, tip / span)[1:],
-            blade[1] + rest * geometric_spacing(k.beyond, tip / rest)[1:],
+            root + span * make_vinokur_spacing(k.blade, at_root / span, tip / span)[1:],
+            blade[1] + rest * make_geometric_spacing(k.beyond, tip / rest)[1:],
         )
     )
     line = compute_blade_line(form.tip, s, blade, tip_chord)
@@ -273,7 +273,9 @@ def make_sector_mesh(
     corner = math.atan2(half, far)
     near = np.linspace(0.0, 1.0, k.inner + 1)[1:]
     beyond = (
-        1.0 + (outer / inside - 1.0) * geometric_spacing(k.outer, min(1.2 * size / (outer - inside), 1.0 / k.outer))[1:]
+        1.0
+        + (outer / inside - 1.0)
+        * make_geometric_spacing(k.outer, min(1.2 * size / (outer - inside), 1.0 / k.outer))[1:]
     )
     phi = corner * flat[-1, :, 0] / half
     arc = np.stack((inside * np.sin(phi), inside * np.cos(phi)), axis=-1)
@@ -349,7 +351,7 @@ def make_sector_mesh(
     )  # fmt: skip
 
 
-def blade_vertical_reach(rotor: Rotor, pitch_rad: float) -> float:
+def compute_blade_vertical_reach(rotor: Rotor, pitch_rad: float) -> float:
     """Return the greatest distance (m) of the blade surface above or below the disc."""
     x = np.linspace(float(rotor.hub_cutout), 1.0, 101)
     angle = np.abs(rotor.twist_rad(x) + pitch_rad)
@@ -358,7 +360,7 @@ def blade_vertical_reach(rotor: Rotor, pitch_rad: float) -> float:
 
 def _pair_block_height(rotor: Rotor, pitch_rad: float, half_gap: float) -> float:
     """Return the half height (m) of the centre block between two rotors; raise InputError if the blade does not fit."""
-    reach = blade_vertical_reach(rotor, pitch_rad)
+    reach = compute_blade_vertical_reach(rotor, pitch_rad)
     tall = _PAIR_BLOCK_HEIGHT_RATIO * half_gap
     if reach > 0.8 * tall:
         raise InputError(
@@ -397,7 +399,7 @@ def _adapt_row_counts(
     def adapt_row_count(count: int, first: float, usual: float, length: float) -> int:
         if length == usual:
             return count
-        lines = geometric_spacing(count, min(first / usual, 1.0 / count))
+        lines = make_geometric_spacing(count, min(first / usual, 1.0 / count))
         widths = np.diff(lines)
         ratio = float(widths[-1] / widths[-2]) if count > 2 else 1.5
         if ratio < 1.01:
@@ -422,14 +424,14 @@ def _root_stations(k: CellCounts, root: float, at_root: float, form: BladeGeomet
     """Return the radii of the sections from the shaft to the root, and the number of cells between them inside the
     hub."""
     if form.hub is None:
-        return root * (1.0 - geometric_spacing(k.gap, at_root / root)[::-1]), 0
+        return root * (1.0 - make_geometric_spacing(k.gap, at_root / root)[::-1]), 0
     edge = _HUB_FLAT_RADIUS_RATIO * form.hub.radius_m
     n = max(2, round(0.4 * k.gap))
     rest = k.gap - n
     if form.hub.joined:
         outside = np.linspace(0.0, 1.0, rest + 1)
     else:
-        outside = vinokur_spacing(
+        outside = make_vinokur_spacing(
             rest, min(at_root / (root - edge), 1.0 / rest), min(at_root / (root - edge), 1.0 / rest)
         )
     return np.concatenate((np.linspace(0.0, edge, n + 1), edge + (root - edge) * outside[1:])), (
@@ -487,7 +489,7 @@ def _build_sections(
     x = (root + np.clip((s - root) / (end - root), 0.0, 1.0) * (rotor.radius_m - root)) / rotor.radius_m
     at = rotor.sections_at(x)
     chord = at.chord_m * factor
-    loops = np.stack([ring_contour(load_meshable_airfoil(name), k) for name in at.airfoil_names]) - np.array(
+    loops = np.stack([make_ring_contour(load_meshable_airfoil(name), k) for name in at.airfoil_names]) - np.array(
         [0.25, 0.0]
     )
     w = at.second_weight[:, None, None]
@@ -504,11 +506,11 @@ def _build_sections(
     if form.gurney_height:
         gurney = (
             form.gurney_height,
-            ring_layer_at_height(k, form.gurney_height, math.hypot(BLOCK_MARGIN_CHORDS, BLOCK_HALF_HEIGHT_CHORDS)),
+            find_ring_layer_at_height(k, form.gurney_height, math.hypot(BLOCK_MARGIN_CHORDS, BLOCK_HALF_HEIGHT_CHORDS)),
         )
     high = max(form.tip.plate_above, form.tip.plate_below)
     if high:
-        plate = (high, ring_layer_at_height(k, high, BLOCK_HALF_HEIGHT_CHORDS - 0.06))
+        plate = (high, find_ring_layer_at_height(k, high, BLOCK_HALF_HEIGHT_CHORDS - 0.06))
     typical = float(np.max(at.chord_m))
     sine = math.sin(math.pi / rotor.blades)
     out = np.empty((len(s), layout.point_count, 2))

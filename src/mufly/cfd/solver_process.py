@@ -47,7 +47,7 @@ from mufly.results import result
 
 Array = NDArray[np.float64]
 
-MAX_ITERATIONS, VERDICT_WINDOW_ITERATIONS = 2800, 400
+MAX_ITERATIONS, ASSESSMENT_WINDOW_ITERATIONS = 2800, 400
 """Greatest number of iterations, and length of the window for the verdict."""
 _MAX_LOAD_DRIFT, _MAX_LOAD_SWING, _MAX_CONTINUITY_ERROR = 3e-3, 1e-2, 1e-3
 _DEBIAN_OPENFOAM_FOLDER = Path("/usr/share/openfoam")
@@ -80,7 +80,7 @@ class SolverProgress:
 
 
 @result
-class ConvergenceVerdict:
+class ConvergenceAssessment:
     """Convergence verdict on a solution.
 
     Attributes
@@ -174,7 +174,7 @@ def run_case(
     cores: int = 1,
     progress: Callable[[SolverProgress], None] | None = None,
     most: int = MAX_ITERATIONS,
-) -> ConvergenceVerdict:
+) -> ConvergenceAssessment:
     """Run a case to its verdict; a started case resumes from its last written state.
 
     Parameters
@@ -197,7 +197,7 @@ def run_case(
     Thesis: Sec. 3.3.3.
     """
     find_solver()
-    point = _point_for_verdict(folder)
+    point = _point_for_assessment(folder)
     verdict, done = _judge_rotors(folder, point)
     if _is_finished(verdict, done, most):
         return verdict
@@ -210,7 +210,7 @@ def run_case(
                 end = (
                     point.upwind
                     if done < point.upwind
-                    else min(most, max(point.least, done + VERDICT_WINDOW_ITERATIONS))
+                    else min(most, max(point.least, done + ASSESSMENT_WINDOW_ITERATIONS))
                 )
                 end = STATE_WRITE_ITERATIONS * math.ceil(
                     end / STATE_WRITE_ITERATIONS
@@ -229,13 +229,13 @@ def run_case(
     return verdict
 
 
-def _judge_rotors(folder: Path, point: OperatingPoint) -> tuple[ConvergenceVerdict, int]:
+def _judge_rotors(folder: Path, point: OperatingPoint) -> tuple[ConvergenceAssessment, int]:
     """Return the worst verdict of the rotors and the last state."""
     done = (list_complete_states(folder) or [0])[-1]
     return min((judge_case(folder, patch=name) for name in point.patch_speeds_rad_s), key=lambda v: v.settled), done
 
 
-def _is_finished(verdict: ConvergenceVerdict, done: int, most: int) -> bool:
+def _is_finished(verdict: ConvergenceAssessment, done: int, most: int) -> bool:
     return verdict.settled or done >= most or verdict.outcome == "diverged"
 
 
@@ -407,9 +407,9 @@ def _read_function_rows(folder: Path, what: str, file: str, last: int | None = N
     return out
 
 
-def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceVerdict:
+def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceAssessment:
     """Judge the present state of a case, of a pair for one of its rotors."""
-    point = _point_for_verdict(folder)
+    point = _point_for_assessment(folder)
     loads = read_history(folder, patch=patch)
     flow = _read_function_rows(folder, "flows", "surfaceFieldValue.dat")
     continuity = _recent_continuity(folder / _LOG_FILE)
@@ -417,17 +417,17 @@ def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceVerdict:
     return judge_loads(loads, outflow, continuity, point)
 
 
-def _point_for_verdict(folder: Path) -> OperatingPoint:
+def _point_for_assessment(folder: Path) -> OperatingPoint:
     """Return the operating point of a case; after a change of the actuator disc a whole window precedes the verdict."""
     point, disc = read_point(folder), read_actuator_disc(folder)
     return (
         point
         if disc is None
-        else replace(point, least=max(point.least, disc.set_iteration + VERDICT_WINDOW_ITERATIONS))
+        else replace(point, least=max(point.least, disc.set_iteration + ASSESSMENT_WINDOW_ITERATIONS))
     )
 
 
-def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: OperatingPoint) -> ConvergenceVerdict:
+def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: OperatingPoint) -> ConvergenceAssessment:
     """Judge loads, the flow through the bottom and the solver's continuity error.
 
     Parameters
@@ -442,8 +442,10 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
     """
     count = int(loads[-1, 0]) if len(loads) else 0
     if not len(loads):
-        return ConvergenceVerdict(False, "not begun", 0, math.nan, math.nan, math.nan, math.nan, outflow_m3_s, math.nan)
-    window = loads[-VERDICT_WINDOW_ITERATIONS:]
+        return ConvergenceAssessment(
+            False, "not begun", 0, math.nan, math.nan, math.nan, math.nan, outflow_m3_s, math.nan
+        )
+    window = loads[-ASSESSMENT_WINDOW_ITERATIONS:]
     mean = window[:, 1:].mean(axis=0)
     size = np.maximum(np.abs(mean), 1e-300)
     # A thrust that is physically impossible: c_T of 1 or more.
@@ -453,7 +455,7 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
     leak = continuity
     if not np.all(np.isfinite(loads[-20:, 1:])) or np.max(np.abs(loads[-20:, 1])) > most:
         nan = math.nan
-        return ConvergenceVerdict(
+        return ConvergenceAssessment(
             False, "diverged", count, float(mean[0]), float(mean[1]), nan, nan, outflow_m3_s, leak
         )
     slope = (x @ (window[:, 1:] - mean)) / max(float(x @ x), 1e-300)
@@ -471,7 +473,7 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
         what = "plateau"
     elif not leak < _MAX_CONTINUITY_ERROR:
         what = "leaking"
-    return ConvergenceVerdict(
+    return ConvergenceAssessment(
         what == "settled", what, count, float(mean[0]), float(mean[1]), float(drift.max()), float(swing.max()),
         float(outflow_m3_s), float(leak),
     )  # fmt: skip

@@ -534,7 +534,13 @@ bounds of mu and flights resume.
     )
     if flights:
         from mufly.firmware import GenericFirmwareSoftware
-        from mufly.flight.monte_carlo import Campaign, WorkerPool, parse_variations, run_campaign, wilson_interval
+        from mufly.flight.monte_carlo import (
+            Campaign,
+            WorkerPool,
+            compute_wilson_interval,
+            parse_variations,
+            run_campaign,
+        )
         from mufly.mission import load_mission
 
         rows = []
@@ -557,7 +563,9 @@ bounds of mu and flights resume.
                 good = sum(f.success for f in flown)
                 over = sorted(f.overshoot_m for f in flown if f.overshoot_m is not None)
                 worst = over[min(len(over) - 1, int(0.95 * len(over)))] if over else None
-                rows.append(replace(row, flights=FlightFigures(flights, good, *wilson_interval(good, flights), worst)))
+                rows.append(
+                    replace(row, flights=FlightFigures(flights, good, *compute_wilson_interval(good, flights), worst))
+                )
         found = recommend_method(found.vehicle_name, found.rate_Hz, rows)
     with report_write_errors("--out", "give a folder that can be written", str(out)):
         out.mkdir(parents=True, exist_ok=True)

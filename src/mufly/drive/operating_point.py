@@ -178,7 +178,7 @@ def find_speed_for_thrust(
     )
 
 
-def no_load_speed(c: MotorConstants, voltage: ArrayLike) -> Array:
+def compute_no_load_speed(c: MotorConstants, voltage: ArrayLike) -> Array:
     """Return the speed (rad/s) of the rotor shaft without rotor torque."""
     per_current = c.torque_Nm_A / np.asarray(c.resistance_ohm)
     driving = np.maximum(per_current * np.asarray(voltage) - c.friction_Nm, 0.0)
@@ -378,7 +378,7 @@ def _find_steady_speed(
             m.gear_efficiency, 1.0,
         )  # fmt: skip
 
-    top = np.broadcast_to(no_load_speed(c, at_most), at_most.shape)
+    top = np.broadcast_to(compute_no_load_speed(c, at_most), at_most.shape)
     # A rotor driven by the air (in descent) may exceed the no-load speed.
     return find_rising_root(net_deceleration, 0.6 * top, lowest=MIN_SPEED_rad_s, highest=np.maximum(20.0 * top, 1.0))
 

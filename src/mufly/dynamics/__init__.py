@@ -13,7 +13,7 @@ from mufly.dynamics.equations_of_motion import (
     standing_state,
     state_derivative,
 )
-from mufly.dynamics.hover_limits import MAX_TIP_MACH, judge_hover, tip_mach_number
+from mufly.dynamics.hover_limits import MAX_TIP_MACH, compute_tip_mach_number, judge_hover
 from mufly.dynamics.linearisation import (
     HoverPerformance,
     Linearisation,
@@ -70,6 +70,7 @@ __all__ = [
     "battery_state",
     "body_to_ned_matrix",
     "casadi_model",
+    "compute_tip_mach_number",
     "describe_level_speed",
     "describe_model_excess",
     "dryden_filter",
@@ -98,7 +99,6 @@ __all__ = [
     "standing_state",
     "state_dataset",
     "state_derivative",
-    "tip_mach_number",
 ]
 
 

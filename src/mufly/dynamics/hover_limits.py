@@ -26,7 +26,7 @@ _MAX_DISCHARGE_RATE_PER_H = 30.0  # current in hover over capacity; cells give t
 _MIN_ENDURANCE_S = 60.0
 
 
-def tip_mach_number(vehicle: Vehicle, hover: HoverPerformance) -> float:
+def compute_tip_mach_number(vehicle: Vehicle, hover: HoverPerformance) -> float:
     """Return the Mach number of the faster rotor's tips in hover."""
     return max(hover.rotor_speed_rad_s) * float(vehicle.rotors.radius) / SPEED_OF_SOUND_M_S
 
@@ -34,7 +34,7 @@ def tip_mach_number(vehicle: Vehicle, hover: HoverPerformance) -> float:
 def judge_hover(vehicle: Vehicle, hover: HoverPerformance) -> Iterator[UnusualParameter]:
     """Yield the limits that a vehicle exceeds in hover, each with its parameter and a remedy."""
     radius, mass = float(vehicle.rotors.radius), float(vehicle.body.mass)
-    mach, rpm = tip_mach_number(vehicle, hover), max(hover.rotor_speed_rad_s) / RPM
+    mach, rpm = compute_tip_mach_number(vehicle, hover), max(hover.rotor_speed_rad_s) / RPM
     if mach > _MAX_USUAL_TIP_MACH:
         yield UnusualParameter(
             "rotors.radius",

@@ -32,7 +32,7 @@ import math
 from typing import Any
 
 from mufly.drive import MotorConstants, best_gear_ratio
-from mufly.dynamics.hover_limits import MAX_TIP_MACH, tip_mach_number
+from mufly.dynamics.hover_limits import MAX_TIP_MACH, compute_tip_mach_number
 from mufly.dynamics.linearisation import find_trim, hover_performance
 from mufly.dynamics.model_state import hover_speeds, model_parameters
 from mufly.errors import ArgumentError, InputError, MuflyError
@@ -132,7 +132,7 @@ def similar_vehicle(
     except _TooWeakError as weak:
         raise _blame_option(k, weak, mass_kg, radius_m, given) from None
     hover = hover_performance(vehicle)
-    mach = tip_mach_number(vehicle, hover)
+    mach = compute_tip_mach_number(vehicle, hover)
     if mach >= MAX_TIP_MACH:
         raise ArgumentError(
             "radius_m", "", f"{mass_kg * 1e3:.4g} g on rotors of {radius_m * 1e3:.4g} mm need tips of Mach {mach:.2g} "

@@ -51,7 +51,7 @@ from mufly.estimate.filter.filter_records import (
     STATE_COUNT,
 )
 from mufly.estimate.kalman_estimator import KalmanEstimator
-from mufly.estimate.nees import normalised_errors
+from mufly.estimate.nees import compute_normalised_errors
 from mufly.quantities.units import GRAVITY
 from mufly.results import result
 from mufly.rotations import quaternion_from_euler
@@ -375,7 +375,7 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
     return e
 
 
-def aid_innovations(
+def compute_aid_innovations(
     log: InertialLog, aids: PositionAids, told: list[Estimate], *, from_s: float, to_s: float
 ) -> AidInnovations:
     """Return the innovations of the aids in a part of the log, each at its measurement time."""
@@ -396,7 +396,7 @@ def aid_innovations(
         ahead = float(aids.measured_s[i] - log.time_s[k])
         nu[j] = aids.position[i] - e.position - ahead * e.velocity
         s[j] = e.covariance[:ERROR_VELOCITY, :ERROR_VELOCITY] + aids.std_m**2 * np.eye(3)
-    square = normalised_errors(nu, s)
+    square = compute_normalised_errors(nu, s)
     return AidInnovations(
         count=len(use), nis=float(square.mean()) / 3, position_rms_m=float(np.sqrt(np.square(nu).sum(axis=1).mean())),
         likelihood=float(-0.5 * (square + np.linalg.slogdet(s)[1]).mean()),
@@ -426,7 +426,7 @@ def estimate_flight_noise(
     lowest = np.minimum(lowest, highest)
     tried = 0
 
-    def noise_cost(x: _Array) -> float:
+    def compute_noise_cost(x: _Array) -> float:
         nonlocal tried
         tried += 1
         if on_progress is not None:
@@ -434,13 +434,13 @@ def estimate_flight_noise(
         inside = np.clip(x, lowest, highest)
         gyro, felt = np.exp(inside)
         told = run_filter_on_log(log, aids, InertialNoise(gyro=float(gyro), accelerometer=float(felt)), until_s=half)
-        found = aid_innovations(log, aids, told, from_s=begin + 1.0, to_s=half)
+        found = compute_aid_innovations(log, aids, told, from_s=begin + 1.0, to_s=half)
         return min(-found.likelihood, _INVALID_NOISE_COST) + float(np.square(x - inside).sum())
 
     start: Any = np.clip(np.log([10 * least.gyro, 5 * least.accelerometer]), lowest, highest)
     corners = start + np.array([[0.0, 0.0], [1.2, 0.0], [0.0, 1.2]])
     options: Any = {"initial_simplex": corners, "xatol": 0.1, "fatol": 0.01, "maxfev": 30}
-    found: Any = minimize(noise_cost, start, method="Nelder-Mead", options=options).x
+    found: Any = minimize(compute_noise_cost, start, method="Nelder-Mead", options=options).x
     best = np.exp(np.clip(found, lowest, highest))
     if on_progress is not None:
         on_progress(30, 30)

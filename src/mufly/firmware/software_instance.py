@@ -129,7 +129,7 @@ class SoftwareInstance:
     def step(self, m: Estimate, command: Command) -> Actuators:
         """Compute one control period and return the actuator commands."""
         self.write_estimate(m)
-        self._write_command(command)
+        self._write_command_record(command)
         self.firmware.lib.software_step(
             self.setup_record,
             self.software_record,
@@ -201,9 +201,9 @@ class SoftwareInstance:
     def prepare_compiled_periods(self, law: FirmwareControllers) -> None:
         """Set the current gains and an empty command, for periods computed by the compiled loop."""
         self.setup_record.gains = law.current_gains()
-        self._write_command(NO_COMMAND)
+        self._write_command_record(NO_COMMAND)
 
-    def _write_command(self, c: Command) -> None:
+    def _write_command_record(self, c: Command) -> None:
         if c is NO_COMMAND and self._last_command is NO_COMMAND:
             return
         self._last_command = c

@@ -68,14 +68,14 @@ _FAULT_DECAY_RATE = 0.1
 FailsafeAction = Literal["", "hold", "land", "sink"]
 
 
-class HealthVerdict(NamedTuple):
+class HealthDecision(NamedTuple):
     """Failsafe action on an estimate ("": none), and its reason."""
 
     action: FailsafeAction = ""
     reason: str = ""
 
 
-HEALTHY_VERDICT = HealthVerdict()
+HEALTHY_DECISION = HealthDecision()
 
 _SENSOR_NAMES = {row.name: row.source for row in CHECKED}
 _POSITION_READINGS, _HEIGHT_READINGS, _TILT_READINGS, _HEADING_READINGS = (
@@ -149,7 +149,7 @@ def _fault_note(m: Estimate, sources: tuple[str, ...]) -> str:
     return f" ({'; '.join(wrong)})" if wrong else ""
 
 
-def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = True) -> HealthVerdict:
+def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = True) -> HealthDecision:
     """Return the failsafe action on an estimate, without hysteresis.
 
     Parameters
@@ -162,28 +162,28 @@ def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = Tru
         Whether an uncertain height has lasted for long enough to cause a landing.
     """
     if m.auxiliary_states is None:
-        return HEALTHY_VERDICT
+        return HEALTHY_DECISION
     variance = m.covariance.diagonal()
     place, height = position_std_growth(m, stood), math.sqrt(variance[ERROR_POSITION + 2])
     tilt = math.sqrt(max(variance[ERROR_ATTITUDE], variance[ERROR_ATTITUDE + 1]))
     heading = math.sqrt(variance[ERROR_ATTITUDE + 2])
     if tilt > MAX_TILT_SIGMA_RAD:
-        return HealthVerdict(
+        return HealthDecision(
             "sink", f"attitude uncertain by {math.degrees(tilt):.0f} deg{_fault_note(m, _TILT_READINGS)}"
         )
     if heading > MAX_HEADING_SIGMA_RAD:
-        return HealthVerdict(
+        return HealthDecision(
             "land", f"heading uncertain by {math.degrees(heading):.0f} deg{_fault_note(m, _HEADING_READINGS)}"
         )
     rates = next((c for c in sensor_checks(m) if c.name == "rates"), None)
     if rates is not None and rates.status == "rejected":
-        return HealthVerdict("land", describe_check(rates))
+        return HealthDecision("land", describe_check(rates))
     if height > MAX_HEIGHT_SIGMA_M and height_counts:
-        return HealthVerdict("land", f"height uncertain by {height:.2f} m{_fault_note(m, _HEIGHT_READINGS)}")
+        return HealthDecision("land", f"height uncertain by {height:.2f} m{_fault_note(m, _HEIGHT_READINGS)}")
     if place > HOLD_POSITION_SIGMA_M:
         why = f"position uncertain by {place:.2f} m{_fault_note(m, _POSITION_READINGS)}"
-        return HealthVerdict("land" if place > LAND_POSITION_SIGMA_M else "hold", why)
-    return HEALTHY_VERDICT
+        return HealthDecision("land" if place > LAND_POSITION_SIGMA_M else "hold", why)
+    return HEALTHY_DECISION
 
 
 def gyro_unavailable(m: Estimate) -> bool:
@@ -197,20 +197,20 @@ class HealthMonitor:
 
     Attributes
     ----------
-    verdict : HealthVerdict
+    verdict : HealthDecision
         Latest action.
     floor_variance_m2 : float
         Variance of the horizontal position on the floor (m2).
     """
 
-    verdict: HealthVerdict = HEALTHY_VERDICT
+    verdict: HealthDecision = HEALTHY_DECISION
     floor_variance_m2: float = 0.0
     _fault_since_s: dict[str, float] = field(default_factory=dict)
     _hold_since_s: float = math.nan
     _position_certain_since_s: float = math.nan
     _height_uncertain_since_s: float = math.nan
 
-    def step(self, m: Estimate) -> HealthVerdict:
+    def step(self, m: Estimate) -> HealthDecision:
         """Return the failsafe action on an estimate in the air; a hold ends once the position is certain again."""
         t = m.time_s
         if not math.sqrt(m.covariance[2, 2]) > MAX_HEIGHT_SIGMA_M:
@@ -224,28 +224,28 @@ class HealthMonitor:
         if apart.action and found.action != "sink":
             found = apart
         if self.verdict.action in ("land", "sink"):
-            return self.verdict if found.action != "sink" else self._set_verdict(found)
+            return self.verdict if found.action != "sink" else self._set_decision(found)
         if found.action in ("land", "sink"):
-            return self._set_verdict(found)
+            return self._set_decision(found)
         if found.action == "hold":
             self._position_certain_since_s = math.nan
             if self.verdict.action != "hold":
                 self._hold_since_s = t
-                return self._set_verdict(found)
+                return self._set_decision(found)
         elif self.verdict.action == "hold":
             if position_std_growth(m, self.floor_variance_m2) >= RESUME_POSITION_SIGMA_M:
                 self._position_certain_since_s = math.nan
             elif math.isnan(self._position_certain_since_s):
                 self._position_certain_since_s = t
             elif t - self._position_certain_since_s >= RESUME_DELAY_S:
-                return self._set_verdict(HEALTHY_VERDICT)
+                return self._set_decision(HEALTHY_DECISION)
         if self.verdict.action == "hold" and t - self._hold_since_s > MAX_HOLD_S:
-            return self._set_verdict(
-                HealthVerdict("land", f"{found.reason or self.verdict.reason}, for {MAX_HOLD_S:g} s")
+            return self._set_decision(
+                HealthDecision("land", f"{found.reason or self.verdict.reason}, for {MAX_HOLD_S:g} s")
             )
         return self.verdict
 
-    def _judge_attitude_sensors(self, m: Estimate) -> HealthVerdict:
+    def _judge_attitude_sensors(self, m: Estimate) -> HealthDecision:
         """Return the action on contradicting attitude aids or lost gyroscopes."""
         for c in sensor_checks(m):
             bad = c.status in (("missing", "faulty") if c.name == "rates" else ("rejected",))
@@ -257,12 +257,12 @@ class HealthMonitor:
         against = [n for n in _ATTITUDE_AIDS if lasting.get(n, 0.0) > ATTITUDE_CONTRADICTION_DELAY_S]
         if len(against) > 1:
             aids = " and ".join(describe_sensor(n) for n in against)
-            return HealthVerdict("sink", LogMessage.ATTITUDE_CONTRADICTED(aids))
+            return HealthDecision("sink", LogMessage.ATTITUDE_CONTRADICTED(aids))
         if lasting.get("rates", 0.0) > GYRO_LOSS_DELAY_S:
-            return HealthVerdict("land", next(describe_check(c) for c in sensor_checks(m) if c.name == "rates"))
-        return HEALTHY_VERDICT
+            return HealthDecision("land", next(describe_check(c) for c in sensor_checks(m) if c.name == "rates"))
+        return HEALTHY_DECISION
 
-    def _set_verdict(self, found: HealthVerdict) -> HealthVerdict:
+    def _set_decision(self, found: HealthDecision) -> HealthDecision:
         self.verdict = found
         return found
 

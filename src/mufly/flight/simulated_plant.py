@@ -160,11 +160,11 @@ class SimulatedPlant:
         hit = find_collision(self.state, self.packed_parameters, *self.collision_shape)
         if hit == 1:
             _, name = obstacle_distance(self.world, self.state[POSITION])
-            self.crash_cause = f"{COLLISION_CAUSE_TEXT} {name} at {self._describe_place()}"
+            self.crash_cause = f"{COLLISION_CAUSE_TEXT} {name} at {self._describe_position()}"
         elif hit == 2:
-            self.crash_cause = f"{TIP_OVER_CAUSE_TEXT}: a rotor touched the floor at {self._describe_place()}"
+            self.crash_cause = f"{TIP_OVER_CAUSE_TEXT}: a rotor touched the floor at {self._describe_position()}"
 
-    def _describe_place(self) -> str:
+    def _describe_position(self) -> str:
         n, e, d = self.state[POSITION]
         return f"[{n:.2f}, {e:.2f}, {d:.2f}] m, {self.time_s:.1f} s"
 

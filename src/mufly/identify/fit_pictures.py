@@ -18,11 +18,15 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.identify.fit_result import FitResult, RecordPrediction
 from mufly.identify.flight.excitation_plan import ExcitationCandidate, ExcitationPlan
-from mufly.identify.flight.excitation_signals import amplitude_spectrum
+from mufly.identify.flight.excitation_signals import compute_amplitude_spectrum
 from mufly.identify.flight_record import OUTPUT_UNITS
 from mufly.identify.linear.frequency_response import FrequencyResponse, estimate_frequency_response
 from mufly.identify.motor_fit import MotorFit
-from mufly.identify.residual_analysis import assess_record, input_cross_correlation, residual_autocorrelation
+from mufly.identify.residual_analysis import (
+    assess_record,
+    compute_input_cross_correlation,
+    compute_residual_autocorrelation,
+)
 from mufly.identify.rotor_coefficients import CoefficientFit, RotorFit
 from mufly.quantities.units import RPM
 from mufly.results.result_figure import blank_figure
@@ -138,7 +142,7 @@ def draw_residuals(record: RecordPrediction) -> Figure:
         if np.isfinite(noise) and noise > 0.0:
             left.axhspan(-1.96 * noise, 1.96 * noise, color=GREEN, alpha=0.18, linewidth=0)
         left.set_ylabel(_axis_label(record.output_names[j], record.units[j]))
-        c = residual_autocorrelation(e, dt, max_lag_s=_MAX_DRAWN_LAG_S)
+        c = compute_residual_autocorrelation(e, dt, max_lag_s=_MAX_DRAWN_LAG_S)
         middle.axhspan(-c.confidence_bound, c.confidence_bound, color=GREEN, alpha=0.25, linewidth=0)
         middle.plot(c.lag_s, c.value, color=BLUE)
         middle.set_ylim(min(-0.3, float(c.value.min()) - 0.05), 1.05)
@@ -162,7 +166,9 @@ def draw_cross_correlation(record: RecordPrediction) -> Figure:
     for j in range(m):
         for i in range(k):
             axes: Axes = panels[j][i]
-            c = input_cross_correlation(record.inputs[:, i], record.residual[:, j], dt, max_lag_s=_MAX_DRAWN_LAG_S)
+            c = compute_input_cross_correlation(
+                record.inputs[:, i], record.residual[:, j], dt, max_lag_s=_MAX_DRAWN_LAG_S
+            )
             if c.confidence_bound < 1.0:
                 axes.axhspan(-c.confidence_bound, c.confidence_bound, color=GREEN, alpha=0.22, linewidth=0)
                 axes.plot(c.lag_s, c.value, color=BLUE)
@@ -489,7 +495,7 @@ def _draw_signal(ax: Axes, c: ExcitationCandidate) -> None:
 def _draw_spectra(ax: Axes, plan: ExcitationPlan) -> None:
     top = 0.0
     for c in plan.candidates:
-        frequency, amplitude = amplitude_spectrum(c.amplitude * c.signal.value, float(c.signal.time_s[1]))
+        frequency, amplitude = compute_amplitude_spectrum(c.amplitude * c.signal.value, float(c.signal.time_s[1]))
         inside = (frequency > 0) & (frequency < 4 * plan.band_rad_s[1] / (2 * math.pi))
         ax.plot(
             frequency[inside], amplitude[inside], color=_PLAN_COLOURS[c.signal.kind], linewidth=1.2,

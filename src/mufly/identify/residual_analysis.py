@@ -134,7 +134,7 @@ def _lagged_products(a: Array, b: Array, lags: int) -> Array:
     return np.asarray(full[middle - lags : middle + lags + 1])
 
 
-def residual_autocorrelation(residual: Array, dt: float, *, max_lag_s: float) -> LagCorrelation:
+def compute_residual_autocorrelation(residual: Array, dt: float, *, max_lag_s: float) -> LagCorrelation:
     """Return the autocorrelation of a residual at lags 0 to ``max_lag_s``, with the 95 % bound for white noise.
 
     Parameters
@@ -154,7 +154,7 @@ def residual_autocorrelation(residual: Array, dt: float, *, max_lag_s: float) ->
     return LagCorrelation(np.asarray(dt * np.arange(lags + 1), dtype=np.float64), r / power, float(bound))
 
 
-def input_cross_correlation(
+def compute_input_cross_correlation(
     signal: Array, residual: Array, dt: float, *, max_lag_s: float, confidence: float = 0.95
 ) -> LagCorrelation:
     """Return the correlation of a residual with an input, at lags from ``-max_lag_s`` to ``max_lag_s``.
@@ -208,7 +208,7 @@ def ljung_box_test(residual: Array, *, lags: int) -> WhitenessTest:
         Number of lags, usually 20 to n / 5.
     """
     n = int(np.isfinite(residual).sum())
-    r = residual_autocorrelation(residual, 1.0, max_lag_s=lags).value[1:]
+    r = compute_residual_autocorrelation(residual, 1.0, max_lag_s=lags).value[1:]
     k = np.arange(1, r.size + 1)
     statistic = float(n * (n + 2.0) * np.sum(r**2 / np.maximum(n - k, 1)))
     return WhitenessTest(statistic, r.size, float(chi2.sf(statistic, r.size)))
@@ -342,7 +342,7 @@ def _describe_input_correlation(
             (0.05, f"{name} never moved in this record, so the record holds no information about the response to it")
         ]
     looks = max(1.0, 2.0 * max_lag_s / _correlation_time(u, dt))
-    c = input_cross_correlation(
+    c = compute_input_cross_correlation(
         u, e, dt, max_lag_s=max_lag_s, confidence=1.0 - (1.0 - _CORRELATION_BOUND_CONFIDENCE) / looks
     )
     middle = c.lag_s.size // 2
@@ -378,7 +378,7 @@ def _describe_input_correlation(
 
 def _correlation_time(signal: Array, dt: float) -> float:
     """Return the lag (s) at which the autocorrelation has decayed to 1/e."""
-    r = residual_autocorrelation(signal, dt, max_lag_s=dt * signal.size / 2).value
+    r = compute_residual_autocorrelation(signal, dt, max_lag_s=dt * signal.size / 2).value
     below = np.flatnonzero(r < np.exp(-1.0))
     return dt * float(below[0] if below.size else r.size)
 

@@ -342,7 +342,7 @@ class _PlotPlace(NamedTuple):
     legend: str
 
 
-def _find_plot_place(c: Channel) -> _PlotPlace:
+def _find_plot_panel(c: Channel) -> _PlotPlace:
     if "/" in c.name:
         topic, _, field = c.name.rpartition("/")
         return _PlotPlace(topic.strip("/").replace("/", "_"), re.split(r"[\[.]", field)[0], "", field)
@@ -359,12 +359,12 @@ def group_channels(channels: Sequence[Channel]) -> dict[str, list[Channel]]:
     """Sort channels into pictures: ``{"attitude": [...], "inputs": [...], ...}``, in a fixed order."""
     groups: dict[str, list[Channel]] = {}
     for channel in channels:
-        groups.setdefault(_find_plot_place(channel).picture, []).append(channel)
+        groups.setdefault(_find_plot_panel(channel).picture, []).append(channel)
     rank = {k: i for i, k in enumerate(_PICTURE_ORDER)}
     return dict(sorted(groups.items(), key=lambda g: rank.get(g[0], len(_PICTURE_ORDER))))
 
 
-def power_spectrum(time: _Array, values: _Array) -> tuple[_Array, _Array]:
+def compute_power_spectrum(time: _Array, values: _Array) -> tuple[_Array, _Array]:
     """Return frequencies (Hz) and power spectral density (unit^2/Hz) of a channel.
 
     Welch's method with Hann windows of at most a quarter of the record, on the channel's median step. Short gaps are
@@ -432,7 +432,7 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
     # One panel for each component of overlaid signals, otherwise one for each variable or unit.
     panels: dict[tuple[str, str], list[Channel]] = {}
     for c in channels:
-        panels.setdefault((_find_plot_place(c).panel, "" if c.units == "1" else c.units), []).append(c)
+        panels.setdefault((_find_plot_panel(c).panel, "" if c.units == "1" else c.units), []).append(c)
     with matplotlib.rc_context(_PLOT_STYLE):
         figure = Figure(figsize=(8.5, 0.7 + 1.75 * len(panels)), layout="constrained")
         axes = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
@@ -441,15 +441,15 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
             shown = _PLOT_UNITS.get(unit, unit)
             scale = conversion_factor(unit, shown) if shown != unit else 1.0
             several = len({c.signal_name for c in members}) > 1 or len(members) == 1
-            legends = [_find_plot_place(c).legend for c in members]
+            legends = [_find_plot_panel(c).legend for c in members]
             for k, c in enumerate(members):
-                source = _find_plot_place(c).source
+                source = _find_plot_panel(c).source
                 colour, dash = _PLOT_COLOURS[k % len(_PLOT_COLOURS)], "-" if k < len(_PLOT_COLOURS) else "--"
                 if several and source:
                     colour, dash = _LINE_STYLE_BY_SOURCE[source]
                 if spectra:
                     try:
-                        x, y = power_spectrum(c.time, c.values * scale)
+                        x, y = compute_power_spectrum(c.time, c.values * scale)
                     except InputError:
                         continue
                     keep = y > 0

@@ -68,7 +68,7 @@ class BackEmfSensor(PeriodicSensor):
         scale = 1.0 + float(s.back_emf_constant_error) * rng.standard_normal(2)
         super().__init__(float(s.period), rng, (np.array([*scale, noise]),))
 
-    def true_readings(self, truth: Truth) -> dict[str, Any]:
+    def error_free_readings(self, truth: Truth) -> dict[str, Any]:
         return {"rotor_speed": truth.rotor_speed}
 
 
@@ -108,5 +108,5 @@ class BatterySensor(PeriodicSensor):
         numbers = [float(b.voltage_noise), float(b.voltage_resolution), scale, float(b.current_noise)]
         super().__init__(float(b.period), rng, (np.array(numbers),))
 
-    def true_readings(self, truth: Truth) -> dict[str, Any]:
+    def error_free_readings(self, truth: Truth) -> dict[str, Any]:
         return {"battery_voltage": truth.voltage, "battery_current": truth.current}

@@ -160,8 +160,8 @@ class FaultySensor(Sensor):
         self._imu = sensor if isinstance(sensor, Imu) else None
         self._clear_history()
 
-    def true_readings(self, truth: Truth) -> Mapping[str, Any]:
-        return self.sensor.true_readings(truth)
+    def error_free_readings(self, truth: Truth) -> Mapping[str, Any]:
+        return self.sensor.error_free_readings(truth)
 
     def reset(self) -> None:
         self.sensor.reset()

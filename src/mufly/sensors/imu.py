@@ -204,7 +204,7 @@ class Imu(Sensor):
         )
         return self.source, self._normals, self._clock, self._last_state, self._output, unit
 
-    def true_readings(self, truth: Truth) -> Mapping[str, Any]:
+    def error_free_readings(self, truth: Truth) -> Mapping[str, Any]:
         """Return the error-free readings of the last period."""
         return {"acceleration": self._current_force.copy(), "rates": truth.rates}
 

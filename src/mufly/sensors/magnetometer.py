@@ -103,7 +103,7 @@ class MagnetometerSensor(PeriodicSensor):
         ]
         super().__init__(float(m.period), rng, (np.array(numbers), self._waves, self._wave_phases))
 
-    def true_readings(self, truth: Truth) -> dict[str, _Array]:
+    def error_free_readings(self, truth: Truth) -> dict[str, _Array]:
         return {"magnetic_field": body_to_ned_matrix(truth.state[ATTITUDE]).T @ self.earth_field_T}
 
 

@@ -82,5 +82,5 @@ class PositionFixSensor(PeriodicSensor):
         super().reset()
         gauss_markov_reset(self._rng, self._sigma, self._memory)
 
-    def true_readings(self, truth: Truth) -> dict[str, Any]:
+    def error_free_readings(self, truth: Truth) -> dict[str, Any]:
         return {"position_fix": np.append(truth.position, truth.attitude[2])}

@@ -117,5 +117,5 @@ class PressureSensor(PeriodicSensor):
         gauss_markov_reset(self._rng, self._sigma, self._memory)
         self._rotor_pressure[:] = math.nan, 0.0
 
-    def true_readings(self, truth: Truth) -> dict[str, float]:
+    def error_free_readings(self, truth: Truth) -> dict[str, float]:
         return {"pressure": STANDARD_PRESSURE_PA + self._air_weight * float(truth.position[2])}

@@ -127,7 +127,7 @@ class Sensor:
         """Last readings by name; None for a sensor that the compiled loop cannot sample."""
         return None
 
-    def true_readings(self, truth: Truth) -> Mapping[str, Any]:
+    def error_free_readings(self, truth: Truth) -> Mapping[str, Any]:
         """Return the readings without errors, by name."""
         raise NotImplementedError
 

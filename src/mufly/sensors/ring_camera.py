@@ -197,7 +197,7 @@ class RingCamera(PeriodicSensor):
         self.published_readings = {"ranges": slice(0, count)}
         super().__init__(float(c.period), rng, parts)
 
-    def true_readings(self, truth: Truth) -> dict[str, _Array]:
+    def error_free_readings(self, truth: Truth) -> dict[str, _Array]:
         return {"ranges": np.minimum(self.true_ranges_m(truth.state), self._no_return_range)}
 
     def true_ranges_m(self, state: _Array) -> _Array:

@@ -112,7 +112,7 @@ class UltrasonicSensor(PeriodicSensor):
         )
         super().__init__(float(s.period), rng, parts, 2.0 * longest / SPEED_OF_SOUND_M_S)
 
-    def true_readings(self, truth: Truth) -> dict[str, float]:
+    def error_free_readings(self, truth: Truth) -> dict[str, float]:
         """Return the distance to the nearest surface in the cone (m); infinite if there is none."""
         _, place, rays, *world = self.sample_arguments
         return {"ground_distance": float(_nearest_distance_in_cone(truth.state, place, rays, self._upright, *world))}

@@ -23,7 +23,7 @@ from mufly.camera import Camera, body_from_camera_rotation, check_picture_size
 from mufly.slam.camera_frame import TRACKING_LOST_AFTER_S, CameraFrame, MotionPrior, Odometry
 from mufly.slam.camera_pose import POSE_SIZE, SHAKE_SIZE, PoseEstimate, ViewPrior, attitude_matrix
 from mufly.slam.image_tools import Undistorter
-from mufly.slam.images.camera_monitor import TILTED_SIGMA_RAD, CameraMonitor, CameraVerdict
+from mufly.slam.images.camera_monitor import TILTED_SIGMA_RAD, CameraDiagnosis, CameraMonitor
 from mufly.slam.keyframe_map import FloorMap
 from mufly.slam.keyframe_matching import FrameContext, KeyframeMatch, match_keyframe, rejection_reason
 from mufly.slam.map_growth import (
@@ -183,7 +183,7 @@ class SlamSystem:
         self._last_time_s = frame.time_s
         self._frame_count += 1
         if self.monitor.is_copy(frame.picture):
-            return self._make_untrusted_result(frame, self.monitor.frozen_verdict, "a copy of the previous picture")
+            return self._make_untrusted_result(frame, self.monitor.frozen_diagnosis, "a copy of the previous picture")
         picture = self.undistorted_picture = self._undistorter.undistort_picture(frame.picture)
         verdict = self.monitor.check_motion(frame, picture)
         if verdict.fault:
@@ -228,12 +228,12 @@ class SlamSystem:
             return answer
         return self._accept_match(context, match)
 
-    def _make_untrusted_result(self, frame: CameraFrame, verdict: CameraVerdict, why: str) -> TrackingResult:
+    def _make_untrusted_result(self, frame: CameraFrame, verdict: CameraDiagnosis, why: str) -> TrackingResult:
         """Return an untrusted result with its reason, including a fault of the camera."""
-        self._store_verdict(frame.time_s, verdict)
+        self._store_diagnosis(frame.time_s, verdict)
         return TrackingResult(frame.time_s, False, verdict.message or why, camera_fault=verdict.message)
 
-    def _store_verdict(self, time_s: float, verdict: CameraVerdict) -> None:
+    def _store_diagnosis(self, time_s: float, verdict: CameraDiagnosis) -> None:
         if verdict.fault:
             self.camera_verdicts.setdefault(verdict.fault, (time_s, verdict.message))
 
@@ -242,7 +242,7 @@ class SlamSystem:
         dirt = self.monitor.dirt_mask
         if dirt is None:
             return self._undistorter.valid_mask
-        self._store_verdict(time_s, CameraVerdict("dirt", DIRT_MESSAGE))
+        self._store_diagnosis(time_s, CameraDiagnosis("dirt", DIRT_MESSAGE))
         return np.where(dirt > 0, 0, self._undistorter.valid_mask).astype(np.uint8)
 
     # ------------------------------------------------------------------ Prediction
@@ -425,9 +425,9 @@ class SlamSystem:
         to[0, 0] = to[1, 1] = to[-1, HEADING] = 1.0
         to[2, LOG_HEIGHT] = -h
         heading = (node[HEADING] + math.pi) % (2 * math.pi) - math.pi
-        covariance, tilted = to @ known @ to.T, self.monitor.tilt_verdict_at(context.frame.time_s)
+        covariance, tilted = to @ known @ to.T, self.monitor.diagnose_tilt_at(context.frame.time_s)
         if tilted.fault:
-            self._store_verdict(context.frame.time_s, tilted)
+            self._store_diagnosis(context.frame.time_s, tilted)
             covariance[[0, 1], [0, 1]] += (h * TILTED_SIGMA_RAD) ** 2
         dirt = "" if self.monitor.dirt_mask is None else DIRT_MESSAGE
         return TrackingResult(

@@ -124,7 +124,7 @@ class ImuParameters(ParameterGroup):
     vibration: VibrationParameters
 
     @model_validator(mode="after")
-    def _check_single_place(self) -> ImuParameters:
+    def _check_single_position(self) -> ImuParameters:
         if len(self.position.value) != 1:
             raise model_error(
                 f"has {len(self.position.value)} points", "give one point, [[x, y, z]]", "sensors.imu.position"

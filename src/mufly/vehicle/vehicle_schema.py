@@ -423,7 +423,7 @@ class Vehicle(ParameterGroup):
         return self
 
     @model_validator(mode="after")
-    def _check_sensor_places(self) -> Vehicle:
+    def _check_sensor_positions(self) -> Vehicle:
         """Check that the sensors are at the vehicle, and the sonar above the floor on which the vehicle stands."""
         if self.sensors is None:
             return self

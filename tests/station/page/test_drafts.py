@@ -16,9 +16,9 @@ from mufly.station.page.mission_draft import (
     MissionDraft,
     SharedDraft,
     apply_edit,
+    check_draft,
     encode_draft,
     find_untransmitted_keys,
-    judge_draft,
     mission_from_vehicle,
     parse_mission_draft,
 )
@@ -142,11 +142,11 @@ def test_a_drag_is_one_step_of_undo() -> None:
 
 def test_the_check_is_that_of_a_mission_file_and_names_the_row() -> None:
     """The line under the table is the one that the command line prints for the same mission in a file."""
-    good = judge_draft(BASE)
+    good = check_draft(BASE)
     assert good.fault == ""
     assert good.estimate is not None
     assert math.isnan(good.estimate.charge_fraction)  # of what battery?
-    with_battery = judge_draft(BASE, (3.0, 0.3)).estimate
+    with_battery = check_draft(BASE, (3.0, 0.3)).estimate
     assert with_battery is not None
     assert with_battery.charge_Ah == pytest.approx(with_battery.duration_s * 3.0 / 3600.0)
     faults = [
@@ -158,23 +158,23 @@ def test_the_check_is_that_of_a_mission_file_and_names_the_row() -> None:
     ]
     for order, row, words in faults:
         bad = after(MissionDraft(BASE), order).mission
-        found = judge_draft(bad)
+        found = check_draft(bad)
         assert found.fault_row == row
         assert words in found.fault
         with pytest.raises(InputError) as caught:
             parse_mission(bad.model_dump(exclude_none=True), bad.name)
         assert str(caught.value) == f"{bad.name}: {found.fault}"
     long = after(MissionDraft(BASE), {"op": "put", "row": 2, "name": "wait_s", "value": 3000.0}).mission
-    assert judge_draft(long).fault == ""
-    assert judge_draft(long, (3.0, 0.3)).fault_row == 2
+    assert check_draft(long).fault == ""
+    assert check_draft(long, (3.0, 0.3)).fault_row == 2
     there = after(MissionDraft(BASE), {"op": "delete", "row": 2})
-    lands = judge_draft(there.mission).estimate
+    lands = check_draft(there.mission).estimate
     assert lands is not None
     capacity_Ah = (lands.duration_s + 1.0) * 3.0 / 3600.0 / there.mission.battery.usable
-    assert judge_draft(there.mission, (3.0, capacity_Ah)).fault == ""
+    assert check_draft(there.mission, (3.0, capacity_Ah)).fault == ""
     home = after(there, {"op": "end", "value": "return"}).mission
-    assert judge_draft(home).fault == ""
-    assert judge_draft(home, (3.0, capacity_Ah)).fault_row == 2  # the end is a row too
+    assert check_draft(home).fault == ""
+    assert check_draft(home, (3.0, capacity_Ah)).fault_row == 2  # the end is a row too
 
 
 def test_a_file_with_a_fault_in_its_geometry_is_opened_to_be_mended_and_comes_back_equal() -> None:
@@ -220,7 +220,7 @@ def test_the_newest_state_is_judged_while_one_draws_on() -> None:
         return sketch
 
     sketch = asyncio.run(draw())
-    assert sketch.verdict == judge_draft(sketch.draft.mission)
+    assert sketch.verdict == check_draft(sketch.draft.mission)
     state = encode_draft(sketch.draft, sketch.verdict, "")
     assert (state["undo"], state["bad"], state["checked"], len(state["rows"])) == (5, None, True, 2)
     assert state["rows"][0]["at"] == [4.0, 0.1, 1.0]  # a person reads heights

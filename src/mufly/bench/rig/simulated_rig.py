@@ -33,7 +33,7 @@ from scipy.signal import lfilter
 from mufly.bench.bench_loads import calibrate_cells
 from mufly.bench.bench_table import BenchTable
 from mufly.bench.rig.bench_devices import BenchFacts, DeviceError, SampleCallback, calibration_to_dict
-from mufly.bench.series.moist_air import moist_air_density
+from mufly.bench.series.moist_air import compute_moist_air_density
 from mufly.bench.series.series_plan import BladeMounting, PlanStep, SeriesPlan
 from mufly.quantities.units import RPM
 from mufly.rotor import (
@@ -291,7 +291,7 @@ class SimulatedRig:
     def true_density(self) -> float:
         """Return the true density of the air (kg/m3)."""
         t, p, h = self._room_state
-        return float(moist_air_density(p, t + self._room_temperature_offset[0], h))
+        return float(compute_moist_air_density(p, t + self._room_temperature_offset[0], h))
 
     def true_loads_at(self, speed: Mapping[str, Any], pitch_off: float = 0.0) -> tuple[Any, dict[str, Any]]:
         """Return the true thrust of all rotors (N) and torque of each (N m), at 1.2 kg/m3, for speeds (rad/s)."""

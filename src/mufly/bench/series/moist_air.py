@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 
-def moist_air_density(pressure_Pa: ArrayLike, temperature_K: ArrayLike, humidity: ArrayLike = 0.0) -> Array:
+def compute_moist_air_density(pressure_Pa: ArrayLike, temperature_K: ArrayLike, humidity: ArrayLike = 0.0) -> Array:
     """Return the density of air (kg/m3).
 
     Parameters
@@ -43,7 +43,7 @@ def moist_air_density(pressure_Pa: ArrayLike, temperature_K: ArrayLike, humidity
     return 3.483740e-3 * p / (z * kelvin) * (1.0 - 0.3780 * x)
 
 
-def relative_density_std(
+def compute_relative_density_std(
     pressure_Pa: float, temperature_K: float, humidity: float, *, pressure_std_Pa: float,
     temperature_std_K: float, humidity_std: float,
 ) -> float:  # fmt: skip
@@ -55,6 +55,6 @@ def relative_density_std(
         up, down = [list(at) for _ in range(2)]
         up[k] += step
         down[k] -= step
-        slope = float(moist_air_density(*up) - moist_air_density(*down)) / (2.0 * step)
+        slope = float(compute_moist_air_density(*up) - compute_moist_air_density(*down)) / (2.0 * step)
         total += (slope * s) ** 2
-    return float(np.sqrt(total)) / float(moist_air_density(*at))
+    return float(np.sqrt(total)) / float(compute_moist_air_density(*at))

@@ -99,21 +99,21 @@ def _write_csv(path: Path, heads: Sequence[str], rows: Iterable[Sequence[float |
 
 
 def _write_loads(path: Path, some: Sequence[SettingResult], *, points: bool) -> Path:
-    def value_and_interval(load: LoadInterval | None, scale: float = 1.0) -> tuple[float, float]:
+    def format_value_and_interval(load: LoadInterval | None, scale: float = 1.0) -> tuple[float, float]:
         return (math.nan, math.nan) if load is None else (scale * load.value, scale * load.expanded)
 
     some = sorted(some, key=(lambda s: s.time_s) if points else (lambda s: (s.pitch_deg, _setting_speed(s))))
     rows: list[tuple[float | str, ...]] = []
     for s in some:
-        thrust, thrust_u = value_and_interval(s.thrust)
+        thrust, thrust_u = format_value_and_interval(s.thrust)
         more = (s.time_s,) if points else (float(s.mountings),)
         if s.axis == "pair":
-            up, up_u = value_and_interval(s.torque_upper, 1e3)
-            low, low_u = value_and_interval(s.torque_lower, 1e3)
+            up, up_u = format_value_and_interval(s.torque_upper, 1e3)
+            low, low_u = format_value_and_interval(s.torque_lower, 1e3)
             rows.append((s.pitch_deg, s.speed_upper_rpm, s.speed_lower_rpm, thrust, up, low, thrust_u, up_u, low_u,
                          s.density_kg_m3, *more))  # fmt: skip
         else:
-            torque, torque_u = value_and_interval(s.torque, 1e3)
+            torque, torque_u = format_value_and_interval(s.torque, 1e3)
             rows.append((s.pitch_deg, _setting_speed(s), thrust, torque, thrust_u, torque_u, s.density_kg_m3, *more))
     heads = (
         *(_PAIR_COLUMNS if some[0].axis == "pair" else _SINGLE_COLUMNS),

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.bench.rig.bench_devices import BenchFacts
-from mufly.bench.series.moist_air import moist_air_density, relative_density_std
+from mufly.bench.series.moist_air import compute_moist_air_density, compute_relative_density_std
 from mufly.bench.series.random_walk_drift import RandomWalkDrift, fit_random_walk
 from mufly.bench.series.series_plan import BladeMounting, SeriesPlan
 from mufly.bench.series.series_record import SeriesRecord, mean_from_line
@@ -185,8 +185,8 @@ def compute_air_density(points: SeriesReadings, facts: BenchFacts) -> tuple[Arra
         return np.full(len(points), 1.2), 0.03, "no sensors of the air: density 1.2 kg/m3 +- 3 % assumed"
     humid = np.where(np.isnan(h), 0.5, h)
     std_h = 0.25 if np.all(np.isnan(h)) else facts.humidity_std
-    rho = moist_air_density(p, t, np.clip(humid, 0.0, 1.0))
-    relative = relative_density_std(
+    rho = compute_moist_air_density(p, t, np.clip(humid, 0.0, 1.0))
+    relative = compute_relative_density_std(
         float(np.nanmean(p)), float(np.nanmean(t)), float(np.clip(np.mean(humid), 0, 1)),
         pressure_std_Pa=facts.pressure_std_Pa, temperature_std_K=facts.temperature_std_K, humidity_std=std_h,
     )  # fmt: skip

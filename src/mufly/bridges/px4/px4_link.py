@@ -161,7 +161,7 @@ class Px4Simulator(AutopilotSimulator):
         self._time_us = round((self._periods + 1) * vehicle.period_s * 1e6)
         messages: list[MavMessage] = []
         if self._periods % self._truth_periods == 0:
-            force = vehicle.sensors.sensors[0].true_readings(vehicle.truth)["acceleration"]
+            force = vehicle.sensors.sensors[0].error_free_readings(vehicle.truth)["acceleration"]
             messages.append(self._sensors.encode_truth(self._time_us, vehicle.truth, force))
         messages += self._sensors.encode_readings(self._time_us, vehicle.readings)
         self.port.send(self._peer, b"".join(self._encode(m) for m in messages))

@@ -215,7 +215,7 @@ def flight(
     if as_json:
         return print_json(fit)
     print_estimates(fit.estimates, fit.vehicle)
-    _print_fit_remarks(fit)
+    _print_fit_notes(fit)
     print_files(written, "Vehicle")
     print_files(page, "Report")
 
@@ -277,7 +277,7 @@ def _write_report(fit: FitResult, folder: Path | None, shown: bool) -> list[Path
         return [write_report(fit, folder, progress=progress)]
 
 
-def _print_fit_remarks(fit: FitResult) -> None:
+def _print_fit_notes(fit: FitResult) -> None:
     """Print below the table: parameters not observed, errors by record, and the end of the fit."""
     print_lines(*(f"{text}." for text in fit.undetermined), mark="Not distinguishable", style="yellow")
     print_lines(*(f"{text}." for text in fit.held), mark="Uncertainty from held parameters")
@@ -346,7 +346,7 @@ def _print_identification_demo(shown: IdentificationDemo) -> None:
         "": {k: "" if held else "outside" for k, held in inside.items()},
     }
     print_estimates(estimates, f"Demonstration, seed {shown.seed}", beside)
-    _print_fit_remarks(shown.fit)
+    _print_fit_notes(shown.fit)
     print_lines(
         f"{sum(inside.values())} of {len(inside)} intervals hold the truth; prediction error of the flight that was "
         f"not fitted is {shown.held_out_over_noise:.3f} of the sensors' noise."

@@ -189,7 +189,7 @@ def _estimate_foreign_log(
     """Estimate the log of any vehicle."""
     from mufly.estimate import (
         InertialNoise,
-        aid_innovations,
+        compute_aid_innovations,
         estimate_flight_noise,
         estimate_rest_noise,
         measure_row_consistency,
@@ -216,7 +216,7 @@ def _estimate_foreign_log(
             str(path), "", f"has no valid estimate after {after:.1f} s: too few fixes, or all rejected",
             "check units, axes and time of the fixes (--aid, --aid-delay)",
         )  # fmt: skip
-    fore = aid_innovations(f.log, f.aids, told, from_s=after, to_s=float(time[-1]))
+    fore = compute_aid_innovations(f.log, f.aids, told, from_s=after, to_s=float(time[-1]))
     figures: Consistency | None = None
     mounted: Consistency | None = None
     if f.truth:

@@ -202,7 +202,7 @@ class BoardInstance(SoftwareInstance):
         """
         self._request.is_given = command is not None
         if command is not None:
-            self._write_command(command)
+            self._write_command_record(command)
             self._request.given.armed = armed
         self._board.compute_control(self._request)
         self.read_log()

@@ -280,7 +280,7 @@ class CameraSensor(Sensor):
             self._process.close()
             self._process = None
 
-    def true_readings(self, truth: Truth) -> dict[str, Any]:
+    def error_free_readings(self, truth: Truth) -> dict[str, Any]:
         return {"position_fix": np.append(truth.position, truth.attitude[2])}
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:

@@ -76,7 +76,7 @@ class ExternalFixes(Sensor):
         """Fault for which the source is refused, or ""."""
         return self._monitor.fault
 
-    def true_readings(self, truth: Truth) -> dict[str, Any]:
+    def error_free_readings(self, truth: Truth) -> dict[str, Any]:
         return {"position_fix": np.append(truth.position, truth.attitude[2])}
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:

@@ -7,10 +7,10 @@ from mufly.flight.monte_carlo.campaign_results import (
     CampaignOutcome,
     FlightMetric,
     MetricSummary,
+    compute_wilson_interval,
     list_metrics,
     results_dataset,
     summarise_outcome,
-    wilson_interval,
 )
 from mufly.flight.monte_carlo.flight_ending import ENDINGS, FlightEnding
 from mufly.flight.monte_carlo.variation import ParameterVariation, parse_variations
@@ -37,6 +37,7 @@ __all__ = [
     "RecordedFlights",
     "WorkerPool",
     "case_from_result",
+    "compute_wilson_interval",
     "describe_campaign",
     "draw_distributions",
     "draw_influences",
@@ -51,6 +52,5 @@ __all__ = [
     "search_worst_case",
     "sort_by_severity",
     "summarise_outcome",
-    "wilson_interval",
     "write_flights",
 ]

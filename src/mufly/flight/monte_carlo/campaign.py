@@ -31,7 +31,7 @@ from mufly.control.synthesis.weighting_schemes import complete_settings
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_GYRO_BIAS
-from mufly.estimate.nees import normalised_errors
+from mufly.estimate.nees import compute_normalised_errors
 from mufly.files.answer_store import hash_question
 from mufly.flight.fixes.camera_sensor import CameraConfig
 from mufly.flight.flight_software import ControlImplementation
@@ -489,7 +489,7 @@ class _EstimateScore:
         true, told, covariances = (np.concatenate(p) for p in zip(*self._parts, strict=True))
         error = told - true
         error[:, ERROR_ATTITUDE:] = np.angle(np.exp(1j * error[:, ERROR_ATTITUDE:]))
-        return float(normalised_errors(error, covariances).mean()) / error.shape[1]
+        return float(compute_normalised_errors(error, covariances).mean()) / error.shape[1]
 
 
 def judge_flight(

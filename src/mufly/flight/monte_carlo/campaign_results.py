@@ -77,7 +77,7 @@ def list_metrics(tolerance_m: float) -> tuple[FlightMetric, ...]:
     )
 
 
-def wilson_interval(successes: int, flights: int, z: float = _NORMAL_QUANTILE_95) -> tuple[float, float]:
+def compute_wilson_interval(successes: int, flights: int, z: float = _NORMAL_QUANTILE_95) -> tuple[float, float]:
     """Return Wilson's interval of the success rate; ``z`` = 1.96 gives 95 %.
 
     Raises
@@ -222,7 +222,7 @@ def summarise_outcome(flights: Sequence[FlightResult], tolerance_m: float) -> Ca
         If there are no flights.
     """
     good = [f for f in flights if f.success]
-    low, high = wilson_interval(len(good), len(flights))
+    low, high = compute_wilson_interval(len(good), len(flights))
     ended = Counter(f.ending for f in flights)
     reasons = Counter(_strip_numbers(f.reason) for f in flights if not f.success)
     return CampaignOutcome(
@@ -230,7 +230,7 @@ def summarise_outcome(flights: Sequence[FlightResult], tolerance_m: float) -> Ca
         reported_successes=sum(f.reported_outcome.startswith("succeeded") for f in flights),
         refused=sum(f.refused for f in flights),
         endings=tuple(
-            (name, ended[name], *wilson_interval(ended[name], len(flights)))
+            (name, ended[name], *compute_wilson_interval(ended[name], len(flights)))
             for name in ENDINGS
             if ended[name] or name in ("succeeded", "tipped over")
         ),

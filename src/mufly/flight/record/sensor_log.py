@@ -121,7 +121,7 @@ class _LoggingSensors(SensorSet):
         said: dict[str, Reading] = {}
         for sensor in self._fitted.sensors:
             said |= sensor.read(truth)
-            right |= sensor.true_readings(truth)
+            right |= sensor.error_free_readings(truth)
         self._right.append((truth.time_s, right))
         for name, r in said.items():
             if self._last.get(name) is not r:

@@ -62,7 +62,7 @@ def crest_factor(value: Array) -> float:
     return float(np.max(np.abs(value)) / np.sqrt(np.mean(value**2)))
 
 
-def amplitude_spectrum(value: Array, sample_s: float) -> tuple[Array, Array]:
+def compute_amplitude_spectrum(value: Array, sample_s: float) -> tuple[Array, Array]:
     """Return frequencies (Hz) and amplitudes of a signal; a sine of amplitude 1 has amplitude 1."""
     n = value.size
     return np.fft.rfftfreq(n, sample_s), 2.0 / n * np.abs(np.fft.rfft(value))

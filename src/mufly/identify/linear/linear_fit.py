@@ -29,7 +29,7 @@ from mufly.identify.linear.linear_structure import (
     scale_structure,
     simulate_linear_structure,
 )
-from mufly.identify.residual_analysis import residual_autocorrelation
+from mufly.identify.residual_analysis import compute_residual_autocorrelation
 from mufly.results import result
 
 Array = NDArray[np.float64]
@@ -339,7 +339,7 @@ def _effective_samples(rows: Array) -> float:
     n = len(rows)
     counts = []
     for e in rows.T:
-        r = residual_autocorrelation(e, 1.0, max_lag_s=n // 5).value
+        r = compute_residual_autocorrelation(e, 1.0, max_lag_s=n // 5).value
         window = parzen_window(r.size - 1)[r.size - 1 :]
         counts.append(np.isfinite(e).sum() / max(1.0, 1.0 + 2.0 * float(np.sum((window * r**2)[1:]))))
     return float(np.mean(counts))

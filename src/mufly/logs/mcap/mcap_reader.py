@@ -82,7 +82,7 @@ class McapContents:
     lost_parts : list of LostPart
     expected_messages : int
         Number of messages that the file had, by its own count; 0 if unknown.
-    remarks : list of str
+    other_faults : list of str
         Other faults: a missing end mark, a damaged index, ...
     """
 
@@ -92,7 +92,7 @@ class McapContents:
     is_complete: bool = False
     lost_parts: list[LostPart] = field(default_factory=list)
     expected_messages: int = 0
-    remarks: list[str] = field(default_factory=list)
+    other_faults: list[str] = field(default_factory=list)
 
     def describe_damage(self, zero_ns: int | None = None) -> str:
         """Describe the missing parts; times count from ``zero_ns``, by default from the first missing time.
@@ -108,7 +108,7 @@ class McapContents:
         count = sum(len(m) for m in self.messages_by_topic.values())
         if self.expected_messages > count:
             said.append(f"{count} of {self.expected_messages} messages are in the file")
-        return "; ".join(said + self.remarks)
+        return "; ".join(said + self.other_faults)
 
 
 def _describe_part(part: LostPart, zero_ns: int) -> str:
@@ -226,8 +226,10 @@ class _McapScanner:
         contents.expected_messages = self._summary.expected_messages if self._summary else 0
         if not contents.expected_messages and self._skipped:
             contents.expected_messages = count + self._skipped
-        contents.remarks += self._describe_other_faults(finished)
-        contents.is_complete = not contents.remarks and not contents.lost_parts and contents.expected_messages <= count
+        contents.other_faults += self._describe_other_faults(finished)
+        contents.is_complete = (
+            not contents.other_faults and not contents.lost_parts and contents.expected_messages <= count
+        )
         return contents
 
     def _read_record(self, opcode: int, at: int, stop: int) -> str:

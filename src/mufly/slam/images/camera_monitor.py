@@ -119,7 +119,7 @@ _ROLLING_SHUTTER_SHIFT_SIGMA_PX = 1.0
 
 
 @dataclass(frozen=True)
-class CameraVerdict:
+class CameraDiagnosis:
     """Result of the checks of a camera: its fault, or none.
 
     Attributes
@@ -134,7 +134,7 @@ class CameraVerdict:
     message: str = ""
 
 
-_HEALTHY_VERDICT = CameraVerdict()
+_HEALTHY_DIAGNOSIS = CameraDiagnosis()
 
 
 class CameraMonitor:
@@ -160,10 +160,10 @@ class CameraMonitor:
         self._fit, self._quick_fit = MotionFit(_FIT_MEMORY_S), MotionFit(_GROSS_FIT_MEMORY_S)
         self._flips = FlipTest()
         self._latest: deque[NDArray[np.complex128]] = deque(maxlen=_FAULT_CONFIRM_COUNT)  # estimates
-        self._candidate, self._candidate_count = _HEALTHY_VERDICT, 0
-        self._verdict, self._held_until_s = _HEALTHY_VERDICT, -math.inf
+        self._candidate, self._candidate_count = _HEALTHY_DIAGNOSIS, 0
+        self._verdict, self._held_until_s = _HEALTHY_DIAGNOSIS, -math.inf
         self._tilt, self._tilt_weight, self._tilt_time_s = np.zeros(2), 0.0, math.nan
-        self._tilt_verdict, self._tilt_held_until_s = _HEALTHY_VERDICT, -math.inf
+        self._tilt_verdict, self._tilt_held_until_s = _HEALTHY_DIAGNOSIS, -math.inf
         self._dirt = DirtMask()
 
     @property
@@ -176,12 +176,12 @@ class CameraMonitor:
         """Standard deviations (3,) of the coefficients m, n and k along one axis."""
         return self._fit.sigma
 
-    def check_stamp(self, time_s: float, last_time_s: float) -> CameraVerdict:
+    def check_stamp(self, time_s: float, last_time_s: float) -> CameraDiagnosis:
         """Return the verdict on the time of a picture."""
         self._stopped_count = self._stopped_count + 1 if time_s <= last_time_s else 0
         if self._stopped_count < _STOPPED_CLOCK_COUNT:
-            return _HEALTHY_VERDICT
-        return CameraVerdict("clock", f"the times of the pictures do not advance (at {time_s:.3f} s)")
+            return _HEALTHY_DIAGNOSIS
+        return CameraDiagnosis("clock", f"the times of the pictures do not advance (at {time_s:.3f} s)")
 
     def is_copy(self, picture: NDArray[np.uint8]) -> bool:
         """Return whether a picture is a copy of the one before; counts copies."""
@@ -196,29 +196,29 @@ class CameraMonitor:
         return equal
 
     @property
-    def frozen_verdict(self) -> CameraVerdict:
+    def frozen_diagnosis(self) -> CameraDiagnosis:
         """The verdict on frozen pictures, that is successive identical copies."""
         if self._equal_count < _FROZEN_PICTURE_COUNT:
-            return _HEALTHY_VERDICT
-        return CameraVerdict("frozen", "the pictures are frozen: they are identical")
+            return _HEALTHY_DIAGNOSIS
+        return CameraDiagnosis("frozen", "the pictures are frozen: they are identical")
 
     @property
     def dirt_mask(self) -> NDArray[np.uint8] | None:
         """Nonzero at dirty pixels of the undistorted picture; None if it is clean."""
         return self._dirt.mask
 
-    def check_motion(self, frame: CameraFrame, picture: NDArray[np.uint8]) -> CameraVerdict:
+    def check_motion(self, frame: CameraFrame, picture: NDArray[np.uint8]) -> CameraDiagnosis:
         """Return the verdict on the motion of the undistorted picture."""
         self._measure_motion(frame, picture)
-        return self.verdict_at(frame.time_s)
+        return self.diagnose_at(frame.time_s)
 
-    def verdict_at(self, time_s: float) -> CameraVerdict:
+    def diagnose_at(self, time_s: float) -> CameraDiagnosis:
         """Return the fault that is valid at a time (s); while there is one, no pose is used."""
-        return self._verdict if time_s < self._held_until_s else _HEALTHY_VERDICT
+        return self._verdict if time_s < self._held_until_s else _HEALTHY_DIAGNOSIS
 
-    def tilt_verdict_at(self, time_s: float) -> CameraVerdict:
+    def diagnose_tilt_at(self, time_s: float) -> CameraDiagnosis:
         """Return the fault by a tilted mount that is valid at a time (s); poses are less accurate meanwhile."""
-        return self._tilt_verdict if time_s < self._tilt_held_until_s else _HEALTHY_VERDICT
+        return self._tilt_verdict if time_s < self._tilt_held_until_s else _HEALTHY_DIAGNOSIS
 
     def check_tilt(self, time_s: float, tilt_error_rad: _Array, sigma_rad: float) -> None:
         """Update by the tilt error (2,) that tracking estimates, with the filter's standard deviation (rad)."""
@@ -230,11 +230,11 @@ class CameraMonitor:
         size = math.hypot(*self._tilt) / max(self._tilt_weight, 1e-9)
         if self._tilt_weight > 0.7 and size > max(_MIN_MOUNT_TILT_FAULT_RAD, _MOUNT_TILT_FAULT_SIGMAS * sigma_rad):
             message = f"the floor is seen {math.degrees(size):.1f} degrees off the attitude: check the camera's mount"
-            verdict, until_s = CameraVerdict("tilted", message), time_s + _FAULT_REPORT_HOLD_S
+            verdict, until_s = CameraDiagnosis("tilted", message), time_s + _FAULT_REPORT_HOLD_S
             if size > _MAX_USABLE_TILT_RAD:
                 self._verdict, self._held_until_s = verdict, until_s
             else:  # one report, whose message stays
-                held = self.tilt_verdict_at(time_s)
+                held = self.diagnose_tilt_at(time_s)
                 self._tilt_verdict, self._tilt_held_until_s = held if held.fault else verdict, until_s
             self._tilt, self._tilt_weight = np.zeros(2), 0.0
 
@@ -364,17 +364,17 @@ class FlipTest:
         self._squares = keep * self._squares + np.array([[x0 + y0, x0 + y1], [x1 + y0, x1 + y1]])
         self._motion_square = keep * self._motion_square + float(y @ y)
 
-    def judge_flips(self) -> CameraVerdict:
+    def judge_flips(self) -> CameraDiagnosis:
         """Return the verdict whether the pictures are flipped along an axis."""
         flipped = self._ratio > _FLIP_LOG_LIKELIHOOD_LIMIT
         if not flipped.any() or not (flipped | (self._ratio < -0.5 * _FLIP_LOG_LIKELIHOOD_LIMIT)).all():
-            return _HEALTHY_VERDICT
+            return _HEALTHY_DIAGNOSIS
         if self._squares[int(flipped[0]), int(flipped[1])] > _MAX_FLIP_RESIDUAL_FRACTION * self._motion_square:
-            return _HEALTHY_VERDICT
+            return _HEALTHY_DIAGNOSIS
         return (
-            CameraVerdict("turned", _UPSIDE_DOWN_MESSAGE)
+            CameraDiagnosis("turned", _UPSIDE_DOWN_MESSAGE)
             if flipped.all()
-            else CameraVerdict("mirrored", _MIRRORED_MESSAGE)
+            else CameraDiagnosis("mirrored", _MIRRORED_MESSAGE)
         )
 
 
@@ -429,40 +429,40 @@ class MotionFit:
         self.sigma = np.sqrt(np.abs(np.diag(inverse)) * alike * self._square / max(self.weight - 3.0, 1.0) / 2.0)
 
 
-def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdict:
+def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraDiagnosis:
     """Return the verdict on mirrored or reversed motion in the picture, for which few pictures suffice."""
     m, n, _ = estimate
     if abs(n) > 0.5 + _GROSS_FAULT_SIGMAS * sigma[1] and abs(n) > abs(m) + _GROSS_FAULT_SIGMAS * sigma[0]:
-        return CameraVerdict("mirrored", _MIRRORED_MESSAGE)
+        return CameraDiagnosis("mirrored", _MIRRORED_MESSAGE)
     if m.real < -0.3 - _GROSS_FAULT_SIGMAS * sigma[0]:
-        return CameraVerdict("turned", _UPSIDE_DOWN_MESSAGE)
-    return _HEALTHY_VERDICT
+        return CameraDiagnosis("turned", _UPSIDE_DOWN_MESSAGE)
+    return _HEALTHY_DIAGNOSIS
 
 
-def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdict:
+def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraDiagnosis:
     """Return the verdict on the camera from the coefficients m, n, k and their standard deviations along one axis."""
     m, n, k = estimate
     if max(sigma[0], sigma[1]) > 0.2:
-        return _HEALTHY_VERDICT
+        return _HEALTHY_DIAGNOSIS
     if abs(n) > 0.5 and abs(n) > 1.5 * abs(m):
-        return CameraVerdict("mirrored", _MIRRORED_MESSAGE)
+        return CameraDiagnosis("mirrored", _MIRRORED_MESSAGE)
     turn, scale, s = cmath.phase(m), abs(m), sigma[0]
     if abs(turn) > max(_MIN_TURN_ERROR_RAD, _MIN_FAULT_SIGMAS * s / max(scale, 0.2)) and scale > 0.4:
         how = "upside down" if abs(turn) > math.radians(150.0) else f"turned by {math.degrees(turn):.0f} degrees"
-        return CameraVerdict("turned", f"the camera is {how} against the gyroscopes: check mount.turn")
+        return CameraDiagnosis("turned", f"the camera is {how} against the gyroscopes: check mount.turn")
     delay = -(k / m).real if scale > 0.4 else 0.0
     if abs(delay) > max(_MIN_DELAY_ERROR_S, _MIN_FAULT_SIGMAS * sigma[2] / max(scale, 0.2)):
-        return CameraVerdict("delay", f"the pictures are {1e3 * delay:.0f} ms late against the gyroscopes")
+        return CameraDiagnosis("delay", f"the pictures are {1e3 * delay:.0f} ms late against the gyroscopes")
     # Stripes hold back the motion along them: n is then as large as the deviation of m.
     if scale > _MIN_PLAUSIBLE_FOCAL_SCALE and abs(scale - 1.0) > max(
         _MIN_FOCAL_ERROR_FRACTION, _MIN_FAULT_SIGMAS * s, 2.0 * abs(n)
     ):
         or_dirt = " and the lens for dirt" if scale < 1.0 else ""
-        return CameraVerdict(
+        return CameraDiagnosis(
             "focal length",
             f"the picture moves {scale:.2f} times as far as the gyroscopes: check the focal length{or_dirt}",
         )
-    return _HEALTHY_VERDICT
+    return _HEALTHY_DIAGNOSIS
 
 
 class DirtMask:

@@ -54,7 +54,7 @@ class MissionDraft:
     Attributes
     ----------
     mission : Mission
-        Mission that satisfies the schema; :func:`judge_draft` checks whether it can be flown.
+        Mission that satisfies the schema; :func:`check_draft` checks whether it can be flown.
     undo_stack, redo_stack : tuple of Mission
         Missions for undo and redo, the nearest last.
     drag_gesture : str
@@ -200,12 +200,12 @@ def apply_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
         return draft.redo()
     doing: dict[object, Callable[[], Mission]] = {
         "add": lambda: add_waypoint(
-            m, _read_place(order), _read_row(order, "after") if order.get("after") is not None else None
+            m, _read_position(order), _read_row(order, "after") if order.get("after") is not None else None
         ),
         "insert": lambda: insert_waypoint(m, _read_row(order)),
         "delete": lambda: delete_waypoint(m, _read_row(order)),
         "shift": lambda: reorder_waypoint(m, _read_row(order), _read_row(order, "by")),
-        "move": lambda: move_row(m, _read_row(order), _read_place(order)),
+        "move": lambda: move_row(m, _read_row(order), _read_position(order)),
         "put": lambda: set_row_value(m, _read_row(order), str(order.get("name")), _read_value(order)),
         "end": lambda: replace_mission_parts(m, at_end=order.get("value")),
         "name": lambda: replace_mission_parts(m, name=str(order.get("value", ""))[:80]),
@@ -235,7 +235,7 @@ def _read_number(value: object, key: str) -> float:
     return float(value)
 
 
-def _read_place(order: Mapping[str, Any]) -> PlaceNED:
+def _read_position(order: Mapping[str, Any]) -> PlaceNED:
     at = order.get("at")
     if not isinstance(at, list | tuple) or len(at) != 3:
         raise InputError(ERROR_LOCATION, "at", f"{at!r} is not a position", "give N, E and D in metres")
@@ -252,7 +252,7 @@ def _read_value(order: Mapping[str, Any]) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class DraftVerdict:
+class DraftCheck:
     """The result of the check of a draft.
 
     Attributes
@@ -270,9 +270,9 @@ class DraftVerdict:
     estimate: MissionEstimate | None = None
 
 
-def judge_draft(
+def check_draft(
     mission: Mission, battery: tuple[float, float] | None = None, able: TrajectoryLimits | None = None
-) -> DraftVerdict:
+) -> DraftCheck:
     """Check whether a mission draft can be flown, by the checks of ``mufly mission check``.
 
     Parameters
@@ -291,10 +291,10 @@ def judge_draft(
             flown, hover_current_A=current_A, capacity_Ah=capacity_Ah, where=mission.name or ERROR_LOCATION
         )
     except InputError as error:
-        return DraftVerdict(f"{error.key}: {error.problem}; {error.remedy}", row_from_key(error.key, mission))
+        return DraftCheck(f"{error.key}: {error.problem}; {error.remedy}", row_from_key(error.key, mission))
     if battery is None:
         estimate = replace(estimate, charge_Ah=math.nan, charge_fraction=math.nan)
-    return DraftVerdict(estimate=estimate)
+    return DraftCheck(estimate=estimate)
 
 
 def row_from_key(key: str, mission: Mission) -> int | None:
@@ -315,7 +315,7 @@ class SharedDraft:
     draft : MissionDraft
     vehicle_mission : Mission or None
         Mission in the vehicle before the upload, if known; the vehicle keeps the settings that items do not hold.
-    verdict : DraftVerdict or None
+    verdict : DraftCheck or None
         None while the draft is being checked.
     version : int
         Number of changes of draft or verdict.
@@ -323,7 +323,7 @@ class SharedDraft:
 
     draft: MissionDraft = field(default_factory=MissionDraft)
     vehicle_mission: Mission | None = None
-    verdict: DraftVerdict | None = None
+    verdict: DraftCheck | None = None
     version: int = 0
     _is_checking: bool = False
 
@@ -337,7 +337,7 @@ class SharedDraft:
 
     async def check_draft(
         self, battery: tuple[float, float] | None, able: TrajectoryLimits | None = None
-    ) -> DraftVerdict:
+    ) -> DraftCheck:
         """Check the draft; a draft changed during the check is checked after it."""
         while self._is_checking:
             await asyncio.sleep(0.02)
@@ -345,7 +345,7 @@ class SharedDraft:
         try:
             while self.verdict is None:
                 mission = self.draft.mission
-                verdict = await asyncio.to_thread(judge_draft, mission, battery, able)
+                verdict = await asyncio.to_thread(check_draft, mission, battery, able)
                 if mission is self.draft.mission:
                     self.verdict = verdict
                     self.version += 1
@@ -405,13 +405,13 @@ def find_untransmitted_keys(mission: Mission, held: Mission | None) -> list[str]
     return ["take_off.wait_s" if k == "take_off" else k for k in keys]
 
 
-def encode_draft(draft: MissionDraft, verdict: DraftVerdict | None, refused: str) -> dict[str, Any]:
+def encode_draft(draft: MissionDraft, verdict: DraftCheck | None, refused: str) -> dict[str, Any]:
     """Return a draft for a window: rows and check result.
 
     Parameters
     ----------
     draft : MissionDraft
-    verdict : DraftVerdict or None
+    verdict : DraftCheck or None
         None while it is being checked.
     refused : str
         Reason why the last edit was refused; "" if it was made.

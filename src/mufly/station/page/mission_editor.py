@@ -15,7 +15,7 @@ from mufly.station.mission_endurance import trajectory_limits_from_parameters
 from mufly.station.page import panels
 from mufly.station.page.command_checks import encode_fence
 from mufly.station.page.mission_draft import (
-    DraftVerdict,
+    DraftCheck,
     MissionDraft,
     SharedDraft,
     apply_edit,
@@ -109,7 +109,7 @@ class MissionEditor:
                     self._refused = f"{error.key}: {error.problem}; {error.remedy}" if error.key else error.problem
         await self._check_draft()
 
-    async def _check_draft(self) -> DraftVerdict:
+    async def _check_draft(self) -> DraftCheck:
         self.refresh()
         verdict = await self._shared_draft.check_draft(self._view.session.battery_data, self._controller_limits())
         self.refresh()

@@ -425,9 +425,9 @@ class CommandBar:
                     _NumberField("height", 1.0, "height of the destination (m)"),
                 )
                 for field in self._place:
-                    field.panel.on("enter", self._go_to_typed_place, args=[])
+                    field.panel.on("enter", self._go_to_typed_position, args=[])
                 self._place[2].on_change = place
-                self._add_action("go_to", "Go", "G", self._go_to_typed_place, "goto")
+                self._add_action("go_to", "Go", "G", self._go_to_typed_position, "goto")
             self._log = make_element("ol", classes="mf-requests").props('role=status aria-label="requests"')
         self.refresh()
 
@@ -475,7 +475,7 @@ class CommandBar:
                 f"enter {TAKE_OFF_HEIGHT_RANGE_M[0]:g} to {TAKE_OFF_HEIGHT_RANGE_M[1]:g} m",
             )
 
-    def _go_to_typed_place(self) -> None:
+    def _go_to_typed_position(self) -> None:
         self.go_to(*(field.value for field in self._place))
 
     def go_to(self, north: float, east: float, height: float) -> None:
@@ -503,7 +503,7 @@ class CommandBar:
         for field, value in zip(self._place, place, strict=True):
             field.show_value(value)
 
-    def _typed_place(self) -> tuple[float, float, float]:
+    def _typed_position(self) -> tuple[float, float, float]:
         north, east, height = (field.value for field in self._place)
         return north, east, -height
 
@@ -555,7 +555,7 @@ class CommandBar:
                 label = f"{label} anyway"
             if self._confirm.is_second_press((vehicle, name)):
                 label, note, caution = "Confirm", f"press again to {CONFIRMED_COMMANDS[name]}", True
-            elif name == "go_to" and self._confirm.is_second_press((vehicle, name, self._typed_place())):
+            elif name == "go_to" and self._confirm.is_second_press((vehicle, name, self._typed_position())):
                 label, note, caution = "Confirm", self._beware, True
             action.show_state(label, why[name], note, caution)
         self._show_banner(vehicle, snapshot)
