@@ -71,7 +71,7 @@ class FoxgloveViewConfig:
 
 
 class FoxglovePublisher:
-    """Server of Foxglove's websocket.
+    """WebSocket server that publishes a running flight to Foxglove.
 
     Attributes
     ----------

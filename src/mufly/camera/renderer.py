@@ -64,7 +64,7 @@ variance of the file's noise."""
 
 @dataclass(frozen=True)
 class VehicleMotion:
-    """State of the vehicle at the middle of a picture.
+    """State of the vehicle at the middle of a picture's exposure.
 
     Attributes
     ----------

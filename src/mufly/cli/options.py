@@ -148,7 +148,7 @@ class OptionRange:
     reason: str = ""
 
     def check_value(self, option: str, value: float) -> None:
-        """Raise InputError if a value is outside."""
+        """Raise InputError if a value lies outside the range."""
         low, high, rounding = self.low, self.high, 1e-9 * abs(value)  # error of a unit conversion
         if (low is None or value >= low - rounding) and (high is None or value <= high + rounding):
             return

@@ -58,7 +58,7 @@ def compile_library(
 
 
 def build_cached_library(name: str, files: Mapping[str, str], *, flags: Sequence[str] = COMPILER_FLAGS) -> Path:
-    """Return a shared library of some sources, built if it is not cached.
+    """Return the shared library built from C sources; an earlier build of the same sources is used from the cache.
 
     Parameters
     ----------

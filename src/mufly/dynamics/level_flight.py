@@ -108,7 +108,7 @@ _RESULT_COLUMNS = (
 
 @result(eq=False, picture="mufly.dynamics.level_flight:draw_level_flight")
 class LevelFlight:
-    """Level flight over airspeed for both ends of the band of the flap frequency.
+    """Level flight over airspeed, for the lowest and the highest flap frequency of the blades' uncertainty band.
 
     Attributes
     ----------

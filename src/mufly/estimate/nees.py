@@ -110,7 +110,7 @@ class Consistency:
 def measure_consistency(
     truths: Sequence[Truth], told: Sequence[Estimate], *, after_s: float = 0.0, every: int = 10
 ) -> Consistency:
-    """Return the consistency of estimates with true states.
+    """Compare estimates with true states, and return the errors and the consistency of the covariance.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def measure_consistency(
 def measure_row_consistency(
     true: _Array, told: Sequence[Estimate], *, after_s: float = 0.0, every: int = 10
 ) -> Consistency:
-    """Return the consistency of estimates with rows of true values.
+    """Compare estimates with rows of true values, and return the errors and the consistency of the covariance.
 
     Parameters
     ----------

@@ -495,7 +495,7 @@ _DESCENT_MARGIN_S = 1.0
 
 
 def spin_up_motor_input(hover_V: _Array, elapsed_s: float, battery_V: float) -> _Array:
-    """Return the motor inputs (2,) during spin-up.
+    """Return the motor inputs (2,) while the rotors spin up before lift-off.
 
     The inputs rise over half of the spin-up time; the slow upper rotor follows in the other half.
 

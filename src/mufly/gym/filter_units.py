@@ -233,7 +233,7 @@ def _list_arrays(parts: Any) -> Iterator[NDArray[Any]]:
 
 
 class UnitMemoryLayout:
-    """Places of all arrays of a unit in a row of bytes."""
+    """Positions of all arrays of a unit in one row of bytes."""
 
     def __init__(self, like: UnitPeriods, memory: NDArray[np.void], filtered: KalmanEstimator) -> None:
         self._like, self._filter = like, filtered

@@ -108,7 +108,7 @@ def shift_task(kind: int, start: _Array, place: _Array, target: _Array) -> None:
 
 @cached_njit(error_model="numpy")
 def draw_waypoint(r: _Array, point: _Array) -> None:
-    """Write a waypoint (3,; N-E-D, m) from three uniform numbers."""
+    """Write a random waypoint (3,; N-E-D, m), computed from three uniform random numbers."""
     point[0], point[1], point[2] = 3.0 * (r[0] - 0.5), 3.0 * (r[1] - 0.5), -0.5 - 1.5 * r[2]
 
 

@@ -257,7 +257,7 @@ class CommandAuthority:
             self._heard_s = now_s
 
     def commander_silence_s(self, now_s: float) -> float:
-        """Return the silence of the commander (s); 0 if there is none."""
+        """Return the time (s) since the commander was last heard; 0 if there is no commander."""
         return 0.0 if self.commander is None else max(0.0, now_s - self._heard_s)
 
     def may_command(self, now_s: float, station: MessageSource) -> bool:

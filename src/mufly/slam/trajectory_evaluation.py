@@ -283,7 +283,7 @@ class TrajectoryEvaluation:
     inside: float = field(metadata={"unit": "1", "meaning": "share inside the 95 % ellipsoid"})
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return the evaluation as a table."""
+        """Return errors, drift and consistency of the trajectory as a printed table."""
         rows = [
             ("pictures with a position", f"{1 - self.lost:.1%}"),
             ("horizontal error, rms (cm)", f"{100 * self.rms_m:.1f}"),

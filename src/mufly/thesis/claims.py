@@ -26,7 +26,7 @@ ClaimBasis = Literal["text", "table", "axis"]
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the dissertation.
+    """One claim of the dissertation about a figure or table.
 
     Attributes
     ----------

@@ -114,7 +114,7 @@ class _CascadeAxis:
 
 
 class BetaflightPilot:
-    """Pilot of one flight.
+    """Simulated pilot who flies one flight by the sticks of a transmitter.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def compute_lateral_gust_response(
     delay_samples: int = 1,
     noise: Array | None = None,
 ) -> GustResponse:
-    """Return the deviations of the lateral loop in gusts and sensor noise.
+    """Return the standard deviations of tilt and servo motion of the lateral loop in gusts and sensor noise.
 
     Parameters
     ----------

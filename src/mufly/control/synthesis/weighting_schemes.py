@@ -392,7 +392,7 @@ def complete_settings(settings: DesignSettings, vehicle: Vehicle) -> DesignSetti
 
 
 def heave_yaw_scaling(plant: control.StateSpace) -> SignalScaling:
-    """Return the scaling of heave-yaw from the motors' capability.
+    """Return the physical size of one unit of each heave-yaw signal, from the motors' authority.
 
     One scaled unit of both inputs gives 4.4 m/s2 in steady state, against one metre of height error. r is scaled so
     that one unit of one input gives an initial yaw acceleration of 5 units of r a second, and psi by a fifth of the
@@ -415,7 +415,7 @@ def heave_acceleration_per_input(plant: control.StateSpace) -> Array:
 
 
 def roll_pitch_scaling(plant: control.StateSpace) -> SignalScaling:
-    """Return the scaling of roll-pitch from the servos' capability.
+    """Return the physical size of one unit of each roll-pitch signal, from the servos' authority.
 
     One scaled unit of an input gives 40 rad/s2 once the swash plate has settled, against 0.5 rad of tilt or 5 rad/s.
     For ``mufly-1.1`` that is about full servo travel.

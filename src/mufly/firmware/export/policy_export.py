@@ -23,7 +23,7 @@ _COPIED_SOURCES = (
 
 
 def export_policy(policy: LearnedPolicy, out: str | Path) -> list[Path]:
-    """Write a policy as C99 without heap.
+    """Write a learned policy as C99 code without heap.
 
     Parameters
     ----------

@@ -214,7 +214,7 @@ def _format_percent(share: float) -> str:
 
 
 def summarise_outcome(flights: Sequence[FlightResult], tolerance_m: float) -> CampaignOutcome:
-    """Return the outcome of a set of flights.
+    """Return success rate, endings and worst values of a set of flights.
 
     Raises
     ------

@@ -145,7 +145,7 @@ class PolicyControllers(Controllers):
     def compute_tilt_command(
         self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
     ) -> _Array:
-        """Take the references of the next action; the policy commands no tilt and returns zeros (2,)."""
+        """Store the references for the policy's next action; return zeros (2,), since a policy commands no tilt."""
         self._reference[:REF_VELOCITY], self._reference[REF_VELOCITY:REF_HEADING] = position, velocity
         self._is_due = True
         return self._no_tilt

@@ -125,7 +125,7 @@ def save_policy(policy: LearnedPolicy, path: str | Path) -> None:
 
 
 def load_policy(path: str | Path) -> LearnedPolicy:
-    """Read a policy.
+    """Read a learned policy from a JSON file, and check its checksum.
 
     Raises
     ------

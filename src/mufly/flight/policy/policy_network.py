@@ -44,7 +44,7 @@ class PolicyLayer:
 
 
 class PackedPolicy(NamedTuple):
-    """Arrays of a policy for compiled code.
+    """Weights, biases and limits of a policy as arrays for compiled code.
 
     Attributes
     ----------

@@ -123,7 +123,7 @@ class StepwiseStep:
     "steps R2 symbols units",
 )
 class DerivativeEquation:
-    """Equation of one output's derivative.
+    """Fitted equation of one output's derivative: terms, coefficients, lag and delay.
 
     Attributes
     ----------

@@ -87,7 +87,7 @@ class MissionTiming:
 
 
 def compute_mission_timing(mission: Mission) -> MissionTiming:
-    """Return the expected times of a mission.
+    """Return the expected times of a mission, leg by leg, from the start signal to the landing.
 
     Parameters
     ----------

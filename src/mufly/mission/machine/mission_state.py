@@ -307,7 +307,7 @@ class MissionState:
 
 
 def log_event(s: MissionState, text: str, state: State | None = None, level: str = "info") -> MissionState:
-    """Return the state with a new log entry."""
+    """Return the mission state with a new log entry."""
     entry = FlightEvent(s.time_s, str(state or s.state), text, level)
     return replace(s, events=(*s.events[1 - LOG_CAPACITY :], entry), logged_event_count=s.logged_event_count + 1)
 

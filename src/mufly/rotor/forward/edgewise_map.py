@@ -105,7 +105,7 @@ def compute_flight_loads(
     upper_sign: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[FlightMapTables, int]:
-    """Compute the tables of a flight map.
+    """Compute the loads of a flight map for a pair of rotors over speed ratio, climb and edgewise velocity.
 
     Parameters
     ----------

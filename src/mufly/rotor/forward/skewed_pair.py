@@ -259,7 +259,7 @@ def solve_forward_pair(
 
 @result(eq=False, picture="mufly.rotor.forward.forward_pictures:draw_pair_sweep")
 class PairSweep:
-    """Pairs over airspeed for one or several flap frequencies.
+    """Results of a coaxial pair over airspeed, for one or several flap frequencies.
 
     Attributes
     ----------

@@ -150,7 +150,7 @@ def compare_measurements(
     settings: WakeSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> MeasurementComparison:
-    """Predict every measured point.
+    """Predict the loads at every measured point, and compare them with the measurement.
 
     Parameters
     ----------

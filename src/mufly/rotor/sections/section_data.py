@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SectionData:
-    """Section coefficients at known angles and Reynolds numbers.
+    """Lift, drag and moment coefficients of a section at known angles and Reynolds numbers.
 
     Attributes
     ----------

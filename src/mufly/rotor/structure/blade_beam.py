@@ -336,7 +336,7 @@ class BeamModes:
     shape: Array
 
     def find_mode(self, kind: str, order: int = 1) -> int:
-        """Return the index of the ``order``-th mode of a kind.
+        """Return the index of the ``order``-th mode of a kind (flap, lag or torsion).
 
         Raises
         ------

@@ -74,7 +74,7 @@ class SpanLoads:
     moment_N: Array
 
     def load_vector(self, beam: BladeBeam) -> Array:
-        """Return the load vector of the beam, (size,)."""
+        """Return the loads as the load vector of the beam's degrees of freedom, (size,)."""
         s = beam.shape_functions
         return beam.assemble_load((self.axial_N_m, s["w"]), (self.inplane_N_m, s["v"]), (self.moment_N, s["p"]))
 

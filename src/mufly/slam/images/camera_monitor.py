@@ -341,7 +341,7 @@ def low_pass_motion(
 
 
 class FlipTest:
-    """Sequential test of pictures that are flipped along x, along y or along both, against correct ones."""
+    """Sequential test whether pictures are mirrored along x, along y, or along both (turned by 180 degrees)."""
 
     def __init__(self) -> None:
         self._ratio = np.full(

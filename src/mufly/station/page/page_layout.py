@@ -359,7 +359,7 @@ _MOVING_STATES = frozenset({"waypoint", "obstacle"})
 
 @dataclass(slots=True)
 class SentDestination:
-    """A destination (north, east, height; m) sent to a vehicle."""
+    """Destination (north, east, height; m) that this window has sent to a vehicle."""
 
     vehicle: RemoteVehicle
     request: OperatorRequest

@@ -198,7 +198,7 @@ class VehicleTelemetry:
                 self.ranges = BeamRanges()
 
     def switch_component(self) -> None:
-        """Switch to another component with its own clock; the history continues."""
+        """Switch to another MAVLink component of the vehicle, which has its own clock; the history continues."""
         self.clock.change_clock()
         self._stamps.clear()
         self.mission_current, self.mission_state, self.commander_id = None, 0, None

@@ -119,7 +119,7 @@ def innovation_ratio(m: FilterMemory, innovation: float, r: float) -> float:
 
 @cached_njit(error_model="numpy")
 def log_innovation(m: FilterMemory, k: int, innovation: float, ratio: float) -> None:
-    """Record innovation and standard deviation of a sensor."""
+    """Record the innovation of a sensor and its standard deviation for the innovation checks."""
     m.innovation[k] = innovation
     m.innovation_sigma[k] = abs(innovation / ratio) if ratio != 0.0 else 0.0
 
