@@ -158,7 +158,7 @@ def _check_sensors(v: Vehicle) -> Iterator[UnusualParameter]:
         away = 0.0 if sensor is None else math.hypot(*sensor.position.value[0])
         if away > reach:
             yield UnusualParameter(
-                f"sensors.{name}.place",
+                f"sensors.{name}.position",
                 f"{away:.3g} m from the centre of gravity; rotors and legs reach {reach:.3g} m",
                 "check the unit",
             )

@@ -435,7 +435,7 @@ class Vehicle(ParameterGroup):
                 raise model_error(
                     f"{away:.3g} m from the centre of gravity; rotors and legs reach {reach:.3g} m",
                     "correct the coordinates or their unit",
-                    f"sensors.{name}.place",
+                    f"sensors.{name}.position",
                 )
         lowest = max(z for _, _, z in self.contact.legs.value)
         if self.sensors.sonar is not None:
