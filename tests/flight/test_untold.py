@@ -273,9 +273,9 @@ def test_a_sensor_may_be_accused_if_its_errors_differ_from_the_file() -> None:
 
     assert accusable() == frozenset()
     assert accusable("position.jump", "gyro.bias@3s") == {"position fix", "gyroscope"}
-    assert accusable(position_fix__wander=0.06) == {"position fix"}
-    assert accusable(position_fix__wander=0.03) == frozenset()  # as filed
-    assert accusable(imu__gyro_noise=1.0, sonar__noise=1.0) == {"gyroscope", "sonar"}
+    assert accusable(position_fix__drift=0.06) == {"position fix"}
+    assert accusable(position_fix__drift=0.03) == frozenset()  # as filed
+    assert accusable(imu__gyro_noise_density=1.0, sonar__noise=1.0) == {"gyroscope", "sonar"}
     assert accusable(imu__mount_roll=0.01) == {"accelerometer", "gyroscope"}
     assert wrong_sources((), {"body.mass": 0.2}, filed) == frozenset()
 
