@@ -123,7 +123,9 @@ class ControllerDesign:
         )
 
     def feedback_controller(self, controller: control.StateSpace | None = None) -> control.StateSpace:
-        """Return K of ``u = -K y``, for the full controller or another one with the same inputs."""
+        """Return the feedback K of ``u = -K y``, taken from ``controller`` or, by default, from the full-order
+        controller.
+        """
         return feedback_part(self.controller if controller is None else controller, self.plant, self.feedback_inputs)
 
     def shown_blocks(self) -> list[ShownBlock]:

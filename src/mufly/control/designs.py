@@ -404,7 +404,9 @@ def _given_order_range(given: GivenController | None, highest: int) -> tuple[int
 
 
 def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
-    """Design heave-yaw: two degrees of freedom (Sec. 6.1.4). Controller inputs: z, psi references, then errors.
+    """Design the heave-yaw controller with two degrees of freedom (Sec. 6.1.4).
+
+    Its inputs are the references of z and psi, then the control errors.
 
     The methods ``fixed``, ``scheduled``, ``mu`` and ``indi`` design roll-pitch alone; heave-yaw is H-infinity then.
     """

@@ -264,7 +264,10 @@ def reduce_controller(
 def _add_loop_norm(
     entry: tuple[ReducedCandidate, control.StateSpace, Array], generalised: control.StateSpace, s: float, t: float
 ) -> tuple[ReducedCandidate, control.StateSpace, Array]:
-    """Return a candidate with the norm of its loop, if its peaks are at most ``s`` and ``t`` (dB)."""
+    """Compute the norm of a candidate's loop if its peaks of S_u and T_u are at most ``s`` and ``t`` (dB).
+
+    A candidate with larger peaks, or with a norm, is returned unchanged.
+    """
     c, K, M = entry
     if c.sensitivity_peak_dB > s or c.complementary_peak_dB > t or np.isfinite(c.norm):
         return entry
@@ -305,7 +308,9 @@ class _LoopPeaks:
 def balanced_realisations(
     generalised: control.StateSpace, controller: control.StateSpace, actuation: Array, Z: Array, kept: int
 ) -> dict[str, tuple[control.StateSpace, Array]]:
-    """Return the controller with its kept modes first and the others balanced, for each choice of Gramians."""
+    """Balance the states of a controller except its first ``kept`` modes; return one realisation for each pair of
+    Gramians.
+    """
     n = controller.nstates
     if kept == n:
         return {"loop": (controller, actuation)}
@@ -331,7 +336,7 @@ def balanced_realisations(
 def _loop_gramians(
     generalised: control.StateSpace, controller: control.StateSpace, rows: Array, Ar: Array, Cr: Array
 ) -> tuple[Array, Array]:
-    """Return Gramians of excitation and effect of the controller's modes in the closed loop.
+    """Return controllability and observability Gramians of the controller's modes within the closed loop.
 
     The modes are (Ar, Cr), with states ``rows @ x``. To first order a change dK of the controller changes the loop by
     T_zu dK T_ew: the measurements of the running loop excite it, and it acts as an addition to the control.
@@ -552,7 +557,7 @@ def _back_calculation_gain(A: Array, C: Array, pole: float) -> Array | None:
 
 
 def _predictor_gain(A: Array, C: Array) -> Array:
-    """Return M with A - M C stable: gain of a predictor for equal process noise on all states."""
+    """Return the gain M of a Kalman predictor with equal process noise on all states; A - M C is stable."""
     W, R = 1e-4 * np.eye(A.shape[0]), np.eye(C.shape[0])
     P = linalg.solve_discrete_are(A.T, C.T, W, R)
     gain: Array = A @ P @ C.T @ np.linalg.inv(C @ P @ C.T + R)

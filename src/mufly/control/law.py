@@ -67,7 +67,10 @@ def _clip_value(value: float, low: float, high: float) -> float:
 
 @cached_njit
 def _add_with_rounding_error(value: float, change: float, dropped: float) -> tuple[float, float]:
-    """Return the sum and its rounding error, which is added the next time."""
+    """Return the sum of ``value`` and ``change``, and its rounding error.
+
+    The caller passes the rounding error as ``dropped`` in the next addition.
+    """
     more = change + dropped
     total = value + more
     return total, more - (total - value)
@@ -86,7 +89,7 @@ def _compute_output(g: Any, x: Array, e: Array, u: Array) -> None:
 
 @cached_njit
 def _add_scheduled_output(g: Any, x: Array, e: Array, speed: float, u: Array) -> None:
-    """Add the share of the outputs that belong to the scheduled speed; add nothing if the speed is not a number."""
+    """Add the outputs for forward flight to ``u``, weighted by the squared speed (at most 1); nothing at speed NaN."""
     share = g.schedule * (speed * speed)
     if not share > 0.0:
         return
@@ -147,7 +150,7 @@ def _filter_reference(
 
 @cached_njit
 def _limit_lead_rate(rate: float, whole: float) -> float:
-    """Return ``rate`` limited to the range between zero and ``whole``."""
+    """Limit ``rate`` to the interval between zero and ``whole``, which may be negative."""
     if whole > 0.0:
         return _clip_value(rate, 0.0, whole)
     return _clip_value(rate, whole, 0.0)
@@ -194,8 +197,8 @@ def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: 
 
 @cached_njit
 def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
-    """Return the heave-yaw state with its height reference limited to the slack (m) about the height z (m, down), in
-    flight.
+    """Limit the height reference in flight to a distance (slack, m) from the height ``z``; return the new heave-yaw
+    state.
 
     The slack is the permitted distance of the reference from the height. The permitted speed of the reference falls
     with this distance and is zero at the slack. The reference brakes by twice the acceleration that the filter may add
@@ -436,7 +439,9 @@ def pack_gains(dtype: np.dtype, controller: DiscreteController, **values: object
 
 
 def _initial_state_gains(controller: DiscreteController) -> tuple[Array, Array]:
-    """Return E, U: the state ``E e + U output`` gives ``output`` at input ``e`` and moves least from there.
+    """Return the gains E and U of an initial state ``E e + U output``.
+
+    From this state the controller gives ``output`` at input ``e``, and the state changes least in the next period.
 
     Lagrange: ``G = I - A``, minimise |G x - B e|^2 subject to C x = output - D e::
 
@@ -465,7 +470,7 @@ def _initialise_state(g: Any, e: Array, output: Array, x: Array) -> None:
 
 @cached_njit
 def roll_pitch_init(gains: Any, measurement: Array) -> Array:
-    """Return the state with which the roll-pitch controller starts without a jump: servos at trim, level reference.
+    """Return the initial state of the roll-pitch controller, which leaves the servos at trim for a level reference.
 
     Parameters
     ----------
@@ -531,7 +536,7 @@ def position_step(
     velocity: Array,
     heading: float,
 ) -> tuple[Array, Array]:
-    """Run one period of the position cascade: proportional position control, velocity H-infinity, tilt references.
+    """Run one period of the position cascade: from errors of position and velocity to references of roll and pitch.
 
     Parameters
     ----------

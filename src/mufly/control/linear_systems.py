@@ -319,7 +319,9 @@ def sample_plant(plant: control.StateSpace, period_s: float, delay_samples: int 
 
 
 def feedback_part(controller: control.StateSpace, plant: control.StateSpace, rows: Sequence[int]) -> control.StateSpace:
-    """Return the part of a controller that reads the plant: its inputs ``rows``, in the order of the outputs."""
+    """Return the part of a controller that feeds back the plant's outputs: the controller's inputs with indices
+    ``rows``.
+    """
     columns = list(rows)
     labels = {"inputs": plant.output_labels, "outputs": plant.input_labels}
     return replace_matrices(controller, B=controller.B[:, columns], D=controller.D[:, columns], **labels)
@@ -346,7 +348,7 @@ def _closed_loop_poles(plant: control.StateSpace, feedback: control.StateSpace) 
 
 
 def _frequency_grid(plant: control.StateSpace, feedback: control.StateSpace) -> Array:
-    """Return frequencies from 1e-4 rad/s to 1e4 rad/s or the Nyquist frequency, with those of the poles."""
+    """Return frequencies from 1e-4 rad/s to 1e4 rad/s or the Nyquist frequency, including those of the loop's poles."""
     dt = plant.dt or 0.0
     top = 0.999 * np.pi / dt if dt else 1e4
     poles = np.concatenate([np.linalg.eigvals(plant.A), np.linalg.eigvals(feedback.A)])

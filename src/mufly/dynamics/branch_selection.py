@@ -1,4 +1,5 @@
-"""Rewriting of the equations of motion for types that cannot branch: lanes of vehicles, and symbols.
+"""Rewrite the equations of motion without branches, for vectors of several vehicles (lanes) and for symbolic
+expressions.
 
 The source of a function is rewritten so that a decision on data becomes a selection between two results::
 
@@ -95,7 +96,7 @@ class _FunctionRewriter:
 
 
 def _is_package_function(value: Any) -> bool:
-    """Return True for a function of this package, compiled or with another form for compiled callers."""
+    """Return whether ``value`` is a function of this package, compiled by Numba or plain."""
     return hasattr(value, "py_func") or (inspect.isfunction(value) and value.__module__.startswith("mufly."))
 
 
@@ -122,7 +123,7 @@ def _make_name_node(name: str) -> ast.Name:
 
 
 class _ExpressionRewriter(ast.NodeTransformer):
-    """``a and b`` of tests, sine, cosine and whole numbers of an index as calls of the type's functions."""
+    """Replace ``a and b``, sine, cosine and conversion to integer by calls of the number type's own functions."""
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
         self.generic_visit(node)
@@ -187,7 +188,9 @@ class _StatementRewriter:
         return f"{kind}_{self._count}"
 
     def _select_results(self, test: ast.expr, body: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
-        """Return the statements of ``body``, each result selected by ``test`` from the new and the previous value."""
+        """Rewrite ``if test: body`` without a branch: an assigned variable keeps its previous value where ``test`` is
+        false.
+        """
         stores = [n for s in body for n in ast.walk(s) if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store)]
         if stores or any(isinstance(s, ast.Expr) for s in body):  # writes to arrays: the same for all vehicles
             return [ast.If(_make_call_node("uniform", test), self.block(body, defined), [])]
@@ -210,7 +213,7 @@ class _StatementRewriter:
     def _rewrite_early_return(
         self, guard: ast.If, value: ast.expr, rest: list[ast.stmt], defined: set[str]
     ) -> list[ast.stmt]:
-        """Return the statements after ``if test: return value``, with a selection in the last ``return``."""
+        """Rewrite ``if test: return value`` without a branch: the last ``return`` selects between both values."""
         if len(guard.body) > 1 or not isinstance(rest[-1], ast.Return) or rest[-1].value is None:
             raise NotImplementedError("`if test: return value` with further statements, or without a last return")
         test_name, value_name = self._unused_name("test"), self._unused_name("value")

@@ -72,8 +72,8 @@ def air_velocity(x: _Array, wind: _Array) -> tuple[float, float, float]:
 
 @cached_njit(error_model="numpy", forceinline=True)
 def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, float, float]:
-    """Return the speed ratio of a state, and its climb ratio and edgewise coordinate e in steps of the flight map's
-    axes.
+    """Return the point of a state in the flight map: speed ratio, then climb ratio and edgewise coordinate e in axis
+    steps.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def flight_map_loads(
 
 @cached_njit(error_model="numpy")
 def tip_path_tilt_target(servo_1: Any, servo_2: Any, gain: Any, phase: Any) -> tuple[Any, Any]:
-    """Return the tilt (rad) about x and y that the lower tip-path plane follows.
+    """Return the tilt (rad) about x and y that given servo inputs command to the lower rotor's tip-path plane.
 
     Parameters
     ----------

@@ -387,7 +387,11 @@ def climb_velocity(x: _Array, wind: _Array) -> float:
 def map_coefficients(
     speed_up: float, speed_dw: float, climb: float, p: ModelParameters
 ) -> tuple[float, float, float, float]:
-    """Interpolate thrust over squared speed (N s^2) of upper and lower rotor, then torque (N m s^2), in the map."""
+    """Interpolate the coefficient map.
+
+    The results are thrust over squared speed (N s^2) of upper and lower rotor, then torque over squared speed (N m
+    s^2).
+    """
     up, dw = abs(speed_up), abs(speed_dw)
     mean = 0.5 * (up + dw)
     ratio = dw / max(up, _MIN_ROTOR_SPEED_RAD_S)
@@ -439,7 +443,7 @@ def inside_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float)
 
 
 def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
-    """Return upper bounds of a coefficient and its slopes, for ``longest_step``.
+    """Return upper bounds of a map coefficient and of its slopes, which ``longest_step`` needs.
 
     With c over s (mean speed), r (ratio of the speeds) and m (climb ratio V / (s R)), thrust or torque is
     ``c Omega^2``. Its slope over the speed of either rotor is at most ``(2 |c| + s |dc/ds| + r |dc/dr| + m |dc/dm|)

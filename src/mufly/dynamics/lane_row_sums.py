@@ -34,7 +34,10 @@ _LLVM_INT32_LANES = ir.VectorType(ir.IntType(32), LANES)
 def _lane_sum_code(
     table: Any, places: tuple[Any, ...], weights: int, columns: int, emit: Callable[..., list[Any]]
 ) -> Any:
-    """Return Numba type and code of a sum; indices are lanes, or integers common to all vehicles; weights are lanes."""
+    """Return Numba's type and code of a weighted sum of table rows for eight vehicles.
+
+    Weights are lanes (vectors of eight); indices are lanes, or integers common to all vehicles.
+    """
     kinds = [_types.int64 if isinstance(k, types.Integer) else VECTOR for k in places] + [VECTOR] * weights
     made = _types.UniTuple(VECTOR, columns)(table, *kinds)
 

@@ -170,7 +170,7 @@ class LevelFlight:
 
 
 class LevelFlightModel:
-    """Blades, hover point and servo authority of a vehicle for one pair of flap modes."""
+    """Equations of level flight: blades, hover point, servo authority, and a flap mode for each rotor."""
 
     def __init__(self, vehicle: Vehicle, blading: Blading, flaps: tuple[BladeFlap, BladeFlap]) -> None:
         hover = find_trim(vehicle, charge=_BATTERY_CHARGE_FRACTION)
@@ -243,8 +243,9 @@ class LevelFlightModel:
         return float(found.x[0]), float(found.x[1])
 
     def wrench(self, x: Array, airspeed: float) -> tuple[Array, ForwardPair]:
-        """Return the unbalanced forces and moments at a pitch, roll, both servo inputs and the factors of both rotor
-        speeds.
+        """Return the unbalanced forces and moments, and the rotor loads, for given unknowns ``x``.
+
+        The unknowns are pitch, roll, two servo inputs, and the factors of the upper and the lower rotor speed.
         """
         v, body = self.vehicle, self.vehicle.body
         pitch, roll = float(x[_UNKNOWN_PITCH]), float(x[_UNKNOWN_ROLL])

@@ -153,7 +153,7 @@ def _is_number(kind: Any) -> bool:
 
 
 def _declare_lane_overload(function: Any, count: int, result: Any) -> None:
-    """Declare a function of ``count`` numbers for lanes, if one of them is lanes."""
+    """Declare a function of ``count`` numbers to Numba for calls in which at least one argument is a lane vector."""
 
     class Template(AbstractTemplate):
         def generic(self, arguments: Any, keywords: Any) -> Any:
@@ -165,7 +165,7 @@ def _declare_lane_overload(function: Any, count: int, result: Any) -> None:
 
 
 def _register_operation(functions: Iterable[Any], count: int, emit: Callable[..., Any], result: Any = VECTOR) -> None:
-    """Make Python functions of ``count`` numbers known for lanes: ``emit`` writes their LLVM code."""
+    """Register Python functions of ``count`` numbers with Numba for lane vectors; ``emit`` writes their LLVM code."""
     for function in functions:
         _declare_lane_overload(function, count, result)
 
@@ -374,7 +374,7 @@ def _get_shared_integer(context: Any, builder: Any, made: Any, values: Any) -> A
 
 
 def _gather_from_addresses(builder: Any, addresses: Any, offset: Any) -> Any:
-    """Load the number at an offset (eight words, in numbers) from eight addresses."""
+    """Load one double from each of eight addresses; ``offset`` holds eight distances, counted in doubles."""
     where = builder.add(addresses, builder.shl(offset, ir.Constant(_LLVM_INT64_LANES, [3] * LANES)))
     out = ir.Constant(_LLVM_DOUBLE_LANES, ir.Undefined)
     for k in range(LANES):

@@ -143,7 +143,7 @@ def similar_vehicle(
 
 
 class _TooWeakError(Exception):
-    """Error of a vehicle that cannot hover on a half-full battery; ``what`` is the reason."""
+    """Raised for a vehicle that cannot hover on a half-full battery; ``what`` states the reason."""
 
     def __init__(self, vehicle: Vehicle, what: str) -> None:
         super().__init__(what)
@@ -165,7 +165,7 @@ _OPTION_REMEDIES: dict[str, tuple[tuple[str, ...], str]] = {
 def _blame_option(
     known: Vehicle, weak: _TooWeakError, mass_kg: float, radius_m: float, given: dict[str, Any]
 ) -> ArgumentError:
-    """Return an error that names the first option whose omission alone lets the vehicle hover."""
+    """Return an error that names the first option without which the vehicle can hover."""
     _, full = battery_voltage_range(weak.vehicle.battery)
     problem = f"{weak.what} ({full:.3g} V, {1e3 * mass_kg:.4g} g)"
     for option, (left_out, remedy) in _OPTION_REMEDIES.items():
@@ -189,7 +189,7 @@ def _blame_option(
 
 
 def _remove_bar(known: Vehicle) -> Vehicle:
-    """Return the known vehicle without its bar, whose inertia is that of the upper rotor above the lower one's.
+    """Return the known vehicle without stabiliser bar; the upper rotor's inertias become those of the lower rotor.
 
     The share of the bar in the upper rotor's torque is not known separately (Sec. 5.2), so the torque stays.
     """

@@ -262,7 +262,7 @@ def _repeat_per_sample(array: ArrayLike, width: int, samples: int, name: str) ->
 def state_dataset(
     time_s: NDArray[np.float64], states: NDArray[np.float64], inputs: NDArray[np.float64], p: np.void
 ) -> xr.Dataset:
-    """Return a history of states as a dataset with the names and units of recordings.
+    """Return simulated states as a dataset with the variable names and units of flight recordings.
 
     Parameters
     ----------
@@ -495,6 +495,6 @@ class DrydenWind:
         return self.steady + a * self._axes[:, 0] + b * self._axes[:, 1] + c * self._axes[:, 2]
 
     def _filter_samples(self, start: NDArray[np.float64], driven: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the n + 1 rows of ``y[k+1] = decay y[k] + driven[k]`` from ``y[0] = start``, for each column."""
+        """Filter each column by ``y[k+1] = decay y[k] + driven[k]`` from ``y[0] = start``; return all n + 1 rows."""
         rest, _ = lfilter([1.0], [1.0, -self._decay], driven, axis=0, zi=self._decay * start[None])
         return np.vstack([start, rest])

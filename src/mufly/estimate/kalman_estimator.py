@@ -173,7 +173,9 @@ class KalmanEstimator(Estimator):
         self.reset()
 
     def _store_vehicle_noise(self) -> None:
-        """Copy the vehicle file's noise from the settings, in which that of an external fix may replace it."""
+        """Keep a copy of the vehicle file's sensor noise, because an external fix can replace its own noise in the
+        settings.
+        """
         names = ("initial_sigma", *(aid[3] for aid in AID_NOISES))
         self._vehicle_noise = {name: np.array(self._settings[name]) for name in names}
 
@@ -346,8 +348,9 @@ class KalmanEstimator(Estimator):
 
     @property
     def reading_indices(self) -> Mapping[str, int]:
-        """Return the used readings by name, with their indices in
-        :data:`mufly.quantities.quantity_table.CHECKED_READINGS`."""
+        """Return the name of each reading that the filter uses, with its index in
+        :data:`mufly.quantities.quantity_table.CHECKED_READINGS`.
+        """
         return self._reading_indices
 
     @property

@@ -198,7 +198,7 @@ class AnswerLines(Generic[One]):
                     part.write_bytes(b"".join(line + b"\n" for line in kept))
 
     def add(self, key: Any, one: One, content: Any) -> None:
-        """Append a result as one line with this content."""
+        """Append a result: ``content`` as one line of JSON in the file, ``one`` under ``key`` in memory."""
         if self._path is not None:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(content) + "\n")

@@ -222,7 +222,7 @@ def _shorten_value(given: Any) -> str:
 
 
 def _dotted_key(loc: tuple[int | str, ...]) -> str:
-    """Dotted key with counts from 1: ("waypoint", 0, "position_m") is waypoint[1].position_m."""
+    """Return the dotted key, with counts from 1: ("waypoint", 0, "position_m") gives waypoint[1].position_m."""
     key = ""
     for part in loc:
         key += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if key else part

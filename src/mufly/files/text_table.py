@@ -349,7 +349,7 @@ def row_width_error(where: str, line: int, width: int, wanted: int, others: int 
 
 
 def normalise_number(cell: str, decimal: str) -> str:
-    """Return a cell's number in Python's notation: ungrouped thousands, decimal point, e for Fortran's D.
+    """Return a cell's number in Python's notation: no thousands separators, a decimal point, e for Fortran's D.
 
     Other cells are unchanged.
     """
@@ -611,7 +611,7 @@ def _parse_csv_cells(stream: str, separator: str, types: Sequence[type]) -> Any:
 
 
 def _to_numbers(series: Any, decimal: str) -> tuple[NDArray[Any], int]:
-    """Return the numbers of a column and the count of other cells; the text if most cells are no number."""
+    """Return a column as numbers, and the count of cells without a number; as text if most cells are no number."""
     if series.dtype == np.float64:
         return series.to_numpy(), 0
     cells = series.fillna("").astype(object).to_numpy()

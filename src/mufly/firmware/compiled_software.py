@@ -313,7 +313,7 @@ class ComparedSoftware(FlightSoftware):
 def make_compared_software(
     controllers: Any, firmware: Firmware, kept: list[ComparedSoftware]
 ) -> type[ComparedSoftware]:
-    """Return a class of comparing flight software.
+    """Return a subclass of :class:`ComparedSoftware` that appends each new instance to ``kept``.
 
     Parameters
     ----------

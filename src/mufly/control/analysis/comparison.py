@@ -119,8 +119,8 @@ class ForwardFigures:
 
 @result
 class MethodFigures:
-    """Figures of one method: both loops, peak of the cascade, tilt in gusts, instructions and flights (None if not
-    known).
+    """Figures of one synthesis method: both loops, cascade peak and tilt in gusts; instructions and flights are None if
+    not measured.
 
     ``method`` is a method of synthesis, or the name of a tuned loop (:data:`TUNED_METHOD_NAME`). ``instructions`` are
     those of the whole law in a period on a Cortex-M4, mean over a self-test. ``forward`` is roll-pitch at forward
@@ -355,7 +355,9 @@ def roll_pitch_plants_by_speed(
 
 
 def forward_figures(c: FlightController, plants: Mapping[float, control.StateSpace]) -> tuple[ForwardFigures, ...]:
-    """Return the figures of roll-pitch, scheduled if it is, with the plants by speed."""
+    """Return disk margin and peaks of the roll-pitch loop at each forward speed; a scheduled controller follows the
+    speed.
+    """
     found = []
     for speed, plant in plants.items():
         K = c.roll_pitch.discrete.to_state_space()
@@ -371,7 +373,7 @@ def forward_figures(c: FlightController, plants: Mapping[float, control.StateSpa
 def recall_mu_bounds(
     vehicle: Vehicle, c: FlightController, points: int, path: Path | None
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return upper and lower bound of mu of heave-yaw and of roll-pitch, from the file if it holds them."""
+    """Return the upper and lower bound of mu of heave-yaw and of roll-pitch; ``path`` stores them for later calls."""
     sources = [path.read_bytes() for path in imported_sources(Path(parameter_robustness.__file__))]
     gains = [np.ascontiguousarray(g).tobytes() for g in (c.heave_yaw_gains, c.roll_pitch_gains)]
     question = hash_question(vehicle.model_dump_json(), c.rate_Hz, c.voltage_V, points, *gains, *sources)
@@ -386,7 +388,7 @@ def recall_mu_bounds(
 
 
 def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
-    """Return the figures over controller (by method) and loop, and flights over controller."""
+    """Return the figures as a dataset: loop figures over the dimensions controller and loop, others over controller."""
     loops = ("roll-pitch", "heave-yaw")
 
     def loop_figure_array(figure: Callable[[LoopFigures], float]) -> tuple[tuple[str, str], list[list[float]]]:

@@ -44,7 +44,10 @@ class GustResponse:
 
 
 def compute_gust_response(linear: Linearisation, controller: FlightController) -> float:
-    """Return the larger deviation of roll and pitch (rad) in gusts, with one period of delay and without noise."""
+    """Return the larger of the standard deviations of roll and pitch (rad) in gusts.
+
+    The loop has one period of delay and no sensor noise.
+    """
     c = controller
     found = compute_lateral_gust_response(linear, c.roll_pitch, c.velocity, c.settings.position_gain)
     return found.tilt_rad

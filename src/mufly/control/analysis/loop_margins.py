@@ -96,7 +96,7 @@ def disk_margin(plant: control.StateSpace, feedback: control.StateSpace, *, poin
 
 
 def input_noise(plant: control.StateSpace, feedback: control.StateSpace, noise: Array) -> Array:
-    """Return the deviation of each input that measurement noise causes in a sampled loop.
+    """Return the standard deviation of each input due to measurement noise in a sampled loop.
 
     Parameters
     ----------

@@ -212,7 +212,7 @@ def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
 
 
 def draw_servo_map(found: ServoMap) -> Figure:
-    """Draw disk margin and speed of the swash plate over servo lag, a line for each control rate."""
+    """Draw disk margin and angular rate of the swash plate over servo lag, with one line for each control rate."""
     t = found.table
     figure = blank_figure(4.5 * t.frame_s.size, 5.6)
     axes = figure.subplots(2, t.frame_s.size, sharex=True, sharey="row", squeeze=False)

@@ -53,7 +53,7 @@ _HEAVE_YAW_OUTPUTS = ["z", "psi", "r"]
 
 @result
 class HeaveYawRow:
-    """One heave-yaw loop: whether it measures rotor speeds, the weight of its inputs, and its figures.
+    """One heave-yaw loop of the comparison, with or without measured rotor speeds.
 
     Attributes
     ----------
@@ -195,7 +195,10 @@ def _heave_yaw_row(
 def _closed_loop_deviations(
     plant: control.StateSpace, K: control.StateSpace, noise: Array, period: float
 ) -> tuple[float, float, float]:
-    """Return the deviations of height (m), heading (rad) and the larger input by disturbances and sensor noise."""
+    """Return the standard deviations of height (m), heading (rad) and the more active motor input.
+
+    Their causes are input disturbances and sensor noise.
+    """
     states = list(plant.state_labels)
     held = control.sample_system(plant, period, method="zoh")
     n, m, k, p = plant.nstates, plant.ninputs, K.nstates, len(noise)

@@ -192,8 +192,9 @@ def map_servos(
 
 
 def scale_bandwidth(settings: DesignSettings, factor: float) -> DesignSettings:
-    """Return the settings with both corners of the roll-pitch weight W_r, and the zero of W_v, multiplied by a
-    factor.
+    """Return the settings with roll-pitch weights of scaled bandwidth.
+
+    Both corner frequencies of W_r and the zero of W_v are multiplied by ``factor``.
     """
     w = settings.roll_pitch_weights
     assert w is not None  # complete_settings

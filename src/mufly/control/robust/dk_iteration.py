@@ -211,7 +211,8 @@ def scale_channels(
 
 
 def sweep_complex_mu(response: ComplexArray, channels: Sequence[UncertaintyChannel]) -> tuple[Array, Array]:
-    """Return the upper bound of mu over frequency, and the magnitudes of the scalings relative to the last channel's.
+    """Return the upper bound of mu over frequency, and the D scaling of each channel relative to that of the last
+    channel.
 
     Parameters
     ----------

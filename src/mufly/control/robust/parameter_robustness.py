@@ -161,7 +161,10 @@ class ParameterRobustness:
 
 
 class UncertainLoop:
-    """A control loop with the derivatives of its plant by the uncertain parameters, the components of z."""
+    """A control loop whose plant depends linearly on uncertain parameters (the components of z).
+
+    The plant is given by its nominal model and its derivative by each parameter.
+    """
 
     def __init__(self, design: ControllerDesign, derivatives: Sequence[Array]) -> None:
         self.name = design.name
@@ -177,7 +180,7 @@ class UncertainLoop:
         self.derivatives = [derivatives[i] for i in self.kept]
 
     def open_responses(self, frequency: Array) -> ComplexArray:
-        """Return the response from (scalars' outputs, u) to (scalars' inputs, y) without controller."""
+        """Return the response without controller from (uncertainty outputs, u) to (uncertainty inputs, y)."""
         g, n, m = self.plant, self.plant.nstates, self.left.shape[1]
         B, C = np.hstack([self.left, g.B]), np.vstack([self.right[:, :n], g.C])
         D = np.zeros((C.shape[0], B.shape[1]))
@@ -189,7 +192,7 @@ class UncertainLoop:
         return response
 
     def responses(self, frequency: Array) -> ComplexArray:
-        """Return the response M that the uncertain parameters meet in the closed loop, at frequencies (rad/s)."""
+        """Return the closed-loop response M from outputs to inputs of the uncertainty, over frequency (rad/s)."""
         m, P = self.left.shape[1], self.open_responses(frequency)
         delay = np.exp(-1j * frequency[:, None, None] * self.delay_s)
         K = -frequency_response(self.feedback, frequency) * delay
@@ -198,7 +201,9 @@ class UncertainLoop:
         return response
 
     def closed_matrices(self) -> tuple[Array, list[Array]]:
-        """Return the closed loop's matrix with the delay as a Pade approximation of third order, and derivatives."""
+        """Return the closed loop's state matrix, with a third-order Pade delay, and its derivative by each uncertain
+        parameter.
+        """
         g, k, m = self.plant, self.feedback, self.plant.ninputs
         pade = control.pade(self.delay_s, 3)
         A1, B1, C1, D1 = (np.kron(np.eye(m), X) for X in signal.tf2ss(*pade))
@@ -229,9 +234,7 @@ def _find_least_damped_mode(A: Array) -> tuple[complex, Array, Array]:
 def _search_unstable_corner(
     nominal: Array, steps: Sequence[Array], size: float, starts: Sequence[Array]
 ) -> tuple[float, Array]:
-    """Return the largest real part of an eigenvalue over the corners of a box of given size, and the corner where it
-    occurs.
-    """
+    """Search the corners of a parameter box for the largest real part of an eigenvalue; return it and the corner."""
     best, at = -np.inf, np.zeros(len(steps))
     for start in starts:
         z, seen = np.array(start, dtype=float), set()
@@ -247,7 +250,9 @@ def _search_unstable_corner(
 
 
 def find_worst_parameters(loop: UncertainLoop, least: float) -> tuple[float, float, Array]:
-    """Return the smallest parameter box with an unstable corner: its size in spreads, frequency of the pole, and
+    """Return the smallest parameter box with an unstable corner.
+
+    The results are the box's size as a multiple of the spreads, the frequency of the unstable pole (rad/s), and the
     corner.
 
     The size is ``inf`` if there is none up to ten times the spreads.
@@ -274,7 +279,7 @@ def find_worst_parameters(loop: UncertainLoop, least: float) -> tuple[float, flo
 
 
 def sweep_mu(loop: UncertainLoop, points: int, names: Sequence[str]) -> LoopRobustness:
-    """Return the bounds of a loop at ``points`` frequencies; ``names`` are those of all directions."""
+    """Return the bounds of mu of a loop at ``points`` frequencies; ``names`` labels all uncertain parameters."""
     began = time.process_time()
     poles = np.abs(np.linalg.eigvals(loop.closed_matrices()[0]))
     inside = poles[(poles > 0.3) & (poles < 100.0)]

@@ -34,7 +34,10 @@ _RANK_TOLERANCE = 1e-4
 
 
 def default_spreads(vehicle: Vehicle) -> dict[str, float]:
-    """Return spreads (SI) by key: two stated standard deviations, or :data:`DEFAULT_SPREADS` where none is stated."""
+    """Return the spreads (SI) of a vehicle's parameters by key.
+
+    A spread is two standard deviations if the vehicle file states one, else it follows from :data:`DEFAULT_SPREADS`.
+    """
     parameters = {p.key: p for p in list_parameters(vehicle) if isinstance(p.value, float)}
     left_out = ("mass_budget.", "range_ring.", "sensors.")
     spreads = {
@@ -57,8 +60,7 @@ def parameter_values(vehicle: Vehicle, keys: Sequence[str]) -> Array:
 def spread_derivatives(
     vehicle: Vehicle, voltage_V: float, keys: Sequence[str], spread_matrix: Array
 ) -> dict[str, list[Array]]:
-    """Return the derivatives ``[dA dB]`` of the heave-yaw and roll-pitch plants by every uncertain parameter, by the
-    loop's name.
+    """Return the derivatives ``[dA dB]`` of the plants ``heave-yaw`` and ``roll-pitch`` by every uncertain parameter.
 
     Parameters
     ----------
@@ -89,7 +91,8 @@ def spread_derivatives(
 
 
 def factor_derivatives(derivatives: Sequence[Array], scale: float) -> list[tuple[Array, Array]]:
-    """Return L and R of ``E = L R`` for every derivative, balanced; without columns if it is negligible.
+    """Factor every derivative E into a balanced product ``L R`` of lowest rank; a negligible derivative has empty
+    factors.
 
     Parameters
     ----------

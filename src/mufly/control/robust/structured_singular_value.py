@@ -93,7 +93,7 @@ class _Scalings:
         return C, G
 
     def evaluate(self, x: Array) -> tuple[float, Array]:
-        """Return the largest eigenvalue of the pencil and its gradient."""
+        """Return the largest eigenvalue of the bound's matrix pencil at parameters ``x``, and its gradient."""
         if np.abs(x).max() > _MAX_SCALING_PARAMETER:
             return np.inf, np.zeros(self.size)
         M = self.M

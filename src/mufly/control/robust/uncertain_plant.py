@@ -33,7 +33,7 @@ def add_uncertainty(
     derivatives: Sequence[Array],
     input_uncertainty: float,
 ) -> tuple[control.StateSpace, list[UncertaintyChannel]]:
-    """Return the generalised plant with the channels of its uncertainty, and all channels.
+    """Add the uncertainty of a plant to its generalised plant; return the extended plant and its channels.
 
     Parameters
     ----------

@@ -84,7 +84,7 @@ class PartitionedPlant(NamedTuple):
 
 
 def partition_plant(A: Array, B: Array, C: Array, D: Array, ny: int, nu: int) -> PartitionedPlant:
-    """Partition the matrices of a plant before its last ``ny`` outputs and ``nu`` inputs."""
+    """Partition a plant's matrices; its last ``ny`` outputs are measurements, its last ``nu`` inputs are controls."""
     nz, nw = D.shape[0] - ny, D.shape[1] - nu
     rows = D[:nz], D[nz:]
     return PartitionedPlant(
@@ -448,7 +448,7 @@ def hinfsyn(
 def _explain_infeasible(
     p: PartitionedPlant, P: control.StateSpace, promised: float | None, most: float, unit: float
 ) -> str:
-    """Return the reason for infeasibility: levels in units of the scaled plant, and the least controllable mode."""
+    """Return the reason of an infeasible synthesis: the failed level, and the least controllable or observable mode."""
     if promised is None:
         said = f"no controller found with gamma below {most / unit:.3g}"
     else:

@@ -122,7 +122,8 @@ def kalman_gain(plant: control.StateSpace, intensity: float, noise: Array) -> Ar
 
 
 def largest_recovery(plant: control.StateSpace, weights: LqgWeights, fastest: float) -> float:
-    """Return the recovery q of the weights, or the largest smaller value with filter poles up to ``fastest`` (rad/s).
+    """Return the largest LTR parameter q (recovery) up to that of ``weights`` with filter poles up to ``fastest``
+    (rad/s).
 
     Poles that the plant has itself (a fast servo) do not count: the filter leaves them where they are.
     """
@@ -216,9 +217,7 @@ def design_lqg(
 
 
 def _equilibrium_gain(plant: control.StateSpace, rows: Sequence[int]) -> Array:
-    """Return, for each output in ``rows``, the state nearest to equilibrium without input at which this output is
-    one.
-    """
+    """Return, for each output of ``rows``, the state nearest to equilibrium (zero input) with this output at one."""
     n = plant.nstates
     system = np.vstack([plant.A, 1e3 * plant.C[list(rows)]])
     right = np.vstack([np.zeros((n, len(rows))), 1e3 * np.eye(len(rows))])

@@ -1,4 +1,5 @@
-"""The methods of controller synthesis, with one result for all: a controller, its anti-windup input and its levels.
+"""Methods of controller synthesis with a common result: the controller, its anti-windup input and its H-infinity
+levels.
 
 All methods start from the same scaled plant and the same generalised plant, so their loops are comparable. The
 H-infinity norm is computed from the loop, also for methods that do not minimise it.
@@ -213,7 +214,7 @@ class SynthesisedController(NamedTuple):
 
 
 def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) -> SynthesisedController:
-    """Return a controller by a method; H-infinity if the problem has no settings for the method.
+    """Synthesise a controller by a method, or by H-infinity if the problem has no settings for this method.
 
     The method ``fixed`` gives its own order, the others the full order.
 
@@ -288,7 +289,7 @@ def _tune_fixed_order(p: SynthesisProblem, fixed: FixedOrderGoals) -> Synthesise
 
 
 def _delayed_plants(p: SynthesisProblem) -> tuple[control.StateSpace, control.StateSpace]:
-    """Return the plants with and without weights, with 1.5 periods of delay."""
+    """Return the generalised plant and the plant without weights, both with 1.5 periods of delay."""
     delayed = add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate)
     return p.generalise(delayed), delayed
 
@@ -296,7 +297,7 @@ def _delayed_plants(p: SynthesisProblem) -> tuple[control.StateSpace, control.St
 def _make_fixed_order_goals(
     p: SynthesisProblem, fixed: FixedOrderGoals, delayed: tuple[control.StateSpace, control.StateSpace]
 ) -> tuple[list[NormGoal], control.StateSpace]:
-    """Return the goals on the plants with delay, and the H-infinity controller that their levels refer to."""
+    """Return the tuning goals on the delayed plants, and the H-infinity controller whose norms scale the levels."""
     plain = hinfsyn(p.generalised, p.n_measurements, p.plant.ninputs, relaxation=p.relaxation)
     levels = {
         "weighted": fixed.weighted * plain.norm,
@@ -312,6 +313,6 @@ def _make_fixed_order_goals(
 
 
 def _wrap_given_controller(p: SynthesisProblem, K: control.StateSpace) -> SynthesisedController:
-    """Return a controller without an observer, with the norm of its loop."""
+    """Return a given controller as a result of synthesis: with the norm of its loop and without anti-windup input."""
     norm = hinf_norm(close_loop(p.generalised, K))[0]
     return SynthesisedController(K, np.zeros((K.nstates, p.plant.ninputs)), np.nan, np.nan, norm)

@@ -84,7 +84,9 @@ class SignalScaling:
 
 @dataclass(frozen=True)
 class TwoDegreeWeights:
-    """Weights of the two-degree-of-freedom scheme; the defaults are eq. 6.4, W_r without its factor 1e-4.
+    """Weights of the two-degree-of-freedom scheme.
+
+    The defaults are those of eq. 6.4, but W_r lacks the factor 1e-4 that is printed there.
 
     Thesis: eq. 6.4.
     """
@@ -384,7 +386,9 @@ class DesignSettings:
 
 
 def complete_settings(settings: DesignSettings, vehicle: Vehicle) -> DesignSettings:
-    """Return the settings with the roll-pitch weights of a vehicle with or without a bar, if none are given."""
+    """Return the settings; missing roll-pitch weights are set to the defaults for a vehicle with or without stabiliser
+    bar.
+    """
     if settings.roll_pitch_weights is not None:
         return settings
     weights = ROLL_PITCH_WEIGHTS if vehicle.stabiliser_bar.fitted else NO_BAR_ROLL_PITCH_WEIGHTS

@@ -129,7 +129,9 @@ def add_delay(plant: control.StateSpace, delay_s: float) -> control.StateSpace:
 def margin_plants(
     plant: control.StateSpace, noise: Array, n_measurements: int, period_s: float = 0.0
 ) -> dict[str, PartitionedPlant]:
-    """Return the plants of all goals but ``weighted`` for a controller whose last inputs are ``-y``.
+    """Return the generalised plant of each tuning goal except ``weighted``.
+
+    The last inputs of the controller are ``-y``.
 
     ``activity`` is among them if a sampling period is given.
     """
@@ -161,7 +163,7 @@ def margin_plants(
 
 
 class _StaticLoop:
-    """The loop of one goal as static feedback of the plant with the controller's states."""
+    """Closed loop of one goal as static output feedback: the plant is augmented by the states of the controller."""
 
     def __init__(self, p: PartitionedPlant, order: int, kind: str = "hinf") -> None:
         self.kind = kind
@@ -245,7 +247,7 @@ def evaluate_goal_norms(goals: Sequence[TuningGoal], controller: control.StateSp
 def reduce_start_controllers(
     generalised: control.StateSpace, controllers: Sequence[control.StateSpace], order: int
 ) -> list[control.StateSpace]:
-    """Return controllers of an order: all balanced reductions of some controllers, as in the reduction of a design."""
+    """Return all balanced reductions of ``controllers`` to one order, as starting points of a tuning."""
     found = []
     for K in controllers:
         if K.nstates < order:
@@ -307,7 +309,7 @@ def tune_controller(
     shape = controller_gain(starts[0]).shape
 
     def objective(K: Array, power: float = np.inf) -> tuple[float, Array]:
-        """Return the largest norm over its level, or the mean of that power, and its gradient."""
+        """Return the largest ratio of norm to level, or the power mean of all ratios, and its gradient by K."""
         shares, slopes = np.empty(len(goals)), np.empty((len(goals), *shape))
         for i, (goal, loop) in enumerate(zip(goals, loops, strict=True)):
             norm, gradient = loop.norm_and_gradient(K)

@@ -1,6 +1,6 @@
 """Tuning of a vehicle's heave-yaw or roll-pitch loop for several goals at once, in rounds that can be continued.
 
-A round minimises the largest ratio of an goal to its level (:func:`tune_controller`), then finds new scalings of mu
+A round minimises the largest ratio of a goal to its level (:func:`tune_controller`), then finds new scalings of mu
 (:class:`RobustnessGoal`). Each start has its own sequence of rounds, a line; the result is the best controller of all
 rounds. After each round the state contains everything that the next round needs.
 """
@@ -77,7 +77,7 @@ class GoalLevels:
         return {name: level for name, level in found.items() if level is not None}
 
     def merge_goals(self, other: Mapping[str, float | None]) -> GoalLevels:
-        """Return the goals, replaced by those of ``other`` where it states any."""
+        """Return the goal levels; a level that ``other`` states replaces the former one."""
         changes: dict[str, Any] = {k: v for k, v in other.items() if v is not None}
         return replace(self, **changes)
 
@@ -202,7 +202,7 @@ def _scale_controller(K: control.StateSpace, read: Array, input_scale: Array) ->
 
 
 def find_start_controllers(problem: LoopTuningProblem, names: Sequence[str], order: int) -> list[control.StateSpace]:
-    """Return starts of an order: balanced reductions of controllers of other methods.
+    """Return starting points of a given order: balanced reductions of the controllers of other methods.
 
     ``delay`` names the H-infinity controller whose plant has the delay.
     """
@@ -310,7 +310,7 @@ def continue_tuning(
 
 
 def _largest_relative_goal(problem: LoopTuningProblem, K: control.StateSpace) -> float:
-    """Return the largest ratio of an goal to its level; the goal mu gets scalings that are best for this controller."""
+    """Return the largest ratio of a goal's norm to its level, with the mu goal's scalings updated for ``K``."""
     if problem.mu is not None:
         problem.mu.update_scalings(controller_gain(K), K.nstates)
     return max(
@@ -331,7 +331,7 @@ def _controller_from_gain(like: control.StateSpace, gain: Array) -> control.Stat
 def settings_with_tuned_controller(
     base: DesignSettings, problem: LoopTuningProblem, controller: control.StateSpace
 ) -> DesignSettings:
-    """Return design settings that fly a tuned controller (scaled) in its loop."""
+    """Return design settings in which one loop uses a tuned controller (given in scaled units)."""
     K, read, out = controller, problem.read_scale, problem.input_scale[:, None]
     given = GivenController.from_matrices(K.A, K.B / read, K.C * out, K.D * out / read)
     key = "heave_yaw_given" if problem.name == "heave-yaw" else "roll_pitch_given"

@@ -136,11 +136,13 @@ class OutputSchedule:
         return 1.0 / self.speed_m_s**2
 
     def controller_at(self, hover: DiscreteController, share: float) -> control.StateSpace:
-        """Return the discrete controller with a share of the schedule, from that at hover."""
+        """Return the scheduled controller for a weight ``share`` of the forward-flight outputs (0: hover, 1: scheduled
+        speed).
+        """
         return blend_outputs(hover, self.C_forward, self.D_forward, share)
 
     def share_at(self, speed_m_s: float) -> float:
-        """Return the share of the schedule at a forward speed."""
+        """Return the weight (0 to 1) of the forward-flight outputs at a forward speed."""
         return min(self.inverse_square * speed_m_s**2, 1.0)
 
     def shown_blocks(self) -> list[ShownBlock]:
@@ -167,7 +169,7 @@ class OutputSchedule:
 
 
 def blend_outputs(hover: DiscreteController, C_forward: Array, D_forward: Array, share: float) -> control.StateSpace:
-    """Return the hover controller with a share of the outputs of forward flight added to its own."""
+    """Return the hover controller with ``share`` times the forward-flight changes added to its C and D."""
     return state_space(
         hover.A, hover.B, hover.C + share * C_forward, hover.D + share * D_forward,
         inputs=hover.inputs, outputs=hover.outputs, dt=hover.period_s,

@@ -1,4 +1,4 @@
-"""The structured singular value over a vehicle's parameters as an goal of the tuning.
+"""The structured singular value over a vehicle's parameters as a goal of the tuning.
 
 At fixed frequencies and with fixed scalings D and G the upper bound of mu is the root of the largest eigenvalue of the
 pencil ``M* D M + j (G M - M* G)`` and D (Fan, Tits and Doyle, IEEE Trans. Autom. Control 36, 1991). As a function of
@@ -26,7 +26,7 @@ _DESCENT_END_FRACTION = 0.7  # share of the level at which the descent for the s
 
 
 def _pencil_values(M: ComplexArray, D: ComplexArray, G: ComplexArray) -> tuple[Array, ComplexArray, ComplexArray]:
-    """Return the largest eigenvalues of the pencils, the Hermitian matrices that have them, and the roots of D."""
+    """Return the pencils' largest eigenvalues, Hermitian matrices of equal eigenvalues, and Cholesky factors of D."""
     root = np.linalg.cholesky(D)
     skew = G @ M
     pencil = M.conj().swapaxes(1, 2) @ D @ M + 1j * (skew - skew.conj().swapaxes(1, 2))
@@ -37,7 +37,7 @@ def _pencil_values(M: ComplexArray, D: ComplexArray, G: ComplexArray) -> tuple[A
 
 
 class RobustnessGoal:
-    """The upper bound of mu over a vehicle's parameters, as an goal.
+    """Tuning goal: the upper bound of mu over a vehicle's parameters stays below a level.
 
     Parameters
     ----------

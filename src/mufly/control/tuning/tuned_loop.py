@@ -66,7 +66,7 @@ class TunedLoop:
 
     @property
     def objective(self) -> float:
-        """Largest goal over its level; below 1 all goals are reached."""
+        """Largest ratio of a goal's norm to its level; all goals are reached if it is below 1."""
         return max(self.norms[name] / level for name, level in self.levels.items())
 
     @property

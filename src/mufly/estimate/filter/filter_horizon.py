@@ -159,7 +159,7 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
 
 @cached_njit(error_model="numpy")
 def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
-    """Predict one bias, in cyclic order; the biases of the fix are predicted when a fix is fused.
+    """Predict one bias in each period, in cyclic order, except those of the fix (:func:`predict_fix_bias`).
 
     An axis error e of the inertial unit leaks the yaw rate r into the measured rates: e_y r into the roll rate and -e_x
     r into the pitch rate. A scale error leaks r into the yaw rate. At rest the accelerometers show only the sum of e
@@ -196,8 +196,9 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
 
 @cached_njit(error_model="numpy")
 def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: int) -> int:
-    """Fuse the next queued measurement of the horizon; return its cost: 0 if ``left`` is too small, -1 if none is
-    queued.
+    """Fuse the next queued measurement of the horizon; return its cost in scalar measurements.
+
+    The cost is 0 if ``left`` is too small, and -1 if no measurement is queued.
     """
     behind = m.tick - s.horizon_delay_ticks - m.horizon_tick >= MAX_LAG_BLOCKS * s.block_ticks
     i = -1

@@ -215,7 +215,7 @@ class BoardInstance(SoftwareInstance):
 
 
 class _BoardFirmware:
-    """Substitute for a :class:`mufly.firmware.host_build.Firmware` with the attributes that records need."""
+    """Substitute for a :class:`mufly.firmware.host_build.Firmware`, with what the conversion of C records needs."""
 
     def __init__(self, board: Board) -> None:
         self.ffi, self.lib, self.is_generic = board.ffi, board.lib, False

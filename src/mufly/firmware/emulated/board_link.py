@@ -1,4 +1,4 @@
-"""Fly a board that its own MAVLink commands: stations connect to the UART of the emulated board by TCP."""
+"""Fly an emulated board that takes commands on its own MAVLink link: ground stations connect to its UART by TCP."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ _UNTHROTTLED_SILENCE_FRACTION = 0.5  # of COM_DL_LOSS_T that a silent commander'
 
 
 def _pace_for_commander(pace: float, supervisor: Any) -> float:
-    """Return the pace of the flight: at most real time after a long silence of the board's commander
-    (``supervisor_t``).
+    """Return the flight's pace relative to real time; it is at most 1 after a long silence of the board's commander.
 
     Heartbeats follow the wall clock (one a second), but the timeout COM_DL_LOSS_T follows the clock of the flight. At
     ten times real time a heartbeat would arrive every 10 s of flight, and the board would hold because of a lost link.

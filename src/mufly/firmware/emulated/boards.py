@@ -229,7 +229,9 @@ class EmulatedBoard:
         self._run_half_period(request, self._twin.compute_control, self._conclude_period)
 
     def _conclude_period(self) -> None:
-        """Take the time of the period; give the twin the bytes that the emulated UARTs have received and sent."""
+        """Record the duration of the period; run the link of the comparison board (twin) with the bytes of the emulated
+        UARTs.
+        """
         assert self._process is not None
         self._read_output_into(self._process, self._ticks.view(np.uint8))
         spent = int(self._ticks[0]) * self._instructions_per_tick

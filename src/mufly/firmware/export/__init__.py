@@ -1,1 +1,1 @@
-"""Export of flight software as C: sources, and the tables that a vehicle and a mission give."""
+"""Export of the flight software as C: the sources, and tables with the numbers of a vehicle and a mission."""

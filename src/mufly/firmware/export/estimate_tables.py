@@ -60,7 +60,9 @@ def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz
 
 
 def filter_buffer_sizes(s: np.void) -> tuple[int, int]:
-    """Return the numbers of input blocks and queued measurements between the latest horizon and the present."""
+    """Return the numbers of input blocks and of queued measurements that the filter's buffers must hold at its longest
+    lag.
+    """
     blocks = int(s["horizon_delay_ticks"]) // int(s["block_ticks"]) + MAX_LAG_BLOCKS + 4
     span = (int(s["horizon_delay_ticks"]) + (MAX_LAG_BLOCKS + 1) * int(s["block_ticks"])) * float(s["dt"])
     waiting = sum(

@@ -104,7 +104,7 @@ def find_sources(tree: Path, patterns: Iterable[str] = SOFTWARE_SOURCES) -> list
 
 
 def copy_sources(out: Path) -> None:
-    """Copy the sources into a folder, without tables, fixed-point code and learned policy."""
+    """Copy the C sources into a folder, except the tables, the fixed-point code and the learned policy."""
     with resources.as_file(SOURCE_FOLDER) as sources:
         shutil.copytree(sources, out, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*fixed*", "policy"))
     for name, text in render_estimator_files(None, None, 0.0).items():

@@ -177,7 +177,7 @@ class FixedPointController:
     proof: OverflowProof
 
     def to_state_space(self, of: DiscreteController) -> control.StateSpace:
-        """Return the rounded controller in the form of the exact controller's ``to_state_space()``."""
+        """Return the controller with its rounded coefficients as a system, labelled as the exact controller ``of``."""
         n = len(self.state_fraction_bits)
         A = self.update_rows.quantised_values[:, :n] + (np.eye(n) if self.is_delta_form else 0.0)
         m = self.output_rows.coefficients.shape[1] - n
@@ -188,7 +188,7 @@ class FixedPointController:
 
 
 def _quantise_rows(W: Array, bits_in: Array, bits_out: Array, most: Array) -> CoefficientRows:
-    """Return 16-bit coefficients for ``W``, whose inputs are at most ``most`` times 2^-bits_in."""
+    """Return 16-bit coefficients of a matrix ``W`` for inputs of magnitude up to ``most`` times 2^-bits_in."""
     rows, columns = W.shape
     c, up, own = (np.zeros((rows, columns), dtype=np.int64) for _ in range(3))
     down = np.zeros(rows, dtype=np.int64)
@@ -322,7 +322,7 @@ def _balance_coordinates(
 
 
 def _prove_no_overflow(made: FixedPointController, errors: Array, most: Array, engaged: Array) -> OverflowProof:
-    """Return the bounds for rounded coefficients, including the rounding of signals."""
+    """Return bounds of all states and sums of a controller with rounded coefficients and rounded signals."""
     n, m = len(made.state_fraction_bits), len(errors)
     lsb = 2.0 ** -np.array(made.state_fraction_bits, dtype=float)
     A = made.update_rows.quantised_values[:, :n] + (np.eye(n) if made.is_delta_form else 0.0)

@@ -1,4 +1,4 @@
-"""Tables of the fixed-point control law, and controllers that the exported code (``fixed_point_law.c``) computes.
+"""Tables of the fixed-point control law, and Python controllers that call its exported C code (``fixed_point_law.c``).
 
 :mod:`mufly.firmware.fixed_point.fixed_point_design` defines coefficients, rows and bounds; :mod:`mufly.control.law`
 defines the law. Its reference in Python, equal bit for bit, is ``tests/firmware/fixed_law_reference.py``.

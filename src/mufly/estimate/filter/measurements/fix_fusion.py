@@ -238,7 +238,10 @@ def _is_only_height_rejected(m: FilterMemory) -> bool:
 
 @cached_njit(error_model="numpy")
 def _mark_height_fault(m: FilterMemory) -> None:
-    """Mark a fix as faulty instead of rejected if only its height is rejected: it does not contradict the attitude."""
+    """Change the status of a fix from rejected to faulty if only its height is rejected.
+
+    A fix of wrong height does not contradict the attitude.
+    """
     if m.status[READING_POSITION_FIX] == STATUS_REJECTED and _is_only_height_rejected(m):
         m.status[READING_POSITION_FIX] = STATUS_FAULTY
 
@@ -334,7 +337,10 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
 
 @cached_njit(error_model="numpy")
 def predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
-    """Predict the biases of the fix to the time of the horizon, N and E over equal intervals."""
+    """Predict the biases of the position fix to the time of the horizon.
+
+    N and E have equal intervals.
+    """
     for k in range(ERROR_FIX_BIAS, ERROR_FIX_HEADING + 1):
         keep, by = 1.0, s.decay[k]
         blocks = (m.horizon_tick - m.fix_bias_tick) // s.block_ticks

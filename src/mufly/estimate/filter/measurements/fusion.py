@@ -302,7 +302,10 @@ def reset_terrain(m: FilterMemory) -> None:
 
 @cached_njit(error_model="numpy")
 def fuse_liftoff_thrust(m: FilterMemory, lift: float) -> None:
-    """Fuse the thrust scale at lift-off, where thrust equals weight; ``lift`` is the model's thrust over the weight."""
+    """Fuse the thrust scale at lift-off, where thrust equals weight.
+
+    ``lift`` is the thrust of the model divided by the weight.
+    """
     scale = LIFTOFF_THRUST_RATIO / lift
     spread = LIFTOFF_THRUST_SIGMA * scale
     fuse_error_state(m, ERROR_THRUST_SCALE, scale - m.x[NOMINAL_THRUST_SCALE], spread * spread)

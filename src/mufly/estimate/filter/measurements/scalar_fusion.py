@@ -60,8 +60,9 @@ def h_row_add(m: FilterMemory, i: int, h: float) -> None:
 
 @cached_njit(error_model="numpy")
 def _add_propagated_error(x: _Array, by: _Array, span: float, push: _Array) -> None:
-    """Add an error to a state that lies ``span`` (s) after the horizon, during which the velocity changed by ``push``
-    (3,) without gravity.
+    """Add a correction ``by`` of the error state to a state that lies ``span`` (s) after the horizon.
+
+    ``push`` (3,) is the change of velocity during ``span`` without gravity.
     """
     v_x = by[ERROR_VELOCITY] + (
         by[ERROR_ATTITUDE + 1] * push[2] - by[ERROR_ATTITUDE + 2] * push[1] if span > 0.0 else 0.0
@@ -85,7 +86,9 @@ def _add_propagated_error(x: _Array, by: _Array, span: float, push: _Array) -> N
 
 @cached_njit(error_model="numpy")
 def apply_correction(m: FilterMemory, innovation: float, r: float) -> None:
-    """Fuse a scalar with a known ``m.u_transposed_h``; correct the horizon's state and those propagated from it."""
+    """Fuse a scalar whose U^T h is in ``m.u_transposed_h``; correct the horizon's state and the states propagated from
+    it.
+    """
     ud_measurement_update(m.u_transposed, m.ud_diagonal, m.u_transposed_h, r, m.gain)
     for i in range(ERROR_STATE_COUNT):
         m.gain[i] *= innovation
