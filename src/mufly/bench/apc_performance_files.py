@@ -116,7 +116,7 @@ def read_apc_performance(path: str | Path) -> ApcPerformance | None:
 
 
 def _convert_row(names: list[str], units: list[str], values: list[float], speed: float) -> dict[str, float]:
-    """Return one line in SI units; of a quantity in several units the last, which is SI, is used."""
+    """Return one row in SI units; a quantity with columns in several units takes the last one, which is in SI units."""
     row = {"speed": speed}
     own = {"j": "advance_ratio", "ct": "thrust_coefficient", "cp": "power_coefficient"}
     known = {"v": "airspeed", "thrust": "thrust", "torque": "torque", "pwr": "power"}

@@ -290,7 +290,7 @@ def fit_zero_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> Z
 
 @result(eq=False)
 class BenchLoads:
-    """Loads (thrust, torque) of the lines of a bench file with turning rotors, with covariance.
+    """Loads (thrust, torque) measured while the rotors turn, with their covariance.
 
     Attributes
     ----------
@@ -325,7 +325,7 @@ def compute_loads(
     radius_m: float | None = None,
     density_kg_m3: float | None = None,
 ) -> BenchLoads:
-    """Return the loads of a bench file, with uncertainty, at its lines with turning rotors and without axial flow.
+    """Return the loads with uncertainty, from the rows of a bench file in which rotors turn without axial flow.
 
     Parameters
     ----------

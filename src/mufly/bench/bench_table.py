@@ -41,7 +41,7 @@ class TruncatedFileWarning(UserWarning):
 
 @result(eq=False)
 class BenchTable:
-    """Readings of a bench.
+    """Readings from a bench file, one array of SI values per quantity.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class BenchTable:
         return self.reorder_lines(np.flatnonzero(keep))
 
     def reorder_lines(self, index: NDArray[np.intp]) -> BenchTable:
-        """Return the lines with these positions, in their order."""
+        """Return a table of the lines ``index`` of this table, in the order of ``index``."""
         return replace(self, columns={k: v[index] for k, v in self.columns.items()}, line=self.line[index])
 
 
@@ -200,7 +200,7 @@ def _read_maker_table(path: str | Path) -> BenchTable | None:
 
 
 def _find_mapped_column(table: TextTable, line: ColumnLine) -> int | None:
-    """Return the position of a map line's column, found by its header with or without the unit."""
+    """Return the index of the table column that a line of a column map names (unit optional); None if there is none."""
     if line.topic and line.topic != Path(table.where).name:
         return None
     bare = [match[1] if (match := _BRACKETED_UNIT_PATTERN.match(h)) else h for h in table.header]
@@ -208,7 +208,7 @@ def _find_mapped_column(table: TextTable, line: ColumnLine) -> int | None:
 
 
 def _mapped_header(header: str, line: ColumnLine) -> str:
-    """Return the standard header for a line of a map, with the unit of the line, else the unit of the file's header.
+    """Return the standard header of the quantity that a line of a column map names, with the line's unit or the file's.
 
     Raises
     ------
@@ -324,7 +324,11 @@ def _choose_reading(name: str, readings: list[_ColumnReading]) -> tuple[_ColumnR
 
 
 def _resolve_pole_pairs(a: _ColumnReading, b: _ColumnReading) -> tuple[_ColumnReading | None, str]:
-    """Return the shaft speed of two speeds at an integer ratio, or the optical speed of two that differ otherwise."""
+    """Return which of two disagreeing speed columns to use (None if neither), with the reason.
+
+    The slower one is used if their ratio is an integer: the other counts electrical revolutions. Otherwise a speed from
+    an optical sensor is used.
+    """
     both = a.is_nonzero & b.is_nonzero
     if both.sum() < 2:
         return None, ""
@@ -535,7 +539,7 @@ def _mismatched_unit(header: str) -> tuple[str, str] | None:
 
 
 def _split_column_name(name: str) -> tuple[str, str]:
-    """Return a name without rotor and ``raw``, and a format string of the full name with them."""
+    """Return the quantity's name in a column name, and a format string that adds the rotor and ``_raw`` to it again."""
     words = [w for w in re.split(r"[_\s]+", name) if w]
     sides = {word: side for side, known in _SIDE_WORDS.items() for word in known.split()}
     side = next((sides[w] for w in words if w in sides), "")

@@ -135,14 +135,14 @@ def estimate_covariance(
 
 
 def _group_rows(first: Integers, second: Integers) -> list[Integers]:
-    """Return, for every occurring pair of numbers, the indices of its rows in order."""
+    """Group the rows with equal ``first`` and equal ``second``; return the row indices of each group, ascending."""
     label = np.unique(np.column_stack([first, second]), axis=0, return_inverse=True)[1].ravel()
     order = np.argsort(label, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 
 
 def _restricted_likelihood(pattern: str, rho: float, parts: list[Integers], jacobian: Array, residual: Array) -> float:
-    """Return twice the restricted log likelihood of a pattern, up to a constant.
+    """Return twice the restricted log-likelihood of the correlation pattern "drift" or "repeats", up to a constant.
 
     Each part is whitened: a drift by differences ``(x_k - rho x_(k-1)) / sqrt(1 - rho^2)``, repeats by scaling their
     mean by ``1 / sqrt(1 + (m - 1) rho)`` and their deviations from the mean by ``1 / sqrt(1 - rho)``.

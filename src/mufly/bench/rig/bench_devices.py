@@ -40,7 +40,7 @@ class DeviceError(MuflyError):
 
 
 class StopError(MuflyError):
-    """Error of a motor that did not acknowledge a stop; the message demands in capitals to cut the power."""
+    """Error of a motor that did not acknowledge a stop command; its message tells the user to cut the power."""
 
 
 class Device(Protocol):
@@ -174,7 +174,7 @@ class BenchRig(Protocol):
         """Return the time of the bench (s)."""
 
     def open(self) -> None:
-        """Initialise every device at rest, also after a failure."""
+        """Connect all devices, or reconnect them after a failure, and initialise them with the motors at rest."""
 
     def mount(self, mounting: BladeMounting) -> None:
         """Record which blades are mounted."""

@@ -64,7 +64,7 @@ def _load_blading(rotor: str) -> Blading:
 
 @lru_cache(maxsize=256)
 def compute_rotor_map(rotor: str, pitch_deg: float) -> tuple[RectBivariateSpline, RectBivariateSpline]:
-    """Return two splines over pitch offset (rad) and log speed: thrust and torque over speed squared, at
+    """Return splines of T / Omega^2 and Q / Omega^2 as functions of pitch offset (rad) and ln(Omega), in the air
     ROTOR_MAP_AIR.
     """
     at = solve_rotor_batch(
@@ -84,7 +84,10 @@ def compute_rotor_map(rotor: str, pitch_deg: float) -> tuple[RectBivariateSpline
 def compute_pair_map(
     upper: str, lower: str, upper_pitch_deg: float, lower_pitch_deg: float, spacing_m: float
 ) -> tuple[RectBivariateSpline, ...]:
-    """Return T_up, Q_up, T_dw, Q_dw over speed squared, over log mean speed and log speed ratio, at ROTOR_MAP_AIR."""
+    """Return splines of T_up, Q_up, T_dw, Q_dw, each divided by its rotor's speed squared, in the air ROTOR_MAP_AIR.
+
+    The splines are functions of ln(mean speed) and ln(lower speed / upper speed).
+    """
     system = RotorSystem.coaxial_pair(_load_blading(upper), _load_blading(lower), spacing_m=spacing_m)
     speeds = np.geomspace(1500.0, 9000.0, 5) * RPM
     pitch = (np.radians(upper_pitch_deg), np.radians(lower_pitch_deg))

@@ -101,7 +101,7 @@ def write_live_page(
 
 
 def _draw_plot(title: str, series: Sequence[tuple[str, list[tuple[float, float]], bool]]) -> dict[str, Any]:
-    """Return points and lines in pixels with the axis limits of their frame; empty without points."""
+    """Return a plot's points and lines in pixels, with the limits of its axes; an empty dictionary without points."""
     every = [p for _, some, _ in series for p in some]
     if not every:
         return {}

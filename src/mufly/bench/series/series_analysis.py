@@ -330,7 +330,7 @@ def _reference_torque(
     speed: dict[str, Array],
     known: RotorMeasurements | None,
 ) -> Array:
-    """Return the reference torque known from another bench, scaled to the air of this bench; NaN elsewhere."""
+    """Return the reference rotor's torque known from another bench, in this bench's air; NaN for other rotors."""
     out = np.full(len(points), np.nan)
     if known is None:
         return out
@@ -466,7 +466,7 @@ class _SettingAverager:
         return self.plan.mounting[self.points.mounting_index[at[0]]].use == "measure"
 
     def average_setting(self, at: list[int], *, mounted: bool) -> SettingResult:
-        """Return the mean over the points ``at`` of one setting."""
+        """Return the mean loads over the points ``at`` of a setting; ``mounted`` omits scatter between mountings."""
         m = self.plan.mounting[self.points.mounting_index[at[0]]]
         mean = {a: float(np.mean(self.axis_speeds[a][at])) for a in ("upper", "lower")}
         rho = float(np.mean(self.air_density_kg_m3[at]))

@@ -33,7 +33,7 @@ MAX_ZERO_JUMP, MAX_BAD_POINT_FRACTION = 0.05, 0.2
 
 
 class SeriesIssue(NamedTuple):
-    """Issue of a series: kind (table above), description, and whether it invalidates the series."""
+    """Issue of a series: kind (see the table of this module), description, and whether it invalidates the series."""
 
     kind: str
     text: str

@@ -148,7 +148,7 @@ class SeriesPlan(ParameterGroup):
         return sum(len(m.speeds_rpm) for m in self.mounting)
 
     def estimate_duration_s(self) -> float:
-        """Estimate the duration of the series (s) without changes of blades."""
+        """Estimate the duration of the series (s), without the time for changing blades."""
         t = self.times
         rest = sum(s.kind == "tare" for s in self.steps) * (t.tare_s + 6 * t.window_s)
         return t.warm_up_s + rest + self.point_count * (t.average_s + 5 * t.window_s)
@@ -165,7 +165,7 @@ class SeriesPlan(ParameterGroup):
 
 @dataclass(frozen=True)
 class PlanStep:
-    """Step of a plan: mounting and step within it (from 0), kind, and speed."""
+    """Step of a plan: index of its mounting, its index within the mounting, kind, and speed."""
 
     mounting_index: int
     step_in_mounting: int

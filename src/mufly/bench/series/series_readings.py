@@ -106,7 +106,7 @@ class SeriesReadings:
 
 
 def readings_of_record(record: SeriesRecord, what: str) -> SeriesReadings:
-    """Return the zeros (``"tare"``) or points (``"point"``) of a record; of repeated points the last is returned."""
+    """Return the zeros (``"tare"``) or points (``"point"``) of a record; a repeated point replaces the earlier one."""
     last: dict[tuple[int, int, float], dict[str, Any]] = {}
     for x in record.readings:
         if x["what"] == what:
@@ -179,7 +179,7 @@ class LoadChannel:
 
 
 def compute_air_density(points: SeriesReadings, facts: BenchFacts) -> tuple[Array, float, str]:
-    """Return air density (n,) in kg/m3, its common relative standard uncertainty, and a description of the source."""
+    """Return air density (n,) in kg/m3, one relative standard uncertainty for all points, and the source in words."""
     t, p, h = (points.channel_means(n) for n in ("temperature", "pressure", "humidity"))
     if np.all(np.isnan(p)) or np.all(np.isnan(t)):
         return np.full(len(points), 1.2), 0.03, "no sensors of the air: density 1.2 kg/m3 +- 3 % assumed"
@@ -284,7 +284,7 @@ def _correct_gain_drift(
     speed: dict[str, Array],
     start: float,
 ) -> LoadChannel:
-    """Correct the gain drift that the reference visits show."""
+    """Correct a load for the gain drift that repeated runs of the reference rotor reveal."""
     visits = compute_reference_visits(channel, name, points, plan, facts, density, speed)
     if not visits.size:
         return channel
@@ -313,8 +313,8 @@ def compute_reference_visits(
     density: Array,
     speed: dict[str, Array],
 ) -> Array:
-    """Return, for every run v of the reference rotor, time, ln(load / mean load), its standard uncertainty and
-    mounting, (v, 4).
+    """Return one row for every run of the reference rotor: time, ln(load / mean load), the standard uncertainty of this
+    logarithm, and the index of the mounting.
     """
     load = np.full(len(points), np.nan)
     for i, k in enumerate(points.mounting_index):

@@ -72,7 +72,7 @@ class SeriesRecord:
 
     @property
     def completed_steps(self) -> set[tuple[int, int]]:
-        """Completed steps of the plan, as pairs of the numbers of mounting and step."""
+        """Completed steps of the plan, as pairs of mounting index and step index."""
         return {(x["mounting"], x["step"]) for x in self.lines if x["kind"] in ("reading", "warmed") and x["step"] >= 0}
 
 
