@@ -94,7 +94,7 @@ class CascadeGains:
 
 @result
 class AxisMargins:
-    """Predicted loop of one axis, broken at its actuator.
+    """Predicted margins and responses of one axis, with the loop opened at the actuator.
 
     Attributes
     ----------
@@ -152,8 +152,8 @@ class AutopilotGains:
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    """Plant of one axis: state matrix, input column, rows of position, velocity, angle, rate; column of the wind,
-    for the height of an acceleration.
+    """Plant of one axis: state matrix, input column, output rows (position, velocity, angle, rate), and the
+    disturbance column: wind or, for the vertical axis, an acceleration.
 
     ``delay_s`` and ``filters`` (natural frequencies of second-order low passes, rad/s) act on the frequency response
     alone; the test of stability approximates them. ``angle_delay_s`` is a further delay of the loop of the angle.
@@ -267,7 +267,7 @@ def _plant_response(axis: _Axis, w: _Array, column: _Array) -> _Complex:
 
 
 def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Complex, _Complex]:
-    """Return the response of the actuator to minus the four outputs (n, 4), and to the reference (n,)."""
+    """Return the actuator's frequency responses to the four outputs, negated (n, 4), and to the reference (n,)."""
     s = 1j * w
     delay = np.exp(-s * axis.delay_s)
     gyro = np.ones_like(s)
@@ -349,7 +349,7 @@ def _closed_loop(axis: _Axis, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
 
 
 def _damping_excess(axis: _Axis, k: CascadeGains) -> float:
-    """Return by how much the slowest mode misses stability (1/s); 0 for a stable loop."""
+    """Return how far the slowest mode lies beyond the stability limit (1/s); 0 for a stable loop."""
     A, _, _ = _closed_loop(axis, k)
     return max(0.0, float(np.max(np.linalg.eigvals(A).real)) - _MAX_STABLE_REAL_PART)
 
@@ -358,7 +358,7 @@ def _damping_excess(axis: _Axis, k: CascadeGains) -> float:
 
 
 def _search_gains(cost: Callable[[_Array], float], starts: Sequence[Sequence[float]]) -> _Array:
-    """Return the gains of least cost; they are searched as logarithms, from each start."""
+    """Return the gains of least cost, found by a Nelder-Mead search of their logarithms from each start."""
     best: tuple[float, _Array] | None = None
     options: Any = {"maxfev": _MAX_COST_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-4}
     for start in starts:
@@ -383,7 +383,7 @@ def _outer_sensitivity(plant: _Complex, feedback: _Complex) -> _Complex:
 
 
 def _loop_cost(axis: _Axis, k: CascadeGains, plant: _Complex, disturbance: _Complex, output: int, peak: float) -> float:
-    """Return the logarithm of the integral of the squared error after a step, with penalties."""
+    """Return the logarithm of the integrated squared error after a step disturbance, with penalties for limits."""
     excess = _damping_excess(axis, k)
     feedback, reference = _controller_response(axis, k, _FREQUENCY_GRID)
     loop = np.sum(feedback * plant, axis=1)
@@ -406,7 +406,7 @@ _MAX_ANGLE_RESPONSE_PEAK = 1.3
 
 
 def _without_velocity(axis: _Axis) -> _Axis:
-    """Return the fast part of an axis: the velocity, which the position loop stabilises, stays zero."""
+    """Return the axis without its velocity state, for the inner loops; the position loop stabilises the velocity."""
     if axis.name == "yaw":
         return axis
     return replace(

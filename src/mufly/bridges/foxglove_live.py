@@ -45,7 +45,7 @@ def load_foxglove() -> ModuleType:
 
 @dataclass(frozen=True)
 class FoxgloveViewConfig:
-    """Live view for Foxglove.
+    """Settings of the live view for Foxglove: address of its WebSocket server.
 
     Attributes
     ----------

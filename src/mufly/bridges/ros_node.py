@@ -70,7 +70,7 @@ def load_rclpy() -> ModuleType:
 
 @dataclass(frozen=True)
 class RosViewConfig:
-    """Node of ROS 2.
+    """Settings of the live view for ROS 2.
 
     Attributes
     ----------
@@ -261,7 +261,7 @@ class RosPublisher:
 
 
 def load_message_class(message_type: str) -> Any:
-    """Return the class of a message type, ``nav_msgs/msg/Odometry``; ImportError where its package is missing."""
+    """Return the class of a message type such as ``nav_msgs/msg/Odometry``; ImportError if its package is missing."""
     package, _, name = message_type.partition("/msg/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
 

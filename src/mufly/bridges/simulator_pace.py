@@ -1,4 +1,4 @@
-"""Loop, pace and state of a simulation that an autopilot steps: real time, faster, or as slow as the machine is."""
+"""Loop of a simulation that an autopilot steps, its pace relative to real time, and reports of its state."""
 
 from __future__ import annotations
 
@@ -89,12 +89,12 @@ class SimulatorPace:
         self._report_s, self._report_time_s = clock(), vehicle.time_s
 
     def restart(self) -> None:
-        """Begin a new count of periods, after a wait."""
+        """Restart the timing of periods from the present time, after the simulation has waited."""
         period_s = self._vehicle.period_s
         self._pacer = RealTimePacer(self._clock(), period_s / (self.speed or 1.0))
 
     def time_to_next_period_s(self, *, in_real_time: bool = False) -> float:
-        """Return the time until the next period (s): at most 0 if the period is due, and 0 if no speed is requested."""
+        """Return the wall-clock time until the next period (s): 0 or less if it is due, or 0 if speed is unlimited."""
         if self.speed == 0.0 and not in_real_time:
             return 0.0
         return self._pacer.sleep_time_s(self._clock())
@@ -170,7 +170,7 @@ class AutopilotSimulator(ABC):
 
     @abstractmethod
     def _advance(self, stop: Callable[[], bool]) -> None:
-        """Receive and simulate for a period, or wait for a moment."""
+        """Receive messages and simulate one period; return after a short wait if the autopilot is not ready."""
 
     def _close(self) -> None:
         self.port.close()

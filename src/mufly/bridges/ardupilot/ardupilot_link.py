@@ -77,7 +77,7 @@ class ServoPacket:
 
     @property
     def is_started(self) -> bool:
-        """Whether ArduPilot commands its outputs; during its start they are zero."""
+        """Whether ArduPilot commands the outputs; they are zero while ArduPilot starts."""
         return bool(np.all(self.pulse_us[: LOWER_OUTPUT + 1] > 0.0))
 
 
@@ -93,7 +93,7 @@ def read_servo_packet(data: bytes) -> ServoPacket | None:
 
 
 def encode_state(vehicle: AutopilotPlant, start_s: float) -> bytes:
-    """Return the answer to ArduPilot at the present time; ``start_s`` is the time of its start (s)."""
+    """Return the vehicle's state as a packet for ArduPilot; ``start_s`` is the time at which ArduPilot started (s)."""
     truth, readings = vehicle.truth, vehicle.readings
 
     def round_numbers(values: Any) -> list[float]:
@@ -225,7 +225,7 @@ class ArduPilotSimulator(AutopilotSimulator):
 
 
 def describe_wrong_channels(packet: ServoPacket) -> str:
-    """Return why outputs are not those of a CoaxCopter; "" if they can be."""
+    """Return why the outputs cannot be those of ArduPilot's frame CoaxCopter; an empty text if they can be."""
     if not packet.is_started:
         return ""
     pairs = ((ROLL_OUTPUT, ROLL_MIRROR_OUTPUT), (PITCH_OUTPUT, PITCH_MIRROR_OUTPUT))

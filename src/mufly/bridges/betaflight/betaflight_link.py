@@ -1,4 +1,4 @@
-"""Simulator of Betaflight: its software in the loop ("SITL") over UDP, with a pilot of ours.
+"""Simulator for Betaflight's software in the loop ("SITL") over UDP, with mufly's own simulated pilot.
 
 Betaflight answers each state of the vehicle with at most one packet of outputs. The simulation waits for it, so both
 run in lockstep; a lost packet is sent again. A state that comes while Betaflight starts can crash it. So states are
@@ -188,7 +188,7 @@ class BetaflightSimulator(AutopilotSimulator):
         self.on_period()
 
     def _send_state(self) -> None:
-        """Send the state, and at the pilot's rate the channels."""
+        """Send the vehicle's state and, at the pilot's lower rate, the channels of the transmitter."""
         vehicle = self.vehicle
         if self.pilot is not None and self.step_count % _PILOT_PERIODS == 0:
             if self.state == "running":
@@ -223,7 +223,7 @@ class BetaflightSimulator(AutopilotSimulator):
             self.pace.restart()
 
     def _is_ready(self) -> bool:
-        """Return whether Betaflight's serial port has been open for :data:`PORT_OPEN_TIME_S`; it is called often."""
+        """Probe Betaflight's serial port; return whether it has been open for :data:`PORT_OPEN_TIME_S`."""
         now_s = self._clock()
         if not now_s - self._probed_s < _PORT_PROBE_PERIOD_S:
             self._probed_s = now_s
@@ -238,7 +238,7 @@ class BetaflightSimulator(AutopilotSimulator):
         return now_s - self._open_s >= PORT_OPEN_TIME_S
 
     def _check_start(self) -> None:
-        """Report a failed start of Betaflight, of which the clock does not advance from the beginning."""
+        """Warn if Betaflight has opened its port but answers no state, because its clock has not started to advance."""
         if self._clock() - self._open_s > START_TIMEOUT_S:
             self.vehicle.warn_once(
                 "start", f"Betaflight's port is open, but it answers no state for {START_TIMEOUT_S:g} s; start it again"
@@ -276,7 +276,7 @@ class BetaflightSimulator(AutopilotSimulator):
     # Arming
 
     def _watch_arming(self, is_armed: bool) -> None:
-        """Ask Betaflight for its reasons when it does not arm."""
+        """Request and log Betaflight's reasons if it refuses to arm."""
         if self.pilot is None or is_armed or not self.pilot.wants_arming:
             self._refused_s = 0.0
             self._close_msp()
@@ -305,7 +305,7 @@ class BetaflightSimulator(AutopilotSimulator):
 
 
 def describe_wrong_outputs(outputs: BetaflightOutputs) -> str:
-    """Return why outputs are not those of the mixer DUALCOPTER; "" if they can be."""
+    """Return why the outputs cannot be those of the mixer DUALCOPTER; an empty text if they can be."""
     remedy = "load the file of `mufly autopilot gains betaflight`"
     if outputs.motor_count != 2:
         return f"Betaflight drives {outputs.motor_count} motors, so its mixer is not DUALCOPTER; {remedy}"

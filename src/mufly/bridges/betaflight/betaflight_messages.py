@@ -124,7 +124,7 @@ def encode_status_request() -> bytes:
 
 
 def read_arming_obstacles(data: bytes) -> list[str] | None:
-    """Return the reasons not to arm in an MSP answer; None while no whole status is in ``data``."""
+    """Return the reasons against arming from an MSP answer; None until ``data`` contains a complete status message."""
     at = data.find(_MSP_ANSWER)
     while at >= 0:
         head = data[at + _MSP_BODY_OFFSET : at + _MSP_PAYLOAD_OFFSET]

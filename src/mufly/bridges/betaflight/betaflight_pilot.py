@@ -1,4 +1,4 @@
-"""Pilot of Betaflight, which holds no position itself: position and height to the sticks of a transmitter.
+"""Simulated pilot who holds position and height by the sticks of a transmitter, because Betaflight does not.
 
 The outer loops of :mod:`mufly.bridges.autopilot_gains`, with x, v the true position and velocity (an ideal motion
 capture; faults of the vehicle's position fix have no effect here)::
@@ -85,7 +85,7 @@ class PilotPlan:
 
     @property
     def take_off_s(self) -> float:
-        """Duration of the take-off (s); its largest speed is twice its mean speed."""
+        """Duration of the take-off (s); the climb velocity peaks at ``climb_m_s``, twice its mean."""
         return 2.0 * self.height_m / self.climb_m_s
 
 
@@ -148,7 +148,7 @@ class BetaflightPilot:
 
     @property
     def wants_arming(self) -> bool:
-        """Whether the switch ARM is on, or about to be."""
+        """Whether the pilot has set the switch ARM or is about to set it."""
         return self.phase not in ("ready", "landed")
 
     def command_channels(self, truth: Truth, readings: Readings, is_armed: bool) -> _Array:
@@ -205,7 +205,7 @@ class BetaflightPilot:
             self._enter_phase("landed")
 
     def _set_phase_reference(self) -> None:
-        """Set the reference of the phase, with its velocity."""
+        """Set the reference position and velocity for the present phase of the flight."""
         plan, place, speed = self.plan, self._start.copy(), np.zeros(3)
         if self.phase == "take-off":
             share, rate = _smooth_path_fraction(self.phase_s, plan.take_off_s)
@@ -268,6 +268,6 @@ def find_square_point(plan: PilotPlan, time_s: float) -> tuple[_Array, _Array]:
 
 
 def _smooth_path_fraction(time_s: float, length_s: float) -> tuple[float, float]:
-    """Return the share (0..1) of a way from rest to rest, and its rate (1/s)."""
+    """Return the fraction (0..1) of a path flown smoothly from rest to rest, and the fraction's rate (1/s)."""
     turn = 2.0 * math.pi * min(time_s / length_s, 1.0)
     return (turn - math.sin(turn)) / (2.0 * math.pi), (1.0 - math.cos(turn)) / length_s

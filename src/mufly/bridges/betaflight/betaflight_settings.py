@@ -67,7 +67,7 @@ class RateIntegers(NamedTuple):
 
 
 def design_betaflight_gains(vehicle: Vehicle) -> AutopilotGains:
-    """Design the gains of Betaflight's angle mode and of its pilot, as :func:`design_autopilot_gains` does for PX4.
+    """Design the gains of Betaflight's angle mode and of mufly's simulated pilot, by :func:`design_autopilot_gains`.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def design_betaflight_gains(vehicle: Vehicle) -> AutopilotGains:
 
 
 def convert_rate_gains(axis: str, gains: CascadeGains) -> RateIntegers:
-    """Return Betaflight's integers of the gains of a rate.
+    """Convert the gains of one body-rate controller to Betaflight's integers.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def _list_limit_settings() -> Iterator[BetaflightLine]:
 
 
 def format_cli_file(vehicle: Vehicle, gains: AutopilotGains, command: str = "") -> str:
-    """Return the CLI file, with one line a setting; it resets all others.
+    """Return the text of the CLI file, with one setting per line; the file first resets all settings to their defaults.
 
     Parameters
     ----------

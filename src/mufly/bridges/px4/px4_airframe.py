@@ -40,7 +40,7 @@ class Px4Parameter(NamedTuple):
 
 
 def airframe_file_name(vehicle: Vehicle) -> str:
-    """Return the name of the airframe file: PX4 reads number and model from it."""
+    """Return the name of the airframe file, from which PX4 reads the number and the model of the airframe."""
     word = "".join(c if c.isalnum() else "_" for c in vehicle.name)
     return f"{AIRFRAME_NUMBER}_{word}"
 

@@ -194,7 +194,7 @@ class SensorMessages:
 
 
 def _fix_covariance(vehicle: Vehicle) -> list[float]:
-    """Return the covariance of the fixes for the message: noise and drift of the vehicle's sensor, uncorrelated."""
+    """Return the covariance of the position fix for its message: the sensor's noise and drift, without correlation."""
     out = [0.0] * 21
     fix = None if vehicle.sensors is None else vehicle.sensors.position_fix
     if fix is None:
