@@ -170,7 +170,7 @@ def _flatten_yaml(text: str) -> Iterator[tuple[str, Any]]:
 def _parse_calibration(
     values: dict[str, Any], where: str
 ) -> tuple[str, tuple[int, int], list[float], list[float], float]:
-    """Return the program's name, size, focal lengths and centre, distortion, pictures a second (0: unknown)."""
+    """Return source program, picture size, focal lengths and centre, distortion, and picture rate (Hz; 0: unknown)."""
     cameras = sorted({k.partition(".")[0] for k in values if re.match(r"cam\d+\.", k)})
     first = f"{cameras[0]}." if cameras else ""
     v = {k.removeprefix(first).removesuffix(".data").lower(): x for k, x in values.items() if k.startswith(first)}
@@ -215,7 +215,7 @@ def _parse_calibration(
 
 
 def _find_numbers(values: Mapping[str, Any], names: tuple[str, ...]) -> list[float]:
-    """Return the numbers under the first of these names that has a list."""
+    """Return the numbers of the first of ``names`` whose value is a list; an empty list if there is none."""
     return next(([_parse_float(x) for x in values[n]] for n in names if isinstance(values.get(n), list)), [])
 
 

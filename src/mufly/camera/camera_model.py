@@ -122,7 +122,7 @@ class ImageQuality(ParameterGroup):
 
 
 class RadioLink(ParameterGroup):
-    """Radio link for the picture (down) and the result (up)."""
+    """Radio link that carries pictures down to the ground station and position fixes up to the vehicle."""
 
     latency: Quantity = declare_parameter("s", "L_r", "both ways, without processing time", at_least=0, at_most=10)
     jitter: Quantity = declare_parameter("s", "j_r", "of it, one sigma", at_least=0, at_most=10)

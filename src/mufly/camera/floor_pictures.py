@@ -150,7 +150,7 @@ def find_floor(text: str, width_m: float | None = None) -> FloorSource:
 
 
 def _read_floor_width(picture: Path) -> float:
-    """Return the width of a picture (m) in the table beside it, or the default."""
+    """Return the width of a picture (m) from the floor table in its folder, or the default width."""
     table = picture.with_name(FLOOR_TABLE_NAME)
     if not table.is_file():
         return DEFAULT_FLOOR_WIDTH_M

@@ -60,7 +60,7 @@ class Floor:
 
     @property
     def packed_levels(self) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-        """All levels in one array, and for each its start and its sides as powers of two."""
+        """All mip levels in one array, and each level's first index and the base-2 logarithms of its side lengths."""
         starts = np.cumsum([0, *(level.size for level in self.mip_levels)])
         table = np.array(
             [

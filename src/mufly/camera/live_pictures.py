@@ -280,7 +280,7 @@ class LivePictures:
             self.close()
 
     def _read_next(self) -> tuple[_Picture | None, float | None, float] | None:
-        """Return the next picture (None: damaged), its stamp and its arrival time (s)."""
+        """Return the next picture (None if it is damaged), its stamp and its arrival time (s); None at the end."""
         try:
             found = self._source.read()
         except DamagedPicture as error:

@@ -137,7 +137,7 @@ class StreamServer:
             return None if self._latest is None else self._latest[0]
 
     def iterate_pictures(self) -> Iterator[tuple[bytes, float]]:
-        """Yield pictures as they come, the latest at once; yield none if there are too many clients."""
+        """Yield the latest picture at once and then every new one; yield nothing if there are too many clients."""
         queue: deque[tuple[bytes, float]] = deque(maxlen=MAX_QUEUED_PICTURES)
         with self._change:
             if len(self._queues) >= MAX_STREAM_CLIENTS:
@@ -189,7 +189,7 @@ class _PictureRequestHandler(BaseHTTPRequestHandler):
             self._send_content(404, "text/plain", b"there are /stream and /picture.jpg")
 
     def _is_request_allowed(self) -> bool:
-        """Return whether to serve the request: not from a foreign web page, and not by a rebound host name (DNS)."""
+        """Return whether to serve the request; requests embedded in other web pages and DNS rebinding are refused."""
         headers = self.headers
         try:
             name = urlsplit(f"//{headers.get('Host', '')}").hostname or ""

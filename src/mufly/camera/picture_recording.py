@@ -194,8 +194,7 @@ def _find_image_messages(messages: Mapping[str, list[tuple[int, bytes]]]) -> lis
 
 
 def find_camera(place: Path, given: str | None = None) -> Camera:
-    """Return the camera that took pictures: ``given`` by name or file, else the one stored in their folder or
-    recording.
+    """Return the camera that took pictures: the one named by ``given`` (name or file), else the one stored with them.
 
     Raises
     ------

@@ -224,7 +224,7 @@ class Renderer:
         self._split_amplification(mean / light if light > 0.0 else 0.0, light)
 
     def _split_amplification(self, bright_mean: float, light: float) -> None:
-        """Divide the amplification into exposure and gain; ``bright_mean`` is the mean grey level at light 1."""
+        """Split the amplification of brightness into exposure and gain; ``bright_mean`` is the mean grey at light 1."""
         usual = min(_MAX_AMPLIFICATION, max(1.0 / _MAX_AMPLIFICATION, _TARGET_GREY / max(bright_mean, 1e-3)))
         more = max(1.0, self._gain / usual) if light < 1.0 else 1.0
         exposure = float(self.camera.shutter.exposure)
@@ -335,7 +335,7 @@ _FAST_MATH_OPTIONS: Any = {
 
 @cached_njit(**_FAST_MATH_OPTIONS)
 def _sample_texture(texture: NDArray[np.uint8], start: int, rows: int, columns: int, u: float, v: float) -> float:
-    """Return the bilinearly interpolated grey level of a mip level at u, v (pixels from the middle of the first)."""
+    """Return the grey level of a mip level at u, v (pixels from the centre of its first pixel), bilinear."""
     i, j = math.floor(u), math.floor(v)
     a, b = u - i, v - j
     i, j = int(i), int(j)
