@@ -38,7 +38,7 @@ _MAX_CANT_RAD = math.radians(70.0)
 
 @dataclass(frozen=True)
 class BladeTip:
-    """Shape of a blade tip; lengths in chords of the rotor file's tip.
+    """Shape of a blade tip; lengths are in tip chords of the rotor file.
 
     Attributes
     ----------
@@ -172,8 +172,7 @@ class BladeGeometry:
 def make_blade_geometry(
     tip: str = "square", hub_m: float = 0.0, gurney: float = 0.0, *, hub_joined: bool = True
 ) -> BladeGeometry:
-    """Make the geometry from the name of a tip, the hub radius (m; the hub extends half of it up and down) and a Gurney
-    flap.
+    """Make the geometry from the name of a tip, a hub radius (m) and a Gurney flap; the hub's height equals its radius.
 
     Raises
     ------
@@ -210,7 +209,7 @@ class BladeLine:
 
 
 def compute_blade_line_length(tip: BladeTip, root_m: float, radius_m: float, chord_m: float) -> float:
-    """Return the length (m) of the blade's line from root to end, with the end at the rotor radius."""
+    """Return the length (m) along the blade's sections from root to end, where the end lies at the rotor radius."""
     turn, straight = _winglet_lengths(tip, chord_m)
     b, a = tip.bend * chord_m, abs(tip.cant_rad)
     out = b * math.sin(a) + straight * math.cos(a)
@@ -231,7 +230,9 @@ def _winglet_lengths(tip: BladeTip, chord_m: float) -> tuple[float, float]:
 
 
 def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord_m: float) -> BladeLine:
-    """Compute the blade's line at lengths s (m, from the shaft); beyond the end it bends back parallel to the disc.
+    """Compute the curve on which the blade's sections lie, at lengths s along it (m, from the shaft).
+
+    Beyond the end of the blade the curve bends back until it is parallel to the disc.
 
     Parameters
     ----------
@@ -278,7 +279,7 @@ def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord
 
 
 def cubic_fade(t: Array) -> Array:
-    """Return a cubic that falls from 1 at x = 0 to 0 at x = 1 with zero slope at both ends."""
+    """Return a cubic of t that falls from 1 at t = 0 to 0 at t = 1, with zero slope at both ends."""
     u = np.clip(t, 0.0, 1.0)
     return (1.0 - u) ** 2 * (1.0 + 2.0 * u)
 
@@ -293,7 +294,7 @@ def place_sections(
     half_m: float,
     level_m: float,
 ) -> Array:
-    """Place sections along a blade's line.
+    """Return the points of all sections, placed along the blade's line.
 
     Sections of a winglet are normal to it. Above and below the blade they turn upright over a length below the bend
     radius, so that neighbours do not intersect. With n the height over the blade and h = tanh(n / l) ::

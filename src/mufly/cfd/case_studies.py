@@ -514,7 +514,7 @@ def _make_disc(loads: SpanLoads | CfdSolution, pitch_rad: float, speed_rad_s: fl
 
 
 def _mean_downwash(folder: Path, height_m: float) -> float:
-    """Return the mean downward velocity (m/s) through a horizontal plane within R."""
+    """Return the mean downward velocity (m/s) through a horizontal plane, within the rotor radius."""
     point, mesh = read_point(folder), read_poly_mesh(folder)
     speed = -read_field(folder / str(list_complete_states(folder)[-1]) / "U", mesh.cell_count)[:, 2]
     cells, area = find_disc_cells(mesh, height_m, point.radius_m)

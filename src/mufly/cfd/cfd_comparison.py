@@ -118,8 +118,9 @@ class ClimbComparison:
     map_part: Array
 
     def thrust_slope(self, values: Array, reach_m_s: float) -> float:
-        """Return the change of thrust per 1 m/s of climb over the thrust in hover, from -reach to reach (m/s); nan if
-        unknown."""
+        """Return the change of thrust per 1 m/s of climb, between climbs of -reach and +reach (m/s), divided by the
+        thrust in hover; NaN if unknown.
+        """
         at_zero = np.flatnonzero(self.climb_m_s == 0.0)
         ends = [np.flatnonzero(np.abs(self.climb_m_s - climb) < 1e-9) for climb in (-reach_m_s, reach_m_s)]
         if not (at_zero.size and ends[0].size and ends[1].size):

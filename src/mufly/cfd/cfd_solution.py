@@ -180,7 +180,7 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
 def wake_load_ratios(
     mesh: PolyMesh, point: OperatingPoint, velocity: Array, pressure: Array, thrust_N: float, torque_Nm: float
 ) -> tuple[float, float]:
-    """Return torque and thrust of the air between 1 and 2 R under the disc, within radius 2 R, over those of the rotor.
+    """Return the wake's torque and thrust, from 1 to 2 R below the disc within radius 2 R, divided by the rotor's.
 
     Only the blades exert a torque on the air (friction far away is small), so the flux of angular momentum equals the
     torque. The momentum of the lateral inflow is small, too::
@@ -306,7 +306,7 @@ def _rotation_matrix(angle_rad: float) -> Array:
 
 
 class FlowProbe:
-    """Sampler of velocity and vorticity at arbitrary points, from the nearest cell; velocity uses the gradient."""
+    """Sampler of the flow at any point: the nearest cell's vorticity, and its velocity extrapolated by the gradient."""
 
     def __init__(self, mesh: PolyMesh, flow: FlowField) -> None:
         self._mesh, self._flow, self._tree = mesh, flow, cKDTree(mesh.cell_centres)
@@ -327,7 +327,7 @@ class FlowProbe:
         return both[0], both[1]
 
     def is_inside_solid(self, r_m: Array, azimuth_rad: Array, z_m: Array, walls: Iterable[str]) -> NDArray[np.bool_]:
-        """Return whether points lie in a blade or the hub: behind the nearest wall, which is closer than any cell."""
+        """Return whether points lie in a blade or the hub: behind the nearest wall, which is nearer than any cell."""
         at = self._rotate_into_sector(r_m, azimuth_rad, z_m)[0]
         faces = np.concatenate([np.arange(len(self._mesh.faces))[self._mesh.patch_faces(name)] for name in walls])
         away, nearest = cKDTree(self._mesh.face_centres[faces]).query(at)

@@ -398,7 +398,7 @@ def _far_field_conditions(climb_m_s: float) -> tuple[dict[str, str], dict[str, s
 
 
 def _compute_face_fluxes(mesh: PolyMesh, u: Array, point: OperatingPoint) -> Array:
-    """Compute the face fluxes; for rotating cells relative to their frame.
+    """Compute the volume fluxes through the faces; fluxes of rotating cells are relative to the rotating frame.
 
     Without them the first step of the solver would use the fluxes of the absolute velocity. The Coriolis force would be
     unbalanced and accelerate the outer air to tens of metres per second.

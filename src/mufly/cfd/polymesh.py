@@ -98,7 +98,7 @@ class PolyMesh:
 
     @cached_property
     def face_areas(self) -> Array:
-        """Area vectors of the faces (m^2), out of the owner, (faces, 3)."""
+        """Area vectors of the faces (m^2), pointing out of the owner cell, (faces, 3)."""
         return self._face_and_cell_geometry[1]
 
     @cached_property
@@ -226,13 +226,13 @@ def make_poly_mesh(mesh: SectorMesh) -> PolyMesh:
 
 
 def _is_face_among(faces: Index, wanted: Index, points: int) -> NDArray[np.bool_]:
-    """Return which faces, with sorted points, are among others; faces are compared by their three lowest points."""
+    """Return which of the faces are also in ``wanted``; the first three of a face's sorted points identify it."""
     size = np.array([points**2, points, 1], dtype=np.int64)
     return np.isin(faces[:, :3] @ size, wanted[:, :3] @ size)
 
 
 def _pair_periodic_faces(mesh: SectorMesh, left: Index, right: Index) -> tuple[Index, Index, Index]:
-    """Return matching orders of the faces of the two periodic planes, and the right faces with matching point order."""
+    """Return the indices that pair left and right periodic faces, and the right faces with their points paired, too."""
     if len(left) != len(right):
         raise MuflyError(f"mesh: the periodic planes have {len(left)} and {len(right)} faces")
     turn = 2.0 * math.pi / mesh.blade_count

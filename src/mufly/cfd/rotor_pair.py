@@ -145,7 +145,7 @@ class ActuatorDisc:
         )
 
     def load_difference(self, other: ActuatorDisc) -> float:
-        """Return the greater relative difference of thrust or torque to another disc."""
+        """Return the relative difference from another disc in thrust or in torque, whichever is greater."""
         return max(
             abs(other.thrust_N - self.thrust_N) / abs(self.thrust_N),
             abs(other.torque_Nm - self.torque_Nm) / abs(self.torque_Nm),
@@ -179,7 +179,7 @@ _MIN_DISC_FACE_NORMAL_Z = 0.8
 
 
 def write_actuator_disc(folder: Path, mesh: PolyMesh, point: OperatingPoint, disc: ActuatorDisc) -> None:
-    """Write another rotor's loads into a case as an actuator disc at the height ``other_m``.
+    """Write the other rotor's loads into a case as an actuator disc, at the height ``point.other_m``.
 
     Parameters
     ----------

@@ -105,7 +105,7 @@ def make_geometric_spacing(cells: int, first: float) -> Array:
 
 
 def make_ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
-    """Return the points of the contour at the ring's lines.
+    """Return the points of the aerofoil's contour at which the ring's mesh lines begin.
 
     Returns
     -------
@@ -184,7 +184,7 @@ class SectionLayout:
 
     @cached_property
     def outer_quads(self) -> Index:
-        """Return the quadrilaterals of tensor and ring, (q, 4), anticlockwise in (x, z)."""
+        """Return the quadrilaterals outside the aerofoil (tensor and ring), (q, 4), anticlockwise in (x, z)."""
         c = self.counts
         t = self.tensor_ids
         quads = np.stack((t[:-1, :-1], t[1:, :-1], t[1:, 1:], t[:-1, 1:]), axis=-1)
@@ -197,13 +197,15 @@ class SectionLayout:
 
     @cached_property
     def core_quads(self) -> Index:
-        """Return the quadrilaterals of the core, (n m, 4), anticlockwise."""
+        """Return the quadrilaterals inside the aerofoil's contour (core), (n m, 4), anticlockwise."""
         k = self.core_ids
         return np.stack((k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]), axis=-1).reshape(-1, 4)
 
 
 def interpolate_transfinite(edge: Array, along: int, across: int) -> Array:
-    """Fill a four-sided loop, in the order of :func:`make_ring_contour`, by transfinite interpolation.
+    """Return a grid of points inside a four-sided loop, by transfinite interpolation.
+
+    The points ``edge`` of the loop are in the order of :func:`make_ring_contour`.
 
     Returns
     -------
@@ -349,8 +351,8 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
 
 
 def _compute_outer_lines(k: CellCounts, chord_m: float, high: float, box: SectionBox) -> tuple[Array, Array, Array]:
-    """Compute the lines outside the centre block (half height ``high``) of a typical section: to the sides (0..1),
-    above and below (z, m).
+    """Compute the positions of the mesh lines outside the centre block, whose half height is ``high``: to the sides
+    (0..1), above and below (z, m).
 
     All sections share the lines: lines that follow the local chord would skew distant cells.
     """
@@ -373,7 +375,7 @@ def _rectangle_points(x0: float, x1: float, z0: float, z1: float, n: int, m: int
 
 
 def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: CellCounts) -> Array:
-    """Compute the ring's layers, (ring + 1, 2 (n + m), 2), from the centre block's edge to the contour."""
+    """Return the points of the ring's layers, (ring + 1, 2 (n + m), 2), from the centre block's edge to the contour."""
     before, after = np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0)
     # The loop runs clockwise: its outward normal is the tangent rotated to the left. Corners have the mean normal.
     tangents = [b / np.linalg.norm(b, axis=1, keepdims=True) for b in (loop - before, after - loop)]
@@ -412,7 +414,7 @@ def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: 
 
 
 def _turn_normals_around_flap(normal: Array, loop: Array, shape: SectionShape, counts: CellCounts) -> Array:
-    """Compute the directions of the ring's lines at a contour with a Gurney flap below the lower corner of its tail.
+    """Return the directions in which the ring's mesh lines leave a contour with a Gurney flap.
 
     At that corner the line follows the flap, normal to the chord. Ahead of it the directions change gradually over 0.3
     chords and diverge slightly, because converging lines would cross. Lines of the tail fan out between the flap and
@@ -431,12 +433,12 @@ def _turn_normals_around_flap(normal: Array, loop: Array, shape: SectionShape, c
 
 
 def _stretch_through_value(t: Array, layer: int, value: float) -> Array:
-    """Stretch increasing points on 0..1 so that one of them lies at a value."""
+    """Stretch increasing points on 0..1 so that the point with index ``layer`` lies at ``value``."""
     return np.where(t <= t[layer], t * (value / t[layer]), 1.0 - (1.0 - t) * ((1.0 - value) / (1.0 - t[layer])))
 
 
 def find_ring_layer_at_height(counts: CellCounts, height: float, far: float) -> int:
-    """Return the ring layer, from the wall, nearest to a height (chords) in a ring of a given width (chords)."""
+    """Return the ring's layer, counted from the wall, nearest to a height; ``height`` and width ``far`` in chords."""
     t = make_geometric_spacing(counts.ring, counts.wall / BLOCK_HALF_HEIGHT_CHORDS)[1:-2]
     return 1 + int(np.argmin(np.abs(np.log(t * far / height))))
 

@@ -103,7 +103,7 @@ _CYLINDER_RADIUS_FACTOR = 1.06  # radius of the cylinder around the box over tha
 
 @dataclass(frozen=True)
 class MeshDomain:
-    """Limits of the meshed domain, over the rotor radius.
+    """Limits of the meshed domain, in rotor radii.
 
     Attributes
     ----------
@@ -421,8 +421,9 @@ def _refine_for_geometry(k: CellCounts, form: BladeGeometry) -> CellCounts:
 
 
 def _root_stations(k: CellCounts, root: float, at_root: float, form: BladeGeometry) -> tuple[Array, int]:
-    """Return the radii of the sections from the shaft to the root, and the number of cells between them inside the
-    hub."""
+    """Return the radii of the sections from shaft to root, and the number of cells along them that lie inside the
+    hub.
+    """
     if form.hub is None:
         return root * (1.0 - make_geometric_spacing(k.gap, at_root / root)[::-1]), 0
     edge = _HUB_FLAT_RADIUS_RATIO * form.hub.radius_m
@@ -480,7 +481,7 @@ def _build_sections(
     factor: Array,
     level_block: tuple[float, float] | None,
 ) -> tuple[Array, tuple[int, int]]:
-    """Build the points of every section, (sections, points, 2), and the layers of flap and tip plate.
+    """Return the points of every section, (sections, points, 2), and the ring layers at which flap and tip plate end.
 
     ``level_block`` is half width and half height of the centre block for a pair.
     """

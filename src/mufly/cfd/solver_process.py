@@ -230,7 +230,7 @@ def run_case(
 
 
 def _judge_rotors(folder: Path, point: OperatingPoint) -> tuple[ConvergenceAssessment, int]:
-    """Return the worst verdict of the rotors and the last state."""
+    """Return the verdict of a rotor that has not settled, else of any rotor, and the iteration of the last state."""
     done = (list_complete_states(folder) or [0])[-1]
     return min((judge_case(folder, patch=name) for name in point.patch_speeds_rad_s), key=lambda v: v.settled), done
 
@@ -387,7 +387,7 @@ def read_history(folder: Path, last: int | None = None, *, patch: str = "blade")
 
 
 def _read_function_rows(folder: Path, what: str, file: str, last: int | None = None) -> dict[int, list[float]]:
-    """Read the rows written by a function object, by iteration; each start of the solver has its own file."""
+    """Return the rows that a function object wrote, by iteration; each start of the solver has written its own file."""
     out: dict[int, list[float]] = {}
     places = sorted((folder / "postProcessing" / what).glob("*"), key=lambda p: float(p.name))
     for place in places[-1:] if last else places:
@@ -418,7 +418,7 @@ def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceAssessment:
 
 
 def _point_for_assessment(folder: Path) -> OperatingPoint:
-    """Return the operating point of a case; after a change of the actuator disc a whole window precedes the verdict."""
+    """Return the operating point of a case; a change of the actuator disc postpones the verdict by a whole window."""
     point, disc = read_point(folder), read_actuator_disc(folder)
     return (
         point

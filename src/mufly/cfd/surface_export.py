@@ -225,7 +225,7 @@ def extract_vortex_surface(
 
 
 def _middle_chord(mesh: PolyMesh) -> float:
-    """Return the blade's chord (m) in the middle of its strips: half of the wall's area per span."""
+    """Return the blade's median chord (m) over its strips; a strip's chord is half its wall area per span."""
     faces = mesh.patch_faces("blade")
     strip, width = mesh.cell_strip[mesh.owner[faces]], np.diff(mesh.strip_edges_m)
     area = np.linalg.norm(mesh.face_areas[faces], axis=1)
