@@ -155,7 +155,7 @@ def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResul
 
 
 def write_pair(point: SystemSolution, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
-    """Write stations and pictures of a point; of a wake also its geometry, velocity field and history."""
+    """Write stations and pictures of a point; for a vortex wake also its geometry, velocity field and history."""
     from mufly.rotor import draw_rotor_loads
     from mufly.study import write_stations
 

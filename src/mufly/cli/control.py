@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def parse_design_settings(method: SynthesisMethod, order: int | None, tuned: list[str] | None) -> DesignSettings:
-    """Return the settings of a method and of tuned loops; an order without --method fixed is refused."""
+    """Return the settings of a method and of tuned loops; only the methods fixed and scheduled accept an order."""
     from dataclasses import replace
 
     from mufly.control import DesignSettings

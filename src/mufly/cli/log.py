@@ -125,7 +125,7 @@ def convert_log(
 
 
 def _write_bag(data: xr.Dataset, log: Path, out: Path) -> tuple[str, ...]:
-    """Write a bag of ROS 2, with the vehicle's range sensors and the pictures beside the recording; return topics."""
+    """Write a ROS 2 bag with the vehicle's range sensors and the recorded pictures; return the bag's topics."""
     from mufly.bridges.ros_geometry import recorded_range_limits
     from mufly.camera.picture_recording import read_pictures
     from mufly.logs import RangeLimits, read_attachments, write_rosbag2

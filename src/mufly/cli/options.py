@@ -1,4 +1,4 @@
-"""Options that commands share, the notations of their values, and option names in place of library arguments."""
+"""Options that commands share, the notations of their values, and error messages that name options."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ class OptionRange:
 
 
 def _add_notation(annotation: Any) -> Any:
-    """Return the annotation of an option with the notation of its type, if it has none: choices, counts or numbers."""
+    """Return an option's annotation with a notation that fits its type (choices, counts or numbers), if it has none."""
     if get_origin(annotation) is not Annotated:
         return annotation
     kind, *more = get_args(annotation)
@@ -219,7 +219,7 @@ class NumberNotation:
     allowed_range: OptionRange = OptionRange(None, None)
 
     def __call__(self, text: Any) -> Any:
-        """Return the text as typed: the option's callback, which knows the option's name, reads it."""
+        """Return the text unchanged, because only the option's callback, which parses it, knows the option's name."""
         return text
 
     @property
@@ -229,7 +229,7 @@ class NumberNotation:
         return "|".join([*self.allowed_words, shown])
 
     def read_option(self, where: str, text: str) -> Any:
-        """Return the number of a single value, or the checked text of several numbers."""
+        """Return the number of an option with one value, or the checked text of an option with several values."""
         if text in self.allowed_words:
             return text
         value = NUMBER_FORMS[self.form][0](where, text, self.unit)
@@ -474,7 +474,7 @@ class PolarOptions:
         )  # fmt: skip
 
     def make_study_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
-        """Return the setup that the cases of a study of a rotor, or of a pair (``lower``), share."""
+        """Return the setup shared by all cases of a study of a rotor or, with ``lower`` in ``more``, of a pair."""
         from mufly.rotor import load_rotor
         from mufly.study import StudySetup
 
@@ -535,7 +535,7 @@ class WakeOptions(PolarOptions):
         return WakeSettings(model=self.wake_geometry, **given), stations  # type: ignore[arg-type]
 
     def make_study_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
-        """Return the setup that the cases of a study of a rotor, or of a pair (``lower``), share."""
+        """Return the setup shared by all cases of a study of a rotor or, with ``lower`` in ``more``, of a pair."""
         wake, stations = self.wake_settings()
         return super().make_study_setup(
             rotor, fixed, method=self.method, wake_settings=wake, station_count=stations, **more
@@ -563,7 +563,7 @@ DEFAULT_POLAR_OPTIONS, DEFAULT_WAKE_OPTIONS, DEFAULT_BEMT_OPTIONS, DEFAULT_FREE_
 
 
 class WakeProgress:
-    """Iterations of one or several successive wakes; it is called with each iteration."""
+    """Recorder of the iterations of one or several successive wakes; the solver calls it after each iteration."""
 
     def __init__(self, show: Callable[[str], None] | None = None) -> None:
         self.rows: list[tuple[int, int, float, float]] = []  # wake, iteration, residual, thrust
@@ -655,7 +655,7 @@ def read_optional_with_std(option: str, text: str | None, unit: str) -> tuple[fl
 
 
 def load_start_vehicle(name: str | None, write: Path | None) -> Vehicle | None:
-    """Return the vehicle of ``--vehicle``; InputError for ``--write`` without it."""
+    """Return the vehicle of ``--vehicle``; InputError if ``--write`` is given without ``--vehicle``."""
     from mufly.errors import InputError
     from mufly.vehicle import load_vehicle
 

@@ -116,7 +116,7 @@ def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = 
 
 
 def _fit_column_widths(natural: Sequence[int], least: Sequence[int], room: int) -> list[int | None]:
-    """Return widths of columns with the sum ``room``; None for each if they need no more, or more even at the least."""
+    """Return column widths with the sum ``room``; None for each if all columns fit, or do not fit even at ``least``."""
     if not sum(least) <= room < sum(natural):
         return [None] * len(natural)
     widths = list(natural)
@@ -137,7 +137,7 @@ def print_result_table(
 def print_estimates(
     estimates: Iterable[ParameterEstimate], title: str, beside: Mapping[str, Mapping[str, str]] | None = None
 ) -> None:
-    """Print a table of estimates with intervals; ``beside`` holds additional columns: heading to texts by symbol."""
+    """Print a table of estimates with intervals; ``beside`` maps headings of further columns to texts by symbol."""
     more = beside or {}
     rows = []
     for e in estimates:

@@ -83,7 +83,7 @@ def parse_wind(text: str | None) -> float | tuple[float, float, float] | None:
 
 
 def _steady_wind(wind: float | tuple[float, float, float] | None, seed: int) -> list[float] | None:
-    """Return the wind N, E, D (m/s); the seed draws the horizontal direction of a speed, which is printed."""
+    """Return the wind N, E, D (m/s); for a mere speed, a horizontal direction is drawn by ``seed`` and printed."""
     if wind is None or isinstance(wind, tuple):
         return None if wind is None else list(wind)
     towards = random.Random(seed).uniform(-math.pi, math.pi)
@@ -133,7 +133,7 @@ PolicyOption = Annotated[
 def select_flight_software(
     wanted: bool, fixed_point: bool = False, policy: str = "", vehicle_name: str = ""
 ) -> ControlImplementation | None:
-    """Return the implementation of the control law: the exported code, which needs a compiler, or a learned policy.
+    """Return the control law's implementation: exported C code, a learned policy, or None for the standard one.
 
     ``vehicle_name`` is that of the vehicle for which the controllers are designed.
     """
@@ -180,8 +180,8 @@ def describe_sensor_source(vehicle: Vehicle, sensors: str) -> str:
 
 
 def describe_computation(vehicle: Vehicle, sensors: str, firmware: bool) -> str:
-    """Return a description of the code that computes control law and estimator; the estimator in C is built if
-    needed.
+    """Return a description of the code that computes control law and estimator; build the C estimator if it is
+    missing.
     """
     by = "Mission and control law: exported C code" if firmware else ""
     if sensors == "ideal" or vehicle.sensors is None:

@@ -1,5 +1,5 @@
-"""Studies of many rotors or pairs, ``mufly rotor sweep | rank | parameters`` and ``mufly coax sweep | parameters``; and
-of the dissertation, ``mufly thesis``.
+"""Commands of studies: ``mufly rotor sweep | rank | parameters``, ``mufly coax sweep | parameters`` and, for the
+dissertation, ``mufly thesis``.
 """
 
 from __future__ import annotations
@@ -215,7 +215,7 @@ def _select_plotted_result(data: xr.Dataset, asked: str | None) -> str:
 
 
 def _print_best(data: xr.Dataset, variable: str) -> None:
-    """Print the best case over the pitch for every combination of the rest, best first, at most 40."""
+    """Print the best case over all pitches for every combination of the other parameters, best first, at most 40."""
     import numpy as np
 
     c = make_console()
@@ -462,7 +462,7 @@ def run_thesis_study(
     again: Annotated[bool, define_option("--again", "Compute stored answers again.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Repeat a figure or table: a line for each claim of the dissertation, with mufly's numbers and the criterion.
+    """Repeat a figure or table; print each claim of the dissertation with mufly's numbers and the criterion.
 
     Answers are stored (MUFLY_CACHE, or the user's cache folder) until their sources change, so a `run all` that was
     stopped resumes; quick studies run first. Rotor studies are computed with mufly's corrections and with the theory

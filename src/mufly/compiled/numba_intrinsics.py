@@ -70,7 +70,7 @@ used later.
 
 
 class TupleReference(types.Type):
-    """Type of a tuple that compiled code reads by its address: a member is loaded where it is used.
+    """Numba type of a tuple that compiled code reads by its address; a member is loaded only where it is used.
 
     Passed by value, a tuple of sixty arrays is some 400 numbers, which every use copies.
     """

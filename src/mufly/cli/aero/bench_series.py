@@ -111,7 +111,7 @@ def plan(
     ),
     as_json: JsonOption = False,
 ) -> None:
-    """Plan a series: mountings and speeds in random order, with regular visits of a reference rotor.
+    """Plan a series: mountings and speeds in random order, with regular runs of a reference rotor.
 
     The file holds limits, times and order, and may be edited.
     Example: mufly bench plan --rotor naca0012-r60-c20 --pitch 10,14 --reference naca4412-r60-c20

@@ -410,7 +410,7 @@ def show(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show the last state of a case or a pair: convergence, loads and y+, beside blade elements and wake.
+    """Show the last state of a case or a pair: convergence, y+, and loads beside those of other methods.
 
     For a folder that `mufly cfd sweep --climb` wrote, the thrust over the climb is shown. No solver is needed.
     The blades, with pressure and friction, are written as VTP and glTF into the case's results.

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def report_case(folder: Path, rotor: Rotor | None, as_json: bool, rounds: AeroelasticIteration | None = None) -> bool:
-    """Print a solution, and write its tables and pictures into the case; return whether it has settled.
+    """Print a solution, and write its tables and pictures into the case; return whether the solution has settled.
 
     ``rounds`` are the rounds of solver and beam of an elastic blade; None for a rigid blade.
     """
@@ -45,8 +45,9 @@ def report_case(folder: Path, rotor: Rotor | None, as_json: bool, rounds: Aeroel
 
 
 def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: bool) -> bool:
-    """Print both rotors of a pair, with the means of the other rotor, and their ratios; return whether it has
-    settled."""
+    """Print both rotors of a pair and their ratios, by CFD and by other methods; return whether the solution has
+    settled.
+    """
     from mufly.cfd import draw_rotor_pair
 
     upper, show_upper, upper_files, upper_loads = _write_solution_report(folder / "upper", rotor)

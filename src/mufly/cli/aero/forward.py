@@ -116,7 +116,7 @@ def show_forward(
 def _complete_hover_condition(
     rotor: Rotor, pitch_rad: float | None, speed_rad_s: float | None, thrust_N: float | None
 ) -> tuple[float | None, float | None, float | None, str]:
-    """Return pitch, speed and thrust of which two are given, and a note on those that are defaults."""
+    """Return pitch, speed and thrust with defaults (pitch or thrust may stay None), and a note on the defaults."""
     from mufly.dynamics import find_trim
     from mufly.vehicle import load_vehicle
 

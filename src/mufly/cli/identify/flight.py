@@ -1,4 +1,4 @@
-"""``mufly identify``: a vehicle's parameters from flights: the flight model, a known vehicle flown, linear models."""
+"""``mufly identify``: parameters of a vehicle from its flights, and a demonstration with a known vehicle."""
 
 from __future__ import annotations
 
@@ -268,7 +268,7 @@ def _show_fit_progress(shown: bool) -> Iterator[Callable[[FitProgress], None] | 
 
 
 def _write_report(fit: FitResult, folder: Path | None, shown: bool) -> list[Path]:
-    """Write the report of a fit, with a bar if ``shown``; return its page, nothing without a folder."""
+    """Write the report of a fit; return its page, or nothing without a folder. ``shown`` shows a progress bar."""
     if folder is None:
         return []
     from mufly.identify import write_report
@@ -278,7 +278,7 @@ def _write_report(fit: FitResult, folder: Path | None, shown: bool) -> list[Path
 
 
 def _print_fit_notes(fit: FitResult) -> None:
-    """Print below the table: parameters not observed, errors by record, and the end of the fit."""
+    """Print below the table: parameters that are not distinguishable, errors of each record, and how the fit ended."""
     print_lines(*(f"{text}." for text in fit.undetermined), mark="Not distinguishable", style="yellow")
     print_lines(*(f"{text}." for text in fit.held), mark="Uncertainty from held parameters")
     rows = []

@@ -1,4 +1,4 @@
-"""``mufly identify linear``: linear models of flight records, by simulation, by equation error, by frequency."""
+"""``mufly identify linear``: linear models of flights, by output error, equation error or frequency response."""
 
 from __future__ import annotations
 
@@ -342,7 +342,7 @@ def frequency(
     out: Annotated[Path | None, define_option("DIR", "Folder for pictures (PNG) and responses.csv.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Estimate frequency responses from sweeps: inputs conditioned on each other, composite windows, coherence.
+    """Estimate frequency responses and coherences from sweeps, with conditioned inputs and composite windows.
 
     Give the sweeps of all axes together; `mufly identify plan --kind chirp` designs them.
 
@@ -535,7 +535,7 @@ def compatibility(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare gyros and accelerometers with measured attitude, velocity and position: biases, scale factors, the path.
+    """Reconstruct the flight path from measurements, with biases and scale factors of gyros and accelerometers.
 
     Example: mufly identify compatibility flight.csv --imu p,q,r,ax,ay,az --measured phi,theta,psi,north,east,down
     """

@@ -359,7 +359,7 @@ def _check_time_grid(duration: float, delay: float, sample: float, window: float
 def _parse_named_numbers(
     option: str, text: str | None, known: Mapping[str, str], *, none: bool = False
 ) -> dict[str, float | None]:
-    """Return the numbers of ``NAME=VALUE,...``; ``known`` gives the unit of bare numbers."""
+    """Return the numbers of ``NAME=VALUE,...``; ``known`` maps allowed names to the unit of a bare number."""
     found: dict[str, float | None] = {}
     for part in (text or "").split(","):
         if not part.strip():

@@ -69,7 +69,7 @@ def make_position_camera(
     position: str, sensors: str, camera: str, floor: str, floor_width: float | None, mission: Mission,
     mission_file: str, faults: Sequence[str] | None = None, stream: str = "",
 ) -> CameraConfig | None:  # fmt: skip
-    """Return the camera of ``--position`` and the camera options; None without a camera."""
+    """Return the camera that ``--position`` and the camera options request; None if they request none."""
     if position == "link" and sensors == "ideal":
         raise InputError("--position", "", "the true state needs no position fixes", "leave out --sensors ideal")
     # Behind a link an external program processes the pictures, if they are sent.

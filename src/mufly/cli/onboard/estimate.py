@@ -343,7 +343,7 @@ def _print_consistency(c: Consistency, what: str = "") -> None:
 
 
 def _read_attached_vehicle(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:
-    """Return the requested vehicle, or the one that flew, and the mission's world, both attached to the recording."""
+    """Return the requested vehicle, or else the one stored in the recording, and the world of the recorded mission."""
     import tempfile
 
     from mufly.flight import read_attachments

@@ -124,7 +124,7 @@ def load(
         str, define_option("--connect LINK", "First serial port of Betaflight's SITL.")
     ] = "tcp:127.0.0.1:5761",
 ) -> None:
-    """Send a CLI file to Betaflight's software in the loop, which saves it and ends; then start it again.
+    """Send a CLI file to Betaflight's software in the loop; Betaflight saves it and ends, and must be started again.
 
     Examples:
 

@@ -129,7 +129,7 @@ def policy(
         Path, define_option("--out DIR", "Folder to write: a new or empty one, or one of an earlier export.")
     ],
 ) -> None:
-    """Write a learned policy as C99 of fixed size without heap.
+    """Write a learned policy as C99 code that needs no heap.
 
     In double precision the code equals the policy of mufly fly --policy bit for bit; -DMUFLY_FLOAT builds it in single
     precision.
@@ -176,7 +176,7 @@ def sil(
     fixed_point: _FixedOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Fly missions in Python and compare the exported code, bit by bit, in every period (software in the loop).
+    """Compare the exported C code with flights in Python, bit by bit in every period (software in the loop).
 
     The comparison covers the control law, the flight software with mission and log, and on fitted sensors the
     estimator, each with its whole state. With --fixed-point the fixed-point code flies by itself, beside a flight in

@@ -544,7 +544,7 @@ def calibrate(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate a camera's lens from pictures of a chessboard, or its mount, delay and focal length by hand.
+    """Calibrate a camera: the lens by pictures of a chessboard, or mount, delay and focal length from a motion by hand.
 
     By hand: take the vehicle, rotors off, hold it 0.3 to 1.5 m over a level floor with texture, and turn it by 20
     degrees about all axes for 60 s. Heights come from sonar.csv or --height.
