@@ -179,7 +179,7 @@ class SoftwareInstance:
         ]
 
     def reason_text_numbers(self) -> NDArray[np.int64]:
-        """Return the number of each reason's text, by the reasons of the filter's sensor checks
+        """Return the text number of each reason of the filter's sensor checks
         (:mod:`mufly.estimate.filter.measurements.sensor_checks`).
 
         The number is -1 if the text contains a value, or if the reason must be reported.

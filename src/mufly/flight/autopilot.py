@@ -266,7 +266,7 @@ class Autopilot:
         return c
 
     def _check_after_step(self) -> None:
-        """Forward events, check the fence, leave offboard control and disarm, after a step of the mission logic."""
+        """React to a step of the mission logic: forward events, enforce the fence, end offboard control, and disarm."""
         software = self.software
         if software.logged_event_count != self._logged:
             self._forward_mission_events()

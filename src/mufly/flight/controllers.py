@@ -149,7 +149,7 @@ class Controllers:
     def compute_tilt_command(
         self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
     ) -> _Array:
-        """Advance the position cascade by one of its periods.
+        """Advance the position cascade by one period of the cascade; return commands of roll and pitch.
 
         Parameters
         ----------

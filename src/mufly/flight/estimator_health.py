@@ -97,8 +97,9 @@ def sensor_checks(m: Estimate) -> Sequence[SensorStatus]:
 
 
 def position_std_growth(m: Estimate, stood: float = 0.0) -> float:
-    """Return the growth (m) of the position's standard deviation since the floor, where its variance was ``stood``
-    (m2).
+    """Return the square root (m) of the growth of the position's variance since the vehicle stood on the floor.
+
+    ``stood`` is the variance on the floor (m2).
     """
     variance = m.covariance.diagonal()
     return math.sqrt(max(float(variance[0]), float(variance[1]), stood) - stood)
@@ -140,7 +141,7 @@ def describe_check(check: SensorStatus, checks: Sequence[SensorStatus] = ()) -> 
 
 
 def _fault_note(m: Estimate, sources: tuple[str, ...]) -> str:
-    """Return the faults of the readings ``sources`` in brackets; "" without a fault."""
+    """Return a note in brackets on the faults of the readings named in ``sources``; "" without a fault."""
     wrong = [
         describe_check(c)
         for c in sensor_checks(m)

@@ -211,7 +211,7 @@ class FlightSoftware:
 
     @property
     def motors(self) -> str:
-        """Mode of the motors, from the table of this module."""
+        """Mode of the motors: one of the modes in the table of this module."""
         return self._motors
 
     @property
@@ -298,8 +298,10 @@ class FlightSoftware:
             self.mission_state = update_obstacle_map(self.plan, self.mission_state, m, part, parts)
 
     def _limit_actuator_rates(self, m: Estimate, wanted: Actuators) -> Actuators:
-        """Limit the change of the inputs per period to :data:`MAX_MOTOR_INPUT_STEP`, :data:`MAX_SERVO_INPUT_STEP`
-        (filter only)."""
+        """Limit the change of motor and servo inputs per period if the estimate comes from the filter.
+
+        The limits are :data:`MAX_MOTOR_INPUT_STEP` and :data:`MAX_SERVO_INPUT_STEP`.
+        """
         if m.auxiliary_states is not None:
             before = self._given
             motor, servo = _limit_actuator_step(
@@ -518,7 +520,7 @@ def ramp_down_motor_input(released: _Array, elapsed_s: float) -> _Array:
 
 
 def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_V: float) -> _Array:
-    """Return the motor inputs (2,) of a descent without measurements.
+    """Return the motor inputs (2,) of a descent without measurements, from a fraction of the hover voltages.
 
     They are the fraction ``share`` of the hover voltages ``held_up_V`` (2,), and fall to zero in the last second.
     """
@@ -526,7 +528,7 @@ def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_
 
 
 def descent_voltage_fraction(height_m: float, descent_m_s: float) -> float:
-    """Return the fraction of the hover voltages that controls the rate of descent at a height above the floor (m)."""
+    """Return the fraction of the hover voltages that brings the rate of descent to its target at a height (m)."""
     wanted = min(max(height_m, _TOUCHDOWN_DESCENT_M_S), _MAX_DESCENT_M_S)
     return min(max(1.0 + _DESCENT_ENERGY_GAIN * (descent_m_s - wanted), _MIN_DESCENT_FRACTION), _MAX_DESCENT_FRACTION)
 

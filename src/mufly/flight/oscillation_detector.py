@@ -38,7 +38,7 @@ _STEERING_THRESHOLDS = (0.1, 0.1, 0.1, 0.2, 0.05, 0.05)
 
 @dataclass(slots=True)
 class _TurningPoints:
-    """Turns of one signal: instants where it has returned by ``reversal_threshold`` from its extreme."""
+    """Turning points of one signal: extremes from which the signal has returned by ``reversal_threshold``."""
 
     reversal_threshold: float
     is_rising: bool = True
@@ -60,7 +60,7 @@ class _TurningPoints:
 
 @dataclass(slots=True)
 class _InputOscillation:
-    """Number of consecutive even periods of one input, with the input's extremes in these periods."""
+    """Consecutive half periods of similar length in one input: their number, duration and extremes."""
 
     turning_points: _TurningPoints
     start_s: float = 0.0
@@ -180,7 +180,9 @@ class OscillationDetector:
 def steering_demands(
     state: str, velocity: Sequence[float], heading_rate: float, roll: float, pitch: float
 ) -> tuple[float, ...] | None:
-    """Return the command (6,) of a pilot or a program in a state of the mission; None where the mission commands.
+    """Return the commands (6,) of velocity, heading rate, roll and pitch from a pilot or a program.
+
+    Return None in states in which the mission commands.
 
     In manual flight the reference's horizontal velocity is the measured one, not a command: it is set to 0.
     """

@@ -346,12 +346,12 @@ class Flight:
 
     @property
     def records_truth(self) -> bool:
-        """Whether the recording holds the truth and no readings of fitted sensors."""
+        """Whether the rows of the recording hold the truth alone, without readings of fitted sensors."""
         return self._write_sensed is None
 
     @property
     def current_filter_weight(self) -> float:
-        """Weight of a new sample in the low pass of the battery current, every ``look_periods`` periods."""
+        """Low-pass weight of a new sample of the battery current, which is sampled every ``look_periods`` periods."""
         return self.look_periods * self.period_s / _CURRENT_FILTER_S
 
     # The stages of a period, in the order of mufly.flight.period_stages; the last one ends every call

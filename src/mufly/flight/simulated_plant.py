@@ -197,7 +197,7 @@ class SimulatedPlant:
         self.count_periods(1)
 
     def upcoming_wind(self, most: int) -> NDArray[np.float64]:
-        """Return the wind of the coming periods (n, 3; m/s): those already drawn, at least 1, at most ``most``."""
+        """Return the wind of the next periods (n, 3; m/s), with n from 1 to ``most``, as far as it is drawn already."""
         if self._blown == self._block:
             self._coming, self._blown = self._air.draw_wind_samples(self._block), 0
         return self._coming[self._blown : self._blown + most]

@@ -68,7 +68,7 @@ class CExpression:
     kind: CType
 
     def as_operand(self, level: int) -> str:
-        """Return the text as an operand of an operation of a precedence, in brackets where they are needed."""
+        """Return the C text of an operand, in brackets if its own precedence is below ``level``."""
         return self.text if self.level >= level else f"({self.text})"
 
 

@@ -145,26 +145,28 @@ class CTranslation:
         return "\n".join([C_HELPER_FUNCTIONS, *enum, "", *real, "", *structs, "", *self._bodies])
 
     def use_tuple(self, parts: Sequence[str | TupleType]) -> TupleType:
-        """Return the type of a tuple, whose struct is then declared."""
+        """Return the type of a tuple with these parts; its struct will be declared in the C text."""
         kind = TupleType(tuple(parts))
         self._tuples.setdefault(kind.name, kind)
         return kind
 
     def use_constant(self, name: str, value: float | int, module: str) -> CExpression:
-        """Return a constant of a module, which is then declared."""
+        """Return a constant of a Python module; it will be declared in the C text."""
         number = int(value) if isinstance(value, int | np.integer) else float(value)
         c_name = self._unique_name(name, number, module)
         self._constants[c_name] = number
         return CExpression(c_name, PRECEDENCE_ATOM, C_INT64 if isinstance(number, int) else C_DOUBLE)
 
     def use_table(self, name: str, values: tuple[float, ...], module: str) -> CExpression:
-        """Return a tuple of numbers of a module as a constant table, which is then declared."""
+        """Return a tuple of numbers of a Python module as a constant table; it will be declared in the C text."""
         c_name = self._unique_name(name, values, module)
         self._constants[c_name] = values
         return CExpression(c_name, PRECEDENCE_ATOM, TableType(C_DOUBLE, (len(values),)))
 
     def _unique_name(self, name: str, what: object, module: str) -> str:
-        """Return a C name: without leading underscores, and with the module's name if another thing has it already."""
+        """Return a C name without leading underscores, with the module's name as prefix if the name is already in
+        use.
+        """
         short = name.lstrip("_")
         for candidate in (short, f"{module.rpartition('.')[2]}_{short}"):
             known = self._names.setdefault(candidate, what)
@@ -414,7 +416,7 @@ class _FunctionTranslation:
                 self._translate_assignment(one, number)
 
     def _makes_table(self, node: ast.expr) -> bool:
-        """Return whether an expression is a table: a new one, one that exists, or a matrix that a function returns."""
+        """Return whether an expression gives a table: a new array, an existing table, or the matrix of a function."""
         if _is_new_array(node) or self._is_alias(node):
             return True
         return isinstance(node, ast.Call) and isinstance(self._translate_expression(node).kind, TableType)

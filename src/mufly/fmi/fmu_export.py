@@ -78,7 +78,7 @@ class ExportedUnit:
 
 
 def platform_tuple() -> tuple[str, str]:
-    """Return FMI's name of this platform and the ending of its libraries; ("", "") for others than FMI's examples."""
+    """Return FMI's name of this platform and the suffix of its libraries; ("", "") for a platform unknown to FMI."""
     machine, system = (
         _FMI_MACHINE_NAMES.get(platform.machine().lower()),
         _FMI_SYSTEM_NAMES_AND_ENDINGS.get(platform.system().lower()),

@@ -55,7 +55,7 @@ OUTPUT_COUNT = OUT_FORCE + 3
 
 
 def write_start_state(start: _Array, x: _Array) -> None:
-    """Write the initial state that some start values describe, as :func:`mufly.dynamics.initial_state` does.
+    """Write the initial state for given start values, as :func:`mufly.dynamics.initial_state` does.
 
     Parameters
     ----------

@@ -31,7 +31,10 @@ _PROBE_FOR_ZERO_VALUE = 2.0**-4
 
 @dataclass(frozen=True)
 class ParameterEffect:
-    """Effect of a parameter on a field of the record: ``field = factor * value`` for ``SCALED``."""
+    """Effect of a parameter on a field of the flight model's record.
+
+    For the kind ``SCALED`` it is ``field = factor * value``.
+    """
 
     field: str
     kind: EffectKind
@@ -88,7 +91,7 @@ def list_unit_parameters(vehicle: Vehicle) -> tuple[list[UnitParameter], list[st
 
 
 def _find_effects(vehicle: Vehicle, key: str, value: float, nominal: np.void) -> list[ParameterEffect] | None:
-    """Return the effects of a parameter; None if one is not simple or no other value is allowed."""
+    """Return the effects of a parameter on the model's record; None if one has no known form or the value is fixed."""
     # A power of two near the value gives the factor of a product without rounding.
     base = math.copysign(2.0 ** math.floor(math.log2(abs(value))), value)
     points = [(value, nominal)]
@@ -112,7 +115,10 @@ def _find_effects(vehicle: Vehicle, key: str, value: float, nominal: np.void) ->
 def _find_ratio_effects(
     found: dict[str, list[ParameterEffect]], values: dict[str, float]
 ) -> dict[str, list[ParameterEffect] | None]:
-    """Return the effects with ratios for all but one parameter of a field; None for a parameter that cannot share."""
+    """Convert effects to ratios if several parameters change the same field; the first parameter keeps its effect.
+
+    A parameter whose effect cannot be converted gets None.
+    """
     out: dict[str, list[ParameterEffect] | None] = dict(found)
     for field in PARAMETER_DTYPE.names or ():
         users = [key for key, effects in found.items() if any(e.field == field for e in effects)]
@@ -129,7 +135,10 @@ def _find_ratio_effects(
 
 
 def _effect_kind(field: str, base: float, points: list[tuple[float, NDArray[Any]]]) -> ParameterEffect | None:
-    """Return the effect that holds at all points (value, field); one of the values is ``base`` or the first."""
+    """Return the effect that explains a field at all points (value, field), None without one.
+
+    One of the values is ``base``.
+    """
     value, before = points[0]
     if before.dtype.kind != "f":
         return None

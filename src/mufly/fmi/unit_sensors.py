@@ -124,7 +124,8 @@ class UnitSensors:
 
     @cached_property
     def seeded_words(self) -> tuple[NDArray[np.uint64], NDArray[np.intp], NDArray[np.uint64]]:
-        """Words of the sensors (n,) for seed 0, indices of those that depend on the seed (m,), and their values.
+        """Sensor data as 64-bit words (n,) for seed 0, indices of the words that depend on the seed (m,), and their
+        values.
 
         The values have the shape (seeds, m).
         """
@@ -322,7 +323,7 @@ def _sensor_arrays(sensors: FittedSensors) -> Iterator[tuple[str, list[tuple[str
 
 
 def _pack_words(arrays: Iterator[tuple[str, list[tuple[str, NDArray[Any]]]]]) -> NDArray[np.uint64]:
-    """Return the bits of all arrays in sequence; an array without rows has one of zeros, as in C."""
+    """Return the bits of all arrays in sequence; an empty array counts as one row of zeros, as in C."""
     out = []
     for _, members in arrays:
         for _, array in members:

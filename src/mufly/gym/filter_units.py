@@ -83,7 +83,9 @@ _UNIFORM_RANGE, _UNIFORM_SHIFT, _SEED_STRIDE = 2.0**53, np.uint64(11), np.uint64
 
 
 class UnitPeriods(NamedTuple):
-    """Arrays of a unit, as the stages of :mod:`mufly.firmware.quick.compiled_loop` take them."""
+    """Arrays of a unit (vehicle with sensors and filter) for the stages of
+    :mod:`mufly.firmware.quick.compiled_loop`.
+    """
 
     clock: LoopClock
     plant: PlantArrays
@@ -181,7 +183,7 @@ def _step_units(
     addresses: _Ints, like: UnitPeriods, before: _Array, inputs: _Array, delay: _Ints, wind: _Array, periods: int,
     state: _Array, estimate: _Array, volts: _Array,
 ) -> None:  # fmt: skip
-    """Step units (n,) by some periods; with none, only read them."""
+    """Advance units (n,) by some periods, and read them; with 0 periods only read them."""
     for k in range(addresses.size):
         p = refer_at(addresses[k], like)
         c = p.clock
@@ -210,7 +212,7 @@ def _measure_unit(p: UnitPeriods) -> int:
 
 @cached_njit(error_model="numpy", nogil=True)
 def _renew_sources(source: NDArray[np.uint64], sources: NDArray[np.uint64]) -> None:
-    """Start the random numbers of a unit's sensors anew, by those of its environment."""
+    """Reseed the random generators of a unit's sensors from the random generator of its environment."""
     r = np.empty(2)
     for k in range(sources.size):
         draw_uniforms(source, r)
@@ -247,7 +249,9 @@ class UnitMemoryLayout:
 
     @staticmethod
     def _list_unit_arrays(p: UnitPeriods, memory: NDArray[np.void]) -> list[NDArray[Any]]:
-        """Return what a row holds: the filter's memory, its readings, and all other arrays."""
+        """Return the arrays of a unit in the order of their row: memory of the filter, its readings, then all
+        others.
+        """
         f = p.filter
         rest = (p.clock, p.plant, p.software, p.ranges, p.sensors, p.command, p.delay)
         return [memory, f.values, f.is_new, f.age, f.reading_times, f.ring_scans, *_list_arrays(rest)]
@@ -319,7 +323,7 @@ def hover_mission(kind: int, height_m: float, heading_deg: float) -> Mission:
 
 
 def extract_unit_arrays(flight: Flight, steps_per_period: int) -> tuple[UnitPeriods, NDArray[np.void]]:
-    """Return the arrays of a flight as a unit's, and the memory of its filter."""
+    """Return the arrays of a simulated flight in the form of a unit, and the memory of its filter."""
     plant, filtered, sensors = flight.plant, flight.estimator, flight.sensors
     assert isinstance(filtered, KalmanEstimator)
     assert isinstance(sensors, FittedSensors)

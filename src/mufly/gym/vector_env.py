@@ -330,7 +330,9 @@ def _check_options(
 
 
 def _error_process_parameters(vehicle: Vehicle, period_s: float) -> tuple[_Array, _Array, _Array]:
-    """Return decay (6,) and deviation (6,) of the correlated errors, and the white deviations (4,)."""
+    """Return decay (6,) and standard deviation (6,) of the estimate's correlated errors, and that of its white
+    errors (4,).
+    """
     fitted = vehicle.sensors
     fix, imu = (None, None) if fitted is None else (fitted.position_fix, fitted.imu)
     if fix is None or imu is None:

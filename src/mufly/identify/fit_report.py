@@ -280,7 +280,10 @@ def _residual_rows(fit: FitResult) -> ReportTable:
 
 
 def _determinant_ratio(fit: FitResult) -> str:
-    """Return the ratio of residual covariance determinants, held out over fitted; "" if they are not comparable."""
+    """Return the ratio of the residual covariance's determinant in held-out records to that in fitted records, as text.
+
+    The text is empty if the records are not comparable.
+    """
     used, unused = fit.records_with_role("fit"), fit.records_with_role("held out")
     if not used or not unused or len({r.output_names for r in fit.records}) > 1:
         return ""

@@ -315,7 +315,7 @@ def correlation_reach(residual: Array, longest: int) -> int:
 def coloured_covariance(
     sensitivities: Sequence[Array], residuals: Sequence[Array], prior_std: Array | None = None
 ) -> tuple[Array, Array, bool]:  # fmt: skip
-    """Return the covariance of estimates, corrected for coloured residuals, and the bound for white ones.
+    """Return the covariance of estimates under coloured residuals, and the Cramer-Rao bound for white residuals.
 
     Parameters
     ----------
@@ -448,7 +448,10 @@ def describe_undetermined_combinations(
 
 
 def _describe_direction(names: Sequence[str], share: Array, std: float) -> str:
-    """Describe one direction of relative changes; ``share`` is each component over the largest."""
+    """Describe in words a combination of parameters that the data do not determine.
+
+    ``share`` holds the relative change of each parameter, divided by the largest of them.
+    """
     doubt = "no bound" if std > _MAX_PRINTED_RELATIVE_STD else f"standard deviation {100 * std:.0f} %"
     if len(names) == 1:
         return (

@@ -405,7 +405,7 @@ class UniformLogTable:
         raise ArgumentError(argument, name, problem, remedy)
 
     def stack_columns(self, wanted: Mapping[str, str], argument: str) -> Array:
-        """Return an array (n, k) whose columns are columns of the table or sums: ``-q``, ``m1-m2``, ``9.81*az``.
+        """Return an array (n, k) of columns or of their weighted sums, such as ``-q``, ``m1-m2`` or ``9.81*az``.
 
         Parameters
         ----------

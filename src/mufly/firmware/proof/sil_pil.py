@@ -430,7 +430,8 @@ def measure_law_instructions(vehicle: Vehicle, controllers: Sequence[FlightContr
 
 
 def run_emulated(machine: str, per_tick: float, elf: Path, right: list[str]) -> dict[str, Any]:
-    """Run a self-test on an emulated board; return whether its digests are right, and the instructions per period.
+    """Run a self-test on an emulated board; return whether its digests equal ``right``, and the instructions per
+    period.
 
     Raises
     ------
@@ -476,7 +477,7 @@ def run_compiler(command: list[str], folder: Path) -> None:
 
 
 def _compiler_command(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...], *more: object) -> list[str]:
-    """Return the compiler command for the emulated ``cpu``; for this machine if empty."""
+    """Return the compiler command for the processor ``cpu``, or for this machine if ``cpu`` is empty."""
     there = ("arm-none-eabi-gcc", *COMPILER_FLAGS, *cpu, "-mthumb", "-ffreestanding", "-nostdlib")
     cc = there if cpu else (find_compiler(), *COMPILER_FLAGS)
     return [*cc, *how.compiler_flags, f"-I{folder}", *map(str, more)]

@@ -225,7 +225,7 @@ class CompiledFlight:
         return True
 
     def _assemble_loop(self, wind: _Array) -> tuple[Any, Any]:
-        """Return the arrays that the loop works on, and the loop."""
+        """Return the arrays of the compiled loop, and its function: for a flight on the truth, or on sensors."""
         plant = self._flight.plant
         on_plant = PlantArrays(
             plant.state, plant.packed_parameters, plant.attitude, plant.battery_output, wind, self._acting,
@@ -305,7 +305,8 @@ class CompiledFlight:
         return self._sampling_table
 
     def _call_listener(self) -> None:
-        """Call the listener with the stored instants, and publish the status rows up to them.
+        """Pass the stored instants to the flight's listener, and publish the filter's statuses up to the last of
+        them.
 
         A listener with a method ``add_estimates`` gets all instants in one call: true and estimated position, velocity
         and attitude (n, 9), covariances (n, 9, 9), and validity (n,).
@@ -351,7 +352,7 @@ class CompiledFlight:
             )
 
     def _publish_status_of_row(self, rows: int) -> None:
-        """Publish the filter's status up to a row, if not yet published."""
+        """Publish the filter's status of row ``rows`` unless this row is already published."""
         if rows > self._published_row:
             assert self._filter is not None
             self._filter.publish_status(_unpack_status_row(self._status_rows[rows].copy()))
@@ -369,7 +370,9 @@ class CompiledFlight:
         self._reported_periods = periods
 
     def _read_sensors_and_estimate(self, truth: Truth) -> tuple[Readings | None, Estimate]:
-        """Return the latest readings, None for those that the flight gathers when asked, and the estimate."""
+        """Return the present readings and estimate; with a filter the readings are None, because the flight reads
+        them on demand.
+        """
         flight, filtered, c = self._flight, self._filter, self._clock
         if filtered is None:
             readings = flight.sensors.read(truth)
@@ -380,7 +383,7 @@ class CompiledFlight:
         return None, estimate
 
     def _synchronise_simulation(self, why: int, wind: _Array, ran: bool) -> None:
-        """Copy the results of the loop into the simulation."""
+        """Copy state, log and sensor statuses from the compiled loop to the Python simulation."""
         flight, plant, auto = self._flight, self._flight.plant, self._flight.autopilot
         software, c, filtered = self._software, self._clock, self._filter
         periods, rows, due, winds = (
@@ -506,7 +509,7 @@ def _make_software_arrays(software: Any) -> SoftwareArrays:
 def make_filter_arrays(
     filtered: KalmanEstimator, texts: NDArray[np.int64], own: Sequence[NDArray[Any]] | None = None
 ) -> FilterArrays:
-    """Return the arrays of a filter in C, with the numbers of the reasons' texts.
+    """Return the arrays of a filter in C for the compiled loop; ``texts`` holds the text number of each reason.
 
     ``own`` replaces the state that a filter keeps between periods, so that many units share one filter's settings. The
     state consists of memory (1,), the three arrays of the input row, reading times, and scans of the ring.

@@ -1,4 +1,4 @@
-"""Compiled executors of :mod:`mufly.flight.period_stages` for arrays: many periods of a flight in one call.
+"""Run many periods of a flight in one compiled call: the stages of :mod:`mufly.flight.period_stages` on arrays.
 
 There are two executors: :func:`run_ideal_periods` for a flight on the truth, :func:`run_fitted_periods` for a flight on
 sensors with errors and the filter. Both call the same compiled functions and C code as a flight in Python: plant,
@@ -145,7 +145,7 @@ class PlantArrays(NamedTuple):
 
 
 class SoftwareArrays(NamedTuple):
-    """Records of the flight software in C, as arrays of each number size."""
+    """Records of the flight software in C, as one array for each type of number."""
 
     reals: _Array
     ints: NDArray[np.int32]
@@ -480,7 +480,7 @@ def _step_filter(p: FittedPeriods) -> int:
 def _write_filter_status(
     f: FilterArrays, calm: int, before: _Array, row: _Array, said: NDArray[np.int32], at: RecordOffsets
 ) -> bool:
-    """Write the filter's status into a row and the C record; return whether Python need not format texts.
+    """Write the filter's status into a row and the C record; return True if Python need not format any text.
 
     ``f.texts`` are the text numbers of the reasons, -1 for texts that contain a value. ``calm``: waiting and fused
     sensors need no report.

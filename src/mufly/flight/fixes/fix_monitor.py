@@ -92,7 +92,9 @@ _ATTITUDE_CORRECTION_S, _REST_AVERAGE_S = 20.0, 1.0
 
 @dataclass(frozen=True)
 class PathFit:
-    """Fit of the fixes in a window to the path of the inertial unit, with a parabola in time removed from both.
+    """Comparison of the fixes in a window with the path of the inertial unit, for each kind of fault.
+
+    A parabola in time is removed from both.
 
     Attributes
     ----------
@@ -120,7 +122,7 @@ class PathFit:
 
 @dataclass(frozen=True)
 class FixCorrection:
-    """Correction of a source's motion, the inverse of its fault.
+    """Correction that removes the fault of a source from its motion.
 
     Attributes
     ----------
@@ -241,7 +243,9 @@ class FixMonitor:
         self._speed = self._path = self._bias_speed = self._bias_path = 0j
 
     def _follow_tilt(self, estimate: Estimate, share: float) -> None:
-        """Correct the tilt slowly towards the filter's, and make the rotation matrix orthogonal."""
+        """Correct the integrated tilt by ``share`` towards that of the filter, and make the rotation matrix
+        orthogonal.
+        """
         roll, pitch, _ = estimate.attitude
         down = np.array([-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll)])
         third = self._turn[2] + share * (down - self._turn[2])
@@ -322,7 +326,9 @@ class FixMonitor:
         return "".join(c for c in fault if c.isalpha())
 
     def _assess_fix(self, time_s: float, place: _Array) -> tuple[str, bool, bool]:
-        """Return the fault of a fix ("" if none), whether it is certain, and whether the source is known to agree."""
+        """Return the fault of a fix ("" if none), whether it is certain, and whether the fix counts for
+        re-acceptance.
+        """
         if not self._history or time_s < self._history[0][0]:
             return "", False, False
         north, east, _, heading = place
@@ -416,7 +422,7 @@ class FixMonitor:
         return abs(recent[-1] - float(np.median(recent))) > _WITHHOLD_HEADING_CHANGE_RAD
 
     def _fit_path(self) -> None:
-        """Fit the path over the window with each row of the module's table in turn."""
+        """Fit each fault (a row of the table in the module's docstring) to the path in the window."""
         self.path_fit = _EMPTY_PATH_FIT
         t, place, path, speed, bias = (np.array(c) for c in zip(*self._fixes, strict=True))
         span = float(t[-1] - t[0])
@@ -446,7 +452,9 @@ class FixMonitor:
         self.path_fit = PathFit(_root_mean_square(off), _root_mean_square(a), rms, turn, mirror, delay)
 
     def _add_window(self, y: NDArray[np.complexfloating], a: NDArray[np.complexfloating]) -> None:
-        """Add a window to the long fit y = m a, and update the standard deviation of m."""
+        """Add a window to the long-term fit ``y = m a`` of fixes to the inertial path; update m and its standard
+        deviation.
+        """
         self._long_sums *= math.exp(-_LONG_FIT_WINDOW_STEP_S / _LONG_FIT_MEMORY_S)
         self._long_sums += [np.vdot(a, a), np.vdot(a, y), np.vdot(y, y), len(a)]
         square, product, total, count = self._long_sums

@@ -223,7 +223,9 @@ def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
 
 
 def _range_variation(text: str, how: str, match: re.Match[str], chosen: Sequence[Parameter]) -> ParameterVariation:
-    """Return parameters drawn between two values, or two shares of the vehicle's value."""
+    """Return a variation of parameters between two values, or between two percentages of their values in the
+    vehicle.
+    """
     is_share = match["unit"].strip() == "%"
     if is_share:
         low, high = (_parse_number(match[k], text) / 100.0 for k in ("low", "high"))
@@ -245,7 +247,7 @@ def _range_variation(text: str, how: str, match: re.Match[str], chosen: Sequence
 
 
 def _without_zeros(chosen: Sequence[Parameter], text: str) -> list[Parameter]:
-    """Return the parameters that are not 0: a percentage of 0 (no ground effect, no friction) does not vary."""
+    """Return the parameters other than 0, because a percentage of 0 is always 0."""
     kept = [p for p in chosen if p.value != 0.0]
     if not kept:
         raise ArgumentError(

@@ -52,7 +52,7 @@ def step_policy(
     p: PackedPolicy, trim: _Array, nominal_V: float, position: _Array, velocity: _Array, attitude: _Array,
     rates: _Array, voltage: float, reference: _Array, action: _Array, inputs: _Array,
 ) -> None:  # fmt: skip
-    """Observe, act and write the inputs of the flight model.
+    """Run one step of a policy: compute its observation and action, and write the inputs of the flight model.
 
     Parameters
     ----------

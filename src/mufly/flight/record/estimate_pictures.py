@@ -194,7 +194,10 @@ def draw_ground_track(dataset: xr.Dataset) -> Figure:
 
 
 def _flying_rows(dataset: xr.Dataset) -> NDArray[np.bool_]:
-    """Return the rows in flight; errors before the estimate's convergence would set the scale."""
+    """Return the rows with a valid estimate, or all rows if there are none.
+
+    Errors before the convergence of the estimate would set the scale of a picture.
+    """
     flown = dataset["estimated_valid"].values > 0.5
     return flown if flown.any() else np.ones(len(flown), dtype=bool)
 

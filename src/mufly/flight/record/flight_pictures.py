@@ -185,7 +185,7 @@ def _draw_lines(
     limits: tuple[float, float] | None = None,
     span: float = 0.0,
 ) -> None:
-    """Draw one panel: values (n, k), dashed references (n, k), limits as thin lines, states as bands.
+    """Draw one panel: values (n, k) as lines, references (n, k) dashed, limits thin, states of the mission as bands.
 
     The height of the panel covers at least ``span``, so that noise does not look like motion.
     """
@@ -305,7 +305,9 @@ def _obstacle_faces(world: World) -> list[list[_Array]]:
 
 
 def _prism_faces(outline: _Array, foot: float, height: float) -> list[_Array]:
-    """Return the faces of a prism over an outline of north, east corners."""
+    """Return the faces of a vertical prism over a polygon of corners (north, east), from ``foot`` up by ``height``
+    (m).
+    """
     flat = outline[:, ::-1]
     low = np.column_stack((flat, np.full(len(flat), foot)))
     top = low + np.array([0.0, 0.0, height])

@@ -295,7 +295,7 @@ def _waypoint_results(
 
 
 def _waypoint_state_rows(time: _Array, states: list[_StateRun], reached_s: float | None) -> tuple[int, int] | None:
-    """Return the rows from the given instant to the end of its state."""
+    """Return the first and the end row from ``reached_s`` to the end of the state at that time; None without a time."""
     if reached_s is None:
         return None
     # Times from different computations may differ in the last bit.

@@ -33,7 +33,7 @@ ANSWER_TIMEOUT_S = 1.0
 
 
 class Publisher(Protocol):
-    """Connection to viewers; all calls come from the thread of the view."""
+    """Connection to viewers; only the thread of the live view calls its methods."""
 
     def publish(self, rows: _Rows, states: Sequence[str], events: Sequence[FlightEvent]) -> None:
         """Publish new rows (n, columns), n >= 0, with the states of the mission, and new events."""
@@ -43,7 +43,9 @@ class Publisher(Protocol):
 
 
 class RecordedFlight(Protocol):
-    """Flight with a recorder; a :class:`~mufly.flight.Flight`, or the plant of another autopilot."""
+    """Interface of a flight with a recorder: a :class:`~mufly.flight.Flight`, or a simulated vehicle of another
+    autopilot.
+    """
 
     recorder: FlightRecorder
 

@@ -132,7 +132,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
 
 
 def transform_templates() -> tuple[list[bytes], list[bytes]]:
-    """Return the constant text around the numbers of a ``/tf`` and of a pose message.
+    """Return the constant text parts of Foxglove's ``/tf`` and pose messages, between which numbers are inserted.
 
     Returns
     -------

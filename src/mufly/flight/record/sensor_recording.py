@@ -39,7 +39,7 @@ _AUXILIARY_STATE_FIELDS = ("gyro_bias", "accelerometer_bias", "floor_height", "f
 def make_sensed_row_writer(
     recorder: FlightRecorder,
 ) -> Callable[[Truth, Readings, Estimate | None, Actuators, tuple[_Array, _Array, _Array], str], None]:
-    """Return the function that appends a row of a flight on sensors.
+    """Return a function that appends one row of a flight on sensors to the recording.
 
     The function is ``write(truth, readings, estimate, actuators, reference, state)``, with arguments as for
     :func:`mufly.flight.simulated_plant.make_row_writer`. If the estimate is None, its columns are NaN.
@@ -87,7 +87,7 @@ def make_sensed_row_writer(
 
 
 def _reading_columns(recorder: FlightRecorder, names: list[str], timed: dict[str, Any]) -> slice:
-    """Return the slice of all readings' columns, which are contiguous."""
+    """Return the range of columns that holds all readings; these columns are contiguous."""
     columns = recorder.layout.column_slices
     found = [columns[n] for n in [*names, *(f"measured_{t}_{x}" for t in timed for x in ("time", "valid"))]]
     return slice(min(c.start for c in found), max(c.stop for c in found))

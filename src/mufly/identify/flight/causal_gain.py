@@ -1,4 +1,4 @@
-"""Gain of a measured acceleration to its prediction from the inputs, unbiased under feedback.
+"""Gain between a measured acceleration and its prediction from the inputs, estimated without bias in closed loop.
 
 In closed loop an input also answers the disturbance ``w`` that it rejects. With ``a = g m + w`` (``m``: predicted
 from the inputs) and ``m = -c w``, regression of ``a`` on ``m`` gives ``g - 1/c``: the wrong sign if the loop rejects
@@ -35,7 +35,8 @@ _MIN_BLOCKS = 60
 
 @dataclass(frozen=True)
 class CausalGain:
-    """Gains from predicted accelerations to a measured motion, and the evidence for the sign of the largest.
+    """Gains between predicted accelerations and a measured motion, and the evidence for the sign of the leading
+    gain.
 
     Attributes
     ----------

@@ -28,7 +28,9 @@ MAX_RESIDUAL_NOISE_RATIO = 1.5  # ratio of residuals to sensor noise above which
 def describe_held_parameters(
     free: Sequence[FreeParameter], held: Sequence[FreeParameter], moved: _Array, from_data: _Array
 ) -> tuple[str, ...]:
-    """Name the estimates whose variance comes mainly from held parameters, and those parameters."""
+    """Describe the estimates whose variance comes mainly from held (not fitted) parameters, and name these
+    parameters.
+    """
     said = []
     for f, row, own in zip(free, moved, from_data, strict=True):
         total = float(row @ row)
@@ -42,7 +44,7 @@ def describe_held_parameters(
 
 
 def _nonparabolic_parameters(linear: LinearisedProblem, rise: _Array) -> list[str]:
-    """Return the free parameters whose variance comes from directions in which the cost is not parabolic."""
+    """Return the free parameters with over a quarter of their variance in directions of a non-quadratic cost."""
     _, size, vt = np.linalg.svd(linear.jacobian, full_matrices=False)
     shares = (vt / size[:, None]) ** 2
     shares /= shares.sum(axis=0)

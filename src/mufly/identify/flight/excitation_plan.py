@@ -223,7 +223,7 @@ def design_pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: f
 
 
 def _discretise_with_delay(A: Array, B: Array, sample_s: float, late: int) -> tuple[Array, Array]:
-    """Return the sampled model with ``late`` delayed inputs as further states, newest first."""
+    """Return the sampled model with an input delay of ``late`` samples; the delayed inputs are states, newest first."""
     n = A.shape[0]
     step = expm(sample_s * np.block([[A, B], [np.zeros((INPUT_SIZE, n + INPUT_SIZE))]]))
     if late == 0:
@@ -239,7 +239,7 @@ def _discretise_with_delay(A: Array, B: Array, sample_s: float, late: int) -> tu
 
 @cached_njit(error_model="numpy")
 def _subtract_hover_state(x: _Floats, hover: _Floats, height: float, yaw: float, off: _Floats) -> None:
-    """Write the linear model's states except the charge, as deviations from hover in heading axes, into ``off``."""
+    """Write the state of the linear model (without the charge) into ``off``: deviations from hover in heading axes."""
     a = body_to_ned_matrix(x[ATTITUDE])
     roll, pitch = math.atan2(a[2, 1], a[2, 2]), math.asin(min(max(-a[2, 0], -1.0), 1.0))
     c, s = math.cos(yaw), math.sin(yaw)
@@ -599,7 +599,7 @@ def _max_safe_amplitude(
     limits: FlightLimits,
     tick: Callable[[int], None],
 ) -> tuple[float, str, float]:
-    """Return the largest safe amplitude, the binding limit and the used share of the nearest limit."""
+    """Return the largest safe amplitude, the limit that determines it, and the highest used share of a limit."""
     top = _MAX_AMPLITUDE if wanted is None else wanted
     if not (math.isfinite(top) and 0 < top <= _MAX_AMPLITUDE):
         raise ArgumentError("amplitude", "", f"{top:g} is out of range", "give a share of the inputs' range, up to 1")

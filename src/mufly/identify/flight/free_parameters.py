@@ -55,7 +55,9 @@ _BIAS_BOUNDS = {"m": 1.0, "m/s": 1.0, "rad": 0.3, "rad/s": 0.5, "V": 1.0}  # bou
 
 @dataclass(frozen=True)
 class FieldChanges:
-    """Effect of the free parameters on the fields of a record: ``field * exp(powers @ theta) + shifts @ theta``.
+    """Effect of the free parameters on the fields of the flight model's record.
+
+    A field becomes ``field * exp(powers @ theta) + shifts @ theta``.
 
     Attributes
     ----------
@@ -247,7 +249,10 @@ def _has_either_sign(bounds: Sequence[float]) -> bool:
 
 
 def _changed_fields(vehicle: Vehicle, f: FreeParameter, voltage: float | None) -> dict[str, float]:
-    """Return the fields that a parameter changes, with its power in each, or what a unit of ``theta`` adds."""
+    """Return the fields of the model's record that a parameter changes, each with a number.
+
+    The number is the exponent of the parameter if ``f.scale`` is 0, else the change of the field per unit of ``theta``.
+    """
     if not f.key:
         return {}
     base = np.array(model_parameters(vehicle, voltage), dtype=PARAMETER_DTYPE)

@@ -76,7 +76,8 @@ def find_initial_states(problem: OutputErrorProblem, theta: _Array) -> InitialSt
 
 
 def find_initial_offsets(problem: OutputErrorProblem, theta: _Array) -> list[_Array]:
-    """Return the initial rotor speeds, bar tilts and horizontal velocities, for ``PreparedRecord.initial_offset``.
+    """Return every record's initial rotor speeds, bar tilts and horizontal velocities
+    (``PreparedRecord.initial_offset``).
 
     Windows do not fit these states, because rotors, bar and horizontal velocity continue from one window to the next.
     In a record that begins in motion the steady motor speeds are wrong for the first one or two seconds.

@@ -177,7 +177,7 @@ def _simulate_rotors(f: PreparedRecord, dt: float) -> tuple[np.void, Array, Arra
 
 
 def _bar_normal(mast: Array, follow: float) -> Array:
-    """Return the normal of the bar (n, 3), which follows the mast by the share ``follow`` per sample."""
+    """Return the bar's normal (n, 3), which follows the mast with a first-order lag of gain ``follow`` per sample."""
     bar = mast.copy()
     for k in range(1, len(mast)):
         bar[k] = bar[k - 1] + follow * (0.5 * (mast[k - 1] + mast[k]) - bar[k - 1])

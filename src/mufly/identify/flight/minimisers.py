@@ -111,15 +111,17 @@ class ReducedRecord:
         self.window_rows = self.make_window_rows(linear.whitened_residual, point.states[i])
 
     def make_window_rows(self, residual: _Array, states: _Array) -> list[_Array]:
-        """Return the rows ``e`` of every window for a residual (n, m) at initial states (windows, k)."""
+        """Return the rows ``e`` of every window: residuals (n, m), and initial states (windows, k) over their prior
+        deviation.
+        """
         return [
             np.concatenate([residual[a:b].ravel(), s / self._initial_state_std])
             for (a, b, *_), s in zip(self._window_factors, states, strict=True)
         ]
 
     def project_rows(self, rows: list[_Array]) -> _Array:
-        """Return the part of the rows ``e`` that no change of the initial states explains, ``(1 - Q Q^T) e``, window
-        after window.
+        """Remove the part of the rows ``e`` that initial states can explain; return ``(1 - Q Q^T) e`` of all
+        windows.
         """
         return np.concatenate(
             [e - q @ (q.T @ e) for (_, _, q, _, _), e in zip(self._window_factors, rows, strict=True)]
@@ -174,7 +176,7 @@ class LinearisedProblem:
         return np.concatenate([*parts, theta / self.problem.prior_std, hover])
 
     def trial_rows(self, b: int, residuals: Sequence[_Array], states: Sequence[_Array]) -> list[list[_Array]]:
-        """Return the rows of every record for the ``b``-th of a batch of trials."""
+        """Return the rows ``e`` of every record for trial ``b`` of a batch."""
         return [r.make_window_rows(e[b], s[b]) for r, e, s in zip(self.reduced_records, residuals, states, strict=True)]
 
     @cached_property
@@ -320,7 +322,7 @@ def _damped_step(
 
 
 def consider_sensitivity(linear: LinearisedProblem) -> tuple[_Array, OutputErrorProblem]:
-    """Return the change of the estimates per standard deviation of each held parameter, (t, h).
+    """Return the change of each estimate per standard deviation of each held (not fitted) parameter.
 
     The linearised problem ``|e + J d_theta + C d_c|^2`` has eliminated initial states and priors among the rows of
     ``J``. At its minimum an error ``d_c`` of a held parameter changes the estimates by
@@ -362,7 +364,9 @@ def consider_sensitivity(linear: LinearisedProblem) -> tuple[_Array, OutputError
 
 
 def curvature_correction(linear: LinearisedProblem) -> tuple[_Array, int]:
-    """Return the second-order correction ``c_k`` of the covariance as rows (t, t), and the number of simulations.
+    """Return the correction of the covariance for a curved valley of the cost, and the number of simulations.
+
+    The correction consists of second-order terms ``c_k``, the rows of an array (t, t).
 
     The Cramer-Rao bound assumes a straight valley of the cost. Whole records determine one direction ten thousand
     times better than others, so a relative curvature of 1e-4 within the standard deviation of the others matters.
@@ -387,7 +391,8 @@ def curvature_correction(linear: LinearisedProblem) -> tuple[_Array, int]:
 
 
 def cost_rise_along_axes(linear: LinearisedProblem) -> tuple[_Array, int]:
-    """Return the rise of the profiled cost at two standard deviations along every axis, relative to a quadratic cost.
+    """Return the rise of the profiled cost at two standard deviations along every axis, divided by that of a
+    quadratic cost.
 
     An interval of two standard deviations assumes a quadratic cost, which rises by ``z^2 / 2 = 2`` there. If the
     profile (all other coordinates corrected) rises by much more or less, intervals from the covariance are invalid
@@ -413,7 +418,9 @@ def cost_rise_along_axes(linear: LinearisedProblem) -> tuple[_Array, int]:
 
 
 def _follow_valley_floor(linear: LinearisedProblem, sides: _Array, chords: int) -> tuple[_Array, list[_Array]]:
-    """Return theta and initial states at ``sides`` (b, t) along the axes, with all other coordinates optimised."""
+    """Minimise the cost at points whose nonzero coordinates ``sides`` (b, t) are fixed; return theta and initial
+    states.
+    """
     problem, point = linear.problem, linear.point
     u, s, vt = np.linalg.svd(linear.jacobian, full_matrices=False)
     axes = vt.T / np.maximum(s, _MIN_DETERMINED_SINGULAR_VALUE)  # a weakly determined axis is followed for at most 0.5
@@ -541,7 +548,9 @@ def run_cma_es(
 
 
 def _profile_cost(linear: LinearisedProblem, theta: _Array) -> tuple[_Array, list[_Array]]:
-    """Return costs (b,) at the best initial states of the linearised problem, and these states by record."""
+    """Return the costs (b,) of ``theta`` with initial states from the linearised problem, and these states for each
+    record.
+    """
     problem, b = linear.problem, len(theta)
     costs = 0.5 * np.sum((theta / problem.prior_std) ** 2, axis=1)
     costs = costs + 0.5 * np.sum(problem.hover_residual(theta) ** 2, axis=1)

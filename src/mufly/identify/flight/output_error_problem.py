@@ -221,7 +221,7 @@ class OutputErrorProblem:
         return _INITIAL_STATE_STD[self.prepared_records[i].sought_states]
 
     def _replace_in_records(self, **changed: Sequence[Any]) -> OutputErrorProblem:
-        """Return the problem with changed fields of its records, one value per record."""
+        """Return the problem with new values in some fields of its prepared records, one value for each record."""
         rows = [dict(zip(changed, values, strict=True)) for values in zip(*changed.values(), strict=True)]
         flights = tuple(dataclasses_replace(f, **row) for f, row in zip(self.prepared_records, rows, strict=True))
         return dataclasses_replace(self, prepared_records=flights)
@@ -240,7 +240,9 @@ class OutputErrorProblem:
         )
 
     def with_held_parameters(self) -> tuple[OutputErrorProblem, int]:
-        """Return the problem with the held parameters appended to the free ones, and the number of free parameters."""
+        """Return the problem with the held parameters appended to the free ones, and the original number of free
+        parameters.
+        """
         held = list_held_parameters(
             self.vehicle, self.free_parameters, self.delay_s, self.prepared_records[0].constant_voltage
         )
@@ -399,7 +401,10 @@ class OutputErrorProblem:
         return e[0], np.moveaxis(e[1:] - e[0], 0, -1) / _STATE_DIFFERENCE_STEP
 
     def hover_residual(self, theta: _Array) -> _Array:
-        """Return the residual of eq. 5.1 at the mean motor inputs over its tolerance, (b, 2 records) or (b, 0)."""
+        """Return the residual of the hover equations (eq. 5.1) at the mean motor inputs, divided by its tolerance.
+
+        The shape is (b, two per record); it is (b, 0) for a problem without hover equations.
+        """
         if not self.with_hover_residual or self.dynamics_part == "roll-pitch":
             return np.zeros((len(theta), 0))
         out = []

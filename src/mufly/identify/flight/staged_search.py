@@ -168,7 +168,7 @@ class StagedSearch:
                 )
 
     def search_minimum(self) -> tuple[FitPoint, OutputErrorProblem, bool, tuple[str, ...]]:
-        """Run all stages, also from the vehicle with exchanged rotor inertias until the costs decide between both.
+        """Run all stages, and repeat each from exchanged rotor inertias until the costs rule out one of the two starts.
 
         Return the point, the last problem, whether the search converged, and descriptions of remaining ambiguities.
         """
@@ -187,7 +187,9 @@ class StagedSearch:
         return point, problem, converged, (doubt,) if doubt else ()
 
     def _with_rotors_exchanged(self, theta: _Array) -> StagedSearch | None:
-        """Return a search that starts with exchanged rotor inertias; None if no pair of them is free."""
+        """Return a search from exchanged inertias of upper and lower rotor; None if no such pair of parameters is
+        free.
+        """
         at = {f.symbol: k for k, f in enumerate(self._final_problem.free_parameters)}
         pairs = [(at[a], at[b]) for a, b in _SWAPPABLE_ROTOR_INERTIAS if a in at and b in at]
         if not pairs:

@@ -167,6 +167,6 @@ def _find_crossing(w: Array, y: Array, level: float, sigma: Array, *, last: bool
 
 
 def _local_slope(w: Array, y: Array, k: int) -> float:
-    """Return the slope of a curve between points ``k`` and ``k + 1``, from four points to reduce noise."""
+    """Return the slope of a curve between points ``k`` and ``k + 1``, from a line fitted to four points."""
     near = slice(max(k - 1, 0), k + 3)
     return float(np.polyfit(w[near], y[near], 1)[0])

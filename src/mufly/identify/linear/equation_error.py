@@ -248,7 +248,7 @@ def _least_squares(rows: Sequence[Array], right: Sequence[Array]) -> tuple[Array
 
 
 class _RegressionRows:
-    """Regression rows of every candidate term by record, as functions of lag and delay."""
+    """Regression rows of candidate terms for every record, computed for a given lag and delay of the inputs."""
 
     def __init__(
         self, records: Sequence[RegressionRecord], outputs: tuple[str, ...], inputs: tuple[str, ...], domain: str,
@@ -259,7 +259,9 @@ class _RegressionRows:
         self._fourier_kernels: dict[str, tuple[ComplexArray, ComplexArray]] = {}
 
     def transform_signal(self, r: RegressionRecord, signal: Array) -> Array:
-        """Return a signal (n, k) in the regression domain: low-passed (n', 1, k), or its spectrum (f, 2, k)."""
+        """Return a signal (n, k) in the regression domain: low-passed (n', 1, k), or real and imaginary spectrum (f,
+        2, k).
+        """
         if self.domain == "time":
             return self._trim_edges(r, self._band_pass(r, signal))[:, None, :]
         return _real_and_imaginary(self._fourier_kernel(r)[0] @ signal)
@@ -442,7 +444,7 @@ def _record_bias(
     value: Array,
     actuator: Array,
 ) -> float:
-    """Return the bias of a record: mean of the derivative less the mean of the fitted terms."""
+    """Return the bias of an output's derivative in a record: its mean less the mean of the fitted terms."""
     acted = apply_actuator(r.inputs, float(actuator[0]), float(actuator[1]), r.dt)
     length = float(r.time_s[-1] - r.time_s[0])
     told = sum(v * float(at.evaluate_term(r, t, acted).mean()) for v, t in zip(value.tolist(), terms, strict=True))
@@ -496,7 +498,7 @@ def _remove_bias(constants: Sequence[Array], blocks: Sequence[Array]) -> list[Ar
 
 
 def _whitening_weights(left: Sequence[Array]) -> list[Array]:
-    """Return weights that whiten the spectrum of a residual: the inverse of a parabola through its logarithm."""
+    """Return weights that whiten residuals: the inverse of their spectrum, smoothed by a parabola of its logarithm."""
     weights = []
     for e in left:
         power = np.log(np.maximum((e**2).sum(1), 1e-300))
@@ -514,7 +516,7 @@ def _search_actuator_grid(
     most: float,
     dt: float,
 ) -> Array:
-    """Return lag and delay of a grid with the smallest residual of all linear terms."""
+    """Return the lag and delay, from a grid of both, that give ``terms`` the smallest residual."""
     z = np.concatenate([b.ravel() for b in plain])
     best, least = np.zeros(2), np.inf
     for lag in most * np.array([0.0, 0.1, 0.2, 0.35, 0.55, 0.8]):

@@ -368,7 +368,7 @@ def _fit_percent(measured: Array, predicted: Array) -> float:
 
 
 def _simulate_with_own_trim(model: EquationModel, f: RegressionRecord, bias: Array) -> Array:
-    """Simulate with trim and initial state fitted to this record by one or, if nonlinear, two Gauss-Newton steps."""
+    """Simulate a record with trim and initial state that one Gauss-Newton step (two if nonlinear) fits to it."""
     m, first = len(model.outputs), f.outputs[0].copy()
     size = f.outputs.std(axis=0)
     path = simulate_equations(model, f.inputs, f.dt, first[None, :], bias[None, :])[:, 0]
