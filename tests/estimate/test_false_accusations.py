@@ -24,7 +24,7 @@ from mufly.estimate.filter.filter_records import (
     PHASE_STANDING,
     READING_MAGNETIC_FIELD,
     READING_POSITION_FIX,
-    ROTOR_FORCE_ANG_ACCEL,
+    ROTOR_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     SENSOR_COUNT,
     STATE_COUNT,
@@ -75,12 +75,12 @@ def test_white_ratios_of_unit_variance_change_no_estimated_noise() -> None:
 def sonar_memory(height_m: float) -> SimpleNamespace:
     x = np.zeros(STATE_COUNT)
     x[NOMINAL_POSITION + 2] = -height_m
-    return SimpleNamespace(x=x, sonar_range_prev=0.0, sonar_repeat_chance=1.0, fix_height_gap=0.0)
+    return SimpleNamespace(x=x, sonar_range_prev=0.0, sonar_repeat_chance=1.0, fix_sonar_height_difference=0.0)
 
 
 def test_equal_readings_of_a_moving_vehicle_are_stuck_unless_it_may_stand(settings: Any) -> None:
     flying, standing = sonar_memory(1.0), sonar_memory(0.4)
-    standing.fix_height_gap = 0.3  # the fix says that it stands
+    standing.fix_sonar_height_difference = 0.3  # the fix says that it stands
     moves = 0.02 * np.sin(np.arange(100))
     assert any(fusion._sonar_stuck.py_func(flying, settings, 1.0, nu) for nu in moves)
     assert not any(fusion._sonar_stuck.py_func(standing, settings, 0.36, nu) for nu in moves)
@@ -95,8 +95,8 @@ def spiking_memory() -> SimpleNamespace:
         )
     }  # fmt: skip
     return SimpleNamespace(
-        **three, tick=1, rotor_force=np.zeros((ROTOR_FORCE_HISTORY, ROTOR_FORCE_ANG_ACCEL + 3)), rate_residual_lp=0.01,
-        divergence_ticks=0, spike_repeats=0, spike_count=0, flight_phase=PHASE_FLYING, u_transposed=None,
+        **three, tick=1, rotor_force=np.zeros((ROTOR_FORCE_HISTORY, ROTOR_ANG_ACCEL + 3)), rate_residual_lp=0.01,
+        divergence_ticks=0, equal_spike_count=0, spike_count=0, flight_phase=PHASE_FLYING, u_transposed=None,
         ud_diagonal=None, u_transposed_h=None, reject_score=np.zeros(SENSOR_COUNT),
     )  # fmt: skip
 
@@ -148,7 +148,7 @@ def test_a_field_of_another_strength_than_the_earth_s_is_no_heading(
 def test_a_fix_off_in_height_alone_does_not_contradict_the_attitude(component: int, status: int) -> None:
     ratios = np.zeros(4)
     ratios[component] = 9.0
-    m = SimpleNamespace(status=np.full(SENSOR_COUNT, STATUS_REJECTED), fix_component=component, fix_ratio=ratios)
+    m = SimpleNamespace(status=np.full(SENSOR_COUNT, STATUS_REJECTED), worst_fix_component=component, fix_ratio=ratios)
     fix_fusion._mark_height_fault.py_func(m)
     assert m.status[READING_POSITION_FIX] == status
     ratios[0], m.status[READING_POSITION_FIX] = 6.0, STATUS_REJECTED  # a jump on several axes
@@ -213,13 +213,13 @@ def test_the_velocity_of_vibration_has_the_variance_of_its_integral(
         name: np.zeros(3)
         for name in (
             "accel_noise_slow", "slow_residual_sum", "slow_residual_mean_prev",
-            "vibration_velocity", "vibration_velocity_variance", "axis_work", "clip_share",
+            "vibration_velocity", "vibration_velocity_variance", "axis_work", "clipped_fraction",
         )
     }  # fmt: skip
     m = SimpleNamespace(
         **three, inputs_now=row, x=np.zeros(STATE_COUNT), sigma_output=np.zeros(ERROR_STATE_COUNT),
         slow_residual_count=0, slow_residual_mean_count=0, flight_phase=PHASE_MOTORS_RUNNING, tick=0,
-        grounded_tick=0, status=np.ones(SENSOR_COUNT, dtype=int), fault_until_tick=np.zeros(SENSOR_COUNT),
+        last_grounded_tick=0, status=np.ones(SENSOR_COUNT, dtype=int), fault_until_tick=np.zeros(SENSOR_COUNT),
     )  # fmt: skip
     found = []
     for m.tick in range(4000):

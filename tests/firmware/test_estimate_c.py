@@ -119,7 +119,7 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
             assert same(c._memory_array, python._memory_array), k
     assert same(c._memory_array, python._memory_array)
     assert (disowned > 0) == faults.startswith("accelerometer.drift")  # forces apart by six deviations
-    longer_least = float(c.memory["sonar_least_range"]) > float(c._settings["sonar_min"])
+    longer_least = float(c.memory["sonar_min_seen_range"]) > float(c._settings["sonar_min_range"])
     assert longer_least == faults.startswith("sonar.jump=0.1@")  # on the floor
     if not faults:
         assert c.memory["flight_phase"] == PHASE_FLYING
@@ -163,7 +163,7 @@ def test_a_tilted_inertial_unit_is_levelled_alike(vehicle: Vehicle, felt: Callab
         told, right, without = c.update(r, a), python.update(r, a), plain.update(level, a)
     assert same(c._memory_array, python._memory_array)
     assert (c.memory["is_levelled"], plain.memory["is_levelled"]) == (1, 0)
-    turned = c.memory["level_rotation"].reshape(3, 3)
+    turned = c.memory["levelling_rotation"].reshape(3, 3)
     np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
     mounted = math.degrees(math.acos(turned[2, 2]))
     assert mounted == pytest.approx(math.hypot(3.0, 2.0), abs=1.3)  # legs and bias: a degree
@@ -267,7 +267,7 @@ def test_a_fix_apart_from_the_sonar_in_height_is_told_in_both(vehicle, felt, rem
             if remembers and k == 1500:
                 e.memory["x"][NOMINAL_FIX_BIAS + 2] = 2.0
             e.update(r, a)
-        most = max(most, c.memory["fix_height_gap"])
+        most = max(most, c.memory["fix_sonar_height_difference"])
     assert same(c._memory_array, python._memory_array)
     assert most > (0.0 if remembers else 0.5)
 
@@ -296,7 +296,7 @@ def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
                     m = e.memory
                     m["x"][:] += x
                     m["gyro_offset"][:] += shift
-                    m["flight_phase"], m["terrain_edge_weight"], m["fix_height_gap"] = mode, edge, apart
+                    m["flight_phase"], m["terrain_edge_weight"], m["fix_sonar_height_difference"] = mode, edge, apart
                     m["status"][sensor], m["last_fused_tick"][READING_SONAR] = (
                         code,
                         max(int(m["tick"]) - int(ago), 0),

@@ -93,8 +93,8 @@ def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, 
     # One division instead of two, which a processor does one after the other.
     least_up = max(up, _MIN_ROTOR_SPEED_RAD_S)
     each = 1.0 / (tip * least_up)
-    climb = (-air_z * (each * least_up) - p.flight_map_start[0]) * p.flight_map_per_step[0]
-    return dw * (each * tip), climb, edge * p.flight_map_per_step[1]
+    climb = (-air_z * (each * least_up) - p.flight_map_start[0]) * p.flight_map_inverse_steps[0]
+    return dw * (each * tip), climb, edge * p.flight_map_inverse_steps[1]
 
 
 @cached_njit(error_model="numpy", forceinline=True)

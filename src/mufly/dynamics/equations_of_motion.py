@@ -399,7 +399,7 @@ def map_coefficients(
     t_up, q_up, t_dw, q_dw = maps_interpolate(
         p.thrust_over_speed2_table_up, p.torque_over_speed2_table_up,
         p.thrust_over_speed2_table_dw, p.torque_over_speed2_table_dw,
-        p.map_size, p.map_start, p.map_per_step, mean, ratio, climb_ratio,
+        p.map_size, p.map_start, p.map_inverse_steps, mean, ratio, climb_ratio,
     )  # fmt: skip
     return t_up, t_dw, q_up, q_dw
 
@@ -467,10 +467,10 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
         return float(p[name]), 2 * float(p[name]), 0.0
     what, side = name.split("_")
     table = p[f"{what}_over_speed2_table_{side}"][:n].reshape(p["map_size"])
-    steps = np.array([1.0 / q if q > 0 else 0.0 for q in p["map_per_step"]])
+    steps = np.array([1.0 / q if q > 0 else 0.0 for q in p["map_inverse_steps"]])
     last = p["map_start"] + (p["map_size"] - 1) * steps
     reach = np.maximum(np.abs(p["map_start"]), np.abs(last))
-    slopes = [float(np.max(np.abs(np.diff(table, axis=k)), initial=0.0) * p["map_per_step"][k]) for k in range(3)]
+    slopes = [float(np.max(np.abs(np.diff(table, axis=k)), initial=0.0) * p["map_inverse_steps"][k]) for k in range(3)]
     greatest = float(np.max(np.abs(table)))
     return greatest, 2 * greatest + float(reach @ slopes), 2 * slopes[2] / float(p["map_radius"])
 

@@ -198,7 +198,7 @@ class ModelParameters:
     map_nodes: int = _int("nodes of a table of the coefficient map; 0: no map")
     map_size: NDArray[np.int64] = _int("mean speeds, ratios, climbs of the map", 3)
     map_start: _Array = _real("first of each", 3)
-    map_per_step: _Array = _real("inverse of the step of each", 3)
+    map_inverse_steps: _Array = _real("inverse of the step of each", 3)
     map_radius: float = _real("rotor radius", unit="m")
     thrust_over_speed2_table_up: _Array = _real("upper thrust over the speed's square", MAX_MAP_NODES, unit="N s2")
     torque_over_speed2_table_up: _Array = _real("upper torque over the speed's square", MAX_MAP_NODES, unit="N m s2")
@@ -210,7 +210,7 @@ class ModelParameters:
     flight_map_nodes: int = _int("climbs times edgewise velocities of the flight map; 0: no map")
     flight_map_size: NDArray[np.int64] = _int("climbs and edgewise velocities of the map", 2)
     flight_map_start: _Array = _real("first of each", 2)
-    flight_map_per_step: _Array = _real("inverse of the step of each", 2)
+    flight_map_inverse_steps: _Array = _real("inverse of the step of each", 2)
     flight_map_ratio: _Array = _real("middle, lowest and highest speed ratio of the map", 3)
     flight_map_knee2: float = _real("k^2 of the edgewise axis")
     flight_map_scale: float = _real("rho pi R^3", unit="kg")
@@ -362,7 +362,7 @@ def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]
         "map_nodes": int(tables[0].size),
         "map_size": size,
         "map_start": start,
-        "map_per_step": per_step,
+        "map_inverse_steps": per_step,
         "map_radius": radius,
         **dict(zip(MAP_TABLE_FIELDS, full, strict=True)),
     }
@@ -385,7 +385,7 @@ def _flight_map_fields(vehicle: Vehicle) -> dict[str, Any]:
         "flight_map_nodes": int(np.prod(splines.size)),
         "flight_map_size": splines.size,
         "flight_map_start": splines.start,
-        "flight_map_per_step": splines.per_step,
+        "flight_map_inverse_steps": splines.per_step,
         "flight_map_ratio": [splines.ratio, splines.ratio_low, splines.ratio_high],
         "flight_map_knee2": m.knee**2,
         "flight_map_scale": np.pi * float(vehicle.air.density) * float(vehicle.rotors.radius) ** 3,

@@ -46,7 +46,7 @@ from mufly.estimate.filter.measurements import (
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "c7cc6aee0dddff75"
+VERIFIED_STAMP = "636422ba8b1faff6"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (

@@ -36,7 +36,7 @@ from mufly.quantities.units import GRAVITY
 RECORDS_HEADER = "estimate/filter/records.h"
 """Path of the generated header in a tree of C sources."""
 PYTHON_ONLY_FIELDS = (
-    "rotation_work", "accel_work", "transition_work", "q_work", "w_work", "derivative_work", "no_wind",
+    "rotation_work", "accel_work", "transition_work", "q_work", "w_work", "derivative_work", "zero_wind",
 )  # fmt: skip
 """Work arrays at the end of the memory; C keeps them on the stack."""
 FIELD_UNITS: dict[str, str] = {

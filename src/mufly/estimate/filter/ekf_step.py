@@ -41,14 +41,14 @@ from mufly.estimate.filter.filter_records import (
     READING_POSITION_FIX,
     READING_RATES,
     READING_STARTS,
-    ROTOR_FORCE_ANG_ACCEL,
+    ROTOR_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     STATE_COUNT,
     FilterMemory,
     FilterSettings,
 )
 from mufly.estimate.filter.measurements.fusion import (
-    LEG_CLEARANCE_HEIGHT,
+    LEG_CLEARANCE_HEIGHT_M,
     LIFTOFF_THRUST_SIGMA,
     fuse_liftoff_thrust,
     height_above_ground,
@@ -85,7 +85,7 @@ def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
     for i in range(AID_COUNT):
         m.noise_scale[i] = m.bias_walk_scale[i] = 1.0
     m.task_stage = STAGE_DONE
-    m.sonar_least_range = s.sonar_min
+    m.sonar_min_seen_range = s.sonar_min_range
     m.x_output[NOMINAL_ATTITUDE] = m.rotor_state[MODEL_ATTITUDE] = m.rotor_state[MODEL_CHARGE] = 1.0
     m.rotor_state[MODEL_POSITION + 2] = -1000.0  # far above the floor
     m.rotor_state[MODEL_BAR + 2] = -1.0
@@ -123,17 +123,17 @@ def estimator_step(
             # Rates of the rotor model. The stabiliser bar keeps the rotors level, so only yaw drifts.
             m.gyro_rates[k] = (
                 m.gyro_rates_prev[k]
-                + s.dt * m.rotor_force[(m.tick - 1) % ROTOR_FORCE_HISTORY, ROTOR_FORCE_ANG_ACCEL + k]
+                + s.dt * m.rotor_force[(m.tick - 1) % ROTOR_FORCE_HISTORY, ROTOR_ANG_ACCEL + k]
                 + m.ang_accel_bias[k]
             )
         else:
             m.gyro_rates[k] = m.x_output[NOMINAL_GYRO_BIAS + k]
     # The height may be wrong by the depth of a surface below the floor, or by the gap of fix and sonar
-    doubt = m.fix_height_gap - min(m.x_output[NOMINAL_TERRAIN], 0.0)
+    doubt = m.fix_sonar_height_difference - min(m.x_output[NOMINAL_TERRAIN], 0.0)
     replace_gyro_spikes(
         m,
         s,
-        m.flight_phase == PHASE_FLYING and height_above_ground(m.x_output, s) > LEG_CLEARANCE_HEIGHT + doubt,
+        m.flight_phase == PHASE_FLYING and height_above_ground(m.x_output, s) > LEG_CLEARANCE_HEIGHT_M + doubt,
     )
     rises = sample_inputs(m, s, p, z, new, r)
     if (

@@ -34,13 +34,13 @@ from mufly.estimate.filter.filter_records import (
     ERROR_VELOCITY,
     FLOOR_SETTLED_SIGMA,
     INPUT_ACCEL,
+    INPUT_ACCEL_PER_VELOCITY,
     INPUT_ACCEL_WEIGHT,
     INPUT_BLOCK_COUNT,
     INPUT_FLIGHT_PHASE,
-    INPUT_FORCE_SLOPE,
     INPUT_NOISE_DENSITY,
-    INPUT_STATIC_FORCE,
-    MAX_FLOOR_HEIGHT,
+    INPUT_THRUST_ACCEL,
+    MAX_FLOOR_HEIGHT_M,
     MAX_LAG_BLOCKS,
     NOMINAL_GYRO_BIAS,
     NOMINAL_POSITION,
@@ -66,7 +66,7 @@ from mufly.estimate.filter.measurements.fusion import (
 )
 from mufly.estimate.filter.measurements.sensor_checks import (
     DIVERGED_GYRO_BIAS_WALK,
-    LATER_GYRO_BIAS_WALK,
+    POST_DIVERGENCE_GYRO_BIAS_WALK,
     STATUS_MISSING,
 )
 from mufly.estimate.filter.output_predictor import FORCE_MEAN_TICKS, velocity_noise_density
@@ -84,7 +84,7 @@ STAGE_TERRAIN, STAGE_FORCE_MEANS, STAGE_FORCE_AXES, STAGE_GROUND_CONTACT, STAGE_
 """Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
 GYRO_OUTAGE_RATE_DENSITY = 0.002
 """Density of the angular rate (rad^2/s) without gyroscopes: the stabiliser bar keeps the rotors level."""
-MIN_CROSS_AXIS_YAW_RATE = 0.25
+MIN_CROSS_AXIS_YAW_RATE_RAD_S = 0.25
 """Yaw rate (rad/s) above which an axis error of the inertial unit is estimated."""
 
 
@@ -141,8 +141,8 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
         m.accel_mean[k] += e[INPUT_ACCEL + k]
         m.model_accel_mean[k] += a[ACCEL_WORK_MODEL + k]
         m.gyro_mean[k] += e[k]
-        m.thrust_slope[k] += e[INPUT_STATIC_FORCE + k]
-        m.velocity_slope[k] += e[INPUT_FORCE_SLOPE + k]
+        m.accel_per_thrust_scale[k] += e[INPUT_THRUST_ACCEL + k]
+        m.accel_per_air_velocity[k] += e[INPUT_ACCEL_PER_VELOCITY + k]
     spread = s.gyro_noise_density + (GYRO_OUTAGE_RATE_DENSITY if m.status[READING_RATES] >= STATUS_MISSING else 0.0)
     m.yaw_rate = 0.0
     for k in range(3):
@@ -171,7 +171,7 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
         k += ERROR_FIX_HEADING + 1 - ERROR_FIX_BIAS
     origin, keep, q = s.initial_state[k + 1], s.decay[k], s.process_variance[k]
     if k < ERROR_GYRO_BIAS + 3 and m.divergence_ticks > 0:
-        may = DIVERGED_GYRO_BIAS_WALK if m.divergence_ticks > 1 else LATER_GYRO_BIAS_WALK
+        may = DIVERGED_GYRO_BIAS_WALK if m.divergence_ticks > 1 else POST_DIVERGENCE_GYRO_BIAS_WALK
         q += may * may * (BIAS_CYCLE_TICKS * s.dt)
     elif k == ERROR_TERRAIN:
         q *= math.sqrt(
@@ -179,7 +179,7 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
         )  # the terrain changes with distance, not with time
     if k < ERROR_GYRO_BIAS + 3:
         i = k - ERROR_GYRO_BIAS
-        turning = m.yaw_rate if abs(m.yaw_rate) > MIN_CROSS_AXIS_YAW_RATE else 0.0
+        turning = m.yaw_rate if abs(m.yaw_rate) > MIN_CROSS_AXIS_YAW_RATE_RAD_S else 0.0
         if m.cross_axis_yaw_rate[i] != 0.0:
             keep = turning / m.cross_axis_yaw_rate[i]
             q += m.gyro_bias_before_yaw_variance[i] if turning == 0.0 else 0.0
@@ -229,12 +229,12 @@ def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
         m.accel_mean[k] /= n
         m.model_accel_mean[k] /= n
         m.gyro_mean[k] /= n
-        m.thrust_slope[k] /= n
-        m.velocity_slope[k] /= n
+        m.accel_per_thrust_scale[k] /= n
+        m.accel_per_air_velocity[k] /= n
         # Noise density of the difference at the horizon, from the weights used there. The mean of a vibration is the
         # difference of two velocities over the time between them; the lag at least doubles the output's variance.
         share = max(e[INPUT_ACCEL_WEIGHT + k], 1e-9)
-        m.residual_density[k] = e[INPUT_NOISE_DENSITY + k] / share / max(1 - share, 1e-9) + (
+        m.accel_residual_density[k] = e[INPUT_NOISE_DENSITY + k] / share / max(1 - share, 1e-9) + (
             m.vibration_velocity_variance[k] / (m.block_mean_ticks * s.dt)
         )
 
@@ -244,7 +244,7 @@ def clear_block_forces(m: FilterMemory) -> None:
     """Restart the averages of the measured and of the modelled specific force."""
     for k in range(3):
         m.accel_mean[k] = m.model_accel_mean[k] = m.gyro_mean[k] = 0.0
-        m.thrust_slope[k] = m.velocity_slope[k] = 0.0
+        m.accel_per_thrust_scale[k] = m.accel_per_air_velocity[k] = 0.0
     m.max_innovation_ratio = 0.0
     m.block_mean_ticks = 0
 
@@ -259,7 +259,7 @@ def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left
         m.task_stage = STAGE_TERRAIN
     if m.task_stage == STAGE_TERRAIN:
         m.task_stage = STAGE_FORCE_MEANS
-        if not m.terrain_edge_weight > 0.0 and abs(m.x[NOMINAL_TERRAIN]) < MAX_FLOOR_HEIGHT:
+        if not m.terrain_edge_weight > 0.0 and abs(m.x[NOMINAL_TERRAIN]) < MAX_FLOOR_HEIGHT_M:
             sure = state_variance(m.u_transposed, m.ud_diagonal, ERROR_TERRAIN)
             if (
                 sure > FLOOR_SETTLED_SIGMA * FLOOR_SETTLED_SIGMA

@@ -20,15 +20,15 @@ from mufly.estimate.filter.filter_records import (
     ERROR_POSITION,
     ERROR_THRUST_SCALE,
     INPUT_ACCEL,
+    INPUT_ACCEL_PER_VELOCITY,
     INPUT_ACCEL_WEIGHT,
     INPUT_BLOCK_COUNT,
     INPUT_FLIGHT_PHASE,
-    INPUT_FORCE_REMAINDER,
-    INPUT_FORCE_SLOPE,
     INPUT_NOISE_DENSITY,
+    INPUT_NON_THRUST_ACCEL,
     INPUT_RATES,
     INPUT_ROW_SIZE,
-    INPUT_STATIC_FORCE,
+    INPUT_THRUST_ACCEL,
     NOMINAL_ACCEL_BIAS,
     NOMINAL_ATTITUDE,
     NOMINAL_GYRO_BIAS,
@@ -48,19 +48,19 @@ from mufly.estimate.filter.filter_records import (
     READING_SONAR,
     READING_STARTS,
     ROTOR_FORCE_HISTORY,
-    ROTOR_FORCE_STATIC,
+    ROTOR_THRUST_ACCEL,
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.filter.measurements.fusion import MIN_TERRAIN_HEIGHT, height_above_ground
+from mufly.estimate.filter.measurements.fusion import MIN_TERRAIN_HEIGHT_M, height_above_ground
 from mufly.estimate.filter.measurements.sensor_checks import (
     ACTUATOR_START,
+    DIAGNOSIS_MODEL_WRONG,
     REASON_LEVELLED,
     REASON_NONE,
     STATUS_FUSED,
     STATUS_MISSING,
     STATUS_REJECTED,
-    VERDICT_MODEL_WRONG,
     check_battery_voltage,
     check_rotor_speed,
     set_fault,
@@ -78,10 +78,10 @@ VIBRATION_HIGH_PASS_S, VIBRATION_VARIANCE_GAIN = 0.04, 0.002
 """Time constant of the high pass that separates the velocity of vibration from other errors (s), some revolutions of
 the rotors; gain of its mean square per period (1). A fast gain would take a fault of the accelerometers for vibration.
 """
-LEVELLING_REST_S, LEVELLING_MAX_RATE, LEVELLING_GATE_SIGMAS = 0.5, 0.1, 3.0
+LEVELLING_REST_S, LEVELLING_MAX_RATE_RAD_S, LEVELLING_GATE_SIGMAS = 0.5, 0.1, 3.0
 """Time at rest in which the tilt of the inertial unit is measured (s), largest rate meanwhile (rad/s), and deviations
 of the standing tilt beyond which the unit is taken for tilted (1)."""
-STOPPED_ROTOR_SPEED_SHARE = 0.02
+STOPPED_ROTOR_SPEED_FRACTION = 0.02
 """Share of the speeds in hover below which rotors stand. Those that run down with the motors off turn the vehicle."""
 LIFTOFF_THRUST_SIGMA_LIMIT = 2.5
 """Deviations of the thrust scale by which lift-off may come earlier or later than modelled."""
@@ -89,13 +89,13 @@ MODELLED_THRUST_SIGMA, THRUST_ERROR_CORRELATION_S = 0.03, 0.02
 """Deviation of the thrust scale without added noise (1); correlation time of larger errors (s)."""
 TWICE_ACCEL_ERROR_CORRELATION_S = 0.3
 """Twice the correlation time (s) of an acceleration error; over the filter's delay it changes the velocity."""
-CLIPPING_ERROR_SHARE = 0.25
+CLIPPING_ERROR_FRACTION = 0.25
 """Error of the mean of clipping accelerometers over range times share of clipped samples (1); 0.1 to 0.3 is usual."""
-GROUND_FORCE_ERROR = 1.0
+GROUND_FORCE_ERROR_M_S2 = 1.0
 """Joint error of rotor and leg forces on the floor (m/s^2)."""
-MAX_SONAR_LIFTOFF_HEIGHT, SONAR_LIFTOFF_EXCESS = 0.3, 0.015
+MAX_SONAR_LIFTOFF_HEIGHT_M, SONAR_LIFTOFF_EXCESS_M = 0.3, 0.015
 """Height (m) up to which the sonar decides about lift-off; excess over its least reading (m) that shows lift-off."""
-MAX_MODEL_DISAGREEMENT = 0.4
+MAX_MODEL_DISAGREEMENT_M_S2 = 0.4
 """Largest mean difference of accelerometers and model over 160 ms without added noise (m/s^2). Two standard deviations
 of the thrust scale are added to it; the excess counts as accelerometer noise that is correlated over a second."""
 WRONG_MODEL_NOISE_DENSITY = 10.0
@@ -109,7 +109,7 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
     Returns the ratio of the model's lift to the weight in the period in which the sonar detects lift-off, else 0.
     """
     lift = (
-        -m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_FORCE_STATIC + 2] * m.x[NOMINAL_THRUST_SCALE] / GRAVITY
+        -m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_THRUST_ACCEL + 2] * m.x[NOMINAL_THRUST_SCALE] / GRAVITY
         if s.has_rotor_model > 0
         else 1.0
     )
@@ -120,16 +120,16 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
     # The sonar is newer than the estimated height, except below the floor.
     says = (
         m.status[READING_SONAR] == STATUS_FUSED
-        and height < MAX_SONAR_LIFTOFF_HEIGHT
-        and m.x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT
+        and height < MAX_SONAR_LIFTOFF_HEIGHT_M
+        and m.x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT_M
     )
-    near = says and m.last_value[READING_STARTS[READING_SONAR]] <= m.sonar_least_range + 0.5 * s.sonar_resolution
-    clear = says and m.last_value[READING_STARTS[READING_SONAR]] > m.sonar_least_range + SONAR_LIFTOFF_EXCESS
+    near = says and m.last_value[READING_STARTS[READING_SONAR]] <= m.sonar_min_seen_range + 0.5 * s.sonar_resolution
+    clear = says and m.last_value[READING_STARTS[READING_SONAR]] > m.sonar_min_seen_range + SONAR_LIFTOFF_EXCESS_M
     rises = 0.0
     m.is_sonar_at_minimum = 1 if near else 0
     if m.flight_phase <= PHASE_MOTORS_RUNNING:
         turning = m.rotor_state[MODEL_SPEED_UPPER] + m.rotor_state[MODEL_SPEED_LOWER]
-        stands = turning <= STOPPED_ROTOR_SPEED_SHARE * (s.hover_speed[0] + s.hover_speed[1])
+        stands = turning <= STOPPED_ROTOR_SPEED_FRACTION * (s.hover_speed[0] + s.hover_speed[1])
         m.flight_phase = PHASE_MOTORS_RUNNING if not off else PHASE_STANDING if stands else PHASE_ROTORS_COASTING
         if lift * (1.0 + doubt) > 0.9 and m.flight_phase == PHASE_MOTORS_RUNNING:
             m.flight_phase = PHASE_LIFTING_OFF
@@ -152,7 +152,7 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
     ):
         m.flight_phase = PHASE_MOTORS_RUNNING
     if m.flight_phase != PHASE_FLYING:
-        m.grounded_tick = m.tick
+        m.last_grounded_tick = m.tick
     return rises
 
 
@@ -164,9 +164,9 @@ def _ground_force_noise(m: FilterMemory, force: float) -> float:
     weight, and falls to zero as the lift falls below the weight.
     """
     spread = (
-        GROUND_FORCE_ERROR
+        GROUND_FORCE_ERROR_M_S2
         if m.is_sonar_at_minimum == 1
-        else max(m.sigma_output[ERROR_THRUST_SCALE] * -force, GROUND_FORCE_ERROR)
+        else max(m.sigma_output[ERROR_THRUST_SCALE] * -force, GROUND_FORCE_ERROR_M_S2)
     )
     over = (-m.x_output[NOMINAL_THRUST_SCALE] * force - GRAVITY) / spread
     may = min(max(1.0 + over / LIFTOFF_THRUST_SIGMA_LIMIT, 0.0), 1.0) * spread
@@ -203,7 +203,7 @@ def sample_inputs(
                 for k in range(2):
                     off = z[a + k] - m.rotor_state[MODEL_SPEED_UPPER + k]
                     m.rotor_state[MODEL_SPEED_UPPER + k] += s.rotor_speed_gain * off
-                    m.motor_accel_bias[k] += s.motor_error_gain * off
+                    m.motor_accel_bias[k] += s.motor_accel_bias_gain * off
         if new[READING_BATTERY] == 1:
             off = z[READING_STARTS[READING_BATTERY]] - predict_terminal_voltage(m, p)
             if check_battery_voltage(m, s, off):
@@ -217,10 +217,10 @@ def sample_inputs(
         row[k] = 0.5 * (m.gyro_rates[k] + m.gyro_rates_prev[k])
         row[INPUT_ACCEL + k] = z[k]
         for g in range(3):
-            row[INPUT_STATIC_FORCE + 3 * g + k] = (1 - s.imu_lag_remainder) * m.rotor_force[
-                a, ROTOR_FORCE_STATIC + 3 * g + k
-            ] + s.imu_lag_remainder * m.rotor_force[b, ROTOR_FORCE_STATIC + 3 * g + k]
-        clip = m.clip_share[k] * CLIPPING_ERROR_SHARE * s.accel_range
+            row[INPUT_THRUST_ACCEL + 3 * g + k] = (1 - s.imu_lag_remainder) * m.rotor_force[
+                a, ROTOR_THRUST_ACCEL + 3 * g + k
+            ] + s.imu_lag_remainder * m.rotor_force[b, ROTOR_THRUST_ACCEL + 3 * g + k]
+        clip = m.clipped_fraction[k] * CLIPPING_ERROR_FRACTION * s.accel_range
         # Without vibration; but if the attitude is unknown, the model's force is the better one.
         noise = m.accel_noise_slow[k]
         if m.status[READING_RATES] >= STATUS_MISSING:
@@ -230,7 +230,7 @@ def sample_inputs(
         ) + TWICE_ACCEL_ERROR_CORRELATION_S * clip * clip
         made = s.model_accel_noise_density[k]
         if m.flight_phase <= PHASE_MOTORS_RUNNING:
-            row[INPUT_STATIC_FORCE + k], row[INPUT_FORCE_REMAINDER + k], row[INPUT_FORCE_SLOPE + k] = (
+            row[INPUT_THRUST_ACCEL + k], row[INPUT_NON_THRUST_ACCEL + k], row[INPUT_ACCEL_PER_VELOCITY + k] = (
                 0.0,
                 -GRAVITY * r[6 + k],
                 0.0,
@@ -238,29 +238,29 @@ def sample_inputs(
             felt, made = 1e6, 1e-3
         elif m.flight_phase == PHASE_LIFTING_OFF:
             # Legs may support the weight that the rotors do not: no thrust is estimated.
-            row[INPUT_FORCE_REMAINDER + k] += m.x_output[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC_FORCE + k]
+            row[INPUT_NON_THRUST_ACCEL + k] += m.x_output[NOMINAL_THRUST_SCALE] * row[INPUT_THRUST_ACCEL + k]
             if k == 2:
-                row[INPUT_FORCE_REMAINDER + 2] = (
+                row[INPUT_NON_THRUST_ACCEL + 2] = (
                     -GRAVITY * r[8]
                     if m.is_sonar_at_minimum == 1
-                    else min(row[INPUT_FORCE_REMAINDER + 2], -GRAVITY * r[8])
+                    else min(row[INPUT_NON_THRUST_ACCEL + 2], -GRAVITY * r[8])
                 )
             made = 0.05
             if k == 2:
-                made += _ground_force_noise(m, row[INPUT_STATIC_FORCE + 2])
-            row[INPUT_STATIC_FORCE + k] = 0.0
+                made += _ground_force_noise(m, row[INPUT_THRUST_ACCEL + 2])
+            row[INPUT_THRUST_ACCEL + k] = 0.0
         elif model:
             # Until the thrust is known, after more than the delay, the accelerometers have the higher weight.
-            unknown = max(m.sigma_output[ERROR_THRUST_SCALE] - MODELLED_THRUST_SIGMA, 0.0) * row[INPUT_STATIC_FORCE + k]
+            unknown = max(m.sigma_output[ERROR_THRUST_SCALE] - MODELLED_THRUST_SIGMA, 0.0) * row[INPUT_THRUST_ACCEL + k]
             made += THRUST_ERROR_CORRELATION_S * unknown * unknown
         if not model and m.flight_phase > PHASE_MOTORS_RUNNING:
-            row[INPUT_STATIC_FORCE + k], row[INPUT_FORCE_REMAINDER + k], row[INPUT_FORCE_SLOPE + k] = (
+            row[INPUT_THRUST_ACCEL + k], row[INPUT_NON_THRUST_ACCEL + k], row[INPUT_ACCEL_PER_VELOCITY + k] = (
                 0.0,
                 -GRAVITY if k == 2 else 0.0,
                 0.0,
             )
             made = 10.0
-        if m.accel_model_verdict == VERDICT_MODEL_WRONG:
+        if m.accel_model_diagnosis == DIAGNOSIS_MODEL_WRONG:
             made = max(made, WRONG_MODEL_NOISE_DENSITY)
         elif m.is_accel_distrusted == 1:
             felt = 1e6
@@ -306,8 +306,8 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
         else SLOW_NOISE_TICKS + 1 - m.slow_residual_count
     )
     for k in range(3):
-        off = z[k] - (m.x[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC_FORCE + k] + row[INPUT_FORCE_REMAINDER + k])
-        off -= row[INPUT_FORCE_SLOPE + k] * m.axis_work[k]
+        off = z[k] - (m.x[NOMINAL_THRUST_SCALE] * row[INPUT_THRUST_ACCEL + k] + row[INPUT_NON_THRUST_ACCEL + k])
+        off -= row[INPUT_ACCEL_PER_VELOCITY + k] * m.axis_work[k]
         m.slow_residual_sum[k] += weight * off
         off -= m.slow_residual_mean_prev[k]
         m.vibration_velocity[k] += s.dt * (off - m.vibration_velocity[k] / VIBRATION_HIGH_PASS_S)
@@ -320,19 +320,24 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
         half = float(SLOW_NOISE_TICKS // 2)
         span = 0.75 * SLOW_NOISE_TICKS * s.dt
         # After lift-off the modelled force changes, and the thrust scale has to converge first.
-        settled = m.flight_phase != PHASE_FLYING or m.tick - m.grounded_tick > 2 * SLOW_NOISE_TICKS
+        settled = m.flight_phase != PHASE_FLYING or m.tick - m.last_grounded_tick > 2 * SLOW_NOISE_TICKS
         for k in range(3):
             mean = m.slow_residual_sum[k] / (half * (half + 1.0))
             # The model's uncertainty, large at lift-off, is not noise of the accelerometers.
-            unknown = 2.0 * m.sigma_output[ERROR_THRUST_SCALE] * abs(row[INPUT_STATIC_FORCE + k])
+            unknown = 2.0 * m.sigma_output[ERROR_THRUST_SCALE] * abs(row[INPUT_THRUST_ACCEL + k])
             step = max(abs(mean - m.slow_residual_mean_prev[k]) - unknown, 0.0)
             made = row[INPUT_NOISE_DENSITY + k] / max(1.0 - row[INPUT_ACCEL_WEIGHT + k], 1e-9)
             density = max(0.5 * step * step * span - made, 0.0)
             if m.flight_phase == PHASE_FLYING and settled:
                 unknown += 2.0 * m.sigma_output[ERROR_ACCEL_BIAS + k]
-                apart = abs(mean - m.x[NOMINAL_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + unknown)
+                apart = abs(mean - m.x[NOMINAL_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT_M_S2 + unknown)
                 density += max(apart, 0.0) * max(apart, 0.0)
-                if apart > (m.clip_share[0] + m.clip_share[1] + m.clip_share[2]) * CLIPPING_ERROR_SHARE * s.accel_range:
+                if (
+                    apart
+                    > (m.clipped_fraction[0] + m.clipped_fraction[1] + m.clipped_fraction[2])
+                    * CLIPPING_ERROR_FRACTION
+                    * s.accel_range
+                ):
                     m.accel_model_difference_tick = m.tick
             density = min(density, 100.0)
             most = max(0.6 if density > m.accel_noise_slow[k] else 0.2, 1.0 / (m.slow_residual_mean_count + 1))
@@ -353,7 +358,7 @@ def _rotate_to_level(m: FilterMemory, v: _Array, start: int) -> None:
     """Rotate two vectors, the first at index ``start``, from the axes of a tilted inertial unit to those of the
     vehicle.
     """
-    r = m.level_rotation
+    r = m.levelling_rotation
     for i in (start, start + 3):
         x, y, z = v[i], v[i + 1], v[i + 2]
         for k in range(3):
@@ -388,7 +393,7 @@ def _decide_levelling(m: FilterMemory, s: FilterSettings) -> None:
 
     The smallest rotation that turns a / |a| to (0, 0, -1) has the axis (-a_y, a_x, 0) and the cosine -a_z / |a|.
     """
-    x, y, d = m.level_accel_sum[0], m.level_accel_sum[1], m.level_accel_sum[2]
+    x, y, d = m.levelling_accel_sum[0], m.levelling_accel_sum[1], m.levelling_accel_sum[2]
     size = math.sqrt(x * x + y * y + d * d)
     x, y, d = -y / size, x / size, -d / size
     tilt = s.initial_sigma[ERROR_ACCEL_BIAS] / GRAVITY
@@ -398,7 +403,7 @@ def _decide_levelling(m: FilterMemory, s: FilterSettings) -> None:
     if q > LEVELLING_GATE_SIGMAS * LEVELLING_GATE_SIGMAS * explained and d > 0.875:
         half = math.sqrt(0.5 * d + 0.5)
         turn = np.array((half, 0.5 * x / half, 0.5 * y / half, 0.0))
-        rotation_matrix(turn, m.level_rotation)
+        rotation_matrix(turn, m.levelling_rotation)
         m.is_levelled = 1
         _reset_to_level(m, s)
         set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, math.sqrt(q))
@@ -414,20 +419,20 @@ def level_inertial_unit(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
     would be wrong by twice the tilt after half a turn about the mast.
     """
     needed = int(LEVELLING_REST_S / s.dt)
-    if m.level_ticks < needed:
+    if m.levelling_ticks < needed:
         still = m.flight_phase == PHASE_STANDING and m.status[READING_ACCELERATION] == STATUS_FUSED
         for k in range(3):
-            still = still and abs(z[READING_STARTS[READING_RATES] + k]) < LEVELLING_MAX_RATE
+            still = still and abs(z[READING_STARTS[READING_RATES] + k]) < LEVELLING_MAX_RATE_RAD_S
         if m.flight_phase > PHASE_STANDING or s.has_rotor_model == 0:
-            m.level_ticks = needed
+            m.levelling_ticks = needed
         elif not still:
-            m.level_ticks = 0
-            m.level_accel_sum[0] = m.level_accel_sum[1] = m.level_accel_sum[2] = 0.0
+            m.levelling_ticks = 0
+            m.levelling_accel_sum[0] = m.levelling_accel_sum[1] = m.levelling_accel_sum[2] = 0.0
         else:
-            m.level_ticks += 1
+            m.levelling_ticks += 1
             for k in range(3):
-                m.level_accel_sum[k] += z[READING_STARTS[READING_ACCELERATION] + k]
-            if m.level_ticks == needed:
+                m.levelling_accel_sum[k] += z[READING_STARTS[READING_ACCELERATION] + k]
+            if m.levelling_ticks == needed:
                 _decide_levelling(m, s)
     if m.is_levelled == 1:
         _rotate_to_level(m, z, READING_STARTS[READING_ACCELERATION])

@@ -91,16 +91,16 @@ ERROR_FIX_BIAS, ERROR_FIX_HEADING, ERROR_WIND, ERROR_THRUST_SCALE, ERROR_PRESSUR
 )
 ACCEL_WORK_MODEL = 3
 """Index of the model's acceleration in ``accel_work``."""
-ROTOR_FORCE_STATIC, ROTOR_FORCE_REMAINDER, ROTOR_FORCE_SLOPE, ROTOR_FORCE_ANG_ACCEL = 0, 3, 6, 9
+ROTOR_THRUST_ACCEL, ROTOR_NON_THRUST_ACCEL, ROTOR_ACCEL_PER_VELOCITY, ROTOR_ANG_ACCEL = 0, 3, 6, 9
 ROTOR_FORCE_SIZE = 12
 """A row of the rotor model, three numbers each: force per mass without motion through the air (m/s^2), the rest of the
 force (m/s^2), its slope over the velocity through the air (1/s), angular acceleration (rad/s^2); body axes."""
 (
     INPUT_RATES,
     INPUT_ACCEL,
-    INPUT_STATIC_FORCE,
-    INPUT_FORCE_REMAINDER,
-    INPUT_FORCE_SLOPE,
+    INPUT_THRUST_ACCEL,
+    INPUT_NON_THRUST_ACCEL,
+    INPUT_ACCEL_PER_VELOCITY,
     INPUT_ACCEL_WEIGHT,
     INPUT_NOISE_DENSITY,
     INPUT_FLIGHT_PHASE,
@@ -192,7 +192,7 @@ class FilterMemory:
     beams_fused: int = _int("beams of this scan within their gate")
     yaw_rate: float = _real("yaw rate about the vertical axis at the horizon", unit="rad/s")
     wall_info_limit: _Array = _real("largest information on N and E in a scan", 2, unit="1/m2")
-    wall_info_share: _Array = _real("share of wall_info_limit that this scan adds", 2)
+    wall_info_fraction: _Array = _real("share of wall_info_limit that this scan adds", 2)
     # Inputs
     input_blocks: _Array = _real(
         "rows of inputs, at their block modulo INPUT_BLOCK_COUNT", "INPUT_BLOCK_COUNT", INPUT_ROW_SIZE
@@ -226,27 +226,29 @@ class FilterMemory:
     slow_residual_mean_prev: _Array = _real("last slow mean", 3, unit="m/s2")
     slow_residual_count: int = _int("residuals in slow_residual_sum")
     slow_residual_mean_count: int = _int("slow means so far")
-    clip_share: _Array = _real("share of clipped samples, lp", 3)
+    clipped_fraction: _Array = _real("share of clipped samples, lp", 3)
     # Means since accelerometers and model were compared last
     accel_mean: _Array = _real("measured acceleration", 3, unit="m/s2")
     model_accel_mean: _Array = _real("acceleration of the model", 3, unit="m/s2")
-    thrust_slope: _Array = _real(
+    accel_per_thrust_scale: _Array = _real(
         "derivative of the modelled acceleration with respect to the thrust scale", 3, unit="m/s2"
     )
-    velocity_slope: _Array = _real(
+    accel_per_air_velocity: _Array = _real(
         "derivative of the modelled acceleration with respect to the velocity through the air", 3, unit="1/s"
     )
-    residual_density: _Array = _real("noise density of measured minus modelled acceleration", 3, unit="m2/s3")
+    accel_residual_density: _Array = _real("noise density of measured minus modelled acceleration", 3, unit="m2/s3")
     max_innovation_ratio: float = _real("largest innovation ratio of the axes so far")
     block_mean_ticks: int = _int("periods in these means")
     # Flight phase, terrain, faults
     terrain_edge_weight: float = _real("weight of terrain noise: 1 at an edge in the sonar's cone, then decaying to 0")
     divergence_ticks: int = _int("periods for which the gyroscopes' bias stays free; 1: has been freed once")
     flight_phase: int = _int("STANDING, ROTORS_COASTING, MOTORS_RUNNING, LIFTING_OFF or FLYING")
-    fix_component: int = _int("component of the last position fix with the largest innovation ratio: N, E, D, heading")
+    worst_fix_component: int = _int(
+        "component of the last position fix with the largest innovation ratio: N, E, D, heading"
+    )
     fault_component: int = _int("component to which the fix's reason_number belongs")
     is_sonar_at_minimum: int = _int("1: the sonar reads its minimum range")
-    spike_repeats: int = _int("gyroscope readings in a row with the same deviation")
+    equal_spike_count: int = _int("gyroscope readings in a row with the same deviation")
     gyro_offset: _Array = _real("offset jumps of the gyroscopes, subtracted from the readings", 3, unit="rad/s")
     sonar_ratio_lp: float = _real("innovation ratio of the sonar, lp")
     pressure_ratio_lp: float = _real("innovation ratio of the pressure, lp")
@@ -266,16 +268,16 @@ class FilterMemory:
     accel_model_difference_tick: int = _int(
         "last period in which the 160 ms means of accelerometers and model differed"
     )
-    accel_model_verdict: int = _int("verdict on accelerometers or model, a VERDICT constant of sensor_checks.py")
+    accel_model_diagnosis: int = _int("verdict on accelerometers or model, a VERDICT constant of sensor_checks.py")
     accel_model_conflict_start_tick: int = _int("period in which their conflict began")
     accel_residual_lp: _Array = _real("measured minus modelled acceleration, lp", 3, unit="m/s2")
     accel_residual_sigma: _Array = _real("expected standard deviation of accel_residual_lp", 3, unit="m/s2")
     position_prev: _Array = _real("output position of the previous period", 3, unit="m")
     standing_ticks: int = _int("periods on the floor with the motors off")
-    level_ticks: int = _int("periods at rest in which the tilt of the inertial unit has been measured")
-    level_accel_sum: _Array = _real("sum of the accelerometer readings over level_ticks", 3, unit="m/s2")
+    levelling_ticks: int = _int("periods at rest in which the tilt of the inertial unit has been measured")
+    levelling_accel_sum: _Array = _real("sum of the accelerometer readings over levelling_ticks", 3, unit="m/s2")
     is_levelled: int = _int("1: the inertial unit is tilted, and its readings are rotated level")
-    level_rotation: _Array = _real("rotation matrix applied to the readings, by rows", 9)
+    levelling_rotation: _Array = _real("rotation matrix applied to the readings, by rows", 9)
     mount_variance: _Array = _real("variance of the axis misalignment that remains after levelling", 3, unit="rad2")
     cross_axis_yaw_rate: _Array = _real(
         "yaw rate whose cross-axis error is included in each gyroscope bias", 3, unit="rad/s"
@@ -314,7 +316,7 @@ class FilterMemory:
     repeat_count: _Ints = _int("bit-identical readings in a row", SENSOR_COUNT)
     reject_count: _Ints = _int("readings rejected in a row", SENSOR_COUNT)
     reject_since_tick: _Ints = _int("period since which rejected readings agree with each other", SENSOR_COUNT)
-    grounded_tick: int = _int("last period outside the phase FLYING")
+    last_grounded_tick: int = _int("last period outside the phase FLYING")
     status: _Ints = _int("NOTHING, FUSED, REJECTED, MISSING or FAULTY", SENSOR_COUNT)
     reason: _Ints = _int("reason of the status, of sensor_checks.py", SENSOR_COUNT)
     fault_until_tick: _Ints = _int("period until which a fault is reported", SENSOR_COUNT)
@@ -329,11 +331,11 @@ class FilterMemory:
     invalid_count: _Ints = _int("readings in a row that are marked invalid by the sensor", SENSOR_COUNT)
     duplicate_count: _Ints = _int("readings in a row that arrived twice", SENSOR_COUNT)
     decimation_count: _Ints = _int("number of readings, for decimation", SENSOR_COUNT)
-    fix_height_gap: float = _real(
+    fix_sonar_height_difference: float = _real(
         "absolute difference of the heights by fix and sonar during a conflict, else 0", unit="m"
     )
     sonar_range_prev: float = _real("last range of the sonar", unit="m")
-    sonar_least_range: float = _real(
+    sonar_min_seen_range: float = _real(
         "least range of the sonar: that of the vehicle file, or a longer one shown at rest", unit="m"
     )
     sonar_repeat_chance: float = _real("probability of so many equal readings of a working sonar")
@@ -354,7 +356,7 @@ class FilterMemory:
     q_work: _Array = _real("process noise", 9)
     w_work: _Array = _real("velocity columns", 3, 6)
     derivative_work: _Array = _real("derivative of the flight model", 21)
-    no_wind: _Array = _real("zeros", 3)
+    zero_wind: _Array = _real("zeros", 3)
 
 
 class FilterSettings:
@@ -368,8 +370,8 @@ class FilterSettings:
     imu_lag_remainder: float = _real("rest of imu_lag as a fraction of the period")
     horizon_delay_ticks: int = _int("periods by which the horizon is behind")
     has_rotor_model: int = _int("1: the rotor model is used")
-    swash_decay: float = _real("decay factor of the swash plate lag per period")
-    swash_decay_mean: float = _real("mean of the decay over the period")
+    swash_lag_decay: float = _real("decay factor of the swash plate lag per period")
+    swash_lag_decay_mean: float = _real("mean of the decay over the period")
     initial_state: _Array = _real("state at the reset", STATE_COUNT)
     initial_sigma: _Array = _real("standard deviations at the reset", ERROR_STATE_COUNT)
     decay: _Array = _real("decay factor of each bias per step", ERROR_STATE_COUNT)
@@ -399,8 +401,8 @@ class FilterSettings:
     sonar_variance: float = _real("variance of a range", unit="m2")
     sonar_resolution: float = _real("resolution of a range", unit="m")
     sonar_cone_cosine: float = _real("cosine of half the cone")
-    sonar_min: float = _real("minimum range, or the largest reading on the floor if that is larger", unit="m")
-    sonar_max: float = _real("largest range", unit="m")
+    sonar_min_range: float = _real("minimum range, or the largest reading on the floor if that is larger", unit="m")
+    sonar_max_range: float = _real("largest range", unit="m")
     sonar_cone_edge_excess: float = _real("ratio of the range at the cone's edge to that on its axis, minus 1")
     sonar_cone_radius_ratio: float = _real("ratio of the cone's radius to the range")
     fix_variance: float = _real("variance of the fix's position", unit="m2")
@@ -419,7 +421,7 @@ class FilterSettings:
     mag_current_variance: float = _real("variance of the motors' field per axis and squared current", unit="T2/A2")
     earth_field: _Array = _real("magnetic field of the earth, N, E, D", 3, unit="T")
     rotor_speed_gain: float = _real("gain of the rotor speed filter")
-    motor_error_gain: float = _real("gain of the estimate of motor_accel_bias", unit="1/s")
+    motor_accel_bias_gain: float = _real("gain of the estimate of motor_accel_bias", unit="1/s")
     imu_position: _Array = _real("position of the inertial unit, body axes", 3, unit="m")
 
 
@@ -446,11 +448,11 @@ WIND_SIGMA_AND_TIME = (0.5, 10.0)
 """Of an axis (m/s), and for how long (s): a mean of 0.5 m/s from anywhere and gusts of 0.3 m/s make 0.46."""
 MOTOR_SPEED_NOISE = 1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
 EARTH_FIELD_ERROR = 0.02  # of a place, over its strength: the file names a city
-TERRAIN_EDGE_DURATION_S, MAX_FLOOR_HEIGHT, FLOOR_SETTLED_SIGMA = 3.0, 0.05, 0.01
+TERRAIN_EDGE_DURATION_S, MAX_FLOOR_HEIGHT_M, FLOOR_SETTLED_SIGMA = 3.0, 0.05, 0.01
 """An edge in the sonar's cone counts for this long (s) where it is not flown over sooner; what is lower is the floor
 (m), and known to be once its height is uncertain by more than the last (m)."""
 TERRAIN_RANDOM_WALK = 5e-4  # of the way over it (m/sqrt(m)): floors are not quite flat
-INITIAL_TERRAIN_SIGMA = 1e-4  # m: where it stands is D = 0, by definition
+INITIAL_TERRAIN_SIGMA_M = 1e-4  # m: where it stands is D = 0, by definition
 INITIAL_POSITION_SIGMA_M = 5.0  # where it stands before anything is heard
 FULL_TURN_RAD = 2 * math.pi
 _MIN_BEAM_ERROR = 1e-4  # 1/m: what a wall is off by, 0.1 mm at 1 m, where beams have no error
@@ -491,7 +493,7 @@ def filter_settings(
     level = DEFAULT_LEVEL_ERROR_RAD if sensing.imu is None else float(sensing.imu.standing_tilt_error)
     sigma[ERROR_ATTITUDE : ERROR_ATTITUDE + 2], sigma[ERROR_ATTITUDE + 2] = level, math.pi
     sigma[ERROR_TERRAIN], walk[ERROR_TERRAIN] = (
-        INITIAL_TERRAIN_SIGMA,
+        INITIAL_TERRAIN_SIGMA_M,
         TERRAIN_RANDOM_WALK,
     )  # the last times the root of the speed
     sigma[ERROR_WIND : ERROR_WIND + 2], tau[ERROR_WIND : ERROR_WIND + 2] = WIND_SIGMA_AND_TIME
@@ -502,7 +504,7 @@ def filter_settings(
     s["thrust_coefficients"] = p["thrust_up"], p["thrust_dw"]
     s["hover_speed"] = hover_speeds(p)
     swash = float(p["swash_rate"]) * dt
-    s["swash_decay"], s["swash_decay_mean"] = math.exp(-swash), (1.0 - math.exp(-swash)) / swash
+    s["swash_lag_decay"], s["swash_lag_decay_mean"] = math.exp(-swash), (1.0 - math.exp(-swash)) / swash
     s["has_rotor_model"], s["model_accel_noise_density"] = 1, 2 * MODEL_FORCE_TIME_S * np.square(MODEL_FORCE_SIGMA)
     fitted, period, latency, bound = (
         np.zeros(SENSOR_COUNT),
@@ -566,8 +568,8 @@ def filter_settings(
             1.0 / s["sonar_cone_cosine"] - 1.0,
             math.tan(0.5 * float(sonar.cone_angle)),
         )
-        s["sonar_min"], s["sonar_max"] = max_grounded_range(vehicle), float(sonar.max_range)
-        bound[READING_SONAR] = 1.01 * s["sonar_max"]
+        s["sonar_min_range"], s["sonar_max_range"] = max_grounded_range(vehicle), float(sonar.max_range)
+        bound[READING_SONAR] = 1.01 * s["sonar_max_range"]
         latency[READING_SONAR] = 2 * float(sonar.max_range) / 340.0
         delay_s = max(delay_s, latency[READING_SONAR])
     ring = sensing.ring_camera
@@ -634,7 +636,7 @@ def filter_settings(
             1.0 + math.sqrt(1.0 + 4.0 * (noise / (MOTOR_SPEED_NOISE * s["hover_speed"][0])) ** 2)
         )
         # What the equations are off by for long: learnt in some 0.7 s
-        s["motor_error_gain"] = 0.06 * s["rotor_speed_gain"] ** 2 / float(rotor.period)
+        s["motor_accel_bias_gain"] = 0.06 * s["rotor_speed_gain"] ** 2 / float(rotor.period)
         bound[READING_ROTOR_SPEED] = 5 * float(s["hover_speed"].max())
     if sensing.battery is not None:
         fitted[READING_BATTERY], period[READING_BATTERY] = 1, float(sensing.battery.period)

@@ -20,14 +20,14 @@ from mufly.estimate.filter.filter_records import (
     INPUT_ACCEL_WEIGHT,
     INPUT_BLOCK_COUNT,
     INPUT_NOISE_DENSITY,
-    MAX_FLOOR_HEIGHT,
+    MAX_FLOOR_HEIGHT_M,
     NOMINAL_ATTITUDE,
     NOMINAL_GYRO_BIAS,
     NOMINAL_POSITION,
     NOMINAL_TERRAIN,
     NOMINAL_VELOCITY,
     PHASE_FLYING,
-    ROTOR_FORCE_ANG_ACCEL,
+    ROTOR_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     STATE_COUNT,
     FilterMemory,
@@ -128,7 +128,8 @@ def _write_output_covariance(m: FilterMemory) -> None:
         if i < 3:
             # If the heights of fix and sonar differ, the fix may have the same error in any direction
             m.covariance_output[i, i] += (
-                m.position_jump_remainder[i] * m.position_jump_remainder[i] + m.fix_height_gap * m.fix_height_gap
+                m.position_jump_remainder[i] * m.position_jump_remainder[i]
+                + m.fix_sonar_height_difference * m.fix_sonar_height_difference
             )
         m.sigma_output[i] = math.sqrt(m.covariance_output[i, i])
     # Turns about N, E, D to roll, pitch and yaw
@@ -199,11 +200,11 @@ def predict_output(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> 
         x[NOMINAL_VELOCITY + k] += s.imu_lag * a[k]
         m.rates_output[k] = m.gyro_rates[k] - x[NOMINAL_GYRO_BIAS + k]
         if s.has_rotor_model > 0 and m.flight_phase == PHASE_FLYING:
-            m.rates_output[k] += s.imu_lag * m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_FORCE_ANG_ACCEL + k]
+            m.rates_output[k] += s.imu_lag * m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_ANG_ACCEL + k]
     rotate_attitude(
         x, s.imu_lag * m.rates_output[0], s.imu_lag * m.rates_output[1], s.imu_lag * m.rates_output[2], True
     )
-    if s.has_rotor_model > 0 and x[NOMINAL_TERRAIN] < MAX_FLOOR_HEIGHT:
+    if s.has_rotor_model > 0 and x[NOMINAL_TERRAIN] < MAX_FLOOR_HEIGHT_M:
         # The legs must not enter the floor during or after the propagation.
         lowest = -(max(x[NOMINAL_TERRAIN], 0.0) + s.ground_clearance)
         if x[NOMINAL_POSITION + 2] >= lowest:

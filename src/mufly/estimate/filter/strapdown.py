@@ -50,12 +50,12 @@ from mufly.dynamics.model_state import (
 from mufly.estimate.filter.filter_records import (
     ACCEL_WORK_MODEL,
     INPUT_ACCEL,
+    INPUT_ACCEL_PER_VELOCITY,
     INPUT_ACCEL_WEIGHT,
     INPUT_FLIGHT_PHASE,
-    INPUT_FORCE_REMAINDER,
-    INPUT_FORCE_SLOPE,
+    INPUT_NON_THRUST_ACCEL,
     INPUT_RATES,
-    INPUT_STATIC_FORCE,
+    INPUT_THRUST_ACCEL,
     NOMINAL_ACCEL_BIAS,
     NOMINAL_ATTITUDE,
     NOMINAL_GYRO_BIAS,
@@ -63,10 +63,10 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_VELOCITY,
     NOMINAL_WIND,
     PHASE_MOTORS_RUNNING,
-    ROTOR_FORCE_ANG_ACCEL,
-    ROTOR_FORCE_REMAINDER,
-    ROTOR_FORCE_SLOPE,
-    ROTOR_FORCE_STATIC,
+    ROTOR_ACCEL_PER_VELOCITY,
+    ROTOR_ANG_ACCEL,
+    ROTOR_NON_THRUST_ACCEL,
+    ROTOR_THRUST_ACCEL,
     TRANSITION_ACCEL,
     TRANSITION_ATTITUDE,
     TRANSITION_THRUST,
@@ -78,7 +78,7 @@ from mufly.quantities.units import GRAVITY
 
 _Array = NDArray[np.float64]
 
-_DRAG_SLOPE_STEP = 0.05  # m/s, for the slope of drag
+_DRAG_SLOPE_STEP_M_S = 0.05  # m/s, for the slope of drag
 
 
 @cached_njit(error_model="numpy")
@@ -138,9 +138,9 @@ def predict_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None
     for k in range(3):
         along = r[k] * n + r[3 + k] * o + r[6 + k] * d
         made = (
-            x[NOMINAL_THRUST_SCALE] * e[INPUT_STATIC_FORCE + k]
-            + e[INPUT_FORCE_REMAINDER + k]
-            + e[INPUT_FORCE_SLOPE + k] * along
+            x[NOMINAL_THRUST_SCALE] * e[INPUT_THRUST_ACCEL + k]
+            + e[INPUT_NON_THRUST_ACCEL + k]
+            + e[INPUT_ACCEL_PER_VELOCITY + k] * along
         )
         share = e[INPUT_ACCEL_WEIGHT + k]
         a[ACCEL_WORK_MODEL + k] = made
@@ -192,14 +192,14 @@ def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Arra
             own = span * r[3 * i + j]
             out[3 * i + j] = own
             out[TRANSITION_ACCEL + 3 * i + j] = -own * e[INPUT_ACCEL_WEIGHT + j]
-            k_ += own * ((1 - e[INPUT_ACCEL_WEIGHT + j]) * e[INPUT_STATIC_FORCE + j])
+            k_ += own * ((1 - e[INPUT_ACCEL_WEIGHT + j]) * e[INPUT_THRUST_ACCEL + j])
         out[TRANSITION_THRUST + i] = k_
         out[TRANSITION_ATTITUDE + i] = 0.0 if e[INPUT_FLIGHT_PHASE] <= PHASE_MOTORS_RUNNING else span * push[i]
     for i in range(3):
         for j in range(i, 3):
             s = 0.0
             for k in range(3):
-                s += out[3 * i + k] * ((1 - e[INPUT_ACCEL_WEIGHT + k]) * e[INPUT_FORCE_SLOPE + k]) * r[3 * j + k]
+                s += out[3 * i + k] * ((1 - e[INPUT_ACCEL_WEIGHT + k]) * e[INPUT_ACCEL_PER_VELOCITY + k]) * r[3 * j + k]
             out[TRANSITION_WIND + 3 * i + j] = s
             out[TRANSITION_WIND + 3 * j + i] = s
 
@@ -237,7 +237,7 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     """
     x, dx, u, dt = m.rotor_state, m.derivative_work, m.actuators, s.dt
     # The swash plate settles within the period; its mean is used.
-    settled, mean = s.swash_decay, s.swash_decay_mean
+    settled, mean = s.swash_lag_decay, s.swash_lag_decay_mean
     to_roll = p.swash_gain * _clip_value(u[U_SERVO_2], -1.0, 1.0)
     to_pitch = -p.swash_gain * _clip_value(u[U_SERVO_1], -1.0, 1.0)
     roll, pitch = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
@@ -246,7 +246,7 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     x[MODEL_VELOCITY] = x[MODEL_VELOCITY + 1] = x[MODEL_VELOCITY + 2] = 0.0
     sin_a, cos_a = sine_cosine(x[MODEL_SWASH_ROLL])
     sin_b, cos_b = sine_cosine(x[MODEL_SWASH_PITCH])
-    _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    _model_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
     up, dw = dx[MODEL_SPEED_UPPER], dx[MODEL_SPEED_LOWER]
     x[MODEL_SPEED_UPPER] += 0.5 * dt * up
     x[MODEL_SPEED_LOWER] += 0.5 * dt * dw
@@ -257,24 +257,24 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     s_z = b_z + dt * (dx[MODEL_BAR + 2] - (x[MODEL_RATES] * b_y - x[MODEL_RATES + 1] * b_x))
     size = 1.0 / math.sqrt(s_x * s_x + s_y * s_y + s_z * s_z)
     x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2] = 0.5 * (b_x + s_x), 0.5 * (b_y + s_y), 0.5 * (b_z + s_z)
-    _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    _model_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
     f_x, f_y, f_z = dx[MODEL_VELOCITY], dx[MODEL_VELOCITY + 1], dx[MODEL_VELOCITY + 2] - GRAVITY
-    out[ROTOR_FORCE_STATIC], out[ROTOR_FORCE_STATIC + 1], out[ROTOR_FORCE_STATIC + 2] = f_x, f_y, f_z
+    out[ROTOR_THRUST_ACCEL], out[ROTOR_THRUST_ACCEL + 1], out[ROTOR_THRUST_ACCEL + 2] = f_x, f_y, f_z
     for k in range(3):
         x[MODEL_VELOCITY + k] = air[k]
-    _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    _model_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
     for k in range(3):
-        out[ROTOR_FORCE_ANG_ACCEL + k] = dx[MODEL_RATES + k]
+        out[ROTOR_ANG_ACCEL + k] = dx[MODEL_RATES + k]
     d_x, d_y, d_z = dx[MODEL_VELOCITY], dx[MODEL_VELOCITY + 1], dx[MODEL_VELOCITY + 2] - GRAVITY
     for k in range(3):
-        x[MODEL_VELOCITY + k] = air[k] + _DRAG_SLOPE_STEP
-    _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
-    out[ROTOR_FORCE_SLOPE] = min((dx[MODEL_VELOCITY] - d_x) / _DRAG_SLOPE_STEP, 0.0)
-    out[ROTOR_FORCE_SLOPE + 1] = min((dx[MODEL_VELOCITY + 1] - d_y) / _DRAG_SLOPE_STEP, 0.0)
-    out[ROTOR_FORCE_SLOPE + 2] = min((dx[MODEL_VELOCITY + 2] - GRAVITY - d_z) / _DRAG_SLOPE_STEP, 0.0)
-    out[ROTOR_FORCE_REMAINDER] = d_x - f_x - out[ROTOR_FORCE_SLOPE] * air[0]
-    out[ROTOR_FORCE_REMAINDER + 1] = d_y - f_y - out[ROTOR_FORCE_SLOPE + 1] * air[1]
-    out[ROTOR_FORCE_REMAINDER + 2] = d_z - f_z - out[ROTOR_FORCE_SLOPE + 2] * air[2]
+        x[MODEL_VELOCITY + k] = air[k] + _DRAG_SLOPE_STEP_M_S
+    _model_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    out[ROTOR_ACCEL_PER_VELOCITY] = min((dx[MODEL_VELOCITY] - d_x) / _DRAG_SLOPE_STEP_M_S, 0.0)
+    out[ROTOR_ACCEL_PER_VELOCITY + 1] = min((dx[MODEL_VELOCITY + 1] - d_y) / _DRAG_SLOPE_STEP_M_S, 0.0)
+    out[ROTOR_ACCEL_PER_VELOCITY + 2] = min((dx[MODEL_VELOCITY + 2] - GRAVITY - d_z) / _DRAG_SLOPE_STEP_M_S, 0.0)
+    out[ROTOR_NON_THRUST_ACCEL] = d_x - f_x - out[ROTOR_ACCEL_PER_VELOCITY] * air[0]
+    out[ROTOR_NON_THRUST_ACCEL + 1] = d_y - f_y - out[ROTOR_ACCEL_PER_VELOCITY + 1] * air[1]
+    out[ROTOR_NON_THRUST_ACCEL + 2] = d_z - f_z - out[ROTOR_ACCEL_PER_VELOCITY + 2] * air[2]
     x[MODEL_SWASH_ROLL] = to_roll + (roll - to_roll) * settled
     x[MODEL_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * settled
     x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2] = s_x * size, s_y * size, s_z * size

@@ -80,7 +80,7 @@ DIVERGENCE_MEAN_SQUARE = 5.0
 """Mean square of the ratios above which a rejected fix is not treated as a jump of the fix."""
 SETTLING_TIME_S = 3.0
 """Time in flight before which no ratio of the fix accuses the filter, whose state is well known at rest (s)."""
-LASTING_FIX_RATIO = 1.0
+LASTING_FIX_INNOVATION_RATIO = 1.0
 """Mean of a ratio of the fix over half a second above which the filter, not the noise, is the cause (1)."""
 MAX_FIX_BIAS_SIGMAS = 5.5
 """Largest bias of the fix in standard deviations a. A Gauss-Markov bias of time constant tau passes a on either side
@@ -155,7 +155,7 @@ def _estimate_fix_noise(m: FilterMemory, i: int) -> None:
     ratio = m.fix_ratio[i]
     excess = min(ratio * ratio, MAX_SQUARED_INNOVATION_RATIO) - 1.0
     pair = max(min(ratio * m.fix_ratio_prev[i], MAX_INNOVATION_RATIO_PRODUCT), -MAX_INNOVATION_RATIO_PRODUCT)
-    if m.is_heading_aligned != 0 and abs(m.fix_ratio_mean[i]) < LASTING_FIX_RATIO:
+    if m.is_heading_aligned != 0 and abs(m.fix_ratio_mean[i]) < LASTING_FIX_INNOVATION_RATIO:
         adapt_noise_scale(m.noise_scale, aid, gain, excess - pair)
         adapt_noise_scale(m.bias_walk_scale, aid, gain, excess + pair)
     m.fix_ratio_prev[i] = ratio
@@ -211,7 +211,7 @@ def _sonar_height_valid(m: FilterMemory, s: FilterSettings) -> bool:
 
 @cached_njit(error_model="numpy")
 def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio: float) -> bool:
-    """Return whether fix and sonar agree on the height; if not, write the gap to ``m.fix_height_gap``.
+    """Return whether fix and sonar agree on the height; if not, write the gap to ``m.fix_sonar_height_difference``.
 
     The filter cannot decide which of the two is wrong, because the pressure drifts by as much as they differ. The
     height follows the sonar, and the gap is added to the standard deviation of the position.
@@ -219,21 +219,21 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio:
     k = READING_POSITION_FIX
     off = abs(ratio)
     whole = abs(nu + m.x[NOMINAL_FIX_BIAS + 2])
-    if m.fix_height_gap > 0.0:
+    if m.fix_sonar_height_difference > 0.0:
         blind = (m.tick - m.last_fused_tick[READING_SONAR]) * s.dt > 0.3
-        m.fix_height_gap = 0.0 if blind or off < 2.5 else whole
+        m.fix_sonar_height_difference = 0.0 if blind or off < 2.5 else whole
     elif _sonar_height_valid(m, s) and (
         _fix_bias_ratio(m, s, 2) > 1.0 or (off > INNOVATION_GATE and reset_timeout_expired(m, s, k))
     ):
-        m.fix_height_gap = whole
-    return m.fix_height_gap == 0.0
+        m.fix_sonar_height_difference = whole
+    return m.fix_sonar_height_difference == 0.0
 
 
 @cached_njit(error_model="numpy")
 def _is_only_height_rejected(m: FilterMemory) -> bool:
     """Return whether the height is the only component of the fix outside the gate."""
     off = max(max(abs(m.fix_ratio[FIX_NORTH]), abs(m.fix_ratio[FIX_EAST])), abs(m.fix_ratio[FIX_HEADING]))
-    return m.fix_component == FIX_DOWN and off < INNOVATION_GATE
+    return m.worst_fix_component == FIX_DOWN and off < INNOVATION_GATE
 
 
 @cached_njit(error_model="numpy")
@@ -274,12 +274,12 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         m.fix_ratio[i] = ratio
         if abs(ratio) > abs(worst):
             worst, at = ratio, nu
-            m.fix_component = i
+            m.worst_fix_component = i
     log_innovation(m, k, at, worst)
     # Growing ratios of one sign show that the filter diverges, not that the fix jumps. Without a rotor model the
     # variances are a guess, and the filter would follow a record with wrong axes from fix to fix.
-    settled = (m.tick - m.grounded_tick) * s.dt > SETTLING_TIME_S
-    lasting = settled and _largest_mean_ratio(m) > LASTING_FIX_RATIO
+    settled = (m.tick - m.last_grounded_tick) * s.dt > SETTLING_TIME_S
+    lasting = settled and _largest_mean_ratio(m) > LASTING_FIX_INNOVATION_RATIO
     led = (
         s.has_rotor_model > 0
         and lasting
@@ -331,7 +331,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
             set_fault(m, s, READING_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.gyro_bias_before_yaw[i])
     mark_fused(m, k)
     if not down:
-        set_fault(m, s, k, STATUS_FAULTY, REASON_HEIGHT_CONFLICT, m.fix_height_gap)
+        set_fault(m, s, k, STATUS_FAULTY, REASON_HEIGHT_CONFLICT, m.fix_sonar_height_difference)
     m.is_heading_aligned = 1
 
 

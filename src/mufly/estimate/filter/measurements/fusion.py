@@ -38,7 +38,7 @@ from mufly.estimate.filter.filter_records import (
     ERROR_THRUST_SCALE,
     ERROR_VELOCITY,
     ERROR_WIND,
-    MAX_FLOOR_HEIGHT,
+    MAX_FLOOR_HEIGHT_M,
     NOMINAL_ACCEL_BIAS,
     NOMINAL_ATTITUDE,
     NOMINAL_GYRO_BIAS,
@@ -106,7 +106,7 @@ A healthy sensor exceeds them at one place in 270 000 (chi-square of two). Its v
 and that of the motors' field at the modelled current."""
 SONAR_STUCK_PROBABILITY = 1e-14
 """Probability that a healthy sonar repeats a reading for so long."""
-LEG_CLEARANCE_HEIGHT = 0.15
+LEG_CLEARANCE_HEIGHT_M = 0.15
 """Height (m) above which no leg touches the floor; angular accelerations are then in the flight model."""
 SECOND_HEIGHT_RESET_SPEED_SIGMA, SECOND_HEIGHT_RESET_ACCEL_BIAS_SIGMA, SECOND_HEIGHT_RESET_THRUST_SCALE_SIGMA = (
     0.3,
@@ -123,7 +123,7 @@ LIFTOFF_THRUST_RATIO, LIFTOFF_THRUST_SIGMA = 1.08, 0.08
 _BEAM_INNOVATION_GATE = 4.0
 COST_FIX_BIAS, COST_FIX = 1, 4
 """Cost of a bias step of the fix and of a fix, in scalar measurements."""
-MIN_TERRAIN_HEIGHT = -0.1
+MIN_TERRAIN_HEIGHT_M = -0.1
 """Lowest floor height (m): no surface lies below the floor."""
 
 
@@ -195,7 +195,7 @@ def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> boo
     """
     same = z == m.sonar_range_prev
     m.sonar_range_prev = z
-    if not same or height_above_ground(m.x, s) - m.fix_height_gap < LEG_CLEARANCE_HEIGHT:
+    if not same or height_above_ground(m.x, s) - m.fix_sonar_height_difference < LEG_CLEARANCE_HEIGHT_M:
         m.sonar_repeat_chance = 1.0
         return False
     # The height's variance is not included: the height may be more accurate.
@@ -210,11 +210,11 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
     """Fuse the range to the surface below; attribute a step that no other sensor measures to the terrain."""
     k = READING_SONAR
     down = _sonar_h_row(m, s, r)
-    if r[8] < s.sonar_cone_cosine or z[0] >= s.sonar_max:
+    if r[8] < s.sonar_cone_cosine or z[0] >= s.sonar_max_range:
         return
     expect = -(m.x[NOMINAL_POSITION + 2] + ahead * m.x[NOMINAL_VELOCITY + 2]) - down - m.x[NOMINAL_TERRAIN]
     said, r_ = z[0], s.sonar_variance * m.noise_scale[AID_SONAR]
-    nearest, standing = m.sonar_least_range + 0.005, s.ground_clearance - s.sonar_position[2]
+    nearest, standing = m.sonar_min_seen_range + 0.005, s.ground_clearance - s.sonar_position[2]
     if z[0] <= nearest and standing < nearest:
         # Below the minimum range: uniform between that range and the range on the floor.
         said = 0.5 * (nearest + standing)
@@ -231,7 +231,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         set_fault(m, s, k, STATUS_FAULTY, REASON_STUCK, z[0])
         return
     floor = m.x[NOMINAL_TERRAIN] - nu
-    over = m.terrain_edge_weight > 0.0 or abs(m.x[NOMINAL_TERRAIN]) > MAX_FLOOR_HEIGHT
+    over = m.terrain_edge_weight > 0.0 or abs(m.x[NOMINAL_TERRAIN]) > MAX_FLOOR_HEIGHT_M
     # Innovations of one sign: over an edge, or for a shorter range, the surface has changed. Otherwise the height
     # drifts, because no surface lies below the floor: the accelerometers or the model have an error.
     if abs(ratio) < INNOVATION_GATE:
@@ -246,7 +246,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         else:
             _reset_height(m, s, nu)
             _sonar_h_row(m, s, r)
-    if over and abs(ratio) > TERRAIN_STEP_GATE and m.terrain_steps < MAX_TERRAIN_STEPS and floor > MIN_TERRAIN_HEIGHT:
+    if over and abs(ratio) > TERRAIN_STEP_GATE and m.terrain_steps < MAX_TERRAIN_STEPS and floor > MIN_TERRAIN_HEIGHT_M:
         # Over an object the surface steps.
         m.terrain_steps += 1
         m.terrain_edge_weight = 1.0
@@ -256,9 +256,9 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.sensor_period[k], REASON_INNOVATION)
         if m.flight_phase <= PHASE_MOTORS_RUNNING and nu > 0.0 and z[0] > nearest:
             # On its legs the vehicle is at a known height: the sonar cannot measure ranges below this one.
-            m.sonar_least_range = z[0] if m.agree_count[k] >= 2 else m.sonar_least_range
+            m.sonar_min_seen_range = z[0] if m.agree_count[k] >= 2 else m.sonar_min_seen_range
             return
-        step = m.agree_count[k] >= 2 and floor > MIN_TERRAIN_HEIGHT
+        step = m.agree_count[k] >= 2 and floor > MIN_TERRAIN_HEIGHT_M
         if step and m.terrain_steps >= MAX_TERRAIN_STEPS:
             # Repeated steps: the height is wrong, not the terrain.
             inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_POSITION + 2, nu * nu, m.u_transposed_h)
@@ -344,7 +344,7 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         m.beams_seen = m.beams_fused = 0
         for i in range(2):
             told = m.wall_info_limit[i] * state_variance(m.u_transposed, m.ud_diagonal, ERROR_POSITION + i)
-            m.wall_info_share[i] = 1.0 - 1.0 / told if told > 1.0 else 0.0
+            m.wall_info_fraction[i] = 1.0 - 1.0 / told if told > 1.0 else 0.0
             m.wall_info_limit[i] = 0.0
     last = min(m.next_beam + most, s.beam_count)
     for b in range(m.next_beam, last):
@@ -378,8 +378,8 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
             log_innovation(m, k, nu, ratio)
             m.beams_fused += 1
             m.wall_info_limit[axis] += h * h / lasts
-            if m.wall_info_share[axis] > 0.0:
-                apply_correction(m, nu, scatters + lasts / m.wall_info_share[axis])
+            if m.wall_info_fraction[axis] > 0.0:
+                apply_correction(m, nu, scatters + lasts / m.wall_info_fraction[axis])
                 rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     m.next_beam = last
     if last < s.beam_count:
@@ -498,15 +498,15 @@ def fuse_measurement(m: FilterMemory, s: FilterSettings, i: int, r: _Array, cost
 def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: int, i: int) -> None:
     """Fuse the mean difference of accelerometers and model along axis ``i`` over ``count`` periods."""
     rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
-    slope = m.velocity_slope[i]
+    slope = m.accel_per_air_velocity[i]
     h_row_begin(m, ERROR_ACCEL_BIAS + i, 1.0)
-    h_row_add(m, ERROR_THRUST_SCALE, m.thrust_slope[i])
+    h_row_add(m, ERROR_THRUST_SCALE, m.accel_per_thrust_scale[i])
     for j in range(3):
         h_row_add(m, ERROR_VELOCITY + j, slope * r[3 * j + i])
     h_row_add(m, ERROR_WIND, -slope * r[i])
     h_row_add(m, ERROR_WIND + 1, -slope * r[3 + i])
     nu = m.accel_mean[i] - m.model_accel_mean[i] - m.x[NOMINAL_ACCEL_BIAS + i]
-    r_ = m.residual_density[i] / (count * s.dt)
+    r_ = m.accel_residual_density[i] / (count * s.dt)
     known = innovation_variance(
         m.u_transposed, m.ud_diagonal, m.h_state_index, m.h_value, m.h_term_count, m.u_transposed_h
     )

@@ -40,7 +40,7 @@ from mufly.estimate.filter.filter_records import (
     READING_ROTOR_SPEED,
     READING_SONAR,
     READING_STARTS,
-    ROTOR_FORCE_ANG_ACCEL,
+    ROTOR_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     SENSOR_COUNT,
     FilterMemory,
@@ -88,33 +88,33 @@ FAULT_HOLD_S = 0.5
 """Time for which a fault of one reading is reported (s)."""
 _MAX_READING_AGE_S = 10.0
 """Age above which a reading is rejected (s); negative and NaN ages are rejected, too."""
-_GYRO_SPIKE_RATE, _GYRO_SPIKE_AGREEMENT = 0.12, 0.06  # rad/s within a period, relative to the model
+_GYRO_SPIKE_RATE_RAD_S, _GYRO_SPIKE_AGREEMENT_RAD_S = 0.12, 0.06  # rad/s within a period, relative to the model
 _GYRO_JUMP_REPEATS = 3
 """Agreeing spikes in a row that are a jump. Outliers in a quarter of the readings, uniform within 0.6 rad/s on three
 axes, agree twice in a row every 80 s, and three times in a row every few days."""
-_MAX_GYRO_OFFSET = 5.0  # rad/s: largest offset; repeated jumps beyond it indicate a diverging model
-_GYRO_RESIDUAL_CARRY_SHARE = 0.7  # share of the residual of the previous period
+_MAX_GYRO_OFFSET_RAD_S = 5.0  # rad/s: largest offset; repeated jumps beyond it indicate a diverging model
+_GYRO_RESIDUAL_CARRY_FRACTION = 0.7  # share of the residual of the previous period
 _GYRO_SPIKE_RESIDUAL_FACTOR = 3.0  # of the mean residual over some 50 ms
 _ANG_ACCEL_BIAS_GAIN = 0.02  # share of a residual that is attributed to the model's moments
-_MIN_CLIP_SHARE = 0.02  # share of clipped samples that is reported
-DIVERGED_GYRO_BIAS_WALK, FREE_GYRO_BIAS_DURATION_S, LATER_GYRO_BIAS_WALK = 0.1, 3.0, 0.03
+_MIN_CLIP_FRACTION = 0.02  # share of clipped samples that is reported
+DIVERGED_GYRO_BIAS_WALK, POST_DIVERGENCE_DURATION_S, POST_DIVERGENCE_GYRO_BIAS_WALK = 0.1, 3.0, 0.03
 """Random walk of the gyroscopes' bias after a divergence of the filter (rad/s in a second), its duration (s), and the
 random walk afterwards, since a drift may continue."""
-DIVERGED_GYRO_BIAS_SIGMA, DIVERGED_ATTITUDE_SIGMA, DIVERGED_SPEED_SIGMA = 0.15, 0.06, 0.3
+DIVERGED_GYRO_BIAS_SIGMA_RAD_S, DIVERGED_ATTITUDE_SIGMA_RAD, DIVERGED_SPEED_SIGMA_M_S = 0.15, 0.06, 0.3
 """Standard deviations of bias (rad/s), attitude (rad) and speed (m/s) after a divergence."""
 _ROTOR_SPEED_GATE, _ROTOR_SPEED_RECOVERY_GATE = 0.08, 0.02  # fractions of the hover speed; the second after a rejection
 _ROTOR_ACCEL_LIMIT, _ROTOR_ACCEL_MEAN_S, _ROTOR_ACCEL_SETTLING_S = 0.03, 4.0, 1.0
 """Permitted deviation of the motor equations' error from its mean (fraction of the hover speed per second), averaging
 time (s), and settling time after lift-off (s); flights in gusts need a fifth of the limit."""
 _BATTERY_VOLTAGE_GATE_V = 0.6
-VERDICT_AGREE, VERDICT_UNDECIDED, VERDICT_ACCEL_WRONG, VERDICT_MODEL_WRONG, VERDICT_FLOOR_CONTACT = range(5)
+DIAGNOSIS_AGREE, DIAGNOSIS_UNDECIDED, DIAGNOSIS_ACCEL_WRONG, DIAGNOSIS_MODEL_WRONG, DIAGNOSIS_FLOOR_CONTACT = range(5)
 """Codes of a conflict between accelerometers and rotor model: none, not decided, which is wrong, floor contact."""
 _FORCE_CONFLICT_GATE, _FORCE_CONFLICT_END_GATE = 6.0, 2.0
 """Deviations between accelerometers and model at which a conflict begins and ends."""
 _CONFLICT_MIN_FIX_RATIO, _CONFLICT_FIX_AGE_S, _CONFLICT_TIMEOUT_S = 1.0, 0.5, 1.0
 """Mean ratio of the fix that decides a conflict (1), largest age of the fix (s), and the time without such a ratio
 after which the model, which the filter follows, is right (s)."""
-_FLOOR_CONTACT_HEIGHT = 0.03
+_FLOOR_CONTACT_HEIGHT_M = 0.03
 """Height (m) below which legs may touch the surface, beyond three deviations of the height."""
 
 
@@ -126,7 +126,7 @@ def set_fault(m: FilterMemory, s: FilterSettings, k: int, code: int, why: int, n
     m.reason_number[k] = number
     m.fault_until_tick[k] = m.tick + int(FAULT_HOLD_S / s.dt)
     if k == READING_POSITION_FIX:
-        m.fault_component = m.fix_component
+        m.fault_component = m.worst_fix_component
 
 
 @cached_njit(error_model="numpy")
@@ -248,9 +248,9 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
     clip = 0.0
     for k in range(3):
         share = z[CLIPPING_START + k]
-        m.clip_share[k] += 0.1 * ((share if 0.0 <= share <= 1.0 else 1.0) - m.clip_share[k])
-        clip = max(clip, m.clip_share[k])
-    if clip > _MIN_CLIP_SHARE and m.status[READING_ACCELERATION] == STATUS_FUSED:
+        m.clipped_fraction[k] += 0.1 * ((share if 0.0 <= share <= 1.0 else 1.0) - m.clipped_fraction[k])
+        clip = max(clip, m.clipped_fraction[k])
+    if clip > _MIN_CLIP_FRACTION and m.status[READING_ACCELERATION] == STATUS_FUSED:
         set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_CLIPPING, clip)
 
 
@@ -263,14 +263,14 @@ def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
                 m.u_transposed,
                 m.ud_diagonal,
                 ERROR_GYRO_BIAS + k,
-                DIVERGED_GYRO_BIAS_SIGMA * DIVERGED_GYRO_BIAS_SIGMA,
+                DIVERGED_GYRO_BIAS_SIGMA_RAD_S * DIVERGED_GYRO_BIAS_SIGMA_RAD_S,
                 m.u_transposed_h,
             )
             inflate_variance(
                 m.u_transposed,
                 m.ud_diagonal,
                 ERROR_ATTITUDE + k,
-                DIVERGED_ATTITUDE_SIGMA * DIVERGED_ATTITUDE_SIGMA,
+                DIVERGED_ATTITUDE_SIGMA_RAD * DIVERGED_ATTITUDE_SIGMA_RAD,
                 m.u_transposed_h,
             )
         for k in range(2):
@@ -278,10 +278,10 @@ def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
                 m.u_transposed,
                 m.ud_diagonal,
                 ERROR_VELOCITY + k,
-                DIVERGED_SPEED_SIGMA * DIVERGED_SPEED_SIGMA,
+                DIVERGED_SPEED_SIGMA_M_S * DIVERGED_SPEED_SIGMA_M_S,
                 m.u_transposed_h,
             )
-    m.divergence_ticks = int(FREE_GYRO_BIAS_DURATION_S / s.dt)
+    m.divergence_ticks = int(POST_DIVERGENCE_DURATION_S / s.dt)
 
 
 @cached_njit(error_model="numpy")
@@ -292,48 +292,46 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
     now = (m.tick - 1) % ROTOR_FORCE_HISTORY
     worst, led = 0.0, 0.0
     for k in range(3):
-        m.axis_work[k] = (
-            m.gyro_rates_prev[k] + s.dt * m.rotor_force[now, ROTOR_FORCE_ANG_ACCEL + k] + m.ang_accel_bias[k]
-        )
+        m.axis_work[k] = m.gyro_rates_prev[k] + s.dt * m.rotor_force[now, ROTOR_ANG_ACCEL + k] + m.ang_accel_bias[k]
         off = m.gyro_rates[k] - m.axis_work[k]
         worst = max(worst, abs(off))
         # A spike may consist of two steps that would each pass.
-        led = max(led, abs(_GYRO_RESIDUAL_CARRY_SHARE * m.spike_residual_carry[k] + off))
+        led = max(led, abs(_GYRO_RESIDUAL_CARRY_FRACTION * m.spike_residual_carry[k] + off))
         # Error of the model's moments, in flight and on the legs
         m.ang_accel_bias[k] += (
-            _ANG_ACCEL_BIAS_GAIN * min(max(off, -_GYRO_SPIKE_RATE), _GYRO_SPIKE_RATE)
+            _ANG_ACCEL_BIAS_GAIN * min(max(off, -_GYRO_SPIKE_RATE_RAD_S), _GYRO_SPIKE_RATE_RAD_S)
             if m.flight_phase >= PHASE_LIFTING_OFF
             else 0.0
         )
-    alike = m.spike_repeats > 0
+    alike = m.equal_spike_count > 0
     for k in range(3):
-        alike = alike and abs(m.gyro_rates[k] - m.rates_with_spikes[k]) < _GYRO_SPIKE_AGREEMENT
+        alike = alike and abs(m.gyro_rates[k] - m.rates_with_spikes[k]) < _GYRO_SPIKE_AGREEMENT_RAD_S
         m.rates_with_spikes[k] = m.gyro_rates[k]
     # A model with repeated errors cannot distinguish a spike from a motion. Agreeing spikes are one error.
-    most = _GYRO_SPIKE_RATE + _GYRO_SPIKE_RESIDUAL_FACTOR * m.rate_residual_lp
-    m.rate_residual_lp += 0.0 if alike else 0.1 * (min(worst, _GYRO_SPIKE_RATE) - m.rate_residual_lp)
+    most = _GYRO_SPIKE_RATE_RAD_S + _GYRO_SPIKE_RESIDUAL_FACTOR * m.rate_residual_lp
+    m.rate_residual_lp += 0.0 if alike else 0.1 * (min(worst, _GYRO_SPIKE_RATE_RAD_S) - m.rate_residual_lp)
     m.divergence_ticks = max(m.divergence_ticks - 1, min(m.divergence_ticks, 1))  # a past divergence is remembered
     if not flying or s.has_rotor_model == 0:
-        m.spike_repeats = 0
+        m.equal_spike_count = 0
         return
     fine = max(worst, led) < most
     for k in range(3):
-        m.spike_residual_carry[k] *= _GYRO_RESIDUAL_CARRY_SHARE
+        m.spike_residual_carry[k] *= _GYRO_RESIDUAL_CARRY_FRACTION
         if fine:
             m.spike_residual_carry[k] += m.gyro_rates[k] - m.axis_work[k]
     if fine:
-        m.spike_repeats = m.spike_count = 0
+        m.equal_spike_count = m.spike_count = 0
         return
     m.spike_count += 1
-    m.spike_repeats = m.spike_repeats + 1 if alike else 1
+    m.equal_spike_count = m.equal_spike_count + 1 if alike else 1
     if m.spike_count == 1:
         m.reject_score[READING_RATES] = m.reject_score[READING_RATES] * REJECT_SCORE_DECAY + 1.0
         if m.reject_score[READING_RATES] > 3.0:
             set_fault(m, s, READING_RATES, STATUS_FUSED, REASON_SPIKES, worst)
     small = True
     for k in range(3):
-        small = small and abs(m.gyro_offset[k] + (m.gyro_rates[k] - m.axis_work[k])) < _MAX_GYRO_OFFSET
-    if m.spike_repeats >= _GYRO_JUMP_REPEATS and small:
+        small = small and abs(m.gyro_offset[k] + (m.gyro_rates[k] - m.axis_work[k])) < _MAX_GYRO_OFFSET_RAD_S
+    if m.equal_spike_count >= _GYRO_JUMP_REPEATS and small:
         # A sudden offset is no motion. It is subtracted from the following readings.
         for k in range(3):
             off = m.gyro_rates[k] - m.axis_work[k]
@@ -341,7 +339,7 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
             inflate_variance(
                 m.u_transposed, m.ud_diagonal, ERROR_GYRO_BIAS + k, 0.1 * off * (0.1 * off), m.u_transposed_h
             )
-        m.spike_repeats = m.spike_count = 0
+        m.equal_spike_count = m.spike_count = 0
         set_fault(m, s, READING_RATES, STATUS_FUSED, REASON_JUMP, worst)
     elif m.spike_count > 8:
         m.spike_count = 0
@@ -358,7 +356,7 @@ def check_rotor_speed(m: FilterMemory, s: FilterSettings, z: _Array, start: int)
     error is nearly constant: ``m.motor_accel_mean`` is its mean over some seconds."""
     worst, away = 0.0, 0.0
     k = READING_ROTOR_SPEED
-    flown = (m.tick - m.grounded_tick) * s.dt
+    flown = (m.tick - m.last_grounded_tick) * s.dt
     for j in range(2):
         worst = max(worst, abs(z[start + j] - m.rotor_state[MODEL_SPEED_UPPER + j]) / s.hover_speed[j])
         away = max(away, abs(m.motor_accel_bias[j] - m.motor_accel_mean[j]) / s.hover_speed[j])
@@ -422,33 +420,33 @@ def _update_force_conflict(m: FilterMemory, s: FilterSettings, r: _Array, height
         m.is_accel_distrusted = 0
     apart = m.accel_model_difference_tick > 0 and (m.tick - m.accel_model_difference_tick) * s.dt < FAULT_HOLD_S
     if m.is_accel_distrusted == 0 and not apart:
-        m.accel_model_verdict = VERDICT_AGREE
+        m.accel_model_diagnosis = DIAGNOSIS_AGREE
         return
-    if m.accel_model_verdict == VERDICT_AGREE:
-        m.accel_model_verdict = VERDICT_UNDECIDED
+    if m.accel_model_diagnosis == DIAGNOSIS_AGREE:
+        m.accel_model_diagnosis = DIAGNOSIS_UNDECIDED
         m.accel_model_conflict_start_tick = m.tick
     has_fix = (
         m.status[READING_POSITION_FIX] == STATUS_FUSED
         and (m.tick - m.last_fused_tick[READING_POSITION_FIX]) * s.dt < _CONFLICT_FIX_AGE_S
     )
     evidence = _mean_fix_ratio_along(m, r, m.accel_residual_lp) if has_fix else 0.0
-    if m.accel_residual_lp[2] < 0.0 and height < _FLOOR_CONTACT_HEIGHT + 3.0 * m.sigma_output[ERROR_POSITION + 2]:
-        m.accel_model_verdict = VERDICT_FLOOR_CONTACT
+    if m.accel_residual_lp[2] < 0.0 and height < _FLOOR_CONTACT_HEIGHT_M + 3.0 * m.sigma_output[ERROR_POSITION + 2]:
+        m.accel_model_diagnosis = DIAGNOSIS_FLOOR_CONTACT
     elif (
         s.is_fitted[READING_ROTOR_SPEED] > 0 and m.status[READING_ROTOR_SPEED] != STATUS_FUSED
     ) or evidence > _CONFLICT_MIN_FIX_RATIO:
-        m.accel_model_verdict = VERDICT_MODEL_WRONG
+        m.accel_model_diagnosis = DIAGNOSIS_MODEL_WRONG
     elif evidence < -_CONFLICT_MIN_FIX_RATIO:
-        m.accel_model_verdict = VERDICT_ACCEL_WRONG
-    elif m.accel_model_verdict == VERDICT_FLOOR_CONTACT:
-        m.accel_model_verdict = VERDICT_UNDECIDED
+        m.accel_model_diagnosis = DIAGNOSIS_ACCEL_WRONG
+    elif m.accel_model_diagnosis == DIAGNOSIS_FLOOR_CONTACT:
+        m.accel_model_diagnosis = DIAGNOSIS_UNDECIDED
         m.accel_model_conflict_start_tick = m.tick
     elif (
-        m.accel_model_verdict == VERDICT_UNDECIDED
+        m.accel_model_diagnosis == DIAGNOSIS_UNDECIDED
         and has_fix
         and (m.tick - m.accel_model_conflict_start_tick) * s.dt > _CONFLICT_TIMEOUT_S
     ):
-        m.accel_model_verdict = VERDICT_ACCEL_WRONG
+        m.accel_model_diagnosis = DIAGNOSIS_ACCEL_WRONG
 
 
 @cached_njit(error_model="numpy")
@@ -470,13 +468,13 @@ def check_accel_model(
                     worst, axis = ratio, j
         _update_force_conflict(m, s, r, height, worst)
         code, why = STATUS_FUSED, REASON_NONE
-        if m.accel_model_verdict == VERDICT_MODEL_WRONG:
+        if m.accel_model_diagnosis == DIAGNOSIS_MODEL_WRONG:
             why = REASON_MODEL_WRONG
-        elif m.accel_model_verdict != VERDICT_FLOOR_CONTACT:
+        elif m.accel_model_diagnosis != DIAGNOSIS_FLOOR_CONTACT:
             code = STATUS_FAULTY if m.is_accel_distrusted == 1 else STATUS_REJECTED
-            why = REASON_FORCE_CONFLICT if m.accel_model_verdict == VERDICT_UNDECIDED else REASON_INNOVATION
+            why = REASON_FORCE_CONFLICT if m.accel_model_diagnosis == DIAGNOSIS_UNDECIDED else REASON_INNOVATION
         rejected = m.status[READING_ACCELERATION] in (STATUS_REJECTED, STATUS_FAULTY)
-        if m.accel_model_verdict != VERDICT_AGREE and (why != REASON_NONE or rejected):
+        if m.accel_model_diagnosis != DIAGNOSIS_AGREE and (why != REASON_NONE or rejected):
             set_fault(m, s, READING_ACCELERATION, code, why, m.accel_residual_lp[axis])
     # The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance.
     m.accel_residual_sigma[i] = math.sqrt(variance * 0.0526 + known + 0.04)

@@ -83,11 +83,11 @@ static void loads_from_map(const real_t x[MODEL_STATES], const real_t wind[3], c
     const int32_t ratios = p->map_size[1];
     const int32_t climbs = p->map_size[2];
     const real_t fraction = real_min(
-        real_max((mean - p->map_start[0]) * p->map_per_step[0], REAL(0.0)), (real_t)speeds - REAL(1.0));
+        real_max((mean - p->map_start[0]) * p->map_inverse_steps[0], REAL(0.0)), (real_t)speeds - REAL(1.0));
     const int32_t k0 = min_int(real_floor_int(fraction), max_int(speeds - 2, 0));
     const real_t s = fraction - (real_t)k0;
-    const cubic_weights_t by_ratio = cubic_weights((ratio - p->map_start[1]) * p->map_per_step[1], ratios);
-    const cubic_weights_t by_climb = cubic_weights((climb_ratio - p->map_start[2]) * p->map_per_step[2], climbs);
+    const cubic_weights_t by_ratio = cubic_weights((ratio - p->map_start[1]) * p->map_inverse_steps[1], ratios);
+    const cubic_weights_t by_climb = cubic_weights((climb_ratio - p->map_start[2]) * p->map_inverse_steps[2], climbs);
 
     out->thrust_up = REAL(0.0);
     out->thrust_dw = REAL(0.0);

@@ -25,7 +25,7 @@ static void move_along_hop(hop_t *hop, const estimator_t *m, int32_t k)
 
         hop->motor[i] = (k < STANDING_PERIODS) ? REAL(0.0) : real_clip(REAL(0.75) + (REAL(4.0) * off), REAL(0.0), REAL(1.0));
     }
-    hop->force = m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_FORCE_STATIC + 2];
+    hop->force = m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_THRUST_ACCEL + 2];
     gain = -hop->force - GRAVITY;
     if ((hop->height <= REAL(0.0)) && (gain < REAL(0.0))) {
         hop->climb = REAL(0.0);
@@ -79,7 +79,7 @@ static void make_readings(const hop_t *hop, const estimator_t *m, int32_t k, rea
         z[CLIPPING_START + i] = REAL(0.0);
     }
     z[2] += hop->force;
-    z[READING_STARTS[READING_SONAR]] = real_max(s->sonar_min, -down - s->sonar_position[2]) + random_number(REAL(0.01));
+    z[READING_STARTS[READING_SONAR]] = real_max(s->sonar_min_range, -down - s->sonar_position[2]) + random_number(REAL(0.01));
     for (int32_t b = 0; b < MAX_FUSED_BEAMS; b++) {
         z[READING_STARTS[READING_RANGE_RING] + b] = wall_range(s->beam_directions[b]) + random_number(REAL(0.02));
     }

@@ -30,7 +30,7 @@ void estimator_reset(estimator_t *m, const estimator_settings_t *s)
         m->bias_walk_scale[i] = REAL(1.0);
     }
     m->task_stage = STAGE_DONE;
-    m->sonar_least_range = s->sonar_min;
+    m->sonar_min_seen_range = s->sonar_min_range;
     m->x_output[NOMINAL_ATTITUDE] = REAL(1.0);
     m->rotor_state[MODEL_ATTITUDE] = REAL(1.0);
     m->rotor_state[MODEL_CHARGE] = REAL(1.0);
@@ -61,14 +61,14 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
         } else if ((s->has_rotor_model > 0) && (m->flight_phase >= PHASE_LIFTING_OFF)) {
             /* Rates of the rotor model. The stabiliser bar keeps the rotors level, so only yaw drifts. */
             m->gyro_rates[k] =
-                (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[(m->tick - 1) % ROTOR_FORCE_HISTORY][ROTOR_FORCE_ANG_ACCEL + k])) + m->ang_accel_bias[k];
+                (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[(m->tick - 1) % ROTOR_FORCE_HISTORY][ROTOR_ANG_ACCEL + k])) + m->ang_accel_bias[k];
         } else {
             m->gyro_rates[k] = m->x_output[NOMINAL_GYRO_BIAS + k];
         }
     }
     /* The height may be wrong by the depth of a surface below the floor, or by the gap of fix and sonar. */
-    doubt = m->fix_height_gap - real_min(m->x_output[NOMINAL_TERRAIN], REAL(0.0));
-    replace_gyro_spikes(m, s, (m->flight_phase == PHASE_FLYING) && (height_above_ground(m->x_output, s) > (LEG_CLEARANCE_HEIGHT + doubt)));
+    doubt = m->fix_sonar_height_difference - real_min(m->x_output[NOMINAL_TERRAIN], REAL(0.0));
+    replace_gyro_spikes(m, s, (m->flight_phase == PHASE_FLYING) && (height_above_ground(m->x_output, s) > (LEG_CLEARANCE_HEIGHT_M + doubt)));
     rises = sample_inputs(m, s, p, z, fresh);
     if ((s->has_rotor_model > 0) && (m->flight_phase >= PHASE_MOTORS_RUNNING) && (m->status[READING_ACCELERATION] < STATUS_MISSING)) {
         estimate_accel_noise(m, s, z);

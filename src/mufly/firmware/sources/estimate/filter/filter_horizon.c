@@ -65,8 +65,8 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
         m->accel_mean[k] += e[INPUT_ACCEL + k];
         m->model_accel_mean[k] += a[ACCEL_WORK_MODEL + k];
         m->gyro_mean[k] += e[k];
-        m->thrust_slope[k] += e[INPUT_STATIC_FORCE + k];
-        m->velocity_slope[k] += e[INPUT_FORCE_SLOPE + k];
+        m->accel_per_thrust_scale[k] += e[INPUT_THRUST_ACCEL + k];
+        m->accel_per_air_velocity[k] += e[INPUT_ACCEL_PER_VELOCITY + k];
     }
     m->yaw_rate = REAL(0.0);
     for (int32_t k = 0; k < 3; k++) {
@@ -88,7 +88,7 @@ void predict_bias(estimator_t *m, const estimator_settings_t *s)
     const int32_t turn = ERROR_GYRO_BIAS + wrap_index(m->tick, BIAS_CYCLE_TICKS);
     const int32_t k = (turn >= ERROR_FIX_BIAS) ? (turn + ((ERROR_FIX_HEADING + 1) - ERROR_FIX_BIAS)) : turn;
     const bool adrift = (k < (ERROR_GYRO_BIAS + 3)) && (m->divergence_ticks > 0);
-    const real_t may = (m->divergence_ticks > 1) ? DIVERGED_GYRO_BIAS_WALK : LATER_GYRO_BIAS_WALK;
+    const real_t may = (m->divergence_ticks > 1) ? DIVERGED_GYRO_BIAS_WALK : POST_DIVERGENCE_GYRO_BIAS_WALK;
     real_t origin = s->initial_state[k + 1];
     real_t keep = s->decay[k];
     real_t q = s->process_variance[k] + (adrift ? ((may * may) * ((real_t)BIAS_CYCLE_TICKS * s->dt)) : REAL(0.0));
@@ -99,7 +99,7 @@ void predict_bias(estimator_t *m, const estimator_settings_t *s)
     }
     if (k < (ERROR_GYRO_BIAS + 3)) {
         const int32_t i = k - ERROR_GYRO_BIAS;
-        const real_t turning = (real_abs(m->yaw_rate) > MIN_CROSS_AXIS_YAW_RATE) ? m->yaw_rate : REAL(0.0);
+        const real_t turning = (real_abs(m->yaw_rate) > MIN_CROSS_AXIS_YAW_RATE_RAD_S) ? m->yaw_rate : REAL(0.0);
 
         if (m->cross_axis_yaw_rate[i] != REAL(0.0)) {
             keep = turning / m->cross_axis_yaw_rate[i];
@@ -173,9 +173,9 @@ static void average_block_forces(estimator_t *m, const estimator_settings_t *s)
         m->accel_mean[k] /= n;
         m->model_accel_mean[k] /= n;
         m->gyro_mean[k] /= n;
-        m->thrust_slope[k] /= n;
-        m->velocity_slope[k] /= n;
-        m->residual_density[k] =
+        m->accel_per_thrust_scale[k] /= n;
+        m->accel_per_air_velocity[k] /= n;
+        m->accel_residual_density[k] =
             ((e[INPUT_NOISE_DENSITY + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9))) +
             (m->vibration_velocity_variance[k] / ((real_t)m->block_mean_ticks * s->dt));
     }
@@ -187,8 +187,8 @@ void clear_block_forces(estimator_t *m)
         m->accel_mean[k] = REAL(0.0);
         m->model_accel_mean[k] = REAL(0.0);
         m->gyro_mean[k] = REAL(0.0);
-        m->thrust_slope[k] = REAL(0.0);
-        m->velocity_slope[k] = REAL(0.0);
+        m->accel_per_thrust_scale[k] = REAL(0.0);
+        m->accel_per_air_velocity[k] = REAL(0.0);
     }
     m->max_innovation_ratio = REAL(0.0);
     m->block_mean_ticks = 0;
@@ -199,7 +199,7 @@ static int32_t settle_terrain(estimator_t *m)
 {
     int32_t cost = 0;
 
-    if (!(m->terrain_edge_weight > REAL(0.0)) && (real_abs(m->x[NOMINAL_TERRAIN]) < MAX_FLOOR_HEIGHT)) {
+    if (!(m->terrain_edge_weight > REAL(0.0)) && (real_abs(m->x[NOMINAL_TERRAIN]) < MAX_FLOOR_HEIGHT_M)) {
         const real_t sure = state_variance(m, ERROR_TERRAIN);
 
         if ((sure > (FLOOR_SETTLED_SIGMA * FLOOR_SETTLED_SIGMA)) && ((m->x[NOMINAL_TERRAIN] * m->x[NOMINAL_TERRAIN]) < (REAL(9.0) * sure))) {

@@ -12,22 +12,22 @@
 static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s, const real_t z[INPUT_VALUE_COUNT])
 {
     const real_t lift =
-        (s->has_rotor_model > 0) ? ((-m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_FORCE_STATIC + 2] * m->x[NOMINAL_THRUST_SCALE]) / GRAVITY) : REAL(1.0);
+        (s->has_rotor_model > 0) ? ((-m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_THRUST_ACCEL + 2] * m->x[NOMINAL_THRUST_SCALE]) / GRAVITY) : REAL(1.0);
     const real_t height = height_above_ground(m->x_output, s);
     const bool off = (z[ACTUATOR_START] + z[ACTUATOR_START + 1]) < REAL(0.02);
     /* Rotors with more lift than modelled leave the floor earlier, others later. */
     const real_t doubt = (s->has_rotor_model > 0) ? (LIFTOFF_THRUST_SIGMA_LIMIT * m->sigma_output[ERROR_THRUST_SCALE]) : REAL(0.0);
     /* The sonar is newer than the estimated height, except below the floor. */
-    const bool says = (m->status[READING_SONAR] == STATUS_FUSED) && (height < MAX_SONAR_LIFTOFF_HEIGHT) && (m->x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT);
-    const bool near = says && (m->last_value[READING_STARTS[READING_SONAR]] <= (m->sonar_least_range + (REAL(0.5) * s->sonar_resolution)));
-    const bool clear = says && (m->last_value[READING_STARTS[READING_SONAR]] > (m->sonar_least_range + SONAR_LIFTOFF_EXCESS));
+    const bool says = (m->status[READING_SONAR] == STATUS_FUSED) && (height < MAX_SONAR_LIFTOFF_HEIGHT_M) && (m->x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT_M);
+    const bool near = says && (m->last_value[READING_STARTS[READING_SONAR]] <= (m->sonar_min_seen_range + (REAL(0.5) * s->sonar_resolution)));
+    const bool clear = says && (m->last_value[READING_STARTS[READING_SONAR]] > (m->sonar_min_seen_range + SONAR_LIFTOFF_EXCESS_M));
 
     real_t rises = REAL(0.0);
 
     m->is_sonar_at_minimum = near ? 1 : 0;
     if (m->flight_phase <= PHASE_MOTORS_RUNNING) {
         const real_t turning = m->rotor_state[MODEL_SPEED_UPPER] + m->rotor_state[MODEL_SPEED_LOWER];
-        const bool stands = turning <= (STOPPED_ROTOR_SPEED_SHARE * (s->hover_speed[0] + s->hover_speed[1]));
+        const bool stands = turning <= (STOPPED_ROTOR_SPEED_FRACTION * (s->hover_speed[0] + s->hover_speed[1]));
 
         m->flight_phase = stands ? PHASE_STANDING : PHASE_ROTORS_COASTING;
         if (!off) {
@@ -56,7 +56,7 @@ static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s,
         m->flight_phase = PHASE_MOTORS_RUNNING;
     }
     if (m->flight_phase != PHASE_FLYING) {
-        m->grounded_tick = m->tick;
+        m->last_grounded_tick = m->tick;
     }
     return rises;
 }
@@ -77,7 +77,7 @@ static void update_rotor_model(estimator_t *m, const estimator_settings_t *s, co
                 const real_t off = speed[k] - m->rotor_state[MODEL_SPEED_UPPER + k];
 
                 m->rotor_state[MODEL_SPEED_UPPER + k] += s->rotor_speed_gain * off;
-                m->motor_accel_bias[k] += s->motor_error_gain * off;
+                m->motor_accel_bias[k] += s->motor_accel_bias_gain * off;
             }
         }
     }
@@ -114,7 +114,7 @@ static void average_inputs(estimator_t *m, const estimator_settings_t *s)
 static real_t ground_force_noise(const estimator_t *m, real_t force)
 {
     const real_t spread =
-        (m->is_sonar_at_minimum == 1) ? GROUND_FORCE_ERROR : real_max(m->sigma_output[ERROR_THRUST_SCALE] * -force, GROUND_FORCE_ERROR);
+        (m->is_sonar_at_minimum == 1) ? GROUND_FORCE_ERROR_M_S2 : real_max(m->sigma_output[ERROR_THRUST_SCALE] * -force, GROUND_FORCE_ERROR_M_S2);
     const real_t over = (((-m->x_output[NOMINAL_THRUST_SCALE]) * force) - GRAVITY) / spread;
     const real_t may = real_min(real_max(REAL(1.0) + (over / LIFTOFF_THRUST_SIGMA_LIMIT), REAL(0.0)), REAL(1.0)) * spread;
 
@@ -152,7 +152,7 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
     }
     rises = update_flight_phase(m, s, z);
     for (int32_t k = 0; k < 3; k++) {
-        const real_t clip = (m->clip_share[k] * CLIPPING_ERROR_SHARE) * s->accel_range;
+        const real_t clip = (m->clipped_fraction[k] * CLIPPING_ERROR_FRACTION) * s->accel_range;
         /* Without vibration; but if the attitude is unknown, the model's force is the better one. */
         const real_t noise = (m->status[READING_RATES] < STATUS_MISSING)
                                  ? m->accel_noise_slow[k]
@@ -164,41 +164,41 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
         row[k] = REAL(0.5) * (m->gyro_rates[k] + m->gyro_rates_prev[k]);
         row[INPUT_ACCEL + k] = z[k];
         for (int32_t g = 0; g < 3; g++) {
-            row[INPUT_STATIC_FORCE + (3 * g) + k] = ((REAL(1.0) - s->imu_lag_remainder) * m->rotor_force[a][ROTOR_FORCE_STATIC + (3 * g) + k]) +
-                                   (s->imu_lag_remainder * m->rotor_force[b][ROTOR_FORCE_STATIC + (3 * g) + k]);
+            row[INPUT_THRUST_ACCEL + (3 * g) + k] = ((REAL(1.0) - s->imu_lag_remainder) * m->rotor_force[a][ROTOR_THRUST_ACCEL + (3 * g) + k]) +
+                                   (s->imu_lag_remainder * m->rotor_force[b][ROTOR_THRUST_ACCEL + (3 * g) + k]);
         }
         if (m->flight_phase <= PHASE_MOTORS_RUNNING) {
-            row[INPUT_STATIC_FORCE + k] = REAL(0.0);
-            row[INPUT_FORCE_REMAINDER + k] = -GRAVITY * r[6 + k];
-            row[INPUT_FORCE_SLOPE + k] = REAL(0.0);
+            row[INPUT_THRUST_ACCEL + k] = REAL(0.0);
+            row[INPUT_NON_THRUST_ACCEL + k] = -GRAVITY * r[6 + k];
+            row[INPUT_ACCEL_PER_VELOCITY + k] = REAL(0.0);
             felt = REAL(1e6);
             made = REAL(1e-3);
         } else if (m->flight_phase == PHASE_LIFTING_OFF) {
             /* Legs may support the weight that the rotors do not: no thrust is estimated. */
-            row[INPUT_FORCE_REMAINDER + k] += m->x_output[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC_FORCE + k];
+            row[INPUT_NON_THRUST_ACCEL + k] += m->x_output[NOMINAL_THRUST_SCALE] * row[INPUT_THRUST_ACCEL + k];
             if (k == 2) {
-                row[INPUT_FORCE_REMAINDER + 2] = (m->is_sonar_at_minimum == 1) ? (-GRAVITY * r[8]) : real_min(row[INPUT_FORCE_REMAINDER + 2], -GRAVITY * r[8]);
+                row[INPUT_NON_THRUST_ACCEL + 2] = (m->is_sonar_at_minimum == 1) ? (-GRAVITY * r[8]) : real_min(row[INPUT_NON_THRUST_ACCEL + 2], -GRAVITY * r[8]);
             }
             made = REAL(0.05);
             if (k == 2) {
-                made += ground_force_noise(m, row[INPUT_STATIC_FORCE + 2]);
+                made += ground_force_noise(m, row[INPUT_THRUST_ACCEL + 2]);
             }
-            row[INPUT_STATIC_FORCE + k] = REAL(0.0);
+            row[INPUT_THRUST_ACCEL + k] = REAL(0.0);
         } else if (s->has_rotor_model > 0) {
             /* Until the thrust is known, after more than the delay, the accelerometers have the higher weight. */
-            const real_t unknown = real_max(m->sigma_output[ERROR_THRUST_SCALE] - MODELLED_THRUST_SIGMA, REAL(0.0)) * row[INPUT_STATIC_FORCE + k];
+            const real_t unknown = real_max(m->sigma_output[ERROR_THRUST_SCALE] - MODELLED_THRUST_SIGMA, REAL(0.0)) * row[INPUT_THRUST_ACCEL + k];
 
             made += (THRUST_ERROR_CORRELATION_S * unknown) * unknown;
         } else {
             /* flight without a model */
         }
         if ((s->has_rotor_model <= 0) && (m->flight_phase > PHASE_MOTORS_RUNNING)) {
-            row[INPUT_STATIC_FORCE + k] = REAL(0.0);
-            row[INPUT_FORCE_REMAINDER + k] = (k == 2) ? -GRAVITY : REAL(0.0);
-            row[INPUT_FORCE_SLOPE + k] = REAL(0.0);
+            row[INPUT_THRUST_ACCEL + k] = REAL(0.0);
+            row[INPUT_NON_THRUST_ACCEL + k] = (k == 2) ? -GRAVITY : REAL(0.0);
+            row[INPUT_ACCEL_PER_VELOCITY + k] = REAL(0.0);
             made = REAL(10.0);
         }
-        if (m->accel_model_verdict == VERDICT_MODEL_WRONG) {
+        if (m->accel_model_diagnosis == DIAGNOSIS_MODEL_WRONG) {
             made = real_max(made, WRONG_MODEL_NOISE_DENSITY);
         } else if (m->is_accel_distrusted == 1) {
             felt = REAL(1e6);
@@ -239,10 +239,10 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
     m->slow_residual_count += 1;
     weight = (real_t)((m->slow_residual_count <= (SLOW_NOISE_TICKS / 2)) ? m->slow_residual_count : ((SLOW_NOISE_TICKS + 1) - m->slow_residual_count));
     for (int32_t k = 0; k < 3; k++) {
-        real_t off = z[k] - ((m->x[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC_FORCE + k]) + row[INPUT_FORCE_REMAINDER + k]);
+        real_t off = z[k] - ((m->x[NOMINAL_THRUST_SCALE] * row[INPUT_THRUST_ACCEL + k]) + row[INPUT_NON_THRUST_ACCEL + k]);
         real_t vibrating;
 
-        off -= row[INPUT_FORCE_SLOPE + k] * m->axis_work[k];
+        off -= row[INPUT_ACCEL_PER_VELOCITY + k] * m->axis_work[k];
         m->slow_residual_sum[k] += weight * off;
         off -= m->slow_residual_mean_prev[k];
         m->vibration_velocity[k] += s->dt * (off - (m->vibration_velocity[k] / VIBRATION_HIGH_PASS_S));
@@ -253,22 +253,22 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
         const real_t half = (real_t)(SLOW_NOISE_TICKS / 2);
         const real_t span = (REAL(0.75) * (real_t)SLOW_NOISE_TICKS) * s->dt;
         /* After lift-off the modelled force changes, and the thrust scale has to converge first. */
-        const bool settled = (m->flight_phase != PHASE_FLYING) || ((m->tick - m->grounded_tick) > (2 * SLOW_NOISE_TICKS));
+        const bool settled = (m->flight_phase != PHASE_FLYING) || ((m->tick - m->last_grounded_tick) > (2 * SLOW_NOISE_TICKS));
 
         for (int32_t k = 0; k < 3; k++) {
             const real_t mean = m->slow_residual_sum[k] / (half * (half + REAL(1.0)));
             /* The model's uncertainty, large at lift-off, is not noise of the accelerometers. */
-            const real_t unknown = (REAL(2.0) * m->sigma_output[ERROR_THRUST_SCALE]) * real_abs(row[INPUT_STATIC_FORCE + k]);
+            const real_t unknown = (REAL(2.0) * m->sigma_output[ERROR_THRUST_SCALE]) * real_abs(row[INPUT_THRUST_ACCEL + k]);
             const real_t step = real_max(real_abs(mean - m->slow_residual_mean_prev[k]) - unknown, REAL(0.0));
             const real_t made = row[INPUT_NOISE_DENSITY + k] / real_max(REAL(1.0) - row[INPUT_ACCEL_WEIGHT + k], REAL(1e-9));
             real_t density = real_max((((REAL(0.5) * step) * step) * span) - made, REAL(0.0));
             real_t most;
 
             if ((m->flight_phase == PHASE_FLYING) && settled) {
-                const real_t apart = real_abs(mean - m->x[NOMINAL_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + (unknown + (REAL(2.0) * m->sigma_output[ERROR_ACCEL_BIAS + k])));
+                const real_t apart = real_abs(mean - m->x[NOMINAL_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT_M_S2 + (unknown + (REAL(2.0) * m->sigma_output[ERROR_ACCEL_BIAS + k])));
 
                 density += real_max(apart, REAL(0.0)) * real_max(apart, REAL(0.0));
-                if (apart > ((((m->clip_share[0] + m->clip_share[1]) + m->clip_share[2]) * CLIPPING_ERROR_SHARE) * s->accel_range)) {
+                if (apart > ((((m->clipped_fraction[0] + m->clipped_fraction[1]) + m->clipped_fraction[2]) * CLIPPING_ERROR_FRACTION) * s->accel_range)) {
                     m->accel_model_difference_tick = m->tick;
                 }
             }
@@ -296,7 +296,7 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
 /* Turn two vectors, one after the other, from the axes of a tilted inertial unit to those of the vehicle. */
 static void rotate_to_level(const estimator_t *m, real_t v[6])
 {
-    const real_t *r = m->level_rotation;
+    const real_t *r = m->levelling_rotation;
 
     for (int32_t i = 0; i < 6; i += 3) {
         const real_t x = v[i];
@@ -350,11 +350,11 @@ static void reset_to_level(estimator_t *m, const estimator_settings_t *s)
 /* Decide by the accelerometers' sum at rest whether the inertial unit is tilted; reset the filter if so. */
 static void decide_levelling(estimator_t *m, const estimator_settings_t *s)
 {
-    const real_t size = real_sqrt(((m->level_accel_sum[0] * m->level_accel_sum[0]) + (m->level_accel_sum[1] * m->level_accel_sum[1])) +
-                                  (m->level_accel_sum[2] * m->level_accel_sum[2]));
-    const real_t x = -m->level_accel_sum[1] / size;
-    const real_t y = m->level_accel_sum[0] / size;
-    const real_t d = -m->level_accel_sum[2] / size;
+    const real_t size = real_sqrt(((m->levelling_accel_sum[0] * m->levelling_accel_sum[0]) + (m->levelling_accel_sum[1] * m->levelling_accel_sum[1])) +
+                                  (m->levelling_accel_sum[2] * m->levelling_accel_sum[2]));
+    const real_t x = -m->levelling_accel_sum[1] / size;
+    const real_t y = m->levelling_accel_sum[0] / size;
+    const real_t d = -m->levelling_accel_sum[2] / size;
     const real_t tilt = s->initial_sigma[ERROR_ACCEL_BIAS] / GRAVITY;
     const real_t q = (x * x) + (y * y);
     const real_t explained = (s->rest_tilt_sigma * s->rest_tilt_sigma) + (tilt * tilt);
@@ -365,7 +365,7 @@ static void decide_levelling(estimator_t *m, const estimator_settings_t *s)
         const real_t half = real_sqrt((REAL(0.5) * d) + REAL(0.5));
         const real_t turn[4] = {half, (REAL(0.5) * x) / half, (REAL(0.5) * y) / half, REAL(0.0)};
 
-        rotation_matrix(turn, m->level_rotation);
+        rotation_matrix(turn, m->levelling_rotation);
         m->is_levelled = 1;
         reset_to_level(m, s);
         set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, real_sqrt(q));
@@ -376,25 +376,25 @@ void level_inertial_unit(estimator_t *m, const estimator_settings_t *s, real_t z
 {
     const int32_t needed = (int32_t)(LEVELLING_REST_S / s->dt);
 
-    if (m->level_ticks < needed) {
+    if (m->levelling_ticks < needed) {
         bool still = (m->flight_phase == PHASE_STANDING) && (m->status[READING_ACCELERATION] == STATUS_FUSED);
 
         for (int32_t k = 0; k < 3; k++) {
-            still = still && (real_abs(z[READING_STARTS[READING_RATES] + k]) < LEVELLING_MAX_RATE);
+            still = still && (real_abs(z[READING_STARTS[READING_RATES] + k]) < LEVELLING_MAX_RATE_RAD_S);
         }
         if ((m->flight_phase > PHASE_STANDING) || (s->has_rotor_model == 0)) {
-            m->level_ticks = needed;
+            m->levelling_ticks = needed;
         } else if (!still) {
-            m->level_ticks = 0;
-            m->level_accel_sum[0] = REAL(0.0);
-            m->level_accel_sum[1] = REAL(0.0);
-            m->level_accel_sum[2] = REAL(0.0);
+            m->levelling_ticks = 0;
+            m->levelling_accel_sum[0] = REAL(0.0);
+            m->levelling_accel_sum[1] = REAL(0.0);
+            m->levelling_accel_sum[2] = REAL(0.0);
         } else {
-            m->level_ticks += 1;
+            m->levelling_ticks += 1;
             for (int32_t k = 0; k < 3; k++) {
-                m->level_accel_sum[k] += z[READING_STARTS[READING_ACCELERATION] + k];
+                m->levelling_accel_sum[k] += z[READING_STARTS[READING_ACCELERATION] + k];
             }
-            if (m->level_ticks == needed) {
+            if (m->levelling_ticks == needed) {
                 decide_levelling(m, s);
             }
         }

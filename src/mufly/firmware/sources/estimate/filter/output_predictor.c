@@ -124,7 +124,7 @@ static void write_output_covariance(estimator_t *m)
     for (int32_t i = 0; i < MOTION_STATE_COUNT; i++) {
         if (i < 3) {
             /* If the heights of fix and sonar differ, the fix may have the same error in any direction. */
-            m->covariance_output[i][i] += (m->position_jump_remainder[i] * m->position_jump_remainder[i]) + (m->fix_height_gap * m->fix_height_gap);
+            m->covariance_output[i][i] += (m->position_jump_remainder[i] * m->position_jump_remainder[i]) + (m->fix_sonar_height_difference * m->fix_sonar_height_difference);
         }
         m->sigma_output[i] = real_sqrt(m->covariance_output[i][i]);
     }
@@ -197,11 +197,11 @@ void predict_output(estimator_t *m, const estimator_settings_t *s)
         x[NOMINAL_VELOCITY + k] += s->imu_lag * a[k];
         m->rates_output[k] = m->gyro_rates[k] - x[NOMINAL_GYRO_BIAS + k];
         if ((s->has_rotor_model > 0) && (m->flight_phase == PHASE_FLYING)) {
-            m->rates_output[k] += s->imu_lag * m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_FORCE_ANG_ACCEL + k];
+            m->rates_output[k] += s->imu_lag * m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_ANG_ACCEL + k];
         }
     }
     rotate_attitude(x, s->imu_lag * m->rates_output[0], s->imu_lag * m->rates_output[1], s->imu_lag * m->rates_output[2], true);
-    if ((s->has_rotor_model > 0) && (x[NOMINAL_TERRAIN] < MAX_FLOOR_HEIGHT)) {
+    if ((s->has_rotor_model > 0) && (x[NOMINAL_TERRAIN] < MAX_FLOOR_HEIGHT_M)) {
         /* The legs must not enter the floor during or after the propagation. */
         const real_t lowest = -(real_max(x[NOMINAL_TERRAIN], REAL(0.0)) + s->ground_clearance);
 

@@ -94,7 +94,7 @@ void predict_state(real_t x[STATE_COUNT], const real_t e[INPUT_ROW_SIZE], real_t
     d = x[NOMINAL_VELOCITY + 2];
     for (int32_t k = 0; k < 3; k++) {
         const real_t along = ((r[k] * n) + (r[3 + k] * o)) + (r[6 + k] * d);
-        const real_t made = ((x[NOMINAL_THRUST_SCALE] * e[INPUT_STATIC_FORCE + k]) + e[INPUT_FORCE_REMAINDER + k]) + (e[INPUT_FORCE_SLOPE + k] * along);
+        const real_t made = ((x[NOMINAL_THRUST_SCALE] * e[INPUT_THRUST_ACCEL + k]) + e[INPUT_NON_THRUST_ACCEL + k]) + (e[INPUT_ACCEL_PER_VELOCITY + k] * along);
         const real_t share = e[INPUT_ACCEL_WEIGHT + k];
 
         a[ACCEL_WORK_MODEL + k] = made;
@@ -114,7 +114,7 @@ void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t 
                    real_t out[TRANSITION_SIZE])
 {
     const real_t rest[3] = {REAL(1.0) - e[INPUT_ACCEL_WEIGHT], REAL(1.0) - e[INPUT_ACCEL_WEIGHT + 1], REAL(1.0) - e[INPUT_ACCEL_WEIGHT + 2]};
-    const real_t slope[3] = {rest[0] * e[INPUT_FORCE_SLOPE], rest[1] * e[INPUT_FORCE_SLOPE + 1], rest[2] * e[INPUT_FORCE_SLOPE + 2]};
+    const real_t slope[3] = {rest[0] * e[INPUT_ACCEL_PER_VELOCITY], rest[1] * e[INPUT_ACCEL_PER_VELOCITY + 1], rest[2] * e[INPUT_ACCEL_PER_VELOCITY + 2]};
     const bool stands = (int32_t)e[INPUT_FLIGHT_PHASE] <= PHASE_MOTORS_RUNNING;
 
     for (int32_t i = 0; i < 3; i++) {
@@ -125,7 +125,7 @@ void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t 
 
             out[(3 * i) + j] = own;
             out[TRANSITION_ACCEL + (3 * i) + j] = -own * e[INPUT_ACCEL_WEIGHT + j];
-            thrust += own * (rest[j] * e[INPUT_STATIC_FORCE + j]);
+            thrust += own * (rest[j] * e[INPUT_THRUST_ACCEL + j]);
         }
         out[TRANSITION_THRUST + i] = thrust;
         out[TRANSITION_ATTITUDE + i] = stands ? REAL(0.0) : (span * a[i]); /* the floor's force is vertical at any tilt */
@@ -147,7 +147,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
                  real_t out[12])
 {
     real_t *x = m->rotor_state;
-    static const real_t no_wind[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
+    static const real_t zero_wind[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
     real_t dx[MODEL_STATES];
     const real_t dt = s->dt;
     const real_t to_roll = p->swash_gain * real_min(real_max(m->actuators[U_SERVO_2], REAL(-1.0)), REAL(1.0));
@@ -164,14 +164,14 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     real_t moving[3];
 
     /* The swash plate settles within the period; its mean is used. */
-    x[MODEL_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_decay_mean);
-    x[MODEL_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_decay_mean);
+    x[MODEL_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_lag_decay_mean);
+    x[MODEL_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_lag_decay_mean);
     x[MODEL_VELOCITY] = REAL(0.0);
     x[MODEL_VELOCITY + 1] = REAL(0.0);
     x[MODEL_VELOCITY + 2] = REAL(0.0);
     sine_cosine(x[MODEL_SWASH_ROLL], &swash.sin_a, &swash.cos_a);
     sine_cosine(x[MODEL_SWASH_PITCH], &swash.sin_b, &swash.cos_b);
-    flight_model(x, m->actuators, no_wind, p, &swash, dx);
+    flight_model(x, m->actuators, zero_wind, p, &swash, dx);
     up = dx[MODEL_SPEED_UPPER];
     dw = dx[MODEL_SPEED_LOWER];
     x[MODEL_SPEED_UPPER] += (REAL(0.5) * dt) * up;
@@ -185,7 +185,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     for (int32_t k = 0; k < 3; k++) {
         x[MODEL_BAR + k] = REAL(0.5) * (bar[k] + normal[k]);
     }
-    flight_model(x, m->actuators, no_wind, p, &swash, dx);
+    flight_model(x, m->actuators, zero_wind, p, &swash, dx);
     still[0] = dx[MODEL_VELOCITY];
     still[1] = dx[MODEL_VELOCITY + 1];
     still[2] = dx[MODEL_VELOCITY + 2] - GRAVITY;
@@ -193,26 +193,26 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
         out[k] = still[k];
         x[MODEL_VELOCITY + k] = air[k];
     }
-    flight_model(x, m->actuators, no_wind, p, &swash, dx);
+    flight_model(x, m->actuators, zero_wind, p, &swash, dx);
     for (int32_t k = 0; k < 3; k++) {
-        out[ROTOR_FORCE_ANG_ACCEL + k] = dx[MODEL_RATES + k];
+        out[ROTOR_ANG_ACCEL + k] = dx[MODEL_RATES + k];
     }
     moving[0] = dx[MODEL_VELOCITY];
     moving[1] = dx[MODEL_VELOCITY + 1];
     moving[2] = dx[MODEL_VELOCITY + 2] - GRAVITY;
     for (int32_t k = 0; k < 3; k++) {
-        x[MODEL_VELOCITY + k] = air[k] + DRAG_SLOPE_STEP;
+        x[MODEL_VELOCITY + k] = air[k] + DRAG_SLOPE_STEP_M_S;
     }
-    flight_model(x, m->actuators, no_wind, p, &swash, dx);
-    out[ROTOR_FORCE_SLOPE] = real_min((dx[MODEL_VELOCITY] - moving[0]) / DRAG_SLOPE_STEP, REAL(0.0));
-    out[ROTOR_FORCE_SLOPE + 1] = real_min((dx[MODEL_VELOCITY + 1] - moving[1]) / DRAG_SLOPE_STEP, REAL(0.0));
-    out[ROTOR_FORCE_SLOPE + 2] = real_min(((dx[MODEL_VELOCITY + 2] - GRAVITY) - moving[2]) / DRAG_SLOPE_STEP, REAL(0.0));
+    flight_model(x, m->actuators, zero_wind, p, &swash, dx);
+    out[ROTOR_ACCEL_PER_VELOCITY] = real_min((dx[MODEL_VELOCITY] - moving[0]) / DRAG_SLOPE_STEP_M_S, REAL(0.0));
+    out[ROTOR_ACCEL_PER_VELOCITY + 1] = real_min((dx[MODEL_VELOCITY + 1] - moving[1]) / DRAG_SLOPE_STEP_M_S, REAL(0.0));
+    out[ROTOR_ACCEL_PER_VELOCITY + 2] = real_min(((dx[MODEL_VELOCITY + 2] - GRAVITY) - moving[2]) / DRAG_SLOPE_STEP_M_S, REAL(0.0));
     for (int32_t k = 0; k < 3; k++) {
-        out[ROTOR_FORCE_REMAINDER + k] = (moving[k] - still[k]) - (out[ROTOR_FORCE_SLOPE + k] * air[k]);
+        out[ROTOR_NON_THRUST_ACCEL + k] = (moving[k] - still[k]) - (out[ROTOR_ACCEL_PER_VELOCITY + k] * air[k]);
         x[MODEL_BAR + k] = normal[k] * size;
     }
-    x[MODEL_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_decay);
-    x[MODEL_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_decay);
+    x[MODEL_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_lag_decay);
+    x[MODEL_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_lag_decay);
     x[MODEL_SPEED_UPPER] = real_max(x[MODEL_SPEED_UPPER] + ((REAL(0.5) * dt) * up), REAL(0.0));
     x[MODEL_SPEED_LOWER] = real_max(x[MODEL_SPEED_LOWER] + ((REAL(0.5) * dt) * dw), REAL(0.0));
     x[MODEL_CHARGE] = real_min(real_max(x[MODEL_CHARGE] + (dt * dx[MODEL_CHARGE]), REAL(0.0)), REAL(1.0));

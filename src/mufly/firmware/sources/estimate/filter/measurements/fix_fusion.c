@@ -59,7 +59,7 @@ static void estimate_fix_noise(estimator_t *m, int32_t i)
     const real_t excess = real_min(ratio * ratio, MAX_SQUARED_INNOVATION_RATIO) - REAL(1.0);
     const real_t pair = real_max(real_min(ratio * m->fix_ratio_prev[i], MAX_INNOVATION_RATIO_PRODUCT), -MAX_INNOVATION_RATIO_PRODUCT);
 
-    if ((m->is_heading_aligned != 0) && (real_abs(m->fix_ratio_mean[i]) < LASTING_FIX_RATIO)) {
+    if ((m->is_heading_aligned != 0) && (real_abs(m->fix_ratio_mean[i]) < LASTING_FIX_INNOVATION_RATIO)) {
         adapt_noise_scale(&m->noise_scale[aid], gain, excess - pair);
         adapt_noise_scale(&m->bias_walk_scale[aid], gain, excess + pair);
     }
@@ -104,24 +104,24 @@ static bool sonar_height_valid(const estimator_t *m, const estimator_settings_t 
     return fresh && (m->status[k] == STATUS_FUSED) && (m->reason[k] == REASON_NONE) && !(m->terrain_edge_weight > REAL(0.0));
 }
 
-/* Return whether fix and sonar agree on the height; if not, write the gap to m->fix_height_gap. */
+/* Return whether fix and sonar agree on the height; if not, write the gap to m->fix_sonar_height_difference. */
 static bool fix_height_consistent(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t ratio)
 {
     const int32_t k = READING_POSITION_FIX;
     const real_t apart = real_abs(nu + m->x[NOMINAL_FIX_BIAS + 2]);
     const real_t off = real_abs(ratio);
 
-    if (m->fix_height_gap > REAL(0.0)) {
+    if (m->fix_sonar_height_difference > REAL(0.0)) {
         const bool blind = ((real_t)(m->tick - m->last_fused_tick[READING_SONAR]) * s->dt) > REAL(0.3);
 
-        m->fix_height_gap = (blind || (off < REAL(2.5))) ? REAL(0.0) : apart;
+        m->fix_sonar_height_difference = (blind || (off < REAL(2.5))) ? REAL(0.0) : apart;
     } else if (sonar_height_valid(m, s) &&
                ((fix_bias_ratio(m, s, 2) > REAL(1.0)) || ((off > INNOVATION_GATE) && reset_timeout_expired(m, s, k)))) {
-        m->fix_height_gap = apart;
+        m->fix_sonar_height_difference = apart;
     } else {
         /* they agree */
     }
-    return !(m->fix_height_gap != REAL(0.0));
+    return !(m->fix_sonar_height_difference != REAL(0.0));
 }
 
 /* Reset the position to the fix; where other sensors hold it, reset the bias of the fix instead. */
@@ -149,7 +149,7 @@ static bool is_only_height_rejected(const estimator_t *m)
 {
     const real_t off = real_max(real_max(real_abs(m->fix_ratio[FIX_NORTH]), real_abs(m->fix_ratio[FIX_EAST])), real_abs(m->fix_ratio[FIX_HEADING]));
 
-    return (m->fix_component == FIX_DOWN) && (off < INNOVATION_GATE);
+    return (m->worst_fix_component == FIX_DOWN) && (off < INNOVATION_GATE);
 }
 
 /* Mark a fix that is rejected for its height alone as faulty: a height does not contradict the attitude. */
@@ -195,14 +195,14 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
             if (real_abs(ratio) > real_abs(worst)) {
                 worst = ratio;
                 at = nu;
-                m->fix_component = i;
+                m->worst_fix_component = i;
             }
         }
     }
     log_innovation(m, k, at, worst);
     /* Growing ratios of one sign show that the filter diverges, not that the fix jumps. */
-    settled = ((real_t)(m->tick - m->grounded_tick) * s->dt) > SETTLING_TIME_S;
-    lasting = settled && (largest_mean_ratio(m) > LASTING_FIX_RATIO);
+    settled = ((real_t)(m->tick - m->last_grounded_tick) * s->dt) > SETTLING_TIME_S;
+    lasting = settled && (largest_mean_ratio(m) > LASTING_FIX_INNOVATION_RATIO);
     led = (s->has_rotor_model > 0) && lasting && (m->fix_ratio_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
           (real_abs(worst) < (REAL(2.0) * INNOVATION_GATE));
     if ((real_abs(worst) > INNOVATION_GATE) && !led) {
@@ -245,7 +245,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
     }
     mark_fused(m, k);
     if (!down) {
-        set_fault(m, s, k, STATUS_FAULTY, REASON_HEIGHT_CONFLICT, m->fix_height_gap);
+        set_fault(m, s, k, STATUS_FAULTY, REASON_HEIGHT_CONFLICT, m->fix_sonar_height_difference);
     }
     m->is_heading_aligned = 1;
 }

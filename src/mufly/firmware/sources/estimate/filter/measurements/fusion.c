@@ -54,11 +54,11 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
 
     reject_measurement(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->sensor_period[k]), REASON_INNOVATION);
     floor_height = m->x[NOMINAL_TERRAIN] - nu;
-    step = (m->agree_count[k] >= 2) && (floor_height > MIN_TERRAIN_HEIGHT);
+    step = (m->agree_count[k] >= 2) && (floor_height > MIN_TERRAIN_HEIGHT_M);
     if ((m->flight_phase <= PHASE_MOTORS_RUNNING) && (nu > REAL(0.0)) && (z[0] > nearest)) {
         /* On its legs the vehicle is at a known height: the sonar cannot measure ranges below this one. */
         if (m->agree_count[k] >= 2) {
-            m->sonar_least_range = z[0];
+            m->sonar_min_seen_range = z[0];
         }
         taken = false;
     } else if (step && (m->terrain_steps >= MAX_TERRAIN_STEPS)) {
@@ -98,7 +98,7 @@ static bool sonar_stuck(estimator_t *m, const estimator_settings_t *s, real_t z,
     const bool same = (z <= m->sonar_range_prev) && (z >= m->sonar_range_prev);
 
     m->sonar_range_prev = z;
-    if ((!same) || ((height_above_ground(m->x, s) - m->fix_height_gap) < LEG_CLEARANCE_HEIGHT)) {
+    if ((!same) || ((height_above_ground(m->x, s) - m->fix_sonar_height_difference) < LEG_CLEARANCE_HEIGHT_M)) {
         m->sonar_repeat_chance = REAL(1.0);
     } else {
         /* The height's variance is not included: the height may be more accurate. */
@@ -117,7 +117,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
     const int32_t k = READING_SONAR;
     real_t r[9];
     const real_t down = sonar_h_row(m, s, r);
-    const real_t nearest = m->sonar_least_range + REAL(0.005);
+    const real_t nearest = m->sonar_min_seen_range + REAL(0.005);
     const real_t standing = s->ground_clearance - s->sonar_position[2];
     real_t said = z[0];
     real_t variance = s->sonar_variance * m->noise_scale[AID_SONAR];
@@ -126,7 +126,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
     real_t ratio;
     bool over;
 
-    if ((r[8] < s->sonar_cone_cosine) || (z[0] >= s->sonar_max)) {
+    if ((r[8] < s->sonar_cone_cosine) || (z[0] >= s->sonar_max_range)) {
         return;
     }
     expect = (-(m->x[NOMINAL_POSITION + 2] + (ahead * m->x[NOMINAL_VELOCITY + 2])) - down) - m->x[NOMINAL_TERRAIN];
@@ -147,7 +147,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
         set_fault(m, s, k, STATUS_FAULTY, REASON_STUCK, z[0]);
         return;
     }
-    over = (m->terrain_edge_weight > REAL(0.0)) || (real_abs(m->x[NOMINAL_TERRAIN]) > MAX_FLOOR_HEIGHT);
+    over = (m->terrain_edge_weight > REAL(0.0)) || (real_abs(m->x[NOMINAL_TERRAIN]) > MAX_FLOOR_HEIGHT_M);
     /* Innovations of one sign: over an edge the surface is wrong, else the height, since surfaces are level. */
     if (real_abs(ratio) < INNOVATION_GATE) {
         m->sonar_ratio_lp += REAL(0.2) * (ratio - m->sonar_ratio_lp);
@@ -165,7 +165,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
             (void)sonar_h_row(m, s, r);
         }
     }
-    if (over && (real_abs(ratio) > TERRAIN_STEP_GATE) && (m->terrain_steps < MAX_TERRAIN_STEPS) && ((m->x[NOMINAL_TERRAIN] - nu) > MIN_TERRAIN_HEIGHT)) {
+    if (over && (real_abs(ratio) > TERRAIN_STEP_GATE) && (m->terrain_steps < MAX_TERRAIN_STEPS) && ((m->x[NOMINAL_TERRAIN] - nu) > MIN_TERRAIN_HEIGHT_M)) {
         /* Over an object the surface steps. */
         m->terrain_steps += 1;
         m->terrain_edge_weight = REAL(1.0);
@@ -251,7 +251,7 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
         for (int32_t i = 0; i < 2; i++) {
             const real_t told = m->wall_info_limit[i] * state_variance(m, ERROR_POSITION + i);
 
-            m->wall_info_share[i] = (told > REAL(1.0)) ? (REAL(1.0) - (REAL(1.0) / told)) : REAL(0.0);
+            m->wall_info_fraction[i] = (told > REAL(1.0)) ? (REAL(1.0) - (REAL(1.0) / told)) : REAL(0.0);
             m->wall_info_limit[i] = REAL(0.0);
         }
     }
@@ -286,8 +286,8 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
                 log_innovation(m, k, nu, ratio);
                 m->beams_fused += 1;
                 m->wall_info_limit[axis] += (h * h) / lasts;
-                if (m->wall_info_share[axis] > REAL(0.0)) {
-                    apply_correction(m, nu, scatters + (lasts / m->wall_info_share[axis]));
+                if (m->wall_info_fraction[axis] > REAL(0.0)) {
+                    apply_correction(m, nu, scatters + (lasts / m->wall_info_fraction[axis]));
                     rotation_matrix(&m->x[NOMINAL_ATTITUDE], r);
                 }
             }
@@ -433,16 +433,16 @@ bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, 
 
 void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t i)
 {
-    const real_t slope = m->velocity_slope[i];
+    const real_t slope = m->accel_per_air_velocity[i];
     const real_t nu = (m->accel_mean[i] - m->model_accel_mean[i]) - m->x[NOMINAL_ACCEL_BIAS + i];
-    const real_t variance = m->residual_density[i] / ((real_t)count * s->dt);
+    const real_t variance = m->accel_residual_density[i] / ((real_t)count * s->dt);
     real_t r[9];
     real_t known;
     real_t ratio;
 
     rotation_matrix(&m->x[NOMINAL_ATTITUDE], r);
     h_row_begin(m, ERROR_ACCEL_BIAS + i, REAL(1.0));
-    h_row_add(m, ERROR_THRUST_SCALE, m->thrust_slope[i]);
+    h_row_add(m, ERROR_THRUST_SCALE, m->accel_per_thrust_scale[i]);
     for (int32_t j = 0; j < 3; j++) {
         h_row_add(m, ERROR_VELOCITY + j, slope * r[(3 * j) + i]);
     }

@@ -9,7 +9,7 @@ void set_fault(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t
     m->reason_number[k] = number;
     m->fault_until_tick[k] = m->tick + (int32_t)(FAULT_HOLD_S / s->dt);
     if (k == READING_POSITION_FIX) {
-        m->fault_component = m->fix_component;
+        m->fault_component = m->worst_fix_component;
     }
 }
 
@@ -129,10 +129,10 @@ static void check_clipping(estimator_t *m, const estimator_settings_t *s, const 
     for (int32_t k = 0; k < 3; k++) {
         const bool possible = (share[k] >= REAL(0.0)) && (share[k] <= REAL(1.0));
 
-        m->clip_share[k] += REAL(0.1) * ((possible ? share[k] : REAL(1.0)) - m->clip_share[k]);
-        clip = real_max(clip, m->clip_share[k]);
+        m->clipped_fraction[k] += REAL(0.1) * ((possible ? share[k] : REAL(1.0)) - m->clipped_fraction[k]);
+        clip = real_max(clip, m->clipped_fraction[k]);
     }
-    if ((clip > MIN_CLIP_SHARE) && (m->status[READING_ACCELERATION] == STATUS_FUSED)) {
+    if ((clip > MIN_CLIP_FRACTION) && (m->status[READING_ACCELERATION] == STATUS_FUSED)) {
         set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_CLIPPING, clip);
     }
 }
@@ -202,13 +202,13 @@ void reset_on_divergence(estimator_t *m, const estimator_settings_t *s)
 {
     if (m->divergence_ticks <= 1) {
         for (int32_t k = 0; k < 3; k++) {
-            inflate_by_sigma(m, ERROR_GYRO_BIAS + k, DIVERGED_GYRO_BIAS_SIGMA);
-            inflate_by_sigma(m, ERROR_ATTITUDE + k, DIVERGED_ATTITUDE_SIGMA);
+            inflate_by_sigma(m, ERROR_GYRO_BIAS + k, DIVERGED_GYRO_BIAS_SIGMA_RAD_S);
+            inflate_by_sigma(m, ERROR_ATTITUDE + k, DIVERGED_ATTITUDE_SIGMA_RAD);
         }
-        inflate_by_sigma(m, ERROR_VELOCITY, DIVERGED_SPEED_SIGMA);
-        inflate_by_sigma(m, ERROR_VELOCITY + 1, DIVERGED_SPEED_SIGMA);
+        inflate_by_sigma(m, ERROR_VELOCITY, DIVERGED_SPEED_SIGMA_M_S);
+        inflate_by_sigma(m, ERROR_VELOCITY + 1, DIVERGED_SPEED_SIGMA_M_S);
     }
-    m->divergence_ticks = (int32_t)(FREE_GYRO_BIAS_DURATION_S / s->dt);
+    m->divergence_ticks = (int32_t)(POST_DIVERGENCE_DURATION_S / s->dt);
 }
 
 void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool flying)
@@ -217,47 +217,47 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
     real_t worst = REAL(0.0);
     real_t led = REAL(0.0);
     real_t most;
-    bool alike = m->spike_repeats > 0;
+    bool alike = m->equal_spike_count > 0;
     bool small = true;
     bool fine;
 
     for (int32_t k = 0; k < 3; k++) {
         real_t off;
 
-        m->axis_work[k] = (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[now][ROTOR_FORCE_ANG_ACCEL + k])) + m->ang_accel_bias[k];
+        m->axis_work[k] = (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[now][ROTOR_ANG_ACCEL + k])) + m->ang_accel_bias[k];
         off = m->gyro_rates[k] - m->axis_work[k];
         worst = real_max(worst, real_abs(off));
         /* A spike may consist of two steps that would each pass. */
-        led = real_max(led, real_abs((GYRO_RESIDUAL_CARRY_SHARE * m->spike_residual_carry[k]) + off));
+        led = real_max(led, real_abs((GYRO_RESIDUAL_CARRY_FRACTION * m->spike_residual_carry[k]) + off));
         /* Error of the model's moments, in flight and on the legs */
-        m->ang_accel_bias[k] += (m->flight_phase >= PHASE_LIFTING_OFF) ? (ANG_ACCEL_BIAS_GAIN * real_min(real_max(off, -GYRO_SPIKE_RATE), GYRO_SPIKE_RATE)) : REAL(0.0);
+        m->ang_accel_bias[k] += (m->flight_phase >= PHASE_LIFTING_OFF) ? (ANG_ACCEL_BIAS_GAIN * real_min(real_max(off, -GYRO_SPIKE_RATE_RAD_S), GYRO_SPIKE_RATE_RAD_S)) : REAL(0.0);
     }
     for (int32_t k = 0; k < 3; k++) {
-        alike = alike && (real_abs(m->gyro_rates[k] - m->rates_with_spikes[k]) < GYRO_SPIKE_AGREEMENT);
+        alike = alike && (real_abs(m->gyro_rates[k] - m->rates_with_spikes[k]) < GYRO_SPIKE_AGREEMENT_RAD_S);
         m->rates_with_spikes[k] = m->gyro_rates[k];
     }
     /* A model with repeated errors cannot distinguish a spike from a motion. Agreeing spikes are one error. */
-    most = GYRO_SPIKE_RATE + (GYRO_SPIKE_RESIDUAL_FACTOR * m->rate_residual_lp);
-    m->rate_residual_lp += alike ? REAL(0.0) : (REAL(0.1) * (real_min(worst, GYRO_SPIKE_RATE) - m->rate_residual_lp));
+    most = GYRO_SPIKE_RATE_RAD_S + (GYRO_SPIKE_RESIDUAL_FACTOR * m->rate_residual_lp);
+    m->rate_residual_lp += alike ? REAL(0.0) : (REAL(0.1) * (real_min(worst, GYRO_SPIKE_RATE_RAD_S) - m->rate_residual_lp));
     m->divergence_ticks = (m->divergence_ticks > 1) ? (m->divergence_ticks - 1) : m->divergence_ticks; /* a past divergence is remembered */
     if ((!flying) || (s->has_rotor_model == 0)) {
-        m->spike_repeats = 0;
+        m->equal_spike_count = 0;
         return;
     }
     fine = real_max(worst, led) < most;
     for (int32_t k = 0; k < 3; k++) {
-        m->spike_residual_carry[k] *= GYRO_RESIDUAL_CARRY_SHARE;
+        m->spike_residual_carry[k] *= GYRO_RESIDUAL_CARRY_FRACTION;
         if (fine) {
             m->spike_residual_carry[k] += m->gyro_rates[k] - m->axis_work[k];
         }
     }
     if (fine) {
-        m->spike_repeats = 0;
+        m->equal_spike_count = 0;
         m->spike_count = 0;
         return;
     }
     m->spike_count += 1;
-    m->spike_repeats = alike ? (m->spike_repeats + 1) : 1;
+    m->equal_spike_count = alike ? (m->equal_spike_count + 1) : 1;
     if (m->spike_count == 1) {
         m->reject_score[READING_RATES] = (m->reject_score[READING_RATES] * REJECT_SCORE_DECAY) + REAL(1.0);
         if (m->reject_score[READING_RATES] > REAL(3.0)) {
@@ -265,9 +265,9 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
         }
     }
     for (int32_t k = 0; k < 3; k++) {
-        small = small && (real_abs(m->gyro_offset[k] + (m->gyro_rates[k] - m->axis_work[k])) < MAX_GYRO_OFFSET);
+        small = small && (real_abs(m->gyro_offset[k] + (m->gyro_rates[k] - m->axis_work[k])) < MAX_GYRO_OFFSET_RAD_S);
     }
-    if ((m->spike_repeats >= GYRO_JUMP_REPEATS) && small) {
+    if ((m->equal_spike_count >= GYRO_JUMP_REPEATS) && small) {
         /* A sudden offset is no motion. It is subtracted from the following readings. */
         for (int32_t k = 0; k < 3; k++) {
             const real_t off = m->gyro_rates[k] - m->axis_work[k];
@@ -275,7 +275,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
             m->gyro_offset[k] += off;
             inflate_by_sigma(m, ERROR_GYRO_BIAS + k, REAL(0.1) * off);
         }
-        m->spike_repeats = 0;
+        m->equal_spike_count = 0;
         m->spike_count = 0;
         set_fault(m, s, READING_RATES, STATUS_FUSED, REASON_JUMP, worst);
     } else if (m->spike_count > 8) {
@@ -291,7 +291,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
 
 bool check_rotor_speed(estimator_t *m, const estimator_settings_t *s, const real_t speed[2])
 {
-    const real_t flown = (real_t)(m->tick - m->grounded_tick) * s->dt;
+    const real_t flown = (real_t)(m->tick - m->last_grounded_tick) * s->dt;
     real_t *mean = m->motor_accel_mean; /* mean error of the motor equations */
     real_t worst = REAL(0.0);
     real_t away = REAL(0.0);
@@ -369,29 +369,29 @@ static void update_force_conflict(estimator_t *m, const estimator_settings_t *s,
     }
     apart = (m->accel_model_difference_tick > 0) && (((real_t)(m->tick - m->accel_model_difference_tick) * s->dt) < FAULT_HOLD_S);
     if ((m->is_accel_distrusted == 0) && !apart) {
-        m->accel_model_verdict = VERDICT_AGREE;
+        m->accel_model_diagnosis = DIAGNOSIS_AGREE;
     } else {
         const bool has_fix = (m->status[READING_POSITION_FIX] == STATUS_FUSED) &&
                              (((real_t)(m->tick - m->last_fused_tick[READING_POSITION_FIX]) * s->dt) < CONFLICT_FIX_AGE_S);
         const real_t evidence = has_fix ? mean_fix_ratio_along(m, r, m->accel_residual_lp) : REAL(0.0);
 
-        if (m->accel_model_verdict == VERDICT_AGREE) {
-            m->accel_model_verdict = VERDICT_UNDECIDED;
+        if (m->accel_model_diagnosis == DIAGNOSIS_AGREE) {
+            m->accel_model_diagnosis = DIAGNOSIS_UNDECIDED;
             m->accel_model_conflict_start_tick = m->tick;
         }
         if ((m->accel_residual_lp[2] < REAL(0.0)) &&
-            (height < (FLOOR_CONTACT_HEIGHT + (REAL(3.0) * m->sigma_output[ERROR_POSITION + 2])))) {
-            m->accel_model_verdict = VERDICT_FLOOR_CONTACT;
+            (height < (FLOOR_CONTACT_HEIGHT_M + (REAL(3.0) * m->sigma_output[ERROR_POSITION + 2])))) {
+            m->accel_model_diagnosis = DIAGNOSIS_FLOOR_CONTACT;
         } else if (((s->is_fitted[READING_ROTOR_SPEED] > 0) && (m->status[READING_ROTOR_SPEED] != STATUS_FUSED)) || (evidence > CONFLICT_MIN_FIX_RATIO)) {
-            m->accel_model_verdict = VERDICT_MODEL_WRONG;
+            m->accel_model_diagnosis = DIAGNOSIS_MODEL_WRONG;
         } else if (evidence < -CONFLICT_MIN_FIX_RATIO) {
-            m->accel_model_verdict = VERDICT_ACCEL_WRONG;
-        } else if (m->accel_model_verdict == VERDICT_FLOOR_CONTACT) {
-            m->accel_model_verdict = VERDICT_UNDECIDED;
+            m->accel_model_diagnosis = DIAGNOSIS_ACCEL_WRONG;
+        } else if (m->accel_model_diagnosis == DIAGNOSIS_FLOOR_CONTACT) {
+            m->accel_model_diagnosis = DIAGNOSIS_UNDECIDED;
             m->accel_model_conflict_start_tick = m->tick;
-        } else if ((m->accel_model_verdict == VERDICT_UNDECIDED) && has_fix &&
+        } else if ((m->accel_model_diagnosis == DIAGNOSIS_UNDECIDED) && has_fix &&
                    (((real_t)(m->tick - m->accel_model_conflict_start_tick) * s->dt) > CONFLICT_TIMEOUT_S)) {
-            m->accel_model_verdict = VERDICT_ACCEL_WRONG;
+            m->accel_model_diagnosis = DIAGNOSIS_ACCEL_WRONG;
         } else {
             /* unchanged */
         }
@@ -420,16 +420,16 @@ void check_accel_model(estimator_t *m, const estimator_settings_t *s, const real
             }
         }
         update_force_conflict(m, s, r, height, worst);
-        if (m->accel_model_verdict == VERDICT_MODEL_WRONG) {
+        if (m->accel_model_diagnosis == DIAGNOSIS_MODEL_WRONG) {
             why = REASON_MODEL_WRONG;
-        } else if (m->accel_model_verdict != VERDICT_FLOOR_CONTACT) {
+        } else if (m->accel_model_diagnosis != DIAGNOSIS_FLOOR_CONTACT) {
             code = (m->is_accel_distrusted == 1) ? STATUS_FAULTY : STATUS_REJECTED;
-            why = (m->accel_model_verdict == VERDICT_UNDECIDED) ? REASON_FORCE_CONFLICT : REASON_INNOVATION;
+            why = (m->accel_model_diagnosis == DIAGNOSIS_UNDECIDED) ? REASON_FORCE_CONFLICT : REASON_INNOVATION;
         } else {
             /* floor contact: neither is wrong */
         }
         rejected = (m->status[READING_ACCELERATION] == STATUS_REJECTED) || (m->status[READING_ACCELERATION] == STATUS_FAULTY);
-        if ((m->accel_model_verdict != VERDICT_AGREE) && ((why != REASON_NONE) || rejected)) {
+        if ((m->accel_model_diagnosis != DIAGNOSIS_AGREE) && ((why != REASON_NONE) || rejected)) {
             set_fault(m, s, READING_ACCELERATION, code, why, m->accel_residual_lp[axis]);
         }
     }
