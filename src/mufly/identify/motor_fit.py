@@ -446,7 +446,7 @@ class _MotorEquations:
         return np.column_stack([u - r * i - a * w, b * i - d * w - c - q])
 
     def whitening_matrices(self, x: Array, scales: Array) -> Array:
-        """Return the inverse Cholesky factor of S at every point, (n, 2, 2)."""
+        """Return the inverse Cholesky factor of the covariance of both equation residuals at every point, (n, 2, 2)."""
         r, a, b, d, _ = x
         vu, vi, vw, vq = (self.reading_std**2).T
         s11 = (vu + r**2 * vi + a**2 * vw) * scales[0] ** 2
@@ -468,7 +468,9 @@ class _MotorEquations:
         return np.linalg.norm(np.linalg.inv(self.whitening_matrices(x, scales)), axis=2)
 
     def solve_constants(self, free: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Return (R, a, b, d, c), and the ratios (2,) of observed to expected errors of the two equations.
+        """Fit the constants R, a, b, d, c of U = R I + a w and Q = b I - d w - c.
+
+        The second array (2,) is the ratio of observed to expected errors of each equation.
 
         Constants that are not ``free`` (5,), the frictions d and c, are held at zero.
         """
@@ -551,7 +553,7 @@ def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> 
 
 
 def _number_settings(data: MotorData, std: Array) -> NDArray[np.int64]:
-    """Number the settings: consecutive lines whose readings agree within their errors repeat one setting."""
+    """Number the bench settings: consecutive lines with readings equal within their errors belong to one setting."""
     y = np.column_stack(data.channel_arrays())
     same = np.all(np.abs(np.diff(y, axis=0)) < 2.5 * std[1:], axis=1) & (np.diff(data.run) == 0)
     return np.cumsum(np.r_[0, ~same]).astype(np.int64)
@@ -560,7 +562,10 @@ def _number_settings(data: MotorData, std: Array) -> NDArray[np.int64]:
 def _needs_constant_friction(
     same: _MotorEquations, effective: Array, scales: Array, free: NDArray[np.bool_], gear: GearKnowledge
 ) -> bool:
-    """Return whether a constant friction restores the energy balance and halves the residual of the torque equation."""
+    """Return whether the fit needs a constant friction.
+
+    It does if the friction restores the energy balance and halves the residual of the torque equation.
+    """
     if free[_FRICTION_INDEX] or not _torque_constant_ratio(effective, gear) > _MAX_TORQUE_CONSTANT_RATIO:
         return False
     x, s = same.solve_constants(np.array([True, True, True, True, True]))
@@ -581,7 +586,10 @@ def _torque_constant_ratio(x: Array, gear: GearKnowledge) -> float:
 def _find_unmodelled_terms(
     jacobian: Array, white: Array, whitening: Array, found: CovarianceEstimate, free: NDArray[np.bool_]
 ) -> tuple[list[str], bool]:
-    """Describe constant terms that would improve either equation; return also whether to fit a constant friction."""
+    """Describe constant terms that would improve the voltage or the torque equation.
+
+    The second value is True if the fit should contain a constant friction.
+    """
     words: list[str] = []
     n = len(white)
     terms = [(0, "a constant voltage drop", "V", 1.0)]
@@ -622,7 +630,10 @@ def _estimates_of_constants(
     free: NDArray[np.bool_],
     vehicle: Vehicle | None,
 ) -> tuple[tuple[ParameterEstimate, ...], Array, tuple[str, ...]]:
-    """Convert (R, a, b, d, c) to motor constants, or to the products that are determined."""
+    """Convert the fitted constants ``x`` = (R, a, b, d, c) to motor constants.
+
+    Without a gear ratio or efficiency, only the products with them are estimated.
+    """
     i, eta = gear.ratio, gear.efficiency
     unit_ratio, unit_eta = i if i is not None else 1.0, eta if eta is not None else 1.0
     r, a, b, d, c = x

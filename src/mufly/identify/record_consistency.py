@@ -248,7 +248,9 @@ def find_signal_faults(r: FlightRecord) -> list[SignalFault]:
 
 
 def refuse_fatal_faults(r: FlightRecord, found: Sequence[SignalFault], *, as_is: bool = False) -> tuple[str, ...]:
-    """Raise an error for the first fatal fault, unless ``as_is``; return the others as warnings.
+    """Raise an error for the first fatal fault; return all other faults as warnings.
+
+    With ``as_is``, fatal faults are warnings, too.
 
     Raises
     ------

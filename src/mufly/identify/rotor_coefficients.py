@@ -160,7 +160,7 @@ def fit_coefficient_trend(
     channel: str, symbol: str, speed: Array, unit: Array, load: Array, expected: Array,
     run: NDArray[np.int64] | None = None,
 ) -> CoefficientTrend:  # fmt: skip
-    """Fit the trend of a coefficient over speed, and the alternative with an offset.
+    """Fit a coefficient as a function of speed, and alternatively as a constant with an offset of the load cell.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ class RotorFit(EstimateLookup):
         return [t.describe_trend() for f in self.fits for t in f.trends]
 
     def systematic_variance_fractions(self) -> dict[str, float]:
-        """Return by symbol the share of the variance caused by calibration, zeros, density and radius."""
+        """Return for each coefficient the fraction of its variance due to calibration, zeros, density and radius."""
         return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_variance_fraction, strict=True)}
 
 
@@ -553,7 +553,7 @@ def _fit_channel(
 
 
 def _expected_errors(unit: Array, load: Array) -> tuple[Array, str]:
-    """Return the most likely unscaled errors (n,) and a description of their shape."""
+    """Return the expected errors (n,), up to a common factor, by the likeliest error model, and its description."""
 
     def likelihood_of_error_model(reading: float, full_scale: float) -> tuple[Array, float]:
         fitted = np.abs(unit @ np.linalg.lstsq(unit, load, rcond=None)[0])

@@ -167,7 +167,7 @@ class Clients:
         return client
 
     def drop_silent_clients(self, now_s: float) -> list[Hashable]:
-        """Drop peers that are silent for too long, or for which there is no room; return the dropped peers."""
+        """Drop peers that are silent for too long, and the longest silent ones beyond the maximum; return them."""
         guests = sorted((c for c in self._all.values() if not c.is_permanent), key=lambda c: c.last_heard_s)
         surplus = max(0, len(self._all) - MAX_CLIENTS)
         leaving = [c.peer for k, c in enumerate(guests) if k < surplus or now_s - c.last_heard_s > CLIENT_TIMEOUT_S]
@@ -261,8 +261,9 @@ class CommandAuthority:
         return 0.0 if self.commander is None else max(0.0, now_s - self._heard_s)
 
     def may_command(self, now_s: float, station: MessageSource) -> bool:
-        """Return whether a station may command. The first station with a request becomes commander; others get the
-        reason.
+        """Return whether a station may command the vehicle.
+
+        If there is no commander, or it is silent, the station becomes commander; else the station receives a refusal.
         """
         if self.commander not in (None, station) and self.commander_silence_s(now_s) < COMMANDER_TIMEOUT_S:
             self._clients.send_refusal(
@@ -297,7 +298,7 @@ class CommandAuthority:
         )
 
     def step_link_failsafe(self, now_s: float, *, loss_s: float, land_s: float) -> None:
-        """Hover, then land, when the commander is silent for COM_DL_LOSS_T, then COM_DL_LAND_T more (s)."""
+        """Step the link failsafe: hover ``loss_s`` after the commander's last message, land ``land_s`` later (s)."""
         status, silent = self._autopilot.status, self.commander_silence_s(now_s)
         ending = status.state == "landing" or status.returning_home
         self._stage, order = next_link_loss_stage(

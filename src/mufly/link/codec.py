@@ -98,7 +98,7 @@ def encode_text_field(text: str, size: int = 50) -> bytes:
 
 
 class MessageSource(NamedTuple):
-    """Source of a message: MAVLink system and component, behind a peer."""
+    """Source of a message: peer on the link, MAVLink system and component."""
 
     peer: Hashable
     system: int
@@ -136,7 +136,7 @@ class PacketCounts:
 
 @dataclass(slots=True)
 class _SequenceTracker:
-    """Packet numbers of one sender: the newest, and time and checksum of each recent one."""
+    """Sequence numbers of one sender: the newest, and recent ones with time of receipt and checksum."""
 
     newest_number: int
     heard_packets: dict[int, tuple[float, int]] = field(default_factory=dict)
@@ -323,7 +323,7 @@ class StatusTextSplitter:
         self._last_id = 0
 
     def __call__(self, text: str, level: str = "info") -> list[MavMessage]:
-        """Return the messages of a line, in order; ``level`` is "info", "warning" or "error"."""
+        """Return the STATUSTEXT messages of a text, in order; ``level`` is "info", "warning" or "error"."""
         severity = SEVERITY_BY_LEVEL.get(level, mavlink.MAV_SEVERITY_INFO)
         data = " ".join(text.split()).encode(errors="replace")[:MAX_TEXT_BYTES]
         if len(data) <= _TEXT_CHUNK_BYTES:

@@ -93,7 +93,7 @@ _RESULT_UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command, as both ends of a link represent it.
+    """MAVLink command (COMMAND_LONG or COMMAND_INT), as sent or received.
 
     Attributes
     ----------
@@ -165,7 +165,7 @@ def parse_command(message: MavMessage) -> Command:
 
 @dataclass(slots=True)
 class _AcceptedCommand:
-    """An executed command: time and confirmation of its last copy, and its acknowledgement."""
+    """Record of an executed command: its answer, and time and confirmation count of its last transmission."""
 
     last_heard_s: float
     confirmation: int
@@ -257,7 +257,7 @@ class CommandProtocol:
                 client.schedule.request_once(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
 
     def _find_repeated_answer(self, now_s: float, station: MessageSource, command: Command) -> RequestAnswer | None:
-        """Return the answer to an accepted command, if this is its repetition."""
+        """Return the answer given before if the command repeats an accepted one; None otherwise."""
         known = self._last.get(station, OrderedDict())
         before, copy = known.get(command.identity_bytes), command.confirmation
         if before is None:
@@ -417,7 +417,7 @@ class CommandProtocol:
         return self._set_mode(now_s, unpack_custom_mode(int(main)))
 
     def _set_mode(self, now_s: float, mode: Px4Mode) -> RequestAnswer:
-        """Request a flight mode of PX4; the mission begins with the item requested earlier."""
+        """Request a PX4 flight mode; mission mode starts at the item set before by DO_SET_MISSION_CURRENT."""
         wanted, status, autopilot = action_for_mode(mode), self._autopilot.status, self._autopilot
         self._forget_choice()
         if not status.armed and not status.flying and (wanted == "take-off" or wanted == "mission"):

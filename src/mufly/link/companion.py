@@ -89,8 +89,10 @@ class VisionCompanion:
         return max((offset for _, offset in self._guessed), default=math.nan)
 
     def clock_offset_at(self, time_s: float) -> float:
-        """Return the vehicle's clock minus the clock of a picture's stamp (s): 0 for stamps by the vehicle's clock,
-        else ``clock_offset_s``."""
+        """Return the offset from the clock of a picture's stamp to the vehicle's clock (s).
+
+        The offset is 0 for stamps by the vehicle's clock, else ``clock_offset_s``.
+        """
         ours = self.has_sender_stamps and self._tilt and abs(time_s - self._tilt[-1][0]) < SAME_CLOCK_TOLERANCE_S
         return 0.0 if ours else self.clock_offset_s
 
@@ -188,8 +190,11 @@ class VisionCompanion:
         return [self._encode(m) for m in said]
 
     def frame_info_at(self, time_s: float) -> FrameInfo | None:
-        """Return the vehicle's state at an instant of the local or its own clock; None without a message close to
-        it."""
+        """Return the vehicle's state at ``time_s``, interpolated between messages; None without a message near that
+        time.
+
+        ``time_s`` is on the local or on the vehicle's clock.
+        """
         t = time_s + self.clock_offset_at(time_s)
         if not self._tilt or not self._height or not math.isfinite(t):
             return None
@@ -221,8 +226,7 @@ class VisionCompanion:
         return TrackingResult(time_s, True, "it stands", place, float(turned), _STATIONARY_SIGMA_M**2 * np.eye(4))
 
     def encode_position(self, answer: TrackingResult) -> bytes | None:
-        """Return the message of a trusted result stamped by the local or the vehicle's clock; None without a
-        receiver."""
+        """Return a trusted SLAM result as a VISION_POSITION_ESTIMATE; None if it cannot be sent."""
         if self._encode is None or not answer.trusted or math.isnan(self.clock_offset_at(answer.time_s)):
             return None
         usec = round(1e6 * (answer.time_s + self.clock_offset_at(answer.time_s)))

@@ -88,8 +88,7 @@ class MissionAck:
 
 @dataclass(frozen=True, slots=True)
 class MissionClearAll:
-    """MISSION_CLEAR_ALL, answered by a :class:`MissionAck`; neither machine handles it, since it needs one answer
-    only."""
+    """MISSION_CLEAR_ALL, answered by a :class:`MissionAck`; the transfer state machines do not handle it."""
 
     mission_type: int = 0
 
@@ -295,7 +294,7 @@ class MissionReceiver:
         return [(peer, self._next_request(now_s))]
 
     def _repeat_last_ack(self, now_s: float, peer: Hashable, item: MissionItem) -> AddressedMessages:
-        """Acknowledge the last item of the last transfer again: it is repeated when its acknowledgement was lost."""
+        """Repeat the acknowledgement of a finished transfer if its last item arrives again."""
         if self._done is None or self._done[:2] != (peer, item.seq + 1):
             return []
         self._touched_s = now_s

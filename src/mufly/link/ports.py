@@ -231,7 +231,7 @@ def parse_endpoint(
 
 
 class Peer(NamedTuple):
-    """The other end of a channel: its endpoint, and its address there."""
+    """Peer of a port: name of the port's endpoint, and the peer's address."""
 
     endpoint: str
     address: str
@@ -525,7 +525,10 @@ class ReconnectingPort(Port):
 
     @abstractmethod
     def _try_to_connect(self) -> None:
-        """Try to connect; raise OSError on failure. Set the socket, and the stream once connected."""
+        """Try to connect; raise OSError on failure.
+
+        Implementations set the socket and, once connected, the stream.
+        """
 
     @property
     def call_targets(self) -> list[Peer]:

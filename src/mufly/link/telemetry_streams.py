@@ -60,7 +60,7 @@ class MissionProgress:
 
 @dataclass(frozen=True, slots=True)
 class TelemetryState:
-    """Source of the messages of one instant: the state of the flight and of the link.
+    """State of the flight and of the link at one instant, from which the telemetry messages are built.
 
     Attributes
     ----------
@@ -202,7 +202,10 @@ _VISION_READING = next(row.name for row in READINGS.values() if row.status_bit =
 
 
 def vision_position_message(p: TelemetryState) -> MavMessage | None:
-    """Return VISION_POSITION_ESTIMATE: measured position and attitude, or a fix (roll, pitch NaN); None without."""
+    """Return VISION_POSITION_ESTIMATE; None without a measurement.
+
+    It contains measured position and attitude or, with roll and pitch NaN, a position fix.
+    """
     r = p.flight_state.readings
     if r is None:
         return None
@@ -531,7 +534,7 @@ def global_position_message(p: TelemetryState) -> MavMessage:
 
 
 def gps_raw_message(p: TelemetryState) -> MavMessage:
-    """Return GPS_RAW_INT: a simulated receiver, with a global origin."""
+    """Return GPS_RAW_INT: the estimated position in the form of a GPS fix; requires a global origin."""
     v = p.flight_state.estimate.velocity
     speed = math.hypot(v[0], v[1])
     course = math.degrees(math.atan2(v[1], v[0])) % 360.0
@@ -548,7 +551,7 @@ def gps_raw_message(p: TelemetryState) -> MavMessage:
 
 
 def altitude_message(p: TelemetryState) -> MavMessage:
-    """Return ALTITUDE: height above the floor, above the take-off position, and with an origin above the sea."""
+    """Return ALTITUDE: heights above floor and take-off position and, with a global origin, above sea level."""
     _, _, d = _estimated_position(p)
     height = to_float32(-d)
     above_sea = math.nan if p.origin is None else to_float32(p.origin.alt_m - d)

@@ -35,7 +35,7 @@ _UPPER_TRIANGLE = np.triu_indices(6)
 
 
 def unpack_covariance(triangle: list[float]) -> _Array | None:
-    """Return the covariance (4, 4) of N, E, D and heading in a message's 21 numbers; None where it is unknown.
+    """Return the covariance (4, 4) of N, E, D and heading from a message's upper triangle (21,); None if unknown.
 
     A covariance of zeros, which some senders send if they know none, counts as unknown.
     """
@@ -49,7 +49,10 @@ def unpack_covariance(triangle: list[float]) -> _Array | None:
 
 
 def pack_covariance(covariance: _Array) -> list[float]:
-    """Return the 21 numbers of a message for a covariance (4, 4) of N, E, D and heading; that of tilt is unknown."""
+    """Return the upper triangle (21,) for a message from the covariance (4, 4) of N, E, D and heading.
+
+    The entries of roll and pitch are zero.
+    """
     whole = np.zeros((6, 6))
     whole[np.ix_(_POSE_INDICES, _POSE_INDICES)] = covariance
     return [to_float32(v) for v in whole[_UPPER_TRIANGLE]]

@@ -218,7 +218,7 @@ _MIN_FROZEN_SAMPLES, _MIN_SATURATED_SAMPLES = 8, 5  # samples of a run
 
 
 def find_outliers(x: _Array) -> NDArray[np.int64]:
-    """Return the indices of outliers in runs of up to 3 samples: far from the median of their neighbours.
+    """Return the indices of outliers: at most 3 successive samples far from the median of their neighbours.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def find_outliers(x: _Array) -> NDArray[np.int64]:
 
 
 def _in_short_runs(index: NDArray[np.int64], longest: int) -> NDArray[np.bool_]:
-    """Return a mask of the increasing indices that belong to runs of at most ``longest`` neighbours."""
+    """Return a mask of the indices in runs of at most ``longest`` consecutive numbers; ``index`` increases."""
     if not len(index):
         return np.empty(0, dtype=bool)
     run = np.cumsum(np.append(0, np.diff(index) > 1))

@@ -485,7 +485,10 @@ def _make_channels(
     *,
     believed: bool,
 ) -> list[Channel]:
-    """Create the channels of a map entry; a unit stated by the file takes precedence over a built-in map."""
+    """Create the channels of a map entry.
+
+    A unit stated in the file takes precedence over the map's, unless the map is ``believed``.
+    """
     signal, variable, label = split_signal_name(entry.name, "map")
     columns = [table.fields[n][index] for n in names]
     own = [_normalise_unit(table.units.get(n, "")) for n in names]

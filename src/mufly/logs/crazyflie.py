@@ -185,7 +185,10 @@ def _read_row_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]]
 
 
 def _crc_matches(block: bytes) -> bool:
-    """Return whether a block ends with its complemented CRC, which makes the CRC of the whole all ones."""
+    """Return whether the CRC at the end of a block is correct.
+
+    The CRC is stored complemented, so that the CRC of the whole block is all ones.
+    """
     return crc32(block) == 0xFFFFFFFF
 
 

@@ -244,7 +244,7 @@ def _records_to_dicts(part: NDArray[Any]) -> list[dict[str, Any]]:
 def _field_units(
     kinds: Mapping[int, _MessageKind], named: Mapping[str, list[dict[str, Any]]]
 ) -> tuple[dict[int, dict[str, str]], dict[int, str]]:
-    """Return the units of the fields of every kind, and the instance field (its unit is ``#``)."""
+    """Return the units of every message kind's fields, and each kind's instance field (marked by the unit ``#``)."""
 
     def definition_pairs(name: str, key: str, value: str) -> list[tuple[str, Any]]:
         return [(_unit_letter(row[key]), row[value]) for row in named.get(name, ()) if {key, value} <= set(row)]
@@ -274,7 +274,7 @@ def _field_units(
 
 
 def _unit_letter(value: Any) -> str:
-    """Return the letter of a unit or multiplier from its code or, in some text logs, from the letter."""
+    """Return the letter that identifies a unit or multiplier; some logs store its character code instead."""
     text = str(value)
     return chr(int(text) & 0xFF) if len(text) > 1 and text.lstrip("-").isdigit() else text
 
@@ -391,9 +391,9 @@ _CORE_NUMBER_STEP, _MAX_LISTED_CHANGES = 5, 6
 def _active_estimate(
     tables: Mapping[str, RawTable], topics: _InstanceTopics, parameters: RawTable | None
 ) -> tuple[RawTable | None, list[str]]:
-    """Return position and velocity of the active estimator and lane, unless the first core was always active.
+    """Return position and velocity of the estimator and core active at each time, unless always the first core.
 
-    The estimator is that of ATT.AEKF, else of the parameter AHRS_EKF_TYPE, else the newest in the log; its lane is
+    The estimator is that of ATT.AEKF, else of the parameter AHRS_EKF_TYPE, else the newest in the log; its core is
     XKF4.PI (NKF4.PI). Samples without local position (DCM, an external AHRS) are missing.
     """
     cores = {kind: _core_topics(message, tables, topics) for kind, (_, message, _) in _ESTIMATOR_MESSAGES.items()}
@@ -479,7 +479,7 @@ def _change_points(time: NDArray[np.float64], value: NDArray[Any]) -> _StepSigna
 
 
 def _lane_steps(primary: str, tables: Mapping[str, RawTable], topics: _InstanceTopics) -> _StepSignal:
-    """Return the primary core from each instant on; 0 if unknown."""
+    """Return the primary core of an estimator over time as a step signal; 0 if unknown."""
     told = [tables[t] for t in _core_topics(primary, tables, topics).values() if "PI" in tables[t].fields]
     time = np.concatenate([t.time for t in told]) if told else np.empty(0)
     lane = np.concatenate([t.fields["PI"] for t in told]) if told else np.empty(0)
@@ -520,7 +520,7 @@ def _name_flight_modes(mode: RawTable, family: ModeFamily) -> RawTable:
 
 
 def _find_rate_unit(rate: RawTable, gyro: RawTable | None, firmware: str) -> tuple[str, str]:
-    """Return the unit of RATE and the reason: stated by the file, by firmware version, or from the gyros."""
+    """Return the unit of message RATE and the reason: stated in the file, by firmware version, or by the gyroscopes."""
     if "R" in rate.units:
         return rate.units["R"], ""
     match = _FIRMWARE_PATTERN.match(firmware)

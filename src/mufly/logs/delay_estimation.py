@@ -208,7 +208,10 @@ def _refine_correlation_peak(lags: NDArray[np.int64], values: _Array, k: int) ->
 def _find_second_peak_lag(
     lags: NDArray[np.int64], c: _Array, without: list[_Array], k: int, inside: NDArray[np.bool_]
 ) -> int | None:
-    """Return another lag outside the half width of the peak that is as high within the jackknife interval."""
+    """Return the lag of a second peak that is not significantly lower than the main one; None if there is none.
+
+    It lies outside the half width of the main peak; the jackknife estimates the uncertainty.
+    """
     at = int(np.flatnonzero(lags == k)[0])
     low = c < 0.5 * c[at]
     first = at - int(np.argmax(low[at::-1])) if low[: at + 1].any() else 0

@@ -352,7 +352,10 @@ MAX_UNREPORTED_JITTER = 0.02
 
 
 def matches_signal(name: str, pattern: str) -> bool:
-    """Return whether a pattern matches ``variable.label``: its name, its variable's name, or a ``*`` pattern."""
+    """Return whether a pattern matches the signal ``variable.label``.
+
+    A pattern is the signal's name, its variable's name, or a text with wildcards (``*``, ``?``).
+    """
     variable = name.partition(".")[0]
     if pattern in (variable, name.replace(".", "_")) or pattern.lstrip("/") == name.lstrip("/"):
         return True
@@ -362,7 +365,7 @@ def matches_signal(name: str, pattern: str) -> bool:
 
 
 def select_channels(channels: Sequence[Channel], patterns: Sequence[str], where: str, also: str = "") -> list[Channel]:
-    """Return the channels that match names, patterns or sources, in the order of the patterns.
+    """Return the channels selected by signal names, wildcards or sources (``topic/field``), in that order.
 
     Raises
     ------
@@ -381,7 +384,7 @@ def select_channels(channels: Sequence[Channel], patterns: Sequence[str], where:
 
 
 def _select_signals(data: xr.Dataset, signals: Sequence[str], where: str) -> xr.Dataset:
-    """Return the selected part of a dataset; a single component becomes its variable, with NaN elsewhere."""
+    """Return the selected signals of a dataset; components of a variable that are not selected become NaN."""
     if not signals:
         return data
     keep: dict[str, set[str]] = {}

@@ -334,7 +334,7 @@ _INPUT_SIGNALS = (
 
 
 class _PlotPlace(NamedTuple):
-    """Place of a channel in the pictures: picture, panel, kind of source ("" if there is only one), and legend."""
+    """Place of a channel in the plots: picture, panel, kind of source ("" if there is only one) and legend text."""
 
     picture: str
     panel: str

@@ -362,7 +362,7 @@ def encode_json_numbers(rows: NDArray[np.float64]) -> list[list[bytes]]:
 
 
 def _message_template(layout: RecordingLayout, topic: str) -> list[bytes]:
-    """Return the constant text of a topic's message, with an empty gap for each number at every second index."""
+    """Return a topic's message as constant texts, alternating with an empty element for each number."""
     pieces, text = [], b"{"
     for k, quantity in enumerate(layout.quantities_by_topic[topic]):
         text += b"," * bool(k) + orjson.dumps(quantity.field) + b":"
@@ -551,7 +551,7 @@ _JSON_SAMPLE_SIZE = 20
 
 
 def _parse_json_rows(contents: list[bytes]) -> tuple[Sequence[int], list[dict[str, Any]]]:
-    """Return indices of JSON messages, and their numbers; none if most messages of a sample are not JSON."""
+    """Return the indices and numbers of JSON messages; none if most of a sample of the messages are not JSON."""
     try:
         return range(len(contents)), [dict(_iterate_leaves(orjson.loads(data))) for data in contents]
     except orjson.JSONDecodeError:

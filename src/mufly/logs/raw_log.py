@@ -436,7 +436,7 @@ def select_usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[n
 
 
 def _find_wild_stamps(time: _Array) -> NDArray[np.bool_]:
-    """Return a mask of single stamps (or two in a row) far from both neighbours, between which the clock continues.
+    """Return a mask of wrong time stamps: one or two in a row, far from the stamps before and after.
 
     The median of five increasing stamps is the middle one for any steps, so a sound clock has no such stamps.
     """
@@ -453,7 +453,7 @@ _MAX_RESAMPLED_SAMPLES = 50_000_000
 
 
 def common_clock(spans: list[tuple[float, float]], rate_hz: float) -> _Array:
-    """Return uniform instants from the first begin to the last end, aligned with the instant 0.
+    """Return uniform sample times from the earliest begin to the latest end, at multiples of 1 / ``rate_hz``.
 
     Parameters
     ----------

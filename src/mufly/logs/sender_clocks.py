@@ -46,7 +46,7 @@ _RETURN_WINDOW = 64  # packets within which a late one is followed by its succes
 
 
 def repair_arrival_times(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Array, NDArray[np.int64], list[str]]:
-    """Return arrival times that increase in the order of the file, in which packets were stored as they arrived.
+    """Return arrival times that increase in file order; packets are stored in the order of their arrival.
 
     Single stamps far from both neighbours are interpolated; where the recording computer's clock was set back, later
     stamps are shifted to continue.
@@ -168,7 +168,7 @@ def find_sender_clock(fields: Mapping[str, NDArray[Any]]) -> SenderClock | None:
 
 
 class _ClockSamples(NamedTuple):
-    """Samples of one sender's clock over the log: the clocks of its leading topics in the order of the file."""
+    """Clock samples of one sender in file order: position in the file, arrival time and sender's clock."""
 
     file_positions: NDArray[np.int64]
     arrival_s: _Array
@@ -186,8 +186,11 @@ def _collect_clock_samples(
 
 
 class _ClockRestart(NamedTuple):
-    """The sample at which a clock restarts, whether the sender restarted there (else its clock was set back), and the
-    least difference of arrival and clock of later packets (s)."""
+    """Restart of a sender's clock.
+
+    The fields are its first sample, whether the sender restarted (else its clock was set back), and the least
+    difference of arrival time and clock afterwards (s).
+    """
 
     first_sample: int
     sender_restarted: bool
@@ -218,7 +221,10 @@ def _find_clock_restarts(run: _ClockSamples) -> list[_ClockRestart]:
 
 
 def _min_differences(since: _Array, borders: Sequence[_ClockRestart]) -> _Array:
-    """Return the least difference of arrival and clock in each run (s), without packets of the run before."""
+    """Return the least difference of arrival time and sender's clock (s) in each run between restarts.
+
+    Late packets of the previous run are left out.
+    """
     parts = np.split(since, [b.first_sample for b in borders])
     least = [-np.inf, *(b.min_clock_offset_s for b in borders)]
     return np.array([part[part >= bound].min() for part, bound in zip(parts, least, strict=True)])
@@ -337,5 +343,5 @@ def estimate_sending_times(
 
 
 def _unwrap_clock(clock: _Array, places: NDArray[np.int64], after: int) -> _Array:
-    """Unwrap a clock of 32 bits in ms (returned in s); packets after the place ``after`` were sent after the wrap."""
+    """Unwrap a 32-bit millisecond clock (s): from file position ``after`` on, small values are one period later."""
     return np.where((places >= after) & (clock < 0.5 * _WRAP_PERIOD_S), clock + _WRAP_PERIOD_S, clock)

@@ -229,7 +229,7 @@ def _is_unknown_message(message: Any) -> bool:
 def _group_by_sender(
     raw_rows: Mapping[bytes, tuple[list[int], list[Any]]],
 ) -> tuple[_MessageRows, NDArray[np.int64]]:
-    """Sort messages of both versions of MAVLink by sender and kind; return them and the offset of each place."""
+    """Group messages of MAVLink 1 and 2 by sender and type; return also the file offset of every message."""
     parts: defaultdict[MessageKey, list[tuple[NDArray[np.int64], list[Any]]]] = defaultdict(list)
     for offsets, messages in raw_rows.values():
         one = messages[0]
@@ -272,7 +272,10 @@ def _drop_packets(rows: _MessageRows, keep: Mapping[MessageKey, NDArray[np.bool_
 
 
 def _summarise_heartbeats(rows: _MessageRows) -> dict[tuple[int, int], tuple[int, int, int]]:
-    """Return rank, MAV_TYPE and number of heartbeats of every sender; of several types the one with the best rank."""
+    """Return vehicle rank, MAV_TYPE and number of heartbeats of every sender.
+
+    Of a sender with several types, the type of the best rank counts.
+    """
     out: dict[tuple[int, int], tuple[int, int, int]] = {}
     for (system, component, name), (_, messages) in rows.items():
         if name == "HEARTBEAT":

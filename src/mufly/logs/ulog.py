@@ -232,7 +232,7 @@ def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
 
 
 def _note_damage(scan: _ScanResult, data: bytes, at: int, stop: int, after: int, limit: int) -> None:
-    """Register bytes that are no valid message, and whether they are a message cut by the end of the file."""
+    """Record damage: bytes that are no valid message, or a message cut off by the end of the file."""
     if after == limit and not any(data[at:limit]):
         last = max(scan.topics.values(), key=lambda topic: topic.body_offsets[-1:], default=None)
         if not data[at - 1] and last and last.body_offsets and last.body_offsets[-1] + last.message_sizes[0] - 2 == at:
@@ -266,7 +266,10 @@ def _message_head_pattern(scan: _ScanResult) -> re.Pattern[bytes]:
 
 
 def _find_next_message(data: bytes, start: int, limit: int, scan: _ScanResult, heads: re.Pattern[bytes]) -> int:
-    """Return the offset of the next valid message; ``limit`` if there is none. Definitions need three in a row."""
+    """Return the offset of the next valid message; ``limit`` if there is none.
+
+    A definition is accepted only as the first of three valid messages in a row.
+    """
     for found in heads.finditer(data, start, limit):
         if _messages_follow(data, found.start(), limit, scan):
             start, limit = start, found.start()
@@ -481,7 +484,7 @@ def _encode_message(kind: bytes, body: bytes) -> bytes:
 
 
 def _encode_information(key: str, text: str) -> bytes:
-    """Encode an information message; text that does not fit one message continues in further ones (M)."""
+    """Encode a text as one information message (I), or as several (M) if it is too long for one."""
     data = text.encode()
     name = f"char[{{}}] {key}"
     room = _MAX_TEXT_LENGTH - 300

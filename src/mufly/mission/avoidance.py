@@ -210,7 +210,7 @@ def _insert_hit_points(
 
 @cached_njit
 def _distance_outside_interval(along: float, stretch: float) -> float:
-    """Return the signed distance before or after a stretch; 0 within it."""
+    """Return the signed distance of ``along`` from the interval [0, ``stretch``]; 0 inside the interval."""
     if along < 0.0:
         return along
     return along - stretch if along > stretch else 0.0
@@ -241,7 +241,7 @@ _SECTOR_BOUNDARY_SLOPE = math.sqrt(2.0) - 1.0  # tan(pi / 8)
 
 
 class PathCheck(NamedTuple):
-    """Check of a path against the stored points, accumulated over parts of the map.
+    """Check of a path against the points of the obstacle map, which may be processed part by part.
 
     Attributes
     ----------
@@ -346,7 +346,7 @@ def _find_nearest_point(near: _Array, n: float, e: float) -> tuple[float, float,
 def check_map_part(
     memory: ObstacleMap, sight: PathCheck, time_s: float, clearance: float, part: int = 1, parts: int = 1
 ) -> tuple[ObstacleMap, PathCheck]:
-    """Check a part of the points: remove expired ones, and evaluate the others for the path.
+    """Process one part of the obstacle map: remove expired points, and check the others against the path.
 
     Parameters
     ----------
@@ -484,7 +484,7 @@ def limit_approach_velocity(
 def _limit_approach_to_points(
     near: _Array, n: float, e: float, vn: float, ve: float, keep: float
 ) -> tuple[float, float]:
-    """Return the velocity with the least change that respects the barrier of every point (cyclic projection)."""
+    """Return the velocity nearest to (vn, ve) that respects the approach limit of every point (cyclic projection)."""
     for _ in range(8):
         changed = False
         for k in range(near.shape[0]):

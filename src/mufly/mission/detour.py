@@ -267,7 +267,10 @@ def _choose_passing_side(
     touching: bool,
     dt: float,
 ) -> Detour:
-    """Change the side if stuck or too far off; after a whole lap leave the contour where it was nearest to the goal."""
+    """Choose the side on which to pass the obstacle: change it if the vehicle is stuck or too far from the line.
+
+    After a whole lap the contour is left where it was nearest to the goal.
+    """
     side, stray, hit_distance = detour.passing_side, detour.side_change_deviation_m, detour.hit_goal_distance
     anchor, anchor_s = detour.stuck_check_point, detour.stuck_duration_s + dt
     if _planar_distance(here, anchor) > 0.25:

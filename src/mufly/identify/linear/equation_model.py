@@ -110,7 +110,7 @@ class EquationModel:
 
     @property
     def poles(self) -> NDArray[np.complex128]:
-        """Return the eigenvalues (1/s) of the linear terms in the outputs, slowest first."""
+        """Return the eigenvalues (1/s) of the matrix of the outputs' linear coefficients, slowest first."""
         n = len(self.outputs)
         a = np.zeros((n, n))
         for i, e in enumerate(self.equations):

@@ -153,7 +153,7 @@ class ReconstructedPath:
 
 
 def flight_path_derivative(x: Array, m: Array) -> Array:
-    """Return the derivatives (n, 9) of states at true rates and specific force (n, 6)."""
+    """Return the time derivatives (n, 9) of the states ``x`` (n, 9) from body rates and specific force ``m`` (n, 6)."""
     s1, c1 = np.sin(x[:, 0]), np.cos(x[:, 0])
     turn = m[:, 1] * s1 + m[:, 2] * c1
     attitude = np.stack([m[:, 0] + turn * np.tan(x[:, 1]), m[:, 1] * c1 - m[:, 2] * s1, turn / np.cos(x[:, 1])], axis=1)
@@ -173,7 +173,7 @@ def _runge_kutta_step(x: Array, m: Array, dt: float) -> Array:
 
 
 def _step_jacobians(x: Array, m: Array, dt: float) -> tuple[Array, Array]:
-    """Return the derivatives of a step by states (n, 9, 9) and by instruments (n, 9, 6), from central differences."""
+    """Return the derivatives of an integration step by its states (n, 9, 9) and by the IMU readings (n, 9, 6)."""
     by_x, by_m = np.zeros((len(x), 9, 9)), np.zeros((len(x), 9, 6))
     for k in range(9):
         if k >= _PATH_VELOCITY_INDEX:  # linear: velocity and position
@@ -305,7 +305,7 @@ def _reconstruct_path(record: UniformLogTable, imu: Mapping[str, str], outputs: 
 
 
 def _third_difference_noise(y: Array) -> float:
-    """Return the noise from third differences, in which white noise has 20 times its variance."""
+    """Estimate the standard deviation of white noise from third differences, whose variance is 20 times larger."""
     return 1.4826 * float(np.median(np.abs(np.diff(y, 3)))) / np.sqrt(20.0)
 
 

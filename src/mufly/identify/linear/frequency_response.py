@@ -99,7 +99,10 @@ class FrequencyResponse:
     window_s: Array | None = None
 
     def tabulate_pairs(self) -> dict[str, dict[str, Array]]:
-        """Return magnitude (dB), phase (deg), error and coherence over frequency by the names of input and output."""
+        """Return the response of every input-output pair as ``{"input to output": {quantity: array over frequency}}``.
+
+        The quantities are magnitude (dB), phase (deg), random error and partial coherence.
+        """
         return {
             f"{self.inputs[i]} to {self.outputs[o]}": {
                 "magnitude_dB": 20.0 * np.log10(np.maximum(np.abs(self.response[:, o, i]), 1e-12)),
@@ -111,7 +114,10 @@ class FrequencyResponse:
 
     @property
     def relative_interval(self) -> Array:
-        """Return half the relative 95 % interval of the magnitude; its arcsine is that of the phase (rad)."""
+        """Return half the width of the 95 % interval of the magnitude, relative to the magnitude.
+
+        Its arcsine is half the width of the interval of the phase (rad).
+        """
         return np.asarray(stdtrit(self.degrees_of_freedom, 0.975) * self.error)
 
 
@@ -198,7 +204,9 @@ def average_cross_spectra(
 
 
 def condition_spectra(s: ComplexArray, k: int) -> tuple[ComplexArray, Array, Array, Array]:
-    """Return responses and conditioned spectra from spectra (f, k + m, k + m) of ``k`` inputs and ``m`` outputs.
+    """Return the responses of ``m`` outputs to ``k`` inputs from cross-spectral matrices ``s`` (f, k + m, k + m).
+
+    The rows of ``s`` are the inputs, then the outputs; ``f`` is the number of frequencies.
 
     Returns
     -------
@@ -235,7 +243,7 @@ def condition_spectra(s: ComplexArray, k: int) -> tuple[ComplexArray, Array, Arr
 def response_from_spectra(
     frequency: Array, s: ComplexArray, k: int, averages: float, inputs: tuple[str, ...], outputs: tuple[str, ...]
 ) -> FrequencyResponse:  # fmt: skip
-    """Return responses and coherences from averaged products (f, k + m, k + m) of k inputs and m outputs."""
+    """Return responses and coherences from averaged cross-spectral matrices ``s`` (f, k + m, k + m), inputs first."""
     response, own, left, coherence = condition_spectra(s, k)
     # |H_j|^2 S_jj.r is the explained power that input j alone adds.
     alone = np.abs(np.nan_to_num(response)) ** 2 * own[:, None, :]
@@ -247,7 +255,7 @@ def response_from_spectra(
 
 
 def response_random_error(coherence: Array, averages: float | Array, inputs: int) -> tuple[Array, Array]:
-    """Return the relative standard deviation of magnitude and phase (rad), and its degrees of freedom."""
+    """Return the random error of a response (relative in magnitude, rad in phase), and its degrees of freedom."""
     square = np.clip(coherence, 1e-12, 1.0)
     # As many inputs as segments explain any output: half a degree of freedom then gives a very wide interval.
     degrees_of_freedom = np.full_like(square, 1.0) * np.maximum(2.0 * (averages - inputs), 0.5)
@@ -340,7 +348,7 @@ def structure_response(structure: LinearStructure, values: Array, frequency_hz: 
 
 
 def _chance_coherence(averages: float, inputs: int, frequencies: float) -> float:
-    """Return the partial coherence that independent signals exceed at any of the frequencies in 5 % of cases."""
+    """Return the partial coherence that unrelated signals exceed at one or more frequencies in 5 % of records."""
     degrees_of_freedom = max(averages - inputs, 1.0)
     return float(1.0 - (0.05 / max(frequencies, 1.0)) ** (1.0 / degrees_of_freedom))
 

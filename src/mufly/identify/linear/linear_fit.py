@@ -109,7 +109,10 @@ class LinearFit:
 
 
 class _LinearFitProblem:
-    """Least-squares problem in search coordinates, with eliminated linear unknowns."""
+    """Least-squares problem of a linear fit, over the search coordinates of the parameters.
+
+    Initial states, input trims and output biases enter linearly; they are solved for each set of parameters.
+    """
 
     def __init__(
         self, structure: LinearStructure, u: Array, y: Array, dt: float, hold: bool, mask: Array | None
@@ -123,7 +126,7 @@ class _LinearFitProblem:
         self.coordinates = SearchCoordinates(structure.parameters, self.start_values)
 
     def simulate_with_linear_unknowns(self, values: Array) -> tuple[Array, Array, Array] | None:
-        """Return the forced response, the response to each linear unknown, and their estimate; None on overflow."""
+        """Simulate the forced response and that to each linear unknown, and estimate the unknowns; None on overflow."""
         self.simulation_count += 1
         try:
             with np.errstate(over="raise", invalid="raise"):
@@ -155,7 +158,10 @@ class _LinearFitProblem:
         return ((self.measured - forced - added @ linear) * np.sqrt(self.output_weight))[self.is_used]
 
     def solve_linear_unknowns(self, z: Array) -> tuple[Array, Array, Array]:
-        """Return residuals (n, outputs), NaN if masked; the response to each linear unknown; and their estimate."""
+        """Return the residuals, the response to each linear unknown, and the estimated unknowns.
+
+        Residuals have the shape (n, outputs); masked samples are NaN.
+        """
         got = self.simulate_with_linear_unknowns(self.coordinates.to_values(z))
         if got is None:
             raise ArgumentError("structure", self.structure.name, "cannot be simulated", "choose a simpler structure")
@@ -184,14 +190,18 @@ class _LinearFitProblem:
         )  # fmt: skip
 
     def random_start(self, generator: np.random.Generator) -> Array:
-        """Return random start values: logarithmic parameters within a factor of ten, others about their start."""
+        """Return random start values of the parameters.
+
+        Logarithmic parameters lie within a factor of ten of their nominal start values; the others scatter about
+        theirs.
+        """
         at, nominal, p = self.coordinates, self.start_values, self.start_values.size
         factor = np.exp(generator.uniform(-2.3, 2.3, p))
         shift = nominal * np.exp(generator.normal(0.0, 1.0, p)) + 0.5 * at.linear_scale * generator.normal(size=p)
         return np.clip(np.where(at.is_logarithmic, nominal * factor, shift), at.low, at.high)
 
     def parameter_covariance(self, z: Array) -> tuple[Array, Array]:
-        """Return the covariance of the parameters, and its bound for white residuals."""
+        """Return the covariance of the parameters, and the Cramer-Rao bound, which holds for white residuals."""
         rows, added, _ = self.solve_linear_unknowns(z)
         n, m = rows.shape
         root = np.sqrt(self.output_weight)

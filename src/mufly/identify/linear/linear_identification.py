@@ -151,7 +151,7 @@ class LinearResult:
     notes: tuple[str, ...]
 
     def as_record(self) -> dict[str, Any]:
-        """Return model, scores by role and output, and notes."""
+        """Return the model, notes, and the scores of every output on the fitted and held-out parts, as a dictionary."""
         checks = {
             key: {role: [getattr(c, name) for c in checks] for role, checks in self.checks.items()}
             for key, name in _CHECK_RECORD_FIELDS.items()
@@ -299,7 +299,7 @@ def identify_linear_model(
 
 
 def _check_angles_in_radians(record: UniformLogTable, outputs: Mapping[str, str], y: Array) -> None:
-    """Raise an error for angles and rates in degrees, which a fit would accept with wrong parameters."""
+    """Raise an error for angles or rates in degrees: a fit would accept them and estimate wrong parameters."""
     names = list(outputs)
     for angle, rate in (("phi", "p"), ("theta", "q"), ("", "r")):
         pair = [y[:, names.index(n)] if n in names else record.columns.get(n) if n else None for n in (angle, rate)]
@@ -348,7 +348,7 @@ def _describe_outputs_still_when_held_out(
 def _check_outputs(
     y: Array, simulated: Array, u: Array, dt: float, slow: float, angles: Sequence[Array | None]
 ) -> Iterator[OutputCheck]:
-    """Compare every output of a part with its simulation."""
+    """Compare every output of one part of the record, fitted or held out, with its simulation."""
     y_slow, simulated_slow = low_pass(y, dt, slow), low_pass(simulated, dt, slow)
     for k, angle in enumerate(angles):
         floor = estimate_noise_floor(y[:, k], u, dt, split_hz=slow, angle=angle)

@@ -177,7 +177,10 @@ class SearchCoordinates:
 
 
 class StructureBuilder:
-    """Builder that collects states, parameters and matrix entries (matrix, row, column, function of the values)."""
+    """Builder of a linear structure: collects its states, parameters and matrix entries.
+
+    An entry is a matrix, a row, a column, and a function that computes its value from the parameters.
+    """
 
     def __init__(self, inputs: tuple[str, ...]) -> None:
         self.inputs = inputs
@@ -198,7 +201,10 @@ class StructureBuilder:
         self, row: str, column: str, symbol: str, unit: str, start: float, bound: float | tuple[float, float],
         meaning: str, over: str = "",
     ) -> None:  # fmt: skip
-        """Add a free entry of A or B (by the name of its column), divided by the parameter ``over`` if given."""
+        """Add an entry of A, or of B if ``column`` is an input, that equals a free parameter.
+
+        With ``over``, the entry is the free parameter divided by the parameter of that name.
+        """
         low, high = bound if isinstance(bound, tuple) else (-bound, bound)
         source, state = column.removesuffix("_f"), {"a": "q", "b": "p"}.get(row, row)
         gain = source in self.inputs or (source in ("u", "v") and row in ("p", "q"))
@@ -330,7 +336,7 @@ def _add_rate_dynamics(
 def _add_couplings(
     b: StructureBuilder, r: str, rates: tuple[str, ...], sticks: Sequence[str], angular: str, coupled: bool
 ) -> None:
-    """Add the effect of the sticks, or of the cross-axis flapping, on roll or pitch."""
+    """Add the moments of the sticks on roll or pitch or, in the hybrid model, the coupling by cross-axis flapping."""
     big, flap, other = _MOMENT_LETTER[r], _FLAPPING_OF_RATE[r], _FLAPPING_OF_RATE["q" if r == "p" else "p"]
     if angular != "hybrid":
         for s in sticks:
@@ -426,7 +432,9 @@ def _check_signals(inputs: tuple[str, ...], outputs: tuple[str, ...], angular: s
 
 
 def discretise_first_order_hold(a: Array, b: Array, dt: float, *, hold: bool = False) -> tuple[Array, Array, Array]:
-    """Return the discrete matrices Phi, G_1, G_2 of one sample; ``G_2`` is zero for a zero-order hold.
+    """Return Phi, G_1, G_2 of x_(k+1) = Phi x_k + G_1 u_k + G_2 u'_k, with u' the slope of the inputs.
+
+    ``G_2`` is zero for a zero-order hold (``hold``).
 
     Raises
     ------
@@ -470,7 +478,7 @@ def _propagate_states(phi: Array, drive: Array, x0: Array) -> Array:  # pragma: 
 
 @cached_njit
 def _propagate_outputs(phi: Array, c: Array, first: Array, constant: Array, n: int) -> Array:  # pragma: no cover
-    """Return outputs (n, ny, m) of m motions from initial states ``first`` (nx, m) with constant increments (nx, m)."""
+    """Return the outputs (n, ny, m) of ``m`` motions x_(k+1) = phi x_k + ``constant``, with x_0 = ``first`` (nx, m)."""
     ny, nx, m = c.shape[0], phi.shape[0], first.shape[1]
     y = np.empty((n, ny, m))
     x, new = first.copy(), np.empty((nx, m))

@@ -138,7 +138,7 @@ def draw_reconstructed_path(c: ReconstructedPath) -> Figure:
 
 
 def _unwrap_phase(h: NDArray[np.complex128], good: NDArray[np.bool_]) -> Array:
-    """Return the phase (deg), unwrapped along the coherent points; other points are placed next to them."""
+    """Return the phase (deg), unwrapped over the coherent points; other points take the turn nearest to that curve."""
     phase = np.degrees(np.angle(h))
     places = np.flatnonzero(good)
     if places.size < 2:

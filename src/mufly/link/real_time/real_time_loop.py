@@ -151,7 +151,7 @@ class RealTimePacer:
         return self._ticks * self.period_s / (spent_s + self.period_s) if self._ticks else math.nan
 
     def take_pace_warning(self, now_s: float) -> str:
-        """Return a message when the loop falls behind real time, or is back in it for a whole window; else ""."""
+        """Return a message when the loop falls behind real time, or has kept up again for one window; else ""."""
         if self.real_time_factor < SLOW_REAL_TIME_FACTOR:
             self._whole_s = now_s
             if not self._slow:

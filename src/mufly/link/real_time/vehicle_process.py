@@ -99,7 +99,7 @@ class VehicleProcess:
 
     @property
     def is_ready(self) -> bool:
-        """Return whether the vehicle listens and ticks.
+        """Return whether the vehicle's link is open and its simulation runs.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class VehicleProcess:
         return False
 
     def wait_until_ready(self) -> None:
-        """Wait until the vehicle listens and ticks.
+        """Wait until the vehicle's link is open and its simulation runs.
 
         Raises
         ------
@@ -331,7 +331,10 @@ def _run_vehicle_process(order: Mapping[str, Any], pipe: Connection) -> None:
 
 
 def _handle_faults(flight: Flight, wishes: deque[Fault | None]) -> bool:
-    """Inject the faults that the parent sent (None: clear all); return False, so that the flight continues."""
+    """Inject the faults that the parent process sent (None clears all faults).
+
+    The return value is always False: the flight continues.
+    """
     while wishes:
         fault = wishes.popleft()
         try:

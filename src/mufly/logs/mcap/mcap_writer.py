@@ -84,7 +84,10 @@ class McapWriter:
         self._append_data(MAGIC + _encode_record(records.Header(profile="", library=library)))
 
     def _append_data(self, data: bytes, end: bytes = _UNFINISHED_END) -> int:
-        """Write over the end mark and the rest of an interrupted write; return the offset of the data."""
+        """Append data where the end mark stands, and the end mark again; return the offset of the data.
+
+        The rest of an interrupted write is overwritten.
+        """
         start = self._end
         self._stream.seek(start)
         self._stream.write(data + end)

@@ -123,7 +123,7 @@ class RecordingLayout:
 
 @cache
 def flight_layout(beams: int = 8, *, sensors: bool = False) -> RecordingLayout:
-    """Return the layout of a flight's rows with ``beams`` range beams, on ideal sensors or on sensor models."""
+    """Return the layout of a flight's rows with ``beams`` range beams and, if ``sensors``, sensor models' signals."""
     return RecordingLayout(
         quantities_recorded_in("flight", "sensors") if sensors else quantities_recorded_in("flight"), beams
     )

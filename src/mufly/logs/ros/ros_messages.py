@@ -106,7 +106,7 @@ def body_to_flu(values: _Array) -> _Array:
 
 
 def attitude_to_ros(attitude: _Array) -> _Array:
-    """Convert attitudes (n, 3) of forward-right-down in N-E-D to those of forward-left-up in east-north-up.
+    """Convert attitudes (n, 3) from forward-right-down axes in N-E-D to forward-left-up axes in E-N-U.
 
     The function is its own inverse.
     """
@@ -237,7 +237,10 @@ def _make_scan(signal: str) -> Callable[[Blocks, RangeLimits], Columns]:
 
 
 def _reverse_beams(count: int) -> NDArray[np.int64]:
-    """Reverse beams, counted to the right, to the order of a LaserScan, counted to the left; its own inverse."""
+    """Return the indices that convert beams counted to the right to the order of a LaserScan (to the left).
+
+    The permutation is its own inverse.
+    """
     return -np.arange(count) % count
 
 
@@ -434,7 +437,7 @@ def _decode_attitude(fields: Fields, stem: str) -> _Array | None:
 
 
 def _decode_covariance(fields: Fields, stem: str, first: int) -> _Array | None:
-    """Return a block (n, 3, 3) of covariances (6, 6) from row ``first``; None if all are unknown."""
+    """Return the blocks (n, 3, 3) from row and column ``first`` of n (6, 6) covariances; None if all are unknown."""
     names = [f"{stem}[{6 * (first + i) + first + j}]" for i in range(3) for j in range(3)]
     if not all(n in fields for n in names):
         return None
@@ -541,7 +544,7 @@ def _decode_magnetic_field(fields: Fields, prefix: str) -> dict[str, _Array | No
 
 
 class RosDecoder(NamedTuple):
-    """Conversion of the fields of a message type to signals, with the signals of a topic of another program."""
+    """Decoder of a message type: function from fields to signals, and name prefix for topics of other programs."""
 
     decode: Callable[[Fields, str], dict[str, _Array | None]]
     foreign_prefix: str

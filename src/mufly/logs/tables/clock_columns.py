@@ -377,7 +377,7 @@ def _guess_time_unit(values: _Array) -> tuple[str, str]:
 
 
 def unwrap_counter(values: _Array, unit_s: float) -> tuple[_Array, list[str]]:
-    """Return the counts of a clock without wraps, the steps at which a counter of limited size restarts at zero.
+    """Unwrap the counter of a clock, which restarts at zero when its range is exceeded.
 
     A step back by the whole range of a counter, within five of its median steps, is a wrap; other steps are kept.
 

@@ -156,7 +156,10 @@ def _make_foreign_log(
     time: TimeEntry | None,
     zoneless: Set[str] = frozenset(),
 ) -> RawLog:
-    """Return the log of a foreign table: clock extracted, other times in seconds, numbers as floats."""
+    """Return the log of another program's table: clock extracted, other times in seconds, numbers as floats.
+
+    Columns in ``zoneless`` state no time zone.
+    """
     before = set(fields)
     clock, start, said = extract_clock(where, fields, units, time)
     said += [f"column {n} names no time zone: taken as UTC" for n in before - set(fields) if n in zoneless]

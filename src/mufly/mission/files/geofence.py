@@ -121,7 +121,7 @@ def distance_inside_fence(fence: Fence, place: ArrayLike) -> float:
 
 
 def describe_path_fence_violation(fence: Fence | None, here: ArrayLike, place: ArrayLike) -> str:
-    """Return the reason why the path between two places (3,), first vertical, then level, leaves a fence; "" if not.
+    """Return why a path, first vertical to the goal's height, then level, leaves a fence; "" if it does not.
 
     From outside the fence any path is permitted.
     """
@@ -213,7 +213,7 @@ def fence_to_items(fence: Fence | None, origin: GlobalOrigin | None = None) -> t
 
 
 def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: GlobalOrigin | None) -> Fence | None:
-    """Return the fence that items describe; None without items and ceiling.
+    """Return the fence that items describe, with the ceiling of ``base``; None without items and ceiling.
 
     Parameters
     ----------

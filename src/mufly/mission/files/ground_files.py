@@ -272,7 +272,7 @@ def _parse_plan_item(seq: int, entry: Mapping[str, Any], where: str, key: str) -
 
 
 def _parse_home(value: object) -> GlobalOrigin | None:
-    """Return the home, or None if it is missing, zero or no place."""
+    """Return the home position; None if it is missing, zero or out of range."""
     if not isinstance(value, list) or len(value) < 2:
         return None
     numbers = [float(v) if isinstance(v, int | float) and not isinstance(v, bool) else _NAN for v in value[:3]]

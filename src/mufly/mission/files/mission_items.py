@@ -353,7 +353,10 @@ def _command_name(number: int) -> str:
 def make_position_item(
     seq: int, command: int, first: float, north: float, east: float, origin: GlobalOrigin | None
 ) -> MissionItem:
-    """Return an item with a level place (m) and one parameter: on the globe with an origin, else in LOCAL_NED."""
+    """Return a fence item with a horizontal position (m) and its first parameter.
+
+    The position is global with an origin, else LOCAL_NED.
+    """
     params = (first, 0.0, 0.0, 0.0)
     if origin is None:
         return MissionItem(
@@ -374,7 +377,7 @@ def _to_tenth_mm(metres: float) -> int:
 
 
 def _make_mission_table(item: MissionItem, table: type, **values: Any) -> Any:
-    """Return a table of the mission, checked against the table's own bounds."""
+    """Make a table of the mission file (``table`` is its class); refuse the item if a value is out of bounds."""
     try:
         return table(**values)
     except ValidationError as error:
@@ -489,7 +492,7 @@ def _read_flight_position(item: MissionItem, origin: GlobalOrigin | None) -> Tri
 
 
 def _position_before_landing(item: MissionItem, origin: GlobalOrigin | None, last: Waypoint) -> Triple | None:
-    """Return the place to fly to before landing, at the last waypoint's height; None if already there or not given."""
+    """Return the position above the landing point at the last waypoint's height; None if already there or not given."""
     n, e = read_horizontal_position(item, origin)
     before = last.position_m
     if math.isnan(n) or math.isnan(e) or math.dist((n, e), before[:2]) < _SAME_POSITION_TOLERANCE_M:

@@ -42,7 +42,7 @@ class _MissionTable(BaseModel):
 
 
 def _strict_field(default: Any, description: str, **bounds: Any) -> Any:
-    """Declare a number, boolean or text without conversion: a text is no number."""
+    """Declare a field of a number, boolean or text; values of another type are not converted."""
     return Field(default=default, description=description, strict=True, **bounds)
 
 
@@ -286,7 +286,7 @@ class Mission(_MissionTable):
     __str__ = __repr__
 
     def with_parts(self, **parts: Any) -> Mission:
-        """Return the mission with other parts, checked and with derived values, unlike a plain copy."""
+        """Return the mission with some parts replaced; it is checked and derives its values anew."""
         return Mission(**{**{name: getattr(self, name) for name in Mission.model_fields}, **parts})
 
     @cached_property
@@ -362,7 +362,7 @@ def plan_leg_trajectory(
     nose_offset: float = 0.0,
     made: bool = True,
 ) -> Trajectory:
-    """Return the trajectory from any start to waypoint ``index`` (from 0).
+    """Return the trajectory of the leg to waypoint ``index`` (from 0), from any start position.
 
     Parameters
     ----------

@@ -196,7 +196,7 @@ def compute_time_to_land_at(mission: Mission, here: ArrayLike, place: ArrayLike)
 
 
 def _compute_leg_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits, number: int) -> tuple[float, float]:
-    """Return the time (s) and reference length (m) of a leg (``number`` from 0), with scan, detours and settling."""
+    """Return duration (s), with scanning, detours and settling, and length (m) of the leg ``number`` (from 0)."""
     length = (
         way.path_profile.distance
         if way.spline_curve is not None

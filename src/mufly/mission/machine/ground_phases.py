@@ -170,7 +170,7 @@ def has_lifted_off(s: MissionState, m: Estimate) -> bool:
 
 
 def is_tipping(m: Estimate) -> bool:
-    """Return whether the vehicle, nearly lifted, rotates on its legs and needs attitude control."""
+    """Return whether the vehicle rotates on its legs: it is nearly lifted and needs attitude control."""
     return bool(max(abs(m.rates[0]), abs(m.rates[1])) > TIPPING_RATE_RAD_S)
 
 
@@ -190,7 +190,10 @@ def log_start_refusal(s: MissionState, why: str) -> MissionState:
 
 
 def has_spun_up(s: MissionState, m: Estimate) -> bool:
-    """Return whether the rotors are up to speed, or already lift a vehicle lighter than its controllers' model."""
+    """Return whether the spin-up time is over or the vehicle has already lifted off.
+
+    A vehicle lighter than its controllers' model lifts off early.
+    """
     return s.motion_clock_s >= ROTOR_SPIN_UP_TIME_S or has_lifted_off(s, m)
 
 

@@ -25,7 +25,7 @@ Motors = Literal["off", "spin_up", "fly", "ramp_down", "blind"]
 
 
 class State(StrEnum):
-    """States of Fig. 6.15, and ``offboard``, in which a program streams set-points."""
+    """States of the mission: those of Fig. 6.15, and ``offboard``, in which a program streams set-points."""
 
     INIT = "init"
     TAKE_OFF = "take-off"
@@ -317,7 +317,10 @@ LOG_CAPACITY = 256
 
 
 def enter_state(s: MissionState, state: State, why: str, *, level: str = "info", **changes: object) -> MissionState:
-    """Enter a state with a reason and restart the motion clock; there is no motion unless one is given."""
+    """Enter a state, log the reason and restart the motion clock.
+
+    The present motion ends unless ``changes`` contains one.
+    """
     fresh = {
         "state": state,
         "state_entered_s": s.time_s,

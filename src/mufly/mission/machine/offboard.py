@@ -49,7 +49,7 @@ _NAN_VECTOR = (math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, slots=True)
 class SetPoint:
-    """Set-point of a program; NaN on an axis, or None, leaves it free.
+    """Set-point of a program; NaN on an axis, or None, means that the axis is not commanded.
 
     Attributes
     ----------
@@ -103,14 +103,14 @@ def _distance_to_target(target: float, at: float) -> float:
 
 
 def _approach_speed(gap: float, acceleration: float) -> float:
-    """Return s(g): the speed from which half the acceleration brakes in time."""
+    """Return the speed from which half the acceleration suffices to stop within the distance ``gap`` (m)."""
     half, slope = 0.5 * acceleration, 0.5 * TRACKER_BANDWIDTH_RAD_S
     linear = half / (slope * slope)
     return slope * gap if gap < linear else math.sqrt(2.0 * half * (gap - 0.5 * linear))
 
 
 def _max_velocity_towards_bound(gap: float, limits: TrajectoryLimits) -> float:
-    """Return the permitted velocity towards a bound at ``gap`` (m, down), or the velocity back to it."""
+    """Return the limit of the vertical velocity (m/s, down) for a bound at the signed distance ``gap`` (m, down)."""
     return math.copysign(_approach_speed(abs(gap), limits.climb_acceleration), gap)
 
 
@@ -199,7 +199,7 @@ def follow_set_point(
 
 
 def _limited_acceleration(dx: float, dy: float, most: float, dt: float) -> tuple[float, float]:
-    """Return the acceleration towards a change of velocity (dx, dy): at most ``most``, without overshoot."""
+    """Return the acceleration towards a change of velocity (dx, dy), at most ``most`` and without overshoot."""
     gain = min(2.0 * TRACKER_BANDWIDTH_RAD_S, 1.0 / dt)
     size = gain * vector_length(dx, dy)
     scale = gain * (most / size if size > most else 1.0)

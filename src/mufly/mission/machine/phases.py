@@ -103,7 +103,7 @@ def step_take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) ->
 
 
 def nose_offset(plan: MissionPlan) -> float:
-    """Return the angle of the nose from the direction of flight (rad), which points a beam along it when scanning."""
+    """Return the angle of the nose from the direction of flight (rad) at which a beam looks along the path."""
     return math.remainder(-plan.beam_ring.first_angle, plan.beam_ring.spacing) if plan.scans_with_nose else 0.0
 
 
@@ -127,7 +127,10 @@ def start_leg(
     way: Callable[[Triple, float], Trajectory],
     **flags: object,
 ) -> MissionState:
-    """Start the leg that ``way(position, heading)`` returns, after braking if the reference moves."""
+    """Start a leg, after braking if the reference moves.
+
+    ``way(position, heading)`` plans its trajectory.
+    """
     at = current_reference(s)
     if vector_length(*at.velocity) > 0.01 or abs(at.heading_rate) > 0.01:
         brake = plan_braking(plan, s)
