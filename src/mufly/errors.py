@@ -59,7 +59,7 @@ class ArgumentError(InputError):
 
 @contextmanager
 def report_write_errors(where: str | Path, remedy: str = "give another folder", key: str = "") -> Iterator[None]:
-    """Convert errors of writing files in the block to an :class:`InputError` about ``where``."""
+    """Context manager that converts file errors in its block to an :class:`InputError` about the path ``where``."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""One controller from synthesis to difference equations, with the figures that the thesis prints for it."""
+"""Design of one controller, from synthesis to difference equations, with the thesis's figures for comparison."""
 
 from __future__ import annotations
 

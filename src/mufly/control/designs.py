@@ -500,7 +500,7 @@ def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesi
 
 
 def ramp_following_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
-    """Return the lag (s) of height and heading behind a ramp reference: phase lag divided by a low frequency."""
+    """Return the lags (s) of height and heading behind a ramp reference: phase lag over frequency (0.05 rad/s)."""
     frequency = np.array([0.05])
     sampled = sample_plant(heave_yaw.plant, heave_yaw.discrete.period_s, 1)
     g = frequency_response(sampled, frequency)[0]
@@ -511,7 +511,7 @@ def ramp_following_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
 
 
 def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: DesignSettings) -> float:
-    """Return a heave acceleration (m/s2) that the motors can follow with a discharged, loaded battery.
+    """Return the heave acceleration (m/s2) that the motors can follow with a discharged, loaded battery.
 
     An input step ``du`` of both motors gives the acceleration ``per_input * du`` in steady state. Here ``du`` is the
     margin of the voltage at full input over that of hover, at the charge ``planning_charge``. The motors lag, so a

@@ -1,4 +1,4 @@
-"""Order reduction of a controller by criteria on its closed loop, and discretisation.
+"""Order reduction of controllers, judged by the closed loop, and discretisation.
 
 The controller is split into slow modes (practically integrators), which stay unchanged, and the rest. The rest is
 transformed to coordinates with equal Gramians of excitation and effect, and the weak directions are removed. Two pairs
@@ -133,7 +133,10 @@ def _gramian_root(gramian: Array) -> Array:
 
 
 def balancing_transform(P: Array, Q: Array) -> tuple[Array, Array]:
-    """Return T and its inverse that make two Gramians equal (square-root balancing), null directions orthonormal."""
+    """Return the transformation T that makes two Gramians equal and diagonal (square-root balancing), and its inverse.
+
+    Directions in which a Gramian is zero get an orthonormal basis.
+    """
     R, S = _gramian_root(P), _gramian_root(Q)
     U, sigma, Vt = np.linalg.svd(S.T @ R)
     keep = sigma > 1e-14 * sigma[0]
@@ -148,7 +151,7 @@ def balancing_transform(P: Array, Q: Array) -> tuple[Array, Array]:
 
 
 def remove_states(K: control.StateSpace, M: Array, order: int, match: bool) -> tuple[control.StateSpace, Array] | None:
-    """Reduce a controller to its first ``order`` states, by truncation or with the same static gain (``match``)."""
+    """Reduce a controller to its first ``order`` states: keep the static gain if ``match`` is set, else truncate."""
     A, B, C, D = K.A, np.hstack([K.B, M]), K.C, np.hstack([K.D, np.zeros((K.noutputs, M.shape[1]))])
     if match and order < K.nstates:
         A22 = A[order:, order:]
@@ -569,7 +572,9 @@ SERVO_INPUTS, TILT_REFERENCES = ("servo_1", "servo_2"), ("phi_reference", "theta
 
 
 def _tilt_to_position(full: control.StateSpace, roll_pitch: DiscreteController, divider: int) -> control.StateSpace:
-    """Return the system from tilt reference (phi, theta) to position and velocity (x, y, u, v) at the cascade rate."""
+    """Return the system, sampled at the cascade rate, from tilt reference (phi, theta) to position and velocity (x,
+    y, u, v).
+    """
     plant = sample_plant(extract_submodel(full, LATERAL_STATES, SERVO_INPUTS, LATERAL_STATES), roll_pitch.period_s, 1)
     errors = roll_pitch.inputs
     wiring: dict[str, dict[str, float]] = {servo: {f"command_{servo}": 1.0} for servo in SERVO_INPUTS}
@@ -592,7 +597,7 @@ def analyse_cascade(
     position_gain: float,
     divider: int,
 ) -> LoopAnalysis:
-    """Analyse the position cascade around the real attitude loop, broken at the tilt reference.
+    """Analyse the position cascade with the sampled attitude loop; the loop is broken at the tilt reference.
 
     The velocity controller is designed on a point mass with ideal tilt (eq. 6.10). The analysis uses the lateral part
     of the whole linear model (tilted rotor thrust and stabiliser bar included) under the sampled roll-pitch controller

@@ -105,7 +105,7 @@ def _add_scheduled_output(g: Any, x: Array, e: Array, speed: float, u: Array) ->
 
 @cached_njit
 def _controller_state_change(g: Any, i: int, x: Array, e: Array, excess: Array) -> float:
-    """Return the change of state ``i`` in a period."""
+    """Return the change of the controller's state ``x[i]`` in one period."""
     s = 0.0
     for j in range(g.F.shape[0]):
         s += g.F[i, j] * x[j]
@@ -413,7 +413,7 @@ HEAVE_YAW_STATE_SIZE = REFERENCE_ROUNDING_ERROR_PSI + 1
 
 
 def pack_gains(dtype: np.dtype, controller: DiscreteController, **values: object) -> np.void:
-    """Return the gains record of a controller, its states padded with zeros to the record's order.
+    """Return the gains record of a controller; missing states up to the record's order are filled with zeros.
 
     Raises
     ------

@@ -61,7 +61,9 @@ def state_space(
 
 
 def _reduce_for_pickle(g: control.StateSpace) -> tuple[Any, ...]:
-    """Return the pickle recipe of a system: python-control stores functions in it that cannot be pickled."""
+    """Return constructor and arguments with which pickle restores a system; python-control's own functions are not
+    picklable.
+    """
     names = {"inputs": g.input_labels, "outputs": g.output_labels, "states": g.state_labels, "dt": g.dt}
     return partial(state_space, **names), (g.A, g.B, g.C, g.D)
 

@@ -103,7 +103,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load the equations of batches on first use."""
+    """Import :func:`integrate_batch` on first use."""
     if name == "integrate_batch":
         from mufly.dynamics.lane_equations import integrate_batch
 

@@ -218,7 +218,7 @@ class _SymbolicTable:
         return _CasadiSymbol(self._bisect_table(index.value, 0, len(self._numbers)))
 
     def _bisect_table(self, index: Any, first: int, end: int) -> Any:
-        """Return the entry of a table at a symbolic index, by bisection."""
+        """Return the table's entry at a symbolic index, as nested selections (bisection)."""
         import casadi
 
         if end - first == 1:

@@ -207,7 +207,7 @@ class LevelFlightModel:
         self, edgewise: float = 0.0, climb: float = 0.0, azimuth: float = 0.0,
         factors: tuple[float, float] = (1.0, 1.0), cyclic: tuple[float, float] = (0.0, 0.0),
     ) -> ForwardPair:  # fmt: skip
-        """Compute both rotors in forward flight, starting from the preceding solution."""
+        """Compute the loads of both rotors in forward flight; the iteration starts from the preceding solution."""
         first = ForwardCondition(
             self.pitch[0], factors[0] * self.speeds[0], edgewise, climb, wind_azimuth_rad=azimuth, air=self.air
         )

@@ -529,8 +529,9 @@ def extract_submodel(
     *,
     name: str | None = None,
 ) -> control.StateSpace:
-    """Return a linear model with some states and inputs of another; its outputs are selected states, and all other
-    states stay constant.
+    """Return the linear model of selected states and inputs of another model; all other states stay constant.
+
+    The outputs are selected states.
     """
     i, j = (
         [known.index(s) for s in some] for known, some in ((full.state_labels, states), (full.input_labels, inputs))

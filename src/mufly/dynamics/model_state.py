@@ -333,7 +333,7 @@ def hover_speeds(
 
 
 def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]:
-    """Return the fields of a record for a vehicle's coefficient map; empty without a map.
+    """Return the fields of the model's record that hold a vehicle's coefficient map; empty without a map.
 
     Tables contain thrust and torque over ``Omega^2`` (N s^2, N m s^2); unused entries repeat the last value. With
     ``rotors.map_level = "constants"`` each table is scaled to match the constant coefficients at their hover point (eq.
@@ -369,7 +369,7 @@ def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]
 
 
 def _flight_map_fields(vehicle: Vehicle) -> dict[str, Any]:
-    """Return the fields of a record for a vehicle's flight map; empty without a map."""
+    """Return the fields of the model's record that hold a vehicle's flight map; empty without a map."""
     m = vehicle.rotors.flight_map
     if m is None:
         return {}

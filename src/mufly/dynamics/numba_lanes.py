@@ -227,7 +227,7 @@ def negate(test: Any) -> Any:
 
 
 def uniform(test: Any) -> Any:
-    """Return a test as one truth value; its result must be the same for all vehicles of a block."""
+    """Return a test that is equal for all vehicles of a block as a single truth value."""
     raise NotImplementedError
 
 
@@ -456,7 +456,9 @@ def _allocate_rows(builder: Any, rows: int) -> Any:
 
 @intrinsic(prefer_literal=True)
 def make_rows(context: Any, count: Any) -> Any:
-    """``make_rows(21)``: rows of eight numbers on the stack; the number is a constant."""
+    """``make_rows(21)``: allocate 21 rows of eight numbers on the stack; the number of rows is a compile-time
+    constant.
+    """
 
     def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
         return _allocate_rows(builder, count.literal_value)
@@ -466,7 +468,7 @@ def make_rows(context: Any, count: Any) -> Any:
 
 @intrinsic
 def put_number(context: Any, rows: Any, row: Any, lane: Any, value: Any) -> Any:
-    """``put_number(rows, row, lane, value)``: write one vehicle's number."""
+    """``put_number(rows, row, lane, value)``: write one vehicle's number into a row."""
 
     def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
         into, which, number, stored = values
@@ -492,7 +494,9 @@ def take_number(context: Any, rows: Any, row: Any, lane: Any) -> Any:
 
 @intrinsic
 def allocate_lane_record(context: Any, like: Any) -> Any:
-    """``allocate_lane_record(array)``: empty records of eight vehicles, of the type of a structured array."""
+    """``allocate_lane_record(array)``: allocate empty records of eight vehicles, with the fields of a structured
+    array.
+    """
     from numba.np.numpy_support import as_dtype
 
     record = LaneRecord(as_dtype(like.dtype))
@@ -505,7 +509,7 @@ def allocate_lane_record(context: Any, like: Any) -> Any:
 
 @intrinsic
 def put_record(context: Any, record: Any, lane: Any, address: Any) -> Any:
-    """``put_record(record, lane, address)``: read one vehicle's record from an address."""
+    """``put_record(record, lane, address)``: copy one vehicle's record from an address into its lane."""
 
     def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
         memory, lane_value, at = values

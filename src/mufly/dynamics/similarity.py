@@ -333,7 +333,7 @@ def _scale_value(value: Any, factor: float) -> Any:
 
 
 def _scale_sensors(tables: dict[str, Any], known: Vehicle, la: float) -> None:
-    """Scale the positions of the sensors on board; keep their other parameters."""
+    """Scale the positions of the sensors by the ratio of length ``la``; keep their other parameters."""
     for sensor in tables.get("sensors", {}).values():
         for entry in sensor.values():
             if isinstance(entry, dict) and "source" in entry:

@@ -75,7 +75,7 @@ DEFAULT_STEP_S = 1e-3
 
 @cached_njit(error_model="numpy")
 def normalise_state(x: _Array) -> None:
-    """Normalise attitude quaternion and bar's normal in place; limit the charge to zero."""
+    """Normalise attitude quaternion and bar's normal in place; raise a negative charge to zero."""
     w, a, b, c = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     q = 1.0 / math.sqrt(w * w + a * a + b * b + c * c)
     for i in range(MODEL_ATTITUDE, MODEL_RATES):
@@ -150,8 +150,10 @@ def fastest_mode_key(p: np.void) -> str:
 
 
 def _mode_rates(p: np.void) -> dict[str, float]:
-    """Return the rates (rad/s) of the modes of :func:`longest_step`, by the vehicle file's key with the most
-    influence."""
+    """Return the rates (rad/s) of the modes of :func:`longest_step`.
+
+    The key of a mode is the vehicle file's parameter with the most influence on it.
+    """
     damping = p["kE"] * p["kM"] / p["R_ohm"] + p["dR"] + p["Mf"] / (p["gear_ratio"] * FULL_FRICTION_SPEED_rad_s)
     gear = p["gear_efficiency"] * p["gear_ratio"] ** 2
     speed = float(np.max(p["battery_curve"])) / (p["kE"] * p["gear_ratio"])

@@ -92,7 +92,7 @@ def read_toml(
 
 
 def _toml_error(text: str, where: str, message: str) -> InputError:
-    """Return the error of text that is no TOML, with the line at fault."""
+    """Return the error for text that is not valid TOML, with the number of the wrong line."""
     found = re.search(r"line (\d+), column (\d+)", message)
     if found is None:
         return InputError(where, "", "ends inside a value", "close its brackets or quotes")
@@ -122,8 +122,9 @@ _MAX_ORDINARY_INTEGER = 10**300
 
 
 def model_error(problem: str, remedy: str, key: str = "") -> PydanticCustomError:
-    """Return the validation error for a refused value: problem and remedy; ``key`` names another field than the checked
-    one.
+    """Return the validation error for a refused value, with the problem and its remedy.
+
+    ``key`` names the field at fault if it is not the validated one.
     """
     context = {"problem": problem, "remedy": remedy} | ({"key": key} if key else {})
     return PydanticCustomError("mufly", "{problem}; {remedy}", context)

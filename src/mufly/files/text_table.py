@@ -430,7 +430,7 @@ def _detect_separator(lines: Sequence[str]) -> str:
 
 
 def looks_like_table(head: bytes) -> bool:
-    """Return True if the begin of a file is text with more than one column or number."""
+    """Return True if the beginning of a file is text with more than one column or number."""
     wide = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     text = decode_text(head) if wide else head.decode("utf-8", errors="ignore").lstrip("\ufeff")
     if "\0" in text or len(text) < (0.4 if wide else 0.9) * len(head) or not text.strip():
@@ -490,7 +490,9 @@ def _is_content_line(line: str) -> bool:
 
 
 def _find_header_line(lines: Sequence[str], first: int) -> int:
-    """Return the line of the header: the first line, or a later line of names as wide as the last rows."""
+    """Return the index of the header line: the first line, or a later line of names with as many cells as the last
+    rows.
+    """
     tail = [s for s in lines[first + 1 :][-2 * _SAMPLED_ROWS :] if _is_content_line(s)][-_SAMPLED_ROWS:]
     if not tail:
         return first
@@ -535,7 +537,7 @@ def _has_title_line(rows: Sequence[str], decimal: str) -> bool:
 
 
 def _units_below(rows: Sequence[str], width: int, separator: str, decimal: str) -> list[str]:
-    """Return the units in the line below a header, none if it is no line of units."""
+    """Return the units in the line below a header; empty if this line holds no units."""
     cells = split_cells(rows[0], separator) if rows else []
     if len(cells) != width or any(_is_number(c, decimal) for c in cells):
         return []

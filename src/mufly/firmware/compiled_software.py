@@ -134,7 +134,7 @@ class FirmwareSoftware(FlightSoftware):
         self._cached_records = {}
 
     def _read_record(self, name: str) -> Any:
-        """Return a converted record by name; without a software instance, its initial value."""
+        """Return a record of the C software, converted to Python; its initial value before the software is started."""
         board = self._software_instance
         if board is None:
             return self._initial_values[name]
@@ -235,7 +235,7 @@ class GenericFirmwareSoftware(FirmwareSoftware):
         mission: Mission,
         firmware: Firmware | None = None,
     ) -> Any:
-        """Return the exported code or, if unavailable, the Python software."""
+        """Return software that runs the exported code, or the Python software if the code is unavailable."""
         try:
             Firmware(None)
             plan_numbers(make_plan(vehicle, controller, mission), HOST_MAX_WAYPOINTS)

@@ -199,7 +199,7 @@ class SoftwareInstance:
         return int(self._plan_record.beam_ring.count)
 
     def prepare_compiled_periods(self, law: FirmwareControllers) -> None:
-        """Set the current gains and an empty command, for periods computed by the compiled loop."""
+        """Prepare the records for the compiled loop: set the current gains and an empty command."""
         self.setup_record.gains = law.current_gains()
         self._write_command_record(NO_COMMAND)
 

@@ -427,7 +427,7 @@ class Autopilot:
             self._command = Command(stop_reason=why)
 
     def _is_in_air(self) -> bool:
-        """Whether the vehicle is off the floor: by the mode of its motors, and by its height and speed."""
+        """Whether the vehicle is off the floor, judged by the mode of its motors and by its height and speed."""
         m, s = self._estimate, self.software.mission_state
         if not self.software.flying or m is None:
             return False

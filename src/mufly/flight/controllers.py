@@ -105,7 +105,9 @@ class Controllers:
         self._boxes: tuple[NDArray[np.void], ...] = ()
 
     def retune_gains(self, design: FlightController) -> None:
-        """Change smoothly to the parameters of ``design``, which may differ in the tunable ones only."""
+        """Begin a smooth change to the gains of ``design``, which may differ from the present ones in tunable
+        parameters only.
+        """
         if self._settled:
             now = self._design
             self._design = replace(

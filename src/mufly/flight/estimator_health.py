@@ -151,7 +151,7 @@ def _fault_note(m: Estimate, sources: tuple[str, ...]) -> str:
 
 
 def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = True) -> HealthDecision:
-    """Return the failsafe action on an estimate, without hysteresis.
+    """Return the failsafe action for one estimate, without hysteresis.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ class HealthMonitor:
     _height_uncertain_since_s: float = math.nan
 
     def step(self, m: Estimate) -> HealthDecision:
-        """Return the failsafe action on an estimate in the air; a hold ends once the position is certain again."""
+        """Return the failsafe action for an estimate in the air; a hold ends when the position is certain again."""
         t = m.time_s
         if not math.sqrt(m.covariance[2, 2]) > MAX_HEIGHT_SIGMA_M:
             self._height_uncertain_since_s = math.nan
@@ -247,7 +247,7 @@ class HealthMonitor:
         return self.verdict
 
     def _judge_attitude_sensors(self, m: Estimate) -> HealthDecision:
-        """Return the action on contradicting attitude aids or lost gyroscopes."""
+        """Return the failsafe action on lost gyroscopes, or on attitude aids that contradict the estimate."""
         for c in sensor_checks(m):
             bad = c.status in (("missing", "faulty") if c.name == "rates" else ("rejected",))
             if not bad:

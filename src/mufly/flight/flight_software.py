@@ -390,7 +390,9 @@ class FlightSoftware:
         return float(self.mission_state.home_position[2] - m.position[2])
 
     def _height_if_known(self, m: Estimate) -> float:
-        """Return the height above home (m) of an otherwise lost estimate; infinite if the height is lost, too."""
+        """Return the height above home (m) while the rest of the estimate is lost; infinite if the height is lost,
+        too.
+        """
         certain = m.auxiliary_states is not None and m.covariance[2, 2] < MAX_HEIGHT_SIGMA_M * MAX_HEIGHT_SIGMA_M
         height = self._height_above_home(m)
         return height if certain and abs(height) + abs(float(m.velocity[2])) < 1e3 else math.inf

@@ -275,14 +275,14 @@ class Flight:
         self._is_estimated = self.uses_fitted_sensors
 
     def _estimate_and_sonar(self) -> tuple[Estimate | None, float]:
-        """Return the estimate of the previous period and the latest sonar reading (m), for a picture."""
+        """Return the estimate of the previous period and the latest sonar reading (m), as data for the camera."""
         if not hasattr(self, "_readings"):
             return None, math.nan
         sonar = self.readings.latest.get("ground_distance")
         return self._estimate, math.nan if sonar is None else float(sonar.value)
 
     def _blinded_sensors(self) -> tuple[str, ...]:
-        """Return the sensors that cannot measure at present, so that the filter reports no fault of them.
+        """Return the sensors that cannot measure at present, which the filter must not report as faulty.
 
         On the floor the camera sees nothing, so it is listed from touchdown until the sonar shows the next lift-off.
         Tracking works down to about 3 cm above the floor.
@@ -550,7 +550,7 @@ def _make_sensors(
     wanted: SensorSet | str, vehicle: Vehicle, mission: Mission, look: int, seed: int, faults: Sequence[Fault],
     fixes: CameraSensor | ExternalFixes | None,
 ) -> SensorSet:  # fmt: skip
-    """Return the requested sensors; ideal ones for a vehicle without sensors."""
+    """Return the sensors that a flight uses; ideal ones if the vehicle has none."""
     if isinstance(wanted, SensorSet):
         return wanted
     if wanted not in ("ideal", "fitted"):

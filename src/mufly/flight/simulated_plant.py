@@ -203,12 +203,14 @@ class SimulatedPlant:
         return self._coming[self._blown : self._blown + most]
 
     def consume_wind(self, wind: NDArray[np.float64], periods: int) -> None:
-        """Mark the wind of some periods as used; ``wind`` (3,) is that of the last one (m/s)."""
+        """Advance the wind by some periods; ``wind`` (3,) is that of the last period (m/s)."""
         self.wind = wind
         self._blown += periods
 
     def count_periods(self, periods: int) -> None:
-        """Advance the clock by some periods, after the state; store the battery's voltage and current."""
+        """Advance the clock by some periods, for which the state is already integrated; store battery voltage and
+        current.
+        """
         self.voltage, self.current = self.battery_output.tolist()
         self.period_count += periods
         if not math.isfinite(self.state[MODEL_POSITION + 2]):
@@ -264,7 +266,10 @@ def append_rows(
     reference: tuple[_Array, _Array, _Array],
     states: list[str],
 ) -> None:
-    """Append many rows as :func:`make_row_writer` does; all arrays are (n, ...), ``measured`` by column name."""
+    """Append many rows, with the columns of :func:`make_row_writer`.
+
+    All arrays are (n, ...); ``measured`` holds readings by column name.
+    """
     rows = np.full((len(states), recorder.layout.column_count), np.nan)
     part = {name: rows[:, column] for name, column in recorder.layout.column_slices.items()}
     rows[:, 0] = truth.time_s
@@ -283,7 +288,7 @@ def make_blank_row(recorder: FlightRecorder) -> tuple[_Array, dict[str, _Array]]
 def make_common_writer(
     part: Mapping[str, _Array],
 ) -> Callable[[Truth, Actuators, tuple[_Array, _Array, _Array]], None]:
-    """Return the function that fills truth, references, actuators and battery of one or many rows."""
+    """Return a function that writes truth, references, actuators and battery into one or many rows."""
     position, velocity, attitude, rates, speed = (
         part[f"truth_{name}"] for name in ("position", "velocity", "attitude", "rates", "rotor_speed")
     )

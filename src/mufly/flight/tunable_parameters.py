@@ -218,5 +218,7 @@ _GAIN_RECORDS = {"position": "position_gains", "heave_yaw": "heave_yaw_gains"}
 
 
 def _unit_scale(p: TunableParameter, table: str) -> float:
-    """Return the parameter's unit per stored unit: 180 / pi for degrees stored as radians, else 1."""
+    """Return the factor from the stored unit to the parameter's unit: 180 / pi for degrees stored as radians, else
+    1.
+    """
     return DEGREES_PER_RADIAN if p.unit.startswith("deg") and table in (*_GAIN_RECORDS, "sticks") else 1.0

@@ -1,4 +1,4 @@
-"""C expressions: text, precedence and type, and the operations of translated equations on them.
+"""C expressions (text, precedence and type), and the operations that build them from Python source.
 
 The text has the operations of the Python source in the same order; :mod:`mufly.fmi.c_translation` gives the rules that
 keep the results equal.
@@ -73,7 +73,7 @@ class CExpression:
 
 
 def slice_table(held: CExpression, first: str, stop: str) -> CExpression:
-    """Return the rows of a table from the first one up to another."""
+    """Return the C expression of a part of a table: rows ``first`` to ``stop`` (excluded)."""
     assert isinstance(held.kind, TableType)
     is_known = first.isdecimal() and stop.isdecimal()
     kind = TableType(held.kind.element, (int(stop) - int(first) if is_known else -1, *held.kind.shape[1:]))

@@ -75,7 +75,7 @@ _RESULT_ARGUMENT_MARK, _CONST_MARK = "\1", "\2"
 
 @dataclass(frozen=True)
 class CFunction:
-    """A translated function: its C name, the type of its result, and which arguments it writes to.
+    """C function translated from Python: its name, the type of its result, and which arguments it writes to.
 
     A function that returns a matrix writes it to a last argument in C.
     """
@@ -86,7 +86,7 @@ class CFunction:
 
 
 class CTranslation:
-    """Collects translated functions, with the constants and tuples that they use.
+    """Translator of Python functions to C, which collects the functions, constants and tuples that they use.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class CTranslation:
         self._bodies: list[str] = []
 
     def add_function(self, function: Any, kinds: Sequence[CType]) -> CFunction:
-        """Translate a function, and all that it calls, for arguments of some types.
+        """Translate a function, and all that it calls, for arguments of the types ``kinds``.
 
         Raises
         ------
@@ -129,7 +129,7 @@ class CTranslation:
         return made
 
     def source(self) -> str:
-        """Return the C text: helpers, constants, tuples and functions, each after what it uses."""
+        """Return the complete C text: helpers, constants, tuples and functions, each after what it depends on."""
         whole = [f"    {n} = {v}," for n, v in self._constants.items() if isinstance(v, int)]
         real = [f"static const double {n} = {v!r};" for n, v in self._constants.items() if isinstance(v, float)]
         real += [
@@ -334,7 +334,7 @@ class _FunctionTranslation:
         return False
 
     def _root_argument(self, node: ast.expr) -> str:
-        """Return the argument that a table is part of; "" for a local one."""
+        """Return the function argument that a table belongs to; "" for a local table."""
         match node:
             case ast.Call(args=[inner]) | ast.Subscript(value=inner) | ast.Attribute(value=inner):
                 return self._root_argument(inner)
@@ -422,7 +422,7 @@ class _FunctionTranslation:
         return isinstance(node, ast.Call) and isinstance(self._translate_expression(node).kind, TableType)
 
     def _emit_local_constant(self, value: CExpression) -> CExpression:
-        """Store a value in a constant of its own."""
+        """Emit a local C constant that stores a value; return its name as an expression."""
         self._count += 1
         name = f"t{self._count}_"
         self._emit_line(f"const {type_name(value.kind)} {name} = {value.text};")
@@ -533,7 +533,7 @@ class _FunctionTranslation:
         return CExpression(f"{name}->{field}", PRECEDENCE_ATOM, TableType(element, of.shape) if of.shape else element)
 
     def _constant_tuple_index(self, node: ast.expr) -> int:
-        """Return an index of a tuple: a literal, or an integer of the module by name."""
+        """Return the value of a tuple's index, which is a literal or the name of an integer in the module."""
         match node:
             case ast.Constant(value=int(k)) | ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int(k))):
                 return k if isinstance(node, ast.Constant) else -k

@@ -52,7 +52,7 @@ CType = str | TableType | TableTupleType | RecordType | TupleType
 
 
 def type_name(kind: CType) -> str:
-    """Return the C name of a type; a function that returns a table writes to an argument instead."""
+    """Return the C type of a function's result; ``void`` for a table, which the function writes to an argument."""
     if isinstance(kind, TableType):
         return C_VOID
     return kind.name if isinstance(kind, TupleType) else str(kind)

@@ -83,7 +83,7 @@ def write_start_state(start: _Array, x: _Array) -> None:
 
 
 def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _Array) -> None:
-    """Write the outputs at a state: the state itself, then the quantities of the indices ``OUT_...``.
+    """Write the outputs of a unit at a state: the state itself, then the quantities with indices ``OUT_...``.
 
     Parameters
     ----------

@@ -298,7 +298,7 @@ def compare_sensed_unit(
 
 
 def _sensed_values(outputs: Sequence[str], truth: Truth, readings: Readings, estimate: Estimate) -> dict[str, float]:
-    """Return state, readings and estimate of Python by the names of a unit's outputs."""
+    """Return state, readings and estimate of the Python simulation by the names of a unit's outputs."""
     values = dict(zip(outputs[:STATE_SIZE], truth.state.tolist(), strict=True))
     for sensor, rows in SENSORS.items():
         for reading in (readings.latest.get(row.name) for row in rows[:1]):

@@ -43,7 +43,7 @@ class ParameterEffect:
 
 @dataclass(frozen=True)
 class UnitParameter:
-    """Parameter of a unit: key, value, unit and meaning in the vehicle file, effects, least and greatest value."""
+    """Parameter of a co-simulation unit: its entry in the vehicle file, its effects, and its limits."""
 
     key: str
     value: float

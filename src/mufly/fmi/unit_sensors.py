@@ -92,7 +92,7 @@ class SensedOutput:
 
 
 class UnitSensors:
-    """Sensors and filter of a vehicle's unit, for some seeds.
+    """Sensors and filter of a co-simulation unit, with random errors for several seeds.
 
     Parameters
     ----------
@@ -144,7 +144,9 @@ class UnitSensors:
 
     @cached_property
     def seeded_parameters(self) -> tuple[NDArray[np.intp], NDArray[np.uint64]]:
-        """Indices of the words of the model's parameters that depend on the seed (m,), and their values (seeds, m)."""
+        """Indices of 64-bit words in the model's parameters that depend on the seed (m,), and their values (seeds,
+        m).
+        """
 
         def words(vehicle: Vehicle) -> NDArray[np.uint64]:
             return np.frombuffer(model_parameters(vehicle).tobytes(), np.uint64)
@@ -309,7 +311,7 @@ def _named_sensors(sensors: FittedSensors) -> Iterator[tuple[str, Any]]:
 
 
 def _sensor_arrays(sensors: FittedSensors) -> Iterator[tuple[str, list[tuple[str, NDArray[Any]]]]]:
-    """Return the arrays of each sensor by the names of the C struct's members."""
+    """Yield the arrays of each sensor, named as the members of the sensor's C struct."""
     for name, sensor in _named_sensors(sensors):
         if isinstance(sensor, Imu):
             source, normals, clock, last_state, output, unit = sensor.sampling_arguments(1.0 / RATE_HZ)

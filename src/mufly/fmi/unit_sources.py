@@ -69,7 +69,7 @@ def _record_lines() -> Iterator[str]:
 
 
 def render_sensor_sources(sensors: UnitSensors) -> dict[str, str]:
-    """Return the text of the filter's files by their path among the sources of a unit with sensors."""
+    """Return the texts of the filter's source files of a unit with sensors, by path."""
     generated = render_estimator_files(sensors.vehicle, sensors.world, RATE_HZ)
     files = {name: (SOURCE_FOLDER / name).read_text(encoding="utf-8") for name in _SENSOR_SOURCES}
     return {

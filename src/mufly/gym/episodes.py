@@ -1,4 +1,4 @@
-"""Compiled episodes: start, inputs of a step, motion of the vehicles, observation and reward of many environments.
+"""Compiled episodes of many environments: starts, actions, motion of the vehicles, observations and rewards.
 
 A step of an environment is one period, by default 20 ms, in which the wind is constant. The action acts after a delay
 of a part of the period, drawn for each episode; until then the preceding action acts. Every environment has its own
@@ -211,7 +211,7 @@ def start_episodes(
     e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], states: _Array, inputs: _Array, series: _Ints,
     winds: _Array,
 ) -> None:  # fmt: skip
-    """Start a new episode in the environments of ``which`` (n,).
+    """Start a new episode in the environments that the mask ``which`` (n,) selects.
 
     ``states`` (k, 21), ``inputs`` (k, 4) and ``series`` (k,) are those of the fleet in hover, ``winds`` is
     (w, samples, 3).
@@ -326,7 +326,9 @@ def judge_episodes(
     e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], fleet: NDArray[np.void], reward: _Array,
     terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], success: NDArray[np.bool_],
 ) -> None:  # fmt: skip
-    """Write reward and end of the step of the environments in ``which``; set the next target after a waypoint."""
+    """Write the rewards and ends of a step for the environments in ``which``; set the next target after a reached
+    waypoint.
+    """
     boxes, r = np.empty((0, 8)), np.empty(3)
     for k in range(which.size):
         if not which[k]:

@@ -99,7 +99,7 @@ class UnitPeriods(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class UnitStarts:
-    """Stored units in hover, from which episodes start.
+    """Units (vehicles with sensors and filter) stored in hover, as starts of episodes.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ def _step_filter(p: UnitPeriods) -> int:
 
 @cached_njit(error_model="numpy")
 def _send_command(p: UnitPeriods) -> int:
-    """Send the inputs that act from the next period on, as flight software does."""
+    """Send the inputs of the step's action, or before its delay has passed those of the preceding action."""
     row = 1 if p.clock.tick - p.clock.start_tick >= p.delay[0] else 0
     for i in range(4):
         p.plant.acting_inputs[2, i] = p.command[row, i]
@@ -280,7 +280,7 @@ class UnitMemoryLayout:
             to[...] = of
 
     def unit_from_row(self, row: _Bytes) -> UnitPeriods:
-        """Return a unit whose arrays are those of a row."""
+        """Return a unit whose arrays are views of a memory row."""
         memory, values, is_new, age, times, scans, *rest = self.row_views(row)
         found = iter(rest)
 
@@ -362,7 +362,7 @@ def fly_to_hover(
     vehicle: Vehicle, believed: Vehicle, controller: FlightController, mission: Mission, wind: _Array, charge: float,
     seed: int,
 ) -> Flight | None:  # fmt: skip
-    """Return a flight that holds its place in hover; None if it does not come there."""
+    """Return a simulated flight that holds its position in hover; None if the vehicle does not reach hover."""
     flight = Flight(
         vehicle, mission, controller=controller, wind=wind, gust=0.0, seed=seed, keep=False, sensors="fitted",
         controllers=GenericFirmwareSoftware, designed_for=believed, brief=True,
@@ -387,7 +387,7 @@ def _advance_flight(flight: Flight, time_s: float) -> None:
 def prepare_starts(
     nominal: Vehicle, fleet: Fleet, kind: int, winds: _Array, period_s: float, count: int, seed: int
 ) -> tuple[UnitStarts, UnitMemoryLayout]:
-    """Fly the vehicles of a fleet into hover, and return their units at several instants.
+    """Fly the vehicles of a fleet into hover, and return their units, each stored at several instants.
 
     Controllers and filter are designed for the nominal vehicle. Each flight has a sensor error, a heading, a battery
     charge and a steady wind of its own.
@@ -504,7 +504,7 @@ class FilterUnits:
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
 
     def start_units(self, e: Any, which: NDArray[np.bool_]) -> None:
-        """Copy the stored units of new episodes, ``e.vehicle`` (n,), into the environments of ``which`` (n,)."""
+        """Copy stored units into the environments of ``which`` (n,); ``e.vehicle`` (n,) holds their indices."""
         for k in np.flatnonzero(which).tolist():
             self._rows[k] = self._starts.rows[e.vehicle[k]]
             fresh = np.empty(len(self._sources[k]), np.uint64)
@@ -514,7 +514,7 @@ class FilterUnits:
         self._step(e, 0)
 
     def move_units(self, e: Any) -> None:
-        """Step all units over a step of the environments; write ``e.state`` (n, 21)."""
+        """Advance all units by one step of the environments, and write ``e.state`` (n, 21)."""
         self._step(e, self._periods)
 
     def _step(self, e: Any, periods: int) -> None:

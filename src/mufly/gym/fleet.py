@@ -45,7 +45,7 @@ _MAX_DRAW_ATTEMPTS = 20  # for each vehicle of the fleet
 
 @dataclass(frozen=True, eq=False)
 class Fleet:
-    """Vehicles that episodes draw from.
+    """Vehicles from which episodes draw, each with its hover state.
 
     Attributes
     ----------

@@ -65,7 +65,7 @@ _FAILURE_REWARD = -5.0
 
 @cached_njit(error_model="numpy")
 def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Array, columns: _Array) -> None:
-    """Write start, target and next target (three numbers each; N-E-D, m), and the columns (6, 5).
+    """Write the start, the target, the next target (three numbers each; N-E-D, m), and the columns (6, 5) of a task.
 
     ``r`` are uniform numbers; ``columns`` has the layout of a packed :class:`mufly.world.World`.
     """
@@ -117,7 +117,7 @@ def judge_step(
     kind: int, before: float, now: float, heading_cosine: float, rates_squared: float, change_squared: float,
     upright: float, speed: float, touches: bool, collides: bool,
 ) -> tuple[float, bool, bool]:  # fmt: skip
-    """Return the reward of a step, whether it ends the episode, and whether with success.
+    """Return the reward of a step, whether the step ends the episode, and whether it ends with success.
 
     Parameters
     ----------

@@ -159,7 +159,9 @@ def draw_residuals(record: RecordPrediction) -> Figure:
 
 
 def draw_cross_correlation(record: RecordPrediction) -> Figure:
-    """Draw the correlation of every residual with every input, with 95 % bounds; at positive lags the input leads."""
+    """Draw the cross-correlation of every residual with every input, with 95 % bounds; at positive lags the input
+    leads.
+    """
     m, k, dt = len(record.output_names), len(record.input_names), _median_sample_s(record)
     figure = blank_figure(min(10.0, 2.0 + 2.4 * k), 0.6 + 1.5 * m)
     panels = figure.subplots(m, k, squeeze=False, sharex=True, sharey=True)

@@ -233,7 +233,7 @@ def _clean_record(r: FlightRecord) -> FlightRecord:
 
 
 def estimate_difference_noise(r: FlightRecord) -> Array:
-    """Return the standard deviation of white noise on every output, from third differences, (m,)."""
+    """Estimate the standard deviation of white noise on every output (m,) from third differences."""
     out = np.empty(len(r.outputs))
     for k, name in enumerate(r.outputs):
         y = r.measured[np.isfinite(r.measured[:, k]), k]
@@ -244,7 +244,7 @@ def estimate_difference_noise(r: FlightRecord) -> Array:
 
 
 def signal_over_noise(records: Sequence[FlightRecord]) -> dict[str, float]:
-    """Return the ratio of smoothed motion to noise by output, the largest over all records."""
+    """Return the ratio of smoothed motion to noise for every output, the largest of all records."""
     most: dict[str, float] = {}
     for r in records:
         for k, (name, noise) in enumerate(zip(r.outputs, estimate_difference_noise(r), strict=True)):
@@ -374,7 +374,7 @@ class UniformLogTable:
         return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
 
     def column_by_name(self, name: str, argument: str) -> Array:
-        """Return a column by its name, the end of its name where that is unique, or its symbol (``ax``, ``phi``).
+        """Return the column with a full name, with a unique end of a name, or with a symbol (``ax``, ``phi``).
 
         Raises
         ------

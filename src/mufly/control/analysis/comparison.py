@@ -183,7 +183,7 @@ class ControllerComparison:
     verdict: str
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return the table of both loops and of flights, and the verdict."""
+        """Return as printed text a table for each loop, a table of the flights, and the verdict."""
         heads = ("", "gamma", "S_u", "T_u", "GM", "PM", "DM", "disk", "mu", "noise", "gust", "n", "MAC")
         blocks: list[ShownBlock] = []
         for title, part in (("roll-pitch", "roll_pitch"), ("heave-yaw", "heave_yaw")):
@@ -441,7 +441,7 @@ def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
 
 
 def recommend_method(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodFigures]) -> ControllerComparison:
-    """Return the comparison with its verdict; the criteria are those of the module's docstring."""
+    """Rank the methods by the criteria of the module's docstring; return the comparison with its verdict."""
     reasons = [f"{m.label} is excluded: {m.shortcoming}" for m in rows if m.shortcoming]
     left = [m for m in rows if not m.shortcoming]
     if not left:

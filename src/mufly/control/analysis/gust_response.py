@@ -1,4 +1,4 @@
-"""Tilt and servo speed of the whole lateral loop in Dryden gusts, by its covariance.
+"""Tilt and servo speed in Dryden gusts, from the stationary covariance of the whole lateral loop.
 
 The linear model depends on the velocity relative to the air. A gust therefore enters through the negative velocity
 columns of A, in all rows except those of the position. North and east have the lateral spectrum of

@@ -175,7 +175,7 @@ def fit_magnitude(
 def scale_channels(
     plant: control.StateSpace, channels: Sequence[UncertaintyChannel], filters: Sequence[ScalingFilter]
 ) -> control.StateSpace:
-    """Return the plant with every channel's outputs filtered, and its inputs by the inverse; other signals as they are.
+    """Scale the uncertainty channels of a plant: outputs by their filters, inputs by the inverse filters.
 
     Parameters
     ----------

@@ -175,7 +175,7 @@ def _signal_scales(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Arra
 def _normalise_plant(
     P: control.StateSpace, ny: int, nu: int, regularisation: float
 ) -> tuple[PartitionedPlant, Array, Array]:
-    """Return the plant with D12 = [0; I], D21 = [0, I], and Ru, Ry of u = Ru u~, y~ = Ry y."""
+    """Normalise a plant to D12 = [0; I] and D21 = [0, I]; return it with Ru and Ry, where u = Ru u~ and y~ = Ry y."""
     n = P.nstates
     p = partition_plant(P.A, P.B, P.C, P.D, ny, nu)
     if regularisation > 0.0:
@@ -294,7 +294,9 @@ def _central_controller(p: PartitionedPlant, gamma: float) -> tuple[Array, Array
 def _recover_controller(
     p: PartitionedPlant, Ru: Array, Ry: Array, gamma: float, P: control.StateSpace
 ) -> control.StateSpace | None:
-    """Return the central controller of level ``gamma`` for the plant as given: rescaled, and shifted by D22."""
+    """Return the central controller of level ``gamma`` in the units of the given plant, corrected for its
+    feedthrough D22.
+    """
     matrices = _central_controller(p, gamma)
     if matrices is None:
         return None

@@ -1,4 +1,4 @@
-"""Incremental nonlinear dynamic inversion (INDI) of roll and pitch, as a linear law of the form that flies.
+"""Incremental nonlinear dynamic inversion (INDI) of roll and pitch, written as a linear controller.
 
 The angular acceleration is measured instead of modelled: ``wdot_f = H(s) s w`` from the gyroscopes. The servos move
 from their present position in proportion to the error of the angular acceleration (Smeur, Chu and de Croon, J. Guid.

@@ -90,7 +90,7 @@ class LqgResult:
 
 
 def augment_integrators(plant: control.StateSpace, references: Sequence[int]) -> tuple[Array, Array]:
-    """Return A and B of the plant with the (leaking) integrals of the outputs ``references`` as further states."""
+    """Return A and B of the plant, extended by the leaky integrals of the outputs ``references`` as states."""
     n, k = plant.nstates, len(references)
     A = np.block([[plant.A, np.zeros((n, k))], [plant.C[list(references)], -_INTEGRATOR_LEAK_RATE_RAD_S * np.eye(k)]])
     return A, np.vstack([plant.B, np.zeros((k, plant.ninputs))])

@@ -254,7 +254,7 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
 
 
 def _iterate_dk(p: SynthesisProblem, goals: RobustGoals) -> SynthesisedController:
-    """Return the controller of D-K iteration on the plant with delay and uncertainty; it starts from H-infinity."""
+    """Return the controller of D-K iteration for the plant with delay and uncertainty, starting from H-infinity."""
     n_controls = p.plant.ninputs
     generalised = p.generalise(add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate))
     uncertain, channels = add_uncertainty(
@@ -277,7 +277,9 @@ def _iterate_dk(p: SynthesisProblem, goals: RobustGoals) -> SynthesisedControlle
 
 
 def _tune_fixed_order(p: SynthesisProblem, fixed: FixedOrderGoals) -> SynthesisedController:
-    """Return a tuned controller that starts from H-infinity with and without the delay, and from LTR."""
+    """Return the best tuned controller; the starting points are reduced H-infinity (with and without delay) and LTR
+    designs.
+    """
     delayed = _delayed_plants(p)
     goals, plain = _make_fixed_order_goals(p, fixed, delayed)
     generalised = delayed[0]

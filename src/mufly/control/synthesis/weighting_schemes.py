@@ -145,14 +145,14 @@ class _WeightedDiagram:
         self.wiring: dict[str, dict[str, float]] = {}
 
     def add_weight(self, weight: TransferFunction, name: str, sink: str, source: str, over: Sequence[str]) -> None:
-        """Add a weight between ``source`` ("" for the signal itself) and ``sink`` of every signal in ``over``."""
+        """Add a weight from ``source`` ("" for the plant's signal itself) to ``sink``, for every signal in ``over``."""
         for i in over:
             self.blocks.append(weight.to_block(f"{name}[{i}]", f"{name}_in[{i}]", f"{sink}[{i}]"))
             self.wiring[f"{name}_in[{i}]"] = {f"{source}[{i}]" if source else i: 1.0}
 
     def add_sum(self, name: str, over: Sequence[str], **terms: float) -> None:
-        """Define a signal for every plant signal in ``over``: a sum of other signals; ``own`` means the plant signal
-        itself.
+        """Define for every plant signal in ``over`` a weighted sum of other signals; the term ``own`` is the plant
+        signal itself.
         """
         for i in over:
             self.wiring[f"{name}[{i}]"] = {i if k == "own" else f"{k}[{i}]": v for k, v in terms.items()}

@@ -42,14 +42,14 @@ _MIN_POLE_DISTANCE_RAD_S = 1e-5  # rad/s; least distance of the closed loop's po
 
 
 class LoopNormByGain(Protocol):
-    """A norm as a function of the gain ``[Ak Bk; Ck Dk]``."""
+    """Norm of a loop as a function of the controller's matrices ``[Ak Bk; Ck Dk]``."""
 
     def norm_and_gradient(self, K: Array) -> tuple[float, Array]:
         """Return the norm, ``inf`` for an unstable loop, and its gradient."""
 
 
 class TuningGoal(Protocol):
-    """A norm that is to stay below a level."""
+    """Interface of a tuning goal: a norm that is to stay below a level."""
 
     @property
     def name(self) -> str:
@@ -64,7 +64,7 @@ class TuningGoal(Protocol):
 
 
 class NormGoal(NamedTuple):
-    """A norm of a closed loop that is to stay below a level.
+    """Tuning goal: a norm of a closed loop is to stay below a level.
 
     Attributes
     ----------

@@ -42,7 +42,7 @@ _INPUT_DELAY_PERIODS = 1.5
 
 @dataclass(frozen=True)
 class GoalLevels:
-    """Levels of a tuning; None sets no goal.
+    """Upper limits of the goals of a tuning; None leaves out a goal.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class GoalLevels:
     mu: float | None = None
 
     def norm_levels(self) -> dict[str, float]:
-        """Return the levels of all goals but mu as norms, by the names of :func:`make_flight_goals`."""
+        """Return the levels of all goals except mu, converted to norms, by the names of :func:`make_flight_goals`."""
         found = {
             "weighted": self.gamma,
             "sensitivity": None if self.sensitivity_dB is None else 10 ** (self.sensitivity_dB / 20),
@@ -218,7 +218,7 @@ def find_start_controllers(problem: LoopTuningProblem, names: Sequence[str], ord
 
 
 def add_fast_states(controller: control.StateSpace, order: int) -> control.StateSpace:
-    """Return a controller with further fast states, without effect until the tuning uses them."""
+    """Raise the order of a controller by fast states, which hardly change its response before the tuning."""
     k = order - controller.nstates
     if k <= 0:
         return controller

@@ -177,7 +177,8 @@ def blend_outputs(hover: DiscreteController, C_forward: Array, D_forward: Array,
 
 
 def continuous_matrices(controller: DiscreteController) -> tuple[Array, Array, Array, Array]:
-    """Return the matrices of continuous time that Tustin's rule turns into the discrete ones, with the same states.
+    """Return the continuous-time matrices from which Tustin's rule gives the discrete controller, with the same
+    states.
 
     The inverse of the rule in :mod:`mufly.control.implementation`: with ``L = 2 (A + I)^-1``,
     ``A_c = (A - I) L / T``, ``B_c = L B / T``, ``C_c = C L``, ``D_c = D - C B_c T / 2``.

@@ -269,7 +269,7 @@ def _read_tuning_record(path: Path) -> tuple[dict[str, Any], GivenController]:
 
 
 def load_tuned_settings(paths: Sequence[str | Path], base: DesignSettings | None = None) -> DesignSettings:
-    """Return design settings that fly the tuned loops of files; other loops keep their method.
+    """Return design settings that use the tuned controllers in files; other loops keep their synthesis method.
 
     Raises
     ------

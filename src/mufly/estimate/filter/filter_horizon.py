@@ -92,7 +92,7 @@ MIN_CROSS_AXIS_YAW_RATE_RAD_S = 0.25
 def queue_measurement(
     m: FilterMemory, s: FilterSettings, kind: int, at: float, z: _Array, start: int, count: int
 ) -> bool:
-    """Store a measurement taken in period ``at`` until the horizon reaches that period.
+    """Queue a measurement taken in period ``at`` until the horizon reaches that period.
 
     Returns False if the horizon has passed it by more than :data:`MAX_BACKDATE_S`, or the queue is full."""
     due = s.block_ticks * floor_int(at / s.block_ticks + 0.5)

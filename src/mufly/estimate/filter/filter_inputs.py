@@ -367,7 +367,7 @@ def _rotate_to_level(m: FilterMemory, v: _Array, start: int) -> None:
 
 @cached_njit(error_model="numpy")
 def _reset_to_level(m: FilterMemory, s: FilterSettings) -> None:
-    """Rotate the inputs since the horizon to the vehicle's axes; reset to level attitude, zero accelerometer bias."""
+    """Reset the filter to level attitude and zero accelerometer bias; rotate buffered inputs to the vehicle's axes."""
     for b in range(INPUT_BLOCK_COUNT):
         _rotate_to_level(m, m.input_blocks[b], INPUT_RATES)
     clear_block_forces(m)

@@ -1,4 +1,5 @@
-"""Fly a mission with a board in place of estimator and flight software: plant, sensors and faults stay simulated.
+"""Fly a mission with a board in place of estimator and flight software; plant, sensors and faults are simulated
+here.
 
 The board receives the readings of each period and the autopilot's requests; it returns its whole memory, from which
 autopilot and recorder read estimate, state of the mission and log (:mod:`mufly.firmware.emulated.boards`).
@@ -122,7 +123,7 @@ class BoardEstimator(KalmanEstimator):
         )
 
     def set_settings(self, settings: Any) -> None:
-        """Store the settings, which the board's image contains already, and reset."""
+        """Store the settings and reset; the board's image contains the same settings already."""
         self._settings = settings
         self._store_vehicle_noise()
         self.backend = FilterBackend(

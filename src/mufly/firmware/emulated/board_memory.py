@@ -47,7 +47,9 @@ class MemoryLayout:
                 self._floats[offset] = width
 
     def first_difference(self, ours: _Bytes, theirs: _Bytes) -> str:
-        """Return the name of the first field that differs, with both values; "" for equal memories."""
+        """Return the name of the first field in which two memories differ, with both values; "" if all fields are
+        equal.
+        """
         if ours.tobytes() == theirs.tobytes():
             return ""
         for at in np.flatnonzero((ours != theirs) & self._used).tolist():
@@ -62,7 +64,7 @@ class MemoryLayout:
         return self._ffi.from_buffer(f"{kind.cname} *", part)[0]
 
     def _field_at(self, at: int) -> tuple[str, int, Any]:
-        """Return name, offset and type of the scalar that holds a byte."""
+        """Return name, offset and type of the scalar field that contains the byte at ``at``."""
         kind, start, name = self._type, 0, ""
         while kind.kind in ("struct", "array"):
             if kind.kind == "array":

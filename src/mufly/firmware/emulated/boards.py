@@ -111,7 +111,10 @@ class HostBoard:
         self.lib.board_control(self.record, given)
 
     def exchange_bytes(self, received: bytes) -> bytes:
-        """Give bytes to the link, and return those that it sends; call after the second half of a period."""
+        """Pass received bytes to the board's MAVLink link and return the bytes it sends.
+
+        Call this after the second half of a period.
+        """
         link = self.record.link
         link.input_count = min(len(received), len(link.input))
         self.ffi.memmove(link.input, received[: link.input_count], link.input_count)

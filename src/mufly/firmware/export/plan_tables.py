@@ -146,7 +146,7 @@ LOGGED_QUANTITIES = (
 
 
 def render_log_source() -> str:
-    """Return the text of ``onboard/log/flight_log_head.c``: the begin of a ULog file, with names and units."""
+    """Return the text of ``onboard/log/flight_log_head.c``: the beginning of a ULog file, with names and units."""
     known = {name: find_quantity(name) for name in LOGGED_QUANTITIES}
     columns, variables = [], {}
     for name, quantity in known.items():

@@ -152,13 +152,15 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
 
 
 def _replace_loader(module: types.ModuleType, name: str, loader: Callable[..., Any]) -> None:
-    """Replace a function that loads a library; raise AttributeError if the module has none of this name."""
+    """Replace a module's function that loads a library; raise AttributeError if the module has no function of this
+    name.
+    """
     getattr(module, name)
     setattr(module, name, loader)
 
 
 def _run_comparison_tests(counted: Firmware) -> None:
-    """Run the tests that compare Python and C on the instrumented code, if the tests are available."""
+    """Run the tests that compare Python and C against the instrumented code, if the test files are installed."""
     tests = Path(str(resources.files("mufly"))).parents[1] / "tests" / "firmware"
     try:
         import pytest

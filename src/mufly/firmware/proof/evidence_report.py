@@ -285,7 +285,9 @@ def parse_deviations(text: str) -> list[tuple[str, tuple[str, ...], str]]:
 def judge_findings(
     said: str, reasons: list[tuple[str, tuple[str, ...], str]]
 ) -> tuple[list[MisraFinding], Counter[str]]:
-    """Return the findings of cppcheck's MISRA addon on required rules, with reasons, and the count of advisory ones."""
+    """Return cppcheck's MISRA findings against required rules, each with its documented reason, and the advisory
+    counts.
+    """
     required, advice = [], Counter[str]()
     for file, line, rule in sorted(set(re.findall(r"^(\S+?):(\d+): misra-c2012-(\d+\.\d+):", said, re.M))):
         if rule in ADVISORY_RULES:

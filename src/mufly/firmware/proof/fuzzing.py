@@ -114,7 +114,9 @@ def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1, link_only:
 
 
 def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1, link_only: bool = False) -> FuzzResult:
-    """Build and run the harness with the parts present in an exported tree; store new inputs in its ``corpus/``."""
+    """Build and run the fuzzing harness for the parts that an exported tree contains; store new inputs in its
+    ``corpus/``.
+    """
     (folder / "corpus").mkdir(exist_ok=True)
     there = {
         "controllers": True, "avoidance": True, "whole numbers": (folder / FIXED_POINT_TABLES).exists(),

@@ -52,7 +52,7 @@ _Array = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class ArithmeticBuild:
-    """Build options of one arithmetic, and the emulated processors of its self-tests.
+    """Build options for one kind of arithmetic, and the emulated processors on which its self-tests run.
 
     Attributes
     ----------
@@ -202,7 +202,9 @@ class PilResult:
 
 
 class _ComparedControllers(Controllers):
-    """Python controllers that compare their outputs with the exported code in double and single precision."""
+    """Python controllers that compare their outputs with those of the exported code, in double and in single
+    precision.
+    """
 
     def __init__(self, design: FlightController, double: Firmware, single: Firmware) -> None:
         super().__init__(design)
@@ -268,7 +270,7 @@ class _ComparedEstimators(Estimator):
 
 
 def memory_bytes(estimator: KalmanEstimator) -> bytes:
-    """Return the memory of an estimator as bytes, without the fields of Python only."""
+    """Return the memory of an estimator as bytes, without the fields that only the Python version has."""
     memory = estimator.memory
     return memory.tobytes()[: memory.dtype.fields[PYTHON_ONLY_FIELDS[0]][1]]
 

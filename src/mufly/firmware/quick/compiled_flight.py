@@ -162,7 +162,7 @@ class CompiledFlight:
         self._next_sample_times = [math.inf] * len(self._faulty)
 
     def _supports_sensors(self, flight: Flight, sensors: SensorSet) -> bool:
-        """Return whether the loop supports sensors and estimator, and store them."""
+        """Store sensors and estimator of a flight; return whether the compiled loop supports them."""
         if isinstance(flight.estimator, KalmanEstimator) and isinstance(sensors, FittedSensors):
             self._filter = flight.estimator
             all_of_them = [s for s in sensors.sensors if isinstance(s, FaultySensor)]
@@ -454,7 +454,7 @@ _STATE_NAMES = tuple(str(s) for s in State)
 
 
 def _next_sample_time(sensor: FaultySensor, time_s: float) -> float:
-    """Return the next sampling time of a sensor that was sampled at a time (s)."""
+    """Return the next time at which a sensor, just sampled at ``time_s``, can give a new reading."""
     wakes = sensor.sensor.next_sample_s if isinstance(sensor.sensor, PeriodicSensor) else -math.inf
     for fault in sensor.faults:
         if fault.start_s > time_s:

@@ -100,7 +100,7 @@ LOOP_CLOCK = record_type(LoopClock, int_kind=np.int64)
 
 
 class RecordOffsets:
-    """Offsets of fields in the C records, in units of the field's size."""
+    """Offsets of fields in the C records, counted in elements of the field's type."""
 
     time: int = int_or_array_field("time of the estimate")
     motion: int = int_or_array_field("motion of the estimate")
@@ -178,7 +178,7 @@ class FilterArrays(NamedTuple):
 
 
 class SensorArrays(NamedTuple):
-    """Sensors with errors: arguments of :func:`sample_imu` and :func:`sample_all`."""
+    """Arrays of sensors with errors, as arguments of :func:`sample_imu` and :func:`sample_all`."""
 
     imu: tuple[Any, ...]
     next_sample_times: _Array

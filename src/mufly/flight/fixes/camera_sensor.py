@@ -126,7 +126,7 @@ class CameraConfig:
 
 
 def with_mission_floor(eye: CameraConfig, mission: Mission) -> CameraConfig:
-    """Return the settings with the mission's floor; a floor in the settings takes precedence."""
+    """Return the camera's settings, with the mission's floor if the settings have none."""
     if eye.floor_texture is not None or mission.floor is None:
         return eye
     width = mission.floor.width_m if eye.floor_width_m is None else eye.floor_width_m
@@ -171,7 +171,7 @@ def position_fix_errors(camera: Camera) -> PositionFixParameters:
 
 
 def replace_fix_by_camera(vehicle: Vehicle, camera: Camera) -> Vehicle:
-    """Return the vehicle with the camera in place of its statistical position fix.
+    """Return the vehicle with a camera as source of position fixes, in place of the statistical model of fixes.
 
     Raises
     ------
@@ -371,7 +371,9 @@ class CameraSensor(Sensor):
         self._queue.append((due, shown))
 
     def _show_stationary_view(self, motion: VehicleMotion, light: float) -> None:
-        """Render a picture for viewers, with a separate random generator: viewers do not change the flight."""
+        """Render a picture of the resting vehicle for viewers; a separate random generator keeps the flight
+        unchanged by viewers.
+        """
         if self._floor_view is None:
             self._floor_view = self._film.make_renderer()
         self.last_picture = self._floor_view.render(motion, light)
@@ -403,7 +405,7 @@ class CameraSensor(Sensor):
         return TrackingResult(time_s, True, "it stands", place, self._start[2] + turn, covariance)
 
     def _make_frame_info(self, truth: Truth) -> FrameInfo | None:
-        """Return the previous period's estimate, predicted to this instant; None without an estimate."""
+        """Return the estimate of the previous period, propagated to the picture's time; None without an estimate."""
         estimate, sonar = self.estimate_source()
         if estimate is None or not np.isfinite(estimate.attitude).all():
             return None

@@ -409,7 +409,7 @@ class FixMonitor:
             self.heading_fit = rms[0], rms[best], float(_TRIED_HEADING_DELAYS_S[best])
 
     def _judge_heading(self) -> str:
-        """Return the fault of a source whose heading lags behind the gyroscopes."""
+        """Return the delay fault of a source whose heading lags behind the gyroscopes; "" without one."""
         off, left, delay = self.heading_fit
         explains = (
             off > _MIN_HEADING_LAG_RAD and left < _MAX_UNEXPLAINED_FRACTION * off and delay > _MIN_REPORTED_DELAY_S
@@ -417,7 +417,7 @@ class FixMonitor:
         return _delay_fault_text(delay) if explains else ""
 
     def _is_heading_apart(self, time_s: float) -> bool:
-        """Return whether the change of the heading within a second differs from that of the gyroscopes."""
+        """Return whether the fixes' heading has changed within a second differently from the integrated gyroscopes."""
         recent = [heading - own for t, heading, own in self._headings if t > time_s - 1.0]
         return abs(recent[-1] - float(np.median(recent))) > _WITHHOLD_HEADING_CHANGE_RAD
 
@@ -463,7 +463,7 @@ class FixMonitor:
         self.long_fit = m, math.sqrt(_LONG_FIT_CORRELATED_FIXES * noise / (2.0 * float(square.real)))
 
     def _judge_long_fit(self) -> str:
-        """Return the fault of a source with a wrong scale that is too small for single windows to show."""
+        """Return the scale fault of a source whose error of scale is too small for a single window; "" without one."""
         m, sigma = self.long_fit
         off = abs(abs(m) - 1.0)
         is_wrong = (
@@ -473,7 +473,10 @@ class FixMonitor:
         return _scale_fault_text(abs(m)) if is_wrong else ""
 
     def _classify_path(self, least_m: float) -> str:
-        """Return the fault that explains the path best, if the residual exceeds a least rms (m); "" otherwise."""
+        """Return the kind of fault that explains the path best.
+
+        Return "" if the residual of a correct source is below ``least_m`` (m rms), or if no fault explains the path.
+        """
         fit = self.path_fit
         if fit.healthy_rms_m < least_m:
             return ""
@@ -490,7 +493,7 @@ class FixMonitor:
         return "" if lags and fit.healthy_rms_m < _LAG_RESIDUAL_FACTOR * least_m else kind
 
     def _judge_path(self, least_m: float) -> str:
-        """Return the fault of the path as text, if the residual of a correct source exceeds a least rms (m)."""
+        """Return the text of the path's fault; "" if the residual of a correct source is below ``least_m`` (m rms)."""
         fit, kind = self.path_fit, self._classify_path(least_m)
         if not kind:
             return ""

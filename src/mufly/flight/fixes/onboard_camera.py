@@ -124,7 +124,7 @@ class OnboardCamera:
         return True
 
     def light_level(self, time_s: float) -> float | None:
-        """Return the share of light that faults leave (0..1); None if the camera is unplugged."""
+        """Return the fraction of light (0..1) that reaches the camera under its faults; None if it is unplugged."""
         active = {s.kind for s in self._spoils if s.start_s <= time_s < s.stop_s}
         if "unplugged" in active:
             return None

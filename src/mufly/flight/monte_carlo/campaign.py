@@ -256,9 +256,7 @@ class Campaign:
         return [key for key in self.varied_keys if not self.redesign or key.startswith(UNKNOWN_TO_FILTER_PREFIX)]
 
     def describe_knowledge(self) -> str:
-        """Return a text: for how many varied parameters the flight software uses the drawn values, and for how many
-        not.
-        """
+        """Describe how many varied parameters the flight software knows (with drawn values), and how many not."""
         told, untold = len(self.keys_known_on_board), len(self.keys_unknown_on_board)
         parts = [
             f"{n} varied parameter{'s' if n > 1 else ''} {word}"
@@ -393,9 +391,7 @@ class Campaign:
         return {p.key: p.value for p in list_parameters(self.vehicle) if isinstance(p.value, float)}
 
     def wrong_sources(self, case: FlightCase) -> frozenset[str]:
-        """Return the sensors whose true errors differ from those that the filter assumes, by their names in
-        messages.
-        """
+        """Return the names (as in messages) of sensors whose true errors differ from those that the filter assumes."""
         untold = {key: case.parameter_values[key] for key in self.keys_unknown_on_board if key in case.parameter_values}
         return wrong_sources(self.faults, untold, self._vehicle_file_values)
 

@@ -84,7 +84,7 @@ def draw_outcome(outcome: CampaignOutcome) -> Figure:
 
 
 def _metric_by_success(flights: Sequence[FlightResult], m: FlightMetric) -> tuple[np.ndarray, np.ndarray] | None:
-    """Split the values of a metric into successes and failures; None if all values are equal or unknown."""
+    """Return the values of a metric in successes and in failures; None if all values are equal or unknown."""
     parts = [
         m.factor * np.array([v for f in flights if f.success is kind and (v := getattr(f, m.field_name)) is not None])
         for kind in (True, False)

@@ -85,7 +85,7 @@ class ParameterVariation:
         )
 
     def without_keys(self, keys: Iterable[str]) -> ParameterVariation:
-        """Return the variation without some of its parameters."""
+        """Return the variation without the parameters ``keys``."""
         kept = [k for k, key in enumerate(self.keys) if key not in set(keys)]
         factor = self.spread_matrix[kept]
         used = np.flatnonzero(np.any(factor != 0.0, axis=0)) if self.distribution == "uniform" else slice(None)
@@ -146,7 +146,7 @@ def _parse_text(text: str, vehicle: Vehicle) -> ParameterVariation:
 
 
 def _standard_variation(vehicle: Vehicle) -> ParameterVariation:
-    """Return the standard set as one variation of independent uniform parameters; absent sensors are skipped."""
+    """Return the standard set of variations: independent uniform parameters, without those of absent sensors."""
     content = files(__package__).joinpath(f"{STANDARD_SET}.toml").read_text(encoding="utf-8")
     values = {p.key: p.value for p in list_parameters(vehicle)}
     parts = []
@@ -271,7 +271,7 @@ def _parse_number(text: str, where: str) -> float:
 
 
 def _to_si_amount(number: str, unit: str, chosen: Sequence[Parameter], text: str) -> float:
-    """Convert a number with a unit to the SI unit that the parameters share."""
+    """Convert a number with a unit to the common SI unit of the chosen parameters."""
     own = {p.unit for p in chosen}
     if len(own) > 1:
         raise ArgumentError("vary", text, f"its {len(chosen)} parameters have no unit in common", "vary them in %")

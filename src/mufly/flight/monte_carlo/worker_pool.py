@@ -153,13 +153,13 @@ def _fly_packed(packed: bytes, case: FlightCase, path: Path | None) -> FlightRes
 
 @functools.lru_cache(maxsize=1)
 def _unpack_campaign(packed: bytes) -> Campaign:
-    """Return a pickled campaign, the same object for all its flights in a worker process."""
+    """Unpickle a campaign in a worker process; the cache gives the same object to all its flights."""
     campaign: Campaign = pickle.loads(packed)
     return campaign
 
 
 def _process_context() -> Any:
-    """Return a multiprocessing context; its workers share one import of the package if the system supports it."""
+    """Return a multiprocessing context; with a fork server its workers share one import of the package."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")

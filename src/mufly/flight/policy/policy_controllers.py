@@ -182,7 +182,7 @@ class PolicyControllers(Controllers):
 
 
 def find_equal_action(inputs: _Array, trim: _Array) -> NDArray[np.float64]:
-    """Return the action (4,) that commands inputs (4,) of the flight model, within -1..1."""
+    """Return the action (4,) that gives the ``inputs`` (4,) of the flight model, limited to -1..1."""
     upper, lower = inputs[0] - trim[0], inputs[1] - trim[1]
     wanted = (
         0.5 * (upper + lower) / MAX_COLLECTIVE_DUTY_CHANGE,
@@ -209,6 +209,6 @@ class PolicyControlLaw:
 
     @property
     def __name__(self) -> str:
-        """Name that differs between policies; a campaign stores its flights under it."""
+        """Name that identifies the policy by its numbers; a campaign stores its flights under this name."""
         numbers = (*self.policy.packed, self.policy.trim, self.policy.nominal_voltage_V)
         return f"policy-{hash_question(*(np.asarray(x).tobytes() for x in numbers))[:16]}"

@@ -135,7 +135,9 @@ class LearnedPolicy:
 
 @cached_njit(error_model="numpy")
 def evaluate_policy(p: PackedPolicy, observation: _Array, action: _Array) -> None:
-    """Write the action (4,) for an observation (m,); NaN in an observation counts as zero."""
+    """Compute the action (4,) for an observation (m,) and write it into ``action``; NaN in an observation counts as
+    zero.
+    """
     widest = 0
     for n in p.sizes:
         widest = max(widest, n)

@@ -271,7 +271,7 @@ def _make_marker(shape: str, colour: str, label: str) -> Line2D:
 
 
 def _set_equal_axes(ax: Any, points: _Array) -> None:
-    """Set equal scales on all axes, the floor at the bottom, and plain panes."""
+    """Set equal scales on all three axes, the floor as lower limit, and a plain background."""
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     low[2], high[2] = 0.0, max(high[2], 0.5)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
@@ -325,7 +325,7 @@ def state_stretches(dataset: xr.Dataset) -> list[tuple[str, int, int]]:
 
 
 def draw_bands(ax: Any, spans: Sequence[tuple[float, float, Any]], low: float = 0.0, high: float = 1.0) -> None:
-    """Draw coloured time spans over a part of the panel's height, as one artist for speed."""
+    """Draw time spans as coloured bands between the heights ``low`` and ``high`` (0..1) of a panel."""
     corners = [[(a, low), (a, high), (b, high), (b, low)] for a, b, _ in spans]
     where, colours = ax.get_xaxis_transform(), [c for _, _, c in spans]
     drawn = PolyCollection(corners, facecolors=colours, lw=0, zorder=0, transform=where, antialiased=False)

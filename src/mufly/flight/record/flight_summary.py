@@ -224,7 +224,7 @@ def summarise_flight(
 
 
 def _describe_model_excess(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> str:
-    """Return by how much and how long the rotors' inflow exceeded the range of the model; "" if it did not."""
+    """Describe by how much and how long the rotors' inflow exceeded the range of the model; "" if it did not."""
     limits = dataset.attrs.get("model_air_m_s")
     if limits is None or "wind" not in dataset or not airborne.any():
         return ""
@@ -463,7 +463,9 @@ def summary_rows(summary: FlightSummary) -> list[tuple[str, str]]:
 
 
 def _format_realtime_factor(summary: FlightSummary) -> str:
-    """Return the real-time factor as text: two decimals for slow flights, with overruns for real-time flights."""
+    """Return a format text for the real-time factor; a flight in real time adds its least factor and its timing
+    overruns.
+    """
     form = "{:.0f}" if (summary.realtime_factor or 0.0) >= 10.0 else "{:.2f}"
     least, slips = summary.realtime_factor_least, summary.slips
     return form if least is None else f"{form}, least {least:.2f}, {slips} timing overruns"

@@ -200,7 +200,7 @@ def _median_rate_hz(c: Channel) -> float:
 
 
 def _find_aids(by: dict[str, Channel], asked: AidRequest, where: str, log: InertialLog) -> tuple[PositionAids, str]:
-    """Return position and heading aids as requested, or the first found in the log."""
+    """Return the position and heading aids, as requested or by default the first in the log, and a description."""
     from mufly.estimate.inertial_log import PositionAids
 
     known = [n for n in ("measured_position", "estimated_position", "truth_position") if f"{n}.N" in by]
@@ -276,7 +276,10 @@ def _estimate_mounting(log: InertialLog, truth: dict[str, _Array]) -> _Array | N
 
 
 def truth_rows(f: ForeignLog, *, mounted: bool = False) -> _Array:
-    """Return true position, velocity and attitude (n, 9), NaN if unknown; ``mounted`` subtracts the mounting angles."""
+    """Return true position, velocity and attitude (n, 9); NaN if unknown.
+
+    With ``mounted``, roll and pitch are reduced by the mounting angles.
+    """
     n = len(f.log.time_s)
     parts = {name: f.truth.get(name, np.full((n, 3), math.nan)) for name in _AXIS_LABELS}
     if "position" in f.truth and "velocity" not in f.truth:

@@ -307,7 +307,7 @@ TF_TOPIC, REFERENCE_POSE_TOPIC, SCENE_TOPIC, TRACK_TOPIC = "/tf", "/reference_po
 
 
 class RecordingEncoder:
-    """Encoder of a block of rows into the messages of one chunk."""
+    """Encoder that converts a block of recorded rows to the messages of one MCAP chunk."""
 
     def __init__(self, file: ChannelTable, layout: RecordingLayout, start_time_ns: int) -> None:
         self._start = start_time_ns
@@ -371,7 +371,7 @@ class RecordingEncoder:
         out.append((self._views[TRACK_TOPIC], times[-1], track_message(times[-1], shown)))
 
     def _drawn_pose(self, rows: NDArray[np.float64], prefix: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return position and attitude to draw; an unknown truth is replaced by the vehicle's estimate."""
+        """Return position and attitude for the 3-D view; an unknown truth is replaced by the estimate."""
         both = [rows[:, self._columns[f"{prefix}_{name}"]] for name in ("position", "attitude")]
         if prefix == "truth" and "estimated_position" in self._columns and np.isnan(both[0]).any():
             believed = [rows[:, self._columns[f"estimated_{name}"]] for name in ("position", "attitude")]
@@ -395,7 +395,9 @@ BLOCK_ROWS = 1024
 
 
 class RowViewer(Protocol):
-    """Receiver of rows and events as recorded, such as :class:`mufly.flight.record.live_view.LiveViewThread`."""
+    """Interface of a receiver of recorded rows and events, such as
+    :class:`mufly.flight.record.live_view.LiveViewThread`.
+    """
 
     def show_row(self, row: NDArray[np.float64], state: str) -> None:
         """Receive the row of one instant; the receiver has to copy it."""
@@ -617,7 +619,7 @@ class FlightRecorder:
             self._all_events += events
 
     def _keep_rows(self, rows: NDArray[np.float64], valid: int, states: Sequence[str]) -> None:
-        """Store the first ``valid`` rows without a copy; an invalid row raises an error."""
+        """Keep the first ``valid`` rows in memory without a copy; raise an error if any row is not valid."""
         if valid:
             self._last_time = rows[valid - 1, 0]
         if self._keep:
@@ -627,7 +629,7 @@ class FlightRecorder:
             raise self._time_error(rows, valid)
 
     def _count_increasing(self, rows: NDArray[np.float64]) -> int:
-        """Return the number of rows before the first whose time does not exceed the previous one."""
+        """Return the number of leading rows whose times increase."""
         if not len(rows):
             return 0
         wrong = ~(np.diff(rows[:, 0], prepend=self._last_time) > 0)

@@ -104,7 +104,7 @@ class ReadingErrors:
 
 
 class _LoggingSensors(SensorSet):
-    """Ideal sensors for the flight, with fitted sensors in parallel whose readings are logged."""
+    """Ideal sensors for a flight, which also sample and log the vehicle's fitted sensors."""
 
     def __init__(self, ideal: SensorSet, fitted: SensorSet) -> None:
         super().__init__(*ideal.sensors)

@@ -578,7 +578,7 @@ def combined_information(
 
 
 def _natural_frequencies(vehicle: Vehicle, support: PilotSupport, part: DynamicsPart, sample_s: float) -> Array:
-    """Return the natural frequencies (rad/s) that a log with this sample time resolves."""
+    """Return the natural frequencies (rad/s) of the vehicle that a log with sample time ``sample_s`` resolves."""
     linear = linearise_vehicle(vehicle, support.hover)
     system = linear.heave_yaw if part == "heave-yaw" else linear.roll_pitch
     size = np.abs(np.linalg.eigvals(system.A))
@@ -665,7 +665,9 @@ def _fisher_information(
 
 
 def _relative_std_and_mean(information: Array) -> tuple[Array, float]:
-    """Return relative standard deviations (p,), infinite if unidentifiable, and the geometric mean of the others."""
+    """Return the relative standard deviations (p,), infinite if unidentifiable, and the geometric mean of the finite
+    ones.
+    """
     std = np.full(len(information), np.inf)
     some = np.diag(information) > 0
     size = np.sqrt(np.diag(information)[some])

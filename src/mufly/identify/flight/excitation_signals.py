@@ -63,7 +63,7 @@ def crest_factor(value: Array) -> float:
 
 
 def compute_amplitude_spectrum(value: Array, sample_s: float) -> tuple[Array, Array]:
-    """Return frequencies (Hz) and amplitudes of a signal; a sine of amplitude 1 has amplitude 1."""
+    """Return frequencies (Hz) and amplitudes of a signal, scaled so that a sine of amplitude 1 has amplitude 1."""
     n = value.size
     return np.fft.rfftfreq(n, sample_s), 2.0 / n * np.abs(np.fft.rfft(value))
 

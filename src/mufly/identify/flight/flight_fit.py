@@ -145,7 +145,9 @@ def fit_flight_records(
 
 
 def _available_voltage(voltage: str | float, vehicle: Vehicle, records: Sequence[FlightRecord]) -> str | float:
-    """Return ``voltage``, or the best available alternative for these records and this vehicle."""
+    """Return the requested voltage source, or another one if the records or the vehicle's battery model do not
+    support it.
+    """
     if voltage == "model" and any(r.voltage is None for r in records):
         return "nominal"
     return "measured" if voltage == "model" and vehicle.battery.model == "constant" else voltage

@@ -60,7 +60,10 @@ _UNRECORDED_LEAD_S = 2.0  # flight time before the record begins, for records th
 
 @dataclass(frozen=True)
 class DemoExcitation:
-    """Signals added to the set-points (height in m; roll, pitch, yaw in rad), (n, 4), and to the motors, (n, 2)."""
+    """Excitation of a demonstration flight: signals (n, 4) added to the set-points, and (n, 2) to the motor inputs.
+
+    The set-points are height (m), roll, pitch and yaw (rad).
+    """
 
     set_point: _Array
     motor_input: _Array
@@ -159,7 +162,7 @@ _ANGLES, _CLIMB_AND_RATES = slice(1, 4), slice(3, 7)
 
 
 class _PilotPid:
-    """Pilot support: PID controller of height, roll, pitch and yaw at the sample rate of the log."""
+    """PID controller of height, roll, pitch and yaw that stands for the pilot, at the sample rate of the log."""
 
     def __init__(self, hover: _Array) -> None:
         self._hover = hover

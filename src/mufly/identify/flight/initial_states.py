@@ -1,4 +1,4 @@
-"""Estimation of the initial state of whole records with fixed parameters, by continuation in the horizon.
+"""Estimation of the initial state of whole records with fixed parameters, over horizons that grow step by step.
 
 A record that begins in motion starts from unmeasured rotor speeds, bar tilt and velocities. The first guess uses
 steady motor speeds, a bar normal to the mast and slopes of the smoothed measurement, and is wrong by several per cent.

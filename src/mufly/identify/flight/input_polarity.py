@@ -78,7 +78,7 @@ _VOLTAGE_RATIO_RANGE = (0.4, 1.8)  # accepted ratio to the nominal battery volta
 
 @dataclass(frozen=True)
 class InputGain:
-    """Gain of an acceleration to the model's prediction from an input: 1 if correct, -1 if inverted.
+    """Ratio of a measured acceleration to the model's prediction from an input: 1 if correct, -1 if inverted.
 
     Attributes
     ----------
@@ -185,7 +185,7 @@ def _bar_normal(mast: Array, follow: float) -> Array:
 
 
 def _judge_gain(found: CausalGain | None, is_crossed: bool) -> InputGain:
-    """Return the gain of an input, with its sign if the record determines it.
+    """Return the gain of an input; its sign is 0 unless the record determines it.
 
     The leading gain must be significant, large enough, and far likelier than one of the other sign.
     """
@@ -272,7 +272,7 @@ def _check_voltage_unit(r: FlightRecord, vehicle: Vehicle) -> list[SignalFault]:
 
 
 def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> Iterator[SignalFault]:
-    """Yield the faults of a record, from its input gains and the mean ratio of thrust to weight ``load``."""
+    """Yield the faults of a record that its input gains and its mean ratio of thrust to weight (``load``) show."""
     if not _THRUST_TO_WEIGHT_RANGE[0] < load < _THRUST_TO_WEIGHT_RANGE[1]:
         yield SignalFault(
             "motor_upper, motor_lower",

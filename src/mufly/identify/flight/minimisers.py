@@ -128,7 +128,7 @@ class ReducedRecord:
         )
 
     def initial_state_change(self, rows: Sequence[_Array | float], step: _Array) -> _Array:
-        """Return the best change of the initial states (windows, k) for a step in theta and the rows ``e``."""
+        """Return the change of the initial states (windows, k) that minimises the residual after a step in theta."""
         found = []
         for (_, _, q, r, j), e in zip(self._window_factors, rows, strict=True):
             found.append(-np.linalg.solve(r, q.T @ e + j @ step))
@@ -139,7 +139,7 @@ class ReducedRecord:
         return np.array([-np.linalg.solve(r, j @ step) for _, _, _, r, j in self._window_factors])
 
     def relative_state_step(self, moved: _Array) -> float:
-        """Return the largest change of an initial state over its prior standard deviation."""
+        """Return the largest ratio of an initial state's change to its prior standard deviation."""
         return float(np.max(np.abs(moved / self._initial_state_std)))
 
     def sample_sensitivities(self) -> _Array:
@@ -245,7 +245,9 @@ def levenberg_marquardt(
 
 
 def _try_damped_steps(linear: LinearisedProblem) -> tuple[FitPoint | None, int]:
-    """Return the best trial, None without improvement, and the total number of simulations."""
+    """Return the best point among damped trial steps (None if no step lowers the cost), and the number of
+    simulations.
+    """
     problem, now, reduced = linear.problem, linear.point, linear.reduced_records
     q, triangle = linear.qr_factors
     start = q.T @ linear.residual_at_point

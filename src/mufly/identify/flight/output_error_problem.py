@@ -114,7 +114,7 @@ _ROLL_PITCH_MOTOR_VOLTAGE_V = 100.0  # V, for roll-pitch, where the motors only 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedRecord:
-    """Record linearised about a point: whitened residual and its derivatives.
+    """Record linearised about a point: whitened residual, and its derivatives by theta and the initial states.
 
     Attributes
     ----------
@@ -282,7 +282,7 @@ class OutputErrorProblem:
         return self._replace_in_records(initial_charge=charge)
 
     def with_matched_charge(self, theta: _Array) -> OutputErrorProblem:
-        """Return the problem with charges for which the mean voltage at ``theta`` equals the measured mean."""
+        """Return the problem with initial charges at which simulated (``theta``) and measured mean voltage agree."""
         curve = self.vehicle.battery.open_circuit_voltage
         charges = [f.initial_charge for f in self.prepared_records]
         for i, f in enumerate(self.prepared_records):
@@ -349,7 +349,9 @@ class OutputErrorProblem:
         return y
 
     def _velocity_follows_attitude(self, i: int) -> bool:
-        """Return whether the windows need an unmeasured horizontal velocity that follows from the attitude."""
+        """Return whether the horizontal velocity is not fitted in the windows of record ``i`` and must follow from
+        the attitude.
+        """
         f = self.prepared_records[i]
         tilt = {"roll", "pitch"} <= set(f.record.outputs)
         return tilt and len(f.window_starts) > 1 and not {3, 4} & set(f.sought_states.tolist())
@@ -379,7 +381,7 @@ class OutputErrorProblem:
         return total + 0.5 * np.sum(self.hover_residual(theta) ** 2, axis=1)
 
     def linearise_record(self, i: int, theta: _Array, states: _Array) -> LinearisedRecord:
-        """Return record ``i`` linearised about ``theta`` (t,) and initial states (windows, k), by differences.
+        """Linearise record ``i`` about ``theta`` (t,) and initial states (windows, k) by finite differences.
 
         One simulation perturbs all windows together, because an initial state affects only its own window.
         """
@@ -536,7 +538,7 @@ def _initial_charge(vehicle: Vehicle, r: FlightRecord) -> float:
 
 
 def _choose_sought_states(outputs: Sequence[str], part: DynamicsPart, *, whole: bool, drags: bool) -> NDArray[np.int64]:
-    """Return the unknown initial states, as positions in ``MOTION + ACTUATOR``, for the measured outputs.
+    """Return the initial states that the measured outputs can determine, as positions in ``MOTION + ACTUATOR``.
 
     With in-plane rotor drag the tilt over a whole record also determines the horizontal velocity.
     """

@@ -97,7 +97,7 @@ def plan_stages(records: Sequence[FlightRecord], method: FitMethod, window_s: fl
 
 @dataclass
 class _StageResult:
-    """Result of a stage: negative log-likelihood, mean square of the whitened residuals, parameters."""
+    """Result of a stage: negative log-likelihood, mean square of the whitened residuals, and parameters ``theta``."""
 
     negative_log_likelihood: float
     scale: float
@@ -207,7 +207,10 @@ class StagedSearch:
         return other
 
     def _keep_better_run(self, other: StagedSearch, k: int) -> str:
-        """Keep the better of two searches after stage ``k``; return the ambiguity that remains after the last stage."""
+        """Keep the better of two searches after stage ``k`` and end the other once the choice is clear.
+
+        Return the ambiguity that remains after the last stage.
+        """
         mine, its = self.state.stage_results[k], other.state.stage_results[k]
         rise = its.negative_log_likelihood - mine.negative_log_likelihood
         there, last = np.array(its.theta) - np.array(mine.theta), k + 1 == len(self._stages)
@@ -292,7 +295,7 @@ class StagedSearch:
     def _resolve_from_new_starts(
         self, problem: OutputErrorProblem, point: FitPoint, stage: _SearchStage, k: int, converged: bool
     ) -> tuple[FitPoint, bool]:
-        """Repeat the minimisation if a new search for the initial states lowers the cost."""
+        """Search for the initial states again, and repeat the minimisation from them if they lower the cost."""
         found = find_initial_states(problem, point.theta)
         cost = float(problem.compute_cost(point.theta[None], [s[None] for s in found.initial_states])[0])
         flown = point.simulations + found.simulation_count
@@ -356,7 +359,7 @@ def _noise_with_voltage_slack(problem: OutputErrorProblem) -> list[_Array]:
 
 
 def _noise_from_residuals(problem: OutputErrorProblem, point: FitPoint) -> list[_Array]:
-    """Return the noise of every output from the residuals of all records that measure it."""
+    """Estimate the noise of every output from the residuals of all records in which it is measured."""
     square: dict[str, float] = {}
     count: dict[str, int] = {}
     unknown = len(point.theta) + sum(s.size for s in point.states)

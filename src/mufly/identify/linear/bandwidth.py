@@ -154,7 +154,9 @@ def measure_bandwidth(frequency_hz: Array, response: ComplexArray, error: Array 
 
 
 def _find_crossing(w: Array, y: Array, level: float, sigma: Array, *, last: bool = False) -> tuple[float, float]:
-    """Return the first (or last) frequency (rad/s) at which a falling curve crosses a level, and its deviation."""
+    """Return the first (or last) frequency at which a falling curve crosses a level, and its standard deviation
+    (rad/s).
+    """
     places = np.flatnonzero((y[:-1] > level) & (y[1:] <= level))
     if not places.size:
         return float("nan"), float("nan")

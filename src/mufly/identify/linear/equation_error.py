@@ -235,7 +235,10 @@ def regress_rate_derivatives(
 
 
 def _least_squares(rows: Sequence[Array], right: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Solve least squares over records, rows (n, m, t) and right sides (n, m): values, covariance, white bound."""
+    """Solve a least-squares problem over records, with rows (n, m, t) and right sides (n, m).
+
+    Return values, their covariance for coloured residuals, and the bound for white residuals.
+    """
     t = rows[0].shape[2]
     stacked, z = np.concatenate([r.reshape(-1, t) for r in rows]), np.concatenate([b.ravel() for b in right])
     size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
@@ -284,7 +287,9 @@ class _RegressionRows:
         return signal[edge : len(signal) - edge]
 
     def _fourier_kernel(self, r: RegressionRecord) -> tuple[ComplexArray, ComplexArray]:
-        """Return the matrices (f, n) of the windowed Fourier integral and of the derivative's integral by parts."""
+        """Return matrices (f, n) that give the windowed Fourier integrals of a signal and, by parts, of its
+        derivative.
+        """
         if r.name in self._fourier_kernels:
             return self._fourier_kernels[r.name]
         n, dt = len(r.time_s), r.dt
@@ -301,7 +306,7 @@ class _RegressionRows:
         return made
 
     def evaluate_term(self, r: RegressionRecord, term: tuple[str, ...], acted: Array) -> Array:
-        """Return the product of the term's signals (n,), with inputs ``acted`` after lag and delay."""
+        """Return the product (n,) of a term's signals; ``acted`` holds the inputs after lag and delay."""
         product = np.ones(len(r.time_s))
         for name in term:
             from_y = name in self.outputs
@@ -312,7 +317,9 @@ class _RegressionRows:
 
 
 def apply_actuator(u: Array, lag_s: float, delay_s: float, dt: float) -> Array:
-    """Return inputs (n, k) after a lag and a delay, linear between samples and constant before the record."""
+    """Return inputs (n, k) after a first-order lag and a delay; they are linear between samples, constant before the
+    record.
+    """
     late = delay_inputs(u, np.full(u.shape[1], delay_s), dt)
     if lag_s <= 0.0:
         return late
@@ -488,7 +495,7 @@ def find_coherent_band(records: Sequence[RegressionRecord], k: int, cut_hz: floa
 
 
 def _project_out(constant: Array, block: Array) -> Array:
-    """Project the constant (n, m) out of a block (n, m, t)."""
+    """Subtract from each column of a block (n, m, t) its projection on ``constant`` (n, m)."""
     share = np.einsum("nm,nmt->t", constant, block) / max(float((constant**2).sum()), 1e-300)
     return block - constant[:, :, None] * share
 
@@ -605,7 +612,7 @@ def _fit_coefficients_and_actuator(
     columns: RegressorFunction, cleared: BiasRemover, plain: Sequence[Array], weights: Sequence[Array],
     terms: Sequence[tuple[str, ...]], actuator: Array, most: float, dt: float,
 ) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
-    """Fit the coefficients, and lag and delay unless ``most`` is 0.
+    """Fit the coefficients of an equation, and its lag and delay unless ``most`` is 0.
 
     Return values, covariance and bound of the coefficients, (lag, delay), and the deviations of both.
     """

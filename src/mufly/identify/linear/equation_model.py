@@ -203,7 +203,8 @@ def identify_equation_model(
     domain: str = "frequency", cut_hz: float = 5.0, low_hz: float | None = None,
     most_s: float = 0.2, all_terms: bool = False, progress: Callable[[int, int], None] | None = None,
 ) -> EquationModel:  # fmt: skip
-    """Fit the equations of all outputs to one or several records, and score them on these and on others.
+    """Fit the equations of all outputs to one or several records, and score them on the fitted and on held-out
+    records.
 
     Parameters
     ----------
@@ -391,7 +392,7 @@ def _simulate_with_own_trim(model: EquationModel, f: RegressionRecord, bias: Arr
 
 
 def equation_fit_result(model: EquationModel) -> FitResult:
-    """Return the model as a fit result; its predictions are simulations from inputs alone."""
+    """Return an equation model as a fit result, whose predictions are simulated from the inputs alone."""
     estimates, symbols, blocks = [], [], []
     for e in model.equations:
         symbols += list(e.symbols)

@@ -94,7 +94,9 @@ REJECTED_FIX_BIAS_SIGMAS = 3.0
 
 @cached_njit(error_model="numpy")
 def _fix_h_row(m: FilterMemory, i: int, ahead: float) -> None:
-    """Write the row H of component ``i`` of a fix that was taken ``ahead`` (s) after the horizon (negative: before it).
+    """Write the row H of component ``i`` of a fix.
+
+    The fix was taken ``ahead`` (s) after the horizon; a negative ``ahead`` means before it.
 
     The rows of N and E contain the velocity. Without this term a late fix would correct the present position by a past
     error, and a filter of uncertain attitude, as in a turn, would oscillate. The sonar determines the vertical

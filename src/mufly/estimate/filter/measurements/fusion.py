@@ -521,8 +521,9 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
 
 @cached_njit(error_model="numpy")
 def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, mode: int, i: int) -> None:
-    """Fuse, while the vehicle stands, zero velocity along axis ``i``, zero rate about axes that the legs hold, and
-    gravity at rest.
+    """Fuse the motion of a standing vehicle: zero velocity along axis ``i``, zero angular rates, and gravity at rest.
+
+    The rates are fused about axes that the legs hold.
 
     The torque of running or stopping rotors turns the vehicle on its legs about the mast for seconds. Fused as zero,
     this real rate would become a gyroscope bias, of equal sign at each take-off.

@@ -131,7 +131,7 @@ def log_innovation(m: FilterMemory, k: int, innovation: float, ratio: float) -> 
 def reject_measurement(
     m: FilterMemory, s: FilterSettings, k: int, innovation: float, z: _Array, count: int, near: float, why: int
 ) -> None:
-    """Reject a reading for reason ``why``; count in ``m.agree_count`` whether it agrees with the last rejected one."""
+    """Reject a reading for reason ``why``; count in ``m.agree_count`` how often successive rejected readings agree."""
     alike = m.reject_count[k] > 0
     for j in range(count):
         alike = alike and abs(z[j] - m.rejected_value[k, j]) < near
