@@ -348,7 +348,7 @@ def _resolve_pole_pairs(a: _ColumnReading, b: _ColumnReading) -> tuple[_ColumnRe
 
 
 def _convert_duty(table: BenchTable, reading: _ColumnReading | None) -> BenchTable:
-    """Convert a throttle in per cent, from -1 to 1 or as pulse width to a share of the voltage, with a note."""
+    """Convert a throttle (per cent, -1 to 1, or pulse width) to a share of the supply voltage, with a note."""
     if reading is None:
         return table
     v, header = reading.values, reading.header

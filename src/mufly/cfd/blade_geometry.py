@@ -1,4 +1,4 @@
-"""Geometry of a rotor beyond its rotor file: hub, blade tips, winglets, plates and Gurney flaps.
+"""Geometry of a rotor that its rotor file does not contain: hub, blade tips, winglets, plates and Gurney flaps.
 
 The blade follows a line of radius y with offsets aft of and above the straight quarter chord line, in chords of the
 tip. Along a tip t runs from 0 to 1::
@@ -146,7 +146,7 @@ class HubCylinder:
 
 @dataclass(frozen=True)
 class BladeGeometry:
-    """Geometry of a rotor beyond its rotor file.
+    """Geometry of a rotor that its rotor file does not contain.
 
     Attributes
     ----------

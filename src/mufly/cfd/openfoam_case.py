@@ -146,7 +146,7 @@ class OperatingPoint:
 
     @property
     def geometry_note(self) -> str:
-        """Description of tip, hub and flap beyond the rotor file; empty for none."""
+        """Description of tip, hub and flap, which the rotor file does not contain; empty without them."""
         words = [self.tip] if self.tip != "square" else []
         words += [f"hub {1e3 * self.hub_m:g} mm"] if self.hub_m else []
         words += [f"Gurney flap {100 * self.gurney:g} %"] if self.gurney else []

@@ -237,7 +237,7 @@ def _rotate_nose_up(points: Array, angle: float) -> Array:
 
 @dataclass(frozen=True)
 class SectionBox:
-    """Limits of the sections (m): half width, top, bottom (below 0).
+    """Limits of the sections (m): half width, top, and bottom (a negative height).
 
     Lines further than ``level_height_m`` above or below the disc are horizontal and the same for all sections.
     """

@@ -378,7 +378,7 @@ _PAIR_BLOCK_HEIGHT_RATIO, _PAIR_BLOCK_HALF_CHORDS = 0.82, 1.05
 def _find_rotating_cells(
     centres: Array, around: float, lines: Array, domain: MeshDomain, radius: float, level_m: float
 ) -> NDArray[np.bool_]:
-    """Return the cells within a cylinder and between the horizontal mesh planes nearest to the limits of the domain."""
+    """Return the cells of the rotating zone: in a cylinder, between horizontal mesh planes near its limits."""
     level = lines[np.abs(lines) >= level_m]
     low, high = (
         level[int(np.argmin(np.abs(level - z * radius)))]

@@ -175,7 +175,7 @@ def run_case(
     progress: Callable[[SolverProgress], None] | None = None,
     most: int = MAX_ITERATIONS,
 ) -> ConvergenceAssessment:
-    """Run a case to its verdict; a started case resumes from its last written state.
+    """Run a case until its convergence verdict; an interrupted case resumes from its last written state.
 
     Parameters
     ----------
@@ -408,7 +408,7 @@ def _read_function_rows(folder: Path, what: str, file: str, last: int | None = N
 
 
 def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceAssessment:
-    """Judge the present state of a case, of a pair for one of its rotors."""
+    """Judge the convergence of a case; for a pair, that of the rotor with the walls ``patch``."""
     point = _point_for_assessment(folder)
     loads = read_history(folder, patch=patch)
     flow = _read_function_rows(folder, "flows", "surfaceFieldValue.dat")

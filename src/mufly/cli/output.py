@@ -65,7 +65,7 @@ def print_blocks(*blocks: ShownBlock) -> None:
 
 
 def print_json(content: Any) -> None:
-    """Print as JSON; results and arrays become objects and lists, numbers that are not finite null."""
+    """Print as JSON; results become objects, arrays become lists, and non-finite numbers become null."""
     from mufly.results import to_plain_data
 
     typer.echo(json.dumps(to_plain_data(content), indent=2, allow_nan=False))
@@ -372,7 +372,7 @@ class LiveDisplay:
 
 @dataclass(frozen=True)
 class _StartupLine:
-    """The present stage of a start, with running seconds."""
+    """Live line with the present stage of a start and the elapsed seconds."""
 
     startup: Startup
 

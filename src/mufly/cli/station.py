@@ -220,7 +220,7 @@ def new_dated_folder() -> Path:
 
 
 class ShutdownHandler:
-    """Handler of Ctrl-C (SIGINT), SIGTERM and SIGHUP for commands that fly or watch: they end in order.
+    """Handler of Ctrl-C (SIGINT), SIGTERM and SIGHUP for commands that fly or watch, which then end in order.
 
     The first signal requests the end; loops check for it between two steps, so that no write is interrupted. A second
     Ctrl-C interrupts at once; other repetitions have no effect. Signals ignored at the start (nohup) stay ignored.

@@ -46,7 +46,7 @@ PROFILE_VELOCITY_MODE = 3
 
 @dataclass(frozen=True)
 class EposProtocol:
-    """Protocol of a controller generation: opcodes, order of a request, objects of averaged velocity and current."""
+    """Protocol of a controller generation: opcodes, order in a request, objects of mean velocity and current."""
 
     read_opcode: int
     write_opcode: int

@@ -95,7 +95,7 @@ class RandomWalkDrift:
         return mean, 0.5 * (cov + cov.T)
 
     def predict_drift(self, time: Array) -> tuple[Array, Array]:
-        """Return the drift alone since ``start_time``, mean (m,) and covariance (m, m)."""
+        """Return mean (m,) and covariance (m, m) of the drift since ``start_time``, without the linear model."""
         return self.predict(time, np.zeros((time.size, self.design_matrix.shape[1])))
 
     def estimate_coefficients(self) -> tuple[Array, Array]:
@@ -105,7 +105,7 @@ class RandomWalkDrift:
 
     @property
     def mean_variance_inflation(self) -> float:
-        """Return the mean of kappa, the factor by which the variance of the readings exceeds the stated one."""
+        """Return the mean of kappa, the ratio of the readings' variance to their stated variance."""
         return float(self.grid_weights @ self.grid_nodes[:, 1])
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def choose_structure(rotor: Rotor, material: str | None, thickness: float | None) -> BladeStructure:
-    """Return the structure of a rotor file, with material and thickness of the options.
+    """Return the blade structure of a rotor file, with the material and thickness that the options give.
 
     Raises
     ------

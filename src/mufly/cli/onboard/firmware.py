@@ -402,7 +402,7 @@ def split_log(
 
 @app.command()
 def pil(vehicle: VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False, as_json: JsonOption = False) -> None:
-    """Run the self-test on emulated Cortex-M4 processors and compare it with this machine (processor in the loop).
+    """Run the self-test on emulated processors and compare its results with this machine's (processor in the loop).
 
     With --fixed-point: the self-test of the fixed-point law, on a Cortex-M3, an M4 and an M0.
 
