@@ -207,7 +207,7 @@ def _allow_motors_off(f: _RequestFacts) -> RequestAnswer:
 
 
 def _allow_mission_waiting(f: _RequestFacts) -> RequestAnswer:
-    """Accept if the vehicle takes off, hovers or flies by user signals, and no mission is in progress."""
+    """Accept if the motors run and no mission is in progress: take-off, hover, or flight at the user's request."""
     if f.motors not in ("spin_up", "fly"):
         return _deny_as_busy(f)
     return (
@@ -254,7 +254,7 @@ def check_request(
     armed: bool = True,
     flying: bool | None = None,
 ) -> RequestAnswer:
-    """Return whether the vehicle's state permits a request; other obstacles to it are not checked here.
+    """Return whether the vehicle's state permits a request; no other condition is checked.
 
     Parameters
     ----------

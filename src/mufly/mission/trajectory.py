@@ -90,7 +90,7 @@ def make_motion_profile(way: float, speed: float, acceleration: float) -> Motion
 
 
 def smooth_step_down(x: float) -> Triple:
-    """Return value 1 - S, slope and integral from 0 of a smooth step from 1 to 0 over x in [0, 1]."""
+    """Return 1 - S(x), its slope, and its integral from 0 to x; S is a smooth step from 0 to 1 over x in [0, 1]."""
     if x <= 0.0:
         return 1.0, 0.0, 0.0
     if x >= 1.0:
@@ -250,7 +250,7 @@ def _arc_length(cubics: tuple[_CubicCoefficients, ...], u: float, half: float) -
 def _evaluate_speed_and_curvature(
     cubics: tuple[_CubicCoefficients, ...], u: float
 ) -> tuple[float, tuple[float, float, float, float]]:
-    """Return the squared tangent length, and squared level, climbing and descending shares of speed and curvature.
+    """Return the squared tangent length, and squares of level, climbing and descending share and of curvature.
 
     Either the climbing or the descending share is negative. All are zero without a tangent.
     """
@@ -355,7 +355,7 @@ class TrajectoryLimits:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Height and heading on the spot, then a line or a curve.
+    """Trajectory of a leg: change of height and heading on the spot, then a line or a curve.
 
     Attributes
     ----------
@@ -393,7 +393,7 @@ class Trajectory:
     pending_curve: PendingCurve | None = None
 
     def finish_curve(self) -> Trajectory:
-        """Return the trajectory with its curve, or with the line if no curve can be flown."""
+        """Return the trajectory with its pending curve computed, or with a straight line if no curve can be flown."""
         path = None if self.pending_curve is None else self.pending_curve.time_curve()
         if path is None:
             return replace(self, pending_curve=None)
@@ -451,7 +451,9 @@ def wrap_turn(angle: float) -> float:
 
 
 def _find_extreme_speed_and_curvature(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float, list[float]]:
-    """Return the least squared tangent and the greatest demands over a curve.
+    """Return the least squared tangent length over a curve, and the greatest of each further square.
+
+    The squares are those of :func:`_evaluate_speed_and_curvature`.
 
     Each maximum is searched in equal steps, then by halving the step around the best point.
     """

@@ -215,8 +215,10 @@ def read_stepped_range(where: str, text: str, unit: str) -> tuple[float, float |
 
 
 def read_range(where: str, text: str, unit: str, count: int) -> list[float]:
-    """Return the values of ``"2500:6000:500"`` or one number; without step ``count`` equally spaced values (1: the
-    middle)."""
+    """Return the values of a range such as ``"2500:6000:500"``, or of one number.
+
+    A range without a step has ``count`` equally spaced values; a ``count`` of 1 means its middle.
+    """
     first, last, step = read_stepped_range(where, text, unit)
     if last is None:
         return [first]
@@ -307,7 +309,7 @@ def _share_units(numbers: Sequence[WrittenNumber]) -> list[WrittenNumber]:
 def _expand_range(
     where: str, written: Sequence[WrittenNumber], unit: str, text: str, bare: bool, most: int
 ) -> list[float]:
-    """Return the values of one part of a list: a number, or a range with steps in its written unit."""
+    """Return the values of one part of a list: a number, or a range whose step is in the unit as written."""
     if len(written) == 1:
         return [_convert_to_unit(where, written[0], unit, text, bare)]
     here = written[-1].unit
@@ -343,7 +345,7 @@ def _convert_to_unit(where: str, one: WrittenNumber, unit: str, text: str, bare:
 
 
 def _match_unit(text: str, wanted: str) -> str:
-    """Return the matching unit of the same dimension, ignoring case except for mega and milli."""
+    """Return the unit that a text means, of the dimension of ``wanted``; case matters only for mega and milli."""
     here = normalise_unit(text)
     found = here if here and _is_convertible(here, wanted) else normalise_unit(text, wanted)
     mega = text[:1] == "M" and found[:1] == "m" and text[1:].lower() == found[1:].lower() != ""

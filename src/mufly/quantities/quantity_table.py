@@ -88,7 +88,7 @@ class Quantity:
 
     @property
     def component_labels(self) -> tuple[str, ...] | tuple[int, ...]:
-        """Labels of the components; empty for a scalar, and for beams and channels (any number)."""
+        """Labels of the components; empty for a scalar, and for beams and channels, whose number varies."""
         return DIMENSION_LABELS.get(self.dim or "", ())
 
 
@@ -100,14 +100,17 @@ def _make_quantity(
     name: str, dim: str | None, units: str, long_name: str, *mavlink_sources: MavlinkSource,
     topic: str = "", kinds: str = "flight",
 ) -> Quantity:  # fmt: skip
-    """Return a row; without a ``topic`` the first word of the name is the topic, and the rest the field."""
+    """Return a row of the table of quantities.
+
+    Without a ``topic``, the first word of the name is the topic, and the rest the field.
+    """
     first, _, rest = name.partition("_")
     where = (topic, name) if topic else (f"/{first}", rest)
     return Quantity(name, *where, dim, units, long_name, kinds, mavlink_sources)
 
 
 def _measured_signals(row: ReadingRow) -> Iterator[Quantity]:
-    """Return the signals of a sensor: reading, time of measurement, and validity; NaN without a new reading."""
+    """Yield the signals of a sensor: reading, time of measurement, validity and variance, as far as it has them."""
     name, words = row.name, row.name.replace("_", " ")
     yield Quantity(f"measured_{name}", "/measured", name, row.dim, row.unit, row.meaning, "sensors")
     if row.is_timed:
@@ -459,5 +462,5 @@ def make_dataset(time_s: NDArray[np.float64], values: Mapping[str, NDArray[np.fl
 
 
 def is_command_signal(name: str) -> bool:
-    """Return True for a commanded signal, whose jumps and constant periods are no outliers or drop-outs."""
+    """Return whether a signal is a command; its jumps and constant periods are no faults."""
     return name.startswith(("reference_", "motor_input", "servo_input", "actuator_", "pilot_input"))

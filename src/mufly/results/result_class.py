@@ -331,7 +331,7 @@ def draw_result_numbers(value: Any) -> Figure:
 
 
 def _plottable_series(m: FieldMeaning, value: Any) -> list[PlotSeries]:
-    """Return the series of a field: itself, the columns of a table, or the entries of a dictionary."""
+    """Return what can be drawn of a field: the field, the columns of its table, or the entries of its dictionary."""
     if isinstance(value, Mapping):
         parts = [_make_meaning(str(k), "", "") for k in value]
         named = [(p.label, p.unit or m.unit, v) for p, v in zip(parts, value.values(), strict=True)]
@@ -343,7 +343,7 @@ def _plottable_series(m: FieldMeaning, value: Any) -> list[PlotSeries]:
 
 
 def _series_of_parts(value: Any) -> list[PlotSeries]:
-    """Return the series of a result that is a list of parts, one entry per part."""
+    """Return the series of a result that holds a list of sub-results: one series for each field of the sub-results."""
     for f in fields(value):
         parts = getattr(value, f.name)
         if isinstance(parts, tuple | list) and parts and is_dataclass(parts[0]):

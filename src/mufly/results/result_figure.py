@@ -119,7 +119,10 @@ def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[s
 
 
 def _line_panels(arrays: Sequence[PlotSeries]) -> list[_LinePanel]:
-    """Return the panels of lines: horizontal axis (None: index of the entry), and series over it."""
+    """Return the panels for lines: the series of the horizontal axis (None: index), and the series drawn over it.
+
+    Series of equal length share an axis, those of equal unit a panel.
+    """
     out: list[_LinePanel] = []
     for length in dict.fromkeys(q.values.size for q in arrays):
         group = [q for q in arrays if q.values.size == length]
@@ -133,7 +136,7 @@ def _line_panels(arrays: Sequence[PlotSeries]) -> list[_LinePanel]:
 
 
 def _choose_axis(group: Sequence[PlotSeries]) -> PlotSeries | None:
-    """Return the array that is the horizontal axis of the others of its length."""
+    """Return the series that serves as horizontal axis of a group; None if none is monotonic."""
     rising = [
         q
         for q in group

@@ -308,7 +308,7 @@ _MAX_SWIRL_NUMBER = 0.6  # of the swirl of drag; beyond it a jet breaks down
 
 
 def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float, r_m: Array, dr_m: Array) -> Array:
-    """Return the moment of momentum r u (m^2/s) of the slipstream due to profile drag of the blades, (stations,).
+    """Return the moment of momentum r u (m^2/s) that profile drag adds to the slipstream, (stations,).
 
     Vortices represent only the swirl that comes with lift. The torque of the profile drag also adds angular momentum to
     the air of each annulus. With v the axial velocity down through the annulus (mean over azimuth) and D' = N rho/2 W^2
@@ -334,7 +334,9 @@ def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float
 def compute_slipstream(
     placed: PlacedRotor, climb_m_s: float, air: Air, stream: Stream, turns: bool = True
 ) -> tuple[Array, Array, Array]:
-    """Return axial velocity at the blades (m/s), loss factor F and moment of momentum r u of the slipstream (m^2/s).
+    """Return axial velocity at the blades (m/s), Prandtl's factor F, and moment of momentum of the slipstream (m^2/s).
+
+    The moment of momentum r u is the radius times the swirl velocity.
 
     All are (stations,) arrays. Lift contributes twice the mean tangential velocity F u_t in the disc, profile drag
     :func:`drag_angular_momentum`. Without the swirl correction, or with ``turns`` false, r u is zero.
@@ -484,7 +486,7 @@ class StationGeometry(NamedTuple):
 
 
 class StationFlow(NamedTuple):
-    """Onset flow of a station: V of the momentum balance (m/s), magnitude (m/s) and angle (rad) of U, log Re, Mach."""
+    """Onset flow of a station: axial velocity (m/s), total speed (m/s) and inflow angle (rad), log Re, Mach number."""
 
     axial_m_s: float
     speed_m_s: float
@@ -503,7 +505,7 @@ def _momentum_residual(
     polars: PolarStack,
     on: CorrectionSwitches,
 ) -> Any:
-    """Return the residual R of the module docstring, then phi, c_l, c_d, W, F, u, u_t and log Re.
+    """Return the residual R of the momentum balance, then phi, c_l, c_d, W, F, u, u_t and log Re (module docstring).
 
     Thesis: eqs 3.11, 3.12.
     """

@@ -142,7 +142,7 @@ def stall_delay_strength(kind: StallDelayModel, chord_over_r: Array) -> Array:
 
 
 def blunt_edge_drag(edge_m: float, chord_m: Array) -> Array:
-    """Return the drag constant c_d c_f^(1/3) of a blunt trailing edge, (stations,).
+    """Return the constant c_d c_f^(1/3) of the drag of a blunt trailing edge, (stations,).
 
     c_f is the drag coefficient of the section without the blunt edge.
 
@@ -435,7 +435,7 @@ _NEAR_WAKE_POINTS = 14  # thrust within 0.03 % of 96
 
 @cached_njit
 def _segment_downwash(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
-    """Return the z velocity at (px, py, 0) of a unit vortex from a to b in the same plane (Biot-Savart law)."""
+    """Return the z velocity at a point of the plane z = 0 due to a unit vortex from a to b in that plane."""
     ux, uy, vx, vy = px - ax, py - ay, px - bx, py - by
     lu, lv = math.sqrt(ux * ux + uy * uy), math.sqrt(vx * vx + vy * vy)
     depth = lu * lv * (lu * lv + ux * vx + uy * vy)
@@ -499,7 +499,7 @@ def near_wake_downwash(
 def lifting_surface_chord_factor(
     mid_x: Array, edge_x: Array, mid_c: Array, edge_c: Array, *, straight_wake: float = 0.0
 ) -> Array:
-    """Return the finite-chord factor e: loss of angle of attack (rad) per unit lift coefficient at each panel, (n,).
+    """Return the lifting-surface factor e: loss of angle of attack (rad) per unit lift coefficient, (n,).
 
     Parameters
     ----------

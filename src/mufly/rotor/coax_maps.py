@@ -355,7 +355,7 @@ def interpolate_tables(
 
 @lru_cache(maxsize=32)
 def pack_map_tables(coefficients: CoefficientMap) -> tuple[Any, ...]:
-    """Return the first seven arguments of :func:`interpolate_tables` for a map; the tables hold c_T and c_Q."""
+    """Pack a map into the first seven arguments of :func:`interpolate_tables`; its tables hold c_T and c_Q."""
     t = coefficients.decode_map_tables()
     axes = (t.mean_speed_rad_s, t.ratio, t.climb_ratio)
     step = [float((a[-1] - a[0]) / (a.size - 1)) if a.size > 1 else np.inf for a in axes]

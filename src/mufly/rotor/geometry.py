@@ -66,8 +66,11 @@ class StationColumn(ParameterGroup):
 
 
 class BladeSections(NamedTuple):
-    """Sections of a blade at chosen radii. The section at ``i`` has the airfoil ``names[first[i]]`` mixed with
-    ``names[second[i]]``: coefficient = (1 - weight) first + weight second."""
+    """Sections of a blade at chosen radii, each a mix of two airfoils.
+
+    A coefficient at station ``i`` is (1 - w) times that of airfoil ``first_airfoil[i]`` plus w times that of
+    ``second_airfoil[i]``, with w = ``second_weight[i]``; both are indices in ``airfoil_names``.
+    """
 
     r_over_R: Array
     chord_m: Array

@@ -256,8 +256,7 @@ def _per_rotor_values(name: str, value: PerRotor, count: int) -> tuple[float | N
 
 
 def _inflow_matrix(source: PlacedRotor, target: PlacedRotor) -> Array:
-    """Return the matrix from axial induced velocities of a rotor to those at another's stations, (stations,
-    stations)."""
+    """Return the matrix from a rotor's axial induced velocities to those at another rotor's stations."""
     disc_radius = source.blading.rotors[source.rotor_index].radius_m
     at_r, at_dr = target.blading.r_m[target.rotor_index], target.blading.dr_m[target.rotor_index]
     k = tube_axis_speed(source.height_m - target.height_m, disc_radius)
@@ -449,7 +448,10 @@ def _trim_by_bracketing(
     thrust_N: float | None,
     start: SystemSolution | None,
 ) -> SystemSolution:
-    """Find the lower speed, or with a thrust both speeds, by bracketing: slower and more robust than secant steps."""
+    """Trim a pair by bracketing: find the lower rotor's speed or, with a thrust, both speeds.
+
+    Bracketing is slower and more robust than secant steps.
+    """
     known = [start]
 
     def solve_pair(up: float, low: float) -> SystemSolution:
@@ -484,7 +486,7 @@ def _trim_by_bracketing(
 def _find_root(
     solve_at: Callable[[float], SystemSolution], fault: Callable[[SystemSolution], float], guess: float, what: str
 ) -> SystemSolution:
-    """Return the solution at the factor, between 0.1 and 10, at which ``fault`` vanishes."""
+    """Return the solution at which ``fault`` vanishes; ``solve_at`` takes a factor between 0.1 and 10."""
     found: list[SystemSolution] = []
 
     def root_function_at(factor: Array, case: Integers) -> Array:
@@ -502,7 +504,10 @@ def _trim_by_secant(
     at: PointSolver, pitch: Sequence[float], upper_speed: float | None, thrust_N: float | None, close: float,
     known: SystemSolution | None,
 ) -> SystemSolution:  # fmt: skip
-    """Find the same by secant steps, each started from the previous wake, because a point is expensive."""
+    """Trim a pair as :func:`_trim_by_bracketing` does, but by secant steps.
+
+    Each step starts from the previous wake, because a solution is expensive.
+    """
     up = upper_speed if upper_speed is not None else _INITIAL_SPEED_GUESS_RAD_S
     ratio = 1.1
     torque_slope = None

@@ -59,7 +59,7 @@ class Air:
 
 
 def blade_stations(rotor: Rotor, speed_rad_s: float) -> dict[str, Array]:
-    """Return the spanwise data of a blade at the stations of its file, its cut-out and every quarter of the radius.
+    """Return spanwise data of a blade at the stations of its file, at the cut-out, and at each quarter of the radius.
 
     Parameters
     ----------

@@ -121,7 +121,10 @@ def wake_contraction(distance_m: float, radius_m: float) -> float:
 
 @cached_njit(error_model="numpy")
 def _fill_cell_influence(out: Array, r: Array, z: Array, tubes: Array, starts: Array) -> None:
-    """Fill in the velocity at points (r, z) per unit strength of each tube's cells; the last cell is semi-infinite."""
+    """Fill ``out`` with the axial velocity at points (r, z) per unit strength of each cell of each tube.
+
+    The last cell of a tube is semi-infinite.
+    """
     for i in range(out.shape[0]):
         for j in range(tubes.size):
             above = tube_velocity(r[i], z[i] - starts[0], tubes[j])
@@ -168,13 +171,16 @@ def _panel_edges_m(p: PlacedRotor) -> Array:
 
 
 def _tube_strengths(area: Array, first: NDArray[np.int64], inflow: Array, loss: Array) -> Array:
-    """Return the strengths D of the tubes; ``area``: areas of the annuli, ``first``: first annulus within each tube."""
+    """Return the strengths D of the vortex tubes from inflow and loss factor of the annuli.
+
+    ``area``: areas of the annuli. ``first``: index of the first annulus inside each tube.
+    """
     mean = np.add.reduceat(inflow * loss * area, first) / np.add.reduceat(area, first)
     return np.concatenate(([-mean[0]], mean[:-1] - mean[1:], [mean[-1]]))
 
 
 def _rollup_matrix(steps: Array) -> Array:
-    """Return the roll-up matrix, (tubes, tubes), from velocities at the tubes to their convection velocities."""
+    """Return the matrix (tubes, tubes) from velocities at tubes to convection velocities, with the tip's roll-up."""
     count, tip = steps.size, 0
     while tip < count and steps[count - 1 - tip] * steps[-1] > 0.0:
         tip += 1
@@ -187,7 +193,7 @@ def _rollup_matrix(steps: Array) -> Array:
 
 
 def axial_influence(r_m: Array, edge_m: float, narrow: float, at_m: Array, width_m: Array) -> Array:
-    """Return the matrix, (panels, stations), from stream values at a rotor's stations to values at panels downstream.
+    """Return the matrix (panels, stations) that carries a rotor's stream from its stations to panels downstream.
 
     Parameters
     ----------
@@ -220,7 +226,7 @@ def swirl_influence(r_m: Array, edge_m: float, distance_m: float, at_m: Array, w
 
 
 def rotor_swirl_influence(source: PlacedRotor, target: PlacedRotor) -> Array:
-    """Return the matrix that turns a rotor's swirl into the swirl that a lower rotor meets.
+    """Return the matrix from a rotor's moment of momentum to the swirl at the stations of a lower rotor.
 
     It is multiplied by the moment of momentum r u of the upper rotor's stream (m2/s). The result is a velocity (m/s),
     positive against the motion of the lower rotor's blades.
@@ -271,7 +277,7 @@ def solve_tubes(
     met_by: list[tuple[Array, Array, Array]] = []
 
     def iterate_streams(x: Array) -> Array:
-        """Return the next iterate of the streams at the discs and p of all cells."""
+        """Return the next iterate of the streams at the discs and of the strength factors p of all cells."""
         *streams, p0, p1 = np.split(x, cuts)
         found.clear()
         met_by.clear()

@@ -20,7 +20,7 @@ _KEY_RANGE = 32.0  # of values from their level, in units of their noise; beyond
 
 
 def median_comparators(rows: int) -> _Array:
-    """Return the row exchanges (n, 2) of a sorting network that bring the four middle rows to their places."""
+    """Return the row exchanges (n, 2) of a sorting network that put the four middle rows in order."""
     top = 1
     while 2 * top < rows:
         top *= 2

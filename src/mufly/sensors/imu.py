@@ -180,7 +180,7 @@ class Imu(Sensor):
         return self.latest_readings
 
     def sampling_arguments(self, elapsed_s: float) -> tuple[Any, ...]:
-        """Return the arguments of :func:`sample_imu` after the time, for periods of ``elapsed_s`` (s)."""
+        """Return the arguments of :func:`sample_imu` that follow the time, for periods of ``elapsed_s`` (s)."""
         size = 6 + 6 * max(1, round(elapsed_s / self._dt))
         if self._normals.size != size:
             self._normals = np.zeros(size)
@@ -205,7 +205,7 @@ class Imu(Sensor):
         return self.source, self._normals, self._clock, self._last_state, self._output, unit
 
     def error_free_readings(self, truth: Truth) -> Mapping[str, Any]:
-        """Return the error-free readings of the last period."""
+        """Return acceleration and rates of the last period without sensor errors."""
         return {"acceleration": self._current_force.copy(), "rates": truth.rates}
 
     def temperature_rise_K(self, time_s: float) -> float:
@@ -255,7 +255,10 @@ def _line_frequencies(upper: float, lower: float) -> tuple[float, ...]:
 
 
 def _project_lines(axes: _Array, directions: _Array) -> _Array:
-    """Return the share of each vibration line in each axis (5, 3), summed in the same order on every machine."""
+    """Return the components of the vibration lines along each axis (5, 3).
+
+    The order of summation is fixed, so that results are equal on every machine.
+    """
     x, y, z = directions.T[:, :, None]
     return x * axes[:, 0] + y * axes[:, 1] + z * axes[:, 2]
 
@@ -280,7 +283,7 @@ def _temperature_rise_K(t: float, numbers: _Array) -> float:
 
 @cached_njit(error_model="numpy")
 def _mean_specific_force(was: _Array, now: _Array, elapsed: float, place: _Array, force: _Array) -> None:
-    """Compute the mean specific force of a period at the element (m/s^2) into ``force``."""
+    """Write the mean specific force of a period at the sensor element (m/s^2) to ``force``."""
     turn = body_to_ned_matrix(now[ATTITUDE])
     wx, wy, wz = now[MODEL_RATES], now[MODEL_RATES + 1], now[MODEL_RATES + 2]
     px, py = (wx - was[MODEL_RATES]) / elapsed, (wy - was[MODEL_RATES + 1]) / elapsed
@@ -301,7 +304,7 @@ def _mean_specific_force(was: _Array, now: _Array, elapsed: float, place: _Array
 def _begin_phasor(
     azimuth: float, first: float, last: float, elapsed: float, n: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Return a rotor's phasor as cosines and sines: at the azimuth, of the first rotation, and of its growth.
+    """Return cosine and sine of a rotor's azimuth, of its first step of rotation, and of the growth of that step.
 
     The rotor's speed changes from ``first`` to ``last`` (rad/s) over ``n`` samples.
     """
@@ -336,7 +339,7 @@ def simulate_imu_period(
     out: _Array,
     clipped: _Array,
 ) -> None:
-    """Simulate vibration, sampling, clipping and filtering over a period that ends at ``t`` (s).
+    """Simulate the unit's vibration, sampling, clipping and filtering over a period that ends at ``t`` (s).
 
     ``azimuth``, ``wander``, and ``memory`` (6, 2) of the filter keep the state between calls. ``normal`` (6 + 6 n) are
     standard normal numbers: of the drift, then of each axis' samples. ``force`` is the mean specific force at the

@@ -47,7 +47,7 @@ def advance_if_due(t: float, clock: _Array) -> bool:
 
 @cached_njit(error_model="numpy")
 def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int64], rows: _Array) -> bool:
-    """Return whether a sample is published at a time (s); if so, the sample is in the first of ``rows``.
+    """Update the queue of delayed samples; return whether one is published, which is then in the first of ``rows``.
 
     A measurement with the delay ``wait`` (s) is appended to the pending rows. Of several samples due at once, the last
     counts.
@@ -184,5 +184,5 @@ def gauss_markov_step(t: float, sigma: _Array, time_s: float, memory: _Array, so
 
 
 def gauss_markov_reset(rng: np.random.Generator, sigma: _Array, memory: _Array) -> None:
-    """Draw new errors; the next step sets the time to which they refer."""
+    """Draw new errors from their stationary distribution; the next step sets their time."""
     memory[0], memory[1:] = math.nan, sigma * rng.standard_normal(sigma.size)

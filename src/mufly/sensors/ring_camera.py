@@ -55,7 +55,7 @@ def _decode_ranges(
     numbers: _Array,
     told: _Array,
 ) -> None:
-    """Add the spots to a picture of noise, and decode the ranges.
+    """Draw the spots into the noise picture ``seen``, and decode the ranges into ``told``.
 
     Parameters
     ----------

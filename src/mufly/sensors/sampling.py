@@ -81,7 +81,7 @@ def _sample_no_sensor(
 
 
 def _append_sensor(sample_others: Any, k: int, sample: Any) -> Any:
-    """Return a compiled function that samples the previous sensors and then sensor ``k``.
+    """Return a compiled function that calls ``sample_others`` and then samples sensor ``k``.
 
     Each sensor has arrays of other types and a function of its own, so one compiled loop over the sensors is
     impossible.
@@ -116,7 +116,7 @@ def sample_all(
     told: _Array,
     all_parts: tuple[Any, ...],
 ) -> float:
-    """Sample every sensor that is due at time ``t``; return the earliest time of the next sample (s).
+    """Sample every sensor that is due at time ``t``; return the earliest time of any sensor's next sample (s).
 
     Parameters
     ----------

@@ -227,8 +227,9 @@ class MotionPrior:
 
     @property
     def unobserved_sigma(self) -> tuple[float, float]:
-        """Deviations of the predicted position (m) and heading (rad) since a picture last showed texture in both
-        directions.
+        """Standard deviations of the predicted position (m) and heading (rad).
+
+        They grow from the last picture that showed texture in both directions.
         """
         if self.textured is None:
             return _UNOBSERVED_SIGMA_CAP_M, 0.1

@@ -153,26 +153,26 @@ class PoseEstimate:
 
     @property
     def tilt_error_rad(self) -> _Array:
-        """Tilt error about x and y of the heading (2,) (rad)."""
+        """Tilt error (2,) about the x and y axes of the heading frame (rad)."""
         return self.state[POSE_TILT:POSE_KEYFRAME_TILT]
 
     @property
     def keyframe_tilt_error_rad(self) -> _Array:
-        """Tilt error of the keyframe about x and y of its own heading (2,) (rad)."""
+        """Tilt error (2,) of the keyframe about the x and y axes of its own heading frame (rad)."""
         return self.state[POSE_KEYFRAME_TILT:POSE_SIZE]
 
 
 def attitude_matrix(view: ViewPrior, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
-    """Return the rotation matrix from body axes to N-E-D for heading, pitch, roll and tilt errors (default: prior
-    mean).
-    """
+    """Return the rotation matrix from body axes to N-E-D, for a heading and tilt errors (default: their prior mean)."""
     return _compute_attitude(view.roll_rad, view.pitch_rad, heading, *(view.tilt_error_rad if tilt is None else tilt))
 
 
 def normalised_rays(
     view: ViewPrior, pixels: _Array, seconds: _Array, turn: _Array, shakes: _Array | None = None
 ) -> NDArray[np.complex128]:
-    """Return complex slopes (n,) of rays through pixels (n, 2) from the principal point.
+    """Return the slopes (n,) of the rays through pixels (n, 2): horizontal over vertical, as complex numbers.
+
+    Pixels count from the principal point.
 
     ``seconds`` are the exposure times relative to the picture's middle. ``turn`` is :func:`attitude_matrix` with the
     heading to which slopes refer.
@@ -197,7 +197,7 @@ def vibration_offset(view: ViewPrior, pixels: _Array, seconds: _Array, shakes: _
 
 
 def d_rays_d_tilt(slopes: NDArray[np.complex128]) -> _Array:
-    """Return the derivatives of slopes (n,) along N and E by tilt errors about N and about E, (n, 2, 2)."""
+    """Return the derivatives (n, 2, 2) of ray slopes along N and E by tilt errors about N and E."""
     n, e = slopes.real, slopes.imag
     return np.stack([np.stack([-n * e, 1.0 + n * n], axis=-1), np.stack([-1.0 - e * e, n * e], axis=-1)], axis=-2)
 

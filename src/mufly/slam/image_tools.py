@@ -141,7 +141,7 @@ def match_brightness(picture: _Picture, other: _Picture) -> _Picture:
 
 
 def warp_over_picture(picture: _Picture, homography: _Array, over: _Picture) -> tuple[_Picture, _Picture]:
-    """Return a picture warped over another one, and the mask of its interior, eroded by a patch.
+    """Warp a picture over another one; return the result, and a mask of the warped area, eroded by a patch.
 
     Outside, the result is the other picture. A black edge, fixed in the image, would bias all pyramid windows over it.
     """

@@ -241,7 +241,10 @@ def track_set_point(
 
 
 def _track_changed_goal(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory, dt: float) -> MissionState:
-    """Move the reference towards a changed goal, except in the step of the change, which has moved it already."""
+    """Move the reference towards a goal that was changed in flight.
+
+    In the step of the change itself, the reference has moved already.
+    """
     if s.set_point_reference is None or s.motion_clock_s == 0.0:
         return s
     wanted = SetPoint(position_m=s.goal, heading_rad=way.start_heading + way.turn_angle)

@@ -87,7 +87,7 @@ _STEP_FUNCTION_BY_STATE = {
 
 
 def _may_depart(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory) -> bool:
-    """Return whether height and heading are reached in fact, and the beams have scanned."""
+    """Return whether a leg's path may begin: height and heading are reached as measured, and the scan is complete."""
     at = way.evaluate(way.departure_s)
     angle, _ = scan_yaw(plan, s)
     return (
@@ -210,7 +210,7 @@ def _has_pending_curve(s: MissionState) -> bool:
 
 
 def _finish_pending_curve(s: MissionState) -> MissionState:
-    """Return the state with its pending curve computed."""
+    """Return the state with the curve of its motion computed, if the curve is still pending."""
     return (
         replace(s, motion=s.motion.finish_curve()) if _has_pending_curve(s) and isinstance(s.motion, Trajectory) else s
     )
@@ -261,7 +261,7 @@ def step_mission(
 def update_obstacle_map(
     plan: MissionPlan, state: MissionState, estimate: Estimate, part: int = 1, parts: int = 1
 ) -> MissionState:
-    """Process an eighth of the beams and a part of the points, between two mission steps.
+    """Add an eighth of the beams to the obstacle map, and check one part of its points, between two mission steps.
 
     If the vehicle has just begun a leg along a curve, the curve is computed instead; the vehicle stands or brakes.
 

@@ -33,7 +33,7 @@ DRAG_FACTOR_PER_THICKNESS_RATIO = 2.0  # skin friction of a section of thickness
 
 
 class BladeFamilyPrior(NamedTuple):
-    """Prior of a family: probability, mean and standard deviation of camber and thickness (% of the chord), reason."""
+    """Prior of a blade family: probability, mean and deviation of camber and thickness (% of the chord), rationale."""
 
     probability: float
     camber_percent: tuple[float, float]

@@ -176,8 +176,11 @@ def read_station_readings(path: str | Path) -> tuple[Array, Array, Array, Array]
 
 
 class _StationTable(NamedTuple):
-    """Radius and chord (m), twist (rad), airfoils (one or by station) and thickness over chord by station; radius of
-    the rotor (m) and number of blades."""
+    """Blade stations as read from a file, with the rotor's radius (m) and number of blades.
+
+    Each station has radius and chord (m), twist (rad) and thickness over chord; ``airfoils`` has one name, or one for
+    each station.
+    """
 
     r_m: Array
     chord_m: Array

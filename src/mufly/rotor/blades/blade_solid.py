@@ -401,7 +401,7 @@ def slice_blade(corners_m: Array, r_m: Sequence[float] | Array) -> list[BladeSli
 
 
 def _compare_end_thickness(loop: Array, i: int, j: int) -> float:
-    """Return a value above 0 if the leading edge is the end with the greater y.
+    """Return a positive value if the leading edge of a section is its end with the greater y, else a negative one.
 
     The leading edge is the thicker end, or, at equal thickness, the higher end.
     """
@@ -427,7 +427,7 @@ def rotor_from_body(
     blades: int | None = None,
     name: str = "",
 ) -> tuple[Rotor, tuple[str, ...]]:
-    """Make a rotor of a solid: a blade, or a whole rotor with a blade along x. Contours become files in ``folder``.
+    """Make a rotor from the solid of a blade or of a whole rotor; write the contours of its sections to ``folder``.
 
     Parameters
     ----------

@@ -52,8 +52,11 @@ _READING_TABLE_COMMENTS = (
 
 
 class GeometryReadings(NamedTuple):
-    """Readings of calipers and protractor, (n,) arrays: radius and chord (m), angle (rad); height of the leading over
-    the trailing edge at the last station (m), or None; greatest thickness over chord, nan where not measured."""
+    """Readings of calipers and protractor at n stations of a blade.
+
+    Radius and chord (m), angle (rad) and greatest thickness over chord (nan where not measured) are (n,) arrays.
+    ``tip_height_m`` is the height of the leading over the trailing edge at the last station, or None.
+    """
 
     r_m: Array
     chord_m: Array

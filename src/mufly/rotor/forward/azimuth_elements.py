@@ -91,7 +91,7 @@ class AzimuthPoint(NamedTuple):
 def _interpolate_section_coefficients(
     table: Array, onset: float, row: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Interpolate c_l and c_d of a station: cubic over the angle, linear between the rows of Re.
+    """Interpolate c_l and c_d of a station: cubic in the onset angle, linear between Reynolds numbers.
 
     Returns c_l and c_d, their slopes over the angle (1/rad), and their slopes over the row.
     """
@@ -164,7 +164,10 @@ def element_forces(
 def annulus_losses(
     blade: AzimuthBlade, point: AzimuthPoint, i: int, u: float, stream: float, around: float, share: float
 ) -> tuple[float, float, float]:
-    """Return swirl u_t (m/s), Prandtl's factor F and the factor on the lift of an annulus with mean inflow u."""
+    """Return swirl u_t (m/s), Prandtl's factor F, and the factor of tip loss on the lift, of an annulus.
+
+    ``u`` is the mean inflow of the annulus (m/s).
+    """
     r, turn = blade.r_m[i], point.speed_rad_s * blade.r_m[i] + around
     down = point.axial_m_s + stream + u
     swirl = 0.0

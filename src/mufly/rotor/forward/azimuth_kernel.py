@@ -83,7 +83,9 @@ these slopes lead astray."""
 
 
 def velocity_derivative_weights(trig: Array) -> Array:
-    """Return the derivatives of U_P by its unknowns, multiplied by the harmonics of an average, (azimuths, 2, 40).
+    """Return the derivatives of the velocity U_P by its unknowns, times the harmonics of an average, (azimuths, 2, 40).
+
+    U_P is the velocity perpendicular to the blade's path.
 
     Entry 8 h + k belongs to the harmonic h (1, c, s, 2c, 2s) and the unknown k (u, five flap coefficients, lc, ls).
     The first table is over V, the second over Omega r, the column of u over 1.
@@ -219,8 +221,10 @@ def _sum_element_forces(
 
 @cached_njit(error_model="numpy")
 def _global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array) -> float:
-    """Fill ``out`` (8) with the residuals of flapping and inflow for ``loads``: thrust (N) and the harmonics of the
-    flap moment (N m) of one blade. Return w."""
+    """Write the residuals of flapping and inflow to ``out`` (8,); return the weight w of annulus inflow.
+
+    ``loads``: thrust (N) and harmonics of the flap moment (N m) of one blade.
+    """
     speed, radius = point.speed_rad_s, blade.radius_m
     if math.isinf(blade.flap_ratio):
         for n in range(5):
@@ -307,8 +311,10 @@ def _station_residuals(
     blade: AzimuthBlade, point: AzimuthPoint, inflow: Array, x: Array, share: float, sums: Array, slopes: Array,
     losses: Array, miss: Array, local: Array,
 ) -> float:  # fmt: skip
-    """Fill the residuals of the stations (m/s) and their derivatives with the unknowns: u, then the eight of ``x``.
-    Return the largest residual over the tip speed."""
+    """Write the stations' inflow residuals (m/s) to ``miss``, and their derivatives to ``local``.
+
+    The derivatives are those by u, then by the eight unknowns ``x``. Return the largest residual over the tip speed.
+    """
     tip, count, largest = point.speed_rad_s * blade.radius_m, point.stream_m_s.shape[0], 0.0
     for i in range(blade.r_m.size):
         own, slope = 0.0, 0.0
@@ -357,7 +363,7 @@ def _station_residuals(
 
 @cached_njit(error_model="numpy")
 def _load_jacobian(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array) -> tuple[Array, Array]:
-    """Return the derivatives of the global residuals ``out`` with the loads, (8, 6), and with ``x``, (8, 8)."""
+    """Return the derivatives of the global residuals ``out`` by the loads, (8, 6), and by ``x``, (8, 8)."""
     by_load, by_state, other = (
         np.zeros((GLOBAL_UNKNOWN_COUNT, 6)),
         np.zeros((GLOBAL_UNKNOWN_COUNT, GLOBAL_UNKNOWN_COUNT)),
@@ -419,8 +425,9 @@ def _newton_step(
 def solve_azimuth(
     blade: AzimuthBlade, point: AzimuthPoint, trig: Array, ways: Array, inflow: Array, x: Array
 ) -> tuple[int, float, float]:
-    """Solve an operating point by Newton's method; return the number of steps, the last residual and the weight w of
-    annulus inflow.
+    """Solve an operating point by Newton's method.
+
+    Return the number of steps, the last residual, and the weight w of annulus inflow.
 
     Parameters
     ----------

@@ -44,14 +44,15 @@ _COUPLING_TOLERANCE = 1e-5  # of the coupling
 
 
 def make_edgewise_axis(knee: float, count: int, *, advance_ratio: float = MAP_ADVANCE_RATIO) -> Array:
-    """Return ``count`` evenly spaced values of the axis variable e = mu^2 / (mu^2 + knee^2), from 0 to that of an
-    advance ratio mu.
-    """
+    """Return ``count`` evenly spaced values of the axis e = mu^2 / (mu^2 + knee^2), up to an advance ratio mu."""
     return np.round(np.linspace(0.0, advance_ratio**2 / (advance_ratio**2 + knee**2), count), 5)
 
 
 def _flow_load_columns(pair: ForwardPair, axial: ForwardPair, density: float, radius: float) -> Array:
-    """Return the first six columns of both rotors, (2, 6); ``axial`` is the pair at the smallest V."""
+    """Return the effects of edgewise flow on the loads of both rotors, (2, 6): the first six columns of a map.
+
+    ``axial`` is the pair at the smallest V, to which thrust and torque are related.
+    """
     out = np.zeros((2, 6))
     for k, (at, rest) in enumerate(((pair.upper, axial.upper), (pair.lower, axial.lower))):
         force = density * math.pi * radius**3 * at.speed_rad_s * at.edgewise_m_s
@@ -65,12 +66,15 @@ def _flow_load_columns(pair: ForwardPair, axial: ForwardPair, density: float, ra
 def _rate_load_columns(
     solve: Callable[[tuple[float, float]], ForwardPair], pair: ForwardPair, density: float, radius: float
 ) -> Array:
-    """Return the last four columns of both rotors, (2, 4), by differences with roll and pitch rate."""
+    """Return the effects of roll and pitch rate on the loads of both rotors, (2, 4): the last four columns of a map.
+
+    They are found by differences.
+    """
     rate = _BODY_RATE_STEP_RATIO * pair.upper.speed_rad_s
     rolling, pitching = solve((rate, 0.0)), solve((0.0, rate))
 
     def load_changes_per_rate(moved: ForwardResult, at: ForwardResult) -> tuple[Array, Array]:
-        """Return the changes of force (forward, right) and of moment (about x, y) per rate."""
+        """Return the changes from ``at`` to ``moved`` of force (forward, right) and moment (about x, y), per rate."""
         force = at.h_force_N - moved.h_force_N, moved.y_force_N - at.y_force_N
         moment = moved.roll_moment_Nm - at.roll_moment_Nm, moved.pitch_moment_Nm - at.pitch_moment_Nm
         return np.array(force) / rate, np.array(moment) / rate

@@ -95,8 +95,11 @@ class DiscFields:
 
 @dataclass(frozen=True, eq=False)
 class SolverState:
-    """State of a solution, from which similar points start: inflow of the annuli (m/s), flap and inflow unknowns, and
-    swirl (m/s), Prandtl's factor and drag per length (N/m) of the annuli."""
+    """State of a solution, from which the solution of a similar point can start.
+
+    It holds the inflow of the annuli (m/s), the unknowns of flapping and inflow, and for each annulus swirl (m/s),
+    Prandtl's factor and drag per length (N/m).
+    """
 
     inflow_m_s: Array
     unknowns: Array

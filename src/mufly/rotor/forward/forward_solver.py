@@ -114,7 +114,9 @@ def flap_modes_of_band(
 
 
 def lock_number(r_m: Array, dr_m: Array, chord_m: Array, flap: BladeFlap, air: Air) -> float:
-    """Return the Lock number 4 rho a int c r^3 dr / I with a = 5.7 per rad (rho a c R^4 / I for constant chord).
+    """Return the Lock number, the ratio of aerodynamic to inertial forces in flapping.
+
+    It is 4 rho a int c r^3 dr / I with a = 5.7 per rad; for a constant chord, rho a c R^4 / I.
 
     Parameters
     ----------
@@ -148,8 +150,10 @@ def _check_condition(c: ForwardCondition) -> None:
 
 @lru_cache(maxsize=8)
 def azimuth_grid(count: int) -> tuple[Array, Array, Array]:
-    """Return azimuths (rad), the table 1, cos, sin, cos 2, sin 2 of them, (count, 5), and their
-    :func:`mufly.rotor.forward.azimuth_kernel.velocity_derivative_weights`."""
+    """Return azimuths psi (rad), the table (1, cos psi, sin psi, cos 2 psi, sin 2 psi), (count, 5), and weights.
+
+    The weights are those of :func:`mufly.rotor.forward.azimuth_kernel.velocity_derivative_weights`.
+    """
     psi: Array = np.arange(count, dtype=np.float64) * (2.0 * math.pi / count)
     trig = np.stack((np.ones(count), np.cos(psi), np.sin(psi), np.cos(2 * psi), np.sin(2 * psi)), axis=1)
     return psi, trig, velocity_derivative_weights(trig)
@@ -248,7 +252,10 @@ def _find_solution(
     blading: Blading, which: int, c: ForwardCondition, blade: AzimuthBlade, point: AzimuthPoint, trig: Array,
     ways: Array, start: ForwardResult | None,
 ) -> tuple[Array, Array, int, float]:  # fmt: skip
-    """Return inflow, unknowns, steps and w; the start is the given result, else a guess, else axial flow."""
+    """Solve a point, starting from a given solution, else from a guess, else from axial flow.
+
+    Return inflow, unknowns, number of steps, and the weight w of annulus inflow.
+    """
     tip = point.speed_rad_s * blade.radius_m
     total = 0
 

@@ -34,7 +34,7 @@ Spread = Callable[[int, int], Any]
 def _sum_groups(
     table: Array, first: int, later: int, stride: int, ca: float, cb: float, cc: float, cd: float, ce: float
 ) -> float:
-    """Return the weighted sum of three numbers that are ``stride`` apart, and of two more."""
+    """Return the weighted sum of three numbers from index ``first`` and two from ``later``, each ``stride`` apart."""
     n, m = np.uint64(first), np.uint64(later)
     s, t = np.uint64(first + stride), np.uint64(first + 2 * stride)
     return ca * table[n] + cb * table[s] + cc * table[t] + cd * table[m] + ce * table[np.uint64(later + stride)]
@@ -55,7 +55,7 @@ def sum_flow_rows(
     table: Array, first: int, later: int, stride: int, ca: float, cb: float, cc: float, cd: float, ce: float,
     ea: float, eb: float, ec: float,
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
-    """Return the weighted sum of five groups of three neighbouring rows with 12 columns; the groups are summed first.
+    """Return the weighted sum of five groups of three neighbouring rows of 12 columns, added over groups, then rows.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def emit_rate_sum(builder: Any, table: Any, places: Sequence[Any], spread: Sprea
 
 
 def _make_intrinsic(columns: int, arguments: str, emit: Any) -> Any:
-    """Return the form for arrays; ``arguments`` has an i for each integer and an f for each number."""
+    """Return the Numba intrinsic of a row sum; ``arguments`` has an i for each integer and an f for each float."""
     kinds = [_types.int64 if a == "i" else _types.float64 for a in arguments]
 
     def typed(table: Any) -> tuple[Any, Any]:

@@ -37,7 +37,7 @@ def _fill_coefficients(
 
 
 def _angles_from_onset_angles(onset: Array, zero: float, alpha: Array, reached: Array) -> Array:
-    """Return the angle of attack of each onset angle: the first such angle outward from the zero-lift angle."""
+    """Return the angle of attack at each onset angle; of several, the first one outward from zero lift."""
     out = np.empty_like(onset)
     middle = alpha.size // 2
     up = np.maximum.accumulate(reached[middle:])
@@ -50,7 +50,7 @@ def _angles_from_onset_angles(onset: Array, zero: float, alpha: Array, reached: 
 
 @lru_cache(maxsize=16)
 def station_tables(blading: Blading, which: int, air: Air) -> Array:
-    """Return c_l and c_d of the stations of a rotor, (stations, Reynolds numbers, 723, 2).
+    """Return a table of c_l and c_d of the stations of a rotor, (stations, Reynolds numbers, angles, 2).
 
     The angles are those of :data:`mufly.rotor.sections.polar_table.ALPHA_GRID` with one more at each end; the Reynolds
     numbers are those of the blading's polars. The last 16 tables are kept.

@@ -152,7 +152,7 @@ def _shifted_stream(
     upper: ForwardResult, upper_dr: Array, met: Array, shift_m: float, spacing_m: float, radius_m: float,
     lower_r: Array, lower_dr: Array, psi: Array, density: float,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return the axial stream of the upper rotor and its swirl at the stations of the lower, (azimuths, stations)."""
+    """Return the upper rotor's axial stream and swirl at the stations of the lower rotor, (azimuths, stations)."""
     along = lower_r * np.cos(psi)[:, None] - shift_m
     across = lower_r * np.sin(psi)[:, None]
     r = np.hypot(along, across)

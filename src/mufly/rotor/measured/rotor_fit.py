@@ -339,7 +339,10 @@ def add_zero_load_points(
 
 
 def _count_copies(bench: _BenchPoints) -> Array:
-    """Return for each point the number of points at its pitch (0.1 degrees), speed (1 %) and airspeed (1 %), (n,)."""
+    """Return for each point the number of points with nearly its pitch, speed and airspeed, itself included, (n,).
+
+    Nearly means within 0.1 degrees, 1 % and 1 %.
+    """
     pitch, climb = bench.pitch_rad, bench.climb_m_s
     speed = np.log(bench.speed_rad_s)
     near = (
@@ -351,7 +354,10 @@ def _count_copies(bench: _BenchPoints) -> Array:
 
 
 def _compute_load_scales(measurements: RotorMeasurements, load: Array, hover: Array) -> Array:
-    """Return T_s (N) and Q_s (N m) of the module docstring, (2, n); ``hover``: predicted loads without airspeed."""
+    """Return the scales T_s (N) and Q_s (N m) to which errors are related (module docstring), (2, n).
+
+    ``hover``: loads predicted without airspeed.
+    """
     square = np.square(measurements.speed_rad_s)
     greatest = np.nanmax(np.where(np.isfinite(load), np.abs(load) / square, 0.0), axis=1)
     if hover.size:
@@ -372,7 +378,10 @@ def _select_training_points(bench: _BenchPoints) -> tuple[NDArray[np.intp], str]
 
 
 def _apply_change(blading: Blading, tables: Mapping[str, PolarTable], change: Array, reynolds: float) -> Blading:
-    """Return the blading of a rotor with this fit, equal to :func:`mufly.rotor.prepare_blading` but faster."""
+    """Return the blading with the changes of a fit to its polars and twist.
+
+    It equals that of :func:`mufly.rotor.prepare_blading`, but is made faster.
+    """
     names = blading.rotors[0].airfoil_names()
     polars = stack_polars([apply_section_fit(tables[name], change.tolist(), reynolds) for name in names])
     return replace(blading, polars=polars, twist_rad=blading.twist_rad + change[0])
@@ -381,7 +390,7 @@ def _apply_change(blading: Blading, tables: Mapping[str, PolarTable], change: Ar
 def _compute_scaled_errors(
     blading: Blading, tables: Mapping[str, PolarTable], change: Array, bench: _BenchPoints
 ) -> Array:
-    """Return errors of thrust and torque over their scales, (2, n)."""
+    """Return the errors of predicted thrust and torque, divided by ``bench.load_scales``, (2, n)."""
     changed = _apply_change(blading, tables, change, bench.reynolds) if change.any() else blading
     out = solve_rotor_batch(
         changed,
@@ -401,7 +410,7 @@ def _fit_sections(
     wide: Array,
     bench: _BenchPoints,
 ) -> list[_FittedSection]:
-    """Fit every section; return the fits, the likeliest first."""
+    """Fit the rotor with each candidate section; return the fits, the likeliest first."""
     size = np.outer((_THRUST_SCATTER_FRACTION, _TORQUE_SCATTER_FRACTION), np.sqrt(_count_copies(bench))).ravel()
     known = np.isfinite(bench.measured_loads.ravel())
     found = []

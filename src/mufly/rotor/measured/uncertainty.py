@@ -220,7 +220,7 @@ def predict_interval(
     thrust, torque = solve_loads()
 
     def rms_deviation(*others: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Return the root mean square deviation from the nominal point."""
+        """Return the RMS deviation of thrust and torque in ``others`` from the nominal point."""
         return (
             np.sqrt(np.mean([(t - thrust) ** 2 for t, _ in others], axis=0)),
             np.sqrt(np.mean([(q - torque) ** 2 for _, q in others], axis=0)),
@@ -260,7 +260,7 @@ def predict_interval(
 
 
 def interval_quantile(level: float) -> float:
-    """Return t_3((1 + level) / 2), the half width of an interval over the scale of Student's distribution."""
+    """Return the half width of an interval over the scale of Student's distribution: t_3((1 + level) / 2)."""
     return float(stdtrit(_STUDENT_DEGREES_OF_FREEDOM, 0.5 + 0.5 * level))
 
 
@@ -303,8 +303,11 @@ def fit_interval_scale(errors: Sequence[Array]) -> float:
 def _make_interval(
     values: Array, causes: Mapping[str, Array], level: float, sigmas: tuple[float, float]
 ) -> PredictionInterval:
-    """Make the interval from nominal thrust and torque (2, n), standard deviations of each cause (2, n) and half widths
-    of thrust and torque in standard deviations."""
+    """Make the prediction interval.
+
+    ``values``: nominal thrust and torque (2, n). ``causes``: standard deviations due to each cause, (2, n). ``sigmas``:
+    half widths of thrust and torque in standard deviations.
+    """
     half = np.array(sigmas)[:, None] * np.sqrt(np.sum([np.square(c) for c in causes.values()], axis=0))
     size = np.where(values == 0.0, np.nan, np.abs(values))
     low, high = values - half, values + half

@@ -282,7 +282,10 @@ def validate_contour(contour: Array, where: str) -> Array:
 
 
 def _first_crossing(contour: Array) -> tuple[int, int] | None:
-    """Return the first pair of segments that cross, by the signs of the four triangles of their ends."""
+    """Return the indices of the first two segments of a contour that cross; None if there are none.
+
+    Segments cross if the ends of each lie on different sides of the other.
+    """
     p, d = contour[:-1], np.diff(contour, axis=0)
     q = contour[1:]
 

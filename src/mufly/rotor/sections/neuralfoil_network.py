@@ -160,7 +160,7 @@ def _swish_in_place(z: Floats) -> Floats:
 
 
 def _forward_pass(first: Floats, layers: list[tuple[Floats, Floats]]) -> Floats:
-    """Compute the outputs (cases, 4) from the first layer's sums (cases, width)."""
+    """Evaluate the network from the sums of its first layer (cases, width); return its outputs (cases, 4)."""
     z = first
     for weight, bias in layers:
         z = _swish_in_place(z) @ weight.T
@@ -284,7 +284,7 @@ def _compute_section_data(
 
 
 def _mark_confident_points(logit: Array, cl: Array) -> NDArray[np.bool_]:
-    """Mark the points connected to zero lift without a gap in confidence, shape (nr, na)."""
+    """Mark the points that are reached from zero lift through confident points only, (Reynolds numbers, angles)."""
     good = logit > math.log(MIN_CONFIDENCE / (1 - MIN_CONFIDENCE))
     trusted = np.zeros_like(good)
     for row, (g, lift) in enumerate(zip(good, cl, strict=True)):

@@ -213,7 +213,7 @@ def _xfoil_environment(preload: str | None) -> dict[str, str]:
 
 @once
 def _build_fpe_stub() -> str:
-    """Build the replacement of the trap request; return its path."""
+    """Build the library that disables XFOIL's floating-point traps; return its path."""
     trapped = "this xfoil stops at floating-point exceptions"
     try:
         find_compiler()
@@ -323,7 +323,7 @@ def _polar_at_reynolds(
 
 
 def _bridge_gaps(alpha_deg: Array, table: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Fill narrow gaps linearly; keep the interval around the smallest lift up to the first wide gap."""
+    """Fill narrow gaps linearly; return also a mask of the interval around zero lift up to the first wide gaps."""
     good = np.all(np.isfinite(table), axis=1)
     if good.sum() < 3:
         return table, np.zeros(good.size, dtype=np.bool_)

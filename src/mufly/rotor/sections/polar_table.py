@@ -384,7 +384,7 @@ def extend_full_circle(data: SectionData, *, aspect_ratio: float = DEFAULT_ASPEC
 
 
 def _blend_into_stall(a: Array, values: tuple[Array, ...], c_max: float) -> tuple[Array, Array, Array]:
-    """Fill rows with known angles ``a``: spline inside, and beyond a transition to the measured full circle."""
+    """Extend coefficients known at angles ``a`` to the full circle: spline, then transition to stalled data."""
     grid, rows = ALPHA_GRID, len(values[0])
     skin = values[1].min(axis=1, keepdims=True)
     normal = c_max * (_STALLED_CL_SHAPE * np.cos(grid) + _STALLED_CD_SHAPE * np.sin(grid))

@@ -53,7 +53,7 @@ class SectionParameters(NamedTuple):
 
 
 class PolarGrid(NamedTuple):
-    """Arrays of a :class:`PolarStack` that the kernel interpolates in."""
+    """Arrays of a :class:`PolarStack` from which the kernel interpolates."""
 
     grid: Array
     log_reynolds_min: float

@@ -45,7 +45,7 @@ _ROOT_LAG_SLOPE_DOF, _ROOT_FLAP_DEFLECTION_DOF, _ROOT_FLAP_SLOPE_DOF, _ROOT_TWIS
 
 
 def _make_integration_matrix() -> Array:
-    """Return the matrix from values at the Gauss points to the integrals from each point to the element's end."""
+    """Return the matrix that integrates values at the Gauss points from each point to the end of the element."""
     powers = np.vander(GAUSS_POINTS, increasing=True)
     upto = (1.0 - GAUSS_POINTS[:, None] ** np.arange(1, 5)) / np.arange(1, 5)
     return np.asarray(upto @ np.linalg.inv(powers))
@@ -203,8 +203,9 @@ class BladeBeam:
         return np.column_stack([*extra, keep]) if extra else keep
 
     def assemble_matrix(self, *parts: tuple[Array | float, Array, Array], symmetric: bool = True) -> Array:
-        """Return the integral of factor left right^T along the span, summed over all parts: (size, size), by default
-        its symmetric part.
+        """Return the integral of factor left right^T along the span, summed over all parts, (size, size).
+
+        With ``symmetric``, only its symmetric part is returned.
         """
         total = np.zeros((self.length_m.size, _ELEMENT_DOF_COUNT, _ELEMENT_DOF_COUNT))
         for factor, left, right in parts:

@@ -39,7 +39,7 @@ _FOUR_PI = 4.0 * math.pi
 
 
 def segment_velocity(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[no-untyped-def]
-    """Return 4 pi times the velocity at a point due to a segment of unit circulation; ``core`` is s^2.
+    """Return 4 pi times the velocity at a point due to a segment of unit circulation; ``core`` is the width squared.
 
     Plain Python, compiled here for the CPU and in :mod:`.biot_savart_gpu` for CUDA.
 
@@ -169,7 +169,9 @@ def make_segments(paths: Array, core: Array, strength: Array) -> tuple[Array, Ar
 
 
 class SingleSegments(NamedTuple):
-    """Segments in single precision, in groups of equal size; lengths are divided by ``length_m`` to avoid underflow.
+    """Vortex segments in single precision, in groups of equal size; lengths are in units of ``length_m``.
+
+    The unit avoids underflow.
 
     ``rows``, (10, groups, segments): start, line to the end, its square, s^2, s^2 times that square, circulation.
     """

@@ -105,7 +105,7 @@ def _convect_filaments(unit: RotorState, velocity: Array, climb: float) -> tuple
 
 
 def _limit_root_upwash(velocity: Array) -> None:
-    """Limit the upwash of a pair's root vortices: they descend at least as fast as the sheet beside them.
+    """Limit the upwash of a pair's root vortices: they descend at least as fast as the vortex sheet beside them.
 
     The velocities, (edges, points, 3), change in place. Coils of a root vortex induce upwash through their middle, the
     place of hub and shaft. Without the limit the upper rotor's root vortex has two solutions: down, or up through its
@@ -204,7 +204,7 @@ def solve_wake(
 
 
 def _turns_to_ground(ground_m: float, rotors: Sequence[PlacedRotor]) -> float:
-    """Return the turns after which Landgrebe's tip vortex of the lowest rotor reaches the ground, at a typical loading.
+    """Return the turns after which the lowest tip vortex reaches the ground (Landgrebe's formula, typical loading).
 
     Beyond, helices would pile up on the ground, and the wake would not converge.
     """
@@ -218,7 +218,7 @@ def _solve_with_core_limit(
     rotors: Sequence[PlacedRotor], gas: Air, climb_m_s: float, how: WakeSettings, start: SystemSolution | None,
     progress: Callable[[int, float, float], None] | None,
 ) -> SystemSolution:  # fmt: skip
-    """Solve with one core limit, from a similar solution or from a prescribed wake."""
+    """Solve the wake with one limit of the core radius, from a similar solution or from a prescribed wake."""
     nu = gas.viscosity_Pa_s / gas.density_kg_m3
     units = [RotorState(p, how) for p in rotors]
     initialise_wakes(units, start, climb_m_s)
@@ -337,8 +337,7 @@ def _is_steady(history: list[list[float]], tolerance: float) -> bool:
 
 
 def _is_steady_in_mean(history: list[list[float]], tolerance: float) -> bool:
-    """Return True if the wake is steady in the mean: two windows have equal means, and the present loads agree with
-    them.
+    """Return True if two successive windows of the loads have equal means, with which the present loads agree.
 
     Old vortices keep pairing and separating, in real wakes as in this model. The loads then fluctuate about means that
     do not depend on the relaxation.
@@ -473,8 +472,7 @@ class RotorState:
         self._packed: list[Any] = [None, None]  # on first use
 
     def induced_velocity(self, points: Array, *, few: bool = False) -> Array:
-        """Return the velocity induced by this rotor at points of its own frame; ``few`` selects the wake with coarse
-        chords."""
+        """Return the velocity induced by this rotor at points of its own frame; ``few`` selects coarse segments."""
         if self._packed[few] is None:
             self._packed[few] = self.pack_segments(self._collect[few]())
         vortices = self._packed[few]
@@ -532,7 +530,7 @@ def mutual_inflow_at(
 
 
 def mutual_inflow(target: RotorState, source: RotorState, points: Array, phases: int) -> Array:
-    """Return the mutual inflow averaged over the relative azimuth; coarse chords suffice for the average."""
+    """Return the mutual inflow averaged over the relative azimuth, from wakes with coarse segments."""
     step = 2.0 * math.pi / (phases * source.surface.blade_count)
     azimuths = step * (np.arange(phases)[:, None] + 0.5)
     average: Array = mutual_inflow_at(target, source, points, azimuths, few=True).mean(axis=0)

@@ -227,8 +227,10 @@ def fit_camera(
 def _minimise(
     problem: _CalibrationProblem, shared: _Array, segment_states: _Array
 ) -> tuple[_Array, _Array, _Array, float]:
-    """Return the unknowns at the minimum, the covariance of those that all segments share, and the deviation of
-    pixels.
+    """Minimise the residuals.
+
+    Return the shared unknowns, the segments' states, the covariance of the shared unknowns, and the standard deviation
+    of the pixel residuals.
     """
     covariance, sigma_px = np.zeros((SHARED_SIZE, SHARED_SIZE)), 0.0
     for _ in range(_MAX_ITERATIONS):
@@ -345,7 +347,7 @@ class _CalibrationProblem:
     def predict_first_pixels(
         self, shared: _Array, segment_states: _Array, att: IntegratedMotion, segment: int, last_px: _Array
     ) -> _Array:
-        """Return the pixels (n, 2) of the first picture that show the floor points at pixels of the last one."""
+        """Predict the pixels (n, 2) of floor points in a segment's first picture from those in its last."""
         k, first_px = np.full(len(last_px), segment), last_px
         for _ in range(_ROW_TIME_ITERATIONS):
             first_px = self._transfer_points(shared, segment_states, att, k, last_px, first_px, False)
@@ -355,8 +357,7 @@ class _CalibrationProblem:
         self, shared: _Array, segment_states: _Array, att: IntegratedMotion, k: NDArray[np.int64], pixels: _Array,
         rows_of: _Array, is_forward: bool,
     ) -> _Array:  # fmt: skip
-        """Return the pixels (n, 2) in one picture of segments ``k`` of the floor points that the other picture shows at
-        given pixels.
+        """Transfer floor points from one picture of the segments ``k`` to the other; return their pixels (n, 2).
 
         The rows of ``rows_of`` (n, 2) give the exposure times of the result. ``is_forward``: from the first picture to
         the last.
@@ -389,9 +390,7 @@ class _CalibrationProblem:
         return project_points(lens, seen)
 
     def chain_residuals(self, shared: _Array, segment_states: _Array, att: IntegratedMotion) -> _Array:
-        """Return the residuals (m, 8) of the segments: velocity and floor against the next segment, height,
-        rotation.
-        """
+        """Return the residuals (m, 8) of the segments: steps of velocity and floor to the next, height, rotation."""
         begin, end = (self.tracks.times_s - shared[DELAY]).T
         v, height = segment_states[:, _VELOCITY], np.exp(segment_states[:, _LOG_HEIGHT])
         lever_d = np.einsum("nij,j->ni", att.rotation_at(begin), shared[LEVER])[:, 2]
@@ -424,7 +423,7 @@ class _CalibrationProblem:
         return max(1e-5, self.gyro_noise * math.sqrt(self._interval_s * self._segment_s))
 
     def pixel_sigma(self, shared: _Array, segment_states: _Array) -> float:
-        """Return the deviation of pixel residuals along an axis (pixels), from their median."""
+        """Return the robust standard deviation of the pixel residuals along one axis (pixels), from their median."""
         r = self.point_residuals(shared, segment_states, self.integrate(shared))
         return max(_MIN_PIXEL_SIGMA, 1.4826 * float(np.median(np.abs(r))))
 
@@ -571,7 +570,7 @@ def _mount_angles(mount: _Array) -> _Array:
 
 
 def _guess_rotation(tracks: PointTracks, camera: Camera, imu: InertialData) -> tuple[float, float, float]:
-    """Return delay (s), scale of the focal length and turn (rad) at which gyroscopes explain the mean motion best.
+    """Return the delay (s), focal length factor and camera turn (rad) with which gyroscopes explain the motion best.
 
     The motion y of the middle of the picture is regressed on that of the rotation alone, y = m p + n conj(p); the
     delay is that of the best fit.

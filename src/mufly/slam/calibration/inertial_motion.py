@@ -112,7 +112,7 @@ def integrate_inertial(
 
 
 def estimate_white_noise(values: _Array) -> float:
-    """Return the deviation of white noise on smooth signals (n, 3), from third differences."""
+    """Return the standard deviation of white noise on smooth signals (n, 3), from their third differences."""
     third = np.diff(values, n=3, axis=0)
     return float(np.sqrt(np.median(third**2) / 0.4549 / 20.0))
 

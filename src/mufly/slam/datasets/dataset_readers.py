@@ -342,7 +342,10 @@ def read_inertial_data(file: Path) -> tuple[_Array, _Array, _Array]:
 
 
 def complementary_filter(t: _Array, rates: _Array, force: _Array) -> tuple[_Array, _Array]:
-    """Return roll and pitch (n,) of rates and specific force (n, 3), body axes: gyroscopes corrected by the force."""
+    """Return roll and pitch (n,) from gyroscopes, corrected by the direction of the specific force.
+
+    ``rates`` and ``force`` are (n, 3), in body axes.
+    """
     down = -force[0] / np.linalg.norm(force[0])
     out = np.empty_like(rates)
     for k in range(len(t)):
@@ -484,7 +487,10 @@ def _telemetry_from_recording(file: Path) -> tuple[_Array, _Array | None]:
 
 
 def _open_recording(path: Path, camera: Camera, told: Callable[[_Array], list[FrameInfo]] | None) -> FrameSource:
-    """Return pictures of a flight with the vehicle's data, or else the state of the recording."""
+    """Open the pictures of a recorded flight.
+
+    The vehicle's data are those of ``told``, else those stored with the pictures, else the recorded state.
+    """
     kept = read_pictures(path)
     times = np.array(kept.times_s)
     _check_rising_times(times, [f"picture {k + 1}" for k in range(len(times))], str(kept.path))

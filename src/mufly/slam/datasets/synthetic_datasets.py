@@ -203,7 +203,7 @@ def _trace_square(way: _Array, side: float) -> _Array:
 
 
 def _smooth_rows(a: _Array, n: int) -> _Array:
-    """Return the moving average over n rows, applied twice; edge values are repeated."""
+    """Return the rows smoothed twice by a moving average over ``n`` rows; edge values are repeated."""
     kernel = np.ones(n) / n
     for _ in range(2):
         a = np.stack(

@@ -330,7 +330,7 @@ class CameraMonitor:
 def low_pass_motion(
     slow: NDArray[np.complex128], motion: NDArray[np.complex128], dt: float, yaw_rate_rad_s: float
 ) -> NDArray[np.complex128]:
-    """Return the slow part of motions in the picture, ``dt`` (s) later.
+    """Return the slow part of motions in the picture, low-pass filtered over the next ``dt`` (s).
 
     A velocity that is steady in N-E axes, as in a steady wind, rotates in the picture when the vehicle yaws. The slow
     part is rotated in the same way, so that yawing does not count as motion.
@@ -379,8 +379,7 @@ class FlipTest:
 
 
 class MotionFit:
-    """Recursive least squares, with exponential forgetting, of the coefficients m, n and k of the motion in the
-    picture.
+    """Recursive least squares, with forgetting, of the coefficients in y = m p + n conj(p) + k p' (module docstring).
 
     Parameters
     ----------
