@@ -164,7 +164,9 @@ class FloorMap:
     def predict_sensor_errors(
         self, time_s: float, tilt: tuple[float, float, float], height: tuple[float, float]
     ) -> tuple[_Array, _Array, _Array]:
-        """Predict a picture's errors of tilt (rad) and sonar (ln h) from the newest keyframe, with their correlation.
+        """Predict tilt (rad) and sonar error (ln h) of a picture from those of the newest keyframe.
+
+        Return the errors, the factors by which the old errors persist, and the variances of the added noise.
 
         ``tilt`` and ``height`` are arguments of :func:`mufly.slam.pose_graph.gauss_markov_transition`, which gives the
         factors and noise variances.
@@ -177,7 +179,7 @@ class FloorMap:
         return keep * (0.0 if last is None else self.nodes[-1, SENSOR_ERRORS]), keep, noise
 
     def predict_covariance(self, k: int, keep: _Array, noise: _Array) -> _Array:
-        """Return the covariance (9, 9) of node ``k``, its tilt error, and a picture's tilt and sonar error."""
+        """Return the covariance (9, 9) of node ``k``, with its tilt error, and a picture's tilt and sonar error."""
         last = len(self.keyframes) - 1
         to = np.zeros((9, NODE_SIZE if k == last else 2 * NODE_SIZE))
         to[:SONAR, :SONAR] = np.eye(SONAR)
@@ -210,7 +212,7 @@ class FloorMap:
         return h * np.array([[c, -s], [s, c]]) @ d_rays_d_tilt(self.keyframes[k].slopes)
 
     def repeat_offsets(self, k: int, focal: float) -> _Array:
-        """Return the offsets N and E (n, 2) by which a keyframe's floor repeats, in both directions (m)."""
+        """Return the offsets N and E (n, 2) by which the floor in a keyframe repeats, each with both signs (m)."""
         f = self.keyframes[k]
         if f.repeat_shifts_px is None:
             f.repeat_shifts_px = find_repeat_shifts(f.picture)
@@ -275,7 +277,7 @@ class FloorMap:
 
 
 def compose_pose(a: _Array, b: _Array) -> _Array:
-    """Return node ``b`` from node ``a`` and the relative pose (:func:`mufly.slam.pose_graph.relative_pose`)."""
+    """Return the node at the pose ``b`` relative to node ``a`` (:func:`mufly.slam.pose_graph.relative_pose`)."""
     c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LOG_HEIGHT])
     return np.array([a[0] + h * (c * b[0] - s * b[1]), a[1] + h * (s * b[0] + c * b[1]), *(a[PLACE] + b)[HEADING:]])
 
@@ -283,7 +285,7 @@ def compose_pose(a: _Array, b: _Array) -> _Array:
 def residuals_without_pose_error(
     off: NDArray[np.complex128], own: NDArray[np.complex128], seen: NDArray[np.complex128], weight: _Array
 ) -> NDArray[np.complex128]:
-    """Return the residuals of points after removal of the part that a change of the pose explains.
+    """Return the residuals of points without the part that a change of the pose would explain.
 
     Parameters
     ----------
@@ -304,7 +306,7 @@ def residuals_without_pose_error(
 
 
 def view_overlap(a: _Array, b: _Array, wide: float, high: float) -> float:
-    """Return the approximate share of node ``b``'s view that node ``a`` also sees, both level.
+    """Return the approximate share of the view from node ``b`` that is also seen from node ``a``, both level.
 
     It falls with differences in heading and height. ``wide`` and ``high`` are the picture's sides over the focal
     length.

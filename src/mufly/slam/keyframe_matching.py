@@ -109,12 +109,12 @@ class FrameContext:
 
     @property
     def texture_caution(self) -> float:
-        """Factor on the texture that a direction needs: larger after results without texture along it."""
+        """Factor on the texture that a direction needs; larger if the last results lacked texture in one direction."""
         return 2.0 if self.motion.has_texture_in_one_direction else 1.0
 
     @property
     def row_slope(self) -> float:
-        """Rms slope by which vibration bends vertical lines in a rolling shutter."""
+        """Rms slope by which vibration bends vertical lines in a picture with a rolling shutter."""
         fastest = float(self.view.rotor_speeds_rad_s.max(initial=_ASSUMED_ROTOR_SPEED_RAD_S))
         return self.shake_rms_px * self.row_time_s * fastest
 
@@ -195,14 +195,14 @@ class KeyframeMatch:
 
     @property
     def place_variance(self) -> float:
-        """Mean variance of N and E by the pixels for known tilts (m^2); infinite without texture in a direction."""
+        """Mean variance of N and E due to pixel noise, tilts known (m^2); infinite if a direction shows no texture."""
         if len(self.unknown) or not len(self.inlier_indices):
             return math.inf
         return 0.5 * float(np.trace(np.linalg.inv(self.pose.pixel_information[:POSE_TILT, :POSE_TILT])[:2, :2]))
 
     @property
     def variance_inflation(self) -> float:
-        """Ratio of the variance of the pose to that of independent points.
+        """Ratio of the pose's variance to that from points with independent errors.
 
         Neighbouring points have correlated errors (:data:`POINT_VARIANCE_INFLATION`). Vibration that is not modelled
         shifts all points of a picture alike, so the variance does not fall below ``common_variance_m2``.
@@ -367,13 +367,13 @@ def _match_directly(
 
 
 def _common_variance(context: FrameContext) -> float:
-    """Return the variance (m^2) of the position by errors that all points of a picture share."""
+    """Return the variance of the position due to errors that all points of a picture share (m^2)."""
     common_px = math.hypot(_COMMON_SHAKE_FRACTION * context.shake_rms_px, _COMMON_SIGMA_PX)
     return (common_px * context.view.height_m / context.view.focal_px) ** 2
 
 
 def _unexplained_turn(match: KeyframeMatch, context: FrameContext, node: _Array) -> float:
-    """Return the heading's deviation from its prediction (rad), or 0 if rates, tilts and pixels explain it."""
+    """Return the deviation of the heading from its prediction (rad); 0 if it lies within its uncertainty."""
     latest = context.motion.latest
     if latest is None or latest.elapsed_s > TRACKING_LOST_AFTER_S:
         return 0.0
@@ -384,7 +384,7 @@ def _unexplained_turn(match: KeyframeMatch, context: FrameContext, node: _Array)
 
 
 def _floor_homography(floor_map: FloorMap, k: int, context: FrameContext, node: _Array) -> _Array:
-    """Return the homography over the floor from a keyframe's undistorted picture to the view from a node."""
+    """Return the homography from a keyframe's undistorted picture to the view of the floor from a node."""
     view, keyframe, at = context.view, floor_map.keyframes[k], floor_map.nodes[k]
     c, s = math.cos(at[HEADING]), math.sin(at[HEADING])
     x, y = at[TILT] - keyframe.tilt
@@ -401,7 +401,7 @@ def _floor_homography(floor_map: FloorMap, k: int, context: FrameContext, node: 
 def correlate_keyframe(
     floor_map: FloorMap, k: int, context: FrameContext, node: _Array
 ) -> tuple[_Array, CorrelationPeak] | None:
-    """Return the node (4,) of the picture by correlation of reduced pictures, and the correlation peak.
+    """Correlate a picture with a keyframe, both reduced; return the picture's node (4,) and the correlation peak.
 
     The shift is searched within three standard deviations of the predicted position. The result is None if there is no
     peak.

@@ -118,7 +118,7 @@ def insert_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
 
 
 def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bool = False) -> GraphEdge:
-    """Return the edge between the matched keyframe and a picture that is node ``second``."""
+    """Return the edge from the matched keyframe to the picture, which is node ``second``."""
     at, pose = floor_map.nodes[match.keyframe], match.pose
     tilt = at[TILT] + pose.keyframe_tilt_error_rad
     _, by_b = relative_pose_jacobians(at, match.pose_graph_node)
@@ -186,7 +186,9 @@ class LoopSearch:
     def match_candidate(
         self, floor_map: FloorMap, here: int, context: FrameContext, last_node: _Array
     ) -> KeyframeMatch | None:
-        """Match the picture to the next keyframe without an edge to keyframe ``here``; return None without a match.
+        """Match the picture to the next candidate for a loop closure; return None without a match.
+
+        A candidate has no edge to keyframe ``here``.
 
         Candidates are keyframes that the map's covariance permits to be in view from ``last_node`` (4,), the node of
         the last result. Those with the largest gain of overlap since their last trial come first.
@@ -239,7 +241,7 @@ def _has_second_place(
     floor_map: FloorMap, match: KeyframeMatch, context: FrameContext, last_node: _Array,
     others: list[tuple[int, _Array, float]],
 ) -> bool:  # fmt: skip
-    """Return whether another keyframe that may be in view shows a place that looks nearly like the matched place.
+    """Return whether a match is ambiguous: another keyframe that may be in view looks nearly like the matched place.
 
     ``others`` are keyframes with the predicted node of the picture and its standard deviation (m). Their places are
     compared by the correlation of small pictures, as are two places within a keyframe. The place of the last result,
@@ -261,7 +263,7 @@ def _has_second_place(
 
 
 def _level_rays(context: FrameContext, pose: PoseEstimate, pixels: _Array, seconds: _Array) -> NDArray[np.complex128]:
-    """Return slopes with heading 0 of pixels of the undistorted picture, referred to the middle of its exposure."""
+    """Return the slopes, for heading 0, of pixels of the undistorted picture at the middle of its exposure."""
     view = context.view
     turn = attitude_matrix(view, pose.tilt_error_rad, pose.heading_rad)
     centred = pixels - context.undistorter.principal_point

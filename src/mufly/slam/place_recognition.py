@@ -34,7 +34,7 @@ def relocalize_by_orb(
     floor_map: FloorMap, known: int, view: ViewPrior, picture: Any, straight: Undistorter, shake_rms: float,
     rng: np.random.Generator,
 ) -> tuple[int, _Array] | None:  # fmt: skip
-    """Return the keyframe, and the pose (node) of the picture, on which most ORB matches agree.
+    """Return the keyframe on which most ORB matches agree, and the node (pose) of the picture.
 
     The result is None if another place has nearly as many inliers, or the picture repeats itself.
 

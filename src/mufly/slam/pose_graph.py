@@ -82,7 +82,7 @@ class GraphEdge:
         return out
 
     def compute_chi2(self, off: _Array, covariance: _Array | None = None) -> float:
-        """Return chi-squared of a residual, with the covariance by pixel noise alone.
+        """Return chi-squared of a residual, weighted by pixel noise alone.
 
         With ``covariance`` (8, 8), the residual's own uncertainty is included.
         """
@@ -276,7 +276,7 @@ def solve_graph(
 def fuse_pose(
     a: _Array, known: _Array, b: _Array, tilts: _Array, seen: _Array, pull: _Array, log_height: float
 ) -> tuple[_Array, _Array]:  # fmt: skip
-    """Return the fused pose of a picture and its covariance: N, E, heading, ln h.
+    """Fuse map, tilts, sonar and pixels to the pose of a picture: N, E, heading, ln h, and their covariance.
 
     The thirteen unknowns are the errors of the keyframe's node and tilt, the picture's tilt and sonar errors, and its
     place.

@@ -113,7 +113,7 @@ class TrackingResult:
 
     @property
     def known_axes(self) -> NDArray[np.bool_]:
-        """Mask (4,) of N, E, D and heading: whether the deviation is below :data:`MAX_KNOWN_AXIS_SIGMA`."""
+        """Mask (4,) of N, E, D and heading: whether the standard deviation is below :data:`MAX_KNOWN_AXIS_SIGMA`."""
         known: NDArray[np.bool_] = np.diag(self.covariance) < np.square(MAX_KNOWN_AXIS_SIGMA)
         return known
 
@@ -304,7 +304,7 @@ class SlamSystem:
         return np.append(self._last_node[:LOG_HEIGHT] + moved, math.log(context.view.height_m)), sigma_m
 
     def _pose_from_vehicle(self, view: ViewPrior, n: float, e: float, heading: float) -> PoseEstimate:
-        """Return the pose of a vehicle at N, E (m) with a heading (rad), as far as it is known."""
+        """Return the camera pose of a vehicle at N, E (m) with a heading (rad), without information from pixels."""
         lever = attitude_matrix(view, None, heading) @ self._camera_position_m
         x = np.array([n + lever[0], e + lever[1], view.height_m, heading, *view.tilt_error_rad, 0.0, 0.0])
         nothing = np.zeros((POSE_SIZE, POSE_SIZE))
@@ -483,7 +483,7 @@ class SlamSystem:
         return len(self.floor_map.keyframes) - (self._trial_frame_count > 0) <= _YOUNG_MAP_KEYFRAMES
 
     def _confirm_trial(self, context: FrameContext, match: KeyframeMatch) -> TrackingResult | None:
-        """Match another picture to the keyframe on trial; return None once the keyframe is trusted.
+        """Match another picture to the keyframe on trial; return None once enough pictures have confirmed it.
 
         Until then the rest of the map is searched, too: relocalisation there replaces the trial.
         """
@@ -501,14 +501,15 @@ class SlamSystem:
         return None
 
     def _end_trial(self) -> None:
-        """Drop the keyframe on trial, if there is one."""
+        """Drop the keyframe on trial, which further pictures have not confirmed, if there is one."""
         if self._trial_frame_count > 0:
             self.floor_map.drop_last_keyframe()
             self._trial_frame_count = 0
 
     def _bridge_gap(self, context: FrameContext, why: str) -> TrackingResult:
-        """Create a keyframe on trial at the vehicle's estimate, with an edge of the estimate's uncertainty to the last
-        keyframe.
+        """Bridge a gap in tracking by a keyframe on trial at the vehicle's estimated position.
+
+        Its edge to the last keyframe has the uncertainty of the estimate.
         """
         frame = context.frame
         if self._trial_frame_count > 0:
@@ -548,7 +549,7 @@ class SlamSystem:
         return replace(lost, reason="found, to be confirmed") if self._found_poses else lost
 
     def _find_in_map(self, context: FrameContext) -> KeyframeMatch | None:
-        """Match the picture to any keyframe not on trial; return None until several pictures in a row agree."""
+        """Relocalise the picture among the keyframes that are not on trial; None until several pictures agree."""
         time_s = context.frame.time_s
         found, self._found_poses = self._found_poses, []
         known = len(self.floor_map.keyframes) - (self._trial_frame_count > 0)

@@ -161,7 +161,10 @@ def _is_number(cell: str) -> bool:
 def _parse_pose_rows(
     cells: list[tuple[int, list[str]]], where: str, said: list[str]
 ) -> tuple[_Array, list[list[str]], list[int]]:
-    """Return eight numbers of each row, further cells, and line numbers; an incomplete last row is skipped."""
+    """Return the first eight numbers of each row, the further cells, and the line numbers.
+
+    An incomplete last row is skipped.
+    """
     if cells and len(cells[0][1]) == 12 and all(map(_is_number, cells[0][1])):
         raise InputError(where, f"line {cells[0][0]}", "has 12 numbers: KITTI's poses, which have no times",
                          "give TUM's text: t x y z qx qy qz qw")  # fmt: skip
@@ -182,7 +185,10 @@ def _parse_pose_rows(
 
 
 def _find_named_columns(comments: list[str], where: str) -> tuple[list[int], bool, bool]:
-    """Return the columns of t, x, y, z, w, x, y, z, whether the header gives stamps in ns, and whether there is one."""
+    """Find the columns of time, position and quaternion in a header.
+
+    Return the columns of t, x, y, z, w, x, y, z; whether stamps are in ns; and whether there is such a header.
+    """
     for line in comments:
         names = [
             re.sub(r"[\[(].*?[\])]", "", n).strip().lower()
@@ -206,7 +212,7 @@ def _find_named_columns(comments: list[str], where: str) -> tuple[list[int], boo
 
 
 def _is_upside_down(q: _Array) -> bool:
-    """Return whether quaternions read as x, y, z, w are upside down, but not as w, x, y, z (the order in rows)."""
+    """Return whether quaternions have the order w, x, y, z in place of x, y, z, w: only then are they upright."""
     if not len(q):
         return False
     w_first = q[:, [1, 2, 3, 0]]
@@ -255,7 +261,7 @@ def _stamps_to_seconds(stamps: _Array, ns: bool) -> tuple[_Array, str]:
 
 
 def _sort_by_time(stamps: _Array, numbers: list[int], said: list[str]) -> tuple[NDArray[np.intp], int]:
-    """Return the order by time, with the last row of each time, and the number of duplicates."""
+    """Return the row indices in order of time, only the last row of each time, and the number of duplicates."""
     late = np.flatnonzero(np.diff(stamps) < 0) + 1
     _note_skipped_lines(said, "earlier than the previous row, sorted by time", late, numbers)
     order = np.argsort(stamps, kind="stable")

@@ -116,7 +116,10 @@ def _compute_timing(
     base: Mission,
     start: tuple[float, ...],
 ) -> tuple[MissionTiming, tuple[int, ...], str] | None:
-    """Return the timing of items, each waypoint's item index, and the assumptions; None without a waypoint."""
+    """Compute the timing of mission items; None without a waypoint.
+
+    Return also the item index of each waypoint, and the assumptions as text.
+    """
     limited = _apply_limits(base, told, avoidance)
     limits = limited.limits
     mission, came_from, left_out = _mission_from_items(items, limited, origin)
@@ -195,7 +198,7 @@ def _avoidance_from_parameters(parameters: Mapping[str, TunableParameter]) -> tu
 def _mission_from_items(
     items: Sequence[MissionItem], base: Mission, origin: GlobalOrigin | None
 ) -> tuple[Mission, tuple[int, ...], list[str]]:
-    """Return the mission of items, each waypoint's item index, and the parts not flown, in words."""
+    """Make a mission of items; return also each waypoint's item index, and descriptions of the parts not flown."""
     try:
         plan = mission_from_items(items, base, origin)
         return _replace_parts(base, waypoint=plan.mission.waypoint, take_off=plan.mission.take_off,
@@ -205,7 +208,7 @@ def _mission_from_items(
 
 
 def _follow_jumps(items: Sequence[MissionItem]) -> tuple[list[MissionItem], bool]:
-    """Return items in flight order, DO_JUMP (parameter 1: target, 2: count) followed, and whether a jump is endless."""
+    """Return the items in flight order with DO_JUMP executed, and whether a jump is endless."""
     flown: list[MissionItem] = []
     left = {
         item.seq: int(item.params[1])
@@ -235,7 +238,7 @@ def _first_global_position(items: Sequence[MissionItem]) -> GlobalOrigin | None:
 def _approximate_mission(
     items: Sequence[MissionItem], base: Mission, origin: GlobalOrigin | None
 ) -> tuple[Mission, tuple[int, ...], list[str]]:
-    """Return an approximate mission for items outside the mission file format: places, waits, speeds, straight legs."""
+    """Approximate items that a mission file cannot express, by places, waits, speeds and straight legs."""
     waypoints: list[Waypoint] = []
     came_from: list[int] = []
     left_out: list[str] = []

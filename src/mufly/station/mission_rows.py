@@ -92,7 +92,10 @@ def _make_row(item: MissionItem, origin: GlobalOrigin | None, reached: bool) -> 
 
 
 def _global_height_text(item: MissionItem, origin: GlobalOrigin | None) -> str:
-    """Return the part of a global position that metres from the origin omit: height above terrain, or everything."""
+    """Return what a position in metres does not show of an item, as text.
+
+    It is the height above terrain or, without an origin, latitude, longitude and height.
+    """
     over_terrain = item.frame in FRAMES_ABOVE_TERRAIN
     height = f"{item.z:g} m above the terrain" if over_terrain else f"{item.z:g} m"
     if origin is None:

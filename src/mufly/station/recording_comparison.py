@@ -120,7 +120,10 @@ class RecordingComparison:
         return self._shift_and_note[1]
 
     def find_counterpart(self, name: str) -> str:
-        """Return the second's counterpart of a signal of the first: the same or from another source; "" if none."""
+        """Return the name of the second recording's signal that corresponds to one of the first; "" if there is none.
+
+        It may come from another source.
+        """
         if np.isfinite(_find_column(self.second_recording, name)).any():
             return name
         source, _, rest = name.partition("_")
@@ -165,7 +168,9 @@ class RecordingComparison:
 
 
 def find_shared_signals(c: RecordingComparison, chosen: Sequence[str] = ()) -> dict[str, list[str]]:
-    """Return ``{quantity: [names]}`` of the quantities in both recordings, from the first's preferred source.
+    """Return the quantities in both recordings with the names of their signals, ``{quantity: [names]}``.
+
+    The signals are those of the first recording's preferred source.
 
     Parameters
     ----------
@@ -253,7 +258,7 @@ def _display_unit(c: RecordingComparison, name: str) -> tuple[str, str, float]:
 
 
 def _unwrap_angle_pair(one: _Array, two: _Array) -> tuple[_Array, _Array]:
-    """Return both angles unwrapped, the second in the turn of the first."""
+    """Return both angles unwrapped, the second shifted by full turns to the first."""
     known = np.isfinite(one)
     one = one.copy()
     one[known] = np.unwrap(one[known])
@@ -263,8 +268,11 @@ def _unwrap_angle_pair(one: _Array, two: _Array) -> tuple[_Array, _Array]:
 
 
 def difference_rows(c: RecordingComparison, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the differences of signals: ``signal``, ``units``, ``rms``, ``largest``, and ``extreme_time_s``, its time
-    on the first's clock."""
+    """Return the differences of signals, a dictionary for each.
+
+    Keys: ``signal``, ``units``, ``rms``, ``largest``, and ``at_s``, the time of the largest difference on the first's
+    clock.
+    """
     out = []
     for name in names:
         off = c.signal_difference(name)

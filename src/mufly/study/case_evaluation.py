@@ -302,7 +302,7 @@ def _evaluate_group(
 
 
 def _drive_columns(setup: StudySetup, column: Any) -> tuple[MotorConstants | None, Array]:
-    """Return the constants of the drive with the cases' changes as columns, and the supply voltage."""
+    """Return motor constants and supply voltage of the cases as columns; None and no voltage without a drive."""
     if setup.drive is None:
         return None, np.zeros(0)
     own = setup.drive.motor_constants()
@@ -400,7 +400,7 @@ def _solve_by_wake(
     k: int,
     find: Callable[[RotorLoad], Array] | None,
 ) -> SystemSolution:
-    """Solve case ``k`` by the wake method, at its speed or, with ``find``, at an unknown speed.
+    """Solve case ``k`` by the wake method; with ``find``, the rotor speed is unknown.
 
     The unknown speed is found by blade element theory (``load``), scaled to the wake at the last speed, until it
     converges.

@@ -516,8 +516,10 @@ def _search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, flo
 
 
 def _solve_balanced_pair(system: RotorSystem, at: OperatingCondition, start: list[float]) -> SystemSolution | None:
-    """Solve the pair at its thrust with torques balanced to 1e-4, from ``start`` (upper speed, ratio), which is
-    updated."""
+    """Solve the pair at its thrust with torques balanced to 1e-4; None on failure.
+
+    ``start`` holds the upper speed and the ratio of the speeds, and is updated.
+    """
     assert at.thrust_N is not None
     speed, ratio, slope = start[0], start[1], 2.6
     last: tuple[float, float] | None = None

@@ -247,7 +247,10 @@ DERIVED_LIMITS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class DesignLimit:
-    """Limit: ``name`` at least or at most ``value``, in SI for searched parameters, else in the unit of the name."""
+    """Limit: ``name`` is at least or at most ``value``.
+
+    The value is in SI for a searched parameter, else in the unit that the name states.
+    """
 
     name: str
     is_lower_bound: bool

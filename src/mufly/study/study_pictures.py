@@ -101,7 +101,7 @@ def draw_ranking(ranking: xr.Dataset) -> Figure:
 def draw_gear_curve(
     curve: xr.Dataset, *, marks: dict[str, float] | None = None, thrust_N: float | None = None, title: str = ""
 ) -> Figure:  # fmt: skip
-    """Draw gear ratio curves in the two panels of Fig. 3.7: powers; thrust, efficiency and thrust per power.
+    """Draw gear ratio curves in two panels as in Fig. 3.7: powers; and thrust, efficiency and thrust per power.
 
     Parameters
     ----------

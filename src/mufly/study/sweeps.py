@@ -205,7 +205,7 @@ def open_executor(cluster: str | None, workers: int | None = None) -> Iterator[E
 def _sweep_digest(
     setup: StudySetup, names: Sequence[str], values: Sequence[Sequence[ParameterValue]], chunk: int
 ) -> str:
-    """Return the hash of all inputs of the results; airfoil files count by their contour."""
+    """Return a hash of all inputs of a sweep; airfoil files enter by their contours."""
     listed = (v for vs in values for v in vs if isinstance(v, str))
     content = {
         "version": __version__,

@@ -138,7 +138,7 @@ CLAIMS: dict[str, Claim] = {
 
 
 def judge(key: str, model: str, ours: str, **quantities: Any) -> Verdict:
-    """Return the verdict on a claim by the limits of its row in :data:`VERDICTS_FILE`.
+    """Return the verdict on a claim: whether quantities meet the limits of its row in :data:`VERDICTS_FILE`.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def judge(key: str, model: str, ours: str, **quantities: Any) -> Verdict:
 
 
 def judge_item(item: str, model: str) -> Callable[..., Verdict]:
-    """Return :func:`judge` for the claims of one figure or table, ``"fig-6.5"``, by one model.
+    """Return :func:`judge` for one figure or table (``"fig-6.5"``) and one model.
 
     Its arguments are the key of the claim after the item, the computed numbers as text, and the quantities.
     """

@@ -140,7 +140,7 @@ def compute_equal_speeds(
     settings: WakeSettings | None = None,
     progress: ProgressCallback | None = None,
 ) -> xr.Dataset:
-    """Fig. 3.43: both rotors at the same speed, and an isolated rotor (``single_...``).
+    """Fig. 3.43: compute a pair with both rotors at the same speed, and an isolated rotor (``single_...``).
 
     Thesis: Fig. 3.43.
     """

@@ -218,7 +218,7 @@ def study_state_machine(progress: ProgressCallback | None = None) -> StudyFindin
 
 
 def study_cubic_spline(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.16: a spline in space; its boundary conditions, and the tangent of eq. 6.13 with its factor 3."""
+    """Fig. 6.16: boundary conditions of a spline in space, and the factor 3 in its tangent (eq. 6.13)."""
     x0, xg, d0, dg = (0.0, 0.0, -1.0), (3.0, 2.0, -2.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     away = float(np.linalg.norm(np.subtract(xg, x0)))
     curve = make_spline(x0, xg, np.multiply(away, d0), np.multiply(away, dg))

@@ -40,7 +40,7 @@ def draw_pitch_sweep(data: Mapping[str, xr.Dataset], title: str) -> Figure:
 
 
 def draw_gear_ratio(data: xr.Dataset, title: str) -> Figure:
-    """Draw powers, thrust, efficiency and thrust per power over gear ratio, a row a voltage, lower rotor dashed."""
+    """Draw powers, thrust, efficiency and thrust per power over gear ratio: a row per voltage, lower rotor dashed."""
     figure = blank_figure(11.0, 4.2 * data.sizes["voltage"])
     rows = figure.subplots(data.sizes["voltage"], 2, squeeze=False)
     for (left, right), volt in zip(rows, data.voltage.values, strict=True):

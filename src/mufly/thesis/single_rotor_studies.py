@@ -388,7 +388,10 @@ docs/log/2026-11-28-cfd-tips.md has the cases.
 
 
 def blade_form_gain(name: str) -> float:
-    """Return the change of T^1.5/P (thrust per power at a given thrust) by a blade form on its finest mesh (%)."""
+    """Return the change (%) of T^1.5/P, thrust per power at a given thrust, by a blade form against the square blade.
+
+    It is that on the finest mesh of the form.
+    """
     forms = next(mesh for mesh in OUR_CFD_BLADE_FORMS.values() if name in mesh)
     (t, q), (t0, q0) = forms[name], forms["square"]
     return 100.0 * ((t / t0) ** 1.5 * q0 / q - 1.0)

@@ -60,7 +60,7 @@ def solve_single_rotor(model: str = "free") -> SystemSolution:
 
 
 def tip_vortex_path(solution: SystemSolution) -> tuple[Array, Array]:
-    """Return radius over R and height (m, above the disc) of the centre of the first rotor's tip vortex.
+    """Return the path of the first rotor's tip vortex: radius over R, and height above the disc (m).
 
     All vorticity shed outboard of the blade's greatest circulation rolls up into the tip vortex, around which the
     outermost filament spirals.
@@ -107,7 +107,7 @@ def _straight_vortex_velocity(point: Array, a: Array, b: Array) -> Array:
 
 
 def _format_error(off: float) -> str:
-    """Return an error as text; rounding errors, whose digits differ between processors, as a bound."""
+    """Return an error as text; rounding errors, whose digits differ between processors, as an upper bound."""
     return f"{off:.1e}" if off > 1e-12 else "less than 1e-12"
 
 
@@ -228,7 +228,7 @@ def study_wake_velocities(progress: ProgressCallback | None = None) -> StudyFind
 
 
 def study_bench_pair(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.20: thrust of a pair, torque of its lower rotor, at equal speeds: blade elements, and two wakes.
+    """Fig. 3.20: thrust of a pair and torque of its lower rotor at equal speeds, by blade elements and by two wakes.
 
     The text gives neither the measured points nor blades and spacing of the figure; NACA 0012 of Table 3.2 is used.
 

@@ -249,7 +249,7 @@ class Motor(ParameterGroup):
 
     @model_validator(mode="after")
     def _check_torque_constant(self) -> Motor:
-        """Check that kM does not exceed kE (SI units): of the power kE w I the motor delivers kM w I."""
+        """Check that kM does not exceed kE (SI units): the mechanical power kM w I is at most the power kE w I."""
         k_e, k_m = float(self.back_emf_constant), float(self.torque_constant)
         if k_m > MAX_TORQUE_TO_EMF_RATIO * k_e:
             raise model_error(

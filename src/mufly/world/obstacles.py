@@ -220,7 +220,7 @@ ROOM_CEILING_INDEX, ROOM_FLOOR_INDEX = 4, 5
 
 @cached_njit
 def _clip_to_slab(x: float, u: float, half: float, near: float, far: float) -> tuple[float, float]:
-    """Clip the interval [near, far] of a ray to |x + t u| <= half (an empty interval has near > far)."""
+    """Clip the interval [near, far] of a ray's parameter t to |x + t u| <= half; an empty interval has near > far."""
     if u == 0.0:
         return (near, far) if abs(x) <= half else (1.0, -1.0)
     a, b = (-half - x) / u, (half - x) / u

@@ -213,7 +213,7 @@ class CameraMonitor:
         return self.diagnose_at(frame.time_s)
 
     def diagnose_at(self, time_s: float) -> CameraDiagnosis:
-        """Return the fault that is valid at a time (s); while there is one, no pose is used."""
+        """Return the camera fault that holds at a time (s), if any; during a fault no pose is used."""
         return self._verdict if time_s < self._held_until_s else _HEALTHY_DIAGNOSIS
 
     def diagnose_tilt_at(self, time_s: float) -> CameraDiagnosis:
@@ -221,7 +221,7 @@ class CameraMonitor:
         return self._tilt_verdict if time_s < self._tilt_held_until_s else _HEALTHY_DIAGNOSIS
 
     def check_tilt(self, time_s: float, tilt_error_rad: _Array, sigma_rad: float) -> None:
-        """Update by the tilt error (2,) that tracking estimates, with the filter's standard deviation (rad)."""
+        """Update the check of the mount by tracking's tilt error (2,) and the filter's standard deviation (rad)."""
         dt = time_s - self._tilt_time_s if self._tilt_time_s < time_s else 0.0
         self._tilt_time_s = time_s
         keep = math.exp(-dt / _MOUNT_TILT_AVERAGE_S)
@@ -299,13 +299,13 @@ class CameraMonitor:
 
     @property
     def _is_steady(self) -> bool:
-        """Whether m and n are steady; after a change of the camera they pass through meaningless values."""
+        """Whether m and n have settled; during a change of the camera their values are meaningless."""
         first, last = self._latest[0], self._latest[-1]
         off = float(np.abs(last - [1.0, 0.0]).max())
         return float(np.abs(last - first).max()) < max(_MAX_STEADY_CHANGE, _MAX_STEADY_CHANGE_FRACTION * off)
 
     def _advance_velocity(self, before: FrameInfo, now: FrameInfo, dt: float) -> None:
-        """Integrate the velocity forward and to the right from the tilt; it decays, so that errors do not add up.
+        """Integrate forward and right velocity from the tilt; the velocity decays, so that errors do not add up.
 
         With still rotors a hand carries the vehicle, whose velocity is unknown.
         """
@@ -429,7 +429,7 @@ class MotionFit:
 
 
 def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraDiagnosis:
-    """Return the verdict on mirrored or reversed motion in the picture, for which few pictures suffice."""
+    """Return the verdict whether the picture's motion is mirrored or reversed; few pictures suffice for it."""
     m, n, _ = estimate
     if abs(n) > 0.5 + _GROSS_FAULT_SIGMAS * sigma[1] and abs(n) > abs(m) + _GROSS_FAULT_SIGMAS * sigma[0]:
         return CameraDiagnosis("mirrored", _MIRRORED_MESSAGE)
@@ -439,7 +439,7 @@ def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> Camer
 
 
 def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraDiagnosis:
-    """Return the verdict on the camera from the coefficients m, n, k and their standard deviations along one axis."""
+    """Return the verdict on the camera from m, n, k and their standard deviations along one axis (module docstring)."""
     m, n, k = estimate
     if max(sigma[0], sigma[1]) > 0.2:
         return _HEALTHY_DIAGNOSIS
@@ -482,7 +482,7 @@ class DirtMask:
         self.wide_mask: NDArray[np.uint8] | None = None
 
     def advance(self, moved_px: complex, turned_rad: float) -> None:
-        """Turn the stored pictures' positions by the vehicle's yaw (rad), then shift them by the floor's motion."""
+        """Rotate the stored positions by the vehicle's yaw (rad), then shift them by the floor's motion (pixels)."""
         turn = cmath.exp(-1j * turned_rad)
         self._places = deque((turn * place + moved_px for place in self._places), _DIRT_MAX_PICTURES)
 
@@ -535,7 +535,7 @@ class DirtMask:
 def measure_shift(
     before: NDArray[np.uint8], now: NDArray[np.uint8], smooth: float, dirt: NDArray[np.uint8] | None = None
 ) -> complex | None:
-    """Return the motion of the middle between two pictures (pixels); None if a direction shows no texture.
+    """Return the shift of the middle between two pictures (pixels); None if a direction shows no texture.
 
     Points are tracked, and a shift, a rotation and a scale are fitted to them. Noise draws tracks to no motion, so on
     a floor whose patches correlate less than :data:`_MIN_STRONG_CORRELATION` all patches are then aligned together,

@@ -86,7 +86,7 @@ class AlignedPicture(NamedTuple):
 
 
 def add_point_errors(information: _Array, sigma_px: _Array) -> _Array:
-    """Return the information (n, 2, 2) of pixels reduced by independent errors ``sigma_px`` (n,) of their points."""
+    """Return the information (n, 2, 2) of pixels, reduced by the errors ``sigma_px`` (n,) of their points."""
     spread = np.eye(2) + (sigma_px**2)[:, None, None] * information
     out = np.linalg.solve(spread, information)
     return np.asarray(0.5 * (out + np.swapaxes(out, 1, 2)))
@@ -95,7 +95,9 @@ def add_point_errors(information: _Array, sigma_px: _Array) -> _Array:
 def pixel_floor_jacobian(
     view: ViewPrior, state: _Array, shakes: _Array, points: _Array, bend: _Array, seconds: _Array
 ) -> _Array:
-    """Return d pixel / d floor point (n, pixel axis, N/E), in units of focal length (pixels) over height (m).
+    """Return the derivatives of pixels by floor points, (n, pixel axis, N or E).
+
+    Their unit is the focal length (pixels) over the height (m).
 
     Arguments are those of :func:`mufly.slam.camera_pose.predict_pixels`.
     """
@@ -172,8 +174,9 @@ def align_picture(
 
 
 def _prediction_information(unknown: _Array, sigma: tuple[float, float]) -> _Array | None:
-    """Return the information (4, 4) of the prediction, including the heading, since vibration bends stripes as a turn
-    does.
+    """Return the information (4, 4) of the predicted pose: directions without texture, and heading.
+
+    The heading is included, since vibration bends stripes as a turn does.
     """
     if not len(unknown):
         return None

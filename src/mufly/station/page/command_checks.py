@@ -63,7 +63,7 @@ class Confirmation:
 
 
 def failed_check_names(checks: Iterable[PreflightCheck]) -> list[str]:
-    """Return the names of the station's failed checks; the vehicle's own failures already disable the button."""
+    """Return the names of the station's failed checks, without the vehicle's own, which already disable the button."""
     return [c.name for c in checks if c.ok is False and c.name != OWN_CHECKS_NAME]
 
 

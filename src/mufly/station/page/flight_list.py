@@ -110,8 +110,9 @@ def _parse_start_time(facts: dict[Any, Any]) -> float:
 
 
 def has_better_recording(path: Path) -> bool:
-    """Return whether the folder holds a better recording of the flight: the vehicle's own, or signals in place of
-    packets.
+    """Return whether the folder holds a better recording of the same flight.
+
+    The vehicle's own recording is better than a station's, and signals are better than packets.
     """
     best = path.with_name("flight.mcap")
     if best.is_file():
@@ -258,7 +259,7 @@ class FlightList:
 
 
 def reading_priority(path: Path) -> tuple[bool, bool]:
-    """Return the reading priority: mufly's recordings before foreign logs, growing files last in each group."""
+    """Return the sort key of reading: mufly's recordings before foreign logs, growing files last in each group."""
     return path.suffix.lower() != ".mcap", abs(time.time() - _file_state(path)[0] * 1e-9) < GROWING_FILE_AGE_S
 
 

@@ -326,7 +326,7 @@ class FrameFeed:
 
 
 def _find_trail(source: PanelSource) -> Any:
-    """Return the vehicle's past track, (n, 3), over the length of its history; empty if unknown."""
+    """Return the vehicle's recent track, (n, 3), for the 3-D scene; empty if unknown."""
     names = source.history.names
     for believed in ("estimated", "measured", "truth"):
         wanted = [f"{believed}_position_{axis}" for axis in "NED"]
@@ -388,7 +388,7 @@ def display_unit(unit: str, quantity: str) -> tuple[str, float]:
 
 
 def _split_signal_name(name: str) -> tuple[str, str, str]:
-    """Return source, quantity and component of a flat name; "" as source of quantities with a single source."""
+    """Split a signal's name into source, quantity and component; the source is "" if the quantity has a single one."""
     known = parse_column_name(name)
     variable, component = known if known is not None else (name, None)
     source, _, quantity = variable.partition("_")
@@ -425,8 +425,10 @@ _MAX_SEARCHED_MESSAGES = 200  # messages
 
 
 def _find_reason(reading: str, messages: Sequence[StatusMessage]) -> str:
-    """Return the vehicle's latest message about a sensor, after the colon
-    (:func:`mufly.flight.estimator_health.describe_check`)."""
+    """Return the reason of a sensor's status, from the vehicle's latest message about the sensor; "" if none.
+
+    The reason follows the colon (:func:`mufly.flight.estimator_health.describe_check`).
+    """
     name = f"{describe_sensor(reading)} "
     late = islice(reversed(messages), _MAX_SEARCHED_MESSAGES)
     last = next((m.text for m in late if m.text.startswith(name)), "")
@@ -513,7 +515,10 @@ def compute_spectrum(times: _Array, values: _Array) -> tuple[float, _Array, _Arr
 
 
 def mark_rotor_frequencies(rotor_speed: _Array, rate_hz: float) -> list[dict[str, Any]]:
-    """Return the marks of rotors (upper, lower; rad/s): ``name``, ``hz`` (true), ``at`` (drawn), ``alias_frequency``.
+    """Return the marks of both rotors' vibration frequencies in a spectrum.
+
+    Keys of a mark: ``name``, ``hz`` (true frequency), ``at`` (where it is drawn), ``folded`` (whether that is an
+    alias).
 
     A rotor of speed Omega with b blades excites vibration at f = Omega / 2 pi and at b f. The link
     samples at f_s; a frequency above f_s / 2 appears at its alias |f - round(f / f_s) f_s| and is marked there.

@@ -55,7 +55,7 @@ class FrameTimes:
         return self._newest
 
     def request_lateness_s(self, frame: object, held_ms: object = 0.0, seen_ms: object = 0.0) -> float:
-        """Return by how much a request is late (s): the age of its frame, or of the press if that is older.
+        """Return the lateness of a request (s): the age of the frame that the user saw, or of the press if older.
 
         Parameters
         ----------
@@ -117,7 +117,7 @@ def drop_late_events(
 
 
 def _is_display_event(sender: Element | None, listener: object) -> bool:
-    """Return whether an event only changes the window's own display: a field, a tab, a rejected file."""
+    """Return whether an event changes only the window's own display, as a field, a tab or a rejected file does."""
     # NiceGUI keeps the listeners of an element here alone.
     known = sender._event_listeners.get(listener) if sender and isinstance(listener, str) else None
     return known is not None and (known.type in _DISPLAY_STATE_EVENTS or known.type.startswith("update:"))

@@ -67,7 +67,10 @@ class MissionDraft:
     drag_gesture: str = ""
 
     def with_mission(self, mission: Mission, gesture: str = "") -> MissionDraft:
-        """Return the draft after an edit; ``gesture`` names the drag of the edit, "" for a separate step."""
+        """Return the draft after an edit.
+
+        Edits with the same ``gesture``, a drag, are one step of undo; "" makes a step of its own.
+        """
         if mission == self.mission:
             return self
         going_on = gesture != "" and gesture == self.drag_gesture
@@ -120,7 +123,7 @@ def _find_waypoint(mission: Mission, k: int) -> Waypoint:
 
 
 def add_waypoint(mission: Mission, place: PlaceNED, after: int | None = None) -> Mission:
-    """Add a waypoint (N, E, D; m) behind row ``after``; at the end if none is given."""
+    """Add a waypoint (N, E, D; m) after row ``after``, by default at the end."""
     n = len(mission.waypoint)
     at = n if after is None else min(max(after, 0), n)
     return _replace_waypoints(mission, [*mission.waypoint[:at], {"position_m": place}, *mission.waypoint[at:]])
@@ -358,7 +361,7 @@ class SharedDraft:
 
 
 def parse_mission_draft(text: str, name: str) -> Mission:
-    """Read a mission file for editing; the mission need not be one that can be flown.
+    """Read a mission file for editing; the mission need not be flyable.
 
     Raises
     ------
@@ -384,7 +387,7 @@ def mission_from_vehicle(items: Sequence[MissionItem], base: Mission, origin: Gl
 
 
 def find_untransmitted_keys(mission: Mission, held: Mission | None) -> list[str]:
-    """Return the keys in which a mission differs from the vehicle's and which MAVLink items cannot transfer.
+    """Return the keys that differ from the vehicle's mission and that MAVLink items cannot transfer.
 
     Parameters
     ----------

@@ -189,7 +189,7 @@ class WindowView:
         return self._streams > 0
 
     def open_stream(self) -> int:
-        """Register a new stream of frames; return its number, the newest of which is in use."""
+        """Register a new stream of frames and return its number; only the stream with the greatest number is in use."""
         self._streams += 1
         self.newest_stream += 1
         self.session.assign_free_controls()
@@ -279,7 +279,10 @@ class WindowView:
         return [v for v in self.session.vehicles() if v is not chosen] if self.replay is None else []
 
     def encode_scenery(self) -> dict[str, Any]:
-        """Return world and size of the vehicle, with the epoch: after a jump the trail is drawn again."""
+        """Return world, fence, and shape and size of the vehicle for the 3-D scene.
+
+        ``epoch`` changes after a jump of the slider; the trail is then drawn again.
+        """
         mission = self.replay.recording.mission if self.replay is not None else self.session.mission
         world = encode_world(mission.world if mission is not None else None)
         v = self.shown_vehicle()

@@ -49,7 +49,10 @@ class PilotSticks:
         return self._held is not None
 
     def set_deflection(self, roll: float, pitch: float, climb: float, yaw: float) -> bool:
-        """Set stick positions (-1 to 1: right, back, up, turn right); return False, unchanged, if any is no number."""
+        """Set stick positions (-1 to 1: right, back, up, turn right).
+
+        Return False, and change nothing, if any position is not finite.
+        """
         values = (roll, pitch, climb, yaw)
         if not all(map(math.isfinite, values)):
             return False

@@ -51,7 +51,7 @@ _RESULT_TEXTS: dict[int, str] = {
 
 @dataclass(slots=True, kw_only=True)
 class _TransferJob(RepeatedRequest):
-    """A transfer; ``items`` are to be sent, None: fetch or clear. Only clearing is repeated."""
+    """Mission transfer: upload of ``items`` or, if None, download or clearing. Only clearing is repeated."""
 
     items: tuple[MissionItem, ...] | None = None
     is_clearing: bool = False

@@ -410,7 +410,7 @@ class RemoteVehicle:
         return select_commands(table, self.firmware, ardupilot_family(self.telemetry.vehicle_type))
 
     def _request_motion(self, text: str, make: Callable[[], OperatorRequest]) -> OperatorRequest:
-        """Request a motion; cancel unanswered earlier requests, which must not be executed after it.
+        """Request a motion; cancel earlier unanswered motion requests, which must not be executed after it.
 
         Repeating a request that waits for its answer returns the same request.
         """
@@ -542,7 +542,7 @@ class RemoteVehicle:
         self._control.give_up(why)
 
     def _cancel_unheard_actions(self, now_s: float) -> None:
-        """Cancel open actions, except emergency stops, after more missed messages than chance explains.
+        """Cancel open actions, except emergency stops, after a silence that random packet loss does not explain.
 
         A repeated action would otherwise be executed whenever the link returns.
         """

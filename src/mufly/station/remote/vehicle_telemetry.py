@@ -238,7 +238,7 @@ class VehicleTelemetry:
     # Rows
 
     def _is_in_order(self, now_s: float, name: str, message: MavMessage) -> bool:
-        """Return whether a message is not older than the last of its kind; begin the row of its stamp."""
+        """Return whether a message is not older than the last of its kind; begin a row of the history at its stamp."""
         stamp, tick = _STAMP_FIELDS[name]
         boot_ms = getattr(message, stamp) // tick
         if tick > 1 and not self.clock.matches_stamp(boot_ms):
@@ -272,7 +272,7 @@ class VehicleTelemetry:
         }
 
     def _read_global_position(self, m: MavMessage) -> _VariableValues:
-        """Return metres from the origin, or from the first fix."""
+        """Return position (m from the origin) and velocity; the first fix becomes the origin if there is none."""
         if (m.lat, m.lon) == (0, 0) or not _is_valid_place(m.lat, m.lon):
             return None  # no fix yet
         latitude, longitude = m.lat / 1e7, m.lon / 1e7
@@ -318,7 +318,7 @@ class VehicleTelemetry:
         return None if m.port else {"motor_input": [(p - 1000) / 1000 if p else math.nan for p in pulses]}
 
     def _read_odometry(self, m: MavMessage) -> _VariableValues:
-        """Return the pose's accuracy; velocity covariances only in body axes or in the local frame."""
+        """Return the standard deviations of position, attitude and velocity, as far as their frames are supported."""
         told: dict[str, Sequence[float]] = {}
         position, attitude = _standard_deviations(m.pose_covariance)
         if m.frame_id in _LEVEL_FRAMES:
@@ -455,7 +455,7 @@ class EstimatorStatus:
 
 
 def _standard_deviations(upper: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return standard deviations of the first and last three of six states; NaN if missing."""
+    """Return the standard deviations of states 1 to 3 and 4 to 6 from an upper triangle (21,); NaN if missing."""
     if len(upper) != 21 or math.isnan(upper[0]):
         return (math.nan,) * 3, (math.nan,) * 3
     told = [math.sqrt(upper[k]) if upper[k] >= 0.0 else math.nan for k in _DIAGONAL_INDICES]

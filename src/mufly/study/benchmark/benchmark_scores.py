@@ -287,7 +287,7 @@ _MAX_ROTOR_LINES = 60
 
 
 def draw_scores(scores: Sequence[RotorScore]) -> Figure:
-    """Draw the errors: a line for each rotor, or for more than sixty rotors the fraction of rotors below an error."""
+    """Draw the errors of the codes: a line for each rotor or, for more than sixty rotors, their distribution."""
 
     names = list(dict.fromkeys(s.case.name for s in scores))
     codes = list(dict.fromkeys(s.code for s in scores))

@@ -93,7 +93,7 @@ _FETCH_REMEDY = f"fetch measurements, as {DATA_SOURCES['uiuc_micro']}, and name 
 
 @dataclass(frozen=True)
 class RotorCase:
-    """Measured rotor of the benchmark; ``measured`` contains the pitch settings, the rotor its twist.
+    """Measured rotor of the benchmark; its pitch settings are in ``measured``, its twist is in ``rotor``.
 
     Attributes
     ----------
@@ -182,12 +182,12 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
 
 
 def section_of_propeller(name: str) -> tuple[str, str, bool]:
-    """Return family, section, and whether the section is known, of a propeller by name."""
+    """Return family and section of a propeller by its name, and whether the section is known."""
     return next((v for k, v in SECTION_BY_PREFIX.items() if name.startswith(k)), _DEFAULT_SECTION)
 
 
 def _airfoils_by_station(section: str, x: Array) -> tuple[str, ...]:
-    """Return the airfoils of stations at r/R; ``a>b`` means a on the inner half and b on the outer half."""
+    """Return the airfoil of each station; ``a>b`` means a on the inner half of the radius and b on the outer half."""
     inner, both, outer = section.partition(">")
     return tuple(inner if at < 0.5 else outer for at in x) if both else (inner,)
 
@@ -274,7 +274,7 @@ _STATED_PITCH_PATTERN = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(?P<deg>\
 
 
 def _photographed_geometry(name: str, radius_m: float) -> dict[str, object]:
-    """Return the values of a rotor file about UIUC's geometry: photographs, and the pitch that the name states.
+    """Return values for the rotor file of a UIUC propeller: source of the geometry, and pitch stated in the name.
 
     A name as 5x3 or 96x70 states diameter and pitch in the same unit, 15deg the blade angle at 0.75 R.
     """
@@ -333,7 +333,7 @@ def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
 
 
 def _read_best_geometry(photographed: Path, name: str, diameter_m: float, blades: int, section: str) -> Rotor:
-    """Return the rotor of a propeller from its best geometry beside the photographed one.
+    """Return the rotor of a propeller from the best geometry in the folder of its photographed geometry.
 
     A scan ``NAME.stl`` comes first, then the maker's ``NAME.PE0``, which has sections of its own.
     """
