@@ -202,7 +202,7 @@ def _tensors_from_sums(sums: _Array, at: int) -> _Array:
     return sums[:, [at, at + 1, at + 1, at + 2]].reshape(-1, 2, 2)
 
 
-@cached_njit(error_model="numpy", fastmath=True)
+@cached_njit(error_model="numpy")
 def _sample_patch(a: NDArray[np.float32], x: float, y: float, half: int, out: NDArray[np.float32]) -> None:
     """Write the bilinear samples of a patch (2 half + 1, 2 half + 1)."""
     j, i = math.floor(x), math.floor(y)
@@ -217,7 +217,7 @@ def _sample_patch(a: NDArray[np.float32], x: float, y: float, half: int, out: ND
             out[row, column] = p * a[k, m] + q * a[k, m + 1] + r * a[k + 1, m] + s * a[k + 1, m + 1]
 
 
-@cached_njit(error_model="numpy", fastmath=True)
+@cached_njit(error_model="numpy")
 def _sum_patches(
     template: NDArray[np.float32],
     picture: NDArray[np.float32],
