@@ -292,7 +292,7 @@ def fit_motor(
 
 
 def extract_motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
-    """Return the readings of a motor bench and notes on guesses.
+    """Return the readings of a motor bench in SI units, and notes on guessed units and derived channels.
 
     Raises
     ------
@@ -429,8 +429,9 @@ def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) ->
 
 
 class _MotorEquations:
-    """Steady-state motor equations with errors in every reading.
+    """Data and residuals of the two steady-state motor equations, and the fit of their constants.
 
+    All readings have errors.
     Constants are ``x = (R, a, b, d, c)`` of the module docstring. ``reading_std`` (n, 4) are the expected errors of
     voltage, current, speed and torque. ``scales`` (2,) are the ratios of observed to expected residuals of the two
     equations.
@@ -440,7 +441,7 @@ class _MotorEquations:
         self.data, self.reading_std = data, std
 
     def equation_residuals(self, x: Array) -> Array:
-        """Return the equation residuals e1 (V) and e2 (N m), (n, 2)."""
+        """Return the residuals (n, 2) of U = R I + a w (e1, V), Q = b I - d w - c (e2, N m), ``x``: R, a, b, d, c."""
         r, a, b, d, c = x
         u, i, w, q = self.data.channel_arrays()
         return np.column_stack([u - r * i - a * w, b * i - d * w - c - q])
@@ -464,7 +465,7 @@ class _MotorEquations:
         return np.einsum("nij,nj->ni", self.whitening_matrices(x, scales), self.equation_residuals(x))
 
     def residual_std(self, x: Array, scales: Array) -> Array:
-        """Return the standard deviations of e1 and e2, (n, 2)."""
+        """Return the standard deviations (n, 2) of the residuals of the voltage (V) and torque equations (N m)."""
         return np.linalg.norm(np.linalg.inv(self.whitening_matrices(x, scales)), axis=2)
 
     def solve_constants(self, free: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -586,7 +587,7 @@ def _torque_constant_ratio(x: Array, gear: GearKnowledge) -> float:
 def _find_unmodelled_terms(
     jacobian: Array, white: Array, whitening: Array, found: CovarianceEstimate, free: NDArray[np.bool_]
 ) -> tuple[list[str], bool]:
-    """Describe constant terms that would improve the voltage or the torque equation.
+    """Describe a constant voltage drop or friction that the motor equations lack and the residuals show.
 
     The second value is True if the fit should contain a constant friction.
     """

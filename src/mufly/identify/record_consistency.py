@@ -145,7 +145,7 @@ def rates_from_attitude(attitude: Array, sample_s: float) -> Array:
 def check_signals(
     names: Sequence[str], read: Array, made: Array, sample_s: float, *, kind: str, source: Sequence[str]
 ) -> Iterator[SignalFault]:
-    """Yield faults of unit, sign, axis, scale and lag in signals that should be equal, column by column.
+    """Yield faults of unit, sign, axis, scale and lag in sensor signals that should equal their predictions.
 
     Parameters
     ----------

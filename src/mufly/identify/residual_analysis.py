@@ -419,7 +419,7 @@ def _describe_spectral_lines(output: str, e: Array, dt: float) -> list[tuple[flo
 
 
 def find_spectral_lines(signal: Array, dt: float) -> list[tuple[float, float]]:
-    """Find narrow lines in a spectrum.
+    """Return frequency and power of the narrow lines in the spectrum of a signal.
 
     Parameters
     ----------

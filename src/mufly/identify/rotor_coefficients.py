@@ -68,7 +68,7 @@ _AICC_TOLERANCE = 2.0  # difference of AICc below which two models fit equally w
 
 @dataclass(frozen=True, eq=False)
 class CoefficientTrend:
-    """Trend of a rotor coefficient over speed (Reynolds number), compared with an offset of the load cell.
+    """Trend of a rotor coefficient over speed, with a test whether an offset of the load cell explains it better.
 
     With ``x = ln(W / W_0)`` and ``W_0`` the weighted geometric mean of the speeds,
 
@@ -201,7 +201,10 @@ def fit_coefficient_trend(
 def _weighted_least_squares(
     a: Array, b: Array, run: Integers | None, group: Integers | None = None
 ) -> tuple[Array, CovarianceEstimate]:
-    """Return the least-squares solution of ``a x = b``, rows in the order of measurement, and its covariance."""
+    """Return the least-squares solution of ``a x = b`` and its covariance.
+
+    The covariance depends on the order of the rows, which is that of measurement.
+    """
     x = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], dtype=np.float64)
     return x, estimate_covariance(a, b - a @ x, run=run, group=group)
 
@@ -302,7 +305,7 @@ class RotorFit(EstimateLookup):
 
 
 def estimates_of_coefficients(fit: CoefficientFit, vehicle: Vehicle | None) -> list[ParameterEstimate]:
-    """Return the estimates of a fit, with the vehicle's coefficients as start values."""
+    """Return the fitted coefficients as parameter estimates, whose start values are those in the vehicle's file."""
     out = []
     for k, symbol in enumerate(fit.symbols):
         side = {"up": "upper", "dw": "lower"}.get(symbol.partition("_")[2], "")

@@ -49,7 +49,10 @@ class StreamSchedule:
         return number in _STREAMS_BY_MESSAGE_ID
 
     def set_message_interval(self, now_s: float, number: int, interval_us: float) -> bool:
-        """Set a requested interval; return False if the message or interval is invalid."""
+        """Set the interval (us) at which this peer receives message ``number``: 0 default rate, -1 never.
+
+        Return False if the message or interval is invalid.
+        """
         if number not in _STREAMS_BY_MESSAGE_ID or not (interval_us == -1.0 or 0.0 <= interval_us < math.inf):
             return False
         for k in _STREAMS_BY_MESSAGE_ID[number]:

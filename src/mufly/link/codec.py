@@ -118,7 +118,7 @@ class OutgoingFrame(NamedTuple):
 
 @dataclass(slots=True)
 class PacketCounts:
-    """Packet counts of one sender, or of all senders of a peer."""
+    """Numbers of packets received, lost, duplicated and reordered, of one sender or of all senders of a peer."""
 
     received_count: int = 0
     lost_count: int = 0
@@ -170,7 +170,7 @@ class _SequenceTracker:
 
 @dataclass(slots=True)
 class _Channel:
-    """Reception state of one peer: incomplete bytes and packet numbers."""
+    """Reception from one peer: bytes of an incomplete frame, packet numbers of its senders, and packet counts."""
 
     buffer: bytearray = field(default_factory=bytearray)
     senders: dict[tuple[int, int], _SequenceTracker] = field(default_factory=dict)
@@ -499,7 +499,7 @@ def unpack_custom_mode(number: int) -> Px4Mode:
 
 
 def action_for_mode(mode: Px4Mode) -> ModeAction:
-    """Return the action of a requested mode; "" if unsupported."""
+    """Return the name of the action, such as land, that a station requests with a PX4 mode; "" if unsupported."""
     if mode.main_mode in _MANUAL_MAIN_MODES:
         return "rc"
     return _ACTION_BY_MODE.get(Px4Mode(6, 0) if mode.main_mode == 6 else mode, "")

@@ -114,7 +114,7 @@ class Command:
 
     @property
     def is_emergency_stop(self) -> bool:
-        """Return whether it is an emergency stop, which every station may send and which discards waiting commands."""
+        """Return whether the command is an emergency stop, which any station may send and which discards others."""
         if self.command_id == mavlink.MAV_CMD_DO_FLIGHTTERMINATION:
             return self.params[0] > 0.5
         return self.command_id == mavlink.MAV_CMD_COMPONENT_ARM_DISARM and self.params[:2] == (
@@ -165,7 +165,7 @@ def parse_command(message: MavMessage) -> Command:
 
 @dataclass(slots=True)
 class _AcceptedCommand:
-    """Record of an executed command: its answer, and time and confirmation count of its last transmission."""
+    """Executed command, kept to recognise repetitions: its answer, time and confirmation count when last received."""
 
     last_heard_s: float
     confirmation: int
@@ -257,7 +257,7 @@ class CommandProtocol:
                 client.schedule.request_once(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
 
     def _find_repeated_answer(self, now_s: float, station: MessageSource, command: Command) -> RequestAnswer | None:
-        """Return the answer given before if the command repeats an accepted one; None otherwise."""
+        """Return the earlier answer if the command repeats a recently accepted one of this station; None otherwise."""
         known = self._last.get(station, OrderedDict())
         before, copy = known.get(command.identity_bytes), command.confirmation
         if before is None:

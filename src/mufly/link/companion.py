@@ -219,8 +219,10 @@ class VisionCompanion:
         )  # fmt: skip
 
     def stationary_result(self, time_s: float, told: FrameInfo) -> TrackingResult:
-        """Return the result for a picture taken before take-off: the origin, with a noise of 2 mm. A position that
-        never changes would be rejected as frozen."""
+        """Return the tracking result for a picture taken before take-off: the origin, with a noise of 2 mm.
+
+        Without noise the autopilot would reject the position, which never changes, as frozen.
+        """
         *off, turned = _STATIONARY_SIGMA_M * self._rng.standard_normal(4)
         place = np.array([0.0, 0.0, -told.height_m]) + off
         return TrackingResult(time_s, True, "it stands", place, float(turned), _STATIONARY_SIGMA_M**2 * np.eye(4))

@@ -129,7 +129,10 @@ def _has_status(checks: dict[str, SensorStatus], name: str, *statuses: str) -> b
 
 
 def sensor_checks_message(state: FlightState, usec: int) -> MavMessage | None:
-    """Return DEBUG_FLOAT_ARRAY "checks": status, innovation and age of every reading, and wind; None without filter."""
+    """Return DEBUG_FLOAT_ARRAY "checks": status, innovation and age of every sensor reading, and the estimated wind.
+
+    None if the vehicle has no Kalman filter.
+    """
     beliefs = state.estimate.auxiliary_states
     if beliefs is None:
         return None
@@ -138,7 +141,10 @@ def sensor_checks_message(state: FlightState, usec: int) -> MavMessage | None:
 
 
 def pack_sensor_checks(beliefs: AuxiliaryStates) -> list[float]:
-    """Return the numbers of the array "checks"; NaN for absent sensors."""
+    """Return the numbers of the DEBUG_FLOAT_ARRAY "checks": status, innovation ratio and age (s) of each reading.
+
+    They are NaN for absent sensors. Wind N, E and its standard deviations (m/s) follow.
+    """
     checks = {c.name: c for c in beliefs.checks}
     values: list[float] = []
     for name in CHECKED_READINGS:

@@ -90,7 +90,7 @@ class MissionProtocol:
         self._clearing: tuple[float, MessageSource, int] | None = None
 
     def receive(self, now_s: float, station: MessageSource, note: TransferMessage) -> None:
-        """Process a station's message; only the commander may start an upload or clear the mission."""
+        """Process and answer a station's message; only the commander may start an upload or clear the mission."""
         if isinstance(note, MissionCount | MissionClearAll) and not self._authority.may_command(now_s, station):
             denied = MissionAck(MissionResultCode.DENIED, note.mission_type)  # the authority has reported the reason
             self._clients.send_message(station.peer, encode_transfer_message(denied, station.system, station.component))
@@ -120,7 +120,7 @@ class MissionProtocol:
                 receiver.cancel()
 
     def start_mission(self, item: float = 0.0) -> RequestAnswer:
-        """Start or resume the mission, from an item above 0 if given."""
+        """Start or resume the mission, from ``item`` if it is above 0, else where it stopped; return the answer."""
         if item > 0.0:
             self._first = int(min(item, 65535.0))
             if self._waypoint_from_item(self._first) is None:
@@ -148,7 +148,7 @@ class MissionProtocol:
         return answer
 
     def mission_progress(self, status: FlightState) -> MissionProgress:
-        """Return the current item, the number of items and the state of the mission."""
+        """Return the current mission item, the number of items, MISSION_STATE and MISSION_MODE."""
         self._refresh_plan(status)
         total = len(self.plan.items)
         if not self.plan.mission.waypoint:
@@ -240,11 +240,11 @@ class MissionProtocol:
         return MissionResultCode.ACCEPTED
 
     def _waypoint_from_item(self, item: int) -> int | None:
-        """Return the waypoint at which the mission resumes for a given next item; None if there is none."""
+        """Return the index of the first waypoint at mission item ``item`` or after it; None if there is none."""
         return self.plan.first_waypoint_from_item(item) if 0 <= item < len(self.plan.items) else None
 
     def _count_completed_items(self, status: FlightState) -> int:
-        """Return the number of completed items, from the first."""
+        """Return how many mission items, counted from the first, are completed."""
         places, reached = self.plan.waypoint_item_index, status.waypoint_index
         if reached == len(places) and status.mission_running and status.state == "hover":
             reached -= 1  # still waiting there; the last item is completed when nothing of the mission is left
@@ -268,7 +268,7 @@ class MissionProtocol:
         return len(self.plan.items) - 1
 
     def _refresh_plan(self, status: FlightState) -> None:
-        """Update the plan after the mission was loaded or tuned elsewhere."""
+        """Update the mission items in ``plan`` if the flight has another mission, set without this protocol."""
         mission = status.mission
         if mission is None or mission is self.plan.mission:
             return
@@ -313,7 +313,7 @@ class MissionProtocol:
         return [(station, MissionAck(self._accept_mission(()), kind))]
 
     def _clear_when_hovering(self, now_s: float) -> AddressedMessages:
-        """Clear a mission that was being flown once the helicopter hovers."""
+        """Once the helicopter hovers, clear the mission, as a station requested in flight; return the answer."""
         if self._clearing is None:
             return []
         until_s, station, kind = self._clearing

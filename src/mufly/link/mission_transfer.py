@@ -137,7 +137,7 @@ def encode_transfer_message(note: TransferMessage, system: int, component: int) 
 
 
 class RetryTimer:
-    """Timer of repeated requests and of the final time-out."""
+    """Timer of a mission transfer: when to repeat an unanswered request, and when to give up."""
 
     def __init__(self) -> None:
         self._round_trip_s: float | None = None
@@ -155,7 +155,7 @@ class RetryTimer:
         self._repeated = False
 
     def mark_started(self, now_s: float) -> None:
-        """Record that the first request of the transfer is sent now."""
+        """Start the timer: the first request of a mission transfer is sent now."""
         self._asked_s = self._moved_s = now_s
         self._repeated = False
 
@@ -174,7 +174,7 @@ class RetryTimer:
 
 
 class MissionReceiver:
-    """Receiver of the items of one peer at a time, which hands them over complete.
+    """Receiver of mission items from one peer at a time, which hands only the complete list to ``judge``.
 
     At a vehicle it waits for a ``MissionCount``; at a station :meth:`fetch_items` starts a transfer. It can be reused.
 
@@ -237,7 +237,7 @@ class MissionReceiver:
         return [*dropped, (peer, MissionRequestList(self.mission_type))]
 
     def receive(self, now_s: float, peer: Hashable, note: TransferMessage) -> AddressedMessages:
-        """Process a message of a peer; messages that do not fit the state are ignored."""
+        """Process a message of a peer and return the answers; one that does not fit the state is ignored."""
         if getattr(note, "mission_type", None) != self.mission_type:
             return []
         if isinstance(note, MissionCount):
@@ -249,7 +249,7 @@ class MissionReceiver:
         return []
 
     def step(self, now_s: float) -> AddressedMessages:
-        """Repeat a request that may have been lost, or give up."""
+        """Return the request for the next item again if its answer is late, or end the transfer after the time-out."""
         if self.peer is None:
             return []
         if self._retry.has_timed_out(now_s):
@@ -294,7 +294,7 @@ class MissionReceiver:
         return [(peer, self._next_request(now_s))]
 
     def _repeat_last_ack(self, now_s: float, peer: Hashable, item: MissionItem) -> AddressedMessages:
-        """Repeat the acknowledgement of a finished transfer if its last item arrives again."""
+        """Return the acknowledgement of a finished transfer again if the peer sends its last ``item`` again."""
         if self._done is None or self._done[:2] != (peer, item.seq + 1):
             return []
         self._touched_s = now_s
@@ -371,7 +371,7 @@ class MissionSender:
         return (self._served + 1) / len(self.items) if self.items else float(self.result is not None)
 
     def start(self, now_s: float, *, hush: bool = False) -> AddressedMessages:
-        """Offer the items.
+        """Return the message that offers the items to the peer (MISSION_COUNT), or first cancels an old transfer.
 
         Parameters
         ----------
@@ -387,7 +387,7 @@ class MissionSender:
         return [(self.peer, self._make_cancel_message())]
 
     def receive(self, now_s: float, note: TransferMessage) -> AddressedMessages:
-        """Answer a message of the peer; messages that do not fit the state are ignored."""
+        """Process a message of the peer and return the answers; one that does not fit the state is ignored."""
         if getattr(note, "mission_type", None) != self.mission_type:
             return []
         if self.result is not None:
@@ -412,7 +412,7 @@ class MissionSender:
         return self._handle_ack(now_s, note) if isinstance(note, MissionAck) else []
 
     def step(self, now_s: float) -> AddressedMessages:
-        """Repeat a message that may have been lost, or give up."""
+        """Return the offer or the last item again if its answer is late, or end the transfer after the time-out."""
         if self.result is not None:
             return []
         if self._retry.has_timed_out(now_s):

@@ -110,7 +110,7 @@ class ParameterProtocol:
         return (self._own[name] if name in self._own else self._autopilot.parameters[name]).value
 
     def handle_request_list(self, now_s: float, station: MessageSource, message: MavMessage) -> None:
-        """Process a PARAM_REQUEST_LIST: start or restart a list."""
+        """Process a PARAM_REQUEST_LIST: start to send the station all parameters, from the first, one at a time."""
         self._lists.pop(station, None)
         if len(self._lists) < _MAX_LISTS:
             self._lists[station] = 0

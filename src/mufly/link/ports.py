@@ -1,4 +1,4 @@
-"""Sockets and serial lines as ports, which never block and never raise errors into their loop.
+"""Sockets and serial lines as ports, which never block and never raise errors into the loop that calls them.
 
 Every port has a few peers; bytes are received from a peer and sent to one. A pulled cable, a lost peer or a full buffer
 costs whole frames, which MAVLink tolerates, but never parts of one: :meth:`Port.send` sends all of a frame or nothing.
@@ -268,7 +268,7 @@ class Port(ABC):
 
     @abstractmethod
     def _handle_send_error(self, peer: Peer, error: OSError) -> None:
-        """Handle a frame that could not be sent."""
+        """Report a failed transmission to a peer, or drop the peer or connection, as the kind of port requires."""
 
     def send(self, peer: Peer | None, data: bytes) -> None:
         """Send a frame to a peer; to all peers of the port if None."""

@@ -183,7 +183,7 @@ class StickInputHandler:
         return REQUEST_ACCEPTED
 
     def handle_manual_control(self, now_s: float, message: MavMessage) -> RequestAnswer:
-        """Store the sticks of a MANUAL_CONTROL, and apply them in a manual mode."""
+        """Take the sticks of a MANUAL_CONTROL, and pass them to the autopilot if a manual mode is active."""
         self._manual, self._heard_s = parse_manual_control(message), now_s
         return self._send_sticks(self._manual) if self._by_hand else REQUEST_ACCEPTED
 

@@ -495,7 +495,7 @@ def real_time_factor_message(p: TelemetryState) -> MavMessage | None:
 
 
 def slip_count_message(p: TelemetryState) -> MavMessage | None:
-    """Return NAMED_VALUE_INT "slips": number of skipped stretches of time; None if not measured."""
+    """Return NAMED_VALUE_INT "slips": how often the real-time loop fell behind and dropped time; None if unknown."""
     if math.isnan(p.real_time_factor):
         return None
     return mavlink.MAVLink_named_value_int_message(p.boot_time_ms, SLIPS_NAME.encode(), p.slip_count)

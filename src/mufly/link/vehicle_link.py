@@ -137,7 +137,7 @@ class VehicleLink:
                 self._missions.receive(now_s, station, note)
 
     def resume_after_stall(self, now_s: float) -> None:
-        """Resume after a stall, which does not count as silence of the peers."""
+        """Count all peers as heard now: while the simulation stalled, the vehicle could not hear them."""
         for client in self.clients:
             client.last_heard_s = now_s
         if self.authority.commander is not None:

@@ -59,7 +59,7 @@ def pack_covariance(covariance: _Array) -> list[float]:
 
 
 class VisionInput:
-    """Receiver of one sender's messages, which reports the reason of each rejection.
+    """Receiver of VISION_POSITION_ESTIMATE messages of one sender; reports why a position is rejected.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class VisionInput:
         return theirs_s + min(offset for _, offset in self._offsets) - self.delay_s
 
     def _report_refusal(self, now_s: float, why: str, remedy: str = "") -> None:
-        """Report a reason, with a limited rate for each kind."""
+        """Report why a position was refused, each kind of reason at most once in ``REFUSAL_PERIOD_S``."""
         kind = "".join(c for c in why if not c.isdigit())
         if now_s - self._told.get(kind, -math.inf) < REFUSAL_PERIOD_S:
             return

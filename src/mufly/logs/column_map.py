@@ -264,7 +264,7 @@ def _determine_angle_units(channels: list[Channel]) -> tuple[list[Channel], list
 
 
 def _guess_unit(group: _ChannelsByRole, kind: str, named: bool) -> tuple[UnitGuess, str]:
-    """Guess the unit from the first axis that decides.
+    """Return the unit of angles or rates as guessed from the first axis (roll, pitch, yaw) whose data decide.
 
     A rate reference is the output of the attitude controller, not the derivative of the attitude reference. A roll
     angle with stated unit may be unwrapped; pitch stays within half a turn.
@@ -301,7 +301,7 @@ def _guess_unit(group: _ChannelsByRole, kind: str, named: bool) -> tuple[UnitGue
 def map_signals(
     raw: RawLog, given: ColumnMap | None, standard: ColumnMap | None, wanted: tuple[str, ...] = ()
 ) -> tuple[list[Channel], list[str]]:
-    """Apply column maps to a log.
+    """Return the signals of a log as channels in SI units, by column maps.
 
     Parameters
     ----------
@@ -411,7 +411,7 @@ def _rename_normalised_outputs(channels: list[Channel]) -> tuple[list[Channel], 
 
 
 def find_raw_field(raw: RawLog, name: str) -> tuple[RawTable, str]:
-    """Find ``topic/field`` in a log.
+    """Return the table of a log and the name of its field that ``topic/field`` denotes.
 
     Raises
     ------
@@ -437,7 +437,10 @@ def _suggest_names(name: str, known: list[str], what: str) -> str:
 
 
 def _resolve_map_entry(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTable, SignalEntry, list[str]] | None:
-    """Return table, entry and field names of a map entry; None if optional fields are missing or empty."""
+    """Return table, completed entry and field names of a column map's entry.
+
+    None if its fields are missing or empty; an error if they ``must`` exist.
+    """
     if entry.topic is None and len(raw) != 1:
         problem = f"{entry.name} names no topic, and the log has {len(raw)}"
         raise InputError(raw.path, entry.name, problem, f"add topic = ..., one of: {', '.join(list(raw)[:8])}")
@@ -485,7 +488,7 @@ def _make_channels(
     *,
     believed: bool,
 ) -> list[Channel]:
-    """Create the channels of a map entry.
+    """Return the channels of one entry of a column map, a channel for each component.
 
     A unit stated in the file takes precedence over the map's, unless the map is ``believed``.
     """

@@ -65,7 +65,7 @@ def looks_like_crazyflie(head: bytes) -> bool:
 
 
 class _EventKind(NamedTuple):
-    """Kind of event: name, layout of time and values, and offsets of its events in the file."""
+    """Kind of event in a Crazyflie log: its name, layout of time and values, and offsets of its events in the file."""
 
     name: str
     row_dtype: np.dtype[Any]
@@ -123,7 +123,7 @@ def _read_event_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int
     skipped: list[tuple[int, int]] = []
 
     def match_event(place: int, after: int) -> tuple[_EventKind, int] | None:
-        """Return kind and time of a plausible event at a position; None if there is none."""
+        """Return kind and time (ticks) of the event at byte ``place``; None if no plausible one is there."""
         kind = kinds.get(data[place] | data[place + 1] << 8) if place + 2 <= end else None
         if kind is None or place + 2 + kind.row_dtype.itemsize > end:
             return None

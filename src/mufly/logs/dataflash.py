@@ -166,7 +166,7 @@ def _guess_instance_field(kind: _MessageKind) -> str | None:
 
 
 class _MessageTable(NamedTuple):
-    """Messages of one kind: positions in the file, fields, units, and the instance field."""
+    """All messages of one type: positions in the file, fields, units, and the field with the instance number."""
 
     name: str
     file_positions: NDArray[np.int64]
@@ -391,7 +391,7 @@ _CORE_NUMBER_STEP, _MAX_LISTED_CHANGES = 5, 6
 def _active_estimate(
     tables: Mapping[str, RawTable], topics: _InstanceTopics, parameters: RawTable | None
 ) -> tuple[RawTable | None, list[str]]:
-    """Return position and velocity of the estimator and core active at each time, unless always the first core.
+    """Return position and velocity of the estimator core active at each time (None if always the first), and notes.
 
     The estimator is that of ATT.AEKF, else of the parameter AHRS_EKF_TYPE, else the newest in the log; its core is
     XKF4.PI (NKF4.PI). Samples without local position (DCM, an external AHRS) are missing.
@@ -591,7 +591,7 @@ def _read_text_log(path: Path) -> tuple[list[RawTable], _InstanceTopics, str]:
 
 
 def _parse_cells(cells: list[str], letter: str) -> NDArray[Any]:
-    """Return numbers; flight modes stay text if the log has text."""
+    """Return a column's cells as numbers; flight modes (format ``letter`` M) stay text if the log names them."""
     found = np.array([_parse_number(c) for c in cells])
     if letter == "M" and np.isnan(found).any() and any(c.strip() for c in cells):
         return np.array(cells, dtype=str)

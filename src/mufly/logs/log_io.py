@@ -453,7 +453,7 @@ def _resample_channel(c: Channel, time: NDArray[np.float64]) -> NDArray[Any]:
 
 
 def _align_full_turns(data: xr.Dataset) -> None:
-    """Shift references and estimates by whole turns to the measured angle."""
+    """Shift reference and estimated angles in place by whole turns, so that they lie next to the measured angles."""
     if "measured_attitude" not in data:
         return
     for name in ("reference_attitude", "estimated_attitude"):

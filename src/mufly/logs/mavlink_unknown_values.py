@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 
 class _UnknownValue(NamedTuple):
-    """Special value for unknown, and whether the first element of an array decides for all elements."""
+    """Value of a field that means unknown, and whether it makes a whole array unknown as its first element."""
 
     value: float
     applies_to_array: bool = False
@@ -71,7 +71,7 @@ def _load_unknown_values() -> Mapping[tuple[str, str], _UnknownValue]:
 
 
 def _parse_unknown_value(text: str) -> _UnknownValue | None:
-    """Parse a value of the definitions; return None for other text (NaN needs no rule)."""
+    """Return the value for unknown that a MAVLink definition states; None for other text and for NaN."""
     match = re.fullmatch(r"\[?([^\[\]:,]+)(:?)\]?", text.strip())
     if match is None:
         return None

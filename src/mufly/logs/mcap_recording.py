@@ -131,7 +131,7 @@ def _parse_attributes(texts: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _join_topic_rows(contents: McapContents, layout: RecordingLayout) -> tuple[NDArray[np.float64], list[str]]:
-    """Join the messages of all topics to rows; every topic has one message per row."""
+    """Return a recording's rows of numbers and mission states, joined from the messages, one per topic and row."""
     found = {t: contents.messages_by_topic.get(t, []) for t in (CLOCK_TOPIC, *layout.quantities_by_topic)}
     if not contents.is_complete:
         found = _complete_rows(found)
@@ -291,7 +291,7 @@ FOXGLOVE_LOG_SCHEMA = object_schema(
 
 
 class ChannelTable(Protocol):
-    """Receiver of topics: a file, or a server of live views."""
+    """Destination of a recording's topics, which gives each a channel number: a file, or a server of live views."""
 
     def add_channel(self, topic: str, schema_name: str, schema: bytes) -> int:
         """Register a topic and its JSON schema; return the channel number."""
@@ -400,7 +400,7 @@ _BLOCK_ROWS = 1000
 
 
 def layout_from_dataset(dataset: xr.Dataset) -> RecordingLayout:
-    """Return the layout of a recording of a dataset's numbers over time."""
+    """Return the row layout, topics and columns, in which a recording stores a dataset's numbers over time."""
     known = {q.name: q for q in quantities_recorded_in("flight")}
     found: list[Quantity] = []
     labels: dict[str, tuple[Any, ...]] = {}

@@ -108,7 +108,7 @@ class RawLog(Mapping[str, RawTable]):
         return len(self.tables_by_topic)
 
     def describe_damage(self) -> list[str]:
-        """Return a sentence that describes the damage of the file; none for a complete file."""
+        """Return a sentence on the damage of the file, in a list that is empty for a complete file."""
         what = f": {self.damage_text}" if self.damage_text else ""
         return [] if self.is_complete else [f"the file is damaged or truncated{what}; all complete data are read"]
 

@@ -112,7 +112,7 @@ def _unwrap_sequence_numbers(numbers: NDArray[np.int64], arrival: _Array) -> NDA
 def order_by_packet_number(
     places: PacketPlaces, arrival: _Array, number: NDArray[np.int64]
 ) -> tuple[_Array, NDArray[np.bool_]]:
-    """Correct the arrival order by the senders' packet numbers, and find duplicates.
+    """Return arrival times in the order of the senders' packet numbers, and which packets are duplicates.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def _find_clock_restarts(run: _ClockSamples) -> list[_ClockRestart]:
 
 
 def _min_differences(since: _Array, borders: Sequence[_ClockRestart]) -> _Array:
-    """Return the least difference of arrival time and sender's clock (s) in each run between restarts.
+    """Return the least of ``since``, arrival time less sender's clock (s), between successive clock restarts.
 
     Late packets of the previous run are left out.
     """
@@ -237,7 +237,7 @@ def remove_arrival_leaps(
     vehicle: tuple[int, int],
     set_back: NDArray[np.int64],
 ) -> tuple[_Array, list[str]]:
-    """Remove jumps of the arrival time that the vehicle's clock does not show.
+    """Return arrival times without the jumps that the vehicle's clock does not show, and notes on them.
 
     Such a jump arises when the recording computer's clock is set. A restart of the vehicle is no jump, because its
     clock begins at 0; nor is a stall of the link, after which both clocks agree again. The vehicle's clock gives the
@@ -283,7 +283,7 @@ def remove_arrival_leaps(
 def estimate_sending_times(
     arrival: _Array, places: PacketPlaces, clocks: Mapping[MessageKey, SenderClock], vehicle: tuple[int, int]
 ) -> tuple[dict[MessageKey, _Array], list[str]]:
-    """Synchronise each sender's clock with the arrival time, separately after every restart.
+    """Return the sending times of packets by their senders' clocks, synchronised with the arrival after every restart.
 
     Parameters
     ----------

@@ -272,7 +272,7 @@ def _drop_packets(rows: _MessageRows, keep: Mapping[MessageKey, NDArray[np.bool_
 
 
 def _summarise_heartbeats(rows: _MessageRows) -> dict[tuple[int, int], tuple[int, int, int]]:
-    """Return vehicle rank, MAV_TYPE and number of heartbeats of every sender.
+    """Return rank, MAV_TYPE and number of heartbeats of every sender; the highest rank is the likeliest vehicle.
 
     Of a sender with several types, the type of the best rank counts.
     """

@@ -169,7 +169,7 @@ def parse_ulog(data: bytes, where: str) -> RawLog:
 
 
 def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
-    """Find every valid message; messages other than data are processed at once."""
+    """Return the places of all valid data messages in a file, and the contents of its other messages."""
     scan = _ScanResult()
     at, end = HEADER_SIZE, len(data)
     limits = [end]
@@ -429,7 +429,7 @@ _LOG_TEXTS_KEY, _DROPOUTS_KEY = "the vehicle's messages", "the logger's drop-out
 def _seconds_since_start(
     header: int, stamps: Mapping[str, NDArray[Any]]
 ) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Convert all stamps (us) to seconds since the instant 0, NaN for stamps of a foreign clock; return notes, too.
+    """Return all stamps (us) in seconds since the instant 0, NaN for those of a foreign clock, and notes on bad stamps.
 
     The instant 0 is the header's if data are close to it, else the first stamp of the log's clock; topics whose clock
     stands still (PX4 has some) do not count.

@@ -241,7 +241,7 @@ _SECTOR_BOUNDARY_SLOPE = math.sqrt(2.0) - 1.0  # tan(pi / 8)
 
 
 class PathCheck(NamedTuple):
-    """Check of a path against the points of the obstacle map, which may be processed part by part.
+    """Result of the check of a path against the obstacle map, whose points are checked part by part.
 
     Attributes
     ----------

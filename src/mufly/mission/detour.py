@@ -267,7 +267,9 @@ def _choose_passing_side(
     touching: bool,
     dt: float,
 ) -> Detour:
-    """Choose the side on which to pass the obstacle: change it if the vehicle is stuck or too far from the line.
+    """Return the detour with the side on which to pass the obstacle.
+
+    The side changes if the vehicle is stuck, or too far from the line between the point that it met first and the goal.
 
     After a whole lap the contour is left where it was nearest to the goal.
     """

@@ -1,4 +1,4 @@
-"""Permitted requests in each state: one table for the state machine, the autopilot, links and pages."""
+"""Table of the user requests permitted in each state of the mission, and functions that look it up."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class VehicleRequest(StrEnum):
 
 
 class RequestContext(Protocol):
-    """Facts for the decision: a :class:`MissionState`, or any record of a flight with these attributes.
+    """Facts that decide whether a request is permitted: a :class:`MissionState`, or a record with these attributes.
 
     ``reason`` is that of the outcome, or of the last change of state.
     """
@@ -162,7 +162,7 @@ def _deny_as_manual(f: _RequestFacts) -> RequestAnswer:
 
 
 def _allow_unless_failed(f: _RequestFacts) -> RequestAnswer:
-    """Accept if the vehicle knows its position and the mission has not failed."""
+    """Accept a request if the vehicle knows its position and the mission has not failed; else state the reason."""
     failed = f.context.outcome == "failed"
     return _allow_unless_blind(f) and (
         reject_temporarily(f"the vehicle lands: {f.context.reason}", "landing") if failed else REQUEST_ACCEPTED
@@ -176,7 +176,7 @@ def _deny_as_landing(f: _RequestFacts) -> RequestAnswer:
 
 
 def _allow_go_around(f: _RequestFacts) -> RequestAnswer:
-    """Accept if the height suffices to abort a landing."""
+    """Accept a request during a landing if the height suffices to abort it; else state the reason."""
     if f.context.outcome == "failed" or f.motors != "fly":
         return _deny_as_landing(f)
     low = f.height_m <= GO_AROUND_HEIGHT_M
@@ -188,7 +188,7 @@ def _allow_go_around(f: _RequestFacts) -> RequestAnswer:
 
 
 def _allow_lifted(f: _RequestFacts) -> RequestAnswer:
-    """Accept if the vehicle is safely off the floor."""
+    """Accept a request if the vehicle is safely off the floor; else state the reason."""
     if f.motors == "spin_up" or f.height_m < OFF_FLOOR_HEIGHT_M:
         return _allow_unless_failed(f) and reject_temporarily(
             f"taking off; wait for a height of {OFF_FLOOR_HEIGHT_M:g} m", "taking off"
@@ -207,7 +207,7 @@ def _allow_motors_off(f: _RequestFacts) -> RequestAnswer:
 
 
 def _allow_mission_waiting(f: _RequestFacts) -> RequestAnswer:
-    """Accept if the motors run and no mission is in progress: take-off, hover, or flight at the user's request."""
+    """Accept a request if the motors run and the user, not a mission, commands the flight; else state the reason."""
     if f.motors not in ("spin_up", "fly"):
         return _deny_as_busy(f)
     return (

@@ -68,7 +68,7 @@ class MotionProfile:
 
 
 def make_motion_profile(way: float, speed: float, acceleration: float) -> MotionProfile:
-    """Return the quickest profile of this family.
+    """Return the quickest motion from rest to rest over a distance, within limits of speed and acceleration.
 
     Parameters
     ----------
@@ -250,9 +250,10 @@ def _arc_length(cubics: tuple[_CubicCoefficients, ...], u: float, half: float) -
 def _evaluate_speed_and_curvature(
     cubics: tuple[_CubicCoefficients, ...], u: float
 ) -> tuple[float, tuple[float, float, float, float]]:
-    """Return the squared tangent length, and squares of level, climbing and descending share and of curvature.
+    """Return the squared tangent length at parameter ``u`` of a curve, and a tuple of four other squares.
 
-    Either the climbing or the descending share is negative. All are zero without a tangent.
+    They are those of the level, climbing and descending components of the unit tangent, and of the curvature. Of
+    climbing and descending, the one that does not apply is negative. All four are zero where the tangent vanishes.
     """
     n, e, d = (_cubic_derivative(c, u) for c in cubics)
     square = n * n + e * e + d * d
@@ -266,7 +267,7 @@ def _evaluate_speed_and_curvature(
 
 
 class PendingCurve(NamedTuple):
-    """A curve whose arc length and curvature are not yet computed.
+    """A curve with its limits of motion, whose arc length and curvature are to be computed later.
 
     On board the computation exceeds one period and is spread over the following ones (``trajectory.c``).
     """
@@ -451,9 +452,9 @@ def wrap_turn(angle: float) -> float:
 
 
 def _find_extreme_speed_and_curvature(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float, list[float]]:
-    """Return the least squared tangent length over a curve, and the greatest of each further square.
+    """Return the least squared tangent length over a curve, and the maximum of each of its four other squares.
 
-    The squares are those of :func:`_evaluate_speed_and_curvature`.
+    The squares, of direction and curvature, are those of :func:`_evaluate_speed_and_curvature`.
 
     Each maximum is searched in equal steps, then by halving the step around the best point.
     """

@@ -49,7 +49,7 @@ SIGNAL_SOURCES: Mapping[str, str] = {
 
 
 class MavlinkSource(NamedTuple):
-    """MAVLink fields of a quantity: message, fields (one per component, separated by blanks), unit."""
+    """MAVLink fields that transmit a quantity: message, fields (one per component, separated by blanks), unit."""
 
     message: str
     fields: str
@@ -110,7 +110,7 @@ def _make_quantity(
 
 
 def _measured_signals(row: ReadingRow) -> Iterator[Quantity]:
-    """Yield the signals of a sensor: reading, time of measurement, validity and variance, as far as it has them."""
+    """Yield the rows of the table for a sensor reading: its value and, if it has them, time, validity, variance."""
     name, words = row.name, row.name.replace("_", " ")
     yield Quantity(f"measured_{name}", "/measured", name, row.dim, row.unit, row.meaning, "sensors")
     if row.is_timed:

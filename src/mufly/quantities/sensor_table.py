@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingRow:
-    """Reading of a sensor.
+    """Row of the sensor table: a quantity that a sensor reads.
 
     Attributes
     ----------

@@ -422,7 +422,7 @@ def show_table(
 
 @dataclass(frozen=True)
 class ResultColumn:
-    """Column of a table of results (or line of a table of one result), made from one field.
+    """Description of a column in a table of results, or of a line in a table of one result: field, unit and format.
 
     Parameters
     ----------

@@ -119,7 +119,7 @@ def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[s
 
 
 def _line_panels(arrays: Sequence[PlotSeries]) -> list[_LinePanel]:
-    """Return the panels for lines: the series of the horizontal axis (None: index), and the series drawn over it.
+    """Return the panels of a figure, each the series on its horizontal axis (None: index) and those drawn as lines.
 
     Series of equal length share an axis, those of equal unit a panel.
     """

@@ -222,7 +222,7 @@ def solve_rotor(
     which: int = 0,
     stream: Stream | None = None,
 ) -> RotorResult:
-    """Solve one rotor at one point.
+    """Compute the loads of one rotor at one operating point.
 
     Parameters
     ----------
@@ -364,7 +364,7 @@ def solve_rotor_batch(
     air: Air | None = None,
     which: ArrayLike = 0,
 ) -> BatchResult:
-    """Solve many points on all cores; the results equal those of :func:`solve_rotor` bit for bit.
+    """Compute many operating points on all cores; the results equal those of :func:`solve_rotor` bit for bit.
 
     Parameters
     ----------
@@ -437,7 +437,7 @@ class BemtCases(NamedTuple):
 
 
 class CorrectionSwitches(NamedTuple):
-    """Corrections encoded as numbers for the kernel.
+    """Corrections of blade element theory, encoded as numbers for the compiled solver.
 
     Attributes
     ----------

@@ -142,9 +142,9 @@ def stall_delay_strength(kind: StallDelayModel, chord_over_r: Array) -> Array:
 
 
 def blunt_edge_drag(edge_m: float, chord_m: Array) -> Array:
-    """Return the constant c_d c_f^(1/3) of the drag of a blunt trailing edge, (stations,).
+    """Return the drag of a blunt trailing edge as the constant product c_d c_f^(1/3), (stations,).
 
-    c_f is the drag coefficient of the section without the blunt edge.
+    c_d is the added drag coefficient, c_f that of the section without the blunt edge.
 
     Hoerner (Fluid-Dynamic Drag, 1965, ch. III): the base drag of an edge of thickness h in plane flow is C_DB = 0.135 /
     (c_f c / h)^(1/3) on the area of the base, so that c_d = 0.135 (h / c)^(4/3) / c_f^(1/3). The ratio h / c is limited
@@ -448,7 +448,7 @@ def _segment_downwash(px: float, py: float, ax: float, ay: float, bx: float, by:
 def near_wake_downwash(
     points: Array, edge_x: Array, edge_c: Array, turn: float, straight: float, arc_points: int
 ) -> Array:
-    """Return the downwash per unit circulation of each panel of one blade.
+    """Return the downwash at points that each panel of one blade causes by its near wake, per unit circulation.
 
     Parameters
     ----------

@@ -281,7 +281,7 @@ _WRONG_MAP_MESSAGE = (
 
 @cached_njit(error_model="numpy")
 def _cubic_weights(x: float, n: int) -> tuple[int, float, float, float, float]:
-    """Return the index of the first of four neighbouring points and their weights.
+    """Return the index of the first of the four map points used in cubic interpolation at ``x``, and their weights.
 
     ``x`` is the position in steps from the first of ``n`` points.
     """

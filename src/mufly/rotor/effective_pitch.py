@@ -43,7 +43,7 @@ _PITCH_REFERENCE_STATION_RATIO = 0.75  # r/R
 
 
 class PitchPrior(NamedTuple):
-    """Prior of the offset of the effective pitch from the angle in the file (rad), and its basis in words."""
+    """Prior of effective pitch less angle in the rotor file: mean and deviation (rad), and the basis in words."""
 
     mean_rad: float
     std_rad: float

@@ -69,7 +69,7 @@ _END_LOAD_AVERAGING_RADII = 0.03  # of R: length at each end of a blade over whi
 
 
 def _load_per_radius(result: RotorResult, load: Array) -> Array:
-    """Return a load per radius.
+    """Return the loads of the stations' panels (N or N m), divided by the panels' widths (N/m or N m/m).
 
     The outermost panel contains the whole side-edge force, which is averaged over the tip.
     """

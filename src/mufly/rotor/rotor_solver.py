@@ -271,7 +271,7 @@ def _solve_bemt(
     start: SystemSolution | None,
     progress: ProgressCallback | None,
 ) -> SystemSolution:
-    """Solve placed rotors by blade elements with the coupling of the module docstring."""
+    """Solve placed rotors by blade elements, each in the streams that the others induce."""
     if len(rotors) == 1:
         return SystemSolution((solve_placed_rotor(rotors[0], climb_m_s, air),), rotors, climb_m_s, air, "bemt")
     ways = {(a, b): _inflow_matrix(p, q) for a, p in enumerate(rotors) for b, q in enumerate(rotors) if a != b}
@@ -280,7 +280,7 @@ def _solve_bemt(
     cuts = np.cumsum(stations[:-1])[:-1]
 
     def iterate_streams(x: Array) -> tuple[Array, list[tuple[Array, Array]], float]:
-        """Solve all rotors from the top down, given the velocities ``x`` that lower rotors induce at upper ones.
+        """Compute the streams from the top rotor down, given the velocities ``x`` that lower rotors induce above them.
 
         Returns the new ``x``, the stream that meets each rotor, and a velocity that scales the residual.
         """
@@ -486,7 +486,7 @@ def _trim_by_bracketing(
 def _find_root(
     solve_at: Callable[[float], SystemSolution], fault: Callable[[SystemSolution], float], guess: float, what: str
 ) -> SystemSolution:
-    """Return the solution at which ``fault`` vanishes; ``solve_at`` takes a factor between 0.1 and 10."""
+    """Return the solution at which ``fault`` vanishes; ``solve_at`` takes a speed factor from 0.1 to 10."""
     found: list[SystemSolution] = []
 
     def root_function_at(factor: Array, case: Integers) -> Array:

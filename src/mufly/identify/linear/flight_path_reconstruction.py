@@ -138,12 +138,12 @@ class ReconstructedPath:
 
     @property
     def residual_rms(self) -> Array:
-        """Return the RMS residual of each output (m,), in SI units."""
+        """Return the RMS residual of each output, in its SI unit."""
         return np.asarray(np.sqrt(np.mean(self.residual**2, axis=0)))
 
     @property
     def innovation_rms(self) -> Array:
-        """Return the RMS normalised innovation of each output (m,)."""
+        """Return the RMS innovation of each output over its predicted standard deviation; 1 if noise is as assumed."""
         return np.asarray(np.sqrt(np.mean(self.innovations**2, axis=0)))
 
     @property
@@ -164,7 +164,10 @@ def flight_path_derivative(x: Array, m: Array) -> Array:
 
 
 def _runge_kutta_step(x: Array, m: Array, dt: float) -> Array:
-    """Integrate one sample with constant mean instrument readings, by fourth-order Runge-Kutta."""
+    """Return the states (n, 9) one time step ``dt`` (s) after the states ``x``, by fourth-order Runge-Kutta.
+
+    The body rates and specific forces ``m`` (n, 6) are constant during the step: means of its two end readings.
+    """
     k1 = flight_path_derivative(x, m)
     k2 = flight_path_derivative(x + 0.5 * dt * k1, m)
     k3 = flight_path_derivative(x + 0.5 * dt * k2, m)
@@ -310,7 +313,9 @@ def _third_difference_noise(y: Array) -> float:
 
 
 def _correct_imu(raw: Array, theta: Array, dt: float) -> tuple[Array, Array]:
-    """Return corrected rates and specific force (n, 6), and their derivatives by the parameters (n, 6, 12).
+    """Return the IMU readings corrected by biases and scale errors ``theta`` (12,), and their derivatives by ``theta``.
+
+    Shapes are (n, 6) and (n, 6, 12).
 
     The derivative by a scale factor uses the low-passed reading (method of instrumental variables), because noise on
     both sides of the normal equations would make every scale factor too large.
@@ -400,7 +405,7 @@ def _run_rts_smoother(x: Array, f: _FilterPass) -> tuple[Array, Array]:
 
 
 def check_sensor_axes(raw: Array, z: Array, outs: tuple[str, ...], dt: float) -> Iterator[SignalFault]:
-    """Check units, signs and axes: compare every channel with the kinematic prediction from the others.
+    """Yield faults of unit, sign and axis of channels that differ from their kinematic prediction by the others.
 
     Yields
     ------

@@ -101,7 +101,10 @@ class LinearFit:
         return np.asarray(e[np.argsort(np.abs(e))], dtype=np.complex128)
 
     def information_criterion(self, kind: str = "bic") -> float:
-        """Return Akaike's ("aic") or Schwarz's ("bic") criterion for the effective samples; smaller is better."""
+        """Return Akaike's ("aic") or Schwarz's ("bic") information criterion of the fit; smaller is better.
+
+        The number of samples in it is that of the independent ones, ``effective_samples``.
+        """
         free = self.values.size + self.x0.size + self.input_trim.size + self.output_bias.size
         n = self.effective_samples
         per_sample = -2.0 * self.log_likelihood  # per sample, summed over outputs
@@ -126,7 +129,10 @@ class _LinearFitProblem:
         self.coordinates = SearchCoordinates(structure.parameters, self.start_values)
 
     def simulate_with_linear_unknowns(self, values: Array) -> tuple[Array, Array, Array] | None:
-        """Simulate the forced response and that to each linear unknown, and estimate the unknowns; None on overflow."""
+        """Return the response to the inputs, those to one unit of each linear unknown, and the estimated unknowns.
+
+        The linear unknowns are the initial states, input trims and output biases. None if the simulation overflows.
+        """
         self.simulation_count += 1
         try:
             with np.errstate(over="raise", invalid="raise"):
@@ -158,8 +164,9 @@ class _LinearFitProblem:
         return ((self.measured - forced - added @ linear) * np.sqrt(self.output_weight))[self.is_used]
 
     def solve_linear_unknowns(self, z: Array) -> tuple[Array, Array, Array]:
-        """Return the residuals, the response to each linear unknown, and the estimated unknowns.
+        """Return the residuals, the responses to one unit of each linear unknown, and the estimated unknowns.
 
+        The linear unknowns are the initial states, input trims and output biases.
         Residuals have the shape (n, outputs); masked samples are NaN.
         """
         got = self.simulate_with_linear_unknowns(self.coordinates.to_values(z))

@@ -316,7 +316,10 @@ def helicopter_structure(
 def _add_rate_dynamics(
     b: StructureBuilder, r: str, rates: tuple[str, ...], sticks: Sequence[str], angular: str, coupled: bool
 ) -> None:
-    """Add the damping or the flapping dynamics of roll or pitch."""
+    """Add the dynamics of the rate ``r`` ("p" or "q") to the structure.
+
+    They are flapping if ``angular`` is "hybrid", else damping.
+    """
     big, flap, other = _MOMENT_LETTER[r], _FLAPPING_OF_RATE[r], "q" if r == "p" else "p"
     if angular != "hybrid":
         b.add_free_entry(r, r, f"{big}_{r}", "1/s", -3.0, (-60.0, 0.0), f"damping, {r}")
@@ -336,7 +339,10 @@ def _add_rate_dynamics(
 def _add_couplings(
     b: StructureBuilder, r: str, rates: tuple[str, ...], sticks: Sequence[str], angular: str, coupled: bool
 ) -> None:
-    """Add the moments of the sticks on roll or pitch or, in the hybrid model, the coupling by cross-axis flapping."""
+    """Add entries for the rate ``r`` ("p" or "q") to the structure: the moments of the sticks on it.
+
+    If ``angular`` is "hybrid", the sticks act on flapping instead, and the entries, if ``coupled``, couple both axes.
+    """
     big, flap, other = _MOMENT_LETTER[r], _FLAPPING_OF_RATE[r], _FLAPPING_OF_RATE["q" if r == "p" else "p"]
     if angular != "hybrid":
         for s in sticks:

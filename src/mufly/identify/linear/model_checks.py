@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Prediction score of one model structure by cross-validation on the fitted part of a record.
+    """Errors with which one model structure predicts omitted blocks of the fitted part of a record.
 
     Attributes
     ----------
@@ -176,7 +176,10 @@ def fit_disturbance_model(fit: LinearFit, residual: Array, dt: float) -> Disturb
 def _steady_kalman_filter(
     phi: Array, gain: Array, c: Array, e: Array
 ) -> tuple[Array, Array]:  # pragma: no cover (compiled)
-    """Return the updated states (n, nx) and innovations (n, ny) of a steady Kalman filter."""
+    """Return the updated states (n, nx) and innovations (n, ny) of a Kalman filter with constant ``gain`` (nx, ny).
+
+    ``phi`` (nx, nx) is the transition matrix, ``c`` (ny, nx) the output matrix, and ``e`` (n, ny) the filtered signals.
+    """
     n, ny, nx = e.shape[0], c.shape[0], phi.shape[0]
     states, innovations = np.empty((n, nx)), np.empty((n, ny))
     ahead = np.zeros(nx)

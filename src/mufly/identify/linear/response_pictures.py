@@ -138,7 +138,10 @@ def draw_reconstructed_path(c: ReconstructedPath) -> Figure:
 
 
 def _unwrap_phase(h: NDArray[np.complex128], good: NDArray[np.bool_]) -> Array:
-    """Return the phase (deg), unwrapped over the coherent points; other points take the turn nearest to that curve."""
+    """Return the phase (deg) of responses ``h``, unwrapped over the coherent points, where ``good`` is True.
+
+    The phase of each other point is shifted by a multiple of 360 deg to the value nearest to that curve.
+    """
     phase = np.degrees(np.angle(h))
     places = np.flatnonzero(good)
     if places.size < 2:

@@ -1,1 +1,1 @@
-"""The simulated vehicle in real time: its loop, and a process for it."""
+"""The simulated vehicle in real time: the loop that runs it, and a process of its own for that loop."""

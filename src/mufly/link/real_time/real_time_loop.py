@@ -49,7 +49,7 @@ _SENDER_TO_CHECKSUM = slice(5, -2)  # bytes of a MAVLink frame after its number
 
 @dataclass(frozen=True, slots=True)
 class LoopReport:
-    """The state of the loop, for a display.
+    """State of a simulated vehicle's real-time loop, for a display.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class LoopReport:
 
 
 class RealTimePacer:
-    """Timer of the loop's ticks, which measures how well the loop keeps real time.
+    """Timer that says when the next tick of a real-time loop is due, and measures how far the loop lags.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class RealTimePacer:
         return self._ticks * self.period_s / (spent_s + self.period_s) if self._ticks else math.nan
 
     def take_pace_warning(self, now_s: float) -> str:
-        """Return a message when the loop falls behind real time, or has kept up again for one window; else ""."""
+        """Return a text when the loop falls behind real time, or has kept up again for ``PACE_WINDOW_S``; else ""."""
         if self.real_time_factor < SLOW_REAL_TIME_FACTOR:
             self._whole_s = now_s
             if not self._slow:
@@ -173,14 +173,14 @@ class RealTimePacer:
 
     @property
     def recording_attributes(self) -> dict[str, Any]:
-        """Return the real-time factors and the number of slips, as attributes of a recording."""
+        """Return mean and least real-time factor and the number of timing overruns, as attributes of a recording."""
         overall = self.mean_real_time_factor()
         least = min(self.min_real_time_factor, overall)
         return {"realtime_factor": overall, "realtime_factor_least": least, "slips": self.slip_count}
 
 
 class _PortGroup:
-    """The ports, and the port of each peer."""
+    """The open ports of a vehicle: receives from all of them, and sends each frame by the port of its peer."""
 
     def __init__(self, ports: Sequence[Port], tlog: TlogWriter | None, clock: Callable[[], float]) -> None:
         self.ports, self._tlog, self._clock = ports, tlog, clock

@@ -267,7 +267,7 @@ def start_vehicle(
 
 
 class _StatusPublisher:
-    """Publisher of the vehicle's state to its parent, which never blocks."""
+    """Sender of a vehicle process's state and events to its parent process; drops them rather than wait."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
@@ -280,7 +280,7 @@ class _StatusPublisher:
             self._queue.put_nowait((kind, content))
 
     def close(self) -> None:
-        """Send the remaining queue, for at most a second."""
+        """Send the queued reports to the parent process, for at most about a second, and stop."""
         with contextlib.suppress(queue.Full):
             self._queue.put(None, timeout=1.0)
         self._thread.join(1.0)

@@ -141,7 +141,7 @@ def read_mcap(path: str | Path) -> McapContents:
 
 
 class _IndexSummary(NamedTuple):
-    """The index at the end of the file: repeated records, and offsets of records."""
+    """Contents of the index at the end of an MCAP file: its channels, number of messages, and offsets of records."""
 
     channels: tuple[tuple[int, str], ...] = ()
     expected_messages: int = 0
@@ -233,7 +233,7 @@ class _McapScanner:
         return contents
 
     def _read_record(self, opcode: int, at: int, stop: int) -> str:
-        """Process a chunk or another top-level record; return its fault, ``""`` without one."""
+        """Store the contents of a chunk or of a record outside chunks; return its fault as text, ``""`` without one."""
         start = at + _RECORD_HEAD_STRUCT.size
         try:
             if opcode == Opcode.CHUNK:
@@ -259,7 +259,7 @@ class _McapScanner:
         return ""
 
     def _read_chunk_records(self, plain: bytes) -> int:
-        """Process the records of a chunk; return the number of valid bytes."""
+        """Store the messages and channels of an unpacked chunk; return the number of bytes up to the first fault."""
         at, end = 0, len(plain)
         unpack, topics, counts, numbered = (
             MESSAGE_HEAD_STRUCT.unpack_from,
@@ -320,7 +320,10 @@ class _McapScanner:
         return after
 
     def _skip_part(self, at: int, stop: int, opcode: int, passed: int) -> int:
-        """Register a truncated record or invalid bytes, and return the offset at which to continue."""
+        """Add a truncated record or invalid bytes to the lost parts; return the offset at which to continue.
+
+        The record would extend from ``at`` to ``stop``; the next valid record is searched after ``passed``.
+        """
         data, end = self._data, len(self._data)
         after = self._find_next_record(passed + 1)
         at = at if after >= at else passed
@@ -398,7 +401,7 @@ class _McapScanner:
         return len(times), min(times, default=0), max(times, default=0)
 
     def _describe_other_faults(self, finished: bool) -> list[str]:
-        """Return a description of faults other than lost parts."""
+        """Return sentences on faults other than lost parts: lost topic names, wrong checksum, missing end or index."""
         summary, data = self._summary, self._data
         nameless = [t for t in self._contents.messages_by_topic if t.startswith("channel ")]
         said = [f"the names of some topics are lost; these topics are called {', '.join(nameless)}"] if nameless else []

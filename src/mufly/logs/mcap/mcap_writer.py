@@ -120,7 +120,7 @@ class McapWriter:
         self._attachment_indexes.append(index)
 
     def write_chunk(self, messages: Sequence[tuple[int, int, bytes]]) -> None:
-        """Append one chunk.
+        """Append messages to the file as one chunk.
 
         Parameters
         ----------

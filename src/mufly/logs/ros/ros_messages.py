@@ -68,7 +68,7 @@ class RangeLimits(NamedTuple):
 
 
 class RosTopic(NamedTuple):
-    """Row of the table of topics.
+    """A ROS topic of recordings: its message type, the signals that it carries, and their conversion.
 
     Attributes
     ----------
@@ -544,7 +544,10 @@ def _decode_magnetic_field(fields: Fields, prefix: str) -> dict[str, _Array | No
 
 
 class RosDecoder(NamedTuple):
-    """Decoder of a message type: function from fields to signals, and name prefix for topics of other programs."""
+    """Decoder of a ROS message type: conversion of its fields to signals.
+
+    In topics of other programs the signals' names begin with ``foreign_prefix``.
+    """
 
     decode: Callable[[Fields, str], dict[str, _Array | None]]
     foreign_prefix: str

@@ -88,7 +88,7 @@ class _MessageMaker:
         return self._makers[message_type]
 
     def _field_converter(self, field: tuple[Any, Any]) -> Callable[[Any], Any]:
-        """Return the function from a value or None to a field of a message."""
+        """Return the function that converts a plain value to a message's field; None becomes zero or empty."""
         kind, about = int(field[0]), field[1]
         if kind == _NODE_TYPE_BASE:
             zero: Any = "" if about[0] == "string" else 0

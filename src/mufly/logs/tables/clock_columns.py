@@ -48,7 +48,7 @@ _MIN_FORWARD_FRACTION = 0.9  # least share of increasing steps of a clock
 def extract_clock(
     where: str, fields: dict[str, NDArray[Any]], units: dict[str, str], entry: TimeEntry | None = None
 ) -> tuple[_Array, str, list[str]]:
-    """Find the clock among a table's columns.
+    """Return the time of a table's rows (s), taken from its columns, with its start and notes.
 
     Parameters
     ----------

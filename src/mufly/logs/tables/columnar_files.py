@@ -117,7 +117,7 @@ def _read_arrow_unit(entry: Any, metadata: Mapping[bytes, bytes]) -> str:
 
 
 def _pandas_index_columns(metadata: Mapping[bytes, bytes]) -> set[str]:
-    """Return the names of the columns with the index of a pandas frame."""
+    """Return the names of the columns in which pandas stored the index of its frame."""
     said = json.loads(metadata[b"pandas"]) if b"pandas" in metadata else {}
     return {name for name in said.get("index_columns", ()) if isinstance(name, str)}
 

@@ -1,4 +1,4 @@
-"""Feasibility checks before take-off: geometry against obstacles, and time against the battery.
+"""Feasibility checks of a mission before take-off: paths against obstacles, flight time against the battery.
 
 The helicopter hovers most of the time, so a mission's charge is the hover current times the time of its reference
 trajectories and waits. Climbing at v_c adds the power m g v_c: 0.5 W of 30 W for muFly at 0.5 m/s. It is neglected, as

@@ -353,7 +353,7 @@ def _command_name(number: int) -> str:
 def make_position_item(
     seq: int, command: int, first: float, north: float, east: float, origin: GlobalOrigin | None
 ) -> MissionItem:
-    """Return a fence item with a horizontal position (m) and its first parameter.
+    """Return a fence item at a horizontal position (m), with ``first`` as first parameter of its command.
 
     The position is global with an origin, else LOCAL_NED.
     """
@@ -492,7 +492,10 @@ def _read_flight_position(item: MissionItem, origin: GlobalOrigin | None) -> Tri
 
 
 def _position_before_landing(item: MissionItem, origin: GlobalOrigin | None, last: Waypoint) -> Triple | None:
-    """Return the position above the landing point at the last waypoint's height; None if already there or not given."""
+    """Return the position above the landing point at the height of the last waypoint.
+
+    None if the last waypoint already lies there, or the item has no position.
+    """
     n, e = read_horizontal_position(item, origin)
     before = last.position_m
     if math.isnan(n) or math.isnan(e) or math.dist((n, e), before[:2]) < _SAME_POSITION_TOLERANCE_M:

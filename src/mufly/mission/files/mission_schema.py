@@ -87,7 +87,7 @@ class Limits(_MissionTable):
 
 
 class Path(_MissionTable):
-    """Table of the kind of path between waypoints."""
+    """Table ``[path]`` of a mission file: whether the paths between waypoints are straight or a spline."""
 
     kind: Literal["straight", "spline"] = Field(
         default="straight",

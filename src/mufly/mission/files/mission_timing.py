@@ -196,7 +196,10 @@ def compute_time_to_land_at(mission: Mission, here: ArrayLike, place: ArrayLike)
 
 
 def _compute_leg_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits, number: int) -> tuple[float, float]:
-    """Return duration (s), with scanning, detours and settling, and length (m) of the leg ``number`` (from 0)."""
+    """Return duration (s) and length (m) of leg ``number`` (from 0).
+
+    The duration includes scanning for obstacles, detours around them, and settling at the waypoint.
+    """
     length = (
         way.path_profile.distance
         if way.spline_curve is not None

@@ -75,7 +75,7 @@ def _handle_touchdown(s: MissionState) -> MissionState:
 
 
 def _judge_outcome(s: MissionState) -> MissionState:
-    """Set the outcome of the flight after landing."""
+    """Return the mission after landing, marked as succeeded or failed if it is not yet."""
     if s.outcome != "":
         return s
     if s.abort_reason:
@@ -145,7 +145,7 @@ def enter_blind_descent(s: MissionState, time_s: float, why: str) -> MissionStat
 
 
 def fail_and_land(s: MissionState, why: str) -> MissionState:
-    """Fail the mission and land; under RC only report the reason to the pilot."""
+    """Fail the mission and land; while a pilot flies (state RC) and on the floor only log the reason."""
     if s.state in (State.INIT, State.RC):
         return log_event(s, why, level="error")
     s = fail_mission(s, why)

@@ -124,7 +124,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class MissionPlan:
-    """A mission with the vehicle data that the state machine needs, in SI units.
+    """Input of the state machine: a mission, and the data of the vehicle that it needs, in SI units.
 
     Attributes
     ----------
@@ -317,7 +317,7 @@ LOG_CAPACITY = 256
 
 
 def enter_state(s: MissionState, state: State, why: str, *, level: str = "info", **changes: object) -> MissionState:
-    """Enter a state, log the reason and restart the motion clock.
+    """Return the mission in another state, with the reason in its log and the time of the motion restarted at 0.
 
     The present motion ends unless ``changes`` contains one.
     """

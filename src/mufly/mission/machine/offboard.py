@@ -262,7 +262,7 @@ def limit_manual_tilt(
 
 
 def limit_manual_climb(height: float, velocity: tuple[float, float], touchdown: float, climb: float) -> float:
-    """Return the pilot's climb rate (m/s, positive up), its descent limited near the floor.
+    """Return the climb rate (m/s, positive up) that the pilot commands; near the floor the descent is limited.
 
     Parameters
     ----------

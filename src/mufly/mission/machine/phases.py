@@ -161,7 +161,7 @@ def start_leg_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState
 
 
 def _complete_mission(plan: MissionPlan, s: MissionState) -> MissionState:
-    """Finish the mission after the last wait, as its file states."""
+    """Hover, return or land after the wait at the last waypoint, as ``at_end`` in the mission file states."""
     if plan.mission.at_end == "hover":
         s = log_event(s, LogMessage.MISSION_COMPLETE_HOLDING())
         return replace(s, user_in_control=True, outcome="succeeded", reason=LogMessage.MISSION_COMPLETE())
@@ -230,7 +230,10 @@ def change_leg_goal(
 def track_set_point(
     plan: MissionPlan, s: MissionState, at: TrajectoryPoint, wanted: SetPoint, m: Estimate, dt: float
 ) -> TrajectoryPoint:
-    """Follow a set-point within the mission's limits, away from obstacles that the beams have hit."""
+    """Return the reference one time step later, which follows a set-point within the mission's limits.
+
+    It keeps away from obstacles that the beams have hit.
+    """
     here = measured_position(m)
 
     def limit_velocity(vn: float, ve: float) -> tuple[float, float]:
@@ -241,7 +244,7 @@ def track_set_point(
 
 
 def _track_changed_goal(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory, dt: float) -> MissionState:
-    """Move the reference towards a goal that was changed in flight.
+    """Return the mission with its reference moved one time step towards a goal that was changed in flight.
 
     In the step of the change itself, the reference has moved already.
     """

@@ -186,7 +186,7 @@ def _land_on_low_battery(plan: MissionPlan, s: MissionState) -> MissionState:
 def _apply_any_state_transitions(
     plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float
 ) -> MissionState:
-    """Apply the transitions that are possible in any state."""
+    """Apply the transitions of every state: emergency stop, tip-over, pilot control, low battery, then requests."""
     if c.stop_reason:
         return stop_motors(s, c.stop_reason)
     if s.state is not State.INIT and _has_tipped_over(s, m):
@@ -210,7 +210,7 @@ def _has_pending_curve(s: MissionState) -> bool:
 
 
 def _finish_pending_curve(s: MissionState) -> MissionState:
-    """Return the state with the curve of its motion computed, if the curve is still pending."""
+    """Return the state with arc length and curvature of its planned curve computed, if they are still pending."""
     return (
         replace(s, motion=s.motion.finish_curve()) if _has_pending_curve(s) and isinstance(s.motion, Trajectory) else s
     )
@@ -261,8 +261,9 @@ def step_mission(
 def update_obstacle_map(
     plan: MissionPlan, state: MissionState, estimate: Estimate, part: int = 1, parts: int = 1
 ) -> MissionState:
-    """Add an eighth of the beams to the obstacle map, and check one part of its points, between two mission steps.
+    """Add the hits of an eighth of the beams to the obstacle map and check a part of the map against the path.
 
+    It is called between two mission steps.
     If the vehicle has just begun a leg along a curve, the curve is computed instead; the vehicle stands or brakes.
 
     Parameters

@@ -335,7 +335,7 @@ def _read_apc_file(path: Path, notes: list[str]) -> _StationTable:
 
 
 def _resolve_airfoil(name: str, notes: list[str]) -> str:
-    """Return the airfoil of an APC name, or its replacement."""
+    """Return the name of the airfoil that an APC file names, or of the default airfoil if it is not published."""
     low = re.sub(r"[\s-]", "", name.lower())
     if low == "clarky":
         return low

@@ -19,7 +19,7 @@ _TABLE_CELLS_PER_RAD = 720.0 / (2.0 * math.pi)  # cells of a section table per r
 
 
 class AzimuthBlade(NamedTuple):
-    """Arrays and numbers of a rotor for the kernel.
+    """Rotor as arrays and numbers for the compiled solver over azimuth.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class AzimuthBlade(NamedTuple):
 
 
 class AzimuthPoint(NamedTuple):
-    """Operating point in wind axes for the kernel.
+    """Operating point in wind axes for the compiled solver over azimuth.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ def element_forces(
 def annulus_losses(
     blade: AzimuthBlade, point: AzimuthPoint, i: int, u: float, stream: float, around: float, share: float
 ) -> tuple[float, float, float]:
-    """Return swirl u_t (m/s), Prandtl's factor F, and the factor of tip loss on the lift, of an annulus.
+    """Return swirl u_t (m/s), Prandtl's factor F, and the tip loss factor on the lift for the annulus of station ``i``.
 
     ``u`` is the mean inflow of the annulus (m/s).
     """

@@ -83,9 +83,9 @@ these slopes lead astray."""
 
 
 def velocity_derivative_weights(trig: Array) -> Array:
-    """Return the derivatives of the velocity U_P by its unknowns, times the harmonics of an average, (azimuths, 2, 40).
+    """Return weights with which a sum over azimuth gives the derivatives of harmonics of a force, (azimuths, 2, 40).
 
-    U_P is the velocity perpendicular to the blade's path.
+    Each is the derivative of U_P, the velocity perpendicular to the blade's path, by one unknown, times a harmonic.
 
     Entry 8 h + k belongs to the harmonic h (1, c, s, 2c, 2s) and the unknown k (u, five flap coefficients, lc, ls).
     The first table is over V, the second over Omega r, the column of u over 1.
@@ -107,7 +107,7 @@ def _sum_element_forces(
     blade: AzimuthBlade, point: AzimuthPoint, inflow: Array, x: Array, share: float, trig: Array, ways: Array,
     fresh: bool, near: bool, sums: Array, slopes: Array, losses: Array,
 ) -> None:  # fmt: skip
-    """Sum the element forces over azimuth.
+    """Fill ``sums`` with the harmonics over azimuth of the force at each station, ``slopes`` with their derivatives.
 
     Parameters
     ----------
@@ -221,7 +221,9 @@ def _sum_element_forces(
 
 @cached_njit(error_model="numpy")
 def _global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array) -> float:
-    """Write the residuals of flapping and inflow to ``out`` (8,); return the weight w of annulus inflow.
+    """Write the residuals of the five flap and three inflow equations to ``out`` (8,); return the weight w.
+
+    w is the share of the annulus's own momentum balance in its inflow (module docstring).
 
     ``loads``: thrust (N) and harmonics of the flap moment (N m) of one blade.
     """
@@ -311,7 +313,7 @@ def _station_residuals(
     blade: AzimuthBlade, point: AzimuthPoint, inflow: Array, x: Array, share: float, sums: Array, slopes: Array,
     losses: Array, miss: Array, local: Array,
 ) -> float:  # fmt: skip
-    """Write the stations' inflow residuals (m/s) to ``miss``, and their derivatives to ``local``.
+    """Write the residual of each station's inflow equation (m/s) to ``miss``, and its derivatives to ``local``.
 
     The derivatives are those by u, then by the eight unknowns ``x``. Return the largest residual over the tip speed.
     """
@@ -363,7 +365,7 @@ def _station_residuals(
 
 @cached_njit(error_model="numpy")
 def _load_jacobian(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array) -> tuple[Array, Array]:
-    """Return the derivatives of the global residuals ``out`` by the loads, (8, 6), and by ``x``, (8, 8)."""
+    """Return the derivatives of the flap and inflow residuals ``out`` by ``loads``, (8, 6), and by ``x``, (8, 8)."""
     by_load, by_state, other = (
         np.zeros((GLOBAL_UNKNOWN_COUNT, 6)),
         np.zeros((GLOBAL_UNKNOWN_COUNT, GLOBAL_UNKNOWN_COUNT)),
@@ -395,7 +397,10 @@ def _load_jacobian(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Ar
 def _newton_step(
     blade: AzimuthBlade, slopes: Array, by_load: Array, matrix: Array, out: Array, miss: Array, local: Array
 ) -> Array:
-    """Return the Newton step of the eight global unknowns, the stations eliminated; ``matrix`` is overwritten."""
+    """Return the Newton step (8,) of the flap and inflow unknowns, after elimination of the inflow of each station.
+
+    ``matrix`` is overwritten.
+    """
     side = np.zeros(GLOBAL_UNKNOWN_COUNT)
     for m in range(GLOBAL_UNKNOWN_COUNT):
         side[m] = -out[m]
@@ -497,7 +502,7 @@ def integrate_loads(
     blade: AzimuthBlade, point: AzimuthPoint, trig: Array, inflow: Array, induced: Array, x: Array, share: float,
     fields: Array, totals: Array, annuli: Array,
 ) -> None:  # fmt: skip
-    """Integrate the loads of a solved point.
+    """Fill the arrays of a solved operating point: values over the disc, total loads, and values of each annulus.
 
     Parameters
     ----------

@@ -321,7 +321,7 @@ def fit_flight_splines(tables: FlightMapTables) -> FlightSplines:
 
 
 class MapLoads(NamedTuple):
-    """Loads of a flight map over airspeed at its middle speed ratio without climb; columns are upper and lower rotor.
+    """Loads of upper and lower rotor (columns) over airspeed, of a flight map at middle speed ratio without climb.
 
     Attributes
     ----------

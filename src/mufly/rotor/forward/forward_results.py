@@ -95,7 +95,7 @@ class DiscFields:
 
 @dataclass(frozen=True, eq=False)
 class SolverState:
-    """State of a solution, from which the solution of a similar point can start.
+    """Unknowns of a solved operating point, from which the solution of a similar point can start.
 
     It holds the inflow of the annuli (m/s), the unknowns of flapping and inflow, and for each annulus swirl (m/s),
     Prandtl's factor and drag per length (N/m).
@@ -243,7 +243,7 @@ _FLAP_COLUMNS = (
 
 @dataclass(frozen=True)
 class _SweepRow:
-    """Point with its response, as a row of a table."""
+    """Loads at an airspeed with the response to cyclic pitch, as a row of a table."""
 
     point: ForwardResult
     response: CyclicResponse

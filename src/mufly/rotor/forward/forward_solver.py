@@ -160,7 +160,7 @@ def azimuth_grid(count: int) -> tuple[Array, Array, Array]:
 
 
 def azimuth_blade(blading: Blading, which: int, flap: BladeFlap, air: Air) -> AzimuthBlade:
-    """Return the arrays of a rotor for the kernel."""
+    """Return a rotor of ``blading`` as arrays for the compiled solver over azimuth."""
     fixes, stack = blading.corrections, blading.polars
     return AzimuthBlade(
         blading.r_m[which], blading.dr_m[which], blading.chord_m[which], blading.twist_rad[which],
@@ -260,7 +260,7 @@ def _find_solution(
     total = 0
 
     def start_from_axial_flow() -> tuple[Array, Array]:
-        """Return the start from blade element momentum theory at the same axial velocity."""
+        """Return the inflow (m/s) and global unknowns of axial flow at the same climb, as start of the iteration."""
         mean = np.asarray(point.stream_m_s.mean(axis=0))
         found = solve_rotor(
             blading, pitch_rad=c.pitch_rad, speed_rad_s=c.speed_rad_s, climb_m_s=c.climb_m_s, air=c.air, which=which,

@@ -66,7 +66,7 @@ def _glauert_root(x: float, v: float) -> float:
 
 @cached_njit(error_model="numpy")
 def disc_through_flow(hover_m_s: float, axial_m_s: float, edgewise_m_s: float) -> float:
-    """Return the magnitude of the axial velocity through a disc (m/s), with the velocity that the load induces.
+    """Return the magnitude of the axial velocity through a loaded disc (m/s), its own induced velocity included.
 
     Parameters
     ----------

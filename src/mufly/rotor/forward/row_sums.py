@@ -34,7 +34,10 @@ Spread = Callable[[int, int], Any]
 def _sum_groups(
     table: Array, first: int, later: int, stride: int, ca: float, cb: float, cc: float, cd: float, ce: float
 ) -> float:
-    """Return the weighted sum of three numbers from index ``first`` and two from ``later``, each ``stride`` apart."""
+    """Return the sum of five numbers of a table times the weights ``ca`` to ``ce``.
+
+    Three lie at index ``first`` and each ``stride`` after it, two at ``later`` and ``stride`` after it.
+    """
     n, m = np.uint64(first), np.uint64(later)
     s, t = np.uint64(first + stride), np.uint64(first + 2 * stride)
     return ca * table[n] + cb * table[s] + cc * table[t] + cd * table[m] + ce * table[np.uint64(later + stride)]
@@ -55,7 +58,9 @@ def sum_flow_rows(
     table: Array, first: int, later: int, stride: int, ca: float, cb: float, cc: float, cd: float, ce: float,
     ea: float, eb: float, ec: float,
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
-    """Return the weighted sum of five groups of three neighbouring rows of 12 columns, added over groups, then rows.
+    """Return the 12 column sums of five groups of three neighbouring rows, each row times the weights of group and row.
+
+    Groups are added first, then rows.
 
     Parameters
     ----------

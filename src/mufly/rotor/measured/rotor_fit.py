@@ -367,7 +367,7 @@ def _compute_load_scales(measurements: RotorMeasurements, load: Array, hover: Ar
 
 
 def _select_training_points(bench: _BenchPoints) -> tuple[NDArray[np.intp], str]:
-    """Select the points of a fit that is tested at the remaining points."""
+    """Return the indices of the bench points for a trial fit, which is tested at the others, and a description."""
     n = bench.speed_rad_s.size
     if n < 2:
         return np.array([], dtype=np.intp), "one point alone cannot be checked on another"
@@ -472,7 +472,7 @@ def _section_probabilities(found: Sequence[_FittedSection]) -> Array:
 
 
 def _estimate_scatter(best: _FittedSection) -> tuple[float, float]:
-    """Estimate the scatter of single points from the residuals of the fit."""
+    """Return the scatter of single points about the fit, of scaled thrust and torque errors, from its residuals."""
     used = np.isfinite(best.scaled_errors).sum()  # copies do not lessen what is unknown: freedom counts them as one
     grow = math.sqrt(used / max(best.degrees_of_freedom, 1.0)) if used > 5 else 1.0
     out = []

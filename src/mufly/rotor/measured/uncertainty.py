@@ -303,7 +303,7 @@ def fit_interval_scale(errors: Sequence[Array]) -> float:
 def _make_interval(
     values: Array, causes: Mapping[str, Array], level: float, sigmas: tuple[float, float]
 ) -> PredictionInterval:
-    """Make the prediction interval.
+    """Return the prediction interval of nominal loads from the standard deviations of all causes of errors.
 
     ``values``: nominal thrust and torque (2, n). ``causes``: standard deviations due to each cause, (2, n). ``sigmas``:
     half widths of thrust and torque in standard deviations.
