@@ -100,7 +100,7 @@ _FAMILY_OF_TYPE: dict[int, ModeFamily] = {
 
 
 def _number_words(words: str) -> dict[int, str]:
-    """Return the words by their numbers, counted from 0, of a list with commas; "-" marks an unused number."""
+    """Return the words of a comma-separated list by their position, from 0; "-" marks a position without a word."""
     return {k: word for k, word in enumerate(words.split(", ")) if word != "-"}
 
 

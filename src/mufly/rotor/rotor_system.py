@@ -193,7 +193,7 @@ class RotorSystem:
 
     @classmethod
     def coaxial_pair(cls, upper: Blading | Rotor, lower: Blading | Rotor, *, spacing_m: float) -> RotorSystem:
-        """Return a coaxial pair of counter-rotating rotors, the first rotor of each blading.
+        """Return a pair of counter-rotating rotors on one shaft; of a blading with several rotors, the first is used.
 
         A :class:`Rotor` is prepared with all defaults.
 
@@ -311,7 +311,7 @@ class RotorResult:
     calibrated: bool
 
     def as_record(self) -> dict[str, Any]:
-        """Return the scalars, and the spanwise arrays as a table ``stations``."""
+        """Return the result's scalars by name and, under the key ``stations``, a dictionary of its spanwise arrays."""
         stations = {k: v for k, v in vars(self).items() if getattr(v, "ndim", 0) == 1}
         return {**{k: v for k, v in vars(self).items() if k not in stations}, "stations": stations}
 

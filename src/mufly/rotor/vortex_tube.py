@@ -135,13 +135,13 @@ def _fill_cell_influence(out: Array, r: Array, z: Array, tubes: Array, starts: A
 
 
 def select_tube_edges(stations: int) -> NDArray[np.int64]:
-    """Select the blade panel edges at which vortex tubes begin."""
+    """Return the indices of the blade's panel edges at which vortex tubes begin, at most nine at even steps."""
     return np.unique(np.linspace(0, stations, min(stations, _MAX_TUBES) + 1).round().astype(np.int64))
 
 
 @lru_cache(maxsize=256)
 def _tube_influence(source: bytes, target: bytes, below_m: float) -> tuple[Array, Array]:
-    """Return two matrices of the axial velocity per unit strength of the source's wake cells.
+    """Return two matrices: axial velocity at a target's disc and in its wake, per unit strength of a source's cells.
 
     The first one is averaged over the panels of the target's disc, the second one holds at the middles of the target's
     own wake cells.
@@ -180,7 +180,11 @@ def _tube_strengths(area: Array, first: NDArray[np.int64], inflow: Array, loss: 
 
 
 def _rollup_matrix(steps: Array) -> Array:
-    """Return the matrix (tubes, tubes) from velocities at tubes to convection velocities, with the tip's roll-up."""
+    """Return the matrix (tubes, tubes) from velocities at tubes to the velocities at which they convect.
+
+    The outermost tubes roll up into the tip vortex and move together, weighted by strength; the root tube moves with
+    its neighbour.
+    """
     count, tip = steps.size, 0
     while tip < count and steps[count - 1 - tip] * steps[-1] > 0.0:
         tip += 1
@@ -193,7 +197,7 @@ def _rollup_matrix(steps: Array) -> Array:
 
 
 def axial_influence(r_m: Array, edge_m: float, narrow: float, at_m: Array, width_m: Array) -> Array:
-    """Return the matrix (panels, stations) that carries a rotor's stream from its stations to panels downstream.
+    """Return the matrix (panels, stations) that interpolates a rotor's values to panels in its stream downstream.
 
     Parameters
     ----------
@@ -277,7 +281,7 @@ def solve_tubes(
     met_by: list[tuple[Array, Array, Array]] = []
 
     def iterate_streams(x: Array) -> Array:
-        """Return the next iterate of the streams at the discs and of the strength factors p of all cells."""
+        """Return the next iterate of ``x``: onset velocities at both discs, and strength factors p of all cells."""
         *streams, p0, p1 = np.split(x, cuts)
         found.clear()
         met_by.clear()

@@ -20,7 +20,10 @@ _KEY_RANGE = 32.0  # of values from their level, in units of their noise; beyond
 
 
 def median_comparators(rows: int) -> _Array:
-    """Return the row exchanges (n, 2) of a sorting network that put the four middle rows in order."""
+    """Return row exchanges (n, 2), part of a sorting network, that bring the four middle rows in order.
+
+    They hold the one or two rows of the median, and a neighbour on each side.
+    """
     top = 1
     while 2 * top < rows:
         top *= 2

@@ -48,7 +48,7 @@ class FaultTarget:
 
     @property
     def reading_unit(self) -> str:
-        """Unit of the fault's amount, except for the kind ``late`` (s)."""
+        """Unit of the amount of a fault of this reading; the amount of a fault of the kind ``late`` is in s instead."""
         return READINGS[self.reading].unit
 
 
@@ -198,7 +198,7 @@ class FaultySensor(Sensor):
         return self._last_output if own is None else own
 
     def _apply_fault(self, f: Fault, name: str, said: dict[str, Reading], truth: Truth) -> None:
-        """Apply a fault to the reading of a name."""
+        """Apply the fault ``f`` to the reading ``name`` in ``said``."""
         t, r = truth.time_s, said[name]
         new = self._last_input.get(name) is not r
         self._last_input[name] = r

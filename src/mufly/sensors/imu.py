@@ -161,7 +161,7 @@ class Imu(Sensor):
 
     @property
     def current_bias(self) -> _Array:
-        """True bias (6,) of accelerometers (m/s^2) and gyroscopes (rad/s) without the share of warming."""
+        """True bias (6,) of accelerometers (m/s^2) and gyroscopes (rad/s), without the part due to warming."""
         return self.turn_on_bias + self._bias_drift
 
     def set_clipping_limit(self, limit_m_s2: float | None) -> None:
@@ -205,7 +205,7 @@ class Imu(Sensor):
         return self.source, self._normals, self._clock, self._last_state, self._output, unit
 
     def error_free_readings(self, truth: Truth) -> Mapping[str, Any]:
-        """Return acceleration and rates of the last period without sensor errors."""
+        """Return specific force (mean of the software's last period) and angular rates, without sensor errors."""
         return {"acceleration": self._current_force.copy(), "rates": truth.rates}
 
     def temperature_rise_K(self, time_s: float) -> float:
@@ -236,7 +236,7 @@ def butterworth_coefficients(cutoff_rad_s: float, step_s: float) -> _Array:
 
 
 def mounting_matrix(imu: ImuTable) -> _Array | None:
-    """Return the rotation matrix (3, 3) from body axes to the element's axes; None if the element is aligned."""
+    """Return the rotation matrix (3, 3) from body axes to those of the sensor element; None if they coincide."""
     angles = [float(q) for q in (imu.mount_roll, imu.mount_pitch, imu.mount_yaw)]
     if not any(angles):
         return None
@@ -250,12 +250,12 @@ def _axis_matrix(rng: np.random.Generator, scale: float, misalignment: float) ->
 
 
 def _line_frequencies(upper: float, lower: float) -> tuple[float, ...]:
-    """Return the frequencies (rad/s) of the vibration lines at two rotor speeds (rad/s)."""
+    """Return the frequencies (rad/s) of the five vibration lines: 1 and 2/rev of each rotor, and passing blades."""
     return 1.0 * upper, 2.0 * upper, 1.0 * lower, 2.0 * lower, 2.0 * (upper + lower)
 
 
 def _project_lines(axes: _Array, directions: _Array) -> _Array:
-    """Return the components of the vibration lines along each axis (5, 3).
+    """Return the directions of the five vibration lines multiplied by the rows of a matrix ``axes`` (3, 3), (5, 3).
 
     The order of summation is fixed, so that results are equal on every machine.
     """
@@ -283,7 +283,10 @@ def _temperature_rise_K(t: float, numbers: _Array) -> float:
 
 @cached_njit(error_model="numpy")
 def _mean_specific_force(was: _Array, now: _Array, elapsed: float, place: _Array, force: _Array) -> None:
-    """Write the mean specific force of a period at the sensor element (m/s^2) to ``force``."""
+    """Write the specific force at the sensor element (m/s^2), the mean of states ``was`` to ``now``, to ``force``.
+
+    The states are ``elapsed`` (s) apart; ``place`` is the element's position in body axes (m).
+    """
     turn = body_to_ned_matrix(now[ATTITUDE])
     wx, wy, wz = now[MODEL_RATES], now[MODEL_RATES + 1], now[MODEL_RATES + 2]
     px, py = (wx - was[MODEL_RATES]) / elapsed, (wy - was[MODEL_RATES + 1]) / elapsed
@@ -304,7 +307,7 @@ def _mean_specific_force(was: _Array, now: _Array, elapsed: float, place: _Array
 def _begin_phasor(
     azimuth: float, first: float, last: float, elapsed: float, n: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Return cosine and sine of a rotor's azimuth, of its first step of rotation, and of the growth of that step.
+    """Return cosine and sine of three angles: a rotor's azimuth, its turn to the next sample, and that turn's growth.
 
     The rotor's speed changes from ``first`` to ``last`` (rad/s) over ``n`` samples.
     """

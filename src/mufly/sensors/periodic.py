@@ -47,7 +47,7 @@ def advance_if_due(t: float, clock: _Array) -> bool:
 
 @cached_njit(error_model="numpy")
 def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int64], rows: _Array) -> bool:
-    """Update the queue of delayed samples; return whether one is published, which is then in the first of ``rows``.
+    """Queue a new sample; if one is due, copy it to ``rows[0]`` and return True, else return False.
 
     A measurement with the delay ``wait`` (s) is appended to the pending rows. Of several samples due at once, the last
     counts.
@@ -184,5 +184,5 @@ def gauss_markov_step(t: float, sigma: _Array, time_s: float, memory: _Array, so
 
 
 def gauss_markov_reset(rng: np.random.Generator, sigma: _Array, memory: _Array) -> None:
-    """Draw new errors from their stationary distribution; the next step sets their time."""
+    """Draw new errors from their stationary distribution; the next :func:`gauss_markov_step` sets their time."""
     memory[0], memory[1:] = math.nan, sigma * rng.standard_normal(sigma.size)

@@ -124,7 +124,7 @@ class Sensor:
 
     @property
     def latest_readings(self) -> Mapping[str, Reading] | None:
-        """Last readings by name; None for a sensor that the compiled loop cannot sample."""
+        """Last readings by name; None for a sensor that :func:`mufly.sensors.sampling.sample_all` cannot sample."""
         return None
 
     def error_free_readings(self, truth: Truth) -> Mapping[str, Any]:
@@ -149,7 +149,7 @@ class SensorSet:
         return Readings(truth.time_s, latest)
 
     def gather_latest(self, time_s: float) -> Readings:
-        """Return the last readings after the compiled loop has sampled the sensors up to a time (s)."""
+        """Return the last readings after :func:`mufly.sensors.sampling.sample_all` has sampled up to a time (s)."""
         latest: dict[str, Reading] = {}
         for sensor in self.sensors:
             latest |= sensor.latest_readings or {}

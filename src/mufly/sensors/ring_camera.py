@@ -55,7 +55,7 @@ def _decode_ranges(
     numbers: _Array,
     told: _Array,
 ) -> None:
-    """Draw the spots into the noise picture ``seen``, and decode the ranges into ``told``.
+    """Draw the laser spots into the picture ``seen``, which holds noise, and write the decoded ranges to ``told``.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ def make_random_source(rng: np.random.Generator) -> NDArray[np.uint64]:
 
 
 def _bitcast_intrinsic(make: Any, kind: Any) -> Any:
-    """Return an intrinsic that reinterprets 64 bits as another type."""
+    """Return a Numba intrinsic that reinterprets the 64 bits of its argument as a number of another type."""
 
     def emit_bitcast(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         return builder.bitcast(given[0], make)

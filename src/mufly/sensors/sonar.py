@@ -129,7 +129,9 @@ def standing_sonar_range(vehicle: Vehicle) -> float:
 
 
 def max_grounded_range(vehicle: Vehicle) -> float:
-    """Return the sonar range (m), before rounding, up to which the vehicle may still stand on the floor.
+    """Return the greatest range (m) that the sonar may read while the vehicle stands on the floor.
+
+    Rounding of the reading to the sonar's resolution is not included.
 
     A sonar low on the fuselage reads its least range on the floor. A higher one reads the floor's distance, with noise.
     """

@@ -17,7 +17,7 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FrameInfo:
-    """Estimate by the vehicle's filter at the middle of a picture.
+    """Estimate by the vehicle's filter at the time of a picture, when its middle row is exposed.
 
     Attributes
     ----------
@@ -166,7 +166,7 @@ class Odometry:
         return Odometry(time_s, told, self.elapsed_s + dt, moved, turned, sigma_m, complete)
 
     def predict_displacement(self, velocity: _Array) -> tuple[_Array, float]:
-        """Return the displacement N, E and heading change (3,), and its standard deviation (m).
+        """Return displacement N, E (m) and heading change (rad), (3,), and the displacement's standard deviation (m).
 
         ``velocity`` (2,) is that of the last results, used without velocities from the vehicle.
         """
@@ -181,7 +181,7 @@ class Odometry:
 
 @dataclass(frozen=True)
 class MotionPrior:
-    """Motion since the last results, by which the next picture's pose is predicted.
+    """Motion since SLAM's last results, by which the next picture's pose is predicted.
 
     Attributes
     ----------
@@ -215,7 +215,7 @@ class MotionPrior:
         return MotionPrior(latest, textured, velocity)
 
     def restart_at(self, frame: CameraFrame) -> MotionPrior:
-        """Return the motion restarted at this picture, with texture in all directions."""
+        """Return the motion restarted at this picture, as after a picture with texture in all directions."""
         here = Odometry(frame.time_s, frame.vehicle_estimate)
         return MotionPrior(here, here, self.velocity_m_s)
 
@@ -227,7 +227,7 @@ class MotionPrior:
 
     @property
     def unobserved_sigma(self) -> tuple[float, float]:
-        """Standard deviations of the predicted position (m) and heading (rad).
+        """Standard deviations of the predicted position (m) and heading (rad) along directions without texture.
 
         They grow from the last picture that showed texture in both directions.
         """

@@ -138,7 +138,7 @@ class PoseEstimate:
 
     @property
     def inlier_mask(self) -> NDArray[np.bool_]:
-        """Mask of the points within three standard deviations."""
+        """Mask (n,) of the points whose normalised residual is below three times ``residual_scale`` (0.7 at least)."""
         return self.normalised_residuals < 3.0 * max(self.residual_scale, 0.7)
 
     @property
@@ -163,7 +163,7 @@ class PoseEstimate:
 
 
 def attitude_matrix(view: ViewPrior, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
-    """Return the rotation matrix from body axes to N-E-D, for a heading and tilt errors (default: their prior mean)."""
+    """Return the rotation matrix from body axes to N-E-D for a heading and tilt error (default: prior mean)."""
     return _compute_attitude(view.roll_rad, view.pitch_rad, heading, *(view.tilt_error_rad if tilt is None else tilt))
 
 
@@ -197,7 +197,7 @@ def vibration_offset(view: ViewPrior, pixels: _Array, seconds: _Array, shakes: _
 
 
 def d_rays_d_tilt(slopes: NDArray[np.complex128]) -> _Array:
-    """Return the derivatives (n, 2, 2) of ray slopes along N and E by tilt errors about N and E."""
+    """Return the derivatives (n, 2, 2) of ray slopes (N, E) with respect to tilt errors (about N, about E)."""
     n, e = slopes.real, slopes.imag
     return np.stack([np.stack([-n * e, 1.0 + n * n], axis=-1), np.stack([-1.0 - e * e, n * e], axis=-1)], axis=-2)
 

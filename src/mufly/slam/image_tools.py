@@ -141,7 +141,9 @@ def match_brightness(picture: _Picture, other: _Picture) -> _Picture:
 
 
 def warp_over_picture(picture: _Picture, homography: _Array, over: _Picture) -> tuple[_Picture, _Picture]:
-    """Warp a picture over another one; return the result, and a mask of the warped area, eroded by a patch.
+    """Warp a picture over another one; return the result, and a mask of the warped area, shrunk by a margin.
+
+    The margin is :data:`BORDER_MARGIN_PX`.
 
     Outside, the result is the other picture. A black edge, fixed in the image, would bias all pyramid windows over it.
     """
@@ -246,7 +248,10 @@ def correlate_patches(
     correlation: _Array,
     sigma: _Array,
 ) -> None:
-    """Return the correlation of patches around points of a template and a picture, and the sigma of the shift."""
+    """Write the correlation of patches in two pictures, and the sigma (pixels) of their shift, to the last arguments.
+
+    Patches that are not ``found``, or cross the edge of a picture, are left out.
+    """
     high, wide = picture.shape
     n = 2 * _PATCH_HALF_SIZE_PX + 1
     a, b = np.empty((n, n)), np.empty((n, n))

@@ -179,7 +179,11 @@ class FloorMap:
         return keep * (0.0 if last is None else self.nodes[-1, SENSOR_ERRORS]), keep, noise
 
     def predict_covariance(self, k: int, keep: _Array, noise: _Array) -> _Array:
-        """Return the covariance (9, 9) of node ``k``, with its tilt error, and a picture's tilt and sonar error."""
+        """Return the joint covariance (9, 9) of keyframe ``k``'s node and of a new picture's sensor errors.
+
+        Of the node: N, E, heading, ln h and two tilt errors. Of the picture: two tilt errors and the sonar error, with
+        ``keep`` and ``noise`` from :meth:`predict_sensor_errors`.
+        """
         last = len(self.keyframes) - 1
         to = np.zeros((9, NODE_SIZE if k == last else 2 * NODE_SIZE))
         to[:SONAR, :SONAR] = np.eye(SONAR)

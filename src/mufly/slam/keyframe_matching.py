@@ -64,7 +64,7 @@ _TILT_COVARIANCE_INDEX = np.ix_([6, 7, 4, 5], [6, 7, 4, 5])  # tilt errors of th
 
 @dataclass(frozen=True)
 class FrameContext:
-    """A picture, with prior knowledge of its pose, before it is matched to a keyframe.
+    """A picture before it is matched to a keyframe, with prior knowledge of its pose, sensor errors and vibration.
 
     Attributes
     ----------
@@ -109,7 +109,10 @@ class FrameContext:
 
     @property
     def texture_caution(self) -> float:
-        """Factor on the texture that a direction needs; larger if the last results lacked texture in one direction."""
+        """Factor on the least texture with which a direction counts as known.
+
+        It is larger if the last results lacked texture in one direction.
+        """
         return 2.0 if self.motion.has_texture_in_one_direction else 1.0
 
     @property
@@ -367,7 +370,7 @@ def _match_directly(
 
 
 def _common_variance(context: FrameContext) -> float:
-    """Return the variance of the position due to errors that all points of a picture share (m^2)."""
+    """Return the variance (m^2) that common pixel errors, such as vibration, give to the position along an axis."""
     common_px = math.hypot(_COMMON_SHAKE_FRACTION * context.shake_rms_px, _COMMON_SIGMA_PX)
     return (common_px * context.view.height_m / context.view.focal_px) ** 2
 
@@ -401,7 +404,7 @@ def _floor_homography(floor_map: FloorMap, k: int, context: FrameContext, node: 
 def correlate_keyframe(
     floor_map: FloorMap, k: int, context: FrameContext, node: _Array
 ) -> tuple[_Array, CorrelationPeak] | None:
-    """Correlate a picture with a keyframe, both reduced; return the picture's node (4,) and the correlation peak.
+    """Correlate a picture with a keyframe at reduced size; return the picture's node (4,) and the correlation peak.
 
     The shift is searched within three standard deviations of the predicted position. The result is None if there is no
     peak.

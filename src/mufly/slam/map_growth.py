@@ -118,7 +118,7 @@ def insert_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
 
 
 def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bool = False) -> GraphEdge:
-    """Return the edge from the matched keyframe to the picture, which is node ``second``."""
+    """Return the edge from the matched keyframe to the picture, node ``second``; ``closes`` marks a loop closure."""
     at, pose = floor_map.nodes[match.keyframe], match.pose
     tilt = at[TILT] + pose.keyframe_tilt_error_rad
     _, by_b = relative_pose_jacobians(at, match.pose_graph_node)
@@ -139,7 +139,10 @@ def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bo
 
 
 def pose_information(match: KeyframeMatch) -> tuple[_Array, _Array]:
-    """Return the information (8, 8) of a match on its pose, reduced for correlated points, and the gradient (8,)."""
+    """Return information (8, 8) and gradient (8,) of a match on its pose, from pixels and prior together.
+
+    The part of the pixels is reduced, since the errors of points are correlated.
+    """
     pose, inflation = match.pose, match.variance_inflation
     return (
         pose.pixel_information / inflation + pose.prior_information,
@@ -226,7 +229,10 @@ class LoopSearch:
         return match
 
     def close_loop(self, floor_map: FloorMap, match: KeyframeMatch, here: int) -> bool:
-        """Add the edge of a match to keyframe ``here`` if the map's covariance permits it; return whether it did."""
+        """Add a match as a loop-closing edge from its keyframe to keyframe ``here``; return whether it was added.
+
+        It is not added if it contradicts the map's covariance.
+        """
         k, edge = match.keyframe, make_edge(floor_map, match, here, closes=True)
         off = edge.compute_residual(floor_map.nodes[k], floor_map.nodes[here])
         if edge.compute_chi2(off, floor_map.edge_covariance(k, here)) > LOOP_MAX_CHI2:
@@ -263,7 +269,7 @@ def _has_second_place(
 
 
 def _level_rays(context: FrameContext, pose: PoseEstimate, pixels: _Array, seconds: _Array) -> NDArray[np.complex128]:
-    """Return the slopes, for heading 0, of pixels of the undistorted picture at the middle of its exposure."""
+    """Return the slopes of rays through pixels as a level camera of heading 0 would see them at mid-exposure."""
     view = context.view
     turn = attitude_matrix(view, pose.tilt_error_rad, pose.heading_rad)
     centred = pixels - context.undistorter.principal_point

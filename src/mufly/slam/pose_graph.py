@@ -82,7 +82,7 @@ class GraphEdge:
         return out
 
     def compute_chi2(self, off: _Array, covariance: _Array | None = None) -> float:
-        """Return chi-squared of a residual, weighted by pixel noise alone.
+        """Return chi-squared of an edge's residual ``off``; without ``covariance``, only pixel noise is uncertain.
 
         With ``covariance`` (8, 8), the residual's own uncertainty is included.
         """
@@ -99,7 +99,7 @@ class GraphEdge:
 
 @dataclass(frozen=True)
 class KeyframePriors:
-    """Priors of keyframes, (n,) arrays.
+    """Prior knowledge of height and tilt errors of n keyframes, (n,) arrays.
 
     Attributes
     ----------
@@ -152,7 +152,10 @@ def relative_pose_jacobians(a: _Array, b: _Array) -> tuple[_Array, _Array]:
 
 
 def edge_jacobian(a: _Array, b: _Array) -> _Array:
-    """Return the derivatives of an edge's eight numbers by both nodes, (8, 14)."""
+    """Return the derivatives (8, 14) of an edge's measured quantities with respect to both nodes.
+
+    The quantities are the relative pose (4) and the tilt errors of ``a`` (2) and ``b`` (2).
+    """
     out = np.zeros((8, 2 * NODE_SIZE))
     out[:4, :4], out[:4, NODE_SIZE : NODE_SIZE + 4] = relative_pose_jacobians(a, b)
     out[EDGE_TILT_A, TILT] = out[EDGE_TILT_B, NODE_SIZE + TILT.start : NODE_SIZE + TILT.stop] = np.eye(2)

@@ -46,7 +46,7 @@ class MapView:
 
 @dataclass(frozen=True, eq=False)
 class PictureCounts:
-    """Counts of a flight's pictures.
+    """Numbers of pictures in a flight: taken, lost by the radio, processed, and trusted.
 
     Attributes
     ----------

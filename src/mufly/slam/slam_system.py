@@ -197,7 +197,7 @@ class SlamSystem:
         return self._track(context)
 
     def _track(self, context: FrameContext) -> TrackingResult:
-        """Match the picture to the keyframes at its predicted pose, and return the result."""
+        """Match the picture to keyframes that its predicted pose lets it see, and return the result."""
         frame, way = context.frame, context.motion.latest
         assert way is not None
         elapsed = way.elapsed_s
@@ -229,7 +229,7 @@ class SlamSystem:
         return self._accept_match(context, match)
 
     def _make_untrusted_result(self, frame: CameraFrame, verdict: CameraDiagnosis, why: str) -> TrackingResult:
-        """Return an untrusted result with its reason, including a fault of the camera."""
+        """Return the result of a picture without a trusted pose, with the reason; a fault of the camera is stored."""
         self._store_diagnosis(frame.time_s, verdict)
         return TrackingResult(frame.time_s, False, verdict.message or why, camera_fault=verdict.message)
 
@@ -248,7 +248,7 @@ class SlamSystem:
     # ------------------------------------------------------------------ Prediction
 
     def _make_context(self, frame: CameraFrame, picture: NDArray[np.uint8]) -> FrameContext:
-        """Return the picture with its prior knowledge, without the prediction of its place."""
+        """Return the picture with the prior of attitude, height and sensor errors; the position is predicted later."""
         told = frame.vehicle_estimate
         # With a global shutter, vibration looks like any tilt; only its phase distinguishes it.
         modelled = bool(told.rotor_speed.any()) and (self._has_rolling_shutter or told.rotor_phase is not None)
@@ -365,7 +365,7 @@ class SlamSystem:
         return self._make_result(context, match, made, closed)
 
     def _learn_vibration(self, view: ViewPrior, pose: PoseEstimate) -> None:
-        """Average the amplitudes of the vibration over pictures.
+        """Average the amplitudes of the camera's vibration over pictures.
 
         A rotor that turns twice per picture distorts consecutive pictures alike, so their difference shows little of
         the vibration, and the map would stay distorted. Over many pictures the rotor phases drift, so the average shows
@@ -379,7 +379,7 @@ class SlamSystem:
             )
 
     def _insert_keyframe(self, context: FrameContext, match: KeyframeMatch) -> bool:
-        """Make a keyframe of the picture, and refer to it; return whether it is one."""
+        """Make the picture a keyframe and the reference of tracking; return False if the picture is unsuitable."""
         k = insert_keyframe(self.floor_map, context, match)
         if k is None:
             return False
@@ -404,7 +404,7 @@ class SlamSystem:
         return True, True
 
     def _make_result(self, context: FrameContext, match: KeyframeMatch, made: bool, closed: bool) -> TrackingResult:
-        """Return the result: the pose fused from map, tilts, sonar and pixels."""
+        """Return the picture's result, its pose fused from map, tilts, sonar and pixels."""
         view, pose, here = context.view, match.pose, self._reference_index
         if made:  # the picture is in the map
             node, known = self.floor_map.nodes[here, PLACE], self.floor_map.joint_covariance(here)[:4, :4]
@@ -483,7 +483,7 @@ class SlamSystem:
         return len(self.floor_map.keyframes) - (self._trial_frame_count > 0) <= _YOUNG_MAP_KEYFRAMES
 
     def _confirm_trial(self, context: FrameContext, match: KeyframeMatch) -> TrackingResult | None:
-        """Match another picture to the keyframe on trial; return None once enough pictures have confirmed it.
+        """Match another picture to the keyframe on trial after a gap; return None once enough pictures confirmed it.
 
         Until then the rest of the map is searched, too: relocalisation there replaces the trial.
         """
@@ -539,7 +539,7 @@ class SlamSystem:
     # ------------------------------------------------------------------ Relocalisation
 
     def _relocalize(self, context: FrameContext, why: str) -> TrackingResult:
-        """Search the whole map by ORB; accept the result when several in a row agree."""
+        """Search the whole map for the picture by ORB; accept the place when several pictures in a row agree."""
         lost = TrackingResult(context.frame.time_s, False, why or "lost", keyframe=-1)
         if self._frame_count % _RELOCALIZE_INTERVAL_FRAMES and not self._found_poses:
             return lost

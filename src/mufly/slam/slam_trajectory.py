@@ -57,7 +57,7 @@ class SlamTrajectory:
 
     @property
     def position_sigma_m(self) -> float:
-        """Median of the largest horizontal standard deviation (m)."""
+        """Median over all results of the greatest horizontal standard deviation (m)."""
         if not len(self.time):
             return float("nan")
         return float(np.median(np.sqrt(np.linalg.eigvalsh(self.covariance[:, :2, :2])[:, -1])))

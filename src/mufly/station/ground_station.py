@@ -120,7 +120,7 @@ class GroundLink:
                 self._report_fault(heard, message.get_type(), error)
 
     def step(self, now_s: float, peers: Iterable[Hashable] = ()) -> list[OutgoingFrame]:
-        """Return the frames to send.
+        """Return the frames to send at present: heartbeats, and the messages to all vehicles.
 
         Parameters
         ----------
@@ -202,7 +202,7 @@ class GroundLink:
         return new
 
     def _report_equipment(self, now_s: float) -> None:
-        """Report each system without a vehicle once, after a waiting time."""
+        """Report each MAVLink system that sends without an autopilot once, after a waiting time."""
         for (peer, system), (since_s, what) in self._equipment.items():
             if since_s + LOST_TIMEOUT_S < now_s < math.inf and (peer, system) not in self._heard:
                 self._equipment[peer, system] = (math.inf, what)

@@ -157,7 +157,10 @@ def limits_from_parameters(parameters: Mapping[str, TunableParameter]) -> dict[s
 
 
 def _replace_parts(mission: Mission, **parts: object) -> Mission:
-    """Return the mission with other parts, unvalidated: other vehicles may exceed the bounds of a mission file."""
+    """Return a copy of the mission with the fields ``parts`` replaced, without validation.
+
+    Vehicles of other makers may exceed the bounds of a mission file.
+    """
     held = {name: getattr(mission, name) for name in Mission.model_fields}
     return Mission.model_construct(**{**held, **parts})
 
@@ -190,7 +193,7 @@ _AVOIDANCE_KEYS = {"AVD_ENABLE": "enabled", "AVD_CLEARANCE": "clearance_m", "AVD
 
 
 def _avoidance_from_parameters(parameters: Mapping[str, TunableParameter]) -> tuple[tuple[str, float], ...]:
-    """Return the keys of ``[avoidance]`` among a vehicle's parameters."""
+    """Return the settings of a mission file's table ``[avoidance]`` among a vehicle's parameters: (key, value)."""
     held = {key: parameters[name].value for name, key in _AVOIDANCE_KEYS.items() if name in parameters}
     return tuple((key, value) for key, value in held.items() if math.isfinite(value))
 

@@ -161,7 +161,7 @@ class RecordingComparison:
         return np.asarray(off)
 
     def second_track(self) -> _Array:
-        """Return the positions of the second (n, 3; N, E, D, m); NaN if unknown."""
+        """Return the positions (n, 3; N, E, D, m) of the second recording; NaN if unknown."""
         names = [f"estimated_position_{axis}" for axis in "NED"]
         found = [_find_column(self.second_recording, self.find_counterpart(name) or name) for name in names]
         return np.column_stack(found)
@@ -268,7 +268,7 @@ def _unwrap_angle_pair(one: _Array, two: _Array) -> tuple[_Array, _Array]:
 
 
 def difference_rows(c: RecordingComparison, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the differences of signals, a dictionary for each.
+    """Return rms and largest difference of signals between two recordings, one dictionary for each signal.
 
     Keys: ``signal``, ``units``, ``rms``, ``largest``, and ``at_s``, the time of the largest difference on the first's
     clock.

@@ -332,6 +332,6 @@ class Replay:
 
     @cached_property
     def _initial_down_m(self) -> float:
-        """Return the initial D of the vehicle (m); NaN if unknown."""
+        """Return the first known coordinate D (m) in the recording; NaN if there is none."""
         columns = [self.recording.columns.get(f"{source}_position_D", unknown_values(0)) for source in MOTION_SOURCES]
         return next((float(c[np.isfinite(c)][0]) for c in columns if np.isfinite(c).any()), math.nan)

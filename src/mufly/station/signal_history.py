@@ -356,7 +356,7 @@ class SignalHistory:
 
 
 class PresentSignals:
-    """The present values of a vehicle's signals, with source rank and expiry.
+    """The present values of a vehicle's signals, each from the best-ranked source and only until it expires.
 
     Several messages may carry the same group of signals; the best-ranked message received is used. A signal sent less
     often than the history's rows is held for a time (`SIGNAL_TIMEOUT_S`) and then becomes unknown. Headings are
@@ -393,7 +393,7 @@ class PresentSignals:
         return self.values[self.slice_by_variable[name]].copy()
 
     def accept_message(self, now_s: float, group: str, rank: int = 0) -> bool:
-        """Return whether a message is used: no message of better rank (0 is best) was received recently."""
+        """Return whether a message may set its group's signals: no message of better rank (0 is best) came recently."""
         told = self._told.get(group)
         if told is not None and told[0] < rank and now_s - told[1] < SIGNAL_TIMEOUT_S:
             return False
@@ -401,7 +401,7 @@ class PresentSignals:
         return True
 
     def set_value(self, group: str, k: int, value: float) -> None:
-        """Set the value at index ``k``, from a message of a group."""
+        """Set ``values[k]``, from a message of a group."""
         self._owned.setdefault(group, set()).add(k)
         if self._names[k].endswith("_attitude_yaw") and math.isfinite(value):
             value = self._unwrap_heading(k, value)

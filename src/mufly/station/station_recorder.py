@@ -38,7 +38,7 @@ MIN_DISK_BYTES = 50e6
 
 @dataclass(slots=True)
 class _VehicleRecording:
-    """The recording of one vehicle; its file is opened at the first row."""
+    """The recording of one vehicle; its file is opened when the first row of signals arrives."""
 
     vehicle: RemoteVehicle
     vehicle_number: int

@@ -302,7 +302,7 @@ def _evaluate_group(
 
 
 def _drive_columns(setup: StudySetup, column: Any) -> tuple[MotorConstants | None, Array]:
-    """Return motor constants and supply voltage of the cases as columns; None and no voltage without a drive."""
+    """Return motor constants and supply voltage with one value per case; None and an empty array without a drive."""
     if setup.drive is None:
         return None, np.zeros(0)
     own = setup.drive.motor_constants()
@@ -322,7 +322,7 @@ def _add_drive_results(
     answers: dict[str, Array],
     reasons: NDArray[Any],
 ) -> None:
-    """Add the results of the drive at speed and torque."""
+    """Add electrical power, efficiency, gear ratio, duty and current at the rotor's speed and torque to ``answers``."""
     speed, torque = answers["speed_rad_s"], answers["torque_Nm"]
     with np.errstate(invalid="ignore", divide="ignore"):
         if gear in ("adapted", "best"):
@@ -371,7 +371,9 @@ def _core_limit(result: SystemSolution) -> float:
 
 
 def _solve_from_last_wake(setup: StudySetup, solved: Callable[..., SystemSolution]) -> SystemSolution:
-    """Solve from the last wake, or from a fresh start if that does not converge; blade elements need no start.
+    """Solve by the wake method from the last solved wake, or without it if that does not converge.
+
+    Blade elements are solved without a start.
 
     Raises
     ------
@@ -400,7 +402,7 @@ def _solve_by_wake(
     k: int,
     find: Callable[[RotorLoad], Array] | None,
 ) -> SystemSolution:
-    """Solve case ``k`` by the wake method; with ``find``, the rotor speed is unknown.
+    """Solve case ``k`` by the wake method; if ``find`` is given, search for the rotor speed.
 
     The unknown speed is found by blade element theory (``load``), scaled to the wake at the last speed, until it
     converges.
@@ -567,7 +569,7 @@ def solve_isolated_rotors(
 
 
 def _pair_results(point: SystemSolution) -> dict[str, float]:
-    """Return the results of a pair for a study."""
+    """Return the output variables of a study for a solved pair, by name."""
     up, low = point.upper, point.lower
     row = {
         "thrust_N": point.thrust_N,

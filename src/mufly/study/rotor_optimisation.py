@@ -349,7 +349,10 @@ class OptimisationProblem:
     def evaluate_goal(
         self, cases: Sequence[Mapping[str, float | str]], *, own_gear: bool = False
     ) -> tuple[Array, dict[str, Array], list[str]]:
-        """Return for each case the value of the goal (nan if it failed), all results, and the reason of a failure."""
+        """Return for each case the value of the goal (nan if it failed), all results, and the reason of a failure.
+
+        With ``own_gear`` the gear ratio is that of the setup, even if it is a free parameter.
+        """
         extra = {} if own_gear else self._gear_setting()
         results = evaluate_cases(replace(self.setup, fixed_parameters={**self.setup.fixed_parameters, **extra}), cases)
         per_power = results.values["thrust_per_power_N_W"]
@@ -417,7 +420,10 @@ class OptimisationProblem:
         return "; ".join(broken) or "the battery cannot hold the hover"
 
     def optimise_pitch(self, case: Mapping[str, float | str], own_gear: bool) -> tuple[float, float]:
-        """Return the greatest value of the goal over the pitch, and the pitch at which it occurs."""
+        """Return the greatest value of the goal over the pitch, and that pitch (rad).
+
+        With ``own_gear`` the gear ratio is that of the setup, even if it is a free parameter.
+        """
         if "pitch" in self.setup.fixed_parameters:
             goal, _, _ = self.evaluate_goal([case], own_gear=own_gear)
             return float(goal[0]), float(self.setup.fixed_parameters["pitch"])

@@ -481,7 +481,7 @@ _AIRFOIL_SUFFIXES = (".dat", ".txt")
 
 
 def thesis_airfoils() -> list[str]:
-    """Return the names of the 247 airfoils, the eight of Table 3.3 first.
+    """Return 247 airfoils, as many as in the dissertation: the eight of Table 3.3, then an even choice of the database.
 
     Raises
     ------

@@ -226,7 +226,9 @@ def study_current_and_torque(progress: ProgressCallback | None = None) -> StudyF
 
 
 def study_bench_blades(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.15: blades with three airfoils; polars tuned on one measured point of one, as in the dissertation.
+    """Fig. 3.15: blades with three airfoils; all polars are calibrated on one measured point of the NACA 0012 blade.
+
+    The dissertation calibrates in the same way.
 
     The text gives measurements of NACA 0012 at Table 3.2's points only; the pitch of the figure is not stated, so 12
     and 16 degrees are drawn.

@@ -236,7 +236,7 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
     radius, height = np.hypot(*mesh.cell_centres[:, :2].T) / R, mesh.cell_centres[:, 2] / R
 
     def half_flow_radius(depth: float) -> float:
-        """Return the radius over R inside which half of the downward flow passes, at a depth (over R)."""
+        """Return the radius (over R) that contains half of the downward flow through a plane at a depth (over R)."""
         there = (np.abs(height + depth) < 0.1) & (radius < 2) & (velocity[:, 2] < 0)
         order = np.argsort(radius[there])
         through = np.cumsum((-velocity[there, 2] * mesh.cell_volumes[there])[order])

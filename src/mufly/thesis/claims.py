@@ -166,7 +166,7 @@ def judge(key: str, model: str, ours: str, **quantities: Any) -> Verdict:
 
 
 def judge_item(item: str, model: str) -> Callable[..., Verdict]:
-    """Return :func:`judge` for one figure or table (``"fig-6.5"``) and one model.
+    """Return the function :func:`judge` for claims about one figure or table (``"fig-6.5"``) by one model.
 
     Its arguments are the key of the claim after the item, the computed numbers as text, and the quantities.
     """

@@ -43,8 +43,9 @@ def _singular_value_curves(one: ControllerDesign) -> xr.Dataset:
 
 
 def study_heave_yaw_plant(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.3: singular values of the heave-yaw plant, at the nominal voltage and at the voltage that fits the
-    printed crossings.
+    """Fig. 6.3: singular values of the heave-yaw plant, at the nominal voltage and with a half-charged battery.
+
+    The second voltage fits the crossovers that the dissertation prints.
     """
     verdicts = []
     for volt in (_NOMINAL_VOLTAGE_V, _HALF_CHARGED_VOLTAGE_V):
@@ -69,7 +70,7 @@ def study_heave_yaw_plant(progress: ProgressCallback | None = None) -> StudyFind
 
 
 def study_heave_yaw_loop(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.5: level, crossover and peaks of the heave-yaw loop."""
+    """Fig. 6.5: H-infinity level, crossover and peaks of both sensitivities of the heave-yaw loop."""
     one = _design_controller().heave_yaw
     loop = one.full_loop
     near = min(loop.crossovers, key=lambda w: abs(w - 3.26))
@@ -272,7 +273,7 @@ _HOVER_DURATION_S, _STICK_DURATION_S = 8.0, 8.0
 
 @functools.lru_cache(maxsize=1)
 def _fly_on_sensors() -> tuple[xr.Dataset, float, float]:
-    """Fly on sensors: climb by 0.5 m, hover, sticks; return the recording, and start times of climb and sticks (s)."""
+    """Fly on sensors: climb by 0.5 m, hover, pitch by stick; return recording, and start of climb and of stick (s)."""
     climb = stick = math.nan
     with Flight(
         "mufly-1.1", parse_mission(_CLIMB_MISSION), controller=_design_controller(), seed=7, sensors="fitted"

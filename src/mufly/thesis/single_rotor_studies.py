@@ -41,7 +41,7 @@ RANKED_OUTPUT_NAME = "thrust_per_power_N_W"
 
 @dataclass(frozen=True)
 class SweepStudy:
-    """Study of one figure.
+    """Study of a rotor for one figure: the varied parameter, its values, and the function that judges the results.
 
     Attributes
     ----------
@@ -64,7 +64,10 @@ class SweepStudy:
 
 
 def standard_setup(model: str, rotor: str | Rotor = "naca4412-r60-c20") -> StudySetup:
-    """Return the standard blade, or another rotor, on muFly's drive at 0.4 N with adapted gear."""
+    """Return the study of a blade on muFly's drive at a thrust of 0.4 N, with the adapted gear ratio.
+
+    The adapted ratio is that of least power at which the drive holds the speed at full voltage.
+    """
     return StudySetup(
         load_rotor(rotor) if isinstance(rotor, str) else rotor,
         load_drive("mufly"),
@@ -252,7 +255,7 @@ ROTOR_NAMES = ("upper", "lower")
 
 
 def vehicle_rotor_load(which: str) -> RotorLoad:
-    """Return the load of the ``upper`` or ``lower`` rotor of prototype 1.1 with the coefficients of Table 5.3."""
+    """Return thrust and torque over speed of prototype 1.1's ``upper`` or ``lower`` rotor, by Table 5.3."""
     v = load_vehicle("mufly-1.1")
     one = v.rotors.upper if which == "upper" else v.rotors.lower
     return make_coefficient_load(

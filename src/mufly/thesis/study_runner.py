@@ -410,7 +410,7 @@ def study_digest(name: str) -> str:
 
 
 def load_cached_answer(name: str, folder: Path | None = None) -> StudyAnswer:
-    """Return the stored outcome of a figure's or table's study; ``known`` is False if it is missing or outdated."""
+    """Return the stored outcome of a figure's or table's study; its field ``known`` is False if missing or outdated."""
     of = find_item(name)
     if of.kind != "result":
         return StudyAnswer(of, known=True)

@@ -107,7 +107,7 @@ def _straight_vortex_velocity(point: Array, a: Array, b: Array) -> Array:
 
 
 def _format_error(off: float) -> str:
-    """Return an error as text; rounding errors, whose digits differ between processors, as an upper bound."""
+    """Return a difference as text; a rounding error, whose digits differ between processors, as an upper bound."""
     return f"{off:.1e}" if off > 1e-12 else "less than 1e-12"
 
 

@@ -165,7 +165,10 @@ def _parse_flight_table(text: str, knee: float) -> FlightMapTables:
 
 
 def format_flight_table(tables: FlightMapTables, knee: float) -> str:
-    """Return the text of a flight map's ``table``."""
+    """Return the text of a flight map's ``table``.
+
+    ``knee`` is the advance ratio at 0.5 of the axis ``edgewise``.
+    """
     advance = knee * np.sqrt(tables.edgewise / (1.0 - tables.edgewise))
     grid = np.meshgrid(tables.ratio, tables.climb_ratio, advance, indexing="ij")
     rows = np.column_stack([*(a.ravel() for a in grid), tables.loads.reshape(-1, tables.loads.shape[-1])])

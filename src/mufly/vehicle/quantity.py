@@ -61,7 +61,7 @@ class BodyPoints(_FrozenModel):
 
 
 class TabulatedCurve(_FrozenModel):
-    """Quantity tabulated over a fraction that increases from 0 to 1."""
+    """Curve of a quantity over a fraction from 0 to 1, such as the charge of a battery."""
 
     fraction: tuple[float, ...]
     value: tuple[float, ...]

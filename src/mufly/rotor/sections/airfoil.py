@@ -93,7 +93,7 @@ class Airfoil:
         self.coordinates.setflags(write=False)
 
     def contour_hash(self) -> str:
-        """Return a hash of the contour, to a ten-millionth of the chord."""
+        """Return a hash of the contour's coordinates, rounded to 1e-7 of the chord."""
         rounded = np.round(self.coordinates * 1e7).astype(np.int64)
         return hash_question(rounded)
 

@@ -293,7 +293,7 @@ def _first_crossing(contour: Array) -> tuple[int, int] | None:
         return ax * by - ay * bx
 
     def side_of_segment(point: Array) -> Array:
-        """Return the side of each segment (row) on which each point (column) lies."""
+        """Return a matrix whose sign tells on which side of segment i (row) the point j (column) lies."""
         return cross_product(
             d[:, None, 0], d[:, None, 1], point[None, :, 0] - p[:, None, 0], point[None, :, 1] - p[:, None, 1]
         )

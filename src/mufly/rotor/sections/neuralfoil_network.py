@@ -284,7 +284,7 @@ def _compute_section_data(
 
 
 def _mark_confident_points(logit: Array, cl: Array) -> NDArray[np.bool_]:
-    """Mark the points that are reached from zero lift through confident points only, (Reynolds numbers, angles)."""
+    """Return a mask (Reynolds numbers, angles) of the points from zero lift to the first doubtful one on each side."""
     good = logit > math.log(MIN_CONFIDENCE / (1 - MIN_CONFIDENCE))
     trusted = np.zeros_like(good)
     for row, (g, lift) in enumerate(zip(good, cl, strict=True)):

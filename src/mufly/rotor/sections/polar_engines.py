@@ -238,8 +238,10 @@ def _run_xfoil(
     angles_deg: list[float],
     folder: Path,
 ) -> dict[float, tuple[float, float, float]]:
-    """Run one process over the angles in order (nan: fresh start); return (cl, cd, cm) by alpha_deg of converged
-    angles."""
+    """Compute the angles in order in one run of XFOIL; return (cl, cd, cm) of the converged ones by alpha_deg.
+
+    A nan among the angles initialises the boundary layer afresh.
+    """
     contour, polar = folder / "contour.dat", folder / "polar.txt"
     rows = "\n".join(f"{x:.7f} {y:.7f}" for x, y in airfoil.coordinates)
     contour.write_text(f"contour\n{rows}\n", encoding="utf-8")
@@ -323,7 +325,10 @@ def _polar_at_reynolds(
 
 
 def _bridge_gaps(alpha_deg: Array, table: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Fill narrow gaps linearly; return also a mask of the interval around zero lift up to the first wide gaps."""
+    """Interpolate across narrow gaps of unconverged angles; return the table and a mask of its usable angles.
+
+    The usable angles lie around zero lift, up to the first gap on each side that is too wide to bridge.
+    """
     good = np.all(np.isfinite(table), axis=1)
     if good.sum() < 3:
         return table, np.zeros(good.size, dtype=np.bool_)

@@ -147,7 +147,10 @@ def _header_line(lines: Sequence[str]) -> int | None:
 
 
 def _read_rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
-    """Read the numbers of each row by column (degrees); ``reynolds`` is infinite if not stated."""
+    """Read the table's rows, each as line number and values by column; angles are in degrees.
+
+    ``reynolds`` is infinite if not stated.
+    """
     try:
         lines = decode_text(path.read_bytes()).splitlines()
     except OSError as error:
@@ -201,7 +204,7 @@ def _read_rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
 
 
 def _find_stated_reynolds(line: str, otherwise: float) -> float:
-    """Return the Reynolds number stated in a line outside the table."""
+    """Return the Reynolds number stated in a line outside the table, or ``otherwise`` if it states none."""
     for pattern, value in _REYNOLDS_PATTERNS:
         match = pattern.search(line)
         if match is not None:
@@ -210,7 +213,10 @@ def _find_stated_reynolds(line: str, otherwise: float) -> float:
 
 
 def _identify_columns(header: Sequence[str], where: str) -> list[tuple[str, float]]:
-    """Return name and factor of each column; the name is empty for ignored columns."""
+    """Return each column's quantity, empty for an ignored column, and the factor that converts its unit.
+
+    Angles are converted to degrees, Reynolds numbers from millions or thousands to 1.
+    """
     found = []
     for written in header:
         name, unit = _identify_column(written)

@@ -328,7 +328,10 @@ _STALL_BLEND_WIDTH_RAD, _STALL_BLEND_END_RAD = math.radians(20.0), math.radians(
 
 
 def _stalled_coefficient_shapes() -> tuple[Array, Array]:
-    """Return m_l and m_d - m_d(180) of the module docstring on :data:`ALPHA_GRID`, both over m_d(90)."""
+    """Return the measured lift m_l and drag m_d - m_d(180) of stalled sections on :data:`ALPHA_GRID`, both over M.
+
+    The module docstring defines m_l, m_d and M.
+    """
     size = np.abs(ALPHA_GRID)
     at = np.deg2rad(np.linspace(_STALLED_DATA_START_DEG, 180.0, _STALLED_DATA_CL.size))
     drag = _STALLED_DATA_CD - _STALLED_DATA_CD[-1]
@@ -384,7 +387,11 @@ def extend_full_circle(data: SectionData, *, aspect_ratio: float = DEFAULT_ASPEC
 
 
 def _blend_into_stall(a: Array, values: tuple[Array, ...], c_max: float) -> tuple[Array, Array, Array]:
-    """Extend coefficients known at angles ``a`` to the full circle: spline, then transition to stalled data."""
+    """Extend cl, cd and cm ``values``, known at angles ``a`` (rad), to the full circle.
+
+    Between the known angles they are splines; beyond, they blend into the coefficients of stalled sections, whose drag
+    coefficient normal to the flow is ``c_max``.
+    """
     grid, rows = ALPHA_GRID, len(values[0])
     skin = values[1].min(axis=1, keepdims=True)
     normal = c_max * (_STALLED_CL_SHAPE * np.cos(grid) + _STALLED_CD_SHAPE * np.sin(grid))

@@ -1,4 +1,6 @@
-"""Lift and drag coefficient of a blade section: mixed polars, blunt edge, compressible flow, stall delay, calibration.
+"""Lift and drag coefficient of a blade section, interpolated between the polars of two airfoils and corrected.
+
+The corrections: drag of a blunt trailing edge, compressible flow, stall delay by rotation, factors of a calibration.
 
 :mod:`mufly.rotor.sections.polar_table` has the polars of airfoils.
 """
@@ -23,7 +25,7 @@ _MAX_MACH = 0.95  # Mach number above which the rules are held constant, so that
 
 
 class SectionParameters(NamedTuple):
-    """Parameters of a blade section for the kernel.
+    """Parameters of a blade section, as the compiled :func:`section_coefficients` takes them.
 
     Attributes
     ----------
@@ -53,7 +55,7 @@ class SectionParameters(NamedTuple):
 
 
 class PolarGrid(NamedTuple):
-    """Arrays of a :class:`PolarStack` from which the kernel interpolates."""
+    """Members of a :class:`PolarStack` in which the compiled :func:`section_coefficients` interpolates."""
 
     grid: Array
     log_reynolds_min: float
@@ -83,7 +85,7 @@ def section_coefficients(
 ) -> tuple[float, float]:
     """Return lift and drag coefficient of a section.
 
-    Included are mixed polars, blunt edge, compressible flow, stall delay and calibration.
+    Two polars are mixed by weight; the module docstring lists the corrections.
 
     Shocks add Lock's drag, 20 (M - M_cr)^4, M_cr = M_dd - (0.1 / 80)^(1/3), with Korn's drag divergence M_dd = 0.87 -
     t/c - |c_l| / 10 (Mason, AIAA 90-3262, 1990; 0.87: NACA 6 series).

@@ -80,8 +80,9 @@ class BladeStructure(ParameterGroup):
 
 
 def relative_std(quantity: Quantity | None, unknown: float = 0.0) -> float:
-    """Return the relative standard deviation of a quantity: the stated one, or the usual one of its source; ``unknown``
-    for None.
+    """Return the relative standard deviation of a quantity: the stated one, or the default of the value's source.
+
+    It is ``unknown`` if the quantity is None.
     """
     if quantity is None:
         return unknown
@@ -91,7 +92,7 @@ def relative_std(quantity: Quantity | None, unknown: float = 0.0) -> float:
 
 
 def structure_deviations(structure: BladeStructure) -> dict[str, float]:
-    """Return the standard deviations of the uncertain quantities of a blade's structure.
+    """Return the standard deviations of the uncertain properties of a blade's structure, by the names below.
 
     Returns
     -------

@@ -94,7 +94,7 @@ def deform_rotor(rotor: Rotor, beam: BladeBeam, twist_rad: Array) -> Rotor:
 
 @result(eq=False)
 class AeroelasticIteration:
-    """Rounds between a solver and the beam of a blade.
+    """Result of solving rotor and blade beam in turn: the elastic twist after each round, and the final deflection.
 
     Attributes
     ----------

@@ -36,7 +36,7 @@ _CHORD_POINTS: Array = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, _CHORD_POINT_
 
 
 class SectionGeometry(NamedTuple):
-    """Constants of sections, (n,) arrays.
+    """Area, moments of inertia, torsion constant, centroid, shear centre and thickness of n sections, (n,) arrays.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ def thickness_and_camber_lines(name: str) -> tuple[Array, Array]:
 def section_geometry(
     chord_m: Array, thickness: Array, camber: Array, plate_m: Array | float | None = None, scale: float = 1.0
 ) -> SectionGeometry:
-    """Return the constants of sections.
+    """Return area, moments of inertia, torsion constant, centroid, shear centre and thickness of cross-sections.
 
     Parameters
     ----------

@@ -321,7 +321,7 @@ class ElasticRotorResult:
 
     @property
     def is_near_divergence(self) -> bool:
-        """True if a blade within the 90 % band turns at more than 0.7 of its divergence speed."""
+        """True if the rotor turns faster than 0.7 of the lower end of the divergence speed's 90 % band."""
         return self.rigid.speed_rad_s > NEAR_DIVERGENCE_SPEED_RATIO * self.divergence_low_rad_s
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:

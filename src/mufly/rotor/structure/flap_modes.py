@@ -171,7 +171,7 @@ def free_hinge(structure: BladeStructure) -> BladeStructure:
 def vary_structure(
     rotor: Rotor, structure: BladeStructure, solve: Callable[[BladeBeam], Array]
 ) -> tuple[Array, Array, Array]:
-    """Return a result of a blade's beam with its 90 % band.
+    """Return what ``solve`` computes from a blade's beam, with the 90 % band due to uncertain properties of the blade.
 
     Parameters
     ----------
@@ -439,7 +439,7 @@ def compute_campbell(
 
 
 def select_modes(found: BeamModes) -> Array:
-    """Return the frequencies of selected modes of a Campbell diagram (rad/s); nan for a mode that was not computed."""
+    """Return the frequencies (rad/s) of a Campbell diagram's modes: flap 1 and 2, lag 1, torsion 1; nan if missing."""
     out = []
     for kind, order in _CAMPBELL_MODES:
         places = [k for k, name in enumerate(found.kind) if name == kind]

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 def _segments_in_rotor_frame(wake: RotorWake) -> tuple[Array, Array, Array, Array]:
-    """Return the vortices of one blade in the counter-clockwise frame of its rotor."""
+    """Return one blade's vortices as segments, in a frame where the rotor turns counter-clockwise, hub at z = 0."""
     paths = wake.filament_paths_m.copy()
     paths[..., 1] *= wake.placed.rotation_sign
     paths[..., 2] -= wake.placed.height_m
@@ -71,7 +71,7 @@ def induced_velocity(solution: SystemSolution, points_m: ArrayLike, azimuth_rad:
 
 
 def _sum_wake_velocities(solution: SystemSolution, flat: Array, azimuths: Array) -> Array:
-    """Return the velocity induced by the vortices without images at points (n, 3)."""
+    """Return the velocity induced at points (n, 3) by the vortices of all rotors, without images in the ground."""
     total = np.zeros_like(flat)
     for wake, azimuth in zip(solution.wakes, azimuths, strict=True):
         segments, hand = _segments_in_rotor_frame(wake), wake.placed.rotation_sign

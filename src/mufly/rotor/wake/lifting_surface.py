@@ -415,7 +415,7 @@ def subdivide_arcs(free: Array, age: Array, parts: int) -> tuple[Array, Array]:
 def compute_core_radii(
     surface: LiftingSurface, age: Array, strength: Array, viscosity_m2_s: float, core: float, limit: float
 ) -> Array:
-    """Return the core radius (m) of every segment of the filaments; nearly 0 on the chord itself.
+    """Return the core radius (m) of every segment of the filaments; nearly 0 for the segment on the blade's own chord.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ _PRESCRIBED_ITERATIONS = 6  # iterations with Landgrebe's wake before the wake i
 
 
 def _convect_filaments(unit: RotorState, velocity: Array, climb: float) -> tuple[Array, float]:
-    """Return the convected points of the filaments and the residual of the wake.
+    """Return the points of the filaments moved with the flow, and the residual of the wake.
 
     The points are the integral along the filaments from the trailing edge. The residual is the mismatch of dX/dzeta and
     velocity over the velocity (root mean squares).
@@ -337,7 +337,7 @@ def _is_steady(history: list[list[float]], tolerance: float) -> bool:
 
 
 def _is_steady_in_mean(history: list[list[float]], tolerance: float) -> bool:
-    """Return True if two successive windows of the loads have equal means, with which the present loads agree.
+    """Return True if the mean loads of the last two windows of iterations agree, and the present loads with them.
 
     Old vortices keep pairing and separating, in real wakes as in this model. The loads then fluctuate about means that
     do not depend on the relaxation.
@@ -410,7 +410,7 @@ class RotorState:
         return v
 
     def lift_above_ground(self, points: Array) -> Array:
-        """Return the points, with those below the ground lifted to the least height of vortices."""
+        """Return the points; those near or below the ground are lifted to the least height that vortices have."""
         if math.isfinite(self.ground_z_m):
             points[..., 2] = np.maximum(
                 points[..., 2], self.ground_z_m + _MIN_GROUND_CLEARANCE_RADII * self.surface.radius_m
@@ -520,8 +520,11 @@ def _transform_to_rotor_frame(points: Array, of: RotorState, other: RotorState) 
 def mutual_inflow_at(
     target: RotorState, source: RotorState, points: Array, azimuth_rad: float | NDArray[Any], *, few: bool = False
 ) -> Array:
-    """Return the velocity induced at points of the target's frame by another rotor at a given azimuth of its blade 1;
-    azimuths of shape (k, 1) give an array (k, points, 3)."""
+    """Return the velocity that the rotor ``source`` induces at points in the frame of the rotor ``target``.
+
+    ``azimuth_rad`` is the azimuth of the source's blade 1; of shape (k, 1), it gives an array (k, points, 3). ``few``
+    selects coarse segments.
+    """
     there = rotate_vectors(_transform_to_rotor_frame(points, target, source), -azimuth_rad)
     v = source.induced_velocity(there.reshape(-1, 3), few=few).reshape(there.shape)
     v = rotate_vectors(v, azimuth_rad)

@@ -227,7 +227,7 @@ def fit_camera(
 def _minimise(
     problem: _CalibrationProblem, shared: _Array, segment_states: _Array
 ) -> tuple[_Array, _Array, _Array, float]:
-    """Minimise the residuals.
+    """Minimise the weighted residuals of tracks, segments and priors over all unknowns, by Gauss-Newton steps.
 
     Return the shared unknowns, the segments' states, the covariance of the shared unknowns, and the standard deviation
     of the pixel residuals.
@@ -300,14 +300,14 @@ class _CalibrationProblem:
 
     @property
     def prior_mean(self) -> _Array:
-        """Means of the priors of the shared unknowns."""
+        """Prior means of the unknowns that all segments share: lens, mounting, delay, errors of the inertial unit."""
         mean = np.zeros(SHARED_SIZE)
         mean[LEVER] = self.camera.mount.place.to_array()[0]
         mean[DELAY] = self.shared[DELAY]
         return mean
 
     def integrate(self, shared: _Array) -> IntegratedMotion:
-        """Return the motion that follows from the inertial data."""
+        """Return attitude, velocity and displacement by the inertial data, with the sensor errors in ``shared``."""
         tilt = quaternion_exponential(np.array([[*shared[TILT], 0.0]]))
         return integrate_inertial(
             self.imu, multiply_quaternions(tilt, self.start[None])[0], gyro_bias=shared[GYRO_BIAS],
@@ -357,7 +357,7 @@ class _CalibrationProblem:
         self, shared: _Array, segment_states: _Array, att: IntegratedMotion, k: NDArray[np.int64], pixels: _Array,
         rows_of: _Array, is_forward: bool,
     ) -> _Array:  # fmt: skip
-        """Transfer floor points from one picture of the segments ``k`` to the other; return their pixels (n, 2).
+        """Map floor points from the first to the last picture of segments ``k``, or back; return pixels (n, 2).
 
         The rows of ``rows_of`` (n, 2) give the exposure times of the result. ``is_forward``: from the first picture to
         the last.
@@ -390,7 +390,11 @@ class _CalibrationProblem:
         return project_points(lens, seen)
 
     def chain_residuals(self, shared: _Array, segment_states: _Array, att: IntegratedMotion) -> _Array:
-        """Return the residuals (m, 8) of the segments: steps of velocity and floor to the next, height, rotation."""
+        """Return the residuals (segments, 8) of the segments' states, each over its standard deviation.
+
+        Columns: jumps of velocity (3) and of the floor's height (1) at the next segment, deviation from the measured
+        height (1), and errors of the rotation (3).
+        """
         begin, end = (self.tracks.times_s - shared[DELAY]).T
         v, height = segment_states[:, _VELOCITY], np.exp(segment_states[:, _LOG_HEIGHT])
         lever_d = np.einsum("nij,j->ni", att.rotation_at(begin), shared[LEVER])[:, 2]
@@ -428,7 +432,7 @@ class _CalibrationProblem:
         return max(_MIN_PIXEL_SIGMA, 1.4826 * float(np.median(np.abs(r))))
 
     def linearise(self, shared: _Array, segment_states: _Array, sigma_px: float) -> tuple[Any, _Array]:
-        """Return the sparse Jacobian matrix and the weighted residuals."""
+        """Return the sparse Jacobian of all weighted residuals with respect to the unknowns, and the residuals."""
         att = self.integrate(shared)
         points, chain = (
             self.point_residuals(shared, segment_states, att),
@@ -489,7 +493,7 @@ class _CalibrationProblem:
         return out
 
     def describe(self, shared: _Array, covariance: _Array, sigma_px: float) -> HandCalibration:
-        """Return the result; raise InputError if the motion does not determine the camera."""
+        """Return the calibrated camera with deviations; raise InputError if the motion does not determine it."""
         sigma = np.sqrt(np.diag(covariance))
         if sigma[FOCAL][0] > _MAX_FOCAL_SIGMA or sigma[MOUNT].max() > _MAX_MOUNT_SIGMA_RAD:
             raise InputError(
@@ -570,7 +574,7 @@ def _mount_angles(mount: _Array) -> _Array:
 
 
 def _guess_rotation(tracks: PointTracks, camera: Camera, imu: InertialData) -> tuple[float, float, float]:
-    """Return the delay (s), focal length factor and camera turn (rad) with which gyroscopes explain the motion best.
+    """Return the delay (s), focal length factor and camera turn (rad) that fit the picture's motion to the gyroscopes.
 
     The motion y of the middle of the picture is regressed on that of the rotation alone, y = m p + n conj(p); the
     delay is that of the best fit.

@@ -50,7 +50,7 @@ def calibrate_lens(
     pictures: Sequence[Path], camera: Camera, *, columns: int, rows: int, square_m: float = 0.025,
     on_picture: Callable[[int, int], None] | None = None,
 ) -> LensCalibration:  # fmt: skip
-    """Calibrate the lens.
+    """Calibrate the lens of a camera from pictures of a chessboard; return the camera with the calibrated lens.
 
     Parameters
     ----------

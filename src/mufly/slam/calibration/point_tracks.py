@@ -48,7 +48,7 @@ class PointTracks:
 def track_segments(
     frames: Iterable[tuple[float, NDArray[np.uint8]]], length: int, on_picture: Callable[[int], None] = lambda k: None
 ) -> PointTracks:
-    """Track corners over segments of ``length`` pictures.
+    """Track corners over segments of ``length`` pictures; return their pixels at both ends of each segment.
 
     Parameters
     ----------

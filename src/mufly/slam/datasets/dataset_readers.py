@@ -436,7 +436,7 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
 
 
 def _telemetry_from_recording(file: Path) -> tuple[_Array, _Array | None]:
-    """Return the columns of :data:`TELEMETRY_COLUMNS` (n, 11) from a recording, and its motion (n, 9).
+    """Return a recording's :data:`TELEMETRY_COLUMNS` (n, 11), and its velocity and position with deviations (n, 9).
 
     The motion is velocity N, E, D (m/s) and its deviation, N, E (m), heading (rad), and the deviations of both; None
     where the recording has no velocity or no heading.
@@ -526,7 +526,7 @@ def _read_telemetry_infos(file: Path, times: _Array) -> list[FrameInfo]:
 
 
 def _make_frame_info(row: _Array, rotor_phase: _Array | None = None) -> FrameInfo:
-    """Return the vehicle's estimate of a row of :data:`TELEMETRY_COLUMNS`."""
+    """Return the vehicle's estimate from one ``row`` with the columns :data:`TELEMETRY_COLUMNS`."""
     return FrameInfo(
         float(row[_ROLL]),
         float(row[_PITCH]),

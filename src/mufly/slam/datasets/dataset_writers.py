@@ -151,7 +151,7 @@ def _write_euroc(base: Path, path: VehiclePath, listed: list[tuple[str, int]], i
 
 
 def _csv_header(first: str, *forms: str) -> str:
-    """Return the header row of one of EuRoC's files."""
+    """Return a CSV header of EuRoC's form: ``first``, then each of ``forms`` filled with x, y and z."""
     return ",".join([first, *(form.format(axis) for form in forms for axis in "xyz")])
 
 

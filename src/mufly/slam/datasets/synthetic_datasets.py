@@ -261,7 +261,7 @@ class FrameInfoSimulator:
         self._last_time_s = math.nan
 
     def simulate_info(self, motion: VehicleMotion) -> FrameInfo:
-        """Return the data at the middle of a picture."""
+        """Return what the vehicle's filter would report for a picture: the true motion with simulated errors."""
         dt = 0.0 if math.isnan(self._last_time_s) else motion.time_s - self._last_time_s
         self._last_time_s = motion.time_s
         rng = self._rng

@@ -138,7 +138,7 @@ _HEALTHY_DIAGNOSIS = CameraDiagnosis()
 
 
 class CameraMonitor:
-    """Checks of a sequence of pictures.
+    """Checks of a camera by its sequence of pictures and the vehicle's motion, with the fault that they find.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class CameraMonitor:
         return self._fit.sigma
 
     def check_stamp(self, time_s: float, last_time_s: float) -> CameraDiagnosis:
-        """Return the verdict on the time of a picture."""
+        """Return the fault of a stopped clock if the times of several pictures do not advance, else no fault."""
         self._stopped_count = self._stopped_count + 1 if time_s <= last_time_s else 0
         if self._stopped_count < _STOPPED_CLOCK_COUNT:
             return _HEALTHY_DIAGNOSIS
@@ -217,7 +217,7 @@ class CameraMonitor:
         return self._verdict if time_s < self._held_until_s else _HEALTHY_DIAGNOSIS
 
     def diagnose_tilt_at(self, time_s: float) -> CameraDiagnosis:
-        """Return the fault by a tilted mount that is valid at a time (s); poses are less accurate meanwhile."""
+        """Return the fault of a tilted mount if it holds at a time (s); poses are less accurate meanwhile."""
         return self._tilt_verdict if time_s < self._tilt_held_until_s else _HEALTHY_DIAGNOSIS
 
     def check_tilt(self, time_s: float, tilt_error_rad: _Array, sigma_rad: float) -> None:
@@ -280,7 +280,7 @@ class CameraMonitor:
             self._confirm_fault(frame.time_s)
 
     def _confirm_fault(self, time_s: float) -> None:
-        """Report a fault that several pictures in a row show."""
+        """Set the camera's verdict to a fault once several pictures in a row show it."""
         is_known = self._fit.weight > _MIN_FAULT_FRAMES
         flip = found = self._flips.judge_flips()
         if not found.fault:
@@ -318,7 +318,7 @@ class CameraMonitor:
         self._last_level_velocity = math.exp(-dt / _VELOCITY_DECAY_S) * self._last_level_velocity + dt * push
 
     def _predict_motion(self, before: FrameInfo, now: FrameInfo, velocity: _Array) -> complex:
-        """Return the predicted motion p of the module docstring (pixels/s)."""
+        """Return the floor's predicted motion in the picture (pixels/s), p of the module docstring."""
         w = self._camera_from_body @ (0.5 * (before.rates + now.rates))
         place = self._camera.mount.place.to_array()[0]
         lever = np.cross(0.5 * (before.rates + now.rates), place)
@@ -330,7 +330,7 @@ class CameraMonitor:
 def low_pass_motion(
     slow: NDArray[np.complex128], motion: NDArray[np.complex128], dt: float, yaw_rate_rad_s: float
 ) -> NDArray[np.complex128]:
-    """Return the slow part of motions in the picture, low-pass filtered over the next ``dt`` (s).
+    """Return the low-pass filtered motion in the picture: ``slow``, updated by the ``motion`` of the next ``dt`` (s).
 
     A velocity that is steady in N-E axes, as in a steady wind, rotates in the picture when the vehicle yaws. The slow
     part is rotated in the same way, so that yawing does not count as motion.
@@ -406,7 +406,7 @@ class MotionFit:
         self._last_off = 0j
 
     def add_picture(self, dt: float, row: NDArray[np.complex128], y: complex) -> None:
-        """Update by the motion ``y`` of a picture and its regressors (3,), ``dt`` (s) after the one before.
+        """Update the coefficients by a picture's motion ``y`` and regressors (3,), ``dt`` (s) after the one before.
 
         The deviations allow for the correlation of successive residuals.
         """
@@ -429,7 +429,10 @@ class MotionFit:
 
 
 def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraDiagnosis:
-    """Return the verdict whether the picture's motion is mirrored or reversed; few pictures suffice for it."""
+    """Return the fault of a mirrored or reversed picture if the motion shows it clearly, else no fault.
+
+    A few pictures suffice.
+    """
     m, n, _ = estimate
     if abs(n) > 0.5 + _GROSS_FAULT_SIGMAS * sigma[1] and abs(n) > abs(m) + _GROSS_FAULT_SIGMAS * sigma[0]:
         return CameraDiagnosis("mirrored", _MIRRORED_MESSAGE)
@@ -488,11 +491,11 @@ class DirtMask:
 
     @property
     def sees_new_floor(self) -> bool:
-        """Whether the present picture shows another part of the floor than all stored pictures."""
+        """Whether the present picture shows another part of the floor than all pictures stored in this mask."""
         return all(abs(place) > _DIRT_MIN_MOTION_PX for place in self._places)
 
     def add_picture(self, picture: NDArray[np.uint8]) -> None:
-        """Add an undistorted picture that shows another part of the floor than those before."""
+        """Add an undistorted picture of another part of the floor to the stored ones, and compute the mask from all."""
         cv2 = load_opencv()
         high, wide = picture.shape
         small = cv2.resize(
@@ -520,7 +523,7 @@ class DirtMask:
             )
 
     def _path_kernel(self) -> _Array:
-        """Return a smoothing kernel along the path: the principal axis of the stored pictures' positions."""
+        """Return a smoothing kernel along the principal axis of the positions of the stored pictures."""
         places = np.array(self._places) - np.mean(self._places)
         # The sum of squares has twice the angle of the axis.
         axis = cmath.exp(0.5j * cmath.phase(complex((places**2).sum())))
@@ -535,7 +538,7 @@ class DirtMask:
 def measure_shift(
     before: NDArray[np.uint8], now: NDArray[np.uint8], smooth: float, dirt: NDArray[np.uint8] | None = None
 ) -> complex | None:
-    """Return the shift of the middle between two pictures (pixels); None if a direction shows no texture.
+    """Return the shift of the picture's centre from ``before`` to ``now`` (pixels); None if a direction lacks texture.
 
     Points are tracked, and a shift, a rotation and a scale are fitted to them. Noise draws tracks to no motion, so on
     a floor whose patches correlate less than :data:`_MIN_STRONG_CORRELATION` all patches are then aligned together,

@@ -86,7 +86,7 @@ class AlignedPicture(NamedTuple):
 
 
 def add_point_errors(information: _Array, sigma_px: _Array) -> _Array:
-    """Return the information (n, 2, 2) of pixels, reduced by the errors ``sigma_px`` (n,) of their points."""
+    """Return the information (n, 2, 2) of pixels, reduced by the errors ``sigma_px`` (n,) of their floor points."""
     spread = np.eye(2) + (sigma_px**2)[:, None, None] * information
     out = np.linalg.solve(spread, information)
     return np.asarray(0.5 * (out + np.swapaxes(out, 1, 2)))
@@ -95,7 +95,7 @@ def add_point_errors(information: _Array, sigma_px: _Array) -> _Array:
 def pixel_floor_jacobian(
     view: ViewPrior, state: _Array, shakes: _Array, points: _Array, bend: _Array, seconds: _Array
 ) -> _Array:
-    """Return the derivatives of pixels by floor points, (n, pixel axis, N or E).
+    """Return the derivatives (n, 2, 2) of pixels with respect to N and E of their floor points: pixel axis, N or E.
 
     Their unit is the focal length (pixels) over the height (m).
 
@@ -174,7 +174,9 @@ def align_picture(
 
 
 def _prediction_information(unknown: _Array, sigma: tuple[float, float]) -> _Array | None:
-    """Return the information (4, 4) of the predicted pose: directions without texture, and heading.
+    """Return the information (4, 4) of the predicted pose on directions without texture and on the heading.
+
+    It is None if all directions have texture.
 
     The heading is included, since vibration bends stripes as a turn does.
     """

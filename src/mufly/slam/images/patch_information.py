@@ -133,7 +133,7 @@ def measure_patches(
 def weigh_patches(
     sums: _Array, smooth: float, axes: _Array, pixels: int, row_slope: float = 0.0, caution: float = 1.0
 ) -> PatchInformation:
-    """Return shifts and information of patches from their sums (n, 12), by the equations of the module docstring.
+    """Return shifts and information of n patches from sums over their pixels (n, 12), as the module docstring derives.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ _MIN_PATCH_INFORMATION_PER_PX2 = 1e-4
 
 
 def _tensors_from_sums(sums: _Array, at: int) -> _Array:
-    """Return the symmetric tensors (n, 2, 2) whose three numbers begin at column ``at`` of the sums."""
+    """Return symmetric tensors (n, 2, 2) whose elements xx, xy, yy are columns ``at`` to ``at + 2`` of the sums."""
     return sums[:, [at, at + 1, at + 1, at + 2]].reshape(-1, 2, 2)
 
 

@@ -132,7 +132,7 @@ def check_vehicle_destination(vehicle: RemoteVehicle, place: tuple[float, float,
 
 
 def describe_battery(s: VehicleSnapshot) -> tuple[str, str] | None:
-    """Return the severity of a battery's state ("", "warning", "error") and a description; None if unknown."""
+    """Return how serious a battery's state is ("", "warning" or "error"), and a description; None if unknown."""
     charge, left = s.battery_charge, s.battery_left_s
     volts = s.estimate.battery_voltage
     parts = [f"{100 * charge:.0f} %"] if math.isfinite(charge) else [f"{volts:.2f} V"] if math.isfinite(volts) else []

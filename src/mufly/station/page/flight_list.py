@@ -47,7 +47,7 @@ _UPDATE_PERIOD_S = 0.4
 
 @dataclass(frozen=True, slots=True)
 class FlightFacts:
-    """Facts of a recording, for the list.
+    """Format, start, duration, vehicle, mission and outcome of a recording, for the list of flights.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ def _parse_start_time(facts: dict[Any, Any]) -> float:
 
 
 def has_better_recording(path: Path) -> bool:
-    """Return whether the folder holds a better recording of the same flight.
+    """Return whether the folder of ``path`` holds a recording of the same flight that the list shows in its place.
 
     The vehicle's own recording is better than a station's, and signals are better than packets.
     """
@@ -121,7 +121,7 @@ def has_better_recording(path: Path) -> bool:
 
 
 def make_flight_row(path: Path, here: Path, facts: FlightFacts | None) -> dict[str, Any]:
-    """Return a row of the list; ``facts`` is None until read."""
+    """Return a recording's row in the list of flights, named relative to ``here``; ``facts`` is None until read."""
     about = path.stat()
     known = facts or FlightFacts()
     return {

@@ -63,7 +63,7 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class DisplayRequest:
-    """The display of a window: tables, signals, the length of its plots (s), and the signal of its spectrum."""
+    """What a window wants to see: tables, signals, the length of its plots (s), and a signal's spectrum."""
 
     sections: frozenset[str] = frozenset()
     signals: tuple[str, ...] = ()
@@ -142,7 +142,7 @@ class FrameFeed:
         self._reset_tables()
 
     def _reset_tables(self) -> None:
-        """Reset the sent state, after a change of source or a jump of the slider."""
+        """Forget what the window was sent, after a change of source or a jump of the slider; all is sent again."""
         self._filled: tuple[Any, ...] = ()
         self._last_s = -math.inf
         self._said: StatusMessage | None = None
@@ -153,7 +153,7 @@ class FrameFeed:
 
     @property
     def is_ready(self) -> bool:
-        """Return whether the window has drawn enough frames to receive another one."""
+        """Return whether so few frames are sent but not yet drawn that the window may receive another one."""
         return self.sent_frame - self.drawn_frame < MAX_FRAMES_IN_FLIGHT
 
     def handle_message(self, text: str | bytes) -> None:

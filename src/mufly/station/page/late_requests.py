@@ -55,7 +55,7 @@ class FrameTimes:
         return self._newest
 
     def request_lateness_s(self, frame: object, held_ms: object = 0.0, seen_ms: object = 0.0) -> float:
-        """Return the lateness of a request (s): the age of the frame that the user saw, or of the press if older.
+        """Return the lateness of a request (s): age of the frame that the user saw, or time since the press if longer.
 
         Parameters
         ----------

@@ -67,7 +67,7 @@ class MissionDraft:
     drag_gesture: str = ""
 
     def with_mission(self, mission: Mission, gesture: str = "") -> MissionDraft:
-        """Return the draft after an edit.
+        """Return the draft with ``mission`` as its newest edit.
 
         Edits with the same ``gesture``, a drag, are one step of undo; "" makes a step of its own.
         """
@@ -94,7 +94,7 @@ class MissionDraft:
 
 
 def replace_mission_parts(mission: Mission, **parts: Any) -> Mission:
-    """Return the mission with other parts, validated by its schema.
+    """Return a copy of the mission with the fields ``parts`` replaced, validated by its schema.
 
     Raises
     ------
@@ -151,7 +151,10 @@ def reorder_waypoint(mission: Mission, k: int, by: int) -> Mission:
 
 
 def move_row(mission: Mission, k: int, place: PlaceNED) -> Mission:
-    """Move a row to a position (N, E, D; m); for the take-off (row 0), start position and take-off height."""
+    """Move row ``k`` of the mission table to a position (N, E, D; m).
+
+    Row 0 is the take-off: start position and take-off height are set.
+    """
     if k == 0:
         climb = mission.take_off.model_dump() | {"height_m": -place[2]}
         return replace_mission_parts(mission, start_m=place[:2], take_off=climb)
@@ -409,7 +412,7 @@ def find_untransmitted_keys(mission: Mission, held: Mission | None) -> list[str]
 
 
 def encode_draft(draft: MissionDraft, verdict: DraftCheck | None, refused: str) -> dict[str, Any]:
-    """Return a draft for a window: rows and check result.
+    """Return a draft for a window: its waypoints as table rows, and the result of its check.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ class MissionEditor:
         return self._view.session.shared_draft
 
     def _controller_limits(self) -> TrajectoryLimits | None:
-        """Return the limits of the selected vehicle's controllers; None if unknown."""
+        """Return the limits of trajectories that the selected vehicle's controllers can follow; None if unknown."""
         vehicle = self._view.selected_vehicle()
         return None if vehicle is None else trajectory_limits_from_parameters(vehicle.parameters)
 

@@ -31,7 +31,7 @@ _MOTORS_OFF_RECORDING_S = 1.0  # recorded after the motors have stopped
 
 
 class FlightMonitor:
-    """Monitor of a vehicle's process: forwards its events and detects the end of the flight.
+    """Monitor of a simulated vehicle's process: forwards its events and detects the end of its flight.
 
     Parameters
     ----------

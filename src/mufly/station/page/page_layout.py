@@ -367,7 +367,7 @@ class SentDestination:
     was_under_way: bool = False
 
     def is_under_way(self, shown: RemoteVehicle | None) -> bool:
-        """Return whether the vehicle still flies to the destination, from its own state if published."""
+        """Return whether the vehicle still flies to this destination, judged by its own state if it publishes one."""
         if shown is not self.vehicle or (self.request.is_done and self.request.outcome is not RequestOutcome.ACCEPTED):
             return False
         s, (north, east, height) = self.vehicle.snapshot, self.place

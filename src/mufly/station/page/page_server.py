@@ -51,7 +51,7 @@ def build_application(session: StationSession, *, host: str = "127.0.0.1", token
 
     @app.get("/starting")
     def report_started() -> Response:
-        """Answer a page that watches the start (:mod:`mufly.station.page.start_page`): this page is served now."""
+        """Answer a start page (:mod:`mufly.station.page.start_page`), which polls this address: the page is ready."""
         return Response("started", 404, media_type="text/plain")
 
     @ui.page("/", title=session.title, reconnect_timeout=RECONNECT_TIMEOUT_S)

@@ -261,7 +261,7 @@ class WindowView:
     # ---- for the frames
 
     def display_epoch(self) -> str:
-        """Return a value that changes with the source and with jumps of the slider."""
+        """Return a value that changes with the displayed source and with jumps of the time slider."""
         jumps = self.replay.jumps if self.replay is not None else 0
         return f"{self._shows}/{id(self.shown_source())}/{jumps}"
 
@@ -392,7 +392,7 @@ class WindowView:
 
 
 def describe_pace(s: VehicleSnapshot) -> str:
-    """Return how much real time a vehicle loses, in words; "" if none."""
+    """Return a vehicle's low real-time factor and number of timing overruns as text; "" if it keeps real time."""
     lost = [f"real-time factor {s.real_time_factor:.2f}"] if s.real_time_factor < SLOW_REAL_TIME_FACTOR else []
     if s.slips:
         lost.append(f"{s.slips} timing overrun{'s' if s.slips > 1 else ''}")
@@ -400,9 +400,9 @@ def describe_pace(s: VehicleSnapshot) -> str:
 
 
 def find_recordings(folder: Path) -> list[Path]:
-    """Return the recordings in a folder and its sub-folders, and of the flights beside it, newest first.
+    """Return the recordings in a folder, in its sub-folders and in flights' folders beside it, newest first.
 
-    Each flight has a separate folder; if ``folder`` is such a folder, the folders beside it are searched too.
+    Each flight has a separate folder, so that other flights are found from the folder of one.
     """
     found = set(_filter_recordings(folder.rglob("*"))) if folder.is_dir() else set()
     with contextlib.suppress(OSError):
@@ -534,7 +534,7 @@ class ParameterChange:
 
 @dataclass
 class ParameterEdits:
-    """The changes made to one vehicle's parameters.
+    """The changes made to one vehicle's parameters, for undo and redo.
 
     Attributes
     ----------

@@ -171,7 +171,7 @@ def add_file_picker(
     most_bytes: int = MAX_UPLOAD_BYTES,
     classes: str = "",
 ) -> None:
-    """Add a button that opens a file; the upload element is hidden."""
+    """Add a button by which the user chooses a file, which is uploaded and given to ``taken``."""
     upload = ui.upload(auto_upload=True, max_file_size=most_bytes, on_upload=taken)
     upload.props(f'accept="{ending}" data-testid="{test}"').classes("mf-hidden")
     upload.props(':headers="() => window.muflyLive.headers()"')
@@ -292,7 +292,7 @@ def build_sensor_drawer(view: WindowView) -> None:
         return "s" if how == "late" else FAULT_TARGETS[FAILURE_NAMES[0][float(which)]].reading_unit
 
     def describe_usual() -> None:
-        """Show the usual amount and its unit in the field."""
+        """Show the default amount of the chosen failure, with its unit, in the amount field."""
         how = kinds[kind.value]
         known = FAULT_TARGETS[FAILURE_NAMES[0][float(unit.value)]].default_amounts.get(how)
         words = "none" if known is None else f"{known:g} {find_fault_unit(int(unit.value), how)}"

@@ -55,7 +55,7 @@ CommandTable = dict[str, tuple[Command, ...]]
 
 
 def _ardupilot_mode_rows(modes: dict[ModeFamily, str], *before: Command) -> CommandTable:
-    """Return the rows of ArduPilot's firmwares: preceding commands, then the mode of this name."""
+    """Return rows for ArduPilot: for each family the commands ``before``, then the change to its mode in ``modes``."""
     return {
         f"ArduPilot {family}": (*before, _set_mode_command(ardupilot_mode_number(family, words)))
         for family, words in modes.items()
@@ -110,7 +110,7 @@ LAND_COMMANDS: CommandTable = {
 def select_commands(
     table: CommandTable, firmware: FirmwareKind, family: ModeFamily = "copter"
 ) -> tuple[Command, ...] | str:
-    """Return the commands of a vehicle for one action; a text if its firmware has no mode for the action.
+    """Return the commands that make a vehicle do one action, or a text if its firmware has no mode for the action.
 
     Parameters
     ----------

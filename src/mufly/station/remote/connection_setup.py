@@ -75,7 +75,7 @@ class ConnectionSetup:
         self.restart_setup()
 
     def request_streams_again(self) -> None:
-        """Repeat the stream requests after a loss or an address change."""
+        """Request the message streams again, after a loss of the link or a change of the vehicle's address."""
         self._wished: OperatorRequest | None = None
         self._older = False
 

@@ -51,7 +51,10 @@ _RESULT_TEXTS: dict[int, str] = {
 
 @dataclass(slots=True, kw_only=True)
 class _TransferJob(RepeatedRequest):
-    """Mission transfer: upload of ``items`` or, if None, download or clearing. Only clearing is repeated."""
+    """Mission transfer: upload of ``items`` or, if None, download or clearing.
+
+    Only the request to clear is repeated until answered.
+    """
 
     items: tuple[MissionItem, ...] | None = None
     is_clearing: bool = False

@@ -377,7 +377,7 @@ class RemoteVehicle:
         return self._parameters.request_all()
 
     def set_shown_mission(self, mission: Mission | None) -> None:
-        """Set the mission shown on the page, which a check compares with the vehicle's."""
+        """Set the mission shown on the page; a preflight check compares it with the vehicle's."""
         self.station_context.shown_items = None if mission is None else tuple(mission_to_items(mission).items)
 
     def set_base_mission(self, mission: Mission) -> None:
@@ -518,7 +518,7 @@ class RemoteVehicle:
         self.add_note("warning", text)
 
     def handle_new_address(self) -> None:
-        """Repeat the stream requests after a change of the vehicle's address."""
+        """Request the message streams again, after a change of the vehicle's address."""
         self._connection.request_streams_again()
 
     def handle_stall(self, seconds: float) -> None:

@@ -189,7 +189,7 @@ class VehicleTelemetry:
             self._note[name](now_s, message)
 
     def step(self, now_s: float) -> None:
-        """Finish a pending row and clear expired signals."""
+        """Complete the history's pending row if it is overdue, and clear expired signals."""
         if not math.isnan(self._row_s) and now_s - self._row_now_s > _ROW_TIMEOUT_S:
             self._finish_row()
         if now_s - self._swept_s >= _STALE_CHECK_PERIOD_S:
@@ -455,7 +455,7 @@ class EstimatorStatus:
 
 
 def _standard_deviations(upper: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the standard deviations of states 1 to 3 and 4 to 6 from an upper triangle (21,); NaN if missing."""
+    """Return standard deviations of states 1 to 3 and 4 to 6 from a covariance's upper triangle; NaN if missing."""
     if len(upper) != 21 or math.isnan(upper[0]):
         return (math.nan,) * 3, (math.nan,) * 3
     told = [math.sqrt(upper[k]) if upper[k] >= 0.0 else math.nan for k in _DIAGONAL_INDICES]
@@ -674,7 +674,7 @@ class VehicleClock:
         self._changed = True
 
     def _restart_clock(self, own_s: float, now_s: float) -> float:
-        """Continue after a restart, advanced by the time passed on the station's clock."""
+        """Return the monotonic time of a restart's first stamp: the last time plus that passed at the station."""
         self._changed = False
         self._marks.clear()
         self._marked_s = -math.inf

@@ -409,7 +409,7 @@ def load_caradonna_tung(folder: Path) -> RotorCase:
 
 
 def make_t_motor_rotor() -> Rotor:
-    """Make the 28 inch rotor with the sections of its source's case file; the tip equals the last measured station."""
+    """Return the 28 inch T-motor rotor with the sections of pyBEMT's case file; the tip repeats the last station."""
     r = np.array([3.556, 7.112, 10.668, 14.224, 17.78, 21.336, 24.892, 28.448, 32.004, 35.56]) / 100
     chord = np.array([31, 56, 70, 70, 65, 58, 50, 43, 34, 34]) / 1000
     deg = np.array([0, 19.6, 17.9, 14.4, 11.6, 9.7, 8.4, 7.2, 6.7, 6.7])
