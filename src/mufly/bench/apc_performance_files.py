@@ -34,7 +34,9 @@ _COLUMN_UNITS = {"v": "m/s", "thrust": "N", "torque": "N m", "pwr": "W"}
 
 
 class ApcPerformance(NamedTuple):
-    """Columns (SI) with names of :mod:`mufly.bench.bench_table`, line numbers, diameter (m) and notes."""
+    """Contents of an APC performance file: columns (SI) with names of :mod:`mufly.bench.bench_table`, their lines in
+    the file, diameter (m), notes.
+    """
 
     columns: dict[str, Array]
     line: NDArray[np.int64]
@@ -116,7 +118,9 @@ def read_apc_performance(path: str | Path) -> ApcPerformance | None:
 
 
 def _convert_row(names: list[str], units: list[str], values: list[float], speed: float) -> dict[str, float]:
-    """Return one row in SI units; a quantity with columns in several units takes the last one, which is in SI units."""
+    """Return one line of the file, at a rotor ``speed`` (rad/s), in SI units by quantity; of several columns of one
+    quantity, the last, which is in SI units, counts.
+    """
     row = {"speed": speed}
     own = {"j": "advance_ratio", "ct": "thrust_coefficient", "cp": "power_coefficient"}
     known = {"v": "airspeed", "thrust": "thrust", "torque": "torque", "pwr": "power"}

@@ -109,7 +109,7 @@ class CellCalibration:
         return np.asarray(np.linalg.solve(self.sensitivity, above.T).T, dtype=np.float64)
 
     def channel_gains(self) -> tuple[Array, Array]:
-        """Return gains dF_k/dy_k (c,), N or N m per unit of reading, and their standard deviations."""
+        """Return the gain of each load channel (c,), N or N m per unit of its reading, and its standard deviation."""
         c = len(self.channels)
         inverse = np.linalg.inv(self.sensitivity)
         gain = np.diag(inverse)

@@ -83,7 +83,9 @@ class BenchTable:
         return self.columns[name]
 
     def column_error(self, key: str, problem: str, remedy: str) -> InputError:
-        """Return an error about a column, named by its header, or about the file (key "")."""
+        """Return an error about the column ``key``, named by its header in the file; an empty ``key`` is an error about
+        the whole file.
+        """
         return InputError(self.source, self.headers.get(key, key), problem, remedy)
 
     def require_columns(self, names: Iterable[str]) -> None:
@@ -233,7 +235,9 @@ def _mapped_header(header: str, line: ColumnLine) -> str:
 
 
 def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float]]]) -> BenchTable:
-    """Read the quantities of a table by its headers and a column map (position -> standard header and sign)."""
+    """Read the quantities of a table by its headers; ``mapped`` lists for a column's position the standard headers,
+    each with the sign (1 or -1) of its values.
+    """
     where = Path(written.where).name
     if not written.rows:
         raise InputError(where, "", "contains no measurements", "give a header and at least one line")
@@ -298,7 +302,7 @@ class _ColumnReading:
 
     @property
     def is_nonzero(self) -> NDArray[np.bool_]:
-        """Whether each line has a nonzero reading, (n,)."""
+        """Whether this column has a finite, nonzero value in each line of the file, (n,)."""
         return np.isfinite(self.values) & (self.values != 0.0)
 
 
@@ -390,7 +394,7 @@ def _convert_duty(table: BenchTable, reading: _ColumnReading | None) -> BenchTab
 
 
 def _resolve_pitch_unit(table: BenchTable) -> BenchTable:
-    """Interpret a pitch without unit as degrees if it cannot be radians.
+    """Interpret a pitch without unit as degrees if its largest value exceeds pi/2.
 
     Raises
     ------

@@ -38,7 +38,7 @@ _MIN_PATTERN_DEGREES_OF_FREEDOM = 8  # degrees of freedom below which a pattern 
 
 @result(eq=False)
 class CovarianceEstimate:
-    """Covariance of least-squares estimates, and the correlation pattern that describes the errors of the readings.
+    """Covariance of least-squares estimates, and how the errors of neighbouring or repeated readings are correlated.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class CovarianceEstimate:
 
     @property
     def t_quantile_95(self) -> float:
-        """Half width of the 95 % interval over the standard deviation (Student's t)."""
+        """Ratio of the half width of the 95 % interval to the standard deviation (quantile of Student's t)."""
         return float(stats.t.ppf(0.975, max(self.dof, 1.0)))
 
     def describe_pattern(self) -> str:

@@ -70,7 +70,7 @@ _AXIS_STATES = {
 
 @dataclass(frozen=True, slots=True)
 class CascadeGains:
-    """Gains of the cascaded controllers of one axis, in the order of the module's equations.
+    """Gains of the cascaded position, velocity, angle and rate controllers of one axis.
 
     Attributes
     ----------
@@ -267,7 +267,7 @@ def _plant_response(axis: _Axis, w: _Array, column: _Array) -> _Complex:
 
 
 def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Complex, _Complex]:
-    """Return the actuator's frequency responses to the four outputs, negated (n, 4), and to the reference (n,)."""
+    """Return frequency responses K (n, 4) and F (n,) of the controller: actuator input = F reference - K outputs."""
     s = 1j * w
     delay = np.exp(-s * axis.delay_s)
     gyro = np.ones_like(s)
@@ -377,13 +377,17 @@ def _exponential(x: _Array) -> _Array:
 
 
 def _outer_sensitivity(plant: _Complex, feedback: _Complex) -> _Complex:
-    """Return the sensitivity at the commanded acceleration, with the inner loops closed."""
+    """Return the sensitivity of the loop opened at the acceleration command, with the inner loops of angle and rate
+    closed.
+    """
     inner, outer = (np.sum(feedback[:, part] * plant[:, part], axis=1) for part in (slice(2, 4), slice(0, 2)))
     return np.asarray((1.0 + inner) / (1.0 + inner + outer))
 
 
 def _loop_cost(axis: _Axis, k: CascadeGains, plant: _Complex, disturbance: _Complex, output: int, peak: float) -> float:
-    """Return the logarithm of the integrated squared error after a step disturbance, with penalties for limits."""
+    """Return the logarithm of the integrated squared error of an output after a step disturbance, plus penalties for
+    exceeded limits of sensitivity, response and damping.
+    """
     excess = _damping_excess(axis, k)
     feedback, reference = _controller_response(axis, k, _FREQUENCY_GRID)
     loop = np.sum(feedback * plant, axis=1)

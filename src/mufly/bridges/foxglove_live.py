@@ -102,7 +102,7 @@ class FoxglovePublisher:
         return len(self._channels) - 1
 
     def publish(self, rows: NDArray[np.float64], states: Sequence[str], events: Sequence[FlightEvent]) -> None:
-        """Send rows and events of the flight to the connected viewers."""
+        """Send new rows of the recording and new events to the connected viewers."""
         for number, time_ns, content in self._encoder.encode_rows(rows, states, events):
             self._channels[number].log(content, log_time=time_ns)
         if len(rows) and time.monotonic() >= self._scene_due_s:

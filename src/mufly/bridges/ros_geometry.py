@@ -11,7 +11,9 @@ from mufly.vehicle import Vehicle, load_vehicle
 
 
 def vehicle_range_limits(vehicle: Vehicle) -> RangeLimits:
-    """Return cone, directions and limits of the range sensors of a vehicle."""
+    """Return the geometry of a vehicle's range sensors: cone and limits of the sonar, first direction and limits of the
+    ring.
+    """
     ring, sensors = vehicle.range_ring, vehicle.sensors
     limits = RangeLimits(
         first_beam_rad=float(ring.first_angle), ring_min_m=float(ring.min_range), ring_max_m=float(ring.max_range)

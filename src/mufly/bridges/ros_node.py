@@ -1,4 +1,4 @@
-"""The running flight as a node of ROS 2, with the topics of a bag and with commands.
+"""Node of ROS 2 that publishes a running flight and accepts commands to the vehicle.
 
 Topics are those of :data:`mufly.logs.ros.ros_messages.ROS_TOPICS`, at their live rates. A topic is left out, with an
 event, where its message package is not installed (PyPI has no ``tf2_msgs``). Commands:
@@ -98,7 +98,7 @@ class RosViewConfig:
 
 
 class RosPublisher:
-    """Node of ROS 2 that publishes rows and takes commands.
+    """Node of ROS 2 that publishes the rows of a running flight's recording and passes commands to the flight.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class RosPublisher:
         self._senders.append((topic, self._node.create_publisher(kind, topic.name, _QUEUE_DEPTH), kind))
 
     def publish(self, rows: _Array, states: Sequence[str], events: Sequence[FlightEvent]) -> None:
-        """Publish rows and events, and take the commands that have arrived."""
+        """Publish new rows of the recording and new events, and handle the commands that have arrived."""
         if len(rows):
             blocks = {name: rows[:, part] for name, part in self._columns.items()}
             for topic, publisher, kind in self._senders:

@@ -1,4 +1,4 @@
-"""Loop of a simulation that an autopilot steps, its pace relative to real time, and reports of its state."""
+"""Simulation loop for external autopilots, its pace relative to real time, and reports of its state."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class SimulatorReport:
 
 
 def check_speed(speed: float, where: str = "speed") -> float:
-    """Return a speed relative to real time; 0 means as fast as possible.
+    """Check a speed relative to real time (0: as fast as possible), and return it.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def check_speed(speed: float, where: str = "speed") -> float:
 
 
 class SimulatorPace:
-    """Timer of the periods, and source of the reports.
+    """Timer of a simulation's periods against the wall clock, and source of its reports (:class:`SimulatorReport`).
 
     Parameters
     ----------
@@ -94,7 +94,9 @@ class SimulatorPace:
         self._pacer = RealTimePacer(self._clock(), period_s / (self.speed or 1.0))
 
     def time_to_next_period_s(self, *, in_real_time: bool = False) -> float:
-        """Return the wall-clock time until the next period (s): 0 or less if it is due, or 0 if speed is unlimited."""
+        """Return the wall-clock time until the next period (s): 0 or less if the period is due, 0 if the speed is
+        unlimited.
+        """
         if self.speed == 0.0 and not in_real_time:
             return 0.0
         return self._pacer.sleep_time_s(self._clock())

@@ -83,7 +83,7 @@ PACKAGE_FLOORS = _list_package_floors()
 
 @dataclass(frozen=True)
 class FloorSource:
-    """Source of a floor, before its pixels are read.
+    """Name, picture file and width from which :meth:`make_floor` makes a floor.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class FloorSource:
 
 
 def find_floor(text: str, width_m: float | None = None) -> FloorSource:
-    """Return the source of a floor.
+    """Find a floor by its name or picture file; return the source that can make it.
 
     Parameters
     ----------

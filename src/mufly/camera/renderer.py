@@ -233,7 +233,7 @@ class Renderer:
         self._sensor_gain = more / self._exposure_factor
 
     def _noise_factor(self, light: float) -> float:
-        """Return the ratio of the noise to that in the camera file."""
+        """Return the standard deviation of the picture's noise at this light, divided by that in the camera file."""
         if light >= 1.0:
             return 1.0
         level = float(self._out[::8, ::8].mean()) * light * self._gain / _TARGET_GREY

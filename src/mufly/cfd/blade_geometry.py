@@ -38,7 +38,7 @@ _MAX_CANT_RAD = math.radians(70.0)
 
 @dataclass(frozen=True)
 class BladeTip:
-    """Shape of a blade tip; lengths are in tip chords of the rotor file.
+    """Shape of a blade tip; all lengths are multiples of the rotor file's tip chord.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class HubCylinder:
 
 @dataclass(frozen=True)
 class BladeGeometry:
-    """Geometry of a rotor that its rotor file does not contain.
+    """Parts of a rotor's geometry that its rotor file does not contain: blade tips, hub and Gurney flap.
 
     Attributes
     ----------

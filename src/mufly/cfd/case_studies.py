@@ -1,4 +1,4 @@
-"""CFD studies: cases of a rotor, sweeps, coaxial pairs and mesh studies, with the loads of other methods."""
+"""CFD studies: cases of a rotor, sweeps, coaxial pairs and mesh studies, with loads by methods without CFD."""
 
 from __future__ import annotations
 
@@ -375,7 +375,7 @@ class PairSolution:
 
     @property
     def torque_ratio(self) -> float:
-        """Torque of the lower rotor over that of the upper rotor."""
+        """Torque of the lower rotor divided by the torque of the upper rotor."""
         return self.lower.verdict.torque_Nm / self.upper.verdict.torque_Nm
 
 
@@ -572,7 +572,7 @@ def solve_study(
 
 @result(eq=False)
 class SpanLoads:
-    """Loads per span (N/m, N m/m) of another method at its own radii (m)."""
+    """Loads per span (N/m, N m/m) by a method without CFD, such as blade elements, at the radii of that method (m)."""
 
     method: str
     r_m: Array

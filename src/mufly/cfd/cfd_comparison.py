@@ -129,7 +129,8 @@ class ClimbComparison:
 
 
 def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight: CoefficientMap) -> ClimbComparison:
-    """Compare solutions of a rotor at several climbs with other methods and the flight model's map.
+    """Compare CFD solutions of a rotor at several climb velocities with blade elements, the wake method and the flight
+    model's map.
 
     Parameters
     ----------
@@ -179,7 +180,8 @@ def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight
 def predict_span_loads(
     rotor: Rotor, found: CfdSolution, other: ActuatorDisc | None = None, which: int = 0
 ) -> list[SpanLoads]:
-    """Return the loads of blade elements and the wake method at a solution's point; a method that fails is skipped.
+    """Return the loads along the blade by blade elements and by the wake method, at the operating point of a CFD
+    solution; a method that fails is left out.
 
     Parameters
     ----------

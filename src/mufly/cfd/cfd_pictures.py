@@ -88,7 +88,7 @@ _METHOD_LABELS = {"bemt": "blade elements", "wake": "vortex wake"}
 
 
 def draw_span_loads(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> Figure:
-    """Draw thrust and torque along the blade, with those of other methods."""
+    """Draw thrust and torque along the blade, by CFD and by the methods in ``others``."""
     figure = blank_figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
     rows = [(solution.r_m, solution.thrust_N_m, solution.torque_Nm_m, f"CFD, {solution.point.model}")]
@@ -137,8 +137,8 @@ def draw_rotor_pair(pair: PairSolution) -> Figure:
 
 
 def draw_climb_comparison(found: ClimbComparison) -> Figure:
-    """Draw the thrust coefficient over climb, and thrust relative to hover of each method and of the flight model's
-    map.
+    """Draw the thrust coefficient over the climb velocity, and its change from hover, by CFD and the other methods; the
+    change also by the flight model's map.
 
     The picture corresponds to Fig. 4.2 of the dissertation, which
     :func:`mufly.thesis.blade_element_studies.study_coefficients_in_climb` assesses.

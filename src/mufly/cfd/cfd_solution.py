@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 @result(eq=False, picture="mufly.cfd.cfd_pictures:draw_span_loads")
 class CfdSolution:
-    """Solution of a case.
+    """Loads, pressure, wall friction and convergence verdict of a solved case.
 
     Attributes
     ----------
@@ -327,7 +327,9 @@ class FlowProbe:
         return both[0], both[1]
 
     def is_inside_solid(self, r_m: Array, azimuth_rad: Array, z_m: Array, walls: Iterable[str]) -> NDArray[np.bool_]:
-        """Return whether points lie in a blade or the hub: behind the nearest wall, which is nearer than any cell."""
+        """Return whether points lie inside a blade or the hub: behind the nearest of the ``walls``, and closer to it
+        than to any cell's centre.
+        """
         at = self._rotate_into_sector(r_m, azimuth_rad, z_m)[0]
         faces = np.concatenate([np.arange(len(self._mesh.faces))[self._mesh.patch_faces(name)] for name in walls])
         away, nearest = cKDTree(self._mesh.face_centres[faces]).query(at)
@@ -472,7 +474,7 @@ def read_field(file: Path, cells: int) -> Array:
 
 
 def read_patch_field(file: Path, patch: str, faces: int) -> Array:
-    """Read a field's values on a patch; zeros if the patch has none.
+    """Read a field's values on the faces of a patch; zeros if the file states no values for the patch.
 
     Raises
     ------

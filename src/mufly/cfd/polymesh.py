@@ -232,7 +232,9 @@ def _is_face_among(faces: Index, wanted: Index, points: int) -> NDArray[np.bool_
 
 
 def _pair_periodic_faces(mesh: SectorMesh, left: Index, right: Index) -> tuple[Index, Index, Index]:
-    """Return the indices that pair left and right periodic faces, and the right faces with their points paired, too."""
+    """Return the orders in which left and right periodic faces form pairs, and the right faces in that order, each from
+    the partner of the left face's first point on.
+    """
     if len(left) != len(right):
         raise MuflyError(f"mesh: the periodic planes have {len(left)} and {len(right)} faces")
     turn = 2.0 * math.pi / mesh.blade_count

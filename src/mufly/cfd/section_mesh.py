@@ -105,7 +105,7 @@ def make_geometric_spacing(cells: int, first: float) -> Array:
 
 
 def make_ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
-    """Return the points of the aerofoil's contour at which the ring's mesh lines begin.
+    """Return the points of the aerofoil's contour at which the mesh lines of the cells around it (the ring) begin.
 
     Returns
     -------
@@ -173,7 +173,9 @@ class SectionLayout:
         self.point_count = last + int(free.sum())
 
     def _core_edge_indices(self) -> list[tuple[int, int]]:
-        """Return the indices of the core's edge in the order of :func:`make_ring_contour`."""
+        """Return the indices of the points on the edge of the block inside the aerofoil (the core), in the order of
+        :func:`make_ring_contour`.
+        """
         n, m = self.counts.along, self.counts.across
         return (
             [(i, m) for i in range(n)]
@@ -184,7 +186,9 @@ class SectionLayout:
 
     @cached_property
     def outer_quads(self) -> Index:
-        """Return the quadrilaterals outside the aerofoil (tensor and ring), (q, 4), anticlockwise in (x, z)."""
+        """Return the quadrilaterals outside the aerofoil, those around it (ring) and those further away (tensor),
+        (q, 4), anticlockwise in (x, z).
+        """
         c = self.counts
         t = self.tensor_ids
         quads = np.stack((t[:-1, :-1], t[1:, :-1], t[1:, 1:], t[:-1, 1:]), axis=-1)
@@ -237,7 +241,7 @@ def _rotate_nose_up(points: Array, angle: float) -> Array:
 
 @dataclass(frozen=True)
 class SectionBox:
-    """Limits of the sections (m): half width, top, and bottom (a negative height).
+    """Limits of the plane that is meshed in every section (m): half width, top, and bottom (a negative height).
 
     Lines further than ``level_height_m`` above or below the disc are horizontal and the same for all sections.
     """
@@ -250,7 +254,7 @@ class SectionBox:
 
 @dataclass(frozen=True, eq=False)
 class SectionShape:
-    """Shape of a section.
+    """Aerofoil of one section of the blade, and sizes of the mesh blocks around and inside it.
 
     Attributes
     ----------
@@ -351,8 +355,8 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
 
 
 def _compute_outer_lines(k: CellCounts, chord_m: float, high: float, box: SectionBox) -> tuple[Array, Array, Array]:
-    """Compute the positions of the mesh lines outside the centre block, whose half height is ``high``: to the sides
-    (0..1), above and below (z, m).
+    """Compute the positions of the mesh lines outside the centre block, which contains the aerofoil and has the half
+    height ``high``: to the sides (0..1), above and below (z, m).
 
     All sections share the lines: lines that follow the local chord would skew distant cells.
     """
@@ -375,7 +379,9 @@ def _rectangle_points(x0: float, x1: float, z0: float, z1: float, n: int, m: int
 
 
 def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: CellCounts) -> Array:
-    """Return the points of the ring's layers, (ring + 1, 2 (n + m), 2), from the centre block's edge to the contour."""
+    """Return the points of the layers of cells around the aerofoil (the ring), from the centre block's edge to the
+    contour, (ring + 1, 2 (along + across), 2).
+    """
     before, after = np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0)
     # The loop runs clockwise: its outward normal is the tangent rotated to the left. Corners have the mean normal.
     tangents = [b / np.linalg.norm(b, axis=1, keepdims=True) for b in (loop - before, after - loop)]
@@ -438,7 +444,9 @@ def _stretch_through_value(t: Array, layer: int, value: float) -> Array:
 
 
 def find_ring_layer_at_height(counts: CellCounts, height: float, far: float) -> int:
-    """Return the ring's layer, counted from the wall, nearest to a height; ``height`` and width ``far`` in chords."""
+    """Return the layer of cells around the aerofoil, counted from the wall, that is nearest to a ``height``; all layers
+    together are ``far`` thick (both in chords).
+    """
     t = make_geometric_spacing(counts.ring, counts.wall / BLOCK_HALF_HEIGHT_CHORDS)[1:-2]
     return 1 + int(np.argmin(np.abs(np.log(t * far / height))))
 

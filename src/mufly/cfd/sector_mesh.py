@@ -131,7 +131,7 @@ class MeshDomain:
 
 @dataclass(frozen=True, eq=False)
 class SectorMesh:
-    """Hexahedral mesh of a sector.
+    """Hexahedral mesh of the sector around one blade.
 
     Attributes
     ----------
@@ -421,8 +421,8 @@ def _refine_for_geometry(k: CellCounts, form: BladeGeometry) -> CellCounts:
 
 
 def _root_stations(k: CellCounts, root: float, at_root: float, form: BladeGeometry) -> tuple[Array, int]:
-    """Return the radii of the sections from shaft to root, and the number of cells along them that lie inside the
-    hub.
+    """Return the radii of the sections from shaft to root, and how many of the cells between these sections lie inside
+    the hub.
     """
     if form.hub is None:
         return root * (1.0 - make_geometric_spacing(k.gap, at_root / root)[::-1]), 0

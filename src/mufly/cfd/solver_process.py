@@ -56,7 +56,7 @@ _LOG_FILE = "log.simpleFoam"
 
 @dataclass(frozen=True)
 class SolverProgress:
-    """Progress of a run.
+    """Progress of a solver run at one iteration.
 
     Attributes
     ----------
@@ -230,7 +230,9 @@ def run_case(
 
 
 def _judge_rotors(folder: Path, point: OperatingPoint) -> tuple[ConvergenceAssessment, int]:
-    """Return the verdict of a rotor that has not settled, else of any rotor, and the iteration of the last state."""
+    """Return the convergence verdict of a rotor that has not settled, or of the first rotor if all have, and the
+    iteration of the last state.
+    """
     done = (list_complete_states(folder) or [0])[-1]
     return min((judge_case(folder, patch=name) for name in point.patch_speeds_rad_s), key=lambda v: v.settled), done
 
@@ -418,7 +420,9 @@ def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceAssessment:
 
 
 def _point_for_assessment(folder: Path) -> OperatingPoint:
-    """Return the operating point of a case; a change of the actuator disc postpones the verdict by a whole window."""
+    """Return the operating point of a case; after a change of its actuator disc, ``least`` (iterations before a
+    convergence verdict) ends at least one assessment window after the change.
+    """
     point, disc = read_point(folder), read_actuator_disc(folder)
     return (
         point
@@ -428,7 +432,7 @@ def _point_for_assessment(folder: Path) -> OperatingPoint:
 
 
 def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: OperatingPoint) -> ConvergenceAssessment:
-    """Judge loads, the flow through the bottom and the solver's continuity error.
+    """Return the convergence verdict from the loads, the flow through the bottom and the solver's continuity error.
 
     Parameters
     ----------

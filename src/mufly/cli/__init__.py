@@ -81,7 +81,9 @@ _shown_warnings: set[str] = set()
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-    """Show a warning of this package once, as one line; warnings of libraries need python -W or PYTHONWARNINGS."""
+    """Show a warning of this package once, as one line; those of libraries are shown only with ``python -W`` or
+    PYTHONWARNINGS.
+    """
     if category.__module__.startswith("mufly"):
         if str(message) in _shown_warnings:
             return

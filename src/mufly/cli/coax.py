@@ -99,7 +99,7 @@ def make_pair_setup(
 
 
 def pair_to_json(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResult, ...] | None) -> dict[str, Any]:
-    """Return a point as JSON data, in SI units."""
+    """Return a pair's operating point as JSON data in SI units, with the rotors ``alone`` beside it."""
     sides = ("upper", "lower")
     both = zip(sides, setup.rotors, (point.upper, point.lower), strict=True)
     return {
@@ -155,7 +155,9 @@ def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResul
 
 
 def write_pair(point: SystemSolution, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
-    """Write stations and pictures of a point; for a vortex wake also its geometry, velocity field and history."""
+    """Write the loads along both blades and pictures of a pair's operating point; for vortex wakes also their geometry,
+    velocity field and history.
+    """
     from mufly.rotor import draw_rotor_loads
     from mufly.study import write_stations
 

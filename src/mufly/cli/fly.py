@@ -438,7 +438,9 @@ def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
 
 
 def _fly_in_real_time(order: FlightOrder, show: FlightDisplay) -> str:
-    """Fly with the page or, without a page address, with links only; return the outcome, empty without a flight."""
+    """Fly with the page or, if ``show`` has no page, with MAVLink links only; return the outcome, empty without a
+    flight.
+    """
     from mufly.station.page.page_flight import PageFlight, fly_behind_link, fly_with_page, vehicle_endpoint
 
     on_event, stop = show.display.show_event, show.shutdown.stop_requested.is_set

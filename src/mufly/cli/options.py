@@ -272,7 +272,7 @@ def define_option(
     names: str, help: str, *, unit: str | None = None, form: str = "one", words: tuple[str, ...] = (),
     within: OptionRange | None = None, **more: Any,
 ) -> Any:  # fmt: skip
-    """Define an option.
+    """Define an option of a command: return the ``typer.Option`` that annotates a parameter.
 
     Parameters
     ----------
@@ -544,7 +544,7 @@ class WakeOptions(PolarOptions):
 
 @dataclass(frozen=True)
 class TheoryOptions(WakeOptions):
-    """Options of results that blade elements or vortex wakes can compute."""
+    """Options of commands that compute rotors by blade elements, vortex tubes or a vortex wake."""
 
     method: Annotated[
         Literal["bemt", "tubes", "wake"],

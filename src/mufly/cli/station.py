@@ -412,7 +412,7 @@ def open_in_background(address: PageAddress) -> None:
 
 
 def print_page_address(address: PageAddress, links: list[str]) -> None:
-    """Print the address of the page, its links, and how to end it."""
+    """Print the address of the page, its links, and how to end the station."""
     terminal = make_console(stderr=True)
     for link in links:
         terminal.print(f"The station {link}", highlight=False)

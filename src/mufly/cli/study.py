@@ -114,7 +114,7 @@ def list_pair_parameters(as_json: JsonOption = False) -> None:
 
 
 def format_parameter(name: str, value: ParameterValue, form: str = "g") -> str:
-    """Return a parameter's value with its unit, for reading."""
+    """Return a parameter's value with its unit as text to print."""
     from mufly.study.study_parameters import to_display_unit
 
     values, unit = to_display_unit(name, [value])

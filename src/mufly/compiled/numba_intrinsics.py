@@ -25,7 +25,7 @@ from numba.extending import (
 
 
 def _call_c_function(context: Any, address: Any, arguments: Any) -> Any:
-    """Call the C function at an address with pointers; return the lowest byte of its result."""
+    """Call the C function at an address with pointers as arguments; return the lowest byte of its result."""
     count = len(arguments)
 
     def generate_call(ctx: Any, builder: Any, signature: Any, given: Any) -> Any:

@@ -130,7 +130,9 @@ _MAX_ATAN2_COMPONENT = 1e30
 
 
 def wrap_angle(angle: float) -> float:
-    """Return the angle (rad) wrapped to [-pi, pi] by subtraction of whole turns, without rounding."""
+    """Return the angle (rad) wrapped to [-pi, pi] by subtraction of whole turns in exact products; 0 from
+    :data:`MAX_ANGLE_RAD` on.
+    """
     if not abs(angle) < MAX_ANGLE_RAD:
         return 0.0
     if abs(angle) <= math.pi:

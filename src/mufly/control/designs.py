@@ -324,7 +324,7 @@ def _design_controller(
     scheme: str = "one-degree scheme",
     windup_rate: float | None = None,
 ) -> ControllerDesign:
-    """Synthesise, reduce, discretise and analyse a controller; its inputs are ``references``, then all errors.
+    """Synthesise, reduce, discretise and analyse a controller; it reads ``references``, then the errors of all outputs.
 
     ``tracked`` are the plant's outputs with a reference, whether or not the controller reads the reference separately.
     """
@@ -500,7 +500,7 @@ def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesi
 
 
 def ramp_following_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
-    """Return the lags (s) of height and heading behind a ramp reference: phase lag over frequency (0.05 rad/s)."""
+    """Return the lags (s) of height and heading behind a ramp reference: phase lag by frequency, at 0.05 rad/s."""
     frequency = np.array([0.05])
     sampled = sample_plant(heave_yaw.plant, heave_yaw.discrete.period_s, 1)
     g = frequency_response(sampled, frequency)[0]

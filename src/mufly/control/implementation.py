@@ -267,7 +267,8 @@ def reduce_controller(
 def _add_loop_norm(
     entry: tuple[ReducedCandidate, control.StateSpace, Array], generalised: control.StateSpace, s: float, t: float
 ) -> tuple[ReducedCandidate, control.StateSpace, Array]:
-    """Compute the norm of a candidate's loop if its peaks of S_u and T_u are at most ``s`` and ``t`` (dB).
+    """Return the candidate with the norm of its loop, computed if its peaks of S_u and T_u are at most ``s`` and ``t``
+    (dB).
 
     A candidate with larger peaks, or with a norm, is returned unchanged.
     """
@@ -466,7 +467,9 @@ def _modal_transform(A: Array) -> tuple[Array, Array] | None:
 
 
 def _state_scales(A: Array, B: Array, C: Array) -> Array:
-    """Return a scale of each state that gives its input row and output column equal norms; blocks share a scale."""
+    """Return a scale of each state that makes the norms of its input row and output column equal; the two states of a
+    complex pair share one.
+    """
     n = A.shape[0]
     scale = np.ones(n)
     i = 0

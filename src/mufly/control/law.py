@@ -105,7 +105,7 @@ def _add_scheduled_output(g: Any, x: Array, e: Array, speed: float, u: Array) ->
 
 @cached_njit
 def _controller_state_change(g: Any, i: int, x: Array, e: Array, excess: Array) -> float:
-    """Return the change of the controller's state ``x[i]`` in one period."""
+    """Return the change of the state ``x[i]`` in one period; ``excess`` is saturated minus demanded output."""
     s = 0.0
     for j in range(g.F.shape[0]):
         s += g.F[i, j] * x[j]

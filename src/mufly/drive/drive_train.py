@@ -381,7 +381,7 @@ def charge_at_rest(battery: Battery, voltage: float) -> float:
 
 
 def internal_resistance(battery: Battery) -> float:
-    """Return R_b (ohm); zero for the 'constant' model."""
+    """Return the battery's internal resistance R_b (ohm); zero for the battery model 'constant'."""
     return 0.0 if battery.model == "constant" else float(battery.internal_resistance)
 
 

@@ -266,7 +266,9 @@ def find_operating_point(
 
 @dataclass(frozen=True)
 class _PowerSupply:
-    """Supply of the drive: a fixed voltage, or a battery of that open-circuit voltage with its internal resistance."""
+    """Supply of the drive: the fixed voltage ``voltage_V``, or a battery with this open-circuit voltage and its
+    internal resistance.
+    """
 
     drive: DriveTrain
     voltage_V: float
@@ -368,7 +370,9 @@ def find_speed_at_voltage(c: MotorConstants, load: RotorLoad, voltage_V: Array) 
 def _find_steady_speed(
     c: MotorConstants, load: RotorLoad, voltage: Callable[[Array, Integers], Array], at_most: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Find the steady speed of eq. 4.29, with the motor voltage as a function of speed and case."""
+    """Find each case's rotor speed (rad/s) without acceleration by eq. 4.29, and whether there is one; ``voltage``
+    returns the motor voltage for speeds and cases.
+    """
 
     def net_deceleration(speed: Array, case: Integers) -> Array:
         m = c.select_cases(case)

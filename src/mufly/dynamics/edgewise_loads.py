@@ -72,8 +72,8 @@ def air_velocity(x: _Array, wind: _Array) -> tuple[float, float, float]:
 
 @cached_njit(error_model="numpy", forceinline=True)
 def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, float, float]:
-    """Return the point of a state in the flight map: speed ratio, then climb ratio and edgewise coordinate e in axis
-    steps.
+    """Return a state's coordinates in the flight map: lower over upper rotor speed, then climb ratio and edgewise
+    coordinate e, both counted in grid steps of their axes.
 
     Parameters
     ----------
@@ -101,7 +101,9 @@ def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, 
 def _flow_loads(
     p: ModelParameters, point: tuple[float, float, float]
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:
-    """Return the first six columns of both rotors at a point of the map."""
+    """Return the flow's loads on both rotors at a point of the flight map: six for each rotor, the first of
+    :data:`mufly.vehicle.flight_map.ROTOR_LOAD_COLUMNS`.
+    """
     away = min(max(point[0], p.flight_map_ratio[1]), p.flight_map_ratio[2]) - p.flight_map_ratio[0]
     return interpolate_flow_loads(
         p.flight_map_table, p.flight_map_size[0], p.flight_map_size[1], away, point[1], point[2]
@@ -133,7 +135,7 @@ def _rotor_hub_wrench(
 def flight_map_loads(
     x: _Array, air: tuple[float, float], point: tuple[float, float, float], p: ModelParameters
 ) -> MapWrench:
-    """Return the forces, moments and load factors that a flight map adds, in body axes.
+    """Return the forces, moments, and factors on thrust and torque that a flight map adds, in body axes.
 
     Parameters
     ----------
@@ -191,7 +193,9 @@ def tip_path_tilt_target(servo_1: Any, servo_2: Any, gain: Any, phase: Any) -> t
 
 @cached_njit(error_model="numpy")
 def add_swash_phase(u: _Array, p: ModelParameters, dx: _Array) -> None:
-    """Turn the target of the lower tip-path plane's tilt by the phase of the swash plate, in ``dx``."""
+    """Add to the time derivative ``dx`` the effect of the swash plate's phase on the commanded tilt of the lower
+    tip-path plane.
+    """
     servo_1, servo_2 = min(max(u[U_SERVO_1], -1.0), 1.0), min(max(u[U_SERVO_2], -1.0), 1.0)
     less, sine = math.cos(p.swash_phase) - 1.0, math.sin(p.swash_phase)
     full = p.swash_rate * p.swash_gain

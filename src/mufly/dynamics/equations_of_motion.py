@@ -342,7 +342,9 @@ def ground_effect_thrust(thrust: float, height: float, across_squared: float, p:
 
 @cached_njit(error_model="numpy")
 def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) -> None:
-    """Add the ground effect on the rotors' thrust to the time derivative; see the module docstring."""
+    """Add the accelerations by the ground effect on the rotors' thrust to the derivative ``dx``; see the module
+    docstring.
+    """
     speed_up, speed_dw, height = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], -x[MODEL_POSITION + 2]
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
     if p.map_nodes > 0:
@@ -387,7 +389,7 @@ def climb_velocity(x: _Array, wind: _Array) -> float:
 def map_coefficients(
     speed_up: float, speed_dw: float, climb: float, p: ModelParameters
 ) -> tuple[float, float, float, float]:
-    """Interpolate the coefficient map.
+    """Interpolate thrust and torque over squared speed of both rotors in the coefficient map.
 
     The results are thrust over squared speed (N s^2) of upper and lower rotor, then torque over squared speed (N m
     s^2).

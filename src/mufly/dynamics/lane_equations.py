@@ -132,7 +132,7 @@ _integrate_plain = _compile_without_maps()
 
 
 def integrate_batch(x: _Array, u: _Array, wind: _Array, p: NDArray[np.void], dt: float, steps: int) -> None:
-    """Integrate ``n`` vehicles in place on all cores.
+    """Integrate n vehicles in place on all cores, each with its own parameters and with constant inputs.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def integrate_lanes(
     x: _Array, before: _Array, now: _Array, delay: _Ints, wind: _Array, p: NDArray[np.void], vehicle: _Ints,
     blocks: _Ints, dt: float, steps: int, *, threads: int = 1,
 ) -> None:  # fmt: skip
-    """Integrate n vehicles in place.
+    """Integrate n vehicles in place, each with inputs that change once, after its own delay.
 
     Parameters
     ----------

@@ -305,8 +305,8 @@ class LevelFlightModel:
         return watts + supply * float(battery.electronics_current), inputs
 
     def thrust_margin(self, torques: Sequence[float], speeds: Sequence[float]) -> float:
-        """Return the greatest thrust over the thrust in use: both speeds rise by one factor until a motor is at full
-        input.
+        """Return the greatest thrust divided by the thrust in use, less 1: both speeds rise by one factor until a motor
+        is at full input.
         """
         low, high = 0.2, 5.0
         for _ in range(50):

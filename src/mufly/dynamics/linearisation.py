@@ -262,7 +262,7 @@ def _check_vector(vector: ArrayLike, name: str) -> NDArray[np.float64]:
 def _hover_estimate(
     p: np.void, charge: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:  # fmt: skip
-    """Return rotor speeds, motor inputs (not limited to 1) and voltage in hover."""
+    """Return rotor speeds (rad/s), motor inputs (not limited to 1) and battery voltage (V) in hover at a charge."""
     thrust = np.array([p["thrust_up"], p["thrust_dw"]])  # divided by the squares of the speeds
     drag = np.array([p["torque_up"], p["torque_dw"]])
     for _ in range(_HOVER_ITERATIONS if p["map_nodes"] else 1):
@@ -437,7 +437,7 @@ class Linearisation:
     roll_pitch: control.StateSpace
 
     def plot(self) -> Figure:
-        """Draw the poles of both parts in the complex plane; returns a matplotlib figure."""
+        """Draw the poles of the heave-yaw and the roll-pitch model in the complex plane; return a matplotlib figure."""
         figure = blank_figure(8.0, 3.6)
         parts = (("heave and yaw", self.heave_yaw), ("roll and pitch", self.roll_pitch))
         for axes, (name, part) in zip(figure.subplots(1, 2), parts, strict=True):

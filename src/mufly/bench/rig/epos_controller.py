@@ -46,7 +46,9 @@ PROFILE_VELOCITY_MODE = 3
 
 @dataclass(frozen=True)
 class EposProtocol:
-    """Protocol of a controller generation: opcodes, order in a request, objects of mean velocity and current."""
+    """Differences between generations of EPOS controllers: opcodes, whether a request begins with the node number, and
+    the dictionary objects (CANopen) of mean velocity and current.
+    """
 
     read_opcode: int
     write_opcode: int
@@ -158,7 +160,7 @@ class EposController:
     def _send_request(
         self, opcode: int, data: bytes, tries: int = MAX_REQUEST_TRIES, patience_s: float = REPLY_TIMEOUT_s
     ) -> bytes:
-        """Send a request until it is answered; return the data of the answer after the error code."""
+        """Send a request until it is answered; return the data that follow the error code in the answer."""
         for _ in range(tries):
             self._line.read()
             self._frames = FrameParser() if self._frames.broken_frames > 1000 else self._frames

@@ -32,7 +32,8 @@ _FIELDS_PER_AXIS = 4
 
 
 class EscBridge:
-    """Driver of one or two motors on a bridge; a :class:`mufly.bench.rig.bench_devices.Device`.
+    """Driver of one or two motors whose speed controllers a microcontroller (the bridge) commands; a
+    :class:`mufly.bench.rig.bench_devices.Device`.
 
     Parameters
     ----------

@@ -162,7 +162,9 @@ class _MotorHeat:
 
 @dataclass(frozen=True)
 class BenchImperfections:
-    """Error parameters of the simulated bench; :meth:`ideal_bench` has practically none."""
+    """Parameters of the simulated bench's errors: drift, noise, mounting, temperatures; :meth:`ideal_bench` sets nearly
+    all to zero.
+    """
 
     zero_warm_up_V: tuple[float, float] = (
         0.012,

@@ -54,7 +54,8 @@ class BlockMean(NamedTuple):
 
 
 def compute_block_mean(samples: ArrayLike) -> BlockMean:
-    """Return the mean of equally spaced samples (n,) with its uncertainty; NaN for none.
+    """Return the mean of equally spaced samples (n,) with its standard uncertainty; both are NaN without a finite
+    sample.
 
     Samples further than 7 robust standard deviations (1.4826 times the median absolute deviation) from the median are
     omitted and counted as outliers.

@@ -153,7 +153,7 @@ def analyse_series(
     record: SeriesRecord | str | Path, *, known: RotorMeasurements | None = None, known_relative_std: float = 0.01,
     accept: Sequence[str] = (),
 ) -> SeriesResult:  # fmt: skip
-    """Analyse a series.
+    """Analyse a series: return the loads of each setting with 95 % intervals, and the issues found.
 
     Parameters
     ----------
@@ -451,7 +451,7 @@ def _estimate_repeatability(
 
 @dataclass(frozen=True, eq=False)
 class _SettingAverager:
-    """Builder of the results of points and settings."""
+    """Data of a series, from which :meth:`average_setting` computes mean loads of each point and each setting."""
 
     points: SeriesReadings
     plan: SeriesPlan
@@ -462,11 +462,13 @@ class _SettingAverager:
     start_time_s: float
 
     def is_measurement(self, at: list[int]) -> bool:
-        """Return whether the points belong to a measured rotor, not to the reference."""
+        """Return whether the points with indices ``at`` are those of a measured rotor, not of the reference."""
         return self.plan.mounting[self.points.mounting_index[at[0]]].use == "measure"
 
     def average_setting(self, at: list[int], *, mounted: bool) -> SettingResult:
-        """Return the mean loads over the points ``at`` of a setting; ``mounted`` omits scatter between mountings."""
+        """Return the mean loads over the points ``at`` of a setting; ``mounted`` leaves the scatter between mountings
+        out of their intervals.
+        """
         m = self.plan.mounting[self.points.mounting_index[at[0]]]
         mean = {a: float(np.mean(self.axis_speeds[a][at])) for a in ("upper", "lower")}
         rho = float(np.mean(self.air_density_kg_m3[at]))

@@ -165,7 +165,7 @@ class SeriesPlan(ParameterGroup):
 
 @dataclass(frozen=True)
 class PlanStep:
-    """Step of a plan: index of its mounting, its index within the mounting, kind, and speed."""
+    """Step of a plan: index of its mounting, index within the mounting, kind (zero, warm-up or point), and speed."""
 
     mounting_index: int
     step_in_mounting: int

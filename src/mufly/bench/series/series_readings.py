@@ -147,7 +147,7 @@ def readings_of_record(record: SeriesRecord, what: str) -> SeriesReadings:
 
 @dataclass(frozen=True, eq=False)
 class LoadChannel:
-    """One load at the points of a series.
+    """Values of one load (a thrust or a torque) at the points of a series, with their covariance.
 
     Attributes
     ----------
@@ -213,7 +213,8 @@ def compute_cell_loads(
     speed: dict[str, Array],
     start: float,
 ) -> dict[str, LoadChannel]:
-    """Return total thrust and torque of the cells at the points.
+    """Return thrust and torque of all rotors together at the points, as the load cells measure them, by name of the
+    load.
 
     Raises
     ------

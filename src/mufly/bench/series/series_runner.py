@@ -53,7 +53,7 @@ class StopRequested(MuflyError):
 
 @dataclass(frozen=True)
 class SeriesProgress:
-    """Progress of a series.
+    """Number of completed steps of a series and its present activity.
 
     Attributes
     ----------
@@ -386,7 +386,9 @@ class _SeriesRunner:
         self._report_progress(number + 1, f"{name}: done" + ("" if settled else ", but it had not settled"), line)
 
     def _wait_until_settled(self, wanted: Mapping[str, float]) -> bool:
-        """Wait until speed and loads of two windows agree; return False after the settling time."""
+        """Wait until speeds and loads agree in two successive windows; return False if they do not within the plan's
+        settling time.
+        """
         times, before = self.plan.times, dict[str, BlockMean]()
         until = self.rig.now() + times.settle_s
         while self.rig.now() < until:

@@ -103,7 +103,9 @@ def _format_load(load: LoadInterval | None, scale: float = 1.0) -> str:
 
 
 def difference_blocks(found: Sequence[LoadDifference], first: str, second: str) -> list[ShownBlock]:
-    """Return a table that compares two series, or a series and theory, under these names."""
+    """Return a table of the differences between two series, or a series and theory; ``first`` and ``second`` name its
+    columns.
+    """
     rows = [
         (d.measured_point, f"{d.first:.4g}", f"{d.second:.4g}", f"{100 * d.relative:+.1f} %", f"{d.normalised:+.2f}")
         for d in found

@@ -69,7 +69,7 @@ class ServoPacket:
 
     @property
     def inputs(self) -> NDArray[np.float64]:
-        """Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1)."""
+        """Inputs of the vehicle from these pulses: upper and lower motor (0..1), servo 1 and servo 2 (-1..1)."""
         p = self.pulse_us
         motors = (p[[UPPER_OUTPUT, LOWER_OUTPUT]] - _MIN_PULSE_US) / (2.0 * _PULSE_HALF_RANGE_US)
         roll, pitch = (p[[ROLL_OUTPUT, PITCH_OUTPUT]] - _PULSE_CENTRE_US) / _PULSE_HALF_RANGE_US
@@ -225,7 +225,7 @@ class ArduPilotSimulator(AutopilotSimulator):
 
 
 def describe_wrong_channels(packet: ServoPacket) -> str:
-    """Return why the outputs cannot be those of ArduPilot's frame CoaxCopter; an empty text if they can be."""
+    """Return why the outputs do not match ArduPilot's frame CoaxCopter; an empty text if they match."""
     if not packet.is_started:
         return ""
     pairs = ((ROLL_OUTPUT, ROLL_MIRROR_OUTPUT), (PITCH_OUTPUT, PITCH_MIRROR_OUTPUT))

@@ -188,7 +188,7 @@ class BetaflightSimulator(AutopilotSimulator):
         self.on_period()
 
     def _send_state(self) -> None:
-        """Send the vehicle's state and, at the pilot's lower rate, the channels of the transmitter."""
+        """Send the vehicle's state and, in one of ``_PILOT_PERIODS`` periods, the channels of the transmitter."""
         vehicle = self.vehicle
         if self.pilot is not None and self.step_count % _PILOT_PERIODS == 0:
             if self.state == "running":
@@ -305,7 +305,7 @@ class BetaflightSimulator(AutopilotSimulator):
 
 
 def describe_wrong_outputs(outputs: BetaflightOutputs) -> str:
-    """Return why the outputs cannot be those of the mixer DUALCOPTER; an empty text if they can be."""
+    """Return why the outputs do not match Betaflight's mixer DUALCOPTER; an empty text if they match."""
     remedy = "load the file of `mufly autopilot gains betaflight`"
     if outputs.motor_count != 2:
         return f"Betaflight drives {outputs.motor_count} motors, so its mixer is not DUALCOPTER; {remedy}"

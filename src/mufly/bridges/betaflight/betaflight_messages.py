@@ -57,7 +57,7 @@ ARMING_OBSTACLES = (
 
 @dataclass(frozen=True, slots=True)
 class BetaflightOutputs:
-    """Outputs of Betaflight.
+    """Motor and servo outputs that Betaflight sends to its simulator.
 
     Attributes
     ----------
@@ -71,10 +71,10 @@ class BetaflightOutputs:
 
     @property
     def inputs(self) -> NDArray[np.float64]:
-        """Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1) of the mixer DUALCOPTER.
+        """Inputs of the vehicle by the mixer DUALCOPTER: upper and lower motor (0..1), servo 1 and servo 2 (-1..1).
 
-        Its second motor speeds up for a turn to the right, which the upper one does here; its servos are pitch, nose
-        down, and roll, right.
+        The mixer's second motor speeds up for a turn to the right, as the upper motor of the vehicle does. The mixer's
+        servos are pitch, nose down, and roll, right.
         """
         lower, upper, pitch, roll = self.pulse_us[:4]
         motors = (np.array([upper, lower]) - MIN_PULSE_US) / (MAX_PULSE_US - MIN_PULSE_US)

@@ -98,7 +98,9 @@ class _CascadeAxis:
         self._smooth = math.nan
 
     def command_acceleration(self, error_m: float, reference_m_s: float, velocity_m_s: float, *, hold: bool) -> float:
-        """Return the acceleration (m/s^2); with ``hold`` the integral stays constant."""
+        """Return the commanded acceleration of this axis (m/s^2); with ``hold`` the integral of the velocity error
+        stays constant.
+        """
         k, dt = self.gains, 1.0 / PILOT_RATE_HZ
         wanted = reference_m_s + k.position * error_m
         wanted = min(max(wanted, -_MAX_VELOCITY_M_S), _MAX_VELOCITY_M_S)
@@ -259,7 +261,9 @@ class BetaflightPilot:
 
 
 def find_square_point(plan: PilotPlan, time_s: float) -> tuple[_Array, _Array]:
-    """Return the offset N, E (m) from the square's first corner, and its velocity (m/s), at rest in the corners."""
+    """Return the commanded position N, E (m) on the square, from its first corner, and the commanded velocity (m/s),
+    which is zero in the corners.
+    """
     corners = plan.square_side_m * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
     leg = min(int(time_s / plan.leg_duration_s), 3)
     share, rate = _smooth_path_fraction(time_s - leg * plan.leg_duration_s, plan.leg_duration_s)

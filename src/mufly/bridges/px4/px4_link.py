@@ -167,7 +167,9 @@ class Px4Simulator(AutopilotSimulator):
         self.port.send(self._peer, b"".join(self._encode(m) for m in messages))
 
     def _await_answer(self, stop: Callable[[], bool]) -> None:
-        """Wait for PX4's answer to the last HIL_SENSOR; after a timeout, skip it if the previous one was answered."""
+        """Wait for PX4's answer to the last HIL_SENSOR; after a timeout, continue without it if PX4 answered the
+        message before.
+        """
         begun_s = self._clock()
         while not self._is_answered and self._peer is not None and not stop():
             self._wait(_RECEIVE_TIMEOUT_S)
@@ -293,8 +295,8 @@ class Px4Simulator(AutopilotSimulator):
 
 
 def describe_wrong_outputs(command: ActuatorCommand) -> str:
-    """Return why the outputs cannot be those of a coaxial helicopter with two motors and two servos; an empty text if
-    they can be.
+    """Return why the outputs do not match a coaxial helicopter with two motors and two servos; an empty text if they
+    match.
     """
     remedy = "load the airframe file of `mufly autopilot gains px4`"
     u: Any = command.outputs

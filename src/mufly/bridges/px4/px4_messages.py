@@ -55,7 +55,7 @@ _COVARIANCE_DIAGONAL = (0, 6, 11, 15, 18, 20)  # of the upper right triangle of 
 
 @dataclass(frozen=True, slots=True)
 class ActuatorCommand:
-    """Inputs that PX4 sends.
+    """Actuator outputs of PX4 (HIL_ACTUATOR_CONTROLS), which are inputs of the simulated vehicle.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class ActuatorCommand:
 
     @property
     def inputs(self) -> NDArray[np.float64]:
-        """Motor upper, motor lower, servo 1, servo 2."""
+        """Inputs of the vehicle: upper and lower motor (0..1), servo 1 and servo 2 (-1..1)."""
         return self.outputs[[UPPER_OUTPUT, LOWER_OUTPUT, SERVO_1_OUTPUT, SERVO_2_OUTPUT]]
 
 
@@ -119,7 +119,7 @@ class SensorMessages:
         return out
 
     def _take_new_reading(self, name: str, readings: Readings) -> Reading | None:
-        """Return a valid reading that has not been sent yet."""
+        """Return a sensor's latest reading, marked as sent; None if it is invalid or was sent before."""
         reading = readings.latest.get(name)
         if reading is None or self._sent.get(name) is reading:
             return None

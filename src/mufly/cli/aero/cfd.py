@@ -94,7 +94,7 @@ class BladeOptions:
 
 @dataclass(frozen=True)
 class CaseOptions(BladeOptions):
-    """Options of the cases of one rotor, and the number of their processes."""
+    """Options of one rotor's CFD cases, and the number of parallel solver processes."""
 
     density: DensityOption = 1.2
     model: Annotated[
@@ -231,7 +231,8 @@ def solve_point(
     pair: Mapping[str, float | None] = MappingProxyType({}), by_turns: bool = False, neighbour: Path | None = None,
     save_only: bool = False,
 ) -> None:  # fmt: skip
-    """Solve and report one operating point; ``pair`` holds the second rotor, solved ``by_turns`` or in one mesh.
+    """Solve and report one operating point; ``pair`` describes a second rotor, and ``by_turns`` solves both rotors
+    alternately instead of in one mesh.
 
     Raises
     ------

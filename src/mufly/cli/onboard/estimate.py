@@ -264,7 +264,9 @@ def _write_results(data: xr.Dataset, told: Sequence[Estimate], out: Path | None,
 
 
 def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
-    """Return the data with standard deviations of the biases, which recordings do not hold."""
+    """Return a flight's data with the standard deviations of the sensors' biases, which recordings lack, from the
+    estimates ``told``.
+    """
     import numpy as np
 
     from mufly.estimate.filter.filter_records import ERROR_ACCEL_BIAS, ERROR_GYRO_BIAS, ERROR_TERRAIN

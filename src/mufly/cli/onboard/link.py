@@ -271,7 +271,7 @@ _DEFAULT_LINK_ENDPOINTS = ("udp:127.0.0.1:14550", "udp:127.0.0.1:14540")
 
 
 def _format_loop_report(r: LoopReport) -> str:
-    """Return the state of the loop as a line."""
+    """Return the state of the real-time loop and of its vehicle as a line of text."""
     from mufly.link.telemetry_streams import SLOW_REAL_TIME_FACTOR
 
     s = r.state

@@ -27,7 +27,7 @@ RosOption = Annotated[
 
 
 def make_live_views(foxglove: str, ros: bool) -> tuple[LiveViewConfig, ...]:
-    """Return the live views of the options.
+    """Return the live views that the options request: Foxglove, ROS 2, both or none.
 
     Raises
     ------

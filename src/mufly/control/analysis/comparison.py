@@ -52,7 +52,7 @@ _EQUAL_GUST_TILT_RATIO = 1.2
 
 @result
 class LoopFigures:
-    """Figures of one loop as it flies.
+    """Figures of one loop with the sampled controller that flies.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class FlightFigures:
 
 @result
 class ForwardFigures:
-    """Figures of the sampled roll-pitch loop in forward flight, with the model linearised at that speed.
+    """Figures of the sampled roll-pitch loop at one forward speed, with the model linearised at this speed.
 
     Attributes
     ----------
@@ -119,8 +119,8 @@ class ForwardFigures:
 
 @result
 class MethodFigures:
-    """Figures of one synthesis method: both loops, cascade peak and tilt in gusts; instructions and flights are None if
-    not measured.
+    """Figures of one synthesis method: both loops, peak of the position cascade, tilt in gusts; instructions and
+    flights are None if not measured.
 
     ``method`` is a method of synthesis, or the name of a tuned loop (:data:`TUNED_METHOD_NAME`). ``instructions`` are
     those of the whole law in a period on a Cortex-M4, mean over a self-test. ``forward`` is roll-pitch at forward

@@ -28,7 +28,7 @@ GUST_m_s, GUST_LENGTH_m = 0.5, 1.0
 
 @result
 class GustResponse:
-    """Deviations in gusts while the position is held; ``inf`` for an unstable loop.
+    """Standard deviations of tilt and swash plate in gusts while the position is held; ``inf`` for an unstable loop.
 
     Attributes
     ----------

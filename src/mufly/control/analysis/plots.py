@@ -168,7 +168,7 @@ def draw_tuned_loop(tuned: TunedLoop) -> Figure:
 
 
 def draw_sensitivities(controller: FlightController) -> Figure:
-    """Draw sensitivity and complementary sensitivity of every design, sampled with one sample of delay."""
+    """Draw sensitivity and complementary sensitivity of each of the three loops, sampled with one sample of delay."""
     figure = blank_figure(10.5, 3.4)
     for axes, design in zip(figure.subplots(1, 3, sharey=True), controller.all_designs, strict=True):
         curves, loop = _compute_design_curves(design, design.discrete.to_state_space()), design.sampled_loop

@@ -50,8 +50,8 @@ class SpeedSchedule:
 
     @property
     def disk_margin_gain(self) -> float:
-        """Largest gain of disk margin, over all speeds, of the design for a speed against the design for the first
-        speed.
+        """Largest increase of the disk margin, over all speeds, by the design for that speed instead of the design for
+        the first speed.
         """
         return float(np.max(np.diag(self.disk_margin) - self.disk_margin[0]))
 

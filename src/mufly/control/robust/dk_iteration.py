@@ -70,7 +70,7 @@ class ScalingFilter(NamedTuple):
 
 @result
 class DkIterationRound:
-    """One round of the iteration.
+    """One round of a D-K iteration.
 
     Attributes
     ----------

@@ -108,7 +108,7 @@ class ParameterRobustness:
         return self.heave_yaw, self.roll_pitch
 
     def as_record(self) -> dict[str, Any]:
-        """Return bounds and worst parameters as JSON data."""
+        """Return every loop's bounds of mu and the worst parameters as JSON data."""
         return {
             "vehicle": self.vehicle_name,
             "method": self.method,
@@ -180,7 +180,7 @@ class UncertainLoop:
         self.derivatives = [derivatives[i] for i in self.kept]
 
     def open_responses(self, frequency: Array) -> ComplexArray:
-        """Return the response without controller from (uncertainty outputs, u) to (uncertainty inputs, y)."""
+        """Return the plant's response without controller, from (uncertainty outputs, u) to (uncertainty inputs, y)."""
         g, n, m = self.plant, self.plant.nstates, self.left.shape[1]
         B, C = np.hstack([self.left, g.B]), np.vstack([self.right[:, :n], g.C])
         D = np.zeros((C.shape[0], B.shape[1]))

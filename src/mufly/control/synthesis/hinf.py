@@ -36,7 +36,7 @@ from mufly.results import result
 
 @result
 class HinfResult:
-    """A controller with its level and its closed loop.
+    """A controller with the bound of its H-infinity norm (the level gamma), and its closed loop.
 
     Attributes
     ----------

@@ -1,5 +1,5 @@
-"""Methods of controller synthesis with a common result: the controller, its anti-windup input and its H-infinity
-levels.
+"""Methods of controller synthesis with a common result: the controller, its anti-windup input, and the norm that it
+claims and reaches.
 
 All methods start from the same scaled plant and the same generalised plant, so their loops are comparable. The
 H-infinity norm is computed from the loop, also for methods that do not minimise it.
@@ -47,7 +47,7 @@ SYNTHESIS_METHOD_NAMES: dict[SynthesisMethod, str] = {
 
 @dataclass(frozen=True)
 class FixedOrderGoals:
-    """Order and levels of a tuned controller.
+    """Order of a tuned controller, and the levels that the norms of its loop are to stay below.
 
     Attributes
     ----------

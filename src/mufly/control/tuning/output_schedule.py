@@ -132,7 +132,9 @@ class OutputSchedule:
 
     @property
     def inverse_square(self) -> float:
-        """Factor (s2/m2) that turns the square of the forward speed into the share of the schedule, 0 to 1."""
+        """Factor (s2/m2) by which the squared forward speed becomes the weight of the forward-flight outputs, at most
+        1.
+        """
         return 1.0 / self.speed_m_s**2
 
     def controller_at(self, hover: DiscreteController, share: float) -> control.StateSpace:

@@ -117,7 +117,7 @@ class _ScaledBound:
         self.goal, self.order = goal, order
 
     def norm_and_gradient(self, K: Array) -> tuple[float, Array]:
-        """Return the bound, at least a small positive number, and its gradient by K."""
+        """Return the upper bound of mu (at least 1e-3) with the gain ``K``, and its gradient by ``K``."""
         M, left, right = self.goal.response(K, self.order)
         values, whole, root = _pencil_values(M, self.goal._D, self.goal._G)
         k = int(np.argmax(values))
