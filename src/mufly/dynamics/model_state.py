@@ -97,7 +97,7 @@ def initial_state(
     bar_attitude: ArrayLike | None = None,
     charge: float = 1.0,
 ) -> NDArray[np.float64]:
-    """Return a state vector.
+    """Return the flight model's state (21,) of a vehicle with the given motion, rotor speeds, bar tilt and charge.
 
     Parameters
     ----------

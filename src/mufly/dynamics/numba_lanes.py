@@ -76,14 +76,14 @@ class LaneMask(types.Type):
 
 
 class LaneRows(types.Type):
-    """Numba type of rows of eight numbers in memory."""
+    """Numba type of an array (rows, 8) in memory, such as a state of eight vehicles: one row per state variable."""
 
     def __init__(self) -> None:
         super().__init__(name="LaneRows")
 
 
 class LaneTable(types.Type):
-    """Numba type of a table of one or more columns for each vehicle of a block."""
+    """Numba type of eight arrays (length, columns), one for each vehicle of a block, such as its contact points."""
 
     def __init__(self, length: int, columns: int) -> None:
         self.length, self.columns = length, columns
@@ -227,12 +227,15 @@ def negate(test: Any) -> Any:
 
 
 def uniform(test: Any) -> Any:
-    """Return a test that is equal for all vehicles of a block as a single truth value."""
+    """Return ``test``, which must have the same result for all vehicles of a block, as one bool for ``if``."""
     raise NotImplementedError
 
 
 def whole_number(x: Any) -> Any:
-    """Return a number unchanged; the rewritten source calls this function in place of ``np.uint64``."""
+    """Return ``x`` unchanged; takes the place of ``np.uint64`` in source rewritten for lanes.
+
+    :mod:`mufly.dynamics.branch_selection` rewrites the source.
+    """
     raise NotImplementedError
 
 

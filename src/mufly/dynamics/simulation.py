@@ -1,4 +1,4 @@
-"""Fixed-step Runge-Kutta integration of the flight model; wind.
+"""Integrate the flight model by Runge-Kutta with a fixed step, and generate wind with Dryden turbulence.
 
 Batches of vehicles: :mod:`mufly.dynamics.lane_equations`. After every step the attitude quaternion and the bar's normal
 are normalised; at the default step the fourth-order method changes their length by about 1e-12 only.
@@ -144,13 +144,16 @@ def longest_step(p: np.void) -> float:
 
 
 def fastest_mode_key(p: np.void) -> str:
-    """Return the vehicle file's key of the component with the fastest mode in :func:`longest_step`."""
+    """Return the key in the vehicle file (``"swash_plate.time_constant"``) of the parameter that limits the step most.
+
+    The limit is that of :func:`longest_step`.
+    """
     rates = _mode_rates(p)
     return max(rates, key=lambda key: rates[key])
 
 
 def _mode_rates(p: np.void) -> dict[str, float]:
-    """Return the rates (rad/s) of the modes of :func:`longest_step`.
+    """Return the estimated rate (rad/s) of each mode that can limit the integration step (:func:`longest_step`).
 
     The key of a mode is the vehicle file's parameter with the most influence on it.
     """
@@ -369,7 +372,9 @@ def _load_builtin_maps() -> tuple[FlightMap, ...]:
 
 
 def max_level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
-    """Return the greatest level airspeed (m/s) as a band over the flap frequency; None if it is not known.
+    """Return the lowest and highest value (m/s) of the greatest level airspeed; None if they are not known.
+
+    The two values differ because the flap frequency of the blades is uncertain.
 
     The band is part of the vehicle's flight map. Without a flight map, the band is that of the built-in map for the
     vehicle's rotors and mass.
@@ -389,7 +394,7 @@ def max_level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
 
 
 def describe_level_speed(vehicle: Vehicle) -> str:
-    """Return the greatest level airspeed as a band, in words; "" if it is not known."""
+    """Return a text with the range of :func:`max_level_speed_band`; "" if the range is not known."""
     band = max_level_speed_band(vehicle)
     if band is None:
         return ""

@@ -173,7 +173,7 @@ def _find_level_speed_with_map(vehicle: Vehicle, flight_map: FlightMap) -> float
 
 
 def check_map_blades(flight_map: FlightMap, rotor: Rotor) -> None:
-    """Check that a map was computed with these blades.
+    """Raise an error if a flight map was computed with other blades than those of ``rotor``.
 
     Raises
     ------

@@ -145,7 +145,7 @@ def measured_tilt(m: Estimate) -> float:
 
 @dataclass(frozen=True, slots=True)
 class EstimateMonitor:
-    """The state of the estimate check between two instants.
+    """Values that :func:`check_estimate` keeps from one period to the next.
 
     Attributes
     ----------

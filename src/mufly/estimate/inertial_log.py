@@ -102,7 +102,7 @@ class InertialLog:
 
     @property
     def rest_rows(self) -> slice:
-        """Return the initial rows at rest; none if shorter than a second."""
+        """Return the slice of the log's first rows, before the vehicle moves; empty if they last less than a second."""
         n = int(np.argmax(self.is_flying)) if self.is_flying.any() else len(self.is_flying)
         return slice(0, n if n * self.step_s >= _MIN_REST_S else 0)
 
@@ -238,7 +238,10 @@ def estimate_rest_noise(log: InertialLog) -> InertialNoise:
 
 
 def _allan_density(x: _Array, step: float) -> float:
-    """Return the largest sigma(tau) sqrt(tau) over axes and tau of 0.1 to 1 s; 0 for data shorter than five tau."""
+    """Return the noise density from Allan deviations sigma(tau) of data ``x`` (n, 3): the largest sigma(tau) sqrt(tau).
+
+    tau is 0.1, 0.2, 0.5 and 1 s, as far as the data are at least five tau long; 0 for shorter data.
+    """
     x = x[np.isfinite(x).all(axis=1)]
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(x, axis=0)]) * step
     found = 0.0
@@ -304,7 +307,11 @@ def run_filter_on_log(
 
 
 def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoise) -> KalmanEstimator:
-    """Return the filter without a rotor model, with the initial rest or motion of a log."""
+    """Return a filter without a rotor model for a log.
+
+    It starts at the first aid's position, with tilt and gyroscope bias from the readings at rest, or with large initial
+    uncertainties if the log begins in motion.
+    """
     step = log.step_s
     late = float(np.max(aids.received_s - aids.measured_s, initial=0.0))
     # One row per block if the buffer then covers the delay; computing time is not critical here.

@@ -239,7 +239,10 @@ class KalmanEstimator(Estimator):
                 row[:] = kept
 
     def read_estimate(self, time_s: float, valid: bool, periods: int = 1) -> Estimate:
-        """Return the estimate after further periods of the filter; publish the covariance and statuses if due."""
+        """Return the estimate after ``periods`` further periods of the filter.
+
+        Every :data:`COVARIANCE_INTERVAL_TICKS` periods covariance and sensor statuses are published, too.
+        """
         self._period_count += periods
         if (periods and self._period_count % COVARIANCE_INTERVAL_TICKS == 0) or not self._published:
             self.publish_status(self.memory.copy())

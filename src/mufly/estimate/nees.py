@@ -77,7 +77,10 @@ class Consistency:
 
     @classmethod
     def merge_flights(cls, several: Sequence[Consistency]) -> Consistency:
-        """Return the consistency over several flights: mean squares, largest peaks."""
+        """Return the consistency of several flights together.
+
+        Consistency and RMS errors are means over all instants of the flights, peak errors the largest of any flight.
+        """
         n = np.array([c.count for c in several], dtype=float)
         n /= n.sum()
         mean = {k: float(n @ [getattr(c, k) for c in several]) for k in ("nees", "inside_share", "nis")}

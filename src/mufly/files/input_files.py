@@ -231,7 +231,7 @@ def _dotted_key(loc: tuple[int | str, ...]) -> str:
 
 
 def nested_model(annotation: Any) -> type[BaseModel] | None:
-    """Return the model in a field's annotation (``M | None``, ``tuple[M, ...]``), or None."""
+    """Return the pydantic model in an annotation such as ``M | None`` or ``tuple[M, ...]``; None without a model."""
     for kind in (annotation, *getattr(annotation, "__args__", ())):
         if isinstance(kind, type) and issubclass(kind, BaseModel):
             return kind

@@ -110,7 +110,7 @@ class TextTable:
 
     @property
     def titles(self) -> list[str]:
-        """Header with the units of a line below it: ``"thrust (N)"``."""
+        """Column names, each with its unit if the file has a line of units: ``"thrust (N)"``."""
         units = self.units or [""] * len(self.header)
         return [f"{name} ({unit})" if unit else name for name, unit in zip(self.header, units, strict=True)]
 
@@ -161,7 +161,7 @@ class TextTable:
         return np.column_stack([self.read_numbers(k) for k in range(width or len(self.header))])
 
     def read_cell(self, row: int, column: int, cell: str) -> float:
-        """Return the number in a cell of a column.
+        """Return the text ``cell`` as a finite number; ``row`` and ``column`` name its place in errors.
 
         Raises
         ------

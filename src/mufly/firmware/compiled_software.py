@@ -130,7 +130,7 @@ class FirmwareSoftware(FlightSoftware):
     # Records are converted on access: a control period takes a tenth of the time of converting all records.
 
     def clear_cached_records(self) -> None:
-        """Discard the converted records after a change of the C records."""
+        """Discard the cached Python copies of the C records; call this after a change of those records."""
         self._cached_records = {}
 
     def _read_record(self, name: str) -> Any:

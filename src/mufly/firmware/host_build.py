@@ -178,7 +178,7 @@ class FirmwareControllers(Controllers):
         self._gains_record = self.firmware.make_gains(self._design)
 
     def current_gains(self) -> Any:
-        """Return the ``gains_t`` of this period, advanced by one step of a blend to other gains."""
+        """Return the ``gains_t`` for the next period; after a change of gains, one step nearer to the new ones."""
         if not self._settled:
             self._blend_gains()
         return self._gains_record

@@ -216,7 +216,7 @@ class Autopilot:
         return self._armed
 
     def has_no_sensor_events(self, checks: Sequence[SensorStatus]) -> bool:
-        """Whether these sensor statuses never cause a report, however long they last."""
+        """Whether the statuses ``checks`` need no report, now or later, as long as they do not change."""
         return self._sensors.has_nothing_to_report(checks)
 
     def report_sensor_checks(self, checks: Sequence[SensorStatus], time_s: float, state: str) -> None:
@@ -225,7 +225,7 @@ class Autopilot:
             self._emit_event(FlightEvent(time_s, state, text, level))
 
     def conclude_periods(self, estimate: Estimate | None, sent: Actuators, *, ran: bool | None, due: bool) -> None:
-        """Update the autopilot after periods of the compiled loop without requests.
+        """Update the autopilot after the compiled loop has run periods in which no request was pending.
 
         Parameters
         ----------
@@ -516,7 +516,7 @@ class Autopilot:
         return self._send_command(Command(take_off_height=float(height_m))) if answer else answer
 
     def _check_climb(self, ask: VehicleRequest, height_m: float) -> RequestAnswer:
-        """Check a request for a take-off: state, attitude, obstacles above, and fence."""
+        """Accept a take-off to ``height_m`` (m), or reject it: state, attitude, obstacle above, or fence."""
         answer = self.status.check_request(ask)
         if not answer:
             return answer

@@ -123,7 +123,7 @@ class Controllers:
         return self._settled
 
     def _blend_gains(self) -> None:
-        """Advance the change to the target's parameters by one period."""
+        """Move the gains by one period towards those set by :meth:`retune_gains`, with a first-order lag."""
         blend = 1.0 - math.exp(-self._design.period_s / GAIN_BLEND_TIME_CONSTANT_S)
         far = False
         for mine, wanted, names in (

@@ -21,7 +21,7 @@ _REST_FILTER_S = 1.0  # time constant of the filtered voltage at rest
 
 
 class EnergyCheck:
-    """Charge of the battery from its voltage at rest, and the flights for which it suffices.
+    """Estimate the charge from the battery's voltage at rest, and check whether it suffices for a flight.
 
     Parameters
     ----------

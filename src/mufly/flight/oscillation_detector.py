@@ -116,7 +116,7 @@ class OscillationDetector:
         self._asked = tuple(_TurningPoints(back) for back in _STEERING_THRESHOLDS)
 
     def step(self, time_s: float, inputs: Sequence[float], asked: Sequence[float] | None = None) -> Oscillation | None:
-        """Add the inputs of one instant.
+        """Process the actuator inputs of one instant, and return the longest oscillation that they continue.
 
         Parameters
         ----------

@@ -324,7 +324,10 @@ class Flight:
         _run_stages(self)
 
     def advance_until(self, until: int, **more: Any) -> None:
-        """Advance by one period, or with compiled code up to period ``until`` if no earlier period needs Python."""
+        """Advance at least one period, at most to period ``until``.
+
+        Compiled code runs many periods, up to the first event that Python must handle; without it, one period is run.
+        """
         if not self._asked_many:
             self._many, self._asked_many = self.autopilot.software.make_batch_runner(self), True
         if self._many is None or not self._many(until, **more):

@@ -197,7 +197,10 @@ class SimulatedPlant:
         self.count_periods(1)
 
     def upcoming_wind(self, most: int) -> NDArray[np.float64]:
-        """Return the wind of the next periods (n, 3; m/s), with n from 1 to ``most``, as far as it is drawn already."""
+        """Return the wind of the next n periods (n, 3; m/s).
+
+        n is at least 1 and at most ``most``; the wind is drawn in blocks, and n ends with the present block.
+        """
         if self._blown == self._block:
             self._coming, self._blown = self._air.draw_wind_samples(self._block), 0
         return self._coming[self._blown : self._blown + most]

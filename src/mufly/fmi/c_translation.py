@@ -416,7 +416,7 @@ class _FunctionTranslation:
                 self._translate_assignment(one, number)
 
     def _makes_table(self, node: ast.expr) -> bool:
-        """Return whether an expression gives a table: a new array, an existing table, or the matrix of a function."""
+        """Return whether an expression gives an array: a new one, an existing one, or the result of a function."""
         if _is_new_array(node) or self._is_alias(node):
             return True
         return isinstance(node, ast.Call) and isinstance(self._translate_expression(node).kind, TableType)

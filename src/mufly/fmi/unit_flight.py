@@ -154,7 +154,7 @@ class UnitInstance:
         return np.array(numbers)
 
     def initialise(self, values: Mapping[str, float] | None = None) -> UnitInstance:
-        """Set variables and pass the initialisation mode.
+        """Set the start values ``values``, and enter and exit FMI's initialisation mode; return this instance.
 
         Raises
         ------

@@ -91,7 +91,11 @@ def list_unit_parameters(vehicle: Vehicle) -> tuple[list[UnitParameter], list[st
 
 
 def _find_effects(vehicle: Vehicle, key: str, value: float, nominal: np.void) -> list[ParameterEffect] | None:
-    """Return the effects of a parameter on the model's record; None if one has no known form or the value is fixed."""
+    """Return how fields of the flight model's record depend on a parameter, found by changing its value.
+
+    Return None if the vehicle refuses other values, or if a field depends on the parameter in none of the forms of
+    :class:`ParameterEffect`.
+    """
     # A power of two near the value gives the factor of a product without rounding.
     base = math.copysign(2.0 ** math.floor(math.log2(abs(value))), value)
     points = [(value, nominal)]
@@ -115,7 +119,9 @@ def _find_effects(vehicle: Vehicle, key: str, value: float, nominal: np.void) ->
 def _find_ratio_effects(
     found: dict[str, list[ParameterEffect]], values: dict[str, float]
 ) -> dict[str, list[ParameterEffect] | None]:
-    """Convert effects to ratios if several parameters change the same field; the first parameter keeps its effect.
+    """Make effects of several parameters on one field compatible: the first keeps its effect, the others become ratios.
+
+    A ratio multiplies the field by the new value over the nominal value of the parameter.
 
     A parameter whose effect cannot be converted gets None.
     """
@@ -135,9 +141,9 @@ def _find_ratio_effects(
 
 
 def _effect_kind(field: str, base: float, points: list[tuple[float, NDArray[Any]]]) -> ParameterEffect | None:
-    """Return the effect that explains a field at all points (value, field), None without one.
+    """Return the effect that gives the field at all ``points``, pairs (parameter value, field); None without one.
 
-    One of the values is ``base``.
+    One of the parameter values is ``base``.
     """
     value, before = points[0]
     if before.dtype.kind != "f":

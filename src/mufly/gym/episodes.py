@@ -75,7 +75,7 @@ DRAWN_POSITION_NOISE, DRAWN_VELOCITY_NOISE, DRAWN_RATE_NOISE, DRAWN_HEADING_NOIS
 
 
 class EpisodeArrays(NamedTuple):
-    """Episodes of n environments.
+    """State, task, random source and wind of the present episode of each of n environments, as arrays.
 
     Attributes
     ----------

@@ -145,7 +145,10 @@ def _step_filter(p: UnitPeriods) -> int:
 
 @cached_njit(error_model="numpy")
 def _send_command(p: UnitPeriods) -> int:
-    """Send the inputs of the step's action, or before its delay has passed those of the preceding action."""
+    """Set the actuator inputs: those of the present action once its delay has passed, else those of the preceding one.
+
+    Return ``CONTINUE_LOOP``.
+    """
     row = 1 if p.clock.tick - p.clock.start_tick >= p.delay[0] else 0
     for i in range(4):
         p.plant.acting_inputs[2, i] = p.command[row, i]
@@ -313,7 +316,7 @@ def remove_range_ring(vehicle: Vehicle) -> Vehicle:
 
 
 def hover_mission(kind: int, height_m: float, heading_deg: float) -> Mission:
-    """Return the mission that hovers at the start of a task, given by its index."""
+    """Return a mission that takes off to ``height_m`` (m) and hovers where the task with index ``kind`` starts."""
     north = OBSTACLE_START_NORTH_M if kind == TASK_OBSTACLE else 0.0
     return Mission.model_validate({
         "name": "hover", "start_m": [north, 0.0], "start_heading_deg": heading_deg,

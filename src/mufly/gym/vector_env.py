@@ -197,7 +197,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         return observations, {}
 
     def step(self, actions: Any) -> tuple[Observation, _Array, _Flags, _Flags, dict[str, Any]]:
-        """Step all environments.
+        """Apply one action to each environment, and advance all by one period.
 
         Parameters
         ----------

@@ -159,7 +159,9 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
 
 @cached_njit(error_model="numpy")
 def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
-    """Predict one bias in each period, in cyclic order, except those of the fix (:func:`predict_fix_bias`).
+    """Predict one bias state per call, the next in a fixed cycle.
+
+    The biases of the position fix are left to :func:`predict_fix_bias`.
 
     An axis error e of the inertial unit leaks the yaw rate r into the measured rates: e_y r into the roll rate and -e_x
     r into the pitch rate. A scale error leaks r into the yaw rate. At rest the accelerometers show only the sum of e
@@ -251,7 +253,11 @@ def clear_block_forces(m: FilterMemory) -> None:
 
 @cached_njit(error_model="numpy")
 def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left: int) -> int:
-    """Run the next task at the horizon if it costs no more than ``left``; return its cost, 0 if none was run."""
+    """Run the next task at the horizon if the remaining work ``left`` of the period suffices; return its cost.
+
+    Such tasks fuse a queued measurement, the mean difference of accelerometers and model, zero motion at rest, or
+    ground contact. ``left`` and the cost count scalar measurements; the cost is 0 if no task was run.
+    """
     cost = _fuse_next_measurement(m, s, r, left)
     if cost >= 0:
         return cost

@@ -177,7 +177,9 @@ def _ground_force_noise(m: FilterMemory, force: float) -> float:
 def sample_inputs(
     m: FilterMemory, s: FilterSettings, p: ModelParameters, z: _Array, new: NDArray[np.int32], r: _Array
 ) -> float:
-    """Write the row of inputs of the period that has just ended, and average it into its block.
+    """Compute the inputs of :func:`predict_state` for the period that has just ended.
+
+    They are averaged into the block of several periods that is buffered for the horizon.
 
     Returns the same as :func:`_update_flight_phase`."""
     now = m.tick % ROTOR_FORCE_HISTORY

@@ -157,7 +157,10 @@ def _write_output_covariance(m: FilterMemory) -> None:
 
 @cached_njit(error_model="numpy")
 def _repropagate_state(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
-    """Propagate the horizon's state by some input blocks towards the present; a complete result becomes ``m.x_now``."""
+    """Propagate the state from the horizon towards the present, a limited number of input blocks per call.
+
+    When the present is reached, the result becomes ``m.x_now``.
+    """
     for _ in range(s.fusion_budget):
         e = m.input_blocks[m.repropagating_tick // s.block_ticks % INPUT_BLOCK_COUNT]
         periods = min(s.block_ticks - m.repropagating_tick % s.block_ticks, m.tick - m.repropagating_tick)

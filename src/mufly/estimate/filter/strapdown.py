@@ -1,4 +1,4 @@
-"""Predict the helicopter's motion between two instants, and its error state.
+"""Predict the helicopter's state between two instants, and how errors of this state propagate.
 
 Attitude and velocity follow the strapdown equations (Groves, 2nd ed., ch. 5), from rates w and specific force f in
 body axes:

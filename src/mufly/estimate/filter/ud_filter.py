@@ -152,7 +152,7 @@ def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
 
 @cached_njit(error_model="numpy")
 def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
-    """Propagate a column without biases in place, as :func:`propagate_column`."""
+    """Propagate a column in place as :func:`propagate_column`, if its biases, wind and thrust scale are zero."""
     n, e, o = u[ERROR_VELOCITY], u[ERROR_VELOCITY + 1], u[ERROR_VELOCITY + 2]
     x = a[TRANSITION_WIND] * n + a[TRANSITION_WIND + 1] * e + a[TRANSITION_WIND + 2] * o
     y = a[TRANSITION_WIND + 3] * n + a[TRANSITION_WIND + 4] * e + a[TRANSITION_WIND + 5] * o

@@ -1,4 +1,4 @@
-"""Fly the loop of a board on this machine, or its image in QEMU, with the simulation as its hardware."""
+"""Fly a board's on-board program with a simulated vehicle, as a library on this machine or as an image in QEMU."""
 
 from mufly.firmware.emulated.board_flight import BoardFlightResult, fly_board, make_board
 from mufly.firmware.emulated.boards import EmulatedBoard, HostBoard

@@ -159,7 +159,7 @@ class BoardEstimator(KalmanEstimator):
 
 
 def _board_memory_type(ffi: FFI, real: Any) -> np.dtype:
-    """Return the NumPy type of ``estimator_t``, whose buffers are those of the vehicle.
+    """Return the NumPy type of the filter's memory, ``estimator_t``, with the buffer sizes compiled into the board.
 
     Raises
     ------
@@ -211,12 +211,12 @@ class BoardInstance(SoftwareInstance):
         return Actuators(np.array(list(out.motor_input)), np.array(list(out.servo_input)))
 
     def sensor_reason(self, b: Any) -> str:
-        """Return the text of a sensor's reason, which the board stores as a number of the estimator."""
+        """Return the text of the reason in a ``message_sensor_t``; the board stores the estimator's reason code."""
         return describe_reason(b.why, b.number, b.sensor)
 
 
 class _BoardFirmware:
-    """Substitute for a :class:`mufly.firmware.host_build.Firmware`, with what the conversion of C records needs."""
+    """Board with the attributes of :class:`mufly.firmware.host_build.Firmware` that convert C records to Python."""
 
     def __init__(self, board: Board) -> None:
         self.ffi, self.lib, self.is_generic = board.ffi, board.lib, False

@@ -22,7 +22,7 @@ _UNTHROTTLED_SILENCE_FRACTION = 0.5  # of COM_DL_LOSS_T that a silent commander'
 
 
 def _pace_for_commander(pace: float, supervisor: Any) -> float:
-    """Return the flight's pace relative to real time; it is at most 1 after a long silence of the board's commander.
+    """Return the simulation's pace relative to real time: ``pace``, but at most 1 if the link has long been silent.
 
     Heartbeats follow the wall clock (one a second), but the timeout COM_DL_LOSS_T follows the clock of the flight. At
     ten times real time a heartbeat would arrive every 10 s of flight, and the board would hold because of a lost link.

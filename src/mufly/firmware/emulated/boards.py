@@ -52,7 +52,7 @@ class Board(Protocol):
 
 
 class HostBoard:
-    """The board's code on this machine.
+    """Board whose C code runs as a library on this machine, with models of its flash and block device.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ class EmulatedBoard:
         self.restart()
 
     def restart(self) -> None:
-        """Return to the state after power-up: the emulation starts with the next period."""
+        """Reset the board to its state after power-up; QEMU is started again by the next period."""
         self.close()
         self._twin.restart()
         self.lib.rc_start(self.ffi.addressof(self._twin.record, "rc"), self._receiver)

@@ -94,7 +94,7 @@ def build_image(vehicle: Vehicle, controller: FlightController, mission: Mission
 
 
 def _link_image(tree: Path) -> Path:
-    """Compile and link the image in a tree."""
+    """Compile and link the sources in the folder ``tree`` for the Cortex-M4F; return the path of the image."""
     command = ["arm-none-eabi-gcc", *_IMAGE_FLAGS, "-I."]
     _run_compiler([*command, "-O2", "-c", *SPEED_OPTIMISED_SOURCES], tree)
     objects = [Path(name).with_suffix(".o").name for name in SPEED_OPTIMISED_SOURCES]

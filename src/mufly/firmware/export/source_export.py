@@ -127,7 +127,7 @@ def render_gains_files(controller: FlightController) -> dict[str, str]:
 
 
 def render_enabled_schedule_header() -> str:
-    """Return the text of the header that switches on the schedule of roll-pitch over forward speed."""
+    """Return the C header that enables the gain schedule of the roll-pitch controller over forward speed."""
     text = (SOURCE_FOLDER / SCHEDULE_HEADER).read_text(encoding="utf-8")
     assert "ROLL_PITCH_SCHEDULED 0" in text
     return text.replace("ROLL_PITCH_SCHEDULED 0", "ROLL_PITCH_SCHEDULED 1")

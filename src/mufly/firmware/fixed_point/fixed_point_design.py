@@ -70,7 +70,7 @@ STATE_FORMS = (("modal", True), ("modal", False), ("balanced", True), ("balanced
 
 @dataclass(frozen=True)
 class CoefficientRows:
-    """Rows of integer coefficients with their shifts.
+    """Matrix of a fixed-point controller: integer coefficients, and the shifts that scale their products and sums.
 
     A coefficient represents ``c 2^-bits``; ``left_shift`` aligns the products of a row to one power of two.
 
@@ -117,7 +117,7 @@ class OverflowProof:
 
     @property
     def is_overflow_free(self) -> bool:
-        """Return whether all numbers stay within their bits."""
+        """Return whether the proof holds: no state or sum can exceed its integer range, and the poles are stable."""
         return bool(
             max(self.state_bounds.max(), self.sum_bounds.max(), self.excess_bound) < 1.0
             and self.max_pole_magnitude < 1.0
@@ -243,7 +243,7 @@ def _transient_bound(A: Array, B: Array, most: Array, terms: int = 4096) -> Arra
 
 
 def quantise_controller(name: str, gains: np.void, form: str = "modal", delta: bool = True) -> FixedPointController:
-    """Return a controller of the law in fixed point.
+    """Convert one of the three controllers to fixed point, and compute the bounds that exclude an overflow.
 
     Parameters
     ----------
@@ -306,7 +306,9 @@ def quantise_controller(name: str, gains: np.void, form: str = "modal", delta: b
 def _balance_coordinates(
     A: Array, B: Array, C: Array, D: Array, M: Array, E: Array, U: Array, errors: Array, most: Array
 ) -> tuple[Array, ...]:
-    """Return the controller in coordinates that balance the Gramians of its stable form.
+    """Return ``A, B, C, M, E, U`` of a controller in balanced coordinates.
+
+    These balance the Gramians of its stable form ``x+ = (A - M C) x + ...`` (see the module's docstring).
 
     Padding states are not transformed.
     """

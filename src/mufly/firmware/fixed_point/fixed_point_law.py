@@ -230,7 +230,7 @@ class FixedPointFirmwareControllers(Controllers):
 
     @property
     def overflow_count(self) -> int:
-        """Return the number of 32-bit overflows so far; zero by the proof."""
+        """Return the number of 32-bit overflows so far; :class:`OverflowProof` guarantees zero."""
         return int(self._state_record.overflows)
 
     def _blend_gains(self) -> None:

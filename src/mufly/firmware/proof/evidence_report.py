@@ -75,7 +75,7 @@ BOARD_MEMORY_TARGETS = {"flash": 128_000, "ram": 28_000, "stack": 4_000}
 
 @dataclass(frozen=True)
 class EvidenceSection:
-    """A section of the report.
+    """Section of the verification report: its text and its figures.
 
     Attributes
     ----------
@@ -285,8 +285,10 @@ def parse_deviations(text: str) -> list[tuple[str, tuple[str, ...], str]]:
 def judge_findings(
     said: str, reasons: list[tuple[str, tuple[str, ...], str]]
 ) -> tuple[list[MisraFinding], Counter[str]]:
-    """Return cppcheck's MISRA findings against required rules, each with its documented reason, and the advisory
-    counts.
+    """Parse the output ``said`` of cppcheck's MISRA checker.
+
+    Return the findings against required rules, each with its documented reason, and the number of findings against each
+    advisory rule.
     """
     required, advice = [], Counter[str]()
     for file, line, rule in sorted(set(re.findall(r"^(\S+?):(\d+): misra-c2012-(\d+\.\d+):", said, re.M))):
@@ -443,7 +445,10 @@ class CoverageGap:
 
 
 def explain_gaps(folder: Path, files: dict[str, list[tuple[int, int, int]]]) -> list[CoverageGap]:
-    """Return the coverage gaps, with the reasons of ``check/branches.txt`` (file | part of the line | reason)."""
+    """Return every line with branches not taken, with the reason that ``check/branches.txt`` documents for it.
+
+    ``files`` is the result of :func:`read_branches`. A line of ``branches.txt`` is ``file | part of line | reason``.
+    """
     known = parse_deviations((folder / "check" / "branches.txt").read_text(encoding="utf-8"))
     gaps = []
     for name, lines in sorted(files.items()):

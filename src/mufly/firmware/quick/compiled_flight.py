@@ -100,7 +100,7 @@ _Array = NDArray[np.float64]
 
 
 def _unpack_status_row(row: _Array) -> dict[str, Any]:
-    """Return the fields of a status row by the names of the filter's memory."""
+    """Return covariance, deviations and sensor statuses in a row of the compiled loop, by their names in the filter."""
     of = row[SENSOR_STATUS_START:STATUS_FAULT_COMPONENT].reshape(SENSOR_COUNT, SENSOR_STATUS_SIZE)
     parts = (
         row[:STATUS_SIGMA_START].reshape(ERROR_GYRO_BIAS, ERROR_GYRO_BIAS),
@@ -178,7 +178,10 @@ class CompiledFlight:
         return type(flight.estimator) is IdealEstimator and len(sensors.sensors) == 3 and self._ring is not None
 
     def run_periods(self, until: int, *, until_valid: bool = False) -> bool:
-        """Advance to period ``until``, or to the next event; return False if single periods are required."""
+        """Advance up to period ``until``, the next event, or with ``until_valid`` the first valid estimate.
+
+        Return False without an advance if Python must run the next period, for example because of a request or a fault.
+        """
         flight, plant, auto = self._flight, self._flight.plant, self._flight.autopilot
         if not self.is_supported:
             return False
@@ -225,7 +228,10 @@ class CompiledFlight:
         return True
 
     def _assemble_loop(self, wind: _Array) -> tuple[Any, Any]:
-        """Return the arrays of the compiled loop, and its function: for a flight on the truth, or on sensors."""
+        """Return the arguments and the function of the compiled loop.
+
+        The function is :func:`run_fitted_periods` for a flight on sensors, else :func:`run_ideal_periods`.
+        """
         plant = self._flight.plant
         on_plant = PlantArrays(
             plant.state, plant.packed_parameters, plant.attitude, plant.battery_output, wind, self._acting,
@@ -281,7 +287,10 @@ class CompiledFlight:
             self._board.write_ranges(filtered.ranges)
 
     def _assign_sensors_by_fault(self) -> Any:
-        """Assign sensors without an active fault to the loop, the others to Python; return the sampling table."""
+        """Let the compiled loop sample the sensors without an active fault, and Python the others.
+
+        Return the arguments with which the loop samples (:func:`mufly.sensors.sampling.sampling_table`).
+        """
         flight, filtered = self._flight, self._filter
         assert filtered is not None
         now, quiet = flight.plant.time_s, self._sampling_table[0]
@@ -305,8 +314,9 @@ class CompiledFlight:
         return self._sampling_table
 
     def _call_listener(self) -> None:
-        """Pass the stored instants to the flight's listener, and publish the filter's statuses up to the last of
-        them.
+        """Pass truth and estimate of the instants stored by the compiled loop to the flight's listener.
+
+        The filter's statuses are published up to the last of these instants.
 
         A listener with a method ``add_estimates`` gets all instants in one call: true and estimated position, velocity
         and attitude (n, 9), covariances (n, 9, 9), and validity (n,).
@@ -352,7 +362,7 @@ class CompiledFlight:
             )
 
     def _publish_status_of_row(self, rows: int) -> None:
-        """Publish the filter's status of row ``rows`` unless this row is already published."""
+        """Publish covariance and sensor statuses in row ``rows`` of the stored statuses, unless already published."""
         if rows > self._published_row:
             assert self._filter is not None
             self._filter.publish_status(_unpack_status_row(self._status_rows[rows].copy()))
@@ -421,7 +431,7 @@ class CompiledFlight:
             flight.finish_period(self._acting[0].copy())
 
     def _record_rows(self, first: int, stop: int) -> None:
-        """Append log rows of this call to the recording."""
+        """Append rows ``first`` to ``stop`` (excluded) of the compiled loop's log to the recording."""
         if stop <= first:
             return
         flight, row = self._flight, self._log_rows[first:stop]
@@ -509,7 +519,9 @@ def _make_software_arrays(software: Any) -> SoftwareArrays:
 def make_filter_arrays(
     filtered: KalmanEstimator, texts: NDArray[np.int64], own: Sequence[NDArray[Any]] | None = None
 ) -> FilterArrays:
-    """Return the arrays of a filter in C for the compiled loop; ``texts`` holds the text number of each reason.
+    """Return the arrays of a filter in C for the compiled loop.
+
+    ``texts`` holds, for each reason code of the sensor checks, the number of its text in the exported software.
 
     ``own`` replaces the state that a filter keeps between periods, so that many units share one filter's settings. The
     state consists of memory (1,), the three arrays of the input row, reading times, and scans of the ring.

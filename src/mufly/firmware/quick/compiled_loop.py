@@ -480,7 +480,9 @@ def _step_filter(p: FittedPeriods) -> int:
 def _write_filter_status(
     f: FilterArrays, calm: int, before: _Array, row: _Array, said: NDArray[np.int32], at: RecordOffsets
 ) -> bool:
-    """Write the filter's status into a row and the C record; return True if Python need not format any text.
+    """Write the filter's covariance and statuses into ``row``, and the reasons that have fixed texts into the C record.
+
+    Return False if Python must update the other texts because a status has changed since the row ``before``.
 
     ``f.texts`` are the text numbers of the reasons, -1 for texts that contain a value. ``calm``: waiting and fused
     sensors need no report.
@@ -585,11 +587,17 @@ _step_fitted = _compile_stepper(_begin_fitted_period, sample_sensors, _step_filt
 
 @cached_njit(error_model="numpy")
 def run_ideal_periods(p: IdealPeriods) -> int:
-    """Run periods of a flight on the truth, from ``p.clock.stage`` on; return the code of the stage that stops."""
+    """Run periods of a flight on the true state, beginning with stage ``p.clock.stage``; return why the run stopped.
+
+    The result is the code that a stage returned in place of ``CONTINUE_LOOP``.
+    """
     return _step_ideal(refer_to(p))
 
 
 @cached_njit(error_model="numpy")
 def run_fitted_periods(p: FittedPeriods) -> int:
-    """Run periods of a flight on sensors, from ``p.clock.stage`` on; return the code of the stage that stops."""
+    """Run periods of a flight on sensors, beginning with stage ``p.clock.stage``; return why the run stopped.
+
+    The result is the code that a stage returned in place of ``CONTINUE_LOOP``.
+    """
     return _step_fitted(refer_to(p))

@@ -398,7 +398,7 @@ class CameraSensor(Sensor):
         return PictureCounts(self.taken_count, self.lost_count, self.answered_count, self.trusted_count)
 
     def _stationary_pose(self, time_s: float) -> TrackingResult:
-        """Return the start position with noise, for a vehicle that has not moved."""
+        """Return a trusted tracking result at the start position plus noise, for a vehicle that has not moved."""
         *noise, turn = _STATIONARY_NOISE_M * self._rng.standard_normal(4)
         place = np.array([self._start[0], self._start[1], -self._stands_m]) + noise
         covariance = _STATIONARY_NOISE_M**2 * np.eye(4)

@@ -287,7 +287,10 @@ class FixMonitor:
         return f"{_WITHHELD_TEXT}{self._candidate}" if self._count > 2 or fault == _HEADING_LAG_TEXT else ""
 
     def _refuse_source(self, time_s: float, place: complex, fault: str) -> None:
-        """Refuse the source; its corrected motion continues from the filter's present position."""
+        """Refuse the source because of ``fault``; :meth:`correct_fix` then corrects its motion, if the fault allows it.
+
+        The corrected path begins at the filter's present position.
+        """
         if self._correction is None:
             now, velocity = self._estimate
             self._measured, self._corrected = place, now - (self._time_s - time_s) * velocity
@@ -422,7 +425,10 @@ class FixMonitor:
         return abs(recent[-1] - float(np.median(recent))) > _WITHHOLD_HEADING_CHANGE_RAD
 
     def _fit_path(self) -> None:
-        """Fit each fault (a row of the table in the module's docstring) to the path in the window."""
+        """Compare the fixes in the window with the inertial path for each kind of fault; store it in ``path_fit``.
+
+        The kinds are the rows of the table in the module's docstring.
+        """
         self.path_fit = _EMPTY_PATH_FIT
         t, place, path, speed, bias = (np.array(c) for c in zip(*self._fixes, strict=True))
         span = float(t[-1] - t[0])
@@ -473,9 +479,9 @@ class FixMonitor:
         return _scale_fault_text(abs(m)) if is_wrong else ""
 
     def _classify_path(self, least_m: float) -> str:
-        """Return the kind of fault that explains the path best.
+        """Return the fault that best explains the fixes in the window: "late", "scaled", "turned" or "mirrored".
 
-        Return "" if the residual of a correct source is below ``least_m`` (m rms), or if no fault explains the path.
+        Return "" if the fixes fit a correct source to less than ``least_m`` (m rms), or if no fault explains them.
         """
         fit = self.path_fit
         if fit.healthy_rms_m < least_m:
@@ -493,7 +499,7 @@ class FixMonitor:
         return "" if lags and fit.healthy_rms_m < _LAG_RESIDUAL_FACTOR * least_m else kind
 
     def _judge_path(self, least_m: float) -> str:
-        """Return the text of the path's fault; "" if the residual of a correct source is below ``least_m`` (m rms)."""
+        """Return the fault of the fixes in the window as a text; "" without one (:meth:`_classify_path`)."""
         fit, kind = self.path_fit, self._classify_path(least_m)
         if not kind:
             return ""

@@ -355,7 +355,7 @@ class Campaign:
         return FlightCase(index, seed, values, wind, refused)
 
     def make_vehicle(self, case: FlightCase) -> Vehicle:
-        """Return the vehicle of a flight.
+        """Return the campaign's vehicle with the parameter values drawn for a flight.
 
         Raises
         ------
@@ -474,7 +474,10 @@ class _EstimateScore:
         self.add_estimates(true[None], estimated[None], covariance, np.array([told.valid]))
 
     def add_estimates(self, true: _Array, told: _Array, covariances: _Array, valid: NDArray[np.bool_]) -> None:
-        """Add true and estimated position, velocity, attitude (n, 9; m, m/s, rad), covariances and validity."""
+        """Collect instants with a valid estimate for :meth:`mean_nees`.
+
+        ``true`` and ``told`` are position, velocity and attitude (n, 9; m, m/s, rad), true and estimated.
+        """
         self._parts.append((true[valid], told[valid], covariances[valid]))
 
     @property

@@ -204,7 +204,7 @@ class PolicyControlLaw:
     policy: LearnedPolicy
 
     def __call__(self, design: FlightController) -> PolicyControllers:
-        """Return the controllers of a vehicle with this design."""
+        """Return controllers that fly the policy on the vehicle for which ``design`` was made."""
         return PolicyControllers(design, self.policy)
 
     @property

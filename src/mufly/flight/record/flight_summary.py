@@ -115,7 +115,7 @@ class FlightSummary:
     events: tuple[tuple[float, str, str], ...]
 
     def as_record(self) -> dict[str, Any]:
-        """Return plain tables, lists, texts and numbers, for ``summary.json``."""
+        """Return the summary as dictionaries, lists, texts and numbers, the content of ``summary.json``."""
         content = asdict(self)
         content["events"] = [{"time_s": t, "state": state, "text": text} for t, state, text in self.events]
         return content
@@ -295,7 +295,10 @@ def _waypoint_results(
 
 
 def _waypoint_state_rows(time: _Array, states: list[_StateRun], reached_s: float | None) -> tuple[int, int] | None:
-    """Return the first and the end row from ``reached_s`` to the end of the state at that time; None without a time."""
+    """Return the rows (first, last + 1) from ``reached_s`` (s) to the end of the mission state at that time.
+
+    Return None if ``reached_s`` is None.
+    """
     if reached_s is None:
         return None
     # Times from different computations may differ in the last bit.
@@ -331,7 +334,7 @@ def _waypoint_result(
 
 
 def _touchdown_speed(dataset: xr.Dataset, states: list[_StateRun]) -> float | None:
-    """Return the touchdown speed (m/s); None unless a landing ended on the ground of the take-off."""
+    """Return the touchdown speed (m/s); None unless the flight ended with a landing at the height of its take-off."""
     begin = next((first for name, first, _ in reversed(states) if name == "landing"), None)
     down = dataset.truth_position.values[:, 2]
     if begin is None or abs(down[-1] - down[0]) > 0.1:

@@ -595,7 +595,7 @@ class FlightRecorder:
         self.close()
 
     def _flush_block(self, time_s: float) -> None:
-        """Write the block to disk and begin the next one at ``time_s``."""
+        """Write the rows and events collected since the last write, and collect the next ones from ``time_s`` on."""
         rows, states, events = self._block[: self._n].copy(), self._states, self._events
         valid = self._count_increasing(rows)
         if valid < len(rows):
@@ -619,7 +619,10 @@ class FlightRecorder:
             self._all_events += events
 
     def _keep_rows(self, rows: NDArray[np.float64], valid: int, states: Sequence[str]) -> None:
-        """Keep the first ``valid`` rows in memory without a copy; raise an error if any row is not valid."""
+        """Keep the first ``valid`` rows, whose times increase, in memory without a copy.
+
+        Raise an error if there are more rows, because the time of the next one does not increase.
+        """
         if valid:
             self._last_time = rows[valid - 1, 0]
         if self._keep:

@@ -106,7 +106,10 @@ def _lag_line_coefficients(z: float) -> tuple[float, float]:
 def _integrate_state(
     x: _Array, u: _Array, p: ModelParameters, length: float, longest: float, calm: _Array, work: _Array
 ) -> None:
-    """Integrate ``x`` in place over ``length`` seconds with constant input."""
+    """Integrate the state ``x`` in place over ``length`` (s) with constant input ``u`` and wind ``calm``.
+
+    The steps are equal and at most ``longest`` (s); ``work`` is work space.
+    """
     k1, k2, k3, k4, y = work[0], work[1], work[2], work[3], work[4]
     steps = max(1, math.ceil(length / longest - 1e-9))
     h = length / steps

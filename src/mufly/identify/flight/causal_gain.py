@@ -35,8 +35,9 @@ _MIN_BLOCKS = 60
 
 @dataclass(frozen=True)
 class CausalGain:
-    """Gains between predicted accelerations and a measured motion, and the evidence for the sign of the leading
-    gain.
+    """Gains of a measured motion to predicted accelerations, and the evidence for the sign of the leading gain.
+
+    The leading gain is that of the prediction that explains most of the motion.
 
     Attributes
     ----------

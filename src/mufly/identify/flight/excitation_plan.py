@@ -128,7 +128,10 @@ class FlightLimits:
     servo: float = 0.1
 
     def limit_usage(self, states: Array, inputs: Array) -> tuple[Array, list[str]]:
-        """Return the used share of every limit, (b, limits), for flights (b, n, ...), and the names of the limits."""
+        """Return each flight's largest deviation relative to every limit, (b, limits), and the names of the limits.
+
+        ``states`` and ``inputs`` are those of b flights, (b, n, ...).
+        """
         angle = euler_from_quaternion(states[..., ATTITUDE])
         heading = np.unwrap(angle[..., 2], axis=1)
         at = states[..., POSITION] - states[:, :1, POSITION]
@@ -239,7 +242,10 @@ def _discretise_with_delay(A: Array, B: Array, sample_s: float, late: int) -> tu
 
 @cached_njit(error_model="numpy")
 def _subtract_hover_state(x: _Floats, hover: _Floats, height: float, yaw: float, off: _Floats) -> None:
-    """Write the state of the linear model (without the charge) into ``off``: deviations from hover in heading axes."""
+    """Write the linear model's state (without the charge) into ``off``: the state ``x`` minus the hover state.
+
+    Its horizontal axes are turned to the heading ``yaw`` (rad).
+    """
     a = body_to_ned_matrix(x[ATTITUDE])
     roll, pitch = math.atan2(a[2, 1], a[2, 2]), math.asin(min(max(-a[2, 0], -1.0), 1.0))
     c, s = math.cos(yaw), math.sin(yaw)
@@ -569,7 +575,10 @@ def design_excitation(
 def combined_information(
     plans: Sequence[ExcitationPlan], candidates: Sequence[ExcitationCandidate]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return the relative standard deviations (p,) from several flights, and the directions that stay undetermined."""
+    """Return the relative standard deviations (p,) of the parameters if one flight is made with each candidate signal.
+
+    Return also descriptions of the combinations of parameters that stay undetermined.
+    """
     information = np.sum([c.fisher_information for c in candidates], axis=0)
     undetermined = describe_undetermined_combinations(
         [f.symbol for f in plans[0].free_parameters], covariance_from_information(information)

@@ -249,9 +249,10 @@ def _has_either_sign(bounds: Sequence[float]) -> bool:
 
 
 def _changed_fields(vehicle: Vehicle, f: FreeParameter, voltage: float | None) -> dict[str, float]:
-    """Return the fields of the model's record that a parameter changes, each with a number.
+    """Return the fields of the flight model's record that a parameter changes, each with its sensitivity.
 
-    The number is the exponent of the parameter if ``f.scale`` is 0, else the change of the field per unit of ``theta``.
+    The sensitivity is the exponent of the parameter in the field if ``f.scale`` is 0, else the change of the field per
+    unit of ``theta``.
     """
     if not f.key:
         return {}
@@ -298,7 +299,7 @@ def parameters_at_theta(base: NDArray[np.void], changes: FieldChanges, theta: _A
 
 
 def _schema_limits(vehicle: BaseModel, prefix: str = "") -> dict[str, list[float]]:
-    """Return the nonzero limits of the schema by dotted key."""
+    """Return the limits other than 0 that the vehicle file's schema sets for each value, by the value's dotted key."""
     found: dict[str, list[float]] = {}
     for name, spec in type(vehicle).model_fields.items():
         value, extra = getattr(vehicle, name), spec.json_schema_extra

@@ -82,7 +82,7 @@ def _make_excitations(n: int, rng: np.random.Generator) -> dict[str, DemoExcitat
     pilot_b, pilot_a = butter(2, 2 * 0.3 * DEMO_SAMPLE_S)
 
     def pilot_noise(size: float) -> _Array:
-        """Return a slow random variation of a set-point."""
+        """Return a slow random variation (n,) of a set-point, of RMS ``size``, which fades in at the start."""
         noise = lfilter(pilot_b, pilot_a, rng.standard_normal(n + _DEMO_SETTLING_SAMPLES))[_DEMO_SETTLING_SAMPLES:]
         return size * noise / np.std(noise) * np.clip((t - 0.5) / 1.0, 0.0, 1.0)
 

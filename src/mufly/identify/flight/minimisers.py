@@ -55,7 +55,7 @@ _MAX_COST_RATIO = 1e6  # cost ratio above which a trial is not corrected
 
 @dataclass(frozen=True, eq=False)
 class FitPoint:
-    """Present point of a fit.
+    """Values reached by a fit: parameters, initial states and their cost.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class FitPoint:
 
 
 class ReducedRecord:
-    """Record linearised at a point, with eliminated initial states.
+    """Record linearised at a point, with initial states eliminated as in the module's docstring.
 
     Attributes
     ----------
@@ -111,8 +111,10 @@ class ReducedRecord:
         self.window_rows = self.make_window_rows(linear.whitened_residual, point.states[i])
 
     def make_window_rows(self, residual: _Array, states: _Array) -> list[_Array]:
-        """Return the rows ``e`` of every window: residuals (n, m), and initial states (windows, k) over their prior
-        deviation.
+        """Return the residual vector ``e`` of every window (see the module's docstring).
+
+        It joins the window's part of ``residual`` (n, m) with its initial states, from ``states`` (windows, k), divided
+        by their prior standard deviations.
         """
         return [
             np.concatenate([residual[a:b].ravel(), s / self._initial_state_std])
@@ -120,15 +122,18 @@ class ReducedRecord:
         ]
 
     def project_rows(self, rows: list[_Array]) -> _Array:
-        """Remove the part of the rows ``e`` that initial states can explain; return ``(1 - Q Q^T) e`` of all
-        windows.
+        """Return ``(1 - Q Q^T) e`` of all windows: their residual vectors ``rows`` without the part that initial states
+        can explain.
         """
         return np.concatenate(
             [e - q @ (q.T @ e) for (_, _, q, _, _), e in zip(self._window_factors, rows, strict=True)]
         )
 
     def initial_state_change(self, rows: Sequence[_Array | float], step: _Array) -> _Array:
-        """Return the change of the initial states (windows, k) that minimises the residual after a step in theta."""
+        """Return the change of the initial states (windows, k) that minimises the linearised residual after a step.
+
+        ``rows`` are the residual vectors ``e`` of the windows, ``step`` (t,) is the step in theta.
+        """
         found = []
         for (_, _, q, r, j), e in zip(self._window_factors, rows, strict=True):
             found.append(-np.linalg.solve(r, q.T @ e + j @ step))
@@ -176,7 +181,7 @@ class LinearisedProblem:
         return np.concatenate([*parts, theta / self.problem.prior_std, hover])
 
     def trial_rows(self, b: int, residuals: Sequence[_Array], states: Sequence[_Array]) -> list[list[_Array]]:
-        """Return the rows ``e`` of every record for trial ``b`` of a batch."""
+        """Return the residual vectors ``e`` of each record's windows for trial ``b`` of a batch of simulations."""
         return [r.make_window_rows(e[b], s[b]) for r, e, s in zip(self.reduced_records, residuals, states, strict=True)]
 
     @cached_property
@@ -366,9 +371,9 @@ def consider_sensitivity(linear: LinearisedProblem) -> tuple[_Array, OutputError
 
 
 def curvature_correction(linear: LinearisedProblem) -> tuple[_Array, int]:
-    """Return the correction of the covariance for a curved valley of the cost, and the number of simulations.
+    """Return terms that correct the covariance for a curved valley of the cost, and the number of simulations.
 
-    The correction consists of second-order terms ``c_k``, the rows of an array (t, t).
+    The terms are the vectors ``c_k`` below, the rows of an array (t, t).
 
     The Cramer-Rao bound assumes a straight valley of the cost. Whole records determine one direction ten thousand
     times better than others, so a relative curvature of 1e-4 within the standard deviation of the others matters.
@@ -420,8 +425,10 @@ def cost_rise_along_axes(linear: LinearisedProblem) -> tuple[_Array, int]:
 
 
 def _follow_valley_floor(linear: LinearisedProblem, sides: _Array, chords: int) -> tuple[_Array, list[_Array]]:
-    """Minimise the cost at points whose nonzero coordinates ``sides`` (b, t) are fixed; return theta and initial
-    states.
+    """Minimise the cost with some coordinates fixed, for b points; return theta (b, t) and initial states.
+
+    The coordinates are those in which the linearised cost is a sphere. ``sides`` (b, t) holds the fixed ones; its zeros
+    are free. ``chords`` correction steps with the present Jacobian are made.
     """
     problem, point = linear.problem, linear.point
     u, s, vt = np.linalg.svd(linear.jacobian, full_matrices=False)

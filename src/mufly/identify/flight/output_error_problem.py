@@ -274,7 +274,7 @@ class OutputErrorProblem:
         return self._replace_in_records(noise_std=noise)
 
     def with_initial_offset(self, begin: Sequence[_Array]) -> OutputErrorProblem:
-        """Return the problem with these offsets of the initial states, (17,) per record."""
+        """Return the problem with ``begin`` as the records' ``initial_offset``, (17,) per record."""
         return self._replace_in_records(initial_offset=begin)
 
     def with_charges(self, charge: Sequence[float]) -> OutputErrorProblem:
@@ -540,7 +540,8 @@ def _initial_charge(vehicle: Vehicle, r: FlightRecord) -> float:
 def _choose_sought_states(outputs: Sequence[str], part: DynamicsPart, *, whole: bool, drags: bool) -> NDArray[np.int64]:
     """Return the initial states that the measured outputs can determine, as positions in ``MOTION + ACTUATOR``.
 
-    With in-plane rotor drag the tilt over a whole record also determines the horizontal velocity.
+    With ``whole`` the window is the whole record, which also determines rotor speeds, bar tilt and charge. With
+    in-plane rotor drag (``drags``) its tilt determines the horizontal velocity, too.
     """
     chosen = {k for o in outputs for k in _STATES_SEEN_BY_OUTPUT.get(o, ())}
     n = len(MOTION_STATES)

@@ -1,4 +1,4 @@
-"""Staged search for the minimum of a flight fit: growing windows, noise estimation, and exchanged rotors.
+"""Staged search for the minimum of a flight fit: growing windows, estimation of noise, two starts.
 
 1. Hover (eq. 5.1) alone, with the priors: thrust equals weight, and the torques balance.
 2. Windows of 0.1, 0.4, 1.5, 3 and 6 s. Before each stage the batteries' charges are set so that the model's mean
@@ -114,7 +114,7 @@ class _StageResult:
 
 @dataclass
 class _SearchState:
-    """State of the search that a checkpoint stores."""
+    """Progress and intermediate results of a search, which a checkpoint stores for its resumption."""
 
     stage: int = 0
     round: int = 0
@@ -168,7 +168,9 @@ class StagedSearch:
                 )
 
     def search_minimum(self) -> tuple[FitPoint, OutputErrorProblem, bool, tuple[str, ...]]:
-        """Run all stages, and repeat each from exchanged rotor inertias until the costs rule out one of the two starts.
+        """Run all stages, in two searches if the rotors' inertias are free: the second starts with them exchanged.
+
+        Once the costs rule out one search, only the other continues.
 
         Return the point, the last problem, whether the search converged, and descriptions of remaining ambiguities.
         """
@@ -207,7 +209,9 @@ class StagedSearch:
         return other
 
     def _keep_better_run(self, other: StagedSearch, k: int) -> str:
-        """Keep the better of two searches after stage ``k`` and end the other once the choice is clear.
+        """Compare two searches after stage ``k``; if one is clearly better, continue with it alone.
+
+        The searches also end as one if both reach the same minimum, and after the last stage.
 
         Return the ambiguity that remains after the last stage.
         """

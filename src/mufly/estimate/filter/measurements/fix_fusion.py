@@ -94,7 +94,7 @@ REJECTED_FIX_BIAS_SIGMAS = 3.0
 
 @cached_njit(error_model="numpy")
 def _fix_h_row(m: FilterMemory, i: int, ahead: float) -> None:
-    """Write the row H of component ``i`` of a fix.
+    """Write the row H (derivative by the error state) of component ``i`` of a fix: N, E, D or heading.
 
     The fix was taken ``ahead`` (s) after the horizon; a negative ``ahead`` means before it.
 
@@ -114,7 +114,7 @@ def _fix_h_row(m: FilterMemory, i: int, ahead: float) -> None:
 
 @cached_njit(error_model="numpy")
 def _fix_innovation(m: FilterMemory, z: _Array, i: int, ahead: float) -> float:
-    """Return the innovation of component ``i`` of the fix."""
+    """Return component ``i`` of the fix ``z`` minus its prediction ``ahead`` (s) after the horizon; m or rad."""
     x = m.x
     if i < FIX_HEADING:
         return z[i] - x[i] - ahead * x[NOMINAL_VELOCITY + i] - x[NOMINAL_FIX_BIAS + i]

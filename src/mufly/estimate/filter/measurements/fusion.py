@@ -395,7 +395,10 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
 
 @cached_njit(error_model="numpy")
 def _reset_aid_bias(m: FilterMemory, s: FilterSettings, k: int, bias: int, nu: float) -> None:
-    """Inflate the variance of an aid's bias after consistent innovations ``nu``."""
+    """Add ``nu``^2 to the variance of bias state ``bias`` of reading ``k``, whose innovations agree on ``nu``.
+
+    The sensor's status becomes rejected, with a reset as the reason.
+    """
     inflate_variance(m.u_transposed, m.ud_diagonal, bias, nu * nu, m.u_transposed_h)
     set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
 
@@ -412,7 +415,11 @@ def _fuse_drifting_aid(
     count: int,
     near: float,
 ) -> None:
-    """Fuse an aid with one bias; inflate the variance of this bias after a second of consistent rejections."""
+    """Fuse pressure or magnetic heading (reading ``k``), whose drift is the bias state ``bias``.
+
+    ``nu`` is the innovation. After a second of rejected readings that agree, the bias variance is inflated and the
+    reading fused.
+    """
     ratio = innovation_ratio(m, nu, variance)
     log_innovation(m, k, nu, ratio)
     estimate_noise(m, AID_PRESSURE if k == READING_PRESSURE else AID_MAGNETIC, ratio)
@@ -433,7 +440,7 @@ def _fuse_drifting_aid(
 
 @cached_njit(error_model="numpy")
 def fuse_pressure(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
-    """Fuse the pressure minus the standard pressure and minus the part that the rotors cause."""
+    """Fuse the measured pressure minus the standard pressure and minus the part that the rotors cause."""
     variance = s.pressure_variance * m.noise_scale[AID_PRESSURE]
     h_row_begin(m, ERROR_POSITION + 2, s.pressure_height_slope)
     h_row_add(m, ERROR_PRESSURE_BIAS, 1.0)

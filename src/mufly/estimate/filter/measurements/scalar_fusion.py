@@ -60,7 +60,7 @@ def h_row_add(m: FilterMemory, i: int, h: float) -> None:
 
 @cached_njit(error_model="numpy")
 def _add_propagated_error(x: _Array, by: _Array, span: float, push: _Array) -> None:
-    """Add a correction ``by`` of the error state to a state that lies ``span`` (s) after the horizon.
+    """Add the correction ``by`` (error state at the horizon) to the state ``x``, propagated to ``span`` (s) later.
 
     ``push`` (3,) is the change of velocity during ``span`` without gravity.
     """
@@ -154,7 +154,7 @@ def reset_timeout_expired(m: FilterMemory, s: FilterSettings, k: int) -> bool:
 
 @cached_njit(error_model="numpy")
 def adapt_noise_scale(scale: _Array, aid: int, gain: float, change: float) -> None:
-    """Multiply an estimated variance by ``1 + gain * change``, within its bounds.
+    """Multiply the noise scale ``scale[aid]`` by ``1 + gain * change``, limited to its permitted range.
 
     Increases and decreases have no separate limit, because a limit in one direction would bias the estimate.
     """

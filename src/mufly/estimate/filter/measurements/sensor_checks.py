@@ -131,7 +131,7 @@ def set_fault(m: FilterMemory, s: FilterSettings, k: int, code: int, why: int, n
 
 @cached_njit(error_model="numpy")
 def mark_fused(m: FilterMemory, k: int) -> None:
-    """Mark a reading as fused: reset its rejections and clear a fault that has run out."""
+    """Mark reading ``k`` as fused: reset its rejection counts, and clear a fault whose hold time has passed."""
     m.last_fused_tick[k] = m.tick
     m.reject_count[k] = 0
     m.agree_count[k] = 0
@@ -286,7 +286,7 @@ def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
 
 @cached_njit(error_model="numpy")
 def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> None:
-    """Replace a spike of the gyroscopes by the model's rate, and remove a jump as an offset.
+    """Replace rates of the gyroscopes with a spike by those of the rotor model; subtract a lasting jump as an offset.
 
     ``m.gyro_rates`` are the new rates, ``m.gyro_rates_prev`` those of the period before."""
     now = (m.tick - 1) % ROTOR_FORCE_HISTORY
@@ -392,7 +392,9 @@ def check_battery_voltage(m: FilterMemory, s: FilterSettings, off: float) -> boo
 
 @cached_njit(error_model="numpy")
 def _mean_fix_ratio_along(m: FilterMemory, r: _Array, along: _Array) -> float:
-    """Return the mean innovation ratio of the fix along the difference ``along`` of accelerometers and model.
+    """Return the component of the fix's mean innovation ratio in the direction of ``along`` (3,), in body axes.
+
+    ``along`` is the specific force of the accelerometers minus that of the model.
 
     The filter uses one of the two forces. If the vehicle accelerates according to the other force, innovations of the
     fix lie along the difference or against it: a positive value contradicts the model, a negative one the
@@ -408,7 +410,9 @@ def _mean_fix_ratio_along(m: FilterMemory, r: _Array, along: _Array) -> float:
 
 @cached_njit(error_model="numpy")
 def _update_force_conflict(m: FilterMemory, s: FilterSettings, r: _Array, height: float, worst: float) -> None:
-    """Decide whether accelerometers or rotor model are wrong; they differ by ``worst`` standard deviations.
+    """Diagnose which specific force is wrong when accelerometers and rotor model disagree.
+
+    They differ by ``worst`` standard deviations. The diagnosis goes to ``m.accel_model_diagnosis``.
 
     If rotor speeds are not fused, the model is wrong. If the floor may carry the vehicle, both may be right, and
     nothing is reported. Otherwise the fix decides (:func:`_mean_fix_ratio_along`). Until it does, the filter uses the
