@@ -63,7 +63,7 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class DisplayRequest:
-    """What a window wants to see: tables, signals, the length of its plots (s), and a signal's spectrum."""
+    """Content that a window shows: tables, signals, the length of its plots (s), and a signal's spectrum."""
 
     sections: frozenset[str] = frozenset()
     signals: tuple[str, ...] = ()
