@@ -237,6 +237,7 @@ class _FunctionTranslation:
         self._lines += _wrap_code("    " * self._depth + text)
 
     def _unsupported_form_error(self, node: ast.AST) -> NotImplementedError:
+        """Return the error that ends the export at a form of Python for which the translation has no rule."""
         return NotImplementedError(f"{self._function.__name__}: no C form of `{ast.unparse(node)}`")
 
     def _translate_block(self, statements: Sequence[ast.stmt]) -> None:

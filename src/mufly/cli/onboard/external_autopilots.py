@@ -220,7 +220,6 @@ def run_simulator(
     )  # fmt: skip
     with plant, over, LiveDisplay(terminal) as display:
         plant.listeners.append(display.show_event)
-        view = None if view_config is None else view_config.open_view(plant)
         simulator: AutopilotSimulator
         if autopilot == "px4":
             simulator = Px4Simulator(
@@ -230,6 +229,7 @@ def run_simulator(
             simulator = BetaflightSimulator(plant, pilot, endpoint=endpoint, speed=speed, where="--link")
         else:
             simulator = ArduPilotSimulator(plant, endpoint=endpoint, speed=speed, where="--link")
+        view = None if view_config is None else view_config.open_view(plant)
         terminal.print("Ctrl-C ends it.", style="dim")
 
         def show_report(report: SimulatorReport) -> None:
@@ -237,9 +237,11 @@ def run_simulator(
             if view is not None:
                 view.serve_requests()
 
-        simulator.run(over.stop_requested.is_set, show_report)
-        if view is not None:
-            view.close()
+        try:
+            simulator.run(over.stop_requested.is_set, show_report)
+        finally:
+            if view is not None:
+                view.close()
     if path is not None:
         print_lines(f"Ended; the recording is in {path}")
     raise typer.Exit(over.exit_status)

@@ -14,7 +14,7 @@ Goals of a flight loop, on the scaled plant with 1.5 periods of delay (Pade appr
   as white noise behind a pole at ``2 / T``, which has the sequence's variance;
 - ``disk``: the inverse of the disk margin with a factor of its own on each input.
 
-An goal is any object with a name, a level and a ``loop`` that returns norm and gradient; see :class:`TuningGoal`.
+A goal is any object with a name, a level and a ``loop`` that returns norm and gradient; see :class:`TuningGoal`.
 """
 
 from __future__ import annotations
