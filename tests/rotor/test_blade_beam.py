@@ -71,9 +71,9 @@ def test_lag_frequency_is_flap_frequency_less_rotor_speed():
 def test_hinge_spring_and_offset_have_the_closed_form():
     e, r0, stiff = 0.004, 0.01, 30.0
     b = beam(flap_EI=stiff, lag_EI=stiff, root_radius_m=r0, flap_root_N_m=0.02, hinge_radius_m=e)
-    arm = b.points_m - e
+    arm = b.gauss_radii_m - e
     inertia = b.integrate_over_span(MASS * arm**2)
-    expected = (0.02 + 400.0**2 * b.integrate_over_span(MASS * arm * b.points_m)) / inertia
+    expected = (0.02 + 400.0**2 * b.integrate_over_span(MASS * arm * b.gauss_radii_m)) / inertia
     assert first(compute_modes(b, 400.0), "flap", 1)[0] ** 2 == pytest.approx(expected, rel=1e-4)
 
 
@@ -165,8 +165,8 @@ def test_measured_values_set_mass_and_stiffness():
     b = make_blade_beam(rotor)
     at = 0.75 * rotor.radius_m
     assert b.blade_mass_kg == pytest.approx(8e-4)
-    assert np.interp(at, b.points_m.ravel(), b.flap_EI.ravel()) == pytest.approx(3e-6, rel=1e-3)
-    assert np.interp(at, b.points_m.ravel(), b.torsion_GJ.ravel()) == pytest.approx(9e-4, rel=1e-3)
+    assert np.interp(at, b.gauss_radii_m.ravel(), b.flap_EI.ravel()) == pytest.approx(3e-6, rel=1e-3)
+    assert np.interp(at, b.gauss_radii_m.ravel(), b.torsion_GJ.ravel()) == pytest.approx(9e-4, rel=1e-3)
 
 
 def test_band_of_the_flap_frequency():

@@ -79,7 +79,7 @@ def test_solid_has_the_volume_of_its_sections():
 def test_beam_and_study_keep_the_thickness():
     rotor, material = tapered(airfoil="naca0012"), BladeStructure(material="abs")
     beam = make_blade_beam(rotor, material)
-    ratio = (0.28 - 0.16 * beam.points_m / 0.06) / 0.12
+    ratio = (0.28 - 0.16 * beam.gauss_radii_m / 0.06) / 0.12
     thin = make_blade_beam(replace_rotor(PLAIN, {"blade.airfoils": "naca0012"}), material)
     assert_allclose(beam.flap_EI / thin.flap_EI[0, 0], ratio**3, rtol=0.01)
     x = np.linspace(0.15, 1.0, 7)

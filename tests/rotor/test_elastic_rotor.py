@@ -37,7 +37,7 @@ def solve_static(beam, stiff, force):
 
 
 def constant(beam, axial=0.0, inplane=0.0, moment=0.0):
-    return SpanLoads(*(np.full(beam.points_m.shape, v) for v in (axial, inplane, moment)))
+    return SpanLoads(*(np.full(beam.gauss_radii_m.shape, v) for v in (axial, inplane, moment)))
 
 
 @pytest.fixture(scope="module")
