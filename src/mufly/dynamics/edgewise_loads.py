@@ -101,7 +101,9 @@ def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, 
 def _flow_loads(
     p: ModelParameters, point: tuple[float, float, float]
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:
-    """Return the flow's loads on both rotors at a point of the flight map: six for each rotor, the first of
+    """Interpolate the flight map, a table of rotor loads over flight speed, at a point.
+
+    Returns six loads of the upper rotor and six of the lower one: the first six names of
     :data:`mufly.vehicle.flight_map.ROTOR_LOAD_COLUMNS`.
     """
     away = min(max(point[0], p.flight_map_ratio[1]), p.flight_map_ratio[2]) - p.flight_map_ratio[0]

@@ -231,7 +231,7 @@ def parse_endpoint(
 
 
 class Peer(NamedTuple):
-    """Peer of a port: name of the port's endpoint, and the peer's address."""
+    """Other side of a connection: name of our endpoint that reaches it, and its address."""
 
     endpoint: str
     address: str
@@ -264,7 +264,7 @@ class Port(ABC):
 
     @abstractmethod
     def _send_to_peer(self, peer: Peer, data: bytes) -> None:
-        """Send a frame to a peer that can be sent to; raises OSError."""
+        """Send a frame to a known peer; an OSError of the socket or stream passes through."""
 
     @abstractmethod
     def _handle_send_error(self, peer: Peer, error: OSError) -> None:

@@ -198,7 +198,7 @@ class ParameterGroup(_FrozenModel):
         return "\n".join(out)
 
     def __repr__(self) -> str:
-        """Return name, description and the first values of the first tables, in ten lines at most.
+        """Return name, description and some values of the first tables of the file, in at most ten lines.
 
         :meth:`__str__` has all of them.
         """

@@ -112,7 +112,7 @@ def run_link(
             "--simulator AUTOPILOT",
             "Simulate the vehicle for px4 (MAVLink in lockstep, TCP 4560), ardupilot (JSON, UDP 9002) or betaflight "
             "(UDP 9003, with a pilot), which flies it in place of mufly's own flight software; --link gives another "
-            "address (docs/how-to/fly-with-px4.md).",
+            "address, --foxglove shows the flight (docs/how-to/fly-with-px4.md).",
         ),
     ] = None,
     position: PositionOption = "vision",
