@@ -118,8 +118,9 @@ def read_apc_performance(path: str | Path) -> ApcPerformance | None:
 
 
 def _convert_row(names: list[str], units: list[str], values: list[float], speed: float) -> dict[str, float]:
-    """Return one line of the file, at a rotor ``speed`` (rad/s), in SI units by quantity; of several columns of one
-    quantity, the last, which is in SI units, counts.
+    """Return the SI values of one line of the file by quantity, at a rotor ``speed`` (rad/s).
+
+    If several columns hold one quantity, the last one is read, which is in SI units.
     """
     row = {"speed": speed}
     own = {"j": "advance_ratio", "ct": "thrust_coefficient", "cp": "power_coefficient"}

@@ -242,7 +242,7 @@ class ZeroDrift:
 
 
 def fit_zero_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> ZeroDrift | None:
-    """Fit the zero drift of a sensor.
+    """Fit the zero drift of a sensor to its readings without load; return None if there are none.
 
     Parameters
     ----------

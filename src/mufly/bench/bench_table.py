@@ -202,7 +202,7 @@ def _read_maker_table(path: str | Path) -> BenchTable | None:
 
 
 def _find_mapped_column(table: TextTable, line: ColumnLine) -> int | None:
-    """Return the index of the table column that a line of a column map names (unit optional); None if there is none."""
+    """Return the index of the table column that a column-map entry names, with or without its unit; None if absent."""
     if line.topic and line.topic != Path(table.where).name:
         return None
     bare = [match[1] if (match := _BRACKETED_UNIT_PATTERN.match(h)) else h for h in table.header]
@@ -210,7 +210,7 @@ def _find_mapped_column(table: TextTable, line: ColumnLine) -> int | None:
 
 
 def _mapped_header(header: str, line: ColumnLine) -> str:
-    """Return the standard header of the quantity that a line of a column map names, with the line's unit or the file's.
+    """Return the standard header for an entry of a column map: its quantity, with the unit of the entry or of the file.
 
     Raises
     ------
@@ -235,8 +235,9 @@ def _mapped_header(header: str, line: ColumnLine) -> str:
 
 
 def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float]]]) -> BenchTable:
-    """Read the quantities of a table by its headers; ``mapped`` lists for a column's position the standard headers,
-    each with the sign (1 or -1) of its values.
+    """Read the quantities of a table by its headers.
+
+    ``mapped`` gives, by column index, the standard headers of a column, each with the sign (1 or -1) of the values.
     """
     where = Path(written.where).name
     if not written.rows:
@@ -543,7 +544,7 @@ def _mismatched_unit(header: str) -> tuple[str, str] | None:
 
 
 def _split_column_name(name: str) -> tuple[str, str]:
-    """Return the quantity's name in a column name, and a format string that adds the rotor and ``_raw`` to it again."""
+    """Return the quantity in a column name, and a format string that restores the rotor suffix and ``_raw``."""
     words = [w for w in re.split(r"[_\s]+", name) if w]
     sides = {word: side for side, known in _SIDE_WORDS.items() for word in known.split()}
     side = next((sides[w] for w in words if w in sides), "")

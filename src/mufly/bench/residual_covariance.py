@@ -66,7 +66,7 @@ class CovarianceEstimate:
         return float(stats.t.ppf(0.975, max(self.dof, 1.0)))
 
     def describe_pattern(self) -> str:
-        """Describe the error pattern of the residuals."""
+        """Return a text on how the errors of the readings are correlated."""
         if self.pattern == "drift":
             return (
                 f"neighbouring readings have correlated errors (correlation {self.rho:.2f}); intervals "

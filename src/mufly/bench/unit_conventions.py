@@ -125,7 +125,7 @@ def select_axial_lines(table: BenchTable, radius_m: float | None) -> LineMask:
 
 
 def resolve_speed_unit(table: BenchTable, radius_m: float) -> BenchTable:
-    """Return the table with the unit of the speed, rpm or rad/s, chosen by the thrust or by the speed of sound.
+    """Return the table with the speed in rad/s; a missing unit is inferred from the thrust or from the tip speed.
 
     Raises
     ------

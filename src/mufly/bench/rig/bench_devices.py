@@ -87,7 +87,7 @@ class Clock:
         self._wall_start_s, self._monotonic_start_s = time.time(), time.monotonic()
 
     def now(self) -> float:
-        """Return the time (s), since 1970 at pace 1; monotonic, independent of changes of the system clock."""
+        """Return the monotonic time (s), which ignores changes of the system clock; at pace 1, it counts from 1970."""
         return self._wall_start_s + self.pace * (time.monotonic() - self._monotonic_start_s)
 
     def sleep(self, seconds: float) -> None:
@@ -154,7 +154,7 @@ class BenchFacts:
 
 
 def calibration_to_dict(cells: CellCalibration) -> dict[str, Any]:
-    """Return the dictionary of :attr:`BenchFacts.calibration` for calibrated load cells."""
+    """Return the calibration of load cells as a dictionary for JSON, for :attr:`BenchFacts.calibration`."""
     return {
         "channels": list(cells.channels), "offset": cells.offset.tolist(), "sensitivity": cells.sensitivity.tolist(),
         "covariance": cells.covariance.tolist(), "applied": cells.applied.tolist(), "source": cells.source,

@@ -117,7 +117,7 @@ class ChecksummedLine(SerialLine):
         self.last_line_s = time.monotonic()
 
     def read_lines(self, wait_s: float = 0.0) -> list[list[str]]:
-        """Return the complete lines received, each as a list of its cells."""
+        """Return the complete, valid lines received, each as a list of its comma-separated fields."""
         data = self._partial_line + self.read(wait_s)
         *whole, self._partial_line = data.split(b"\n")
         if len(self._partial_line) > _MAX_LINE_BYTES:  # longer than any valid line

@@ -234,7 +234,7 @@ class SimulatedRig:
         self._pitch_error_rad, self._reference_mountings, self.open_count = 0.0, 0, 0
 
     def _calibrate_cells(self) -> BenchFacts:
-        """Simulate a calibration of the cells with known weights."""
+        """Simulate a calibration of the load cells with known weights; return it within the bench's properties."""
         thrust, torque = np.meshgrid([0.0, 0.2, 0.5, 1.0], [0.0, 2e-3, 5e-3, 10e-3])
         loads = np.column_stack([thrust.ravel(), torque.ravel()])
         y = loads @ self._sensitivity.T + self._zero_offset_V

@@ -260,7 +260,7 @@ def _describe_drifts(loads: dict[str, LoadChannel], points: SeriesReadings) -> I
 
 
 def check_reference(name: str, channel: LoadChannel, plan: SeriesPlan) -> Iterator[SeriesIssue]:
-    """Yield issues about changes of the reference rotor's loads between its runs, by axis."""
+    """Yield an issue for each significant change of the reference rotor's load between successive runs on one axis."""
     visits = channel.reference_visits
     for axis in ("upper", "lower"):
         mine = [
@@ -330,7 +330,7 @@ def _reference_torque(
     speed: dict[str, Array],
     known: RotorMeasurements | None,
 ) -> Array:
-    """Return the reference rotor's torque known from another bench, in this bench's air; NaN for other rotors."""
+    """Return the reference rotor's torque from another bench, scaled to this air and speed; NaN for other rotors."""
     out = np.full(len(points), np.nan)
     if known is None:
         return out
@@ -466,8 +466,9 @@ class _SettingAverager:
         return self.plan.mounting[self.points.mounting_index[at[0]]].use == "measure"
 
     def average_setting(self, at: list[int], *, mounted: bool) -> SettingResult:
-        """Return the mean loads over the points ``at`` of a setting; ``mounted`` leaves the scatter between mountings
-        out of their intervals.
+        """Return the mean loads over the points ``at`` of a setting, with 95 % intervals.
+
+        With ``mounted``, the intervals exclude the scatter between mountings.
         """
         m = self.plan.mounting[self.points.mounting_index[at[0]]]
         mean = {a: float(np.mean(self.axis_speeds[a][at])) for a in ("upper", "lower")}

@@ -213,8 +213,7 @@ def compute_cell_loads(
     speed: dict[str, Array],
     start: float,
 ) -> dict[str, LoadChannel]:
-    """Return thrust and torque of all rotors together at the points, as the load cells measure them, by name of the
-    load.
+    """Return thrust and torque of all rotors together, as the load cells measure them at the points, by load name.
 
     Raises
     ------

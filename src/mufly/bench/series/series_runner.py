@@ -128,7 +128,7 @@ class LimitGuard:
         self._check_loads(samples)
 
     def estimate_loads(self, means: Mapping[str, BlockMean]) -> dict[str, float]:
-        """Return approximate thrust and torque of the cells for display, corrected by the last zero reading only."""
+        """Return display values of thrust and torque from the load cells, corrected by the last zero reading only."""
         if self._cells is None:
             return {n: means[n].value - self.zero_readings.get(n, 0.0) for n in ("thrust", "torque") if n in means}
         names = [f"{c}_raw" for c in self._cells.channels]

@@ -52,7 +52,7 @@ def format_progress_line(line: dict[str, Any], plan: SeriesPlan, p: SeriesProgre
 
 
 def series_blocks(found: SeriesResult) -> list[ShownBlock]:
-    """Return the settings of a series with their intervals, corrections and issues."""
+    """Return as printed text a table of the settings with their intervals, the corrections, and the issues."""
     pair = any(s.axis == "pair" for s in found.settings)
     heads = ["rotor", "axis", "pitch (deg)", "speed (rpm)", "mounted", "thrust (N)"]
     heads += ["torque upper (mN m)", "torque lower (mN m)"] if pair else ["torque (mN m)"]

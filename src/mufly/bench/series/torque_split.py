@@ -61,7 +61,9 @@ def split_torque(
     points: SeriesReadings, plan: SeriesPlan, facts: BenchFacts, speed: dict[str, Array], torque: LoadChannel | None,
     known: Array, known_relative: float, start: float,
 ) -> TorqueSplit | str:  # fmt: skip
-    """Separate the torques of pairs by motor currents; without a torque cell, also compute those of single rotors.
+    """Estimate the torque of each rotor of a pair from the motor currents; return it, or the reason for a failure.
+
+    Without a torque cell, the torques of single rotors are estimated as well.
 
     Parameters
     ----------
