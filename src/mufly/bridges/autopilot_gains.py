@@ -349,7 +349,7 @@ def _closed_loop(axis: _Axis, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
 
 
 def _damping_excess(axis: _Axis, k: CascadeGains) -> float:
-    """Return how far the slowest mode lies beyond the stability limit (1/s); 0 for a stable loop."""
+    """Return by how much the largest real part of the closed-loop poles exceeds its limit (1/s); 0 below the limit."""
     A, _, _ = _closed_loop(axis, k)
     return max(0.0, float(np.max(np.linalg.eigvals(A).real)) - _MAX_STABLE_REAL_PART)
 

@@ -44,7 +44,7 @@ _NO_REFERENCE = (np.full(3, math.nan), np.full(3, math.nan), np.full(3, math.nan
 
 
 class AutopilotPlant:
-    """The simulated vehicle on the floor, ready for the inputs of another autopilot.
+    """Simulated vehicle with sensors, controlled by the inputs of another autopilot; it starts on the floor.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ class AutopilotPlant:
         self._warned.clear()
 
     def warn_of_unseen_faults(self, is_seen: Callable[[str], bool], why: str) -> None:
-        """Append a warning for each fault of a sensor that the autopilot does not receive.
+        """Append a warning for each fault that has no effect, because the autopilot does not receive its sensor.
 
         Parameters
         ----------

@@ -58,7 +58,7 @@ class FoxgloveViewConfig:
     port: int = DEFAULT_PORT
 
     def open_view(self, flight: RecordedFlight) -> LiveViewThread:
-        """Start the server.
+        """Start the WebSocket server; return the thread that publishes the flight through it.
 
         Raises
         ------

@@ -11,8 +11,9 @@ from mufly.vehicle import Vehicle, load_vehicle
 
 
 def vehicle_range_limits(vehicle: Vehicle) -> RangeLimits:
-    """Return the geometry of a vehicle's range sensors: cone and limits of the sonar, first direction and limits of the
-    ring.
+    """Return the geometry of a vehicle's range sensors: the sonar and the ring of horizontal beams.
+
+    It consists of the sonar's cone angle, the direction of the ring's first beam, and the range limits of both.
     """
     ring, sensors = vehicle.range_ring, vehicle.sensors
     limits = RangeLimits(

@@ -81,7 +81,7 @@ class RosViewConfig:
     name: str = "mufly"
 
     def open_view(self, flight: Flight) -> LiveViewThread:
-        """Start the node.
+        """Start the ROS 2 node; return the thread that publishes the flight through it.
 
         Raises
         ------

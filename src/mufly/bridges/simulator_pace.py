@@ -108,7 +108,7 @@ class SimulatorPace:
             self._vehicle.log_event(notice, "warning" if "slower" in notice else "info")
 
     def take_report(self, state: str, step_count: int, unanswered_count: int) -> SimulatorReport | None:
-        """Return the state of the simulation every :data:`REPORT_PERIOD_S`; None between."""
+        """Return the state of the simulation if :data:`REPORT_PERIOD_S` has passed since the last report, else None."""
         now_s, vehicle = self._clock(), self._vehicle
         if now_s - self._report_s < REPORT_PERIOD_S:
             return None

@@ -100,7 +100,7 @@ def _gain_parameters(gains: AutopilotGains) -> Iterator[ArduPilotParameter]:
 
 
 def format_parameter_file(vehicle: Vehicle, gains: AutopilotGains, command: str = "") -> str:
-    """Return the parameter file, with one line a parameter."""
+    """Return the text of ArduPilot's parameter file, with one parameter per line."""
     lines = [f"# {vehicle.name}, coaxial micro helicopter, as ArduPilot's CoaxCopter"]
     lines += [f"# Made by: {command}"] if command else []
     for name, value, reason in list_ardupilot_parameters(vehicle, gains):

@@ -261,8 +261,9 @@ class BetaflightPilot:
 
 
 def find_square_point(plan: PilotPlan, time_s: float) -> tuple[_Array, _Array]:
-    """Return the commanded position N, E (m) on the square, from its first corner, and the commanded velocity (m/s),
-    which is zero in the corners.
+    """Return the commanded position N, E (m) relative to the square's first corner, and the commanded velocity (m/s).
+
+    The velocity is zero in the corners.
     """
     corners = plan.square_side_m * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
     leg = min(int(time_s / plan.leg_duration_s), 3)

@@ -153,7 +153,7 @@ def _simulation_parameters(vehicle: Vehicle) -> Iterator[Px4Parameter]:
 def format_airframe_file(
     vehicle: Vehicle, gains: AutopilotGains, position: PositionSource = "vision", command: str = ""
 ) -> str:
-    """Return the airframe file: a script of PX4's start, with one line a parameter.
+    """Return the airframe file, a script that PX4 runs at its start, with one parameter per line.
 
     Parameters
     ----------

@@ -167,8 +167,9 @@ class Px4Simulator(AutopilotSimulator):
         self.port.send(self._peer, b"".join(self._encode(m) for m in messages))
 
     def _await_answer(self, stop: Callable[[], bool]) -> None:
-        """Wait for PX4's answer to the last HIL_SENSOR; after a timeout, continue without it if PX4 answered the
-        message before.
+        """Wait for PX4's answer to the last HIL_SENSOR.
+
+        After a timeout, continue without an answer if PX4 answered the previous message.
         """
         begun_s = self._clock()
         while not self._is_answered and self._peer is not None and not stop():
