@@ -40,7 +40,7 @@ _COLMAP_PARAMETER_ORDER = {
 
 
 def convert_calibration(text: str, where: str, rest: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
-    """Return the tables of a camera file from another program's calibration, and the name of that program.
+    """Convert another program's calibration to the tables of a camera file; return them and the program's name.
 
     Parameters
     ----------

@@ -224,7 +224,7 @@ class Renderer:
         self._split_amplification(mean / light if light > 0.0 else 0.0, light)
 
     def _split_amplification(self, bright_mean: float, light: float) -> None:
-        """Split the amplification of brightness into exposure and gain; ``bright_mean`` is the mean grey at light 1."""
+        """Set factors of exposure and gain for the required brightness; ``bright_mean`` is the mean grey at light 1."""
         usual = min(_MAX_AMPLIFICATION, max(1.0 / _MAX_AMPLIFICATION, _TARGET_GREY / max(bright_mean, 1e-3)))
         more = max(1.0, self._gain / usual) if light < 1.0 else 1.0
         exposure = float(self.camera.shutter.exposure)
