@@ -209,7 +209,7 @@ class BladeLine:
 
 
 def compute_blade_line_length(tip: BladeTip, root_m: float, radius_m: float, chord_m: float) -> float:
-    """Return the length (m) along the blade's sections from root to end, where the end lies at the rotor radius."""
+    """Return the length (m) of the curve through the blade's sections, from the root to the tip at the rotor radius."""
     turn, straight = _winglet_lengths(tip, chord_m)
     b, a = tip.bend * chord_m, abs(tip.cant_rad)
     out = b * math.sin(a) + straight * math.cos(a)
@@ -221,7 +221,7 @@ def compute_blade_line_length(tip: BladeTip, root_m: float, radius_m: float, cho
 
 
 def _winglet_lengths(tip: BladeTip, chord_m: float) -> tuple[float, float]:
-    """Return the lengths (m) of the bend and of the straight part after it."""
+    """Return the lengths (m) of a winglet's bend and of the straight part beyond it."""
     a = abs(tip.cant_rad)
     if not a:
         return 0.0, 0.0

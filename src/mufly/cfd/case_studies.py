@@ -293,8 +293,7 @@ def sweep_speed(
     progress: Callable[[SolverProgress], None] | None = None,
     **given: Any,
 ) -> list[CfdSolution]:
-    """Solve several rotor speeds; each case after the first starts from its neighbour's solution, and solved cases are
-    kept.
+    """Solve several rotor speeds, each from the solution of the last settled case; solved cases are kept.
 
     Parameters
     ----------
@@ -526,7 +525,7 @@ DOMAIN_SIZE_FACTOR = 1.5
 
 
 def list_study_cases(what: str) -> dict[str, dict[str, Any]]:
-    """Return names and arguments for :func:`save_case` of a study's cases: 'mesh', 'domain' or 'model'.
+    """Return the cases of a study ('mesh', 'domain' or 'model') by name, each with its arguments for :func:`save_case`.
 
     Raises
     ------
@@ -572,7 +571,7 @@ def solve_study(
 
 @result(eq=False)
 class SpanLoads:
-    """Loads per span (N/m, N m/m) by a method without CFD, such as blade elements, at the radii of that method (m)."""
+    """Thrust and torque per unit span (N/m, N m/m) at radii (m), by a method other than CFD, such as blade elements."""
 
     method: str
     r_m: Array

@@ -93,8 +93,8 @@ class CfdSolution:
 
 
 def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "blade") -> CfdSolution:
-    """Read the last state of a case; for a pair the loads of the upper rotor, or with ``blade_lower`` of the lower
-    rotor.
+    """Read the last state of a case; for a pair, ``patch`` selects the upper (``blade``) or lower rotor
+    (``blade_lower``).
 
     Raises
     ------
@@ -404,7 +404,7 @@ _FIELD_SPEED_EXPONENTS = {"U": 1, "p": 2, "phi": 1, "k": 2, "epsilon": 3, "omega
 
 
 def scale_solution_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
-    """Scale the last state of a case to another speed, pitch setting or tip.
+    """Return a case's last state, scaled to initial fields for another speed, pitch setting or blade tip.
 
     Velocities and fluxes are multiplied by the ratio of speeds, pressure by its square.
 
@@ -443,7 +443,7 @@ def scale_solution_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str
 
 
 def _map_faces_between_meshes(before: PolyMesh, mesh: PolyMesh) -> NDArray[np.int64] | None:
-    """Return the index of each face in another mesh; None if faces or cells differ."""
+    """Return for each face of ``mesh`` its index in ``before``; None if the meshes differ in faces or cells."""
     if before.faces.shape != mesh.faces.shape or before.patches != mesh.patches:
         return None
     orders = [np.lexsort(np.sort(m.faces, axis=1).T) for m in (before, mesh)]

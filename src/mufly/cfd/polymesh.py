@@ -232,8 +232,9 @@ def _is_face_among(faces: Index, wanted: Index, points: int) -> NDArray[np.bool_
 
 
 def _pair_periodic_faces(mesh: SectorMesh, left: Index, right: Index) -> tuple[Index, Index, Index]:
-    """Return the orders in which left and right periodic faces form pairs, and the right faces in that order, each from
-    the partner of the left face's first point on.
+    """Pair the periodic faces; return the orders of the left and of the right faces, and the right faces in this order.
+
+    Each returned right face starts at the partner of its left face's first point.
     """
     if len(left) != len(right):
         raise MuflyError(f"mesh: the periodic planes have {len(left)} and {len(right)} faces")

@@ -355,8 +355,9 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
 
 
 def _compute_outer_lines(k: CellCounts, chord_m: float, high: float, box: SectionBox) -> tuple[Array, Array, Array]:
-    """Compute the positions of the mesh lines outside the centre block, which contains the aerofoil and has the half
-    height ``high``: to the sides (0..1), above and below (z, m).
+    """Return the positions of the mesh lines beside the centre block (fraction 0..1), above and below it (z, m).
+
+    The centre block contains the aerofoil and has the half height ``high``.
 
     All sections share the lines: lines that follow the local chord would skew distant cells.
     """

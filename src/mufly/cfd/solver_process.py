@@ -420,8 +420,10 @@ def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceAssessment:
 
 
 def _point_for_assessment(folder: Path) -> OperatingPoint:
-    """Return the operating point of a case; after a change of its actuator disc, ``least`` (iterations before a
-    convergence verdict) ends at least one assessment window after the change.
+    """Return a case's operating point, with ``least`` raised after a change of its actuator disc.
+
+    ``least``, the iteration before which there is no convergence verdict, then lies at least one assessment window
+    after the change.
     """
     point, disc = read_point(folder), read_actuator_disc(folder)
     return (
