@@ -372,7 +372,7 @@ def _solve_and_print(setup: StudySetup, isolated: bool, out: Path | None, as_jso
 
 @dataclass(frozen=True)
 class MapOptions(WakeOptions):
-    """Options of the method that computes a map."""
+    """Options of the method that computes a coefficient map."""
 
     method: Annotated[
         Literal["bemt", "wake"],

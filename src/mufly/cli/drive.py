@@ -72,7 +72,7 @@ _POINT_COLUMNS = (
 
 
 def _make_rotor_load(rotor: str, vehicle: str, pitch: float | None, model: str) -> tuple[RotorLoad, str]:
-    """Return the load of a drive, a rotor that the options describe, and the name of the load."""
+    """Make the load of a drive from the rotor options; return it, and its name."""
     from mufly.drive import make_blade_load, make_coefficient_load
     from mufly.errors import InputError
     from mufly.rotor import load_rotor, prepare_blading

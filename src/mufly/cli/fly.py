@@ -75,7 +75,7 @@ LOADING_STAGE = "loading the libraries"
 
 @dataclass(frozen=True)
 class FlightOrder:
-    """A checked flight order; ``extra_links`` are additional endpoints for stations."""
+    """Checked settings of a flight; ``extra_links`` are additional MAVLink endpoints for ground stations."""
 
     vehicle: Vehicle
     mission: Mission
@@ -98,7 +98,7 @@ class FlightOrder:
 
 @dataclass(frozen=True)
 class FlightDisplay:
-    """Displays of a flight: the terminal and, if there is one, the page; ``start_page`` is called when it starts."""
+    """Terminal and, optionally, page that show a flight; ``start_page`` shows the progress of the start-up."""
 
     terminal: Console
     display: LiveDisplay
@@ -368,7 +368,7 @@ def fly_mission(
 
 
 def _prepare_flight(order: FlightOrder, show: FlightDisplay, firmware: bool) -> None:
-    """Build vehicle and controllers, and print notes on the flight before it."""
+    """Build vehicle and controllers before a flight, and print notes on it."""
     terminal = show.terminal
     terminal.print(describe_sensor_source(order.vehicle, order.sensors), highlight=False, markup=False)
     if order.camera is not None and order.camera.stream_address is not None:
@@ -438,8 +438,9 @@ def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
 
 
 def _fly_in_real_time(order: FlightOrder, show: FlightDisplay) -> str:
-    """Fly with the page or, if ``show`` has no page, with MAVLink links only; return the outcome, empty without a
-    flight.
+    """Fly in real time with the page, or with MAVLink links only if ``show`` has no page; return the outcome.
+
+    The outcome is empty if no flight took place.
     """
     from mufly.station.page.page_flight import PageFlight, fly_behind_link, fly_with_page, vehicle_endpoint
 

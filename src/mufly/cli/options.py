@@ -160,7 +160,7 @@ class OptionRange:
 
 
 def _add_notation(annotation: Any) -> Any:
-    """Return an option's annotation with a notation that fits its type (choices, counts or numbers), if it has none."""
+    """Return an option's annotation with a check of its choices, or a parser of its numbers if it has none."""
     if get_origin(annotation) is not Annotated:
         return annotation
     kind, *more = get_args(annotation)
@@ -199,7 +199,7 @@ class OptionChoices:
 
 @dataclass(frozen=True)
 class NumberNotation:
-    """Notation of an option's numbers (:mod:`mufly.quantities.quantity_grammar`).
+    """Parser of an option's numbers, with their unit, form and range (:mod:`mufly.quantities.quantity_grammar`).
 
     Attributes
     ----------

@@ -116,7 +116,7 @@ def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = 
 
 
 def _fit_column_widths(natural: Sequence[int], least: Sequence[int], room: int) -> list[int | None]:
-    """Return column widths with the sum ``room``; None for each if all columns fit, or do not fit even at ``least``."""
+    """Return column widths with the sum ``room``; None for each if all columns fit, or even ``least`` does not."""
     if not sum(least) <= room < sum(natural):
         return [None] * len(natural)
     widths = list(natural)

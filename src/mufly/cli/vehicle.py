@@ -442,7 +442,7 @@ def _mean_hover_speed_rpm(vehicle: Vehicle) -> float:
 def _ask_if_missing(
     value: float | None, name: str, question: str, limits: OptionRange, needed: bool = False
 ) -> float | None:
-    """Return an option's value; ask for a missing one at a terminal, where an empty answer (None) is an estimate."""
+    """Return an option's value, or ask for it at a terminal; None means that the value is to be estimated."""
     if value is not None:
         return value
     if not sys.stdin.isatty():

@@ -71,7 +71,7 @@ BenchDensityOption = Annotated[
 
 
 def _point_index(name: str, line: int, bench: RotorMeasurements) -> int:
-    """Return the index of a measured point that a user counts from 1."""
+    """Return the zero-based index of the measured point with number ``line``, counted from 1."""
     from mufly.errors import InputError
 
     n = bench.thrust_N.size

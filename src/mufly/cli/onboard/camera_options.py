@@ -41,7 +41,7 @@ FloorWidthOption = Annotated[
 def make_flight_camera(
     camera: str, floor: str, floor_width: float | None, mission: Mission, mission_file: str
 ) -> CameraConfig:
-    """Return the camera of a flight and the floor below it, after a check that this floor exists.
+    """Return the settings of a flight's camera, with the floor that it sees, after a check that this floor exists.
 
     Raises
     ------

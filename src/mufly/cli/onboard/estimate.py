@@ -106,7 +106,7 @@ def run(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Estimate a recorded flight from its sensor readings, and test the consistency of the filter.
+    """Estimate the states of a recorded flight from its sensor readings, and test the consistency of the filter.
 
     A flight of `mufly fly` is estimated by the filter that flew it, with its rotor model. Another --vehicle file (a
     different mass or noise, a sensor less) shows the effect on the estimate.
@@ -170,7 +170,7 @@ def run(
 
 
 def _estimate_own_flight(log: Path, data: xr.Dataset, vehicle: str | None, out: Path | None, as_json: bool) -> None:
-    """Estimate a flight of ``mufly fly``."""
+    """Estimate the states of a flight of ``mufly fly``; print and write the results."""
     from mufly.estimate import KalmanEstimator
     from mufly.estimate.nees import measure_consistency
     from mufly.flight import list_truths, replace_estimates, replay_estimator
@@ -186,7 +186,7 @@ def _estimate_own_flight(log: Path, data: xr.Dataset, vehicle: str | None, out: 
 def _estimate_foreign_log(
     path: Path, f: ForeignLog, given: tuple[float | None, float | None], out: Path | None, as_json: bool
 ) -> None:
-    """Estimate the log of any vehicle."""
+    """Estimate the states of any vehicle from its log; print and write the results."""
     from mufly.estimate import (
         InertialNoise,
         compute_aid_innovations,
@@ -264,9 +264,7 @@ def _write_results(data: xr.Dataset, told: Sequence[Estimate], out: Path | None,
 
 
 def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
-    """Return a flight's data with the standard deviations of the sensors' biases, which recordings lack, from the
-    estimates ``told``.
-    """
+    """Return a flight's data with the estimated standard deviations of the sensor biases, which recordings lack."""
     import numpy as np
 
     from mufly.estimate.filter.filter_records import ERROR_ACCEL_BIAS, ERROR_GYRO_BIAS, ERROR_TERRAIN

@@ -212,7 +212,7 @@ def sil(
 
 
 def _make_flight_counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[[object], None]:
-    """Return a function to be called with every flight, which moves a progress bar."""
+    """Return a function that advances the progress bar by one of ``total`` flights at each call."""
     numbers = itertools.count(1)
     return lambda _: None if progress is None else progress(next(numbers), total)
 
