@@ -130,8 +130,9 @@ _MAX_ATAN2_COMPONENT = 1e30
 
 
 def wrap_angle(angle: float) -> float:
-    """Return the angle (rad) wrapped to [-pi, pi] by subtraction of whole turns in exact products; 0 from
-    :data:`MAX_ANGLE_RAD` on.
+    """Return the angle (rad) wrapped to [-pi, pi]; 0 from :data:`MAX_ANGLE_RAD` on.
+
+    The multiple of 2 pi is subtracted in two parts, each an exact product.
     """
     if not abs(angle) < MAX_ANGLE_RAD:
         return 0.0

@@ -36,12 +36,12 @@ class Field:
 
 
 def real_or_array_field(meaning: str, *shape: int | str, unit: str = "", source: str = "") -> Any:
-    """Declare a real number, or an array of them."""
+    """Declare a field of a record that holds a real number or an array of real numbers."""
     return Field(shape, False, meaning, unit, source)
 
 
 def int_or_array_field(meaning: str, *shape: int | str) -> Any:
-    """Declare an integer, or an array of them."""
+    """Declare a field of a record that holds an integer or an array of integers."""
     return Field(shape, True, meaning)
 
 
