@@ -14,7 +14,7 @@ from mufly.results import ShownBlock, format_value, result, show_table
 
 @result
 class PublishedFigures:
-    """Figures of one design printed in the thesis; None where it prints none.
+    """Values of one design that the thesis prints; None where it prints none.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class ControllerDesign:
         return feedback_part(self.controller if controller is None else controller, self.plant, self.feedback_inputs)
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return a table of the figures of the three controllers beside those of the thesis."""
+        """Return a table that compares the full-order, reduced and sampled controllers with that of the thesis."""
         thesis = self.published
         loops = (self.full_loop, self.reduced_loop, self.sampled_loop)
 

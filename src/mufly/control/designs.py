@@ -324,7 +324,7 @@ def _design_controller(
     scheme: str = "one-degree scheme",
     windup_rate: float | None = None,
 ) -> ControllerDesign:
-    """Synthesise, reduce, discretise and analyse a controller; it reads ``references``, then the errors of all outputs.
+    """Synthesise, reduce, discretise and analyse a controller; its inputs are ``references`` and all output errors.
 
     ``tracked`` are the plant's outputs with a reference, whether or not the controller reads the reference separately.
     """
@@ -395,7 +395,7 @@ def _design_controller(
 
 
 def _given_order_range(given: GivenController | None, highest: int) -> tuple[int, int] | None:
-    """Return the order of a given controller as the only order of its reduction, which then leaves it unchanged."""
+    """Return the order range for the reduction of a given controller: only its own order, so it stays unchanged."""
     if given is None:
         return None
     if given.order > highest:
@@ -500,7 +500,7 @@ def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesi
 
 
 def ramp_following_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
-    """Return the lags (s) of height and heading behind a ramp reference: phase lag by frequency, at 0.05 rad/s."""
+    """Return the lags (s) of height and heading behind a ramp reference, from the phase lag at 0.05 rad/s."""
     frequency = np.array([0.05])
     sampled = sample_plant(heave_yaw.plant, heave_yaw.discrete.period_s, 1)
     g = frequency_response(sampled, frequency)[0]

@@ -112,7 +112,7 @@ class ControllerReduction:
 
 
 def split_modes(A: Array, slow: float) -> tuple[Array, int]:
-    """Return T that block-diagonalises A into modes slower than ``slow`` (rad/s) or unstable, and the rest."""
+    """Return T that block-diagonalises A, and the number of leading modes, unstable or slower than ``slow`` (rad/s)."""
 
     def is_slow_or_unstable(real: float, imag: float) -> bool:
         return real >= 0.0 or np.hypot(real, imag) < slow
@@ -151,7 +151,10 @@ def balancing_transform(P: Array, Q: Array) -> tuple[Array, Array]:
 
 
 def remove_states(K: control.StateSpace, M: Array, order: int, match: bool) -> tuple[control.StateSpace, Array] | None:
-    """Reduce a controller to its first ``order`` states: keep the static gain if ``match`` is set, else truncate."""
+    """Return a controller with its first ``order`` states, and its reduced anti-windup input M; None if impossible.
+
+    With ``match`` the static gain is kept, else the other states are truncated.
+    """
     A, B, C, D = K.A, np.hstack([K.B, M]), K.C, np.hstack([K.D, np.zeros((K.noutputs, M.shape[1]))])
     if match and order < K.nstates:
         A22 = A[order:, order:]

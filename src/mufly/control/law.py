@@ -134,7 +134,10 @@ def _filter_reference(
     speed: float,
     period: float,
 ) -> tuple[float, float, float]:
-    """Step the reference filter: critically damped near the target, on a braking parabola far from it."""
+    """Advance the reference filter by one period; return its value, rounding error and rate.
+
+    The filter is critically damped near the target, and follows a braking parabola far from it.
+    """
     gap = target - value
     # Speed from which half the acceleration brakes in time; linear near the target.
     braking, slope = 0.5 * acceleration, 0.5 * bandwidth
@@ -236,7 +239,7 @@ def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
 def heave_yaw_step(
     gains: Any, state: Array, reference: Array, measurement: Array, voltage: float
 ) -> tuple[Array, Array]:
-    """Run one period of the heave-yaw controller.
+    """Run one period of the heave-yaw controller; return the motor inputs and the new state.
 
     Parameters
     ----------
@@ -491,7 +494,7 @@ def roll_pitch_init(gains: Any, measurement: Array) -> Array:
 
 @cached_njit
 def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Array) -> tuple[Array, Array]:
-    """Run one period of the roll-pitch controller.
+    """Run one period of the roll-pitch controller; return the servo inputs and the new state.
 
     Parameters
     ----------
@@ -536,7 +539,7 @@ def position_step(
     velocity: Array,
     heading: float,
 ) -> tuple[Array, Array]:
-    """Run one period of the position cascade: from errors of position and velocity to references of roll and pitch.
+    """Run one period of the position cascade; return the references of roll and pitch, and the new state.
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ def connect_blocks(
     inputs: Sequence[str],
     outputs: Sequence[str],
 ) -> control.StateSpace:
-    """Close a block diagram by the names of its signals.
+    """Connect the blocks of a diagram by the names of their signals; return the diagram as one system.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def _axis_frequencies(A: Array, B: Array, C: Array, D: Array, level: float) -> A
 
 
 def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[float, float]:
-    """Return the H-infinity norm of a stable continuous-time system.
+    """Return the H-infinity norm of a stable continuous-time system, and the frequency at which it is attained.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[f
 
 @result
 class LoopAnalysis:
-    """Figures of one loop, broken at the plant's input.
+    """Crossovers, peaks and margins of one loop, broken at the plant's input.
 
     Attributes
     ----------

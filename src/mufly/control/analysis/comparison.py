@@ -52,7 +52,7 @@ _EQUAL_GUST_TILT_RATIO = 1.2
 
 @result
 class LoopFigures:
-    """Figures of one loop with the sampled controller that flies.
+    """Order, norm, margins, input noise and mu of one loop with the sampled controller that flies.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class FlightFigures:
 
 @result
 class ForwardFigures:
-    """Figures of the sampled roll-pitch loop at one forward speed, with the model linearised at this speed.
+    """Disk margin and peaks of the sampled roll-pitch loop at one forward speed, with the model linearised there.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class ForwardFigures:
 
 @result
 class MethodFigures:
-    """Figures of one synthesis method: both loops, peak of the position cascade, tilt in gusts; instructions and
+    """Results of one synthesis method: both loops, peak of the position cascade, tilt in gusts; instructions and
     flights are None if not measured.
 
     ``method`` is a method of synthesis, or the name of a tuned loop (:data:`TUNED_METHOD_NAME`). ``instructions`` are
@@ -250,7 +250,7 @@ def sensor_noise(vehicle: Vehicle, outputs: Sequence[str]) -> Array:
 def loop_figures(
     vehicle: Vehicle, design: ControllerDesign, mu: tuple[float, float], *, scheduled: bool = False
 ) -> LoopFigures:
-    """Return the figures of a design at hover; ``mu`` holds upper and lower bound of mu."""
+    """Return order, norm, margins, input noise and mu of a loop at hover; ``mu`` holds upper and lower bound of mu."""
     plant = sample_plant(design.plant, design.discrete.period_s, 1)
     feedback = design.feedback_controller(design.discrete.to_state_space())
     n, (outputs, inputs) = design.discrete.order, design.discrete.D.shape

@@ -79,7 +79,7 @@ class HeaveYawRow:
 
 @result
 class RotorSpeedComparison:
-    """Figures of heave-yaw loops with and without measured rotor speeds.
+    """Margins and errors of heave-yaw loops with and without measured rotor speeds.
 
     Attributes
     ----------

@@ -53,7 +53,7 @@ _FIGURE_LABELS_AND_UNITS = {
 
 @result(picture="mufly.control.analysis.plots:draw_servo_map")
 class ServoMap:
-    """Figures of roll-pitch over servo frame, control rate and servo lag.
+    """Margins, tilt in gusts and swash-plate rate of roll-pitch over servo frame, control rate and servo lag.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ def map_servos(
     frames_s: Sequence[float] = FRAMES_s,
     progress: Callable[[int, int], None] | None = None,
 ) -> ServoMap:
-    """Design and assess roll-pitch for servos and control rates.
+    """Design roll-pitch for every combination of servo lag, servo frame and control rate, and compute its margins.
 
     Parameters
     ----------

@@ -250,12 +250,10 @@ def _search_unstable_corner(
 
 
 def find_worst_parameters(loop: UncertainLoop, least: float) -> tuple[float, float, Array]:
-    """Return the smallest parameter box with an unstable corner.
+    """Search for the smallest parameter box with an unstable corner; return its size, pole frequency and corner.
 
-    The results are the box's size as a multiple of the spreads, the frequency of the unstable pole (rad/s), and the
-    corner.
-
-    The size is ``inf`` if there is none up to ten times the spreads.
+    The size is a multiple of the spreads; it is ``inf`` if there is no such box up to ten times the spreads. The
+    frequency (rad/s) is that of the unstable pole.
     """
     nominal, steps = loop.closed_matrices()
     rng = np.random.default_rng(0)

@@ -34,7 +34,7 @@ _RANK_TOLERANCE = 1e-4
 
 
 def default_spreads(vehicle: Vehicle) -> dict[str, float]:
-    """Return the spreads (SI) of a vehicle's parameters by key.
+    """Return the spread (SI) of each uncertain parameter of a vehicle, the half width of its range, by key.
 
     A spread is two standard deviations if the vehicle file states one, else it follows from :data:`DEFAULT_SPREADS`.
     """

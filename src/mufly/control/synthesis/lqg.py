@@ -122,8 +122,9 @@ def kalman_gain(plant: control.StateSpace, intensity: float, noise: Array) -> Ar
 
 
 def largest_recovery(plant: control.StateSpace, weights: LqgWeights, fastest: float) -> float:
-    """Return the largest LTR parameter q (recovery) up to that of ``weights`` with filter poles up to ``fastest``
-    (rad/s).
+    """Return the largest LTR parameter q (recovery) whose filter poles are at most as fast as ``fastest`` (rad/s).
+
+    The result lies between the process noise and the recovery of ``weights``.
 
     Poles that the plant has itself (a fast servo) do not count: the filter leaves them where they are.
     """

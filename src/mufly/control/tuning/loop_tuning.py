@@ -95,7 +95,7 @@ HIGHEST_ORDERS: dict[LoopName, int] = {"heave-yaw": 10, "roll-pitch": 8}
 
 
 class LoopTuningProblem(NamedTuple):
-    """One loop with everything that its tuning needs.
+    """Tuning problem of one loop: design, plant, goals and scales.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ def make_loop_tuning_problem(
     noise: Array,
     spreads: Mapping[str, float],
 ) -> LoopTuningProblem:
-    """Return the problem of a loop.
+    """Return the tuning problem of a loop: its design, its delayed plant, goals and scales.
 
     Parameters
     ----------

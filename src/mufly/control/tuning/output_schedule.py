@@ -48,7 +48,7 @@ SPEED_GRID_INTERVALS = 8
 
 @dataclass(frozen=True)
 class ScheduledLoop:
-    """Hover controller, scaling and goals from which the outputs of a schedule are tuned.
+    """Hover controller, scaling and goals, from which the output matrices for forward flight are tuned.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class FrozenSpeed:
 
 @result(picture="mufly.control.analysis.plots:draw_schedule")
 class OutputSchedule:
-    """Outputs of roll-pitch over forward speed, and the loops at frozen speeds.
+    """Output matrices of the roll-pitch controller over forward speed, and the loops at frozen speeds.
 
     The share s = min((v_x / V)^2, 1) blends the outputs from hover (0) to the speed V (1).
 
@@ -194,7 +194,7 @@ def continuous_matrices(controller: DiscreteController) -> tuple[Array, Array, A
 def schedule_outputs(
     vehicle: Vehicle, loop: ScheduledLoop, *, speed_m_s: float, voltage: float, tilt_limit: float
 ) -> OutputSchedule:
-    """Tune the outputs of roll-pitch at a forward speed, and verify the loop at frozen speeds.
+    """Tune the output matrices of the roll-pitch controller at a forward speed, and verify the loop at frozen speeds.
 
     Parameters
     ----------

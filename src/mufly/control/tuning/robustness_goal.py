@@ -26,7 +26,7 @@ _DESCENT_END_FRACTION = 0.7  # share of the level at which the descent for the s
 
 
 def _pencil_values(M: ComplexArray, D: ComplexArray, G: ComplexArray) -> tuple[Array, ComplexArray, ComplexArray]:
-    """Return the pencils' largest eigenvalues, Hermitian matrices of equal eigenvalues, and Cholesky factors of D."""
+    """Return each pencil's largest eigenvalue, a Hermitian matrix with its eigenvalues, and D's Cholesky factor."""
     root = np.linalg.cholesky(D)
     skew = G @ M
     pencil = M.conj().swapaxes(1, 2) @ D @ M + 1j * (skew - skew.conj().swapaxes(1, 2))
@@ -111,7 +111,7 @@ class RobustnessGoal:
 
 
 class _ScaledBound:
-    """The bound with the goal's present scalings."""
+    """Upper bound of mu over the controller's gain, with the present scalings of a :class:`RobustnessGoal`."""
 
     def __init__(self, goal: RobustnessGoal, order: int) -> None:
         self.goal, self.order = goal, order
