@@ -150,7 +150,7 @@ def compute_operating_point(
 def find_speed_for_thrust(
     load: RotorLoad, thrust_N: ArrayLike, *, highest: ArrayLike = MAX_SPEED_rad_s
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Find the rotor speed (rad/s) at which the load gives each thrust of ``thrust_N``.
+    """Find the rotor speed (rad/s) at which the load gives each thrust; return the speeds, and which were found.
 
     Parameters
     ----------
@@ -346,7 +346,7 @@ def _evaluate_load(drive: DriveTrain, load: RotorLoad, speed: Array, found: NDAr
 
 
 def find_speed_at_voltage(c: MotorConstants, load: RotorLoad, voltage_V: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Find the steady rotor speed at each motor voltage of ``voltage_V``.
+    """Find the steady rotor speed (rad/s) at each motor voltage; return the speeds, and which were found.
 
     Parameters
     ----------
