@@ -133,7 +133,7 @@ def _unwrap_symbol(number: Any) -> Any:
 
 
 def _casadi_function(name: str, *numbers: Any) -> Any:
-    """Return CasADi's function of numbers or symbols."""
+    """Return the value of CasADi's function ``name``: a float for numbers, a symbol if any argument is a symbol."""
     import casadi
 
     if not any(isinstance(n, _CasadiSymbol) for n in numbers):

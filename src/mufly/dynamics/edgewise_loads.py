@@ -72,8 +72,10 @@ def air_velocity(x: _Array, wind: _Array) -> tuple[float, float, float]:
 
 @cached_njit(error_model="numpy", forceinline=True)
 def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, float, float]:
-    """Return a state's coordinates in the flight map: lower over upper rotor speed, then climb ratio and edgewise
-    coordinate e, both counted in grid steps of their axes.
+    """Return a state's coordinates in the flight map, a table of rotor loads over flight speed.
+
+    They are lower over upper rotor speed, then climb ratio and edgewise coordinate e, both counted in grid steps of
+    their axes.
 
     Parameters
     ----------
@@ -101,10 +103,9 @@ def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, 
 def _flow_loads(
     p: ModelParameters, point: tuple[float, float, float]
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:
-    """Interpolate the flight map, a table of rotor loads over flight speed, at a point.
+    """Interpolate the flight map, a table over flight speed; return six loads of the upper, then of the lower rotor.
 
-    Returns six loads of the upper rotor and six of the lower one: the first six names of
-    :data:`mufly.vehicle.flight_map.ROTOR_LOAD_COLUMNS`.
+    The loads are the first six names of :data:`mufly.vehicle.flight_map.ROTOR_LOAD_COLUMNS`.
     """
     away = min(max(point[0], p.flight_map_ratio[1]), p.flight_map_ratio[2]) - p.flight_map_ratio[0]
     return interpolate_flow_loads(

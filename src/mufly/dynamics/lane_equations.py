@@ -43,9 +43,7 @@ _MAP_PARAMETERS = ("map_nodes", "flight_map_nodes")
 
 
 def group_vehicles(p: NDArray[np.void]) -> _Ints:
-    """Return the group number (k,) of each record of :class:`ModelParameters`; a block of lanes holds vehicles of one
-    group.
-    """
+    """Return a group number (k,) for each record of :class:`ModelParameters`; vehicles in a block share their group."""
     traits = np.column_stack([
         p["map_nodes"], p["map_size"], p["flight_map_nodes"], p["flight_map_size"], p["contact_count"],
         p["ground_effect"] > 0.0, p["swash_phase"] != 0.0,

@@ -306,7 +306,7 @@ _MIN_DRYDEN_WIND_SPEED_M_S = 0.5  # m/s
 
 
 def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.float64], ...]:
-    """Return the exactly sampled lateral Dryden filter for unit variance.
+    """Return the matrices of the exactly sampled lateral Dryden filter for unit variance.
 
     Returns
     -------
