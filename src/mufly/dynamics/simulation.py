@@ -372,9 +372,9 @@ def _load_builtin_maps() -> tuple[FlightMap, ...]:
 
 
 def max_level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
-    """Return the lowest and highest value (m/s) of the greatest level airspeed; None if they are not known.
+    """Return the lower and upper bound (m/s) of the greatest level airspeed; None if they are not known.
 
-    The two values differ because the flap frequency of the blades is uncertain.
+    The two bounds differ because the flap frequency of the blades is uncertain.
 
     The band is part of the vehicle's flight map. Without a flight map, the band is that of the built-in map for the
     vehicle's rotors and mass.
@@ -394,7 +394,7 @@ def max_level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
 
 
 def describe_level_speed(vehicle: Vehicle) -> str:
-    """Return a text with the range of :func:`max_level_speed_band`; "" if the range is not known."""
+    """Return the bounds of the greatest level airspeed (m/s) as a text; "" if they are not known."""
     band = max_level_speed_band(vehicle)
     if band is None:
         return ""

@@ -37,7 +37,7 @@ _SPEED_STEP_M_S = 0.25
 
 
 def find_level_speed(vehicle: Vehicle) -> float:
-    """Return the greatest level airspeed (m/s) at which the flight model has a trim within its inputs' range.
+    """Return the greatest level airspeed (m/s) that the flight model can trim without an input beyond its range.
 
     With a flight map the search ends at the map's last advance ratio. Speeds above the first one without a trim are
     ignored.
@@ -77,7 +77,7 @@ def make_flight_map(
     name: str = "",
     progress: Callable[[int, int], None] | None = None,
 ) -> FlightMap:
-    """Compute the flight map of a vehicle (loads in edgewise flow and at body rates) for its rotors in hover pitch.
+    """Compute a vehicle's flight map: rotor loads in edgewise flow and at body rates, with the blades at hover pitch.
 
     Parameters
     ----------
