@@ -67,7 +67,7 @@ def report_write_errors(where: str | Path, remedy: str = "give another folder", 
 
 
 def suggest_name(name: str, known: Iterable[str], otherwise: str = "") -> str:
-    """Return the remedy for an unknown name: the most similar known names.
+    """Return the remedy for an unknown name as a text: the most similar known names.
 
     Parameters
     ----------
