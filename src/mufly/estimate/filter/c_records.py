@@ -122,7 +122,7 @@ def render_records_header(
     kept: int = filter_records.INPUT_BLOCK_COUNT,
     waiting: int = filter_records.QUEUE_SIZE,
 ) -> str:
-    """Return ``records.h`` for a vehicle.
+    """Return the text of ``records.h``: the filter's records and constants for a vehicle, in C.
 
     Parameters
     ----------

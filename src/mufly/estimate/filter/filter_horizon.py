@@ -92,7 +92,7 @@ MIN_CROSS_AXIS_YAW_RATE_RAD_S = 0.25
 def queue_measurement(
     m: FilterMemory, s: FilterSettings, kind: int, at: float, z: _Array, start: int, count: int
 ) -> bool:
-    """Queue a measurement taken in period ``at`` until the horizon reaches that period.
+    """Queue a measurement, taken in period ``at``, to be fused when the delayed horizon reaches that period.
 
     Returns False if the horizon has passed it by more than :data:`MAX_BACKDATE_S`, or the queue is full."""
     due = s.block_ticks * floor_int(at / s.block_ticks + 0.5)
@@ -114,8 +114,8 @@ def queue_measurement(
 
 @cached_njit(error_model="numpy")
 def _inflate_terrain_at_edge(m: FilterMemory, s: FilterSettings, span: float) -> None:
-    """Inflate the terrain's variance while the sonar's cone passes over an edge, because the range changes along an
-    arc.
+    """Inflate the terrain's variance while the sonar's cone passes over an edge, where the range changes gradually,
+    along an arc.
     """
     away = max(-m.x[NOMINAL_POSITION + 2] - m.x[NOMINAL_TERRAIN], 0.1)
     speed = math.sqrt(
@@ -131,7 +131,7 @@ def _inflate_terrain_at_edge(m: FilterMemory, s: FilterSettings, span: float) ->
 
 @cached_njit(error_model="numpy")
 def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
-    """Advance the horizon by a block: state and covariance."""
+    """Propagate the state and covariance at the delayed horizon by one input block."""
     span = s.block_ticks * s.dt
     e = m.input_blocks[m.horizon_tick // s.block_ticks % INPUT_BLOCK_COUNT]
     m.horizon_tick += s.block_ticks
@@ -198,9 +198,9 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
 
 @cached_njit(error_model="numpy")
 def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: int) -> int:
-    """Fuse the next queued measurement of the horizon; return its cost in scalar measurements.
+    """Fuse the next queued measurement whose time the horizon has reached; return its cost in scalar measurements.
 
-    The cost is 0 if ``left`` is too small, and -1 if no measurement is queued.
+    The cost is 0 if ``left`` is too small, and -1 if no such measurement is queued.
     """
     behind = m.tick - s.horizon_delay_ticks - m.horizon_tick >= MAX_LAG_BLOCKS * s.block_ticks
     i = -1
@@ -224,7 +224,7 @@ def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: 
 
 @cached_njit(error_model="numpy")
 def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
-    """Average the forces of accelerometers and model since their last comparison."""
+    """Average the measured and the modelled specific force since their last comparison."""
     e = m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT]
     n = m.block_mean_ticks // s.block_ticks
     for k in range(3):

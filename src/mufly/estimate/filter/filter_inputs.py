@@ -158,7 +158,7 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
 
 @cached_njit(error_model="numpy")
 def _ground_force_noise(m: FilterMemory, force: float) -> float:
-    """Return the noise density (m^2/s^3) of the force of the legs, on the floor or just above it.
+    """Return the noise density (m^2/s^3) of the floor's force on the legs, on the floor or just above it.
 
     ``force`` is the rotors' force per mass, down (m/s^2). The density is largest if the lift equals or exceeds the
     weight, and falls to zero as the lift falls below the weight.
@@ -295,7 +295,7 @@ def _backdate_accel_noise(m: FilterMemory, s: FilterSettings, k: int) -> None:
 
 @cached_njit(error_model="numpy")
 def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
-    """Estimate the noise of the difference of accelerometers and model: vibration, and noise at low frequencies.
+    """Estimate the noise of accelerometers minus rotor model: vibration, and noise at low frequencies.
 
     The integral of the residual contains the effect of vibration on the velocity. Means over long blocks have
     triangular weights, which suppress vibration.
@@ -357,8 +357,8 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
 
 @cached_njit(error_model="numpy")
 def _rotate_to_level(m: FilterMemory, v: _Array, start: int) -> None:
-    """Rotate two vectors, the first at index ``start``, from the axes of a tilted inertial unit to those of the
-    vehicle.
+    """Rotate two vectors of ``v``, at ``start`` and ``start + 3``, from the axes of a tilted inertial unit to those of
+    the vehicle.
     """
     r = m.levelling_rotation
     for i in (start, start + 3):

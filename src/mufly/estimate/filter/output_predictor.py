@@ -58,9 +58,9 @@ def velocity_noise_density(r: _Array, k: int, e: _Array) -> float:
 
 @cached_njit(error_model="numpy")
 def _smooth_output(m: FilterMemory, s: FilterSettings) -> None:
-    """Remove a large jump of the output's position and let it decay over :data:`OUTPUT_JUMP_DECAY_S`.
+    """Spread a large jump of the output's position over :data:`OUTPUT_JUMP_DECAY_S`, by an offset that decays.
 
-    The removed share grows steadily with the jump, so that small differences have small effects."""
+    The share of the jump that is spread grows with the jump from zero, so small differences have small effects."""
     x = m.x_output
     for k in range(3):
         jump = x[k] - (m.position_prev[k] + s.dt * x[NOMINAL_VELOCITY + k])
@@ -118,7 +118,7 @@ def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None
 
 @cached_njit(error_model="numpy")
 def _write_output_covariance(m: FilterMemory) -> None:
-    """Write covariance and deviations of the output, those of the attitude for roll, pitch and yaw."""
+    """Write the output's covariance (attitude as roll, pitch, yaw) and standard deviations (attitude about N, E, D)."""
     for i in range(9):
         for j in range(i):
             m.covariance_output[i, j] = m.covariance_output[j, i]

@@ -160,7 +160,7 @@ def predict_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None
 
 @cached_njit(error_model="numpy")
 def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Array) -> None:
-    """Write the sensitivity of position, velocity and attitude to errors after a step.
+    """Write the sensitivities of attitude and velocity after a step to the error states before the step.
 
     With the attitude error t about N, E, D at the middle of the step, corrected for the gyroscopes' bias, and
     u = R^T (v - wind):
@@ -221,7 +221,7 @@ def _model_derivative(
 
 @cached_njit(error_model="numpy")
 def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, air: _Array, out: _Array) -> None:
-    """Propagate the rotor state by a period, and write the force of rotors and air.
+    """Propagate the rotor state by a period, and write the specific force and angular acceleration by rotors and air.
 
     Parameters
     ----------

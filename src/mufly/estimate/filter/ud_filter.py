@@ -100,7 +100,7 @@ def _rank_one_update(ut: _Array, d: _Array, last: int, c: float, v: _Array) -> N
 
 @cached_njit(error_model="numpy")
 def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
-    """Write the errors of position, velocity and attitude of column ``u`` (n,) after a step; ``out`` may be ``u``."""
+    """Propagate the errors of position, velocity and attitude in column ``u`` (n,) by a step; ``out`` may be ``u``."""
     g_x, g_y, g_z = u[ERROR_GYRO_BIAS], u[ERROR_GYRO_BIAS + 1], u[ERROR_GYRO_BIAS + 2]
     r_x = a[TRANSITION_GYRO] * g_x + a[TRANSITION_GYRO + 1] * g_y + a[TRANSITION_GYRO + 2] * g_z
     r_y = a[TRANSITION_GYRO + 3] * g_x + a[TRANSITION_GYRO + 4] * g_y + a[TRANSITION_GYRO + 5] * g_z
@@ -170,7 +170,7 @@ def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
 
 @cached_njit(error_model="numpy")
 def ud_time_update(ut: _Array, d: _Array, span: float, transition: _Array, q: _Array, w: _Array, v: _Array) -> None:
-    """Propagate the factors of the covariance over a step of position, velocity and attitude.
+    """Propagate the factors U and D of the covariance by a step of the motion (position, velocity, attitude).
 
     Parameters
     ----------

@@ -114,7 +114,7 @@ def _fix_h_row(m: FilterMemory, i: int, ahead: float) -> None:
 
 @cached_njit(error_model="numpy")
 def _fix_innovation(m: FilterMemory, z: _Array, i: int, ahead: float) -> float:
-    """Return component ``i`` of the fix ``z`` minus its prediction ``ahead`` (s) after the horizon; m or rad."""
+    """Return the innovation (m or rad) of component ``i`` of a fix ``z``, taken ``ahead`` (s) after the horizon."""
     x = m.x
     if i < FIX_HEADING:
         return z[i] - x[i] - ahead * x[NOMINAL_VELOCITY + i] - x[NOMINAL_FIX_BIAS + i]
@@ -339,7 +339,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
 
 @cached_njit(error_model="numpy")
 def predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
-    """Predict the biases of the position fix to the time of the horizon.
+    """Predict the biases of the position fix up to the delayed horizon.
 
     N and E have equal intervals.
     """

@@ -135,7 +135,7 @@ def height_above_ground(x: _Array, s: FilterSettings) -> float:
 
 @cached_njit(error_model="numpy")
 def _sonar_h_row(m: FilterMemory, s: FilterSettings, r: _Array) -> float:
-    """Write the row H of the sonar; return the sonar's place below the centre of gravity (m)."""
+    """Write the row H of the sonar; return the vertical distance of the sonar below the centre of gravity (m)."""
     rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     h_row_begin(m, ERROR_POSITION + 2, -1.0)
     h_row_add(m, ERROR_TERRAIN, -1.0)
@@ -207,7 +207,7 @@ def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> boo
 
 @cached_njit(error_model="numpy")
 def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array) -> None:
-    """Fuse the range to the surface below; attribute a step that no other sensor measures to the terrain."""
+    """Fuse the range to the surface below; assign to the terrain a step that no other sensor measures."""
     k = READING_SONAR
     down = _sonar_h_row(m, s, r)
     if r[8] < s.sonar_cone_cosine or z[0] >= s.sonar_max_range:
@@ -302,7 +302,7 @@ def reset_terrain(m: FilterMemory) -> None:
 
 @cached_njit(error_model="numpy")
 def fuse_liftoff_thrust(m: FilterMemory, lift: float) -> None:
-    """Fuse the thrust scale at lift-off, where thrust equals weight.
+    """Fuse a measurement of the thrust scale at lift-off, where thrust equals weight.
 
     ``lift`` is the thrust of the model divided by the weight.
     """
@@ -313,7 +313,7 @@ def fuse_liftoff_thrust(m: FilterMemory, lift: float) -> None:
 
 @cached_njit(error_model="numpy")
 def fuse_ground_contact(m: FilterMemory, s: FilterSettings) -> bool:
-    """If the estimate puts the legs below the surface, correct height and sink rate; return whether it does.
+    """Correct height and sink rate if the estimated legs are below the surface; return whether they are.
 
     Below the sonar's minimum range, with less thrust than weight, no other sensor shows that the vehicle stands.
     """
@@ -395,7 +395,7 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
 
 @cached_njit(error_model="numpy")
 def _reset_aid_bias(m: FilterMemory, s: FilterSettings, k: int, bias: int, nu: float) -> None:
-    """Add ``nu``^2 to the variance of bias state ``bias`` of reading ``k``, whose innovations agree on ``nu``.
+    """Add ``nu``^2, the square of a lasting innovation of reading ``k``, to the variance of its bias state ``bias``.
 
     The sensor's status becomes rejected, with a reset as the reason.
     """
@@ -454,7 +454,7 @@ def fuse_pressure(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -
 
 @cached_njit(error_model="numpy")
 def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array) -> None:
-    """Fuse the heading from a magnetic field whose horizontal and vertical strengths are the earth's."""
+    """Fuse the magnetic heading if the field has the earth's horizontal and vertical strength; else report a fault."""
     variance = s.mag_heading_variance * m.noise_scale[AID_MAGNETIC]
     rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     north = r[0] * z[0] + r[1] * z[1] + r[2] * z[2]

@@ -44,7 +44,7 @@ MIN_NOISE_SCALE, MAX_NOISE_SCALE = 0.25, 25.0
 
 @cached_njit(error_model="numpy")
 def h_row_begin(m: FilterMemory, i: int, h: float) -> None:
-    """Begin the row H of a measurement with ``h`` times error state ``i``."""
+    """Begin the row H of a measurement with the element ``h`` for error state ``i``."""
     m.h_term_count = 1
     m.h_state_index[0] = i
     m.h_value[0] = h
@@ -52,7 +52,7 @@ def h_row_begin(m: FilterMemory, i: int, h: float) -> None:
 
 @cached_njit(error_model="numpy")
 def h_row_add(m: FilterMemory, i: int, h: float) -> None:
-    """Add ``h`` times error state ``i`` to the row H."""
+    """Add the element ``h`` for error state ``i`` to the row H."""
     m.h_state_index[m.h_term_count] = i
     m.h_value[m.h_term_count] = h
     m.h_term_count += 1
@@ -60,7 +60,7 @@ def h_row_add(m: FilterMemory, i: int, h: float) -> None:
 
 @cached_njit(error_model="numpy")
 def _add_propagated_error(x: _Array, by: _Array, span: float, push: _Array) -> None:
-    """Add the correction ``by`` (error state at the horizon) to the state ``x``, propagated to ``span`` (s) later.
+    """Propagate the correction ``by`` (error state at the horizon) over ``span`` (s), and add it to the state ``x``.
 
     ``push`` (3,) is the change of velocity during ``span`` without gravity.
     """
@@ -86,8 +86,8 @@ def _add_propagated_error(x: _Array, by: _Array, span: float, push: _Array) -> N
 
 @cached_njit(error_model="numpy")
 def apply_correction(m: FilterMemory, innovation: float, r: float) -> None:
-    """Fuse a scalar whose U^T h is in ``m.u_transposed_h``; correct the horizon's state and the states propagated from
-    it.
+    """Fuse a scalar whose U^T h is in ``m.u_transposed_h``; correct the state at the horizon and the states propagated
+    from there.
     """
     ud_measurement_update(m.u_transposed, m.ud_diagonal, m.u_transposed_h, r, m.gain)
     for i in range(ERROR_STATE_COUNT):
@@ -154,7 +154,7 @@ def reset_timeout_expired(m: FilterMemory, s: FilterSettings, k: int) -> bool:
 
 @cached_njit(error_model="numpy")
 def adapt_noise_scale(scale: _Array, aid: int, gain: float, change: float) -> None:
-    """Multiply the noise scale ``scale[aid]`` by ``1 + gain * change``, limited to its permitted range.
+    """Multiply the noise scale ``scale[aid]`` by ``1 + gain * change``, and clip it to its permitted range.
 
     Increases and decreases have no separate limit, because a limit in one direction would bias the estimate.
     """

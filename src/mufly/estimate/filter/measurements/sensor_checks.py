@@ -145,7 +145,7 @@ def mark_fused(m: FilterMemory, k: int) -> None:
 
 @cached_njit(error_model="numpy")
 def mark_rejected(m: FilterMemory, s: FilterSettings, k: int, why: int, number: float) -> None:
-    """Mark a reading as rejected; report it when the score of rejections exceeds the alarm level."""
+    """Count a rejected reading; set the sensor's status to rejected when its rejection score exceeds the alarm."""
     m.reject_count[k] += 1
     m.reject_score[k] += 1.0
     if m.reject_score[k] > (SONAR_REJECT_ALARM_SCORE if k == READING_SONAR else REJECT_ALARM_SCORE):
@@ -154,7 +154,7 @@ def mark_rejected(m: FilterMemory, s: FilterSettings, k: int, why: int, number: 
 
 @cached_njit(error_model="numpy")
 def _is_repeated(m: FilterMemory, s: FilterSettings, z: _Array, k: int, start: int, count: int) -> bool:
-    """Return whether a reading of a sensor with noise equals the preceding reading bit for bit."""
+    """Return whether a reading that has noise equals the preceding one bit for bit, so that the sensor seems frozen."""
     if s.has_noise[k] == 0 or m.last_new_tick[k] == 0:
         return False
     told = False
@@ -256,7 +256,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
 
 @cached_njit(error_model="numpy")
 def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
-    """Inflate the variances of gyroscope bias, attitude and velocity after persistent innovations of the fix."""
+    """Inflate the variances of gyroscope bias, attitude and velocity after lasting, large innovations of the fix."""
     if m.divergence_ticks <= 1:
         for k in range(3):
             inflate_variance(
@@ -286,7 +286,7 @@ def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
 
 @cached_njit(error_model="numpy")
 def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> None:
-    """Replace rates of the gyroscopes with a spike by those of the rotor model; subtract a lasting jump as an offset.
+    """Replace gyroscope rates that contain a spike by the rotor model's rates; subtract a lasting jump as an offset.
 
     ``m.gyro_rates`` are the new rates, ``m.gyro_rates_prev`` those of the period before."""
     now = (m.tick - 1) % ROTOR_FORCE_HISTORY
