@@ -258,7 +258,7 @@ _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
 
 @functools.cache
 def source_stamp() -> str:
-    """Return a hash of the translated functions, independent of layout and comments.
+    """Return a hash of the Python functions that are translated to C, independent of layout and comments.
 
     Module constants are excluded, since C gets them by code generation.
     """

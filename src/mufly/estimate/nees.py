@@ -43,7 +43,7 @@ def compute_normalised_errors(errors: _Array, covariances: _Array) -> _Array:
 
 @result
 class Consistency:
-    """Errors of an estimate, and the consistency of its covariance.
+    """Errors of an estimate, and measures of how well its covariance predicts them.
 
     Attributes
     ----------

@@ -133,14 +133,14 @@ SUSPICIOUS_REASONS = (
 
 
 class LazySensorStatuses(Sequence[SensorStatus]):
-    """Sequence of the statuses of the fitted sensors, evaluated on first access.
+    """Sequence of the statuses of the sensors that the vehicle has, evaluated on first access.
 
     Parameters
     ----------
     m, s : records
         Memory and settings of the filter, which must not change afterwards.
     fitted : sequence of int
-        Indices of the fitted sensors in :data:`mufly.quantities.quantity_table.CHECKED_READINGS`.
+        Indices of these sensors in :data:`mufly.quantities.quantity_table.CHECKED_READINGS`.
     """
 
     def __init__(self, m: Mapping[str, Any] | np.void, s: np.void, fitted: Sequence[int]) -> None:
@@ -204,7 +204,7 @@ _INNOVATION_REASON_CODES = (g.REASON_INNOVATION, g.REASON_RESET, g.REASON_FUSED_
 
 
 def describe_reason(why: int, number: float, sensor: int, component: int = 0) -> str:
-    """Return the text of the reason of a status.
+    """Return the reason for a sensor's status as a text.
 
     ``sensor`` is an index into :data:`mufly.quantities.quantity_table.CHECKED_READINGS`. ``component`` is the component
     of a position fix to which ``number`` belongs: N, E, D (m) or the heading (rad).
