@@ -198,7 +198,7 @@ class AnswerLines(Generic[One]):
                     part.write_bytes(b"".join(line + b"\n" for line in kept))
 
     def add(self, key: Any, one: One, content: Any) -> None:
-        """Store a result: append ``content`` to the file as a line of JSON, and set ``known[key]`` to ``one``."""
+        """Store a result: append ``content`` to the file as a line of JSON, and keep ``one`` as ``known[key]``."""
         if self._path is not None:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(content) + "\n")
