@@ -211,12 +211,12 @@ class BoardInstance(SoftwareInstance):
         return Actuators(np.array(list(out.motor_input)), np.array(list(out.servo_input)))
 
     def sensor_reason(self, b: Any) -> str:
-        """Return the text of the reason in a ``message_sensor_t``; the board stores the estimator's reason code."""
+        """Return the reason for the status in a ``message_sensor_t`` as a text; the board stores the reason's code."""
         return describe_reason(b.why, b.number, b.sensor)
 
 
 class _BoardFirmware:
-    """Board with the attributes of :class:`mufly.firmware.host_build.Firmware` that convert C records to Python."""
+    """Stand-in for :class:`mufly.firmware.host_build.Firmware` that converts a board's C records to Python."""
 
     def __init__(self, board: Board) -> None:
         self.ffi, self.lib, self.is_generic = board.ffi, board.lib, False
@@ -224,7 +224,7 @@ class _BoardFirmware:
 
 
 class BoardSoftware(FirmwareSoftware):
-    """The flight software on a board; subclasses name the board (:func:`make_board_software`)."""
+    """The flight software on a board; each subclass sets ``board`` (:func:`make_board_software`)."""
 
     board: Board
 

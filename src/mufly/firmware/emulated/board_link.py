@@ -51,7 +51,7 @@ def run_linked_board(
     on_event: Callable[[FlightEvent], None] | None = None,
     on_open: Callable[[], None] = lambda: None,
 ) -> BoardFlightResult:
-    """Fly an emulated board whose own link commands it, until ``stop``.
+    """Fly an emulated board, which stations command through its own link, until ``stop`` returns True.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ _FLASH_MEMORY_BYTES = 16 * 2**20  # of the emulated memory that holds sectors an
 
 
 class Board(Protocol):
-    """Interface of a board: each half of a period changes its memory ``record`` (``board_t *``)."""
+    """Interface of a board, which computes a period in two halves; ``record`` (``board_t *``) is its memory."""
 
     ffi: Any
     lib: Any

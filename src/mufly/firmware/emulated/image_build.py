@@ -43,7 +43,7 @@ _IMAGE_FLAGS = (*COMPILER_FLAGS, *CORTEX_M4_FLAGS, "-mthumb", "-ffreestanding", 
 def build_host_board(
     vehicle: Vehicle, controller: FlightController, mission: Mission, *, single: bool = True
 ) -> tuple[cffi.FFI, Any]:
-    """Return the board's code of this machine, through cffi.
+    """Build the board's code as a library for this machine, and return its cffi interface and the loaded library.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def build_host_board(
 
 
 def build_image(vehicle: Vehicle, controller: FlightController, mission: Mission) -> Path:
-    """Return the image of a board with a Cortex-M4F: the board's loop, in single precision.
+    """Build the image (ELF) of a board with a Cortex-M4F, in single precision, and return its path.
 
     Raises
     ------
