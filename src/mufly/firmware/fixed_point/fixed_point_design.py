@@ -126,7 +126,7 @@ class OverflowProof:
 
 @result
 class QuantisationLoss:
-    """Loss of margins of a loop by rounded coefficients.
+    """Loss of a loop's stability margins due to rounded coefficients.
 
     Attributes
     ----------

@@ -22,7 +22,7 @@ from mufly.vehicle import Vehicle
 
 @result
 class FixedPointFlight:
-    """Comparison of a flight with the exported fixed-point law and one in double precision.
+    """Comparison of two flights of a mission: one with the exported fixed-point law, the other in double precision.
 
     Attributes
     ----------

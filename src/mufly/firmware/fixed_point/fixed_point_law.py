@@ -196,12 +196,12 @@ def _load_fixed_library(text: str, cc: str) -> tuple[cffi.FFI, Any]:
 
 
 def to_signal(value: float) -> int:
-    """Return a number as a signal: the nearest multiple of 2^-20, saturated at 32 bits."""
+    """Return a number in the fixed-point format of signals: in units of 2^-20, rounded and saturated at 32 bits."""
     return min(max(round(float(value) * FIXED_POINT_ONE), _INT32_RANGE[0]), _INT32_RANGE[1])
 
 
 def to_signals(values: _Array) -> list[int]:
-    """Return an array as a list of signals."""
+    """Return the numbers of an array in the fixed-point format of signals (:func:`to_signal`)."""
     return [to_signal(v) for v in values]
 
 

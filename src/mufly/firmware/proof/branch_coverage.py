@@ -79,7 +79,7 @@ def build_instrumented(folder: Path) -> Path:
 
 
 def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
-    """Run the instrumented code: missions on sensors, the fixed-point law, comparison tests, and fuzzing inputs."""
+    """Run the instrumented code: missions with sensors, the fixed-point law, comparison tests, and fuzzing inputs."""
     library = str(build_instrumented(folder))
     controller = design_flight_controller(vehicle)
     firmware = Firmware.__new__(Firmware)
@@ -160,7 +160,7 @@ def _replace_loader(module: types.ModuleType, name: str, loader: Callable[..., A
 
 
 def _run_comparison_tests(counted: Firmware) -> None:
-    """Run the tests that compare Python and C against the instrumented code, if the test files are installed."""
+    """Run the tests that compare C with Python on the instrumented C code, if the test files are installed."""
     tests = Path(str(resources.files("mufly"))).parents[1] / "tests" / "firmware"
     try:
         import pytest

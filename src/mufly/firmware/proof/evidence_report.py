@@ -285,10 +285,9 @@ def parse_deviations(text: str) -> list[tuple[str, tuple[str, ...], str]]:
 def judge_findings(
     said: str, reasons: list[tuple[str, tuple[str, ...], str]]
 ) -> tuple[list[MisraFinding], Counter[str]]:
-    """Parse the output ``said`` of cppcheck's MISRA checker.
+    """Return the findings against required rules, and the number of findings against each advisory rule.
 
-    Return the findings against required rules, each with its documented reason, and the number of findings against each
-    advisory rule.
+    ``said`` is the output of cppcheck's MISRA checker. Each finding gets its documented reason from ``reasons``.
     """
     required, advice = [], Counter[str]()
     for file, line, rule in sorted(set(re.findall(r"^(\S+?):(\d+): misra-c2012-(\d+\.\d+):", said, re.M))):

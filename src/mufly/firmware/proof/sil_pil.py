@@ -130,7 +130,7 @@ _REQUIRED_TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": 
 
 @result
 class SilResult:
-    """Comparison of a mission flown by Python with the exported code on the same inputs.
+    """Comparison of the exported code with the Python code that flies a mission, on the same inputs.
 
     Attributes
     ----------
