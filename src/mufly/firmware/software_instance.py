@@ -251,7 +251,7 @@ class SoftwareInstance:
         self._log_count = s.logged_event_count
 
     def sensor_reason(self, b: Any) -> str:
-        """Return the text of the reason in a ``message_sensor_t``."""
+        """Return the reason for the status in a ``message_sensor_t`` as a text."""
         return self.text_table.look_up_text(b.why)
 
     def format_message(self, message: Any) -> str:

@@ -178,9 +178,10 @@ class CompiledFlight:
         return type(flight.estimator) is IdealEstimator and len(sensors.sensors) == 3 and self._ring is not None
 
     def run_periods(self, until: int, *, until_valid: bool = False) -> bool:
-        """Advance up to period ``until``, the next event, or with ``until_valid`` the first valid estimate.
+        """Advance to period ``until``, but stop at an event or, with ``until_valid``, at the first valid estimate.
 
-        Return False without an advance if Python must run the next period, for example because of a request or a fault.
+        Return True after an advance; return False without one if Python must run the next period, for example because
+        of a request or a fault.
         """
         flight, plant, auto = self._flight, self._flight.plant, self._flight.autopilot
         if not self.is_supported:

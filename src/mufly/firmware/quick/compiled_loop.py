@@ -188,7 +188,7 @@ class SensorArrays(NamedTuple):
 
 
 class IdealPeriods(NamedTuple):
-    """Arguments of :func:`run_ideal_periods`: clock, plant and software of a flight on the true state."""
+    """Arguments of :func:`run_ideal_periods`: clock, plant and software of a flight without sensor errors."""
 
     clock: LoopClock
     plant: PlantArrays
@@ -200,7 +200,7 @@ class IdealPeriods(NamedTuple):
 
 
 class FittedPeriods(NamedTuple):
-    """Arguments of :func:`run_fitted_periods`: clock, plant, sensors, filter and software of a flight on sensors."""
+    """Arguments of :func:`run_fitted_periods`: clock, plant, sensors, filter and software of a flight with sensors."""
 
     clock: LoopClock
     plant: PlantArrays
@@ -379,10 +379,7 @@ def _measure_truth(p: IdealPeriods) -> int:
 
 @cached_njit(error_model="numpy")
 def _fill_readings(t: float, has_new_reading: NDArray[np.uint8], rows: _Array, f: FilterArrays, ranges: _Array) -> bool:
-    """Copy readings into the filter's row, as :meth:`KalmanEstimator.fill_readings` does.
-
-    Return whether the range ring has a new reading.
-    """
+    """Copy new readings to the filter, as :meth:`KalmanEstimator.fill_readings`; return whether the ring has one."""
     is_ring = False
     for k in range(len(SAMPLED_READING_INDICES)):
         r = SAMPLED_READING_INDICES[k]
@@ -480,9 +477,9 @@ def _step_filter(p: FittedPeriods) -> int:
 def _write_filter_status(
     f: FilterArrays, calm: int, before: _Array, row: _Array, said: NDArray[np.int32], at: RecordOffsets
 ) -> bool:
-    """Write the filter's covariance and statuses into ``row``, and the reasons that have fixed texts into the C record.
+    """Write the filter's covariance and statuses into ``row``, and reasons without a value into the C record ``said``.
 
-    Return False if Python must update the other texts because a status has changed since the row ``before``.
+    Return False if Python must write the other reasons because a status has changed since the row ``before``.
 
     ``f.texts`` are the text numbers of the reasons, -1 for texts that contain a value. ``calm``: waiting and fused
     sensors need no report.
@@ -587,7 +584,7 @@ _step_fitted = _compile_stepper(_begin_fitted_period, sample_sensors, _step_filt
 
 @cached_njit(error_model="numpy")
 def run_ideal_periods(p: IdealPeriods) -> int:
-    """Run periods of a flight on the true state, beginning with stage ``p.clock.stage``; return why the run stopped.
+    """Run periods of a flight without sensor errors, from stage ``p.clock.stage``; return why the run stopped.
 
     The result is the code that a stage returned in place of ``CONTINUE_LOOP``.
     """
@@ -596,7 +593,7 @@ def run_ideal_periods(p: IdealPeriods) -> int:
 
 @cached_njit(error_model="numpy")
 def run_fitted_periods(p: FittedPeriods) -> int:
-    """Run periods of a flight on sensors, beginning with stage ``p.clock.stage``; return why the run stopped.
+    """Run periods of a flight with sensors and filter, from stage ``p.clock.stage``; return why the run stopped.
 
     The result is the code that a stage returned in place of ``CONTINUE_LOOP``.
     """
