@@ -216,7 +216,7 @@ class Autopilot:
         return self._armed
 
     def has_no_sensor_events(self, checks: Sequence[SensorStatus]) -> bool:
-        """Whether the statuses ``checks`` need no report, now or later, as long as they do not change."""
+        """Whether these sensor statuses cause no report, neither now nor in later periods with the same statuses."""
         return self._sensors.has_nothing_to_report(checks)
 
     def report_sensor_checks(self, checks: Sequence[SensorStatus], time_s: float, state: str) -> None:
@@ -516,7 +516,7 @@ class Autopilot:
         return self._send_command(Command(take_off_height=float(height_m))) if answer else answer
 
     def _check_climb(self, ask: VehicleRequest, height_m: float) -> RequestAnswer:
-        """Accept a take-off to ``height_m`` (m), or reject it: state, attitude, obstacle above, or fence."""
+        """Accept a take-off to ``height_m`` (m), or reject it because of state, attitude, obstacle above or fence."""
         answer = self.status.check_request(ask)
         if not answer:
             return answer
@@ -642,7 +642,7 @@ class Autopilot:
         return answer
 
     def set_sticks(self, roll_rad: float, pitch_rad: float, yaw_rate_rad_s: float, climb_m_s: float) -> RequestAnswer:
-        """Set the pilot's sticks, limited by parameters ``STK_...``; the mission's state becomes RC."""
+        """Set the pilot's sticks, clipped to the parameters ``STK_...``; the mission's state becomes RC."""
         values = (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s)
         if not all(math.isfinite(v) for v in values):
             return deny_request("sticks refused: give finite numbers")

@@ -234,7 +234,7 @@ def _step_control_law(
     rates: _Array,
     voltage: float,
 ) -> tuple[_Array, _Array, _Array, _Array]:
-    """Advance both controllers by one period; return motor and servo inputs and both controllers' states."""
+    """Advance heave-yaw and roll-pitch control by one period; return motor and servo inputs and the two states."""
     servo = np.zeros(2)
     if tilts:
         heave_yaw = limit_heave_reference(heave_yaw_gains[0], heave_yaw, position[2])

@@ -164,7 +164,7 @@ class TunableParameters(Mapping[str, TunableParameter]):
         return replace(p, value=self._stored_value(table, key) * _unit_scale(p, table), minimum=least, maximum=greatest)
 
     def set_value(self, name: str, value: float) -> str:
-        """Set a parameter's value, in its unit.
+        """Set a parameter's value, in its unit, or return why it is refused.
 
         Returns
         -------

@@ -122,7 +122,7 @@ class PathFit:
 
 @dataclass(frozen=True)
 class FixCorrection:
-    """Correction that removes the fault of a source from its motion.
+    """Correction of a faulty source's fixes, so that they show the true motion.
 
     Attributes
     ----------
@@ -425,7 +425,7 @@ class FixMonitor:
         return abs(recent[-1] - float(np.median(recent))) > _WITHHOLD_HEADING_CHANGE_RAD
 
     def _fit_path(self) -> None:
-        """Compare the fixes in the window with the inertial path for each kind of fault; store it in ``path_fit``.
+        """Compare the fixes in the window with the inertial path for each kind of fault, and set ``path_fit``.
 
         The kinds are the rows of the table in the module's docstring.
         """

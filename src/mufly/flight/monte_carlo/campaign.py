@@ -91,7 +91,7 @@ class FlightCase:
 
 @result
 class FlightResult:
-    """Result of one flight, evaluated by the truth.
+    """Result of one flight, computed from its true motion.
 
     Attributes
     ----------
@@ -495,7 +495,7 @@ def judge_flight(
     data: xr.Dataset, mission: Mission, tolerance_m: float, *, nees: float | None = None,
     wrong: Collection[str] = (), **same: Any,
 ) -> FlightResult:  # fmt: skip
-    """Return the result of a flight from its recording, by the truth.
+    """Return the result of a flight, computed from the true motion in its recording.
 
     ``wrong`` names the sensors that a failure's reason may blame; ``same`` are the other fields of
     :class:`FlightResult`.

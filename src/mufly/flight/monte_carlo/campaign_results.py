@@ -34,7 +34,7 @@ _NORMAL_QUANTILE_95 = 1.959963984540054
 
 
 class FlightMetric(NamedTuple):
-    """A metric of every flight.
+    """A quantity by which flights are compared: its field, label, unit and limit.
 
     Attributes
     ----------

@@ -43,7 +43,7 @@ def final_speed_m_s(data: xr.Dataset) -> float:
 def classify_ending(
     data: xr.Dataset, s: FlightSummary, success: bool, wrong_sources: Collection[str] = ()
 ) -> FlightEnding:
-    """Return the class of a flight.
+    """Return how a flight ended, as one of :data:`ENDINGS`.
 
     Parameters
     ----------

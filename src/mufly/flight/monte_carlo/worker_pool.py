@@ -317,7 +317,7 @@ def search_worst_case(
     progress: ProgressCallback | None = None,
     stop: StopCheck = lambda: False,
 ) -> list[FlightResult]:
-    """Search the worst flight of all variations by CMA-ES (Hansen, The CMA Evolution Strategy, arXiv:1604.00772).
+    """Find the worst flight within the variations by CMA-ES (Hansen, The CMA Evolution Strategy, arXiv:1604.00772).
 
     The search varies vehicle parameters and the direction of the wind; gusts and sensor noise are those of flight 0.
 

@@ -182,7 +182,7 @@ class PolicyControllers(Controllers):
 
 
 def find_equal_action(inputs: _Array, trim: _Array) -> NDArray[np.float64]:
-    """Return the action (4,) that gives the ``inputs`` (4,) of the flight model, limited to -1..1."""
+    """Return the action (4,), clipped to -1..1, that gives the ``inputs`` (4,) of the flight model."""
     upper, lower = inputs[0] - trim[0], inputs[1] - trim[1]
     wanted = (
         0.5 * (upper + lower) / MAX_COLLECTIVE_DUTY_CHANGE,

@@ -58,7 +58,7 @@ _ESTIMATE_PANELS: tuple[tuple[str, int, str, float, tuple[str, int] | None], ...
 
 
 def draw_estimate_pictures(dataset: xr.Dataset, folder: str | Path) -> list[Path]:
-    """Draw the estimates of a flight on sensors into a folder; nothing for a flight without an estimator.
+    """Draw the estimates of a flight with a filter into a folder; draw nothing for a flight without estimates.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
 
 
 def draw_ground_track(dataset: xr.Dataset) -> Figure:
-    """Draw the ground track with an ellipse of three standard deviations about every second; biases over time.
+    """Draw the ground track, with three-sigma ellipses at regular times, and the biases over time.
 
     Parameters
     ----------

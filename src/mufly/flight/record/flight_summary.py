@@ -466,8 +466,8 @@ def summary_rows(summary: FlightSummary) -> list[tuple[str, str]]:
 
 
 def _format_realtime_factor(summary: FlightSummary) -> str:
-    """Return a format text for the real-time factor; a flight in real time adds its least factor and its timing
-    overruns.
+    """Return the format string of the real-time factor; for a flight in real time it includes the least factor and the
+    number of timing overruns.
     """
     form = "{:.0f}" if (summary.realtime_factor or 0.0) >= 10.0 else "{:.2f}"
     least, slips = summary.realtime_factor_least, summary.slips

@@ -291,7 +291,7 @@ def truth_rows(f: ForeignLog, *, mounted: bool = False) -> _Array:
 
 
 def make_recording(f: ForeignLog, told: Sequence[Estimate], title: str) -> xr.Dataset:
-    """Return measured, estimated and true values as a recording of a flight on sensors."""
+    """Return measured, estimated and true values in the form of a recording of a flight with sensors."""
     from mufly.flight import replace_estimates
     from mufly.logs import flight_layout
     from mufly.logs.mcap import rows_to_dataset

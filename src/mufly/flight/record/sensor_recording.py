@@ -39,7 +39,7 @@ _AUXILIARY_STATE_FIELDS = ("gyro_bias", "accelerometer_bias", "floor_height", "f
 def make_sensed_row_writer(
     recorder: FlightRecorder,
 ) -> Callable[[Truth, Readings, Estimate | None, Actuators, tuple[_Array, _Array, _Array], str], None]:
-    """Return a function that appends one row of a flight on sensors to the recording.
+    """Return a function that appends one row, with readings and estimate, to the recording of a flight.
 
     The function is ``write(truth, readings, estimate, actuators, reference, state)``, with arguments as for
     :func:`mufly.flight.simulated_plant.make_row_writer`. If the estimate is None, its columns are NaN.
@@ -159,7 +159,7 @@ def replay_estimator(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate
 
 
 def has_sensor_readings(dataset: xr.Dataset) -> bool:
-    """Whether a recording holds the readings of a flight on sensors."""
+    """Whether a recording holds the readings of all sensors, each with its measurement time."""
     return all(f"measured_{name}_time" in dataset for name in READINGS if name not in _READINGS_WITHOUT_TIME)
 
 
