@@ -159,5 +159,5 @@ def call_library_function(name: str, arguments: Sequence[CExpression]) -> CExpre
 
 
 def escape_c_name(name: str) -> str:
-    """Return a name that is no keyword of C."""
+    """Return a name for use in C: a keyword of C gets an underscore at its end."""
     return f"{name}_" if name in _C_KEYWORDS or name == "_" else name

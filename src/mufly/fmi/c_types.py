@@ -41,7 +41,7 @@ class TupleType:
 
     @property
     def name(self) -> str:
-        """Name of the tuple's C struct: a letter for each number, and count and letters of each nested tuple."""
+        """Name of the tuple's C struct: a letter for each number; for a nested tuple, its length and letters."""
         letters = {C_DOUBLE: "r", C_INT64: "i", C_BOOL: "b"}
         return "tuple_" + "".join(
             letters[p] if isinstance(p, str) else f"{len(p.parts)}{p.name.removeprefix('tuple_')}" for p in self.parts

@@ -175,14 +175,14 @@ class UnitInstance:
         return self.call("fmi3DoStep", ctypes.c_double(time_s), ctypes.c_double(step_s), True, *flags, last)
 
     def check_status(self, status: int) -> None:
-        """Raise the last message if a status is not OK."""
+        """Raise an error with the unit's last message if a status is not OK."""
         if status != _STATUS_OK:
             raise MuflyError(f"the unit reports: {self.messages[-1] if self.messages else 'an error'}")
 
 
 @result
 class UnitComparison:
-    """Comparison of a unit with the Python model in one flight with moving inputs and wind.
+    """Comparison of a unit (FMU) with the Python model in one flight with varying inputs and wind.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ class UnitComparison:
 
 
 def compare_unit(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0) -> UnitComparison:
-    """Fly a unit and the Python model with the same inputs and wind, which change at every communication step.
+    """Compare a unit with the Python model under the same inputs and wind, which change at every communication step.
 
     The flight begins in motion and ends on the floor. The communication steps have five sizes, 0.7 to 20 ms.
 
@@ -243,7 +243,7 @@ def compare_unit(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0) -> U
 def compare_sensed_unit(
     unit: UnitLibrary, vehicle: Vehicle, *, seed: int = 0, duration_s: float = 5.0
 ) -> UnitComparison:
-    """Fly a unit with sensors, and the model, sensors and filter of Python, as :func:`compare_unit` does.
+    """Compare a unit that has sensors with model, sensors and filter in Python, as :func:`compare_unit` does.
 
     The flight begins on the floor. The communication step is the period of the sensors.
 

@@ -119,11 +119,10 @@ def _find_effects(vehicle: Vehicle, key: str, value: float, nominal: np.void) ->
 def _find_ratio_effects(
     found: dict[str, list[ParameterEffect]], values: dict[str, float]
 ) -> dict[str, list[ParameterEffect] | None]:
-    """Make effects of several parameters on one field compatible: the first keeps its effect, the others become ratios.
+    """Return ``found``, changed so that the effects of several parameters on one field can be combined.
 
-    A ratio multiplies the field by the new value over the nominal value of the parameter.
-
-    A parameter whose effect cannot be converted gets None.
+    The first parameter keeps its effect; those of the others become ratios. A ratio multiplies the field by the new
+    value over the nominal value of the parameter. A parameter whose effect cannot be converted gets None.
     """
     out: dict[str, list[ParameterEffect] | None] = dict(found)
     for field in PARAMETER_DTYPE.names or ():
@@ -141,7 +140,7 @@ def _find_ratio_effects(
 
 
 def _effect_kind(field: str, base: float, points: list[tuple[float, NDArray[Any]]]) -> ParameterEffect | None:
-    """Return the effect that gives the field at all ``points``, pairs (parameter value, field); None without one.
+    """Return the form of a field's dependence that fits all ``points`` (parameter value, field); None if none fits.
 
     One of the parameter values is ``base``.
     """
