@@ -367,7 +367,7 @@ def observe_episodes(
     e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], fleet: NDArray[np.void], estimate: _Array,
     volts: _Array, out: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """Write the observations (n, m) of the environments of ``which``; draw their estimates' errors.
+    """Write the observations (n, m) of the environments that the mask ``which`` selects; draw errors of estimation.
 
     ``estimate`` (n, 21) are the observed states: the true ones or those of a filter; ``volts`` (n,) the measured
     voltages (V), NaN for the true one.

@@ -186,7 +186,10 @@ def _step_units(
     addresses: _Ints, like: UnitPeriods, before: _Array, inputs: _Array, delay: _Ints, wind: _Array, periods: int,
     state: _Array, estimate: _Array, volts: _Array,
 ) -> None:  # fmt: skip
-    """Advance units (n,) by some periods, and read them; with 0 periods only read them."""
+    """Advance the units at ``addresses`` (n,) by some periods or none; write their states, estimates and voltages.
+
+    ``before`` and ``inputs`` (n, 4) are the actuator inputs before and after the ``delay`` (n,); ``like`` is any unit.
+    """
     for k in range(addresses.size):
         p = refer_at(addresses[k], like)
         c = p.clock
@@ -507,7 +510,7 @@ class FilterUnits:
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
 
     def start_units(self, e: Any, which: NDArray[np.bool_]) -> None:
-        """Copy stored units into the environments of ``which`` (n,); ``e.vehicle`` (n,) holds their indices."""
+        """Copy stored units of indices ``e.vehicle`` (n,) into the environments that the mask ``which`` selects."""
         for k in np.flatnonzero(which).tolist():
             self._rows[k] = self._starts.rows[e.vehicle[k]]
             fresh = np.empty(len(self._sources[k]), np.uint64)

@@ -65,9 +65,9 @@ _FAILURE_REWARD = -5.0
 
 @cached_njit(error_model="numpy")
 def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Array, columns: _Array) -> None:
-    """Write the start, the target, the next target (three numbers each; N-E-D, m), and the columns (6, 5) of a task.
+    """Write a task's start, target and next target (three numbers each; N-E-D, m), and its pillars, ``columns`` (6, 5).
 
-    ``r`` are uniform numbers; ``columns`` has the layout of a packed :class:`mufly.world.World`.
+    ``r`` are uniform random numbers; ``columns`` has the layout of a packed :class:`mufly.world.World`.
     """
     target[0], target[1], target[2] = 0.0, 0.0, -OBSTACLE_TARGET_HEIGHT_M
     if kind == TASK_HOVER:  # a height that differs from episode to episode is no measure of the error
