@@ -280,7 +280,7 @@ def _residual_rows(fit: FitResult) -> ReportTable:
 
 
 def _determinant_ratio(fit: FitResult) -> str:
-    """Return the ratio of the residual covariance's determinant in held-out records to that in fitted records, as text.
+    """Return, as text, the determinant of the residual covariance in held-out records over that in fitted records.
 
     The text is empty if the records are not comparable.
     """
@@ -291,7 +291,7 @@ def _determinant_ratio(fit: FitResult) -> str:
 
 
 def candidate_table(r: LinearResult) -> ReportTable:
-    """Return heads and rows of the table of candidate structures, best first."""
+    """Return header and rows of the table of candidate structures, best first."""
     outputs = r.linear.structure.outputs
     heads = ("structure", "free", "cross-validation", *(f"of {o}" for o in outputs), "AIC", "BIC")
     rows = []
@@ -302,7 +302,7 @@ def candidate_table(r: LinearResult) -> ReportTable:
 
 
 def estimate_table(r: LinearResult) -> ReportTable:
-    """Return heads and rows of the table of estimates."""
+    """Return header and rows of the table of parameter estimates."""
     bound = np.sqrt(np.maximum(np.diag(r.linear.bound), 0.0))
     rows = []
     for e, b, p in zip(r.fit.estimates, bound, r.linear.structure.parameters, strict=True):
@@ -313,7 +313,7 @@ def estimate_table(r: LinearResult) -> ReportTable:
 
 
 def quality_table(r: LinearResult) -> ReportTable:
-    """Return heads and rows of the simulation quality of every output, as recorded and low-passed."""
+    """Return header and rows of the simulation quality of every output, as recorded and low-passed."""
     rows = []
     for role, checks in r.checks.items():
         for name, c in zip(r.linear.structure.outputs, checks, strict=True):
@@ -333,7 +333,7 @@ def _format_percent(value: float) -> str:
 
 
 def prediction_table(r: LinearResult) -> ReportTable:
-    """Return heads and rows of the multi-step prediction quality on the held-out part, by horizon."""
+    """Return header and rows of the multi-step prediction quality on the held-out part, for each prediction horizon."""
     outputs = r.linear.structure.outputs
     rows = []
     for a in r.ahead:
@@ -345,7 +345,7 @@ def prediction_table(r: LinearResult) -> ReportTable:
 
 
 def cross_check_table(r: LinearResult) -> ReportTable:
-    """Return heads and rows that compare the parameters from output error, equation error and frequency response."""
+    """Return header and rows that compare the parameters from output error, equation error and frequency response."""
     s, spectral = r.spectral_fit, {}
     if s is not None:
         spectral = dict(zip(r.linear.structure.symbols, zip(s.values, s.value_std, strict=True), strict=True))

@@ -91,7 +91,7 @@ _DIVERGED_OUTPUT = 1e6  # output of a diverged simulation
 
 @cached_njit(error_model="numpy")
 def _lag_line_coefficients(z: float) -> tuple[float, float]:
-    """Return ``A`` and ``B`` of a first-order lag (formulas of the module docstring) for ``z = h/T``."""
+    """Return ``A`` and ``B`` of the line that replaces the exponential of a lag (module docstring), for ``z = h/T``."""
     if z < 0.05:
         m0 = 1.0 - z / 2.0 + z * z / 6.0 - z**3 / 24.0 + z**4 / 120.0
         slope = -z + z * z / 2.0 - 0.15 * z**3 + z**4 / 30.0

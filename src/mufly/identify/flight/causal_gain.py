@@ -35,7 +35,7 @@ _MIN_BLOCKS = 60
 
 @dataclass(frozen=True)
 class CausalGain:
-    """Gains of a measured motion to predicted accelerations, and the evidence for the sign of the leading gain.
+    """Gains by which predicted accelerations explain a measured motion, and the evidence for the leading gain's sign.
 
     The leading gain is that of the prediction that explains most of the motion.
 
@@ -65,7 +65,7 @@ def estimate_causal_gain(
     skip_s: float = 0.0,
     longest_lag_s: float = 0.0,
 ) -> CausalGain | None:
-    """Estimate the gains of a measured motion to predicted accelerations; ``None`` for too short a record.
+    """Estimate the gains by which predicted accelerations explain a measured motion; ``None`` for too short a record.
 
     Parameters
     ----------

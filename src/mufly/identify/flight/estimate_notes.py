@@ -44,7 +44,7 @@ def describe_held_parameters(
 
 
 def _nonparabolic_parameters(linear: LinearisedProblem, rise: _Array) -> list[str]:
-    """Return the free parameters with over a quarter of their variance in directions of a non-quadratic cost."""
+    """Return the free parameters with over a quarter of their variance along axes of non-quadratic cost."""
     _, size, vt = np.linalg.svd(linear.jacobian, full_matrices=False)
     shares = (vt / size[:, None]) ** 2
     shares /= shares.sum(axis=0)

@@ -239,7 +239,7 @@ _START_VALUE_ERROR_FRACTION = 0.5
 
 @result(eq=False, picture="mufly.identify.fit_pictures:draw_fit_result")
 class IdentificationDemo:
-    """Fit of the demonstration with the true parameters.
+    """Fit of the demonstration's records, and the true parameters to compare with.
 
     Attributes
     ----------
@@ -327,6 +327,6 @@ def run_identification_demo(
 
 
 def rms_over_true_noise(record: RecordPrediction) -> float:
-    """Return the RMS prediction error over the true sensor noise of the demonstration (1)."""
+    """Return the RMS prediction error, divided by the true sensor noise of the demonstration."""
     std: NDArray[np.float64] = np.array([SENSOR_NOISE_STD[o] for o in record.output_names])
     return float(np.sqrt(np.nanmean((record.residual / std) ** 2)))

@@ -425,7 +425,7 @@ def cost_rise_along_axes(linear: LinearisedProblem) -> tuple[_Array, int]:
 
 
 def _follow_valley_floor(linear: LinearisedProblem, sides: _Array, chords: int) -> tuple[_Array, list[_Array]]:
-    """Minimise the cost with some coordinates fixed, for b points; return theta (b, t) and initial states.
+    """Minimise the cost at b points with the coordinates in ``sides`` fixed; return theta (b, t) and initial states.
 
     The coordinates are those in which the linearised cost is a sphere. ``sides`` (b, t) holds the fixed ones; its zeros
     are free. ``chords`` correction steps with the present Jacobian are made.

@@ -133,7 +133,7 @@ class LinearisedRecord:
 
 @dataclass(frozen=True, eq=False)
 class PreparedRecord:
-    """Record prepared for the simulation: measured outputs, inputs, and reference of the initial states.
+    """Record prepared for the simulation: outputs, inputs, and the motion from which initial states are counted.
 
     Attributes
     ----------
@@ -349,8 +349,8 @@ class OutputErrorProblem:
         return y
 
     def _velocity_follows_attitude(self, i: int) -> bool:
-        """Return whether the horizontal velocity is not fitted in the windows of record ``i`` and must follow from
-        the attitude.
+        """Return whether the horizontal velocity in the windows of record ``i`` is computed from the attitude, as it is
+        not fitted.
         """
         f = self.prepared_records[i]
         tilt = {"roll", "pitch"} <= set(f.record.outputs)

@@ -459,7 +459,7 @@ def _record_bias(
 
 
 def find_coherent_band(records: Sequence[RegressionRecord], k: int, cut_hz: float) -> tuple[float, float]:
-    """Return the widest band (Hz), in octaves, in which the inputs explain at least half of an output.
+    """Return the band (Hz), the widest on a logarithmic scale, in which the inputs explain at least half of an output.
 
     Below the band, trims drift and the controller's response to disturbances dominates; above it, noise dominates.
     The criterion is the multiple coherence of the fitted records less its chance level. If it is nowhere sufficient,
@@ -523,7 +523,10 @@ def _search_actuator_grid(
     most: float,
     dt: float,
 ) -> Array:
-    """Return the lag and delay, from a grid of both, that give ``terms`` the smallest residual."""
+    """Return the lag and delay (s), from a grid of both, with which ``terms`` leave the smallest residual.
+
+    ``columns`` computes the terms' rows, ``cleared`` removes biases from rows, ``plain`` is the response without.
+    """
     z = np.concatenate([b.ravel() for b in plain])
     best, least = np.zeros(2), np.inf
     for lag in most * np.array([0.0, 0.1, 0.2, 0.35, 0.55, 0.8]):

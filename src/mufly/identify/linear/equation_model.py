@@ -434,7 +434,7 @@ ReportTable = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
 
 
 def equation_table(model: EquationModel) -> ReportTable:
-    """Return heads and rows of the equations' terms, with lag and delay of the inputs."""
+    """Return header and rows of the equations' terms, with lag and delay of the inputs."""
     rows = []
     for e in model.equations:
         low, high = e.band_hz
@@ -451,7 +451,7 @@ def equation_table(model: EquationModel) -> ReportTable:
 
 
 def stepwise_table(model: EquationModel) -> ReportTable:
-    """Return heads and rows of the stepwise choice of terms."""
+    """Return header and rows of the stepwise choice of terms."""
     rows = [
         (f"{e.output}'", s.term, f"{s.F:.1f}", f"{e.F_in:.1f}", f"{100 * s.R2:.1f} %", f"{s.PSE:.3f}")
         for e in model.equations for s in e.steps
@@ -460,7 +460,7 @@ def stepwise_table(model: EquationModel) -> ReportTable:
 
 
 def score_table(model: EquationModel) -> ReportTable:
-    """Return heads and rows of the prediction scores, in per cent."""
+    """Return header and rows of the prediction scores, in per cent."""
 
     def format_percent(value: float) -> str:
         return "diverges" if np.isneginf(value) else "< -999" if value < -999.0 else f"{value:.1f}"

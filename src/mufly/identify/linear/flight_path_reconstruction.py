@@ -405,7 +405,7 @@ def _run_rts_smoother(x: Array, f: _FilterPass) -> tuple[Array, Array]:
 
 
 def check_sensor_axes(raw: Array, z: Array, outs: tuple[str, ...], dt: float) -> Iterator[SignalFault]:
-    """Yield faults of unit, sign and axis of channels that differ from their kinematic prediction by the others.
+    """Yield faults of unit, sign and axis of channels that contradict their kinematic prediction from other channels.
 
     Yields
     ------

@@ -129,7 +129,7 @@ class _LinearFitProblem:
         self.coordinates = SearchCoordinates(structure.parameters, self.start_values)
 
     def simulate_with_linear_unknowns(self, values: Array) -> tuple[Array, Array, Array] | None:
-        """Return the response to the inputs, those to one unit of each linear unknown, and the estimated unknowns.
+        """Return the response to the inputs, those to a unit of each linear unknown, and the estimates of the unknowns.
 
         The linear unknowns are the initial states, input trims and output biases. None if the simulation overflows.
         """
@@ -164,7 +164,7 @@ class _LinearFitProblem:
         return ((self.measured - forced - added @ linear) * np.sqrt(self.output_weight))[self.is_used]
 
     def solve_linear_unknowns(self, z: Array) -> tuple[Array, Array, Array]:
-        """Return the residuals, the responses to one unit of each linear unknown, and the estimated unknowns.
+        """Return the residuals, the responses to a unit of each linear unknown, and the estimates of the unknowns.
 
         The linear unknowns are the initial states, input trims and output biases.
         Residuals have the shape (n, outputs); masked samples are NaN.
