@@ -325,7 +325,7 @@ class KalmanEstimator(Estimator):
             z[start : start + READING_WIDTHS[k]] = r.value - offset if offset else r.value
 
     def _set_fix_noise(self, fix: Reading, since_s: float) -> None:
-        """Set the accuracy of a fix from its own covariance, or else from the vehicle's file."""
+        """Set the filter's noise and bias variance of a fix from its own covariance, or else from the vehicle file."""
         s, file, four = self.backend.settings, self._vehicle_noise, slice(ERROR_FIX_BIAS, ERROR_FIX_HEADING + 1)
         noise = np.array([file["fix_variance"], file["heading_variance"]])
         own = None if fix.covariance is None else np.diag(fix.covariance)

@@ -150,7 +150,7 @@ def _sonar_h_row(m: FilterMemory, s: FilterSettings, r: _Array) -> float:
 
 @cached_njit(error_model="numpy")
 def _reset_height(m: FilterMemory, s: FilterSettings, nu: float) -> None:
-    """Reset the height after consistent innovations ``nu`` of the sonar.
+    """Inflate the height's variance by ``nu``^2, the square of a lasting innovation of the sonar.
 
     The foot of a wall in the sonar's cone can cause one reset. A second reset within
     :data:`SECOND_HEIGHT_RESET_WINDOW_S` shows that a force is wrong, so the variances of vertical speed, accelerometer
