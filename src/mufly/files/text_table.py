@@ -430,7 +430,7 @@ def _detect_separator(lines: Sequence[str]) -> str:
 
 
 def looks_like_table(head: bytes) -> bool:
-    """Return True if the beginning of a file is text with more than one column or number."""
+    """Return True if the beginning of a file is text with a digit in a line that is no comment."""
     wide = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     text = decode_text(head) if wide else head.decode("utf-8", errors="ignore").lstrip("\ufeff")
     if "\0" in text or len(text) < (0.4 if wide else 0.9) * len(head) or not text.strip():
@@ -514,7 +514,7 @@ def _find_header_line(lines: Sequence[str], first: int) -> int:
 
 
 def _parse_preamble(lines: Sequence[str]) -> dict[str, str]:
-    """Parse keys and values before a table; a line with one cell is a key without value."""
+    """Return the keys and values in the lines above a table; a line with one cell is a key without value."""
     rows = [split_cells(s, "," if "," in s else ";") for s in lines if _is_content_line(s)]
     return {row[0]: ",".join(row[1:]) for row in rows if row}
 
