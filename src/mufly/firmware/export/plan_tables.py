@@ -175,7 +175,7 @@ def render_log_source() -> str:
 
 
 def supervisor_numbers(vehicle: Vehicle) -> dict[str, Any]:
-    """Return the fields of ``supervisor_settings_t`` by name: sticks, times of the link failsafe, standing height."""
+    """Return the fields of ``supervisor_settings_t`` by name: stick ranges, link timeouts, standing height."""
     most = StickRanges()
     return {
         "stick_tilt": most.tilt,

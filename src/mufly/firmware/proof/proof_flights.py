@@ -80,7 +80,7 @@ def resume_flights(
     fly: Callable[[str, int], ResultT],
     on_flight: Callable[[ResultT], None] | None = None,
 ) -> list[ResultT]:
-    """Return the results of the requested flights, and fly those without a stored result.
+    """Return the results of the flights ``asked``: stored results, and those of flights that are flown now.
 
     Parameters
     ----------

@@ -231,7 +231,7 @@ class CompiledFlight:
     def _assemble_loop(self, wind: _Array) -> tuple[Any, Any]:
         """Return the arguments and the function of the compiled loop.
 
-        The function is :func:`run_fitted_periods` for a flight on sensors, else :func:`run_ideal_periods`.
+        The function is :func:`run_fitted_periods` for a flight with sensors, else :func:`run_ideal_periods`.
         """
         plant = self._flight.plant
         on_plant = PlantArrays(
