@@ -180,7 +180,7 @@ class OscillationDetector:
 def steering_demands(
     state: str, velocity: Sequence[float], heading_rate: float, roll: float, pitch: float
 ) -> tuple[float, ...] | None:
-    """Return the commands (6,) of velocity, heading rate, roll and pitch from a pilot or a program.
+    """Return the pilot's or a program's commands (6,): velocity N, E, D, heading rate, roll and pitch.
 
     Return None in states in which the mission commands.
 

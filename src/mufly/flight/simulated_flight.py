@@ -354,7 +354,7 @@ class Flight:
 
     @property
     def current_filter_weight(self) -> float:
-        """Low-pass weight of a new sample of the battery current, which is sampled every ``look_periods`` periods."""
+        """Weight of a new sample in the low-pass of the battery current, sampled every ``look_periods`` periods."""
         return self.look_periods * self.period_s / _CURRENT_FILTER_S
 
     # The stages of a period, in the order of mufly.flight.period_stages; the last one ends every call

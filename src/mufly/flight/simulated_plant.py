@@ -141,7 +141,7 @@ class SimulatedPlant:
         true_attitude(self.state, self.attitude)
 
     def reset(self, state: NDArray[np.float64]) -> None:
-        """Replace the state, clear a crash and advance the clock by one period; the wind continues."""
+        """Replace the state, discard a crash and advance the clock by one period; the wind continues."""
         self.state[:] = state
         self.period_count += 1
         self.crash_cause = ""

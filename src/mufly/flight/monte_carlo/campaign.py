@@ -102,7 +102,7 @@ class FlightResult:
     success : bool
         Success reported by the state machine and confirmed by the truth.
     ending : str
-        Class of :data:`mufly.flight.monte_carlo.flight_ending.ENDINGS`, by the truth.
+        Class of :data:`mufly.flight.monte_carlo.flight_ending.ENDINGS`, from the true motion.
     reason : str
         Reason of a failure; empty for a success.
     reported_outcome : str
@@ -333,7 +333,7 @@ class Campaign:
         return sum(v.variable_count for v in self.variations) + isinstance(self.wind, float)
 
     def case_at_point(self, point: _Array, index: int) -> FlightCase:
-        """Return the settings at a point (``search_dimension``,) of the search for the worst case, within -1..1.
+        """Return the settings for ``point`` (``search_dimension``,), coordinates within -1..1 of the worst-case search.
 
         The seed is that of flight 0. A normal ``z`` is searched within two standard deviations.
         """

@@ -146,7 +146,7 @@ class CampaignOutcome:
     refused : int
         Number of impossible vehicles that were drawn again.
     endings : tuple
-        Class by the truth (:data:`mufly.flight.monte_carlo.flight_ending.ENDINGS`), number of flights, and the 95 %
+        Class by true motion (:data:`mufly.flight.monte_carlo.flight_ending.ENDINGS`), number of flights, and the 95 %
             interval of its share (Wilson); tip-overs are always listed.
     reasons : tuple
         Reasons of failures without their numbers, each with its count; the commonest first.

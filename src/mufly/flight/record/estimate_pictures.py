@@ -81,7 +81,7 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
     Parameters
     ----------
     dataset : xarray.Dataset
-        Recording of a flight on sensors, or one with other estimates
+        Recording of a flight with sensors, or one with other estimates
         (:func:`mufly.flight.record.sensor_recording.replace_estimates`). Without truth the errors are omitted, and
         the band is drawn around the estimate.
     """

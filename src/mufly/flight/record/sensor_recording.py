@@ -1,4 +1,4 @@
-"""Recording of readings and estimates of a flight on sensors, and its replay.
+"""Recording of the readings and estimates of a flight with sensors, and its replay.
 
 A recording has a row for every period of the flight software. A new reading is in the row of its arrival, with its
 measurement time and its validity; rows without a new reading hold NaN. A recording therefore contains all inputs of the
