@@ -92,7 +92,7 @@ class SensedOutput:
 
 
 class UnitSensors:
-    """Sensors and filter of a co-simulation unit, with random errors for several seeds.
+    """Sensors and filter of a co-simulation unit, with the sensors' random errors for several seeds.
 
     Parameters
     ----------
