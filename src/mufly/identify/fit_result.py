@@ -470,7 +470,7 @@ def _describe_direction(names: Sequence[str], share: Array, std: float) -> str:
 def select_error_model(
     shapes: Sequence[tuple[float, float]], tried: Callable[[float, float], tuple[Array, float]]
 ) -> tuple[Array, str]:
-    """Return the standard deviations of the data under the most likely error model, and a description of this model.
+    """Return the standard deviations of the measurements by the most likely error model, and that model as a text.
 
     Parameters
     ----------

@@ -340,7 +340,7 @@ def simulate_supported_flight(
     states : (b, n, 21) array
         States (:mod:`mufly.dynamics.model_state`).
     inputs : (b, n, 4) array
-        Commanded inputs, limited to the actuator ranges.
+        Commanded inputs, clipped to the actuator ranges.
     voltage : (b, n) array
         Battery voltage (V).
     """
@@ -608,7 +608,7 @@ def _max_safe_amplitude(
     limits: FlightLimits,
     tick: Callable[[int], None],
 ) -> tuple[float, str, float]:
-    """Return the largest safe amplitude, the limit that determines it, and the highest used share of a limit."""
+    """Return the largest safe amplitude, the limit that determines it, and the largest deviation over its limit."""
     top = _MAX_AMPLITUDE if wanted is None else wanted
     if not (math.isfinite(top) and 0 < top <= _MAX_AMPLITUDE):
         raise ArgumentError("amplitude", "", f"{top:g} is out of range", "give a share of the inputs' range, up to 1")

@@ -201,7 +201,7 @@ def _coefficient_unit(output: str, term: tuple[str, ...]) -> str:
 def regress_rate_derivatives(
     rates: Array, u: Array, dt: float, *, rate_names: tuple[str, ...], input_names: tuple[str, ...], cut_hz: float
 ) -> dict[str, tuple[float, float]]:  # fmt: skip
-    """Regress each rate's derivative on all rates and inputs, without delay, as cross-check of another fit.
+    """Return the regression of each rate's derivative on all rates and inputs, without delay, to check another fit.
 
     Parameters
     ----------
