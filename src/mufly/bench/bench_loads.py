@@ -481,7 +481,7 @@ class BenchPrediction:
     error: dict[str, Array]
 
     def describe_errors(self) -> list[str]:
-        """Return descriptions of the mean and mean absolute error of each channel."""
+        """Return a line for each load, with the mean and the mean absolute error of its prediction."""
         return [
             f"{name}: prediction {100 * np.mean(e):+.1f} % from the measured on average, "
             f"{100 * np.mean(np.abs(e)):.1f} % in the mean of absolute errors ({e.size} points)"

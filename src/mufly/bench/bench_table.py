@@ -147,7 +147,7 @@ class BenchTable:
         return known.with_columns(note, **{name: self.columns[name] * factor})
 
     def select_lines(self, keep: NDArray[np.bool_]) -> BenchTable:
-        """Return the lines that ``keep`` (n,) selects."""
+        """Return a table of the lines that ``keep`` (n,) selects."""
         return self.reorder_lines(np.flatnonzero(keep))
 
     def reorder_lines(self, index: NDArray[np.intp]) -> BenchTable:
@@ -504,7 +504,7 @@ class ColumnMeaning:
 
 
 def base_quantity_of(name: str) -> str:
-    """Return the quantity of a column's name, without rotor and ``_raw``: ``"torque"`` of ``"torque_lower_raw"``."""
+    """Return a column name's quantity without rotor suffix and ``_raw``: ``"torque"`` of ``"torque_lower_raw"``."""
     return re.sub(r"(_upper|_lower)?(_raw)?$", "", name)
 
 

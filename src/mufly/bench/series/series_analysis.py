@@ -405,7 +405,7 @@ def _loads_by_axis(
 def _estimate_repeatability(
     channel: LoadChannel, points: SeriesReadings, plan: SeriesPlan, density: Array, speed: dict[str, Array]
 ) -> tuple[float, float]:
-    """Return the relative repeatability tau (NaN without repeated mountings), and the posterior mean of tau^2."""
+    """Return the relative repeatability tau (NaN without repeated mountings), and the posterior mean of its square."""
     scale = density * (speed["upper"] ** 2 + speed["lower"] ** 2)
     coefficient = channel.value / scale
     contrasts: list[tuple[Array, Array]] = []

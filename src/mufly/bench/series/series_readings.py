@@ -106,7 +106,10 @@ class SeriesReadings:
 
 
 def readings_of_record(record: SeriesRecord, what: str) -> SeriesReadings:
-    """Return the zeros (``"tare"``) or points (``"point"``) of a record; a repeated point replaces the earlier one."""
+    """Return the zero readings (``"tare"``) or measured points (``"point"``) of a record.
+
+    A repeated point replaces the earlier one.
+    """
     last: dict[tuple[int, int, float], dict[str, Any]] = {}
     for x in record.readings:
         if x["what"] == what:

@@ -62,7 +62,7 @@ class SeriesRecord:
 
     @property
     def header_line(self) -> dict[str, Any]:
-        """First line of the record; empty without lines."""
+        """First line of the record; an empty dictionary if the record has no lines."""
         return self.lines[0] if self.lines else {}
 
     @property
