@@ -290,7 +290,7 @@ def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Comp
 
 
 def _closed_loop(axis: _Axis, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
-    """Return the closed loop's A (n, n), and its columns of the reference and of the wind (n,).
+    """Return the closed loop's state matrix A (n, n), and its input columns (n,) for the reference and the disturbance.
 
     Its states begin with those of the plant. The delay and the gyroscope's filters are one low pass of second order
     with the same delay at low frequency.

@@ -141,7 +141,7 @@ class AutopilotPlant:
 
     @property
     def has_moved(self) -> bool:
-        """Whether the vehicle has been armed since it was last placed at the start."""
+        """Whether the vehicle has been armed, and so may have moved, since it was last placed at the start."""
         return self._has_moved
 
     def advance_period(self, inputs: _Array, armed: bool) -> None:

@@ -83,7 +83,7 @@ PACKAGE_FLOORS = _list_package_floors()
 
 @dataclass(frozen=True)
 class FloorSource:
-    """Name, picture file and width from which :meth:`make_floor` makes a floor.
+    """Source of a floor's texture: name, picture file and width, for :meth:`make_floor`.
 
     Attributes
     ----------

@@ -294,7 +294,7 @@ def place_sections(
     half_m: float,
     level_m: float,
 ) -> Array:
-    """Return the points of all sections, placed along the blade's line.
+    """Place the sections of a blade along its curve; return the positions of all their points.
 
     Sections of a winglet are normal to it. Above and below the blade they turn upright over a length below the bend
     radius, so that neighbours do not intersect. With n the height over the blade and h = tanh(n / l) ::

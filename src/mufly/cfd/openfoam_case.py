@@ -141,7 +141,7 @@ class OperatingPoint:
 
     @property
     def patch_speeds_rad_s(self) -> dict[str, float]:
-        """Rotational speeds (rad/s) about +z by patch."""
+        """Rotational speed about +z (rad/s) of each wall, by patch name."""
         return {"blade": self.speed_rad_s} | ({LOWER_BLADE_PATCH: -self.lower_rad_s} if self.gap_m else {})
 
     @property

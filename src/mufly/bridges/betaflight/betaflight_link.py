@@ -188,7 +188,7 @@ class BetaflightSimulator(AutopilotSimulator):
         self.on_period()
 
     def _send_state(self) -> None:
-        """Send the vehicle's state and, in one of ``_PILOT_PERIODS`` periods, the channels of the transmitter."""
+        """Send the vehicle's state and, every ``_PILOT_PERIODS`` periods, the channels of the transmitter."""
         vehicle = self.vehicle
         if self.pilot is not None and self.step_count % _PILOT_PERIODS == 0:
             if self.state == "running":
