@@ -484,7 +484,7 @@ def _stayed_on_ground(dataset: xr.Dataset) -> bool:
 def write_flight_results(
     terminal: Console, dataset: xr.Dataset, mission: Mission, recordings: list[Path], as_json: bool
 ) -> FlightSummary:
-    """Write summary and pictures beside the recordings, and print them."""
+    """Write summary and pictures beside the recordings; print the summary and the names of the files."""
     from rich.markup import escape
 
     import mufly.flight as flight

@@ -107,7 +107,7 @@ class CommandGroup(typer.Typer):
 
 
 def _expand_option_records(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function with each field of its option records, such as :class:`PolarOptions`, as a separate argument.
+    """Return the function with the fields of dataclass arguments, such as :class:`PolarOptions`, as own arguments.
 
     Numeric options without a notation are plain counts or numbers. Fields with an option annotation become options;
     other fields do not. The defaults are those of the function's default record.
@@ -639,7 +639,8 @@ PictureOption = Annotated[Path | None, define_option("--out DIR", "Folder for a 
 
 
 def read_optional_with_std(option: str, text: str | None, unit: str) -> tuple[float | None, float]:
-    """Return value and standard deviation of ``"0.84"`` or ``"0.84+-0.02"`` in a unit; None for None or ``"free"``.
+    """Return value and standard deviation of ``"0.84"`` or ``"0.84+-0.02"`` in a unit; (None, 0) for None or
+    ``"free"``.
 
     Raises
     ------

@@ -199,7 +199,7 @@ def parse_endpoints(
     option: str = "--link",
     each: str = "link",
 ) -> list[Endpoint]:
-    """Return the links of an option; InputError for a repeated link."""
+    """Return the MAVLink endpoints that an option gives; raise InputError for a repeated one."""
     from mufly.link.ports import parse_endpoint
 
     found = [parse_endpoint(text, role, option) for text in texts or ()]

@@ -72,7 +72,7 @@ AirfoilsOption = Annotated[
 def parse_set_options(
     texts: list[str] | None, table: dict[str, StudyParameterSpec], remedy: str
 ) -> dict[str, ParameterValue]:
-    """Return the settings of ``--set``, each with one value."""
+    """Return the parameter values that ``--set`` gives, by name; raise InputError if a parameter has several."""
     from mufly.study import parse_settings
 
     settings = parse_settings(texts or [], table)

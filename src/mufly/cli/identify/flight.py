@@ -268,7 +268,7 @@ def _show_fit_progress(shown: bool) -> Iterator[Callable[[FitProgress], None] | 
 
 
 def _write_report(fit: FitResult, folder: Path | None, shown: bool) -> list[Path]:
-    """Write the report of a fit; return its page, or nothing without a folder. ``shown`` shows a progress bar."""
+    """Write the report of a fit into a folder, if given, and return its page; ``shown`` displays a progress bar."""
     if folder is None:
         return []
     from mufly.identify import write_report
@@ -308,7 +308,7 @@ def demo(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Identify a known vehicle from simulated flights with pilot support, chirps, noise and radio delay.
+    """Identify a known vehicle from simulated flights with hover-holding feedback, chirps, noise and radio delay.
 
     Twelve parameters start 50 % off. Example: mufly identify demo --seed 3 --report report
     """

@@ -276,7 +276,7 @@ def plan(
     out: Annotated[Path | None, define_option("--out DIR", "Folder for signals (CSV) and pictures (PNG).")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Design flights for identification: signals within safe limits, and the standard deviations to expect.
+    """Design flights for identification: safe input signals, and the parameters' expected standard deviations.
 
     Example: mufly identify plan mufly-1.1 --free cT_dw,cQ_dw,Jdrive_dw --channel yaw,heave --out plan
     """
