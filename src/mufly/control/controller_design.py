@@ -62,7 +62,7 @@ PUBLISHED_VELOCITY = PublishedFigures()
     "sampled_with_one_sample_of_delay=sampled_loop thesis=published",
 )
 class ControllerDesign:
-    """Design of one controller: synthesis, reduced order, difference equations, and the figures of its loops.
+    """Design of one controller: synthesis, reduced order, difference equations, and the analyses of its loops.
 
     Attributes
     ----------

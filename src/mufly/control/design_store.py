@@ -32,7 +32,7 @@ def _source_digest() -> str:
 
 
 def hash_synthesis_problem(method: SynthesisMethod, problem: SynthesisProblem) -> str:
-    """Return the hash of all that the controller of a method depends on."""
+    """Return a hash of all inputs that determine the controller of a method."""
     p = problem
 
     def matrices(system: control.StateSpace) -> list[object]:

@@ -155,7 +155,7 @@ class FlightController:
         return tuple(found)
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return trim and rates, the figures of all designs, and the warnings."""
+        """Return as printed text the motor trim and rates, all designs with their schedule, and the warnings."""
         c = self.cascade
         return [
             show_lines(

@@ -58,7 +58,7 @@ _RELATIVE_NORM_TOLERANCE = 1e-6  # relative difference below which two norms cou
 
 @result
 class ReducedCandidate:
-    """One reduced controller and the figures of its loop.
+    """One reduced controller, with the peaks and the norm of its loop.
 
     Attributes
     ----------

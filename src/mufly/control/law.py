@@ -153,7 +153,7 @@ def _filter_reference(
 
 @cached_njit
 def _limit_lead_rate(rate: float, whole: float) -> float:
-    """Limit ``rate`` to the interval between zero and ``whole``, which may be negative."""
+    """Clip ``rate`` to the interval between zero and ``whole``, which may be negative."""
     if whole > 0.0:
         return _clip_value(rate, 0.0, whole)
     return _clip_value(rate, whole, 0.0)
@@ -442,7 +442,7 @@ def pack_gains(dtype: np.dtype, controller: DiscreteController, **values: object
 
 
 def _initial_state_gains(controller: DiscreteController) -> tuple[Array, Array]:
-    """Return the gains E and U of an initial state ``E e + U output``.
+    """Return the matrices E and U that give a controller's initial state ``E e + U output``.
 
     From this state the controller gives ``output`` at input ``e``, and the state changes least in the next period.
 

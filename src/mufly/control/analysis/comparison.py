@@ -388,7 +388,7 @@ def recall_mu_bounds(
 
 
 def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
-    """Return the figures as a dataset: loop figures over the dimensions controller and loop, others over controller."""
+    """Return the comparison as a dataset: margins and norms over controller and loop, other values over controller."""
     loops = ("roll-pitch", "heave-yaw")
 
     def loop_figure_array(figure: Callable[[LoopFigures], float]) -> tuple[tuple[str, str], list[list[float]]]:

@@ -76,7 +76,7 @@ class ServoMap:
         return float(self.table.lag_s.values[enough][-1]) if enough.any() else float("nan")
 
     def as_record(self) -> dict[str, Any]:
-        """Return the figures of all servos and rates as JSON data, None where no design is stable."""
+        """Return all values of the map as JSON data, None where no design is stable."""
         values = {
             name: [[[float(v) if np.isfinite(v) else None for v in row] for row in plane] for plane in array.values]
             for name, array in self.table.data_vars.items()

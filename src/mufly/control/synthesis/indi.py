@@ -43,7 +43,7 @@ _RATE_FILTER_DAMPING = 0.7
 
 @dataclass(frozen=True)
 class IndiGains:
-    """Gains of INDI.
+    """Gains of incremental nonlinear dynamic inversion (INDI).
 
     Attributes
     ----------

@@ -132,9 +132,7 @@ class OutputSchedule:
 
     @property
     def inverse_square(self) -> float:
-        """Factor (s2/m2) by which the squared forward speed becomes the weight of the forward-flight outputs, at most
-        1.
-        """
+        """Factor (s2/m2) on squared forward speed; the product, at most 1, weights the forward-flight outputs."""
         return 1.0 / self.speed_m_s**2
 
     def controller_at(self, hover: DiscreteController, share: float) -> control.StateSpace:
