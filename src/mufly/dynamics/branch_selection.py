@@ -123,7 +123,7 @@ def _make_name_node(name: str) -> ast.Name:
 
 
 class _ExpressionRewriter(ast.NodeTransformer):
-    """Replace ``a and b``, sine, cosine and conversion to integer by calls of the number type's own functions."""
+    """Replace ``a and b``, sine, cosine and integer conversion by functions that the type of the numbers supplies."""
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
         self.generic_visit(node)

@@ -148,7 +148,7 @@ def _select_value(test: Any, a: Any, b: Any) -> Any:
 
 
 def _integer_part(number: Any) -> Any:
-    """Return the integer part of a number, which is rounded towards zero."""
+    """Return a number, rounded towards zero to an integer."""
     if not isinstance(number, _CasadiSymbol):
         return int(number)
     return _select_value(number >= 0.0, _casadi_function("floor", number), _casadi_function("ceil", number))

@@ -118,7 +118,7 @@ def _rotor_hub_wrench(
     hub: tuple[float, float, float, float], turning: tuple[float, float, float, float], v_x: float, v_y: float,
     roll: float, pitch: float, scale: float, radius: float, inplane: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """Return force (N) and moment (N m) of a rotor about its hub along body x and y.
+    """Return a rotor's force (N) along body x and y, then its moment (N m) about the hub, about body x and y.
 
     Arguments are the loads of the flow from ``drag`` on and those of rates, the velocity of the hub, both rates,
     K Omega, R, and the linear drag that is replaced.

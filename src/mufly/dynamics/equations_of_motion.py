@@ -445,7 +445,7 @@ def inside_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float)
 
 
 def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
-    """Return upper bounds of a map coefficient and of its slopes, which ``longest_step`` needs.
+    """Return upper bounds of a map coefficient, and of its load's slopes over rotor speed and climb velocity.
 
     With c over s (mean speed), r (ratio of the speeds) and m (climb ratio V / (s R)), thrust or torque is
     ``c Omega^2``. Its slope over the speed of either rotor is at most ``(2 |c| + s |dc/ds| + r |dc/dr| + m |dc/dm|)

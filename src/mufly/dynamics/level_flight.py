@@ -243,7 +243,7 @@ class LevelFlightModel:
         return float(found.x[0]), float(found.x[1])
 
     def wrench(self, x: Array, airspeed: float) -> tuple[Array, ForwardPair]:
-        """Return the unbalanced forces and moments, and the rotor loads, for given unknowns ``x``.
+        """Return the dimensionless imbalance of forces and moments in level flight, and the rotor loads, at ``x``.
 
         The unknowns are pitch, roll, two servo inputs, and the factors of the upper and the lower rotor speed.
         """
@@ -305,9 +305,7 @@ class LevelFlightModel:
         return watts + supply * float(battery.electronics_current), inputs
 
     def thrust_margin(self, torques: Sequence[float], speeds: Sequence[float]) -> float:
-        """Return the greatest thrust divided by the thrust in use, less 1: both speeds rise by one factor until a motor
-        is at full input.
-        """
+        """Return the relative reserve of thrust, if both speeds rise by one factor until a motor is at full input."""
         low, high = 0.2, 5.0
         for _ in range(50):
             middle = 0.5 * (low + high)

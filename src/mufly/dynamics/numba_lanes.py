@@ -232,7 +232,7 @@ def uniform(test: Any) -> Any:
 
 
 def whole_number(x: Any) -> Any:
-    """Return ``x`` unchanged; takes the place of ``np.uint64`` in source rewritten for lanes.
+    """Stand for ``np.uint64`` in source rewritten for lanes; ``x`` stays unchanged.
 
     :mod:`mufly.dynamics.branch_selection` rewrites the source.
     """
