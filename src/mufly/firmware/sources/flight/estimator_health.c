@@ -161,6 +161,11 @@ static void judge_estimate(health_verdict_t *found, const estimate_t *m, real_t 
     }
 }
 
+bool ignores_position(const health_monitor_t *d, const estimate_t *m)
+{
+    return (d->verdict.action == FAILSAFE_LAND) && (position_std_growth(m, d->floor_variance_m2) > HOLD_POSITION_SIGMA_M);
+}
+
 bool gyro_unavailable(const estimate_t *m)
 {
     const int32_t status = m->checks[SENSOR_RATES].status;
