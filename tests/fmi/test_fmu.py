@@ -5,6 +5,7 @@ import math
 import re
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import mufly
 from mufly.cli import app
 from mufly.compiled.toolchain import compile_library, find_compiler
 from mufly.dynamics import (
+    STATE_SIZE,
     battery_state,
     body_to_ned_matrix,
     initial_state,
@@ -25,9 +27,12 @@ from mufly.dynamics import (
 from mufly.dynamics.edgewise_loads import edgewise_load_factors
 from mufly.dynamics.equations_of_motion import climb_velocity, ground_effect_thrust, rotor_loads
 from mufly.errors import InputError, MuflyError
+from mufly.estimate import ERROR_STATES, AuxiliaryStates, Estimate
 from mufly.fmi import UnitInstance, UnitLibrary, compare_sensed_unit, compare_unit, export_fmu
 from mufly.fmi.fmu_export import SOURCE_FOLDER
 from mufly.fmi.model_description import unit_exponents
+from mufly.fmi.unit_flight import _sensed_values
+from mufly.sensors import Readings
 from mufly.vehicle import Vehicle, builtin_coefficient_maps, builtin_flight_maps, replace_parameters
 
 try:
@@ -289,6 +294,17 @@ def test_readings_and_estimate_equal_those_of_python_to_the_last_bit(sensed: Uni
         assert (compared.steps, compared.different) == (300, 0)
     heavier = replace_parameters(KNOWN, {"sensors.imu.accelerometer_bias": 0.3})
     assert compare_sensed_unit(sensed, heavier, duration_s=0.05).different == 11, "every reading has another bias"
+
+
+def test_deviations_of_angles_are_those_of_roll_pitch_and_yaw() -> None:
+    """The filter's sigma is about N, E, D: at a heading of 90 degrees that about north is the one of pitch."""
+    zero = np.zeros(3)
+    covariance = np.diag([*[1.0] * 6, 0.01, 0.04, 0.09, *[1.0] * 3])
+    more = AuxiliaryStates(zero, zero, 0.0, np.zeros(4), np.zeros(2), 1.0, np.full(len(ERROR_STATES), 7.0))
+    estimate = Estimate(0.0, zero, zero, zero, zero, np.ones(8), 7.4, covariance, True, more)
+    truth = SimpleNamespace(state=np.zeros(STATE_SIZE))
+    values = _sensed_values([f"state_{k}" for k in range(STATE_SIZE)], truth, Readings(0.0, {}), estimate)
+    assert [values[f"estimate.sigma.{a}"] for a in ("roll", "pitch", "yaw")] == pytest.approx([0.1, 0.2, 0.3])
 
 
 def test_sensors_keep_their_period_in_any_communication_step(sensed: UnitLibrary) -> None:

@@ -319,7 +319,10 @@ def _sensed_values(outputs: Sequence[str], truth: Truth, readings: Readings, est
     for numbers, prefix, ends, error in groups:
         for k, end in enumerate(ends):
             values[f"estimate.{prefix}{end}"] = float(numbers[k])
-            values[f"estimate.sigma.{prefix}{end}"] = float(more.sigma[error + k])
+            angle = error == ERROR_ATTITUDE  # its sigma is about N, E, D; the covariance that of roll, pitch, yaw
+            values[f"estimate.sigma.{prefix}{end}"] = (
+                math.sqrt(estimate.covariance[error + k, error + k]) if angle else float(more.sigma[error + k])
+            )
     values |= {f"estimate.{axis}_rate": float(rate) for axis, rate in zip(angles, estimate.rates, strict=True)}
     return {**values, "estimate.valid": float(estimate.valid)}
 

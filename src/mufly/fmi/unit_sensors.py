@@ -259,7 +259,8 @@ class UnitSensors:
         beams = max(1, int(self.vehicle.range_ring.count))
         numbers = {
             "FILTER_MEMORY_WORDS": words, "FILTER_VALUE_COUNT": INPUT_VALUE_COUNT, "FILTER_SENSOR_COUNT": SENSOR_COUNT,
-            "FILTER_STATE_COUNT": STATE_COUNT, "FILTER_DEVIATION_COUNT": ERROR_STATE_COUNT, "FILTER_BEAM_COUNT": beams,
+            "FILTER_STATE_COUNT": STATE_COUNT, "FILTER_DEVIATION_COUNT": ERROR_STATE_COUNT,
+            "FILTER_ATTITUDE": ERROR_ATTITUDE, "FILTER_BEAM_COUNT": beams,
             "FILTER_ACTUATORS": ACTUATOR_START, "FILTER_PUBLISH_INTERVAL": COVARIANCE_INTERVAL_TICKS,
             "SENSOR_WORD_COUNT": len(self.seeded_words[0]),
         }  # fmt: skip

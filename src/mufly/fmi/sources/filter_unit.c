@@ -42,5 +42,8 @@ void step_filter(filter_unit *f, const double *actuators)
     memcpy(f->angles, memory->angles_output, sizeof f->angles);
     if (f->periods == 1 || f->periods % FILTER_PUBLISH_INTERVAL == 0) {
         memcpy(f->deviations, memory->sigma_output, sizeof f->deviations);
+        for (int k = FILTER_ATTITUDE; k < FILTER_ATTITUDE + 3; k++) { /* of roll, pitch, yaw; sigma_output: about N, E, D */
+            f->deviations[k] = sqrt(memory->covariance_output[k][k]);
+        }
     }
 }
