@@ -342,7 +342,7 @@ def extract_motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
 def _check_physical(
     table: BenchTable, data: MotorData, effective: Array, covariance: Array, free: NDArray[np.bool_], quantile: float
 ) -> None:  # fmt: skip
-    """Check that the constants are physical.
+    """Raise an error if a fitted motor constant is not positive.
 
     Raises
     ------
@@ -461,7 +461,7 @@ class _MotorEquations:
         return out
 
     def whitened_residuals(self, x: Array, scales: Array) -> Array:
-        """Return the residuals over their expected errors, (n, 2)."""
+        """Return the equation residuals (n, 2), divided by their expected errors and decorrelated."""
         return np.einsum("nij,nj->ni", self.whitening_matrices(x, scales), self.equation_residuals(x))
 
     def residual_std(self, x: Array, scales: Array) -> Array:
@@ -514,7 +514,7 @@ class _MotorEquations:
         return MotorData(u, i, w, q, self.data.run)
 
     def whitened_sensitivities(self, x: Array, scales: Array) -> Array:
-        """Return the whitened derivatives of e1 and e2 by (R, a, b, d, c) at the adjusted readings, (2 n, 5)."""
+        """Return the whitened derivatives (2 n, 5) of both residuals by R, a, b, d and c, at the adjusted readings."""
         _, i, w, _ = self.adjust_readings(x).channel_arrays()
         raw = np.zeros((i.size, 2, 5))
         raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, _DAMPING_INDEX], raw[:, 1, _FRICTION_INDEX] = (

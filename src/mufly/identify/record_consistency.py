@@ -58,7 +58,7 @@ _UNIT_FACTOR_TOLERANCE = 0.08  # relative tolerance of a unit factor; degrees ar
 
 @dataclass(frozen=True)
 class SignalFault:
-    """Fault of one signal of a record.
+    """Fault found in one signal of a flight record, with its remedy.
 
     Attributes
     ----------
@@ -242,7 +242,7 @@ def _check_lag(name: str, source: str, a: SignalAgreement, sample_s: float) -> l
 
 
 def find_signal_faults(r: FlightRecord) -> list[SignalFault]:
-    """Return the faults found in a record without a vehicle model, fatal faults first."""
+    """Return the signal faults of a record, fatal faults first; the checks need no vehicle model."""
     found = [*_check_angles(r), *_check_velocities(r), *_check_height_unit(r), *_check_input_range(r)]
     return sorted(found, key=lambda f: not f.is_fatal)
 
@@ -264,7 +264,7 @@ def refuse_fatal_faults(r: FlightRecord, found: Sequence[SignalFault], *, as_is:
 
 
 def check_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
-    """Check a record for faults that would cause wrong parameters in a fit.
+    """Raise an error for faults of a record that would cause wrong parameters in a fit; return warnings.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ def check_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
 
 
 def _check_angles(r: FlightRecord) -> list[SignalFault]:
-    """Compare rates with the derivative of the attitude."""
+    """Return the faults found by comparison of body rates with the derivative of the attitude."""
     angles_and_rates = [o for o in ("roll", "pitch", "yaw", "p", "q", "r") if o in r.outputs]
     known = {o: fill_gaps(r.measured[:, r.outputs.index(o)]) for o in angles_and_rates}
     pairs = [(a, w) for a, w in (("roll", "p"), ("pitch", "q"), ("yaw", "r")) if a in known and w in known]
@@ -337,7 +337,10 @@ def _check_angles(r: FlightRecord) -> list[SignalFault]:
 
 
 def _check_velocities(r: FlightRecord) -> list[SignalFault]:
-    """Compare velocities with derivatives of positions; north and east together, because they may be exchanged."""
+    """Return the faults found by comparison of velocities with derivatives of positions.
+
+    North and east are compared together, because they may be exchanged.
+    """
     found: list[SignalFault] = []
     samples, dt = max(1, round(_SIGNAL_AVERAGING_SPAN_S / r.sample_s)), r.sample_s
     for some in ((("north", "v_north"), ("east", "v_east")), (("height", "climb"),)):

@@ -58,7 +58,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LagCorrelation:
-    """Correlation over lags, with the confidence bound for a complete model.
+    """Correlation of two signals over lags, with the confidence bound for uncorrelated signals.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class WhitenessTest:
 
 @result
 class PredictionQuality:
-    """Prediction quality of one output; the module docstring has the formulas.
+    """Measures of how well a model predicts one output; the module docstring has the formulas.
 
     Attributes
     ----------

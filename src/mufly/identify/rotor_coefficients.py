@@ -68,7 +68,7 @@ _AICC_TOLERANCE = 2.0  # difference of AICc below which two models fit equally w
 
 @dataclass(frozen=True, eq=False)
 class CoefficientTrend:
-    """Trend of a rotor coefficient over speed, with a test whether an offset of the load cell explains it better.
+    """Trend of a rotor coefficient over speed, compared with a constant coefficient and an offset of the load cell.
 
     With ``x = ln(W / W_0)`` and ``W_0`` the weighted geometric mean of the speeds,
 
@@ -300,7 +300,7 @@ class RotorFit(EstimateLookup):
         return [t.describe_trend() for f in self.fits for t in f.trends]
 
     def systematic_variance_fractions(self) -> dict[str, float]:
-        """Return for each coefficient the fraction of its variance due to calibration, zeros, density and radius."""
+        """Return the fraction of each coefficient's variance due to calibration, zero offsets, density and radius."""
         return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_variance_fraction, strict=True)}
 
 

@@ -155,7 +155,7 @@ class SearchCoordinates:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of the coordinates."""
+        """Lower and upper bounds of the search coordinates."""
         return self.to_search_coordinates(self.low), self.to_search_coordinates(self.high)
 
     def to_search_coordinates(self, values: Array) -> Array:
@@ -172,7 +172,7 @@ class SearchCoordinates:
         return np.clip(values, self.low, self.high)
 
     def value_derivatives(self, z: Array) -> Array:
-        """Return the derivatives (p,) of the values with respect to the coordinates."""
+        """Return the derivatives (p,) of the parameter values with respect to the search coordinates."""
         return np.where(self.is_logarithmic, self.to_values(z), self.linear_scale)
 
 
@@ -339,7 +339,7 @@ def _add_rate_dynamics(
 def _add_couplings(
     b: StructureBuilder, r: str, rates: tuple[str, ...], sticks: Sequence[str], angular: str, coupled: bool
 ) -> None:
-    """Add entries for the rate ``r`` ("p" or "q") to the structure: the moments of the sticks on it.
+    """Add to the structure the moments with which the sticks drive the rate ``r`` ("p" or "q").
 
     If ``angular`` is "hybrid", the sticks act on flapping instead, and the entries, if ``coupled``, couple both axes.
     """
@@ -438,9 +438,9 @@ def _check_signals(inputs: tuple[str, ...], outputs: tuple[str, ...], angular: s
 
 
 def discretise_first_order_hold(a: Array, b: Array, dt: float, *, hold: bool = False) -> tuple[Array, Array, Array]:
-    """Return Phi, G_1, G_2 of x_(k+1) = Phi x_k + G_1 u_k + G_2 u'_k, with u' the slope of the inputs.
+    """Discretise x' = a x + b u; return Phi, G_1, G_2 of x_(k+1) = Phi x_k + G_1 u_k + G_2 u'_k.
 
-    ``G_2`` is zero for a zero-order hold (``hold``).
+    u' is the slope of the inputs; ``G_2`` is zero for a zero-order hold (``hold``).
 
     Raises
     ------
@@ -484,7 +484,7 @@ def _propagate_states(phi: Array, drive: Array, x0: Array) -> Array:  # pragma: 
 
 @cached_njit
 def _propagate_outputs(phi: Array, c: Array, first: Array, constant: Array, n: int) -> Array:  # pragma: no cover
-    """Return the outputs (n, ny, m) of ``m`` motions x_(k+1) = phi x_k + ``constant``, with x_0 = ``first`` (nx, m)."""
+    """Return y = c x, (n, ny, m), of m sequences x_(k+1) = phi x_k + ``constant`` that begin at ``first`` (nx, m)."""
     ny, nx, m = c.shape[0], phi.shape[0], first.shape[1]
     y = np.empty((n, ny, m))
     x, new = first.copy(), np.empty((nx, m))
@@ -514,7 +514,7 @@ def simulate_linear_structure(
     x0: Array | None = None,
     hold: bool = False,
 ) -> tuple[Array, Array]:
-    """Simulate a structure from inputs alone.
+    """Simulate a structure from inputs and an initial state; return its outputs and states.
 
     Parameters
     ----------

@@ -135,7 +135,7 @@ class DisturbanceModel:
 
 
 def fit_disturbance_model(fit: LinearFit, residual: Array, dt: float) -> DisturbanceModel:
-    """Fit the disturbance model to the residuals (n, outputs) of a simulation of the fitted part, without gaps."""
+    """Fit a disturbance model to the simulation residuals (n, outputs) of the samples used in ``fit``, without gaps."""
     a, b, c, _, _ = fit.structure.state_space_matrices(fit.values)
     phi = discretise_first_order_hold(a, b, dt)[0]
     scale = residual.std(axis=0)
@@ -293,7 +293,7 @@ def estimate_noise_floor(
 
 @dataclass(frozen=True, eq=False)
 class SubspaceModel:
-    """Discrete linear model with unlabelled states.
+    """Discrete-time linear state-space model whose states have no physical meaning.
 
     Attributes
     ----------
