@@ -108,7 +108,7 @@ def _period_from_rate(rate_Hz: float) -> float:
 
 @dataclass(slots=True)
 class Client:
-    """One peer of the vehicle.
+    """Record of one peer: its message encoder, its message rates, and the times of its messages.
 
     Attributes
     ----------

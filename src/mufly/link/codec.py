@@ -170,7 +170,7 @@ class _SequenceTracker:
 
 @dataclass(slots=True)
 class _Channel:
-    """Reception from one peer: bytes of an incomplete frame, packet numbers of its senders, and packet counts."""
+    """Reception from one peer: bytes of an incomplete frame, packet numbers of each MAVLink sender, packet counts."""
 
     buffer: bytearray = field(default_factory=bytearray)
     senders: dict[tuple[int, int], _SequenceTracker] = field(default_factory=dict)
@@ -470,7 +470,7 @@ _MODE_BY_STATE: dict[str, Px4Mode] = {
 
 
 def mode_from_state(state: str, user_in_control: bool = False, returning: bool = False) -> Px4Mode:
-    """Return the flight mode of a state of the mission.
+    """Return the PX4 flight mode that corresponds to a mission state.
 
     Parameters
     ----------

@@ -114,7 +114,7 @@ class Command:
 
     @property
     def is_emergency_stop(self) -> bool:
-        """Return whether the command is an emergency stop, which any station may send and which discards others."""
+        """Return whether this is an emergency stop, which any station may send and which discards waiting commands."""
         if self.command_id == mavlink.MAV_CMD_DO_FLIGHTTERMINATION:
             return self.params[0] > 0.5
         return self.command_id == mavlink.MAV_CMD_COMPONENT_ARM_DISARM and self.params[:2] == (
@@ -524,12 +524,13 @@ MESSAGE_REQUEST_COMMANDS: dict[int, int | None] = {
 def answer_message_request(
     now_s: float, command: Command, wishes: StreamSchedule, has_origin: bool
 ) -> tuple[int, list[MavMessage]]:
-    """Answer one of :data:`MESSAGE_REQUEST_COMMANDS`.
+    """Execute a request for messages or their rates; return its result and the messages that answer it.
 
     Parameters
     ----------
     now_s : float
     command : Command
+        One of :data:`MESSAGE_REQUEST_COMMANDS`.
     wishes : StreamSchedule
         Schedule of the peer that sent the command.
     has_origin : bool

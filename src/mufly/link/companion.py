@@ -56,7 +56,7 @@ _CLOCK_DRIFT_TOLERANCE_S = 0.003  # drift between two clocks in 30 s
 
 
 class VisionCompanion:
-    """Companion of one autopilot, without sockets and clocks.
+    """MAVLink component of an onboard vision computer; the caller supplies the received bytes and the time.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class VisionCompanion:
         return max((offset for _, offset in self._guessed), default=math.nan)
 
     def clock_offset_at(self, time_s: float) -> float:
-        """Return the offset from the clock of a picture's stamp to the vehicle's clock (s).
+        """Return the time (s) to add to a picture's stamp to obtain the vehicle's time.
 
         The offset is 0 for stamps by the vehicle's clock, else ``clock_offset_s``.
         """
@@ -239,7 +239,7 @@ class VisionCompanion:
 
 
 class CompanionPort:
-    """A companion on an endpoint, served with every picture.
+    """Vision companion with its port to the vehicle; the caller exchanges messages at every picture.
 
     Parameters
     ----------

@@ -371,7 +371,7 @@ class MissionSender:
         return (self._served + 1) / len(self.items) if self.items else float(self.result is not None)
 
     def start(self, now_s: float, *, hush: bool = False) -> AddressedMessages:
-        """Return the message that offers the items to the peer (MISSION_COUNT), or first cancels an old transfer.
+        """Start the transfer; return MISSION_COUNT, which offers the items, or first a cancellation of an old transfer.
 
         Parameters
         ----------

@@ -67,7 +67,7 @@ _HOST_PORT_PATTERN = re.compile(r"(?:(?P<host>\[[^\]]*\]|[^:\[\]]*):)?(?P<port>[
 
 
 def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
-    """Open an endpoint.
+    """Open the UDP, TCP or serial connection of an endpoint, and return its port.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def wait_for_input(ports: Iterable[Port], timeout_s: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """One end of a link.
+    """Address of one end of a link: kind of connection, host and port number.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ class Endpoint:
 def parse_endpoint(
     text: str, role: Literal["vehicle", "station"], where: str = "endpoint", least_port: int = 1
 ) -> Endpoint:
-    """Read an endpoint.
+    """Return the endpoint that a text such as ``udp:127.0.0.1:14550`` describes.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ class Peer(NamedTuple):
 
 
 class Port(ABC):
-    """An open endpoint.
+    """Open UDP, TCP or serial connection of an endpoint to one or several peers.
 
     Parameters
     ----------

@@ -95,7 +95,7 @@ def _apply_mask(values: FloatTriple, mask: int) -> FloatTriple:
 
 
 def _rotate_body_to_ned(ahead_right_down: FloatTriple, yaw: float) -> FloatTriple:
-    """Rotate ahead and right to north and east; if one of them is NaN, both results are NaN."""
+    """Return a body vector (ahead, right, down) in N, E, D; if only one of ahead and right is NaN, it counts as 0."""
     a, r, d = ahead_right_down
     if math.isnan(a) != math.isnan(r):
         a, r = (0.0 if math.isnan(v) else v for v in (a, r))
@@ -153,7 +153,7 @@ def parse_manual_control(message: MavMessage) -> StickDeflection:
 
 
 class StickInputHandler:
-    """The sticks in use, and their commands to the autopilot.
+    """Handler of stick messages, which commands the autopilot by the latest stick deflections.
 
     Parameters
     ----------

@@ -331,10 +331,7 @@ def _run_vehicle_process(order: Mapping[str, Any], pipe: Connection) -> None:
 
 
 def _handle_faults(flight: Flight, wishes: deque[Fault | None]) -> bool:
-    """Inject the faults that the parent process sent (None clears all faults).
-
-    The return value is always False: the flight continues.
-    """
+    """Inject the faults that the parent process sent (None clears all); return False: the flight continues."""
     while wishes:
         fault = wishes.popleft()
         try:
