@@ -29,7 +29,7 @@ _NO_MESSAGE_START = 0xFFFF
 
 @dataclass(frozen=True)
 class BlockLogSession:
-    """Log of one start of a board.
+    """Part of a board's log that was written between one start of the board and the next.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class BlockLogSession:
 
 
 def looks_like_block_log(head: bytes) -> bool:
-    """Return whether a block of the log begins at a multiple of 512 bytes."""
+    """Return whether these first bytes of a file contain a block log's header at a multiple of 512 bytes."""
     return any(head.startswith(_MAGIC, at) for at in range(0, len(head), BLOCK_BYTES))
 
 
@@ -89,7 +89,7 @@ def _join_blocks(number: int, blocks: dict[int, tuple[int, int, bytes]]) -> Bloc
 
 
 def _end_of_messages(data: bytearray, start: int) -> int:
-    """Return the end of the last whole message; a message begins at ``start``."""
+    """Return the offset after the last complete message; a message begins at ``start``."""
     at = start
     while at + 3 <= len(data):
         size = struct.unpack_from("<H", data, at)[0]

@@ -34,7 +34,7 @@ _MAX_EXAMINED_SAMPLES = 400_000
 
 @result
 class ChannelReport:
-    """Result of :func:`check_channel`.
+    """Statistics and faults of one channel, from :func:`check_channel`.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ def _format_times(times: Any) -> str:
 
 
 def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> ChannelReport:
-    """Check one channel.
+    """Return the statistics of a channel, and its outliers, frozen values and saturation.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def numeric_channels(data: xr.Dataset) -> list[Channel]:
 def check_channels(
     channels: Sequence[Channel], progress: Callable[[int, int], None] | None = None
 ) -> list[ChannelReport]:
-    """Check channels, limited to their first 400 000 samples; ``progress`` is called with (done, all)."""
+    """Return a report on each channel's first 400 000 samples; ``progress`` is called with (done, all)."""
     out = []
     for k, c in enumerate(channels):
         part = slice(_MAX_EXAMINED_SAMPLES)

@@ -61,7 +61,7 @@ class _MapTable(BaseModel):
 
 
 class TimeEntry(_MapTable):
-    """``[time]``: the clock of a CSV file."""
+    """Table ``[time]`` of a column map: the clock of a CSV file."""
 
     column: str | None = Field(None, description="header of the column that holds the time")
     unit: str | None = Field(None, description="unit of the time, s if left out")
@@ -69,7 +69,7 @@ class TimeEntry(_MapTable):
 
 
 class SignalEntry(_MapTable):
-    """``[[signal]]``: one signal and its source columns."""
+    """Table ``[[signal]]`` of a column map: one signal and its source columns."""
 
     name: str = Field(description="mufly's name of a whole signal, or with .label of one component")
     columns: tuple[str, ...] = Field(min_length=1, description="columns or fields, one for each component")
@@ -437,7 +437,7 @@ def _suggest_names(name: str, known: list[str], what: str) -> str:
 
 
 def _resolve_map_entry(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTable, SignalEntry, list[str]] | None:
-    """Return table, completed entry and field names of a column map's entry.
+    """Return the table and field names of a column map's entry, and the entry with the columns that exist.
 
     None if its fields are missing or empty; an error if they ``must`` exist.
     """

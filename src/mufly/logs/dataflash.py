@@ -133,8 +133,9 @@ def _decode_text(raw: bytes) -> str:
 
 
 def read_binary(data: bytes) -> tuple[list[RawTable], _InstanceTopics, str]:
-    """Read the binary form: tables with unchanged times, table names by message type and instance, and a text on
-    unreadable bytes.
+    """Read a binary DataFlash log; return its tables, their names by message type and instance, and a text on damage.
+
+    The times are unchanged.
     """
     kinds, skipped = _index_messages(data)
     stream = np.frombuffer(data, dtype=np.uint8)
@@ -314,7 +315,7 @@ def _normalise_unit(label: str) -> str:
 
 
 def is_text_log(head: bytes) -> bool:
-    """Return whether a file with these first bytes is the text form."""
+    """Return whether a file with these first bytes is a DataFlash log in text form."""
     return any(line.startswith((b"FMT,", b"FMT ,")) for line in head.splitlines()[:50])
 
 
@@ -491,7 +492,7 @@ def _lane_steps(primary: str, tables: Mapping[str, RawTable], topics: _InstanceT
 
 
 def _describe_changes(time: NDArray[np.float64], source: NDArray[Any], kinds: _StepSignal) -> str:
-    """Return a description of the topics used."""
+    """Return a note on the topics from which position and velocity are taken, with the times of changes."""
     at = [0, *(np.flatnonzero(source[1:] != source[:-1]) + 1).tolist()]
     steps = [f"{source[k]} from {time[k]:.1f} s" for k in at]
     if (more := len(steps) - _MAX_LISTED_CHANGES) > 0:

@@ -291,7 +291,7 @@ class DelayReport:
 
 
 def check_delays(data: xr.Dataset) -> list[DelayReport]:
-    """Estimate the delays that a flight record determines.
+    """Estimate the delays between channels of a flight record, pair by pair.
 
     Delays are estimated from references to measurements, component by component, and from the derivative of the
     measured attitude to the measured body rates. The latter two are one motion, so their delay is one of the instrument

@@ -492,7 +492,7 @@ _TOPICS_WITHOUT_SIGNALS = ("/tf", "/scene", "/track", "/reference_pose", "/event
 
 
 def parse_json_topics(contents: McapContents, where: str) -> RawLog:
-    """Return the JSON messages of an MCAP file as topics; numbers inside tables become fields ``position.N``.
+    """Return the JSON messages of an MCAP file as topics; numbers in nested objects become fields ``position.N``.
 
     Raises
     ------
@@ -551,7 +551,7 @@ _JSON_SAMPLE_SIZE = 20
 
 
 def _parse_json_rows(contents: list[bytes]) -> tuple[Sequence[int], list[dict[str, Any]]]:
-    """Return the indices and numbers of JSON messages; none if most of a sample of the messages are not JSON."""
+    """Return the indices of the JSON messages, and their values by field; none if few messages of a sample are JSON."""
     try:
         return range(len(contents)), [dict(_iterate_leaves(orjson.loads(data))) for data in contents]
     except orjson.JSONDecodeError:

@@ -234,7 +234,7 @@ _MIN_GAP_TEST_STEPS = 15
 
 @result
 class ClockReport:
-    """Result of :func:`check_clock`.
+    """Rate, gaps and faults of time stamps, from :func:`check_clock`.
 
     Attributes
     ----------
@@ -316,7 +316,7 @@ def find_gaps(time: _Array, factor: float = MIN_GAP_STEPS) -> _Array:
 
 
 def check_clock(time: _Array) -> ClockReport:
-    """Check time stamps.
+    """Return the rate of time stamps, and their gaps, repetitions and backward steps.
 
     Parameters
     ----------
@@ -344,7 +344,7 @@ def check_clock(time: _Array) -> ClockReport:
 
 
 def find_foreign_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[np.bool_]], list[str]]:
-    """Find time stamps that count from another epoch than those of the rest of the log.
+    """Mark time stamps that count from another epoch than the rest of the log, and describe them.
 
     No flight lasts a day, but epochs differ by years. The board's clock counts since its start, the GPS clock since
     1980 or since Sunday, UTC since 1970. A stamp never set is 0, and a damaged stamp may have any value. Stamps of all

@@ -86,7 +86,7 @@ class _SubscribedTopic:
 
 @dataclass
 class _ScanResult:
-    """Result of a pass over a file."""
+    """Contents of a ULog file after one pass: definitions, offsets of data messages, texts and damage."""
 
     formats: dict[str, list[tuple[str, int, str]]] = field(default_factory=dict)
     info: dict[str, Any] = field(default_factory=dict)
@@ -413,7 +413,7 @@ def _decode_text_column(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _describe_missing_rows(info: Mapping[str, Any], tables: Mapping[str, RawTable]) -> list[str]:
-    """Return a sentence on rows missing in a file of this package, which states its number of rows."""
+    """Return a sentence on missing rows, if the file states its number of rows, as those of this package do."""
     try:
         rows = int(info[_ROW_COUNT_KEY])
     except (KeyError, ValueError, TypeError):
@@ -567,7 +567,7 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
 
 
 def encode_table_head(format_text: bytes, information: Mapping[str, str]) -> bytes:
-    """Return the begin of a ULog file with the topic ``table`` as number 0: header, definitions, subscription."""
+    """Return the beginning of a ULog file with the topic ``table`` as number 0: header, definitions, subscription."""
     head = MAGIC + b"\x01" + struct.pack("<Q", 0) + _encode_message(b"B", bytes(40))
     head += _encode_message(b"F", format_text)
     head += b"".join(_encode_information(key, text) for key, text in information.items())

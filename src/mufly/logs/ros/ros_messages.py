@@ -118,7 +118,7 @@ def _vector_message(values: _Array) -> Columns:
 
 
 def _orientation_message(attitude: _Array) -> Columns:
-    """Return the quaternion of attitudes of mufly; unknown angles count as zero."""
+    """Return the ROS quaternions of roll, pitch and yaw (n, 3) of mufly; unknown angles count as zero."""
     quaternion = quaternions_from_euler(attitude_to_ros(np.nan_to_num(attitude, nan=0.0)))
     return dict(zip("wxyz", quaternion.T, strict=True))
 
@@ -369,7 +369,7 @@ EVENT_LEVELS = {"info": 20, "warning": 30, "error": 40}
 
 
 def select_topics(names: Mapping[str, Any]) -> list[RosTopic]:
-    """Return the rows of the table that a recording with these signals fills, one for each topic."""
+    """Return the entries of :data:`ROS_TOPICS` that a recording with these signals fills, one for each topic."""
     found: dict[str, RosTopic] = {}
     for topic in ROS_TOPICS:
         if topic.signal in names:

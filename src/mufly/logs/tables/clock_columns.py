@@ -48,7 +48,7 @@ _MIN_FORWARD_FRACTION = 0.9  # least share of increasing steps of a clock
 def extract_clock(
     where: str, fields: dict[str, NDArray[Any]], units: dict[str, str], entry: TimeEntry | None = None
 ) -> tuple[_Array, str, list[str]]:
-    """Return the time of a table's rows (s), taken from its columns, with its start and notes.
+    """Return the time of a table's rows (s) from its columns, the wall time of the instant 0, and notes.
 
     Parameters
     ----------
@@ -424,7 +424,7 @@ def unwrap_counter(values: _Array, unit_s: float) -> tuple[_Array, list[str]]:
 
 
 def _counter_ranges(counts: _Array, unit_s: float) -> list[tuple[float, str]]:
-    """Return the ranges of counters (counts), with the description of each for a note."""
+    """Return the ranges (counts) after which a clock's counter may restart, each with a description."""
     out = []
     if bool((counts % 1 == 0).all()):
         out = [(2.0**bits, f"its counter of {bits} bits wraps") for bits in (16, 24, 32)]
