@@ -2,6 +2,7 @@
 
     nice -n 19 python benchmarks/board_losses.py --instants 200
     nice -n 19 python benchmarks/board_losses.py --instants 200 --seed 1 link
+    nice -n 19 python benchmarks/board_losses.py --instants 20 --seed 1 --flights 20 --buses fix bus
 
 The board's code of this machine flies the simulated plant in single precision, wind 0.5 m/s, gusts 0.3 m/s. At each
 instant the process forks, and the copy flies on with the loss:
@@ -165,8 +166,10 @@ def judge_loss(flight: Flight, lossy: LossyBoard, flash: np.ndarray) -> dict[str
     }  # fmt: skip
 
 
-def fly_and_lose(kind: str, board: HostBoard, instants: int, seed: int) -> list[dict[str, Any]]:
-    """Fly once, and fork at each instant."""
+def fly_and_lose(
+    kind: str, board: HostBoard, instants: int, seed: int, buses: list[str] | None = None
+) -> list[dict[str, Any]]:
+    """Fly once, and fork at each instant; ``buses`` are those of which one is lost."""
     rng = np.random.default_rng(seed + KINDS.index(kind))
     board.log_blocks[:] = 0
     board.restart()
@@ -185,7 +188,7 @@ def fly_and_lose(kind: str, board: HostBoard, instants: int, seed: int) -> list[
             ends = os.pipe()
             child = os.fork()
             if child == 0:
-                lossy.lost = str(rng.choice(list(BUSES))) if kind == "bus" else kind
+                lossy.lost = str(rng.choice(buses or list(BUSES))) if kind == "bus" else kind
                 os.write(ends[1], json.dumps(judge_loss(flight, lossy, flash)).encode())
                 os._exit(0)
             rng.random()
@@ -204,12 +207,19 @@ def main() -> None:
     parser.add_argument("kinds", nargs="*", default=KINDS)
     parser.add_argument("--instants", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--flights", type=int, default=1, help="flights, each with the next seed")
+    parser.add_argument("--buses", default=",".join(BUSES), help="buses to lose, with commas")
     given = parser.parse_args()
+    buses = given.buses.split(",")
+    if unknown := set(buses) - set(BUSES):
+        parser.error(f"--buses: no bus is called {', '.join(sorted(unknown))}; choose of {', '.join(BUSES)}")
     vehicle, mission = load_vehicle("mufly-1.1"), load_mission("demonstration")
     for kind in given.kinds:
         board = make_board(vehicle, design_flight_controller(vehicle), mission, emulated=False)
         assert isinstance(board, HostBoard)
-        answers = fly_and_lose(kind, board, given.instants, given.seed)
+        answers = []
+        for seed in range(given.seed, given.seed + given.flights):
+            answers += fly_and_lose(kind, board, given.instants, seed, buses)
         wrong = sum(bool(a["wrong"]) for a in answers)
         flying = sum(a.get("flying", False) for a in answers)
         print(f"{kind}: {len(answers)} instants, {flying} in the air, {wrong} wrong", flush=True)
