@@ -241,7 +241,7 @@ _SECTOR_BOUNDARY_SLOPE = math.sqrt(2.0) - 1.0  # tan(pi / 8)
 
 
 class PathCheck(NamedTuple):
-    """Result of the check of a path against the obstacle map, whose points are checked part by part.
+    """Result of the check of a path against the obstacle map, complete when all parts of the map are checked.
 
     Attributes
     ----------
@@ -318,7 +318,7 @@ EMPTY_PATH_CHECK = begin_path_check((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 @cached_njit
 def _sector_index(n: float, e: float) -> int:
-    """Return the index of one of sixteen directions, in arbitrary order."""
+    """Return the number, 0 to 15, of the horizontal sector of the direction (n, e); the numbering is arbitrary."""
     an, ae = abs(n), abs(e)
     steep = an < ae
     long, short = (ae, an) if steep else (an, ae)
@@ -475,7 +475,10 @@ def check_path(
 def limit_approach_velocity(
     sight: PathCheck, position: tuple[float, ...], velocity: tuple[float, float], keep: float
 ) -> tuple[float, float]:
-    """Limit a velocity N, E (m/s) so that the distance to each point falls to ``keep`` (m) at most exponentially."""
+    """Limit the part of a velocity N, E (m/s) towards each obstacle point.
+
+    The limit is proportional to the distance of the point beyond ``keep`` (m), which is thus reached exponentially.
+    """
     vn, ve = velocity
     return _limit_approach_to_points(sight.nearest_point_by_sector, position[0], position[1], vn, ve, keep)
 
@@ -503,7 +506,7 @@ def _limit_approach_to_points(
 
 
 def repulsive_force(ranges: Sequence[float], beams: BeamRing, threshold: float) -> tuple[float, float]:
-    """Return the sum of the repulsive forces (eqs 6.14 to 6.17).
+    """Return the sum of the repulsive forces of the obstacles that the beams hit.
 
     Parameters
     ----------

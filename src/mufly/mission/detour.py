@@ -133,7 +133,7 @@ def begin_detour(
     sight: PathCheck,
     before: Detour | None,
 ) -> Detour:
-    """Start a detour at the reference; ``before`` is the preceding detour on this leg, or None."""
+    """Return a detour that starts from the present reference; ``before`` is the leg's previous detour, or None."""
     here = (position[0], position[1])
     far = _planar_distance(goal, here)
     side = -1.0 if sight.mean_blocking_offset > 0.0 else 1.0

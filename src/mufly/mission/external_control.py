@@ -95,7 +95,7 @@ def _end_control_on_floor(s: MissionState, why: str) -> MissionState:
 
 
 def exit_manual(s: MissionState, m: Estimate) -> MissionState:
-    """End manual control: hover at the present position, or return to init on the floor."""
+    """End manual control: hover at the present position, or on the floor return to the state ``init``."""
     x, psi = measured_position(m), float(m.attitude[2])
     if s.motors != "fly" or _is_on_floor(s, m):
         if s.mission_begun and s.outcome == "":
@@ -122,7 +122,7 @@ def exit_manual(s: MissionState, m: Estimate) -> MissionState:
 
 
 def enter_offboard(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionState:
-    """Give control to a program in flight, or on the floor when its set-point requires lift-off."""
+    """Give control to an offboard program: in flight at once, on the floor if its set-point requires lift-off."""
     if describe_set_point_fault(wanted):
         return s
     if s.state is not State.INIT:

@@ -234,7 +234,7 @@ def _cubic_derivative(c: _CubicCoefficients, u: float) -> float:
 
 
 def _tangent_length(cubics: tuple[_CubicCoefficients, ...], u: float) -> float:
-    """Return the length of the tangent."""
+    """Return the length of a curve's tangent at parameter ``u``."""
     n, e, d = (_cubic_derivative(c, u) for c in cubics)
     return math.sqrt(n * n + e * e + d * d)
 
@@ -250,10 +250,10 @@ def _arc_length(cubics: tuple[_CubicCoefficients, ...], u: float, half: float) -
 def _evaluate_speed_and_curvature(
     cubics: tuple[_CubicCoefficients, ...], u: float
 ) -> tuple[float, tuple[float, float, float, float]]:
-    """Return the squared tangent length at parameter ``u`` of a curve, and a tuple of four other squares.
+    """Return squares at parameter ``u``: of the tangent's length, the unit tangent's components, and the curvature.
 
-    They are those of the level, climbing and descending components of the unit tangent, and of the curvature. Of
-    climbing and descending, the one that does not apply is negative. All four are zero where the tangent vanishes.
+    The components of the unit tangent are level, climbing and descending. Of climbing and descending, the one that does
+    not apply is negative. These and the curvature's are zero where the tangent vanishes.
     """
     n, e, d = (_cubic_derivative(c, u) for c in cubics)
     square = n * n + e * e + d * d
@@ -452,11 +452,10 @@ def wrap_turn(angle: float) -> float:
 
 
 def _find_extreme_speed_and_curvature(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float, list[float]]:
-    """Return the least squared tangent length over a curve, and the maximum of each of its four other squares.
+    """Return the least square of a curve's tangent length, and the greatest squares of direction and curvature.
 
-    The squares, of direction and curvature, are those of :func:`_evaluate_speed_and_curvature`.
-
-    Each maximum is searched in equal steps, then by halving the step around the best point.
+    The squares are those of :func:`_evaluate_speed_and_curvature`. Each maximum is searched in equal steps, then by
+    halving the step around the best point.
     """
     least, worst, where = math.inf, [0.0] * 4, [0.0] * 4
     for k in range(_ARC_PIECE_COUNT + 1):

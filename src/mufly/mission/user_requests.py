@@ -73,7 +73,7 @@ def _is_already_requested(s: MissionState, goal: Triple | None, heading: float |
 
 
 def _can_stop_at_goal(s: MissionState) -> bool:
-    """Return whether the reference is so near the goal that a stop for a requested turn ends at the goal."""
+    """Return whether the reference is so near the goal of a leg that it comes to rest there if it brakes now."""
     now = current_reference(s)
     (n, e, d), (gn, ge, gd) = now.position, s.goal
     _, rest = smooth_stop_distance(vector_length(*now.velocity), DETOUR_ACCELERATION_M_S2)

@@ -200,7 +200,7 @@ def _distance_inside_polygon(corners: Sequence[tuple[float, float]], at: _Array)
 
 
 def fence_to_items(fence: Fence | None, origin: GlobalOrigin | None = None) -> tuple[MissionItem, ...]:
-    """Return a fence as items: on the globe with an origin, as ground stations with a map need it, else LOCAL_NED."""
+    """Return a fence as mission items: in degrees if an origin is given, as ground stations need, else in LOCAL_NED."""
     if fence is None:
         return ()
     made: list[tuple[int, float, float, float]] = []

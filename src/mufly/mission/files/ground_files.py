@@ -82,7 +82,7 @@ def is_ground_station_text(text: str) -> bool:
 
 
 def parse_ground_station_text(text: str, where: str) -> dict[str, Any]:
-    """Return the tables of a mission file for a ground station's file.
+    """Convert the text of another ground station's mission file to the tables of this package's mission file.
 
     Parameters
     ----------

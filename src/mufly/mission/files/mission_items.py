@@ -377,7 +377,7 @@ def _to_tenth_mm(metres: float) -> int:
 
 
 def _make_mission_table(item: MissionItem, table: type, **values: Any) -> Any:
-    """Make a table of the mission file (``table`` is its class); refuse the item if a value is out of bounds."""
+    """Return an instance of ``table``, a class of the mission schema; refuse the item if a value is out of bounds."""
     try:
         return table(**values)
     except ValidationError as error:

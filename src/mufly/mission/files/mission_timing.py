@@ -125,7 +125,7 @@ def compute_take_off_time(mission: Mission) -> float:
 
 
 def plan_legs(mission: Mission) -> list[PlannedLeg]:
-    """Return the planned legs, one a waypoint, with their times."""
+    """Return the planned legs, one per waypoint, with their times."""
     position, heading = take_off_position(mission), math.radians(mission.start_heading_deg)
     time = compute_take_off_time(mission) + mission.take_off.wait_s
     plan = []

@@ -75,7 +75,7 @@ def _handle_touchdown(s: MissionState) -> MissionState:
 
 
 def _judge_outcome(s: MissionState) -> MissionState:
-    """Return the mission after landing, marked as succeeded or failed if it is not yet."""
+    """Return the state after landing; a mission without an outcome is marked as succeeded or failed."""
     if s.outcome != "":
         return s
     if s.abort_reason:

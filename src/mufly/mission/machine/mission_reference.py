@@ -53,7 +53,7 @@ def predict_reference(s: MissionState) -> TrajectoryPoint:
 
 
 def has_departed(s: MissionState) -> bool:
-    """Return whether the reference has reached height and heading and begun its path, or tracks a set-point."""
+    """Return whether the reference, having changed height and heading, moves on a leg's path, or tracks a set-point."""
     if s.set_point_reference is not None:
         return True
     return isinstance(s.motion, Trajectory) and s.motion_clock_s >= s.motion.departure_s

@@ -25,7 +25,7 @@ Motors = Literal["off", "spin_up", "fly", "ramp_down", "blind"]
 
 
 class State(StrEnum):
-    """States of the mission: those of Fig. 6.15, and ``offboard``, in which a program streams set-points."""
+    """States of the mission: those of the dissertation's Fig. 6.15, and ``offboard`` for a program's set-points."""
 
     INIT = "init"
     TAKE_OFF = "take-off"
@@ -94,7 +94,7 @@ NO_COMMAND = Command()
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Reference for the controllers.
+    """Reference motion that the controllers track, and the mode of the motors.
 
     Attributes
     ----------

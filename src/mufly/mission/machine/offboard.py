@@ -110,7 +110,7 @@ def _approach_speed(gap: float, acceleration: float) -> float:
 
 
 def _max_velocity_towards_bound(gap: float, limits: TrajectoryLimits) -> float:
-    """Return the limit of the vertical velocity (m/s, down) for a bound at the signed distance ``gap`` (m, down)."""
+    """Return the limit of the vertical velocity (m/s, down) near a height bound that lies ``gap`` metres below."""
     return math.copysign(_approach_speed(abs(gap), limits.climb_acceleration), gap)
 
 
@@ -175,7 +175,7 @@ def follow_set_point(
     dt: float,
     hold_off: Callable[[float, float], tuple[float, float]] | None = None,
 ) -> TrajectoryPoint:
-    """Propagate the reference by one time step.
+    """Return the reference one time step later, moved towards the set-point.
 
     Parameters
     ----------
