@@ -309,7 +309,7 @@ def _share_units(numbers: Sequence[WrittenNumber]) -> list[WrittenNumber]:
 def _expand_range(
     where: str, written: Sequence[WrittenNumber], unit: str, text: str, bare: bool, most: int
 ) -> list[float]:
-    """Return the values of one part of a list: a number, or a range whose step is in the unit as written."""
+    """Return the values, in ``unit``, of one part of a list: a number, or a range with equal steps in its own unit."""
     if len(written) == 1:
         return [_convert_to_unit(where, written[0], unit, text, bare)]
     here = written[-1].unit
@@ -370,7 +370,7 @@ def _list_units(unit: str) -> str:
 
 
 def _describe_wanted(unit: str) -> str:
-    """Return a text about the expected input."""
+    """Return a text that names the expected input, for error messages."""
     if not unit:
         return "a number"
     if unit == "1":

@@ -343,7 +343,7 @@ def find_quantity(name: str) -> Quantity | None:
 
 
 def quantities_recorded_in(*keepers: str) -> tuple[Quantity, ...]:
-    """Return the quantities stored in recordings: ``quantities_recorded_in("flight")``,
+    """Return the quantities stored in recordings of the given kinds: ``quantities_recorded_in("flight")``,
     ``quantities_recorded_in("flight", "station")``."""
     return tuple(q for q in QUANTITIES if not set(keepers).isdisjoint(q.recording_kinds.split()))
 

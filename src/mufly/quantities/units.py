@@ -281,7 +281,7 @@ def normalise_unit(text: str, wanted: str | None = None) -> str:
 
 
 def unit_conversion(unit: str, wanted: str | None = None) -> tuple[str, float, float]:
-    """Return the conversion from a unit to another.
+    """Return the target unit, with the factor and offset of the conversion to it.
 
     Parameters
     ----------
