@@ -73,7 +73,7 @@ def euler_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
 
 
 def euler_from_measured_quaternion(quaternion: _Array) -> _Array:
-    """Return roll, pitch and yaw of quaternions from a log.
+    """Return roll, pitch and yaw of logged quaternions, which need not be normalised.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ def _html_body(source: str) -> Template:
 
 
 def render_page(title: str, body: str, **values: Any) -> str:
-    """Return a page of HTML.
+    """Return an HTML page rendered from the template source of its body.
 
     Parameters
     ----------

@@ -83,7 +83,7 @@ def result(cls: type[_ResultT], /) -> type[_ResultT]: ...
 def result(*, eq: bool = True, picture: str = "", json: str = "") -> Callable[[type[_ResultT]], type[_ResultT]]: ...
 @dataclass_transform(frozen_default=True)
 def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "", json: str = "") -> Any:
-    """Make a class a frozen dataclass with units and meanings of its fields, printing and drawing.
+    """Make a class a frozen dataclass; its instances print and draw themselves by units and meanings of the fields.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ _LinePanel = tuple[PlotSeries | None, list[PlotSeries]]  # horizontal axis, and 
 
 
 def make_series(label: str, unit: str, value: Any) -> PlotSeries | None:
-    """Return a value as a series, None for texts, tables and arrays of more dimensions."""
+    """Return a number or one-dimensional array as a series; None for other values, and if no number is finite."""
     if isinstance(value, bool | np.bool_ | str | bytes | complex) or value is None:
         return None
     try:
@@ -119,7 +119,7 @@ def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[s
 
 
 def _line_panels(arrays: Sequence[PlotSeries]) -> list[_LinePanel]:
-    """Return the panels of a figure, each the series on its horizontal axis (None: index) and those drawn as lines.
+    """Return the panels of a figure: for each, the series of the horizontal axis (None: index) and those of the lines.
 
     Series of equal length share an axis, those of equal unit a panel.
     """
