@@ -308,7 +308,7 @@ _MAX_SWIRL_NUMBER = 0.6  # of the swirl of drag; beyond it a jet breaks down
 
 
 def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float, r_m: Array, dr_m: Array) -> Array:
-    """Return the moment of momentum r u (m^2/s) that profile drag adds to the slipstream, (stations,).
+    """Return the moment of momentum r u (m^2/s), (stations,), that profile drag per span adds to the slipstream.
 
     Vortices represent only the swirl that comes with lift. The torque of the profile drag also adds angular momentum to
     the air of each annulus. With v the axial velocity down through the annulus (mean over azimuth) and D' = N rho/2 W^2

@@ -75,11 +75,11 @@ StallDelayModel = Literal["dumitrescu-cardos", "snel", "chaviaropoulos-hansen", 
 
 @dataclass(frozen=True)
 class Corrections:
-    """Switches of the corrections; the default is the set that is compared with measurements.
+    """Switches of the corrections to blade element theory; measurements are compared with the default set.
 
     Attributes
     ----------
-    tip_loss, hub_loss, swirl, lifting_surface, rotation
+    tip_loss, hub_loss, swirl, lifting_surface, stall_delay
         See the module docstring.
     drag_factor, lift_factor : float
         Multipliers of the section coefficients; 1 unless the user calibrates them on a measured rotor.

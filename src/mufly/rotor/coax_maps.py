@@ -94,7 +94,7 @@ def compute_coax_map(
     kept: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> CoefficientMap:
-    """Compute a coefficient map.
+    """Compute the thrust and torque coefficients of a coaxial pair over mean speed, speed ratio and climb.
 
     Parameters
     ----------
@@ -368,7 +368,7 @@ def pack_map_tables(coefficients: CoefficientMap) -> tuple[Any, ...]:
 def interpolate_map(
     coefficients: CoefficientMap, mean_speed_rad_s: ArrayLike, ratio: ArrayLike, climb_ratio: ArrayLike
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Interpolate a map as the flight model does.
+    """Return the thrust and torque coefficients of a map at given points, interpolated as in the flight model.
 
     Parameters
     ----------

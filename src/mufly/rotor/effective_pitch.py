@@ -43,7 +43,7 @@ _PITCH_REFERENCE_STATION_RATIO = 0.75  # r/R
 
 
 class PitchPrior(NamedTuple):
-    """Prior of effective pitch less angle in the rotor file: mean and deviation (rad), and the basis in words."""
+    """Prior of the effective pitch relative to the rotor file's angle: mean and deviation (rad), and basis in words."""
 
     mean_rad: float
     std_rad: float
@@ -51,7 +51,7 @@ class PitchPrior(NamedTuple):
 
 
 def effective_pitch_prior(rotor: Rotor) -> PitchPrior:
-    """Return the prior of the effective pitch's offset by the sources of a rotor's geometry.
+    """Return the prior of the effective pitch's offset, which depends on how the rotor's geometry was obtained.
 
     Parameters
     ----------

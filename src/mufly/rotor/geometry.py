@@ -224,7 +224,7 @@ class SectionFit(ParameterGroup):
     candidates: tuple[SectionCandidate, ...] = Field(min_length=1)
 
     def list_sections(self) -> list[tuple[str, float]]:
-        """Return a text of the candidate sections with their probabilities, the likeliest first."""
+        """Return the names of the candidate sections with their probabilities, the likeliest first."""
         shares: dict[str, float] = {}
         for c in self.candidates:
             name = "/".join(dict.fromkeys(c.airfoils))

@@ -60,7 +60,7 @@ BLADE_FAMILY_PRIORS: dict[str, BladeFamilyPrior] = {
 
 
 def section_probabilities(rotor: Rotor, family: str = "") -> list[tuple[tuple[str, ...], float]]:
-    """Return the possible sections of a blade with their probabilities; the rotor file's own section comes first.
+    """Return the possible sections of a blade with their probabilities; the section in the rotor file comes first.
 
     Parameters
     ----------

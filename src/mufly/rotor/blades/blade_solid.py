@@ -365,7 +365,7 @@ class BladeSlice:
 
 
 def slice_blade(corners_m: Array, r_m: Sequence[float] | Array) -> list[BladeSlice]:
-    """Cut a triangle surface, (n, 3, 3), at radii; see the module docstring.
+    """Return the cross-sections of a triangle surface, (n, 3, 3), at radii; the method is in the module docstring.
 
     Radii without a closed curve are skipped.
     """
@@ -576,7 +576,7 @@ def _signed_area(loop: Array) -> float:
 
 
 def _farthest_points(loop: Array) -> tuple[int, int]:
-    """Return the two points of a curve that are furthest apart."""
+    """Return the indices of the two points of a curve that are furthest apart."""
     apart = np.sum((loop[:, None] - loop[None]) ** 2, axis=2)
     i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
     return int(i), int(j)

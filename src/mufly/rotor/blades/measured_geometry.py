@@ -87,7 +87,7 @@ def measure_geometry(
     chord_std_m: float = CHORD_STD_M,
     angle_std_rad: float = BLADE_ANGLE_STD_RAD,
 ) -> MeasuredGeometry:
-    """Return the rotor of caliper and protractor readings.
+    """Return the rotor whose geometry is estimated from caliper and protractor readings.
 
     Parameters
     ----------

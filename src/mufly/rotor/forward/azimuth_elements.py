@@ -133,7 +133,7 @@ def element_forces(
     table: Array, theta: float, across: float, down: float, half_rho_c: float, row_zero: float, per_row: float,
     lift_share: float,
 ) -> tuple[float, float, float, float, float, float, float, float, float]:  # fmt: skip
-    """Return the forces of an element per length, and c_d.
+    """Return the forces of a blade element per span, their slopes, and c_d.
 
     These are F_z, F_T, lift in the axial direction, radial drag per U_R, c_d, and the slopes (N s/m^2) of F_z and of
     the lift over U_P, then over U_T.

@@ -430,7 +430,7 @@ def _newton_step(
 def solve_azimuth(
     blade: AzimuthBlade, point: AzimuthPoint, trig: Array, ways: Array, inflow: Array, x: Array
 ) -> tuple[int, float, float]:
-    """Solve an operating point by Newton's method.
+    """Solve the unknowns ``inflow`` and ``x`` of an operating point in place, by Newton's method.
 
     Return the number of steps, the last residual, and the weight w of annulus inflow.
 

@@ -74,7 +74,7 @@ def _rate_load_columns(
     rolling, pitching = solve((rate, 0.0)), solve((0.0, rate))
 
     def load_changes_per_rate(moved: ForwardResult, at: ForwardResult) -> tuple[Array, Array]:
-        """Return the changes from ``at`` to ``moved`` of force (forward, right) and moment (about x, y), per rate."""
+        """Return force (forward, right) and moment (x, y) of ``moved`` less those of ``at``, divided by ``rate``."""
         force = at.h_force_N - moved.h_force_N, moved.y_force_N - at.y_force_N
         moment = moved.roll_moment_Nm - at.roll_moment_Nm, moved.pitch_moment_Nm - at.pitch_moment_Nm
         return np.array(force) / rate, np.array(moment) / rate
@@ -321,7 +321,7 @@ def fit_flight_splines(tables: FlightMapTables) -> FlightSplines:
 
 
 class MapLoads(NamedTuple):
-    """Loads of upper and lower rotor (columns) over airspeed, of a flight map at middle speed ratio without climb.
+    """Loads of upper and lower rotor (columns) over airspeed, from a flight map at its middle speed ratio, no climb.
 
     Attributes
     ----------
@@ -347,7 +347,7 @@ class MapLoads(NamedTuple):
 
 
 def evaluate_flight_map(flight_map: FlightMap) -> MapLoads:
-    """Return the loads of a flight map at its airspeeds, in SI units, as the flight model interpolates them."""
+    """Return the loads (SI) at the airspeeds on the axis of a flight map, interpolated as in the flight model."""
     splines = fit_flight_splines(flight_map.decode_map_tables())
     edge = flight_map.decode_map_tables().edgewise
     mean, radius = flight_map.mean_speed_rad_s, flight_map.radius_m

@@ -260,7 +260,7 @@ def _find_solution(
     total = 0
 
     def start_from_axial_flow() -> tuple[Array, Array]:
-        """Return the inflow (m/s) and global unknowns of axial flow at the same climb, as start of the iteration."""
+        """Return the inflow (m/s) and global unknowns of the point without its edgewise velocity, to start from."""
         mean = np.asarray(point.stream_m_s.mean(axis=0))
         found = solve_rotor(
             blading, pitch_rad=c.pitch_rad, speed_rad_s=c.speed_rad_s, climb_m_s=c.climb_m_s, air=c.air, which=which,
@@ -430,7 +430,7 @@ def sweep_forward(
     flap_basis: str = "",
     cyclic_rad: float = math.radians(1.0),
 ) -> ForwardSweep:
-    """Solve a rotor at several conditions for several flap modes, each point from its neighbour.
+    """Solve a rotor at several conditions for several flap modes; each solution starts from the previous one.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ _THROUGH_FLOW_FADE_START, _THROUGH_FLOW_FADE_END = (
 
 @cached_njit(error_model="numpy")
 def _glauert_root(x: float, v: float) -> float:
-    """Return the lowest root u of u^2 (v^2 + (x + u)^2) = 1; velocities are over u_h, that induced in hover."""
+    """Return the lowest root u of u^2 (v^2 + (x + u)^2) = 1, with velocities divided by the induced one in hover."""
     low, high = 0.0, 1.0 / max(v, 0.05) if x >= 0.0 else 2.0 - x
     bend = x * x - 8.0 * v * v
     if x < 0.0 and bend > 0.0:  # a greatest and a least value of the left side

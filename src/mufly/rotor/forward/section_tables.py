@@ -37,7 +37,7 @@ def _fill_coefficients(
 
 
 def _angles_from_onset_angles(onset: Array, zero: float, alpha: Array, reached: Array) -> Array:
-    """Return the angle of attack at each onset angle; of several, the first one outward from zero lift."""
+    """Return the angles of attack that give the onset angles (module docstring), the first outward from zero lift."""
     out = np.empty_like(onset)
     middle = alpha.size // 2
     up = np.maximum.accumulate(reached[middle:])

@@ -58,7 +58,7 @@ PAIR_COLUMNS = (
     "yaw_torque_Nm",
 )
 class ForwardPair:
-    """Coaxial pair in forward flight; forces and hub moments are sums of both rotors, each about its own hub.
+    """Loads of a coaxial pair in forward flight: sums of both rotors' forces and of their moments about their own hubs.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class ForwardPair:
 
 
 def format_forward_pairs(pairs: tuple[ForwardPair, ...]) -> tuple[ShownBlock, ...]:
-    """Return the text of pairs: a table, and the reasons of points outside the range of the method."""
+    """Return results of pairs as text: a table, and why points lie outside the range of the method."""
     blocks: list[ShownBlock] = [tabulate_results(pairs, PAIR_COLUMNS)]
     notes: dict[str, list[str]] = {}
     for pair in pairs:

@@ -304,7 +304,7 @@ def add_zero_load_points(
     zero_thrust: float | None = None,
     zero_torque: float | None = None,
 ) -> RotorMeasurements:
-    """Return measurements with the points of a tunnel at which thrust or torque vanishes.
+    """Return measurements with added points of zero thrust or zero torque, as known from a wind tunnel.
 
     Parameters
     ----------
@@ -354,7 +354,7 @@ def _count_copies(bench: _BenchPoints) -> Array:
 
 
 def _compute_load_scales(measurements: RotorMeasurements, load: Array, hover: Array) -> Array:
-    """Return the scales T_s (N) and Q_s (N m) to which errors are related (module docstring), (2, n).
+    """Return the scales T_s (N) and Q_s (N m) by which errors are divided (module docstring), (2, n).
 
     ``hover``: loads predicted without airspeed.
     """

@@ -50,7 +50,7 @@ _SAME_THICKNESS_TOLERANCE = 5e-4  # of chord: a contour and its designation diff
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:draw_airfoil_section")
 class Airfoil:
-    """Airfoil section.
+    """Airfoil section: contour, thickness and camber.
 
     Attributes
     ----------
