@@ -121,7 +121,7 @@ def wake_contraction(distance_m: float, radius_m: float) -> float:
 
 @cached_njit(error_model="numpy")
 def _fill_cell_influence(out: Array, r: Array, z: Array, tubes: Array, starts: Array) -> None:
-    """Fill ``out`` with the axial velocity at points (r, z) per unit strength of each cell of each tube.
+    """Fill ``out`` with the axial velocity at points (r, z) per unit strength of each axial cell of each tube.
 
     The last cell of a tube is semi-infinite.
     """
@@ -141,12 +141,13 @@ def select_tube_edges(stations: int) -> NDArray[np.int64]:
 
 @lru_cache(maxsize=256)
 def _tube_influence(source: bytes, target: bytes, below_m: float) -> tuple[Array, Array]:
-    """Return two matrices: axial velocity at a target's disc and in its wake, per unit strength of a source's cells.
+    """Return the axial velocities at the target's disc and in its wake, per unit strength of each cell of the source.
 
     The first one is averaged over the panels of the target's disc, the second one holds at the middles of the target's
     own wake cells.
 
-    ``below_m`` is the distance of the target below the source (m).
+    ``source`` and ``target`` are the panel edges of two rotors (m), or of one; ``below_m`` is the distance of the
+    target below the source (m).
     """
     edges, at = np.frombuffer(source), np.frombuffer(target)
     tubes, starts = edges[select_tube_edges(edges.size - 1)], float(edges[-1]) * _TUBE_CELL_STARTS_RADII
@@ -180,7 +181,7 @@ def _tube_strengths(area: Array, first: NDArray[np.int64], inflow: Array, loss: 
 
 
 def _rollup_matrix(steps: Array) -> Array:
-    """Return the matrix (tubes, tubes) from velocities at tubes to the velocities at which they convect.
+    """Return the matrix (tubes, tubes) that turns the axial velocities at the tubes into their convection velocities.
 
     The outermost tubes roll up into the tip vortex and move together, weighted by strength; the root tube moves with
     its neighbour.
@@ -197,7 +198,7 @@ def _rollup_matrix(steps: Array) -> Array:
 
 
 def axial_influence(r_m: Array, edge_m: float, narrow: float, at_m: Array, width_m: Array) -> Array:
-    """Return the matrix (panels, stations) that interpolates a rotor's values to panels in its stream downstream.
+    """Return the matrix (panels, stations) that interpolates values at a rotor's stations to panels in its slipstream.
 
     Parameters
     ----------
@@ -252,7 +253,8 @@ def solve_tubes(
     start: SystemSolution | None = None,
     progress: Callable[[int, float, float], None] | None = None,
 ) -> SystemSolution:
-    """Solve a placed pair; called by :func:`mufly.rotor.solve_system`. For one rotor this is BEMT alone.
+    """Solve a coaxial pair by BEMT and vortex tubes, one rotor by BEMT alone; called by
+    :func:`mufly.rotor.solve_system`.
 
     Raises
     ------
@@ -281,7 +283,7 @@ def solve_tubes(
     met_by: list[tuple[Array, Array, Array]] = []
 
     def iterate_streams(x: Array) -> Array:
-        """Return the next iterate of ``x``: onset velocities at both discs, and strength factors p of all cells."""
+        """Return the next iterate of ``x``: onset velocities at both discs, and the strength factor p of each cell."""
         *streams, p0, p1 = np.split(x, cuts)
         found.clear()
         met_by.clear()

@@ -51,7 +51,7 @@ _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
 
 
 def read_contour(path: Path) -> Array:
-    """Read a coordinate file of an airfoil database, whose axes are kept.
+    """Return the contour in an airfoil database's coordinate file, scaled to chord 1 but not rotated.
 
     Returns
     -------
@@ -68,7 +68,9 @@ def read_contour(path: Path) -> Array:
 
 
 def read_custom_contour(path: Path) -> tuple[Array, str]:
-    """Read a coordinate file with a contour anywhere in the plane; warn if it is moved or turned.
+    """Return the contour in a coordinate file, moved and turned onto the x axis, and a description of the change.
+
+    A :class:`SectionWarning` reports the change.
 
     Returns
     -------
@@ -91,7 +93,9 @@ def read_custom_contour(path: Path) -> tuple[Array, str]:
 
 
 def align_contour(contour: Array) -> tuple[Array, str]:
-    """Move, turn and mirror a contour so that its chord line lies along x; see the module docstring.
+    """Return a contour moved, turned and mirrored so that its chord line lies along x, and a description of the change.
+
+    See the module docstring for the rules.
 
     Parameters
     ----------
@@ -162,7 +166,7 @@ def _read_points(path: Path, where: str) -> list[tuple[int, list[float]]]:
 
 
 def _parse_numbers(line: str) -> list[float]:
-    """Return the numbers of a line, none if one of its words is no number."""
+    """Return the numbers of a line; an empty list if one of its words is not a number."""
     words = [w.rstrip(",;") for w in line.replace(";", " ").split()]
     decimal = "." not in line and len(words) > 1 and any("," in w for w in words)  # 0,25 0,1
     words = [w.replace(",", ".") for w in words] if decimal else line.replace(",", " ").replace(";", " ").split()
@@ -177,7 +181,7 @@ def _parse_numbers(line: str) -> list[float]:
 
 
 def _order_from_tail(points: list[tuple[int, list[float]]], where: str) -> Array:
-    """Order the points of a file, in any order and scale, as a contour (n, 2) from the tail around to the tail."""
+    """Return the points of a file, in whatever order, as a contour (n, 2) from the tail around the nose to the tail."""
     contour = np.array([p for _, p in points], dtype=np.float64).reshape(-1, 2)
     if len(contour) < 3:
         return contour
@@ -228,7 +232,7 @@ def _lednicer_to_selig(table: Array, n_upper: int) -> Array:
 
 
 def validate_contour(contour: Array, where: str) -> Array:
-    """Scale a contour to chord 1 in Selig order, or raise an error if it is invalid.
+    """Return a contour scaled to chord 1 and put in Selig order; raise an error if it is invalid.
 
     Parameters
     ----------

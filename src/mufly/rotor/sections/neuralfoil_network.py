@@ -89,13 +89,13 @@ def _load_network(model: str) -> tuple[list[tuple[Floats, Floats]], Floats, Floa
 
 
 def neuralfoil_version() -> str:
-    """Return the version of the installed package."""
+    """Return the version of the installed package ``neuralfoil``."""
     _neuralfoil_folder()
     return version("neuralfoil")
 
 
 def fit_kulfan_parameters(airfoil: Airfoil) -> tuple[Array, float, float, float]:
-    """Fit Kulfan's 18 numbers to a contour.
+    """Fit Kulfan's 18 parameters to a contour; return them with rotation, chord and greatest error of the fit.
 
     The chord line for the fit runs from the point farthest from the tail to the middle of the tail.
 
@@ -284,7 +284,7 @@ def _compute_section_data(
 
 
 def _mark_confident_points(logit: Array, cl: Array) -> NDArray[np.bool_]:
-    """Return a mask (Reynolds numbers, angles) of the points from zero lift to the first doubtful one on each side."""
+    """Return a mask (Reynolds numbers, angles) of the points around zero lift, up to the first of low confidence."""
     good = logit > math.log(MIN_CONFIDENCE / (1 - MIN_CONFIDENCE))
     trusted = np.zeros_like(good)
     for row, (g, lift) in enumerate(zip(good, cl, strict=True)):

@@ -238,7 +238,7 @@ def _run_xfoil(
     angles_deg: list[float],
     folder: Path,
 ) -> dict[float, tuple[float, float, float]]:
-    """Compute the angles in order in one run of XFOIL; return (cl, cd, cm) of the converged ones by alpha_deg.
+    """Run XFOIL once over the angles in order; return (cl, cd, cm) by alpha_deg for those that converge.
 
     A nan among the angles initialises the boundary layer afresh.
     """

@@ -262,8 +262,8 @@ def lookup_moment(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> A
 
 
 def extrapolation_flags(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> NDArray[np.uint8]:
-    """Return flags of points (bits) that lie outside the computed range of a table, in angle of attack or Reynolds
-    number.
+    """Return a bit field for each point: whether its angle of attack or Reynolds number is outside a table's computed
+    range.
 
     Returns
     -------
@@ -328,7 +328,7 @@ _STALL_BLEND_WIDTH_RAD, _STALL_BLEND_END_RAD = math.radians(20.0), math.radians(
 
 
 def _stalled_coefficient_shapes() -> tuple[Array, Array]:
-    """Return the measured lift m_l and drag m_d - m_d(180) of stalled sections on :data:`ALPHA_GRID`, both over M.
+    """Return m_l / M and (m_d - m_d(180)) / M on :data:`ALPHA_GRID`, from measured lift and drag of stalled sections.
 
     The module docstring defines m_l, m_d and M.
     """

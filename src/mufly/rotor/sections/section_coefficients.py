@@ -55,7 +55,7 @@ class SectionParameters(NamedTuple):
 
 
 class PolarGrid(NamedTuple):
-    """Members of a :class:`PolarStack` in which the compiled :func:`section_coefficients` interpolates."""
+    """Coefficients of a :class:`PolarStack` and the scale of its Reynolds axis, for compiled interpolation."""
 
     grid: Array
     log_reynolds_min: float
@@ -64,8 +64,7 @@ class PolarGrid(NamedTuple):
 
 @cached_njit(error_model="numpy")
 def equivalent_incompressible_alpha(alpha: float, mach: float, zero_lift: float) -> float:
-    """Return the angle of attack (rad) that gives in incompressible flow the coefficients at ``alpha`` and ``mach`` <
-    1.
+    """Return the angle of attack (rad) whose incompressible coefficients equal those at ``alpha`` and ``mach`` < 1.
 
     Prandtl and Glauert's rule as Goethert writes it (NACA TM 1105, 1946): to first order the pressures at an angle a
     from zero lift are those of incompressible flow at a / beta, beta = sqrt(1 - M^2). The lift slope grows by 1 / beta.

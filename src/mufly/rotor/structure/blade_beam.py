@@ -203,9 +203,9 @@ class BladeBeam:
         return np.column_stack([*extra, keep]) if extra else keep
 
     def assemble_matrix(self, *parts: tuple[Array | float, Array, Array], symmetric: bool = True) -> Array:
-        """Return the integral of factor left right^T along the span, summed over all parts, (size, size).
+        """Return the integral of factor left right^T along the span, summed over (factor, left, right) in ``parts``.
 
-        With ``symmetric``, only its symmetric part is returned.
+        The matrix is (size, size); with ``symmetric``, only its symmetric part is returned.
         """
         total = np.zeros((self.length_m.size, _ELEMENT_DOF_COUNT, _ELEMENT_DOF_COUNT))
         for factor, left, right in parts:
@@ -224,7 +224,10 @@ class BladeBeam:
         return out
 
     def evaluate_shape(self, name: str, x: Array) -> Array:
-        """Return a deflection or slope (a key of :attr:`shape_functions`) at the Gauss points, (elements, 4)."""
+        """Return the deflection or slope ``name`` at the Gauss points, (elements, 4), of degrees of freedom ``x``.
+
+        ``name`` is a key of :attr:`shape_functions`.
+        """
         return np.asarray(np.einsum("egi,ei->eg", self.shape_functions[name], x[self._dof_indices]))
 
 
@@ -294,7 +297,7 @@ def mass_matrix(beam: BladeBeam, pitch_rad: float) -> Array:
 
 
 def centrifugal_load(beam: BladeBeam, pitch_rad: float, twist_rad: Array | None = None) -> Array:
-    """Return the load of the centrifugal field on the straight blade over Omega^2, (size,).
+    """Return the centrifugal load on the straight blade, divided by Omega^2, (size,).
 
     The load consists of propeller moment, untwisting by tension, and tension on the line of the centroids. With
     ``twist_rad`` (elements, 4) it is the load of the twisted blade, minus the linear part in

@@ -92,7 +92,7 @@ def relative_std(quantity: Quantity | None, unknown: float = 0.0) -> float:
 
 
 def structure_deviations(structure: BladeStructure) -> dict[str, float]:
-    """Return the standard deviations of the uncertain properties of a blade's structure, by the names below.
+    """Return the standard deviations of the uncertain properties of a blade's structure, by name of the property.
 
     Returns
     -------

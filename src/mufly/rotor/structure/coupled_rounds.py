@@ -43,7 +43,7 @@ _DEFORMED_STATION_COUNT = 33
 
 @dataclass(frozen=True, eq=False)
 class StripLoads:
-    """Loads of one blade per span at some radii, (strips,) arrays.
+    """Loads per unit span of one blade at the radii ``r_m``, (strips,) arrays.
 
     Attributes
     ----------

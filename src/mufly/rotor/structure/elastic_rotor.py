@@ -59,7 +59,7 @@ NEAR_DIVERGENCE_SPEED_RATIO = 0.7
 
 @dataclass(frozen=True, eq=False)
 class SpanLoads:
-    """Loads of one blade per span at the Gauss points of its beam, (elements, 4) arrays.
+    """Loads per unit span of one blade at the Gauss points of its beam, (elements, 4) arrays.
 
     Attributes
     ----------
@@ -173,8 +173,9 @@ def load_derivative(beam: BladeBeam, below: SpanLoads, above: SpanLoads, step_ra
 
 
 def divergence_speed(beam: BladeBeam, elastic: Array, destabilising: Array) -> float:
-    """Return the divergence speed: the root of the least positive eigenvalue mu of K_e x = mu D x; infinite if there is
-    none.
+    """Return the rotor speed (rad/s) at which the blade diverges; infinite if there is none.
+
+    It is the root of the least positive eigenvalue mu of K_e x = mu D x.
 
     Parameters
     ----------
@@ -375,8 +376,7 @@ def solve_elastic_rotor(
     engine: PolarEngine = "neuralfoil",
     corrections: Corrections | None = None,
 ) -> ElasticRotorResult:
-    """Return a rotor with elastic blades beside the rigid rotor, with 90 % bands for properties that the rotor file
-    leaves open.
+    """Solve a rotor with elastic and with rigid blades; 90 % bands cover properties that the rotor file leaves open.
 
     Parameters
     ----------

@@ -148,7 +148,7 @@ def rotate_vectors(vectors: Array, angle_rad: float | NDArray[Any]) -> Array:
 
 
 def sum_over_blades(points: Array, blades: int, one: Callable[[Array], Array]) -> Array:
-    """Return the velocity or influence of all blades at points (m, 3), given the function of one blade."""
+    """Return the velocity or influence of all blades at points (m, 3); ``one`` computes that of one blade at points."""
     angle = 2.0 * math.pi / blades * np.arange(blades)[:, None]
     each = one(rotate_vectors(points, -angle).reshape(-1, 3))
     each = each.reshape(blades, len(points), *each.shape[1:])

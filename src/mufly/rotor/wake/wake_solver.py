@@ -160,7 +160,7 @@ def solve_wake(
     start: SystemSolution | None = None,
     progress: Callable[[int, float, float], None] | None = None,
 ) -> SystemSolution:
-    """Solve one placed rotor or a pair; called by :func:`mufly.rotor.solve_system`.
+    """Solve one rotor or a coaxial pair by the vortex wake method; called by :func:`mufly.rotor.solve_system`.
 
     Parameters
     ----------
@@ -204,7 +204,8 @@ def solve_wake(
 
 
 def _turns_to_ground(ground_m: float, rotors: Sequence[PlacedRotor]) -> float:
-    """Return the turns after which the lowest tip vortex reaches the ground (Landgrebe's formula, typical loading).
+    """Return the number of rotor turns after which the lowest tip vortex reaches the ground (Landgrebe's formula,
+    typical loading).
 
     Beyond, helices would pile up on the ground, and the wake would not converge.
     """
@@ -418,8 +419,11 @@ class RotorState:
         return points
 
     def circulation_influence(self, one: Callable[[Array], Array]) -> Array:
-        """Return the velocity at the evaluation points per panel circulation, (m, panels, 3), given the velocity of one
-        blade's filaments of unit circulation, (m, filaments, 3), at points."""
+        """Return the velocity at the evaluation points per panel circulation, (m, panels, 3).
+
+        ``one`` computes at points (m, 3) the velocity due to one blade's filaments of unit circulation,
+        (m, filaments, 3).
+        """
         legs = self.add_ground_image(
             self.evaluation_points_m, lambda x: sum_over_blades(x, self.surface.blade_count, one)
         )
