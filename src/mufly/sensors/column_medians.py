@@ -20,9 +20,9 @@ _KEY_RANGE = 32.0  # of values from their level, in units of their noise; beyond
 
 
 def median_comparators(rows: int) -> _Array:
-    """Return row exchanges (n, 2), part of a sorting network, that bring the four middle rows in order.
+    """Return the pairs of rows (n, 2) that a sorting network compares to bring the four middle rows in order.
 
-    They hold the one or two rows of the median, and a neighbour on each side.
+    These four rows hold the one or two rows of the median, and a neighbour on each side.
     """
     top = 1
     while 2 * top < rows:

@@ -198,7 +198,7 @@ class FaultySensor(Sensor):
         return self._last_output if own is None else own
 
     def _apply_fault(self, f: Fault, name: str, said: dict[str, Reading], truth: Truth) -> None:
-        """Apply the fault ``f`` to the reading ``name`` in ``said``."""
+        """Replace the reading ``name`` in ``said`` by the faulty one; delete it if none was published."""
         t, r = truth.time_s, said[name]
         new = self._last_input.get(name) is not r
         self._last_input[name] = r

@@ -180,7 +180,7 @@ class Imu(Sensor):
         return self.latest_readings
 
     def sampling_arguments(self, elapsed_s: float) -> tuple[Any, ...]:
-        """Return the arguments of :func:`sample_imu` that follow the time, for periods of ``elapsed_s`` (s)."""
+        """Return the arguments of :func:`sample_imu` after ``t``, for a reading every ``elapsed_s`` (s)."""
         size = 6 + 6 * max(1, round(elapsed_s / self._dt))
         if self._normals.size != size:
             self._normals = np.zeros(size)
@@ -205,7 +205,7 @@ class Imu(Sensor):
         return self.source, self._normals, self._clock, self._last_state, self._output, unit
 
     def error_free_readings(self, truth: Truth) -> Mapping[str, Any]:
-        """Return specific force (mean of the software's last period) and angular rates, without sensor errors."""
+        """Return angular rates, and mean specific force since the reading before, without sensor errors."""
         return {"acceleration": self._current_force.copy(), "rates": truth.rates}
 
     def temperature_rise_K(self, time_s: float) -> float:
@@ -250,12 +250,12 @@ def _axis_matrix(rng: np.random.Generator, scale: float, misalignment: float) ->
 
 
 def _line_frequencies(upper: float, lower: float) -> tuple[float, ...]:
-    """Return the frequencies (rad/s) of the five vibration lines: 1 and 2/rev of each rotor, and passing blades."""
+    """Return the frequencies (rad/s) of the five vibration lines: 1 and 2/rev of each rotor, and blade passing."""
     return 1.0 * upper, 2.0 * upper, 1.0 * lower, 2.0 * lower, 2.0 * (upper + lower)
 
 
 def _project_lines(axes: _Array, directions: _Array) -> _Array:
-    """Return the directions of the five vibration lines multiplied by the rows of a matrix ``axes`` (3, 3), (5, 3).
+    """Return the product (5, 3) of the matrix ``axes`` (3, 3) and the direction of each of the five vibration lines.
 
     The order of summation is fixed, so that results are equal on every machine.
     """
@@ -283,7 +283,7 @@ def _temperature_rise_K(t: float, numbers: _Array) -> float:
 
 @cached_njit(error_model="numpy")
 def _mean_specific_force(was: _Array, now: _Array, elapsed: float, place: _Array, force: _Array) -> None:
-    """Write the specific force at the sensor element (m/s^2), the mean of states ``was`` to ``now``, to ``force``.
+    """Write the mean specific force at the sensor element (m/s^2) between states ``was`` and ``now`` to ``force``.
 
     The states are ``elapsed`` (s) apart; ``place`` is the element's position in body axes (m).
     """
@@ -307,7 +307,8 @@ def _mean_specific_force(was: _Array, now: _Array, elapsed: float, place: _Array
 def _begin_phasor(
     azimuth: float, first: float, last: float, elapsed: float, n: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Return cosine and sine of three angles: a rotor's azimuth, its turn to the next sample, and that turn's growth.
+    """Return cosine and sine of three angles: a rotor's azimuth, its rotation to the next sample, and the increase of
+    that rotation per sample.
 
     The rotor's speed changes from ``first`` to ``last`` (rad/s) over ``n`` samples.
     """

@@ -165,7 +165,7 @@ class SensorSet:
 
 
 def ideal_sensors(vehicle: Vehicle, world: World, ring_every: int = 1) -> SensorSet:
-    """Return ideal sensors for all inputs of the flight software; the ring is read every ``ring_every`` periods."""
+    """Return ideal sensors for all inputs of the flight software; the range ring reads every ``ring_every`` periods."""
     return SensorSet(IdealMotion(), IdealRangeRing(vehicle, world, ring_every), IdealBattery())
 
 
@@ -190,7 +190,7 @@ class IdealBattery(Sensor):
 
 
 class IdealRangeRing(Sensor):
-    """Ideal sensor of distances along the ring of beams (m); the ring's maximum range where there is no surface.
+    """Ideal sensor of the distances along the range ring's beams (m); its maximum range where there is no surface.
 
     ``ranges`` (n,) and ``clock`` (1,) are the last distances (m) and their time (s); a compiled loop writes to them.
     """
@@ -222,7 +222,7 @@ class IdealRangeRing(Sensor):
 
     @property
     def range_arguments(self) -> tuple[Any, ...]:
-        """Arguments of :func:`measure_ranges` that follow the state: beam directions, limits and obstacles."""
+        """Arguments of :func:`measure_ranges` from ``directions`` to ``limits``: beams, range limits and obstacles."""
         return self._directions, *self._limits.values(), *self._world.packed_tables
 
 
@@ -252,7 +252,7 @@ def measure_ranges(
     limits: _Array,
     out: _Array,
 ) -> None:
-    """Write the distances (m) along beams (n, 3; body axes) to ``out`` (n,), limited to ``least`` and ``most``."""
+    """Write the distances along beams (n, 3; body axes), clipped to ``least`` and ``most`` (m), to ``out`` (n,)."""
     turn = body_to_ned_matrix(x[ATTITUDE])
     for k in range(directions.shape[0]):
         a, b, c = directions[k, 0], directions[k, 1], directions[k, 2]
