@@ -72,7 +72,10 @@ class FrameInfo:
 
     @classmethod
     def from_mapping(cls, told: Mapping[str, Any]) -> FrameInfo:
-        """Return the object from ``dataclasses.asdict`` data read from a file; raise TypeError if they do not fit."""
+        """Return the object whose ``dataclasses.asdict`` is ``told``, read from a file.
+
+        Raises TypeError if a field is missing or unknown.
+        """
         values: dict[str, Any] = {
             k: np.array(v, dtype=np.float64) if isinstance(v, list) else v for k, v in told.items()
         }

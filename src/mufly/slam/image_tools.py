@@ -196,10 +196,11 @@ def _pyramid_levels(reach: float) -> int:
 def track_points(
     template: _Picture, picture: _Picture, points: _Array, smooth: float, reach: float
 ) -> tuple[_Array, _Array, _Array]:
-    """Track points (n, 2) of a template in a picture; both are smoothed by ``smooth`` (pixels).
+    """Track points (n, 2) of a template in a picture; return positions, patch correlations and standard deviations.
 
-    The pyramid has just enough levels for half a window to span ``reach`` (pixels). With more levels the windows follow
-    vignette and shadows instead of the floor, or jump to the next tile.
+    Both pictures are already smoothed by ``smooth`` (pixels). The pyramid has just enough levels for half a window to
+    span ``reach`` (pixels). With more levels the windows follow vignette and shadows instead of the floor, or jump to
+    the next tile.
 
     Returns
     -------
@@ -248,7 +249,7 @@ def correlate_patches(
     correlation: _Array,
     sigma: _Array,
 ) -> None:
-    """Write the correlation of patches in two pictures, and the sigma (pixels) of their shift, to the last arguments.
+    """Write the correlation of patches in two pictures to ``correlation``, their shift's deviation (px) to ``sigma``.
 
     Patches that are not ``found``, or cross the edge of a picture, are left out.
     """

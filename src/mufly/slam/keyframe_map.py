@@ -157,7 +157,7 @@ class FloorMap:
         return self._covariance_cache[which]
 
     def edge_covariance(self, a: int, b: int) -> _Array:
-        """Return the covariance (8, 8) of an edge's numbers: node ``b`` relative to node ``a``, and both tilts."""
+        """Return the covariance (8, 8) of what an edge measures: node ``b`` relative to node ``a``, and both tilts."""
         j = edge_jacobian(self.nodes[a], self.nodes[b])
         return j @ self.joint_covariance(a, b) @ j.T
 

@@ -139,7 +139,7 @@ def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bo
 
 
 def pose_information(match: KeyframeMatch) -> tuple[_Array, _Array]:
-    """Return information (8, 8) and gradient (8,) of a match on its pose, from pixels and prior together.
+    """Return information matrix (8, 8) and gradient (8,) of a match's pose, from pixels and prior together.
 
     The part of the pixels is reduced, since the errors of points are correlated.
     """

@@ -387,9 +387,9 @@ class SlamSystem:
         return True
 
     def _try_loop_closure(self, context: FrameContext, match: KeyframeMatch, made: bool) -> tuple[bool, bool]:
-        """Try to close a loop to a keyframe without an edge to the present one.
+        """Try to close a loop; return whether the picture is a keyframe, and whether a loop was closed.
 
-        Returns whether the picture is a keyframe, and whether a loop was closed.
+        Candidates are keyframes without an edge to the present one.
         """
         if made:
             context = replace(context, error_transition=SAME_PICTURE_ERROR_TRANSITION)
@@ -483,9 +483,10 @@ class SlamSystem:
         return len(self.floor_map.keyframes) - (self._trial_frame_count > 0) <= _YOUNG_MAP_KEYFRAMES
 
     def _confirm_trial(self, context: FrameContext, match: KeyframeMatch) -> TrackingResult | None:
-        """Match another picture to the keyframe on trial after a gap; return None once enough pictures confirmed it.
+        """Count a match as confirmation of the keyframe on trial; return None once there are enough.
 
-        Until then the rest of the map is searched, too: relocalisation there replaces the trial.
+        A keyframe is on trial from a gap in tracking until its confirmation. Until then the rest of the map is
+        searched, too: relocalisation there replaces the trial.
         """
         if self._should_relocalize and (found := self._find_in_map(context)) is not None:
             return self._accept_match(context, found)

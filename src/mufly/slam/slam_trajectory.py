@@ -76,7 +76,7 @@ class SlamTrajectory:
         )
 
     def write(self, file: Path) -> None:
-        """Write the trajectory as TUM's text, with covariance."""
+        """Write the trajectory in TUM's text format, with covariance."""
         attitude = np.column_stack([np.zeros((len(self.time), 2)), self.heading])
         write_tum(file, self.time, self.position, attitude, "N-E-D, metres; heading alone", self.covariance)
 

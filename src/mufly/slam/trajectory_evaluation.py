@@ -80,7 +80,7 @@ class PoseTable(NamedTuple):
 
 
 def read_poses(file: Path) -> PoseTable:
-    """Read a trajectory: TUM's text, EuRoC's ground truth, and tables like these.
+    """Read a trajectory in TUM's text format, EuRoC's ground-truth format, or a similar table of poses.
 
     Raises
     ------
@@ -365,7 +365,7 @@ def evaluate_trajectory(
 
 
 def _explain_no_overlap(time: _Array, true_time: _Array) -> tuple[str, str, str, str]:
-    """Return the problem of two clocks that do not overlap, and the remedy."""
+    """Return place, key, problem and remedy of the error that trajectory and truth share no time span."""
     for who, stamps in (("trajectory", time), ("truth", true_time)):
         if len(stamps) < _MIN_POSE_ROWS:
             problem = f"the {who} has {len(stamps)} usable rows with different times"

@@ -535,7 +535,7 @@ class _CalibrationProblem:
 
 
 def _with_extrinsics(camera: Camera, found: dict[str, tuple[float, float]]) -> Camera:
-    """Return a camera file's content with the calibrated values and their deviations."""
+    """Return the camera with calibrated lens, mounting and delay; all but the position get standard deviations."""
     note = "by hand over a floor"
 
     def measured(name: str, scale: float, unit: str) -> Quantity:

@@ -161,7 +161,7 @@ def _normalise_brightness(raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _track_points(
     template: NDArray[np.uint8], picture: NDArray[np.uint8], points: _Array, guess: _Array
 ) -> tuple[_Array, NDArray[np.bool_]]:
-    """Return points (n, 2) of a template in a picture, from a guess (n, 2), and the mask of those that are found."""
+    """Track points of a template into a picture from a guess; return their pixels (n, 2) and a mask of those found."""
     if not len(points):
         return points, np.zeros(0, np.bool_)
     cv2 = load_opencv()

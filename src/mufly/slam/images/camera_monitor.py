@@ -138,7 +138,7 @@ _HEALTHY_DIAGNOSIS = CameraDiagnosis()
 
 
 class CameraMonitor:
-    """Checks of a camera by its sequence of pictures and the vehicle's motion, with the fault that they find.
+    """Monitor that detects faults of a camera from its pictures and the vehicle's motion.
 
     Parameters
     ----------

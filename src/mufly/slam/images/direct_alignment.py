@@ -86,7 +86,7 @@ class AlignedPicture(NamedTuple):
 
 
 def add_point_errors(information: _Array, sigma_px: _Array) -> _Array:
-    """Return the information (n, 2, 2) of pixels, reduced by the errors ``sigma_px`` (n,) of their floor points."""
+    """Return the information matrices (n, 2, 2) of pixels with errors ``sigma_px`` (n,) of their floor points added."""
     spread = np.eye(2) + (sigma_px**2)[:, None, None] * information
     out = np.linalg.solve(spread, information)
     return np.asarray(0.5 * (out + np.swapaxes(out, 1, 2)))
@@ -95,7 +95,7 @@ def add_point_errors(information: _Array, sigma_px: _Array) -> _Array:
 def pixel_floor_jacobian(
     view: ViewPrior, state: _Array, shakes: _Array, points: _Array, bend: _Array, seconds: _Array
 ) -> _Array:
-    """Return the derivatives (n, 2, 2) of pixels with respect to N and E of their floor points: pixel axis, N or E.
+    """Return the derivatives (n, 2, 2) of pixels (axis 1) with respect to N and E of their floor points (axis 2).
 
     Their unit is the focal length (pixels) over the height (m).
 

@@ -226,7 +226,7 @@ def _sum_patches(
     half: int,
     sums: _Array,
 ) -> None:
-    """Write the sums of each patch."""
+    """Write the sums over the pixels of each patch, as :func:`weigh_patches` takes them, to ``sums`` (n, 12)."""
     high, wide = picture.shape
     n = 2 * half + 1
     a, b = np.empty((n, n), np.float32), np.empty((n, n), np.float32)
