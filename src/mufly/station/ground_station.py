@@ -202,7 +202,7 @@ class GroundLink:
         return new
 
     def _report_equipment(self, now_s: float) -> None:
-        """Report each MAVLink system that sends without an autopilot once, after a waiting time."""
+        """Report, once and after a waiting time, each MAVLink system from which no autopilot is heard."""
         for (peer, system), (since_s, what) in self._equipment.items():
             if since_s + LOST_TIMEOUT_S < now_s < math.inf and (peer, system) not in self._heard:
                 self._equipment[peer, system] = (math.inf, what)
@@ -210,7 +210,7 @@ class GroundLink:
                     self._on_notice(f"system {system}: only {what} received, no autopilot")
 
     def _update_link_quality(self, now_s: float, heard: _HeardVehicle) -> None:
-        """Pass the link quality over the last second to a vehicle."""
+        """Store packet loss and message rate of the last second in the vehicle's object."""
         since_s, received, lost, messages = heard.last_counts
         if now_s - since_s < _LINK_QUALITY_WINDOW_S:
             return
@@ -275,7 +275,7 @@ def _describe_unread_bytes(port: Port, link: GroundLink) -> str:
 
 
 def _station_ids_from_process(process: int) -> tuple[int, int]:
-    """Return system and component number of the station in a process."""
+    """Return the MAVLink system and component number of a station from the number of its process."""
     turns, k = divmod(process, len(_SYSTEM_IDS))
     return _SYSTEM_IDS[k], _COMPONENT_IDS[turns % len(_COMPONENT_IDS)]
 

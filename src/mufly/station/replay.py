@@ -173,7 +173,7 @@ def make_mission_rows(mission: Mission, reached: int = 0) -> list[MissionRow]:
 
 
 class ReplayHistory:
-    """The signals of a recording up to the displayed time, as :class:`mufly.station.signal_history.SignalHistory`.
+    """Signals of a recording up to the displayed time; read like :class:`mufly.station.signal_history.SignalHistory`.
 
     Attributes
     ----------

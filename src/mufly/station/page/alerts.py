@@ -33,7 +33,7 @@ _RANK_BY_LEVEL = {"info": 0, "warning": 1, "error": 2}
 
 @dataclass(frozen=True, slots=True)
 class SpokenAlert:
-    """An alert to be spoken; ``level`` is "info", "warning" or "error", as of a message."""
+    """An alert to be spoken; ``level`` is "info", "warning" or "error", as in a status message."""
 
     level: str
     text: str

@@ -110,7 +110,7 @@ def _parse_start_time(facts: dict[Any, Any]) -> float:
 
 
 def has_better_recording(path: Path) -> bool:
-    """Return whether the folder of ``path`` holds a recording of the same flight that the list shows in its place.
+    """Return whether the list shows another recording of the same flight, in the same folder, instead of ``path``.
 
     The vehicle's own recording is better than a station's, and signals are better than packets.
     """

@@ -117,7 +117,7 @@ def drop_late_events(
 
 
 def _is_display_event(sender: Element | None, listener: object) -> bool:
-    """Return whether an event changes only the window's own display, as a field, a tab or a rejected file does."""
+    """Return whether an event changes only the window's own display: a field, a tab, or the rejection of a file."""
     # NiceGUI keeps the listeners of an element here alone.
     known = sender._event_listeners.get(listener) if sender and isinstance(listener, str) else None
     return known is not None and (known.type in _DISPLAY_STATE_EVENTS or known.type.startswith("update:"))

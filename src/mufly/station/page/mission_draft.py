@@ -192,7 +192,7 @@ def _row_key(k: int) -> str:
 
 
 def apply_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
-    """Apply an edit of a window: ``{"op": "move", "row": 2, "at": [1.0, 0.5, -1.0], "gesture": "7"}`` and its like.
+    """Return the draft after an edit, such as ``{"op": "move", "row": 2, "at": [1.0, 0.5, -1.0], "gesture": "7"}``.
 
     Raises
     ------
@@ -376,7 +376,7 @@ def parse_mission_draft(text: str, name: str) -> Mission:
 
 
 def mission_from_vehicle(items: Sequence[MissionItem], base: Mission, origin: GlobalOrigin | None) -> Mission:
-    """Return the mission of a vehicle's items; settings that items lack are taken from ``base``.
+    """Convert a vehicle's mission items to a mission; settings that the items lack are taken from ``base``.
 
     Raises
     ------

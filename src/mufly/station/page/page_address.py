@@ -221,7 +221,7 @@ def _forbid_framing(send: Send) -> Send:
 
 
 def host_name(host: str) -> str:
-    """Return the name in a Host header, without its port; "" where it is none."""
+    """Return the name in a Host header, without its port; "" if the header is invalid."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:

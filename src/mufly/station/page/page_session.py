@@ -400,7 +400,7 @@ def describe_pace(s: VehicleSnapshot) -> str:
 
 
 def find_recordings(folder: Path) -> list[Path]:
-    """Return the recordings in a folder, in its sub-folders and in flights' folders beside it, newest first.
+    """Return the recordings in a folder, in its sub-folders and in other flights' folders beside it, newest first.
 
     Each flight has a separate folder, so that other flights are found from the folder of one.
     """
@@ -602,7 +602,7 @@ _READ_ONLY_PATTERN = re.compile(r"\s+@READONLY\s*$", re.IGNORECASE)
 
 
 def read_parameter_file(text: str, where: str, component: int = AUTOPILOT_COMPONENT) -> dict[str, float]:
-    """Read a file of parameters: name and value a line, or the five columns of QGroundControl.
+    """Return parameter values by name from a file with a name and a value a line, or QGroundControl's five columns.
 
     A comment may follow a value (``#``, ``//`` or ``;``), as may ``@READONLY``, ArduPilot's mark of parameters that a
     user cannot change. If a file holds the parameters of several components, those of one component are read.

@@ -269,7 +269,7 @@ async def send_mission(view: WindowView, vehicle: RemoteVehicle, mission: Missio
 
 
 def build_sensor_drawer(view: WindowView) -> None:
-    """Build the drawer of the estimator's status of each sensor, with failures for simulated sensors."""
+    """Build the drawer with the estimator's status of each sensor, and controls to inject failures in a simulation."""
 
     def request_failure(kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan) -> None:
         vehicle = view.shown_vehicle()
@@ -558,7 +558,7 @@ class StickPanel:
         self._panel.on("sticks", self._handle_sticks, throttle=0.0)
 
     def refresh(self) -> None:
-        """Send the window its permission and whether it flies."""
+        """Send the window the reason why it may not use the sticks, "" if it may, and whether they fly the vehicle."""
         if self._flown is not None and (why := self._manual_end_reason()):
             self._release_sticks(why)
         now = (self._reason(), self._flown is not None)

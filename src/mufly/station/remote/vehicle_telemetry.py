@@ -516,7 +516,7 @@ class BeamRanges:
 
 
 def read_obstacle_distance(m: MavMessage, heading_rad: float) -> BeamRanges:
-    """Read OBSTACLE_DISTANCE: a ring of beams, relative to the nose or (converted here) to north.
+    """Return the beams of OBSTACLE_DISTANCE with angles from the nose; angles from north are converted.
 
     Parameters
     ----------
@@ -674,7 +674,7 @@ class VehicleClock:
         self._changed = True
 
     def _restart_clock(self, own_s: float, now_s: float) -> float:
-        """Return the monotonic time of a restart's first stamp: the last time plus that passed at the station."""
+        """Return the monotonic time of a restart's first stamp: the last time plus the station's time since then."""
         self._changed = False
         self._marks.clear()
         self._marked_s = -math.inf
