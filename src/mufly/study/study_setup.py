@@ -181,7 +181,7 @@ def check_parameters(setup: StudySetup, names: Iterable[str]) -> None:
 
 
 def _check_single_rotor(setup: StudySetup, every: set[str]) -> tuple[str, str, str] | None:
-    """Yield key, problem and remedy of inconsistent parameters of a single rotor."""
+    """Return key, problem and remedy of the first error in the parameters of a single rotor; None if there is none."""
     if "pitch" not in every:
         return "pitch", "is missing", "fix it (pitch=12deg) or vary it (pitch=6:20:1deg)"
     given = [g for g in _OPERATING_POINT_PARAMETERS if g in every]
@@ -197,7 +197,7 @@ def _check_single_rotor(setup: StudySetup, every: set[str]) -> tuple[str, str, s
 
 
 def _check_pair(setup: StudySetup, every: set[str]) -> tuple[str, str, str] | None:
-    """Yield key, problem and remedy of inconsistent parameters of a pair."""
+    """Return key, problem and remedy of the first error in the parameters of a pair; None if there is none."""
     if "spacing" not in every:
         return "spacing", "is missing", "give it, as spacing=20mm"
     each = [n for n in ("upper_pitch", "lower_pitch") if n in every]

@@ -113,7 +113,7 @@ def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0
 
 
 def _contour_name(airfoil: str) -> str:
-    """Return an airfoil's name as the name of a file, without folder and ending."""
+    """Return an airfoil's name; that of a contour file is the file's name without folder and ending."""
     return Path(airfoil).stem if Path(airfoil).is_file() else airfoil
 
 

@@ -333,9 +333,9 @@ def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
 
 
 def _read_best_geometry(photographed: Path, name: str, diameter_m: float, blades: int, section: str) -> Rotor:
-    """Return the rotor of a propeller from the best geometry in the folder of its photographed geometry.
+    """Return the rotor of a propeller from the best geometry file in the folder of ``photographed``.
 
-    A scan ``NAME.stl`` comes first, then the maker's ``NAME.PE0``, which has sections of its own.
+    A scan ``NAME.stl`` comes first, then the maker's ``NAME.PE0``, which has its own sections, then ``photographed``.
     """
     beside = {p.suffix.lower(): p for p in photographed.parent.glob(f"{name}.*")}
     values: dict[str, object] = {"hub_cutout": 0.15, "trailing_edge": TRAILING_EDGE_THICKNESS_M}
