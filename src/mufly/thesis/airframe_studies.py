@@ -199,9 +199,9 @@ _SIMULATED_IMU_COUNT = 10
 
 
 def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 2.6 is a photograph; its text states that clipping at 6 g caused tilt errors of up to 20 degrees on the
-    ground.
+    """Fig. 2.6: tilt errors due to accelerometers that clip at 6 g; the text states up to 20 degrees on the ground.
 
+    The figure itself is a photograph.
     Ten units of ``mufly-1.1`` stand level with rotors at hover speed and vibrate at 1/rev and 2/rev. A low pass of 1 s
     computes the tilt from the accelerometers.
 

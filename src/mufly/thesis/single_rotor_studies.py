@@ -64,7 +64,7 @@ class SweepStudy:
 
 
 def standard_setup(model: str, rotor: str | Rotor = "naca4412-r60-c20") -> StudySetup:
-    """Return the study of a blade on muFly's drive at a thrust of 0.4 N, with the adapted gear ratio.
+    """Return the study of a blade on muFly's drive at a thrust of 0.4 N, with the gear ratio adapted to it.
 
     The adapted ratio is that of least power at which the drive holds the speed at full voltage.
     """
@@ -92,7 +92,7 @@ def run_sweep(study: SweepStudy, model: str) -> tuple[xr.Dataset, list[Verdict]]
 
 
 def _best_over_pitch(values: Array) -> Array:
-    """Return the greatest value over the pitch of every line; nan where there is none."""
+    """Return the greatest finite value of each row over the pitch (axis 1); nan where there is none."""
     filled = np.where(np.isfinite(values), values, -np.inf).max(axis=1)
     return np.where(np.isfinite(filled), filled, np.nan)
 
@@ -391,9 +391,9 @@ docs/log/2026-11-28-cfd-tips.md has the cases.
 
 
 def blade_form_gain(name: str) -> float:
-    """Return the change (%) of T^1.5/P, thrust per power at a given thrust, by a blade form against the square blade.
+    """Return the gain (%) in T^1.5/P, thrust per power at a given thrust, of a blade form over the square blade.
 
-    It is that on the finest mesh of the form.
+    It is the gain on the finest mesh of the form.
     """
     forms = next(mesh for mesh in OUR_CFD_BLADE_FORMS.values() if name in mesh)
     (t, q), (t0, q0) = forms[name], forms["square"]

@@ -259,7 +259,7 @@ def _run_sections_study(name: str, progress: ProgressCallback | None) -> StudyFi
 
 # Name -> computation, verdicts, picture, seconds.
 class _PairStudy(NamedTuple):
-    """Functions that compute, judge and draw a study of rotor pairs, and its time (s)."""
+    """Functions that compute, judge and draw a study of rotor pairs, and its computing time (s)."""
 
     compute: Callable[..., xr.Dataset]
     judge: Callable[..., list[Verdict]]
