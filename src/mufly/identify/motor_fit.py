@@ -387,7 +387,7 @@ def _mean_efficiency(data: MotorData) -> float:
 
 
 def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) -> MotorData:
-    """Choose the unit of a speed without unit by the energy balance, and raise an error for units that violate it."""
+    """Choose the unit of speed by the energy balance if the file states none; raise an error for units that violate it."""
     e = _mean_efficiency(data)
     if "speed" in table.unitless:
         unit, factor = ("rpm", RPM) if e > 0.95 else ("rad/s", 1.0)
@@ -554,7 +554,7 @@ def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> 
 
 
 def _number_settings(data: MotorData, std: Array) -> NDArray[np.int64]:
-    """Number the bench settings: consecutive lines with readings equal within their errors belong to one setting."""
+    """Return each line's bench setting as a number; consecutive lines equal within their errors have the same one."""
     y = np.column_stack(data.channel_arrays())
     same = np.all(np.abs(np.diff(y, axis=0)) < 2.5 * std[1:], axis=1) & (np.diff(data.run) == 0)
     return np.cumsum(np.r_[0, ~same]).astype(np.int64)

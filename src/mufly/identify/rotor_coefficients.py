@@ -127,7 +127,7 @@ class CoefficientTrend:
         return np.sqrt(np.einsum("...i,ij,...j->...", b, self.covariance_estimate.covariance, b))
 
     def relative_change(self) -> tuple[float, float]:
-        """Return the relative change from the lowest to the highest speed, and half its 95 % interval."""
+        """Return the relative change from lowest to highest speed, and half its 95 % confidence interval."""
         low, high = (self._log_speed_powers(w) for w in self.range_rad_s)
         start, end = float(low @ self.coefficients), float(high @ self.coefficients)
         slope = high / start - low * end / start**2
@@ -421,7 +421,7 @@ def fit_rotor_coefficients(
 
 
 def _resolve_speed_unit(loads: BenchLoads, radius: float) -> tuple[BenchLoads, list[str]]:
-    """Choose rpm or rad/s for speeds without unit by the thrust coefficient; note implausible stated units."""
+    """Choose the unit of speed by the thrust coefficient if the file states none; note implausible stated units."""
     table, notes = loads.turning_lines, []
     quantity = next((c for c in loads.values if c.startswith("thrust") and c not in table.unitless), None)
     for name in [c for c in table.columns if c.startswith("speed")]:
@@ -570,7 +570,7 @@ def _expected_errors(unit: Array, load: Array) -> tuple[Array, str]:
 
 
 def _number_settings(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:
-    """Number the settings: lines of one run at equal speed (within 0.2 %) are repeats."""
+    """Return each line's bench setting as a number; lines of one run within 0.2 % of speed have the same one."""
     key = np.round(np.log(np.abs(speed)) / 0.002)
     whole = np.column_stack([key, np.zeros(len(key)) if run is None else run])
     return np.unique(whole, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
