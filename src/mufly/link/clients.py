@@ -330,7 +330,7 @@ class CommandAuthority:
 def next_link_loss_stage(
     stage: FailsafeStage, *, silent_s: float, flying: bool, ending: bool, loss_s: float, land_s: float
 ) -> tuple[FailsafeStage, Literal["", "hover", "land", "back"]]:
-    """Return the next stage of the link failsafe, and its action.
+    """Return the next stage of the link failsafe, and the action to take now.
 
     Parameters
     ----------

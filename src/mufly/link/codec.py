@@ -93,7 +93,7 @@ def scale_to_integer(value: float, factor: float) -> int:
 
 
 def encode_text_field(text: str, size: int = 50) -> bytes:
-    """Return ``text`` for a ``char[size]`` field: UTF-8, cut between characters."""
+    """Return ``text`` as UTF-8 for a ``char[size]`` field, truncated to whole characters."""
     return text.encode(errors="replace")[:size].decode(errors="ignore").encode()
 
 
@@ -352,7 +352,7 @@ class StatusTextAssembler:
         self._waiting: dict[tuple[int, int], _PartialText] = {}
 
     def add_chunk(self, now_s: float, message: MavMessage) -> list[tuple[int, str]]:
-        """Add a STATUSTEXT; return the lines (MAV_SEVERITY, text) that are complete or given up."""
+        """Add a STATUSTEXT; return (MAV_SEVERITY, text) of each complete line, and of one dropped for lack of room."""
         text = str(message.text).rstrip("\0")
         if message.id == 0:
             return [(message.severity, text)]
@@ -414,7 +414,7 @@ class StatusTextAssembler:
 
 
 def parse_origin(text: str) -> GlobalOrigin:
-    """Read ``LAT,LON,ALT`` in degrees and metres.
+    """Return the global origin from a text ``LAT,LON,ALT`` in degrees and metres.
 
     Raises
     ------

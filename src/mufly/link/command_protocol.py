@@ -235,7 +235,7 @@ class CommandProtocol:
             self._execute_command(now_s, station, command)
 
     def step(self, now_s: float) -> None:
-        """Execute commands that had to wait."""
+        """Execute the command that waits for the release of the sticks, once they are released."""
         if self._held is not None:
             until_s, station, command = self._held
             if now_s >= until_s or self._autopilot.status.state != "rc":

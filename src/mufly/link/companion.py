@@ -219,7 +219,7 @@ class VisionCompanion:
         )  # fmt: skip
 
     def stationary_result(self, time_s: float, told: FrameInfo) -> TrackingResult:
-        """Return the tracking result for a picture taken before take-off: the origin, with a noise of 2 mm.
+        """Return the tracking result for a picture before take-off: the origin, at this height, with 2 mm of noise.
 
         Without noise the autopilot would reject the position, which never changes, as frozen.
         """

@@ -64,7 +64,7 @@ class MissionRequestList:
 
 @dataclass(frozen=True, slots=True)
 class MissionCount:
-    """MISSION_COUNT: offer of a number of items."""
+    """MISSION_COUNT: number of items that the sender offers."""
 
     item_count: int
     mission_type: int = 0
