@@ -196,7 +196,7 @@ def _first_nonempty_text(values: NDArray[Any]) -> str:
 
 
 def _parse_text_stamps(where: str, name: str, values: NDArray[Any], day: NDArray[Any] | None) -> _TextStamps:
-    """Read ISO 8601, a date and a time of day in one cell or in two, or a time of day alone."""
+    """Return the times in text columns: ISO 8601, date and time of day in one cell or two, or time of day alone."""
     first = _first_nonempty_text(values)
     texts = pd.Series(values.astype(object))
     if re.search(r":\d\d,\d", first):
