@@ -209,7 +209,7 @@ def compute_coax_map(
 
 
 def _describe_vortex_ring(tables: MapTables) -> str:
-    """Report the number of points in vortex ring state (Leishman 2006, Sec. 2.13.6).
+    """Return a note on the number of map points in vortex ring state (Leishman 2006, Sec. 2.13.6).
 
     The hover induced velocity that scales the descent is that of one disc with the thrust of both rotors.
     """
