@@ -387,7 +387,7 @@ def _mean_efficiency(data: MotorData) -> float:
 
 
 def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) -> MotorData:
-    """Choose the unit of speed by the energy balance if the file states none; raise an error for units that violate it."""
+    """Choose the unit of speed by the energy balance if the file states none; raise an error for impossible units."""
     e = _mean_efficiency(data)
     if "speed" in table.unitless:
         unit, factor = ("rpm", RPM) if e > 0.95 else ("rad/s", 1.0)
