@@ -149,7 +149,7 @@ def report_inner_inflow(asked: argparse.Namespace) -> None:
         x = [r.r_m / case.rotor.radius_m for r in found]
         inside = [r.dT_N[k < 0.5].sum() / r.thrust_N for r, k in zip(found, x, strict=True)]
         cells.append(" / ".join(f"{share:.2f}" for share in inside))
-        for of, form in (("alpha_rad", ".1f"), ("inflow_m_s", ".2f")):
+        for of, form in (("alpha_rad", ".1f"), ("axial_induced_m_s", ".2f")):
             each = [np.interp(at, k, getattr(r, of)) for r, k in zip(found, x, strict=True)]
             scale = np.degrees(1.0) if of == "alpha_rad" else 1.0
             cells += [f"{scale * a:{form}} / {scale * b:{form}}" for a, b in zip(*each, strict=True)]
@@ -217,7 +217,7 @@ def report_caradonna_cfd(asked: argparse.Namespace) -> None:
     c_t = verdict.thrust_N / (p.density_kg_m3 * math.pi * radius**2 * (p.speed_rad_s * radius) ** 2)
     print(f"{verdict.outcome} after {verdict.iterations} iterations (drift {100 * verdict.drift:.2f} %, swing "
           f"{100 * verdict.swing:.2f} %): c_T {c_t:.5f}, {percent(c_t, C_T[asked.pitch])} % of {C_T[asked.pitch]}; the "
-          f"wake carries {100 * found.wake_torque:.0f} % of the torque\n")  # fmt: skip
+          f"wake carries {100 * found.wake_torque_ratio:.0f} % of the torque\n")  # fmt: skip
     rows = []
     for x, measured in LIFT[asked.pitch].items():
         pressure = 0.5 * p.density_kg_m3 * (p.speed_rad_s * x * radius) ** 2 * chord * p.blades

@@ -69,7 +69,7 @@ def compare_inflow(folder: Path, record: Callable[..., None]) -> None:
 
             disc = solve(fsolve(miss_trim, [0.2, 0.03, -0.04])).disc
             psi = np.append(disc.azimuth_rad, 2.0 * math.pi)
-            field = np.vstack([disc.inflow_m_s, disc.inflow_m_s[:1]]) / tip
+            field = np.vstack([disc.axial_induced_m_s, disc.axial_induced_m_s[:1]]) / tip
             at = RegularGridInterpolator((psi, disc.r_m / radius), field, bounds_error=False, fill_value=None)
             miss = at(np.column_stack((np.radians(data[:, 0]), data[:, 1]))) + data[:, 2]
             weighted = math.sqrt(np.average(miss**2, weights=data[:, 1]))

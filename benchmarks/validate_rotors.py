@@ -137,7 +137,7 @@ def make_code(
             blading = calibrate_blading(blading, case.measured)
         points = replace(case.measured, pitch_rad=case.measured.pitch_rad + math.radians(offset_deg))
         found = compare_measurements(blading, points, air=case.air, method=method, settings=settings)
-        return RotorPrediction(found.thrust_N, found.torque_Nm, "; ".join(f for f in found.faults if f))
+        return RotorPrediction(found.thrust_N, found.torque_Nm, "; ".join(f for f in found.prediction_faults if f))
 
     return PredictionCode(name, predict, method == "wake", repr((method, settings, offset_deg, calibrated, how)))
 
@@ -273,10 +273,10 @@ def report_intervals(asked: argparse.Namespace) -> None:
         part, shares = [s for s in scores if s.code.endswith(section)], []
         for k, quantity in enumerate(("thrust", "torque")):
             held = [
-                (s.case, s.inside_interval[k][known], s.half_width[k])
+                (s.case, s.inside_interval[k][known], s.relative_half_width[k])
                 for s in part
                 if s.inside_interval is not None
-                and s.half_width is not None
+                and s.relative_half_width is not None
                 and (known := np.isfinite(s.inside_interval[k])).any()
             ]
             inside = [i for _, i, _ in held]
@@ -291,7 +291,7 @@ def report_intervals(asked: argparse.Namespace) -> None:
         asked.record(f"bemt_intervals_{section}", *shares)
     head = ["section", "points inside", "mean of rotors", "range over rotors", "over families", "half width"]
     show_table("90 % intervals, scales fitted to the other families", head, rows)
-    errors = [s.standard_error for s in scores if s.standard_error is not None]
+    errors = [s.standardised_error for s in scores if s.standardised_error is not None]
     fitted, shipped = [fit_interval_scale([e[k] for e in errors]) for k in (0, 1)], INTERVAL_SCALES
     print(f"scales fitted to all rotors: {fitted[0]:.3f}, {fitted[1]:.3f}; in mufly: {shipped[0]:g}, {shipped[1]:g}")
 

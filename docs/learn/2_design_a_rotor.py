@@ -94,7 +94,7 @@ best = optimise_rotor(
     start, "thrust-per-power", ("chord", "twist", "taper", "gear"),
     limits=[parse_limit("thickness_mm>=0.8"), parse_limit("chord<=30mm")], generations=15,
 )  # fmt: skip
-print(f"{best.before:.4f} N/W become {best.after:.4f}, at a pitch of {np.degrees(best.pitch_rad):.1f} deg")
+print(f"{best.goal_before:.4f} N/W become {best.goal_after:.4f}, at a pitch of {np.degrees(best.pitch_rad):.1f} deg")
 for step in best.steps:
     print(f"  {step.parameter:8s} to {step.value:.3g} (SI): {100 * step.gain:+.1f} %")
 

@@ -282,8 +282,8 @@ def test_cases_are_laid_beside_the_rows_of_a_table(tmp_path: Path) -> None:
         "# a note\npitch_deg,rpm,T_meas_N,Q_meas_Nm,T_laminar,Q_laminar\n12,5000,0.151,0.0016,0.136,0.00174\n"
     )
     (found,) = compare_cases(table, [tmp_path])
-    assert found.thrust == pytest.approx({"meas": 0.0, "laminar": 0.151 / 0.136 - 1})
-    assert found.torque == pytest.approx({"meas": 0.0015 / 0.0016 - 1, "laminar": 0.0015 / 0.00174 - 1})
+    assert found.thrust_deviations == pytest.approx({"meas": 0.0, "laminar": 0.151 / 0.136 - 1})
+    assert found.torque_deviations == pytest.approx({"meas": 0.0015 / 0.0016 - 1, "laminar": 0.0015 / 0.00174 - 1})
     assert found.verdict.outcome == "not done"
     table.write_text("pitch_deg,rpm,T_meas_N\n14,5000,0.2\n")
     with pytest.raises(InputError, match="no row at 12 degrees and 5000 rpm"):

@@ -31,7 +31,7 @@ def test_a_made_up_error_gives_back_its_order_and_limit(order: float) -> None:
     found = estimate_grid_convergence("thrust", cells, values)
     assert found.cells == (350_000, 135_000, 60_000)
     assert found.order == pytest.approx(order, abs=1e-6)
-    assert found.limit == pytest.approx(0.14, abs=1e-9)
+    assert found.extrapolated_value == pytest.approx(0.14, abs=1e-9)
     assert found.sound
     assert found.index == pytest.approx(1.25 * abs(values[1] - 0.14) / values[1], rel=1e-6)
 
@@ -41,7 +41,7 @@ def test_the_published_example_comes_out() -> None:
     cells = [round(1000 * (n / 4500) ** 1.5) for n in (18000, 8000, 4500)]
     found = estimate_grid_convergence("reattachment", cells, [6.063, 5.972, 5.863])
     assert found.order == pytest.approx(1.53, abs=0.02)
-    assert found.limit == pytest.approx(6.1685, abs=0.003)
+    assert found.extrapolated_value == pytest.approx(6.1685, abs=0.003)
     assert found.index == pytest.approx(0.022, abs=0.001)
 
 
@@ -69,7 +69,7 @@ def test_thrust_over_the_climb_is_laid_beside_the_flight_models_map() -> None:
     assert found.c_T[1] == pytest.approx(0.15 / (1.2 * math.pi * 0.06**2 * (500.0 * 0.06) ** 2))
     assert found.thrust_slope(found.c_T, 1.0) == pytest.approx(-0.04 / 0.15 / 2.0)
     assert math.isnan(found.thrust_slope(found.c_T, 0.5))
-    less, hover, more, beyond = found.map_part
+    less, hover, more, beyond = found.map_thrust_ratio
     assert less > hover == 1.0 > more
     assert math.isnan(beyond)
     assert draw_climb_comparison(found).axes[0].get_xlabel().startswith("climb")

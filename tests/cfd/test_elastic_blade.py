@@ -43,7 +43,8 @@ class StandIn:
         loads, n = self.strips(rotor), rotor.blades
         return SimpleNamespace(
             verdict=SimpleNamespace(settled=self.settled, outcome="swings"), r_m=loads.r_m,
-            thrust_N_m=loads.axial_N_m * n, torque_Nm_m=-loads.inplane_N_m * n * loads.r_m, moment_Nm_m=loads.moment_N,
+            thrust_N_m=loads.axial_N_m * n, torque_Nm_m=-loads.inplane_N_m * n * loads.r_m,
+            moment_Nm_m=loads.quarter_chord_moment_N,
         )  # fmt: skip
 
 
@@ -67,8 +68,8 @@ def test_rounds_with_blade_elements_end_at_their_equilibrium(rotor):
     blading = prepare_blading(rotor, stand.polars)
     expected = solve_equilibrium(blading, b, stand.polars, **POINT)
     found = iterate_elastic_twist(rotor, b, stand.strips, **POINT)
-    assert found.tip_twist_rad.size == 2  # one round
-    assert found.tip_twist_rad[-1] == pytest.approx(expected.twist_rad[-1], abs=math.radians(0.05))
+    assert found.tip_twist_by_round_rad.size == 2  # one round
+    assert found.tip_twist_by_round_rad[-1] == pytest.approx(expected.twist_rad[-1], abs=math.radians(0.05))
     assert found.deflection_m[-1] == pytest.approx(expected.deflection_m[-1], rel=0.01)
 
 
@@ -76,15 +77,15 @@ def test_rounds_find_the_fixed_point_of_another_solver(rotor):
     b, stand = make_blade_beam(rotor), StandIn(factor=1.25)
     coarse = iterate_elastic_twist(rotor, b, stand.strips, **POINT)
     fine = iterate_elastic_twist(rotor, b, stand.strips, **POINT, tolerance_rad=1e-6)
-    assert 2 <= coarse.tip_twist_rad.size - 1 <= 4
-    assert coarse.tip_twist_rad[-1] == pytest.approx(fine.tip_twist_rad[-1], abs=math.radians(0.05))
-    assert abs(fine.tip_twist_rad[-1] - fine.tip_twist_rad[0]) > math.radians(0.1)
+    assert 2 <= coarse.tip_twist_by_round_rad.size - 1 <= 4
+    assert coarse.tip_twist_by_round_rad[-1] == pytest.approx(fine.tip_twist_by_round_rad[-1], abs=math.radians(0.05))
+    assert abs(fine.tip_twist_by_round_rad[-1] - fine.tip_twist_by_round_rad[0]) > math.radians(0.1)
 
 
 def test_cases_of_the_rounds_start_from_the_one_before(rotor, tmp_path):
     stand = StandIn(factor=1.25)
     _, rounds = solve_elastic_blade(tmp_path, rotor, run=stand, **POINT)
-    count = rounds.tip_twist_rad.size - 1
+    count = rounds.tip_twist_by_round_rad.size - 1
     assert stand.starts == [None, *(tmp_path / f"round-{k}" for k in range(1, count))]
     assert sorted(p.name for p in tmp_path.iterdir()) == [f"round-{k}" for k in range(1, count + 1)]
     again = StandIn(factor=1.25)

@@ -99,7 +99,9 @@ def test_even_air_down_and_around_is_told_as_it_is_beside_momentum_theory() -> N
     assert found.swirl_m_s == pytest.approx(20.0 * np.tile(found.r_m, (3, 1)))
     disc = math.pi * POINT.radius_m**2
     induced = math.sqrt(0.15 / (2.0 * POINT.density_kg_m3 * disc))
-    assert found.mean_m_s * math.pi * found.edge_m**2 == pytest.approx(induced * disc)
+    assert found.momentum_theory_velocity_m_s * math.pi * found.momentum_theory_radius_m**2 == pytest.approx(
+        induced * disc
+    )
 
 
 def test_what_lies_in_the_blade_or_the_hub_is_told_from_air() -> None:

@@ -78,15 +78,15 @@ def test_optima_of_fig_3_7() -> None:
     assert lower.efficiency < 3 < upper.efficiency
     assert lower.thrust_per_power < 4 < upper.thrust_per_power
     # 0.6 N at a ratio of 2 is what this drive does not do: it reaches 0.6 N still at 2.5.
-    assert lower.for_thrust == pytest.approx(2.51, abs=0.02)
-    assert upper.for_thrust == pytest.approx(2.64, abs=0.02)
+    assert lower.for_required_thrust == pytest.approx(2.51, abs=0.02)
+    assert upper.for_required_thrust == pytest.approx(2.64, abs=0.02)
 
 
 def test_wanted_thrust_is_reached_at_the_gear_that_is_said() -> None:
     best = find_gear_optima(DRIVE, UPPER, thrust_N=0.5)
-    curve = gear_curve(DRIVE, UPPER, [best.for_thrust])
+    curve = gear_curve(DRIVE, UPPER, [best.for_required_thrust])
     assert float(curve.thrust_N[0]) == pytest.approx(0.5, rel=1e-4)
-    assert np.isnan(find_gear_optima(DRIVE, UPPER, thrust_N=5.0).for_thrust)
+    assert np.isnan(find_gear_optima(DRIVE, UPPER, thrust_N=5.0).for_required_thrust)
 
 
 def test_input_power_falls_with_the_gear() -> None:

@@ -136,7 +136,7 @@ def test_the_map_passes_through_its_points(clamped):
         for k in range(edges):
             assert at(0.0, float(j), float(k)) == pytest.approx(middle[j, k], abs=1e-9)
     # The ratio's slope is linear over the climb: within a sixth of the range of each column to half of v_h of climb.
-    away = tables.ratio - splines.ratio
+    away = tables.ratio - splines.speed_ratio_middle
     for i, part in enumerate(away):
         for j in range(1, climbs):
             for k in range(edges - 1):

@@ -633,7 +633,7 @@ def _bemt_coaxial() -> Any:
     ):
         r = rotor_system((a, b), (0.24, 0.2), speed, **given)
         whole = ("thrust_N", "power_W", "yaw_torque_Nm", "figure_of_merit")
-        pair = {k: getattr(r, k) for k in whole} | {"turns": r.iterations, "sent_up_m_s": r.streams[0]}
+        pair = {k: getattr(r, k) for k in whole} | {"turns": r.iterations, "sent_up_m_s": r.coupling_variables[0]}
         out[name] = {"pair": pair, "upper": fields(r.upper), "lower": fields(r.lower)}
     return out
 

@@ -79,7 +79,7 @@ def test_small_pitch_is_leishmans_closed_form(pitch_deg):
     out = solve_rotor(case, pitch_rad=math.radians(pitch_deg), speed_rad_s=100.0)
     sigma = 2 * 0.02 / (math.pi * 0.5)
     want = closed_form_inflow(math.radians(pitch_deg), out.r_m / 0.5, sigma)
-    got = out.inflow_m_s / (100.0 * 0.5)
+    got = out.axial_induced_m_s / (100.0 * 0.5)
     assert_allclose(got[4:], want[4:], rtol=0.02)  # Leishman's form takes phi and alpha as small
     x, dx = out.r_m / 0.5, out.dr_m / 0.5
     assert_allclose(out.c_T, np.sum(4.0 * want**2 * x * dx), rtol=0.01)
@@ -89,8 +89,8 @@ def test_ideal_twist_gives_uniform_inflow_and_ideal_power():
     x = np.linspace(0.1, 1.0, 40)
     case = blading(LINEAR, NO_LOSS, x=tuple(x), chord=tuple(np.full(40, 0.02)), twist=tuple(0.05 / x), stations=48)
     out = solve_rotor(case, pitch_rad=0.0, speed_rad_s=80.0)
-    assert_allclose(out.inflow_m_s, out.inflow_m_s[20], rtol=0.06)
-    v = np.average(out.inflow_m_s, weights=out.r_m * out.dr_m)
+    assert_allclose(out.axial_induced_m_s, out.axial_induced_m_s[20], rtol=0.06)
+    v = np.average(out.axial_induced_m_s, weights=out.r_m * out.dr_m)
     annulus = math.pi * 0.5**2 * (1 - 0.1**2)
     assert_allclose(v, math.sqrt(out.thrust_N / (2 * 1.2 * annulus)), rtol=0.002)
     assert_allclose(out.power_W, out.thrust_N * v, rtol=0.01)
@@ -99,7 +99,7 @@ def test_ideal_twist_gives_uniform_inflow_and_ideal_power():
 
 def test_momentum_holds_in_every_annulus():
     out = solve_rotor(blading(LINEAR, NO_LOSS), pitch_rad=0.15, speed_rad_s=100.0)
-    assert_allclose(out.dT_N, 4 * math.pi * 1.2 * out.r_m * out.inflow_m_s**2 * out.dr_m, rtol=1e-7)
+    assert_allclose(out.dT_N, 4 * math.pi * 1.2 * out.r_m * out.axial_induced_m_s**2 * out.dr_m, rtol=1e-7)
 
 
 @pytest.mark.parametrize("climb", [0.0, 3.0])
@@ -111,7 +111,7 @@ def test_shaft_power_is_what_the_air_and_the_drag_take(climb):
     wind = (omega * out.r_m - out.swirl_m_s) / np.cos(out.phi_rad)
     push = 0.5 * 1.2 * wind**2 * out.chord_m * 2 * out.dr_m
     lift, drag = push * out.cl, push * out.cd
-    axial = np.sum(lift * np.cos(out.phi_rad) * (climb + out.inflow_m_s))
+    axial = np.sum(lift * np.cos(out.phi_rad) * (climb + out.axial_induced_m_s))
     swirl = np.sum(lift * np.sin(out.phi_rad) * out.swirl_m_s)
     profile = np.sum(drag * np.cos(out.phi_rad) * omega * out.r_m)
     assert_allclose(out.power_W, axial + swirl + profile, rtol=1e-9)
@@ -149,12 +149,15 @@ def test_fast_climb_is_a_blade_without_inflow():
     out = solve_rotor(blading(REAL, NO_LOSS), pitch_rad=math.radians(80.0), speed_rad_s=1.0, climb_m_s=25.0)
     free = np.arctan2(25.0, out.r_m)
     assert_allclose(out.phi_rad, free, atol=0.05)
-    assert np.all(np.abs(out.inflow_m_s) < 1.0)  # of 25 m/s
+    assert np.all(np.abs(out.axial_induced_m_s) < 1.0)  # of 25 m/s
 
 
 def test_inflow_falls_in_climb_and_rises_in_slow_descent():
     case = blading(REAL, TEXTBOOK_CORRECTIONS)
-    at = [solve_rotor(case, pitch_rad=0.2, speed_rad_s=100.0, climb_m_s=v).inflow_m_s.mean() for v in (-1.0, 0.0, 2.0)]
+    at = [
+        solve_rotor(case, pitch_rad=0.2, speed_rad_s=100.0, climb_m_s=v).axial_induced_m_s.mean()
+        for v in (-1.0, 0.0, 2.0)
+    ]
     assert at[0] > at[1] > at[2]
 
 
@@ -224,7 +227,7 @@ def test_effective_radius_is_eq_3_13():
         REAL, Corrections(tip_loss="effective_radius", lifting_surface=False, stall_delay="none"), stations=200
     )
     out = solve_rotor(case, pitch_rad=0.2, speed_rad_s=100.0)
-    lam = np.average(out.inflow_m_s, weights=out.r_m * out.dr_m) / (100.0 * 0.5)
+    lam = np.average(out.axial_induced_m_s, weights=out.r_m * out.dr_m) / (100.0 * 0.5)
     wanted = 0.5 * (1.0 - 1.386 / 2 * lam / math.sqrt(1 + lam**2))
     lifting = out.r_m[np.abs(out.cl) > 1e-9].max()
     assert abs(lifting - wanted) < 0.005
@@ -288,9 +291,9 @@ def test_blade_and_momentum_agree_at_the_solution(pitch, climb, blades, surface)
     out = solve_rotor(
         blading(REAL, fixes, blades=blades), pitch_rad=math.radians(pitch), speed_rad_s=60.0, climb_m_s=climb
     )
-    wind = np.hypot(60.0 * out.r_m - out.swirl_m_s, climb + out.inflow_m_s)
+    wind = np.hypot(60.0 * out.r_m - out.swirl_m_s, climb + out.axial_induced_m_s)
     load = blades * out.chord_m * wind**2 * out.cl * np.cos(out.phi_rad) / (8 * math.pi * out.r_m * out.loss)
-    for load_i, u in zip(load, out.inflow_m_s, strict=True):
+    for load_i, u in zip(load, out.axial_induced_m_s, strict=True):
         hovering = math.sqrt(abs(load_i))
         if hovering > 1e-6:
             sign = math.copysign(1.0, load_i)

@@ -70,7 +70,7 @@ def test_the_stream_reaches_the_lower_rotor_at_its_speed_and_width():
     both = pair(spacing=0.02)
     k = tube_axis_speed(0.02, R)
     edge = R / math.sqrt(k)
-    met = np.tan(both.lower.phi_rad) * (SPEED * both.lower.r_m) - both.lower.inflow_m_s
+    met = np.tan(both.lower.phi_rad) * (SPEED * both.lower.r_m) - both.lower.axial_induced_m_s
     inner = (both.lower.r_m < 0.9 * edge) & (both.lower.r_m > 0.3 * R)
     assert np.all(met[inner] > 0.5)
     assert np.all(np.abs(met[both.lower.r_m > edge + 0.003]) < 0.6)  # swirl only

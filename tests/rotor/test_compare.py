@@ -164,10 +164,10 @@ def test_interval_holds_the_prediction_and_grows_with_doubt():
     assert_allclose(
         (narrow.thrust_high_N - narrow.thrust_N) / (known.thrust_high_N - known.thrust_N), 0.7649 / 2.3534, rtol=1e-4
     )
-    total = np.sqrt(sum(np.square(v) for v in known.thrust_relative_std.values()))
+    total = np.sqrt(sum(np.square(v) for v in known.thrust_relative_std_by_cause.values()))
     assert_allclose(INTERVAL_SCALES[0] * interval_quantile(0.9) * total, known.thrust_high_N / known.thrust_N - 1)
     sure = InputUncertainty(
-        n_crit=(), lift=0, drag=0, camber=0, thickness=0, pitch_rad=0, method_thrust=0, method_torque=0
+        n_crit_cases=(), lift=0, drag=0, camber=0, thickness=0, pitch_rad=0, method_thrust=0, method_torque=0
     )
     assert_allclose(predict_interval(rotor, doubt=sure, **kw).thrust_high_N, known.thrust_N)
     with pytest.raises(InputError, match="its sections have no measurement"):

@@ -75,7 +75,7 @@ def test_loads_do_twice_the_energy_of_the_strained_blade_in_work():
     elastic, centrifugal = stiffness_matrices(b, 0.0)
     x = solve_static(b, elastic + speed**2 * centrifugal, loads.load_vector(b))
     v, w, p = (b.evaluate_shape(name, x) for name in "vwp")
-    work = b.integrate_over_span(loads.axial_N_m * w + loads.inplane_N_m * v + loads.moment_N * p)
+    work = b.integrate_over_span(loads.axial_N_m * w + loads.inplane_N_m * v + loads.elastic_axis_moment_N * p)
     bent = b.flap_EI * b.evaluate_shape("w2", x) ** 2 + b.lag_EI * b.evaluate_shape("v2", x) ** 2
     twisted = b.torsion_GJ * b.evaluate_shape("p1", x) ** 2
     tension = b.tension_over_speed2_kg_m * (

@@ -55,8 +55,8 @@ def swept():
 
 
 def test_bent_plates_come_out_as_bent_plates(swept):
-    assert np.abs(swept.errors_before[0]).mean() > 0.05  # Clark Y will not do
-    assert np.abs(swept.errors_after).max() < 0.03
+    assert np.abs(swept.scaled_errors_before[0]).mean() > 0.05  # Clark Y will not do
+    assert np.abs(swept.scaled_errors_after).max() < 0.03
     assert np.all(swept.held_out < 0.02)
     shares = dict(swept.fit.list_sections())
     assert sum(p for name, p in shares.items() if name.endswith(("03", "06"))) > 0.8
@@ -72,7 +72,7 @@ def test_the_file_says_what_the_fit_said(swept, tmp_path):
     again, m = load_rotor(path), swept.measured
     assert again.fit == swept.fit
     out = solve_rotor_batch(prepare_blading(again), pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s)
-    assert_allclose(out.thrust_N / m.thrust_N - 1, swept.errors_after[0], atol=1e-12)
+    assert_allclose(out.thrust_N / m.thrust_N - 1, swept.scaled_errors_after[0], atol=1e-12)
     assert solve_rotor(again, pitch_rad=0.0, speed_rad_s=600.0).calibrated
     with pytest.raises(InputError, match="n_crit"):
         prepare_blading(again, n_crit=9.0)
@@ -88,8 +88,8 @@ def test_intervals_shrink_with_the_bench_and_widen_away_from_it(swept):
     half = (known.thrust_high_N - known.thrust_N) / known.thrust_N
     assert half[0] < 0.5 * ((guess.thrust_high_N - guess.thrust_N) / guess.thrust_N)[0]
     assert np.all(half[1:] > 1.5 * half[0])
-    assert set(known.thrust_relative_std) == {"fit", "section", "scatter", "method"}
-    assert known.thrust_relative_std["method"][0] == 0.0
+    assert set(known.thrust_relative_std_by_cause) == {"fit", "section", "scatter", "method"}
+    assert known.thrust_relative_std_by_cause["method"][0] == 0.0
 
 
 def test_truths_lie_inside_the_intervals():
@@ -116,7 +116,7 @@ def test_thrust_alone_will_do_and_a_known_section_is_left():
     bench = made_by(rotor, [4000.0, 6000.0], pitch_deg=12.0, torque=False)
     found = fit_rotor(rotor, replace(bench, thrust_N=1.05 * bench.thrust_N), section="known")
     assert [name for name, _ in found.fit.list_sections()] == ["naca0012"]
-    assert np.abs(found.errors_after[0]).max() < 0.01
+    assert np.abs(found.scaled_errors_after[0]).max() < 0.01
     assert np.isnan(found.held_out[1])
     assert "the bench data hardly determine drag" in found.undecided
 
@@ -140,7 +140,7 @@ def test_a_point_far_from_every_list_is_met():
     bench = made_by(rotor, [3000.0, 5000.0, 7000.0], pitch_deg=12.0)
     one = replace(bench, thrust_N=0.8 * bench.thrust_N, torque_Nm=1.3 * bench.torque_Nm).select_points(np.array([1]))
     found = fit_rotor(rotor, one, section="known")
-    assert np.abs(found.errors_after).max() < 0.02
+    assert np.abs(found.scaled_errors_after).max() < 0.02
     # What drag has more than the polar is the same at every Reynolds number.
     table = compute_polar("naca0012")
     more = apply_section_fit(table, (0.0, 0.0, 0.3, 0.0, 0.0), float(table.reynolds[10])).cd - table.cd
@@ -158,7 +158,7 @@ def test_a_tunnel_tells_the_angle_from_the_lift_and_what_hover_is():
     assert out.thrust_N[0] > 0.0 > out.thrust_N[-1]
     run = RotorMeasurements(np.zeros(12), np.full(12, speed), out.thrust_N, out.torque_Nm, "tunnel", climb)
     found = fit_rotor(rotor, run, section="known")
-    assert np.abs(found.errors_after).max() < 0.03 < np.abs(found.errors_before).max()
+    assert np.abs(found.scaled_errors_after).max() < 0.03 < np.abs(found.scaled_errors_before).max()
     assert np.all(found.held_out < 0.03)
     assert abs(found.change[0] - turn) < 2 * found.std[0] < 0.7 * found.prior_std[0]
     assert_allclose(found.fit.climb_ratio, climb[[0, -1]] / (0.06 * speed))
@@ -167,5 +167,5 @@ def test_a_tunnel_tells_the_angle_from_the_lift_and_what_hover_is():
     assert_allclose([again.thrust_N / hovering.thrust_N, again.torque_Nm / hovering.torque_Nm], 1.0, atol=0.05)
     at = {"pitch_rad": 0.0, "speed_rad_s": speed}
     inside, outside = (predict_interval(found.rotor, climb_m_s=v, **at) for v in (5.0, 0.0))
-    assert outside.thrust_relative_std["method"][0] > inside.thrust_relative_std["method"][0] == 0.0
+    assert outside.thrust_relative_std_by_cause["method"][0] > inside.thrust_relative_std_by_cause["method"][0] == 0.0
     assert draw_rotor_fit(found).axes[0].get_xlabel().startswith("Advance")

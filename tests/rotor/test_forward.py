@@ -158,7 +158,7 @@ def test_axial_flow_is_blade_element_momentum_theory(walkera, climb):
     assert got.torque_Nm == pytest.approx(same.torque_Nm, rel=1e-3)
     scale = got.thrust_N * RADIUS
     odd = (got.h_force_N, got.y_force_N, got.flap_cos_rad, got.flap_sin_rad, got.roll_moment_Nm / scale,
-           got.pitch_moment_Nm / scale, got.inflow_cos, got.inflow_sin, got.thrust_2_N)  # fmt: skip
+           got.pitch_moment_Nm / scale, got.inflow_cos, got.inflow_sin, got.blade_thrust_2_per_rev_N)  # fmt: skip
     assert np.abs(odd).max() < 1e-9
 
 
@@ -282,12 +282,14 @@ def test_azimuths_and_stations_are_enough(walkera):
 def test_points_outside_say_so(walkera):
     mode = make_flap_mode(walkera.rotors[0], 1.6)
     fast = solve_forward(walkera, ForwardCondition(math.radians(13.0), 376.4, edgewise_m_s=14.0), mode)
-    assert fast.outside
+    assert fast.is_outside_range
     assert "advance ratio" in fast.notes[0]
-    assert math.degrees(np.abs(fast.disc.alpha_rad).max()) > 90.0  # reversed flow at the retreating root
+    assert math.degrees(np.abs(fast.disc.onset_angle_rad).max()) > 90.0  # reversed flow at the retreating root
     sinking = solve_forward(walkera, ForwardCondition(math.radians(13.0), 376.4, climb_m_s=-2.5), mode)
     assert "vortex ring" in sinking.notes[0]
-    assert not solve_forward(walkera, ForwardCondition(math.radians(13.0), 376.4, edgewise_m_s=2.0), mode).outside
+    assert not solve_forward(
+        walkera, ForwardCondition(math.radians(13.0), 376.4, edgewise_m_s=2.0), mode
+    ).is_outside_range
 
 
 @pytest.mark.parametrize(
@@ -337,7 +339,7 @@ def test_the_pair_at_rest_is_coaxial_blade_element_momentum_theory(walkera):
     for one, two in zip((got.upper, got.lower), same.rotors, strict=True):
         assert one.thrust_N == pytest.approx(two.thrust_N, rel=1e-3)
         assert one.torque_Nm == pytest.approx(two.torque_Nm, rel=1e-3)
-    assert got.overlap == 1.0
+    assert got.stream_share_on_lower_disc == 1.0
     assert abs(got.h_force_N) + abs(got.y_force_N) + abs(got.pitch_moment_Nm) < 1e-9
 
 
@@ -345,14 +347,14 @@ def test_a_lower_rotor_outside_the_stream_is_alone(walkera):
     got = pair(walkera, speed=9.0, spacing=0.1)
     mode = make_flap_mode(walkera.rotors[0], 1.6)
     alone = solve_forward(walkera, ForwardCondition(ANGLES[1], SPEEDS[1], 9.0, rotation_sign=-1), mode)
-    assert got.overlap == 0.0
+    assert got.stream_share_on_lower_disc == 0.0
     assert got.lower.thrust_N == pytest.approx(alone.thrust_N, rel=1e-9)
     assert got.lower.pitch_moment_Nm == pytest.approx(alone.pitch_moment_Nm, rel=1e-9)
 
 
 def test_the_stream_leaves_the_lower_rotor_with_airspeed(walkera):
     slow, fast = pair(walkera, speed=1.0), pair(walkera, speed=5.0)
-    assert 1.0 >= slow.overlap > fast.overlap > 0.0
+    assert 1.0 >= slow.stream_share_on_lower_disc > fast.stream_share_on_lower_disc > 0.0
     assert fast.lower.thrust_N > slow.lower.thrust_N
     equal = abs(slow.upper.pitch_moment_Nm - slow.lower.pitch_moment_Nm)
     assert slow.pitch_moment_Nm > 2.0 * abs(slow.roll_moment_Nm)  # pitch moments add, roll moments nearly cancel

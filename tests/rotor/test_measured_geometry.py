@@ -40,16 +40,17 @@ def measured(angle, tip_height=None, **how):
 def test_stated_pitch_and_photograph_are_weighted_by_their_variances():
     rotor = make_rotor(name="r", radius_m=0.06, chord_m=0.01, twist_rad=15.0 * DEG)
     plain = effective_pitch_prior(rotor)
-    assert (plain.mean_rad, plain.std_rad) == (0.0, pytest.approx(0.5 * DEG))
+    assert (plain.offset_mean_rad, plain.offset_std_rad) == (0.0, pytest.approx(0.5 * DEG))
     pitch = 1.5 * math.pi * 0.06 * math.tan(11.1 * DEG)
     photo = replace_rotor(rotor, {"blade.geometry": "photograph", "nominal_pitch": pitch})
     prior = effective_pitch_prior(photo)
-    assert prior.mean_rad == pytest.approx(-3.9 * DEG * 4.0 / 13.0)
-    assert prior.std_rad == pytest.approx(DEG / math.sqrt(1 / 4 + 1 / 9))
+    assert prior.offset_mean_rad == pytest.approx(-3.9 * DEG * 4.0 / 13.0)
+    assert prior.offset_std_rad == pytest.approx(DEG / math.sqrt(1 / 4 + 1 / 9))
     near, far = prepare_blading(photo).twist_rad[0], prepare_blading(rotor).twist_rad[0]
-    np.testing.assert_allclose(near - far, prior.mean_rad)
+    np.testing.assert_allclose(near - far, prior.offset_mean_rad)
     spread = [
-        predict_interval(r, pitch_rad=0.0, speed_rad_s=500.0).thrust_relative_std["pitch"][0] for r in (rotor, photo)
+        predict_interval(r, pitch_rad=0.0, speed_rad_s=500.0).thrust_relative_std_by_cause["pitch"][0]
+        for r in (rotor, photo)
     ]
     assert spread[1] > 2.0 * spread[0]
 
@@ -62,7 +63,7 @@ def test_calipers_and_protractor_find_the_angles_and_state_honest_errors():
         height = CHORD[-1] * math.sin(TRUE_ANGLE[-1] + rng.normal(0.0, 0.5 * DEG)) + rng.normal(0.0, 2e-4)
         found = measured(TRUE_ANGLE + common + single, height)
         off.append(np.mean(np.interp(X, found.rotor.blade.r_over_R.value, found.rotor.blade.twist.value) - TRUE_ANGLE))
-        stated.append(found.pitch_std_rad)
+        stated.append(found.common_pitch_std_rad)
     assert np.std(off) == pytest.approx(np.mean(stated), rel=0.2)
     assert abs(np.mean(off)) < 0.2 * np.mean(stated)
 
@@ -73,7 +74,7 @@ def test_readings_of_two_blades_are_averaged_and_their_scatter_counts():
     )
     found = measure_geometry(two, radius_m=RADIUS, blades=2, name="two")
     np.testing.assert_allclose(found.rotor.blade.twist.value[:-1], TRUE_ANGLE)
-    assert found.pitch_std_rad > 2.0 * DEG
+    assert found.common_pitch_std_rad > 2.0 * DEG
     assert "scatter by 4.24 degrees" in found.notes[0]
 
 
@@ -107,7 +108,7 @@ def test_measure_command_writes_a_rotor_that_loads(tmp_path):
     assert rotor.blade.geometry == "caliper"
     assert rotor.stated_thickness(0.7) == pytest.approx(0.12, rel=1e-3)
     assert float(rotor.nominal_pitch) == pytest.approx(0.07)
-    assert effective_pitch_prior(rotor).std_rad == pytest.approx(answer["effective_pitch_std_rad"])
+    assert effective_pitch_prior(rotor).offset_std_rad == pytest.approx(answer["effective_pitch_std_rad"])
     assert rotor.twist_rad(0.7) == pytest.approx(TRUE_ANGLE[3], abs=0.05 * DEG)
     done = CliRunner().invoke(app, ["rotor", "measure", str(table)])
     assert isinstance(done.exception, InputError)

@@ -89,7 +89,7 @@ def test_stack_reads_like_its_tables():
             got = stack_coefficients(stack, k, a, math.log(re))
             # Where a table of another range is clamped, its edge falls between the points of the common grid.
             assert np.allclose(got, lookup_lift_drag(t, a, re), atol=1e-9 if k < 2 else 0.02)
-    assert np.allclose(stack.log_reynolds_range[2], np.log([1e4, 1e5]))
+    assert np.allclose(stack.log_reynolds_limits[2], np.log([1e4, 1e5]))
 
 
 def test_arrays_read_like_numbers():

@@ -128,4 +128,4 @@ def test_a_makers_file_and_a_scan_are_preferred_to_photographs(tmp_path):
     assert float(two.chord_m(0.6)) == pytest.approx(0.011, rel=0.02)
     assert float(two.twist_rad(0.6)) == pytest.approx(0.3, abs=0.01)
     assert float(three.twist_rad(0.8)) == pytest.approx(math.radians(15.0))
-    assert effective_pitch_prior(four).std_rad > 2.0 * effective_pitch_prior(two).std_rad
+    assert effective_pitch_prior(four).offset_std_rad > 2.0 * effective_pitch_prior(two).offset_std_rad

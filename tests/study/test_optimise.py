@@ -24,7 +24,7 @@ def test_pitch_alone_finds_the_best_pitch_of_a_scan(start: StudySetup) -> None:
         replace(start, fixed_parameters={**start.fixed_parameters, "gear": "best"}),
         [{"pitch": p} for p in np.linspace(0.04, 0.45, 400)],
     )
-    assert best.after == pytest.approx(np.nanmax(scan.values["thrust_per_power_N_W"]), rel=1e-4)
+    assert best.goal_after == pytest.approx(np.nanmax(scan.values["thrust_per_power_N_W"]), rel=1e-4)
     assert best.steps[-1].parameter == "gear"
     assert best.changes["gear"] == best.results["gear_ratio"]
 
@@ -34,7 +34,7 @@ def test_larger_radius_is_taken_to_its_limit(start: StudySetup) -> None:
         start, "thrust-per-power", ["radius", "gear"], limits=[parse_limit("radius<=70mm")], generations=40
     )
     assert best.rotor.radius_m == pytest.approx(0.070, rel=2e-3)
-    assert best.after > best.before
+    assert best.goal_after > best.goal_before
 
 
 def test_gains_multiply_to_the_whole_and_the_answer_repeats(start: StudySetup) -> None:
@@ -44,21 +44,21 @@ def test_gains_multiply_to_the_whole_and_the_answer_repeats(start: StudySetup) -
         "seed": 3,
     }
     best = optimise_rotor(start, "thrust-per-power", ["chord", "taper", "twist"], **arguments)
-    assert math.prod(1 + s.gain for s in best.steps) == pytest.approx(best.after / best.before, rel=1e-9)
+    assert math.prod(1 + s.gain for s in best.steps) == pytest.approx(best.goal_after / best.goal_before, rel=1e-9)
     assert {s.parameter for s in best.steps} == {"chord", "taper", "twist"}
     assert float(best.rotor.chord_m(1.0)) >= 0.008 * (1 - 1e-6)
     assert best.results["speed_rad_s"] * 30 / math.pi <= 7000 * (1 + 1e-6)
     again = optimise_rotor(start, "thrust-per-power", ["chord", "taper", "twist"], **arguments)
-    assert (again.rotor, again.steps, again.after) == (best.rotor, best.steps, best.after)
+    assert (again.rotor, again.steps, again.goal_after) == (best.rotor, best.steps, best.goal_after)
 
 
 def test_endurance_is_what_the_battery_gives(start: StudySetup) -> None:
     best = optimise_rotor(start, "endurance", ["gear"], generations=15)
-    assert best.after == best.results["endurance_s"]
+    assert best.goal_after == best.results["endurance_s"]
     # The gear was chosen for the low voltage, so that it is not full duty that ends the hover.
     assert best.results["duty"] <= 1.0 + 1e-9
     per_power = optimise_rotor(start, "thrust-per-power", ["gear"], generations=15)
-    assert best.after >= per_power.results["endurance_s"] * (1 - 1e-6)
+    assert best.goal_after >= per_power.results["endurance_s"] * (1 - 1e-6)
 
 
 def test_airfoils_are_chosen_within_the_thickness_limit(setup: StudySetup) -> None:

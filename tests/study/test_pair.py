@@ -214,9 +214,9 @@ def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: StudyS
     setup = replace(pair, fixed_parameters={"spacing": 0.03, "upper_pitch": PITCH, "lower_pitch": PITCH, "thrust": 0.4})
     free = ["upper_pitch", "lower_pitch", "lower_chord"]
     best = optimise_pair(setup, free, limits=[parse_pair_limit("lower_chord<=18mm")], generations=4)
-    assert best.after.power_W < best.pitched.power_W * (1 + 1e-3)
-    assert best.pitched.power_W < best.before.power_W
-    for point in (best.before, best.pitched, best.after):
+    assert best.after.power_W < best.before_at_best_pitch.power_W * (1 + 1e-3)
+    assert best.before_at_best_pitch.power_W < best.before.power_W
+    for point in (best.before, best.before_at_best_pitch, best.after):
         assert point.thrust_N == pytest.approx(0.4, rel=1e-6)
         assert abs(point.yaw_torque_Nm) < 1e-6 * point.upper.torque_Nm
     assert best.changes["lower_chord"] <= 0.018 + 1e-12
@@ -256,10 +256,10 @@ def test_single_rotors_by_the_wake_agree_with_asking_for_one(rotor) -> None:
         np.array([PITCH]), np.array([r.speed_rad_s]), np.array([0.25]), np.array([r.torque_Nm]), "bench"
     )
     beside = compare_measurements(blading, bench, method="wake", settings=COARSE)
-    assert beside.faults == ("",)
+    assert beside.prediction_faults == ("",)
     assert abs(beside.thrust_error[0]) < 0.03
     beside = compare_measurements(blading, bench, method="wake", settings=replace(COARSE, iterations=5))
-    assert "not converged" in beside.faults[0]
+    assert "not converged" in beside.prediction_faults[0]
     assert math.isnan(beside.mean_thrust_error)
 
 

@@ -82,7 +82,7 @@ def test_answers_are_kept_until_sources_change_and_taken_over(tmp_path: Path, mo
     assert other.picture == tmp_path / "own" / "fig-2.4.png"
     note = tmp_path / "own" / "fig-2.4.json"
     note.write_text(note.read_text()[:-20])  # cut off
-    assert not load_cached_answer("fig-2.4", tmp_path / "own").known
+    assert not load_cached_answer("fig-2.4", tmp_path / "own").is_answered
     monkeypatch.setattr(study_runner, "study_digest", lambda name: "other sources")
     assert load_cached_answer("fig-2.4").verdict_word == "not run"
 
@@ -101,7 +101,7 @@ def test_results_that_are_no_one_table_are_written_too(tmp_path: Path) -> None:
 def test_words_follow_from_the_verdicts() -> None:
     def word(*agree: bool, missing: str = "") -> str:
         verdicts = tuple(Verdict(Claim("Fig. 2.4", "x"), "m", "1", a, "r") for a in agree)
-        return StudyAnswer(THESIS_ITEMS["fig-2.4"], verdicts, missing=missing, known=True).verdict_word
+        return StudyAnswer(THESIS_ITEMS["fig-2.4"], verdicts, missing=missing, is_answered=True).verdict_word
 
     assert [word(True, True), word(True, False), word(False)] == ["agrees", "in part", "DIFFERS"]
     assert [word(), word(True, missing="CFD")] == ["drawn", "needs CFD"]

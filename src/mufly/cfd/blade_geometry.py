@@ -6,8 +6,8 @@ tip. Along a tip t runs from 0 to 1::
     chord    1 - (1 - taper) t                     or, round, sqrt(1 - t^2), ended where its edges slope 60 degrees
     aft      aft t                                 0.75 (1 - taper): straight trailing edge; 0.25 (1 - taper): straight
                                                    middle; -0.25 (1 - taper): straight nose
-    winglet  an arc of radius ``bend`` to the angle ``cant``, then straight to ``height``; the blade's radius stays;
-             ``curved``: its chords follow the circle about the shaft
+    winglet  an arc of radius ``bend_radius_chords`` to the angle ``cant``, then straight to ``height``; the blade's
+             radius stays; ``curved``: its chords follow the circle about the shaft
 
 The end face of a round tip is curved by the rest of the ellipse, so that the whole outline is half an ellipse.
 
@@ -50,7 +50,7 @@ class BladeTip:
         Offset of the end aft, quarter chord to quarter chord.
     round : bool
         Half an ellipse, as long as ``length``, instead of straight edges.
-    cant_rad, height, bend : float
+    cant_rad, height, bend_radius_chords : float
         Cant angle of a winglet (negative: down), its height and its bend radius; they determine ``length``.
     plate_above, plate_below : float
         Heights of an end plate above and below the blade.
@@ -66,7 +66,7 @@ class BladeTip:
     round: bool = False
     cant_rad: float = 0.0
     height: float = 0.0
-    bend: float = 0.5
+    bend_radius_chords: float = 0.5
     plate_above: float = 0.0
     plate_below: float = 0.0
     curved: bool = False
@@ -82,9 +82,9 @@ class BladeTip:
         if not abs(self.cant_rad) <= _MAX_CANT_RAD:
             raise_tip_error("cant_rad", f"give at most {_MAX_CANT_RAD:.3g} (70 degrees); a plate stands at 90")
         if self.cant_rad:
-            if not 0.3 <= self.bend <= 3.0:
-                raise_tip_error("bend", "give 0.3 to 3 chords")
-            turn = self.bend * (1.0 - math.cos(self.cant_rad))
+            if not 0.3 <= self.bend_radius_chords <= 3.0:
+                raise_tip_error("bend_radius_chords", "give 0.3 to 3 chords")
+            turn = self.bend_radius_chords * (1.0 - math.cos(self.cant_rad))
             if not turn <= self.height <= 3.0:
                 raise_tip_error("height", f"give {turn:.3g} (what the turn takes) to 3 chords")
         for key in ("plate_above", "plate_below"):
@@ -114,10 +114,14 @@ BLADE_TIPS: Mapping[str, BladeTip] = MappingProxyType(
         "plate-up": BladeTip(plate_above=0.25),
         "plate-down": BladeTip(plate_below=0.25),
         "winglet-1": BladeTip(plate_above=0.12, plate_below=0.12),
-        "winglet-2": BladeTip(cant_rad=math.radians(70.0), height=0.5, bend=0.4, taper=0.8),
-        "winglet-3": BladeTip(cant_rad=math.radians(-70.0), height=0.5, bend=0.4, taper=0.8),
-        "winglet-2-curved": BladeTip(cant_rad=math.radians(70.0), height=0.5, bend=0.4, taper=0.8, curved=True),
-        "winglet-3-curved": BladeTip(cant_rad=math.radians(-70.0), height=0.5, bend=0.4, taper=0.8, curved=True),
+        "winglet-2": BladeTip(cant_rad=math.radians(70.0), height=0.5, bend_radius_chords=0.4, taper=0.8),
+        "winglet-3": BladeTip(cant_rad=math.radians(-70.0), height=0.5, bend_radius_chords=0.4, taper=0.8),
+        "winglet-2-curved": BladeTip(
+            cant_rad=math.radians(70.0), height=0.5, bend_radius_chords=0.4, taper=0.8, curved=True
+        ),
+        "winglet-3-curved": BladeTip(
+            cant_rad=math.radians(-70.0), height=0.5, bend_radius_chords=0.4, taper=0.8, curved=True
+        ),
     }
 )
 """Predefined blade tips by name."""
@@ -211,7 +215,7 @@ class BladeLine:
 def compute_blade_line_length(tip: BladeTip, root_m: float, radius_m: float, chord_m: float) -> float:
     """Return the length (m) of the curve through the blade's sections, from the root to the tip at the rotor radius."""
     turn, straight = _winglet_lengths(tip, chord_m)
-    b, a = tip.bend * chord_m, abs(tip.cant_rad)
+    b, a = tip.bend_radius_chords * chord_m, abs(tip.cant_rad)
     out = b * math.sin(a) + straight * math.cos(a)
     if tip.round:
         return radius_m - root_m - tip.length * chord_m * (1.0 - math.sin(MAX_TIP_SLOPE_RAD))
@@ -225,8 +229,8 @@ def _winglet_lengths(tip: BladeTip, chord_m: float) -> tuple[float, float]:
     a = abs(tip.cant_rad)
     if not a:
         return 0.0, 0.0
-    rise = tip.height - tip.bend * (1.0 - math.cos(a))
-    return tip.bend * a * chord_m, rise / math.sin(a) * chord_m
+    rise = tip.height - tip.bend_radius_chords * (1.0 - math.cos(a))
+    return tip.bend_radius_chords * a * chord_m, rise / math.sin(a) * chord_m
 
 
 def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord_m: float) -> BladeLine:
@@ -251,7 +255,7 @@ def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord
     length = tip.length * chord_m
     if turn:
         begin, sign = end - turn - straight, math.copysign(1.0, tip.cant_rad)
-        a, b = abs(tip.cant_rad), tip.bend * chord_m
+        a, b = abs(tip.cant_rad), tip.bend_radius_chords * chord_m
         back = _BACK_TURN_BEND_RADII * turn
         corners = [begin, begin + turn, end, end + back]
         cant = sign * np.interp(s, corners, [0.0, a, a, 0.0])
@@ -326,7 +330,7 @@ def place_sections(
     near = 1.5 * chord_m
     keep = cubic_fade((np.abs(x) - near) / (half_m - near))
     keep = keep * cubic_fade((np.abs(z) - 0.5 * chord_m) / (min(_TIP_FADE_CHORDS * chord_m, level_m) - 0.5 * chord_m))
-    reach = _UPRIGHT_BEND_RADII * tip.bend * chord_m
+    reach = _UPRIGHT_BEND_RADII * tip.bend_radius_chords * chord_m
     h = reach * np.tanh(n / reach)
     y = line.radius_m[:, None] - np.sin(line.cant_rad)[:, None] * h * keep
     up = (line.height_m[:, None] - (1.0 - np.cos(line.cant_rad))[:, None] * h) * keep

@@ -358,14 +358,14 @@ class PairSolution:
         Solution of each rotor in its own frame, in which it turns about +z.
     settled : bool
         True if both cases and their mutual loads have converged.
-    between_m_s : (2,) array
+    midway_downwash_m_s : (2,) array
         Mean downward velocity (m/s) within R half way between the discs, in the upper and in the lower rotor's case.
     """
 
     upper: CfdSolution
     lower: CfdSolution
     settled: bool
-    between_m_s: Array
+    midway_downwash_m_s: Array
 
     @property
     def thrust_ratio(self) -> float:

@@ -34,15 +34,15 @@ class CaseComparison:
     case : str
     point : OperatingPoint
     verdict : Verdict
-    thrust, torque : dict of str to float
+    thrust_deviations, torque_deviations : dict of str to float
         Relative deviation from the table, by the column's name without ``T_`` or ``Q_`` and unit.
     """
 
     case: str
     point: OperatingPoint
     verdict: ConvergenceAssessment
-    thrust: dict[str, float]
-    torque: dict[str, float]
+    thrust_deviations: dict[str, float]
+    torque_deviations: dict[str, float]
 
 
 def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
@@ -105,7 +105,7 @@ class ClimbComparison:
         Coefficient by blade elements (``bemt``) and vortex wake (``wake``) at the same climbs; nan without a solution.
     map_name : str
         Name of the flight model's coefficient map.
-    map_part : (points,) array
+    map_thrust_ratio : (points,) array
         Thrust of the map's upper rotor over that in hover, at the same climb over tip speed and equal rotor speeds; nan
         beyond the edges of the map.
     """
@@ -115,7 +115,7 @@ class ClimbComparison:
     c_T: Array
     other_methods: dict[str, Array]
     map_name: str
-    map_part: Array
+    map_thrust_ratio: Array
 
     def thrust_slope(self, values: Array, reach_m_s: float) -> float:
         """Return the change of thrust per 1 m/s of climb, between climbs of -reach and +reach (m/s), divided by the

@@ -158,7 +158,7 @@ def draw_climb_comparison(found: ClimbComparison) -> Figure:
     axes[0].set(ylabel="c_T", ylim=(0.0, None))
     axes[1].plot(
         w,
-        100.0 * (found.map_part - 1.0),
+        100.0 * (found.map_thrust_ratio - 1.0),
         "--",
         color="0.3",
         label=f"flight model's map\n{found.map_name}, upper rotor",
@@ -311,8 +311,10 @@ def draw_wake(wake: WakeProfile) -> Figure:
     axes = figure.subplots(1, 2)
     for i, h in enumerate(wake.below_m):
         (line,) = axes[0].plot(1e3 * wake.r_m, wake.down_m_s[i], label=f"{1e3 * h:.3g} mm below")
-        edge = 1e3 * wake.edge_m[i]
-        axes[0].plot([0.0, edge, edge], [wake.mean_m_s[i]] * 2 + [0.0], ":", color=line.get_color(), lw=1.2)
+        edge = 1e3 * wake.momentum_theory_radius_m[i]
+        axes[0].plot(
+            [0.0, edge, edge], [wake.momentum_theory_velocity_m_s[i]] * 2 + [0.0], ":", color=line.get_color(), lw=1.2
+        )
         axes[1].plot(1e3 * wake.r_m, wake.swirl_m_s[i], color=line.get_color())
     axes[0].plot([], [], ":", color="0.4", label="momentum theory")
     axes[0].set(ylabel="velocity down (m/s)")

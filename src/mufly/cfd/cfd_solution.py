@@ -45,7 +45,7 @@ class CfdSolution:
         Loads of the whole rotor in the last state, summed from the fields.
     c_T, c_Q, figure_of_merit : float
         Coefficients as defined in :mod:`mufly.rotor.bemt`.
-    friction_torque : float
+    friction_torque_fraction : float
         Fraction of the torque due to friction.
     r_m, dr_m : (strips,) arrays
         Middle and width of the spanwise strips.
@@ -59,9 +59,9 @@ class CfdSolution:
         Pressure on the blade's faces.
     friction_Pa : (faces, 3) array
         Shear stress of the air on the blade's faces.
-    eddy_ratio : float
+    max_eddy_viscosity_ratio : float
         Greatest ratio of turbulent to molecular viscosity within 1.5 R of the hub; 0 for laminar flow.
-    wake_torque, wake_thrust : float
+    wake_torque_ratio, wake_thrust_ratio : float
         Fractions of torque and thrust found in the wake under the rotor (:func:`wake_load_ratios`); 1 if conserved.
         With an actuator disc for another rotor: the fraction of both thrusts, and the missing part of both torques over
         this rotor's torque.
@@ -77,7 +77,7 @@ class CfdSolution:
     c_T: float
     c_Q: float
     figure_of_merit: float
-    friction_torque: float
+    friction_torque_fraction: float
     r_m: Array
     dr_m: Array
     thrust_N_m: Array
@@ -85,9 +85,9 @@ class CfdSolution:
     yplus: Array
     pressure_Pa: Array
     friction_Pa: Array
-    eddy_ratio: float = 0.0
-    wake_torque: float = math.nan
-    wake_thrust: float = math.nan
+    max_eddy_viscosity_ratio: float = 0.0
+    wake_torque_ratio: float = math.nan
+    wake_thrust_ratio: float = math.nan
     reversed_flow_fraction: Array = field(default_factory=lambda: np.empty(0))
     moment_Nm_m: Array = field(default_factory=lambda: np.empty(0))
 
@@ -360,7 +360,7 @@ class WakeProfile:
     r_m : (radii,) array
     down_m_s, swirl_m_s : (planes, radii) arrays
         Velocity downwards, and azimuthal velocity in the sense of rotation.
-    edge_m, mean_m_s : (planes,) arrays
+    momentum_theory_radius_m, momentum_theory_velocity_m_s : (planes,) arrays
         Radius and velocity of the stream tube of momentum theory. From the induced velocity v of the disc, the velocity
         at distance h is v (1 + h / sqrt(h^2 + R^2)), as of a cylindrical vortex sheet.
     """
@@ -369,8 +369,8 @@ class WakeProfile:
     r_m: Array
     down_m_s: Array
     swirl_m_s: Array
-    edge_m: Array
-    mean_m_s: Array
+    momentum_theory_radius_m: Array
+    momentum_theory_velocity_m_s: Array
 
 
 def compute_wake_profile(mesh: PolyMesh, flow: FlowField, point: OperatingPoint, thrust_N: float) -> WakeProfile:

@@ -42,7 +42,7 @@ class GridConvergence:
         Results.
     order : float
         Observed order; nan if the results agree to rounding.
-    limit : float
+    extrapolated_value : float
         Extrapolated result phi_ext.
     index : float
         Grid convergence index of the finest mesh, relative.
@@ -56,7 +56,7 @@ class GridConvergence:
     cells: tuple[int, ...]
     values: tuple[float, ...]
     order: float
-    limit: float
+    extrapolated_value: float
     index: float
     last_step: float
     sound: bool

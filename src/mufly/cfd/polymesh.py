@@ -278,7 +278,7 @@ class MeshQuality:
         Greatest skewness; OpenFOAM warns from 4.
     smallest_volume_m3 : float
         Volume of the smallest cell.
-    open_cells : float
+    max_cell_openness : float
         Greatest sum of a cell's area vectors, over the sum of areas; 0 for closed cells.
     aspect_ratio : float
         Greatest ratio of a cell's areas in the three directions.
@@ -290,7 +290,7 @@ class MeshQuality:
     severe: int
     skewness: float
     smallest_volume_m3: float
-    open_cells: float
+    max_cell_openness: float
     aspect_ratio: float
 
     @property

@@ -55,9 +55,9 @@ class CellCounts:
         Spanwise cells: axis to root, root to tip, beyond the tip.
     inner, outer : int
         Cells from the box to the cylinder around the blade, and from that cylinder to the outer one.
-    wall : float
+    wall_cell_chords : float
         Height of the first cell on the blade, over the chord.
-    tip : float
+    tip_cell_radii : float
         Spanwise size of the first cell at the tip, over the radius.
     """
 
@@ -72,8 +72,8 @@ class CellCounts:
     beyond: int
     inner: int
     outer: int
-    wall: float
-    tip: float
+    wall_cell_chords: float
+    tip_cell_radii: float
 
 
 def make_vinokur_spacing(cells: int, first: float, last: float) -> Array:
@@ -262,11 +262,11 @@ class SectionShape:
         Contour over chord, the quarter chord at (0, 0).
     chord_m, angle_rad : float
         Chord, and its angle to the disc, nose up.
-    axis_chord_fraction : float
+    axis_blend : float
         0 at the blade; 1 on the axis, where the section is mirror symmetric without refinement.
     block_half_size_m, core_half_size_m : two float
         Half width and half height of the centre block, and of its core, on the axis.
-    ring_relaxation : float
+    ring_uniformity : float
         0 for a ring refined towards the wall, 1 for uniform spacing.
     typical_chord_m : float
         Chord that determines the size of cells outside the centre block, the same for all sections.
@@ -281,10 +281,10 @@ class SectionShape:
     contour_ratio: Array
     chord_m: float
     angle_rad: float
-    axis_chord_fraction: float
+    axis_blend: float
     block_half_size_m: tuple[float, float]
     core_half_size_m: tuple[float, float]
-    ring_relaxation: float
+    ring_uniformity: float
     typical_chord_m: float
     gurney_layer: tuple[float, int] = (0.0, 0)
     plate_layer: tuple[float, int] = (0.0, 0)
@@ -306,7 +306,7 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
     (points, 2) array
         x and z (m).
     """
-    k, c, g = layout.counts, shape.chord_m, shape.axis_chord_fraction
+    k, c, g = layout.counts, shape.chord_m, shape.axis_blend
     n, m = k.along, k.across
     # The contour, and the centre block before it is turned: blade, and plain (its own mirror image in x).
     loop = _rotate_nose_up(c * shape.contour_ratio, shape.angle_rad)
@@ -393,21 +393,21 @@ def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: 
     for _ in range(_NORMAL_SMOOTHING_PASSES):
         normal = 0.25 * np.roll(normal, 1, axis=0) + 0.5 * normal + 0.25 * np.roll(normal, -1, axis=0)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    if shape.gurney_layer[1] and not shape.axis_chord_fraction:
+    if shape.gurney_layer[1] and not shape.axis_blend:
         # Only at the blade: near a hub, where sections change fast, it would skew the cells to 87 degrees.
         normal = _turn_normals_around_flap(normal, loop, shape, counts)
     across = edge - loop
     far = np.linalg.norm(across, axis=1, keepdims=True)
-    first = counts.wall * shape.chord_m / (BLOCK_HALF_HEIGHT_CHORDS * shape.chord_m)
+    first = counts.wall_cell_chords * shape.chord_m / (BLOCK_HALF_HEIGHT_CHORDS * shape.chord_m)
     t = make_geometric_spacing(counts.ring, first)
     reach = shape.gurney_layer[0] * shape.chord_m / float(far[corner, 0])
     for (height, layer), line in ((shape.gurney_layer, corner), (shape.plate_layer, counts.along // 2)):
         if layer:
             drawn = _stretch_through_value(t, layer, height * shape.chord_m / float(far[line, 0]))
-            t = (1 - shape.axis_chord_fraction) * drawn + shape.axis_chord_fraction * t
-    t = (1 - shape.ring_relaxation) * t + shape.ring_relaxation * np.linspace(0, 1, counts.ring + 1)
+            t = (1 - shape.axis_blend) * drawn + shape.axis_blend * t
+    t = (1 - shape.ring_uniformity) * t + shape.ring_uniformity * np.linspace(0, 1, counts.ring + 1)
     # A plate is plane: the lines follow the wall's normal up to its edge and bend beyond.
-    straight = (1 - shape.axis_chord_fraction) * reach if shape.gurney_layer[1] else 0.0
+    straight = (1 - shape.axis_blend) * reach if shape.gurney_layer[1] else 0.0
     begin, leave = loop + straight * far * normal, (1.0 - straight) * far * normal
     u = np.maximum(t[::-1, None, None] - straight, 0.0) / (1.0 - straight)
     within = np.minimum(t[::-1, None, None] - straight, 0.0)
@@ -448,7 +448,7 @@ def find_ring_layer_at_height(counts: CellCounts, height: float, far: float) -> 
     """Return the layer of cells around the aerofoil, counted from the wall, that is nearest to a ``height``; all layers
     together are ``far`` thick (both in chords).
     """
-    t = make_geometric_spacing(counts.ring, counts.wall / BLOCK_HALF_HEIGHT_CHORDS)[1:-2]
+    t = make_geometric_spacing(counts.ring, counts.wall_cell_chords / BLOCK_HALF_HEIGHT_CHORDS)[1:-2]
     return 1 + int(np.argmin(np.abs(np.log(t * far / height))))
 
 

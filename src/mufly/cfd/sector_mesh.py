@@ -64,8 +64,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _MEDIUM_CELL_COUNTS = CellCounts(
-    along=34, across=8, ring=16, side=8, above=11, below=14, gap=6, blade=20, beyond=6, inner=5, outer=4, wall=0.002,
-    tip=0.0067,
+    along=34, across=8, ring=16, side=8, above=11, below=14, gap=6, blade=20, beyond=6, inner=5, outer=4,
+    wall_cell_chords=0.002, tip_cell_radii=0.0067,
 )  # fmt: skip
 
 
@@ -79,8 +79,8 @@ def _scale_cell_counts(factor: float) -> CellCounts:
         _MEDIUM_CELL_COUNTS,
         **numbers,
         **even,
-        wall=_MEDIUM_CELL_COUNTS.wall / factor,
-        tip=_MEDIUM_CELL_COUNTS.tip / factor,
+        wall_cell_chords=_MEDIUM_CELL_COUNTS.wall_cell_chords / factor,
+        tip_cell_radii=_MEDIUM_CELL_COUNTS.tip_cell_radii / factor,
     )
 
 
@@ -236,7 +236,7 @@ def make_sector_mesh(
     tip_chord, tip_angle = float(rotor.chord_m(1.0)), float(rotor.twist_rad(1.0)) + pitch_rad
     span = compute_blade_line_length(form.tip, root, radius, tip_chord)
     blade = (root, root + span)
-    tip = min(k.tip * radius, 0.5 * span / k.blade)
+    tip = min(k.tip_cell_radii * radius, 0.5 * span / k.blade)
     at_root = min(1.5 * tip, 0.5 * root / k.gap, 0.5 * span / k.blade)
     inner, hub = _root_stations(k, root, at_root, form)
     # Beyond the end the line bends back parallel to the disc, so that its length exceeds its radius.
@@ -254,7 +254,12 @@ def make_sector_mesh(
     first, last, top = k.gap, k.gap + k.blade, len(s) - 1
     y = line.radius_m
     if abs(y[-1] - far) > 1e-9 * far:
-        raise InputError("tip", "bend", f"is {form.tip.bend:g} chords, too much for this blade", "give less")
+        raise InputError(
+            "tip",
+            "bend_radius_chords",
+            f"is {form.tip.bend_radius_chords:g} chords, too much for this blade",
+            "give less",
+        )
     y[-1] = far
     block = (_PAIR_BLOCK_HALF_CHORDS * widest, tall) if other_m else None
     stack, plate_layers = _build_sections(rotor, pitch_rad, layout, s, blade, far, box, form, line.chord_ratio, block)

@@ -219,7 +219,7 @@ def sweep(
     load, name = _make_rotor_load(rotor, vehicle, pitch, model)
     curve = gear_curve(d, load, read_values("--gear", gear, "1"), duty=duty, supply_V=supply)
     best = find_gear_optima(d, load, thrust_N=thrust, duty=duty, supply_V=supply)
-    marks = {k.replace("_", " "): v for k, v in vars(best).items() if k != "for_thrust" or math.isfinite(v)}
+    marks = {k.replace("_", " "): v for k, v in vars(best).items() if k != "for_required_thrust" or math.isfinite(v)}
     files = []
     if out is not None:
         picture = draw_gear_curve(curve, marks=marks, thrust_N=thrust, title=f"{d.name}, {name}")
@@ -236,10 +236,10 @@ def sweep(
         ]
         at = f"{curve.attrs['motor_voltage_V']:.3g} V at the motor"
         print_result_table(rows, shown, title=f"{d.name}, {name}, {at}")
-        greatest = ", ".join(f"{k} {v:.2f}" for k, v in marks.items() if k != "for thrust")
+        greatest = ", ".join(f"{k} {v:.2f}" for k, v in marks.items() if k != "for required thrust")
         print_lines(f"Greatest at gear ratio: {greatest}")
         if thrust is not None:
-            found = f"{best.for_thrust:.2f}" if math.isfinite(best.for_thrust) else "none"
+            found = f"{best.for_required_thrust:.2f}" if math.isfinite(best.for_required_thrust) else "none"
             print_lines(f"Largest gear ratio that gives {thrust:g} N: {found}")
 
     print_answer(as_json, {**curve.to_dict(), "optima": best, "rotor": name}, print_sweep, files)

@@ -88,7 +88,7 @@ class FlightOrder:
     is_realtime: bool
     sensors: Literal["ideal", "fitted"]
     faults: tuple[Fault, ...]
-    controllers: ControlImplementation | None
+    flight_software: ControlImplementation | None
     design_vehicle: Vehicle | None
     camera: CameraConfig | None
     has_external_position: bool = False
@@ -130,7 +130,7 @@ def _start_vehicle_process(
         seed=order.seed,
         sensors=order.sensors,
         faults=order.faults,
-        controllers=order.controllers,
+        controllers=order.flight_software,
         designed_for=order.design_vehicle,
         eye=order.camera,
         outside=order.has_external_position,
@@ -421,7 +421,7 @@ def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
                 seed=order.seed,
                 sensors=order.sensors,
                 faults=order.faults,
-                controllers=order.controllers,
+                controllers=order.flight_software,
                 controller=order.controller,
                 realtime=order.is_realtime,
                 path=order.recording_path,

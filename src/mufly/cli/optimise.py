@@ -127,7 +127,7 @@ def optimise(
 
 
 def _print_optimum(best: RotorOptimum) -> None:
-    rows = [("start", "", f"{best.before:.5g}", "", "")]
+    rows = [("start", "", f"{best.goal_before:.5g}", "", "")]
     for step in best.steps:
         figures = (f"{step.goal:.5g}", f"{step.gain:+.1%}", f"{math.degrees(step.pitch_rad):.2f}°")
         rows.append((step.parameter, format_parameter(step.parameter, step.value, ".4g"), *figures))
@@ -135,8 +135,8 @@ def _print_optimum(best: RotorOptimum) -> None:
     r = best.results
     c = make_console()
     c.print(
-        f"[bold]{best.after / best.before - 1:+.1%}[/bold]: {r['electrical_power_W']:.3f} W for {r['thrust_N']:.3g} N, "
-        f"{r['thrust_per_power_N_W']:.4f} N/W, {r['endurance_s'] / 60:.1f} min; "
+        f"[bold]{best.goal_after / best.goal_before - 1:+.1%}[/bold]: {r['electrical_power_W']:.3f} W for "
+        f"{r['thrust_N']:.3g} N, {r['thrust_per_power_N_W']:.4f} N/W, {r['endurance_s'] / 60:.1f} min; "
         f"{r['speed_rad_s'] / RPM:.0f} rpm at {math.degrees(best.pitch_rad):.2f}°, gear "
         f"{r['gear_ratio']:.3g}, duty {r['duty']:.2f}, least thickness {1e3 * r['least_thickness_m']:.2f} mm",
         highlight=False,
@@ -216,7 +216,7 @@ def optimise_pairs(
     if out is not None:
         after = checked[1] if checked is not None and not isinstance(checked[1], str) else best.after
         files.append(save_figure(draw_rotor_loads(after.upper, after.lower), out, "loads"))
-    bemt = {"start": best.before, "pitch_only": best.pitched, "optimum": best.after}
+    bemt = {"start": best.before, "pitch_only": best.before_at_best_pitch, "optimum": best.after}
     content = {
         **select_fields(best, "upper=upper.toml_tables lower=lower.toml_tables changes at_limit evaluations"),
         "bemt": {name: _format_point_summary(point) for name, point in bemt.items()},
@@ -259,7 +259,7 @@ def _print_pair_optimum(best: PairOptimum, checked: tuple[SystemSolution | str, 
         )  # fmt: skip
 
     add_row("start", "bemt", best.before, None)
-    add_row("start's blades, best pitch", "bemt", best.pitched, best.before)
+    add_row("start's blades, best pitch", "bemt", best.before_at_best_pitch, best.before)
     add_row("optimum", "bemt", best.after, best.before)
     if checked is not None:
         add_row("start", "wake", checked[0], None)

@@ -442,7 +442,7 @@ def hover(
             (
                 f"{result.r_m[k] / r.radius_m:.3f}{' *' if result.outside[k] else ''}",
                 f"{np.degrees(result.alpha_rad[k]):.2f}°",
-                f"{result.inflow_m_s[k]:.3g} m/s",
+                f"{result.axial_induced_m_s[k]:.3g} m/s",
                 f"{result.cl[k]:.3f}",
                 f"{result.cd[k]:.4f}",
                 f"{result.reynolds[k]:.0f}",

@@ -509,7 +509,7 @@ def show_thesis_item(name: _NameArgument, as_json: JsonOption = False) -> None:
     from mufly.thesis import answer_study, load_cached_answer
 
     found = load_cached_answer(name)
-    if not found.known:
+    if not found.is_answered:
         with progress_bar(found.item.name, not as_json) as progress:
             found = answer_study(name, None, progress)
     if as_json:

@@ -133,14 +133,15 @@ def gear_curve(
 class GearOptima:
     """Optimal gear ratios of a drive at full voltage, each for one criterion.
 
-    ``for_thrust`` is the largest ratio that gives the required thrust; nan if there is none or no thrust is required.
+    ``for_required_thrust`` is the largest ratio that gives the required thrust; nan if there is none or no thrust is
+    required.
     """
 
     mechanical_power: float
     thrust: float
     efficiency: float
     thrust_per_power: float
-    for_thrust: float
+    for_required_thrust: float
 
 
 def find_gear_optima(

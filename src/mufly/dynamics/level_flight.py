@@ -398,7 +398,7 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
                     power,
                     inputs,
                     model.thrust_margin(torques, speeds),
-                    pair.upper.outside or pair.lower.outside,
+                    pair.upper.is_outside_range or pair.lower.is_outside_range,
                 )
             )
             if line[-1].servo > _MAX_SERVO_INPUT:

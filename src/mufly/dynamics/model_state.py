@@ -377,7 +377,7 @@ def _flight_map_fields(vehicle: Vehicle) -> dict[str, Any]:
     padded = {}
     for name, values, room in (
         ("flight_map_table", splines.coefficient_table, 12 * (MAX_MAP_CLIMBS + 2) * MAX_MAP_ADVANCE_RATIOS),
-        ("flight_map_rate_loads", splines.rates, 8 * MAX_MAP_ADVANCE_RATIOS),
+        ("flight_map_rate_loads", splines.rate_coefficient_table, 8 * MAX_MAP_ADVANCE_RATIOS),
     ):
         padded[name] = np.zeros(room)
         padded[name][: values.size] = values.ravel()
@@ -386,7 +386,7 @@ def _flight_map_fields(vehicle: Vehicle) -> dict[str, Any]:
         "flight_map_size": splines.size,
         "flight_map_start": splines.start,
         "flight_map_inverse_steps": splines.per_step,
-        "flight_map_ratio": [splines.ratio, splines.ratio_low, splines.ratio_high],
+        "flight_map_ratio": [splines.speed_ratio_middle, splines.speed_ratio_low, splines.speed_ratio_high],
         "flight_map_knee2": m.knee**2,
         "flight_map_scale": np.pi * float(vehicle.air.density) * float(vehicle.rotors.radius) ** 3,
     }

@@ -70,7 +70,7 @@ _MIN_CASES_PER_THREAD = 128  # cases per thread below which a second thread does
 STATION_COLUMNS = (
     "alpha_rad",
     "phi_rad",
-    "inflow_m_s",
+    "axial_induced_m_s",
     "swirl_m_s",
     "cl",
     "cd",
@@ -197,7 +197,7 @@ def warn_reynolds_range(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLi
     size = blading.r_m[rotors, station] * blading.chord_m[rotors, station]
     speed = np.asarray(speed_rad_s, dtype=np.float64)
     reynolds = size[np.asarray(which)] * speed * air.density_kg_m3 / air.viscosity_Pa_s
-    spans = np.exp(blading.polars.log_reynolds_range[blading.first_polar[rotors, station]])
+    spans = np.exp(blading.polars.log_reynolds_limits[blading.first_polar[rotors, station]])
     low, high = spans[np.asarray(which)].T.reshape(2, *reynolds.shape)
     beyond = np.flatnonzero((reynolds < low) | (reynolds > high))
     if beyond.size:
@@ -249,7 +249,7 @@ def solve_rotor(
     InputError
         If the speed is not above zero or a number is not finite.
     """
-    placed = PlacedRotor(ensure_blading(blading), float(pitch_rad), float(speed_rad_s), rotor_index=which)
+    placed = PlacedRotor(ensure_blading(blading), float(pitch_rad), float(speed_rad_s), index_in_blading=which)
     return solve_placed_rotor(placed, float(climb_m_s), air or Air(), stream)
 
 
@@ -259,7 +259,7 @@ def solve_placed_rotor(placed: PlacedRotor, climb_m_s: float, air: Air, stream: 
     """
     point = _operating_point_arrays(placed, climb_m_s)
     _check_operating_points(*point)
-    totals, stations = _solve_points(placed.blading, placed.rotor_index, *point, air, True, stream)
+    totals, stations = _solve_points(placed.blading, placed.index_in_blading, *point, air, True, stream)
     columns = {name: stations[0, :, i].copy() for i, name in enumerate(STATION_COLUMNS)}
     return build_rotor_result(placed, climb_m_s, air, float(totals[0, 0]), float(totals[0, 1]), columns)
 
@@ -280,7 +280,7 @@ def build_rotor_result(
 
     Thesis: eqs 3.3 to 3.5.
     """
-    blading, which, speed_rad_s = placed.blading, placed.rotor_index, placed.speed_rad_s
+    blading, which, speed_rad_s = placed.blading, placed.index_in_blading, placed.speed_rad_s
     radius = blading.rotors[which].radius_m
     coefficients = _compute_coefficients(thrust_N, torque_Nm, speed_rad_s, radius, air.density_kg_m3)
     flags = _flag_extrapolated_stations(blading, which, columns["alpha_rad"], columns["reynolds"])
@@ -341,7 +341,7 @@ def compute_slipstream(
     All are (stations,) arrays. Lift contributes twice the mean tangential velocity F u_t in the disc, profile drag
     :func:`drag_angular_momentum`. Without the swirl correction, or with ``turns`` false, r u is zero.
     """
-    blading, which = placed.blading, placed.rotor_index
+    blading, which = placed.blading, placed.index_in_blading
     _, stations = _solve_points(blading, which, *_operating_point_arrays(placed, climb_m_s), air, True, stream)
     _, phi, inflow, swirl, cl, cd, _, loss, thrust, torque = stations[0].T
     turning = np.zeros_like(inflow)
@@ -371,7 +371,7 @@ def solve_rotor_batch(
     blading : Blading or Rotor
         One or several rotors.
     pitch_rad, speed_rad_s, climb_m_s : array_like
-        As for :func:`solve_rotor`, broadcast against each other and ``rotor_index``.
+        As for :func:`solve_rotor`, broadcast against each other and ``index_in_blading``.
     air : Air, optional
         Density and viscosity of all points.
     which : array_like of int
@@ -415,7 +415,7 @@ class BemtCases(NamedTuple):
 
     Attributes
     ----------
-    rotor_index : (cases,) ints
+    index_in_blading : (cases,) ints
         Rotor of each case: first index of the arrays of the blades.
     pitch_rad, speed_rad_s, climb_m_s : (cases,) arrays
         Speeds above 0.
@@ -426,7 +426,7 @@ class BemtCases(NamedTuple):
         Properties of the air.
     """
 
-    rotor_index: Integers
+    index_in_blading: Integers
     pitch_rad: Array
     speed_rad_s: Array
     climb_m_s: Array
@@ -625,7 +625,7 @@ def solve_cases(
     polars = PolarGrid(stack.grid, stack.log_reynolds_min, stack.rows_per_log_reynolds)
     keep, meets = stations.shape[0] > 0, cases.stream_m_s.shape[0] > 0
     for case in range(start, stop):
-        k = cases.rotor_index[case]
+        k = cases.index_in_blading[case]
         pitch, speed, climb = cases.pitch_rad[case], cases.speed_rad_s[case], cases.climb_m_s[case]
         count, radius = blades.blades[k], blades.radius_m[k]
         effective = radius
@@ -635,7 +635,7 @@ def solve_cases(
             for i in range(blades.r_m.shape[1]):
                 r, dr, chord = blades.r_m[k, i], blades.dr_m[k, i], blades.chord_m[k, i]
                 theta = pitch + blades.twist_rad[k, i]
-                rotation = blades.stall_delay[k, i]
+                rotation = blades.stall_delay_strength[k, i]
                 if on.has_cos4_stall_delay == 1:
                     rotation *= math.cos(theta) ** 4
                 share = 1.0
@@ -644,8 +644,8 @@ def solve_cases(
                 first, second, weight = blades.first_polar[k, i], blades.second_polar[k, i], blades.second_weight[k, i]
                 zero = blades.polar_zero_lift_rad[first]
                 zero += weight * (blades.polar_zero_lift_rad[second] - zero)
-                thick = blades.thickness[first]
-                thick += weight * (blades.thickness[second] - thick)
+                thick = blades.polar_thickness_ratio[first]
+                thick += weight * (blades.polar_thickness_ratio[second] - thick)
                 edge = blades.edge_drag[k, i]
                 section = SectionParameters(
                     first, second, weight, zero, rotation, on.lift_factor * share, on.drag_factor, thick, edge
@@ -661,7 +661,7 @@ def solve_cases(
                 flow = StationFlow(
                     carried, total, math.atan2(axial, across), log_unit, total / cases.speed_of_sound_m_s
                 )
-                alpha, out = _solve_station(blades.chord_factor[k, i], flow, at, section, polars, on)
+                alpha, out = _solve_station(blades.angle_loss_per_cl_rad[k, i], flow, at, section, polars, on)
                 _, phi, cl, cd, wind, loss, u, u_t, log_re = out
                 push = 0.5 * density * wind * wind * chord * count * dr
                 d_thrust = push * (cl * math.cos(phi) - cd * math.sin(phi))

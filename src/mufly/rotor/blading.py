@@ -192,7 +192,7 @@ class Blading:
         The rotors, ``n`` of them.
     corrections : Corrections
         Active corrections.
-    r_m, dr_m, chord_m, twist_rad, chord_factor, stall_delay : (n, stations) arrays
+    r_m, dr_m, chord_m, twist_rad, angle_loss_per_cl_rad, stall_delay_strength : (n, stations) arrays
         Radius, panel width and chord (m), twist (rad); loss of angle e per lift coefficient (rad), stall delay strength
         g.
     edge_drag : (n, stations) array
@@ -201,7 +201,7 @@ class Blading:
         Indices of the two polars in the stack, and weight of the second.
     polars : PolarStack
         Polars of all rotors.
-    polar_zero_lift_rad, thickness : (tables,) arrays
+    polar_zero_lift_rad, polar_thickness_ratio : (tables,) arrays
         Zero-lift angle and thickness over chord of each polar; 0.12 if the polar states none.
     """
 
@@ -211,15 +211,15 @@ class Blading:
     dr_m: Array
     chord_m: Array
     twist_rad: Array
-    chord_factor: Array
-    stall_delay: Array
+    angle_loss_per_cl_rad: Array
+    stall_delay_strength: Array
     edge_drag: Array
     first_polar: Integers
     second_polar: Integers
     second_weight: Array
     polars: PolarStack
     polar_zero_lift_rad: Array
-    thickness: Array
+    polar_thickness_ratio: Array
 
     @cached_property
     def kernel_arrays(self) -> Any:
@@ -340,7 +340,7 @@ def prepare_blading(
         cut = rotor.sections_at(mid)
         index = np.array([keys.index(own[k][name]) for name in cut.airfoil_names], dtype=np.int64)
         r[k], dr[k], chord[k] = mid * big, np.diff(edges) * big, cut.chord_m
-        twist[k] = cut.twist_rad + effective_pitch_prior(rotor).mean_rad
+        twist[k] = cut.twist_rad + effective_pitch_prior(rotor).offset_mean_rad
         if rotor.fit is not None:
             twist[k] += rotor.fit.candidates[0].change[0]
         first[k] = index[cut.first_airfoil]
@@ -358,15 +358,15 @@ def prepare_blading(
         dr_m=dr,
         chord_m=chord,
         twist_rad=twist,
-        chord_factor=e,
-        stall_delay=g,
+        angle_loss_per_cl_rad=e,
+        stall_delay_strength=g,
         edge_drag=base,
         first_polar=first,
         second_polar=second,
         second_weight=weight,
         polars=stack,
         polar_zero_lift_rad=np.array([find_zero_lift_angle(table) for table in tables]),
-        thickness=np.nan_to_num([table.thickness_ratio for table in tables], nan=_DEFAULT_THICKNESS_RATIO),
+        polar_thickness_ratio=np.nan_to_num([table.thickness_ratio for table in tables], nan=_DEFAULT_THICKNESS_RATIO),
     )
 
 

@@ -45,8 +45,8 @@ _PITCH_REFERENCE_STATION_RATIO = 0.75  # r/R
 class PitchPrior(NamedTuple):
     """Prior of the effective pitch relative to the rotor file's angle: mean and deviation (rad), and basis in words."""
 
-    mean_rad: float
-    std_rad: float
+    offset_mean_rad: float
+    offset_std_rad: float
     origin: str
 
 

@@ -87,7 +87,7 @@ def draw_spanwise_loads(result: RotorResult) -> Figure:
     r = 1e3 * result.r_m
     panels = (
         ("Angle of attack (deg)", np.degrees(result.alpha_rad)),
-        ("Inflow (m/s)", result.inflow_m_s),
+        ("Inflow (m/s)", result.axial_induced_m_s),
         ("Lift coefficient", result.cl),
         ("Drag coefficient", result.cd),
         ("Reynolds number", result.reynolds),
@@ -141,7 +141,7 @@ def draw_rotor_fit(found: RotorFit) -> Figure:
             (m.thrust_N, band.thrust_N, band.thrust_low_N, band.thrust_high_N, 1.0),
             (m.torque_Nm, band.torque_Nm, band.torque_low_Nm, band.torque_high_Nm, 1e3),
         )
-        given = np.stack((m.thrust_N, m.torque_Nm)) + found.errors_before * found.size
+        given = np.stack((m.thrust_N, m.torque_Nm)) + found.scaled_errors_before * found.load_scales
         order = here[np.argsort(along[here])]
         for ax, (measured, mean, below, above, scale), before in zip(axes, rows, given, strict=True):
             colour, first = f"C{k % 10}", k == 0
@@ -435,7 +435,7 @@ def draw_rotor_loads(upper: RotorResult, lower: RotorResult, alone: Sequence[Rot
     """Draw inflow, angle of attack, lift, thrust and torque along the blades of both rotors, isolated rotors dashed."""
     figure = blank_figure(10.0, 6.0)
     panels: tuple[tuple[str, Callable[[RotorResult], Array]], ...] = (
-        ("Induced velocity down the shaft (m/s)", lambda r: r.inflow_m_s),
+        ("Induced velocity down the shaft (m/s)", lambda r: r.axial_induced_m_s),
         ("Swirl (m/s)", lambda r: r.swirl_m_s),
         ("Angle of attack (deg)", lambda r: np.degrees(r.alpha_rad)),
         ("Lift coefficient", lambda r: r.cl),

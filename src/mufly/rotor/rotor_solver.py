@@ -155,7 +155,7 @@ def solve_system(
             "rotor", "climb_m_s", f"{climb:g} m/s is Mach {abs(climb) / condition.air.sound_m_s:.2f}",
             "stay below 1, better below 0.7: the methods have no shock model",
         )  # fmt: skip
-    for blading, which, given in zip(system.bladings, system.rotor_indices, speed, strict=True):
+    for blading, which, given in zip(system.bladings, system.indices_in_blading, speed, strict=True):
         if given is not None:
             mach = compute_tip_mach(blading.rotors[which].radius_m, given, condition.air, climb)
             if mach >= 1.0:
@@ -166,9 +166,9 @@ def solve_system(
                 )  # fmt: skip
             warn_tip_mach(mach)
     found = _solve_unknowns(system, condition, method, pitch, speed, settings, start, progress)
-    for blading, which, rotor in zip(system.bladings, system.rotor_indices, found.rotors, strict=True):
+    for blading, which, rotor in zip(system.bladings, system.indices_in_blading, found.rotors, strict=True):
         warn_reynolds_range(blading, which, rotor.speed_rad_s, condition.air)
-    area = system.bladings[0].rotors[system.rotor_indices[0]].disc_area_m2
+    area = system.bladings[0].rotors[system.indices_in_blading[0]].disc_area_m2
     warn_vortex_ring(condition.climb_m_s, found.thrust_N, area, condition.air)
     return found
 
@@ -257,10 +257,12 @@ def _per_rotor_values(name: str, value: PerRotor, count: int) -> tuple[float | N
 
 def _inflow_matrix(source: PlacedRotor, target: PlacedRotor) -> Array:
     """Return the matrix from a rotor's axial induced velocities to those at another rotor's stations."""
-    disc_radius = source.blading.rotors[source.rotor_index].radius_m
-    at_r, at_dr = target.blading.r_m[target.rotor_index], target.blading.dr_m[target.rotor_index]
+    disc_radius = source.blading.rotors[source.index_in_blading].radius_m
+    at_r, at_dr = target.blading.r_m[target.index_in_blading], target.blading.dr_m[target.index_in_blading]
     k = tube_axis_speed(source.height_m - target.height_m, disc_radius)
-    return k * axial_influence(source.blading.r_m[source.rotor_index], disc_radius, 1.0 / math.sqrt(k), at_r, at_dr)
+    return k * axial_influence(
+        source.blading.r_m[source.index_in_blading], disc_radius, 1.0 / math.sqrt(k), at_r, at_dr
+    )
 
 
 def _solve_bemt(
@@ -298,8 +300,8 @@ def _solve_bemt(
         return np.concatenate(pulled), met, sum(float(np.max(np.abs(v[0]))) for v in given)
 
     x = np.zeros(sum(stations[:-1]))
-    if start is not None and [v.size for v in start.streams] == stations[:-1]:
-        x = np.concatenate(start.streams)
+    if start is not None and [v.size for v in start.coupling_variables] == stations[:-1]:
+        x = np.concatenate(start.coupling_variables)
     last_step, last_image = np.empty(0), np.empty(0)
     for turn in range(1, _MAX_COUPLING_ITERATIONS + 1):
         image, met, size = iterate_streams(x)
@@ -419,7 +421,7 @@ def _solve_for_thrust(
     for _ in range(_MAX_THRUST_ITERATIONS):
         b = solve_for_thrust(
             system.bladings[0], thrust_N=wanted, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=condition.climb_m_s,
-            air=condition.air, which=system.rotor_indices[0],
+            air=condition.air, which=system.indices_in_blading[0],
         )  # fmt: skip
         known = at((b.pitch_rad,), (b.speed_rad_s,), known)
         if known.method == "bemt":

@@ -157,7 +157,7 @@ class PlacedRotor:
     speed_rad_s: float
     height_m: float = 0.0
     rotation_sign: int = 1
-    rotor_index: int = 0
+    index_in_blading: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,14 +171,14 @@ class RotorSystem:
         Height of each disc along the shaft (m).
     rotation_signs : tuple of int
         Sense of rotation: 1 or -1.
-    rotor_indices : tuple of int
+    indices_in_blading : tuple of int
         Index of each rotor in its blading.
     """
 
     bladings: tuple[Blading, ...]
     disc_heights_m: tuple[float, ...]
     rotation_signs: tuple[int, ...]
-    rotor_indices: tuple[int, ...]
+    indices_in_blading: tuple[int, ...]
 
     def __post_init__(self) -> None:
         if not self.bladings or any(b >= a for a, b in zip(self.disc_heights_m, self.disc_heights_m[1:], strict=False)):
@@ -218,7 +218,7 @@ class RotorSystem:
                 speed_rad_s,
                 self.disc_heights_m,
                 self.rotation_signs,
-                self.rotor_indices,
+                self.indices_in_blading,
                 strict=True,
             )
         )
@@ -267,7 +267,7 @@ class RotorResult:
         Angle of attack of the section (rad).
     phi_rad : (stations,) array
         Inflow angle (rad).
-    inflow_m_s, swirl_m_s : (stations,) arrays
+    axial_induced_m_s, swirl_m_s : (stations,) arrays
         Axial and tangential induced velocity (m/s).
     cl, cd, reynolds : (stations,) arrays
         Section coefficients, and their Reynolds number.
@@ -298,7 +298,7 @@ class RotorResult:
     theta_rad: Array
     alpha_rad: Array
     phi_rad: Array
-    inflow_m_s: Array
+    axial_induced_m_s: Array
     swirl_m_s: Array
     cl: Array
     cd: Array
@@ -486,7 +486,7 @@ class SystemSolution:
         Description of the convergence, or of its failure.
     iterations : int
         Number of iterations of the coupling or of the wake.
-    streams : tuple of arrays
+    coupling_variables : tuple of arrays
         Converged coupling variables, for a restart. Method bemt: axial velocity (m/s) induced at each rotor but the
         last by the rotors below it, (stations,) each. Tubes: axial velocity at both discs, then p of the cells of both
         wakes.
@@ -508,7 +508,7 @@ class SystemSolution:
     converged: bool = True
     message: str = ""
     iterations: int = 1
-    streams: tuple[Array, ...] = ()
+    coupling_variables: tuple[Array, ...] = ()
     wakes: tuple[RotorWake, ...] = ()
     settings: WakeSettings | None = None
     residual: float = math.nan
@@ -592,7 +592,7 @@ class SystemSolution:
         thrust, power = self.thrust_N, self.power_W
         if not (thrust > 0.0 and power > 0.0):
             return math.nan
-        area = math.pi * max(p.blading.rotors[p.rotor_index].radius_m for p in self.placed) ** 2
+        area = math.pi * max(p.blading.rotors[p.index_in_blading].radius_m for p in self.placed) ** 2
         return thrust * math.sqrt(thrust / (2.0 * self.air.density_kg_m3 * area)) / power
 
 
@@ -628,5 +628,5 @@ def check_rotors(rotors: Sequence[PlacedRotor], climb: float) -> None:
 
 def _blade_vertical_reach(placed: PlacedRotor) -> float:
     """Return the greatest extent of the pitched blade above or below its disc (m)."""
-    b, k = placed.blading, placed.rotor_index
+    b, k = placed.blading, placed.index_in_blading
     return float(np.max(0.75 * b.chord_m[k] * np.abs(np.sin(b.twist_rad[k] + placed.pitch_rad))))

@@ -167,8 +167,8 @@ def _tube_influence(source: bytes, target: bytes, below_m: float) -> tuple[Array
 
 
 def _panel_edges_m(p: PlacedRotor) -> Array:
-    radius = p.blading.rotors[p.rotor_index].radius_m
-    return radius - np.concatenate((np.cumsum(p.blading.dr_m[p.rotor_index][::-1])[::-1], [0.0]))
+    radius = p.blading.rotors[p.index_in_blading].radius_m
+    return radius - np.concatenate((np.cumsum(p.blading.dr_m[p.index_in_blading][::-1])[::-1], [0.0]))
 
 
 def _tube_strengths(area: Array, first: NDArray[np.int64], inflow: Array, loss: Array) -> Array:
@@ -236,12 +236,12 @@ def rotor_swirl_influence(source: PlacedRotor, target: PlacedRotor) -> Array:
     It is multiplied by the moment of momentum r u of the upper rotor's stream (m2/s). The result is a velocity (m/s),
     positive against the motion of the lower rotor's blades.
     """
-    r, dr = target.blading.r_m[target.rotor_index], target.blading.dr_m[target.rotor_index]
-    edge, apart = source.blading.rotors[source.rotor_index].radius_m, source.height_m - target.height_m
+    r, dr = target.blading.r_m[target.index_in_blading], target.blading.dr_m[target.index_in_blading]
+    edge, apart = source.blading.rotors[source.index_in_blading].radius_m, source.height_m - target.height_m
     return (
         -source.rotation_sign
         * target.rotation_sign
-        * swirl_influence(source.blading.r_m[source.rotor_index], edge, apart, r, dr)
+        * swirl_influence(source.blading.r_m[source.index_in_blading], edge, apart, r, dr)
     )
 
 
@@ -275,7 +275,7 @@ def solve_tubes(
     sizes = [*stations, *(w[1].shape[0] for w in own)]
     cuts, cells = np.cumsum(sizes)[:-1], _TUBE_CELL_STARTS_RADII.size
     annuli = [
-        (p.blading.r_m[p.rotor_index] * p.blading.dr_m[p.rotor_index], select_tube_edges(n)[:-1])
+        (p.blading.r_m[p.index_in_blading] * p.blading.dr_m[p.index_in_blading], select_tube_edges(n)[:-1])
         for p, n in zip(rotors, stations, strict=True)
     ]
     turned = rotor_swirl_influence(*rotors)
@@ -309,9 +309,9 @@ def solve_tubes(
         return np.concatenate((*met, *thinned))
 
     x = np.concatenate((np.zeros(sum(stations)), np.ones(sum(sizes[2:]))))
-    least = _MIN_INDUCED_RATIO * max(p.speed_rad_s * p.blading.rotors[p.rotor_index].radius_m for p in rotors)
-    if start is not None and [v.size for v in start.streams] == sizes:
-        x = np.concatenate(start.streams)
+    least = _MIN_INDUCED_RATIO * max(p.speed_rad_s * p.blading.rotors[p.index_in_blading].radius_m for p in rotors)
+    if start is not None and [v.size for v in start.coupling_variables] == sizes:
+        x = np.concatenate(start.coupling_variables)
     points: list[Array] = []
     misses: list[Array] = []
     loads: list[Array] = []

@@ -90,7 +90,7 @@ class DesignStep:
     pitch_rad: float
 
 
-@result(json="rotor=rotor.toml_tables pitch_rad changes goal unit before after steps results")
+@result(json="rotor=rotor.toml_tables pitch_rad changes goal unit before=goal_before after=goal_after steps results")
 class RotorOptimum:
     """Optimised rotor.
 
@@ -101,7 +101,7 @@ class RotorOptimum:
     changes : dict
         Parameters that differ from the initial rotor, in SI units, and the gear found.
     goal : str
-    before, after : float
+    goal_before, goal_after : float
         Goal (N/W or s) of the initial rotor at its best pitch, and of the optimum.
     steps : tuple of DesignStep
         Changes from the initial rotor to the optimum.
@@ -113,8 +113,8 @@ class RotorOptimum:
     pitch_rad: float
     changes: dict[str, float | str]
     goal: str
-    before: float
-    after: float
+    goal_before: float
+    goal_after: float
     steps: tuple[DesignStep, ...]
     results: dict[str, float]
 
@@ -465,7 +465,7 @@ class PairOptimum:
     ----------
     upper, lower : Rotor
     pitch_rad : (upper, lower)
-    before, pitched, after : SystemSolution
+    before, before_at_best_pitch, after : SystemSolution
         Solutions by blade elements at the thrust with balanced torques: the initial pair; the initial blades at their
         best pitches, if the pitches are free; the optimum.
     changes : dict
@@ -479,7 +479,7 @@ class PairOptimum:
     lower: Rotor
     pitch_rad: tuple[float, float]
     before: SystemSolution
-    pitched: SystemSolution | None
+    before_at_best_pitch: SystemSolution | None
     after: SystemSolution
     changes: dict[str, float]
     at_limit: tuple[str, ...]

@@ -277,7 +277,11 @@ def compute_gear_ratio_study() -> tuple[xr.Dataset, list[Verdict]]:
             ("gear-power", "mechanical_power", ""),
             ("gear-efficiency", "efficiency", ""),
             ("gear-thrust-per-power", "thrust_per_power", ""),
-            ("gear-thrust", "for_thrust", f"; at a ratio of 2 they give {at_two[0]:.2f} and {at_two[1]:.2f} N"),
+            (
+                "gear-thrust",
+                "for_required_thrust",
+                f"; at a ratio of 2 they give {at_two[0]:.2f} and {at_two[1]:.2f} N",
+            ),
         ):
             ours = [float(getattr(b, field)) for b in best]
             text = f"{ours[0]:.2f} with the upper rotor, {ours[1]:.2f} with the lower{note}"

@@ -139,7 +139,7 @@ class StudyAnswer:
         Computing time (s); nan if the study has not run.
     picture : Path or None
         Computed picture.
-    known : bool
+    is_answered : bool
         Whether there is an answer: a study that has run, or an item that needs none.
     """
 
@@ -149,14 +149,14 @@ class StudyAnswer:
     missing: str = ""
     seconds: float = math.nan
     picture: Path | None = None
-    known: bool = False
+    is_answered: bool = False
 
     @property
     def verdict_word(self) -> str:
         """Verdict in one or two words."""
         if self.item.kind != "result":
             return "counterpart"
-        if not self.known:
+        if not self.is_answered:
             return "not run"
         if self.missing:
             return f"needs {self.missing}"
@@ -410,10 +410,10 @@ def study_digest(name: str) -> str:
 
 
 def load_cached_answer(name: str, folder: Path | None = None) -> StudyAnswer:
-    """Return the stored outcome of a figure's or table's study; its field ``known`` is False if missing or outdated."""
+    """Return the stored outcome of a figure's or table's study; ``is_answered`` is False if missing or outdated."""
     of = find_item(name)
     if of.kind != "result":
-        return StudyAnswer(of, known=True)
+        return StudyAnswer(of, is_answered=True)
     place = cache_folder("thesis") if folder is None else folder
     content = None if place is None else read_answer(place / f"{of.name}.json", study_digest(of.name))
     if place is None or content is None:
@@ -458,9 +458,9 @@ def answer_study(
     place = folder if folder is not None else cached
     if not again and case is None:
         found = load_cached_answer(of.name, place)
-        if found.known:
+        if found.is_answered:
             return found
-        if folder is not None and cached is not None and load_cached_answer(of.name, cached).known:
+        if folder is not None and cached is not None and load_cached_answer(of.name, cached).is_answered:
             folder.mkdir(parents=True, exist_ok=True)
             for file in sorted(cached.glob(f"{of.name}*")):
                 if file.stem == of.name or file.stem.startswith(f"{of.name}-"):

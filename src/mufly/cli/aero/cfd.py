@@ -278,7 +278,7 @@ def solve_elastic_point(rotor: str, case: CaseOptions, *, rpm: float, climb: flo
     cfd.find_solver()
     with _show_solver_progress(not as_json) as tell:
         _, rounds = cfd.solve_elastic_blade(out, r, progress=tell, **given)
-    last = out / f"round-{rounds.tip_twist_rad.size - 1}"
+    last = out / f"round-{rounds.tip_twist_by_round_rad.size - 1}"
     if not report_case(last, r, as_json, rounds):
         raise typer.Exit(1)
 
@@ -385,15 +385,16 @@ def study(
         {
             "case": name, "thrust_N": s.verdict.thrust_N, "thrust_change": s.verdict.thrust_N / first.thrust_N - 1.0,
             "torque_Nm": s.verdict.torque_Nm, "torque_change": s.verdict.torque_Nm / first.torque_Nm - 1.0,
-            "wake_torque": s.wake_torque, "eddy_ratio": s.eddy_ratio, "verdict": s.verdict.outcome,
+            "wake_torque_ratio": s.wake_torque_ratio, "max_eddy_viscosity_ratio": s.max_eddy_viscosity_ratio,
+            "verdict": s.verdict.outcome,
         }
         for name, s in found.items()
     ]  # fmt: skip
     columns: list[ResultColumn | str] = [
         "case", ResultColumn("thrust_N", form=".4f"), ResultColumn("thrust_change", form="+.1%"),
         ResultColumn("torque_Nm", "mN m", ".4f"), ResultColumn("torque_change", form="+.1%"),
-        ResultColumn("wake_torque", form=".2f", head="torque in the wake"),
-        ResultColumn("eddy_ratio", form=".3g", head="nut/nu"), "verdict",
+        ResultColumn("wake_torque_ratio", form=".2f", head="torque in the wake"),
+        ResultColumn("max_eddy_viscosity_ratio", form=".3g", head="nut/nu"), "verdict",
     ]  # fmt: skip
     files = [write_records(out / f"{what}.csv", rows)]
     print_answer(as_json, {"cases": rows}, lambda: print_result_table(rows, columns), files)
@@ -450,8 +451,8 @@ def compare(
 
     def print_comparison() -> None:
         parts = (
-            ("Thrust (N)", [(c.verdict.thrust_N, c.thrust) for c in found]),
-            ("Torque (mN m)", [(1e3 * c.verdict.torque_Nm, c.torque) for c in found]),
+            ("Thrust (N)", [(c.verdict.thrust_N, c.thrust_deviations) for c in found]),
+            ("Torque (mN m)", [(1e3 * c.verdict.torque_Nm, c.torque_deviations) for c in found]),
         )
         for title, values in parts:
             names = list(values[0][1])
@@ -489,7 +490,7 @@ def show_convergence(
     def print_convergence() -> None:
         rows = [
             (c.name, *(f"{v:.5g}" for v in c.values[::-1]), f"{100 * c.last_step:+.2g} %", f"{c.order:.2f}",
-             f"{c.limit:.5g}", f"{100 * c.index:.2g} %", "" if c.sound else "not reliable")
+             f"{c.extrapolated_value:.5g}", f"{100 * c.index:.2g} %", "" if c.sound else "not reliable")
             for c in found
         ]  # fmt: skip
         names = [f"{n} cells" for n in found[0].cells[::-1]]

@@ -34,7 +34,7 @@ def report_case(folder: Path, rotor: Rotor | None, as_json: bool, rounds: Aeroel
     content, show, files, _ = _write_solution_report(folder, rotor)
     if rounds is not None:
         content = {**content, "rounds": rounds}
-        told = ", ".join(f"{math.degrees(v):+.2f}" for v in rounds.tip_twist_rad)
+        told = ", ".join(f"{math.degrees(v):+.2f}" for v in rounds.tip_twist_by_round_rad)
         if not as_json:
             print_lines(
                 f"elastic blade, twist of the tip: {told} degrees (blade elements, then after each round); tip up "
@@ -59,7 +59,7 @@ def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: 
         show_upper()
         show_lower()
         _print_pair_ratios(ratios)
-        up, low = pair.between_m_s
+        up, low = pair.midway_downwash_m_s
         make_console().print(
             f"Half way between the discs the mean downward velocity is {up:.2f} m/s under the upper rotor's blades and "
             f"{low:.2f} m/s in the lower one's case.",
@@ -68,7 +68,7 @@ def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: 
         if not pair.settled:
             make_console().print("Not settled: do not rely on these numbers.", style="yellow", highlight=False)
 
-    ratios_of = select_fields(pair, "settled thrust_ratio torque_ratio between_m_s")
+    ratios_of = select_fields(pair, "settled thrust_ratio torque_ratio midway_downwash_m_s")
     print_answer(as_json, {**ratios_of, "upper": upper, "lower": lower}, print_pair, files)
     return pair.settled
 
@@ -79,7 +79,7 @@ def report_inflow(folder: Path, rotor: Rotor | None, solutions: list[CfdSolution
     from mufly.vehicle import load_coefficient_map
 
     found = compare_climbs(solutions, rotor, load_coefficient_map("walkera-5g6-bemt"))
-    columns = {"cfd": found.c_T, **found.other_methods, "map_over_hover": found.map_part}
+    columns = {"cfd": found.c_T, **found.other_methods, "map_over_hover": found.map_thrust_ratio}
     coefficients = {name if "map" in name else f"c_T_{name}": values for name, values in columns.items()}
     rows = to_records(
         {
@@ -170,11 +170,12 @@ def _write_solution_report(
     ]
 
     kept = (
-        "verdict thrust_N torque_Nm power_W c_T c_Q figure_of_merit friction_torque r_m dr_m thrust_N_m torque_Nm_m "
-        "reversed_flow_fraction"
+        "verdict thrust_N torque_Nm power_W c_T c_Q figure_of_merit friction_torque_fraction r_m dr_m thrust_N_m "
+        "torque_Nm_m reversed_flow_fraction"
     )
     content = {
-        "point": found.point, **select_fields(found, f"{kept} eddy_ratio wake_torque wake_thrust"),
+        "point": found.point,
+        **select_fields(found, f"{kept} max_eddy_viscosity_ratio wake_torque_ratio wake_thrust_ratio"),
         "yplus_largest": float(found.yplus.max()), "yplus_median": float(np.median(found.yplus)),
         "beside": {o.method: select_fields(o, "thrust_N torque_Nm") for o in others},
         **({} if low is None else {"lower": select_fields(low, kept)}),
@@ -226,15 +227,19 @@ def _print_solution(found: CfdSolution, others: list[SpanLoads], p: OperatingPoi
     c.print(
         f"Drift {100 * v.drift:.2g} % and swing {100 * v.swing:.2g} % in the last 400 iterations, outflow "
         f"{1e3 * v.outflow_m3_s:.3g} l/s at the bottom, continuity {v.leak:.1e}; friction is "
-        f"{100 * found.friction_torque:.0f} % of the torque; y+ up to {found.yplus.max():.2g}, median "
+        f"{100 * found.friction_torque_fraction:.0f} % of the torque; y+ up to {found.yplus.max():.2g}, median "
         f"{np.median(found.yplus):.2g}; figure of merit {found.figure_of_merit:.3f}"
         + (
-            f"; the air below carries {100 * found.wake_torque:.0f} % of the torque, "
-            f"{100 * found.wake_thrust:.0f} % of the thrust"
-            if np.isfinite(found.wake_torque)
+            f"; the air below carries {100 * found.wake_torque_ratio:.0f} % of the torque, "
+            f"{100 * found.wake_thrust_ratio:.0f} % of the thrust"
+            if np.isfinite(found.wake_torque_ratio)
             else ""
         )
-        + (f"; turbulent over molecular viscosity up to {found.eddy_ratio:.3g}" if found.eddy_ratio else ""),
+        + (
+            f"; turbulent over molecular viscosity up to {found.max_eddy_viscosity_ratio:.3g}"
+            if found.max_eddy_viscosity_ratio
+            else ""
+        ),
         highlight=False,
     )
     left = 100 * float(np.average(found.reversed_flow_fraction, weights=found.dr_m))

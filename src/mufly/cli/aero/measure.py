@@ -105,8 +105,9 @@ def measure(
     blade = found.rotor.blade
     if as_json:
         content = {
-            "name": found.rotor.name, "pitch_std_rad": found.pitch_std_rad, "chord_std_m": found.chord_std_m,
-            "effective_pitch_mean_rad": prior.mean_rad, "effective_pitch_std_rad": prior.std_rad,
+            "name": found.rotor.name, "common_pitch_std_rad": found.common_pitch_std_rad,
+            "chord_std_m": found.chord_std_m,
+            "effective_pitch_mean_rad": prior.offset_mean_rad, "effective_pitch_std_rad": prior.offset_std_rad,
             "notes": found.notes,
         }  # fmt: skip
         return print_answer(as_json, content, None, files)
@@ -123,8 +124,8 @@ def measure(
     for note in found.notes:
         c.print(f"Note: {note}", style="yellow", highlight=False)
     c.print(
-        f"angles as a whole: ± {math.degrees(found.pitch_std_rad):.2f}°; effective pitch {prior.origin}: "
-        f"{math.degrees(prior.mean_rad):+.2f} ± {math.degrees(prior.std_rad):.2f}°",
+        f"angles as a whole: ± {math.degrees(found.common_pitch_std_rad):.2f}°; effective pitch {prior.origin}: "
+        f"{math.degrees(prior.offset_mean_rad):+.2f} ± {math.degrees(prior.offset_std_rad):.2f}°",
         highlight=False,
     )
     if out is None:
@@ -132,7 +133,7 @@ def measure(
     print_files(files)
 
 
-def _ask_readings(radius_m: float, tip_height_m: float | None) -> tuple[Any, Any, Any, Any, float | None]:
+def _ask_readings(radius_m: float, tip_leading_edge_rise_m: float | None) -> tuple[Any, Any, Any, Any, float | None]:
     """Ask for chord, angle and thickness at the recommended stations, and for the tip height unless it is given."""
     import numpy as np
 
@@ -176,9 +177,9 @@ def _ask_readings(radius_m: float, tip_height_m: float | None) -> tuple[Any, Any
         thickness = ask(question, "thickness", "mm", 0.0, MAX_THICKNESS_RATIO * chord, optional=True)
         rows.append((1e-3 * at, 1e-3 * chord, math.radians(angle), thickness / chord))
     r, chords, angles, ratios = np.array(rows).T
-    if tip_height_m is None:
+    if tip_leading_edge_rise_m is None:
         most = 1e3 * chords[-1]
-        tip_height_m = 1e-3 * ask(
+        tip_leading_edge_rise_m = 1e-3 * ask(
             "last station", "height of leading less trailing edge", "mm", -most, most, optional=True
         )
-    return r, chords, angles, ratios, None if math.isnan(tip_height_m) else tip_height_m
+    return r, chords, angles, ratios, None if math.isnan(tip_leading_edge_rise_m) else tip_leading_edge_rise_m

@@ -185,7 +185,8 @@ def fit(
             "rotor": r.name, "measurements": bench.source, "names": FIT_PARAMETERS,
             **select_fields(found, "change std prior_std correlation undecided"),
             "sections": [{"airfoils": name, "probability": share} for name, share in found.fit.list_sections()],
-            **select_fields(found, "error_before=errors_before error_after=errors_after held_out_error=held_out"),
+            **select_fields(found, "error_before=scaled_errors_before error_after=scaled_errors_after"),
+            **select_fields(found, "held_out_error=held_out"),
             "held_out": found.held_out_note, "notes": bench.notes,
         }  # fmt: skip
         return print_answer(as_json, content, None, files)
@@ -210,7 +211,7 @@ def fit(
     )
     for line in found.undecided:
         c.print(line, style="dim", highlight=False)
-    rows = [("as given", found.errors_before), ("fitted", found.errors_after)]
+    rows = [("as given", found.scaled_errors_before), ("fitted", found.scaled_errors_after)]
     print_table(
         ("mean absolute error", "thrust", "torque"),
         [
@@ -286,7 +287,7 @@ def compare(
         keys = (
             "pitch_rad=measured.pitch_rad speed_rad_s=measured.speed_rad_s thrust_N "
             "measured_thrust_N=measured.thrust_N thrust_error torque_Nm measured_torque_Nm=measured.torque_Nm "
-            "torque_error fault=faults"
+            "torque_error fault=prediction_faults"
         )
         content = {
             "rotor": r.name, "measurements": bench.source, "calibrated": c.calibrated, "model": theory.model,
@@ -299,6 +300,6 @@ def compare(
     if calibrate is not None:
         lift, drag = blading.corrections.lift_factor, blading.corrections.drag_factor
         typer.echo(f"lift is scaled by {lift:.4f}, drag by {drag:.4f}; 'rotor fit --point {calibrate}' keeps the point")
-    for k, fault in enumerate(c.faults):
+    for k, fault in enumerate(c.prediction_faults):
         if fault:
             typer.secho(f"point {k + 1}: wake {fault}", fg=typer.colors.YELLOW)

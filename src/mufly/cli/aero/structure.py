@@ -60,9 +60,9 @@ def show_beam(
             ("material", "E (GPa)", "G (GPa)", "density (kg/m3)", "source"),
             [
                 (
-                    m.name, f"{1e-9 * m.young_modulus_Pa:.3g} ± {100 * m.young_std:.0f} %",
-                    f"{1e-9 * m.shear_modulus_Pa:.3g} ± {100 * m.shear_std:.0f} %",
-                    f"{m.density_kg_m3:.0f} ± {100 * m.density_std:.0f} %", m.source,
+                    m.name, f"{1e-9 * m.young_modulus_Pa:.3g} ± {100 * m.young_relative_std:.0f} %",
+                    f"{1e-9 * m.shear_modulus_Pa:.3g} ± {100 * m.shear_relative_std:.0f} %",
+                    f"{m.density_kg_m3:.0f} ± {100 * m.density_relative_std:.0f} %", m.source,
                 )
                 for m in MATERIALS.values()
             ],

@@ -36,8 +36,8 @@ class BladeFamilyPrior(NamedTuple):
     """Prior of a blade family: probability, mean and deviation of camber and thickness (% of the chord), rationale."""
 
     probability: float
-    camber_percent: tuple[float, float]
-    thickness_percent: tuple[float, float]
+    camber_mean_std_percent: tuple[float, float]
+    thickness_mean_std_percent: tuple[float, float]
     rationale: str
 
 
@@ -80,8 +80,8 @@ def section_probabilities(rotor: Rotor, family: str = "") -> list[tuple[tuple[st
     total = np.zeros(camber.shape)
     for one in chosen:
         part = np.exp(
-            -0.5 * ((camber - one.camber_percent[0]) / one.camber_percent[1]) ** 2
-            - 0.5 * ((thickness - one.thickness_percent[0]) / one.thickness_percent[1]) ** 2
+            -0.5 * ((camber - one.camber_mean_std_percent[0]) / one.camber_mean_std_percent[1]) ** 2
+            - 0.5 * ((thickness - one.thickness_mean_std_percent[0]) / one.thickness_mean_std_percent[1]) ** 2
         )
         total += one.probability * part / part.sum()
     total *= (1.0 - STATED_SECTION_PROBABILITY) / total.sum()

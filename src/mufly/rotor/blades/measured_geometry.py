@@ -55,13 +55,13 @@ class GeometryReadings(NamedTuple):
     """Readings of calipers and protractor at n stations of a blade.
 
     Radius and chord (m), angle (rad) and greatest thickness over chord (nan where not measured) are (n,) arrays.
-    ``tip_height_m`` is the height of the leading over the trailing edge at the last station, or None.
+    ``tip_leading_edge_rise_m`` is the height of the leading over the trailing edge at the last station, or None.
     """
 
     r_m: Array
     chord_m: Array
     angle_rad: Array
-    tip_height_m: float | None = None
+    tip_leading_edge_rise_m: float | None = None
     thickness: Array | None = None
 
 
@@ -71,7 +71,7 @@ class MeasuredGeometry(NamedTuple):
     """
 
     rotor: Rotor
-    pitch_std_rad: float
+    common_pitch_std_rad: float
     chord_std_m: float
     notes: tuple[str, ...]
 
@@ -131,8 +131,8 @@ def measure_geometry(
         s, s_c = max(s, scatter), max(s_c, scatter_c)
     common, single = 0.5 * s**2, 0.5 * s**2
     left = common
-    if readings.tip_height_m is not None:
-        h, c, b = readings.tip_height_m, float(width[-1]), float(twist[-1])
+    if readings.tip_leading_edge_rise_m is not None:
+        h, c, b = readings.tip_leading_edge_rise_m, float(width[-1]), float(twist[-1])
         if not abs(h) < c:
             raise InputError(
                 name, "tip height", f"{1e3 * h:g} mm is not less than the chord of {1e3 * c:g} mm",

@@ -76,7 +76,14 @@ MAX_NEWTON_STEPS = 80
 NEWTON_RESIDUAL_TOLERANCE = 1e-10
 INFLOW_CODES = {"annular": 0, "pitt-peters": 1, "uniform": 2, "prescribed": 3}
 FIELD_INFLOW, FIELD_ALPHA, FIELD_LIFT, FIELD_DRAG, FIELD_REYNOLDS, FIELD_THRUST = range(6)
-FIELD_COLUMNS = ("inflow_m_s", "alpha_rad", "lift_coefficient", "drag_coefficient", "reynolds", "thrust_per_length_N_m")
+FIELD_COLUMNS = (
+    "axial_induced_m_s",
+    "onset_angle_rad",
+    "lift_coefficient",
+    "drag_coefficient",
+    "reynolds",
+    "thrust_per_length_N_m",
+)
 _FULL_JACOBIAN_RESIDUAL = 0.02
 """Residual below which Newton steps see how swirl and tip loss change with the inflow. Farther away, and in descent,
 these slopes lead astray."""

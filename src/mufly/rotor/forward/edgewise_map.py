@@ -262,7 +262,7 @@ class FlightSplines(NamedTuple):
 
     Attributes
     ----------
-    ratio, ratio_low, ratio_high : float
+    speed_ratio_middle, speed_ratio_low, speed_ratio_high : float
         Middle, lowest and highest speed ratio; infinite edges for a map of one ratio.
     start, per_step : (2,) arrays
         First value of climb ratio and e, and reciprocal of the step.
@@ -270,18 +270,18 @@ class FlightSplines(NamedTuple):
         Number of values of climb ratio and of e.
     coefficient_table : (climbs + 2, edges, 12) array
         As for :func:`interpolate_flow_loads`.
-    rates : (edges, 8) array
+    rate_coefficient_table : (edges, 8) array
         Spline coefficients over e of the loads per body rate, for both rotors.
     """
 
-    ratio: float
-    ratio_low: float
-    ratio_high: float
+    speed_ratio_middle: float
+    speed_ratio_low: float
+    speed_ratio_high: float
     start: Array
     per_step: Array
     size: NDArray[np.int64]
     coefficient_table: Array
-    rates: Array
+    rate_coefficient_table: Array
 
 
 def fit_flight_splines(tables: FlightMapTables) -> FlightSplines:
@@ -351,8 +351,8 @@ def evaluate_flight_map(flight_map: FlightMap) -> MapLoads:
     splines = fit_flight_splines(flight_map.decode_map_tables())
     edge = flight_map.decode_map_tables().edgewise
     mean, radius = flight_map.mean_speed_rad_s, flight_map.radius_m
-    up = 2.0 * mean / (1.0 + splines.ratio)
-    speeds = np.array([up, splines.ratio * up])
+    up = 2.0 * mean / (1.0 + splines.speed_ratio_middle)
+    speeds = np.array([up, splines.speed_ratio_middle * up])
     speed = flight_map.knee * np.sqrt(edge / (1.0 - edge)) * mean * radius
     rest = float(-splines.start[0] * splines.per_step[0])
     climbs, edges = (int(n) for n in splines.size)
@@ -362,7 +362,7 @@ def evaluate_flight_map(flight_map: FlightMap) -> MapLoads:
     ]).reshape(edges, 2, FLOW_COLUMN_COUNT)  # fmt: skip
     thrust, torque, drag, side, roll, pitch = np.moveaxis(flow, -1, 0)
     scale = flight_map.density_kg_m3 * math.pi * radius**3 * speeds
-    turning = np.array(interpolate_rate_loads(splines.rates.ravel(), edges, 0.0)).reshape(2, 4)
+    turning = np.array(interpolate_rate_loads(splines.rate_coefficient_table.ravel(), edges, 0.0)).reshape(2, 4)
     force, moment = scale * speed[:, None], scale * radius * speed[:, None]
     return MapLoads(
         speed, thrust, torque, drag * force, side * force, roll * moment, pitch * moment,

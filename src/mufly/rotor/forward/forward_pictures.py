@@ -24,11 +24,11 @@ def draw_disc_fields(result: ForwardResult) -> Figure:
     disc = result.disc
     figure = blank_figure(12.0, 4.6)
     psi = np.append(disc.azimuth_rad, 2.0 * math.pi)
-    hidden = np.abs(disc.alpha_rad) > math.radians(45.0)  # reversed flow
-    onset = np.where(hidden, np.nan, np.degrees(disc.alpha_rad))
+    hidden = np.abs(disc.onset_angle_rad) > math.radians(45.0)  # reversed flow
+    onset = np.where(hidden, np.nan, np.degrees(disc.onset_angle_rad))
     for k, (values, title, colours) in enumerate(
         (
-            (disc.inflow_m_s, "Induced velocity, down (m/s)", "viridis"),
+            (disc.axial_induced_m_s, "Induced velocity, down (m/s)", "viridis"),
             (onset, "Onset angle (deg)", "RdBu_r"),
             (disc.thrust_per_length_N_m, "Thrust of a blade per length (N/m)", "magma"),
         ),
@@ -106,7 +106,7 @@ def draw_pair_sweep(sweep: PairSweep) -> Figure:
                 [1e3 * p.h_force_N for p in line],
                 [1e3 * p.pitch_moment_Nm for p in line],
                 [1e3 * p.roll_moment_Nm for p in line],
-                [p.overlap for p in line],
+                [p.stream_share_on_lower_disc for p in line],
             ),
             strict=True,
         ):

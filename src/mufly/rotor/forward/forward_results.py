@@ -74,9 +74,9 @@ class DiscFields:
     ----------
     azimuth_rad : (azimuths,) array
     r_m : (stations,) array
-    inflow_m_s : array
+    axial_induced_m_s : array
         Induced velocity of the rotor itself, down positive.
-    alpha_rad : array
+    onset_angle_rad : array
         Onset angle of the section: angle of attack, and the part that finite chord takes.
     lift_coefficient, drag_coefficient, reynolds : arrays
     thrust_per_length_N_m : array
@@ -85,8 +85,8 @@ class DiscFields:
 
     azimuth_rad: Array
     r_m: Array
-    inflow_m_s: Array
-    alpha_rad: Array
+    axial_induced_m_s: Array
+    onset_angle_rad: Array
     lift_coefficient: Array
     drag_coefficient: Array
     reynolds: Array
@@ -101,7 +101,7 @@ class SolverState:
     Prandtl's factor and drag per length (N/m).
     """
 
-    inflow_m_s: Array
+    axial_induced_m_s: Array
     unknowns: Array
     annulus_values: Array
 
@@ -130,9 +130,9 @@ class ForwardResult:
         Hub moments, right side down and nose up.
     coning_rad, flap_cos_rad, flap_sin_rad : float
         Flapping beta = coning + cos psi and sin psi parts; psi = 0 aft, with the rotation.
-    flap_2_rad : float
+    flap_2_per_rev_rad : float
         Amplitude of flapping twice per revolution.
-    thrust_2_N : float
+    blade_thrust_2_per_rev_N : float
         Amplitude of the thrust of one blade twice per revolution.
     inflow_mean, inflow_cos, inflow_sin : float
         l0, lc and ls of the induced velocity over the tip speed, in wind axes.
@@ -140,10 +140,10 @@ class ForwardResult:
         Parts of the power; shaft power + H V = induced + profile + thrust times climb.
     c_T, c_Q, c_H : float
         Coefficients over rho pi R^4 Omega^2 (times R for the torque).
-    outside : bool
+    is_outside_range : bool
         True if the point lies outside the range of the method.
     notes : tuple of str
-        Reasons for ``outside``.
+        Reasons for ``is_outside_range``.
     steps : int
         Newton steps.
     disc : DiscFields
@@ -169,8 +169,8 @@ class ForwardResult:
     coning_rad: float
     flap_cos_rad: float
     flap_sin_rad: float
-    flap_2_rad: float
-    thrust_2_N: float
+    flap_2_per_rev_rad: float
+    blade_thrust_2_per_rev_N: float
     inflow_mean: float
     inflow_cos: float
     inflow_sin: float
@@ -179,7 +179,7 @@ class ForwardResult:
     c_T: float
     c_Q: float
     c_H: float
-    outside: bool
+    is_outside_range: bool
     notes: tuple[str, ...]
     steps: int
     disc: DiscFields

@@ -269,7 +269,7 @@ def _find_solution(
         down = c.climb_m_s + 2.0 * float(np.sum(mean * blade.r_m * blade.dr_m)) / blade.radius_m**2
         x = np.zeros(GLOBAL_UNKNOWN_COUNT)
         x[UNKNOWN_INFLOW] = momentum_induced_velocity(0.5 * found.c_T * tip**2, down, 0.0) / tip
-        return found.inflow_m_s.copy(), x
+        return found.axial_induced_m_s.copy(), x
 
     def guess_start_state() -> tuple[Array, Array]:
         x = np.zeros(GLOBAL_UNKNOWN_COUNT)
@@ -277,9 +277,9 @@ def _find_solution(
         return np.full(blade.r_m.size, 0.05 * tip), x
 
     guesses = []
-    if start is not None and start.state.inflow_m_s.size == blade.r_m.size:
+    if start is not None and start.state.axial_induced_m_s.size == blade.r_m.size:
         scale = tip / (start.speed_rad_s * blade.radius_m)
-        guesses.append((scale * start.state.inflow_m_s, start.state.unknowns.copy()))
+        guesses.append((scale * start.state.axial_induced_m_s, start.state.unknowns.copy()))
     makers = (
         (guess_start_state, start_from_axial_flow)
         if c.climb_m_s >= 0.0 or c.edgewise_m_s > 0.1 * tip
@@ -355,8 +355,8 @@ def _make_result(
         coning_rad=float(x[UNKNOWN_CONING]),
         flap_cos_rad=float(x[UNKNOWN_FLAP_COS] * turn_cos + x[UNKNOWN_FLAP_SIN] * turn_sin),
         flap_sin_rad=float(x[UNKNOWN_FLAP_SIN] * turn_cos - x[UNKNOWN_FLAP_COS] * turn_sin),
-        flap_2_rad=math.hypot(x[UNKNOWN_FLAP_COS_2], x[UNKNOWN_FLAP_SIN_2]),
-        thrust_2_N=math.hypot(t2c, t2s),
+        flap_2_per_rev_rad=math.hypot(x[UNKNOWN_FLAP_COS_2], x[UNKNOWN_FLAP_SIN_2]),
+        blade_thrust_2_per_rev_N=math.hypot(t2c, t2s),
         inflow_mean=float(x[UNKNOWN_INFLOW]),
         inflow_cos=float(x[UNKNOWN_INFLOW_COS]),
         inflow_sin=float(x[UNKNOWN_INFLOW_SIN]),
@@ -365,7 +365,7 @@ def _make_result(
         c_T=float(thrust / force_scale),
         c_Q=float(torque / (force_scale * radius)),
         c_H=float(-forward / force_scale),
-        outside=bool(notes),
+        is_outside_range=bool(notes),
         notes=tuple(notes),
         steps=steps,
         disc=DiscFields(psi, blade.r_m, **columns),

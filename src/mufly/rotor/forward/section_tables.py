@@ -78,13 +78,14 @@ def station_tables(blading: Blading, which: int, air: Air) -> Array:
         first, second = int(blading.first_polar[which, i]), int(blading.second_polar[which, i])
         weight = float(blading.second_weight[which, i])
         mixed = [
-            (1.0 - weight) * v[first] + weight * v[second] for v in (blading.polar_zero_lift_rad, blading.thickness)
+            (1.0 - weight) * v[first] + weight * v[second]
+            for v in (blading.polar_zero_lift_rad, blading.polar_thickness_ratio)
         ]
         section = SectionParameters(
-            first, second, weight, float(mixed[0]), float(blading.stall_delay[which, i]), float(fixes.lift_factor),
-            float(fixes.drag_factor), float(mixed[1]), float(blading.edge_drag[which, i]),
+            first, second, weight, float(mixed[0]), float(blading.stall_delay_strength[which, i]),
+            float(fixes.lift_factor), float(fixes.drag_factor), float(mixed[1]), float(blading.edge_drag[which, i]),
         )  # fmt: skip
-        e, chord = float(blading.chord_factor[which, i]), float(blading.chord_m[which, i])
+        e, chord = float(blading.angle_loss_per_cl_rad[which, i]), float(blading.chord_m[which, i])
         mach = np.minimum(np.exp(log_re) * kinematic / (chord * air.sound_m_s), _MAX_MACH)
         alpha = np.tile(ALPHA_GRID, (rows, 1))
         if e > 0.0:

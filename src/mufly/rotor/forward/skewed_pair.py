@@ -39,7 +39,7 @@ _MAX_STREAM_SHIFT_RADII = 20.0  # of the radius; beyond, nothing of the stream m
 PAIR_COLUMNS = (
     ResultColumn("upper.flap_frequency_ratio", form=".3g", head="nu"),
     ResultColumn("upper.edgewise_m_s", form=".3g", head="V", own_unit="m/s"),
-    ResultColumn("overlap", form=".2f", head="overlap"),
+    ResultColumn("stream_share_on_lower_disc", form=".2f", head="overlap"),
     ResultColumn("upper.thrust_N", "N", ".4g", head="T upper"),
     ResultColumn("lower.thrust_N", "N", ".4g", head="T lower"),
     ResultColumn("power_W", "W", ".4g", head="power"),
@@ -54,8 +54,8 @@ PAIR_COLUMNS = (
 @result(
     eq=False,
     picture="mufly.rotor.forward.forward_pictures:draw_rotor_pair",
-    json="upper lower spacing_m shift_m overlap thrust_N power_W h_force_N y_force_N roll_moment_Nm pitch_moment_Nm "
-    "yaw_torque_Nm",
+    json="upper lower spacing_m shift_m stream_share_on_lower_disc thrust_N power_W h_force_N y_force_N "
+    "roll_moment_Nm pitch_moment_Nm yaw_torque_Nm",
 )
 class ForwardPair:
     """Loads of a coaxial pair in forward flight: sums of both rotors' forces and of their moments about their own hubs.
@@ -68,9 +68,9 @@ class ForwardPair:
         Distance of the discs.
     shift_m : float
         Displacement of the upper stream at the lower disc, downwind.
-    overlap : float
+    stream_share_on_lower_disc : float
         Share of the contracted stream that meets the lower disc.
-    turns : int
+    coupling_iterations : int
         Iterations of the coupling.
     """
 
@@ -78,8 +78,8 @@ class ForwardPair:
     lower: ForwardResult
     spacing_m: float
     shift_m: float
-    overlap: float
-    turns: int
+    stream_share_on_lower_disc: float
+    coupling_iterations: int
 
     @property
     def thrust_N(self) -> float:
@@ -160,14 +160,14 @@ def _shifted_stream(
     k = tube_axis_speed(spacing_m, radius_m)
     state, own_r = upper.state, upper.disc.r_m
     read = axial_influence(own_r, radius_m, 1.0 / math.sqrt(k), r.ravel(), width)
-    mean = (read @ state.inflow_m_s).reshape(r.shape)
+    mean = (read @ state.axial_induced_m_s).reshape(r.shape)
     # First harmonics of the upper inflow about the displaced axis; the rotors turn against each other.
     lc, ls = state.unknowns[[UNKNOWN_INFLOW_COS, UNKNOWN_INFLOW_SIN]]
     gradient = (read @ (upper.speed_rad_s * own_r)).reshape(r.shape)
     safe = np.maximum(r, 1e-9 * radius_m)
     axial = k * (mean + gradient * (lc * along - ls * across) / safe)
     swirl, loss, drag = state.annulus_values.T
-    down = upper.climb_m_s + met + loss * state.inflow_m_s
+    down = upper.climb_m_s + met + loss * state.axial_induced_m_s
     turning = 2.0 * loss * swirl * own_r + drag_angular_momentum(drag, down, density, own_r, upper_dr)
     around = (swirl_influence(own_r, radius_m, spacing_m, safe.ravel(), width) @ turning).reshape(r.shape)
     facing = (lower_r - shift_m * np.cos(psi)[:, None]) / safe
@@ -223,12 +223,12 @@ def solve_forward_pair(
     met = np.zeros(above.r_m.shape[1])
     one, two = (None, None) if start is None else (start.upper, start.lower)
     if two is not None:
-        met = upward @ two.state.inflow_m_s
+        met = upward @ two.state.axial_induced_m_s
     step, scale = math.inf, 1.0
     last_change, last_image = np.empty(0), np.empty(0)
     for turn in range(1, _MAX_COUPLING_ITERATIONS + 1):
         one = solve_forward(above, first, flaps[0], start=one, stream_m_s=np.tile(met, (AZIMUTH_COUNT, 1)))
-        mean = one.state.inflow_m_s + met
+        mean = one.state.axial_induced_m_s + met
         through = first.climb_m_s + 2.0 * float(np.sum(mean * above.r_m[0] * above.dr_m[0])) / radii[0] ** 2
         slope = first.edgewise_m_s / max(through, 1e-3 * first.edgewise_m_s + 1e-9)
         shift = min(spacing_m * slope, _MAX_STREAM_SHIFT_RADII * radii[0])
@@ -237,8 +237,8 @@ def solve_forward_pair(
             first.air.density_kg_m3,
         )  # fmt: skip
         two = solve_forward(below, second, flaps[1], start=two, stream_m_s=axial, swirl_m_s=around)
-        image = upward @ two.state.inflow_m_s
-        step, scale = float(np.max(np.abs(image - met))), float(np.max(np.abs(one.state.inflow_m_s))) + 1e-9
+        image = upward @ two.state.axial_induced_m_s
+        step, scale = float(np.max(np.abs(image - met))), float(np.max(np.abs(one.state.axial_induced_m_s))) + 1e-9
         change = image - met
         following = image if turn < 25 else 0.5 * (met + image)
         if last_change.size and turn < 25:  # Anderson acceleration of depth one

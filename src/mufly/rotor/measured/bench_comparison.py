@@ -94,7 +94,7 @@ class MeasurementComparison:
         Prediction / measurement - 1; nan without a measurement.
     calibrated : bool
         True if the prediction was calibrated on a measurement.
-    faults : tuple of str
+    prediction_faults : tuple of str
         Reason why a point has no prediction, for each point; empty if it has one.
     """
 
@@ -104,7 +104,7 @@ class MeasurementComparison:
     thrust_error: Array
     torque_error: Array
     calibrated: bool
-    faults: tuple[str, ...] = ()
+    prediction_faults: tuple[str, ...] = ()
 
     @property
     def mean_thrust_error(self) -> float:

@@ -91,9 +91,9 @@ class RotorFit:
     undecided : tuple of str
         Parameters that the bench run does not determine.
     measured : RotorMeasurements
-    errors_before, errors_after : (2, n) arrays
+    scaled_errors_before, scaled_errors_after : (2, n) arrays
         Errors of thrust and torque over ``load_scales``, without and with the fit.
-    size : (2, n) array
+    load_scales : (2, n) array
         T_s (N) and Q_s (N m) of the module docstring.
     held_out : (2,) array
         Mean absolute error of thrust and torque at held-out points; nan if there are too few.
@@ -110,9 +110,9 @@ class RotorFit:
     correlation: Array
     undecided: tuple[str, ...]
     measured: RotorMeasurements
-    errors_before: Array
-    errors_after: Array
-    size: Array
+    scaled_errors_before: Array
+    scaled_errors_after: Array
+    load_scales: Array
     held_out: Array
     held_out_note: str
     air: Air
@@ -215,7 +215,7 @@ def fit_rotor(
         float(np.exp(np.mean(np.log(re)))),
     )
     listed = section_probabilities(plain, family) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
-    wide = _prior_deviations(effective_pitch_prior(plain).std_rad, known=section == "known")
+    wide = _prior_deviations(effective_pitch_prior(plain).offset_std_rad, known=section == "known")
     ones = [replace_rotor(plain, {"blade.airfoils": airfoils}) for airfoils, _ in listed]
     every = {name for one in ones for name in one.airfoil_names()}
     tables = compute_rotor_polars(plain, every, n_crit=n_crit, engine=engine)

@@ -68,7 +68,7 @@ _MIN_SECTION_PROBABILITY = 0.003  # sections below this probability are left out
 class InputUncertainty:
     """Standard deviations of the causes of prediction errors; the defaults are those of a blade of known section."""
 
-    n_crit: tuple[float, ...] = (4.0, 9.0)
+    n_crit_cases: tuple[float, ...] = (4.0, 9.0)
     lift: float = 0.04
     drag: float = 0.08
     camber: float = 0.003
@@ -100,7 +100,7 @@ class PredictionInterval:
         Bounds of the intervals.
     level : float
         Nominal coverage probability.
-    thrust_relative_std, torque_relative_std : dict of str to (n,) arrays
+    thrust_relative_std_by_cause, torque_relative_std_by_cause : dict of str to (n,) arrays
         Relative standard deviation due to each cause.
     """
 
@@ -111,8 +111,8 @@ class PredictionInterval:
     torque_low_Nm: Array
     torque_high_Nm: Array
     level: float
-    thrust_relative_std: Mapping[str, Array]
-    torque_relative_std: Mapping[str, Array]
+    thrust_relative_std_by_cause: Mapping[str, Array]
+    torque_relative_std_by_cause: Mapping[str, Array]
 
     def as_record(self, k: int = 0) -> dict[str, Any]:
         """Return level, nominal values and intervals of point ``k``."""
@@ -193,7 +193,7 @@ def predict_interval(
     guessed = section == "guessed" and rotor.fit is None
     unsure = doubt or replace(
         InputUncertainty.for_guessed_section() if guessed else InputUncertainty(),
-        pitch_rad=effective_pitch_prior(rotor).std_rad,
+        pitch_rad=effective_pitch_prior(rotor).offset_std_rad,
     )
     fixes = corrections or Corrections()
     pitch, speed, climb = np.broadcast_arrays(*np.atleast_1d(pitch_rad, speed_rad_s, climb_m_s))
@@ -229,7 +229,10 @@ def predict_interval(
     shift = ZERO_LIFT_RAD_PER_CAMBER_RATIO * unsure.camber
     causes = {
         "n_crit": rms_deviation(
-            *(solve_loads(prepare_blading(rotor, n_crit=n, engine=engine, corrections=fixes)) for n in unsure.n_crit),
+            *(
+                solve_loads(prepare_blading(rotor, n_crit=n, engine=engine, corrections=fixes))
+                for n in unsure.n_crit_cases
+            ),
             (thrust, torque),
         ),
         "engine": _combine_deviations(

@@ -120,7 +120,7 @@ class PolarStack(NamedTuple):
     grid: Array
     log_reynolds_min: float
     rows_per_log_reynolds: float
-    log_reynolds_range: Array  # (tables, 2)
+    log_reynolds_limits: Array  # (tables, 2)
     alpha_valid_rad: Array  # (tables, nr, 2)
 
 
@@ -287,7 +287,7 @@ def stack_extrapolation_flags(
     j = np.minimum(v.astype(np.int64), max(rows - 2, 0))
     s = (v - j)[:, None]
     limits = (1.0 - s) * stack.alpha_valid_rad[k, j] + s * stack.alpha_valid_rad[k, np.minimum(j + 1, rows - 1)]
-    span = stack.log_reynolds_range[k]
+    span = stack.log_reynolds_limits[k]
     a = (alpha + math.pi) % _FULL_TURN_RAD - math.pi
     beyond_alpha = (a < limits[..., 0] - _VALID_RANGE_TOLERANCE) | (a > limits[..., 1] + _VALID_RANGE_TOLERANCE)
     beyond_re = (log_re < span[..., 0] - _VALID_RANGE_TOLERANCE) | (log_re > span[..., 1] + _VALID_RANGE_TOLERANCE)

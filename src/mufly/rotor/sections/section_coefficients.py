@@ -33,7 +33,7 @@ class SectionParameters(NamedTuple):
         Indices of the two polars that are mixed.
     second_weight : float
         Weight of the second polar.
-    polar_zero_lift_rad, stall_delay : float
+    polar_zero_lift_rad, stall_delay_strength : float
         Zero-lift angle (rad), strength g of the stall delay model.
     lift_factor, drag_factor : float
         Factors on the coefficients.
@@ -47,7 +47,7 @@ class SectionParameters(NamedTuple):
     second_polar: int
     second_weight: float
     polar_zero_lift_rad: float
-    stall_delay: float
+    stall_delay_strength: float
     lift_factor: float
     drag_factor: float
     thickness_ratio: float
@@ -89,7 +89,7 @@ def section_coefficients(
     Shocks add Lock's drag, 20 (M - M_cr)^4, M_cr = M_dd - (0.1 / 80)^(1/3), with Korn's drag divergence M_dd = 0.87 -
     t/c - |c_l| / 10 (Mason, AIAA 90-3262, 1990; 0.87: NACA 6 series).
     """
-    weight, rotation = section.second_weight, section.stall_delay
+    weight, rotation = section.second_weight, section.stall_delay_strength
     mach = min(mach, _MAX_MACH)
     alpha = equivalent_incompressible_alpha(alpha, mach, section.polar_zero_lift_rad)
     cl, cd = stack_coefficients(polars, section.first_polar, alpha, log_re)

@@ -105,9 +105,9 @@ def structure_deviations(structure: BladeStructure) -> dict[str, float]:
     axis = structure.elastic_axis
     own = axis is not None and axis.std is not None
     out = {
-        "young": m.young_std,
-        "shear": m.shear_std,
-        "density": m.density_std,
+        "young": m.young_relative_std,
+        "shear": m.shear_relative_std,
+        "density": m.density_relative_std,
         "thickness": relative_std(structure.thickness, _CONTOUR_THICKNESS_STD),
         "elastic_axis": float(axis.std or 0.0) if axis is not None and own else _ELASTIC_AXIS_STD if axis is None else
         0.02,

@@ -51,14 +51,14 @@ class StripLoads:
         Radii, rising.
     axial_N_m, inplane_N_m : array
         Force along the shaft, up, and in the direction of rotation (N/m).
-    moment_N : array
+    quarter_chord_moment_N : array
         Moment about the quarter chord line, nose up (N m/m).
     """
 
     r_m: Array
     axial_N_m: Array
     inplane_N_m: Array
-    moment_N: Array
+    quarter_chord_moment_N: Array
 
     def map_to_beam(self, beam: BladeBeam, pitch_rad: float, twist_rad: Array) -> SpanLoads:
         """Return the loads about the elastic axis at the Gauss points of a beam with an elastic twist."""
@@ -70,7 +70,7 @@ class StripLoads:
         axial, inplane = to_gauss_points(self.axial_N_m), to_gauss_points(self.inplane_N_m)
         normal = axial * np.cos(theta) - inplane * np.sin(theta)
         arm = (beam.axis_over_chord - 0.25) * beam.chord_m
-        return SpanLoads(axial, inplane, to_gauss_points(self.moment_N) + arm * normal)
+        return SpanLoads(axial, inplane, to_gauss_points(self.quarter_chord_moment_N) + arm * normal)
 
 
 def deform_rotor(rotor: Rotor, beam: BladeBeam, twist_rad: Array) -> Rotor:
@@ -98,7 +98,7 @@ class AeroelasticIteration:
 
     Attributes
     ----------
-    tip_twist_rad : (rounds + 1,) array
+    tip_twist_by_round_rad : (rounds + 1,) array
         Elastic twist of the tip before the first round and after each.
     twist_rad : (nodes,) array
         Elastic twist at the end, nose up.
@@ -108,7 +108,7 @@ class AeroelasticIteration:
         Deflection along the shaft, up.
     """
 
-    tip_twist_rad: Array
+    tip_twist_by_round_rad: Array
     twist_rad: Array
     r_m: Array
     deflection_m: Array

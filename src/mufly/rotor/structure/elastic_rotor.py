@@ -65,18 +65,20 @@ class SpanLoads:
     ----------
     axial_N_m, inplane_N_m : arrays
         Force along the shaft, up, and in the direction of rotation (N/m).
-    moment_N : array
+    elastic_axis_moment_N : array
         Moment about the elastic axis, nose up (N m/m).
     """
 
     axial_N_m: Array
     inplane_N_m: Array
-    moment_N: Array
+    elastic_axis_moment_N: Array
 
     def load_vector(self, beam: BladeBeam) -> Array:
         """Return the loads as the load vector of the beam's degrees of freedom, (size,)."""
         s = beam.shape_functions
-        return beam.assemble_load((self.axial_N_m, s["w"]), (self.inplane_N_m, s["v"]), (self.moment_N, s["p"]))
+        return beam.assemble_load(
+            (self.axial_N_m, s["w"]), (self.inplane_N_m, s["v"]), (self.elastic_axis_moment_N, s["p"])
+        )
 
 
 def section_moment(found: RotorResult, blading: Blading, polars: Mapping[str, PolarTable]) -> Array:
@@ -166,7 +168,7 @@ def load_derivative(beam: BladeBeam, below: SpanLoads, above: SpanLoads, step_ra
     for name, change in (
         ("w", above.axial_N_m - below.axial_N_m),
         ("v", above.inplane_N_m - below.inplane_N_m),
-        ("p", above.moment_N - below.moment_N),
+        ("p", above.elastic_axis_moment_N - below.elastic_axis_moment_N),
     ):
         out += beam.assemble_matrix((change / step_rad, s[name], s["p"]), symmetric=False)
     return out

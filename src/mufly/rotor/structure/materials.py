@@ -19,7 +19,7 @@ class Material(NamedTuple):
     ----------
     name : str
     young_modulus_Pa, shear_modulus_Pa, density_kg_m3 : float
-    young_std, shear_std, density_std : float
+    young_relative_std, shear_relative_std, density_relative_std : float
         Relative standard deviations.
     source : str
         Origin of the values.
@@ -29,9 +29,9 @@ class Material(NamedTuple):
     young_modulus_Pa: float
     shear_modulus_Pa: float
     density_kg_m3: float
-    young_std: float
-    shear_std: float
-    density_std: float
+    young_relative_std: float
+    shear_relative_std: float
+    density_relative_std: float
     source: str
 
 

@@ -169,14 +169,14 @@ def make_segments(paths: Array, core: Array, strength: Array) -> tuple[Array, Ar
 
 
 class SingleSegments(NamedTuple):
-    """Vortex segments in single precision, in groups of equal size; lengths are in units of ``length_m``.
+    """Vortex segments in single precision, in groups of equal size; lengths are in units of ``length_unit_m``.
 
     The unit avoids underflow.
 
     ``rows``, (10, groups, segments): start, line to the end, its square, s^2, s^2 times that square, circulation.
     """
 
-    length_m: float
+    length_unit_m: float
     rows: Any
 
 
@@ -211,7 +211,7 @@ def induce_velocity(points: Array, segments: tuple[Array, Array, Array, Array] |
 def group_velocity(points: Array, segments: SingleSegments) -> Array:
     """Return the velocity (m/s) at points (m, 3) due to each group of segments: (m, groups, 3) array."""
     out = np.empty((points.shape[0], segments.rows.shape[1], 3))
-    _grouped_kernel_single((points / segments.length_m).astype(np.float32), segments.rows, out)
+    _grouped_kernel_single((points / segments.length_unit_m).astype(np.float32), segments.rows, out)
     return out
 
 

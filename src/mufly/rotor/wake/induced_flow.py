@@ -150,7 +150,7 @@ class BladePassing:
 
     Attributes
     ----------
-    azimuth_rad : (m,) array
+    relative_azimuth_rad : (m,) array
         Relative azimuth of the blades (rad); 0 where they lie above each other.
     thrust_N, torque_Nm : (2, m) arrays
         Loads of upper and lower rotor, in the order of the solution's rotors.
@@ -158,7 +158,7 @@ class BladePassing:
         Frequency at which blades pass.
     """
 
-    azimuth_rad: Array
+    relative_azimuth_rad: Array
     thrust_N: Array
     torque_Nm: Array
     passing_hz: float

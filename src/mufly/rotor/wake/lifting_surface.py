@@ -184,8 +184,8 @@ def _evaluate_sections(
         )
         zero = blades.polar_zero_lift_rad[first]
         zero += weight * (blades.polar_zero_lift_rad[second] - zero)
-        thick = blades.thickness[first]
-        thick += weight * (blades.thickness[second] - thick)
+        thick = blades.polar_thickness_ratio[first]
+        thick += weight * (blades.polar_thickness_ratio[second] - thick)
         edge = blades.edge_drag[which, i]
         section = SectionParameters(first, second, weight, zero, rotation[i], lift, drag, thick, edge)
         out[i, 0], out[i, 1] = section_coefficients(alpha[i], log_re[i], mach[i], section, blades.polars)
@@ -231,7 +231,7 @@ def solve_circulation(
     tangent_wind = np.sum(wind * surface.tangent, axis=1)
     log_unit = math.log(air.density_kg_m3 / air.viscosity_Pa_s) + np.log(c)
     fixes = blading.corrections
-    g = blading.stall_delay[which]
+    g = blading.stall_delay_strength[which]
     if fixes.stall_delay == "chaviaropoulos-hansen":
         g = g * np.cos(surface.pitch_rad) ** 4
     factors = float(fixes.lift_factor), float(fixes.drag_factor)

@@ -210,7 +210,7 @@ def _turns_to_ground(ground_m: float, rotors: Sequence[PlacedRotor]) -> float:
     Beyond, helices would pile up on the ground, and the wake would not converge.
     """
     lowest = min(rotors, key=lambda p: p.height_m)
-    rotor = lowest.blading.rotors[lowest.rotor_index]
+    rotor = lowest.blading.rotors[lowest.index_in_blading]
     per_turn = 2.0 * math.pi * 1.41 * math.sqrt(0.5 * _TYPICAL_BLADE_LOADING * rotor.solidity) * rotor.radius_m
     return (ground_m + lowest.height_m) / per_turn
 
@@ -367,7 +367,9 @@ class RotorState:
 
     def __init__(self, placed: PlacedRotor, settings: WakeSettings) -> None:
         self.placed = placed
-        self.surface = make_lifting_surface(placed.blading, placed.rotor_index, placed.pitch_rad, placed.speed_rad_s)
+        self.surface = make_lifting_surface(
+            placed.blading, placed.index_in_blading, placed.pitch_rad, placed.speed_rad_s
+        )
         s = self.surface
         n = s.chord_m.size
         self.induce_function: Callable[..., Array] = induce_velocity
@@ -582,7 +584,9 @@ def solve_blade_loads(unit: RotorState, others: Array, air: Air, climb: float, s
     wind = own + others
     wind[:, 2] -= climb
     start = unit.blade_state.circulation_m2_s if unit.blade_state is not None else None
-    state = solve_circulation(s, p.blading, p.rotor_index, wind[:n], matrix[:n], air, start, inviscid=settings.inviscid)
+    state = solve_circulation(
+        s, p.blading, p.index_in_blading, wind[:n], matrix[:n], air, start, inviscid=settings.inviscid
+    )
     unit.blade_state = state
     complete = wind + matrix.transpose(0, 2, 1) @ state.circulation_m2_s
     unit.quarter_chord_wind_m_s = complete[n : 2 * n]
@@ -600,7 +604,7 @@ def make_rotor_result(unit: RotorState, air: Air, climb: float) -> RotorResult:
     columns = {
         "alpha_rad": state.alpha_rad,
         "phi_rad": np.arctan2(-wz, -wy),
-        "inflow_m_s": -wz - climb,
+        "axial_induced_m_s": -wz - climb,
         "swirl_m_s": s.speed_rad_s * s.quarter_chord_m[:, 0] + wy,
         "cl": state.cl,
         "cd": state.cd,

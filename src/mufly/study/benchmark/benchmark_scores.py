@@ -47,9 +47,9 @@ class RotorScore:
         1 if the nominal 90 % interval contains the measured thrust or torque, 0 if not, nan without interval.
     fault : str
         Reason why points have no prediction.
-    half_width : (2, points) array, optional
+    relative_half_width : (2, points) array, optional
         Half width of the interval over the predicted thrust or torque.
-    standard_error : (2, points) array, optional
+    standardised_error : (2, points) array, optional
         Measured less predicted thrust and torque over the summed standard deviation of the causes.
     """
 
@@ -59,8 +59,8 @@ class RotorScore:
     torque_error: Array
     inside_interval: Array | None = None
     fault: str = ""
-    half_width: Array | None = None
-    standard_error: Array | None = None
+    relative_half_width: Array | None = None
+    standardised_error: Array | None = None
 
     def mean_abs_error(self, of: str) -> float:
         """Return the mean absolute error of ``"thrust"`` or ``"torque"``; nan if there is none."""
@@ -226,7 +226,9 @@ def score_cross_validated(cases: Sequence[RotorCase], progress: ProgressCallback
         inside = np.where(np.isfinite(miss), (np.abs(miss) <= quantile * scale).astype(np.float64), math.nan)
         label = f"bemt, families, section {'known' if case.section_known else 'guessed'}"
         error = mean / truth - 1.0
-        scores.append(RotorScore(label, case, error[0], error[1], inside, half_width=width, standard_error=miss))
+        scores.append(
+            RotorScore(label, case, error[0], error[1], inside, relative_half_width=width, standardised_error=miss)
+        )
     return scores
 
 

@@ -139,7 +139,7 @@ def describe_case(case: RotorCase) -> RotorDescription:
         "pitch_rad": case.measured.pitch_rad.tolist(),
         "speed_rad_s": case.measured.speed_rad_s.tolist(),
         "climb_m_s": case.measured.climb_m_s.tolist(),
-        "turbulence": case.turbulence if case.measured.has_axial_flow else None,
+        "turbulence": case.turbulence_intensity if case.measured.has_axial_flow else None,
         "density_kg_m3": case.air.density_kg_m3,
         "viscosity_Pa_s": case.air.viscosity_Pa_s,
         "sound_m_s": case.air.sound_m_s,
@@ -162,11 +162,13 @@ def _make_mufly_code(method: SolverMethod, n_crit: float | None) -> Callable[[Ro
     def predict_case(case: RotorCase) -> RotorPrediction:
         chosen = n_crit
         if chosen is None:
-            chosen = n_crit_of_turbulence(case.turbulence) if case.measured.has_axial_flow else HOVER_N_CRIT
+            chosen = n_crit_of_turbulence(case.turbulence_intensity) if case.measured.has_axial_flow else HOVER_N_CRIT
         out = compare_measurements(
             prepare_blading(case.rotor, n_crit=chosen), case.measured, air=case.air, method=method
         )
-        return RotorPrediction(out.thrust_N, out.torque_Nm, "; ".join(dict.fromkeys(f for f in out.faults if f)))
+        return RotorPrediction(
+            out.thrust_N, out.torque_Nm, "; ".join(dict.fromkeys(f for f in out.prediction_faults if f))
+        )
 
     return predict_case
 

@@ -107,7 +107,7 @@ class RotorCase:
     air : Air
     tunnel_runs : tuple of RotorMeasurements
         Tunnel runs, each at one rotor speed, in order of increasing airspeed.
-    turbulence : float
+    turbulence_intensity : float
         Turbulence of the tunnel, rms over mean speed. UIUC's is below 0.1 % (Brandt and Selig, AIAA 2011-1255).
     """
 
@@ -119,7 +119,7 @@ class RotorCase:
     measured: RotorMeasurements
     air: Air = BENCHMARK_AIR
     tunnel_runs: tuple[RotorMeasurements, ...] = ()
-    turbulence: float = 0.001
+    turbulence_intensity: float = 0.001
 
 
 def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]]:
