@@ -63,7 +63,7 @@ def test_info_in_json_holds_the_same(log):
     assert found["format"] == "CSV"
     assert found["topics"][0]["gaps_s"] == [[pytest.approx(9.99), pytest.approx(11.0)]]
     signals = {s["name"]: s for s in found["signals"]}
-    assert signals["measured_rates.p"]["outliers"] == [pytest.approx(7.0)]
+    assert signals["measured_rates.p"]["outlier_times_s"] == [pytest.approx(7.0)]
     assert signals["measured_attitude.roll"]["largest"] == pytest.approx(np.radians(20), rel=1e-3)
     assert any(d["response"] == "measured_rates.p" for d in found["delays"]) or found["delays"] == []
 

@@ -9,9 +9,10 @@ from mufly.quantities import sensor_table
 ROW = sensor_table.ReadingRow(
     name="airspeed", unit="m/s", dim="body", meaning="made-up speed of the air",
     variance=("m^2/s^2", "of the made-up speed"),
-    fault="pitot", fault_amounts=(2.0, 0.2, 5.0, 1.0),
+    fault="pitot", default_fault_amounts=(2.0, 0.2, 5.0, 1.0),
     filter_index=len(sensor_table.CHECKED), is_queued=True, source="pitot tube", supports=("position",),
-    failure_unit="SENSOR_AIRSPEED", status_bit="SENSOR_DIFFERENTIAL_PRESSURE", test_ratios=(("tas_ratio", "airspeed"),),
+    mavlink_failure_unit="SENSOR_AIRSPEED", status_bit="SENSOR_DIFFERENTIAL_PRESSURE",
+    test_ratios=(("tas_ratio", "airspeed"),),
 )  # fmt: skip
 
 

@@ -209,7 +209,7 @@ def describe_reason(why: int, number: float, sensor: int, component: int = 0) ->
     ``sensor`` is an index into :data:`mufly.quantities.quantity_table.CHECKED_READINGS`. ``component`` is the component
     of a position fix to which ``number`` belongs: N, E, D (m) or the heading (rad).
     """
-    in_unit = CHECKED[sensor].unit_components
+    in_unit = CHECKED[sensor].unit_component_count
     if in_unit is not None and component >= in_unit and why in _INNOVATION_REASON_CODES:
         return _REASON_TEXTS[why](math.degrees(number), "deg in heading")
     return _REASON_TEXTS[why](number, _reason_unit(sensor))

@@ -185,7 +185,7 @@ class UnitSensors:
                 labels = DIMENSION_LABELS.get(row.dim or "", range(count))
                 for k in range(count):
                     end = "" if row.dim is None else f"_{_COMPONENT_NAMES.get(str(labels[k]), labels[k])}"
-                    unit = "rad" if row.unit_components is not None and k >= row.unit_components else row.unit
+                    unit = "rad" if row.unit_component_count is not None and k >= row.unit_component_count else row.unit
                     value = f"sensors->{name}.{member}[{first + k}]"
                     yield SensedOutput(f"sensor.{reading}{end}", "" if unit == "1" else unit, row.meaning, value)
 

@@ -469,8 +469,8 @@ class CommandProtocol:
 
 FAILURE_NAMES: tuple[dict[float, str], dict[float, str]] = (
     dict(sorted(
-        (getattr(mavlink, f"FAILURE_UNIT_{row.failure_unit}"), row.fault)
-        for row in READINGS.values() if row.failure_unit
+        (getattr(mavlink, f"FAILURE_UNIT_{row.mavlink_failure_unit}"), row.fault)
+        for row in READINGS.values() if row.mavlink_failure_unit
     )),
     {
         mavlink.FAILURE_TYPE_OFF: "dropout",

@@ -40,54 +40,58 @@ class ChannelReport:
     ----------
     name, units : str
     samples : int
-    missing : float
+    nan_fraction : float
         Share of NaN.
     constant : bool
     smallest, largest, mean, std : float
         Statistics of the finite values.
-    outliers : tuple of float
+    outlier_times_s : tuple of float
         Times of the outliers (s).
-    frozen : tuple of (begin_s, end_s)
+    frozen_intervals_s : tuple of (begin_s, end_s)
         Stretches of one repeated value (s).
-    at_minimum, at_maximum : float
+    at_minimum_fraction, at_maximum_fraction : float
         Share of samples at the limits.
     """
 
     name: str
     units: str
     samples: int
-    missing: float
+    nan_fraction: float
     constant: bool = False
     smallest: float = math.nan
     largest: float = math.nan
     mean: float = math.nan
     std: float = math.nan
-    outliers: tuple[float, ...] = ()
-    frozen: tuple[tuple[float, float], ...] = ()
-    at_minimum: float = 0.0
-    at_maximum: float = 0.0
+    outlier_times_s: tuple[float, ...] = ()
+    frozen_intervals_s: tuple[tuple[float, float], ...] = ()
+    at_minimum_fraction: float = 0.0
+    at_maximum_fraction: float = 0.0
 
     def describe_faults(self) -> list[str]:
         """Return one sentence per fault, except for a constant channel; empty for a faultless channel."""
         unit = "" if self.units in ("", "1") else f" {self.units}"
         out = []
-        if self.missing == 1:
+        if self.nan_fraction == 1:
             return [f"{self.name}: no values"]
-        if self.missing > 0:
-            out.append(f"{self.name}: {100 * self.missing:.2g} % of the values are missing")
+        if self.nan_fraction > 0:
+            out.append(f"{self.name}: {100 * self.nan_fraction:.2g} % of the values are missing")
         if self.constant:
             return out  # LogReport.faults reports all constant channels in one sentence
-        if self.outliers:
-            many = "1 outlier" if len(self.outliers) == 1 else f"{len(self.outliers)} outliers"
-            out.append(f"{self.name}: {many}, at {_format_times(self.outliers)} s")
-        if self.frozen:
-            longest = max(b - a for a, b in self.frozen)
-            many = "drops out once" if len(self.frozen) == 1 else f"drops out {len(self.frozen)} times"
-            at = _format_times([a for a, _ in self.frozen])
+        if self.outlier_times_s:
+            many = "1 outlier" if len(self.outlier_times_s) == 1 else f"{len(self.outlier_times_s)} outliers"
+            out.append(f"{self.name}: {many}, at {_format_times(self.outlier_times_s)} s")
+        if self.frozen_intervals_s:
+            longest = max(b - a for a, b in self.frozen_intervals_s)
+            many = (
+                "drops out once"
+                if len(self.frozen_intervals_s) == 1
+                else f"drops out {len(self.frozen_intervals_s)} times"
+            )
+            at = _format_times([a for a, _ in self.frozen_intervals_s])
             out.append(f"{self.name}: {many} (one value repeated, {longest:.3g} s at most), at {at} s")
         for share, limit, word in (
-            (self.at_minimum, self.smallest, "minimum"),
-            (self.at_maximum, self.largest, "maximum"),
+            (self.at_minimum_fraction, self.smallest, "minimum"),
+            (self.at_maximum_fraction, self.largest, "maximum"),
         ):
             if share > 0:
                 out.append(f"{self.name}: {100 * share:.2g} % of the values sit at its {word}, {limit:.4g}{unit}")
@@ -121,16 +125,16 @@ def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> Channe
         name=name,
         units=units,
         samples=len(x),
-        missing=1 - len(known) / len(x),
+        nan_fraction=1 - len(known) / len(x),
         constant=bool(len(known) > 1 and known.min() == known.max()),
         smallest=float(known.min()),
         largest=float(known.max()),
         mean=float(known.mean()),
         std=float(known.std()),
-        outliers=() if held else tuple(time[find_outliers(x)].tolist()),
-        frozen=() if held else tuple((float(time[a]), float(time[b - 1])) for a, b in find_frozen(x)),
-        at_minimum=low,
-        at_maximum=high,
+        outlier_times_s=() if held else tuple(time[find_outliers(x)].tolist()),
+        frozen_intervals_s=() if held else tuple((float(time[a]), float(time[b - 1])) for a, b in find_frozen(x)),
+        at_minimum_fraction=low,
+        at_maximum_fraction=high,
     )
 
 

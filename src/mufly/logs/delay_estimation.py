@@ -57,7 +57,7 @@ class DelayEstimate:
         Correlation of the two signals after removal of the delay; negative if their signs are opposite.
     at_limit : bool
         Whether the best delay is the longest that was tried, which is no result.
-    step_s : float
+    sampling_step_s : float
         Sampling step (s).
     second_peak_delay_s : float
         Another delay that fits as well (s); NaN without one.
@@ -69,7 +69,7 @@ class DelayEstimate:
     std_s: float
     correlation: float
     at_limit: bool
-    step_s: float
+    sampling_step_s: float
     second_peak_delay_s: float = math.nan
     degrees_of_freedom: int = _JACKKNIFE_PIECES - 1
 
@@ -140,7 +140,7 @@ def estimate_delay(
         If the clock is uneven, the record shorter than 30 samples, or a signal constant.
     """
     clock = check_clock(time)
-    if clock.backward or clock.repeated or clock.jitter > 0.02:
+    if clock.backward or clock.repeated or clock.jitter_ratio > 0.02:
         raise InputError("delay", "time", "is not evenly spaced", "resample first: give a rate")
     both = np.isfinite(reference) & np.isfinite(response)
     if both.sum() < 30:

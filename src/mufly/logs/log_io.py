@@ -411,9 +411,13 @@ def resample_channels(channels: list[Channel], rate_hz: float | None, notes: lis
     on_clock = channels
     if shared and rate_hz is None:
         report = check_clock(time)
-        if report.jitter > MAX_UNREPORTED_JITTER or len(report.gaps):
+        if report.jitter_ratio > MAX_UNREPORTED_JITTER or len(report.gaps):
             holes = f"{len(report.gaps)} gap{'s' if len(report.gaps) > 1 else ''}" if len(report.gaps) else ""
-            steps = f"steps vary by {100 * report.jitter:.2g} %" if report.jitter > MAX_UNREPORTED_JITTER else ""
+            steps = (
+                f"steps vary by {100 * report.jitter_ratio:.2g} %"
+                if report.jitter_ratio > MAX_UNREPORTED_JITTER
+                else ""
+            )
             said = ", ".join(t for t in (steps, holes) if t)
             notes.append(f"the clock is uneven ({said}); give a rate to resample")
     else:

@@ -132,7 +132,7 @@ class LogReport:
                 "name": name,
                 "messages": len(table.time),
                 "rate_hz": clock.rate_hz,
-                "jitter": clock.jitter,
+                "jitter": clock.jitter_ratio,
                 "gaps_s": clock.gaps,
                 "backward": clock.backward,
                 "repeated": clock.repeated,

@@ -241,11 +241,11 @@ class ClockReport:
     samples : int
     rate_hz : float
         Rate of the median step (Hz); NaN for fewer than two different instants.
-    jitter : float
+    jitter_ratio : float
         Standard deviation of the steps without gaps, over the median step.
-    missing, repeated, backward : int
+    nonfinite_stamps, repeated, backward : int
         Numbers of stamps that are not finite, equal to the previous one, and earlier than the previous one.
-    back_s : float
+    longest_step_back_s : float
         Longest step back (s).
     first_back : int
         First sample at which time runs backward; -1 if there is none.
@@ -255,11 +255,11 @@ class ClockReport:
 
     samples: int
     rate_hz: float
-    jitter: float
-    missing: int
+    jitter_ratio: float
+    nonfinite_stamps: int
     repeated: int
     backward: int
-    back_s: float
+    longest_step_back_s: float
     first_back: int
     gaps: _Array
 
@@ -267,20 +267,23 @@ class ClockReport:
     def is_reset(self) -> bool:
         """Return whether time runs backward beyond repair."""
         few = max(3.0, _MAX_BACKWARD_FRACTION * self.samples)
-        return self.backward > 0 and (self.back_s > _MAX_BACKWARD_S or self.backward > few)
+        return self.backward > 0 and (self.longest_step_back_s > _MAX_BACKWARD_S or self.backward > few)
 
     def describe_faults(self) -> list[str]:
         """Return one sentence per fault; empty for a faultless clock."""
         out = []
-        if self.samples > 1 and self.repeated == self.samples - self.missing - 1 > 0:
+        if self.samples > 1 and self.repeated == self.samples - self.nonfinite_stamps - 1 > 0:
             return ["the clock stands still"]
-        if self.missing == self.samples > 0:
+        if self.nonfinite_stamps == self.samples > 0:
             return ["no message has a time stamp"]
-        if self.missing:
-            out.append(f"{self.missing} of {self.samples} time stamps are missing")
+        if self.nonfinite_stamps:
+            out.append(f"{self.nonfinite_stamps} of {self.samples} time stamps are missing")
         if self.backward:
             times = "once" if self.backward == 1 else f"{self.backward} times"
-            out.append(f"time runs backward {times}, by {self.back_s:.3g} s at most, first at sample {self.first_back}")
+            out.append(
+                f"time runs backward {times}, by {self.longest_step_back_s:.3g} s at most, "
+                f"first at sample {self.first_back}"
+            )
         if self.repeated:
             out.append(f"{self.repeated} of {self.samples} time stamps repeat the one before")
         if len(self.gaps):
@@ -333,11 +336,11 @@ def check_clock(time: _Array) -> ClockReport:
     return ClockReport(
         samples=len(time),
         rate_hz=1 / median if len(ticks) else float("nan"),
-        jitter=float(even.std() / median) if len(even) else 0.0,
-        missing=len(time) - len(finite),
+        jitter_ratio=float(even.std() / median) if len(even) else 0.0,
+        nonfinite_stamps=len(time) - len(finite),
         repeated=int((steps == 0).sum()),
         backward=int(back.sum()),
-        back_s=float(-steps.min()) if back.any() else 0.0,
+        longest_step_back_s=float(-steps.min()) if back.any() else 0.0,
         first_back=int(back.argmax()) + 1 if back.any() else -1,
         gaps=find_gaps(forward, MIN_GAP_STEPS),
     )
@@ -425,7 +428,7 @@ def select_usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[n
     index = np.flatnonzero(np.isfinite(time))
     order = index[np.argsort(time[index], kind="stable")]
     last = np.append(np.diff(time[order]) > 0, True) if len(order) else np.empty(0, dtype=bool)
-    unset = report.missing - int(wild.sum())
+    unset = report.nonfinite_stamps - int(wild.sum())
     if unset:
         words.append(f"{name}{unset} samples without a time stamp are skipped")
     if report.backward:

@@ -59,7 +59,7 @@ def _default_amounts(jump: float, drift: float, clip: float, stuck: float) -> di
 
 
 FAULT_TARGETS: Mapping[str, FaultTarget] = {
-    row.fault: FaultTarget(sensor, row.name, _default_amounts(*row.fault_amounts))
+    row.fault: FaultTarget(sensor, row.name, _default_amounts(*row.default_fault_amounts))
     for sensor, rows in SENSORS.items()
     for row in rows
     if row.fault
@@ -207,7 +207,7 @@ class FaultySensor(Sensor):
             said[name] = last  # no new reading: the last published one stays
             return
         value = np.asarray(r.value, dtype=np.float64)
-        own = slice(READINGS[name].unit_components)  # the fault's unit does not hold for angles
+        own = slice(READINGS[name].unit_component_count)  # the fault's unit does not hold for angles
         if f.kind == "freeze":
             said[name] = r if last is None else Reading(last.value, r.time_s, last.valid)
         elif f.kind == "dropout":

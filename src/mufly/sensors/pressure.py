@@ -37,7 +37,7 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 
-STANDARD_PRESSURE_PA = READINGS["pressure"].filter_offset
+STANDARD_PRESSURE_PA = READINGS["pressure"].filter_datum
 # Indices of the parameters: noise (Pa), delay, time constant of the drift (s), weight of air (N/m3), share of the disc
 # loading, loading of each disc over the square of its speed
 (

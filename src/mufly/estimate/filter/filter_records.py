@@ -129,7 +129,7 @@ READING_WIDTHS = tuple(
 READING_STARTS = tuple(int(k) for k in np.cumsum([0, *READING_WIDTHS]))
 """Index of each reading in the row of values of one instant."""
 SENSOR_COUNT = len(CHECKED_READINGS)
-READING_OFFSETS = tuple(row.filter_offset for row in CHECKED)
+READING_OFFSETS = tuple(row.filter_datum for row in CHECKED)
 """Offset subtracted from each reading."""
 QUEUED_READINGS = tuple(k for k, row in enumerate(CHECKED) if row.is_queued)
 QUEUED_COUNT = len(QUEUED_READINGS)
