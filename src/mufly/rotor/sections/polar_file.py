@@ -121,7 +121,7 @@ def _interpolate_log_reynolds(table: Array, own: Array, wanted: Array) -> Array:
 
 
 def _identify_column(header: str) -> tuple[str, str]:
-    """Return the column named by a header (an unknown name in lower case) and its unit as written."""
+    """Return the quantity that a column's header names, an unknown one in lower case, and its unit in lower case."""
     low = " ".join(header.strip().strip('"').lower().split())
     match = re.fullmatch(r"(.*?)\s*[(\[]([^)\]]*)[)\]]", low)
     stem, unit = (match[1], match[2].strip()) if match else (low, "")

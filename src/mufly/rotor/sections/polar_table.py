@@ -210,7 +210,7 @@ def stack_polars(tables: Sequence[PolarTable]) -> PolarStack:
 
 
 def _interpolate_log_reynolds(rows: Array, own: Array, wanted: Array) -> Array:
-    """Interpolate rows (nr, n) to other Reynolds numbers, linear in log Re, clamped."""
+    """Interpolate rows (nr, n), known at ln Re ``own``, linearly to ln Re ``wanted``, without extrapolation."""
     if own is wanted or (own.shape == wanted.shape and np.allclose(own, wanted, atol=1e-12, rtol=0)):
         return rows
     if own.size == 1:
@@ -278,7 +278,7 @@ def extrapolation_flags(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike
 def stack_extrapolation_flags(
     stack: PolarStack, k: int | NDArray[np.int64], alpha: Array, reynolds: Array
 ) -> NDArray[np.uint8]:
-    """Return flags of points (n,) that lie outside the computed range of the tables of a stack.
+    """Return a bit field for each point (n,), as :func:`extrapolation_flags`, for tables of a stack.
 
     ``k`` is one table index, or (..., n) indices with a table per point.
     """

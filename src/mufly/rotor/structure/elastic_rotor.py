@@ -162,7 +162,10 @@ class BladeEquilibrium:
 
 
 def load_derivative(beam: BladeBeam, below: SpanLoads, above: SpanLoads, step_rad: float) -> Array:
-    """Return the derivative of the air loads with respect to the displacement, (size, size), from two solutions."""
+    """Return the derivative of the air loads with respect to the displacement, (size, size).
+
+    ``below`` and ``above`` are the loads at two pitch angles, ``step_rad`` apart.
+    """
     s = beam.shape_functions
     out = np.zeros((beam.dof_count, beam.dof_count))
     for name, change in (
@@ -206,7 +209,10 @@ def twisted_loads(
     air: Air,
     more_rad: float = 0.0,
 ) -> tuple[RotorResult, SpanLoads]:
-    """Return solution and span loads of a rotor with an elastic twist at the Gauss points and an additional pitch."""
+    """Solve a rotor whose blades have an elastic twist at the Gauss points; return the solution and the span loads.
+
+    ``more_rad`` is added to the pitch.
+    """
     there = np.interp(blading.r_m[0], beam.gauss_radii_m.ravel(), twist_rad.ravel())
     bent = replace(blading, twist_rad=blading.twist_rad + there)
     found = solve_rotor(bent, pitch_rad=pitch_rad + more_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air)

@@ -219,7 +219,7 @@ def _solve_with_core_limit(
     rotors: Sequence[PlacedRotor], gas: Air, climb_m_s: float, how: WakeSettings, start: SystemSolution | None,
     progress: Callable[[int, float, float], None] | None,
 ) -> SystemSolution:  # fmt: skip
-    """Solve the wake with one limit of the core radius, from a similar solution or from a prescribed wake."""
+    """Solve the wake with the core limit of ``how``, starting from a similar solution or from a prescribed wake."""
     nu = gas.viscosity_Pa_s / gas.density_kg_m3
     units = [RotorState(p, how) for p in rotors]
     initialise_wakes(units, start, climb_m_s)
