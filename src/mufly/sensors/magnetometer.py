@@ -35,7 +35,7 @@ _EARTH_FIELD_INDEX, _HARD_IRON_INDEX, _FIELD_PER_AMPERE_INDEX, _DISTORTION_STREN
 
 @cached_njit(error_model="numpy", inline="always")
 def _add_distortion(x: _Array, waves: _Array, shifts: _Array, strength: float, field: _Array) -> None:
-    """Add the distortion by the surroundings at a position to a field (3,).
+    """Add the surroundings' magnetic field at a position to the earth's field (3,) in ``field``.
 
     ``shifts`` (n, 3, 2) are sines and cosines of the phase shifts, so that each wave needs one sine and cosine.
     """

@@ -109,7 +109,7 @@ class FrameContext:
 
     @property
     def texture_caution(self) -> float:
-        """Factor on the least texture with which a direction counts as known.
+        """Factor on the threshold of texture above which a direction counts as known.
 
         It is larger if the last results lacked texture in one direction.
         """
@@ -289,7 +289,7 @@ def _match_points(
     floor_map: FloorMap, k: int, context: FrameContext, node: _Array, flat: tuple[Any, Any], points: FloorPoints,
     use: NDArray[np.intp], good: NDArray[np.bool_], seen: _Array, sigma: _Array,
 ) -> KeyframeMatch | None:  # fmt: skip
-    """Match tracked points to keyframe ``k``; return None if they disagree, or show texture in one direction."""
+    """Match tracked points to keyframe ``k``; return None if they disagree, or have texture in one direction only."""
     view, straight, keyframe = context.view, context.undistorter, floor_map.keyframes[k]
     use, seen, sigma = use[good], seen[good], sigma[good]
     places, bend, own = (q[good] for q in (points.positions_m, points.tilt_jacobian, points.sigma_px))

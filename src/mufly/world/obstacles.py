@@ -345,7 +345,7 @@ def cast_ranges(world: World, position: ArrayLike, directions: ArrayLike, max_ra
 
 
 def obstacle_distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray[np.int64]]:
-    """Return the signed distances of many points to the nearest obstacle.
+    """Return the signed distances of many points to the nearest obstacle, and its index.
 
     Parameters
     ----------

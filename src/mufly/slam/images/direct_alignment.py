@@ -174,7 +174,7 @@ def align_picture(
 
 
 def _prediction_information(unknown: _Array, sigma: tuple[float, float]) -> _Array | None:
-    """Return the information (4, 4) of the predicted pose on directions without texture and on the heading.
+    """Return the information matrix (4, 4) of the predicted pose: directions without texture, and the heading.
 
     It is None if all directions have texture.
 
