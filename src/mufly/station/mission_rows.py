@@ -92,7 +92,7 @@ def _make_row(item: MissionItem, origin: GlobalOrigin | None, reached: bool) -> 
 
 
 def _global_height_text(item: MissionItem, origin: GlobalOrigin | None) -> str:
-    """Return, as text, what a row's position in metres cannot show of a mission item; "" if nothing is missing.
+    """Return the part of an item's position that a row in metres cannot show, as text; "" if there is none.
 
     It is the height above terrain or, without an origin, latitude, longitude and height.
     """

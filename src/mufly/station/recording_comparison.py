@@ -251,7 +251,7 @@ def draw_comparison(c: RecordingComparison, names: Sequence[str], title: str = "
 
 
 def _display_unit(c: RecordingComparison, name: str) -> tuple[str, str, float]:
-    """Return a signal's SI unit, its display unit and the factor between them."""
+    """Return a signal's SI unit, its display unit and the factor from the first to the second."""
     unit = c.first_recording.units.get(name, "1")
     shown = "rpm" if "rotor_speed" in name else {"rad": "deg", "rad/s": "deg/s"}.get(unit, unit)
     return unit, shown, conversion_factor(unit, shown) if shown != unit else 1.0

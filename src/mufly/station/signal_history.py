@@ -425,7 +425,7 @@ class PresentSignals:
         return gone
 
     def _unwrap_heading(self, k: int, angle: float) -> float:
-        """Return the heading shifted by full turns to its last value or, without one, to the estimated heading."""
+        """Return the heading plus the full turns that bring it closest to its last value, or to the estimated one."""
         for near in (self.values[k], self.values[self.index_by_signal["estimated_attitude_yaw"]]):
             if abs(near) < _MAX_HEADING_RAD:  # an implausible heading must not affect later ones
                 return angle + 2.0 * math.pi * round((near - angle) / (2.0 * math.pi))

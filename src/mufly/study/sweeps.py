@@ -509,7 +509,7 @@ def _is_readable_airfoil(name: str) -> bool:
 
 
 def choose_airfoils(wanted: str | Sequence[str]) -> list[str]:
-    """Return airfoils by set or by name.
+    """Return the names of the airfoils in sets, folders and lists of names.
 
     Parameters
     ----------
