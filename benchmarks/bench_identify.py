@@ -63,14 +63,14 @@ def peer_rate(generations: int) -> tuple[float, float]:
 
     truth = mufly.load_vehicle("mufly-1.1")
     records, _ = fly_demo_flights(truth, seed=0, seconds=10.0)
-    free = choose_free_parameters(truth, ("Izz", "Iyy", "l_up", "l_dw"), records[0].outputs)
+    free = choose_free_parameters(truth, ("Izz", "Iyy", "l_up", "l_dw"), records[0].output_names)
     problem = make_problem(truth, free, records[2:3], voltage="nominal", delay_s=0.0)
     record = problem.records[0]
     from mufly.identify.flight.free_parameters import parameters_at_theta, scaled_parameters
 
     base, changes = scaled_parameters(truth, free, 7.2)
     hover, rates = find_trim(truth), np.empty(21)
-    columns = [FLIGHT_OUTPUTS.index(o) for o in record.outputs]
+    columns = [FLIGHT_OUTPUTS.index(o) for o in record.output_names]
     flights = 0
 
     def cost(theta: np.ndarray) -> float:
@@ -87,7 +87,7 @@ def peer_rate(generations: int) -> tuple[float, float]:
 
             x = solve_ivp(right, (0.0, record.sample_s), x, rtol=1e-4, atol=1e-6, max_step=2.5e-3).y[:, -1]
             y = np.array([0, 0, -x[2], 0, 0, 0, 0, 0, 0, x[10], x[11], x[12], 0, 0, 0])
-            e = (y[columns] - record.measured[k])[[o in ("height", "p", "q", "r") for o in record.outputs]]
+            e = (y[columns] - record.measured[k])[[o in ("height", "p", "q", "r") for o in record.output_names]]
             total += float(np.nansum(e * e))
         return total
 

@@ -199,7 +199,7 @@ def draw_vehicle(nominal: Vehicle, rng: np.random.Generator, seed: int, moving: 
 
 
 def _is_held_up(record: Any) -> bool:
-    of = dict(zip(record.outputs, record.measured.T, strict=True))
+    of = dict(zip(record.output_names, record.measured.T, strict=True))
     tilt = max(np.abs(of["roll"]).max(), np.abs(of["pitch"]).max())
     return bool(np.isfinite(record.measured).all() and tilt < math.radians(35) and np.ptp(of["height"]) < 2.0)
 
@@ -229,7 +229,7 @@ def report_vehicles(asked: argparse.Namespace) -> None:
         truth, flights, others, rejected = draw_vehicle(nominal, rng, seed, asked.moving)
         truth["delay"] = RADIO_DELAY_S
         delay = RADIO_DELAY_S * rng.uniform(0.6, 1.4)
-        free = choose_free_parameters(nominal, DEMO_FREE_SYMBOLS, flights[0].outputs, delay_s=delay)
+        free = choose_free_parameters(nominal, DEMO_FREE_SYMBOLS, flights[0].output_names, delay_s=delay)
         fit = fit_flight_records(nominal, free, flights, held_out=others, held_exact=asked.exact)
         inside = {e.symbol: e.low <= truth[e.symbol] <= e.high for e in fit.estimates}
         sigmas = {e.symbol: (e.value - truth[e.symbol]) / e.std for e in fit.estimates}

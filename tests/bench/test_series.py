@@ -297,12 +297,12 @@ def test_results_are_files_that_the_fits_read(tmp_path, single, pair):
 
 def test_series_beside_another_and_beside_the_theory_that_made_them(single, pair):
     series = analyse_series(single)
-    assert all(d.normalised == 0 for d in compare_series(series, series))
+    assert all(d.En_score == 0 for d in compare_series(series, series))
     theory = compare_with_theory(series)
     assert len(theory) == 8
-    assert np.mean([abs(d.normalised) < 1 for d in theory]) > 0.7
+    assert np.mean([abs(d.En_score) < 1 for d in theory]) > 0.7
     other = analyse_series(measured(plan(), SimulatedRig(8)))
-    assert np.mean([abs(d.normalised) < 1 for d in compare_series(series, other)]) > 0.7
+    assert np.mean([abs(d.En_score) < 1 for d in compare_series(series, other)]) > 0.7
     with pytest.raises(InputError, match="no setting in common"):
         compare_series(series, analyse_series(pair))
 

@@ -41,7 +41,7 @@ def test_wild_samples_are_left_out_and_counted():
     clean = compute_block_mean(x)
     x[[17, 200]] = 1e6, -8e5
     m = compute_block_mean(x)
-    assert (m.spikes, m.size, m.high) == (2, 400, 1e6)
+    assert (m.spikes, m.size, m.largest_sample) == (2, 400, 1e6)
     assert m.value == pytest.approx(clean.value, abs=0.02)
     assert np.isnan(compute_block_mean([]).value)
     assert compute_block_mean([3.0]).value == 3.0
@@ -61,7 +61,9 @@ def test_between_two_exact_readings_the_drift_is_a_bridge():
     at = np.array([5.0, 13.0, 20.0])
     mean, cov = walk.predict(at, np.ones((3, 1)))
     assert_allclose(mean, np.interp(at, t, y), atol=1e-3)
-    assert cov[0, 0] == pytest.approx(walk.grid_weights @ walk.grid_nodes[:, 0] * 5 * 5 / 10, rel=1e-3)
+    assert cov[0, 0] == pytest.approx(
+        walk.hyperparameter_weights @ walk.hyperparameter_nodes[:, 0] * 5 * 5 / 10, rel=1e-3
+    )
     assert cov[2, 2] < 1e-6
 
 

@@ -458,8 +458,8 @@ def test_the_estimate_can_be_made_again_from_the_recording_to_the_bit(sensed, ve
 def test_identification_takes_what_was_estimated_where_no_sensor_tells_it(sensed) -> None:
     _, data, _ = sensed
     record = make_record(data, "flight.mcap")
-    assert {"north", "height", "roll", "yaw", "p", "r", "speed_up"} <= set(record.outputs)
-    told = dict(zip(record.outputs, record.measured.T, strict=True))
+    assert {"north", "height", "roll", "yaw", "p", "r", "speed_up"} <= set(record.output_names)
+    told = dict(zip(record.output_names, record.measured.T, strict=True))
     flown = data.estimated_valid.values > 0.5
     assert np.array_equal(told["roll"][flown], data.estimated_attitude.values[flown, 0])
     assert np.isnan(told["roll"][~flown]).all()

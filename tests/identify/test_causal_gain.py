@@ -36,7 +36,7 @@ def test_an_excited_motion_tells_its_gain_in_open_and_closed_loop(feedback, turn
         rate, yaw, made = fly_yaw(seed, feedback=feedback, excitation=3.0, turned=turned)
         by_rate = estimate_causal_gain(rate, made, is_rate=True, **options)
         assert by_rate.value[0] == pytest.approx(turned * GAIN, rel=0.25)
-        assert by_rate.evidence > 10.0
+        assert by_rate.sign_log_likelihood_ratio > 10.0
         by_angle = estimate_causal_gain(yaw, made, is_rate=False, **options)
         assert by_angle.value[0] == pytest.approx(turned * GAIN, rel=0.4)
 
@@ -46,7 +46,7 @@ def test_the_gain_of_feedback_alone_is_right_or_undecided():
     for seed in range(10):
         rate, _, made = fly_yaw(seed, feedback=(0.1, 0.4, 1.0, 4.0)[seed % 4], dither=0.0)
         found = estimate_causal_gain(rate, made, STEP_S, is_rate=True, skip_s=1.0, longest_lag_s=0.16)
-        assert found.evidence < 10.0 or found.value[0] > 0.0
+        assert found.sign_log_likelihood_ratio < 10.0 or found.value[0] > 0.0
 
 
 def test_a_disturbance_that_the_loop_rejects_in_part_does_not_turn_the_sign():
@@ -61,7 +61,7 @@ def test_a_disturbance_that_the_loop_rejects_in_part_does_not_turn_the_sign():
         x, y = made[:, 0] - made.mean(), change - change.mean()
         assert x @ y / (x @ x) < -0.5
         found = estimate_causal_gain(rate, made, STEP_S, is_rate=True, skip_s=0.5, longest_lag_s=0.0)
-        assert found.evidence < 10.0 or found.value[0] > 0.0
+        assert found.sign_log_likelihood_ratio < 10.0 or found.value[0] > 0.0
 
 
 def test_a_short_record_or_one_without_values_has_no_gain():

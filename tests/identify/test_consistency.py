@@ -29,7 +29,7 @@ def flights():
 
 def times(r, **factors):
     """The record with outputs multiplied; rate_r is the yaw rate."""
-    by = np.array([factors.get("rate_r" if o == "r" else o, 1.0) for o in r.outputs])
+    by = np.array([factors.get("rate_r" if o == "r" else o, 1.0) for o in r.output_names])
     voltage = None if r.voltage is None else r.voltage * factors.get("voltage", 1.0)
     return replace(r, measured=r.measured * by, voltage=voltage)
 
@@ -37,7 +37,7 @@ def times(r, **factors):
 def late(r, names, samples):
     measured = r.measured.copy()
     for n in names:
-        k = r.outputs.index(n)
+        k = r.output_names.index(n)
         measured[:, k] = np.roll(measured[:, k], samples)
     return replace(r, measured=measured).slice_samples(abs(samples), len(r.time_s) - abs(samples))
 
@@ -48,7 +48,7 @@ def driven(r, order, signs=(1, 1, 1, 1)):
 
 def exchanged(r, **pairs):
     names = pairs | {b: a for a, b in pairs.items()}
-    return replace(r, measured=r.measured[:, [r.outputs.index(names.get(o, o)) for o in r.outputs]])
+    return replace(r, measured=r.measured[:, [r.output_names.index(names.get(o, o)) for o in r.output_names]])
 
 
 def forward_left_up(r, height=1.0):
@@ -133,7 +133,7 @@ def test_the_height_of_a_record_that_hardly_moves():
     assert check_flight_records([r], VEHICLE) == ()  # what the motors do against the sensor's noise is enough
     with pytest.raises(InputError, match=r"height: .*centimetres"):
         check_flight_records([times(r, height=100)], VEHICLE)
-    k, slow = r.outputs.index("height"), 150 + 0.3 * np.sin(0.01 * np.arange(n))
+    k, slow = r.output_names.index("height"), 150 + 0.3 * np.sin(0.01 * np.arange(n))
     quiet, rounded = r.measured.copy(), r.measured.copy()
     quiet[:, k], rounded[:, k] = slow, np.round(slow)
     rounded[:40, k] = 151

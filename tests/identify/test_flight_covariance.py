@@ -146,7 +146,7 @@ def test_a_linear_fit_has_the_covariance_of_flights():
     c, bound, coloured = coloured_covariance([(s - q @ (q.T @ s))[:, None, :] / e.std()], [e / e.std()])
     assert coloured
     assert np.allclose(np.sqrt(np.diag(f.covariance)), np.sqrt(np.diag(c)), rtol=0.02)
-    assert np.allclose(np.sqrt(np.diag(f.bound)), np.sqrt(np.diag(bound)), rtol=0.02)
+    assert np.allclose(np.sqrt(np.diag(f.cramer_rao_bound)), np.sqrt(np.diag(bound)), rtol=0.02)
 
 
 def test_so_has_the_equation_error():

@@ -57,7 +57,7 @@ def true_value(truth, symbol):
 
 def roll_pitch(truth, flights, **options):
     start = started(truth, ROLL_PITCH)
-    free = choose_free_parameters(start, ROLL_PITCH, flights["roll"].outputs)
+    free = choose_free_parameters(start, ROLL_PITCH, flights["roll"].output_names)
     return fit_flight_records(
         start, free, [flights["roll"], flights["pitch"]], part="roll-pitch", delay_s=RADIO_DELAY_S, **options
     )
@@ -137,8 +137,8 @@ def test_biases_are_found(truth, flights):
     from dataclasses import replace as changed
 
     r = flights["roll"]
-    measured = r.measured + 0.1 * (np.array(r.outputs) == "p")
-    free = choose_free_parameters(truth, ["l_up", "bias_p"], r.outputs)
+    measured = r.measured + 0.1 * (np.array(r.output_names) == "p")
+    free = choose_free_parameters(truth, ["l_up", "bias_p"], r.output_names)
     fit = fit_flight_records(truth, free, [changed(r, measured=measured)], part="roll-pitch", delay_s=RADIO_DELAY_S)
     assert fit.find_estimate("bias_p").value == pytest.approx(0.1, abs=0.01)
 
@@ -188,7 +188,7 @@ def test_the_checkpoint_of_another_fit_is_refused(truth, flights, tmp_path):
 
 def test_cma_es_reaches_the_same_place_and_goes_on_where_it_was_stopped(truth, flights, tmp_path):
     start = started(truth, ("l_up", "Tf_up"))
-    free = choose_free_parameters(start, ("l_up", "Tf_up"), flights["roll"].outputs)
+    free = choose_free_parameters(start, ("l_up", "Tf_up"), flights["roll"].output_names)
 
     def fit(**options):
         return fit_flight_records(start, free, [flights["roll"]], part="roll-pitch", delay_s=RADIO_DELAY_S, **options)
@@ -209,7 +209,7 @@ def test_cma_es_reaches_the_same_place_and_goes_on_where_it_was_stopped(truth, f
 def test_split_fits_each_half_to_its_own_outputs(truth, flights):
     symbols = ("Izz", "l_up", "Iyy")
     start = started(truth, symbols, 1.2)
-    free = choose_free_parameters(start, symbols, flights["yaw"].outputs)
+    free = choose_free_parameters(start, symbols, flights["yaw"].output_names)
     fit = fit_parts_separately(
         start, free, [flights[n] for n in ("yaw", "heave", "roll", "pitch")], delay_s=RADIO_DELAY_S
     )
@@ -242,7 +242,7 @@ def moving(truth):
 
 def test_a_record_that_begins_in_motion_is_predicted_by_the_true_model(truth, moving):
     """Before: errors of 200 to 100 million times the noise, said to have converged."""
-    free = choose_free_parameters(truth, ["l_up"], moving["mixed"].outputs)
+    free = choose_free_parameters(truth, ["l_up"], moving["mixed"].output_names)
     problem = make_problem(
         truth, free, [moving["mixed"], moving["heave"]], voltage="model", delay_s=RADIO_DELAY_S, prior=False
     )
@@ -250,18 +250,18 @@ def test_a_record_that_begins_in_motion_is_predicted_by_the_true_model(truth, mo
     found = find_initial_states(problem, np.zeros(1))
     assert found.converged == (True, True)
     for i, states in enumerate(found.initial_states):
-        std = [SENSOR_NOISE_STD[o] for o in problem.records[i].outputs]
+        std = [SENSOR_NOISE_STD[o] for o in problem.records[i].output_names]
         error = problem.simulate_record(i, np.zeros((1, 1)), states[None])[0] - problem.records[i].measured
         assert np.all(np.abs(np.sqrt(np.mean((error / std) ** 2, axis=0)) - 1) < 0.1)
 
 
 def test_at_the_truth_windows_of_any_length_leave_noise_alone(truth, moving):
     """Before: 1.9 times as much, by windows that began without drift and a voltage that came late."""
-    free = choose_free_parameters(truth, ["l_up"], moving["roll"].outputs)
+    free = choose_free_parameters(truth, ["l_up"], moving["roll"].output_names)
     records = [moving["roll"], moving["yaw"]]
     whole = make_problem(truth, free, records, voltage="model", delay_s=RADIO_DELAY_S, prior=False)
     whole = whole.with_windows(1.5).with_matched_charge(np.zeros(1)).with_windows(None)
-    whole = whole.with_noise([np.array([SENSOR_NOISE_STD[o] for o in r.outputs]) for r in whole.records])
+    whole = whole.with_noise([np.array([SENSOR_NOISE_STD[o] for o in r.output_names]) for r in whole.records])
     for length in (0.4, 3.0):
         problem = whole.with_windows(length)
         problem = problem.with_initial_offset(find_initial_offsets(problem, np.zeros(1)))
@@ -274,7 +274,9 @@ def test_at_the_truth_windows_of_any_length_leave_noise_alone(truth, moving):
             point = FitPoint(point.theta, states, np.inf)
         for i, r in enumerate(problem.records):
             square = np.mean(problem.record_residual(i, np.zeros((1, 1)), states[i][None])[0] ** 2, axis=0)
-            assert dict(zip(r.outputs, square, strict=True)) == pytest.approx(dict.fromkeys(r.outputs, 1.0), abs=0.3)
+            assert dict(zip(r.output_names, square, strict=True)) == pytest.approx(
+                dict.fromkeys(r.output_names, 1.0), abs=0.3
+            )
 
 
 def test_two_minima_that_a_record_does_not_tell_apart_are_said(truth, flights):
@@ -316,7 +318,7 @@ def test_doubt_of_what_is_held_is_what_a_fit_with_it_off_moves_by(truth, flights
     stated = truth.model_dump()
     stated["rotors"]["lower"]["hub_z"]["std"] = 0.002
     start = Vehicle.model_validate(stated)
-    free = choose_free_parameters(start, ROLL_PITCH, flights["roll"].outputs)
+    free = choose_free_parameters(start, ROLL_PITCH, flights["roll"].output_names)
     options = {"part": "roll-pitch", "delay_s": RADIO_DELAY_S, "prior": False}
     records = [flights["roll"], flights["pitch"]]
     problem = make_problem(start, free, records, voltage="nominal", **options)
@@ -338,8 +340,10 @@ def test_doubt_of_what_is_held_is_what_a_fit_with_it_off_moves_by(truth, flights
     doubtful = fit_flight_records(start, free, records, **options)
     for a, b, m in zip(exact.estimates, doubtful.estimates, moved, strict=True):
         assert b.std**2 == pytest.approx(a.std**2 + b.value**2 * float(m @ m), rel=0.1)
-    assert exact.held == ()
-    assert any(said.startswith("l_dw: ") and "% from the data" in said for said in doubtful.held)
+    assert exact.uncertain_from_held_parameters == ()
+    assert any(
+        said.startswith("l_dw: ") and "% from the data" in said for said in doubtful.uncertain_from_held_parameters
+    )
 
 
 def test_a_hover_alone_is_not_fitted_without_a_word(truth):
@@ -349,7 +353,7 @@ def test_a_hover_alone_is_not_fitted_without_a_word(truth):
     )
     start = started(truth, ("Izz", "l_up"))
     fit = fit_flight_records(
-        start, choose_free_parameters(start, ["Izz", "l_up"], still.outputs), [still], delay_s=RADIO_DELAY_S
+        start, choose_free_parameters(start, ["Izz", "l_up"], still.output_names), [still], delay_s=RADIO_DELAY_S
     )
     assert "heave and yaw hardly move" in fit.message
     assert "what is found of Izz rests on little; fly `mufly identify plan --channel heave,yaw`" in fit.message

@@ -18,7 +18,7 @@ def record(noise=0.01, **changes):
     measured = np.column_stack([1 + 0.1 * np.sin(T), roll, 0 * T, 0.1 * T, p, 0 * T, 0.1 + 0 * T])
     measured += noise * rng.standard_normal(measured.shape)
     inputs = np.column_stack([0.7 + 0.1 * np.sin(T), 0.75 + 0 * T, 0.1 * np.cos(T), 0.1 * np.sin(2 * T)])
-    given = {"name": "flight", "time_s": T, "inputs": inputs, "outputs": outputs, "measured": measured}
+    given = {"name": "flight", "time_s": T, "inputs": inputs, "output_names": outputs, "measured": measured}
     given.update(changes)
     return FlightRecord(**given)
 
@@ -26,7 +26,7 @@ def record(noise=0.01, **changes):
 def scaled(name, factor):
     r = record()
     measured = r.measured.copy()
-    measured[:, r.outputs.index(name)] *= factor
+    measured[:, r.output_names.index(name)] *= factor
     return record(measured=measured)
 
 
@@ -74,7 +74,7 @@ def test_a_record_in_which_nothing_moves_is_refused():
 def test_a_recording_survives_the_round_trip():
     r = record()
     again = make_record(record_to_dataset(r), "flight")
-    assert again.outputs == ("height", "roll", "pitch", "yaw", "p", "q", "r")
+    assert again.output_names == ("height", "roll", "pitch", "yaw", "p", "q", "r")
     assert np.allclose(again.measured, r.measured)
     assert np.allclose(again.inputs, r.inputs)
 

@@ -225,10 +225,10 @@ def test_bandwidth_and_phase_delay_are_those_of_the_transfer_function(late):
         return -20.0 * np.log10(w * np.hypot(1.0, w / a))
 
     assert phase(b.phase_rad_s) == pytest.approx(-135.0, abs=0.05)
-    assert phase(b.crossing_rad_s) == pytest.approx(-180.0, abs=0.05)
-    assert gain(b.gain_rad_s) - gain(b.crossing_rad_s) == pytest.approx(6.0, abs=0.02)
+    assert phase(b.phase_crossover_rad_s) == pytest.approx(-180.0, abs=0.05)
+    assert gain(b.gain_rad_s) - gain(b.phase_crossover_rad_s) == pytest.approx(6.0, abs=0.02)
     assert b.bandwidth_rad_s == min(b.phase_rad_s, b.gain_rad_s)
-    far = 2.0 * b.crossing_rad_s
+    far = 2.0 * b.phase_crossover_rad_s
     assert b.phase_delay_s == pytest.approx(-(phase(far) + 180.0) / (np.degrees(1.0) * far), rel=1e-3)
     slope = (phase(1.01 * b.phase_rad_s) - phase(0.99 * b.phase_rad_s)) / (0.02 * b.phase_rad_s)
     assert b.phase_std_rad_s == pytest.approx(np.degrees(0.02) / abs(slope), rel=0.05)
@@ -264,7 +264,7 @@ def test_bandwidth_of_a_pure_delay_is_the_delay_and_what_is_not_there_is_said():
     s = 2j * np.pi * f
     pure = measure_bandwidth(f, np.exp(-0.2 * s) / s)  # -90 - 57.3 * 0.2 w
     assert pure.phase_rad_s == pytest.approx(np.pi / 4.0 / 0.2, rel=1e-3)
-    assert pure.phase_delay_s == pytest.approx(np.pi / 2.0 / pure.crossing_rad_s / 2.0, rel=1e-3)
+    assert pure.phase_delay_s == pytest.approx(np.pi / 2.0 / pure.phase_crossover_rad_s / 2.0, rel=1e-3)
     assert pure.phase_delay_line_s == pytest.approx(0.1, rel=1e-2)
     short = measure_bandwidth(f[f < 0.5], (1.0 / (s + 1.0))[f < 0.5])
     assert np.isnan(short.bandwidth_rad_s)

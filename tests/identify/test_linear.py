@@ -179,7 +179,7 @@ def test_cross_validation_prefers_the_structure_that_made_the_data():
     scores = {
         name: cross_validate_structure(structure_by_name(name, ("lat", "lon"), ("p", "q")), u, y, DT, starts=1)[
             0
-        ].left_out
+        ].left_out_error
         for name in ("first-order", "first-order-coupled")
     }
     assert scores["first-order-coupled"] < 0.8 * scores["first-order"]
@@ -226,7 +226,7 @@ def test_prediction_ahead_beats_simulation_under_disturbances_and_ends_in_it():
     simulated = y - 0.02 * rng.normal(size=y.shape)
     y = simulated + d + 0.02 * rng.normal(size=y.shape)
     noise = fit_disturbance_model(f, (y - simulated)[:1500], DT)
-    assert noise.noise_std == pytest.approx(0.02, rel=0.5)
+    assert noise.measurement_noise_std == pytest.approx(0.02, rel=0.5)
     errors = [np.std((y - predict_ahead(f, noise, y, simulated, DT, h))[1500:, 0]) for h in (DT, 5 * DT, 20.0)]
     assert errors[0] < 0.75 * errors[2]
     assert errors[0] < errors[1] < 1.001 * errors[2]
@@ -405,7 +405,7 @@ def test_auto_chooses_inside_the_fitted_part(log):
         identify_linear_model(r, {"lat": "lat", "lon": "lon"}, {"p": "p", "q": "q"}, **kinds) for r in (record, spoilt)
     )
     assert a.fit.vehicle == b.fit.vehicle == "first-order-coupled"
-    assert a.linear.values == pytest.approx(b.linear.values)  # the held-out part has no say
+    assert a.linear_fit.values == pytest.approx(b.linear_fit.values)  # the held-out part has no say
     assert [c.floor for c in a.checks["fit"]] == [c.floor for c in b.checks["fit"]]
 
 
@@ -511,8 +511,8 @@ def test_trex_550_second_half_is_predicted_as_documented():
     p, q = (c.slow for c in r.checks["held out"])
     assert p.fit_percent > 30.0
     assert q.fit_percent > 35.0
-    assert r.checks["held out"][0].against_angle > 30.0
-    assert not any("correlates" in w for w in r.missing)
+    assert r.checks["held out"][0].angle_derivative_fit_percent > 30.0
+    assert not any("correlates" in w for w in r.model_deficiencies)
 
 
 def test_a_library_user_is_told_the_argument_and_who_types_the_option(log):

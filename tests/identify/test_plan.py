@@ -76,7 +76,7 @@ def test_the_flight_stays_within_its_limits_and_uses_them(plan):
         assert np.all(c.record.inputs[:, :2] >= 0.05)
         assert np.all(c.record.inputs[:, :2] <= 0.95)
         assert np.max(np.abs(c.added_inputs)) == pytest.approx(c.amplitude)
-        yaw = c.record.measured[:, c.record.outputs.index("yaw")]
+        yaw = c.record.measured[:, c.record.output_names.index("yaw")]
         assert np.max(np.abs(yaw - yaw[0])) <= math.radians(90)
     assert plan.candidates[0].geometric_mean_std <= plan.candidates[1].geometric_mean_std
     assert plan.band_rad_s[0] < plan.modes_rad_s.min() < plan.modes_rad_s.max() < plan.band_rad_s[1]
@@ -103,7 +103,7 @@ def test_fits_scatter_by_what_the_plan_promises(vehicle, plan, window_s):
     if window_s is None:
         c = design_excitation(vehicle, SYMBOLS, "yaw", kinds=("chirp",), duration_s=6.0, window_s=None).best_candidate
     problem = make_problem(vehicle, plan.free_parameters, [c.record], part="heave-yaw", delay_s=0.02, prior=False)
-    std = np.array([SENSOR_NOISE_STD[o] for o in problem.records[0].outputs])
+    std = np.array([SENSOR_NOISE_STD[o] for o in problem.records[0].output_names])
     problem = problem.with_noise([std]).with_windows(window_s)
     linear = problem.linearise_record(0, np.zeros(3), problem.zero_initial_states()[0])
     a = design_matrix(problem, linear)
@@ -124,12 +124,12 @@ def test_a_real_fit_finds_a_changed_vehicle_within_the_promise(vehicle, plan):
     errors = []
     for _ in range(6):
         noisy = flown.measured + rng.standard_normal(flown.measured.shape) * [
-            SENSOR_NOISE_STD[o] for o in flown.outputs
+            SENSOR_NOISE_STD[o] for o in flown.output_names
         ]
-        record = type(flown)(flown.name, flown.time_s, flown.inputs, flown.outputs, noisy, flown.voltage)
+        record = type(flown)(flown.name, flown.time_s, flown.inputs, flown.output_names, noisy, flown.voltage)
         problem = make_problem(vehicle, plan.free_parameters, [record], part="heave-yaw", delay_s=0.02, prior=False)
         problem = problem.with_noise(
-            [np.array([SENSOR_NOISE_STD[o] for o in problem.records[0].outputs])]
+            [np.array([SENSOR_NOISE_STD[o] for o in problem.records[0].output_names])]
         ).with_windows(2.0)
         theta, start = np.zeros(3), problem.zero_initial_states()[0]
         for _ in range(6):
@@ -184,7 +184,7 @@ def test_directions_in_words():
     [
         ({"channel": "sideways"}, "'sideways' is unknown"),
         ({"symbols": ["Izzz"]}, "did you mean 'Izz'"),
-        ({"limits": FlightLimits(motor=0.35)}, "limit on motor input: is exceeded by the smallest signal"),
+        ({"limits": FlightLimits(motor_margin=0.35)}, "limit on motor input: is exceeded by the smallest signal"),
         ({"noise": {"roll": 0.01}}, "no output of yaw is measured"),
         ({"amplitude": 2.0}, "amplitude"),
     ],

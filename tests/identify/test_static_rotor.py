@@ -236,8 +236,8 @@ def test_predictions_stand_beside_what_they_predict():
         table({"speed": speed, "pitch": pitch, "thrust": out.thrust_N / 1.1, "torque": out.torque_Nm})
     )
     p = predict_loads(loads, blading, density_kg_m3=1.2)
-    assert_allclose(p.error["thrust"], 0.1, rtol=1e-9)
-    assert_allclose(p.error["torque"], 0.0, atol=1e-9)
+    assert_allclose(p.relative_error["thrust"], 0.1, rtol=1e-9)
+    assert_allclose(p.relative_error["torque"], 0.0, atol=1e-9)
     with pytest.raises(InputError, match="spacing_m"):
         predict_loads(compute_loads(table(pair(1.1))), blading, density_kg_m3=1.2)
     two = {k: v[:2] for k, v in pair(1.1).items()}

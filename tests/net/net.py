@@ -552,10 +552,10 @@ def _fit_linear() -> Any:
     )
     return {
         "estimates": [fields(e) for e in r.fit.estimates],
-        "poles": np.asarray(r.linear.poles).view(float),
+        "poles": np.asarray(r.linear_fit.poles).view(float),
         "quality": {k: [fields(c.quality) for c in v] for k, v in r.checks.items()},
-        "missing": list(r.missing),
-        "message": r.linear.message,
+        "missing": list(r.model_deficiencies),
+        "message": r.linear_fit.message,
     }
 
 

@@ -78,9 +78,10 @@ class CellCalibration:
         Reading (row) per load (column, N or N m).
     covariance : (c (c + 1), c (c + 1)) array
         Covariance of offsets and sensitivities: row by row ``b_k, S_k1 ... S_kc``.
-    spreads : tuple of CovarianceEstimate
-        Covariance of the fit of every sensor; ``scale`` is the standard deviation of its readings.
-    applied : (c, 2) array
+    sensor_fit_covariances : tuple of CovarianceEstimate
+        Covariance of the unweighted fit of every sensor; ``residual_std_ratio`` is the standard deviation of its
+        readings.
+    applied_load_range : (c, 2) array
         Smallest and largest calibration load of each channel (N or N m).
     source : str
     notes : tuple of str
@@ -90,8 +91,8 @@ class CellCalibration:
     offset: Array
     sensitivity: Array
     covariance: Array
-    spreads: tuple[CovarianceEstimate, ...]
-    applied: Array
+    sensor_fit_covariances: tuple[CovarianceEstimate, ...]
+    applied_load_range: Array
     source: str
     notes: tuple[str, ...]
 
@@ -127,10 +128,11 @@ class CellCalibration:
         std = np.sqrt(np.diag(self.covariance)).reshape(c, c + 1)
         lines = []
         for k, name in enumerate(self.channels):
-            t, unit = self.spreads[k].t_quantile_95, SI_UNITS[name.split("_")[0]]
+            t, unit = self.sensor_fit_covariances[k].t_quantile_95, SI_UNITS[name.split("_")[0]]
+            scatter = self.sensor_fit_covariances[k].residual_std_ratio
             lines.append(
                 f"{name}: gain {gain[k]:.6g} +- {t * gain_std[k]:.2g} {unit} per unit of reading, reading without load "
-                f"{self.offset[k]:.6g} +- {t * std[k, 0]:.2g}; readings scatter by {self.spreads[k].scale:.2g}"
+                f"{self.offset[k]:.6g} +- {t * std[k, 0]:.2g}; readings scatter by {scatter:.2g}"
             )
             for j, other in enumerate(self.channels):
                 s, doubt = self.sensitivity[k, j], t * std[k, 1 + j]
@@ -175,7 +177,7 @@ def calibrate_cells(table: BenchTable) -> CellCalibration:
     order = np.argsort(table["time"], kind="stable") if "time" in table else np.arange(n)
     a, run = a[order], (table["run"].astype(np.int64)[order] if "run" in table else None)
     group = np.unique(loads[order], axis=0, return_inverse=True)[1].ravel().astype(np.int64)
-    rows, spreads = [], []
+    rows, sensor_fit_covariances = [], []
     for name in channels:
         y = table[f"{name}_raw"][order]
         solution = np.linalg.lstsq(a, y, rcond=None)[0]
@@ -183,7 +185,7 @@ def calibrate_cells(table: BenchTable) -> CellCalibration:
         if s.pattern != "white":
             notes.append(f"{name}: {s.describe_pattern()}")
         rows.append(solution)
-        spreads.append(s)
+        sensor_fit_covariances.append(s)
     b = np.array(rows)
     if abs(np.linalg.det(b[:, 1:] / np.abs(b[:, 1:]).max(axis=0))) < 1e-9:
         raise table.column_error("", "the readings cannot separate the loads", "check the columns")
@@ -191,9 +193,9 @@ def calibrate_cells(table: BenchTable) -> CellCalibration:
         channels=channels,
         offset=b[:, 0],
         sensitivity=b[:, 1:],
-        covariance=join_covariances(*(s.covariance for s in spreads)),
-        spreads=tuple(spreads),
-        applied=np.column_stack([loads.min(axis=0), loads.max(axis=0)]),
+        covariance=join_covariances(*(s.covariance for s in sensor_fit_covariances)),
+        sensor_fit_covariances=tuple(sensor_fit_covariances),
+        applied_load_range=np.column_stack([loads.min(axis=0), loads.max(axis=0)]),
         source=table.source,
         notes=tuple(notes),
     )
@@ -211,7 +213,7 @@ class ZeroDrift:
     coefficients : (d + 1,) array
         a of the module docstring, in units of the reading.
     covariance_estimate : CovarianceEstimate
-        Covariance of the coefficients; ``scale`` is the scatter of the zero readings.
+        Covariance of the coefficients; ``residual_std_ratio`` is the scatter of the zero readings.
     middle, half : float
         Middle and half span of the time of the zeros.
     blocks : int
@@ -298,9 +300,9 @@ class BenchLoads:
         Lines with turning rotors.
     values : dict of str to (n,) array
         Loads by channel (N, N m): ``"thrust"``, ``"torque_upper"``, ...
-    by_systematic : dict of str to (n, s) array
+    systematic_parameter_jacobian : dict of str to (n, s) array
         Derivatives of each load by the common parameters (calibration, zeros).
-    systematic : (s, s) array
+    systematic_parameter_covariance : (s, s) array
         Covariance of the common parameters.
     drifts : dict of str to ZeroDrift
         Zero of each channel with readings at rest, in units of the reading.
@@ -311,8 +313,8 @@ class BenchLoads:
 
     turning_lines: BenchTable
     values: dict[str, Array]
-    by_systematic: dict[str, Array]
-    systematic: Array
+    systematic_parameter_jacobian: dict[str, Array]
+    systematic_parameter_covariance: Array
     drifts: dict[str, ZeroDrift]
     zeros: BenchTable
     notes: tuple[str, ...]
@@ -413,8 +415,8 @@ def compute_loads(
         blocks = [calibration.covariance]
     k, start = len(known), sum(len(b) for b in blocks)
     blocks += [drifts[c].covariance_estimate.covariance for c in values if c in drifts]
-    systematic = join_covariances(*blocks) if blocks else np.zeros((0, 0))
-    by = {name: np.zeros((t.size, len(systematic))) for name in values}
+    systematic_parameter_covariance = join_covariances(*blocks) if blocks else np.zeros((0, 0))
+    by = {name: np.zeros((t.size, len(systematic_parameter_covariance))) for name in values}
     for j, name in enumerate(known):
         part = by[name][:, :start].reshape(t.size, k, k + 1)
         for i, sensor in enumerate(known):
@@ -429,7 +431,9 @@ def compute_loads(
             for j, name in enumerate(values):
                 by[name][:, start : start + d.coefficients.size] = -inverse[j, i] * d.time_powers(t)
             start += d.coefficients.size
-    return BenchLoads(running, values, by, systematic, drifts, table.select_lines(at_rest), tuple(notes))
+    return BenchLoads(
+        running, values, by, systematic_parameter_covariance, drifts, table.select_lines(at_rest), tuple(notes)
+    )
 
 
 def _describe_drift(table: BenchTable, channel: str, d: ZeroDrift, t: Array, *, raw: bool) -> str:
@@ -437,7 +441,8 @@ def _describe_drift(table: BenchTable, channel: str, d: ZeroDrift, t: Array, *, 
     if d.blocks == 1:
         return f"{channel}: zero read once, {d.coefficients[0]:.4g} {unit}; its drift is assumed to be zero"
     kind = ("constant", "a straight line", "a parabola", "a cubic")[d.coefficients.size - 1]
-    doubt = f" +- {2 * float(np.max(d.zero_std_at(t))):.2g}" if d.covariance_estimate.scale > 0 and t.size else ""
+    known = d.covariance_estimate.residual_std_ratio > 0 and t.size
+    doubt = f" +- {2 * float(np.max(d.zero_std_at(t))):.2g}" if known else ""
     return f"{channel}: zero read {d.blocks} times, followed as {kind}{doubt}, changes by {d.change:.3g} {unit}"
 
 
@@ -472,20 +477,20 @@ class BenchPrediction:
     ----------
     speed_rad_s, load : dict of str to (n,) array
         Speed and predicted load (N or N m) by channel.
-    error : dict of str to (n,) array
+    relative_error : dict of str to (n,) array
         Relative error by channel: prediction over measurement, less one.
     """
 
     speed_rad_s: dict[str, Array]
     load: dict[str, Array]
-    error: dict[str, Array]
+    relative_error: dict[str, Array]
 
     def describe_errors(self) -> list[str]:
         """Return a line for each load, with the mean and the mean absolute error of its prediction."""
         return [
             f"{name}: prediction {100 * np.mean(e):+.1f} % from the measured on average, "
             f"{100 * np.mean(np.abs(e)):.1f} % in the mean of absolute errors ({e.size} points)"
-            for name, e in self.error.items()
+            for name, e in self.relative_error.items()
         ]
 
 

@@ -44,7 +44,7 @@ class CovarianceEstimate:
     ----------
     covariance : (p, p) array
         Covariance of the estimates, in products of their units.
-    scale : float
+    residual_std_ratio : float
         Ratio s of observed to expected residuals; 1 if the expected errors are correct.
     dof : float
         Degrees of freedom of the intervals.
@@ -55,7 +55,7 @@ class CovarianceEstimate:
     """
 
     covariance: Array
-    scale: float
+    residual_std_ratio: float
     dof: float
     pattern: str
     rho: float

@@ -351,7 +351,7 @@ def draw_motor_fit(fit: MotorFit, *, title: str = "") -> Figure:
             better = fit.adjusted
             axes[0, 0].plot(1e3 * better.torque_Nm, better.current_A, "x", color=colour, markersize=5, label="fitted")
             axes[0, 1].plot(better.speed_rad_s / RPM, 1e3 * better.torque_Nm, "x", color=colour, markersize=5)
-        share = fit.residual[inside] / fit.expected[inside]
+        share = fit.residual[inside] / fit.expected_residual_std[inside]
         axes[1, 0].plot(1e3 * torque, share[:, 0], **dot)
         axes[1, 1].plot(1e3 * torque, share[:, 1], **dot)
     labels = (
@@ -516,7 +516,7 @@ def _draw_spectra(ax: Axes, plan: ExcitationPlan) -> None:
 
 
 def _draw_flight(ax: Axes, plan: ExcitationPlan, c: ExcitationCandidate) -> None:
-    shown = [o for o in _SHOWN_OUTPUTS_BY_CHANNEL[plan.channel] if o in c.record.outputs]
+    shown = [o for o in _SHOWN_OUTPUTS_BY_CHANNEL[plan.channel] if o in c.record.output_names]
     labels = []
     for line, name in zip(_LINE_COLOURS, shown, strict=False):
         unit, factor = OUTPUT_UNITS[name], 1.0
@@ -524,7 +524,7 @@ def _draw_flight(ax: Axes, plan: ExcitationPlan, c: ExcitationCandidate) -> None
             unit, factor = unit.replace("rad", "deg"), math.degrees(1.0)
         if unit == "m":
             unit, factor = "cm", 100.0
-        y = c.record.measured[:, c.record.outputs.index(name)]
+        y = c.record.measured[:, c.record.output_names.index(name)]
         y = factor * (y - y[0])
         noise = factor * plan.noise[name]
         ax.plot(c.signal.time_s, y, color=line, linewidth=1.2, label=f"{name} ({unit})")

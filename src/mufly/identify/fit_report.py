@@ -173,9 +173,9 @@ _PAGE_BODY_TEMPLATE = """
 {% if correlated %}
 {{ figure(album("correlation", pictures.draw_correlation, fit), "Correlation of estimates") }}
 {% endif %}
-{% if fit.held %}
+{% if fit.uncertain_from_held_parameters %}
 <h2>Uncertain because of held parameters</h2>
-{{ listed(fit.held) }}
+{{ listed(fit.uncertain_from_held_parameters) }}
 {% endif %}
 <h2>Parameters that the data cannot separate</h2>
 {{ listed(fit.undetermined, "Nothing stands out: every parameter is determined by these records.") }}
@@ -292,20 +292,20 @@ def _determinant_ratio(fit: FitResult) -> str:
 
 def candidate_table(r: LinearResult) -> ReportTable:
     """Return header and rows of the table of candidate structures, best first."""
-    outputs = r.linear.structure.outputs
+    outputs = r.linear_fit.structure.outputs
     heads = ("structure", "free", "cross-validation", *(f"of {o}" for o in outputs), "AIC", "BIC")
     rows = []
     for c in r.candidates:
-        scores = (f"{v:.3f}" for v in (c.left_out, *c.by_output))
+        scores = (f"{v:.3f}" for v in (c.left_out_error, *c.left_out_error_by_output))
         rows.append((c.name, f"{c.parameters}", *scores, f"+{c.aic:.0f}", f"+{c.bic:.0f}"))
     return heads, tuple(rows)
 
 
 def estimate_table(r: LinearResult) -> ReportTable:
     """Return header and rows of the table of parameter estimates."""
-    bound = np.sqrt(np.maximum(np.diag(r.linear.bound), 0.0))
+    bound = np.sqrt(np.maximum(np.diag(r.linear_fit.cramer_rao_bound), 0.0))
     rows = []
-    for e, b, p in zip(r.fit.estimates, bound, r.linear.structure.parameters, strict=True):
+    for e, b, p in zip(r.fit.estimates, bound, r.linear_fit.structure.parameters, strict=True):
         doubt = ("at bound", "–") if e.at_bound else (format_number(e.std), format_number(float(b)))
         rows.append((e.symbol, p.meaning, format_number(e.value), *doubt, e.unit))
     heads = ("", "", "estimate", "std", "std if white", "unit")
@@ -316,8 +316,9 @@ def quality_table(r: LinearResult) -> ReportTable:
     """Return header and rows of the simulation quality of every output, as recorded and low-passed."""
     rows = []
     for role, checks in r.checks.items():
-        for name, c in zip(r.linear.structure.outputs, checks, strict=True):
-            percents = (c.quality.fit_percent, c.ceiling, c.slow.fit_percent, c.ceiling_slow, c.against_angle)
+        for name, c in zip(r.linear_fit.structure.outputs, checks, strict=True):
+            pure = (c.quality.fit_percent, c.ceiling, c.slow.fit_percent, c.ceiling_slow)
+            percents = (*pure, c.angle_derivative_fit_percent)
             below = f"{c.floor.below:.3f}" if c.floor.below > 0.0 else "–"
             sizes = (f"{c.slow.theil:.2f}", f"{c.slow.rms:.3f}", below, f"{c.floor.above:.3f}")
             rows.append((role, name, *map(_format_percent, percents), *sizes))
@@ -334,7 +335,7 @@ def _format_percent(value: float) -> str:
 
 def prediction_table(r: LinearResult) -> ReportTable:
     """Return header and rows of the multi-step prediction quality on the held-out part, for each prediction horizon."""
-    outputs = r.linear.structure.outputs
+    outputs = r.linear_fit.structure.outputs
     rows = []
     for a in r.ahead:
         name = "simulation" if math.isinf(a.horizon_s) else f"{a.horizon_s:g} s"
@@ -348,7 +349,7 @@ def cross_check_table(r: LinearResult) -> ReportTable:
     """Return header and rows that compare the parameters from output error, equation error and frequency response."""
     s, spectral = r.spectral_fit, {}
     if s is not None:
-        spectral = dict(zip(r.linear.structure.symbols, zip(s.values, s.value_std, strict=True), strict=True))
+        spectral = dict(zip(r.linear_fit.structure.symbols, zip(s.values, s.value_std, strict=True), strict=True))
     rows = []
     for e in r.fit.estimates:
         ways = ((e.value, e.std), r.equation_error.get(e.symbol), spectral.get(e.symbol))
@@ -360,7 +361,7 @@ def cross_check_table(r: LinearResult) -> ReportTable:
 def draw_bode_comparison(r: LinearResult, s: FrequencyResponseFit) -> Figure:
     """Draw measured frequency responses with error bounds, and those of the time-domain and spectral fits."""
     data: FrequencyResponse = s.measured_response
-    fitted = structure_response(r.linear.structure, r.linear.values, data.frequency_hz)
+    fitted = structure_response(r.linear_fit.structure, r.linear_fit.values, data.frequency_hz)
     m, k = len(data.outputs), len(data.inputs)
     figure = blank_figure(min(11.0, 1.5 + 3.0 * k), 2.9 * m)
     panels = figure.subplots(2 * m, k, squeeze=False, sharex=True)
@@ -406,7 +407,7 @@ def format_pole(p: complex) -> str:
 
 def draw_slow_motion(r: LinearResult) -> Figure:
     """Draw measured and simulated outputs, both low-passed, over the fitted and the held-out part."""
-    m, ink = len(r.linear.structure.outputs), fit_pictures.text_colour()
+    m, ink = len(r.linear_fit.structure.outputs), fit_pictures.text_colour()
     figure = blank_figure(9.5, 0.8 + 1.7 * m)
     panels = figure.subplots(m, 1, squeeze=False, sharex=True)[:, 0]
     for record in r.fit.records:
@@ -426,7 +427,7 @@ def draw_slow_motion(r: LinearResult) -> Figure:
                 transform=axes.get_xaxis_transform(), fontsize=8.5,
             )  # fmt: skip
     for j, axes in enumerate(panels):
-        axes.set_ylabel(f"{r.linear.structure.outputs[j]} ({r.linear.structure.units[j]})")
+        axes.set_ylabel(f"{r.linear_fit.structure.outputs[j]} ({r.linear_fit.structure.units[j]})")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles[:2], labels[:2], ncols=2, loc="outside upper center")
     panels[-1].set_xlabel(f"time (s); measured and simulated low-passed at {r.slow_hz:g} Hz; shaded: held out")
@@ -478,7 +479,7 @@ def _cross_check_section(r: LinearResult) -> ReportSection:
         poles = ", ".join(map(format_pole, r.subspace.poles))
         text.append(f"Subspace model with as many states: poles {poles} rad/s.")
         if r.subspace_percent:
-            percents = zip(r.linear.structure.outputs, r.subspace_percent, strict=True)
+            percents = zip(r.linear_fit.structure.outputs, r.subspace_percent, strict=True)
             shown = ", ".join(f"{o} {p:.1f} %" for o, p in percents)
             text.append(f"Its pure simulation on the held-out part, below {r.slow_hz:g} Hz: {shown}.")
     if r.spectral_fit is None:

@@ -150,8 +150,8 @@ class RecordPrediction:
 @result(
     eq=False,
     picture="mufly.identify.fit_pictures:draw_fit_result",
-    json="vehicle method converged message parameters=estimates correlation undetermined held records cost "
-    "simulations seconds",
+    json="vehicle method converged message parameters=estimates correlation undetermined "
+    "held=uncertain_from_held_parameters records cost simulations seconds",
 )
 class FitResult(EstimateLookup):
     """Result of a fit.
@@ -181,7 +181,7 @@ class FitResult(EstimateLookup):
         Reason for the end of the search, and warnings.
     records : tuple of RecordPrediction
         Fitted records first, then held-out records.
-    held : tuple of str
+    uncertain_from_held_parameters : tuple of str
         Descriptions of estimates whose uncertainty comes mainly from held parameters.
     """
 
@@ -198,7 +198,7 @@ class FitResult(EstimateLookup):
     converged: bool
     message: str
     records: tuple[RecordPrediction, ...]
-    held: tuple[str, ...] = ()
+    uncertain_from_held_parameters: tuple[str, ...] = ()
 
     def records_with_role(self, role: Literal["fit", "held out"]) -> tuple[RecordPrediction, ...]:
         """Return the records with this role, fitted or held out."""

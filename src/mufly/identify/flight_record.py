@@ -79,7 +79,7 @@ class FlightRecord:
         Uniform time (s).
     inputs : (n, 4) array
         Upper motor, lower motor (0..1), servo 1, servo 2 (-1..1), constant between samples.
-    outputs : tuple of str
+    output_names : tuple of str
         Names of the outputs, from :data:`FLIGHT_OUTPUTS`.
     measured : (n, m) array
         Outputs in SI units; NaN without a measurement; yaw unwrapped.
@@ -90,7 +90,7 @@ class FlightRecord:
     name: str
     time_s: Array
     inputs: Array
-    outputs: tuple[str, ...]
+    output_names: tuple[str, ...]
     measured: Array
     voltage: Array | None = None
 
@@ -101,9 +101,9 @@ class FlightRecord:
 
     def select_outputs(self, outputs: Sequence[str]) -> FlightRecord:
         """Return the record with the outputs named in ``outputs``, in the order of the record."""
-        kept = [k for k, name in enumerate(self.outputs) if name in outputs]
+        kept = [k for k, name in enumerate(self.output_names) if name in outputs]
         return replace(
-            self, outputs=tuple(self.outputs[k] for k in kept), measured=self.measured[:, kept]
+            self, output_names=tuple(self.output_names[k] for k in kept), measured=self.measured[:, kept]
         )  # fmt: skip
 
     def slice_samples(self, start: int, stop: int) -> FlightRecord:
@@ -165,12 +165,12 @@ def record_to_dataset(r: FlightRecord) -> xr.Dataset:
     """Return a record as a recording, with the names that :func:`make_record` reads."""
     data: dict[str, Array] = {}
     for suffix, parts in _OUTPUT_SOURCES.items():
-        if not any(o in r.outputs for o, _, _ in parts):
+        if not any(o in r.output_names for o, _, _ in parts):
             continue
         data[f"measured_{suffix}"] = values = np.full((len(r.time_s), len(parts)), np.nan)
         for output, k, sign in parts:
-            if output in r.outputs:
-                values[:, k] = sign * r.measured[:, r.outputs.index(output)]
+            if output in r.output_names:
+                values[:, k] = sign * r.measured[:, r.output_names.index(output)]
     data |= {"motor_input": r.inputs[:, :2], "servo_input": r.inputs[:, 2:]}
     if r.voltage is not None:
         data["battery_voltage"] = r.voltage
@@ -221,8 +221,8 @@ def _clean_record(r: FlightRecord) -> FlightRecord:
             raise InputError(r.name, FLIGHT_INPUTS[k], "contains no number", "map another column to it")
         last = np.maximum.accumulate(np.where(good, np.arange(len(t)), -1))
         inputs[:, k] = inputs[np.where(last >= 0, last, int(np.argmax(good))), k]
-    if "yaw" in r.outputs:
-        k = r.outputs.index("yaw")
+    if "yaw" in r.output_names:
+        k = r.output_names.index("yaw")
         good = np.isfinite(measured[:, k])
         measured[good, k] = np.unwrap(measured[good, k])
     voltage = None
@@ -234,8 +234,8 @@ def _clean_record(r: FlightRecord) -> FlightRecord:
 
 def estimate_difference_noise(r: FlightRecord) -> Array:
     """Estimate the standard deviation of white noise on every output (m,) from third differences."""
-    out = np.empty(len(r.outputs))
-    for k, name in enumerate(r.outputs):
+    out = np.empty(len(r.output_names))
+    for k, name in enumerate(r.output_names):
         y = r.measured[np.isfinite(r.measured[:, k]), k]
         d = np.diff(y, 3)
         # The median is robust against outliers and steps; 1.4826 converts it to a normal standard deviation.
@@ -247,7 +247,7 @@ def signal_over_noise(records: Sequence[FlightRecord]) -> dict[str, float]:
     """Return the ratio of smoothed motion to noise for every output, the largest of all records."""
     most: dict[str, float] = {}
     for r in records:
-        for k, (name, noise) in enumerate(zip(r.outputs, estimate_difference_noise(r), strict=True)):
+        for k, (name, noise) in enumerate(zip(r.output_names, estimate_difference_noise(r), strict=True)):
             y = smooth_signal(fill_gaps(r.measured[:, k]), r.sample_s, 0.25)
             most[name] = max(most.get(name, 0.0), float(np.std(y) / noise))
     return most
@@ -279,9 +279,9 @@ def smooth_motion(r: FlightRecord) -> Array:
     motion = np.zeros((n, 12))
 
     def smooth_output(name: str, span_s: float, slope: bool = False) -> Array | None:
-        if name not in r.outputs:
+        if name not in r.output_names:
             return None
-        y = fill_gaps(r.measured[:, r.outputs.index(name)])
+        y = fill_gaps(r.measured[:, r.output_names.index(name)])
         return smooth_signal(y, dt, span_s, slope=slope)
 
     # Columns of a value and of its rate, their names, and the smoothing spans of value, rate and slope (s).

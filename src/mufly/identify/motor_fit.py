@@ -88,19 +88,19 @@ class ChannelNoise:
 
     Attributes
     ----------
-    reading_fraction, full_scale_fraction : float
+    reading_fraction, largest_reading_fraction : float
         Shares of the reading and of the largest reading.
     absolute_std : float
         Absolute standard deviation (SI).
     """
 
     reading_fraction: float = 0.01
-    full_scale_fraction: float = 0.003
+    largest_reading_fraction: float = 0.003
     absolute_std: float = 0.0
 
     def error_std(self, value: Array) -> Array:
         """Return the standard deviations (n,) of readings (n,)."""
-        full = self.full_scale_fraction * float(np.max(np.abs(value)))
+        full = self.largest_reading_fraction * float(np.max(np.abs(value)))
         return np.sqrt((self.reading_fraction * value) ** 2 + full**2 + self.absolute_std**2)
 
 
@@ -122,11 +122,11 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
         name, _, amounts = (t.strip() for t in part.partition("="))
         if name not in result:
             raise ArgumentError("noise", name, "is not a channel", f"use one of {', '.join(channels)}")
-        amount = {"reading_fraction": 0.0, "full_scale_fraction": 0.0, "absolute_std": 0.0}
+        amount = {"reading_fraction": 0.0, "largest_reading_fraction": 0.0, "absolute_std": 0.0}
         for piece in amounts.lower().replace(" ", "").split("+"):
             kind, number = "absolute_std", piece
             if piece.endswith("%fs"):
-                kind, number = "full_scale_fraction", piece[:-3]
+                kind, number = "largest_reading_fraction", piece[:-3]
             elif piece.endswith("%"):
                 kind, number = "reading_fraction", piece[:-1]
             try:
@@ -198,7 +198,7 @@ class MotorFit(EstimateLookup):
         Readings, and the most likely true values.
     residual : (n, 2) array
         Residuals e1 (V) and e2 (N m).
-    expected : (n, 2) array
+    expected_residual_std : (n, 2) array
         Standard deviations of the residuals after the fit.
     scales : (2,) array
         Ratio of observed to expected errors of the two equations.
@@ -213,7 +213,7 @@ class MotorFit(EstimateLookup):
     data: MotorData
     adjusted: MotorData
     residual: Array
-    expected: Array
+    expected_residual_std: Array
     scales: Array
     covariance_estimate: CovarianceEstimate
     undetermined: tuple[str, ...]
@@ -287,7 +287,7 @@ def fit_motor(
     notes += _check_energy_balance(effective, gear)
     return MotorFit(
         estimates, cov, effective, data, same.adjust_readings(effective), same.equation_residuals(effective),
-        same.residual_std(effective, scales) * found.scale, scales, found, undetermined, tuple(notes),
+        same.residual_std(effective, scales) * found.residual_std_ratio, scales, found, undetermined, tuple(notes),
     )  # fmt: skip
 
 
@@ -602,7 +602,7 @@ def _find_unmodelled_terms(
         size = np.linalg.norm(both, axis=0)
         more = np.linalg.lstsq(both / size, white.ravel(), rcond=None)[0] / size
         inverse = np.linalg.inv((both / size).T @ (both / size))
-        std = found.scale * math.sqrt(inverse[-1, -1]) / size[-1]
+        std = found.residual_std_ratio * math.sqrt(inverse[-1, -1]) / size[-1]
         if abs(more[-1]) > 3.0 * std:
             if row == 1 and more[-1] > 0:
                 return words, True

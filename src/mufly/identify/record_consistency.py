@@ -287,7 +287,7 @@ def check_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
     if len(still) == 4:
         raise InputError(r.name, "inputs", "no input varies", "fly an excitation: `mufly identify plan`")
     warnings += [f"{r.name}: {n} is constant, so the record holds no information about its effects" for n in still]
-    for k, name in enumerate(r.outputs):
+    for k, name in enumerate(r.output_names):
         y = r.measured[np.isfinite(r.measured[:, k]), k]
         if name != "voltage" and np.ptp(y) < 1e-9:
             warnings.append(f"{r.name}: {name} never changes; check that the sensor is connected")
@@ -296,8 +296,8 @@ def check_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
 
 def _check_angles(r: FlightRecord) -> list[SignalFault]:
     """Return the faults found by comparison of body rates with the derivative of the attitude."""
-    angles_and_rates = [o for o in ("roll", "pitch", "yaw", "p", "q", "r") if o in r.outputs]
-    known = {o: fill_gaps(r.measured[:, r.outputs.index(o)]) for o in angles_and_rates}
+    angles_and_rates = [o for o in ("roll", "pitch", "yaw", "p", "q", "r") if o in r.output_names]
+    known = {o: fill_gaps(r.measured[:, r.output_names.index(o)]) for o in angles_and_rates}
     pairs = [(a, w) for a, w in (("roll", "p"), ("pitch", "q"), ("yaw", "r")) if a in known and w in known]
     samples, dt, n = max(1, round(_SIGNAL_AVERAGING_SPAN_S / r.sample_s)), r.sample_s, len(r.time_s)
     found: list[SignalFault] = []
@@ -344,9 +344,9 @@ def _check_velocities(r: FlightRecord) -> list[SignalFault]:
     found: list[SignalFault] = []
     samples, dt = max(1, round(_SIGNAL_AVERAGING_SPAN_S / r.sample_s)), r.sample_s
     for some in ((("north", "v_north"), ("east", "v_east")), (("height", "climb"),)):
-        pairs = [(a, v) for a, v in some if a in r.outputs and v in r.outputs]
+        pairs = [(a, v) for a, v in some if a in r.output_names and v in r.output_names]
         if pairs:
-            at = [[fill_gaps(r.measured[:, r.outputs.index(o)]) for o in pair] for pair in pairs]
+            at = [[fill_gaps(r.measured[:, r.output_names.index(o)]) for o in pair] for pair in pairs]
             made = moving_average(np.column_stack([np.diff(a) / dt for a, _ in at]), samples)
             read = moving_average(np.column_stack([0.5 * (v[1:] + v[:-1]) for _, v in at]), samples)
             found += check_signals([v for _, v in pairs], read, made, dt, kind="speed", source=[a for a, _ in pairs])
@@ -355,9 +355,9 @@ def _check_velocities(r: FlightRecord) -> list[SignalFault]:
 
 def _check_height_unit(r: FlightRecord) -> list[SignalFault]:
     """Report a height whose acceleration is impossible in metres: it is in centimetres or millimetres."""
-    if "height" not in r.outputs:
+    if "height" not in r.output_names:
         return []
-    slope = smooth_signal(fill_gaps(r.measured[:, r.outputs.index("height")]), r.sample_s, 0.5, slope=True)
+    slope = smooth_signal(fill_gaps(r.measured[:, r.output_names.index("height")]), r.sample_s, 0.5, slope=True)
     size = float(np.std(np.gradient(smooth_signal(slope, r.sample_s, 0.5), r.sample_s)))
     if size <= _MAX_ACCELERATION_m_s2:
         return []

@@ -93,7 +93,7 @@ class CoefficientTrend:
         Whether the coefficient changes with speed by more than its error.
     offset, offset_std : float
         Offset F_0 of the alternative model and its standard deviation (N or N m).
-    aicc_against_offset : float
+    aicc_offset_minus_trend : float
         AICc of the alternative less that of the trend; positive if the trend fits better.
     range_rad_s : (float, float)
         Lowest and highest speed.
@@ -109,7 +109,7 @@ class CoefficientTrend:
     is_significant: bool
     offset: float
     offset_std: float
-    aicc_against_offset: float
+    aicc_offset_minus_trend: float
     range_rad_s: tuple[float, float]
     speed_is_ordered: bool
 
@@ -147,9 +147,9 @@ class CoefficientTrend:
         text = f"{self.symbol} is not constant: {over} ({shape})"
         unit = "N" if self.channel.startswith("thrust") else "N m"
         offset = f"an offset of the load cell of {self.offset:.3g} +- {2 * self.offset_std:.2g} {unit}"
-        if self.aicc_against_offset < -_AICC_TOLERANCE:
+        if self.aicc_offset_minus_trend < -_AICC_TOLERANCE:
             text += f"; but {offset} explains more: read the zero of the load cell at rest"
-        elif self.aicc_against_offset < _AICC_TOLERANCE:
+        elif self.aicc_offset_minus_trend < _AICC_TOLERANCE:
             text += f"; {offset} explains it equally well: read the zero of the load cell at rest"
         else:
             text += "; a Reynolds trend explains more than an offset of the load cell"
@@ -450,11 +450,12 @@ def _resolve_speed_unit(loads: BenchLoads, radius: float) -> tuple[BenchLoads, l
 def _resolve_load_units(loads: BenchLoads, radius: float, density: float) -> tuple[BenchLoads, list[str]]:
     """Choose the units of loads without unit by the size of the coefficients, or raise an error."""
     found = guess_load_units(loads.turning_lines, loads.values, radius, density)
-    table, values, by = loads.turning_lines, dict(loads.values), dict(loads.by_systematic)
+    table, values, by = loads.turning_lines, dict(loads.values), dict(loads.systematic_parameter_jacobian)
     for channel, (factor, words) in found.items():
         table = table.rescale_column(channel, factor, words)
         values[channel], by[channel] = factor * values[channel], factor * by[channel]
-    return replace(loads, turning_lines=table, values=values, by_systematic=by), [words for _, words in found.values()]
+    converted = replace(loads, turning_lines=table, values=values, systematic_parameter_jacobian=by)
+    return converted, [words for _, words in found.values()]
 
 
 def _describe_unphysical(estimates: Sequence[ParameterEstimate]) -> list[str]:
@@ -541,18 +542,19 @@ def _fit_channel(
             over = a[:, 0] ** 2 / float(a[:, 0] @ a[:, 0])
             away = float(over @ (trend.coefficient_at(speed[:, 0]) - value[0]) ** 2)
             scatter = np.array([[float(trend.coefficient_std_at(trend.reference_rad_s)) ** 2 + away]])
-            found = replace(trend.covariance_estimate, scale=found.scale)
+            found = replace(trend.covariance_estimate, residual_std_ratio=found.residual_std_ratio)
     if found.pattern != "white":
         notes.append(f"{channel}: {found.describe_pattern()}")
-    gain = np.linalg.lstsq(a, loads.by_systematic[channel][measured] / expected[:, None], rcond=None)[0]
-    shared = gain @ loads.systematic @ gain.T
+    gain = np.linalg.lstsq(a, loads.systematic_parameter_jacobian[channel][measured] / expected[:, None], rcond=None)[0]
+    shared = gain @ loads.systematic_parameter_covariance @ gain.T
     shared = shared + np.outer(value, value) * (common[0] ** 2 + (power * common[1]) ** 2)
     covariance = scatter + shared
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(np.diag(covariance) > 0, np.diag(shared) / np.diag(covariance), 0.0)
     return CoefficientFit(
-        channel, symbols, value, covariance, share, speed, unit, load, expected * found.scale, found, trends
-    )
+        channel, symbols, value, covariance, share, speed, unit, load, expected * found.residual_std_ratio, found,
+        trends,
+    )  # fmt: skip
 
 
 def _expected_errors(unit: Array, load: Array) -> tuple[Array, str]:

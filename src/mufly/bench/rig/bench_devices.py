@@ -157,8 +157,8 @@ def calibration_to_dict(cells: CellCalibration) -> dict[str, Any]:
     """Return the calibration of load cells as a dictionary for JSON, for :attr:`BenchFacts.calibration`."""
     return {
         "channels": list(cells.channels), "offset": cells.offset.tolist(), "sensitivity": cells.sensitivity.tolist(),
-        "covariance": cells.covariance.tolist(), "applied": cells.applied.tolist(), "source": cells.source,
-        "dof": min(s.dof for s in cells.spreads),
+        "covariance": cells.covariance.tolist(), "applied": cells.applied_load_range.tolist(), "source": cells.source,
+        "dof": min(s.dof for s in cells.sensor_fit_covariances),
     }  # fmt: skip
 
 

@@ -172,7 +172,7 @@ class BenchImperfections:
     )  # V, zero drift of each cell during warm-up
     zero_walk_V_per_sqrt_h: tuple[float, float] = (0.004, 0.003)  # V per sqrt(hour)
     white_noise_V: tuple[float, float] = (0.010, 0.010)  # V, white
-    correlated_noise_V: tuple[float, float] = (0.004, 0.004)  # V, correlation time 0.3 s
+    coloured_noise_V: tuple[float, float] = (0.004, 0.004)  # V, correlation time 0.3 s
     vibration_V: tuple[float, float] = (0.06, 0.06)  # V at 7000 rpm
     gain_per_K: tuple[float, float] = (4e-4, 6e-4)
     current_noise_A: float = 0.008
@@ -377,7 +377,7 @@ class SimulatedRig:
         slow = np.empty((n, 2))
         keep = np.exp(-dt / 0.3)
         for k in range(2):
-            kick = b.correlated_noise_V[k] * np.sqrt(1 - keep**2) * rng.standard_normal(n)
+            kick = b.coloured_noise_V[k] * np.sqrt(1 - keep**2) * rng.standard_normal(n)
             slow[:, k], _ = lfilter([1.0], [1.0, -keep], kick, zi=np.array([keep * self._correlated_noise_V[k]]))
         self._correlated_noise_V = slow[-1]
         gain = 1.0 + self._gain_drift_signs * np.array(b.gain_per_K) * self._room_temperature_offset[0]

@@ -37,9 +37,9 @@ class BlockMean(NamedTuple):
         Degrees of freedom of ``std``.
     size, spikes : int
         Number of samples, and of omitted outliers.
-    low, high : float
+    smallest_sample, largest_sample : float
         Smallest and largest sample, including outliers.
-    trend : float
+    trend_over_std : float
         Change from the first half to the second, in standard uncertainties of that change.
     """
 
@@ -48,9 +48,9 @@ class BlockMean(NamedTuple):
     dof: float
     size: int
     spikes: int
-    low: float
-    high: float
-    trend: float
+    smallest_sample: float
+    largest_sample: float
+    trend_over_std: float
 
 
 def compute_block_mean(samples: ArrayLike) -> BlockMean:
@@ -65,7 +65,7 @@ def compute_block_mean(samples: ArrayLike) -> BlockMean:
     n = x.size
     if n == 0:
         return BlockMean(np.nan, np.nan, 0.0, 0, 0, np.nan, np.nan, 0.0)
-    low, high = float(x.min()), float(x.max())
+    smallest_sample, largest_sample = float(x.min()), float(x.max())
     middle = float(np.median(x))
     size = 1.4826 * float(np.median(np.abs(x - middle)))
     keep = np.abs(x - middle) <= _SPIKE_THRESHOLD_SIGMAS * size if size > 0.0 and n >= 8 else np.ones(n, dtype=bool)
@@ -74,7 +74,7 @@ def compute_block_mean(samples: ArrayLike) -> BlockMean:
     value = float(x.mean())
     batches = min(MEAN_BATCH_COUNT, x.size)
     if batches < 3:
-        return BlockMean(value, float(np.ptp(x)), 1.0, n, spikes, low, high, 0.0)
+        return BlockMean(value, float(np.ptp(x)), 1.0, n, spikes, smallest_sample, largest_sample, 0.0)
     edges = np.linspace(0, x.size, batches + 1).astype(np.intp)
     means = np.add.reduceat(x, edges[:-1]) / np.diff(edges)
     off = means - means.mean()
@@ -84,7 +84,8 @@ def compute_block_mean(samples: ArrayLike) -> BlockMean:
     std = float(np.sqrt(square / (batches - 1) / batches * (1.0 + memory) / (1.0 - memory)))
     half = batches // 2
     change = float(means[-half:].mean() - means[:half].mean())
-    return BlockMean(value, std, batches - 1.0, n, spikes, low, high, change / (2.0 * std) if std > 0.0 else 0.0)
+    trend_over_std = change / (2.0 * std) if std > 0.0 else 0.0
+    return BlockMean(value, std, batches - 1.0, n, spikes, smallest_sample, largest_sample, trend_over_std)
 
 
 def has_settled(before: BlockMean, now: BlockMean, tolerance: float) -> bool:

@@ -45,9 +45,9 @@ class RandomWalkDrift:
         Rows x_i of the linear model.
     start_time : float
         Time t_0 at which the drift is zero.
-    grid_weights : (g,) array
-        Posterior weights of the grid nodes.
-    grid_nodes : (g, 2) array
+    hyperparameter_weights : (g,) array
+        Posterior weights of the nodes.
+    hyperparameter_nodes : (g, 2) array
         q (squared unit of the reading per second) and kappa.
     """
 
@@ -56,8 +56,8 @@ class RandomWalkDrift:
     reading_std: Array
     design_matrix: Array
     start_time: float
-    grid_weights: Array
-    grid_nodes: Array
+    hyperparameter_weights: Array
+    hyperparameter_nodes: Array
 
     def _solve_node(self, q: float, kappa: float) -> tuple[Array, Array, Array, Array, Array]:
         v = q * self._walk_covariance(self.time_s, self.time_s) + np.diag(kappa * self.reading_std**2)
@@ -79,7 +79,7 @@ class RandomWalkDrift:
     def predict(self, time: Array, design: Array) -> tuple[Array, Array]:
         """Predict model plus drift at times (m,) with design rows (m, p); return mean (m,) and covariance (m, m)."""
         means, parts = [], []
-        for (q, kappa), w in zip(self.grid_nodes, self.grid_weights, strict=True):
+        for (q, kappa), w in zip(self.hyperparameter_nodes, self.hyperparameter_weights, strict=True):
             if w < 1e-4:
                 continue
             b, a, vr, vi, vx = self._solve_node(float(q), float(kappa))
@@ -106,7 +106,7 @@ class RandomWalkDrift:
     @property
     def mean_variance_inflation(self) -> float:
         """Return the mean of kappa, the ratio of the readings' variance to their stated variance."""
-        return float(self.grid_weights @ self.grid_nodes[:, 1])
+        return float(self.hyperparameter_weights @ self.hyperparameter_nodes[:, 1])
 
 
 def fit_random_walk(

@@ -116,7 +116,11 @@ class SettingResult:
         return self.torque_lower if self.axis == "lower" else self.torque_upper
 
 
-@result(eq=False, picture="mufly.bench.series.series_pictures:draw_series_result")
+@result(
+    eq=False,
+    picture="mufly.bench.series.series_pictures:draw_series_result",
+    json="name points settings doubts notes repeat=relative_repeatability density_relative_std",
+)
 class SeriesResult:
     """Results of a measurement series: loads of each setting with intervals, and issues.
 
@@ -129,7 +133,7 @@ class SeriesResult:
         Issues that the checks of the series found.
     notes : tuple of str
         Corrections with their size.
-    repeat : dict of str to float
+    relative_repeatability : dict of str to float
         Relative repeatability tau of each load; NaN without repeated mountings.
     density_relative_std : float
         Relative standard uncertainty of the air density (1).
@@ -140,7 +144,7 @@ class SeriesResult:
     settings: tuple[SettingResult, ...]
     doubts: tuple[SeriesIssue, ...]
     notes: tuple[str, ...]
-    repeat: dict[str, float]
+    relative_repeatability: dict[str, float]
     density_relative_std: float
 
     @property
@@ -204,14 +208,14 @@ def analyse_series(
         doubts += _check_torque_split(split)
         notes += _describe_torque_split(split)
     channels = _loads_by_axis(points, plan, facts, loads, split, alone, known_relative_std)
-    repeat = {q: _estimate_repeatability(c, points, plan, density, speed) for q, c in channels.items()}
+    relative_repeatability = {q: _estimate_repeatability(c, points, plan, density, speed) for q, c in channels.items()}
     for kind in accept:
         doubts = [SeriesIssue(d.kind, d.text, d.is_fatal and d.kind != kind) for d in doubts]
     one = [[i] for i in range(len(points))]
     groups: dict[tuple[object, ...], list[int]] = {}
     for i, k in enumerate(points.mounting_index):
         groups.setdefault(setting_key(plan.mounting[k], float(points.nominal_rpm[i])), []).append(i)
-    made = _SettingAverager(points, plan, density, speed, channels, repeat, start)
+    made = _SettingAverager(points, plan, density, speed, channels, relative_repeatability, start)
     return SeriesResult(
         plan.name,
         tuple(made.average_setting(g, mounted=True) for g in one),
@@ -223,7 +227,7 @@ def analyse_series(
         ),
         tuple(doubts),
         tuple(notes),
-        {q: t for q, (t, _) in repeat.items()},
+        {q: t for q, (t, _) in relative_repeatability.items()},
         relative,
     )
 
@@ -345,7 +349,7 @@ def _reference_torque(
 
 
 def _check_torque_split(split: TorqueSplit) -> list[SeriesIssue]:
-    off = split.cell_mismatch[np.isfinite(split.cell_mismatch)]
+    off = split.cell_mismatch_over_std[np.isfinite(split.cell_mismatch_over_std)]
     if off.size and float(np.median(np.abs(off))) > 3.0:
         return [
             SeriesIssue(
@@ -479,7 +483,7 @@ class _SettingAverager:
                 made[f"torque_{side}"] = None
         thrust = made["thrust"]
         assert thrust is not None
-        truths = [self.points.record_lines[i].get("truth", {}) for i in at]
+        truths = [self.points.record_entries[i].get("truth", {}) for i in at]
         electric = {
             q: {
                 a: v

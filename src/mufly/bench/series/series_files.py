@@ -131,21 +131,21 @@ class LoadDifference:
 
     Attributes
     ----------
-    measured_point : str
+    point_description : str
         Blades, speed and load.
     first, second : float
         Values of the load (N or N m).
     relative : float
         second / first - 1.
-    normalised : float
+    En_score : float
         E_n: difference over the expanded uncertainty of the difference (ISO 13528); beyond 1 the two disagree.
     """
 
-    measured_point: str
+    point_description: str
     first: float
     second: float
     relative: float
-    normalised: float
+    En_score: float
 
 
 def _describe_setting(s: SettingResult, load: str) -> str:

@@ -58,8 +58,8 @@ class SeriesReadings:
         Whether the readings were steady, the speed was reached, and a channel was saturated.
     spike_share : (n,) array
         Largest share of outliers among the samples of the cells.
-    record_lines : list of dict
-        Lines of the record.
+    record_entries : list of dict
+        Entries of the record.
     """
 
     mounting_index: Integers
@@ -73,7 +73,7 @@ class SeriesReadings:
     at_speed: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
     spike_share: Array
-    record_lines: list[dict[str, Any]]
+    record_entries: list[dict[str, Any]]
 
     def __len__(self) -> int:
         return int(self.time_s.size)
@@ -101,7 +101,7 @@ class SeriesReadings:
             self.at_speed[k],
             self.saturated[k],
             self.spike_share[k],
-            [self.record_lines[i] for i in k],
+            [self.record_entries[i] for i in k],
         )
 
 

@@ -59,7 +59,7 @@ def series_blocks(found: SeriesResult) -> list[ShownBlock]:
     rows = [_setting_row(s)[: len(heads)] for s in found.settings]
     repeat = [
         f"{load}: mountings of the same setting differ by {100 * tau:.2f} % (one standard deviation)"
-        for load, tau in found.repeat.items()
+        for load, tau in found.relative_repeatability.items()
         if math.isfinite(tau)
     ]
     blocks: list[ShownBlock] = [
@@ -107,10 +107,10 @@ def difference_blocks(found: Sequence[LoadDifference], first: str, second: str) 
     columns.
     """
     rows = [
-        (d.measured_point, f"{d.first:.4g}", f"{d.second:.4g}", f"{100 * d.relative:+.1f} %", f"{d.normalised:+.2f}")
+        (d.point_description, f"{d.first:.4g}", f"{d.second:.4g}", f"{100 * d.relative:+.1f} %", f"{d.En_score:+.2f}")
         for d in found
     ]
-    beyond = sum(abs(d.normalised) > 1 for d in found)
+    beyond = sum(abs(d.En_score) > 1 for d in found)
     mean = sum(abs(d.relative) for d in found) / len(found)
     return [
         show_table(("setting", first, second, "off", "E_n"), rows),

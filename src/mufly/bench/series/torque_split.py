@@ -46,7 +46,7 @@ class TorqueSplit:
         Covariance of these torques ((N m)^2).
     motor_fits : dict of str to RandomWalkDrift
         Fit of k, c_0, c_1 of each axis.
-    cell_mismatch : (m,) array
+    cell_mismatch_over_std : (m,) array
         Cell reading less the sum from currents, in standard uncertainties; NaN without a torque cell.
     """
 
@@ -54,7 +54,7 @@ class TorqueSplit:
     torque_Nm: dict[str, Array]
     covariance: dict[str, Array]
     motor_fits: dict[str, RandomWalkDrift]
-    cell_mismatch: Array
+    cell_mismatch_over_std: Array
 
 
 def split_torque(

@@ -182,7 +182,7 @@ def flight(
         records, held = [p[0] for p in parts], [p[1] for p in parts]
     if not as_json:
         print_lines(*said, *more, mark="Note", style="yellow")
-    measured = sorted({o for r in records for o in r.outputs})
+    measured = sorted({o for r in records for o in r.output_names})
     symbols = [s.strip() for s in free.split(",") if s.strip()]
     wanted = choose_free_parameters(start, symbols, measured, delay_s=delay_ms / 1e3)
     keep = checkpoint or (None if out is None else out.with_name(f"{out.name}.checkpoint.json"))
@@ -280,7 +280,7 @@ def _write_report(fit: FitResult, folder: Path | None, shown: bool) -> list[Path
 def _print_fit_notes(fit: FitResult) -> None:
     """Print below the table: parameters that are not distinguishable, errors of each record, and how the fit ended."""
     print_lines(*(f"{text}." for text in fit.undetermined), mark="Not distinguishable", style="yellow")
-    print_lines(*(f"{text}." for text in fit.held), mark="Uncertainty from held parameters")
+    print_lines(*(f"{text}." for text in fit.uncertain_from_held_parameters), mark="Uncertainty from held parameters")
     rows = []
     for r in fit.records:
         ratios = zip(r.output_names, r.rms_over_noise(), strict=True)

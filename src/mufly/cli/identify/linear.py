@@ -249,7 +249,7 @@ def _print_linear_model(r: LinearResult) -> None:
     if r.candidates:
         print_table(*candidate_table(r), title="Structures, cross-validated inside the fitted part")
     print_table(*estimate_table(r), title=f"Model {r.fit.vehicle}")
-    print_lines(f"Poles: {', '.join(format_pole(p) for p in r.linear.poles)} rad/s", r.linear.message)
+    print_lines(f"Poles: {', '.join(format_pole(p) for p in r.linear_fit.poles)} rad/s", r.linear_fit.message)
     print_table(*quality_table(r), title="Pure simulation from inputs", text=(0, 1))
     print_lines(
         "at most: with no error but the noise floor; to angle: against the derivative of the measured angle; error and "
@@ -262,7 +262,7 @@ def _print_linear_model(r: LinearResult) -> None:
             title=f"Held-out part, predicted a time ahead (low-passed at {r.slow_hz:g} Hz)",
         )
     for title, words in (
-        ("Effects in the residuals of the fitted part:", r.missing),
+        ("Effects in the residuals of the fitted part:", r.model_deficiencies),
         ("Parameters that the data do not determine:", r.fit.undetermined),
     ):
         if words:
@@ -477,7 +477,7 @@ def bandwidth(
     rows = []
     for label, field in (
         ("bandwidth, the lesser", "bandwidth"), ("by phase margin of 45 deg", "phase"),
-        ("by gain margin of 6 dB", "gain"), ("phase -180 deg at", "crossing"),
+        ("by gain margin of 6 dB", "gain"), ("phase -180 deg at", "phase_crossover"),
     ):  # fmt: skip
         value, std = getattr(found, f"{field}_rad_s"), getattr(found, f"{field}_std_rad_s")
         rows.append((label, *(("-", "-") if np.isnan(value) else (f"{value:.3g}", f"{std:.2g}")), "rad/s"))

@@ -203,7 +203,7 @@ def rotor(
         "calibration": None if cells is None else cells.describe_calibration(),
         "results": fits,
         "interference": effects,
-        "prediction": {k: select_fields(p, "load error") for k, p in predictions.items()},
+        "prediction": {k: select_fields(p, "load error=relative_error") for k, p in predictions.items()},
     }
     print_answer(as_json, content, print_results, files)
 
@@ -381,7 +381,7 @@ def _parse_limits(text: str | None) -> FlightLimits:
     names = {
         "attitude_deg": ("attitude_rad", math.radians(1)), "heading_deg": ("heading_rad", math.radians(1)),
         "rates_deg_s": ("rates_rad_s", math.radians(1)), "height_m": ("height_m", 1.0), "place_m": ("place_m", 1.0),
-        "motor": ("motor", 1.0), "servo": ("servo", 1.0),
+        "motor": ("motor_margin", 1.0), "servo": ("servo_margin", 1.0),
     }  # fmt: skip
     units = {name: split_unit_suffix(name)[1] or "1" for name in names}
     given = _parse_named_numbers("--limit", text, units)

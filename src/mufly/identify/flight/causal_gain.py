@@ -45,14 +45,14 @@ class CausalGain:
         Gain of each prediction and its standard deviation.
     lead_samples : int
         Index of the prediction that explains most.
-    evidence : float
+    sign_log_likelihood_ratio : float
         Logarithm of the likelihood ratio of the best fit to the best one whose leading gain has the other sign or is 0.
     """
 
     value: Array
     std: Array
     lead_samples: int
-    evidence: float
+    sign_log_likelihood_ratio: float
 
 
 def estimate_causal_gain(

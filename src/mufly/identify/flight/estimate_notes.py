@@ -107,6 +107,6 @@ def residual_over_noise(problem: OutputErrorProblem) -> dict[str, float]:
     """Return the ratio of estimated residual noise to sensor noise by output, the largest over all records."""
     ratios: dict[str, float] = {}
     for f in problem.prepared_records:
-        for o, ratio in zip(f.record.outputs, f.noise_std / estimate_difference_noise(f.record), strict=True):
+        for o, ratio in zip(f.record.output_names, f.noise_std / estimate_difference_noise(f.record), strict=True):
             ratios[o] = max(ratios.get(o, 0.0), float(ratio))
     return ratios

@@ -115,8 +115,8 @@ class FlightLimits:
         Largest deviation of roll and pitch, of yaw, and of any body rate.
     height_m, place_m : float
         Largest vertical and horizontal deviation.
-    motor, servo : float
-        Margins of the inputs: motors stay within ``motor`` to ``1 - motor``, servos within ``1 - servo``.
+    motor_margin, servo_margin : float
+        Margins of the inputs: motors stay within the margin to one less the margin, servos within one less the margin.
     """
 
     attitude_rad: float = math.radians(20)
@@ -124,8 +124,8 @@ class FlightLimits:
     rates_rad_s: float = 4.0
     height_m: float = 0.5
     place_m: float = 1.0
-    motor: float = 0.05
-    servo: float = 0.1
+    motor_margin: float = 0.05
+    servo_margin: float = 0.1
 
     def limit_usage(self, states: Array, inputs: Array) -> tuple[Array, list[str]]:
         """Return each flight's largest deviation relative to every limit, (b, limits), and the names of the limits.
@@ -141,8 +141,8 @@ class FlightLimits:
             "body rates": np.abs(states[..., RATES]).max(axis=(1, 2)) / self.rates_rad_s,
             "height": np.abs(at[..., 2]).max(axis=1) / self.height_m,
             "place": np.linalg.norm(at[..., :2], axis=2).max(axis=1) / self.place_m,
-            "motor input": np.abs(inputs[..., MOTORS] - 0.5).max(axis=(1, 2)) / (0.5 - self.motor),
-            "servo input": np.abs(inputs[..., SERVOS]).max(axis=(1, 2)) / (1.0 - self.servo),
+            "motor input": np.abs(inputs[..., MOTORS] - 0.5).max(axis=(1, 2)) / (0.5 - self.motor_margin),
+            "servo input": np.abs(inputs[..., SERVOS]).max(axis=(1, 2)) / (1.0 - self.servo_margin),
         }
         table = np.column_stack(list(shares.values()))
         return np.where(np.isfinite(table), table, np.inf), list(shares)
@@ -660,7 +660,7 @@ def _fisher_information(
 ) -> Array:
     """Return the Fisher information (p, p) of ``theta`` with the initial state of every window eliminated."""
     problem = make_problem(vehicle, free, [record], part=part, delay_s=delay_s, prior=False)
-    problem = problem.with_noise([np.array([noise[o] for o in problem.records[0].outputs])]).with_windows(window_s)
+    problem = problem.with_noise([np.array([noise[o] for o in problem.records[0].output_names])]).with_windows(window_s)
     linear = problem.linearise_record(0, np.zeros(len(free)), problem.zero_initial_states()[0])
     # The wide prior of the initial states only prevents a singular matrix for undetermined states.
     wide = np.diag(1.0 / problem.initial_state_std(0) ** 2)

@@ -215,7 +215,7 @@ def _make_fit_result(
         converged=converged and there,
         message="; ".join(notes) if notes else "converged",
         records=tuple(_predict_fitted_record(problem, i, point, "fit") for i in range(len(problem.prepared_records))),
-        held=describe_held_parameters(free, held, moved, from_data),
+        uncertain_from_held_parameters=describe_held_parameters(free, held, moved, from_data),
     )
 
 
@@ -225,8 +225,8 @@ def _predict_fitted_record(
     r = problem.records[i]
     predicted = problem.simulate_record(i, point.theta[None], point.states[i][None])[0]
     return RecordPrediction(
-        r.name, role, r.time_s, r.outputs, output_units(r.outputs), r.measured, predicted, estimate_difference_noise(r),
-        r.inputs, FLIGHT_INPUTS,
+        r.name, role, r.time_s, r.output_names, output_units(r.output_names), r.measured, predicted,
+        estimate_difference_noise(r), r.inputs, FLIGHT_INPUTS,
     )  # fmt: skip
 
 
@@ -251,9 +251,9 @@ def _predict_held_out_record(
     noise = {
         o: n
         for f in (*own.prepared_records, *problem.prepared_records)
-        for o, n in zip(f.record.outputs, f.noise_std, strict=True)
+        for o, n in zip(f.record.output_names, f.noise_std, strict=True)
     }
-    own = own.with_noise([np.array([noise[o] for o in own.records[0].outputs])])
+    own = own.with_noise([np.array([noise[o] for o in own.records[0].output_names])])
     own = own.with_windows(CHARGING_WINDOW_S).with_matched_charge(theta).with_windows(None)
     found = find_initial_states(own, theta)
     predicted = _predict_fitted_record(own, 0, FitPoint(theta, found.initial_states, np.inf), "held out")
@@ -306,7 +306,7 @@ def fit_parts_separately(
 
         def excites_part(r: FlightRecord, part: str = part, columns: slice = columns) -> bool:
             moves = float(np.max(np.std(r.inputs[:, columns], axis=0))) > 0.01
-            return moves and bool(set(r.outputs) & (set(PART_OUTPUTS[part]) - {"voltage"}))
+            return moves and bool(set(r.output_names) & (set(PART_OUTPUTS[part]) - {"voltage"}))
 
         used = [r for r in records if excites_part(r)]
         if not used:
@@ -337,7 +337,7 @@ def _combine_fits(fits: Sequence[FitResult]) -> FitResult:
         covariance=block_diag(*[f.covariance for f in fits]),
         correlation=block_diag(*[f.correlation for f in fits]),
         undetermined=tuple(u for f in fits for u in f.undetermined),
-        held=tuple(h for f in fits for h in f.held),
+        uncertain_from_held_parameters=tuple(h for f in fits for h in f.uncertain_from_held_parameters),
         cost=sum(f.cost for f in fits),
         history=tuple({**row, "iteration": k + 1} for k, row in enumerate(history)),
         method=" then ".join(f.method for f in fits),

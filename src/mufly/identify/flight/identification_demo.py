@@ -313,7 +313,7 @@ def run_identification_demo(
     values = {rows[s].key: true[s] * float(factor[s]) for s in DEMO_FREE_SYMBOLS if s != "delay"}
     start = replace_parameters(truth, values, source="estimated")
     free = choose_free_parameters(
-        start, DEMO_FREE_SYMBOLS, flights[0].outputs, delay_s=true["delay"] * float(factor["delay"])
+        start, DEMO_FREE_SYMBOLS, flights[0].output_names, delay_s=true["delay"] * float(factor["delay"])
     )
     options = {
         "held_out": held_out,

@@ -77,7 +77,7 @@ def find_initial_states(problem: OutputErrorProblem, theta: _Array) -> InitialSt
 
 def find_initial_offsets(problem: OutputErrorProblem, theta: _Array) -> list[_Array]:
     """Return every record's initial rotor speeds, bar tilts and horizontal velocities
-    (``PreparedRecord.initial_offset``).
+    (``PreparedRecord.initial_state_offset``).
 
     Windows do not fit these states, because rotors, bar and horizontal velocity continue from one window to the next.
     In a record that begins in motion the steady motor speeds are wrong for the first one or two seconds.
@@ -89,7 +89,7 @@ def find_initial_offsets(problem: OutputErrorProblem, theta: _Array) -> list[_Ar
     found, begin = find_initial_states(opening.with_windows(None), theta), []
     for f, s in zip(opening.with_windows(None).prepared_records, found.initial_states, strict=True):
         sought = np.zeros(whole)
-        sought[f.sought_states] = s[0]
+        sought[f.sought_state_indices] = s[0]
         # Every window fits the rest of the motion; the voltage of the whole record sets the charge.
         begin.append(np.where(_CONTINUOUS_STATES, sought, 0.0))
     return begin

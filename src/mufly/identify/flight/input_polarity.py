@@ -106,9 +106,9 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
     Keys are ``heave``, ``yaw``, ``roll``, ``pitch``, ``north``, ``east``, as far as the record holds their signals.
     """
     problem = make_problem(
-        vehicle, (), [r.select_outputs([o for o in r.outputs if o != "voltage"])], voltage="measured"
+        vehicle, (), [r.select_outputs([o for o in r.output_names if o != "voltage"])], voltage="measured"
     )
-    f, dt, has = problem.prepared_records[0], r.sample_s, set(r.outputs)
+    f, dt, has = problem.prepared_records[0], r.sample_s, set(r.output_names)
     p, thrust, torque = _simulate_rotors(f, dt)
     m = f.smoothed_motion
 
@@ -118,7 +118,7 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
 
     def gain(rate: str, angle: str, *made: Array, sign: float = 1.0, **options: Any) -> InputGain:
         is_rate = rate in has
-        seen = sign * r.measured[:, r.outputs.index(rate if is_rate else angle)]
+        seen = sign * r.measured[:, r.output_names.index(rate if is_rate else angle)]
         return _judge_gain(
             estimate_causal_gain(seen, np.column_stack(made), dt, is_rate=is_rate, **options), len(made) > 1
         )
@@ -194,7 +194,7 @@ def _judge_gain(found: CausalGain | None, is_crossed: bool) -> InputGain:
     g, std, lead = found.value, found.std, found.lead_samples
     sure = (
         abs(g[lead]) > max(_MIN_ABSOLUTE_INPUT_GAIN, _MIN_GAIN_SIGMAS * std[lead])
-        and found.evidence > _MIN_SIGN_LOG_LIKELIHOOD_RATIO
+        and found.sign_log_likelihood_ratio > _MIN_SIGN_LOG_LIKELIHOOD_RATIO
     )
     # The other servo counts only if the own servo has little effect in comparison.
     sure = bool(sure and (lead == 0 or abs(g[0]) < 0.4 * abs(g[1])))
@@ -357,9 +357,9 @@ def _check_height(r: FlightRecord, heave: InputGain | None) -> list[SignalFault]
                 "height", f"{what}: it seems to be in {unit}", "state the unit in the column map ('cm' or 'mm')"
             )
         ]
-    if "height" not in r.outputs:
+    if "height" not in r.output_names:
         return []
-    k = r.outputs.index("height")
+    k = r.output_names.index("height")
     y = r.measured[np.isfinite(r.measured[:, k]), k]
     steps = np.abs(np.diff(y))
     resolution = float(steps[steps > 0.0].min(initial=np.inf))

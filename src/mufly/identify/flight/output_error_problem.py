@@ -150,14 +150,14 @@ class PreparedRecord:
         State of charge at the start, unless it is an unknown.
     constant_voltage : float or None
         Constant battery voltage (V); None for the vehicle's battery model.
-    initial_offset : (17,) array
+    initial_state_offset : (17,) array
         Offset of the first initial state from the smoothed measurement, ordered as ``MOTION + ACTUATOR``: unmeasured
         horizontal velocity, rotor speeds relative to the steady speeds, tilts.
     first_and_mean_voltage : (float, float)
         Initial and mean voltage (V).
     window_starts : (windows,) array
         First sample of every window.
-    sought_states : (k,) array
+    sought_state_indices : (k,) array
         Unknown initial states, as positions in ``MOTION + ACTUATOR``.
     """
 
@@ -170,10 +170,10 @@ class PreparedRecord:
     parameter_changes: FieldChanges
     initial_charge: float
     constant_voltage: float | None
-    initial_offset: _Array
+    initial_state_offset: _Array
     first_and_mean_voltage: tuple[float, float]
     window_starts: NDArray[np.int64]
-    sought_states: NDArray[np.int64]
+    sought_state_indices: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,11 +214,11 @@ class OutputErrorProblem:
 
     def zero_initial_states(self) -> list[_Array]:
         """Return initial states equal to the smoothed measurement: zeros, (windows, k) per record."""
-        return [np.zeros((len(f.window_starts), len(f.sought_states))) for f in self.prepared_records]
+        return [np.zeros((len(f.window_starts), len(f.sought_state_indices))) for f in self.prepared_records]
 
     def initial_state_std(self, i: int) -> _Array:
         """Return the prior standard deviation of the unknown initial states of record ``i``, (k,)."""
-        return _INITIAL_STATE_STD[self.prepared_records[i].sought_states]
+        return _INITIAL_STATE_STD[self.prepared_records[i].sought_state_indices]
 
     def _replace_in_records(self, **changed: Sequence[Any]) -> OutputErrorProblem:
         """Return the problem with new values in some fields of its prepared records, one value for each record."""
@@ -234,9 +234,9 @@ class OutputErrorProblem:
             count = 1 if length_s is None else max(1, round((n - 1) * r.sample_s / length_s))
             starts.append(np.round(np.linspace(0, n, count + 1)[:-1]).astype(np.int64))
             drags = any(float(f.base_parameters["inplane"]) > 0.0 for f in self.prepared_records)
-            sought.append(_choose_sought_states(r.outputs, self.dynamics_part, whole=count == 1, drags=drags))
+            sought.append(_choose_sought_states(r.output_names, self.dynamics_part, whole=count == 1, drags=drags))
         return dataclasses_replace(
-            self._replace_in_records(window_starts=starts, sought_states=sought), with_hover_residual=hover
+            self._replace_in_records(window_starts=starts, sought_state_indices=sought), with_hover_residual=hover
         )
 
     def with_held_parameters(self) -> tuple[OutputErrorProblem, int]:
@@ -274,8 +274,8 @@ class OutputErrorProblem:
         return self._replace_in_records(noise_std=noise)
 
     def with_initial_offset(self, begin: Sequence[_Array]) -> OutputErrorProblem:
-        """Return the problem with ``begin`` as the records' ``initial_offset``, (17,) per record."""
-        return self._replace_in_records(initial_offset=begin)
+        """Return the problem with ``begin`` as the records' ``initial_state_offset``, (17,) per record."""
+        return self._replace_in_records(initial_state_offset=begin)
 
     def with_charges(self, charge: Sequence[float]) -> OutputErrorProblem:
         """Return the problem with these initial states of charge, one per record."""
@@ -286,9 +286,9 @@ class OutputErrorProblem:
         curve = self.vehicle.battery.open_circuit_voltage
         charges = [f.initial_charge for f in self.prepared_records]
         for i, f in enumerate(self.prepared_records):
-            if "voltage" not in f.record.outputs:
+            if "voltage" not in f.record.output_names:
                 continue
-            k = f.record.outputs.index("voltage")
+            k = f.record.output_names.index("voltage")
             for _ in range(5):
                 e = self.with_charges(charges).record_residual(i, theta[None], self.zero_initial_states()[i][None])[
                     0, :, k
@@ -307,11 +307,11 @@ class OutputErrorProblem:
         delay = values[:, symbols.index("delay")] if "delay" in symbols else np.full(b, self.delay_s)
         offset = np.zeros((b, len(MOTION_STATES) + len(ACTUATOR_STATES)))
         motion = np.repeat(f.smoothed_motion[f.window_starts][None], b, axis=0)
-        inner = f.sought_states < len(MOTION_STATES)
-        motion[:, :, f.sought_states[inner]] += states[:, :, inner]
-        motion[:, 0] += f.initial_offset[: len(MOTION_STATES)]
-        offset[:, f.sought_states] = states[:, 0, :]
-        actuator = (offset + f.initial_offset)[:, len(MOTION_STATES) :]
+        inner = f.sought_state_indices < len(MOTION_STATES)
+        motion[:, :, f.sought_state_indices[inner]] += states[:, :, inner]
+        motion[:, 0] += f.initial_state_offset[: len(MOTION_STATES)]
+        offset[:, f.sought_state_indices] = states[:, 0, :]
+        actuator = (offset + f.initial_state_offset)[:, len(MOTION_STATES) :]
 
         hold = np.full((b, 2), -1.0)
         if self.dynamics_part == "roll-pitch":
@@ -329,7 +329,7 @@ class OutputErrorProblem:
         )
         x[:, ROTOR_SPEEDS] = speeds * np.maximum(1.0 + actuator[:, :ACTUATOR_BAR], 0.01)
         x[:, MODEL_CHARGE] = np.clip(f.initial_charge + actuator[:, ACTUATOR_CHARGE], 0.0, 1.0)
-        codes = np.array([FLIGHT_OUTPUTS.index(o) for o in r.outputs], dtype=np.int64)
+        codes = np.array([FLIGHT_OUTPUTS.index(o) for o in r.output_names], dtype=np.int64)
         y = simulate_batch(
             x,
             p,
@@ -344,8 +344,8 @@ class OutputErrorProblem:
             path=f.smoothed_motion if self._velocity_follows_attitude(i) else None,
         )
         for j, symbol in enumerate(symbols):
-            if symbol.startswith("bias_") and (output := symbol.removeprefix("bias_")) in r.outputs:
-                y[:, :, r.outputs.index(output)] += values[:, j, None]
+            if symbol.startswith("bias_") and (output := symbol.removeprefix("bias_")) in r.output_names:
+                y[:, :, r.output_names.index(output)] += values[:, j, None]
         return y
 
     def _velocity_follows_attitude(self, i: int) -> bool:
@@ -353,8 +353,8 @@ class OutputErrorProblem:
         not fitted.
         """
         f = self.prepared_records[i]
-        tilt = {"roll", "pitch"} <= set(f.record.outputs)
-        return tilt and len(f.window_starts) > 1 and not {3, 4} & set(f.sought_states.tolist())
+        tilt = {"roll", "pitch"} <= set(f.record.output_names)
+        return tilt and len(f.window_starts) > 1 and not {3, 4} & set(f.sought_state_indices.tolist())
 
     def record_residual(self, i: int, theta: _Array, states: _Array) -> _Array:
         """Return (simulated - measured) / noise of record ``i``, (b, n, m); zero without a measurement."""
@@ -457,8 +457,8 @@ def make_problem(
     flights = []
     for r in records:
         used = r.select_outputs(wanted)
-        if not used.outputs or used.outputs == ("voltage",):
-            have = ", ".join(r.outputs)
+        if not used.output_names or used.output_names == ("voltage",):
+            have = ", ".join(r.output_names)
             raise InputError(r.name, "", f"contains none of {', '.join(wanted)} (but {have})", "choose other outputs")
         flights.append(_prepare_record(vehicle, free, used, part, _motor_voltage(vehicle, used, voltage)))
     whole = OutputErrorProblem(vehicle, tuple(free), tuple(flights), part, False, prior, delay_s)

@@ -257,7 +257,7 @@ class StagedSearch:
         flown = 0 if state.point is None else state.point.simulations
         if state.initial_charges is not None:
             final = final.with_charges(state.initial_charges)
-        if not left and any("voltage" in r.outputs for r in final.records):
+        if not left and any("voltage" in r.output_names for r in final.records):
             final = final.with_windows(CHARGING_WINDOW_S).with_matched_charge(theta).with_windows(None)
             state.initial_charges = [f.initial_charge for f in final.prepared_records]
         problem = final.with_windows(stage.window_s, hover=stage.with_hover_residual)
@@ -357,7 +357,7 @@ class StagedSearch:
 
 def _noise_with_voltage_slack(problem: OutputErrorProblem) -> list[_Array]:
     return [
-        f.noise_std * np.array([_VOLTAGE_NOISE_FACTOR if o == "voltage" else 1.0 for o in f.record.outputs])
+        f.noise_std * np.array([_VOLTAGE_NOISE_FACTOR if o == "voltage" else 1.0 for o in f.record.output_names])
         for f in problem.prepared_records
     ]
 
@@ -369,11 +369,11 @@ def _noise_from_residuals(problem: OutputErrorProblem, point: FitPoint) -> list[
     unknown = len(point.theta) + sum(s.size for s in point.states)
     for i, f in enumerate(problem.prepared_records):
         e = problem.record_residual(i, point.theta[None], point.states[i][None])[0] * f.noise_std
-        for k, o in enumerate(f.record.outputs):
+        for k, o in enumerate(f.record.output_names):
             square[o] = square.get(o, 0.0) + float(e[:, k] @ e[:, k])
             count[o] = count.get(o, 0) + int(np.isfinite(f.record.measured[:, k]).sum())
     keep = 1.0 - min(0.5, unknown / max(sum(count.values()), 1))
-    return [np.sqrt([max(square[o], 1e-18) / (count[o] * keep) for o in r.outputs]) for r in problem.records]
+    return [np.sqrt([max(square[o], 1e-18) / (count[o] * keep) for o in r.output_names]) for r in problem.records]
 
 
 def problem_digest(problem: OutputErrorProblem, method: str) -> str:
@@ -386,7 +386,7 @@ def problem_digest(problem: OutputErrorProblem, method: str) -> str:
         f"{problem.free_parameters}",
     ]
     for r in problem.records:
-        parts += [r.outputs, r.time_s, r.inputs, r.measured]
+        parts += [r.output_names, r.time_s, r.inputs, r.measured]
     return hash_question(*parts, problem.vehicle.model_dump_json())
 
 

@@ -37,12 +37,12 @@ class Bandwidth:
         Bandwidth of a rate response: the smaller of ``phase_rad_s`` and ``gain_rad_s``.
     phase_rad_s, gain_rad_s : float
         Bandwidth by phase margin, and by gain margin.
-    crossing_rad_s : float
+    phase_crossover_rad_s : float
         Lowest frequency with a phase of -180 deg.
     phase_delay_s : float
     phase_delay_line_s : float
-        Phase delay from a least-squares line through the phase from ``crossing_rad_s`` to twice this frequency.
-    bandwidth_std_rad_s, phase_std_rad_s, gain_std_rad_s, crossing_std_rad_s, phase_delay_std_s : float
+        Phase delay from a least-squares line through the phase from ``phase_crossover_rad_s`` to twice this frequency.
+    bandwidth_std_rad_s, phase_std_rad_s, gain_std_rad_s, phase_crossover_std_rad_s, phase_delay_std_s : float
         Standard deviations.
     notes : tuple of str
         Missing values and the reasons.
@@ -51,13 +51,13 @@ class Bandwidth:
     bandwidth_rad_s: float
     phase_rad_s: float
     gain_rad_s: float
-    crossing_rad_s: float
+    phase_crossover_rad_s: float
     phase_delay_s: float
     phase_delay_line_s: float
     bandwidth_std_rad_s: float
     phase_std_rad_s: float
     gain_std_rad_s: float
-    crossing_std_rad_s: float
+    phase_crossover_std_rad_s: float
     phase_delay_std_s: float
     notes: tuple[str, ...]
 

@@ -109,7 +109,7 @@ class ReconstructedPath:
         Names of the measured states.
     measured : (n, m) array
         Measured states (SI).
-    innovations : (n, m) array
+    normalised_innovations : (n, m) array
         Measurement less one-sample prediction, over the filter's standard deviation; 1 is consistent.
     imu_noise, output_noise : array
         Standard deviations of the noise (SI).
@@ -128,7 +128,7 @@ class ReconstructedPath:
     states_std: Array
     outputs: tuple[str, ...]
     measured: Array
-    innovations: Array
+    normalised_innovations: Array
     imu_noise: Array
     output_noise: Array
     corrected: Array
@@ -144,7 +144,7 @@ class ReconstructedPath:
     @property
     def innovation_rms(self) -> Array:
         """Return the RMS innovation of each output over its predicted standard deviation; 1 if noise is as assumed."""
-        return np.asarray(np.sqrt(np.mean(self.innovations**2, axis=0)))
+        return np.asarray(np.sqrt(np.mean(self.normalised_innovations**2, axis=0)))
 
     @property
     def residual(self) -> Array:

@@ -46,7 +46,7 @@ class LinearFit:
     structure : LinearStructure
     values, start : (p,) array
         Fitted parameters, and start values of the best search.
-    covariance, bound : (p, p) array
+    covariance, cramer_rao_bound : (p, p) array
         Covariance corrected for coloured residuals; Cramer-Rao bound for white residuals.
     at_bound : (p,) array of bool
         Whether a parameter stopped at a bound.
@@ -58,7 +58,7 @@ class LinearFit:
         Bias of each output, in its unit.
     weight : (outputs,) array
         Inverse variance of the residuals.
-    log_likelihood : float
+    log_likelihood_per_sample : float
         Log-likelihood per sample for white Gaussian residuals.
     effective_samples : float
         Equivalent number of independent samples, from the autocorrelation of the residuals.
@@ -77,13 +77,13 @@ class LinearFit:
     values: Array
     start: Array
     covariance: Array
-    bound: Array
+    cramer_rao_bound: Array
     at_bound: NDArray[np.bool_]
     x0: Array
     input_trim: Array
     output_bias: Array
     weight: Array
-    log_likelihood: float
+    log_likelihood_per_sample: float
     effective_samples: float
     history: tuple[dict[str, Any], ...]
     costs: tuple[float, ...]
@@ -107,7 +107,7 @@ class LinearFit:
         """
         free = self.values.size + self.x0.size + self.input_trim.size + self.output_bias.size
         n = self.effective_samples
-        per_sample = -2.0 * self.log_likelihood  # per sample, summed over outputs
+        per_sample = -2.0 * self.log_likelihood_per_sample  # per sample, summed over outputs
         return n * per_sample + free * (2.0 if kind == "aic" else float(np.log(max(n, 2.0))))
 
 
@@ -329,13 +329,13 @@ def fit_linear_model(
         values=values,
         start=start,
         covariance=cov,
-        bound=bound,
+        cramer_rao_bound=bound,
         at_bound=at_bound,
         x0=linear[:nx],
         input_trim=linear[nx : nx + nu],
         output_bias=linear[nx + nu :],
         weight=1.0 / np.maximum(variance, 1e-300),
-        log_likelihood=-0.5 * float(np.sum(np.log(2.0 * np.pi * np.maximum(variance, 1e-300)) + 1.0)),
+        log_likelihood_per_sample=-0.5 * float(np.sum(np.log(2.0 * np.pi * np.maximum(variance, 1e-300)) + 1.0)),
         effective_samples=_effective_samples(rows),
         history=tuple(history),
         costs=tuple(sorted(costs)),

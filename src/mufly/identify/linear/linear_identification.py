@@ -86,7 +86,7 @@ class OutputCheck:
     ceiling, ceiling_slow : float
         Fit (per cent) of a model whose only error is the noise floor, as recorded and below ``slow_hz``; the latter is
         NaN for a rate without measured angle.
-    against_angle : float
+    angle_derivative_fit_percent : float
         Fit (per cent) below ``slow_hz`` to the derivative of the measured angle instead of the gyro; NaN without angle.
     """
 
@@ -95,12 +95,12 @@ class OutputCheck:
     slow: PredictionQuality
     ceiling: float
     ceiling_slow: float
-    against_angle: float
+    angle_derivative_fit_percent: float
 
 
 _CHECK_RECORD_FIELDS = {
     "quality": "quality", "quality_slow": "slow", "noise_floor": "floor", "ceiling_percent": "ceiling",
-    "ceiling_slow_percent": "ceiling_slow", "against_angle_percent": "against_angle",
+    "ceiling_slow_percent": "ceiling_slow", "against_angle_percent": "angle_derivative_fit_percent",
 }  # fmt: skip
 
 
@@ -112,7 +112,7 @@ class LinearResult:
     ----------
     fit : FitResult
         Result for the report, with the fitted and the held-out part.
-    linear : LinearFit
+    linear_fit : LinearFit
         Fitted model.
     candidates : tuple of CrossValidation
         Candidate structures, best first; empty if the structure was given.
@@ -122,7 +122,7 @@ class LinearResult:
     ahead : tuple of AheadPrediction
         Predictions over fixed horizons; empty without held-out part.
     slow_hz : float
-    missing : tuple of str
+    model_deficiencies : tuple of str
         Model deficiencies visible in the residuals of the fitted part.
     equation_error : dict of symbol to (value, std)
         Cross-check by equation error; empty without a measured rate.
@@ -137,13 +137,13 @@ class LinearResult:
     """
 
     fit: FitResult
-    linear: LinearFit
+    linear_fit: LinearFit
     candidates: tuple[CrossValidation, ...]
     checks: Mapping[str, tuple[OutputCheck, ...]]
     disturbance: DisturbanceModel
     ahead: tuple[AheadPrediction, ...]
     slow_hz: float
-    missing: tuple[str, ...]
+    model_deficiencies: tuple[str, ...]
     equation_error: Mapping[str, tuple[float, float]]
     subspace: SubspaceModel | None
     subspace_percent: tuple[float, ...]
@@ -158,9 +158,9 @@ class LinearResult:
         }
         return {
             **select_fields(
-                self, "model=fit.vehicle estimates=fit.estimates poles_rad_s=linear.poles candidates "
-                "outputs=linear.structure.outputs slow_hz ahead missing undetermined=fit.undetermined notes "
-                "subspace_fit_percent=subspace_percent message=linear.message",
+                self, "model=fit.vehicle estimates=fit.estimates poles_rad_s=linear_fit.poles candidates "
+                "outputs=linear_fit.structure.outputs slow_hz ahead missing=model_deficiencies "
+                "undetermined=fit.undetermined notes subspace_fit_percent=subspace_percent message=linear_fit.message",
             ), **checks,
         }  # fmt: skip
 
@@ -247,7 +247,7 @@ def identify_linear_model(
             done += 1
         if not tried:
             raise failed[0]
-        tried.sort(key=lambda t: t[0].left_out)
+        tried.sort(key=lambda t: t[0].left_out_error)
         structure, first = tried[0][1], tried[0][2].values
     else:
         structure = structure_by_name(model, names, outs)
@@ -281,7 +281,7 @@ def identify_linear_model(
         )
     return LinearResult(
         fit=_make_fit_result(linear, tuple(records), notes),
-        linear=linear,
+        linear_fit=linear,
         candidates=tuple(_relative_criteria([t for t, _, _ in tried])),
         checks=checks,
         disturbance=disturbance,
@@ -289,7 +289,7 @@ def identify_linear_model(
             _predict_ahead_scores(linear, disturbance, y, simulated, dt, cut, slow, checks.get("held out", ()))
         ),
         slow_hz=slow,
-        missing=describe_residuals(records[0]),
+        model_deficiencies=describe_residuals(records[0]),
         equation_error=regressed,
         subspace=model_2,
         subspace_percent=percent,

@@ -53,12 +53,12 @@ class CrossValidation:
     name : str
     parameters : int
         Number of free parameters.
-    left_out : float
+    left_out_error : float
         Mean square residual in the omitted blocks over the variance of the output, averaged over the outputs;
         1 is as good as the mean.
-    by_output : tuple of float
-        ``left_out`` of each output.
-    fit_percent : tuple of float
+    left_out_error_by_output : tuple of float
+        ``left_out_error`` of each output.
+    in_sample_fit_percent : tuple of float
         In-sample fit to all blocks.
     aic, bic : float
         Information criteria for the effective samples, relative to the best structure.
@@ -66,9 +66,9 @@ class CrossValidation:
 
     name: str
     parameters: int
-    left_out: float
-    by_output: tuple[float, ...]
-    fit_percent: tuple[float, ...]
+    left_out_error: float
+    left_out_error_by_output: tuple[float, ...]
+    in_sample_fit_percent: tuple[float, ...]
     aic: float
     bic: float
 
@@ -105,11 +105,11 @@ def cross_validate_structure(
             structure, u, y, dt, starts=1, hold=hold, mask=mask, first=whole.values, covariance=False
         )
         square[a:b] = (y - simulate_linear_fit(fold, u, dt)[0])[a:b] ** 2
-    by_output = np.nanmean(square, axis=0) / np.nanvar(y, axis=0)
+    left_out = np.nanmean(square, axis=0) / np.nanvar(y, axis=0)
     error = y - simulate_linear_fit(whole, u, dt)[0]
     percent = 100.0 * (1.0 - np.sqrt(np.nanmean(error**2, axis=0) / np.nanvar(y, axis=0)))
     return CrossValidation(
-        structure.name, len(structure.parameters), float(by_output.mean()), tuple(by_output.tolist()),
+        structure.name, len(structure.parameters), float(left_out.mean()), tuple(left_out.tolist()),
         tuple(percent.tolist()), whole.information_criterion("aic"), whole.information_criterion("bic"),
     ), whole  # fmt: skip
 
@@ -120,16 +120,16 @@ class DisturbanceModel:
 
     Attributes
     ----------
-    state_std : (states,) array
+    process_noise_std : (states,) array
         Standard deviation of ``w`` per sample.
-    noise_std : (outputs,) array
+    measurement_noise_std : (outputs,) array
         Standard deviation of ``v``.
     transition_matrix, kalman_gain : array
         Transition of one sample (states, states), and Kalman gain (states, outputs).
     """
 
-    state_std: Array
-    noise_std: Array
+    process_noise_std: Array
+    measurement_noise_std: Array
     transition_matrix: Array
     kalman_gain: Array
 

@@ -87,7 +87,7 @@ def draw_frequency_response(
             for value, colour, label in (
                 (read.phase_rad_s, fit_pictures.GREEN, "phase bandwidth"),
                 (read.gain_rad_s, fit_pictures.PURPLE, "gain bandwidth"),
-                (read.crossing_rad_s, fit_pictures.ORANGE, "phase -180 deg"),
+                (read.phase_crossover_rad_s, fit_pictures.ORANGE, "phase -180 deg"),
             ):  # fmt: skip
                 if np.isfinite(value):
                     for axes in (top, middle):
