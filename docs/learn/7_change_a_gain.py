@@ -33,7 +33,7 @@ for gain in (0.3, 1.0, 1.6):
     axes.plot(data.time, distance_cm, label=f"{gain} 1/s")
     print(
         f"gain {gain} 1/s: {float((distance_cm**2).mean()) ** 0.5:.2f} cm rms, "
-        f"phase margin {controller.cascade.phase_margin_deg:.0f} deg, {data.attrs['outcome']}"
+        f"phase margin {controller.cascade_loop.phase_margin_deg:.0f} deg, {data.attrs['outcome']}"
     )
 axes.set(xlabel="time (s)", ylabel="distance from the reference (cm)")
 axes.legend(title="position gain")

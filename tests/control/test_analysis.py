@@ -163,7 +163,7 @@ def test_motors_that_rail_do_not_swing(vehicle: Vehicle, controller: FlightContr
         return replace_parameters(vehicle, {key: float(now[key]) * share for key, share in shares.items()})
 
     light = altered(0.9, 1.1, 0.9, 0.92)
-    observer = design_flight_controller(vehicle, settings=DesignSettings(heave_yaw_windup=None))
+    observer = design_flight_controller(vehicle, settings=DesignSettings(heave_yaw_anti_windup_rad_s=None))
     for one in (vehicle, light, altered(1.05, 0.95, 1.1, 1.0), altered(0.9, 1.1, 1.1, 1.1)):
         plant = sample_plant(linearise_vehicle(one, voltage=7.2).heave_yaw, controller.period_s, 1)
         shares = []

@@ -48,7 +48,7 @@ from mufly.vehicle import Vehicle
 @pytest.fixture(scope="module")
 def row(vehicle: Vehicle, controller: FlightController) -> MethodFigures:
     loops = [loop_figures(vehicle, d, (0.6, 0.5)) for d in (controller.heave_yaw, controller.roll_pitch)]
-    return MethodFigures("hinf", loops[0], loops[1], controller.cascade.sensitivity_peak_dB, 0.01)
+    return MethodFigures("hinf", loops[0], loops[1], controller.cascade_loop.sensitivity_peak_dB, 0.01)
 
 
 @pytest.fixture(scope="module")

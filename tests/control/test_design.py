@@ -54,7 +54,7 @@ def test_roll_pitch_reaches_its_targets(controller: FlightController) -> None:
 
 
 def test_the_cascade_holds_with_the_real_attitude_loop(controller: FlightController) -> None:
-    c = controller.cascade
+    c = controller.cascade_loop
     assert c.stable
     assert c.sensitivity_peak_dB < 3.5
     assert c.phase_margin_deg > 45
@@ -103,7 +103,7 @@ def test_what_came_out_is_what_the_docs_say(controller: FlightController, name: 
 
 
 def test_what_came_out_of_the_cascade_is_what_the_docs_say(controller: FlightController) -> None:
-    said, v, c = documented("position"), controller.velocity.full_loop, controller.cascade
+    said, v, c = documented("position"), controller.velocity.full_loop, controller.cascade_loop
     assert said["velocity loop on eq. 6.10"][0] == [
         pytest.approx(v.crossovers[0], abs=0.06),
         pytest.approx(v.sensitivity_peak_dB, abs=6e-3),
@@ -203,7 +203,7 @@ def test_the_80_gram_prototype() -> None:
     c = design_flight_controller(mufly.load_vehicle("mufly-2.0"))
     assert c.heave_yaw.sampled_loop.sensitivity_peak_dB < 4.0
     assert c.roll_pitch.sampled_loop.sensitivity_peak_dB < 4.5
-    assert c.cascade.sensitivity_peak_dB < 3.5
+    assert c.cascade_loop.sensitivity_peak_dB < 3.5
     assert c.design_warnings == ()
 
 
@@ -263,7 +263,7 @@ def test_the_design_holds_a_vehicle_that_is_not_the_one_designed_for(
     )
     linear = appendix_b.linear(appendix_b.scaled(**{name: rng.uniform(0.9, 1.1) for name in names}))
     for d, plant in ((controller.heave_yaw, linear.heave_yaw), (controller.roll_pitch, linear.roll_pitch)):
-        K = feedback_part(d.discrete.to_state_space(), plant, d.feedback_inputs)
+        K = feedback_part(d.discrete.to_state_space(), plant, d.error_inputs)
         loop = analyse_loop(sample_plant(plant, controller.period_s, 1), K)
         assert loop.stable
         assert loop.sensitivity_peak_dB < 6.0

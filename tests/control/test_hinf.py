@@ -161,7 +161,7 @@ def test_no_unit_enters(seed: int, w: float, z: float, u: float, y: float, rate:
     assert hinf_norm(other.closed_loop)[0] == pytest.approx(other.norm, rel=1e-5)
     # What an anti-windup needs: with the control taken out, the plant's copy is an observer, so it does not grow.
     for X in (one, other):
-        assert np.linalg.eigvals(X.controller.A - X.actuation @ X.controller.C).real.max() < 0.0
+        assert np.linalg.eigvals(X.controller.A - X.anti_windup_matrix @ X.controller.C).real.max() < 0.0
 
 
 def test_an_optimum_of_zero_ends_the_search() -> None:
@@ -180,9 +180,9 @@ def test_the_controller_is_an_observer_of_the_plant() -> None:
     P = scalar(1.0)
     result = hinfsyn(P, 1, 1, relaxation=1.2)
     K = result.controller
-    assert (K.A - result.actuation @ K.C)[0, 0] < 0.0
+    assert (K.A - result.anti_windup_matrix @ K.C)[0, 0] < 0.0
     # xhat = x when nothing disturbs: xhat' - x' must not depend on u, so actuation is the plant's B2 in K's scale.
-    assert abs(result.actuation[0, 0]) > 0.0
+    assert abs(result.anti_windup_matrix[0, 0]) > 0.0
 
 
 class TestFaultsAreNamed:

@@ -170,7 +170,7 @@ def test_a_reference_that_waits_does_not_cut_the_motors(
         reference = np.array([-asked * k * period, 0.0, -asked, 0.0])
         motor, state = heave_yaw_step(g, state, reference, np.array([z, 0.0, 0.0]), 6.5)
         inputs.append(motor)
-    assert max(gaps) < float(g["heave_slack"])
+    assert max(gaps) < float(g["heave_tracking_error_limit"])
     assert state[FILTERED_W] == pytest.approx(-climb, abs=0.02)  # it follows, as fast as the vehicle climbs
     flown = np.array(inputs)[100:]
     assert np.abs(np.diff(flown, axis=0)).max() < 0.1
@@ -179,7 +179,7 @@ def test_a_reference_that_waits_does_not_cut_the_motors(
 
 def test_a_vehicle_that_is_blown_away_finds_its_reference_at_the_slack(controller: FlightController) -> None:
     g = controller.heave_yaw_gains
-    slack = float(g["heave_slack"])
+    slack = float(g["heave_tracking_error_limit"])
     state = heave_yaw_init(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)
     for z in (0.5 * slack, -0.5 * slack):  # a reference at rest may stay where it is
         assert np.array_equal(limit_heave_reference(g, state, z), state)

@@ -151,7 +151,7 @@ def test_every_method_gives_a_design_that_fits_on_board(
     assert disk_margin(*loop).margin >= disk
     noise = np.radians([0.1, 0.1, 0.3, 0.3])
     assert input_noise(*loop, noise).max() < 0.0265  # H-infinity: 0.0264
-    assert c.cascade.stable
+    assert c.cascade_loop.stable
     record = to_plain_data(c)
     assert record["method"] == method
     assert record["designs"][1]["gamma"] is None

@@ -14,9 +14,9 @@ def problem(controller: FlightController):
     return (
         d.generalised,
         result.controller,
-        result.actuation,
+        result.anti_windup_matrix,
         scale_plant(d.plant, d.scaling),
-        d.feedback_inputs,
+        d.error_inputs,
     )
 
 

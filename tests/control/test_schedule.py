@@ -62,7 +62,7 @@ def test_the_law_adds_outputs_by_the_square_of_speed(ltr: FlightController) -> N
     for speed, share in ((0.0, 0.0), (1.0, 0.25), (-1.0, 0.25), (2.0, 1.0), (7.0, 1.0), (np.nan, 0.0)):
         y = rng.normal(0.0, 0.02, 4)
         servo, moved = roll_pitch_step(gains, state, np.zeros(2), np.append(y, speed))
-        right = (K.C + share * schedule.C_forward) @ state[:n] - (K.D + share * schedule.D_forward) @ y
+        right = (K.C + share * schedule.C_forward_change) @ state[:n] - (K.D + share * schedule.D_forward_change) @ y
         assert servo == pytest.approx(right + ltr.roll_pitch_gains["trim"], abs=1e-12)
         plain, plain_moved = roll_pitch_step(ltr.roll_pitch_gains, state, np.zeros(2), y)
         assert (servo.tobytes() == plain.tobytes()) == (share == 0.0)
@@ -116,8 +116,8 @@ def test_frozen_speeds_are_those_of_the_blended_controller(
     found = output_schedule.schedule_outputs(
         mapped, _loop(ltr, K), speed_m_s=2.0, voltage=ltr.voltage_V, tilt_limit=0.15
     )
-    assert pytest.approx(-0.2 * K.C, rel=1e-6) == found.C_forward
-    assert pytest.approx(-0.2 * K.D, rel=1e-6) == found.D_forward
+    assert pytest.approx(-0.2 * K.C, rel=1e-6) == found.C_forward_change
+    assert pytest.approx(-0.2 * K.D, rel=1e-6) == found.D_forward_change
     assert [(f.speed_m_s, f.share, f.sideways) for f in found.frozen] == [
         (0.0, 0.0, False), (1.0, 0.25, False), (2.0, 1.0, False), (1.0, 0.0, True), (2.0, 0.0, True),
     ]  # fmt: skip
@@ -155,5 +155,5 @@ def test_a_speed_without_steady_flight_is_lowered(
     wrong = replace(K, C=-K.C, D=-K.D, M=-K.M)
     with pytest.raises(MuflyError, match="unstable at 0 m/s"):
         output_schedule.schedule_outputs(
-            clamped, replace(loop, controller=wrong), speed_m_s=0.5, voltage=ltr.voltage_V, tilt_limit=0.15
+            clamped, replace(loop, hover_controller=wrong), speed_m_s=0.5, voltage=ltr.voltage_V, tilt_limit=0.15
         )

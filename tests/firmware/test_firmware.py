@@ -132,7 +132,7 @@ def test_a_schedule_over_speed_is_the_same_law_and_costs_other_designs_nothing(t
         assert any(a.tobytes() != b.tobytes() for a, b in unscheduled)
     exports = [render_gains_files(c) for c in (plain, other)]
     assert [set(files) for files in exports] == [{"tables.c"}, {"tables.c", "control/schedule.h"}]
-    assert ["C_forward" in files["tables.c"] for files in exports] == [False, True]
+    assert ["C_forward_change" in files["tables.c"] for files in exports] == [False, True]
     assert "#define ROLL_PITCH_SCHEDULED 1" in exports[1]["control/schedule.h"]
     export_firmware(plain, tmp_path / "fw")
     assert "#define ROLL_PITCH_SCHEDULED 0" in (tmp_path / "fw/control/schedule.h").read_text()

@@ -323,9 +323,9 @@ def test_a_hover_survives_a_vertical_blow(vehicle: Vehicle, controller: FlightCo
         {"take_off": {"height_m": 3.0, "wait_s": 60.0}, "waypoint": [{"position_m": [1.0, 0.0, -3.0]}]}
     )
     stands = []
-    for slack in (float(controller.heave_yaw_gains["heave_slack"]), math.inf):
+    for slack in (float(controller.heave_yaw_gains["heave_tracking_error_limit"]), math.inf):
         gains = controller.heave_yaw_gains.copy()
-        gains["heave_slack"] = slack
+        gains["heave_tracking_error_limit"] = slack
         bench = Bench(vehicle, replace(controller, heave_yaw_gains=gains), high)
         bench.run(0.02, START)
         bench.run(20.0, until=lambda bench=bench: bench.software.mission_state.state == "hover")

@@ -88,7 +88,7 @@ class ControllerDesign:
         delay.
     plant_crossovers : tuple of float
         0 dB crossings of the unscaled plant's singular values, rad/s.
-    feedback_inputs : tuple of int
+    error_inputs : tuple of int
         Controller inputs that are errors of the plant's outputs.
     published : PublishedFigures
         Figures of the thesis.
@@ -110,7 +110,7 @@ class ControllerDesign:
     reduced_loop: LoopAnalysis
     sampled_loop: LoopAnalysis
     plant_crossovers: tuple[float, ...]
-    feedback_inputs: tuple[int, ...]
+    error_inputs: tuple[int, ...]
     published: PublishedFigures
 
     @property
@@ -126,7 +126,7 @@ class ControllerDesign:
         """Return the feedback K of ``u = -K y``, taken from ``controller`` or, by default, from the full-order
         controller.
         """
-        return feedback_part(self.controller if controller is None else controller, self.plant, self.feedback_inputs)
+        return feedback_part(self.controller if controller is None else controller, self.plant, self.error_inputs)
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return a table that compares the full-order, reduced and sampled controllers with that of the thesis."""

@@ -39,8 +39,8 @@ def hash_synthesis_problem(method: SynthesisMethod, problem: SynthesisProblem) -
         return [M for A in (system.A, system.B, system.C, system.D) for M in (A.shape, np.ascontiguousarray(A))]
 
     return hash_question(
-        _source_digest(), method, *matrices(p.generalised), *matrices(p.plant), p.references, p.two_degrees,
-        p.n_measurements, p.relaxation, repr(p.lqg), repr(p.fixed), p.sampling_rate, repr(p.robust),
+        _source_digest(), method, *matrices(p.generalised), *matrices(p.plant), p.referenced_outputs, p.two_degrees,
+        p.n_measurements, p.relaxation, repr(p.lqg), repr(p.fixed), p.sampling_rate_rad_s, repr(p.robust),
         *(np.ascontiguousarray(E) for E in p.derivatives),
         *(() if p.given_controller is None else matrices(p.given_controller)),
     )  # fmt: skip
@@ -66,7 +66,9 @@ def recall_controller(
         found = compute(method, problem)
         K = found.controller
         numbers = {name: np.array(getattr(found, name)) for name in _STORED_SCALARS}
-        write_answer(path, question, {"A": K.A, "B": K.B, "C": K.C, "D": K.D, "actuation": found.actuation, **numbers})
+        write_answer(
+            path, question, {"A": K.A, "B": K.B, "C": K.C, "D": K.D, "actuation": found.anti_windup_matrix, **numbers}
+        )
         return found
     n, m = problem.n_measurements, problem.plant.ninputs
     K = state_space(

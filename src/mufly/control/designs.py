@@ -86,7 +86,7 @@ POSITION_LOOP_RATE_DIVIDER = 4  # the position cascade runs in every fourth peri
     picture="mufly.control.analysis.plots:draw_sensitivities",
     json="warnings=design_warnings vehicle=vehicle_name method=settings.method rate_Hz position_rate_Hz "
     "design_voltage_V=voltage_V motor_trim_upper_lower=motor_trim position_gain_1_s=settings.position_gain "
-    "designs=all_designs cascade schedule",
+    "designs=all_designs cascade=cascade_loop schedule",
 )
 class FlightController:
     """All controllers of a vehicle, and the gains of the control law on board.
@@ -103,7 +103,7 @@ class FlightController:
     motor_trim : array, shape (2,)
         Hover motor inputs at the design voltage: upper, lower.
     heave_yaw, roll_pitch, velocity : ControllerDesign
-    cascade : LoopAnalysis
+    cascade_loop : LoopAnalysis
         The loop broken at the tilt reference with all inner loops closed: full lateral model, sampled roll-pitch
         controller with one sample of delay, velocity and position controllers at their own rate.
     heave_yaw_gains, roll_pitch_gains, position_gains : record
@@ -122,7 +122,7 @@ class FlightController:
     heave_yaw: ControllerDesign
     roll_pitch: ControllerDesign
     velocity: ControllerDesign
-    cascade: LoopAnalysis
+    cascade_loop: LoopAnalysis
     heave_yaw_gains: np.void
     roll_pitch_gains: np.void
     position_gains: np.void
@@ -156,7 +156,7 @@ class FlightController:
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return as printed text the motor trim and rates, all designs with their schedule, and the warnings."""
-        c = self.cascade
+        c = self.cascade_loop
         return [
             show_lines(
                 f" at {self.voltage_V:g} V: hover motor inputs {self.motor_trim[0]:.2f} upper, "
@@ -263,23 +263,23 @@ def design_flight_controller(
         heave_yaw=heave_yaw,
         roll_pitch=roll_pitch,
         velocity=velocity,
-        cascade=cascade,
+        cascade_loop=cascade,
         heave_yaw_gains=pack_gains(
             HEAVE_YAW_GAINS,
             heave_yaw.discrete,
             trim=lower_upper,
             design_voltage=volts,
-            voltage_blend=period / (period + s.voltage_filter),
+            voltage_blend=period / (period + s.voltage_filter_s),
             period=period,
             heave_bandwidth=s.reference_bandwidth,
             heave_acceleration=acceleration,
             heave_speed=s.heave_speed,
-            heave_lead=s.reference_lead * lags[0],
-            heave_slack=s.heave_slack,
+            heave_lead=s.reference_lead_share * lags[0],
+            heave_tracking_error_limit=s.heave_tracking_error_limit,
             yaw_bandwidth=s.reference_bandwidth,
             yaw_acceleration=s.yaw_acceleration,
             yaw_rate=s.yaw_rate,
-            yaw_lead=s.reference_lead * lags[1],
+            yaw_lead=s.reference_lead_share * lags[1],
         ),
         roll_pitch_gains=pack_gains(
             ROLL_PITCH_GAINS,
@@ -334,7 +334,7 @@ def _design_controller(
     scaled = scale_plant(plant, scaling)
     generalised = generalise(scaled)
     if fixed is not None:
-        fixed = replace(fixed, noise_outputs=tuple(np.array(fixed.noise_outputs) / output_scale))
+        fixed = replace(fixed, output_noise_std=tuple(np.array(fixed.output_noise_std) / output_scale))
     try:
         problem = SynthesisProblem(
             generalised, scaled, tracked, bool(references), read.size, relaxation, lqg, fixed, generalise,
@@ -346,7 +346,7 @@ def _design_controller(
         reduction = reduce_controller(
             generalised,
             found.controller,
-            found.actuation,
+            found.anti_windup_matrix,
             scaled,
             rows,
             order_min=orders[0],
@@ -355,7 +355,7 @@ def _design_controller(
         )
         full = unscale_controller(found.controller, read, input_scale)
         reduced = unscale_controller(reduction.controller, read, input_scale)
-        discrete = discretise_controller(reduced, reduction.actuation / input_scale, period_s, windup_rate)
+        discrete = discretise_controller(reduced, reduction.anti_windup_matrix / input_scale, period_s, windup_rate)
         full_loop, reduced_loop, sampled_loop = (
             analyse_loop(G, feedback_part(K, plant, rows), output_scale=output_scale)
             for G, K in (
@@ -389,7 +389,7 @@ def _design_controller(
         reduced_loop=reduced_loop,
         sampled_loop=sampled_loop,
         plant_crossovers=find_crossovers(frequency, singular_values(plant, frequency)),
-        feedback_inputs=rows,
+        error_inputs=rows,
         published=published,
     )
 
@@ -433,7 +433,7 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
         slow=(0.1, 3.0),
         published=PUBLISHED_HEAVE_YAW,
         scheme="weights of eq. 6.4",
-        windup_rate=settings.heave_yaw_windup,
+        windup_rate=settings.heave_yaw_anti_windup_rad_s,
     )
 
 
@@ -464,7 +464,7 @@ def design_roll_pitch(
         or ((settings.roll_pitch_goals.order,) * 2 if tuned else (ROLL_PITCH_ORDER if indi else 4, ROLL_PITCH_ORDER)),
         slow=(0.1,),
         published=PUBLISHED_ROLL_PITCH,
-        windup_rate=None if indi else settings.roll_pitch_windup,
+        windup_rate=None if indi else settings.roll_pitch_anti_windup_rad_s,
     )
 
 
@@ -515,7 +515,7 @@ def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Design
 
     An input step ``du`` of both motors gives the acceleration ``per_input * du`` in steady state. Here ``du`` is the
     margin of the voltage at full input over that of hover, at the charge ``planning_charge``. The motors lag, so a
-    climb starts with several times its steady input; ``heave_share`` allows for this.
+    climb starts with several times its steady input; ``heave_acceleration_share`` allows for this.
     """
     state = linear.trim.state.copy()
     state[MODEL_CHARGE] = settings.planning_charge
@@ -523,4 +523,4 @@ def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Design
     lower_upper = linear.trim.motor_input[::-1]
     headroom = np.maximum(sagged / linear.trim.battery_voltage_V - lower_upper, 0.0)
     available = abs(float(heave_acceleration_per_input(linear.heave_yaw) @ headroom))
-    return float(np.clip(settings.heave_share * available, 0.1, settings.heave_acceleration_max))
+    return float(np.clip(settings.heave_acceleration_share * available, 0.1, settings.heave_acceleration_max))

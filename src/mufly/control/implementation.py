@@ -90,7 +90,7 @@ class ControllerReduction:
     Attributes
     ----------
     controller : control.StateSpace
-    actuation : array, shape (states, controls)
+    anti_windup_matrix : array, shape (states, controls)
         The anti-windup input in the reduced coordinates.
     chosen : ReducedCandidate
     tolerance_dB, norm_factor : float
@@ -102,7 +102,7 @@ class ControllerReduction:
     """
 
     controller: control.StateSpace
-    actuation: Array
+    anti_windup_matrix: Array
     chosen: ReducedCandidate
     tolerance_dB: float
     norm_factor: float
@@ -179,7 +179,7 @@ def reduce_controller(
     controller: control.StateSpace,
     actuation: Array,
     plant: control.StateSpace,
-    feedback_inputs: Sequence[int],
+    error_inputs: Sequence[int],
     *,
     order_max: int,
     order_min: int = 1,
@@ -195,10 +195,10 @@ def reduce_controller(
     controller : control.StateSpace
         Controller of the synthesis (scaled).
     actuation : array, shape (states, controls)
-        ``HinfResult.actuation``; transformed like one more input.
+        ``HinfResult.anti_windup_matrix``; transformed like one more input.
     plant : control.StateSpace
         Scaled plant without weights.
-    feedback_inputs : sequence of int
+    error_inputs : sequence of int
         Controller inputs that are errors of the plant's outputs, in their order.
     order_max, order_min : int
         Range of the orders tried.
@@ -216,7 +216,7 @@ def reduce_controller(
     MuflyError
         If no order up to ``order_max`` passes; the message names the best.
     """
-    rows = list(feedback_inputs)
+    rows = list(error_inputs)
     judge = _LoopPeaks(plant, rows)
     full_s, full_t = judge.sensitivity_peaks(controller)
     full_loop = close_loop(generalised, controller)
@@ -495,7 +495,7 @@ def discretise_controller(
     controller : control.StateSpace
         Controller: continuous, in physical units.
     actuation : array, shape (n, outputs)
-        Effect on its states of actuation beyond its own command, per unit (see ``hinf.HinfResult.actuation``).
+        Effect on its states of actuation beyond its own command, per unit (see ``hinf.HinfResult.anti_windup_matrix``).
     period_s : float
     windup_rate : float, optional
         Rate at which the integrators follow saturated actuators (rad/s). Without it, or if the integrators are as

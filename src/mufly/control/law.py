@@ -97,9 +97,9 @@ def _add_scheduled_output(g: Any, x: Array, e: Array, speed: float, u: Array) ->
     for i in range(u.shape[0]):
         s = 0.0
         for j in range(g.F.shape[0]):
-            s += g.C_forward[i, j] * x[j]
+            s += g.C_forward_change[i, j] * x[j]
         for j in range(e.shape[0]):
-            s += g.D_forward[i, j] * e[j]
+            s += g.D_forward_change[i, j] * e[j]
         u[i] += share * s
 
 
@@ -221,14 +221,14 @@ def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
     (29,) array
     """
     trails = z - state[FILTERED_Z]
-    left = 1.0 - abs(trails) / gains.heave_slack
+    left = 1.0 - abs(trails) / gains.heave_tracking_error_limit
     fastest = gains.heave_speed * left if left > 0.0 else 0.0
     away = state[FILTERED_W] if trails < 0.0 else -state[FILTERED_W]
     if left >= 0.0 and away <= fastest:
         return state
     new = state.copy()
     if left < 0.0:
-        new[FILTERED_Z] = z - math.copysign(gains.heave_slack, trails)
+        new[FILTERED_Z] = z - math.copysign(gains.heave_tracking_error_limit, trails)
         new[REFERENCE_ROUNDING_ERROR_Z] = 0.0
     less = _clip_value(away - fastest, 0.0, 2.0 * gains.heave_acceleration * gains.period)
     new[FILTERED_W] += -less if trails < 0.0 else less
@@ -353,7 +353,7 @@ GAIN_UNITS = {
     "heave_acceleration": "m/s2",
     "heave_speed": "m/s",
     "heave_lead": "s",  # lead of the reference that compensates the loop's lag
-    "heave_slack": "m",  # largest error of height before the filtered reference waits
+    "heave_tracking_error_limit": "m",  # largest error of height before the filtered reference waits
     "yaw_bandwidth": "rad/s",
     "yaw_acceleration": "rad/s2",
     "yaw_rate": "rad/s",
@@ -368,7 +368,7 @@ GAIN_UNITS = {
 
 _HEAVE_YAW_FIELDS = (
     "design_voltage", "voltage_blend", "period", "heave_bandwidth", "heave_acceleration", "heave_speed",
-    "heave_lead", "heave_slack", "yaw_bandwidth", "yaw_acceleration", "yaw_rate", "yaw_lead",
+    "heave_lead", "heave_tracking_error_limit", "yaw_bandwidth", "yaw_acceleration", "yaw_rate", "yaw_lead",
 )  # fmt: skip
 HEAVE_YAW_GAINS = np.dtype(
     [
@@ -377,15 +377,15 @@ HEAVE_YAW_GAINS = np.dtype(
         *((name, _f8) for name in _HEAVE_YAW_FIELDS),
     ]
 )
-SCHEDULE_FIELDS = ("C_forward", "D_forward", "schedule")
+SCHEDULE_FIELDS = ("C_forward_change", "D_forward_change", "schedule")
 """Last fields of the roll-pitch gains, which the code on board has only for a scheduled design."""
 ROLL_PITCH_GAINS = np.dtype(
     [
         *_matrix_fields(ROLL_PITCH_ORDER, 4, 2),
         ("trim", _f8, (2,)),
         ("tilt_limit", _f8),
-        ("C_forward", _f8, (2, ROLL_PITCH_ORDER)),
-        ("D_forward", _f8, (2, 4)),
+        ("C_forward_change", _f8, (2, ROLL_PITCH_ORDER)),
+        ("D_forward_change", _f8, (2, 4)),
         ("schedule", _f8),
     ]
 )

@@ -328,7 +328,7 @@ def compare_methods(
                 method,
                 loop_figures(vehicle, c.heave_yaw, bounds[0]),
                 loop_figures(vehicle, c.roll_pitch, bounds[1], scheduled=c.schedule is not None),
-                c.cascade.sensitivity_peak_dB,
+                c.cascade_loop.sensitivity_peak_dB,
                 compute_gust_response(linear, c),
                 forward=forward_figures(c, plants),
             )
@@ -380,7 +380,7 @@ def recall_mu_bounds(
     kept = None if path is None else read_answer(path, question)
     if kept is None:
         robust = analyse_parameter_robustness(vehicle, c, points=points)
-        kept = {loop.name: [loop.peak, loop.lower] for loop in robust.loops}
+        kept = {loop.name: [loop.peak, loop.lower_peak] for loop in robust.loops}
         if path is not None:
             write_answer(path, question, kept)
     heave_yaw, roll_pitch = ((float(kept[name][0]), float(kept[name][1])) for name in ("heave-yaw", "roll-pitch"))

@@ -32,15 +32,15 @@ class GustResponse:
 
     Attributes
     ----------
-    tilt_rad : float
+    tilt_std_rad : float
         Standard deviation of roll or pitch, whichever is larger.
-    swash_plate_rate_rad_s : float
+    swash_plate_rate_std_rad_s : float
         Standard deviation of the swash plate's speed about its faster axis: change of tilt in a period, divided by
         the period.
     """
 
-    tilt_rad: float
-    swash_plate_rate_rad_s: float
+    tilt_std_rad: float
+    swash_plate_rate_std_rad_s: float
 
 
 def compute_gust_response(linear: Linearisation, controller: FlightController) -> float:
@@ -50,7 +50,7 @@ def compute_gust_response(linear: Linearisation, controller: FlightController) -
     """
     c = controller
     found = compute_lateral_gust_response(linear, c.roll_pitch, c.velocity, c.settings.position_gain)
-    return found.tilt_rad
+    return found.tilt_std_rad
 
 
 def compute_lateral_gust_response(

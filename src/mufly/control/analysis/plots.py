@@ -200,8 +200,10 @@ def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
     axes = figure.add_subplot()
     for loop, colour in zip(robustness.loops, (BLUE, ORANGE), strict=True):
         axes.semilogx(loop.frequency, loop.upper, color=colour, label=f"{loop.name}, upper bound")
-        if loop.lower:
-            axes.plot(loop.lower_frequency, loop.lower, "o", color=colour, label=f"{loop.name}, unstable example")
+        if loop.lower_peak:
+            axes.plot(
+                loop.lower_peak_frequency, loop.lower_peak, "o", color=colour, label=f"{loop.name}, unstable example"
+            )
     axes.axhline(1.0, color="black", linewidth=0.7)
     axes.set_ylim(0.0, 1.5 * max(1.0, *(float(loop.upper.max(initial=0.0)) for loop in robustness.loops)))
     axes.set_xlabel("frequency (rad/s)")

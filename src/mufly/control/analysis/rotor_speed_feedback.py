@@ -179,7 +179,9 @@ def _heave_yaw_row(
     except MuflyError:
         return None
     so, si = np.array(scaling.outputs), np.array(scaling.inputs)
-    discrete = discretise_controller(unscale_controller(found.controller, so, si), found.actuation / si, period)
+    discrete = discretise_controller(
+        unscale_controller(found.controller, so, si), found.anti_windup_matrix / si, period
+    )
     held, K = sample_plant(plant, period, 1), discrete.to_state_space()
     feedback = feedback_part(K, plant, range(plant.noutputs))
     loop = analyse_loop(held, feedback, output_scale=so)

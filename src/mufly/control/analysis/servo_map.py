@@ -166,12 +166,12 @@ def map_servos(
                     gust = compute_lateral_gust_response(
                         linear, design, velocities[i], s.position_gain, delay_samples=delay, noise=noise
                     )
-                    rank = min(margin, SAFE_DISK_MARGIN), -gust.tilt_rad
-                    if not np.isfinite(gust.tilt_rad) or rank <= best[f, i, j]:
+                    rank = min(margin, SAFE_DISK_MARGIN), -gust.tilt_std_rad
+                    if not np.isfinite(gust.tilt_std_rad) or rank <= best[f, i, j]:
                         continue
                     best[f, i, j] = rank
-                    new = (margin, loop.sensitivity_peak_dB, max(loop.crossovers, default=np.nan), gust.tilt_rad,
-                           3.0 * gust.swash_plate_rate_rad_s)  # fmt: skip
+                    new = (margin, loop.sensitivity_peak_dB, max(loop.crossovers, default=np.nan), gust.tilt_std_rad,
+                           3.0 * gust.swash_plate_rate_std_rad_s)  # fmt: skip
                     for name, value in zip(values, new, strict=True):
                         values[name][f, i, j] = value
         if progress is not None:

@@ -94,8 +94,8 @@ class DkIterationResult:
     Attributes
     ----------
     controller : control.StateSpace
-    actuation : array, shape (states, controls)
-        See ``HinfResult.actuation``.
+    anti_windup_matrix : array, shape (states, controls)
+        See ``HinfResult.anti_windup_matrix``.
     gamma : float
         Level of its scaled plant.
     mu : float
@@ -106,7 +106,7 @@ class DkIterationResult:
     """
 
     controller: control.StateSpace
-    actuation: Array
+    anti_windup_matrix: Array
     gamma: float
     mu: float
     frequency: Array
@@ -329,12 +329,16 @@ def iterate_dk(
         done.append(DkIterationRound(found.gamma, peak, found.controller.nstates))
         poor = poor + 1 if best is not None and peak > 0.999 * best.mu else 0
         if best is None or peak < best.mu:
-            best = DkIterationResult(found.controller, found.actuation, found.gamma, peak, frequency, bound, ())
+            best = DkIterationResult(
+                found.controller, found.anti_windup_matrix, found.gamma, peak, frequency, bound, ()
+            )
         if poor == 2 or k + 1 == rounds:
             break
         filters = fit_scaling_filters(bound, magnitudes)
     assert best is not None
-    return DkIterationResult(best.controller, best.actuation, best.gamma, best.mu, frequency, best.bound, tuple(done))
+    return DkIterationResult(
+        best.controller, best.anti_windup_matrix, best.gamma, best.mu, frequency, best.bound, tuple(done)
+    )
 
 
 def _synthesise(plant: control.StateSpace, n_measurements: int, n_controls: int, relaxation: float) -> HinfResult:

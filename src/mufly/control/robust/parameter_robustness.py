@@ -50,10 +50,10 @@ class LoopRobustness:
     frequency : array, shape (n,)
         Frequencies (rad/s).
     upper : array, shape (n,)
-        Upper bound of mu. The bound is tight near its peak; elsewhere the minimisation ends at 0.8 of ``lower``.
+        Upper bound of mu. The bound is tight near its peak; elsewhere the minimisation ends at 0.8 of ``lower_peak``.
     peak, peak_frequency : float
         Its largest value and frequency.
-    lower, lower_frequency : float
+    lower_peak, lower_peak_frequency : float
         Lower bound by the worst parameters found, and the frequency of the pole on the axis; 0 if none is found.
     worst : dict
         Components of z at the lower bound, by the names of the directions, in units of their spread.
@@ -68,8 +68,8 @@ class LoopRobustness:
     upper: Array
     peak: float
     peak_frequency: float
-    lower: float
-    lower_frequency: float
+    lower_peak: float
+    lower_peak_frequency: float
     worst: dict[str, float]
     block_sizes: tuple[int, ...]
     seconds: float
@@ -118,8 +118,8 @@ class ParameterRobustness:
                     "name": x.name,
                     "mu_upper": x.peak,
                     "mu_upper_frequency_rad_s": x.peak_frequency if x.peak else None,
-                    "mu_lower": x.lower,
-                    "mu_lower_frequency_rad_s": x.lower_frequency if x.lower else None,
+                    "mu_lower": x.lower_peak,
+                    "mu_lower_frequency_rad_s": x.lower_peak_frequency if x.lower_peak else None,
                     "worst": x.worst,
                     "block_sizes": list(x.block_sizes),
                     "frequency_rad_s": x.frequency.tolist(),
@@ -136,12 +136,15 @@ class ParameterRobustness:
         rows = [
             ("mu, upper bound", *(f"{x.peak:.3f}" for x in self.loops)),
             ("at (rad/s)", *(f"{x.peak_frequency:.3g}" for x in self.loops)),
-            ("mu, lower bound", *(f"{x.lower:.3f}" if x.lower else "-" for x in self.loops)),
+            ("mu, lower bound", *(f"{x.lower_peak:.3f}" if x.lower_peak else "-" for x in self.loops)),
             (
                 "stable for all within (times the spreads)",
                 *(f"{1 / x.peak:.2f}" if x.peak else "any" for x in self.loops),
             ),
-            ("unstable at (times the spreads)", *(f"{1 / x.lower:.2f}" if x.lower else "-" for x in self.loops)),
+            (
+                "unstable at (times the spreads)",
+                *(f"{1 / x.lower_peak:.2f}" if x.lower_peak else "-" for x in self.loops),
+            ),
             ("real blocks, size in all", *(f"{len(x.block_sizes)}, {sum(x.block_sizes)}" for x in self.loops)),
         ]
         values = [(key, f"{value:.5g}", f"{self.spreads[key]:.2g}") for key, value in self.worst_values.items()]
@@ -360,7 +363,7 @@ def analyse_parameter_robustness(
     ]
     if not any(x.block_sizes for x in loops):
         raise MuflyError("no parameter that varies enters heave-yaw or roll-pitch; vary others")
-    worst = max(loops, key=lambda x: (x.lower, x.peak))
+    worst = max(loops, key=lambda x: (x.lower_peak, x.peak))
     direction = np.array([worst.worst.get(name, 0.0) for name in names])
     direction *= min(1.0, 1.0 / max(float(np.abs(direction).max(initial=0.0)), 1e-12))
     values = [

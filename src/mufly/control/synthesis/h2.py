@@ -38,8 +38,8 @@ class H2Result:
         The same norm from the two Riccati solutions.
     closed_loop : control.StateSpace
         Closed loop from ``w`` to ``z``.
-    actuation : array, shape (states, controls)
-        Input matrix of the control in the controller's plant model; see ``hinf.HinfResult.actuation``.
+    anti_windup_matrix : array, shape (states, controls)
+        Input matrix of the control in the controller's plant model; see ``hinf.HinfResult.anti_windup_matrix``.
     regulator_poles, filter_poles : array
         Poles of the state feedback and of the filter (rad/s); together those of the closed loop.
     """
@@ -48,7 +48,7 @@ class H2Result:
     norm: float
     riccati_norm: float
     closed_loop: control.StateSpace
-    actuation: Array
+    anti_windup_matrix: Array
     regulator_poles: ComplexArray
     filter_poles: ComplexArray
 

@@ -52,9 +52,9 @@ class HinfResult:
         Frequency at which the norm is attained (rad/s).
     closed_loop : control.StateSpace
         Closed loop from ``w`` to ``z``.
-    actuation : array, shape (states, controls)
+    anti_windup_matrix : array, shape (states, controls)
         Input matrix of the control in the controller's plant model, for anti-windup. The central controller is an
-        observer ``xhat' = (..) xhat + actuation u + (..) y`` with ``u = C xhat + D y``.
+        observer ``xhat' = (..) xhat + anti_windup_matrix u + (..) y`` with ``u = C xhat + D y``.
     iterations : int
         Number of levels tried.
     """
@@ -65,7 +65,7 @@ class HinfResult:
     norm: float
     peak_frequency: float
     closed_loop: control.StateSpace
-    actuation: Array
+    anti_windup_matrix: Array
     iterations: int
 
 

@@ -68,14 +68,14 @@ class IndiLaw(NamedTuple):
     ----------
     controller : control.StateSpace
         From errors of phi, theta, p, q to the servos; eight states.
-    actuation : array, shape (8, 2)
+    anti_windup_matrix : array, shape (8, 2)
         Effect of actuation beyond the command on the states.
     effectiveness : array, shape (2, 2)
         ``G``, in scaled units: change of the scaled rates per second and scaled input.
     """
 
     controller: control.StateSpace
-    actuation: Array
+    anti_windup_matrix: Array
     effectiveness: Array
 
 

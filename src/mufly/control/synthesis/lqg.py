@@ -72,7 +72,7 @@ class LqgResult:
         Gain of the state feedback.
     filter_gain : array, shape (states, outputs)
         Gain of the Kalman filter.
-    actuation : array, shape (controller states, inputs)
+    anti_windup_matrix : array, shape (controller states, inputs)
         Effect of actuation beyond the command on the controller's states, for anti-windup.
     regulator_poles, filter_poles : array
         Poles of state feedback and filter (rad/s); together those of the closed loop, but for the integrators' leak.
@@ -83,7 +83,7 @@ class LqgResult:
     controller: control.StateSpace
     state_gain: Array
     filter_gain: Array
-    actuation: Array
+    anti_windup_matrix: Array
     regulator_poles: ComplexArray
     filter_poles: ComplexArray
     recovery: float

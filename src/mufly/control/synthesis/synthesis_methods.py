@@ -54,9 +54,9 @@ class FixedOrderGoals:
     order : int
     sensitivity_dB, complementary_dB : float
         Levels of the peaks of S_u and T_u with the delay of the sampled loop.
-    weighted, noise : float
+    weighted_norm_ratio, noise_norm_ratio : float
         Levels of the weighted norm, and of the norm from sensor noise to the inputs, relative to H-infinity.
-    noise_outputs : tuple of float
+    output_noise_std : tuple of float
         Noise of every output (SI).
     descents : int
         Number of starts from which the tuning descends.
@@ -65,9 +65,9 @@ class FixedOrderGoals:
     order: int
     sensitivity_dB: float
     complementary_dB: float
-    noise_outputs: tuple[float, ...]
-    weighted: float = 1.015
-    noise: float = 1.0
+    output_noise_std: tuple[float, ...]
+    weighted_norm_ratio: float = 1.015
+    noise_norm_ratio: float = 1.0
     descents: int = 2
 
 
@@ -150,7 +150,7 @@ class SynthesisProblem(NamedTuple):
         Plant with weights; its last outputs and inputs are those of the controller.
     plant : control.StateSpace
         Plant without weights.
-    references : tuple of int
+    referenced_outputs : tuple of int
         Outputs of the plant with a reference.
     two_degrees : bool
         Whether the controller reads references and errors apart.
@@ -164,7 +164,7 @@ class SynthesisProblem(NamedTuple):
         Goals of a tuned controller, with the noise in scaled units.
     generalise : callable
         Function from the scaled plant to the plant with weights.
-    sampling_rate : float
+    sampling_rate_rad_s : float
         Sampling rate of the controller (rad/s).
     given_controller : control.StateSpace or None
         Controller that exists, in place of a synthesis; for ``scheduled`` the one whose states are kept.
@@ -178,14 +178,14 @@ class SynthesisProblem(NamedTuple):
 
     generalised: control.StateSpace
     plant: control.StateSpace
-    references: tuple[int, ...]
+    referenced_outputs: tuple[int, ...]
     two_degrees: bool
     n_measurements: int
     relaxation: float
     lqg: LqgWeights | None
     fixed: FixedOrderGoals | None
     generalise: Callable[[control.StateSpace], control.StateSpace]
-    sampling_rate: float
+    sampling_rate_rad_s: float
     given_controller: control.StateSpace | None = None
     derivatives: tuple[Array, ...] = ()
     robust: RobustGoals = RobustGoals()
@@ -198,8 +198,8 @@ class SynthesisedController(NamedTuple):
     Attributes
     ----------
     controller : control.StateSpace
-    actuation : array, shape (states, controls)
-        Effect of actuation beyond the command on its states; see ``hinf.HinfResult.actuation``.
+    anti_windup_matrix : array, shape (states, controls)
+        Effect of actuation beyond the command on its states; see ``hinf.HinfResult.anti_windup_matrix``.
     gamma, gamma_optimal : float
         Level claimed and smallest level, of mu for D-K iteration; nan for a method that claims none.
     norm : float
@@ -207,7 +207,7 @@ class SynthesisedController(NamedTuple):
     """
 
     controller: control.StateSpace
-    actuation: Array
+    anti_windup_matrix: Array
     gamma: float
     gamma_optimal: float
     norm: float
@@ -235,28 +235,30 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
     if method == "h2":
         optimal = h2syn(p.generalised, p.n_measurements, n_controls)
         norm = hinf_norm(optimal.closed_loop)[0]
-        return SynthesisedController(optimal.controller, optimal.actuation, np.nan, np.nan, norm)
+        return SynthesisedController(optimal.controller, optimal.anti_windup_matrix, np.nan, np.nan, norm)
     if method in ("lqg", "ltr") and p.lqg is not None:
-        recovery = largest_recovery(p.plant, p.lqg, p.sampling_rate) if method == "ltr" else None
-        lqg = design_lqg(p.plant, p.references, p.lqg, recovery=recovery, two_degrees=p.two_degrees)
+        recovery = largest_recovery(p.plant, p.lqg, p.sampling_rate_rad_s) if method == "ltr" else None
+        lqg = design_lqg(p.plant, p.referenced_outputs, p.lqg, recovery=recovery, two_degrees=p.two_degrees)
         norm = hinf_norm(close_loop(p.generalised, lqg.controller))[0]
-        return SynthesisedController(lqg.controller, lqg.actuation, np.nan, np.nan, norm)
+        return SynthesisedController(lqg.controller, lqg.anti_windup_matrix, np.nan, np.nan, norm)
     if method == "indi" and p.indi is not None:
-        law = design_indi(p.plant, p.indi, 2 * np.pi / p.sampling_rate)
+        law = design_indi(p.plant, p.indi, 2 * np.pi / p.sampling_rate_rad_s)
         norm = hinf_norm(close_loop(p.generalised, law.controller))[0]
-        return SynthesisedController(law.controller, law.actuation, np.nan, np.nan, norm)
+        return SynthesisedController(law.controller, law.anti_windup_matrix, np.nan, np.nan, norm)
     if method == "mu":
         return _iterate_dk(p, p.robust)
     if method == "fixed" and p.fixed is not None:
         return _tune_fixed_order(p, p.fixed)
     found = hinfsyn(p.generalised, p.n_measurements, n_controls, relaxation=p.relaxation)
-    return SynthesisedController(found.controller, found.actuation, found.gamma, found.gamma_optimal, found.norm)
+    return SynthesisedController(
+        found.controller, found.anti_windup_matrix, found.gamma, found.gamma_optimal, found.norm
+    )
 
 
 def _iterate_dk(p: SynthesisProblem, goals: RobustGoals) -> SynthesisedController:
     """Return the controller of D-K iteration for the plant with delay and uncertainty, starting from H-infinity."""
     n_controls = p.plant.ninputs
-    generalised = p.generalise(add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate))
+    generalised = p.generalise(add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate_rad_s))
     uncertain, channels = add_uncertainty(
         generalised, p.plant, p.n_measurements, p.derivatives, goals.input_uncertainty
     )
@@ -273,7 +275,7 @@ def _iterate_dk(p: SynthesisProblem, goals: RobustGoals) -> SynthesisedControlle
         relaxation=goals.relaxation,
     )
     norm = hinf_norm(close_loop(p.generalised, found.controller))[0]
-    return SynthesisedController(found.controller, found.actuation, found.gamma, found.gamma, norm)
+    return SynthesisedController(found.controller, found.anti_windup_matrix, found.gamma, found.gamma, norm)
 
 
 def _tune_fixed_order(p: SynthesisProblem, fixed: FixedOrderGoals) -> SynthesisedController:
@@ -292,7 +294,7 @@ def _tune_fixed_order(p: SynthesisProblem, fixed: FixedOrderGoals) -> Synthesise
 
 def _delayed_plants(p: SynthesisProblem) -> tuple[control.StateSpace, control.StateSpace]:
     """Return the generalised plant and the plant without weights, both with 1.5 periods of delay."""
-    delayed = add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate)
+    delayed = add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate_rad_s)
     return p.generalise(delayed), delayed
 
 
@@ -302,15 +304,15 @@ def _make_fixed_order_goals(
     """Return the tuning goals on the delayed plants, and the H-infinity controller whose norms scale the levels."""
     plain = hinfsyn(p.generalised, p.n_measurements, p.plant.ninputs, relaxation=p.relaxation)
     levels = {
-        "weighted": fixed.weighted * plain.norm,
+        "weighted": fixed.weighted_norm_ratio * plain.norm,
         "sensitivity": 10 ** (fixed.sensitivity_dB / 20),
         "complementary": 10 ** (fixed.complementary_dB / 20),
         "noise": 1.0,
     }
-    noise = np.array(fixed.noise_outputs)
+    noise = np.array(fixed.output_noise_std)
     goals = make_flight_goals(*delayed, p.n_measurements, noise, levels)
     reached = evaluate_goal_norms(goals, plain.controller)["noise"]
-    goals = [goal._replace(level=fixed.noise * reached) if goal.name == "noise" else goal for goal in goals]
+    goals = [goal._replace(level=fixed.noise_norm_ratio * reached) if goal.name == "noise" else goal for goal in goals]
     return goals, plain.controller
 
 

@@ -282,7 +282,7 @@ ROLL_PITCH_LQG = LqgWeights(
 
 ROLL_PITCH_GOALS = FixedOrderGoals(
     order=4, sensitivity_dB=2.6, complementary_dB=2.0,
-    noise_outputs=(math.radians(0.1), math.radians(0.1), math.radians(0.3), math.radians(0.3)),
+    output_noise_std=(math.radians(0.1), math.radians(0.1), math.radians(0.3), math.radians(0.3)),
 )  # fmt: skip
 ROBUST_GOALS = RobustGoals()
 INDI_GAINS = IndiGains()
@@ -321,7 +321,7 @@ class DesignSettings:
         Settings of the method ``mu``, which designs roll-pitch; heave-yaw is H-infinity then.
     heave_yaw_given, roll_pitch_given : GivenController or None
         Controllers that exist, in place of a synthesis.
-    heave_yaw_windup, roll_pitch_windup : float or None
+    heave_yaw_anti_windup_rad_s, roll_pitch_anti_windup_rad_s : float or None
         Rate at which the integrators follow saturated actuators (rad/s); None: the observer's anti-windup.
     position_gain : float
         Gain of the position loop (1/s).
@@ -335,17 +335,17 @@ class DesignSettings:
         Bandwidth of the reference filters of heave and yaw (rad/s).
     planning_charge : float
         State of charge for which the acceleration of the heave reference is chosen.
-    heave_share : float
+    heave_acceleration_share : float
         Share of the acceleration available at that charge which a heave reference may use.
     heave_acceleration_max, heave_speed : float
         Upper bounds of a heave reference's acceleration and speed (m/s2, m/s), for any motors.
-    heave_slack : float
+    heave_tracking_error_limit : float
         Largest error of height before the filtered reference waits (m).
-    reference_lead : float
+    reference_lead_share : float
         Share of the loops' lag behind a ramp reference that is compensated.
     yaw_acceleration, yaw_rate : float
         Bounds of a yaw reference (rad/s2, rad/s).
-    voltage_filter : float
+    voltage_filter_s : float
         Time constant of the battery voltage's filter (s).
     """
 
@@ -367,22 +367,22 @@ class DesignSettings:
     robust_goals: RobustGoals = ROBUST_GOALS
     heave_yaw_given: GivenController | None = None
     roll_pitch_given: GivenController | None = None
-    heave_yaw_windup: float | None = 1.5
-    roll_pitch_windup: float | None = 20.0
+    heave_yaw_anti_windup_rad_s: float | None = 1.5
+    roll_pitch_anti_windup_rad_s: float | None = 20.0
     position_gain: float = 1.0
     speed_limit: float = 1.5
     tilt_limit: float = 0.15
     command_tilt_limit: float = 0.35
     reference_bandwidth: float = 8.0
     planning_charge: float = 0.3
-    heave_share: float = 0.37
+    heave_acceleration_share: float = 0.37
     heave_acceleration_max: float = 1.5
     heave_speed: float = 1.0
-    heave_slack: float = 0.3
-    reference_lead: float = 1.0
+    heave_tracking_error_limit: float = 0.3
+    reference_lead_share: float = 1.0
     yaw_acceleration: float = 8.0
     yaw_rate: float = 2.0
-    voltage_filter: float = 0.05
+    voltage_filter_s: float = 0.05
 
 
 def complete_settings(settings: DesignSettings, vehicle: Vehicle) -> DesignSettings:

@@ -98,7 +98,7 @@ class TunedController:
         Controller in scaled units.
     objective, start_objective : float
         Largest norm over its level: at the end and at the start. Below 1 all goals are reached.
-    norms, levels : dict
+    norms, goal_levels : dict
         Norm and level of every goal, by its name.
     steps : int
         Steps of the descent.
@@ -108,7 +108,7 @@ class TunedController:
     objective: float
     start_objective: float
     norms: dict[str, float]
-    levels: dict[str, float]
+    goal_levels: dict[str, float]
     steps: int
 
 

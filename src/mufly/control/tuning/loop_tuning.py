@@ -185,7 +185,7 @@ def make_loop_tuning_problem(
     mu = None
     if goal_levels.mu is not None:
         E = spread_derivatives(vehicle, base.voltage_V, list(spreads), np.diag(list(spreads.values())))[name]
-        mu = RobustnessGoal(UncertainLoop(d, E), d.feedback_inputs, read, input_scale, goal_levels.mu)
+        mu = RobustnessGoal(UncertainLoop(d, E), d.error_inputs, read, input_scale, goal_levels.mu)
         goals.append(mu)
     synthesis = SynthesisProblem(
         weight(plant, s), plant, (0, 1), n_references > 0, read.size,

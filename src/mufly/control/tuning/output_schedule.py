@@ -52,7 +52,7 @@ class ScheduledLoop:
 
     Attributes
     ----------
-    controller : DiscreteController
+    hover_controller : DiscreteController
         Roll-pitch controller at hover.
     scaling : SignalScaling
     generalise : callable
@@ -63,7 +63,7 @@ class ScheduledLoop:
         Goals at the scheduled speed, with the noise in SI.
     """
 
-    controller: DiscreteController
+    hover_controller: DiscreteController
     scaling: SignalScaling
     generalise: Callable[[control.StateSpace], control.StateSpace]
     relaxation: float
@@ -109,7 +109,7 @@ class OutputSchedule:
     ----------
     speed_m_s : float
         Scheduled speed V.
-    C_forward, D_forward : array, shapes (2, n) and (2, 4)
+    C_forward_change, D_forward_change : array, shapes (2, n) and (2, 4)
         Change of C and D of the discrete controller from hover to V.
     has_flight_map : bool
     frozen : tuple of FrozenSpeed
@@ -122,8 +122,8 @@ class OutputSchedule:
     """
 
     speed_m_s: float
-    C_forward: Array
-    D_forward: Array
+    C_forward_change: Array
+    D_forward_change: Array
     has_flight_map: bool
     frozen: tuple[FrozenSpeed, ...]
     max_saturated_pole_modulus: float
@@ -139,7 +139,7 @@ class OutputSchedule:
         """Return the scheduled controller for a weight ``share`` of the forward-flight outputs (0: hover, 1: scheduled
         speed).
         """
-        return blend_outputs(hover, self.C_forward, self.D_forward, share)
+        return blend_outputs(hover, self.C_forward_change, self.D_forward_change, share)
 
     def share_at(self, speed_m_s: float) -> float:
         """Return the weight (0 to 1) of the forward-flight outputs at a forward speed."""
@@ -168,10 +168,12 @@ class OutputSchedule:
         ]
 
 
-def blend_outputs(hover: DiscreteController, C_forward: Array, D_forward: Array, share: float) -> control.StateSpace:
+def blend_outputs(
+    hover: DiscreteController, C_forward_change: Array, D_forward_change: Array, share: float
+) -> control.StateSpace:
     """Return the hover controller with ``share`` times the forward-flight changes added to its C and D."""
     return state_space(
-        hover.A, hover.B, hover.C + share * C_forward, hover.D + share * D_forward,
+        hover.A, hover.B, hover.C + share * C_forward_change, hover.D + share * D_forward_change,
         inputs=hover.inputs, outputs=hover.outputs, dt=hover.period_s,
     )  # fmt: skip
 
@@ -211,11 +213,11 @@ def schedule_outputs(
         If no step has steady flight, the tuning fails, or a loop is unstable at a frozen speed.
     """
     fastest, plant = _plant_at_greatest_speed(vehicle, speed_m_s, voltage)
-    hover = loop.controller
+    hover = loop.hover_controller
     T = hover.period_s
-    C_forward, D_forward = _tune_outputs(plant, loop)
+    C_forward_change, D_forward_change = _tune_outputs(plant, loop)
     speeds = fastest * np.arange(SPEED_GRID_INTERVALS + 1) / SPEED_GRID_INTERVALS
-    controllers = [blend_outputs(hover, C_forward, D_forward, float((v / fastest) ** 2)) for v in speeds]
+    controllers = [blend_outputs(hover, C_forward_change, D_forward_change, float((v / fastest) ** 2)) for v in speeds]
     feedbacks = [feedback_part(K, plant, range(plant.noutputs)) for K in controllers]
     saturated = max(float(np.abs(np.linalg.eigvals(K.A - hover.M @ K.C)).max()) for K in controllers)
     if saturated >= 1.0:
@@ -239,7 +241,7 @@ def schedule_outputs(
     still = sample_plant(_plant_at_velocity(vehicle, (0.0, 0.0, 0.0), voltage), T, 1)
     slowest = min(analyse_loop(still, feedbacks[0]).crossovers)
     return OutputSchedule(
-        fastest, C_forward, D_forward, vehicle.rotors.flight_map is not None, tuple(frozen), saturated,
+        fastest, C_forward_change, D_forward_change, vehicle.rotors.flight_map is not None, tuple(frozen), saturated,
         2.0 * GRAVITY * float(np.tan(tilt_limit)) / fastest, float(slowest),
     )  # fmt: skip
 
@@ -266,7 +268,7 @@ def _plant_at_greatest_speed(vehicle: Vehicle, speed_m_s: float, voltage: float)
 
 def _tune_outputs(plant: control.StateSpace, loop: ScheduledLoop) -> tuple[Array, Array]:
     """Return the changes of C and D of the discrete controller from hover to the plant's speed."""
-    K, T = loop.controller, loop.controller.period_s
+    K, T = loop.hover_controller, loop.hover_controller.period_s
     output_scale, input_scale = np.array(loop.scaling.outputs), np.array(loop.scaling.inputs)
     scaled = scale_plant(plant, loop.scaling)
     generalised = loop.generalise(scaled)
@@ -276,8 +278,8 @@ def _tune_outputs(plant: control.StateSpace, loop: ScheduledLoop) -> tuple[Array
         A, B * output_scale, C / out, D * output_scale / out,
         inputs=generalised.output_labels[-n:], outputs=generalised.input_labels[-plant.ninputs:],
     )  # fmt: skip
-    noise = tuple(float(v) for v in np.array(loop.goals.noise_outputs) / output_scale)
-    goals = FixedOrderGoals(**{**vars(loop.goals), "noise_outputs": noise})
+    noise = tuple(float(v) for v in np.array(loop.goals.output_noise_std) / output_scale)
+    goals = FixedOrderGoals(**{**vars(loop.goals), "output_noise_std": noise})
     problem = SynthesisProblem(
         generalised, scaled, (0, 1), False, n, loop.relaxation, None, goals, loop.generalise, 2 * np.pi / T, given
     )
@@ -311,5 +313,5 @@ def schedule_roll_pitch(
 def pack_schedule(schedule: OutputSchedule) -> dict[str, object]:
     """Return the fields of ``ROLL_PITCH_GAINS`` that hold a schedule."""
     C = np.zeros((2, ROLL_PITCH_ORDER))
-    C[:, : schedule.C_forward.shape[1]] = schedule.C_forward
-    return {"C_forward": C, "D_forward": schedule.D_forward, "schedule": schedule.inverse_square}
+    C[:, : schedule.C_forward_change.shape[1]] = schedule.C_forward_change
+    return {"C_forward_change": C, "D_forward_change": schedule.D_forward_change, "schedule": schedule.inverse_square}

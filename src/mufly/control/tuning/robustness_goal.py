@@ -43,7 +43,7 @@ class RobustnessGoal:
     ----------
     loop : UncertainLoop
         Loop in physical units.
-    feedback_inputs : sequence of int
+    error_inputs : sequence of int
         Controller inputs that are errors of the plant's outputs.
     read_scale, input_scale : array
         Scales of the controller's inputs and outputs.
@@ -54,10 +54,10 @@ class RobustnessGoal:
     name = "mu"
 
     def __init__(
-        self, loop: UncertainLoop, feedback_inputs: Sequence[int], read_scale: Array, input_scale: Array, level: float
+        self, loop: UncertainLoop, error_inputs: Sequence[int], read_scale: Array, input_scale: Array, level: float
     ) -> None:
         self.level = level
-        self.blocks, self.rows, self.n_inputs = loop.blocks, list(feedback_inputs), len(read_scale)
+        self.blocks, self.rows, self.n_inputs = loop.blocks, list(error_inputs), len(read_scale)
         poles = np.abs(np.linalg.eigvals(loop.closed_matrices()[0]))
         inside = poles[(poles > 1.0) & (poles < 60.0)]
         low, high = inside.min(initial=4.0), inside.max(initial=20.0)

@@ -49,30 +49,30 @@ class TunedLoop:
     ----------
     loop : str
     order : int
-    levels, norms : dict
+    goal_levels, norms : dict
         Required bound and reached norm of each goal, by its name.
     figures : LoopFigures
         Figures of the sampled controller; mu at frequencies other than the tuning's.
-    controller : FlightController
+    flight_controller : FlightController
         The vehicle's whole controller, with this loop in place of its own.
     """
 
     loop: LoopName
     order: int
-    levels: dict[str, float]
+    goal_levels: dict[str, float]
     norms: dict[str, float]
     figures: LoopFigures
-    controller: FlightController
+    flight_controller: FlightController
 
     @property
     def objective(self) -> float:
         """Largest ratio of a goal's norm to its level; all goals are reached if it is below 1."""
-        return max(self.norms[name] / level for name, level in self.levels.items())
+        return max(self.norms[name] / level for name, level in self.goal_levels.items())
 
     @property
     def design(self) -> ControllerDesign:
         """Complete design of the loop with the tuned controller: reduced, sampled and analysed."""
-        c = self.controller
+        c = self.flight_controller
         return c.heave_yaw if self.loop == "heave-yaw" else c.roll_pitch
 
     def as_record(self) -> dict[str, Any]:
@@ -82,7 +82,7 @@ class TunedLoop:
             "loop": self.loop,
             "order": self.order,
             "objective": self.objective,
-            "goals": {name: {"level": level, "reached": self.norms[name]} for name, level in self.levels.items()},
+            "goals": {name: {"level": level, "reached": self.norms[name]} for name, level in self.goal_levels.items()},
             "sampled": {
                 "gamma": f.norm,
                 "sensitivity_peak_dB": f.sampled.sensitivity_peak_dB,
@@ -98,19 +98,20 @@ class TunedLoop:
     def shown_blocks(self) -> list[ShownBlock]:
         """Return the text of the result: each goal with its level, and the figures of the loop."""
         rows = []
-        for name, level in self.levels.items():
+        for name, level in self.goal_levels.items():
             reached = self.norms[name]
             if _GOAL_UNITS[name] == "dB":
                 level, shown, reached = 20 * np.log10(level), 20 * np.log10(reached), reached
-                rows.append((f"{name} (dB)", f"{level:.2f}", f"{shown:.2f}", f"{reached / self.levels[name]:.3f}"))
+                rows.append((f"{name} (dB)", f"{level:.2f}", f"{shown:.2f}", f"{reached / self.goal_levels[name]:.3f}"))
             else:
                 rows.append((name, f"{level:.4g}", f"{reached:.4g}", f"{reached / level:.3f}"))
         f, s = self.figures, self.figures.sampled
-        title = f"{self.controller.vehicle_name}, {self.loop}, order {self.order}"
+        c = self.flight_controller
+        title = f"{c.vehicle_name}, {self.loop}, order {self.order}"
         return [
             show_table(("goal", "level", "reached", "share"), rows, title=title),
             show_lines(
-                f"Sampled at {self.controller.rate_Hz:g} Hz: gamma {f.norm:.3f}, S_u {s.sensitivity_peak_dB:.2f} dB, "
+                f"Sampled at {c.rate_Hz:g} Hz: gamma {f.norm:.3f}, S_u {s.sensitivity_peak_dB:.2f} dB, "
                 f"T_u {s.complementary_peak_dB:.2f} dB, disk margin {f.disk.margin:.2f}, mu {f.mu_upper:.3f}, input "
                 f"noise {100 * f.input_noise:.2f} %, {f.multiply_adds} multiply-adds",
                 "All goals are reached" if self.objective <= 1.0 else "Not all goals are reached: shares above 1",
@@ -210,7 +211,7 @@ def tune_loop(
     )
     robust = analyse_parameter_robustness(vehicle, c, spreads, points=40)
     mu = robust.heave_yaw if loop == "heave-yaw" else robust.roll_pitch
-    figures = loop_figures(vehicle, c.heave_yaw if loop == "heave-yaw" else c.roll_pitch, (mu.peak, mu.lower))
+    figures = loop_figures(vehicle, c.heave_yaw if loop == "heave-yaw" else c.roll_pitch, (mu.peak, mu.lower_peak))
     return TunedLoop(loop, order, {a.name: a.level for a in problem.goals}, norms, figures, c)
 
 

@@ -483,7 +483,7 @@ def quantise_law(controller: FlightController) -> FixedPointLaw:
 
 def measure_cascade_loss(vehicle: Vehicle, controller: FlightController, law: FixedPointLaw) -> QuantisationLoss:
     """Return the margin loss of the position loop with fixed-point roll-pitch and position controllers."""
-    before = controller.cascade
+    before = controller.cascade_loop
     exact = (controller.roll_pitch.discrete, controller.velocity.discrete)
     rounded = []
     for made, of in zip((law.roll_pitch, law.position), exact, strict=True):

@@ -69,7 +69,7 @@ def fixed_point_gains(controller: FlightController, law: FixedPointLaw) -> _Gain
             "trim": [_to_fixed_point(v) for v in h["trim"]],
             "height": _reference_filter_gains(h, "heave", "speed"),
             "heading": _reference_filter_gains(h, "yaw", "rate"),
-            "slack": _to_fixed_point(h["heave_slack"]),
+            "slack": _to_fixed_point(h["heave_tracking_error_limit"]),
             "period": _to_fixed_point(h["period"], 36),
             "design_voltage": _to_fixed_point(h["design_voltage"]),
             "per_volt": _to_fixed_point(1.0 / h["design_voltage"], 30),

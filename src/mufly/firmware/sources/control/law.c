@@ -24,7 +24,7 @@ static void add_scheduled_output(const roll_pitch_gains_t *g, const real_t x[ROL
         real_t forward[OUTPUT_PAIR];
 
         share = (share > REAL(1.0)) ? REAL(1.0) : share;
-        linear_output(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->C_forward[0][0], &g->D_forward[0][0], x, e, forward);
+        linear_output(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->C_forward_change[0][0], &g->D_forward_change[0][0], x, e, forward);
         for (int32_t i = 0; i < OUTPUT_PAIR; i++) {
             u[i] += share * forward[i];
         }
@@ -90,12 +90,12 @@ void heave_yaw_init(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const 
 void limit_heave_reference(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z)
 {
     const real_t trails = z - state->shaped_z;
-    const real_t left = REAL(1.0) - (real_abs(trails) / g->heave_slack);
+    const real_t left = REAL(1.0) - (real_abs(trails) / g->heave_tracking_error_limit);
     const real_t fastest = (left > REAL(0.0)) ? (g->heave_speed * left) : REAL(0.0);
     const real_t away = (trails < REAL(0.0)) ? state->shaped_w : -state->shaped_w;
 
     if (left < REAL(0.0)) {
-        state->shaped_z = z - real_copysign(g->heave_slack, trails);
+        state->shaped_z = z - real_copysign(g->heave_tracking_error_limit, trails);
         state->dropped_z = REAL(0.0);
     }
     if ((left < REAL(0.0)) || (away > fastest)) {

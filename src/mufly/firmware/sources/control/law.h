@@ -31,7 +31,7 @@ typedef struct {
     real_t heave_acceleration;
     real_t heave_speed;
     real_t heave_lead;
-    real_t heave_slack;
+    real_t heave_tracking_error_limit;
     real_t yaw_bandwidth;
     real_t yaw_acceleration;
     real_t yaw_rate;
@@ -58,8 +58,8 @@ typedef struct {
     real_t trim[OUTPUT_PAIR]; /* servo 1, servo 2 */
     real_t tilt_limit;
 #if ROLL_PITCH_SCHEDULED
-    real_t C_forward[OUTPUT_PAIR][ROLL_PITCH_ORDER]; /* change of C and D from hover to the scheduled speed */
-    real_t D_forward[OUTPUT_PAIR][ROLL_PITCH_ERRORS];
+    real_t C_forward_change[OUTPUT_PAIR][ROLL_PITCH_ORDER]; /* change of C and D from hover to the scheduled speed */
+    real_t D_forward_change[OUTPUT_PAIR][ROLL_PITCH_ERRORS];
     real_t schedule; /* inverse square of that speed (s2/m2); 0: none */
 #endif
 } roll_pitch_gains_t;
