@@ -249,10 +249,10 @@ def test_of_inputs_that_oscillate_at_once_both_name_the_one_that_lasts_longest(f
         lib.oscillation_detector_step(theirs, t, inputs, ffi.NULL, found)
         assert found.is_present == (one is not None)
         if one is not None:
-            assert (ACTUATOR_INPUT_NAMES[found.input_name], found.duration_s, found.amplitude) == (
+            assert (ACTUATOR_INPUT_NAMES[found.input_name], found.duration_s, found.swing) == (
                 one.input_name,
                 one.duration_s,
-                one.amplitude,
+                one.swing,
             )
             named.add(one.input_name)
     assert named == set(ACTUATOR_INPUT_NAMES[:2])

@@ -340,7 +340,7 @@ def test_results_say_which_flight_is_the_worst(tmp_path: Path, campaign: Campaig
     assert told.reasons == (("a rotor hit the wall ... at ... m, ... s", 2),)
     assert told.successes == sum(f.success for f in flights)
     assert told.reported_successes == told.successes + 2
-    tilt = next(w for w in told.worst if w.label.startswith("tilt"))
+    tilt = next(w for w in told.metric_summaries if w.label.startswith("tilt"))
     assert (tilt.worst, tilt.flight, tilt.unit) == (80.0, 6, "deg")
     assert "flights succeeded" in told.describe_success()
     assert "Wilson" in told.describe_success()

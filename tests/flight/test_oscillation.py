@@ -47,7 +47,7 @@ def test_a_steady_swing_is_found_with_its_size_and_frequency(which: int, hertz: 
     assert max(4.0 / hertz, 2.0) <= first <= max(4.0 / hertz, 2.0) + 2.0 / hertz
     last = found[-1]
     assert last.input_name == ACTUATOR_INPUT_NAMES[which]
-    assert last.amplitude == pytest.approx(2 * size, rel=0.05)
+    assert last.swing == pytest.approx(2 * size, rel=0.05)
     assert last.frequency_Hz == pytest.approx(hertz, rel=0.1)
     assert last.start_s + last.duration_s <= 16.0
     assert last.duration_s == pytest.approx(16.0 - last.start_s, abs=1.0 / hertz)

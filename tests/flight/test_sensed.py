@@ -236,7 +236,7 @@ def test_what_is_done_follows_from_the_covariance_alone(doubt: dict[str, float],
 
 
 def test_who_stands_he_knows_not_where_may_fly_until_that_grows_worse() -> None:
-    lost = HealthMonitor(floor_variance_m2=25.0)
+    lost = HealthMonitor(standing_position_variance_m2=25.0)
     assert lost.step(believing(still(), xy=5.0)).action == ""
     assert lost.step(believing(still(1.02), xy=math.sqrt(25.0 + 0.24**2))).action == ""
     assert lost.step(believing(still(1.04), xy=math.sqrt(25.0 + 0.3**2))).reason.startswith(

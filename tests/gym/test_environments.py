@@ -199,8 +199,8 @@ def test_a_waypoint_is_followed_by_the_observed_next_one() -> None:
 def test_obstacle_measures_columns_and_ends_at_one() -> None:
     env, zero = placed("obstacle", position=(-2, 0, -1))
     e = env.vector.episodes
-    e.columns[0] = 0.0
-    e.columns[0, :] = [-1.0, 0.0, 0.2, -2.5, 0.0]
+    e.pillars[0] = 0.0
+    e.pillars[0, :] = [-1.0, 0.0, 0.2, -2.5, 0.0]
     ranges = env.step(zero)[0][OBS_TASK_INPUTS:]
     assert ranges[[0, 2, 4, 6]] == pytest.approx([0.8, 2.0, 1.0, 2.0], abs=0.02)
     e.state[0, 0] = -1.25

@@ -64,7 +64,7 @@ def test_max_range_and_empty_world():
     assert cast_ranges(World(), [0, 0, -1.0], [unit(0.3)])[0] == math.inf
     assert cast_ranges(World(), [0, 0, -1.0], [unit(0.3)], 1.5)[0] == 1.5
     assert obstacle_distance(World(), [0, 0, -1.0]) == (math.inf, "")
-    assert cast_ranges(World(floor=False), [0, 0, -1.0], [(0, 0, 1.0)])[0] == math.inf
+    assert cast_ranges(World(has_floor=False), [0, 0, -1.0], [(0, 0, 1.0)])[0] == math.inf
     assert World().is_empty
     assert not World(room=ROOM).is_empty
 
@@ -111,7 +111,7 @@ def test_moving_and_turning_everything_changes_nothing(n, e, d, azimuth, elevati
 @given(number, number, st.floats(-2.9, -0.05), angle, st.floats(-1.4, 1.4))
 def test_no_beam_ends_nearer_than_the_nearest_surface_and_it_ends_on_one(n, e, d, azimuth, elevation):
     furniture, _ = furnished()
-    world = World(furniture.boxes, furniture.cylinders, ROOM, floor=False)
+    world = World(furniture.boxes, furniture.cylinders, ROOM, has_floor=False)
     x, u = np.array([n, e, d]), unit(azimuth, elevation)
     least, _name = obstacle_distance(world, x)
     reach = cast_ranges(world, x, [u], 50.0)[0]

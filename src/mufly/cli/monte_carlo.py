@@ -214,7 +214,7 @@ def run_monte_carlo(
         helicopter, flown_mission, variations=parse_variations(vary or [], helicopter), wind=towards,
         gust=gust, sensors=sensors, faults=tuple(fault or ()), seed=seed,
         tolerance_m=tolerance, redesign=not untold, controllers=controllers, fast_controllers=GenericFirmwareSoftware,
-        computed_by=by, vehicle_name=vehicle, mission_name=mission, camera_name=camera or "mufly-2.0",
+        controller_options=by, vehicle_name=vehicle, mission_name=mission, camera_name=camera or "mufly-2.0",
         camera=make_position_camera(position, sensors, camera, floor, floor_width, flown_mission, mission),
         controller=controller,
     )  # fmt: skip

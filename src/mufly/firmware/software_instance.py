@@ -350,7 +350,7 @@ class SoftwareInstance:
         o = self.software_record.oscillation
         if not o.is_present:
             return None
-        return Oscillation(ACTUATOR_INPUT_NAMES[o.input_name], o.start_s, o.duration_s, o.amplitude, o.frequency_Hz)
+        return Oscillation(ACTUATOR_INPUT_NAMES[o.input_name], o.start_s, o.duration_s, o.swing, o.frequency_Hz)
 
 
 def read_profile(p: FFI.CData) -> MotionProfile:

@@ -200,12 +200,12 @@ class HealthMonitor:
     ----------
     verdict : HealthDecision
         Latest action.
-    floor_variance_m2 : float
+    standing_position_variance_m2 : float
         Variance of the horizontal position on the floor (m2).
     """
 
     verdict: HealthDecision = HEALTHY_DECISION
-    floor_variance_m2: float = 0.0
+    standing_position_variance_m2: float = 0.0
     _fault_since_s: dict[str, float] = field(default_factory=dict)
     _hold_since_s: float = math.nan
     _position_certain_since_s: float = math.nan
@@ -219,7 +219,9 @@ class HealthMonitor:
         elif math.isnan(self._height_uncertain_since_s):
             self._height_uncertain_since_s = t
         found = judge_estimate(
-            m, self.floor_variance_m2, height_counts=t - self._height_uncertain_since_s >= HEIGHT_UNCERTAIN_DELAY_S
+            m,
+            self.standing_position_variance_m2,
+            height_counts=t - self._height_uncertain_since_s >= HEIGHT_UNCERTAIN_DELAY_S,
         )
         apart = self._judge_attitude_sensors(m)
         if apart.action and found.action != "sink":
@@ -234,7 +236,7 @@ class HealthMonitor:
                 self._hold_since_s = t
                 return self._set_decision(found)
         elif self.verdict.action == "hold":
-            if position_std_growth(m, self.floor_variance_m2) >= RESUME_POSITION_SIGMA_M:
+            if position_std_growth(m, self.standing_position_variance_m2) >= RESUME_POSITION_SIGMA_M:
                 self._position_certain_since_s = math.nan
             elif math.isnan(self._position_certain_since_s):
                 self._position_certain_since_s = t

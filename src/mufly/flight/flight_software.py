@@ -336,7 +336,7 @@ class FlightSoftware:
         if not (self._lifted and self._motors == "fly"):
             stood = max(m.covariance[0, 0], m.covariance[1, 1])
             self._doubts, self._held, self._waits = (
-                HealthMonitor(floor_variance_m2=float(stood)),
+                HealthMonitor(standing_position_variance_m2=float(stood)),
                 False,
                 False,
             )

@@ -55,7 +55,7 @@ class FlightState:
     outcome, reason : str
         Outcome of the flight ("succeeded", "failed", or "" while undecided), and its reason.
     oscillation : str
-        Oscillating actuator with amplitude and frequency (:mod:`mufly.flight.oscillation_detector`); "" if none.
+        Oscillating actuator with swing and frequency (:mod:`mufly.flight.oscillation_detector`); "" if none.
     crash_cause : str
         Cause of a crash; "" without one.
     fence_breach_text : str

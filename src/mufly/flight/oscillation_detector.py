@@ -81,11 +81,11 @@ class Oscillation:
     input_name: str
     start_s: float
     duration_s: float
-    amplitude: float
+    swing: float
     frequency_Hz: float
 
     def __str__(self) -> str:
-        return f"{self.input_name} oscillates by {self.amplitude:.2f} at {self.frequency_Hz:.2g} Hz"
+        return f"{self.input_name} oscillates by {self.swing:.2f} at {self.frequency_Hz:.2g} Hz"
 
 
 @cached_njit(error_model="numpy")

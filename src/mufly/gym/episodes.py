@@ -91,15 +91,15 @@ class EpisodeArrays(NamedTuple):
         Action, and inputs of the flight model in the preceding step and in this one.
     wind : (n, 3) array
         Velocity of the air (m/s).
-    vehicle, wind_series, wind_sample : (n,) array
+    vehicle, wind_series_index, wind_sample : (n,) array
         Index of the vehicle in the fleet, of the wind, and of the wind's sample.
     delay, steps, reached : (n,) array
         Delay in integration steps, steps of the episode, number of reached targets.
-    distance, speed, change : (n,) array
+    distance, speed, action_change_squared : (n,) array
         Distance to the target (m), speed (m/s), square of the last change of the action.
     error : (n, 6) array
         Correlated errors of the estimate, of variance 1.
-    columns : (n, 6, 5) array
+    pillars : (n, 6, 5) array
         Columns of ``Obstacle``, packed as in :class:`mufly.world.World`.
     """
 
@@ -113,15 +113,15 @@ class EpisodeArrays(NamedTuple):
     inputs: _Array
     wind: _Array
     vehicle: _Ints
-    wind_series: _Ints
+    wind_series_index: _Ints
     wind_sample: _Ints
     delay: _Ints
     steps: _Ints
     distance: _Array
     speed: _Array
-    change: _Array
+    action_change_squared: _Array
     error: _Array
-    columns: _Array
+    pillars: _Array
     reached: _Ints
 
 
@@ -136,11 +136,11 @@ class EpisodeSettings(NamedTuple):
         Greatest delay of an action, in integration steps.
     trim : (4,) array
         Inputs for an action of zero.
-    nominal_V, radius : float
+    nominal_V, rotor_radius_m : float
         Nominal voltage of the battery, radius of the rotors (m).
     limits : (6,) array
         Packed walls and ceiling of ``Obstacle``.
-    low, high : (m,) array
+    observation_low, observation_high : (m,) array
         Bounds of an observation.
     has_errors : bool
         Whether an observation has errors.
@@ -157,10 +157,10 @@ class EpisodeSettings(NamedTuple):
     delay: int
     trim: _Array
     nominal_V: float
-    radius: float
+    rotor_radius_m: float
     limits: _Array
-    low: _Array
-    high: _Array
+    observation_low: _Array
+    observation_high: _Array
     has_errors: bool
     starts_in_hover: bool
     decay: _Array
@@ -186,15 +186,15 @@ def make_episodes(count: int) -> EpisodeArrays:
         inputs=np.zeros((n, 4)),
         wind=np.zeros((n, 3)),
         vehicle=zero_integers(),
-        wind_series=zero_integers(),
+        wind_series_index=zero_integers(),
         wind_sample=zero_integers(),
         delay=zero_integers(),
         steps=zero_integers(),
         distance=np.zeros(n),
         speed=np.zeros(n),
-        change=np.zeros(n),
+        action_change_squared=np.zeros(n),
         error=np.zeros((n, ESTIMATE_ERROR_COUNT)),
-        columns=np.zeros((n, PILLAR_COUNT, PILLAR_ROW_SIZE)),
+        pillars=np.zeros((n, PILLAR_COUNT, PILLAR_ROW_SIZE)),
         reached=zero_integers(),
     )
 
@@ -221,13 +221,13 @@ def start_episodes(
         if not which[k]:
             continue
         draw_uniforms(e.source[k : k + 1], r)
-        e.vehicle[k], e.wind_series[k] = int(r[0] * states.shape[0]), int(r[1] * winds.shape[0])
+        e.vehicle[k], e.wind_series_index[k] = int(r[0] * states.shape[0]), int(r[1] * winds.shape[0])
         e.wind_sample[k], e.delay[k] = int(r[2] * winds.shape[1]), int(r[3] * (s.delay + 1))
         x = e.state[k]
         if series[e.vehicle[k]] >= 0:
-            e.wind_series[k] = series[e.vehicle[k]]
+            e.wind_series_index[k] = series[e.vehicle[k]]
         copy_numbers(states[e.vehicle[k]], x)
-        place_task(s.kind, r[14:], start, e.target[k], e.next_target[k], e.columns[k])
+        place_task(s.kind, r[14:], start, e.target[k], e.next_target[k], e.pillars[k])
         # Start heading, and target heading within a quarter turn of it; no heading to hold on the way to a target.
         yaw = math.pi * (2.0 * r[4] - 1.0)
         if s.starts_in_hover:
@@ -248,10 +248,10 @@ def start_episodes(
                 x[MODEL_RATES + i] = _START_RATE_rad_s * (2.0 * r[11 + i] - 1.0)
             x[MODEL_CHARGE] = MIN_START_CHARGE + (1.0 - MIN_START_CHARGE) * r[39]
         copy_numbers(inputs[e.vehicle[k]], e.inputs[k])
-        copy_numbers(winds[e.wind_series[k], e.wind_sample[k]], e.wind[k])
+        copy_numbers(winds[e.wind_series_index[k], e.wind_sample[k]], e.wind[k])
         for i in range(ACTION_SIZE):
             e.action[k, i] = 0.0
-        e.steps[k], e.reached[k], e.change[k] = 0, 0, 0.0
+        e.steps[k], e.reached[k], e.action_change_squared[k] = 0, 0, 0.0
         e.distance[k], e.speed[k] = _target_distance(x, e.target[k]), _speed(x)
         if s.has_errors:
             draw_normals(e.source[k : k + 1], e.error[k])
@@ -300,11 +300,11 @@ def command_episodes(
             a = min(max(float(actions[k, i]), -1.0), 1.0)
             change += (a - e.action[k, i]) ** 2
             e.action[k, i] = a
-        e.change[k] = change
+        e.action_change_squared[k] = change
         copy_numbers(e.inputs[k], e.previous_inputs[k])
         map_action(e.action[k], s.trim, e.inputs[k])
         e.wind_sample[k] = (e.wind_sample[k] + 1) % winds.shape[1]
-        copy_numbers(winds[e.wind_series[k], e.wind_sample[k]], e.wind[k])
+        copy_numbers(winds[e.wind_series_index[k], e.wind_sample[k]], e.wind[k])
 
 
 def move_episodes(
@@ -339,15 +339,15 @@ def judge_episodes(
         touches = x[MODEL_POSITION + 2] + p.contact_reach > 0.0 and lowest_point(x, p)[0] > 0.0
         collides = False
         if s.kind == TASK_OBSTACLE:
-            near = packed_obstacle_distances(x[POSITION].reshape(1, 3), boxes, e.columns[k], s.limits)[0][0]
-            collides = not near > s.radius
+            near = packed_obstacle_distances(x[POSITION].reshape(1, 3), boxes, e.pillars[k], s.limits)[0][0]
+            collides = not near > s.rotor_radius_m
         w, i, j, z = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
         c, sn = heading_direction(w, i, j, z)
         speed = max(_speed(x), e.speed[k])  # legs stop a vehicle within a step
         e.speed[k] = _speed(x)
         rates = x[MODEL_RATES] ** 2 + x[MODEL_RATES + 1] ** 2 + x[MODEL_RATES + 2] ** 2
         reward[k], terminated[k], success[k] = judge_step(
-            s.kind, e.distance[k], now, e.heading[k, 0] * c + e.heading[k, 1] * sn, rates, e.change[k],
+            s.kind, e.distance[k], now, e.heading[k, 0] * c + e.heading[k, 1] * sn, rates, e.action_change_squared[k],
             1.0 - 2.0 * (i * i + j * j), speed, touches, collides,
         )  # fmt: skip
         if success[k]:
@@ -372,7 +372,7 @@ def observe_episodes(
     ``estimate`` (n, 21) are the observed states: the true ones or those of a filter; ``volts`` (n,) the measured
     voltages (V), NaN for the true one.
     """
-    row, boxes = np.empty(s.low.size), np.empty((0, 8))
+    row, boxes = np.empty(s.observation_low.size), np.empty((0, 8))
     error, velocity, rates, white = (
         np.empty(3),
         np.empty(3),
@@ -429,8 +429,8 @@ def observe_episodes(
             for i in range(OBSERVED_RANGE_COUNT):
                 sa, ca = sine_cosine(i * 2.0 * math.pi / OBSERVED_RANGE_COUNT)
                 row[OBS_TASK_INPUTS + i] = first_hit_distance(
-                    e.state[k, :3], c * ca - sn * sa, sn * ca + c * sa, 0.0, MAX_RANGE_M, boxes, e.columns[k], s.limits
+                    e.state[k, :3], c * ca - sn * sa, sn * ca + c * sa, 0.0, MAX_RANGE_M, boxes, e.pillars[k], s.limits
                 )
         for i in range(row.size):
             v = row[i]
-            out[k, i] = min(max(v, s.low[i]), s.high[i]) if v == v else 0.0
+            out[k, i] = min(max(v, s.observation_low[i]), s.observation_high[i]) if v == v else 0.0

@@ -108,7 +108,7 @@ class UnitStarts:
     like : UnitPeriods
         Arrays of one unit: their types, shapes and order are those of all.
     fleet : Fleet
-        Parameters, states and inputs of the units; ``fleet.series`` is the wind that each has flown in.
+        Parameters, states and inputs of the units; ``fleet.wind_series_index`` is the wind that each has flown in.
     period_s : float
         Period of the flight software.
     keep_alive : tuple

@@ -60,7 +60,7 @@ class Fleet:
         Battery voltage of the nominal vehicle.
     vehicles : tuple of Vehicle
         The vehicles.
-    series : (k,) array
+    wind_series_index : (k,) array
         Index of the wind that episodes of a vehicle have; -1: any.
     """
 
@@ -70,7 +70,7 @@ class Fleet:
     trim: _Array
     nominal_voltage_V: float
     vehicles: tuple[Vehicle, ...]
-    series: NDArray[np.int64]
+    wind_series_index: NDArray[np.int64]
 
 
 def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> Fleet:

@@ -72,7 +72,7 @@ def _draw_world(top: Any, side: Any, episodes: EpisodeArrays, index: int, task: 
     (south, north), (west, east) = room.north, room.east
     top.add_patch(Rectangle((west, south), east - west, north - south, fill=False))
     side.add_patch(Rectangle((west, 0.0), east - west, room.height, fill=False))
-    for column in episodes.columns[index]:
+    for column in episodes.pillars[index]:
         north, east, radius = column[PILLAR_NORTH_INDEX], column[PILLAR_EAST_INDEX], column[PILLAR_RADIUS_INDEX]
         top.add_patch(Circle((east, north), radius, color="tab:brown"))
         height = -column[PILLAR_TOP_INDEX]

@@ -192,7 +192,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
             self._is_seeded = True
         self._start(which)
         self._ended[which] = False
-        observations = np.zeros((self.num_envs, self._settings.low.size), dtype=np.float32)
+        observations = np.zeros((self.num_envs, self._settings.observation_low.size), dtype=np.float32)
         self._observe(self._all, observations)
         return observations, {}
 
@@ -221,7 +221,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
             raise ArgumentError("actions", "", "contain NaN or infinity", "give numbers from -1 to 1")
         n, e, s, fleet = self.num_envs, self.episodes, self._settings, self.fleet
         rewards, terminated, truncated, success = np.zeros(n), *(np.zeros(n, dtype=np.bool_) for _ in range(3))
-        observations = np.zeros((self.num_envs, self._settings.low.size), dtype=np.float32)
+        observations = np.zeros((self.num_envs, self._settings.observation_low.size), dtype=np.float32)
         next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
         which = self._all
         if self._ended.any():
@@ -250,7 +250,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
     def _start(self, which: _Flags) -> None:
         fleet = self.fleet
         start_episodes(
-            self.episodes, self._settings, which, fleet.states, fleet.inputs, fleet.series, self._winds
+            self.episodes, self._settings, which, fleet.states, fleet.inputs, fleet.wind_series_index, self._winds
         )  # fmt: skip
         if self.units is not None:
             self.units.start_units(self.episodes, which)

@@ -136,7 +136,7 @@ class World:
         The obstacles.
     room : Room or None
         Walls and ceiling; None for open terrain.
-    floor : bool
+    has_floor : bool
         True if beams hit the plane D = 0, which is never an obstacle in `obstacle_distance`.
     names : tuple of str
         Name of every obstacle in the order in which `obstacle_distances` counts them: boxes, cylinders, then the walls
@@ -146,7 +146,7 @@ class World:
     boxes: tuple[Box, ...] = ()
     cylinders: tuple[Cylinder, ...] = ()
     room: Room | None = None
-    floor: bool = True
+    has_floor: bool = True
     names: tuple[str, ...] = field(init=False, compare=False)
     packed_tables: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] = field(
         init=False, repr=False, compare=False
@@ -173,7 +173,7 @@ def _pack_world(world: World) -> tuple[NDArray[np.float64], NDArray[np.float64],
     cylinders = np.array([(*c.centre, c.radius, -(c.foot + c.height), -c.foot) for c in world.cylinders]).reshape(-1, 5)
     r = world.room
     inside = (*r.north, *r.east, -r.height) if r else (-math.inf, math.inf, -math.inf, math.inf, -math.inf)
-    limits = np.array([*inside, 0.0 if world.floor else math.inf])
+    limits = np.array([*inside, 0.0 if world.has_floor else math.inf])
     return boxes, cylinders, limits
 
 
@@ -323,7 +323,7 @@ def cast_ranges(world: World, position: ArrayLike, directions: ArrayLike, max_ra
     Parameters
     ----------
     world : World
-        Obstacles, including the floor unless ``world.floor`` is false.
+        Obstacles, including the floor unless ``world.has_floor`` is false.
     position : (3,) array
         Origin of the beams, N, E, D (m).
     directions : (n, 3) array

@@ -120,7 +120,7 @@ def simulate(
 def _print_reading_errors(errors: list[ReadingErrors]) -> None:
     heads = ("", "Hz", "delay (ms)", "invalid", "mean error", "std", "worst", "unit")
     rows = [
-        (e.name, f"{e.rate_Hz:.0f}", f"{1e3 * e.delay_s:.0f}", f"{e.invalid:.1%}",
+        (e.name, f"{e.rate_Hz:.0f}", f"{1e3 * e.delay_s:.0f}", f"{e.invalid_share:.1%}",
          *(format_value(x, ".2g") for x in (e.mean, e.deviation, e.worst)), e.unit)
         for e in errors
     ]  # fmt: skip

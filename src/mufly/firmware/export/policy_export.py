@@ -70,8 +70,9 @@ def render_policy_files(policy: LearnedPolicy) -> dict[str, str]:
         *(f"#define POLICY_{name} {n}" for name, n in sizes.items()), "", "#endif", "",
     ])  # fmt: skip
     reals = {
-        "low[POLICY_INPUTS]": p.low, "high[POLICY_INPUTS]": p.high, "mean[POLICY_INPUTS]": p.mean,
-        "scale[POLICY_INPUTS]": p.scale, "weights[POLICY_WEIGHTS]": p.weights, "biases[POLICY_BIASES]": p.biases,
+        "low[POLICY_INPUTS]": p.observation_low, "high[POLICY_INPUTS]": p.observation_high,
+        "mean[POLICY_INPUTS]": p.mean, "scale[POLICY_INPUTS]": p.scale,
+        "weights[POLICY_WEIGHTS]": p.weights, "biases[POLICY_BIASES]": p.biases,
         "trim[POLICY_ACTION_SIZE]": policy.trim,
     }  # fmt: skip
     numbers = {"limit": p.limit, "nominal_voltage": policy.nominal_voltage_V, "period": policy.period_s}

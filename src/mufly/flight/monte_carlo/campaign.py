@@ -199,7 +199,7 @@ class Campaign:
     fast_controllers : callable, optional
         Faster flight software used if ``controllers`` is None, with identical flights
         (:class:`mufly.firmware.GenericFirmwareSoftware`); not part of the settings hash.
-    computed_by : tuple of str
+    controller_options : tuple of str
         Command line options that select ``controllers``.
     vehicle_name, mission_name, camera_name : str
         Names of vehicle, mission and camera on a command line.
@@ -218,7 +218,7 @@ class Campaign:
     redesign: bool = False
     controllers: ControlImplementation | None = None
     fast_controllers: ControlImplementation | None = None
-    computed_by: tuple[str, ...] = ()
+    controller_options: tuple[str, ...] = ()
     vehicle_name: str = "mufly-1.1"
     mission_name: str = "demonstration"
     camera_name: str = "mufly-2.0"
@@ -419,7 +419,7 @@ class Campaign:
             ]
             if self.camera.floor_width_m is not None:
                 words += ["--floor-width", repr(self.camera.floor_width_m)]
-        return shlex.join([*words, *self.computed_by, "--out", str(folder)])
+        return shlex.join([*words, *self.controller_options, "--out", str(folder)])
 
 
 def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> FlightResult:

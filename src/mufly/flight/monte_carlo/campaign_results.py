@@ -131,7 +131,10 @@ class MetricSummary:
     beyond_limit_count: int | None
 
 
-@result(picture="mufly.flight.monte_carlo.campaign_pictures:draw_outcome")
+@result(
+    picture="mufly.flight.monte_carlo.campaign_pictures:draw_outcome",
+    json="flights successes low high reported_successes refused endings reasons failed worst=metric_summaries",
+)
 class CampaignOutcome:
     """The outcome of a campaign.
 
@@ -152,7 +155,7 @@ class CampaignOutcome:
         Reasons of failures without their numbers, each with its count; the commonest first.
     failed : tuple of int
         Indices of the failed flights.
-    worst : tuple of MetricSummary
+    metric_summaries : tuple of MetricSummary
         Statistics of each metric.
     """
 
@@ -165,7 +168,7 @@ class CampaignOutcome:
     endings: tuple[tuple[FlightEnding, int, float, float], ...]
     reasons: tuple[tuple[str, int], ...]
     failed: tuple[int, ...]
-    worst: tuple[MetricSummary, ...]
+    metric_summaries: tuple[MetricSummary, ...]
 
     def describe_success(self) -> str:
         """Return the success rate and its confidence interval as a sentence."""
@@ -190,7 +193,7 @@ class CampaignOutcome:
         rows = [
             (w.label, f"{w.median:.3g}", f"{w.percentile_95:.3g}", f"{w.worst:.3g}", "" if w.unit == "1" else w.unit,
              f"{w.flight}", "" if w.beyond_limit_count is None else f"{w.beyond_limit_count}")
-            for w in self.worst
+            for w in self.metric_summaries
         ]  # fmt: skip
         endings = [
             (
@@ -236,7 +239,9 @@ def summarise_outcome(flights: Sequence[FlightResult], tolerance_m: float) -> Ca
         ),
         reasons=tuple(sorted(reasons.items(), key=lambda r: (-r[1], r[0]))),
         failed=tuple(f.index for f in flights if not f.success),
-        worst=tuple(w for m in list_metrics(tolerance_m) if (w := _summarise_metric(flights, m)) is not None),
+        metric_summaries=tuple(
+            w for m in list_metrics(tolerance_m) if (w := _summarise_metric(flights, m)) is not None
+        ),
     )  # fmt: skip
 
 

@@ -52,7 +52,7 @@ class PackedPolicy(NamedTuple):
         Number of inputs, then of the outputs of each layer.
     activations : (layers,) array
         Indices in :data:`ACTIVATIONS`.
-    low, high, mean, scale : (inputs,) array
+    observation_low, observation_high, mean, scale : (inputs,) array
         Bounds of the observation, and its normalisation.
     limit : float
         Largest magnitude of a normalised observation.
@@ -62,8 +62,8 @@ class PackedPolicy(NamedTuple):
 
     sizes: NDArray[np.int64]
     activations: NDArray[np.int64]
-    low: _Array
-    high: _Array
+    observation_low: _Array
+    observation_high: _Array
     mean: _Array
     scale: _Array
     limit: float
@@ -144,7 +144,7 @@ def evaluate_policy(p: PackedPolicy, observation: _Array, action: _Array) -> Non
     x, y = np.zeros(widest), np.zeros(widest)
     for i in range(p.sizes[0]):
         v = observation[i]
-        v = min(max(v, p.low[i]), p.high[i]) if v == v else 0.0
+        v = min(max(v, p.observation_low[i]), p.observation_high[i]) if v == v else 0.0
         x[i] = min(max((v - p.mean[i]) / p.scale[i], -p.limit), p.limit)
     place, row = 0, 0
     for k in range(p.activations.size):

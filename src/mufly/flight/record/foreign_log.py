@@ -41,7 +41,7 @@ class AidRequest:
 
     Attributes
     ----------
-    position, heading : str or None
+    position_signal, heading_signal : str or None
         Signal names.
     std_m, heading_std_rad, rate_hz, delay_s : float or None
         Standard deviations, rate and delay of the aids.
@@ -49,8 +49,8 @@ class AidRequest:
         Seed of the noise added to an aid made from the truth.
     """
 
-    position: str | None = None
-    heading: str | None = None
+    position_signal: str | None = None
+    heading_signal: str | None = None
     std_m: float | None = None
     heading_std_rad: float | None = None
     rate_hz: float | None = None
@@ -110,10 +110,10 @@ def read_foreign_log(
 
     where = str(path)
     extra = []
-    if asked.position is not None and "," in asked.position:
-        extra.append(f"measured_position={asked.position}")
-    if asked.heading is not None and not asked.heading.startswith(("truth_", "measured_", "estimated_")):
-        extra.append(f"measured_attitude.yaw={asked.heading}")
+    if asked.position_signal is not None and "," in asked.position_signal:
+        extra.append(f"measured_position={asked.position_signal}")
+    if asked.heading_signal is not None and not asked.heading_signal.startswith(("truth_", "measured_", "estimated_")):
+        extra.append(f"measured_attitude.yaw={asked.heading_signal}")
     if extra:
         first = load_column_map(extra)
         columns = first if columns is None else columns.model_copy(update={"signal": (*first.signal, *columns.signal)})
@@ -204,15 +204,16 @@ def _find_aids(by: dict[str, Channel], asked: AidRequest, where: str, log: Inert
     from mufly.estimate.inertial_log import PositionAids
 
     known = [n for n in ("measured_position", "estimated_position", "truth_position") if f"{n}.N" in by]
-    name = asked.position if asked.position in known or "," not in (asked.position or ",") else "measured_position"
-    if asked.position is None:
+    position_signal, heading_signal = asked.position_signal, asked.heading_signal
+    name = position_signal if position_signal in known or "," not in (position_signal or ",") else "measured_position"
+    if position_signal is None:
         name = known[0] if known and known[0] != "truth_position" else None
     group = None if name is None else _find_vector(by, name, _AXIS_LABELS["position"])
     if group is None:
         have = ", ".join(known) or "none"
         raise InputError(
-            where, "--aid" if asked.position else "",
-            f"has no {'signal ' + asked.position if asked.position else 'measured position'} for the filter "
+            where, "--aid" if position_signal else "",
+            f"has no {'signal ' + position_signal if position_signal else 'measured position'} for the filter "
             "to fuse",
             f"name one by --aid position=SIGNAL or position=x,y,z (positions in the log: {have}); with "
             "truth_position "
@@ -223,8 +224,8 @@ def _find_aids(by: dict[str, Channel], asked: AidRequest, where: str, log: Inert
         raise InputError("--aid-std", "", "is needed when the fixes are made from the truth", "give metres, as 0.02")
     time = group[0].time
     x = np.column_stack([np.interp(time, c.time, c.values) for c in group])
-    yaw_name = asked.heading if asked.heading in by or f"{asked.heading}.yaw" in by else None
-    yaw_name = yaw_name or ("measured_attitude" if asked.heading else None)
+    yaw_name = heading_signal if heading_signal in by or f"{heading_signal}.yaw" in by else None
+    yaw_name = yaw_name or ("measured_attitude" if heading_signal else None)
     for one in ("truth_attitude",) if made else ("measured_attitude", "estimated_attitude"):
         yaw_name = yaw_name or (one if f"{one}.yaw" in by else None)
     yaw = None

@@ -85,7 +85,7 @@ class ReadingErrors:
         Rate of readings (Hz).
     delay_s : float
         Mean time from measurement to arrival (s).
-    invalid : float
+    invalid_share : float
         Share (1) of readings marked invalid.
     mean, deviation, worst : float
         Error of the worst component of valid readings, in the unit of the reading.
@@ -96,7 +96,7 @@ class ReadingErrors:
     count: int
     rate_Hz: float
     delay_s: float
-    invalid: float
+    invalid_share: float
     mean: float
     deviation: float
     worst: float
@@ -204,7 +204,7 @@ def reading_errors(log: ReadingLog) -> ReadingErrors:
     return ReadingErrors(
         name=log.name, count=len(log.arrival_s), rate_Hz=(len(log.arrival_s) - 1) / span,
         delay_s=float(np.mean(np.array(log.arrival_s) - np.array(log.measured_s))),
-        invalid=1.0 - float(np.mean(log.valid)), mean=float(some.mean()), deviation=float(some.std()),
+        invalid_share=1.0 - float(np.mean(log.valid)), mean=float(some.mean()), deviation=float(some.std()),
         worst=float(np.abs(some).max()), unit=READINGS[log.name].unit,
     )  # fmt: skip
 

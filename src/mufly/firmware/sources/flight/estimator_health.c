@@ -83,7 +83,7 @@ static void set_verdict(health_verdict_t *found, int32_t action, int32_t code, r
 void health_monitor_reset(health_monitor_t *d, real_t stood)
 {
     set_verdict(&d->verdict, FAILSAFE_NONE, SAY_NO_MESSAGE, REAL(0.0));
-    d->floor_variance_m2 = stood;
+    d->standing_position_variance_m2 = stood;
     d->hold_since_s = REAL(0.0);
     d->is_certain = false;
     d->position_certain_since_s = REAL(0.0);
@@ -210,7 +210,7 @@ bool health_monitor_step(health_monitor_t *d, const estimate_t *m)
     health_verdict_t found;
     bool said = false;
 
-    judge_estimate(&found, m, d->floor_variance_m2, high && ((t - high_s) >= HEIGHT_UNCERTAIN_DELAY_S));
+    judge_estimate(&found, m, d->standing_position_variance_m2, high && ((t - high_s) >= HEIGHT_UNCERTAIN_DELAY_S));
     judge_attitude_sensors(&found, d, m);
     d->height_uncertain = high;
     d->height_uncertain_since_s = high_s;
@@ -226,7 +226,7 @@ bool health_monitor_step(health_monitor_t *d, const estimate_t *m)
                 said = true;
             }
         } else if (d->verdict.action == FAILSAFE_HOLD) {
-            if (position_std_growth(m, d->floor_variance_m2) >= RESUME_POSITION_SIGMA_M) {
+            if (position_std_growth(m, d->standing_position_variance_m2) >= RESUME_POSITION_SIGMA_M) {
                 d->is_certain = false;
             } else if (!d->is_certain) {
                 d->is_certain = true;

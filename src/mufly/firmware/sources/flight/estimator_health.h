@@ -34,7 +34,7 @@ typedef struct {
 
 typedef struct {
     health_verdict_t verdict;
-    real_t floor_variance_m2; /* variance of the horizontal position on the floor (m2) */
+    real_t standing_position_variance_m2; /* variance of the horizontal position on the floor (m2) */
     bool has_fault[ESTIMATE_SENSORS];
     real_t fault_since_s[ESTIMATE_SENSORS]; /* start time of each fault */
     real_t hold_since_s;

@@ -315,7 +315,7 @@ static void detect_oscillation(software_t *s, const actuators_t *out, real_t tim
 
     oscillation_detector_step(&s->oscillations, time_s, inputs, steered ? asked : NULL, &s->oscillation);
     if (s->oscillation.is_present && !before) {
-        const message_t why = make_message_2(words[s->oscillation.input_name], s->oscillation.amplitude, s->oscillation.frequency_Hz);
+        const message_t why = make_message_2(words[s->oscillation.input_name], s->oscillation.swing, s->oscillation.frequency_Hz);
 
         fail_and_land(&s->mission, &why);
     }

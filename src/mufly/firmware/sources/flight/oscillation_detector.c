@@ -99,7 +99,7 @@ void oscillation_detector_step(oscillation_detector_t *o, real_t time_s, const r
     out->input_name = 0;
     out->start_s = REAL(0.0);
     out->duration_s = REAL(0.0);
-    out->amplitude = REAL(0.0);
+    out->swing = REAL(0.0);
     out->frequency_Hz = REAL(0.0);
     if (asked != NULL) {
         for (int32_t i = 0; i < STEERING_SIGNALS; i++) {
@@ -136,7 +136,7 @@ void oscillation_detector_step(oscillation_detector_t *o, real_t time_s, const r
             out->input_name = i;
             out->start_s = s->start_s;
             out->duration_s = lasting;
-            out->amplitude = s->highest_value - s->lowest_value;
+            out->swing = s->highest_value - s->lowest_value;
             out->frequency_Hz = REAL(1.0) / s->period_s;
         }
     }

@@ -32,7 +32,7 @@ typedef struct {
 typedef struct {
     bool is_present;
     int32_t input_name;
-    real_t start_s, duration_s, amplitude, frequency_Hz;
+    real_t start_s, duration_s, swing, frequency_Hz;
 } oscillation_t;
 
 void oscillation_detector_reset(oscillation_detector_t *o);
