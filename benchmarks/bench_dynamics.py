@@ -108,12 +108,12 @@ class _OutOfReach:
 
 
 def parameters_for(p: np.void, number: Callable[[float], object]) -> types.SimpleNamespace:
-    whole = ("contact_count", "map_nodes")
+    whole = ("contact_count", "map_node_count")
     plain = {n: number(float(p[n])) for n in PARAMETER_DTYPE.names if p[n].ndim == 0 and n not in whole}
     return types.SimpleNamespace(
         **{
             **plain,
-            "map_nodes": int(p["map_nodes"]),
+            "map_node_count": int(p["map_node_count"]),
             "battery_curve": p["battery_curve"],
             "contact_reach": _OutOfReach(),
         }

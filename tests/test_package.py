@@ -94,12 +94,12 @@ def test_hover_is_solved_once():
     p = mufly.dynamics.model_parameters(vehicle)
     speeds = mufly.dynamics.hover_speeds(p)
     thrust = p["thrust_up"] * speeds[0] ** 2 + p["thrust_dw"] * speeds[1] ** 2
-    assert thrust == pytest.approx(p["mass"] * mufly.dynamics.GRAVITY + p["downwash"], rel=1e-14)
+    assert thrust == pytest.approx(p["mass"] * mufly.dynamics.GRAVITY + p["downwash_drag"], rel=1e-14)
     assert p["torque_up"] * speeds[0] ** 2 == pytest.approx(p["torque_dw"] * speeds[1] ** 2, rel=1e-14)
     assert mufly.dynamics.find_trim(vehicle).rotor_speed == pytest.approx(speeds, rel=1e-9)
     batch = np.array([p, p])
     batch["mass"][1] *= 4.0
-    batch["downwash"][1] *= 4.0
+    batch["downwash_drag"][1] *= 4.0
     assert mufly.dynamics.hover_speeds(batch) == pytest.approx(np.array([speeds, 2.0 * speeds]), rel=1e-14)
 
 

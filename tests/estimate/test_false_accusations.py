@@ -90,14 +90,14 @@ def spiking_memory() -> SimpleNamespace:
     three = {
         name: np.zeros(3)
         for name in (
-            "axis_work", "gyro_rates", "gyro_rates_prev", "ang_accel_bias", "rates_with_spikes",
-            "spike_residual_carry", "gyro_offset",
+            "axis_work", "gyro_rates", "gyro_rates_prev", "model_rate_step_bias", "rates_with_spikes",
+            "spike_residual_carry", "gyro_offset_jump",
         )
     }  # fmt: skip
     return SimpleNamespace(
-        **three, tick=1, rotor_force=np.zeros((ROTOR_FORCE_HISTORY, ROTOR_ANG_ACCEL + 3)), rate_residual_lp=0.01,
-        divergence_ticks=0, equal_spike_count=0, spike_count=0, flight_phase=PHASE_FLYING, u_transposed=None,
-        ud_diagonal=None, u_transposed_h=None, reject_score=np.zeros(SENSOR_COUNT),
+        **three, tick=1, rotor_model_rows=np.zeros((ROTOR_FORCE_HISTORY, ROTOR_ANG_ACCEL + 3)), rate_residual_lp=0.01,
+        divergence_recovery_ticks_left=0, equal_spike_count=0, spike_count=0, flight_phase=PHASE_FLYING,
+        u_transposed=None, ud_diagonal=None, u_transposed_h=None, reject_score=np.zeros(SENSOR_COUNT),
     )  # fmt: skip
 
 
@@ -106,7 +106,7 @@ def run_gyros(m: SimpleNamespace, settings: Any, readings: np.ndarray) -> list[f
     used = []
     for reading in readings:
         m.gyro_rates_prev[:] = m.gyro_rates
-        m.gyro_rates[:] = reading - m.gyro_offset
+        m.gyro_rates[:] = reading - m.gyro_offset_jump
         sensor_checks.replace_gyro_spikes.py_func(m, settings, True)
         used.append(float(np.abs(m.gyro_rates).max()))
     return used
@@ -117,12 +117,12 @@ def test_two_agreeing_outliers_of_gyroscopes_are_no_jump_and_a_jump_is_removed(s
     twice[[10, 11]] = 0.5, -0.3, 0.2
     m = spiking_memory()
     assert max(run_gyros(m, settings, twice)) < 0.05
-    assert np.all(m.gyro_offset == 0.0)
+    assert np.all(m.gyro_offset_jump == 0.0)
     lasting = np.zeros((40, 3))
     lasting[10:] = 0.2
     m = spiking_memory()
     assert max(run_gyros(m, settings, lasting)) < 0.05
-    assert m.gyro_offset == pytest.approx(np.full(3, 0.2), abs=0.02)
+    assert m.gyro_offset_jump == pytest.approx(np.full(3, 0.2), abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -212,7 +212,7 @@ def test_the_velocity_of_vibration_has_the_variance_of_its_integral(
     three = {
         name: np.zeros(3)
         for name in (
-            "accel_noise_slow", "slow_residual_sum", "slow_residual_mean_prev",
+            "accel_low_frequency_noise_density", "slow_residual_sum", "slow_residual_mean_prev",
             "vibration_velocity", "vibration_velocity_variance", "axis_work", "clipped_fraction",
         )
     }  # fmt: skip

@@ -119,7 +119,7 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
             assert same(c._memory_array, python._memory_array), k
     assert same(c._memory_array, python._memory_array)
     assert (disowned > 0) == faults.startswith("accelerometer.drift")  # forces apart by six deviations
-    longer_least = float(c.memory["sonar_min_seen_range"]) > float(c._settings["sonar_min_range"])
+    longer_least = float(c.memory["sonar_effective_min_range"]) > float(c._settings["sonar_min_range"])
     assert longer_least == faults.startswith("sonar.jump=0.1@")  # on the floor
     if not faults:
         assert c.memory["flight_phase"] == PHASE_FLYING
@@ -162,7 +162,7 @@ def test_a_tilted_inertial_unit_is_levelled_alike(vehicle: Vehicle, felt: Callab
     for (r, a), (level, _) in zip(felt("", angles), upright, strict=True):
         told, right, without = c.update(r, a), python.update(r, a), plain.update(level, a)
     assert same(c._memory_array, python._memory_array)
-    assert (c.memory["is_levelled"], plain.memory["is_levelled"]) == (1, 0)
+    assert (c.memory["has_levelling_rotation"], plain.memory["has_levelling_rotation"]) == (1, 0)
     turned = c.memory["levelling_rotation"].reshape(3, 3)
     np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
     mounted = math.degrees(math.acos(turned[2, 2]))
@@ -295,13 +295,14 @@ def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
                 for e in (c, python):
                     m = e.memory
                     m["x"][:] += x
-                    m["gyro_offset"][:] += shift
+                    m["gyro_offset_jump"][:] += shift
                     m["flight_phase"], m["terrain_edge_weight"], m["fix_sonar_height_difference"] = mode, edge, apart
                     m["status"][sensor], m["last_fused_tick"][READING_SONAR] = (
                         code,
                         max(int(m["tick"]) - int(ago), 0),
                     )
-                    m["rotor_state"][MODEL_SPEED_UPPER] += 200.0 if k < 200 else 0.0  # on the floor: it runs down
+                    # On the floor the rotor runs down.
+                    m["flight_model_state"][MODEL_SPEED_UPPER] += 200.0 if k < 200 else 0.0
             told, right = c.update(r, a), python.update(r, a)
             assert told.valid == right.valid
             assert c.memory["x_output"].tobytes() == python.memory["x_output"].tobytes(), k

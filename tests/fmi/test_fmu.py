@@ -126,7 +126,7 @@ def test_outputs_beside_the_state(name: str, units: dict[str, UnitLibrary]) -> N
     assert angles == pytest.approx([MOVING["start.roll"], MOVING["start.pitch"], MOVING["start.yaw"]], abs=1e-15)
     assert (out["battery_voltage"], out["battery_current"]) == battery_state(x, 0.7, 1.0, p)
     free = rotor_loads(p, x[18], x[19], climb_velocity(x, wind))[:2]
-    factors = [f[0] for f in edgewise_load_factors(x, wind, p)] if p["flight_map_nodes"] else [1.0, 1.0]
+    factors = [f[0] for f in edgewise_load_factors(x, wind, p)] if p["flight_map_node_count"] else [1.0, 1.0]
     down = body_to_ned_matrix(x[6:10])[2, 2]
     across = float(np.sum((x[3:5] - wind[:2]) ** 2))
     near = [

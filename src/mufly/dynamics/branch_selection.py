@@ -50,7 +50,7 @@ def select_branches(
     wrap : callable
         Compiles each rewritten function.
     absent : collection of str
-        Parameters that are zero, as ``"map_nodes"`` without a map: ``if p.map_nodes > 0`` is left out.
+        Parameters that are zero, as ``"map_node_count"`` without a map: ``if p.map_node_count > 0`` is left out.
     file : str, optional
         File of the rewritten functions; Numba caches them under its sources.
     """

@@ -58,7 +58,7 @@ def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> Any:
     except ImportError:
         raise MuflyError("CasADi is not installed; run: pip install casadi") from None
     p = model_parameters(vehicle, voltage)
-    kind = casadi.SX if p["map_nodes"] == 0 and p["flight_map_nodes"] == 0 else casadi.MX
+    kind = casadi.SX if p["map_node_count"] == 0 and p["flight_map_node_count"] == 0 else casadi.MX
     names = {"state": STATE_SIZE, "inputs": INPUT_SIZE, "wind": 3}
     symbols: dict[str, Any] = {name: kind.sym(name, size) for name, size in names.items()}
     arguments = [[_CasadiSymbol(symbols[name][k]) for k in range(size)] for name, size in names.items()]

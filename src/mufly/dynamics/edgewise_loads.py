@@ -107,7 +107,7 @@ def _flow_loads(
 
     The loads are the first six names of :data:`mufly.vehicle.flight_map.ROTOR_LOAD_COLUMNS`.
     """
-    away = min(max(point[0], p.flight_map_ratio[1]), p.flight_map_ratio[2]) - p.flight_map_ratio[0]
+    away = min(max(point[0], p.flight_map_speed_ratios[1]), p.flight_map_speed_ratios[2]) - p.flight_map_speed_ratios[0]
     return interpolate_flow_loads(
         p.flight_map_table, p.flight_map_size[0], p.flight_map_size[1], away, point[1], point[2]
     )
@@ -222,7 +222,7 @@ def inside_flight_map(x: _Array, wind: _Array, p: np.void) -> bool:
     ratio, climb, edge = find_map_point(x, wind, p)
     last = p["flight_map_size"] - 1
     return bool(
-        p["flight_map_ratio"][1] <= ratio <= p["flight_map_ratio"][2]
+        p["flight_map_speed_ratios"][1] <= ratio <= p["flight_map_speed_ratios"][2]
         and -_MAP_EDGE_TOLERANCE <= climb <= last[0] + _MAP_EDGE_TOLERANCE
         and edge <= last[1] + _MAP_EDGE_TOLERANCE
     )
@@ -237,10 +237,10 @@ def flight_map_rate_bound(p: np.void, speed: float) -> float:
     speed : float
         Greatest rotor speed (rad/s).
     """
-    if p["flight_map_nodes"] == 0:
+    if p["flight_map_node_count"] == 0:
         return 0.0
     scale, radius = float(p["flight_map_scale"]) * speed, float(p["flight_map_radius"])
-    used = 12 * int(p["flight_map_nodes"])
+    used = 12 * int(p["flight_map_node_count"])
     flow = np.abs(p["flight_map_table"][:used]).reshape(-1, 6).max(axis=0)
     rates = np.abs(p["flight_map_rate_loads"]).reshape(-1, 4).max(axis=0)
     arm, inertia = max(abs(float(p["z_up"])), radius), float(min(p["Ixx"], p["Iyy"]))

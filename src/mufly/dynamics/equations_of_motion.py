@@ -165,7 +165,7 @@ def state_derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx:
     """
     ratio = climb = edge = 0.0
     # The place in the map comes first, so that a processor does the rest while it waits for the division.
-    if p.flight_map_nodes > 0:
+    if p.flight_map_node_count > 0:
         ratio, climb, edge = find_map_point(x, wind, p)
     a, b = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
     sin_a, cos_a, sin_b, cos_b = math.sin(a), math.cos(a), math.sin(b), math.cos(b)
@@ -210,7 +210,7 @@ def _derivative_with_map(
     # Called first, because a later call would spill the registers. The speeds are read twice: a local variable from
     # here on costs 3 % of a step.
     kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
-    if p.map_nodes > 0:
+    if p.map_node_count > 0:
         kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(
             x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], climb_velocity(x, wind), p
         )
@@ -246,7 +246,7 @@ def _derivative_with_map(
     air_z = a02 * air_n + a12 * air_e + a22 * air_d
     lift_up, lift_dw = thrust_up, thrust_dw
     ux = uy = lx = ly = hub_x = hub_y = 0.0
-    if p.flight_map_nodes > 0 and mapped:
+    if p.flight_map_node_count > 0 and mapped:
         ux, uy, lx, ly, hub_x, hub_y, more_up, more_dw, torque_up, torque_dw = flight_map_loads(
             x, (air_x, air_y), point, p
         )
@@ -272,17 +272,17 @@ def _derivative_with_map(
         nx, ny, nz = -sin_b, cos_b * sin_a, -cos_a * cos_b
         h_x, h_y, h_z = _inplane_drag(nx, ny, nz, air_x, air_y, air_z, wx, wy, p.z_dw, p.inplane * speed_dw)
         fx_dw, fy_dw, fz_dw = fx_dw + h_x, fy_dw + h_y, fz_dw + h_z
-    if p.flight_map_nodes > 0 and mapped:
+    if p.flight_map_node_count > 0 and mapped:
         fx_up, fy_up, fx_dw, fy_dw = fx_up + ux, fy_up + uy, fx_dw + lx, fy_dw + ly
     fx = fx_up + fx_dw - p.drag_over_speed2_x * abs(air_x) * air_x
     fy = fy_up + fy_dw - p.drag_over_speed2_y * abs(air_y) * air_y
     # Without thrust there is no downwash: a helicopter at rest or on its side has no downwash drag.
-    downwash = p.downwash * min(1.0, 2.0 * (thrust_up + thrust_dw) / (p.mass * GRAVITY))
+    downwash = p.downwash_drag * min(1.0, 2.0 * (thrust_up + thrust_dw) / (p.mass * GRAVITY))
     fz = fz_up + fz_dw - p.drag_over_speed2_z * abs(air_z) * air_z + downwash
 
     mx = -p.z_up * fy_up - p.z_dw * fy_dw
     my = p.z_up * fx_up + p.z_dw * fx_dw
-    if p.flight_map_nodes > 0 and mapped:
+    if p.flight_map_node_count > 0 and mapped:
         mx, my = mx + hub_x, my + hub_y
     mz = (drag_up + p.Jreact_up * accel_up) - (drag_dw + p.Jreact_dw * accel_dw)
 
@@ -335,7 +335,7 @@ def ground_effect_thrust(thrust: float, height: float, across_squared: float, p:
     if thrust <= 0.0:
         return 0.0
     near = 0.25 * p.ground_radius / max(height, _MIN_GROUND_HEIGHT_RATIO * p.ground_radius)
-    induced_squared = thrust / p.ground_disc
+    induced_squared = thrust / p.ground_thrust_over_induced_speed2
     s = near * near * induced_squared / (induced_squared + across_squared)
     return p.ground_effect * thrust * s / (1.0 - s)
 
@@ -347,7 +347,7 @@ def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) 
     """
     speed_up, speed_dw, height = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], -x[MODEL_POSITION + 2]
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
-    if p.map_nodes > 0:
+    if p.map_node_count > 0:
         kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(
         x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
@@ -418,7 +418,7 @@ def rotor_loads(p: np.void, speed_up: float, speed_dw: float, climb: float = 0.0
         Velocity through the air along the mast, positive upwards (m/s).
     """
     c = (p["thrust_up"], p["thrust_dw"], p["torque_up"], p["torque_dw"])
-    if p["map_nodes"] > 0:
+    if p["map_node_count"] > 0:
         c = map_coefficients(speed_up, speed_dw, climb, p)
     thrust_up, thrust_dw, torque_up, torque_dw = c
     up, dw = speed_up * abs(speed_up), speed_dw * abs(speed_dw)
@@ -464,7 +464,7 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
         Bounds of ``|c|``, of the slope over the rotor's own speed divided by ``Omega``, and of the slope over climb
         divided by ``Omega``.
     """
-    n = int(p["map_nodes"])
+    n = int(p["map_node_count"])
     if n == 0:
         return float(p[name]), 2 * float(p[name]), 0.0
     what, side = name.split("_")
@@ -498,7 +498,7 @@ def contact_wrench(x: _Array, p: ModelParameters) -> tuple[float, float, float, 
         v_d = x[MODEL_VELOCITY + 2] + a20 * vx + a21 * vy + a22 * vz
         normal = max(0.0, p.leg_stiffness * depth + p.leg_damping * v_d)
         rub = p.leg_friction * normal / math.sqrt(v_n * v_n + v_e * v_e + p.slip_speed * p.slip_speed)
-        rub = min(rub, p.friction_bound[k])
+        rub = min(rub, p.contact_friction_damping_limit[k])
         g_n, g_e, g_d = -rub * v_n, -rub * v_e, -normal
         f_n += g_n
         f_e += g_e

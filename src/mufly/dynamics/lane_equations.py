@@ -39,13 +39,13 @@ from mufly.dynamics.simulation import normalise_state
 _Array = NDArray[np.float64]
 _Ints = NDArray[np.int64]
 
-_MAP_PARAMETERS = ("map_nodes", "flight_map_nodes")
+_MAP_PARAMETERS = ("map_node_count", "flight_map_node_count")
 
 
 def group_vehicles(p: NDArray[np.void]) -> _Ints:
     """Return a group number (k,) for each record of :class:`ModelParameters`; vehicles in a block share their group."""
     traits = np.column_stack([
-        p["map_nodes"], p["map_size"], p["flight_map_nodes"], p["flight_map_size"], p["contact_count"],
+        p["map_node_count"], p["map_size"], p["flight_map_node_count"], p["flight_map_size"], p["contact_count"],
         p["ground_effect"] > 0.0, p["swash_phase"] != 0.0,
     ])  # fmt: skip
     return np.unique(traits, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)

@@ -71,7 +71,7 @@ class LevelTrim:
         Inputs of both motors on a half-full battery, 1 is full.
     thrust_margin : float
         Thrust at full input of the first motor that reaches it, over the thrust needed, less 1.
-    outside : bool
+    is_outside_method_range : bool
         True if a rotor lies outside the range of its method.
     """
 
@@ -86,7 +86,7 @@ class LevelTrim:
     power_W: float
     motor_input: tuple[float, float]
     thrust_margin: float
-    outside: bool
+    is_outside_method_range: bool
 
     @property
     def servo(self) -> float:
@@ -151,8 +151,8 @@ class LevelFlight:
                 f"{most:.1f} m/s"
             ),
         ]
-        if any(t.outside for t in rows):
-            at = ", ".join(dict.fromkeys(f"{t.airspeed_m_s:g}" for t in rows if t.outside))
+        if any(t.is_outside_method_range for t in rows):
+            at = ", ".join(dict.fromkeys(f"{t.airspeed_m_s:g}" for t in rows if t.is_outside_method_range))
             blocks.append(
                 show_lines(f"{at} m/s: a rotor is outside the range of its method", mark="Warning", style="yellow")
             )

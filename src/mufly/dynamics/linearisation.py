@@ -234,7 +234,7 @@ def find_trim(
     speed_up, speed_dw = x[ROTOR_SPEEDS]
     t_up, t_dw, q_up, q_dw = rotor_loads(p, speed_up, speed_dw, climb)
     inside = inside_map(vehicle, speed_up, speed_dw, climb)
-    if p["flight_map_nodes"] > 0:
+    if p["flight_map_node_count"] > 0:
         f_up, f_dw = edgewise_load_factors(x, wind_, p)
         t_up, q_up, t_dw, q_dw = t_up * f_up[0], q_up * f_up[1], t_dw * f_dw[0], q_dw * f_dw[1]
         inside = inside and inside_flight_map(x, wind_, p)
@@ -265,9 +265,9 @@ def _hover_estimate(
     """Return rotor speeds (rad/s), motor inputs (not limited to 1) and battery voltage (V) in hover at a charge."""
     thrust = np.array([p["thrust_up"], p["thrust_dw"]])  # divided by the squares of the speeds
     drag = np.array([p["torque_up"], p["torque_dw"]])
-    for _ in range(_HOVER_ITERATIONS if p["map_nodes"] else 1):
+    for _ in range(_HOVER_ITERATIONS if p["map_node_count"] else 1):
         speed = hover_speeds(p, thrust, drag)
-        if p["map_nodes"]:
+        if p["map_node_count"]:
             loads = np.array(rotor_loads(p, speed[0], speed[1])).reshape(2, 2) / speed**2
             if not np.all(loads > 0.0):
                 raise MuflyError("thrust or torque is not positive at hover in the coefficient map; use another map")

@@ -161,7 +161,9 @@ class ModelParameters:
     inplane: float = _real("drag in a disc's plane over speed and edgewise velocity", unit="N s2/m")
     ground_effect: float = _real("0: none, 1: Cheeseman and Bennett's", source="rotors.ground_effect")
     ground_radius: float = _real("rotor radius", unit="m", source="rotors.radius")
-    ground_disc: float = _real("2 rho pi R^2: thrust over the square of the induced velocity", unit="kg/m")
+    ground_thrust_over_induced_speed2: float = _real(
+        "2 rho pi R^2: thrust over the square of the induced velocity", unit="kg/m"
+    )
     z_up: float = _real("hub of the upper rotor, body axes", unit="m", source="rotors.upper.hub_z")
     z_dw: float = _real("hub of the lower rotor, body axes", unit="m", source="rotors.lower.hub_z")
     J_up: float = _real("inertia that the motor sees", unit="kg m2", source="rotors.upper.drive_inertia")
@@ -179,7 +181,7 @@ class ModelParameters:
     swash_gain: float = _real("tilt at full servo input", unit="rad")
     bar_rate: float = _real("1 / T_f,up", unit="1/s")
     bar_gain: float = _real("l_up; 0 without a bar")
-    downwash: float = _real("drag in the downwash", unit="N", source="body.downwash_drag")
+    downwash_drag: float = _real("drag in the downwash", unit="N", source="body.downwash_drag")
     drag_over_speed2_x: float = _real("rho cD A / 2 along x", unit="N s2/m2")
     drag_over_speed2_y: float = _real("rho cD A / 2 along y", unit="N s2/m2")
     drag_over_speed2_z: float = _real("rho cD A / 2 along z", unit="N s2/m2")
@@ -191,11 +193,11 @@ class ModelParameters:
     leg_damping: float = _real("damping of a leg", unit="N s/m", source="contact.damping")
     leg_friction: float = _real("coefficient of friction", source="contact.friction")
     slip_speed: float = _real("sliding speed from which friction is Coulomb's", unit="m/s", source="contact.slip_speed")
-    friction_bound: _Array = _real("bound of each point's friction", _MAX_CONTACT_POINTS, unit="N s/m")
+    contact_friction_damping_limit: _Array = _real("bound of each point's friction", _MAX_CONTACT_POINTS, unit="N s/m")
     contact_reach: float = _real("distance of the farthest contact point from the centre of gravity", unit="m")
     contact_count: int = _int("contact points")
     contact_points: _Array = _real("legs, then the upper rotor's rim, body axes", _MAX_CONTACT_POINTS, 3, unit="m")
-    map_nodes: int = _int("nodes of a table of the coefficient map; 0: no map")
+    map_node_count: int = _int("nodes of a table of the coefficient map; 0: no map")
     map_size: NDArray[np.int64] = _int("mean speeds, ratios, climbs of the map", 3)
     map_start: _Array = _real("first of each", 3)
     map_inverse_steps: _Array = _real("inverse of the step of each", 3)
@@ -207,11 +209,11 @@ class ModelParameters:
     swash_phase: float = _real(
         "lag of the lower disc's tilt behind the plate's", unit="rad", source="swash_plate.phase"
     )
-    flight_map_nodes: int = _int("climbs times edgewise velocities of the flight map; 0: no map")
+    flight_map_node_count: int = _int("climbs times edgewise velocities of the flight map; 0: no map")
     flight_map_size: NDArray[np.int64] = _int("climbs and edgewise velocities of the map", 2)
     flight_map_start: _Array = _real("first of each", 2)
     flight_map_inverse_steps: _Array = _real("inverse of the step of each", 2)
-    flight_map_ratio: _Array = _real("middle, lowest and highest speed ratio of the map", 3)
+    flight_map_speed_ratios: _Array = _real("middle, lowest and highest speed ratio of the map", 3)
     flight_map_knee2: float = _real("k^2 of the edgewise axis")
     flight_map_scale: float = _real("rho pi R^3", unit="kg")
     flight_map_radius: float = _real("rotor radius", unit="m", source="rotors.radius")
@@ -282,7 +284,7 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         values[f"torque_{side}"] = float(rotor.torque_coefficient) * (np.pi * rho * radius**5)  # eq. 4.12
     values |= {
         "inplane": float(r.inplane_drag) * (np.pi * rho * radius**3),
-        "ground_disc": 2.0 * rho * np.pi * radius**2,
+        "ground_thrust_over_induced_speed2": 2.0 * rho * np.pi * radius**2,
         "swash_rate": 1.0 / float(vehicle.swash_plate.time_constant),
         "swash_gain": float(vehicle.swash_plate.linkage) * float(vehicle.swash_plate.max_tilt),
         "bar_gain": float(vehicle.stabiliser_bar.linkage) * vehicle.stabiliser_bar.fitted,
@@ -292,7 +294,7 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         "drag_over_speed2_z": 0.5 * rho * float(b.drag_area_z),
         "battery_resistance": float(vehicle.battery.internal_resistance) if sags else 0.0,
         "battery_curve": curve.sample_evenly(_CURVE_POINTS) if sags else np.full(_CURVE_POINTS, constant),
-        "friction_bound": bound,
+        "contact_friction_damping_limit": bound,
         "contact_reach": float(np.max(np.linalg.norm(points, axis=1))),
         "contact_count": len(points),
         "contact_points": padded,
@@ -328,7 +330,7 @@ def hover_speeds(
     t_up, t_dw = (p["thrust_up"], p["thrust_dw"]) if thrust is None else np.asarray(thrust)
     q_up, q_dw = (p["torque_up"], p["torque_dw"]) if torque is None else np.asarray(torque)
     ratio = q_up / q_dw  # (lower speed / upper speed)^2
-    upper = np.sqrt((p["mass"] * GRAVITY + p["downwash"]) / (t_up + t_dw * ratio))
+    upper = np.sqrt((p["mass"] * GRAVITY + p["downwash_drag"]) / (t_up + t_dw * ratio))
     return np.stack([upper, upper * np.sqrt(ratio)], axis=-1)
 
 
@@ -359,7 +361,7 @@ def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]
     full = np.array([np.concatenate([t, np.full(MAX_MAP_NODES - t.size, t[-1])]) for t in tables])
     full *= (level * unit)[:, None]
     return {
-        "map_nodes": int(tables[0].size),
+        "map_node_count": int(tables[0].size),
         "map_size": size,
         "map_start": start,
         "map_inverse_steps": per_step,
@@ -382,11 +384,11 @@ def _flight_map_fields(vehicle: Vehicle) -> dict[str, Any]:
         padded[name] = np.zeros(room)
         padded[name][: values.size] = values.ravel()
     return padded | {
-        "flight_map_nodes": int(np.prod(splines.size)),
+        "flight_map_node_count": int(np.prod(splines.size)),
         "flight_map_size": splines.size,
         "flight_map_start": splines.start,
         "flight_map_inverse_steps": splines.per_step,
-        "flight_map_ratio": [splines.speed_ratio_middle, splines.speed_ratio_low, splines.speed_ratio_high],
+        "flight_map_speed_ratios": [splines.speed_ratio_middle, splines.speed_ratio_low, splines.speed_ratio_high],
         "flight_map_knee2": m.knee**2,
         "flight_map_scale": np.pi * float(vehicle.air.density) * float(vehicle.rotors.radius) ** 3,
     }

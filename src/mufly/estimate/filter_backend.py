@@ -46,7 +46,7 @@ from mufly.estimate.filter.measurements import (
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "636422ba8b1faff6"
+VERIFIED_STAMP = "dfa9ed3d22714f5b"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (

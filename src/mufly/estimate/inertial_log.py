@@ -376,7 +376,7 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
     sigma[ERROR_GYRO_BIAS:ERROR_ACCEL_BIAS] = _GYRO_BIAS_SIGMAS[1 if rest.stop else 0]
     sigma[ERROR_ACCEL_BIAS:ERROR_TERRAIN] = ACCEL_BIAS_SIGMA
     if aids.heading is None:
-        s["heading_variance"], sigma[ERROR_FIX_HEADING] = 1e6, 1e-6
+        s["fix_heading_variance"], sigma[ERROR_FIX_HEADING] = 1e6, 1e-6
     s["initial_state"] = start
     e.set_settings(s)
     return e

@@ -59,7 +59,7 @@ MAX_MISSED_PERIODS = 10
 """Lost periods that the filter makes up at once; a board's watchdog allows no more (50 ms at 200 Hz)."""
 PUBLISHED_FIELDS = (
     "covariance_output", "sigma_output", "status", "reason", "reason_number", "innovation", "innovation_sigma",
-    "last_fused_tick", "last_new_tick", "fault_component", "tick",
+    "last_fused_tick", "last_new_tick", "fix_fault_component", "tick",
 )  # fmt: skip
 """Memory fields published every :data:`mufly.estimate.filter.output_predictor.COVARIANCE_INTERVAL_TICKS` periods."""
 
@@ -327,7 +327,7 @@ class KalmanEstimator(Estimator):
     def _set_fix_noise(self, fix: Reading, since_s: float) -> None:
         """Set the filter's noise and bias variance of a fix from its own covariance, or else from the vehicle file."""
         s, file, four = self.backend.settings, self._vehicle_noise, slice(ERROR_FIX_BIAS, ERROR_FIX_HEADING + 1)
-        noise = np.array([file["fix_variance"], file["heading_variance"]])
+        noise = np.array([file["fix_variance"], file["fix_heading_variance"]])
         own = None if fix.covariance is None else np.diag(fix.covariance)
         wander = file["initial_sigma"][four] ** 2
         if own is not None and self.fix_correlation_s > 0.0:
@@ -344,7 +344,7 @@ class KalmanEstimator(Estimator):
             noise += [rest[:-1].max(), rest[-1]]
         elif own is not None:
             noise = np.array([own[:-1].max(), own[-1]])
-        s["fix_variance"], s["heading_variance"] = noise
+        s["fix_variance"], s["fix_heading_variance"] = noise
         s["initial_sigma"][four] = np.sqrt(wander)
 
     # Interface for the compiled loop, which writes the input row, the reading times and the ranges itself

@@ -32,7 +32,7 @@ class SensorStatus:
         ``"faulty"``: readings are invalid in themselves. ``"waiting"``: not needed, or no reading yet.
     innovation, sigma, ratio : float
         Innovation of the worst component, its standard deviation (both in SI units), and their quotient.
-    age_s : float
+    time_since_fusion_s : float
         Time since the last fused measurement (s).
     reason : str
         Explanation of the status; empty without a problem.
@@ -45,7 +45,7 @@ class SensorStatus:
     innovation: float = 0.0
     sigma: float = 0.0
     ratio: float = 0.0
-    age_s: float = 0.0
+    time_since_fusion_s: float = 0.0
     reason: str = ""
     is_suspicious: bool = False
 
@@ -68,7 +68,7 @@ class AuxiliaryStates:
         Wind, N, E (m/s).
     thrust_scale : float
         Ratio of the true thrust to the model's (1).
-    sigma : (n,) array
+    error_state_sigma : (n,) array
         Standard deviations of the whole error state, in the order of
         :data:`mufly.estimate.filter.filter_records.ERROR_STATES`.
     checks : sequence of SensorStatus
@@ -83,7 +83,7 @@ class AuxiliaryStates:
     fix_bias: _Array
     wind: _Array
     thrust_scale: float
-    sigma: _Array
+    error_state_sigma: _Array
     checks: Sequence[SensorStatus] = ()
     specific_force: _Array = field(default_factory=lambda: np.zeros(3))
 
@@ -174,7 +174,7 @@ class LazySensorStatuses(Sequence[SensorStatus]):
             m, s, fitted = self._source_records
             dt, tick = float(s["dt"]), int(m["tick"])
             rows = zip(*(m[name].tolist() for name in _STATUS_FIELDS), strict=True)
-            part = int(m["fault_component"])
+            part = int(m["fix_fault_component"])
             self._evaluated = tuple(_make_status(k, row, dt, tick, part) for k, row in enumerate(rows) if k in fitted)
         return self._evaluated
 

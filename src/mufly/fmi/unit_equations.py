@@ -109,11 +109,11 @@ def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(qw, qx, qy, qz)
     speed_up, speed_dw = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER]
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
-    if p.map_nodes > 0:
+    if p.map_node_count > 0:
         kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
     free_up, free_dw = kT_up * speed_up * speed_up, kT_dw * speed_dw * speed_dw
     thrust_up, thrust_dw = free_up, free_dw
-    if p.flight_map_nodes > 0:
+    if p.flight_map_node_count > 0:
         factors = edgewise_load_factors(x, wind, p)
         thrust_up, thrust_dw = factors[0][0] * free_up, factors[1][0] * free_dw
     if p.ground_effect > 0.0:

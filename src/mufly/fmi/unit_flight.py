@@ -321,7 +321,9 @@ def _sensed_values(outputs: Sequence[str], truth: Truth, readings: Readings, est
             values[f"estimate.{prefix}{end}"] = float(numbers[k])
             angle = error == ERROR_ATTITUDE  # its sigma is about N, E, D; the covariance that of roll, pitch, yaw
             values[f"estimate.sigma.{prefix}{end}"] = (
-                math.sqrt(estimate.covariance[error + k, error + k]) if angle else float(more.sigma[error + k])
+                math.sqrt(estimate.covariance[error + k, error + k])
+                if angle
+                else float(more.error_state_sigma[error + k])
             )
     values |= {f"estimate.{axis}_rate": float(rate) for axis, rate in zip(angles, estimate.rates, strict=True)}
     return {**values, "estimate.valid": float(estimate.valid)}

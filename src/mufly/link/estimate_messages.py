@@ -149,7 +149,7 @@ def pack_sensor_checks(beliefs: AuxiliaryStates) -> list[float]:
     values: list[float] = []
     for name in CHECKED_READINGS:
         c = checks.get(name)
-        told = [math.nan] * 3 if c is None else [float(FUSION_STATUSES.index(c.status)), c.ratio, c.age_s]
+        told = [math.nan] * 3 if c is None else [float(FUSION_STATUSES.index(c.status)), c.ratio, c.time_since_fusion_s]
         values += told
     k = ERROR_STATES.index("wind_N")
-    return [to_float32(v) for v in [*values, *beliefs.wind.tolist(), *beliefs.sigma[k : k + 2].tolist()]]
+    return [to_float32(v) for v in [*values, *beliefs.wind.tolist(), *beliefs.error_state_sigma[k : k + 2].tolist()]]

@@ -275,7 +275,10 @@ def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
         ("accelerometer_bias", slice(ERROR_ACCEL_BIAS, ERROR_TERRAIN)),
     ):
         block = np.array(
-            [np.full(3, math.nan) if e.auxiliary_states is None else e.auxiliary_states.sigma[axes] for e in told]
+            [
+                np.full(3, math.nan) if e.auxiliary_states is None else e.auxiliary_states.error_state_sigma[axes]
+                for e in told
+            ]
         )
         out[f"estimated_{name}_sigma"] = data[f"estimated_{name}"].copy(data=block)
     return data.assign(out)

@@ -48,7 +48,6 @@ FIELD_UNITS: dict[str, str] = {
 _UNUSED_PARAMETER_PREFIXES = (
     "leg_",
     "slip_",
-    "friction_",
     "contact_",
     "ground_",
     "flight_",
@@ -71,7 +70,7 @@ _FILTER_MODULES: tuple[types.ModuleType, ...] = (
 
 def flight_model_dtype(p: np.void | Mapping[str, int], kind: Any = np.float64) -> np.dtype:
     """Return the record type of the flight model's parameters used by the filter."""
-    nodes = max(int(p["map_nodes"]), 1)
+    nodes = max(int(p["map_node_count"]), 1)
     fields = []
     for name in PARAMETER_DTYPE.names or ():
         if not name.startswith(_UNUSED_PARAMETER_PREFIXES):
@@ -131,7 +130,7 @@ def render_records_header(
     kept, waiting : int
         Numbers of stored input blocks and of queued measurements.
     """
-    return _render_records(max(int(p["map_nodes"]), 1), kept, waiting)
+    return _render_records(max(int(p["map_node_count"]), 1), kept, waiting)
 
 
 @functools.lru_cache(maxsize=8)
@@ -155,7 +154,7 @@ def _render_records(nodes: int, kept: int, waiting: int) -> str:
             filter_records.settings_type(),
             record_fields(filter_records.FilterSettings),
         ),
-        ("flight_model_t", flight_model_dtype({"map_nodes": nodes}), record_fields(ModelParameters)),
+        ("flight_model_t", flight_model_dtype({"map_node_count": nodes}), record_fields(ModelParameters)),
         ("estimator_t", memory, record_fields(filter_records.FilterMemory)),
     ):
         lines += ["typedef struct {", *_struct_members(record, sizes, fields), f"}} {name};", ""]

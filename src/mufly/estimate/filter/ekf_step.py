@@ -85,12 +85,12 @@ def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
     for i in range(AID_COUNT):
         m.noise_scale[i] = m.bias_walk_scale[i] = 1.0
     m.task_stage = STAGE_DONE
-    m.sonar_min_seen_range = s.sonar_min_range
-    m.x_output[NOMINAL_ATTITUDE] = m.rotor_state[MODEL_ATTITUDE] = m.rotor_state[MODEL_CHARGE] = 1.0
-    m.rotor_state[MODEL_POSITION + 2] = -1000.0  # far above the floor
-    m.rotor_state[MODEL_BAR + 2] = -1.0
+    m.sonar_effective_min_range = s.sonar_min_range
+    m.x_output[NOMINAL_ATTITUDE] = m.flight_model_state[MODEL_ATTITUDE] = m.flight_model_state[MODEL_CHARGE] = 1.0
+    m.flight_model_state[MODEL_POSITION + 2] = -1000.0  # far above the floor
+    m.flight_model_state[MODEL_BAR + 2] = -1.0
     for k in range(3):
-        m.accel_noise_slow[k] = INITIAL_ACCEL_NOISE_DENSITY
+        m.accel_low_frequency_noise_density[k] = INITIAL_ACCEL_NOISE_DENSITY
 
 
 @cached_njit(error_model="numpy")
@@ -118,13 +118,13 @@ def estimator_step(
     for k in range(3):
         m.gyro_rates_prev[k] = m.gyro_rates[k]
         if m.status[READING_RATES] < STATUS_MISSING:
-            m.gyro_rates[k] = z[READING_STARTS[READING_RATES] + k] - m.gyro_offset[k]
+            m.gyro_rates[k] = z[READING_STARTS[READING_RATES] + k] - m.gyro_offset_jump[k]
         elif s.has_rotor_model > 0 and m.flight_phase >= PHASE_LIFTING_OFF:
             # Rates of the rotor model. The stabiliser bar keeps the rotors level, so only yaw drifts.
             m.gyro_rates[k] = (
                 m.gyro_rates_prev[k]
-                + s.dt * m.rotor_force[(m.tick - 1) % ROTOR_FORCE_HISTORY, ROTOR_ANG_ACCEL + k]
-                + m.ang_accel_bias[k]
+                + s.dt * m.rotor_model_rows[(m.tick - 1) % ROTOR_FORCE_HISTORY, ROTOR_ANG_ACCEL + k]
+                + m.model_rate_step_bias[k]
             )
         else:
             m.gyro_rates[k] = m.x_output[NOMINAL_GYRO_BIAS + k]
@@ -178,7 +178,7 @@ def estimator_step(
         # Invalid inputs may make the model diverge: rates beyond the gyroscopes' range are no estimate.
         if not abs(m.rates_output[k]) < 2.0 * s.value_limit[READING_RATES]:
             seen = False
-    if m.is_levelled == 1:
+    if m.has_levelling_rotation == 1:
         for k in range(READING_STARTS[READING_ACCELERATION], READING_STARTS[READING_RATES] + 3):
             z[k] = m.last_value[k]
     return m.is_initialised > 0 and seen

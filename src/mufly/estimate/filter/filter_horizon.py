@@ -105,7 +105,7 @@ def queue_measurement(
         if m.queue_due[i] < 0:
             m.queue_due[i] = due
             m.queue_sensor[i] = kind
-            m.queue_ahead[i] = ahead
+            m.queue_time_in_period[i] = ahead
             for j in range(count):
                 m.queue_value[i, j] = z[start + j]
             return True
@@ -172,8 +172,8 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
     if k >= ERROR_FIX_BIAS:
         k += ERROR_FIX_HEADING + 1 - ERROR_FIX_BIAS
     origin, keep, q = s.initial_state[k + 1], s.decay[k], s.process_variance[k]
-    if k < ERROR_GYRO_BIAS + 3 and m.divergence_ticks > 0:
-        may = DIVERGED_GYRO_BIAS_WALK if m.divergence_ticks > 1 else POST_DIVERGENCE_GYRO_BIAS_WALK
+    if k < ERROR_GYRO_BIAS + 3 and m.divergence_recovery_ticks_left > 0:
+        may = DIVERGED_GYRO_BIAS_WALK if m.divergence_recovery_ticks_left > 1 else POST_DIVERGENCE_GYRO_BIAS_WALK
         q += may * may * (BIAS_CYCLE_TICKS * s.dt)
     elif k == ERROR_TERRAIN:
         q *= math.sqrt(
@@ -182,15 +182,15 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
     if k < ERROR_GYRO_BIAS + 3:
         i = k - ERROR_GYRO_BIAS
         turning = m.yaw_rate if abs(m.yaw_rate) > MIN_CROSS_AXIS_YAW_RATE_RAD_S else 0.0
-        if m.cross_axis_yaw_rate[i] != 0.0:
-            keep = turning / m.cross_axis_yaw_rate[i]
-            q += m.gyro_bias_before_yaw_variance[i] if turning == 0.0 else 0.0
+        if m.yaw_rate_in_gyro_bias[i] != 0.0:
+            keep = turning / m.yaw_rate_in_gyro_bias[i]
+            q += m.gyro_bias_at_zero_yaw_rate_variance[i] if turning == 0.0 else 0.0
         else:
-            m.gyro_bias_before_yaw[i] = m.x[k + 1]
-            m.gyro_bias_before_yaw_variance[i] = state_variance(m.u_transposed, m.ud_diagonal, k)
+            m.gyro_bias_at_zero_yaw_rate[i] = m.x[k + 1]
+            m.gyro_bias_at_zero_yaw_rate_variance[i] = state_variance(m.u_transposed, m.ud_diagonal, k)
             q += (s.gyro_axis_variance[i] + m.mount_variance[i]) * (turning * turning)
-        origin = m.gyro_bias_before_yaw[i]
-        m.cross_axis_yaw_rate[i] = turning
+        origin = m.gyro_bias_at_zero_yaw_rate[i]
+        m.yaw_rate_in_gyro_bias[i] = turning
     m.x[k + 1] = origin + (m.x[k + 1] - origin) * keep
     if q > 0.0:
         gauss_markov_update(m.u_transposed, m.ud_diagonal, k, keep, q, m.u_transposed_h)
@@ -247,7 +247,7 @@ def clear_block_forces(m: FilterMemory) -> None:
     for k in range(3):
         m.accel_mean[k] = m.model_accel_mean[k] = m.gyro_mean[k] = 0.0
         m.accel_per_thrust_scale[k] = m.accel_per_air_velocity[k] = 0.0
-    m.max_innovation_ratio = 0.0
+    m.max_accel_model_ratio = 0.0
     m.block_mean_ticks = 0
 
 

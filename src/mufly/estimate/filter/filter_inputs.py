@@ -109,7 +109,7 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
     Returns the ratio of the model's lift to the weight in the period in which the sonar detects lift-off, else 0.
     """
     lift = (
-        -m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_THRUST_ACCEL + 2] * m.x[NOMINAL_THRUST_SCALE] / GRAVITY
+        -m.rotor_model_rows[m.tick % ROTOR_FORCE_HISTORY, ROTOR_THRUST_ACCEL + 2] * m.x[NOMINAL_THRUST_SCALE] / GRAVITY
         if s.has_rotor_model > 0
         else 1.0
     )
@@ -123,12 +123,14 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
         and height < MAX_SONAR_LIFTOFF_HEIGHT_M
         and m.x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT_M
     )
-    near = says and m.last_value[READING_STARTS[READING_SONAR]] <= m.sonar_min_seen_range + 0.5 * s.sonar_resolution
-    clear = says and m.last_value[READING_STARTS[READING_SONAR]] > m.sonar_min_seen_range + SONAR_LIFTOFF_EXCESS_M
+    near = (
+        says and m.last_value[READING_STARTS[READING_SONAR]] <= m.sonar_effective_min_range + 0.5 * s.sonar_resolution
+    )
+    clear = says and m.last_value[READING_STARTS[READING_SONAR]] > m.sonar_effective_min_range + SONAR_LIFTOFF_EXCESS_M
     rises = 0.0
     m.is_sonar_at_minimum = 1 if near else 0
     if m.flight_phase <= PHASE_MOTORS_RUNNING:
-        turning = m.rotor_state[MODEL_SPEED_UPPER] + m.rotor_state[MODEL_SPEED_LOWER]
+        turning = m.flight_model_state[MODEL_SPEED_UPPER] + m.flight_model_state[MODEL_SPEED_LOWER]
         stands = turning <= STOPPED_ROTOR_SPEED_FRACTION * (s.hover_speed[0] + s.hover_speed[1])
         m.flight_phase = PHASE_MOTORS_RUNNING if not off else PHASE_STANDING if stands else PHASE_ROTORS_COASTING
         if lift * (1.0 + doubt) > 0.9 and m.flight_phase == PHASE_MOTORS_RUNNING:
@@ -148,7 +150,7 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
         off
         and m.flight_phase >= PHASE_LIFTING_OFF
         and height < 0.05
-        and m.rotor_state[MODEL_SPEED_UPPER] < 0.3 * s.hover_speed[0]
+        and m.flight_model_state[MODEL_SPEED_UPPER] < 0.3 * s.hover_speed[0]
     ):
         m.flight_phase = PHASE_MOTORS_RUNNING
     if m.flight_phase != PHASE_FLYING:
@@ -185,7 +187,7 @@ def sample_inputs(
     now = m.tick % ROTOR_FORCE_HISTORY
     for j in range(4):
         sent = z[ACTUATOR_START + j]
-        m.actuators[j] = min(max(sent, -1.0), 1.0) if sent == sent else 0.0
+        m.actuator_inputs[j] = min(max(sent, -1.0), 1.0) if sent == sent else 0.0
     rotation_matrix(m.x_output[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     n, e, d = (
         m.x_output[NOMINAL_VELOCITY] - m.x_output[NOMINAL_WIND],
@@ -194,23 +196,23 @@ def sample_inputs(
     )
     for k in range(3):
         m.axis_work[k] = r[k] * n + r[3 + k] * e + r[6 + k] * d
-        m.rotor_state[MODEL_RATES + k] = m.gyro_rates[k] - m.x_output[NOMINAL_GYRO_BIAS + k]
+        m.flight_model_state[MODEL_RATES + k] = m.gyro_rates[k] - m.x_output[NOMINAL_GYRO_BIAS + k]
     if s.has_rotor_model > 0:
-        predict_rotor_force(m, s, p, m.axis_work, m.rotor_force[now])
+        predict_rotor_force(m, s, p, m.axis_work, m.rotor_model_rows[now])
         for k in range(2):
-            m.rotor_state[MODEL_SPEED_UPPER + k] += s.dt * m.motor_accel_bias[k]
+            m.flight_model_state[MODEL_SPEED_UPPER + k] += s.dt * m.rotor_spin_accel_bias[k]
         if new[READING_ROTOR_SPEED] == 1:
             a = READING_STARTS[READING_ROTOR_SPEED]
             if check_rotor_speed(m, s, z, a):
                 for k in range(2):
-                    off = z[a + k] - m.rotor_state[MODEL_SPEED_UPPER + k]
-                    m.rotor_state[MODEL_SPEED_UPPER + k] += s.rotor_speed_gain * off
-                    m.motor_accel_bias[k] += s.motor_accel_bias_gain * off
+                    off = z[a + k] - m.flight_model_state[MODEL_SPEED_UPPER + k]
+                    m.flight_model_state[MODEL_SPEED_UPPER + k] += s.rotor_speed_filter_gain * off
+                    m.rotor_spin_accel_bias[k] += s.rotor_spin_accel_bias_gain * off
         if new[READING_BATTERY] == 1:
             off = z[READING_STARTS[READING_BATTERY]] - predict_terminal_voltage(m, p)
             if check_battery_voltage(m, s, off):
                 fast = 0.2 if m.tick * s.dt < 1.0 else 0.02
-                m.rotor_state[MODEL_CHARGE] = min(max(m.rotor_state[MODEL_CHARGE] + fast * off, 0.0), 1.0)
+                m.flight_model_state[MODEL_CHARGE] = min(max(m.flight_model_state[MODEL_CHARGE] + fast * off, 0.0), 1.0)
     rises = _update_flight_phase(m, s, z)
     a, b = (now - s.imu_lag_ticks) % ROTOR_FORCE_HISTORY, (now - s.imu_lag_ticks - 1) % ROTOR_FORCE_HISTORY
     row = m.inputs_now
@@ -219,12 +221,12 @@ def sample_inputs(
         row[k] = 0.5 * (m.gyro_rates[k] + m.gyro_rates_prev[k])
         row[INPUT_ACCEL + k] = z[k]
         for g in range(3):
-            row[INPUT_THRUST_ACCEL + 3 * g + k] = (1 - s.imu_lag_remainder) * m.rotor_force[
+            row[INPUT_THRUST_ACCEL + 3 * g + k] = (1 - s.imu_lag_remainder) * m.rotor_model_rows[
                 a, ROTOR_THRUST_ACCEL + 3 * g + k
-            ] + s.imu_lag_remainder * m.rotor_force[b, ROTOR_THRUST_ACCEL + 3 * g + k]
+            ] + s.imu_lag_remainder * m.rotor_model_rows[b, ROTOR_THRUST_ACCEL + 3 * g + k]
         clip = m.clipped_fraction[k] * CLIPPING_ERROR_FRACTION * s.accel_range
         # Without vibration; but if the attitude is unknown, the model's force is the better one.
-        noise = m.accel_noise_slow[k]
+        noise = m.accel_low_frequency_noise_density[k]
         if m.status[READING_RATES] >= STATUS_MISSING:
             noise = m.vibration_velocity_variance[k] / (FORCE_MEAN_TICKS * s.dt)
         felt = (
@@ -287,7 +289,7 @@ def _backdate_accel_noise(m: FilterMemory, s: FilterSettings, k: int) -> None:
     for at in range(m.horizon_tick, m.tick, s.block_ticks):
         e = m.input_blocks[at // s.block_ticks % INPUT_BLOCK_COUNT]
         share = max(e[INPUT_ACCEL_WEIGHT + k], 1e-9)
-        felt = max(e[INPUT_NOISE_DENSITY + k] / share, m.accel_noise_slow[k])
+        felt = max(e[INPUT_NOISE_DENSITY + k] / share, m.accel_low_frequency_noise_density[k])
         made = e[INPUT_NOISE_DENSITY + k] / max(1.0 - share, 1e-9)
         e[INPUT_ACCEL_WEIGHT + k] = made / (felt + made)
         e[INPUT_NOISE_DENSITY + k] = felt * e[INPUT_ACCEL_WEIGHT + k]
@@ -342,11 +344,13 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
                 ):
                     m.accel_model_difference_tick = m.tick
             density = min(density, 100.0)
-            most = max(0.6 if density > m.accel_noise_slow[k] else 0.2, 1.0 / (m.slow_residual_mean_count + 1))
+            most = max(
+                0.6 if density > m.accel_low_frequency_noise_density[k] else 0.2, 1.0 / (m.slow_residual_mean_count + 1)
+            )
             m.slow_residual_mean_prev[k] = mean
             m.slow_residual_sum[k] = 0.0
             if settled:
-                m.accel_noise_slow[k] += most * (density - m.accel_noise_slow[k])
+                m.accel_low_frequency_noise_density[k] += most * (density - m.accel_low_frequency_noise_density[k])
                 if density > made:
                     _backdate_accel_noise(m, s, k)
         m.slow_residual_count = 0
@@ -406,7 +410,7 @@ def _decide_levelling(m: FilterMemory, s: FilterSettings) -> None:
         half = math.sqrt(0.5 * d + 0.5)
         turn = np.array((half, 0.5 * x / half, 0.5 * y / half, 0.0))
         rotation_matrix(turn, m.levelling_rotation)
-        m.is_levelled = 1
+        m.has_levelling_rotation = 1
         _reset_to_level(m, s)
         set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, math.sqrt(q))
 
@@ -436,5 +440,5 @@ def level_inertial_unit(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
                 m.levelling_accel_sum[k] += z[READING_STARTS[READING_ACCELERATION] + k]
             if m.levelling_ticks == needed:
                 _decide_levelling(m, s)
-    if m.is_levelled == 1:
+    if m.has_levelling_rotation == 1:
         _rotate_to_level(m, z, READING_STARTS[READING_ACCELERATION])

@@ -167,9 +167,9 @@ AID_COUNT = 5
 """Aids whose noise is estimated in flight; of the first two, parts of the position fix, the random walk too."""
 AID_NOISES = (
     (AID_POSITION, "position", READING_POSITION_FIX, "fix_variance", 100.0, "cm"),
-    (AID_HEADING, "heading", READING_POSITION_FIX, "heading_variance", math.degrees(1.0), "deg"),
+    (AID_HEADING, "heading", READING_POSITION_FIX, "fix_heading_variance", math.degrees(1.0), "deg"),
     (AID_SONAR, "sonar", READING_SONAR, "sonar_variance", 100.0, "cm"),
-    (AID_PRESSURE, "pressure", READING_PRESSURE, "pressure_variance", 1.0, "Pa s^0.5"),
+    (AID_PRESSURE, "pressure", READING_PRESSURE, "pressure_noise_density", 1.0, "Pa s^0.5"),
     (AID_MAGNETIC, "magnetic heading", READING_MAGNETIC_FIELD, "mag_heading_variance", math.degrees(1.0), "deg"),
 )
 """Of each aid: index, name, reading, setting of the variance, factor to the shown unit, unit."""
@@ -201,25 +201,27 @@ class FilterMemory:
     tick: int = _int("periods since the reset")
     gyro_rates: _Array = _real("gyroscope rates without spikes and offset, body axes", 3, unit="rad/s")
     # Rotor model
-    rotor_state: _Array = _real("state of the flight model in body axes, indices RS", 21)
-    actuators: _Array = _real("actuator inputs of the last period: motors, servos", 4)
-    motor_accel_bias: _Array = _real("error of the modelled rotor acceleration: upper, lower", 2, unit="rad/s2")
+    flight_model_state: _Array = _real("state of the flight model in body axes, indices RS", 21)
+    actuator_inputs: _Array = _real("actuator inputs of the last period: motors, servos", 4)
+    rotor_spin_accel_bias: _Array = _real("error of the modelled rotor acceleration: upper, lower", 2, unit="rad/s2")
     supply_current: float = _real("modelled supply current", unit="A")
-    ang_accel_bias: _Array = _real(
+    model_rate_step_bias: _Array = _real(
         "error of the modelled angular acceleration times the period, body axes", 3, unit="rad/s"
     )
     rate_residual_lp: float = _real("measured minus modelled rates, lp", unit="rad/s")
-    rotor_force: _Array = _real(
+    rotor_model_rows: _Array = _real(
         "rows of the rotor model, at their period modulo ROTOR_FORCE_HISTORY", ROTOR_FORCE_HISTORY, ROTOR_FORCE_SIZE
     )
     # Measurements that wait for the horizon
     queue_due: _Ints = _int("period of the horizon at which each is fused; -1: free", "QUEUE_SIZE")
     queue_sensor: _Ints = _int("sensor of each measurement", "QUEUE_SIZE")
     queue_value: _Array = _real("value of each measurement", "QUEUE_SIZE", MAX_FUSED_BEAMS)
-    queue_ahead: _Array = _real("time of each measurement after the start of its period", "QUEUE_SIZE", unit="s")
+    queue_time_in_period: _Array = _real(
+        "time of each measurement after the start of its period", "QUEUE_SIZE", unit="s"
+    )
     # Noise of the accelerometers about the model
     gyro_rates_prev: _Array = _real("rates of the previous period, body axes", 3, unit="rad/s")
-    accel_noise_slow: _Array = _real("density of the noise at low frequencies", 3, unit="m2/s3")
+    accel_low_frequency_noise_density: _Array = _real("density of the noise at low frequencies", 3, unit="m2/s3")
     vibration_velocity: _Array = _real("integral of the residuals, high-passed", 3, unit="m/s")
     vibration_velocity_variance: _Array = _real("variance of the output's velocity due to vibration", 3, unit="m2/s2")
     slow_residual_sum: _Array = _real("weighted sum of residuals since the last slow mean", 3, unit="m/s2")
@@ -237,25 +239,27 @@ class FilterMemory:
         "derivative of the modelled acceleration with respect to the velocity through the air", 3, unit="1/s"
     )
     accel_residual_density: _Array = _real("noise density of measured minus modelled acceleration", 3, unit="m2/s3")
-    max_innovation_ratio: float = _real("largest innovation ratio of the axes so far")
+    max_accel_model_ratio: float = _real("largest innovation ratio of the axes so far")
     block_mean_ticks: int = _int("periods in these means")
     # Flight phase, terrain, faults
     terrain_edge_weight: float = _real("weight of terrain noise: 1 at an edge in the sonar's cone, then decaying to 0")
-    divergence_ticks: int = _int("periods for which the gyroscopes' bias stays free; 1: has been freed once")
+    divergence_recovery_ticks_left: int = _int(
+        "periods for which the gyroscopes' bias stays free; 1: has been freed once"
+    )
     flight_phase: int = _int("STANDING, ROTORS_COASTING, MOTORS_RUNNING, LIFTING_OFF or FLYING")
     worst_fix_component: int = _int(
         "component of the last position fix with the largest innovation ratio: N, E, D, heading"
     )
-    fault_component: int = _int("component to which the fix's reason_number belongs")
+    fix_fault_component: int = _int("component to which the fix's reason_number belongs")
     is_sonar_at_minimum: int = _int("1: the sonar reads its minimum range")
     equal_spike_count: int = _int("gyroscope readings in a row with the same deviation")
-    gyro_offset: _Array = _real("offset jumps of the gyroscopes, subtracted from the readings", 3, unit="rad/s")
+    gyro_offset_jump: _Array = _real("offset jumps of the gyroscopes, subtracted from the readings", 3, unit="rad/s")
     sonar_ratio_lp: float = _real("innovation ratio of the sonar, lp")
     pressure_ratio_lp: float = _real("innovation ratio of the pressure, lp")
     spike_count: int = _int("gyroscope readings in a row with a spike")
     rates_with_spikes: _Array = _real("rates of the period before, spikes included", 3, unit="rad/s")
     terrain_steps: int = _int("terrain steps at this edge")
-    fix_ratio_lp: float = _real("square of the largest innovation ratio of the fix, lp")
+    fix_max_ratio_squared_lp: float = _real("square of the largest innovation ratio of the fix, lp")
     noise_scale: _Array = _real("ratio of an aid's estimated noise variance to the vehicle file's", AID_COUNT)
     bias_walk_scale: _Array = _real(
         "ratio of the fix bias's estimated random-walk variance to the file's: position, heading; 1: other aids",
@@ -276,14 +280,14 @@ class FilterMemory:
     standing_ticks: int = _int("periods on the floor with the motors off")
     levelling_ticks: int = _int("periods at rest in which the tilt of the inertial unit has been measured")
     levelling_accel_sum: _Array = _real("sum of the accelerometer readings over levelling_ticks", 3, unit="m/s2")
-    is_levelled: int = _int("1: the inertial unit is tilted, and its readings are rotated level")
+    has_levelling_rotation: int = _int("1: the inertial unit is tilted, and its readings are rotated level")
     levelling_rotation: _Array = _real("rotation matrix applied to the readings, by rows", 9)
     mount_variance: _Array = _real("variance of the axis misalignment that remains after levelling", 3, unit="rad2")
-    cross_axis_yaw_rate: _Array = _real(
+    yaw_rate_in_gyro_bias: _Array = _real(
         "yaw rate whose cross-axis error is included in each gyroscope bias", 3, unit="rad/s"
     )
-    gyro_bias_before_yaw: _Array = _real("gyroscope biases without this cross-axis error", 3, unit="rad/s")
-    gyro_bias_before_yaw_variance: _Array = _real(
+    gyro_bias_at_zero_yaw_rate: _Array = _real("gyroscope biases without this cross-axis error", 3, unit="rad/s")
+    gyro_bias_at_zero_yaw_rate_variance: _Array = _real(
         "variance of the gyroscope biases before the yaw motion", 3, unit="rad2/s2"
     )
     is_heading_aligned: int = _int("1: a fix has been fused")
@@ -302,12 +306,16 @@ class FilterMemory:
     # From the horizon to now
     x_repropagating: _Array = _real("state during repropagation from the horizon to the present", STATE_COUNT)
     repropagating_tick: int = _int("period to which x_repropagating belongs")
-    repropagating_velocity_variance: _Array = _real("velocity variance added by the repropagation", 3, unit="m2/s2")
-    repropagating_velocity_gain: _Array = _real("velocity change over the repropagation without gravity", 3, unit="m/s")
+    repropagating_added_velocity_variance: _Array = _real(
+        "velocity variance added by the repropagation", 3, unit="m2/s2"
+    )
+    repropagating_velocity_change: _Array = _real(
+        "velocity change over the repropagation without gravity", 3, unit="m/s"
+    )
     repropagating_span: float = _real("time since the horizon", unit="s")
     x_now: _Array = _real("last completed repropagation, predicted to the present", STATE_COUNT)
-    now_velocity_variance: _Array = _real("velocity variance added since the horizon of x_now", 3, unit="m2/s2")
-    now_velocity_gain: _Array = _real("velocity change since that horizon without gravity", 3, unit="m/s")
+    now_added_velocity_variance: _Array = _real("velocity variance added since the horizon of x_now", 3, unit="m2/s2")
+    now_velocity_change: _Array = _real("velocity change since that horizon without gravity", 3, unit="m/s")
     x_now_span: float = _real("time since that horizon", unit="s")
     # Health of each sensor
     last_value: _Array = _real("last value of each sensor, from READING_STARTS on", READING_STARTS[-1])
@@ -315,7 +323,7 @@ class FilterMemory:
     last_fused_tick: _Ints = _int("period of the last fused reading", SENSOR_COUNT)
     repeat_count: _Ints = _int("bit-identical readings in a row", SENSOR_COUNT)
     reject_count: _Ints = _int("readings rejected in a row", SENSOR_COUNT)
-    reject_since_tick: _Ints = _int("period since which rejected readings agree with each other", SENSOR_COUNT)
+    agreeing_reject_since_tick: _Ints = _int("period since which rejected readings agree with each other", SENSOR_COUNT)
     last_grounded_tick: int = _int("last period outside the phase FLYING")
     status: _Ints = _int("NOTHING, FUSED, REJECTED, MISSING or FAULTY", SENSOR_COUNT)
     reason: _Ints = _int("reason of the status, of sensor_checks.py", SENSOR_COUNT)
@@ -325,7 +333,7 @@ class FilterMemory:
     innovation_sigma: _Array = _real("standard deviation of this innovation", SENSOR_COUNT)
     late_count: _Ints = _int("readings that came too late to be fused", SENSOR_COUNT)
     rejected_value: _Array = _real("last rejected value", SENSOR_COUNT, 3)
-    agree_count: _Ints = _int("rejected readings in a row that agree with each other", SENSOR_COUNT)
+    agreeing_reject_count: _Ints = _int("rejected readings in a row that agree with each other", SENSOR_COUNT)
     is_decimated: _Ints = _int("1: this reading is not fused because of decimation", SENSOR_COUNT)
     reject_score: _Array = _real("number of rejections, decaying with every fused reading", SENSOR_COUNT)
     invalid_count: _Ints = _int("readings in a row that are marked invalid by the sensor", SENSOR_COUNT)
@@ -335,13 +343,13 @@ class FilterMemory:
         "absolute difference of the heights by fix and sonar during a conflict, else 0", unit="m"
     )
     sonar_range_prev: float = _real("last range of the sonar", unit="m")
-    sonar_min_seen_range: float = _real(
+    sonar_effective_min_range: float = _real(
         "least range of the sonar: that of the vehicle file, or a longer one shown at rest", unit="m"
     )
     sonar_repeat_chance: float = _real("probability of so many equal readings of a working sonar")
     height_reset_tick: int = _int("period of the last reset of the height by the sonar")
     spike_residual_carry: _Array = _real("gyroscope residuals carried to the next period", 3, unit="rad/s")
-    motor_accel_mean: _Array = _real("motor_accel_bias, mean over seconds", 2, unit="rad/s2")
+    rotor_spin_accel_bias_mean: _Array = _real("rotor_spin_accel_bias, mean over seconds", 2, unit="rad/s2")
     # Work
     axis_work: _Array = _real("work", 3)
     h_term_count: int = _int("terms of the row of H")
@@ -396,7 +404,7 @@ class FilterSettings:
     latency_slack: _Array = _real("allowed age beyond the latency", SENSOR_COUNT, unit="s")
     has_noise: _Ints = _int("1: equal readings in a row are a fault", SENSOR_COUNT)
     value_limit: _Array = _real("largest plausible value", SENSOR_COUNT)
-    decimation: _Ints = _int("decimation factor: one of so many readings is fused", SENSOR_COUNT)
+    reading_decimation: _Ints = _int("decimation factor: one of so many readings is fused", SENSOR_COUNT)
     sonar_position: _Array = _real("position of the sonar, body axes", 3, unit="m")
     sonar_variance: float = _real("variance of a range", unit="m2")
     sonar_resolution: float = _real("resolution of a range", unit="m")
@@ -406,7 +414,7 @@ class FilterSettings:
     sonar_cone_edge_excess: float = _real("ratio of the range at the cone's edge to that on its axis, minus 1")
     sonar_cone_radius_ratio: float = _real("ratio of the cone's radius to the range")
     fix_variance: float = _real("variance of the fix's position", unit="m2")
-    heading_variance: float = _real("variance of the fix's heading", unit="rad2")
+    fix_heading_variance: float = _real("variance of the fix's heading", unit="rad2")
     beam_count: int = _int("beams of the ring")
     beam_directions: _Array = _real("directions of the beams, body axes", MAX_FUSED_BEAMS, 3)
     ring_max_range: float = _real("largest range of a beam", unit="m")
@@ -414,14 +422,14 @@ class FilterSettings:
     ring_noise_variance: float = _real("variance of a beam's noise", unit="1/m6")
     ring_baseline: float = _real("baseline of the ring camera", unit="m")
     wall_planes: _Array = _real("walls of the room: N lower, upper; E lower, upper; D of ceiling, floor", 6, unit="m")
-    pressure_variance: float = _real("noise density of the pressure sensor", unit="Pa2 s")
-    pressure_height_slope: float = _real("derivative of pressure with respect to D", unit="Pa/m")
+    pressure_noise_density: float = _real("noise density of the pressure sensor", unit="Pa2 s")
+    pressure_gradient_down: float = _real("derivative of pressure with respect to D", unit="Pa/m")
     mag_heading_variance: float = _real("variance of the magnetic heading", unit="rad2")
     mag_field_variance: float = _real("variance of the field per axis without current", unit="T2")
     mag_current_variance: float = _real("variance of the motors' field per axis and squared current", unit="T2/A2")
     earth_field: _Array = _real("magnetic field of the earth, N, E, D", 3, unit="T")
-    rotor_speed_gain: float = _real("gain of the rotor speed filter")
-    motor_accel_bias_gain: float = _real("gain of the estimate of motor_accel_bias", unit="1/s")
+    rotor_speed_filter_gain: float = _real("gain of the rotor speed filter")
+    rotor_spin_accel_bias_gain: float = _real("gain of the estimate of rotor_spin_accel_bias", unit="1/s")
     imu_position: _Array = _real("position of the inertial unit, body axes", 3, unit="m")
 
 
@@ -603,9 +611,9 @@ def filter_settings(
         fitted[READING_PRESSURE], period[READING_PRESSURE], latency[READING_PRESSURE] = 1, float(air.period), 0.0
         every[READING_PRESSURE] = max(1, round(0.1 / float(air.period)))
         noisy[READING_PRESSURE] = float(air.noise) > 0
-        s["pressure_variance"] = float(air.noise) ** 2
+        s["pressure_noise_density"] = float(air.noise) ** 2
         density = float(vehicle.air.density)
-        s["pressure_height_slope"] = density * GRAVITY
+        s["pressure_gradient_down"] = density * GRAVITY
         sigma[ERROR_PRESSURE_BIAS], tau[ERROR_PRESSURE_BIAS] = float(air.drift), float(air.drift_correlation_time)
         bound[READING_PRESSURE] = 2e5
     if (compass := sensing.magnetometer) is not None:
@@ -632,11 +640,11 @@ def filter_settings(
         noise = float(rotor.voltage_noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
         noisy[READING_ROTOR_SPEED] = noise > 0
         # Steady Kalman filter of a random walk of these steps, read with this noise
-        s["rotor_speed_gain"] = 2.0 / (
+        s["rotor_speed_filter_gain"] = 2.0 / (
             1.0 + math.sqrt(1.0 + 4.0 * (noise / (MOTOR_SPEED_NOISE * s["hover_speed"][0])) ** 2)
         )
         # What the equations are off by for long: learnt in some 0.7 s
-        s["motor_accel_bias_gain"] = 0.06 * s["rotor_speed_gain"] ** 2 / float(rotor.period)
+        s["rotor_spin_accel_bias_gain"] = 0.06 * s["rotor_speed_filter_gain"] ** 2 / float(rotor.period)
         bound[READING_ROTOR_SPEED] = 5 * float(s["hover_speed"].max())
     if sensing.battery is not None:
         fitted[READING_BATTERY], period[READING_BATTERY] = 1, float(sensing.battery.period)
@@ -648,7 +656,7 @@ def filter_settings(
             float(fix.latency),
         )
         delay_s = max(delay_s, float(fix.latency))
-        s["fix_variance"], s["heading_variance"] = float(fix.noise) ** 2, float(fix.heading_noise) ** 2
+        s["fix_variance"], s["fix_heading_variance"] = float(fix.noise) ** 2, float(fix.heading_noise) ** 2
         sigma[ERROR_FIX_BIAS : ERROR_FIX_BIAS + 3], sigma[ERROR_FIX_HEADING] = (
             float(fix.drift),
             float(fix.heading_drift),
@@ -669,7 +677,7 @@ def filter_settings(
     s["block_ticks"], s["fusion_budget"] = block, max(MAX_FUSION_BUDGET, math.ceil(4 * MAX_FUSION_BUDGET / block))
     s["initial_state"], s["initial_sigma"], s["decay"] = start, sigma, keep
     s["process_variance"] = sigma**2 * (1 - keep**2) + walk**2 * span
-    s["is_fitted"], s["sensor_period"], s["latency"], s["value_limit"], s["decimation"] = (
+    s["is_fitted"], s["sensor_period"], s["latency"], s["value_limit"], s["reading_decimation"] = (
         fitted,
         period,
         latency,

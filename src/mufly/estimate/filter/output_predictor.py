@@ -92,7 +92,7 @@ def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None
     """Propagate the covariance of position, velocity and attitude over the delay, F P F^T + Q, in one step."""
     span = m.x_now_span
     for k in range(3):
-        m.axis_work[k] = m.now_velocity_gain[k] / span
+        m.axis_work[k] = m.now_velocity_change[k] / span
     error_transition(m.inputs_now, span, r, m.axis_work, m.transition_work)
     for i in range(9):
         for j in range(i, 9):
@@ -104,9 +104,9 @@ def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None
             for j in range(i, 9):
                 m.covariance_output[i, j] += c * m.gain[j]
     for k in range(3):
-        m.covariance_output[k, k] += m.now_velocity_variance[k] * span * span / 3.0
-        m.covariance_output[k, ERROR_VELOCITY + k] += m.now_velocity_variance[k] * span / 2.0
-        m.covariance_output[ERROR_VELOCITY + k, ERROR_VELOCITY + k] += m.now_velocity_variance[k]
+        m.covariance_output[k, k] += m.now_added_velocity_variance[k] * span * span / 3.0
+        m.covariance_output[k, ERROR_VELOCITY + k] += m.now_added_velocity_variance[k] * span / 2.0
+        m.covariance_output[ERROR_VELOCITY + k, ERROR_VELOCITY + k] += m.now_added_velocity_variance[k]
         for i in range(3):
             # The filter integrates the vibration of the accelerometers
             share = r[3 * k + i] * m.inputs_now[INPUT_ACCEL_WEIGHT + i]
@@ -167,15 +167,15 @@ def _repropagate_state(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array)
         span = periods * s.dt
         predict_state(m.x_repropagating, e, span, r, a)
         for k in range(3):
-            m.repropagating_velocity_variance[k] += velocity_noise_density(r, k, e) * span
-            m.repropagating_velocity_gain[k] += a[k] * span
+            m.repropagating_added_velocity_variance[k] += velocity_noise_density(r, k, e) * span
+            m.repropagating_velocity_change[k] += a[k] * span
         m.repropagating_tick += periods
         m.repropagating_span += span
         if m.repropagating_tick == m.tick:
             for k in range(3):
-                m.now_velocity_variance[k] = m.repropagating_velocity_variance[k]
-                m.now_velocity_gain[k] = m.repropagating_velocity_gain[k]
-                m.repropagating_velocity_variance[k] = m.repropagating_velocity_gain[k] = 0.0
+                m.now_added_velocity_variance[k] = m.repropagating_added_velocity_variance[k]
+                m.now_velocity_change[k] = m.repropagating_velocity_change[k]
+                m.repropagating_added_velocity_variance[k] = m.repropagating_velocity_change[k] = 0.0
             m.x_now_span = m.repropagating_span
             m.repropagating_span = 0.0
             for i in range(STATE_COUNT):
@@ -203,7 +203,7 @@ def predict_output(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> 
         x[NOMINAL_VELOCITY + k] += s.imu_lag * a[k]
         m.rates_output[k] = m.gyro_rates[k] - x[NOMINAL_GYRO_BIAS + k]
         if s.has_rotor_model > 0 and m.flight_phase == PHASE_FLYING:
-            m.rates_output[k] += s.imu_lag * m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_ANG_ACCEL + k]
+            m.rates_output[k] += s.imu_lag * m.rotor_model_rows[m.tick % ROTOR_FORCE_HISTORY, ROTOR_ANG_ACCEL + k]
     rotate_attitude(
         x, s.imu_lag * m.rates_output[0], s.imu_lag * m.rates_output[1], s.imu_lag * m.rates_output[2], True
     )

@@ -226,8 +226,8 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     Parameters
     ----------
     m : record
-        Memory; ``m.rotor_state`` is the flight model's state in body axes: rates, swash plate, bar, rotor speeds,
-        charge.
+        Memory; ``m.flight_model_state`` is the flight model's state in body axes: rates, swash plate, bar, rotor
+        speeds, charge.
     s, p : records
         Settings; parameters of the flight model.
     air : (3,) array
@@ -235,7 +235,7 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     out : (12,) array
         Force per mass: without motion, remainder, slope (m/s^2, m/s^2, 1/s); angular acceleration (rad/s^2).
     """
-    x, dx, u, dt = m.rotor_state, m.derivative_work, m.actuators, s.dt
+    x, dx, u, dt = m.flight_model_state, m.derivative_work, m.actuator_inputs, s.dt
     # The swash plate settles within the period; its mean is used.
     settled, mean = s.swash_lag_decay, s.swash_lag_decay_mean
     to_roll = p.swash_gain * _clip_value(u[U_SERVO_2], -1.0, 1.0)
@@ -287,4 +287,4 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
 @cached_njit(error_model="numpy")
 def predict_terminal_voltage(m: FilterMemory, p: ModelParameters) -> float:
     """Return the terminal voltage (V) of the battery model at the estimated charge and rotor speeds."""
-    return battery_state(m.rotor_state, m.actuators[U_MOTOR_UPPER], m.actuators[U_MOTOR_LOWER], p)[0]
+    return battery_state(m.flight_model_state, m.actuator_inputs[U_MOTOR_UPPER], m.actuator_inputs[U_MOTOR_LOWER], p)[0]

@@ -20,7 +20,7 @@ from mufly.vehicle import Vehicle
 from mufly.version import __version__
 from mufly.world import World
 
-NO_VEHICLE_PARAMETERS = {"map_nodes": 0}
+NO_VEHICLE_PARAMETERS = {"map_node_count": 0}
 """Parameters with which ``records.h`` equals that of the simulation."""
 
 
@@ -66,7 +66,7 @@ def filter_buffer_sizes(s: np.void) -> tuple[int, int]:
     blocks = int(s["horizon_delay_ticks"]) // int(s["block_ticks"]) + MAX_LAG_BLOCKS + 4
     span = (int(s["horizon_delay_ticks"]) + (MAX_LAG_BLOCKS + 1) * int(s["block_ticks"])) * float(s["dt"])
     waiting = sum(
-        math.ceil((span - s["latency"][k]) / (s["sensor_period"][k] * s["decimation"][k])) + 1
+        math.ceil((span - s["latency"][k]) / (s["sensor_period"][k] * s["reading_decimation"][k])) + 1
         for k in QUEUED_READINGS
         if s["is_fitted"][k]
     )

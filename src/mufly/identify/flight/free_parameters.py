@@ -260,7 +260,7 @@ def _changed_fields(vehicle: Vehicle, f: FreeParameter, voltage: float | None) -
     changed, step = _perturb_parameter(vehicle, f, voltage)
     effects: dict[str, float] = {}
     for name in PARAMETER_DTYPE.names or ():
-        if name in ("contact_points", "contact_count", "contact_reach", "friction_bound"):
+        if name in ("contact_points", "contact_count", "contact_reach", "contact_friction_damping_limit"):
             continue
         old, new = float(np.ravel(base[name])[-1]), float(np.ravel(changed[name])[-1])
         if old != new:

@@ -123,7 +123,7 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
             estimate_causal_gain(seen, np.column_stack(made), dt, is_rate=is_rate, **options), len(made) > 1
         )
 
-    load = (thrust.sum(axis=1) - p["downwash"]) / p["mass"]
+    load = (thrust.sum(axis=1) - p["downwash_drag"]) / p["mass"]
     if has & {"height", "climb"}:
         found["heave"] = gain("climb", "height", load * turn[:, 2, 2], **lagged)
     if has & {"yaw", "r"}:

@@ -414,7 +414,7 @@ class OutputErrorProblem:
             p = parameters_at_theta(f.base_parameters, f.parameter_changes, theta)
             duty = np.clip(f.inputs[:, MOTORS], 0.0, 1.0).mean(axis=0)
             speed = steady_rotor_speeds(p, duty, f.first_and_mean_voltage[1])
-            weight = p["mass"] * GRAVITY + p["downwash"]
+            weight = p["mass"] * GRAVITY + p["downwash_drag"]
             up, dw = p["torque_up"] * speed[:, 0] ** 2, p["torque_dw"] * speed[:, 1] ** 2
             lift = p["thrust_up"] * speed[:, 0] ** 2 + p["thrust_dw"] * speed[:, 1] ** 2
             out += [np.log(lift / weight) / _HOVER_EQUATION_TOLERANCE, np.log(up / dw) / _HOVER_EQUATION_TOLERANCE]

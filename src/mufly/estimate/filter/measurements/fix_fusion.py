@@ -132,7 +132,7 @@ def _fix_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
     return (
         s.fix_variance * m.noise_scale[AID_POSITION]
         if i < FIX_HEADING
-        else s.heading_variance * m.noise_scale[AID_HEADING]
+        else s.fix_heading_variance * m.noise_scale[AID_HEADING]
     )
 
 
@@ -285,7 +285,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     led = (
         s.has_rotor_model > 0
         and lasting
-        and m.fix_ratio_lp > DIVERGENCE_MEAN_SQUARE
+        and m.fix_max_ratio_squared_lp > DIVERGENCE_MEAN_SQUARE
         and INNOVATION_GATE < abs(worst) < 2.0 * INNOVATION_GATE
     )
     if abs(worst) > INNOVATION_GATE and not led:
@@ -314,12 +314,12 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         _mark_height_fault(m)
     # Large ratios of one sign show an unmodelled error of the filter, for example drifting gyroscopes.
-    m.fix_ratio_lp += 0.15 * (worst * worst - m.fix_ratio_lp)
+    m.fix_max_ratio_squared_lp += 0.15 * (worst * worst - m.fix_max_ratio_squared_lp)
     for i in range(FIX_COMPONENT_COUNT):
         if i != FIX_DOWN or down:
             _estimate_fix_noise(m, i)
     out = max(_fix_bias_ratio(m, s, FIX_NORTH), _fix_bias_ratio(m, s, FIX_EAST), _fix_bias_ratio(m, s, FIX_HEADING))
-    if led or (lasting and m.fix_ratio_lp > FIX_MEAN_SQUARE_GATE) or (out > 1.0 and settled):
+    if led or (lasting and m.fix_max_ratio_squared_lp > FIX_MEAN_SQUARE_GATE) or (out > 1.0 and settled):
         reset_on_divergence(m, s)
         set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at)
     for i in range(FIX_COMPONENT_COUNT):
@@ -329,8 +329,8 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         fuse_scalar(m, _fix_innovation(m, z, i, ahead), _fix_variance(m, s, i))
     for i in range(3):
         most = MAX_GYRO_BIAS_SIGMAS * s.initial_sigma[ERROR_GYRO_BIAS + i] + 2.0 * m.sigma_output[ERROR_GYRO_BIAS + i]
-        if abs(m.gyro_bias_before_yaw[i]) > most and m.status[READING_RATES] == STATUS_FUSED and down:
-            set_fault(m, s, READING_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.gyro_bias_before_yaw[i])
+        if abs(m.gyro_bias_at_zero_yaw_rate[i]) > most and m.status[READING_RATES] == STATUS_FUSED and down:
+            set_fault(m, s, READING_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.gyro_bias_at_zero_yaw_rate[i])
     mark_fused(m, k)
     if not down:
         set_fault(m, s, k, STATUS_FAULTY, REASON_HEIGHT_CONFLICT, m.fix_sonar_height_difference)

@@ -214,7 +214,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         return
     expect = -(m.x[NOMINAL_POSITION + 2] + ahead * m.x[NOMINAL_VELOCITY + 2]) - down - m.x[NOMINAL_TERRAIN]
     said, r_ = z[0], s.sonar_variance * m.noise_scale[AID_SONAR]
-    nearest, standing = m.sonar_min_seen_range + 0.005, s.ground_clearance - s.sonar_position[2]
+    nearest, standing = m.sonar_effective_min_range + 0.005, s.ground_clearance - s.sonar_position[2]
     if z[0] <= nearest and standing < nearest:
         # Below the minimum range: uniform between that range and the range on the floor.
         said = 0.5 * (nearest + standing)
@@ -256,9 +256,9 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.sensor_period[k], REASON_INNOVATION)
         if m.flight_phase <= PHASE_MOTORS_RUNNING and nu > 0.0 and z[0] > nearest:
             # On its legs the vehicle is at a known height: the sonar cannot measure ranges below this one.
-            m.sonar_min_seen_range = z[0] if m.agree_count[k] >= 2 else m.sonar_min_seen_range
+            m.sonar_effective_min_range = z[0] if m.agreeing_reject_count[k] >= 2 else m.sonar_effective_min_range
             return
-        step = m.agree_count[k] >= 2 and floor > MIN_TERRAIN_HEIGHT_M
+        step = m.agreeing_reject_count[k] >= 2 and floor > MIN_TERRAIN_HEIGHT_M
         if step and m.terrain_steps >= MAX_TERRAIN_STEPS:
             # Repeated steps: the height is wrong, not the terrain.
             inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_POSITION + 2, nu * nu, m.u_transposed_h)
@@ -286,7 +286,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
                 inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_VELOCITY + 2, 0.1 + nu * nu, m.u_transposed_h)
             set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         else:
-            if m.agree_count[k] >= 2:
+            if m.agreeing_reject_count[k] >= 2:
                 set_fault(m, s, k, STATUS_REJECTED, REASON_INNOVATION, nu)  # a consistent range below the room's floor
             return
         _sonar_h_row(m, s, r)
@@ -441,12 +441,12 @@ def _fuse_drifting_aid(
 @cached_njit(error_model="numpy")
 def fuse_pressure(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse the measured pressure minus the standard pressure and minus the part that the rotors cause."""
-    variance = s.pressure_variance * m.noise_scale[AID_PRESSURE]
-    h_row_begin(m, ERROR_POSITION + 2, s.pressure_height_slope)
+    variance = s.pressure_noise_density * m.noise_scale[AID_PRESSURE]
+    h_row_begin(m, ERROR_POSITION + 2, s.pressure_gradient_down)
     h_row_add(m, ERROR_PRESSURE_BIAS, 1.0)
     nu = (
         z[0]
-        - s.pressure_height_slope * (m.x[NOMINAL_POSITION + 2] + ahead * m.x[NOMINAL_VELOCITY + 2])
+        - s.pressure_gradient_down * (m.x[NOMINAL_POSITION + 2] + ahead * m.x[NOMINAL_VELOCITY + 2])
         - m.x[NOMINAL_PRESSURE_BIAS]
     )
     _fuse_drifting_aid(m, s, READING_PRESSURE, ERROR_PRESSURE_BIAS, nu, variance, z, 1, 10 * math.sqrt(variance))
@@ -484,7 +484,7 @@ def measurement_cost(m: FilterMemory, s: FilterSettings, kind: int, left: int) -
 @cached_njit(error_model="numpy")
 def fuse_measurement(m: FilterMemory, s: FilterSettings, i: int, r: _Array, cost: int) -> bool:
     """Fuse queued measurement ``i``, as far as the budget ``cost`` permits; return whether all of it is fused."""
-    kind, z, ahead = m.queue_sensor[i], m.queue_value[i], m.queue_ahead[i]
+    kind, z, ahead = m.queue_sensor[i], m.queue_value[i], m.queue_time_in_period[i]
     if kind == READING_POSITION_FIX and m.fix_bias_tick < m.horizon_tick:
         predict_fix_bias(m, s)
         return False
@@ -521,9 +521,9 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
     check_accel_model(m, s, r, height_above_ground(m.x_output, s), nu, r_, known, i)
     if abs(ratio) < INNOVATION_GATE and m.is_accel_distrusted == 0:
         fuse_scalar(m, nu, r_)
-    if i == 0 or abs(ratio) > m.max_innovation_ratio:
+    if i == 0 or abs(ratio) > m.max_accel_model_ratio:
         log_innovation(m, READING_ACCELERATION, nu, ratio)
-        m.max_innovation_ratio = abs(ratio)
+        m.max_accel_model_ratio = abs(ratio)
 
 
 @cached_njit(error_model="numpy")

@@ -92,9 +92,9 @@ def apply_correction(m: FilterMemory, innovation: float, r: float) -> None:
     ud_measurement_update(m.u_transposed, m.ud_diagonal, m.u_transposed_h, r, m.gain)
     for i in range(ERROR_STATE_COUNT):
         m.gain[i] *= innovation
-    _add_propagated_error(m.x, m.gain, 0.0, m.repropagating_velocity_gain)
-    _add_propagated_error(m.x_repropagating, m.gain, m.repropagating_span, m.repropagating_velocity_gain)
-    _add_propagated_error(m.x_now, m.gain, m.x_now_span, m.now_velocity_gain)
+    _add_propagated_error(m.x, m.gain, 0.0, m.repropagating_velocity_change)
+    _add_propagated_error(m.x_repropagating, m.gain, m.repropagating_span, m.repropagating_velocity_change)
+    _add_propagated_error(m.x_now, m.gain, m.x_now_span, m.now_velocity_change)
 
 
 @cached_njit(error_model="numpy")
@@ -131,16 +131,16 @@ def log_innovation(m: FilterMemory, k: int, innovation: float, ratio: float) -> 
 def reject_measurement(
     m: FilterMemory, s: FilterSettings, k: int, innovation: float, z: _Array, count: int, near: float, why: int
 ) -> None:
-    """Reject a reading for reason ``why``; count in ``m.agree_count`` how often successive rejected readings agree."""
+    """Reject a reading for reason ``why``; ``m.agreeing_reject_count`` counts agreeing rejected readings in a row."""
     alike = m.reject_count[k] > 0
     for j in range(count):
         alike = alike and abs(z[j] - m.rejected_value[k, j]) < near
         m.rejected_value[k, j] = z[j]
     if alike:
-        m.agree_count[k] += 1
+        m.agreeing_reject_count[k] += 1
     else:
-        m.agree_count[k] = 0
-        m.reject_since_tick[k] = m.horizon_tick
+        m.agreeing_reject_count[k] = 0
+        m.agreeing_reject_since_tick[k] = m.horizon_tick
     if k != READING_SONAR and abs(innovation) > 2.0 * INNOVATION_GATE * m.innovation_sigma[k]:
         m.reject_score[k] += 1.0  # no healthy sensor but a sonar with a second surface deviates so much
     mark_rejected(m, s, k, why, innovation)
@@ -149,7 +149,9 @@ def reject_measurement(
 @cached_njit(error_model="numpy")
 def reset_timeout_expired(m: FilterMemory, s: FilterSettings, k: int) -> bool:
     """Return whether rejected readings have agreed with each other for :data:`RESET_TIMEOUT_S`."""
-    return m.agree_count[k] >= 3 and (m.horizon_tick - m.reject_since_tick[k]) * s.dt >= RESET_TIMEOUT_S
+    return (
+        m.agreeing_reject_count[k] >= 3 and (m.horizon_tick - m.agreeing_reject_since_tick[k]) * s.dt >= RESET_TIMEOUT_S
+    )
 
 
 @cached_njit(error_model="numpy")

@@ -126,7 +126,7 @@ def set_fault(m: FilterMemory, s: FilterSettings, k: int, code: int, why: int, n
     m.reason_number[k] = number
     m.fault_until_tick[k] = m.tick + int(FAULT_HOLD_S / s.dt)
     if k == READING_POSITION_FIX:
-        m.fault_component = m.worst_fix_component
+        m.fix_fault_component = m.worst_fix_component
 
 
 @cached_njit(error_model="numpy")
@@ -134,7 +134,7 @@ def mark_fused(m: FilterMemory, k: int) -> None:
     """Mark reading ``k`` as fused: reset its rejection counts, and clear a fault whose hold time has passed."""
     m.last_fused_tick[k] = m.tick
     m.reject_count[k] = 0
-    m.agree_count[k] = 0
+    m.agreeing_reject_count[k] = 0
     m.reject_score[k] *= REJECT_SCORE_DECAY
     if m.tick >= m.fault_until_tick[k] and m.reject_score[k] < 1.0:
         m.status[k] = STATUS_FUSED
@@ -231,9 +231,9 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
                 if k <= READING_RATES or k in (READING_ROTOR_SPEED, READING_BATTERY):
                     set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age[k])
                     new[k] = 0
-            if s.decimation[k] > 1:
+            if s.reading_decimation[k] > 1:
                 m.decimation_count[k] += 1
-                m.is_decimated[k] = 1 if m.decimation_count[k] % s.decimation[k] else 0
+                m.is_decimated[k] = 1 if m.decimation_count[k] % s.reading_decimation[k] else 0
             for j in range(count):
                 m.last_value[start + j] = z[start + j]
             if k <= READING_RATES or k == READING_RANGE_RING:
@@ -257,7 +257,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
 @cached_njit(error_model="numpy")
 def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
     """Inflate the variances of gyroscope bias, attitude and velocity after lasting, large innovations of the fix."""
-    if m.divergence_ticks <= 1:
+    if m.divergence_recovery_ticks_left <= 1:
         for k in range(3):
             inflate_variance(
                 m.u_transposed,
@@ -281,7 +281,7 @@ def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
                 DIVERGED_SPEED_SIGMA_M_S * DIVERGED_SPEED_SIGMA_M_S,
                 m.u_transposed_h,
             )
-    m.divergence_ticks = int(POST_DIVERGENCE_DURATION_S / s.dt)
+    m.divergence_recovery_ticks_left = int(POST_DIVERGENCE_DURATION_S / s.dt)
 
 
 @cached_njit(error_model="numpy")
@@ -292,13 +292,15 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
     now = (m.tick - 1) % ROTOR_FORCE_HISTORY
     worst, led = 0.0, 0.0
     for k in range(3):
-        m.axis_work[k] = m.gyro_rates_prev[k] + s.dt * m.rotor_force[now, ROTOR_ANG_ACCEL + k] + m.ang_accel_bias[k]
+        m.axis_work[k] = (
+            m.gyro_rates_prev[k] + s.dt * m.rotor_model_rows[now, ROTOR_ANG_ACCEL + k] + m.model_rate_step_bias[k]
+        )
         off = m.gyro_rates[k] - m.axis_work[k]
         worst = max(worst, abs(off))
         # A spike may consist of two steps that would each pass.
         led = max(led, abs(_GYRO_RESIDUAL_CARRY_FRACTION * m.spike_residual_carry[k] + off))
         # Error of the model's moments, in flight and on the legs
-        m.ang_accel_bias[k] += (
+        m.model_rate_step_bias[k] += (
             _ANG_ACCEL_BIAS_GAIN * min(max(off, -_GYRO_SPIKE_RATE_RAD_S), _GYRO_SPIKE_RATE_RAD_S)
             if m.flight_phase >= PHASE_LIFTING_OFF
             else 0.0
@@ -310,7 +312,9 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
     # A model with repeated errors cannot distinguish a spike from a motion. Agreeing spikes are one error.
     most = _GYRO_SPIKE_RATE_RAD_S + _GYRO_SPIKE_RESIDUAL_FACTOR * m.rate_residual_lp
     m.rate_residual_lp += 0.0 if alike else 0.1 * (min(worst, _GYRO_SPIKE_RATE_RAD_S) - m.rate_residual_lp)
-    m.divergence_ticks = max(m.divergence_ticks - 1, min(m.divergence_ticks, 1))  # a past divergence is remembered
+    # A past divergence is remembered.
+    left = m.divergence_recovery_ticks_left
+    m.divergence_recovery_ticks_left = max(left - 1, min(left, 1))
     if not flying or s.has_rotor_model == 0:
         m.equal_spike_count = 0
         return
@@ -330,12 +334,12 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
             set_fault(m, s, READING_RATES, STATUS_FUSED, REASON_SPIKES, worst)
     small = True
     for k in range(3):
-        small = small and abs(m.gyro_offset[k] + (m.gyro_rates[k] - m.axis_work[k])) < _MAX_GYRO_OFFSET_RAD_S
+        small = small and abs(m.gyro_offset_jump[k] + (m.gyro_rates[k] - m.axis_work[k])) < _MAX_GYRO_OFFSET_RAD_S
     if m.equal_spike_count >= _GYRO_JUMP_REPEATS and small:
         # A sudden offset is no motion. It is subtracted from the following readings.
         for k in range(3):
             off = m.gyro_rates[k] - m.axis_work[k]
-            m.gyro_offset[k] += off
+            m.gyro_offset_jump[k] += off
             inflate_variance(
                 m.u_transposed, m.ud_diagonal, ERROR_GYRO_BIAS + k, 0.1 * off * (0.1 * off), m.u_transposed_h
             )
@@ -353,18 +357,18 @@ def check_rotor_speed(m: FilterMemory, s: FilterSettings, z: _Array, start: int)
     """Return whether measured rotor speeds agree with the motor equations.
 
     The filter estimates the error of these equations, including a slow sensor drift, within a second. In flight the
-    error is nearly constant: ``m.motor_accel_mean`` is its mean over some seconds."""
+    error is nearly constant: ``m.rotor_spin_accel_bias_mean`` is its mean over some seconds."""
     worst, away = 0.0, 0.0
     k = READING_ROTOR_SPEED
     flown = (m.tick - m.last_grounded_tick) * s.dt
     for j in range(2):
-        worst = max(worst, abs(z[start + j] - m.rotor_state[MODEL_SPEED_UPPER + j]) / s.hover_speed[j])
-        away = max(away, abs(m.motor_accel_bias[j] - m.motor_accel_mean[j]) / s.hover_speed[j])
+        worst = max(worst, abs(z[start + j] - m.flight_model_state[MODEL_SPEED_UPPER + j]) / s.hover_speed[j])
+        away = max(away, abs(m.rotor_spin_accel_bias[j] - m.rotor_spin_accel_bias_mean[j]) / s.hover_speed[j])
     # On the floor the motor equations are adapted.
     if m.flight_phase == PHASE_FLYING:
         if flown > _ROTOR_ACCEL_SETTLING_S and away > _ROTOR_ACCEL_LIMIT:
             for j in range(2):
-                m.motor_accel_bias[j] = m.motor_accel_mean[j]
+                m.rotor_spin_accel_bias[j] = m.rotor_spin_accel_bias_mean[j]
             mark_rejected(m, s, k, REASON_INNOVATION, worst * s.hover_speed[0])
             return False
         if worst > (_ROTOR_SPEED_RECOVERY_GATE if m.reject_score[k] > 0.5 else _ROTOR_SPEED_GATE):
@@ -372,7 +376,7 @@ def check_rotor_speed(m: FilterMemory, s: FilterSettings, z: _Array, start: int)
             return False
     share = s.sensor_period[k] / max(min(flown, _ROTOR_ACCEL_MEAN_S), s.sensor_period[k])
     for j in range(2):
-        m.motor_accel_mean[j] += share * (m.motor_accel_bias[j] - m.motor_accel_mean[j])
+        m.rotor_spin_accel_bias_mean[j] += share * (m.rotor_spin_accel_bias[j] - m.rotor_spin_accel_bias_mean[j])
     mark_fused(m, k)
     return True
 

@@ -215,7 +215,7 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     real_t along;
 
 #if MAP_NODES > 1
-    if (p->map_nodes > 0) {
+    if (p->map_node_count > 0) {
         loads_from_map(x, wind, p, &k);
     }
 #endif
@@ -255,7 +255,7 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     }
     fx = (f_up[0] + f_dw[0]) - ((p->drag_over_speed2_x * real_abs(air[0])) * air[0]);
     fy = (f_up[1] + f_dw[1]) - ((p->drag_over_speed2_y * real_abs(air[1])) * air[1]);
-    downwash = p->downwash *
+    downwash = p->downwash_drag *
                real_min(REAL(1.0), (REAL(2.0) * (thrust_up + thrust_dw)) / (p->mass * GRAVITY));
     fz = ((f_up[2] + f_dw[2]) - ((p->drag_over_speed2_z * real_abs(air[2])) * air[2])) + downwash;
     mx = (-p->z_up * f_up[1]) - (p->z_dw * f_dw[1]);

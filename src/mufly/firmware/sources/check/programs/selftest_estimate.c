@@ -21,11 +21,11 @@ static void move_along_hop(hop_t *hop, const estimator_t *m, int32_t k)
     real_t gain;
 
     for (int32_t i = 0; i < 2; i++) {
-        const real_t off = ((wanted * s->hover_speed[i]) - m->rotor_state[MODEL_SPEED_UPPER + i]) / s->hover_speed[i];
+        const real_t off = ((wanted * s->hover_speed[i]) - m->flight_model_state[MODEL_SPEED_UPPER + i]) / s->hover_speed[i];
 
         hop->motor[i] = (k < STANDING_PERIODS) ? REAL(0.0) : real_clip(REAL(0.75) + (REAL(4.0) * off), REAL(0.0), REAL(1.0));
     }
-    hop->force = m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_THRUST_ACCEL + 2];
+    hop->force = m->rotor_model_rows[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_THRUST_ACCEL + 2];
     gain = -hop->force - GRAVITY;
     if ((hop->height <= REAL(0.0)) && (gain < REAL(0.0))) {
         hop->climb = REAL(0.0);
@@ -83,13 +83,13 @@ static void make_readings(const hop_t *hop, const estimator_t *m, int32_t k, rea
     for (int32_t b = 0; b < MAX_FUSED_BEAMS; b++) {
         z[READING_STARTS[READING_RANGE_RING] + b] = wall_range(s->beam_directions[b]) + random_number(REAL(0.02));
     }
-    z[READING_STARTS[READING_PRESSURE]] = (s->pressure_height_slope * down) + random_number(REAL(2.0));
+    z[READING_STARTS[READING_PRESSURE]] = (s->pressure_gradient_down * down) + random_number(REAL(2.0));
     z[READING_STARTS[READING_POSITION_FIX] + 2] += down;
     z[READING_STARTS[READING_POSITION_FIX] + 3] = random_number(REAL(0.02));
-    battery_state(m->rotor_state, hop->motor[0], hop->motor[1], &mufly_flight_model, &voltage, &current);
+    battery_state(m->flight_model_state, hop->motor[0], hop->motor[1], &mufly_flight_model, &voltage, &current);
     z[READING_STARTS[READING_BATTERY]] = voltage + random_number(REAL(0.05));
     for (int32_t i = 0; i < 2; i++) {
-        z[READING_STARTS[READING_ROTOR_SPEED] + i] = m->rotor_state[MODEL_SPEED_UPPER + i] + random_number(REAL(2.0));
+        z[READING_STARTS[READING_ROTOR_SPEED] + i] = m->flight_model_state[MODEL_SPEED_UPPER + i] + random_number(REAL(2.0));
         z[ACTUATOR_START + i] = hop->motor[i];
         z[ACTUATOR_START + 2 + i] = random_number(REAL(0.05));
     }

@@ -30,14 +30,14 @@ void estimator_reset(estimator_t *m, const estimator_settings_t *s)
         m->bias_walk_scale[i] = REAL(1.0);
     }
     m->task_stage = STAGE_DONE;
-    m->sonar_min_seen_range = s->sonar_min_range;
+    m->sonar_effective_min_range = s->sonar_min_range;
     m->x_output[NOMINAL_ATTITUDE] = REAL(1.0);
-    m->rotor_state[MODEL_ATTITUDE] = REAL(1.0);
-    m->rotor_state[MODEL_CHARGE] = REAL(1.0);
-    m->rotor_state[MODEL_POSITION + 2] = REAL(-1000.0); /* far above the floor */
-    m->rotor_state[MODEL_BAR + 2] = REAL(-1.0);
+    m->flight_model_state[MODEL_ATTITUDE] = REAL(1.0);
+    m->flight_model_state[MODEL_CHARGE] = REAL(1.0);
+    m->flight_model_state[MODEL_POSITION + 2] = REAL(-1000.0); /* far above the floor */
+    m->flight_model_state[MODEL_BAR + 2] = REAL(-1.0);
     for (int32_t k = 0; k < 3; k++) {
-        m->accel_noise_slow[k] = INITIAL_ACCEL_NOISE_DENSITY;
+        m->accel_low_frequency_noise_density[k] = INITIAL_ACCEL_NOISE_DENSITY;
     }
 }
 
@@ -57,11 +57,11 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
     for (int32_t k = 0; k < 3; k++) {
         m->gyro_rates_prev[k] = m->gyro_rates[k];
         if (m->status[READING_RATES] < STATUS_MISSING) {
-            m->gyro_rates[k] = z[READING_STARTS[READING_RATES] + k] - m->gyro_offset[k];
+            m->gyro_rates[k] = z[READING_STARTS[READING_RATES] + k] - m->gyro_offset_jump[k];
         } else if ((s->has_rotor_model > 0) && (m->flight_phase >= PHASE_LIFTING_OFF)) {
             /* Rates of the rotor model. The stabiliser bar keeps the rotors level, so only yaw drifts. */
             m->gyro_rates[k] =
-                (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[(m->tick - 1) % ROTOR_FORCE_HISTORY][ROTOR_ANG_ACCEL + k])) + m->ang_accel_bias[k];
+                (m->gyro_rates_prev[k] + (s->dt * m->rotor_model_rows[(m->tick - 1) % ROTOR_FORCE_HISTORY][ROTOR_ANG_ACCEL + k])) + m->model_rate_step_bias[k];
         } else {
             m->gyro_rates[k] = m->x_output[NOMINAL_GYRO_BIAS + k];
         }
@@ -99,7 +99,7 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
             seen = false;
         }
     }
-    if (m->is_levelled == 1) {
+    if (m->has_levelling_rotation == 1) {
         for (int32_t k = READING_STARTS[READING_ACCELERATION]; k < (READING_STARTS[READING_RATES] + 3); k++) {
             z[k] = m->last_value[k];
         }

@@ -21,7 +21,7 @@ static bool queue_measurement(estimator_t *m, const estimator_settings_t *s, int
                 waits = true;
                 m->queue_due[i] = due;
                 m->queue_sensor[i] = kind;
-                m->queue_ahead[i] = ahead;
+                m->queue_time_in_period[i] = ahead;
                 for (int32_t j = 0; j < (READING_STARTS[kind + 1] - READING_STARTS[kind]); j++) {
                     m->queue_value[i][j] = z[j];
                 }
@@ -87,8 +87,8 @@ void predict_bias(estimator_t *m, const estimator_settings_t *s)
 {
     const int32_t turn = ERROR_GYRO_BIAS + wrap_index(m->tick, BIAS_CYCLE_TICKS);
     const int32_t k = (turn >= ERROR_FIX_BIAS) ? (turn + ((ERROR_FIX_HEADING + 1) - ERROR_FIX_BIAS)) : turn;
-    const bool adrift = (k < (ERROR_GYRO_BIAS + 3)) && (m->divergence_ticks > 0);
-    const real_t may = (m->divergence_ticks > 1) ? DIVERGED_GYRO_BIAS_WALK : POST_DIVERGENCE_GYRO_BIAS_WALK;
+    const bool adrift = (k < (ERROR_GYRO_BIAS + 3)) && (m->divergence_recovery_ticks_left > 0);
+    const real_t may = (m->divergence_recovery_ticks_left > 1) ? DIVERGED_GYRO_BIAS_WALK : POST_DIVERGENCE_GYRO_BIAS_WALK;
     real_t origin = s->initial_state[k + 1];
     real_t keep = s->decay[k];
     real_t q = s->process_variance[k] + (adrift ? ((may * may) * ((real_t)BIAS_CYCLE_TICKS * s->dt)) : REAL(0.0));
@@ -101,16 +101,16 @@ void predict_bias(estimator_t *m, const estimator_settings_t *s)
         const int32_t i = k - ERROR_GYRO_BIAS;
         const real_t turning = (real_abs(m->yaw_rate) > MIN_CROSS_AXIS_YAW_RATE_RAD_S) ? m->yaw_rate : REAL(0.0);
 
-        if (m->cross_axis_yaw_rate[i] != REAL(0.0)) {
-            keep = turning / m->cross_axis_yaw_rate[i];
-            q += (turning == REAL(0.0)) ? m->gyro_bias_before_yaw_variance[i] : REAL(0.0);
+        if (m->yaw_rate_in_gyro_bias[i] != REAL(0.0)) {
+            keep = turning / m->yaw_rate_in_gyro_bias[i];
+            q += (turning == REAL(0.0)) ? m->gyro_bias_at_zero_yaw_rate_variance[i] : REAL(0.0);
         } else {
-            m->gyro_bias_before_yaw[i] = m->x[k + 1];
-            m->gyro_bias_before_yaw_variance[i] = state_variance(m, k);
+            m->gyro_bias_at_zero_yaw_rate[i] = m->x[k + 1];
+            m->gyro_bias_at_zero_yaw_rate_variance[i] = state_variance(m, k);
             q += (s->gyro_axis_variance[i] + m->mount_variance[i]) * (turning * turning);
         }
-        origin = m->gyro_bias_before_yaw[i];
-        m->cross_axis_yaw_rate[i] = turning;
+        origin = m->gyro_bias_at_zero_yaw_rate[i];
+        m->yaw_rate_in_gyro_bias[i] = turning;
     }
     m->x[k + 1] = origin + ((m->x[k + 1] - origin) * keep);
     if (q > REAL(0.0)) {
@@ -190,7 +190,7 @@ void clear_block_forces(estimator_t *m)
         m->accel_per_thrust_scale[k] = REAL(0.0);
         m->accel_per_air_velocity[k] = REAL(0.0);
     }
-    m->max_innovation_ratio = REAL(0.0);
+    m->max_accel_model_ratio = REAL(0.0);
     m->block_mean_ticks = 0;
 }
 

@@ -12,21 +12,21 @@
 static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s, const real_t z[INPUT_VALUE_COUNT])
 {
     const real_t lift =
-        (s->has_rotor_model > 0) ? ((-m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_THRUST_ACCEL + 2] * m->x[NOMINAL_THRUST_SCALE]) / GRAVITY) : REAL(1.0);
+        (s->has_rotor_model > 0) ? ((-m->rotor_model_rows[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_THRUST_ACCEL + 2] * m->x[NOMINAL_THRUST_SCALE]) / GRAVITY) : REAL(1.0);
     const real_t height = height_above_ground(m->x_output, s);
     const bool off = (z[ACTUATOR_START] + z[ACTUATOR_START + 1]) < REAL(0.02);
     /* Rotors with more lift than modelled leave the floor earlier, others later. */
     const real_t doubt = (s->has_rotor_model > 0) ? (LIFTOFF_THRUST_SIGMA_LIMIT * m->sigma_output[ERROR_THRUST_SCALE]) : REAL(0.0);
     /* The sonar is newer than the estimated height, except below the floor. */
     const bool says = (m->status[READING_SONAR] == STATUS_FUSED) && (height < MAX_SONAR_LIFTOFF_HEIGHT_M) && (m->x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT_M);
-    const bool near = says && (m->last_value[READING_STARTS[READING_SONAR]] <= (m->sonar_min_seen_range + (REAL(0.5) * s->sonar_resolution)));
-    const bool clear = says && (m->last_value[READING_STARTS[READING_SONAR]] > (m->sonar_min_seen_range + SONAR_LIFTOFF_EXCESS_M));
+    const bool near = says && (m->last_value[READING_STARTS[READING_SONAR]] <= (m->sonar_effective_min_range + (REAL(0.5) * s->sonar_resolution)));
+    const bool clear = says && (m->last_value[READING_STARTS[READING_SONAR]] > (m->sonar_effective_min_range + SONAR_LIFTOFF_EXCESS_M));
 
     real_t rises = REAL(0.0);
 
     m->is_sonar_at_minimum = near ? 1 : 0;
     if (m->flight_phase <= PHASE_MOTORS_RUNNING) {
-        const real_t turning = m->rotor_state[MODEL_SPEED_UPPER] + m->rotor_state[MODEL_SPEED_LOWER];
+        const real_t turning = m->flight_model_state[MODEL_SPEED_UPPER] + m->flight_model_state[MODEL_SPEED_LOWER];
         const bool stands = turning <= (STOPPED_ROTOR_SPEED_FRACTION * (s->hover_speed[0] + s->hover_speed[1]));
 
         m->flight_phase = stands ? PHASE_STANDING : PHASE_ROTORS_COASTING;
@@ -52,7 +52,7 @@ static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s,
     } else {
         /* flies on */
     }
-    if (off && (m->flight_phase >= PHASE_LIFTING_OFF) && (height < REAL(0.05)) && (m->rotor_state[MODEL_SPEED_UPPER] < (REAL(0.3) * s->hover_speed[0]))) {
+    if (off && (m->flight_phase >= PHASE_LIFTING_OFF) && (height < REAL(0.05)) && (m->flight_model_state[MODEL_SPEED_UPPER] < (REAL(0.3) * s->hover_speed[0]))) {
         m->flight_phase = PHASE_MOTORS_RUNNING;
     }
     if (m->flight_phase != PHASE_FLYING) {
@@ -65,19 +65,19 @@ static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s,
 static void update_rotor_model(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, const real_t *z,
                       const int32_t *fresh)
 {
-    predict_rotor_force(m, s, p, m->axis_work, m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)]);
+    predict_rotor_force(m, s, p, m->axis_work, m->rotor_model_rows[wrap_index(m->tick, ROTOR_FORCE_HISTORY)]);
     for (int32_t k = 0; k < 2; k++) {
-        m->rotor_state[MODEL_SPEED_UPPER + k] += s->dt * m->motor_accel_bias[k];
+        m->flight_model_state[MODEL_SPEED_UPPER + k] += s->dt * m->rotor_spin_accel_bias[k];
     }
     if (fresh[READING_ROTOR_SPEED] == 1) {
         const real_t *speed = &z[READING_STARTS[READING_ROTOR_SPEED]];
 
         if (check_rotor_speed(m, s, speed)) {
             for (int32_t k = 0; k < 2; k++) {
-                const real_t off = speed[k] - m->rotor_state[MODEL_SPEED_UPPER + k];
+                const real_t off = speed[k] - m->flight_model_state[MODEL_SPEED_UPPER + k];
 
-                m->rotor_state[MODEL_SPEED_UPPER + k] += s->rotor_speed_gain * off;
-                m->motor_accel_bias[k] += s->motor_accel_bias_gain * off;
+                m->flight_model_state[MODEL_SPEED_UPPER + k] += s->rotor_speed_filter_gain * off;
+                m->rotor_spin_accel_bias[k] += s->rotor_spin_accel_bias_gain * off;
             }
         }
     }
@@ -86,13 +86,13 @@ static void update_rotor_model(estimator_t *m, const estimator_settings_t *s, co
         real_t current;
         real_t off;
 
-        battery_state(m->rotor_state, m->actuators[0], m->actuators[1], p, &voltage, &current);
+        battery_state(m->flight_model_state, m->actuator_inputs[0], m->actuator_inputs[1], p, &voltage, &current);
         off = z[READING_STARTS[READING_BATTERY]] - voltage;
         if (check_battery_voltage(m, s, off)) {
             const real_t fast = (((real_t)m->tick * s->dt) < REAL(1.0)) ? REAL(0.2) : REAL(0.02);
 
-            m->rotor_state[MODEL_CHARGE] =
-                real_min(real_max(m->rotor_state[MODEL_CHARGE] + (fast * off), REAL(0.0)), REAL(1.0));
+            m->flight_model_state[MODEL_CHARGE] =
+                real_min(real_max(m->flight_model_state[MODEL_CHARGE] + (fast * off), REAL(0.0)), REAL(1.0));
         }
     }
 }
@@ -137,7 +137,7 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
     for (int32_t j = 0; j < 4; j++) {
         const real_t sent = z[ACTUATOR_START + j];
 
-        m->actuators[j] = (sent == sent) ? real_min(real_max(sent, REAL(-1.0)), REAL(1.0)) : REAL(0.0);
+        m->actuator_inputs[j] = (sent == sent) ? real_min(real_max(sent, REAL(-1.0)), REAL(1.0)) : REAL(0.0);
     }
     rotation_matrix(&m->x_output[NOMINAL_ATTITUDE], r);
     n = m->x_output[NOMINAL_VELOCITY] - m->x_output[NOMINAL_WIND];
@@ -145,7 +145,7 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
     d = m->x_output[NOMINAL_VELOCITY + 2];
     for (int32_t k = 0; k < 3; k++) {
         m->axis_work[k] = ((r[k] * n) + (r[3 + k] * e)) + (r[6 + k] * d);
-        m->rotor_state[MODEL_RATES + k] = m->gyro_rates[k] - m->x_output[NOMINAL_GYRO_BIAS + k];
+        m->flight_model_state[MODEL_RATES + k] = m->gyro_rates[k] - m->x_output[NOMINAL_GYRO_BIAS + k];
     }
     if (s->has_rotor_model > 0) {
         update_rotor_model(m, s, p, z, fresh);
@@ -155,7 +155,7 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
         const real_t clip = (m->clipped_fraction[k] * CLIPPING_ERROR_FRACTION) * s->accel_range;
         /* Without vibration; but if the attitude is unknown, the model's force is the better one. */
         const real_t noise = (m->status[READING_RATES] < STATUS_MISSING)
-                                 ? m->accel_noise_slow[k]
+                                 ? m->accel_low_frequency_noise_density[k]
                                  : (m->vibration_velocity_variance[k] / ((real_t)FORCE_MEAN_TICKS * s->dt));
         real_t felt = ((s->has_rotor_model > 0) ? real_max(s->accel_noise_density, noise) : s->accel_noise_density) + ((TWICE_ACCEL_ERROR_CORRELATION_S * clip) * clip);
         real_t made = s->model_accel_noise_density[k];
@@ -164,8 +164,8 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
         row[k] = REAL(0.5) * (m->gyro_rates[k] + m->gyro_rates_prev[k]);
         row[INPUT_ACCEL + k] = z[k];
         for (int32_t g = 0; g < 3; g++) {
-            row[INPUT_THRUST_ACCEL + (3 * g) + k] = ((REAL(1.0) - s->imu_lag_remainder) * m->rotor_force[a][ROTOR_THRUST_ACCEL + (3 * g) + k]) +
-                                   (s->imu_lag_remainder * m->rotor_force[b][ROTOR_THRUST_ACCEL + (3 * g) + k]);
+            row[INPUT_THRUST_ACCEL + (3 * g) + k] = ((REAL(1.0) - s->imu_lag_remainder) * m->rotor_model_rows[a][ROTOR_THRUST_ACCEL + (3 * g) + k]) +
+                                   (s->imu_lag_remainder * m->rotor_model_rows[b][ROTOR_THRUST_ACCEL + (3 * g) + k]);
         }
         if (m->flight_phase <= PHASE_MOTORS_RUNNING) {
             row[INPUT_THRUST_ACCEL + k] = REAL(0.0);
@@ -223,7 +223,7 @@ static void backdate_accel_noise(estimator_t *m, const estimator_settings_t *s, 
     for (int32_t at = m->horizon_tick; at < m->tick; at += s->block_ticks) {
         real_t *e = input_block(m, s, at);
         const real_t share = real_max(e[INPUT_ACCEL_WEIGHT + k], REAL(1e-9));
-        const real_t felt = real_max(e[INPUT_NOISE_DENSITY + k] / share, m->accel_noise_slow[k]);
+        const real_t felt = real_max(e[INPUT_NOISE_DENSITY + k] / share, m->accel_low_frequency_noise_density[k]);
         const real_t made = e[INPUT_NOISE_DENSITY + k] / real_max(REAL(1.0) - share, REAL(1e-9));
 
         e[INPUT_ACCEL_WEIGHT + k] = made / (felt + made);
@@ -273,12 +273,12 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
                 }
             }
             density = real_min(density, REAL(100.0));
-            most = real_max((density > m->accel_noise_slow[k]) ? REAL(0.6) : REAL(0.2),
+            most = real_max((density > m->accel_low_frequency_noise_density[k]) ? REAL(0.6) : REAL(0.2),
                             REAL(1.0) / (real_t)(m->slow_residual_mean_count + 1));
             m->slow_residual_mean_prev[k] = mean;
             m->slow_residual_sum[k] = REAL(0.0);
             if (settled) {
-                m->accel_noise_slow[k] += most * (density - m->accel_noise_slow[k]);
+                m->accel_low_frequency_noise_density[k] += most * (density - m->accel_low_frequency_noise_density[k]);
                 if (density > made) {
                     backdate_accel_noise(m, s, k);
                 }
@@ -366,7 +366,7 @@ static void decide_levelling(estimator_t *m, const estimator_settings_t *s)
         const real_t turn[4] = {half, (REAL(0.5) * x) / half, (REAL(0.5) * y) / half, REAL(0.0)};
 
         rotation_matrix(turn, m->levelling_rotation);
-        m->is_levelled = 1;
+        m->has_levelling_rotation = 1;
         reset_to_level(m, s);
         set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, real_sqrt(q));
     }
@@ -399,7 +399,7 @@ void level_inertial_unit(estimator_t *m, const estimator_settings_t *s, real_t z
             }
         }
     }
-    if (m->is_levelled == 1) {
+    if (m->has_levelling_rotation == 1) {
         rotate_to_level(m, &z[READING_STARTS[READING_ACCELERATION]]);
     }
 }

@@ -71,7 +71,7 @@ static void propagate_covariance(estimator_t *m, const estimator_settings_t *s, 
     real_t transition[TRANSITION_SIZE];
 
     for (int32_t k = 0; k < 3; k++) {
-        m->axis_work[k] = m->now_velocity_gain[k] / span;
+        m->axis_work[k] = m->now_velocity_change[k] / span;
     }
     error_transition(m->inputs_now, span, r, m->axis_work, transition);
     for (int32_t i = 0; i < MOTION_STATE_COUNT; i++) {
@@ -90,9 +90,9 @@ static void propagate_covariance(estimator_t *m, const estimator_settings_t *s, 
         }
     }
     for (int32_t k = 0; k < 3; k++) {
-        m->covariance_output[k][k] += ((m->now_velocity_variance[k] * span) * span) / REAL(3.0);
-        m->covariance_output[k][ERROR_VELOCITY + k] += (m->now_velocity_variance[k] * span) / REAL(2.0);
-        m->covariance_output[ERROR_VELOCITY + k][ERROR_VELOCITY + k] += m->now_velocity_variance[k];
+        m->covariance_output[k][k] += ((m->now_added_velocity_variance[k] * span) * span) / REAL(3.0);
+        m->covariance_output[k][ERROR_VELOCITY + k] += (m->now_added_velocity_variance[k] * span) / REAL(2.0);
+        m->covariance_output[ERROR_VELOCITY + k][ERROR_VELOCITY + k] += m->now_added_velocity_variance[k];
         for (int32_t i = 0; i < 3; i++) {
             /* The filter integrates the vibration of the accelerometers */
             const real_t share = r[(3 * k) + i] * m->inputs_now[INPUT_ACCEL_WEIGHT + i];
@@ -150,8 +150,8 @@ static void repropagate_state(estimator_t *m, const estimator_settings_t *s, rea
 
         predict_state(m->x_repropagating, e, span, r, a);
         for (int32_t k = 0; k < 3; k++) {
-            m->repropagating_velocity_variance[k] += velocity_noise_density(r, k, e) * span;
-            m->repropagating_velocity_gain[k] += a[k] * span;
+            m->repropagating_added_velocity_variance[k] += velocity_noise_density(r, k, e) * span;
+            m->repropagating_velocity_change[k] += a[k] * span;
         }
         m->repropagating_tick += periods;
         m->repropagating_span += span;
@@ -159,10 +159,10 @@ static void repropagate_state(estimator_t *m, const estimator_settings_t *s, rea
     }
     if (come) {
         for (int32_t k = 0; k < 3; k++) {
-            m->now_velocity_variance[k] = m->repropagating_velocity_variance[k];
-            m->now_velocity_gain[k] = m->repropagating_velocity_gain[k];
-            m->repropagating_velocity_variance[k] = REAL(0.0);
-            m->repropagating_velocity_gain[k] = REAL(0.0);
+            m->now_added_velocity_variance[k] = m->repropagating_added_velocity_variance[k];
+            m->now_velocity_change[k] = m->repropagating_velocity_change[k];
+            m->repropagating_added_velocity_variance[k] = REAL(0.0);
+            m->repropagating_velocity_change[k] = REAL(0.0);
         }
         m->x_now_span = m->repropagating_span;
         m->repropagating_span = REAL(0.0);
@@ -197,7 +197,7 @@ void predict_output(estimator_t *m, const estimator_settings_t *s)
         x[NOMINAL_VELOCITY + k] += s->imu_lag * a[k];
         m->rates_output[k] = m->gyro_rates[k] - x[NOMINAL_GYRO_BIAS + k];
         if ((s->has_rotor_model > 0) && (m->flight_phase == PHASE_FLYING)) {
-            m->rates_output[k] += s->imu_lag * m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_ANG_ACCEL + k];
+            m->rates_output[k] += s->imu_lag * m->rotor_model_rows[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_ANG_ACCEL + k];
         }
     }
     rotate_attitude(x, s->imu_lag * m->rates_output[0], s->imu_lag * m->rates_output[1], s->imu_lag * m->rates_output[2], true);

@@ -146,12 +146,12 @@ void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t 
 void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, const real_t air[3],
                  real_t out[12])
 {
-    real_t *x = m->rotor_state;
+    real_t *x = m->flight_model_state;
     static const real_t zero_wind[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
     real_t dx[MODEL_STATES];
     const real_t dt = s->dt;
-    const real_t to_roll = p->swash_gain * real_min(real_max(m->actuators[U_SERVO_2], REAL(-1.0)), REAL(1.0));
-    const real_t to_pitch = -p->swash_gain * real_min(real_max(m->actuators[U_SERVO_1], REAL(-1.0)), REAL(1.0));
+    const real_t to_roll = p->swash_gain * real_min(real_max(m->actuator_inputs[U_SERVO_2], REAL(-1.0)), REAL(1.0));
+    const real_t to_pitch = -p->swash_gain * real_min(real_max(m->actuator_inputs[U_SERVO_1], REAL(-1.0)), REAL(1.0));
     const real_t roll = x[MODEL_SWASH_ROLL];
     const real_t pitch = x[MODEL_SWASH_PITCH];
     const real_t bar[3] = {x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2]};
@@ -171,7 +171,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     x[MODEL_VELOCITY + 2] = REAL(0.0);
     sine_cosine(x[MODEL_SWASH_ROLL], &swash.sin_a, &swash.cos_a);
     sine_cosine(x[MODEL_SWASH_PITCH], &swash.sin_b, &swash.cos_b);
-    flight_model(x, m->actuators, zero_wind, p, &swash, dx);
+    flight_model(x, m->actuator_inputs, zero_wind, p, &swash, dx);
     up = dx[MODEL_SPEED_UPPER];
     dw = dx[MODEL_SPEED_LOWER];
     x[MODEL_SPEED_UPPER] += (REAL(0.5) * dt) * up;
@@ -185,7 +185,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     for (int32_t k = 0; k < 3; k++) {
         x[MODEL_BAR + k] = REAL(0.5) * (bar[k] + normal[k]);
     }
-    flight_model(x, m->actuators, zero_wind, p, &swash, dx);
+    flight_model(x, m->actuator_inputs, zero_wind, p, &swash, dx);
     still[0] = dx[MODEL_VELOCITY];
     still[1] = dx[MODEL_VELOCITY + 1];
     still[2] = dx[MODEL_VELOCITY + 2] - GRAVITY;
@@ -193,7 +193,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
         out[k] = still[k];
         x[MODEL_VELOCITY + k] = air[k];
     }
-    flight_model(x, m->actuators, zero_wind, p, &swash, dx);
+    flight_model(x, m->actuator_inputs, zero_wind, p, &swash, dx);
     for (int32_t k = 0; k < 3; k++) {
         out[ROTOR_ANG_ACCEL + k] = dx[MODEL_RATES + k];
     }
@@ -203,7 +203,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     for (int32_t k = 0; k < 3; k++) {
         x[MODEL_VELOCITY + k] = air[k] + DRAG_SLOPE_STEP_M_S;
     }
-    flight_model(x, m->actuators, zero_wind, p, &swash, dx);
+    flight_model(x, m->actuator_inputs, zero_wind, p, &swash, dx);
     out[ROTOR_ACCEL_PER_VELOCITY] = real_min((dx[MODEL_VELOCITY] - moving[0]) / DRAG_SLOPE_STEP_M_S, REAL(0.0));
     out[ROTOR_ACCEL_PER_VELOCITY + 1] = real_min((dx[MODEL_VELOCITY + 1] - moving[1]) / DRAG_SLOPE_STEP_M_S, REAL(0.0));
     out[ROTOR_ACCEL_PER_VELOCITY + 2] = real_min(((dx[MODEL_VELOCITY + 2] - GRAVITY) - moving[2]) / DRAG_SLOPE_STEP_M_S, REAL(0.0));

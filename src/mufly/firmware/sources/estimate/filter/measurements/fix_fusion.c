@@ -39,7 +39,7 @@ static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i,
 /* Return the estimated variance of component i of the fix. */
 static real_t fix_variance(const estimator_t *m, const estimator_settings_t *s, int32_t i)
 {
-    return (i < FIX_HEADING) ? (s->fix_variance * m->noise_scale[AID_POSITION]) : (s->heading_variance * m->noise_scale[AID_HEADING]);
+    return (i < FIX_HEADING) ? (s->fix_variance * m->noise_scale[AID_POSITION]) : (s->fix_heading_variance * m->noise_scale[AID_HEADING]);
 }
 
 /* Return the estimated variance of the bias of component i of the fix. */
@@ -203,7 +203,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
     /* Growing ratios of one sign show that the filter diverges, not that the fix jumps. */
     settled = ((real_t)(m->tick - m->last_grounded_tick) * s->dt) > SETTLING_TIME_S;
     lasting = settled && (largest_mean_ratio(m) > LASTING_FIX_INNOVATION_RATIO);
-    led = (s->has_rotor_model > 0) && lasting && (m->fix_ratio_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
+    led = (s->has_rotor_model > 0) && lasting && (m->fix_max_ratio_squared_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
           (real_abs(worst) < (REAL(2.0) * INNOVATION_GATE));
     if ((real_abs(worst) > INNOVATION_GATE) && !led) {
         /* A height that differs from the sonar's does not show which of the two is wrong. */
@@ -219,14 +219,14 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
         mark_height_fault(m);
     }
     /* Large ratios of one sign show an unmodelled error of the filter. */
-    m->fix_ratio_lp += REAL(0.15) * ((worst * worst) - m->fix_ratio_lp);
+    m->fix_max_ratio_squared_lp += REAL(0.15) * ((worst * worst) - m->fix_max_ratio_squared_lp);
     for (int32_t i = 0; i < FIX_COMPONENT_COUNT; i++) {
         if ((i != FIX_DOWN) || down) {
             estimate_fix_noise(m, i);
         }
     }
     out = real_max(real_max(fix_bias_ratio(m, s, FIX_NORTH), fix_bias_ratio(m, s, FIX_EAST)), fix_bias_ratio(m, s, FIX_HEADING));
-    if (led || (lasting && (m->fix_ratio_lp > FIX_MEAN_SQUARE_GATE)) || ((out > REAL(1.0)) && settled)) {
+    if (led || (lasting && (m->fix_max_ratio_squared_lp > FIX_MEAN_SQUARE_GATE)) || ((out > REAL(1.0)) && settled)) {
         reset_on_divergence(m, s);
         set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at);
     }
@@ -239,8 +239,8 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
     for (int32_t i = 0; i < 3; i++) {
         const real_t most = (MAX_GYRO_BIAS_SIGMAS * s->initial_sigma[ERROR_GYRO_BIAS + i]) + (REAL(2.0) * m->sigma_output[ERROR_GYRO_BIAS + i]);
 
-        if ((real_abs(m->gyro_bias_before_yaw[i]) > most) && (m->status[READING_RATES] == STATUS_FUSED) && down) {
-            set_fault(m, s, READING_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m->gyro_bias_before_yaw[i]);
+        if ((real_abs(m->gyro_bias_at_zero_yaw_rate[i]) > most) && (m->status[READING_RATES] == STATUS_FUSED) && down) {
+            set_fault(m, s, READING_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m->gyro_bias_at_zero_yaw_rate[i]);
         }
     }
     mark_fused(m, k);

@@ -54,11 +54,11 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
 
     reject_measurement(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->sensor_period[k]), REASON_INNOVATION);
     floor_height = m->x[NOMINAL_TERRAIN] - nu;
-    step = (m->agree_count[k] >= 2) && (floor_height > MIN_TERRAIN_HEIGHT_M);
+    step = (m->agreeing_reject_count[k] >= 2) && (floor_height > MIN_TERRAIN_HEIGHT_M);
     if ((m->flight_phase <= PHASE_MOTORS_RUNNING) && (nu > REAL(0.0)) && (z[0] > nearest)) {
         /* On its legs the vehicle is at a known height: the sonar cannot measure ranges below this one. */
-        if (m->agree_count[k] >= 2) {
-            m->sonar_min_seen_range = z[0];
+        if (m->agreeing_reject_count[k] >= 2) {
+            m->sonar_effective_min_range = z[0];
         }
         taken = false;
     } else if (step && (m->terrain_steps >= MAX_TERRAIN_STEPS)) {
@@ -84,7 +84,7 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
         }
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
     } else {
-        if (m->agree_count[k] >= 2) {
+        if (m->agreeing_reject_count[k] >= 2) {
             set_fault(m, s, k, STATUS_REJECTED, REASON_INNOVATION, nu); /* a consistent range below the room's floor */
         }
         taken = false;
@@ -117,7 +117,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
     const int32_t k = READING_SONAR;
     real_t r[9];
     const real_t down = sonar_h_row(m, s, r);
-    const real_t nearest = m->sonar_min_seen_range + REAL(0.005);
+    const real_t nearest = m->sonar_effective_min_range + REAL(0.005);
     const real_t standing = s->ground_clearance - s->sonar_position[2];
     real_t said = z[0];
     real_t variance = s->sonar_variance * m->noise_scale[AID_SONAR];
@@ -345,12 +345,12 @@ static void fuse_drifting_aid(estimator_t *m, const estimator_settings_t *s, int
 /* Fuse the pressure less the standard one and less the rotors' part. */
 static void fuse_pressure(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
 {
-    const real_t variance = s->pressure_variance * m->noise_scale[AID_PRESSURE];
+    const real_t variance = s->pressure_noise_density * m->noise_scale[AID_PRESSURE];
     real_t nu;
 
-    h_row_begin(m, ERROR_POSITION + 2, s->pressure_height_slope);
+    h_row_begin(m, ERROR_POSITION + 2, s->pressure_gradient_down);
     h_row_add(m, ERROR_PRESSURE_BIAS, REAL(1.0));
-    nu = (z[0] - (s->pressure_height_slope * (m->x[NOMINAL_POSITION + 2] + (ahead * m->x[NOMINAL_VELOCITY + 2])))) - m->x[NOMINAL_PRESSURE_BIAS];
+    nu = (z[0] - (s->pressure_gradient_down * (m->x[NOMINAL_POSITION + 2] + (ahead * m->x[NOMINAL_VELOCITY + 2])))) - m->x[NOMINAL_PRESSURE_BIAS];
     fuse_drifting_aid(m, s, READING_PRESSURE, ERROR_PRESSURE_BIAS, nu, variance, z, 1, REAL(10.0) * real_sqrt(variance));
 }
 
@@ -403,7 +403,7 @@ int32_t measurement_cost(const estimator_t *m, const estimator_settings_t *s, in
 bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, int32_t cost)
 {
     const real_t *z = m->queue_value[i];
-    const real_t ahead = m->queue_ahead[i];
+    const real_t ahead = m->queue_time_in_period[i];
     bool all = true;
 
     switch (m->queue_sensor[i]) {
@@ -454,9 +454,9 @@ void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t 
     if ((real_abs(ratio) < INNOVATION_GATE) && (m->is_accel_distrusted == 0)) {
         apply_correction(m, nu, variance);
     }
-    if ((i == 0) || (real_abs(ratio) > m->max_innovation_ratio)) {
+    if ((i == 0) || (real_abs(ratio) > m->max_accel_model_ratio)) {
         log_innovation(m, READING_ACCELERATION, nu, ratio);
-        m->max_innovation_ratio = real_abs(ratio);
+        m->max_accel_model_ratio = real_abs(ratio);
     }
 }
 

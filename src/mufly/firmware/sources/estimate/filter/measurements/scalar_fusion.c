@@ -44,9 +44,9 @@ void apply_correction(estimator_t *m, real_t innovation, real_t variance)
     for (int32_t i = 0; i < ERROR_STATE_COUNT; i++) {
         m->gain[i] *= innovation;
     }
-    add_propagated_error(m->x, m->gain, REAL(0.0), m->repropagating_velocity_gain);
-    add_propagated_error(m->x_repropagating, m->gain, m->repropagating_span, m->repropagating_velocity_gain);
-    add_propagated_error(m->x_now, m->gain, m->x_now_span, m->now_velocity_gain);
+    add_propagated_error(m->x, m->gain, REAL(0.0), m->repropagating_velocity_change);
+    add_propagated_error(m->x_repropagating, m->gain, m->repropagating_span, m->repropagating_velocity_change);
+    add_propagated_error(m->x_now, m->gain, m->x_now_span, m->now_velocity_change);
 }
 
 void fuse_scalar(estimator_t *m, real_t innovation, real_t variance)
@@ -82,10 +82,10 @@ void reject_measurement(estimator_t *m, const estimator_settings_t *s, int32_t k
         m->rejected_value[k][j] = z[j];
     }
     if (alike) {
-        m->agree_count[k] += 1;
+        m->agreeing_reject_count[k] += 1;
     } else {
-        m->agree_count[k] = 0;
-        m->reject_since_tick[k] = m->horizon_tick;
+        m->agreeing_reject_count[k] = 0;
+        m->agreeing_reject_since_tick[k] = m->horizon_tick;
     }
     if ((k != READING_SONAR) && (real_abs(innovation) > ((REAL(2.0) * INNOVATION_GATE) * m->innovation_sigma[k]))) {
         m->reject_score[k] += REAL(1.0); /* no healthy sensor but a sonar with a second surface deviates so much */
@@ -95,7 +95,7 @@ void reject_measurement(estimator_t *m, const estimator_settings_t *s, int32_t k
 
 bool reset_timeout_expired(const estimator_t *m, const estimator_settings_t *s, int32_t k)
 {
-    return (m->agree_count[k] >= 3) && (((real_t)(m->horizon_tick - m->reject_since_tick[k]) * s->dt) >= RESET_TIMEOUT_S);
+    return (m->agreeing_reject_count[k] >= 3) && (((real_t)(m->horizon_tick - m->agreeing_reject_since_tick[k]) * s->dt) >= RESET_TIMEOUT_S);
 }
 
 void adapt_noise_scale(real_t *scale, real_t gain, real_t change)

@@ -25,7 +25,7 @@ real_t innovation_ratio(estimator_t *m, real_t innovation, real_t variance);
 /* Record innovation and standard deviation of a sensor. */
 void log_innovation(estimator_t *m, int32_t k, real_t innovation, real_t ratio);
 
-/* Reject a reading, and count in m->agree_count whether it agrees with the one rejected before. */
+/* Reject a reading, and count in m->agreeing_reject_count whether it agrees with the one rejected before. */
 void reject_measurement(estimator_t *m, const estimator_settings_t *s, int32_t k, real_t innovation, const real_t *z,
                       int32_t count, real_t near, int32_t why);
 

@@ -9,7 +9,7 @@ void set_fault(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t
     m->reason_number[k] = number;
     m->fault_until_tick[k] = m->tick + (int32_t)(FAULT_HOLD_S / s->dt);
     if (k == READING_POSITION_FIX) {
-        m->fault_component = m->worst_fix_component;
+        m->fix_fault_component = m->worst_fix_component;
     }
 }
 
@@ -17,7 +17,7 @@ void mark_fused(estimator_t *m, int32_t k)
 {
     m->last_fused_tick[k] = m->tick;
     m->reject_count[k] = 0;
-    m->agree_count[k] = 0;
+    m->agreeing_reject_count[k] = 0;
     m->reject_score[k] *= REJECT_SCORE_DECAY;
     if ((m->tick >= m->fault_until_tick[k]) && (m->reject_score[k] < REAL(1.0))) {
         m->status[k] = STATUS_FUSED;
@@ -108,9 +108,9 @@ static bool accept_sample(estimator_t *m, const estimator_settings_t *s, const r
             usable = false;
         }
     }
-    if (s->decimation[k] > 1) {
+    if (s->reading_decimation[k] > 1) {
         m->decimation_count[k] += 1;
-        m->is_decimated[k] = ((m->decimation_count[k] % s->decimation[k]) != 0) ? 1 : 0;
+        m->is_decimated[k] = ((m->decimation_count[k] % s->reading_decimation[k]) != 0) ? 1 : 0;
     }
     for (int32_t j = 0; j < count; j++) {
         m->last_value[READING_STARTS[k] + j] = z[j];
@@ -200,7 +200,7 @@ void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[INPU
 
 void reset_on_divergence(estimator_t *m, const estimator_settings_t *s)
 {
-    if (m->divergence_ticks <= 1) {
+    if (m->divergence_recovery_ticks_left <= 1) {
         for (int32_t k = 0; k < 3; k++) {
             inflate_by_sigma(m, ERROR_GYRO_BIAS + k, DIVERGED_GYRO_BIAS_SIGMA_RAD_S);
             inflate_by_sigma(m, ERROR_ATTITUDE + k, DIVERGED_ATTITUDE_SIGMA_RAD);
@@ -208,7 +208,7 @@ void reset_on_divergence(estimator_t *m, const estimator_settings_t *s)
         inflate_by_sigma(m, ERROR_VELOCITY, DIVERGED_SPEED_SIGMA_M_S);
         inflate_by_sigma(m, ERROR_VELOCITY + 1, DIVERGED_SPEED_SIGMA_M_S);
     }
-    m->divergence_ticks = (int32_t)(POST_DIVERGENCE_DURATION_S / s->dt);
+    m->divergence_recovery_ticks_left = (int32_t)(POST_DIVERGENCE_DURATION_S / s->dt);
 }
 
 void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool flying)
@@ -224,13 +224,14 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
     for (int32_t k = 0; k < 3; k++) {
         real_t off;
 
-        m->axis_work[k] = (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[now][ROTOR_ANG_ACCEL + k])) + m->ang_accel_bias[k];
+        m->axis_work[k] = (m->gyro_rates_prev[k] + (s->dt * m->rotor_model_rows[now][ROTOR_ANG_ACCEL + k])) + m->model_rate_step_bias[k];
         off = m->gyro_rates[k] - m->axis_work[k];
         worst = real_max(worst, real_abs(off));
         /* A spike may consist of two steps that would each pass. */
         led = real_max(led, real_abs((GYRO_RESIDUAL_CARRY_FRACTION * m->spike_residual_carry[k]) + off));
         /* Error of the model's moments, in flight and on the legs */
-        m->ang_accel_bias[k] += (m->flight_phase >= PHASE_LIFTING_OFF) ? (ANG_ACCEL_BIAS_GAIN * real_min(real_max(off, -GYRO_SPIKE_RATE_RAD_S), GYRO_SPIKE_RATE_RAD_S)) : REAL(0.0);
+        m->model_rate_step_bias[k] +=
+            (m->flight_phase >= PHASE_LIFTING_OFF) ? (ANG_ACCEL_BIAS_GAIN * real_min(real_max(off, -GYRO_SPIKE_RATE_RAD_S), GYRO_SPIKE_RATE_RAD_S)) : REAL(0.0);
     }
     for (int32_t k = 0; k < 3; k++) {
         alike = alike && (real_abs(m->gyro_rates[k] - m->rates_with_spikes[k]) < GYRO_SPIKE_AGREEMENT_RAD_S);
@@ -239,7 +240,9 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
     /* A model with repeated errors cannot distinguish a spike from a motion. Agreeing spikes are one error. */
     most = GYRO_SPIKE_RATE_RAD_S + (GYRO_SPIKE_RESIDUAL_FACTOR * m->rate_residual_lp);
     m->rate_residual_lp += alike ? REAL(0.0) : (REAL(0.1) * (real_min(worst, GYRO_SPIKE_RATE_RAD_S) - m->rate_residual_lp));
-    m->divergence_ticks = (m->divergence_ticks > 1) ? (m->divergence_ticks - 1) : m->divergence_ticks; /* a past divergence is remembered */
+    /* A past divergence is remembered. */
+    m->divergence_recovery_ticks_left =
+        (m->divergence_recovery_ticks_left > 1) ? (m->divergence_recovery_ticks_left - 1) : m->divergence_recovery_ticks_left;
     if ((!flying) || (s->has_rotor_model == 0)) {
         m->equal_spike_count = 0;
         return;
@@ -265,14 +268,14 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
         }
     }
     for (int32_t k = 0; k < 3; k++) {
-        small = small && (real_abs(m->gyro_offset[k] + (m->gyro_rates[k] - m->axis_work[k])) < MAX_GYRO_OFFSET_RAD_S);
+        small = small && (real_abs(m->gyro_offset_jump[k] + (m->gyro_rates[k] - m->axis_work[k])) < MAX_GYRO_OFFSET_RAD_S);
     }
     if ((m->equal_spike_count >= GYRO_JUMP_REPEATS) && small) {
         /* A sudden offset is no motion. It is subtracted from the following readings. */
         for (int32_t k = 0; k < 3; k++) {
             const real_t off = m->gyro_rates[k] - m->axis_work[k];
 
-            m->gyro_offset[k] += off;
+            m->gyro_offset_jump[k] += off;
             inflate_by_sigma(m, ERROR_GYRO_BIAS + k, REAL(0.1) * off);
         }
         m->equal_spike_count = 0;
@@ -292,23 +295,23 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
 bool check_rotor_speed(estimator_t *m, const estimator_settings_t *s, const real_t speed[2])
 {
     const real_t flown = (real_t)(m->tick - m->last_grounded_tick) * s->dt;
-    real_t *mean = m->motor_accel_mean; /* mean error of the motor equations */
+    real_t *mean = m->rotor_spin_accel_bias_mean; /* mean error of the motor equations */
     real_t worst = REAL(0.0);
     real_t away = REAL(0.0);
     bool led;
     bool off;
 
     for (int32_t k = 0; k < 2; k++) {
-        worst = real_max(worst, real_abs(speed[k] - m->rotor_state[MODEL_SPEED_UPPER + k]) / s->hover_speed[k]);
-        away = real_max(away, real_abs(m->motor_accel_bias[k] - mean[k]) / s->hover_speed[k]);
+        worst = real_max(worst, real_abs(speed[k] - m->flight_model_state[MODEL_SPEED_UPPER + k]) / s->hover_speed[k]);
+        away = real_max(away, real_abs(m->rotor_spin_accel_bias[k] - mean[k]) / s->hover_speed[k]);
     }
     /* On the floor the motor equations are adapted. */
     led = (m->flight_phase == PHASE_FLYING) && (flown > ROTOR_ACCEL_SETTLING_S) && (away > ROTOR_ACCEL_LIMIT);
     off = (m->flight_phase == PHASE_FLYING) && (worst > ((m->reject_score[READING_ROTOR_SPEED] > REAL(0.5)) ? ROTOR_SPEED_RECOVERY_GATE : ROTOR_SPEED_GATE));
     if (led || off) {
         if (led) {
-            m->motor_accel_bias[0] = mean[0];
-            m->motor_accel_bias[1] = mean[1];
+            m->rotor_spin_accel_bias[0] = mean[0];
+            m->rotor_spin_accel_bias[1] = mean[1];
         }
         mark_rejected(m, s, READING_ROTOR_SPEED, REASON_INNOVATION, worst * s->hover_speed[0]);
     } else {
@@ -316,7 +319,7 @@ bool check_rotor_speed(estimator_t *m, const estimator_settings_t *s, const real
         const real_t share = period / real_max(real_min(flown, ROTOR_ACCEL_MEAN_S), period);
 
         for (int32_t k = 0; k < 2; k++) {
-            mean[k] += share * (m->motor_accel_bias[k] - mean[k]);
+            mean[k] += share * (m->rotor_spin_accel_bias[k] - mean[k]);
         }
         mark_fused(m, READING_ROTOR_SPEED);
     }
