@@ -88,11 +88,11 @@ class Twin:
 
     def sight(self, s: avoidance.PathCheck):
         c = self.ffi.new("path_check_t *")
-        names = ("look_ahead_m", "checked_point_count", "path_distance_sq", "initial_path_distance_sq",
+        names = ("look_ahead_m", "checked_point_count", "path_clearance_sq", "path_start_clearance_sq",
                  "lateral_offset_sum", "blocking_point_count", "nearest_blocking_distance_sq")  # fmt: skip
         for name in names:
             setattr(c, name, getattr(s, name))
-        c.from_point, c.goal_point, c.goal_distance_sq = s[:3], s[3:5], s.goal_distance_sq
+        c.from_point, c.goal_point, c.goal_clearance_sq = s[:3], s[3:5], s.goal_clearance_sq
         c.nearest_blocking_point = (s.nearest_blocking_north, s.nearest_blocking_east)
         self.ffi.memmove(
             c.nearest_point_by_sector, s.nearest_point_by_sector.tobytes(), s.nearest_point_by_sector.nbytes

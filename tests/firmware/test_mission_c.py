@@ -193,7 +193,7 @@ def test_any_leg_is_the_same_in_both_languages(firmware, a, b, ends, heading, fi
     way = way.finish_curve()
     assert diff_fields(way, read_course(SimpleCourse(w))) == []
     for share in (-0.1, 0.0, 0.03, 0.2, 0.37, 0.5, 0.81, 0.999, 1.0, 1.1):
-        for t in (share * way.duration_s, share * way.departure_s):
+        for t in (share * way.duration_s, share * way.path_start_s):
             assert _point_of(ffi, lib.trajectory_evaluate, w, t) == tuple(way.evaluate(t))
 
 
@@ -376,7 +376,7 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
         "far": Command(waypoint=(0.0, 2e4, -1.0), heading=v.rng.choice((None, 0.1, math.inf))),
         "home": Command(return_requested=True),
         "land": Command(land=True),
-        "stop": Command(stop_reason=v.rng.choice(("emergency stop, motors off", "disarmed"))),
+        "stop": Command(motor_stop_reason=v.rng.choice(("emergency stop, motors off", "disarmed"))),
         "sticks": Command(
             rc_active=True, roll=u(-0.1, 0.1), pitch=0.02, yaw_rate=u(-0.5, 0.5), climb_rate=u(-0.6, 0.6)
         ),

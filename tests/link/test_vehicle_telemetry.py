@@ -74,7 +74,7 @@ def instant(state=FLYING, **known):
         "is_ready": True,
         "mission_progress": MissionProgress(2, 5, 3, 1),
         "origin": ORIGIN,
-        "chosen_mode": "",
+        "mode_on_arming": "",
         "commander_id": 0,
     }
     return TelemetryState(**{"vehicle": VEHICLE, "flight_state": state, "loss_ratio": 0.0, **told, **known})
@@ -250,7 +250,7 @@ def test_what_flies_it_is_in_the_base_mode():
         assert bool(base & m.MAV_MODE_FLAG_AUTO_ENABLED) is by_itself
         assert bool(base & m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED) is not by_itself
     for chosen, mode in (("take-off", mode_from_state("take-off")), ("mission", mode_from_state("waypoint"))):
-        beat = told("HEARTBEAT", instant(replace(FLYING, armed=False, state="init"), chosen_mode=chosen))
+        beat = told("HEARTBEAT", instant(replace(FLYING, armed=False, state="init"), mode_on_arming=chosen))
         assert beat.custom_mode == mode.main_mode << 16 | mode.sub_mode << 24
 
 

@@ -264,22 +264,22 @@ def test_what_a_point_means_for_a_way():
     far = np.hypot(0.5, 0.3)
     met = pytest.approx((far, -0.5 / far, -0.3 / far))
     assert sight.nearest_blocking_point((1.0, 0.0)) == sight.nearest_point((1.0, 0.0)) == met
-    assert sight.path_distance_sq == pytest.approx(0.3**2)
+    assert sight.path_clearance_sq == pytest.approx(0.3**2)
     assert sight.mean_blocking_offset == pytest.approx(0.3)
-    assert sight.goal_distance_sq == pytest.approx(3.0**2 + 0.3**2)
+    assert sight.goal_clearance_sq == pytest.approx(3.0**2 + 0.3**2)
     # Beyond the stretch that is looked at, behind, and at another height.
-    assert check_path(memory_of((2.0, 0.3, -1.0)), (0, 0, -1), (5, 0, -1), 0.39, 1.0).path_distance_sq == pytest.approx(
-        1.0 + 0.3**2
-    )
-    assert check_path(memory_of((-0.5, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).path_distance_sq == pytest.approx(
+    assert check_path(
+        memory_of((2.0, 0.3, -1.0)), (0, 0, -1), (5, 0, -1), 0.39, 1.0
+    ).path_clearance_sq == pytest.approx(1.0 + 0.3**2)
+    assert check_path(memory_of((-0.5, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).path_clearance_sq == pytest.approx(
         0.25
     )
     assert (
-        check_path(memory_of((-1.0, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).path_distance_sq == np.inf
+        check_path(memory_of((-1.0, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).path_clearance_sq == np.inf
     )  # too far to matter
-    assert check_path(memory_of((2.0, 0.0, -2.0)), (0, 0, -1), (5, 0, -1), 0.39).path_distance_sq == np.inf
+    assert check_path(memory_of((2.0, 0.0, -2.0)), (0, 0, -1), (5, 0, -1), 0.39).path_clearance_sq == np.inf
     # A way of no length is a point.
-    assert check_path(memory_of((2.0, 0.0, -1.0)), (0, 0, -1), (0, 0, -1), 0.39).path_distance_sq == pytest.approx(4.0)
+    assert check_path(memory_of((2.0, 0.0, -1.0)), (0, 0, -1), (0, 0, -1), 0.39).path_clearance_sq == pytest.approx(4.0)
 
 
 speed = st.floats(-1.0, 1.0)

@@ -134,7 +134,7 @@ def test_tipped_over_near_the_floor_stops_the_motors(rig, height, tilt, stops):
 )
 def test_a_stop_fails_a_flight_with_a_mission_or_without_but_not_none(rig, started, begun, outcome):
     plan, s = hovering(rig, has_taken_off=started, mission_begun=begun)
-    s, r = step_mission(plan, s, measured(), Command(stop_reason="emergency stop"))
+    s, r = step_mission(plan, s, measured(), Command(motor_stop_reason="emergency stop"))
     assert (s.state, s.outcome, s.finished, r.motors) == (State.INIT, outcome, outcome != "", "off")
 
 
@@ -310,7 +310,7 @@ def test_a_pilot_who_lets_go_in_a_dive_is_braked_to_the_floor_and_not_below(rig,
 
 def test_a_stop_stops_rotors_that_run_down_too(rig):
     plan, s = hovering(rig, state=State.INIT, motors="ramp_down", outcome="succeeded")
-    s, r = step_mission(plan, s, measured(x=(0.0, 0.0, -0.07)), Command(stop_reason="emergency stop"))
+    s, r = step_mission(plan, s, measured(x=(0.0, 0.0, -0.07)), Command(motor_stop_reason="emergency stop"))
     assert r.motors == "off"
     assert s.events[-1].text == "emergency stop"
 

@@ -49,10 +49,10 @@ def test_ends_limits_and_heading(a, b, psi, final, spline):
 @given(place, place, angle)
 def test_height_and_heading_come_first(a, b, psi):
     way = plan_straight(a, b, psi, LIMITS)
-    before = way.evaluate(way.departure_s * (1 - 1e-12))
+    before = way.evaluate(way.path_start_s * (1 - 1e-12))
     np.testing.assert_allclose(before.position[:2], a[:2], atol=1e-12)
     assert before.position[2] == pytest.approx(b[2], abs=1e-6)
-    gate = way.evaluate(way.departure_s)
+    gate = way.evaluate(way.path_start_s)
     np.testing.assert_allclose(gate.velocity, 0.0, atol=1e-9)
     flat = np.array(b[:2]) - np.array(a[:2])
     if np.linalg.norm(flat) > 0.01:

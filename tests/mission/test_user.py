@@ -225,7 +225,7 @@ def test_another_waypoint_of_the_mission_first(rig):
     "when", [0.5, ROTOR_SPIN_UP_TIME_S + 1.6, ROTOR_SPIN_UP_TIME_S + 8.0, ROTOR_SPIN_UP_TIME_S + 17.0]
 )
 def test_stop_turns_the_motors_off_from_any_state(rig, when):
-    script = Script((0.1, Command(start=True)), (when, Command(stop_reason="emergency stop")))
+    script = Script((0.1, Command(start=True)), (when, Command(motor_stop_reason="emergency stop")))
     flight = rig.fly(SQUARE, signals=script)
     assert flight.reference[-1].motors == "off"
     assert flight.time[-1] == pytest.approx(when, abs=0.03)

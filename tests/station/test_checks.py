@@ -125,8 +125,8 @@ def test_a_mission_under_way_needs_what_is_left_of_it():
     timing = compute_mission_timing(mission)
     for row, gone in (
         (1, timing.take_off_done_s),
-        (2, timing.legs[0].departure_s),
-        (3, timing.legs[1].departure_s),
+        (2, timing.legs[0].wait_end_s),
+        (3, timing.legs[1].wait_end_s),
     ):
         s = VehicleSnapshot(flying=True, mission_running=True, mission_row=row)
         assert estimate_mission_duration(items, s, {}, base=mission).duration_s == pytest.approx(timing.landed_s - gone)

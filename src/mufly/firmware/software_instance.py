@@ -219,7 +219,7 @@ class SoftwareInstance:
         to.has_take_off_height, to.take_off_height = c.take_off_height is not None, c.take_off_height or 0.0
         to.has_waypoint, to.waypoint = c.waypoint is not None, c.waypoint or (0.0, 0.0, 0.0)
         to.has_heading, to.heading = c.heading is not None, c.heading or 0.0
-        to.stop_reason = self.text_table.assign_number(c.stop_reason)
+        to.motor_stop_reason = self.text_table.assign_number(c.motor_stop_reason)
         to.roll, to.pitch, to.yaw_rate, to.climb_rate = c.roll, c.pitch, c.yaw_rate, c.climb_rate
         to.has_program_set_point = c.program_set_point is not None
         if c.program_set_point is not None:
@@ -321,7 +321,7 @@ class SoftwareInstance:
             next_beam=s.next_beam,
             path_check=read_path_check(s.path_check),
             detour=read_detour(s.detour) if s.has_detour else None,
-            resume_state=MISSION_STATES[s.resume_state],
+            state_after_detour=MISSION_STATES[s.state_after_detour],
             detour_duration_s=s.detour_duration_s,
             resumed_after_detour=s.resumed_after_detour,
             scan_duration_s=s.scan_duration_s,
@@ -385,7 +385,7 @@ def read_course(c: FFI.CData) -> Trajectory | BrakingMotion | None:
         read_profile(w.height_profile),
         read_profile(w.yaw_profile),
         read_profile(w.path_profile),
-        w.departure_s,
+        w.path_start_s,
         w.duration_s,
         curve,
         read_stop(w.initial_braking) if w.has_initial_braking else None,
@@ -407,9 +407,9 @@ def read_path_check(s: FFI.CData) -> PathCheck:
         goal_e,
         s.look_ahead_m,
         s.checked_point_count,
-        s.path_distance_sq,
-        s.initial_path_distance_sq,
-        s.goal_distance_sq,
+        s.path_clearance_sq,
+        s.path_start_clearance_sq,
+        s.goal_clearance_sq,
         s.lateral_offset_sum,
         s.blocking_point_count,
         s.nearest_blocking_distance_sq,

@@ -180,7 +180,7 @@ class Autopilot:
         due = software.is_mission_step_due
         software.is_armed = self._armed
         actuators = software.step(
-            estimate, self._collect_operator_command() if due or self._command.stop_reason else NO_COMMAND
+            estimate, self._collect_operator_command() if due or self._command.motor_stop_reason else NO_COMMAND
         )
         if estimate.auxiliary_states is not None:
             for text, level in self._sensors.step(
@@ -256,7 +256,7 @@ class Autopilot:
                 self.log_event(f"sticks lost: no message for {STICKS_TIMEOUT_S:g} s", "warning")
             else:
                 climb = self._sticks.climb_rate if self._armed else min(self._sticks.climb_rate, 0.0)
-                c = replace(self._sticks, climb_rate=climb, stop_reason=c.stop_reason)
+                c = replace(self._sticks, climb_rate=climb, motor_stop_reason=c.motor_stop_reason)
         if self._offboard:
             if self._now - self._set_point_s > SET_POINT_TIMEOUT_S:
                 self._offboard = False
@@ -411,7 +411,7 @@ class Autopilot:
     @property
     def _is_stopping(self) -> bool:
         """Whether the next step stops the motors."""
-        return bool(self._command.stop_reason)
+        return bool(self._command.motor_stop_reason)
 
     def _stop_motors(self, why: str) -> None:
         idle = self.software.motors == "off" and self.software.mission_state.state == "init"
@@ -424,7 +424,7 @@ class Autopilot:
             height = 0.0 if m is None else s.home_position[2] - float(m.position[2])
             if self.software.flying and height > _FALL_HEIGHT_M:
                 self._store_interruption(f"{why} {height:.1f} m above the floor")
-            self._command = Command(stop_reason=why)
+            self._command = Command(motor_stop_reason=why)
 
     def _is_in_air(self) -> bool:
         """Whether the vehicle is off the floor, judged by the mode of its motors and by its height and speed."""

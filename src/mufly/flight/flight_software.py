@@ -263,8 +263,8 @@ class FlightSoftware:
             self.mission_state = initial_mission_state(self.plan, m)
         if command is not NO_COMMAND and command != NO_COMMAND:
             self._command = command
-        if command.stop_reason:
-            return self._stop_motors_at_once(command.stop_reason, m)
+        if command.motor_stop_reason:
+            return self._stop_motors_at_once(command.motor_stop_reason, m)
         self._late_s = (self._ticks % self._every) * self._period_s
         self._ticks += 1
         if self._is_estimate_lost(self._watch):

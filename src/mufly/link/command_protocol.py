@@ -204,7 +204,7 @@ class CommandProtocol:
         self._choice: tuple[float, ModeChoice] = (-math.inf, "")
         authority.on_change.append(self._forget_choice)
 
-    def chosen_mode(self, now_s: float) -> ModeChoice:
+    def mode_on_arming(self, now_s: float) -> ModeChoice:
         """Return the mode that was chosen on the floor and takes effect on arming; "" if none."""
         since_s, choice = self._choice
         return choice if now_s - since_s <= MODE_CHOICE_TIMEOUT_S else ""
@@ -311,7 +311,7 @@ class CommandProtocol:
     def _arm_or_disarm(self, now_s: float, command: Command) -> RequestAnswer:
         on = command.params[0]
         if on == 1.0:
-            chosen = self.chosen_mode(now_s)
+            chosen = self.mode_on_arming(now_s)
             answer = self._autopilot.arm(repeated=command.confirmation > 0)
             self._forget_choice()
             if not answer or not chosen:

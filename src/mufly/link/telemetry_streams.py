@@ -72,7 +72,7 @@ class TelemetryState:
         Progress of the mission.
     origin : GlobalOrigin or None
         Global position of N = E = D = 0.
-    chosen_mode : str
+    mode_on_arming : str
         Mode chosen on the floor, effective on arming; "" if none.
     commander_id : int
         system * 256 + component of the commander; 0: none.
@@ -89,7 +89,7 @@ class TelemetryState:
     is_ready: bool
     mission_progress: MissionProgress
     origin: GlobalOrigin | None
-    chosen_mode: str
+    mode_on_arming: str
     commander_id: int
     loss_ratio: float
     real_time_factor: float = math.nan
@@ -327,8 +327,8 @@ _UNKNOWN_UINT16, _UNKNOWN_INT16 = 65535, 32767
 
 def displayed_mode(p: TelemetryState) -> Px4Mode:
     """Return the present flight mode, or on the floor the mode effective on arming."""
-    if p.chosen_mode:
-        return MODE_TAKE_OFF if p.chosen_mode == "take-off" else MODE_MISSION
+    if p.mode_on_arming:
+        return MODE_TAKE_OFF if p.mode_on_arming == "take-off" else MODE_MISSION
     return mode_from_state(p.flight_state.state, not p.flight_state.mission_running, p.flight_state.returning_home)
 
 

@@ -217,7 +217,7 @@ class VehicleLink:
         state = now.flight_state
         shown = (
             state.state,
-            now.chosen_mode,
+            now.mode_on_arming,
             state.armed,
             landed_state(now),
             now.mission_progress,
@@ -248,7 +248,7 @@ class VehicleLink:
             is_ready=self._ready,
             mission_progress=self._missions.mission_progress(state),
             origin=self.origin,
-            chosen_mode="" if state.armed else self._commands.chosen_mode(now_s),
+            mode_on_arming="" if state.armed else self._commands.mode_on_arming(now_s),
             commander_id=0 if commander is None else commander.system * 256 + commander.component,
             loss_ratio=max(losses, default=0.0),
             real_time_factor=self.real_time_factor,

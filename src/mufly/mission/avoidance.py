@@ -251,12 +251,12 @@ class PathCheck(NamedTuple):
         Goal, and length of path that is checked (m).
     checked_point_count : int
         Number of points checked so far.
-    path_distance_sq : float
+    path_clearance_sq : float
         Square of the least distance of any point from the checked path (m2); may be infinite if beyond twice the
         blocking distance.
-    initial_path_distance_sq : float
+    path_start_clearance_sq : float
         Likewise for the first 1.5 m of the path.
-    goal_distance_sq : float
+    goal_clearance_sq : float
         Square of the least distance of any point from the goal (m2).
     lateral_offset_sum : float
         Sum of the lateral offsets of blocking points from the path, positive to the right (m).
@@ -276,9 +276,9 @@ class PathCheck(NamedTuple):
     goal_east: float
     look_ahead_m: float
     checked_point_count: int
-    path_distance_sq: float
-    initial_path_distance_sq: float
-    goal_distance_sq: float
+    path_clearance_sq: float
+    path_start_clearance_sq: float
+    goal_clearance_sq: float
     lateral_offset_sum: float
     blocking_point_count: int
     nearest_blocking_distance_sq: float
@@ -369,7 +369,7 @@ def check_map_part(
 def is_path_blocked(sight: PathCheck, clearance: float) -> bool:
     """Return whether a point blocks the path."""
     at = clearance + BLOCKED_PATH_MARGIN_M
-    return sight.path_distance_sq < at * at
+    return sight.path_clearance_sq < at * at
 
 
 @cached_njit
@@ -388,9 +388,9 @@ def _check_points_against_path(
     wide = 2.0 * blocked_at
     first = _CLEAR_PATH_TO_LEAVE_M if stretch > _CLEAR_PATH_TO_LEAVE_M else stretch
     way, onward, goal, across_all, count = (
-        s.path_distance_sq,
-        s.initial_path_distance_sq,
-        s.goal_distance_sq,
+        s.path_clearance_sq,
+        s.path_start_clearance_sq,
+        s.goal_clearance_sq,
         s.lateral_offset_sum,
         s.blocking_point_count,
     )

@@ -202,15 +202,15 @@ def follow_contour(
 
     nearer_goal = to_goal < detour.hit_goal_distance - 0.1
     wide = (clearance + LEAVE_CONTOUR_MARGIN_M) * (clearance + LEAVE_CONTOUR_MARGIN_M)
-    onward = nearer_goal and sight.initial_path_distance_sq > wide
-    clear = real[0] > clearance and (onward or (detour.obstacle_count < 3 and sight.path_distance_sq > wide))
+    onward = nearer_goal and sight.path_start_clearance_sq > wide
+    clear = real[0] > clearance and (onward or (detour.obstacle_count < 3 and sight.path_clearance_sq > wide))
     clear_s = detour.path_clear_duration_s + dt if clear else 0.0
     leaving = clear_s > 0.3
 
     follow = clearance + FOLLOW_CONTOUR_MARGIN_M
     touching = distance < follow + _ON_CONTOUR_MARGIN_M
     goal_blocked = (
-        sight.goal_distance_sq < (clearance + BLOCKED_PATH_MARGIN_M) * (clearance + BLOCKED_PATH_MARGIN_M)
+        sight.goal_clearance_sq < (clearance + BLOCKED_PATH_MARGIN_M) * (clearance + BLOCKED_PATH_MARGIN_M)
         and to_goal < 1.0
     )
     here = (reference[0], reference[1])

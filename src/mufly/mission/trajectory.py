@@ -310,8 +310,8 @@ class PendingCurve(NamedTuple):
 #
 # muFly reaches a waypoint in the simplest way (Sec. 6.2.2): first it adapts heading and height on the spot, then it
 # flies a straight level line. The other kind is a cubic spline through the waypoints. Either is a `Trajectory` of two
-# parts: on the spot (height and heading together) up to `departure_s`, then the path. The caller holds the clock at
-# `departure_s` until the helicopter is there in fact: the thesis's "if the desired point is reached".
+# parts: on the spot (height and heading together) up to `path_start_s`, then the path. The caller holds the clock at
+# `path_start_s` until the helicopter is there in fact: the thesis's "if the desired point is reached".
 #
 # Every part runs from rest to rest with continuous acceleration (`make_motion_profile`). A turn takes the shorter
 # direction; the heading is continuous with the initial one (it may pass +-pi).
@@ -366,14 +366,14 @@ class Trajectory:
         Heading at the start and the turn on the spot (rad).
     height_profile, yaw_profile, path_profile : MotionProfile
         Timing of the change of height, of the turn, and of the level line.
-    departure_s : float
+    path_start_s : float
         End of the part on the spot (s).
     duration_s : float
         End of the trajectory (s).
     spline_curve : TimedSpline or None
         Curve flown in place of the line.
     initial_braking : BrakingMotion or None
-        Braking before the trajectory; `departure_s` and `duration_s` include it.
+        Braking before the trajectory; `path_start_s` and `duration_s` include it.
     pending_curve : PendingCurve or None
         Curve that :meth:`finish_curve` computes; until then the trajectory is a line.
 
@@ -387,7 +387,7 @@ class Trajectory:
     height_profile: MotionProfile
     yaw_profile: MotionProfile
     path_profile: MotionProfile
-    departure_s: float
+    path_start_s: float
     duration_s: float
     spline_curve: TimedSpline | None = None
     initial_braking: BrakingMotion | None = None
@@ -403,7 +403,7 @@ class Trajectory:
             self,
             height_profile=make_motion_profile(0.0, 1.0, 1.0),
             path_profile=path.speed_profile,
-            departure_s=gate,
+            path_start_s=gate,
             duration_s=gate + path.speed_profile.duration_s,
             spline_curve=path,
             initial_braking=None,
@@ -414,11 +414,11 @@ class Trajectory:
     def add_initial_braking(self, brake: BrakingMotion) -> Trajectory:
         """Return the trajectory with a preceding braking, which must end at its start."""
         t = brake.rest_time_s
-        return replace(self, initial_braking=brake, departure_s=self.departure_s + t, duration_s=self.duration_s + t)
+        return replace(self, initial_braking=brake, path_start_s=self.path_start_s + t, duration_s=self.duration_s + t)
 
     def evaluate(self, t: float) -> TrajectoryPoint:
         """Return the point at time ``t`` (s) after the start; at rest before 0 and after `duration_s`."""
-        gate = self.departure_s
+        gate = self.path_start_s
         if self.initial_braking is not None:
             if t < self.initial_braking.rest_time_s:
                 return self.initial_braking.evaluate(t)

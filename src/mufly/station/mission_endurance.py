@@ -103,7 +103,7 @@ def estimate_mission_duration(
     needed = timing.landed_s
     if s.flying and s.mission_running and s.mission_row is not None:
         k = next((k for k, item in enumerate(came_from) if item >= s.mission_row), len(came_from))
-        needed -= timing.legs[k - 1].departure_s if k else timing.take_off_done_s
+        needed -= timing.legs[k - 1].wait_end_s if k else timing.take_off_done_s
     return MissionDuration(needed, words)
 
 

@@ -114,7 +114,7 @@ def check_geometry(mission: Mission, where: str) -> None:
 
 def _sample_leg_positions(way: Trajectory) -> NDArray[np.float64]:
     """Return 200 positions (200, 3) along a leg."""
-    times = np.linspace(way.departure_s, way.duration_s, 200)
+    times = np.linspace(way.path_start_s, way.duration_s, 200)
     return np.array([way.evaluate(float(t)).position for t in times])
 
 
@@ -256,12 +256,12 @@ def check_mission(
                 else f"is out of reach: flight and landing take {_format_seconds(leg.reached_s + landing)}",
                 remedy + ("fly lower" if vertical else "shorten the path, fly faster, or wait less before it"),
             )
-        if leg.departure_s + landing > lasts:
+        if leg.wait_end_s + landing > lasts:
             raise InputError(
                 where,
                 f"{key}.wait_s",
                 f"{waypoint.wait_s:g} is too long: the mission so far and the landing take "
-                f"{_format_seconds(leg.departure_s + landing)}",
+                f"{_format_seconds(leg.wait_end_s + landing)}",
                 remedy + "wait less",
             )
     time = timing.landed_s

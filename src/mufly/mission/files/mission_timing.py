@@ -58,7 +58,7 @@ class PlannedLeg:
     trajectory: Trajectory
     length_m: float
     reached_s: float
-    departure_s: float
+    wait_end_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ def compute_mission_timing(mission: Mission) -> MissionTiming:
     here, heading = take_off_position(mission), math.radians(mission.start_heading_deg)
     left_s, path_m = up_s, mission.take_off.height_m
     if plan:
-        here, left_s = np.array(mission.waypoint[-1].position_m), plan[-1].departure_s
+        here, left_s = np.array(mission.waypoint[-1].position_m), plan[-1].wait_end_s
         heading = plan[-1].trajectory.start_heading + plan[-1].trajectory.turn_angle
         path_m += sum(leg.length_m for leg in plan)
     back = plan_return_leg(mission, heading)

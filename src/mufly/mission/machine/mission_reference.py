@@ -56,7 +56,7 @@ def has_departed(s: MissionState) -> bool:
     """Return whether the reference, having changed height and heading, moves on a leg's path, or tracks a set-point."""
     if s.set_point_reference is not None:
         return True
-    return isinstance(s.motion, Trajectory) and s.motion_clock_s >= s.motion.departure_s
+    return isinstance(s.motion, Trajectory) and s.motion_clock_s >= s.motion.path_start_s
 
 
 def is_scanning(plan: MissionPlan, s: MissionState) -> bool:

@@ -59,7 +59,7 @@ class Command:
         Fly to above the take-off position and land.
     land : bool
         Land at once.
-    stop_reason : str
+    motor_stop_reason : str
         Stop the motors at once, in any state; the text is the reason. "" is no signal.
     rc_active : bool
         The pilot controls the vehicle while this is set.
@@ -79,7 +79,7 @@ class Command:
     heading: float | None = None
     return_requested: bool = False
     land: bool = False
-    stop_reason: str = ""
+    motor_stop_reason: str = ""
     rc_active: bool = False
     roll: float = 0.0
     pitch: float = 0.0
@@ -247,7 +247,7 @@ class MissionState:
         Check of the path against the points processed since the last step.
     detour : Detour or None
         Detour around an obstacle, or the last one on this leg.
-    resume_state : State
+    state_after_detour : State
         State to resume after a detour.
     detour_duration_s : float
         Time spent on detours on this leg (s).
@@ -297,7 +297,7 @@ class MissionState:
     next_beam: int = 0
     path_check: PathCheck = EMPTY_PATH_CHECK
     detour: Detour | None = None
-    resume_state: State = State.HOVER
+    state_after_detour: State = State.HOVER
     detour_duration_s: float = 0.0
     resumed_after_detour: bool = False
     scan_duration_s: float = 0.0

@@ -328,9 +328,9 @@ def _start_detour_at_obstacle(plan: MissionPlan, s: MissionState) -> MissionStat
         return s
     velocity, acceleration = at.velocity, at.acceleration
     detour = begin_detour(here, velocity, acceleration, s.goal, sight, s.detour)
-    far = math.sqrt(sight.path_distance_sq) if underway else sight.nearest_point(here)[0]
+    far = math.sqrt(sight.path_clearance_sq) if underway else sight.nearest_point(here)[0]
     why = (LogMessage.OBSTACLE_AHEAD if underway else LogMessage.OBSTACLE_NEAR)(far)
-    return enter_state(s, State.OBSTACLE, why, resume_state=s.state, detour=detour, hold_heading=at.heading)
+    return enter_state(s, State.OBSTACLE, why, state_after_detour=s.state, detour=detour, hold_heading=at.heading)
 
 
 def step_detour(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
@@ -356,4 +356,4 @@ def step_detour(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> M
     if not detour.is_finished:
         return s
     way = plan_straight(detour.position, s.goal, s.hold_heading, plan.trajectory_limits, final_heading=s.hold_heading)
-    return enter_state(s, s.resume_state, LogMessage.OBSTACLE_AVOIDED(), motion=way, resumed_after_detour=True)
+    return enter_state(s, s.state_after_detour, LogMessage.OBSTACLE_AVOIDED(), motion=way, resumed_after_detour=True)

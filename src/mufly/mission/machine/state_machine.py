@@ -88,7 +88,7 @@ _STEP_FUNCTION_BY_STATE = {
 
 def _may_depart(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory) -> bool:
     """Return whether a leg's path may begin: height and heading are reached as measured, and the scan is complete."""
-    at = way.evaluate(way.departure_s)
+    at = way.evaluate(way.path_start_s)
     angle, _ = scan_yaw(plan, s)
     return (
         abs(m.position[2] - at.position[2]) < _DEPARTURE_HEIGHT_TOLERANCE_M
@@ -106,7 +106,7 @@ def _update_clocks(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -
     """Advance the clocks and check the battery."""
     clock = s.motion_clock_s + dt
     if s.state is State.WAYPOINT and isinstance(s.motion, Trajectory) and s.set_point_reference is None:
-        gate = s.motion.departure_s
+        gate = s.motion.path_start_s
         if s.motion_clock_s <= gate < clock and not _may_depart(plan, s, m, s.motion):
             clock = gate
     volts = s.battery_V + (m.battery_voltage - s.battery_V) * min(1.0, dt / _VOLTAGE_LAG_S)
@@ -187,8 +187,8 @@ def _apply_any_state_transitions(
     plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float
 ) -> MissionState:
     """Apply the transitions of every state: emergency stop, tip-over, pilot control, low battery, then requests."""
-    if c.stop_reason:
-        return stop_motors(s, c.stop_reason)
+    if c.motor_stop_reason:
+        return stop_motors(s, c.motor_stop_reason)
     if s.state is not State.INIT and _has_tipped_over(s, m):
         return stop_motors(fail_mission(s, LogMessage.TIPPED_OVER()), LogMessage.TIPPED_MOTORS_OFF())
     # Rotors that run down after touchdown stop first: centred sticks must not restart them.

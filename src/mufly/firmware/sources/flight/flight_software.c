@@ -48,7 +48,7 @@ static void clear_command(command_t *c)
     c->heading = REAL(0.0);
     c->return_requested = false;
     c->land = false;
-    c->stop_reason = 0;
+    c->motor_stop_reason = 0;
     c->rc_active = false;
     c->roll = REAL(0.0);
     c->pitch = REAL(0.0);
@@ -70,7 +70,7 @@ static bool is_any_signal(const command_t *c)
                         (real_abs(c->yaw_rate) > REAL(0.0)) || (real_abs(c->climb_rate) > REAL(0.0));
 
     return c->start || c->has_first_waypoint || c->has_take_off_height || c->pause || c->has_waypoint || c->has_heading || c->return_requested ||
-           c->land || (c->stop_reason != 0) || sticks || c->has_program_set_point;
+           c->land || (c->motor_stop_reason != 0) || sticks || c->has_program_set_point;
 }
 
 void software_reset(const flight_setup_t *setup, software_t *s)
@@ -410,8 +410,8 @@ void software_step(const flight_setup_t *setup, software_t *s, const estimate_t 
     }
     s->since_mission_step_s = (real_t)s->tick * setup->period_s;
     s->tick = ((s->tick + 1) < setup->mission_step_periods) ? (s->tick + 1) : 0;
-    if (command->stop_reason != 0) {
-        stop_motors_at_once(s, command->stop_reason, &m);
+    if (command->motor_stop_reason != 0) {
+        stop_motors_at_once(s, command->motor_stop_reason, &m);
         idle_actuators(out);
     } else if (is_estimate_lost(s)) {
         why = make_message_1(SAY_MEASUREMENT_LOST, (real_t)s->watch.what);

@@ -129,9 +129,9 @@ void begin_path_check(const real_t position[3], const real_t goal[2], real_t ahe
     }
     out->look_ahead_m = ahead;
     out->checked_point_count = 0;
-    out->path_distance_sq = REAL_INFINITY;
-    out->initial_path_distance_sq = REAL_INFINITY;
-    out->goal_distance_sq = REAL_INFINITY;
+    out->path_clearance_sq = REAL_INFINITY;
+    out->path_start_clearance_sq = REAL_INFINITY;
+    out->goal_clearance_sq = REAL_INFINITY;
     out->lateral_offset_sum = REAL(0.0);
     out->blocking_point_count = 0;
     out->nearest_blocking_distance_sq = REAL_INFINITY;
@@ -178,9 +178,9 @@ void check_map_part(obstacle_map_t *memory, path_check_t *sight, real_t time_s, 
     real_t wn = REAL(1.0);
     real_t we = REAL(0.0);
     int32_t row = sight->checked_point_count;
-    real_t least = sight->path_distance_sq;
-    real_t onward = sight->initial_path_distance_sq;
-    real_t from_goal = sight->goal_distance_sq;
+    real_t least = sight->path_clearance_sq;
+    real_t onward = sight->path_start_clearance_sq;
+    real_t from_goal = sight->goal_clearance_sq;
     real_t sideways = sight->lateral_offset_sum;
     int32_t blockers = sight->blocking_point_count;
 
@@ -233,9 +233,9 @@ void check_map_part(obstacle_map_t *memory, path_check_t *sight, real_t time_s, 
         }
     }
     sight->checked_point_count = row;
-    sight->path_distance_sq = least;
-    sight->initial_path_distance_sq = onward;
-    sight->goal_distance_sq = from_goal;
+    sight->path_clearance_sq = least;
+    sight->path_start_clearance_sq = onward;
+    sight->goal_clearance_sq = from_goal;
     sight->lateral_offset_sum = sideways;
     sight->blocking_point_count = blockers;
 }
@@ -244,7 +244,7 @@ bool is_path_blocked(const path_check_t *sight, real_t clearance)
 {
     const real_t at = clearance + BLOCKED_PATH_MARGIN_M;
 
-    return sight->path_distance_sq < (at * at);
+    return sight->path_clearance_sq < (at * at);
 }
 
 /* Distance of a point from a place (m), and the unit vector towards the place. */
@@ -503,14 +503,14 @@ void follow_contour(detour_t *detour, const path_check_t *sight, const beam_ring
     real.far = nearest_point(sight, position, real.from);
     nearer_goal = to_goal < (detour->hit_goal_distance - REAL(0.1));
     clear = (real.far > clearance) &&
-            ((nearer_goal && (sight->initial_path_distance_sq > wide)) || ((detour->obstacle_count < 3) && (sight->path_distance_sq > wide)));
+            ((nearer_goal && (sight->path_start_clearance_sq > wide)) || ((detour->obstacle_count < 3) && (sight->path_clearance_sq > wide)));
     if (real.far < near.far) {
         near = real;
     }
     near.touching = near.far < (distance + ON_CONTOUR_MARGIN_M);
     detour->path_clear_duration_s = clear ? (detour->path_clear_duration_s + dt) : REAL(0.0);
     detour->is_leaving_contour = detour->path_clear_duration_s > REAL(0.3);
-    goal_blocked = (sight->goal_distance_sq < ((clearance + BLOCKED_PATH_MARGIN_M) * (clearance + BLOCKED_PATH_MARGIN_M))) &&
+    goal_blocked = (sight->goal_clearance_sq < ((clearance + BLOCKED_PATH_MARGIN_M) * (clearance + BLOCKED_PATH_MARGIN_M))) &&
                    (to_goal < REAL(1.0));
     if (!detour->is_leaving_contour && !goal_blocked) {
         choose_passing_side(detour, goal, to_goal, near.touching, dt);

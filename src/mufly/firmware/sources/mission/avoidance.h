@@ -33,9 +33,9 @@ typedef struct {
     real_t goal_point[2]; /* and goal (m) */
     real_t look_ahead_m;     /* length of path that is checked (m) */
     int32_t checked_point_count;      /* number of points checked */
-    real_t path_distance_sq;       /* least squared distance of any point from the path, exact if small */
-    real_t initial_path_distance_sq;    /* likewise for the first 1.5 m */
-    real_t goal_distance_sq; /* least squared distance of any point from the goal */
+    real_t path_clearance_sq;        /* least squared distance of any point from the path, exact if small */
+    real_t path_start_clearance_sq;  /* likewise for the first 1.5 m */
+    real_t goal_clearance_sq; /* least squared distance of any point from the goal */
     real_t lateral_offset_sum;    /* sum of the lateral offsets of blocking points, positive to the right (m) */
     int32_t blocking_point_count;         /* number of blocking points */
     real_t nearest_blocking_distance_sq;  /* squared distance of the nearest blocking point */

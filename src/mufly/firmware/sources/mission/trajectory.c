@@ -386,8 +386,8 @@ void plan_straight(const real_t start[3], const real_t goal[3], real_t heading, 
                  &out->height_profile);
     make_motion_profile(real_abs(out->turn_angle), limits->yaw_rate, limits->yaw_acceleration, &out->yaw_profile);
     make_motion_profile(way, limits->speed, limits->acceleration, &out->path_profile);
-    out->departure_s = real_max(profile_duration_s(&out->height_profile), profile_duration_s(&out->yaw_profile));
-    out->duration_s = out->departure_s + profile_duration_s(&out->path_profile);
+    out->path_start_s = real_max(profile_duration_s(&out->height_profile), profile_duration_s(&out->yaw_profile));
+    out->duration_s = out->path_start_s + profile_duration_s(&out->path_profile);
     out->has_spline_curve = false;
     out->has_initial_braking = false;
     out->pending_parts = 0;
@@ -458,10 +458,10 @@ void advance_pending_curve(trajectory_t *way)
             way->has_spline_curve = true;
             make_motion_profile(REAL(0.0), REAL(1.0), REAL(1.0), &way->height_profile);
             way->path_profile = c->speed_profile;
-            way->departure_s = profile_duration_s(&way->yaw_profile);
-            way->duration_s = way->departure_s + profile_duration_s(&c->speed_profile);
+            way->path_start_s = profile_duration_s(&way->yaw_profile);
+            way->duration_s = way->path_start_s + profile_duration_s(&c->speed_profile);
             if (way->has_initial_braking) {
-                way->departure_s = way->departure_s + braking_rest_time_s(&way->initial_braking);
+                way->path_start_s = way->path_start_s + braking_rest_time_s(&way->initial_braking);
                 way->duration_s = way->duration_s + braking_rest_time_s(&way->initial_braking);
             }
         }
@@ -477,7 +477,7 @@ void add_initial_braking(trajectory_t *way, const braking_motion_t *brake)
 
     way->initial_braking = *brake;
     way->has_initial_braking = true;
-    way->departure_s = way->departure_s + t;
+    way->path_start_s = way->path_start_s + t;
     way->duration_s = way->duration_s + t;
 }
 
@@ -499,12 +499,12 @@ static void evaluate_turn(const trajectory_t *way, real_t t, trajectory_point_t 
 void trajectory_evaluate(const trajectory_t *way, real_t t, trajectory_point_t *out)
 {
     real_t s[3];
-    real_t gate = way->departure_s;
+    real_t gate = way->path_start_s;
     real_t time = t;
 
     if (way->has_initial_braking) {
         time = t - braking_rest_time_s(&way->initial_braking);
-        gate = way->departure_s - braking_rest_time_s(&way->initial_braking);
+        gate = way->path_start_s - braking_rest_time_s(&way->initial_braking);
     }
     if (way->has_initial_braking && (t < braking_rest_time_s(&way->initial_braking))) {
         braking_evaluate(&way->initial_braking, t, out);

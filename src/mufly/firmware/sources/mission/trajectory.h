@@ -59,7 +59,7 @@ typedef struct {
     real_t start[3], goal[3];
     real_t start_heading, turn_angle;
     motion_profile_t height_profile, yaw_profile, path_profile;
-    real_t departure_s;     /* end of the part on the spot, */
+    real_t path_start_s; /* end of the part on the spot, */
     real_t duration_s; /* end of the trajectory; both include the braking */
     bool has_spline_curve, has_initial_braking;
     int32_t pending_parts; /* remaining parts of the curve's computation; until then the path is a line */

@@ -333,7 +333,7 @@ static void any_command(command_t *c)
     c->heading = next_number(REAL(7.0));
     c->return_requested = (b & 6U) == 6U;
     c->land = (b & 24U) == 24U;
-    c->stop_reason = ((b & 224U) == 224U) ? (int32_t)(next_byte() % 8U) : 0;
+    c->motor_stop_reason = ((b & 224U) == 224U) ? (int32_t)(next_byte() % 8U) : 0;
     c->rc_active = (a & 160U) == 160U;
     /* The caller checks sticks and heights: autopilot.py, or on a board the code that fills command_t. */
     limit_inputs = true;

@@ -60,7 +60,7 @@ void predict_reference(const mission_t *s, trajectory_point_t *out)
 
 bool has_departed(const mission_t *s)
 {
-    return s->has_set_point_reference || (s->motion_clock_s >= s->course.way.departure_s);
+    return s->has_set_point_reference || (s->motion_clock_s >= s->course.way.path_start_s);
 }
 
 bool is_scanning(const plan_t *plan, const mission_t *s)

@@ -103,7 +103,7 @@ void clear_mission(mission_t *s)
     s->next_beam = 0;
     begin_path_check(s->goal, s->goal, PATH_LOOK_AHEAD_M, &s->path_check);
     s->has_detour = false;
-    s->resume_state = STATE_HOVER;
+    s->state_after_detour = STATE_HOVER;
     s->detour_duration_s = REAL(0.0);
     s->resumed_after_detour = false;
     s->scan_duration_s = REAL(0.0);

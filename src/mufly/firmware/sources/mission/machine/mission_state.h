@@ -66,7 +66,7 @@ typedef struct {
     bool has_heading;
     real_t heading;
     bool return_requested, land;
-    int32_t stop_reason; /* stops the motors at once; 0 is no signal, other values are logged */
+    int32_t motor_stop_reason; /* stops the motors at once; 0 is no signal, other values are logged */
     bool rc_active;
     real_t roll, pitch, yaw_rate, climb_rate; /* of the pilot */
     bool has_program_set_point;
@@ -121,7 +121,7 @@ typedef struct {
     path_check_t path_check; /* check of the present path */
     bool has_detour;
     detour_t detour;
-    int32_t resume_state;
+    int32_t state_after_detour;
     real_t detour_duration_s;
     bool resumed_after_detour;
     real_t scan_duration_s;

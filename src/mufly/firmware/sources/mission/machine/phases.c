@@ -368,7 +368,7 @@ static void detect_obstacle(const plan_t *plan, mission_t *s)
 
         current_reference(s, &at);
         if (underway) { /* the check covers this path from the step after the goal changed */
-            far = real_sqrt(sight->path_distance_sq);
+            far = real_sqrt(sight->path_clearance_sq);
             there = is_path_check_to(sight, s->goal) && is_path_blocked(sight, plan->clearance);
         } else {
             far = nearest_point(sight, at.position, from_it);
@@ -381,7 +381,7 @@ static void detect_obstacle(const plan_t *plan, mission_t *s)
             begin_detour(&s->detour, at.position, at.velocity, at.acceleration, s->goal, sight,
                         s->has_detour ? &s->detour : NULL);
             enter_state(s, STATE_OBSTACLE, &why, LEVEL_INFO);
-            s->resume_state = from;
+            s->state_after_detour = from;
             s->has_detour = true;
             s->hold_heading = at.heading;
         }
@@ -400,7 +400,7 @@ static void step_detour(const plan_t *plan, mission_t *s, const estimate_t *m, r
         fail_and_hover(s, &why);
     } else if (is_detour_finished(&s->detour)) {
         why = make_message(SAY_OBSTACLE_AVOIDED);
-        enter_state(s, s->resume_state, &why, LEVEL_INFO);
+        enter_state(s, s->state_after_detour, &why, LEVEL_INFO);
         plan_straight(s->detour.position, s->goal, s->hold_heading, &plan->limits, &s->hold_heading, REAL(0.0),
                             &s->course.way);
         s->course.kind = COURSE_TRAJECTORY;

@@ -32,7 +32,7 @@ static bool may_depart(const plan_t *plan, const mission_t *s, const estimate_t 
     real_t angle;
     real_t rate;
 
-    trajectory_evaluate(way, way->departure_s, &at);
+    trajectory_evaluate(way, way->path_start_s, &at);
     scan_yaw(plan, s, &angle, &rate);
     return (real_abs(m->motion.position[2] - at.position[2]) < DEPARTURE_HEIGHT_TOLERANCE_M) &&
            (real_abs((m->motion.attitude[2] - at.heading) - angle) < (DEPARTURE_HEADING_TOLERANCE_RAD + real_abs(angle))) &&
@@ -56,7 +56,7 @@ static void update_clocks(const plan_t *plan, mission_t *s, const estimate_t *m,
     const bool scanning = is_scanning(plan, s);
 
     if ((s->state == STATE_WAYPOINT) && !s->has_set_point_reference) {
-        const real_t gate = s->course.way.departure_s;
+        const real_t gate = s->course.way.path_start_s;
 
         if ((s->motion_clock_s <= gate) && (gate < clock) && !may_depart(plan, s, m)) {
             clock = gate;
@@ -165,8 +165,8 @@ static void apply_any_state_transitions(const plan_t *plan, mission_t *s, const 
 {
     message_t what;
 
-    if (c->stop_reason != 0) {
-        what = make_message_1(SAY_GIVEN_TEXT, (real_t)c->stop_reason);
+    if (c->motor_stop_reason != 0) {
+        what = make_message_1(SAY_GIVEN_TEXT, (real_t)c->motor_stop_reason);
         stop_motors(s, &what);
     } else if ((s->state != STATE_INIT) && has_tipped_over(s, m)) {
         what = make_message(SAY_TIPPED_OVER);

@@ -93,7 +93,7 @@ uint32_t supervisor_arming_faults(const supervisor_t *s, const flight_setup_t *s
 
 static bool is_stopping(const supervisor_t *s)
 {
-    return s->is_pending && (s->pending.stop_reason != STOP_NONE);
+    return s->is_pending && (s->pending.motor_stop_reason != STOP_NONE);
 }
 
 bool supervisor_in_air(const software_t *software, const estimate_t *m)
@@ -154,7 +154,7 @@ static void stop_the_motors(supervisor_t *s, const software_t *software, const e
             store_interruption(s, INTERRUPTION_STOPPED);
         }
         s->pending = no_command;
-        s->pending.stop_reason = why;
+        s->pending.motor_stop_reason = why;
         s->is_pending = true;
     }
 }
@@ -443,11 +443,11 @@ void supervisor_collect(supervisor_t *s, const software_t *software, command_t *
             s->has_sticks = false;
         }
         if (s->has_sticks) {
-            const int32_t why = out->stop_reason;
+            const int32_t why = out->motor_stop_reason;
 
             *out = s->sticks;
             out->climb_rate = s->armed ? out->climb_rate : real_min(out->climb_rate, REAL(0.0));
-            out->stop_reason = why;
+            out->motor_stop_reason = why;
         }
         if (s->offboard) {
             if ((s->now_s - s->set_point_s) > SET_POINT_TIMEOUT_S) {

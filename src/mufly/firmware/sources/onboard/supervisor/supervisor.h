@@ -21,7 +21,7 @@
 /* Reasons of an interrupted flight. */
 enum { INTERRUPTION_NONE, INTERRUPTION_TIPPED, INTERRUPTION_BLIND, INTERRUPTION_STOPPED, INTERRUPTION_RESET };
 
-/* Reasons in stop_reason of command_t. */
+/* Reasons in motor_stop_reason of command_t. */
 enum { STOP_NONE, STOP_DISARMED, STOP_EMERGENCY };
 
 /* Answers, with the numbers of MAV_RESULT. */
