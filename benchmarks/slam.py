@@ -107,15 +107,17 @@ def rated(edge: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def tell(name: str, results: list[Any], closures: list[int], worst: list[float], spent: list[float]) -> None:
     """A line for all of a case."""
-    rms = [100 * r.rms_m for r in results]
-    drift = np.sqrt(np.mean([(r.end_m / r.way_m) ** 2 for r in results]))
+    rms = [100 * r.horizontal_rms_m for r in results]
+    drift = np.sqrt(np.mean([(r.horizontal_end_m / r.way_m) ** 2 for r in results]))
     heading = math.degrees(np.sqrt(np.mean([r.heading_rms_rad**2 for r in results])))
     parts = [
         f"rms {np.sqrt(np.mean(np.square(rms))):.1f} cm (median {np.median(rms):.1f}, worst {max(rms):.1f})",
-        f"greatest {100 * max(r.worst_m for r in results):.0f} cm",
-        f"lost {np.mean([r.lost for r in results]):.1%} (worst {max(r.lost for r in results):.1%})",
-        f"NEES/n {np.mean([r.nees for r in results]):.2f}, inside 95 % {np.mean([r.inside for r in results]):.1%}",
-        f"end {100 * np.mean([r.end_m for r in results]):.1f} cm after {np.mean([r.way_m for r in results]):.1f} m",
+        f"greatest {100 * max(r.horizontal_worst_m for r in results):.0f} cm",
+        f"lost {np.mean([r.lost_share for r in results]):.1%} (worst {max(r.lost_share for r in results):.1%})",
+        f"NEES/n {np.mean([r.nees for r in results]):.2f}, "
+        f"inside 95 % {np.mean([r.inside_share for r in results]):.1%}",
+        f"end {100 * np.mean([r.horizontal_end_m for r in results]):.1f} cm"
+        f" after {np.mean([r.way_m for r in results]):.1f} m",
         f"that is {drift:.2%} rms",
         f"heading {heading:.2f} deg",
         f"closures {sum(closures)}, off by {100 * max(worst, default=0):.1f} cm at most",
@@ -146,7 +148,7 @@ def many(name: str, camera: str, floor: str, seeds: range, duration: float, verb
 
 def rms_cm(results: list[Any]) -> float:
     """Root mean square of the sequences' position errors (cm)."""
-    return 100 * float(np.sqrt(np.mean([r.rms_m**2 for r in results])))
+    return 100 * float(np.sqrt(np.mean([r.horizontal_rms_m**2 for r in results])))
 
 
 def speed() -> None:
@@ -185,7 +187,7 @@ def main() -> None:
             found = many(f"{a.camera}, {a.floor}", a.camera, a.floor, seeds, a.duration, a.v, side=2.0, speed=0.4)
             if (a.camera, a.floor) == ("mufly-2.0", "rich"):
                 record("slam_rms", rms_cm(found))
-                record("slam_nees", np.mean([r.nees for r in found]), 100 * np.mean([r.inside for r in found]))
+                record("slam_nees", np.mean([r.nees for r in found]), 100 * np.mean([r.inside_share for r in found]))
             elif (a.camera, a.floor) == ("worst", "rich"):
                 record("slam_worst", rms_cm(found))
         case "photographs":
@@ -197,9 +199,9 @@ def main() -> None:
                 name = f"{a.camera}, 20 m round, {'closed' if close else 'not closed'}"
                 found = many(name, a.camera, a.floor, seeds, 45.0, a.v, side=5.6, speed=0.45, close=close)
                 if close:
-                    record("slam_loops", sum(r.end_m < CLOSED_M for r in found))
+                    record("slam_loops", sum(r.horizontal_end_m < CLOSED_M for r in found))
                 else:
-                    record("slam_drift", 100 * np.sqrt(np.mean([(r.end_m / r.way_m) ** 2 for r in found])))
+                    record("slam_drift", 100 * np.sqrt(np.mean([(r.horizontal_end_m / r.way_m) ** 2 for r in found])))
         case "tiles":
             many(f"{a.camera}, tiles", a.camera, "tiles", seeds, a.duration, a.v, side=1.0, speed=0.4)
         case "edges":

@@ -43,7 +43,7 @@ BUILT_IN, MADE = ("rich", "tiles"), "made-"
 class Round:
     """Result of one round over a floor."""
 
-    rms_m: float
+    horizontal_rms_m: float
     lost: float
     nees: float
     inside: float
@@ -52,7 +52,7 @@ class Round:
 
     @property
     def is_kept(self) -> bool:
-        return (self.rms_m <= KEPT_M or self.lost > LOST_SHARE) and self.untold_s <= TOLD_S
+        return (self.horizontal_rms_m <= KEPT_M or self.lost > LOST_SHARE) and self.untold_s <= TOLD_S
 
 
 def fly_round(floor: str, seed: int) -> Round:
@@ -67,7 +67,7 @@ def fly_round(floor: str, seed: int) -> Round:
     off = np.hypot(*(found.position[:, :2] - true).T)
     sigma = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
     untold = longest_run(found.time, off > KEPT_M + 3.0 * sigma)
-    return Round(result.rms_m, result.lost, result.nees, result.inside, closure_m, untold)
+    return Round(result.horizontal_rms_m, result.lost_share, result.nees, result.inside_share, closure_m, untold)
 
 
 def longest_run(time_s: np.ndarray, mask: np.ndarray) -> float:
@@ -88,7 +88,7 @@ def judge_floor(name: str, rounds: list[Round]) -> bool:
     passes = passes and (not np.isfinite(inside) or INSIDE_RANGE[0] <= inside <= INSIDE_RANGE[1])
     parts = [
         f"{name}: {'passes' if passes else 'fails'}",
-        f"rms {' '.join(f'{100 * r.rms_m:.1f}' for r in rounds)} cm",
+        f"rms {' '.join(f'{100 * r.horizontal_rms_m:.1f}' for r in rounds)} cm",
         f"lost {np.mean([r.lost for r in rounds]):.0%}",
         f"NEES/n {nees:.2f}",
         f"inside {inside:.0%}",

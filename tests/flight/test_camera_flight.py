@@ -147,7 +147,7 @@ def test_what_is_seen_is_shown(flown: tuple[xr.Dataset, list[FlightEvent]]) -> N
     nodes, true = good.map_view.keyframe_poses, ds.truth_position.values[:, :2]
     assert len(nodes) >= 2
     assert good.map_view.edge_indices[:, :2].max() < len(nodes)
-    for drawn in (nodes[:, :2], good.path_m):
+    for drawn in (nodes[:, :2], good.path_points_m):
         off = np.hypot(*(drawn[:, None] - true[None, ::20]).T).min(axis=0)
         assert off.max() < 0.2
     assert all(s.is_standing for s in on_floor)
@@ -161,7 +161,7 @@ def test_what_is_seen_is_shown(flown: tuple[xr.Dataset, list[FlightEvent]]) -> N
 def test_its_recording_is_looked_at_again(flown: tuple[xr.Dataset, list[FlightEvent]], folder: Path) -> None:
     """Pictures, camera and what was told are in ``camera.mcap``, the truth is in the flight beside it."""
     kept = read_pictures(folder / "flight.mcap")
-    camera = parse_camera(kept.camera, "")
+    camera = parse_camera(kept.camera_file_text, "")
     assert camera == load_camera("webcam")
     source = open_pictures(folder, camera)
     answered = [s for s in SIGHTS if s.result is not None]

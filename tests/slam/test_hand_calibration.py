@@ -153,7 +153,7 @@ def test_constant_rate_integrates_exactly() -> None:
     zero = np.zeros(3)
     motion = integrate_inertial(imu, np.array([1.0, 0, 0, 0]), gyro_bias=zero, gyro_scale=zero, accel_bias=zero)
     np.testing.assert_allclose(motion.quaternion[-1], [math.cos(0.5), math.sin(0.5), 0, 0], atol=1e-12)
-    np.testing.assert_allclose(motion.speed, 0.0, atol=1e-4)
+    np.testing.assert_allclose(motion.velocity, 0.0, atol=1e-4)
 
 
 def test_command_calibrates_rendered_pictures(tmp_path: Path) -> None:

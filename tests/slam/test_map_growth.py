@@ -76,7 +76,7 @@ def test_no_loop_is_closed_to_one_of_two_places_that_look_the_same(alike: bool, 
     found = LoopSearch().match_candidate(floor_map, HERE, _make_context(_crop(first, 12)), last)
     assert (found is not None) == closes
     if found is not None:
-        assert found.keyframe == 0
+        assert found.keyframe_index == 0
         assert math.hypot(*(np.abs(found.pose.state[:2]) - [12 / FOCAL_PX, 0.0])) < 0.01
 
 

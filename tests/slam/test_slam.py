@@ -73,7 +73,7 @@ def test_the_covariance_of_a_pose_is_true() -> None:
         known = np.array([*pose.state[:2], view.height_m, pose.state[3], *np.zeros(4)])
         assert np.linalg.inv(pose.pixel_information + prior) == pytest.approx(pose.covariance)
         assert pose.covariance @ (
-            pose.pixel_gradient + prior @ (known - pose.state) / max(1.0, pose.residual_scale) ** 2
+            pose.pixel_gradient + prior @ (known - pose.state) / max(1.0, pose.residual_ratio) ** 2
         ) == pytest.approx(np.zeros(8), abs=1e-9)
     assert 0.75 < np.mean(nees) < 1.2
 
@@ -206,8 +206,8 @@ def test_at_the_dissertations_quality_it_knows_where_it_is_and_finds_itself_agai
         path.attitude_rad[:, 2],
         found.pictures,
     )
-    assert result.lost < 0.05
-    assert result.rms_m < 0.05
+    assert result.lost_share < 0.05
+    assert result.horizontal_rms_m < 0.05
     assert 0.2 < result.nees < 3.0
     # The map is kept, and who starts anywhere in it finds where that is.
     slam.floor_map.save(tmp_path / "map")
@@ -274,7 +274,7 @@ def test_more_points_never_beat_the_error_that_all_share() -> None:
         rich = replace(match, pose=replace(pose, pixel_information=scale * np.eye(8)))
         variance = rich.place_variance * rich.variance_inflation
         assert variance == pytest.approx(POINT_VARIANCE_INFLATION / scale + 1e-6)
-    striped = replace(match, unknown=np.array([[1.0, 0.0]]))
+    striped = replace(match, untextured_directions=np.array([[1.0, 0.0]]))
     assert striped.variance_inflation == POINT_VARIANCE_INFLATION
 
 

@@ -61,10 +61,10 @@ def test_a_direction_without_texture_has_no_information(contrast: float) -> None
     along = axes @ found.directions[0]
     assert np.abs(np.einsum("nij,nj->ni", found.information, along)).max() < 1e-9
     assert np.abs(np.einsum("ni,ni->n", found.shift_px, along)).max() < 1e-9
-    assert math.isinf(found.bound_px[0])
+    assert math.isinf(found.cramer_rao_bound_px[0])
     if contrast:
         assert abs(found.directions[0] @ [1.0, 0.0]) > 0.999  # along the columns, hence north
-        assert found.bound_px[1] < 0.02
+        assert found.cramer_rao_bound_px[1] < 0.02
         errors = np.full(len(points), 0.5)
         assert np.abs(np.linalg.det(add_point_errors(found.information, errors))).max() < 1e-9
 

@@ -113,7 +113,7 @@ class RecordedPictures:
     Attributes
     ----------
     path : Path
-    camera : str
+    camera_file_text : str
         Content of the camera's file; "" if it is missing.
     times_s : list of float
         Times on the recording's clock (s).
@@ -122,7 +122,7 @@ class RecordedPictures:
     """
 
     path: Path
-    camera: str
+    camera_file_text: str
     times_s: list[float]
     frame_infos: list[dict[str, Any]]
     _images: list[bytes]
@@ -206,7 +206,7 @@ def find_camera(place: Path, given: str | None = None) -> Camera:
     if given is not None:
         return load_camera(given)
     recording = place / CAMERA_FILE_NAME if place.is_dir() else place
-    if recording.suffix == ".mcap" and recording.is_file() and (text := read_pictures(recording).camera):
+    if recording.suffix == ".mcap" and recording.is_file() and (text := read_pictures(recording).camera_file_text):
         return parse_camera(text, f"{recording}: camera.toml")
     if place.is_dir() and not any(place.iterdir()):
         raise InputError(str(place), "", "is empty", "give a folder with pictures, a video or a recording")

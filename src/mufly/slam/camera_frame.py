@@ -188,16 +188,16 @@ class MotionPrior:
 
     Attributes
     ----------
-    latest : Odometry or None
+    since_last_result : Odometry or None
         Since the last result; None before the first.
-    textured : Odometry or None
+    since_textured_result : Odometry or None
         Since the last result with texture in all directions.
     velocity_m_s : (2,) array
         N, E by the last results.
     """
 
-    latest: Odometry | None = None
-    textured: Odometry | None = None
+    since_last_result: Odometry | None = None
+    since_textured_result: Odometry | None = None
     velocity_m_s: _Array = field(default_factory=lambda: np.zeros(2))
 
     def advance_to(self, frame: CameraFrame, heading_rad: float) -> MotionPrior:
@@ -206,16 +206,17 @@ class MotionPrior:
         A helicopter whose rotors turn accelerates as it tilts, v' = g (-tan pitch, tan roll) in the axes of its heading
         ``heading_rad`` (rad). With still rotors the velocity of the last results is kept.
         """
-        told, before, velocity = frame.vehicle_estimate, self.latest, self.velocity_m_s
+        told, before, velocity = frame.vehicle_estimate, self.since_last_result, self.velocity_m_s
         if before is not None and told.rotor_speed.any():
             pitch, roll = 0.5 * (before.last_info.pitch + told.pitch), 0.5 * (before.last_info.roll + told.roll)
             c, s = math.cos(heading_rad), math.sin(heading_rad)
             push = np.array([[c, -s], [s, c]]) @ np.array([-math.tan(pitch), math.tan(roll)])
             velocity = velocity + GRAVITY * min(frame.time_s - before.time_s, _MAX_TILT_ACCELERATION_S) * push
-        latest, textured = (
-            None if q is None else q.advance_to(frame.time_s, told) for q in (self.latest, self.textured)
+        latest, since_textured_result = (
+            None if q is None else q.advance_to(frame.time_s, told)
+            for q in (self.since_last_result, self.since_textured_result)
         )
-        return MotionPrior(latest, textured, velocity)
+        return MotionPrior(latest, since_textured_result, velocity)
 
     def restart_at(self, frame: CameraFrame) -> MotionPrior:
         """Return the motion restarted at this picture, as after a picture with texture in all directions."""
@@ -225,7 +226,7 @@ class MotionPrior:
     @property
     def has_texture_in_one_direction(self) -> bool:
         """Whether the last results show texture along one direction only."""
-        known, latest = self.textured, self.latest
+        known, latest = self.since_textured_result, self.since_last_result
         return known is None or latest is None or known.elapsed_s > latest.elapsed_s + _STRIPE_CAUTION_AFTER_S
 
     @property
@@ -234,7 +235,7 @@ class MotionPrior:
 
         They grow from the last picture that showed texture in both directions.
         """
-        if self.textured is None:
+        if self.since_textured_result is None:
             return _UNOBSERVED_SIGMA_CAP_M, 0.1
-        sigma_m = 0.005 + self.textured.predict_displacement(self.velocity_m_s)[1]
-        return min(_UNOBSERVED_SIGMA_CAP_M, sigma_m), 0.003 + HEADING_DRIFT_RAD_S * self.textured.elapsed_s
+        sigma_m = 0.005 + self.since_textured_result.predict_displacement(self.velocity_m_s)[1]
+        return min(_UNOBSERVED_SIGMA_CAP_M, sigma_m), 0.003 + HEADING_DRIFT_RAD_S * self.since_textured_result.elapsed_s

@@ -79,7 +79,7 @@ class ViewPrior(NamedTuple):
         Phases at the picture's middle (rad); zero if unknown.
     shake_amplitudes_px : (8,) array
         Expected vibration amplitudes (pixels).
-    tilt_error_rad : (2,) array
+    expected_tilt_error_rad : (2,) array
         Expected errors of roll and pitch (rad).
     """
 
@@ -95,7 +95,7 @@ class ViewPrior(NamedTuple):
     rotor_speeds_rad_s: _Array
     rotor_phases_rad: _Array = np.zeros(2)
     shake_amplitudes_px: _Array = np.zeros(SHAKE_SIZE)
-    tilt_error_rad: _Array = np.zeros(2)
+    expected_tilt_error_rad: _Array = np.zeros(2)
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class PoseEstimate:
         Information of the pixels alone on ``state``, with the amplitudes marginalised.
     pixel_gradient : (8,) array
         Gradient of the pixels' cost at ``state``.
-    residual_scale : float
+    residual_ratio : float
         Ratio of the weighted rms residual to its expected value.
     normalised_residuals : (n,) array
         Residuals over their standard deviations.
@@ -130,7 +130,7 @@ class PoseEstimate:
     covariance: _Array
     pixel_information: _Array
     pixel_gradient: _Array
-    residual_scale: float
+    residual_ratio: float
     normalised_residuals: _Array
     pixel_residuals: _Array
     prior_information: _Array = field(default_factory=lambda: np.zeros((POSE_SIZE, POSE_SIZE)))
@@ -138,8 +138,8 @@ class PoseEstimate:
 
     @property
     def inlier_mask(self) -> NDArray[np.bool_]:
-        """Mask (n,) of the points whose normalised residual is below three times ``residual_scale`` (0.7 at least)."""
-        return self.normalised_residuals < 3.0 * max(self.residual_scale, 0.7)
+        """Mask (n,) of the points whose normalised residual is below three times ``residual_ratio`` (0.7 at least)."""
+        return self.normalised_residuals < 3.0 * max(self.residual_ratio, 0.7)
 
     @property
     def height_m(self) -> float:
@@ -164,7 +164,9 @@ class PoseEstimate:
 
 def attitude_matrix(view: ViewPrior, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
     """Return the rotation matrix from body axes to N-E-D for a heading and tilt error (default: prior mean)."""
-    return _compute_attitude(view.roll_rad, view.pitch_rad, heading, *(view.tilt_error_rad if tilt is None else tilt))
+    return _compute_attitude(
+        view.roll_rad, view.pitch_rad, heading, *(view.expected_tilt_error_rad if tilt is None else tilt)
+    )
 
 
 def normalised_rays(
@@ -272,7 +274,7 @@ def solve_pose(
     x[:POSE_TILT] = start
     known = np.zeros(size)
     known[:POSE_TILT] = start
-    known[POSE_HEIGHT], known[POSE_TILT:POSE_KEYFRAME_TILT] = view.height_m, view.tilt_error_rad
+    known[POSE_HEIGHT], known[POSE_TILT:POSE_KEYFRAME_TILT] = view.height_m, view.expected_tilt_error_rad
     prior = np.zeros((size, size))
     odometry = np.zeros((POSE_SIZE, POSE_SIZE))
     if predicted is not None:

@@ -78,7 +78,7 @@ class FrameContext:
         Motion since the last results.
     position_sigma_m : float
         Standard deviation of the predicted position along an axis (m).
-    predicted_errors : (3,) array
+    predicted_sensor_errors : (3,) array
         Predicted errors of tilt (rad) and sonar (ln h).
     error_transition : tuple of two (3,) arrays
         Factors and noise variances from the newest keyframe's errors to those of the picture.
@@ -99,7 +99,7 @@ class FrameContext:
     usable_mask: NDArray[np.uint8]
     motion: MotionPrior
     position_sigma_m: float
-    predicted_errors: _Array
+    predicted_sensor_errors: _Array
     error_transition: tuple[_Array, _Array]
     undistorter: Undistorter
     shake_rms_px: float
@@ -132,7 +132,7 @@ class KeyframeMatch:
 
     Attributes
     ----------
-    keyframe : int
+    keyframe_index : int
         Number of the keyframe.
     pose : PoseEstimate
     inlier_indices : (n,) int array
@@ -145,9 +145,9 @@ class KeyframeMatch:
         Information matrices of the inliers' pixels, reduced by the errors of the keyframe's points (1/pixels^2).
     tracked_count : int
         Number of tracked points.
-    unknown : (k, 2) array
+    untextured_directions : (k, 2) array
         Unit vectors N, E of directions without texture.
-    bound_px : (2,) array
+    cramer_rao_bound_px : (2,) array
         Cramer-Rao bound of the common shift of all patches along the directions of least and of most texture
         (pixels).
     significance : float
@@ -156,15 +156,15 @@ class KeyframeMatch:
         Variance of the place by errors that all points of the picture share (m^2).
     """
 
-    keyframe: int
+    keyframe_index: int
     pose: PoseEstimate
     inlier_indices: NDArray[np.intp]
     inlier_pixels: _Array
     exposure_offsets_s: _Array
     pixel_information: _Array
     tracked_count: int
-    unknown: _Array
-    bound_px: _Array
+    untextured_directions: _Array
+    cramer_rao_bound_px: _Array
     significance: float
     common_variance_m2: float = 0.0
 
@@ -187,7 +187,7 @@ class KeyframeMatch:
 
     def bound_m(self, view: ViewPrior) -> float:
         """Return the Cramer-Rao bound (m) of the position along the least certain direction with texture."""
-        bounds = self.bound_px[np.isfinite(self.bound_px) & (self.bound_px > 0.0)]
+        bounds = self.cramer_rao_bound_px[np.isfinite(self.cramer_rao_bound_px) & (self.cramer_rao_bound_px > 0.0)]
         return float(bounds.max(initial=0.0)) * view.height_m / view.focal_px or math.nan
 
     @property
@@ -199,7 +199,7 @@ class KeyframeMatch:
     @property
     def place_variance(self) -> float:
         """Mean variance of N and E due to pixel noise, tilts known (m^2); infinite if a direction shows no texture."""
-        if len(self.unknown) or not len(self.inlier_indices):
+        if len(self.untextured_directions) or not len(self.inlier_indices):
             return math.inf
         return 0.5 * float(np.trace(np.linalg.inv(self.pose.pixel_information[:POSE_TILT, :POSE_TILT])[:2, :2]))
 
@@ -215,7 +215,7 @@ class KeyframeMatch:
     @property
     def known_projection(self) -> _Array:
         """Projection (2, 2) of N, E onto the directions with texture."""
-        known: _Array = np.eye(2) - self.unknown.T @ self.unknown
+        known: _Array = np.eye(2) - self.untextured_directions.T @ self.untextured_directions
         return known
 
 
@@ -334,7 +334,7 @@ def _match_points(
     keyframe.missed[use[keep]] = np.maximum(keyframe.missed[use[keep]] - 2, -4)
     return KeyframeMatch(
         k, pose, use[keep], seen[keep], seconds[keep], information, len(use), _NO_UNKNOWN_DIRECTIONS,
-        patches.bound_px, float(patches.significance.min()), _common_variance(context),
+        patches.cramer_rao_bound_px, float(patches.significance.min()), _common_variance(context),
     )  # fmt: skip
 
 
@@ -364,8 +364,8 @@ def _match_directly(
         return None
     return KeyframeMatch(
         k, found.pose, use[keep], found.pixels[keep], points.exposure_offsets_s[keep], found.information[keep],
-        len(use), found.unknown, found.patches.bound_px, float(found.patches.significance.min()),
-        _common_variance(context),
+        len(use), found.untextured_directions, found.patches.cramer_rao_bound_px,
+        float(found.patches.significance.min()), _common_variance(context),
     )  # fmt: skip
 
 
@@ -377,7 +377,7 @@ def _common_variance(context: FrameContext) -> float:
 
 def _unexplained_turn(match: KeyframeMatch, context: FrameContext, node: _Array) -> float:
     """Return the deviation of the heading from its prediction (rad); 0 if it lies within its uncertainty."""
-    latest = context.motion.latest
+    latest = context.motion.since_last_result
     if latest is None or latest.elapsed_s > TRACKING_LOST_AFTER_S:
         return 0.0
     off = match.pose.heading_rad - float(node[HEADING])
@@ -452,7 +452,7 @@ def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: 
     pose, height = match.pose, context.view.height_m
     if len(match.inlier_indices) < max(MIN_ORB_INLIERS, 0.4 * match.tracked_count):
         return f"only {len(match.inlier_indices)} of {match.tracked_count} points agree"
-    if pose.residual_scale > (_MAX_STRIPE_RESIDUAL if len(match.unknown) else 4.0):
+    if pose.residual_ratio > (_MAX_STRIPE_RESIDUAL if len(match.untextured_directions) else 4.0):
         return "the points scatter too much"
     # Along directions without texture there is nothing to check.
     known = match.known_projection
@@ -465,10 +465,10 @@ def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: 
         return f"{off:.2f} m from the predicted position"
     if (turned := _unexplained_turn(match, context, node)) > 0.0:
         return f"turned by {math.degrees(turned):.1f} degrees against the gyroscopes"
-    latest = context.motion.latest
+    latest = context.motion.since_last_result
     if latest is None or not latest.has_all_velocities or latest.last_info.place is None:
         return ""  # there is no ambiguity test for a map that cannot be restarted
-    alike = floor_map.repeat_offsets(match.keyframe, context.view.focal_px) @ known
+    alike = floor_map.repeat_offsets(match.keyframe_index, context.view.focal_px) @ known
     alike = alike[np.hypot(*alike.T) > 0.03 * height]
     unsure = math.hypot(context.position_sigma_m, math.sqrt(2.0) * sigma, _TILT_DRIFT_PER_HEIGHT * height)
     if not is_unambiguous(way, alike, unsure):

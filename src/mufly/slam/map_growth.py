@@ -60,7 +60,7 @@ for half a second; white areas have no corners."""
 
 def make_node(context: FrameContext, pose: PoseEstimate) -> _Array:
     """Return the node (7,) of a pose: N, E, heading, ln h, errors of the tilt and of the sonar."""
-    height_error = context.predicted_errors[2]
+    height_error = context.predicted_sensor_errors[2]
     return np.array([*pose.state[:2], pose.heading_rad, math.log(pose.height_m), *pose.tilt_error_rad, height_error])
 
 
@@ -101,13 +101,13 @@ def insert_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
     # Edges to other keyframes that see it constrain it better
     node = match.pose_graph_node
     others = sorted(
-        floor_map.connected_keyframes(match.keyframe),
+        floor_map.connected_keyframes(match.keyframe_index),
         key=lambda k: -context.view_overlap(floor_map.nodes[k], node),
     )
     edge = make_edge(floor_map, match, len(floor_map.keyframes))
     k = floor_map.add_keyframe(keyframe, make_node(context, match.pose), [edge])
     # It is the newest keyframe from here on
-    view = context.view._replace(tilt_error_rad=floor_map.nodes[k, TILT].copy())
+    view = context.view._replace(expected_tilt_error_rad=floor_map.nodes[k, TILT].copy())
     context = replace(context, view=view, error_transition=SAME_PICTURE_ERROR_TRANSITION)
     for other in others[:1]:
         if context.view_overlap(floor_map.nodes[other], node) > 0.25:
@@ -119,7 +119,7 @@ def insert_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
 
 def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bool = False) -> GraphEdge:
     """Return the edge from the matched keyframe to the picture, node ``second``; ``closes`` marks a loop closure."""
-    at, pose = floor_map.nodes[match.keyframe], match.pose
+    at, pose = floor_map.nodes[match.keyframe_index], match.pose
     tilt = at[TILT] + pose.keyframe_tilt_error_rad
     _, by_b = relative_pose_jacobians(at, match.pose_graph_node)
     # Jacobian of N, E, height, heading, tilt of the picture, tilt of the keyframe by the edge's eight numbers
@@ -129,7 +129,7 @@ def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bo
     change[POSE_TILT:POSE_KEYFRAME_TILT, EDGE_TILT_B] = change[POSE_KEYFRAME_TILT:, EDGE_TILT_A] = np.eye(2)
     information, gradient = pose_information(match)
     return GraphEdge(
-        match.keyframe,
+        match.keyframe_index,
         second,
         np.concatenate([relative_pose(at, match.pose_graph_node), tilt, pose.tilt_error_rad]),
         change.T @ information @ change,
@@ -153,7 +153,7 @@ def pose_information(match: KeyframeMatch) -> tuple[_Array, _Array]:
 def refine_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeMatch) -> None:
     """Correct the points of the matched keyframe by their residuals."""
     view, pose = context.view, match.pose
-    keyframe, at = floor_map.keyframes[match.keyframe], floor_map.nodes[match.keyframe]
+    keyframe, at = floor_map.keyframes[match.keyframe_index], floor_map.nodes[match.keyframe_index]
     seen = _level_rays(context, pose, match.inlier_pixels, match.exposure_offsets_s)
     z = pose.height_m * np.exp(1j * pose.heading_rad)
     c = complex(pose.state[0], pose.state[1])
@@ -220,9 +220,9 @@ class LoopSearch:
         match = match_keyframe(floor_map, k, replace(context, position_sigma_m=2.0 * sigma), node, coarse=True)
         if (
             match is None
-            or len(match.unknown)
+            or len(match.untextured_directions)
             or len(match.inlier_indices) < max(1.5 * MIN_ORB_INLIERS, 0.5 * match.tracked_count)
-            or match.pose.residual_scale > 3.0
+            or match.pose.residual_ratio > 3.0
             or _has_second_place(floor_map, match, context, last_node, [(m[3], m[4], m[5]) for m in may[1:]])
         ):
             return None
@@ -233,7 +233,7 @@ class LoopSearch:
 
         It is not added if it contradicts the map's covariance.
         """
-        k, edge = match.keyframe, make_edge(floor_map, match, here, closes=True)
+        k, edge = match.keyframe_index, make_edge(floor_map, match, here, closes=True)
         off = edge.compute_residual(floor_map.nodes[k], floor_map.nodes[here])
         if edge.compute_chi2(off, floor_map.edge_covariance(k, here)) > LOOP_MAX_CHI2:
             return False
@@ -254,7 +254,7 @@ def _has_second_place(
     ``last_node``, is not compared, since a loop that is to be closed contradicts it.
     """
     place, height = match.pose_graph_node, context.view.height_m
-    first = correlate_keyframe(floor_map, match.keyframe, replace(context, position_sigma_m=0.0), place)
+    first = correlate_keyframe(floor_map, match.keyframe_index, replace(context, position_sigma_m=0.0), place)
     least = 0.0 if first is None else MAX_SECOND_PEAK_RATIO * first[1].score
     off = place[:2] - last_node[:2]
     for k, node, sigma in others[:_MAX_OTHER_PLACES]:

@@ -85,7 +85,7 @@ class TrackedPicture:
         Present warning, "" if there is none.
     counts : PictureCounts
     map_view : MapView
-    path_m : (n, 2) float array
+    path_points_m : (n, 2) float array
         N, E (m) of the results so far, thinned.
     is_standing : bool
         Whether the vehicle stands on the floor, where no position is needed.
@@ -100,7 +100,7 @@ class TrackedPicture:
     warning: str = ""
     counts: PictureCounts = field(default_factory=PictureCounts)
     map_view: MapView = field(default_factory=MapView)
-    path_m: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    path_points_m: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 2), np.float32))
     is_standing: bool = False
 
 

@@ -77,7 +77,7 @@ class TrackingResult:
         Heading (rad).
     covariance : (4, 4) array
         Covariance of N, E, D, heading. Along a direction without texture it is that of the prediction.
-    keyframe : int
+    keyframe_index : int
         Number of the matched keyframe.
     tracked_count, inlier_count : int
         Tracked points, inliers.
@@ -101,7 +101,7 @@ class TrackingResult:
     position: _Array = field(default_factory=lambda: np.full(3, math.nan))
     heading: float = math.nan
     covariance: _Array = field(default_factory=lambda: np.full((4, 4), math.nan))
-    keyframe: int = -1
+    keyframe_index: int = -1
     tracked_count: int = 0
     inlier_count: int = 0
     inlier_pixels: _Array = field(default_factory=lambda: np.zeros((0, 2)), repr=False)
@@ -192,13 +192,13 @@ class SlamSystem:
         context = self._make_context(frame, picture)
         if not self.floor_map.keyframes:
             return self._start_map(context)
-        if self._motion.latest is None:
+        if self._motion.since_last_result is None:
             return self._relocalize(context, "not found in the map yet")
         return self._track(context)
 
     def _track(self, context: FrameContext) -> TrackingResult:
         """Match the picture to keyframes that its predicted pose lets it see, and return the result."""
-        frame, way = context.frame, context.motion.latest
+        frame, way = context.frame, context.motion.since_last_result
         assert way is not None
         elapsed = way.elapsed_s
         node, sigma_m = self._predict_node(context, way)
@@ -223,7 +223,7 @@ class SlamSystem:
                 return self._bridge_gap(context, why)
             if elapsed > TRACKING_LOST_AFTER_S or self._trial_frame_count > 0:
                 return self._relocalize(context, why)
-            return TrackingResult(frame.time_s, False, why, keyframe=self._reference_index)
+            return TrackingResult(frame.time_s, False, why, keyframe_index=self._reference_index)
         if self._trial_frame_count > 0 and (answer := self._confirm_trial(context, match)) is not None:
             return answer
         return self._accept_match(context, match)
@@ -272,11 +272,11 @@ class SlamSystem:
             if self._shake_frame_count > _SHAKE_LEARNED_FRAMES:
                 view = view._replace(shake_sigma_px=_SHAKE_REMAINING_FRACTION * view.shake_sigma_px)
         height = max(MIN_HEIGHT_M, told.height_m)
-        predicted_errors, keep, noise = self.floor_map.predict_sensor_errors(
+        predicted_sensor_errors, keep, noise = self.floor_map.predict_sensor_errors(
             frame.time_s, (told.tilt_sigma, told.tilt_time_s, shake_tilt_rad),
             (told.height_sigma / height, told.height_time_s),
         )  # fmt: skip
-        view = view._replace(tilt_error_rad=predicted_errors[:2])
+        view = view._replace(expected_tilt_error_rad=predicted_sensor_errors[:2])
         turn = attitude_matrix(view, None, self._last_node[HEADING])
         velocity = np.array([*self._motion.velocity_m_s, 0.0]) if told.velocity is None else told.velocity
         velocity = velocity + turn @ np.cross(told.rates, self._camera_position_m)
@@ -285,8 +285,8 @@ class SlamSystem:
             height_m=max(0.05, told.height_m - float((turn @ self._camera_position_m)[2])),
         )
         return FrameContext(
-            frame, picture, view, self._usable_mask(frame.time_s), self._motion, 0.0, predicted_errors, (keep, noise),
-            self._undistorter, self._shake_rms_px, shake_tilt_rad,
+            frame, picture, view, self._usable_mask(frame.time_s), self._motion, 0.0, predicted_sensor_errors,
+            (keep, noise), self._undistorter, self._shake_rms_px, shake_tilt_rad,
             float(self.camera.shutter.readout) / self.camera.sensor.height, self._rng,
         )  # fmt: skip
 
@@ -306,7 +306,7 @@ class SlamSystem:
     def _pose_from_vehicle(self, view: ViewPrior, n: float, e: float, heading: float) -> PoseEstimate:
         """Return the camera pose of a vehicle at N, E (m) with a heading (rad), without information from pixels."""
         lever = attitude_matrix(view, None, heading) @ self._camera_position_m
-        x = np.array([n + lever[0], e + lever[1], view.height_m, heading, *view.tilt_error_rad, 0.0, 0.0])
+        x = np.array([n + lever[0], e + lever[1], view.height_m, heading, *view.expected_tilt_error_rad, 0.0, 0.0])
         nothing = np.zeros((POSE_SIZE, POSE_SIZE))
         return PoseEstimate(
             x,
@@ -336,8 +336,8 @@ class SlamSystem:
     def _accept_match(self, context: FrameContext, match: KeyframeMatch) -> TrackingResult:
         """Update motion and map by a trusted match, and return its result."""
         frame, before = context.frame, self._motion
-        assert before.latest is not None
-        elapsed, node = before.latest.elapsed_s, match.pose_graph_node
+        assert before.since_last_result is not None
+        elapsed, node = before.since_last_result.elapsed_s, match.pose_graph_node
         velocity = np.zeros(2)
         if 0.0 < elapsed < 0.5:
             gain = min(1.0, 3.0 * elapsed)
@@ -345,16 +345,20 @@ class SlamSystem:
                 (node[:2] - self._last_node[:2]) / elapsed - before.velocity_m_s
             )
         now = replace(before, velocity_m_s=velocity).restart_at(frame)
-        self._motion = replace(now, textured=before.textured) if len(match.unknown) else now
+        self._motion = (
+            replace(now, since_textured_result=before.since_textured_result)
+            if len(match.untextured_directions)
+            else now
+        )
         context = replace(context, motion=self._motion)
-        self._last_node, self._reference_index = node, match.keyframe
+        self._last_node, self._reference_index = node, match.keyframe_index
         self._found_poses = []
         self.monitor.check_tilt(frame.time_s, match.pose.tilt_error_rad, frame.vehicle_estimate.tilt_sigma)
         self._learn_vibration(context.view, match.pose)
         refine_keyframe(self.floor_map, context, match)
         made = closed = False
         inliers = len(match.inlier_indices)
-        share = context.view_overlap(self.floor_map.nodes[match.keyframe], node)
+        share = context.view_overlap(self.floor_map.nodes[match.keyframe_index], node)
         few = share < 0.85 and (inliers < NEW_KEYFRAME_INLIERS or match.significance < _NEW_KEYFRAME_SIGNIFICANCE)
         if (share < NEW_KEYFRAME_OVERLAP or few) and inliers >= MIN_ORB_INLIERS:
             made = self._insert_keyframe(context, match)
@@ -400,7 +404,7 @@ class SlamSystem:
         if not self._loop_search.close_loop(self.floor_map, other, here):
             return True, False
         self._last_node = self.floor_map.nodes[here, PLACE].copy()
-        self.on_closure(other.keyframe, here)
+        self.on_closure(other.keyframe_index, here)
         return True, True
 
     def _make_result(self, context: FrameContext, match: KeyframeMatch, made: bool, closed: bool) -> TrackingResult:
@@ -410,11 +414,11 @@ class SlamSystem:
             node, known = self.floor_map.nodes[here, PLACE], self.floor_map.joint_covariance(here)[:4, :4]
         else:
             at = self.floor_map.nodes[here]
-            tilts = np.concatenate([pose.tilt_error_rad - view.tilt_error_rad, pose.keyframe_tilt_error_rad])
+            tilts = np.concatenate([pose.tilt_error_rad - view.expected_tilt_error_rad, pose.keyframe_tilt_error_rad])
             belief = self.floor_map.predict_covariance(here, *context.error_transition)
-            height = math.log(view.height_m) - context.predicted_errors[2]
+            height = math.log(view.height_m) - context.predicted_sensor_errors[2]
             node, known = fuse_pose(at[PLACE], belief, match.pose_graph_node, tilts, *pose_information(match), height)
-        for u in match.unknown:  # at least the variance of the prediction since the direction was seen
+        for u in match.untextured_directions:  # at least the variance of the prediction since the direction was seen
             along = np.concatenate([u, np.zeros(2)])
             free = context.motion.unobserved_sigma[0] ** 2 - along @ known @ along
             known = known + max(0.0, free) * np.outer(along, along)
@@ -432,7 +436,7 @@ class SlamSystem:
         dirt = "" if self.monitor.dirt_mask is None else DIRT_MESSAGE
         return TrackingResult(
             context.frame.time_s, True, "", position, heading, covariance, here,
-            match.tracked_count, len(match.inlier_indices), match.inlier_pixels, pose.residual_scale,
+            match.tracked_count, len(match.inlier_indices), match.inlier_pixels, pose.residual_ratio,
             match.bound_m(view), made, closed, tilted.message or dirt,
         )  # fmt: skip
 
@@ -541,7 +545,7 @@ class SlamSystem:
 
     def _relocalize(self, context: FrameContext, why: str) -> TrackingResult:
         """Search the whole map for the picture by ORB; accept the place when several pictures in a row agree."""
-        lost = TrackingResult(context.frame.time_s, False, why or "lost", keyframe=-1)
+        lost = TrackingResult(context.frame.time_s, False, why or "lost", keyframe_index=-1)
         if self._frame_count % _RELOCALIZE_INTERVAL_FRAMES and not self._found_poses:
             return lost
         match = self._find_in_map(context)
@@ -560,9 +564,9 @@ class SlamSystem:
         match = None if at is None else match_keyframe(self.floor_map, at[0], context, at[1])
         if (
             match is None
-            or len(match.unknown)
+            or len(match.untextured_directions)
             or len(match.inlier_indices) < 1.5 * MIN_ORB_INLIERS
-            or match.pose.residual_scale > 3.0
+            or match.pose.residual_ratio > 3.0
         ):
             return None
         here = match.pose_graph_node

@@ -41,7 +41,7 @@ class SlamTrajectory:
         Covariances of N, E, D, heading.
     pictures : int
         Number of pictures.
-    reasons : dict
+    failure_reason_counts : dict
         Reasons for pictures without a result, and their counts.
     texture_bound_m : float
         Median of the Cramer-Rao bounds of the place (m), NaN if unknown.
@@ -52,7 +52,7 @@ class SlamTrajectory:
     heading: _Array
     covariance: _Array
     pictures: int
-    reasons: dict[str, int]
+    failure_reason_counts: dict[str, int]
     texture_bound_m: float = np.nan
 
     @property
@@ -84,7 +84,7 @@ class SlamTrajectory:
 def collect_results(answers: Iterable[TrackingResult]) -> SlamTrajectory:
     """Collect the results of SLAM in a trajectory; pictures without an accepted pose are counted."""
     good: list[TrackingResult] = []
-    reasons: dict[str, int] = {}
+    failure_reason_counts: dict[str, int] = {}
     count = 0
     for a in answers:
         count += 1
@@ -92,11 +92,11 @@ def collect_results(answers: Iterable[TrackingResult]) -> SlamTrajectory:
             good.append(a)
         else:
             words = " ".join(w for w in a.reason.split() if not any(c.isdigit() for c in w))
-            reasons[words] = reasons.get(words, 0) + 1
+            failure_reason_counts[words] = failure_reason_counts.get(words, 0) + 1
     return SlamTrajectory(
         np.array([a.time_s for a in good]), np.array([a.position for a in good]).reshape(-1, 3),
-        np.array([a.heading for a in good]), np.array([a.covariance for a in good]).reshape(-1, 4, 4), count, reasons,
-        _median([a.texture_bound_m for a in good]),
+        np.array([a.heading for a in good]), np.array([a.covariance for a in good]).reshape(-1, 4, 4), count,
+        failure_reason_counts, _median([a.texture_bound_m for a in good]),
     )  # fmt: skip
 
 

@@ -276,32 +276,34 @@ class TrajectoryEvaluation:
     """Evaluation of one trajectory; lengths in m, angles in rad."""
 
     pictures: int = field(metadata={"unit": "1", "meaning": "pictures with a result"})
-    lost: float = field(metadata={"unit": "1", "meaning": "share without an answer"})
-    rms_m: float = field(metadata={"unit": "m", "meaning": "horizontal error without alignment, root mean square"})
-    worst_m: float = field(metadata={"unit": "m", "meaning": "greatest horizontal error"})
+    lost_share: float = field(metadata={"unit": "1", "meaning": "share without an answer"})
+    horizontal_rms_m: float = field(
+        metadata={"unit": "m", "meaning": "horizontal error without alignment, root mean square"}
+    )
+    horizontal_worst_m: float = field(metadata={"unit": "m", "meaning": "greatest horizontal error"})
     height_rms_m: float = field(metadata={"unit": "m", "meaning": "error of the height, root mean square"})
     heading_rms_rad: float = field(metadata={"unit": "rad", "meaning": "error of the heading, root mean square"})
     ate_m: float = field(metadata={"unit": "m", "meaning": "position error after the best shift and turn, rms"})
     rpe_m: float = field(metadata={"unit": "m", "meaning": "error of the displacement in a second, rms"})
     way_m: float = field(metadata={"unit": "m", "meaning": "way flown"})
-    end_m: float = field(metadata={"unit": "m", "meaning": "horizontal error at the end"})
+    horizontal_end_m: float = field(metadata={"unit": "m", "meaning": "horizontal error at the end"})
     nees: float = field(metadata={"unit": "1", "meaning": "NEES over its four numbers"})
-    inside: float = field(metadata={"unit": "1", "meaning": "share inside the 95 % ellipsoid"})
+    inside_share: float = field(metadata={"unit": "1", "meaning": "share inside the 95 % ellipsoid"})
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return errors, drift and consistency of the trajectory as a printed table."""
         rows = [
-            ("pictures with a position", f"{1 - self.lost:.1%}"),
-            ("horizontal error, rms (cm)", f"{100 * self.rms_m:.1f}"),
-            ("... worst (cm)", f"{100 * self.worst_m:.1f}"),
-            ("... at the end (cm)", f"{100 * self.end_m:.1f}"),
+            ("pictures with a position", f"{1 - self.lost_share:.1%}"),
+            ("horizontal error, rms (cm)", f"{100 * self.horizontal_rms_m:.1f}"),
+            ("... worst (cm)", f"{100 * self.horizontal_worst_m:.1f}"),
+            ("... at the end (cm)", f"{100 * self.horizontal_end_m:.1f}"),
             ("height error, rms (cm)", f"{100 * self.height_rms_m:.1f}"),
             ("heading error, rms (deg)", f"{math.degrees(self.heading_rms_rad):.2f}"),
             ("ATE (cm)", f"{100 * self.ate_m:.1f}"),
             ("RPE over 1 s (cm)", f"{100 * self.rpe_m:.1f}"),
             ("path length (m)", f"{self.way_m:.1f}"),
             ("NEES/n", "-" if math.isnan(self.nees) else f"{self.nees:.2f}"),
-            ("inside the 95 % ellipsoid", "-" if math.isnan(self.inside) else f"{self.inside:.1%}"),
+            ("inside the 95 % ellipsoid", "-" if math.isnan(self.inside_share) else f"{self.inside_share:.1%}"),
         ]
         return [show_table(("", ""), rows)]
 

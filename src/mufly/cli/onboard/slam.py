@@ -365,7 +365,7 @@ def run(
     if not failed and found.pictures:
         check_overlap(source, len(found.time) / found.pictures)
     if len(found.time) < 3:
-        why = max(found.reasons, key=lambda k: found.reasons[k], default="there were none")
+        why = max(found.failure_reason_counts, key=lambda k: found.failure_reason_counts[k], default="there were none")
         raise InputError(
             place,
             "",
@@ -391,7 +391,7 @@ def run(
     content = {
         "pictures": found.pictures,
         "answered": len(found.time),
-        "not_answered": found.reasons,
+        "not_answered": found.failure_reason_counts,
         "missed": missed,
         "keyframes": len(slam.floor_map.keyframes),
         "closures": sum(e.is_loop_closure for e in slam.floor_map.edges),
@@ -412,7 +412,9 @@ def run(
                 f"place known to {1e3 * found.position_sigma_m:.1f} mm (median); contrast against noise alone bounds a "
                 f"picture to {1e3 * found.texture_bound_m:.2f} mm (Cramer-Rao)"
             )
-        print_lines(*(f"  {n} not: {why}" for why, n in sorted(found.reasons.items(), key=lambda r: -r[1])))
+        print_lines(
+            *(f"  {n} not: {why}" for why, n in sorted(found.failure_reason_counts.items(), key=lambda r: -r[1]))
+        )
         print_lines(*(f"  {line}" for line in missed))
         if result is not None:
             print_blocks(*result.shown_blocks())
@@ -497,7 +499,7 @@ def evaluate(
     covariance = one.covariance if np.isfinite(one.covariance).all() else None
     result = evaluate_trajectory(time, one.position, one.heading, covariance, *true, one.pictures)
     better = detect_other_axes(time, one.position, true[0], true[1])
-    content = {"errors": result, "left_out": one.reasons.get("left out", 0), "other_axes": better}
+    content = {"errors": result, "left_out": one.failure_reason_counts.get("left out", 0), "other_axes": better}
 
     def print_result() -> None:
         print_blocks(*result.shown_blocks())

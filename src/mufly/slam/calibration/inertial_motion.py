@@ -45,14 +45,14 @@ class IntegratedMotion:
         From body axes to N-E-D.
     rates : (n, 3) array
         Constant from each time to the next (rad/s).
-    speed, displacement : (n, 3) arrays
+    velocity, displacement : (n, 3) arrays
         N, E, D, from rest at the origin (m/s, m).
     """
 
     time_s: _Array
     quaternion: _Array
     rates: _Array
-    speed: _Array
+    velocity: _Array
     displacement: _Array
 
     def rotation_at(self, t: _Array) -> _Array:
@@ -64,12 +64,14 @@ class IntegratedMotion:
 
     def velocity_at(self, t: _Array) -> _Array:
         k, dt = self._locate_samples(t)
-        return self.speed[k] + (self.speed[k + 1] - self.speed[k]) * (dt / self._sample_interval_s(k))[:, None]
+        return self.velocity[k] + (self.velocity[k + 1] - self.velocity[k]) * (dt / self._sample_interval_s(k))[:, None]
 
     def displacement_at(self, t: _Array) -> _Array:
         k, dt = self._locate_samples(t)
         share = (dt / self._sample_interval_s(k))[:, None]
-        return self.displacement[k] + dt[:, None] * (self.speed[k] + 0.5 * share * (self.speed[k + 1] - self.speed[k]))
+        return self.displacement[k] + dt[:, None] * (
+            self.velocity[k] + 0.5 * share * (self.velocity[k + 1] - self.velocity[k])
+        )
 
     def _sample_interval_s(self, k: NDArray[np.int64]) -> _Array:
         return np.asarray(self.time_s[k + 1] - self.time_s[k])
@@ -106,9 +108,9 @@ def integrate_inertial(
     q = q / np.linalg.norm(q, axis=1)[:, None]
     accel = np.einsum("nij,nj->ni", rotation_matrices(q), imu.force_m_s2 - accel_bias)
     accel[:, 2] += GRAVITY
-    speed = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (accel[1:] + accel[:-1]) * dt, axis=0)])
-    displacement = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (speed[1:] + speed[:-1]) * dt, axis=0)])
-    return IntegratedMotion(t, q, np.concatenate([mean, mean[-1:]]), speed, displacement)
+    velocity = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (accel[1:] + accel[:-1]) * dt, axis=0)])
+    displacement = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * dt, axis=0)])
+    return IntegratedMotion(t, q, np.concatenate([mean, mean[-1:]]), velocity, displacement)
 
 
 def estimate_white_noise(values: _Array) -> float:

@@ -74,7 +74,7 @@ class AlignedPicture(NamedTuple):
     information : (n, 2, 2) array
         Information of these pixels (1/pixel^2), reduced by the points' own errors.
     patches : PatchInformation
-    unknown : (k, 2) array
+    untextured_directions : (k, 2) array
         Unit vectors N, E along which the place is only predicted.
     """
 
@@ -82,7 +82,7 @@ class AlignedPicture(NamedTuple):
     pixels: _Array
     information: _Array
     patches: PatchInformation
-    unknown: _Array
+    untextured_directions: _Array
 
 
 def add_point_errors(information: _Array, sigma_px: _Array) -> _Array:
@@ -146,7 +146,7 @@ def align_picture(
         t, p, s = pyramid[-1]
         pyramid.append((cv2.pyrDown(t), cv2.pyrDown(p), 0.5 * math.hypot(s, 1.0)))
     seconds, out = points.exposure_offsets_s, None
-    begin = np.concatenate([start, view.tilt_error_rad, np.zeros(2)])
+    begin = np.concatenate([start, view.expected_tilt_error_rad, np.zeros(2)])
     seen = view.shake_amplitudes_px, points.positions_m, points.tilt_jacobian, seconds
     expected, axes = principal_point + predict_pixels(view, begin, *seen), pixel_floor_jacobian(view, begin, *seen)
     for level, half in _HALVINGS_AND_PATCH_HALF_SIZES:
@@ -163,26 +163,26 @@ def align_picture(
             return None
         information = add_point_errors(patches.information / scale**2, points.sigma_px)
         pixels = expected + scale * patches.shift_px
-        unknown = patches.directions[~patches.known]
+        untextured_directions = patches.directions[~patches.known]
         pose = solve_pose(
             view, start, points.positions_m, points.tilt_jacobian, points.tilt_covariance, pixels - principal_point,
-            seconds, information, _prediction_information(unknown, unobserved_sigma),
+            seconds, information, _prediction_information(untextured_directions, unobserved_sigma),
         )  # fmt: skip
         expected = pixels - pose.pixel_residuals
-        out = AlignedPicture(pose, pixels, information, patches, unknown)
+        out = AlignedPicture(pose, pixels, information, patches, untextured_directions)
     return out
 
 
-def _prediction_information(unknown: _Array, sigma: tuple[float, float]) -> _Array | None:
+def _prediction_information(untextured_directions: _Array, sigma: tuple[float, float]) -> _Array | None:
     """Return the information matrix (4, 4) of the predicted pose: directions without texture, and the heading.
 
     It is None if all directions have texture.
 
     The heading is included, since vibration bends stripes as a turn does.
     """
-    if not len(unknown):
+    if not len(untextured_directions):
         return None
     out = np.zeros((POSE_TILT, POSE_TILT))
-    out[:POSE_HEIGHT, :POSE_HEIGHT] = unknown.T @ unknown / sigma[0] ** 2
+    out[:POSE_HEIGHT, :POSE_HEIGHT] = untextured_directions.T @ untextured_directions / sigma[0] ** 2
     out[POSE_HEADING, POSE_HEADING] = sigma[1] ** -2
     return out

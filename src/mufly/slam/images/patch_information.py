@@ -73,7 +73,7 @@ class PatchInformation(NamedTuple):
         S over its least value for information, along ``directions``.
     directions : (2, 2) array
         Unit vectors over the floor (N, E), one a row: the least known one first.
-    bound_px : (2,) array
+    cramer_rao_bound_px : (2,) array
         Cramer-Rao bound of the common shift of all patches along ``directions`` (pixels of a level camera); infinite
         without texture.
     """
@@ -82,7 +82,7 @@ class PatchInformation(NamedTuple):
     shift_px: _Array
     significance: _Array
     directions: _Array
-    bound_px: _Array
+    cramer_rao_bound_px: _Array
 
     @property
     def known(self) -> NDArray[np.bool_]:

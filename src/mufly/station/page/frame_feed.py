@@ -125,7 +125,7 @@ def encode_slam_picture(sight: TrackedPicture) -> dict[str, Any]:
         out |= {
             "features": sight.feature_pixels.round(1), "trusted_now": answer.trusted, "reason": answer.reason,
             "position": answer.position, "heading": answer.heading, "covariance": answer.covariance,
-            "tracked": answer.tracked_count, "agreed": answer.inlier_count, "keyframe": answer.keyframe,
+            "tracked": answer.tracked_count, "agreed": answer.inlier_count, "keyframe": answer.keyframe_index,
             "latency_s": sight.latency_s, "work_s": sight.processing_time_s,
         }  # fmt: skip
     return out
@@ -282,7 +282,8 @@ class FrameFeed:
             and (sight := self._view.shown_slam_picture()) is not None
         ):
             out["floor_map"] = {
-                "keyframes": sight.map_view.keyframe_poses, "ties": sight.map_view.edge_indices, "path": sight.path_m,
+                "keyframes": sight.map_view.keyframe_poses, "ties": sight.map_view.edge_indices,
+                "path": sight.path_points_m,
             }  # fmt: skip
         sent = self._tables.get("parameters")
         base = self._view.parameter_baseline() if "parameters" in sections else {}
