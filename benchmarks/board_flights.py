@@ -122,7 +122,7 @@ def fly_once(name: str, seed: int, counts_instructions: bool, kind: type[Station
     station.over.set()
     print(
         f"{name} seed {seed}: {'landed' if ended else 'NOT ENDED'}, {' '.join(filter(None, outcome))}; "
-        f"{flown.periods} periods, {flown.different} differ {flown.first_difference}; "
+        f"{flown.periods} periods, {flown.mismatch_count} differ {flown.first_mismatch}; "
         f"{flown.periods_per_s:.0f} periods/s; "
         f"worst period {flown.worst_instructions} instructions; {station.texts}",
         flush=True,

@@ -231,7 +231,7 @@ def fly(build: Path, seed: int, wind_m_s: float, vehicle: str, out: Path | None,
             "seed": seed, "landed": done, "reason": companion.failure or crash or ("" if done else companion.phase),
             "overshoot_m": round(overshoot, 3), "aside_m": round(aside, 3), "tilt_deg": round(float(attitude), 1),
             "land_error_m": round(float(np.hypot(*plant.truth.position[:2])), 3),
-            "simulated_s": round(plant.time_s, 1), "steps": simulator.step_count,
+            "simulated_s": round(plant.time_s, 1), "steps": simulator.lockstep_period_count,
             "unanswered": simulator.unanswered_count, "wall_s": round(time.monotonic() - begun, 1),
             "texts": companion.texts if not done else [], "events": events,
         }  # fmt: skip

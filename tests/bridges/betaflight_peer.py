@@ -7,12 +7,18 @@ import threading
 from mufly.bridges.autopilot_gains import AutopilotGains, CascadeGains
 
 REST, IDLE = (1000, 1000, 1500, 1500), (1050, 1050, 1500, 1500)
-_LEVEL = {"position": 0.76, "velocity": 2.9, "velocity_integral": 2.15, "velocity_rate": 0.34, "rate_integral": 4.0}
+_LEVEL = {
+    "position": 0.76,
+    "velocity": 2.9,
+    "velocity_integral": 2.15,
+    "velocity_derivative": 0.34,
+    "rate_integral": 4.0,
+}
 GAINS = AutopilotGains(
     "mufly-1.1", 0.7555, 6.67, -0.0356, CascadeGains(**_LEVEL, angle=8.31, rate_proportional=0.345),
     CascadeGains(**_LEVEL, angle=6.66, rate_proportional=0.430),
     CascadeGains(angle=5.0, rate_proportional=0.048, rate_integral=0.746),
-    CascadeGains(position=1.0, velocity=5.44, velocity_integral=1.0, velocity_rate=1.27), (),
+    CascadeGains(position=1.0, velocity=5.44, velocity_integral=1.0, velocity_derivative=1.27), (),
 )  # fmt: skip
 """Rounded gains of ``mufly autopilot gains betaflight --vehicle mufly-1.1``; the design takes seconds."""
 

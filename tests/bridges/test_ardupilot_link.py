@@ -77,7 +77,7 @@ def test_a_packet_is_a_period_and_its_answer_is_the_state(session):
     assert state["rng_1"] > 0.0
     repeated = peer.send(REST, again=True)  # its answer was lost
     assert repeated == state
-    assert simulator.step_count == 100
+    assert simulator.lockstep_period_count == 100
 
 
 def test_outputs_move_the_vehicle_as_a_coax_copter(session):

@@ -277,11 +277,11 @@ def test_the_real_betaflight_arms_takes_off_hovers_in_wind_and_lands(tmp_path):
             def is_over(pilot=pilot, simulator=simulator, begun=begun) -> bool:
                 spent = time.monotonic() - begun
                 landed = pilot.phase == "landed" and pilot.phase_s > 0.5
-                return landed or spent > FLIGHT_S or (simulator.step_count == 0 and spent > ANSWER_S)
+                return landed or spent > FLIGHT_S or (simulator.lockstep_period_count == 0 and spent > ANSWER_S)
 
             simulator.run(is_over)
             truth, height_m, crash = plant.truth, plant.height_m, plant.plant.crash_cause
-        if simulator.step_count:
+        if simulator.lockstep_period_count:
             break
     assert pilot.phase == "landed", (pilot.phase, events)
     assert not crash

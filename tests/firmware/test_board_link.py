@@ -269,7 +269,7 @@ def test_a_station_flies_the_emulated_board_through_its_uart(vehicle) -> None:
     )  # fmt: skip
     assert over.is_set(), (said, peak[-3:], flown.realtime_factor)
     assert max(peak) > 0.32
-    assert flown.different == 0, flown.first_difference
+    assert flown.mismatch_count == 0, flown.first_mismatch
     assert flown.periods > 1500
 
 

@@ -66,7 +66,7 @@ def test_the_bound_is_reached_nearly_and_never_passed(made) -> None:
     most = np.array([*ERROR_LIMITS["roll_pitch"], *[ACTUATION_LIMITS["roll_pitch"]] * 2])
     responses = _worst(controller, c)
     reached = np.sum(np.abs(responses) * most, axis=(0, 2))
-    bound = c.proof.state_bounds * 2.0 ** (31 - np.array(c.state_fraction_bits))
+    bound = c.proof.state_bound_shares * 2.0 ** (31 - np.array(c.state_fraction_bits))
     assert np.all(reached < bound)
     # The rest is rounding and the state it engages with.
     assert np.all(reached > 0.2 * bound)

@@ -357,7 +357,7 @@ def test_a_pilot_at_the_uart_of_the_emulated_board(vehicle, name, encode) -> Non
         vehicle, load_mission("demonstration"), port=port, receiver=name, receiver_port=receiver_port, pace=0.0,
         stop=stop,
     )  # fmt: skip
-    assert flown.different == 0, flown.first_difference
+    assert flown.mismatch_count == 0, flown.first_mismatch
     armed = [one[1] for one in seen]
     assert any(armed), ("the arm switch did not arm", sent, seen[-1])
     disarmed = armed.index(True) + armed[armed.index(True) :].index(False)

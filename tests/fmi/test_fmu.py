@@ -284,7 +284,7 @@ def test_fmpy_validates_and_simulates_it(unit: UnitLibrary) -> None:
 def sensed(tmp_path_factory: pytest.TempPathFactory) -> UnitLibrary:
     folder = tmp_path_factory.mktemp("sensed")
     made = export_fmu(KNOWN, folder / "unit.fmu", seeds=2)
-    assert made.seeds == 2
+    assert made.seed_count == 2
     return UnitLibrary(folder / "unit.fmu", folder / "extracted")
 
 

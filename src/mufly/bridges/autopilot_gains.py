@@ -74,7 +74,7 @@ class CascadeGains:
 
     Attributes
     ----------
-    position, velocity, velocity_integral, velocity_rate : float
+    position, velocity, velocity_integral, velocity_derivative : float
         P_x (1/s), P_v (1/s), I_v (1/s^2), D_v (1).
     angle : float
         P_angle (1/s).
@@ -85,7 +85,7 @@ class CascadeGains:
     position: float = 0.0
     velocity: float = 0.0
     velocity_integral: float = 0.0
-    velocity_rate: float = 0.0
+    velocity_derivative: float = 0.0
     angle: float = 0.0
     rate_proportional: float = 0.0
     rate_integral: float = 0.0
@@ -107,7 +107,7 @@ class AxisMargins:
         Least margins; of the gain in both directions.
     reference_peak : float
         Largest response of the position (of yaw: the angle) to its reference.
-    push_m : float
+    wind_step_displacement_m : float
         Largest displacement after a step of the wind of 0.5 m/s; NaN of yaw and height.
     """
 
@@ -118,7 +118,7 @@ class AxisMargins:
     gain_margin_dB: float
     phase_margin_deg: float
     reference_peak: float
-    push_m: float
+    wind_step_displacement_m: float
 
 
 @result
@@ -208,7 +208,7 @@ def design_autopilot_gains(vehicle: Vehicle, *, angle_delay_s: float = 0.0) -> A
 
 
 def _with_position_gains(inner: CascadeGains, outer: CascadeGains) -> CascadeGains:
-    names = ("position", "velocity", "velocity_integral", "velocity_rate")
+    names = ("position", "velocity", "velocity_integral", "velocity_derivative")
     return replace(inner, **{name: getattr(outer, name) for name in names})
 
 
@@ -276,7 +276,7 @@ def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Comp
     rate = k.rate_proportional + k.rate_integral / s
     rate_rate = k.rate_derivative * s / (1.0 + s / (2.0 * math.pi * GYRO_RATE_CUTOFF_HZ))
     speed = k.velocity + k.velocity_integral / s
-    speed_rate = k.velocity_rate * s / (1.0 + s / (2.0 * math.pi * VELOCITY_RATE_CUTOFF_HZ))
+    speed_rate = k.velocity_derivative * s / (1.0 + s / (2.0 * math.pi * VELOCITY_RATE_CUTOFF_HZ))
     inner = axis.thrust_per_acceleration * (1.0 if axis.name == "vertical" else k.angle * rate)
     late = np.exp(-s * ESTIMATE_LAG_S)
     reference = k.angle * rate if axis.name == "yaw" else inner * speed * k.position
@@ -308,7 +308,7 @@ def _closed_loop(axis: _Axis, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
     A[vl], A[rl] = cut_v * (moving - unit[vl]), cut_r * (turning - unit[rl])
     speed_error = -k.position * place - moving
     acceleration = (
-        k.velocity * speed_error + k.velocity_integral * unit[vi] - k.velocity_rate * cut_v * (moving - unit[vl])
+        k.velocity * speed_error + k.velocity_integral * unit[vi] - k.velocity_derivative * cut_v * (moving - unit[vl])
     )
     A[vi] = speed_error
     if axis.name == "vertical":
@@ -457,7 +457,7 @@ def _design_position_gains(axes: Sequence[_Axis], inner: Sequence[CascadeGains])
         place, speed, integral, slope = np.clip(x, least, most)
         return replace(
             k, position=float(place), velocity=float(speed), velocity_integral=float(integral),
-            velocity_rate=float(slope),
+            velocity_derivative=float(slope),
         )  # fmt: skip
 
     def cost(x: _Array) -> float:
@@ -498,7 +498,7 @@ def predict_margins(axis: _Axis, k: CascadeGains) -> AxisMargins:
         gain_margin_dB=min(gains_dB, default=math.inf),
         phase_margin_deg=min(phase, default=math.inf),
         reference_peak=float(np.max(np.abs(plant[:, output] * reference * sensitivity))),
-        push_m=push,
+        wind_step_displacement_m=push,
     )
 
 

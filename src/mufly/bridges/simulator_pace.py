@@ -27,32 +27,32 @@ class SimulatorReport:
     ----------
     time_s : float
         Simulated time.
-    state : str
+    link_state : str
         "waiting", "starting", "lockstep", "free-running" or "silent".
     is_armed : bool
     height_m, voltage_V : float
         True height above the floor, and battery voltage.
-    step_count, unanswered_count : int
+    lockstep_period_count, unanswered_count : int
         Periods in lockstep, and those that the autopilot did not answer.
-    speed : float
+    real_time_factor : float
         Simulated seconds per second of wall-clock time since the last report.
     """
 
     time_s: float
-    state: str
+    link_state: str
     is_armed: bool
     height_m: float
     voltage_V: float
-    step_count: int
+    lockstep_period_count: int
     unanswered_count: int
-    speed: float
+    real_time_factor: float
 
     def __str__(self) -> str:
         lost = f", {self.unanswered_count} unanswered" if self.unanswered_count else ""
         return (
-            f"{self.time_s:7.1f} s  {self.state:<9}  {'armed' if self.is_armed else 'disarmed'}  "
-            f"{self.height_m:5.2f} m  {self.voltage_V:.2f} V  {self.step_count} steps{lost}  "
-            f"{self.speed:.2f} times real time"
+            f"{self.time_s:7.1f} s  {self.link_state:<9}  {'armed' if self.is_armed else 'disarmed'}  "
+            f"{self.height_m:5.2f} m  {self.voltage_V:.2f} V  {self.lockstep_period_count} steps{lost}  "
+            f"{self.real_time_factor:.2f} times real time"
         )
 
 
@@ -107,7 +107,7 @@ class SimulatorPace:
         if self.speed == 1.0 and (notice := self._pacer.take_pace_warning(self._clock())):
             self._vehicle.log_event(notice, "warning" if "slower" in notice else "info")
 
-    def take_report(self, state: str, step_count: int, unanswered_count: int) -> SimulatorReport | None:
+    def take_report(self, state: str, lockstep_period_count: int, unanswered_count: int) -> SimulatorReport | None:
         """Return the state of the simulation if :data:`REPORT_PERIOD_S` has passed since the last report, else None."""
         now_s, vehicle = self._clock(), self._vehicle
         if now_s - self._report_s < REPORT_PERIOD_S:
@@ -115,8 +115,8 @@ class SimulatorPace:
         speed = (vehicle.time_s - self._report_time_s) / (now_s - self._report_s)
         self._report_s, self._report_time_s = now_s, vehicle.time_s
         return SimulatorReport(
-            vehicle.time_s, state, vehicle.is_armed, vehicle.height_m, float(vehicle.truth.voltage), step_count,
-            unanswered_count, speed if math.isfinite(speed) else 0.0,
+            vehicle.time_s, state, vehicle.is_armed, vehicle.height_m, float(vehicle.truth.voltage),
+            lockstep_period_count, unanswered_count, speed if math.isfinite(speed) else 0.0,
         )  # fmt: skip
 
 
@@ -137,7 +137,7 @@ class AutopilotSimulator(ABC):
     ----------
     state : str
         As in :class:`SimulatorReport`.
-    step_count, unanswered_count : int
+    lockstep_period_count, unanswered_count : int
         Periods, and those without an answer.
     on_period : callable
         Called after every period; a program that commands the autopilot in simulated time uses it.
@@ -147,7 +147,7 @@ class AutopilotSimulator(ABC):
         self.vehicle, self.port, self._clock = vehicle, port, clock
         self.pace = SimulatorPace(vehicle, speed, clock)
         self.state = "waiting"
-        self.step_count = self.unanswered_count = 0
+        self.lockstep_period_count = self.unanswered_count = 0
         self.on_period: Callable[[], None] = lambda: None
 
     def run(
@@ -160,7 +160,7 @@ class AutopilotSimulator(ABC):
         try:
             while not stop():
                 self._advance(stop)
-                report = self.pace.take_report(self.state, self.step_count, self.unanswered_count)
+                report = self.pace.take_report(self.state, self.lockstep_period_count, self.unanswered_count)
                 if report is not None:
                     on_report(report)
         finally:

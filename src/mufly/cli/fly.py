@@ -461,7 +461,7 @@ def _fly_in_real_time(order: FlightOrder, show: FlightDisplay) -> str:
         flight = PageFlight(
             process, order.vehicle, order.mission, port, order.recording_path.parent, show.startup,
             starts_at_once=order.starts_at_once, has_camera=order.camera is not None, on_event=on_event,
-            on_notice=show.terminal.print, stop=stop,
+            on_notice=show.terminal.print, should_stop=stop,
         )  # fmt: skip
         return fly_with_page(flight, show.page_address, show.start_page)
 

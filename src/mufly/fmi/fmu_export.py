@@ -57,11 +57,11 @@ class ExportedUnit:
         Instantiation token: a hash of the sources.
     platform : str
         Platform of the library in the archive; "" without one.
-    inputs, outputs, start_values, parameters : int
+    input_count, output_count, start_value_count, parameter_count : int
         Numbers of variables.
-    seeds : int
+    seed_count : int
         Number of seeds of the sensors; 0 without sensors.
-    fixed : tuple of str
+    fixed_keys : tuple of str
         Keys of the vehicle file that the unit cannot change.
     """
 
@@ -69,12 +69,12 @@ class ExportedUnit:
     model: str
     token: str
     platform: str
-    inputs: int
-    outputs: int
-    start_values: int
-    parameters: int
-    seeds: int
-    fixed: tuple[str, ...]
+    input_count: int
+    output_count: int
+    start_value_count: int
+    parameter_count: int
+    seed_count: int
+    fixed_keys: tuple[str, ...]
 
 
 def platform_tuple() -> tuple[str, str]:
@@ -139,9 +139,9 @@ def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True, seeds: int =
             info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(info, content)
     return ExportedUnit(
-        file=str(out), model=name, token=token, platform=place, inputs=interface.count("input"),
-        outputs=interface.count("output"), start_values=interface.count("start", "step"),
-        parameters=interface.count("parameter"), seeds=seeds, fixed=tuple(interface.fixed),
+        file=str(out), model=name, token=token, platform=place, input_count=interface.count("input"),
+        output_count=interface.count("output"), start_value_count=interface.count("start", "step"),
+        parameter_count=interface.count("parameter"), seed_count=seeds, fixed_keys=tuple(interface.fixed_keys),
     )  # fmt: skip
 
 

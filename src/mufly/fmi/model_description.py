@@ -195,5 +195,5 @@ def render_documentation_page(vehicle: Vehicle, interface: UnitInterface) -> str
     return _DOCUMENTATION_TEMPLATE.format(
         start=_SENSED_START_TEXT if interface.count("seed") else "The start values are those of hover.",
         name=html.escape(vehicle.name), description=html.escape(vehicle.description), version=__version__,
-        tables="\n".join(tables), fixed=", ".join(f"<code>{html.escape(k)}</code>" for k in interface.fixed),
+        tables="\n".join(tables), fixed=", ".join(f"<code>{html.escape(k)}</code>" for k in interface.fixed_keys),
     )  # fmt: skip

@@ -137,7 +137,7 @@ class UnitInterface:
 
     variables: list[UnitVariable]
     parameters: list[UnitParameter]
-    fixed: list[str]
+    fixed_keys: list[str]
 
     def count(self, *roles: Role) -> int:
         """Return the number of variables of some roles."""

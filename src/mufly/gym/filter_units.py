@@ -341,7 +341,7 @@ def extract_unit_arrays(flight: Flight, steps_per_period: int) -> tuple[UnitPeri
         quiet[k] = one.next_sample_s
     clock = np.zeros(1, LOOP_CLOCK).view(np.recarray)[0]
     clock.tick, clock.rate_Hz, clock.step_s = plant.period_count, plant.rate_Hz, plant.step_s
-    clock.plant_steps, clock.beam_count = plant.step_count, len(filtered.ranges)
+    clock.steps_per_period, clock.beam_count = plant.step_count, len(filtered.ranges)
     clock.next_python_sample_s, clock.next_sample_s = math.inf, -math.inf
     acting = np.zeros((3, 4))
     acting[:] = [a.input_array for a in (flight.acting_actuators, flight.acting_actuators, flight.sent_actuators)]

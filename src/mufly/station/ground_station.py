@@ -39,7 +39,7 @@ class _HeardVehicle:
     vehicle: RemoteVehicle
     peer: Hashable
     last_heard_s: float
-    vehicle_rank: int
+    identification_rank: int
     message_count: int = 0
     last_counts: tuple[float, int, int, int] = (0.0, 0, 0, 0)
     reported_faults: set[str] = field(default_factory=set)
@@ -174,9 +174,9 @@ class GroundLink:
         component = message.get_srcComponent()
         rank = vehicle_rank(message.type, message.autopilot, component)
         if heard is not None:
-            if rank > heard.vehicle_rank and component != heard.vehicle.component:
+            if rank > heard.identification_rank and component != heard.vehicle.component:
                 heard.vehicle.change_component(component)
-            heard.vehicle_rank = max(rank, heard.vehicle_rank)
+            heard.identification_rank = max(rank, heard.identification_rank)
             return heard
         if not is_vehicle(message.type, message.autopilot, component):
             if message.type != mavlink.MAV_TYPE_GCS and len(self._equipment) < MAX_VEHICLES:

@@ -59,7 +59,7 @@ class VehicleSnapshot(FlightState):
     real_time_factor : float
         Recent seconds of the vehicle's clock per second here, as published or from its time stamps. Below
         :data:`mufly.link.SLOW_REAL_TIME_FACTOR` the simulation is slower than real time.
-    slips : int or None
+    timing_overrun_count : int or None
         Number of times the vehicle skipped time that it could not make up; None if not published.
     """
 
@@ -74,7 +74,7 @@ class VehicleSnapshot(FlightState):
     link_loss: float = math.nan
     link_rate_Hz: float = math.nan
     real_time_factor: float = math.nan
-    slips: int | None = None
+    timing_overrun_count: int | None = None
 
     @classmethod
     def from_signals(

@@ -56,7 +56,7 @@ def test_the_facts_of_a_recording_are_those_of_the_whole_of_it(folder: Path) -> 
 
 def test_a_recording_without_its_end_is_cut_off_or_goes_on(folder: Path) -> None:
     cut = read_flight_facts(folder / "cut.mcap")
-    assert (cut.outcome, cut.fault, cut.vehicle) == ("incomplete", "", "mufly-1.1")
+    assert (cut.outcome, cut.read_error, cut.vehicle) == ("incomplete", "", "mufly-1.1")
     assert 1.0 < cut.duration_s < 3.0
     now = time.time()
     os.utime(folder / "cut.mcap", (now, now))
@@ -70,10 +70,10 @@ def test_what_cannot_be_read_says_why_and_what_is_of_others_says_what_it_can(fol
         ("empty.ulg", "is empty"),
     ):
         found = read_flight_facts(folder / name)
-        assert words in found.fault
-        assert str(folder) not in found.fault
+        assert words in found.read_error
+        assert str(folder) not in found.read_error
     table = read_flight_facts(folder / "table.csv")
-    assert (table.kind, table.fault, table.mission) == ("CSV", "", "")
+    assert (table.file_format, table.read_error, table.mission) == ("CSV", "", "")
     assert table.duration_s == pytest.approx(4.9)
 
 

@@ -209,9 +209,16 @@ def test_the_main_button_says_what_the_mission_does(
 
 
 def test_real_time_that_is_lost_is_told() -> None:
-    assert describe_pace(VehicleSnapshot()) == describe_pace(VehicleSnapshot(real_time_factor=0.96, slips=0)) == ""
-    assert describe_pace(VehicleSnapshot(real_time_factor=0.194, slips=3)) == "real-time factor 0.19, 3 timing overruns"
-    assert describe_pace(VehicleSnapshot(real_time_factor=1.0, slips=1)) == "1 timing overrun"
+    assert (
+        describe_pace(VehicleSnapshot())
+        == describe_pace(VehicleSnapshot(real_time_factor=0.96, timing_overrun_count=0))
+        == ""
+    )
+    assert (
+        describe_pace(VehicleSnapshot(real_time_factor=0.194, timing_overrun_count=3))
+        == "real-time factor 0.19, 3 timing overruns"
+    )
+    assert describe_pace(VehicleSnapshot(real_time_factor=1.0, timing_overrun_count=1)) == "1 timing overrun"
 
 
 def test_undo_takes_back_in_order_and_redo_makes_again() -> None:

@@ -200,7 +200,7 @@ class ArduPilotSimulator(AutopilotSimulator):
         self.pace.record_period()
         inputs = packet.inputs if packet.is_started else np.zeros(4)
         self.vehicle.advance_period(inputs, bool(np.any(inputs[:2] > _SPINNING_MOTOR_INPUT)))
-        self.step_count += 1
+        self.lockstep_period_count += 1
         self._reply = encode_state(self.vehicle, self._start_s)
         self.port.send(peer, self._reply)
         self.on_period()

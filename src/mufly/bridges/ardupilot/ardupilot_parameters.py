@@ -88,7 +88,7 @@ def _gain_parameters(gains: AutopilotGains) -> Iterator[ArduPilotParameter]:
     yield ArduPilotParameter("PSC_POSXY_P", level.position, "position (1/s)")
     yield ArduPilotParameter("PSC_VELXY_P", level.velocity, "velocity (1/s)")
     yield ArduPilotParameter("PSC_VELXY_I", level.velocity_integral, "")
-    yield ArduPilotParameter("PSC_VELXY_D", level.velocity_rate, "")
+    yield ArduPilotParameter("PSC_VELXY_D", level.velocity_derivative, "")
     yield ArduPilotParameter("PSC_POSZ_P", vertical.position, "height (1/s)")
     yield ArduPilotParameter("PSC_VELZ_P", vertical.velocity, "")
     yield ArduPilotParameter("PSC_ACCZ_P", gains.hover_thrust, "rule of ArduPilot's tuning guide")

@@ -183,14 +183,14 @@ class BetaflightSimulator(AutopilotSimulator):
         inputs = np.zeros(4) if problem else self._command.inputs
         is_armed = not problem and bool(np.all(self._command.pulse_us[:2] > _ARMED_US))
         vehicle.advance_period(inputs, is_armed)
-        self.step_count += 1
+        self.lockstep_period_count += 1
         self._watch_arming(is_armed)
         self.on_period()
 
     def _send_state(self) -> None:
         """Send the vehicle's state and, every ``_PILOT_PERIODS`` periods, the channels of the transmitter."""
         vehicle = self.vehicle
-        if self.pilot is not None and self.step_count % _PILOT_PERIODS == 0:
+        if self.pilot is not None and self.lockstep_period_count % _PILOT_PERIODS == 0:
             if self.state == "running":
                 pulses = self.pilot.command_channels(vehicle.truth, vehicle.readings, vehicle.is_armed)
             else:
@@ -290,7 +290,7 @@ class BetaflightSimulator(AutopilotSimulator):
             self._msp_data += data
         obstacles = read_arming_obstacles(self._msp_data)
         if obstacles is None:
-            if self.step_count % round(BETAFLIGHT_RATE_HZ) == 0:
+            if self.lockstep_period_count % round(BETAFLIGHT_RATE_HZ) == 0:
                 for peer in self._msp.peers:
                     self._msp.send(peer, encode_status_request())
             return

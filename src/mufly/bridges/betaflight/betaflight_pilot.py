@@ -112,7 +112,7 @@ class _CascadeAxis:
         if not hold:
             trim = self._integral + k.velocity_integral * (wanted - velocity_m_s) * dt
             self._integral = min(max(trim, -_MAX_TRIM_M_S2), _MAX_TRIM_M_S2)
-        return k.velocity * (wanted - velocity_m_s) + self._integral - k.velocity_rate * slope
+        return k.velocity * (wanted - velocity_m_s) + self._integral - k.velocity_derivative * slope
 
 
 class BetaflightPilot:

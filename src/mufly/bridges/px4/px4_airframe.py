@@ -92,7 +92,7 @@ def _gain_parameters(gains: AutopilotGains) -> Iterator[Px4Parameter]:
         yield Px4Parameter(f"MPC_{name}_P", k.position, "position (1/s)")
         yield Px4Parameter(f"MPC_{name}_VEL_P_ACC", k.velocity, "velocity (1/s)")
         yield Px4Parameter(f"MPC_{name}_VEL_I_ACC", k.velocity_integral, "")
-        yield Px4Parameter(f"MPC_{name}_VEL_D_ACC", k.velocity_rate, "")
+        yield Px4Parameter(f"MPC_{name}_VEL_D_ACC", k.velocity_derivative, "")
     yield Px4Parameter("IMU_GYRO_CUTOFF", GYRO_CUTOFF_HZ, "as in the design of the gains (Hz)")
     yield Px4Parameter("IMU_DGYRO_CUTOFF", GYRO_RATE_CUTOFF_HZ, "")
     yield Px4Parameter("MPC_VELD_LP", VELOCITY_RATE_CUTOFF_HZ, "")

@@ -147,7 +147,7 @@ class Px4Simulator(AutopilotSimulator):
                 self._begin_lockstep()
         self.pace.record_period()
         self._periods += 1
-        self.step_count += self.state == "lockstep"
+        self.lockstep_period_count += self.state == "lockstep"
         vehicle.advance_period(
             np.zeros(4) if self._command is None else self._command.inputs,
             self._command is not None and self._command.is_armed,

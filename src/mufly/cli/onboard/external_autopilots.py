@@ -98,7 +98,7 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
             "position",
             "velocity",
             "velocity_integral",
-            "velocity_rate",
+            "velocity_derivative",
             "angle",
             "rate_proportional",
             "rate_integral",
@@ -107,7 +107,14 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
         rows = [(axis, *(f"{getattr(getattr(designed, axis), f):.3g}" for f in fields)) for axis in AXIS_NAMES]
         print_table(heads, rows, title=f"Gains of {_AUTOPILOT_NAMES[autopilot]}'s cascades for {loaded.name}")
         titles = ("axis", "crossover rad/s", "sensitivity", "outer", "gain dB", "phase deg", "pushed m")
-        names = ("crossover_rad_s", "sensitivity", "outer_sensitivity", "gain_margin_dB", "phase_margin_deg", "push_m")
+        names = (
+            "crossover_rad_s",
+            "sensitivity",
+            "outer_sensitivity",
+            "gain_margin_dB",
+            "phase_margin_deg",
+            "wind_step_displacement_m",
+        )
         margins = [(m.axis, *(format_value(getattr(m, n), ".3g") for n in names)) for m in designed.margins]
         print_table(titles, margins, title="Predicted margins; pushed: by a step of the wind of 0.5 m/s")
         print_lines(f"Hover: mean motor input {designed.hover_thrust:.3f}.")

@@ -277,9 +277,9 @@ def _print_fixed_law(vehicle: Vehicle, controller: FlightController, law: FixedP
     print_lines("Loss by 16-bit coefficients: growth of peaks, loss of margins; phase and delay as ratios.")
     columns = (
         ResultColumn("name", head="controller"), "form",
-        ResultColumn("proof.state_bounds.max", form=".2f", head="greatest state of 32 bits"),
-        ResultColumn("proof.sum_bounds.max", form=".2f", head="greatest sum of 64"),
-        ResultColumn("proof.excess_bound", form=".2f", head="refused of 32"),
+        ResultColumn("proof.state_bound_shares.max", form=".2f", head="greatest state of 32 bits"),
+        ResultColumn("proof.sum_bound_shares.max", form=".2f", head="greatest sum of 64"),
+        ResultColumn("proof.saturation_excess_bound_share", form=".2f", head="refused of 32"),
         ResultColumn("proof.max_pole_magnitude", form=".5f", head="slowest pole"),
     )  # fmt: skip
     print_result_table(law.controllers, columns)
@@ -349,10 +349,10 @@ def fly(
     pace = f"{compared.periods_per_s:.0f} periods/s, {compared.realtime_factor:.2g} times real time"
     slower = " (slower than real time)" if compared.realtime_factor < 1.0 else ""
     terminal.print(f"The board flew {pace}{slower}.", highlight=False)
-    if qemu and not compared.different:
+    if qemu and not compared.mismatch_count:
         terminal.print(f"No byte of its memory differs from this machine's in {compared.periods} periods.")
-    elif compared.different:
-        raise MuflyError(f"the emulated board differs from this machine: {compared.first_difference}")
+    elif compared.mismatch_count:
+        raise MuflyError(f"the emulated board differs from this machine: {compared.first_mismatch}")
     if summary.outcome != "succeeded":
         raise MuflyError(f"the mission failed: {summary.reason}")
 

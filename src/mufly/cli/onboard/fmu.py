@@ -69,9 +69,10 @@ def export_vehicle(
 
 def _print_exported_unit(made: ExportedUnit, compared: UnitComparison | None, sources_only: bool) -> None:
     print_lines(
-        f"Unit {made.model}: {made.inputs} inputs, {made.outputs} outputs, {made.parameters} parameters, "
-        f"{made.start_values} start values" + (f", {made.seeds} seeds of the sensors." if made.seeds else " of hover."),
-        f"Fixed in it: {', '.join(made.fixed)}.",
+        f"Unit {made.model}: {made.input_count} inputs, {made.output_count} outputs, "
+        f"{made.parameter_count} parameters, {made.start_value_count} start values"
+        + (f", {made.seed_count} seeds of the sensors." if made.seed_count else " of hover."),
+        f"Fixed in it: {', '.join(made.fixed_keys)}.",
         f"Library for {made.platform}, and C sources for other platforms." if made.platform else "C sources only.",
     )
     if not made.platform and not sources_only:
@@ -87,6 +88,6 @@ def _print_exported_unit(made: ExportedUnit, compared: UnitComparison | None, so
         )  # fmt: skip
     elif compared is not None:
         print_lines(
-            f"No bit of the state{', the readings and the estimate' if made.seeds else ''} differs from the Python "
-            f"model in {compared.steps} communication steps."
+            f"No bit of the state{', the readings and the estimate' if made.seed_count else ''} differs from the "
+            f"Python model in {compared.steps} communication steps."
         )

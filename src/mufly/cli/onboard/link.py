@@ -259,8 +259,8 @@ def _run_emulated_board(
         )  # fmt: skip
     slower = " (slower than real time)" if flown.realtime_factor < MIN_REAL_TIME_FACTOR else ""
     terminal.print(f"{flown.realtime_factor:.2f} times real time{slower}.", highlight=False)
-    if flown.different:
-        raise MuflyError(f"the emulated board differs from this machine: {flown.first_difference}")
+    if flown.mismatch_count:
+        raise MuflyError(f"the emulated board differs from this machine: {flown.first_mismatch}")
     terminal.print(f"No byte of its memory differs from this machine's in {flown.periods} periods.", highlight=False)
     raise typer.Exit(over.exit_status)
 

@@ -47,9 +47,9 @@ class BoardFlightResult:
     ----------
     periods : int
         Number of compared periods.
-    different : int
+    mismatch_count : int
         Number of halves of a period after which any byte of the board's memory differs.
-    first_difference : str
+    first_mismatch : str
         Period, field and values of the first difference; "" without one.
     periods_per_s : float
         Flown periods per second of wall-clock time (1/s), without builds and start-up.
@@ -60,8 +60,8 @@ class BoardFlightResult:
     """
 
     periods: int
-    different: int
-    first_difference: str
+    mismatch_count: int
+    first_mismatch: str
     periods_per_s: float
     realtime_factor: float
     worst_instructions: int = 0
@@ -331,8 +331,8 @@ def fly_board(
     compared = board if isinstance(board, EmulatedBoard) else None
     return record, BoardFlightResult(
         periods=compared.period_count if compared else 0,
-        different=compared.mismatch_count if compared else 0,
-        first_difference=compared.first_mismatch if compared else "",
+        mismatch_count=compared.mismatch_count if compared else 0,
+        first_mismatch=compared.first_mismatch if compared else "",
         periods_per_s=factor * controller.rate_Hz,
         realtime_factor=factor,
     )

@@ -111,7 +111,7 @@ def run_linked_board(
     finally:
         board.close()
     return BoardFlightResult(
-        periods=board.period_count, different=board.mismatch_count, first_difference=board.first_mismatch,
+        periods=board.period_count, mismatch_count=board.mismatch_count, first_mismatch=board.first_mismatch,
         periods_per_s=board.period_count / wall_s, realtime_factor=flown_s / wall_s,
         worst_instructions=board.worst_instructions,
     )  # fmt: skip

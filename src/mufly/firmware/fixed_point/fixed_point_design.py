@@ -98,11 +98,11 @@ class OverflowProof:
     ----------
     controller : str
     form : str
-    state_bounds : array, shape (n,)
+    state_bound_shares : array, shape (n,)
         Bound of each state over 2^31, the range of 32 bits (1).
-    sum_bounds : array
+    sum_bound_shares : array
         Bound of each sum of products over 2^63 (1).
-    excess_bound : float
+    saturation_excess_bound_share : float
         Bound of the saturation excess over 2^31 (1).
     max_pole_magnitude : float
         Greatest magnitude of a pole of the stable form, with rounded coefficients (1).
@@ -110,16 +110,16 @@ class OverflowProof:
 
     controller: str
     form: str
-    state_bounds: Array
-    sum_bounds: Array
-    excess_bound: float
+    state_bound_shares: Array
+    sum_bound_shares: Array
+    saturation_excess_bound_share: float
     max_pole_magnitude: float
 
     @property
     def is_overflow_free(self) -> bool:
         """Return whether the proof holds: no state or sum can exceed its integer range, and the poles are stable."""
         return bool(
-            max(self.state_bounds.max(), self.sum_bounds.max(), self.excess_bound) < 1.0
+            max(self.state_bound_shares.max(), self.sum_bound_shares.max(), self.saturation_excess_bound_share) < 1.0
             and self.max_pole_magnitude < 1.0
         )
 

@@ -144,8 +144,8 @@ def render_fixed_point_tables(controller: FlightController, law: FixedPointLaw) 
             f"{', '.join(map(str, made.state_fraction_bits))}."
         )
         lines.append(
-            f" *   Whatever comes, states stay below {proof.state_bounds.max():.2f} of 32 bits, sums below "
-            f"{proof.sum_bounds.max():.2f} of 64."
+            f" *   Whatever comes, states stay below {proof.state_bound_shares.max():.2f} of 32 bits, sums below "
+            f"{proof.sum_bound_shares.max():.2f} of 64."
         )
     lines += [
         " */", '#include "fixed_point/fixed_point_law.h"', "",

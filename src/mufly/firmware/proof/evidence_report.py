@@ -246,9 +246,9 @@ def _report_fixed_point(vehicle: Vehicle, out: Path) -> EvidenceSection:
             [
                 (
                     p.controller,
-                    f"{p.state_bounds.max():.2f}",
-                    f"{p.sum_bounds.max():.2f}",
-                    f"{p.excess_bound:.2f}",
+                    f"{p.state_bound_shares.max():.2f}",
+                    f"{p.sum_bound_shares.max():.2f}",
+                    f"{p.saturation_excess_bound_share:.2f}",
                     f"{p.max_pole_magnitude:.5f}",
                 )
                 for p in proofs

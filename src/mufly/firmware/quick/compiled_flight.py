@@ -140,7 +140,7 @@ class CompiledFlight:
         legs, clock.rotor_radius, obstacles, *tables = plant.collision_shape
         self._contact_tables: tuple[Any, ...] = (legs, obstacles, *tables)
         clock.contact_interval, clock.record_interval = flight.look_periods, flight.record_periods
-        clock.plant_steps, clock.rate_Hz, clock.step_s = plant.step_count, plant.rate_Hz, plant.step_s
+        clock.steps_per_period, clock.rate_Hz, clock.step_s = plant.step_count, plant.rate_Hz, plant.step_s
         clock.beam_count = min(beams, self._board.beam_count)
         clock.hover_current_A, clock.current_filter_weight = (
             flight.autopilot.energy_check.hover_current_A,
@@ -201,7 +201,7 @@ class CompiledFlight:
         c.stage, c.tick, c.start_tick, c.stop_tick = STAGE_BEGIN_PERIOD, plant.period_count, plant.period_count, until
         c.is_armed, c.stop_when_valid, c.listener_interval = auto.armed, until_valid, flight.listener_periods
         c.wind_samples = c.periods_run = c.log_rows = c.status_rows = c.listener_rows = 0
-        c.last_due_tick, c.current_A, c.next_python_sample_s = -1, flight.current_A, math.inf
+        c.last_mission_tick, c.current_A, c.next_python_sample_s = -1, flight.current_A, math.inf
         self._acting[1], self._acting[2] = flight.acting_actuators.input_array, flight.sent_actuators.input_array
         self._mission_state, ran = str(self._software.state), self._software.motors != "off"
         p, run = self._assemble_loop(wind)
@@ -398,7 +398,7 @@ class CompiledFlight:
         flight, plant, auto = self._flight, self._flight.plant, self._flight.autopilot
         software, c, filtered = self._software, self._clock, self._filter
         periods, rows, due, winds = (
-            int(n) for n in (c.periods_run, c.log_rows, c.last_due_tick, c.wind_samples)
+            int(n) for n in (c.periods_run, c.log_rows, c.last_mission_tick, c.wind_samples)
         )  # fmt: skip
         plant.consume_wind(wind[winds - 1], winds)
         truth = self._current_truth()
@@ -498,9 +498,13 @@ def _make_software_arrays(software: Any) -> SoftwareArrays:
         record_offset(1, s, "mission", "finished"),
     )
     offsets.state = record_offset(4, s, "mission", "state")
-    offsets.position, offsets.velocity = (record_offset(8, s, "reference", "path", n) for n in ("position", "velocity"))
-    offsets.heading, offsets.heading_rate = (record_offset(8, s, "reference", n) for n in ("heading", "heading_rate"))
-    offsets.tilt, offsets.ranges = record_offset(8, s, "tilt"), record_offset(8, b, "ranges")
+    offsets.reference_position, offsets.reference_velocity = (
+        record_offset(8, s, "reference", "path", n) for n in ("position", "velocity")
+    )
+    offsets.reference_heading, offsets.reference_heading_rate = (
+        record_offset(8, s, "reference", n) for n in ("heading", "heading_rate")
+    )
+    offsets.reference_tilt, offsets.ranges = record_offset(8, s, "tilt"), record_offset(8, b, "ranges")
     offsets.position_variance, offsets.attitude_variance = (
         record_offset(8, b, n) for n in ("position_variance", "attitude_variance")
     )

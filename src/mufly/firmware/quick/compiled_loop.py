@@ -73,7 +73,7 @@ class LoopClock:
     ring_interval: int = int_or_array_field("periods between two readings of an ideal ring")
     listener_interval: int = int_or_array_field("periods between two calls of the listener; 0: no listener")
     wind_samples: int = int_or_array_field("samples of the wind used")
-    plant_steps: int = int_or_array_field("Runge-Kutta steps of a period")
+    steps_per_period: int = int_or_array_field("Runge-Kutta steps of a period")
     beam_count: int = int_or_array_field("beams of the ring in the flight software")
     is_armed: int = int_or_array_field("1: armed")
     is_estimate_valid: int = int_or_array_field("1: the estimate is valid")
@@ -82,7 +82,7 @@ class LoopClock:
     log_or_motors_changed: int = int_or_array_field("1: log or motors changed in this period")
     periods_run: int = int_or_array_field("periods of the flight software")
     filter_periods: int = int_or_array_field("periods of the filter")
-    last_due_tick: int = int_or_array_field("last period in which the mission's logic was due; -1: none")
+    last_mission_tick: int = int_or_array_field("last period in which the mission's logic was due; -1: none")
     log_rows: int = int_or_array_field("rows of the recording written")
     status_rows: int = int_or_array_field("rows of sensor status written")
     listener_rows: int = int_or_array_field("rows for the listener written")
@@ -110,11 +110,11 @@ class RecordOffsets:
     log_count: int = int_or_array_field("entries of the log")
     finished: int = int_or_array_field("end of the mission")
     state: int = int_or_array_field("state of the mission")
-    position: int = int_or_array_field("reference position")
-    velocity: int = int_or_array_field("reference velocity")
-    heading: int = int_or_array_field("reference heading")
-    heading_rate: int = int_or_array_field("reference rate of the heading")
-    tilt: int = int_or_array_field("reference tilt")
+    reference_position: int = int_or_array_field("reference position")
+    reference_velocity: int = int_or_array_field("reference velocity")
+    reference_heading: int = int_or_array_field("reference heading")
+    reference_heading_rate: int = int_or_array_field("reference rate of the heading")
+    reference_tilt: int = int_or_array_field("reference tilt")
     ranges: int = int_or_array_field("ranges of the ring")
     position_variance: int = int_or_array_field("variance of the position")
     attitude_variance: int = int_or_array_field("variance of the attitude")
@@ -171,7 +171,7 @@ class FilterArrays(NamedTuple):
     reading_times: _Array
     ring_scans: _Array
     max_range_m: float
-    beams: NDArray[np.int64]  # indices of the fused beams
+    fused_beams: NDArray[np.int64]  # indices of the fused beams
     status: tuple[_Array, ...]  # PUBLISHED_FIELDS of the memory
     texts: NDArray[np.int64]  # numbers of the reasons' texts
     addresses: tuple[int, ...]  # of the step function and its six arguments
@@ -336,7 +336,9 @@ def _begin_fitted_period(p: FittedPeriods) -> int:
 def advance_plant(p: Periods) -> int:
     c, q = p.clock, p.plant
     acting_inputs = q.acting_inputs
-    advance_period(q.state, acting_inputs[1], q.wind[c.wind_samples], q.parameters, c.step_s, c.plant_steps, q.supply)
+    advance_period(
+        q.state, acting_inputs[1], q.wind[c.wind_samples], q.parameters, c.step_s, c.steps_per_period, q.supply
+    )
     c.wind_samples += 1
     c.tick += 1
     for k in range(4):
@@ -391,8 +393,8 @@ def _fill_readings(t: float, has_new_reading: NDArray[np.uint8], rows: _Array, f
         start = READING_STARTS[r]
         if r == READING_RANGE_RING:
             is_ring = True
-            for j in range(f.beams.size):
-                f.values[start + j] = row[ROW_FIRST_VALUE + f.beams[j]]
+            for j in range(f.fused_beams.size):
+                f.values[start + j] = row[ROW_FIRST_VALUE + f.fused_beams[j]]
             filter_ring_scan(row[ROW_FIRST_VALUE:], f.max_range_m, f.ring_scans, ranges)
         else:
             for j in range(READING_WIDTHS[r]):
@@ -532,7 +534,7 @@ def _step_software(p: Periods) -> int:
     for k in range(4):
         p.plant.acting_inputs[2, k] = s.actuators[k] if runs else 0.0
     if s.reals[at.late_s] == 0.0:
-        c.last_due_tick = c.tick
+        c.last_mission_tick = c.tick
     c.periods_run += 1
     changed = s.ints[at.log_count] != logged or s.ints[at.motors] != motors or s.bytes[at.finished] != finished
     c.log_or_motors_changed = 1 if changed else 0
@@ -551,11 +553,11 @@ def _write_log_row(p: Periods) -> int:
         n = _copy_to_row(row, _copy_to_row(row, n, q.wind[c.wind_samples - 1]), q.supply)
         _copy_to_row(row, n, q.acting_inputs[1])
         for k in range(3):
-            way = s.reals[at.velocity + k]
-            row[LOG_REF_POSITION + k] = s.reals[at.position + k] + late * way
+            way = s.reals[at.reference_velocity + k]
+            row[LOG_REF_POSITION + k] = s.reals[at.reference_position + k] + late * way
             row[LOG_REF_VELOCITY + k] = way
-        row[LOG_REF_ATTITUDE], row[LOG_REF_ATTITUDE + 1] = s.reals[at.tilt], s.reals[at.tilt + 1]
-        row[LOG_REF_ATTITUDE + 2] = s.reals[at.heading] + late * s.reals[at.heading_rate]
+        row[LOG_REF_ATTITUDE], row[LOG_REF_ATTITUDE + 1] = s.reals[at.reference_tilt], s.reals[at.reference_tilt + 1]
+        row[LOG_REF_ATTITUDE + 2] = s.reals[at.reference_heading] + late * s.reals[at.reference_heading_rate]
         row[LOG_MISSION_STATE] = s.ints[at.state]
         _copy_to_row(row, LOG_ROW_SIZE, p.ranges)
     return CONTINUE_LOOP

@@ -51,7 +51,7 @@ class FlightFacts:
 
     Attributes
     ----------
-    kind : str
+    file_format : str
         Format of the file.
     start_s : float
         Start (s since 1970); NaN if unknown.
@@ -59,17 +59,17 @@ class FlightFacts:
         NaN if unknown without reading the whole file.
     vehicle, mission, outcome : str
         "" if unknown.
-    fault : str
+    read_error : str
         Error on reading, "" if none.
     """
 
-    kind: str = ""
+    file_format: str = ""
     start_s: float = math.nan
     duration_s: float = math.nan
     vehicle: str = ""
     mission: str = ""
     outcome: str = ""
-    fault: str = ""
+    read_error: str = ""
 
 
 def read_flight_facts(path: Path) -> FlightFacts:
@@ -89,9 +89,9 @@ def read_flight_facts(path: Path) -> FlightFacts:
             facts, times = data.attrs, data["time"].values
             length_s = float(times[-1] - times[0]) if len(times) else math.nan
     except MuflyError as error:
-        return FlightFacts(kind, fault=str(error).removeprefix(f"{path}: "))
+        return FlightFacts(kind, read_error=str(error).removeprefix(f"{path}: "))
     except Exception as error:  # a damaged log can fail in any way, and the list goes on
-        return FlightFacts(kind, fault=f"damaged ({type(error).__name__}: {error})"[:200])
+        return FlightFacts(kind, read_error=f"damaged ({type(error).__name__}: {error})"[:200])
     start_ns = facts.get("start_time_ns")
     start_s = float(start_ns) * 1e-9 if isinstance(start_ns, int | float) and start_ns > 0 else _parse_start_time(facts)
     outcome = ": ".join(str(facts[k]) for k in ("outcome", "reason") if facts.get(k))
@@ -132,7 +132,7 @@ def make_flight_row(path: Path, here: Path, facts: FlightFacts | None) -> dict[s
         "vehicle": known.vehicle,
         "mission": known.mission,
         "outcome": known.outcome,
-        "fault": known.fault,
+        "fault": known.read_error,
         "known": facts is not None,
         "beside": has_better_recording(path),
     }

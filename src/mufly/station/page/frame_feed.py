@@ -54,7 +54,7 @@ _STATE_SIGNALS = (
         "range_max_m",
     ),
     *("battery_current", "battery_charge", "battery_left_s", "link_loss", "link_rate_Hz"),
-    *("real_time_factor", "slips"),
+    *("real_time_factor", "timing_overrun_count"),
 )
 _ESTIMATE_SIGNALS = ("position", "velocity", "attitude", "rates", "ranges", "battery_voltage")
 _ACTUATOR_SIGNALS = ("motor_input", "servo_input")

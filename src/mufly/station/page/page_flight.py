@@ -128,7 +128,7 @@ class PageFlight:
         Whether the vehicle's process runs SLAM on pictures of a camera.
     on_event, on_notice : callable
         Called with each event of the flight, and with each notice about the session (text).
-    stop : callable
+    should_stop : callable
         Returns whether the session should end.
     """
 
@@ -142,7 +142,7 @@ class PageFlight:
     has_camera: bool
     on_event: Callable[[FlightEvent], None]
     on_notice: Callable[[str], None]
-    stop: Callable[[], bool]
+    should_stop: Callable[[], bool]
 
 
 def vehicle_endpoint(port: int, links: Sequence[Endpoint] = ()) -> list[Endpoint]:
@@ -187,7 +187,7 @@ def fly_with_page(flight: PageFlight, address: PageAddress, page: StartPage) -> 
                 await ground.start()
                 page.stop()
                 await serve_page(
-                    session, address, open_browser=False, stop=flight.stop,
+                    session, address, open_browser=False, stop=flight.should_stop,
                     beside=lambda: _supervise_flight(flight, monitor, session),
                 )  # fmt: skip
             finally:

@@ -394,8 +394,8 @@ class WindowView:
 def describe_pace(s: VehicleSnapshot) -> str:
     """Return a vehicle's low real-time factor and number of timing overruns as text; "" if it keeps real time."""
     lost = [f"real-time factor {s.real_time_factor:.2f}"] if s.real_time_factor < SLOW_REAL_TIME_FACTOR else []
-    if s.slips:
-        lost.append(f"{s.slips} timing overrun{'s' if s.slips > 1 else ''}")
+    if s.timing_overrun_count:
+        lost.append(f"{s.timing_overrun_count} timing overrun{'s' if s.timing_overrun_count > 1 else ''}")
     return ", ".join(lost)
 
 

@@ -189,7 +189,7 @@ class RemoteVehicle:
             link_loss=self._loss,
             link_rate_Hz=self._rate_Hz,
             real_time_factor=t.real_time_factor(self._now_s),
-            slips=t.slip_count,
+            timing_overrun_count=t.slip_count,
         )
 
     @property
