@@ -66,9 +66,9 @@ def peer_rate(generations: int) -> tuple[float, float]:
     free = choose_free_parameters(truth, ("Izz", "Iyy", "l_up", "l_dw"), records[0].output_names)
     problem = make_problem(truth, free, records[2:3], voltage="nominal", delay_s=0.0)
     record = problem.records[0]
-    from mufly.identify.flight.free_parameters import parameters_at_theta, scaled_parameters
+    from mufly.identify.flight.free_parameters import find_field_changes, parameters_at_theta
 
-    base, changes = scaled_parameters(truth, free, 7.2)
+    base, changes = find_field_changes(truth, free, 7.2)
     hover, rates = find_trim(truth), np.empty(21)
     columns = [FLIGHT_OUTPUTS.index(o) for o in record.output_names]
     flights = 0

@@ -36,7 +36,7 @@ from mufly.flight.record.foreign_log import AidRequest, read_foreign_log, truth_
 from mufly.logs import load_column_map
 from mufly.mission import Mission, parse_mission
 from mufly.quantities.units import STANDARD_GRAVITY_M_S2
-from mufly.sensors import Truth, draw_leaning_vehicle, fitted_sensors, parse_fault
+from mufly.sensors import Truth, fitted_sensors, parse_fault, randomise_leg_lengths
 from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 
 STANDS_S = 2.0
@@ -120,7 +120,7 @@ def felt(vehicle: Vehicle, mission: Mission, seed: int, scenario: Scenario, leve
     """One unit on its flight: it stands as level as it does, and may be off the model."""
     true = drawn(vehicle, scenario.off, seed) if scenario.off else vehicle
     if not level:
-        true = draw_leaning_vehicle(true, seed=seed)
+        true = randomise_leg_lengths(true, seed=seed)
     flight = flown(true, mission, seed if scenario.off else 77, vehicle)
     faults = [parse_fault(f) for f in scenario.faults]
     sensors = fitted_sensors(true, mission.world, seed=seed, faults=faults)

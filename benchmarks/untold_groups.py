@@ -70,7 +70,7 @@ def main() -> None:
                 wind=0.5, gust=0.3, seed=asked.seed, sensors="fitted", fast_controllers=GenericFirmwareSoftware,
             )  # fmt: skip
             outcome = summarise_outcome(run_campaign(campaign, asked.flights, crew=crew), campaign.tolerance_m)
-            worst = {m.label: f"{m.metric_summaries:.3g}" for m in outcome.metric_summaries}
+            worst = {m.label: f"{m.worst:.3g}" for m in outcome.metric_summaries}
             row = {
                 "group": group,
                 "factor": factor,

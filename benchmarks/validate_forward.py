@@ -25,7 +25,7 @@ from scipy.optimize import brentq, fsolve
 
 from mufly.errors import MuflyError
 from mufly.rotor import Air, make_rotor, prepare_blading
-from mufly.rotor.forward import BladeFlap, ForwardCondition, solve_forward
+from mufly.rotor.forward import ForwardCondition, RigidFlapMode, solve_forward
 
 INFLOW_RUNS = (("015", 28.50, -3.0), ("023", 43.86, -3.04))  # airspeed (m/s), angle of the tip path plane (deg)
 
@@ -50,7 +50,7 @@ def compare_inflow(folder: Path, record: Callable[..., None]) -> None:
         name="r", radius_m=radius, chord_m=0.066, twist_rad=np.radians([0.0, -8.0]), airfoils="naca0012",
         r_over_R=(0.0, 1.0), blades=4, hub_cutout=0.24,
     )  # fmt: skip
-    blading, flap = prepare_blading(rotor, n_crit=9.0), BladeFlap(1.0, 0.03)
+    blading, flap = prepare_blading(rotor, n_crit=9.0), RigidFlapMode(1.0, 0.03)
     kept = []
     for name, airspeed, degrees in INFLOW_RUNS:
         data = read_numbers(folder / f"mu_{name}.csv", 3)
@@ -92,7 +92,7 @@ def compare_descent(folder: Path, record: Callable[..., None]) -> None:
     """
     radius = 0.9144
     rotor = make_rotor(name="c", radius_m=radius, chord_m=0.0479, airfoils="naca0015", blades=3, hub_cutout=0.15)
-    blading, flap = prepare_blading(rotor), BladeFlap(1.0, 0.05)
+    blading, flap = prepare_blading(rotor), RigidFlapMode(1.0, 0.05)
     groups: dict[str, list[tuple[float, float]]] = {}
     hovers: dict[tuple[float, float], list[float]] = {}
     changes: dict[str, list[float]] = {}
@@ -168,7 +168,7 @@ def compare_autogyro(folder: Path, record: Callable[..., None]) -> None:
     """
     radius, density = 6.858, 1.225
     rotor = make_rotor(name="p", radius_m=radius, chord_m=0.5588, airfoils="goe429", blades=4, hub_cutout=0.15)
-    blading, flap, air = prepare_blading(rotor, n_crit=4.0), BladeFlap(1.0, 564.0), Air(density)
+    blading, flap, air = prepare_blading(rotor, n_crit=4.0), RigidFlapMode(1.0, 564.0), Air(density)
     sizes = []
     for path in sorted(folder.glob("Wheatley*table*")):
         data = read_numbers(path, 6)

@@ -57,7 +57,7 @@ from rotor_checks import (
 from rotor_tables import LIFT, bootstrap_share, percent, show_table, sizes
 
 from mufly.errors import MuflyError
-from mufly.files.answer_store import hash_question, read_answer, write_answer
+from mufly.files.answer_store import hash_inputs, read_stored_result, write_stored_result
 from mufly.files.text_table import read_text_table
 from mufly.quantities.units import RPM
 from mufly.rotor import (
@@ -75,15 +75,15 @@ from mufly.rotor import (
     replace_rotor,
     solve_system,
 )
-from mufly.rotor.measured.uncertainty import INTERVAL_SCALES, fit_interval_scale
+from mufly.rotor.measured.uncertainty import THRUST_TORQUE_ERROR_SCALES, fit_interval_scale
 from mufly.rotor.wake import WakeSettings, momentum_thrust
 from mufly.study.benchmark import (
     PredictionCode,
     RotorCase,
     RotorPrediction,
     score_codes,
-    score_cross_validated,
     score_held_out_points,
+    score_prediction_intervals,
     tabulate_by_group,
 )
 from mufly.study.benchmark.benchmark_scores import select_points
@@ -241,9 +241,9 @@ def report_variants(asked: argparse.Namespace) -> None:
         "all corrections (default)": Corrections(),
         "plain: no finite chord, no rotation": TEXTBOOK_CORRECTIONS,
         "without finite chord": Corrections(lifting_surface=False),
-        "without rotation": Corrections(rotation="none"),
-        "rotation after Snel": Corrections(rotation="snel"),
-        "rotation after Chaviaropoulos, Hansen": Corrections(rotation="chaviaropoulos-hansen"),
+        "without rotation": Corrections(stall_delay="none"),
+        "rotation after Snel": Corrections(stall_delay="snel"),
+        "rotation after Chaviaropoulos, Hansen": Corrections(stall_delay="chaviaropoulos-hansen"),
         "without swirl": Corrections(swirl=False),
         "without hub loss": Corrections(hub_loss=False),
         "without tip loss": Corrections(tip_loss="none"),
@@ -268,7 +268,7 @@ def report_intervals(asked: argparse.Namespace) -> None:
 
     The two ranges are 90 % of bootstrap samples of the share of points, over rotors and over families.
     """
-    rows, scores = [], score_cross_validated(load_singles(asked.data))
+    rows, scores = [], score_prediction_intervals(load_singles(asked.data))
     for section in ("known", "guessed"):
         part, shares = [s for s in scores if s.code.endswith(section)], []
         for k, quantity in enumerate(("thrust", "torque")):
@@ -292,7 +292,7 @@ def report_intervals(asked: argparse.Namespace) -> None:
     head = ["section", "points inside", "mean of rotors", "range over rotors", "over families", "half width"]
     show_table("90 % intervals, scales fitted to the other families", head, rows)
     errors = [s.standardised_error for s in scores if s.standardised_error is not None]
-    fitted, shipped = [fit_interval_scale([e[k] for e in errors]) for k in (0, 1)], INTERVAL_SCALES
+    fitted, shipped = [fit_interval_scale([e[k] for e in errors]) for k in (0, 1)], THRUST_TORQUE_ERROR_SCALES
     print(f"scales fitted to all rotors: {fitted[0]:.3f}, {fitted[1]:.3f}; in mufly: {shipped[0]:g}, {shipped[1]:g}")
 
 
@@ -380,9 +380,9 @@ class PairSolver:
         label: str = "",
     ) -> Loads:
         """Return the loads; speeds in rad/s, None for the one that balances the torques; one speed: one rotor."""
-        key = hash_question(label, rotor.r_m, rotor.chord_m, speeds, pitch, spacing_m, asdict(air), repr(settings))
+        key = hash_inputs(label, rotor.r_m, rotor.chord_m, speeds, pitch, spacing_m, asdict(air), repr(settings))
         file = self.keep and method == "wake" and self.keep / f"pair-{key[:24]}.json"
-        kept = read_answer(file, key) if file else None
+        kept = read_stored_result(file, key) if file else None
         if kept is not None:
             return Loads(*(tuple(kept[n]) for n in ("thrust", "torque", "speed")), kept["mark"])
         alone = len(speeds) == 1
@@ -405,7 +405,7 @@ class PairSolver:
             *(tuple(getattr(r, n) for r in found.rotors) for n in ("thrust_N", "torque_Nm", "speed_rad_s")), mark
         )
         if file:
-            write_answer(file, key, asdict(loads))
+            write_stored_result(file, key, asdict(loads))
         return loads
 
 

@@ -9,13 +9,13 @@ import pytest
 
 from mufly.errors import InputError
 from mufly.files.answer_store import (
-    AnswerLines,
+    StoredResultLines,
     cache_folder,
     claim_folder,
-    hash_question,
-    read_answer,
+    hash_inputs,
+    read_stored_result,
     replace_file,
-    write_answer,
+    write_stored_result,
 )
 
 OTHER = ("answers another question", "give another place")
@@ -24,34 +24,34 @@ DAMAGED = ("is damaged", "delete it")
 
 def test_a_question_is_its_content() -> None:
     asked = {"b": (1, 2.0), "a": Path("x")}
-    assert hash_question(asked) == hash_question(dict(reversed(asked.items())))
-    assert hash_question(np.array([1.0, 2.0])) != hash_question(np.array([1.0, np.nextafter(2.0, 3.0)]))
-    assert hash_question("ab", "c") != hash_question("a", "bc")
+    assert hash_inputs(asked) == hash_inputs(dict(reversed(asked.items())))
+    assert hash_inputs(np.array([1.0, 2.0])) != hash_inputs(np.array([1.0, np.nextafter(2.0, 3.0)]))
+    assert hash_inputs("ab", "c") != hash_inputs("a", "bc")
 
 
 @pytest.mark.parametrize("name", ["answer.json", "answer.npz"])
 def test_an_answer_is_that_of_its_question(tmp_path: Path, name: str) -> None:
     path = tmp_path / "new" / name
-    assert read_answer(path, "q", damaged=DAMAGED, other=OTHER) is None
-    write_answer(path, "q", {"x": np.array([1.0, np.nan]), "why": ""})
-    found = read_answer(path, "q")
+    assert read_stored_result(path, "q", damaged=DAMAGED, other=OTHER) is None
+    write_stored_result(path, "q", {"x": np.array([1.0, np.nan]), "why": ""})
+    found = read_stored_result(path, "q")
     assert found is not None
     np.testing.assert_array_equal(found["x"], [1.0, np.nan])
     assert found["why"] == ""
-    assert read_answer(path, "other") is None
+    assert read_stored_result(path, "other") is None
     with pytest.raises(InputError, match="answers another question; give another place"):
-        read_answer(path, "other", other=OTHER)
+        read_stored_result(path, "other", other=OTHER)
     path.write_bytes(path.read_bytes()[:-20])
-    assert read_answer(path, "q", other=OTHER) is None
+    assert read_stored_result(path, "q", other=OTHER) is None
     with pytest.raises(InputError, match="is damaged; delete it"):
-        read_answer(path, "q", damaged=DAMAGED)
+        read_stored_result(path, "q", damaged=DAMAGED)
 
 
 def test_several_writers_and_a_fault_leave_a_whole_file(tmp_path: Path) -> None:
     path = tmp_path / "answer.json"
     with ThreadPoolExecutor(8) as pool:
-        list(pool.map(lambda k: write_answer(path, "q", {"x": [k] * 1000}), range(40)))
-    found = read_answer(path, "q")
+        list(pool.map(lambda k: write_stored_result(path, "q", {"x": [k] * 1000}), range(40)))
+    found = read_stored_result(path, "q")
     assert found is not None
     assert len(set(found["x"])) == 1
 
@@ -62,7 +62,7 @@ def test_several_writers_and_a_fault_leave_a_whole_file(tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match="cannot be written"):
         full()
-    assert read_answer(path, "q") == found
+    assert read_stored_result(path, "q") == found
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -77,8 +77,8 @@ def test_a_folder_belongs_to_one_question(tmp_path: Path) -> None:
 def test_lines_are_recalled_up_to_the_one_that_was_cut_off(tmp_path: Path) -> None:
     path = tmp_path / "answers.jsonl"
 
-    def lines(**more: object) -> AnswerLines[int]:
-        return AnswerLines(path, lambda row: (row[0], row[1]), question="q", other=OTHER, **more)  # type: ignore[arg-type]
+    def lines(**more: object) -> StoredResultLines[int]:
+        return StoredResultLines(path, lambda row: (row[0], row[1]), question="q", other=OTHER, **more)  # type: ignore[arg-type]
 
     first = lines()
     for k in range(3):
@@ -96,7 +96,7 @@ def test_lines_are_recalled_up_to_the_one_that_was_cut_off(tmp_path: Path) -> No
     path.write_bytes(b'{"question": "other"}\n')
     with pytest.raises(InputError, match="answers another question"):
         lines()
-    lines_in_memory: AnswerLines[int] = AnswerLines(None, lambda row: (row, row))
+    lines_in_memory: StoredResultLines[int] = StoredResultLines(None, lambda row: (row, row))
     lines_in_memory.add(1, 1, [])
     lines_in_memory.discard()
     assert lines_in_memory.known == {1: 1}

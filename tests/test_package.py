@@ -92,7 +92,7 @@ def test_hover_is_solved_once():
     """Eq. 5.1: trim, the level of a coefficient map and the start of an identified record take one solution of it."""
     vehicle = mufly.load_vehicle("mufly-1.1")
     p = mufly.dynamics.model_parameters(vehicle)
-    speeds = mufly.dynamics.hover_speeds(p)
+    speeds = mufly.dynamics.compute_hover_rotor_speeds(p)
     thrust = p["thrust_up"] * speeds[0] ** 2 + p["thrust_dw"] * speeds[1] ** 2
     assert thrust == pytest.approx(p["mass"] * mufly.dynamics.GRAVITY + p["downwash_drag"], rel=1e-14)
     assert p["torque_up"] * speeds[0] ** 2 == pytest.approx(p["torque_dw"] * speeds[1] ** 2, rel=1e-14)
@@ -100,7 +100,9 @@ def test_hover_is_solved_once():
     batch = np.array([p, p])
     batch["mass"][1] *= 4.0
     batch["downwash_drag"][1] *= 4.0
-    assert mufly.dynamics.hover_speeds(batch) == pytest.approx(np.array([speeds, 2.0 * speeds]), rel=1e-14)
+    assert mufly.dynamics.compute_hover_rotor_speeds(batch) == pytest.approx(
+        np.array([speeds, 2.0 * speeds]), rel=1e-14
+    )
 
 
 def test_each_file_name_stands_once() -> None:

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mufly.bench import parse_header
+from mufly.bench import parse_column_header
 from mufly.errors import InputError
 from mufly.quantities.quantity_table import (
     DIMENSION_LABELS,
@@ -36,7 +36,7 @@ from mufly.vehicle import load_vehicle
 )
 def test_bench_study_and_table_agree_to_the_last_bit(header, text, si):
     unit = header.replace("(", "_").replace(")", "").replace(" ", "").partition("_")[2]
-    assert parse_header(header).factor == conversion_factor(unit, si) == parse_quantity(*text)
+    assert parse_column_header(header).factor == conversion_factor(unit, si) == parse_quantity(*text)
 
 
 def test_a_vehicle_file_takes_every_unit_of_the_table(tmp_path):
@@ -59,7 +59,7 @@ def _with_radius(value, unit):
 
 def test_load_cells_in_grams_weigh_with_the_standard_gravity():
     assert conversion_factor("gf") == pytest.approx(STANDARD_GRAVITY_M_S2 / 1000)
-    assert unit_conversion("g", "N")[1] == unit_conversion("gf")[1] == parse_header("T(g)").factor
+    assert unit_conversion("g", "N")[1] == unit_conversion("gf")[1] == parse_column_header("T(g)").factor
     assert unit_conversion("g")[0] == "kg"
 
 

@@ -315,7 +315,9 @@ def test_a_series_over_devices_bears_a_reset():
     assert any(x["kind"] == "event" and "was reset" in x.get("why", "") for x in record.lines)
     assert rig.commanded_speed["upper"] == 0.0
     p = max(points, key=lambda x: x["speed_rpm"])
-    truth = rig.true_loads_at({"upper": np.array(5500 * RPM), "lower": np.array(0.0)})[0] * rig.true_density() / 1.2
+    truth = (
+        rig.find_loads_in_map_air({"upper": np.array(5500 * RPM), "lower": np.array(0.0)})[0] * rig.true_density() / 1.2
+    )
     assert p["quick"]["thrust"] == pytest.approx(float(truth), rel=0.05)
 
 

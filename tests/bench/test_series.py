@@ -129,7 +129,7 @@ def test_without_a_torque_cell_the_reference_tells_the_torque(single):
     rig = SimulatedRig(3)
     rig.mount(made.mounting[0])
     speeds = np.linspace(2500, 7500, 11) * RPM
-    known = [rig.true_loads_at({"upper": np.array(w), "lower": np.array(0.0)})[1]["upper"] for w in speeds]
+    known = [rig.find_loads_in_map_air({"upper": np.array(w), "lower": np.array(0.0)})[1]["upper"] for w in speeds]
     from mufly.rotor import RotorMeasurements
 
     torque = RotorMeasurements(0 * speeds, speeds, 0 * speeds, np.array(known, dtype=float), "known")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.bench import parse_header, read_bench_file, read_bench_files
+from mufly.bench import parse_column_header, read_bench_file, read_bench_files
 from mufly.errors import InputError
 
 
@@ -32,7 +32,7 @@ from mufly.errors import InputError
     ],
 )
 def test_headers(header, name, factor):
-    column = parse_header(header)
+    column = parse_column_header(header)
     assert column is not None
     assert column.name == name
     assert column.factor == pytest.approx(factor)
@@ -40,7 +40,7 @@ def test_headers(header, name, factor):
 
 @pytest.mark.parametrize("header", ["T_laminar", "comment", "P_B(W/kg)", "torque_V", ""])
 def test_other_headers_are_no_quantities(header):
-    assert parse_header(header) is None
+    assert parse_column_header(header) is None
 
 
 def write(tmp_path, text):
@@ -183,7 +183,7 @@ def test_headers_of_a_thrust_stands_maker():
         "Motor Electrical Speed (RPM)",
         "Humidity (%)",
     ]
-    assert [parse_header(h).name for h in heads] == [
+    assert [parse_column_header(h).name for h in heads] == [
         "torque",
         "thrust",
         "voltage",
@@ -191,7 +191,7 @@ def test_headers_of_a_thrust_stands_maker():
         "speed",
         "humidity",
     ]
-    assert parse_header(heads[4]).factor == pytest.approx(np.pi / 30)
+    assert parse_column_header(heads[4]).factor == pytest.approx(np.pi / 30)
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def test_headers_of_a_thrust_stands_maker():
     ],
 )  # fmt: skip
 def test_units_and_names_of_thrust_stands(header, factor):
-    assert parse_header(header).factor == pytest.approx(factor, rel=1e-6)
+    assert parse_column_header(header).factor == pytest.approx(factor, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ class Session:
 
 @pytest.fixture
 def plant(monkeypatch):
-    monkeypatch.setattr(betaflight_link, "PORT_OPEN_TIME_S", 0.0)
+    monkeypatch.setattr(betaflight_link, "MIN_PORT_OPEN_TIME_S", 0.0)
     faults = (parse_fault("position.jump=2@1s"),)
     with AutopilotPlant(
         load_vehicle("mufly-1.1"), Mission(name="hall"), rate_Hz=BETAFLIGHT_RATE_HZ, autopilot="Betaflight",
@@ -138,7 +138,7 @@ def test_the_pilot_arms_then_raises_the_throttle(session):
 
 
 def test_a_refused_arming_is_explained_by_its_reasons(plant, monkeypatch):
-    monkeypatch.setattr(betaflight_link, "ARMING_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(betaflight_link, "ARMING_REFUSAL_TIMEOUT_S", 0.1)
     serial = SerialPort(flags=1 << 12 | 1 << 28)
     session = Session(plant, serial.port)
     try:

@@ -70,7 +70,7 @@ def test_a_stock_subscriber_reads_and_commands_the_flight():
         send_set_point=lambda s: calls.append(("set", s)) or RequestAnswer(True),
     )
     flight = SimpleNamespace(
-        recorder=recorder, records_truth=False, vehicle=load_vehicle("mufly-1.1"), autopilot=autopilot,
+        recorder=recorder, records_only_truth=False, vehicle=load_vehicle("mufly-1.1"), autopilot=autopilot,
         log_event=lambda text, level="info": events.append(text),
         estimate=SimpleNamespace(attitude=np.array([0.0, 0.0, np.pi / 2]), position=np.array([0.0, 0.0, -1.0])),
     )  # fmt: skip

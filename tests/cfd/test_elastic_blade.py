@@ -11,7 +11,7 @@ from mufly.cfd import solve_elastic_blade
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, compute_airfoil_polars, load_rotor, prepare_blading, solve_rotor
 from mufly.rotor.structure.coupled_rounds import StripLoads, deform_rotor, iterate_elastic_twist
-from mufly.rotor.structure.elastic_rotor import section_moment, solve_equilibrium
+from mufly.rotor.structure.elastic_rotor import compute_section_moment_coefficients, solve_equilibrium
 from mufly.rotor.structure.flap_modes import make_blade_beam
 
 POINT = {"pitch_rad": math.radians(13.0), "speed_rad_s": 628.0}
@@ -34,7 +34,12 @@ class StandIn:
         blading = prepare_blading(rotor, self.polars)
         one = solve_rotor(blading, **POINT, air=AIR)
         wind = one.reynolds * AIR.viscosity_Pa_s / (AIR.density_kg_m3 * one.chord_m)
-        moment = 0.5 * AIR.density_kg_m3 * (wind * one.chord_m) ** 2 * section_moment(one, blading, self.polars)
+        moment = (
+            0.5
+            * AIR.density_kg_m3
+            * (wind * one.chord_m) ** 2
+            * compute_section_moment_coefficients(one, blading, self.polars)
+        )
         width = one.dr_m * rotor.blades
         return StripLoads(one.r_m, self.factor * one.dT_N / width, -one.dQ_Nm / (one.r_m * width), self.factor * moment)
 

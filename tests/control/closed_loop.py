@@ -16,7 +16,7 @@ from mufly.control import (
     roll_pitch_init,
     roll_pitch_step,
 )
-from mufly.dynamics import battery_state, euler_from_quaternion, find_trim, integrate_state, model_parameters
+from mufly.dynamics import compute_battery_supply, euler_from_quaternion, find_trim, integrate_state, model_parameters
 from mufly.vehicle import Vehicle
 
 
@@ -76,7 +76,7 @@ def fly(
     air = np.array(wind)
     period = controller.period_s
     psi = float(euler_from_quaternion(x[6:10])[2])
-    volts = battery_state(x, u[0], u[1], p)[0]
+    volts = compute_battery_supply(x, u[0], u[1], p)[0]
     heave_yaw = heave_yaw_init(controller.heave_yaw_gains, np.array([x[2], psi, x[12]]), u[:2], volts)
     roll_pitch = roll_pitch_init(controller.roll_pitch_gains, np.zeros(4))
     outer = position_init(controller.position_gains)
@@ -86,7 +86,7 @@ def fly(
         want = reference(k * period)
         angles = euler_from_quaternion(x[6:10])
         psi += (angles[2] - psi + np.pi) % (2 * np.pi) - np.pi
-        volts = battery_state(x, u[0], u[1], p)[0]
+        volts = compute_battery_supply(x, u[0], u[1], p)[0]
         if want.tilt is not None:
             tilt = np.array(want.tilt)
         elif k % controller.position_divider == 0:

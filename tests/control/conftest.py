@@ -13,7 +13,7 @@ from mufly.control import DesignSettings, FlightController, design_flight_contro
 from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import design_roll_pitch
 from mufly.control.robust.parameter_spreads import spread_derivatives
-from mufly.control.synthesis.synthesis_methods import RobustGoals
+from mufly.control.synthesis.synthesis_methods import DkIterationSettings
 from mufly.dynamics import linearise_vehicle
 from mufly.vehicle import Vehicle
 
@@ -57,7 +57,7 @@ def mu_roll_pitch(vehicle: Vehicle, controller: FlightController) -> ControllerD
     spreads = {"swash_plate.linkage": 0.23, "stabiliser_bar.linkage": 0.14, "body.inertia_xx": 2.2e-5}
     linear = linearise_vehicle(vehicle)
     E = spread_derivatives(vehicle, controller.voltage_V, list(spreads), np.diag(list(spreads.values())))
-    goals = RobustGoals(rounds=1, frequencies=(1.0, 100.0, 12))
+    goals = DkIterationSettings(rounds=1, frequencies=(1.0, 100.0, 12))
     return design_roll_pitch(
         linear.roll_pitch, DesignSettings(method="mu", robust_goals=goals), 1 / 200, E["roll-pitch"]
     )

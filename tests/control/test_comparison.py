@@ -22,12 +22,12 @@ from mufly.control.analysis.comparison import (
     MethodFigures,
     compare_methods,
     comparison_dataset,
+    compute_output_noise_std,
+    load_or_compute_mu_bounds,
     loop_figures,
-    recall_mu_bounds,
     recommend_method,
-    sensor_noise,
 )
-from mufly.control.analysis.gust_response import GUST_LENGTH_m, GUST_m_s, compute_gust_response
+from mufly.control.analysis.gust_response import GUST_LENGTH_m, GUST_m_s, compute_gust_tilt_std
 from mufly.control.implementation import LATERAL_STATES
 from mufly.control.linear_systems import frequency_response
 from mufly.control.synthesis.synthesis_methods import (
@@ -69,7 +69,9 @@ def test_figures_are_those_of_the_sampled_loop(
     assert loop.disk.margin == pytest.approx(0.83, abs=0.01)
     assert loop.input_noise == pytest.approx(0.0264, abs=2e-4)
     # 0.03 deg/s/sqrt(Hz) behind 60 Hz.
-    assert np.degrees(sensor_noise(vehicle, ("phi", "p"))) == pytest.approx([0.1, 0.03 * np.sqrt(60 * np.pi / 2)])
+    assert np.degrees(compute_output_noise_std(vehicle, ("phi", "p"))) == pytest.approx(
+        [0.1, 0.03 * np.sqrt(60 * np.pi / 2)]
+    )
 
 
 def test_tilt_in_gusts_is_the_integral_over_frequency(vehicle: Vehicle, controller: FlightController) -> None:
@@ -98,7 +100,7 @@ def test_tilt_in_gusts_is_the_integral_over_frequency(vehicle: Vehicle, controll
     assert np.trapezoid(spectrum, w) * T / np.pi == pytest.approx(GUST_m_s**2, rel=1e-3)
     size = (np.abs(state[:, [of["phi"], of["theta"]]]) ** 2).sum(axis=2) * spectrum[:, None]
     by_frequency = np.sqrt(np.trapezoid(size, w, axis=0) * T / np.pi)
-    assert compute_gust_response(linear, controller) == pytest.approx(by_frequency.max(), rel=1e-3)
+    assert compute_gust_tilt_std(linear, controller) == pytest.approx(by_frequency.max(), rel=1e-3)
 
 
 def test_the_verdict_names_what_decided_it(row: MethodFigures) -> None:
@@ -163,9 +165,11 @@ def test_command_compares_and_writes(
         assert 2500 < method["instructions"] < 4500
     # Bounds of mu come from the folder; those at other frequencies are not there.
     monkeypatch.setattr(comparison, "analyse_parameter_robustness", lambda *_, **__: pytest.fail("computed again"))
-    assert recall_mu_bounds(vehicle, ltr, 5, tmp_path / "mu-ltr.json")[1][0] == method["roll_pitch"]["mu_upper"]
+    assert (
+        load_or_compute_mu_bounds(vehicle, ltr, 5, tmp_path / "mu-ltr.json")[1][0] == method["roll_pitch"]["mu_upper"]
+    )
     with pytest.raises(pytest.fail.Exception, match="computed again"):
-        recall_mu_bounds(vehicle, ltr, 6, tmp_path / "mu-ltr.json")
+        load_or_compute_mu_bounds(vehicle, ltr, 6, tmp_path / "mu-ltr.json")
     with pytest.raises(InputError, match="--methods"):
         CliRunner().invoke(app, ["compare", "--methods", "pid"], catch_exceptions=False)
 

@@ -17,7 +17,7 @@ from mufly.control import (
     roll_pitch_init,
     roll_pitch_step,
 )
-from mufly.control.law import FILTERED_W, FILTERED_Z, ROLL_PITCH_GAINS, pack_gains
+from mufly.control.law import FILTERED_W, FILTERED_Z, ROLL_PITCH_GAINS_DTYPE, pack_gains
 from mufly.errors import MuflyError
 
 INPUT = st.floats(0.0, 1.0)
@@ -283,7 +283,7 @@ def test_padding_changes_nothing(controller: FlightController) -> None:
 
 def test_a_controller_too_large_for_its_record(controller: FlightController) -> None:
     with pytest.raises(MuflyError, match="does not fit"):
-        pack_gains(ROLL_PITCH_GAINS, controller.heave_yaw.discrete)
+        pack_gains(ROLL_PITCH_GAINS_DTYPE, controller.heave_yaw.discrete)
 
 
 CONTROLLER: FlightController

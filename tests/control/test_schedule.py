@@ -16,7 +16,7 @@ from mufly.control.law import roll_pitch_init, roll_pitch_step
 from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.synthesis_methods import SynthesisedController, SynthesisMethod, SynthesisProblem
 from mufly.control.tuning import output_schedule
-from mufly.control.tuning.fixed_order import NormGoal, margin_plants, tune_controller
+from mufly.control.tuning.fixed_order import NormGoal, make_goal_plants, tune_controller
 from mufly.control.tuning.output_schedule import OutputSchedule, continuous_matrices, pack_schedule
 from mufly.dynamics import find_trim, linearise_vehicle
 from mufly.errors import MuflyError
@@ -86,7 +86,7 @@ def test_tuning_of_outputs_leaves_the_states_alone() -> None:
         return state_space(*(np.array([[v]]) for v in matrices), inputs=["e"], outputs=["u"])
 
     plant, start = system(-1.0, 1.0, 2.0, 0.0), system(-0.5, 0.7, 2.0, 1.0)
-    goals = [NormGoal("sensitivity", margin_plants(plant, np.ones(1), 1)["sensitivity"], 1.0)]
+    goals = [NormGoal("sensitivity", make_goal_plants(plant, np.ones(1), 1)["sensitivity"], 1.0)]
     tuned = tune_controller(goals, [start], max_steps=5, outputs_only=True)
     assert (tuned.controller.A, tuned.controller.B) == (start.A, start.B)
     assert tuned.objective < tuned.start_objective
@@ -110,7 +110,7 @@ def _loop(c: FlightController, K: DiscreteController) -> output_schedule.Schedul
 def test_frozen_speeds_are_those_of_the_blended_controller(
     mapped: Vehicle, ltr: FlightController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(output_schedule, "recall_controller", _halved)
+    monkeypatch.setattr(output_schedule, "load_or_compute_controller", _halved)
     monkeypatch.setattr(output_schedule, "SPEED_GRID_INTERVALS", 2)
     K = ltr.roll_pitch.discrete
     found = output_schedule.schedule_outputs(
@@ -145,12 +145,12 @@ def test_a_speed_without_steady_flight_is_lowered(
 ) -> None:
     """Clamped blades bring the servos to their limit below 1 m/s."""
     clamped = replace_parameters(vehicle, {"rotors.flight_map": "mufly-1.1-clamped"})
-    monkeypatch.setattr(output_schedule, "recall_controller", _halved)
+    monkeypatch.setattr(output_schedule, "load_or_compute_controller", _halved)
     monkeypatch.setattr(output_schedule, "SPEED_GRID_INTERVALS", 2)
     loop = _loop(ltr, ltr.roll_pitch.discrete)
     found = output_schedule.schedule_outputs(clamped, loop, speed_m_s=1.0, voltage=ltr.voltage_V, tilt_limit=0.15)
     assert 0.0 < found.speed_m_s < 1.0
-    assert found.inverse_square == pytest.approx(found.speed_m_s**-2)
+    assert found.share_per_speed2_s2_m2 == pytest.approx(found.speed_m_s**-2)
     K = ltr.roll_pitch.discrete
     wrong = replace(K, C=-K.C, D=-K.D, M=-K.M)
     with pytest.raises(MuflyError, match="unstable at 0 m/s"):

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli.control import app
-from mufly.control.analysis.rotor_speed_feedback import compare_rotor_speeds, rotor_speed_noise
+from mufly.control.analysis.rotor_speed_feedback import compare_rotor_speeds, compute_back_emf_speed_noise
 from mufly.control.analysis.speed_schedule import ScheduleComparison, compare_schedules
 from mufly.errors import InputError
 from mufly.vehicle import Vehicle, replace_parameters
@@ -36,7 +36,7 @@ def test_rotor_speeds_let_heave_be_faster_with_wider_margins(vehicle: Vehicle) -
 
 def test_noisy_rotor_speeds_bring_less(vehicle: Vehicle) -> None:
     """The reading's noise over kE and the gear; a reading that is all noise is not used."""
-    assert rotor_speed_noise(vehicle) == pytest.approx(0.01 / (0.0045 * 1.5))
+    assert compute_back_emf_speed_noise(vehicle) == pytest.approx(0.01 / (0.0045 * 1.5))
     noisy = replace_parameters(vehicle, {"sensors.rotor_speed.voltage_noise": 50.0})
     good, bad = (compare_rotor_speeds(v, control_weights=(0.1,)).rows for v in (vehicle, noisy))
     assert good[1].crossover_rad_s > good[0].crossover_rad_s

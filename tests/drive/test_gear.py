@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mufly.drive import (
-    adapted_gear_ratio,
-    best_gear_ratio,
     compute_operating_point,
+    find_full_voltage_gear_ratio,
     find_gear_optima,
+    find_least_power_gear_ratio,
     gear_curve,
     load_drive,
     make_coefficient_load,
@@ -28,7 +28,7 @@ def power(gear, speed, torque, rub=0.0):
 
 @given(speed=st.floats(200, 900), torque=st.floats(5e-4, 4e-3))
 def test_adapted_gear_needs_exactly_full_voltage(speed: float, torque: float) -> None:
-    gear = adapted_gear_ratio(DRIVE.motor_constants(), speed, torque, 7.2)
+    gear = find_full_voltage_gear_ratio(DRIVE.motor_constants(), speed, torque, 7.2)
     assert power(gear, speed, torque).motor_voltage_V == pytest.approx(7.2, rel=1e-9)
     beyond = power(gear * 1.001, speed, torque)
     assert beyond.motor_voltage_V > 7.2  # the largest ratio that will do
@@ -36,7 +36,7 @@ def test_adapted_gear_needs_exactly_full_voltage(speed: float, torque: float) ->
 
 @given(speed=st.floats(200, 900), torque=st.floats(5e-4, 3.5e-3), rub=st.sampled_from([0.0, 1e-5, 1e-3]))
 def test_best_gear_is_the_least_power_of_a_search(speed: float, torque: float, rub: float) -> None:
-    gear = best_gear_ratio(DRIVE.motor_constants(friction_Nm=rub), speed, torque, 7.2)
+    gear = find_least_power_gear_ratio(DRIVE.motor_constants(friction_Nm=rub), speed, torque, 7.2)
     tried = power(np.geomspace(0.05, 100, 4001), speed, torque, rub)
     allowed = tried.input_power_W[tried.motor_voltage_V <= 7.2]
     found = power(gear, speed, torque, rub)
@@ -49,9 +49,9 @@ def test_no_gear_makes_more_than_the_motors_greatest_power() -> None:
     a = c.torque_Nm_A * 7.2 / c.resistance_ohm
     b = c.torque_Nm_A * c.back_emf_V_s / c.resistance_ohm + c.friction_Nm_s
     greatest = c.gear_efficiency * a**2 / (4 * b)
-    assert np.isfinite(adapted_gear_ratio(c, 500.0, 0.999 * greatest / 500, 7.2))
-    assert np.isnan(adapted_gear_ratio(c, 500.0, 1.001 * greatest / 500, 7.2))
-    assert np.isnan(best_gear_ratio(c, 500.0, 1.001 * greatest / 500, 7.2))
+    assert np.isfinite(find_full_voltage_gear_ratio(c, 500.0, 0.999 * greatest / 500, 7.2))
+    assert np.isnan(find_full_voltage_gear_ratio(c, 500.0, 1.001 * greatest / 500, 7.2))
+    assert np.isnan(find_least_power_gear_ratio(c, 500.0, 1.001 * greatest / 500, 7.2))
 
 
 def test_greatest_mechanical_power_is_half_the_free_speed() -> None:

@@ -14,7 +14,7 @@ from mufly.dynamics import (
     model_parameters,
     state_derivative,
 )
-from mufly.dynamics.edgewise_loads import inside_flight_map
+from mufly.dynamics.edgewise_loads import is_inside_flight_map
 from mufly.dynamics.equations_of_motion import state_derivative_tilted
 from mufly.dynamics.model_state import (
     MODEL_POSITION,
@@ -25,9 +25,9 @@ from mufly.dynamics.model_state import (
     ROTOR_SPEEDS,
     STATE_SIZE,
 )
-from mufly.dynamics.vehicle_flight_map import find_level_speed
+from mufly.dynamics.vehicle_flight_map import find_max_level_speed
 from mufly.errors import InputError
-from mufly.rotor.forward.edgewise_map import evaluate_flight_map, fit_flight_splines, interpolate_flow_loads
+from mufly.rotor.forward.edgewise_map import evaluate_flight_map, fit_flight_map_splines, interpolate_flow_loads
 from mufly.vehicle import format_vehicle_toml, load_flight_map, load_vehicle, replace_parameters
 from mufly.vehicle.flight_map import FLIGHT_TABLE_COLUMNS
 
@@ -97,10 +97,10 @@ def test_beyond_the_edges_the_last_values_hold(clamped):
     edge, sink, _ = clamped.rotors.flight_map.velocity_limits_m_s
     p, speed = model_parameters(clamped), find_trim(clamped).rotor_speed
     inside = hovering(clamped, velocity=(0.9 * edge, 0, 0))
-    assert inside_flight_map(inside, CALM, p)
+    assert is_inside_flight_map(inside, CALM, p)
     for velocity in ((1.2 * edge, 0, 0), (1.0, 0, 1.2 * sink)):
-        assert not inside_flight_map(hovering(clamped, velocity=velocity), CALM, p)
-    assert not inside_flight_map(hovering(clamped, rotor_speed=(speed[0], 2.0 * speed[1])), CALM, p)
+        assert not is_inside_flight_map(hovering(clamped, velocity=velocity), CALM, p)
+    assert not is_inside_flight_map(hovering(clamped, rotor_speed=(speed[0], 2.0 * speed[1])), CALM, p)
     one, two = (
         derivative(clamped, hovering(clamped, velocity=(f * edge, 0, 0), rotor_speed=speed))[ROTOR_SPEEDS]
         for f in (1.1, 3.0)
@@ -127,7 +127,7 @@ def test_rates_are_damped(vehicle, clamped, hinged):
 
 def test_the_map_passes_through_its_points(clamped):
     flight_map = clamped.rotors.flight_map
-    tables, splines = flight_map.decode_map_tables(), fit_flight_splines(flight_map.decode_map_tables())
+    tables, splines = flight_map.decode_map_tables(), fit_flight_map_splines(flight_map.decode_map_tables())
     climbs, edges = splines.size
     flow = tables.loads.reshape(*tables.loads.shape[:3], 2, 10)[..., :6].reshape(*tables.loads.shape[:3], 12)
     at = partial(interpolate_flow_loads, splines.coefficient_table.ravel(), int(climbs), int(edges))
@@ -189,8 +189,8 @@ def test_trim_and_level_speed(vehicle, clamped, hinged):
     assert slow.servo_input[0] > 0.4  # the lower rotor holds the nose down against blow-back
     assert slow.thrust_N.sum() == pytest.approx(find_trim(vehicle).thrust_N.sum(), rel=0.01)
     low, high = max_level_speed_band(clamped)
-    assert find_level_speed(clamped) == pytest.approx(low, abs=0.1)
-    assert find_level_speed(hinged) == pytest.approx(high, rel=0.1)
+    assert find_max_level_speed(clamped) == pytest.approx(low, abs=0.1)
+    assert find_max_level_speed(hinged) == pytest.approx(high, rel=0.1)
     assert max_level_speed_band(vehicle) is not None  # of the built-in map with the same rotors
     assert max_level_speed_band(replace_parameters(vehicle, {"body.mass": 0.07})) is None
 

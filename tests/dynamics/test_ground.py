@@ -12,10 +12,10 @@ from mufly.dynamics import (
     GRAVITY,
     body_to_ned_matrix,
     euler_from_quaternion,
+    find_deepest_contact,
     find_trim,
     initial_state,
     integrate_state,
-    lowest_point,
     model_parameters,
     simulate_open_loop,
     standing_height,
@@ -132,7 +132,7 @@ def test_tilted_it_rights_or_tips_over_and_comes_to_rest(vehicle, p, roll_deg) -
     assert np.max(np.abs(states[-1, 3:6])) < 1e-6
     assert np.max(np.abs(states[-1, 10:13])) < 1e-4
     tilt = math.degrees(math.acos(body_to_ned_matrix(states[-1, 6:10])[2, 2]))
-    depth, _ = lowest_point(states[-1], p)
+    depth, _ = find_deepest_contact(states[-1], p)
     assert 0 < depth < 0.005
     if roll_deg == 20:
         assert tilt < 0.01

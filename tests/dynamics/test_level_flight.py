@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli.vehicle import app
-from mufly.dynamics import describe_model_excess, find_trim, max_level_speed_band
+from mufly.dynamics import describe_excess_wind, find_trim, max_level_speed_band
 from mufly.dynamics import level_flight as level_flight_module
 from mufly.dynamics.level_flight import level_flight
 from mufly.errors import InputError
@@ -60,10 +60,10 @@ def test_the_flight_map_reaches_full_servo_at_the_same_speeds(flight):
 
 def test_a_flight_beyond_the_level_speed_says_so():
     vehicle = load_vehicle("mufly-1.1")
-    assert "level flight ends at 0.7 to" in describe_model_excess(vehicle, (3.0, 0, 0), 0.0)
+    assert "level flight ends at 0.7 to" in describe_excess_wind(vehicle, (3.0, 0, 0), 0.0)
     hinged = replace_parameters(vehicle, {"rotors.flight_map": "mufly-1.1-hinged"})
-    assert describe_model_excess(hinged, (3.0, 0, 0), 0.0) == ""
-    assert "3.7 and" in describe_model_excess(hinged, (4.0, 0, 0), 0.0)
+    assert describe_excess_wind(hinged, (3.0, 0, 0), 0.0) == ""
+    assert "3.7 and" in describe_excess_wind(hinged, (4.0, 0, 0), 0.0)
 
 
 def test_picture_has_units(flight):

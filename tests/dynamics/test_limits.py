@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
 from mufly.dynamics import (
-    battery_state,
+    compute_battery_supply,
     find_trim,
     initial_state,
     integrate_state,
@@ -94,7 +94,7 @@ def test_power_from_the_battery_is_accounted_for(vehicle, random_state, seed) ->
     p, x, u = model_parameters(rubs), random_state(rng), rng.uniform(0, 1, size=4)
     dx = np.empty(21)
     state_derivative(x, u, CALM, p, dx)
-    voltage, current = battery_state(x, u[0], u[1], p)
+    voltage, current = compute_battery_supply(x, u[0], u[1], p)
     i, copper, lumped, mechanical = p["gear_ratio"], 0.0, 0.0, 0.0
     for motor, k, torque, inertia in ((0, 18, p["torque_up"], p["J_up"]), (1, 19, p["torque_dw"], p["J_dw"])):
         speed, armature = x[k], (u[motor] * voltage - p["kE"] * i * x[k]) / p["R_ohm"]
@@ -120,16 +120,16 @@ def test_sagging_voltage_solves_the_circuit(vehicle, random_state, seed) -> None
         return p["electronics_current"] + u @ armature
 
     solved = brentq(lambda v: open_circuit - p["battery_resistance"] * load(v) - v, 0.0, 20.0, xtol=1e-13)
-    voltage, current = battery_state(x, u[0], u[1], p)
+    voltage, current = compute_battery_supply(x, u[0], u[1], p)
     assert voltage == pytest.approx(solved, rel=1e-11)
     assert current == pytest.approx(load(solved), rel=1e-9, abs=1e-9)
 
 
 def test_constant_voltage_does_not_sag(vehicle) -> None:
     x = initial_state(rotor_speed=(376, 444), charge=0.1)
-    assert battery_state(x, 1.0, 1.0, model_parameters(vehicle, 6.4))[0] == pytest.approx(6.4, abs=1e-12)
+    assert compute_battery_supply(x, 1.0, 1.0, model_parameters(vehicle, 6.4))[0] == pytest.approx(6.4, abs=1e-12)
     constant = replace_parameters(vehicle, {"battery.model": "constant"})
-    assert battery_state(x, 1.0, 1.0, model_parameters(constant))[0] == pytest.approx(7.2, abs=1e-12)
+    assert compute_battery_supply(x, 1.0, 1.0, model_parameters(constant))[0] == pytest.approx(7.2, abs=1e-12)
 
 
 def test_battery_empties_in_capacity_over_current(vehicle) -> None:

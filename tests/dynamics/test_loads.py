@@ -17,7 +17,7 @@ from mufly.dynamics import (
     simulate_open_loop,
     state_derivative,
 )  # fmt: skip
-from mufly.dynamics.equations_of_motion import climb_velocity, coefficient_bounds, inside_map, rotor_loads
+from mufly.dynamics.equations_of_motion import coefficient_bounds, compute_axial_climb_velocity, inside_map, rotor_loads
 from mufly.errors import InputError
 from mufly.vehicle import CoefficientMap, MapTables, load_coefficient_map, replace_parameters
 from mufly.vehicle.coefficient_map import format_table
@@ -104,7 +104,7 @@ def test_the_equations_use_the_loads(mapped, random_state) -> None:
         x[15:18] = -body_to_ned_matrix(x[6:10])[:, 2]
         state_derivative(x, np.zeros(4), wind, p, dx)
         climb = -body_to_ned_matrix(x[6:10])[:, 2] @ (x[3:6] - wind)
-        assert climb_velocity(x, wind) == pytest.approx(climb, abs=1e-12)
+        assert compute_axial_climb_velocity(x, wind) == pytest.approx(climb, abs=1e-12)
         t_up, t_dw, q_up, q_dw = rotor_loads(p, x[18], x[19], climb)
         along = -body_to_ned_matrix(x[6:10])[:, 2] @ (dx[3:6] - [0, 0, 9.81])
         assert 0.095 * along == pytest.approx(t_up + t_dw, rel=1e-9)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mufly.dynamics import (
+    compute_hover_rotor_speeds,
     hover_performance,
-    hover_speeds,
     judge_hover,
     linearise_vehicle,
     model_parameters,
@@ -32,7 +32,7 @@ def test_a_similar_vehicle_hovers_alike(known: Vehicle, mass: float, radius: flo
     """Speeds by sqrt(mu) / la^2; inputs, endurance and thrust in hand as those of the known one."""
     new = similar_vehicle(known, "new", mass_kg=mass, radius_m=radius)
     speed = np.sqrt(mass / 0.095) / (radius / 0.0875) ** 2
-    ours, theirs = (hover_speeds(model_parameters(v)) for v in (new, known))
+    ours, theirs = (compute_hover_rotor_speeds(model_parameters(v)) for v in (new, known))
     np.testing.assert_allclose(ours / theirs, speed, rtol=1e-4)
     a, b = hover_performance(new), hover_performance(known)
     np.testing.assert_allclose(a.motor_input, b.motor_input, rtol=0.03)

@@ -11,9 +11,9 @@ from scipy.signal import welch
 
 from mufly.dynamics import (
     DrydenWind,
-    describe_model_excess,
-    fastest_mode_key,
-    model_air_limits,
+    describe_excess_wind,
+    find_model_airspeed_limits,
+    find_step_limiting_parameter,
     model_parameters,
 )
 from mufly.dynamics.simulation import dryden_filter
@@ -121,7 +121,7 @@ def test_impossible_winds_are_named(bad) -> None:
 def test_the_air_in_which_the_model_holds(vehicle) -> None:
     """Ten per cent of the hover's inflow, by momentum theory solved anew; gusts count twice their rms."""
     p = model_parameters(vehicle)
-    induced, along, across = model_air_limits(vehicle)
+    induced, along, across = find_model_airspeed_limits(vehicle)
     disc = np.pi * float(vehicle.rotors.radius) ** 2
     thrust = p["mass"] * 9.81 + float(vehicle.body.downwash_drag)
     assert 2 * 1.2 * disc * induced**2 == pytest.approx(thrust)
@@ -129,19 +129,17 @@ def test_the_air_in_which_the_model_holds(vehicle) -> None:
     for flow, expected in (((along, 0.0), 1.1), ((0.0, across), 0.9)):
         v = brentq(lambda v, f=flow: 2 * 1.2 * disc * np.hypot(f[0] + v, f[1]) * v - thrust, 0.1, 20)
         assert (flow[0] + v) / induced == pytest.approx(expected)
-    assert describe_model_excess(vehicle, (0.5, 0, 0), 0.3) == ""
-    assert describe_model_excess(vehicle, (0.98 * across, 0, 0.98 * along), 0.0) == ""
-    assert describe_model_excess(vehicle, (0, -1.02 * across, 0), 0.0)
-    assert describe_model_excess(vehicle, (0, 0, 1.02 * along), 0.0)
-    assert "rises" not in describe_model_excess(vehicle, (0, 0, 12), 0.0)
-    assert "7.0 m/s across and 4.0 m/s along" in describe_model_excess(vehicle, (3, 0, 0), 2.0)
-    assert "air that rises at 3.0 m/s rotors are in vortex ring state" in describe_model_excess(
-        vehicle, (0, 0, -3), 0.0
-    )
-    assert "air that rises at 12.0 m/s rotors are in windmill state" in describe_model_excess(vehicle, (0, 0, -12), 0.0)
+    assert describe_excess_wind(vehicle, (0.5, 0, 0), 0.3) == ""
+    assert describe_excess_wind(vehicle, (0.98 * across, 0, 0.98 * along), 0.0) == ""
+    assert describe_excess_wind(vehicle, (0, -1.02 * across, 0), 0.0)
+    assert describe_excess_wind(vehicle, (0, 0, 1.02 * along), 0.0)
+    assert "rises" not in describe_excess_wind(vehicle, (0, 0, 12), 0.0)
+    assert "7.0 m/s across and 4.0 m/s along" in describe_excess_wind(vehicle, (3, 0, 0), 2.0)
+    assert "air that rises at 3.0 m/s rotors are in vortex ring state" in describe_excess_wind(vehicle, (0, 0, -3), 0.0)
+    assert "air that rises at 12.0 m/s rotors are in windmill state" in describe_excess_wind(vehicle, (0, 0, -12), 0.0)
     # A map of climb and descent holds further along the mast, not across it.
     mapped = replace_parameters(vehicle, {"rotors.coefficient_map": "walkera-5g6-bemt"})
-    assert model_air_limits(mapped) == (induced, pytest.approx(0.5 * induced), across)
+    assert find_model_airspeed_limits(mapped) == (induced, pytest.approx(0.5 * induced), across)
 
 
 @pytest.mark.parametrize(
@@ -150,4 +148,4 @@ def test_the_air_in_which_the_model_holds(vehicle) -> None:
      ("contact.damping", 100.0), ("rotors.lower.drive_inertia", 1e-9)],
 )  # fmt: skip
 def test_the_part_that_asks_for_short_steps_is_named(vehicle, key: str, value: float) -> None:
-    assert fastest_mode_key(model_parameters(replace_parameters(vehicle, {key: value}))) == key
+    assert find_step_limiting_parameter(model_parameters(replace_parameters(vehicle, {key: value}))) == key

@@ -139,8 +139,8 @@ class Twin:
         assert bool(self.lib.is_path_blocked(c, clearance)) == avoidance.is_path_blocked(right, clearance)
         for place in ((right.from_north, right.from_east), (right.goal_north + 0.1, 0.3)):
             unit = self.ffi.new("real_t[2]")
-            far = self.lib.nearest_point(c, place, unit)
-            assert (far, *unit) == right.nearest_point(place)
+            far = self.lib.find_nearest_point_distance(c, place, unit)
+            assert (far, *unit) == right.find_nearest_point_distance(place)
         return known, right
 
     def is_path_blocked(self, sight, clearance):

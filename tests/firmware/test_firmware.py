@@ -17,7 +17,7 @@ from mufly.cli import app
 from mufly.compiled.portable_math import sine_cosine
 from mufly.control import DesignSettings, design_flight_controller
 from mufly.control.law import SCHEDULE_FIELDS
-from mufly.control.synthesis.synthesis_methods import GivenController, RobustGoals
+from mufly.control.synthesis.synthesis_methods import DkIterationSettings, GivenController
 from mufly.control.tuning.output_schedule import OutputSchedule, pack_schedule
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import Estimate
@@ -92,7 +92,7 @@ def test_exported_code_is_the_law_to_the_last_bit_whatever_is_asked(controller, 
 def _settings_of(method: str) -> DesignSettings:
     """Return settings of a method; the tuned law of order 2 stands for all of fixed order."""
     if method == "mu":
-        return DesignSettings(method="mu", robust_goals=RobustGoals(rounds=1, frequencies=(3.0, 30.0, 4)))
+        return DesignSettings(method="mu", robust_goals=DkIterationSettings(rounds=1, frequencies=(3.0, 30.0, 4)))
     if method == "tuned":
         K = GivenController(
             A=((-0.0523, -0.0013), (0.0017, -0.0499)),

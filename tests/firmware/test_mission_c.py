@@ -24,7 +24,7 @@ from mufly.estimate.sensor_status import AuxiliaryStates
 from mufly.firmware import Firmware, export_firmware, find_compiler
 from mufly.firmware.compiled_software import diff_fields
 from mufly.firmware.export.source_export import ONBOARD_SOURCES, find_sources
-from mufly.firmware.software_instance import SoftwareInstance, read_course, read_point
+from mufly.firmware.software_instance import SoftwareInstance, read_active_motion, read_trajectory_point
 from mufly.flight.flight_software import FlightSoftware, descent_voltage_fraction
 from mufly.flight.oscillation_detector import ACTUATOR_INPUT_NAMES, OscillationDetector
 from mufly.mission import (
@@ -187,11 +187,11 @@ def test_any_leg_is_the_same_in_both_languages(firmware, a, b, ends, heading, fi
         lib.add_initial_braking(w, s)
         for t in (0.0, 0.4 * first.rest_time_s, math.inf):
             assert _point_of(ffi, lib.braking_evaluate, s, t) == tuple(first.evaluate(t))
-    assert diff_fields(way, read_course(SimpleCourse(w))) == []
+    assert diff_fields(way, read_active_motion(SimpleCourse(w))) == []
     for _ in range(4):
         lib.advance_pending_curve(w)
     way = way.finish_curve()
-    assert diff_fields(way, read_course(SimpleCourse(w))) == []
+    assert diff_fields(way, read_active_motion(SimpleCourse(w))) == []
     for share in (-0.1, 0.0, 0.03, 0.2, 0.37, 0.5, 0.81, 0.999, 1.0, 1.1):
         for t in (share * way.duration_s, share * way.path_start_s):
             assert _point_of(ffi, lib.trajectory_evaluate, w, t) == tuple(way.evaluate(t))
@@ -226,7 +226,7 @@ def test_set_points_are_followed_alike_in_steps_of_any_length(firmware, dt) -> N
     lib.follow_set_point(
         theirs, ask, ffi.new("trajectory_limits_t *", vars_of(limits)), (0.0, 0.0, -1.0), dt, ffi.NULL, 0.5
     )
-    assert diff_fields(follow_set_point(at, wanted, limits, (0.0, 0.0, -1.0), dt), read_point(theirs)) == []
+    assert diff_fields(follow_set_point(at, wanted, limits, (0.0, 0.0, -1.0), dt), read_trajectory_point(theirs)) == []
 
 
 # Oscillations

@@ -307,14 +307,14 @@ def test_a_slope_of_4_degrees_is_level_enough() -> None:
 
 def test_carried_about_it_does_not_fly(pilot: Pilot) -> None:
     m = pilot.flight.status.estimate
-    pilot.autopilot.observe_estimate(replace(m, time_s=m.time_s + 0.005, position=np.array([0.0, 0.0, -1.0])))
+    pilot.autopilot.store_estimate(replace(m, time_s=m.time_s + 0.005, position=np.array([0.0, 0.0, -1.0])))
     assert not pilot.autopilot.status.flying
 
 
 def test_a_mission_is_taken_where_the_position_is_not_known_yet(pilot: Pilot) -> None:
     m = pilot.flight.status.estimate
     lost = np.full(3, math.nan)
-    pilot.autopilot.observe_estimate(replace(m, time_s=m.time_s + 0.005, position=lost, attitude=lost))
+    pilot.autopilot.store_estimate(replace(m, time_s=m.time_s + 0.005, position=lost, attitude=lost))
     assert pilot.autopilot.load_mission(HOP)
 
 
@@ -329,7 +329,7 @@ def test_arming_needs_room_and_a_mission_that_suits(vehicle: Vehicle, controller
     assert a.list_arming_faults() == []
     m = a.status.estimate
     beside = np.array([*load_mission("box-on-leg").box[0].centre_m[:2], -0.07])
-    a.observe_estimate(replace(m, time_s=m.time_s + 0.005, position=beside))
+    a.store_estimate(replace(m, time_s=m.time_s + 0.005, position=beside))
     why = a.list_arming_faults()
     assert "in or beyond the crate" in why[0]
     assert "the take-off passes" in why[1]

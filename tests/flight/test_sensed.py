@@ -23,8 +23,8 @@ from mufly.flight.estimator_health import (
     CorrectionSmoother,
     HealthMonitor,
     SensorEventReporter,
+    describe_missing_position_sensor,
     judge_estimate,
-    preflight_warning,
 )
 from mufly.identify.flight_record import make_record
 from mufly.mission import dump_mission, parse_mission
@@ -35,8 +35,8 @@ from mufly.sensors import (
     Readings,
     SensorSet,
     Truth,
-    draw_leaning_vehicle,
     parse_fault,
+    randomise_leg_lengths,
 )
 from mufly.sensors.sonar import max_grounded_range, standing_sonar_range
 from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
@@ -330,10 +330,10 @@ def test_smoothing_lets_motion_through_and_spreads_corrections() -> None:
 
 def test_before_take_off_it_says_what_will_not_work() -> None:
     m = believing(still(), position_fix="missing", ranges="fused")
-    assert "no sensor measures the horizontal position" in preflight_warning(m, 1.5)
-    assert preflight_warning(replace(m, ranges=np.array([1.5, 0.8])), 1.5) == ""
-    assert preflight_warning(believing(still(), position_fix="fused", ranges="fused"), 1.5) == ""
-    assert preflight_warning(still(), 1.5) == ""
+    assert "no sensor measures the horizontal position" in describe_missing_position_sensor(m, 1.5)
+    assert describe_missing_position_sensor(replace(m, ranges=np.array([1.5, 0.8])), 1.5) == ""
+    assert describe_missing_position_sensor(believing(still(), position_fix="fused", ranges="fused"), 1.5) == ""
+    assert describe_missing_position_sensor(still(), 1.5) == ""
 
 
 def test_statuses_and_readings_have_one_list() -> None:
@@ -419,7 +419,7 @@ def test_a_hop_on_sensors_succeeds_and_shows_what_it_believed(sensed) -> None:
     assert data.attrs["faults"] == ["sonar.dropout@9s+1s"]
     off = (data.estimated_position - data.truth_position).values
     assert np.abs(off).max() < 0.25
-    lean = standing_attitude(draw_leaning_vehicle(load_vehicle("mufly-1.1"), seed=10_000))
+    lean = standing_attitude(randomise_leg_lengths(load_vehicle("mufly-1.1"), seed=10_000))
     for row in (0, -1):  # as its legs hold it, before the flight and after
         np.testing.assert_allclose(data.truth_attitude.values[row, :2], lean, atol=3e-4)
     texts = [str(t) for t in data.event_text.values]

@@ -17,7 +17,7 @@ from mufly.estimate import KalmanEstimator
 from mufly.estimate.filter.filter_records import ERROR_ACCEL_BIAS, filter_settings
 from mufly.flight import Flight
 from mufly.quantities.units import GRAVITY
-from mufly.sensors import Truth, draw_leaning_vehicle, fitted_sensors
+from mufly.sensors import Truth, fitted_sensors, randomise_leg_lengths
 from mufly.vehicle import load_vehicle, replace_parameters
 from mufly.world import World
 
@@ -49,17 +49,17 @@ def test_tips_in_no_plane_are_taken_to_stand_upright():
 
 
 def test_units_stand_as_level_as_the_file_says():
-    stood = np.array([standing_attitude(draw_leaning_vehicle(VEHICLE, seed=k)) for k in range(400)])
+    stood = np.array([standing_attitude(randomise_leg_lengths(VEHICLE, seed=k)) for k in range(400)])
     told = float(VEHICLE.sensors.imu.standing_tilt_error)
     assert told == pytest.approx(math.radians(0.12))
     assert stood.std(axis=0) == pytest.approx([told, told], rel=0.1)
     assert np.abs(stood.mean(axis=0)).max() < 3 * told / math.sqrt(400)
     exact = replace_parameters(VEHICLE, {"sensors.imu.standing_tilt_error": 0.0})
-    assert draw_leaning_vehicle(exact, seed=3) is exact
+    assert randomise_leg_lengths(exact, seed=3) is exact
 
 
 def test_it_stands_still_as_it_leans_and_the_filter_does_not_know():
-    lean = standing_attitude(draw_leaning_vehicle(VEHICLE, seed=5))
+    lean = standing_attitude(randomise_leg_lengths(VEHICLE, seed=5))
     with Flight(VEHICLE, "demonstration", seed=5, sensors="fitted", keep=False) as flight:
         stands = []
         for _ in range(400):
@@ -86,7 +86,7 @@ def test_a_tilt_on_the_floor_is_off_by_the_lean_and_told_to_be() -> None:
     """The floor alone knows how it leans: that it does not move, however long, tells nothing of the tilt."""
     filter_, off, told = KalmanEstimator(VEHICLE, World(), 200.0), [], []
     for seed in range(16):
-        unit = draw_leaning_vehicle(VEHICLE, seed=seed)
+        unit = randomise_leg_lengths(VEHICLE, seed=seed)
         attitude = np.array([*standing_attitude(unit), 0.3])
         state = initial_state(position=(0.0, 0.0, -standing_height(unit)), attitude=attitude)
         sensors = fitted_sensors(unit, World(), seed=seed)
@@ -97,7 +97,7 @@ def test_a_tilt_on_the_floor_is_off_by_the_lean_and_told_to_be() -> None:
         assert m.valid
         off.append(m.attitude[:2] - attitude[:2])
         told.append(m.covariance.diagonal()[6:8])
-    leans = np.array([standing_attitude(draw_leaning_vehicle(VEHICLE, seed=k)) for k in range(16)])
+    leans = np.array([standing_attitude(randomise_leg_lengths(VEHICLE, seed=k)) for k in range(16)])
     # Its accelerometers' biases, 0.63 degrees, move it by 3.5 % of that, 0.18 of the lean
     assert np.corrcoef(np.ravel(off), -np.ravel(leans))[0, 1] > 0.85
     assert 0.98 < np.sqrt(np.mean(told)) / float(VEHICLE.sensors.imu.standing_tilt_error) < 1.05

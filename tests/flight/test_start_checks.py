@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from mufly.control import FlightController, design_flight_controller
-from mufly.drive import charge_at_rest, open_circuit_voltage
+from mufly.drive import find_charge_from_idle_voltage, open_circuit_voltage
 from mufly.dynamics import body_to_ned_matrix, quaternion_from_euler, standing_height
 from mufly.dynamics.model_state import MODEL_CHARGE
-from mufly.estimate import AuxiliaryStates, Estimate, measured_tilt
+from mufly.estimate import AuxiliaryStates, Estimate, compute_standing_tilt
 from mufly.firmware import FirmwareSoftware, GenericFirmwareSoftware
 from mufly.flight import Flight
 from mufly.flight.arming import find_arming_faults
@@ -74,11 +74,11 @@ def test_no_command_starts_the_motors_on_a_wrong_estimate(vehicle, controller, m
 
 
 def test_the_measured_tilt_is_the_greater_of_estimate_and_accelerometers():
-    assert math.degrees(measured_tilt(standing(0.0, lean_deg=3.0, force_deg=1.0))) == pytest.approx(3.0)
-    assert math.degrees(measured_tilt(standing(0.0, lean_deg=1.0, force_deg=4.0))) == pytest.approx(4.0)
-    assert math.degrees(measured_tilt(replace(standing(0.0, lean_deg=2.0), auxiliary_states=None))) == pytest.approx(
-        2.0
-    )
+    assert math.degrees(compute_standing_tilt(standing(0.0, lean_deg=3.0, force_deg=1.0))) == pytest.approx(3.0)
+    assert math.degrees(compute_standing_tilt(standing(0.0, lean_deg=1.0, force_deg=4.0))) == pytest.approx(4.0)
+    assert math.degrees(
+        compute_standing_tilt(replace(standing(0.0, lean_deg=2.0), auxiliary_states=None))
+    ) == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("lean_deg", [8.0, 10.4])
@@ -119,7 +119,7 @@ def test_the_charge_is_read_from_the_voltage_at_rest(vehicle, charge):
     volts = open_circuit_voltage(battery, charge) - float(battery.internal_resistance) * float(
         battery.electronics_current
     )
-    assert charge_at_rest(battery, volts) == pytest.approx(charge, abs=2e-3)
+    assert find_charge_from_idle_voltage(battery, volts) == pytest.approx(charge, abs=2e-3)
 
 
 def test_a_mission_is_judged_by_the_charge_that_the_battery_has(vehicle, controller):

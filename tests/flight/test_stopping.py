@@ -165,14 +165,14 @@ def test_a_failed_flight_takes_no_mission_instead_of_landing(flight: Flight) -> 
 def test_a_clock_of_measurements_that_was_set_back_is_no_reason_not_to_arm(flight: Flight) -> None:
     a = flight.autopilot
     m = flight.status.estimate
-    a.observe_estimate(replace(m, time_s=1000.0))
+    a.store_estimate(replace(m, time_s=1000.0))
     for k in range(1, 200):
-        a.observe_estimate(replace(m, time_s=k * flight.period_s))
+        a.store_estimate(replace(m, time_s=k * flight.period_s))
     assert a.list_arming_faults() == []
     for _ in range(200):
-        a.observe_estimate(replace(m, time_s=3.0))
+        a.store_estimate(replace(m, time_s=3.0))
     assert "0.9 s old" in a.list_arming_faults()[0] or "1.0 s old" in a.list_arming_faults()[0]
-    a.observe_estimate(replace(m, time_s=float("nan")))
+    a.store_estimate(replace(m, time_s=float("nan")))
     assert "old" in a.list_arming_faults()[0]
 
 

@@ -16,8 +16,8 @@ from mufly.cli import app
 from mufly.compiled.toolchain import compile_library, find_compiler
 from mufly.dynamics import (
     STATE_SIZE,
-    battery_state,
     body_to_ned_matrix,
+    compute_battery_supply,
     initial_state,
     integrate_state,
     model_parameters,
@@ -25,7 +25,7 @@ from mufly.dynamics import (
     state_derivative,
 )
 from mufly.dynamics.edgewise_loads import edgewise_load_factors
-from mufly.dynamics.equations_of_motion import climb_velocity, ground_effect_thrust, rotor_loads
+from mufly.dynamics.equations_of_motion import compute_axial_climb_velocity, ground_effect_thrust, rotor_loads
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import ERROR_STATES, AuxiliaryStates, Estimate
 from mufly.fmi import UnitInstance, UnitLibrary, compare_sensed_unit, compare_unit, export_fmu
@@ -124,8 +124,8 @@ def test_outputs_beside_the_state(name: str, units: dict[str, UnitLibrary]) -> N
     x, dx = moving_state(), np.empty(21)
     angles = [out["roll"], out["pitch"], out["yaw"]]
     assert angles == pytest.approx([MOVING["start.roll"], MOVING["start.pitch"], MOVING["start.yaw"]], abs=1e-15)
-    assert (out["battery_voltage"], out["battery_current"]) == battery_state(x, 0.7, 1.0, p)
-    free = rotor_loads(p, x[18], x[19], climb_velocity(x, wind))[:2]
+    assert (out["battery_voltage"], out["battery_current"]) == compute_battery_supply(x, 0.7, 1.0, p)
+    free = rotor_loads(p, x[18], x[19], compute_axial_climb_velocity(x, wind))[:2]
     factors = [f[0] for f in edgewise_load_factors(x, wind, p)] if p["flight_map_node_count"] else [1.0, 1.0]
     down = body_to_ned_matrix(x[6:10])[2, 2]
     across = float(np.sum((x[3:5] - wind[:2]) ** 2))

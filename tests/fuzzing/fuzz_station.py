@@ -143,7 +143,8 @@ def asks(vehicle: RemoteVehicle) -> list[Callable[[], Any]]:
     return [
         vehicle.arm, vehicle.disarm, lambda: vehicle.take_off(1.0), vehicle.start_mission, vehicle.pause,
         lambda: vehicle.go_to((1.0, 0.0, -1.0)), vehicle.return_home, vehicle.land, vehicle.emergency_stop,
-        vehicle.take_command, vehicle.release_command, vehicle.download_mission, vehicle.clear_mission,
+        vehicle.request_operator_control, vehicle.release_operator_control, vehicle.download_mission,
+        vehicle.clear_mission,
         vehicle.refresh_parameters, lambda: vehicle.upload_mission("demonstration"),
         lambda: vehicle.set_parameter(next(iter(vehicle.parameters), "LIM_SPEED"), 0.5), lambda: vehicle.add_mark("x"),
     ]  # fmt: skip
@@ -156,7 +157,7 @@ def look(vehicle: RemoteVehicle) -> None:
         vehicle.kind,
         vehicle.firmware,
         vehicle.is_connected,
-        vehicle.is_in_command,
+        vehicle.has_operator_control,
         vehicle.commander,
     )
     _ = (

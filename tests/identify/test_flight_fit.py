@@ -24,7 +24,7 @@ from mufly.identify.flight.initial_states import find_initial_offsets, find_init
 from mufly.identify.flight.minimisers import (
     FitPoint,
     LinearisedProblem,
-    consider_sensitivity,
+    compute_held_parameter_sensitivity,
     cost_rise_along_axes,
     levenberg_marquardt,
 )
@@ -326,7 +326,7 @@ def test_doubt_of_what_is_held_is_what_a_fit_with_it_off_moves_by(truth, flights
     point, _ = levenberg_marquardt(
         problem, FitPoint(np.zeros(4), found.initial_states, np.inf), iterations=30, tolerance=1e-9
     )
-    moved, wider = consider_sensitivity(LinearisedProblem(problem, point))
+    moved, wider = compute_held_parameter_sensitivity(LinearisedProblem(problem, point))
     k = [f.symbol for f in wider.free_parameters[4:]].index("z_dw")
     assert wider.free_parameters[4 + k].prior_std == pytest.approx(0.002 / 0.051)
     z = -0.051 * np.exp(0.002 / 0.051)

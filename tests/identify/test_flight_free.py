@@ -10,9 +10,9 @@ from mufly.identify import choose_free_parameters
 from mufly.identify.flight.free_parameters import (
     HEAVE_YAW_SYMBOLS,
     ROLL_PITCH_SYMBOLS,
+    find_field_changes,
     list_held_parameters,
     parameters_at_theta,
-    scaled_parameters,
     theta_to_values,
 )
 from mufly.vehicle import list_parameters, replace_parameters
@@ -33,7 +33,7 @@ def test_scaled_numbers_are_those_of_a_vehicle_with_the_new_value(vehicle, symbo
         {"motor.torque_constant": 0.001, "motor.back_emf_constant": 0.02, "motor.friction_torque": 2e-5},
     )
     (free,) = choose_free_parameters(vehicle, [symbol], OUTPUTS)
-    base, changes = scaled_parameters(vehicle, [free], None)
+    base, changes = find_field_changes(vehicle, [free], None)
     theta = np.array([[0.6 * free.theta_low], [0.5 * free.theta_high]])
     made = parameters_at_theta(base, changes, theta)
     for row, value in zip(made, theta_to_values([free], theta)[:, 0], strict=True):
@@ -48,7 +48,7 @@ def test_scaled_numbers_are_those_of_a_vehicle_with_the_new_value(vehicle, symbo
 
 def test_an_angle_may_start_at_zero_and_pass_it(vehicle):
     (free,) = choose_free_parameters(vehicle, ["phi_SP"], OUTPUTS)
-    base, changes = scaled_parameters(vehicle, [free], None)
+    base, changes = find_field_changes(vehicle, [free], None)
     theta = np.array([[free.value_to_theta(v)] for v in (-0.2, 0.0, 0.35)])
     assert parameters_at_theta(base, changes, theta)["swash_phase"] == pytest.approx([-0.2, 0.0, 0.35])
     assert theta_to_values([free], np.array([free.theta_low, free.theta_high])[:, None])[:, 0] == pytest.approx(
@@ -58,7 +58,7 @@ def test_an_angle_may_start_at_zero_and_pass_it(vehicle):
 
 def test_several_parameters_multiply(vehicle):
     free = choose_free_parameters(vehicle, ["cT_up", "R", "rho"], OUTPUTS)
-    base, changes = scaled_parameters(vehicle, free, 7.2)
+    base, changes = find_field_changes(vehicle, free, 7.2)
     theta = np.array([[0.1, -0.02, 0.03]])
     values = dict(zip([f.key for f in free], theta_to_values(free, theta)[0].tolist(), strict=True))
     wanted = model_parameters(replace_parameters(vehicle, values), 7.2)

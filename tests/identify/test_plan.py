@@ -12,7 +12,7 @@ from mufly.identify.fit_pictures import draw_excitation_plan
 from mufly.identify.fit_result import covariance_from_information, describe_undetermined_combinations
 from mufly.identify.flight.excitation_plan import (
     SENSOR_NOISE_STD,
-    combined_information,
+    combine_expected_std,
     design_pilot_support,
     simulate_supported_flight,
 )
@@ -144,7 +144,7 @@ def test_a_real_fit_finds_a_changed_vehicle_within_the_promise(vehicle, plan):
 
 def test_flights_add_their_information(vehicle, plan):
     heave = design_excitation(vehicle, SYMBOLS, "heave", kinds=("doublet",), duration_s=6.0)
-    both, _ = combined_information([plan, heave], [plan.best_candidate, heave.best_candidate])
+    both, _ = combine_expected_std([plan, heave], [plan.best_candidate, heave.best_candidate])
     assert np.all(both <= plan.best_candidate.relative_std * (1 + 1e-6))
     assert np.all(both <= heave.best_candidate.relative_std * (1 + 1e-6))
 
@@ -162,7 +162,7 @@ def test_what_no_flight_shows_is_named(vehicle):
         duration_s=6.0,
     )
     assert roll.best_candidate.relative_std[3] == math.inf
-    _, undetermined = combined_information([roll], [roll.best_candidate])
+    _, undetermined = combine_expected_std([roll], [roll.best_candidate])
     assert any("Whub is not determined by the data" in u for u in undetermined)
     assert any("Ixx" in u and "l_up" in u and "l_dw" in u for u in undetermined)
 

@@ -17,9 +17,9 @@ from mufly.link.codec import (
     MAX_FLOAT32,
     MAX_FRAME_BYTES,
     clip_to_integer,
+    decode_coordinate,
     encode_text_field,
     parse_origin,
-    scale_coordinate,
     scale_to_integer,
     to_float32,
 )
@@ -238,10 +238,10 @@ def test_a_line_whose_piece_was_lost_waits_two_seconds_and_ever_new_ones_push_th
 
 def test_places_that_do_not_fit_are_not_given_and_numbers_go_round():
     assert scale_to_integer(47.3769, 1e7) == 473_769_000
-    assert scale_coordinate(473_769_000, 1e-7) == pytest.approx(47.3769)
+    assert decode_coordinate(473_769_000, 1e-7) == pytest.approx(47.3769)
     for number in (1e3, -1e3, float("nan"), float("inf")):
         assert scale_to_integer(number, 1e7) == COORDINATE_NOT_GIVEN
-    assert np.isnan(scale_coordinate(COORDINATE_NOT_GIVEN, 1e-7))
+    assert np.isnan(decode_coordinate(COORDINATE_NOT_GIVEN, 1e-7))
     assert clip_to_integer(-7.6, -5, 5) == -5
     assert to_float32(MAX_FLOAT32) == MAX_FLOAT32
     texts = StatusTextSplitter()

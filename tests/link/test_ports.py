@@ -35,7 +35,7 @@ def test_udp_there_and_back():
         here.send(peer, b"back")
         assert gather(there, lambda d: d) == b"back"
         assert there.peers[0].address == f"127.0.0.1:{here.port}"
-        assert (there.call_targets, here.call_targets) == (there.peers, [])
+        assert (there.configured_targets, here.configured_targets) == (there.peers, [])
         there.close()
 
 

@@ -311,7 +311,7 @@ def test_a_question_is_asked_again_after_a_round_trip_and_a_tenth():
         for trip in trips:
             now_s += trip
             retry.mark_progress(now_s)
-        return next(0.005 * k for k in range(1000) if retry.should_retry(now_s + 0.005 * k))
+        return next(0.005 * k for k in range(1000) if retry.take_due_retry(now_s + 0.005 * k))
 
     assert waits() == pytest.approx(0.8, abs=0.006)
     assert waits(0.01) == pytest.approx(0.25, abs=0.006)

@@ -11,12 +11,12 @@ from mufly.logs import (
     check_channel,
     check_clock,
     check_delays,
+    compute_saturated_fractions,
     differentiate_attitude,
     estimate_delay,
     examine_log,
     find_frozen,
     find_outliers,
-    find_saturation,
     guess_angle_units,
     read_log,
     write_log,
@@ -84,7 +84,7 @@ def test_a_limit_that_is_met_less_often_than_what_lies_beside_it_is_none():
     """Beside it is within 2 % of the range."""
     spread = np.linspace(-1.0, 0.9, 500)
     for beside, share in ((np.linspace(0.949, 0.958, 100), 60 / 660), (np.linspace(0.961, 0.99, 100), 0.0)):
-        assert find_saturation(np.concatenate((spread, beside, np.ones(60))))[1] == pytest.approx(share)
+        assert compute_saturated_fractions(np.concatenate((spread, beside, np.ones(60))))[1] == pytest.approx(share)
 
 
 def test_a_second_and_a_fifth_of_angle_and_rate_can_be_compared():
@@ -97,10 +97,10 @@ def test_a_second_and_a_fifth_of_angle_and_rate_can_be_compared():
 
 def test_saturation_is_measured_at_either_end():
     x = np.clip(2 * np.sin(TIME) + 0.01 * NOISE, -1.5, 1.0)
-    low, high = find_saturation(x)
+    low, high = compute_saturated_fractions(x)
     assert low == pytest.approx(np.mean(x == -1.5), abs=0.005)
     assert high == pytest.approx(np.mean(x == 1.0), abs=0.005)
-    assert find_saturation(np.sin(TIME) + 0.01 * NOISE) == (0, 0)
+    assert compute_saturated_fractions(np.sin(TIME) + 0.01 * NOISE) == (0, 0)
 
 
 def test_the_words_of_a_channel():

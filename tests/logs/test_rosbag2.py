@@ -8,7 +8,7 @@ import pytest
 from mufly.errors import InputError
 from mufly.logs import (
     FlightEvent,
-    RangeLimits,
+    RangeSensorGeometry,
     detect_log_format,
     flight_layout,
     read_log,
@@ -56,7 +56,7 @@ def make_flight(sensors=True):
 def bag(tmp_path_factory):
     flight = make_flight()
     path = tmp_path_factory.mktemp("bag") / "flight.rosbag2"
-    limits = RangeLimits(0.5, 0.02, 3.0, math.radians(30.0), 0.1, 4.0)
+    limits = RangeSensorGeometry(0.5, 0.02, 3.0, math.radians(30.0), 0.1, 4.0)
     write_rosbag2(flight, path, limits=limits, pictures=[(0.1, b"\xff\xd8jpeg")])
     return flight, path
 

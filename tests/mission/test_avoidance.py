@@ -263,7 +263,7 @@ def test_what_a_point_means_for_a_way():
     sight = check_path(memory_of((1.5, 0.3, -1.0)), (0.0, 0.0, -1.0), (4.5, 0.0, -1.0), 0.39, 10.0)
     far = np.hypot(0.5, 0.3)
     met = pytest.approx((far, -0.5 / far, -0.3 / far))
-    assert sight.nearest_blocking_point((1.0, 0.0)) == sight.nearest_point((1.0, 0.0)) == met
+    assert sight.find_nearest_blocking_distance((1.0, 0.0)) == sight.find_nearest_point_distance((1.0, 0.0)) == met
     assert sight.path_clearance_sq == pytest.approx(0.3**2)
     assert sight.mean_blocking_offset == pytest.approx(0.3)
     assert sight.goal_clearance_sq == pytest.approx(3.0**2 + 0.3**2)

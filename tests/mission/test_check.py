@@ -3,7 +3,7 @@
 import pytest
 
 from mufly.errors import InputError
-from mufly.mission import check_mission, load_mission, parse_mission, plan_legs, prepare_plan
+from mufly.mission import check_mission_endurance, load_mission, parse_mission, plan_legs, prepare_plan
 from mufly.vehicle import load_vehicle
 
 CRATE = {"name": "crate", "centre_m": [2.0, 0.0, -0.75], "size_m": [0.6, 0.6, 1.5]}
@@ -93,7 +93,7 @@ def test_a_spline_that_swings_to_the_floor_is_refused():
 
 def test_estimate_of_the_demonstration():
     m = load_mission("demonstration")
-    estimate = check_mission(m, hover_current_A=4.0, capacity_Ah=0.25)
+    estimate = check_mission_endurance(m, hover_current_A=4.0, capacity_Ah=0.25)
     # By hand: 3 m, then three legs of 3 m with 1 m of height each, 1 m up and 2 m down.
     assert estimate.path_m == pytest.approx(3 + 3 * (3 + 1) + 1 + 2)
     assert 60.0 < estimate.duration_s < 100.0
@@ -131,7 +131,7 @@ def test_a_mission_takes_as_long_as_is_expected(rig, tables):
     flight = rig.fly(mission)
     start = next(t for t, s in zip(flight.time, flight.states, strict=True) if s == "take-off")
     landed = next(e.time_s for e in flight.state.events if e.text == "landed")
-    estimate = check_mission(mission, hover_current_A=4.0, capacity_Ah=1.0)
+    estimate = check_mission_endurance(mission, hover_current_A=4.0, capacity_Ah=1.0)
     assert estimate.duration_s == pytest.approx(landed - start, rel=0.05)
 
 
@@ -140,11 +140,11 @@ def test_four_metres_more_take_as_long_as_climbing_and_sinking_them():
         parse_mission(go((0, 0, -h), take_off={"height_m": h}, limits={"climb_m_s": 0.5, "descent_m_s": 0.2}))
         for h in (2.0, 6.0)
     )
-    one, other = (check_mission(m, hover_current_A=4.0, capacity_Ah=1.0).duration_s for m in (low, high))
+    one, other = (check_mission_endurance(m, hover_current_A=4.0, capacity_Ah=1.0).duration_s for m in (low, high))
     assert other - one == pytest.approx(4.0 / 0.5 + 4.0 / 0.2, abs=0.02)
     # The last 0.4 m are sunk at the speed of a touchdown.
     soft, hard = (low.with_parts(limits=low.limits.model_copy(update={"touchdown_m_s": v})) for v in (0.1, 0.2))
-    one, other = (check_mission(m, hover_current_A=4.0, capacity_Ah=1.0).duration_s for m in (soft, hard))
+    one, other = (check_mission_endurance(m, hover_current_A=4.0, capacity_Ah=1.0).duration_s for m in (soft, hard))
     # It brakes sooner to the slower one, and the reference goes on 3 cm below the floor.
     assert one - other == pytest.approx(0.43 / 0.1 - 0.43 / 0.2, abs=0.1)
 
@@ -153,7 +153,7 @@ def test_what_is_refused_says_how_long_it_would_take():
     """Also where only the way down, or the wait, is one too many."""
 
     def takes(tables):
-        return check_mission(parse_mission(tables), hover_current_A=4.0, capacity_Ah=9.0).duration_s
+        return check_mission_endurance(parse_mission(tables), hover_current_A=4.0, capacity_Ah=9.0).duration_s
 
     for tables, key in (
         (go((50, 0, -1)), "position_m"),
@@ -164,30 +164,30 @@ def test_what_is_refused_says_how_long_it_would_take():
         for seconds in (needed + 1.0, needed - 1.0):
             numbers = {"hover_current_A": 1.0, "capacity_Ah": seconds / 3600.0 / one.battery.usable}
             if seconds > needed:
-                assert check_mission(one, **numbers).duration_s == needed
+                assert check_mission_endurance(one, **numbers).duration_s == needed
                 continue
             with pytest.raises(InputError, match=rf"{key}.* {needed:.0f} s") as told:
-                check_mission(one, **numbers)
+                check_mission_endurance(one, **numbers)
             assert f"the battery lasts {seconds:.0f} s" in str(told.value)
 
 
 def test_the_battery_has_to_last():
     weak = {"hover_current_A": 4.0, "capacity_Ah": 0.25}
     with pytest.raises(InputError, match=r"take_off.height_m: 50 m is out of reach.*the battery lasts 180 s"):
-        check_mission(parse_mission(go((0, 0, -50), take_off={"height_m": 50.0})), **weak)
+        check_mission_endurance(parse_mission(go((0, 0, -50), take_off={"height_m": 50.0})), **weak)
     with pytest.raises(InputError, match=r"waypoint\[2\].position_m: -90 m \(D\) is out of reach.*fly lower"):
-        check_mission(parse_mission(go((1, 0, -1), (1, 0, -90))), **weak)
+        check_mission_endurance(parse_mission(go((1, 0, -1), (1, 0, -90))), **weak)
     with pytest.raises(InputError, match=r"waypoint\[1\].position_m: is out of reach.*shorten the path"):
-        check_mission(parse_mission(go((200, 0, -1))), **weak)
+        check_mission_endurance(parse_mission(go((200, 0, -1))), **weak)
     with pytest.raises(InputError, match=r"waypoint\[1\].wait_s: 600 is too long"):
-        check_mission(parse_mission({"waypoint": [{"position_m": [1, 0, -1], "wait_s": 600}]}), **weak)
+        check_mission_endurance(parse_mission({"waypoint": [{"position_m": [1, 0, -1], "wait_s": 600}]}), **weak)
 
 
 def test_the_same_mission_passes_with_more_of_the_battery():
     m = parse_mission(go((55, 0, -1)))
     with pytest.raises(InputError):
-        check_mission(m, hover_current_A=4.0, capacity_Ah=0.1)
-    assert check_mission(m, hover_current_A=4.0, capacity_Ah=0.2).charge_fraction < 0.8
+        check_mission_endurance(m, hover_current_A=4.0, capacity_Ah=0.1)
+    assert check_mission_endurance(m, hover_current_A=4.0, capacity_Ah=0.2).charge_fraction < 0.8
 
 
 def test_prepare_takes_the_vehicle_s_ring_and_battery():
@@ -203,12 +203,12 @@ def test_prepare_takes_the_vehicle_s_ring_and_battery():
 def test_the_way_home_is_checked_and_counted():
     numbers = {"hover_current_A": 4.0, "capacity_Ah": 0.25}
     there, back = parse_mission(go((3, 0, -1))), parse_mission(go((3, 0, -1), at_end="return"))
-    one, two = check_mission(there, **numbers), check_mission(back, **numbers)
+    one, two = check_mission_endurance(there, **numbers), check_mission_endurance(back, **numbers)
     assert two.path_m == pytest.approx(one.path_m + 3.0)
     assert two.duration_s > one.duration_s + 3.0 / 0.6
     with pytest.raises(InputError, match=r'at_end: "return" is out of reach.*end with "land"'):
-        check_mission(parse_mission(go((60, 0, -1), at_end="return")), **numbers)
-    check_mission(parse_mission(go((60, 0, -1))), **numbers)
+        check_mission_endurance(parse_mission(go((60, 0, -1), at_end="return")), **numbers)
+    check_mission_endurance(parse_mission(go((60, 0, -1))), **numbers)
 
 
 def test_a_way_home_over_a_box_that_the_beams_miss_is_refused():
@@ -223,8 +223,8 @@ def test_a_slower_leg_takes_longer():
     m = load_mission("demonstration")
     tables = m.model_dump(exclude_none=True)
     tables["waypoint"] = [{**w, "speed_m_s": 0.2} for w in tables["waypoint"]]
-    slow = check_mission(parse_mission(tables), hover_current_A=4.0, capacity_Ah=0.25)
-    quick = check_mission(m, hover_current_A=4.0, capacity_Ah=0.25)
+    slow = check_mission_endurance(parse_mission(tables), hover_current_A=4.0, capacity_Ah=0.25)
+    quick = check_mission_endurance(m, hover_current_A=4.0, capacity_Ah=0.25)
     # A leg d from rest to rest takes d / V and one ramp of 15 V / (8 a).
     at = {v: 4 * (3.0 / v + 15.0 * v / (8.0 * 0.4)) for v in (0.2, 0.6)}
     assert slow.duration_s - quick.duration_s == pytest.approx(at[0.2] - at[0.6], abs=1e-6)

@@ -13,7 +13,7 @@ T = np.linspace(0.0, 1.0, 11)
 
 
 def time_spline(curve: CubicSpline, **limits: float) -> TimedSpline | None:
-    return PendingCurve(curve.axis_cubics, **limits).time_curve()
+    return PendingCurve(curve.axis_cubics, **limits).compute_timed_spline()
 
 
 def curvature(curve: CubicSpline, t: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import format_rotor_toml, load_rotor, read_blade
+from mufly.rotor import format_rotor_toml, import_rotor, load_rotor
 
 UIUC = """  r/R     c/R     beta
  0.15   0.160   31.68
@@ -40,7 +40,7 @@ def written(tmp_path, name, text):
 
 
 def test_uiucs_geometry_with_its_diameter(tmp_path):
-    r, notes = read_blade(written(tmp_path, "p.txt", UIUC), radius_m=0.0635, airfoil="clarky")
+    r, notes = import_rotor(written(tmp_path, "p.txt", UIUC), radius_m=0.0635, airfoil="clarky")
     assert (r.blades, r.airfoil_names(), r.radius_m) == (2, ("clarky",), 0.0635)
     assert_allclose(r.chord_m([0.15, 0.5, 1.0]), [0.0635 * 0.16, 0.0635 * 0.2, 0.0635 * 0.08])
     assert_allclose(r.twist_rad([0.5]), math.radians(20))
@@ -55,7 +55,7 @@ def test_apcs_own_file_old_and_new(tmp_path, newer):
     text = APC.format(
         **({"rake": "RAKE", "inch": "(IN)", "zero": "0.0"} if newer else dict.fromkeys(("rake", "inch", "zero"), ""))
     )
-    r, notes = read_blade(written(tmp_path, "5x4-PERF.PE0", text))
+    r, notes = import_rotor(written(tmp_path, "5x4-PERF.PE0", text))
     assert (r.blades, r.airfoil_names()) == (3, ("e63+thick20", "naca4412+thick12", "naca4412+thick10"))
     assert_allclose(r.radius_m, 2.5 * 0.0254)
     assert_allclose(r.blade.r_over_R.value, [0.2, 0.6, 0.96, 1.0])
@@ -67,7 +67,7 @@ def test_apcs_own_file_old_and_new(tmp_path, newer):
 
 def test_calipers_in_inches_with_sections_and_commas(tmp_path):
     path = written(tmp_path, "c.csv", "\ufeffr (in);chord_mm;beta;section\n0,5;10;30;clarky\n2,5;6;10,5;naca4412\n")
-    r, _ = read_blade(path, blades=4)
+    r, _ = import_rotor(path, blades=4)
     assert_allclose((r.radius_m, r.chord_m(0.2), float(r.twist_rad(1.0))), (0.0635, 0.010, math.radians(10.5)))
     assert (r.blades, r.airfoil_names()) == (4, ("clarky", "naca4412"))
 
@@ -86,7 +86,7 @@ def test_units_and_directions_of_a_table(tmp_path, header, rows):
     path = tmp_path / "t.csv"
     for raw in ("\n".join((header, *rows)).encode(), "\r".join((header, *rows)).encode("utf-16")):
         path.write_bytes(raw)
-        r, notes = read_blade(path, blades=2, airfoil="naca4412")
+        r, notes = import_rotor(path, blades=2, airfoil="naca4412")
         assert_allclose(r.radius_m, 0.06)
         assert_allclose(r.chord_m([1 / 6, 1.0]), [0.010, 0.006], rtol=1e-5)
         assert_allclose(r.twist_rad([1 / 6, 1.0]), [math.pi / 6, math.pi / 18], rtol=1e-4)
@@ -94,22 +94,22 @@ def test_units_and_directions_of_a_table(tmp_path, header, rows):
 
 
 def test_an_untwisted_blade_needs_no_unit_and_shares_in_per_cent_are_refused(tmp_path):
-    r, _ = read_blade(written(tmp_path, "u.csv", "r_mm,chord_mm,beta\n10,2,0\n20,2,0\n"))
+    r, _ = import_rotor(written(tmp_path, "u.csv", "r_mm,chord_mm,beta\n10,2,0\n20,2,0\n"))
     assert float(r.twist_rad(0.75)) == 0.0
     text = "r/R,c/R,beta\n15,16,30\n100,8,10\n"
     with pytest.raises(InputError, match="r/R: reaches 100: not a share of the radius"):
-        read_blade(written(tmp_path, "p.csv", text), radius_m=0.06)
+        import_rotor(written(tmp_path, "p.csv", text), radius_m=0.06)
     with pytest.raises(InputError, match="c/R: reaches 16: not a share of the radius"):
-        read_blade(written(tmp_path, "p.csv", text.replace("15,", "0.15,").replace("100,", "1,")), radius_m=0.06)
+        import_rotor(written(tmp_path, "p.csv", text.replace("15,", "0.15,").replace("100,", "1,")), radius_m=0.06)
 
 
 def test_inches_at_a_names_end_and_an_airfoil_of_ones_own(tmp_path):
     path = written(tmp_path, "i.csv", "r_in,chord_in,beta_deg\n0.5,0.6,20\n2.5,0.3,6\n")
-    r, notes = read_blade(path, blades=2, airfoil="clarky")
+    r, notes = import_rotor(path, blades=2, airfoil="clarky")
     assert_allclose((r.radius_m, r.chord_m(1.0)), (0.0635, 0.3 * 0.0254))
     assert not any("names none" in note for note in notes)
     with pytest.raises(InputError, match="nosuchfoil: no such airfoil"):
-        read_blade(path, airfoil="nosuchfoil")
+        import_rotor(path, airfoil="nosuchfoil")
 
 
 @pytest.mark.parametrize(
@@ -140,5 +140,5 @@ def test_inches_at_a_names_end_and_an_airfoil_of_ones_own(tmp_path):
 )
 def test_what_cannot_be_is_one_line(tmp_path, name, text, message):
     with pytest.raises((InputError, MuflyError), match=message) as caught:
-        read_blade(written(tmp_path, name, text))
+        import_rotor(written(tmp_path, name, text))
     assert "\n" not in str(caught.value)

@@ -8,11 +8,11 @@ from mufly.errors import InputError
 from mufly.rotor import (
     blade_thickness_m,
     format_rotor_toml,
+    import_rotor,
     load_airfoil,
     load_rotor,
     make_rotor,
     prepare_blading,
-    read_blade,
     replace_rotor,
     solve_rotor_batch,
 )
@@ -107,17 +107,17 @@ def test_a_known_thickness_leaves_the_camber_to_guess():
 )
 def test_tables_state_thickness_as_ratio_or_length(tmp_path, head, rows):
     (tmp_path / "t.csv").write_text("\n".join((head, *rows)))
-    rotor = read_blade(tmp_path / "t.csv", blades=2).rotor
+    rotor = import_rotor(tmp_path / "t.csv", blades=2).rotor
     assert_allclose(rotor.stated_thickness([1 / 6, 1.0]), [0.2, 0.1])
 
 
 def test_errors_name_the_key(tmp_path):
     (tmp_path / "t.csv").write_text("r_mm,chord_mm,beta_deg,thickness\n10,10,30,2\n60,5,10,1\n")
     with pytest.raises(InputError, match=r"thickness: has no unit; name it t/c"):
-        read_blade(tmp_path / "t.csv")
+        import_rotor(tmp_path / "t.csv")
     (tmp_path / "t.csv").write_text("r_mm,chord_mm,beta_deg,thickness_mm\n10,10,30,2\n60,5,10,4\n")
     with pytest.raises(InputError, match="not above 0 and up to 40 % of the chord"):
-        read_blade(tmp_path / "t.csv")
+        import_rotor(tmp_path / "t.csv")
     (tmp_path / "p.csv").write_text("alpha_deg,cl,cd\n-5,-0.5,0.02\n0,0,0.01\n5,0.5,0.02\n")
     with pytest.raises(InputError, match=r"blade.thickness.*table of coefficients"):
         replace_rotor(tapered(), {"blade.airfoils": str(tmp_path / "p.csv")})

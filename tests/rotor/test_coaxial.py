@@ -25,7 +25,7 @@ from mufly.rotor import (
 from mufly.rotor.bemt import compute_slipstream, drag_angular_momentum
 from mufly.rotor.rotor_system import SPEED_OF_SOUND_M_S, PlacedRotor
 from mufly.rotor.sections.polar_table import ALPHA_GRID
-from mufly.rotor.vortex_tube import swirl_influence, tube_axis_speed, tube_velocity
+from mufly.rotor.vortex_tube import compute_tube_axis_velocity_ratio, compute_tube_velocity_ratio, swirl_influence
 
 R, SPEED, PITCH = 0.06, 600.0, 0.25
 
@@ -61,14 +61,14 @@ def test_far_apart_the_upper_rotor_is_alone_and_the_lower_in_a_full_wake():
     far = pair(spacing=100.0)
     assert_allclose(far.upper.thrust_N, alone.thrust_N, rtol=1e-5)
     assert far.lower.thrust_N < 0.7 * alone.thrust_N
-    assert_allclose(tube_axis_speed(1e3, R), 2.0, rtol=1e-6)
-    assert_allclose(tube_axis_speed(-1e3, R), 0.0, atol=1e-6)
-    assert tube_axis_speed(0.0, R) == 1.0
+    assert_allclose(compute_tube_axis_velocity_ratio(1e3, R), 2.0, rtol=1e-6)
+    assert_allclose(compute_tube_axis_velocity_ratio(-1e3, R), 0.0, atol=1e-6)
+    assert compute_tube_axis_velocity_ratio(0.0, R) == 1.0
 
 
 def test_the_stream_reaches_the_lower_rotor_at_its_speed_and_width():
     both = pair(spacing=0.02)
-    k = tube_axis_speed(0.02, R)
+    k = compute_tube_axis_velocity_ratio(0.02, R)
     edge = R / math.sqrt(k)
     met = np.tan(both.lower.phi_rad) * (SPEED * both.lower.r_m) - both.lower.axial_induced_m_s
     inner = (both.lower.r_m < 0.9 * edge) & (both.lower.r_m > 0.3 * R)
@@ -94,7 +94,7 @@ def test_what_turns_the_stream_is_the_torque_of_the_blades():
     assert not compute_slipstream(straight, 3.0, air, still)[2].any()
     # On its way down the stream keeps its moment of momentum, and so its torque, within a narrower edge.
     below = swirl_influence(alone.r_m, R, 0.03, alone.r_m, alone.dr_m) @ turning
-    s = 1.0 / math.sqrt(tube_axis_speed(0.03, R))
+    s = 1.0 / math.sqrt(compute_tube_axis_velocity_ratio(0.03, R))
     inside, outside = alone.r_m < s * R - alone.dr_m, alone.r_m > s * R + alone.dr_m
     kept = np.interp(alone.r_m / s, alone.r_m, turning)
     assert_allclose(below[inside] * alone.r_m[inside], kept[inside])
@@ -106,7 +106,7 @@ def test_a_rotor_without_thrust_leaves_no_swirl_below_it():
     still = pair(pitch=0.0)
     assert still.upper.thrust_N == still.lower.thrust_N == 0.0
     assert_allclose(still.lower.torque_Nm, still.upper.torque_Nm, rtol=1e-12)
-    changes = still.interference_losses([still.upper, still.lower])
+    changes = still.interference_changes([still.upper, still.lower])
     assert math.isnan(changes["upper_thrust"])
     assert changes["lower_torque"] == 0.0
     # Near it, no stream carries more swirl than a jet can: its number stays at 0.6 or below, in full above.
@@ -244,18 +244,18 @@ def tubes(spacing, case=None, pitch=PITCH, speed=SPEED, **given):
 
 def test_a_vortex_tube_moves_the_air_as_its_rings_do():
     for z in (-1.5, -0.2, 0.3, 2.0):
-        assert_allclose(tube_velocity(0.0, z, 1.0), tube_axis_speed(z, 1.0))
-        assert_allclose(tube_velocity(1e-4, z, 1.0), tube_axis_speed(z, 1.0), rtol=1e-6)
+        assert_allclose(compute_tube_velocity_ratio(0.0, z, 1.0), compute_tube_axis_velocity_ratio(z, 1.0))
+        assert_allclose(compute_tube_velocity_ratio(1e-4, z, 1.0), compute_tube_axis_velocity_ratio(z, 1.0), rtol=1e-6)
         # Across the wall the axial velocity steps by the strength, 2, below the edge, and not at all above it.
-        wall = tube_velocity(1.0 - 1e-5, z, 1.0) - tube_velocity(1.0 + 1e-5, z, 1.0)
+        wall = compute_tube_velocity_ratio(1.0 - 1e-5, z, 1.0) - compute_tube_velocity_ratio(1.0 + 1e-5, z, 1.0)
         assert_allclose(wall, 2.0 * (z > 0.0), atol=1e-3)
         for r in (0.3, 0.9, 1.2):  # a tube and its mirror image are endless: 2 inside, 0 outside
-            both = tube_velocity(r, z, 1.0) + tube_velocity(r, -z, 1.0)
+            both = compute_tube_velocity_ratio(r, z, 1.0) + compute_tube_velocity_ratio(r, -z, 1.0)
             assert_allclose(both, 2.0 * (r < 1.0), atol=1e-7)
-    assert tube_velocity(1.1, 0.3, 1.0) < -0.2  # air comes up round the edge
+    assert compute_tube_velocity_ratio(1.1, 0.3, 1.0) < -0.2  # air comes up round the edge
     # The flux through a disc far above is that of a sink: nothing is lost on the way to the side.
     r = (np.arange(1000) + 0.5) / 50
-    flux = sum(2.0 * math.pi * x * tube_velocity(float(x), -0.5, 1.0) / 50 for x in r)
+    flux = sum(2.0 * math.pi * x * compute_tube_velocity_ratio(float(x), -0.5, 1.0) / 50 for x in r)
     assert_allclose(flux, math.pi * (1.0 - 0.5 / math.hypot(20.0, 0.5)), rtol=0.01)
 
 

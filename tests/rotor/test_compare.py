@@ -27,7 +27,7 @@ from mufly.rotor import (
     solve_rotor,
     solve_rotor_batch,
 )
-from mufly.rotor.measured.uncertainty import INTERVAL_SCALES, interval_quantile
+from mufly.rotor.measured.uncertainty import THRUST_TORQUE_ERROR_SCALES, interval_quantile
 from mufly.study.benchmark import load_cases, parse_code, score_codes, tabulate_by_group
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -165,7 +165,9 @@ def test_interval_holds_the_prediction_and_grows_with_doubt():
         (narrow.thrust_high_N - narrow.thrust_N) / (known.thrust_high_N - known.thrust_N), 0.7649 / 2.3534, rtol=1e-4
     )
     total = np.sqrt(sum(np.square(v) for v in known.thrust_relative_std_by_cause.values()))
-    assert_allclose(INTERVAL_SCALES[0] * interval_quantile(0.9) * total, known.thrust_high_N / known.thrust_N - 1)
+    assert_allclose(
+        THRUST_TORQUE_ERROR_SCALES[0] * interval_quantile(0.9) * total, known.thrust_high_N / known.thrust_N - 1
+    )
     sure = InputUncertainty(
         n_crit_cases=(), lift=0, drag=0, camber=0, thickness=0, pitch_rad=0, method_thrust=0, method_torque=0
     )

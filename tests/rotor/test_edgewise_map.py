@@ -6,7 +6,7 @@ import pytest
 
 from mufly.rotor import load_rotor, prepare_blading
 from mufly.rotor.forward import ForwardCondition, make_flap_mode, solve_forward_pair
-from mufly.rotor.forward.edgewise_map import compute_flight_loads, make_edgewise_axis
+from mufly.rotor.forward.edgewise_map import compute_flight_map_loads, make_edgewise_axis
 from mufly.rotor.forward.row_sums import sum_flow_rows, sum_rate_rows
 
 KNEE, MEAN, PITCH, RADIUS = 0.1125, 410.0, (0.2636, 0.2627), 0.0875
@@ -23,7 +23,7 @@ def compute(blading, ratio=1.6, **changes):
         "pitch_rad": PITCH, "spacing_m": 0.04, "mean_speed_rad_s": MEAN, "ratio": [1.18], "climb_ratio": [0.0],
         "knee": KNEE, "edgewise": make_edgewise_axis(KNEE, 4)[:3], **changes,
     }  # fmt: skip
-    tables, missing = compute_flight_loads(blading, blading, (flap, flap), **given)
+    tables, missing = compute_flight_map_loads(blading, blading, (flap, flap), **given)
     assert missing == 0
     return tables.loads.reshape(3, 2, 10)
 

@@ -20,7 +20,7 @@ from mufly.rotor import (
     solve_rotor,
 )
 from mufly.rotor.structure.blade_beam import stiffness_matrices
-from mufly.rotor.structure.elastic_rotor import SpanLoads, divergence_speed, load_derivative, solve_equilibrium
+from mufly.rotor.structure.elastic_rotor import SpanLoads, differentiate_air_loads, divergence_speed, solve_equilibrium
 from mufly.rotor.structure.flap_modes import make_blade_beam
 
 PITCH = math.radians(13.0)
@@ -62,10 +62,10 @@ def test_uniform_load_bends_by_the_closed_form():
 def test_uniform_strip_diverges_at_the_closed_pressure():
     b, arm = strip(), 0.2 * CHORD
     lift = CHORD * SLOPE  # per unit pressure and angle
-    turn = load_derivative(b, constant(b), constant(b, axial=lift, moment=lift * arm), 1.0)
+    turn = differentiate_air_loads(b, constant(b), constant(b, axial=lift, moment=lift * arm), 1.0)
     pressure = divergence_speed(b, stiffness_matrices(b, 0.0)[0], turn) ** 2
     assert pressure == pytest.approx((math.pi / (2.0 * LENGTH)) ** 2 * GJ / (arm * CHORD * SLOPE), rel=1e-6)
-    back = load_derivative(b, constant(b), constant(b, axial=lift, moment=-lift * arm), 1.0)
+    back = differentiate_air_loads(b, constant(b), constant(b, axial=lift, moment=-lift * arm), 1.0)
     assert divergence_speed(b, stiffness_matrices(b, 0.0)[0], back) == math.inf
 
 

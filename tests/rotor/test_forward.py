@@ -24,9 +24,9 @@ from mufly.rotor import (
     solve_system,
 )
 from mufly.rotor.forward import (
-    BladeFlap,
     ForwardCondition,
     PairSweep,
+    RigidFlapMode,
     cyclic_response,
     make_flap_mode,
     solve_forward,
@@ -67,7 +67,7 @@ def walkera():
 
 
 def flap(ratio, lock=3.0):
-    return BladeFlap(ratio, 1.2 * SLOPE * CHORD * RADIUS**4 / lock)
+    return RigidFlapMode(ratio, 1.2 * SLOPE * CHORD * RADIUS**4 / lock)
 
 
 def solve(case, ratio=math.inf, lock=3.0, inflow="annular", **changes):

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.rotor import Corrections, PolarTable, Rotor, prepare_blading, solve_rotor
-from mufly.rotor.blading import compute_panel_edges, lifting_surface_chord_factor, near_wake_downwash
+from mufly.rotor.blading import compute_angle_loss_per_cl, compute_panel_edges, near_wake_downwash
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 
 
@@ -35,7 +35,7 @@ def test_lifting_line_with_the_loss_is_the_lifting_surface():
     args = (edges, at_edges, 0.0, 200.0, 24)
     a34 = near_wake_downwash(np.column_stack((mid, 0.5 * c)), *args)
     a14 = near_wake_downwash(np.column_stack((mid, 0 * c)), *args)
-    e = lifting_surface_chord_factor(mid, edges, c, at_edges, straight_wake=200.0)
+    e = compute_angle_loss_per_cl(mid, edges, c, at_edges, straight_wake=200.0)
     surface = np.linalg.solve(a34, np.ones(40))
     line = np.linalg.solve(a14 + np.diag(1 / (np.pi * c) + 2 * e / c), np.ones(40))
     assert_allclose(line, surface, rtol=1e-6)
@@ -57,9 +57,9 @@ def test_loss_vanishes_for_slender_blades_and_does_not_depend_on_the_unit():
     mid, edges = compute_panel_edges(0.1, 24)
     sizes = []
     for c in (0.3, 0.1, 0.03, 0.01):
-        e = lifting_surface_chord_factor(mid, edges, np.full(24, c), np.full(25, c))
+        e = compute_angle_loss_per_cl(mid, edges, np.full(24, c), np.full(25, c))
         sizes.append(np.average(e, weights=mid**2))
-        bigger = lifting_surface_chord_factor(7 * mid, 7 * edges, np.full(24, 7 * c), np.full(25, 7 * c))
+        bigger = compute_angle_loss_per_cl(7 * mid, 7 * edges, np.full(24, 7 * c), np.full(25, 7 * c))
         assert_allclose(bigger, e, rtol=1e-9, atol=1e-12)
     assert sizes[0] > sizes[1] > sizes[2] > sizes[3]
     assert sizes[3] < 0.1 * sizes[0]  # the last chord at the tip keeps its loss

@@ -14,7 +14,7 @@ from mufly.errors import InputError
 from mufly.rotor import (
     RotorMeasurements,
     add_zero_load_points,
-    effective_pitch_prior,
+    estimate_pitch_offset_prior,
     fit_rotor,
     load_rotor,
     make_rotor,
@@ -23,7 +23,7 @@ from mufly.rotor import (
     replace_rotor,
     solve_rotor_batch,
 )
-from mufly.rotor.blades.measured_geometry import GeometryReadings, measure_geometry
+from mufly.rotor.blades.measured_geometry import GeometryReadings, rotor_from_readings
 
 DEG = math.radians(1.0)
 X = np.array([0.25, 0.4, 0.55, 0.7, 0.85, 0.95])
@@ -34,16 +34,16 @@ RADIUS = 0.06
 
 def measured(angle, tip_height=None, **how):
     readings = GeometryReadings(X * RADIUS, CHORD, angle, tip_height)
-    return measure_geometry(readings, radius_m=RADIUS, blades=2, name="blade", **how)
+    return rotor_from_readings(readings, radius_m=RADIUS, blades=2, name="blade", **how)
 
 
 def test_stated_pitch_and_photograph_are_weighted_by_their_variances():
     rotor = make_rotor(name="r", radius_m=0.06, chord_m=0.01, twist_rad=15.0 * DEG)
-    plain = effective_pitch_prior(rotor)
+    plain = estimate_pitch_offset_prior(rotor)
     assert (plain.offset_mean_rad, plain.offset_std_rad) == (0.0, pytest.approx(0.5 * DEG))
     pitch = 1.5 * math.pi * 0.06 * math.tan(11.1 * DEG)
     photo = replace_rotor(rotor, {"blade.geometry": "photograph", "nominal_pitch": pitch})
-    prior = effective_pitch_prior(photo)
+    prior = estimate_pitch_offset_prior(photo)
     assert prior.offset_mean_rad == pytest.approx(-3.9 * DEG * 4.0 / 13.0)
     assert prior.offset_std_rad == pytest.approx(DEG / math.sqrt(1 / 4 + 1 / 9))
     near, far = prepare_blading(photo).twist_rad[0], prepare_blading(rotor).twist_rad[0]
@@ -72,7 +72,7 @@ def test_readings_of_two_blades_are_averaged_and_their_scatter_counts():
     two = GeometryReadings(
         np.tile(X * RADIUS, 2), np.tile(CHORD, 2), np.concatenate((TRUE_ANGLE + 3 * DEG, TRUE_ANGLE - 3 * DEG))
     )
-    found = measure_geometry(two, radius_m=RADIUS, blades=2, name="two")
+    found = rotor_from_readings(two, radius_m=RADIUS, blades=2, name="two")
     np.testing.assert_allclose(found.rotor.blade.twist.value[:-1], TRUE_ANGLE)
     assert found.common_pitch_std_rad > 2.0 * DEG
     assert "scatter by 4.24 degrees" in found.notes[0]
@@ -108,7 +108,7 @@ def test_measure_command_writes_a_rotor_that_loads(tmp_path):
     assert rotor.blade.geometry == "caliper"
     assert rotor.stated_thickness(0.7) == pytest.approx(0.12, rel=1e-3)
     assert float(rotor.nominal_pitch) == pytest.approx(0.07)
-    assert effective_pitch_prior(rotor).offset_std_rad == pytest.approx(answer["effective_pitch_std_rad"])
+    assert estimate_pitch_offset_prior(rotor).offset_std_rad == pytest.approx(answer["effective_pitch_std_rad"])
     assert rotor.twist_rad(0.7) == pytest.approx(TRUE_ANGLE[3], abs=0.05 * DEG)
     done = CliRunner().invoke(app, ["rotor", "measure", str(table)])
     assert isinstance(done.exception, InputError)

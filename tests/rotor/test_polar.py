@@ -13,8 +13,8 @@ from mufly.rotor.sections.polar_table import (
     ALPHA_GRID,
     OUTSIDE_ALPHA,
     OUTSIDE_REYNOLDS,
+    interpolate_polar_stack,
     lookup_moment,
-    stack_coefficients,
 )
 
 
@@ -86,7 +86,7 @@ def test_stack_reads_like_its_tables():
     rng = np.random.default_rng(0)
     for k, t in enumerate(tables):
         for a, re in zip(rng.uniform(-4, 4, 50), np.exp(rng.uniform(math.log(2e3), math.log(3e5), 50)), strict=True):
-            got = stack_coefficients(stack, k, a, math.log(re))
+            got = interpolate_polar_stack(stack, k, a, math.log(re))
             # Where a table of another range is clamped, its edge falls between the points of the common grid.
             assert np.allclose(got, lookup_lift_drag(t, a, re), atol=1e-9 if k < 2 else 0.02)
     assert np.allclose(stack.log_reynolds_limits[2], np.log([1e4, 1e5]))

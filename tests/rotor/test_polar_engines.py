@@ -27,7 +27,7 @@ from mufly.rotor import (
 from mufly.rotor.sections import neuralfoil_network
 from mufly.rotor.sections.polar_engines import DEFAULT_REYNOLDS
 from mufly.rotor.sections.polar_table import ALPHA_GRID, extend_full_circle, flat_plate_drag
-from mufly.rotor.sections.section_data import SectionData
+from mufly.rotor.sections.section_data import RawPolars
 
 FEW = np.geomspace(5e3, 2e5, 5)
 RIGHT = math.pi / 2
@@ -149,7 +149,7 @@ def test_extension_meets_any_end_without_a_jump(low, span, cl_low, cl_high, cd):
     low = round(2 * low) / 2
     alpha = np.deg2rad(low + np.linspace(0, max(1, round(2 * span) / 2), 9))
     ones = np.ones((1, 9))
-    data = SectionData(
+    data = RawPolars(
         "x", alpha, np.array([1e5]), np.linspace(cl_low, cl_high, 9)[None, :], cd * ones, 0 * ones,
         ones.astype(bool), ones.astype(bool), "drawn",
     )  # fmt: skip
@@ -165,7 +165,7 @@ def test_extension_meets_any_end_without_a_jump(low, span, cl_low, cl_high, cd):
 def test_too_little_to_extend_is_refused():
     a = np.deg2rad([70.0, 75.0, 80.0])
     ones = np.ones((1, 3))
-    data = SectionData("x", a, np.array([1e5]), ones, ones, ones, ones > 0, ones > 0, "")
+    data = RawPolars("x", a, np.array([1e5]), ones, ones, ones, ones > 0, ones > 0, "")
     with pytest.raises(MuflyError, match="too few"):
         extend_full_circle(data)
 

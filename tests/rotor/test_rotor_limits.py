@@ -11,7 +11,7 @@ from mufly.rotor import (
     Air,
     OperatingCondition,
     RotorSystem,
-    effective_pitch_prior,
+    estimate_pitch_offset_prior,
     load_rotor,
     make_rotor,
     prepare_blading,
@@ -128,4 +128,4 @@ def test_a_makers_file_and_a_scan_are_preferred_to_photographs(tmp_path):
     assert float(two.chord_m(0.6)) == pytest.approx(0.011, rel=0.02)
     assert float(two.twist_rad(0.6)) == pytest.approx(0.3, abs=0.01)
     assert float(three.twist_rad(0.8)) == pytest.approx(math.radians(15.0))
-    assert effective_pitch_prior(four).offset_std_rad > 2.0 * effective_pitch_prior(two).offset_std_rad
+    assert estimate_pitch_offset_prior(four).offset_std_rad > 2.0 * estimate_pitch_offset_prior(two).offset_std_rad

@@ -24,7 +24,7 @@ from mufly.rotor.vortex_tube import wake_contraction
 from mufly.rotor.wake import (
     PlacedRotor,
     WakeSettings,
-    compute_blade_passing,
+    compute_blade_passing_loads,
     induced_velocity,
     momentum_thrust,
     solve_wake,
@@ -43,7 +43,7 @@ from mufly.rotor.wake.lifting_surface import (
     make_lifting_surface,
     prescribe_landgrebe_wake,
 )
-from mufly.rotor.wake.wake_solver import RotorState, drag_swirl_velocity, initialise_wakes, mutual_inflow
+from mufly.rotor.wake.wake_solver import RotorState, average_mutual_inflow, drag_swirl_velocity, initialise_wakes
 
 RPM = np.pi / 30
 PITCH = np.radians(14)
@@ -350,7 +350,7 @@ def test_the_lower_rotor_meets_all_the_turning_that_profile_drag_gave_the_upper_
     torque = s.blade_count * float(np.sum(drag * r * s.panel_width_m))
     assert 0.2 * upper.torque_Nm < torque < 0.45 * upper.torque_Nm
     # What passes the lower disc in a second takes as much along, and turns against the lower rotor.
-    through = sum(mutual_inflow(units[0], u, s.quarter_chord_m, pair.settings.phases)[:, 2] for u in units)
+    through = sum(average_mutual_inflow(units[0], u, s.quarter_chord_m, pair.settings.phases)[:, 2] for u in units)
     narrow = wake_contraction(units[0].placed.height_m - units[1].placed.height_m, s.radius_m)
     at = units[1].surface.quarter_chord_m[:, 0]
     against = -below[n : 2 * n, 1]
@@ -365,7 +365,7 @@ def test_the_lower_rotor_meets_all_the_turning_that_profile_drag_gave_the_upper_
 
 
 def test_passing_blades_average_to_the_mean_loads(pair):
-    passing = compute_blade_passing(pair, points=12)
+    passing = compute_blade_passing_loads(pair, points=12)
     for k in (0, 1):
         assert passing.thrust_N[k].mean() == pytest.approx(pair.rotors[k].thrust_N, rel=0.02)
     assert np.ptp(passing.thrust_N[1]) > 0.05 * pair.rotors[1].thrust_N

@@ -18,8 +18,8 @@ from mufly.slam.camera_pose import (
     PoseEstimate,
     ViewPrior,
     attitude_matrix,
+    compute_ray_slopes,
     d_rays_d_tilt,
-    normalised_rays,
     ransac_two_points,
     solve_pose,
 )
@@ -48,7 +48,7 @@ def _case(rng: np.random.Generator, noise: float) -> tuple:
     n, height, heading = 90, 1.0, 0.4
     pixels = np.column_stack([rng.uniform(-150, 150, n), rng.uniform(-110, 110, n)])
     seconds = pixels[:, 1] / 240 * 0.03
-    m = normalised_rays(view, pixels, seconds, attitude_matrix(view, tilt, heading), shakes)
+    m = compute_ray_slopes(view, pixels, seconds, attitude_matrix(view, tilt, heading), shakes)
     down = height - view.velocity_m_s[2] * seconds
     points = np.column_stack([0.2 + 0.3 * seconds + down * m.real, -0.1 - 0.2 * seconds + down * m.imag, np.zeros(n)])
     truth = np.array([0.2, -0.1, height, heading, *tilt, 0.0, 0.0])

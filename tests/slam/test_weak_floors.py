@@ -11,7 +11,7 @@ import pytest
 from mufly.camera import Floor, load_camera
 from mufly.slam import SlamSystem, make_square_path, render_frames
 from mufly.slam.images.direct_alignment import add_point_errors
-from mufly.slam.images.patch_information import measure_patches, remove_background
+from mufly.slam.images.patch_information import measure_patch_shifts, remove_background
 
 cv2 = pytest.importorskip("cv2")
 SMOOTH_PX, NOISE = 1.6, 8.0
@@ -34,7 +34,7 @@ def test_the_covariance_of_a_patch_is_its_scatter_and_the_cramer_rao_bound() -> 
     for _ in range(300):
         shift = rng.uniform(-0.3, 0.3, 2)
         template, picture = _noisy(rng, floor(0.0, 0.0)), _noisy(rng, floor(*shift))
-        found = measure_patches(template, picture, middle, middle + shift, SMOOTH_PX, LEVEL_AXES)
+        found = measure_patch_shifts(template, picture, middle, middle + shift, SMOOTH_PX, LEVEL_AXES)
         off.append(found.shift_px[0])
         information.append(found.information[0])
     variance = np.diag(np.linalg.inv(np.mean(information, axis=0)))
@@ -56,7 +56,7 @@ def test_a_direction_without_texture_has_no_information(contrast: float) -> None
     pair = [remove_background(np.clip(_noisy(rng, stripes), 0, 255).astype(np.uint8)) for _ in range(2)]
     # North is up in the picture, east to the right.
     axes = np.tile([[0.0, 1.0], [-1.0, 0.0]], (len(points), 1, 1))
-    found = measure_patches(*pair, points, points, SMOOTH_PX, axes)
+    found = measure_patch_shifts(*pair, points, points, SMOOTH_PX, axes)
     assert found.known.tolist() == [False, contrast > 0.0]
     along = axes @ found.directions[0]
     assert np.abs(np.einsum("nij,nj->ni", found.information, along)).max() < 1e-9

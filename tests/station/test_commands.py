@@ -88,14 +88,14 @@ def test_command_is_taken_when_the_vehicle_answers_us_and_what_we_asked():
 
     answer(250, 0, 0)  # nobody has asked
     for stranger in ((251, 0), (250, 1)):
-        request = control.take_command()
+        request = control.request_operator_control()
         (message,) = control.step(1.0, 0)
         assert (message.target_system, message.control_request) == (1, 0)
         answer(*stranger, 0)
         assert not request.is_done
     answer(250, 0, 0)
     assert request.outcome is RequestOutcome.ACCEPTED
-    request = control.release_command()
+    request = control.release_operator_control()
     (message,) = control.step(2.0, 0)
     assert message.control_request == 1
     answer(250, 1, 3)

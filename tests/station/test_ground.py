@@ -13,7 +13,7 @@ from mufly.mission import parse_mission
 from mufly.mission.files.mission_items import mission_to_items
 from mufly.station import GroundLink, RequestOutcome
 from mufly.station.ground_station import choose_telemetry_rate
-from mufly.station.mission_rows import MISSION_SPEED_TEXT, is_same_mission, rows_from_items
+from mufly.station.mission_rows import DEFAULT_SPEED_TEXT, is_same_mission, rows_from_items
 from mufly.station.remote.remote_commands import StatusTextLog
 from mufly.station.remote.remote_transfers import RemoteParameters
 
@@ -228,7 +228,7 @@ def test_items_become_rows_and_what_has_no_place_has_none():
     assert [i.command for i in items[:5]] == [22, 178, 16, 16, 21]
     back = rows_from_items(items, reached=2)
     assert [r.reached for r in back] == [True, True, *[False] * 6]
-    assert (back[5].text, back[6].heading_rad) == (MISSION_SPEED_TEXT, pytest.approx(math.radians(-45.0)))
+    assert (back[5].text, back[6].heading_rad) == (DEFAULT_SPEED_TEXT, pytest.approx(math.radians(-45.0)))
     assert np.isnan([back[k].position for k in (1, 5, 6, 7)]).all()
     foreign = [
         MissionItem(0, 0, 16, params=(2.5, 0, 0, math.nan), x=x, y=y, z=401.5),
@@ -596,7 +596,7 @@ def test_after_a_stop_of_the_station_nothing_that_was_asked_before_is_done(secon
     gain, sent, taken = (
         vehicle.set_parameter("GAIN", 2.0),
         vehicle.upload_mission(MISSION),
-        vehicle.take_command(),
+        vehicle.request_operator_control(),
     )
     vehicle.sticks.set_deflection(0.0, 0.0, 0.0, 0.0)
     by_hand = vehicle.fly_manually()  # and gives up to land

@@ -56,7 +56,7 @@ def test_every_message_with_extreme_fields(seed):
     world = World(mock)
     world.run(2.0)
     vehicle = world.seen[0]
-    for ask in (vehicle.download_mission, vehicle.take_command, lambda: vehicle.take_off(1.0)):
+    for ask in (vehicle.download_mission, vehicle.request_operator_control, lambda: vehicle.take_off(1.0)):
         ask()
     vehicle.set_parameter("A", 2.0)
     kinds = list(mavlink.mavlink_map.values())

@@ -217,9 +217,9 @@ def test_a_second_station_watches_and_takes_over_after_release(helicopter):
     outcome, answer = scene.answer(second.land())
     assert outcome == "refused"
     assert "has operator control" in answer
-    assert scene.answer(second.take_command())[0] == "refused"
-    assert scene.answer(first.release_command())[0] == "accepted"
-    assert scene.answer(second.take_command())[0] == "accepted"
+    assert scene.answer(second.request_operator_control())[0] == "refused"
+    assert scene.answer(first.release_operator_control())[0] == "accepted"
+    assert scene.answer(second.request_operator_control())[0] == "accepted"
     scene.run(1.5)
     assert second.snapshot.in_command
     assert not first.snapshot.in_command

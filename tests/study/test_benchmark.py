@@ -11,9 +11,9 @@ from mufly.errors import InputError
 from mufly.rotor import format_rotor_toml, load_rotor
 from mufly.rotor.measured.uncertainty import fit_interval_scale, interval_quantile
 from mufly.study.benchmark import (
-    describe_case,
     draw_scores,
     load_cases,
+    make_rotor_description,
     parse_code,
     score_codes,
     score_propellers,
@@ -103,7 +103,9 @@ def test_outside_codes_answer_or_say_why_not(data, tmp_path):
         parse_code(f"bad={sys.executable} {failing} {{folder}}"),
     ]  # fmt: skip
     scores = score_codes(cases, codes, folder=tmp_path / "out")
-    assert_allclose(scores[1].case.measured.thrust_N * (1 + scores[1].thrust_error), half(describe_case(cases[1]))[0])
+    assert_allclose(
+        scores[1].case.measured.thrust_N * (1 + scores[1].thrust_error), half(make_rotor_description(cases[1]))[0]
+    )
     assert_allclose((1 + scores[3].thrust_error[0]) * cases[0].measured.thrust_N[0], 1e-7 * 3000.0**2)
     assert "no wind" in scores[-1].fault
     rows = tabulate_by_group(scores)

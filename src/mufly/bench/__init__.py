@@ -15,7 +15,7 @@ from mufly.bench.bench_table import (
     SI_UNITS,
     BenchTable,
     ColumnMeaning,
-    parse_header,
+    parse_column_header,
     read_bench_file,
     read_bench_files,
 )
@@ -48,7 +48,7 @@ __all__ = [
     "estimate_covariance",
     "fit_zero_drift",
     "make_plan",
-    "parse_header",
+    "parse_column_header",
     "predict_loads",
     "read_bench_file",
     "read_bench_files",

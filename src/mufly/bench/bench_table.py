@@ -220,12 +220,12 @@ def _mapped_header(header: str, line: ColumnLine) -> str:
     if len(line.columns) > 1:
         raise ArgumentError("columns", line.name, "is in several columns", "write NAME=COLUMN(unit)")
     own = _UNIT_BY_NAME.get(_split_column_name(header.lower())[0], "")
-    units = [line.unit] if line.unit else [own, *(unit for _, unit in _header_candidates(header))]
+    units = [line.unit] if line.unit else [own, *(unit for _, unit in _list_header_interpretations(header))]
     for unit in units:
         text = f"{line.name} ({unit})" if unit else line.name
-        if parse_header(text) is not None:
+        if parse_column_header(text) is not None:
             return text
-    known = parse_header(line.name)
+    known = parse_column_header(line.name)
     if known is None:
         remedy = f"use one of {', '.join(_QUANTITY_UNITS_AND_NAMES)}, with _upper, _lower or _raw"
         raise ArgumentError("columns", line.name, "is not a quantity of a bench", remedy)
@@ -247,15 +247,15 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
         cut = f"line {written.cut_line}, the last, is incomplete and skipped"
         warnings.warn(f"{where}: {cut}", TruncatedFileWarning, stacklevel=4)
     line = np.array(written.lines, dtype=np.int64)
-    found: dict[str, list[_ColumnReading]] = {}
+    found: dict[str, list[_InterpretedColumn]] = {}
     mismatched_units: dict[str, tuple[str, str]] = {}
     unused: list[str] = []
     for index, header in enumerate(written.header):
         for text, sign in mapped.get(index, [(written.titles[index], 1.0)]):
-            column = parse_header(text)
+            column = parse_column_header(text)
             if column is None:
                 unused.append(header)
-                doubt = _mismatched_unit(text)
+                doubt = _find_mismatched_unit(text)
                 if doubt is not None:
                     mismatched_units.setdefault(doubt[0], (header, doubt[1]))
                 continue
@@ -264,7 +264,7 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
                 values = np.array([known.setdefault(c, float(len(known))) for c in written.read_texts(index)])
             else:
                 values = sign * _read_values(written, index, column) * column.factor + column.offset
-            found.setdefault(column.name, []).append(_ColumnReading(header, column, values))
+            found.setdefault(column.name, []).append(_InterpretedColumn(header, column, values))
     if not found and mismatched_units:
         BenchTable(where, {}, {}, line, mismatched_units=mismatched_units).reject_wrong_units(mismatched_units)
     if not found:
@@ -272,10 +272,10 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
             where, "", f"no column is understood ({', '.join(written.header)})",
             "name quantity and unit, as torque_mNm, or map them with columns=NAME=COLUMN(unit)",
         )  # fmt: skip
-    chosen: dict[str, _ColumnReading] = {}
+    chosen: dict[str, _InterpretedColumn] = {}
     told: list[str] = []
     for name, readings in found.items():
-        chosen[name], words = _choose_reading(name, readings)
+        chosen[name], words = _choose_column(name, readings)
         told += words
     if unused:
         told.append(f"columns that are not used: {', '.join(unused)}")
@@ -294,7 +294,7 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
 
 
 @dataclass(frozen=True, eq=False)
-class _ColumnReading:
+class _InterpretedColumn:
     """Column read from a file: header, meaning, SI values."""
 
     header: str
@@ -307,7 +307,7 @@ class _ColumnReading:
         return np.isfinite(self.values) & (self.values != 0.0)
 
 
-def _choose_reading(name: str, readings: list[_ColumnReading]) -> tuple[_ColumnReading, list[str]]:
+def _choose_column(name: str, readings: list[_InterpretedColumn]) -> tuple[_InterpretedColumn, list[str]]:
     """Return the column from which to read a quantity, and notes with the reason."""
     best, words = readings[0], []
     for other in readings[1:]:
@@ -328,7 +328,7 @@ def _choose_reading(name: str, readings: list[_ColumnReading]) -> tuple[_ColumnR
     return best, words
 
 
-def _resolve_pole_pairs(a: _ColumnReading, b: _ColumnReading) -> tuple[_ColumnReading | None, str]:
+def _resolve_pole_pairs(a: _InterpretedColumn, b: _InterpretedColumn) -> tuple[_InterpretedColumn | None, str]:
     """Return which of two disagreeing speed columns to use (None if neither), with the reason.
 
     The slower one is used if their ratio is an integer: the other counts electrical revolutions. Otherwise a speed from
@@ -352,7 +352,7 @@ def _resolve_pole_pairs(a: _ColumnReading, b: _ColumnReading) -> tuple[_ColumnRe
     return None, ""
 
 
-def _convert_duty(table: BenchTable, reading: _ColumnReading | None) -> BenchTable:
+def _convert_duty(table: BenchTable, reading: _InterpretedColumn | None) -> BenchTable:
     """Convert a throttle (per cent, -1 to 1, or pulse width) to a share of the supply voltage, with a note."""
     if reading is None:
         return table
@@ -421,9 +421,9 @@ def _read_values(table: TextTable, index: int, column: ColumnMeaning) -> Array:
     values = np.full(len(table.rows), math.nan)
     for k, cell in enumerate(table.read_texts(index)):
         if share and cell.endswith("%"):
-            values[k] = table.read_cell(k, index, cell[:-1]) / 100.0 / column.factor
+            values[k] = table.parse_finite_cell(k, index, cell[:-1]) / 100.0 / column.factor
         elif cell:
-            values[k] = table.read_cell(k, index, cell)
+            values[k] = table.parse_finite_cell(k, index, cell)
     return values
 
 
@@ -508,19 +508,19 @@ def base_quantity_of(name: str) -> str:
     return re.sub(r"(_upper|_lower)?(_raw)?$", "", name)
 
 
-def parse_header(header: str) -> ColumnMeaning | None:
+def parse_column_header(header: str) -> ColumnMeaning | None:
     """Return the meaning of one header, or None if it is not a bench quantity.
 
     Examples: ``"torque_mNm"``, ``"T(N)"``, ``"RPM"``, ``"speed_upper_rpm"``, ``"thrust_raw_mV"``.
     """
-    for name, unit in _header_candidates(header):
+    for name, unit in _list_header_interpretations(header):
         found = _interpret_column_name(name, unit)
         if found is not None:
             return found
     return None
 
 
-def _header_candidates(header: str) -> list[tuple[str, str]]:
+def _list_header_interpretations(header: str) -> list[tuple[str, str]]:
     """Return candidate pairs of name and unit for a header, most likely first."""
     text = " ".join(header.strip().lower().split())
     match = _BRACKETED_UNIT_PATTERN.match(text)
@@ -531,9 +531,9 @@ def _header_candidates(header: str) -> list[tuple[str, str]]:
     return [("_".join(parts[:-k]), "_".join(parts[-k:])) for k in (2, 1) if len(parts) > k] + [(text, "")]
 
 
-def _mismatched_unit(header: str) -> tuple[str, str] | None:
+def _find_mismatched_unit(header: str) -> tuple[str, str] | None:
     """Return the quantity of a header with a wrong unit, and that unit as written; None otherwise."""
-    for name, unit in _header_candidates(header):
+    for name, unit in _list_header_interpretations(header):
         stem, full = _split_column_name(name)
         if unit and (len(stem) > 1 or not normalise_unit(unit)):
             for quantity, (_, names) in _QUANTITY_UNITS_AND_NAMES.items():

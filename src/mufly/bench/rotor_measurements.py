@@ -28,7 +28,7 @@ import numpy as np
 from mufly.bench.bench_loads import resolve_air_density
 from mufly.bench.bench_table import BenchTable, read_bench_file
 from mufly.bench.unit_conventions import (
-    COEFFICIENT_CONVENTIONS,
+    COEFFICIENT_SCALINGS,
     add_loads_from_coefficients,
     guess_load_units,
     is_electrical_power,
@@ -77,7 +77,7 @@ def read_measurements(
     if "speed" not in table and speed_rad_s:
         table = table.with_columns(speed=np.full(len(table), speed_rad_s))
     each, density = np.ones(len(table)), density_kg_m3 or math.nan
-    coefficients = [n for n in COEFFICIENT_CONVENTIONS if n in table]
+    coefficients = [n for n in COEFFICIENT_SCALINGS if n in table]
     if density_kg_m3 is None and ("density" in table or ("temperature" in table and "pressure" in table)):
         each, _ = resolve_air_density(table, None)
         density = float(each.mean())

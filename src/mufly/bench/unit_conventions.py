@@ -15,7 +15,8 @@ units are possible, an error is raised.
 
 **Rest.** A line gives the zero of the load cells under three conditions: the speed is 0, the throttle is below
 :data:`_MAX_REST_DUTY`, and the load differs from the adjacent turning lines. The difference must exceed
-:data:`_LOST_SPEED_LOAD_TOLERANCE` of ``c W^2``, with c from ``load = zero + c W^2`` at the turning lines. Other lines
+:data:`_LOST_SPEED_LOAD_DIFFERENCE_FRACTION` of ``c W^2``, with c from ``load = zero + c W^2`` at the turning lines.
+Other lines
 without speed are omitted as failed speed readings. Loads ``c W^2`` below :data:`_MIN_COMPARED_LOAD_FRACTION` of the
 largest are not used for this decision.
 """
@@ -44,11 +45,11 @@ _HOVER_FIGURES_OF_MERIT = (0.15, 0.95)  # range of the figure of merit of hoveri
 _MIN_PROPELLER_CT = 0.02
 _CANDIDATE_THRUST_UNITS, _CANDIDATE_TORQUE_UNITS = ("N", "gf", "kgf"), ("N m", "mN m", "N cm", "kgf cm")
 _MAX_TIP_SPEED_M_S = 300.0
-_MAX_REST_DUTY, _LOST_SPEED_LOAD_TOLERANCE, _MIN_COMPARED_LOAD_FRACTION = 0.05, 0.4, 0.05
+_MAX_REST_DUTY, _LOST_SPEED_LOAD_DIFFERENCE_FRACTION, _MIN_COMPARED_LOAD_FRACTION = 0.05, 0.4, 0.05
 _MAX_HOVER_ADVANCE_RATIO = 0.02  # advance ratio V / (n D) below which a rotor hovers
 _ELECTRICAL_POWER_TOLERANCE = 0.03  # relative tolerance of power to voltage times current
 
-COEFFICIENT_CONVENTIONS = {
+COEFFICIENT_SCALINGS = {
     # column: load, power of D, and factor; of propellers in n, of rotors with 4 CT = pi^3 c_T, 4 CP = pi^4 c_Q
     "thrust_coefficient": ("thrust", 4, 1.0),
     "propeller_thrust_coefficient": ("thrust", 4, 1.0),
@@ -74,7 +75,7 @@ def add_loads_from_coefficients(table: BenchTable, radius_m: float | None, densi
     InputError
         If the radius or the speed is missing, or the convention is ambiguous.
     """
-    for name, (load, power, factor) in COEFFICIENT_CONVENTIONS.items():
+    for name, (load, power, factor) in COEFFICIENT_SCALINGS.items():
         if name not in table or load in table:
             continue
         if not radius_m:
@@ -280,6 +281,6 @@ def select_rest_lines(table: BenchTable, speeds: list[str]) -> tuple[LineMask, L
         load = np.abs(np.linalg.lstsq(a, y[turning], rcond=None)[0][1]) * squares / top
         after = np.searchsorted(rows, np.flatnonzero(resting))
         for beside in (rows[np.maximum(after - 1, 0)], rows[np.minimum(after, rows.size - 1)]):
-            alike = np.abs(y[resting] - y[beside]) < _LOST_SPEED_LOAD_TOLERANCE * load[beside]
+            alike = np.abs(y[resting] - y[beside]) < _LOST_SPEED_LOAD_DIFFERENCE_FRACTION * load[beside]
             lost[resting] |= alike & (load[beside] > _MIN_COMPARED_LOAD_FRACTION * load[turning].max())
     return still & ~lost, lost

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mufly.bridges.px4.px4_airframe import format_airframe_file, list_px4_parameters
     from mufly.bridges.px4.px4_link import Px4Simulator
 
-_MODULES_BY_NAME = {
+_NAMES_BY_MODULE = {
     "mufly.bridges.ardupilot.ardupilot_link": ("ArduPilotSimulator",),
     "mufly.bridges.ardupilot.ardupilot_parameters": ("format_parameter_file", "list_ardupilot_parameters"),
     "mufly.bridges.autopilot_gains": ("AutopilotGains", "AxisMargins", "CascadeGains", "design_autopilot_gains"),
@@ -61,7 +61,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    for home, names in _MODULES_BY_NAME.items():
+    for home, names in _NAMES_BY_MODULE.items():
         if name in names:
             return getattr(importlib.import_module(home), name)
     raise AttributeError(f"module 'mufly.bridges' has no attribute {name!r}")

@@ -15,11 +15,11 @@ of a disturbance: a torque for angles, wind for positions, an acceleration for t
 
 - sensitivity at most :data:`MAX_SENSITIVITY`, at the actuator and at the acceleration that the outer loop commands,
 - response of a position to its reference at most :data:`MAX_REFERENCE_PEAK`,
-- an angle error of :data:`ANGLE_ERROR_DEG` moves a servo by half its range at most,
+- an angle error of :data:`HALF_SERVO_ANGLE_ERROR_DEG` moves a servo by half its range at most,
 - gains within the limits of PX4's parameter list.
 
 Load disturbance with limited sensitivity: Åström and Hägglund, Advanced PID Control (2006), Ch. 6. Assumptions: signals
-are small, rates and angles have no errors, estimates of position and velocity lag by :data:`ESTIMATE_LAG_S`.
+are small, rates and angles have no errors, estimates of position and velocity lag by :data:`POSITION_ESTIMATE_LAG_S`.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ MAX_SENSITIVITY = 1.7
 """Largest sensitivity at the actuators: a phase margin of 34 degrees and a gain margin of 7.7 dB at least."""
 MAX_REFERENCE_PEAK = 1.1
 """Largest response of a position to its reference."""
-ESTIMATE_LAG_S = 0.1
+POSITION_ESTIMATE_LAG_S = 0.1
 """Lag of PX4's estimates of position and velocity (s)."""
-ANGLE_ERROR_DEG = 10.0
+HALF_SERVO_ANGLE_ERROR_DEG = 10.0
 GYRO_CUTOFF_HZ, GYRO_RATE_CUTOFF_HZ, VELOCITY_RATE_CUTOFF_HZ = 60.0, 40.0, 5.0
 """Cut-offs of PX4's low passes: IMU_GYRO_CUTOFF, IMU_DGYRO_CUTOFF, MPC_VELD_LP."""
 CONTROL_RATE_HZ = 250.0
@@ -278,7 +278,7 @@ def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Comp
     speed = k.velocity + k.velocity_integral / s
     speed_rate = k.velocity_derivative * s / (1.0 + s / (2.0 * math.pi * VELOCITY_RATE_CUTOFF_HZ))
     inner = axis.thrust_per_acceleration * (1.0 if axis.name == "vertical" else k.angle * rate)
-    late = np.exp(-s * ESTIMATE_LAG_S)
+    late = np.exp(-s * POSITION_ESTIMATE_LAG_S)
     reference = k.angle * rate if axis.name == "yaw" else inner * speed * k.position
     from_position, from_velocity = inner * speed * k.position * late, inner * (speed + speed_rate) * late
     from_angle, from_rate = k.angle * rate * np.exp(-s * axis.angle_delay_s), (rate + rate_rate) * gyro
@@ -348,7 +348,7 @@ def _closed_loop(axis: _Axis, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
     return A, reference, wind
 
 
-def _damping_excess(axis: _Axis, k: CascadeGains) -> float:
+def _find_instability_rate_1_s(axis: _Axis, k: CascadeGains) -> float:
     """Return by how much the largest real part of the closed-loop poles exceeds its limit (1/s); 0 below the limit."""
     A, _, _ = _closed_loop(axis, k)
     return max(0.0, float(np.max(np.linalg.eigvals(A).real)) - _MAX_STABLE_REAL_PART)
@@ -363,16 +363,16 @@ def _search_gains(cost: Callable[[_Array], float], starts: Sequence[Sequence[flo
     options: Any = {"maxfev": _MAX_COST_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-4}
     for start in starts:
         found = minimize(  # type: ignore[call-overload]
-            lambda x: cost(_exponential(x)), np.log(start), method="Nelder-Mead",
+            lambda x: cost(_exponentiate_clipped(x)), np.log(start), method="Nelder-Mead",
             options=options,
         )  # fmt: skip
         if best is None or found.fun < best[0]:
-            best = float(found.fun), _exponential(found.x)
+            best = float(found.fun), _exponentiate_clipped(found.x)
     assert best is not None
     return best[1]
 
 
-def _exponential(x: _Array) -> _Array:
+def _exponentiate_clipped(x: _Array) -> _Array:
     return np.exp(np.clip(x, -25.0, 5.0))
 
 
@@ -388,7 +388,7 @@ def _loop_cost(axis: _Axis, k: CascadeGains, plant: _Complex, disturbance: _Comp
     """Return the logarithm of the integrated squared error of an output after a step disturbance, plus penalties for
     exceeded limits of sensitivity, response and damping.
     """
-    excess = _damping_excess(axis, k)
+    excess = _find_instability_rate_1_s(axis, k)
     feedback, reference = _controller_response(axis, k, _FREQUENCY_GRID)
     loop = np.sum(feedback * plant, axis=1)
     sensitivity = 1.0 / (1.0 + loop)
@@ -399,7 +399,7 @@ def _loop_cost(axis: _Axis, k: CascadeGains, plant: _Complex, disturbance: _Comp
     if output == 0:
         over += max(0.0, float(np.max(np.abs(_outer_sensitivity(plant, feedback)))) / MAX_SENSITIVITY - 1.0)
     elif axis.name != "yaw":
-        over += max(0.0, k.angle * k.rate_proportional * math.radians(ANGLE_ERROR_DEG) / 0.5 - 1.0)
+        over += max(0.0, k.angle * k.rate_proportional * math.radians(HALF_SERVO_ANGLE_ERROR_DEG) / 0.5 - 1.0)
     return math.log(ise) + _CONSTRAINT_PENALTY * over + _CONSTRAINT_PENALTY * (10.0 + excess) * (excess > 0.0)
 
 
@@ -442,7 +442,7 @@ def _design_angle_gains(axis: _Axis) -> CascadeGains:
     scale = 0.02 if axis.name == "yaw" else 0.2
     slope = 1e-9 if axis.name == "yaw" else 3e-3
     k = to_gains(_search_gains(cost, [(a, scale * r, scale, slope) for a, r in ((4.0, 1.0), (8.0, 1.5))]))
-    if _damping_excess(axis, k) > 0.0:
+    if _find_instability_rate_1_s(axis, k) > 0.0:
         raise MuflyError(f"no gains of PX4 stabilise {axis.name}; check the vehicle with `mufly vehicle check`")
     return k
 
@@ -467,7 +467,7 @@ def _design_position_gains(axes: Sequence[_Axis], inner: Sequence[CascadeGains])
     starts = [(0.5, 2.5, 1.0, 0.2), (1.0, 4.0, 1.0, 0.3)] if vertical else [(0.5, 1.4, 0.3, 0.2), (0.9, 2.0, 0.6, 0.3)]
     x = _search_gains(cost, starts)
     for axis, k in zip(axes, inner, strict=True):
-        if _damping_excess(axis, to_gains(x, k)) > 0.0:
+        if _find_instability_rate_1_s(axis, to_gains(x, k)) > 0.0:
             raise MuflyError(f"no gains of PX4 hold a position ({axis.name}); check it with `mufly vehicle check`")
     return to_gains(x, CascadeGains())
 

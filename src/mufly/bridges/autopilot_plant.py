@@ -31,7 +31,7 @@ from mufly.flight.simulated_flight import GUST_LENGTH_M, RANGE_RING_RATE_HZ
 from mufly.flight.simulated_plant import SimulatedPlant
 from mufly.logs.mcap import FlightEvent
 from mufly.mission import Mission
-from mufly.sensors import Fault, Readings, Truth, draw_leaning_vehicle, fitted_sensors
+from mufly.sensors import Fault, Readings, Truth, fitted_sensors, randomise_leg_lengths
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
@@ -104,7 +104,7 @@ class AutopilotPlant:
         self.vehicle, self.autopilot_name, self.period_s = vehicle, autopilot, 1.0 / rate_Hz
         steady = np.asarray(mission.wind.steady_m_s if wind is None else wind, dtype=np.float64)
         gust = mission.wind.gust_m_s if gust is None else gust
-        unit = draw_leaning_vehicle(vehicle, seed=seed)
+        unit = randomise_leg_lengths(vehicle, seed=seed)
         self._start = standing_state(unit, mission.start_m, math.radians(mission.start_heading_deg))
         air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
         self.plant = SimulatedPlant(unit, mission.world, air, rate_Hz, self._start)
@@ -140,7 +140,7 @@ class AutopilotPlant:
         return -float(self.truth.position[2])
 
     @property
-    def has_moved(self) -> bool:
+    def has_been_armed(self) -> bool:
         """Whether the vehicle has been armed, and so may have moved, since it was last placed at the start."""
         return self._has_moved
 

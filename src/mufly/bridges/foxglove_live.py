@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.flight.record.live_view import LiveViewThread, RecordedFlight
+from mufly.flight.record.live_view import FlightWithRecorder, LiveViewThread
 from mufly.flight.record.recorder import FlightRecorder, RecordingEncoder
 from mufly.logs.mcap import FlightEvent
 
@@ -57,7 +57,7 @@ class FoxgloveViewConfig:
     host: str = "127.0.0.1"
     port: int = DEFAULT_PORT
 
-    def open_view(self, flight: RecordedFlight) -> LiveViewThread:
+    def open_view(self, flight: FlightWithRecorder) -> LiveViewThread:
         """Start the WebSocket server; return the thread that publishes the flight through it.
 
         Raises

@@ -6,17 +6,17 @@ import tempfile
 from pathlib import Path
 
 from mufly.errors import InputError
-from mufly.logs import RangeLimits
+from mufly.logs import RangeSensorGeometry
 from mufly.vehicle import Vehicle, load_vehicle
 
 
-def vehicle_range_limits(vehicle: Vehicle) -> RangeLimits:
+def vehicle_range_limits(vehicle: Vehicle) -> RangeSensorGeometry:
     """Return the geometry of a vehicle's range sensors: the sonar and the ring of horizontal beams.
 
     It consists of the sonar's cone angle, the direction of the ring's first beam, and the range limits of both.
     """
     ring, sensors = vehicle.range_ring, vehicle.sensors
-    limits = RangeLimits(
+    limits = RangeSensorGeometry(
         first_beam_rad=float(ring.first_angle), ring_min_m=float(ring.min_range), ring_max_m=float(ring.max_range)
     )
     if sensors is None or sensors.sonar is None:
@@ -27,7 +27,7 @@ def vehicle_range_limits(vehicle: Vehicle) -> RangeLimits:
     )
 
 
-def recorded_range_limits(vehicle_file: bytes) -> RangeLimits:
+def recorded_range_limits(vehicle_file: bytes) -> RangeSensorGeometry:
     """Return the limits of the range sensors from the vehicle file of a recording; empty limits if the file is
     unreadable.
     """
@@ -37,4 +37,4 @@ def recorded_range_limits(vehicle_file: bytes) -> RangeLimits:
         try:
             return vehicle_range_limits(load_vehicle(path))
         except InputError:
-            return RangeLimits()
+            return RangeSensorGeometry()

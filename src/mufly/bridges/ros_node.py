@@ -36,8 +36,8 @@ from mufly.logs.ros.ros_messages import (
     RosTopic,
     attitude_to_ros,
     body_to_flu,
+    extract_row_message,
     ned_to_enu,
-    pick_message,
     rows_with_data,
     select_topics,
     stamp_message,
@@ -124,7 +124,7 @@ class RosPublisher:
         self._senders: list[tuple[RosTopic, Any, type]] = []
         self._due_s: dict[str, float] = {}
         self.notes: list[str] = []
-        sensed = not flight.records_truth
+        sensed = not flight.records_only_truth
         names = [n for n in self._columns if sensed or not n.startswith("estimated_")]
         # On sensors the motion is estimated, without them measured; the other columns stay empty.
         unused = ("measured_position", "measured_velocity", "measured_attitude") if sensed else ()
@@ -182,7 +182,7 @@ class RosPublisher:
         mine = {name: block[index] for name, block in blocks.items()}
         columns = topic.encode(mine, self._limits)
         for k, stamp in enumerate(stamp_times_ns(topic, mine, time_s[index], self._start_ns).tolist()):
-            content = pick_message(columns, k)
+            content = extract_row_message(columns, k)
             stamp_message(content, stamp)
             publisher.publish(fill_message(kind(), content))
 

@@ -146,7 +146,7 @@ def _to_uint8(a: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.clip(np.rint(a), 0, 255).astype(np.uint8)
 
 
-def _upsample_twice(a: NDArray[np.float32]) -> NDArray[np.float32]:
+def _double_resolution(a: NDArray[np.float32]) -> NDArray[np.float32]:
     """Double the resolution of a periodic picture by linear interpolation."""
     for axis in (0, 1):
         before, after = np.roll(a, 1, axis), np.roll(a, -1, axis)
@@ -163,7 +163,7 @@ def _make_pink_noise(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
     """Return periodic pink noise (n, n), mean 0 and standard deviation 1."""
     a = rng.standard_normal((4, 4), dtype=np.float32)
     while len(a) < n:
-        a = _upsample_twice(a)
+        a = _double_resolution(a)
         a += 0.8 * rng.standard_normal(a.shape, dtype=np.float32)
     return (a - a.mean()) / a.std()
 
@@ -200,6 +200,6 @@ def _make_shadow_map(rng: np.random.Generator, depth: float) -> NDArray[np.float
     n = SHADOW_MAP_SIDE_PIXELS
     a = rng.standard_normal((8, 8), dtype=np.float32)
     while len(a) < n:
-        a = _upsample_twice(a)
+        a = _double_resolution(a)
     soft = 1.0 / (1.0 + np.exp(-8.0 * (a - 0.6 * a.std())))
     return (1.0 - depth * soft).astype(np.float32)

@@ -4,7 +4,7 @@ from mufly.cfd.blade_geometry import BLADE_TIPS, BladeGeometry, BladeTip, HubCyl
 from mufly.cfd.case_studies import (
     PairSolution,
     SpanLoads,
-    compute_span_loads,
+    convert_to_span_loads,
     list_study_cases,
     read_pair,
     save_case,
@@ -67,7 +67,7 @@ from mufly.cfd.solver_process import (
     run_case,
 )
 from mufly.cfd.surface_export import (
-    average_at_points,
+    average_faces_at_points,
     extract_blade_surface,
     extract_iso_surface,
     extract_vortex_surface,
@@ -100,13 +100,13 @@ __all__ = [
     "SolverProgress",
     "SpanLoads",
     "WakeProfile",
-    "average_at_points",
+    "average_faces_at_points",
     "compare_cases",
     "compare_climbs",
     "compute_momentum_slipstream",
-    "compute_span_loads",
     "compute_velocity_gradient",
     "compute_wake_profile",
+    "convert_to_span_loads",
     "draw_climb_comparison",
     "draw_iteration_history",
     "draw_mesh",

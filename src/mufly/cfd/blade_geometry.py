@@ -30,7 +30,7 @@ from mufly.errors import InputError
 Array = NDArray[np.float64]
 MAX_TIP_SLOPE_RAD = math.radians(60.0)
 """Slope at which the edges of a round tip end (rad)."""
-_TIP_FADE_CHORDS, _UPRIGHT_BEND_RADII, _BACK_TURN_BEND_RADII = 5.0, 0.5, 2.0
+_DISPLACEMENT_FADE_CHORDS, _UPRIGHT_REACH_BEND_RATIO, _BACK_TURN_RADIUS_RATIO = 5.0, 0.5, 2.0
 """Chords above and below the blade over which displacements fade; bend radii over which sections turn upright; bend
 radii of the turn beyond the end."""
 _MAX_CANT_RAD = math.radians(70.0)
@@ -256,16 +256,16 @@ def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord
     if turn:
         begin, sign = end - turn - straight, math.copysign(1.0, tip.cant_rad)
         a, b = abs(tip.cant_rad), tip.bend_radius_chords * chord_m
-        back = _BACK_TURN_BEND_RADII * turn
+        back = _BACK_TURN_RADIUS_RATIO * turn
         corners = [begin, begin + turn, end, end + back]
         cant = sign * np.interp(s, corners, [0.0, a, a, 0.0])
         # Exact along the two arcs and the straight piece between them.
-        p, q = np.clip(s - begin, 0.0, turn) / b, np.clip(s - end, 0.0, back) / (_BACK_TURN_BEND_RADII * b)
+        p, q = np.clip(s - begin, 0.0, turn) / b, np.clip(s - end, 0.0, back) / (_BACK_TURN_RADIUS_RATIO * b)
         flat = np.clip(s - begin - turn, 0.0, straight)
         y = np.minimum(s, begin) + b * np.sin(p) + flat * math.cos(a) + np.maximum(s - end - back, 0.0)
-        y += _BACK_TURN_BEND_RADII * b * (math.sin(a) - np.sin(a - q))
+        y += _BACK_TURN_RADIUS_RATIO * b * (math.sin(a) - np.sin(a - q))
         up = sign * (
-            b * (1.0 - np.cos(p)) + flat * math.sin(a) + _BACK_TURN_BEND_RADII * b * (np.cos(a - q) - math.cos(a))
+            b * (1.0 - np.cos(p)) + flat * math.sin(a) + _BACK_TURN_RADIUS_RATIO * b * (np.cos(a - q) - math.cos(a))
         )
         length = turn + straight
     t = np.clip((s - (end - length)) / length, 0.0, 1.0) if length else np.zeros(len(s))
@@ -329,8 +329,10 @@ def place_sections(
     q, n = c * x - s * z, s * x + c * z  # along the chord, and above it
     near = 1.5 * chord_m
     keep = cubic_fade((np.abs(x) - near) / (half_m - near))
-    keep = keep * cubic_fade((np.abs(z) - 0.5 * chord_m) / (min(_TIP_FADE_CHORDS * chord_m, level_m) - 0.5 * chord_m))
-    reach = _UPRIGHT_BEND_RADII * tip.bend_radius_chords * chord_m
+    keep = keep * cubic_fade(
+        (np.abs(z) - 0.5 * chord_m) / (min(_DISPLACEMENT_FADE_CHORDS * chord_m, level_m) - 0.5 * chord_m)
+    )
+    reach = _UPRIGHT_REACH_BEND_RATIO * tip.bend_radius_chords * chord_m
     h = reach * np.tanh(n / reach)
     y = line.radius_m[:, None] - np.sin(line.cant_rad)[:, None] * h * keep
     up = (line.height_m[:, None] - (1.0 - np.cos(line.cant_rad))[:, None] * h) * keep

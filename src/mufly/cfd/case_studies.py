@@ -51,14 +51,14 @@ from mufly.rotor import (
     solve_rotor,
     solve_system,
 )
-from mufly.rotor.structure.coupled_rounds import AeroelasticIteration, StripLoads, iterate_elastic_twist
+from mufly.rotor.structure.coupled_rounds import AeroelasticSolution, StripLoads, iterate_elastic_twist
 from mufly.rotor.structure.flap_modes import make_blade_beam
 
 Array = NDArray[np.float64]
-SCALED_START_ITERATIONS = 400
+SCALED_START_MIN_ITERATIONS = 400
 """Iterations before a verdict if the start is the scaled solution of a neighbour."""
 _TWIST_MATCH_TOLERANCE_RAD = 1e-5
-RESHAPED_START_ITERATIONS = 800
+RESHAPED_START_MIN_ITERATIONS = 800
 """Iterations before a verdict if the neighbour has another pitch setting or tip."""
 
 
@@ -131,7 +131,7 @@ def save_case(
     near = None if neighbour is None else read_point(neighbour)
     if near is not None:
         alike = near.pitch_rad == pitch_rad and near.tip == tip
-        point = replace(point, upwind=0, least=SCALED_START_ITERATIONS if alike else RESHAPED_START_ITERATIONS)
+        point = replace(point, upwind=0, least=SCALED_START_MIN_ITERATIONS if alike else RESHAPED_START_MIN_ITERATIONS)
     form = make_blade_geometry(tip, hub_m, gurney)
     if gap_m:
         if form != BladeGeometry() or neighbour is not None:
@@ -222,7 +222,7 @@ def solve_elastic_blade(
     progress: Callable[[SolverProgress], None] | None = None,
     run: Callable[..., CfdSolution] | None = None,
     **given: Any,
-) -> tuple[CfdSolution, AeroelasticIteration]:
+) -> tuple[CfdSolution, AeroelasticSolution]:
     """Solve a rotor with elastic blades: repeat mesh, solution and twist until the tip's twist changes by < 0.05 deg.
 
     Round k is the case ``round-k`` in the folder. Each round after the first starts from the preceding solution. A
@@ -245,7 +245,7 @@ def solve_elastic_blade(
     -------
     solution : CfdSolution
         Solution of the last round.
-    rounds : AeroelasticIteration
+    rounds : AeroelasticSolution
 
     Raises
     ------
@@ -442,7 +442,9 @@ def solve_pair(
     if not guess.converged:
         raise MuflyError(f"blade element theory finds no initial state of the pair: {guess.message}")
     settings = list(zip(pitches, speeds, strict=True))
-    loads = [_make_disc(compute_span_loads(one, "bemt"), *at) for one, at in zip(guess.rotors, settings, strict=True)]
+    loads = [
+        _make_disc(convert_to_span_loads(one, "bemt"), *at) for one, at in zip(guess.rotors, settings, strict=True)
+    ]
     for i, name in enumerate(PAIR_FOLDERS):
         if neighbour is not None:
             before = read_solution(neighbour / name)
@@ -581,7 +583,7 @@ class SpanLoads:
     torque_Nm: float
 
 
-def compute_span_loads(result: RotorResult, method: str) -> SpanLoads:
+def convert_to_span_loads(result: RotorResult, method: str) -> SpanLoads:
     """Convert the result of another method to loads per span, for comparison with a CFD solution."""
     return SpanLoads(
         method,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.cfd.case_studies import SpanLoads, compute_span_loads
+from mufly.cfd.case_studies import SpanLoads, convert_to_span_loads
 from mufly.cfd.cfd_solution import CfdSolution
 from mufly.cfd.openfoam_case import OperatingPoint, read_point
 from mufly.cfd.rotor_pair import ActuatorDisc
@@ -211,5 +211,5 @@ def predict_span_loads(
         except MuflyError:
             continue
         if solution.converged:
-            out.append(compute_span_loads(solution.rotors[which], method))
+            out.append(convert_to_span_loads(solution.rotors[which], method))
     return out

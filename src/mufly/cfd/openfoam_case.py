@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.cfd.initial_flow import compute_momentum_slipstream
-from mufly.cfd.polymesh import LOWER_BLADE_PATCH, PolyMesh, format_foam_header, write_poly_mesh
+from mufly.cfd.polymesh import LOWER_ROTOR_BLADE_PATCH, PolyMesh, format_foam_header, write_poly_mesh
 from mufly.cfd.sector_mesh import MeshDomain
 from mufly.errors import InputError, report_write_errors
 from mufly.quantities.units import RPM
@@ -52,7 +52,7 @@ MIN_ASSESSMENT_ITERATIONS = 1200
 """Least number of iterations before a verdict."""
 MAX_DESCENT_OVER_INDUCED_VELOCITY = 0.5
 """Greatest ratio of descent velocity to induced velocity in hover; above it (vortex ring state) no case is solved."""
-LOAD_FUNCTION_OBJECTS = {"blade": "loads", LOWER_BLADE_PATCH: "loads_lower"}
+LOAD_FUNCTION_OBJECTS = {"blade": "loads", LOWER_ROTOR_BLADE_PATCH: "loads_lower"}
 """Function objects that report the loads of each rotor, by patch."""
 STATE_WRITE_ITERATIONS = 40
 """Number of iterations between written states."""
@@ -142,7 +142,7 @@ class OperatingPoint:
     @property
     def patch_speeds_rad_s(self) -> dict[str, float]:
         """Rotational speed about +z (rad/s) of each wall, by patch name."""
-        return {"blade": self.speed_rad_s} | ({LOWER_BLADE_PATCH: -self.lower_rad_s} if self.gap_m else {})
+        return {"blade": self.speed_rad_s} | ({LOWER_ROTOR_BLADE_PATCH: -self.lower_rad_s} if self.gap_m else {})
 
     @property
     def geometry_note(self) -> str:

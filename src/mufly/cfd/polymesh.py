@@ -35,7 +35,7 @@ _HEXAHEDRON_FACES = np.array(
 )
 PATCH_NAMES = ("sector_left", "sector_right", "top", "side", "bottom", "blade")
 """Boundary patches: the periodic planes (x below and above 0), top, side and bottom of the cylinder, and the blade."""
-LOWER_BLADE_PATCH = "blade_lower"
+LOWER_ROTOR_BLADE_PATCH = "blade_lower"
 """Patch of the blade of a second rotor below the first."""
 
 
@@ -189,7 +189,7 @@ def make_poly_mesh(mesh: SectorMesh) -> PolyMesh:
     )
     names: tuple[str, ...] = PATCH_NAMES
     if "lower" in mesh.point_marks:
-        names = (*PATCH_NAMES, LOWER_BLADE_PATCH)
+        names = (*PATCH_NAMES, LOWER_ROTOR_BLADE_PATCH)
         own = mesh.point_marks["lower"][shell].all(axis=1)
         which[(which == PATCH_NAMES.index("blade")) & own] = len(PATCH_NAMES)
     all_faces, all_owners, patches = [inner], [owner], {}
@@ -372,7 +372,7 @@ def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
     entries = []
     for name, (start, count) in mesh.patches.items():
         kind, more = "patch", ""
-        if name in ("blade", LOWER_BLADE_PATCH):
+        if name in ("blade", LOWER_ROTOR_BLADE_PATCH):
             kind, more = "wall", "inGroups 1(wall);"
         elif name.startswith("sector"):
             other = "sector_right" if name == "sector_left" else "sector_left"
@@ -385,7 +385,7 @@ def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
     text = format_foam_header("polyBoundaryMesh", "boundary", place, note=f"sector of {turn:g} degrees")
     (folder / "boundary").write_text(text + f"{len(entries)}\n(\n" + "\n".join(entries) + "\n)\n", encoding="utf-8")
     zone = format_foam_header("regIOobject", "cellZones", place, binary=True).encode()
-    zones = {"rotor": 1.0, **({"lower": -1.0} if LOWER_BLADE_PATCH in mesh.patches else {})}
+    zones = {"rotor": 1.0, **({"lower": -1.0} if LOWER_ROTOR_BLADE_PATCH in mesh.patches else {})}
     zone += f"{len(zones)}\n(\n".encode()
     for name, sense in zones.items():
         zone += f"{name}\n{{\n    type cellZone;\n    cellLabels List<label> ".encode()

@@ -32,7 +32,7 @@ from mufly.rotor import Airfoil, is_polar_file, load_airfoil
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-NOSE_LENGTH_CHORDS = 0.02
+CORE_NOSE_ARC_CHORDS = 0.02
 """Length of the contour (chords) on either side that belongs to the core's nose side."""
 MIN_TAIL_THICKNESS_CHORDS = 0.006
 """Least trailing edge thickness over chord (0.12 mm of 20 mm), which can be made and meshed; thinner edges are
@@ -135,12 +135,12 @@ def make_ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
     curve = PchipInterpolator(s, whole)
     at_nose = s[nose]
     tail = float(np.linalg.norm(whole[0] - whole[-1])) / m
-    front = 2.0 * NOSE_LENGTH_CHORDS / m
-    up, low = at_nose - NOSE_LENGTH_CHORDS, s[-1] - at_nose - NOSE_LENGTH_CHORDS
-    top = at_nose - NOSE_LENGTH_CHORDS - up * make_vinokur_spacing(n, front / up, min(tail / up, 0.5 / n))
-    bottom = at_nose + NOSE_LENGTH_CHORDS + low * make_vinokur_spacing(n, front / low, min(tail / low, 0.5 / n))
+    front = 2.0 * CORE_NOSE_ARC_CHORDS / m
+    up, low = at_nose - CORE_NOSE_ARC_CHORDS, s[-1] - at_nose - CORE_NOSE_ARC_CHORDS
+    top = at_nose - CORE_NOSE_ARC_CHORDS - up * make_vinokur_spacing(n, front / up, min(tail / up, 0.5 / n))
+    bottom = at_nose + CORE_NOSE_ARC_CHORDS + low * make_vinokur_spacing(n, front / low, min(tail / low, 0.5 / n))
     base = whole[0] + np.linspace(0.0, 1.0, m + 1)[:, None] * (whole[-1] - whole[0])
-    arc = curve(np.linspace(at_nose + NOSE_LENGTH_CHORDS, at_nose - NOSE_LENGTH_CHORDS, m + 1))
+    arc = curve(np.linspace(at_nose + CORE_NOSE_ARC_CHORDS, at_nose - CORE_NOSE_ARC_CHORDS, m + 1))
     return np.concatenate((curve(top)[:-1], base[:-1], curve(bottom)[::-1][:-1], arc[:-1]))
 
 
@@ -291,7 +291,7 @@ class SectionShape:
     has_level_block: bool = False
 
 
-BLOCK_MARGIN_CHORDS, BLOCK_HALF_HEIGHT_CHORDS = 0.40, 0.45
+CENTRE_BLOCK_MARGIN_CHORDS, CENTRE_BLOCK_HALF_HEIGHT_CHORDS = 0.40, 0.45
 _NORMAL_SMOOTHING_PASSES = 6
 _GURNEY_NORMAL_LEAN_FACTOR = 0.5
 _SIDE_CELL_STRETCHING = 0.2
@@ -313,7 +313,7 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
     (half, high), (wide, thick) = shape.block_half_size_m, shape.core_half_size_m
     plain = _rectangle_points(-wide, wide, -thick, thick, n, m)
     loop = (1 - g) * loop + g * plain
-    low, right = -(0.25 + BLOCK_MARGIN_CHORDS) * c, (0.75 + BLOCK_MARGIN_CHORDS) * c
+    low, right = -(0.25 + CENTRE_BLOCK_MARGIN_CHORDS) * c, (0.75 + CENTRE_BLOCK_MARGIN_CHORDS) * c
     whole = 1.0 if shape.has_level_block else g  # fraction of the axis block in the block
     even = np.linspace(0.0, 1.0, n + 1)
     crowd = np.concatenate((shape.contour_ratio[:n, 0], shape.contour_ratio[n : n + 1, 0]))
@@ -323,14 +323,14 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
     if shape.has_level_block:  # the blade lies behind its middle: wider cells to the sides slant the ring less
         wider = (1.0 - _SIDE_CELL_STRETCHING) * wider + _SIDE_CELL_STRETCHING * wider**3
     x_in = (1 - whole) * (low + (right - low) * spread) + whole * half * wider
-    tall = (1 - whole) * BLOCK_HALF_HEIGHT_CHORDS * c + whole * high
+    tall = (1 - whole) * CENTRE_BLOCK_HALF_HEIGHT_CHORDS * c + whole * high
     z_in = tall * np.linspace(-1.0, 1.0, m + 1)
     # Lines of the tensor.
     wide_l, wide_r = box.half_width_m + x_in[0], box.half_width_m - x_in[-1]
     aside, above, below = _compute_outer_lines(
         k,
         shape.typical_chord_m,
-        high if shape.has_level_block else BLOCK_HALF_HEIGHT_CHORDS * shape.typical_chord_m,
+        high if shape.has_level_block else CENTRE_BLOCK_HALF_HEIGHT_CHORDS * shape.typical_chord_m,
         box,
     )
     x = np.concatenate((x_in[0] - wide_l * aside[::-1], x_in[1:-1], x_in[-1] + wide_r * aside))
@@ -361,8 +361,8 @@ def _compute_outer_lines(k: CellCounts, chord_m: float, high: float, box: Sectio
 
     All sections share the lines: lines that follow the local chord would skew distant cells.
     """
-    wide = box.half_width_m - (0.75 + BLOCK_MARGIN_CHORDS) * chord_m
-    step = min(max((1 + 2 * BLOCK_MARGIN_CHORDS) * chord_m / k.along, 0.02 * wide), 0.9 * wide / k.side)
+    wide = box.half_width_m - (0.75 + CENTRE_BLOCK_MARGIN_CHORDS) * chord_m
+    step = min(max((1 + 2 * CENTRE_BLOCK_MARGIN_CHORDS) * chord_m / k.along, 0.02 * wide), 0.9 * wide / k.side)
     dz = 2 * high / k.across
     up, down = box.top_m - high, -box.bottom_m - high
     return (
@@ -398,7 +398,7 @@ def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: 
         normal = _turn_normals_around_flap(normal, loop, shape, counts)
     across = edge - loop
     far = np.linalg.norm(across, axis=1, keepdims=True)
-    first = counts.wall_cell_chords * shape.chord_m / (BLOCK_HALF_HEIGHT_CHORDS * shape.chord_m)
+    first = counts.wall_cell_chords * shape.chord_m / (CENTRE_BLOCK_HALF_HEIGHT_CHORDS * shape.chord_m)
     t = make_geometric_spacing(counts.ring, first)
     reach = shape.gurney_layer[0] * shape.chord_m / float(far[corner, 0])
     for (height, layer), line in ((shape.gurney_layer, corner), (shape.plate_layer, counts.along // 2)):
@@ -448,7 +448,7 @@ def find_ring_layer_at_height(counts: CellCounts, height: float, far: float) -> 
     """Return the layer of cells around the aerofoil, counted from the wall, that is nearest to a ``height``; all layers
     together are ``far`` thick (both in chords).
     """
-    t = make_geometric_spacing(counts.ring, counts.wall_cell_chords / BLOCK_HALF_HEIGHT_CHORDS)[1:-2]
+    t = make_geometric_spacing(counts.ring, counts.wall_cell_chords / CENTRE_BLOCK_HALF_HEIGHT_CHORDS)[1:-2]
     return 1 + int(np.argmin(np.abs(np.log(t * far / height))))
 
 

@@ -44,8 +44,8 @@ from numpy.typing import NDArray
 
 from mufly.cfd.blade_geometry import BladeGeometry, compute_blade_line, compute_blade_line_length, place_sections
 from mufly.cfd.section_mesh import (
-    BLOCK_HALF_HEIGHT_CHORDS,
-    BLOCK_MARGIN_CHORDS,
+    CENTRE_BLOCK_HALF_HEIGHT_CHORDS,
+    CENTRE_BLOCK_MARGIN_CHORDS,
     CellCounts,
     SectionBox,
     SectionLayout,
@@ -97,7 +97,11 @@ MESH_LEVELS: Mapping[str, CellCounts] = MappingProxyType(
 _MIN_ROOT_CUTOUT_RADII = 0.04  # least root cut-out over R
 
 
-_BOX_HALF_WIDTH_RADII, _BOX_SPAN_RADII, _BOX_LEVEL_HEIGHT_RADII = 0.75, 1.2, 0.6  # size of the sections' box, over R
+_SECTION_BOX_HALF_WIDTH_RADII, _SECTION_BOX_SPAN_RADII, _SECTION_BOX_LEVEL_HEIGHT_RADII = (
+    0.75,
+    1.2,
+    0.6,
+)  # size of the sections' box, over R
 _CYLINDER_RADIUS_FACTOR = 1.06  # radius of the cylinder around the box over that of its corners
 
 
@@ -207,8 +211,13 @@ def make_sector_mesh(
     slope = 1.0 / math.tan(math.pi / rotor.blades) if rotor.blades > 2 else 0.0
     # Space in which the centre block turns back, and for the sections of a winglet.
     room = 0.6 * widest if form.tip.cant_rad else 0.0
-    half, far = max(_BOX_HALF_WIDTH_RADII * radius, (1.4 + 2.4 * steepest) * widest), _BOX_SPAN_RADII * radius + room
-    level_m = max(_BOX_LEVEL_HEIGHT_RADII * radius + room, (BLOCK_HALF_HEIGHT_CHORDS + 4.0 * steepest) * widest)
+    half, far = (
+        max(_SECTION_BOX_HALF_WIDTH_RADII * radius, (1.4 + 2.4 * steepest) * widest),
+        _SECTION_BOX_SPAN_RADII * radius + room,
+    )
+    level_m = max(
+        _SECTION_BOX_LEVEL_HEIGHT_RADII * radius + room, (CENTRE_BLOCK_HALF_HEIGHT_CHORDS + 4.0 * steepest) * widest
+    )
     if slope:
         half = min(half, 0.6 * radius / slope)
         if half < 1.5 * widest:
@@ -261,7 +270,7 @@ def make_sector_mesh(
             "give less",
         )
     y[-1] = far
-    block = (_PAIR_BLOCK_HALF_CHORDS * widest, tall) if other_m else None
+    block = (_PAIR_BLOCK_HALF_WIDTH_CHORDS * widest, tall) if other_m else None
     stack, plate_layers = _build_sections(rotor, pitch_rad, layout, s, blade, far, box, form, line.chord_ratio, block)
     t = np.clip((s - root) / span, 0.0, 1.0)
     fade = 1.0 - t * t * (3.0 - 2.0 * t)
@@ -366,17 +375,17 @@ def compute_blade_vertical_reach(rotor: Rotor, pitch_rad: float) -> float:
 def _pair_block_height(rotor: Rotor, pitch_rad: float, half_gap: float) -> float:
     """Return the half height (m) of the centre block between two rotors; raise InputError if the blade does not fit."""
     reach = compute_blade_vertical_reach(rotor, pitch_rad)
-    tall = _PAIR_BLOCK_HEIGHT_RATIO * half_gap
+    tall = _PAIR_BLOCK_HEIGHT_GAP_RATIO * half_gap
     if reach > 0.8 * tall:
         raise InputError(
             "pair", "gap", f"of {2e3 * half_gap:.3g} mm brings the blades too close to the plane between "
             "the rotors",
-            f"give at least {2e3 * reach / (0.8 * _PAIR_BLOCK_HEIGHT_RATIO):.3g} mm",
+            f"give at least {2e3 * reach / (0.8 * _PAIR_BLOCK_HEIGHT_GAP_RATIO):.3g} mm",
         )  # fmt: skip
     return tall
 
 
-_PAIR_BLOCK_HEIGHT_RATIO, _PAIR_BLOCK_HALF_CHORDS = 0.82, 1.05
+_PAIR_BLOCK_HEIGHT_GAP_RATIO, _PAIR_BLOCK_HALF_WIDTH_CHORDS = 0.82, 1.05
 """For pairs: half height of the centre block over half the distance of the rotors; its half width in chords."""
 
 
@@ -398,8 +407,8 @@ def _adapt_row_counts(
 ) -> CellCounts:
     """Adapt the rows of cells to another domain so that cell sizes near the blade are unchanged."""
     own = MeshDomain()
-    high = BLOCK_HALF_HEIGHT_CHORDS * chord
-    dz = 2.0 * BLOCK_HALF_HEIGHT_CHORDS * chord / k.across
+    high = CENTRE_BLOCK_HALF_HEIGHT_CHORDS * chord
+    dz = 2.0 * CENTRE_BLOCK_HALF_HEIGHT_CHORDS * chord / k.across
 
     def adapt_row_count(count: int, first: float, usual: float, length: float) -> int:
         if length == usual:
@@ -512,11 +521,13 @@ def _build_sections(
     if form.gurney_height:
         gurney = (
             form.gurney_height,
-            find_ring_layer_at_height(k, form.gurney_height, math.hypot(BLOCK_MARGIN_CHORDS, BLOCK_HALF_HEIGHT_CHORDS)),
+            find_ring_layer_at_height(
+                k, form.gurney_height, math.hypot(CENTRE_BLOCK_MARGIN_CHORDS, CENTRE_BLOCK_HALF_HEIGHT_CHORDS)
+            ),
         )
     high = max(form.tip.plate_above, form.tip.plate_below)
     if high:
-        plate = (high, find_ring_layer_at_height(k, high, BLOCK_HALF_HEIGHT_CHORDS - 0.06))
+        plate = (high, find_ring_layer_at_height(k, high, CENTRE_BLOCK_HALF_HEIGHT_CHORDS - 0.06))
     typical = float(np.max(at.chord_m))
     sine = math.sin(math.pi / rotor.blades)
     out = np.empty((len(s), layout.point_count, 2))
@@ -530,7 +541,7 @@ def _build_sections(
             core = (wide, hub.half_height_m)
             block = (
                 max(0.7 * half / 0.9, 1.5 * wide),
-                max(BLOCK_HALF_HEIGHT_CHORDS * half / 0.9, 2.0 * hub.half_height_m),
+                max(CENTRE_BLOCK_HALF_HEIGHT_CHORDS * half / 0.9, 2.0 * hub.half_height_m),
             )
         shape = SectionShape(
             loop[i], float(chord[i]), float(at.twist_rad[i]) + pitch_rad, float(plain[i]), level_block or block, core,

@@ -67,7 +67,7 @@ def extract_blade_surface(mesh: PolyMesh, solution: CfdSolution) -> tuple[Array,
     return np.concatenate(points), np.concatenate(rings), data
 
 
-def interpolate_to_points(mesh: PolyMesh, values: Array) -> Array:
+def interpolate_cells_to_points(mesh: PolyMesh, values: Array) -> Array:
     """Interpolate cell values to the points by inverse distance, with equal values on both periodic planes."""
     total, weight = np.zeros(len(mesh.points)), np.zeros(len(mesh.points))
     inside = len(mesh.neighbour)
@@ -90,7 +90,7 @@ def extract_iso_surface(
     """Extract a closed isosurface of a cell quantity by marching tetrahedra.
 
     Every cell is divided into 24 tetrahedra, from its centre and the centres of its faces to their edges. The quantity
-    is linear in each; values at points come from :func:`interpolate_to_points`. Source: Doi and Koide, IEICE
+    is linear in each; values at points come from :func:`interpolate_cells_to_points`. Source: Doi and Koide, IEICE
     Transactions E74-D, 1991.
 
     Parameters
@@ -111,7 +111,7 @@ def extract_iso_surface(
         Point indices, anticlockwise seen from the side of lower values. Neighbours share points: inside the mesh every
         edge belongs to two triangles.
     """
-    at_points = interpolate_to_points(mesh, values)
+    at_points = interpolate_cells_to_points(mesh, values)
     inside = len(mesh.neighbour)
     faces = np.concatenate((mesh.faces, mesh.faces[:inside]))
     cell = np.concatenate((mesh.owner, mesh.neighbour))
@@ -203,7 +203,7 @@ def extract_vortex_surface(
         ``vorticity_1_s`` (its magnitude) and ``down_m_s``, of the cell whose centre is nearest, and ``blade``.
     """
     speed = point.radius_m * max(abs(speed) for speed in point.patch_speeds_rad_s.values())
-    chord = _middle_chord(mesh)
+    chord = _find_median_chord_m(mesh)
     wall = np.concatenate([mesh.face_centres[mesh.patch_faces(name)] for name in point.patch_speeds_rad_s])
     layer = 5.0 * chord / math.sqrt(speed * chord / point.kinematic_viscosity_m2_s)
     among = np.linalg.norm(mesh.cell_centres, axis=1) < 2.0 * point.radius_m
@@ -224,7 +224,7 @@ def extract_vortex_surface(
     return np.concatenate(around), np.concatenate(rings), data
 
 
-def _middle_chord(mesh: PolyMesh) -> float:
+def _find_median_chord_m(mesh: PolyMesh) -> float:
     """Return the blade's median chord (m) over its strips; a strip's chord is half its wall area per span."""
     faces = mesh.patch_faces("blade")
     strip, width = mesh.cell_strip[mesh.owner[faces]], np.diff(mesh.strip_edges_m)
@@ -233,7 +233,7 @@ def _middle_chord(mesh: PolyMesh) -> float:
     return float(np.median(np.bincount(strip[own], area[own], len(width)) / (2.0 * width)))
 
 
-def average_at_points(points: Array, faces: Index, values: NDArray) -> Array:
+def average_faces_at_points(points: Array, faces: Index, values: NDArray) -> Array:
     """Return the mean of the adjacent face values (faces,) at each point; (points,) array."""
     each = faces.shape[1]
     count = np.bincount(faces.ravel(), minlength=len(points))

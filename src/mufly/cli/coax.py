@@ -106,7 +106,7 @@ def pair_to_json(setup: StudySetup, point: SystemSolution, alone: tuple[RotorRes
         **{side: {"rotor": rotor.name, **found.as_record()} for side, rotor, found in both},
         **select_fields(point, "spacing_m thrust_N power_W yaw_torque_Nm figure_of_merit lower_over_upper"),
         "isolated": alone and {side: found.as_record() for side, found in zip(sides, alone, strict=True)},
-        "change_from_isolated": alone and point.interference_losses(alone),
+        "change_from_isolated": alone and point.interference_changes(alone),
         "method": setup.method,
         "wake": select_fields(point, WAKE_JSON_FIELDS) if point.wakes else None,
     }
@@ -138,7 +138,7 @@ def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResul
         f"speed {ratio['speed']:.3f}; {point.thrust_N / point.power_W:.4g} N/W",
     ]
     if alone is not None:
-        x = {k: f"{v:+.1%}" if math.isfinite(v) else "-" for k, v in point.interference_losses(alone).items()}
+        x = {k: f"{v:+.1%}" if math.isfinite(v) else "-" for k, v in point.interference_changes(alone).items()}
         lines.append(
             f"against the rotors alone at these speeds: upper thrust {x['upper_thrust']}, torque {x['upper_torque']}; "
             f"lower thrust {x['lower_thrust']}, torque {x['lower_torque']}; the pair's thrust {x['thrust']}, power "
@@ -253,13 +253,13 @@ def forward(
     """
     from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import Air, load_rotor
-    from mufly.rotor.forward import ForwardCondition, flap_modes_of_band, make_flap_mode, sweep_forward_pair
+    from mufly.rotor.forward import ForwardCondition, estimate_flap_mode_range, make_flap_mode, sweep_forward_pair
     from mufly.rotor.forward.forward_pictures import draw_disc_fields, draw_pair_sweep
 
     angles, speeds, air = parse_pitch_angles(pitch), parse_rotor_speeds(rpm), Air(density_kg_m3=density)
     rotors = (load_rotor(upper), load_rotor(upper if lower is None else lower))
     if flap_frequency_ratio is None:
-        bands = [flap_modes_of_band(r, w, pitch_rad=a) for r, w, a in zip(rotors, speeds, angles, strict=True)]
+        bands = [estimate_flap_mode_range(r, w, pitch_rad=a) for r, w, a in zip(rotors, speeds, angles, strict=True)]
         flaps = tuple((bands[0][0][k], bands[1][0][k]) for k in range(2))
         basis = bands[0][1]
     else:

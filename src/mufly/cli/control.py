@@ -401,7 +401,7 @@ earlier tuning.
     from mufly.control.analysis.plots import draw_tuned_loop
     from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHODS
     from mufly.control.tuning.loop_tuning import DEFAULT_GOALS, DEFAULT_ORDERS, GoalLevels
-    from mufly.control.tuning.tuned_loop import DEFAULT_STARTS, tune_loop
+    from mufly.control.tuning.tuned_loop import DEFAULT_START_METHODS, tune_loop
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
@@ -425,7 +425,8 @@ earlier tuning.
         out.mkdir(parents=True, exist_ok=True)
     with progress_bar("Tuning", not as_json) as progress:
         found = tune_loop(
-            loaded, loop, DEFAULT_ORDERS[loop] if order is None else order, goals, starts=starts or DEFAULT_STARTS,
+            loaded, loop, DEFAULT_ORDERS[loop] if order is None else order, goals,
+            starts=starts or DEFAULT_START_METHODS,
             rounds=rounds, steps=steps, rate_Hz=rate, path=target, progress=progress,
         )  # fmt: skip
     with report_write_errors("--out", "give a folder that can be written", str(out)):

@@ -43,9 +43,9 @@ from mufly.cli.station import (
     TokenOption,
     WindOption,
     check_sensor_options,
-    describe_computation,
+    choose_dated_folder,
+    describe_flight_code,
     describe_sensor_source,
-    new_dated_folder,
     open_in_background,
     parse_endpoints,
     print_page_address,
@@ -280,7 +280,7 @@ def fly_mission(
             page = stack.enter_context(StartPage(address, startup))
             show = replace(show, page_address=address, start_page=page)
         steady = resolve_wind(wind, gust, seed)
-        folder = out if out is not None else new_dated_folder()
+        folder = out if out is not None else choose_dated_folder()
         check_output_place("--out", folder, make=False)
         ends = parse_endpoints(links, "vehicle")
         from mufly.mission import check_preflight, load_mission
@@ -381,13 +381,13 @@ def _prepare_flight(order: FlightOrder, show: FlightDisplay, firmware: bool) -> 
                 f"the pictures are open to every program that can reach {host}:{number}", mark="Warning", style="yellow"
             )
     show.startup.begin_stage("building the estimator")
-    if by := describe_computation(order.vehicle, order.sensors, firmware):
+    if by := describe_flight_code(order.vehicle, order.sensors, firmware):
         terminal.print(by, highlight=False, markup=False)
     if order.extra_links or show.page_address is not None:  # in the terminal the note is among the events
-        from mufly.dynamics import describe_model_excess
+        from mufly.dynamics import describe_excess_wind
 
         air = order.mission.wind
-        beyond = describe_model_excess(
+        beyond = describe_excess_wind(
             order.vehicle,
             air.steady_m_s if order.wind is None else order.wind,
             air.gust_m_s if order.gust is None else order.gust,
@@ -442,7 +442,7 @@ def _fly_in_real_time(order: FlightOrder, show: FlightDisplay) -> str:
 
     The outcome is empty if no flight took place.
     """
-    from mufly.station.page.page_flight import PageFlight, fly_behind_link, fly_with_page, vehicle_endpoint
+    from mufly.station.page.page_flight import PageFlight, fly_with_page, fly_without_page, list_vehicle_endpoints
 
     on_event, stop = show.display.show_event, show.shutdown.stop_requested.is_set
     with show.shutdown:
@@ -451,12 +451,12 @@ def _fly_in_real_time(order: FlightOrder, show: FlightDisplay) -> str:
                 show.terminal.print(f"The vehicle {end.explanation}", highlight=False)
             process = _start_vehicle_process(order, order.extra_links, True, show.startup)
             try:
-                return fly_behind_link(process, show.startup, on_event=on_event, stop=stop)
+                return fly_without_page(process, show.startup, on_event=on_event, stop=stop)
             except KeyboardInterrupt:
                 return ""
         port = _find_free_port()
         process = _start_vehicle_process(
-            order, vehicle_endpoint(port, order.extra_links), order.starts_at_once, show.startup
+            order, list_vehicle_endpoints(port, order.extra_links), order.starts_at_once, show.startup
         )
         flight = PageFlight(
             process, order.vehicle, order.mission, port, order.recording_path.parent, show.startup,

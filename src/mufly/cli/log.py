@@ -128,9 +128,9 @@ def _write_bag(data: xr.Dataset, log: Path, out: Path) -> tuple[str, ...]:
     """Write a ROS 2 bag with the vehicle's range sensors and the recorded pictures; return the bag's topics."""
     from mufly.bridges.ros_geometry import recorded_range_limits
     from mufly.camera.picture_recording import read_pictures
-    from mufly.logs import RangeLimits, read_attachments, write_rosbag2
+    from mufly.logs import RangeSensorGeometry, read_attachments, write_rosbag2
 
-    limits, pictures = RangeLimits(), list[tuple[float, bytes]]()
+    limits, pictures = RangeSensorGeometry(), list[tuple[float, bytes]]()
     if data.attrs.get("format") == "MCAP":
         limits = recorded_range_limits(read_attachments(log).get("vehicle.toml", b""))
         with contextlib.suppress(InputError):  # no pictures

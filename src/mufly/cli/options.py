@@ -562,7 +562,7 @@ DEFAULT_POLAR_OPTIONS, DEFAULT_WAKE_OPTIONS, DEFAULT_BEMT_OPTIONS, DEFAULT_FREE_
 )
 
 
-class WakeProgress:
+class WakeIterationRecorder:
     """Recorder of the iterations of one or several successive wakes; the solver calls it after each iteration."""
 
     def __init__(self, show: Callable[[str], None] | None = None) -> None:
@@ -581,15 +581,15 @@ class WakeProgress:
 
 
 @contextmanager
-def show_wake_progress(label: str, shown: bool, folder: Path | None = None) -> Iterator[WakeProgress]:
+def show_wake_progress(label: str, shown: bool, folder: Path | None = None) -> Iterator[WakeIterationRecorder]:
     """Report the iterations of a wake on standard error; after a stop or failure its history is left in the folder."""
     try:
         if not shown:
-            progress = WakeProgress()
+            progress = WakeIterationRecorder()
             yield progress
         else:
             with make_console(stderr=True).status(label) as status:
-                progress = WakeProgress(lambda text: status.update(f"{label}: {text}"))
+                progress = WakeIterationRecorder(lambda text: status.update(f"{label}: {text}"))
                 yield progress
     except BaseException:
         if folder is not None and progress.rows:

@@ -53,7 +53,9 @@ MaterialOption = Annotated[
     define_option("--material NAME", "Material of elastic blades, as abs, in place of the file's."),
 ]
 
-_PLATE_RANGE = OptionRange(1e-5, 0.05, "m", "no blade of a small rotor has such a thickness; write 0.8 mm as 0.8mm")
+_PLATE_THICKNESS_RANGE = OptionRange(
+    1e-5, 0.05, "m", "no blade of a small rotor has such a thickness; write 0.8 mm as 0.8mm"
+)
 
 PlateOption = Annotated[
     float | None,
@@ -61,7 +63,7 @@ PlateOption = Annotated[
         "--thickness",
         "Thickness of a plate on the camber line, as 0.8mm, in place of the file's.",
         unit="m",
-        within=_PLATE_RANGE,
+        within=_PLATE_THICKNESS_RANGE,
     ),
 ]
 
@@ -101,7 +103,7 @@ def list_rotors(as_json: JsonOption = False) -> None:
 
     rotors = [load_rotor(name) for name in builtin_rotors()]
     if as_json:
-        return print_json([select_fields(r, f"name description {_GEOMETRY}") for r in rotors])
+        return print_json([select_fields(r, f"name description {_GEOMETRY_FIELDS}") for r in rotors])
     print_table(
         ("name", "blades", "radius", "solidity", "description"),
         [(r.name, f"{r.blades}", f"{1e3 * r.radius_m:g} mm", f"{r.solidity:.3f}", r.description) for r in rotors],
@@ -109,7 +111,7 @@ def list_rotors(as_json: JsonOption = False) -> None:
     )
 
 
-_GEOMETRY = "blades radius_m hub_radius_m disc_area_m2 blade_area_m2 solidity thrust_solidity aspect_ratio"
+_GEOMETRY_FIELDS = "blades radius_m hub_radius_m disc_area_m2 blade_area_m2 solidity thrust_solidity aspect_ratio"
 
 
 @app.command()
@@ -127,15 +129,15 @@ def show(
     With --out, planform, twist and sections are drawn (blade.png).
     Example: mufly rotor show walkera-5g6 --rpm 4000 --out walkera
     """
-    from mufly.rotor import blade_stations, draw_blade, format_rotor_toml, load_rotor
+    from mufly.rotor import draw_blade, format_rotor_toml, load_rotor, tabulate_blade_stations
 
     r = load_rotor(rotor)
     if toml:
         return print(format_rotor_toml(r), end="")
-    stations = blade_stations(r, rpm * RPM)
+    stations = tabulate_blade_stations(r, rpm * RPM)
     picture = save_figure(draw_blade(r), out, "blade") if out is not None else None
     if as_json:
-        about = select_fields(r, f"name description {_GEOMETRY} airfoils=airfoil_names")
+        about = select_fields(r, f"name description {_GEOMETRY_FIELDS} airfoils=airfoil_names")
         return print_json({**about, "speed_rpm": rpm, "stations": stations})
     c = make_console()
     c.print(f"[bold]{r.name}[/bold]  {r.description}", highlight=False)
@@ -217,7 +219,7 @@ def import_blade(
       mufly rotor import blade.stl --unit mm --out cut.toml
     """
     from mufly.errors import InputError
-    from mufly.rotor import format_rotor_toml, read_blade, replace_rotor
+    from mufly.rotor import format_rotor_toml, import_rotor, replace_rotor
 
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
@@ -240,13 +242,13 @@ def import_blade(
         )  # fmt: skip
         r = replace_rotor(r, {"blade.geometry": "scan"})
     else:
-        r, notes = read_blade(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
+        r, notes = import_rotor(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
     if trailing_edge is not None:
         r = replace_rotor(r, {"trailing_edge": trailing_edge}, source="measured")
     if out is not None:
         write_text_file(out, format_rotor_toml(r))
     if as_json:
-        return print_json({**select_fields(r, f"name {_GEOMETRY} airfoils=airfoil_names"), "notes": notes})
+        return print_json({**select_fields(r, f"name {_GEOMETRY_FIELDS} airfoils=airfoil_names"), "notes": notes})
     c = make_console()
     c.print(
         f"[bold]{r.name}[/bold]: {r.blades} blades, R {1e3 * r.radius_m:g} mm, {len(r.blade.chord.value)} stations, "

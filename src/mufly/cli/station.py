@@ -179,7 +179,7 @@ def describe_sensor_source(vehicle: Vehicle, sensors: str) -> str:
     return f"Flies on its sensors: {', '.join(names)}"
 
 
-def describe_computation(vehicle: Vehicle, sensors: str, firmware: bool) -> str:
+def describe_flight_code(vehicle: Vehicle, sensors: str, firmware: bool) -> str:
     """Return a description of the code that computes control law and estimator; build the C estimator if it is
     missing.
     """
@@ -209,7 +209,7 @@ def parse_endpoints(
     return found
 
 
-def new_dated_folder() -> Path:
+def choose_dated_folder() -> Path:
     """Return ``flights/<date-time>``, a folder that does not exist yet."""
     base = Path("flights") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     folder, n = base, 1

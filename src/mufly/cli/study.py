@@ -443,7 +443,7 @@ def list_thesis_items(as_json: JsonOption = False) -> None:
     print_table(
         ("name", "kind", "section", "verdict", "agree", "title"),
         [
-            (a.item.name, a.item.kind, a.item.section, a.verdict_word, a.agreement_fraction, a.item.title)
+            (a.item.name, a.item.kind, a.item.section, a.verdict_word, a.agreement_count_text, a.item.title)
             for a in answers
         ],
         text=(0, 1, 2, 3, 4, 5),
@@ -563,7 +563,7 @@ def write_thesis_report(
 def _print_answer(found: StudyAnswer) -> None:
     c = make_console()
     i = found.item
-    share = f" ({found.agreement_fraction})" if found.agreement_fraction else ""
+    share = f" ({found.agreement_count_text})" if found.agreement_count_text else ""
     c.print(f"[bold]{i.name}[/bold]  {i.title}  [bold]{found.verdict_word}{share}[/bold]", highlight=False)
     if i.kind != "result":
         c.print(f"  A {i.kind}; counterpart in mufly: {i.counterpart}.", highlight=False, markup=False)

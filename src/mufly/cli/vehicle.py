@@ -51,7 +51,7 @@ _READABLE_UNITS = {
     "kg": "g", "m": "mm", "m2": "cm2", "kg m2": "g cm2", "rad": "deg", "A s": "mA h", "V s": "mV s",
     "N m/A": "mN m/A",
 }  # fmt: skip
-_BUDGET_TABLE = "mass_budget"
+_MASS_BUDGET_TABLE_NAME = "mass_budget"
 
 _TomlOption = Annotated[
     bool, define_option("--toml", "Print the whole file, in SI units, as a start for a vehicle of your own.")
@@ -107,7 +107,7 @@ def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False, to
         )
     make_console().print(f"[bold]{v.name}[/bold]  {v.description}", highlight=False)
     for group, members in groupby(rows, lambda row: row.key.rpartition(".")[0]):
-        if group == _BUDGET_TABLE:
+        if group == _MASS_BUDGET_TABLE_NAME:
             _print_mass_budget(list(members), float(v.body.mass))
         elif not group.startswith("sensors."):
             print_parameter_group(group, list(members))
@@ -125,7 +125,7 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
     """Check every value of a vehicle file, and whether the vehicle can hover and for how long."""
     from mufly.dynamics import (
         DEFAULT_STEP_S,
-        fastest_mode_key,
+        find_step_limiting_parameter,
         hover_performance,
         judge_hover,
         longest_step,
@@ -163,7 +163,7 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
         print_lines("The thrust reserve for climb and gusts is small.", style="yellow")
     if step < DEFAULT_STEP_S:
         print_lines(
-            f"The fastest mode ({fastest_mode_key(p)}) needs steps below {step * 1e3:.2g} ms: too fast for "
+            f"The fastest mode ({find_step_limiting_parameter(p)}) needs steps below {step * 1e3:.2g} ms: too fast for "
             f"a simulation at the usual {DEFAULT_STEP_S * 1e3:g} ms.",
             style="yellow",
         )
@@ -253,7 +253,9 @@ def _print_mass_budget(rows: list[Parameter], mass: float) -> None:
     from rich.bar import Bar
     from rich.table import Table
 
-    table = Table(title=f"\n\\[{_BUDGET_TABLE}]", title_justify="left", title_style="bold", box=None, show_header=False)
+    table = Table(
+        title=f"\n\\[{_MASS_BUDGET_TABLE_NAME}]", title_justify="left", title_style="bold", box=None, show_header=False
+    )
     for row in rows:
         share = row.value / mass
         table.add_row(
@@ -434,9 +436,9 @@ def create_vehicle_project(
 
 def _mean_hover_speed_rpm(vehicle: Vehicle) -> float:
     """Return the mean rotor speed in hover (rpm)."""
-    from mufly.dynamics import hover_speeds, model_parameters
+    from mufly.dynamics import compute_hover_rotor_speeds, model_parameters
 
-    return float(hover_speeds(model_parameters(vehicle)).mean()) / RPM
+    return float(compute_hover_rotor_speeds(model_parameters(vehicle)).mean()) / RPM
 
 
 def _ask_if_missing(

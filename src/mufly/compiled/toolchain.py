@@ -16,7 +16,7 @@ from pathlib import Path
 
 from mufly.compiled.numba_cache import cache_folder
 from mufly.errors import MuflyError
-from mufly.files.answer_store import hash_question
+from mufly.files.answer_store import hash_inputs
 
 COMPILER_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno")
 """Flags for results equal to the simulation; any -O level is valid, -ffast-math and contraction are not."""
@@ -77,7 +77,7 @@ def build_cached_library(name: str, files: Mapping[str, str], *, flags: Sequence
     cc = find_compiler()
     real = Path(cc).resolve()
     stamp = (str(real), real.stat().st_size, real.stat().st_mtime_ns, *flags)
-    digest = hash_question(stamp, sorted(files.items()))[:24]
+    digest = hash_inputs(stamp, sorted(files.items()))[:24]
     library = cache_folder() / f"{name}-{digest}.so"
     if not library.exists():
         with tempfile.TemporaryDirectory(prefix="mufly-c-", dir=library.parent) as temporary:

@@ -9,7 +9,7 @@ from mufly.control.implementation import ControllerReduction, DiscreteController
 from mufly.control.linear_systems import LoopAnalysis, feedback_part
 from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHOD_NAMES, SynthesisMethod
 from mufly.control.synthesis.weighting_schemes import SignalScaling
-from mufly.results import ShownBlock, format_value, result, show_table
+from mufly.results import ShownBlock, format_value, make_table_block, result
 
 
 @result
@@ -160,4 +160,4 @@ class ControllerDesign:
         ]
         heads = ("", "full order", "reduced", f"{self.discrete.rate_Hz:g} Hz*", "thesis")
         title = self.name if self.method == "hinf" else f"{self.name}, {SYNTHESIS_METHOD_NAMES[self.method]}"
-        return [show_table(heads, rows, title=title)]
+        return [make_table_block(heads, rows, title=title)]

@@ -17,7 +17,7 @@ import numpy as np
 from mufly.compiled.numba_cache import imported_sources
 from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.synthesis_methods import SynthesisedController, SynthesisMethod, SynthesisProblem
-from mufly.files.answer_store import cache_folder, hash_question, read_answer, write_answer
+from mufly.files.answer_store import cache_folder, hash_inputs, read_stored_result, write_stored_result
 
 STORED_METHODS: tuple[SynthesisMethod, ...] = ("mu", "fixed", "scheduled")
 """Methods that take seconds to minutes."""
@@ -28,7 +28,7 @@ _STORED_SCALARS = ("gamma", "gamma_optimal", "norm")
 def _source_digest() -> str:
     libraries = [f"{name} {version(name)}" for name in ("numpy", "scipy")]
     sources = imported_sources(Path(__file__).parent / "synthesis" / "synthesis_methods.py")
-    return hash_question(libraries, *(path.read_bytes() for path in sources))
+    return hash_inputs(libraries, *(path.read_bytes() for path in sources))
 
 
 def hash_synthesis_problem(method: SynthesisMethod, problem: SynthesisProblem) -> str:
@@ -38,7 +38,7 @@ def hash_synthesis_problem(method: SynthesisMethod, problem: SynthesisProblem) -
     def matrices(system: control.StateSpace) -> list[object]:
         return [M for A in (system.A, system.B, system.C, system.D) for M in (A.shape, np.ascontiguousarray(A))]
 
-    return hash_question(
+    return hash_inputs(
         _source_digest(), method, *matrices(p.generalised), *matrices(p.plant), p.referenced_outputs, p.two_degrees,
         p.n_measurements, p.relaxation, repr(p.lqg), repr(p.fixed), p.sampling_rate_rad_s, repr(p.robust),
         *(np.ascontiguousarray(E) for E in p.derivatives),
@@ -46,7 +46,7 @@ def hash_synthesis_problem(method: SynthesisMethod, problem: SynthesisProblem) -
     )  # fmt: skip
 
 
-def recall_controller(
+def load_or_compute_controller(
     method: SynthesisMethod,
     problem: SynthesisProblem,
     compute: Callable[[SynthesisMethod, SynthesisProblem], SynthesisedController],
@@ -61,12 +61,12 @@ def recall_controller(
         return compute(method, problem)
     question = hash_synthesis_problem(method, problem)
     path = folder / f"{method}-{question[:24]}.npz"
-    kept = read_answer(path, question)
+    kept = read_stored_result(path, question)
     if kept is None:
         found = compute(method, problem)
         K = found.controller
         numbers = {name: np.array(getattr(found, name)) for name in _STORED_SCALARS}
-        write_answer(
+        write_stored_result(
             path, question, {"A": K.A, "B": K.B, "C": K.C, "D": K.D, "actuation": found.anti_windup_matrix, **numbers}
         )
         return found

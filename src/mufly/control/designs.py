@@ -20,17 +20,17 @@ from mufly.control.controller_design import (
     ControllerDesign,
     PublishedFigures,
 )
-from mufly.control.design_store import recall_controller
+from mufly.control.design_store import load_or_compute_controller
 from mufly.control.implementation import (
     analyse_cascade,
     discretise_controller,
     reduce_controller,
 )
 from mufly.control.law import (
-    HEAVE_YAW_GAINS,
+    HEAVE_YAW_GAINS_DTYPE,
     HEAVE_YAW_ORDER,
-    POSITION_GAINS,
-    ROLL_PITCH_GAINS,
+    POSITION_GAINS_DTYPE,
+    ROLL_PITCH_GAINS_DTYPE,
     ROLL_PITCH_ORDER,
     VELOCITY_ORDER,
     pack_gains,
@@ -51,9 +51,9 @@ from mufly.control.synthesis.indi import IndiGains
 from mufly.control.synthesis.lqg import LqgWeights
 from mufly.control.synthesis.synthesis_methods import (
     SYNTHESIS_METHODS,
+    DkIterationSettings,
     FixedOrderGoals,
     GivenController,
-    RobustGoals,
     SynthesisMethod,
     SynthesisProblem,
     synthesise_controller,
@@ -72,10 +72,10 @@ from mufly.control.synthesis.weighting_schemes import (
     weight_roll_pitch,
 )
 from mufly.control.tuning.output_schedule import OutputSchedule, pack_schedule, schedule_roll_pitch
-from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise_vehicle, model_parameters
+from mufly.dynamics import GRAVITY, Linearisation, compute_battery_supply, linearise_vehicle, model_parameters
 from mufly.dynamics.model_state import MODEL_CHARGE
 from mufly.errors import ArgumentError, MuflyError
-from mufly.results import ShownBlock, result, show_lines
+from mufly.results import ShownBlock, make_lines_block, result
 from mufly.vehicle import Vehicle, battery_voltage_range
 
 DEFAULT_CONTROL_RATE_HZ = 200.0
@@ -158,7 +158,7 @@ class FlightController:
         """Return as printed text the motor trim and rates, all designs with their schedule, and the warnings."""
         c = self.cascade_loop
         return [
-            show_lines(
+            make_lines_block(
                 f" at {self.voltage_V:g} V: hover motor inputs {self.motor_trim[0]:.2f} upper, "
                 f"{self.motor_trim[1]:.2f} lower; law at {self.rate_Hz:g} Hz, position at "
                 f"{self.position_rate_Hz:g} Hz",
@@ -166,13 +166,13 @@ class FlightController:
             ),
             *(block for design in self.all_designs for block in design.shown_blocks()),
             *(self.schedule.shown_blocks() if self.schedule is not None else ()),
-            show_lines("* with one sample of delay", style="dim"),
-            show_lines(
+            make_lines_block("* with one sample of delay", style="dim"),
+            make_lines_block(
                 f"Position cascade with the real attitude loop: S {c.sensitivity_peak_dB:.2f} dB, "
                 f"T {c.complementary_peak_dB:.2f} dB, phase margin {c.phase_margin_deg:.0f} deg, "
                 f"delay margin {1e3 * c.delay_margin_s:.0f} ms"
             ),
-            show_lines(*self.design_warnings, mark="Warning", style="yellow"),
+            make_lines_block(*self.design_warnings, mark="Warning", style="yellow"),
         ]
 
 
@@ -265,7 +265,7 @@ def design_flight_controller(
         velocity=velocity,
         cascade_loop=cascade,
         heave_yaw_gains=pack_gains(
-            HEAVE_YAW_GAINS,
+            HEAVE_YAW_GAINS_DTYPE,
             heave_yaw.discrete,
             trim=lower_upper,
             design_voltage=volts,
@@ -282,14 +282,14 @@ def design_flight_controller(
             yaw_lead=s.reference_lead_share * lags[1],
         ),
         roll_pitch_gains=pack_gains(
-            ROLL_PITCH_GAINS,
+            ROLL_PITCH_GAINS_DTYPE,
             roll_pitch.discrete,
             trim=np.asarray(linear.trim.servo_input, dtype=float),
             tilt_limit=s.command_tilt_limit,
             **({} if schedule is None else pack_schedule(schedule)),
         ),
         position_gains=pack_gains(
-            POSITION_GAINS,
+            POSITION_GAINS_DTYPE,
             velocity.discrete,
             position_gain=s.position_gain,
             speed_limit=s.speed_limit,
@@ -314,7 +314,7 @@ def _design_controller(
     fixed: FixedOrderGoals | None = None,
     given: GivenController | None = None,
     derivatives: Sequence[Array] = (),
-    robust: RobustGoals | None = None,
+    robust: DkIterationSettings | None = None,
     indi: IndiGains | None = None,
     tracked: tuple[int, ...],
     references: tuple[int, ...] = (),
@@ -340,9 +340,9 @@ def _design_controller(
             generalised, scaled, tracked, bool(references), read.size, relaxation, lqg, fixed, generalise,
             2 * np.pi / period_s, None if given is None else given.to_scaled(generalised, read, input_scale),
             tuple(E * np.concatenate([np.ones(plant.nstates), input_scale]) for E in derivatives),
-            robust or RobustGoals(), indi,
+            robust or DkIterationSettings(), indi,
         )  # fmt: skip
-        found = recall_controller(method, problem, synthesise_controller)
+        found = load_or_compute_controller(method, problem, synthesise_controller)
         reduction = reduce_controller(
             generalised,
             found.controller,
@@ -519,7 +519,7 @@ def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Design
     """
     state = linear.trim.state.copy()
     state[MODEL_CHARGE] = settings.planning_charge
-    sagged = float(battery_state(state, 1.0, 1.0, model_parameters(vehicle))[0])
+    sagged = float(compute_battery_supply(state, 1.0, 1.0, model_parameters(vehicle))[0])
     lower_upper = linear.trim.motor_input[::-1]
     headroom = np.maximum(sagged / linear.trim.battery_voltage_V - lower_upper, 0.0)
     available = abs(float(heave_acceleration_per_input(linear.heave_yaw) @ headroom))

@@ -165,7 +165,7 @@ def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: 
 
     Parameters
     ----------
-    gains : record of type ``HEAVE_YAW_GAINS``
+    gains : record of type ``HEAVE_YAW_GAINS_DTYPE``
     measurement : (3,) array
         Present z (m), psi (rad), r (rad/s); the references start from there.
     motor_input : (2,) array
@@ -210,7 +210,7 @@ def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
 
     Parameters
     ----------
-    gains : record of type ``HEAVE_YAW_GAINS``
+    gains : record of type ``HEAVE_YAW_GAINS_DTYPE``
     state : (29,) array
         State from ``heave_yaw_init`` or the previous step; not changed.
     z : float
@@ -243,7 +243,7 @@ def heave_yaw_step(
 
     Parameters
     ----------
-    gains : record of type ``HEAVE_YAW_GAINS``
+    gains : record of type ``HEAVE_YAW_GAINS_DTYPE``
     state : (29,) array
         State from ``heave_yaw_init`` or the previous call; not changed.
     reference : (4,) array
@@ -366,20 +366,20 @@ GAIN_UNITS = {
 }
 """Units of the gains other than matrices."""
 
-_HEAVE_YAW_FIELDS = (
+_HEAVE_YAW_SCALAR_FIELDS = (
     "design_voltage", "voltage_blend", "period", "heave_bandwidth", "heave_acceleration", "heave_speed",
     "heave_lead", "heave_tracking_error_limit", "yaw_bandwidth", "yaw_acceleration", "yaw_rate", "yaw_lead",
 )  # fmt: skip
-HEAVE_YAW_GAINS = np.dtype(
+HEAVE_YAW_GAINS_DTYPE = np.dtype(
     [
         *_matrix_fields(HEAVE_YAW_ORDER, 5, 2),
         ("trim", _f8, (2,)),
-        *((name, _f8) for name in _HEAVE_YAW_FIELDS),
+        *((name, _f8) for name in _HEAVE_YAW_SCALAR_FIELDS),
     ]
 )
 SCHEDULE_FIELDS = ("C_forward_change", "D_forward_change", "schedule")
 """Last fields of the roll-pitch gains, which the code on board has only for a scheduled design."""
-ROLL_PITCH_GAINS = np.dtype(
+ROLL_PITCH_GAINS_DTYPE = np.dtype(
     [
         *_matrix_fields(ROLL_PITCH_ORDER, 4, 2),
         ("trim", _f8, (2,)),
@@ -389,7 +389,7 @@ ROLL_PITCH_GAINS = np.dtype(
         ("schedule", _f8),
     ]
 )
-POSITION_GAINS = np.dtype(
+POSITION_GAINS_DTYPE = np.dtype(
     [
         *_matrix_fields(VELOCITY_ORDER, 2, 2),
         *((name, _f8) for name in ("position_gain", "speed_limit", "tilt_limit", "gravity")),
@@ -477,7 +477,7 @@ def roll_pitch_init(gains: Any, measurement: Array) -> Array:
 
     Parameters
     ----------
-    gains : record of type ``ROLL_PITCH_GAINS``
+    gains : record of type ``ROLL_PITCH_GAINS_DTYPE``
     measurement : (4,) array
         phi, theta (rad), p, q (rad/s).
 
@@ -498,7 +498,7 @@ def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Arr
 
     Parameters
     ----------
-    gains : record of type ``ROLL_PITCH_GAINS``
+    gains : record of type ``ROLL_PITCH_GAINS_DTYPE``
     state : (8,) array
         State from ``roll_pitch_init`` or the previous call; not changed.
     reference : (2,) array
@@ -543,7 +543,7 @@ def position_step(
 
     Parameters
     ----------
-    gains : record of type ``POSITION_GAINS``
+    gains : record of type ``POSITION_GAINS_DTYPE``
     state : (6,) array
         State from ``position_init`` or the previous call; not changed.
     position_reference, velocity_reference, acceleration_reference : (3,) array

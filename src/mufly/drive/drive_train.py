@@ -116,7 +116,7 @@ class MotorConstants:
         return MotorConstants(**{k: v[case] if np.ndim(v) else v for k, v in vars(self).items()})
 
 
-SPEED_CONSTANT_RANGE = (0.1, 1e6)
+SPEED_CONSTANT_RANGE_RAD_VS = (0.1, 1e6)
 """Range of speed constants (rad/s/V), from the permitted back-EMF constants of a vehicle file."""
 
 
@@ -147,9 +147,11 @@ class DatasheetMotor(ParameterGroup):
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)
-            or not SPEED_CONSTANT_RANGE[0] <= value * units[raw["unit"]] <= SPEED_CONSTANT_RANGE[1]
+            or not SPEED_CONSTANT_RANGE_RAD_VS[0] <= value * units[raw["unit"]] <= SPEED_CONSTANT_RANGE_RAD_VS[1]
         ):
-            raise model_error(f"{value!r} is out of range", "give {:g} to {:g} rad/s/V".format(*SPEED_CONSTANT_RANGE))
+            raise model_error(
+                f"{value!r} is out of range", "give {:g} to {:g} rad/s/V".format(*SPEED_CONSTANT_RANGE_RAD_VS)
+            )
         return {**raw, "value": value * units[raw["unit"]], "unit": "rad/s/V"}
 
     @model_validator(mode="after")
@@ -364,7 +366,7 @@ def open_circuit_voltage(battery: Battery, charge: float) -> float:
     return float(interpolate_table(battery.open_circuit_voltage.sample_evenly(101), charge))
 
 
-def charge_at_rest(battery: Battery, voltage: float) -> float:
+def find_charge_from_idle_voltage(battery: Battery, voltage: float) -> float:
     """Return the remaining charge (0 to 1) of a battery that feeds its electronics alone, from its terminal voltage.
 
     Parameters

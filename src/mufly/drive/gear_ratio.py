@@ -58,7 +58,7 @@ def _solve_gear_quadratic(
         return q / (c.gear_efficiency * b * large), large
 
 
-def adapted_gear_ratio(c: MotorConstants, speed: ArrayLike, torque: ArrayLike, voltage: ArrayLike) -> Array:
+def find_full_voltage_gear_ratio(c: MotorConstants, speed: ArrayLike, torque: ArrayLike, voltage: ArrayLike) -> Array:
     """Return the gear ratio of least power at which the drive holds a rotor's speed at full voltage.
 
     Parameters
@@ -78,9 +78,9 @@ def adapted_gear_ratio(c: MotorConstants, speed: ArrayLike, torque: ArrayLike, v
     return _solve_gear_quadratic(c, speed, torque, voltage)[1]
 
 
-def best_gear_ratio(c: MotorConstants, speed: ArrayLike, torque: ArrayLike, voltage: ArrayLike) -> Array:
+def find_least_power_gear_ratio(c: MotorConstants, speed: ArrayLike, torque: ArrayLike, voltage: ArrayLike) -> Array:
     """Return the gear ratio of least power at any duty up to full voltage; arguments as for
-    :func:`adapted_gear_ratio`."""
+    :func:`find_full_voltage_gear_ratio`."""
     small, large = _solve_gear_quadratic(c, speed, torque, voltage)
     w = np.asarray(speed, dtype=np.float64)
     a = np.asarray(torque) / (np.asarray(c.gear_efficiency) * c.torque_Nm_A)

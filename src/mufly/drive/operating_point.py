@@ -51,7 +51,7 @@ from mufly.vehicle import battery_voltage_range
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-SUPPLY_VOLTAGE_FACTORS = (0.01, 3.0)
+SUPPLY_VOLTAGE_FACTOR_RANGE = (0.01, 3.0)
 """Range of bench supply voltages: factors on the battery's lowest and highest voltage in use."""
 MIN_SPEED_rad_s, MAX_SPEED_rad_s = 1e-2, 2e4  # rad/s; limits of the speeds of rotors
 _rotor_acceleration: Callable[..., Array] = rotor_acceleration.py_func  # the uncompiled function works on arrays
@@ -244,11 +244,14 @@ def find_operating_point(
     if not (np.all(np.isfinite(ratio)) and np.all(ratio > 0)):
         raise InputError(place, "gear_ratio", "is not above 0", "give motor speed over rotor speed")
     low, full = battery_voltage_range(drive.battery)
-    if supply_V is not None and not SUPPLY_VOLTAGE_FACTORS[0] * low <= supply_V <= SUPPLY_VOLTAGE_FACTORS[1] * full:
+    if (
+        supply_V is not None
+        and not SUPPLY_VOLTAGE_FACTOR_RANGE[0] * low <= supply_V <= SUPPLY_VOLTAGE_FACTOR_RANGE[1] * full
+    ):
         raise ArgumentError(
             "supply_V", "", f"{supply_V:g} V is out of range for {drive.name}, whose battery has {low:g} to "
             f"{full:g} V",
-            f"give {SUPPLY_VOLTAGE_FACTORS[0] * low:g} to {SUPPLY_VOLTAGE_FACTORS[1] * full:g} V",
+            f"give {SUPPLY_VOLTAGE_FACTOR_RANGE[0] * low:g} to {SUPPLY_VOLTAGE_FACTOR_RANGE[1] * full:g} V",
         )  # fmt: skip
     c = replace(own, gear_ratio=ratio.ravel().copy())
     if charge is None:

@@ -61,7 +61,7 @@ MapWrench = tuple[float, float, float, float, float, float, float, float, float,
 
 
 @cached_njit(error_model="numpy", forceinline=True)
-def air_velocity(x: _Array, wind: _Array) -> tuple[float, float, float]:
+def compute_airspeed_vector(x: _Array, wind: _Array) -> tuple[float, float, float]:
     """Return the velocity of the centre of gravity through the air, body axes (m/s)."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(
         x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
@@ -71,7 +71,7 @@ def air_velocity(x: _Array, wind: _Array) -> tuple[float, float, float]:
 
 
 @cached_njit(error_model="numpy", forceinline=True)
-def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, float, float]:
+def find_map_coordinates(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, float, float]:
     """Return a state's coordinates in the flight map, a table of rotor loads over flight speed.
 
     They are lower over upper rotor speed, then climb ratio and edgewise coordinate e, both counted in grid steps of
@@ -85,7 +85,7 @@ def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, 
         N-E-D (m/s).
     p : record of :class:`ModelParameters`
     """
-    air_x, air_y, air_z = air_velocity(x, wind)
+    air_x, air_y, air_z = compute_airspeed_vector(x, wind)
     up, dw = abs(x[MODEL_SPEED_UPPER]), abs(x[MODEL_SPEED_LOWER])
     tip = max(0.5 * (up + dw), _MIN_ROTOR_SPEED_RAD_S) * p.flight_map_radius
     z = 0.5 * (p.z_up + p.z_dw)
@@ -147,7 +147,7 @@ def flight_map_loads(
     air : (float, float)
         Velocity through the air across the mast, body axes (m/s).
     point : (float, float, float)
-        From :func:`find_map_point`.
+        From :func:`find_map_coordinates`.
     p : record of :class:`ModelParameters`
 
     Returns
@@ -213,13 +213,13 @@ def edgewise_load_factors(
     """Return the factors by which a flight map multiplies thrust and torque of the upper and of the lower rotor at a
     state.
     """
-    flow = _flow_loads(p, find_map_point(x, wind, p))
+    flow = _flow_loads(p, find_map_coordinates(x, wind, p))
     return (1.0 + flow[_THRUST], 1.0 + flow[_TORQUE]), (1.0 + flow[_LOWER_THRUST], 1.0 + flow[_LOWER_TORQUE])
 
 
-def inside_flight_map(x: _Array, wind: _Array, p: np.void) -> bool:
+def is_inside_flight_map(x: _Array, wind: _Array, p: np.void) -> bool:
     """Return True if a state lies within the vehicle's flight map; beyond its edges the values at the edge hold."""
-    ratio, climb, edge = find_map_point(x, wind, p)
+    ratio, climb, edge = find_map_coordinates(x, wind, p)
     last = p["flight_map_size"] - 1
     return bool(
         p["flight_map_speed_ratios"][1] <= ratio <= p["flight_map_speed_ratios"][2]

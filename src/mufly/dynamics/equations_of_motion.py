@@ -76,11 +76,11 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.drive.drive_train import armature_current, interpolate_table, rotor_acceleration, terminal_voltage
-from mufly.dynamics.edgewise_loads import add_swash_phase, find_map_point, flight_map_loads
+from mufly.dynamics.edgewise_loads import add_swash_phase, find_map_coordinates, flight_map_loads
 from mufly.dynamics.model_state import (
     ATTITUDE,
     MODEL_ATTITUDE,
-    MODEL_BAR,
+    MODEL_BAR_NORMAL,
     MODEL_CHARGE,
     MODEL_POSITION,
     MODEL_RATES,
@@ -112,7 +112,7 @@ def _clip_value(value: float, low: float, high: float) -> float:
 
 
 @cached_njit(error_model="numpy")
-def battery_state(x: _Array, motor_up: float, motor_dw: float, p: ModelParameters) -> tuple[float, float]:
+def compute_battery_supply(x: _Array, motor_up: float, motor_dw: float, p: ModelParameters) -> tuple[float, float]:
     """Return terminal voltage (V) and supply current (A) for motor inputs 0..1 at state ``x``."""
     emf = p.kE * p.gear_ratio
     conductance = (motor_up * motor_up + motor_dw * motor_dw) / p.R_ohm
@@ -166,7 +166,7 @@ def state_derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx:
     ratio = climb = edge = 0.0
     # The place in the map comes first, so that a processor does the rest while it waits for the division.
     if p.flight_map_node_count > 0:
-        ratio, climb, edge = find_map_point(x, wind, p)
+        ratio, climb, edge = find_map_coordinates(x, wind, p)
     a, b = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
     sin_a, cos_a, sin_b, cos_b = math.sin(a), math.cos(a), math.sin(b), math.cos(b)
     _derivative_with_map(x, u, wind, p, sin_a, cos_a, sin_b, cos_b, True, True, (ratio, climb, edge), dx)
@@ -204,22 +204,22 @@ def _derivative_with_map(
 ) -> None:  # fmt: skip
     """Compute :func:`state_derivative_tilted`; if ``mapped``, with the loads of the vehicle's flight map.
 
-    ``point`` is from :func:`mufly.dynamics.edgewise_loads.find_map_point`. The estimator's function has no map: the
-    compiler removes it.
+    ``point`` is from :func:`mufly.dynamics.edgewise_loads.find_map_coordinates`. The estimator's function has no map:
+    the compiler removes it.
     """
     # Called first, because a later call would spill the registers. The speeds are read twice: a local variable from
     # here on costs 3 % of a step.
     kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
     if p.map_node_count > 0:
-        kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(
-            x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], climb_velocity(x, wind), p
+        kT_up, kT_dw, kQ_up, kQ_dw = interpolate_coefficient_map(
+            x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], compute_axial_climb_velocity(x, wind), p
         )
     motor_up, motor_dw = _clip_value(u[U_MOTOR_UPPER], 0.0, 1.0), _clip_value(u[U_MOTOR_LOWER], 0.0, 1.0)
     servo_1, servo_2 = _clip_value(u[U_SERVO_1], -1.0, 1.0), _clip_value(u[U_SERVO_2], -1.0, 1.0)
     qw, qx, qy, qz = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     wx, wy, wz = x[MODEL_RATES], x[MODEL_RATES + 1], x[MODEL_RATES + 2]
     alpha, beta = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
-    bar_n, bar_e, bar_d = x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2]
+    bar_n, bar_e, bar_d = x[MODEL_BAR_NORMAL], x[MODEL_BAR_NORMAL + 1], x[MODEL_BAR_NORMAL + 2]
     speed_up, speed_dw = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER]
 
     # Attitude: columns are the body axes in N-E-D.
@@ -228,7 +228,7 @@ def _derivative_with_map(
     a20, a21, a22 = 2 * (qx * qz - qw * qy), 2 * (qy * qz + qw * qx), 1 - 2 * (qx * qx + qy * qy)
 
     # Motors and battery.
-    voltage, supply_current = battery_state(x, motor_up, motor_dw, p)
+    voltage, supply_current = compute_battery_supply(x, motor_up, motor_dw, p)
     drag_up, drag_dw = kQ_up * speed_up * abs(speed_up), kQ_dw * speed_dw * abs(speed_dw)
 
     # Thrust directions. Lower rotor: tilted by the swash plate.
@@ -319,9 +319,9 @@ def _derivative_with_map(
     dx[MODEL_SWASH_ROLL] = p.swash_rate * (p.swash_gain * servo_2 - alpha)
     dx[MODEL_SWASH_PITCH] = p.swash_rate * (-p.swash_gain * servo_1 - beta)
     along = -(a02 * bar_n + a12 * bar_e + a22 * bar_d)
-    dx[MODEL_BAR] = p.bar_rate * (-a02 - along * bar_n)
-    dx[MODEL_BAR + 1] = p.bar_rate * (-a12 - along * bar_e)
-    dx[MODEL_BAR + 2] = p.bar_rate * (-a22 - along * bar_d)
+    dx[MODEL_BAR_NORMAL] = p.bar_rate * (-a02 - along * bar_n)
+    dx[MODEL_BAR_NORMAL + 1] = p.bar_rate * (-a12 - along * bar_e)
+    dx[MODEL_BAR_NORMAL + 2] = p.bar_rate * (-a22 - along * bar_d)
     dx[MODEL_SPEED_UPPER], dx[MODEL_SPEED_LOWER] = accel_up, accel_dw
     dx[MODEL_CHARGE] = -supply_current / p.battery_capacity
 
@@ -348,7 +348,7 @@ def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) 
     speed_up, speed_dw, height = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], -x[MODEL_POSITION + 2]
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
     if p.map_node_count > 0:
-        kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
+        kT_up, kT_dw, _, _ = interpolate_coefficient_map(speed_up, speed_dw, compute_axial_climb_velocity(x, wind), p)
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(
         x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     )
@@ -356,8 +356,8 @@ def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) 
     across = v_n * v_n + v_e * v_e
     up = ground_effect_thrust(kT_up * speed_up * speed_up, height - a22 * p.z_up, across, p)
     dw = ground_effect_thrust(kT_dw * speed_dw * speed_dw, height - a22 * p.z_dw, across, p)
-    nx = p.bar_gain * (a00 * x[MODEL_BAR] + a10 * x[MODEL_BAR + 1] + a20 * x[MODEL_BAR + 2])
-    ny = p.bar_gain * (a01 * x[MODEL_BAR] + a11 * x[MODEL_BAR + 1] + a21 * x[MODEL_BAR + 2])
+    nx = p.bar_gain * (a00 * x[MODEL_BAR_NORMAL] + a10 * x[MODEL_BAR_NORMAL + 1] + a20 * x[MODEL_BAR_NORMAL + 2])
+    ny = p.bar_gain * (a01 * x[MODEL_BAR_NORMAL] + a11 * x[MODEL_BAR_NORMAL + 1] + a21 * x[MODEL_BAR_NORMAL + 2])
     alpha, beta = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
     sin_b, cos_b = math.sin(beta), math.cos(beta)
     fx_up, fy_up, fz_up = up * nx, up * ny, -up * math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
@@ -374,7 +374,7 @@ _MIN_ROTOR_SPEED_RAD_S = 1e-3  # rad/s; below this speed rotor forces are neglig
 
 
 @cached_njit(error_model="numpy")
-def climb_velocity(x: _Array, wind: _Array) -> float:
+def compute_axial_climb_velocity(x: _Array, wind: _Array) -> float:
     """Return the velocity through the air along the mast, positive upwards (m/s), at state ``x``."""
     qw, qx, qy, qz = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     up_n, up_e, up_d = -2 * (qx * qz + qw * qy), -2 * (qy * qz - qw * qx), 2 * (qx * qx + qy * qy) - 1
@@ -386,7 +386,7 @@ def climb_velocity(x: _Array, wind: _Array) -> float:
 
 
 @cached_njit(error_model="numpy")
-def map_coefficients(
+def interpolate_coefficient_map(
     speed_up: float, speed_dw: float, climb: float, p: ModelParameters
 ) -> tuple[float, float, float, float]:
     """Interpolate thrust and torque over squared speed of both rotors in the coefficient map.
@@ -419,7 +419,7 @@ def rotor_loads(p: np.void, speed_up: float, speed_dw: float, climb: float = 0.0
     """
     c = (p["thrust_up"], p["thrust_dw"], p["torque_up"], p["torque_dw"])
     if p["map_node_count"] > 0:
-        c = map_coefficients(speed_up, speed_dw, climb, p)
+        c = interpolate_coefficient_map(speed_up, speed_dw, climb, p)
     thrust_up, thrust_dw, torque_up, torque_dw = c
     up, dw = speed_up * abs(speed_up), speed_dw * abs(speed_dw)
     return float(thrust_up * speed_up**2), float(thrust_dw * speed_dw**2), float(torque_up * up), float(torque_dw * dw)
@@ -513,7 +513,7 @@ def contact_wrench(x: _Array, p: ModelParameters) -> tuple[float, float, float, 
 
 
 @cached_njit(error_model="numpy")
-def lowest_point(x: _Array, p: ModelParameters) -> tuple[float, int]:
+def find_deepest_contact(x: _Array, p: ModelParameters) -> tuple[float, int]:
     """Return depth below the floor (m; negative: above) and index of the lowest contact point."""
     a = body_to_ned_matrix(x[ATTITUDE])
     depth, index = -math.inf, 0

@@ -12,7 +12,7 @@ is turned such that in hover each servo acts on one axis. In steady flight the s
 perpendicular to the mast.
 
 The result depends strongly on the flap frequency, so two trims are computed, one for each end of its band
-(:func:`mufly.rotor.forward.flap_modes_of_band`).
+(:func:`mufly.rotor.forward.estimate_flap_mode_range`).
 """
 
 from __future__ import annotations
@@ -30,10 +30,16 @@ from mufly.drive.drive_train import battery_voltage, drive_of_vehicle, open_circ
 from mufly.dynamics.linearisation import find_trim
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import GRAVITY
-from mufly.results import ResultColumn, ShownBlock, result, show_lines, tabulate_results
+from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results
 from mufly.results.result_figure import blank_figure, label_axes
 from mufly.rotor import Air, Blading, Rotor, prepare_blading
-from mufly.rotor.forward import BladeFlap, ForwardCondition, ForwardPair, flap_modes_of_band, solve_forward_pair
+from mufly.rotor.forward import (
+    ForwardCondition,
+    ForwardPair,
+    RigidFlapMode,
+    estimate_flap_mode_range,
+    solve_forward_pair,
+)
 from mufly.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -45,7 +51,7 @@ _TRIM_TOLERANCE = 1e-5  # of weight, full servo moment and hover torque
 _TRIM_OPTIONS: Any = {"eps": 1e-4}  # relative step of the differences, far above the tolerance of the coupling
 _COUPLING_TOLERANCE = 1e-6
 _CYCLIC_STEP_RAD = math.radians(0.5)
-_MAX_SERVO_INPUT = 1.6  # of full input, up to which a trim is followed
+_MAX_FOLLOWED_SERVO_INPUT = 1.6  # of full input, up to which a trim is followed
 _BATTERY_CHARGE_FRACTION = 0.5  # of the battery, as for the hover performance
 _RADIUS_TOLERANCE = 0.01
 
@@ -144,9 +150,9 @@ class LevelFlight:
         else:
             limit = f"{low:.1f} to {high:.1f} m/s"
         blocks: list[ShownBlock] = [
-            show_lines(f" with blades {self.rotor}; {self.flap_basis}", head=self.vehicle),
+            make_lines_block(f" with blades {self.rotor}; {self.flap_basis}", head=self.vehicle),
             tabulate_results(rows, _RESULT_COLUMNS),
-            show_lines(
+            make_lines_block(
                 f"greatest level airspeed: {limit} (full servo or full motor input); least power: at {least:.1f} to "
                 f"{most:.1f} m/s"
             ),
@@ -154,7 +160,9 @@ class LevelFlight:
         if any(t.is_outside_method_range for t in rows):
             at = ", ".join(dict.fromkeys(f"{t.airspeed_m_s:g}" for t in rows if t.is_outside_method_range))
             blocks.append(
-                show_lines(f"{at} m/s: a rotor is outside the range of its method", mark="Warning", style="yellow")
+                make_lines_block(
+                    f"{at} m/s: a rotor is outside the range of its method", mark="Warning", style="yellow"
+                )
             )
         return tuple(blocks)
 
@@ -172,7 +180,7 @@ class LevelFlight:
 class LevelFlightModel:
     """Equations of level flight: blades, hover point, servo authority, and a flap mode for each rotor."""
 
-    def __init__(self, vehicle: Vehicle, blading: Blading, flaps: tuple[BladeFlap, BladeFlap]) -> None:
+    def __init__(self, vehicle: Vehicle, blading: Blading, flaps: tuple[RigidFlapMode, RigidFlapMode]) -> None:
         hover = find_trim(vehicle, charge=_BATTERY_CHARGE_FRACTION)
         self.vehicle, self.blading, self.flaps = vehicle, blading, flaps
         self.air = Air(density_kg_m3=float(vehicle.air.density))
@@ -317,7 +325,7 @@ class LevelFlightModel:
         return low**2 - 1.0
 
 
-def _crossing_speed(speeds: list[float], values: list[float], level: float) -> float:
+def _find_speed_at_level(speeds: list[float], values: list[float], level: float) -> float:
     """Return the first speed at which values rise to a level; infinite if they do not."""
     for k, value in enumerate(values):
         if value >= level:
@@ -368,7 +376,7 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
         raise InputError(vehicle.name, "airspeeds", "are not all 0 or more", "give finite airspeeds")
     blading = prepare_blading(rotor)
     hover = find_trim(vehicle, charge=_BATTERY_CHARGE_FRACTION)
-    bands = [flap_modes_of_band(rotor, float(w)) for w in hover.rotor_speed]
+    bands = [estimate_flap_mode_range(rotor, float(w)) for w in hover.rotor_speed]
     lines, greatest, best = [], [], []
     for end in range(2):
         model = LevelFlightModel(vehicle, blading, (bands[0][0][end], bands[1][0][end]))
@@ -401,12 +409,12 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
                     pair.upper.is_outside_range or pair.lower.is_outside_range,
                 )
             )
-            if line[-1].servo > _MAX_SERVO_INPUT:
+            if line[-1].servo > _MAX_FOLLOWED_SERVO_INPUT:
                 break
         flown = [t.airspeed_m_s for t in line]
         limit = min(
-            _crossing_speed(flown, [t.servo for t in line], 1.0),
-            _crossing_speed(flown, [-t.thrust_margin for t in line], 0.0),
+            _find_speed_at_level(flown, [t.servo for t in line], 1.0),
+            _find_speed_at_level(flown, [-t.thrust_margin for t in line], 0.0),
             stopped,
         )  # fmt: skip
         able = [t for t in line if t.airspeed_m_s <= limit]

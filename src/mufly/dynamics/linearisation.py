@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
-from mufly.dynamics.edgewise_loads import edgewise_load_factors, inside_flight_map, tip_path_tilt_target
+from mufly.dynamics.edgewise_loads import edgewise_load_factors, is_inside_flight_map, tip_path_tilt_target
 from mufly.dynamics.equations_of_motion import (
-    battery_state,
-    climb_velocity,
+    compute_axial_climb_velocity,
+    compute_battery_supply,
     inside_map,
     rotor_loads,
     state_derivative,
@@ -37,7 +37,7 @@ from mufly.dynamics.equations_of_motion import (
 from mufly.dynamics.model_state import (
     ATTITUDE,
     BAR_NORMAL,
-    MODEL_BAR,
+    MODEL_BAR_NORMAL,
     MODEL_CHARGE,
     MODEL_POSITION,
     MODEL_SPEED_LOWER,
@@ -53,11 +53,11 @@ from mufly.dynamics.model_state import (
     STATE_SIZE,
     VELOCITY,
     body_to_ned_matrix,
-    hover_speeds,
+    compute_hover_rotor_speeds,
     initial_state,
     model_parameters,
 )
-from mufly.dynamics.simulation import fastest_mode_key
+from mufly.dynamics.simulation import find_step_limiting_parameter
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import GRAVITY, RPM
 from mufly.results import result
@@ -221,7 +221,8 @@ def find_trim(
                 f"{vehicle.name}: no hover was found within the inputs' range (motors {motor_up:.2f}, "
                 f"{motor_dw:.2f}, "
                 f"servos {servo_1:.2f}, {servo_2:.2f}; residual {worst:.1g} of an acceleration); check "
-                f"{fastest_mode_key(p)}, which has the fastest mode, and the rotors' coefficients and inertias"
+                f"{find_step_limiting_parameter(p)}, which has the fastest mode, and the rotors' coefficients and "
+                f"inertias"
             )
         raise MuflyError(
             f"{vehicle.name}: no steady flight at velocity {velocity_.tolist()} m/s in wind "
@@ -229,15 +230,15 @@ def find_trim(
             f"within the inputs' range (motors {motor_up:.2f}, {motor_dw:.2f}); ask for a lower speed or less wind"
         )
     x[MODEL_POSITION + 2] = 0.0
-    volts, current = battery_state(x, motor_up, motor_dw, p)
-    climb = float(climb_velocity(x, wind_))
+    volts, current = compute_battery_supply(x, motor_up, motor_dw, p)
+    climb = float(compute_axial_climb_velocity(x, wind_))
     speed_up, speed_dw = x[ROTOR_SPEEDS]
     t_up, t_dw, q_up, q_dw = rotor_loads(p, speed_up, speed_dw, climb)
     inside = inside_map(vehicle, speed_up, speed_dw, climb)
     if p["flight_map_node_count"] > 0:
         f_up, f_dw = edgewise_load_factors(x, wind_, p)
         t_up, q_up, t_dw, q_dw = t_up * f_up[0], q_up * f_up[1], t_dw * f_dw[0], q_dw * f_dw[1]
-        inside = inside and inside_flight_map(x, wind_, p)
+        inside = inside and is_inside_flight_map(x, wind_, p)
     return Trim(
         state=x,
         input=u,
@@ -266,7 +267,7 @@ def _hover_estimate(
     thrust = np.array([p["thrust_up"], p["thrust_dw"]])  # divided by the squares of the speeds
     drag = np.array([p["torque_up"], p["torque_dw"]])
     for _ in range(_HOVER_ITERATIONS if p["map_node_count"] else 1):
-        speed = hover_speeds(p, thrust, drag)
+        speed = compute_hover_rotor_speeds(p, thrust, drag)
         if p["map_node_count"]:
             loads = np.array(rotor_loads(p, speed[0], speed[1])).reshape(2, 2) / speed**2
             if not np.all(loads > 0.0):
@@ -590,11 +591,14 @@ def _minimal_rates(
     turn = q_ * np.sin(phi) + r_ * np.cos(phi)
     euler_rates = [p_ + turn * np.tan(theta), q_ * np.cos(phi) - r_ * np.sin(phi), turn / np.cos(theta)]
     c, s = np.cos(heading), np.sin(heading)
-    bar_n, bar_e = c * dx[MODEL_BAR] + s * dx[MODEL_BAR + 1], -s * dx[MODEL_BAR] + c * dx[MODEL_BAR + 1]
+    bar_n, bar_e = (
+        c * dx[MODEL_BAR_NORMAL] + s * dx[MODEL_BAR_NORMAL + 1],
+        -s * dx[MODEL_BAR_NORMAL] + c * dx[MODEL_BAR_NORMAL + 1],
+    )
     eta, zeta = m[LINEAR_BAR_ROLL], m[LINEAR_BAR_PITCH]
     # From s = (-sin zeta cos eta, sin eta, -cos zeta cos eta).
     eta_rate = bar_e / np.cos(eta)
-    zeta_rate = (-bar_n * np.cos(zeta) + dx[MODEL_BAR + 2] * np.sin(zeta)) / np.cos(eta)
+    zeta_rate = (-bar_n * np.cos(zeta) + dx[MODEL_BAR_NORMAL + 2] * np.sin(zeta)) / np.cos(eta)
     return np.concatenate(
         [
             dx[POSITION],

@@ -11,7 +11,7 @@ first index            slice             meaning
 ``MODEL_RATES``        ``RATES``         p, q, r (rad/s), body axes
 ``MODEL_SWASH_ROLL``                     alpha_dw, tilt of the lower tip-path plane about x (rad)
 ``MODEL_SWASH_PITCH``                    beta_dw, tilt of the lower tip-path plane about y (rad)
-``MODEL_BAR``          ``BAR_NORMAL``    upward normal of the stabiliser bar's disc in N-E-D, unit length
+``MODEL_BAR_NORMAL``          ``BAR_NORMAL``    upward normal of the stabiliser bar's disc in N-E-D, unit length
 ``MODEL_SPEED_UPPER``  ``ROTOR_SPEEDS``  speeds of upper and, at ``MODEL_SPEED_LOWER``, lower rotor (rad/s)
 ``MODEL_CHARGE``                         remaining fraction of the battery's charge
 =====================  ================  ======================================================================
@@ -37,7 +37,7 @@ from mufly.errors import InputError
 from mufly.quantities.units import GRAVITY
 from mufly.rotations import quaternion_from_euler
 from mufly.rotor.coax_maps import interpolate_map, pack_map_tables
-from mufly.rotor.forward.edgewise_map import fit_flight_splines
+from mufly.rotor.forward.edgewise_map import fit_flight_map_splines
 from mufly.vehicle import Vehicle
 from mufly.vehicle.coefficient_map import MAX_MAP_NODES
 from mufly.vehicle.flight_map import MAX_MAP_ADVANCE_RATIOS, MAX_MAP_CLIMBS
@@ -48,13 +48,13 @@ _Array = NDArray[np.float64]
 STATE_SIZE = 21
 INPUT_SIZE = 4
 MODEL_POSITION, MODEL_VELOCITY, MODEL_ATTITUDE, MODEL_RATES, MODEL_SWASH_ROLL, MODEL_SWASH_PITCH = 0, 3, 6, 10, 13, 14
-MODEL_BAR, MODEL_SPEED_UPPER, MODEL_SPEED_LOWER, MODEL_CHARGE = 15, 18, 19, 20
+MODEL_BAR_NORMAL, MODEL_SPEED_UPPER, MODEL_SPEED_LOWER, MODEL_CHARGE = 15, 18, 19, 20
 POSITION, VELOCITY, ATTITUDE = (
     slice(MODEL_POSITION, MODEL_VELOCITY),
     slice(MODEL_VELOCITY, MODEL_ATTITUDE),
     slice(MODEL_ATTITUDE, MODEL_RATES),
 )
-RATES, BAR_NORMAL = slice(MODEL_RATES, MODEL_SWASH_ROLL), slice(MODEL_BAR, MODEL_SPEED_UPPER)
+RATES, BAR_NORMAL = slice(MODEL_RATES, MODEL_SWASH_ROLL), slice(MODEL_BAR_NORMAL, MODEL_SPEED_UPPER)
 ROTOR_SPEEDS = slice(MODEL_SPEED_UPPER, MODEL_CHARGE)
 U_MOTOR_UPPER, U_MOTOR_LOWER, U_SERVO_1, U_SERVO_2 = range(INPUT_SIZE)
 MOTORS, SERVOS = slice(U_MOTOR_UPPER, U_SERVO_1), slice(U_SERVO_1, INPUT_SIZE)
@@ -306,7 +306,7 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
     return cast(np.void, record[()])
 
 
-def hover_speeds(
+def compute_hover_rotor_speeds(
     p: np.void | NDArray[Any] | Mapping[str, float],
     thrust: ArrayLike | None = None,
     torque: ArrayLike | None = None,
@@ -348,7 +348,7 @@ def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]
     unit = np.pi * rho * radius**4 * np.array([1.0, radius, 1.0, radius])
     level = np.ones(4)
     if r.map_level == "constants":
-        up, dw = hover_speeds(constants)
+        up, dw = compute_hover_rotor_speeds(constants)
         there, _ = interpolate_map(m, 0.5 * (up + dw), dw / up, 0.0)
         if not np.all(there > 0.0):
             raise InputError(
@@ -375,7 +375,7 @@ def _flight_map_fields(vehicle: Vehicle) -> dict[str, Any]:
     m = vehicle.rotors.flight_map
     if m is None:
         return {}
-    splines = fit_flight_splines(m.decode_map_tables())
+    splines = fit_flight_map_splines(m.decode_map_tables())
     padded = {}
     for name, values, room in (
         ("flight_map_table", splines.coefficient_table, 12 * (MAX_MAP_CLIMBS + 2) * MAX_MAP_ADVANCE_RATIOS),

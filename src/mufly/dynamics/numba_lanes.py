@@ -90,11 +90,11 @@ class LaneTable(types.Type):
         super().__init__(name=f"LaneTable({length}, {columns})")
 
 
-class LaneIntegers(types.Type):
+class SharedIntegers(types.Type):
     """Numba type of integers that all vehicles of a block share."""
 
     def __init__(self) -> None:
-        super().__init__(name="LaneIntegers")
+        super().__init__(name="SharedIntegers")
 
 
 class LaneRecord(types.Type):
@@ -111,7 +111,7 @@ class LaneRecord(types.Type):
         return LaneRecord, (self.dtype,)
 
 
-VECTOR, MASK, ROWS, INTEGERS = LaneVector(), LaneMask(), LaneRows(), LaneIntegers()
+VECTOR, MASK, ROWS, SHARED_INTEGERS = LaneVector(), LaneMask(), LaneRows(), SharedIntegers()
 
 
 def _register_primitive(kind: type, make: Callable[[Any], ir.Type]) -> None:
@@ -124,7 +124,7 @@ def _register_primitive(kind: type, make: Callable[[Any], ir.Type]) -> None:
 
 for _kind, _ir_type in (
     (LaneVector, _LLVM_DOUBLE_LANES), (LaneMask, _LLVM_BIT_LANES), (LaneRows, _LLVM_POINTER),
-    (LaneTable, _LLVM_INT64_LANES), (LaneIntegers, _LLVM_POINTER), (LaneRecord, _LLVM_POINTER),
+    (LaneTable, _LLVM_INT64_LANES), (SharedIntegers, _LLVM_POINTER), (LaneRecord, _LLVM_POINTER),
 ):  # fmt: skip
     _register_primitive(_kind, lambda _, made=_ir_type: made)  # type: ignore[misc]
 
@@ -338,7 +338,7 @@ class _GetItem(AbstractTemplate):
         held, index = arguments
         if isinstance(held, LaneRows) and isinstance(index, types.Integer):
             return signature(VECTOR, held, types.intp)
-        if isinstance(held, LaneIntegers) and isinstance(index, types.Integer):
+        if isinstance(held, SharedIntegers) and isinstance(index, types.Integer):
             return signature(types.int64, held, types.intp)
         if isinstance(held, LaneTable):
             if isinstance(index, types.Integer):
@@ -371,7 +371,7 @@ def _set_lane_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
     return context.get_dummy_value()
 
 
-@lower_builtin(operator.getitem, LaneIntegers, types.Integer)
+@lower_builtin(operator.getitem, SharedIntegers, types.Integer)
 def _get_shared_integer(context: Any, builder: Any, made: Any, values: Any) -> Any:
     return builder.load(builder.gep(builder.bitcast(values[0], _LLVM_INT64.as_pointer()), [values[1]]))
 
@@ -432,7 +432,7 @@ class _RecordAttributes(AttributeTemplate):
         if kind.shape == ():
             return VECTOR if kind.kind == "f" else types.int64
         if kind.base.kind != "f":
-            return INTEGERS
+            return SHARED_INTEGERS
         return LaneTable(kind.shape[0], kind.shape[1] if len(kind.shape) > 1 else 1)
 
 

@@ -17,7 +17,8 @@ legs: static deflection scales with size          stiffness mu / la, damping mu 
 An unspecified motor is the known motor with another winding for the new voltage ``U`` and power: kE w / U, kM w / U and
 R P / U^2 are constant. A motor given by its speed constant has kE = kM = 60 / (2 pi KV). Its friction follows from the
 no-load current or, if unknown, from the known motor's ratio of friction to kM^2 / R, the electrical damping. The
-default gear needs the least power (:func:`mufly.drive.best_gear_ratio`) with at most 80 % of the half-full battery's
+default gear needs the least power (:func:`mufly.drive.find_least_power_gear_ratio`) with at most 80 % of the half-full
+battery's
 voltage in hover, which leaves a margin for control. Gear ratios are at least 1. The battery gives the same hover time
 as the known one, including the electronics' power. Its cells have the same voltage curve and a resistance proportional
 to 1 / capacity.
@@ -31,10 +32,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from mufly.drive import MotorConstants, best_gear_ratio
+from mufly.drive import MotorConstants, find_least_power_gear_ratio
 from mufly.dynamics.hover_limits import MAX_TIP_MACH, compute_tip_mach_number
 from mufly.dynamics.linearisation import find_trim, hover_performance
-from mufly.dynamics.model_state import hover_speeds, model_parameters
+from mufly.dynamics.model_state import compute_hover_rotor_speeds, model_parameters
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.files.input_files import validate_model
 from mufly.quantities.units import RPM
@@ -381,7 +382,7 @@ def _adapt_drive_to_gear(tables: dict[str, Any], before: float, ratio: float) ->
 def _choose_gear(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
     """Choose the gear of least power in hover; direct drive if no ratio above 1 needs less."""
     m, p = vehicle.motor, model_parameters(vehicle)
-    upper, lower = hover_speeds(p)
+    upper, lower = compute_hover_rotor_speeds(p)
     torque = float(p["torque_up"]) * upper**2  # equals the lower rotor's torque in trim
     curve = vehicle.battery.open_circuit_voltage
     available = MAX_HOVER_VOLTAGE_FRACTION * float(curve.sample_evenly(3)[1])
@@ -390,7 +391,7 @@ def _choose_gear(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
         resistance_ohm=float(m.resistance), friction_Nm_s=float(m.friction), gear_ratio=1.0,
         gear_efficiency=float(vehicle.gear.efficiency), friction_Nm=float(m.friction_torque),
     )  # fmt: skip
-    ratio = float(best_gear_ratio(constants, max(upper, lower), torque, available))
+    ratio = float(find_least_power_gear_ratio(constants, max(upper, lower), torque, available))
     if not math.isfinite(ratio):
         raise _TooWeakError(vehicle, "no gear lets it hover")
     note = (

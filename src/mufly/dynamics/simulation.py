@@ -41,12 +41,12 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import borrow_arrays
 from mufly.drive.drive_train import FULL_FRICTION_SPEED_rad_s
 from mufly.dynamics.edgewise_loads import flight_map_rate_bound
-from mufly.dynamics.equations_of_motion import battery_state, coefficient_bounds, state_derivative
+from mufly.dynamics.equations_of_motion import coefficient_bounds, compute_battery_supply, state_derivative
 from mufly.dynamics.model_state import (
     ATTITUDE,
     INPUT_SIZE,
     MODEL_ATTITUDE,
-    MODEL_BAR,
+    MODEL_BAR_NORMAL,
     MODEL_CHARGE,
     MODEL_RATES,
     MODEL_SPEED_UPPER,
@@ -64,7 +64,7 @@ from mufly.errors import InputError
 from mufly.quantities.quantity_table import make_dataset
 from mufly.quantities.units import GRAVITY
 from mufly.rotations import euler_from_quaternion
-from mufly.rotor.rotor_system import VORTEX_RING_RANGE
+from mufly.rotor.rotor_system import VORTEX_RING_DESCENT_RATIOS
 from mufly.vehicle import FlightMap, Vehicle, builtin_flight_maps, load_flight_map
 from mufly.vehicle.vehicle_schema import describe_other_rotors
 
@@ -80,9 +80,9 @@ def normalise_state(x: _Array) -> None:
     q = 1.0 / math.sqrt(w * w + a * a + b * b + c * c)
     for i in range(MODEL_ATTITUDE, MODEL_RATES):
         x[i] *= q
-    n, e, d = x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2]
+    n, e, d = x[MODEL_BAR_NORMAL], x[MODEL_BAR_NORMAL + 1], x[MODEL_BAR_NORMAL + 2]
     s = 1.0 / math.sqrt(n * n + e * e + d * d)
-    for i in range(MODEL_BAR, MODEL_SPEED_UPPER):
+    for i in range(MODEL_BAR_NORMAL, MODEL_SPEED_UPPER):
         x[i] *= s
     x[MODEL_CHARGE] = max(x[MODEL_CHARGE], 0.0)
 
@@ -143,7 +143,7 @@ def longest_step(p: np.void) -> float:
     return 2.7 / max(_mode_rates(p).values())
 
 
-def fastest_mode_key(p: np.void) -> str:
+def find_step_limiting_parameter(p: np.void) -> str:
     """Return the key in the vehicle file (``"swash_plate.time_constant"``) of the parameter that limits the step most.
 
     The limit is that of :func:`longest_step`.
@@ -286,7 +286,7 @@ def state_dataset(
     attitude = euler_from_quaternion(states[:, ATTITUDE])
     attitude[:, 2] = np.unwrap(attitude[:, 2])
     duty = np.clip(inputs[:, MOTORS], 0.0, 1.0)
-    voltage = np.array([battery_state(s, d[0], d[1], p)[0] for s, d in zip(states, duty, strict=True)])
+    voltage = np.array([compute_battery_supply(s, d[0], d[1], p)[0] for s, d in zip(states, duty, strict=True)])
 
     values = {
         "truth_position": states[:, POSITION],
@@ -331,12 +331,12 @@ def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.flo
     return transition, noise, np.array([0.5, math.sqrt(0.75)]), np.eye(2)
 
 
-_BUILTIN_MASS_TOLERANCE = 0.02  # of a vehicle that takes the level speed of a built-in flight map
-MAX_INFLOW_CHANGE = 0.1
+_BUILTIN_MAP_MASS_TOLERANCE = 0.02  # of a vehicle that takes the level speed of a built-in flight map
+CONSTANT_COEFFICIENT_INFLOW_CHANGE = 0.1
 """Relative change of the hover inflow up to which constant coefficients are valid."""
 
 
-def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
+def find_model_airspeed_limits(vehicle: Vehicle) -> tuple[float, float, float]:
     """Return the induced velocity in hover, and the air speeds along and across the mast up to which the model holds
     (m/s).
 
@@ -346,7 +346,8 @@ def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
 
         x/2 + sqrt(x^2/4 + 1)                  sqrt(sqrt(y^4/4 + 1) - y^2/2)
 
-    which differs from one by ``MAX_INFLOW_CHANGE`` at ``x = 0.19`` and ``y = 0.65``. (For muFly that is 0.8 and 2.6
+    which differs from one by ``CONSTANT_COEFFICIENT_INFLOW_CHANGE`` at ``x = 0.19`` and ``y = 0.65``. (For muFly that
+    is 0.8 and 2.6
     m/s; the thesis relies on its constant coefficients up to 0.5 m/s, Sec. 4.3.1.) A coefficient map covers climb and
     descent up to half of v_h, where the vortex ring state begins. A flight map covers edgewise flow up to its last
     advance ratio. Blow-back limits the level speed, too (:func:`max_level_speed_band`): across the mast, the limit is
@@ -359,8 +360,8 @@ def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
     area = math.pi * float(vehicle.rotors.radius) ** 2
     weight = float(vehicle.body.mass) * GRAVITY + float(vehicle.body.downwash_drag)
     induced = math.sqrt(weight / (2.0 * float(vehicle.air.density) * area))
-    more, less = 1.0 + MAX_INFLOW_CHANGE, (1.0 - MAX_INFLOW_CHANGE) ** 2
-    along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else VORTEX_RING_RANGE[0]
+    more, less = 1.0 + CONSTANT_COEFFICIENT_INFLOW_CHANGE, (1.0 - CONSTANT_COEFFICIENT_INFLOW_CHANGE) ** 2
+    along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else VORTEX_RING_DESCENT_RATIOS[0]
     flight_map, band = vehicle.rotors.flight_map, max_level_speed_band(vehicle)
     across = math.sqrt((1.0 - less**2) / less) * induced if flight_map is None else flight_map.velocity_limits_m_s[0]
     return induced, along * induced, min(across, math.inf if band is None else band[1])
@@ -387,13 +388,13 @@ def max_level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
     if own is not None:
         return own.level_speed_m_s
     for built_in in _load_builtin_maps():
-        is_same_mass = abs(built_in.mass_kg / float(vehicle.body.mass) - 1.0) < _BUILTIN_MASS_TOLERANCE
+        is_same_mass = abs(built_in.mass_kg / float(vehicle.body.mass) - 1.0) < _BUILTIN_MAP_MASS_TOLERANCE
         if is_same_mass and not describe_other_rotors(vehicle.rotors, built_in):
             return built_in.level_speed_m_s
     return None
 
 
-def describe_level_speed(vehicle: Vehicle) -> str:
+def describe_max_level_speed(vehicle: Vehicle) -> str:
     """Return the bounds of the greatest level airspeed (m/s) as a text; "" if they are not known."""
     band = max_level_speed_band(vehicle)
     if band is None:
@@ -401,7 +402,7 @@ def describe_level_speed(vehicle: Vehicle) -> str:
     return f"level flight ends at {band[0]:.1f} to {band[1]:.1f} m/s (blow-back at full servo, by flap frequency)"
 
 
-def describe_model_excess(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str:
+def describe_excess_wind(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str:
     """Return one line about a wind outside the model's range; "" for a wind inside.
 
     Parameters
@@ -412,17 +413,17 @@ def describe_model_excess(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str
     gust : float
         Standard deviation of each gust component (m/s); twice this value is added.
     """
-    induced, along, across = model_air_limits(vehicle)
+    induced, along, across = find_model_airspeed_limits(vehicle)
     north, east, down = (float(v) for v in np.asarray(wind, dtype=np.float64))
     level, rising = math.hypot(north, east) + 2.0 * gust, abs(down) + 2.0 * gust
     if level <= across and rising <= along:
         return ""
     ring = ""
-    if -down + 2.0 * gust >= VORTEX_RING_RANGE[0] * induced:
-        state = "vortex ring" if -down <= VORTEX_RING_RANGE[1] * induced else "windmill"
+    if -down + 2.0 * gust >= VORTEX_RING_DESCENT_RATIOS[0] * induced:
+        state = "vortex ring" if -down <= VORTEX_RING_DESCENT_RATIOS[1] * induced else "windmill"
         rises = f"in air that rises at {-down + 2.0 * gust:.1f} m/s"
         ring = f"; {rises} rotors are in {state} state, which the model does not contain"
-    limit = describe_level_speed(vehicle)
+    limit = describe_max_level_speed(vehicle)
     return (
         f"the flight model is not valid in this wind, {level:.1f} m/s across and {rising:.1f} m/s along the "
         "mast "

@@ -21,8 +21,8 @@ from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import GRAVITY
 from mufly.rotor import Rotor, prepare_blading
 from mufly.rotor.coax_maps import hash_bladings
-from mufly.rotor.forward import BladeFlap, flap_modes_of_band, make_flap_mode
-from mufly.rotor.forward.edgewise_map import MAP_ADVANCE_RATIO, compute_flight_loads, make_edgewise_axis
+from mufly.rotor.forward import RigidFlapMode, estimate_flap_mode_range, make_flap_mode
+from mufly.rotor.forward.edgewise_map import MAX_MAP_ADVANCE_RATIO, compute_flight_map_loads, make_edgewise_axis
 from mufly.vehicle import FlightMap, FlightMapTables, Vehicle, replace_parameters
 from mufly.vehicle.flight_map import format_flight_table
 
@@ -36,7 +36,7 @@ _SPEED_TOLERANCE_M_S = 0.02
 _SPEED_STEP_M_S = 0.25
 
 
-def find_level_speed(vehicle: Vehicle) -> float:
+def find_max_level_speed(vehicle: Vehicle) -> float:
     """Return the greatest level airspeed (m/s) that the flight model can trim without an input beyond its range.
 
     With a flight map the search ends at the map's last advance ratio. Speeds above the first one without a trim are
@@ -107,7 +107,7 @@ def make_flight_map(
     blading = prepare_blading(rotor)
     hover = find_trim(plain, charge=0.5)
     speeds = (float(hover.rotor_speed[0]), float(hover.rotor_speed[1]))
-    bands = [flap_modes_of_band(rotor, w) for w in speeds]
+    bands = [estimate_flap_mode_range(rotor, w) for w in speeds]
     ends = [(bands[0][0][k], bands[1][0][k]) for k in range(2)]
     if flap_frequency_ratio is None:
         flaps, basis = ends[1], f"upper end of the {bands[0][1]}"
@@ -132,9 +132,9 @@ def make_flight_map(
             progress(done_before + done, counts[0] + 2 * counts[1])
 
     def compute(
-        modes: tuple[BladeFlap, BladeFlap], ratios: tuple[float, ...], climbs: tuple[float, ...], count: int
+        modes: tuple[RigidFlapMode, RigidFlapMode], ratios: tuple[float, ...], climbs: tuple[float, ...], count: int
     ) -> tuple[FlightMapTables, int]:
-        return compute_flight_loads(
+        return compute_flight_map_loads(
             blading, blading, modes, pitch_rad=model.pitch, spacing_m=spacing, mean_speed_rad_s=mean,
             ratio=[ratio * f for f in ratios], climb_ratio=[knee * f for f in climbs], knee=knee,
             edgewise=make_edgewise_axis(knee, count), air=model.air, progress=report,
@@ -158,18 +158,18 @@ def make_flight_map(
         mean_speed_rad_s=mean, density_kg_m3=float(vehicle.air.density), knee=knee,
         level_speed_m_s=(0.0, 0.0), table=format_flight_table(tables, knee),
     )  # fmt: skip
-    found = [_find_level_speed_with_map(plain, made)]
+    found = [_find_max_level_speed_with_map(plain, made)]
     for k, modes in enumerate(ends):
         done_before = counts[0] + k * counts[1]
         coarse, _ = compute(modes, (1.0,), _COARSE_CLIMB_FACTORS, _COARSE_EDGEWISE_COUNT)
         end_map = made.model_copy(update={"table": format_flight_table(coarse, knee)})
-        found.append(_find_level_speed_with_map(plain, end_map))
+        found.append(_find_max_level_speed_with_map(plain, end_map))
     return made.model_copy(update={"level_speed_m_s": (round(min(found), 2), round(max(found), 2))})
 
 
-def _find_level_speed_with_map(vehicle: Vehicle, flight_map: FlightMap) -> float:
+def _find_max_level_speed_with_map(vehicle: Vehicle, flight_map: FlightMap) -> float:
     rotors = vehicle.rotors.model_copy(update={"flight_map": flight_map})
-    return find_level_speed(vehicle.model_copy(update={"rotors": rotors}))
+    return find_max_level_speed(vehicle.model_copy(update={"rotors": rotors}))
 
 
 def check_map_blades(flight_map: FlightMap, rotor: Rotor) -> None:
@@ -190,9 +190,9 @@ def check_map_blades(flight_map: FlightMap, rotor: Rotor) -> None:
 __all__ = [
     "CLIMB_VELOCITY_FACTORS",
     "EDGEWISE_SPEED_COUNT",
-    "MAP_ADVANCE_RATIO",
+    "MAX_MAP_ADVANCE_RATIO",
     "SPEED_RATIO_FACTORS",
     "check_map_blades",
-    "find_level_speed",
+    "find_max_level_speed",
     "make_flight_map",
 ]

@@ -7,7 +7,7 @@ from mufly.estimate.estimator import (
     Estimator,
     IdealEstimator,
     check_estimate,
-    measured_tilt,
+    compute_standing_tilt,
 )
 from mufly.estimate.filter.filter_records import ERROR_STATES
 from mufly.estimate.inertial_log import (
@@ -45,11 +45,11 @@ __all__ = [
     "check_estimate",
     "check_inertial_log",
     "compute_aid_innovations",
+    "compute_standing_tilt",
     "detect_flight",
     "estimate_flight_noise",
     "estimate_rest_noise",
     "measure_consistency",
     "measure_row_consistency",
-    "measured_tilt",
     "run_filter_on_log",
 ]

@@ -112,7 +112,7 @@ class IdealEstimator(Estimator):
         )
 
 
-def measured_tilt(m: Estimate) -> float:
+def compute_standing_tilt(m: Estimate) -> float:
     """Return the tilt of a standing vehicle (rad): the greater of the estimated tilt and the tilt by its accelerometers
     alone.
 

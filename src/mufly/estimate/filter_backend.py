@@ -36,7 +36,7 @@ from mufly.estimate.filter import (
     strapdown,
     ud_filter,
 )
-from mufly.estimate.filter.c_records import RECORDS_HEADER, flight_model_record, render_records_header
+from mufly.estimate.filter.c_records import RECORDS_HEADER_PATH, flight_model_record, render_records_header
 from mufly.estimate.filter.measurements import (
     fix_fusion,
     fusion,
@@ -46,7 +46,7 @@ from mufly.estimate.filter.measurements import (
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "dfa9ed3d22714f5b"
+VERIFIED_STAMP = "a27b66d0107b2f01"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (
@@ -218,7 +218,7 @@ def _load_filter_library(records: str, flags: tuple[str, ...] = COMPILER_FLAGS) 
 def collect_filter_sources(records: str) -> dict[str, str]:
     """Return the text of the filter's C sources and headers by their path in a tree."""
     names = [f"{name}.{suffix}" for name in FILTER_SOURCES for suffix in "ch"]
-    return {RECORDS_HEADER: records} | {n: (_SOURCE_FOLDER / n).read_text(encoding="utf-8") for n in names}
+    return {RECORDS_HEADER_PATH: records} | {n: (_SOURCE_FOLDER / n).read_text(encoding="utf-8") for n in names}
 
 
 _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
@@ -243,9 +243,9 @@ _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
         (
             "state_derivative_tilted",
             "_derivative_with_map",
-            "battery_state",
-            "map_coefficients",
-            "climb_velocity",
+            "compute_battery_supply",
+            "interpolate_coefficient_map",
+            "compute_axial_climb_velocity",
             "_inplane_drag",
             "_clip_value",
         ),

@@ -51,7 +51,7 @@ from mufly.estimate.filter.filter_records import (
     STATE_COUNT,
 )
 from mufly.estimate.kalman_estimator import KalmanEstimator
-from mufly.estimate.nees import compute_normalised_errors
+from mufly.estimate.nees import compute_normalised_squared_errors
 from mufly.quantities.units import GRAVITY
 from mufly.results import result
 from mufly.rotations import quaternion_from_euler
@@ -60,7 +60,7 @@ from mufly.vehicle import load_vehicle, replace_parameters
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-_MOTORS_ON_INPUT, _MOTORS_OFF_INPUT = np.array([1.0, 1.0, 0.0, 0.0]), np.zeros(4)
+_ASSUMED_FLYING_INPUTS, _ASSUMED_RESTING_INPUTS = np.array([1.0, 1.0, 0.0, 0.0]), np.zeros(4)
 _REST_BLOCK_S, _MIN_REST_S = 0.5, 1.0
 _REST_STD_LIMITS = 0.3, 0.05
 """Standard deviations of specific force (m/s^2) and rates (rad/s) over half a second below which it counts as rest."""
@@ -299,7 +299,10 @@ def run_filter_on_log(
             if aids.measured_s[i] >= begin and np.isfinite(rows[i]).all():
                 latest["position_fix"] = Reading(rows[i], float(aids.measured_s[i]) - begin)
         told.append(
-            e.update(Readings(t - begin, dict(latest)), _MOTORS_ON_INPUT if log.is_flying[k] else _MOTORS_OFF_INPUT)
+            e.update(
+                Readings(t - begin, dict(latest)),
+                _ASSUMED_FLYING_INPUTS if log.is_flying[k] else _ASSUMED_RESTING_INPUTS,
+            )
         )
         if on_progress is not None and (k % 500 == 0 or k + 1 == count):
             on_progress(k + 1, count)
@@ -403,7 +406,7 @@ def compute_aid_innovations(
         ahead = float(aids.measured_s[i] - log.time_s[k])
         nu[j] = aids.position[i] - e.position - ahead * e.velocity
         s[j] = e.covariance[:ERROR_VELOCITY, :ERROR_VELOCITY] + aids.std_m**2 * np.eye(3)
-    square = compute_normalised_errors(nu, s)
+    square = compute_normalised_squared_errors(nu, s)
     return AidInnovations(
         count=len(use), nis=float(square.mean()) / 3, position_rms_m=float(np.sqrt(np.square(nu).sum(axis=1).mean())),
         likelihood=float(-0.5 * (square + np.linalg.slogdet(s)[1]).mean()),

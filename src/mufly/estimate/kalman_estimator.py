@@ -32,13 +32,13 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_WIND,
     READING_ACCELERATION,
     READING_BATTERY,
-    READING_OFFSETS,
     READING_POSITION_FIX,
     READING_RANGE_RING,
     READING_SONAR,
     READING_STARTS,
     READING_WIDTHS,
     SENSOR_COUNT,
+    SUBTRACTED_READING_OFFSETS,
     filter_settings,
     fused_beam_indices,
     memory_type,
@@ -55,7 +55,7 @@ from mufly.world import World
 _Array = NDArray[np.float64]
 _VOLTAGE_START = READING_STARTS[READING_BATTERY]
 _ACCELERATION_SLICE = slice(READING_STARTS[READING_ACCELERATION], READING_STARTS[READING_ACCELERATION] + 3)
-MAX_MISSED_PERIODS = 10
+MAX_MISSED_PERIODS_PER_UPDATE = 10
 """Lost periods that the filter makes up at once; a board's watchdog allows no more (50 ms at 200 Hz)."""
 PUBLISHED_FIELDS = (
     "covariance_output", "sigma_output", "status", "reason", "reason_number", "innovation", "innovation_sigma",
@@ -65,7 +65,7 @@ PUBLISHED_FIELDS = (
 
 
 @cached_njit(error_model="numpy")
-def filter_ring_scan(scan: _Array, max_range_m: float, scans: _Array, ranges: _Array) -> None:
+def median_filter_ring_scan(scan: _Array, max_range_m: float, scans: _Array, ranges: _Array) -> None:
     """Process a scan of the ring (n,): compute the median of each beam's last three readings.
 
     The median removes single false detections, which would cause detours, and delays true ones by one reading.
@@ -161,7 +161,7 @@ class KalmanEstimator(Estimator):
     def set_settings(self, settings: Any) -> None:
         """Replace the settings (:func:`mufly.estimate.filter.filter_records.filter_settings`) and reset."""
         self._settings = settings
-        self._store_vehicle_noise()
+        self._copy_vehicle_file_noise()
         self.backend = make_backend(
             settings,
             self._parameters,
@@ -172,7 +172,7 @@ class KalmanEstimator(Estimator):
         )
         self.reset()
 
-    def _store_vehicle_noise(self) -> None:
+    def _copy_vehicle_file_noise(self) -> None:
         """Keep a copy of the vehicle file's sensor noise, because an external fix can replace its own noise in the
         settings.
         """
@@ -223,12 +223,12 @@ class KalmanEstimator(Estimator):
     def process_missed_periods(self, count: int) -> None:
         """Advance by lost periods, each with the inertial readings and actuator inputs of the first period after them.
 
-        The input row already holds that period and is not changed. At most :data:`MAX_MISSED_PERIODS` are made up,
-        because after a longer gap the watchdog of a board has reset it.
+        The input row already holds that period and is not changed. At most :data:`MAX_MISSED_PERIODS_PER_UPDATE` are
+        made up, because after a longer gap the watchdog of a board has reset it.
         """
         rows = (self._input_values, self._input_is_new, self._input_age)
         values, is_new, age = (row.copy() for row in rows)
-        for _ in range(min(count, MAX_MISSED_PERIODS)):
+        for _ in range(min(count, MAX_MISSED_PERIODS_PER_UPDATE)):
             self._input_is_new[:] = 0
             self._input_is_new[:READING_SONAR] = is_new[:READING_SONAR]
             self.backend.step_filter(self._memory_array)
@@ -316,12 +316,12 @@ class KalmanEstimator(Estimator):
         start = READING_STARTS[k]
         if k == READING_RANGE_RING:
             seen = np.asarray(r.value, dtype=np.float64)
-            filter_ring_scan(seen, self._max_range_m, self.ring_scans, self.ranges)
+            median_filter_ring_scan(seen, self._max_range_m, self.ring_scans, self.ranges)
             z[start : start + len(self._beam_indices)] = seen[self._beam_indices]
         else:
             if k == READING_POSITION_FIX and self.uses_fix_covariance:
                 self._set_fix_noise(r, 0.0 if math.isnan(before_s) else r.time_s - before_s)
-            offset = READING_OFFSETS[k]
+            offset = SUBTRACTED_READING_OFFSETS[k]
             z[start : start + READING_WIDTHS[k]] = r.value - offset if offset else r.value
 
     def _set_fix_noise(self, fix: Reading, since_s: float) -> None:

@@ -34,7 +34,7 @@ ERROR_BLOCKS = {
 _EMPTY_BLOCK_RESULT = (math.nan, math.nan)
 
 
-def compute_normalised_errors(errors: _Array, covariances: _Array) -> _Array:
+def compute_normalised_squared_errors(errors: _Array, covariances: _Array) -> _Array:
     """Return e^T P^-1 e of each row; errors (k, n), covariances (k, n, n)."""
     solved = np.linalg.solve(covariances, errors[..., None])[..., 0]
     found: _Array = np.einsum("ki,ki->k", errors, solved)
@@ -157,7 +157,7 @@ def measure_row_consistency(
     e[:, ERROR_ATTITUDE:] = np.angle(np.exp(1j * e[:, ERROR_ATTITUDE:]))
     some = e[::every]
     p = np.array([told[k].covariance[:ERROR_GYRO_BIAS, :ERROR_GYRO_BIAS] for k in use[::every]])
-    nees = compute_normalised_errors(some[:, known], p[:, known][:, :, known])
+    nees = compute_normalised_squared_errors(some[:, known], p[:, known][:, :, known])
     blocks = [
         _measure_block(some[:, b], p[:, b, b]) if known[b].all() else _EMPTY_BLOCK_RESULT for b in ERROR_BLOCKS.values()
     ]
@@ -186,7 +186,7 @@ def measure_row_consistency(
 
 def _measure_block(errors: _Array, covariances: _Array) -> tuple[float, float]:
     """Return NEES / n of a block (k, n), and the share of its instants inside the 95 % ellipsoid."""
-    nees, n = compute_normalised_errors(errors, covariances), errors.shape[1]
+    nees, n = compute_normalised_squared_errors(errors, covariances), errors.shape[1]
     return float(nees.mean()) / n, float(np.mean(nees < stats.chi2.ppf(0.95, n)))
 
 

@@ -95,7 +95,7 @@ _ACCEL_OR_MODEL, _ROTOR_MODEL = (
     "rotor model (thrust, drag, wind): ",
 )
 _MAGNETOMETER_OR_IRON = "magnetometer, steel or motor currents: "
-REASONS_WITH_CAUSES = (_FIX_OR_SONAR, _FIX_OR_GYRO, _ACCEL_OR_MODEL, _ROTOR_MODEL, _MAGNETOMETER_OR_IRON)
+REASON_CAUSE_PREFIXES = (_FIX_OR_SONAR, _FIX_OR_GYRO, _ACCEL_OR_MODEL, _ROTOR_MODEL, _MAGNETOMETER_OR_IRON)
 """Openings of reasons that name the possible causes themselves, where this sensor alone is not accused."""
 _REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
     g.REASON_NONE: lambda x, u: "",

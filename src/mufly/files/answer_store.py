@@ -1,9 +1,9 @@
 """Store of computed answers on disk, for caching and for resumption of interrupted runs.
 
-A file belongs to a question, the hash of all inputs of its answers (:func:`hash_question`). If answers depend on the
-program version, the question includes it. There are three forms: a file with one answer (:func:`write_answer`,
-:func:`read_answer`), a folder that belongs to one question (:func:`claim_folder`), and a file with a line for each
-answer, written immediately (:class:`AnswerLines`).
+A file belongs to a question, the hash of all inputs of its answers (:func:`hash_inputs`). If answers depend on the
+program version, the question includes it. There are three forms: a file with one answer (:func:`write_stored_result`,
+:func:`read_stored_result`), a folder that belongs to one question (:func:`claim_folder`), and a file with a line for
+each answer, written immediately (:class:`StoredResultLines`).
 
 Files are replaced atomically (:func:`replace_file`), so processes may write the same answer at the same time. A damaged
 file, or one of another question, raises an error if the caller gives its words; otherwise it is recomputed.
@@ -44,7 +44,7 @@ def cache_folder(room: str) -> Path | None:
     return (Path(chosen) if chosen else user_cache_path("mufly")) / room
 
 
-def hash_question(*parts: object) -> str:
+def hash_inputs(*parts: object) -> str:
     """Return a hash of all inputs of a computation, which identifies its stored result.
 
     Arrays and bytes are hashed as they are, other values as JSON with sorted keys, or by ``repr`` if not JSON.
@@ -78,7 +78,7 @@ def replace_file(path: Path, remedy: str = "give another place") -> Iterator[Pat
             part.unlink()
 
 
-def write_answer(path: Path, question: str, content: Mapping[str, Any], *, indent: int | None = None) -> None:
+def write_stored_result(path: Path, question: str, content: Mapping[str, Any], *, indent: int | None = None) -> None:
     """Store the result of a computation with the hash of its inputs (``question``): arrays as ``.npz``, else JSON.
 
     Raises
@@ -95,7 +95,7 @@ def write_answer(path: Path, question: str, content: Mapping[str, Any], *, inden
             part.write_text(json.dumps(whole, indent=indent, default=lambda a: a.tolist()) + "\n", encoding="utf-8")
 
 
-def read_answer(
+def read_stored_result(
     path: Path,
     question: str,
     *,
@@ -103,7 +103,7 @@ def read_answer(
     other: Words | None = None,
     where: Path | None = None,
 ) -> dict[str, Any] | None:
-    """Read a stored result of :func:`write_answer`; None if it is missing, damaged or belongs to other inputs.
+    """Read a stored result of :func:`write_stored_result`; None if it is missing, damaged or belongs to other inputs.
 
     Raises
     ------
@@ -139,11 +139,11 @@ def claim_folder(folder: Path, note: str, question: str, content: Mapping[str, A
     InputError
         If the folder belongs to another question (with the words ``other``) or cannot be written.
     """
-    read_answer(folder / note, question, damaged=other, other=other, where=folder)
-    write_answer(folder / note, question, content, indent=2)
+    read_stored_result(folder / note, question, damaged=other, other=other, where=folder)
+    write_stored_result(folder / note, question, content, indent=2)
 
 
-class AnswerLines(Generic[One]):
+class StoredResultLines(Generic[One]):
     """File of computed results, one line of JSON each, written immediately; a truncated last line is removed.
 
     Parameters

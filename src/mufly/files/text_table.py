@@ -2,7 +2,8 @@
 
 The reader recognises:
 
-- comma, semicolon, tab or blanks as separators, decimal commas and grouped thousands (:func:`detect_layout`);
+- comma, semicolon, tab or blanks as separators, decimal commas and grouped thousands
+  (:func:`detect_separator_and_decimal_mark`);
 - a header line, also after comments (``#``, ``%``, ``//``) or lines of another width (Blackbox Explorer's keys);
 - a line of units below the header;
 - UTF-8, UTF-16, Windows-1252 and gzip.
@@ -54,7 +55,7 @@ _PLAIN_NUMBER_PATTERNS = {
 }
 _FORTRAN_NUMBER_PATTERN = re.compile(r"([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]?\d+)")  # double precision: 1.0D-03
 _MAX_SAMPLED_CELLS = 20_000
-_MIN_TRAILING_ZEROS = 16  # at least this number of trailing zero bytes is no text
+_MIN_TRAILING_ZERO_BYTES = 16  # at least this number of trailing zero bytes is no text
 # Up to this fraction of short rows the rows are faulty; above it the header is.
 _MAX_SHORT_ROW_FRACTION = 0.5
 _MAX_PREAMBLE_LINES = 2000
@@ -144,7 +145,7 @@ class TextTable:
         values = np.full(len(self.rows), math.nan)
         for k, cell in enumerate(self.read_texts(column)):
             if not optional or cell.lower() not in ("", "nan"):
-                values[k] = self.read_cell(k, column, cell)
+                values[k] = self.parse_finite_cell(k, column, cell)
         return values
 
     def read_matrix(self, width: int | None = None) -> NDArray[np.float64]:
@@ -160,7 +161,7 @@ class TextTable:
             raise InputError(self.where, "", problem, f"give {width}")
         return np.column_stack([self.read_numbers(k) for k in range(width or len(self.header))])
 
-    def read_cell(self, row: int, column: int, cell: str) -> float:
+    def parse_finite_cell(self, row: int, column: int, cell: str) -> float:
         """Return the text ``cell`` as a finite number; ``row`` and ``column`` name its place in errors.
 
         Raises
@@ -251,7 +252,7 @@ def read_text_table(path: str | Path, *, short_rows: Literal["refuse", "cut", "d
     rows = [s for s in lines if (bare := s.lstrip()) and not bare.startswith(_COMMENT_MARKS)]
     if len(rows) < len(lines):
         numbers = [n for s, n in zip(lines, numbers, strict=True) if _is_content_line(s)]
-    separator, decimal = detect_layout(rows)
+    separator, decimal = detect_separator_and_decimal_mark(rows)
     if separator == " " and _has_title_line(rows, decimal):
         notes.append(f"line {numbers[0]} is a title ({' '.join(rows[0].split())})")
         rows, numbers = rows[1:], numbers[1:]
@@ -383,7 +384,7 @@ def points_group_thousands(cells: Sequence[str], decimal: str) -> bool:
     return not points or all(_GROUPED_NUMBER_PATTERNS[","].fullmatch(c) for c in points)
 
 
-def detect_layout(lines: Sequence[str]) -> tuple[str, str]:
+def detect_separator_and_decimal_mark(lines: Sequence[str]) -> tuple[str, str]:
     """Return the separator of cells in a text, and the decimal mark of its numbers.
 
     Semicolons and tabs have priority, and blanks precede commas if they separate numbers with decimal commas. A comma
@@ -475,7 +476,7 @@ def read_unpacked(path: str | Path, size: int = -1) -> tuple[bytes, str]:
         data = out
     if (
         size < 0
-        and data.endswith(bytes(_MIN_TRAILING_ZEROS))
+        and data.endswith(bytes(_MIN_TRAILING_ZERO_BYTES))
         and (text := data.rstrip(b"\0"))
         and looks_like_table(text)
     ):

@@ -21,7 +21,7 @@ from mufly.estimate.sensor_status import REASON_COUNT, SUSPICIOUS_REASONS, descr
 from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, plan_numbers, setup_numbers
 from mufly.firmware.host_build import Firmware, FirmwareControllers
 from mufly.flight.controllers import Actuators
-from mufly.flight.estimator_health import describe_check, describe_sensor
+from mufly.flight.estimator_health import describe_sensor_status, find_sensor_name
 from mufly.flight.oscillation_detector import ACTUATOR_INPUT_NAMES, Oscillation
 from mufly.logs.mcap import FlightEvent
 from mufly.mission import (
@@ -59,7 +59,7 @@ _REQUIRED_ESTIMATES = ("position", "velocity", "attitude", "rates")
 _MESSAGE_TEMPLATES = tuple(LogMessage)
 
 
-class TextTable:
+class TextNumberTable:
     """Table of the texts that the C code represents by a number."""
 
     def __init__(self) -> None:
@@ -90,7 +90,7 @@ class SoftwareInstance:
 
     def __init__(self, firmware: Firmware, controller: FlightController, plan: MissionPlan) -> None:
         f = self.firmware = firmware
-        self.text_table = TextTable()
+        self.text_table = TextNumberTable()
         self.estimate_record, self.command_record = f.ffi.new("estimate_t *"), f.ffi.new("command_t *")
         self.actuators_record, self.software_record = f.ffi.new("actuators_t *"), f.ffi.new("software_t *")
         self._plan_record, self.setup_record = f.ffi.new("plan_t *"), f.ffi.new("flight_setup_t *")
@@ -266,9 +266,9 @@ class SoftwareInstance:
             for b in message.faulty_sensors
             if b.sensor >= 0
         ]
-        because = f" ({'; '.join(describe_check(c) for c in wrong)})" if wrong else ""
+        because = f" ({'; '.join(describe_sensor_status(c) for c in wrong)})" if wrong else ""
         if word is LogMessage.GIVEN_TEXT:
-            return describe_check(wrong[0]) if wrong else self.text_table.look_up_text(int(numbers[0]))
+            return describe_sensor_status(wrong[0]) if wrong else self.text_table.look_up_text(int(numbers[0]))
         if word is LogMessage.READY_FOR_MISSION:
             return word(self._mission_name)
         if word in (LogMessage.WAYPOINTS_LOADED, LogMessage.ONE_WAYPOINT_LOADED):
@@ -277,7 +277,7 @@ class SoftwareInstance:
             names = [name for k, name in enumerate(_REQUIRED_ESTIMATES) if int(numbers[0]) >> k & 1]
             return word(" and ".join(names) or "all, which is frozen")
         if word is LogMessage.ATTITUDE_CONTRADICTED:
-            return word(" and ".join(describe_sensor(c.name) for c in wrong))
+            return word(" and ".join(find_sensor_name(c.name) for c in wrong))
         if word is LogMessage.POSITION_UNCERTAIN_TOO_LONG:
             return word(numbers[0], because, numbers[1])
         return word(*numbers) + because
@@ -309,7 +309,7 @@ class SoftwareInstance:
             hold_position=tuple(s.hold_position),
             goal=tuple(s.goal),
             hold_heading=s.hold_heading,
-            motion=read_course(s.course),
+            motion=read_active_motion(s.course),
             hover_until_s=s.hover_until_s,
             descent_rate=s.descent_rate,
             descent_acceleration=s.descent_acceleration,
@@ -326,7 +326,7 @@ class SoftwareInstance:
             resumed_after_detour=s.resumed_after_detour,
             scan_duration_s=s.scan_duration_s,
             requested_heading=s.requested_heading if s.has_requested_heading else None,
-            set_point_reference=read_point(s.set_point_reference) if s.has_set_point_reference else None,
+            set_point_reference=read_trajectory_point(s.set_point_reference) if s.has_set_point_reference else None,
             hover_after_take_off=s.hover_after_take_off,
         )
 
@@ -353,42 +353,42 @@ class SoftwareInstance:
         return Oscillation(ACTUATOR_INPUT_NAMES[o.input_name], o.start_s, o.duration_s, o.swing, o.frequency_Hz)
 
 
-def read_profile(p: FFI.CData) -> MotionProfile:
+def read_motion_profile(p: FFI.CData) -> MotionProfile:
     return MotionProfile(p.distance, p.peak_speed, p.ramp_s, p.cruise_s)
 
 
-def read_stop(b: FFI.CData) -> BrakingMotion:
+def read_braking_motion(b: FFI.CData) -> BrakingMotion:
     return BrakingMotion(tuple(b.start), tuple(b.velocity), b.heading, b.duration_s, b.heading_rate, b.turn_duration_s)
 
 
-def read_point(p: FFI.CData) -> TrajectoryPoint:
+def read_trajectory_point(p: FFI.CData) -> TrajectoryPoint:
     return TrajectoryPoint(tuple(p.position), tuple(p.velocity), tuple(p.acceleration), p.heading, p.heading_rate)
 
 
-def read_course(c: FFI.CData) -> Trajectory | BrakingMotion | None:
+def read_active_motion(c: FFI.CData) -> Trajectory | BrakingMotion | None:
     if c.kind == 0:
         return None
     if c.kind == 2:
-        return read_stop(c.brake)
+        return read_braking_motion(c.brake)
     w, curve = c.way, None
     if w.has_spline_curve:
         curve = TimedSpline(
             tuple(tuple(row) for row in w.spline_curve.coefficients),
             tuple(w.spline_curve.arc_lengths),
-            read_profile(w.spline_curve.speed_profile),
+            read_motion_profile(w.spline_curve.speed_profile),
         )
     return Trajectory(
         tuple(w.start),
         tuple(w.goal),
         w.start_heading,
         w.turn_angle,
-        read_profile(w.height_profile),
-        read_profile(w.yaw_profile),
-        read_profile(w.path_profile),
+        read_motion_profile(w.height_profile),
+        read_motion_profile(w.yaw_profile),
+        read_motion_profile(w.path_profile),
         w.path_start_s,
         w.duration_s,
         curve,
-        read_stop(w.initial_braking) if w.has_initial_braking else None,
+        read_braking_motion(w.initial_braking) if w.has_initial_braking else None,
         PendingCurve(tuple(tuple(row) for row in w.spline_curve.coefficients), *w.curve_limits)
         if w.pending_parts
         else None,

@@ -9,8 +9,8 @@ import numpy as np
 
 from mufly.errors import InputError
 from mufly.estimate import Estimate
-from mufly.flight.estimator_health import describe_check, sensor_checks
-from mufly.mission import Mission, check_geometry, check_mission, describe_start_fault
+from mufly.flight.estimator_health import describe_sensor_status, list_sensor_statuses
+from mufly.mission import Mission, check_geometry, check_mission_endurance, describe_start_fault
 from mufly.world import World, obstacle_distance, obstacle_distances
 
 BATTERY_MARGIN_V = 0.2
@@ -18,7 +18,7 @@ BATTERY_MARGIN_V = 0.2
 
 MAX_ARMING_SPEED_M_S, MAX_ARMING_RATE_RAD_S = 0.1, 0.2
 MAX_ESTIMATE_AGE_S = 0.5
-MAX_STANDING_ERROR_M = 0.05
+MAX_STANDING_HEIGHT_ERROR_M = 0.05
 """Largest error of the estimated height above the floor on the floor (m); the scatter there is below 0.01 m."""
 
 
@@ -70,7 +70,9 @@ def find_arming_faults(
             f"battery low: {volts:.2f} V at rest; flights end at {low_V:.2f} V; charge the battery to {needed:.2f} V"
         )
     if not m.valid and not missing:
-        wrong = [describe_check(c) for c in sensor_checks(m) if c.status in ("missing", "faulty", "rejected")]
+        wrong = [
+            describe_sensor_status(c) for c in list_sensor_statuses(m) if c.status in ("missing", "faulty", "rejected")
+        ]
         because = f" ({'; '.join(wrong)})" if wrong else ""
         why.append(f"estimate is not valid{because}; leave the vehicle at rest")
     if missing:
@@ -80,20 +82,20 @@ def find_arming_faults(
         why.append(f"{tilted}; set the vehicle on level ground, or check the accelerometers")
     if m.auxiliary_states is not None and standing_m is not None:
         height = -float(m.position[2]) - m.auxiliary_states.floor_height
-        if abs(height - standing_m) > MAX_STANDING_ERROR_M:
+        if abs(height - standing_m) > MAX_STANDING_HEIGHT_ERROR_M:
             why.append(
                 f"the estimate is {height:.2f} m above the floor, where the standing vehicle is {standing_m:.2f} m "
                 "above it; check the sonar and its place, or set the vehicle on the floor"
             )
     if np.linalg.norm(m.velocity) > MAX_ARMING_SPEED_M_S or np.abs(m.rates).max() > MAX_ARMING_RATE_RAD_S:
         why.append("the vehicle is moving; set it down and leave it at rest")
-    near = check_place(world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m)
+    near = check_obstacle_clearance(world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m)
     if near:
         why.append(f"the vehicle stands {near}")
     return why
 
 
-def check_place(world: World, position: tuple[float, float, float], keep_m: float) -> str:
+def check_obstacle_clearance(world: World, position: tuple[float, float, float], keep_m: float) -> str:
     """Return why a position is refused: closer than ``keep_m`` (m) to a known obstacle; "" for a free position."""
     if world.is_empty:
         return ""
@@ -155,7 +157,9 @@ def check_mission_start(
         here = mission.with_parts(start_m=standing, start_heading_deg=heading_deg)
         name = mission.name or "mission"
         check_geometry(here, name)
-        check_mission(here, hover_current_A=hover_current_A, capacity_Ah=capacity_Ah, charge=charge, where=name)
+        check_mission_endurance(
+            here, hover_current_A=hover_current_A, capacity_Ah=capacity_Ah, charge=charge, where=name
+        )
     except InputError as error:
         return str(error)
     return ""

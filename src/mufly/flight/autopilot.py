@@ -24,10 +24,10 @@ from mufly.control import FlightController
 from mufly.dynamics import standing_height
 from mufly.errors import InputError
 from mufly.estimate import Estimate, SensorStatus
-from mufly.flight.arming import check_climb_column, check_place, find_arming_faults
+from mufly.flight.arming import check_climb_column, check_obstacle_clearance, find_arming_faults
 from mufly.flight.controllers import Actuators
 from mufly.flight.energy_check import EnergyCheck
-from mufly.flight.estimator_health import SensorEventReporter, preflight_warning
+from mufly.flight.estimator_health import SensorEventReporter, describe_missing_position_sensor
 from mufly.flight.flight_software import FlightSoftware
 from mufly.flight.flight_state import FlightState
 from mufly.flight.tunable_parameters import TunableParameter, TunableParameters
@@ -67,7 +67,7 @@ SET_POINT_TIMEOUT_S, STICKS_TIMEOUT_S = 0.5, 1.0
 FENCE_RETURN_MARGIN_M, FENCE_REPEAT_DEPTH_M = 0.1, 1.0
 """Distance inside the fence that ends a breach, and additional distance outside that repeats the action (m)."""
 
-STICKS_BLOCKED_S = 2.0
+STICKS_BLOCKED_AFTER_BREACH_S = 2.0
 """Time after a breach during which sticks are refused (s); the vehicle comes to rest in it."""
 
 _FALL_HEIGHT_M = 0.1  # height above the standing position from which stopped motors mean a fall
@@ -146,7 +146,7 @@ class Autopilot:
 
     # one period
 
-    def observe_estimate(self, estimate: Estimate) -> None:
+    def store_estimate(self, estimate: Estimate) -> None:
         """Store an estimate without a step, for the arming checks before the first step."""
         t = estimate.time_s
         # A clock that was set back still counts as running; a stopped clock makes the estimate stale.
@@ -173,7 +173,7 @@ class Autopilot:
         Actuators
             Zero while the vehicle is not armed.
         """
-        self.observe_estimate(estimate)
+        self.store_estimate(estimate)
         software = self.software
         if software.commands_itself:
             return self._follow_exported_software(estimate)
@@ -240,7 +240,7 @@ class Autopilot:
             Whether the mission logic ran in the last period.
         """
         if estimate is not None:
-            self.observe_estimate(estimate)
+            self.store_estimate(estimate)
         self._sent = sent
         if ran is not None:
             self._ran = ran
@@ -382,7 +382,7 @@ class Autopilot:
             return reject_temporarily(why[0] + more)
         self._armed, self._armed_s = True, self._now
         beware = (
-            preflight_warning(self._estimate, self.software.plan.beam_ring.max_range)
+            describe_missing_position_sensor(self._estimate, self.software.plan.beam_ring.max_range)
             if self._estimate is not None
             else ""
         )
@@ -512,10 +512,10 @@ class Autopilot:
             return deny_request(
                 f"take-off height {height_m:g} m refused: give {MIN_WAYPOINT_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m"
             )
-        answer = self._check_climb(VehicleRequest.TAKE_OFF, height_m)
+        answer = self._check_take_off(VehicleRequest.TAKE_OFF, height_m)
         return self._send_command(Command(take_off_height=float(height_m))) if answer else answer
 
-    def _check_climb(self, ask: VehicleRequest, height_m: float) -> RequestAnswer:
+    def _check_take_off(self, ask: VehicleRequest, height_m: float) -> RequestAnswer:
         """Accept a take-off to ``height_m`` (m), or reject it because of state, attitude, obstacle above or fence."""
         answer = self.status.check_request(ask)
         if not answer:
@@ -540,7 +540,7 @@ class Autopilot:
         if first is not None and not 0 <= first < n:
             return deny_request(f"waypoint {first} refused: the mission has the waypoints 0 to {n - 1}")
         if self.software.mission_state.state == "init":
-            answer = self._check_climb(VehicleRequest.START, self.software.plan.mission.take_off.height_m)
+            answer = self._check_take_off(VehicleRequest.START, self.software.plan.mission.take_off.height_m)
             if answer and self._estimate is not None:
                 fault = self.energy_check.check_start_here(self.software.plan.mission, self._estimate)
                 answer = reject_temporarily(fault) if fault else answer
@@ -565,7 +565,7 @@ class Autopilot:
         if fault:
             return deny_request(fault)
         mission = self.software.plan.mission
-        fault = check_place(mission.world, place, mission.avoidance.clearance_m)
+        fault = check_obstacle_clearance(mission.world, place, mission.avoidance.clearance_m)
         if fault:
             return deny_request(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
         here = place if self._estimate is None else self._estimate.position
@@ -647,7 +647,7 @@ class Autopilot:
         if not all(math.isfinite(v) for v in values):
             return deny_request("sticks refused: give finite numbers")
         answer = self.status.check_request(VehicleRequest.STICKS)
-        if answer and self._breach and self._now - self._breach_s < STICKS_BLOCKED_S:
+        if answer and self._breach and self._now - self._breach_s < STICKS_BLOCKED_AFTER_BREACH_S:
             answer = reject_temporarily("the vehicle has just left its fence; wait until it hovers, then fly it back")
         if not answer:
             return answer

@@ -118,7 +118,7 @@ class Controllers:
         self._target, self._settled = design, False
 
     @property
-    def is_settled(self) -> bool:
+    def are_gains_settled(self) -> bool:
         """Whether all parameters have reached their targets."""
         return self._settled
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mufly.drive import charge_at_rest
+from mufly.drive import find_charge_from_idle_voltage
 from mufly.dynamics import hover_current_A
 from mufly.estimate import Estimate
 from mufly.flight.arming import check_mission_start
@@ -14,7 +14,7 @@ from mufly.mission import Mission
 from mufly.mission.files.mission_timing import compute_time_to_land_at
 from mufly.vehicle import Vehicle
 
-FULL_CHARGE = 0.97
+MIN_FULL_CHARGE = 0.97
 """Charge (0..1) above which the battery counts as full: the voltage at rest is known to a few hundredths of a volt."""
 
 _REST_FILTER_S = 1.0  # time constant of the filtered voltage at rest
@@ -59,8 +59,8 @@ class EnergyCheck:
         """Charge of the battery (0..1) from its voltage at rest, in steps of 0.01; 1 if full or unknown."""
         if math.isnan(self._rest_V):
             return 1.0
-        charge = round(charge_at_rest(self._battery, self._rest_V), 2)
-        return 1.0 if charge >= FULL_CHARGE else charge
+        charge = round(find_charge_from_idle_voltage(self._battery, self._rest_V), 2)
+        return 1.0 if charge >= MIN_FULL_CHARGE else charge
 
     def check_start(self, mission: Mission, standing: tuple[float, float], heading: float) -> str:
         """Return why the mission must not start at N, E (m) with a heading (rad); "" if the mission may start."""

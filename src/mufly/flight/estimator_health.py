@@ -43,7 +43,7 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import sine_cosine
 from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_POSITION
-from mufly.estimate.sensor_status import REASONS_WITH_CAUSES
+from mufly.estimate.sensor_status import REASON_CAUSE_PREFIXES
 from mufly.mission.machine.log_messages import LogMessage
 from mufly.quantities.sensor_table import CHECKED
 
@@ -86,17 +86,17 @@ _INERTIAL_READINGS = ("acceleration", "rates")
 _ATTITUDE_AIDS = tuple(row.name for row in CHECKED if row.is_attitude_aid)
 
 
-def describe_sensor(reading: str) -> str:
+def find_sensor_name(reading: str) -> str:
     """Return the name of the sensor that supplies a reading."""
     return _SENSOR_NAMES.get(reading, reading.replace("_", " "))
 
 
-def sensor_checks(m: Estimate) -> Sequence[SensorStatus]:
+def list_sensor_statuses(m: Estimate) -> Sequence[SensorStatus]:
     """Return the estimator's status of each sensor; empty for an ideal estimator."""
     return () if m.auxiliary_states is None else m.auxiliary_states.checks
 
 
-def position_std_growth(m: Estimate, stood: float = 0.0) -> float:
+def compute_added_position_std(m: Estimate, stood: float = 0.0) -> float:
     """Return the square root (m) of the growth of the position's variance since the vehicle stood on the floor.
 
     ``stood`` is the variance on the floor (m2).
@@ -121,21 +121,21 @@ def is_estimate_doubted(check: SensorStatus, checks: Sequence[SensorStatus]) -> 
     )
 
 
-def describe_check(check: SensorStatus, checks: Sequence[SensorStatus] = ()) -> str:
+def describe_sensor_status(check: SensorStatus, checks: Sequence[SensorStatus] = ()) -> str:
     """Return a sensor's name, status and reason as text, or the possible causes if no single sensor is at fault.
 
     ``checks`` are the statuses of all sensors at that time.
     """
-    if check.reason.startswith(REASONS_WITH_CAUSES):
+    if check.reason.startswith(REASON_CAUSE_PREFIXES):
         return check.reason
     if is_estimate_doubted(check, checks):
         others = "rotor model" if check.name in _INERTIAL_READINGS else "inertial unit or rotor model"
         joint = " or " if check.name in _INERTIAL_READINGS else ", "
-        return f"{describe_sensor(check.name)}{joint}{others}: {check.reason}"
+        return f"{find_sensor_name(check.name)}{joint}{others}: {check.reason}"
     state = {"missing": "is missing", "rejected": "is rejected", "faulty": "is faulty"}
     if check.is_suspicious:
         state |= {"fused": "is used despite a fault", "waiting": "has a fault"}
-    return f"{describe_sensor(check.name)} {state.get(check.status, check.status)}" + (
+    return f"{find_sensor_name(check.name)} {state.get(check.status, check.status)}" + (
         f": {check.reason}" if check.reason else ""
     )
 
@@ -143,8 +143,8 @@ def describe_check(check: SensorStatus, checks: Sequence[SensorStatus] = ()) -> 
 def _fault_note(m: Estimate, sources: tuple[str, ...]) -> str:
     """Return a note in brackets on the faults of the readings named in ``sources``; "" without a fault."""
     wrong = [
-        describe_check(c)
-        for c in sensor_checks(m)
+        describe_sensor_status(c)
+        for c in list_sensor_statuses(m)
         if c.name in sources and c.status in ("missing", "rejected", "faulty")
     ]
     return f" ({'; '.join(wrong)})" if wrong else ""
@@ -165,7 +165,7 @@ def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = Tru
     if m.auxiliary_states is None:
         return HEALTHY_DECISION
     variance = m.covariance.diagonal()
-    place, height = position_std_growth(m, stood), math.sqrt(variance[ERROR_POSITION + 2])
+    place, height = compute_added_position_std(m, stood), math.sqrt(variance[ERROR_POSITION + 2])
     tilt = math.sqrt(max(variance[ERROR_ATTITUDE], variance[ERROR_ATTITUDE + 1]))
     heading = math.sqrt(variance[ERROR_ATTITUDE + 2])
     if tilt > MAX_TILT_SIGMA_RAD:
@@ -176,9 +176,9 @@ def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = Tru
         return HealthDecision(
             "land", f"heading uncertain by {math.degrees(heading):.0f} deg{_fault_note(m, _HEADING_READINGS)}"
         )
-    rates = next((c for c in sensor_checks(m) if c.name == "rates"), None)
+    rates = next((c for c in list_sensor_statuses(m) if c.name == "rates"), None)
     if rates is not None and rates.status == "rejected":
-        return HealthDecision("land", describe_check(rates))
+        return HealthDecision("land", describe_sensor_status(rates))
     if height > MAX_HEIGHT_SIGMA_M and height_counts:
         return HealthDecision("land", f"height uncertain by {height:.2f} m{_fault_note(m, _HEIGHT_READINGS)}")
     if place > HOLD_POSITION_SIGMA_M:
@@ -189,7 +189,7 @@ def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = Tru
 
 def gyro_unavailable(m: Estimate) -> bool:
     """Whether the gyroscopes are unusable, so that the angular rates come from the rotor model."""
-    return any(c.name == "rates" and c.status in ("missing", "faulty", "rejected") for c in sensor_checks(m))
+    return any(c.name == "rates" and c.status in ("missing", "faulty", "rejected") for c in list_sensor_statuses(m))
 
 
 @dataclass
@@ -236,7 +236,7 @@ class HealthMonitor:
                 self._hold_since_s = t
                 return self._set_decision(found)
         elif self.verdict.action == "hold":
-            if position_std_growth(m, self.standing_position_variance_m2) >= RESUME_POSITION_SIGMA_M:
+            if compute_added_position_std(m, self.standing_position_variance_m2) >= RESUME_POSITION_SIGMA_M:
                 self._position_certain_since_s = math.nan
             elif math.isnan(self._position_certain_since_s):
                 self._position_certain_since_s = t
@@ -254,12 +254,12 @@ class HealthMonitor:
         Corrections of such a position jump by metres a second. The controllers then hold zero horizontal velocity.
         """
         return self.verdict.action == "land" and (
-            position_std_growth(m, self.floor_variance_m2) > HOLD_POSITION_SIGMA_M
+            compute_added_position_std(m, self.standing_position_variance_m2) > HOLD_POSITION_SIGMA_M
         )
 
     def _judge_attitude_sensors(self, m: Estimate) -> HealthDecision:
         """Return the failsafe action on lost gyroscopes, or on attitude aids that contradict the estimate."""
-        for c in sensor_checks(m):
+        for c in list_sensor_statuses(m):
             bad = c.status in (("missing", "faulty") if c.name == "rates" else ("rejected",))
             if not bad:
                 self._fault_since_s.pop(c.name, None)
@@ -268,10 +268,12 @@ class HealthMonitor:
         lasting = {n: m.time_s - since for n, since in self._fault_since_s.items()}
         against = [n for n in _ATTITUDE_AIDS if lasting.get(n, 0.0) > ATTITUDE_CONTRADICTION_DELAY_S]
         if len(against) > 1:
-            aids = " and ".join(describe_sensor(n) for n in against)
+            aids = " and ".join(find_sensor_name(n) for n in against)
             return HealthDecision("sink", LogMessage.ATTITUDE_CONTRADICTED(aids))
         if lasting.get("rates", 0.0) > GYRO_LOSS_DELAY_S:
-            return HealthDecision("land", next(describe_check(c) for c in sensor_checks(m) if c.name == "rates"))
+            return HealthDecision(
+                "land", next(describe_sensor_status(c) for c in list_sensor_statuses(m) if c.name == "rates")
+            )
         return HEALTHY_DECISION
 
     def _set_decision(self, found: HealthDecision) -> HealthDecision:
@@ -281,7 +283,7 @@ class HealthMonitor:
 
 CORRECTION_TIME_S = 0.3
 """Time constant with which corrections of position and heading reach the controllers (s)."""
-MAX_CORRECTION_M_S, MAX_CORRECTION_RAD_S = 0.5, 0.5
+MAX_CORRECTION_SPEED_M_S, MAX_CORRECTION_TURN_RATE_RAD_S = 0.5, 0.5
 """Largest rates of these corrections."""
 
 
@@ -339,13 +341,13 @@ def _propagate_smoothed(
     for k in range(3):
         v = 0.5 * (before[k] + velocity[k])
         off = (position[k] - place[k] - dt * v) / CORRECTION_TIME_S
-        moved[k] = place[k] + dt * (v + min(max(off, -MAX_CORRECTION_M_S), MAX_CORRECTION_M_S))
+        moved[k] = place[k] + dt * (v + min(max(off, -MAX_CORRECTION_SPEED_M_S), MAX_CORRECTION_SPEED_M_S))
     roll, pitch = attitude[0], attitude[1]
     sine, cosine = sine_cosine(roll)
     turn = (sine * rates[1] + cosine * rates[2]) / max(sine_cosine(pitch)[1], 0.1)
     away = (attitude[2] - heading - dt * turn) / CORRECTION_TIME_S
     turned[0], turned[1] = roll, pitch
-    turned[2] = heading + dt * (turn + min(max(away, -MAX_CORRECTION_RAD_S), MAX_CORRECTION_RAD_S))
+    turned[2] = heading + dt * (turn + min(max(away, -MAX_CORRECTION_TURN_RATE_RAD_S), MAX_CORRECTION_TURN_RATE_RAD_S))
     return moved, turned
 
 
@@ -394,7 +396,7 @@ class SensorEventReporter:
                 )
                 if level >= FAULT_REPORT_DELAY_S and name not in self.reported_status:
                     self.reported_status[name] = check.status
-                    said.append((describe_check(check, checks), "warning"))
+                    said.append((describe_sensor_status(check, checks), "warning"))
             elif check.status == "fused":
                 level = self._fault_level.get(name, 0.0)
                 if level > 0.0:
@@ -404,14 +406,14 @@ class SensorEventReporter:
                     if self._fused_duration_s[name] >= RECOVERY_REPORT_DELAY_S:
                         del self.reported_status[name]
                         self._fault_level[name] = 0.0
-                        said.append((f"{describe_sensor(name)} is used again", "info"))
+                        said.append((f"{find_sensor_name(name)} is used again", "info"))
         return said
 
 
 # Checks before take-off
 
 
-def preflight_warning(m: Estimate, reach_m: float) -> str:
+def describe_missing_position_sensor(m: Estimate, reach_m: float) -> str:
     """Return a warning if no sensor will measure the horizontal position in flight; "" otherwise.
 
     Parameters
@@ -421,7 +423,7 @@ def preflight_warning(m: Estimate, reach_m: float) -> str:
     reach_m : float
         Range of the laser ring (m).
     """
-    checks = {c.name: c for c in sensor_checks(m)}
+    checks = {c.name: c for c in list_sensor_statuses(m)}
     if not checks:
         return ""
     fix, ring = checks.get("position_fix"), checks.get("ranges")
@@ -432,7 +434,7 @@ def preflight_warning(m: Estimate, reach_m: float) -> str:
         why = (
             "no position fix on board"
             if fix is None
-            else describe_check(fix)
+            else describe_sensor_status(fix)
             if fix.status != "waiting"
             else "no position fix"
         )

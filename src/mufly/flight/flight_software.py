@@ -73,7 +73,7 @@ from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.floating[Any]]
 
-MEASUREMENT_TIMEOUT_S = 0.5
+ESTIMATE_TIMEOUT_S = 0.5
 """Longest time without a new estimate in flight (s)."""
 
 RAMP_DOWN_SKIPPED_FRACTION = 0.8
@@ -328,7 +328,7 @@ class FlightSoftware:
             return True
         # With the motors off the vehicle stands still, and a repeated measurement is no fault.
         running_s = w.last_good.time_s - self._since_s if self._motors in ("spin_up", "fly") else 0.0
-        return min(w.lost_s, running_s) > MEASUREMENT_TIMEOUT_S
+        return min(w.lost_s, running_s) > ESTIMATE_TIMEOUT_S
 
     def _act_on_health(self, m: Estimate) -> str:
         """Hold or land on an uncertain estimate; return the reason of an immediate blind descent, "" without one."""
@@ -496,8 +496,8 @@ _MAX_DESCENT_M_S, _TOUCHDOWN_DESCENT_M_S = (
     0.9,
     0.5,
 )  # limits of the rate of descent; a slow descent drifts farther
-_DESCENT_ENERGY_GAIN = 1.0 / (2.0 * GRAVITY * 0.4)  # voltage fraction per rate of descent (s/m)
-_MIN_DESCENT_FRACTION, _MAX_DESCENT_FRACTION = 0.92, 1.08
+_DESCENT_RATE_GAIN_S_M = 1.0 / (2.0 * GRAVITY * 0.4)  # voltage fraction per rate of descent (s/m)
+_MIN_DESCENT_VOLTAGE_FRACTION, _MAX_DESCENT_VOLTAGE_FRACTION = 0.92, 1.08
 _DESCENT_MARGIN_S = 1.0
 
 
@@ -535,7 +535,10 @@ def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_
 def descent_voltage_fraction(height_m: float, descent_m_s: float) -> float:
     """Return the fraction of the hover voltages that brings the rate of descent to its target at a height (m)."""
     wanted = min(max(height_m, _TOUCHDOWN_DESCENT_M_S), _MAX_DESCENT_M_S)
-    return min(max(1.0 + _DESCENT_ENERGY_GAIN * (descent_m_s - wanted), _MIN_DESCENT_FRACTION), _MAX_DESCENT_FRACTION)
+    return min(
+        max(1.0 + _DESCENT_RATE_GAIN_S_M * (descent_m_s - wanted), _MIN_DESCENT_VOLTAGE_FRACTION),
+        _MAX_DESCENT_VOLTAGE_FRACTION,
+    )
 
 
 def descent_time_s(height_m: float, gravity: float) -> float:

@@ -69,7 +69,7 @@ class _InputOscillation:
     lowest_value: float = 0.0
     highest_value: float = 0.0
 
-    def reset_count(self) -> None:
+    def clear_half_periods(self) -> None:
         self.half_period_count, self.period_s = 0, 0.0
         self.turning_points.turn_times_s = []
 
@@ -135,7 +135,7 @@ class OscillationDetector:
         """
         if asked is not None and self._is_following_steering(time_s, asked):
             for one in self._inputs:
-                one.reset_count()
+                one.clear_half_periods()
         longest: Oscillation | None = None
         for name, one, value in zip(ACTUATOR_INPUT_NAMES, self._inputs, inputs, strict=True):
             turned = one.turning_points.step(time_s, value)
@@ -147,7 +147,7 @@ class OscillationDetector:
             if turned:
                 self._add_turning_point(one, value)
             elif one.half_period_count and time_s - one.turning_points.turn_times_s[-1] > MAX_OSCILLATION_PERIOD_S:
-                one.reset_count()
+                one.clear_half_periods()
             lasting = one.turning_points.turn_times_s[-1] - one.start_s if one.half_period_count else 0.0
             if one.half_period_count >= 2 * MIN_OSCILLATION_PERIODS and lasting >= MIN_OSCILLATION_S:
                 found = Oscillation(
@@ -169,7 +169,7 @@ class OscillationDetector:
         period = ended_s - begun_s
         even = period <= MAX_PERIOD_RATIO * one.period_s and one.period_s <= MAX_PERIOD_RATIO * period
         if period > MAX_OSCILLATION_PERIOD_S or (one.half_period_count and not even):
-            one.reset_count()
+            one.clear_half_periods()
         elif one.half_period_count:
             one.half_period_count, one.period_s = one.half_period_count + 1, period
         else:

@@ -28,7 +28,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.camera import CAMERA_FILE_NAME
 from mufly.control import FlightController, design_flight_controller
-from mufly.dynamics import DrydenWind, describe_level_speed, describe_model_excess, model_air_limits, standing_state
+from mufly.dynamics import (
+    DrydenWind,
+    describe_excess_wind,
+    describe_max_level_speed,
+    find_model_airspeed_limits,
+    standing_state,
+)
 from mufly.dynamics.model_state import MODEL_CHARGE
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator
@@ -38,8 +44,8 @@ from mufly.flight.fixes.camera_sensor import (
     LANDED_HEIGHT_M,
     CameraConfig,
     CameraSensor,
+    compute_standing_sonar_limit,
     make_picture_stream,
-    minimum_sonar_height,
     replace_fix_by_camera,
     with_mission_floor,
 )
@@ -55,7 +61,7 @@ from mufly.flight.period_stages import (
     make_stepper,
 )
 from mufly.flight.record.recorder import open_flight_recorder
-from mufly.flight.record.sensor_recording import FIX_DRIFT_ATTRIBUTE, make_sensed_row_writer
+from mufly.flight.record.sensor_recording import FIX_CORRELATION_TIME_ATTRIBUTE, make_sensed_row_writer
 from mufly.flight.simulated_plant import SimulatedPlant, make_row_writer
 from mufly.logs.mcap import FlightEvent
 from mufly.mission import Mission, State, load_mission
@@ -65,9 +71,9 @@ from mufly.sensors import (
     Readings,
     SensorSet,
     Truth,
-    draw_leaning_vehicle,
     fitted_sensors,
     ideal_sensors,
+    randomise_leg_lengths,
 )
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.version import __version__
@@ -182,13 +188,13 @@ class Flight:
             if controllers is not None:
                 self.autopilot.software.use_controllers(cast(Callable[[FlightController], Controllers], controllers))
         air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
-        self.outside_model_note = describe_model_excess(vehicle, steady, gust)
-        unit = draw_leaning_vehicle(vehicle, seed=seed) if sensors == "fitted" else vehicle
+        self.outside_model_note = describe_excess_wind(vehicle, steady, gust)
+        unit = randomise_leg_lengths(vehicle, seed=seed) if sensors == "fitted" else vehicle
         self._start = standing_state(unit, mission.start_m, math.radians(mission.start_heading_deg))
         self.plant = SimulatedPlant(unit, mission.world, air, controller.rate_Hz, self._start)
         self.look_periods = max(1, round(controller.rate_Hz / RANGE_RING_RATE_HZ))
         start = (*mission.start_m, math.radians(mission.start_heading_deg))
-        self._least_m = minimum_sonar_height(vehicle)
+        self._least_m = compute_standing_sonar_limit(vehicle)
         self.camera: CameraSensor | None = None
         self.outside_fixes: ExternalFixes | None = None
         if outside:
@@ -207,12 +213,12 @@ class Flight:
         if self.camera is not None:
             self.camera.estimate_source = self._estimate_and_sonar
         if fixes is not None:
-            self.autopilot.excused_sensors = self._blinded_sensors
+            self.autopilot.excused_sensors = self._excused_sensors
         weighed: dict[str, float] = {}
         if fixes is not None and isinstance(estimator, KalmanEstimator):
             estimator.uses_fix_covariance = True
             estimator.fix_correlation_s = 0.0 if self.camera is None else self.camera.fix_drift_time_s
-            weighed = {FIX_DRIFT_ATTRIBUTE: estimator.fix_correlation_s}
+            weighed = {FIX_CORRELATION_TIME_ATTRIBUTE: estimator.fix_correlation_s}
         self.missing_sensors_note = (
             f"{vehicle.name} has no table [sensors]: the vehicle flies on the true state"
             if sensors == "fitted" and not sensed
@@ -227,8 +233,8 @@ class Flight:
                 "seed": seed,
                 "wind_m_s": steady.tolist(),
                 "gust_m_s": gust,
-                "model_air_m_s": model_air_limits(vehicle)[1:],
-                "level_speed": describe_level_speed(vehicle),
+                "model_air_m_s": find_model_airspeed_limits(vehicle)[1:],
+                "level_speed": describe_max_level_speed(vehicle),
                 **({"outside_model": self.outside_model_note} if self.outside_model_note else {}),
                 "rate_Hz": controller.rate_Hz,
                 **({} if designed_for is None else {"designed_for": designed_for.name}),
@@ -269,7 +275,7 @@ class Flight:
         self._is_estimated = False
         self._measure_sensors()
         self._estimate = self.estimator.update(self.readings, np.zeros(4))
-        self.autopilot.observe_estimate(self._estimate)
+        self.autopilot.store_estimate(self._estimate)
         self.is_first_period, self._rests = True, False
         # A filter must process each instant once, and it has processed the first instant of the next period.
         self._is_estimated = self.uses_fitted_sensors
@@ -281,7 +287,7 @@ class Flight:
         sonar = self.readings.latest.get("ground_distance")
         return self._estimate, math.nan if sonar is None else float(sonar.value)
 
-    def _blinded_sensors(self) -> tuple[str, ...]:
+    def _excused_sensors(self) -> tuple[str, ...]:
         """Return the sensors that cannot measure at present, which the filter must not report as faulty.
 
         On the floor the camera sees nothing, so it is listed from touchdown until the sonar shows the next lift-off.
@@ -333,7 +339,7 @@ class Flight:
         if self._many is None or not self._many(until, **more):
             self.step_period()
 
-    def set_instant(self, truth: Truth, readings: Readings | None, estimate: Estimate) -> None:
+    def store_loop_results(self, truth: Truth, readings: Readings | None, estimate: Estimate) -> None:
         """Set truth, readings and estimate after periods of the compiled loop.
 
         Readings of None are gathered from the sensors when they are asked for.
@@ -348,7 +354,7 @@ class Flight:
         return self._readings
 
     @property
-    def records_truth(self) -> bool:
+    def records_only_truth(self) -> bool:
         """Whether the rows of the recording hold the truth alone, without readings of fitted sensors."""
         return self._write_sensed is None
 

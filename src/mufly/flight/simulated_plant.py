@@ -17,12 +17,12 @@ from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import (
     DEFAULT_STEP_S,
     DrydenWind,
-    battery_state,
-    fastest_mode_key,
+    compute_battery_supply,
+    find_deepest_contact,
+    find_step_limiting_parameter,
     find_trim,
     integrate_state,
     longest_step,
-    lowest_point,
     model_parameters,
 )
 from mufly.dynamics.model_state import (
@@ -55,7 +55,7 @@ def advance_period(x: _Array, u: _Array, wind: _Array, parameters: Any, dt: floa
     """Advance the state by one period; write the battery's final voltage (V) and current (A) into ``supply`` (2,)."""
     p = parameters[0]
     integrate_state(x, u, wind, p, dt, steps)
-    supply[0], supply[1] = battery_state(x, u[U_MOTOR_UPPER], u[U_MOTOR_LOWER], p)
+    supply[0], supply[1] = compute_battery_supply(x, u[U_MOTOR_UPPER], u[U_MOTOR_LOWER], p)
 
 
 @cached_njit(error_model="numpy")
@@ -88,7 +88,7 @@ def find_collision(
     if obstacles and packed_obstacle_distances(x[POSITION].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius:
         return 1
     if x[MODEL_POSITION + 2] + p.contact_reach > 0.0:
-        depth, point = lowest_point(x, p)
+        depth, point = find_deepest_contact(x, p)
         if depth > 0.0 and point >= legs:
             return 2
     return 0
@@ -119,14 +119,14 @@ class SimulatedPlant:
         self.state = state.copy()
         self.period_count = 0
         self.wind = np.zeros(3)
-        self.voltage, self.current = battery_state(self.state, 0.0, 0.0, self.parameters)
+        self.voltage, self.current = compute_battery_supply(self.state, 0.0, 0.0, self.parameters)
         self.crash_cause = ""
         self._air, self._block = air, max(1, round(_WIND_BLOCK_S * rate_Hz))
         self._coming, self._blown = air.draw_wind_samples(self._block), 0
         longest = min(DEFAULT_STEP_S, longest_step(self.parameters))
         if longest < MIN_STEP_S:
             raise MuflyError(
-                f"{vehicle.name}: the fastest mode ({fastest_mode_key(self.parameters)}) needs steps of "
+                f"{vehicle.name}: the fastest mode ({find_step_limiting_parameter(self.parameters)}) needs steps of "
                 f"{longest * 1e6:.2g} us, too short to simulate a flight"
             )
         self.step_count = math.ceil(1.0 / rate_Hz / longest - 1e-9)
@@ -145,7 +145,7 @@ class SimulatedPlant:
         self.state[:] = state
         self.period_count += 1
         self.crash_cause = ""
-        self.voltage, self.current = battery_state(self.state, 0.0, 0.0, self.parameters)
+        self.voltage, self.current = compute_battery_supply(self.state, 0.0, 0.0, self.parameters)
         self.attitude[:] = 0.0
         true_attitude(self.state, self.attitude)
 
@@ -194,7 +194,7 @@ class SimulatedPlant:
             self.step_count,
             self.battery_output,
         )
-        self.count_periods(1)
+        self.advance_clock(1)
 
     def upcoming_wind(self, most: int) -> NDArray[np.float64]:
         """Return the wind of the next n periods (n, 3; m/s).
@@ -210,7 +210,7 @@ class SimulatedPlant:
         self.wind = wind
         self._blown += periods
 
-    def count_periods(self, periods: int) -> None:
+    def advance_clock(self, periods: int) -> None:
         """Advance the clock by some periods, for which the state is already integrated; store battery voltage and
         current.
         """

@@ -65,8 +65,8 @@ from mufly.fmi.c_types import (
     TableTupleType,
     TableType,
     TupleType,
+    name_result_type,
     pointer_declaration,
-    type_name,
 )
 
 _RESULT_ARGUMENT_MARK, _CONST_MARK = "\1", "\2"
@@ -139,7 +139,7 @@ class CTranslation:
         ]
         structs = []
         for name, kind in self._tuples.items():
-            members = " ".join(f"{type_name(part)} f{k};" for k, part in enumerate(kind.parts))
+            members = " ".join(f"{name_result_type(part)} f{k};" for k, part in enumerate(kind.parts))
             structs.append(f"typedef struct {{ {members} }} {name};")
         enum = ["enum {", *whole, "};"] if whole else []
         return "\n".join([C_HELPER_FUNCTIONS, *enum, "", *real, "", *structs, "", *self._bodies])
@@ -214,10 +214,10 @@ class _FunctionTranslation:
             elif isinstance(kind, RecordType):
                 arguments.append(f"const {kind.name} *{argument}")
             else:
-                arguments.append(f"{type_name(kind)} {escape_c_name(argument)}")
+                arguments.append(f"{name_result_type(kind)} {escape_c_name(argument)}")
         if isinstance(result, TableType):
             arguments.append(pointer_declaration(result, "result_"))
-        head = f"static {type_name(result)} {self._name}({', '.join(arguments)})"
+        head = f"static {name_result_type(result)} {self._name}({', '.join(arguments)})"
         about = (inspect.getdoc(self._function) or "").partition("\n\n")[0].replace("*/", "* /").split()
         place = f"{self._function.__module__}.{self._function.__name__}"
         comment = textwrap.wrap(
@@ -426,7 +426,7 @@ class _FunctionTranslation:
         """Emit a local C constant that stores a value; return its name as an expression."""
         self._count += 1
         name = f"t{self._count}_"
-        self._emit_line(f"const {type_name(value.kind)} {name} = {value.text};")
+        self._emit_line(f"const {name_result_type(value.kind)} {name} = {value.text};")
         return CExpression(name, PRECEDENCE_ATOM, value.kind)
 
     def _translate_assignment(self, target: ast.expr, value: CExpression) -> None:
@@ -447,10 +447,10 @@ class _FunctionTranslation:
             self._emit_line(f"{name} = {value.text};")
             return
         elif self._depth > 1:
-            self._hoisted.append(f"    {type_name(value.kind)} {name};")
+            self._hoisted.append(f"    {name_result_type(value.kind)} {name};")
             self._emit_line(f"{name} = {value.text};")
         else:
-            self._emit_line(f"{type_name(value.kind)} {name} = {value.text};")
+            self._emit_line(f"{name_result_type(value.kind)} {name} = {value.text};")
         self._kinds[target.id] = value.kind
 
     def _declare_array(self, target: ast.expr, value: ast.expr) -> None:

@@ -51,7 +51,7 @@ class TupleType:
 CType = str | TableType | TableTupleType | RecordType | TupleType
 
 
-def type_name(kind: CType) -> str:
+def name_result_type(kind: CType) -> str:
     """Return the C type of a function's result; ``void`` for a table, which the function writes to an argument."""
     if isinstance(kind, TableType):
         return C_VOID

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from mufly.compiled.toolchain import COMPILER_FLAGS
 from mufly.errors import MuflyError
-from mufly.fmi.unit_sensors import RATE_HZ
+from mufly.fmi.unit_sensors import SENSOR_RATE_HZ
 from mufly.fmi.unit_sources import FILTER_SOURCES, UNIT_SOURCE
 from mufly.fmi.unit_variables import UnitInterface, UnitVariable
 from mufly.quantities.units import unit_conversion
@@ -169,7 +169,8 @@ compilation for other platforms.</p>
 </body></html>
 """
 _SENSED_START_TEXT = (
-    f"At the start the helicopter stands on the floor. Sensors and filter run at {RATE_HZ:g} Hz. Parameters act on the "
+    f"At the start the helicopter stands on the floor. Sensors and filter run at {SENSOR_RATE_HZ:g} Hz. Parameters "
+    f"act on the "
     "flight model, while sensors and filter keep the vehicle file's. The filter's C sources are those that fly on "
     "board. The sonar reads NaN without an echo."
 )

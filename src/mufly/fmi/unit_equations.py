@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from mufly.dynamics.edgewise_loads import edgewise_load_factors
 from mufly.dynamics.equations_of_motion import (
-    battery_state,
-    climb_velocity,
+    compute_axial_climb_velocity,
+    compute_battery_supply,
     ground_effect_thrust,
-    map_coefficients,
+    interpolate_coefficient_map,
     state_derivative,
 )
 from mufly.dynamics.model_state import (
     MODEL_ATTITUDE,
-    MODEL_BAR,
+    MODEL_BAR_NORMAL,
     MODEL_CHARGE,
     MODEL_POSITION,
     MODEL_RATES,
@@ -48,10 +48,10 @@ START_SPEED_UPPER, START_SPEED_LOWER, START_CHARGE = 16, 17, 18
 START_COUNT = 19
 # Indices of the outputs: the state, and then
 OUT_ROLL = STATE_SIZE
-OUT_PITCH, OUT_YAW, OUT_THRUST_UPPER, OUT_THRUST_LOWER, OUT_VOLTAGE, OUT_CURRENT, OUT_FORCE = range(
+OUT_PITCH, OUT_YAW, OUT_THRUST_UPPER, OUT_THRUST_LOWER, OUT_VOLTAGE, OUT_CURRENT, OUT_SPECIFIC_FORCE = range(
     OUT_ROLL + 1, OUT_ROLL + 8
 )
-OUTPUT_COUNT = OUT_FORCE + 3
+OUTPUT_COUNT = OUT_SPECIFIC_FORCE + 3
 
 
 def write_start_state(start: _Array, x: _Array) -> None:
@@ -74,7 +74,7 @@ def write_start_state(start: _Array, x: _Array) -> None:
     x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = start[START_SWASH_ROLL], start[START_SWASH_PITCH]
     w, i, j, k = quaternion_from_euler(start[START_BAR_ROLL], start[START_BAR_PITCH], start[START_ATTITUDE + 2])
     _, _, n, _, _, e, _, _, d = rotation_entries(w, i, j, k)
-    x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2] = -n, -e, -d
+    x[MODEL_BAR_NORMAL], x[MODEL_BAR_NORMAL + 1], x[MODEL_BAR_NORMAL + 2] = -n, -e, -d
     x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], x[MODEL_CHARGE] = (
         start[START_SPEED_UPPER],
         start[START_SPEED_LOWER],
@@ -110,7 +110,7 @@ def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _
     speed_up, speed_dw = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER]
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
     if p.map_node_count > 0:
-        kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
+        kT_up, kT_dw, _, _ = interpolate_coefficient_map(speed_up, speed_dw, compute_axial_climb_velocity(x, wind), p)
     free_up, free_dw = kT_up * speed_up * speed_up, kT_dw * speed_dw * speed_dw
     thrust_up, thrust_dw = free_up, free_dw
     if p.flight_map_node_count > 0:
@@ -124,12 +124,12 @@ def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _
     out[OUT_THRUST_UPPER], out[OUT_THRUST_LOWER] = thrust_up, thrust_dw
 
     motor_up, motor_dw = min(max(u[U_MOTOR_UPPER], 0.0), 1.0), min(max(u[U_MOTOR_LOWER], 0.0), 1.0)
-    voltage, current = battery_state(x, motor_up, motor_dw, p)
+    voltage, current = compute_battery_supply(x, motor_up, motor_dw, p)
     out[OUT_VOLTAGE], out[OUT_CURRENT] = voltage, current
 
     dx = np.empty(x.shape[0])
     state_derivative(x, u, wind, p, dx)
     f_n, f_e, f_d = dx[MODEL_VELOCITY], dx[MODEL_VELOCITY + 1], dx[MODEL_VELOCITY + 2] - GRAVITY
-    out[OUT_FORCE] = a00 * f_n + a10 * f_e + a20 * f_d
-    out[OUT_FORCE + 1] = a01 * f_n + a11 * f_e + a21 * f_d
-    out[OUT_FORCE + 2] = a02 * f_n + a12 * f_e + a22 * f_d
+    out[OUT_SPECIFIC_FORCE] = a00 * f_n + a10 * f_e + a20 * f_d
+    out[OUT_SPECIFIC_FORCE + 1] = a01 * f_n + a11 * f_e + a21 * f_d
+    out[OUT_SPECIFIC_FORCE + 2] = a02 * f_n + a12 * f_e + a22 * f_d

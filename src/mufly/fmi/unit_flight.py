@@ -32,17 +32,17 @@ from mufly.estimate.filter.filter_records import (
 )
 from mufly.flight.simulated_plant import SimulatedPlant, advance_period
 from mufly.fmi.fmu_export import platform_tuple
-from mufly.fmi.unit_sensors import RATE_HZ
+from mufly.fmi.unit_sensors import SENSOR_RATE_HZ
 from mufly.quantities.sensor_table import SENSORS
 from mufly.results import result
-from mufly.sensors import Readings, Truth, draw_leaning_vehicle, fitted_sensors
+from mufly.sensors import Readings, Truth, fitted_sensors, randomise_leg_lengths
 from mufly.vehicle import Vehicle
 from mufly.world import World
 
 _LOG_TYPE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 _STATUS_OK = 0
 _STEP_SIZES_S = (0.01, 0.004, 0.0105, 0.02, 0.0007)
-_MOTION_START = {
+_COMPARISON_START_VALUES = {
     "start.position_down": -1.5, "start.velocity_north": 1.1, "start.velocity_east": -0.6,
     "start.velocity_down": 0.3, "start.roll": 0.2, "start.pitch": -0.15, "start.yaw": 2.0, "start.roll_rate": 0.7,
     "start.pitch_rate": -0.4, "start.yaw_rate": 1.2, "start.swash_roll": 0.03, "start.bar_roll": 0.1,
@@ -218,7 +218,7 @@ def compare_unit(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0) -> U
     MuflyError
         If the unit reports an error.
     """
-    instance, rng = UnitInstance(unit).initialise(_MOTION_START), np.random.default_rng(0)
+    instance, rng = UnitInstance(unit).initialise(_COMPARISON_START_VALUES), np.random.default_rng(0)
     state = unit.outputs[:STATE_SIZE]
     hover = np.array([unit.starts[name] for name in unit.inputs[:INPUT_SIZE]])
     x, u, wind = instance.get_values(state), hover.copy(), np.zeros(3)
@@ -262,18 +262,18 @@ def compare_sensed_unit(
         If the unit reports an error.
     """
     instance, rng = UnitInstance(unit).initialise({"sensors.seed": float(seed)}), np.random.default_rng(seed)
-    own = draw_leaning_vehicle(vehicle, seed=seed)
+    own = randomise_leg_lengths(vehicle, seed=seed)
     plant = SimulatedPlant(
-        own, World(), DrydenWind(step_s=1.0 / RATE_HZ), RATE_HZ, standing_state(own, (0.0, 0.0), 0.0)
+        own, World(), DrydenWind(step_s=1.0 / SENSOR_RATE_HZ), SENSOR_RATE_HZ, standing_state(own, (0.0, 0.0), 0.0)
     )
     sensors, estimator = (
         fitted_sensors(vehicle, World(), seed=seed),
-        KalmanEstimator(vehicle, World(), RATE_HZ, code="c"),
+        KalmanEstimator(vehicle, World(), SENSOR_RATE_HZ, code="c"),
     )
     sensors.reset()
     hover = find_trim(vehicle).input
     u, wind, largest, different, on_floor = np.zeros(4), np.zeros(3), 0.0, 0, 0
-    steps = round(duration_s * RATE_HZ)
+    steps = round(duration_s * SENSOR_RATE_HZ)
     for k in range(steps + 1):
         if k:
             u = np.clip(u + rng.normal(0.0, [0.02, 0.02, 0.1, 0.1]) + 0.1 * (hover - u), [0.0, 0.0, -1.0, -1.0], 1.0)
@@ -282,9 +282,9 @@ def compare_sensed_unit(
             advance_period(
                 plant.state, u, wind, plant.packed_parameters, plant.step_s, plant.step_count, plant.battery_output
             )
-            plant.count_periods(1)
+            plant.advance_clock(1)
             instance.check_status(instance.set_values(dict(zip(unit.inputs, (*u, *wind), strict=True))))
-            instance.check_status(instance.do_step((k - 1) / RATE_HZ, 1.0 / RATE_HZ))
+            instance.check_status(instance.do_step((k - 1) / SENSOR_RATE_HZ, 1.0 / SENSOR_RATE_HZ))
         truth = plant.truth
         readings = sensors.read(truth)
         here = _sensed_values(unit.outputs, truth, readings, estimator.update(readings, u))

@@ -109,7 +109,7 @@ def _find_effects(vehicle: Vehicle, key: str, value: float, nominal: np.void) ->
     for field in PARAMETER_DTYPE.names or ():
         if all(np.array_equal(record[field], nominal[field]) for _, record in points):
             continue
-        effect = _effect_kind(field, base, [(at, np.asarray(record[field])) for at, record in points])
+        effect = _find_parameter_effect(field, base, [(at, np.asarray(record[field])) for at, record in points])
         if effect is None:
             return None
         effects.append(effect)
@@ -139,7 +139,7 @@ def _find_ratio_effects(
     return out
 
 
-def _effect_kind(field: str, base: float, points: list[tuple[float, NDArray[Any]]]) -> ParameterEffect | None:
+def _find_parameter_effect(field: str, base: float, points: list[tuple[float, NDArray[Any]]]) -> ParameterEffect | None:
     """Return the form of a field's dependence that fits all ``points`` (parameter value, field); None if none fits.
 
     One of the parameter values is ``base``.

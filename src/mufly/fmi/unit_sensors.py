@@ -3,7 +3,7 @@
 The sensors' C functions are translations of :mod:`mufly.sensors`; their random numbers are written in C
 (``random_numbers.h``), and the filter's C sources are those that fly on board. Constants and memory of all sensors are
 one block of 64-bit words. The words that depend on the seed are listed for each seed, as
-:func:`mufly.sensors.fitted_sensors` draws them, and so are the legs of :func:`mufly.sensors.draw_leaning_vehicle`.
+:func:`mufly.sensors.fitted_sensors` draws them, and so are the legs of :func:`mufly.sensors.randomise_leg_lengths`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics import STATE_SIZE, model_parameters, standing_attitude, standing_height
-from mufly.dynamics.equations_of_motion import battery_state
+from mufly.dynamics.equations_of_motion import compute_battery_supply
 from mufly.errors import InputError
 from mufly.estimate.filter.filter_records import (
     ERROR_ACCEL_BIAS,
@@ -35,31 +35,31 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_THRUST_SCALE,
     NOMINAL_VELOCITY,
     NOMINAL_WIND,
-    READING_OFFSETS,
     READING_STARTS,
     READING_WIDTHS,
     SENSOR_COUNT,
     STATE_COUNT,
+    SUBTRACTED_READING_OFFSETS,
     filter_settings,
     fused_beam_indices,
     memory_type,
 )
 from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START, INPUT_VALUE_COUNT
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
-from mufly.estimate.kalman_estimator import filter_ring_scan
+from mufly.estimate.kalman_estimator import median_filter_ring_scan
 from mufly.firmware.export.estimate_tables import filter_buffer_sizes
 from mufly.flight.simulated_plant import true_attitude
 from mufly.fmi.c_translation import CTranslation
 from mufly.fmi.c_types import C_DOUBLE, TableTupleType, TableType
 from mufly.quantities.quantity_table import DIMENSION_LABELS
 from mufly.quantities.sensor_table import READINGS, SENSORS
-from mufly.sensors import FittedSensors, Imu, PeriodicSensor, draw_leaning_vehicle, fitted_sensors
+from mufly.sensors import FittedSensors, Imu, PeriodicSensor, fitted_sensors, randomise_leg_lengths
 from mufly.sensors.column_medians import write_column_medians
 from mufly.sensors.faults import FaultySensor
-from mufly.sensors.imu import begin_imu, sample_imu
+from mufly.sensors.imu import make_first_imu_reading, sample_imu
 from mufly.sensors.periodic import (
     CLOCK_NEXT_SAMPLE,
-    PENDING_COUNT,
+    PENDING_COUNT_INDEX,
     ROW_FIRST_VALUE,
     ROW_IS_VALID,
     ROW_MEASURED_TIME,
@@ -71,7 +71,7 @@ from mufly.sensors.sensor_suite import SENSOR_CLASSES
 from mufly.vehicle import Vehicle
 from mufly.world import World
 
-RATE_HZ = 200.0
+SENSOR_RATE_HZ = 200.0
 """Rate of sensors and filter (Hz): that of the flight software."""
 FUNCTIONS_WRITTEN_IN_C = {f: f.__name__ for f in (draw_normals, draw_uniforms, write_column_medians)}
 SEEDED_STARTS = ("position_down", "roll", "pitch", "bar_roll", "bar_pitch")
@@ -115,7 +115,7 @@ class UnitSensors:
             )
         self._sensors = self._draw_sensors(0)
         self._arrays = dict(_sensor_arrays(self._sensors))
-        self._settings = filter_settings(vehicle, self.world, RATE_HZ)
+        self._settings = filter_settings(vehicle, self.world, SENSOR_RATE_HZ)
 
     def _draw_sensors(self, seed: int) -> FittedSensors:
         made = fitted_sensors(self.vehicle, self.world, seed=seed)
@@ -138,7 +138,7 @@ class UnitSensors:
         """Start values that depend on the seed (:data:`SEEDED_STARTS`): height, attitude and bar angles, (seeds, 5)."""
         rows = []
         for seed in range(self.seed_count):
-            unit = draw_leaning_vehicle(self.vehicle, seed=seed)
+            unit = randomise_leg_lengths(self.vehicle, seed=seed)
             rows.append([-standing_height(unit), *standing_attitude(unit), *standing_attitude(unit)])
         return np.array(rows)
 
@@ -151,7 +151,7 @@ class UnitSensors:
         def words(vehicle: Vehicle) -> NDArray[np.uint64]:
             return np.frombuffer(model_parameters(vehicle).tobytes(), np.uint64)
 
-        rows = np.array([words(draw_leaning_vehicle(self.vehicle, seed=k)) for k in range(self.seed_count)])
+        rows = np.array([words(randomise_leg_lengths(self.vehicle, seed=k)) for k in range(self.seed_count)])
         changing = np.flatnonzero((rows != words(self.vehicle)).any(axis=0))
         return changing, rows[:, changing]
 
@@ -195,7 +195,7 @@ class UnitSensors:
         """Translate the functions of the sensors; return the C text that samples all of them."""
         structs, steps, calls = [], [], []
         translation.add_function(true_attitude, [_STATE_TABLE, _VECTOR_3_TABLE])
-        translation.add_function(battery_state, [_STATE_TABLE, C_DOUBLE, C_DOUBLE, translation.record])
+        translation.add_function(compute_battery_supply, [_STATE_TABLE, C_DOUBLE, C_DOUBLE, translation.record])
         for name, sensor in _named_sensors(self._sensors):
             arrays = self._arrays[name]
             members = "".join(f"    {_declare_member(member, array)};\n" for member, array in arrays)
@@ -238,7 +238,7 @@ class UnitSensors:
             if reading == "ranges":
                 count = sensor.pending_rows.shape[1] - ROW_FIRST_VALUE
                 scan, ranges = TableType(C_DOUBLE, (count,)), TableType(C_DOUBLE, (3, count))
-                made = translation.add_function(filter_ring_scan, [scan, C_DOUBLE, ranges, scan])
+                made = translation.add_function(median_filter_ring_scan, [scan, C_DOUBLE, ranges, scan])
                 longest = float(self.vehicle.range_ring.max_range).hex()
                 yield f"        if (begin_reading(filter, {index}, t, {measured}, {valid})) {{"
                 for k, beam in enumerate(fused_beam_indices(count)):
@@ -248,7 +248,7 @@ class UnitSensors:
                 continue
             yield f"        if (begin_reading(filter, {index}, t, {measured}, {valid})) {{"
             for k in range(READING_WIDTHS[index]):
-                offset = f" - {float(READING_OFFSETS[index])!r}" if READING_OFFSETS[index] else ""
+                offset = f" - {float(SUBTRACTED_READING_OFFSETS[index])!r}" if SUBTRACTED_READING_OFFSETS[index] else ""
                 yield f"            filter->values[{READING_STARTS[index] + k}] = {row}[{at + k}]{offset};"
             yield "        }"
 
@@ -276,7 +276,7 @@ class UnitSensors:
         places, own = self.seeded_parameters
         yield f"enum {{ SEED_COUNT = {self.seed_count}, SEEDED_WORD_COUNT = {len(changing)}, "
         yield f"    SEEDED_PARAMETER_COUNT = {len(places)}, SEEDED_START_COUNT = {len(SEEDED_STARTS)} }};"
-        yield f"#define SENSOR_RATE_HZ {RATE_HZ!r}"
+        yield f"#define SENSOR_RATE_HZ {SENSOR_RATE_HZ!r}"
         yield ""
         yield "/* Constants and memory of the sensors as bits: place and value of all words that are not zero. */"
         filled = np.flatnonzero(words)
@@ -315,7 +315,7 @@ def _sensor_arrays(sensors: FittedSensors) -> Iterator[tuple[str, list[tuple[str
     """Yield the arrays of each sensor, named as the members of the sensor's C struct."""
     for name, sensor in _named_sensors(sensors):
         if isinstance(sensor, Imu):
-            source, normals, clock, last_state, output, unit = sensor.sampling_arguments(1.0 / RATE_HZ)
+            source, normals, clock, last_state, output, unit = sensor.sampling_arguments(1.0 / SENSOR_RATE_HZ)
             arrays = {"source": source, "normals": normals, "clock": clock, "last_state": last_state, "output": output,
                       "mounting": sensor.mounting}  # fmt: skip
             yield name, [*arrays.items(), *((f"part_{k}", part) for k, part in enumerate(unit))]
@@ -345,11 +345,13 @@ def _declare_member(name: str, array: NDArray[Any]) -> str:
 
 
 def _render_imu(translation: CTranslation, imu: Imu) -> str:
-    source, normals, clock, last_state, output, unit = imu.sampling_arguments(1.0 / RATE_HZ)
+    source, normals, clock, last_state, output, unit = imu.sampling_arguments(1.0 / SENSOR_RATE_HZ)
     parts = TableTupleType(tuple(map(_table_type, unit)))
     places = ", ".join(f"s->part_{k}" for k in range(len(unit)))
     common = [_table_type(a) for a in (clock, last_state, output)]
-    begin = translation.add_function(begin_imu, [_STATE_TABLE, C_DOUBLE, *common, _table_type(imu.mounting), parts])
+    begin = translation.add_function(
+        make_first_imu_reading, [_STATE_TABLE, C_DOUBLE, *common, _table_type(imu.mounting), parts]
+    )
     sample = translation.add_function(
         sample_imu, [_STATE_TABLE, C_DOUBLE, _table_type(source), _table_type(normals), *common, parts]
     )
@@ -413,7 +415,7 @@ static bool sample_{name}_sensor(
     }}
     if ({due.name}(t, s->clock)) {{
         wait = {measure.name}(t, x, attitude, supply, s->source,
-            {places}, s->rows[1 + s->counts[{PENDING_COUNT}]]);
+            {places}, s->rows[1 + s->counts[{PENDING_COUNT_INDEX}]]);
     }}
     return {publish.name}(t, wait, s->clock, s->counts, s->rows);
 }}

@@ -29,7 +29,7 @@ from mufly.vehicle import Vehicle
 
 Role = Literal["input", "start", "step", "seed", "parameter", "output"]
 
-_HEIGHT_RADII = 10.0
+_START_HEIGHT_RADII = 10.0
 """Start height over the rotor radius, 1 m at least; there the ground effect is below a thousandth."""
 _LARGEST_FLOAT = sys.float_info.max
 _ROUNDING_TOLERANCE = 1e-12  # of the trim
@@ -163,7 +163,7 @@ def list_unit_variables(vehicle: Vehicle, sensors: UnitSensors | None = None) ->
     hover = find_trim(vehicle, charge=1.0)
     x = hover.state
     roll, pitch, _ = euler_from_quaternion(x[ATTITUDE])
-    height = max(1.0, _HEIGHT_RADII * float(vehicle.rotors.radius))
+    height = max(1.0, _START_HEIGHT_RADII * float(vehicle.rotors.radius))
     starts = [
         0.0, 0.0, -height, *x[VELOCITY], roll, pitch, 0.0, *x[RATES], x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH],
         roll, pitch, *x[ROTOR_SPEEDS], 1.0,

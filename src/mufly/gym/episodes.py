@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import portable_atan2, sine_cosine
-from mufly.dynamics.equations_of_motion import battery_state, lowest_point
+from mufly.dynamics.equations_of_motion import compute_battery_supply, find_deepest_contact
 from mufly.dynamics.lane_equations import integrate_lanes, lay_out_blocks
 from mufly.dynamics.model_state import (
     MODEL_ATTITUDE,
-    MODEL_BAR,
+    MODEL_BAR_NORMAL,
     MODEL_CHARGE,
     MODEL_POSITION,
     MODEL_RATES,
@@ -268,8 +268,8 @@ def _set_attitude(x: _Array, roll: float, pitch: float, yaw: float) -> None:
     x[MODEL_ATTITUDE + 2] = c1 * s2 * c3 + s1 * c2 * s3
     x[MODEL_ATTITUDE + 3] = c1 * c2 * s3 - s1 * s2 * c3
     w, i, j, k = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
-    x[MODEL_BAR], x[MODEL_BAR + 1] = -2.0 * (i * k + w * j), -2.0 * (j * k - w * i)
-    x[MODEL_BAR + 2] = 2.0 * (i * i + j * j) - 1.0
+    x[MODEL_BAR_NORMAL], x[MODEL_BAR_NORMAL + 1] = -2.0 * (i * k + w * j), -2.0 * (j * k - w * i)
+    x[MODEL_BAR_NORMAL + 2] = 2.0 * (i * i + j * j) - 1.0
 
 
 @cached_njit(error_model="numpy")
@@ -336,7 +336,7 @@ def judge_episodes(
         x = e.state[k]
         p = fleet[e.vehicle[k]]
         now = _target_distance(x, e.target[k])
-        touches = x[MODEL_POSITION + 2] + p.contact_reach > 0.0 and lowest_point(x, p)[0] > 0.0
+        touches = x[MODEL_POSITION + 2] + p.contact_reach > 0.0 and find_deepest_contact(x, p)[0] > 0.0
         collides = False
         if s.kind == TASK_OBSTACLE:
             near = packed_obstacle_distances(x[POSITION].reshape(1, 3), boxes, e.pillars[k], s.limits)[0][0]
@@ -413,7 +413,7 @@ def observe_episodes(
                 )
         voltage = volts[k]
         if voltage != voltage:
-            voltage = battery_state(e.state[k], e.inputs[k, U_MOTOR_UPPER], e.inputs[k, U_MOTOR_LOWER], p)[0]
+            voltage = compute_battery_supply(e.state[k], e.inputs[k, U_MOTOR_UPPER], e.inputs[k, U_MOTOR_LOWER], p)[0]
         fill_observation(
             row, error, velocity, (down_x, down_y, down_z), rates, (c, sn), (e.heading[k, 0], e.heading[k, 1]),
             voltage / s.nominal_V, e.action[k], -e.target[k, 2] + error[2],

@@ -44,8 +44,8 @@ from mufly.estimate.filter_backend import explain_numba_choice
 from mufly.firmware import GenericFirmwareSoftware
 from mufly.firmware.quick.compiled_flight import make_filter_arrays
 from mufly.firmware.quick.compiled_loop import (
-    LOOP_CLOCK,
-    RECORD_OFFSETS,
+    LOOP_CLOCK_DTYPE,
+    RECORD_OFFSETS_DTYPE,
     FilterArrays,
     LoopClock,
     PlantArrays,
@@ -63,7 +63,7 @@ from mufly.mission import Mission, State
 from mufly.sensors import FittedSensors, Imu
 from mufly.sensors.faults import FaultySensor
 from mufly.sensors.rng import draw_uniforms
-from mufly.sensors.sampling import SAMPLED_SENSORS, sampling_table
+from mufly.sensors.sampling import SAMPLED_SENSORS, collect_sampling_arguments
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ _VOLTAGE_START = READING_STARTS[READING_BATTERY]
 _UNIFORM_RANGE, _UNIFORM_SHIFT, _SEED_STRIDE = 2.0**53, np.uint64(11), np.uint64(0x9E3779B97F4A7C15)
 
 
-class UnitPeriods(NamedTuple):
+class UnitLoopArguments(NamedTuple):
     """Arrays of a unit (vehicle with sensors and filter) for the stages of
     :mod:`mufly.firmware.quick.compiled_loop`.
     """
@@ -105,7 +105,7 @@ class UnitStarts:
     ----------
     rows : (s, bytes) array
         All arrays of each unit.
-    like : UnitPeriods
+    like : UnitLoopArguments
         Arrays of one unit: their types, shapes and order are those of all.
     fleet : Fleet
         Parameters, states and inputs of the units; ``fleet.wind_series_index`` is the wind that each has flown in.
@@ -116,7 +116,7 @@ class UnitStarts:
     """
 
     rows: _Bytes
-    like: UnitPeriods
+    like: UnitLoopArguments
     fleet: Fleet
     period_s: float
     keep_alive: tuple[Any, ...]
@@ -127,24 +127,24 @@ class UnitStarts:
 
 
 @cached_njit(error_model="numpy")
-def _begin_period(p: UnitPeriods) -> int:
+def _begin_period(p: UnitLoopArguments) -> int:
     return LOOP_DONE if p.clock.tick >= p.clock.stop_tick else CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
-def _do_nothing(p: UnitPeriods) -> int:
+def _do_nothing(p: UnitLoopArguments) -> int:
     return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
-def _step_filter(p: UnitPeriods) -> int:
+def _step_filter(p: UnitLoopArguments) -> int:
     p.clock.is_estimate_valid = call_c_function(p.filter.addresses[0], p.filter.addresses[1:]) & 1
     p.clock.filter_periods += 1
     return CONTINUE_LOOP
 
 
 @cached_njit(error_model="numpy")
-def _send_command(p: UnitPeriods) -> int:
+def _send_command(p: UnitLoopArguments) -> int:
     """Set the actuator inputs: those of the present action once its delay has passed, else those of the preceding one.
 
     Return ``CONTINUE_LOOP``.
@@ -164,7 +164,7 @@ _step_unit = cached_njit(
 
 
 @cached_njit(error_model="numpy")
-def _read_unit(p: UnitPeriods, state: _Array, estimate: _Array) -> float:
+def _read_unit(p: UnitLoopArguments, state: _Array, estimate: _Array) -> float:
     """Write true and estimated state (21,) of a unit; return the measured voltage (V), NaN without a reading."""
     f = p.filter
     for i in range(state.size):
@@ -183,7 +183,7 @@ def _read_unit(p: UnitPeriods, state: _Array, estimate: _Array) -> float:
 
 @cached_njit(error_model="numpy", nogil=True)
 def _step_units(
-    addresses: _Ints, like: UnitPeriods, before: _Array, inputs: _Array, delay: _Ints, wind: _Array, periods: int,
+    addresses: _Ints, like: UnitLoopArguments, before: _Array, inputs: _Array, delay: _Ints, wind: _Array, periods: int,
     state: _Array, estimate: _Array, volts: _Array,
 ) -> None:  # fmt: skip
     """Advance the units at ``addresses`` (n,) by some periods or none; write their states, estimates and voltages.
@@ -207,17 +207,17 @@ def _step_units(
 
 
 @cached_njit(error_model="numpy")
-def _store_unit(p: UnitPeriods, address: int) -> None:
+def _store_unit(p: UnitLoopArguments, address: int) -> None:
     store_tuple(p, address)
 
 
 @cached_njit(error_model="numpy")
-def _measure_unit(p: UnitPeriods) -> int:
+def _measure_tuple_size(p: UnitLoopArguments) -> int:
     return tuple_size(p)
 
 
 @cached_njit(error_model="numpy", nogil=True)
-def _renew_sources(source: NDArray[np.uint64], sources: NDArray[np.uint64]) -> None:
+def _reseed_sensors(source: NDArray[np.uint64], sources: NDArray[np.uint64]) -> None:
     """Reseed the random generators of a unit's sensors from the random generator of its environment."""
     r = np.empty(2)
     for k in range(sources.size):
@@ -243,7 +243,7 @@ def _list_arrays(parts: Any) -> Iterator[NDArray[Any]]:
 class UnitMemoryLayout:
     """Positions of all arrays of a unit in one row of bytes."""
 
-    def __init__(self, like: UnitPeriods, memory: NDArray[np.void], filtered: KalmanEstimator) -> None:
+    def __init__(self, like: UnitLoopArguments, memory: NDArray[np.void], filtered: KalmanEstimator) -> None:
         self._like, self._filter = like, filtered
         self._shapes = [(a.shape, a.dtype) for a in self._list_unit_arrays(like, memory)]
         sizes = [math.prod(shape) * kind.itemsize for shape, kind in self._shapes]
@@ -254,7 +254,7 @@ class UnitMemoryLayout:
         self.sources = [k for k, (_, kind) in enumerate(self._shapes) if kind == np.uint64]
 
     @staticmethod
-    def _list_unit_arrays(p: UnitPeriods, memory: NDArray[np.void]) -> list[NDArray[Any]]:
+    def _list_unit_arrays(p: UnitLoopArguments, memory: NDArray[np.void]) -> list[NDArray[Any]]:
         """Return the arrays of a unit in the order of their row: memory of the filter, its readings, then all
         others.
         """
@@ -269,7 +269,7 @@ class UnitMemoryLayout:
             for (shape, kind), start in zip(self._shapes, self._starts[:-1], strict=True)
         ]
 
-    def write_row(self, p: UnitPeriods, memory: NDArray[np.void], row: _Bytes) -> None:
+    def write_row(self, p: UnitLoopArguments, memory: NDArray[np.void], row: _Bytes) -> None:
         """Copy all arrays of a unit into a row.
 
         Raises
@@ -285,7 +285,7 @@ class UnitMemoryLayout:
         for to, of in zip(self.row_views(row), given, strict=True):
             to[...] = of
 
-    def unit_from_row(self, row: _Bytes) -> UnitPeriods:
+    def unit_from_row(self, row: _Bytes) -> UnitLoopArguments:
         """Return a unit whose arrays are views of a memory row."""
         memory, values, is_new, age, times, scans, *rest = self.row_views(row)
         found = iter(rest)
@@ -304,7 +304,7 @@ class UnitMemoryLayout:
             for part in (like.clock, like.plant, like.software, like.ranges, like.sensors, like.command, like.delay)
         )
         own = make_filter_arrays(self._filter, _NO_REASON_TEXTS, (memory, values, is_new, age, times, scans))
-        return UnitPeriods(clock, plant, software, ranges, sensors, own, command, delay)
+        return UnitLoopArguments(clock, plant, software, ranges, sensors, own, command, delay)
 
 
 # ----------------------------------------------------------------------------
@@ -328,7 +328,7 @@ def hover_mission(kind: int, height_m: float, heading_deg: float) -> Mission:
     })  # fmt: skip
 
 
-def extract_unit_arrays(flight: Flight, steps_per_period: int) -> tuple[UnitPeriods, NDArray[np.void]]:
+def extract_unit_arrays(flight: Flight, steps_per_period: int) -> tuple[UnitLoopArguments, NDArray[np.void]]:
     """Return the arrays of a simulated flight in the form of a unit, and the memory of its filter."""
     plant, filtered, sensors = flight.plant, flight.estimator, flight.sensors
     assert isinstance(filtered, KalmanEstimator)
@@ -336,10 +336,10 @@ def extract_unit_arrays(flight: Flight, steps_per_period: int) -> tuple[UnitPeri
     inside = [one.sensor for one in sensors.sensors if isinstance(one, FaultySensor)]
     imu = next(one for one in inside if isinstance(one, Imu))
     sampled: dict[int, Any] = {k: one for k, kind in enumerate(SAMPLED_SENSORS) for one in inside if type(one) is kind}
-    quiet, has_come, readings, of_sensors = sampling_table(sampled)
+    quiet, has_come, readings, of_sensors = collect_sampling_arguments(sampled)
     for k, one in sampled.items():
         quiet[k] = one.next_sample_s
-    clock = np.zeros(1, LOOP_CLOCK).view(np.recarray)[0]
+    clock = np.zeros(1, LOOP_CLOCK_DTYPE).view(np.recarray)[0]
     clock.tick, clock.rate_Hz, clock.step_s = plant.period_count, plant.rate_Hz, plant.step_s
     clock.steps_per_period, clock.beam_count = plant.step_count, len(filtered.ranges)
     clock.next_python_sample_s, clock.next_sample_s = math.inf, -math.inf
@@ -349,13 +349,13 @@ def extract_unit_arrays(flight: Flight, steps_per_period: int) -> tuple[UnitPeri
     room = np.zeros(max(len(filtered.ranges), 1))
     software = SoftwareArrays(
         room, np.zeros(1, np.int32), np.zeros(1, np.uint8), room, np.zeros(1, np.int32), np.zeros(1, np.uint8),
-        np.zeros(4), np.zeros(1, RECORD_OFFSETS).view(np.recarray)[0], (0,),
+        np.zeros(4), np.zeros(1, RECORD_OFFSETS_DTYPE).view(np.recarray)[0], (0,),
     )  # fmt: skip
     on_plant = PlantArrays(
         plant.state, plant.packed_parameters, plant.attitude, plant.battery_output, np.zeros((steps_per_period, 3)),
         acting, legs, obstacles, *tables,
     )  # fmt: skip
-    unit = UnitPeriods(
+    unit = UnitLoopArguments(
         clock, on_plant, software, filtered.ranges,
         SensorArrays(imu.sampling_arguments(flight.period_s), quiet, has_come, readings, of_sensors),
         make_filter_arrays(filtered, _NO_REASON_TEXTS),
@@ -432,7 +432,7 @@ def prepare_starts(
     rows: list[_Bytes] = []
     parts: list[tuple[Any, _Array, _Array, int, Vehicle]] = []
     room: UnitMemoryLayout | None = None
-    like: UnitPeriods | None = None
+    like: UnitLoopArguments | None = None
     kept: Any = None
     flights, attempts_left = 0, _MAX_DRAW_ATTEMPTS + 2 * count
     while flights < count:
@@ -499,7 +499,7 @@ class FilterUnits:
         self._rows[:] = starts.rows[0]
         self._units = [room.unit_from_row(row) for row in self._rows]
         self._sources = [[room.row_views(row)[k] for k in room.sources] for row in self._rows]
-        size = _measure_unit(self._units[0])
+        size = _measure_tuple_size(self._units[0])
         self._stored = np.zeros((count, -(-size // _ARRAY_ALIGNMENT_BYTES) * _ARRAY_ALIGNMENT_BYTES), np.uint8)
         self._addresses = self._stored.ctypes.data + self._stored.shape[1] * np.arange(count, dtype=np.int64)
         for unit, address in zip(self._units, self._addresses.tolist(), strict=True):
@@ -514,7 +514,7 @@ class FilterUnits:
         for k in np.flatnonzero(which).tolist():
             self._rows[k] = self._starts.rows[e.vehicle[k]]
             fresh = np.empty(len(self._sources[k]), np.uint64)
-            _renew_sources(e.source[k : k + 1], fresh)
+            _reseed_sensors(e.source[k : k + 1], fresh)
             for own, value in zip(self._sources[k], fresh, strict=True):
                 own[:] = value
         self._step(e, 0)

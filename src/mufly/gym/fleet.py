@@ -19,7 +19,7 @@ from mufly.dynamics import (
     PARAMETER_DTYPE,
     STATE_SIZE,
     DrydenWind,
-    fastest_mode_key,
+    find_step_limiting_parameter,
     find_trim,
     longest_step,
     model_parameters,
@@ -138,7 +138,7 @@ def common_integration_step(fleet: Fleet, period_s: float) -> tuple[float, int]:
     if longest < DEFAULT_STEP_S / 50.0:
         slowest = fleet.parameters[int(np.argmin(steps))]
         raise MuflyError(f"a vehicle needs steps of {longest * 1e6:.2g} us because of its fastest mode, "
-        f"{fastest_mode_key(slowest)}")  # fmt: skip
+        f"{find_step_limiting_parameter(slowest)}")  # fmt: skip
     count = int(np.ceil(period_s / longest - 1e-9))
     return period_s / count, count
 

@@ -20,7 +20,7 @@ from mufly.identify.residual_analysis import (
     assess_record,
     describe_residuals,
 )
-from mufly.identify.rotor_coefficients import RotorFit, fit_rotor_coefficients
+from mufly.identify.rotor_coefficients import RotorCoefficientFit, fit_rotor_coefficients
 
 __all__ = [
     "ExcitationPlan",
@@ -39,7 +39,7 @@ __all__ = [
     "PredictionQuality",
     "RecordPrediction",
     "ReportSection",
-    "RotorFit",
+    "RotorCoefficientFit",
     "UniformLogTable",
     "apply_estimates",
     "assess_prediction",

@@ -27,7 +27,7 @@ from mufly.identify.residual_analysis import (
     compute_input_cross_correlation,
     compute_residual_autocorrelation,
 )
-from mufly.identify.rotor_coefficients import CoefficientFit, RotorFit
+from mufly.identify.rotor_coefficients import LoadCoefficientFit, RotorCoefficientFit
 from mufly.quantities.units import RPM
 from mufly.results.result_figure import blank_figure
 
@@ -370,7 +370,7 @@ def draw_motor_fit(fit: MotorFit, *, title: str = "") -> Figure:
 
 
 def draw_rotor_coefficients(
-    fits: RotorFit | Sequence[RotorFit],
+    fits: RotorCoefficientFit | Sequence[RotorCoefficientFit],
     *,
     predicted: dict[str, tuple[Array, Array]] | None = None,
     title: str = "",
@@ -379,14 +379,16 @@ def draw_rotor_coefficients(
 
     Parameters
     ----------
-    fits : RotorFit or sequence of RotorFit
+    fits : RotorCoefficientFit or sequence of RotorCoefficientFit
     predicted : dict, optional
         ``"<source> <channel>"`` -> speeds (rad/s) and predicted loads.
     title : str
     """
     figure = blank_figure(10.0, 8.4)
     axes = figure.subplots(3, 2, sharex=True, height_ratios=(1.3, 1.0, 0.8))
-    every = [(result, fit) for result in ([fits] if isinstance(fits, RotorFit) else fits) for fit in result.fits]
+    every = [
+        (result, fit) for result in ([fits] if isinstance(fits, RotorCoefficientFit) else fits) for fit in result.fits
+    ]
     for (result, fit), colour in zip(every, itertools.cycle(_LINE_COLOURS), strict=False):
         column = 0 if fit.channel.startswith("thrust") else 1
         extra = (predicted or {}).get(f"{result.source} {fit.channel}")
@@ -407,13 +409,13 @@ def draw_rotor_coefficients(
     return figure
 
 
-def _coefficient_label(result: RotorFit, fit: CoefficientFit) -> str:
+def _coefficient_label(result: RotorCoefficientFit, fit: LoadCoefficientFit) -> str:
     pitch = "" if math.isnan(result.pitch_rad) else f" at {math.degrees(result.pitch_rad):.3g} deg"
     return f"{', '.join(fit.symbols)} {result.source}{pitch}"
 
 
 def _draw_coefficient_fit(
-    axes: Sequence[Axes], fit: CoefficientFit, colour: str, name: str, predicted: tuple[Array, Array] | None
+    axes: Sequence[Axes], fit: LoadCoefficientFit, colour: str, name: str, predicted: tuple[Array, Array] | None
 ) -> None:
     top, middle, bottom = axes
     rpm = np.abs(fit.speed_rad_s[:, 0]) / RPM

@@ -405,7 +405,7 @@ def format_pole(p: complex) -> str:
     return f"{p.real:.2f}" if abs(p.imag) < 1e-9 else f"{p.real:.2f}{p.imag:+.2f}j"
 
 
-def draw_slow_motion(r: LinearResult) -> Figure:
+def draw_low_passed_outputs(r: LinearResult) -> Figure:
     """Draw measured and simulated outputs, both low-passed, over the fitted and the held-out part."""
     m, ink = len(r.linear_fit.structure.outputs), fit_pictures.text_colour()
     figure = blank_figure(9.5, 0.8 + 1.7 * m)
@@ -457,7 +457,7 @@ def write_linear_report(
              f"is the noise floor, which is what the output holds above {r.slow_hz:g} Hz (noise >; the inputs have "
              f"{100 * min(c.floor.input_power_below_fraction for c in r.checks['fit']):.1f} % of their power below) "
              "and what disagrees with the angle's derivative below (noise <). Error and noise in the output's unit.",),
-            heads, rows, partial(draw_slow_motion, r), "slow",
+            heads, rows, partial(draw_low_passed_outputs, r), "slow",
         )
     )  # fmt: skip
     if r.ahead:

@@ -73,7 +73,7 @@ _UNIT_MISTAKES = (
 _MIN_PLAUSIBLE_EFFICIENCY = 0.02  # efficiency below which units are doubtful
 _MAX_PLAUSIBLE_EFFICIENCY = 1.02  # efficiency above which units are wrong
 _MAX_TORQUE_CONSTANT_RATIO = 1.05  # kM / kE
-_READING_AND_SCALE_ERROR_FRACTIONS = (
+_CANDIDATE_ERROR_PERCENTS = (
     (1.0, 0.2),
     (1.0, 0.05),
     (1.0, 0.5),
@@ -264,7 +264,7 @@ def fit_motor(
         white = same.whitened_residuals(effective, scales)
         found = estimate_covariance(
             jacobian[:, free], white.ravel(), channel=np.tile([0, 1], n), run=np.repeat(data.run, 2),
-            group=np.repeat(_number_settings(data, std), 2),
+            group=np.repeat(_assign_setting_numbers(data, std), 2),
         )  # fmt: skip
         if np.max(scales) <= _MAX_ROUNDING_RESIDUAL_RATIO:
             break
@@ -548,12 +548,12 @@ def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> 
         size = np.sum(same.whitened_residuals(x, scales) ** 2)
         return std, float(size - 2 * np.sum(np.log(w[:, 0, 0] * w[:, 1, 1])))
 
-    std, words = select_error_model(_READING_AND_SCALE_ERROR_FRACTIONS, likelihood_of_error_model)
+    std, words = select_error_model(_CANDIDATE_ERROR_PERCENTS, likelihood_of_error_model)
     shape = f"errors in all four channels assumed in proportion to {words} (the most likely shape)"
     return std, f"{shape}; size from the residuals"
 
 
-def _number_settings(data: MotorData, std: Array) -> NDArray[np.int64]:
+def _assign_setting_numbers(data: MotorData, std: Array) -> NDArray[np.int64]:
     """Return each line's bench setting as a number; consecutive lines equal within their errors have the same one."""
     y = np.column_stack(data.channel_arrays())
     same = np.all(np.abs(np.diff(y, axis=0)) < 2.5 * std[1:], axis=1) & (np.diff(data.run) == 0)

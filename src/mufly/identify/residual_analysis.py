@@ -458,7 +458,7 @@ def _describe_error_size(record: RecordPrediction) -> list[tuple[float, str]]:
                 f"{100 * q.bias:.0f} % of the mean square error of {name} is a constant offset: a bias is not modelled"
             )
             found.append((q.bias * q.theil, text))
-        gain = _measured_over_predicted(record, name)
+        gain = _regress_measured_on_predicted(record, name)
         if q.r2 > 0.05 and abs(gain - 1.0) > 0.25:
             text = (
                 f"{name} moves {gain:.2f} times as far as predicted where both move together: its gain is predicted "
@@ -474,7 +474,7 @@ def _describe_error_size(record: RecordPrediction) -> list[tuple[float, str]]:
     return found
 
 
-def _measured_over_predicted(record: RecordPrediction, name: str) -> float:
+def _regress_measured_on_predicted(record: RecordPrediction, name: str) -> float:
     """Return the regression slope of the measurement on the prediction."""
     k = record.output_names.index(name)
     z, y = record.measured[:, k], record.predicted[:, k]

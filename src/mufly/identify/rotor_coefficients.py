@@ -27,7 +27,7 @@ from scipy import stats
 
 from mufly.bench import BenchLoads, CovarianceEstimate, estimate_covariance, resolve_air_density
 from mufly.bench.unit_conventions import (
-    COEFFICIENT_CONVENTIONS,
+    COEFFICIENT_SCALINGS,
     guess_load_units,
     guess_speed_unit,
     resolve_speed_unit,
@@ -52,7 +52,7 @@ COEFFICIENT_DEFINITIONS = {
     "thrust": ("cT", "thrust_coefficient", 4),
     "torque": ("cQ", "torque_coefficient", 5),
 }
-_READING_AND_SCALE_ERROR_FRACTIONS = (
+_CANDIDATE_ERROR_PERCENTS = (
     (1.0, 0.3),
     (1.0, 0.02),
     (1.0, 0.1),
@@ -61,7 +61,9 @@ _READING_AND_SCALE_ERROR_FRACTIONS = (
 )  # % of reading, % of full scale
 _HOVER_THRUST_COEFFICIENT_RANGE = (0.0005, 0.06)  # range of thrust coefficients of hovering rotors
 _PITCH_TOLERANCE_rad = math.radians(0.05)  # largest difference of equal blade pitch settings
-_MAX_SPEED_ORDER_CORRELATION = 0.8  # rank correlation of speed and order above which drift and trend are not separable
+_MAX_SPEED_SEQUENCE_CORRELATION = (
+    0.8  # rank correlation of speed and order above which drift and trend are not separable
+)
 _SAME_SPEED_TOLERANCE = 0.02  # relative difference below which speeds count as equal
 _AICC_TOLERANCE = 2.0  # difference of AICc below which two models fit equally well
 
@@ -178,7 +180,7 @@ def fit_coefficient_trend(
     x = np.log(speed / reference)
     ordered = (
         bool(np.ptp(speed) > 0)
-        and abs(float(stats.spearmanr(np.arange(n), speed).statistic)) > _MAX_SPEED_ORDER_CORRELATION
+        and abs(float(stats.spearmanr(np.arange(n), speed).statistic)) > _MAX_SPEED_SEQUENCE_CORRELATION
     )
     # In an ordered measurement correlated errors and a trend over speed are not separable.
     runs = np.arange(n) if ordered else run
@@ -216,7 +218,7 @@ def _corrected_aic(a: Array, b: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class CoefficientFit:
+class LoadCoefficientFit:
     """Fitted coefficients of one load (thrust or torque) of one or two rotors, with covariance and data.
 
     Attributes
@@ -265,7 +267,7 @@ class CoefficientFit:
     json="source coaxial pitch_rad radius_m density_kg_m3=density_kg_m3.mean estimates "
     "trends=describe_trends undetermined notes",
 )
-class RotorFit(EstimateLookup):
+class RotorCoefficientFit(EstimateLookup):
     """Coefficients of the rotors of one bench file at one blade pitch setting.
 
     Attributes
@@ -278,7 +280,7 @@ class RotorFit(EstimateLookup):
     density_kg_m3 : (n,) array
     estimates : tuple of ParameterEstimate
         Estimates in the order of the fits.
-    fits : tuple of CoefficientFit
+    fits : tuple of LoadCoefficientFit
     loads : BenchLoads
     undetermined, notes : tuple of str
         Undetermined combinations and unphysical coefficients; guesses and findings.
@@ -290,7 +292,7 @@ class RotorFit(EstimateLookup):
     radius_m: float
     density_kg_m3: Array
     estimates: tuple[ParameterEstimate, ...]
-    fits: tuple[CoefficientFit, ...]
+    fits: tuple[LoadCoefficientFit, ...]
     loads: BenchLoads
     undetermined: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
@@ -304,7 +306,7 @@ class RotorFit(EstimateLookup):
         return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_variance_fraction, strict=True)}
 
 
-def estimates_of_coefficients(fit: CoefficientFit, vehicle: Vehicle | None) -> list[ParameterEstimate]:
+def estimates_of_coefficients(fit: LoadCoefficientFit, vehicle: Vehicle | None) -> list[ParameterEstimate]:
     """Return the fitted coefficients as parameter estimates, whose start values are those in the vehicle's file."""
     out = []
     for k, symbol in enumerate(fit.symbols):
@@ -316,7 +318,7 @@ def estimates_of_coefficients(fit: CoefficientFit, vehicle: Vehicle | None) -> l
     return out
 
 
-def assign_rotor_side(fit: RotorFit, side: str, vehicle: Vehicle | None) -> RotorFit:
+def assign_rotor_side(fit: RotorCoefficientFit, side: str, vehicle: Vehicle | None) -> RotorCoefficientFit:
     """Assign the fit of a single rotor to a vehicle's ``"upper"`` or ``"lower"`` rotor; a pair is unchanged."""
     if fit.coaxial:
         return fit
@@ -332,7 +334,7 @@ def assign_rotor_side(fit: RotorFit, side: str, vehicle: Vehicle | None) -> Roto
     return replace(fit, fits=fits, estimates=tuple(e for f in fits for e in estimates_of_coefficients(f, vehicle)))
 
 
-def describe_interference(fits: Sequence[RotorFit]) -> list[str]:
+def describe_interference(fits: Sequence[RotorCoefficientFit]) -> list[str]:
     """Describe the ratio of each coefficient in a coaxial pair to that of the single rotor, if both were measured."""
     single = [f for f in fits if not f.coaxial]
     pairs = [f for f in fits if f.coaxial]
@@ -352,7 +354,7 @@ def describe_interference(fits: Sequence[RotorFit]) -> list[str]:
 def fit_rotor_coefficients(
     loads: BenchLoads, *, radius_m: float, radius_std_m: float = 0.0, density_kg_m3: float | None = None,
     density_std_kg_m3: float = 0.0, at_speed_rad_s: float | None = None, vehicle: Vehicle | None = None,
-) -> tuple[RotorFit, ...]:  # fmt: skip
+) -> tuple[RotorCoefficientFit, ...]:  # fmt: skip
     """Fit thrust and torque coefficients; return one result per pitch setting in the file.
 
     Parameters
@@ -390,7 +392,7 @@ def fit_rotor_coefficients(
     if computed and abs(0.5 * table.diameter_m / radius_m - 1.0) > 0.02:
         doubts.append(f"the file's rotor has R {500.0 * table.diameter_m:.4g} mm, this one {1e3 * radius_m:.4g} mm")
     if all(table.headers.get(c) == c and c not in table.unitless for c in loads.values) and any(
-        c in table for c in COEFFICIENT_CONVENTIONS
+        c in table for c in COEFFICIENT_SCALINGS
     ):
         words = "the file's coefficients depend on no density"
     notes = [*loads.notes, *doubts, words]
@@ -399,7 +401,7 @@ def fit_rotor_coefficients(
     results = []
     for setting in settings:
         chosen = np.isnan(pitch) if np.isnan(setting) else np.round(pitch / _PITCH_TOLERANCE_rad) == setting
-        fits: list[CoefficientFit] = []
+        fits: list[LoadCoefficientFit] = []
         more: list[str] = []
         for channel in loads.values:
             fit = _fit_channel(
@@ -412,7 +414,7 @@ def fit_rotor_coefficients(
         impossible = _describe_unphysical(estimates)
         estimates = tuple(e if e.value > 0.0 else replace(e, key="") for e in estimates)
         results.append(
-            RotorFit(
+            RotorCoefficientFit(
                 table.source, coaxial, float(pitch[chosen][0]), radius_m, density[chosen], estimates, tuple(fits),
                 loads, (*impossible, *(u for fit in fits for u in _describe_undetermined(fit))), (*notes, *more),
             )
@@ -481,7 +483,7 @@ def _describe_unphysical(estimates: Sequence[ParameterEstimate]) -> list[str]:
 def _fit_channel(
     loads: BenchLoads, channel: str, chosen: NDArray[np.bool_], density: Array, radius: float, *, coaxial: bool,
     at_speed: float | None, common: tuple[float, float], notes: list[str],
-) -> CoefficientFit | None:  # fmt: skip
+) -> LoadCoefficientFit | None:  # fmt: skip
     quantity, _, side = channel.partition("_")
     sides = (side,) if side or not coaxial else ("upper", "lower")  # rotors whose loads the channel holds
     if quantity == "torque" and len(sides) == 2:
@@ -521,13 +523,13 @@ def _fit_channel(
         # with infinite variance, or with NaN for a single line.
         value = np.linalg.lstsq(a / size, b, rcond=1e-4)[0] / size
         none = CovarianceEstimate(np.full((p, p), math.nan if one else np.inf), math.nan, 1.0, "white", 0.0)
-        return CoefficientFit(
+        return LoadCoefficientFit(
             channel, symbols, value, none.covariance, np.zeros(p), speed, unit, load, expected, none, ()
         )
-    value, found = _weighted_least_squares(a, b, run, _number_settings(speed, run))
+    value, found = _weighted_least_squares(a, b, run, _assign_setting_numbers(speed, run))
     trends: tuple[CoefficientTrend, ...] = ()
     scatter = found.covariance
-    speeds_seen = np.unique(_number_settings(speed, None)).size
+    speeds_seen = np.unique(_assign_setting_numbers(speed, None)).size
     if p == 1 and speeds_seen == 1:
         notes.append(f"{channel}: one speed only, so the dependence of the coefficient on speed is unknown")
     elif p == 1 and load.size >= 5:
@@ -551,7 +553,7 @@ def _fit_channel(
     covariance = scatter + shared
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(np.diag(covariance) > 0, np.diag(shared) / np.diag(covariance), 0.0)
-    return CoefficientFit(
+    return LoadCoefficientFit(
         channel, symbols, value, covariance, share, speed, unit, load, expected * found.residual_std_ratio, found,
         trends,
     )  # fmt: skip
@@ -568,17 +570,17 @@ def _expected_errors(unit: Array, load: Array) -> tuple[Array, str]:
         size = load.size * np.log(max(float(r @ r), 1e-300))
         return std, size + 2 * float(np.sum(np.log(std)))
 
-    return select_error_model(_READING_AND_SCALE_ERROR_FRACTIONS, likelihood_of_error_model)
+    return select_error_model(_CANDIDATE_ERROR_PERCENTS, likelihood_of_error_model)
 
 
-def _number_settings(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:
+def _assign_setting_numbers(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:
     """Return each line's bench setting as a number; lines of one run within 0.2 % of speed have the same one."""
     key = np.round(np.log(np.abs(speed)) / 0.002)
     whole = np.column_stack([key, np.zeros(len(key)) if run is None else run])
     return np.unique(whole, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
-def _describe_undetermined(fit: CoefficientFit) -> tuple[str, ...]:
+def _describe_undetermined(fit: LoadCoefficientFit) -> tuple[str, ...]:
     if np.isnan(fit.covariance).any():  # one line
         return ()
     if not np.all(np.isfinite(fit.covariance)):

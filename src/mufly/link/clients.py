@@ -263,7 +263,7 @@ class CommandAuthority:
         """Return the time (s) since the commander was last heard; 0 if there is no commander."""
         return 0.0 if self.commander is None else max(0.0, now_s - self._heard_s)
 
-    def may_command(self, now_s: float, station: MessageSource) -> bool:
+    def claim_command(self, now_s: float, station: MessageSource) -> bool:
         """Return whether a station may command the vehicle.
 
         If there is no commander, or it is silent, the station becomes commander; else the station receives a refusal.
@@ -286,7 +286,7 @@ class CommandAuthority:
                 _CONTROL_WRONG_KEY
                 if m.version
                 else _CONTROL_GRANTED
-                if self.may_command(now_s, station)
+                if self.claim_command(now_s, station)
                 else _CONTROL_HELD_BY_OTHER
             )
         elif station == self.commander:

@@ -34,7 +34,7 @@ from mufly.mission.files.mission_items import FRAMES_ABOVE_ORIGIN as FRAMES_ABOV
 from mufly.mission.files.mission_items import FRAMES_ABOVE_SEA as FRAMES_ABOVE_SEA
 from mufly.mission.files.mission_items import FRAMES_ABOVE_TERRAIN as FRAMES_ABOVE_TERRAIN
 from mufly.mission.files.mission_items import GlobalOrigin as GlobalOrigin
-from mufly.mission.files.mission_items import scale_coordinate as scale_coordinate
+from mufly.mission.files.mission_items import decode_coordinate as decode_coordinate
 from mufly.quantities.quantity_grammar import read_quantity
 
 os.environ["MAVLINK20"] = "1"
@@ -230,7 +230,7 @@ class FrameDecoder:
                 at += size
                 if message is None:
                     counts.unknown_count += 1
-                elif self._is_new(now_s, channel, message):
+                elif self._register_packet(now_s, channel, message):
                     out.append(message)
                 continue
             # Incomplete. If a whole frame follows, this marker began none.
@@ -251,7 +251,7 @@ class FrameDecoder:
         """Drop the state of a peer that has gone."""
         self._channels.pop(peer, None)
 
-    def _is_new(self, now_s: float, channel: _Channel, message: MavMessage) -> bool:
+    def _register_packet(self, now_s: float, channel: _Channel, message: MavMessage) -> bool:
         header = message.get_header()
         sender = (header.srcSystem, header.srcComponent)
         known = channel.senders.get(sender)

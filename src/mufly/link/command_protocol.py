@@ -49,14 +49,14 @@ from mufly.link.codec import (
     Px4Mode,
     action_for_mode,
     clip_to_integer,
+    decode_coordinate,
     mavlink,
-    scale_coordinate,
     to_float32,
     unpack_custom_mode,
 )
 from mufly.link.mission_protocol import MissionProtocol
 from mufly.link.steering_input import StickInputHandler
-from mufly.link.telemetry_streams import ORIGIN_MESSAGE_IDS
+from mufly.link.telemetry_streams import ORIGIN_DEPENDENT_MESSAGE_IDS
 from mufly.mission import (
     MAX_HEIGHT_M,
     MIN_WAYPOINT_HEIGHT_M,
@@ -159,7 +159,7 @@ def parse_command(message: MavMessage) -> Command:
     if m.get_type() == "COMMAND_LONG":
         return Command(m.command, (*first, m.param5, m.param6, m.param7), None, m.confirmation)
     scale = 1e-4 if m.frame in LOCAL_FRAMES else 1e-7
-    x, y = (scale_coordinate(v, scale) for v in (m.x, m.y))
+    x, y = (decode_coordinate(v, scale) for v in (m.x, m.y))
     return Command(m.command, (*first, x, y, m.z), m.frame)
 
 
@@ -223,7 +223,7 @@ class CommandProtocol:
             self._held = None
             self._forget_choice()
             self._execute_command(now_s, station, command)
-        elif not self._authority.may_command(now_s, station):
+        elif not self._authority.claim_command(now_s, station):
             self._send_ack(station, command.command_id, _RESULT_DENIED)
         elif (before := self._find_repeated_answer(now_s, station, command)) is not None:
             self._send_answer(station, command.command_id, before)
@@ -244,13 +244,13 @@ class CommandProtocol:
 
     def handle_set_mode(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
         """Process a SET_MODE, the older form of DO_SET_MODE."""
-        if m.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and self._authority.may_command(now_s, station):
+        if m.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and self._authority.claim_command(now_s, station):
             answer = self._set_mode(now_s, Px4Mode(m.custom_mode >> 16 & 0xFF, m.custom_mode >> 24))
             self._send_answer(station, mavlink.MAV_CMD_DO_SET_MODE, answer)
 
     def handle_set_current(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
         """Process a MISSION_SET_CURRENT, the older form of DO_SET_MISSION_CURRENT; the answer is MISSION_CURRENT."""
-        if self._authority.may_command(now_s, station):
+        if self._authority.claim_command(now_s, station):
             self._clients.send_refusal(now_s, station, self._missions.start_at_item(float(m.seq)).reason)
             client = self._clients.find_client(station.peer)
             if client is not None:
@@ -554,7 +554,7 @@ def answer_message_request(
         known = wishes.is_streamable(number)
         told = number if 0 <= number < 65536 else 0
         messages = [mavlink.MAVLink_message_interval_message(told, wishes.interval_us(number))]
-    elif number in ORIGIN_MESSAGE_IDS and not has_origin:
+    elif number in ORIGIN_DEPENDENT_MESSAGE_IDS and not has_origin:
         return _RESULT_DENIED, []
     else:
         known = wishes.request_once(number)

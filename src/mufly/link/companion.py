@@ -45,10 +45,10 @@ _REQUESTED_MESSAGE_IDS = (
     mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mavlink.MAVLINK_MSG_ID_RAW_RPM
 )  # fmt: skip
 _ORIENTATION_DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
-_TILT_SIGMA_RAD, _HEIGHT_SIGMA_M = math.radians(1.0), 0.02
+_DEFAULT_TILT_SIGMA_RAD, _HEIGHT_SIGMA_M = math.radians(1.0), 0.02
 _MIN_TILT_SIGMA_RAD, _TILT_CORRELATION_TIME_S = math.radians(0.15), 20.0
 """Least standard deviation of the tilt, and correlation time of a filter's tilt error (docs/explanation/slam.md)."""
-_POSITION_SIGMA_M, _HEADING_SIGMA_RAD = 0.1, math.radians(2.0)
+_DEFAULT_POSITION_SIGMA_M, _DEFAULT_HEADING_SIGMA_RAD = 0.1, math.radians(2.0)
 """Standard deviations of position (m) and heading that are assumed where none is received."""
 _STATIONARY_SIGMA_M = 0.002
 _TILT_VARIANCE_INDICES = 15, 18  # indices of roll and pitch in the upper triangle of a (6, 6) covariance
@@ -77,8 +77,8 @@ class VisionCompanion:
         self._tilt: deque[tuple[float, ...]] = deque()  # vehicle's time, roll, pitch, yaw, p, q, r
         self._motion: deque[tuple[float, ...]] = deque()  # vehicle's time, N, E, velocities
         self._height: deque[tuple[float, float]] = deque()
-        self._ranged_s, self._accuracy = -math.inf, _POSITION_SIGMA_M
-        self._rotors, self._tilt_sigma = np.zeros(2), _TILT_SIGMA_RAD
+        self._ranged_s, self._accuracy = -math.inf, _DEFAULT_POSITION_SIGMA_M
+        self._rotors, self._tilt_sigma = np.zeros(2), _DEFAULT_TILT_SIGMA_RAD
         self._rng = np.random.default_rng(0)
 
     @property
@@ -215,7 +215,7 @@ class VisionCompanion:
         return FrameInfo(
             roll, pitch, max(0.02, height), np.array(rates), self._rotors.copy(), tilt_sigma=self._tilt_sigma,
             tilt_time_s=_TILT_CORRELATION_TIME_S, height_sigma=_HEIGHT_SIGMA_M, velocity=velocity, place=place,
-            place_sigma=(self._accuracy, _HEADING_SIGMA_RAD),
+            place_sigma=(self._accuracy, _DEFAULT_HEADING_SIGMA_RAD),
         )  # fmt: skip
 
     def stationary_result(self, time_s: float, told: FrameInfo) -> TrackingResult:

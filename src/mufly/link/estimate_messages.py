@@ -46,7 +46,7 @@ TEST_RATIOS: dict[str, tuple[str, str]] = {
     if field.endswith("_ratio")
 }
 """Fields of ESTIMATOR_STATUS with a test ratio: the reading, "" without one, and its name on the ground station."""
-_UNKNOWN_POSITION_SIGMA_M = 10.0  # above this a position is flagged as unknown
+_UNKNOWN_POSITION_THRESHOLD_M = 10.0  # above this a position is flagged as unknown
 
 
 def odometry_message(state: FlightState, usec: int) -> MavMessage:
@@ -106,7 +106,7 @@ def estimator_status_message(state: FlightState, usec: int) -> MavMessage:
         ),
         (height < GOOD_POSITION_SIGMA_M, mavlink.ESTIMATOR_POS_VERT_ABS),
         (beliefs is None or _has_status(checks, TEST_RATIOS["hagl_ratio"][0], "fused"), mavlink.ESTIMATOR_POS_VERT_AGL),
-        (level > _UNKNOWN_POSITION_SIGMA_M, mavlink.ESTIMATOR_CONST_POS_MODE),
+        (level > _UNKNOWN_POSITION_THRESHOLD_M, mavlink.ESTIMATOR_CONST_POS_MODE),
     ):
         flags |= int(flag) if good and holds else 0
     if _has_status(checks, "acceleration", "faulty", "rejected"):

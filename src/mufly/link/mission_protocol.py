@@ -91,7 +91,7 @@ class MissionProtocol:
 
     def receive(self, now_s: float, station: MessageSource, note: TransferMessage) -> None:
         """Process and answer a station's message; only the commander may start an upload or clear the mission."""
-        if isinstance(note, MissionCount | MissionClearAll) and not self._authority.may_command(now_s, station):
+        if isinstance(note, MissionCount | MissionClearAll) and not self._authority.claim_command(now_s, station):
             denied = MissionAck(MissionResultCode.DENIED, note.mission_type)  # the authority has reported the reason
             self._clients.send_message(station.peer, encode_transfer_message(denied, station.system, station.component))
         else:

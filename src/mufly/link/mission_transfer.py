@@ -159,7 +159,7 @@ class RetryTimer:
         self._asked_s = self._moved_s = now_s
         self._repeated = False
 
-    def should_retry(self, now_s: float) -> bool:
+    def take_due_retry(self, now_s: float) -> bool:
         """Return whether to repeat the request now, and record the repetition."""
         trip = self._round_trip_s
         wait = FIRST_RETRY_S if trip is None else min(max(1.1 * trip + 0.05, RETRY_BOUNDS_S[0]), RETRY_BOUNDS_S[1])
@@ -255,7 +255,7 @@ class MissionReceiver:
         if self._retry.has_timed_out(now_s):
             self.timed_out = True
             return self._refuse_transfer(now_s, MissionResultCode.OPERATION_CANCELLED)
-        if now_s < self._settled_s or not self._retry.should_retry(now_s):
+        if now_s < self._settled_s or not self._retry.take_due_retry(now_s):
             return []
         return [(self.peer, self._next_request(now_s))]
 
@@ -419,8 +419,8 @@ class MissionSender:
             self.timed_out, self.result = True, MissionResultCode.OPERATION_CANCELLED
             return [(self.peer, self._make_cancel_message())] if self._uploading else []
         if self._hush_s > -math.inf:
-            return self._quiet_receiver(now_s)
-        if not self._uploading or not self._retry.should_retry(now_s):
+            return self._silence_receiver(now_s)
+        if not self._uploading or not self._retry.take_due_retry(now_s):
             return []
         if self._served < 0:
             return [(self.peer, self._make_count_message())]
@@ -435,7 +435,7 @@ class MissionSender:
         self.result = MissionResultCode.OPERATION_CANCELLED
         return [(self.peer, self._make_cancel_message())]
 
-    def _quiet_receiver(self, now_s: float) -> AddressedMessages:
+    def _silence_receiver(self, now_s: float) -> AddressedMessages:
         if now_s >= self._hush_s:
             self._hush_s = -math.inf
             return self.start(now_s)

@@ -124,7 +124,7 @@ class ParameterProtocol:
     def handle_set(self, now_s: float, station: MessageSource, message: MavMessage) -> None:
         """Process a PARAM_SET; all peers receive the resulting value."""
         name = message.param_id
-        if not self._authority.may_command(now_s, station):
+        if not self._authority.claim_command(now_s, station):
             self._send_value_or_error(station, name, message)
             return
         why = self._set_value(name, decode_parameter(message.param_value, message.param_type))

@@ -94,7 +94,7 @@ def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
         raise error.with_location(where) from error
 
 
-MAX_REQUEST_DELAY_S = 1.0
+MAX_REQUEST_AGE_S = 1.0
 """Greatest delay with which a request to a vehicle is executed (s); older requests are dropped."""
 _BOOT_CLOCK_ID = getattr(time, "CLOCK_BOOTTIME", None)
 
@@ -285,7 +285,7 @@ class Port(ABC):
         return list(self._lines)
 
     @property
-    def call_targets(self) -> list[Peer]:
+    def configured_targets(self) -> list[Peer]:
         """Return the configured peers to which frames can be sent before they have been heard."""
         return []
 
@@ -381,7 +381,7 @@ class UdpPort(Port):
         return int(self._socket.getsockname()[1])
 
     @property
-    def call_targets(self) -> list[Peer]:
+    def configured_targets(self) -> list[Peer]:
         return [] if self.endpoint.is_listening else [self._target]
 
     def receive(self) -> list[tuple[Peer, bytes]]:
@@ -524,19 +524,19 @@ class ReconnectingPort(Port):
         self._retry_s = -RECONNECT_PERIOD_S
 
     @abstractmethod
-    def _try_to_connect(self) -> None:
+    def _attempt_connection(self) -> None:
         """Try to connect; raise OSError on failure.
 
         Implementations set the socket and, once connected, the stream.
         """
 
     @property
-    def call_targets(self) -> list[Peer]:
+    def configured_targets(self) -> list[Peer]:
         return self.peers
 
     def receive(self) -> list[tuple[Peer, bytes]]:
         if self._peer not in self._lines:
-            self._try_connect()
+            self._reconnect_when_due()
         if self._peer not in self._lines:
             return []
         data, gone = self._lines[self._peer].receive()
@@ -550,14 +550,14 @@ class ReconnectingPort(Port):
     def _handle_send_error(self, peer: Peer, error: OSError) -> None:
         self._drop_connection(_CONNECTION_LOST_TEXT)
 
-    def _try_connect(self) -> None:
+    def _reconnect_when_due(self) -> None:
         now_s = time.monotonic()
         if self._line is None and now_s - self._retry_s < RECONNECT_PERIOD_S:
             return
         try:
             if self._line is None:
                 self._retry_s = now_s
-            self._try_to_connect()
+            self._attempt_connection()
         except OSError as error:
             self._drop_connection(f"cannot connect ({error.strerror or error}); trying again")
 
@@ -586,7 +586,7 @@ class TcpClient(ReconnectingPort):
         if self.peers:
             self._drop_connection(_STALE_INPUT_TEXT)
 
-    def _try_to_connect(self) -> None:
+    def _attempt_connection(self) -> None:
         if self._line is None:
             self._line = socket.socket(self._family, socket.SOCK_STREAM)
             _configure_socket(self._line)
@@ -602,7 +602,7 @@ class TcpClient(ReconnectingPort):
 
 
 class SerialPort(ReconnectingPort):
-    def _try_to_connect(self) -> None:
+    def _attempt_connection(self) -> None:
         import serial
 
         try:

@@ -39,7 +39,7 @@ from dataclasses import dataclass
 
 from mufly.estimate import Estimate
 from mufly.flight import Autopilot
-from mufly.link.codec import FRAMES_ABOVE_ORIGIN, FRAMES_ABOVE_SEA, GlobalOrigin, MavMessage, scale_coordinate
+from mufly.link.codec import FRAMES_ABOVE_ORIGIN, FRAMES_ABOVE_SEA, GlobalOrigin, MavMessage, decode_coordinate
 from mufly.mission import REQUEST_ACCEPTED, RequestAnswer, SetPoint, reject_temporarily
 
 FloatTriple = tuple[float, float, float]
@@ -107,7 +107,7 @@ def _parse_global_position(message: MavMessage, origin: GlobalOrigin | None) -> 
     frame = message.coordinate_frame
     if origin is None or frame not in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN):
         return None
-    lat, lon = (scale_coordinate(v, 1e-7) for v in (message.lat_int, message.lon_int))
+    lat, lon = (decode_coordinate(v, 1e-7) for v in (message.lat_int, message.lon_int))
     return origin.to_local(lat, lon, message.alt, frame)
 
 

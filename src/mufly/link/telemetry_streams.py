@@ -690,5 +690,5 @@ MESSAGE_STREAMS: tuple[MessageStream, ...] = (
 )
 """Messages that can be streamed or requested, with their default rates."""
 
-ORIGIN_MESSAGE_IDS = frozenset(s.message_id for s in MESSAGE_STREAMS if s.needs_origin)
+ORIGIN_DEPENDENT_MESSAGE_IDS = frozenset(s.message_id for s in MESSAGE_STREAMS if s.needs_origin)
 """Ids of messages that need an origin."""

@@ -150,13 +150,13 @@ class VehicleLink:
 
     def _handle_set_point(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
         wanted = parse_set_point(m, self.flight.status.estimate, self.origin)
-        if wanted is not None and self.authority.may_command(now_s, station):
+        if wanted is not None and self.authority.claim_command(now_s, station):
             self.clients.send_refusal(now_s, station, self.autopilot.send_set_point(wanted).reason)
 
     def _handle_rc_override(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
         # Releasing sticks that are not in use needs no command.
         releases = parse_rc_override(m) is None and self.authority.commander != station
-        if not releases and self.authority.may_command(now_s, station):
+        if not releases and self.authority.claim_command(now_s, station):
             self.clients.send_refusal(now_s, station, self._stick_input.handle_rc_override(m).reason)
 
     def _handle_manual_control(self, now_s: float, station: MessageSource, m: MavMessage) -> None:

@@ -5,9 +5,9 @@ from mufly.logs.channel_checks import (
     UnitGuess,
     check_channel,
     check_channels,
+    compute_saturated_fractions,
     find_frozen,
     find_outliers,
-    find_saturation,
     guess_angle_units,
     numeric_channels,
 )
@@ -52,7 +52,7 @@ from mufly.logs.raw_log import (
     resample_signal,
     select_usable_samples,
 )
-from mufly.logs.ros.ros_messages import RangeLimits
+from mufly.logs.ros.ros_messages import RangeSensorGeometry
 from mufly.logs.ros.rosbag2 import BAG_ENDING, read_rosbag2, write_rosbag2
 
 __all__ = [
@@ -68,7 +68,7 @@ __all__ = [
     "LogReport",
     "LogWarning",
     "McapWriter",
-    "RangeLimits",
+    "RangeSensorGeometry",
     "RawLog",
     "RawTable",
     "RecordingLayout",
@@ -79,6 +79,7 @@ __all__ = [
     "check_delays",
     "common_clock",
     "component_channels",
+    "compute_saturated_fractions",
     "detect_log_format",
     "differentiate_attitude",
     "draw_channels",
@@ -87,7 +88,6 @@ __all__ = [
     "find_frozen",
     "find_gaps",
     "find_outliers",
-    "find_saturation",
     "flight_layout",
     "group_channels",
     "guess_angle_units",

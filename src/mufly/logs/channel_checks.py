@@ -119,7 +119,7 @@ def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> Channe
         return ChannelReport(name, units, len(x), 1.0 if len(x) else 0.0)
     # A reference at a limit is intended, and the truth of a simulation has no faults.
     planned = name.startswith(("reference_", "truth_"))
-    low, high = (0.0, 0.0) if planned else find_saturation(x)
+    low, high = (0.0, 0.0) if planned else compute_saturated_fractions(x)
     held = planned or is_command_signal(name)
     return ChannelReport(
         name=name,
@@ -296,7 +296,7 @@ def find_frozen(x: _Array) -> NDArray[np.int64]:
     return runs[~turned]
 
 
-def find_saturation(x: _Array) -> tuple[float, float]:
+def compute_saturated_fractions(x: _Array) -> tuple[float, float]:
     """Return the share of samples that sit at the channel's minimum and at its maximum.
 
     Only runs of 5 equal samples count, and only at an extreme value that is more frequent than the values
@@ -325,7 +325,7 @@ AngleUnit = Literal["deg", "rad", ""]
 _DEG_PER_RAD = 180 / np.pi
 _MAX_RATE_RAD_S = 35.0
 # A stated unit is contradicted only by rates (rad/s) beyond the range of all gyroscopes.
-_MAX_NAMED_RATE_RAD_S = 70.0
+_MAX_RATE_OF_STATED_UNIT_RAD_S = 70.0
 _MIN_CORRELATION = 0.6
 # Largest ratio of the slope to its nominal value; averaging over 0.1 s makes noise negligible.
 _MAX_SLOPE_RATIO = 1.35
@@ -406,7 +406,7 @@ def guess_angle_units(
     peak = _robust_peak(angle)
     fast = _robust_peak(rate)
     by_angle: AngleUnit = "deg" if bounded and peak > 2 * np.pi else ""
-    by_rate: AngleUnit = "deg" if fast > (_MAX_NAMED_RATE_RAD_S if named else _MAX_RATE_RAD_S) else ""
+    by_rate: AngleUnit = "deg" if fast > (_MAX_RATE_OF_STATED_UNIT_RAD_S if named else _MAX_RATE_RAD_S) else ""
     reasons = []
     if by_angle:
         reasons.append(f"values up to {peak:.3g} are too large for radians")

@@ -59,7 +59,7 @@ _FIRMWARE_PATTERN = re.compile(
     r"^(?:APM:\s?|)(?:Ardu)?(Copter|Plane|Rover|Sub|Blimp|AntennaTracker)\b.*?(\d+)\.(\d+)", re.IGNORECASE
 )
 # An integer "I" is an instance; in messages of PID controllers "I" is the integral part.
-_FAMILY_LETTERS = 3  # of an estimator's message, before its number: NKF1, XKF4
+_ESTIMATOR_PREFIX_LENGTH = 3  # of an estimator's message, before its number: NKF1, XKF4
 _INSTANCE_FIELDS = ("I", "Instance", "Inst")
 _FAMILY_BY_FIRMWARE: dict[str, ModeFamily] = {
     "copter": "copter", "plane": "plane", "rover": "rover", "sub": "submarine", "antennatracker": "tracker",
@@ -447,8 +447,8 @@ def _core_topics(message: str, tables: Mapping[str, RawTable], topics: _Instance
     if message in topics:
         return {core: topic for core, topic in topics[message].items() if topic in tables}
     names = [message]
-    if message[:_FAMILY_LETTERS] in ("NKF", "XKF"):
-        family, number = message[:_FAMILY_LETTERS], int(message[_FAMILY_LETTERS:])
+    if message[:_ESTIMATOR_PREFIX_LENGTH] in ("NKF", "XKF"):
+        family, number = message[:_ESTIMATOR_PREFIX_LENGTH], int(message[_ESTIMATOR_PREFIX_LENGTH:])
         names += [f"{family}{number + _CORE_NUMBER_STEP * k}" for k in (1, 2)]
     return {k: name for k, name in enumerate(names) if name in tables}
 

@@ -76,7 +76,7 @@ _MAGIC_BY_FORMAT: dict[str, bytes | tuple[bytes, ...]] = {
 
 _HEAD_SIZE = 65536
 SQLITE_MAGIC = b"SQLite format 3\0"
-MCAP_PROFILE_SLICE, ROS_PROFILE = slice(17, 25), b"\4\0\0\0ros2"
+MCAP_PROFILE_BYTE_RANGE, ROS_PROFILE = slice(17, 25), b"\4\0\0\0ros2"
 """Offset of the profile in the header of an MCAP file (mcap.dev/spec), and the profile of ROS 2."""
 
 
@@ -102,7 +102,7 @@ def detect_log_format(path: str | Path) -> str:
         raise InputError(where, "", problem, "give a log" if not head else "give another copy of the log")
     if packed and not looks_like_table(head):
         raise InputError(where, "", "is compressed (gzip) but not a text table", "unpack it: gunzip FILE")
-    if head.startswith(SQLITE_MAGIC) or (head.startswith(MCAP_MAGIC) and head[MCAP_PROFILE_SLICE] == ROS_PROFILE):
+    if head.startswith(SQLITE_MAGIC) or (head.startswith(MCAP_MAGIC) and head[MCAP_PROFILE_BYTE_RANGE] == ROS_PROFILE):
         return "rosbag2"
     for kind, magic in _MAGIC_BY_FORMAT.items():
         if head.startswith(magic):

@@ -21,7 +21,7 @@ from mufly.logs.mcap import flight_layout
 from mufly.logs.raw_log import MIN_GAP_STEPS, Channel, ClockReport, RawLog, check_clock, resample_signal
 from mufly.quantities.quantity_table import SIGNAL_SOURCES, is_command_signal
 from mufly.quantities.units import conversion_factor
-from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -109,19 +109,19 @@ class LogReport:
         said = [f"{f'{t:.2f} s, ' if t == t else ''}{level}: {text}" for t, level, text in raw.messages]
         faults = self.list_faults()
         blocks: list[ShownBlock] = [
-            show_lines(f"  {', '.join(facts)}", head=Path(raw.path).name),
-            show_table(("topic", "messages", "rate (Hz)", "fields", "gaps", "signals"), topics, text=(0, 5)),
+            make_lines_block(f"  {', '.join(facts)}", head=Path(raw.path).name),
+            make_table_block(("topic", "messages", "rate (Hz)", "fields", "gaps", "signals"), topics, text=(0, 5)),
         ]
         if rows:
             heads = ("signal", "unit", "min", "mean", "max", "std")
-            blocks += [show_table(heads, rows[:_MAX_SHOWN_LINES], text=(0, 1)), *_omitted_block(len(rows))]
+            blocks += [make_table_block(heads, rows[:_MAX_SHOWN_LINES], text=(0, 1)), *_omitted_block(len(rows))]
         return [
             *blocks,
             *_section_blocks("Delays", [d.describe_delay() for d in self.delays]),
             *_section_blocks("Messages of the vehicle", said),
             *_section_blocks("Assumed, repaired or refused", self.notes, "yellow"),
             *_section_blocks("Faults", faults, "yellow"),
-            *([] if faults else [show_lines("No faults found.")]),
+            *([] if faults else [make_lines_block("No faults found.")]),
         ]
 
     def as_record(self) -> dict[str, Any]:
@@ -174,13 +174,13 @@ def _section_blocks(title: str, lines: Sequence[str], style: str = "") -> list[S
     if not lines:
         return []
     shown = (f"  {line}" for line in lines[:_MAX_SHOWN_LINES])
-    return [show_lines(title, style="bold"), show_lines(*shown, style=style), *_omitted_block(len(lines))]
+    return [make_lines_block(title, style="bold"), make_lines_block(*shown, style=style), *_omitted_block(len(lines))]
 
 
 def _omitted_block(count: int) -> list[ShownBlock]:
     if count <= _MAX_SHOWN_LINES:
         return []
-    return [show_lines(f"  and {count - _MAX_SHOWN_LINES} more (--json lists all)", style="dim")]
+    return [make_lines_block(f"  and {count - _MAX_SHOWN_LINES} more (--json lists all)", style="dim")]
 
 
 def _format_number(value: float, digits: int = 3) -> str:

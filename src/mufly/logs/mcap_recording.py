@@ -44,7 +44,7 @@ from mufly.logs.raw_log import LogWarning, RawLog, RawTable, find_foreign_stamps
 from mufly.quantities.quantity_table import DIMENSION_LABELS, SIGNAL_SOURCES, Quantity, quantities_recorded_in
 
 RECORDING_FORMAT = 1
-CLOCK_TOPIC = "/mission"
+ROW_CLOCK_TOPIC = "/mission"
 EVENT_TOPIC = "/events"
 FLIGHT_METADATA = "mufly.flight"
 LAYOUT_METADATA = "mufly.layout"
@@ -132,10 +132,10 @@ def _parse_attributes(texts: Mapping[str, str]) -> dict[str, Any]:
 
 def _join_topic_rows(contents: McapContents, layout: RecordingLayout) -> tuple[NDArray[np.float64], list[str]]:
     """Return a recording's rows of numbers and mission states, joined from the messages, one per topic and row."""
-    found = {t: contents.messages_by_topic.get(t, []) for t in (CLOCK_TOPIC, *layout.quantities_by_topic)}
+    found = {t: contents.messages_by_topic.get(t, []) for t in (ROW_CLOCK_TOPIC, *layout.quantities_by_topic)}
     if not contents.is_complete:
         found = _complete_rows(found)
-    clock = [orjson.loads(data) for _, data in found[CLOCK_TOPIC]]
+    clock = [orjson.loads(data) for _, data in found[ROW_CLOCK_TOPIC]]
     n = len(clock)
     table: list[list[list[float | None]]] = [[[entry["time"]] for entry in clock]]
     for topic, quantities in layout.quantities_by_topic.items():
@@ -290,7 +290,7 @@ FOXGLOVE_LOG_SCHEMA = object_schema(
 """JSON schema of an event (foxglove.Log)."""
 
 
-class ChannelTable(Protocol):
+class ChannelRegistry(Protocol):
     """Destination of a recording's topics, which gives each a channel number: a file, or a server of live views."""
 
     def add_channel(self, topic: str, schema_name: str, schema: bytes) -> int:
@@ -300,7 +300,7 @@ class ChannelTable(Protocol):
 class TopicEncoder:
     """Encoder that registers the topics of a layout and converts blocks of rows to messages."""
 
-    def __init__(self, file: ChannelTable, layout: RecordingLayout, start_time_ns: int) -> None:
+    def __init__(self, file: ChannelRegistry, layout: RecordingLayout, start_time_ns: int) -> None:
         self._start = start_time_ns
         self._topics: list[tuple[int, slice, list[bytes]]] = []
         for topic, quantities in layout.quantities_by_topic.items():
@@ -314,7 +314,7 @@ class TopicEncoder:
             "state": {"type": "string", "description": "state of the mission"},
         }
         self._clock = file.add_channel(
-            CLOCK_TOPIC, "mufly.mission", orjson.dumps(object_schema(clock, "mufly.mission"))
+            ROW_CLOCK_TOPIC, "mufly.mission", orjson.dumps(object_schema(clock, "mufly.mission"))
         )
         self._log = file.add_channel(EVENT_TOPIC, "foxglove.Log", orjson.dumps(FOXGLOVE_LOG_SCHEMA))
 

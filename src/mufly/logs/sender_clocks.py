@@ -39,10 +39,10 @@ _MEDIAN_SAMPLES = 11
 _MIN_ARRIVAL_LEAP_S, _MAX_CLOCK_STEP_S, _MIN_LEAP_STEPS = 5.0, 2.0, 10.0
 # Longest time (s) and most packets of the same sender between two copies of a doubled packet.
 _DUPLICATE_WINDOW_S, _DUPLICATE_WINDOW_PACKETS = 1.0, 100
-_REORDER_STEP_S = 1e-6  # distance of a late packet before its successor
+_LATE_PACKET_OFFSET_S = 1e-6  # distance of a late packet before its successor
 # Share of packets out of order above which numbers are not used; silence in median steps.
 _MAX_UNORDERED_FRACTION, _MIN_PAUSE_STEPS = 0.05, 20.0
-_RETURN_WINDOW = 64  # packets within which a late one is followed by its successors
+_LATE_PACKET_WINDOW = 64  # packets within which a late one is followed by its successors
 
 
 def repair_arrival_times(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Array, NDArray[np.int64], list[str]]:
@@ -103,7 +103,7 @@ def _unwrap_sequence_numbers(numbers: NDArray[np.int64], arrival: _Array) -> NDA
     pause = _MIN_PAUSE_STEPS * float(np.median(np.diff(arrival))) if len(arrival) > 1 else 0.0
     for k in behind.tolist():
         # A late packet precedes packets already received; after an outage or a restart the count continues.
-        returns = np.cumsum(step[k : k + _RETURN_WINDOW]).max() > 0
+        returns = np.cumsum(step[k : k + _LATE_PACKET_WINDOW]).max() > 0
         if step[k] == 0 or not returns or arrival[k + 1] - arrival[k] > pause:
             step[k] += 256
     return np.concatenate(([0], np.cumsum(step)))
@@ -147,7 +147,7 @@ def order_by_packet_number(
             again[own] = repeated
             sent = once[np.argsort(count, kind="stable")]
             came = np.minimum.accumulate(arrival[sent][::-1])[::-1]
-            arrival[sent] = np.where(came < arrival[sent], came - _REORDER_STEP_S, came)
+            arrival[sent] = np.where(came < arrival[sent], came - _LATE_PACKET_OFFSET_S, came)
     return arrival, again
 
 

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
 from mufly.logs.mavlink_unknown_values import replace_unknown_values
-from mufly.logs.mcap import component_channels, describe_dataset, read_events
+from mufly.logs.mcap import component_channels, encode_dataset_metadata, read_events
 from mufly.logs.raw_log import RawLog, RawTable, find_foreign_stamps, format_wall_time
 from mufly.logs.tables import TABLE_TOPIC
 
@@ -202,7 +202,7 @@ def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
             ):
                 at = stop
                 if kind == _FLAG_BITS_MESSAGE and not limits:
-                    limits = _read_flag_bits(scan, where, end)
+                    limits = _find_log_part_ends(scan, where, end)
                     limit = limits.pop(0)
                 elif kind == _SUBSCRIPTION_MESSAGE:
                     heads = None
@@ -248,7 +248,7 @@ def _note_damage(scan: _ScanResult, data: bytes, at: int, stop: int, after: int,
         scan.damage.append(f"it ends inside a message at byte {at}, {limit - at} of {stop - at} bytes of it are there")
 
 
-def _read_flag_bits(scan: _ScanResult, where: str, end: int) -> list[int]:
+def _find_log_part_ends(scan: _ScanResult, where: str, end: int) -> list[int]:
     """Return the ends of the file's parts: the log, and data appended to it."""
     flags, offsets = scan.info.pop(_FLAG_BITS_NAME)
     if flags[0] & ~_APPENDED_DATA_FLAG or any(flags[1:]):
@@ -551,7 +551,8 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
         rows[column.column_name] = value
     information = {
         "sys_name": "mufly", "mufly_start_time": str(dataset.attrs.get("start_time", "")),
-        _ROW_COUNT_KEY: str(len(time)), TEXTS_INFO_KEY: json.dumps(texts), DATASET_INFO_KEY: describe_dataset(dataset),
+        _ROW_COUNT_KEY: str(len(time)), TEXTS_INFO_KEY: json.dumps(texts),
+        DATASET_INFO_KEY: encode_dataset_metadata(dataset),
     }  # fmt: skip
     head = encode_table_head(format_text, information)
     said = b"".join(

@@ -8,12 +8,12 @@ from mufly.mission.files.geofence import (
     fence_outlines,
     fence_to_items,
 )
-from mufly.mission.files.ground_files import FILE_ENDINGS, GROUND_FILE_DESCRIPTION, is_ground_station_text
+from mufly.mission.files.ground_files import FILE_ENDINGS, GROUND_STATION_FILE_DESCRIPTION, is_ground_station_text
 from mufly.mission.files.mission_checks import (
     MISSION_FRACTION_OF_CONTROL_LIMITS,
     MissionEstimate,
     check_geometry,
-    check_mission,
+    check_mission_endurance,
     check_preflight,
     dump_mission,
     list_builtin_missions,
@@ -86,7 +86,7 @@ from mufly.mission.user_requests import describe_user_waypoint_fault, pause_miss
 __all__ = [
     "FILE_ENDINGS",
     "GO_AROUND_HEIGHT_M",
-    "GROUND_FILE_DESCRIPTION",
+    "GROUND_STATION_FILE_DESCRIPTION",
     "HARD_TOUCHDOWN_M_S",
     "MAX_GUST_RMS_M_S",
     "MAX_HEIGHT_M",
@@ -118,7 +118,7 @@ __all__ = [
     "VehicleRequest",
     "Waypoint",
     "check_geometry",
-    "check_mission",
+    "check_mission_endurance",
     "check_preflight",
     "check_request",
     "compute_landing_time",

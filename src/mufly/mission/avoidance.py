@@ -291,11 +291,11 @@ class PathCheck(NamedTuple):
         """Mean lateral offset of the blocking points from the path, positive to the right (m)."""
         return self.lateral_offset_sum / self.blocking_point_count if self.blocking_point_count > 0 else 0.0
 
-    def nearest_point(self, place: tuple[float, ...]) -> tuple[float, float, float]:
+    def find_nearest_point_distance(self, place: tuple[float, ...]) -> tuple[float, float, float]:
         """Return the distance of the nearest point from a place N, E (m), and the unit vector N, E to the place."""
-        return _find_nearest_point(self.nearest_point_by_sector, place[0], place[1])
+        return _find_nearest_point_distance(self.nearest_point_by_sector, place[0], place[1])
 
-    def nearest_blocking_point(self, place: tuple[float, ...]) -> tuple[float, float, float]:
+    def find_nearest_blocking_distance(self, place: tuple[float, ...]) -> tuple[float, float, float]:
         """Return the distance of the nearest point that blocks the path from a place N, E (m), and the unit vector to
         the place.
         """
@@ -331,7 +331,7 @@ def _sector_index(n: float, e: float) -> int:
 
 
 @cached_njit
-def _find_nearest_point(near: _Array, n: float, e: float) -> tuple[float, float, float]:
+def _find_nearest_point_distance(near: _Array, n: float, e: float) -> tuple[float, float, float]:
     least, row = np.inf, -1
     for k in range(near.shape[0]):
         dn, de = n - near[k, 0], e - near[k, 1]

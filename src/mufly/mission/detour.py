@@ -194,7 +194,7 @@ def follow_contour(
     Thesis: eqs 6.18, 6.19; Sec. 6.2.3.
     """
     reference = detour.position
-    planned, real = sight.nearest_point(reference), sight.nearest_point(position)
+    planned, real = sight.find_nearest_point_distance(reference), sight.find_nearest_point_distance(position)
     # Plan from the reference or from the helicopter, which wind may displace, whichever is nearer to an obstacle.
     at = position if real[0] < planned[0] else reference
     distance, north, east = real if real[0] < planned[0] else planned
@@ -227,7 +227,7 @@ def follow_contour(
     elif distance < PATH_LOOK_AHEAD_M + 0.5:
         far, n, e = distance, north, east
         # Off any contour, or at a wrong contour's nearest point to the goal: head for the blocking point.
-        block = sight.nearest_blocking_point(at)
+        block = sight.find_nearest_blocking_distance(at)
         lost = detour.lap_count > 0 and nearer_goal and block[0] > follow + 0.05
         if (lost or not touching) and block[0] < math.inf:
             far, n, e = block

@@ -16,7 +16,7 @@ from mufly.mission.machine.ground_phases import (
     reset_mission,
 )
 from mufly.mission.machine.log_messages import LogMessage
-from mufly.mission.machine.mission_reference import current_reference, predict_reference
+from mufly.mission.machine.mission_reference import current_reference, predict_step_end_reference
 from mufly.mission.machine.mission_state import (
     Command,
     MissionPlan,
@@ -130,7 +130,7 @@ def enter_offboard(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionSta
             s,
             State.OFFBOARD,
             LogMessage.OFFBOARD_ON(),
-            set_point_reference=predict_reference(s),
+            set_point_reference=predict_step_end_reference(s),
             detour=None,
             user_in_control=True,
             returning_home=False,

@@ -103,7 +103,7 @@ def smooth_step_down(x: float) -> Triple:
     )
 
 
-def smooth_stop_distance(speed: float, acceleration: float) -> tuple[float, float]:
+def compute_smooth_stop(speed: float, acceleration: float) -> tuple[float, float]:
     """Return time (s) and distance of a stop from ``speed`` by `smooth_step_down` with at most ``acceleration``."""
     duration = _PEAK_SPEED_RATIO * abs(speed) / acceleration
     return duration, 0.5 * abs(speed) * duration
@@ -224,8 +224,8 @@ def plan_stop(
     A ``heading_rate`` (rad/s) is reduced to zero with at most ``yaw_acceleration`` (rad/s2).
     """
     v = _to_triple(velocity)
-    duration, _ = smooth_stop_distance(vector_length(*v), acceleration)
-    turn_s, _ = smooth_stop_distance(heading_rate, yaw_acceleration)
+    duration, _ = compute_smooth_stop(vector_length(*v), acceleration)
+    turn_s, _ = compute_smooth_stop(heading_rate, yaw_acceleration)
     return BrakingMotion(_to_triple(position), v, heading, duration, heading_rate, turn_s)
 
 
@@ -281,7 +281,7 @@ class PendingCurve(NamedTuple):
     acceleration: float
     """Limit of the total acceleration (m/s2)."""
 
-    def time_curve(self) -> TimedSpline | None:
+    def compute_timed_spline(self) -> TimedSpline | None:
         """Return the curve with its motion over time, from rest to rest within the limits.
 
         None if the curve has a point without tangent (a cusp or no length) or a bend that limits the speed to less
@@ -395,7 +395,7 @@ class Trajectory:
 
     def finish_curve(self) -> Trajectory:
         """Return the trajectory with its pending curve computed, or with a straight line if no curve can be flown."""
-        path = None if self.pending_curve is None else self.pending_curve.time_curve()
+        path = None if self.pending_curve is None else self.pending_curve.compute_timed_spline()
         if path is None:
             return replace(self, pending_curve=None)
         gate = self.yaw_profile.duration_s

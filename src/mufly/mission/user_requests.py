@@ -23,7 +23,7 @@ from mufly.mission.machine.mission_state import (
 )
 from mufly.mission.machine.offboard import MAX_HEIGHT_M
 from mufly.mission.machine.phases import change_leg_goal, plan_braking, start_leg, start_leg_home
-from mufly.mission.trajectory import Trajectory, Triple, plan_straight, smooth_stop_distance, wrap_turn
+from mufly.mission.trajectory import Trajectory, Triple, compute_smooth_stop, plan_straight, wrap_turn
 
 _SAME_POSITION_TOLERANCE_M, _SAME_HEADING_TOLERANCE_RAD = 0.01, math.radians(0.5)
 """Difference up to which a target is the present one (m, rad): the rounding of a link's coordinates."""
@@ -76,7 +76,7 @@ def _can_stop_at_goal(s: MissionState) -> bool:
     """Return whether the reference is so near the goal of a leg that it comes to rest there if it brakes now."""
     now = current_reference(s)
     (n, e, d), (gn, ge, gd) = now.position, s.goal
-    _, rest = smooth_stop_distance(vector_length(*now.velocity), DETOUR_ACCELERATION_M_S2)
+    _, rest = compute_smooth_stop(vector_length(*now.velocity), DETOUR_ACCELERATION_M_S2)
     return s.state is State.WAYPOINT and vector_length(n - gn, e - ge, d - gd) <= rest + _STOP_AT_GOAL_MARGIN_M
 
 

@@ -27,7 +27,7 @@ def _template_environment() -> Environment:
 
 
 @cache
-def _html_body(source: str) -> Template:
+def _compile_html_template(source: str) -> Template:
     return _template_environment().from_string(source)
 
 
@@ -45,4 +45,8 @@ def render_page(title: str, body: str, **values: Any) -> str:
     **values
         Variables of the body; with ``refresh_s`` the page reloads periodically.
     """
-    return _template_environment().get_template("report_page.html").render(title=title, body=_html_body(body), **values)
+    return (
+        _template_environment()
+        .get_template("report_page.html")
+        .render(title=title, body=_compile_html_template(body), **values)
+    )

@@ -408,12 +408,12 @@ class ShownTable:
 ShownBlock = ShownLines | ShownTable
 
 
-def show_lines(*lines: str, head: str = "", mark: str = "", style: str = "") -> ShownLines:
+def make_lines_block(*lines: str, head: str = "", mark: str = "", style: str = "") -> ShownLines:
     """Return lines of text as a block of a printed result."""
     return ShownLines(lines, head, mark, style)
 
 
-def show_table(
+def make_table_block(
     heads: Iterable[str], rows: Iterable[Sequence[str]], *, title: str = "", text: Iterable[int] = (0,)
 ) -> ShownTable:
     """Return a table of texts as a block of a printed result."""
@@ -484,7 +484,7 @@ def tabulate_results(
     if names:
         heads, rows = ["", *heads], [[name, *row] for name, row in zip(names, rows, strict=True)]
     texts = [k for k, _ in enumerate(heads) if (k == 0 and names) or not any(_looks_like_number(x[k]) for x in rows)]
-    return show_table(heads, rows, title=title, text=texts)
+    return make_table_block(heads, rows, title=title, text=texts)
 
 
 def tabulate_fields(
@@ -498,7 +498,7 @@ def tabulate_fields(
         else:
             c = ResultColumn(one) if isinstance(one, str) else one
             rows.append((c.head or field_meaning(item, c.name).label, c.value_text(item, unit=True)))
-    return show_table(("", ""), rows, title=title, text=(0, 1))
+    return make_table_block(("", ""), rows, title=title, text=(0, 1))
 
 
 def _looks_like_number(text: str) -> bool:

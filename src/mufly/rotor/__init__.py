@@ -2,10 +2,10 @@
 
 from mufly.rotor.bemt import BatchResult, solve_rotor, solve_rotor_batch, warn_reynolds_range
 from mufly.rotor.blades.blade_families import BLADE_FAMILY_PRIORS
-from mufly.rotor.blades.blade_files import read_blade
+from mufly.rotor.blades.blade_files import import_rotor
 from mufly.rotor.blading import TEXTBOOK_CORRECTIONS, Blading, Corrections, prepare_blading
 from mufly.rotor.coax_maps import compute_coax_map, make_climb_axis_over_tip_speed
-from mufly.rotor.effective_pitch import PitchPrior, effective_pitch_prior
+from mufly.rotor.effective_pitch import PitchOffsetPrior, estimate_pitch_offset_prior
 from mufly.rotor.geometry import (
     BladeSections,
     Rotor,
@@ -46,8 +46,8 @@ from mufly.rotor.rotor_system import (
     SolverMethod,
     SystemSolution,
     VortexRingWarning,
-    blade_stations,
     compute_tip_mach,
+    tabulate_blade_stations,
 )
 from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoil
 from mufly.rotor.sections.polar_engines import compute_airfoil_polars, compute_polar
@@ -84,7 +84,7 @@ __all__ = [
     "Material",
     "MeasurementComparison",
     "OperatingCondition",
-    "PitchPrior",
+    "PitchOffsetPrior",
     "PolarStack",
     "PolarTable",
     "PredictionInterval",
@@ -98,7 +98,6 @@ __all__ = [
     "SystemSolution",
     "VortexRingWarning",
     "add_zero_load_points",
-    "blade_stations",
     "blade_thickness_m",
     "builtin_rotors",
     "calibrate_blading",
@@ -118,10 +117,11 @@ __all__ = [
     "draw_rotor_loads",
     "draw_spanwise_loads",
     "draw_wake",
-    "effective_pitch_prior",
+    "estimate_pitch_offset_prior",
     "extrapolation_flags",
     "fit_rotor",
     "format_rotor_toml",
+    "import_rotor",
     "is_polar_file",
     "load_airfoil",
     "load_rotor",
@@ -131,7 +131,6 @@ __all__ = [
     "plane_velocity",
     "predict_interval",
     "prepare_blading",
-    "read_blade",
     "replace_rotor",
     "rotor_from_tables",
     "solve_elastic_rotor",
@@ -140,5 +139,6 @@ __all__ = [
     "solve_rotor_batch",
     "solve_system",
     "stack_polars",
+    "tabulate_blade_stations",
     "warn_reynolds_range",
 ]

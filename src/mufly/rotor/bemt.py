@@ -57,7 +57,7 @@ from mufly.rotor.rotor_system import (
     compute_tip_mach,
     warn_tip_mach,
 )
-from mufly.rotor.sections.polar_table import PolarStack, stack_extrapolation_flags
+from mufly.rotor.sections.polar_table import PolarStack, flag_extrapolated_stack_points
 from mufly.rotor.sections.section_coefficients import PolarGrid, SectionParameters, section_coefficients
 
 Array = NDArray[np.float64]
@@ -173,7 +173,7 @@ def _solve_points(
 def _flag_extrapolated_stations(blading: Blading, which: int, alpha: Array, reynolds: Array) -> NDArray[np.uint8]:
     """Flag the stations of one rotor outside their polars' range; a mixed section is outside if either polar is."""
     both, weight = np.stack((blading.first_polar[which], blading.second_polar[which])), blading.second_weight[which]
-    first, second = stack_extrapolation_flags(blading.polars, both, alpha, reynolds)
+    first, second = flag_extrapolated_stack_points(blading.polars, both, alpha, reynolds)
     flags: NDArray[np.uint8] = first * (weight < 1.0) | second * (weight > 0.0)
     return flags
 

@@ -60,7 +60,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError
-from mufly.rotor.effective_pitch import effective_pitch_prior
+from mufly.rotor.effective_pitch import estimate_pitch_offset_prior
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.sections import polar_engines
 from mufly.rotor.sections.polar_engines import PolarEngine
@@ -141,7 +141,7 @@ def stall_delay_strength(kind: StallDelayModel, chord_over_r: Array) -> Array:
     return np.zeros_like(chord_over_r)
 
 
-def blunt_edge_drag(edge_m: float, chord_m: Array) -> Array:
+def blunt_edge_drag_product(edge_m: float, chord_m: Array) -> Array:
     """Return the drag of a blunt trailing edge as the constant product c_d c_f^(1/3), (stations,).
 
     c_d is the added drag coefficient, c_f that of the section without the blunt edge.
@@ -196,7 +196,7 @@ class Blading:
         Radius, panel width and chord (m), twist (rad); loss of angle e per lift coefficient (rad), stall delay strength
         g.
     edge_drag : (n, stations) array
-        Drag constant of the blunt trailing edge, see :func:`blunt_edge_drag`.
+        Drag constant of the blunt trailing edge, see :func:`blunt_edge_drag_product`.
     first_polar, second_polar, second_weight : (n, stations) arrays
         Indices of the two polars in the stack, and weight of the second.
     polars : PolarStack
@@ -340,16 +340,16 @@ def prepare_blading(
         cut = rotor.sections_at(mid)
         index = np.array([keys.index(own[k][name]) for name in cut.airfoil_names], dtype=np.int64)
         r[k], dr[k], chord[k] = mid * big, np.diff(edges) * big, cut.chord_m
-        twist[k] = cut.twist_rad + effective_pitch_prior(rotor).offset_mean_rad
+        twist[k] = cut.twist_rad + estimate_pitch_offset_prior(rotor).offset_mean_rad
         if rotor.fit is not None:
             twist[k] += rotor.fit.candidates[0].change[0]
         first[k] = index[cut.first_airfoil]
         second[k] = index[cut.second_airfoil]
         weight[k] = cut.second_weight
         if fixes.lifting_surface:
-            e[k] = lifting_surface_chord_factor(mid, edges, cut.chord_m / big, rotor.chord_m(edges) / big)
+            e[k] = compute_angle_loss_per_cl(mid, edges, cut.chord_m / big, rotor.chord_m(edges) / big)
         g[k] = stall_delay_strength(fixes.stall_delay, chord[k] / r[k])
-        base[k] = blunt_edge_drag(float(rotor.trailing_edge), chord[k])
+        base[k] = blunt_edge_drag_product(float(rotor.trailing_edge), chord[k])
     stack = stack_polars(tables)
     return Blading(
         rotors=many,
@@ -496,7 +496,7 @@ def near_wake_downwash(
     return out
 
 
-def lifting_surface_chord_factor(
+def compute_angle_loss_per_cl(
     mid_x: Array, edge_x: Array, mid_c: Array, edge_c: Array, *, straight_wake: float = 0.0
 ) -> Array:
     """Return the lifting-surface factor e: loss of angle of attack (rad) per unit lift coefficient, (n,).
@@ -511,11 +511,13 @@ def lifting_surface_chord_factor(
         Length of a straight wake in uniform wind, for checks against wings; 0 for a rotor.
     """
     key = tuple(np.ascontiguousarray(v, dtype=np.float64).tobytes() for v in (mid_x, edge_x, mid_c, edge_c))
-    return _cached_chord_factor(*key, straight_wake).copy()
+    return _cached_angle_loss_per_cl(*key, straight_wake).copy()
 
 
 @lru_cache(maxsize=4096)  # sweeps over airfoils, pitch and speed keep the planform
-def _cached_chord_factor(mid: bytes, edge: bytes, mid_chord: bytes, edge_chord: bytes, straight_wake: float) -> Array:
+def _cached_angle_loss_per_cl(
+    mid: bytes, edge: bytes, mid_chord: bytes, edge_chord: bytes, straight_wake: float
+) -> Array:
     mid_x, edge_x, mid_c, edge_c = (np.frombuffer(v) for v in (mid, edge, mid_chord, edge_chord))
     n = mid_x.size
     quarter = np.column_stack((mid_x, np.zeros(n)))

@@ -33,11 +33,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
-from mufly.files.answer_store import AnswerLines, hash_question
+from mufly.files.answer_store import StoredResultLines, hash_inputs
 from mufly.rotor.blading import Blading
 from mufly.rotor.rotor_solver import solve_from_neighbour, solve_system
 from mufly.rotor.rotor_system import (
-    VORTEX_RING_RANGE,
+    VORTEX_RING_DESCENT_RATIOS,
     Air,
     OperatingCondition,
     RotorSystem,
@@ -153,9 +153,9 @@ def compute_coax_map(
     }
     check_pitch("coax map", "pitch_rad", [upper_pitch_rad, lower_pitch_rad])
     system = RotorSystem.coaxial_pair(upper, lower, spacing_m=spacing_m)
-    store: AnswerLines[MapPointValues] = AnswerLines(
+    store: StoredResultLines[MapPointValues] = StoredResultLines(
         kept, lambda row: (tuple(row[0]), tuple(row[1])), other=_WRONG_MAP_MESSAGE,
-        question=hash_question(about, *axes, hash_bladings(upper, lower)),
+        question=hash_inputs(about, *axes, hash_bladings(upper, lower)),
     )  # fmt: skip
     points = order_map_points(shape)
     values = np.full((*shape, 4), np.nan)
@@ -217,7 +217,7 @@ def _describe_vortex_ring(tables: MapTables) -> str:
     up = 2.0 / (1.0 + ratio)  # upper speed over the mean
     thrust = np.maximum(tables.cT_upper * up**2 + tables.cT_lower * (ratio * up) ** 2, 0.0)
     sink = -tables.climb_ratio / np.sqrt(np.maximum(0.5 * thrust, 1e-12))
-    count = np.count_nonzero((sink > VORTEX_RING_RANGE[0]) & (sink < VORTEX_RING_RANGE[1]))
+    count = np.count_nonzero((sink > VORTEX_RING_DESCENT_RATIOS[0]) & (sink < VORTEX_RING_DESCENT_RATIOS[1]))
     return f"; {count} descend into their own wake; means of oscillating loads" if count else ""
 
 
@@ -270,7 +270,7 @@ def hash_bladings(*bladings: Blading) -> str:
     parts: list[object] = []
     for b in bladings:
         parts += [b.r_m, b.chord_m, b.twist_rad, b.polars.grid, b.blades, repr(b.corrections)]
-    return hash_question(*parts)
+    return hash_inputs(*parts)
 
 
 _WRONG_MAP_MESSAGE = (

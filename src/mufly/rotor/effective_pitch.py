@@ -42,7 +42,7 @@ _MAX_PITCH_DISAGREEMENT_RAD = math.radians(7.0)
 _PITCH_REFERENCE_STATION_RATIO = 0.75  # r/R
 
 
-class PitchPrior(NamedTuple):
+class PitchOffsetPrior(NamedTuple):
     """Prior of the effective pitch relative to the rotor file's angle: mean and deviation (rad), and basis in words."""
 
     offset_mean_rad: float
@@ -50,7 +50,7 @@ class PitchPrior(NamedTuple):
     origin: str
 
 
-def effective_pitch_prior(rotor: Rotor) -> PitchPrior:
+def estimate_pitch_offset_prior(rotor: Rotor) -> PitchOffsetPrior:
     """Return the prior of the effective pitch's offset, which depends on how the rotor's geometry was obtained.
 
     Parameters
@@ -65,9 +65,9 @@ def effective_pitch_prior(rotor: Rotor) -> PitchPrior:
         own = float(rotor.blade.pitch_std)
     basis = source or "own design"
     if rotor.nominal_pitch is None:
-        return PitchPrior(0.0, own, basis)
+        return PitchOffsetPrior(0.0, own, basis)
     stated = math.atan(float(rotor.nominal_pitch) / (2.0 * math.pi * _PITCH_REFERENCE_STATION_RATIO * rotor.radius_m))
     apart = stated - float(rotor.twist_rad(_PITCH_REFERENCE_STATION_RATIO))
     apart = min(max(apart, -_MAX_PITCH_DISAGREEMENT_RAD), _MAX_PITCH_DISAGREEMENT_RAD)
     share = own**2 / (own**2 + math.radians(STATED_PITCH_STD_DEG) ** 2)
-    return PitchPrior(share * apart, own * math.sqrt(1.0 - share), f"{basis} and stated pitch")
+    return PitchOffsetPrior(share * apart, own * math.sqrt(1.0 - share), f"{basis} and stated pitch")

@@ -62,7 +62,12 @@ from mufly.rotor.rotor_system import (
     warn_tip_mach,
     warn_vortex_ring,
 )
-from mufly.rotor.vortex_tube import axial_influence, rotor_swirl_influence, solve_tubes, tube_axis_speed
+from mufly.rotor.vortex_tube import (
+    compute_tube_axis_velocity_ratio,
+    make_lower_rotor_swirl_matrix,
+    make_stream_interpolation,
+    solve_tubes,
+)
 from mufly.rotor.wake.wake_solver import solve_wake
 
 Array = NDArray[np.float64]
@@ -259,8 +264,8 @@ def _inflow_matrix(source: PlacedRotor, target: PlacedRotor) -> Array:
     """Return the matrix from a rotor's axial induced velocities to those at another rotor's stations."""
     disc_radius = source.blading.rotors[source.index_in_blading].radius_m
     at_r, at_dr = target.blading.r_m[target.index_in_blading], target.blading.dr_m[target.index_in_blading]
-    k = tube_axis_speed(source.height_m - target.height_m, disc_radius)
-    return k * axial_influence(
+    k = compute_tube_axis_velocity_ratio(source.height_m - target.height_m, disc_radius)
+    return k * make_stream_interpolation(
         source.blading.r_m[source.index_in_blading], disc_radius, 1.0 / math.sqrt(k), at_r, at_dr
     )
 
@@ -277,7 +282,7 @@ def _solve_bemt(
     if len(rotors) == 1:
         return SystemSolution((solve_placed_rotor(rotors[0], climb_m_s, air),), rotors, climb_m_s, air, "bemt")
     ways = {(a, b): _inflow_matrix(p, q) for a, p in enumerate(rotors) for b, q in enumerate(rotors) if a != b}
-    turned = {(a, b): rotor_swirl_influence(rotors[a], p) for b, p in enumerate(rotors) for a in range(b)}
+    turned = {(a, b): make_lower_rotor_swirl_matrix(rotors[a], p) for b, p in enumerate(rotors) for a in range(b)}
     stations = [p.blading.r_m.shape[1] for p in rotors]
     cuts = np.cumsum(stations[:-1])[:-1]
 

@@ -58,7 +58,7 @@ class Air:
                 )
 
 
-def blade_stations(rotor: Rotor, speed_rad_s: float) -> dict[str, Array]:
+def tabulate_blade_stations(rotor: Rotor, speed_rad_s: float) -> dict[str, Array]:
     """Return spanwise data of a blade at the stations of its file, at the cut-out, and at each quarter of the radius.
 
     Parameters
@@ -86,7 +86,7 @@ class RotorWarning(UserWarning):
     """Warning: a rotor is computed outside the range of validity of the theory."""
 
 
-VORTEX_RING_RANGE = (0.5, 2.0)
+VORTEX_RING_DESCENT_RATIOS = (0.5, 2.0)
 """Range of descent velocity over induced velocity in hover with vortex ring state (Leishman 2006, Sec. 2.13.6)."""
 
 MAX_TIP_MACH = 0.7
@@ -104,11 +104,12 @@ class VortexRingWarning(RotorWarning):
 
 
 def warn_vortex_ring(climb_m_s: float, thrust_N: float, area_m2: float, air: Air) -> None:
-    """Issue a :class:`VortexRingWarning` if a disc descends within :data:`VORTEX_RING_RANGE`."""
+    """Issue a :class:`VortexRingWarning` if a disc descends within :data:`VORTEX_RING_DESCENT_RATIOS`."""
     induced = math.sqrt(max(thrust_N, 0.0) / (2.0 * air.density_kg_m3 * area_m2))
-    if VORTEX_RING_RANGE[0] * induced < -climb_m_s < VORTEX_RING_RANGE[1] * induced:
+    if VORTEX_RING_DESCENT_RATIOS[0] * induced < -climb_m_s < VORTEX_RING_DESCENT_RATIOS[1] * induced:
         warnings.warn(
-            f"sinking at {VORTEX_RING_RANGE[0]:g} to {VORTEX_RING_RANGE[1]:g} times the velocity induced in "
+            f"sinking at {VORTEX_RING_DESCENT_RATIOS[0]:g} to {VORTEX_RING_DESCENT_RATIOS[1]:g} times the velocity "
+            f"induced in "
             "hover a rotor is in its own wake (vortex ring, turbulent wake state): there is no steady "
             "wake; blade elements follow a curve "
             "through measured means (Leishman 2006, eq. 2.99), about which real loads swing",
@@ -546,7 +547,7 @@ class SystemSolution:
         both = {name: (getattr(self.lower, name), getattr(self.upper, name)) for name in names}
         return {name.partition("_")[0]: low / up if up else math.nan for name, (low, up) in both.items()}
 
-    def interference_losses(self, isolated: Sequence[RotorResult]) -> dict[str, float]:
+    def interference_changes(self, isolated: Sequence[RotorResult]) -> dict[str, float]:
         """Return the relative changes of the loads of a pair against its isolated rotors at the same pitch and speed.
 
         Keys are ``upper_thrust``, ``upper_torque``, those of the lower rotor, and ``thrust``, ``power`` and

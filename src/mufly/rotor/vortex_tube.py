@@ -55,7 +55,7 @@ from mufly.rotor.rotor_system import Air, PlacedRotor, SystemSolution, WakeSetti
 
 Array = NDArray[np.float64]
 
-_MAX_TUBES = 8  # greatest number of tubes besides the innermost
+_MAX_OUTER_TUBES = 8  # greatest number of tubes besides the innermost
 _TUBE_CELL_STARTS_RADII = np.array([0.0, 0.1, 0.25, 0.45, 0.75, 1.25, 2.0])  # start of each cell of a tube, over R
 _TUBE_CELL_MIDDLES_RADII = np.array([0.05, 0.175, 0.35, 0.6, 1.0, 1.6, 3.0])
 _POINTS_PER_PANEL = 3  # sample points on a panel within a stream
@@ -64,11 +64,13 @@ _MAX_ITERATIONS, _RESTART_INTERVAL, _ANDERSON_MEMORY, _ANDERSON_MIXING = 200, 40
 _CONVERGENCE_TOLERANCE = 1e-5  # of the greatest induced velocity
 _DAMPED_ITERATIONS, _LOAD_RANGE_ITERATIONS = 200, 40
 _LOAD_TOLERANCE = 2e-3  # of thrust and torque of the pair: range over the judged iterations
-_MIN_INDUCED_RATIO = 0.005  # of the tip speed: least induced velocity of that scale; below, a rotor carries no load
+_MIN_INDUCED_TO_TIP_SPEED_RATIO = (
+    0.005  # of the tip speed: least induced velocity of that scale; below, a rotor carries no load
+)
 
 
 @cached_njit(error_model="numpy")
-def tube_velocity(r: float, z: float, radius: float) -> float:
+def compute_tube_velocity_ratio(r: float, z: float, radius: float) -> float:
     """Return the axial velocity that a semi-infinite vortex tube induces, over the velocity in its disc (K of the
     module docstring).
 
@@ -80,7 +82,10 @@ def tube_velocity(r: float, z: float, radius: float) -> float:
     if r < 1e-6 * radius:
         return 1.0 + z / math.hypot(radius, z)
     if abs(r - radius) < 1e-6 * radius:
-        return 0.5 * (tube_velocity(r * (1.0 - 2e-6), z, radius) + tube_velocity(r * (1.0 + 2e-6), z, radius))
+        return 0.5 * (
+            compute_tube_velocity_ratio(r * (1.0 - 2e-6), z, radius)
+            + compute_tube_velocity_ratio(r * (1.0 + 2e-6), z, radius)
+        )
     inside = 1.0 if r < radius else 0.0
     if z == 0.0:
         return inside
@@ -109,14 +114,14 @@ def tube_velocity(r: float, z: float, radius: float) -> float:
     return inside + z / (math.pi * math.sqrt(both)) * integral
 
 
-def tube_axis_speed(distance_m: float, radius_m: float) -> float:
+def compute_tube_axis_velocity_ratio(distance_m: float, radius_m: float) -> float:
     """Return the velocity on the axis of a tube over the velocity in its disc, 0 to 2, at a distance below the disc."""
     return 1.0 + distance_m / math.hypot(radius_m, distance_m)
 
 
 def wake_contraction(distance_m: float, radius_m: float) -> float:
     """Return the radius of a wake tube at a distance below the disc over its radius in the disc; 1 above the disc."""
-    return 1.0 / math.sqrt(tube_axis_speed(max(distance_m, 0.0), radius_m))
+    return 1.0 / math.sqrt(compute_tube_axis_velocity_ratio(max(distance_m, 0.0), radius_m))
 
 
 @cached_njit(error_model="numpy")
@@ -127,16 +132,18 @@ def _fill_cell_influence(out: Array, r: Array, z: Array, tubes: Array, starts: A
     """
     for i in range(out.shape[0]):
         for j in range(tubes.size):
-            above = tube_velocity(r[i], z[i] - starts[0], tubes[j])
+            above = compute_tube_velocity_ratio(r[i], z[i] - starts[0], tubes[j])
             for c in range(starts.size):
-                below = tube_velocity(r[i], z[i] - starts[c + 1], tubes[j]) if c + 1 < starts.size else 0.0
+                below = (
+                    compute_tube_velocity_ratio(r[i], z[i] - starts[c + 1], tubes[j]) if c + 1 < starts.size else 0.0
+                )
                 out[i, j * starts.size + c] = above - below
                 above = below
 
 
 def select_tube_edges(stations: int) -> NDArray[np.int64]:
     """Return the indices of the blade's panel edges at which vortex tubes begin, at most nine at even steps."""
-    return np.unique(np.linspace(0, stations, min(stations, _MAX_TUBES) + 1).round().astype(np.int64))
+    return np.unique(np.linspace(0, stations, min(stations, _MAX_OUTER_TUBES) + 1).round().astype(np.int64))
 
 
 @lru_cache(maxsize=256)
@@ -180,7 +187,7 @@ def _tube_strengths(area: Array, first: NDArray[np.int64], inflow: Array, loss: 
     return np.concatenate(([-mean[0]], mean[:-1] - mean[1:], [mean[-1]]))
 
 
-def _rollup_matrix(steps: Array) -> Array:
+def _make_convection_matrix(steps: Array) -> Array:
     """Return the matrix (tubes, tubes) that turns the axial velocities at the tubes into their convection velocities.
 
     The outermost tubes roll up into the tip vortex and move together, weighted by strength; the root tube moves with
@@ -197,7 +204,7 @@ def _rollup_matrix(steps: Array) -> Array:
     return out
 
 
-def axial_influence(r_m: Array, edge_m: float, narrow: float, at_m: Array, width_m: Array) -> Array:
+def make_stream_interpolation(r_m: Array, edge_m: float, narrow: float, at_m: Array, width_m: Array) -> Array:
     """Return the matrix (panels, stations) that interpolates values at a rotor's stations to panels in its slipstream.
 
     Parameters
@@ -225,12 +232,12 @@ def swirl_influence(r_m: Array, edge_m: float, distance_m: float, at_m: Array, w
     r u is conserved downstream, r becomes s r. Swirl is zero inside the blade roots, and there is no mixing.
     """
     s = wake_contraction(distance_m, edge_m)
-    read = axial_influence(r_m, edge_m, s, at_m, width_m)
+    read = make_stream_interpolation(r_m, edge_m, s, at_m, width_m)
     out: Array = read * ((at_m >= s * r_m[0]) / at_m)[:, None]
     return out
 
 
-def rotor_swirl_influence(source: PlacedRotor, target: PlacedRotor) -> Array:
+def make_lower_rotor_swirl_matrix(source: PlacedRotor, target: PlacedRotor) -> Array:
     """Return the matrix from a rotor's moment of momentum to the swirl at the stations of a lower rotor.
 
     It is multiplied by the moment of momentum r u of the upper rotor's stream (m2/s). The result is a velocity (m/s),
@@ -278,7 +285,7 @@ def solve_tubes(
         (p.blading.r_m[p.index_in_blading] * p.blading.dr_m[p.index_in_blading], select_tube_edges(n)[:-1])
         for p, n in zip(rotors, stations, strict=True)
     ]
-    turned = rotor_swirl_influence(*rotors)
+    turned = make_lower_rotor_swirl_matrix(*rotors)
     found: list[tuple[Array, Array, Array]] = []
     met_by: list[tuple[Array, Array, Array]] = []
 
@@ -297,7 +304,7 @@ def solve_tubes(
         steps = [np.repeat(s, cells) for s in bare]
         thinned = []
         for k, share in enumerate((p0, p1)):
-            together = _rollup_matrix(bare[k])
+            together = _make_convection_matrix(bare[k])
             alone = (together @ (own[k][1] @ steps[k] + climb_m_s).reshape(-1, cells)).ravel()
             alone = np.hypot(alone, max(_MIN_CONVECTION_SPEED_RATIO * float(np.max(np.abs(alone))), least))
             w = other[k][1] @ (steps[1 - k] * (p1, p0)[k]) + own[k][1] @ (steps[k] * (share - 1.0))
@@ -309,7 +316,9 @@ def solve_tubes(
         return np.concatenate((*met, *thinned))
 
     x = np.concatenate((np.zeros(sum(stations)), np.ones(sum(sizes[2:]))))
-    least = _MIN_INDUCED_RATIO * max(p.speed_rad_s * p.blading.rotors[p.index_in_blading].radius_m for p in rotors)
+    least = _MIN_INDUCED_TO_TIP_SPEED_RATIO * max(
+        p.speed_rad_s * p.blading.rotors[p.index_in_blading].radius_m for p in rotors
+    )
     if start is not None and [v.size for v in start.coupling_variables] == sizes:
         x = np.concatenate(start.coupling_variables)
     points: list[Array] = []

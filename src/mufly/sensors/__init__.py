@@ -19,8 +19,8 @@ from mufly.sensors.readings import (
 from mufly.sensors.sensor_suite import (
     FittedSensors,
     check_faults,
-    draw_leaning_vehicle,
     fitted_sensors,
+    randomise_leg_lengths,
 )
 
 __all__ = [
@@ -41,8 +41,8 @@ __all__ = [
     "beam_angles",
     "beam_directions",
     "check_faults",
-    "draw_leaning_vehicle",
     "fitted_sensors",
     "ideal_sensors",
     "parse_fault",
+    "randomise_leg_lengths",
 ]

@@ -16,7 +16,9 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import borrow_arrays
 
 _Array = NDArray[np.float64]
-_KEY_RANGE = 32.0  # of values from their level, in units of their noise; beyond, columns are sorted by their values
+_MAX_KEY_DEVIATION_SIGMAS = (
+    32.0  # of values from their level, in units of their noise; beyond, columns are sorted by their values
+)
 
 
 def median_comparators(rows: int) -> _Array:
@@ -76,7 +78,7 @@ def write_column_medians(values: _Array, levels: _Array, comparators: _Array, ro
     while 1 << bits < rows:
         bits += 1
     most, factor, mask = 2.0 ** (31 - bits) - 2.0, np.int32(1 << bits), (1 << bits) - 1
-    scale = 2.0 ** (31 - bits) / _KEY_RANGE
+    scale = 2.0 ** (31 - bits) / _MAX_KEY_DEVIATION_SIGMAS
     all_keys = np.empty(values.size, np.int32)
     keys, level, out = borrow_arrays(all_keys), borrow_arrays(levels), borrow_arrays(medians)
     for r in range(rows):

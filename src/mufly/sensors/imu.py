@@ -64,15 +64,15 @@ FIRST_GYRO_AXIS, _IMU_AXIS_COUNT = 3, 6  # index of the first gyroscope among th
 (
     _ONCE_PER_REV_INDEX, _TWICE_PER_REV_INDEX, _BLADE_PASSAGE_INDEX, _RESONANCE_INDEX, _DAMPING_INDEX,
     _UPPER_HOVER_SPEED_INDEX, _LOWER_HOVER_SPEED_INDEX, _DRIFT_TIME_INDEX, _WARMING_INDEX, _WARMING_TIME_INDEX,
-    _HOVER_GAIN_INDEX,
+    _HOVER_RESONANCE_GAIN_INDEX,
 ) = range(11)  # fmt: skip
 # Places among the arrays of the unit
 _POSITION_ARRAY, _TURN_ON_BIAS_ARRAY, _BIAS_DRIFT_ARRAY = 1, 7, 13
 _LOW_PASS_MEMORY_ARRAY, _SPECIFIC_FORCE_ARRAY = 14, 15
 # Rows of the work of a period: cosine and sine of the vibration lines, middles of the samples, inputs of the axes
-_MIDDLE_ROW, _FIRST_AXIS_ROW = 2 * _VIBRATION_LINE_COUNT, 2 * _VIBRATION_LINE_COUNT + 1
+_SAMPLE_MIDDLE_FRACTION_ROW, _FIRST_AXIS_ROW = 2 * _VIBRATION_LINE_COUNT, 2 * _VIBRATION_LINE_COUNT + 1
 # Columns of an axis' inputs: coefficients of the vibration lines, input at the start, and its increase
-_AXIS_START, _AXIS_INCREASE = 10, 11
+_AXIS_INPUT_START_COLUMN, _AXIS_INPUT_INCREASE_COLUMN = 10, 11
 
 
 class Imu(Sensor):
@@ -174,7 +174,7 @@ class Imu(Sensor):
             return self.latest_readings
         if math.isnan(last):
             _, _, *arrays, unit = self.sampling_arguments(1.0)
-            begin_imu(truth.state, t, *arrays, self.mounting, unit)
+            make_first_imu_reading(truth.state, t, *arrays, self.mounting, unit)
         else:
             sample_imu(truth.state, t, *self.sampling_arguments(t - last))
         return self.latest_readings
@@ -371,8 +371,11 @@ def simulate_imu_period(
             a += axes[0, j, m] * force[m]
             w += axes[1, j, m] * was[MODEL_RATES + m] + feigned[j, m] * force[m]
             more += axes[1, j, m] * (now[MODEL_RATES + m] - was[MODEL_RATES + m])
-        wave[j, _AXIS_START], wave[j, _AXIS_INCREASE] = a, 0.0
-        wave[FIRST_GYRO_AXIS + j, _AXIS_START], wave[FIRST_GYRO_AXIS + j, _AXIS_INCREASE] = w, more
+        wave[j, _AXIS_INPUT_START_COLUMN], wave[j, _AXIS_INPUT_INCREASE_COLUMN] = a, 0.0
+        wave[FIRST_GYRO_AXIS + j, _AXIS_INPUT_START_COLUMN], wave[FIRST_GYRO_AXIS + j, _AXIS_INPUT_INCREASE_COLUMN] = (
+            w,
+            more,
+        )
     up = 0.5 * (was[MODEL_SPEED_UPPER] + now[MODEL_SPEED_UPPER])
     dw = 0.5 * (was[MODEL_SPEED_LOWER] + now[MODEL_SPEED_LOWER])
     for line in range(5):
@@ -384,12 +387,12 @@ def simulate_imu_period(
             speed, hover, times, amplitude = up + dw, hover_up + hover_dw, 2.0, passing
         share = speed / hover
         amplitude *= share * share
-        amplitude *= resonance_gain(times * speed, natural, damping) / numbers[_HOVER_GAIN_INDEX + line]
+        amplitude *= resonance_gain(times * speed, natural, damping) / numbers[_HOVER_RESONANCE_GAIN_INDEX + line]
         c, s = amplitude * phases[line, 0], amplitude * phases[line, 1]
         for j in range(6):
             wave[j, 2 * line], wave[j, 2 * line + 1] = c * response[line, j], -s * response[line, j]
     for j in range(6):
-        wave[j, _AXIS_START] += switched_on[j] + wander[j] + heat[j] * warmth
+        wave[j, _AXIS_INPUT_START_COLUMN] += switched_on[j] + wander[j] + heat[j] * warmth
 
     # Phasors of the rotors: current value, next rotation, and growth of the rotation per sample.
     up_first, up_last = was[MODEL_SPEED_UPPER], now[MODEL_SPEED_UPPER]
@@ -401,7 +404,7 @@ def simulate_imu_period(
     l0, l1, l2, l3 = borrow_arrays(lines[0]), borrow_arrays(lines[1]), borrow_arrays(lines[2]), borrow_arrays(lines[3])
     l4, l5, l6, l7 = borrow_arrays(lines[4]), borrow_arrays(lines[5]), borrow_arrays(lines[6]), borrow_arrays(lines[7])
     l8, l9 = borrow_arrays(lines[8]), borrow_arrays(lines[9])
-    middle = borrow_arrays(lines[_MIDDLE_ROW])
+    middle = borrow_arrays(lines[_SAMPLE_MIDDLE_FRACTION_ROW])
     for i in range(n):
         c, s = c * tc - s * ts, c * ts + s * tc
         e, f = e * te - f * tf, e * tf + f * te
@@ -422,7 +425,13 @@ def simulate_imu_period(
             borrow_arrays(lines[_FIRST_AXIS_ROW + j]),
             borrow_arrays(normal[_IMU_AXIS_COUNT + n * j : _IMU_AXIS_COUNT + n * (j + 1)]),
         )
-        start, more, loud, most, beyond = wave[j, _AXIS_START], wave[j, _AXIS_INCREASE], white[j], limit[j], 0
+        start, more, loud, most, beyond = (
+            wave[j, _AXIS_INPUT_START_COLUMN],
+            wave[j, _AXIS_INPUT_INCREASE_COLUMN],
+            white[j],
+            limit[j],
+            0,
+        )
         w0, w1, w2, w3, w4 = wave[j, 0], wave[j, 1], wave[j, 2], wave[j, 3], wave[j, 4]
         w5, w6, w7, w8, w9 = wave[j, 5], wave[j, 6], wave[j, 7], wave[j, 8], wave[j, 9]
         for i in range(n):
@@ -464,7 +473,7 @@ def simulate_imu_period(
 
 
 @cached_njit(error_model="numpy")
-def begin_imu(
+def make_first_imu_reading(
     x: _Array, t: float, clock: _Array, last_state: _Array, output: _Array, mounting: _Array, unit: tuple[_Array, ...]
 ) -> None:
     """Make the first reading, of a vehicle at rest: without noise and vibration.

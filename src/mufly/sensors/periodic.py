@@ -23,7 +23,7 @@ _Array = NDArray[np.float64]
 # Indices of a clock: time of the next measurement, earliest time of the next sample, period (s)
 CLOCK_NEXT_MEASUREMENT, CLOCK_NEXT_SAMPLE, CLOCK_PERIOD_INDEX = range(3)
 # Indices of the counts: pending measurements, published samples
-PENDING_COUNT, PUBLISHED_COUNT = range(2)
+PENDING_COUNT_INDEX, PUBLISHED_COUNT_INDEX = range(2)
 # Columns of a row: time of publishing, time of measurement (s), validity; the values follow
 ROW_PUBLISH_TIME, ROW_MEASURED_TIME, ROW_IS_VALID, ROW_FIRST_VALUE = range(4)
 NO_MEASUREMENT = -1.0
@@ -52,7 +52,7 @@ def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int6
     A measurement with the delay ``wait`` (s) is appended to the pending rows. Of several samples due at once, the last
     counts.
     """
-    n = counts[PENDING_COUNT]
+    n = counts[PENDING_COUNT_INDEX]
     if wait >= 0.0 and n < rows.shape[0] - 2:  # the last row is scratch space
         n += 1
         rows[n, ROW_PUBLISH_TIME], rows[n, ROW_MEASURED_TIME] = t + wait, t
@@ -69,11 +69,11 @@ def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int6
             quiet = min(quiet, rows[k, ROW_PUBLISH_TIME])
             for j in range(rows.shape[1]):
                 rows[kept, j] = rows[k, j]
-    counts[PENDING_COUNT] = kept
+    counts[PENDING_COUNT_INDEX] = kept
     clock[CLOCK_NEXT_SAMPLE] = quiet - 2.0 * _TIME_TOLERANCE_S  # nothing happens earlier, by more than a rounding error
     if latest == 0:
         return False
-    counts[PUBLISHED_COUNT] += 1
+    counts[PUBLISHED_COUNT_INDEX] += 1
     return True
 
 
@@ -138,11 +138,11 @@ class PeriodicSensor(Sensor):
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t = truth.time_s
         if t < self.clock.item(CLOCK_NEXT_SAMPLE):
-            is_current = self.counts.item(PUBLISHED_COUNT) == self._readings_count  # no property: half the time
+            is_current = self.counts.item(PUBLISHED_COUNT_INDEX) == self._readings_count  # no property: half the time
             return self._readings if is_current else self.latest_readings
         wait = NO_MEASUREMENT
         if advance_if_due(t, self.clock):
-            row = self.pending_rows[1 + self.counts[PENDING_COUNT]]
+            row = self.pending_rows[1 + self.counts[PENDING_COUNT_INDEX]]
             self._supply[:] = truth.voltage, truth.current
             wait = type(self).sample_function(
                 t, truth.state, truth.attitude, self._supply, self.source, self.sample_arguments, row
@@ -152,7 +152,7 @@ class PeriodicSensor(Sensor):
 
     @property
     def latest_readings(self) -> Mapping[str, Reading]:
-        count = self.counts.item(PUBLISHED_COUNT)
+        count = self.counts.item(PUBLISHED_COUNT_INDEX)
         if count != self._readings_count:
             self._readings_count = count
             row = self.pending_rows[0]

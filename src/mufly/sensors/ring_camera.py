@@ -40,7 +40,7 @@ _Array = NDArray[np.float64]
 SPOT_THRESHOLD_SIGMAS = 5.0
 """Detection threshold of a spot in standard deviations of the noise: one false spot in some million windows."""
 _WINDOW_HALF_WIDTH_RADII = 3.0  # half width of the decoder's columns, in radii of a spot
-ELEVATION_MARGIN = 1.25  # rows reach up to this multiple of the elevation of the shortest distance
+ELEVATION_MARGIN_FACTOR = 1.25  # rows reach up to this multiple of the elevation of the shortest distance
 
 
 @cached_njit(error_model="numpy")
@@ -157,7 +157,7 @@ class RingCamera(PeriodicSensor):
         self._baseline, self._blur = float(c.baseline), float(c.spot_radius)
         self._nearest, self._farthest = float(c.min_range), float(c.max_range)
         self._no_return_range = float(vehicle.range_ring.max_range)
-        self._max_elevation = ELEVATION_MARGIN * math.atan(self._baseline / self._nearest)
+        self._max_elevation = ELEVATION_MARGIN_FACTOR * math.atan(self._baseline / self._nearest)
         self._row_elevation = self._max_elevation / c.radial_pixels  # elevation of a row
         column = 2 * math.pi / c.angular_pixels
         self._centres = np.mod(beam_angles(vehicle), 2 * math.pi) / column  # of the beams, in columns

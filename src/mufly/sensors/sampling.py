@@ -18,7 +18,7 @@ from mufly.quantities.sensor_table import SENSORS
 from mufly.sensors.periodic import (
     CLOCK_NEXT_SAMPLE,
     NO_MEASUREMENT,
-    PENDING_COUNT,
+    PENDING_COUNT_INDEX,
     PeriodicSensor,
     advance_if_due,
     publish_if_due,
@@ -37,7 +37,7 @@ SAMPLED_READING_INDICES = tuple(
 """Index of the first reading of each sensor in the tables of the filter; -1 where the filter does not use it."""
 
 
-def sampling_table(
+def collect_sampling_arguments(
     sensors: Mapping[int, Sensor],
 ) -> tuple[_Array, NDArray[np.uint8], _Array, tuple[Any, ...]]:
     """Return the arguments of :func:`sample_all` for sensors by their indices in :data:`SAMPLED_SENSORS`.
@@ -94,7 +94,7 @@ def _append_sensor(sample_others: Any, k: int, sample: Any) -> Any:
             clock, counts, rows, source, parts = all_parts[k]
             wait = NO_MEASUREMENT
             if advance_if_due(t, clock):
-                wait = sample(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING_COUNT]])
+                wait = sample(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING_COUNT_INDEX]])
             came[k], quiet[k] = _publish_to_filter(t, wait, clock, counts, rows, told[k]), clock[CLOCK_NEXT_SAMPLE]
 
     return sample_in_turn
@@ -129,7 +129,7 @@ def sample_all(
     told : (7, n) array
         The published samples: the first row of each sensor's pending rows.
     all_parts : tuple
-        Last item of the result of :func:`sampling_table`.
+        Last item of the result of :func:`collect_sampling_arguments`.
     """
     # Reference counting of the caller's arrays costs more than sampling.
     x, attitude, supply, quiet = borrow_arrays((x, attitude, supply, quiet))

@@ -145,7 +145,7 @@ def fitted_sensors(
     return fitted
 
 
-def draw_leaning_vehicle(vehicle: Vehicle, *, seed: int = 0) -> Vehicle:
+def randomise_leg_lengths(vehicle: Vehicle, *, seed: int = 0) -> Vehicle:
     """Return the vehicle with legs of random lengths, so that it stands at a small random tilt.
 
     The calibration takes the standing attitude for level, but legs differ in length and floors slope. Roll and pitch

@@ -32,7 +32,9 @@ from mufly.world import World, first_hit_distance
 
 _Array = NDArray[np.float64]
 SPEED_OF_SOUND_M_S = 343.2  # dry air of 20 degC
-_STANDING_SIGMA_LIMIT = 3.0  # deviations that readings of a standing vehicle are above the distance of the floor
+_GROUNDED_RANGE_MARGIN_SIGMAS = (
+    3.0  # deviations that readings of a standing vehicle are above the distance of the floor
+)
 _CONE_RINGS = ((1 / 3, 6), (2 / 3, 12), (1.0, 18))  # share of the half angle, number of rays
 
 
@@ -138,7 +140,9 @@ def max_grounded_range(vehicle: Vehicle) -> float:
     sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
     if sonar is None:
         return 0.0
-    return max(float(sonar.min_range), standing_sonar_range(vehicle) + _STANDING_SIGMA_LIMIT * float(sonar.noise))
+    return max(
+        float(sonar.min_range), standing_sonar_range(vehicle) + _GROUNDED_RANGE_MARGIN_SIGMAS * float(sonar.noise)
+    )
 
 
 def cone_rays(half_angle: float) -> _Array:

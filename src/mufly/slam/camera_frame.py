@@ -111,7 +111,7 @@ HEADING_DRIFT_RAD_S = 0.01
 """Drift of the heading by integrated rates (rad/s)."""
 TRACKING_LOST_AFTER_S = 0.7
 """Time without a result after which the vehicle's own estimate may predict the pose (s)."""
-_MAX_TILT_ACCELERATION_S = 0.2  # time without a picture for which the tilt gives the change of velocity
+_MAX_TILT_INTEGRATION_S = 0.2  # time without a picture for which the tilt gives the change of velocity
 _STRIPE_CAUTION_AFTER_S = 0.1  # of results without texture along one direction
 
 
@@ -211,7 +211,7 @@ class MotionPrior:
             pitch, roll = 0.5 * (before.last_info.pitch + told.pitch), 0.5 * (before.last_info.roll + told.roll)
             c, s = math.cos(heading_rad), math.sin(heading_rad)
             push = np.array([[c, -s], [s, c]]) @ np.array([-math.tan(pitch), math.tan(roll)])
-            velocity = velocity + GRAVITY * min(frame.time_s - before.time_s, _MAX_TILT_ACCELERATION_S) * push
+            velocity = velocity + GRAVITY * min(frame.time_s - before.time_s, _MAX_TILT_INTEGRATION_S) * push
         latest, since_textured_result = (
             None if q is None else q.advance_to(frame.time_s, told)
             for q in (self.since_last_result, self.since_textured_result)

@@ -169,7 +169,7 @@ def attitude_matrix(view: ViewPrior, tilt: _Array | None = None, heading: float 
     )
 
 
-def normalised_rays(
+def compute_ray_slopes(
     view: ViewPrior, pixels: _Array, seconds: _Array, turn: _Array, shakes: _Array | None = None
 ) -> NDArray[np.complex128]:
     """Return the slopes (n,) of the rays through pixels (n, 2): horizontal over vertical, as complex numbers.

@@ -22,7 +22,7 @@ from mufly.slam.camera_pose import (
     PoseEstimate,
     ViewPrior,
     attitude_matrix,
-    normalised_rays,
+    compute_ray_slopes,
     ransac_two_points,
     solve_pose,
 )
@@ -35,7 +35,7 @@ from mufly.slam.image_tools import (
     warp_picture,
 )
 from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, align_picture, pixel_floor_jacobian
-from mufly.slam.images.patch_information import measure_patches, remove_background
+from mufly.slam.images.patch_information import measure_patch_shifts, remove_background
 from mufly.slam.keyframe_map import FloorMap, view_overlap
 from mufly.slam.place_recognition import MIN_ORB_INLIERS, CorrelationPeak, correlate_pictures, is_unambiguous
 from mufly.slam.pose_graph import HEADING, LOG_HEIGHT, TILT
@@ -108,7 +108,7 @@ class FrameContext:
     rng: np.random.Generator
 
     @property
-    def texture_caution(self) -> float:
+    def texture_threshold_factor(self) -> float:
         """Factor on the threshold of texture above which a direction counts as known.
 
         It is larger if the last results lacked texture in one direction.
@@ -185,7 +185,7 @@ class KeyframeMatch:
             1.0,
         )
 
-    def bound_m(self, view: ViewPrior) -> float:
+    def cramer_rao_bound_m(self, view: ViewPrior) -> float:
         """Return the Cramer-Rao bound (m) of the position along the least certain direction with texture."""
         bounds = self.cramer_rao_bound_px[np.isfinite(self.cramer_rao_bound_px) & (self.cramer_rao_bound_px > 0.0)]
         return float(bounds.max(initial=0.0)) * view.height_m / view.focal_px or math.nan
@@ -298,7 +298,7 @@ def _match_points(
     rough = np.hypot(np.hypot(sigma, 0.5), context.shake_rms_px) / view.focal_px
     _, _, _, fits = ransac_two_points(
         places[:, 0] + 1j * places[:, 1],
-        normalised_rays(view, pixels, seconds, attitude_matrix(view), view.shake_amplitudes_px),
+        compute_ray_slopes(view, pixels, seconds, attitude_matrix(view), view.shake_amplitudes_px),
         rough,
         view.height_m,
         view.height_sigma_m,
@@ -317,9 +317,9 @@ def _match_points(
     # Tracks fit the noise of their patch, so the texture is measured where the pose expects each point.
     expected = seen[keep] - pose.pixel_residuals[pose.inlier_mask]
     axes = pixel_floor_jacobian(view, pose.state, pose.shake_amplitudes_px, places[keep], bend[keep], seconds[keep])
-    patches = measure_patches(
+    patches = measure_patch_shifts(
         *flat, points.template_pixels[good][keep], expected, straight.smoothing_sigma_px, axes,
-        row_slope=context.row_slope, caution=context.texture_caution,
+        row_slope=context.row_slope, caution=context.texture_threshold_factor,
     )  # fmt: skip
     if not patches.known.all():
         return None
@@ -354,7 +354,7 @@ def _match_directly(
         straight.smoothing_sigma_px,
         context.motion.unobserved_sigma,
         context.row_slope,
-        context.texture_caution,
+        context.texture_threshold_factor,
     )
     if found is None:
         return None

@@ -21,8 +21,8 @@ from mufly.slam.camera_pose import (
     POSE_TILT,
     PoseEstimate,
     attitude_matrix,
+    compute_ray_slopes,
     d_rays_d_tilt,
-    normalised_rays,
 )
 from mufly.slam.image_tools import detect_corners
 from mufly.slam.keyframe_map import FloorMap, Keyframe, compose_pose, residuals_without_pose_error
@@ -77,7 +77,7 @@ def create_keyframe(context: FrameContext, pose: PoseEstimate, sigma_px: float) 
         picture.copy(),
         turn @ view.body_from_camera,
         pixels,
-        _level_rays(context, pose, pixels, seconds),
+        _compute_level_ray_slopes(context, pose, pixels, seconds),
         np.full(len(pixels), (sigma_px / view.focal_px) ** 2),
         np.zeros(len(pixels), np.int64),
         pose.tilt_error_rad.copy(),
@@ -154,7 +154,7 @@ def refine_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
     """Correct the points of the matched keyframe by their residuals."""
     view, pose = context.view, match.pose
     keyframe, at = floor_map.keyframes[match.keyframe_index], floor_map.nodes[match.keyframe_index]
-    seen = _level_rays(context, pose, match.inlier_pixels, match.exposure_offsets_s)
+    seen = _compute_level_ray_slopes(context, pose, match.inlier_pixels, match.exposure_offsets_s)
     z = pose.height_m * np.exp(1j * pose.heading_rad)
     c = complex(pose.state[0], pose.state[1])
     to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[LOG_HEIGHT] + 1j * at[HEADING])
@@ -268,12 +268,14 @@ def _has_second_place(
     return False
 
 
-def _level_rays(context: FrameContext, pose: PoseEstimate, pixels: _Array, seconds: _Array) -> NDArray[np.complex128]:
+def _compute_level_ray_slopes(
+    context: FrameContext, pose: PoseEstimate, pixels: _Array, seconds: _Array
+) -> NDArray[np.complex128]:
     """Return the slopes of rays through pixels as a level camera of heading 0 would see them at mid-exposure."""
     view = context.view
     turn = attitude_matrix(view, pose.tilt_error_rad, pose.heading_rad)
     centred = pixels - context.undistorter.principal_point
-    m = normalised_rays(view, centred, seconds, turn, pose.shake_amplitudes_px)
+    m = compute_ray_slopes(view, centred, seconds, turn, pose.shake_amplitudes_px)
     move = (view.velocity_m_s[0] + 1j * view.velocity_m_s[1]) * seconds
     down = 1.0 - view.velocity_m_s[2] * seconds / pose.height_m
     return (m * down + move / pose.height_m) * np.exp(-1j * pose.heading_rad)

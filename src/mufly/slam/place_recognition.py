@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.slam.camera_pose import ViewPrior, attitude_matrix, normalised_rays, ransac_two_points
+from mufly.slam.camera_pose import ViewPrior, attitude_matrix, compute_ray_slopes, ransac_two_points
 from mufly.slam.image_tools import Undistorter, find_repeat_shifts, load_opencv
 from mufly.slam.keyframe_map import FloorMap
 from mufly.slam.pose_graph import HEADING, LOG_HEIGHT
@@ -24,7 +24,7 @@ MAX_SECOND_PEAK_RATIO = 0.75
 """Ratio of the second peak of the correlation to the first above which the place is ambiguous."""
 MAX_SECOND_INLIER_RATIO = 0.6
 """Ratio of the inliers of another place to the inliers of the best place, above which the place is ambiguous."""
-MIN_PLACE_DISTANCE = 0.3
+MIN_PLACE_DISTANCE_HEIGHTS = 0.3
 """Least distance of two results over the height at which they are different places."""
 MAX_OTHER_PLACE_LIKELIHOOD = 1e-3
 """Largest relative probability of another place that looks the same."""
@@ -61,7 +61,7 @@ def relocalize_by_orb(
         return None
     pixels = np.array([p.pt for p in points])
     seconds = straight.exposure_offsets(pixels)
-    m = normalised_rays(view, pixels - straight.principal_point, seconds, attitude_matrix(view))
+    m = compute_ray_slopes(view, pixels - straight.principal_point, seconds, attitude_matrix(view))
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
     results: list[tuple[int, int, _Array]] = []
     for k, keyframe in enumerate(floor_map.keyframes[:known]):
@@ -102,7 +102,7 @@ def relocalize_by_orb(
 
 def are_places_apart(a: _Array, b: _Array, height_m: float) -> bool:
     """Return whether two nodes (N, E, ...) are different places at a height (m)."""
-    return math.hypot(*(a[:2] - b[:2])) > MIN_PLACE_DISTANCE * height_m
+    return math.hypot(*(a[:2] - b[:2])) > MIN_PLACE_DISTANCE_HEIGHTS * height_m
 
 
 class CorrelationPeak(NamedTuple):

@@ -23,7 +23,7 @@ from mufly.camera import Camera, body_from_camera_rotation, check_picture_size
 from mufly.slam.camera_frame import TRACKING_LOST_AFTER_S, CameraFrame, MotionPrior, Odometry
 from mufly.slam.camera_pose import POSE_SIZE, SHAKE_SIZE, PoseEstimate, ViewPrior, attitude_matrix
 from mufly.slam.image_tools import Undistorter
-from mufly.slam.images.camera_monitor import TILTED_SIGMA_RAD, CameraDiagnosis, CameraMonitor
+from mufly.slam.images.camera_monitor import FAULTY_MOUNT_TILT_SIGMA_RAD, CameraDiagnosis, CameraMonitor
 from mufly.slam.keyframe_map import FloorMap
 from mufly.slam.keyframe_matching import FrameContext, KeyframeMatch, match_keyframe, rejection_reason
 from mufly.slam.map_growth import (
@@ -47,7 +47,7 @@ NEW_KEYFRAME_INLIERS = 30  # below this number of inliers a new keyframe may hel
 NEW_KEYFRAME_OVERLAP = 0.55  # least overlap of a keyframe and the picture
 LOOP_CHECK_INTERVAL_FRAMES = 8
 _RELOCALIZE_INTERVAL_FRAMES = 4
-_NEW_KEYFRAME_SIGNIFICANCE = 1.7  # of the texture, below which a new keyframe follows earlier
+_NEW_KEYFRAME_TEXTURE_SIGNIFICANCE = 1.7  # of the texture, below which a new keyframe follows earlier
 MAX_KNOWN_AXIS_SIGMA = (0.5, 0.5, 0.5, 0.5)
 """Standard deviations of N, E, D (m) and heading (rad) from which an axis counts as unknown."""
 _MIN_RELOCALIZATION_CONFIRMATIONS = 3
@@ -182,7 +182,7 @@ class SlamSystem:
             return self._make_untrusted_result(frame, verdict, "not later than the previous picture")
         self._last_time_s = frame.time_s
         self._frame_count += 1
-        if self.monitor.is_copy(frame.picture):
+        if self.monitor.count_if_copy(frame.picture):
             return self._make_untrusted_result(frame, self.monitor.frozen_diagnosis, "a copy of the previous picture")
         picture = self.undistorted_picture = self._undistorter.undistort_picture(frame.picture)
         verdict = self.monitor.check_motion(frame, picture)
@@ -359,7 +359,9 @@ class SlamSystem:
         made = closed = False
         inliers = len(match.inlier_indices)
         share = context.view_overlap(self.floor_map.nodes[match.keyframe_index], node)
-        few = share < 0.85 and (inliers < NEW_KEYFRAME_INLIERS or match.significance < _NEW_KEYFRAME_SIGNIFICANCE)
+        few = share < 0.85 and (
+            inliers < NEW_KEYFRAME_INLIERS or match.significance < _NEW_KEYFRAME_TEXTURE_SIGNIFICANCE
+        )
         if (share < NEW_KEYFRAME_OVERLAP or few) and inliers >= MIN_ORB_INLIERS:
             made = self._insert_keyframe(context, match)
         self._frames_since_loop_check += 1
@@ -432,12 +434,12 @@ class SlamSystem:
         covariance, tilted = to @ known @ to.T, self.monitor.diagnose_tilt_at(context.frame.time_s)
         if tilted.fault:
             self._store_diagnosis(context.frame.time_s, tilted)
-            covariance[[0, 1], [0, 1]] += (h * TILTED_SIGMA_RAD) ** 2
+            covariance[[0, 1], [0, 1]] += (h * FAULTY_MOUNT_TILT_SIGMA_RAD) ** 2
         dirt = "" if self.monitor.dirt_mask is None else DIRT_MESSAGE
         return TrackingResult(
             context.frame.time_s, True, "", position, heading, covariance, here,
             match.tracked_count, len(match.inlier_indices), match.inlier_pixels, pose.residual_ratio,
-            match.bound_m(view), made, closed, tilted.message or dirt,
+            match.cramer_rao_bound_m(view), made, closed, tilted.message or dirt,
         )  # fmt: skip
 
     # ------------------------------------------------------------------ Start of a map, and bridges over gaps

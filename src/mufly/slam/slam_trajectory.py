@@ -56,7 +56,7 @@ class SlamTrajectory:
     texture_bound_m: float = np.nan
 
     @property
-    def position_sigma_m(self) -> float:
+    def median_position_sigma_m(self) -> float:
         """Median over all results of the greatest horizontal standard deviation (m)."""
         if not len(self.time):
             return float("nan")

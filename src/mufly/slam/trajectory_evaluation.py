@@ -26,15 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.files.text_table import decode_text, detect_layout
+from mufly.files.text_table import decode_text, detect_separator_and_decimal_mark
 from mufly.logs import LogWarning
-from mufly.results import ShownBlock, result, show_table
+from mufly.results import ShownBlock, make_table_block, result
 from mufly.rotations import euler_from_quaternion
 
 _Array = NDArray[np.float64]
 _QUATERNION = slice(4, 8)
 """Columns of a pose, behind its time and place."""
-CHI2_95 = 9.4877
+CHI2_95_4_DOF = 9.4877
 _MIN_POSITION_SIGMA_M = 1e-4
 """Positions with a smaller sigma (m) are given, not estimated, as at the start of a map; NEES omits them."""
 
@@ -101,7 +101,7 @@ def read_poses(file: Path) -> PoseTable:
         lines += [(number, content)] if content.strip() else []
     if not lines:
         raise InputError(where, "", "contains no rows", remedy)
-    separator, decimal = detect_layout([content for _, content in lines[:: 1 + len(lines) // 200]])
+    separator, decimal = detect_separator_and_decimal_mark([content for _, content in lines[:: 1 + len(lines) // 200]])
     cells = [(n, _split_cells(content, separator, decimal)) for n, content in lines]
     if not _is_number(cells[0][1][0]):
         comments.append(lines[0][1])
@@ -305,7 +305,7 @@ class TrajectoryEvaluation:
             ("NEES/n", "-" if math.isnan(self.nees) else f"{self.nees:.2f}"),
             ("inside the 95 % ellipsoid", "-" if math.isnan(self.inside_share) else f"{self.inside_share:.1%}"),
         ]
-        return [show_table(("", ""), rows)]
+        return [make_table_block(("", ""), rows)]
 
 
 def evaluate_trajectory(
@@ -348,7 +348,7 @@ def evaluate_trajectory(
     if covariance is not None and found.any():
         e, p = np.column_stack([off, turned])[found[inside]], covariance[found]
         each = np.einsum("ni,ni->n", e, np.linalg.solve(p, e[..., None])[..., 0])
-        nees, within = float(each.mean() / 4), float((each < CHI2_95).mean())
+        nees, within = float(each.mean() / 4), float((each < CHI2_95_4_DOF).mean())
     count = len(time) if pictures is None else pictures
     return TrajectoryEvaluation(
         count,

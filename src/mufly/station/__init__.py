@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     )
     from mufly.station.station_recorder import StationRecorder
 
-_MODULES_BY_NAME = {
+_NAMES_BY_MODULE = {
     "mufly.flight.tunable_parameters": ("TunableParameter",),
     "mufly.station.ground_station": ("GroundLink", "GroundStation"),
     "mufly.station.signal_history": (
@@ -56,7 +56,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    for home, names in _MODULES_BY_NAME.items():
+    for home, names in _NAMES_BY_MODULE.items():
         if name in names:
             return getattr(importlib.import_module(home), name)
     raise AttributeError(f"module 'mufly.station' has no attribute {name!r}")

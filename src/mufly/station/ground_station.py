@@ -21,7 +21,7 @@ from pathlib import Path
 
 from mufly.errors import ArgumentError, InputError
 from mufly.link.codec import FrameDecoder, FrameEncoder, MavMessage, OutgoingFrame, mavlink
-from mufly.link.ports import MAX_REQUEST_DELAY_S, Endpoint, Port, open_port, parse_endpoint, read_boot_clock
+from mufly.link.ports import MAX_REQUEST_AGE_S, Endpoint, Port, open_port, parse_endpoint, read_boot_clock
 from mufly.station.remote.remote_vehicle import LOST_TIMEOUT_S, RemoteVehicle
 from mufly.station.station_recorder import StationRecorder
 from mufly.vehicle_types import is_vehicle, vehicle_rank, vehicle_type_name
@@ -129,7 +129,7 @@ class GroundLink:
             Peers that the port can reach. Each gets our heartbeat, so that a vehicle waiting for a station answers.
         """
         stood_s, self._stepped_s = now_s - self._stepped_s, now_s
-        if MAX_REQUEST_DELAY_S < stood_s < math.inf:
+        if MAX_REQUEST_AGE_S < stood_s < math.inf:
             for vehicle in self.vehicles:
                 vehicle.handle_stall(stood_s)
         out = self._make_heartbeats(now_s, peers)

@@ -90,7 +90,7 @@ def estimate_mission_duration(
     base : Mission, optional
         Mission file of the vehicle, if the station knows it.
     """
-    told, avoidance = limits_from_parameters(parameters), _avoidance_from_parameters(parameters)
+    told, avoidance = read_mission_limits(parameters), _avoidance_from_parameters(parameters)
     place, heading = s.estimate.position.tolist(), float(s.estimate.attitude[2])
     start: tuple[float, ...] = ()
     if not s.flying and all(map(math.isfinite, (*place, heading))):
@@ -131,9 +131,9 @@ def _compute_timing(
     return compute_mission_timing(mission), came_from, ", ".join([*words, *left_out])
 
 
-def mission_of_vehicle_limits(parameters: Mapping[str, TunableParameter], base: Mission | None = None) -> Mission:
+def make_mission_with_limits(parameters: Mapping[str, TunableParameter], base: Mission | None = None) -> Mission:
     """Return a mission without waypoints, with the limits known from a vehicle's parameters or a mission file."""
-    told = tuple(limits_from_parameters(parameters).items())
+    told = tuple(read_mission_limits(parameters).items())
     return _apply_limits(base or Mission(), told, _avoidance_from_parameters(parameters))
 
 
@@ -145,7 +145,7 @@ def _apply_limits(
     return _replace_parts(base, limits=limits, avoidance=base.avoidance.model_copy(update=eyes))
 
 
-def limits_from_parameters(parameters: Mapping[str, TunableParameter]) -> dict[str, float]:
+def read_mission_limits(parameters: Mapping[str, TunableParameter]) -> dict[str, float]:
     """Return the limits among a vehicle's parameters, under the keys and in the units of a mission file."""
     found = {}
     for key, sources in LIMIT_PARAMETERS.items():

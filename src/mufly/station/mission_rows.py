@@ -24,7 +24,7 @@ from mufly.mission.files.mission_items import (
 from mufly.mission.files.mission_items import MissionCommand as Cmd
 from mufly.station.signal_history import MissionRow
 
-MISSION_SPEED_TEXT = "default"
+DEFAULT_SPEED_TEXT = "default"
 """Text of a row that ends an earlier speed setting (-2 in MAVLink)."""
 _ACTION_BY_COMMAND: dict[int, str] = {
     Cmd.NAV_TAKEOFF: "take off",
@@ -74,7 +74,7 @@ def _make_row(item: MissionItem, origin: GlobalOrigin | None, reached: bool) -> 
     position, text = _NO_POSITION, ""
     if command == Cmd.DO_CHANGE_SPEED:
         speed = item.params[1]
-        words = {-2.0: MISSION_SPEED_TEXT, -1.0: "unchanged"}.get(speed, f"{speed:g} m/s")
+        words = {-2.0: DEFAULT_SPEED_TEXT, -1.0: "unchanged"}.get(speed, f"{speed:g} m/s")
         of = {2.0: "climb ", 3.0: "descent "}.get(item.params[0], "")
         return MissionRow(action, reached=reached, text=of + words)
     if command == Cmd.CONDITION_YAW:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mufly.errors import ArgumentError
 from mufly.quantities.quantity_table import find_quantity
 from mufly.quantities.units import conversion_factor
-from mufly.results import ShownTable, show_table
+from mufly.results import ShownTable, make_table_block
 from mufly.station.replay import MOTION_SOURCES, FlightRecording
 
 if TYPE_CHECKING:
@@ -299,7 +299,7 @@ def difference_table(c: RecordingComparison, names: Sequence[str]) -> ShownTable
         )
         for r in difference_rows(c, names)
     ]
-    return show_table(("signal", "unit", "rms difference", "largest", "at (s)"), rows, text=(0, 1))
+    return make_table_block(("signal", "unit", "rms difference", "largest", "at (s)"), rows, text=(0, 1))
 
 
 def _format_cell(value: float) -> str:

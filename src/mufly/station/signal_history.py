@@ -100,13 +100,13 @@ class VehicleSnapshot(FlightState):
             Fields that are no such variables.
         """
 
-        def most_complete_source(name: str, sources: Sequence[str]) -> _Array:
+        def select_most_complete_values(name: str, sources: Sequence[str]) -> _Array:
             told = [signal(f"{source}_{name}") for source in sources]
             # The source with most components; of equals the first.
             return max(told, key=lambda v: sum(map(math.isfinite, v.tolist())))
 
         x, v, angles, rates = (
-            most_complete_source(name, sources) for name in ("position", "velocity", "attitude", "rates")
+            select_most_complete_values(name, sources) for name in ("position", "velocity", "attitude", "rates")
         )
         return cls(
             time_s=time_s,
@@ -115,7 +115,7 @@ class VehicleSnapshot(FlightState):
             reference_velocity=signal("reference_velocity"),
             reference_attitude=signal("reference_attitude"),
             actuators=Actuators(signal("motor_input"), signal("servo_input")),
-            rotor_speed=most_complete_source("rotor_speed", ("measured", "truth")),
+            rotor_speed=select_most_complete_values("rotor_speed", ("measured", "truth")),
             battery_current=float(signal("battery_current")[0]),
             battery_charge=float(signal("battery_charge")[0]),
             **others,

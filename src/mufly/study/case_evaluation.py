@@ -36,9 +36,9 @@ from numpy.typing import NDArray
 from mufly.drive import (
     MotorConstants,
     RotorLoad,
-    adapted_gear_ratio,
-    best_gear_ratio,
     compute_operating_point,
+    find_full_voltage_gear_ratio,
+    find_least_power_gear_ratio,
     find_speed_at_voltage,
     find_speed_for_thrust,
     make_blade_load,
@@ -326,7 +326,7 @@ def _add_drive_results(
     speed, torque = answers["speed_rad_s"], answers["torque_Nm"]
     with np.errstate(invalid="ignore", divide="ignore"):
         if gear in ("adapted", "best"):
-            find = adapted_gear_ratio if gear == "adapted" else best_gear_ratio
+            find = find_full_voltage_gear_ratio if gear == "adapted" else find_least_power_gear_ratio
             ratio = find(constants, speed, torque, voltage)
         else:
             ratio = np.asarray(constants.gear_ratio)

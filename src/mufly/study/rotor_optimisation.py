@@ -2,7 +2,8 @@
 
 The method is differential evolution (Storn and Price, J. Global Optimization 11, 1997; SciPy's, seeded and
 reproducible) over the free parameters, always including the pitch. A generation is evaluated as one batch. A free gear
-is not searched: the gear of least power follows for every candidate in closed form (``drive.best_gear_ratio``).
+is not searched: the gear of least power follows for every candidate in closed form
+(``drive.find_least_power_gear_ratio``).
 Airfoils are numbered in the order of a ranking on the initial rotor, so that neighbouring numbers have similar merit.
 The cost of cases that fail or violate a limit exceeds that of all other cases and grows with the violation.
 
@@ -69,7 +70,7 @@ _POPULATION_PER_UNKNOWN = 12  # times the number of unknowns
 
 
 @result
-class DesignStep:
+class DesignChange:
     """Change of one parameter from the initial to the optimised rotor, with its gain.
 
     Attributes
@@ -103,7 +104,7 @@ class RotorOptimum:
     goal : str
     goal_before, goal_after : float
         Goal (N/W or s) of the initial rotor at its best pitch, and of the optimum.
-    steps : tuple of DesignStep
+    steps : tuple of DesignChange
         Changes from the initial rotor to the optimum.
     results : dict
         Results of :func:`mufly.study.evaluate_cases` for the optimum, with ``min_thickness_m`` and ``endurance_s``.
@@ -115,7 +116,7 @@ class RotorOptimum:
     goal: str
     goal_before: float
     goal_after: float
-    steps: tuple[DesignStep, ...]
+    steps: tuple[DesignChange, ...]
     results: dict[str, float]
 
     @property
@@ -205,7 +206,7 @@ def _explain_optimum(problem: OptimisationProblem, best: dict[str, float | str])
     made: dict[str, float | str] = {}
     if own:
         left.append("gear")
-    steps: list[DesignStep] = []
+    steps: list[DesignChange] = []
     while left:
         tried = []
         for name in left:
@@ -216,7 +217,7 @@ def _explain_optimum(problem: OptimisationProblem, best: dict[str, float | str])
         if len(left) == 1:  # the last step ends at the optimum with its pitch
             reached, pitch = after, float(best.get("pitch", pitch))
         value: float | str = float(values["gear_ratio"][0]) if name == "gear" else changes[name]
-        steps.append(DesignStep(name, value, reached, reached / at - 1.0 if at > 0 else math.nan, pitch))
+        steps.append(DesignChange(name, value, reached, reached / at - 1.0 if at > 0 else math.nan, pitch))
         at = reached
         left.remove(name)
         if name == "gear":

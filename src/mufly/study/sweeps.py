@@ -25,7 +25,7 @@ import numpy as np
 import xarray as xr
 
 from mufly.errors import InputError, MuflyError, report_write_errors
-from mufly.files.answer_store import claim_folder, hash_question, read_answer, write_answer
+from mufly.files.answer_store import claim_folder, hash_inputs, read_stored_result, write_stored_result
 from mufly.rotor import RotorResult, database_airfoils, load_airfoil
 from mufly.study.case_evaluation import StudyCase, StudyResults, evaluate_cases
 from mufly.study.study_parameters import PAIR_PARAMETERS, ROTOR_PARAMETERS, ParameterValue, find_parameter
@@ -159,7 +159,7 @@ def _evaluate_grid(
                         "fault": np.array(answers[start].fault, dtype=np.str_),
                         **answers[start].values,
                     }
-                    write_answer(_chunk_file(place, start), question, content)
+                    write_stored_result(_chunk_file(place, start), question, content)
                 done += len(answers[start].fault)
                 if progress is not None:
                     progress(done, total)
@@ -224,7 +224,7 @@ def _sweep_digest(
         "chunk": chunk,
         "contours": _airfoil_digests([*(n for r in setup.rotors for n in r.airfoil_names()), *listed]),
     }
-    return hash_question(content)
+    return hash_inputs(content)
 
 
 def _airfoil_digests(names: Iterable[str]) -> dict[str, str]:
@@ -233,7 +233,7 @@ def _airfoil_digests(names: Iterable[str]) -> dict[str, str]:
     for name in sorted(set(names)):
         path = Path(name)
         if path.is_file() and path.suffix.lower() == ".csv":
-            found[name] = hash_question(path.read_bytes())
+            found[name] = hash_inputs(path.read_bytes())
         elif path.is_file():
             try:
                 found[name] = load_airfoil(name).contour_hash()
@@ -250,7 +250,7 @@ def _chunk_file(folder: Path, start: int) -> Path:
 
 
 def _read_stored_chunk(folder: Path, start: int, question: str) -> StudyResults | None:
-    content = read_answer(_chunk_file(folder, start), question)
+    content = read_stored_result(_chunk_file(folder, start), question)
     return None if content is None else StudyResults(content, [str(reason) for reason in content.pop("fault")])
 
 

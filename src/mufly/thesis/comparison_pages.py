@@ -148,7 +148,7 @@ _BADGE_CLASSES = {"agrees": "yes", "in part": "part", "DIFFERS": "no"}
 _PAGE_BODY_TEMPLATE = """
 {% macro word(a) %}
 <span class="badge {{ badges.get(a.verdict_word) or "" }}">{{ a.verdict_word }}
-{%- if a.agreement_fraction %} ({{ a.agreement_fraction }}){% endif %}</span>
+{%- if a.agreement_count_text %} ({{ a.agreement_count_text }}){% endif %}</span>
 {%- endmacro %}
 <p>D. Schafroth, <i>Aerodynamics, Modeling and Control of an Autonomous Micro Helicopter</i>, ETH No. 18901, 2010;
 mufly's results beside the printed ones. Each claim names its source: text, printed table, or labels of a figure's axis.

@@ -109,12 +109,12 @@ def study_state_machine(progress: ProgressCallback | None = None) -> StudyFindin
     mission = parse_mission(_MISSION_TABLES)
 
     def start_then_command(at: float, command: Command, hold: bool = False) -> Callable[[float, MissionState], Command]:
-        def given(t: float, s: MissionState) -> Command:
+        def command_at(t: float, s: MissionState) -> Command:
             if t >= at and (hold or t < at + 1.5 * _TIME_STEP_S):
                 return command
             return Command(start=abs(t - 0.1) < 0.5 * _TIME_STEP_S)
 
-        return given
+        return command_at
 
     hovers = next(t for t, s in _run_state_machine(mission) if s == "hover") + 0.3
     near = World(boxes=(Box((0.45, 0.15, -1.0), (0.2, 0.2, 1.0), 0.0, "visitor"),))

@@ -23,7 +23,7 @@ import xarray as xr
 
 from mufly.compiled.numba_cache import imported_sources
 from mufly.errors import InputError, report_write_errors
-from mufly.files.answer_store import cache_folder, hash_question, read_answer, write_answer
+from mufly.files.answer_store import cache_folder, hash_inputs, read_stored_result, write_stored_result
 from mufly.results import result, select_fields, to_plain_data
 from mufly.results.result_figure import enable_notebook_display
 from mufly.study import TABLE_3_3_AIRFOILS, write_results
@@ -103,7 +103,7 @@ class StudyOutcome:
                     files.append(target / f"{name}.nc")
                     plain.to_netcdf(files[-1], engine="scipy")
         # Written last: it marks complete results.
-        write_answer(note, study_digest(self.name), self.to_dict(), indent=2)
+        write_stored_result(note, study_digest(self.name), self.to_dict(), indent=2)
         return [picture, note, *files]
 
     def to_dict(self) -> dict[str, Any]:
@@ -166,7 +166,7 @@ class StudyAnswer:
         return "agrees" if agree == len(self.verdicts) else "in part" if agree else "DIFFERS"
 
     @property
-    def agreement_fraction(self) -> str:
+    def agreement_count_text(self) -> str:
         """Number of verdicts that agree, as ``3 of 4``; "" without any."""
         return f"{sum(v.agrees for v in self.verdicts)} of {len(self.verdicts)}" if self.verdicts else ""
 
@@ -396,7 +396,7 @@ def _file_digest(file: Path) -> str:
         + sorted(root.glob("vehicle/maps/*.toml"))
     )
     libraries = [f"{name} {version(name)}" for name in _DIGEST_LIBRARIES]
-    return hash_question(libraries, *(path.read_bytes() for path in (*imported_sources(file), *vehicles)))[:16]
+    return hash_inputs(libraries, *(path.read_bytes() for path in (*imported_sources(file), *vehicles)))[:16]
 
 
 def study_digest(name: str) -> str:
@@ -415,7 +415,7 @@ def load_cached_answer(name: str, folder: Path | None = None) -> StudyAnswer:
     if of.kind != "result":
         return StudyAnswer(of, is_answered=True)
     place = cache_folder("thesis") if folder is None else folder
-    content = None if place is None else read_answer(place / f"{of.name}.json", study_digest(of.name))
+    content = None if place is None else read_stored_result(place / f"{of.name}.json", study_digest(of.name))
     if place is None or content is None:
         return StudyAnswer(of)
     verdicts = tuple(

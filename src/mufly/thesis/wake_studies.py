@@ -33,7 +33,7 @@ from mufly.rotor import (
 )
 from mufly.rotor.blading import ensure_blading
 from mufly.rotor.rotor_system import WakeSettings
-from mufly.rotor.wake.biot_savart import segment_velocity
+from mufly.rotor.wake.biot_savart import evaluate_biot_savart_kernel
 from mufly.rotor.wake.induced_flow import momentum_thrust
 from mufly.study import BEMT_MODELS
 from mufly.thesis.blade_element_studies import load_bench_points
@@ -102,7 +102,7 @@ def study_wake_pair(progress: ProgressCallback | None = None) -> StudyFindings:
 
 def _straight_vortex_velocity(point: Array, a: Array, b: Array) -> Array:
     """Return the velocity at a point due to a straight vortex of unit circulation from a to b, without a core."""
-    compute: Callable[..., tuple[float, float, float]] = segment_velocity
+    compute: Callable[..., tuple[float, float, float]] = evaluate_biot_savart_kernel
     return np.array(compute(*point, *a, *b, 0.0)) / (4 * math.pi)
 
 

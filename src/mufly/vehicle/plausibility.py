@@ -16,15 +16,15 @@ from mufly.quantities.units import GRAVITY
 from mufly.vehicle.vehicle_schema import Vehicle, vehicle_reach_m
 
 _MAX_DRAG_AREA_TO_DISC_AREA = 1.0  # a blunt body as large as the rotor disc has 1.0
-_INERTIA_MARGIN = 1.5  # a rigid body has up to 1; Izz is the fuselage's alone, and estimates are uncertain
-_HUB_SPACING_RANGE = 0.05, 2.0  # rotor spacing over radius; blades touch below, the mast flexes above
+_MAX_INERTIA_TO_OTHERS_SUM = 1.5  # a rigid body has up to 1; Izz is the fuselage's alone, and estimates are uncertain
+_HUB_SPACING_RADII_RANGE = 0.05, 2.0  # rotor spacing over radius; blades touch below, the mast flexes above
 _MAX_LEG_SPAN_RATIO = 3.0  # horizontal distance of a leg's tip over the rotor radius
 _MIN_ACCELEROMETER_RANGE_G = 2.0  # standing and vibration take 1 g each
 _MIN_GYRO_RANGE_RAD_S = 2.0  # gusts and control turn a helicopter of 0.1 kg by about 1 rad/s
 _MAX_SPECIFIC_ENERGY_WH_KG = 300.0  # lithium cells, 2025
-_BATTERY_MASS_FRACTION = 0.5  # of the take-off mass, where the mass budget is missing
+_ASSUMED_BATTERY_MASS_FRACTION = 0.5  # of the take-off mass, where the mass budget is missing
 _MAX_BLIND_HEIGHT_M = 0.3  # height up to which the estimator accepts the sonar's word about lift-off
-_AIR_DENSITY_RANGE = 0.3, 1.6  # kg/m3: 11 km height; sea level at -50 degC
+_AIR_DENSITY_RANGE_KG_M3 = 0.3, 1.6  # kg/m3: 11 km height; sea level at -50 degC
 _EARTH_FIELD_RANGE_T = 15e-6, 100e-6  # the Earth's field is 22 to 67 uT
 
 
@@ -65,7 +65,7 @@ def _check_body(v: Vehicle) -> Iterator[UnusualParameter]:
     inertia = {axis: float(getattr(v.body, f"inertia_{2 * axis}")) for axis in "xyz"}
     for axis, value in inertia.items():
         others = sum(inertia.values()) - value
-        if value > _INERTIA_MARGIN * others:
+        if value > _MAX_INERTIA_TO_OTHERS_SUM * others:
             yield UnusualParameter(
                 f"body.inertia_{2 * axis}",
                 f"{value:.3g} kg m2 exceeds the sum of the two others, {others:.3g} kg m2, which no rigid body does",
@@ -78,7 +78,7 @@ def _check_body(v: Vehicle) -> Iterator[UnusualParameter]:
                 f"{mass * reach**2:.3g} kg m2",
                 "check the unit and body.mass",
             )
-    low, high = _AIR_DENSITY_RANGE
+    low, high = _AIR_DENSITY_RANGE_KG_M3
     if not low <= float(v.air.density) <= high:
         yield UnusualParameter(
             "air.density", f"{float(v.air.density):.3g} kg/m3 is not that of air", f"give {low:g} to {high:g} kg/m3"
@@ -88,7 +88,7 @@ def _check_body(v: Vehicle) -> Iterator[UnusualParameter]:
 def _check_rotors(v: Vehicle) -> Iterator[UnusualParameter]:
     radius = float(v.rotors.radius)
     spacing = float(v.rotors.lower.hub_z) - float(v.rotors.upper.hub_z)
-    low, high = _HUB_SPACING_RANGE
+    low, high = _HUB_SPACING_RADII_RANGE
     if not low <= spacing / radius <= high:
         yield UnusualParameter(
             "rotors.upper.hub_z",
@@ -119,7 +119,7 @@ def _check_battery(v: Vehicle) -> Iterator[UnusualParameter]:
     if v.mass_budget is not None and float(v.mass_budget.battery) > 0.0:
         mass = float(v.mass_budget.battery)
     else:
-        mass = _BATTERY_MASS_FRACTION * float(v.body.mass)
+        mass = _ASSUMED_BATTERY_MASS_FRACTION * float(v.body.mass)
     energy = nominal * float(b.capacity) / 3600.0
     if energy > _MAX_SPECIFIC_ENERGY_WH_KG * mass:
         yield UnusualParameter(

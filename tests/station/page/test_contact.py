@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mufly.link.ports import MAX_REQUEST_DELAY_S, read_boot_clock
+from mufly.link.ports import MAX_REQUEST_AGE_S, read_boot_clock
 from mufly.station import RequestOutcome
 from mufly.station.page.late_requests import FrameTimes, LateUploadFilter, drop_late_events
 
@@ -108,7 +108,7 @@ def test_a_sleep_of_the_machine_counts():
     assert read_boot_clock() >= first
 
 
-@pytest.mark.parametrize(("waits_s", "status"), [(0.3, 200), (MAX_REQUEST_DELAY_S + 0.1, 408)])
+@pytest.mark.parametrize(("waits_s", "status"), [(0.3, 200), (MAX_REQUEST_AGE_S + 0.1, 408)])
 def test_a_file_that_began_to_travel_too_late_is_refused(waits_s, status):
     clock, sent = Clock(), []
     frames = FrameTimes(clock)

@@ -265,7 +265,7 @@ def test_the_first_window_holds_the_controls_and_the_last_one_left_gets_them(ses
     session.close_view("two")
     session.close_view("three")
     assert one.has_controls
-    assert session.live_view_count == 1
+    assert session.open_stream_count == 1
 
 
 def test_the_flight_is_told_behind_a_recording_with_its_last_warning(session: StationSession, vehicle: Vehicle) -> None:
@@ -406,14 +406,14 @@ def test_a_window_that_is_loaded_anew_shows_the_vehicle_that_it_showed() -> None
     assert session.open_view("again", key).selected_vehicle() is vehicles[1]
     names = dict(first.status_fields()["vehicles"])
     assert names[vehicles[0].key] == "test vehicle (serial:/dev/ttyUSB0:57600)"
-    assert first.encode_flight()["name"] == "test vehicle (udpin:0.0.0.0:14550)"  # type: ignore[index]
+    assert first.encode_selected_vehicle()["name"] == "test vehicle (udpin:0.0.0.0:14550)"  # type: ignore[index]
 
 
 def test_a_vehicle_that_is_gone_is_not_replaced_by_another() -> None:
     session, vehicles = two_windows()
     view = session.open_view("window", "7@udpin:0.0.0.0:14550")
     assert view.selected_vehicle() is None
-    assert view.encode_flight() is None
+    assert view.encode_selected_vehicle() is None
     words = session.describe_waiting(view.selected)
     assert "system 7 on udpin:0.0.0.0:14550" in words
     assert "select another" in words

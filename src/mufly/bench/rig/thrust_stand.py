@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 import time
 
-from mufly.bench.bench_table import ColumnMeaning, parse_header
+from mufly.bench.bench_table import ColumnMeaning, parse_column_header
 from mufly.bench.rig.bench_devices import DeviceError, Samples
 from mufly.bench.rig.serial_line import SerialLine, SILENCE_TIMEOUT_s
 
@@ -81,7 +81,7 @@ class ThrustStand:
         for raw in whole:
             text = raw.decode("ascii", errors="replace").strip()
             if text.startswith("#"):
-                columns = [parse_header(h) for h in text[1:].split(",")]
+                columns = [parse_column_header(h) for h in text[1:].split(",")]
                 if any(c is not None and c.name == "speed" for c in columns):
                     self._columns = columns
                 continue

@@ -199,7 +199,7 @@ def analyse_series(
         if name == "thrust" and np.mean(channel.value < 0) > 0.5:
             doubts.append(SeriesIssue("polarity", "thrust is below zero: invert the sign of the force cell", True))
     torque = loads.get("torque")
-    alone = _reference_torque(points, plan, density, speed, known)
+    alone = _find_known_reference_torque(points, plan, density, speed, known)
     told = split_torque(points, plan, facts, speed, torque, alone, known_relative_std, start)
     split = None if isinstance(told, str) else told
     if isinstance(told, str) and told:
@@ -221,8 +221,8 @@ def analyse_series(
         tuple(made.average_setting(g, mounted=True) for g in one),
         tuple(
             sorted(
-                (made.average_setting(g, mounted=False) for g in groups.values() if made.is_measurement(g)),
-                key=_setting_order,
+                (made.average_setting(g, mounted=False) for g in groups.values() if made.is_of_measured_rotor(g)),
+                key=_make_setting_sort_key,
             )
         ),
         tuple(doubts),
@@ -232,7 +232,7 @@ def analyse_series(
     )
 
 
-def _setting_order(s: SettingResult) -> tuple[object, ...]:
+def _make_setting_sort_key(s: SettingResult) -> tuple[object, ...]:
     """Return the sorting key of a setting: blades, pitch and speed."""
     return s.use, s.rotor, s.axis, s.pitch_deg, s.lower_pitch_deg, s.speed_upper_rpm + s.speed_lower_rpm
 
@@ -327,7 +327,7 @@ MAX_REFERENCE_CHANGE = 0.02
 """Relative change of the reference's loads between visits above which an issue is reported."""
 
 
-def _reference_torque(
+def _find_known_reference_torque(
     points: SeriesReadings,
     plan: SeriesPlan,
     density: Array,
@@ -465,7 +465,7 @@ class _SettingAverager:
     repeatability: dict[str, tuple[float, float]]
     start_time_s: float
 
-    def is_measurement(self, at: list[int]) -> bool:
+    def is_of_measured_rotor(self, at: list[int]) -> bool:
         """Return whether the points with indices ``at`` are those of a measured rotor, not of the reference."""
         return self.plan.mounting[self.points.mounting_index[at[0]]].use == "measure"
 

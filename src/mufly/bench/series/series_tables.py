@@ -10,7 +10,7 @@ from mufly.bench.series.series_analysis import LOAD_NAMES, LoadInterval, SeriesR
 from mufly.bench.series.series_files import LoadDifference
 from mufly.bench.series.series_plan import SeriesPlan
 from mufly.bench.series.series_runner import SeriesProgress
-from mufly.results import ShownBlock, show_lines, show_table
+from mufly.results import ShownBlock, make_lines_block, make_table_block
 
 
 def plan_blocks(plan: SeriesPlan) -> list[ShownBlock]:
@@ -21,15 +21,15 @@ def plan_blocks(plan: SeriesPlan) -> list[ShownBlock]:
     ]
     pairs = [m for m in plan.mounting if m.axis == "pair"]
     blocks: list[ShownBlock] = [
-        show_table(("", "use", "blades", "speeds (rpm)"), rows, text=(1, 2, 3)),
-        show_lines(
+        make_table_block(("", "use", "blades", "speeds (rpm)"), rows, text=(1, 2, 3)),
+        make_lines_block(
             f"{plan.point_count} points, {len(plan.steps)} steps; about {plan.estimate_duration_s() / 60:.0f} min and "
             f"{len(plan.mounting)} changes of blades"
         ),
     ]
     if pairs and len({m.speed_ratio for m in pairs}) < 2:
         text = "One speed ratio determines the total thrust only; --ratio 0.9,1,1.1 separates the two rotors."
-        blocks.append(show_lines(text))
+        blocks.append(make_lines_block(text))
     return blocks
 
 
@@ -63,15 +63,15 @@ def series_blocks(found: SeriesResult) -> list[ShownBlock]:
         if math.isfinite(tau)
     ]
     blocks: list[ShownBlock] = [
-        show_table(heads, rows, text=(0, 1, 3), title=f"{found.name}, 95 % intervals"),
-        show_lines(*found.notes, *repeat),
+        make_table_block(heads, rows, text=(0, 1, 3), title=f"{found.name}, 95 % intervals"),
+        make_lines_block(*found.notes, *repeat),
     ]
     if all(s.mountings < 2 for s in found.settings):
         text = (
             "no setting was mounted twice: intervals are valid for the blades as mounted, without the error "
             "of their pitch"
         )
-        blocks.append(show_lines(text))
+        blocks.append(make_lines_block(text))
     inside = [
         abs(load.value - s.truth[f"nominal_{name}"]) <= load.expanded
         for s in found.settings
@@ -79,10 +79,10 @@ def series_blocks(found: SeriesResult) -> list[ShownBlock]:
         if (load := getattr(s, name)) is not None and f"nominal_{name}" in s.truth
     ]
     if inside:
-        blocks.append(show_lines(f"simulated bench: {sum(inside)} of {len(inside)} intervals contain the truth"))
+        blocks.append(make_lines_block(f"simulated bench: {sum(inside)} of {len(inside)} intervals contain the truth"))
     for d in found.doubts:
         mark, style = ("REFUSED", "red") if d.is_fatal else ("note", "yellow")
-        blocks.append(show_lines(d.text, mark=mark, style=style))
+        blocks.append(make_lines_block(d.text, mark=mark, style=style))
     return blocks
 
 
@@ -113,8 +113,8 @@ def difference_blocks(found: Sequence[LoadDifference], first: str, second: str) 
     beyond = sum(abs(d.En_score) > 1 for d in found)
     mean = sum(abs(d.relative) for d in found) / len(found)
     return [
-        show_table(("setting", first, second, "off", "E_n"), rows),
-        show_lines(
+        make_table_block(("setting", first, second, "off", "E_n"), rows),
+        make_lines_block(
             f"{beyond} of {len(found)} differ by more than their uncertainty; "
             f"mean absolute difference {100 * mean:.1f} %"
         ),

@@ -208,7 +208,7 @@ class ArduPilotSimulator(AutopilotSimulator):
     def _begin_session(self, peer: Peer, *, again: bool) -> None:
         self.vehicle.log_event(f"ArduPilot {'has restarted' if again else 'sends'} from {peer.address}")
         self.vehicle.allow_warnings()
-        if self.vehicle.has_moved:
+        if self.vehicle.has_been_armed:
             self.vehicle.reset()
         self._start_s = self.vehicle.time_s
         self.pace.restart()

@@ -2,7 +2,7 @@
 
 Betaflight answers each state of the vehicle with at most one packet of outputs. The simulation waits for it, so both
 run in lockstep; a lost packet is sent again. A state that comes while Betaflight starts can crash it. So states are
-sent, and sent again, only after its serial port has been open for :data:`PORT_OPEN_TIME_S`.
+sent, and sent again, only after its serial port has been open for :data:`MIN_PORT_OPEN_TIME_S`.
 
 Betaflight's clock follows the ratio of simulated to wall-clock time between the last two states. So states come at
 even intervals, and a slow machine slows both down. Its loop has 8000 periods per simulated second, and sleeps 0.05 ms
@@ -56,15 +56,15 @@ BETAFLIGHT_ENDPOINT = Endpoint("udpout", "127.0.0.1", 9003)
 """Address where Betaflight receives the state of the vehicle."""
 BETAFLIGHT_RATE_HZ = 500.0
 """Rate of the simulation."""
-PORT_OPEN_TIME_S = 0.5
+MIN_PORT_OPEN_TIME_S = 0.5
 """Wall-clock time that Betaflight's serial port has been open before it receives states (s)."""
 START_TIMEOUT_S = 10.0
 """Wall-clock time that the port has been open without an answer, after which the start counts as failed (s)."""
-ARMING_TIMEOUT_S = 4.0
+ARMING_REFUSAL_TIMEOUT_S = 4.0
 """Simulated time of a refused arming after which Betaflight is asked for its reasons (s)."""
-_PILOT_PERIODS = round(BETAFLIGHT_RATE_HZ / PILOT_RATE_HZ)
+_PERIODS_PER_PILOT_COMMAND = round(BETAFLIGHT_RATE_HZ / PILOT_RATE_HZ)
 _RESEND_PERIOD_S, _RECEIVE_TIMEOUT_S, _PORT_PROBE_PERIOD_S = 0.1, 0.02, 0.5
-_ARMED_US = MIN_PULSE_US + 500.0 * MOTOR_IDLE
+_ARMED_MOTOR_PULSE_US = MIN_PULSE_US + 500.0 * MOTOR_IDLE
 _MAX_REAL_TIME_FACTOR = 1.0
 _SERVO_PULSES = slice(2, 4)  # of the outputs; the motors come before
 _SENT_SENSORS = ("imu", "pressure")
@@ -181,23 +181,25 @@ class BetaflightSimulator(AutopilotSimulator):
         if problem:
             self.vehicle.warn_once("outputs", problem)
         inputs = np.zeros(4) if problem else self._command.inputs
-        is_armed = not problem and bool(np.all(self._command.pulse_us[:2] > _ARMED_US))
+        is_armed = not problem and bool(np.all(self._command.pulse_us[:2] > _ARMED_MOTOR_PULSE_US))
         vehicle.advance_period(inputs, is_armed)
         self.lockstep_period_count += 1
         self._watch_arming(is_armed)
         self.on_period()
 
     def _send_state(self) -> None:
-        """Send the vehicle's state and, every ``_PILOT_PERIODS`` periods, the channels of the transmitter."""
+        """Send the vehicle's state and, every ``_PERIODS_PER_PILOT_COMMAND`` periods, the channels of the
+        transmitter.
+        """
         vehicle = self.vehicle
-        if self.pilot is not None and self.lockstep_period_count % _PILOT_PERIODS == 0:
+        if self.pilot is not None and self.lockstep_period_count % _PERIODS_PER_PILOT_COMMAND == 0:
             if self.state == "running":
                 pulses = self.pilot.command_channels(vehicle.truth, vehicle.readings, vehicle.is_armed)
             else:
                 pulses = REST_PULSES_US
-            for peer in self._channel_port.call_targets:
+            for peer in self._channel_port.configured_targets:
                 self._channel_port.send(peer, encode_channels(vehicle.time_s, pulses))
-        for peer in self._state_port.call_targets:
+        for peer in self._state_port.configured_targets:
             self._state_port.send(peer, encode_state(vehicle.time_s, vehicle.truth, vehicle.readings))
 
     def _await_answer(self, begun_s: float, stop: Callable[[], bool]) -> None:
@@ -223,7 +225,7 @@ class BetaflightSimulator(AutopilotSimulator):
             self.pace.restart()
 
     def _is_ready(self) -> bool:
-        """Probe Betaflight's serial port; return whether it has been open for :data:`PORT_OPEN_TIME_S`."""
+        """Probe Betaflight's serial port; return whether it has been open for :data:`MIN_PORT_OPEN_TIME_S`."""
         now_s = self._clock()
         if not now_s - self._probed_s < _PORT_PROBE_PERIOD_S:
             self._probed_s = now_s
@@ -235,7 +237,7 @@ class BetaflightSimulator(AutopilotSimulator):
                 self._open_s = math.nan
             else:
                 self._open_s = now_s if math.isnan(self._open_s) else self._open_s
-        return now_s - self._open_s >= PORT_OPEN_TIME_S
+        return now_s - self._open_s >= MIN_PORT_OPEN_TIME_S
 
     def _check_start(self) -> None:
         """Warn if Betaflight has opened its port but answers no state, because its clock has not started to advance."""
@@ -267,7 +269,7 @@ class BetaflightSimulator(AutopilotSimulator):
         self.vehicle.allow_warnings()
         self._refused_s = 0.0
         self._close_msp()
-        if self.vehicle.has_moved:
+        if self.vehicle.has_been_armed:
             self.vehicle.reset()
         if self.pilot is not None:
             self.pilot.reset()
@@ -282,7 +284,7 @@ class BetaflightSimulator(AutopilotSimulator):
             self._close_msp()
             return
         self._refused_s += self.vehicle.period_s
-        if self._refused_s < ARMING_TIMEOUT_S or self.vehicle.has_warned("arming"):
+        if self._refused_s < ARMING_REFUSAL_TIMEOUT_S or self.vehicle.has_warned("arming"):
             return
         if self._msp is None:
             self._msp, self._msp_data = open_port(self._msp_endpoint), b""

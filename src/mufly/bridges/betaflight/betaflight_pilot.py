@@ -8,8 +8,8 @@ capture; faults of the vehicle's position fix have no effect here)::
     motors = hover (1 + a_up / g) V_hover / V
 
 V is the measured voltage of the battery, low-passed, so that a full battery lifts no more than a half-full one.
-The design assumes a lag of x and v of :data:`~mufly.bridges.autopilot_gains.ESTIMATE_LAG_S`; here it is one period.
-Channels: roll, pitch, throttle, yaw, switch of ARM, switch of ANGLE, as the CLI file of
+The design assumes a lag of x and v of :data:`~mufly.bridges.autopilot_gains.POSITION_ESTIMATE_LAG_S`; here it is one
+period. Channels: roll, pitch, throttle, yaw, switch of ARM, switch of ANGLE, as the CLI file of
 :mod:`mufly.bridges.betaflight.betaflight_settings` reads them.
 """
 
@@ -84,7 +84,7 @@ class PilotPlan:
     sink_m_s: float = 0.25
 
     @property
-    def take_off_s(self) -> float:
+    def take_off_duration_s(self) -> float:
         """Duration of the take-off (s); the climb velocity peaks at ``climb_m_s``, twice its mean."""
         return 2.0 * self.height_m / self.climb_m_s
 
@@ -195,7 +195,7 @@ class BetaflightPilot:
             self._enter_phase("landed")
         elif self.phase == "spool-up" and self.phase_s >= MOTOR_SPOOL_UP_TIME_S:
             self._enter_phase("take-off")
-        elif self.phase == "take-off" and self.phase_s >= plan.take_off_s:
+        elif self.phase == "take-off" and self.phase_s >= plan.take_off_duration_s:
             self._enter_phase("hover")
         elif self.phase == "hover" and self.phase_s >= plan.hover_s:
             self._enter_phase("square" if plan.square_side_m > 0.0 else "landing")
@@ -210,7 +210,7 @@ class BetaflightPilot:
         """Set the reference position and velocity for the present phase of the flight."""
         plan, place, speed = self.plan, self._start.copy(), np.zeros(3)
         if self.phase == "take-off":
-            share, rate = _smooth_path_fraction(self.phase_s, plan.take_off_s)
+            share, rate = _smooth_path_fraction(self.phase_s, plan.take_off_duration_s)
             place[2] -= plan.height_m * share
             speed[2] = -plan.height_m * rate
         elif self.phase in ("hover", "square"):

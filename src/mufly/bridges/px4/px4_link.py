@@ -55,7 +55,7 @@ _PERIODS_BETWEEN_TRUTHS = 5
 _PERIODS_BETWEEN_CHECKS = 250  # of one check of rates and outputs
 _ANSWERS_PER_PERIOD_TOLERANCE = 1.2  # answers to a period
 _MAX_SKIPS_WITH_ANSWER = 3  # skipped periods with an answer after each
-_NOISE_BYTES = 500
+_MAX_GARBAGE_BYTES = 500
 _EQUAL_OUTPUT_TOLERANCE, _ACTIVE_OUTPUT_THRESHOLD = 0.02, 0.05  # of outputs
 
 
@@ -216,7 +216,7 @@ class Px4Simulator(AutopilotSimulator):
             for message in self._decoder.receive(self._clock(), peer, data):
                 self._handle_message(message)
             counts = self._decoder.packet_counts(peer)
-            if not counts.received_count and counts.garbage_bytes > _NOISE_BYTES and not self._noise_reported:
+            if not counts.received_count and counts.garbage_bytes > _MAX_GARBAGE_BYTES and not self._noise_reported:
                 self._noise_reported = True
                 self.vehicle.log_event(f"{peer.address} sends no MAVLink messages; connect PX4 instead", "warning")
         gone = self._peer is not None and self._peer not in self.port.peers
@@ -234,7 +234,7 @@ class Px4Simulator(AutopilotSimulator):
         self._peer, self.state = peer, "starting"
         self.vehicle.log_event(f"PX4 has connected from {peer.address}")
         self._forget_autopilot()
-        if self.vehicle.has_moved:
+        if self.vehicle.has_been_armed:
             self.vehicle.reset()
         self.pace.restart()
 

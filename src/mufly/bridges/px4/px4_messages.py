@@ -47,8 +47,8 @@ LOCKSTEP_FLAG = 1
 _INERTIAL_FIELDS, _MAGNETIC_FIELDS = 0b111_111, 0b111 << 6
 _PRESSURE_FIELDS = (1 << 9) | (1 << 11) | (1 << 12)  # pressure, its altitude, temperature
 _PA_PER_HPA, _GAUSS_PER_T, _ZERO_CELSIUS_K = 100.0, 1e4, 273.15
-_STANDARD_PRESSURE_PA, _SCALE_EXPONENT, _SCALE_HEIGHT_M = 101_325.0, 0.190263, 44_330.8
-_ROTATION_DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
+_STANDARD_PRESSURE_PA, _BAROMETRIC_EXPONENT, _TEMPERATURE_LAPSE_HEIGHT_M = 101_325.0, 0.190263, 44_330.8
+_DOWNWARD_SENSOR_ORIENTATION = 25  # MAV_SENSOR_ROTATION_PITCH_270
 _GPS_ERROR_CM, _GPS_SATELLITES = 30, 10
 _COVARIANCE_DIAGONAL = (0, 6, 11, 15, 18, 20)  # of the upper right triangle of a 6 x 6 matrix
 
@@ -140,7 +140,7 @@ class SensorMessages:
             fields |= _PRESSURE_FIELDS
             pressure_hPa = float(pressure.value) / _PA_PER_HPA
             ratio = max(float(pressure.value), 0.0) / _STANDARD_PRESSURE_PA
-            height_m = _SCALE_HEIGHT_M * (1.0 - ratio**_SCALE_EXPONENT)
+            height_m = _TEMPERATURE_LAPSE_HEIGHT_M * (1.0 - ratio**_BAROMETRIC_EXPONENT)
         celsius = float(readings["temperature"].value) - _ZERO_CELSIUS_K
         return mavlink.MAVLink_hil_sensor_message(
             time_us, *readings["acceleration"].value, *readings["rates"].value, *magnetic, pressure_hPa, 0.0,
@@ -176,7 +176,7 @@ class SensorMessages:
         least, most, noise = (round(100.0 * x) for x in self._sonar)
         return mavlink.MAVLink_distance_sensor_message(
             time_us // 1000 % 2**32, least, most, clip_to_integer(100.0 * distance_m, 0, 65535),
-            mavlink.MAV_DISTANCE_SENSOR_ULTRASOUND, 0, _ROTATION_DOWN, min(max(noise * noise, 1), 255),
+            mavlink.MAV_DISTANCE_SENSOR_ULTRASOUND, 0, _DOWNWARD_SENSOR_ORIENTATION, min(max(noise * noise, 1), 255),
         )  # fmt: skip
 
     def encode_truth(self, time_us: int, truth: Truth, acceleration: NDArray[np.float64]) -> MavMessage:

@@ -341,20 +341,20 @@ def compare(
     from mufly.bench.series.series_tables import difference_blocks
 
     torque = None if known is None else read_measurements(known)
-    first = _require_accepted(analysed(series, known=torque, accept=accept or []), series)
+    first = _refuse_fatal_issues(analysed(series, known=torque, accept=accept or []), series)
     found: list[LoadDifference]
     if other is None:
         if spacing is None:
             spacing = float(tomllib.loads(read_record(series).header_line["plan"])["spacing_m"])
         found = compare_with_theory(first, spacing_m=spacing)
     else:
-        found = compare_series(first, _require_accepted(analysed(other, known=torque, accept=accept or []), other))
+        found = compare_series(first, _refuse_fatal_issues(analysed(other, known=torque, accept=accept or []), other))
 
     names = ("bench", "theory") if other is None else ("first", "second")
     print_answer(as_json, {"differences": found}, difference_blocks(found, *names))
 
 
-def _require_accepted(found: SeriesResult, where: Path) -> SeriesResult:
+def _refuse_fatal_issues(found: SeriesResult, where: Path) -> SeriesResult:
     if found.fatal_issues:
         raise InputError(str(where), "", found.fatal_issues[0].text, "see `mufly bench analyse`, or --accept the kind")
     return found

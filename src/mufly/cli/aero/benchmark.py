@@ -94,7 +94,7 @@ def benchmark(
         scores = room.score_codes(cases, codes, points=points, slow_points=points or 3, folder=out, progress=progress)
     if held_out:
         with progress_bar("intervals", not as_json) as progress:
-            scores += room.score_cross_validated(cases, progress)
+            scores += room.score_prediction_intervals(cases, progress)
     for share in ("one", "half") if held_out else ():
         with progress_bar(f"fitted to {share}", not as_json) as progress:
             scores += room.score_held_out_points(cases, share, progress)

@@ -23,10 +23,10 @@ from mufly.results import ResultColumn, select_fields, to_records
 if TYPE_CHECKING:
     from mufly.cfd import CfdSolution, OperatingPoint, PairSolution, SpanLoads
     from mufly.rotor import Rotor
-    from mufly.rotor.structure.coupled_rounds import AeroelasticIteration
+    from mufly.rotor.structure.coupled_rounds import AeroelasticSolution
 
 
-def report_case(folder: Path, rotor: Rotor | None, as_json: bool, rounds: AeroelasticIteration | None = None) -> bool:
+def report_case(folder: Path, rotor: Rotor | None, as_json: bool, rounds: AeroelasticSolution | None = None) -> bool:
     """Print a solution, and write its tables and pictures into the case; return whether the solution has settled.
 
     ``rounds`` are the rounds of solver and beam of an elastic blade; None for a rigid blade.
@@ -154,7 +154,7 @@ def _write_solution_report(
         cfd.write_glb(
             place / "vortices.glb",
             *vortices[:2],
-            cfd.map_colours(cfd.average_at_points(*vortices[:2], vortices[2]["down_m_s"])),
+            cfd.map_colours(cfd.average_faces_at_points(*vortices[:2], vortices[2]["down_m_s"])),
             found.point.rotor,
             shared=True,
         ),

@@ -73,7 +73,7 @@ def show_forward(
     """
     from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import Air, load_rotor, solve_for_thrust
-    from mufly.rotor.forward import ForwardCondition, flap_modes_of_band, make_flap_mode, sweep_forward
+    from mufly.rotor.forward import ForwardCondition, estimate_flap_mode_range, make_flap_mode, sweep_forward
     from mufly.rotor.forward.forward_pictures import draw_disc_fields, draw_sweep
 
     if None not in (pitch, rpm, thrust):
@@ -97,7 +97,7 @@ def show_forward(
     ]
     mass = None if blade_mass is None else 1e-3 * blade_mass
     if flap_frequency_ratio is None:
-        band, basis = flap_modes_of_band(r, omega, pitch_rad=theta, mass_kg=mass)
+        band, basis = estimate_flap_mode_range(r, omega, pitch_rad=theta, mass_kg=mass)
         flaps = list(band)
     else:
         ratios = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1")

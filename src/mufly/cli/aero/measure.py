@@ -73,9 +73,9 @@ def measure(
     Examples: mufly rotor measure --diameter 5in --template readings.csv; mufly rotor measure readings.csv
     --diameter 5in --tip-height 2.1mm --stated-pitch 3in --out mine.toml
     """
-    from mufly.rotor import effective_pitch_prior, format_rotor_toml
+    from mufly.rotor import estimate_pitch_offset_prior, format_rotor_toml
     from mufly.rotor.blades.blade_files import read_station_readings
-    from mufly.rotor.blades.measured_geometry import GeometryReadings, format_reading_table, measure_geometry
+    from mufly.rotor.blades.measured_geometry import GeometryReadings, make_blank_reading_table, rotor_from_readings
 
     if diameter is None:
         raise InputError("--diameter", "", "is missing", "give twice the radius of the tips, for example 5in")
@@ -83,7 +83,7 @@ def measure(
         raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
     radius = 0.5 * diameter
     if template is not None:
-        write_text_file(template, format_reading_table(radius, stated_pitch), option="--template")
+        write_text_file(template, make_blank_reading_table(radius, stated_pitch), option="--template")
         return print_files([template])
     if readings is not None:
         r, chord, angle, thickness = read_station_readings(readings)
@@ -93,12 +93,12 @@ def measure(
         )
     else:
         r, chord, angle, thickness, tip_height = _ask_readings(radius, tip_height)
-    found = measure_geometry(
+    found = rotor_from_readings(
         GeometryReadings(r, chord, angle, tip_height, thickness), radius_m=radius, blades=blades, airfoil=airfoil,
         name=name or (out or readings or Path("measured")).stem, stated_pitch_m=stated_pitch,
         chord_std_m=1e-3 * chord_std, angle_std_rad=math.radians(angle_std),
     )  # fmt: skip
-    prior = effective_pitch_prior(found.rotor)
+    prior = estimate_pitch_offset_prior(found.rotor)
     files = []
     if out is not None:
         files = [write_text_file(out, format_rotor_toml(found.rotor))]

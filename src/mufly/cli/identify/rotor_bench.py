@@ -129,7 +129,7 @@ def rotor(
     from mufly.bench import calibrate_cells, compute_loads, predict_loads, read_bench_files
     from mufly.identify.fit_pictures import draw_rotor_coefficients
     from mufly.identify.rotor_coefficients import (
-        RotorFit,
+        RotorCoefficientFit,
         assign_rotor_side,
         describe_interference,
         fit_rotor_coefficients,
@@ -159,7 +159,9 @@ def rotor(
         )
         for one in loads
     ]  # fmt: skip
-    fits: list[RotorFit] = [f if place is None else assign_rotor_side(f, place, start) for one in by_file for f in one]
+    fits: list[RotorCoefficientFit] = [
+        f if place is None else assign_rotor_side(f, place, start) for one in by_file for f in one
+    ]
     predictions, drawn = {}, {}
     if blades is not None:
         blading = prepare_blading(blades)
@@ -283,7 +285,7 @@ def plan(
     from mufly.identify.fit_pictures import draw_excitation_plan
     from mufly.identify.flight.excitation_plan import (
         SENSOR_NOISE_STD,
-        combined_information,
+        combine_expected_std,
         design_excitation,
     )
     from mufly.identify.flight.excitation_signals import SIGNAL_KINDS
@@ -307,7 +309,7 @@ def plan(
                 )
             )  # fmt: skip
     chosen = [p.best_candidate for p in plans]
-    relative, undetermined = combined_information(plans, chosen)
+    relative, undetermined = combine_expected_std(plans, chosen)
     files = []
     if out is not None:
         for p, c in zip(plans, chosen, strict=True):

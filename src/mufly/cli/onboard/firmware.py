@@ -41,7 +41,7 @@ from mufly.cli.station import (
     SensorsOption,
     WindOption,
     check_sensor_options,
-    new_dated_folder,
+    choose_dated_folder,
     resolve_wind,
 )
 from mufly.errors import InputError, MuflyError, report_write_errors
@@ -327,7 +327,7 @@ def fly(
 
     terminal = make_console(stderr=as_json)
     steady = resolve_wind(wind, gust, seed)
-    folder = out if out is not None else new_dated_folder()
+    folder = out if out is not None else choose_dated_folder()
     check_output_place("--out", folder, make=False)
     if log is not None:
         check_output_place("--log", log.parent, make=False)

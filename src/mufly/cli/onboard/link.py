@@ -19,7 +19,7 @@ from mufly.cli.station import (
     ShutdownHandler,
     WindOption,
     check_sensor_options,
-    describe_computation,
+    describe_flight_code,
     describe_sensor_source,
     parse_endpoints,
     resolve_wind,
@@ -185,7 +185,7 @@ def run_link(
     with LiveDisplay(terminal) as display:
         display.follow_startup(startup)
         startup.begin_stage("building the estimator")
-        print_lines(*filter(None, [describe_computation(helicopter, sensors, firmware)]))
+        print_lines(*filter(None, [describe_flight_code(helicopter, sensors, firmware)]))
         startup.begin_stage("loading the libraries")
         from mufly.control import design_flight_controller
         from mufly.flight import Flight

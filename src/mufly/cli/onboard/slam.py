@@ -397,7 +397,7 @@ def run(
         "closures": sum(e.is_loop_closure for e in slam.floor_map.edges),
         "camera_faults": {name: message for name, (_, message) in slam.camera_verdicts.items()},
         "texture_bound_m": found.texture_bound_m,
-        "position_sigma_m": found.position_sigma_m,
+        "median_position_sigma_m": found.median_position_sigma_m,
         "errors": result,
         "stopped_by": str(failed[0]) if failed else "",
     }
@@ -409,7 +409,8 @@ def run(
         print_lines(f"{content['keyframes']} keyframes, {content['closures']} loops closed")
         if math.isfinite(found.texture_bound_m):
             print_lines(
-                f"place known to {1e3 * found.position_sigma_m:.1f} mm (median); contrast against noise alone bounds a "
+                f"place known to {1e3 * found.median_position_sigma_m:.1f} mm (median); contrast against noise alone "
+                f"bounds a "
                 f"picture to {1e3 * found.texture_bound_m:.2f} mm (Cramer-Rao)"
             )
         print_lines(

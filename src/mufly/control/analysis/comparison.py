@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 
 from mufly.compiled.numba_cache import imported_sources
-from mufly.control.analysis.gust_response import compute_gust_response
+from mufly.control.analysis.gust_response import compute_gust_tilt_std
 from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_noise
 from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import FlightController, design_flight_controller
@@ -33,8 +33,8 @@ from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHOD_NAMES, Sy
 from mufly.control.synthesis.weighting_schemes import DesignSettings
 from mufly.dynamics import find_trim, linearise_vehicle
 from mufly.errors import MuflyError
-from mufly.files.answer_store import hash_question, read_answer, write_answer
-from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.files.answer_store import hash_inputs, read_stored_result, write_stored_result
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import Vehicle
 
 ATTITUDE_NOISE_RAD = float(np.radians(0.1))
@@ -200,7 +200,7 @@ class ControllerComparison:
                         f"{loop.order}", f"{loop.multiply_adds}",
                     )
                 )  # fmt: skip
-            blocks.append(show_table(heads, rows, title=f"{self.vehicle_name}, {title}, {self.rate_Hz:g} Hz"))
+            blocks.append(make_table_block(heads, rows, title=f"{self.vehicle_name}, {title}, {self.rate_Hz:g} Hz"))
         if all(m.forward for m in self.methods):
             speeds = (f"{f.speed_m_s:g} m/s" for f in self.methods[0].forward)
             rows = [
@@ -214,10 +214,10 @@ class ControllerComparison:
                 for m in self.methods
             ]
             title = "roll-pitch in forward flight: disk margin, peaks of S_u and T_u (dB)"
-            blocks.append(show_table(("", *speeds), rows, title=title))
+            blocks.append(make_table_block(("", *speeds), rows, title=title))
         counted = [f"{m.label} {m.instructions:.0f}" for m in self.methods if m.instructions is not None]
         if counted:
-            blocks.append(show_lines(f"Instructions of the law in a period on a Cortex-M4: {', '.join(counted)}"))
+            blocks.append(make_lines_block(f"Instructions of the law in a period on a Cortex-M4: {', '.join(counted)}"))
         flown = [(m, m.flights) for m in self.methods if m.flights is not None]
         if flown:
             rows = [
@@ -229,12 +229,12 @@ class ControllerComparison:
                 )
                 for m, f in flown
             ]
-            blocks.append(show_table(("flights", "succeeded", "95 % interval", "overshoot (m), 95 %"), rows))
-        blocks.append(show_lines(self.verdict))
+            blocks.append(make_table_block(("flights", "succeeded", "95 % interval", "overshoot (m), 95 %"), rows))
+        blocks.append(make_lines_block(self.verdict))
         return blocks
 
 
-def sensor_noise(vehicle: Vehicle, outputs: Sequence[str]) -> Array:
+def compute_output_noise_std(vehicle: Vehicle, outputs: Sequence[str]) -> Array:
     """Return the standard deviation of the noise of each measured output per sample (SI): gyroscopes, attitude,
     height.
     """
@@ -254,7 +254,7 @@ def loop_figures(
     plant = sample_plant(design.plant, design.discrete.period_s, 1)
     feedback = design.feedback_controller(design.discrete.to_state_space())
     n, (outputs, inputs) = design.discrete.order, design.discrete.D.shape
-    noise = sensor_noise(vehicle, design.plant.output_labels)
+    noise = compute_output_noise_std(vehicle, design.plant.output_labels)
     return LoopFigures(
         order=n,
         multiply_adds=n * (inputs + outputs) + 2 * n + inputs * outputs + (outputs * (n + inputs) if scheduled else 0),
@@ -322,14 +322,14 @@ def compare_methods(
         linear = linearise_vehicle(vehicle, voltage=c.voltage_V)
         if plants is None:
             plants = roll_pitch_plants_by_speed(vehicle, speeds_m_s, c.voltage_V)
-        bounds = recall_mu_bounds(vehicle, c, points, None if folder is None else folder / f"mu-{method}.json")
+        bounds = load_or_compute_mu_bounds(vehicle, c, points, None if folder is None else folder / f"mu-{method}.json")
         rows.append(
             MethodFigures(
                 method,
                 loop_figures(vehicle, c.heave_yaw, bounds[0]),
                 loop_figures(vehicle, c.roll_pitch, bounds[1], scheduled=c.schedule is not None),
                 c.cascade_loop.sensitivity_peak_dB,
-                compute_gust_response(linear, c),
+                compute_gust_tilt_std(linear, c),
                 forward=forward_figures(c, plants),
             )
         )
@@ -370,19 +370,19 @@ def forward_figures(c: FlightController, plants: Mapping[float, control.StateSpa
     return tuple(found)
 
 
-def recall_mu_bounds(
+def load_or_compute_mu_bounds(
     vehicle: Vehicle, c: FlightController, points: int, path: Path | None
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the upper and lower bound of mu of heave-yaw and of roll-pitch; ``path`` stores them for later calls."""
     sources = [path.read_bytes() for path in imported_sources(Path(parameter_robustness.__file__))]
     gains = [np.ascontiguousarray(g).tobytes() for g in (c.heave_yaw_gains, c.roll_pitch_gains)]
-    question = hash_question(vehicle.model_dump_json(), c.rate_Hz, c.voltage_V, points, *gains, *sources)
-    kept = None if path is None else read_answer(path, question)
+    question = hash_inputs(vehicle.model_dump_json(), c.rate_Hz, c.voltage_V, points, *gains, *sources)
+    kept = None if path is None else read_stored_result(path, question)
     if kept is None:
         robust = analyse_parameter_robustness(vehicle, c, points=points)
         kept = {loop.name: [loop.peak, loop.lower_peak] for loop in robust.loops}
         if path is not None:
-            write_answer(path, question, kept)
+            write_stored_result(path, question, kept)
     heave_yaw, roll_pitch = ((float(kept[name][0]), float(kept[name][1])) for name in ("heave-yaw", "roll-pitch"))
     return heave_yaw, roll_pitch
 

@@ -43,7 +43,7 @@ class GustResponse:
     swash_plate_rate_std_rad_s: float
 
 
-def compute_gust_response(linear: Linearisation, controller: FlightController) -> float:
+def compute_gust_tilt_std(linear: Linearisation, controller: FlightController) -> float:
     """Return the larger of the standard deviations of roll and pitch (rad) in gusts.
 
     The loop has one period of delay and no sensor noise.

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#7f7f7f"
 _FREQUENCY_GRID = np.geomspace(1e-4, 1e4, 700)
-_THESIS_FIGURES = {"heave-yaw": ("6.3", "6.5"), "roll-pitch": ("6.7", "6.8")}
+_THESIS_FIGURE_NUMBERS = {"heave-yaw": ("6.3", "6.5"), "roll-pitch": ("6.7", "6.8")}
 
 
 def _to_decibel(values: Array) -> Array:
@@ -75,8 +75,10 @@ def _mark_crossovers(axes: Axes, crossovers: tuple[float, ...]) -> None:
         axes.plot(crossovers, np.zeros(len(crossovers)), "o", color=BLUE, markersize=5, label=label)
 
 
-def _thesis_figure(design: ControllerDesign, which: int) -> str:
-    return f"(thesis Fig. {_THESIS_FIGURES[design.name][which]})" if design.name in _THESIS_FIGURES else ""
+def _cite_thesis_figure(design: ControllerDesign, which: int) -> str:
+    return (
+        f"(thesis Fig. {_THESIS_FIGURE_NUMBERS[design.name][which]})" if design.name in _THESIS_FIGURE_NUMBERS else ""
+    )
 
 
 def draw_plant(design: ControllerDesign) -> Figure:
@@ -89,7 +91,7 @@ def draw_plant(design: ControllerDesign) -> Figure:
     shown = _to_decibel(values)
     _set_up_axes(
         axes,
-        f"{design.name}: plant {_thesis_figure(design, 0)}",
+        f"{design.name}: plant {_cite_thesis_figure(design, 0)}",
         max(20 * np.floor(shown.min() / 20), -160.0),
         20 * np.ceil(shown.max() / 20),
     )
@@ -123,7 +125,9 @@ def draw_loop(design: ControllerDesign) -> Figure:
         (design.reduced, "continuous", "--", 1.2),
         (design.discrete.to_state_space(), f"{rate:g} Hz, one sample of delay", ":", 1.4),
     )
-    _set_up_axes(upper, f"{design.name}: loop gain $L_u$ at the plant's input {_thesis_figure(design, 1)}", -80, 120)
+    _set_up_axes(
+        upper, f"{design.name}: loop gain $L_u$ at the plant's input {_cite_thesis_figure(design, 1)}", -80, 120
+    )
     _set_up_axes(lower, f"{design.name}: sensitivity $S_u$ and complementary sensitivity $T_u$", -60, 12)
     for controller, label, line, width in cases:
         curves, label = _compute_design_curves(design, controller), f"order {controller.nstates}, {label}"

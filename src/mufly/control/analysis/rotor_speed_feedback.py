@@ -23,7 +23,7 @@ import control
 import numpy as np
 from scipy import linalg
 
-from mufly.control.analysis.comparison import sensor_noise
+from mufly.control.analysis.comparison import compute_output_noise_std
 from mufly.control.analysis.loop_margins import disk_margin
 from mufly.control.implementation import discretise_controller
 from mufly.control.linear_systems import Array, analyse_loop, feedback_part, sample_plant
@@ -38,7 +38,7 @@ from mufly.control.synthesis.weighting_schemes import (
 from mufly.dynamics import extract_submodel, linearise_vehicle
 from mufly.dynamics.linearisation import LINEAR_INPUTS
 from mufly.errors import MuflyError
-from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import Vehicle
 
 CONTROL_WEIGHTS = (0.4, 0.2, 0.1, 0.05, 0.025, 0.0125)
@@ -125,12 +125,12 @@ class RotorSpeedComparison:
                 )
             )  # fmt: skip
         return [
-            show_table(heads, rows, title=f"{self.vehicle_name}, heave-yaw by LQG/LTR"),
-            show_lines(f"Noise of a rotor speed: {self.speed_noise_rad_s:.2f} rad/s", self.verdict),
+            make_table_block(heads, rows, title=f"{self.vehicle_name}, heave-yaw by LQG/LTR"),
+            make_lines_block(f"Noise of a rotor speed: {self.speed_noise_rad_s:.2f} rad/s", self.verdict),
         ]
 
 
-def rotor_speed_noise(vehicle: Vehicle) -> float:
+def compute_back_emf_speed_noise(vehicle: Vehicle) -> float:
     """Return the noise of a rotor speed by back-EMF (rad/s): the voltage noise, divided by ``kE`` and the gear
     ratio.
     """
@@ -150,13 +150,13 @@ def compare_rotor_speeds(
         If the vehicle cannot hover.
     """
     full = linearise_vehicle(vehicle).full
-    speed_noise, period = rotor_speed_noise(vehicle), 1.0 / rate_Hz
+    speed_noise, period = compute_back_emf_speed_noise(vehicle), 1.0 / rate_Hz
     base = heave_yaw_scaling(extract_submodel(full, _HEAVE_YAW_STATES, LINEAR_INPUTS[:2], _HEAVE_YAW_OUTPUTS))
     rows = []
     for measured in (False, True):
         outputs = [*_HEAVE_YAW_OUTPUTS, *(_ROTOR_SPEED_STATES if measured else [])]
         plant = extract_submodel(full, _HEAVE_YAW_STATES, LINEAR_INPUTS[:2], outputs, name="heave_yaw")
-        noise = sensor_noise(vehicle, outputs)
+        noise = compute_output_noise_std(vehicle, outputs)
         noise[len(_HEAVE_YAW_OUTPUTS) :] = speed_noise
         scaling = SignalScaling((*base.outputs, *[100.0] * (len(outputs) - len(_HEAVE_YAW_OUTPUTS))), base.inputs)
         told = (*HEAVE_YAW_LQG.noise, *(speed_noise / 100.0 for _ in outputs[len(_HEAVE_YAW_OUTPUTS) :]))

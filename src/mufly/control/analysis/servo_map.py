@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from mufly.control.analysis.comparison import sensor_noise
+from mufly.control.analysis.comparison import compute_output_noise_std
 from mufly.control.analysis.gust_response import GUST_m_s, compute_lateral_gust_response
 from mufly.control.analysis.loop_margins import disk_margin
 from mufly.control.designs import POSITION_LOOP_RATE_DIVIDER, design_roll_pitch, design_velocity
@@ -33,7 +33,7 @@ from mufly.control.linear_systems import analyse_loop, sample_plant
 from mufly.control.synthesis.weighting_schemes import DesignSettings, TransferFunction, complete_settings
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import MuflyError
-from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import Vehicle, replace_parameters
 
 LAGS_s = (0.001, 0.01, 0.03, 0.05, 0.08, 0.12)
@@ -105,7 +105,9 @@ class ServoMap:
             heads = ("control rate", "", *(f"{1e3 * lag:g} ms" for lag in t.lag_s.values))
             servo = "servos without a frame" if frame == 0.0 else f"servo frame {1e3 * frame:g} ms"
             with_bar = "with" if self.bar else "without"
-            blocks.append(show_table(heads, rows, title=f"{self.vehicle_name} {with_bar} bar, {servo}, by servo lag"))
+            blocks.append(
+                make_table_block(heads, rows, title=f"{self.vehicle_name} {with_bar} bar, {servo}, by servo lag")
+            )
         said = []
         for frame in t.frame_s.values:
             for rate in t.rate_Hz.values:
@@ -113,7 +115,7 @@ class ServoMap:
                 up_to = "no servo" if np.isnan(slowest) else f"servo lags up to {1e3 * slowest:g} ms"
                 cell = f"Frame {1e3 * frame:g} ms, {rate:g} Hz"
                 said.append(f"{cell}: {up_to} with a disk margin of {SAFE_DISK_MARGIN:g}")
-        blocks.append(show_lines(*said))
+        blocks.append(make_lines_block(*said))
         return blocks
 
 
@@ -154,7 +156,7 @@ def map_servos(
                     design = design_roll_pitch(linear.roll_pitch, scale_bandwidth(s, factor), 1.0 / rate)
                 except MuflyError:
                     continue
-                noise = sensor_noise(vehicle, design.plant.output_labels)
+                noise = compute_output_noise_std(vehicle, design.plant.output_labels)
                 K = design.discrete.to_state_space()
                 for f, frame in enumerate(frames_s):
                     delay = 1 + int(np.ceil(frame * rate - 1e-9))

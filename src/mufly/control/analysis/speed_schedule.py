@@ -20,7 +20,7 @@ from mufly.control.linear_systems import Array, analyse_loop, sample_plant
 from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHOD_NAMES, SynthesisMethod
 from mufly.control.synthesis.weighting_schemes import DesignSettings, complete_settings
 from mufly.dynamics import find_trim, linearise_vehicle
-from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import Vehicle
 
 SPEEDS_m_s = (0.0, 1.0, 2.0)
@@ -31,7 +31,7 @@ MIN_WORTHWHILE_MARGIN_GAIN = 0.1
 
 
 @result
-class SpeedSchedule:
+class ScheduleMargins:
     """Margins of one method's roll-pitch designs over forward speed.
 
     Attributes
@@ -64,12 +64,12 @@ class ScheduleComparison:
     ----------
     vehicle_name : str
     has_flight_map : bool
-    schedules : tuple of SpeedSchedule
+    schedules : tuple of ScheduleMargins
     """
 
     vehicle_name: str
     has_flight_map: bool
-    schedules: tuple[SpeedSchedule, ...]
+    schedules: tuple[ScheduleMargins, ...]
 
     @property
     def verdict(self) -> str:
@@ -100,7 +100,7 @@ class ScheduleComparison:
             for s in self.schedules for i, v in enumerate(speeds)
         ]  # fmt: skip
         title = f"{self.vehicle_name}, roll-pitch: disk margin, peak of S_u"
-        return [show_table(heads, rows, title=title), show_lines(self.verdict)]
+        return [make_table_block(heads, rows, title=title), make_lines_block(self.verdict)]
 
 
 def compare_schedules(
@@ -140,7 +140,7 @@ def compare_schedules(
                 loop = analyse_loop(flown, K)
                 if loop.stable:
                     disk[i, j], peak[i, j] = disk_margin(flown, K).margin, loop.sensitivity_peak_dB
-        found.append(SpeedSchedule(method, tuple(speeds_m_s), disk, peak))
+        found.append(ScheduleMargins(method, tuple(speeds_m_s), disk, peak))
         if progress is not None:
             progress(done + 1, len(methods))
     return ScheduleComparison(vehicle.name, vehicle.rotors.flight_map is not None, tuple(found))

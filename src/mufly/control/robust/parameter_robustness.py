@@ -28,7 +28,7 @@ from mufly.control.robust.parameter_spreads import (
 )
 from mufly.control.robust.structured_singular_value import Block, mu_upper_bound
 from mufly.errors import ArgumentError, InputError, MuflyError
-from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import Vehicle, replace_parameters
 
 if TYPE_CHECKING:
@@ -149,11 +149,11 @@ class ParameterRobustness:
         ]
         values = [(key, f"{value:.5g}", f"{self.spreads[key]:.2g}") for key, value in self.worst_values.items()]
         return [
-            show_table(("", *(x.name for x in self.loops)), rows, title=f"{self.vehicle_name}, {self.method}"),
-            show_table(
+            make_table_block(("", *(x.name for x in self.loops)), rows, title=f"{self.vehicle_name}, {self.method}"),
+            make_table_block(
                 ("parameter", f"worst for {self.worst_loop}", "spread"), values, title="Worst parameters, SI units"
             ),
-            show_lines(
+            make_lines_block(
                 *(
                     f"{x.name}: stability for all parameters within the spreads is "
                     + ("proved" if x.peak < 1 else "not proved")
@@ -203,7 +203,7 @@ class UncertainLoop:
         response: ComplexArray = P[:, :m, :m] + P[:, :m, m:] @ K @ closed
         return response
 
-    def closed_matrices(self) -> tuple[Array, list[Array]]:
+    def state_matrix_and_derivatives(self) -> tuple[Array, list[Array]]:
         """Return the closed loop's state matrix, with a third-order Pade delay, and its derivative by each uncertain
         parameter.
         """
@@ -252,13 +252,13 @@ def _search_unstable_corner(
     return float(best), at
 
 
-def find_worst_parameters(loop: UncertainLoop, least: float) -> tuple[float, float, Array]:
+def find_smallest_unstable_box(loop: UncertainLoop, least: float) -> tuple[float, float, Array]:
     """Search for the smallest parameter box with an unstable corner; return its size, pole frequency and corner.
 
     The size is a multiple of the spreads; it is ``inf`` if there is no such box up to ten times the spreads. The
     frequency (rad/s) is that of the unstable pole.
     """
-    nominal, steps = loop.closed_matrices()
+    nominal, steps = loop.state_matrix_and_derivatives()
     rng = np.random.default_rng(0)
     starts = [np.zeros(len(steps)), *rng.choice([-1.0, 1.0], (5, len(steps)))]
     low, high, corner = 0.0, least, None
@@ -282,12 +282,12 @@ def find_worst_parameters(loop: UncertainLoop, least: float) -> tuple[float, flo
 def sweep_mu(loop: UncertainLoop, points: int, names: Sequence[str]) -> LoopRobustness:
     """Return the bounds of mu of a loop at ``points`` frequencies; ``names`` labels all uncertain parameters."""
     began = time.process_time()
-    poles = np.abs(np.linalg.eigvals(loop.closed_matrices()[0]))
+    poles = np.abs(np.linalg.eigvals(loop.state_matrix_and_derivatives()[0]))
     inside = poles[(poles > 0.3) & (poles < 100.0)]
     frequency = np.geomspace(0.3 * inside.min(initial=1.0), 5.0 * inside.max(initial=30.0), points)
     if not loop.blocks:
         return LoopRobustness(loop.name, frequency, np.zeros(points), 0.0, np.nan, 0.0, np.nan, {}, (), 0.0)
-    size, where, corner = find_worst_parameters(loop, _MIN_SPREAD_FACTOR)
+    size, where, corner = find_smallest_unstable_box(loop, _MIN_SPREAD_FACTOR)
     if np.isfinite(where) and where > 0.0:  # the grid must hold the frequency at which the lower bound is
         frequency[int(np.argmin(np.abs(np.log(frequency / where))))] = where
     M = loop.responses(frequency)

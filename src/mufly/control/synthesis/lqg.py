@@ -201,7 +201,7 @@ def design_lqg(
     Bk, Ck, Dk = np.vstack([-L, -S]), -F, np.zeros((m, p))
     inputs = [f"error[{i}]" for i in plant.output_labels]
     if two_degrees:
-        target = _equilibrium_gain(plant, rows)
+        target = _find_equilibrium_states(plant, rows)
         feed = Fx @ target
         Bk = np.hstack([np.vstack([plant.B @ feed, -np.eye(len(rows))]), Bk])
         Dk = np.hstack([feed, Dk])
@@ -217,7 +217,7 @@ def design_lqg(
     )
 
 
-def _equilibrium_gain(plant: control.StateSpace, rows: Sequence[int]) -> Array:
+def _find_equilibrium_states(plant: control.StateSpace, rows: Sequence[int]) -> Array:
     """Return, for each output of ``rows``, the state nearest to equilibrium (zero input) with this output at one."""
     n = plant.nstates
     system = np.vstack([plant.A, 1e3 * plant.C[list(rows)]])

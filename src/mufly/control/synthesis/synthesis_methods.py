@@ -72,7 +72,7 @@ class FixedOrderGoals:
 
 
 @dataclass(frozen=True)
-class RobustGoals:
+class DkIterationSettings:
     """Settings of D-K iteration.
 
     Attributes
@@ -170,7 +170,7 @@ class SynthesisProblem(NamedTuple):
         Controller that exists, in place of a synthesis; for ``scheduled`` the one whose states are kept.
     derivatives : tuple of array
         Derivatives ``[dA dB]`` of the plant by uncertain parameters, one spread each, for ``mu``.
-    robust : RobustGoals
+    robust : DkIterationSettings
         Settings of ``mu``.
     indi : IndiGains or None
         Gains of INDI.
@@ -188,7 +188,7 @@ class SynthesisProblem(NamedTuple):
     sampling_rate_rad_s: float
     given_controller: control.StateSpace | None = None
     derivatives: tuple[Array, ...] = ()
-    robust: RobustGoals = RobustGoals()
+    robust: DkIterationSettings = DkIterationSettings()
     indi: IndiGains | None = None
 
 
@@ -255,7 +255,7 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
     )
 
 
-def _iterate_dk(p: SynthesisProblem, goals: RobustGoals) -> SynthesisedController:
+def _iterate_dk(p: SynthesisProblem, goals: DkIterationSettings) -> SynthesisedController:
     """Return the controller of D-K iteration for the plant with delay and uncertainty, starting from H-infinity."""
     n_controls = p.plant.ninputs
     generalised = p.generalise(add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate_rad_s))

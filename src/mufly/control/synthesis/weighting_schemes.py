@@ -36,7 +36,12 @@ from scipy import signal
 from mufly.control.linear_systems import Array, connect_blocks, replace_matrices, state_space
 from mufly.control.synthesis.indi import IndiGains
 from mufly.control.synthesis.lqg import LqgWeights
-from mufly.control.synthesis.synthesis_methods import FixedOrderGoals, GivenController, RobustGoals, SynthesisMethod
+from mufly.control.synthesis.synthesis_methods import (
+    DkIterationSettings,
+    FixedOrderGoals,
+    GivenController,
+    SynthesisMethod,
+)
 from mufly.errors import MuflyError
 from mufly.vehicle import Vehicle
 
@@ -284,7 +289,7 @@ ROLL_PITCH_GOALS = FixedOrderGoals(
     order=4, sensitivity_dB=2.6, complementary_dB=2.0,
     output_noise_std=(math.radians(0.1), math.radians(0.1), math.radians(0.3), math.radians(0.3)),
 )  # fmt: skip
-ROBUST_GOALS = RobustGoals()
+DK_ITERATION_SETTINGS = DkIterationSettings()
 INDI_GAINS = IndiGains()
 
 
@@ -317,7 +322,7 @@ class DesignSettings:
         ``fixed``.
     indi_gains : IndiGains
         Gains of the method ``indi``, which designs roll-pitch; heave-yaw is H-infinity then.
-    robust_goals : RobustGoals
+    robust_goals : DkIterationSettings
         Settings of the method ``mu``, which designs roll-pitch; heave-yaw is H-infinity then.
     heave_yaw_given, roll_pitch_given : GivenController or None
         Controllers that exist, in place of a synthesis.
@@ -364,7 +369,7 @@ class DesignSettings:
     roll_pitch_goals: FixedOrderGoals = ROLL_PITCH_GOALS
     schedule_speed: float = 2.0
     indi_gains: IndiGains = INDI_GAINS
-    robust_goals: RobustGoals = ROBUST_GOALS
+    robust_goals: DkIterationSettings = DK_ITERATION_SETTINGS
     heave_yaw_given: GivenController | None = None
     roll_pitch_given: GivenController | None = None
     heave_yaw_anti_windup_rad_s: float | None = 1.5

@@ -126,7 +126,7 @@ def add_delay(plant: control.StateSpace, delay_s: float) -> control.StateSpace:
     )
 
 
-def margin_plants(
+def make_goal_plants(
     plant: control.StateSpace, noise: Array, n_measurements: int, period_s: float = 0.0
 ) -> dict[str, PartitionedPlant]:
     """Return the generalised plant of each tuning goal except ``weighted``.
@@ -393,6 +393,6 @@ def make_flight_goals(
     weighted = partition_plant(
         generalised.A, generalised.B, generalised.C, generalised.D, n_measurements, plant.ninputs
     )
-    plants = {"weighted": weighted, **margin_plants(plant, noise, n_measurements, period_s)}
+    plants = {"weighted": weighted, **make_goal_plants(plant, noise, n_measurements, period_s)}
     kinds = {"activity": "h2", "disk": "disk"}
     return [NormGoal(name, plants[name], level, kinds.get(name, "hinf")) for name, level in levels.items()]

@@ -29,7 +29,7 @@ import numpy as np
 
 from mufly.control.analysis.loop_margins import disk_margin
 from mufly.control.controller_design import ControllerDesign
-from mufly.control.design_store import recall_controller
+from mufly.control.design_store import load_or_compute_controller
 from mufly.control.implementation import DiscreteController
 from mufly.control.law import ROLL_PITCH_ORDER
 from mufly.control.linear_systems import Array, analyse_loop, feedback_part, sample_plant, state_space
@@ -37,7 +37,7 @@ from mufly.control.synthesis.synthesis_methods import FixedOrderGoals, Synthesis
 from mufly.control.synthesis.weighting_schemes import DesignSettings, SignalScaling, scale_plant, weight_roll_pitch
 from mufly.dynamics import GRAVITY, Linearisation, find_trim, linearise_vehicle
 from mufly.errors import MuflyError
-from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import Vehicle
 
 SPEED_STEP_m_s = 0.25
@@ -131,7 +131,7 @@ class OutputSchedule:
     crossover: float
 
     @property
-    def inverse_square(self) -> float:
+    def share_per_speed2_s2_m2(self) -> float:
         """Factor (s2/m2) on squared forward speed; the product, at most 1, weights the forward-flight outputs."""
         return 1.0 / self.speed_m_s**2
 
@@ -143,7 +143,7 @@ class OutputSchedule:
 
     def share_at(self, speed_m_s: float) -> float:
         """Return the weight (0 to 1) of the forward-flight outputs at a forward speed."""
-        return min(self.inverse_square * speed_m_s**2, 1.0)
+        return min(self.share_per_speed2_s2_m2 * speed_m_s**2, 1.0)
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return the table of loops at constant speeds, and their least margins, as printed text."""
@@ -163,8 +163,8 @@ class OutputSchedule:
         if not self.has_flight_map:
             lines.append("The vehicle has no flight map, so only its drag changes with speed.")
         return [
-            show_table(heads, rows, title=f"roll-pitch scheduled over 0 to {self.speed_m_s:g} m/s"),
-            show_lines(*lines),
+            make_table_block(heads, rows, title=f"roll-pitch scheduled over 0 to {self.speed_m_s:g} m/s"),
+            make_lines_block(*lines),
         ]
 
 
@@ -283,7 +283,7 @@ def _tune_outputs(plant: control.StateSpace, loop: ScheduledLoop) -> tuple[Array
     problem = SynthesisProblem(
         generalised, scaled, (0, 1), False, n, loop.relaxation, None, goals, loop.generalise, 2 * np.pi / T, given
     )
-    tuned = recall_controller("scheduled", problem, synthesise_controller).controller
+    tuned = load_or_compute_controller("scheduled", problem, synthesise_controller).controller
     C_fast, D_fast = out * tuned.C, out * tuned.D / output_scale
     discrete_C = C_fast @ (K.A + np.eye(K.order)) / 2.0
     discrete_D = D_fast + discrete_C @ B * (T / 2)
@@ -311,7 +311,11 @@ def schedule_roll_pitch(
 
 
 def pack_schedule(schedule: OutputSchedule) -> dict[str, object]:
-    """Return the fields of ``ROLL_PITCH_GAINS`` that hold a schedule."""
+    """Return the fields of ``ROLL_PITCH_GAINS_DTYPE`` that hold a schedule."""
     C = np.zeros((2, ROLL_PITCH_ORDER))
     C[:, : schedule.C_forward_change.shape[1]] = schedule.C_forward_change
-    return {"C_forward_change": C, "D_forward_change": schedule.D_forward_change, "schedule": schedule.inverse_square}
+    return {
+        "C_forward_change": C,
+        "D_forward_change": schedule.D_forward_change,
+        "schedule": schedule.share_per_speed2_s2_m2,
+    }

@@ -58,7 +58,7 @@ class RobustnessGoal:
     ) -> None:
         self.level = level
         self.blocks, self.rows, self.n_inputs = loop.blocks, list(error_inputs), len(read_scale)
-        poles = np.abs(np.linalg.eigvals(loop.closed_matrices()[0]))
+        poles = np.abs(np.linalg.eigvals(loop.state_matrix_and_derivatives()[0]))
         inside = poles[(poles > 1.0) & (poles < 60.0)]
         low, high = inside.min(initial=4.0), inside.max(initial=20.0)
         self.frequency = np.geomspace(

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mufly.control.analysis.comparison import LoopFigures, loop_figures, sensor_noise
+from mufly.control.analysis.comparison import LoopFigures, compute_output_noise_std, loop_figures
 from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import FlightController, design_flight_controller
 from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
@@ -32,10 +32,10 @@ from mufly.control.tuning.loop_tuning import (
     settings_with_tuned_controller,
 )
 from mufly.errors import ArgumentError, InputError
-from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import Vehicle
 
-DEFAULT_STARTS = ("hinf", "delay", "ltr")
+DEFAULT_START_METHODS = ("hinf", "delay", "ltr")
 _FILE_FORMAT = "mufly tuned controller 1"
 _SETTINGS_KEY_BY_LOOP = {"heave-yaw": "heave_yaw_given", "roll-pitch": "roll_pitch_given"}
 _GOAL_UNITS = {"weighted": "", "sensitivity": "dB", "complementary": "dB", "disk": "", "activity": "%", "mu": ""}
@@ -109,8 +109,8 @@ class TunedLoop:
         c = self.flight_controller
         title = f"{c.vehicle_name}, {self.loop}, order {self.order}"
         return [
-            show_table(("goal", "level", "reached", "share"), rows, title=title),
-            show_lines(
+            make_table_block(("goal", "level", "reached", "share"), rows, title=title),
+            make_lines_block(
                 f"Sampled at {c.rate_Hz:g} Hz: gamma {f.norm:.3f}, S_u {s.sensitivity_peak_dB:.2f} dB, "
                 f"T_u {s.complementary_peak_dB:.2f} dB, disk margin {f.disk.margin:.2f}, mu {f.mu_upper:.3f}, input "
                 f"noise {100 * f.input_noise:.2f} %, {f.multiply_adds} multiply-adds",
@@ -125,7 +125,7 @@ def tune_loop(
     order: int,
     goal_levels: GoalLevels,
     *,
-    starts: Sequence[str] = DEFAULT_STARTS,
+    starts: Sequence[str] = DEFAULT_START_METHODS,
     rounds: int = 4,
     steps: int = 60,
     rate_Hz: float | None = None,
@@ -174,7 +174,7 @@ def tune_loop(
     spreads = default_spreads(vehicle) if spreads is None else dict(spreads)
     d = base.heave_yaw if loop == "heave-yaw" else base.roll_pitch
     problem = make_loop_tuning_problem(
-        vehicle, base, loop, goal_levels, sensor_noise(vehicle, d.plant.output_labels), spreads
+        vehicle, base, loop, goal_levels, compute_output_noise_std(vehicle, d.plant.output_labels), spreads
     )
     question = {
         "format": _FILE_FORMAT, "vehicle": vehicle.name, "loop": loop, "order": order, "rate_Hz": base.rate_Hz,

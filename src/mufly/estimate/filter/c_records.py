@@ -33,7 +33,7 @@ from mufly.estimate.filter.measurements import (
 )
 from mufly.quantities.units import GRAVITY
 
-RECORDS_HEADER = "estimate/filter/records.h"
+RECORDS_HEADER_PATH = "estimate/filter/records.h"
 """Path of the generated header in a tree of C sources."""
 PYTHON_ONLY_FIELDS = (
     "rotation_work", "accel_work", "transition_work", "q_work", "w_work", "derivative_work", "zero_wind",

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.dynamics.model_state import MODEL_ATTITUDE, MODEL_BAR, MODEL_CHARGE, MODEL_POSITION, ModelParameters
+from mufly.dynamics.model_state import MODEL_ATTITUDE, MODEL_BAR_NORMAL, MODEL_CHARGE, MODEL_POSITION, ModelParameters
 from mufly.estimate.filter.filter_horizon import (
-    COST_COVARIANCE,
+    COST_COVARIANCE_OUTPUT,
     STAGE_DONE,
-    predict_bias,
+    predict_next_bias,
     queue_measurement,
     run_next_task,
 )
-from mufly.estimate.filter.filter_inputs import estimate_accel_noise, level_inertial_unit, sample_inputs
+from mufly.estimate.filter.filter_inputs import compute_prediction_inputs, estimate_accel_noise, level_inertial_unit
 from mufly.estimate.filter.filter_records import (
     AID_COUNT,
     ERROR_STATE_COUNT,
@@ -36,7 +36,7 @@ from mufly.estimate.filter.filter_records import (
     PHASE_LIFTING_OFF,
     PHASE_MOTORS_RUNNING,
     QUEUE_SIZE,
-    QUEUED_READINGS,
+    QUEUED_READING_INDICES,
     READING_ACCELERATION,
     READING_POSITION_FIX,
     READING_RATES,
@@ -88,7 +88,7 @@ def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
     m.sonar_effective_min_range = s.sonar_min_range
     m.x_output[NOMINAL_ATTITUDE] = m.flight_model_state[MODEL_ATTITUDE] = m.flight_model_state[MODEL_CHARGE] = 1.0
     m.flight_model_state[MODEL_POSITION + 2] = -1000.0  # far above the floor
-    m.flight_model_state[MODEL_BAR + 2] = -1.0
+    m.flight_model_state[MODEL_BAR_NORMAL + 2] = -1.0
     for k in range(3):
         m.accel_low_frequency_noise_density[k] = INITIAL_ACCEL_NOISE_DENSITY
 
@@ -135,14 +135,14 @@ def estimator_step(
         s,
         m.flight_phase == PHASE_FLYING and height_above_ground(m.x_output, s) > LEG_CLEARANCE_HEIGHT_M + doubt,
     )
-    rises = sample_inputs(m, s, p, z, new, r)
+    rises = compute_prediction_inputs(m, s, p, z, new, r)
     if (
         s.has_rotor_model > 0
         and m.flight_phase >= PHASE_MOTORS_RUNNING
         and m.status[READING_ACCELERATION] < STATUS_MISSING
     ):
         estimate_accel_noise(m, s, z)
-    for kind in QUEUED_READINGS:
+    for kind in QUEUED_READING_INDICES:
         if new[kind] != 1 or m.is_decimated[kind] > 0:
             continue
         # The state of tick k belongs to k dt - lag.
@@ -154,8 +154,8 @@ def estimator_step(
             # A single late reading is no fault: some exceed the delay of the horizon.
             if (m.tick - m.last_fused_tick[kind]) * s.dt > s.timeout[kind]:
                 set_fault(m, s, kind, STATUS_FAULTY, REASON_LATE, age[kind])
-    left = s.fusion_budget - (COST_COVARIANCE if m.tick % COVARIANCE_INTERVAL_TICKS == 0 else 0)
-    predict_bias(m, s)
+    left = s.fusion_budget - (COST_COVARIANCE_OUTPUT if m.tick % COVARIANCE_INTERVAL_TICKS == 0 else 0)
+    predict_next_bias(m, s)
     if rises > 0.0 and m.sigma_output[ERROR_THRUST_SCALE] > LIFTOFF_THRUST_SIGMA:
         fuse_liftoff_thrust(m, rises)
         left -= 1

@@ -32,7 +32,6 @@ from mufly.estimate.filter.filter_records import (
     ERROR_GYRO_BIAS,
     ERROR_TERRAIN,
     ERROR_VELOCITY,
-    FLOOR_SETTLED_SIGMA,
     INPUT_ACCEL,
     INPUT_ACCEL_PER_VELOCITY,
     INPUT_ACCEL_WEIGHT,
@@ -42,6 +41,7 @@ from mufly.estimate.filter.filter_records import (
     INPUT_THRUST_ACCEL,
     MAX_FLOOR_HEIGHT_M,
     MAX_LAG_BLOCKS,
+    MIN_FLOOR_RESET_SIGMA_M,
     NOMINAL_GYRO_BIAS,
     NOMINAL_POSITION,
     NOMINAL_TERRAIN,
@@ -78,7 +78,7 @@ _Array = NDArray[np.float64]
 MAX_BACKDATE_S = 0.25
 """Largest time by which a measurement is older than the horizon (s). Velocity and yaw rate move it to the horizon; an
 acceleration of 0.3 m/s^2 meanwhile is an error of 1 cm."""
-COST_COVARIANCE, COST_HORIZON_STEP, COST_ZERO_MOTION_AXIS = 3, 2, 3
+COST_COVARIANCE_OUTPUT, COST_HORIZON_STEP, COST_ZERO_MOTION_AXIS = 3, 2, 3
 """Cost of publishing a covariance, of a step of the horizon, and of an axis on the floor, in scalar measurements."""
 STAGE_TERRAIN, STAGE_FORCE_MEANS, STAGE_FORCE_AXES, STAGE_GROUND_CONTACT, STAGE_DONE = 1, 2, 3, 6, 7
 """Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
@@ -158,7 +158,7 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
 
 
 @cached_njit(error_model="numpy")
-def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
+def predict_next_bias(m: FilterMemory, s: FilterSettings) -> None:
     """Predict one bias state per call, the next in a fixed cycle.
 
     The biases of the position fix are left to :func:`predict_fix_bias`.
@@ -268,7 +268,7 @@ def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left
         if not m.terrain_edge_weight > 0.0 and abs(m.x[NOMINAL_TERRAIN]) < MAX_FLOOR_HEIGHT_M:
             sure = state_variance(m.u_transposed, m.ud_diagonal, ERROR_TERRAIN)
             if (
-                sure > FLOOR_SETTLED_SIGMA * FLOOR_SETTLED_SIGMA
+                sure > MIN_FLOOR_RESET_SIGMA_M * MIN_FLOOR_RESET_SIGMA_M
                 and m.x[NOMINAL_TERRAIN] * m.x[NOMINAL_TERRAIN] < 9.0 * sure
             ):
                 reset_terrain(m)

@@ -72,7 +72,7 @@ from mufly.quantities.units import GRAVITY
 
 _Array = NDArray[np.float64]
 
-SLOW_NOISE_TICKS = 32
+SLOW_NOISE_WINDOW_TICKS = 32
 """Periods over which low-frequency force noise is estimated."""
 VIBRATION_HIGH_PASS_S, VIBRATION_VARIANCE_GAIN = 0.04, 0.002
 """Time constant of the high pass that separates the velocity of vibration from other errors (s), some revolutions of
@@ -176,7 +176,7 @@ def _ground_force_noise(m: FilterMemory, force: float) -> float:
 
 
 @cached_njit(error_model="numpy")
-def sample_inputs(
+def compute_prediction_inputs(
     m: FilterMemory, s: FilterSettings, p: ModelParameters, z: _Array, new: NDArray[np.int32], r: _Array
 ) -> float:
     """Compute the inputs of :func:`predict_state` for the period that has just ended.
@@ -306,8 +306,8 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
     m.slow_residual_count += 1
     weight = (
         m.slow_residual_count
-        if m.slow_residual_count <= SLOW_NOISE_TICKS // 2
-        else SLOW_NOISE_TICKS + 1 - m.slow_residual_count
+        if m.slow_residual_count <= SLOW_NOISE_WINDOW_TICKS // 2
+        else SLOW_NOISE_WINDOW_TICKS + 1 - m.slow_residual_count
     )
     for k in range(3):
         off = z[k] - (m.x[NOMINAL_THRUST_SCALE] * row[INPUT_THRUST_ACCEL + k] + row[INPUT_NON_THRUST_ACCEL + k])
@@ -320,11 +320,11 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
         m.vibration_velocity_variance[k] += VIBRATION_VARIANCE_GAIN * (
             vibrating * vibrating - m.vibration_velocity_variance[k]
         )
-    if m.slow_residual_count >= SLOW_NOISE_TICKS:
-        half = float(SLOW_NOISE_TICKS // 2)
-        span = 0.75 * SLOW_NOISE_TICKS * s.dt
+    if m.slow_residual_count >= SLOW_NOISE_WINDOW_TICKS:
+        half = float(SLOW_NOISE_WINDOW_TICKS // 2)
+        span = 0.75 * SLOW_NOISE_WINDOW_TICKS * s.dt
         # After lift-off the modelled force changes, and the thrust scale has to converge first.
-        settled = m.flight_phase != PHASE_FLYING or m.tick - m.last_grounded_tick > 2 * SLOW_NOISE_TICKS
+        settled = m.flight_phase != PHASE_FLYING or m.tick - m.last_grounded_tick > 2 * SLOW_NOISE_WINDOW_TICKS
         for k in range(3):
             mean = m.slow_residual_sum[k] / (half * (half + 1.0))
             # The model's uncertainty, large at lift-off, is not noise of the accelerometers.

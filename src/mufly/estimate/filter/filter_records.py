@@ -33,12 +33,12 @@ from mufly.compiled.record_fields import int_or_array_field as _int
 from mufly.compiled.record_fields import real_or_array_field as _real
 from mufly.compiled.record_fields import record_type
 from mufly.dynamics import GRAVITY, hover_current_A, model_parameters, standing_height
-from mufly.dynamics.model_state import hover_speeds
+from mufly.dynamics.model_state import compute_hover_rotor_speeds
 from mufly.quantities.quantity_table import CHECKED_READINGS, DIMENSION_LABELS
 from mufly.quantities.sensor_table import CHECKED
 from mufly.sensors import beam_directions
 from mufly.sensors.magnetometer import earth_field
-from mufly.sensors.ring_camera import ELEVATION_MARGIN
+from mufly.sensors.ring_camera import ELEVATION_MARGIN_FACTOR
 from mufly.sensors.sonar import max_grounded_range
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import DEFAULT_LEVEL_ERROR_RAD, SensorSuite
@@ -129,10 +129,10 @@ READING_WIDTHS = tuple(
 READING_STARTS = tuple(int(k) for k in np.cumsum([0, *READING_WIDTHS]))
 """Index of each reading in the row of values of one instant."""
 SENSOR_COUNT = len(CHECKED_READINGS)
-READING_OFFSETS = tuple(row.filter_datum for row in CHECKED)
+SUBTRACTED_READING_OFFSETS = tuple(row.filter_datum for row in CHECKED)
 """Offset subtracted from each reading."""
-QUEUED_READINGS = tuple(k for k, row in enumerate(CHECKED) if row.is_queued)
-QUEUED_COUNT = len(QUEUED_READINGS)
+QUEUED_READING_INDICES = tuple(k for k, row in enumerate(CHECKED) if row.is_queued)
+QUEUED_READING_COUNT = len(QUEUED_READING_INDICES)
 """Readings that wait for the horizon, where they are fused."""
 FIX_NORTH, FIX_EAST, FIX_DOWN, FIX_HEADING = range(4)
 FIX_COMPONENT_COUNT = 4
@@ -454,9 +454,11 @@ THRUST_SCALE_SIGMA, THRUST_SCALE_WALK = 0.3, 0.0055
 from the model have 0.65 to 1.7 times its thrust: the radius counts to the fourth power."""
 WIND_SIGMA_AND_TIME = (0.5, 10.0)
 """Of an axis (m/s), and for how long (s): a mean of 0.5 m/s from anywhere and gusts of 0.3 m/s make 0.46."""
-MOTOR_SPEED_NOISE = 1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
-EARTH_FIELD_ERROR = 0.02  # of a place, over its strength: the file names a city
-TERRAIN_EDGE_DURATION_S, MAX_FLOOR_HEIGHT_M, FLOOR_SETTLED_SIGMA = 3.0, 0.05, 0.01
+MOTOR_MODEL_NOISE_FRACTION = (
+    1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
+)
+EARTH_FIELD_RELATIVE_ERROR = 0.02  # of a place, over its strength: the file names a city
+TERRAIN_EDGE_DURATION_S, MAX_FLOOR_HEIGHT_M, MIN_FLOOR_RESET_SIGMA_M = 3.0, 0.05, 0.01
 """An edge in the sonar's cone counts for this long (s) where it is not flown over sooner; what is lower is the floor
 (m), and known to be once its height is uncertain by more than the last (m)."""
 TERRAIN_RANDOM_WALK = 5e-4  # of the way over it (m/sqrt(m)): floors are not quite flat
@@ -510,7 +512,7 @@ def filter_settings(
     s["dt"] = dt
     s["ground_clearance"], s["weight"], s["rest_tilt_sigma"] = stands, p["mass"] * GRAVITY, level
     s["thrust_coefficients"] = p["thrust_up"], p["thrust_dw"]
-    s["hover_speed"] = hover_speeds(p)
+    s["hover_speed"] = compute_hover_rotor_speeds(p)
     swash = float(p["swash_rate"]) * dt
     s["swash_lag_decay"], s["swash_lag_decay_mean"] = math.exp(-swash), (1.0 - math.exp(-swash)) / swash
     s["has_rotor_model"], s["model_accel_noise_density"] = 1, 2 * MODEL_FORCE_TIME_S * np.square(MODEL_FORCE_SIGMA)
@@ -591,7 +593,7 @@ def filter_settings(
         # An error of so many rows is one of (l^2 + b^2) / b of their angle. What calibration left of a beam lasts.
         # Noise of one in each pixel moves the centroid of a spot by so many rows at 1 m
         # (docs/explanation/estimation.md).
-        row = ELEVATION_MARGIN * math.atan(float(ring.baseline) / float(ring.min_range)) / ring.radial_pixels
+        row = ELEVATION_MARGIN_FACTOR * math.atan(float(ring.baseline) / float(ring.min_range)) / ring.radial_pixels
         row /= float(ring.baseline)
         blur = float(ring.spot_radius)
         reach = max(1, math.ceil(1.5 * blur))
@@ -628,7 +630,7 @@ def filter_settings(
         s["mag_heading_variance"] = (math.hypot(float(compass.noise), swing) / field) ** 2
         steady = math.hypot(float(compass.distortion), float(compass.hard_iron))
         wrong = math.hypot(steady, float(compass.field_per_current) * current)
-        off = math.hypot(steady, float(compass.noise), EARTH_FIELD_ERROR * float(compass.field_strength))
+        off = math.hypot(steady, float(compass.noise), EARTH_FIELD_RELATIVE_ERROR * float(compass.field_strength))
         s["mag_field_variance"], s["mag_current_variance"] = off**2, float(compass.field_per_current) ** 2
         sigma[ERROR_MAG_BIAS], tau[ERROR_MAG_BIAS] = (
             min(wrong / field, 2.0),
@@ -641,7 +643,7 @@ def filter_settings(
         noisy[READING_ROTOR_SPEED] = noise > 0
         # Steady Kalman filter of a random walk of these steps, read with this noise
         s["rotor_speed_filter_gain"] = 2.0 / (
-            1.0 + math.sqrt(1.0 + 4.0 * (noise / (MOTOR_SPEED_NOISE * s["hover_speed"][0])) ** 2)
+            1.0 + math.sqrt(1.0 + 4.0 * (noise / (MOTOR_MODEL_NOISE_FRACTION * s["hover_speed"][0])) ** 2)
         )
         # What the equations are off by for long: learnt in some 0.7 s
         s["rotor_spin_accel_bias_gain"] = 0.06 * s["rotor_speed_filter_gain"] ** 2 / float(rotor.period)

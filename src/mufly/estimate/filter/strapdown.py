@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import sine_cosine
-from mufly.dynamics import battery_state
+from mufly.dynamics import compute_battery_supply
 from mufly.dynamics.equations_of_motion import _clip_value, state_derivative_tilted
 from mufly.dynamics.model_state import (
-    MODEL_BAR,
+    MODEL_BAR_NORMAL,
     MODEL_CHARGE,
     MODEL_RATES,
     MODEL_SPEED_LOWER,
@@ -205,7 +205,7 @@ def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Arra
 
 
 @cached_njit(error_model="numpy", inline="never")
-def _model_derivative(
+def _compute_state_derivative(
     x: _Array,
     u: _Array,
     still: _Array,
@@ -246,29 +246,33 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     x[MODEL_VELOCITY] = x[MODEL_VELOCITY + 1] = x[MODEL_VELOCITY + 2] = 0.0
     sin_a, cos_a = sine_cosine(x[MODEL_SWASH_ROLL])
     sin_b, cos_b = sine_cosine(x[MODEL_SWASH_PITCH])
-    _model_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    _compute_state_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
     up, dw = dx[MODEL_SPEED_UPPER], dx[MODEL_SPEED_LOWER]
     x[MODEL_SPEED_UPPER] += 0.5 * dt * up
     x[MODEL_SPEED_LOWER] += 0.5 * dt * dw
-    b_x, b_y, b_z = x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2]
+    b_x, b_y, b_z = x[MODEL_BAR_NORMAL], x[MODEL_BAR_NORMAL + 1], x[MODEL_BAR_NORMAL + 2]
     # The bar in rotating body axes: minus the rotation of the fuselage.
-    s_x = b_x + dt * (dx[MODEL_BAR] - (x[MODEL_RATES + 1] * b_z - x[MODEL_RATES + 2] * b_y))
-    s_y = b_y + dt * (dx[MODEL_BAR + 1] - (x[MODEL_RATES + 2] * b_x - x[MODEL_RATES] * b_z))
-    s_z = b_z + dt * (dx[MODEL_BAR + 2] - (x[MODEL_RATES] * b_y - x[MODEL_RATES + 1] * b_x))
+    s_x = b_x + dt * (dx[MODEL_BAR_NORMAL] - (x[MODEL_RATES + 1] * b_z - x[MODEL_RATES + 2] * b_y))
+    s_y = b_y + dt * (dx[MODEL_BAR_NORMAL + 1] - (x[MODEL_RATES + 2] * b_x - x[MODEL_RATES] * b_z))
+    s_z = b_z + dt * (dx[MODEL_BAR_NORMAL + 2] - (x[MODEL_RATES] * b_y - x[MODEL_RATES + 1] * b_x))
     size = 1.0 / math.sqrt(s_x * s_x + s_y * s_y + s_z * s_z)
-    x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2] = 0.5 * (b_x + s_x), 0.5 * (b_y + s_y), 0.5 * (b_z + s_z)
-    _model_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    x[MODEL_BAR_NORMAL], x[MODEL_BAR_NORMAL + 1], x[MODEL_BAR_NORMAL + 2] = (
+        0.5 * (b_x + s_x),
+        0.5 * (b_y + s_y),
+        0.5 * (b_z + s_z),
+    )
+    _compute_state_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
     f_x, f_y, f_z = dx[MODEL_VELOCITY], dx[MODEL_VELOCITY + 1], dx[MODEL_VELOCITY + 2] - GRAVITY
     out[ROTOR_THRUST_ACCEL], out[ROTOR_THRUST_ACCEL + 1], out[ROTOR_THRUST_ACCEL + 2] = f_x, f_y, f_z
     for k in range(3):
         x[MODEL_VELOCITY + k] = air[k]
-    _model_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    _compute_state_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
     for k in range(3):
         out[ROTOR_ANG_ACCEL + k] = dx[MODEL_RATES + k]
     d_x, d_y, d_z = dx[MODEL_VELOCITY], dx[MODEL_VELOCITY + 1], dx[MODEL_VELOCITY + 2] - GRAVITY
     for k in range(3):
         x[MODEL_VELOCITY + k] = air[k] + _DRAG_SLOPE_STEP_M_S
-    _model_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    _compute_state_derivative(x, u, m.zero_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
     out[ROTOR_ACCEL_PER_VELOCITY] = min((dx[MODEL_VELOCITY] - d_x) / _DRAG_SLOPE_STEP_M_S, 0.0)
     out[ROTOR_ACCEL_PER_VELOCITY + 1] = min((dx[MODEL_VELOCITY + 1] - d_y) / _DRAG_SLOPE_STEP_M_S, 0.0)
     out[ROTOR_ACCEL_PER_VELOCITY + 2] = min((dx[MODEL_VELOCITY + 2] - GRAVITY - d_z) / _DRAG_SLOPE_STEP_M_S, 0.0)
@@ -277,7 +281,7 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     out[ROTOR_NON_THRUST_ACCEL + 2] = d_z - f_z - out[ROTOR_ACCEL_PER_VELOCITY + 2] * air[2]
     x[MODEL_SWASH_ROLL] = to_roll + (roll - to_roll) * settled
     x[MODEL_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * settled
-    x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2] = s_x * size, s_y * size, s_z * size
+    x[MODEL_BAR_NORMAL], x[MODEL_BAR_NORMAL + 1], x[MODEL_BAR_NORMAL + 2] = s_x * size, s_y * size, s_z * size
     x[MODEL_SPEED_UPPER] = max(x[MODEL_SPEED_UPPER] + 0.5 * dt * up, 0.0)
     x[MODEL_SPEED_LOWER] = max(x[MODEL_SPEED_LOWER] + 0.5 * dt * dw, 0.0)
     x[MODEL_CHARGE] = min(max(x[MODEL_CHARGE] + dt * dx[MODEL_CHARGE], 0.0), 1.0)
@@ -287,4 +291,6 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
 @cached_njit(error_model="numpy")
 def predict_terminal_voltage(m: FilterMemory, p: ModelParameters) -> float:
     """Return the terminal voltage (V) of the battery model at the estimated charge and rotor speeds."""
-    return battery_state(m.flight_model_state, m.actuator_inputs[U_MOTOR_UPPER], m.actuator_inputs[U_MOTOR_LOWER], p)[0]
+    return compute_battery_supply(
+        m.flight_model_state, m.actuator_inputs[U_MOTOR_UPPER], m.actuator_inputs[U_MOTOR_LOWER], p
+    )[0]

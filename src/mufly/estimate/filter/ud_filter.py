@@ -151,7 +151,7 @@ def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
 
 
 @cached_njit(error_model="numpy")
-def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
+def _propagate_motion_column(u: _Array, span: float, a: _Array) -> None:
     """Propagate a column in place as :func:`propagate_column`, if its biases, wind and thrust scale are zero."""
     n, e, o = u[ERROR_VELOCITY], u[ERROR_VELOCITY + 1], u[ERROR_VELOCITY + 2]
     x = a[TRANSITION_WIND] * n + a[TRANSITION_WIND + 1] * e + a[TRANSITION_WIND + 2] * o
@@ -186,7 +186,7 @@ def ud_time_update(ut: _Array, d: _Array, span: float, transition: _Array, q: _A
         Work arrays.
     """
     for k in range(ERROR_VELOCITY, MOTION_STATE_COUNT):
-        _propagate_moving_column(ut[k], span, transition)
+        _propagate_motion_column(ut[k], span, transition)
     for k in range(MOTION_STATE_COUNT, d.shape[0]):
         propagate_column(ut[k], span, transition, ut[k])
     for k in range(3):

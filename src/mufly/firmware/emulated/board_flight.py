@@ -24,7 +24,7 @@ from mufly.estimate.sensor_status import describe_reason
 from mufly.firmware.compiled_software import FirmwareSoftware
 from mufly.firmware.emulated.boards import Board, EmulatedBoard, HostBoard
 from mufly.firmware.emulated.image_build import build_host_board, build_image
-from mufly.firmware.software_instance import SoftwareInstance, TextTable
+from mufly.firmware.software_instance import SoftwareInstance, TextNumberTable
 from mufly.flight import fly_mission
 from mufly.flight.controllers import Actuators
 from mufly.flight.mission_flight import FlightProgress
@@ -125,7 +125,7 @@ class BoardEstimator(KalmanEstimator):
     def set_settings(self, settings: Any) -> None:
         """Store the settings and reset; the board's image contains the same settings already."""
         self._settings = settings
-        self._store_vehicle_noise()
+        self._copy_vehicle_file_noise()
         self.backend = FilterBackend(
             "board", "", lambda memory: self._board.restart(), lambda memory: self._step_board(), settings=settings
         )
@@ -187,7 +187,7 @@ class BoardInstance(SoftwareInstance):
         ffi = board.ffi
         self._board = board
         self.firmware: Any = _BoardFirmware(board)
-        self.text_table = TextTable()
+        self.text_table = TextNumberTable()
         self._request: Any = ffi.new("board_request_t *")
         self.command_record = ffi.addressof(self._request, "given", "command")
         self.software_record = ffi.addressof(board.record, "software")

@@ -19,7 +19,7 @@ from mufly.compiled.numba_cache import cache_folder
 from mufly.compiled.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.control import FlightController
 from mufly.errors import MuflyError
-from mufly.files.answer_store import hash_question, replace_file
+from mufly.files.answer_store import hash_inputs, replace_file
 from mufly.firmware.export.source_export import ONBOARD_SOURCES, SOFTWARE_SOURCES, export_firmware, find_sources
 from mufly.firmware.host_build import cffi_declarations, read_sources
 from mufly.firmware.proof.sil_pil import (
@@ -84,7 +84,7 @@ def build_image(vehicle: Vehicle, controller: FlightController, mission: Mission
         parts = sorted(p for p in tree.rglob("*") if p.suffix in (".c", ".h", ".ld"))
         version = subprocess.run(["arm-none-eabi-gcc", "--version"], capture_output=True, text=True).stdout
         texts = [(str(p.relative_to(tree)), p.read_text(encoding="utf-8")) for p in parts]
-        image = cache_folder() / f"board-{hash_question(version, _IMAGE_FLAGS, texts)[:24]}.elf"
+        image = cache_folder() / f"board-{hash_inputs(version, _IMAGE_FLAGS, texts)[:24]}.elf"
         if not image.exists():
             made = _link_image(tree)
             ready = image.with_name(f"{image.name}.{os.getpid()}")

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from mufly.dynamics import model_parameters
-from mufly.estimate.filter.c_records import FIELD_UNITS, RECORDS_HEADER, flight_model_record, render_records_header
+from mufly.estimate.filter.c_records import FIELD_UNITS, RECORDS_HEADER_PATH, flight_model_record, render_records_header
 from mufly.estimate.filter.filter_records import (
     INPUT_BLOCK_COUNT,
     MAX_LAG_BLOCKS,
     QUEUE_SIZE,
-    QUEUED_READINGS,
+    QUEUED_READING_INDICES,
     filter_settings,
 )
 from mufly.vehicle import Vehicle
@@ -37,7 +37,7 @@ def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz
         Rate of the flight software.
     """
     if vehicle is None:
-        return {RECORDS_HEADER: render_records_header(NO_VEHICLE_PARAMETERS)}
+        return {RECORDS_HEADER_PATH: render_records_header(NO_VEHICLE_PARAMETERS)}
     settings = np.array([filter_settings(vehicle, world or World(), rate_Hz)])
     p = model_parameters(vehicle)
     lines = [
@@ -54,7 +54,7 @@ def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz
         "",
     ]
     return {
-        RECORDS_HEADER: render_records_header(p, *filter_buffer_sizes(settings[0])),
+        RECORDS_HEADER_PATH: render_records_header(p, *filter_buffer_sizes(settings[0])),
         "estimate_tables.c": "\n".join(lines),
     }
 
@@ -67,7 +67,7 @@ def filter_buffer_sizes(s: np.void) -> tuple[int, int]:
     span = (int(s["horizon_delay_ticks"]) + (MAX_LAG_BLOCKS + 1) * int(s["block_ticks"])) * float(s["dt"])
     waiting = sum(
         math.ceil((span - s["latency"][k]) / (s["sensor_period"][k] * s["reading_decimation"][k])) + 1
-        for k in QUEUED_READINGS
+        for k in QUEUED_READING_INDICES
         if s["is_fitted"][k]
     )
     return min(blocks, INPUT_BLOCK_COUNT), max(1, min(waiting, QUEUE_SIZE))

@@ -28,7 +28,7 @@ _BYTES_PER_LINE = 24
 HOST_MAX_WAYPOINTS = 1000
 """Waypoints that the code built on this machine has room for."""
 MAX_BEAMS = 64
-LINK_LOSS_HOLD_S, LINK_LOSS_LAND_S = 10.0, 20.0
+LINK_LOSS_HOLD_DELAY_S, LINK_LOSS_LAND_DELAY_S = 10.0, 20.0
 """Silence of the commander until the vehicle holds, and then until it lands (s): COM_DL_LOSS_T, COM_DL_LAND_T."""
 _MISSION_END_ACTIONS = ("land", "hover", "return")
 
@@ -181,8 +181,8 @@ def supervisor_numbers(vehicle: Vehicle) -> dict[str, Any]:
         "stick_tilt": most.tilt,
         "stick_yaw_rate": most.yaw_rate,
         "stick_climb": most.climb,
-        "link_loss_s": LINK_LOSS_HOLD_S,
-        "link_land_s": LINK_LOSS_LAND_S,
+        "link_loss_s": LINK_LOSS_HOLD_DELAY_S,
+        "link_land_s": LINK_LOSS_LAND_DELAY_S,
         "standing_m": standing_height(vehicle),
     }
 

@@ -50,7 +50,7 @@ _IntArray = NDArray[np.int64]
 FRACTION_BITS = 20
 """Number of fraction bits of every signal."""
 
-EXCESS_FRACTION_BITS = 16
+SATURATION_EXCESS_FRACTION_BITS = 16
 """Number of fraction bits of the saturation excess; fewer, since an unlimited command can be large."""
 
 ERROR_LIMITS = {
@@ -285,8 +285,8 @@ def quantise_controller(name: str, gains: np.void, form: str = "modal", delta: b
     top_x, top_e = bound * 2.0**bits, errors * 2.0**FRACTION_BITS
     change = A - np.eye(n) if delta else A
     update = _quantise_rows(
-        np.hstack([change, B, M]), np.concatenate([bits, signal, [EXCESS_FRACTION_BITS] * 2]), bits,
-        np.concatenate([top_x, top_e, refused * 2.0**EXCESS_FRACTION_BITS]),
+        np.hstack([change, B, M]), np.concatenate([bits, signal, [SATURATION_EXCESS_FRACTION_BITS] * 2]), bits,
+        np.concatenate([top_x, top_e, refused * 2.0**SATURATION_EXCESS_FRACTION_BITS]),
     )  # fmt: skip
     output = _quantise_rows(
         np.hstack([C, D]),
@@ -332,7 +332,9 @@ def _prove_no_overflow(made: FixedPointController, errors: Array, most: Array, e
     C, D = made.output_rows.quantised_values[:, :n], made.output_rows.quantised_values[:, n:]
     stable = A - M @ C
     # Rounding by half a step: of each state, and through M of the command and the saturation excess.
-    rounding = np.hstack([np.diag(lsb / 2.0), M * (2.0 ** -(FRACTION_BITS + 1) + 2.0 ** -(EXCESS_FRACTION_BITS + 1))])
+    rounding = np.hstack(
+        [np.diag(lsb / 2.0), M * (2.0 ** -(FRACTION_BITS + 1) + 2.0 ** -(SATURATION_EXCESS_FRACTION_BITS + 1))]
+    )
     forced, commanded = _impulse_bounds(stable, np.hstack([B - M @ D, M, rounding]), C)
     inputs = np.concatenate([errors, most, np.ones(n + 2)])
     begun = _transient_bound(
@@ -345,7 +347,7 @@ def _prove_no_overflow(made: FixedPointController, errors: Array, most: Array, e
     top_x, top_e, top_r = (
         bound / lsb,
         errors * 2.0**FRACTION_BITS,
-        (command + most + 1e-3) * 2.0**EXCESS_FRACTION_BITS,
+        (command + most + 1e-3) * 2.0**SATURATION_EXCESS_FRACTION_BITS,
     )
     sums = np.concatenate(
         [

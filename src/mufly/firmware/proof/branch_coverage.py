@@ -20,7 +20,7 @@ import numpy as np
 from mufly.compiled.toolchain import COMPILER_FLAGS
 from mufly.control import FlightController, design_flight_controller
 from mufly.estimate import filter_backend
-from mufly.estimate.filter.c_records import RECORDS_HEADER
+from mufly.estimate.filter.c_records import RECORDS_HEADER_PATH
 from mufly.firmware.compiled_software import FirmwareSoftware
 from mufly.firmware.export.source_export import FIXED_POINT_SOURCES, SOFTWARE_SOURCES, find_sources
 from mufly.firmware.fixed_point import fixed_point_law
@@ -33,7 +33,7 @@ from mufly.mission import Mission, load_mission, parse_mission
 from mufly.sensors.faults import parse_fault
 from mufly.vehicle import Vehicle, load_vehicle
 
-FUZZ_PARTS, FUZZ_INPUT_COUNT = 5, 60_000
+FUZZ_PART_COUNT, FUZZ_INPUT_COUNT = 5, 60_000
 """Number of parts of the fuzzing harness, and number of random inputs."""
 
 
@@ -102,7 +102,7 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
     # The instrumented library replaces the regular ones; the record layouts are equal.
     _replace_loader(fixed_point_law, "_load_fixed_library", lambda text, cc: (fixed_ffi, fixed_ffi.dlopen(library)))
     kept: Any = filter_backend._load_filter_library
-    records = (folder / RECORDS_HEADER).read_text(encoding="utf-8")
+    records = (folder / RECORDS_HEADER_PATH).read_text(encoding="utf-8")
 
     def load_instrumented_filter(asked: str, flags: Any = COMPILER_FLAGS) -> Any:
         ffi, lib = kept(asked, flags)
@@ -145,9 +145,9 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
         data = rng.integers(0, 256, int(rng.integers(64, 4096)), dtype=np.uint8)
         if k % 3:  # small numbers without special values
             data = (data.astype(float) ** 2 / 300.0).astype(np.uint8)
-        data[0] = k % FUZZ_PARTS + (
+        data[0] = k % FUZZ_PART_COUNT + (
             130 if k % 4 == 0 else 0
-        )  # 130 is a multiple of FUZZ_PARTS and selects plain numbers
+        )  # 130 is a multiple of FUZZ_PART_COUNT and selects plain numbers
         firmware.lib.LLVMFuzzerTestOneInput(firmware.ffi.from_buffer("uint8_t[]", data.tobytes()), len(data))
 
 

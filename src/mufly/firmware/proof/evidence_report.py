@@ -69,7 +69,7 @@ RESOURCE_TARGETS = {
     "single": 1e-4,
 }
 
-BOARD_MEMORY_TARGETS = {"flash": 128_000, "ram": 28_000, "stack": 4_000}
+BOARD_MEMORY_TARGET_BYTES = {"flash": 128_000, "ram": 28_000, "stack": 4_000}
 """Most bytes of a whole board; RAM and stack together are 32 kB."""
 
 
@@ -213,7 +213,7 @@ def _report_memory(vehicle: Vehicle, out: Path) -> EvidenceSection:
         *((f"RAM, one {name} (bytes)", size, "") for name, size in sorted(ram.items())),
         ("RAM, sum (bytes)", sum(ram.values()), RESOURCE_TARGETS["ram_bytes"]),
         *((f"stack below {name.rstrip('_')} (bytes)", size, "bounded") for name, size in stack.items()),
-        *((f"whole board, {name} (bytes)", size, BOARD_MEMORY_TARGETS[name]) for name, size in board.items()),
+        *((f"whole board, {name} (bytes)", size, BOARD_MEMORY_TARGET_BYTES[name]) for name, size in board.items()),
     ]
     return EvidenceSection(
         "What it needs",

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mufly.errors import InputError
-from mufly.files.answer_store import AnswerLines
+from mufly.files.answer_store import StoredResultLines
 from mufly.mission import Mission, check_geometry
 from mufly.results import to_plain_data
 
@@ -104,7 +104,7 @@ def resume_flights(
         name = str(row.pop("asked"))
         return (name, int(row["seed"])), kind(**row)
 
-    kept = AnswerLines(keep, read, damaged=("is no result of these flights", "give a new file"))
+    kept = StoredResultLines(keep, read, damaged=("is no result of these flights", "give a new file"))
     results = []
     for name, seed in asked:
         if (name, seed) not in kept.known:

@@ -124,7 +124,7 @@ _SELFTEST_MISSION: dict[str, Any] = {
     ],
 }
 """Mission of the flight self-test: curves, nose scans and a full obstacle map, the case of the most computation."""
-_TIMEOUT_S = 120.0  # of a self-test
+_SELFTEST_TIMEOUT_S = 120.0  # of a self-test
 _REQUIRED_TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm"}
 
 
@@ -464,9 +464,9 @@ def parse_digests(said: str) -> list[str]:
 def run_program(command: list[str]) -> str:
     """Run a program and return its output, including standard error."""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT_S)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_SELFTEST_TIMEOUT_S)
     except subprocess.TimeoutExpired:
-        raise MuflyError(f"{command[0]} did not end within {_TIMEOUT_S:g} s") from None
+        raise MuflyError(f"{command[0]} did not end within {_SELFTEST_TIMEOUT_S:g} s") from None
     return done.stdout + done.stderr  # semihosting output appears on standard error
 
 

@@ -62,9 +62,9 @@ from mufly.firmware.quick.compiled_loop import (
     LOG_SUPPLY,
     LOG_TIME,
     LOG_WIND,
-    LOOP_CLOCK,
+    LOOP_CLOCK_DTYPE,
     MAX_PERIODS_PER_CALL,
-    RECORD_OFFSETS,
+    RECORD_OFFSETS_DTYPE,
     SENSOR_STATUS_SIZE,
     SENSOR_STATUS_START,
     STATUS_FAULT_COMPONENT,
@@ -77,13 +77,13 @@ from mufly.firmware.quick.compiled_loop import (
     STOP_TO_SAMPLE_SENSORS,
     STOP_TO_UPDATE_STATUS,
     FilterArrays,
-    FittedPeriods,
-    IdealPeriods,
+    IdealLoopArguments,
     PlantArrays,
+    SensedLoopArguments,
     SensorArrays,
     SoftwareArrays,
-    run_fitted_periods,
     run_ideal_periods,
+    run_sensed_periods,
 )
 from mufly.flight.controllers import Actuators
 from mufly.flight.period_stages import STAGE_BEGIN_PERIOD
@@ -94,7 +94,7 @@ from mufly.sensors import FittedSensors, Imu, Readings, SensorSet, Truth
 from mufly.sensors.faults import FaultySensor
 from mufly.sensors.periodic import PeriodicSensor
 from mufly.sensors.readings import IdealRangeRing
-from mufly.sensors.sampling import SAMPLED_SENSORS, sampling_table
+from mufly.sensors.sampling import SAMPLED_SENSORS, collect_sampling_arguments
 
 _Array = NDArray[np.float64]
 
@@ -131,12 +131,12 @@ class CompiledFlight:
         self._sensors_by_index: dict[int, FaultySensor] = {}
         self._faulty_imu: Any = None
         self._imu: Any = None
-        self.is_supported = flight.records_truth and self._supports_sensors(flight, flight.sensors)
+        self.is_supported = flight.records_only_truth and self._supports_sensors(flight, flight.sensors)
         if not self.is_supported:
             return
         plant, beams = flight.plant, flight.vehicle.range_ring.count
         self._software_arrays = _make_software_arrays(software)
-        clock = self._clock = np.zeros(1, LOOP_CLOCK).view(np.recarray)[0]
+        clock = self._clock = np.zeros(1, LOOP_CLOCK_DTYPE).view(np.recarray)[0]
         legs, clock.rotor_radius, obstacles, *tables = plant.collision_shape
         self._contact_tables: tuple[Any, ...] = (legs, obstacles, *tables)
         clock.contact_interval, clock.record_interval = flight.look_periods, flight.record_periods
@@ -152,7 +152,7 @@ class CompiledFlight:
         self._listener_rows = np.zeros((MAX_PERIODS_PER_CALL + 1, LISTENER_ROW_SIZE + beams))
         if self._filter is not None:
             self._filter_arrays: FilterArrays = make_filter_arrays(self._filter, self._board.reason_text_numbers())
-            self._sampling_table: tuple[Any, ...] = sampling_table(
+            self._sampling_table: tuple[Any, ...] = collect_sampling_arguments(
                 {k: one.sensor for k, one in self._sensors_by_index.items()}
             )
         elif self._ring is not None:
@@ -231,7 +231,7 @@ class CompiledFlight:
     def _assemble_loop(self, wind: _Array) -> tuple[Any, Any]:
         """Return the arguments and the function of the compiled loop.
 
-        The function is :func:`run_fitted_periods` for a flight with sensors, else :func:`run_ideal_periods`.
+        The function is :func:`run_sensed_periods` for a flight with sensors, else :func:`run_ideal_periods`.
         """
         plant = self._flight.plant
         on_plant = PlantArrays(
@@ -243,12 +243,12 @@ class CompiledFlight:
             sensors = SensorArrays(
                 self._imu.sampling_arguments(self._flight.period_s), *self._assign_sensors_by_fault()
             )
-            return FittedPeriods(
+            return SensedLoopArguments(
                 self._clock, on_plant, self._software_arrays, self._filter.ranges, self._log_rows, sensors,
                 self._filter_arrays, self._status_rows, self._listener_rows,
-            ), run_fitted_periods  # fmt: skip
+            ), run_sensed_periods  # fmt: skip
         assert self._ring is not None
-        return IdealPeriods(
+        return IdealLoopArguments(
             self._clock, on_plant, self._software_arrays, self._ring.ranges, self._log_rows,
             self._ring.range_arguments, self._ring.clock,
         ), run_ideal_periods  # fmt: skip
@@ -260,7 +260,7 @@ class CompiledFlight:
         return (
             not flight.plant.crash_cause
             and not flight.is_first_period
-            and self._software.law.is_settled
+            and self._software.law.are_gains_settled
             and not auto.has_pending_input
             and (motors != "off" or not auto.armed)
             and (self._faulty_imu is None or not any(t.start_s <= now < t.stop_s for t in self._faulty_imu.faults))
@@ -290,7 +290,7 @@ class CompiledFlight:
     def _assign_sensors_by_fault(self) -> Any:
         """Let the compiled loop sample the sensors without an active fault, and Python the others.
 
-        Return the arguments with which the loop samples (:func:`mufly.sensors.sampling.sampling_table`).
+        Return the arguments with which the loop samples (:func:`mufly.sensors.sampling.collect_sampling_arguments`).
         """
         flight, filtered = self._flight, self._filter
         assert filtered is not None
@@ -422,12 +422,12 @@ class CompiledFlight:
         # Motors change in the last period only: that ends a call.
         was_due = due >= 0 and (not is_due or periods > software.mission_step_periods)
         if whole:
-            flight.set_instant(truth, readings, estimate)
+            flight.store_loop_results(truth, readings, estimate)
         auto.conclude_periods(
             estimate if whole else None, flight.sent_actuators, ran=ran if was_due else None, due=is_due
         )
         self._record_rows(rows - last, rows)
-        plant.count_periods(winds)
+        plant.advance_clock(winds)
         if not whole:
             flight.finish_period(self._acting[0].copy())
 
@@ -486,7 +486,7 @@ def _make_software_arrays(software: Any) -> SoftwareArrays:
         return int(ffi.offsetof(*path)) // unit
 
     s, b = "software_t", "estimate_t"
-    offsets = np.zeros(1, RECORD_OFFSETS).view(np.recarray)[0]
+    offsets = np.zeros(1, RECORD_OFFSETS_DTYPE).view(np.recarray)[0]
     offsets.time, offsets.motion, offsets.valid = (
         record_offset(8, b, "time_s"),
         record_offset(8, b, "motion"),

@@ -1,6 +1,6 @@
 """Run many periods of a flight in one compiled call: the stages of :mod:`mufly.flight.period_stages` on arrays.
 
-There are two executors: :func:`run_ideal_periods` for a flight on the truth, :func:`run_fitted_periods` for a flight on
+There are two executors: :func:`run_ideal_periods` for a flight on the truth, :func:`run_sensed_periods` for a flight on
 sensors with errors and the filter. Both call the same compiled functions and C code as a flight in Python: plant,
 sensors, filter and flight software.
 """
@@ -25,18 +25,18 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_VELOCITY,
     READING_ACCELERATION,
     READING_BATTERY,
-    READING_OFFSETS,
     READING_RANGE_RING,
     READING_RATES,
     READING_STARTS,
     READING_WIDTHS,
     SENSOR_COUNT,
     STATE_COUNT,
+    SUBTRACTED_READING_OFFSETS,
 )
 from mufly.estimate.filter.measurements import sensor_checks as g
 from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
-from mufly.estimate.kalman_estimator import filter_ring_scan
+from mufly.estimate.kalman_estimator import median_filter_ring_scan
 from mufly.flight.period_stages import CONTINUE_LOOP, FIRST_EXECUTOR_CODE, LOOP_DONE, make_stepper
 from mufly.flight.simulated_plant import advance_period, find_collision, true_attitude
 from mufly.sensors.imu import FIRST_GYRO_AXIS, sample_imu
@@ -96,7 +96,7 @@ class LoopClock:
     next_sample_s: float = real_or_array_field("next sample of the other sensors", unit="s")
 
 
-LOOP_CLOCK = record_type(LoopClock, int_kind=np.int64)
+LOOP_CLOCK_DTYPE = record_type(LoopClock, int_kind=np.int64)
 
 
 class RecordOffsets:
@@ -125,7 +125,7 @@ class RecordOffsets:
     check_reason: int = int_or_array_field("reason in a check")
 
 
-RECORD_OFFSETS = record_type(RecordOffsets, int_kind=np.int64)
+RECORD_OFFSETS_DTYPE = record_type(RecordOffsets, int_kind=np.int64)
 
 
 class PlantArrays(NamedTuple):
@@ -187,7 +187,7 @@ class SensorArrays(NamedTuple):
     parts: tuple[Any, ...]
 
 
-class IdealPeriods(NamedTuple):
+class IdealLoopArguments(NamedTuple):
     """Arguments of :func:`run_ideal_periods`: clock, plant and software of a flight without sensor errors."""
 
     clock: LoopClock
@@ -199,8 +199,8 @@ class IdealPeriods(NamedTuple):
     ring_clock: _Array
 
 
-class FittedPeriods(NamedTuple):
-    """Arguments of :func:`run_fitted_periods`: clock, plant, sensors, filter and software of a flight with sensors."""
+class SensedLoopArguments(NamedTuple):
+    """Arguments of :func:`run_sensed_periods`: clock, plant, sensors, filter and software of a flight with sensors."""
 
     clock: LoopClock
     plant: PlantArrays
@@ -213,10 +213,10 @@ class FittedPeriods(NamedTuple):
     listener_rows: _Array  # (n, LISTENER_ROW_SIZE + beams)
 
 
-Periods = IdealPeriods | FittedPeriods
+LoopArguments = IdealLoopArguments | SensedLoopArguments
 
 _MOTORS_OFF, _MOTORS_FLYING = 0, 2
-_IMU_OUTPUT = 4  # place in the arguments of sample_imu after the time
+_IMU_OUTPUT_ARGUMENT = 4  # place in the arguments of sample_imu after the time
 # First columns of a log row: time, state, attitude, wind, battery, active actuators, reference, mission state; the
 # ranges follow
 LOG_TIME, LOG_STATE, LOG_ATTITUDE, LOG_WIND, LOG_SUPPLY, LOG_MOTOR_INPUTS, LOG_SERVO_INPUTS = 0, 1, 22, 25, 28, 30, 32
@@ -241,10 +241,10 @@ SENSOR_STATUS_START = STATUS_SIGMA_START + ERROR_STATE_COUNT
 (
     _CHECK_STATUS,
     _CHECK_REASON,
-    _CHECK_NUMBER,
+    _CHECK_REASON_NUMBER,
     _CHECK_INNOVATION,
     _CHECK_INNOVATION_SIGMA,
-    _CHECK_FUSED,
+    _CHECK_LAST_FUSED_TICK,
     _CHECK_LAST_NEW_TICK,
     SENSOR_STATUS_SIZE,
 ) = range(8)
@@ -294,19 +294,19 @@ def _copy_to_row(row: _Array, at: int, values: _Array) -> int:
 
 
 @cached_njit(error_model="numpy")
-def _has_ended(p: Periods) -> bool:
+def _has_ended(p: LoopArguments) -> bool:
     c = p.clock
     return c.tick >= c.stop_tick or c.wind_samples >= p.plant.wind.shape[0] or c.log_rows >= p.log.shape[0]
 
 
 @cached_njit(error_model="numpy")
-def _is_listener_due(p: Periods) -> bool:
+def _is_listener_due(p: LoopArguments) -> bool:
     c = p.clock
     return c.listener_interval > 0 and c.tick % c.listener_interval == 0 and c.tick != c.start_tick
 
 
 @cached_njit(error_model="numpy")
-def _begin_ideal_period(p: IdealPeriods) -> int:
+def _begin_ideal_period(p: IdealLoopArguments) -> int:
     if _has_ended(p):
         return LOOP_DONE
     if _is_listener_due(p):
@@ -315,7 +315,7 @@ def _begin_ideal_period(p: IdealPeriods) -> int:
 
 
 @cached_njit(error_model="numpy")
-def _begin_fitted_period(p: FittedPeriods) -> int:
+def _begin_sensed_period(p: SensedLoopArguments) -> int:
     if _has_ended(p):
         return LOOP_DONE
     if _is_listener_due(p):
@@ -333,7 +333,7 @@ def _begin_fitted_period(p: FittedPeriods) -> int:
 
 
 @cached_njit(error_model="numpy")
-def advance_plant(p: Periods) -> int:
+def advance_plant(p: LoopArguments) -> int:
     c, q = p.clock, p.plant
     acting_inputs = q.acting_inputs
     advance_period(
@@ -349,7 +349,7 @@ def advance_plant(p: Periods) -> int:
 
 
 @cached_njit(error_model="numpy")
-def _check_contact(p: Periods) -> int:
+def _check_contact(p: LoopArguments) -> int:
     c, q = p.clock, p.plant
     if c.tick % c.contact_interval == 0:
         if find_collision(
@@ -363,13 +363,13 @@ def _check_contact(p: Periods) -> int:
 
 
 @cached_njit(error_model="numpy")
-def _publish_ranges(p: Periods) -> None:
+def _publish_ranges(p: LoopArguments) -> None:
     for k in range(p.clock.beam_count):
         p.software.estimate_reals[p.software.offsets.ranges + k] = p.ranges[k]
 
 
 @cached_njit(error_model="numpy")
-def _measure_truth(p: IdealPeriods) -> int:
+def _measure_truth(p: IdealLoopArguments) -> int:
     c, q = p.clock, p.plant
     true_attitude(q.state, q.attitude)
     if c.tick % c.ring_interval == 0:
@@ -395,15 +395,15 @@ def _fill_readings(t: float, has_new_reading: NDArray[np.uint8], rows: _Array, f
             is_ring = True
             for j in range(f.fused_beams.size):
                 f.values[start + j] = row[ROW_FIRST_VALUE + f.fused_beams[j]]
-            filter_ring_scan(row[ROW_FIRST_VALUE:], f.max_range_m, f.ring_scans, ranges)
+            median_filter_ring_scan(row[ROW_FIRST_VALUE:], f.max_range_m, f.ring_scans, ranges)
         else:
             for j in range(READING_WIDTHS[r]):
-                f.values[start + j] = row[ROW_FIRST_VALUE + j] - READING_OFFSETS[r]
+                f.values[start + j] = row[ROW_FIRST_VALUE + j] - SUBTRACTED_READING_OFFSETS[r]
     return is_ring
 
 
 @cached_njit(error_model="numpy")
-def sample_sensors(p: FittedPeriods) -> int:
+def sample_sensors(p: SensedLoopArguments) -> int:
     c, q, f, s = p.clock, p.plant, p.filter, p.sensors
     t = c.tick / c.rate_Hz
     true_attitude(q.state, q.attitude)
@@ -412,7 +412,7 @@ def sample_sensors(p: FittedPeriods) -> int:
     for k in range(4):
         f.values[ACTUATOR_START + k] = q.acting_inputs[0, k]
     sample_imu(q.state, t, *s.imu)
-    read = s.imu[_IMU_OUTPUT]
+    read = s.imu[_IMU_OUTPUT_ARGUMENT]
     for k in range(3):
         f.values[_ACCEL_START + k], f.values[_RATES_START + k] = read[0, k], read[0, FIRST_GYRO_AXIS + k]
         f.values[CLIPPING_START + k] = read[1, k]
@@ -431,7 +431,7 @@ def sample_sensors(p: FittedPeriods) -> int:
 
 
 @cached_njit(error_model="numpy")
-def _publish_truth(p: IdealPeriods) -> int:
+def _publish_truth(p: IdealLoopArguments) -> int:
     c, q, b, at = p.clock, p.plant, p.software.estimate_reals, p.software.offsets
     b[at.time] = c.tick / c.rate_Hz
     for k in range(3):
@@ -445,7 +445,7 @@ def _publish_truth(p: IdealPeriods) -> int:
 
 
 @cached_njit(error_model="numpy")
-def _step_filter(p: FittedPeriods) -> int:
+def _step_filter(p: SensedLoopArguments) -> int:
     c, f, b, at = p.clock, p.filter, p.software.estimate_reals, p.software.offsets
     b[at.time] = c.tick / c.rate_Hz
     valid = call_c_function(f.addresses[0], f.addresses[1:]) & 1
@@ -497,13 +497,13 @@ def _write_filter_status(
     for k in range(SENSOR_COUNT):
         start = SENSOR_STATUS_START + SENSOR_STATUS_SIZE * k
         of, was = row[start : start + SENSOR_STATUS_SIZE], before[start : start + SENSOR_STATUS_SIZE]
-        of[_CHECK_STATUS], of[_CHECK_REASON], of[_CHECK_NUMBER], of[_CHECK_INNOVATION] = (
+        of[_CHECK_STATUS], of[_CHECK_REASON], of[_CHECK_REASON_NUMBER], of[_CHECK_INNOVATION] = (
             code[k],
             why[k],
             number[k],
             innovation[k],
         )
-        of[_CHECK_INNOVATION_SIGMA], of[_CHECK_FUSED], of[_CHECK_LAST_NEW_TICK] = spread[k], used[k], came[k]
+        of[_CHECK_INNOVATION_SIGMA], of[_CHECK_LAST_FUSED_TICK], of[_CHECK_LAST_NEW_TICK] = spread[k], used[k], came[k]
         if f.is_fitted[k] == 0:
             continue
         text = f.texts[why[k]]
@@ -519,13 +519,13 @@ def _write_filter_status(
             said[one + at.check_status], said[one + at.check_reason] = code[k], text
         else:
             same = same and of[_CHECK_STATUS] == was[_CHECK_STATUS] and of[_CHECK_REASON] == was[_CHECK_REASON]
-            same = same and (text >= 0 or of[_CHECK_NUMBER] == was[_CHECK_NUMBER])
+            same = same and (text >= 0 or of[_CHECK_REASON_NUMBER] == was[_CHECK_REASON_NUMBER])
             same = same and (text >= 0 or row[STATUS_FAULT_COMPONENT] == before[STATUS_FAULT_COMPONENT])
     return same
 
 
 @cached_njit(error_model="numpy")
-def _step_software(p: Periods) -> int:
+def _step_software(p: LoopArguments) -> int:
     c, s = p.clock, p.software
     at = s.offsets
     logged, motors, finished = s.ints[at.log_count], s.ints[at.motors], s.bytes[at.finished]
@@ -542,7 +542,7 @@ def _step_software(p: Periods) -> int:
 
 
 @cached_njit(error_model="numpy")
-def _write_log_row(p: Periods) -> int:
+def _write_log_row(p: LoopArguments) -> int:
     c, q, s = p.clock, p.plant, p.software
     if c.tick % c.record_interval == 0:
         at = s.offsets
@@ -564,7 +564,7 @@ def _write_log_row(p: Periods) -> int:
 
 
 @cached_njit(error_model="numpy")
-def _end_period(p: Periods) -> int:
+def _end_period(p: LoopArguments) -> int:
     c = p.clock
     if c.log_or_motors_changed != 0:
         return STOP_LOG_OR_MODE_CHANGED
@@ -581,11 +581,11 @@ def _compile_stepper(begin: Any, measure: Any, estimate: Any) -> Any:
 
 
 _step_ideal = _compile_stepper(_begin_ideal_period, _measure_truth, _publish_truth)
-_step_fitted = _compile_stepper(_begin_fitted_period, sample_sensors, _step_filter)
+_step_fitted = _compile_stepper(_begin_sensed_period, sample_sensors, _step_filter)
 
 
 @cached_njit(error_model="numpy")
-def run_ideal_periods(p: IdealPeriods) -> int:
+def run_ideal_periods(p: IdealLoopArguments) -> int:
     """Run periods of a flight without sensor errors, from stage ``p.clock.stage``; return why the run stopped.
 
     The result is the code that a stage returned in place of ``CONTINUE_LOOP``.
@@ -594,7 +594,7 @@ def run_ideal_periods(p: IdealPeriods) -> int:
 
 
 @cached_njit(error_model="numpy")
-def run_fitted_periods(p: FittedPeriods) -> int:
+def run_sensed_periods(p: SensedLoopArguments) -> int:
     """Run periods of a flight with sensors and filter, from stage ``p.clock.stage``; return why the run stopped.
 
     The result is the code that a stage returned in place of ``CONTINUE_LOOP``.

@@ -154,7 +154,7 @@ def make_picture_stream(eye: CameraConfig, vehicle: Vehicle, world: World, seed:
     )
 
 
-def position_fix_errors(camera: Camera) -> PositionFixParameters:
+def make_camera_fix_parameters(camera: Camera) -> PositionFixParameters:
     """Return the filter's error model of a camera's fixes: the vehicle's table ``sensors.position_fix``."""
 
     def make_quantity(value: float, unit: str) -> Quantity:
@@ -182,11 +182,11 @@ def replace_fix_by_camera(vehicle: Vehicle, camera: Camera) -> Vehicle:
         raise MuflyError(
             f"{vehicle.name} has no inertial unit and sonar, which a camera's fixes require; add them to [sensors]"
         )
-    sensors = vehicle.sensors.model_copy(update={"position_fix": position_fix_errors(camera)})
+    sensors = vehicle.sensors.model_copy(update={"position_fix": make_camera_fix_parameters(camera)})
     return vehicle.model_copy(update={"sensors": sensors})
 
 
-def minimum_sonar_height(vehicle: Vehicle) -> float:
+def compute_standing_sonar_limit(vehicle: Vehicle) -> float:
     """Return the sonar reading (m) up to which the vehicle may still stand on the floor."""
     sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
     return 0.0 if sonar is None else max_grounded_range(vehicle) + 0.5 * float(sonar.resolution)
@@ -225,10 +225,10 @@ class CameraSensor(Sensor):
     ) -> None:
         load_opencv()  # an early error if OpenCV is missing
         self._eye, self._start, self._seed = eye, start, seed
-        self._least_m = minimum_sonar_height(vehicle)
+        self._least_m = compute_standing_sonar_limit(vehicle)
         self._stands_m = standing_height(vehicle)
         self._film = make_camera(eye, vehicle, world, seed)
-        self._fixes = position_fix_errors(eye.camera)
+        self._fixes = make_camera_fix_parameters(eye.camera)
         self.fix_drift_time_s = float(self._fixes.drift_correlation_time)
         self.estimate_source: Callable[[], tuple[Estimate | None, float]] = lambda: (None, math.nan)
         self.on_map_view: Callable[[TrackedPicture], None] | None = None
@@ -355,7 +355,7 @@ class CameraSensor(Sensor):
             if not lost:
                 self._queue.append((due, self._stationary_pose(t)))
             if self._has_viewers:
-                self._show_stationary_view(self._film.camera_motion(truth), light)
+                self._show_stationary_view(self._film.compute_motion_at_exposure(truth), light)
             return
         self._begun = True
         self.last_picture = self._film.render_picture(truth, light)

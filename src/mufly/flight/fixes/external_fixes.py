@@ -30,7 +30,7 @@ MAX_FIX_DISTANCE_M = 1000.0
 MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, math.radians(0.05)
 """Least standard deviations of a fix; smaller ones are increased."""
 MAX_SIGMA_RAD = math.radians(20.0)
-_CORRECTED_COVARIANCE = np.diag([0.1**2] * 3 + [math.radians(1.0) ** 2])
+_CORRECTED_FIX_COVARIANCE = np.diag([0.1**2] * 3 + [math.radians(1.0) ** 2])
 """Covariance of the corrected fixes of a refused source: large, so that the filter follows their motion only."""
 
 
@@ -120,7 +120,7 @@ class ExternalFixes(Sensor):
         if why := self._monitor.check_fix(time_s, place):
             if (corrected := self._monitor.correct_fix(time_s, place)) is not None:
                 time_s, place = corrected
-                self._said = {"position_fix": Reading(place, min(time_s, now_s), True, _CORRECTED_COVARIANCE)}
+                self._said = {"position_fix": Reading(place, min(time_s, now_s), True, _CORRECTED_FIX_COVARIANCE)}
             return why
         if covariance is not None:
             least = np.array([MIN_SIGMA_M] * 3 + [MIN_SIGMA_RAD]) ** 2

@@ -78,7 +78,7 @@ _WITHHOLD_HEADING_CHANGE_RAD = math.radians(3.0)
 _LONG_FIT_WINDOW_STEP_S, _LONG_FIT_MEMORY_S, _LONG_FIT_CORRELATED_FIXES, _LONG_FIT_REPORT_SIGMAS = 2.5, 60.0, 30.0, 3.5
 """Long fit: step between windows and memory (s), number of fixes with correlated errors, deviations until a report."""
 _LONG_FIT_MIN_RMS_RATIO = 0.15  # least rms residual of the long fit, over the usual drift
-_LONG_FIT_MIN_SCALE_ERROR, _LONG_FIT_MAX_TURN_RAD = 0.2, math.radians(20.0)
+_LONG_FIT_MIN_SCALE_ERROR, _LONG_FIT_MAX_AXIS_TURN_RAD = 0.2, math.radians(20.0)
 """Least error of scale that the long fit reports, and largest turn of the axes (rad) at which the fault is a scale."""
 _REST_CHECK_WINDOW_S, _MAX_REST_SPEED_M_S = 4.0, 0.04
 _MIN_JUMP_M, _MAX_SPEED_M_S, _WITHHOLD_AFTER_JUMP_S = 0.3, 2.0, 4.0
@@ -210,13 +210,13 @@ class FixMonitor:
         if is_resting:
             if not self._is_resting:
                 self._fixes.clear()
-            self._average_rest(force.value, rates.value, dt, float(estimate.attitude[2]))
+            self._average_readings_at_rest(force.value, rates.value, dt, float(estimate.attitude[2]))
         else:
             w = (rates.value - self._rest_rates) * dt
             cross = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
             self._turn = self._turn @ (np.eye(3) + cross + 0.5 * cross @ cross)
             if estimate.valid and not self.fault and not self._candidate:
-                self._follow_tilt(estimate, dt / _ATTITUDE_CORRECTION_S)
+                self._correct_integrated_tilt(estimate, dt / _ATTITUDE_CORRECTION_S)
             n, e, _ = self._turn @ force.value
             acceleration = complex(n, e)
             self._path += dt * (self._speed + 0.5 * dt * acceleration)
@@ -230,7 +230,7 @@ class FixMonitor:
         while self._history[0][0] < t - 1.5:
             self._history.popleft()
 
-    def _average_rest(self, force: _Array, rates: _Array, dt: float, heading: float) -> None:
+    def _average_readings_at_rest(self, force: _Array, rates: _Array, dt: float, heading: float) -> None:
         """Average the readings at rest; they give the tilt and the gyroscopes' bias."""
         share = dt / _REST_AVERAGE_S
         self._rest_weight += share * (1.0 - self._rest_weight)
@@ -242,7 +242,7 @@ class FixMonitor:
         self._turn = body_to_ned_matrix(quaternion_from_euler(roll, pitch, heading))
         self._speed = self._path = self._bias_speed = self._bias_path = 0j
 
-    def _follow_tilt(self, estimate: Estimate, share: float) -> None:
+    def _correct_integrated_tilt(self, estimate: Estimate, share: float) -> None:
         """Correct the integrated tilt by ``share`` towards that of the filter, and make the rotation matrix
         orthogonal.
         """
@@ -309,7 +309,7 @@ class FixMonitor:
                 return FixCorrection(1.0 / complex(fit.rotation_factor.real))
             case "late":
                 return FixCorrection(1.0 + 0j, delay_s=fit.delay_s)
-        return FixCorrection(1.0 / abs(self.long_fit[0]) + 0j) if self._judge_long_fit() else None
+        return FixCorrection(1.0 / abs(self.long_fit[0]) + 0j) if self._find_long_fit_scale_fault() else None
 
     def correct_fix(self, time_s: float, place: _Array) -> tuple[float, _Array] | None:
         """Return time and position of a refused source's fix with the fault removed; None for an unknown fault.
@@ -356,13 +356,13 @@ class FixMonitor:
         self._fixes.append(fix)
         while self._fixes[0][0] < time_s - PATH_WINDOW_S:
             self._fixes.popleft()
-        self._fit_heading(time_s, heading, yaw)
-        if fault := self._judge_heading() or self._check_heading(heading - yaw):
+        self._fit_heading_delay(time_s, heading, yaw)
+        if fault := self._find_heading_delay_fault() or self._check_heading_drift(heading - yaw):
             return fault, True, False
         if self._is_heading_apart(time_s):
             return _HEADING_LAG_TEXT, False, False
         self._fit_path()
-        fit, fault = self.path_fit, self._judge_path(self._report_m) or self._judge_long_fit()
+        fit, fault = self.path_fit, self._judge_path(self._report_m) or self._find_long_fit_scale_fault()
         agrees = fit.motion_rms_m > self._report_m and fit.healthy_rms_m < _MAX_UNEXPLAINED_FRACTION * fit.motion_rms_m
         return fault or self._judge_path(self._withhold_m), bool(fault), agrees
 
@@ -383,7 +383,7 @@ class FixMonitor:
         speed = abs(complex(t @ np.array([f[1] for f in self._rest_fixes]))) / float(t @ t)
         return _motion_at_rest_text(speed) if speed > _MAX_REST_SPEED_M_S else ""
 
-    def _check_heading(self, offset: float) -> str:
+    def _check_heading_drift(self, offset: float) -> str:
         if math.isnan(self._heading_offset):
             self._heading_offset = offset
         off = math.remainder(offset - self._heading_offset, 2 * math.pi)
@@ -394,7 +394,7 @@ class FixMonitor:
         self._turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._turn
         return ""
 
-    def _fit_heading(self, time_s: float, heading: float, yaw: float) -> None:
+    def _fit_heading_delay(self, time_s: float, heading: float, yaw: float) -> None:
         """Fit the delay of the source by its heading, against the integrated turn rate of the inertial unit."""
         if self._headings:
             *_, last, last_yaw = self._headings[-1]
@@ -411,7 +411,7 @@ class FixMonitor:
             best = int(np.argmin(rms))
             self.heading_fit = rms[0], rms[best], float(_TRIED_HEADING_DELAYS_S[best])
 
-    def _judge_heading(self) -> str:
+    def _find_heading_delay_fault(self) -> str:
         """Return the delay fault of a source whose heading lags behind the gyroscopes; "" without one."""
         off, left, delay = self.heading_fit
         explains = (
@@ -468,13 +468,13 @@ class FixMonitor:
         noise = max(self._least_variance_m2, float((total - abs(product) ** 2 / square).real) / float(count.real))
         self.long_fit = m, math.sqrt(_LONG_FIT_CORRELATED_FIXES * noise / (2.0 * float(square.real)))
 
-    def _judge_long_fit(self) -> str:
+    def _find_long_fit_scale_fault(self) -> str:
         """Return the scale fault of a source whose error of scale is too small for a single window; "" without one."""
         m, sigma = self.long_fit
         off = abs(abs(m) - 1.0)
         is_wrong = (
             off > max(_LONG_FIT_MIN_SCALE_ERROR, _LONG_FIT_REPORT_SIGMAS * sigma)
-            and abs(cmath.phase(m)) < _LONG_FIT_MAX_TURN_RAD
+            and abs(cmath.phase(m)) < _LONG_FIT_MAX_AXIS_TURN_RAD
         )
         return _scale_fault_text(abs(m)) if is_wrong else ""
 

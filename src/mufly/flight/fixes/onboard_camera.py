@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mufly.camera import Camera, Floor, Renderer, StreamServer, VehicleMotion, encode_jpeg
 from mufly.dynamics import body_to_ned_matrix, model_parameters
-from mufly.dynamics.model_state import ATTITUDE, hover_speeds
+from mufly.dynamics.model_state import ATTITUDE, compute_hover_rotor_speeds
 from mufly.errors import ArgumentError, InputError, suggest_name
 from mufly.quantities.quantity_grammar import read_time_span
 from mufly.sensors import Truth
@@ -99,7 +99,7 @@ class OnboardCamera:
     ) -> None:
         self._given = camera, floor, world
         self._seed, self._spoils = seed, spoils
-        self._hover = float(np.mean(hover_speeds(model_parameters(vehicle))))
+        self._hover = float(np.mean(compute_hover_rotor_speeds(model_parameters(vehicle))))
         self.reset()
 
     def reset(self) -> None:
@@ -132,7 +132,7 @@ class OnboardCamera:
 
     def render_picture(self, truth: Truth, light: float) -> NDArray[np.uint8]:
         """Return the picture at this instant, with the camera's faults."""
-        picture = self.renderer.render(self.camera_motion(truth), light)
+        picture = self.renderer.render(self.compute_motion_at_exposure(truth), light)
         active = {s.kind for s in self._spoils if s.start_s <= truth.time_s < s.stop_s}
         if "mirrored" in active:
             picture = np.ascontiguousarray(picture[:, ::-1])
@@ -146,7 +146,7 @@ class OnboardCamera:
         self._frozen_picture = None
         return picture
 
-    def camera_motion(self, truth: Truth) -> VehicleMotion:
+    def compute_motion_at_exposure(self, truth: Truth) -> VehicleMotion:
         """Return position, attitude, velocity and rates of the vehicle at the middle of the exposure."""
         share = min(1.5, (float(np.mean(truth.rotor_speed)) / self._hover) ** 2)
         return VehicleMotion(

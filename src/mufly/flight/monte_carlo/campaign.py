@@ -31,8 +31,8 @@ from mufly.control.synthesis.weighting_schemes import complete_settings
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_GYRO_BIAS
-from mufly.estimate.nees import compute_normalised_errors
-from mufly.files.answer_store import hash_question
+from mufly.estimate.nees import compute_normalised_squared_errors
+from mufly.files.answer_store import hash_inputs
 from mufly.flight.fixes.camera_sensor import CameraConfig
 from mufly.flight.flight_software import ControlImplementation
 from mufly.flight.mission_flight import fly_mission
@@ -284,7 +284,7 @@ class Campaign:
                 *self._describe_method(),
             ],
         }
-        return hash_question(content)
+        return hash_inputs(content)
 
     def _describe_method(self) -> list[str]:
         """Return method and gains of a controller that is not the default; empty for the default."""
@@ -488,7 +488,7 @@ class _EstimateScore:
         true, told, covariances = (np.concatenate(p) for p in zip(*self._parts, strict=True))
         error = told - true
         error[:, ERROR_ATTITUDE:] = np.angle(np.exp(1j * error[:, ERROR_ATTITUDE:]))
-        return float(compute_normalised_errors(error, covariances).mean()) / error.shape[1]
+        return float(compute_normalised_squared_errors(error, covariances).mean()) / error.shape[1]
 
 
 def judge_flight(

@@ -26,7 +26,7 @@ from mufly.flight.monte_carlo.campaign import Campaign, FlightResult
 from mufly.flight.monte_carlo.flight_ending import ENDINGS, FlightEnding
 from mufly.flight.monte_carlo.worker_pool import describe_campaign
 from mufly.mission import HARD_TOUCHDOWN_M_S
-from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import list_parameters
 from mufly.version import __version__
 
@@ -182,14 +182,16 @@ class CampaignOutcome:
     def shown_blocks(self) -> list[ShownBlock]:
         """Return the success rate, the reasons of failures, and the worst values."""
         blocks = [
-            show_lines(f"{self.describe_success()}.", style="green" if self.successes == self.flights else "yellow")
+            make_lines_block(
+                f"{self.describe_success()}.", style="green" if self.successes == self.flights else "yellow"
+            )
         ]
         if self.reported_successes != self.successes:
             text = f"The state machine reports {self.reported_successes} successes."
-            blocks.append(show_lines(text, style="yellow"))
+            blocks.append(make_lines_block(text, style="yellow"))
         if self.refused:
             text = f"{self.refused} draws of impossible vehicles were repeated."
-            blocks.append(show_lines(text))
+            blocks.append(make_lines_block(text))
         rows = [
             (w.label, f"{w.median:.3g}", f"{w.percentile_95:.3g}", f"{w.worst:.3g}", "" if w.unit == "1" else w.unit,
              f"{w.flight}", "" if w.beyond_limit_count is None else f"{w.beyond_limit_count}")
@@ -206,9 +208,9 @@ class CampaignOutcome:
         ]
         return [
             *blocks,
-            show_table(("by the truth", "flights", "share", "95 % interval"), endings),
-            show_lines(*(f"{count} x {reason}" for reason, count in self.reasons), mark="Failed"),
-            show_table(("", "median", "95 %", "worst", "unit", "flight", "beyond limit"), rows),
+            make_table_block(("by the truth", "flights", "share", "95 % interval"), endings),
+            make_lines_block(*(f"{count} x {reason}" for reason, count in self.reasons), mark="Failed"),
+            make_table_block(("", "median", "95 %", "worst", "unit", "flight", "beyond limit"), rows),
         ]
 
 

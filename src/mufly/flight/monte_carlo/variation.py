@@ -211,7 +211,7 @@ def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
     if unit == "%":
         if number >= 100.0 and match["normal"] is None:
             raise ArgumentError("vary", text, f"a spread of {number:g} % includes zero", "give less than 100 %")
-        chosen = _without_zeros(chosen, text)
+        chosen = _drop_zero_parameters(chosen, text)
         widths = number / 100.0 * np.abs([p.value for p in chosen])
     elif match["normal"] or match["sides"]:
         widths = np.full(len(keys), _to_si_amount(match["number"], unit, chosen, text))
@@ -229,7 +229,7 @@ def _range_variation(text: str, how: str, match: re.Match[str], chosen: Sequence
     is_share = match["unit"].strip() == "%"
     if is_share:
         low, high = (_parse_number(match[k], text) / 100.0 for k in ("low", "high"))
-        chosen = _without_zeros(chosen, text)
+        chosen = _drop_zero_parameters(chosen, text)
         if low < 0.0:
             raise ArgumentError(
                 "vary", text, f"{100 * low:g} % of a value changes its sign", "give shares of 0 % or more"
@@ -246,7 +246,7 @@ def _range_variation(text: str, how: str, match: re.Match[str], chosen: Sequence
     return ParameterVariation(text, tuple(p.key for p in chosen), "uniform", 0.5 * (high + low) * scale, spread)
 
 
-def _without_zeros(chosen: Sequence[Parameter], text: str) -> list[Parameter]:
+def _drop_zero_parameters(chosen: Sequence[Parameter], text: str) -> list[Parameter]:
     """Return the parameters other than 0, because a percentage of 0 is always 0."""
     kept = [p for p in chosen if p.value != 0.0]
     if not kept:

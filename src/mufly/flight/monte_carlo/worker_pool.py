@@ -33,7 +33,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mufly.errors import ArgumentError, MuflyError
-from mufly.files.answer_store import AnswerLines, claim_folder
+from mufly.files.answer_store import StoredResultLines, claim_folder
 from mufly.flight.monte_carlo.campaign import Campaign, FlightCase, FlightResult, fly_case
 from mufly.results import to_plain_data
 from mufly.study.sweeps import open_executor
@@ -188,7 +188,9 @@ _OTHER_CAMPAIGN_ERROR = (
 )
 
 
-def _stored_flights(folder: Path | None, campaign: Campaign, file: str = RESULTS_FILE) -> AnswerLines[FlightResult]:
+def _stored_flights(
+    folder: Path | None, campaign: Campaign, file: str = RESULTS_FILE
+) -> StoredResultLines[FlightResult]:
     """Return the stored flights of a campaign, by index.
 
     Raises
@@ -202,10 +204,10 @@ def _stored_flights(folder: Path | None, campaign: Campaign, file: str = RESULTS
         return flown.index, flown
 
     if folder is None:
-        return AnswerLines(None, read_stored_flight)
+        return StoredResultLines(None, read_stored_flight)
     settings = {"version": __version__, **to_plain_data(describe_campaign(campaign))}
     claim_folder(folder, SETTINGS_FILE, campaign.settings_hash, settings, _OTHER_CAMPAIGN_ERROR)
-    return AnswerLines(
+    return StoredResultLines(
         folder / file, read_stored_flight, damaged=("is damaged", "delete this file; its flights are repeated")
     )
 

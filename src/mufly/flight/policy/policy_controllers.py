@@ -29,7 +29,7 @@ from mufly.control import FlightController
 from mufly.dynamics.model_state import SERVOS
 from mufly.errors import InputError
 from mufly.estimate import Estimate
-from mufly.files.answer_store import hash_question
+from mufly.files.answer_store import hash_inputs
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.policy.observation import (
     ACTION_SIZE,
@@ -160,7 +160,7 @@ class PolicyControllers(Controllers):
             self._inputs = given.input_array.astype(np.float64)
             return given
         if not self._acted:
-            self._action = find_equal_action(self._inputs, self._policy.trim)
+            self._action = find_action_for_inputs(self._inputs, self._policy.trim)
         self._acted = True
         if self._is_due:
             self._reference[REF_HEADING] = heave_yaw[1]
@@ -181,7 +181,7 @@ class PolicyControllers(Controllers):
         return Actuators(self._inputs[:2].copy(), self._inputs[2:].copy())
 
 
-def find_equal_action(inputs: _Array, trim: _Array) -> NDArray[np.float64]:
+def find_action_for_inputs(inputs: _Array, trim: _Array) -> NDArray[np.float64]:
     """Return the action (4,), clipped to -1..1, that gives the ``inputs`` (4,) of the flight model."""
     upper, lower = inputs[0] - trim[0], inputs[1] - trim[1]
     wanted = (
@@ -211,4 +211,4 @@ class PolicyControlLaw:
     def __name__(self) -> str:
         """Name that identifies the policy by its numbers; a campaign stores its flights under this name."""
         numbers = (*self.policy.packed, self.policy.trim, self.policy.nominal_voltage_V)
-        return f"policy-{hash_question(*(np.asarray(x).tobytes() for x in numbers))[:16]}"
+        return f"policy-{hash_inputs(*(np.asarray(x).tobytes() for x in numbers))[:16]}"

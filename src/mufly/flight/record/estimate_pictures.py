@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Patch
 from numpy.typing import NDArray
 
-from mufly.flight.estimator_health import describe_sensor
+from mufly.flight.estimator_health import find_sensor_name
 from mufly.flight.record.flight_pictures import (
     BLACK,
     BLUE,
@@ -88,7 +88,7 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
     figure = Figure(figsize=(12.0, 14.5))
     panels: Any = figure.subplots(len(_ESTIMATE_PANELS), 2, sharex=True)
     figure.subplots_adjust(left=0.065, right=0.985, top=0.945, bottom=0.035, hspace=0.34, wspace=0.13)
-    time, good = dataset["time"].values, _flying_rows(dataset)
+    time, good = dataset["time"].values, _find_valid_rows(dataset)
     states = [(time[a], time[b], state_tint(state)) for state, a, b in state_stretches(dataset)]
     for (name, k, heading, factor, measured), (left, right) in zip(_ESTIMATE_PANELS, panels, strict=True):
         estimate = factor * dataset[f"estimated_{name}"].values[:, k]
@@ -147,7 +147,7 @@ def draw_ground_track(dataset: xr.Dataset) -> Figure:
     figure = Figure(figsize=(13.0, 7.0))
     grid = figure.add_gridspec(3, 3, width_ratios=(1.6, 1.0, 1.0))
     figure.subplots_adjust(left=0.06, right=0.985, top=0.91, bottom=0.075, hspace=0.35, wspace=0.25)
-    time, good = dataset["time"].values, _flying_rows(dataset)
+    time, good = dataset["time"].values, _find_valid_rows(dataset)
     plan: Any = figure.add_subplot(grid[:, 0])
     fix = dataset["measured_position_fix"].values
     plan.plot(fix[:, 1], fix[:, 0], ".", ms=2.5, color=GREY, label="measured", zorder=2)
@@ -193,7 +193,7 @@ def draw_ground_track(dataset: xr.Dataset) -> Figure:
     return figure
 
 
-def _flying_rows(dataset: xr.Dataset) -> NDArray[np.bool_]:
+def _find_valid_rows(dataset: xr.Dataset) -> NDArray[np.bool_]:
     """Return the rows with a valid estimate, or all rows if there are none.
 
     Errors before the convergence of the estimate would set the scale of a picture.
@@ -251,7 +251,7 @@ def draw_sensor_innovations(dataset: xr.Dataset) -> Figure:
             ax.axhline(line, color=BLACK, lw=0.7, ls=":")
         ax.set_ylim(-1.25 * _DRAWN_INNOVATION_SIGMAS, 1.05 * _DRAWN_INNOVATION_SIGMAS)
         ax.set_yticks((-3, 0, 3))
-        ax.set_ylabel(describe_sensor(name).replace(" ", "\n", 1), rotation=0, ha="right", va="center")
+        ax.set_ylabel(find_sensor_name(name).replace(" ", "\n", 1), rotation=0, ha="right", va="center")
         ax.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
     panels[-1].set_xlabel("Time (s)")
     handles = [Patch(color=colour, label=status) for status, colour in CHECK_STATUS_COLOURS.items()]

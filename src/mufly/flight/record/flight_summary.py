@@ -45,7 +45,7 @@ from mufly.flight.oscillation_detector import (
     steering_demands,
 )
 from mufly.mission import HARD_TOUCHDOWN_M_S
-from mufly.results import ShownBlock, result, show_table
+from mufly.results import ShownBlock, make_table_block, result
 from mufly.world import World, obstacle_distances
 
 FLYING_LEG_STATES = ("waypoint", "obstacle")
@@ -131,7 +131,7 @@ class FlightSummary:
             numbers = ("never" if value is None else f"{factor * value:.1f}" for value, factor in told)
             points.append((w.name, ", ".join(f"{x:g}" for x in w.position_m), *numbers))
         heads = ("waypoint", "N, E, D (m)", "reached (s)", "error (cm)", "overshoot (cm)")
-        return [show_table(("", ""), rows, text=(0, 1)), show_table(heads, points, text=(0, 1))]
+        return [make_table_block(("", ""), rows, text=(0, 1)), make_table_block(heads, points, text=(0, 1))]
 
 
 def summarise_flight(
@@ -186,7 +186,7 @@ def summarise_flight(
     asked = [r for r in results if r.name != "take-off"]
     touchdown = _touchdown_speed(dataset, states)
     clearance, obstacle = _least_clearance(x[airborne], world)
-    railed, which = _longest_railed(dataset, airborne)
+    railed, which = _find_longest_time_at_limit(dataset, airborne)
     oscillation = _longest_oscillation(dataset, airborne)
     error = np.linalg.norm(x - dataset.reference_position.values, axis=1)
     angles = dataset.truth_attitude.values
@@ -353,7 +353,7 @@ def _least_clearance(x: _Array, world: World | None) -> tuple[float | None, str]
     return float(least[nearest]), world.names[which[nearest]]
 
 
-def _longest_railed(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> tuple[float, str]:
+def _find_longest_time_at_limit(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> tuple[float, str]:
     """Return the longest time (s) of one input at a limit, and the input's name."""
     time = dataset.time.values
     longest, which = 0.0, ""

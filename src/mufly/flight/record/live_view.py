@@ -42,7 +42,7 @@ class Publisher(Protocol):
         """Close the connection."""
 
 
-class RecordedFlight(Protocol):
+class FlightWithRecorder(Protocol):
     """Interface of a flight with a recorder: a :class:`~mufly.flight.Flight`, or a simulated vehicle of another
     autopilot.
     """
@@ -65,7 +65,7 @@ class LiveViewThread:
 
     Parameters
     ----------
-    flight : RecordedFlight
+    flight : FlightWithRecorder
     publisher : Publisher
     rate_Hz : float
         Highest rate of rows, by the clock of the flight.
@@ -73,7 +73,7 @@ class LiveViewThread:
         For the event of a failure.
     """
 
-    def __init__(self, flight: RecordedFlight, publisher: Publisher, *, rate_Hz: float, name: str) -> None:
+    def __init__(self, flight: FlightWithRecorder, publisher: Publisher, *, rate_Hz: float, name: str) -> None:
         self._flight, self._publisher, self._name = flight, publisher, name
         # With a small tolerance, so that rounding of the times drops no row.
         self._least_s, self._last_s = (1.0 - 1e-6) / rate_Hz, -np.inf

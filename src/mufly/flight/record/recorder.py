@@ -30,7 +30,7 @@ from mufly.logs.mcap_recording import (
     LAYOUT_METADATA,
     OUTCOME_METADATA,
     RECORDING_FORMAT,
-    ChannelTable,
+    ChannelRegistry,
     TopicEncoder,
     add_checksum,
     encode_json_numbers,
@@ -131,7 +131,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
 """JSON schemas of the messages for the 3-D panel, by name."""
 
 
-def transform_templates() -> tuple[list[bytes], list[bytes]]:
+def make_pose_message_parts() -> tuple[list[bytes], list[bytes]]:
     """Return the constant text parts of Foxglove's ``/tf`` and pose messages, between which numbers are inserted.
 
     Returns
@@ -309,7 +309,7 @@ TF_TOPIC, REFERENCE_POSE_TOPIC, SCENE_TOPIC, TRACK_TOPIC = "/tf", "/reference_po
 class RecordingEncoder:
     """Encoder that converts a block of recorded rows to the messages of one MCAP chunk."""
 
-    def __init__(self, file: ChannelTable, layout: RecordingLayout, start_time_ns: int) -> None:
+    def __init__(self, file: ChannelRegistry, layout: RecordingLayout, start_time_ns: int) -> None:
         self._start = start_time_ns
         self._columns = layout.column_slices
         self._rows = TopicEncoder(file, layout, start_time_ns)
@@ -347,7 +347,7 @@ class RecordingEncoder:
         """Add helicopter, reference and track for the 3-D view."""
         sec, nsec = ([str(part).encode() for part in parts] for parts in zip(*map(_split_time, times), strict=True))
         for prefix, topic, pieces in zip(
-            ("truth", "reference"), (TF_TOPIC, REFERENCE_POSE_TOPIC), transform_templates(), strict=True
+            ("truth", "reference"), (TF_TOPIC, REFERENCE_POSE_TOPIC), make_pose_message_parts(), strict=True
         ):
             position, attitude = self._drawn_pose(rows, prefix)
             turn = np.roll(quaternions_from_euler(attitude), -1, axis=1)  # Foxglove: x, y, z, w

@@ -26,7 +26,7 @@ from mufly.quantities.sensor_table import READINGS
 from mufly.sensors import Reading, Readings, Truth
 
 _Array = NDArray[np.float64]
-FIX_DRIFT_ATTRIBUTE = "fix_wander_s"
+FIX_CORRELATION_TIME_ATTRIBUTE = "fix_wander_s"
 """Attribute of a recording: correlation time (s) of the fixes' errors, if the filter used the covariance of the fixes
 (:attr:`mufly.estimate.KalmanEstimator.fix_correlation_s`)."""
 _STATUS_CODES = {status: float(k) for k, status in enumerate(FUSION_STATUSES)}
@@ -149,10 +149,10 @@ def replay_estimator(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate
 
     Fixes have the same weights as in flight.
     """
-    if isinstance(estimator, KalmanEstimator) and FIX_DRIFT_ATTRIBUTE in dataset.attrs:
+    if isinstance(estimator, KalmanEstimator) and FIX_CORRELATION_TIME_ATTRIBUTE in dataset.attrs:
         estimator.uses_fix_covariance, estimator.fix_correlation_s = (
             True,
-            float(dataset.attrs[FIX_DRIFT_ATTRIBUTE]),
+            float(dataset.attrs[FIX_CORRELATION_TIME_ATTRIBUTE]),
         )
     estimator.reset()
     return [estimator.update(readings, acting) for readings, acting in iterate_readings(dataset)]

@@ -40,11 +40,11 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.edgewise_loads import tip_path_tilt_target
-from mufly.dynamics.equations_of_motion import battery_state, state_derivative
+from mufly.dynamics.equations_of_motion import compute_battery_supply, state_derivative
 from mufly.dynamics.model_state import (
     BAR_NORMAL,
     MODEL_ATTITUDE,
-    MODEL_BAR,
+    MODEL_BAR_NORMAL,
     MODEL_POSITION,
     MODEL_RATES,
     MODEL_SPEED_LOWER,
@@ -58,7 +58,7 @@ from mufly.dynamics.model_state import (
     U_SERVO_1,
     U_SERVO_2,
     ModelParameters,
-    hover_speeds,
+    compute_hover_rotor_speeds,
 )
 from mufly.dynamics.simulation import normalise_state
 from mufly.identify.flight_record import (
@@ -184,7 +184,7 @@ def _write_outputs(
             y[c] = x[MODEL_SPEED_UPPER + code - OUTPUT_SPEED_UPPER]
         else:
             upper, lower = min(max(u[U_MOTOR_UPPER], 0.0), 1.0), min(max(u[U_MOTOR_LOWER], 0.0), 1.0)
-            y[c] = battery_state(x, upper, lower, p)[0]
+            y[c] = compute_battery_supply(x, upper, lower, p)[0]
     return yaw
 
 
@@ -239,7 +239,7 @@ def _simulate_one(
             if k > 0:
                 length = 1.0 / math.sqrt(bar[0] ** 2 + bar[1] ** 2 + bar[2] ** 2)
                 for i in range(3):
-                    x[MODEL_BAR + i] = length * bar[i]
+                    x[MODEL_BAR_NORMAL + i] = length * bar[i]
             window += 1
         for i in range(4):
             now[i], before[i] = u[max(k - whole, 0), i], u[max(k - whole - 1, 0), i]
@@ -259,7 +259,7 @@ def _simulate_one(
             )
             _set_attitude(there, path[k, MOTION_EULER], path[k, MOTION_EULER + 1], path[k, MOTION_EULER + 2])
             for i in range(3):
-                there[MODEL_RATES + i], there[MODEL_BAR + i] = path[k, MOTION_RATES + i], bar[i]
+                there[MODEL_RATES + i], there[MODEL_BAR_NORMAL + i] = path[k, MOTION_RATES + i], bar[i]
             state_derivative(there, now, calm, p, slope)
             v_n += dt * slope[MODEL_VELOCITY]
             v_e += dt * slope[MODEL_VELOCITY + 1]
@@ -393,7 +393,7 @@ def steady_rotor_speeds(p: NDArray[np.void], duty: _Array, volts: float) -> _Arr
 
 def solve_hover(p: NDArray[np.void]) -> tuple[_Array, _Array]:
     """Return the hover rotor speeds (b, 2), in rad/s, by eq. 5.1, and the motor inputs (b, 2) for them."""
-    speed = hover_speeds(p)
+    speed = compute_hover_rotor_speeds(p)
     gear = p["gear_ratio"][:, None]
     torque = np.column_stack([p["torque_up"], p["torque_dw"]]) * speed**2
     current = p["dR"][:, None] * speed + p["Mf"][:, None] / gear

@@ -47,8 +47,8 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import (
     PARAMETER_DTYPE,
     Trim,
-    battery_state,
     body_to_ned_matrix,
+    compute_battery_supply,
     find_trim,
     integrate_state,
     linearise_vehicle,
@@ -71,7 +71,7 @@ from mufly.dynamics.model_state import (
     ATTITUDE,
     INPUT_SIZE,
     MODEL_ATTITUDE,
-    MODEL_BAR,
+    MODEL_BAR_NORMAL,
     MODEL_POSITION,
     MODEL_RATES,
     MODEL_SPEED_LOWER,
@@ -260,8 +260,10 @@ def _subtract_hover_state(x: _Floats, hover: _Floats, height: float, yaw: float,
     off[LINEAR_ATTITUDE], off[LINEAR_ATTITUDE + 1], off[LINEAR_ATTITUDE + 2] = roll, pitch, yaw
     off[LINEAR_TILT_PITCH] = -x[MODEL_SWASH_PITCH] + hover[MODEL_SWASH_PITCH]
     off[LINEAR_TILT_ROLL] = x[MODEL_SWASH_ROLL] - hover[MODEL_SWASH_ROLL]
-    off[LINEAR_BAR_ROLL] = math.asin(min(max(c * x[MODEL_BAR + 1] - s * x[MODEL_BAR], -1.0), 1.0))
-    off[LINEAR_BAR_PITCH] = math.atan2(-(c * x[MODEL_BAR] + s * x[MODEL_BAR + 1]), -x[MODEL_BAR + 2])
+    off[LINEAR_BAR_ROLL] = math.asin(min(max(c * x[MODEL_BAR_NORMAL + 1] - s * x[MODEL_BAR_NORMAL], -1.0), 1.0))
+    off[LINEAR_BAR_PITCH] = math.atan2(
+        -(c * x[MODEL_BAR_NORMAL] + s * x[MODEL_BAR_NORMAL + 1]), -x[MODEL_BAR_NORMAL + 2]
+    )
     off[LINEAR_SPEED_LOWER] = x[MODEL_SPEED_LOWER] - hover[MODEL_SPEED_LOWER]
     off[LINEAR_SPEED_UPPER] = x[MODEL_SPEED_UPPER] - hover[MODEL_SPEED_UPPER]
 
@@ -298,7 +300,7 @@ def _fly_closed_loop(
                 u -= gain[i, m] * off[m]
             inputs[k, i] = min(max(u, 0.0 if i < 2 else -1.0), 1.0)
         now = inputs[k - late] if k >= late else trimmed
-        voltage[k] = battery_state(x, now[0], now[1], p)[0]
+        voltage[k] = compute_battery_supply(x, now[0], now[1], p)[0]
         integrate_state(x, now, calm, p, dt, steps)
 
 
@@ -572,7 +574,7 @@ def design_excitation(
     return ExcitationPlan(vehicle.name, channel, free, band, modes, limits, noise, tuple(found), support)
 
 
-def combined_information(
+def combine_expected_std(
     plans: Sequence[ExcitationPlan], candidates: Sequence[ExcitationCandidate]
 ) -> tuple[Array, tuple[str, ...]]:
     """Return the relative standard deviations (p,) of the parameters if one flight is made with each candidate signal.

@@ -41,7 +41,7 @@ from mufly.identify.flight.initial_states import MIN_COST_DECREASE, find_initial
 from mufly.identify.flight.minimisers import (
     FitPoint,
     LinearisedProblem,
-    consider_sensitivity,
+    compute_held_parameter_sensitivity,
     cost_rise_along_axes,
     curvature_correction,
 )
@@ -52,7 +52,7 @@ from mufly.identify.flight.output_error_problem import (
     make_problem,
 )
 from mufly.identify.flight.staged_search import (
-    CHARGING_WINDOW_S,
+    CHARGE_MATCHING_WINDOW_S,
     FitMethod,
     FitProgress,
     StagedSearch,
@@ -173,7 +173,7 @@ def _make_fit_result(
     held: tuple[FreeParameter, ...] = ()
     from_data, moved = np.diag(covariance), np.zeros((len(free), 0))
     if not held_exact:
-        moved, wider = consider_sensitivity(linear)
+        moved, wider = compute_held_parameter_sensitivity(linear)
         covariance, held = covariance + moved @ moved.T, wider.free_parameters[len(free) :]
     data = np.concatenate([s.reshape(-1, len(free)) for s in sensitivities])
     # Cost decrease of a further Gauss-Newton step: zero at a minimum.
@@ -254,7 +254,7 @@ def _predict_held_out_record(
         for o, n in zip(f.record.output_names, f.noise_std, strict=True)
     }
     own = own.with_noise([np.array([noise[o] for o in own.records[0].output_names])])
-    own = own.with_windows(CHARGING_WINDOW_S).with_matched_charge(theta).with_windows(None)
+    own = own.with_windows(CHARGE_MATCHING_WINDOW_S).with_matched_charge(theta).with_windows(None)
     found = find_initial_states(own, theta)
     predicted = _predict_fitted_record(own, 0, FitPoint(theta, found.initial_states, np.inf), "held out")
     ratios, doubt = predicted.rms_over_noise(), ""

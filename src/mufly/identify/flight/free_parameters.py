@@ -199,7 +199,7 @@ def list_held_parameters(
         else:
             scale, doubt = 0.0, PROVENANCE_DOUBT[row.source][2] if row.std is None else row.std / abs(row.value)
         one = FreeParameter(row.symbol, row.key, row.unit, row.value, scale, -np.inf, np.inf, doubt, row.source)
-        if doubt > 0.0 and _changed_fields(vehicle, one, voltage):
+        if doubt > 0.0 and _find_field_sensitivities(vehicle, one, voltage):
             found.append(one)
     if "delay" not in chosen and delay_s > 0.0:
         doubt = PROVENANCE_DOUBT["estimated"][2] * delay_s / 0.01
@@ -215,7 +215,7 @@ def theta_to_values(free: Sequence[FreeParameter], theta: _Array) -> _Array:
     return np.where(log, start * np.exp(np.where(log, t, 0.0)), start + scale * t)
 
 
-def scaled_parameters(
+def find_field_changes(
     vehicle: Vehicle, free: Sequence[FreeParameter], voltage: float | None
 ) -> tuple[NDArray[np.void], FieldChanges]:
     """Return the start record and the effect of the free parameters on its fields, for :func:`parameters_at_theta`.
@@ -237,7 +237,7 @@ def scaled_parameters(
     changes = FieldChanges({}, {})
     for j, f in enumerate(free):
         into = changes.powers if f.scale == 0.0 else changes.shifts
-        for name, effect in _changed_fields(vehicle, f, voltage).items():
+        for name, effect in _find_field_sensitivities(vehicle, f, voltage).items():
             into.setdefault(name, np.zeros(len(free)))[j] = effect
     base["contact_reach"] = -1e9
     base["ground_effect"] = 0.0
@@ -248,7 +248,7 @@ def _has_either_sign(bounds: Sequence[float]) -> bool:
     return bool(bounds) and min(bounds) < 0.0 < max(bounds)
 
 
-def _changed_fields(vehicle: Vehicle, f: FreeParameter, voltage: float | None) -> dict[str, float]:
+def _find_field_sensitivities(vehicle: Vehicle, f: FreeParameter, voltage: float | None) -> dict[str, float]:
     """Return the fields of the flight model's record that a parameter changes, each with its sensitivity.
 
     The sensitivity is the exponent of the parameter in the field if ``f.scale`` is 0, else the change of the field per

@@ -28,7 +28,7 @@ from scipy.signal import butter, lfilter
 
 from mufly.dynamics import (
     DrydenWind,
-    battery_state,
+    compute_battery_supply,
     find_trim,
     integrate_state,
     model_parameters,
@@ -144,7 +144,7 @@ def fly_demo_record(
         roll, pitch, heading = euler_from_quaternion(x[ATTITUDE])
         yaw += math.remainder(heading - yaw, 2 * math.pi)
         duty = np.clip(before[:2], 0.0, 1.0)
-        volts = battery_state(x, duty[0], duty[1], p)[0]
+        volts = compute_battery_supply(x, duty[0], duty[1], p)[0]
         truth = np.array(
             [-x[MODEL_POSITION + 2], roll, pitch, yaw, x[MODEL_RATES], x[MODEL_RATES + 1], x[MODEL_RATES + 2], volts]
         )

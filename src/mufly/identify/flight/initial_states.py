@@ -29,7 +29,7 @@ _FIRST_HORIZON_S, _HORIZON_GROWTH_FACTOR = 1.0, 2.5
 _MAX_STEPS_PER_HORIZON = 25
 _LINE_SEARCH_FRACTIONS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])  # fractions of a step, evaluated in one batch
 _MAX_STATE_STEP_SIGMAS = 0.25  # largest step over the prior standard deviation
-_CONTINUOUS_STATES = np.isin(
+_INITIAL_OFFSET_STATES = np.isin(
     np.array(MOTION_STATES + ACTUATOR_STATES),
     ("v_north", "v_east", "speed_up", "speed_dw", "bar_roll", "bar_pitch"),
 )
@@ -91,7 +91,7 @@ def find_initial_offsets(problem: OutputErrorProblem, theta: _Array) -> list[_Ar
         sought = np.zeros(whole)
         sought[f.sought_state_indices] = s[0]
         # Every window fits the rest of the motion; the voltage of the whole record sets the charge.
-        begin.append(np.where(_CONTINUOUS_STATES, sought, 0.0))
+        begin.append(np.where(_INITIAL_OFFSET_STATES, sought, 0.0))
     return begin
 
 

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from mufly.dynamics.edgewise_loads import tip_path_tilt_target
 from mufly.dynamics.model_state import (
     MODEL_ATTITUDE,
-    MODEL_BAR,
+    MODEL_BAR_NORMAL,
     MOTORS,
     MOTORS_SWAPPED,
     ROTOR_SPEEDS,
@@ -134,7 +134,7 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
                 found["yaw"] = dataclasses_replace(found["yaw"], sign=-1)
     tilt = tip_path_tilt_target.py_func(*np.clip(f.inputs[:, SERVOS], -1.0, 1.0).T, p["swash_gain"], p["swash_phase"])
     arm = -p["z_dw"] * thrust[:, 1, None] * np.sin(np.column_stack((-tilt[1], tilt[0])))
-    bar = np.einsum("nji,nj->ni", turn, _bar_normal(f.mast_direction, -np.expm1(-dt * p["bar_rate"])))
+    bar = np.einsum("nji,nj->ni", turn, _simulate_bar_normal(f.mast_direction, -np.expm1(-dt * p["bar_rate"])))
     lean = -p["z_up"] * p["bar_gain"] * thrust[:, :1] * bar[:, :2]
     if has & {"roll", "p"}:
         made = arm / p["Ixx"]
@@ -156,7 +156,7 @@ def _simulate_rotors(f: PreparedRecord, dt: float) -> tuple[np.void, Array, Arra
     p = parameters_at_theta(f.base_parameters, f.parameter_changes, np.zeros((1, 0)))
     starts = np.arange(0, len(f.inputs), max(1, round(0.5 / dt)))  # restarts limit the body motion
     x = np.zeros((1, STATE_SIZE))
-    x[:, MODEL_ATTITUDE], x[:, MODEL_BAR + 2] = 1.0, -1.0
+    x[:, MODEL_ATTITUDE], x[:, MODEL_BAR_NORMAL + 2] = 1.0, -1.0
     first = f.inputs[: max(1, round(0.3 / dt)), MOTORS].mean(axis=0)
     x[:, ROTOR_SPEEDS] = steady_rotor_speeds(p, np.clip(first, 0.0, 1.0), f.first_and_mean_voltage[0])
     codes = np.array([FLIGHT_OUTPUTS.index("speed_up"), FLIGHT_OUTPUTS.index("speed_dw")], dtype=np.int64)
@@ -176,7 +176,7 @@ def _simulate_rotors(f: PreparedRecord, dt: float) -> tuple[np.void, Array, Arra
     return one, thrust, np.array([one["torque_up"], one["torque_dw"]]) * speed**2 + react
 
 
-def _bar_normal(mast: Array, follow: float) -> Array:
+def _simulate_bar_normal(mast: Array, follow: float) -> Array:
     """Return the bar's normal (n, 3), which follows the mast with a first-order lag of gain ``follow`` per sample."""
     bar = mast.copy()
     for k in range(1, len(mast)):
@@ -248,9 +248,9 @@ def check_flight_records(
             if g.sign and (axis not in told or g.std < told[axis].std):
                 told[axis] = g
     for r, found, load in seen:
-        wrong = list(judge_gains(r, found, load))
+        wrong = list(find_gain_faults(r, found, load))
         if any(f.is_fatal for f in wrong):
-            wrong = list(judge_gains(r, {**found, **{k: g for k, g in told.items() if k != "heave"}}, load))
+            wrong = list(find_gain_faults(r, {**found, **{k: g for k, g in told.items() if k != "heave"}}, load))
         warnings += refuse_fatal_faults(r, sorted(wrong, key=lambda f: not f.is_fatal), as_is=as_is)
     return tuple(warnings)
 
@@ -271,7 +271,7 @@ def _check_voltage_unit(r: FlightRecord, vehicle: Vehicle) -> list[SignalFault]:
     return [SignalFault("voltage", what, remedy)]
 
 
-def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> Iterator[SignalFault]:
+def find_gain_faults(r: FlightRecord, found: dict[str, InputGain], load: float) -> Iterator[SignalFault]:
     """Yield the faults of a record that its input gains and its mean ratio of thrust to weight (``load``) show."""
     if not _THRUST_TO_WEIGHT_RANGE[0] < load < _THRUST_TO_WEIGHT_RANGE[1]:
         yield SignalFault(
@@ -279,7 +279,7 @@ def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> It
             f"lift {load:.2g} times the weight on average, as the vehicle's numbers and the voltage have it",
             "check their scale (0 to 1 of full), the voltage, and the vehicle's mass and thrust coefficients",
         )
-    yield from _check_height(r, found.get("heave"))
+    yield from _check_height_sign_and_unit(r, found.get("heave"))
     sign = {k: g.sign for k, g in found.items() if not g.is_exchanged}
     servos = [found[k] for k in ("roll", "pitch") if k in found and found[k].is_exchanged]
     if servos:
@@ -336,7 +336,7 @@ def _describe_gains(found: dict[str, InputGain]) -> str:
     return "gains over the model's: " + ", ".join(f"{k} {v:.2g} +- {s:.1g}" for k, v, s in told)
 
 
-def _check_height(r: FlightRecord, heave: InputGain | None) -> list[SignalFault]:
+def _check_height_sign_and_unit(r: FlightRecord, heave: InputGain | None) -> list[SignalFault]:
     """Check sign and unit of the height by its response to thrust, or by its resolution if the response is small."""
     if heave is None:
         return []

@@ -108,9 +108,9 @@ class ReducedRecord:
             jacobians.append(j - q @ qj)
             self._window_factors.append((int(a), int(b), q, r, qj))
         self.jacobian = np.vstack(jacobians)
-        self.window_rows = self.make_window_rows(linear.whitened_residual, point.states[i])
+        self.window_rows = self.make_window_residuals(linear.whitened_residual, point.states[i])
 
-    def make_window_rows(self, residual: _Array, states: _Array) -> list[_Array]:
+    def make_window_residuals(self, residual: _Array, states: _Array) -> list[_Array]:
         """Return the residual vector ``e`` of every window (see the module's docstring).
 
         It joins the window's part of ``residual`` (n, m) with its initial states, from ``states`` (windows, k), divided
@@ -121,7 +121,7 @@ class ReducedRecord:
             for (a, b, *_), s in zip(self._window_factors, states, strict=True)
         ]
 
-    def project_rows(self, rows: list[_Array]) -> _Array:
+    def remove_initial_state_part(self, rows: list[_Array]) -> _Array:
         """Return ``(1 - Q Q^T) e`` of all windows: their residual vectors ``rows`` without the part that initial states
         can explain.
         """
@@ -176,13 +176,15 @@ class LinearisedProblem:
 
     def projected_residual(self, theta: _Array, rows: Sequence[list[_Array]]) -> _Array:
         """Return the residual with eliminated initial states, in the row order of the Jacobian."""
-        parts = [r.project_rows(e) for r, e in zip(self.reduced_records, rows, strict=True)]
+        parts = [r.remove_initial_state_part(e) for r, e in zip(self.reduced_records, rows, strict=True)]
         hover = self.problem.hover_residual(theta[None])[0]
         return np.concatenate([*parts, theta / self.problem.prior_std, hover])
 
-    def trial_rows(self, b: int, residuals: Sequence[_Array], states: Sequence[_Array]) -> list[list[_Array]]:
+    def make_trial_residuals(self, b: int, residuals: Sequence[_Array], states: Sequence[_Array]) -> list[list[_Array]]:
         """Return the residual vectors ``e`` of each record's windows for trial ``b`` of a batch of simulations."""
-        return [r.make_window_rows(e[b], s[b]) for r, e, s in zip(self.reduced_records, residuals, states, strict=True)]
+        return [
+            r.make_window_residuals(e[b], s[b]) for r, e, s in zip(self.reduced_records, residuals, states, strict=True)
+        ]
 
     @cached_property
     def residual_at_point(self) -> _Array:
@@ -288,7 +290,7 @@ def _try_damped_steps(linear: LinearisedProblem) -> tuple[FitPoint | None, int]:
             if chord == chords or not np.any(costs < _MAX_COST_RATIO * max(now.cost, 1.0)):
                 break
             for c, d in enumerate(dampings):
-                at = linear.trial_rows(c, residuals, states)
+                at = linear.make_trial_residuals(c, residuals, states)
                 step = _damped_step(problem, thetas[c], triangle, q.T @ linear.projected_residual(thetas[c], at), d)
                 thetas[c] += step
                 for s, r, e in zip(states, reduced, at, strict=True):
@@ -328,7 +330,7 @@ def _damped_step(
     return np.clip(theta + step, low, high) - theta
 
 
-def consider_sensitivity(linear: LinearisedProblem) -> tuple[_Array, OutputErrorProblem]:
+def compute_held_parameter_sensitivity(linear: LinearisedProblem) -> tuple[_Array, OutputErrorProblem]:
     """Return the change of each estimate per standard deviation of each held (not fitted) parameter.
 
     The linearised problem ``|e + J d_theta + C d_c|^2`` has eliminated initial states and priors among the rows of
@@ -357,10 +359,10 @@ def consider_sensitivity(linear: LinearisedProblem) -> tuple[_Array, OutputError
     columns = []
     for c in range(1, h + 1):
         rows = [
-            r.make_window_rows((e[c] - e[0]) / delta, np.zeros_like(s))
+            r.make_window_residuals((e[c] - e[0]) / delta, np.zeros_like(s))
             for r, e, s in zip(linear.reduced_records, residuals, point.states, strict=True)
         ]
-        parts = [r.project_rows(x) for r, x in zip(linear.reduced_records, rows, strict=True)]
+        parts = [r.remove_initial_state_part(x) for r, x in zip(linear.reduced_records, rows, strict=True)]
         below = len(linear.jacobian) - sum(len(p) for p in parts)
         columns.append(np.concatenate([*parts, np.zeros(below)]))
     if not columns:
@@ -442,7 +444,7 @@ def _follow_valley_floor(linear: LinearisedProblem, sides: _Array, chords: int) 
     for _ in range(chords):
         residuals = problem.all_residuals(thetas, states)
         for b in range(len(sides)):
-            rows = linear.trial_rows(b, residuals, states)
+            rows = linear.make_trial_residuals(b, residuals, states)
             step = -(u.T @ linear.projected_residual(thetas[b], rows)) * np.where(sides[b] != 0.0, 0.0, 1.0)
             move = (vt.T / s) @ step
             thetas[b] = np.clip(thetas[b] + move, low, high)
@@ -568,8 +570,8 @@ def _profile_cost(linear: LinearisedProblem, theta: _Array) -> tuple[_Array, lis
         e = problem.record_residual(i, theta, np.repeat(s[None], b, axis=0))
         states = np.empty((b, *s.shape))
         for c in range(b):
-            rows = r.make_window_rows(e[c], s)
-            rest = r.project_rows(rows)
+            rows = r.make_window_residuals(e[c], s)
+            rest = r.remove_initial_state_part(rows)
             costs[c] += 0.5 * float(rest @ rest)
             states[c] = s + r.initial_state_change(rows, none)
         found.append(states)

@@ -50,9 +50,9 @@ from mufly.identify.flight.batch_simulation import (
 from mufly.identify.flight.free_parameters import (
     FieldChanges,
     FreeParameter,
+    find_field_changes,
     list_held_parameters,
     parameters_at_theta,
-    scaled_parameters,
     theta_to_values,
 )
 from mufly.identify.flight_record import (
@@ -145,7 +145,7 @@ class PreparedRecord:
     inputs : (n, 4) array
         Upper motor, lower motor (0..1), servo 1, servo 2 (-1..1).
     base_parameters, parameter_changes
-        Results of :func:`scaled_parameters`.
+        Results of :func:`find_field_changes`.
     initial_charge : float
         State of charge at the start, unless it is an unknown.
     constant_voltage : float or None
@@ -247,7 +247,7 @@ class OutputErrorProblem:
             self.vehicle, self.free_parameters, self.delay_s, self.prepared_records[0].constant_voltage
         )
         wider = (*self.free_parameters, *held)
-        changes = [scaled_parameters(self.vehicle, wider, f.constant_voltage)[1] for f in self.prepared_records]
+        changes = [find_field_changes(self.vehicle, wider, f.constant_voltage)[1] for f in self.prepared_records]
         return dataclasses_replace(self._replace_in_records(parameter_changes=changes), free_parameters=wider), len(
             self.free_parameters
         )
@@ -494,7 +494,7 @@ def _prepare_record(
     else:
         constant = float(np.max(volts))
         held = (constant, constant)
-    base, changes = scaled_parameters(vehicle, free, constant)
+    base, changes = find_field_changes(vehicle, free, constant)
     mast = stabiliser_bar_normal(motion[:, MOTION_EULER:MOTION_RATES], np.zeros((len(motion), 2)))
     none, begin = np.zeros(0, dtype=np.int64), np.zeros(len(MOTION_STATES) + len(ACTUATOR_STATES))
     return PreparedRecord(

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from mufly.errors import InputError
-from mufly.files.answer_store import hash_question, read_answer, write_answer
+from mufly.files.answer_store import hash_inputs, read_stored_result, write_stored_result
 from mufly.identify.flight.estimate_notes import MAX_RESIDUAL_NOISE_RATIO, residual_over_noise
 from mufly.identify.flight.free_parameters import theta_to_values
 from mufly.identify.flight.initial_states import MIN_COST_DECREASE, find_initial_offsets, find_initial_states
@@ -47,7 +47,7 @@ from mufly.identify.flight_record import FlightRecord
 _Array = NDArray[np.float64]
 FitMethod = Literal["lm", "cma"]
 
-CHARGING_WINDOW_S = 1.5  # window length of the simulated voltage that sets the battery charge
+CHARGE_MATCHING_WINDOW_S = 1.5  # window length of the simulated voltage that sets the battery charge
 _WINDOW_LENGTHS_S = (0.1, 0.4, 1.5, 3.0, 6.0)
 _MIN_WINDOW_SAMPLES = 8
 _ROTOR_TRANSIENT_S = 2.0  # decay time of errors of the initial rotor speeds
@@ -152,7 +152,7 @@ class StagedSearch:
         kept = (
             None
             if place is None
-            else read_answer(place, digest, damaged=_DAMAGED_CHECKPOINT_MESSAGE, other=_OTHER_FIT_MESSAGE)
+            else read_stored_result(place, digest, damaged=_DAMAGED_CHECKPOINT_MESSAGE, other=_OTHER_FIT_MESSAGE)
         )
         if kept is not None:
             self.state = _SearchState(**{f.name: kept[f.name] for f in fields(_SearchState)})
@@ -258,7 +258,7 @@ class StagedSearch:
         if state.initial_charges is not None:
             final = final.with_charges(state.initial_charges)
         if not left and any("voltage" in r.output_names for r in final.records):
-            final = final.with_windows(CHARGING_WINDOW_S).with_matched_charge(theta).with_windows(None)
+            final = final.with_windows(CHARGE_MATCHING_WINDOW_S).with_matched_charge(theta).with_windows(None)
             state.initial_charges = [f.initial_charge for f in final.prepared_records]
         problem = final.with_windows(stage.window_s, hover=stage.with_hover_residual)
         if not last:
@@ -332,7 +332,7 @@ class StagedSearch:
             row = {"iteration": len(state.history) + 1, "cost": now.cost, "stage": stage.name, **named}
             state.history.append(row)
             if self._checkpoint_path is not None:
-                write_answer(self._checkpoint_path, self._problem_digest, asdict(state))
+                write_stored_result(self._checkpoint_path, self._problem_digest, asdict(state))
             if self._on_progress is not None:
                 at, stages = (k + 1, len(self._stages)), stage.max_iterations
                 self._on_progress(FitProgress(*at, stage.name, state.iteration, stages, now.cost, named))
@@ -387,7 +387,7 @@ def problem_digest(problem: OutputErrorProblem, method: str) -> str:
     ]
     for r in problem.records:
         parts += [r.output_names, r.time_s, r.inputs, r.measured]
-    return hash_question(*parts, problem.vehicle.model_dump_json())
+    return hash_inputs(*parts, problem.vehicle.model_dump_json())
 
 
 _DAMAGED_CHECKPOINT_MESSAGE = ("is not a checkpoint of a fit", "delete it to start again")

@@ -262,7 +262,11 @@ def identify_linear_model(
     else:
         notes += _describe_outputs_still_when_held_out(outs, y, cut, dt, slow)
     checks = {
-        role: tuple(_check_outputs(y[s], simulated[s], u[s], dt, slow, [None if a is None else a[s] for a in angles]))
+        role: tuple(
+            _compare_outputs_with_simulation(
+                y[s], simulated[s], u[s], dt, slow, [None if a is None else a[s] for a in angles]
+            )
+        )
         for role, s in parts.items()
     }
     disturbance = fit_disturbance_model(linear, (y - simulated)[:cut], dt)
@@ -282,7 +286,7 @@ def identify_linear_model(
     return LinearResult(
         fit=_make_fit_result(linear, tuple(records), notes),
         linear_fit=linear,
-        candidates=tuple(_relative_criteria([t for t, _, _ in tried])),
+        candidates=tuple(_subtract_best_criteria([t for t, _, _ in tried])),
         checks=checks,
         disturbance=disturbance,
         ahead=tuple(
@@ -345,7 +349,7 @@ def _describe_outputs_still_when_held_out(
             )
 
 
-def _check_outputs(
+def _compare_outputs_with_simulation(
     y: Array, simulated: Array, u: Array, dt: float, slow: float, angles: Sequence[Array | None]
 ) -> Iterator[OutputCheck]:
     """Compare every output of one part of the record, fitted or held out, with its simulation."""
@@ -433,7 +437,7 @@ def _cross_check_spectral(
         return None
 
 
-def _relative_criteria(tried: list[CrossValidation]) -> list[CrossValidation]:
+def _subtract_best_criteria(tried: list[CrossValidation]) -> list[CrossValidation]:
     aic, bic = min((t.aic for t in tried), default=0.0), min((t.bic for t in tried), default=0.0)
     return [replace(t, aic=t.aic - aic, bic=t.bic - bic) for t in tried]
 

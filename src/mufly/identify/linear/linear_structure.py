@@ -100,7 +100,7 @@ class LinearStructure:
         return self.fill_matrices(dict(zip(self.symbols, values.tolist(), strict=True)))
 
 
-_RATE_PER_ANGLE = 3.0  # 1/s: assumed size of an unmeasured rate over the size of its angle
+_TYPICAL_RATE_PER_ANGLE_1_S = 3.0  # 1/s: assumed size of an unmeasured rate over the size of its angle
 _INTEGRAL_OF_SIGNAL = {"p": "phi", "q": "theta", "phi": "v", "theta": "u"}
 
 
@@ -126,7 +126,7 @@ def scale_structure(structure: LinearStructure, u: Array, y: Array) -> LinearStr
         inner = _INTEGRAL_OF_SIGNAL.get(name)
         if inner is None:
             return 0.0
-        return _RATE_PER_ANGLE * signal_size(inner) / (GRAVITY if inner in "uv" else 1.0)
+        return _TYPICAL_RATE_PER_ANGLE_1_S * signal_size(inner) / (GRAVITY if inner in "uv" else 1.0)
 
     parameters = []
     for p in structure.parameters:
@@ -242,7 +242,7 @@ class StructureBuilder:
         )  # fmt: skip
 
 
-ANGULAR_MODELS = ("first-order", "second-order", "hybrid")
+ANGULAR_RESPONSE_MODELS = ("first-order", "second-order", "hybrid")
 MODEL_EXTRAS = ("coupled", "collective", "gyro", "speed", "skew")
 _MAX_OUTPUT_SKEW_S = 0.3
 _MAX_INPUT_DELAY_S = 0.3  # largest delay of an input
@@ -264,7 +264,7 @@ def helicopter_structure(
     outputs : tuple of str
         Some of p, q, r, phi, theta, u, v, w; they decide which blocks are used.
     angular : str
-        Block of roll and pitch: one of ``ANGULAR_MODELS``.
+        Block of roll and pitch: one of ``ANGULAR_RESPONSE_MODELS``.
     coupled : bool
         Whether to add coupling terms between roll and pitch.
     collective : bool
@@ -358,7 +358,7 @@ def _add_couplings(
 def structure_by_name(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearStructure:
     """Build the structure with a name such as ``"first-order-coupled"`` or ``"helicopter"``.
 
-    The name is one of ``ANGULAR_MODELS``, followed by any of ``MODEL_EXTRAS``; ``"helicopter"`` stands for
+    The name is one of ``ANGULAR_RESPONSE_MODELS``, followed by any of ``MODEL_EXTRAS``; ``"helicopter"`` stands for
     ``"hybrid-coupled-gyro"``, Mettler's structure. With ``skew`` inputs may act up to 0.3 s earlier than recorded.
 
     Raises
@@ -367,13 +367,14 @@ def structure_by_name(name: str, inputs: tuple[str, ...], outputs: tuple[str, ..
         If the name is unknown.
     """
     text = "hybrid-coupled-gyro" if name == "helicopter" else name
-    base = next((a for a in ANGULAR_MODELS if text == a or text.startswith(a + "-")), None)
+    base = next((a for a in ANGULAR_RESPONSE_MODELS if text == a or text.startswith(a + "-")), None)
     words = text[len(base) :].strip("-").split("-") if base is not None else []
     words = [w for w in words if w]
     if base is None or not set(words) <= set(MODEL_EXTRAS):
         raise ArgumentError(
             "model", "", f"{name!r} is unknown",
-            f"use auto, helicopter, or {', '.join(ANGULAR_MODELS)} followed by any of -{', -'.join(MODEL_EXTRAS)}",
+            f"use auto, helicopter, or {', '.join(ANGULAR_RESPONSE_MODELS)} followed by any of "
+            f"-{', -'.join(MODEL_EXTRAS)}",
         )  # fmt: skip
     return helicopter_structure(
         inputs, outputs, angular=base, coupled="coupled" in words, collective="collective" in words,
@@ -431,8 +432,8 @@ def _check_signals(inputs: tuple[str, ...], outputs: tuple[str, ...], angular: s
                     f"{what}s", name, f"is no {what} of the helicopter model",
                     f"use {', '.join(known)}; write {example}=COLUMN to select its column",
                 )  # fmt: skip
-    if angular not in ANGULAR_MODELS:
-        raise ArgumentError("model", "", f"{angular!r} is unknown", f"use one of: {', '.join(ANGULAR_MODELS)}")
+    if angular not in ANGULAR_RESPONSE_MODELS:
+        raise ArgumentError("model", "", f"{angular!r} is unknown", f"use one of: {', '.join(ANGULAR_RESPONSE_MODELS)}")
     if not outputs or not inputs:
         raise ArgumentError("outputs", "", "a model needs inputs and outputs", "name at least one of each")
 

@@ -158,7 +158,7 @@ def fit_disturbance_model(fit: LinearFit, residual: Array, dt: float) -> Disturb
             gain, s = kalman_gain(z)
         except (np.linalg.LinAlgError, ValueError):
             return 1e12
-        e = _steady_kalman_filter(phi, np.ascontiguousarray(gain), np.ascontiguousarray(c), residual)[1]
+        e = _run_steady_kalman_filter(phi, np.ascontiguousarray(gain), np.ascontiguousarray(c), residual)[1]
         sign, logdet = np.linalg.slogdet(s)
         if sign <= 0.0 or not np.isfinite(e).all():
             return 1e12
@@ -173,7 +173,7 @@ def fit_disturbance_model(fit: LinearFit, residual: Array, dt: float) -> Disturb
 
 
 @cached_njit
-def _steady_kalman_filter(
+def _run_steady_kalman_filter(
     phi: Array, gain: Array, c: Array, e: Array
 ) -> tuple[Array, Array]:  # pragma: no cover (compiled)
     """Return the updated states (n, nx) and innovations (n, ny) of a Kalman filter with constant ``gain`` (nx, ny).
@@ -224,7 +224,7 @@ def predict_ahead(
     """
     c = fit.structure.state_space_matrices(fit.values)[2]
     gain, c_ = np.ascontiguousarray(disturbance.kalman_gain), np.ascontiguousarray(c)
-    states, _ = _steady_kalman_filter(disturbance.transition_matrix, gain, c_, np.nan_to_num(y - simulated))
+    states, _ = _run_steady_kalman_filter(disturbance.transition_matrix, gain, c_, np.nan_to_num(y - simulated))
     steps = max(1, round(horizon_s / dt))
     ahead = c @ np.linalg.matrix_power(disturbance.transition_matrix, steps)
     predicted = simulated.copy()

@@ -23,7 +23,7 @@ from typing import Any, Literal
 from mufly.control import FlightController
 from mufly.flight import ALIGNMENT_TIMEOUT_S, Flight, FlightEvent, FlightState
 from mufly.flight.record.live_view import LiveViewConfig
-from mufly.link.ports import MAX_REQUEST_DELAY_S, Endpoint, Peer, Port, open_port, read_boot_clock, wait_for_input
+from mufly.link.ports import MAX_REQUEST_AGE_S, Endpoint, Peer, Port, open_port, read_boot_clock, wait_for_input
 from mufly.link.telemetry_streams import SLOW_REAL_TIME_FACTOR
 from mufly.link.vehicle_link import VehicleLink
 from mufly.logs.tlog import TlogWriter
@@ -44,7 +44,7 @@ _REPORT_PERIOD_S = 0.2
 _WARM_UP_S = 8.0
 _READY_TIMEOUT_S = 3.0
 _LATENESS_FILTER_GAIN = 0.02
-_SENDER_TO_CHECKSUM = slice(5, -2)  # bytes of a MAVLink frame after its number
+_FRAME_CONTENT_SLICE = slice(5, -2)  # bytes of a MAVLink frame after its number
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +192,7 @@ class _PortGroup:
         # The process may be suspended at any line, so the clock is read after the bytes.
         stood_s = (self._clock() if came else now_s) - self._heard_s
         self._heard_s = now_s
-        if stood_s > MAX_REQUEST_DELAY_S and self.ports:
+        if stood_s > MAX_REQUEST_AGE_S and self.ports:
             for port in self.ports:
                 port.discard_input()
             link.resume_after_stall(now_s)
@@ -203,7 +203,7 @@ class _PortGroup:
         for peer, data in came:
             link.receive(now_s, peer, data)
         for port in self.ports:
-            for peer in port.call_targets:
+            for peer in port.configured_targets:
                 link.add_peer(now_s, peer)
 
     def send(self, link: VehicleLink, now_s: float) -> None:
@@ -214,7 +214,7 @@ class _PortGroup:
                 self._by_name[peer.endpoint].send(peer, out.data)
                 if self._tlog is not None:
                     # Peers get the same frames with different numbers.
-                    content = out.data[_SENDER_TO_CHECKSUM]
+                    content = out.data[_FRAME_CONTENT_SLICE]
                     if content not in logged:
                         logged.add(content)
                         self._tlog.write_packet(out.data)

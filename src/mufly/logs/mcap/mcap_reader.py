@@ -30,7 +30,7 @@ from mufly.logs.mcap.mcap_writer import MAGIC, MESSAGE_FIELDS_SIZE, MESSAGE_HEAD
 _RECORD_HEAD_STRUCT = struct.Struct("<BQ")
 _CHUNK_HEAD_STRUCT = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
 _FOOTER_SIZE = _RECORD_HEAD_STRUCT.size + 20
-_MESSAGE_SIZE = _RECORD_HEAD_STRUCT.size + MESSAGE_FIELDS_SIZE
+_MESSAGE_DATA_OFFSET = _RECORD_HEAD_STRUCT.size + MESSAGE_FIELDS_SIZE
 _FIRST_PRIVATE_OPCODE = 0x80
 _IGNORED_OPCODES = (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX,
                 Opcode.STATISTICS, Opcode.SUMMARY_OFFSET, *range(_FIRST_PRIVATE_OPCODE, 256))  # fmt: skip
@@ -268,7 +268,7 @@ class _McapScanner:
             self._numbered,
         )
         while at < end:
-            if plain[at] == Opcode.MESSAGE and at + _MESSAGE_SIZE <= end:
+            if plain[at] == Opcode.MESSAGE and at + _MESSAGE_DATA_OFFSET <= end:
                 _, size, number, count, time_ns, _ = unpack(plain, at)
                 stop = at + 9 + size
                 if stop > end or size < MESSAGE_FIELDS_SIZE:
@@ -276,7 +276,7 @@ class _McapScanner:
                 found = topics.get(number)
                 if found is None:
                     found = topics[number] = self._contents.messages_by_topic.setdefault(f"channel {number}", [])
-                found.append((time_ns, plain[at + _MESSAGE_SIZE : stop]))
+                found.append((time_ns, plain[at + _MESSAGE_DATA_OFFSET : stop]))
                 if numbered:
                     expected = counts.get(number, 0)
                     if count != expected:

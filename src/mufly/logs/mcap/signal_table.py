@@ -279,7 +279,7 @@ def to_json_value(value: Any) -> Any:
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
-def describe_dataset(dataset: xr.Dataset) -> str:
+def encode_dataset_metadata(dataset: xr.Dataset) -> str:
     """Return labels, attributes and all else of a dataset but its numbers over time as JSON, for
     :func:`restore_dataset`.
     """
@@ -295,7 +295,7 @@ def describe_dataset(dataset: xr.Dataset) -> str:
 
 
 def restore_dataset(time: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], description: str) -> xr.Dataset:
-    """Return the dataset from its numbers over time and the text of :func:`describe_dataset`.
+    """Return the dataset from its numbers over time and the text of :func:`encode_dataset_metadata`.
 
     Raises
     ------

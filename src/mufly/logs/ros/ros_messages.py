@@ -46,7 +46,7 @@ _ENU_VARIANCE_ORDER = (1, 0, 2, _FIX_HEADING_ROW)
 NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
-class RangeLimits(NamedTuple):
+class RangeSensorGeometry(NamedTuple):
     """Geometry of a vehicle's range sensors, which a recording does not contain but ROS messages require.
 
     Attributes
@@ -88,7 +88,7 @@ class RosTopic(NamedTuple):
     name: str
     message_type: str
     signal: str
-    encode: Callable[[Blocks, RangeLimits], Columns]
+    encode: Callable[[Blocks, RangeSensorGeometry], Columns]
     time_signal: str = ""
     valid_signal: str = ""
     live_rate_Hz: float = 50.0
@@ -140,8 +140,8 @@ def _diagonal_covariances(variances: _Array) -> _Array:
     return out.reshape(n, k * k)
 
 
-def _make_odometry_encoder(prefix: str) -> Callable[[Blocks, RangeLimits], Columns]:
-    def encode(blocks: Blocks, _: RangeLimits) -> Columns:
+def _make_odometry_encoder(prefix: str) -> Callable[[Blocks, RangeSensorGeometry], Columns]:
+    def encode(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
         position = blocks[f"{prefix}_position"]
         velocity, attitude, rates = (
             _signal_or_nan(blocks, f"{prefix}_{n}", position) for n in ("velocity", "attitude", "rates")
@@ -178,8 +178,8 @@ def _make_odometry_encoder(prefix: str) -> Callable[[Blocks, RangeLimits], Colum
     return encode
 
 
-def _make_transform(prefix: str) -> Callable[[Blocks, RangeLimits], Columns]:
-    def encode(blocks: Blocks, _: RangeLimits) -> Columns:
+def _make_transform_encoder(prefix: str) -> Callable[[Blocks, RangeSensorGeometry], Columns]:
+    def encode(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
         position = blocks[f"{prefix}_position"]
         transform = {
             "header": _header_message(MAP_FRAME),
@@ -194,7 +194,7 @@ def _make_transform(prefix: str) -> Callable[[Blocks, RangeLimits], Columns]:
     return encode
 
 
-def _encode_imu(blocks: Blocks, _: RangeLimits) -> Columns:
+def _encode_imu(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
     unknown = np.zeros(9)
     unknown[0] = -1.0  # no orientation (sensor_msgs/Imu)
     force = blocks["measured_acceleration"]
@@ -207,7 +207,7 @@ def _encode_imu(blocks: Blocks, _: RangeLimits) -> Columns:
     }
 
 
-def _encode_sonar(blocks: Blocks, limits: RangeLimits) -> Columns:
+def _encode_sonar(blocks: Blocks, limits: RangeSensorGeometry) -> Columns:
     return {
         "header": _header_message("sonar_link"),
         "radiation_type": _RANGE_TYPE_ULTRASOUND,
@@ -218,8 +218,8 @@ def _encode_sonar(blocks: Blocks, limits: RangeLimits) -> Columns:
     }
 
 
-def _make_scan(signal: str) -> Callable[[Blocks, RangeLimits], Columns]:
-    def encode(blocks: Blocks, limits: RangeLimits) -> Columns:
+def _make_scan_encoder(signal: str) -> Callable[[Blocks, RangeSensorGeometry], Columns]:
+    def encode(blocks: Blocks, limits: RangeSensorGeometry) -> Columns:
         distances = blocks[signal]
         count = distances.shape[1]
         step = 2.0 * math.pi / count
@@ -244,7 +244,7 @@ def _reverse_beams(count: int) -> NDArray[np.int64]:
     return -np.arange(count) % count
 
 
-def _encode_battery(blocks: Blocks, _: RangeLimits) -> Columns:
+def _encode_battery(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
     voltage = blocks["battery_voltage"]
     unknown = dict.fromkeys(("temperature", "charge", "capacity", "design_capacity"), math.nan)
     return {
@@ -259,7 +259,7 @@ def _encode_battery(blocks: Blocks, _: RangeLimits) -> Columns:
     }
 
 
-def _encode_pose_setpoint(blocks: Blocks, _: RangeLimits) -> Columns:
+def _encode_pose_setpoint(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
     position = blocks["reference_position"]
     attitude = _signal_or_nan(blocks, "reference_attitude", position)
     return {
@@ -268,14 +268,14 @@ def _encode_pose_setpoint(blocks: Blocks, _: RangeLimits) -> Columns:
     }
 
 
-def _encode_velocity_setpoint(blocks: Blocks, _: RangeLimits) -> Columns:
+def _encode_velocity_setpoint(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
     return {
         "header": _header_message(MAP_FRAME),
         "twist": {"linear": _vector_message(ned_to_enu(blocks["reference_velocity"]))},
     }
 
 
-def _encode_fix(blocks: Blocks, _: RangeLimits) -> Columns:
+def _encode_fix(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
     fix = blocks["measured_position_fix"]
     level = np.zeros((len(fix), 2))
     variance = _signal_or_nan(blocks, "measured_position_fix_variance", fix)[:, _ENU_VARIANCE_ORDER]
@@ -293,16 +293,16 @@ def _encode_fix(blocks: Blocks, _: RangeLimits) -> Columns:
     }
 
 
-def _encode_magnetic_field(blocks: Blocks, _: RangeLimits) -> Columns:
+def _encode_magnetic_field(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
     field = body_to_flu(blocks["measured_magnetic_field"])
     return {"header": _header_message(BODY_FRAME), "magnetic_field": _vector_message(field)}
 
 
-def _encode_pressure(blocks: Blocks, _: RangeLimits) -> Columns:
+def _encode_pressure(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
     return {"header": _header_message(BODY_FRAME), "fluid_pressure": blocks["measured_pressure"][:, 0]}
 
 
-def _encode_rotors(blocks: Blocks, _: RangeLimits) -> Columns:
+def _encode_rotors(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
     return {
         "header": _header_message(BODY_FRAME),
         "name": ["rotor_upper", "rotor_lower"],
@@ -310,7 +310,7 @@ def _encode_rotors(blocks: Blocks, _: RangeLimits) -> Columns:
     }
 
 
-def _encode_actuators(blocks: Blocks, _: RangeLimits) -> Columns:
+def _encode_actuators(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
     return {"data": np.hstack((blocks["motor_input"], blocks["servo_input"]))}
 
 
@@ -321,8 +321,8 @@ ROS_TOPICS: tuple[RosTopic, ...] = (
         RosTopic(name, _ODOMETRY_TYPE, f"{prefix}_position", _make_odometry_encoder(prefix), prefix=prefix)
         for name, prefix in (("/odom", "estimated"), ("/measured/odom", "measured"), ("/ground_truth/odom", "truth"))
     ),
-    RosTopic("/tf", _TRANSFORMS_TYPE, "estimated_position", _make_transform("estimated")),
-    RosTopic("/tf", _TRANSFORMS_TYPE, "measured_position", _make_transform("measured")),
+    RosTopic("/tf", _TRANSFORMS_TYPE, "estimated_position", _make_transform_encoder("estimated")),
+    RosTopic("/tf", _TRANSFORMS_TYPE, "measured_position", _make_transform_encoder("measured")),
     RosTopic(
         "/imu/data_raw", "sensor_msgs/msg/Imu", "measured_acceleration", _encode_imu,
         "measured_acceleration_time", "measured_acceleration_valid", 200.0, "measured",
@@ -332,10 +332,10 @@ ROS_TOPICS: tuple[RosTopic, ...] = (
         "measured_ground_distance_time", "measured_ground_distance_valid", prefix="measured_ground_distance",
     ),
     RosTopic(
-        "/scan", _SCAN_TYPE, "measured_ranges", _make_scan("measured_ranges"),
+        "/scan", _SCAN_TYPE, "measured_ranges", _make_scan_encoder("measured_ranges"),
         "measured_ranges_time", "measured_ranges_valid", prefix="measured_ranges",
     ),
-    RosTopic("/obstacles/scan", _SCAN_TYPE, "range", _make_scan("range"), live_rate_Hz=25.0, prefix="range"),
+    RosTopic("/obstacles/scan", _SCAN_TYPE, "range", _make_scan_encoder("range"), live_rate_Hz=25.0, prefix="range"),
     RosTopic(
         "/pose_fix", "geometry_msgs/msg/PoseWithCovarianceStamped", "measured_position_fix", _encode_fix,
         "measured_position_fix_time", "measured_position_fix_valid", prefix="measured",
@@ -391,14 +391,14 @@ def stamp_times_ns(topic: RosTopic, blocks: Blocks, time_s: _Array, start_ns: in
     return np.rint(np.where(np.isfinite(when), when, time_s) * NANOSECONDS_PER_SECOND).astype(np.int64) + start_ns
 
 
-def pick_message(columns: Any, k: int) -> Any:
+def extract_row_message(columns: Any, k: int) -> Any:
     """Return the message at row ``k`` from columns over time, as nested dictionaries of numbers, texts and lists."""
     if isinstance(columns, dict):
-        return {name: pick_message(value, k) for name, value in columns.items()}
+        return {name: extract_row_message(value, k) for name, value in columns.items()}
     if isinstance(columns, np.ndarray):
         return columns[k] if columns.ndim > 1 else float(columns[k])
     if isinstance(columns, list):
-        return [pick_message(value, k) if isinstance(value, dict) else value for value in columns]
+        return [extract_row_message(value, k) if isinstance(value, dict) else value for value in columns]
     return columns
 
 
@@ -534,7 +534,7 @@ def _decode_rotors(fields: Fields, prefix: str) -> dict[str, _Array | None]:
     return {prefix: _stack_field_columns(fields, "velocity[", ("0]", "1]"))}
 
 
-def _decode_scalar(field: str) -> Callable[[Fields, str], dict[str, _Array | None]]:
+def _make_scalar_decoder(field: str) -> Callable[[Fields, str], dict[str, _Array | None]]:
     return lambda fields, prefix: {prefix: fields[field].astype(np.float64)[:, None]} if field in fields else {}
 
 
@@ -556,13 +556,13 @@ class RosDecoder(NamedTuple):
 ROS_DECODERS: dict[str, RosDecoder] = {
     _ODOMETRY_TYPE: RosDecoder(_decode_odometry, "measured"),
     "sensor_msgs/msg/Imu": RosDecoder(_decode_imu, "measured"),
-    "sensor_msgs/msg/Range": RosDecoder(_decode_scalar("range"), "measured_ground_distance"),
+    "sensor_msgs/msg/Range": RosDecoder(_make_scalar_decoder("range"), "measured_ground_distance"),
     _SCAN_TYPE: RosDecoder(_decode_scan, "measured_ranges"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": RosDecoder(_decode_fix, "measured"),
     "geometry_msgs/msg/PoseStamped": RosDecoder(_decode_pose, "measured"),
     "geometry_msgs/msg/TwistStamped": RosDecoder(_decode_twist, "measured"),
     "sensor_msgs/msg/MagneticField": RosDecoder(_decode_magnetic_field, "measured_magnetic_field"),
-    "sensor_msgs/msg/FluidPressure": RosDecoder(_decode_scalar("fluid_pressure"), "measured_pressure"),
+    "sensor_msgs/msg/FluidPressure": RosDecoder(_make_scalar_decoder("fluid_pressure"), "measured_pressure"),
     "sensor_msgs/msg/BatteryState": RosDecoder(_decode_battery, ""),
     "sensor_msgs/msg/JointState": RosDecoder(_decode_rotors, ""),
     "std_msgs/msg/Float64MultiArray": RosDecoder(_decode_actuators, ""),

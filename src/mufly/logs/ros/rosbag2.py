@@ -34,9 +34,9 @@ from mufly.logs.ros.ros_messages import (
     NANOSECONDS_PER_SECOND,
     STATE_TOPIC,
     STATE_TYPE,
-    RangeLimits,
+    RangeSensorGeometry,
     decode_fields,
-    pick_message,
+    extract_row_message,
     rows_with_data,
     select_topics,
     stamp_message,
@@ -110,7 +110,7 @@ def write_rosbag2(
     dataset: xr.Dataset,
     path: Path,
     *,
-    limits: RangeLimits | None = None,
+    limits: RangeSensorGeometry | None = None,
     pictures: Iterable[tuple[float, bytes]] = (),
 ) -> tuple[str, ...]:
     """Write a recording as a bag of ROS 2: :data:`mufly.logs.ros.ros_messages.ROS_TOPICS`, state, events, pictures.
@@ -121,7 +121,7 @@ def write_rosbag2(
         Signals on one clock, as from :func:`mufly.logs.read_log`.
     path : Path
         Folder of the bag. An existing bag is replaced when the new one is complete.
-    limits : RangeLimits, optional
+    limits : RangeSensorGeometry, optional
         Geometry of the range sensors; default no limits.
     pictures : iterable of (time_s, bytes)
         JPEG pictures of the camera.
@@ -161,7 +161,9 @@ def write_rosbag2(
         try:
             with writer:
                 writer.set_custom_data(_CUSTOM_DATA_KEY, json.dumps(to_json_value(dataset.attrs)))
-                messages = _iterate_messages(dataset, blocks, topics, limits or RangeLimits(), start_ns, pictures)
+                messages = _iterate_messages(
+                    dataset, blocks, topics, limits or RangeSensorGeometry(), start_ns, pictures
+                )
                 for time_ns, topic, kind, content in messages:
                     if topic not in connections:
                         connections[topic] = writer.add_connection(topic, kind, typestore=store)
@@ -175,7 +177,7 @@ def write_rosbag2(
 
 
 def _iterate_messages(
-    dataset: xr.Dataset, blocks: Mapping[str, NDArray[np.float64]], topics: list[Any], limits: RangeLimits,
+    dataset: xr.Dataset, blocks: Mapping[str, NDArray[np.float64]], topics: list[Any], limits: RangeSensorGeometry,
     start_ns: int, pictures: Iterable[tuple[float, bytes]],
 ) -> Iterator[tuple[int, str, str, dict[str, Any]]]:  # fmt: skip
     """Yield (time of arrival in ns, topic, type, content), in order of time within a block of rows."""
@@ -196,7 +198,7 @@ def _iterate_messages(
             columns = topic.encode(mine, limits)
             stamps = stamp_times_ns(topic, mine, time[rows][index], start_ns)
             for k, (row, stamp) in enumerate(zip(index.tolist(), stamps.tolist(), strict=True)):
-                content = pick_message(columns, k)
+                content = extract_row_message(columns, k)
                 stamp_message(content, stamp)
                 out.append((int(arrival[row]), topic.name, topic.message_type, content))
         for k, state in enumerate(states[rows]):

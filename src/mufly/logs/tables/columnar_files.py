@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.logs.column_map import TimeEntry
-from mufly.logs.mcap import component_channels, describe_dataset, restore_dataset, to_json_value
+from mufly.logs.mcap import component_channels, encode_dataset_metadata, restore_dataset, to_json_value
 from mufly.logs.raw_log import RawLog, RawTable
 from mufly.logs.tables.clock_columns import extract_clock, is_time_unit
 from mufly.logs.tables.csv_log import TABLE_TOPIC, name_columns
@@ -55,7 +55,7 @@ def write_parquet(dataset: xr.Dataset, path: Path) -> None:
         array = pyarrow.array(column.values.tolist() if column.values.dtype.kind in "US" else column.values)
         fields.append(pyarrow.field(column.column_name, array.type, metadata={"units": column.units}))
         arrays.append(array)
-    schema = pyarrow.schema(fields, metadata={_METADATA_KEY: describe_dataset(dataset).encode()})
+    schema = pyarrow.schema(fields, metadata={_METADATA_KEY: encode_dataset_metadata(dataset).encode()})
     pyarrow.parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), path)
 
 

@@ -27,7 +27,7 @@ from mufly.mission.files.mission_items import (
     MissionItem,
     MissionRefusedError,
     MissionResultCode,
-    make_position_item,
+    make_fence_item,
     read_horizontal_position,
 )
 from mufly.mission.files.mission_schema import Fence, Mission
@@ -209,7 +209,7 @@ def fence_to_items(fence: Fence | None, origin: GlobalOrigin | None = None) -> t
     if fence.centre_m is not None and fence.radius_m is not None:
         made.append((INCLUSION_CIRCLE, fence.radius_m, *fence.centre_m))
     made += [(EXCLUSION_CIRCLE, radius, n, e) for n, e, radius in fence.keep_out_circles_m]
-    return tuple(make_position_item(k, *one, origin) for k, one in enumerate(made))
+    return tuple(make_fence_item(k, *one, origin) for k, one in enumerate(made))
 
 
 def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: GlobalOrigin | None) -> Fence | None:

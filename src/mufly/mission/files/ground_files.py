@@ -41,7 +41,7 @@ from mufly.mission.files.mission_schema import Mission
 FILE_ENDINGS = (".toml", ".plan", ".waypoints", ".txt")
 """Endings of readable mission files."""
 
-GROUND_FILE_DESCRIPTION = "from a ground station's file"
+GROUND_STATION_FILE_DESCRIPTION = "from a ground station's file"
 """Prefix of the description of a mission from a ground station's file."""
 
 _WAYPOINT_FILE_HEADER = "QGC WPL"
@@ -51,7 +51,7 @@ _IMPORTED_TABLES: tuple[str, ...] = ("take_off", "waypoint", "at_end", "fence")
 
 
 @dataclass(frozen=True, slots=True)
-class GroundFile:
+class GroundStationFile:
     """Content of a ground station's file.
 
     Attributes
@@ -115,15 +115,15 @@ def parse_ground_station_text(text: str, where: str) -> dict[str, Any]:
     return {"description": _describe_mission(found, home), **kept}
 
 
-def _refusal_remedy(refusal: MissionRefusedError, found: GroundFile) -> str:
+def _refusal_remedy(refusal: MissionRefusedError, found: GroundStationFile) -> str:
     item = None if refusal.item is None else found.items[refusal.item]
     if item is not None and item.frame in (10, 11):
         return "set its altitude mode to relative to launch, and save the plan again"
     return _EDIT_PLAN_REMEDY
 
 
-def _describe_mission(found: GroundFile, home: GlobalOrigin | None) -> str:
-    words = [GROUND_FILE_DESCRIPTION]
+def _describe_mission(found: GroundStationFile, home: GlobalOrigin | None) -> str:
+    words = [GROUND_STATION_FILE_DESCRIPTION]
     if any(has_global_position(item) for item in found.items) and home is not None:
         of = "its planned home" if found.home is not None else "its first waypoint"
         words.append(f"metres from {of}, {home.lat_deg:.7g}, {home.lon_deg:.7g}")
@@ -140,7 +140,7 @@ def _first_global_position(items: Sequence[MissionItem]) -> GlobalOrigin | None:
 # ---- waypoint files
 
 
-def _parse_waypoint_file(text: str, where: str) -> GroundFile:
+def _parse_waypoint_file(text: str, where: str) -> GroundStationFile:
     items: list[MissionItem] = []
     places: list[str] = []
     for k, line in enumerate(text.splitlines()[1:], 2):
@@ -173,7 +173,7 @@ def _parse_waypoint_file(text: str, where: str) -> GroundFile:
         places.pop(0)
         home = GlobalOrigin(first.x / 1e7, first.y / 1e7, first.z if math.isfinite(first.z) else 0.0)
     numbered = tuple(_renumber_item(item, k) for k, item in enumerate(items))
-    return GroundFile(numbered, tuple(places), home)
+    return GroundStationFile(numbered, tuple(places), home)
 
 
 def _renumber_item(item: MissionItem, k: int) -> MissionItem:
@@ -194,7 +194,7 @@ def _make_mission_item(
 # ---- plans
 
 
-def _parse_plan(text: str, where: str) -> GroundFile:
+def _parse_plan(text: str, where: str) -> GroundStationFile:
     try:
         content = json.loads(text)
     except ValueError as error:
@@ -215,7 +215,7 @@ def _parse_plan(text: str, where: str) -> GroundFile:
     left_out = [f"{len(points)} rally points"] if isinstance(points, list) and points else []
     home = _parse_home(mission.get("plannedHomePosition"))
     fence = _parse_fence_items(content.get("geoFence"), where)
-    return GroundFile(tuple(items), tuple(places), home, tuple(left_out), fence)
+    return GroundStationFile(tuple(items), tuple(places), home, tuple(left_out), fence)
 
 
 def _parse_fence_items(content: object, where: str) -> tuple[MissionItem, ...]:

@@ -193,7 +193,7 @@ class MissionEstimate:
     charge_fraction: float
 
 
-def check_mission(
+def check_mission_endurance(
     mission: Mission, *, hover_current_A: float, capacity_Ah: float, charge: float = 1.0, where: str = ""
 ) -> MissionEstimate:
     """Estimate time and charge of a mission, and refuse it if the battery does not suffice.
@@ -434,7 +434,7 @@ def check_preflight(
     capacity_Ah = float(vehicle.battery.capacity) / 3600.0
     if able is not None:
         mission, _ = reduce_mission_limits(mission, able)
-    return check_mission(mission, hover_current_A=current, capacity_Ah=capacity_Ah, where=where)
+    return check_mission_endurance(mission, hover_current_A=current, capacity_Ah=capacity_Ah, where=where)
 
 
 # ----------------------------------------------------------------------------

@@ -223,7 +223,7 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
             if waypoints:
                 raise _make_refusal(item, MissionResultCode.INVALID_SEQUENCE, "a take-off comes before all waypoints")
             take_off = _make_mission_table(
-                item, TakeOff, height_m=-_read_flight_height(item, origin), wait_s=base.take_off.wait_s
+                item, TakeOff, height_m=-_read_flight_down_m(item, origin), wait_s=base.take_off.wait_s
             )
         elif item.command in (
             MissionCommand.NAV_WAYPOINT,
@@ -338,7 +338,7 @@ def has_global_position(item: MissionItem) -> bool:
     return is_global_frame(item) and (item.x, item.y) != (0, 0)
 
 
-def scale_coordinate(number: int, factor: float) -> float:
+def decode_coordinate(number: int, factor: float) -> float:
     """Return a coordinate of MISSION_ITEM_INT: ``number`` times ``factor``, or NaN if ``number`` marks a missing
     coordinate.
     """
@@ -350,7 +350,7 @@ def _command_name(number: int) -> str:
     return f"command {number}" if entry is None else f"command {number} ({entry})"
 
 
-def make_position_item(
+def make_fence_item(
     seq: int, command: int, first: float, north: float, east: float, origin: GlobalOrigin | None
 ) -> MissionItem:
     """Return a fence item at a horizontal position (m), with ``first`` as first parameter of its command.
@@ -442,7 +442,7 @@ def _read_down_m(item: MissionItem, origin: GlobalOrigin | None) -> float | None
     return origin.alt_m - item.z if item.frame in FRAMES_ABOVE_SEA and origin is not None else None
 
 
-def _read_flight_height(item: MissionItem, origin: GlobalOrigin | None) -> float:
+def _read_flight_down_m(item: MissionItem, origin: GlobalOrigin | None) -> float:
     """Return D of an item (m), which must be above the floor."""
     down = _read_down_m(item, origin)
     if down is None:
@@ -464,13 +464,13 @@ def _read_flight_height(item: MissionItem, origin: GlobalOrigin | None) -> float
 def read_horizontal_position(item: MissionItem, origin: GlobalOrigin | None) -> tuple[float, float]:
     """Return N and E of an item (m); NaN if not given."""
     if item.frame in (FRAME_LOCAL_NED, FRAME_LOCAL_ENU):
-        a, b = (scale_coordinate(v, 1e-4) for v in (item.x, item.y))
+        a, b = (decode_coordinate(v, 1e-4) for v in (item.x, item.y))
         return (a, b) if item.frame == FRAME_LOCAL_NED else (b, a)
     if origin is None:
         return math.nan, math.nan
     if item.command == MissionCommand.NAV_LAND and (item.x, item.y) == (0, 0):
         return math.nan, math.nan  # land at the present place
-    lat, lon = (scale_coordinate(v, 1e-7) for v in (item.x, item.y))
+    lat, lon = (decode_coordinate(v, 1e-7) for v in (item.x, item.y))
     n, e, _ = origin.to_local(lat, lon, 0.0)
     return n, e
 
@@ -482,7 +482,7 @@ def read_position(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
 
 
 def _read_flight_position(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
-    down = _read_flight_height(item, origin)
+    down = _read_flight_down_m(item, origin)
     n, e = read_horizontal_position(item, origin)
     if math.isnan(n):
         raise _make_refusal(item, MissionResultCode.INVALID_PARAM5_X, "x is not given")

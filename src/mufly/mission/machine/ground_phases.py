@@ -9,12 +9,12 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from mufly.estimate import Estimate, measured_tilt
+from mufly.estimate import Estimate, compute_standing_tilt
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
 from mufly.mission.files.mission_schema import ROTOR_SPIN_UP_TIME_S
 from mufly.mission.files.mission_timing import DESCENT_LAG_S, ROTOR_RUN_DOWN_TIME_S, compute_landing_rate
 from mufly.mission.machine.log_messages import LogMessage
-from mufly.mission.machine.mission_reference import current_reference, predict_reference
+from mufly.mission.machine.mission_reference import current_reference, predict_step_end_reference
 from mufly.mission.machine.mission_state import MissionPlan, MissionState, State, enter_state, fail_mission, log_event
 from mufly.mission.machine.offboard import DRIFTING_DESCENT_RATE_M_S
 from mufly.mission.trajectory import Triple, plan_stop
@@ -40,7 +40,7 @@ LIFT_OFF_HEIGHT_M, TIPPING_RATE_RAD_S = 0.02, 0.15
 Wind drag on the rotors tips a vehicle whose legs carry little weight."""
 MAX_START_TILT_DEG = 6.0
 """Tilt on the floor up to which the motors are started (degrees): the mount of the inertial unit, its bias and legs."""
-_MAX_START_TILT = math.radians(MAX_START_TILT_DEG)
+_MAX_START_TILT_RAD = math.radians(MAX_START_TILT_DEG)
 
 
 def start_landing(s: MissionState, why: str, *, level: str = "info") -> MissionState:
@@ -49,7 +49,9 @@ def start_landing(s: MissionState, why: str, *, level: str = "info") -> MissionS
         s = fail_mission(s, why) if s.mission_begun else s
         return enter_state(s, State.INIT, why, level=level, motors="ramp_down")
     now = current_reference(s)
-    brake = plan_stop(predict_reference(s).position, (*now.velocity[:2], 0.0), now.heading, DETOUR_ACCELERATION_M_S2)
+    brake = plan_stop(
+        predict_step_end_reference(s).position, (*now.velocity[:2], 0.0), now.heading, DETOUR_ACCELERATION_M_S2
+    )
     foot = brake.evaluate(math.inf).position
     return enter_state(
         s,
@@ -68,7 +70,7 @@ def start_landing(s: MissionState, why: str, *, level: str = "info") -> MissionS
     )
 
 
-def _handle_touchdown(s: MissionState) -> MissionState:
+def _log_touchdown(s: MissionState) -> MissionState:
     if s.touchdown_speed <= HARD_TOUCHDOWN_M_S:
         return log_event(s, LogMessage.TOUCHDOWN())
     return log_event(s, LogMessage.HARD_TOUCHDOWN(s.touchdown_speed, HARD_TOUCHDOWN_M_S), level="warning")
@@ -135,7 +137,7 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
         touchdown_speed=impact,
     )
     lasts = _PRESS_DOWN_DURATION_S if stands else _REST_DURATION_ON_FLOOR_S
-    return replace(_handle_touchdown(s), motors="ramp_down", motion_clock_s=0.0) if still > lasts else s
+    return replace(_log_touchdown(s), motors="ramp_down", motion_clock_s=0.0) if still > lasts else s
 
 
 def enter_blind_descent(s: MissionState, time_s: float, why: str) -> MissionState:
@@ -178,8 +180,8 @@ def describe_start_fault(m: Estimate) -> str:
     """Return the reason why the motors may not be started with this estimate; "" if they may."""
     if not m.valid:
         return LogMessage.ESTIMATE_NOT_VALID()
-    tilt = measured_tilt(m)
-    return "" if tilt <= _MAX_START_TILT else LogMessage.STANDS_TILTED(math.degrees(tilt), MAX_START_TILT_DEG)
+    tilt = compute_standing_tilt(m)
+    return "" if tilt <= _MAX_START_TILT_RAD else LogMessage.STANDS_TILTED(math.degrees(tilt), MAX_START_TILT_DEG)
 
 
 def log_start_refusal(s: MissionState, why: str) -> MissionState:

@@ -38,7 +38,7 @@ def current_reference(s: MissionState) -> TrajectoryPoint:
     return at
 
 
-def predict_reference(s: MissionState) -> TrajectoryPoint:
+def predict_step_end_reference(s: MissionState) -> TrajectoryPoint:
     """Return the reference at the end of this step, from which another motion must continue.
 
     The clock of a motion is already at the end of the step. References that a state integrates itself (a detour, a

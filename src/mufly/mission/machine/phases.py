@@ -20,7 +20,7 @@ from mufly.mission.detour import DETOUR_ACCELERATION_M_S2, begin_detour, follow_
 from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M, plan_leg_trajectory
 from mufly.mission.machine.ground_phases import has_spun_up, measured_position, reset_mission, start_landing
 from mufly.mission.machine.log_messages import LogMessage
-from mufly.mission.machine.mission_reference import current_reference, has_departed, predict_reference
+from mufly.mission.machine.mission_reference import current_reference, has_departed, predict_step_end_reference
 from mufly.mission.machine.mission_state import (
     MissionPlan,
     MissionState,
@@ -109,7 +109,7 @@ def nose_offset(plan: MissionPlan) -> float:
 
 def plan_braking(plan: MissionPlan, s: MissionState) -> BrakingMotion:
     """Plan braking from the present motion of the reference."""
-    now = predict_reference(s)
+    now = predict_step_end_reference(s)
     return plan_stop(
         now.position,
         now.velocity,
@@ -208,7 +208,7 @@ def change_leg_goal(
     together. Without a ``heading`` the nose turns along the way to the goal, unless that is short.
     """
     known = s.set_point_reference
-    now = predict_reference(s) if known is None else known
+    now = predict_step_end_reference(s) if known is None else known
     (n, e, _), aim = now.position, heading
     if aim is None and vector_length(goal[0] - n, goal[1] - e) < MIN_DISTANCE_FOR_TURN_M:
         aim = now.heading
@@ -323,12 +323,12 @@ def _start_detour_at_obstacle(plan: MissionPlan, s: MissionState) -> MissionStat
     if underway:  # the check covers this path from the step after the goal changed
         there = sight.goal_north == s.goal[0] and sight.goal_east == s.goal[1] and is_path_blocked(sight, clear)
     else:
-        there = sight.nearest_point(here)[0] < clear
+        there = sight.find_nearest_point_distance(here)[0] < clear
     if not there:
         return s
     velocity, acceleration = at.velocity, at.acceleration
     detour = begin_detour(here, velocity, acceleration, s.goal, sight, s.detour)
-    far = math.sqrt(sight.path_clearance_sq) if underway else sight.nearest_point(here)[0]
+    far = math.sqrt(sight.path_clearance_sq) if underway else sight.find_nearest_point_distance(here)[0]
     why = (LogMessage.OBSTACLE_AHEAD if underway else LogMessage.OBSTACLE_NEAR)(far)
     return enter_state(s, State.OBSTACLE, why, state_after_detour=s.state, detour=detour, hold_heading=at.heading)
 

@@ -46,7 +46,7 @@ _THICKNESS_HEADERS, _THICKNESS_RATIO_HEADERS = ("t", "thickness"), ("t/c", "t_c"
 _INCH_M = 0.0254
 _DEFAULT_AIRFOIL = "naca4412"
 _DEFAULT_AIRFOIL_NOTE = f"airfoil {_DEFAULT_AIRFOIL}"
-_MIN_PLAUSIBLE_ANGLE_DEG = 1.6  # angles all below this value may be radians
+_MIN_PLAUSIBLE_MAX_ANGLE_DEG = 1.6  # angles all below this value may be radians
 _MAX_RELATIVE_RADIUS = 1.5  # of the radius
 _MIN_RADIUS_M, _MAX_RADIUS_M = 5e-3, 20.0  # m; the greatest helicopter's is 16 m
 _MIN_CHORD_RATIO = 1e-3  # of the radius
@@ -59,7 +59,7 @@ class ImportedRotor(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_blade(
+def import_rotor(
     path: str | Path,
     *,
     radius_m: float | None = None,
@@ -166,7 +166,7 @@ def read_station_readings(path: str | Path) -> tuple[Array, Array, Array, Array]
     Raises
     ------
     InputError
-        As for :func:`read_blade`, or if a chord is not above 0.
+        As for :func:`import_rotor`, or if a chord is not above 0.
     """
     r, chord, twist, _, thick, *_ = _read_station_table(path, None, [], optional=True)
     filled = np.isfinite(chord) & np.isfinite(twist)
@@ -265,7 +265,7 @@ def _check_column_units(
 ) -> None:  # fmt: skip
     """Raise an error for angles that may be radians, and for r/R above one, as in per cent."""
     widest = float(np.max(np.abs(np.degrees(twist)), initial=0.0))
-    if not split_header(header["twist"])[1] and 0.0 < widest <= _MIN_PLAUSIBLE_ANGLE_DEG:
+    if not split_header(header["twist"])[1] and 0.0 < widest <= _MIN_PLAUSIBLE_MAX_ANGLE_DEG:
         least = float(np.min(np.degrees(twist)))
         raise InputError(
             where, header["twist"], f"goes from {least:.4g} to {widest:.4g} without a unit: degrees or radians?",

@@ -76,7 +76,7 @@ class MeasuredGeometry(NamedTuple):
     notes: tuple[str, ...]
 
 
-def measure_geometry(
+def rotor_from_readings(
     readings: GeometryReadings,
     *,
     radius_m: float,
@@ -193,7 +193,7 @@ def _describe_outliers(x: Array, angle: Array, std: float) -> list[str]:
     return notes
 
 
-def format_reading_table(radius_m: float, stated_pitch_m: float | None = None) -> str:
+def make_blank_reading_table(radius_m: float, stated_pitch_m: float | None = None) -> str:
     """Return an empty table of readings, CSV, with the steps of the measurement as comments.
 
     Parameters

@@ -1,15 +1,15 @@
 """Rotors in forward flight: blade elements over azimuth, flapping and dynamic inflow."""
 
 from mufly.rotor.forward.forward_results import (
-    BladeFlap,
     CyclicResponse,
     ForwardCondition,
     ForwardResult,
     ForwardSweep,
+    RigidFlapMode,
 )
 from mufly.rotor.forward.forward_solver import (
     cyclic_response,
-    flap_modes_of_band,
+    estimate_flap_mode_range,
     lock_number,
     make_flap_mode,
     solve_forward,
@@ -18,15 +18,15 @@ from mufly.rotor.forward.forward_solver import (
 from mufly.rotor.forward.skewed_pair import ForwardPair, PairSweep, solve_forward_pair, sweep_forward_pair
 
 __all__ = [
-    "BladeFlap",
     "CyclicResponse",
     "ForwardCondition",
     "ForwardPair",
     "ForwardResult",
     "ForwardSweep",
     "PairSweep",
+    "RigidFlapMode",
     "cyclic_response",
-    "flap_modes_of_band",
+    "estimate_flap_mode_range",
     "lock_number",
     "make_flap_mode",
     "solve_forward",

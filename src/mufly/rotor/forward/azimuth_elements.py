@@ -25,13 +25,13 @@ class AzimuthBlade(NamedTuple):
     ----------
     r_m, dr_m, chord_m, twist_rad : (stations,) arrays
     section_table : (stations, Reynolds numbers, 723, 2) array
-        :func:`mufly.rotor.forward.section_tables.station_tables`.
+        :func:`mufly.rotor.forward.section_tables.tabulate_section_coefficients`.
     log_reynolds_min, rows_per_log_reynolds : float
         Grid of the tables.
     blade_count, radius_m, hub_radius_m : float
     has_tip_loss, has_hub_loss, has_swirl : int
         1 if the correction is active.
-    flap_inertia_kg_m2 : float
+    flap_inertia_about_shaft_kg_m2 : float
         Moment of inertia of a blade about the shaft.
     flap_ratio : float
         nu; infinite for blades that do not flap.
@@ -50,7 +50,7 @@ class AzimuthBlade(NamedTuple):
     has_tip_loss: int
     has_hub_loss: int
     has_swirl: int
-    flap_inertia_kg_m2: float
+    flap_inertia_about_shaft_kg_m2: float
     flap_ratio: float
 
 

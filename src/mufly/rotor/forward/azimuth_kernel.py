@@ -239,7 +239,7 @@ def _global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: 
         for n in range(5):
             out[n] = x[n]
     else:
-        scale = blade.flap_inertia_kg_m2 * speed * speed
+        scale = blade.flap_inertia_about_shaft_kg_m2 * speed * speed
         square = blade.flap_ratio * blade.flap_ratio
         out[UNKNOWN_CONING] = square * x[UNKNOWN_CONING] - loads[BLADE_FLAP_MOMENT] / scale
         out[UNKNOWN_FLAP_COS] = (
@@ -371,7 +371,9 @@ def _station_residuals(
 
 
 @cached_njit(error_model="numpy")
-def _load_jacobian(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array) -> tuple[Array, Array]:
+def _differentiate_global_residual(
+    blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array
+) -> tuple[Array, Array]:
     """Return the derivatives of the flap and inflow residuals ``out`` by ``loads``, (8, 6), and by ``x``, (8, 8)."""
     by_load, by_state, other = (
         np.zeros((GLOBAL_UNKNOWN_COUNT, 6)),
@@ -485,7 +487,7 @@ def solve_azimuth(
         elif size < best:
             best, slow = size, min(1.3 * slow, 1.0)
         if fresh:
-            by_load, by_state = _load_jacobian(blade, point, x, loads, out)
+            by_load, by_state = _differentiate_global_residual(blade, point, x, loads, out)
         for m in range(GLOBAL_UNKNOWN_COUNT):
             for k in range(GLOBAL_UNKNOWN_COUNT):
                 matrix[m, k] = by_state[m, k]

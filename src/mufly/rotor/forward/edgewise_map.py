@@ -9,7 +9,7 @@ solved neighbour. Body rates need one iteration of the coupling: the stream of t
 gradients, meets the lower rotor, whose mean inflow does not change to first order.
 
 The flight model interpolates by quadratic splines over climb and e, which have continuous slopes and pass through the
-points; over the ratio it is linear (:func:`fit_flight_splines`). Beyond an edge the value at the edge is kept.
+points; over the ratio it is linear (:func:`fit_flight_map_splines`). Beyond an edge the value at the edge is kept.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.blading import Blading
-from mufly.rotor.forward.forward_results import BladeFlap, ForwardCondition, ForwardResult
+from mufly.rotor.forward.forward_results import ForwardCondition, ForwardResult, RigidFlapMode
 from mufly.rotor.forward.row_sums import sum_flow_rows, sum_rate_rows
 from mufly.rotor.forward.skewed_pair import ForwardPair, solve_forward_pair
 from mufly.rotor.rotor_system import Air
@@ -36,14 +36,14 @@ Array = NDArray[np.float64]
 LOAD_COLUMN_COUNT = len(ROTOR_LOAD_COLUMNS)
 FLOW_COLUMN_COUNT = ROTOR_LOAD_COLUMNS.index("rate_force")
 """Columns of the flow; those of rates follow."""
-MAP_ADVANCE_RATIO = 0.35
+MAX_MAP_ADVANCE_RATIO = 0.35
 """Greatest advance ratio of a map."""
 _MIN_ADVANCE_FRACTION_OF_KNEE = 0.01  # of the knee, where loads over V are those of V = 0
 _BODY_RATE_STEP_RATIO = 0.002  # of the rotor speed, the rates of the differences
 _COUPLING_TOLERANCE = 1e-5  # of the coupling
 
 
-def make_edgewise_axis(knee: float, count: int, *, advance_ratio: float = MAP_ADVANCE_RATIO) -> Array:
+def make_edgewise_axis(knee: float, count: int, *, advance_ratio: float = MAX_MAP_ADVANCE_RATIO) -> Array:
     """Return ``count`` evenly spaced values of the axis e = mu^2 / (mu^2 + knee^2), up to an advance ratio mu."""
     return np.round(np.linspace(0.0, advance_ratio**2 / (advance_ratio**2 + knee**2), count), 5)
 
@@ -93,10 +93,10 @@ def _rate_load_columns(
     return out
 
 
-def compute_flight_loads(
+def compute_flight_map_loads(
     upper: Blading,
     lower: Blading,
-    flaps: tuple[BladeFlap | None, BladeFlap | None],
+    flaps: tuple[RigidFlapMode | None, RigidFlapMode | None],
     *,
     pitch_rad: tuple[float, float],
     spacing_m: float,
@@ -115,7 +115,7 @@ def compute_flight_loads(
     ----------
     upper, lower : Blading
         Upper and lower rotor, of one radius.
-    flaps : (BladeFlap, BladeFlap)
+    flaps : (RigidFlapMode, RigidFlapMode)
         Flap modes; None for blades that do not flap.
     pitch_rad : (float, float)
     spacing_m, mean_speed_rad_s : float
@@ -257,7 +257,7 @@ def interpolate_rate_loads(
     return sum_rate_rows(rates, 8 * i0, ea, eb, ec)
 
 
-class FlightSplines(NamedTuple):
+class FlightMapSplines(NamedTuple):
     """Coefficients of the quadratic splines that interpolate a flight map.
 
     Attributes
@@ -284,7 +284,7 @@ class FlightSplines(NamedTuple):
     rate_coefficient_table: Array
 
 
-def fit_flight_splines(tables: FlightMapTables) -> FlightSplines:
+def fit_flight_map_splines(tables: FlightMapTables) -> FlightMapSplines:
     """Return the spline coefficients of a map.
 
     The loads are linear over the ratio, with a slope that is linear over the climb. Loads of rates are those of the
@@ -307,7 +307,7 @@ def fit_flight_splines(tables: FlightMapTables) -> FlightSplines:
     line = np.stack([np.ones(climb.size), steps], axis=1)
     fitted = np.linalg.lstsq(line, slope.reshape(climb.size, -1), rcond=None)[0].reshape(2, edge.size, 12)
     over_edge, over_climb = np.linalg.inv(spline_matrix(edge.size)), np.linalg.inv(spline_matrix(climb.size))
-    return FlightSplines(
+    return FlightMapSplines(
         middle, float(ratio[0]) if ratio.size > 1 else -math.inf, float(ratio[-1]) if ratio.size > 1 else math.inf,
         np.array([climb[0], edge[0]]),
         np.array([(a.size - 1) / (a[-1] - a[0]) for a in (climb, edge)]),
@@ -348,7 +348,7 @@ class MapLoads(NamedTuple):
 
 def evaluate_flight_map(flight_map: FlightMap) -> MapLoads:
     """Return the loads (SI) at the airspeeds on the axis of a flight map, interpolated as in the flight model."""
-    splines = fit_flight_splines(flight_map.decode_map_tables())
+    splines = fit_flight_map_splines(flight_map.decode_map_tables())
     edge = flight_map.decode_map_tables().edgewise
     mean, radius = flight_map.mean_speed_rad_s, flight_map.radius_m
     up = 2.0 * mean / (1.0 + splines.speed_ratio_middle)

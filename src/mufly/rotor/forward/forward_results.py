@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.results import ResultColumn, ShownBlock, result, show_lines, tabulate_results
+from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results
 from mufly.rotor.rotor_system import Air
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class BladeFlap:
+class RigidFlapMode:
     """Flap mode of a rigid blade on a hinge, with a given natural frequency.
 
     Attributes
@@ -217,7 +217,7 @@ class CyclicResponse:
         return self.moment_Nm_rad * math.pi / 180.0
 
 
-ROTOR_LOAD_COLUMNS = (
+ROTOR_TABLE_COLUMNS = (
     ResultColumn("flap_frequency_ratio", form=".3g", head="nu"),
     ResultColumn("edgewise_m_s", form=".3g", head="V", own_unit="m/s"),
     ResultColumn("advance_ratio", form=".3f", head="mu"),
@@ -257,7 +257,7 @@ class ForwardSweep:
     ----------
     rotor : str
         Name of the rotor.
-    flaps : tuple of BladeFlap
+    flaps : tuple of RigidFlapMode
         Flap modes, the values of the first axis of the points.
     flap_basis : str
         Origin of flap frequency and inertia.
@@ -270,7 +270,7 @@ class ForwardSweep:
     """
 
     rotor: str
-    flaps: tuple[BladeFlap, ...]
+    flaps: tuple[RigidFlapMode, ...]
     flap_basis: str
     points: tuple[tuple[ForwardResult, ...], ...]
     responses: tuple[tuple[CyclicResponse, ...], ...]
@@ -283,12 +283,12 @@ class ForwardSweep:
         answers = [r for line in self.responses for r in line]
         both = [_SweepRow(p, r) for p, r in zip(rows, answers, strict=True)]
         blocks: list[ShownBlock] = [
-            show_lines(
+            make_lines_block(
                 f" at {math.degrees(first.pitch_rad):.2f}° and {first.speed_rad_s * 30.0 / math.pi:.0f} rpm, "
                 f"Lock number {first.lock_number:.2f}; {self.flap_basis}",
                 head=self.rotor,
             ),
-            tabulate_results(rows, ROTOR_LOAD_COLUMNS),
+            tabulate_results(rows, ROTOR_TABLE_COLUMNS),
             tabulate_results(
                 both, _FLAP_COLUMNS,
                 title=f"Flapping, and the response to {math.degrees(self.cyclic_rad):g}° of cyclic pitch",
@@ -296,7 +296,9 @@ class ForwardSweep:
         ]  # fmt: skip
         for note in dict.fromkeys(n for p in rows for n in p.notes):
             at = [f"{p.edgewise_m_s:g}" for p in rows if note in p.notes]
-            blocks.append(show_lines(f"{', '.join(dict.fromkeys(at))} m/s: {note}", mark="Outside", style="yellow"))
+            blocks.append(
+                make_lines_block(f"{', '.join(dict.fromkeys(at))} m/s: {note}", mark="Outside", style="yellow")
+            )
         return tuple(blocks)
 
     def as_record(self) -> dict[str, object]:

@@ -42,18 +42,18 @@ from mufly.rotor.forward.azimuth_kernel import (
     velocity_derivative_weights,
 )
 from mufly.rotor.forward.forward_results import (
-    BladeFlap,
     CyclicResponse,
     DiscFields,
     ForwardCondition,
     ForwardResult,
     ForwardSweep,
+    RigidFlapMode,
     SolverState,
 )
 from mufly.rotor.forward.inflow import momentum_induced_velocity
-from mufly.rotor.forward.section_tables import station_tables
+from mufly.rotor.forward.section_tables import tabulate_section_coefficients
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.rotor_system import VORTEX_RING_RANGE, Air, check_pitch, warn_tip_mach
+from mufly.rotor.rotor_system import VORTEX_RING_DESCENT_RATIOS, Air, check_pitch, warn_tip_mach
 from mufly.rotor.structure.flap_modes import ASSUMED_STRUCTURE, compute_flap_mode, make_blade_beam
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ _MAX_ACCEPTED_RESIDUAL = 1e-6  # of tip speed or angle, where Newton steps stall
 _MAX_VORTEX_RING_ADVANCE_RATIO = 0.1  # advance ratio below which a descent may be in vortex ring state
 
 
-def make_flap_mode(rotor: Rotor, frequency_ratio: float, *, mass_kg: float | None = None) -> BladeFlap:
+def make_flap_mode(rotor: Rotor, frequency_ratio: float, *, mass_kg: float | None = None) -> RigidFlapMode:
     """Return a flap mode of given frequency with the inertia of the blade's beam.
 
     Parameters
@@ -92,12 +92,12 @@ def make_flap_mode(rotor: Rotor, frequency_ratio: float, *, mass_kg: float | Non
         raise InputError("flap", "mass_kg", f"is {mass_kg:g}", "give a mass above 0")
     beam = make_blade_beam(rotor, rotor.blade.structure or ASSUMED_STRUCTURE)
     scale = 1.0 if mass_kg is None else mass_kg / float(beam.integrate_over_span(beam.mass_kg_m))
-    return BladeFlap(frequency_ratio, scale * float(beam.flap_inertia_kg_m2))
+    return RigidFlapMode(frequency_ratio, scale * float(beam.flap_inertia_about_shaft_kg_m2))
 
 
-def flap_modes_of_band(
+def estimate_flap_mode_range(
     rotor: Rotor, speed_rad_s: float, *, pitch_rad: float = 0.0, mass_kg: float | None = None
-) -> tuple[tuple[BladeFlap, BladeFlap], str]:
+) -> tuple[tuple[RigidFlapMode, RigidFlapMode], str]:
     """Return the flap modes at both ends of the band of a blade's flap frequency, and the basis of the band.
 
     Parameters
@@ -113,7 +113,7 @@ def flap_modes_of_band(
     return (low, high), f"band of the flap frequency: {mode.assumptions}"
 
 
-def lock_number(r_m: Array, dr_m: Array, chord_m: Array, flap: BladeFlap, air: Air) -> float:
+def lock_number(r_m: Array, dr_m: Array, chord_m: Array, flap: RigidFlapMode, air: Air) -> float:
     """Return the Lock number, the ratio of aerodynamic to inertial forces in flapping.
 
     It is 4 rho a int c r^3 dr / I with a = 5.7 per rad; for a constant chord, rho a c R^4 / I.
@@ -122,7 +122,7 @@ def lock_number(r_m: Array, dr_m: Array, chord_m: Array, flap: BladeFlap, air: A
     ----------
     r_m, dr_m, chord_m : (stations,) arrays
         Radius, width and chord of the stations (m).
-    flap : BladeFlap
+    flap : RigidFlapMode
     air : Air
     """
     return 4.0 * air.density_kg_m3 * LIFT_SLOPE_PER_RAD * float(np.sum(chord_m * r_m**3 * dr_m)) / flap.inertia_kg_m2
@@ -159,12 +159,12 @@ def azimuth_grid(count: int) -> tuple[Array, Array, Array]:
     return psi, trig, velocity_derivative_weights(trig)
 
 
-def azimuth_blade(blading: Blading, which: int, flap: BladeFlap, air: Air) -> AzimuthBlade:
+def azimuth_blade(blading: Blading, which: int, flap: RigidFlapMode, air: Air) -> AzimuthBlade:
     """Return a rotor of ``blading`` as arrays for the compiled solver over azimuth."""
     fixes, stack = blading.corrections, blading.polars
     return AzimuthBlade(
         blading.r_m[which], blading.dr_m[which], blading.chord_m[which], blading.twist_rad[which],
-        station_tables(blading, which, air), stack.log_reynolds_min, stack.rows_per_log_reynolds,
+        tabulate_section_coefficients(blading, which, air), stack.log_reynolds_min, stack.rows_per_log_reynolds,
         float(blading.blades[which]), float(blading.radius_m[which]), float(blading.hub_radius_m[which]),
         int(fixes.tip_loss == "prandtl"), int(fixes.hub_loss), int(fixes.swirl), float(flap.inertia_kg_m2),
         float(flap.frequency_ratio),
@@ -174,7 +174,7 @@ def azimuth_blade(blading: Blading, which: int, flap: BladeFlap, air: Air) -> Az
 def solve_forward(
     blading: Blading | Rotor,
     condition: ForwardCondition,
-    flap: BladeFlap | None = None,
+    flap: RigidFlapMode | None = None,
     *,
     inflow: InflowModel = "annular",
     start: ForwardResult | None = None,
@@ -189,7 +189,7 @@ def solve_forward(
     ----------
     blading : Blading or Rotor
     condition : ForwardCondition
-    flap : BladeFlap, optional
+    flap : RigidFlapMode, optional
         Default: a blade that does not flap.
     inflow : 'annular', 'pitt-peters' or 'uniform'
         Mean inflow by annuli in axial flow and Pitt-Peters' mean in edgewise flow; Pitt-Peters alone; or uniform.
@@ -225,7 +225,7 @@ def solve_forward(
         raise InputError("rotor forward", "inflow", f"{inflow!r} is unknown", "use annular, pitt-peters or uniform")
     if not 12 <= azimuths <= 720:
         raise InputError("rotor forward", "azimuths", f"is {azimuths}", "give 12 to 720")
-    flap = flap or BladeFlap(math.inf, make_flap_mode(rotor, math.inf).inertia_kg_m2)
+    flap = flap or RigidFlapMode(math.inf, make_flap_mode(rotor, math.inf).inertia_kg_m2)
     hand = float(c.rotation_sign)
     turn = hand * c.wind_azimuth_rad
     cosine, sine = math.cos(turn), math.sin(turn)
@@ -308,7 +308,7 @@ def _find_solution(
 
 
 def _make_result(
-    c: ForwardCondition, flap: BladeFlap, blade: AzimuthBlade, x: Array, totals: Array, steps: int, psi: Array,
+    c: ForwardCondition, flap: RigidFlapMode, blade: AzimuthBlade, x: Array, totals: Array, steps: int, psi: Array,
     fields: Array, state: SolverState,
 ) -> ForwardResult:  # fmt: skip
     hand, radius, density = float(c.rotation_sign), blade.radius_m, c.air.density_kg_m3
@@ -330,7 +330,10 @@ def _make_result(
     notes = []
     if mu > MAX_ADVANCE_RATIO:
         notes.append(f"advance ratio above {MAX_ADVANCE_RATIO:g}: reversed flow, no unsteady aerodynamics")
-    if mu < _MAX_VORTEX_RING_ADVANCE_RATIO and VORTEX_RING_RANGE[0] * hover < -axial < VORTEX_RING_RANGE[1] * hover:
+    if (
+        mu < _MAX_VORTEX_RING_ADVANCE_RATIO
+        and VORTEX_RING_DESCENT_RATIOS[0] * hover < -axial < VORTEX_RING_DESCENT_RATIOS[1] * hover
+    ):
         notes.append("vortex ring or turbulent wake state: no steady wake; a curve through measured means")
     thrusting = np.abs(fields[..., FIELD_THRUST]) * blade.dr_m
     stalled = float(thrusting[np.abs(fields[..., 1]) > _STALL_ANGLE_RAD].sum() / max(thrusting.sum(), 1e-300))
@@ -379,7 +382,7 @@ _STALL_ANGLE_RAD = math.radians(20.0)
 def cyclic_response(
     blading: Blading | Rotor,
     condition: ForwardCondition,
-    flap: BladeFlap,
+    flap: RigidFlapMode,
     *,
     amplitude_rad: float = math.radians(1.0),
     inflow: InflowModel = "annular",
@@ -425,7 +428,7 @@ def cyclic_response(
 def sweep_forward(
     blading: Blading | Rotor,
     conditions: Sequence[ForwardCondition],
-    flaps: Sequence[BladeFlap],
+    flaps: Sequence[RigidFlapMode],
     *,
     flap_basis: str = "",
     cyclic_rad: float = math.radians(1.0),
@@ -436,7 +439,7 @@ def sweep_forward(
     ----------
     blading : Blading or Rotor
     conditions : sequence of ForwardCondition
-    flaps : sequence of BladeFlap
+    flaps : sequence of RigidFlapMode
     flap_basis : str
         Origin of the flap modes, for the text.
     cyclic_rad : float

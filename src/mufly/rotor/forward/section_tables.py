@@ -49,7 +49,7 @@ def _angles_from_onset_angles(onset: Array, zero: float, alpha: Array, reached: 
 
 
 @lru_cache(maxsize=16)
-def station_tables(blading: Blading, which: int, air: Air) -> Array:
+def tabulate_section_coefficients(blading: Blading, which: int, air: Air) -> Array:
     """Return a table of c_l and c_d of the stations of a rotor, (stations, Reynolds numbers, angles, 2).
 
     The angles are those of :data:`mufly.rotor.sections.polar_table.ALPHA_GRID` with one more at each end; the Reynolds

@@ -21,14 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.results import ResultColumn, ShownBlock, result, show_lines, tabulate_results
+from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results
 from mufly.rotor.bemt import drag_angular_momentum
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.forward.azimuth_kernel import UNKNOWN_INFLOW_COS, UNKNOWN_INFLOW_SIN
-from mufly.rotor.forward.forward_results import BladeFlap, ForwardCondition, ForwardResult
+from mufly.rotor.forward.forward_results import ForwardCondition, ForwardResult, RigidFlapMode
 from mufly.rotor.forward.forward_solver import AZIMUTH_COUNT, azimuth_grid, solve_forward
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.vortex_tube import axial_influence, swirl_influence, tube_axis_speed
+from mufly.rotor.vortex_tube import compute_tube_axis_velocity_ratio, make_stream_interpolation, swirl_influence
 
 Array = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ def format_forward_pairs(pairs: tuple[ForwardPair, ...]) -> tuple[ShownBlock, ..
             for note in rotor.notes:
                 notes.setdefault(f"{side} rotor: {note}", []).append(f"{rotor.edgewise_m_s:g}")
     for note, at in notes.items():
-        blocks.append(show_lines(f"{', '.join(dict.fromkeys(at))} m/s: {note}", mark="Outside", style="yellow"))
+        blocks.append(make_lines_block(f"{', '.join(dict.fromkeys(at))} m/s: {note}", mark="Outside", style="yellow"))
     return tuple(blocks)
 
 
@@ -157,9 +157,9 @@ def _shifted_stream(
     across = lower_r * np.sin(psi)[:, None]
     r = np.hypot(along, across)
     width = np.broadcast_to(lower_dr, r.shape).ravel()
-    k = tube_axis_speed(spacing_m, radius_m)
+    k = compute_tube_axis_velocity_ratio(spacing_m, radius_m)
     state, own_r = upper.state, upper.disc.r_m
-    read = axial_influence(own_r, radius_m, 1.0 / math.sqrt(k), r.ravel(), width)
+    read = make_stream_interpolation(own_r, radius_m, 1.0 / math.sqrt(k), r.ravel(), width)
     mean = (read @ state.axial_induced_m_s).reshape(r.shape)
     # First harmonics of the upper inflow about the displaced axis; the rotors turn against each other.
     lc, ls = state.unknowns[[UNKNOWN_INFLOW_COS, UNKNOWN_INFLOW_SIN]]
@@ -178,7 +178,7 @@ def solve_forward_pair(
     upper: Blading | Rotor,
     lower: Blading | Rotor,
     conditions: tuple[ForwardCondition, ForwardCondition],
-    flaps: tuple[BladeFlap | None, BladeFlap | None] = (None, None),
+    flaps: tuple[RigidFlapMode | None, RigidFlapMode | None] = (None, None),
     *,
     spacing_m: float,
     start: ForwardPair | None = None,
@@ -191,7 +191,7 @@ def solve_forward_pair(
     upper, lower : Blading or Rotor
     conditions : (ForwardCondition, ForwardCondition)
         Points of upper and lower rotor, with the same airspeed and rates and opposite senses of rotation.
-    flaps : (BladeFlap, BladeFlap)
+    flaps : (RigidFlapMode, RigidFlapMode)
         Flap modes; None for blades that do not flap.
     spacing_m : float
         Distance of the discs.
@@ -218,8 +218,10 @@ def solve_forward_pair(
             raise InputError("coax forward", name, "differs between the rotors", "give both the same")
     radii = float(above.radius_m[0]), float(below.radius_m[0])
     psi = azimuth_grid(AZIMUTH_COUNT)[0]
-    back = tube_axis_speed(-spacing_m, radii[1])
-    upward = back * axial_influence(below.r_m[0], radii[1], 1.0 / math.sqrt(back), above.r_m[0], above.dr_m[0])
+    back = compute_tube_axis_velocity_ratio(-spacing_m, radii[1])
+    upward = back * make_stream_interpolation(
+        below.r_m[0], radii[1], 1.0 / math.sqrt(back), above.r_m[0], above.dr_m[0]
+    )
     met = np.zeros(above.r_m.shape[1])
     one, two = (None, None) if start is None else (start.upper, start.lower)
     if two is not None:
@@ -248,7 +250,7 @@ def solve_forward_pair(
                 following = image - weight * (image - last_image)
         last_change, last_image, met = change, image, following
         if step <= tolerance * scale:
-            narrow = radii[0] / math.sqrt(tube_axis_speed(spacing_m, radii[0]))
+            narrow = radii[0] / math.sqrt(compute_tube_axis_velocity_ratio(spacing_m, radii[0]))
             return ForwardPair(one, two, spacing_m, shift, _disc_overlap(shift, narrow, radii[1]), turn)
     raise MuflyError(
         f"coax forward: the two rotors do not converge at {first.edgewise_m_s:g} m/s edgewise and "
@@ -277,7 +279,7 @@ class PairSweep:
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the results of the pair over airspeed as printed text."""
-        head = show_lines(
+        head = make_lines_block(
             f", {1e3 * self.points[0][0].spacing_m:g} mm apart; {self.flap_basis}", head=" over ".join(self.rotors)
         )
         return (head, *format_forward_pairs(tuple(p for line in self.points for p in line)))
@@ -295,7 +297,7 @@ def sweep_forward_pair(
     lower: Blading | Rotor,
     conditions: tuple[ForwardCondition, ForwardCondition],
     airspeeds: tuple[tuple[float, float], ...],
-    flaps: tuple[tuple[BladeFlap, BladeFlap], ...],
+    flaps: tuple[tuple[RigidFlapMode, RigidFlapMode], ...],
     *,
     spacing_m: float,
     flap_basis: str = "",

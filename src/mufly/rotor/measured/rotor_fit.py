@@ -54,7 +54,7 @@ from mufly.rotor.blades.blade_families import (
     section_probabilities,
 )
 from mufly.rotor.blading import Blading, Corrections, apply_section_fit, compute_rotor_polars, prepare_blading
-from mufly.rotor.effective_pitch import effective_pitch_prior
+from mufly.rotor.effective_pitch import estimate_pitch_offset_prior
 from mufly.rotor.geometry import FIT_CHANGE_LIMITS, Rotor, SectionCandidate, SectionFit, replace_rotor
 from mufly.rotor.measured.bench_comparison import RotorMeasurements
 from mufly.rotor.rotor_system import Air
@@ -215,7 +215,7 @@ def fit_rotor(
         float(np.exp(np.mean(np.log(re)))),
     )
     listed = section_probabilities(plain, family) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
-    wide = _prior_deviations(effective_pitch_prior(plain).offset_std_rad, known=section == "known")
+    wide = _prior_deviations(estimate_pitch_offset_prior(plain).offset_std_rad, known=section == "known")
     ones = [replace_rotor(plain, {"blade.airfoils": airfoils}) for airfoils, _ in listed]
     every = {name for one in ones for name in one.airfoil_names()}
     tables = compute_rotor_polars(plain, every, n_crit=n_crit, engine=engine)

@@ -21,7 +21,7 @@ three degrees of freedom, the fewest whole number with a variance. The interval 
 
     prediction +- k t_3((1 + p) / 2) s
 
-The scales k of thrust and torque (:data:`INTERVAL_SCALES`) are the likeliest for the rotors of the benchmark
+The scales k of thrust and torque (:data:`THRUST_TORQUE_ERROR_SCALES`) are the likeliest for the rotors of the benchmark
 (:func:`fit_interval_scale`), each rotor counting once: its points share its error. `mufly rotor benchmark --held-out`
 measures the coverage on families that had no part in the fit (docs/accuracy.md). The interval of a rotor fitted to a
 bench is normal, with k = 1.
@@ -48,7 +48,7 @@ from mufly.rotor.blades.blade_families import (
     section_probabilities,
 )
 from mufly.rotor.blading import Blading, Corrections, compute_rotor_polars, prepare_blading
-from mufly.rotor.effective_pitch import effective_pitch_prior
+from mufly.rotor.effective_pitch import estimate_pitch_offset_prior
 from mufly.rotor.geometry import Rotor, SectionCandidate, SectionFit, replace_rotor
 from mufly.rotor.rotor_system import Air
 from mufly.rotor.sections.polar_engines import PolarEngine
@@ -57,7 +57,7 @@ Array = NDArray[np.float64]
 SectionKnowledge = Literal["known", "guessed", "measured"]
 SECTION_KNOWLEDGE_LEVELS: tuple[SectionKnowledge, ...] = ("known", "guessed", "measured")
 
-INTERVAL_SCALES = (0.635, 0.833)
+THRUST_TORQUE_ERROR_SCALES = (0.635, 0.833)
 """Scales k of the errors of thrust and torque over their deviations, fitted to 21 rotors (docs/accuracy.md)."""
 _STUDENT_DEGREES_OF_FREEDOM = 3.0  # degrees of freedom of the errors
 _MAX_SCALE_ITERATIONS = 1000
@@ -142,7 +142,7 @@ def predict_interval(
     family: str = "",
     doubt: InputUncertainty | None = None,
     level: float = 0.9,
-    scales: tuple[float, float] = INTERVAL_SCALES,
+    scales: tuple[float, float] = THRUST_TORQUE_ERROR_SCALES,
 ) -> PredictionInterval:
     """Predict thrust and torque with an interval.
 
@@ -168,7 +168,7 @@ def predict_interval(
     level : float
         Coverage: 0.5, 0.68, 0.8, 0.9, 0.95 or 0.99.
     scales : (float, float)
-        Scales of thrust and torque in place of :data:`INTERVAL_SCALES`.
+        Scales of thrust and torque in place of :data:`THRUST_TORQUE_ERROR_SCALES`.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def predict_interval(
     guessed = section == "guessed" and rotor.fit is None
     unsure = doubt or replace(
         InputUncertainty.for_guessed_section() if guessed else InputUncertainty(),
-        pitch_rad=effective_pitch_prior(rotor).offset_std_rad,
+        pitch_rad=estimate_pitch_offset_prior(rotor).offset_std_rad,
     )
     fixes = corrections or Corrections()
     pitch, speed, climb = np.broadcast_arrays(*np.atleast_1d(pitch_rad, speed_rad_s, climb_m_s))

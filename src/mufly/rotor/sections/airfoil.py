@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, suggest_name
-from mufly.files.answer_store import hash_question
+from mufly.files.answer_store import hash_inputs
 from mufly.results import result
 from mufly.rotor.sections.contour_file import read_contour, read_custom_contour
 
@@ -95,7 +95,7 @@ class Airfoil:
     def contour_hash(self) -> str:
         """Return a hash of the contour's coordinates, rounded to 1e-7 of the chord."""
         rounded = np.round(self.coordinates * 1e7).astype(np.int64)
-        return hash_question(rounded)
+        return hash_inputs(rounded)
 
 
 def split_sides(coordinates: Array) -> tuple[Array, Array]:

@@ -41,7 +41,7 @@ from threadpoolctl import threadpool_limits
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.sections.airfoil import Airfoil
-from mufly.rotor.sections.section_data import SectionData
+from mufly.rotor.sections.section_data import RawPolars
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -220,7 +220,7 @@ def compute_neuralfoil_polars(
     n_crit: float = 0.1,
     xtr: tuple[float, float] = (1.0, 1.0),
     model: str = "xlarge",
-) -> list[SectionData]:
+) -> list[RawPolars]:
     """Compute polars of many airfoils.
 
     Parameters
@@ -238,7 +238,7 @@ def compute_neuralfoil_polars(
 
     Returns
     -------
-    list of SectionData
+    list of RawPolars
         One for each airfoil, from -20 to 20 degrees in steps of one; valid where the network is confident.
 
     Raises
@@ -257,7 +257,7 @@ def compute_neuralfoil_polars(
 
 def _compute_section_data(
     airfoil: Airfoil, re: Array, n_crit: float, xtr: tuple[float, float], model: str, source: str
-) -> SectionData:
+) -> RawPolars:
     parameters, rotation, chord, _ = require_kulfan_fit(airfoil)
     section = parameters.astype(np.float32)
     section[-1] *= 50
@@ -267,7 +267,7 @@ def _compute_section_data(
     y = _evaluate_network(section, flows.astype(np.float32), model).reshape(re.size, _ALPHA_GRID_RAD.size, 4)
     # The fit's chord differs from the contour's by a fraction of a per cent; the coefficients are scaled accordingly.
     cl, cd, cm = y[..., _CL_OUTPUT] * chord, np.exp(y[..., _LOG_CD_OUTPUT]) * chord, y[..., _CM_OUTPUT] * chord**2
-    return SectionData(
+    return RawPolars(
         airfoil.name,
         _ALPHA_GRID_RAD.copy(),
         re.copy(),

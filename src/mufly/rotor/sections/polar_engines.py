@@ -27,12 +27,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.compiled.toolchain import build_cached_library, find_compiler
 from mufly.errors import InputError, MuflyError
-from mufly.files.answer_store import hash_question
+from mufly.files.answer_store import hash_inputs
 from mufly.rotor.sections import neuralfoil_network
 from mufly.rotor.sections.airfoil import Airfoil, load_airfoil
 from mufly.rotor.sections.polar_file import is_polar_file, read_polar_file
 from mufly.rotor.sections.polar_table import DEFAULT_ASPECT_RATIO, PolarTable, extend_full_circle
-from mufly.rotor.sections.section_data import SectionData, cache_get, cache_put
+from mufly.rotor.sections.section_data import RawPolars, load_cached_polars, store_cached_polars
 
 PolarEngine = Literal["neuralfoil", "xfoil", "table"]
 
@@ -114,7 +114,7 @@ def compute_airfoil_polars(
         name. Otherwise the first failure is raised.
     """
     re = _check_arguments(n_crit, engine, reynolds, xtr)
-    tables: dict[str, SectionData] = {}
+    tables: dict[str, RawPolars] = {}
     todo: list[tuple[str, str, Airfoil]] = []
     for item in airfoils:
         name = item.name if isinstance(item, Airfoil) else str(item)
@@ -128,8 +128,8 @@ def compute_airfoil_polars(
                 if engine == "neuralfoil"
                 else ("xfoil", XFOIL_SETTINGS)
             )
-            key = hash_question(section.contour_hash(), engine, *which, float(n_crit), tuple(map(float, xtr)), re)
-            known = cache_get(key, section.name)
+            key = hash_inputs(section.contour_hash(), engine, *which, float(n_crit), tuple(map(float, xtr)), re)
+            known = load_cached_polars(key, section.name)
             if known is not None:
                 tables[name] = known
             elif engine == "neuralfoil":
@@ -137,7 +137,7 @@ def compute_airfoil_polars(
                 todo.append((name, key, section))
             else:
                 tables[name] = compute_xfoil_polars(section, re, n_crit=n_crit, xtr=xtr)
-                cache_put(key, tables[name])
+                store_cached_polars(key, tables[name])
         except InputError as error:
             if faults is None:
                 raise
@@ -148,7 +148,7 @@ def compute_airfoil_polars(
         )
         for (name, key, _), data in zip(todo, computed, strict=True):
             tables[name] = data
-            cache_put(key, data)
+            store_cached_polars(key, data)
     return {name: extend_full_circle(data, aspect_ratio=aspect_ratio) for name, data in tables.items()}
 
 
@@ -303,7 +303,7 @@ def _parse_xfoil_polar(file: Path) -> dict[float, tuple[float, float, float]]:
     return found
 
 
-def _polar_at_reynolds(
+def _compute_xfoil_polar(
     airfoil: Airfoil,
     reynolds: float,
     n_crit: float,
@@ -352,7 +352,7 @@ def compute_xfoil_polars(
     n_crit: float = 0.1,
     xtr: tuple[float, float] = (1.0, 1.0),
     alpha_deg: ArrayLike | None = None,
-) -> SectionData:
+) -> RawPolars:
     """Compute polars with XFOIL.
 
     Parameters
@@ -378,7 +378,7 @@ def compute_xfoil_polars(
     angles = np.arange(low, high + step / 2, step) if alpha_deg is None else np.asarray(alpha_deg, dtype=np.float64)
     re = np.atleast_1d(np.asarray(reynolds, dtype=np.float64))
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        tables = list(pool.map(lambda r: _polar_at_reynolds(airfoil, float(r), n_crit, xtr, angles), re))
+        tables = list(pool.map(lambda r: _compute_xfoil_polar(airfoil, float(r), n_crit, xtr, angles), re))
     values, known = zip(*(_bridge_gaps(angles, t) for t in tables), strict=True)
     for r, k in zip(re, known, strict=True):
         if not k.any():
@@ -389,7 +389,7 @@ def compute_xfoil_polars(
     coefficients = np.nan_to_num(np.stack(values))
     mask = np.stack(known)
     source = f"XFOIL, n_crit {n_crit:g}, transition at {xtr[0]:g}, {xtr[1]:g}"
-    return SectionData(
+    return RawPolars(
         airfoil.name, np.deg2rad(angles), re.copy(), coefficients[..., 0], coefficients[..., 1], coefficients[..., 2],
         mask, mask.copy(), source, n_crit, airfoil.thickness_ratio, airfoil.camber,
     )  # fmt: skip

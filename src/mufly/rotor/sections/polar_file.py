@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.files.text_table import decode_text, detect_layout, normalise_number, split_cells
+from mufly.files.text_table import decode_text, detect_separator_and_decimal_mark, normalise_number, split_cells
 from mufly.quantities.units import normalise_unit
-from mufly.rotor.sections.section_data import SectionData
+from mufly.rotor.sections.section_data import RawPolars
 
 Array = NDArray[np.float64]
 
@@ -53,10 +53,10 @@ _REYNOLDS_PATTERNS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str]], float
     ),
 )
 _MIN_REYNOLDS = 100.0
-_MIN_PLAUSIBLE_ANGLE_DEG = 1.6  # angles all below this value may be radians
+_MIN_PLAUSIBLE_MAX_ANGLE_DEG = 1.6  # angles all below this value may be radians
 _MAX_LIFT_SLOPE_PER_DEG = 10.0 * 2.0 * math.pi * math.pi / 180.0
 _AERODYN_ROW_PATTERN = re.compile(r"\s*(?:[-+]?[\d.]+(?:[eE][-+]?\d+)?\s+){2,3}[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*")
-_SPLIT_HEADER_PATTERN = re.compile(r"\b(top|bot) (xtr|itr)\b", re.IGNORECASE)
+_TWO_WORD_COLUMN_PATTERN = re.compile(r"\b(top|bot) (xtr|itr)\b", re.IGNORECASE)
 _MAX_HEADER_LINES = 60  # the header stands within this number of lines
 
 
@@ -69,7 +69,7 @@ def is_polar_file(name: str) -> bool:
         lines = decode_text(path.read_bytes()[:20_000]).splitlines() if path.is_file() else []
     except OSError:
         return False
-    return _header_line(lines) is not None or _is_old_aerodyn(lines)
+    return _find_header_line(lines) is not None or _is_old_aerodyn(lines)
 
 
 def _is_old_aerodyn(lines: Sequence[str]) -> bool:
@@ -78,7 +78,7 @@ def _is_old_aerodyn(lines: Sequence[str]) -> bool:
     return any("number of airfoil tables" in s for s in first) and any("in millions" in s for s in first)
 
 
-def read_polar_file(path: str | Path) -> SectionData:
+def read_polar_file(path: str | Path) -> RawPolars:
     """Read a table of section coefficients; the module docstring lists formats and errors.
 
     Raises
@@ -106,7 +106,7 @@ def read_polar_file(path: str | Path) -> SectionData:
     if single:  # one polar for every Reynolds number
         reynolds = np.array([1.0, 1e9])
         cl, cd, cm, known = (np.repeat(v, 2, axis=0) for v in (cl, cd, cm, known))
-    return SectionData(Path(path).stem, np.deg2rad(alpha), reynolds, cl, cd, cm, known, known.copy(), f"table {where}")
+    return RawPolars(Path(path).stem, np.deg2rad(alpha), reynolds, cl, cd, cm, known, known.copy(), f"table {where}")
 
 
 def _interpolate_log_reynolds(table: Array, own: Array, wanted: Array) -> Array:
@@ -134,7 +134,7 @@ def _identify_column(header: str) -> tuple[str, str]:
     return names.get(stem, stem), unit
 
 
-def _header_line(lines: Sequence[str]) -> int | None:
+def _find_header_line(lines: Sequence[str]) -> int | None:
     """Return the index of the first line that names angle, lift and drag; None if there is none."""
     for k, line in enumerate(lines[:_MAX_HEADER_LINES]):
         words = line.lstrip("! \t")
@@ -158,17 +158,19 @@ def _read_rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
     written = [(n, s) for n, s in enumerate(lines, 1) if s.strip() and not s.lstrip().startswith("#")]
     if not written:
         raise InputError(where, "", "is empty", "give a header and at least one line")
-    if _header_line([s for _, s in written]) is None and _is_old_aerodyn([s for _, s in written]):
+    if _find_header_line([s for _, s in written]) is None and _is_old_aerodyn([s for _, s in written]):
         table = [
             (n, s) for n, s in written if _find_stated_reynolds(s, math.nan) > 0 or _AERODYN_ROW_PATTERN.fullmatch(s)
         ]
         written = [(0, "alpha_deg cl cd cm"[: 18 if len(table[-1][1].split()) > 3 else 15]), *table]
-    start = _header_line([s for _, s in written]) or 0
+    start = _find_header_line([s for _, s in written]) or 0
     lined = [
-        (n, _SPLIT_HEADER_PATTERN.sub(r"\1_\2", s.lstrip("! \t")) if k == start else s)
+        (n, _TWO_WORD_COLUMN_PATTERN.sub(r"\1_\2", s.lstrip("! \t")) if k == start else s)
         for k, (n, s) in enumerate(written)
     ]
-    separator, decimal = detect_layout([s for _, s in lined[start:] if not s.lstrip().startswith(("!", "-"))])
+    separator, decimal = detect_separator_and_decimal_mark(
+        [s for _, s in lined[start:] if not s.lstrip().startswith(("!", "-"))]
+    )
     header = split_cells(lined[start][1], separator)
     columns = _identify_columns(header, where)
     reynolds = math.inf
@@ -251,7 +253,7 @@ def _check_units(rows: list[tuple[int, dict[str, float]]], headers: dict[str, st
         return
     alpha, cl = (np.array([v[k] for _, v in rows]) for k in ("alpha_deg", "cl"))
     header, widest = headers["alpha_deg"], float(np.max(np.abs(alpha)))
-    if not _identify_column(header)[1] and 0.0 < widest <= _MIN_PLAUSIBLE_ANGLE_DEG:
+    if not _identify_column(header)[1] and 0.0 < widest <= _MIN_PLAUSIBLE_MAX_ANGLE_DEG:
         raise InputError(
             where, header, f"goes up to {widest:g} without a unit: degrees or radians?",
             "name the column alpha_deg or alpha_rad",

@@ -49,7 +49,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
-from mufly.rotor.sections.section_data import SectionData
+from mufly.rotor.sections.section_data import RawPolars
 
 Array = NDArray[np.float64]
 
@@ -125,7 +125,7 @@ class PolarStack(NamedTuple):
 
 
 @cached_njit
-def stack_coefficients(stack: PolarStack, k: int, alpha: float, log_reynolds: float) -> tuple[float, float]:
+def interpolate_polar_stack(stack: PolarStack, k: int, alpha: float, log_reynolds: float) -> tuple[float, float]:
     """Interpolate lift and drag coefficient of table ``k`` of a stack at one point; for use inside kernels.
 
     Parameters
@@ -167,7 +167,7 @@ def stack_coefficients(stack: PolarStack, k: int, alpha: float, log_reynolds: fl
 @cached_njit
 def _fill_coefficients(stack: PolarStack, alpha: Array, log_re: Array, out: Array) -> None:
     for n in range(alpha.size):
-        out[n, 0], out[n, 1] = stack_coefficients(stack, 0, alpha[n], log_re[n])
+        out[n, 0], out[n, 1] = interpolate_polar_stack(stack, 0, alpha[n], log_re[n])
 
 
 def stack_polars(tables: Sequence[PolarTable]) -> PolarStack:
@@ -272,10 +272,10 @@ def extrapolation_flags(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike
         bit ``OUTSIDE_REYNOLDS`` where the Reynolds number lies beyond the table.
     """
     a, re = np.broadcast_arrays(np.asarray(alpha, dtype=np.float64), np.asarray(reynolds, dtype=np.float64))
-    return stack_extrapolation_flags(stack_polars([table]), 0, a.ravel(), re.ravel()).reshape(a.shape)
+    return flag_extrapolated_stack_points(stack_polars([table]), 0, a.ravel(), re.ravel()).reshape(a.shape)
 
 
-def stack_extrapolation_flags(
+def flag_extrapolated_stack_points(
     stack: PolarStack, k: int | NDArray[np.int64], alpha: Array, reynolds: Array
 ) -> NDArray[np.uint8]:
     """Return a bit field for each point (n,), as :func:`extrapolation_flags`, for tables of a stack.
@@ -324,7 +324,7 @@ _STALLED_DATA_CD = np.array([
     0.570, 0.745, 0.920, 1.075, 1.215, 1.345, 1.470, 1.575, 1.665, 1.735, 1.780, 1.800, 1.800, 1.780, 1.750, 1.700,
     1.635, 1.555, 1.465, 1.350, 1.225, 1.085, 0.925, 0.755, 0.575, 0.420, 0.320, 0.230, 0.140, 0.055, 0.025,
 ])  # fmt: skip
-_STALL_BLEND_WIDTH_RAD, _STALL_BLEND_END_RAD = math.radians(20.0), math.radians(40.0)
+_STALL_BLEND_WIDTH_RAD, _MIN_STALL_BLEND_END_RAD = math.radians(20.0), math.radians(40.0)
 
 
 def _stalled_coefficient_shapes() -> tuple[Array, Array]:
@@ -349,12 +349,12 @@ def _stalled_coefficient_shapes() -> tuple[Array, Array]:
 _STALLED_CL_SHAPE, _STALLED_CD_SHAPE = _stalled_coefficient_shapes()
 
 
-def extend_full_circle(data: SectionData, *, aspect_ratio: float = DEFAULT_ASPECT_RATIO) -> PolarTable:
+def extend_full_circle(data: RawPolars, *, aspect_ratio: float = DEFAULT_ASPECT_RATIO) -> PolarTable:
     """Extend section coefficients of an engine to all angles of attack (full circle) by flat-plate data.
 
     Parameters
     ----------
-    data : SectionData
+    data : RawPolars
         Known values; each row is interpolated by a spline and extended beyond its first and last angle.
     aspect_ratio : float
         Span over chord of the blade, for the drag across the flow.
@@ -402,7 +402,7 @@ def _blend_into_stall(a: Array, values: tuple[Array, ...], c_max: float) -> tupl
     )
     out = tuple(c.copy() for c in circle)
     for sign, end, k in ((1.0, float(a[-1]), -1), (-1.0, -float(a[0]), 0)):
-        gone = min(max(end + _STALL_BLEND_WIDTH_RAD, _STALL_BLEND_END_RAD), math.pi)
+        gone = min(max(end + _STALL_BLEND_WIDTH_RAD, _MIN_STALL_BLEND_END_RAD), math.pi)
         part = (sign * grid > end) & (sign * grid < gone)
         s = (gone - sign * grid[part]) / max(gone - end, 1e-9)
         own = s**2 * (3.0 - 2.0 * s)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.rotor.sections.polar_table import PolarStack, stack_coefficients
+from mufly.rotor.sections.polar_table import PolarStack, interpolate_polar_stack
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class SectionParameters(NamedTuple):
     thickness_ratio : float
         Thickness over chord.
     edge_drag : float
-        Drag constant of the blunt trailing edge (:func:`mufly.rotor.blading.blunt_edge_drag`).
+        Drag constant of the blunt trailing edge (:func:`mufly.rotor.blading.blunt_edge_drag_product`).
     """
 
     first_polar: int
@@ -92,9 +92,9 @@ def section_coefficients(
     weight, rotation = section.second_weight, section.stall_delay_strength
     mach = min(mach, _MAX_MACH)
     alpha = equivalent_incompressible_alpha(alpha, mach, section.polar_zero_lift_rad)
-    cl, cd = stack_coefficients(polars, section.first_polar, alpha, log_re)
+    cl, cd = interpolate_polar_stack(polars, section.first_polar, alpha, log_re)
     if weight > 0.0:
-        cl2, cd2 = stack_coefficients(polars, section.second_polar, alpha, log_re)
+        cl2, cd2 = interpolate_polar_stack(polars, section.second_polar, alpha, log_re)
         cl, cd = cl + weight * (cl2 - cl), cd + weight * (cd2 - cd)
     if section.edge_drag > 0.0:
         cd += section.edge_drag / max(cd, 1e-4) ** (1.0 / 3.0)

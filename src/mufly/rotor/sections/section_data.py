@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.files.answer_store import cache_folder, read_answer, write_answer
+from mufly.files.answer_store import cache_folder, read_stored_result, write_stored_result
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class SectionData:
+class RawPolars:
     """Lift, drag and moment coefficients of a section at known angles and Reynolds numbers.
 
     Attributes
@@ -56,20 +56,20 @@ class SectionData:
     camber: float = math.nan
 
 
-def cache_put(key: str, data: SectionData) -> None:
+def store_cached_polars(key: str, data: RawPolars) -> None:
     """Store section coefficients ``data`` on disk under the hash ``key``."""
     folder = cache_folder("polars")
     if folder is not None:
         with suppress(InputError):
-            write_answer(folder / f"{key}.npz", key, {k: v for k, v in vars(data).items() if k != "name"})
+            write_stored_result(folder / f"{key}.npz", key, {k: v for k, v in vars(data).items() if k != "name"})
 
 
-def cache_get(key: str, name: str) -> SectionData | None:
+def load_cached_polars(key: str, name: str) -> RawPolars | None:
     """Return the section coefficients stored on disk under the hash ``key``, with the present name of the airfoil;
     None if absent.
     """
     folder = cache_folder("polars")
-    found = None if folder is None else read_answer(folder / f"{key}.npz", key)
+    found = None if folder is None else read_stored_result(folder / f"{key}.npz", key)
     if found is None:
         return None
-    return SectionData(name, **{k: v if v.ndim else v.item() for k, v in found.items()})
+    return RawPolars(name, **{k: v if v.ndim else v.item() for k, v in found.items()})

@@ -59,7 +59,7 @@ def _make_differentiation_matrix() -> Array:
     return np.asarray(slopes @ np.linalg.inv(powers))
 
 
-FLAP_AT_NODES, TWIST_AT_NODES = slice(2, None, 6), slice(4, None, 6)
+NODE_FLAP_DOFS, NODE_TWIST_DOFS = slice(2, None, 6), slice(4, None, 6)
 """Places of the flap displacement (m) and the twist (rad) of the nodes in a displacement of the beam."""
 _INTEGRATION_MATRIX, _DIFFERENTIATION_MATRIX = _make_integration_matrix(), _make_differentiation_matrix()
 
@@ -110,23 +110,23 @@ class BladeBeam:
     pitch_root_N_m: float = math.inf
 
     @cached_property
-    def length_m(self) -> Array:
+    def element_length_m(self) -> Array:
         """Length of each element."""
         return np.diff(self.edges_m)
 
     @cached_property
     def gauss_radii_m(self) -> Array:
         """Radius of the Gauss points, (elements, 4)."""
-        return self.edges_m[:-1, None] + self.length_m[:, None] * GAUSS_POINTS
+        return self.edges_m[:-1, None] + self.element_length_m[:, None] * GAUSS_POINTS
 
     @cached_property
-    def weights_m(self) -> Array:
+    def gauss_weights_m(self) -> Array:
         """Integration weight of each Gauss point, as a length along the span, (elements, 4)."""
-        return self.length_m[:, None] * _GAUSS_WEIGHTS
+        return self.element_length_m[:, None] * _GAUSS_WEIGHTS
 
     def integrate_over_span(self, values: Array) -> float:
         """Return the integral of values at the Gauss points over the span."""
-        return float(np.sum(self.weights_m * values))
+        return float(np.sum(self.gauss_weights_m * values))
 
     @property
     def blade_mass_kg(self) -> float:
@@ -134,35 +134,37 @@ class BladeBeam:
         return self.integrate_over_span(self.mass_kg_m)
 
     @property
-    def flap_inertia_kg_m2(self) -> float:
+    def flap_inertia_about_shaft_kg_m2(self) -> float:
         """Moment of inertia of the blade about the shaft."""
         return self.integrate_over_span(self.mass_kg_m * self.gauss_radii_m**2)
 
     def differentiate_along_span(self, values: Array) -> Array:
         """Return the derivative along the span of values at the Gauss points, (elements, 4)."""
-        return np.asarray(values @ _DIFFERENTIATION_MATRIX.T / self.length_m[:, None])
+        return np.asarray(values @ _DIFFERENTIATION_MATRIX.T / self.element_length_m[:, None])
 
     @cached_property
     def tension_over_speed2_kg_m(self) -> Array:
         """Tension over Omega^2 at the Gauss points, (elements, 4)."""
         pull = self.mass_kg_m * self.gauss_radii_m
-        each = np.sum(self.weights_m * pull, axis=1)
+        each = np.sum(self.gauss_weights_m * pull, axis=1)
         beyond = np.concatenate((np.cumsum(each[::-1])[::-1][1:], [0.0]))
-        return np.asarray(beyond[:, None] + self.length_m[:, None] * (pull @ _INTEGRATION_MATRIX.T))
+        return np.asarray(beyond[:, None] + self.element_length_m[:, None] * (pull @ _INTEGRATION_MATRIX.T))
 
     @cached_property
     def dof_count(self) -> int:
         """Number of degrees of freedom before the root conditions."""
-        return 6 * self.length_m.size + 5
+        return 6 * self.element_length_m.size + 5
 
     @cached_property
     def _dof_indices(self) -> NDArray[np.int64]:
-        return np.asarray(6 * np.arange(self.length_m.size)[:, None] + np.arange(_ELEMENT_DOF_COUNT), dtype=np.int64)
+        return np.asarray(
+            6 * np.arange(self.element_length_m.size)[:, None] + np.arange(_ELEMENT_DOF_COUNT), dtype=np.int64
+        )
 
     @cached_property
     def shape_functions(self) -> dict[str, Array]:
         """Shape functions at the Gauss points, (elements, 4, 11): v, w, p, their slopes v1, w1, p1, bending v2, w2."""
-        q, L = GAUSS_POINTS, self.length_m[:, None]
+        q, L = GAUSS_POINTS, self.element_length_m[:, None]
         one = np.ones_like(L)
         hermite = np.stack(
             (one * (1 - 3 * q**2 + 2 * q**3), L * (q - 2 * q**2 + q**3), one * (3 * q**2 - 2 * q**3), L * (q**3 - q**2))
@@ -207,9 +209,9 @@ class BladeBeam:
 
         The matrix is (size, size); with ``symmetric``, only its symmetric part is returned.
         """
-        total = np.zeros((self.length_m.size, _ELEMENT_DOF_COUNT, _ELEMENT_DOF_COUNT))
+        total = np.zeros((self.element_length_m.size, _ELEMENT_DOF_COUNT, _ELEMENT_DOF_COUNT))
         for factor, left, right in parts:
-            total += np.swapaxes((self.weights_m * factor)[..., None] * left, 1, 2) @ right
+            total += np.swapaxes((self.gauss_weights_m * factor)[..., None] * left, 1, 2) @ right
         if symmetric:
             total = 0.5 * (total + np.swapaxes(total, 1, 2))
         out = np.zeros((self.dof_count, self.dof_count))
@@ -220,7 +222,7 @@ class BladeBeam:
         """Return the load vector, the integral of factor times shape along the span, summed over all parts: (size,)."""
         out = np.zeros(self.dof_count)
         for factor, shape in parts:
-            np.add.at(out, self._dof_indices, np.einsum("eg,egi->ei", self.weights_m * factor, shape))
+            np.add.at(out, self._dof_indices, np.einsum("eg,egi->ei", self.gauss_weights_m * factor, shape))
         return out
 
     def evaluate_shape(self, name: str, x: Array) -> Array:
@@ -296,7 +298,7 @@ def mass_matrix(beam: BladeBeam, pitch_rad: float) -> Array:
     )
 
 
-def centrifugal_load(beam: BladeBeam, pitch_rad: float, twist_rad: Array | None = None) -> Array:
+def compute_centrifugal_load_over_speed2(beam: BladeBeam, pitch_rad: float, twist_rad: Array | None = None) -> Array:
     """Return the centrifugal load on the straight blade, divided by Omega^2, (size,).
 
     The load consists of propeller moment, untwisting by tension, and tension on the line of the centroids. With

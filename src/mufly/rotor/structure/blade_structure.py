@@ -16,7 +16,7 @@ from mufly.files.input_files import model_error
 from mufly.rotor.structure.materials import find_material
 from mufly.vehicle.quantity import ParameterGroup, Quantity
 
-_RELATIVE_STD = {
+_RELATIVE_STD_BY_SOURCE = {
     "measured": 0.03, "CAD": 0.05, "datasheet": 0.05, "specified": 0.0, "identified": 0.05, "estimated": 0.2,
 }  # fmt: skip
 _CONTOUR_THICKNESS_STD = 0.10  # relative, of a moulded blade against its contour
@@ -88,10 +88,10 @@ def relative_std(quantity: Quantity | None, unknown: float = 0.0) -> float:
         return unknown
     if quantity.std is not None:
         return quantity.std / quantity.value if quantity.value else 0.0
-    return _RELATIVE_STD[quantity.source]
+    return _RELATIVE_STD_BY_SOURCE[quantity.source]
 
 
-def structure_deviations(structure: BladeStructure) -> dict[str, float]:
+def collect_property_stds(structure: BladeStructure) -> dict[str, float]:
     """Return the standard deviations of the uncertain properties of a blade's structure, by name of the property.
 
     Returns

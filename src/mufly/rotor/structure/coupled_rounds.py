@@ -25,13 +25,13 @@ from mufly.rotor.blading import compute_rotor_polars, prepare_blading
 from mufly.rotor.geometry import Rotor, rotor_from_tables
 from mufly.rotor.rotor_system import Air
 from mufly.rotor.structure.blade_beam import (
-    FLAP_AT_NODES,
-    TWIST_AT_NODES,
+    NODE_FLAP_DOFS,
+    NODE_TWIST_DOFS,
     BladeBeam,
-    centrifugal_load,
+    compute_centrifugal_load_over_speed2,
     stiffness_matrices,
 )
-from mufly.rotor.structure.elastic_rotor import SpanLoads, load_derivative, solve_equilibrium, twisted_loads
+from mufly.rotor.structure.elastic_rotor import SpanLoads, differentiate_air_loads, solve_equilibrium, twisted_loads
 
 Array = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ def deform_rotor(rotor: Rotor, beam: BladeBeam, twist_rad: Array) -> Rotor:
 
 
 @result(eq=False)
-class AeroelasticIteration:
+class AeroelasticSolution:
     """Result of solving rotor and blade beam in turn: the elastic twist after each round, and the final deflection.
 
     Attributes
@@ -125,7 +125,7 @@ def iterate_elastic_twist(
     air: Air | None = None,
     n_crit: float = 0.1,
     tolerance_rad: float = TWIST_TOLERANCE_RAD,
-) -> AeroelasticIteration:
+) -> AeroelasticSolution:
     """Alternate between a solver of rigid rotors and the beam of the blade until the tip's twist converges.
 
     Parameters
@@ -152,30 +152,37 @@ def iterate_elastic_twist(
     point = {"pitch_rad": pitch_rad, "speed_rad_s": speed_rad_s, "climb_m_s": climb_m_s}
     first = solve_equilibrium(blading, beam, polars, **point, air=gas)
     x, root = first.displacement, beam.root_transform
-    tips = [float(x[TWIST_AT_NODES][-1])]
+    tips = [float(x[NODE_TWIST_DOFS][-1])]
     for turn in range(1, _MAX_TWIST_ITERATIONS + 1):
         held = beam.evaluate_shape("p", x)
-        strips = solve(deform_rotor(rotor, beam, x[TWIST_AT_NODES]), x[TWIST_AT_NODES].copy(), turn)
+        strips = solve(deform_rotor(rotor, beam, x[NODE_TWIST_DOFS]), x[NODE_TWIST_DOFS].copy(), turn)
         loads = strips.map_to_beam(beam, pitch_rad, held)
         step = math.radians(0.2)
         below, above = (
             twisted_loads(blading, beam, polars, held, **point, air=gas, more_rad=more)[1] for more in (0.0, step)
         )
-        slope = load_derivative(beam, below, above, step)
+        slope = differentiate_air_loads(beam, below, above, step)
         new, force = x.copy(), loads.load_vector(beam)
         for _ in range(20):
             phi = beam.evaluate_shape("p", new)
             elastic, centrifugal = stiffness_matrices(beam, pitch_rad, phi)
             stiff = elastic + speed_rad_s**2 * centrifugal
-            right = force + slope @ (new - x) + speed_rad_s**2 * centrifugal_load(beam, pitch_rad, phi) - stiff @ new
+            right = (
+                force
+                + slope @ (new - x)
+                + speed_rad_s**2 * compute_centrifugal_load_over_speed2(beam, pitch_rad, phi)
+                - stiff @ new
+            )
             change = root @ np.linalg.solve(root.T @ (stiff - slope) @ root, root.T @ right)
             new = new + change
             if np.max(np.abs(beam.evaluate_shape("p", change))) < 1e-9:
                 break
         x = new
-        tips.append(float(x[TWIST_AT_NODES][-1]))
+        tips.append(float(x[NODE_TWIST_DOFS][-1]))
         if abs(tips[-1] - tips[-2]) < tolerance_rad:
-            return AeroelasticIteration(np.array(tips), x[TWIST_AT_NODES].copy(), beam.edges_m, x[FLAP_AT_NODES].copy())
+            return AeroelasticSolution(
+                np.array(tips), x[NODE_TWIST_DOFS].copy(), beam.edges_m, x[NODE_FLAP_DOFS].copy()
+            )
     raise MuflyError(
         f"rotor {rotor.name}: the tip's twist still changes by {math.degrees(abs(tips[-1] - tips[-2])):.2f} degrees "
         f"after {_MAX_TWIST_ITERATIONS} rounds; reduce the speed, or give a stiffer blade"

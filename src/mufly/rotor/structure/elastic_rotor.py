@@ -38,14 +38,14 @@ from mufly.rotor.rotor_system import Air, RotorResult
 from mufly.rotor.sections.polar_engines import PolarEngine
 from mufly.rotor.sections.polar_table import PolarTable, lookup_moment
 from mufly.rotor.structure.blade_beam import (
-    FLAP_AT_NODES,
-    TWIST_AT_NODES,
+    NODE_FLAP_DOFS,
+    NODE_TWIST_DOFS,
     BladeBeam,
-    centrifugal_load,
+    compute_centrifugal_load_over_speed2,
     stiffness_matrices,
 )
 from mufly.rotor.structure.blade_structure import BladeStructure
-from mufly.rotor.structure.flap_modes import blade_structure, vary_structure
+from mufly.rotor.structure.flap_modes import blade_structure, propagate_structure_uncertainty
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,9 @@ class SpanLoads:
         )
 
 
-def section_moment(found: RotorResult, blading: Blading, polars: Mapping[str, PolarTable]) -> Array:
+def compute_section_moment_coefficients(
+    found: RotorResult, blading: Blading, polars: Mapping[str, PolarTable]
+) -> Array:
     """Return the moment coefficient about the quarter chord at the stations of a rotor, (stations,)."""
     rotor = blading.rotors[0]
     cut = rotor.sections_at(found.r_m / rotor.radius_m)
@@ -120,7 +122,7 @@ def span_loads(
     return SpanLoads(
         to_gauss_points(axial),
         to_gauss_points(inplane),
-        to_gauss_points(size * section_moment(found, blading, polars)) + arm,
+        to_gauss_points(size * compute_section_moment_coefficients(found, blading, polars)) + arm,
     )
 
 
@@ -153,15 +155,15 @@ class BladeEquilibrium:
     @property
     def twist_rad(self) -> Array:
         """Elastic twist at the nodes, nose up."""
-        return np.asarray(self.displacement[TWIST_AT_NODES])
+        return np.asarray(self.displacement[NODE_TWIST_DOFS])
 
     @property
     def deflection_m(self) -> Array:
         """Deflection along the shaft at the nodes, up."""
-        return np.asarray(self.displacement[FLAP_AT_NODES])
+        return np.asarray(self.displacement[NODE_FLAP_DOFS])
 
 
-def load_derivative(beam: BladeBeam, below: SpanLoads, above: SpanLoads, step_rad: float) -> Array:
+def differentiate_air_loads(beam: BladeBeam, below: SpanLoads, above: SpanLoads, step_rad: float) -> Array:
     """Return the derivative of the air loads with respect to the displacement, (size, size).
 
     ``below`` and ``above`` are the loads at two pitch angles, ``step_rad`` apart.
@@ -262,10 +264,10 @@ def solve_equilibrium(
     for turn in range(1, _MAX_TWIST_ITERATIONS + 1):
         found, loads = solve_loads(phi)
         _, above = solve_loads(phi, _PITCH_STEP_RAD)
-        slope = load_derivative(beam, loads, above, _PITCH_STEP_RAD)
+        slope = differentiate_air_loads(beam, loads, above, _PITCH_STEP_RAD)
         elastic, centrifugal = stiffness_matrices(beam, pitch_rad, phi)
         stiff = elastic + speed_rad_s**2 * centrifugal
-        force = loads.load_vector(beam) + speed_rad_s**2 * centrifugal_load(beam, pitch_rad, phi)
+        force = loads.load_vector(beam) + speed_rad_s**2 * compute_centrifugal_load_over_speed2(beam, pitch_rad, phi)
         step = root @ np.linalg.solve(root.T @ (stiff - slope) @ root, root.T @ (force - stiff @ x))
         x = x + step
         phi = beam.evaluate_shape("p", x)
@@ -415,7 +417,7 @@ def solve_elastic_rotor(
     states: list[BladeEquilibrium] = []
     limits: list[float] = []
 
-    def solve_beam(beam: BladeBeam) -> Array:
+    def solve_loads_and_twist(beam: BladeBeam) -> Array:
         try:
             state = solve_equilibrium(blading, beam, polars, **point, air=air)
         except InputError:
@@ -429,7 +431,7 @@ def solve_elastic_rotor(
         limits.append(state.divergence_rad_s)
         return np.concatenate(([state.rotor.thrust_N, state.rotor.torque_Nm], state.twist_rad))
 
-    _, low, high = vary_structure(rotor, s, solve_beam)
+    _, low, high = propagate_structure_uncertainty(rotor, s, solve_loads_and_twist)
     first = states[0]
     beam = first.beam
     reach = float(beam.edges_m[-1]) - (beam.hinge_radius_m if s.root == "hinged" else float(beam.edges_m[0]))

@@ -4,7 +4,7 @@
 mode of a blade at one speed, for models of the rotor in forward flight, and :func:`compute_campbell` the frequencies
 over speed.
 
-Bands have a nominal coverage of 90 %. Each cause of uncertainty (:func:`structure_deviations`) is moved by 1.645
+Bands have a nominal coverage of 90 %. Each cause of uncertainty (:func:`collect_property_stds`) is moved by 1.645
 standard deviations to either side, and the changes of the result are added as root sum of squares, upwards and
 downwards apart. A root that is unknown is no such cause: the lower end is then that of a free hinge at the shaft.
 
@@ -27,8 +27,8 @@ from mufly.quantities.units import RPM
 from mufly.results import ShownBlock, ShownLines, ShownTable, result
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.rotor_system import Air
-from mufly.rotor.structure.blade_beam import FLAP_AT_NODES, GAUSS_POINTS, BeamModes, BladeBeam, compute_modes
-from mufly.rotor.structure.blade_structure import BladeStructure, structure_deviations
+from mufly.rotor.structure.blade_beam import GAUSS_POINTS, NODE_FLAP_DOFS, BeamModes, BladeBeam, compute_modes
+from mufly.rotor.structure.blade_structure import BladeStructure, collect_property_stds
 from mufly.rotor.structure.cross_section import section_geometry, thickness_and_camber_lines
 from mufly.rotor.structure.materials import find_material
 
@@ -38,7 +38,7 @@ ELEMENT_COUNT = 20
 LIFT_SLOPE_PER_RAD = 5.7
 """Lift slope (1/rad) of the Lock number."""
 _SIGMAS_PER_90_PERCENT = 1.645
-_STIFFNESS_STATION_RATIO = 0.75  # r/R at which measured stiffnesses hold
+_STIFFNESS_RADIUS_FRACTION = 0.75  # r/R at which measured stiffnesses hold
 _MIN_TIP_CHORD_FRACTION = 1e-3  # of the blade's greatest chord: least chord of a pointed tip
 
 ASSUMED_STRUCTURE = BladeStructure(material="abs")
@@ -103,7 +103,7 @@ def make_blade_beam(
     material, big, r0 = find_material(s.material), rotor.radius_m, rotor.hub_radius_m
     edges = _element_edges(rotor, elements)
     points = edges[:-1, None] + np.diff(edges)[:, None] * GAUSS_POINTS
-    at = np.concatenate((points.ravel(), [max(_STIFFNESS_STATION_RATIO * big, r0)])) / big
+    at = np.concatenate((points.ravel(), [max(_STIFFNESS_RADIUS_FRACTION * big, r0)])) / big
     cut = rotor.sections_at(at)
     chord = np.maximum(cut.chord_m, _MIN_TIP_CHORD_FRACTION * cut.chord_m.max())
     names = (s.contour,) * len(cut.airfoil_names) if s.contour else cut.airfoil_names
@@ -168,7 +168,7 @@ def free_hinge(structure: BladeStructure) -> BladeStructure:
     return structure.model_copy(update={"root": "hinged", "hinge_radius": None, "flap_spring": None})
 
 
-def vary_structure(
+def propagate_structure_uncertainty(
     rotor: Rotor, structure: BladeStructure, solve: Callable[[BladeBeam], Array]
 ) -> tuple[Array, Array, Array]:
     """Return what ``solve`` computes from a blade's beam, with the 90 % band due to uncertain properties of the blade.
@@ -187,7 +187,7 @@ def vary_structure(
     """
     value = np.asarray(solve(make_blade_beam(rotor, structure)), dtype=np.float64)
     up, down = np.zeros_like(value), np.zeros_like(value)
-    for name, std in structure_deviations(structure).items():
+    for name, std in collect_property_stds(structure).items():
         both = []
         for sign in (1.0, -1.0):
             change = sign * _SIGMAS_PER_90_PERCENT * std
@@ -243,7 +243,7 @@ def lock_number(rotor: Rotor, beam: BladeBeam, air: Air | None = None) -> float:
     """Return the Lock number of a blade."""
     density = (air or Air()).density_kg_m3
     moment = beam.integrate_over_span(beam.chord_m * beam.gauss_radii_m**3)
-    return 4.0 * density * LIFT_SLOPE_PER_RAD * moment / beam.flap_inertia_kg_m2
+    return 4.0 * density * LIFT_SLOPE_PER_RAD * moment / beam.flap_inertia_about_shaft_kg_m2
 
 
 def _describe_assumptions(structure: BladeStructure, known: bool) -> str:
@@ -280,17 +280,17 @@ def compute_flap_mode(rotor: Rotor, speed_rad_s: float, *, pitch_rad: float = 0.
     known = rotor.blade.structure is not None
     s = rotor.blade.structure or ASSUMED_STRUCTURE
 
-    def solve_beam(beam: BladeBeam) -> Array:
+    def solve_frequencies(beam: BladeBeam) -> Array:
         found = compute_modes(beam, speed_rad_s, pitch_rad=pitch_rad, count=4)
         return np.array([found.frequency_rad_s[found.find_mode("flap")]]) / speed_rad_s
 
-    value, low, high = vary_structure(rotor, s, solve_beam)
+    value, low, high = propagate_structure_uncertainty(rotor, s, solve_frequencies)
     beam = make_blade_beam(rotor, s)
     if s.root == "unknown":
-        low = solve_beam(make_blade_beam(rotor, free_hinge(s)))
+        low = solve_frequencies(make_blade_beam(rotor, free_hinge(s)))
     modes = compute_modes(beam, speed_rad_s, pitch_rad=pitch_rad, count=4)
     x = modes.shape[modes.find_mode("flap")]
-    shape = x[FLAP_AT_NODES]
+    shape = x[NODE_FLAP_DOFS]
     mass = np.interp(beam.edges_m, beam.gauss_radii_m.ravel(), beam.mass_kg_m.ravel())
     return FlapMode(
         speed_rad_s, float(value[0]), float(low[0]), float(high[0]), lock_number(rotor, beam), beam.edges_m,
@@ -319,7 +319,7 @@ class CampbellDiagram:
         Frequencies in the rotating frame, and the ends of their bands.
     blade_mass_kg : float
         Mass of one blade outside the hub.
-    flap_inertia_kg_m2 : float
+    flap_inertia_about_shaft_kg_m2 : float
         Its moment of inertia about the shaft.
     flap_EI, torsion_GJ : float
         Stiffnesses at 0.75 R (N m2).
@@ -341,7 +341,7 @@ class CampbellDiagram:
     low_rad_s: Array
     high_rad_s: Array
     blade_mass_kg: float
-    flap_inertia_kg_m2: float
+    flap_inertia_about_shaft_kg_m2: float
     flap_EI: float
     torsion_GJ: float
     shear_centre: float
@@ -354,7 +354,8 @@ class CampbellDiagram:
         """Return the natural frequencies over rotor speed as printed text."""
         head = ShownLines((self.assumptions,), head=f"{self.rotor}: ")
         about = ShownLines((
-            f"one blade: {1e3 * self.blade_mass_kg:.3g} g, {1e9 * self.flap_inertia_kg_m2:.4g} g mm2 about the "
+            f"one blade: {1e3 * self.blade_mass_kg:.3g} g, {1e9 * self.flap_inertia_about_shaft_kg_m2:.4g} g mm2 "
+            f"about the "
             f"shaft, Lock number {self.lock_number:.2f} (lift slope {LIFT_SLOPE_PER_RAD:g})",
             f"at 0.75 R: EI {1e3 * self.flap_EI:.3g} mN m2, GJ {1e3 * self.torsion_GJ:.3g} mN m2, elastic axis at "
             f"{self.shear_centre:.3f} c, centroid at {self.centroid:.3f} c",
@@ -413,17 +414,19 @@ def compute_campbell(
     s = structure or blade_structure(rotor)
     speeds = np.asarray(speed_rad_s, dtype=np.float64)
 
-    def solve_beam(beam: BladeBeam) -> Array:
-        return np.array([select_modes(compute_modes(beam, w, pitch_rad=pitch_rad, count=9)) for w in speeds])
+    def solve_frequencies(beam: BladeBeam) -> Array:
+        return np.array(
+            [select_campbell_frequencies(compute_modes(beam, w, pitch_rad=pitch_rad, count=9)) for w in speeds]
+        )
 
-    value, low, high = vary_structure(rotor, s, solve_beam)
+    value, low, high = propagate_structure_uncertainty(rotor, s, solve_frequencies)
     beam = make_blade_beam(rotor, s)
     hinged = make_blade_beam(rotor, free_hinge(s))
     found = [compute_modes(hinged, w, pitch_rad=pitch_rad, count=3) for w in speeds]
     free = np.array([m.frequency_rad_s[m.find_mode("flap")] for m in found])
     if s.root == "unknown":
         low[:, 0] = free
-    places, at = beam.gauss_radii_m.ravel(), _STIFFNESS_STATION_RATIO * rotor.radius_m
+    places, at = beam.gauss_radii_m.ravel(), _STIFFNESS_RADIUS_FRACTION * rotor.radius_m
 
     def at_station(values: Array) -> float:
         return float(np.interp(at, places, values.ravel()))
@@ -432,13 +435,14 @@ def compute_campbell(
     return CampbellDiagram(
         rotor.name, _describe_assumptions(s, True), speeds,
         tuple(f"{kind} {k}" for kind, k in _CAMPBELL_MODES), value, low, high,
-        beam.blade_mass_kg, beam.flap_inertia_kg_m2, at_station(beam.flap_EI), at_station(beam.torsion_GJ), axis,
+        beam.blade_mass_kg, beam.flap_inertia_about_shaft_kg_m2, at_station(beam.flap_EI),
+        at_station(beam.torsion_GJ), axis,
         axis + at_station(beam.centroid_behind_m) / at_station(beam.chord_m), lock_number(rotor, beam, air), free,
         s.root != "unknown",
     )  # fmt: skip
 
 
-def select_modes(found: BeamModes) -> Array:
+def select_campbell_frequencies(found: BeamModes) -> Array:
     """Return the frequencies (rad/s) of a Campbell diagram's modes: flap 1 and 2, lag 1, torsion 1; nan if missing."""
     out = []
     for kind, order in _CAMPBELL_MODES:

@@ -2,20 +2,20 @@
 
 from mufly.rotor.rotor_system import PlacedRotor, RotorWake, WakeSettings, check_rotors
 from mufly.rotor.wake.induced_flow import (
-    BladePassing,
-    compute_blade_passing,
+    BladePassingLoads,
+    compute_blade_passing_loads,
     induced_velocity,
     momentum_thrust,
 )
 from mufly.rotor.wake.wake_solver import solve_wake
 
 __all__ = [
-    "BladePassing",
+    "BladePassingLoads",
     "PlacedRotor",
     "RotorWake",
     "WakeSettings",
     "check_rotors",
-    "compute_blade_passing",
+    "compute_blade_passing_loads",
     "induced_velocity",
     "momentum_thrust",
     "solve_wake",

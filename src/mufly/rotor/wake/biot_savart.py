@@ -38,7 +38,7 @@ _CORE_WIDTH_FACTOR = 1.1  # s over the core radius
 _FOUR_PI = 4.0 * math.pi
 
 
-def segment_velocity(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[no-untyped-def]
+def evaluate_biot_savart_kernel(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[no-untyped-def]
     """Return 4 pi times the velocity at a point due to a segment of unit circulation; ``core`` is the width squared.
 
     Plain Python, compiled here for the CPU and in :mod:`.biot_savart_gpu` for CUDA.
@@ -59,8 +59,8 @@ def segment_velocity(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[
     return f * cx, f * cy, f * cz
 
 
-_segment_velocity = njit(inline="always", fastmath=True, error_model="numpy")(segment_velocity)
-SEGMENT_COUNT = 10
+_evaluate_biot_savart_kernel = njit(inline="always", fastmath=True, error_model="numpy")(evaluate_biot_savart_kernel)
+SEGMENT_QUANTITY_COUNT = 10
 (
     SEGMENT_X,
     SEGMENT_Y,
@@ -72,7 +72,7 @@ SEGMENT_COUNT = 10
     SEGMENT_CORE,
     SEGMENT_LENGTH_CORE_2,
     SEGMENT_STRENGTH,
-) = range(SEGMENT_COUNT)
+) = range(SEGMENT_QUANTITY_COUNT)
 """Rows of a segment in single precision: start, vector to the end, its squared length, squared core radius, the product
 of both, circulation."""
 _ONE_SINGLE, _HALF_SINGLE, _SINGULARITY_GUARD_SINGLE = np.float32(1.0), np.float32(0.5), 1e-30
@@ -80,8 +80,8 @@ _ONE_SINGLE, _HALF_SINGLE, _SINGULARITY_GUARD_SINGLE = np.float32(1.0), np.float
 
 @cached_njit(parallel=True, fastmath=True, error_model="numpy")
 def _grouped_kernel_single(points: Any, rows: Any, out: Array) -> None:
-    # As segment_velocity, but the terms of the segment alone are given: 61 operations instead of 77. The cross product
-    # a x b = l x a is free of cancellation between distant points.
+    # As evaluate_biot_savart_kernel, but the terms of the segment alone are given: 61 operations instead of 77. The
+    # cross product a x b = l x a is free of cancellation between distant points.
     zero = np.float32(0.0)
     for i in prange(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
@@ -116,7 +116,7 @@ def _induced_velocity_kernel(points: Array, start: Array, end: Array, strength: 
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         sx, sy, sz = 0.0, 0.0, 0.0
         for k in range(start.shape[1]):
-            vx, vy, vz = _segment_velocity(
+            vx, vy, vz = _evaluate_biot_savart_kernel(
                 px, py, pz, start[0, k], start[1, k], start[2, k], end[0, k], end[1, k], end[2, k], core[k]
             )
             sx += strength[k] * vx
@@ -134,7 +134,9 @@ def _influence_kernel(points: Array, paths: Array, core: Array, out: Array) -> N
             x, y, z, c = paths[0, j], paths[1, j], paths[2, j], core[j]
             sx, sy, sz = 0.0, 0.0, 0.0
             for k in range(core.shape[1]):
-                vx, vy, vz = _segment_velocity(px, py, pz, x[k], y[k], z[k], x[k + 1], y[k + 1], z[k + 1], c[k])
+                vx, vy, vz = _evaluate_biot_savart_kernel(
+                    px, py, pz, x[k], y[k], z[k], x[k + 1], y[k + 1], z[k + 1], c[k]
+                )
                 sx += vx
                 sy += vy
                 sz += vz
@@ -184,7 +186,7 @@ def convert_to_single(segments: tuple[Array, Array, Array, Array], groups: int =
     """Return the segments of :func:`make_segments` in single precision, in groups of equal size."""
     start, end, strength, core = segments
     length = max(float(np.abs(start).max(initial=0.0)), 1e-30)
-    rows = np.empty((SEGMENT_COUNT, strength.size), dtype=np.float32)
+    rows = np.empty((SEGMENT_QUANTITY_COUNT, strength.size), dtype=np.float32)
     rows[:SEGMENT_DX] = start / length
     # Between rounded ends: a point at the end of a segment stays on its line.
     rows[SEGMENT_DX:SEGMENT_LENGTH_2] = (end / length).astype(np.float32) - rows[:SEGMENT_DX]
@@ -192,7 +194,7 @@ def convert_to_single(segments: tuple[Array, Array, Array, Array], groups: int =
     rows[SEGMENT_CORE] = core / length**2
     rows[SEGMENT_LENGTH_CORE_2] = rows[SEGMENT_LENGTH_2] * rows[SEGMENT_CORE] + _SINGULARITY_GUARD_SINGLE
     rows[SEGMENT_STRENGTH] = strength / length
-    return SingleSegments(length, rows.reshape(SEGMENT_COUNT, groups, -1))
+    return SingleSegments(length, rows.reshape(SEGMENT_QUANTITY_COUNT, groups, -1))
 
 
 def induce_velocity(points: Array, segments: tuple[Array, Array, Array, Array] | SingleSegments) -> Array:

@@ -11,7 +11,7 @@ from numba import cuda
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
-from mufly.rotor.wake.biot_savart import segment_velocity
+from mufly.rotor.wake.biot_savart import evaluate_biot_savart_kernel
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ def gpu_available() -> bool:
         return False
 
 
-_segment_velocity = cuda.jit(segment_velocity, device=True)  # type: ignore[no-untyped-call]
+_evaluate_biot_savart_kernel = cuda.jit(evaluate_biot_savart_kernel, device=True)  # type: ignore[no-untyped-call]
 
 
 @cuda.jit
@@ -37,7 +37,7 @@ def _induced_velocity_kernel(points: Array, start: Array, end: Array, strength: 
     px, py, pz = points[i, 0], points[i, 1], points[i, 2]
     sx, sy, sz = 0.0, 0.0, 0.0
     for k in range(start.shape[1]):
-        vx, vy, vz = _segment_velocity(
+        vx, vy, vz = _evaluate_biot_savart_kernel(
             px, py, pz, start[0, k], start[1, k], start[2, k], end[0, k], end[1, k], end[2, k], core[k]
         )
         sx += strength[k] * vx

@@ -21,7 +21,7 @@ from mufly.rotor.wake.biot_savart import induce_velocity
 from mufly.rotor.wake.lifting_surface import rotate_vectors
 from mufly.rotor.wake.wake_solver import (
     RotorState,
-    collect_segments,
+    collect_blade_segments,
     drag_swirl_velocity,
     initialise_wakes,
     mutual_inflow_at,
@@ -36,7 +36,7 @@ def _segments_in_rotor_frame(wake: RotorWake) -> tuple[Array, Array, Array, Arra
     paths = wake.filament_paths_m.copy()
     paths[..., 1] *= wake.placed.rotation_sign
     paths[..., 2] -= wake.placed.height_m
-    return collect_segments(
+    return collect_blade_segments(
         wake.surface, paths, wake.core_radius_m, wake.filament_circulation_m2_s, wake.bound_circulation_m2_s
     )
 
@@ -145,7 +145,7 @@ def momentum_thrust(solution: SystemSolution, height_m: float, *, reach: float =
 
 
 @result(eq=False)
-class BladePassing:
+class BladePassingLoads:
     """Loads of a coaxial pair over the relative azimuth.
 
     Attributes
@@ -164,7 +164,7 @@ class BladePassing:
     passing_hz: float
 
 
-def compute_blade_passing(solution: SystemSolution, *, points: int = 24) -> BladePassing:
+def compute_blade_passing_loads(solution: SystemSolution, *, points: int = 24) -> BladePassingLoads:
     """Compute the loads of a solved pair over one blade passage.
 
     Parameters
@@ -206,4 +206,4 @@ def compute_blade_passing(solution: SystemSolution, *, points: int = 24) -> Blad
             solve_blade_loads(unit, winds[k], air, climb, settings)
             thrust[k, i], torque[k, i] = unit.thrust_N, unit.torque_Nm
     relative = sum(p.speed_rad_s for p in rotors)
-    return BladePassing(azimuth, thrust, torque, blades * relative / (2.0 * math.pi))
+    return BladePassingLoads(azimuth, thrust, torque, blades * relative / (2.0 * math.pi))

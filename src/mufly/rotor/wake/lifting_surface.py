@@ -303,7 +303,7 @@ def compute_panel_loads(
 
 _LAMB_OSEEN_ALPHA = 1.25643
 _SQUIRE_COEFFICIENT = 2e-4
-_BREAKDOWN_PER_RAD = 0.1  # 1/rad
+_CORE_BREAKDOWN_RATE_PER_RAD = 0.1  # 1/rad
 _CORE_OVERLAP = 0.7
 
 
@@ -435,7 +435,7 @@ def compute_core_radii(
     hub = r[0] * np.exp(1.0 - r / max(r[0], 1e-9)) if r[0] > 0.0 else np.zeros_like(r)
     first2 = (core * surface.edge_chord_m) ** 2 + (_CORE_OVERLAP * surface.filament_spacing_m) ** 2 + hub**2
     spread = 4.0 * _LAMB_OSEEN_ALPHA * (viscosity_m2_s + _SQUIRE_COEFFICIENT * np.abs(strength)) / surface.speed_rad_s
-    breakdown = (limit * surface.radius_m) ** 2 * (1.0 - np.exp(-((_BREAKDOWN_PER_RAD * middle) ** 2)))
+    breakdown = (limit * surface.radius_m) ** 2 * (1.0 - np.exp(-((_CORE_BREAKDOWN_RATE_PER_RAD * middle) ** 2)))
     core2 = first2[:, None] + spread[:, None] * middle + breakdown
     core2[:, 0] = (CHORDWISE_CORE_RADII * surface.radius_m) ** 2
     return np.sqrt(core2)

@@ -11,7 +11,8 @@ age, which is exact for a rigid helix. The N blades of a rotor are copies of one
 
 Two rotors: each wake is steady in the frame of its own rotor only. The velocity that one rotor induces at the other's
 blades and wake is therefore averaged over the relative azimuth. The unsteady part follows from
-:func:`mufly.rotor.wake.induced_flow.compute_blade_passing`. The lower rotor also receives the swirl due to profile drag
+:func:`mufly.rotor.wake.induced_flow.compute_blade_passing_loads`. The lower rotor also receives the swirl due to
+profile drag
 of the upper rotor (:func:`drag_swirl_velocity`), which vortices do not represent. A clockwise rotor is solved as its
 mirror image.
 
@@ -240,7 +241,7 @@ def _solve_with_core_limit(
             others = np.zeros_like(unit.evaluation_points_m)
             for source in units:
                 if source is not unit and source.blade_state is not None:
-                    others += mutual_inflow(unit, source, unit.evaluation_points_m, how.phases)
+                    others += average_mutual_inflow(unit, source, unit.evaluation_points_m, how.phases)
                     if turn % _MUTUAL_UPDATE_INTERVAL == 0:
                         left = drag_swirl_velocity(unit, source, climb_m_s, how.phases)
                         # Slow relaxation, because the wake is still moving.
@@ -256,7 +257,7 @@ def _solve_with_core_limit(
                 points = unit.free_points_m.reshape(-1, 3)
                 if len(units) > 1 and (unit.mutual_velocity_m_s is None or turn % _MUTUAL_UPDATE_INTERVAL == 0):
                     other = units[0] if unit is units[1] else units[1]
-                    unit.mutual_velocity_m_s = mutual_inflow(unit, other, points, how.phases)
+                    unit.mutual_velocity_m_s = average_mutual_inflow(unit, other, points, how.phases)
                 v = unit.induced_velocity(points)
                 if unit.mutual_velocity_m_s is not None:
                     v += unit.mutual_velocity_m_s
@@ -391,7 +392,7 @@ class RotorState:
         # Bound vortices and the trailing vortices on the chord do not move.
         chordwise = np.stack([s.edge_quarter_chord_m, s.trailing_edge_m], axis=1)
         core = np.full((n + 1, 1), CHORDWISE_CORE_RADII * s.radius_m)
-        self.blade_influence_matrix = self.add_ground_image(
+        self.blade_influence_matrix = self.add_ground_image_velocity(
             self.evaluation_points_m, lambda p: bound_influence(s, p)
         ) + self.circulation_influence(lambda p: filament_influence(p, chordwise, core))
         self.blade_state: BladeState | None = None
@@ -402,7 +403,7 @@ class RotorState:
         self.thrust_N, self.torque_Nm = 0.0, 0.0
         self.panel_thrust_N, self.panel_torque_Nm = np.zeros(n), np.zeros(n)
 
-    def add_ground_image(self, points: Array, velocity: Callable[[Array], Array]) -> Array:
+    def add_ground_image_velocity(self, points: Array, velocity: Callable[[Array], Array]) -> Array:
         """Return the velocity of vortices and their ground images at points: v(x) + M v(M x), with M the reflection in
         z."""
         v = velocity(points)
@@ -426,7 +427,7 @@ class RotorState:
         ``one`` computes at points (m, 3) the velocity due to one blade's filaments of unit circulation,
         (m, filaments, 3).
         """
-        legs = self.add_ground_image(
+        legs = self.add_ground_image_velocity(
             self.evaluation_points_m, lambda x: sum_over_blades(x, self.surface.blade_count, one)
         )
         return np.einsum("ijc,jk->ikc", legs, self.shed_matrix)
@@ -474,7 +475,7 @@ class RotorState:
         )
         coarse = compute_core_radii(self.surface, self.coarse_ages_rad, strength, viscosity, settings.core, limit)
         wakes = ((self.filament_paths_m, self.core_radius_m), (self.coarse_paths_m, coarse))
-        self._collect = [partial(collect_segments, self.surface, *wake, strength, gamma) for wake in wakes]
+        self._collect = [partial(collect_blade_segments, self.surface, *wake, strength, gamma) for wake in wakes]
         self._packed: list[Any] = [None, None]  # on first use
 
     def induced_velocity(self, points: Array, *, few: bool = False) -> Array:
@@ -482,13 +483,13 @@ class RotorState:
         if self._packed[few] is None:
             self._packed[few] = self.pack_segments(self._collect[few]())
         vortices = self._packed[few]
-        return self.add_ground_image(
+        return self.add_ground_image_velocity(
             points,
             lambda x: sum_over_blades(x, self.surface.blade_count, lambda p: self.induce_function(p, vortices)),
         )
 
 
-def collect_segments(
+def collect_blade_segments(
     surface: LiftingSurface, paths: Array, core: Array, strength: Array, circulation: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Collect all vortices of one blade as segments: trailing filaments, bound vortices, and closing segments at the
@@ -538,7 +539,7 @@ def mutual_inflow_at(
     return v
 
 
-def mutual_inflow(target: RotorState, source: RotorState, points: Array, phases: int) -> Array:
+def average_mutual_inflow(target: RotorState, source: RotorState, points: Array, phases: int) -> Array:
     """Return the mutual inflow averaged over the relative azimuth, from wakes with coarse segments."""
     step = 2.0 * math.pi / (phases * source.surface.blade_count)
     azimuths = step * (np.arange(phases)[:, None] + 0.5)
@@ -558,9 +559,9 @@ def drag_swirl_velocity(target: RotorState, source: RotorState, climb: float, ph
     if state is None or above <= 0.0:
         return u
     s = source.surface
-    through = mutual_inflow(source, source, s.quarter_chord_m, phases)[:, 2] - climb
+    through = average_mutual_inflow(source, source, s.quarter_chord_m, phases)[:, 2] - climb
     if target.blade_state is not None:
-        through += mutual_inflow(source, target, s.quarter_chord_m, phases)[:, 2]
+        through += average_mutual_inflow(source, target, s.quarter_chord_m, phases)[:, 2]
     pull = 0.5 * s.blade_count * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.pitch_rad - state.alpha_rad)
     r = np.hypot(s.quarter_chord_m[:, 0], s.quarter_chord_m[:, 1])
     moment = drag_angular_momentum(pull, -through, 1.0, r, s.panel_width_m)  # drag over density

@@ -46,7 +46,7 @@ from scipy.sparse.linalg import splu
 from mufly.camera import Camera, body_from_camera_rotation, unproject_pixels
 from mufly.camera.camera_model import BODY_FROM_DOWN_CAMERA, project_points
 from mufly.errors import InputError
-from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.slam.calibration.inertial_motion import (
     InertialData,
     IntegratedMotion,
@@ -58,7 +58,7 @@ from mufly.slam.calibration.inertial_motion import (
 )
 from mufly.slam.calibration.point_tracks import PointTracks, retrack_segments, track_segments
 from mufly.slam.datasets.dataset_readers import (
-    detect_layout,
+    detect_separator_and_decimal_mark,
     find_inertial_file,
     open_pictures,
     read_inertial_data,
@@ -72,7 +72,7 @@ _STD_INFLATION = 2.0
 """Factor on all standard deviations, determined on other recordings than those used for validation."""
 _SIGMAS_PER_95_PERCENT = 1.96
 _MIN_SEGMENTS = 20
-_MAX_FOCAL_SIGMA, _MAX_MOUNT_SIGMA_RAD = 0.03, math.radians(1.5)
+_MAX_FOCAL_SIGMA_FRACTION, _MAX_MOUNT_SIGMA_RAD = 0.03, math.radians(1.5)
 _MAX_ITERATIONS, _STEP_TOLERANCE_SIGMAS, _ROW_TIME_ITERATIONS = 15, 0.05, 3
 _DELAY_GRID_S = np.arange(-0.15, 0.301, 0.01)
 
@@ -97,11 +97,11 @@ _SHARED_DIFFERENCE_STEPS = np.array(
     [1e-4, 0.05, 0.05, 1e-4, *[1e-4] * 3, 1e-4, *[1e-4] * 3, *[1e-4] * 3, *[1e-3] * 3, *[1e-3] * 3, 1e-4, 1e-4]
 )
 _SEGMENT_DIFFERENCE_STEPS = np.array([*[1e-3] * 3, 1e-4, *[1e-4] * 3])
-_SONAR_SIGMA_M, _VELOCITY_STEP_M_S, _FLOOR_STEP_M = 0.025, 0.02, 0.004
+_SONAR_SIGMA_M, _VELOCITY_STEP_SIGMA_M_S, _FLOOR_STEP_SIGMA_M = 0.025, 0.02, 0.004
 _GIVEN_HEIGHT_STD_FRACTION = 0.2
 """Standard deviation of a given mean height, as a share of it."""
 _MIN_PIXEL_SIGMA, _HUBER_THRESHOLD_SIGMAS = 0.05, 1.5
-_TRANSLATION_FRACTION = 0.3
+_MIN_GYRO_EXPLAINED_FRACTION = 0.3
 
 
 @result(json="values deviations residual_px segments tracks")
@@ -122,7 +122,7 @@ class HandCalibration:
             for (n, v), s in zip(self.values.items(), self.deviations.values(), strict=True)
         ]
         said = f"{self.tracks} tracks in {self.segments} segments; residual {self.residual_px:.2f} pixels"
-        return [show_lines(said), show_table(("", "found", "95 % interval"), rows)]
+        return [make_lines_block(said), make_table_block(("", "found", "95 % interval"), rows)]
 
 
 def calibrate_from_folder(
@@ -151,7 +151,7 @@ def calibrate_from_folder(
     undelayed = camera.shutter.delay.model_copy(update={"value": 0.0})
     stamped = camera.model_copy(update={"shutter": camera.shutter.model_copy(update={"delay": undelayed})})
     source = open_pictures(folder, stamped, height_m=height_m)
-    file = find_inertial_file(folder, detect_layout(folder)) if folder.is_dir() else None
+    file = find_inertial_file(folder, detect_separator_and_decimal_mark(folder)) if folder.is_dir() else None
     if file is None:
         raise InputError(
             str(folder), "imu.csv", "is missing",
@@ -221,7 +221,7 @@ def fit_camera(
         )
         problem = replace(problem, tracks=again)
         shared, segment_states, covariance, sigma_px = _minimise(problem, shared, segment_states)
-    return problem.describe(shared, _STD_INFLATION**2 * covariance, sigma_px)
+    return problem.make_calibration(shared, _STD_INFLATION**2 * covariance, sigma_px)
 
 
 def _minimise(
@@ -282,7 +282,7 @@ class _CalibrationProblem:
         start = multiply_quaternions(
             quaternion_exponential(np.array([[0.0, pitch, 0.0]])), quaternion_exponential(np.array([[roll, 0.0, 0.0]]))
         )[0]
-        delay, focal, turn = _guess_rotation(tracks, camera, imu)
+        delay, focal, turn = _guess_delay_focal_turn(tracks, camera, imu)
         mount = rotation_matrices(quaternion_exponential(np.array([[0.0, 0.0, turn]])))[0] @ body_from_camera_rotation(
             camera
         )
@@ -318,20 +318,20 @@ class _CalibrationProblem:
         """Return the camera with the estimated lens."""
         lens, scale = self.camera.lens, math.exp(shared[FOCAL][0])
 
-        def changed(q: Quantity, value: float) -> Quantity:
+        def replace_value(q: Quantity, value: float) -> Quantity:
             return q.model_copy(update={"value": float(value)})
 
         return self.camera.model_copy(update={"lens": lens.model_copy(update={
-            "focal_x": changed(lens.focal_x, float(lens.focal_x) * scale),
-            "focal_y": changed(lens.focal_y, float(lens.focal_y) * scale),
-            "centre_x": changed(lens.centre_x, float(lens.centre_x) + shared[CENTRE][0]),
-            "centre_y": changed(lens.centre_y, float(lens.centre_y) + shared[CENTRE][1]),
-            "k1": changed(lens.k1, float(lens.k1) + shared[RADIAL][0]),
+            "focal_x": replace_value(lens.focal_x, float(lens.focal_x) * scale),
+            "focal_y": replace_value(lens.focal_y, float(lens.focal_y) * scale),
+            "centre_x": replace_value(lens.centre_x, float(lens.centre_x) + shared[CENTRE][0]),
+            "centre_y": replace_value(lens.centre_y, float(lens.centre_y) + shared[CENTRE][1]),
+            "k1": replace_value(lens.k1, float(lens.k1) + shared[RADIAL][0]),
         })})  # fmt: skip
 
     def mount_rotation(self, shared: _Array) -> _Array:
         """Return the rotation matrix (3, 3) from camera to body axes."""
-        return np.asarray(self.mount @ _rotate(shared[MOUNT]))
+        return np.asarray(self.mount @ _make_rotation_matrix(shared[MOUNT]))
 
     def _row_time_offsets_s(self, pixels: _Array) -> _Array:
         rows = self.camera.sensor.height
@@ -405,7 +405,7 @@ class _CalibrationProblem:
         moved = (v[:-1] * dt[:-1] + way[1:] - way[:-1] - speed[:-1] * dt[:-1])[:, 2]
         floor = moved + lever_d[1:] + height[1:] - lever_d[:-1] - height[:-1]
         out[:-1, _VELOCITY_STEP_COLUMNS] = step * self.is_next_linked[:, None]
-        out[:-1, _FLOOR_STEP_COLUMN] = floor / _FLOOR_STEP_M * self.is_next_linked
+        out[:-1, _FLOOR_STEP_COLUMN] = floor / _FLOOR_STEP_SIGMA_M * self.is_next_linked
         out[:, _HEIGHT_ERROR_COLUMN] = (height + lever_d - self.heights_m) / self.height_sigma_m
         out[:, _ROTATION_ERROR_COLUMNS] = segment_states[:, _TURN_ERROR] / self._rotation_sigma
         return out
@@ -420,7 +420,7 @@ class _CalibrationProblem:
 
     @property
     def _velocity_sigma(self) -> float:
-        return math.hypot(_VELOCITY_STEP_M_S, self.accel_noise * math.sqrt(self._interval_s * self._segment_s))
+        return math.hypot(_VELOCITY_STEP_SIGMA_M_S, self.accel_noise * math.sqrt(self._interval_s * self._segment_s))
 
     @property
     def _rotation_sigma(self) -> float:
@@ -492,10 +492,10 @@ class _CalibrationProblem:
         out[CENTRE] *= self.camera.sensor.width / 320.0
         return out
 
-    def describe(self, shared: _Array, covariance: _Array, sigma_px: float) -> HandCalibration:
+    def make_calibration(self, shared: _Array, covariance: _Array, sigma_px: float) -> HandCalibration:
         """Return the calibrated camera with deviations; raise InputError if the motion does not determine it."""
         sigma = np.sqrt(np.diag(covariance))
-        if sigma[FOCAL][0] > _MAX_FOCAL_SIGMA or sigma[MOUNT].max() > _MAX_MOUNT_SIGMA_RAD:
+        if sigma[FOCAL][0] > _MAX_FOCAL_SIGMA_FRACTION or sigma[MOUNT].max() > _MAX_MOUNT_SIGMA_RAD:
             raise InputError(
                 "pictures", "", f"this motion leaves the focal length uncertain by {100 * sigma[FOCAL][0]:.1f} % and "
                 f"the mount by {math.degrees(sigma[MOUNT].max()):.1f} degrees (one sigma)",
@@ -530,11 +530,11 @@ class _CalibrationProblem:
         return HandCalibration(
             {n: float(v) for n, (v, _) in values.items()}, {n: float(s) for n, (_, s) in values.items()},
             sigma_px / math.sqrt(2.0), len(self.tracks.times_s), len(self.tracks.segment),
-            _with_extrinsics(lens, {n: (float(v), float(s)) for n, (v, s) in values.items()}),
+            _with_calibrated_values(lens, {n: (float(v), float(s)) for n, (v, s) in values.items()}),
         )  # fmt: skip
 
 
-def _with_extrinsics(camera: Camera, found: dict[str, tuple[float, float]]) -> Camera:
+def _with_calibrated_values(camera: Camera, found: dict[str, tuple[float, float]]) -> Camera:
     """Return the camera with calibrated lens, mounting and delay; all but the position get standard deviations."""
     note = "by hand over a floor"
 
@@ -560,7 +560,7 @@ def _with_extrinsics(camera: Camera, found: dict[str, tuple[float, float]]) -> C
     )
 
 
-def _rotate(vector: _Array) -> _Array:
+def _make_rotation_matrix(vector: _Array) -> _Array:
     """Return the rotation matrix (3, 3) of a rotation vector (3,)."""
     return rotation_matrices(quaternion_exponential(vector[None]))[0]
 
@@ -573,7 +573,7 @@ def _mount_angles(mount: _Array) -> _Array:
     )
 
 
-def _guess_rotation(tracks: PointTracks, camera: Camera, imu: InertialData) -> tuple[float, float, float]:
+def _guess_delay_focal_turn(tracks: PointTracks, camera: Camera, imu: InertialData) -> tuple[float, float, float]:
     """Return the delay (s), focal length factor and camera turn (rad) that fit the picture's motion to the gyroscopes.
 
     The motion y of the middle of the picture is regressed on that of the rotation alone, y = m p + n conj(p); the
@@ -599,7 +599,7 @@ def _guess_rotation(tracks: PointTracks, camera: Camera, imu: InertialData) -> t
         if share > best[0]:
             best = (share, float(delay), m, n)
     share, delay, m, n = best
-    if share < _TRANSLATION_FRACTION:
+    if share < _MIN_GYRO_EXPLAINED_FRACTION:
         raise InputError(
             "pictures", "", "the motion of the pictures does not follow the gyroscopes",
             "turn the vehicle rather than shift it, and check that both clocks are the same",

@@ -14,7 +14,7 @@ import numpy as np
 
 from mufly.camera import Camera
 from mufly.errors import ArgumentError, InputError
-from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.slam.datasets.dataset_readers import PICTURE_SUFFIXES, read_picture
 from mufly.slam.image_tools import load_opencv
 from mufly.vehicle.quantity import Quantity
@@ -39,10 +39,10 @@ class LensCalibration:
         """Return the calibration as a sentence and a table."""
         rows = [(n, f"{self.values[n]:.4g}", f"{self.deviations[n]:.2g}") for n in self.values]
         return [
-            show_lines(
+            make_lines_block(
                 f"{self.used} of {self.picture_count} pictures show the board; residual {self.residual_px:.2f} pixels"
             ),
-            show_table(("", "found", "sigma"), rows),
+            make_table_block(("", "found", "sigma"), rows),
         ]
 
 

@@ -47,7 +47,7 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".mjpg", ".mjpeg")
 _COMPLEMENTARY_TIME_S, _FORCE_MEAN_WINDOW_S = 2.0, 0.5
 _UNKNOWN_TILT_SIGMA_RAD = math.radians(3.0)  # assumed for a vehicle without attitude data
-_MAX_CLOCK_MARGIN_S = 0.1
+_MAX_TELEMETRY_EXTRAPOLATION_S = 0.1
 MAX_PICTURE_INTERVAL_S = 1.0
 """Longest time between pictures that odometry bridges (s)."""
 STILL_PICTURE_REMEDY = "give a video or a faster sequence; still pictures need photogrammetry (COLMAP)"
@@ -141,7 +141,7 @@ def open_pictures(
         return _open_video(where, camera, rate_Hz, times, told or info_from_height(height_m, str(where)))
     if not where.is_dir():
         raise InputError(str(where), "", "no such folder or video", "give one with pictures")
-    layout = detect_layout(where)
+    layout = detect_separator_and_decimal_mark(where)
     names, at, files = _list_pictures(where, layout)
     at = at - float(camera.shutter.delay)
     tellings = _read_frame_infos(where, layout, at, height_m) if told is None else told(at)
@@ -190,7 +190,7 @@ def info_from_height(height_m: float | None, where: str) -> Callable[[_Array], l
     ]
 
 
-def detect_layout(folder: Path) -> DatasetLayout:
+def detect_separator_and_decimal_mark(folder: Path) -> DatasetLayout:
     """Return the layout of a folder of pictures: mufly, EuRoC, TUM or pictures named by time."""
     if (folder / "pictures.csv").is_file():
         return "mufly"
@@ -410,7 +410,7 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
 
     def infos_at(times: _Array) -> list[FrameInfo]:
         t = times + offset_s
-        if t[0] < a[0, 0] - _MAX_CLOCK_MARGIN_S or t[-1] > a[-1, 0] + _MAX_CLOCK_MARGIN_S:
+        if t[0] < a[0, 0] - _MAX_TELEMETRY_EXTRAPOLATION_S or t[-1] > a[-1, 0] + _MAX_TELEMETRY_EXTRAPOLATION_S:
             raise InputError(
                 str(file), "",
                 f"covers {a[0, 0]:.3f} to {a[-1, 0]:.3f} s, but the pictures {t[0]:.3f} to {t[-1]:.3f} s",

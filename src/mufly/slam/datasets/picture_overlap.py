@@ -17,7 +17,7 @@ MIN_TRACKED_OVERLAP = 0.9
 _COMPARED_PICTURES, _MIN_COMPARED_PAIRS = 30, 3
 """Number of pictures, from the middle of a folder, that are compared, and least number of pairs with common floor."""
 _MIN_MATCHED_FEATURES, _MAX_DISTANCE_RATIO = 12, 0.8
-_MAX_TRACKED_FRACTION = 0.5
+_SUFFICIENT_TRACKED_FRACTION = 0.5
 """Share of tracked pictures above which the overlap is not measured."""
 
 
@@ -31,7 +31,7 @@ def check_overlap(source: FrameSource, tracked_share: float) -> None:
     tracked_share : float
         Share of the pictures that have a position.
     """
-    if tracked_share > _MAX_TRACKED_FRACTION or not math.isfinite(source.interval_s):
+    if tracked_share > _SUFFICIENT_TRACKED_FRACTION or not math.isfinite(source.interval_s):
         return
     first = max(0, (source.frame_count - _COMPARED_PICTURES) // 2)
     pictures = [frame.picture for frame in islice(source.read_frames(), first, first + _COMPARED_PICTURES)]

@@ -58,7 +58,7 @@ from mufly.dynamics import GRAVITY
 from mufly.slam.camera_frame import CameraFrame, FrameInfo
 from mufly.slam.image_tools import correlate_patches, is_in_mask, load_opencv
 from mufly.slam.images.direct_alignment import add_point_errors
-from mufly.slam.images.patch_information import measure_patches, remove_background
+from mufly.slam.images.patch_information import measure_patch_shifts, remove_background
 
 _Array = NDArray[np.float64]
 _MOTION_HIGH_PASS_S, _FIT_MEMORY_S, _GROSS_FIT_MEMORY_S, _VELOCITY_DECAY_S = 0.4, 6.0, 1.2, 4.0
@@ -79,7 +79,7 @@ _MOUNT_TILT_AVERAGE_S, _MOUNT_TILT_FAULT_SIGMAS, _MIN_MOUNT_TILT_FAULT_RAD, _MAX
     math.radians(1.2),
     math.radians(3.0),
 )
-TILTED_SIGMA_RAD = math.radians(4.0)
+FAULTY_MOUNT_TILT_SIGMA_RAD = math.radians(4.0)
 """Standard deviation of the tilt of a mount that is reported, and not refused (rad). Tracking finds a part of it."""
 _DIRT_PICTURE_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_MIN_MOTION_PX, _DIRT_MIN_PICTURES, _DIRT_MAX_PICTURES = (
     4,
@@ -90,7 +90,7 @@ _DIRT_PICTURE_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_MIN_MOTION_PX, _DIRT_MIN_PIC
 )
 """Reduction of the picture, smoothing of the surroundings (reduced pixels), least distance between the places of two
 pictures (pixels), and least and largest number of pictures."""
-_DIRT_PATH_PX = 16.0  # smoothing of the surroundings along the path (reduced pixels)
+_DIRT_PATH_SMOOTHING_PX = 16.0  # smoothing of the surroundings along the path (reduced pixels)
 _DIRT_SIGMAS, _DIRT_MAX_DEVIATION_FRACTION, _MIN_DIRT_GREY_LEVELS, _MAX_DIRT_FRACTION, _DIRT_MARGIN_PX = (
     5.0,
     0.5,
@@ -109,7 +109,7 @@ _HAND_CARRIED_FLIP_SIGMA_PX_S = 60.0
 """The same by hand, where the place moves by an unknown velocity."""
 _FLIP_MEMORY_S, _MAX_FLIP_RESIDUAL_FRACTION = 0.5, 0.25
 """Memory of the residuals (s), and largest share of the motion that a flip leaves; other faults leave more."""
-_MAX_STEADY_CHANGE_FRACTION, _MAX_STEADY_CHANGE = 0.3, 0.05
+_MAX_SETTLED_CHANGE_FRACTION, _MAX_SETTLED_CHANGE = 0.3, 0.05
 """Largest change of a steady estimate over the confirming pictures: share of its deviation, and absolute."""
 _MIRRORED_MESSAGE = "the picture moves mirrored against the gyroscopes: check the camera's driver"
 _MIN_CORRELATED_POINTS, _CORRELATION_WINDOW_PX, _MIN_CORRELATION, _MIN_STRONG_CORRELATION = 24, 21, 0.5, 0.85
@@ -183,7 +183,7 @@ class CameraMonitor:
             return _HEALTHY_DIAGNOSIS
         return CameraDiagnosis("clock", f"the times of the pictures do not advance (at {time_s:.3f} s)")
 
-    def is_copy(self, picture: NDArray[np.uint8]) -> bool:
+    def count_if_copy(self, picture: NDArray[np.uint8]) -> bool:
         """Return whether a picture is a copy of the one before; counts copies."""
         before, self._last_raw = self._last_raw, picture
         equal = (
@@ -285,7 +285,7 @@ class CameraMonitor:
         flip = found = self._flips.judge_flips()
         if not found.fault:
             found = judge_gross_motion(self._quick_fit.estimate, self._quick_fit.sigma)
-        if not found.fault and is_known and self._is_steady:
+        if not found.fault and is_known and self._is_fit_settled:
             found = judge_motion(self.estimate, self.sigma)
         if not found.fault:
             found = judge_gross_motion(self.estimate, self.sigma)
@@ -298,11 +298,11 @@ class CameraMonitor:
             self._held_until_s = time_s + _FAULT_REPORT_HOLD_S
 
     @property
-    def _is_steady(self) -> bool:
+    def _is_fit_settled(self) -> bool:
         """Whether m and n have settled; during a change of the camera their values are meaningless."""
         first, last = self._latest[0], self._latest[-1]
         off = float(np.abs(last - [1.0, 0.0]).max())
-        return float(np.abs(last - first).max()) < max(_MAX_STEADY_CHANGE, _MAX_STEADY_CHANGE_FRACTION * off)
+        return float(np.abs(last - first).max()) < max(_MAX_SETTLED_CHANGE, _MAX_SETTLED_CHANGE_FRACTION * off)
 
     def _advance_velocity(self, before: FrameInfo, now: FrameInfo, dt: float) -> None:
         """Integrate forward and right velocity from the tilt; the velocity decays, so that errors do not add up.
@@ -527,10 +527,10 @@ class DirtMask:
         places = np.array(self._places) - np.mean(self._places)
         # The sum of squares has twice the angle of the axis.
         axis = cmath.exp(0.5j * cmath.phase(complex((places**2).sum())))
-        reach = round(2.0 * _DIRT_PATH_PX)
+        reach = round(2.0 * _DIRT_PATH_SMOOTHING_PX)
         y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
         along, across = x * axis.real + y * axis.imag, y * axis.real - x * axis.imag
-        kernel = np.exp(-0.5 * (along / _DIRT_PATH_PX) ** 2 - 0.5 * (across / 0.7) ** 2)
+        kernel = np.exp(-0.5 * (along / _DIRT_PATH_SMOOTHING_PX) ** 2 - 0.5 * (across / 0.7) ** 2)
         out: _Array = kernel / kernel.sum()
         return out
 
@@ -590,7 +590,7 @@ def measure_shift(
     for scale, half, (a, b, s) in ((2.0, 5, coarse), (1.0, 7, (*flat, smooth)), (1.0, 7, (*flat, smooth))):
         moved = jacobian @ fit
         middle = 0.5 * (scale - 1.0)
-        patches = measure_patches(
+        patches = measure_patch_shifts(
             a, b, (points - middle) / scale, (points + moved - middle) / scale, s, level_axes, half
         )
         known = bool(patches.known.all())

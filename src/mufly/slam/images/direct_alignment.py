@@ -30,7 +30,7 @@ from mufly.slam.camera_pose import (
     solve_pose,
 )
 from mufly.slam.image_tools import load_opencv
-from mufly.slam.images.patch_information import PatchInformation, measure_patches
+from mufly.slam.images.patch_information import PatchShifts, measure_patch_shifts
 
 _Array = NDArray[np.float64]
 _HALVINGS_AND_PATCH_HALF_SIZES = ((2, 5), (1, 7), (0, 10), (0, 10))
@@ -73,7 +73,7 @@ class AlignedPicture(NamedTuple):
         Measured pixels of the points.
     information : (n, 2, 2) array
         Information of these pixels (1/pixel^2), reduced by the points' own errors.
-    patches : PatchInformation
+    patches : PatchShifts
     untextured_directions : (k, 2) array
         Unit vectors N, E along which the place is only predicted.
     """
@@ -81,7 +81,7 @@ class AlignedPicture(NamedTuple):
     pose: PoseEstimate
     pixels: _Array
     information: _Array
-    patches: PatchInformation
+    patches: PatchShifts
     untextured_directions: _Array
 
 
@@ -138,7 +138,7 @@ def align_picture(
     row_slope : float
         Rms slope of vertical lines by vibration.
     caution : float
-        As for :func:`mufly.slam.images.patch_information.measure_patches`.
+        As for :func:`mufly.slam.images.patch_information.measure_patch_shifts`.
     """
     cv2 = load_opencv()
     pyramid = [(template, picture, smooth)]
@@ -153,7 +153,7 @@ def align_picture(
         t, p, s = pyramid[level]
         scale = 2.0**level
         middle = 0.5 * (scale - 1.0)  # of a coarse pixel, in fine ones
-        patches = measure_patches(
+        patches = measure_patch_shifts(
             t, p, (points.template_pixels - middle) / scale, (expected - middle) / scale, s, axes, half, row_slope,
             caution,
         )  # fmt: skip

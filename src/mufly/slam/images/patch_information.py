@@ -60,7 +60,7 @@ _LOCAL_MEAN_SIDE_PX = 31  # side of the mean that is subtracted: vignette and sh
 PATCH_SUM_COUNT = 12
 
 
-class PatchInformation(NamedTuple):
+class PatchShifts(NamedTuple):
     """Measured shifts of patches.
 
     Attributes
@@ -97,7 +97,7 @@ def remove_background(picture: NDArray[np.uint8], side: int = _LOCAL_MEAN_SIDE_P
     return np.asarray(cv2.subtract(picture, mean, dtype=cv2.CV_32F))
 
 
-def measure_patches(
+def measure_patch_shifts(
     template: NDArray[np.float32],
     picture: NDArray[np.float32],
     points: _Array,
@@ -107,7 +107,7 @@ def measure_patches(
     half: int = 10,
     row_slope: float = 0.0,
     caution: float = 1.0,
-) -> PatchInformation:
+) -> PatchShifts:
     """Measure the shifts of patches.
 
     Parameters
@@ -127,12 +127,12 @@ def measure_patches(
     """
     sums = np.zeros((len(points), PATCH_SUM_COUNT))
     _sum_patches(template, picture, np.ascontiguousarray(points), np.ascontiguousarray(there), half, sums)
-    return weigh_patches(sums, smooth, axes, (2 * half - 1) ** 2, row_slope, caution)
+    return estimate_patch_shifts(sums, smooth, axes, (2 * half - 1) ** 2, row_slope, caution)
 
 
-def weigh_patches(
+def estimate_patch_shifts(
     sums: _Array, smooth: float, axes: _Array, pixels: int, row_slope: float = 0.0, caution: float = 1.0
-) -> PatchInformation:
+) -> PatchShifts:
     """Return shifts and information of n patches from sums over their pixels (n, 12), as the module docstring derives.
 
     Parameters
@@ -140,11 +140,11 @@ def weigh_patches(
     smooth : float
         Smoothing of the pictures (pixels).
     axes : (n, 2, 2) array
-        As for :func:`measure_patches`.
+        As for :func:`measure_patch_shifts`.
     pixels : int
         Pixels of a patch.
     row_slope, caution : float
-        As for :func:`measure_patches`.
+        As for :func:`measure_patch_shifts`.
     """
     smooth = max(smooth, 0.3)
     side = math.sqrt(pixels)
@@ -180,7 +180,7 @@ def weigh_patches(
     shift = np.einsum("nij,nj,nkj,nk->ni", vectors, inverse, vectors, pull @ directions.T * known) @ directions
     back = np.linalg.inv(axes)
     information = np.swapaxes(back, 1, 2) @ (directions.T @ kept @ directions) @ back
-    return PatchInformation(information, np.einsum("nij,nj->ni", axes, shift), significance, directions, bound)
+    return PatchShifts(information, np.einsum("nij,nj->ni", axes, shift), significance, directions, bound)
 
 
 def _split_tensors(tensors: _Array) -> tuple[_Array, _Array]:
@@ -226,7 +226,9 @@ def _sum_patches(
     half: int,
     sums: _Array,
 ) -> None:
-    """Write the sums over the pixels of each patch, as :func:`weigh_patches` takes them, to ``sums`` (n, 12)."""
+    """Write the sums over the pixels of each patch, as :func:`estimate_patch_shifts` takes them, to ``sums``
+    (n, 12).
+    """
     high, wide = picture.shape
     n = 2 * half + 1
     a, b = np.empty((n, n), np.float32), np.empty((n, n), np.float32)

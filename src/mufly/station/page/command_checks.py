@@ -17,7 +17,7 @@ import numpy as np
 from mufly.mission import Fence, Mission, describe_fence_violation, describe_path_fence_violation, fence_outlines
 from mufly.mission.files.geofence import FENCE_MARGIN_M
 from mufly.mission.files.mission_timing import compute_time_to_land_at
-from mufly.station.mission_endurance import mission_of_vehicle_limits
+from mufly.station.mission_endurance import make_mission_with_limits
 from mufly.station.preflight_checks import BATTERY_RESERVE_FRACTION, MIN_BATTERY_CHARGE_FRACTION, OWN_CHECKS_NAME
 from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
@@ -127,7 +127,7 @@ def check_destination(
 
 def check_vehicle_destination(vehicle: RemoteVehicle, place: tuple[float, float, float]) -> DestinationCheck:
     """Check a destination (N, E, D; m) for a vehicle."""
-    limits = mission_of_vehicle_limits(vehicle.parameters, vehicle.station_context.base_mission)
+    limits = make_mission_with_limits(vehicle.parameters, vehicle.station_context.base_mission)
     return check_destination(vehicle.snapshot, vehicle.fence, limits, place)
 
 

@@ -180,7 +180,7 @@ class FlightList:
         for path in sorted(unread, key=lambda path: (path in self._read, *reading_priority(path))):
             while path.suffix.lower() != ".mcap" and any(v.snapshot.flying for v in self._view.session.vehicles()):
                 await asyncio.sleep(1.0)
-            if look != self._looks or not self._view.is_live:
+            if look != self._looks or not self._view.is_stream_open:
                 return
             state = _file_state(path)
             self._read[path] = (state, await asyncio.to_thread(read_flight_facts, path))

@@ -21,7 +21,7 @@ import orjson
 from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
-from mufly.flight.estimator_health import describe_sensor
+from mufly.flight.estimator_health import find_sensor_name
 from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES, parse_column_name
 from mufly.quantities.units import conversion_factor
 from mufly.slam import TrackedPicture
@@ -278,7 +278,7 @@ class FrameFeed:
         if (names := take_changed("catalog", lambda: self._find_known_names(source))) is not None:
             out["catalog"] = build_catalog(names, source.history.signal_unit)
         if (
-            take_changed("camera", self._map_time_s) is not None
+            take_changed("camera", self._map_redraw_key) is not None
             and (sight := self._view.shown_slam_picture()) is not None
         ):
             out["floor_map"] = {
@@ -296,7 +296,7 @@ class FrameFeed:
                 if sent is None or sent.get(n) != (p, was)
             ]
 
-    def _map_time_s(self) -> float | None:
+    def _map_redraw_key(self) -> float | None:
         """Return a value that changes when the floor map must be redrawn."""
         sight = self._view.shown_slam_picture()
         return None if sight is None else sight.time_s
@@ -415,7 +415,7 @@ def list_sensor_states(
     told = zip(CHECKED_READINGS, now[0::2], now[1::2], strict=True)
     return [
         (name.replace("_", " "), FUSION_STATUSES[int(status)], round(ratio, 1),
-         _find_reason(name, messages) if FUSION_STATUSES[int(status)] in _DOUBTED_STATUSES else "")
+         _find_status_reason(name, messages) if FUSION_STATUSES[int(status)] in _DOUBTED_STATUSES else "")
         for name, status, ratio in told
         if 0.0 <= status < len(FUSION_STATUSES)
     ]  # fmt: skip
@@ -425,12 +425,12 @@ _DOUBTED_STATUSES = ("rejected", "missing", "faulty")
 _MAX_SEARCHED_MESSAGES = 200  # messages
 
 
-def _find_reason(reading: str, messages: Sequence[StatusMessage]) -> str:
+def _find_status_reason(reading: str, messages: Sequence[StatusMessage]) -> str:
     """Return the reason of a sensor's status, from the vehicle's latest message about the sensor; "" if none.
 
-    The reason follows the colon (:func:`mufly.flight.estimator_health.describe_check`).
+    The reason follows the colon (:func:`mufly.flight.estimator_health.describe_sensor_status`).
     """
-    name = f"{describe_sensor(reading)} "
+    name = f"{find_sensor_name(reading)} "
     late = islice(reversed(messages), _MAX_SEARCHED_MESSAGES)
     last = next((m.text for m in late if m.text.startswith(name)), "")
     return last.partition(": ")[2]

@@ -2,7 +2,7 @@
 
 Every request of a window names the newest frame that the window had. The station knows by its own clock when it made
 that frame, so no clock of a browser matters. A request is late if its frame, or the press of its button, is older than
-:data:`mufly.link.ports.MAX_REQUEST_DELAY_S`. Late requests wait in sockets while the station's process is stopped, its
+:data:`mufly.link.ports.MAX_REQUEST_AGE_S`. Late requests wait in sockets while the station's process is stopped, its
 machine suspended or the network cut; none of them is carried out. The window greys itself at the same age
 (``static/live.js``).
 """
@@ -18,7 +18,7 @@ from nicegui.element import Element
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from mufly.link.ports import MAX_REQUEST_DELAY_S, read_boot_clock
+from mufly.link.ports import MAX_REQUEST_AGE_S, read_boot_clock
 from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
 FRAME_HEADER = "x-mufly-frame"
@@ -102,7 +102,7 @@ def drop_late_events(
     def handle_in_time(msg: dict[str, Any]) -> None:
         sender = client.elements.get(msg.get("id", -1))
         late_s = frames.request_lateness_s(msg.get("frame"), msg.get("held_ms", 0.0), msg.get("seen_ms", 0.0))
-        if late_s <= MAX_REQUEST_DELAY_S or _is_display_event(sender, msg.get("listener_id")):
+        if late_s <= MAX_REQUEST_AGE_S or _is_display_event(sender, msg.get("listener_id")):
             handle(msg)
             return
         if sender is None or clock() - told.get(sender.id, -math.inf) < _NOTICE_PERIOD_S:
@@ -150,7 +150,7 @@ class LateUploadFilter:
             known = next((f for part in parts if (f := self._frames(part)) is not None), None)
             number = Headers(scope=scope).get(FRAME_HEADER, "")
             frame = int(number) if number.isascii() and number.isdigit() else None
-            if known is None or known.request_lateness_s(frame) > MAX_REQUEST_DELAY_S:
+            if known is None or known.request_lateness_s(frame) > MAX_REQUEST_AGE_S:
                 await send({"type": "http.response.start", "status": 408, "headers": [(b"connection", b"close")]})
                 await send({"type": "http.response.body", "body": b"too late"})
                 return

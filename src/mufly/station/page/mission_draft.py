@@ -27,7 +27,7 @@ from mufly.mission import (
     TrajectoryLimits,
     Waypoint,
     check_geometry,
-    check_mission,
+    check_mission_endurance,
     read_mission_tables,
     reduce_mission_limits,
 )
@@ -150,7 +150,7 @@ def reorder_waypoint(mission: Mission, k: int, by: int) -> Mission:
     return _replace_waypoints(mission, [*rest[:at], moved, *rest[at:]])
 
 
-def move_row(mission: Mission, k: int, place: PlaceNED) -> Mission:
+def set_row_position(mission: Mission, k: int, place: PlaceNED) -> Mission:
     """Move row ``k`` of the mission table to a position (N, E, D; m).
 
     Row 0 is the take-off: start position and take-off height are set.
@@ -173,7 +173,7 @@ def set_row_value(mission: Mission, k: int, name: str, value: float | None) -> M
         value = -value if name == "height" else value
         at = [n, e, d]
         at[_AXIS_INDEX[name]] = value
-        return move_row(mission, k, (at[0], at[1], at[2]))
+        return set_row_position(mission, k, (at[0], at[1], at[2]))
     if k == 0 and name == "wait_s":
         return replace_mission_parts(mission, take_off=mission.take_off.model_dump() | {"wait_s": value or 0.0})
     if name not in WAYPOINT_OPTIONS or k == 0:
@@ -211,7 +211,7 @@ def apply_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
         "insert": lambda: insert_waypoint(m, _read_row(order)),
         "delete": lambda: delete_waypoint(m, _read_row(order)),
         "shift": lambda: reorder_waypoint(m, _read_row(order), _read_row(order, "by")),
-        "move": lambda: move_row(m, _read_row(order), _read_position(order)),
+        "move": lambda: set_row_position(m, _read_row(order), _read_position(order)),
         "put": lambda: set_row_value(m, _read_row(order), str(order.get("name")), _read_value(order)),
         "end": lambda: replace_mission_parts(m, at_end=order.get("value")),
         "name": lambda: replace_mission_parts(m, name=str(order.get("value", ""))[:80]),
@@ -293,7 +293,7 @@ def check_draft(
         check_geometry(mission, mission.name or ERROR_LOCATION)
         current_A, capacity_Ah = battery or (1.0, math.inf)
         flown = mission if able is None else reduce_mission_limits(mission, able)[0]
-        estimate = check_mission(
+        estimate = check_mission_endurance(
             flown, hover_current_A=current_A, capacity_Ah=capacity_Ah, where=mission.name or ERROR_LOCATION
         )
     except InputError as error:

@@ -160,7 +160,7 @@ class MissionEditor:
         await self._replace_mission(mission)
 
     async def _send_to_vehicle(self) -> None:
-        vehicle = panels.vehicle_to_change(self._view, "uploaded")
+        vehicle = panels.find_changeable_vehicle(self._view, "uploaded")
         if vehicle is None:
             return
         self._refused = ""  # of what was typed before; the field shows what is sent

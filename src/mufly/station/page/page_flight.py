@@ -87,7 +87,7 @@ class FlightMonitor:
             self._on_event(self._process.events.popleft())
 
 
-def fly_behind_link(
+def fly_without_page(
     process: VehicleProcess,
     startup: Startup,
     *,
@@ -114,7 +114,7 @@ class PageFlight:
     Attributes
     ----------
     process : VehicleProcess
-        Process of the vehicle; its first endpoint is ``vehicle_endpoint(port)``.
+        Process of the vehicle; its first endpoint is ``list_vehicle_endpoints(port)``.
     vehicle : Vehicle
     mission : Mission
     port : int
@@ -145,7 +145,7 @@ class PageFlight:
     should_stop: Callable[[], bool]
 
 
-def vehicle_endpoint(port: int, links: Sequence[Endpoint] = ()) -> list[Endpoint]:
+def list_vehicle_endpoints(port: int, links: Sequence[Endpoint] = ()) -> list[Endpoint]:
     """Return the endpoints of the vehicle's link: that of the page's own station, then ``links``."""
     return [parse_endpoint(f"udp:127.0.0.1:{port}", "vehicle"), *links]
 
@@ -206,7 +206,7 @@ async def _supervise_flight(flight: PageFlight, monitor: FlightMonitor, session:
         await _wait_until_over(flight, monitor, session)
     except MuflyError as error:
         flight.startup.fail(str(error))
-        if session.live_view_count:
+        if session.open_stream_count:
             await asyncio.sleep(_ERROR_DISPLAY_S)
         raise
 
@@ -224,7 +224,7 @@ async def _wait_until_over(flight: PageFlight, monitor: FlightMonitor, session: 
         monitor.process_events()
         now = time.monotonic()
         seen = bool(startup.visit_count or session.opened_count)
-        if session.live_view_count:
+        if session.open_stream_count:
             last_seen = now
         vehicles = session.vehicles()
         if vehicles:
@@ -238,5 +238,5 @@ async def _wait_until_over(flight: PageFlight, monitor: FlightMonitor, session: 
                 monitor.process_events()
             if request.outcome != "accepted":
                 raise MuflyError(f"mission start failed: {request.answer}")
-        if monitor.is_over and not session.live_view_count and (not seen or now - last_seen > PAGE_CLOSED_TIMEOUT_S):
+        if monitor.is_over and not session.open_stream_count and (not seen or now - last_seen > PAGE_CLOSED_TIMEOUT_S):
             return

@@ -43,7 +43,7 @@ from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import OperatorRequest, RequestOutcome, VehicleSnapshot
 
 REFRESH_PERIOD_S = 0.2
-MAX_OFFSET_S = 1e6
+MAX_COMPARISON_OFFSET_S = 1e6
 """Largest time shift of a second recording (s)."""
 _KEYBOARD_HELP = (
     ("Shift + T, twice", "take off"),
@@ -110,7 +110,7 @@ def build_page(view: WindowView) -> None:
     view.on_late = show_refusal
 
     def refresh_all() -> None:
-        if not view.is_live:
+        if not view.is_stream_open:
             return  # nobody sees it; what changes meanwhile is shown when the window is back
         strip.refresh()
         bar.refresh()
@@ -295,7 +295,7 @@ def _control_replay(view: WindowView, e: GenericEventArguments) -> None:
             content.get("by", compared.alignment_event),
             content.get("offset", compared.manual_offset_s),
         )
-        if by in ALIGNMENTS and isinstance(offset, int | float) and abs(offset) < MAX_OFFSET_S:
+        if by in ALIGNMENTS and isinstance(offset, int | float) and abs(offset) < MAX_COMPARISON_OFFSET_S:
             view.compare_recording(compared.second_recording, by, float(offset))
     if content.get("alone"):
         view.compare_recording(None)
@@ -515,7 +515,7 @@ class CommandBar:
             self._view.take_controls()
             self.refresh()
         else:
-            self._command_action("take_command")()
+            self._command_action("request_operator_control")()
 
     # ---- what they show
 

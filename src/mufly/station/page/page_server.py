@@ -76,11 +76,11 @@ def build_application(session: StationSession, *, host: str = "127.0.0.1", token
         gzip_middleware_factory=None,
     )
 
-    def find_frames(client_id: str) -> FrameTimes | None:
+    def find_frame_times(client_id: str) -> FrameTimes | None:
         view = session.view_by_client.get(client_id)
         return None if view is None else view.frames
 
-    return AccessGuard(LateUploadFilter(app, find_frames), host=host, token=token)
+    return AccessGuard(LateUploadFilter(app, find_frame_times), host=host, token=token)
 
 
 async def _stream_frames(web: WebSocket, feed: FrameFeed, is_newest: Callable[[], bool]) -> None:

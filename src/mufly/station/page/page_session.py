@@ -119,9 +119,9 @@ class StationSession:
         self.view_by_client.pop(client_id, None)
 
     @property
-    def live_view_count(self) -> int:
+    def open_stream_count(self) -> int:
         """Return the number of windows with an open stream."""
-        return sum(view.is_live for view in self.view_by_client.values())
+        return sum(view.is_stream_open for view in self.view_by_client.values())
 
     def startup_status(self) -> dict[str, Any] | None:
         """Return the progress of the start; None when done or if no vehicle is started."""
@@ -131,9 +131,11 @@ class StationSession:
     def assign_free_controls(self) -> None:
         """Give the controls to the only window, one second after their holder is gone."""
         holder = self.view_by_client.get(self.controls_holder)
-        if holder is not None and (holder.is_live or self.clock() - holder.stream_closed_s < CONTROLS_RELEASE_DELAY_S):
+        if holder is not None and (
+            holder.is_stream_open or self.clock() - holder.stream_closed_s < CONTROLS_RELEASE_DELAY_S
+        ):
             return
-        live = [view for view in self.view_by_client.values() if view.is_live]
+        live = [view for view in self.view_by_client.values() if view.is_stream_open]
         # The first of all windows gets them without asking; of several that are left, none does.
         self.controls_holder = live[0].client_id if live and (len(live) == 1 or not self.controls_holder) else ""
 
@@ -184,7 +186,7 @@ class WindowView:
         self.stream_closed_s = math.inf  # its stream was never open yet: whoever presses so early is about to open it
 
     @property
-    def is_live(self) -> bool:
+    def is_stream_open(self) -> bool:
         """Return whether the window's stream of frames is open."""
         return self._streams > 0
 
@@ -318,11 +320,11 @@ class WindowView:
             "selected": self.selected,
             "trouble": "; ".join(self.session.link_problems()) if self.session.link_problems is not None else "",
             "color": 0 if v is None else v.color,
-            "flight": self.encode_flight(),
+            "flight": self.encode_selected_vehicle(),
             "start": self.session.startup_status(),
         }
 
-    def encode_flight(self) -> dict[str, Any] | None:
+    def encode_selected_vehicle(self) -> dict[str, Any] | None:
         """Return the state of the selected vehicle, also during a replay; None without a vehicle."""
         v = self.selected_vehicle()
         if v is None:

@@ -39,7 +39,7 @@ MAX_UPLOAD_BYTES, MAX_RECORDING_BYTES = 2_000_000, 1_000_000_000
 REQUEST_WATCH_TIME_S = 30.0
 _POLL_PERIOD_S = 0.05
 _THREE_JS_FOLDER = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
-CENTRE_TOLERANCE = 0.15
+STICK_CENTRE_TOLERANCE = 0.15
 """Largest deflection at which sticks are taken up (share of full), so that nothing jumps."""
 _STOP_OUTCOME_TEXTS = {
     RequestOutcome.WAITING: "sent",
@@ -208,7 +208,7 @@ def _blocking_reason(view: WindowView) -> str:
     return f"{s.commander} has operator control" if s.commander and not s.in_command else ""
 
 
-def vehicle_to_change(view: WindowView, what: str) -> RemoteVehicle | None:
+def find_changeable_vehicle(view: WindowView, what: str) -> RemoteVehicle | None:
     """Return the vehicle if this window may change it; else report why ``what`` is refused and return None."""
     if why := _blocking_reason(view):
         show_refusal(f"not {what}: {why}")
@@ -219,15 +219,15 @@ def vehicle_to_change(view: WindowView, what: str) -> RemoteVehicle | None:
 def build_check_drawer(view: WindowView) -> None:
     """Build the drawer of preflight checks, with actions before and after a flight."""
 
-    def release_command() -> None:
+    def release_operator_control() -> None:
         vehicle = view.shown_vehicle()
         if vehicle is None or not view.has_controls:
             show_refusal("not released: " + _blocking_reason(view))
         else:
-            view.keep_request(vehicle.release_command())
+            view.keep_request(vehicle.release_operator_control())
 
     def restart_autopilot() -> None:
-        vehicle = vehicle_to_change(view, "rebooted")
+        vehicle = find_changeable_vehicle(view, "rebooted")
         if vehicle is not None and vehicle.snapshot.flying:
             show_refusal("not rebooted: the vehicle is flying")
         elif vehicle is not None:
@@ -235,7 +235,7 @@ def build_check_drawer(view: WindowView) -> None:
 
     BrowserPanel("checks")
     with make_element("div", classes="mf-tools mf-foot mf-live-only"):
-        make_button("Release control", release_command, title="release operator control")
+        make_button("Release control", release_operator_control, title="release operator control")
         make_button(
             "Reboot vehicle",
             restart_autopilot,
@@ -271,7 +271,7 @@ async def send_mission(view: WindowView, vehicle: RemoteVehicle, mission: Missio
 def build_sensor_drawer(view: WindowView) -> None:
     """Build the drawer with the estimator's status of each sensor, and controls to inject failures in a simulation."""
 
-    def request_failure(kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan) -> None:
+    def request_fault_injection(kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan) -> None:
         vehicle = view.shown_vehicle()
         if vehicle is None or not view.has_controls:
             show_refusal(f"{text}: " + _blocking_reason(view))
@@ -286,12 +286,12 @@ def build_sensor_drawer(view: WindowView) -> None:
         )
         text = f"{units[unit.value]}: {how}"
         text += "" if math.isnan(much) else f" {much:g} {find_fault_unit(int(unit.value), how)}"
-        request_failure(int(kind.value), text + ("" if math.isnan(lasts) else f", {lasts:g} s"), much, lasts)
+        request_fault_injection(int(kind.value), text + ("" if math.isnan(lasts) else f", {lasts:g} s"), much, lasts)
 
     def find_fault_unit(which: int, how: str) -> str:
         return "s" if how == "late" else FAULT_TARGETS[FAILURE_NAMES[0][float(which)]].reading_unit
 
-    def describe_usual() -> None:
+    def show_default_amount() -> None:
         """Show the default amount of the chosen failure, with its unit, in the amount field."""
         how = kinds[kind.value]
         known = FAULT_TARGETS[FAILURE_NAMES[0][float(unit.value)]].default_amounts.get(how)
@@ -310,12 +310,12 @@ def build_sensor_drawer(view: WindowView) -> None:
             'dense outlined stack-label clearable aria-label=seconds placeholder="until cleared"'
         )
         for one in (unit, kind):
-            one.on_value_change(describe_usual)
-        describe_usual()
+            one.on_value_change(show_default_amount)
+        show_default_amount()
         make_button("Inject", inject_selected, test="inject", title="inject a failure into this simulated sensor")
         make_button(
             "Clear",
-            lambda: request_failure(0, "clear all injected failures"),
+            lambda: request_fault_injection(0, "clear all injected failures"),
             test="clear-faults",
             title="clear all injected failures",
         )
@@ -325,7 +325,7 @@ def build_mission_drawer(view: WindowView) -> None:
     """Build the drawer of the mission table, with upload and download of files."""
 
     async def upload_file(e: UploadEventArguments) -> None:
-        vehicle = vehicle_to_change(view, "sent")
+        vehicle = find_changeable_vehicle(view, "sent")
         if vehicle is None:
             return
         try:
@@ -341,7 +341,7 @@ def build_mission_drawer(view: WindowView) -> None:
             view.keep_request(vehicle.download_mission())
 
     def clear_mission() -> None:
-        if (vehicle := vehicle_to_change(view, "cleared")) is not None:
+        if (vehicle := find_changeable_vehicle(view, "cleared")) is not None:
             view.keep_request(vehicle.clear_mission())
 
     def save_file() -> None:
@@ -601,7 +601,7 @@ class StickPanel:
 
     def _start_flying(self, at: list[float]) -> None:
         vehicle, why = self._view.shown_vehicle(), self._reason()
-        if any(abs(v) > CENTRE_TOLERANCE for v in at):
+        if any(abs(v) > STICK_CENTRE_TOLERANCE for v in at):
             why = why or "sticks not centred; release them first"
         if vehicle is None or why:
             self._panel.call_method("ended", why or "no vehicle is displayed")

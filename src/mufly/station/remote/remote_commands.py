@@ -98,7 +98,7 @@ class RepeatedRequest:
     first_sent_s: float = -math.inf
     send_count: int = 0
 
-    def should_send(self, now_s: float) -> bool:
+    def count_try_if_due(self, now_s: float) -> bool:
         """Return whether to send the request at this time, and count the try; end the request after the last try."""
         if self.request.is_done or now_s - self.last_sent_s < RETRY_PERIOD_S:
             return False
@@ -198,7 +198,7 @@ class RemoteCommands:
             elif entry.answer_deadline_s < math.inf:
                 if now_s >= entry.answer_deadline_s:
                     entry.request.set_outcome(RequestOutcome.TIMED_OUT, "started, but completion not reported")
-            elif entry.should_send(now_s):
+            elif entry.count_try_if_due(now_s):
                 out.append(entry.command.to_message(*self.target, min(entry.send_count - 1, 255)))
             if entry.request.is_done:
                 del self._open[number]
@@ -282,11 +282,11 @@ class OperatorControlClient:
         self._open: RepeatedRequest | None = None
         self._wish = 0
 
-    def take_command(self) -> OperatorRequest:
+    def request_operator_control(self) -> OperatorRequest:
         """Request operator control."""
         return self._start_request(OperatorRequest("take operator control"), 0)
 
-    def release_command(self) -> OperatorRequest:
+    def release_operator_control(self) -> OperatorRequest:
         """Release operator control."""
         return self._start_request(OperatorRequest("release operator control"), 1)
 
@@ -313,7 +313,7 @@ class OperatorControlClient:
         """Return the requests for operator control to send at present."""
         if self._open is None:
             return []
-        if self._open.should_send(now_s):
+        if self._open.count_try_if_due(now_s):
             return [mavlink.MAVLink_change_operator_control_message(self._system, self._wish, 0, b"")]
         if self._open.request.is_done:
             if commander is None:

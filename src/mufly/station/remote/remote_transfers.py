@@ -144,7 +144,7 @@ class RemoteMission:
             if math.isnan(job.started_s):
                 job.started_s = now_s
                 self._start_job(now_s, job)
-            if job.is_clearing and job.should_send(now_s):
+            if job.is_clearing and job.count_try_if_due(now_s):
                 self._out.append((_PEER_NAME, MissionClearAll(self._kind)))
             elif not job.is_clearing:
                 self._continue_job(now_s, job)
@@ -390,7 +390,7 @@ class RemoteParameters:
                 if now_s - entry.differs_since_s > (REFUSAL_WAIT_S if reason else SILENT_REFUSAL_WAIT_S):
                     words = reason or f"the vehicle keeps {self._make_parameter(name).value:g}"
                     entry.request.set_outcome(RequestOutcome.REFUSED, words)
-            elif entry.should_send(now_s):
+            elif entry.count_try_if_due(now_s):
                 kind = self._raw[name][1]
                 value = encode_parameter(entry.value, kind, self.bytewise)
                 out.append(mavlink.MAVLink_param_set_message(*self.target, name.encode(), value, kind))

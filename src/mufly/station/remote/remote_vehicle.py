@@ -19,7 +19,7 @@ from mufly.flight import TunableParameter
 from mufly.link.codec import MavMessage, mavlink
 from mufly.link.command_protocol import Command
 from mufly.link.mission_transfer import TYPE_FENCE
-from mufly.link.ports import MAX_REQUEST_DELAY_S
+from mufly.link.ports import MAX_REQUEST_AGE_S
 from mufly.mission import Fence, Mission, fence_from_items, fence_to_items, load_mission
 from mufly.mission.files.mission_items import MissionRefusedError, mission_to_items
 from mufly.station.mission_rows import rows_from_items
@@ -150,7 +150,7 @@ class RemoteVehicle:
         return self._now_s - self._heard_s < LOST_TIMEOUT_S
 
     @property
-    def is_in_command(self) -> bool:
+    def has_operator_control(self) -> bool:
         """Return whether this station has control; true also if the vehicle publishes no commander."""
         return self.telemetry.commander_id in (None, self._own_station_number)
 
@@ -177,7 +177,7 @@ class RemoteVehicle:
             silent_s=self._now_s - self._heard_s,
             armed=t.armed,
             flying=t.is_flying,
-            in_command=self.is_in_command,
+            in_command=self.has_operator_control,
             commander=self.commander,
             state=t.state,
             mission_running=t.mission_state == mavlink.MISSION_STATE_ACTIVE,
@@ -320,13 +320,13 @@ class RemoteVehicle:
         """
         return self._request_command(text, autopilots.inject_failure_command(unit, kind, amount, duration_s))
 
-    def take_command(self) -> OperatorRequest:
+    def request_operator_control(self) -> OperatorRequest:
         """Request operator control for this station."""
-        return self._control.take_command()
+        return self._control.request_operator_control()
 
-    def release_command(self) -> OperatorRequest:
+    def release_operator_control(self) -> OperatorRequest:
         """Release operator control."""
-        return self._control.release_command()
+        return self._control.release_operator_control()
 
     def upload_mission(self, mission: Mission | str | Path) -> OperatorRequest:
         """Upload a mission, or the mission file of this name."""
@@ -548,7 +548,7 @@ class RemoteVehicle:
         """
         silent_s = now_s - self._heard_s
         usual_s = _CANCEL_AFTER_MISSED_MESSAGES / self._usual_rate_Hz if self._usual_rate_Hz > 0.0 else LOST_TIMEOUT_S
-        if math.isfinite(silent_s) and silent_s >= min(LOST_TIMEOUT_S, max(MAX_REQUEST_DELAY_S, usual_s)):
+        if math.isfinite(silent_s) and silent_s >= min(LOST_TIMEOUT_S, max(MAX_REQUEST_AGE_S, usual_s)):
             why = f"not executed: no message from the vehicle for {silent_s:.1f} s"
             self._cancel_moves(why)
             self._cancel_changes(why)

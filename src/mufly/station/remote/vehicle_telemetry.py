@@ -34,7 +34,7 @@ Stamps of messages of the same instant may differ by a tick or two. The tlog has
 _ROW_TIMEOUT_S = 0.05
 _STALE_CHECK_PERIOD_S = 0.25
 _STATE_TIMEOUT_S = 3.0
-_NEAR_POLE_DEG = 89.0  # beyond this latitude, east is undefined
+_NEAR_POLE_LATITUDE_DEG = 89.0  # beyond this latitude, east is undefined
 _TYPE_COAXIAL, _FLAG_ARMED = 3, 128  # MAV_TYPE, MAV_MODE_FLAG
 _BODY_FRAME = 12  # MAV_FRAME_BODY_FRD
 _OLD_BODY_FRAME = 8  # MAV_FRAME_BODY_NED, in messages of older PX4 versions
@@ -273,7 +273,7 @@ class VehicleTelemetry:
 
     def _read_global_position(self, m: MavMessage) -> _VariableValues:
         """Return position (m from the origin) and velocity; the first fix becomes the origin if there is none."""
-        if (m.lat, m.lon) == (0, 0) or not _is_valid_place(m.lat, m.lon):
+        if (m.lat, m.lon) == (0, 0) or not _is_valid_latitude_longitude(m.lat, m.lon):
             return None  # no fix yet
         latitude, longitude = m.lat / 1e7, m.lon / 1e7
         if self.origin is None:
@@ -374,7 +374,7 @@ class VehicleTelemetry:
         self.landed_state = m.landed_state
 
     def _read_global_origin(self, now_s: float, m: MavMessage) -> None:
-        if _is_valid_place(m.latitude, m.longitude):
+        if _is_valid_latitude_longitude(m.latitude, m.longitude):
             self.origin = GlobalOrigin(m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3)
 
     def _read_home(self, now_s: float, m: MavMessage) -> None:
@@ -484,9 +484,9 @@ def _battery_values(voltage: float, m: MavMessage) -> _VariableValues:
     }
 
 
-def _is_valid_place(latitude_e7: int, longitude_e7: int) -> bool:
+def _is_valid_latitude_longitude(latitude_e7: int, longitude_e7: int) -> bool:
     """Return whether latitude and longitude (1e-7 deg) are in range: messages may hold any value."""
-    return abs(latitude_e7) <= _NEAR_POLE_DEG * 1e7 and abs(longitude_e7) <= 180.0 * 1e7
+    return abs(latitude_e7) <= _NEAR_POLE_LATITUDE_DEG * 1e7 and abs(longitude_e7) <= 180.0 * 1e7
 
 
 def _read_euler_angles(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
@@ -649,10 +649,10 @@ class VehicleClock:
         self._backward.clear()
         if not time_s <= self.time_s:
             self.time_s, self._heard_s = time_s, now_s
-        self._record_mark(now_s, now_s - time_s)
+        self._record_clock_sample(now_s, now_s - time_s)
         return time_s
 
-    def _record_mark(self, now_s: float, age_s: float) -> None:
+    def _record_clock_sample(self, now_s: float, age_s: float) -> None:
         if now_s - self._marked_s >= _RATE_SAMPLE_PERIOD_S:
             self._marked_s = now_s
             self._marks.append((now_s, age_s))

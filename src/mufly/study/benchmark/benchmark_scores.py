@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
-from mufly.files.answer_store import hash_question, read_answer, write_answer
+from mufly.files.answer_store import hash_inputs, read_stored_result, write_stored_result
 from mufly.results.result_figure import blank_figure, label_axes
 from mufly.rotor import fit_rotor, predict_interval
 from mufly.rotor.measured.uncertainty import fit_interval_scale, interval_quantile
-from mufly.study.benchmark.prediction_codes import PredictionCode, RotorPrediction, describe_case
+from mufly.study.benchmark.prediction_codes import PredictionCode, RotorPrediction, make_rotor_description
 from mufly.study.benchmark.rotor_cases import RotorCase
 from mufly.version import __version__
 
@@ -137,16 +137,16 @@ def _predict_and_cache(code: PredictionCode, case: RotorCase, file: Path | None)
         nothing = np.full(case.measured.thrust_N.size, math.nan)
         found = RotorPrediction(nothing, nothing, str(error))
     if file is not None:
-        write_answer(file, _cache_key(code, case), vars(found))
+        write_stored_result(file, _cache_key(code, case), vars(found))
     return found
 
 
 def _cache_key(code: PredictionCode, case: RotorCase) -> str:
-    return hash_question(__version__, code.cache_settings, describe_case(case))
+    return hash_inputs(__version__, code.cache_settings, make_rotor_description(case))
 
 
 def _read_cache(file: Path | None, key: str) -> RotorPrediction | None:
-    kept = None if file is None else read_answer(file, key)
+    kept = None if file is None else read_stored_result(file, key)
     if kept is None:
         return None
     return RotorPrediction(np.array(kept["thrust_N"], float), np.array(kept["torque_Nm"], float), kept["fault"])
@@ -195,7 +195,9 @@ def score_held_out_points(
     return scores
 
 
-def score_cross_validated(cases: Sequence[RotorCase], progress: ProgressCallback | None = None) -> list[RotorScore]:
+def score_prediction_intervals(
+    cases: Sequence[RotorCase], progress: ProgressCallback | None = None
+) -> list[RotorScore]:
     """Score nominal 90 % intervals (:func:`mufly.rotor.predict_interval`) by cross-validation over families.
 
     For each family the scales of the intervals are fitted to the other families

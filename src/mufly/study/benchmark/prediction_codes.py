@@ -117,7 +117,7 @@ def _contour_name(airfoil: str) -> str:
     return Path(airfoil).stem if Path(airfoil).is_file() else airfoil
 
 
-def describe_case(case: RotorCase) -> RotorDescription:
+def make_rotor_description(case: RotorCase) -> RotorDescription:
     """Return the description of a case for an external code."""
     r, blade = case.rotor, case.rotor.blade
     x = np.unique(np.clip(np.concatenate(([float(r.hub_cutout)], blade.r_over_R.array())), float(r.hub_cutout), 1.0))
@@ -175,7 +175,7 @@ def _make_mufly_code(method: SolverMethod, n_crit: float | None) -> Callable[[Ro
 
 def _predict_by_function(function: Callable[[RotorDescription], Any], label: str, case: RotorCase) -> RotorPrediction:
     try:
-        return _check_prediction(function(describe_case(case)), label, case)
+        return _check_prediction(function(make_rotor_description(case)), label, case)
     except Exception as error:  # an external code may raise any exception on one rotor and work for the next
         return _failed_prediction(case, f"{type(error).__name__}: {error}")
 
@@ -194,7 +194,7 @@ def _check_prediction(answer: Any, label: str, case: RotorCase) -> RotorPredicti
 
 
 def _predict_by_command(command: str, case: RotorCase, limit_s: float) -> RotorPrediction:
-    question = describe_case(case)
+    question = make_rotor_description(case)
     with tempfile.TemporaryDirectory(prefix="mufly-benchmark-") as name:
         folder = Path(name)
         (folder / "rotor.json").write_text(json.dumps(question), encoding="utf-8")

@@ -34,7 +34,7 @@ from mufly.bench import read_measurements
 from mufly.errors import InputError, MuflyError
 from mufly.files.text_table import read_text_table
 from mufly.quantities.units import RPM
-from mufly.rotor import Air, Rotor, RotorMeasurements, load_rotor, read_blade, replace_rotor
+from mufly.rotor import Air, Rotor, RotorMeasurements, import_rotor, load_rotor, replace_rotor
 from mufly.rotor.blades.blade_solid import rotor_from_body
 
 Array = NDArray[np.float64]
@@ -251,7 +251,7 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
         rotor = _build_rotor(name, int(blades), radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], *foils)
         rotor = replace_rotor(
             rotor,
-            {"trailing_edge": TRAILING_EDGE_THICKNESS_M, **_photographed_geometry(name, radius)},
+            {"trailing_edge": TRAILING_EDGE_THICKNESS_M, **_describe_photographed_geometry(name, radius)},
             source="estimated",
         )
         n, d = m[:, 0] / 60, 2 * radius
@@ -273,7 +273,7 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
 _STATED_PITCH_PATTERN = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(?P<deg>\d+(?:\.\d+)?)deg")
 
 
-def _photographed_geometry(name: str, radius_m: float) -> dict[str, object]:
+def _describe_photographed_geometry(name: str, radius_m: float) -> dict[str, object]:
     """Return values for the rotor file of a UIUC propeller: source of the geometry, and pitch stated in the name.
 
     A name as 5x3 or 96x70 states diameter and pitch in the same unit, 15deg the blade angle at 0.75 R.
@@ -339,16 +339,16 @@ def _read_best_geometry(photographed: Path, name: str, diameter_m: float, blades
     """
     beside = {p.suffix.lower(): p for p in photographed.parent.glob(f"{name}.*")}
     values: dict[str, object] = {"hub_cutout": 0.15, "trailing_edge": TRAILING_EDGE_THICKNESS_M}
-    values |= _photographed_geometry(name, 0.5 * diameter_m)
+    values |= _describe_photographed_geometry(name, 0.5 * diameter_m)
     if ".stl" in beside:
         with tempfile.TemporaryDirectory() as contours:  # chord and twist alone are used
             rotor = rotor_from_body(beside[".stl"], folder=contours, blades=blades, name=name)[0]
         values["blade.geometry"] = "scan"
     elif ".pe0" in beside:
-        rotor = read_blade(beside[".pe0"], blades=blades, name=name).rotor
+        rotor = import_rotor(beside[".pe0"], blades=blades, name=name).rotor
         values["blade.geometry"] = "maker"
     else:
-        rotor = read_blade(photographed, radius_m=0.5 * diameter_m, blades=blades, name=name).rotor
+        rotor = import_rotor(photographed, radius_m=0.5 * diameter_m, blades=blades, name=name).rotor
     if values["blade.geometry"] != "maker":
         values["blade.airfoils"] = _airfoils_by_station(section, rotor.blade.r_over_R.array())
     return replace_rotor(rotor, values, source="estimated")

@@ -66,8 +66,8 @@ from mufly.estimate.filter.measurements.sensor_checks import (
     STATUS_FAULTY,
     STATUS_FUSED,
     STATUS_REJECTED,
+    inflate_variances_on_divergence,
     mark_fused,
-    reset_on_divergence,
     set_fault,
 )
 from mufly.estimate.filter.ud_filter import gauss_markov_update, inflate_variance
@@ -78,7 +78,7 @@ FIX_MEAN_SQUARE_GATE = 11.0
 """Mean square of the worst of the fix's four ratios over half a second; 2.4 is usual."""
 DIVERGENCE_MEAN_SQUARE = 5.0
 """Mean square of the ratios above which a rejected fix is not treated as a jump of the fix."""
-SETTLING_TIME_S = 3.0
+FIX_CHECK_SETTLING_TIME_S = 3.0
 """Time in flight before which no ratio of the fix accuses the filter, whose state is well known at rest (s)."""
 LASTING_FIX_INNOVATION_RATIO = 1.0
 """Mean of a ratio of the fix over half a second above which the filter, not the noise, is the cause (1)."""
@@ -88,7 +88,7 @@ MAX_FIX_BIAS_SIGMAS = 5.5
 0.06 times in ten hours, and 5 deviations 0.8 times."""
 MAX_GYRO_BIAS_SIGMAS = 8.0
 """Deviations of the initial gyroscope bias beyond which the gyroscopes are unusable for long."""
-REJECTED_FIX_BIAS_SIGMAS = 3.0
+REJECTED_INNOVATION_BIAS_SIGMAS = 3.0
 """An innovation of the fix at rest beyond the gate counts as this many deviations of its bias."""
 
 
@@ -173,7 +173,7 @@ def _largest_mean_ratio(m: FilterMemory) -> float:
 
 
 @cached_njit(error_model="numpy")
-def _fix_bias_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
+def _compute_fix_bias_limit_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
     """Return the estimated bias of component ``i`` of the fix, divided by the largest bias that its model allows.
 
     A Gauss-Markov process of deviation sigma exceeds 5 sigma once in two million correlation times. Innovations do
@@ -193,7 +193,7 @@ def _inflate_fix_bias_walk(m: FilterMemory, s: FilterSettings, i: int, nu: float
     that the largest bias variance does not explain remains a jump.
     """
     sigma = s.initial_sigma[ERROR_FIX_BIAS + i]
-    spread = nu / REJECTED_FIX_BIAS_SIGMAS
+    spread = nu / REJECTED_INNOVATION_BIAS_SIGMAS
     scale = spread * spread / (sigma * sigma)
     aid = AID_POSITION if i < FIX_HEADING else AID_HEADING
     if not scale < MAX_NOISE_SCALE:
@@ -225,7 +225,7 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio:
         blind = (m.tick - m.last_fused_tick[READING_SONAR]) * s.dt > 0.3
         m.fix_sonar_height_difference = 0.0 if blind or off < 2.5 else whole
     elif _sonar_height_valid(m, s) and (
-        _fix_bias_ratio(m, s, 2) > 1.0 or (off > INNOVATION_GATE and reset_timeout_expired(m, s, k))
+        _compute_fix_bias_limit_ratio(m, s, 2) > 1.0 or (off > INNOVATION_GATE and reset_timeout_expired(m, s, k))
     ):
         m.fix_sonar_height_difference = whole
     return m.fix_sonar_height_difference == 0.0
@@ -280,7 +280,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     log_innovation(m, k, at, worst)
     # Growing ratios of one sign show that the filter diverges, not that the fix jumps. Without a rotor model the
     # variances are a guess, and the filter would follow a record with wrong axes from fix to fix.
-    settled = (m.tick - m.last_grounded_tick) * s.dt > SETTLING_TIME_S
+    settled = (m.tick - m.last_grounded_tick) * s.dt > FIX_CHECK_SETTLING_TIME_S
     lasting = settled and _largest_mean_ratio(m) > LASTING_FIX_INNOVATION_RATIO
     led = (
         s.has_rotor_model > 0
@@ -318,9 +318,13 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     for i in range(FIX_COMPONENT_COUNT):
         if i != FIX_DOWN or down:
             _estimate_fix_noise(m, i)
-    out = max(_fix_bias_ratio(m, s, FIX_NORTH), _fix_bias_ratio(m, s, FIX_EAST), _fix_bias_ratio(m, s, FIX_HEADING))
+    out = max(
+        _compute_fix_bias_limit_ratio(m, s, FIX_NORTH),
+        _compute_fix_bias_limit_ratio(m, s, FIX_EAST),
+        _compute_fix_bias_limit_ratio(m, s, FIX_HEADING),
+    )
     if led or (lasting and m.fix_max_ratio_squared_lp > FIX_MEAN_SQUARE_GATE) or (out > 1.0 and settled):
-        reset_on_divergence(m, s)
+        inflate_variances_on_divergence(m, s)
         set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at)
     for i in range(FIX_COMPONENT_COUNT):
         if i == FIX_DOWN and not down:

@@ -103,7 +103,7 @@ random walk afterwards, since a drift may continue."""
 DIVERGED_GYRO_BIAS_SIGMA_RAD_S, DIVERGED_ATTITUDE_SIGMA_RAD, DIVERGED_SPEED_SIGMA_M_S = 0.15, 0.06, 0.3
 """Standard deviations of bias (rad/s), attitude (rad) and speed (m/s) after a divergence."""
 _ROTOR_SPEED_GATE, _ROTOR_SPEED_RECOVERY_GATE = 0.08, 0.02  # fractions of the hover speed; the second after a rejection
-_ROTOR_ACCEL_LIMIT, _ROTOR_ACCEL_MEAN_S, _ROTOR_ACCEL_SETTLING_S = 0.03, 4.0, 1.0
+_MAX_MOTOR_ACCEL_BIAS_CHANGE, _MOTOR_ACCEL_BIAS_MEAN_S, _MOTOR_ACCEL_BIAS_SETTLING_S = 0.03, 4.0, 1.0
 """Permitted deviation of the motor equations' error from its mean (fraction of the hover speed per second), averaging
 time (s), and settling time after lift-off (s); flights in gusts need a fifth of the limit."""
 _BATTERY_VOLTAGE_GATE_V = 0.6
@@ -255,7 +255,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
 
 
 @cached_njit(error_model="numpy")
-def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
+def inflate_variances_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
     """Inflate the variances of gyroscope bias, attitude and velocity after lasting, large innovations of the fix."""
     if m.divergence_recovery_ticks_left <= 1:
         for k in range(3):
@@ -366,7 +366,7 @@ def check_rotor_speed(m: FilterMemory, s: FilterSettings, z: _Array, start: int)
         away = max(away, abs(m.rotor_spin_accel_bias[j] - m.rotor_spin_accel_bias_mean[j]) / s.hover_speed[j])
     # On the floor the motor equations are adapted.
     if m.flight_phase == PHASE_FLYING:
-        if flown > _ROTOR_ACCEL_SETTLING_S and away > _ROTOR_ACCEL_LIMIT:
+        if flown > _MOTOR_ACCEL_BIAS_SETTLING_S and away > _MAX_MOTOR_ACCEL_BIAS_CHANGE:
             for j in range(2):
                 m.rotor_spin_accel_bias[j] = m.rotor_spin_accel_bias_mean[j]
             mark_rejected(m, s, k, REASON_INNOVATION, worst * s.hover_speed[0])
@@ -374,7 +374,7 @@ def check_rotor_speed(m: FilterMemory, s: FilterSettings, z: _Array, start: int)
         if worst > (_ROTOR_SPEED_RECOVERY_GATE if m.reject_score[k] > 0.5 else _ROTOR_SPEED_GATE):
             mark_rejected(m, s, k, REASON_INNOVATION, worst * s.hover_speed[0])
             return False
-    share = s.sensor_period[k] / max(min(flown, _ROTOR_ACCEL_MEAN_S), s.sensor_period[k])
+    share = s.sensor_period[k] / max(min(flown, _MOTOR_ACCEL_BIAS_MEAN_S), s.sensor_period[k])
     for j in range(2):
         m.rotor_spin_accel_bias_mean[j] += share * (m.rotor_spin_accel_bias[j] - m.rotor_spin_accel_bias_mean[j])
     mark_fused(m, k)

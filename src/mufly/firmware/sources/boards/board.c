@@ -122,7 +122,7 @@ static bool step_filter(board_t *b)
 /* Advance the filter by lost periods with the readings of the inertial unit of the period after them. */
 static void process_missed_periods(board_t *b, int32_t missed)
 {
-    const int32_t count = (missed < MAX_MISSED_PERIODS) ? missed : MAX_MISSED_PERIODS;
+    const int32_t count = (missed < MAX_MISSED_PERIODS_PER_UPDATE) ? missed : MAX_MISSED_PERIODS_PER_UPDATE;
     hal_readings_t *r = &b->readings;
     real_t z[INPUT_VALUE_COUNT];
     int32_t fresh[SENSOR_COUNT];

@@ -29,14 +29,14 @@ typedef struct {
 } board_t;
 
 /* Periods without a feed after which the watchdog stops the processor (50 ms). */
-#define MAX_MISSED_PERIODS 10
+#define MAX_MISSED_PERIODS_PER_UPDATE 10
 
 /* fitted: bits 1 << R_... of the fitted sensors; restart: RESTART_... of fault_record.h. The motors are off, whatever
  * happened before the start; after a restart in flight the first request to arm is refused. Loads the stored settings. */
 void board_start(board_t *b, uint32_t fitted, int32_t restart);
 
 /* First half of a period: from the readings in b->readings to the estimate in b->belief. missed: periods lost before it; the
-   filter repeats them with the inertial readings of this period, at most MAX_MISSED_PERIODS. */
+   filter repeats them with the inertial readings of this period, at most MAX_MISSED_PERIODS_PER_UPDATE. */
 void board_estimate(board_t *b, real_t time_s, int32_t missed);
 
 /* Second half: from the estimate to b->sent, the actuator inputs of the next period; zero unless armed; appends to the log.

@@ -115,7 +115,7 @@ static void loads_from_map(const real_t x[MODEL_STATES], const real_t wind[3], c
 }
 #endif
 
-void battery_state(const real_t x[MODEL_STATES], real_t motor_up, real_t motor_dw, const flight_model_t *p,
+void compute_battery_supply(const real_t x[MODEL_STATES], real_t motor_up, real_t motor_dw, const flight_model_t *p,
              real_t *voltage, real_t *current)
 {
     const int32_t last = CURVE_POINTS - 1;
@@ -172,9 +172,9 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     const real_t wx = x[MODEL_RATES];
     const real_t wy = x[MODEL_RATES + 1];
     const real_t wz = x[MODEL_RATES + 2];
-    const real_t bar_n = x[MODEL_BAR];
-    const real_t bar_e = x[MODEL_BAR + 1];
-    const real_t bar_d = x[MODEL_BAR + 2];
+    const real_t bar_n = x[MODEL_BAR_NORMAL];
+    const real_t bar_e = x[MODEL_BAR_NORMAL + 1];
+    const real_t bar_d = x[MODEL_BAR_NORMAL + 2];
     const real_t speed_up = x[MODEL_SPEED_UPPER];
     const real_t speed_dw = x[MODEL_SPEED_LOWER];
     const real_t a00 = REAL(1.0) - (REAL(2.0) * ((qy * qy) + (qz * qz)));
@@ -220,7 +220,7 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     }
 #endif
     /* Motors and battery. */
-    battery_state(x, motor_up, motor_dw, p, &voltage, &current);
+    compute_battery_supply(x, motor_up, motor_dw, p, &voltage, &current);
     drag_up = (k.torque_up * speed_up) * real_abs(speed_up);
     drag_dw = (k.torque_dw * speed_dw) * real_abs(speed_dw);
     accel_up = rotor_acceleration(p, motor_up, voltage, speed_up, drag_up, p->J_up);
@@ -281,9 +281,9 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     dx[MODEL_SWASH_ROLL] = p->swash_rate * ((p->swash_gain * servo_2) - x[MODEL_SWASH_ROLL]);
     dx[MODEL_SWASH_PITCH] = p->swash_rate * ((-p->swash_gain * servo_1) - x[MODEL_SWASH_PITCH]);
     along = -(((a02 * bar_n) + (a12 * bar_e)) + (a22 * bar_d));
-    dx[MODEL_BAR] = p->bar_rate * (-a02 - (along * bar_n));
-    dx[MODEL_BAR + 1] = p->bar_rate * (-a12 - (along * bar_e));
-    dx[MODEL_BAR + 2] = p->bar_rate * (-a22 - (along * bar_d));
+    dx[MODEL_BAR_NORMAL] = p->bar_rate * (-a02 - (along * bar_n));
+    dx[MODEL_BAR_NORMAL + 1] = p->bar_rate * (-a12 - (along * bar_e));
+    dx[MODEL_BAR_NORMAL + 2] = p->bar_rate * (-a22 - (along * bar_d));
     dx[MODEL_SPEED_UPPER] = accel_up;
     dx[MODEL_SPEED_LOWER] = accel_dw;
     dx[MODEL_CHARGE] = -current / p->battery_capacity;

@@ -18,7 +18,7 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
                   const swash_t *swash, real_t dx[MODEL_STATES]);
 
 /* Terminal voltage (V) and supply current (A) of the battery. */
-void battery_state(const real_t x[MODEL_STATES], real_t motor_up, real_t motor_dw, const flight_model_t *p,
+void compute_battery_supply(const real_t x[MODEL_STATES], real_t motor_up, real_t motor_dw, const flight_model_t *p,
              real_t *voltage, real_t *current);
 
 #endif

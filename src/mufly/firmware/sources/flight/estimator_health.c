@@ -3,8 +3,8 @@
 /* Smoothing */
 
 #define CORRECTION_TIME_S REAL(0.3)
-#define MAX_CORRECTION_M_S REAL(0.5)
-#define MAX_CORRECTION_RAD_S REAL(0.5)
+#define MAX_CORRECTION_SPEED_M_S REAL(0.5)
+#define MAX_CORRECTION_TURN_RATE_RAD_S REAL(0.5)
 
 void correction_smoother_reset(correction_smoother_t *s)
 {
@@ -34,7 +34,7 @@ void correction_smoother_step(correction_smoother_t *s, estimate_t *m, bool anew
             const real_t v = REAL(0.5) * (s->last_velocity[i] + velocity);
             const real_t off = ((now->position[i] - s->smoothed_position[i]) - (dt * v)) / CORRECTION_TIME_S;
 
-            s->smoothed_position[i] = s->smoothed_position[i] + (dt * (v + real_min(real_max(off, -MAX_CORRECTION_M_S), MAX_CORRECTION_M_S)));
+            s->smoothed_position[i] = s->smoothed_position[i] + (dt * (v + real_min(real_max(off, -MAX_CORRECTION_SPEED_M_S), MAX_CORRECTION_SPEED_M_S)));
             now->position[i] = s->smoothed_position[i];
         } else {
             s->smoothed_position[i] = now->position[i];
@@ -49,7 +49,7 @@ void correction_smoother_step(correction_smoother_t *s, estimate_t *m, bool anew
         sine_cosine(now->attitude[1], &sp, &cp);
         turn = ((sr * now->rates[1]) + (cr * now->rates[2])) / real_max(cp, REAL(0.1));
         off = ((now->attitude[2] - s->smoothed_heading) - (dt * turn)) / CORRECTION_TIME_S;
-        s->smoothed_heading = s->smoothed_heading + (dt * (turn + real_min(real_max(off, -MAX_CORRECTION_RAD_S), MAX_CORRECTION_RAD_S)));
+        s->smoothed_heading = s->smoothed_heading + (dt * (turn + real_min(real_max(off, -MAX_CORRECTION_TURN_RATE_RAD_S), MAX_CORRECTION_TURN_RATE_RAD_S)));
         now->attitude[2] = s->smoothed_heading;
     } else {
         s->smoothed_heading = now->attitude[2];
@@ -127,7 +127,7 @@ static void set_explained_verdict(health_verdict_t *found, int32_t action, int32
     }
 }
 
-static real_t position_std_growth(const estimate_t *m, real_t stood)
+static real_t compute_added_position_std(const estimate_t *m, real_t stood)
 {
     const real_t most = real_max(real_max(m->position_variance[0], m->position_variance[1]), stood);
 
@@ -137,7 +137,7 @@ static real_t position_std_growth(const estimate_t *m, real_t stood)
 /* height_counts: whether the height has been uncertain long enough to require landing. */
 static void judge_estimate(health_verdict_t *found, const estimate_t *m, real_t stood, bool height_counts)
 {
-    const real_t place = position_std_growth(m, stood);
+    const real_t place = compute_added_position_std(m, stood);
     const real_t height = real_sqrt(m->position_variance[2]);
     const real_t tilt = real_sqrt(real_max(m->attitude_variance[0], m->attitude_variance[1]));
     const real_t heading = real_sqrt(m->attitude_variance[2]);
@@ -163,7 +163,7 @@ static void judge_estimate(health_verdict_t *found, const estimate_t *m, real_t 
 
 bool ignores_position(const health_monitor_t *d, const estimate_t *m)
 {
-    return (d->verdict.action == FAILSAFE_LAND) && (position_std_growth(m, d->floor_variance_m2) > HOLD_POSITION_SIGMA_M);
+    return (d->verdict.action == FAILSAFE_LAND) && (compute_added_position_std(m, d->standing_position_variance_m2) > HOLD_POSITION_SIGMA_M);
 }
 
 bool gyro_unavailable(const estimate_t *m)
@@ -226,7 +226,7 @@ bool health_monitor_step(health_monitor_t *d, const estimate_t *m)
                 said = true;
             }
         } else if (d->verdict.action == FAILSAFE_HOLD) {
-            if (position_std_growth(m, d->standing_position_variance_m2) >= RESUME_POSITION_SIGMA_M) {
+            if (compute_added_position_std(m, d->standing_position_variance_m2) >= RESUME_POSITION_SIGMA_M) {
                 d->is_certain = false;
             } else if (!d->is_certain) {
                 d->is_certain = true;

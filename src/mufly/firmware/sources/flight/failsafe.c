@@ -5,9 +5,9 @@
 #define SPIN_UP_VOLTAGE_FRACTION REAL(0.9)
 #define MAX_DESCENT_M_S REAL(0.9)
 #define TOUCHDOWN_DESCENT_M_S REAL(0.5)
-#define DESCENT_ENERGY_GAIN (REAL(1.0) / (REAL(2.0) * REAL(9.81) * REAL(0.4)))
-#define MIN_DESCENT_FRACTION REAL(0.92)
-#define MAX_DESCENT_FRACTION REAL(1.08)
+#define DESCENT_RATE_GAIN_S_M (REAL(1.0) / (REAL(2.0) * REAL(9.81) * REAL(0.4)))
+#define MIN_DESCENT_VOLTAGE_FRACTION REAL(0.92)
+#define MAX_DESCENT_VOLTAGE_FRACTION REAL(1.08)
 #define DESCENT_MARGIN_S REAL(1.0)
 
 void spin_up_motor_input(const real_t hover_V[2], real_t elapsed_s, real_t battery_V, real_t out[2])
@@ -41,7 +41,7 @@ real_t descent_voltage_fraction(real_t height, real_t descent)
 {
     const real_t wanted = real_min(real_max(height, TOUCHDOWN_DESCENT_M_S), MAX_DESCENT_M_S);
 
-    return real_min(real_max(REAL(1.0) + (DESCENT_ENERGY_GAIN * (descent - wanted)), MIN_DESCENT_FRACTION), MAX_DESCENT_FRACTION);
+    return real_min(real_max(REAL(1.0) + (DESCENT_RATE_GAIN_S_M * (descent - wanted)), MIN_DESCENT_VOLTAGE_FRACTION), MAX_DESCENT_VOLTAGE_FRACTION);
 }
 
 real_t descent_time_s(real_t height, real_t gravity)

@@ -7,7 +7,7 @@
 #include "mission/machine/state_machine.h"
 #include "mission/user_requests.h"
 
-#define MEASUREMENT_TIMEOUT_S REAL(0.5)
+#define ESTIMATE_TIMEOUT_S REAL(0.5)
 #define MAX_MOTOR_INPUT_STEP REAL(0.1)
 #define MAX_SERVO_INPUT_STEP REAL(0.2)
 #define HOVER_VOLTAGE_FILTER_S REAL(1.0)
@@ -138,7 +138,7 @@ static bool is_estimate_lost(const software_t *s)
     const bool running = (s->motors == MOTORS_SPIN_UP) || (s->motors == MOTORS_FLY);
     const real_t running_s = running ? (s->watch.good.time_s - s->motors_since_s) : REAL(0.0);
 
-    return (s->motors == MOTORS_BLIND) || (real_min(s->watch.lost_s, running_s) > MEASUREMENT_TIMEOUT_S);
+    return (s->motors == MOTORS_BLIND) || (real_min(s->watch.lost_s, running_s) > ESTIMATE_TIMEOUT_S);
 }
 
 static void hold_and_wait(const flight_setup_t *setup, software_t *s)

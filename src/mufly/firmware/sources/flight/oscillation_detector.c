@@ -62,7 +62,7 @@ static bool turning_points_step(turning_points_t *t, real_t time_s, real_t value
     return turned;
 }
 
-static void reset_count(input_oscillation_t *s)
+static void clear_half_periods(input_oscillation_t *s)
 {
     s->half_period_count = 0;
     s->period_s = REAL(0.0);
@@ -76,7 +76,7 @@ static void add_turning_point(input_oscillation_t *s, real_t value)
         const bool even = (period <= (MAX_PERIOD_RATIO * s->period_s)) && (s->period_s <= (MAX_PERIOD_RATIO * period));
 
         if ((period > MAX_OSCILLATION_PERIOD_S) || ((s->half_period_count > 0) && !even)) {
-            reset_count(s);
+            clear_half_periods(s);
         } else if (s->half_period_count > 0) {
             s->half_period_count++;
             s->period_s = period;
@@ -114,7 +114,7 @@ void oscillation_detector_step(oscillation_detector_t *o, real_t time_s, const r
         real_t lasting = REAL(0.0);
 
         if (steered) {
-            reset_count(s);
+            clear_half_periods(s);
         }
         turned = turning_points_step(&s->turning_points, time_s, inputs[i]);
         if (s->half_period_count > 0) {
@@ -124,7 +124,7 @@ void oscillation_detector_step(oscillation_detector_t *o, real_t time_s, const r
         if (turned) {
             add_turning_point(s, inputs[i]);
         } else if ((s->half_period_count > 0) && ((time_s - s->turning_points.turn_times_s[s->turning_points.turn_count - 1]) > MAX_OSCILLATION_PERIOD_S)) {
-            reset_count(s);
+            clear_half_periods(s);
         } else {
             /* continues */
         }

@@ -263,7 +263,7 @@ static real_t distance_and_unit_vector(const real_t point[], const real_t place[
     return far;
 }
 
-real_t nearest_point(const path_check_t *sight, const real_t place[], real_t from[2])
+real_t find_nearest_point_distance(const path_check_t *sight, const real_t place[], real_t from[2])
 {
     real_t far = REAL_INFINITY;
     int32_t row = -1;
@@ -497,10 +497,10 @@ void follow_contour(detour_t *detour, const path_check_t *sight, const beam_ring
     bool goal_blocked;
 
     near.at = detour->position;
-    near.far = nearest_point(sight, detour->position, near.from);
+    near.far = find_nearest_point_distance(sight, detour->position, near.from);
     real.at = position;
     real.touching = false;
-    real.far = nearest_point(sight, position, real.from);
+    real.far = find_nearest_point_distance(sight, position, real.from);
     nearer_goal = to_goal < (detour->hit_goal_distance - REAL(0.1));
     clear = (real.far > clearance) &&
             ((nearer_goal && (sight->path_start_clearance_sq > wide)) || ((detour->obstacle_count < 3) && (sight->path_clearance_sq > wide)));

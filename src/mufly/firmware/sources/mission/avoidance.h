@@ -80,7 +80,7 @@ void check_map_part(obstacle_map_t *memory, path_check_t *sight, real_t time_s, 
 bool is_path_blocked(const path_check_t *sight, real_t clearance);
 
 /* Distance of the nearest point from a place (m), and the unit vector N, E towards the place. */
-real_t nearest_point(const path_check_t *sight, const real_t place[], real_t from[2]);
+real_t find_nearest_point_distance(const path_check_t *sight, const real_t place[], real_t from[2]);
 
 /* Limit a velocity N, E with the least change so that distance keep (m) is approached only exponentially. */
 void limit_approach_velocity(const path_check_t *sight, const real_t position[], real_t keep, real_t velocity[2]);

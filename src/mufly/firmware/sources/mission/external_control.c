@@ -140,7 +140,7 @@ void enter_offboard(mission_t *s, const estimate_t *m, const set_point_t *wanted
     } else if (s->state != STATE_INIT) {
         trajectory_point_t at;
 
-        predict_reference(s, &at);
+        predict_step_end_reference(s, &at);
         enter_state(s, STATE_OFFBOARD, &why, LEVEL_INFO);
         s->set_point_reference = at;
         s->has_set_point_reference = true;

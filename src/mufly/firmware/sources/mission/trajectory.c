@@ -279,7 +279,7 @@ static void refine_extreme_demands(const timed_spline_t *c, curve_extremes_t *wo
 }
 
 /* Time the curve; false if it has a point without tangent or too tight a bend. */
-static bool time_curve(timed_spline_t *c, const curve_extremes_t *worst, const real_t pace[4])
+static bool compute_timed_spline(timed_spline_t *c, const curve_extremes_t *worst, const real_t pace[4])
 {
     const real_t share = pace[3] / ROOT_2;
     const real_t whole = c->arc_lengths[ARC_PIECE_COUNT];
@@ -454,7 +454,7 @@ void advance_pending_curve(trajectory_t *way)
         find_extreme_speed_and_curvature(c, &way->curve_extremes);
     } else if (way->pending_parts == 1) {
         refine_extreme_demands(c, &way->curve_extremes);
-        if (time_curve(c, &way->curve_extremes, way->curve_limits)) {
+        if (compute_timed_spline(c, &way->curve_extremes, way->curve_limits)) {
             way->has_spline_curve = true;
             make_motion_profile(REAL(0.0), REAL(1.0), REAL(1.0), &way->height_profile);
             way->path_profile = c->speed_profile;

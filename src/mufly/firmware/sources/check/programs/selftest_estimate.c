@@ -86,7 +86,7 @@ static void make_readings(const hop_t *hop, const estimator_t *m, int32_t k, rea
     z[READING_STARTS[READING_PRESSURE]] = (s->pressure_gradient_down * down) + random_number(REAL(2.0));
     z[READING_STARTS[READING_POSITION_FIX] + 2] += down;
     z[READING_STARTS[READING_POSITION_FIX] + 3] = random_number(REAL(0.02));
-    battery_state(m->flight_model_state, hop->motor[0], hop->motor[1], &mufly_flight_model, &voltage, &current);
+    compute_battery_supply(m->flight_model_state, hop->motor[0], hop->motor[1], &mufly_flight_model, &voltage, &current);
     z[READING_STARTS[READING_BATTERY]] = voltage + random_number(REAL(0.05));
     for (int32_t i = 0; i < 2; i++) {
         z[READING_STARTS[READING_ROTOR_SPEED] + i] = m->flight_model_state[MODEL_SPEED_UPPER + i] + random_number(REAL(2.0));

@@ -35,7 +35,7 @@ void estimator_reset(estimator_t *m, const estimator_settings_t *s)
     m->flight_model_state[MODEL_ATTITUDE] = REAL(1.0);
     m->flight_model_state[MODEL_CHARGE] = REAL(1.0);
     m->flight_model_state[MODEL_POSITION + 2] = REAL(-1000.0); /* far above the floor */
-    m->flight_model_state[MODEL_BAR + 2] = REAL(-1.0);
+    m->flight_model_state[MODEL_BAR_NORMAL + 2] = REAL(-1.0);
     for (int32_t k = 0; k < 3; k++) {
         m->accel_low_frequency_noise_density[k] = INITIAL_ACCEL_NOISE_DENSITY;
     }
@@ -69,13 +69,13 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
     /* The height may be wrong by the depth of a surface below the floor, or by the gap of fix and sonar. */
     doubt = m->fix_sonar_height_difference - real_min(m->x_output[NOMINAL_TERRAIN], REAL(0.0));
     replace_gyro_spikes(m, s, (m->flight_phase == PHASE_FLYING) && (height_above_ground(m->x_output, s) > (LEG_CLEARANCE_HEIGHT_M + doubt)));
-    rises = sample_inputs(m, s, p, z, fresh);
+    rises = compute_prediction_inputs(m, s, p, z, fresh);
     if ((s->has_rotor_model > 0) && (m->flight_phase >= PHASE_MOTORS_RUNNING) && (m->status[READING_ACCELERATION] < STATUS_MISSING)) {
         estimate_accel_noise(m, s, z);
     }
     queue_new_measurements(m, s, z, fresh, age);
-    predict_bias(m, s);
-    left = s->fusion_budget - (((m->tick % COVARIANCE_INTERVAL_TICKS) == 0) ? COST_COVARIANCE : 0);
+    predict_next_bias(m, s);
+    left = s->fusion_budget - (((m->tick % COVARIANCE_INTERVAL_TICKS) == 0) ? COST_COVARIANCE_OUTPUT : 0);
     if ((rises > REAL(0.0)) && (m->sigma_output[ERROR_THRUST_SCALE] > LIFTOFF_THRUST_SIGMA)) {
         fuse_liftoff_thrust(m, rises);
         left -= 1;

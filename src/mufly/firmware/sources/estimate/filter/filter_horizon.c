@@ -83,7 +83,7 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
     m->block_mean_ticks += s->block_ticks;
 }
 
-void predict_bias(estimator_t *m, const estimator_settings_t *s)
+void predict_next_bias(estimator_t *m, const estimator_settings_t *s)
 {
     const int32_t turn = ERROR_GYRO_BIAS + wrap_index(m->tick, BIAS_CYCLE_TICKS);
     const int32_t k = (turn >= ERROR_FIX_BIAS) ? (turn + ((ERROR_FIX_HEADING + 1) - ERROR_FIX_BIAS)) : turn;
@@ -202,7 +202,7 @@ static int32_t settle_terrain(estimator_t *m)
     if (!(m->terrain_edge_weight > REAL(0.0)) && (real_abs(m->x[NOMINAL_TERRAIN]) < MAX_FLOOR_HEIGHT_M)) {
         const real_t sure = state_variance(m, ERROR_TERRAIN);
 
-        if ((sure > (FLOOR_SETTLED_SIGMA * FLOOR_SETTLED_SIGMA)) && ((m->x[NOMINAL_TERRAIN] * m->x[NOMINAL_TERRAIN]) < (REAL(9.0) * sure))) {
+        if ((sure > (MIN_FLOOR_RESET_SIGMA_M * MIN_FLOOR_RESET_SIGMA_M)) && ((m->x[NOMINAL_TERRAIN] * m->x[NOMINAL_TERRAIN]) < (REAL(9.0) * sure))) {
             reset_terrain(m);
             cost = 1;
         }
@@ -282,8 +282,8 @@ int32_t run_next_task(estimator_t *m, const estimator_settings_t *s, int32_t lef
 void queue_new_measurements(estimator_t *m, const estimator_settings_t *s, const real_t z[INPUT_VALUE_COUNT],
                      const int32_t fresh[SENSOR_COUNT], const real_t age[SENSOR_COUNT])
 {
-    for (int32_t i = 0; i < QUEUED_COUNT; i++) {
-        const int32_t kind = QUEUED_READINGS[i];
+    for (int32_t i = 0; i < QUEUED_READING_COUNT; i++) {
+        const int32_t kind = QUEUED_READING_INDICES[i];
 
         if ((fresh[kind] == 1) && (m->is_decimated[kind] <= 0)) {
             /* The state of tick k belongs to k dt - lag. */

@@ -5,7 +5,7 @@
 #include "estimate/filter/records.h"
 
 /* Predict the bias whose turn it is, except those of the fix. */
-void predict_bias(estimator_t *m, const estimator_settings_t *s);
+void predict_next_bias(estimator_t *m, const estimator_settings_t *s);
 
 /* Start new means of accelerometers and model. */
 void clear_block_forces(estimator_t *m);

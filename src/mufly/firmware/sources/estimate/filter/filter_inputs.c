@@ -86,7 +86,7 @@ static void update_rotor_model(estimator_t *m, const estimator_settings_t *s, co
         real_t current;
         real_t off;
 
-        battery_state(m->flight_model_state, m->actuator_inputs[0], m->actuator_inputs[1], p, &voltage, &current);
+        compute_battery_supply(m->flight_model_state, m->actuator_inputs[0], m->actuator_inputs[1], p, &voltage, &current);
         off = z[READING_STARTS[READING_BATTERY]] - voltage;
         if (check_battery_voltage(m, s, off)) {
             const real_t fast = (((real_t)m->tick * s->dt) < REAL(1.0)) ? REAL(0.2) : REAL(0.02);
@@ -121,7 +121,7 @@ static real_t ground_force_noise(const estimator_t *m, real_t force)
     return (TWICE_ACCEL_ERROR_CORRELATION_S * may) * may;
 }
 
-real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, const real_t *z,
+real_t compute_prediction_inputs(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, const real_t *z,
                    const int32_t *fresh)
 {
     const int32_t now = wrap_index(m->tick, ROTOR_FORCE_HISTORY);
@@ -237,7 +237,7 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
     real_t weight;
 
     m->slow_residual_count += 1;
-    weight = (real_t)((m->slow_residual_count <= (SLOW_NOISE_TICKS / 2)) ? m->slow_residual_count : ((SLOW_NOISE_TICKS + 1) - m->slow_residual_count));
+    weight = (real_t)((m->slow_residual_count <= (SLOW_NOISE_WINDOW_TICKS / 2)) ? m->slow_residual_count : ((SLOW_NOISE_WINDOW_TICKS + 1) - m->slow_residual_count));
     for (int32_t k = 0; k < 3; k++) {
         real_t off = z[k] - ((m->x[NOMINAL_THRUST_SCALE] * row[INPUT_THRUST_ACCEL + k]) + row[INPUT_NON_THRUST_ACCEL + k]);
         real_t vibrating;
@@ -249,11 +249,11 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
         vibrating = m->vibration_velocity[k] + (s->imu_lag * off);
         m->vibration_velocity_variance[k] += VIBRATION_VARIANCE_GAIN * ((vibrating * vibrating) - m->vibration_velocity_variance[k]);
     }
-    if (m->slow_residual_count >= SLOW_NOISE_TICKS) {
-        const real_t half = (real_t)(SLOW_NOISE_TICKS / 2);
-        const real_t span = (REAL(0.75) * (real_t)SLOW_NOISE_TICKS) * s->dt;
+    if (m->slow_residual_count >= SLOW_NOISE_WINDOW_TICKS) {
+        const real_t half = (real_t)(SLOW_NOISE_WINDOW_TICKS / 2);
+        const real_t span = (REAL(0.75) * (real_t)SLOW_NOISE_WINDOW_TICKS) * s->dt;
         /* After lift-off the modelled force changes, and the thrust scale has to converge first. */
-        const bool settled = (m->flight_phase != PHASE_FLYING) || ((m->tick - m->last_grounded_tick) > (2 * SLOW_NOISE_TICKS));
+        const bool settled = (m->flight_phase != PHASE_FLYING) || ((m->tick - m->last_grounded_tick) > (2 * SLOW_NOISE_WINDOW_TICKS));
 
         for (int32_t k = 0; k < 3; k++) {
             const real_t mean = m->slow_residual_sum[k] / (half * (half + REAL(1.0)));

@@ -5,7 +5,7 @@
 #include "estimate/filter/records.h"
 
 /* Write the row of inputs of the period that has just ended, and average it into its block. */
-real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, const real_t *z,
+real_t compute_prediction_inputs(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, const real_t *z,
                    const int32_t *fresh);
 
 /* Estimate the noise of accelerometers less model from means over short and over long blocks. */

@@ -154,7 +154,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     const real_t to_pitch = -p->swash_gain * real_min(real_max(m->actuator_inputs[U_SERVO_1], REAL(-1.0)), REAL(1.0));
     const real_t roll = x[MODEL_SWASH_ROLL];
     const real_t pitch = x[MODEL_SWASH_PITCH];
-    const real_t bar[3] = {x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2]};
+    const real_t bar[3] = {x[MODEL_BAR_NORMAL], x[MODEL_BAR_NORMAL + 1], x[MODEL_BAR_NORMAL + 2]};
     swash_t swash;
     real_t up;
     real_t dw;
@@ -177,13 +177,13 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     x[MODEL_SPEED_UPPER] += (REAL(0.5) * dt) * up;
     x[MODEL_SPEED_LOWER] += (REAL(0.5) * dt) * dw;
     /* The bar in rotating body axes: minus the rotation of the fuselage. */
-    normal[0] = bar[0] + (dt * (dx[MODEL_BAR] - ((x[MODEL_RATES + 1] * bar[2]) - (x[MODEL_RATES + 2] * bar[1]))));
-    normal[1] = bar[1] + (dt * (dx[MODEL_BAR + 1] - ((x[MODEL_RATES + 2] * bar[0]) - (x[MODEL_RATES] * bar[2]))));
-    normal[2] = bar[2] + (dt * (dx[MODEL_BAR + 2] - ((x[MODEL_RATES] * bar[1]) - (x[MODEL_RATES + 1] * bar[0]))));
+    normal[0] = bar[0] + (dt * (dx[MODEL_BAR_NORMAL] - ((x[MODEL_RATES + 1] * bar[2]) - (x[MODEL_RATES + 2] * bar[1]))));
+    normal[1] = bar[1] + (dt * (dx[MODEL_BAR_NORMAL + 1] - ((x[MODEL_RATES + 2] * bar[0]) - (x[MODEL_RATES] * bar[2]))));
+    normal[2] = bar[2] + (dt * (dx[MODEL_BAR_NORMAL + 2] - ((x[MODEL_RATES] * bar[1]) - (x[MODEL_RATES + 1] * bar[0]))));
     size = REAL(1.0) /
            real_sqrt(((normal[0] * normal[0]) + (normal[1] * normal[1])) + (normal[2] * normal[2]));
     for (int32_t k = 0; k < 3; k++) {
-        x[MODEL_BAR + k] = REAL(0.5) * (bar[k] + normal[k]);
+        x[MODEL_BAR_NORMAL + k] = REAL(0.5) * (bar[k] + normal[k]);
     }
     flight_model(x, m->actuator_inputs, zero_wind, p, &swash, dx);
     still[0] = dx[MODEL_VELOCITY];
@@ -209,7 +209,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     out[ROTOR_ACCEL_PER_VELOCITY + 2] = real_min(((dx[MODEL_VELOCITY + 2] - GRAVITY) - moving[2]) / DRAG_SLOPE_STEP_M_S, REAL(0.0));
     for (int32_t k = 0; k < 3; k++) {
         out[ROTOR_NON_THRUST_ACCEL + k] = (moving[k] - still[k]) - (out[ROTOR_ACCEL_PER_VELOCITY + k] * air[k]);
-        x[MODEL_BAR + k] = normal[k] * size;
+        x[MODEL_BAR_NORMAL + k] = normal[k] * size;
     }
     x[MODEL_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_lag_decay);
     x[MODEL_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_lag_decay);

@@ -216,7 +216,7 @@ void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real
 }
 
 /* Do the same as propagate_column, in place, for a column without biases. */
-static void propagate_moving_column(real_t u[MOTION_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE])
+static void propagate_motion_column(real_t u[MOTION_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE])
 {
     const real_t *turning = &transition[TRANSITION_ATTITUDE];
     const real_t velocity[3] = {u[ERROR_VELOCITY], u[ERROR_VELOCITY + 1], u[ERROR_VELOCITY + 2]};
@@ -279,7 +279,7 @@ static void orthogonalise_velocity(estimator_t *m)
 void ud_time_update(estimator_t *m, real_t span, const real_t transition[TRANSITION_SIZE], const real_t q[MOTION_STATE_COUNT])
 {
     for (int32_t k = ERROR_VELOCITY; k < MOTION_STATE_COUNT; k++) {
-        propagate_moving_column(m->u_transposed[k], span, transition);
+        propagate_motion_column(m->u_transposed[k], span, transition);
     }
     for (int32_t k = MOTION_STATE_COUNT; k < ERROR_STATE_COUNT; k++) {
         propagate_column(m->u_transposed[k], span, transition, m->u_transposed[k]);

@@ -33,7 +33,7 @@ void start_landing(mission_t *s, const message_t *why, int32_t level)
         braking_motion_t brake;
 
         current_reference(s, &now);
-        predict_reference(s, &next);
+        predict_step_end_reference(s, &next);
         next.velocity[0] = now.velocity[0];
         next.velocity[1] = now.velocity[1];
         next.velocity[2] = REAL(0.0);
@@ -55,7 +55,7 @@ void start_landing(mission_t *s, const message_t *why, int32_t level)
     }
 }
 
-static void handle_touchdown(mission_t *s)
+static void log_touchdown(mission_t *s)
 {
     message_t what = make_message(SAY_TOUCHDOWN);
 
@@ -137,7 +137,7 @@ void step_landing(const plan_t *plan, mission_t *s, const estimate_t *m, real_t 
             s->touchdown_speed = real_max(s->touchdown_speed, w);
         }
         if (s->rest_duration_s > (stands ? PRESS_DOWN_DURATION_S : REST_DURATION_ON_FLOOR_S)) {
-            handle_touchdown(s);
+            log_touchdown(s);
         }
     }
 }
@@ -188,7 +188,7 @@ bool is_tipping(const estimate_t *m)
 }
 
 /* Tilt of a standing vehicle (rad): the greater of that of the estimate and of its accelerometers. */
-static real_t measured_tilt(const estimate_t *m)
+static real_t compute_standing_tilt(const estimate_t *m)
 {
     const real_t *f = m->specific_force;
     real_t sine_roll;
@@ -205,13 +205,13 @@ static real_t measured_tilt(const estimate_t *m)
 
 bool stands_tilted(const estimate_t *m)
 {
-    return !(measured_tilt(m) <= (MAX_START_TILT_DEG * DEGREE));
+    return !(compute_standing_tilt(m) <= (MAX_START_TILT_DEG * DEGREE));
 }
 
 message_t describe_start_fault(const estimate_t *m)
 {
     message_t fault = make_message(SAY_NO_MESSAGE);
-    const real_t tilt = measured_tilt(m);
+    const real_t tilt = compute_standing_tilt(m);
 
     if (!m->valid) {
         fault = make_message(SAY_ESTIMATE_NOT_VALID);

@@ -39,7 +39,7 @@ void current_reference(const mission_t *s, trajectory_point_t *out)
     }
 }
 
-void predict_reference(const mission_t *s, trajectory_point_t *out)
+void predict_step_end_reference(const mission_t *s, trajectory_point_t *out)
 {
     const bool integrates = (s->state == STATE_OBSTACLE) || (s->state == STATE_OFFBOARD) || s->has_set_point_reference;
 

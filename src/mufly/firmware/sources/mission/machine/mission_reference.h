@@ -6,7 +6,7 @@
 
 /* Reference at present, without the swing of the nose; and at the end of this step. */
 void current_reference(const mission_t *s, trajectory_point_t *out);
-void predict_reference(const mission_t *s, trajectory_point_t *out);
+void predict_step_end_reference(const mission_t *s, trajectory_point_t *out);
 bool has_departed(const mission_t *s);
 bool is_scanning(const plan_t *plan, const mission_t *s);
 void scan_yaw(const plan_t *plan, const mission_t *s, real_t *angle, real_t *rate);

@@ -92,7 +92,7 @@ void plan_braking(const plan_t *plan, const mission_t *s, braking_motion_t *out)
 {
     trajectory_point_t now;
 
-    predict_reference(s, &now);
+    predict_step_end_reference(s, &now);
     plan_stop(now.position, now.velocity, now.heading, DETOUR_ACCELERATION_M_S2, now.heading_rate, plan->limits.yaw_acceleration,
               out);
 }
@@ -245,7 +245,7 @@ void change_leg_goal(const plan_t *plan, mission_t *s, const message_t *why, con
 
     now = s->set_point_reference;
     if (!known) {
-        predict_reference(s, &now);
+        predict_step_end_reference(s, &now);
         enter_state(s, STATE_WAYPOINT, why, LEVEL_INFO);
         s->has_detour = false;
         s->detour_duration_s = REAL(0.0);
@@ -371,7 +371,7 @@ static void detect_obstacle(const plan_t *plan, mission_t *s)
             far = real_sqrt(sight->path_clearance_sq);
             there = is_path_check_to(sight, s->goal) && is_path_blocked(sight, plan->clearance);
         } else {
-            far = nearest_point(sight, at.position, from_it);
+            far = find_nearest_point_distance(sight, at.position, from_it);
             there = far < plan->clearance;
         }
         if (there) {

@@ -21,7 +21,7 @@ void link_start(link_t *k)
 }
 
 /* Whether a station may command; the first that asks becomes the commander. */
-static bool may_command(link_t *k, const link_vehicle_t *v, const mavlink_message_t *m)
+static bool claim_command(link_t *k, const link_vehicle_t *v, const mavlink_message_t *m)
 {
     supervisor_t *s = v->supervisor;
     const bool same = (m->system == k->commander_system) && (m->component == k->commander_component);
@@ -56,7 +56,7 @@ static void handle_message(link_t *k, const link_vehicle_t *v, const mavlink_mes
             const uint32_t command = mavlink_get(m, 28, 2);
             const bool asks_only = (command == 512U) || (command == 520U);
 
-            handle_command(k, v, m, asks_only || may_command(k, v, m));
+            handle_command(k, v, m, asks_only || claim_command(k, v, m));
         }
         break;
     case MSG_PARAM_REQUEST_READ:
@@ -71,7 +71,7 @@ static void handle_message(link_t *k, const link_vehicle_t *v, const mavlink_mes
         break;
     case MSG_PARAM_SET:
         if (is_addressed(m, 4)) {
-            handle_parameter(k, v, m, may_command(k, v, m));
+            handle_parameter(k, v, m, claim_command(k, v, m));
         }
         break;
     case MSG_MISSION_REQUEST_LIST:
@@ -81,7 +81,7 @@ static void handle_message(link_t *k, const link_vehicle_t *v, const mavlink_mes
         break;
     case MSG_MISSION_COUNT:
         if (is_addressed(m, 2)) {
-            handle_mission(k, v, m, may_command(k, v, m));
+            handle_mission(k, v, m, claim_command(k, v, m));
         }
         break;
     case MSG_MISSION_REQUEST_INT:
@@ -91,16 +91,16 @@ static void handle_message(link_t *k, const link_vehicle_t *v, const mavlink_mes
         break;
     case MSG_MISSION_ITEM_INT:
         if (is_addressed(m, 32)) {
-            handle_mission(k, v, m, may_command(k, v, m));
+            handle_mission(k, v, m, claim_command(k, v, m));
         }
         break;
     case MSG_MANUAL_CONTROL:
-        if (((m->payload[10] == 0U) || (m->payload[10] == VEHICLE_SYSTEM)) && may_command(k, v, m)) {
+        if (((m->payload[10] == 0U) || (m->payload[10] == VEHICLE_SYSTEM)) && claim_command(k, v, m)) {
             handle_steering(k, v, m);
         }
         break;
     case MSG_SET_POSITION_TARGET_LOCAL_NED:
-        if (is_addressed(m, 50) && may_command(k, v, m)) {
+        if (is_addressed(m, 50) && claim_command(k, v, m)) {
             handle_steering(k, v, m);
         }
         break;

@@ -10,7 +10,7 @@
 #define MAX_ARMING_SPEED_M_S REAL(0.1)
 #define MAX_ARMING_RATE_RAD_S REAL(0.2)
 #define MAX_ESTIMATE_AGE_S REAL(0.5)
-#define MAX_STANDING_ERROR_M REAL(0.05)
+#define MAX_STANDING_HEIGHT_ERROR_M REAL(0.05)
 #define AUTO_DISARM_S REAL(10.0)
 #define SET_POINT_TIMEOUT_S REAL(0.5)
 #define STICKS_TIMEOUT_S REAL(1.0)
@@ -76,7 +76,7 @@ uint32_t supervisor_arming_faults(const supervisor_t *s, const flight_setup_t *s
         for (int32_t i = 0; i < 3; i++) {
             fastest = real_max(fastest, real_abs(now->rates[i]));
         }
-        why |= (real_abs(height - s->settings.standing_m) > MAX_STANDING_ERROR_M) ? ARMING_NOT_STANDING : 0U; /* NaN: unchecked */
+        why |= (real_abs(height - s->settings.standing_m) > MAX_STANDING_HEIGHT_ERROR_M) ? ARMING_NOT_STANDING : 0U; /* NaN: unchecked */
         why |= m->valid ? 0U : ARMING_NOT_VALID;
         why |= stands_tilted(m) ? ARMING_TILTED : 0U;
         why |= ((real_vector_length(now->velocity) > MAX_ARMING_SPEED_M_S) || (fastest > MAX_ARMING_RATE_RAD_S)) ? ARMING_MOVED

@@ -74,7 +74,7 @@ static real_t largest_mean_ratio(const estimator_t *m)
 }
 
 /* Return the estimated bias of component i of the fix over the largest that its model allows. */
-static real_t fix_bias_ratio(const estimator_t *m, const estimator_settings_t *s, int32_t i)
+static real_t compute_fix_bias_limit_ratio(const estimator_t *m, const estimator_settings_t *s, int32_t i)
 {
     return real_abs(m->x[NOMINAL_FIX_BIAS + i]) / (MAX_FIX_BIAS_SIGMAS * real_sqrt(fix_bias_variance(m, s, i) + fix_variance(m, s, i)));
 }
@@ -83,7 +83,7 @@ static real_t fix_bias_ratio(const estimator_t *m, const estimator_settings_t *s
 static real_t inflate_fix_bias_walk(estimator_t *m, const estimator_settings_t *s, int32_t i, real_t nu, real_t ratio)
 {
     const real_t sigma = s->initial_sigma[ERROR_FIX_BIAS + i];
-    const real_t spread = nu / REJECTED_FIX_BIAS_SIGMAS;
+    const real_t spread = nu / REJECTED_INNOVATION_BIAS_SIGMAS;
     const real_t scale = (spread * spread) / (sigma * sigma);
     const int32_t aid = (i < FIX_HEADING) ? AID_POSITION : AID_HEADING;
 
@@ -116,7 +116,7 @@ static bool fix_height_consistent(estimator_t *m, const estimator_settings_t *s,
 
         m->fix_sonar_height_difference = (blind || (off < REAL(2.5))) ? REAL(0.0) : apart;
     } else if (sonar_height_valid(m, s) &&
-               ((fix_bias_ratio(m, s, 2) > REAL(1.0)) || ((off > INNOVATION_GATE) && reset_timeout_expired(m, s, k)))) {
+               ((compute_fix_bias_limit_ratio(m, s, 2) > REAL(1.0)) || ((off > INNOVATION_GATE) && reset_timeout_expired(m, s, k)))) {
         m->fix_sonar_height_difference = apart;
     } else {
         /* they agree */
@@ -201,7 +201,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
     }
     log_innovation(m, k, at, worst);
     /* Growing ratios of one sign show that the filter diverges, not that the fix jumps. */
-    settled = ((real_t)(m->tick - m->last_grounded_tick) * s->dt) > SETTLING_TIME_S;
+    settled = ((real_t)(m->tick - m->last_grounded_tick) * s->dt) > FIX_CHECK_SETTLING_TIME_S;
     lasting = settled && (largest_mean_ratio(m) > LASTING_FIX_INNOVATION_RATIO);
     led = (s->has_rotor_model > 0) && lasting && (m->fix_max_ratio_squared_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
           (real_abs(worst) < (REAL(2.0) * INNOVATION_GATE));
@@ -225,9 +225,9 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
             estimate_fix_noise(m, i);
         }
     }
-    out = real_max(real_max(fix_bias_ratio(m, s, FIX_NORTH), fix_bias_ratio(m, s, FIX_EAST)), fix_bias_ratio(m, s, FIX_HEADING));
+    out = real_max(real_max(compute_fix_bias_limit_ratio(m, s, FIX_NORTH), compute_fix_bias_limit_ratio(m, s, FIX_EAST)), compute_fix_bias_limit_ratio(m, s, FIX_HEADING));
     if (led || (lasting && (m->fix_max_ratio_squared_lp > FIX_MEAN_SQUARE_GATE)) || ((out > REAL(1.0)) && settled)) {
-        reset_on_divergence(m, s);
+        inflate_variances_on_divergence(m, s);
         set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at);
     }
     for (int32_t i = 0; i < FIX_COMPONENT_COUNT; i++) {

@@ -198,7 +198,7 @@ void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[INPU
     check_clipping(m, s, &z[CLIPPING_START]);
 }
 
-void reset_on_divergence(estimator_t *m, const estimator_settings_t *s)
+void inflate_variances_on_divergence(estimator_t *m, const estimator_settings_t *s)
 {
     if (m->divergence_recovery_ticks_left <= 1) {
         for (int32_t k = 0; k < 3; k++) {
@@ -306,7 +306,7 @@ bool check_rotor_speed(estimator_t *m, const estimator_settings_t *s, const real
         away = real_max(away, real_abs(m->rotor_spin_accel_bias[k] - mean[k]) / s->hover_speed[k]);
     }
     /* On the floor the motor equations are adapted. */
-    led = (m->flight_phase == PHASE_FLYING) && (flown > ROTOR_ACCEL_SETTLING_S) && (away > ROTOR_ACCEL_LIMIT);
+    led = (m->flight_phase == PHASE_FLYING) && (flown > MOTOR_ACCEL_BIAS_SETTLING_S) && (away > MAX_MOTOR_ACCEL_BIAS_CHANGE);
     off = (m->flight_phase == PHASE_FLYING) && (worst > ((m->reject_score[READING_ROTOR_SPEED] > REAL(0.5)) ? ROTOR_SPEED_RECOVERY_GATE : ROTOR_SPEED_GATE));
     if (led || off) {
         if (led) {
@@ -316,7 +316,7 @@ bool check_rotor_speed(estimator_t *m, const estimator_settings_t *s, const real
         mark_rejected(m, s, READING_ROTOR_SPEED, REASON_INNOVATION, worst * s->hover_speed[0]);
     } else {
         const real_t period = s->sensor_period[READING_ROTOR_SPEED];
-        const real_t share = period / real_max(real_min(flown, ROTOR_ACCEL_MEAN_S), period);
+        const real_t share = period / real_max(real_min(flown, MOTOR_ACCEL_BIAS_MEAN_S), period);
 
         for (int32_t k = 0; k < 2; k++) {
             mean[k] += share * (m->rotor_spin_accel_bias[k] - mean[k]);

@@ -17,7 +17,7 @@ void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[INPU
              const real_t age[SENSOR_COUNT]);
 
 /* Inflate the variances of gyroscope bias, attitude and velocity after persistent innovations of the fix. */
-void reset_on_divergence(estimator_t *m, const estimator_settings_t *s);
+void inflate_variances_on_divergence(estimator_t *m, const estimator_settings_t *s);
 
 /* Replace a spike of the gyroscopes by the model's rate, and remove a jump as an offset. */
 void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool flying);
