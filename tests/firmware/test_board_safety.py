@@ -277,6 +277,130 @@ def test_each_reason_against_arming_has_its_bit(supervised) -> None:
             assert lib.supervisor_arming_faults(s, setup, m) == reason, (name, value)
 
 
+# Offboard control and sticks: which of the two every request leaves, in the air and on the floor
+LEFT_IN_AIR = {
+    "arm": "both", "disarm": "both", "stop": "none", "start": "sticks", "take-off": "both", "pause": "sticks",
+    "go to": "sticks", "return": "sticks", "land": "sticks", "sticks": "sticks", "release": "offboard",
+    "set-point": "both", "offboard": "both", "no offboard": "sticks",
+}  # fmt: skip
+LEFT_ON_FLOOR = {
+    **LEFT_IN_AIR, "disarm": "none", "take-off": "sticks", "pause": "both", "go to": "both", "return": "both",
+    "land": "both",
+}  # fmt: skip
+
+
+class OffboardFlight:
+    """An armed vehicle under offboard control, and with sticks, in a state of the mission set from outside."""
+
+    def __init__(self, supervised, board, in_air=True) -> None:
+        self.ffi, self.lib = board.ffi, board.lib
+        _, self.s, self.setup, self.m = supervised()
+        self.software, self.out = self.ffi.new("software_t *"), self.ffi.new("command_t *")
+        x = self.software.mission
+        if in_air:
+            self.m.motion.position[2] = -1.3
+            x.state, x.has_taken_off = self.lib.STATE_OFFBOARD, True
+            x.motors = self.software.motors = self.lib.MOTORS_FLY
+            self.software.is_lifted = True
+        self.s.armed, self.s.armed_s = True, self.s.now_s
+        for what in ("sticks", "set-point", "offboard"):
+            assert self.ask(what) == self.lib.ANSWER_ACCEPTED
+        assert self.left() == "both"
+
+    def ask(self, what) -> int:
+        nan = float("nan")
+        ask = self.ffi.new("user_request_t *", {"kind": getattr(self.lib, KINDS[what][1]), "force": what == "stop"})
+        ask.has_position, ask.position = True, [1.0, 2.0, -1.5]
+        ask.set_point.position, ask.set_point.velocity = [1.0, 2.0, -1.5], [nan] * 3
+        ask.set_point.heading = ask.set_point.yaw_rate = nan
+        return self.lib.supervisor_request(self.s, self.setup, self.software, self.m, ask)
+
+    def left(self) -> str:
+        """Return what is held, and check that the flight software is commanded so."""
+        sticks, offboard = bool(self.s.has_sticks), bool(self.s.offboard)
+        self.lib.supervisor_collect(self.s, self.software, self.out)
+        assert (self.out.rc_active, self.out.has_program_set_point) == (sticks, offboard and self.s.armed)
+        return ("none", "sticks", "offboard", "both")[sticks + 2 * offboard]
+
+    def wait(self, duration_s) -> None:
+        self.m.time_s += duration_s
+        self.lib.supervisor_observe(self.s, self.setup, self.m, 0.3)
+
+
+@pytest.mark.parametrize("in_air", [True, False])
+def test_each_request_ends_offboard_control_or_sticks_as_stated(supervised, board, in_air) -> None:
+    expected = LEFT_IN_AIR if in_air else LEFT_ON_FLOOR
+    assert {KINDS[what][1] for what in expected} == {kind for _, kind in KINDS.values()}
+    for what, left in expected.items():
+        vehicle = OffboardFlight(supervised, board, in_air)
+        vehicle.ask(what)
+        assert vehicle.left() == left, what
+
+
+def test_an_accepted_request_is_commanded_once(supervised, board) -> None:
+    fields = {
+        "start": "start", "pause": "pause", "go to": "has_waypoint", "return": "return_requested", "land": "land",
+        "stop": "stop_reason",
+    }  # fmt: skip
+    for what, field, in_air in [*((w, f, True) for w, f in fields.items()), ("take-off", "has_take_off_height", False)]:
+        vehicle = OffboardFlight(supervised, board, in_air)
+        vehicle.ask("release")
+        assert vehicle.ask(what) == vehicle.lib.ANSWER_ACCEPTED
+        for expected in (True, False):
+            assert vehicle.left() == "none"
+            assert bool(getattr(vehicle.out, field)) == expected, what
+
+
+def test_offboard_control_and_sticks_end_when_they_are_old(supervised, board) -> None:
+    for after_s, left in ((0.49, "both"), (0.51, "sticks"), (0.99, "sticks"), (1.01, "none")):
+        vehicle = OffboardFlight(supervised, board)
+        vehicle.wait(after_s)
+        vehicle.lib.supervisor_collect(vehicle.s, vehicle.software, vehicle.out)
+        assert vehicle.left() == left, after_s
+        # A set-point that comes too late does not resume what has ended.
+        assert vehicle.ask("set-point") == vehicle.lib.ANSWER_ACCEPTED
+        assert vehicle.left() == left, after_s
+
+
+def test_offboard_control_ends_with_its_state_and_with_the_arming(supervised, board) -> None:
+    lib = board.lib
+    for state in range(lib.MISSION_STATE_COUNT):
+        for due in (False, True):
+            vehicle = OffboardFlight(supervised, board)
+            vehicle.software.mission.state = state
+            lib.supervisor_conclude(vehicle.s, vehicle.software, due)
+            stays = not due or state in (lib.STATE_OFFBOARD, lib.STATE_INIT)
+            assert vehicle.left() == ("both" if stays else "sticks"), state
+    # The motors stop: the vehicle is disarmed, and a request that waits is dropped with it.
+    vehicle = OffboardFlight(supervised, board)
+    lib.supervisor_conclude(vehicle.s, vehicle.software, True)
+    vehicle.s.is_pending, vehicle.s.pending.start, vehicle.s.has_sticks = True, True, False
+    vehicle.software.motors = lib.MOTORS_OFF
+    lib.supervisor_conclude(vehicle.s, vehicle.software, True)
+    assert (vehicle.s.armed, vehicle.left(), vehicle.out.start) == (False, "none", False)
+
+
+def test_a_lost_link_ends_offboard_control_and_sticks(supervised, board) -> None:
+    """The first stage hovers and the second lands; sticks that are given in between end too."""
+    lib = board.lib
+    vehicle = OffboardFlight(supervised, board)
+    s = vehicle.s
+    lib.supervisor_hear_commander(s)
+    for silent_s, stage, requested in (
+        (s.settings.link_loss_s + 0.1, lib.LINK_HOVER, "pause"),
+        (s.settings.link_land_s, lib.LINK_LAND, "land"),
+    ):
+        vehicle.wait(silent_s - 0.2)
+        for what in ("sticks", "set-point", "offboard"):
+            assert vehicle.ask(what) == lib.ANSWER_ACCEPTED
+        lib.supervisor_step_link(s, vehicle.setup, vehicle.software, vehicle.m)
+        assert vehicle.left() == "both"
+        vehicle.wait(0.2)
+        lib.supervisor_step_link(s, vehicle.setup, vehicle.software, vehicle.m)
+        assert (s.link_stage, vehicle.left()) == (stage, "none")
+        assert getattr(vehicle.out, requested)
+
+
 def test_a_height_other_than_that_of_standing_refuses_arming(supervised, vehicle) -> None:
     lib, s, setup, m = supervised()
     assert s.settings.standing_m == standing_height(vehicle)

@@ -222,6 +222,47 @@ def test_a_device_that_refuses_or_is_silent_fails_in_two_seconds(library) -> Non
     device.start()
     device.run(2000)
     assert device.log.lost_messages > 100
+    assert len(device.kept()) > 50  # and those that it took are whole
+
+
+def test_a_message_is_taken_as_a_whole_or_not_at_all(library) -> None:
+    """Appending stops with less room than a message needs, and the bytes that wait are not overwritten."""
+    for first in (4, 100, 487, 488, 489):
+        device = Device(library)
+        device.start()
+        device.run(200)
+        kept, room = len(device.latest().ulog), device.lib.block_log_room(device.log)
+        assert 5 * 488 < room <= 6 * 488
+        taken = b""
+        for number in range(60):
+            size = (first if number == 0 else ROW_BYTES) - 3
+            message = size.to_bytes(2, "little") + b"D" + bytes([number]) * size
+            fits = device.lib.block_log_append(device.log, message, len(message), True)
+            assert fits == (len(message) < room), number
+            room -= len(message) if fits else 0
+            assert device.lib.block_log_room(device.log) == room
+            taken += message if fits else b""
+        assert room <= ROW_BYTES
+        for _ in range(200):
+            device.lib.block_log_step(device.log, True)
+        assert device.latest().ulog[kept:].endswith(taken)
+
+
+def test_the_search_reads_every_stride_th_block_and_then_one_stride(library) -> None:
+    """A start with 64 blocks takes 8 reads, and at most 15 more to pass the latest block by a stride of 8."""
+    for periods in (0, 40, 300, 500, 700, 900):
+        device = Device(library, 64)
+        device.start()
+        device.run(periods)
+        written = bool(split_sessions(device.array.tobytes()))
+        latest = device.log.place - 1
+        device.start()
+        reads = 0
+        while device.log.state == device.lib.BLOCK_LOG_SEARCHES:
+            device.lib.block_log_step(device.log, True)
+            reads += device.log.operation != 0
+        assert device.log.place == (latest + 1 if written else 0)
+        assert reads == 8 + (latest % 8 + 8 if written else 0), periods
 
 
 def test_the_search_bears_any_contents(library) -> None:

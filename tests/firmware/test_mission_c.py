@@ -70,7 +70,7 @@ SCANNED = {
     "avoidance": {"scan": True, "give_up_s": 6.0},
     "waypoint": [{"position_m": [3.0, 0.0, -1.0]}],
 }
-
+AROUND = {"name": "around", "avoidance": {"scan": True}, "waypoint": [{"position_m": [3.0, 0.0, -1.0]}]}
 NEAR = {"name": "near", "waypoint": [{"position_m": [0.3, 0.0, -1.0]}], "at_end": "hover"}
 PATIENT = {"name": "patient", "waypoint": [{"position_m": [0.3, 0.0, -1.0], "wait_s": 60.0}]}
 
@@ -258,6 +258,23 @@ def test_of_inputs_that_oscillate_at_once_both_name_the_one_that_lasts_longest(f
     assert named == set(ACTUATOR_INPUT_NAMES[:2])
 
 
+# The estimate
+
+
+@pytest.mark.parametrize("beams", [0, 3, 8, 63])
+def test_an_estimate_has_as_many_ranges_as_there_are_beams(firmware, beams) -> None:
+    """The entries behind the last beam stay as they are: they are neither copied nor checked."""
+    ffi, lib = firmware.ffi, firmware.lib
+    m, copy = ffi.new("estimate_t *"), ffi.new("estimate_t *")
+    m.ranges, copy.ranges = [1.5] * 64, [7.0] * 64
+    lib.copy_estimate(m, beams, copy)
+    assert list(copy.ranges) == [1.5] * beams + [7.0] * (64 - beams)
+    monitor, ring = ffi.new("estimate_monitor_t *"), ffi.new("beam_ring_t *", {"count": beams, "max_range": 2.0})
+    m.ranges, monitor.good.ranges = [math.nan] * 64, [math.inf] * 64
+    lib.check_estimate(monitor, m, 0.02, ring)
+    assert list(monitor.good.ranges) == [2.0] * beams + [math.inf] * (64 - beams)
+
+
 # What may be asked
 
 
@@ -300,6 +317,7 @@ class StandIn:
         self.broken = ""
         self.force, self.valid = np.array([0.1, 0.0, -9.8]), True
         self.ceiling, self.held, self.drops, self.sinks = math.inf, False, False, False
+        self.post: tuple[float, float] | None = None  # N, E of a round post of 0.1 m radius
         self.last: Estimate | None = None
 
     def follow(self, software: FlightSoftware, dt: float) -> None:
@@ -320,6 +338,14 @@ class StandIn:
         self.x[2] = max(self.x[2], -self.ceiling)
         if self.x[2] > -0.07:
             self.x[2], self.v[2] = -0.07, 0.0
+        if self.post is not None:
+            ring, north, east = software.plan.beam_ring, self.post[0] - self.x[0], self.post[1] - self.x[1]
+            ahead = north * math.cos(self.psi) + east * math.sin(self.psi)
+            right = east * math.cos(self.psi) - north * math.sin(self.psi)
+            along, across = ahead * ring.cos + right * ring.sin, right * ring.cos - ahead * ring.sin
+            hits = (along > 0.0) & (abs(across) < 0.1)
+            reach = along - np.sqrt(np.where(hits, 0.01 - across**2, 0.0))
+            self.beams = np.where(hits, np.minimum(reach, 1.5), 1.5)
 
     def believed(self) -> Estimate:
         u = self.rng.uniform
@@ -436,6 +462,8 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
         v.ceiling = float(kind.split()[1])
     elif kind in ("held", "drops", "sinks"):
         setattr(v, kind, True)
+    elif kind.startswith("post"):
+        v.post = tuple(float(w) for w in kind.split()[1:])
     elif kind == "shut in":
         v.beams = np.full(8, 0.33)
     elif kind == "shake":
@@ -540,6 +568,14 @@ STORIES = (
     ),  # down, as far as it knows
     (SQUARE, False, [*FLIES, "battery", "sticks", "wait"], "RC_ON"),
     (SCANNED, False, [*FLIES, "shut in", *["wait"] * 8], "BLOCKED_BY_OBSTACLE"),
+    # Once on the way to the mission's waypoint, once to the user's.
+    (AROUND, False, ["post 1.6 -0.1", *FLIES, *["wait"] * 12], "OBSTACLE_AHEAD OBSTACLE_AVOIDED WAYPOINT_REACHED"),
+    (
+        AROUND,
+        False,
+        ["post 1.6 -0.1", *UP, "asked 3 0 -1", *["wait"] * 12],
+        "OBSTACLE_AHEAD OBSTACLE_AVOIDED USER_WAYPOINT_REACHED",
+    ),
     (SCANNED, False, [*UP, "turn 0.5", "wait"], "TURNING_TO_HEADING"),
     (SQUARE, False, [*UP, *["stream"] * 4, *["wait"] * 4], "TO_USER_WAYPOINT USER_WAYPOINT_REACHED"),
     (SQUARE, False, [*UP, "waypoint * 40", "turns", "turned * 40", "turned", *["wait"] * 4], "USER_WAYPOINT_REACHED"),

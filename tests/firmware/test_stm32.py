@@ -166,6 +166,12 @@ class Chip:
             self.memory(self.values[rx + 0x0C])[step_in * k] = (self.device + [0] * count)[k]
         self.values[dma] = 0x20
 
+    def moving_streams(self, dma) -> list[int]:
+        """Return the streams of a DMA controller that are enabled; no register outside its streams was written."""
+        registers = {dma + 0x10 + 0x18 * stream + 4 * k for stream in range(8) for k in range(6)} | {dma + 8, dma + 12}
+        assert {address for address, _ in self.writes if dma - 0x80 <= address < dma + 0x400} <= registers
+        return [stream for stream in range(8) if self.values.get(dma + 0x10 + 0x18 * stream, 0) & 1]
+
     def pin(self, port, number) -> int:
         for address, value in reversed(self.writes):
             if address == port + 0x18 and value & (1 << number | 1 << number + 16):
@@ -333,9 +339,10 @@ def test_spi_moves_bytes_by_dma_and_ends_after_faults(library) -> None:
     port, into = 0x40020800, ffi.new("uint8_t[32]")
     chip.device = [0xFF, 0x47, 2, 3]
     assert lib.spi_begin(port, 2, bytes([0xF5]), 1, into, 3)
-    assert chip.pin(port, 2) == 0
+    assert (chip.pin(port, 2), chip.moving_streams(DMA2)) == (0, [0, 5])
     assert not lib.spi_begin(port, 2, bytes([1]), 1, into, 1)  # one at a time
     assert lib.spi_poll() == done
+    assert (chip.moving_streams(DMA2), chip.values[SPI1 + 4]) == ([], 0)  # both streams and both requests are off
     assert (chip.heard, bytes(into[0:3])) == ([0xF5, 0, 0, 0], bytes([0x47, 2, 3]))
     assert chip.pin(port, 2) == 1
     assert lib.spi_begin(port, 2, bytes([0x4E, 0x0F]), 2, ffi.NULL, 0)
@@ -348,11 +355,11 @@ def test_spi_moves_bytes_by_dma_and_ends_after_faults(library) -> None:
     assert lib.spi_begin(port, 2, bytes([1]), 1, into, 1)
     assert [lib.spi_poll() for _ in range(5)] == [busy] * 5
     lib.spi_abort()
-    assert chip.pin(port, 2) == 1
+    assert (chip.pin(port, 2), chip.moving_streams(DMA2), chip.values[SPI1 + 4]) == (1, [], 0)
     chip.faults = {"overrun"}
     assert lib.spi_begin(port, 2, bytes([1]), 1, into, 1)
     assert lib.spi_poll() == error
-    assert chip.pin(port, 2) == 1
+    assert (chip.pin(port, 2), chip.moving_streams(DMA2), chip.values[SPI1 + 4]) == (1, [], 0)
     chip.values[SPI1 + 8], chip.faults = 0, set()
     assert lib.spi_begin(port, 2, bytes([1]), 1, into, 1)
     chip.values[DMA2] = 1 << 3  # transfer error of the DMA
@@ -374,7 +381,9 @@ def test_the_bus_of_the_card_sends_ones_and_drops_bytes(library) -> None:
     assert lib.sd_bus_begin(True, ffi.NULL, into, 4)
     assert chip.pin(0x40020800, 1) == 0
     assert not lib.sd_bus_begin(True, ffi.NULL, into, 4)
+    assert chip.moving_streams(DMA1) == [0, 5]
     assert lib.sd_bus_poll() == 0
+    assert (chip.moving_streams(DMA1), chip.values[SPI3 + 4]) == ([], 0)
     assert (chip.heard, bytes(into)) == ([0xFF] * 4, bytes([9, 8, 7, 6]))
     assert chip.pin(0x40020800, 1) == 0  # selected until told otherwise
     assert lib.sd_bus_begin(False, bytes([1, 2, 3]), ffi.NULL, 3)
@@ -384,6 +393,7 @@ def test_the_bus_of_the_card_sends_ones_and_drops_bytes(library) -> None:
     chip.faults = {"overrun"}
     assert lib.sd_bus_begin(True, ffi.NULL, into, 4)
     assert lib.sd_bus_poll() == 2
+    assert (chip.moving_streams(DMA1), chip.values[SPI3 + 4]) == ([], 0)
 
 
 @needs_cc

@@ -145,6 +145,21 @@ def _make_sector(generation, records, first=1) -> bytes:
     return data + b"\xff" * (4 * WORDS - len(data))
 
 
+def test_a_record_that_does_not_end_in_its_sector_is_none(library) -> None:
+    """A count that reaches one word too far is refused, even if that word, which is blank, equals the checksum."""
+    for excess, expected in ((0, True), (1, False)):
+        count = WORDS - 5 - 3 + excess
+        data = struct.pack("<BBHI", 1, VERSION, count, 1) + bytes(4 * (count - 1))
+        data += struct.pack("<I", zlib.crc32(data) ^ 0xFFFFFFFF)  # the checksum of the whole is that of blank flash
+        assert _crc(data) == b"\xff" * 4
+        flash = Flash(library)
+        image = np.frombuffer(_make_sector(7, [])[:20] + data, np.uint32)
+        flash.array[: len(image)] = image
+        flash.start()
+        assert flash.contents() == [None, struct.unpack(f"<{count}I", data[8:]) if expected else None, None]
+        assert flash.write(2, (3, 4)) == (flash.lib.STORAGE_TOO_LARGE if expected else flash.lib.STORAGE_DONE)
+
+
 def test_a_power_cut_at_every_operation_loses_nothing(library) -> None:
     writes = _writes(np.random.default_rng(2), 24)
     flash = Flash(library)
