@@ -146,7 +146,7 @@ _MIN_CURVE_SPEED_M_S = 0.05  # least speed of a curve
 
 @dataclass(frozen=True)
 class CubicSpline:
-    """A cubic curve; ``coefficients`` is the (4, 3) array A, B, C, D of eq. 6.12."""
+    """Cubic curve A t^3 + B t^2 + C t + D; ``coefficients`` (4, 3) has a row for each of A, B, C, D."""
 
     coefficients: _Array
 

@@ -268,7 +268,7 @@ class CameraSensor(Sensor):
             self._record.close()
 
     def record_pictures(self, path: Path, start_ns: int) -> None:
-        """Start to record the tracked pictures with their estimates.
+        """Open a recording; it then receives each picture that SLAM tracks, with the pose estimate.
 
         ``start_ns`` is the wall-clock time (ns since 1970) of the instant 0.
         """

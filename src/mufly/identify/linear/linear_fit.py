@@ -129,7 +129,7 @@ class _LinearFitProblem:
         self.coordinates = SearchCoordinates(structure.parameters, self.start_values)
 
     def simulate_with_linear_unknowns(self, values: Array) -> tuple[Array, Array, Array] | None:
-        """Return the response to the inputs, those to a unit of each linear unknown, and the estimates of the unknowns.
+        """Return the response to the inputs, to each linear unknown of size 1, and the estimates of the unknowns.
 
         The linear unknowns are the initial states, input trims and output biases. None if the simulation overflows.
         """
