@@ -401,6 +401,24 @@ def test_a_lost_link_ends_offboard_control_and_sticks(supervised, board) -> None
         assert getattr(vehicle.out, requested)
 
 
+def test_the_vehicle_is_in_the_air_from_the_stated_height_or_speed_on(board) -> None:
+    """It lies on the floor below 5 cm and below 10 cm/s along each axis; motors and lift-off decide first."""
+    lib, software, m = board.lib, board.ffi.new("software_t *"), board.ffi.new("estimate_t *")
+    software.is_lifted, software.motors = True, lib.MOTORS_FLY
+    for height_m, velocity_m_s, expected in (
+        (0.049, (0.099, -0.099, 0.099), False), (0.05, (0.0, 0.0, 0.0), True), (0.3, (0.0, 0.0, 0.0), True),
+        (0.0, (0.1, 0.0, 0.0), True), (0.0, (0.0, -0.1, 0.0), True), (0.0, (0.0, 0.0, -0.1), True),
+        (float("nan"), (0.0, 0.0, 0.0), True),
+    ):  # fmt: skip
+        m.motion.position[2], m.motion.velocity = -height_m, velocity_m_s
+        assert lib.supervisor_in_air(software, m) == expected, (height_m, velocity_m_s)
+    for lifted in (False, True):
+        for motors in range(lib.MOTORS_BLIND + 1):
+            software.is_lifted, software.motors = lifted, motors
+            flies = lifted and motors in (lib.MOTORS_FLY, lib.MOTORS_BLIND)
+            assert lib.supervisor_in_air(software, m) == flies, motors
+
+
 def test_a_height_other_than_that_of_standing_refuses_arming(supervised, vehicle) -> None:
     lib, s, setup, m = supervised()
     assert s.settings.standing_m == standing_height(vehicle)

@@ -239,6 +239,29 @@ def test_the_arm_switch_arms_only_when_moved_and_the_kill_switch_stops(library) 
     assert supervisor.armed
 
 
+def test_in_the_air_only_the_kill_switch_stops_the_motors(library) -> None:
+    for switch, armed in (("arm", True), ("kill", False)):
+        s = Pilot(library)
+        s.ready()
+        s.move()
+        s.move(arm=HIGH)
+        record, software = s.board.record, s.board.record.software
+        assert record.supervisor.armed
+        # It hovers 1 m above its start.
+        software.mission.state, software.mission.has_taken_off = s.lib.STATE_HOVER, True
+        software.motors = software.mission.motors = s.lib.MOTORS_FLY
+        software.mission.home_position[2] = record.belief.motion.position[2] + 1.0
+        software.is_lifted = True
+        s.move()
+        assert (record.supervisor.armed, software.motors) == (True, s.lib.MOTORS_FLY)
+        s.move(**{switch: LOW if switch == "arm" else HIGH})
+        for _ in range(8):
+            s.step()
+        assert record.supervisor.armed == armed, switch
+        assert software.motors == (s.lib.MOTORS_FLY if armed else s.lib.MOTORS_OFF)
+        assert record.supervisor.interruption == (s.lib.INTERRUPTION_NONE if armed else s.lib.INTERRUPTION_STOPPED)
+
+
 def test_a_silent_receiver_and_its_failsafe_release_the_sticks(library) -> None:
     for how in ("silence", "flag", "lost frames"):
         s = Pilot(library, "RC_SBUS")
