@@ -331,6 +331,15 @@ def _sector_index(n: float, e: float) -> int:
 
 
 @cached_njit
+def _distance_and_unit_vector(pn: float, pe: float, n: float, e: float) -> tuple[float, float, float]:
+    dn, de = n - pn, e - pe
+    far = _planar_length(dn, de)
+    if far > 1e-9:
+        return far, dn / far, de / far
+    return far, 0.0, 0.0
+
+
+@cached_njit
 def _find_nearest_point_distance(near: _Array, n: float, e: float) -> tuple[float, float, float]:
     least, row = np.inf, -1
     for k in range(near.shape[0]):
@@ -450,15 +459,6 @@ def _check_points_against_path(
         near,
     )
     return points, used, seen
-
-
-@cached_njit
-def _distance_and_unit_vector(pn: float, pe: float, n: float, e: float) -> tuple[float, float, float]:
-    dn, de = n - pn, e - pe
-    far = _planar_length(dn, de)
-    if far > 1e-9:
-        return far, dn / far, de / far
-    return far, 0.0, 0.0
 
 
 def check_path(

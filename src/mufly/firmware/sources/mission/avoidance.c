@@ -165,6 +165,45 @@ static inline void keep_nearest(path_check_t *s, const real_t p[4], real_t qn, r
     }
 }
 
+/* Distance of a point from a place (m), and the unit vector towards the place. */
+static real_t distance_and_unit_vector(const real_t point[], const real_t place[], real_t from[2])
+{
+    const real_t n = place[0] - point[0];
+    const real_t e = place[1] - point[1];
+    const real_t far = real_hypot(n, e);
+
+    from[0] = REAL(0.0);
+    from[1] = REAL(0.0);
+    if (far > REAL(1e-9)) {
+        from[0] = n / far;
+        from[1] = e / far;
+    }
+    return far;
+}
+
+real_t find_nearest_point_distance(const path_check_t *sight, const real_t place[], real_t from[2])
+{
+    real_t far = REAL_INFINITY;
+    int32_t row = -1;
+
+    for (int32_t k = 0; k < SECTOR_COUNT; k++) {
+        const real_t n = place[0] - sight->nearest_point_by_sector[k][0];
+        const real_t e = place[1] - sight->nearest_point_by_sector[k][1];
+        const real_t square = (n * n) + (e * e);
+
+        if (square < far) {
+            far = square;
+            row = k;
+        }
+    }
+    from[0] = REAL(0.0);
+    from[1] = REAL(0.0);
+    if (row >= 0) {
+        far = distance_and_unit_vector(sight->nearest_point_by_sector[row], place, from);
+    }
+    return far;
+}
+
 void check_map_part(obstacle_map_t *memory, path_check_t *sight, real_t time_s, real_t clearance, int32_t part, int32_t parts)
 {
     const int32_t end = (memory->point_count * part) / parts;
@@ -245,45 +284,6 @@ bool is_path_blocked(const path_check_t *sight, real_t clearance)
     const real_t at = clearance + BLOCKED_PATH_MARGIN_M;
 
     return sight->path_clearance_sq < (at * at);
-}
-
-/* Distance of a point from a place (m), and the unit vector towards the place. */
-static real_t distance_and_unit_vector(const real_t point[], const real_t place[], real_t from[2])
-{
-    const real_t n = place[0] - point[0];
-    const real_t e = place[1] - point[1];
-    const real_t far = real_hypot(n, e);
-
-    from[0] = REAL(0.0);
-    from[1] = REAL(0.0);
-    if (far > REAL(1e-9)) {
-        from[0] = n / far;
-        from[1] = e / far;
-    }
-    return far;
-}
-
-real_t find_nearest_point_distance(const path_check_t *sight, const real_t place[], real_t from[2])
-{
-    real_t far = REAL_INFINITY;
-    int32_t row = -1;
-
-    for (int32_t k = 0; k < SECTOR_COUNT; k++) {
-        const real_t n = place[0] - sight->nearest_point_by_sector[k][0];
-        const real_t e = place[1] - sight->nearest_point_by_sector[k][1];
-        const real_t square = (n * n) + (e * e);
-
-        if (square < far) {
-            far = square;
-            row = k;
-        }
-    }
-    from[0] = REAL(0.0);
-    from[1] = REAL(0.0);
-    if (row >= 0) {
-        far = distance_and_unit_vector(sight->nearest_point_by_sector[row], place, from);
-    }
-    return far;
 }
 
 void limit_approach_velocity(const path_check_t *sight, const real_t position[], real_t keep, real_t velocity[2])

@@ -73,14 +73,14 @@ void begin_path_check(const real_t position[3], const real_t goal[2], real_t ahe
 #define PATH_LOOK_AHEAD_M REAL(1.2) /* usual value of ahead */
 #define DETOUR_ACCELERATION_M_S2 REAL(1.0)
 
+/* Distance of the nearest point from a place (m), and the unit vector N, E towards the place. */
+real_t find_nearest_point_distance(const path_check_t *sight, const real_t place[], real_t from[2]);
+
 /* Check one of several parts of the points (from 1): remove expired points, evaluate the others for the path. */
 void check_map_part(obstacle_map_t *memory, path_check_t *sight, real_t time_s, real_t clearance, int32_t part, int32_t parts);
 
 /* Whether a point blocks the path. */
 bool is_path_blocked(const path_check_t *sight, real_t clearance);
-
-/* Distance of the nearest point from a place (m), and the unit vector N, E towards the place. */
-real_t find_nearest_point_distance(const path_check_t *sight, const real_t place[], real_t from[2]);
 
 /* Limit a velocity N, E with the least change so that distance keep (m) is approached only exponentially. */
 void limit_approach_velocity(const path_check_t *sight, const real_t position[], real_t keep, real_t velocity[2]);
