@@ -5,8 +5,8 @@ actions follow from uncertainty and validity; the statuses explain them:
 
 ================================================= ===================================================================
 horizontal position uncertain by more than 0.25 m the mission waits in a hover; it resumes after 1 s below 0.15 m
-horizontal position uncertain by more than 0.6 m, the vehicle lands; beyond 0.25 m with zero horizontal
-or waiting for 10 s                               velocity, as corrections of the position jump
+horizontal position uncertain by more than 0.6 m, the vehicle lands at its position
+or waiting for 10 s
 height uncertain by more than 0.3 m for 0.3 s     the vehicle lands
 roll or pitch uncertain by more than 8 degrees,   the vehicle descends with its servos at trim, where the stabiliser
 or two independent attitude aids rejected         bar keeps a level attitude
@@ -247,15 +247,6 @@ class HealthMonitor:
                 HealthDecision("land", f"{found.reason or self.verdict.reason}, for {MAX_HOLD_S:g} s")
             )
         return self.verdict
-
-    def ignores_position(self, m: Estimate) -> bool:
-        """Return whether the vehicle lands with a position too uncertain to control.
-
-        Corrections of such a position jump by metres a second. The controllers then hold zero horizontal velocity.
-        """
-        return self.verdict.action == "land" and (
-            compute_added_position_std(m, self.standing_position_variance_m2) > HOLD_POSITION_SIGMA_M
-        )
 
     def _judge_attitude_sensors(self, m: Estimate) -> HealthDecision:
         """Return the failsafe action on lost gyroscopes, or on attitude aids that contradict the estimate."""

@@ -439,10 +439,7 @@ class FlightSoftware:
         elif r.rc_active:
             self._tilt = np.array([r.roll, r.pitch])
         elif self._late_s == 0.0:
-            at, velocity, acceleration = r.position, r.velocity, r.acceleration
-            if self._doubts.ignores_position(m):
-                at, velocity, acceleration = m.position, np.zeros(3), np.zeros(3)
-            self._tilt = self._controllers.compute_tilt_command(m, at, velocity, acceleration)
+            self._tilt = self._controllers.compute_tilt_command(m, r.position, r.velocity, r.acceleration)
         down, turn = float(r.velocity[2]), r.heading_rate
         heave_yaw = np.array([r.position[2] + self._late_s * down, r.heading + self._late_s * turn, down, turn])
         actuators = self._controllers.step(m, heave_yaw, self._tilt if self._lifted else None)

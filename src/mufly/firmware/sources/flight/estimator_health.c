@@ -161,11 +161,6 @@ static void judge_estimate(health_verdict_t *found, const estimate_t *m, real_t 
     }
 }
 
-bool ignores_position(const health_monitor_t *d, const estimate_t *m)
-{
-    return (d->verdict.action == FAILSAFE_LAND) && (compute_added_position_std(m, d->standing_position_variance_m2) > HOLD_POSITION_SIGMA_M);
-}
-
 bool gyro_unavailable(const estimate_t *m)
 {
     const int32_t status = m->checks[SENSOR_RATES].status;

@@ -49,9 +49,6 @@ bool gyro_unavailable(const estimate_t *m);
 
 void health_monitor_reset(health_monitor_t *d, real_t stood);
 
-/* Whether the vehicle lands with a position too uncertain to control: then with zero horizontal velocity. */
-bool ignores_position(const health_monitor_t *d, const estimate_t *m);
-
 /* Evaluate an estimate in flight; return whether the message has changed. */
 bool health_monitor_step(health_monitor_t *d, const estimate_t *m);
 

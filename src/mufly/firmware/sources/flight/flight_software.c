@@ -337,16 +337,7 @@ static void step_control(const flight_setup_t *setup, software_t *s, const estim
     } else if (r->rc_active) {
         set_pair(r->roll, r->pitch, s->tilt);
     } else if (due) {
-        path_t path = r->path;
-
-        if (m->judged && ignores_position(&s->doubts, m)) {
-            for (int32_t i = 0; i < 3; i++) {
-                path.position[i] = m->motion.position[i];
-                path.velocity[i] = REAL(0.0);
-                path.acceleration[i] = REAL(0.0);
-            }
-        }
-        controllers_compute_tilt_command(setup->gains, &s->controllers, &m->motion, &path, s->tilt);
+        controllers_compute_tilt_command(setup->gains, &s->controllers, &m->motion, &r->path, s->tilt);
     } else {
         /* the tilt holds until the position cascade runs again */
     }
