@@ -19,8 +19,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from mufly.control import design_flight_controller
 from mufly.firmware import describe_missing_tools, export_firmware
+from mufly.firmware.emulated.board_flight import BoardEstimator, make_board_software
 from mufly.firmware.emulated.board_link import run_linked_board
 from mufly.firmware.emulated.image_build import build_host_board
+from mufly.flight import Flight
 from mufly.flight.tunable_parameters import TUNABLE_PARAMETERS
 from mufly.link.parameter_protocol import LINK_PARAMETERS
 from mufly.link.telemetry_streams import MESSAGE_STREAMS
@@ -135,6 +137,7 @@ def test_parameters_are_read_and_set_within_the_bounds_of_python(library) -> Non
     assert s.wait_for("PARAM_VALUE").param_value == 300.0
     assert s.board.record.supervisor.settings.link_loss_s == 300.0
     s.send(mavlink.MAVLink_param_request_read_message(1, 1, b"NO_SUCH", -1))
+    s.send(mavlink.MAVLink_param_set_message(1, 1, b"NO_SUCH", 1.0, 9))
     s.step()
     assert not any(m.get_type() == "PARAM_VALUE" for m in s.heard)
 
@@ -226,6 +229,511 @@ def test_missions_go_both_ways(library) -> None:
         s.step()
     assert not s.board.record.link.loads
     assert bytes(s.ffi.buffer(s.ffi.addressof(s.board.record, "plan"))) == before
+
+
+def test_numbers_that_cannot_be_written_become_question_marks(library) -> None:
+    ffi, lib = library
+    out, message = ffi.new("char[100]"), ffi.new("message_t *")
+
+    def write(code, number) -> str:
+        message.code = code
+        message.number = [number] * 4
+        count = lib.write_message_text(message, out)
+        text = ffi.string(out).decode()
+        assert len(text) == count
+        return text
+
+    for code in (-1, lib.SAY_COUNT, 2**31 - 1):
+        assert write(code, 1.0) == ""
+    for code, template in enumerate(LogMessage):
+        for number in (float("nan"), float("inf"), 1e6):
+            assert write(code, number).count("?") == template.value.count("{"), template
+        assert "-" not in write(code, -1e-9).replace(write(code, 0.0), ""), template  # no minus before a zero
+    assert len(write(lib.SAY_USER_WAYPOINT_TOO_FAR, -999999.126)) == 99  # the rest has no room
+
+
+def _signed(sent: bytes, flags: int) -> bytes:
+    """Return a frame with other incompatibility flags, its checksum, and a signature if the flags ask for one."""
+    frame = bytearray(sent[:-2])
+    frame[2] = flags
+    crc = mavutil.x25crc(bytes(frame[1:]))
+    crc.accumulate_str(bytes([mavlink.mavlink_map[int.from_bytes(frame[7:10], "little")].crc_extra]))
+    return bytes(frame) + crc.crc.to_bytes(2, "little") + bytes(13 if flags & 1 else 0)
+
+
+def test_signed_frames_are_read_and_unknown_ones_are_not(library) -> None:
+    ffi, lib = library
+    parser, out = ffi.new("mavlink_parser_t *"), ffi.new("mavlink_message_t *")
+    codec = mavlink.MAVLink(None, srcSystem=7, srcComponent=9)
+    sent = bytes(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(codec))
+    for flags, known in ((0, True), (1, True), (2, False), (3, False)):
+        data = _signed(sent, flags)
+        taken = [lib.mavlink_parse(parser, byte, out) for byte in data]
+        assert taken == [False] * (len(data) - 1) + [known], flags
+    unknown = bytes(mavlink.MAVLink_raw_imu_message(1, *[2] * 9).pack(codec))
+    assert not any(lib.mavlink_parse(parser, byte, out) for byte in unknown)
+    assert parser.bad_count == 0  # none was damaged
+
+
+def test_messages_for_other_vehicles_are_ignored_and_broadcasts_are_handled(library) -> None:
+    m = mavlink
+    kinds = {
+        "COMMAND_ACK": lambda s, c: m.MAVLink_command_long_message(s, c, 520, 0, *[0.0] * 7),
+        "AUTOPILOT_VERSION": lambda s, c: m.MAVLink_command_int_message(s, c, 0, 512, 0, 0, 148.0, *[0] * 6),
+        "PARAM_VALUE": lambda s, c: m.MAVLink_param_request_read_message(s, c, b"", 3),
+        "PARAM_VALUE ": lambda s, c: m.MAVLink_param_request_list_message(s, c),
+        "PARAM_VALUE  ": lambda s, c: m.MAVLink_param_set_message(s, c, b"STK_TILT", 8.0, 9),
+        "MISSION_COUNT": lambda s, c: m.MAVLink_mission_request_list_message(s, c),
+        "MISSION_ACK": lambda s, c: m.MAVLink_mission_count_message(s, c, 0, 0),
+        "MISSION_ITEM_INT": lambda s, c: m.MAVLink_mission_request_int_message(s, c, 0),
+        "MISSION_ACK ": lambda s, c: m.MAVLink_mission_item_int_message(s, c, 0, 1, 16, 0, 1, *[0.0] * 4, 0, 0, -1.0),
+    }
+    s = Station(library)
+    for name, make in kinds.items():
+        for target, handled in (((0, 0), True), ((1, 1), True), ((1, 0), True), ((2, 1), False), ((1, 2), False)):
+            for _ in range(40):
+                s.step()
+            s.heard.clear()
+            s.send(make(*target))
+            for _ in range(3):
+                s.step()
+            assert any(k.get_type() == name.strip() for k in s.heard) == handled, (name, target)
+    supervisor, link = s.board.record.supervisor, s.board.record.link
+    link.by_hand = True
+    for target, handled in ((2, False), (0, True), (1, True)):
+        supervisor.has_sticks = False
+        s.send(m.MAVLink_manual_control_message(target, 0, 0, 500, 0, 0))
+        assert bool(supervisor.has_sticks) == handled, target
+    for target, handled in (((2, 1), False), ((1, 2), False), ((0, 0), True)):
+        supervisor.has_set_point = False
+        s.send(m.MAVLink_set_position_target_local_ned_message(0, *target, 1, 0, *[0.0] * 11))
+        assert bool(supervisor.has_set_point) == handled, target
+    # Of another station while the commander is heard, neither counts.
+    s.codec.srcSystem = 254
+    supervisor.has_sticks = supervisor.has_set_point = False
+    s.send(m.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0))
+    s.send(m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0, *[0.0] * 11))
+    assert not supervisor.has_sticks
+    assert not supervisor.has_set_point
+    s.send(m.MAVLink_mission_count_message(1, 1, 2, 0))
+    assert s.wait_for("MISSION_ACK").type == m.MAV_MISSION_ERROR
+    s.send(m.MAVLink_param_set_message(1, 1, b"STK_TILT", 3.0, 9))
+    assert s.wait_for("PARAM_VALUE").param_value == pytest.approx(8.0)
+    # A component of the commander's system is another station, and it does not keep the link alive.
+    s.codec.srcSystem, s.codec.srcComponent = 255, 191
+    heard_s = supervisor.commander_heard_s
+    assert s.command(mavlink.MAV_CMD_NAV_LAND) == mavlink.MAV_RESULT_DENIED
+    s.send(m.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+    assert supervisor.commander_heard_s == heard_s
+
+
+def test_sticks_and_set_points_have_the_units_of_their_messages(library) -> None:
+    s = Station(library)
+    s.board.record.link.by_hand = True
+    supervisor = s.board.record.supervisor
+    most = supervisor.settings
+
+    def deadband(v) -> float:
+        return float(np.sign(v) * max(0.0, abs(v) - 0.03) / 0.97)
+
+    unknown = 32767
+    for x, y, z, r in (
+        (500, -1000, 500, 1000),
+        (-250, 0, 0, -20),
+        (unknown, unknown, unknown, unknown),
+        (0, 0, 1000, 0),
+    ):
+        s.send(mavlink.MAVLink_manual_control_message(1, x, y, z, r, 0))
+        pitch, roll, yaw = (0.0 if v == unknown else deadband(v / 1000) for v in (x, y, r))
+        climb = 0.0 if z == unknown else deadband(2 * z / 1000 - 1)
+        sticks = supervisor.sticks
+        assert (sticks.roll, sticks.pitch) == pytest.approx((roll * most.stick_tilt, -pitch * most.stick_tilt))
+        assert (sticks.yaw_rate, sticks.climb_rate) == pytest.approx(
+            (yaw * most.stick_yaw_rate, climb * most.stick_climb)
+        )
+    values = (0.5, -0.25, -1.0, 0.1, 0.2, -0.3, 0.0, 0.0, 0.0, 1.5, 0.125)
+
+    def send_set_point(mask, frame=1) -> list[float]:
+        s.send(mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, frame, mask, *values))
+        p = supervisor.set_point
+        return [*p.position, *p.velocity, p.heading, p.yaw_rate]
+
+    nan = float("nan")
+    given = [*values[:6], *values[9:]]
+    for mask, known in (
+        (0, range(8)),
+        (0x007, range(3, 8)),
+        (0x038, (0, 1, 2, 6, 7)),
+        (0x400, (0, 1, 2, 3, 4, 5, 7)),
+        (0x804, (0, 1, 3, 4, 5, 6)),
+    ):
+        expected = [v if k in known else nan for k, v in enumerate(given)]
+        assert send_set_point(mask) == pytest.approx(expected, nan_ok=True), mask
+    before = send_set_point(0)
+    assert send_set_point(0x7, frame=8) == before  # in body axes: not followed
+
+
+def test_each_command_has_its_answer_on_the_floor(library) -> None:
+    s, nan = Station(library), float("nan")
+    accepted, later, denied, unsupported = 0, 1, 2, 3
+    cases = [
+        (185, (0.0,), denied), (185, (1.0,), accepted), (400, (0.0, 30000.0), accepted), (400, (0.0,), accepted),
+        (24, (0, 0, 0, 0, 0, 0, -0.5), later), (24, (0, 0, 0, 0, 0, 0, 0.5), denied), (22, (0,) * 7, later),
+        (22, (0, 0, 0, 0, 0, 0, nan), later), (22, (0, 0, 0, 0, 0, 0, 0.1), denied), (21, (), later), (23, (), later),
+        (189, (), later), (20, (), later), (300, (), later), (193, (0.0,), later), (193, (1.0,), later),
+        (192, (0, 0, 0, 0, 0, 0, -1.0), denied), (31, (), unsupported), (512, (148.0,), accepted),
+        (512, (30.0,), accepted), (512, (77.0,), unsupported), (512, (-1.0,), unsupported),
+        (512, (1e9,), unsupported), (520, (), accepted),
+        *((176, (1.0, mode, 0.0), accepted) for mode in (1.0, 2.0, 3.0, 7.0)),
+        *((176, (1.0, mode, 3.0), denied) for mode in (0.0, 5.0, -1.0, 16.0, nan)),
+        *((176, (1.0, 4.0, sub), later) for sub in (2.0, 3.0, 4.0, 5.0, 6.0)),
+        *((176, (1.0, 4.0, sub), denied) for sub in (0.0, 1.0, 7.0, -1.0, 16.0, nan)), (176, (1.0, 6.0), later),
+        *((245, (values, mission), accepted) for values in (-1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 9.0, nan)
+          for mission in (0.0, 1.0, 2.0, 7.0)),
+    ]  # fmt: skip
+    for number, params, expected in cases:
+        assert s.command(number, *params) == expected, (number, params)
+        for _ in range(200):  # no repetition of the one before
+            s.step()
+    for frame, x, expected in ((3, 4000, denied), (1, 4000, later), (1, 2 * 10**8, denied)):
+        s.send(mavlink.MAVLink_command_int_message(1, 1, frame, 192, 0, 0, -1.0, 1.0, 0.0, 0.5, x, 0, -1.0))
+        assert s.wait_for("COMMAND_ACK").result == expected, (frame, x)
+    assert not s.board.record.supervisor.armed
+
+
+def test_a_command_with_other_numbers_is_no_repetition(library) -> None:
+    s, nan = Station(library), float("nan")
+    link = s.board.record.link
+    for k, value in enumerate((1.0, 2.0, 1.0, nan, nan, 1.0)):
+        s.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 1.0, value)
+        remembered = sorted(c.params[1] for c in link.last if c.used)
+        assert len([v for v in remembered if v == v]) == min(k + 1, 2)
+        assert len(remembered) == (1, 2, 2, 3, 3, 3)[k]
+    for component in (191, 192):
+        s.codec.srcComponent = component
+        s.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 1.0, 2.0)
+    assert [c.component for c in link.last if c.used] == [190, 190, 190]  # refused ones are not remembered
+    # A stop of the motors is executed each time.
+    s.codec.srcComponent = 190
+    for _ in range(2):
+        s.board.record.supervisor.armed = True
+        assert s.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21196.0) == mavlink.MAV_RESULT_ACCEPTED
+        assert not s.board.record.supervisor.armed
+
+
+def _upload(s, items, count=None) -> int:
+    """Upload items; return the answer."""
+    s.heard.clear()
+    s.send(mavlink.MAVLink_mission_count_message(1, 1, len(items) if count is None else count, 0))
+    for item in items:
+        if not any(m.get_type() == "MISSION_ACK" for m in s.heard):
+            s.wait_for("MISSION_REQUEST_INT")
+            s.send(item)
+    return int(s.wait_for("MISSION_ACK").type)
+
+
+def test_items_of_a_mission_are_judged_one_by_one(library) -> None:
+    s = Station(library)
+    good, unsupported, failed = mavlink.MAV_MISSION_ACCEPTED, mavlink.MAV_MISSION_UNSUPPORTED, mavlink.MAV_MISSION_ERROR
+    start, end = mission_item(0, 22, z=-0.7), mission_item(2, 20)
+    before = bytes(s.ffi.buffer(s.ffi.addressof(s.board.record, "plan")))
+    nan = float("nan")
+    for item in (
+        mission_item(1, 16, z=-0.05), mission_item(1, 16, z=-60.0), mission_item(1, 16, z=nan), mission_item(1, 22),
+        mission_item(1, 16, x=1.1e4), mission_item(1, 24), mission_item(1, 21), mission_item(1, 23),
+        mission_item(1, 20),
+    ):  # fmt: skip
+        assert _upload(s, [start, item, end]) == unsupported, (item.command, item.x, item.z)
+    for first in (mission_item(0, 24, z=0.5), mission_item(0, 22, frame=3)):
+        assert _upload(s, [first, mission_item(1, 16), end]) == unsupported
+    assert _upload(s, [start, mission_item(1, 20)]) == failed  # without a waypoint
+    assert _upload(s, [mission_item(k, 16) for k in range(34)]) == unsupported  # more waypoints than a board holds
+    assert bytes(s.ffi.buffer(s.ffi.addressof(s.board.record, "plan"))) == before
+    plan = s.board.record.plan
+    for wait_s, heading, waits, has_heading in (
+        (-1.0, nan, 0.0, False), (2.0, 400.0, 2.0, False), (3600.0, -90.0, 0.0, True), (nan, float("inf"), 0.0, False),
+    ):  # fmt: skip
+        items = [mission_item(0, 24, z=-0.7), mission_item(1, 16, p1=wait_s, p4=heading), mission_item(2, 23)]
+        assert _upload(s, items) == good
+        w = plan.waypoint[0]
+        assert (w.wait_s, bool(w.has_heading), plan.at_end) == (waits, has_heading, s.lib.AT_END_LAND)
+        assert w.heading == pytest.approx(np.radians(-90.0) if has_heading else 0.0)
+    s.send(mavlink.MAVLink_mission_request_int_message(1, 1, 2))
+    assert s.wait_for("MISSION_ITEM_INT").command == 21
+    assert _upload(s, [mission_item(0, 16), mission_item(1, 21)]) == good  # neither is needed
+    s.send(mavlink.MAVLink_mission_request_int_message(1, 1, 9))
+    assert s.wait_for("MISSION_ACK").type == mavlink.MAV_MISSION_INVALID_SEQUENCE
+    for kind, count in ((0, 3), (1, 0), (2, 0)):  # the mission; neither fence nor rally points
+        s.send(mavlink.MAVLink_mission_request_list_message(1, 1, kind))
+        told = s.wait_for("MISSION_COUNT")
+        assert (told.mission_type, told.count) == (kind, count)
+
+
+def test_an_upload_takes_items_in_their_order_from_its_sender_while_the_motors_are_off(library) -> None:
+    s = Station(library)
+    s.send(mission_item(0, 16))
+    assert s.wait_for("MISSION_ACK").type == mavlink.MAV_MISSION_UNSUPPORTED  # no upload has begun
+    s.send(mavlink.MAVLink_mission_count_message(1, 1, 2, 0))
+    assert s.wait_for("MISSION_REQUEST_INT").seq == 0
+    s.send(mission_item(1, 16))
+    assert s.wait_for("MISSION_REQUEST_INT").seq == 0  # asked for again
+    s.send(mission_item(0, 16))
+    assert s.wait_for("MISSION_REQUEST_INT").seq == 1
+    # When another station may command, the upload of the first is not continued with its items.
+    link, supervisor = s.board.record.link, s.board.record.supervisor
+    supervisor.commander_heard_s -= 5.0
+    s.codec.srcSystem = 254
+    s.heard.clear()
+    s.send(mission_item(1, 16))
+    assert s.wait_for("MISSION_ACK").type == mavlink.MAV_MISSION_UNSUPPORTED
+    assert link.load_next == 1
+    # Armed meanwhile, it is not taken over.
+    s.send(mavlink.MAVLink_mission_count_message(1, 1, 1, 0))
+    s.wait_for("MISSION_REQUEST_INT")
+    s.board.record.supervisor.armed = True
+    s.send(mission_item(0, 16))
+    assert s.wait_for("MISSION_ACK").type == mavlink.MAV_MISSION_ERROR
+    s.board.record.supervisor.armed = False
+    # With sticks the state is no longer that of rest, though nothing is armed and the motors are off.
+    link.by_hand = True
+    for _ in range(8):
+        s.send(mavlink.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0))
+    assert s.board.record.software.mission.state == s.lib.STATE_RC
+    s.send(mavlink.MAVLink_mission_count_message(1, 1, 1, 0))
+    assert s.wait_for("MISSION_ACK").type == mavlink.MAV_MISSION_ERROR
+
+
+def test_a_line_that_takes_no_bytes_loses_messages_and_counts_them(library) -> None:
+    """Lists and texts wait for room, streams are dropped; afterwards all goes on."""
+    s = Station(library)
+    link = s.board.record.link
+    for _ in range(600):  # texts of the start
+        s.step()
+    entries = s.board.record.software.mission
+    link.lists = True
+    for k in range(400):
+        entries.logged_event_count += 3 * (k == 100)
+        link.input_count = 0
+        s.period.time_s = 3.0 + 0.005 * k
+        s.board.compute_estimate(s.period)
+        s.board.compute_control(s.request)
+        s.lib.board_link(s.board.record)
+        if k == 99:
+            assert link.lists  # no room for all of them
+            assert link.output_count > 512
+    assert link.dropped > 20
+    assert link.output_count > 1024 - 64
+    assert link.told < entries.logged_event_count
+    s.k = 1000
+    s.heard.clear()
+    for _ in range(300):
+        s.step()
+    assert not link.lists
+    assert link.told == entries.logged_event_count
+    assert s.decode.total_receive_errors == 0  # frames of the ring are whole
+
+
+def test_long_texts_come_in_two_parts_and_old_entries_of_a_full_log_are_passed_over(library) -> None:
+    s = Station(library)
+    for _ in range(300):
+        s.step()
+    mission = s.board.record.software.mission
+    for k in range(40):  # more than the log keeps
+        entry = mission.log[(mission.logged_event_count + k) % 16]
+        entry.message.code = s.lib.SAY_USER_WAYPOINT_TOO_FAR
+        entry.message.number = [k, 0.0, 0.0, 1.0]
+        entry.level = k % 5 - 1
+    mission.logged_event_count += 40
+    s.heard.clear()
+    for _ in range(300):
+        s.step()
+    parts = [m for m in s.heard if m.get_type() == "STATUSTEXT" and m.id]
+    assert [m.chunk_seq for m in parts] == [0, 1] * 16
+    texts = [a.text + b.text for a, b in zip(parts[::2], parts[1::2], strict=True)]
+    assert [int(t[17:].split(",")[0]) for t in texts] == list(range(24, 40))
+    assert texts[0].endswith("D has to be at least 1 m")
+    severities = {-1: 6, 0: 6, 1: 4, 2: 3, 3: 6}  # an unknown level is information
+    assert [m.severity for m in parts[::2]] == [severities[k % 5 - 1] for k in range(24, 40)]
+
+
+def test_telemetry_states_modes_and_uncertainty(library) -> None:
+    """One message of each kind for states that flights seldom reach."""
+    s = Station(library)
+    ffi, lib, record = s.ffi, s.lib, s.board.record
+    link, software, belief = ffi.new("link_t *"), ffi.new("software_t *"), ffi.new("estimate_t *")
+    lib.link_start(link)
+    setup = ffi.addressof(lib, "mufly_setup")
+    vehicle = ffi.new("link_vehicle_t *", {
+        "supervisor": ffi.addressof(record, "supervisor"), "software": software, "setup": setup, "belief": belief,
+        "plan": ffi.addressof(record, "plan"), "estimator": ffi.addressof(record, "estimator"),
+        "settings": ffi.addressof(record, "settings"), "rc": ffi.addressof(record, "rc", "settings"),
+        "log_faults": ffi.addressof(record, "log", "device", "faults"),
+    })  # fmt: skip
+
+    def send(which):
+        for k in range(len(link.once)):
+            link.once[k], link.due_s[k] = k == which, 1e9
+        lib.link_step(link, vehicle)
+        out = ffi.new("uint8_t[300]")
+        count = lib.link_waiting(link, out, 300)
+        lib.link_sent(link, count)
+        (message,) = s.decode.parse_buffer(bytes(ffi.buffer(out, count)))
+        return message
+
+    mission = software.mission
+    modes = {
+        "INIT": (4, 1), "TAKE_OFF": (4, 2), "HOVER": (4, 3), "WAYPOINT": (4, 4), "OBSTACLE": (4, 4), "LANDING": (4, 6),
+        "RC": (2, 0), "OFFBOARD": (6, 0),
+    }  # fmt: skip
+    for name, mode in modes.items():
+        mission.state = getattr(lib, f"STATE_{name}")
+        for by_user in (False, True):
+            mission.user_in_control = by_user
+            told = send(0).custom_mode
+            loiters = by_user and name in ("WAYPOINT", "OBSTACLE")
+            assert (told >> 16 & 255, told >> 24) == ((4, 3) if loiters else mode), (name, by_user)
+    mission.state, mission.battery_V = lib.STATE_HOVER, record.plan.low_voltage - 0.1
+    assert send(0).system_status == mavlink.MAV_STATE_STANDBY  # on the floor
+    software.motors, software.is_lifted = lib.MOTORS_FLY, True
+    mission.home_position[2], belief.motion.position[2] = 0.0, -1.0
+    assert send(0).system_status == mavlink.MAV_STATE_CRITICAL
+    belief.valid, belief.checks[lib.SENSOR_SONAR].status = True, lib.SENSOR_FUSED
+    attitude, level, height, sonar = 1, 8 + 16 + 256 + 512, 32, 64
+    for variances, flags in (
+        ((0.0, 0.0), attitude + level + height + sonar), ((1.0, 0.0), level + height + sonar),
+        ((0.0, 0.3), attitude + sonar), ((1.0, 0.3), sonar), ((float("nan"), 0.0), level + height + sonar),
+    ):  # fmt: skip
+        belief.attitude_variance = [variances[0]] * 3
+        belief.position_variance = [variances[1]] * 3
+        assert send(7).flags == flags, variances
+    belief.valid = False
+    assert send(7).flags == 0
+    # Not armed, with motors that still run: no mission is loaded.
+    mission.state = lib.STATE_INIT
+    frame = mavlink.MAVLink_mission_count_message(1, 1, 1, 0).pack(s.codec)
+    for motors, answer in ((lib.MOTORS_RAMP_DOWN, "MISSION_ACK"), (lib.MOTORS_OFF, "MISSION_REQUEST_INT")):
+        software.motors, link.input_count = motors, len(frame)
+        ffi.memmove(link.input, frame, len(frame))
+        assert send(-1).get_type() == answer
+        link.input_count = 0
+    link.loads = False
+    for volts, told in ((7.5, 7500), (-1.0, 65535), (70.0, 65535), (float("nan"), 65535)):
+        belief.motion.voltage = volts
+        assert send(1).voltage_battery == told
+
+
+class FlyingStation(Station):
+    """A ground station at the link of a board that flies in the simulation on this machine."""
+
+    def __init__(self, library, vehicle) -> None:
+        super().__init__(library)
+        controller, mission = design_flight_controller(vehicle), load_mission("demonstration")
+        self.flight = Flight(
+            vehicle, mission, controller=controller, keep=False, sensors="fitted", seed=3,
+            estimator=BoardEstimator(self.board, vehicle, mission.world, controller.rate_Hz),
+            controllers=make_board_software(self.board),
+        )  # fmt: skip
+        self.flight.autopilot.software.commands_itself = True
+
+    def step(self, data=b"") -> None:
+        self.flight.step_period()
+        self.heard += self.decode.parse_buffer(self.board.exchange_bytes(data)) or []
+
+    def fly_until(self, reached, limit_s, message=None) -> None:
+        """Fly until a condition holds; send a message, if given, ten times a second."""
+        for k in range(round(limit_s * 200)):
+            if reached():
+                return
+            if message is not None and k % 20 == 0:
+                self.send(message)
+            else:
+                self.step()
+        raise AssertionError("the condition was not met in time")
+
+    def latest(self, kind):
+        """Return the next message of a kind that is sent from now on."""
+        self.heard.clear()
+        return self.wait_for(kind, 300)
+
+
+def test_a_station_flies_the_board_of_this_machine(vehicle, library) -> None:
+    """Take-off, go to, set-points, sticks, mission, pause; then the station is silent: hold, land, disarm."""
+    s = FlyingStation(library, vehicle)
+    record, lib = s.board.record, s.lib
+    mission, supervisor = record.software.mission, record.supervisor
+    accepted, rejected = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+
+    def distance(*place) -> float:
+        return float(np.linalg.norm(np.array(list(record.belief.motion.position)) - place))
+
+    def set_mode(main, sub=0) -> int:
+        return s.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, main, sub)
+
+    with s.flight:
+        s.fly_until(lambda: record.belief.time_s > 3.0, 5.0)
+        assert s.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == accepted
+        assert s.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 0.5) == accepted
+        s.fly_until(lambda: mission.state == lib.STATE_TAKE_OFF and record.software.motors == lib.MOTORS_FLY, 5.0)
+        assert s.latest("EXTENDED_SYS_STATE").landed_state == mavlink.MAV_LANDED_STATE_TAKEOFF
+        s.fly_until(lambda: mission.state == lib.STATE_HOVER, 15.0)
+        assert s.latest("EXTENDED_SYS_STATE").landed_state == mavlink.MAV_LANDED_STATE_IN_AIR
+        assert s.latest("HEARTBEAT").base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        # In flight no mission is loaded, nothing is disarmed and nothing is stored.
+        s.send(mavlink.MAVLink_mission_count_message(1, 1, 2, 0))
+        assert s.wait_for("MISSION_ACK").type == mavlink.MAV_MISSION_ERROR
+        assert s.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0) == rejected
+        assert s.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 1.0) == rejected
+
+        nan = float("nan")
+        s.send(mavlink.MAVLink_command_int_message(1, 1, 1, 192, 0, 0, -1.0, 1.0, 0.0, nan, 4000, 2000, -0.7))
+        assert s.wait_for("COMMAND_ACK").result == accepted
+        s.fly_until(lambda: mission.state == lib.STATE_WAYPOINT, 1.0)
+        assert s.latest("HEARTBEAT").custom_mode >> 24 == 3  # AUTO_LOITER
+        s.fly_until(lambda: distance(0.4, 0.2, -0.7) < 0.15, 20.0)
+
+        assert set_mode(6) == rejected  # without set-points
+        target = mavlink.MAVLink_set_position_target_local_ned_message(
+            0, 1, 1, 1, 0b100111111000, 0.0, 0.2, -0.7, 0, 0, 0, 0, 0, 0, 0, 0.0
+        )
+        s.send(target)
+        assert set_mode(6) == accepted
+        s.fly_until(lambda: mission.state == lib.STATE_OFFBOARD, 2.0, target)
+        s.fly_until(lambda: distance(0.0, 0.2, -0.7) < 0.15, 20.0, target)
+        assert s.latest("HEARTBEAT").custom_mode >> 16 == 6
+        s.fly_until(lambda: mission.state == lib.STATE_HOVER, 3.0)
+
+        sticks = mavlink.MAVLink_manual_control_message(1, 300, 0, 500, 0, 0)
+        s.send(sticks)
+        assert mission.state == lib.STATE_HOVER  # sticks count in a manual mode only
+        assert set_mode(2) == accepted
+        s.fly_until(lambda: mission.state == lib.STATE_RC, 1.0, sticks)
+        assert s.latest("HEARTBEAT").custom_mode >> 16 & 255 == 2
+        s.fly_until(lambda: mission.state == lib.STATE_HOVER, 3.0)
+
+        assert s.command(mavlink.MAV_CMD_MISSION_START) == accepted
+        s.fly_until(lambda: mission.state == lib.STATE_WAYPOINT, 2.0)
+        assert s.latest("HEARTBEAT").custom_mode >> 24 == 4  # AUTO_MISSION
+        assert s.command(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0.0) == accepted
+        s.fly_until(lambda: mission.state == lib.STATE_HOVER, 2.0)
+        assert s.command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == accepted
+        s.fly_until(lambda: mission.returning_home, 2.0)
+        assert s.latest("HEARTBEAT").custom_mode >> 24 == 5  # AUTO_RTL
+        assert set_mode(4, 3) == accepted  # AUTO_LOITER
+        s.fly_until(lambda: mission.state == lib.STATE_HOVER and not mission.returning_home, 2.0)
+
+        for name, seconds in ((b"COM_DL_LOSS_T", 1.0), (b"COM_DL_LAND_T", 1.0)):
+            s.send(mavlink.MAVLink_param_set_message(1, 1, name, seconds, 9))
+        assert s.command(mavlink.MAV_CMD_MISSION_START) == accepted
+        silent_s = record.belief.time_s
+        s.fly_until(lambda: mission.state == lib.STATE_WAYPOINT, 0.5)
+        s.fly_until(lambda: mission.state == lib.STATE_HOVER, 2.0)
+        assert record.belief.time_s - silent_s > 0.9
+        s.fly_until(lambda: mission.state == lib.STATE_LANDING, 2.0)
+        assert record.belief.time_s - silent_s > 1.9
+        assert s.latest("EXTENDED_SYS_STATE").landed_state == mavlink.MAV_LANDED_STATE_LANDING
+        s.fly_until(lambda: not supervisor.armed, 15.0)
+        assert not s.flight.plant.crash_cause
+        assert s.latest("EXTENDED_SYS_STATE").landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
 
 
 @needs_qemu

@@ -12,6 +12,12 @@ import pytest
 from mufly.control import design_flight_controller
 from mufly.dynamics import standing_height
 from mufly.estimate import KalmanEstimator
+from mufly.estimate.filter.filter_records import (
+    READING_ACCELERATION,
+    READING_RANGE_RING,
+    READING_SONAR,
+    READING_STARTS,
+)
 from mufly.firmware import FirmwareSoftware, GenericFirmwareSoftware
 from mufly.firmware.compiled_software import diff_fields
 from mufly.firmware.emulated import HostBoard
@@ -31,7 +37,7 @@ pytestmark = pytest.mark.skipif(
     not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler: install gcc or clang"
 )
 NOT_MEASURED, STALE, NO_VOLTAGE, BATTERY_LOW, NOT_VALID, TILTED, MOVED = (1 << k for k in range(7))
-NOT_STANDING = 512  # bits of supervisor.h
+CLIMB_STICK, NOT_STANDING = 256, 512  # bits of supervisor.h
 AROUND = 24
 """Periods before and after the first valid estimate in which a start is asked for."""
 
@@ -457,6 +463,252 @@ def test_an_estimate_whose_clock_stands_still_refuses_arming_until_it_runs(super
     assert lib.supervisor_arming_faults(s, setup, m) == 0
 
 
+def test_a_clock_that_jumps_back_or_is_no_number_does_not_stop_the_supervisor(supervised) -> None:
+    lib, s, setup, m = supervised()
+    for time_s, now_s, stale_s in (
+        (1.0, 2.0 + setup.period_s, 0.0), (float("nan"), 2.0 + 2 * setup.period_s, setup.period_s), (3.0, 3.0, 0.0),
+        (float("-inf"), 3.0 + setup.period_s, setup.period_s),
+    ):  # fmt: skip
+        m.time_s = time_s
+        lib.supervisor_observe(s, setup, m, 0.3)
+        assert (s.now_s, s.stale_s) == pytest.approx((now_s, stale_s)), time_s
+    lib, s, setup, m = supervised()
+    m.motion.voltage = float("inf")
+    assert lib.supervisor_arming_faults(s, setup, m) == NO_VOLTAGE
+    m.motion.voltage = 8.0
+    for climb, reasons in ((-0.1, 0), (0.1, CLIMB_STICK)):
+        s.has_sticks, s.sticks.climb_rate = True, climb
+        assert lib.supervisor_arming_faults(s, setup, m) == reasons
+
+
+class Requests:
+    """A supervisor in a flight whose state a test sets; requests are answered at once."""
+
+    def __init__(self, supervised, board) -> None:
+        self.ffi = board.ffi
+        self.lib, self.s, self.setup, self.m = supervised()
+        self.software = self.ffi.new("software_t *")
+
+    def fly(self, state="HOVER", height=1.0) -> None:
+        x, software = self.software.mission, self.software
+        self.s.armed, software.is_lifted = True, True
+        software.motors = x.motors = self.lib.MOTORS_FLY
+        x.state, x.has_taken_off = getattr(self.lib, f"STATE_{state}"), True
+        x.home_position[2] = self.m.motion.position[2] + height
+
+    def ask(self, kind, **fields) -> int:
+        request = self.ffi.new("user_request_t *", {"kind": getattr(self.lib, f"USER_{kind}"), **fields})
+        return int(self.lib.supervisor_request(self.s, self.setup, self.software, self.m, request))
+
+
+def test_each_request_is_answered_by_its_numbers_and_the_state(supervised, board) -> None:
+    r = Requests(supervised, board)
+    accepted, later, denied, nan = 0, 1, 2, float("nan")
+    assert (
+        int(r.lib.supervisor_request(r.s, r.setup, r.software, r.m, r.ffi.new("user_request_t *", {"kind": 99})))
+        == denied
+    )
+    assert r.ask("LAND") == r.ask("PAUSE") == r.ask("RETURN") == later  # on the floor
+    assert r.ask("GO_TO", has_heading=True) == later
+    for height, answer in ((nan, denied), (float("inf"), denied), (0.05, denied), (51.0, denied), (1.0, later)):
+        assert r.ask("TAKE_OFF", has_height=True, height=height) == answer, height
+    assert r.ask("ARM") == accepted
+    assert r.ask("ARM") == accepted  # it is armed already
+    assert r.ask("TAKE_OFF") == accepted  # to the height of the mission
+    for attitude, answer in (([0.0, 0.5, 0.0], later), ([nan, 0.0, 0.0], accepted), ([0.0, 0.0, 0.0], accepted)):
+        r.m.motion.attitude = attitude  # an unknown attitude is the estimator's case, which bridges it
+        assert r.ask("TAKE_OFF", has_height=True, height=1.0) == answer, attitude
+    for first, answer in ((-1, denied), (r.setup.plan.count, denied), (0, accepted)):
+        assert r.ask("START", has_first=True, first=first) == answer, first
+    plan = r.ffi.new("plan_t *")
+    setup = r.ffi.new("flight_setup_t *", r.setup[0])
+    setup.plan, r.setup = plan, setup
+    assert r.ask("START") == later  # no mission
+    for name in ("roll", "pitch", "yaw_rate", "climb_rate"):
+        for wrong in (nan, float("inf")):
+            assert r.ask("STICKS", **{name: wrong}) == denied
+    r.fly()
+    assert r.ask("GO_TO") == denied  # neither place nor heading
+    assert r.ask("GO_TO", has_heading=True, heading=nan) == denied
+    assert r.ask("GO_TO", has_position=True, position=[0.0, 0.0, 0.5]) == denied
+    assert r.ask("GO_TO", has_position=True, position=[0.0, 0.0, -1.0]) == accepted
+    assert list(r.s.pending.waypoint) == [0.0, 0.0, -1.0]
+    assert (r.s.pending.has_heading, r.s.pending.heading) == (False, 0.0)
+    assert r.ask("DISARM") == later  # in the air
+    for set_point, answer in (([nan] * 3, denied), ([0.0, 0.0, -1.0], accepted)):
+        where = {"position": set_point, "velocity": [nan] * 3, "heading": nan, "yaw_rate": nan}
+        assert r.ask("SET_POINT", set_point=where) == answer
+    r.software.mission.state = r.lib.STATE_LANDING
+    r.software.mission.motors = r.lib.MOTORS_BLIND
+    assert r.ask("LAND") == accepted  # it lands already
+    assert r.ask("STICKS") == later  # without a position
+    assert r.ask("OFFBOARD") == later
+    # While a stop of the motors waits, nothing else is taken.
+    r.fly()
+    assert r.ask("DISARM", force=True) == accepted
+    assert r.s.interruption == r.lib.INTERRUPTION_STOPPED
+    assert r.s.pending.stop_reason == r.lib.STOP_EMERGENCY
+    for kind in ("ARM", "PAUSE", "OFFBOARD"):
+        r.s.armed = kind != "ARM"
+        r.s.set_point_s = r.s.now_s
+        assert r.ask(kind) == later, kind
+
+
+def test_a_stop_near_the_floor_is_no_interruption_and_at_rest_none_is_pending(supervised, board) -> None:
+    for height, state, pending, interruption in (
+        (0.05, "LANDING", True, "NONE"), (0.5, "LANDING", True, "STOPPED"), (None, "INIT", False, "NONE"),
+        (None, "RC", True, "NONE"),
+    ):  # fmt: skip
+        r = Requests(supervised, board)
+        if height is not None:
+            r.fly(state, height)
+        r.software.mission.state = getattr(r.lib, f"STATE_{state}")
+        assert r.ask("DISARM", force=True) == 0
+        assert bool(r.s.is_pending) == pending
+        assert r.s.interruption == getattr(r.lib, f"INTERRUPTION_{interruption}")
+
+
+def test_an_interruption_is_acknowledged_by_a_second_request_or_by_force(supervised, board) -> None:
+    accepted, later = 0, 1
+    for requests in (
+        (({}, later), ({"repeated": True}, later), ({}, accepted)),
+        (({"force": True}, accepted),),
+    ):
+        r = Requests(supervised, board)
+        r.s.interruption = r.lib.INTERRUPTION_TIPPED
+        for fields, answer in requests:
+            assert r.ask("ARM", **fields) == answer
+        assert r.s.interruption == r.lib.INTERRUPTION_NONE
+    # Force does not arm with a climb stick, nor in flight without arming.
+    r = Requests(supervised, board)
+    r.s.has_sticks, r.s.sticks.climb_rate = True, 0.5
+    assert r.ask("ARM", force=True) == later
+    r = Requests(supervised, board)
+    r.fly()
+    r.s.armed = False
+    assert r.ask("ARM", force=True) == later
+
+
+def test_the_end_of_a_flight_is_classified_by_the_latest_entries_since_arming(supervised, board) -> None:
+    lib, ffi = board.lib, board.ffi
+    tipped, blind, usual = lib.SAY_TIPPED_MOTORS_OFF, lib.SAY_MOTORS_OFF_AFTER_DESCENT, lib.SAY_LANDED
+    for codes, times, expected in (
+        ((tipped,), (5.0,), lib.INTERRUPTION_TIPPED), ((blind, usual), (5.0, 5.1), lib.INTERRUPTION_BLIND),
+        ((tipped,), (0.5,), lib.INTERRUPTION_NONE), ((usual,) * 20, (5.0,) * 20, lib.INTERRUPTION_NONE),
+        ((tipped, *(usual,) * 4), (5.0,) * 5, lib.INTERRUPTION_NONE), ((), (), lib.INTERRUPTION_NONE),
+    ):  # fmt: skip
+        lib, s, *_ = supervised()
+        software = ffi.new("software_t *")
+        x = software.mission
+        for code, time_s in zip(codes, times, strict=True):
+            entry = x.log[x.logged_event_count % len(x.log)]
+            entry.message.code, entry.time_s = code, time_s
+            x.logged_event_count += 1
+        s.armed, s.armed_s, s.ran = True, 1.0, True
+        lib.supervisor_conclude(s, software, True)
+        assert not s.armed
+        assert s.interruption == expected, (codes, times)
+
+
+def test_a_silent_commander_is_followed_by_hover_then_land(supervised, board) -> None:
+    """An order is repeated until it is accepted; a vehicle that returns or lands goes on."""
+    r = Requests(supervised, board)
+    s, x, lib = r.s, r.software.mission, r.lib
+
+    def step(silent_s) -> bool:
+        """Return what is newly pending."""
+        s.is_pending = False
+        s.commander_heard_s = s.now_s - silent_s
+        lib.supervisor_step_link(s, r.setup, r.software, r.m)
+        return ("pause" if s.pending.pause else "land" if s.pending.land else "other") if s.is_pending else ""
+
+    loss, land = s.settings.link_loss_s, s.settings.link_land_s
+    r.fly("WAYPOINT")
+    lib.supervisor_step_link(s, r.setup, r.software, r.m)
+    assert not s.is_pending  # nobody has commanded yet
+    s.has_commander = True
+    assert [step(t) for t in (loss - 0.1, loss, loss + 0.1)] == ["", "pause", ""]
+    x.state = lib.STATE_HOVER
+    assert [step(t) for t in (loss + land - 0.1, loss + land, loss + land + 1.0)] == ["", "land", ""]
+    # In a landing or a return nothing is ordered, then or later.
+    for state, returning in (("LANDING", False), ("WAYPOINT", True)):
+        r.fly(state)
+        assert step(0.0) == ""
+        x.returning_home = returning
+        assert [step(t) for t in (loss, loss + land)] == ["", ""]
+        x.returning_home = False
+    # It begins to return while it hovers: no landing is ordered.
+    r.fly("WAYPOINT")
+    step(0.0)
+    assert step(loss) == "pause"
+    x.returning_home = True
+    assert step(loss + land) == ""
+    assert s.link_stage == lib.LINK_LAND
+    # A stop that waits: the order is repeated after it.
+    x.returning_home = False
+    step(0.0)
+    x.outcome = lib.OUTCOME_FAILED  # neither pause nor landing are permitted
+    assert [step(loss), step(loss + 0.1)] == ["", ""]
+    assert s.link_owed == lib.LINK_HOVER
+    x.outcome = lib.OUTCOME_OPEN
+    assert step(loss + 0.2) == "pause"
+    assert s.link_owed == lib.LINK_HEARD
+
+
+def test_set_points_wait_for_arming_and_end_with_their_stream(supervised, board) -> None:
+    r = Requests(supervised, board)
+    s, lib, command = r.s, r.lib, r.ffi.new("command_t *")
+    s.has_set_point, s.offboard, s.set_point_s = True, True, s.now_s
+    lib.supervisor_collect(s, r.software, command)
+    assert (command.has_program_set_point, s.offboard) == (False, True)
+    s.armed = True
+    lib.supervisor_collect(s, r.software, command)
+    assert command.has_program_set_point
+    s.now_s += 0.6
+    lib.supervisor_collect(s, r.software, command)
+    assert (command.has_program_set_point, s.offboard) == (False, False)
+    r.fly()
+    assert r.ask("OFFBOARD") == 1  # the set-point is old
+    s.has_set_point = False
+    assert r.ask("OFFBOARD") == 1
+
+
+# Periods
+
+
+def test_lost_periods_are_repeated_with_the_inertial_readings_after_them(board) -> None:
+    lib, b = board.lib, board.record
+    sensors = len(b.readings.fresh)
+    count = {}
+    for missed in (0, 3, 10, 99):
+        board.restart()
+        readings = b.readings
+        readings.fresh = [1] * sensors
+        readings.z[READING_STARTS[READING_ACCELERATION] + 2] = -9.81
+        lib.board_estimate(b, 0.005, missed)
+        count[missed] = b.period_count
+        assert list(readings.fresh)[READING_SONAR:] == [1] * (sensors - READING_SONAR)
+        assert readings.z[READING_STARTS[READING_ACCELERATION] + 2] == pytest.approx(-9.81)
+    assert count == {0: 1, 3: 4, 10: 11, 99: 11}  # at most ten
+    board.restart()
+
+
+def test_a_beam_without_a_number_reads_the_full_range_and_missing_sensors_are_named(board) -> None:
+    lib, b = board.lib, board.record
+    ring = lib.mufly_plan.beam_ring
+    board.restart()
+    for ranges in (0.5, 0.6, float("nan"), float("inf")):
+        b.readings.fresh[READING_RANGE_RING] = 1
+        b.readings.ranges = [ranges] * len(b.readings.ranges)
+        lib.board_estimate(b, 0.005, 0)
+    assert list(b.belief.ranges)[: ring.count] == [ring.max_range] * ring.count
+    lib.board_start(b, 1 << READING_SONAR, lib.RESTART_COLD)
+    lib.board_estimate(b, 0.005, 0)
+    statuses = [b.belief.checks[k].status == lib.SENSOR_NOT_FITTED for k in range(len(b.readings.fresh))]
+    assert statuses == [k != READING_SONAR for k in range(len(statuses))]
+    board.restart()
+
+
 # Resets
 
 
@@ -490,6 +742,11 @@ def test_kept_memory_tells_a_reset_in_flight_from_a_power_up(board) -> None:
     assert (r.restarts, r.in_flight, r.cause) == (2, 1, lib.RESET_BY_BROWN_OUT)
     assert (r.state, r.time_ms, r.fault_address, r.fault_status) == (3, 12345, 0x08001234, 7)
     # The motors have not run since: another reset is none in flight.
+    assert lib.fault_record_begin(r, lib.RESET_BY_WATCHDOG) == lib.RESTART_ON_FLOOR
+    for time_s, time_ms in ((0.0, 0), (-1.0, 0), (4e6, 0), (float("nan"), 0), (2.5, 2500)):
+        lib.fault_record_update(r, True, 3, time_s)
+        assert r.time_ms == time_ms
+    lib.fault_record_update(r, False, 0, 13.0)  # landed
     assert lib.fault_record_begin(r, lib.RESET_BY_WATCHDOG) == lib.RESTART_ON_FLOOR
 
 

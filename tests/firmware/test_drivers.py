@@ -196,6 +196,17 @@ def test_data_that_cannot_be_are_no_readings(library) -> None:
     bench.run(1.0)
     assert bench.device(BAROMETER).faults == IMPLAUSIBLE
     assert bench.fresh[READING_PRESSURE] == 0
+    for place, value in ((0, 0), (0, 0xFFFF), (3, 0)):  # of the calibration: temperature, pressure
+        bench = Bench(library)
+        bench.put(BAROMETER, 0x88 + 2 * place, _words([value], big=False))
+        bench.run(1.0)
+        assert bench.device(BAROMETER).faults == IMPLAUSIBLE, (place, value)
+        assert bench.fresh[READING_PRESSURE] == 0
+    # One unit of the inertial unit without samples is no fault of both.
+    bench = Bench(library)
+    bench.imu_counts = [-32768] * 3 + [1, 2, 3]
+    bench.run(1.0)
+    assert bench.device(IMU).faults == 0
     # Nothing within range is an invalid reading, not silence; a device that still listens is a fault.
     bench = Bench(library)
     bench.put(SONAR, 2, _words([0]))
@@ -204,6 +215,10 @@ def test_data_that_cannot_be_are_no_readings(library) -> None:
         bench.run(0.005)
         seen.add(bench.readings.fresh[READING_SONAR])
     assert seen == {0, 2}
+    bench.put(SONAR, 2, _words([40_000]))  # 6.9 m, beyond twice its reach
+    bench.run(0.5)
+    assert bench.device(SONAR).faults == IMPLAUSIBLE
+    bench = Bench(library)
     bench.put(SONAR, 2, [0xFF, 0xFF])
     bench.run(0.5)
     assert bench.device(SONAR).faults == IMPLAUSIBLE
@@ -329,3 +344,15 @@ def test_dshot_frames_servo_pulses_and_battery(library) -> None:
     assert lib.servo_pulse_us(float("nan")) == 1500
     assert lib.battery_voltage(2048, 3.3, 11.0) == pytest.approx(18.154, abs=1e-3)
     assert lib.battery_voltage(5000, 3.3, 11.0) == -1.0
+
+
+def test_a_repeated_step_at_the_start_of_the_loop_is_its_last_one(library) -> None:
+    """A driver asks again for what it has just read, also where the program has gone on to the loop's start."""
+    bench = Bench(library)
+    bench.run(0.5)
+    device = bench.ffi.addressof(bench.suite.imu, "device")
+    loop_from, count = device.program.loop_from, device.program.count
+    for step, expected in ((loop_from, count - 1), (count, count - 1), (loop_from + 1, loop_from)):
+        device.step = step
+        bench.lib.register_device_repeat(device, 1000, bench.now_us)
+        assert (device.step, device.waits, device.pause_us) == (expected, True, 1000)

@@ -124,6 +124,19 @@ def test_a_slow_trickle_is_on_the_device_within_a_second(library) -> None:
     assert len(device.messages) > 5
 
 
+def test_a_block_that_is_full_when_a_flush_is_due_is_flushed_alone(library) -> None:
+    device = Device(library, caches=True)
+    device.start()
+    device.run(100)
+    log, lib = device.log, device.lib
+    assert lib.block_log_append(log, bytes(488 - log.fill), 488 - log.fill, True)
+    for _ in range(200):
+        if log.operation == 5:  # FLUSHES
+            break
+        lib.block_log_step(log, True)
+    assert (log.operation, log.fill, log.full_count) == (5, 0, 0)
+
+
 def test_sessions_follow_each_other_round_the_device(library) -> None:
     device = Device(library, 100)
     for number in range(1, 60):
@@ -322,3 +335,94 @@ def test_a_board_logs_names_units_and_texts_and_pyulog_reads_them(library, tmp_p
     assert any("the device fails" in t for t in said)
     done = CliRunner().invoke(app, ["firmware", "log", str(file), "--out", str(tmp_path / "logs")])
     assert "holds no log of a board" in str(done.exception)
+
+
+def test_rows_that_a_slow_device_drops_are_noted_with_their_duration(library, tmp_path) -> None:
+    station = Station(library)
+    board, log = station.board, station.board.record.log
+    station.request.is_given = station.request.given.armed = True
+    for _ in range(400):
+        station.step()
+    assert log.dropped_rows == 0
+    mission = station.board.record.software.mission
+    board.block_model.write_polls = 150  # 0.75 s for a block
+    for k in range(600):
+        station.step()
+        mission.logged_event_count += 20 * (k == 300)  # more entries than the log of the mission keeps
+    assert log.dropped_rows > 20
+    dropped = log.dropped_rows
+    board.block_model.write_polls = 0
+    for _ in range(400):
+        station.step()
+    assert log.dropped_rows == log.told_dropped_rows >= dropped
+    assert log.texts_written == mission.logged_event_count
+    (session,) = split_sessions(board.log_blocks[:300].tobytes())
+    found = ULog(io.BytesIO(session.ulog))
+    silent = np.diff(found.data_list[0].data["timestamp"]).max() / 1e6
+    assert silent > 0.3
+    assert sum(d.duration for d in found.dropouts) / 1e3 == pytest.approx(silent, abs=0.75)
+
+
+def test_stamps_of_an_invalid_clock_are_zero(library) -> None:
+    station = Station(library)
+    for _ in range(300):
+        station.step()
+    ffi, record = station.ffi, station.board.record
+    log = ffi.addressof(record, "log")
+    vehicle = ffi.new("flight_log_vehicle_t *", {
+        "belief": ffi.addressof(record, "belief"), "software": ffi.addressof(record, "software"),
+        "acting": ffi.addressof(record, "acting"), "armed": True,
+    })  # fmt: skip
+    for time_s, stamp in ((2.5, 2_500_000), (0.0, 0), (-1.0, 0), (4e6, 0), (float("nan"), 0), (100.0, 100_000_000)):
+        device = record.log.device
+        for _ in range(400):  # until the block has room for both messages
+            if device.fill < 200:
+                break
+            station.step()
+        record.belief.time_s = time_s
+        log.periods_to_row, before = 0, device.fill
+        log.dropped_rows, log.told_dropped_rows, log.dropout_since_ms = 1, 0, 0  # a dropout is noted before the row
+        buffer = device.buffers[(device.first + device.full_count) % len(device.buffers)]
+        station.lib.flight_log_step(log, vehicle)
+        data = bytes(ffi.buffer(buffer))[20 + before :]  # after the header of the block
+        assert data[:3] == b"\2\0O"
+        assert int.from_bytes(data[3:5], "little") == min(stamp // 1000, 0xFFFF)
+        assert int.from_bytes(data[10:18], "little") == stamp, time_s
+
+
+def test_a_device_that_refuses_one_operation_is_used_on(library) -> None:
+    """A block that cannot be read back is written again at the next place, and a flush comes later."""
+    device = Device(library)
+    device.start()
+    device.run(100)
+    assert device.log.state == device.lib.BLOCK_LOG_WRITES
+    log = device.log
+    for k in range(400):  # until the block is written and not read back yet
+        if log.operation == 3:
+            break
+        device.step(k)
+    bad = log.bad_blocks
+    device.model.refuses = True
+    device.step(1)
+    assert log.bad_blocks == bad + 1
+    device.model.refuses = False
+    device.run(200)
+    refused = 0
+    for k in range(400):  # after a block that is read back, the device is asked for a flush only
+        before = log.bad_in_row
+        device.model.refuses = log.operation == 4
+        device.step(k)
+        refused += log.bad_in_row > before
+    assert refused > 1
+    device.model.refuses = False
+    device.run(400)
+    assert log.state == device.lib.BLOCK_LOG_WRITES
+    kept = device.kept()
+    assert kept == list(range(len(kept)))
+    # A device of which no block can be read fails in the search already.
+    device = Device(library, 1024)
+    device.start()
+    device.model.refuses = True
+    for k in range(40):
+        device.step(k)
+    assert (device.log.state, device.log.faults, device.log.session) == (device.lib.BLOCK_LOG_FAILED, FAILED, 0)

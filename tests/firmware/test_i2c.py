@@ -117,7 +117,7 @@ class Peripheral:
             self.stops = True  # after the byte that is on its way
         else:
             self.seen.append("P")
-            self.busy = False
+            self.busy = self.stops = False
         self.flags &= ~(BTF | TXE) if not self.reads else 0xFFFF
 
     def write_data(self, value) -> None:
@@ -255,3 +255,48 @@ def test_silence_is_aborted_and_a_held_line_is_clocked_free(library) -> None:
     assert bus.values[GPIO_B] >> 2 * SCL & 15 == 0b1010  # the peripheral's again
     assert bus.transfer([1], 2)
     assert bus.lib.i2c_poll() == DONE
+
+
+def test_interrupts_without_a_flag_and_late_bytes_are_waited_for(library) -> None:
+    """An interrupt whose flag is not set yet changes nothing: the transfer goes on at the next one."""
+    bus = Peripheral(library)
+    original = bus.run
+
+    def run(limit=200) -> None:
+        for _ in range(limit):
+            kept, bus.flags = bus.flags, 0
+            before = len(bus.seen), bus.values[I2C1 + CR2]
+            bus.lib.i2c_event_interrupt()
+            assert (len(bus.seen), bus.values[I2C1 + CR2]) == before
+            bus.flags = kept
+            original(1)
+
+    bus.run = run
+    for count in (0, 1, 2, 3, 5):
+        assert bus.transfer([0x20], count)
+        assert bus.lib.i2c_poll() == DONE
+        assert list(bus.into[0:count]) == [bus.memory[0x20 + k] for k in range(count)]
+    bus.lib.i2c_event_interrupt()  # of no transfer
+    assert bus.lib.i2c_poll() == ERROR
+
+
+def test_a_transfer_ends_with_the_stop_on_the_bus(library) -> None:
+    bus = Peripheral(library)
+    assert bus.transfer([0x10, 1], 0)
+    bus.busy = True  # the stop is not there yet
+    assert bus.lib.i2c_poll() == BUSY
+    bus.busy = False
+    assert bus.lib.i2c_poll() == DONE
+
+
+def test_the_timer_may_stand_still_while_a_line_is_clocked_free(library) -> None:
+    bus = Peripheral(library)
+    bus.clocks, bus.is_stuck = 0, True
+    original = bus.get
+    bus.get = lambda address: 0 if address == TIM2 + 0x24 else original(address)
+    bus.lib.register_model_attach(bus._attach())
+    assert not bus.transfer([1], 2)
+    assert bus.clocks == 9 + 1
+    bus.get = original
+    bus.lib.register_model_attach(bus._attach())
+    assert bus.transfer([1], 2)

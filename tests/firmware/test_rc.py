@@ -291,6 +291,79 @@ def test_a_silent_receiver_and_its_failsafe_release_the_sticks(library) -> None:
     assert s.board.record.supervisor.has_sticks
 
 
+def test_frames_of_another_length_and_channels_beyond_the_last_count_for_nothing(library) -> None:
+    d = Decoder(library, "RC_CRSF")
+    d.record.failsafe = True
+    for payload in (bytes(9), bytes(11)):  # statistics have ten bytes
+        assert d.feed(_crsf(payload, 0x14)) == []
+    assert d.record.failsafe
+    s = Pilot(library)
+    s.ready()
+    s.board.record.rc.settings.roll = 16.5  # no such channel
+    s.channels[15] = HIGH
+    s.move(manual=HIGH)
+    assert s.board.record.supervisor.sticks.roll == 0.0
+    s.board.record.rc.settings.roll = 16.0
+    s.move()
+    assert s.board.record.supervisor.sticks.roll > 0.1
+
+
+def test_a_lost_receiver_lands_the_vehicle_only_in_the_air_and_without_a_commander(library) -> None:
+    s = Pilot(library)
+    ffi, lib, record = s.ffi, s.lib, s.board.record
+    supervisor, software, belief = (ffi.new(f"{name}_t *") for name in ("supervisor", "software", "estimate"))
+    setup = ffi.addressof(lib, "mufly_setup")
+    vehicle = ffi.new("rc_vehicle_t *", {
+        "supervisor": supervisor, "setup": setup, "software": software, "belief": belief
+    })  # fmt: skip
+    mission, loss_s, land_s = software.mission, 0.5, 2.0
+
+    def lose(steers=True, height=1.0, commander_s=None, permitted=True, silent_s=loss_s + land_s + 0.3):
+        """Return whether a landing is pending, and whether one is still owed, after so much silence."""
+        lib.supervisor_start(supervisor, ffi.addressof(lib, "mufly_supervisor"), lib.INTERRUPTION_NONE)
+        supervisor.settings.link_loss_s, supervisor.settings.link_land_s = 10.0, land_s
+        rc = ffi.new("rc_t *", {"settings": record.rc.settings})
+        rc.was_heard, rc.is_alive, rc.steers, rc.heard_s = True, True, steers, 5.0
+        supervisor.armed = software.is_lifted = True
+        software.motors = mission.motors = lib.MOTORS_FLY
+        mission.state = lib.STATE_HOVER if permitted else lib.STATE_RC
+        mission.has_taken_off, belief.motion.position[2] = True, -height
+        for t in np.arange(5.0, 5.0 + silent_s, 0.1):
+            supervisor.now_s = t
+            if commander_s is not None:
+                supervisor.has_commander, supervisor.commander_heard_s = True, t - commander_s
+            lib.rc_step(rc, vehicle)
+        return bool(supervisor.is_pending and supervisor.pending.land), bool(rc.owes_landing)
+
+    assert lose() == (True, False)
+    assert lose(silent_s=loss_s + land_s - 0.1) == (False, True)
+    assert lose(steers=False) == (False, False)  # it flew by itself
+    assert lose(height=0.01) == (False, False)  # on the floor
+    assert lose(commander_s=1.0) == (False, False)  # a station decides
+    assert lose(commander_s=11.0) == (True, False)  # and that one is silent too
+    assert lose(permitted=False) == (False, True)  # asked again in the next period
+
+
+def test_the_kill_switch_stops_a_disarmed_vehicle_whose_motors_still_run(library) -> None:
+    s = Pilot(library)
+    s.ready()
+    s.move(arm=LOW)
+    s.move(kill=HIGH)
+    s.move(manual=HIGH)
+    record = s.board.record
+    assert record.rc.steers
+    assert not record.supervisor.has_sticks  # the switch takes the sticks too
+    record.supervisor.armed, record.software.motors = False, s.lib.MOTORS_RAMP_DOWN
+    rc = s.ffi.addressof(record, "rc")
+    vehicle = s.ffi.new("rc_vehicle_t *", {
+        "supervisor": s.ffi.addressof(record, "supervisor"), "setup": s.ffi.addressof(s.lib, "mufly_setup"),
+        "software": s.ffi.addressof(record, "software"), "belief": s.ffi.addressof(record, "belief"),
+    })  # fmt: skip
+    s.lib.rc_step(rc, vehicle)
+    assert record.supervisor.is_pending
+    assert record.supervisor.pending.stop_reason == s.lib.STOP_EMERGENCY
+
+
 def test_a_pilot_flies_and_a_lost_receiver_makes_it_hover_and_land(vehicle, library) -> None:
     """The whole loop on this machine: arm, climb by the stick, silence; the vehicle holds, lands, disarms."""
     controller, mission = design_flight_controller(vehicle), load_mission("demonstration")

@@ -13,6 +13,7 @@ pytestmark = needs_cc
 DONE, BUSY, ERROR = range(3)
 GOOD, SILENT, REFUSES, UNKNOWN, SLOW = range(5)
 CSD_BLOCKS = 1024 * 60
+RELEASES, RESTS = 9, 10  # phases of sd_card.c
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +43,7 @@ class Card:
         self.data: list[int] | None = None  # of a block that is being written, from its token on
         self.woken = self.busy = 0
         self.app = self.idle = False
+        self.busy_answers = 0  # to the first commands
         self.fast, self.slow_bytes, self.periods_busy, self.left = False, 0, 1, 0
         self._call = (
             self.ffi.callback("bool(bool, uint8_t *, uint8_t *, int32_t)", self.begin),
@@ -106,14 +108,18 @@ class Card:
         if not self.idle and number != 0 and not self.fast:
             self.slow_bytes += 1
         if number == 0:
+            if "never idle" in self.faults or self.busy_answers > 0:
+                self.busy_answers -= 1
+                return [0]
             self.idle = True
             return [1]
         if number == 8:
             if "version 1" in self.faults:
                 return [5]
-            return [1, 0, 0, 1, 0xAB if "pattern" in self.faults else 0xAA]
+            voltage = 0 if "voltage" in self.faults else 1
+            return [1, 0, 0, voltage, 0xAB if "pattern" in self.faults else 0xAA]
         if number == 55:
-            return [int(self.idle)]
+            return [int(self.idle) | (4 if "no application" in self.faults else 0)]
         if number == 41 and app:
             assert argument == 1 << 30
             self.idle_answers -= 1
@@ -122,7 +128,7 @@ class Card:
         if number == 58:
             return [0, 0x80 if "standard capacity" in self.faults else 0xC0, 0xFF, 0x80, 0]
         if number == 9:
-            size = CSD_BLOCKS // 1024 - 1
+            size = 0x3FFFFF if "too large" in self.faults else CSD_BLOCKS // 1024 - 1
             csd = [0x40, 14, 0, 0x32, 0x5B, 0x59, 0, size >> 16, size >> 8 & 255, size & 255, 0x7F, 0x80, 10, 64, 0, 1]
             csd[0] = 0 if "csd" in self.faults else 0x40
             return [0, *[0xFF] * self.delay, 0xFE, *csd, 0x12, 0x34]
@@ -148,7 +154,7 @@ class Card:
             return
         self.blocks[self.place] = block
         self.answers = [0xE5]
-        self.busy = 10**9 if "busy for ever" in self.faults else 200
+        self.busy = 10**9 if "busy for ever" in self.faults else 0 if "quick" in self.faults else 200
 
     def run(self, until, seconds=3.0) -> bool:
         for _ in range(int(seconds / 0.001)):
@@ -195,8 +201,9 @@ def test_blocks_are_written_and_read_again(library, delay) -> None:
 @pytest.mark.parametrize(
     ("fault", "expected"),
     [
-        ("pulled", SILENT), ("version 1", UNKNOWN), ("pattern", UNKNOWN), ("never ready", SLOW),
-        ("standard capacity", UNKNOWN), ("csd", UNKNOWN), ("bus error", SILENT),
+        ("pulled", SILENT), ("version 1", UNKNOWN), ("pattern", UNKNOWN), ("voltage", UNKNOWN), ("never ready", SLOW),
+        ("never idle", REFUSES), ("no application", REFUSES), ("standard capacity", UNKNOWN), ("csd", UNKNOWN),
+        ("too large", UNKNOWN), ("bus error", SILENT),
     ],
 )  # fmt: skip
 def test_another_card_or_none_is_refused(library, fault, expected) -> None:
@@ -234,3 +241,40 @@ def test_a_bus_that_takes_no_transfer_is_asked_again(library) -> None:
     card.faults = set()
     assert card.start()
     assert card.driver.is_ready
+
+
+def test_a_card_that_is_busy_at_first_or_quick_at_last_works(library) -> None:
+    card = Card(library, "quick")
+    card.busy_answers = 3
+    assert card.start()
+    assert card.driver.is_ready
+    memory = card.ffi.new("uint32_t[128]", list(range(128)))
+    assert card.operate(3, memory, True) == DONE  # it is not busy after the data
+    assert card.blocks[3] == bytes(card.ffi.buffer(memory))
+
+
+def test_the_bus_may_fail_in_the_last_byte_of_an_operation_and_of_a_start(library) -> None:
+    """The byte after the deselection ends an operation; its fault is that of the operation."""
+    memory_size = 128
+    for ready in (True, False):
+        card = Card(library)
+        memory = card.ffi.new("uint32_t[128]", list(range(memory_size)))
+        if ready:
+            assert card.start()
+            assert card.lib.sd_card_begin(card.driver, 3, memory, True)
+        assert card.run(lambda c=card: c.driver.phase == RELEASES and c.driver.is_running)
+        card.faults = {"bus error"}
+        assert card.run(lambda c=card: c.driver.phase > RELEASES)
+        assert card.driver.fault == SILENT
+        assert card.driver.result == ERROR
+        assert bool(card.driver.is_ready) == ready
+
+
+def test_an_operation_waits_for_the_end_of_the_one_before(library) -> None:
+    card = Card(library)
+    assert card.start()
+    memory = card.ffi.new("uint32_t[128]")
+    assert card.lib.sd_card_begin(card.driver, 3, memory, True)
+    assert card.run(lambda: card.driver.phase != RESTS)
+    assert not card.lib.sd_card_begin(card.driver, 4, memory, True)
+    assert card.run(lambda: card.driver.result == DONE)

@@ -253,6 +253,85 @@ def test_a_worn_flash_is_reported_and_missions_that_are_not_stored_are_refused(l
     assert (s.mission(), round(s.get("STK_TILT"), 4)) == (before, 8.0)
 
 
+def test_a_board_without_flash_works_and_keeps_nothing(library) -> None:
+    s = Pilot(library)
+    s.board.flash_model.sector_words = 0
+    s.restart()
+    assert s.set("STK_TILT", 5.0) == 5.0
+    assert s.set("CAL_SONAR_OFF", 0.1) == 0.1
+    assert s.upload(ITEMS) == mavlink.MAV_MISSION_ACCEPTED
+    assert s.command(STORAGE, 1, 1) == mavlink.MAV_RESULT_ACCEPTED
+    assert "stored" not in s.texts(300)
+    s.restart()
+    assert (s.get("STK_TILT"), s.get("CAL_SONAR_OFF")) == (8.0, 0.0)
+
+
+def test_calibration_that_is_not_stored_is_owed_until_the_flash_takes_it(library) -> None:
+    s = Pilot(library)
+    settings, model = s.board.record.settings, s.board.flash_model
+    s.set("STK_TILT", 5.0)
+    cut = model.operations
+    model.cut_after = cut  # the flash takes nothing any more
+    assert [s.set("CAL_SONAR_OFF", value) for value in (0.05, 0.1)] == [0.05, 0.1]
+    assert (settings.owes_parameters, settings.owes_calibration, settings.has_failed) == (False, True, True)
+    assert "worn" in s.texts()
+    assert s.command(STORAGE, 1, 1) == mavlink.MAV_RESULT_FAILED
+    model.cut_after, model.is_off = -1, False
+    assert s.command(STORAGE, 1) == mavlink.MAV_RESULT_ACCEPTED
+    assert not settings.owes_calibration
+    s.restart()
+    assert (s.get("STK_TILT"), s.get("CAL_SONAR_OFF")) == (5.0, 0.1)
+    # Set while armed, calibration is refused; a calibration that waits is stored once the motors are off.
+    s.board.record.supervisor.armed = True
+    assert s.set("CAL_SONAR_OFF", 0.15) == 0.1
+    settings.owes_calibration, settings.calibration.sonar_offset = True, 0.15
+    s.board.record.supervisor.armed = False
+    s.step()
+    s.restart()
+    assert s.get("CAL_SONAR_OFF") == 0.15
+
+
+def test_the_shape_of_a_stored_mission_is_kept(library) -> None:
+    s = Pilot(library)
+    assert s.upload(ITEMS) == mavlink.MAV_MISSION_ACCEPTED
+    for spline in (True, False):
+        s.board.record.plan.spline = spline
+        assert s.command(STORAGE, 9, 1) == mavlink.MAV_RESULT_ACCEPTED
+        s.restart()
+        assert bool(s.board.record.plan.spline) == spline
+        s.texts(200)
+
+
+def test_each_number_of_a_stored_mission_has_its_bounds(library) -> None:
+    s = Pilot(library)
+    image = s.mission()
+    assert s.upload(ITEMS) == mavlink.MAV_MISSION_ACCEPTED
+    loaded = s.mission()
+    storage, buffer = s.ffi.addressof(s.board.record.settings, "storage"), s.ffi.new("uint32_t[]", 300)
+    count = s.lib.storage_read(storage, s.lib.STORED_MISSION, 1, buffer, 300)
+    good = list(buffer[0:count])
+    speed = float(s.board.record.plan.limits.speed)
+    # Places in the record: take-off height 2; of the second waypoint N 10, E 11, D 12, wait 13, speed 14, heading 16.
+    bad = {
+        2: (0.05, 60.0), 10: (2e4, np.nan), 11: (-2e4,), 12: (0.0, -0.05, -51.0, np.nan), 13: (-1.0, 3601.0, np.nan),
+        14: (0.0, -1.0, 1.01 * speed, np.nan), 16: (1001.0, np.nan),
+    }  # fmt: skip
+    for at, value in ((at, v) for at, values in bad.items() for v in values):
+        words = list(good)
+        words[at] = int(np.float32(value).view(np.uint32))
+        _store(s, s.lib.STORED_MISSION, words)
+        s.restart()
+        assert s.mission() == image, (at, value)
+        assert s.board.record.settings.faults & REFUSED, (at, value)
+    _store(s, s.lib.STORED_MISSION, good)
+    s.restart()
+    assert s.mission() == loaded
+    for kind in (s.lib.STORED_PARAMETERS, s.lib.STORED_CALIBRATION):
+        _store(s, kind, [], version=2)
+        s.restart()
+        assert s.board.record.settings.faults & OTHER_VERSION
+
+
 def test_the_power_is_cut_at_random_instants_of_a_session(library) -> None:
     """300 cuts while a station sets parameters and loads missions: what was answered is there."""
     rng = np.random.default_rng(8)

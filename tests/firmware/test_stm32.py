@@ -90,6 +90,8 @@ class Chip:
             return 2 if self.values.get(ADC1 + 8, 0) >> 30 & 1 else 0
         elif address == TIM2 + 0x24:
             return 123456
+        elif "stream" in self.faults and address in (DMA2 + 0x10, DMA2 + 0x10 + 0x18 * 5):
+            v |= 1
         return v
 
     def set(self, address, value) -> None:
@@ -294,6 +296,17 @@ def test_the_serial_port_loses_no_byte_and_counts_the_bad_ones(library) -> None:
     for _ in range(600):
         lib.serial_interrupt(port)
     assert port.errors == 4 + 600 - 256
+    # An overrun without a byte of its own counts as an error; what the port takes at once needs no interrupt.
+    port.tail, before = port.head, port.errors
+    chip.received, chip.line_state = [], 8
+    lib.serial_interrupt(port)
+    assert (port.errors - before, lib.serial_read(port, to, 64)) == (1, 0)
+    chip.tx_free = 10
+    assert lib.serial_write(port, b"abc", 3) == 3
+    assert bytes(chip.sent[-3:]) == b"abc"
+    assert not chip.values[USART1 + 0x0C] & 128
+    lib.serial_start(port, 0x40004400, 42_000_000, 100_000, True)  # the second port
+    assert chip.values[0xE000E104] == 1 << 38 - 32
     lib.serial_start(port, USART1, 84_000_000, 100_000, True)  # SBUS: 8E2
     assert chip.values[USART1 + 0x0C] & 0x1400 == 0x1400
     assert chip.values[USART1 + 0x10] == 2 << 12
@@ -325,6 +338,10 @@ def test_flash_is_programmed_and_erased_with_its_errors(library) -> None:
         assert chip.values[FLASH + 0x10] >> 31
         assert not chip.held
     chip.busy, chip.faults = 0, set()
+    chip.values[FLASH + 0x10] &= ~(1 << 31)  # unlocked already: the keys would fault
+    chip.keys = []
+    assert chip.lib.internal_flash_program(0, 3, 5)
+    assert not chip.keys
     chip.values[FLASH + 0x0C] = 16  # an old error does not count
     assert chip.lib.internal_flash_program(0, 2, 5)
 
@@ -369,6 +386,40 @@ def test_spi_moves_bytes_by_dma_and_ends_after_faults(library) -> None:
 
 
 @needs_cc
+def test_spi_is_done_when_its_last_byte_is_and_a_stream_may_stay_on(library) -> None:
+    done, busy, error = range(3)
+    chip = Chip(library)
+    ffi, lib = chip.ffi, chip.lib
+    lib.spi_start()
+    port, into = 0x40020800, ffi.new("uint8_t[32]")
+    for counts in ((0, 1), (1, -1), (20, 21)):
+        assert not lib.spi_begin(port, 2, bytes(41), counts[0], into, counts[1])
+    lib.spi_abort()  # nothing is under way
+    assert lib.spi_poll() == error
+    assert lib.spi_begin(port, 2, bytes([1]), 1, into, 1)
+    chip.values[SPI1 + 8] = 1 << 7  # the last byte is still on the line
+    assert [lib.spi_poll() for _ in range(3)] == [busy] * 3
+    assert chip.pin(port, 2) == 0
+    chip.values[SPI1 + 8] = 0
+    assert lib.spi_poll() == done
+    # A stream that does not go off is waited for a bounded time.
+    chip.faults = {"stream"}
+    assert lib.spi_begin(port, 2, bytes([1]), 1, into, 1)
+    assert lib.spi_poll() == done
+    # The port itself takes neither a second transfer nor an empty one, and can be ended twice.
+    card = ffi.new("spi_port_t *")
+    chip.faults = set()
+    lib.spi_port_start(card, SPI3, 0, 0)
+    assert not lib.spi_port_begin(card, ffi.NULL, into, 0)
+    assert lib.spi_port_begin(card, ffi.NULL, into, 4)
+    assert not lib.spi_port_begin(card, ffi.NULL, into, 4)
+    for _ in range(2):
+        lib.spi_port_abort(card)
+        assert not card.is_running
+    assert lib.spi_port_poll(card) == error
+
+
+@needs_cc
 def test_the_bus_of_the_card_sends_ones_and_drops_bytes(library) -> None:
     chip = Chip(library)
     ffi, lib = chip.ffi, chip.lib
@@ -390,6 +441,12 @@ def test_the_bus_of_the_card_sends_ones_and_drops_bytes(library) -> None:
     assert lib.sd_bus_poll() == 0
     assert chip.heard == [1, 2, 3]
     assert chip.pin(0x40020800, 1) == 1
+    lib.sd_bus_speed(False)
+    assert chip.values[SPI3] >> 3 & 7 == 6
+    chip.faults = {"dma"}
+    assert lib.sd_bus_begin(True, ffi.NULL, into, 4)
+    assert lib.sd_bus_poll() == 1
+    lib.card_bus_start()
     chip.faults = {"overrun"}
     assert lib.sd_bus_begin(True, ffi.NULL, into, 4)
     assert lib.sd_bus_poll() == 2

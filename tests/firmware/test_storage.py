@@ -283,3 +283,31 @@ def test_what_does_not_fit_or_is_not_there_is_refused(library) -> None:
         assert flash.write(2, (3, 4)) == flash.lib.STORAGE_DONE
         flash.start()
         assert flash.read(2) == (3, 4)
+
+
+def test_records_of_unknown_kinds_and_wrong_lengths_are_passed_over(library) -> None:
+    flash = Flash(library)
+    flash.array[:WORDS] = np.frombuffer(_make_sector(3, [(0, (5,)), (KINDS + 4, (7, 8)), (1, (6, 9))]), np.uint32)
+    flash.start()
+    assert flash.contents() == [(5,), (6, 9), None]
+    assert flash.storage.sequence == 3
+    buffer = flash.ffi.new("uint32_t[2]", [77, 77])
+    assert flash.lib.storage_read(flash.storage, 1, VERSION, buffer, 1) == -1  # no room for two words
+    assert list(buffer) == [77, 77]
+    for count in (-1, 0x10000):
+        assert flash.lib.storage_write(flash.storage, 0, VERSION, buffer, count) == flash.lib.STORAGE_TOO_LARGE
+    assert flash.contents() == [(5,), (6, 9), None]
+
+
+def test_a_sector_that_lacks_records_which_it_took_over_is_not_used(library) -> None:
+    head = b"mufu" + struct.pack("<III", 1, 9, 40)
+    spoilt = head + _crc(head) + _make_sector(9, [(0, (5,))])[20:]
+    for other, expected in ((_make_sector(8, [(1, (6,))]), [None, (6,), None]), (b"\xff" * 4 * WORDS, [None] * KINDS)):
+        flash = Flash(library)
+        flash.array[:WORDS] = np.frombuffer(spoilt, np.uint32)
+        flash.array[WORDS:] = np.frombuffer(other, np.uint32)
+        flash.start()
+        assert flash.contents() == expected
+        assert flash.write(2, (7,)) == flash.lib.STORAGE_DONE
+        flash.start()
+        assert flash.contents() == [*expected[:2], (7,)]
