@@ -12,6 +12,7 @@ from typing import Any
 import cffi
 import pytest
 
+from mufly.compiled.toolchain import compile_library
 from mufly.firmware.export.source_export import copy_sources, find_sources
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
@@ -26,19 +27,17 @@ def load_drivers(folder: Path, sources: Iterable[str], headers: Iterable[str], *
     ``sources`` are patterns, ``headers`` names without ending, both in the tree of an export.
     """
     copy_sources(folder)
-    given = [*STRICT, *flags, "-I."]
-    found = [str(p.relative_to(folder)) for p in find_sources(folder, list(sources))]
-    build = [COMPILERS[0], *given, *TRAPS, "-O1", "-shared", "-fPIC", *found, "-o", "drivers.so"]
-    done = subprocess.run(build, cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    given = [*STRICT, *flags]
+    built = folder / "drivers.so"
+    compile_library(find_sources(folder, sources), built, flags=(*given, *TRAPS, "-O1", f"-I{folder}"), cc=COMPILERS[0])
     said = subprocess.run(
-        [COMPILERS[0], "-E", "-DMUFLY_DECLARATIONS", *given, "-x", "c", "-"],
+        [COMPILERS[0], "-E", "-DMUFLY_DECLARATIONS", *given, "-I.", "-x", "c", "-"],
         cwd=folder, input="".join(f'#include "{name}.h"\n' for name in headers), capture_output=True, text=True,
         check=True,
     ).stdout  # fmt: skip
     ffi = cffi.FFI()
     ffi.cdef(_read_declarations(said))
-    return ffi, ffi.dlopen(str(folder / "drivers.so"))
+    return ffi, ffi.dlopen(str(built))
 
 
 def _read_declarations(preprocessed: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
 from fnmatch import fnmatch
 
 import pytest
@@ -121,6 +122,29 @@ def test_branches_are_counted(tmp_path) -> None:
     for command in (["gcc", "--coverage", "-O0", "a.c", "-o", "a"], ["./a"]):
         subprocess.run(command, cwd=tmp_path, check=True)
     assert read_branches(tmp_path) == {"a.c": [(4, 2, 1)]}
+
+
+@pytest.mark.skipif(not (shutil.which("gcc") and shutil.which("gcov")), reason="needs gcc with gcov")
+def test_branches_of_all_counted_builds_are_put_together(tmp_path) -> None:
+    """Builds in the folder count, others do not; a branch counts that one of the builds takes."""
+    source = "int f(int x);\nint f(int x)\n{\n    return ((x > 0) && (x < 9)) ? 1 : 2;\n}\n"
+    script = """
+import ctypes, sys
+from pathlib import Path
+from mufly.firmware.proof.board_coverage import CountedBuilds
+folder = Path(sys.argv[1])
+builds = CountedBuilds(folder / "counted")
+for name, x in (("counted/a", 5), ("counted/b", 0), ("plain", 20)):
+    library = folder / name / "f.so"
+    builds.compile_library([folder / name / "f.c"], library, flags=("-O1", "-fsanitize=undefined"))
+    ctypes.CDLL(str(library)).f(x)
+"""
+    for name in ("counted/a", "counted/b", "plain"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "f.c").write_text(source)
+    subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=True)
+    assert read_branches(tmp_path / "counted") == {"f.c": [(4, 4, 3)]}  # nowhere is x 9 or more
+    assert not list((tmp_path / "plain").glob("*.gcno"))
 
 
 def test_flights_of_a_campaign_are_flown_once(tmp_path) -> None:

@@ -16,6 +16,8 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
+from importlib import resources
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ from mufly.firmware.export.source_export import (
     FIXED_POINT_SOURCES,
     ONBOARD_SOURCES,
     SOFTWARE_SOURCES,
+    SOURCE_FOLDER,
     export_firmware,
     find_sources,
 )
@@ -60,6 +63,9 @@ CHECKED_SOURCES = (
     *SOFTWARE_SOURCES, *FIXED_POINT_SOURCES, *ONBOARD_SOURCES, "boards/*.c", "boards/stm32/*.c",
 )  # fmt: skip
 """Sources of the MISRA check: flight software, drivers, link, log, receiver, storage, supervisor and the STM32F405."""
+
+BOARD_SOURCES = ("onboard/*.c", "boards/board.c", "boards/stm32/*.c", "policy/policy.c")
+"""Sources of a board whose branches are counted, as far as they run on this machine; ``*`` matches any path."""
 
 RESOURCE_TARGETS = {
     "flash_bytes": 64_000,
@@ -383,20 +389,71 @@ def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
     _require_tool("gcc", "gcc")
     _require_tool("gcov", "gcc")
     with tempfile.TemporaryDirectory(prefix="mufly-report-") as temporary:
-        folder = Path(temporary) / "fw"
+        folder, board_folder = Path(temporary) / "fw", Path(temporary) / "board"
         _export_tree(vehicle, folder)
         if not missing_fuzzer_tools():
             run_fuzzer(folder, seconds=40.0)
         # Records of the length that Python shares with the code.
         for name, text in render_estimator_files(None, None, 0.0).items():
             (folder / name).write_text(text, encoding="utf-8")
-        # In a separate process: gcov counts are written when it ends.
-        command = [sys.executable, "-m", "mufly.firmware.proof.branch_coverage", str(folder), vehicle.name]
-        done = subprocess.run(command, capture_output=True, text=True)
-        if done.returncode:
-            raise MuflyError(f"not measured: {done.stderr.strip().splitlines()[-1:] or done.returncode}")
-        files = read_branches(folder)
-        gaps = explain_gaps(folder, files)
+        failed = _run_workload("branch_coverage", folder, vehicle)
+        software = _count_branches(folder, folder)
+        board_folder.mkdir()
+        failed += _run_workload("board_coverage", board_folder, vehicle)
+        with resources.as_file(SOURCE_FOLDER) as sources:
+            board = _count_branches(board_folder, sources, BOARD_SOURCES)
+    text = [
+        f"Flight software and fixed point: {software.summary}. Workload: both missions flown by the C code on sensors, "
+        "eight drawn flights with faults, the law in whole numbers, what the fuzzer finds in 40 s and random inputs, "
+        "and the tests that compare the languages, where they are at hand.",
+        software.text,
+        f"Code of the board: {board.summary}. Workload: the tests of drivers, link, log, receiver, settings, storage "
+        "and supervisor, where they are at hand, with a flight commanded by a station, and random inputs to the "
+        "fuzzing harness. The loop of a board and the start of its processor run on no host and are not counted.",
+        board.text,
+        *(f"Of the workload, {line}." for line in failed),
+    ]
+    return EvidenceSection("Branches reached", "\n\n".join(text), {"software": software.data, "board": board.data})
+
+
+def _run_workload(module: str, folder: Path, vehicle: Vehicle) -> list[str]:
+    """Run a workload in a separate process, since gcov writes its counts when the process ends.
+
+    Return the lines that report failed tests.
+    """
+    command = [sys.executable, "-m", f"mufly.firmware.proof.{module}", str(folder), vehicle.name]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise MuflyError(f"not measured: {done.stderr.strip().splitlines()[-1:] or done.returncode}")
+    return [line for line in done.stdout.splitlines() if line.startswith("pytest ended with")]
+
+
+@dataclass(frozen=True)
+class BranchCount:
+    """Branch coverage of a part of the code.
+
+    Attributes
+    ----------
+    summary : str
+        Numbers of branches, taken branches and reasons, in words.
+    text : str
+        Tables of the files and of the reasons, in Markdown.
+    data : dict
+        Figures.
+    """
+
+    summary: str
+    text: str
+    data: dict[str, Any]
+
+
+def _count_branches(folder: Path, sources: Path, patterns: tuple[str, ...] = ("*",)) -> BranchCount:
+    """Return the coverage of files that match a pattern, by the counted builds in ``folder``.
+
+    The folder ``sources`` holds the code and the reasons.
+    """
+    files = {name: lines for name, lines in read_branches(folder).items() if any(fnmatch(name, p) for p in patterns)}
+    gaps = explain_gaps(sources, files)
     rows = []
     for name, lines in sorted(files.items()):
         total, taken = sum(n for _, n, _ in lines), sum(k for _, _, k in lines)
@@ -415,19 +472,17 @@ def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
     ]
     total = sum(n for lines in files.values() for _, n, _ in lines)
     taken = sum(k for lines in files.values() for _, _, k in lines)
-    return EvidenceSection(
-        "Branches reached",
-        f"{taken} of {total} branches ({100 * taken / max(total, 1):.1f} %), by both missions flown by the C code "
-        "on sensors, by eight drawn flights with faults, by the law in whole numbers, by what the fuzzer finds in 40 s "
-        "and by random inputs, and by the tests that compare the languages, where they are at hand. "
-        f"Of the {total - taken} others {sum(g.untaken_branches for g in gaps if g.reason)} have a written reason.\n\n"
-        + _markdown_table(("file", "taken", "share", "not taken", "of these lines without a reason"), rows)
+    unexplained = sum(g.untaken_branches for g in gaps if not g.reason)
+    return BranchCount(
+        f"{taken} of {total} branches ({100 * taken / max(total, 1):.1f} %); of the {total - taken} others "
+        f"{total - taken - unexplained} have a written reason",
+        _markdown_table(("file", "taken", "share", "not taken", "of these lines without a reason"), rows)
         + "\n\n"
         + _markdown_table(("branches", "where", "why they are not taken"), why),
         {
             "total": total,
             "taken": taken,
-            "unexplained": sum(g.untaken_branches for g in gaps if not g.reason),
+            "unexplained": unexplained,
             "files": {f: [x for x in lines if x[2] < x[1]] for f, lines in files.items()},
         },
     )
@@ -461,8 +516,11 @@ def explain_gaps(folder: Path, files: dict[str, list[tuple[int, int, int]]]) -> 
 
 
 def read_branches(folder: Path) -> dict[str, list[tuple[int, int, int]]]:
-    """Return line, number of branches and number of taken branches of every source with gcov counts."""
-    found: dict[str, list[tuple[int, int, int]]] = {}
+    """Return line, number of branches and number of taken branches of every source with gcov counts.
+
+    A branch of a source that several builds contain is taken if one of them takes it.
+    """
+    found: dict[str, dict[int, list[bool]]] = {}
     for notes in sorted(folder.rglob("*.gcno")):
         said = subprocess.run(
             ["gcov", "--json-format", "--branch-probabilities", "--stdout", str(notes)],
@@ -472,19 +530,19 @@ def read_branches(folder: Path) -> dict[str, list[tuple[int, int, int]]]:
         ).stdout
         for text in said.splitlines():
             for file in json.loads(text)["files"]:
-                name = file["file"]
+                path = Path(file["file"])
+                name = str(path.relative_to(notes.parent) if path.is_relative_to(notes.parent) else path)
                 if name.endswith(".h") or name.startswith(("/", "check")):
                     continue
-                found[name] = [
-                    (
-                        line["line_number"],
-                        len(line["branches"]),
-                        sum(b["count"] > 0 for b in line["branches"]),
-                    )
-                    for line in file["lines"]
-                    if line["branches"]
-                ]
-    return found
+                lines = found.setdefault(name, {})
+                for line in file["lines"]:
+                    number, now = line["line_number"], [b["count"] > 0 for b in line["branches"]]
+                    if now:
+                        before = lines.get(number, [])
+                        lines[number] = [any(one) for one in zip_longest(before, now)]
+    return {
+        name: [(line, len(taken), sum(taken)) for line, taken in sorted(lines.items())] for name, lines in found.items()
+    }
 
 
 def _report_fuzzing(vehicle: Vehicle, out: Path) -> EvidenceSection:
