@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import os
+import re
 import shutil
 import socket
 import subprocess
 import threading
 import time
+from pathlib import Path
 
 os.environ.setdefault("MAVLINK20", "1")
 
@@ -24,9 +27,10 @@ from mufly.firmware.emulated.board_link import run_linked_board
 from mufly.firmware.emulated.image_build import build_host_board
 from mufly.flight import Flight
 from mufly.flight.tunable_parameters import TUNABLE_PARAMETERS
+from mufly.link.codec import mode_from_state, pack_custom_mode
 from mufly.link.parameter_protocol import LINK_PARAMETERS
 from mufly.link.telemetry_streams import MESSAGE_STREAMS
-from mufly.mission import LogMessage, load_mission
+from mufly.mission import LogMessage, State, load_mission
 from mufly.vehicle import load_vehicle
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
@@ -39,6 +43,7 @@ _NAMES = (
     "AUTOPILOT_VERSION ESTIMATOR_STATUS EXTENDED_SYS_STATE STATUSTEXT"
 )
 MESSAGES = _NAMES.split()
+SOURCES = Path(__file__).parents[2] / "src" / "mufly" / "firmware" / "sources"
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +71,9 @@ def test_frames_are_those_of_pymavlink(library) -> None:
     rng = np.random.default_rng(1)
     parser, out = ffi.new("mavlink_parser_t *"), ffi.new("mavlink_message_t *")
     codec, frame = mavlink.MAVLink(None, srcSystem=7, srcComponent=9), ffi.new("uint8_t[280]")
-    assert {n for n in dir(lib) if n.startswith("MSG_")} <= {f"MSG_{n}" for n in MESSAGES}
+    header = (SOURCES / "onboard/link/mavlink.h").read_text(encoding="utf-8")
+    ids = {name: int(number) for name, number in re.findall(r"^#define MSG_(\w+) (\d+)U", header, re.MULTILINE)}
+    assert ids == {name: getattr(mavlink, f"MAVLINK_MSG_ID_{name}") for name in MESSAGES}
     for name in MESSAGES * 3:
         number, sent = _random_frame(name, rng, codec)
         noise = bytes(rng.integers(0, 250, 5, dtype=np.uint8))
@@ -110,6 +117,104 @@ def test_telemetry_has_the_rates_of_the_simulated_vehicle(library) -> None:
     assert (beat.type, beat.autopilot, beat.system_status) == (mavlink.MAV_TYPE_COAXIAL, 12, mavlink.MAV_STATE_STANDBY)
     assert s.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148) == 0
     assert bytes(s.wait_for("AUTOPILOT_VERSION").flight_custom_version[:5]) == b"mufly"
+
+
+def _requested(s, name):
+    """Return a stream's message of the vehicle as it is, without another period."""
+    assert s.lib.request_stream(s.ffi.addressof(s.board.record, "link"), getattr(mavlink, f"MAVLINK_MSG_ID_{name}"))
+    told = [m for _ in range(10) for m in s.decode.parse_buffer(s.board.exchange_bytes(b"")) or []]
+    return [m for m in told if m.get_type() == name][-1]
+
+
+def test_heartbeats_show_the_mode_of_the_simulated_vehicle(library) -> None:
+    s = Station(library)
+    s.step()
+    x, supervisor = s.board.record.software.mission, s.board.record.supervisor
+    for k, state in enumerate(State):
+        x.state = k
+        for x.user_in_control, x.returning_home in ((False, False), (True, False), (True, True)):
+            mode = mode_from_state(state, x.user_in_control, x.returning_home)
+            assert _requested(s, "HEARTBEAT").custom_mode == pack_custom_mode(mode), (state, mode)
+    always = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+    auto = always | mavlink.MAV_MODE_FLAG_AUTO_ENABLED | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+    x.state = s.lib.STATE_HOVER
+    s.board.record.software.is_lifted, s.board.record.software.motors = True, s.lib.MOTORS_FLY
+    x.home_position[2] = s.board.record.belief.motion.position[2] + 1.0
+    for armed, volts, status in (
+        (False, 8.0, mavlink.MAV_STATE_STANDBY), (True, 8.0, mavlink.MAV_STATE_ACTIVE),
+        (True, 0.1, mavlink.MAV_STATE_CRITICAL),
+    ):  # fmt: skip
+        supervisor.armed, x.battery_V = armed, volts
+        beat = _requested(s, "HEARTBEAT")
+        assert beat.base_mode == auto | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
+        assert (beat.system_status, beat.mavlink_version) == (status, 3)
+        charge = mavlink.MAV_BATTERY_CHARGE_STATE_LOW if volts < 1.0 else mavlink.MAV_BATTERY_CHARGE_STATE_OK
+        assert _requested(s, "BATTERY_STATUS").charge_state == charge
+    x.state = s.lib.STATE_RC
+    by_hand = always | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    assert _requested(s, "HEARTBEAT").base_mode == by_hand
+
+
+def test_telemetry_shows_the_vehicle_as_it_is(library) -> None:
+    s = Station(library)
+    s.step()
+    record, lib = s.board.record, s.lib
+    m, checks = record.belief, record.belief.checks
+    names = (
+        "SENSOR_3D_GYRO", "SENSOR_3D_ACCEL", "SENSOR_ANGULAR_RATE_CONTROL", "SENSOR_ATTITUDE_STABILIZATION",
+        "SENSOR_YAW_POSITION", "SENSOR_Z_ALTITUDE_CONTROL", "SENSOR_XY_POSITION_CONTROL", "SENSOR_MOTOR_OUTPUTS",
+        "SENSOR_BATTERY", "AHRS", "PREARM_CHECK",
+    )  # fmt: skip
+    here = sum(getattr(mavlink, f"MAV_SYS_STATUS_{name}") for name in names)
+    ahrs, ready = mavlink.MAV_SYS_STATUS_AHRS, mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    m.motion.voltage = 7.6543
+    for valid, armed, may_arm in itertools.product((True, False), repeat=3):
+        m.valid, record.supervisor.armed = valid, armed
+        record.supervisor.interruption = lib.INTERRUPTION_NONE if may_arm else lib.INTERRUPTION_RESET
+        told = _requested(s, "SYS_STATUS")
+        assert told.onboard_control_sensors_present == told.onboard_control_sensors_enabled == here
+        lost = (0 if valid else ahrs) + (0 if armed or (valid and may_arm) else ready)
+        assert here - told.onboard_control_sensors_health == lost
+        assert (told.voltage_battery, told.current_battery, told.battery_remaining) == (7654, -1, -1)
+    battery = _requested(s, "BATTERY_STATUS")
+    assert battery.voltages == [7654, *[65535] * 9]
+    assert (battery.current_battery, battery.temperature, battery.battery_remaining) == (-1, 32767, -1)
+    for state, motors, landed in (
+        (lib.STATE_HOVER, lib.MOTORS_OFF, 1), (lib.STATE_HOVER, lib.MOTORS_RAMP_DOWN, 1),
+        (lib.STATE_HOVER, lib.MOTORS_FLY, 2), (lib.STATE_TAKE_OFF, lib.MOTORS_SPIN_UP, 3),
+        (lib.STATE_LANDING, lib.MOTORS_BLIND, 4),
+    ):  # fmt: skip
+        record.software.mission.state, record.software.motors = state, motors
+        assert _requested(s, "EXTENDED_SYS_STATE").landed_state == landed
+    numbers = np.arange(1.0, 13.0) / 8.0  # exact in single precision
+    m.motion.position, m.motion.velocity, m.motion.attitude, m.motion.rates = numbers.reshape(4, 3).tolist()
+    record.software.mission.waypoint_index = 1
+    place, turn = _requested(s, "LOCAL_POSITION_NED"), _requested(s, "ATTITUDE")
+    assert [place.x, place.y, place.z, place.vx, place.vy, place.vz] == numbers[:6].tolist()
+    assert [turn.roll, turn.pitch, turn.yaw, turn.rollspeed, turn.pitchspeed, turn.yawspeed] == numbers[6:].tolist()
+    m.motion.attitude[2] = 4.0
+    assert _requested(s, "ATTITUDE").yaw == pytest.approx(4.0 - 2.0 * np.pi)
+    assert place.time_boot_ms == turn.time_boot_ms == int(1000.0 * m.time_s)
+    item = _requested(s, "MISSION_CURRENT")
+    assert (item.seq, item.total) == (1, record.plan.count)
+    # Each flag of the estimator depends on its accuracy alone.
+    level = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
+    level |= mavlink.ESTIMATOR_PRED_POS_HORIZ_REL | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
+    every = level | mavlink.ESTIMATOR_ATTITUDE | mavlink.ESTIMATOR_POS_VERT_ABS | mavlink.ESTIMATOR_POS_VERT_AGL
+    for change, lost in (
+        ({}, 0), ({"tilt": 10.1}, mavlink.ESTIMATOR_ATTITUDE), ({"tilt": 9.9}, 0), ({"level": 0.51}, level),
+        ({"level": 0.49}, 0), ({"height": 0.51}, mavlink.ESTIMATOR_POS_VERT_ABS), ({"height": 0.49}, 0),
+        ({"sonar": lib.SENSOR_REJECTED}, mavlink.ESTIMATOR_POS_VERT_AGL), ({"valid": False}, every),
+    ):  # fmt: skip
+        is_so = {"tilt": 1.0, "level": 0.1, "height": 0.2, "sonar": lib.SENSOR_FUSED, "valid": True, **change}
+        for axis in (0, 1):
+            m.attitude_variance[axis], m.attitude_variance[1 - axis] = np.radians(is_so["tilt"]) ** 2, 0.0
+            m.position_variance = [0.5 * is_so["level"] ** 2] * 2 + [is_so["height"] ** 2]
+            m.valid, checks[lib.SENSOR_SONAR].status = is_so["valid"], is_so["sonar"]
+            told = _requested(s, "ESTIMATOR_STATUS")
+            assert every - told.flags == lost, change
+            assert told.pos_horiz_accuracy == pytest.approx(is_so["level"], rel=1e-6)
+            assert told.pos_vert_accuracy == pytest.approx(is_so["height"], rel=1e-6)
 
 
 def test_parameters_are_read_and_set_within_the_bounds_of_python(library) -> None:

@@ -24,16 +24,17 @@ static uint32_t boot_time_ms(const link_vehicle_t *v)
 static uint32_t displayed_mode(const mission_t *x)
 {
     static const uint8_t sub[MISSION_STATE_COUNT] = {1U, 2U, 3U, 4U, 4U, 6U, 0U, 0U};
+    const bool on_leg = (x->state == STATE_WAYPOINT) || (x->state == STATE_OBSTACLE);
     uint32_t main_mode = 4U;
     uint32_t sub_mode = sub[x->state];
 
-    if (x->returning_home) {
+    if (x->returning_home && on_leg) {
         sub_mode = 5U;
     } else if (x->state == STATE_RC) {
         main_mode = 2U;
     } else if (x->state == STATE_OFFBOARD) {
         main_mode = 6U;
-    } else if (x->user_in_control && ((x->state == STATE_WAYPOINT) || (x->state == STATE_OBSTACLE))) {
+    } else if (x->user_in_control && on_leg) {
         sub_mode = 3U;
     } else {
         /* by the state alone */
