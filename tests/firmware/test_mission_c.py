@@ -14,6 +14,7 @@ from pathlib import Path
 import cffi
 import numpy as np
 import pytest
+from driver_library import TRAPS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -86,8 +87,12 @@ def controller(vehicle):
 
 
 @pytest.fixture(scope="module")
-def firmware(controller):
-    return Firmware(controller)
+def firmware(controller, tmp_path_factory):
+    """The exported code, built so that an index beyond its array ends the process."""
+    compiler = tmp_path_factory.mktemp("compiler") / "cc"
+    compiler.write_text(f'#!/bin/sh\nexec {find_compiler()} {" ".join(TRAPS)} "$@"\n')
+    compiler.chmod(0o755)
+    return Firmware(controller, cc=str(compiler))
 
 
 # Numbers

@@ -120,6 +120,29 @@ def test_what_is_set_is_there_after_a_restart(library) -> None:
     assert "stored" not in s.texts()
 
 
+def test_calibration_and_receiver_have_their_bounds_and_share_no_place(library) -> None:
+    """The other parameters have the bounds of the simulated vehicle: see test_board_link.py."""
+    ffi, lib, record = *library, Pilot(library).board.record
+    t = ffi.new("tunables_t *")
+    t.plan, t.supervisor = ffi.addressof(record, "plan"), ffi.addressof(record, "supervisor", "settings")
+    t.calibration, t.rc = ffi.addressof(record, "settings", "calibration"), ffi.addressof(record, "rc", "settings")
+    offset, scale = {"CAL_ACC0": 2.0, "CAL_GYRO0": 0.5, "CAL_RING": 0.2, "CAL_SONAR": 0.2}, (0.8, 1.2)
+    names = [ffi.string(lib.parameter_name(k)).decode() for k in range(lib.PARAMETERS)]
+    checked = [n for n in names if n.startswith(("CAL_", "RC_", "COM_RC_"))]
+    assert len(checked) == 21
+    for k, name in ((k, n) for k, n in enumerate(names) if n in checked):
+        first = "_".join(name.split("_")[:2])
+        least, most = (-offset[first], offset[first]) if name.endswith("OFF") else scale
+        least, most = {"RC_MAP": (0.0, 16.0), "COM_RC": (0.1, 5.0)}.get(first, (least, most))
+        others = [lib.parameter_get(t, n) for n in range(lib.PARAMETERS) if n != k]
+        for bound, beyond in ((least, least - 1e-5 * most), (most, 1.00001 * most), (most, float("nan"))):
+            assert lib.parameter_set(t, k, bound), name
+            assert lib.parameter_get(t, k) == bound
+            assert not lib.parameter_set(t, k, beyond), name
+            assert lib.parameter_get(t, k) == bound
+        assert [lib.parameter_get(t, n) for n in range(lib.PARAMETERS) if n != k] == others
+
+
 def test_values_set_in_flight_are_stored_after_it(library) -> None:
     s = Pilot(library)
     s.board.record.supervisor.armed = True
