@@ -21,7 +21,7 @@ import numpy as np
 from mufly.compiled import toolchain
 from mufly.compiled.toolchain import COMPILER_FLAGS, compile_library
 from mufly.control import design_flight_controller
-from mufly.files.answer_store import hash_question
+from mufly.files.answer_store import hash_inputs
 from mufly.firmware.emulated import image_build
 from mufly.firmware.export.source_export import SOURCE_FOLDER
 from mufly.firmware.proof.evidence_report import BOARD_SOURCES
@@ -77,7 +77,7 @@ class CountedBuilds:
 
     def build_board(self, name: str, files: Mapping[str, str], *, flags: Sequence[str] = COMPILER_FLAGS) -> Path:
         """Return the library of a board, whose own code is counted and whose flight software is not."""
-        tree = self.folder / f"{name}-{hash_question(tuple(flags), sorted(files.items()))[:12]}"
+        tree = self.folder / f"{name}-{hash_inputs(tuple(flags), sorted(files.items()))[:12]}"
         library = tree / "board.so"
         if not library.exists():
             texts = {**files, _FUZZER: (SOURCE_FOLDER / _FUZZER).read_text(encoding="utf-8")}
