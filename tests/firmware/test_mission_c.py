@@ -73,6 +73,7 @@ SCANNED = {
 }
 AROUND = {"name": "around", "avoidance": {"scan": True}, "waypoint": [{"position_m": [3.0, 0.0, -1.0]}]}
 NEAR = {"name": "near", "waypoint": [{"position_m": [0.3, 0.0, -1.0]}], "at_end": "hover"}
+HEEDLESS = {**NEAR, "name": "heedless", "avoidance": {"enabled": False}}
 PATIENT = {"name": "patient", "waypoint": [{"position_m": [0.3, 0.0, -1.0], "wait_s": 60.0}]}
 
 
@@ -605,6 +606,7 @@ STORIES = (
     (PATIENT, True, [*FLIES, "spread place 0.3 * 30", "start", "clear"], "WAITING_FOR_POSITION MISSION_BEGINS"),
     (CURVES, False, [*FLIES, *["first"] * 6], "ON_TO_WAYPOINT"),
     (SQUARE, False, [*["points"] * 6], "OFFBOARD_ON"),
+    (HEEDLESS, False, [*UP, "beams", *["points"] * 3, "clear", "wait"], "OFFBOARD_ON OFFBOARD_OFF"),
     (SQUARE, False, [*UP, "asked 0.1 0 -3 * 90", "asked 0.1 0 -1 * 20", *["wait"] * 3], "USER_WAYPOINT_REACHED"),
     (
         SCANNED,
