@@ -346,7 +346,7 @@ def test_each_request_ends_offboard_control_or_sticks_as_stated(supervised, boar
 def test_an_accepted_request_is_commanded_once(supervised, board) -> None:
     fields = {
         "start": "start", "pause": "pause", "go to": "has_waypoint", "return": "return_requested", "land": "land",
-        "stop": "stop_reason",
+        "stop": "motor_stop_reason",
     }  # fmt: skip
     for what, field, in_air in [*((w, f, True) for w, f in fields.items()), ("take-off", "has_take_off_height", False)]:
         vehicle = OffboardFlight(supervised, board, in_air)
@@ -547,7 +547,7 @@ def test_each_request_is_answered_by_its_numbers_and_the_state(supervised, board
     r.fly()
     assert r.ask("DISARM", force=True) == accepted
     assert r.s.interruption == r.lib.INTERRUPTION_STOPPED
-    assert r.s.pending.stop_reason == r.lib.STOP_EMERGENCY
+    assert r.s.pending.motor_stop_reason == r.lib.STOP_EMERGENCY
     for kind in ("ARM", "PAUSE", "OFFBOARD"):
         r.s.armed = kind != "ARM"
         r.s.set_point_s = r.s.now_s

@@ -361,7 +361,7 @@ def test_the_kill_switch_stops_a_disarmed_vehicle_whose_motors_still_run(library
     })  # fmt: skip
     s.lib.rc_step(rc, vehicle)
     assert record.supervisor.is_pending
-    assert record.supervisor.pending.stop_reason == s.lib.STOP_EMERGENCY
+    assert record.supervisor.pending.motor_stop_reason == s.lib.STOP_EMERGENCY
 
 
 def test_a_pilot_flies_and_a_lost_receiver_makes_it_hover_and_land(vehicle, library) -> None:
