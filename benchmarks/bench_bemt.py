@@ -85,7 +85,7 @@ def main() -> None:
     t = best(sweep, 3)
     print(f"200 chords x 16 pitches, blades laid out {1e3 * t / 3200:8.4f} ms a point")
 
-    both = RotorSystem.coaxial_pair(case, case, spacing_m=0.02)
+    both = RotorSystem.from_coaxial_pair(case, case, spacing_m=0.02)
 
     def pair() -> None:
         solve_system(both, OperatingCondition(0.25, 600.0))

@@ -18,7 +18,7 @@ import numpy as np
 
 from mufly.dynamics import find_trim, integrate_state, model_parameters
 from mufly.quantities.sensor_table import SENSORS
-from mufly.sensors import Truth, fitted_sensors
+from mufly.sensors import Truth, make_fitted_sensors
 from mufly.vehicle import load_vehicle
 from mufly.world import World
 
@@ -52,9 +52,9 @@ def mean_and_worst_us(read, flown, again=lambda: None) -> tuple[float, float]:
 def cold(name: str) -> None:
     code = (
         "import time; from mufly.vehicle import load_vehicle; from mufly.world import World\n"
-        "from mufly.dynamics import trim; from mufly.sensors import fitted_sensors, Truth; import numpy as np\n"
+        "from mufly.dynamics import trim; from mufly.sensors import make_fitted_sensors, Truth; import numpy as np\n"
         f"v = load_vehicle({name!r}); x = trim(v).state; a = time.perf_counter()\n"
-        "s = fitted_sensors(v, World())\n"
+        "s = make_fitted_sensors(v, World())\n"
         "for k in range(20): s.read(Truth(k / 200, k, x, np.zeros(3), np.zeros(3), 7.4, 2.0))\n"
         "print(f'  first readings of all sensors: {time.perf_counter() - a:.2f} s')"
     )
@@ -78,7 +78,7 @@ def main() -> None:
     plant, _ = mean_and_worst_us(lambda _: integrate_state(x, hover.input, calm, p, 1e-3, 5), flown)
     print(f"plant, 5 steps of 1 ms: {plant:.1f} us a period")
     for only in [[name] for name in SENSORS] + [list(SENSORS)]:
-        suite = fitted_sensors(vehicle, world, only=only)
+        suite = make_fitted_sensors(vehicle, world, only=only)
         mean, worst = mean_and_worst_us(suite.read, flown, suite.reset)
         label = only[0] if len(only) == 1 else "all"
         print(f"{label:14s} {mean:7.1f} us a period, {mean / plant:5.1f} times the plant; worst {worst:.0f} us")

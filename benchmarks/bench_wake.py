@@ -28,7 +28,7 @@ from numba import njit
 
 from mufly.rotor import OperatingCondition, RotorSystem, load_rotor, prepare_blading, solve_system
 from mufly.rotor.wake import WakeSettings, biot_savart
-from mufly.rotor.wake.biot_savart import convert_to_single, induce_velocity, make_segments
+from mufly.rotor.wake.biot_savart import convert_to_single_precision, induce_velocity, make_segments
 
 RPM = math.pi / 30
 OPERATIONS = {"double": 77, "single": 61}  # additions and multiplications an interaction, in wake/biot_savart.py
@@ -98,7 +98,7 @@ def report_kernel() -> float:
     difference = np.max(np.abs(induce_velocity(few, segments) - numpy_induce(few, segments)))
     if not difference < 1e-9 * np.max(np.abs(induce_velocity(few, segments))):
         raise SystemExit("bench_wake: the NumPy peer does not compute the same; nothing to compare")
-    packed = convert_to_single(segments)
+    packed = convert_to_single_precision(segments)
     rounds, lanes = 1000, {}
     for kind in (np.float64, np.float32):
         x = rng.uniform(0.1, 0.9, 1024).astype(kind)
@@ -157,7 +157,7 @@ def report_iteration() -> None:
             clock.append(time.perf_counter())
 
         out = solve_system(
-            RotorSystem.single_rotor(rotor),
+            RotorSystem.from_single_rotor(rotor),
             OperatingCondition(0.25, 600.0),
             "wake",
             settings=how,
@@ -176,16 +176,16 @@ def report_iteration() -> None:
 
 def report_solutions(rate: float) -> None:
     """Time to a converged rotor and pair, from nothing, and from a neighbour; ``rate`` of the kernel (1/s)."""
-    kernel, interactions = biot_savart._grouped_kernel_single, 0
+    kernel, interactions = biot_savart._grouped_kernel_single_precision, 0
 
     def count(points: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
         nonlocal interactions
         interactions += points.shape[0] * rows[0].size
         kernel(points, rows, out)
 
-    biot_savart._grouped_kernel_single = count
+    biot_savart._grouped_kernel_single_precision = count
     blade, pitch = prepare_blading(load_rotor("naca0012-r60-c20")), math.radians(14)
-    single, pair = RotorSystem.single_rotor(blade), RotorSystem.coaxial_pair(blade, blade, spacing_m=0.02)
+    single, pair = RotorSystem.from_single_rotor(blade), RotorSystem.from_coaxial_pair(blade, blade, spacing_m=0.02)
     start, work = time.perf_counter(), time.process_time()
     one = solve_system(single, OperatingCondition(pitch, 6000 * RPM), "wake")
     first, work, least = time.perf_counter() - start, time.process_time() - work, interactions / rate

@@ -36,7 +36,7 @@ from mufly.flight.record.foreign_log import AidRequest, read_foreign_log, truth_
 from mufly.logs import load_column_map
 from mufly.mission import Mission, parse_mission
 from mufly.quantities.units import STANDARD_GRAVITY_M_S2
-from mufly.sensors import Truth, fitted_sensors, parse_fault, randomise_leg_lengths
+from mufly.sensors import Truth, make_fitted_sensors, parse_fault, randomise_leg_lengths
 from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 
 STANDS_S = 2.0
@@ -123,7 +123,7 @@ def felt(vehicle: Vehicle, mission: Mission, seed: int, scenario: Scenario, leve
         true = randomise_leg_lengths(true, seed=seed)
     flight = flown(true, mission, seed if scenario.off else 77, vehicle)
     faults = [parse_fault(f) for f in scenario.faults]
-    sensors = fitted_sensors(true, mission.world, seed=seed, faults=faults)
+    sensors = make_fitted_sensors(true, mission.world, seed=seed, faults=faults)
     estimator = KalmanEstimator(vehicle, mission.world, 200.0)
     told = [estimator.update(sensors.read(t), a) for t, a in zip(*flight, strict=True)]
     return measure_consistency(flight[0], told, after_s=scenario.after_s)
@@ -181,7 +181,7 @@ def cost(asked: argparse.Namespace) -> None:
     scenario = SCENARIOS["V-SLAM + lasers"]
     vehicle, mission = vehicle_of(scenario), parse_mission(scenario.mission)
     flight = flown(vehicle, mission, 77)
-    sensors = fitted_sensors(vehicle, mission.world, seed=10_000)
+    sensors = make_fitted_sensors(vehicle, mission.world, seed=10_000)
     read = [sensors.read(t) for t in flight[0]]
     estimator = KalmanEstimator(vehicle, mission.world, 200.0)
     whole = []
@@ -198,7 +198,7 @@ def single(asked: argparse.Namespace) -> None:
     scenario = SCENARIOS["square"]
     vehicle, mission = vehicle_of(scenario), parse_mission(scenario.mission)
     flight = flown(vehicle, mission, 77)
-    sensors = fitted_sensors(vehicle, mission.world, seed=10_000)
+    sensors = make_fitted_sensors(vehicle, mission.world, seed=10_000)
     read = [sensors.read(t) for t in flight[0]]
     told = []
     for kind in (np.float64, np.float32):

@@ -51,7 +51,7 @@ from mufly.identify.flight.identification_demo import (
 )
 from mufly.identify.flight_record import low_pass
 from mufly.identify.linear.linear_fit import fit_linear_model
-from mufly.identify.linear.linear_structure import simulate_linear_structure, structure_by_name
+from mufly.identify.linear.linear_structure import build_structure_by_name, simulate_linear_structure
 from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
 
@@ -258,7 +258,7 @@ LINEAR_TRUTH = {
 def report_linear(asked: argparse.Namespace) -> None:
     """Coupled first-order roll and pitch rates, 60 s at 25 Hz, noise of 0.05 rad/s: white, and with a pole at 0.9."""
     structure, dt, samples, shares = (
-        structure_by_name("first-order-coupled", ("lat", "lon"), ("p", "q")),
+        build_structure_by_name("first-order-coupled", ("lat", "lon"), ("p", "q")),
         0.04,
         1500,
         [],

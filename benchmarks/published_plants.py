@@ -29,7 +29,7 @@ import numpy as np
 
 from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.hinf import PartitionedPlant
-from mufly.control.tuning.fixed_order import NormGoal, controller_gain, tune_controller
+from mufly.control.tuning.fixed_order import NormGoal, stack_controller_matrices, tune_controller
 from mufly.control.tuning.nonsmooth_bfgs import minimise_nonsmooth
 
 TOLERANCE = 1.02
@@ -208,7 +208,7 @@ def tuned_norm(plant: PublishedPlant, seed: int = 0) -> tuple[float, np.ndarray]
         for K in stabilising_gains(plant, STARTS, np.random.default_rng(seed))
     ]
     found = tune_controller([goal], starts, descents=6, max_steps=600, budget_s=20.0)
-    return found.norms["norm"], controller_gain(found.controller)
+    return found.norms["norm"], stack_controller_matrices(found.controller)
 
 
 def main() -> int:

@@ -64,7 +64,7 @@ def report_inplane_drag(asked: argparse.Namespace) -> None:
     vehicle, rotor = load_vehicle(asked.vehicle), load_rotor(asked.rotor)
     hover, rho = find_trim(vehicle), float(vehicle.air.density)
     spacing = float(vehicle.rotors.lower.hub_z) - float(vehicle.rotors.upper.hub_z)
-    pair, air = RotorSystem.coaxial_pair(rotor, rotor, spacing_m=spacing), Air(density_kg_m3=rho)
+    pair, air = RotorSystem.from_coaxial_pair(rotor, rotor, spacing_m=spacing), Air(density_kg_m3=rho)
 
     def solve(pitch: np.ndarray) -> SystemSolution:
         return solve_system(pair, OperatingCondition(tuple(pitch), tuple(hover.rotor_speed), air=air))
@@ -119,7 +119,7 @@ def report_pair_blades(asked: argparse.Namespace) -> None:
             for lower_speed in (speed, None):
                 shares = []
                 for spacing in RIG_SPACINGS:
-                    pair = RotorSystem.coaxial_pair(blading, blading, spacing_m=2.0 * radius * spacing)
+                    pair = RotorSystem.from_coaxial_pair(blading, blading, spacing_m=2.0 * radius * spacing)
                     try:
                         found = solve_system(pair, OperatingCondition((pitch, pitch), (speed, lower_speed)), "tubes")
                         shares.append(found.rotors[1].thrust_N / found.rotors[0].thrust_N)
@@ -140,7 +140,7 @@ def report_inner_inflow(asked: argparse.Namespace) -> None:
         if max(case.rotor.blade.chord.value) < 0.2 * case.rotor.radius_m:
             continue
         m, middle = case.measured, case.measured.thrust_N.size // 2
-        rotor = RotorSystem.single_rotor(prepare_blading(case.rotor))
+        rotor = RotorSystem.from_single_rotor(prepare_blading(case.rotor))
         point = OperatingCondition(float(m.pitch_rad[middle]), float(m.speed_rad_s[middle]), air=case.air)
         found = [solve_system(rotor, point, method).rotors[0] for method in ("bemt", "wake")]
         cells = [
@@ -204,12 +204,12 @@ def report_caradonna_cfd(asked: argparse.Namespace) -> None:
     """
     from matplotlib.figure import Figure
 
-    from mufly.cfd import read_poly_mesh, read_solution, run_case, save_case
+    from mufly.cfd import mesh_and_write_case, read_poly_mesh, read_solution, run_case
 
     rotor = load_caradonna_tung(asked.data).rotor
     radius, chord, pitch = rotor.radius_m, float(rotor.chord_m(0.5)), math.radians(asked.pitch)
     case = asked.folder / f"{asked.model}-{asked.mesh}-{asked.pitch:g}{'' if asked.hub else '-no-hub'}"
-    save_case(case, rotor, pitch_rad=pitch, speed_rad_s=1250 * RPM, model=asked.model, level=asked.mesh,
+    mesh_and_write_case(case, rotor, pitch_rad=pitch, speed_rad_s=1250 * RPM, model=asked.model, level=asked.mesh,
               hub_m=asked.hub * radius)  # fmt: skip
     verdict, mesh = run_case(case, most=asked.most), read_poly_mesh(case)
     found = read_solution(case, mesh)

@@ -25,7 +25,7 @@ from mufly.bench.rig.epos_controller import EposController
 from mufly.bench.rig.serial_load_cells import SerialLoadCells
 from mufly.bench.rig.simulated_rig import SimulatedRig
 from mufly.bench.series.series_analysis import analyse_series
-from mufly.bench.series.series_plan import StepTimes, make_plan
+from mufly.bench.series.series_plan import StepDurations, make_plan
 from mufly.bench.series.series_record import SeriesRecord
 from mufly.bench.series.series_runner import StopRequested, run_series
 
@@ -69,7 +69,7 @@ def main(points: int, pace: float) -> None:
     plan = make_plan(
         "pty", ["naca0012-r60-c20"], list(np.linspace(10, 16, mountings // 2)), [3000, 4000, 5000, 6000, 7000],
         reference="naca4412-r60-c20", reference_pitch_deg=10, repetitions=2, reference_every=mountings // (1 + odd),
-        times=StepTimes(warm_up_s=120.0, average_s=4.0, longest_s=8.0, tare_s=4.0),
+        times=StepDurations(warm_up_s=120.0, average_s=4.0, longest_s=8.0, tare_s=4.0),
     )  # fmt: skip
     folder = Path(tempfile.mkdtemp())
     clock = Clock(pace)
@@ -105,7 +105,7 @@ def main(points: int, pace: float) -> None:
     print(
         f"{len(series.points)} points of {plan.point_count} in {took:.0f} s; the bench's clock: {clocked:.0f} s, "
         f"{clocked / took:.1f} times real time; stopped and resumed {stops} times; damaged: "
-        f"{sum(m.broken_frames for m in motors)} frames, {load_cells.broken_lines} lines; "
+        f"{sum(m.broken_frame_count for m in motors)} frames, {load_cells.broken_line_count} lines; "
         f"devices failed {len(failed)} times; {100 * np.mean(held):.1f} % of {len(held)} intervals hold the truth; "
         f"doubts: {[d.kind for d in series.doubts]}"
     )

@@ -75,8 +75,8 @@ from mufly.rotor import (
     replace_rotor,
     solve_system,
 )
-from mufly.rotor.measured.uncertainty import THRUST_TORQUE_ERROR_SCALES, fit_interval_scale
-from mufly.rotor.wake import WakeSettings, momentum_thrust
+from mufly.rotor.measured.uncertainty import THRUST_TORQUE_ERROR_SCALES, fit_student_scale
+from mufly.rotor.wake import WakeSettings, compute_momentum_flux_thrust
 from mufly.study.benchmark import (
     PredictionCode,
     RotorCase,
@@ -292,7 +292,7 @@ def report_intervals(asked: argparse.Namespace) -> None:
     head = ["section", "points inside", "mean of rotors", "range over rotors", "over families", "half width"]
     show_table("90 % intervals, scales fitted to the other families", head, rows)
     errors = [s.standardised_error for s in scores if s.standardised_error is not None]
-    fitted, shipped = [fit_interval_scale([e[k] for e in errors]) for k in (0, 1)], THRUST_TORQUE_ERROR_SCALES
+    fitted, shipped = [fit_student_scale([e[k] for e in errors]) for k in (0, 1)], THRUST_TORQUE_ERROR_SCALES
     print(f"scales fitted to all rotors: {fitted[0]:.3f}, {fitted[1]:.3f}; in mufly: {shipped[0]:g}, {shipped[1]:g}")
 
 
@@ -308,7 +308,7 @@ def report_stations(asked: argparse.Namespace) -> None:
     rows = []
     for pitch, speed, thrust in zip(m.pitch_rad, m.speed_rad_s, m.thrust_N, strict=True):
         point = OperatingCondition(float(pitch), float(speed), air=air)
-        r = solve_system(RotorSystem.single_rotor(make_blading(case)), point, "wake").rotors[0]
+        r = solve_system(RotorSystem.from_single_rotor(make_blading(case)), point, "wake").rotors[0]
         pressure = 0.5 * air.density_kg_m3 * (speed * r.r_m) ** 2 * r.chord_m
         cl = np.interp(at, r.r_m / radius, r.dT_N / r.dr_m / pressure / case.rotor.blades)
         ct = thrust / (air.density_kg_m3 * np.pi * radius**4 * speed**2)
@@ -330,12 +330,12 @@ def report_momentum(asked: argparse.Namespace) -> None:
     for case, i in ((first, 0), (first, 3), (slender, 1), (slender, 2), (dji, 0)):
         m, air = case.measured, case.air
         point = OperatingCondition(float(m.pitch_rad[i]), float(m.speed_rad_s[i]), air=air)
-        found = solve_system(RotorSystem.single_rotor(make_blading(case)), point, "wake")
+        found = solve_system(RotorSystem.from_single_rotor(make_blading(case)), point, "wake")
         r = found.rotors[0]
         wind = r.reynolds * air.viscosity_Pa_s / air.density_kg_m3 / r.chord_m
         drag = 0.5 * air.density_kg_m3 * wind**2 * r.chord_m * r.cd * np.sin(r.phi_rad) * r.dr_m
         lift = r.thrust_N + case.rotor.blades * drag.sum()
-        through = [momentum_thrust(found, -h * case.rotor.radius_m, reach=10.0) for h in heights]
+        through = [compute_momentum_flux_thrust(found, -h * case.rotor.radius_m, reach=10.0) for h in heights]
         label = f"{case.name}, {np.degrees(m.pitch_rad[i]):.0f} deg, {m.speed_rad_s[i] / RPM:.0f} rpm"
         rows.append([label, *(percent(v, lift) for v in through), f"{found.settings.core_limit:g} R"])
     head = ["rotor", *(f"{h:g} R below" for h in heights), "old cores"]
@@ -387,7 +387,9 @@ class PairSolver:
             return Loads(*(tuple(kept[n]) for n in ("thrust", "torque", "speed")), kept["mark"])
         alone = len(speeds) == 1
         system = (
-            RotorSystem.single_rotor(rotor) if alone else RotorSystem.coaxial_pair(rotor, rotor, spacing_m=spacing_m)
+            RotorSystem.from_single_rotor(rotor)
+            if alone
+            else RotorSystem.from_coaxial_pair(rotor, rotor, spacing_m=spacing_m)
         )
         point = OperatingCondition(pitch[: len(speeds)], speeds, air=air)
         more = {"settings": settings, "start": self.last.get(family)} if method == "wake" else {}

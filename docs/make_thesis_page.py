@@ -20,10 +20,10 @@ from mufly.thesis import (
     THESIS_ITEMS,
     answer_study,
     count_verdicts,
+    list_studies_by_cost,
     load_cached_answer,
     render_markdown_page,
     render_outlook_page,
-    studies_by_cost,
 )
 
 PAGE = Path(__file__).parent / "thesis" / "thesis.md"
@@ -41,7 +41,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--as-kept", action="store_true")
     if not parser.parse_args().as_kept:
-        for name in studies_by_cost():
+        for name in list_studies_by_cost():
             sys.stderr.write(f"{answer_study(name).item.name}\n")
         rows = [load_cached_answer(name).to_dict() for name in THESIS_ITEMS]
         plain = [{k: v for k, v in row.items() if k not in _LEFT_OUT} for row in rows]

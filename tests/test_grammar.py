@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError, suggest_name
 from mufly.quantities.quantity_grammar import (
-    read_column_lines,
+    read_column_map,
     read_integer,
     read_interval,
     read_quantity,
-    read_rotor_pair,
+    read_rotor_pair_values,
     read_stepped_range,
     read_time_span,
     read_value_with_std,
@@ -111,8 +111,8 @@ def test_lists_and_ranges(text: str, unit: str, values: tuple[float, ...]) -> No
 
 
 def test_other_forms() -> None:
-    assert read_rotor_pair("--x", "14", "deg") == (14.0, 14.0)
-    assert read_rotor_pair("--x", "14,12deg", "deg") == (14.0, 12.0)
+    assert read_rotor_pair_values("--x", "14", "deg") == (14.0, 14.0)
+    assert read_rotor_pair_values("--x", "14,12deg", "deg") == (14.0, 12.0)
     assert read_stepped_range("--x", "-1:3:0.5m/s", "m/s") == (-1.0, 3.0, 0.5)
     assert read_stepped_range("--x", "2500:6000", "rpm") == (2500.0, 6000.0, None)
     assert read_stepped_range("--x", "2500", "rpm") == (2500.0, None, None)
@@ -138,7 +138,7 @@ def test_other_forms() -> None:
         (read_values, "1:2:3:4", "is not a range"),
         (read_values, "1:1e9:1", "larger steps"),
         (read_values, "5,,6", "'5,,6' lacks a number"),
-        (read_rotor_pair, "1,2,3", "neither one value nor two"),
+        (read_rotor_pair_values, "1,2,3", "neither one value nor two"),
         (read_stepped_range, "3:1", "contains no two values"),
         (read_interval, "3", "is not a frequency band; write LOW:HIGH (Hz)"),
         (read_vector, "0,5", "'0,5' holds 2 numbers"),
@@ -195,8 +195,8 @@ def test_a_name_is_suggested() -> None:
     ],
 )
 def test_a_line_of_a_column_map(text, line):
-    assert tuple(read_column_lines([text])[0]) == line
+    assert tuple(read_column_map([text])[0]) == line
     name, _, column = text.partition("=")
-    assert tuple(read_column_lines({name: column})[0]) == line
+    assert tuple(read_column_map({name: column})[0]) == line
     with pytest.raises(InputError, match="columns: nonsense: does not say which column; write NAME=COLUMN"):
-        read_column_lines(["nonsense"])
+        read_column_map(["nonsense"])

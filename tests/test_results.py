@@ -99,7 +99,7 @@ def test_a_result_of_the_package_prints_with_units() -> None:
 _NO_RESULTS = {
     "camera": "Floor FloorSource PackageFloor RecordedPictures",  # made to be rendered, or looked at
     "cfd": "BladeGeometry SectorMesh OperatingPoint PolyMesh",  # shapes and cases; draw_mesh draws them
-    "estimate": "Estimate EstimateMonitor",  # of one instant, a thousand times a second
+    "estimate": "Estimate EstimateCheckState",  # of one instant, a thousand times a second
     "identify": "UniformLogTable FreeParameter",
     "firmware": "FixedPointLaw EvidenceSection",
     "flight": "Estimate RecordingLayout TrajectoryLimits Readings Truth",
@@ -112,7 +112,7 @@ _NO_RESULTS = {
     "rotor": "Blading",
     "bench": "ColumnMeaning",
     "sensors": "Fault Readings Truth",
-    "slam": "CameraFrame VehicleMotion VehiclePath MapView FrameSource FrameInfo",  # what goes in; a map to draw
+    "slam": "CameraFrame VehicleMotion VehiclePath MapView FrameSource FrameEstimate",  # what goes in; a map to draw
     "station": "",
     "study": "OperatingCondition DesignLimit RotorSystem",
     "thesis": "ThesisItem",

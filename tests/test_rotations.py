@@ -5,8 +5,8 @@ import pytest
 
 from mufly.rotations import (
     body_to_ned_matrices,
-    euler_from_measured_quaternion,
     euler_from_quaternion,
+    euler_from_unnormalised_quaternion,
     quaternion_from_euler,
     quaternions_from_euler,
 )
@@ -43,6 +43,6 @@ def test_all_forms_of_an_attitude_agree():
 
 def test_a_measured_quaternion_is_scaled_and_a_short_one_is_no_attitude():
     q = quaternion_from_euler(0.3, -0.4, 1.1)
-    told = euler_from_measured_quaternion(np.array([q, 1.6 * q, 0.4 * q, np.zeros(4), np.full(4, np.nan)]))
+    told = euler_from_unnormalised_quaternion(np.array([q, 1.6 * q, 0.4 * q, np.zeros(4), np.full(4, np.nan)]))
     np.testing.assert_allclose(told[:2], [(0.3, -0.4, 1.1)] * 2, atol=1e-12)
     assert np.isnan(told[2:]).all()

@@ -10,15 +10,15 @@ from mufly.quantities.quantity_table import (
     DIMENSION_LABELS,
     QUANTITIES,
     find_quantity,
-    mavlink_columns,
+    list_mavlink_field_columns,
     parse_column_name,
     quantities_recorded_in,
     split_signal_name,
 )
 from mufly.quantities.units import (
     STANDARD_GRAVITY_M_S2,
-    compatible_units,
-    conversion_factor,
+    find_conversion_factor,
+    list_compatible_units,
     normalise_unit,
     unit_conversion,
 )
@@ -36,13 +36,13 @@ from mufly.vehicle import load_vehicle
 )
 def test_bench_study_and_table_agree_to_the_last_bit(header, text, si):
     unit = header.replace("(", "_").replace(")", "").replace(" ", "").partition("_")[2]
-    assert parse_column_header(header).factor == conversion_factor(unit, si) == parse_quantity(*text)
+    assert parse_column_header(header).factor == find_conversion_factor(unit, si) == parse_quantity(*text)
 
 
 def test_a_vehicle_file_takes_every_unit_of_the_table(tmp_path):
     text = tmp_path / "v.toml"
-    for unit in compatible_units("m"):
-        value = load_vehicle("mufly-1.1").rotors.radius.value / conversion_factor(unit)
+    for unit in list_compatible_units("m"):
+        value = load_vehicle("mufly-1.1").rotors.radius.value / find_conversion_factor(unit)
         text.write_text(_with_radius(value, unit), encoding="utf-8")
         assert float(load_vehicle(text).rotors.radius) == pytest.approx(0.0875)
 
@@ -58,7 +58,7 @@ def _with_radius(value, unit):
 
 
 def test_load_cells_in_grams_weigh_with_the_standard_gravity():
-    assert conversion_factor("gf") == pytest.approx(STANDARD_GRAVITY_M_S2 / 1000)
+    assert find_conversion_factor("gf") == pytest.approx(STANDARD_GRAVITY_M_S2 / 1000)
     assert unit_conversion("g", "N")[1] == unit_conversion("gf")[1] == parse_column_header("T(g)").factor
     assert unit_conversion("g")[0] == "kg"
 
@@ -108,9 +108,9 @@ def test_the_mavlink_fields_of_the_table_are_in_the_dialect_with_these_units():
 
 
 def test_a_message_tells_columns_with_their_factors():
-    assert mavlink_columns("ATTITUDE")[0] == ("roll", "estimated_attitude_roll", 1.0)
-    assert mavlink_columns("RAW_RPM")[1] == ("frequency", "measured_rotor_speed_lower", math.pi / 30)
-    assert mavlink_columns("RC_CHANNELS")[7][:2] == ("chan8_raw", "pilot_input_8")
+    assert list_mavlink_field_columns("ATTITUDE")[0] == ("roll", "estimated_attitude_roll", 1.0)
+    assert list_mavlink_field_columns("RAW_RPM")[1] == ("frequency", "measured_rotor_speed_lower", math.pi / 30)
+    assert list_mavlink_field_columns("RC_CHANNELS")[7][:2] == ("chan8_raw", "pilot_input_8")
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ def euler_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
-def euler_from_measured_quaternion(quaternion: _Array) -> _Array:
+def euler_from_unnormalised_quaternion(quaternion: _Array) -> _Array:
     """Return roll, pitch and yaw of logged quaternions, which need not be normalised.
 
     Parameters

@@ -14,7 +14,7 @@ from typing import Literal
 
 AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
-_AUTOPILOT_INVALID = 8  # MAV_AUTOPILOT_INVALID
+_MAV_AUTOPILOT_INVALID = 8  # MAV_AUTOPILOT_INVALID
 _TYPE_ANTENNA_TRACKER, _TYPE_GENERIC = 5, 0
 
 VEHICLE_TYPE_NAMES: dict[int, str] = {
@@ -32,7 +32,7 @@ EQUIPMENT_TYPE_NAMES: dict[int, str] = {
 }  # fmt: skip
 """Names of the MAV_TYPEs of equipment."""
 # MAV_COMPONENT numbers of cameras, servos, gimbals, peripherals, batteries, computers, sensors, bridges.
-_EQUIPMENT_COMPONENTS = (*range(100, 106), *range(140, 200), *range(200, 251))
+_EQUIPMENT_COMPONENT_IDS = (*range(100, 106), *range(140, 200), *range(200, 251))
 
 
 def vehicle_rank(vehicle_type: int, autopilot: int, component: int) -> int:
@@ -55,12 +55,12 @@ def vehicle_rank(vehicle_type: int, autopilot: int, component: int) -> int:
     (3, 0, 1)
     """
     if vehicle_type == _TYPE_ANTENNA_TRACKER:
-        return 0 if autopilot == _AUTOPILOT_INVALID else 1
-    if vehicle_type in EQUIPMENT_TYPE_NAMES or autopilot == _AUTOPILOT_INVALID:
+        return 0 if autopilot == _MAV_AUTOPILOT_INVALID else 1
+    if vehicle_type in EQUIPMENT_TYPE_NAMES or autopilot == _MAV_AUTOPILOT_INVALID:
         return 0
     if component == AUTOPILOT_COMPONENT:
         return 3
-    if vehicle_type not in VEHICLE_TYPE_NAMES and component in _EQUIPMENT_COMPONENTS:
+    if vehicle_type not in VEHICLE_TYPE_NAMES and component in _EQUIPMENT_COMPONENT_IDS:
         return 0
     return 2
 
@@ -99,40 +99,38 @@ _FAMILY_OF_TYPE: dict[int, ModeFamily] = {
 }
 
 
-def _number_words(words: str) -> dict[int, str]:
+def _index_words(words: str) -> dict[int, str]:
     """Return the words of a comma-separated list by their position, from 0; "-" marks a position without a word."""
     return {k: word for k, word in enumerate(words.split(", ")) if word != "-"}
 
 
-_PX4_MAIN_MODES = _number_words(
+_PX4_MAIN_MODES = _index_words(
     "-, manual, altitude control, position control, -, acro, offboard, stabilised, rattitude, simple, termination"
 )
-_PX4_AUTO_MODES = _number_words(
+_PX4_AUTO_MODES = _index_words(
     "-, ready, take-off, hold, mission, return, landing, -, follow me, precision landing, transition"
 )
 _ARDUPILOT_MODES: dict[ModeFamily, dict[int, str]] = {
-    "copter": _number_words(
+    "copter": _index_words(
         "stabilise, acro, altitude hold, auto, guided, loiter, return, circle, -, landing, -, drift, -, sport, flip, "
         "autotune, position hold, brake, throw, avoid aircraft, guided without GPS, smart return, flow hold, follow, "
         "zigzag, system identification, autorotation, auto return, turtle"
     ),
-    "plane": _number_words(
+    "plane": _index_words(
         "manual, circle, stabilise, training, acro, fly by wire A, fly by wire B, cruise, autotune, -, auto, return, "
         "loiter, take-off, avoid aircraft, guided, initialising, Q stabilise, Q hover, Q loiter, Q landing, Q return, "
         "Q autotune, Q acro, thermal, loiter to Q landing, auto landing"
     ),
-    "rover": _number_words(
+    "rover": _index_words(
         "manual, acro, -, steering, hold, loiter, follow, simple, dock, circle, auto, return, smart return, -, -, "
         "guided, initialising"
     ),
-    "submarine": _number_words(
+    "submarine": _index_words(
         "stabilise, acro, altitude hold, auto, guided, -, -, circle, -, surface, -, -, -, -, -, -, position hold, -, "
         "-, manual, motor detection, surface tracking"
     ),
-    "tracker": _number_words(
-        "manual, stop, scan, servo test, guided, -, -, -, -, -, auto, -, -, -, -, -, initialising"
-    ),
-    "airship": _number_words("landing, manual, velocity, loiter, return"),
+    "tracker": _index_words("manual, stop, scan, servo test, guided, -, -, -, -, -, auto, -, -, -, -, -, initialising"),
+    "airship": _index_words("landing, manual, velocity, loiter, return"),
 }
 _CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG
 

@@ -95,8 +95,8 @@ class FarEpos(Far):
             self.milliampere = round(1000 * float(samples[f"current_{self.axis}"].mean()))
         for opcode, data in self.frames.feed_bytes(self.receive()):
             self.answer(opcode, data)
-        if self.frames.broken_frames:
-            self.frames.broken_frames = 0
+        if self.frames.broken_frame_count:
+            self.frames.broken_frame_count = 0
             self.send(build_frame(0x00, struct.pack("<I", 0x05040005)))
 
     def answer(self, opcode, data):

@@ -27,7 +27,7 @@ from mufly.bench.rig.serial_line import compute_crc16, with_checksum
 from mufly.bench.rig.serial_load_cells import SerialLoadCells
 from mufly.bench.rig.simulated_rig import SimulatedRig
 from mufly.bench.rig.thrust_stand import ThrustStand
-from mufly.bench.series.series_plan import BladeMounting, StepTimes, make_plan
+from mufly.bench.series.series_plan import BladeMounting, StepDurations, make_plan
 from mufly.bench.series.series_record import SeriesRecord, read_lines
 from mufly.bench.series.series_runner import run_series
 from mufly.errors import InputError
@@ -172,7 +172,7 @@ def test_cells_give_no_number_that_was_not_sent():
         cells.open()
         far.lose = far.flip = 0.01
         got = until(cells.read, lambda got: len(got.get("thrust_raw", [])) > 150 and got["pressure"])
-        assert cells.broken_lines > 0
+        assert cells.broken_line_count > 0
         assert cells.lost_samples > 0
         volts = np.array(got["thrust_raw"]) / COUNTS
         assert np.all(np.abs(volts - np.median(volts)) < 0.1)  # at rest: nothing but noise and zero
@@ -294,7 +294,7 @@ def facts_in_counts(rig):
 
 def test_a_series_over_devices_bears_a_reset():
     made = make_plan("p", [NACA], [12], [3500, 5500], reference=NACA, reference_pitch_deg=12, repetitions=1,
-                     times=StepTimes(warm_up_s=2, average_s=1, longest_s=1, tare_s=1, window_s=0.5))  # fmt: skip
+                     times=StepDurations(warm_up_s=2, average_s=1, longest_s=1, tare_s=1, window_s=0.5))  # fmt: skip
     made = made.model_copy(update={"mounting": made.mounting[:1]})
     rig = world()
     far_esc, far_cells = FarEsc(rig), FarCells(rig)
@@ -346,7 +346,7 @@ def cells_file(path, rig):
 def test_signals_and_a_kill_leave_no_motor_turning(tmp_path):
     """A series in a process of its own: SIGTERM stops it in order, SIGKILL leaves it to the watchdog."""
     made = make_plan("p", [NACA], [12], [3500, 5500], reference=NACA, reference_pitch_deg=12,
-                     times=StepTimes(warm_up_s=0, average_s=2, tare_s=1))  # fmt: skip
+                     times=StepDurations(warm_up_s=0, average_s=2, tare_s=1))  # fmt: skip
     (tmp_path / "plan.toml").write_text(made.to_toml(), encoding="utf-8")
     rig = world()
     far_esc, far_cells = FarEsc(rig), FarCells(rig)

@@ -11,7 +11,7 @@ from mufly.bench.rig.simulated_rig import BenchImperfections, SimulatedFaults, S
 from mufly.bench.series.live_page import write_live_page
 from mufly.bench.series.series_analysis import analyse_series
 from mufly.bench.series.series_files import compare_series, compare_with_theory, write_series_results
-from mufly.bench.series.series_plan import BenchLimits, SeriesPlan, StepTimes, make_plan, read_plan
+from mufly.bench.series.series_plan import BenchLimits, SeriesPlan, StepDurations, make_plan, read_plan
 from mufly.bench.series.series_record import SeriesRecord, read_lines, read_record
 from mufly.bench.series.series_runner import LimitError, StopRequested, run_series
 from mufly.errors import InputError
@@ -19,7 +19,7 @@ from mufly.files.input_files import validate_model
 from mufly.quantities.units import RPM
 
 NACA = "naca0012-r60-c20"
-TIMES = StepTimes(warm_up_s=120.0, average_s=3.0, longest_s=6.0, tare_s=3.0)
+TIMES = StepDurations(warm_up_s=120.0, average_s=3.0, longest_s=6.0, tare_s=3.0)
 
 
 def plan(axis="upper", **more):

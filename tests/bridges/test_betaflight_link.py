@@ -21,7 +21,7 @@ from mufly.bridges.betaflight.betaflight_link import (
     BetaflightSimulator,
 )
 from mufly.bridges.betaflight.betaflight_messages import read_arming_obstacles, read_outputs
-from mufly.bridges.betaflight.betaflight_pilot import BetaflightPilot, PilotPlan, find_square_point
+from mufly.bridges.betaflight.betaflight_pilot import BetaflightPilot, PilotPlan, sample_square_path
 from mufly.bridges.betaflight.betaflight_settings import convert_rate_gains, format_cli_file
 from mufly.errors import InputError, MuflyError
 from mufly.link import parse_endpoint
@@ -224,12 +224,12 @@ def test_gains_in_betaflights_units_give_the_same_input():
 
 def test_the_square_is_closed_rests_in_its_corners_and_has_the_velocity_of_its_positions():
     plan = PilotPlan(square_side_m=1.0, leg_duration_s=6.0)
-    corners = [find_square_point(plan, k * plan.leg_duration_s)[0] for k in range(5)]
+    corners = [sample_square_path(plan, k * plan.leg_duration_s)[0] for k in range(5)]
     assert np.allclose(corners, [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
-    assert all(np.allclose(find_square_point(plan, k * plan.leg_duration_s)[1], 0.0) for k in range(5))
+    assert all(np.allclose(sample_square_path(plan, k * plan.leg_duration_s)[1], 0.0) for k in range(5))
     for t, dt in itertools.product((1.0, 8.3, 13.1, 22.9), (1e-5,)):
-        ahead, behind = find_square_point(plan, t + dt)[0], find_square_point(plan, t - dt)[0]
-        assert (ahead - behind) / (2.0 * dt) == pytest.approx(find_square_point(plan, t)[1], abs=1e-6)
+        ahead, behind = sample_square_path(plan, t + dt)[0], sample_square_path(plan, t - dt)[0]
+        assert (ahead - behind) / (2.0 * dt) == pytest.approx(sample_square_path(plan, t)[1], abs=1e-6)
 
 
 def test_a_cli_file_is_sent_line_by_line_and_a_refused_line_is_named():

@@ -12,7 +12,7 @@ from mufly.bridges.autopilot_gains import MAX_SENSITIVITY, design_autopilot_gain
 from mufly.bridges.autopilot_plant import AutopilotPlant
 from mufly.bridges.px4.px4_airframe import airframe_file_name, format_airframe_file, list_px4_parameters
 from mufly.bridges.px4.px4_link import DEFAULT_ORIGIN, PX4_RATE_HZ, Px4Simulator
-from mufly.bridges.px4.px4_messages import SensorMessages
+from mufly.bridges.px4.px4_messages import SensorMessageEncoder
 from mufly.errors import InputError
 from mufly.link import parse_endpoint
 from mufly.mission import Mission
@@ -204,7 +204,7 @@ def test_a_program_without_mavlink_is_named():
 
 def test_messages_have_the_units_of_mavlink_and_each_reading_once():
     with plant(seed=3) as vehicle:
-        messages = SensorMessages(vehicle.vehicle, "vision", DEFAULT_ORIGIN)
+        messages = SensorMessageEncoder(vehicle.vehicle, "vision", DEFAULT_ORIGIN)
         seen: dict[str, list] = {}
         for _ in range(250):
             for m in messages.encode_readings(round(vehicle.time_s * 1e6), vehicle.readings):
@@ -224,7 +224,7 @@ def test_messages_have_the_units_of_mavlink_and_each_reading_once():
 def test_gps_comes_from_the_fixes_and_stops_with_them():
     faults = (parse_fault("position.dropout@0.6s"),)
     with plant(faults=faults) as vehicle:
-        messages = SensorMessages(vehicle.vehicle, "gps", DEFAULT_ORIGIN)
+        messages = SensorMessageEncoder(vehicle.vehicle, "gps", DEFAULT_ORIGIN)
         times = []
         for _ in range(500):
             found = [m for m in messages.encode_readings(0, vehicle.readings) if m.get_type() == "HIL_GPS"]

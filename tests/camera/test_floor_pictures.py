@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mufly.camera import FloorSource, find_floor, load_camera, write_floor_set
+from mufly.camera import FloorSource, copy_package_floors, find_floor, load_camera
 from mufly.cli.onboard.camera_options import make_flight_camera, make_position_camera
 from mufly.dynamics import initial_state
 from mufly.errors import InputError
@@ -93,7 +93,7 @@ def test_photographs_of_packages_are_used_by_name_and_copied(package: Path, tmp_
     """The package itself is not imported."""
     assert find_floor("brick") == FloorSource("brick", package / "brick.png", 0.9)
     out = tmp_path / "set"
-    assert [f.name for f in write_floor_set(out)] == ["brick"]
+    assert [f.name for f in copy_package_floors(out)] == ["brick"]
     assert "CC0" in (out / "floors.toml").read_text()
     assert find_floor(str(out / "brick.png")).width_m == 0.9
     assert (out / "brick.png").read_bytes() == (package / "brick.png").read_bytes()
@@ -102,7 +102,7 @@ def test_photographs_of_packages_are_used_by_name_and_copied(package: Path, tmp_
 def test_without_such_packages_no_set_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(InputError, match="pip install"):
-        write_floor_set(tmp_path / "set")
+        copy_package_floors(tmp_path / "set")
     assert not (tmp_path / "set").exists()
 
 
@@ -140,8 +140,8 @@ def test_a_campaign_flies_over_the_floor_and_its_commands_name_it(tmp_path: Path
     camera = make_position_camera("camera", "fitted", "webcam", str(picture), 0.8, mission, "demonstration")
     campaign = Campaign(vehicle, mission, camera=camera, camera_name="webcam")
     case = FlightCase(0, 7, {}, None, 0)
-    assert campaign.flight_options(case)["eye"] == camera
-    command = campaign.replay_command(case, tmp_path, None)
+    assert campaign.make_flight_arguments(case)["eye"] == camera
+    command = campaign.format_replay_command(case, tmp_path, None)
     assert f"--position camera --camera webcam --floor {picture} --floor-width 0.8" in command
     assert campaign.settings_hash != Campaign(vehicle, mission).settings_hash
     for options in (("fix", "fitted", "", "rich", None), ("camera", "ideal", "", "", None)):

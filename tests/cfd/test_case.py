@@ -27,15 +27,15 @@ from mufly.cfd import (
     list_study_cases,
     make_poly_mesh,
     make_sector_mesh,
-    read_point,
+    mesh_and_write_case,
+    read_operating_point,
     read_solution,
     run_case,
-    save_case,
     write_case,
 )
 from mufly.cfd.cfd_solution import read_field, scale_solution_state, wake_load_ratios
 from mufly.cfd.initial_flow import compute_vortex_ring_velocity
-from mufly.cfd.solver_process import list_complete_states, read_history
+from mufly.cfd.solver_process import list_complete_states, read_load_history
 from mufly.cli import app
 from mufly.cli.aero import cfd_case_report
 from mufly.cli.options import TheoryOptions
@@ -87,7 +87,7 @@ def test_the_start_is_the_slipstream_of_momentum_theory() -> None:
 def test_a_case_is_whole_and_its_brackets_close(model: str, tmp_path: Path) -> None:
     still = None if model == "laminar" else {"U": np.zeros((mesh().cell_count, 3))}  # the start itself is made once
     write_case(tmp_path, mesh(), replace(POINT, model=model), state=still)
-    assert read_point(tmp_path) == replace(POINT, model=model)
+    assert read_operating_point(tmp_path) == replace(POINT, model=model)
     for file in [*tmp_path.glob("system/*"), *tmp_path.glob("constant/*Properties"), *tmp_path.glob("0/*")]:
         text = file.read_bytes().decode("latin-1")
         if "binary" in text[:200]:
@@ -246,13 +246,13 @@ def test_a_study_varies_one_thing_and_a_case_keeps_its_domain(tmp_path: Path) ->
     assert mesh().cell_count < large.cell_count < 1.2 * mesh().cell_count
     point = replace(POINT, domain=wider["above"]["domain"])
     write_case(tmp_path, mesh(), point, state={"U": np.zeros((mesh().cell_count, 3))})
-    assert read_point(tmp_path) == point
+    assert read_operating_point(tmp_path) == point
 
 
 def test_a_state_cut_short_or_missing_is_said_in_one_line(tmp_path: Path) -> None:
     m = mesh()
     with pytest.raises(InputError, match="not a case of mufly cfd"):
-        read_point(tmp_path)
+        read_operating_point(tmp_path)
     solved_by_hand(tmp_path, np.zeros(m.cell_count), np.zeros((m.cell_count, 3)))
     p = tmp_path / "7" / "p"
     assert list_complete_states(tmp_path) == [0, 7]
@@ -346,7 +346,7 @@ needs_openfoam = pytest.mark.skipif(
 def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_path: Path) -> None:
     rotor = load_rotor("naca0012-r60-c20")
     given: dict[str, Any] = {"pitch_rad": math.radians(12), "speed_rad_s": 5000 * RPM, "level": "tiny"}
-    save_case(tmp_path, rotor, **given)
+    mesh_and_write_case(tmp_path, rotor, **given)
 
     class Killed(Exception):
         pass
@@ -358,11 +358,11 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
     with pytest.raises(Killed):
         run_case(tmp_path, progress=stop)
     assert list_complete_states(tmp_path) == [0]  # states are written every 40
-    save_case(tmp_path, rotor, **given)
+    mesh_and_write_case(tmp_path, rotor, **given)
     verdict = run_case(tmp_path, most=120)  # 80 of them at first order
     assert verdict.outcome == "not done"
     assert list_complete_states(tmp_path)[-1] == 120
-    past = read_history(tmp_path)
+    past = read_load_history(tmp_path)
     assert np.array_equal(past[:, 0], np.arange(1, 121))  # those told twice stand once
     found = read_solution(tmp_path)
     assert found.thrust_N == pytest.approx(past[-1, 1], rel=2e-3)
@@ -370,13 +370,13 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
     assert found.thrust_N == pytest.approx(float(found.thrust_N_m @ found.dr_m))
     assert 0.1 < found.thrust_N < 0.3  # of 0.15 N in the end; a start that throws the air about is far outside
     with pytest.raises(InputError, match="another point"):
-        save_case(tmp_path, rotor, **{**given, "speed_rad_s": 500.0})
+        mesh_and_write_case(tmp_path, rotor, **{**given, "speed_rad_s": 500.0})
     # Another speed, from this solution scaled: its first iteration gives the scaled loads, friction's share aside.
     faster = tmp_path / "faster"
-    save_case(faster, rotor, **{**given, "speed_rad_s": 7000 * RPM}, neighbour=tmp_path)
-    assert read_point(faster).upwind == 0
+    mesh_and_write_case(faster, rotor, **{**given, "speed_rad_s": 7000 * RPM}, neighbour=tmp_path)
+    assert read_operating_point(faster).upwind == 0
     run_case(faster, most=40)
-    assert read_history(faster)[0, 1] == pytest.approx(found.thrust_N * 1.4**2, rel=0.05)
+    assert read_load_history(faster)[0, 1] == pytest.approx(found.thrust_N * 1.4**2, rel=0.05)
     # Another pitch setting has the same cells in other places: its fluxes balance in each as they did.
     mesh_16 = make_poly_mesh(make_sector_mesh(rotor, math.radians(16), level="tiny"))
     state, inside = scale_solution_state(tmp_path, mesh_16, 1.0), len(mesh_16.neighbour)
@@ -388,9 +388,9 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
     )
     assert np.abs(left).max() < 1e-3 * np.abs(flux).max()
     with pytest.raises(InputError, match="mesh with other cells"):
-        save_case(tmp_path / "other", rotor, **given, tip="plate-up", neighbour=tmp_path)
+        mesh_and_write_case(tmp_path / "other", rotor, **given, tip="plate-up", neighbour=tmp_path)
     with pytest.raises(InputError, match="differs in speed, pitch setting or tip only"):
-        save_case(tmp_path / "other", rotor, **given, model="sst", neighbour=tmp_path)
+        mesh_and_write_case(tmp_path / "other", rotor, **given, model="sst", neighbour=tmp_path)
 
 
 def test_tips_near_the_speed_of_sound_are_refused():
@@ -402,7 +402,7 @@ def test_tips_near_the_speed_of_sound_are_refused():
 @pytest.mark.parametrize("settled", [True, False])
 def test_an_answer_that_did_not_settle_ends_with_status_1(tmp_path, monkeypatch, settled):
     said = {"verdict": SimpleNamespace(settled=settled)}
-    for name in ("find_solver", "save_case", "run_case"):
+    for name in ("find_solver", "mesh_and_write_case", "run_case"):
         monkeypatch.setattr(f"mufly.cfd.{name}", lambda *a, **k: None)
     monkeypatch.setattr(cfd_case_report, "_write_solution_report", lambda *a: (said, lambda: None, [], []))
     status = CliRunner().invoke(app, ["cfd", "run", "--out", str(tmp_path / "case")]).exit_code

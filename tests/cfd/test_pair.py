@@ -18,9 +18,9 @@ from mufly.cfd import (
     make_poly_mesh,
     make_sector_mesh,
     measure_mesh_quality,
-    read_point,
+    mesh_and_write_case,
+    read_operating_point,
     read_poly_mesh,
-    save_case,
     solve_pair,
 )
 from mufly.cfd.openfoam_case import set_solver_phase
@@ -75,11 +75,11 @@ def test_the_frames_meet_in_a_level_plane_half_way() -> None:
 
 
 def test_a_pairs_case_has_two_zones_and_two_loads(tmp_path: Path) -> None:
-    save_case(
+    mesh_and_write_case(
         tmp_path, load_rotor("naca0012-r60-c20"), pitch_rad=TURNED, speed_rad_s=500.0, level="tiny", gap_m=GAP,
         lower_speed_rad_s=550.0,
     )  # fmt: skip
-    assert read_point(tmp_path).patch_speeds_rad_s == {"blade": 500.0, "blade_lower": -550.0}
+    assert read_operating_point(tmp_path).patch_speeds_rad_s == {"blade": 500.0, "blade_lower": -550.0}
     zones = (tmp_path / "constant" / "MRFProperties").read_text()
     assert "cellZone rotor" in zones
     assert "cellZone lower" in zones
@@ -108,7 +108,7 @@ def disc(since: int = 0) -> ActuatorDisc:
 
 
 def beside(folder: Path, height_m: float, since: int = 0) -> tuple[PolyMesh, ActuatorDisc]:
-    save_case(
+    mesh_and_write_case(
         folder,
         load_rotor("naca0012-r60-c20"),
         pitch_rad=TURNED,
@@ -117,7 +117,7 @@ def beside(folder: Path, height_m: float, since: int = 0) -> tuple[PolyMesh, Act
         other_m=height_m,
     )
     mesh, other = read_poly_mesh(folder), disc(since)
-    write_actuator_disc(folder, mesh, read_point(folder), other)
+    write_actuator_disc(folder, mesh, read_operating_point(folder), other)
     return mesh, other
 
 

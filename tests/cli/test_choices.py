@@ -21,8 +21,8 @@ from mufly.link.real_time.real_time_loop import SensorMode
 from mufly.rotor.measured.uncertainty import SECTION_KNOWLEDGE_LEVELS
 from mufly.rotor.rotor_system import SolverMethod
 from mufly.rotor.sections.polar_engines import PolarEngine
-from mufly.slam import DATASET_LAYOUTS
-from mufly.station.recording_comparison import ALIGNMENTS
+from mufly.slam import WRITABLE_DATASET_LAYOUTS
+from mufly.station.recording_comparison import ALIGNMENT_EVENTS
 from mufly.study import BEMT_MODELS
 
 SOLVERS = get_args(SolverMethod)
@@ -39,14 +39,14 @@ CASES: list[tuple[Any, str, Iterable[str]]] = [
     (identify.flight, "part", (*get_args(DynamicsPart), "split")),
     (identify.flight, "method", get_args(FitMethod)),
     (identify.demo, "method", get_args(FitMethod)),
-    (log.plot, "align", ALIGNMENTS),
+    (log.plot, "align", ALIGNMENT_EVENTS),
     (options.PolarOptions, "model", BEMT_MODELS),
     (options.PolarOptions, "engine", get_args(PolarEngine)),
     (options.TheoryOptions, "method", SOLVERS),
     (rotor.HoverOptions, "method", (*SOLVERS, "cfd")),
     (rotor.hover, "section", SECTION_KNOWLEDGE_LEVELS),
     (measured_rotors.fit, "section", set(SECTION_KNOWLEDGE_LEVELS) - {"measured"}),  # what a fit writes
-    (slam.render, "layout", DATASET_LAYOUTS),
+    (slam.render, "layout", WRITABLE_DATASET_LAYOUTS),
     (slam.run, "clock", get_args(PictureClock)),
 ]
 

@@ -10,10 +10,10 @@ import typer
 from typer.testing import CliRunner
 
 from mufly.cli import app as mufly
-from mufly.cli.options import CommandGroup, NumberNotation
+from mufly.cli.options import CommandGroup, NumberOptionParser
 from mufly.cli.station import parse_wind, resolve_wind
 from mufly.errors import ArgumentError, InputError
-from mufly.quantities.units import compatible_units, unit_conversion
+from mufly.quantities.units import list_compatible_units, unit_conversion
 
 app = CommandGroup()
 
@@ -120,9 +120,9 @@ def every_option() -> Iterator[tuple[str, Any]]:
     yield from walk(typer.main.get_command(mufly), [])
 
 
-def notation_of(option: Any) -> NumberNotation | None:
+def notation_of(option: Any) -> NumberOptionParser | None:
     parser = option.type_descriptor.parameter_info.parser
-    return parser if isinstance(parser, NumberNotation) else None
+    return parser if isinstance(parser, NumberOptionParser) else None
 
 
 # Options whose numbers have no dimension.
@@ -208,7 +208,7 @@ def test_every_quantity_takes_units_and_refuses_what_is_none_in_our_words() -> N
             assert "Input should be" not in str(told.value)
             assert told.value.remedy
         if notation.form == "one" and notation.unit and not notation.allowed_words:
-            for unit in set(compatible_units(unit_conversion(notation.unit)[0])) - {"1"}:
+            for unit in set(list_compatible_units(unit_conversion(notation.unit)[0])) - {"1"}:
                 low, high = notation.allowed_range.low, notation.allowed_range.high
                 value = next(v for v in (1.0, low, high, 0.5) if v is not None and (low or v) <= v <= (high or v))
                 factor = unit_conversion(notation.unit, unit)[1]

@@ -12,7 +12,7 @@ import mufly
 from mufly.control import DesignSettings, FlightController, design_flight_controller
 from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import design_roll_pitch
-from mufly.control.robust.parameter_spreads import spread_derivatives
+from mufly.control.robust.parameter_spreads import differentiate_plants_by_parameters
 from mufly.control.synthesis.synthesis_methods import DkIterationSettings
 from mufly.dynamics import linearise_vehicle
 from mufly.vehicle import Vehicle
@@ -56,7 +56,9 @@ def mu_roll_pitch(vehicle: Vehicle, controller: FlightController) -> ControllerD
     """Roll-pitch by one round of D-K iteration over three parameters, at few frequencies."""
     spreads = {"swash_plate.linkage": 0.23, "stabiliser_bar.linkage": 0.14, "body.inertia_xx": 2.2e-5}
     linear = linearise_vehicle(vehicle)
-    E = spread_derivatives(vehicle, controller.voltage_V, list(spreads), np.diag(list(spreads.values())))
+    E = differentiate_plants_by_parameters(
+        vehicle, controller.voltage_V, list(spreads), np.diag(list(spreads.values()))
+    )
     goals = DkIterationSettings(rounds=1, frequencies=(1.0, 100.0, 12))
     return design_roll_pitch(
         linear.roll_pitch, DesignSettings(method="mu", robust_goals=goals), 1 / 200, E["roll-pitch"]

@@ -18,13 +18,13 @@ from mufly.control import DesignSettings, FlightController, design_flight_contro
 from mufly.control.analysis import comparison
 from mufly.control.analysis.comparison import (
     ControllerComparison,
-    FlightFigures,
-    MethodFigures,
+    FlightMetrics,
+    MethodMetrics,
     compare_methods,
     comparison_dataset,
+    compute_loop_metrics,
     compute_output_noise_std,
     load_or_compute_mu_bounds,
-    loop_figures,
     recommend_method,
 )
 from mufly.control.analysis.gust_response import GUST_LENGTH_m, GUST_m_s, compute_gust_tilt_std
@@ -46,9 +46,9 @@ from mufly.vehicle import Vehicle
 
 
 @pytest.fixture(scope="module")
-def row(vehicle: Vehicle, controller: FlightController) -> MethodFigures:
-    loops = [loop_figures(vehicle, d, (0.6, 0.5)) for d in (controller.heave_yaw, controller.roll_pitch)]
-    return MethodFigures("hinf", loops[0], loops[1], controller.cascade_loop.sensitivity_peak_dB, 0.01)
+def row(vehicle: Vehicle, controller: FlightController) -> MethodMetrics:
+    loops = [compute_loop_metrics(vehicle, d, (0.6, 0.5)) for d in (controller.heave_yaw, controller.roll_pitch)]
+    return MethodMetrics("hinf", loops[0], loops[1], controller.cascade_loop.sensitivity_peak_dB, 0.01)
 
 
 @pytest.fixture(scope="module")
@@ -56,12 +56,12 @@ def ltr(vehicle: Vehicle) -> FlightController:
     return design_flight_controller(vehicle, settings=DesignSettings(method="ltr"))
 
 
-def _judge(*rows: MethodFigures) -> ControllerComparison:
+def _judge(*rows: MethodMetrics) -> ControllerComparison:
     return recommend_method("vehicle", 200.0, rows)
 
 
 def test_figures_are_those_of_the_sampled_loop(
-    vehicle: Vehicle, controller: FlightController, row: MethodFigures
+    vehicle: Vehicle, controller: FlightController, row: MethodMetrics
 ) -> None:
     loop = row.roll_pitch
     assert loop.sampled is controller.roll_pitch.sampled_loop
@@ -103,7 +103,7 @@ def test_tilt_in_gusts_is_the_integral_over_frequency(vehicle: Vehicle, controll
     assert compute_gust_tilt_std(linear, controller) == pytest.approx(by_frequency.max(), rel=1e-3)
 
 
-def test_the_verdict_names_what_decided_it(row: MethodFigures) -> None:
+def test_the_verdict_names_what_decided_it(row: MethodMetrics) -> None:
     quiet = replace(row, method="ltr", roll_pitch=replace(row.roll_pitch, input_noise=0.005))
     found = _judge(row, quiet)
     assert found.recommended == "ltr"
@@ -126,8 +126,8 @@ def test_the_verdict_names_what_decided_it(row: MethodFigures) -> None:
     assert found.recommended == "hinf"
     assert "H2 is excluded: roll-pitch has mu up to 1.30" in found.verdict
     flown = [
-        replace(quiet, flights=FlightFigures(100, 60, 0.5, 0.69, 0.2)),
-        replace(row, flights=FlightFigures(100, 99, 0.95, 1.0, 0.1)),
+        replace(quiet, flights=FlightMetrics(100, 60, 0.5, 0.69, 0.2)),
+        replace(row, flights=FlightMetrics(100, 99, 0.95, 1.0, 0.1)),
     ]
     found = _judge(*flown)
     assert found.recommended == "hinf"
@@ -182,7 +182,9 @@ def test_a_tuned_loop_is_a_row_of_its_own(vehicle: Vehicle, ltr: FlightControlle
     assert row.label == f"tuned {K.nstates}"
     assert list(controllers) == [found.recommended] == ["tuned"]
     assert (tmp_path / "mu-tuned.json").exists()
-    assert row.roll_pitch.disk.margin == pytest.approx(loop_figures(vehicle, ltr.roll_pitch, (0, 0)).disk.margin)
+    assert row.roll_pitch.disk.margin == pytest.approx(
+        compute_loop_metrics(vehicle, ltr.roll_pitch, (0, 0)).disk.margin
+    )
     assert comparison_dataset(found).controller == ["tuned"]
 
 

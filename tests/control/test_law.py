@@ -17,7 +17,7 @@ from mufly.control import (
     roll_pitch_init,
     roll_pitch_step,
 )
-from mufly.control.law import FILTERED_W, FILTERED_Z, ROLL_PITCH_GAINS_DTYPE, pack_gains
+from mufly.control.law import FILTERED_W_INDEX, FILTERED_Z_INDEX, ROLL_PITCH_GAINS_DTYPE, pack_gains
 from mufly.errors import MuflyError
 
 INPUT = st.floats(0.0, 1.0)
@@ -166,12 +166,12 @@ def test_a_reference_that_waits_does_not_cut_the_motors(
     for k in range(800):
         z = -climb * k * period
         state = limit_heave_reference(g, state, z)
-        gaps.append(abs(z - state[FILTERED_Z]))
+        gaps.append(abs(z - state[FILTERED_Z_INDEX]))
         reference = np.array([-asked * k * period, 0.0, -asked, 0.0])
         motor, state = heave_yaw_step(g, state, reference, np.array([z, 0.0, 0.0]), 6.5)
         inputs.append(motor)
     assert max(gaps) < float(g["heave_tracking_error_limit"])
-    assert state[FILTERED_W] == pytest.approx(-climb, abs=0.02)  # it follows, as fast as the vehicle climbs
+    assert state[FILTERED_W_INDEX] == pytest.approx(-climb, abs=0.02)  # it follows, as fast as the vehicle climbs
     flown = np.array(inputs)[100:]
     assert np.abs(np.diff(flown, axis=0)).max() < 0.1
     assert flown.min() > least
@@ -185,13 +185,15 @@ def test_a_vehicle_that_is_blown_away_finds_its_reference_at_the_slack(controlle
         assert np.array_equal(limit_heave_reference(g, state, z), state)
     for z in (2.0, -2.0):
         blown = limit_heave_reference(g, state, z)
-        assert abs(z - blown[FILTERED_Z]) == pytest.approx(slack)
-        assert blown[FILTERED_W] == 0.0
+        assert abs(z - blown[FILTERED_Z_INDEX]) == pytest.approx(slack)
+        assert blown[FILTERED_W_INDEX] == 0.0
         # The way to the vehicle is free, the way from it only as fast as it brakes.
         towards = state.copy()
-        towards[FILTERED_W] = np.copysign(0.5, z)
-        assert limit_heave_reference(g, towards, z)[FILTERED_W] == towards[FILTERED_W]
-        braked = limit_heave_reference(g, np.where(np.arange(len(state)) == FILTERED_W, -towards, state), z)[FILTERED_W]
+        towards[FILTERED_W_INDEX] = np.copysign(0.5, z)
+        assert limit_heave_reference(g, towards, z)[FILTERED_W_INDEX] == towards[FILTERED_W_INDEX]
+        braked = limit_heave_reference(g, np.where(np.arange(len(state)) == FILTERED_W_INDEX, -towards, state), z)[
+            FILTERED_W_INDEX
+        ]
         brake = 2.0 * float(g["heave_acceleration"]) * float(g["period"])
         assert abs(braked) == pytest.approx(0.5 - brake)
 

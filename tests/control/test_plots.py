@@ -3,11 +3,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from mufly.control import FlightController
-from mufly.control.analysis.plots import draw_designs, draw_loop, draw_plant
+from mufly.control.analysis.plots import draw_loop, draw_plant, write_design_pictures
 
 
 def test_every_design_gets_its_pictures(controller: FlightController, tmp_path: Path) -> None:
-    written = draw_designs(controller, tmp_path / "new" / "folder")
+    written = write_design_pictures(controller, tmp_path / "new" / "folder")
     assert sorted(p.name for p in written) == [
         f"{name}-{what}.png" for name in ("heave-yaw", "roll-pitch", "velocity") for what in ("loop", "plant")
     ]

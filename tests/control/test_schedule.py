@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mufly.control import DesignSettings, FlightController, design_flight_controller
-from mufly.control.analysis.comparison import forward_figures, roll_pitch_plants_by_speed
+from mufly.control.analysis.comparison import compute_forward_speed_metrics, roll_pitch_plants_by_speed
 from mufly.control.analysis.plots import draw_schedule
 from mufly.control.implementation import DiscreteController
 from mufly.control.law import roll_pitch_init, roll_pitch_step
@@ -17,7 +17,7 @@ from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.synthesis_methods import SynthesisedController, SynthesisMethod, SynthesisProblem
 from mufly.control.tuning import output_schedule
 from mufly.control.tuning.fixed_order import NormGoal, make_goal_plants, tune_controller
-from mufly.control.tuning.output_schedule import OutputSchedule, continuous_matrices, pack_schedule
+from mufly.control.tuning.output_schedule import OutputSchedule, invert_tustin, pack_schedule
 from mufly.dynamics import find_trim, linearise_vehicle
 from mufly.errors import MuflyError
 from mufly.flight.controllers import copy_record
@@ -72,7 +72,7 @@ def test_the_law_adds_outputs_by_the_square_of_speed(ltr: FlightController) -> N
 
 def test_tustins_rule_goes_back_with_the_same_states(ltr: FlightController) -> None:
     K = ltr.roll_pitch.discrete
-    A, B, C, D = continuous_matrices(K)
+    A, B, C, D = invert_tustin(K)
     T, one = K.period_s, np.eye(K.order)
     left = np.linalg.inv(one - A * T / 2)
     assert left @ (one + A * T / 2) == pytest.approx(K.A, abs=1e-12)
@@ -111,9 +111,9 @@ def test_frozen_speeds_are_those_of_the_blended_controller(
     mapped: Vehicle, ltr: FlightController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(output_schedule, "load_or_compute_controller", _halved)
-    monkeypatch.setattr(output_schedule, "SPEED_GRID_INTERVALS", 2)
+    monkeypatch.setattr(output_schedule, "SPEED_GRID_INTERVAL_COUNT", 2)
     K = ltr.roll_pitch.discrete
-    found = output_schedule.schedule_outputs(
+    found = output_schedule.tune_output_schedule(
         mapped, _loop(ltr, K), speed_m_s=2.0, voltage=ltr.voltage_V, tilt_limit=0.15
     )
     assert pytest.approx(-0.2 * K.C, rel=1e-6) == found.C_forward_change
@@ -129,10 +129,10 @@ def test_frozen_speeds_are_those_of_the_blended_controller(
     flown = replace(ltr, schedule=found)
     plants = roll_pitch_plants_by_speed(mapped, (1.0, 2.0, 50.0), ltr.voltage_V)
     assert list(plants) == [1.0, 2.0]  # there is no steady flight at 50 m/s
-    for f, frozen in zip(forward_figures(flown, plants), found.frozen[1:3], strict=True):
+    for f, frozen in zip(compute_forward_speed_metrics(flown, plants), found.frozen[1:3], strict=True):
         assert f.disk_margin == pytest.approx(frozen.disk_margin, rel=1e-9)
         assert f.sensitivity_peak_dB == pytest.approx(frozen.sensitivity_peak_dB, rel=1e-9)
-    unscheduled = forward_figures(ltr, plants)[1]
+    unscheduled = compute_forward_speed_metrics(ltr, plants)[1]
     assert unscheduled.disk_margin == pytest.approx(found.frozen[2].hover_disk_margin, rel=1e-9)
     axes = draw_schedule(found).axes
     assert axes[0].lines[0].get_xydata()[-1] == pytest.approx([2.0, found.frozen[2].disk_margin])
@@ -146,14 +146,14 @@ def test_a_speed_without_steady_flight_is_lowered(
     """Clamped blades bring the servos to their limit below 1 m/s."""
     clamped = replace_parameters(vehicle, {"rotors.flight_map": "mufly-1.1-clamped"})
     monkeypatch.setattr(output_schedule, "load_or_compute_controller", _halved)
-    monkeypatch.setattr(output_schedule, "SPEED_GRID_INTERVALS", 2)
+    monkeypatch.setattr(output_schedule, "SPEED_GRID_INTERVAL_COUNT", 2)
     loop = _loop(ltr, ltr.roll_pitch.discrete)
-    found = output_schedule.schedule_outputs(clamped, loop, speed_m_s=1.0, voltage=ltr.voltage_V, tilt_limit=0.15)
+    found = output_schedule.tune_output_schedule(clamped, loop, speed_m_s=1.0, voltage=ltr.voltage_V, tilt_limit=0.15)
     assert 0.0 < found.speed_m_s < 1.0
-    assert found.share_per_speed2_s2_m2 == pytest.approx(found.speed_m_s**-2)
+    assert found.forward_share_per_speed2_s2_m2 == pytest.approx(found.speed_m_s**-2)
     K = ltr.roll_pitch.discrete
     wrong = replace(K, C=-K.C, D=-K.D, M=-K.M)
     with pytest.raises(MuflyError, match="unstable at 0 m/s"):
-        output_schedule.schedule_outputs(
+        output_schedule.tune_output_schedule(
             clamped, replace(loop, hover_controller=wrong), speed_m_s=0.5, voltage=ltr.voltage_V, tilt_limit=0.15
         )

@@ -28,7 +28,7 @@ from mufly.control.designs import design_roll_pitch
 from mufly.control.robust import analyse_parameter_robustness
 from mufly.control.synthesis.weighting_schemes import one_degree_plant, scale_plant
 from mufly.control.tuning import make_flight_goals, reduce_start_controllers, tune_controller
-from mufly.control.tuning.fixed_order import add_delay, controller_gain, evaluate_goal_norms
+from mufly.control.tuning.fixed_order import add_delay, evaluate_goal_norms, stack_controller_matrices
 from mufly.control.tuning.loop_tuning import (
     GoalLevels,
     find_start_controllers,
@@ -65,7 +65,7 @@ def test_gradient_is_exact(problem) -> None:
     rng = np.random.default_rng(0)
     checked = 0
     for start in reduce_start_controllers(generalised, [full], 4):
-        K = controller_gain(start)
+        K = stack_controller_matrices(start)
         for goal in goals:
             loop = goal.loop(4)
             norm, gradient = loop.norm_and_gradient(K)
@@ -86,7 +86,7 @@ def test_gradients_of_disk_activity_and_mu_are_exact(vehicle: Vehicle, controlle
     p = make_loop_tuning_problem(vehicle, controller, "roll-pitch", goals, noise, spreads)
     assert [a.name for a in p.goals] == ["disk", "activity", "mu"]
     K = find_start_controllers(p, ["delay"], 4)[0]
-    gain = controller_gain(K)
+    gain = stack_controller_matrices(K)
     bound = p.mu.update_scalings(gain, 4)
     rng = np.random.default_rng(3)
     for goal in p.goals:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from mufly.cli.control import app
 from mufly.control import DesignSettings, disk_margin, sample_plant
-from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, map_servos, scale_bandwidth
+from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, compute_servo_map, scale_roll_pitch_bandwidth
 from mufly.control.designs import design_roll_pitch
 from mufly.control.synthesis.weighting_schemes import ROLL_PITCH_WEIGHTS, complete_settings
 from mufly.dynamics import initial_state, linearise_vehicle, model_parameters
@@ -91,16 +91,16 @@ def test_settings_that_state_weights_keep_them(bare: Vehicle, vehicle: Vehicle) 
     assert complete_settings(DesignSettings(roll_pitch_weights=own), bare).roll_pitch_weights is own
     assert complete_settings(DesignSettings(), vehicle).roll_pitch_weights == ROLL_PITCH_WEIGHTS
     s = complete_settings(DesignSettings(), bare)
-    assert scale_bandwidth(s, 1.0) == s
+    assert scale_roll_pitch_bandwidth(s, 1.0) == s
 
 
 def test_servo_map_knows_lag_frame_and_rate(bare: Vehicle) -> None:
-    found = map_servos(bare, lags_s=[0.01, 0.08], rates_Hz=[50.0, 400.0], frames_s=[0.0, 0.02])
+    found = compute_servo_map(bare, lags_s=[0.01, 0.08], rates_Hz=[50.0, 400.0], frames_s=[0.0, 0.02])
     margin, speed = found.table.disk_margin, found.table.swash_plate_rate_rad_s
     assert (margin.sel(frame_s=0.0, rate_Hz=400.0) >= SAFE_DISK_MARGIN).all()
     assert (margin.sel(frame_s=0.02, rate_Hz=50.0) < SAFE_DISK_MARGIN).all()  # 40 ms of dead time
-    assert found.slowest_servo_s(0.0, 400.0) == 0.08
-    assert np.isnan(found.slowest_servo_s(0.02, 50.0))
+    assert found.longest_safe_servo_lag_s(0.0, 400.0) == 0.08
+    assert np.isnan(found.longest_safe_servo_lag_s(0.02, 50.0))
     assert (speed > 0.1).all()
     assert (found.table.gust_tilt_rad > 0.0).all()
     record = found.as_record()

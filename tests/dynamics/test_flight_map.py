@@ -22,7 +22,7 @@ from mufly.dynamics.model_state import (
     MODEL_SWASH_PITCH,
     MODEL_SWASH_ROLL,
     MODEL_VELOCITY,
-    ROTOR_SPEEDS,
+    ROTOR_SPEED_SLICE,
     STATE_SIZE,
 )
 from mufly.dynamics.vehicle_flight_map import find_max_level_speed
@@ -102,7 +102,7 @@ def test_beyond_the_edges_the_last_values_hold(clamped):
         assert not is_inside_flight_map(hovering(clamped, velocity=velocity), CALM, p)
     assert not is_inside_flight_map(hovering(clamped, rotor_speed=(speed[0], 2.0 * speed[1])), CALM, p)
     one, two = (
-        derivative(clamped, hovering(clamped, velocity=(f * edge, 0, 0), rotor_speed=speed))[ROTOR_SPEEDS]
+        derivative(clamped, hovering(clamped, velocity=(f * edge, 0, 0), rotor_speed=speed))[ROTOR_SPEED_SLICE]
         for f in (1.1, 3.0)
     )
     assert one == pytest.approx(two, rel=1e-9)  # the torque factor is that of the edge
@@ -240,7 +240,7 @@ def test_rate_derivative_matches_the_table(clamped, hinged):
         without = (derivative(bare, turning) - derivative(bare, x))[MODEL_RATES] / 1e-3
         tables = v.rotors.flight_map.decode_map_tables()
         loads = tables.loads.mean(axis=0)[int(np.argmin(np.abs(tables.climb_ratio))), 0].reshape(2, 10)
-        speeds, z = x[ROTOR_SPEEDS], np.array([p["z_up"], p["z_dw"]])
+        speeds, z = x[ROTOR_SPEED_SLICE], np.array([p["z_up"], p["z_dw"]])
         scale, radius = p["flight_map_scale"] * speeds, float(p["flight_map_radius"])
         moment = scale * radius**2 * loads[:, 8] - scale * radius * z * loads[:, 7]
         drag = scale * loads[:, 2] - p["inplane"] * speeds

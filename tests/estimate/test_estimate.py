@@ -11,15 +11,15 @@ from mufly.estimate import ZERO_COVARIANCE, Estimate, Estimator, IdealEstimator,
 from mufly.flight import Flight, fly_mission
 from mufly.mission import parse_mission
 from mufly.sensors import (
-    IdealBattery,
-    IdealMotion,
+    IdealBatterySensor,
+    IdealMotionSensor,
     IdealRangeRing,
     Reading,
     Readings,
     Sensor,
     SensorSet,
     Truth,
-    ideal_sensors,
+    make_ideal_sensors,
 )
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.world import World
@@ -116,7 +116,9 @@ class HeightFilter(Estimator):
 
 def test_a_sensor_with_noise_and_its_estimator_fly(vehicle: Vehicle, controller: FlightController) -> None:
     """What a new sensor and a new estimator take: one class each, and a flight that is given them."""
-    sensors = SensorSet(IdealMotion(), IdealRangeRing(vehicle, World(), 8), IdealBattery(), RangeFinder(0.02))
+    sensors = SensorSet(
+        IdealMotionSensor(), IdealRangeRing(vehicle, World(), 8), IdealBatterySensor(), RangeFinder(0.02)
+    )
     with Flight(vehicle, HOP, controller=controller, sensors=sensors, estimator=HeightFilter(0.2)) as flight:
         flight.autopilot.arm(force=True)
         flight.autopilot.start_mission()
@@ -142,7 +144,7 @@ def test_the_default_pair_is_the_ideal_one(vehicle: Vehicle, controller: FlightC
         controller=controller,
         gust=0.3,
         seed=4,
-        sensors=ideal_sensors(vehicle, HOP.world, 8),
+        sensors=make_ideal_sensors(vehicle, HOP.world, 8),
         estimator=IdealEstimator(),
     )
     np.testing.assert_array_equal(one.truth_position.values, two.truth_position.values)

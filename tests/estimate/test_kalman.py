@@ -19,7 +19,7 @@ from mufly.estimate.nees import Consistency, measure_consistency
 from mufly.estimate.sensor_status import describe_reason
 from mufly.flight import Flight
 from mufly.mission import parse_mission
-from mufly.sensors import Reading, Readings, Truth, beam_directions, fitted_sensors, parse_fault
+from mufly.sensors import Reading, Readings, Truth, beam_directions, make_fitted_sensors, parse_fault
 from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 from mufly.world import Room, World
 
@@ -68,7 +68,7 @@ def felt(vehicle: Vehicle, flown) -> Callable[..., list[Readings]]:
 
     def of(seed: int = 10_000, *faults: str) -> list[Readings]:
         if (seed, faults) not in kept:
-            sensors = fitted_sensors(vehicle, World(), seed=seed, faults=[parse_fault(f) for f in faults])
+            sensors = make_fitted_sensors(vehicle, World(), seed=seed, faults=[parse_fault(f) for f in faults])
             kept[seed, faults] = [sensors.read(t) for t in flown[0]]
         return kept[seed, faults]
 
@@ -159,7 +159,7 @@ def test_three_times_the_filed_noise_accuses_no_healthy_sensor(vehicle: Vehicle,
     The fix itself may be told; the accelerometers of this vehicle clip, which is told too."""
     filed = {p.key: p.value for p in list_parameters(vehicle)}
     noisier = replace_parameters(vehicle, {f"sensors.{key}": 3.0 * filed[f"sensors.{key}"] for key in UNTOLD})
-    sensors = fitted_sensors(noisier, World(), seed=seed)
+    sensors = make_fitted_sensors(noisier, World(), seed=seed)
     e, accused = KalmanEstimator(vehicle, World(), 200.0), set()
     for truth, acted in zip(*flown, strict=True):
         e.update(sensors.read(truth), acted)

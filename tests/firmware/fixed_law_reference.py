@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.estimate import Estimate
 from mufly.firmware.fixed_point.fixed_point_design import FRACTION_BITS, FixedPointLaw, quantise_law
-from mufly.firmware.fixed_point.fixed_point_law import FIXED_POINT_ONE, fixed_point_gains, to_signal, to_signals
+from mufly.firmware.fixed_point.fixed_point_law import (
+    FIXED_POINT_ONE,
+    fixed_point_gains,
+    to_fixed_point_signal,
+    to_fixed_point_signals,
+)
 from mufly.flight.controllers import Actuators, Controllers
 
 _Array = NDArray[np.floating[Any]]
@@ -139,7 +144,7 @@ class FixedPointControllers(Controllers):
         h, (_, z), (_, psi), r, volts = self._gains_table["heave_yaw"], *_measure_heave_yaw(estimate)
         self._voltage = self._limit_voltage(volts)
         w = [0, 0, 0, 0, _clip_symmetric(-r[2], h["limit"][-1])]
-        motors = [to_signal(v) for v in motor_input]
+        motors = [to_fixed_point_signal(v) for v in motor_input]
         for i in range(2):
             share = _multiply_shift(_clip_value(motors[1 - i], 0, FIXED_POINT_ONE), self._voltage, FRACTION_BITS)
             w.append(_multiply_shift(share, h["per_volt"], 34) - h["trim"][i])
@@ -218,8 +223,12 @@ class FixedPointControllers(Controllers):
         self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
     ) -> _Array:
         g = self._gains_table["position"]
-        here, speed = to_signals(estimate.position), to_signals(estimate.velocity)
-        to, going, pushed = to_signals(position), to_signals(velocity), to_signals(acceleration)
+        here, speed = to_fixed_point_signals(estimate.position), to_fixed_point_signals(estimate.velocity)
+        to, going, pushed = (
+            to_fixed_point_signals(position),
+            to_fixed_point_signals(velocity),
+            to_fixed_point_signals(acceleration),
+        )
         wanted = [
             _clip_symmetric(
                 going[i] + _multiply_shift(g["position_gain"], to[i] - here[i], FRACTION_BITS), _SIGNAL_LIMIT
@@ -236,7 +245,7 @@ class FixedPointControllers(Controllers):
         asked = [v + more for v, more in zip(self._compute_output("position", w), lean, strict=True)]
         given = _limit_length([_clip_symmetric(v, _SIGNAL_LIMIT) for v in asked], g["tilt_limit"])
         w += [self._saturate_int32(_round_shift(v - u, 4)) for v, u in zip(given, asked, strict=True)]
-        sine, cosine = sine_cosine_fixed(to_signal(estimate.attitude[2]))
+        sine, cosine = sine_cosine_fixed(to_fixed_point_signal(estimate.attitude[2]))
         tilt = (
             _round_shift(cosine * given[0] + sine * given[1], 30),
             _round_shift(cosine * given[1] - sine * given[0], 30),
@@ -249,9 +258,9 @@ class FixedPointControllers(Controllers):
             self._blend_gains()
         servos = [0, 0]
         if tilt is not None:
-            self._limit_heave_reference(to_signal(estimate.position[2]))
-            servos = self._roll_pitch_step(estimate, to_signals(tilt))
-        motors = self._heave_yaw_step(estimate, to_signals(heave_yaw))
+            self._limit_heave_reference(to_fixed_point_signal(estimate.position[2]))
+            servos = self._roll_pitch_step(estimate, to_fixed_point_signals(tilt))
+        motors = self._heave_yaw_step(estimate, to_fixed_point_signals(heave_yaw))
         return Actuators(np.array(motors) / FIXED_POINT_ONE, np.array(servos) / FIXED_POINT_ONE)
 
     def _limit_heave_reference(self, z: int) -> None:
@@ -273,12 +282,17 @@ def _limit_length(v: list[int], limit: int) -> list[int]:
 
 def _measure_heave_yaw(m: Estimate) -> tuple[tuple[int, int], tuple[int, int], list[int], int]:
     return (
-        (0, to_signal(m.position[2])),
-        (0, to_signal(m.attitude[2])),
-        to_signals(m.rates),
-        to_signal(m.battery_voltage),
+        (0, to_fixed_point_signal(m.position[2])),
+        (0, to_fixed_point_signal(m.attitude[2])),
+        to_fixed_point_signals(m.rates),
+        to_fixed_point_signal(m.battery_voltage),
     )
 
 
 def _measure_roll_pitch(m: Estimate) -> list[int]:
-    return [to_signal(m.attitude[0]), to_signal(m.attitude[1]), to_signal(m.rates[0]), to_signal(m.rates[1])]
+    return [
+        to_fixed_point_signal(m.attitude[0]),
+        to_fixed_point_signal(m.attitude[1]),
+        to_fixed_point_signal(m.rates[0]),
+        to_fixed_point_signal(m.rates[1]),
+    ]

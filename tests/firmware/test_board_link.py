@@ -30,7 +30,7 @@ from mufly.flight.tunable_parameters import TUNABLE_PARAMETERS
 from mufly.link.codec import mode_from_state, pack_custom_mode
 from mufly.link.parameter_protocol import LINK_PARAMETERS
 from mufly.link.telemetry_streams import MESSAGE_STREAMS
-from mufly.mission import LogMessage, State, load_mission
+from mufly.mission import LogTemplate, State, load_mission
 from mufly.vehicle import load_vehicle
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
@@ -93,7 +93,7 @@ def test_frames_are_those_of_pymavlink(library) -> None:
 def test_log_templates_become_text(library) -> None:
     ffi, lib = library
     out = ffi.new("char[100]")
-    for code, message in enumerate(LogMessage):
+    for code, message in enumerate(LogTemplate):
         numbers = (1.26, -0.6, 12.0, 3.0)
         lib.write_message_text(ffi.new("message_t *", lib.make_message_4(code, *numbers)), out)
         text = ffi.string(out).decode()
@@ -350,7 +350,7 @@ def test_numbers_that_cannot_be_written_become_question_marks(library) -> None:
 
     for code in (-1, lib.SAY_COUNT, 2**31 - 1):
         assert write(code, 1.0) == ""
-    for code, template in enumerate(LogMessage):
+    for code, template in enumerate(LogTemplate):
         for number in (float("nan"), float("inf"), 1e6):
             assert write(code, number).count("?") == template.value.count("{"), template
         assert "-" not in write(code, -1e-9).replace(write(code, 0.0), ""), template  # no minus before a zero

@@ -25,7 +25,7 @@ from mufly.firmware.emulated.board_flight import _BoardFirmware
 from mufly.firmware.emulated.image_build import build_host_board
 from mufly.firmware.software_instance import SoftwareInstance
 from mufly.flight import Flight
-from mufly.flight.autopilot import AUTO_DISARM_S
+from mufly.flight.autopilot import DISARM_WITHOUT_TAKE_OFF_S
 from mufly.flight.flight_software import FlightSoftware
 from mufly.link.clients import Clients, CommandAuthority
 from mufly.link.parameter_protocol import LINK_PARAMETERS
@@ -440,7 +440,7 @@ def test_an_armed_vehicle_disarms_without_a_take_off(supervised, board) -> None:
         assert not s.armed
         lib.supervisor_conclude(s, software, True)
         s.armed, s.armed_s, software.motors = True, s.now_s, motors
-        count = round(AUTO_DISARM_S / setup.period_s)
+        count = round(DISARM_WITHOUT_TAKE_OFF_S / setup.period_s)
         for k in range(count + 1):
             assert s.armed or k == count, k
             m.time_s += setup.period_s

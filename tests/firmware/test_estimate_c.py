@@ -36,7 +36,7 @@ from mufly.estimate.filter.ud_filter import inflate_variance, state_variance
 from mufly.estimate.filter_backend import BackendName
 from mufly.flight import Flight
 from mufly.mission import parse_mission
-from mufly.sensors import Readings, fitted_sensors, parse_fault
+from mufly.sensors import Readings, make_fitted_sensors, parse_fault
 from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 from mufly.world import World
 
@@ -88,7 +88,7 @@ def felt(vehicle: Vehicle) -> Callable[[str], list[tuple[Readings, np.ndarray]]]
 
     def of(faults: str, mounted: dict[str, float] | None = None) -> list[tuple[Readings, np.ndarray]]:
         own = replace_parameters(vehicle, mounted or {})
-        sensors = fitted_sensors(own, HOP.world, seed=10_000, faults=[parse_fault(x) for x in faults.split()])
+        sensors = make_fitted_sensors(own, HOP.world, seed=10_000, faults=[parse_fault(x) for x in faults.split()])
         return [(sensors.read(t), a) for t, a in zip(truths, acted, strict=True)]
 
     return of

@@ -15,7 +15,7 @@ from mufly.control.implementation import DiscreteController
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
 from mufly.firmware.fixed_point.fixed_point_design import measure_cascade_loss, quantise_controller, quantise_law
-from mufly.firmware.fixed_point.fixed_point_flights import fly_fixed_point
+from mufly.firmware.fixed_point.fixed_point_flights import compare_fixed_point_flights
 from mufly.firmware.fixed_point.fixed_point_law import FixedPointFirmwareControllers
 from mufly.firmware.proof.sil_pil import describe_missing_tools, run_pil
 from mufly.flight.controllers import Controllers, copy_record
@@ -183,7 +183,7 @@ def test_processors_without_a_floating_unit_compute_the_same() -> None:
 
 @needs_cc
 def test_it_flies_the_mission_and_nothing_overflows() -> None:
-    (one,) = fly_fixed_point(load_vehicle("mufly-1.1"), ["box-on-leg"])
+    (one,) = compare_fixed_point_flights(load_vehicle("mufly-1.1"), ["box-on-leg"])
     assert one.outcome == "succeeded"
     assert one.overflows == 0
     assert one.periods > 5000

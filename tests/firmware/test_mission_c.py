@@ -26,11 +26,11 @@ from mufly.firmware import Firmware, export_firmware, find_compiler
 from mufly.firmware.compiled_software import diff_fields
 from mufly.firmware.export.source_export import ONBOARD_SOURCES, find_sources
 from mufly.firmware.software_instance import SoftwareInstance, read_active_motion, read_trajectory_point
-from mufly.flight.flight_software import FlightSoftware, descent_voltage_fraction
+from mufly.flight.flight_software import FlightSoftware, blind_descent_voltage_fraction
 from mufly.flight.oscillation_detector import ACTUATOR_INPUT_NAMES, OscillationDetector
 from mufly.mission import (
     Command,
-    LogMessage,
+    LogTemplate,
     SetPoint,
     VehicleRequest,
     check_request,
@@ -39,7 +39,7 @@ from mufly.mission import (
 )
 from mufly.mission.machine.offboard import follow_set_point
 from mufly.mission.trajectory import TrajectoryLimits, TrajectoryPoint, plan_pending_curve, plan_stop
-from mufly.quantities.quantity_table import CHECKED_READINGS
+from mufly.quantities.quantity_table import READINGS_WITH_FUSION_STATUS
 from mufly.vehicle import load_vehicle
 
 needs_cc = pytest.mark.skipif(
@@ -124,8 +124,8 @@ def test_a_blind_descent_holds_its_rate_alike_in_both_languages(firmware) -> Non
     """Hover voltage at the wanted rate of 0.5 to 0.9 m/s, in proportion between the limits of 0.92 and 1.08."""
     for height, wanted in ((-0.1, 0.5), (0.3, 0.5), (0.7, 0.7), (5.0, 0.9)):
         rates = wanted + np.linspace(-1.0, 1.0, 41)
-        shares = [descent_voltage_fraction(height, rate) for rate in rates.tolist()]
-        assert shares == [firmware.lib.descent_voltage_fraction(height, rate) for rate in rates.tolist()]
+        shares = [blind_descent_voltage_fraction(height, rate) for rate in rates.tolist()]
+        assert shares == [firmware.lib.blind_descent_voltage_fraction(height, rate) for rate in rates.tolist()]
         assert shares[20] == 1.0
         inside = np.abs(rates - wanted) < 0.6
         slopes = np.diff(np.array(shares)[inside]) / np.diff(rates[inside])
@@ -138,7 +138,7 @@ def test_words_stand_in_the_same_order_in_both_languages() -> None:
         r"enum \{\n(    SAY_.*?)    SAY_COUNT", (SOURCES / "mission/machine/log_messages.h").read_text(), re.S
     )
     assert said
-    assert re.findall(r"SAY_(\w+),", said[1]) == [w.name for w in LogMessage]
+    assert re.findall(r"SAY_(\w+),", said[1]) == [w.name for w in LogTemplate]
 
 
 def test_words_are_the_same_where_their_numbers_are(firmware) -> None:
@@ -318,7 +318,7 @@ class StandIn:
         self.x, self.v, self.psi = np.array([0.1, -0.2, -0.07]), np.zeros(3), 0.3
         self.volts, self.tilt, self.beams = 7.4, 0.0, np.full(8, 1.5)
         self.spread = {"place": 0.01, "height": 0.01, "tilt": 0.01, "heading": 0.02}
-        self.status = dict.fromkeys(CHECKED_READINGS, "fused")
+        self.status = dict.fromkeys(READINGS_WITH_FUSION_STATUS, "fused")
         self.shake = 0.0
         self.broken = ""
         self.force, self.valid = np.array([0.1, 0.0, -9.8]), True
@@ -437,12 +437,17 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
         v.beams = np.array([v.rng.choice((1.5, 1.5, u(0.15, 1.4))) for _ in range(8)])
     elif kind == "clear":
         v.force, v.valid = np.array([0.1, 0.0, -9.8]), True
-        v.beams, v.status, v.broken, v.tilt = np.full(8, 1.5), dict.fromkeys(CHECKED_READINGS, "fused"), "", 0.0
+        v.beams, v.status, v.broken, v.tilt = (
+            np.full(8, 1.5),
+            dict.fromkeys(READINGS_WITH_FUSION_STATUS, "fused"),
+            "",
+            0.0,
+        )
         v.spread = {"place": 0.01, "height": 0.01, "tilt": 0.01, "heading": 0.02}
         v.shake = 0.0
     elif kind == "doubt":
         v.spread[v.rng.choice(("place", "place", "height", "tilt", "heading"))] = u(0.1, 0.7)
-        v.status[v.rng.choice(CHECKED_READINGS)] = v.rng.choice(("missing", "rejected", "faulty", "waiting"))
+        v.status[v.rng.choice(READINGS_WITH_FUSION_STATUS)] = v.rng.choice(("missing", "rejected", "faulty", "waiting"))
     elif kind == "contradict":
         for name in v.rng.sample(("position_fix", "ground_distance", "magnetic_field", "rates"), 2):
             v.status[name] = v.rng.choice(("rejected", "missing"))
@@ -631,7 +636,7 @@ def test_what_can_happen_is_said_in_the_same_words(firmware, vehicle, controller
     fly_both(software, board, kinds, 1, judged, 100, 0.03)
     said = [*(e.text for e in board.state.events), board.state.reason]
     for name in words.split():
-        begins = LogMessage[name].value.split("{", 1)[0]
+        begins = LogTemplate[name].value.split("{", 1)[0]
         assert any(text.startswith(begins) for text in said), (name, said)
 
 
@@ -642,8 +647,8 @@ def test_another_mission_that_is_loaded_is_the_same(firmware, vehicle, controlle
     fly_both(software, board, before, 1, False, 100, 0.03)
     for mission, said in ((CURVES, "curves: 3 waypoints loaded"), (NEAR, "near: 1 waypoint loaded")):
         software.load_mission(parse_mission(mission))
-        board.set_plan(software.plan)
-        board.report_loaded_mission(mission["name"])
+        board.write_mission_plan(software.plan)
+        board.reset_mission_state(mission["name"])
         assert board.state.events[-1].text == software.mission_state.events[-1].text == said
         assert diff_fields(software.mission_state, board.state) == []
 

@@ -24,7 +24,7 @@ from mufly.flight.policy import (
     load_policy,
     save_policy,
 )
-from mufly.flight.policy.observation import OBS_HEIGHT, map_action, observation_limits, observation_names
+from mufly.flight.policy.observation import OBS_HEIGHT, map_action, observation_limits, observation_units
 from mufly.flight.policy.policy_controllers import find_action_for_inputs, step_policy
 from mufly.flight.policy.policy_network import evaluate_policy
 from mufly.vehicle import load_vehicle
@@ -43,7 +43,7 @@ void policy_step(const motion_estimate_t *now, const path_t *reference, real_t h
 
 def make_policy(task: str = "hover", activation: str = "tanh", seed: int = 0) -> LearnedPolicy:
     """A small network with random numbers and a random normalisation."""
-    rng, n = np.random.default_rng(seed), len(observation_names(task))
+    rng, n = np.random.default_rng(seed), len(observation_units(task))
     widths = (n, 9, 7, 4)
     last = 0.6 if activation == "tanh" else 0.02  # actions inside their limits
     layers = tuple(

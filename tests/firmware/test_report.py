@@ -13,22 +13,22 @@ import pytest
 from mufly.control import design_flight_controller
 from mufly.errors import InputError
 from mufly.firmware import (
-    FixedPointFlight,
+    FixedPointFlightComparison,
+    describe_missing_fuzzer_tools,
     export_firmware,
     export_fixed_point,
-    missing_fuzzer_tools,
     run_fuzzer,
     write_report,
 )
 from mufly.firmware.export.source_export import find_sources
 from mufly.firmware.proof.evidence_report import (
-    ADVISORY_RULES,
-    CHECKED_SOURCES,
-    judge_findings,
+    MISRA_ADVISORY_RULES,
+    MISRA_CHECKED_SOURCES,
+    judge_misra_findings,
     parse_deviations,
-    read_branches,
+    read_branch_counts,
 )
-from mufly.firmware.proof.proof_flights import draw_conditions, resume_flights
+from mufly.firmware.proof.proof_flights import draw_random_conditions, resume_flights
 from mufly.sensors.faults import parse_fault
 from mufly.vehicle import load_vehicle
 
@@ -49,7 +49,7 @@ def tree(vehicle, tmp_path_factory):
 
 def test_any_bytes_are_borne_and_a_fault_is_found(tree) -> None:
     """A short run; then with the guard of the sine taken away, whose cast of NaN C leaves undefined."""
-    if absent := missing_fuzzer_tools():
+    if absent := describe_missing_fuzzer_tools():
         pytest.skip(absent)
     sound = run_fuzzer(tree, seconds=2)
     assert sound.sanitizer_message == ""
@@ -74,7 +74,7 @@ def test_findings_have_a_written_reason_or_are_told() -> None:
         "a.c:4: misra-c2012-15.5: x\na.c:5: uninitvar: y\n"
     )
     reasons = parse_deviations("# words\n\n10.8 | fixed_point/*.c c.c | It fits.\n")
-    required, advice = judge_findings(said, reasons)
+    required, advice = judge_misra_findings(said, reasons)
     assert [(f.rule, f.place, f.reason) for f in required] == [
         ("10.8", "a.c:3", ""), ("10.8", "a.c:9", ""), ("10.8", "fixed_point/b.c:1", "It fits.")
     ]  # fmt: skip
@@ -86,7 +86,7 @@ def test_every_deviation_names_files_that_are_there(tree) -> None:
     found = parse_deviations((tree / "check" / "deviations.txt").read_text())
     assert len(found) >= 5
     for rule, files, reason in found:
-        assert rule not in ADVISORY_RULES
+        assert rule not in MISRA_ADVISORY_RULES
         assert len(reason) > 20
         for one in files:
             assert any(fnmatch(name, one) for name in names), one
@@ -94,7 +94,7 @@ def test_every_deviation_names_files_that_are_there(tree) -> None:
 
 def test_sources_of_boards_are_checked_as_well(tree) -> None:
     """All but programs of tests, QEMU's board and the Crazyflie's controller."""
-    checked = {str(p.relative_to(tree)) for p in find_sources(tree, CHECKED_SOURCES)}
+    checked = {str(p.relative_to(tree)) for p in find_sources(tree, MISRA_CHECKED_SOURCES)}
     left = {str(p.relative_to(tree)) for p in tree.rglob("*.c")} - checked
     assert {name.rsplit("/", 1)[0] for name in left} <= {
         "check/models", "check/platforms", "check/programs", "boards/qemu", "boards/crazyflie",
@@ -121,7 +121,7 @@ def test_branches_are_counted(tmp_path) -> None:
     )
     for command in (["gcc", "--coverage", "-O0", "a.c", "-o", "a"], ["./a"]):
         subprocess.run(command, cwd=tmp_path, check=True)
-    assert read_branches(tmp_path) == {"a.c": [(4, 2, 1)]}
+    assert read_branch_counts(tmp_path) == {"a.c": [(4, 2, 1)]}
 
 
 @pytest.mark.skipif(not (shutil.which("gcc") and shutil.which("gcov")), reason="needs gcc with gcov")
@@ -143,25 +143,25 @@ for name, x in (("counted/a", 5), ("counted/b", 0), ("plain", 20)):
         (tmp_path / name).mkdir(parents=True)
         (tmp_path / name / "f.c").write_text(source)
     subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=True)
-    assert read_branches(tmp_path / "counted") == {"f.c": [(4, 4, 3)]}  # nowhere is x 9 or more
+    assert read_branch_counts(tmp_path / "counted") == {"f.c": [(4, 4, 3)]}  # nowhere is x 9 or more
     assert not list((tmp_path / "plain").glob("*.gcno"))
 
 
 def test_flights_of_a_campaign_are_flown_once(tmp_path) -> None:
     flown = []
 
-    def fly(name: str, seed: int) -> FixedPointFlight:
+    def fly(name: str, seed: int) -> FixedPointFlightComparison:
         flown.append((name, seed))
-        return FixedPointFlight(name, seed, "success", 10, 0, 0.001 * seed)
+        return FixedPointFlightComparison(name, seed, "success", 10, 0, 0.001 * seed)
 
     keep, asked = tmp_path / "kept.jsonl", [("a", 0), ("b.toml", 0), ("a", 1)]
-    first = resume_flights(FixedPointFlight, keep, asked[:2], fly)
-    again = resume_flights(FixedPointFlight, keep, asked, fly)
+    first = resume_flights(FixedPointFlightComparison, keep, asked[:2], fly)
+    again = resume_flights(FixedPointFlightComparison, keep, asked, fly)
     assert flown == asked
     assert again[:2] == first
     keep.write_text("{}\n")
     with pytest.raises(InputError, match="line 1"):
-        resume_flights(FixedPointFlight, keep, asked, fly)
-    met = [draw_conditions(seed) for seed in range(60)]
+        resume_flights(FixedPointFlightComparison, keep, asked, fly)
+    met = [draw_random_conditions(seed) for seed in range(60)]
     assert {bool(m.faults) for m in met} == {False, True}
     assert all(parse_fault(f).stop_s < 44.0 for m in met for f in m.faults)

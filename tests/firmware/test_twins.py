@@ -12,7 +12,7 @@ import pytest
 import mufly
 from mufly.control import design_flight_controller
 from mufly.firmware import export_firmware
-from mufly.firmware.export.source_export import SOFTWARE_SOURCES, copy_fixed_point, find_sources
+from mufly.firmware.export.source_export import SOFTWARE_SOURCES, copy_fixed_point_sources, find_sources
 from mufly.firmware.proof.evidence_report import parse_deviations
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
@@ -35,7 +35,7 @@ def tree(tmp_path_factory):
     vehicle, mission = load_vehicle("mufly-1.1"), load_mission("demonstration")
     controller = design_flight_controller(vehicle)
     export_firmware(controller, folder, vehicle, mission.world, mission)
-    copy_fixed_point(folder)
+    copy_fixed_point_sources(folder)
     return folder
 
 

@@ -12,7 +12,7 @@ from mufly.dynamics import quaternion_from_euler
 from mufly.estimate import Estimate
 from mufly.flight import Flight, SetPoint
 from mufly.flight.arming import BATTERY_MARGIN_V, find_arming_faults
-from mufly.flight.autopilot import AUTO_DISARM_S, SET_POINT_TIMEOUT_S, STICKS_TIMEOUT_S
+from mufly.flight.autopilot import DISARM_WITHOUT_TAKE_OFF_S, SET_POINT_TIMEOUT_S, STICKS_TIMEOUT_S
 from mufly.mission import Mission, load_mission, parse_mission
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.world import World
@@ -250,7 +250,7 @@ def test_disarming_and_stopping(pilot: Pilot) -> None:
 
 def test_disarms_when_it_is_not_used(pilot: Pilot) -> None:
     assert pilot.autopilot.arm()
-    pilot.run(AUTO_DISARM_S - 0.5)
+    pilot.run(DISARM_WITHOUT_TAKE_OFF_S - 0.5)
     assert pilot.autopilot.status.armed
     pilot.run(1.0)
     assert not pilot.autopilot.status.armed

@@ -34,7 +34,7 @@ from mufly.slam import (
     load_opencv,
     locate_features,
     open_pictures,
-    read_telemetry,
+    read_telemetry_interpolator,
     run_slam,
 )
 from mufly.slam.image_tools import pinhole_parameters
@@ -174,7 +174,7 @@ def test_its_recording_is_looked_at_again(flown: tuple[xr.Dataset, list[FlightEv
     truth = np.stack([np.interp(found.time, source.truth[0], c) for c in source.truth[1].T], axis=1)
     assert np.sqrt(np.mean(np.sum((found.position - truth)[:, :2] ** 2, axis=1))) < 0.06
     # Without what was told with each picture the state in the recording does.
-    by_state = read_telemetry(folder / "flight.mcap")(np.array([frames[50].time_s]))[0]
+    by_state = read_telemetry_interpolator(folder / "flight.mcap")(np.array([frames[50].time_s]))[0]
     assert by_state.roll == pytest.approx(frames[50].vehicle_estimate.roll, abs=0.02)
     assert by_state.height_m == pytest.approx(frames[50].vehicle_estimate.height_m, abs=0.03)
 
@@ -272,7 +272,7 @@ def _hover_on_results(
         fix = sensor.read(truth).get("position_fix")
         if fix is not None and (not seen or fix is not seen[-1][1]):
             seen.append((now, fix))
-        if said := sensor.tracking_message():
+        if said := sensor.take_tracking_report():
             news.append((now, said))
     return seen, news
 

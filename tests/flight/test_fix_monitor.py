@@ -11,7 +11,7 @@ import pytest
 from mufly.dynamics import GRAVITY
 from mufly.estimate import Estimate
 from mufly.flight import Flight
-from mufly.flight.fixes.camera_sensor import judge_camera_path
+from mufly.flight.fixes.camera_sensor import judge_camera_path_ratio
 from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.fixes.fix_monitor import FixMonitor
 from mufly.flight.mission_flight import await_estimate_and_start
@@ -161,8 +161,8 @@ def test_a_small_error_of_scale_is_named_after_a_while() -> None:
 def test_a_camera_that_is_turned_or_scaled_shows_in_the_long_fit(change: Change, fault: str) -> None:
     monitor = FixMonitor(DRIFT_M)
     run_source(change, 16.0, monitor=monitor)
-    assert fault in judge_camera_path(*monitor.long_fit)
-    assert fault or not judge_camera_path(*monitor.long_fit)
+    assert fault in judge_camera_path_ratio(*monitor.long_fit)
+    assert fault or not judge_camera_path_ratio(*monitor.long_fit)
 
 
 def test_a_refused_source_returns_when_it_agrees_for_long() -> None:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from mufly.flight import FlightRecorder
-from mufly.flight.record.live_view import QUEUED_ROWS, LiveViewThread
+from mufly.flight.record.live_view import MAX_QUEUED_ROWS, LiveViewThread
 
 
 class Viewer:
@@ -67,7 +67,7 @@ def test_a_slow_viewer_loses_the_oldest_rows_and_delays_nothing():
     began = time.monotonic()
     fly(flight, 5000)
     assert time.monotonic() - began < 5000 * 0.005 / 4  # 25 s of flight, while the viewer takes 0.3 s a batch
-    assert len(view._rows) <= QUEUED_ROWS
+    assert len(view._rows) <= MAX_QUEUED_ROWS
     view.close()
     assert viewer.times[-1] == 4999 * 0.005
     assert len(viewer.times) < 5000

@@ -11,7 +11,7 @@ import pytest
 from mufly.control import FlightController, design_flight_controller
 from mufly.control.implementation import analyse_cascade
 from mufly.dynamics import linearise_vehicle
-from mufly.flight import ControllerReference, Flight, controllers, simulate_response
+from mufly.flight import ControllerReference, Flight, controllers, simulate_controller_response
 from mufly.flight.controllers import copy_record
 from mufly.flight.tunable_parameters import DEGREES_PER_RADIAN, STORAGE_KEYS, TUNABLE_PARAMETERS
 from mufly.mission import MISSION_FRACTION_OF_CONTROL_LIMITS, parse_mission
@@ -232,7 +232,7 @@ def test_steps_settle_at_the_bounds_of_the_filters(vehicle, controller, name: st
     tuned = dataclasses.replace(controller, heave_yaw_gains=gains)
     step = ControllerReference(down_m=-1.0) if "HEAVE" in name else ControllerReference(heading=1.0)
     long = 20.0 if end == "minimum" else 8.0
-    data = simulate_response(vehicle, lambda t: step, duration_s=long, controller=tuned)
+    data = simulate_controller_response(vehicle, lambda t: step, duration_s=long, controller=tuned)
     last = data.isel(time=slice(-100, None))
     assert np.abs(last.truth_position.values[:, 2] - step.down_m).max() < 0.02
     assert np.abs(last.truth_attitude.values[:, 2] - step.heading).max() < 0.03

@@ -5,7 +5,7 @@ import pytest
 
 import mufly
 from mufly.control import design_flight_controller
-from mufly.flight import ControllerReference, simulate_response
+from mufly.flight import ControllerReference, simulate_controller_response
 from mufly.vehicle import load_vehicle
 
 
@@ -22,7 +22,7 @@ def controller(vehicle):
 @pytest.mark.parametrize("charge", [1.0, 0.8, 0.5, 0.2])
 def test_heave_step_of_half_a_metre(vehicle, controller, charge: float) -> None:
     """Fig 6.10: no overshoot; settled to 2 % within 2.5 s, at most 1 % over, hardly any yaw."""
-    ds = simulate_response(
+    ds = simulate_controller_response(
         vehicle,
         lambda t: ControllerReference(down_m=-0.5 if t >= 1.0 else 0.0),
         duration_s=8.0,
@@ -40,7 +40,7 @@ def test_heave_step_of_half_a_metre(vehicle, controller, charge: float) -> None:
 
 @pytest.mark.parametrize("size", [0.5, -0.5])
 def test_yaw_step_does_not_disturb_the_height(vehicle, controller, size: float) -> None:
-    ds = simulate_response(
+    ds = simulate_controller_response(
         vehicle,
         lambda t: ControllerReference(heading=size if t >= 0.5 else 0.0),
         duration_s=6.0,
@@ -63,7 +63,7 @@ def steps_of_figure_6_12(t: float) -> float:
 
 @pytest.mark.parametrize("axis", ["pitch", "roll"])
 def test_tilt_follows_its_reference(vehicle, controller, axis: str) -> None:
-    ds = simulate_response(
+    ds = simulate_controller_response(
         vehicle,
         lambda t: ControllerReference(**{axis: steps_of_figure_6_12(t)}),
         duration_s=8.5,
@@ -81,7 +81,7 @@ def test_tilt_follows_its_reference(vehicle, controller, axis: str) -> None:
 
 def test_railed_motors_recover_without_windup(vehicle, controller) -> None:
     """A 3 m step at a weak battery asks for all there is; anti-windup keeps the overshoot small and yaw still."""
-    ds = simulate_response(
+    ds = simulate_controller_response(
         vehicle,
         lambda t: ControllerReference(down_m=-3.0, heading=1.0),
         duration_s=15.0,
@@ -96,4 +96,4 @@ def test_railed_motors_recover_without_windup(vehicle, controller) -> None:
 
 def test_bad_duration_is_refused(vehicle, controller) -> None:
     with pytest.raises(mufly.InputError, match="duration_s"):
-        simulate_response(vehicle, lambda t: ControllerReference(), duration_s=-1.0, controller=controller)
+        simulate_controller_response(vehicle, lambda t: ControllerReference(), duration_s=-1.0, controller=controller)

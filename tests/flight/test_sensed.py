@@ -28,7 +28,7 @@ from mufly.flight.estimator_health import (
 )
 from mufly.identify.flight_record import make_record
 from mufly.mission import dump_mission, parse_mission
-from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES
+from mufly.quantities.quantity_table import FUSION_STATUSES, READINGS_WITH_FUSION_STATUS
 from mufly.quantities.sensor_table import READINGS
 from mufly.sensors import (
     Reading,
@@ -38,7 +38,7 @@ from mufly.sensors import (
     parse_fault,
     randomise_leg_lengths,
 )
-from mufly.sensors.sonar import max_grounded_range, standing_sonar_range
+from mufly.sensors.sonar import max_standing_sonar_range, standing_sonar_range
 from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 from mufly.world import World
 
@@ -97,8 +97,10 @@ def test_a_sonar_high_on_the_fuselage_takes_the_floor_for_no_flight(
     )
     reads = standing_sonar_range(high)
     assert reads == pytest.approx(standing_height(high) + 0.02)
-    assert max_grounded_range(high) == pytest.approx(reads + 3.0 * noise_m)
-    assert max_grounded_range(vehicle) == float(vehicle.sensors.sonar.min_range)  # a low one reads its least range
+    assert max_standing_sonar_range(high) == pytest.approx(reads + 3.0 * noise_m)
+    assert max_standing_sonar_range(vehicle) == float(
+        vehicle.sensors.sonar.min_range
+    )  # a low one reads its least range
     told: list[str] = []
     flight = fly_mission(
         high, HOP, controller=controller, sensors="fitted", seed=5, on_event=lambda e: told.append(e.text)
@@ -285,7 +287,7 @@ def test_what_is_said_of_sensors_comes_soon_and_once() -> None:
 
 def test_a_fault_is_reported_of_a_ring_that_sees_no_wall() -> None:
     row = (STATUS_WAITING, REASON_DUPLICATED, 0.0, 0.0, 1.0, 0, 100)
-    check = _make_status(CHECKED_READINGS.index("ranges"), row, 0.005, 100, 0)
+    check = _make_status(READINGS_WITH_FUSION_STATUS.index("ranges"), row, 0.005, 100, 0)
     assert (check.status, check.is_suspicious) == ("waiting", True)
     watch = SensorEventReporter()
     said = [text for _ in range(100) for text, _ in watch.step((check,), 0.005)]
@@ -326,7 +328,7 @@ def test_statuses_and_readings_have_one_list() -> None:
     from mufly.estimate import FusionStatus
 
     assert set(typing.get_args(FusionStatus)) == set(FUSION_STATUSES)
-    assert set(CHECKED_READINGS) <= set(READINGS)
+    assert set(READINGS_WITH_FUSION_STATUS) <= set(READINGS)
 
 
 def test_gyroscopes_that_are_gone_and_aids_that_contradict_bring_it_down(doubting) -> None:
@@ -498,7 +500,7 @@ EVIL = st.sampled_from(["missing", "nan", "huge", "off", "late", "early", "twice
 @example([(3.0, 1.0, "off", "battery_voltage")])
 @given(
     st.lists(
-        st.tuples(st.floats(2.5, 7.0), st.floats(0.01, 2.0), EVIL, st.sampled_from(CHECKED_READINGS)),
+        st.tuples(st.floats(2.5, 7.0), st.floats(0.01, 2.0), EVIL, st.sampled_from(READINGS_WITH_FUSION_STATUS)),
         min_size=1,
         max_size=4,
     )

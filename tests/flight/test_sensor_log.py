@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.flight import draw_sensors, fly_mission, log_sensors, reading_errors, write_sensor_logs
+from mufly.flight import draw_sensors, fly_and_log_sensors, fly_mission, reading_errors, write_sensor_logs
 from mufly.flight.record.sensor_log import ReadingLog
 from mufly.mission import load_mission
 from mufly.sensors import parse_fault
@@ -28,7 +28,7 @@ def hop(tmp_path_factory):
 @pytest.fixture(scope="module")
 def logs(hop):
     faults = [parse_fault("sonar.jump=0.5@3s"), parse_fault("position.late=0.3@0s")]
-    return log_sensors(load_vehicle("mufly-1.1"), hop, seed=2, faults=faults, gust=0.1)
+    return fly_and_log_sensors(load_vehicle("mufly-1.1"), hop, seed=2, faults=faults, gust=0.1)
 
 
 def test_listening_leaves_the_flight_as_it_was(hop, logs) -> None:

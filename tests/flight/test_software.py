@@ -11,9 +11,9 @@ from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import DrydenWind, initial_state, standing_height
 from mufly.estimate import Estimate, IdealEstimator
 from mufly.flight import Actuators, Controllers, FlightSoftware, SimulatedPlant
-from mufly.flight.controllers import controller_limits
+from mufly.flight.controllers import derive_trajectory_limits
 from mufly.mission import Command, Mission, parse_mission
-from mufly.sensors import ideal_sensors
+from mufly.sensors import make_ideal_sensors
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.world import World
 
@@ -40,7 +40,7 @@ class Bench:
         air = DrydenWind(step_s=controller.period_s)
         state = initial_state(position=(0.0, 0.0, -standing_height(vehicle)))
         self.plant = SimulatedPlant(vehicle, World(), air, controller.rate_Hz, state)
-        self.sensors, self.estimator = ideal_sensors(vehicle, World(), 8), IdealEstimator()
+        self.sensors, self.estimator = make_ideal_sensors(vehicle, World(), 8), IdealEstimator()
         self.software = FlightSoftware(vehicle, controller, mission)
         self.pending = Actuators.idle()
         self.seen: list[Estimate] = []
@@ -313,7 +313,7 @@ def test_a_mission_is_flown_no_faster_than_the_controllers_can(vehicle: Vehicle,
 
 def test_a_mission_within_its_limits_is_left_alone(vehicle: Vehicle, controller: FlightController) -> None:
     assert FlightSoftware(vehicle, controller, MISSION).slowdown_note == ""
-    assert controller_limits(controller).climb_acceleration > 0.5
+    assert derive_trajectory_limits(controller).climb_acceleration > 0.5
 
 
 @pytest.mark.parametrize("blow_m_s", [-3.0, -1.25, 1.25, 2.5])

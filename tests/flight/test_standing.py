@@ -17,7 +17,7 @@ from mufly.estimate import KalmanEstimator
 from mufly.estimate.filter.filter_records import ERROR_ACCEL_BIAS, filter_settings
 from mufly.flight import Flight
 from mufly.quantities.units import GRAVITY
-from mufly.sensors import Truth, fitted_sensors, randomise_leg_lengths
+from mufly.sensors import Truth, make_fitted_sensors, randomise_leg_lengths
 from mufly.vehicle import load_vehicle, replace_parameters
 from mufly.world import World
 
@@ -89,7 +89,7 @@ def test_a_tilt_on_the_floor_is_off_by_the_lean_and_told_to_be() -> None:
         unit = randomise_leg_lengths(VEHICLE, seed=seed)
         attitude = np.array([*standing_attitude(unit), 0.3])
         state = initial_state(position=(0.0, 0.0, -standing_height(unit)), attitude=attitude)
-        sensors = fitted_sensors(unit, World(), seed=seed)
+        sensors = make_fitted_sensors(unit, World(), seed=seed)
         filter_.reset()
         for k in range(300):
             truth = Truth(k / 200, k, state, attitude, np.zeros(3), 8.0, 0.1)

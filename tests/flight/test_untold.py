@@ -10,7 +10,7 @@ import xarray as xr
 
 from mufly.errors import InputError
 from mufly.firmware import GenericFirmwareSoftware
-from mufly.firmware.export.plan_tables import plan_numbers
+from mufly.firmware.export.plan_tables import collect_plan_fields
 from mufly.flight import fly_mission
 from mufly.flight.monte_carlo import (
     ENDINGS,
@@ -25,7 +25,7 @@ from mufly.flight.monte_carlo import (
     run_campaign,
     summarise_outcome,
 )
-from mufly.flight.monte_carlo.flight_ending import wrong_sources
+from mufly.flight.monte_carlo.flight_ending import mismodelled_sensors
 from mufly.flight.simulated_flight import Flight
 from mufly.mission import parse_mission
 from mufly.quantities.sensor_table import READINGS
@@ -118,7 +118,8 @@ def software_record(flight: Flight) -> bytes:
         estimator._parameters.tobytes(),
         *(part.tobytes() for part in (gains.heave_yaw_gains, gains.roll_pitch_gains, gains.position_gains)),
         gains.motor_trim.tobytes(),
-        json.dumps(plan_numbers(software.plan), sort_keys=True, default=lambda x: np.asarray(x).tolist()).encode(),
+        json.dumps(collect_plan_fields(software.plan), sort_keys=True,
+        default=lambda x: np.asarray(x).tolist()).encode(),
     ])  # fmt: skip
 
 
@@ -141,7 +142,7 @@ def truth_record(flight: Flight) -> bytes:
 
 @pytest.fixture(scope="module")
 def nominal(campaign: Campaign) -> tuple[bytes, bytes]:
-    flight = Flight(**campaign.flight_options(NO_CASE))
+    flight = Flight(**campaign.make_flight_arguments(NO_CASE))
     return software_record(flight), truth_record(flight)
 
 
@@ -153,7 +154,7 @@ def varied_case(key: str) -> FlightCase:
 def test_an_untold_parameter_changes_the_truth_and_no_bit_of_the_software(
     campaign: Campaign, nominal: tuple[bytes, bytes], key: str
 ) -> None:
-    flight = Flight(**campaign.flight_options(varied_case(key)))
+    flight = Flight(**campaign.make_flight_arguments(varied_case(key)))
     assert software_record(flight) == nominal[0]
     assert truth_record(flight) != nominal[1]
 
@@ -163,7 +164,7 @@ def test_an_untold_parameter_changes_the_truth_and_no_bit_of_the_software(
 )
 def test_a_told_parameter_changes_the_software(campaign: Campaign, nominal: tuple[bytes, bytes], key: str) -> None:
     told = replace(campaign, redesign=True, controller=None)
-    flight = Flight(**told.flight_options(varied_case(key)))
+    flight = Flight(**told.make_flight_arguments(varied_case(key)))
     assert software_record(flight) != nominal[0]
     assert key in told.keys_known_on_board
     # The mounting is no parameter of any filter.
@@ -174,9 +175,9 @@ def test_the_campaign_says_what_is_untold(campaign: Campaign) -> None:
     described = describe_campaign(campaign)
     assert (described["vary"], described["told"]) == (["standard"], [])
     assert described["untold"] == sorted(STANDARD.keys)
-    assert campaign.describe_knowledge() == "33 varied parameters untold"
+    assert campaign.describe_onboard_knowledge() == "33 varied parameters untold"
     told = replace(campaign, redesign=True)
-    assert told.describe_knowledge() == "3 varied parameters untold and 30 varied parameters told"
+    assert told.describe_onboard_knowledge() == "3 varied parameters untold and 30 varied parameters told"
     assert told.settings_hash != campaign.settings_hash
 
 
@@ -224,7 +225,7 @@ def test_a_turn_shows_the_axis_error_of_the_inertial_unit(roll: float, pitch: fl
     mount = {"sensors.imu.mount_roll": roll, "sensors.imu.mount_pitch": pitch}
     squares = []  # of a single flight 0.3 to 4
     for seed in range(6):
-        flown = fly_mission(**turning.flight_options(replace(NO_CASE, seed=seed, parameter_values=mount)))
+        flown = fly_mission(**turning.make_flight_arguments(replace(NO_CASE, seed=seed, parameter_values=mount)))
         turned = np.flatnonzero(np.abs(flown.truth_rates[:, 2].to_numpy()) > 0.5)
         flown = flown.isel(time=slice(turned[0], turned[-1] + 200))
         error = (flown.estimated_attitude - flown.truth_attitude).to_numpy()[:, :2]
@@ -267,7 +268,7 @@ def test_a_sensor_may_be_accused_if_its_errors_differ_from_the_file() -> None:
     words = {row.source for row in READINGS.values() if row.source}
 
     def accusable(*faults: str, **values: float) -> frozenset[str]:
-        found = wrong_sources(faults, {f"sensors.{k.replace('__', '.')}": v for k, v in values.items()}, filed)
+        found = mismodelled_sensors(faults, {f"sensors.{k.replace('__', '.')}": v for k, v in values.items()}, filed)
         assert found <= words
         return found
 
@@ -277,7 +278,7 @@ def test_a_sensor_may_be_accused_if_its_errors_differ_from_the_file() -> None:
     assert accusable(position_fix__drift=0.03) == frozenset()  # as filed
     assert accusable(imu__gyro_noise_density=1.0, sonar__noise=1.0) == {"gyroscope", "sonar"}
     assert accusable(imu__mount_roll=0.01) == {"accelerometer", "gyroscope"}
-    assert wrong_sources((), {"body.mass": 0.2}, filed) == frozenset()
+    assert mismodelled_sensors((), {"body.mass": 0.2}, filed) == frozenset()
 
 
 def test_a_mounting_angle_out_of_range_is_refused() -> None:

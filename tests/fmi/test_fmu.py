@@ -25,7 +25,7 @@ from mufly.dynamics import (
     state_derivative,
 )
 from mufly.dynamics.edgewise_loads import edgewise_load_factors
-from mufly.dynamics.equations_of_motion import compute_axial_climb_velocity, ground_effect_thrust, rotor_loads
+from mufly.dynamics.equations_of_motion import compute_axial_climb_velocity, ground_effect_thrust_increment, rotor_loads
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import ERROR_STATES, AuxiliaryStates, Estimate
 from mufly.fmi import UnitInstance, UnitLibrary, compare_sensed_unit, compare_unit, export_fmu
@@ -130,7 +130,8 @@ def test_outputs_beside_the_state(name: str, units: dict[str, UnitLibrary]) -> N
     down = body_to_ned_matrix(x[6:10])[2, 2]
     across = float(np.sum((x[3:5] - wind[:2]) ** 2))
     near = [
-        ground_effect_thrust(t, -x[2] - down * p[z], across, p) for t, z in zip(free, ("z_up", "z_dw"), strict=True)
+        ground_effect_thrust_increment(t, -x[2] - down * p[z], across, p)
+        for t, z in zip(free, ("z_up", "z_dw"), strict=True)
     ]
     expected = np.array(free) * factors + near
     assert [out["thrust_upper"], out["thrust_lower"]] == pytest.approx(expected, rel=1e-14)

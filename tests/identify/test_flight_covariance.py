@@ -13,7 +13,7 @@ from mufly.identify.fit_result import (
 from mufly.identify.flight_record import low_pass
 from mufly.identify.linear.equation_error import regress_rate_derivatives
 from mufly.identify.linear.linear_fit import fit_linear_model, simulate_linear_fit
-from mufly.identify.linear.linear_structure import simulate_linear_structure, structure_by_name
+from mufly.identify.linear.linear_structure import build_structure_by_name, simulate_linear_structure
 
 
 def undetermined(names, jacobian, covariance):
@@ -117,7 +117,7 @@ def test_a_close_pair_that_is_known_well_anyway_is_not_worth_a_word():
 def made(n=900, pole=0.9):
     """A first-order roll, its noise coloured."""
     rng = np.random.default_rng(5)
-    structure = structure_by_name("first-order", ("lat",), ("p",))
+    structure = build_structure_by_name("first-order", ("lat",), ("p",))
     u = lfilter([0.2], [1, -0.8], np.repeat(rng.normal(size=n // 20), 20))[:, None]
     y, _ = simulate_linear_structure(structure, np.array([-4.0, 10.0, 0.06]), u, 0.04)
     return (

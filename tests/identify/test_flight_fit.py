@@ -9,8 +9,8 @@ from mufly.identify import (
     FitProgress,
     apply_estimates,
     choose_free_parameters,
+    fit_dynamics_parts_separately,
     fit_flight_records,
-    fit_parts_separately,
 )
 from mufly.identify.flight.free_parameters import FreeParameter
 from mufly.identify.flight.identification_demo import (
@@ -210,7 +210,7 @@ def test_split_fits_each_half_to_its_own_outputs(truth, flights):
     symbols = ("Izz", "l_up", "Iyy")
     start = started(truth, symbols, 1.2)
     free = choose_free_parameters(start, symbols, flights["yaw"].output_names)
-    fit = fit_parts_separately(
+    fit = fit_dynamics_parts_separately(
         start, free, [flights[n] for n in ("yaw", "heave", "roll", "pitch")], delay_s=RADIO_DELAY_S
     )
     assert [e.symbol for e in fit.estimates] == ["Izz", "l_up", "Iyy"]
@@ -220,7 +220,7 @@ def test_split_fits_each_half_to_its_own_outputs(truth, flights):
     assert fit.correlation[0, 1] == 0.0
     blind = flights["roll"].select_outputs(["height", "yaw"])
     with pytest.raises(InputError, match="both moves these inputs and contains their outputs"):
-        fit_parts_separately(start, [f for f in free if f.symbol == "Iyy"], [blind])
+        fit_dynamics_parts_separately(start, [f for f in free if f.symbol == "Iyy"], [blind])
 
 
 def test_an_identified_vehicle_says_where_its_numbers_come_from(truth, fitted, tmp_path):

@@ -5,7 +5,7 @@ import pytest
 
 from mufly.errors import InputError
 from mufly.identify import FlightRecord, check_record, make_record, read_columns, split_record
-from mufly.identify.flight_record import estimate_difference_noise, record_to_dataset, smooth_motion
+from mufly.identify.flight_record import estimate_noise_from_differences, record_to_dataset, smooth_motion
 
 T = np.arange(600) * 0.01
 
@@ -107,7 +107,7 @@ def test_yaw_is_made_continuous():
 
 
 def test_noise_from_third_differences():
-    noise = estimate_difference_noise(record())
+    noise = estimate_noise_from_differences(record())
     assert np.all(np.abs(noise / 0.01 - 1) < 0.15)
 
 

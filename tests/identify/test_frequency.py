@@ -13,7 +13,7 @@ from mufly.identify.linear.bandwidth import measure_bandwidth
 from mufly.identify.linear.frequency_response import (
     estimate_frequency_response,
     response_cost,
-    state_space_response,
+    state_space_frequency_response,
 )
 from mufly.identify.linear.linear_structure import delay_inputs, discretise_first_order_hold
 from mufly.identify.linear.sweep_response import (
@@ -109,7 +109,9 @@ def test_several_records_are_averaged_and_a_still_input_is_no_answer():
 
 def test_state_space_response_with_delay_is_the_closed_form():
     f = np.array([0.1, 1.0, 4.0])
-    h = state_space_response(np.array([[-3.0]]), np.array([[3.0]]), np.eye(1), np.zeros((1, 1)), f, np.array([0.1]))
+    h = state_space_frequency_response(
+        np.array([[-3.0]]), np.array([[3.0]]), np.eye(1), np.zeros((1, 1)), f, np.array([0.1])
+    )
     s = 2j * np.pi * f
     assert h[:, 0, 0] == pytest.approx(3.0 / (s + 3.0) * np.exp(-0.1 * s))
 
@@ -169,7 +171,7 @@ def test_sweeps_with_correlated_sticks_are_told_apart_by_conditioning():
     for seed in range(6):
         us, ys = sweeps(seed)
         d = estimate_composite_response(us, ys, DT, **KINDS)
-        true = state_space_response(A2, B2, np.eye(2), np.zeros((2, 2)), d.frequency_hz, np.full(2, LATE))
+        true = state_space_frequency_response(A2, B2, np.eye(2), np.zeros((2, 2)), d.frequency_hz, np.full(2, LATE))
         spread = np.minimum(d.relative_interval, 1.0)  # relative to what was measured
         inside.append(np.abs(1.0 - np.abs(true) / np.abs(d.response)) < spread)
         inside.append(np.abs(np.angle(d.response / true)) < np.arcsin(spread))

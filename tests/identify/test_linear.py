@@ -20,12 +20,12 @@ from mufly.identify.linear.equation_model import identify_equation_model
 from mufly.identify.linear.frequency_response import fit_frequency_response
 from mufly.identify.linear.linear_fit import fit_linear_model, simulate_linear_fit
 from mufly.identify.linear.linear_structure import (
+    build_helicopter_structure,
+    build_structure_by_name,
+    compute_unit_responses,
     delay_inputs,
     discretise_first_order_hold,
-    helicopter_structure,
-    linear_unknown_responses,
     simulate_linear_structure,
-    structure_by_name,
 )
 from mufly.identify.linear.model_checks import (
     cross_validate_structure,
@@ -59,7 +59,7 @@ COUPLED = {
 
 
 def made(n=1500, noise=0.05, seed=0, name="first-order-coupled"):
-    structure = structure_by_name(name, ("lat", "lon"), ("p", "q"))
+    structure = build_structure_by_name(name, ("lat", "lon"), ("p", "q"))
     truth = values_of(structure, **COUPLED)
     u = sticks(n, 2, seed)
     y, _ = simulate_linear_structure(structure, truth, u - [0.01, -0.02], DT, x0=np.array([0.2, -0.1]))
@@ -71,7 +71,7 @@ def made(n=1500, noise=0.05, seed=0, name="first-order-coupled"):
 
 
 def test_hybrid_model_is_tip_path_plane_on_a_spring():
-    s = helicopter_structure(("lat", "lon"), ("p", "q"), angular="hybrid")
+    s = build_helicopter_structure(("lat", "lon"), ("p", "q"), angular="hybrid")
     a, b, _, _, _ = s.state_space_matrices(values_of(s, L_b=200.0, M_a=100.0, tau_f=0.1, B_lat=0.3, A_lon=0.2))
     x = {name: k for k, name in enumerate(s.states)}
     assert a[x["p"], x["b"]] == 200.0
@@ -84,7 +84,7 @@ def test_hybrid_model_is_tip_path_plane_on_a_spring():
 
 
 def test_attitude_gravity_and_gyro_blocks():
-    s = structure_by_name("first-order-gyro", ("lat", "lon", "ped"), ("p", "q", "r", "phi", "theta", "u", "v"))
+    s = build_structure_by_name("first-order-gyro", ("lat", "lon", "ped"), ("p", "q", "r", "phi", "theta", "u", "v"))
     a, b, c, _, _ = s.state_space_matrices(values_of(s, K_rfb=4.0, N_fb=30.0, N_ped=50.0))
     x = {name: k for k, name in enumerate(s.states)}
     assert a[x["v"], x["phi"]] == pytest.approx(GRAVITY)
@@ -96,7 +96,7 @@ def test_attitude_gravity_and_gyro_blocks():
 
 
 def test_simulation_of_a_step_is_the_closed_form():
-    s = structure_by_name("first-order", ("lat",), ("p",))
+    s = build_structure_by_name("first-order", ("lat",), ("p",))
     u = np.ones((200, 1))
     y, _ = simulate_linear_structure(s, values_of(s, L_p=-4.0, L_lat=8.0, tau_lat=0.0), u, 0.01)
     assert y[:, 0] == pytest.approx(2.0 * (1.0 - np.exp(-4.0 * 0.01 * np.arange(200))), abs=1e-12)
@@ -123,7 +123,7 @@ def test_delay_shifts_by_fractions_of_a_sample_and_holds_the_first_value():
 
 def test_what_one_unit_of_each_linear_unknown_adds_is_what_simulation_adds():
     structure, truth, u, _ = made(200)
-    added = linear_unknown_responses(structure, truth, len(u), DT)
+    added = compute_unit_responses(structure, truth, len(u), DT)
     base, _ = simulate_linear_structure(structure, truth, u, DT)
     trimmed, _ = simulate_linear_structure(structure, truth, u - [0.0, 0.3], DT)
     assert trimmed - base == pytest.approx(0.3 * added[:, :, 3], abs=1e-9)
@@ -154,7 +154,7 @@ def test_intervals_hold_under_white_noise():
 def test_delay_of_a_log_whose_inputs_are_late_is_negative():
     _, _, u, y = made(noise=0.01)
     early = np.roll(y, -5, axis=0)[:-10]  # outputs 0.2 s earlier than they belong
-    skewed = structure_by_name("first-order-coupled-skew", ("lat", "lon"), ("p", "q"))
+    skewed = build_structure_by_name("first-order-coupled-skew", ("lat", "lon"), ("p", "q"))
     f = fit_linear_model(skewed, u[:-10], early, DT, starts=2)
     found = dict(zip(skewed.symbols, f.values, strict=True))
     assert found["tau_lat"] == pytest.approx(0.08 - 0.2, abs=0.02)
@@ -177,7 +177,7 @@ def test_mask_leaves_samples_out_of_the_cost_but_not_out_of_the_simulation():
 def test_cross_validation_prefers_the_structure_that_made_the_data():
     _, _, u, y = made(1500, noise=0.05)
     scores = {
-        name: cross_validate_structure(structure_by_name(name, ("lat", "lon"), ("p", "q")), u, y, DT, starts=1)[
+        name: cross_validate_structure(build_structure_by_name(name, ("lat", "lon"), ("p", "q")), u, y, DT, starts=1)[
             0
         ].left_out_error
         for name in ("first-order", "first-order-coupled")

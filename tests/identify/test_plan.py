@@ -13,7 +13,7 @@ from mufly.identify.fit_result import covariance_from_information, describe_unde
 from mufly.identify.flight.excitation_plan import (
     SENSOR_NOISE_STD,
     combine_expected_std,
-    design_pilot_support,
+    design_hover_feedback,
     simulate_supported_flight,
 )
 from mufly.identify.flight.output_error_problem import make_problem
@@ -43,7 +43,7 @@ def plan(vehicle):
 
 
 def test_the_hold_brings_a_pushed_helicopter_back(vehicle):
-    support = design_pilot_support(vehicle)
+    support = design_hover_feedback(vehicle)
     push = np.zeros((3, 1500, 4))
     push[1, :30, 2:] = 0.4
     push[2, :30, :2] = 0.08
@@ -57,7 +57,7 @@ def test_the_hold_brings_a_pushed_helicopter_back(vehicle):
 
 
 def test_the_motors_directions_do_one_thing_each(vehicle):
-    support = design_pilot_support(vehicle)
+    support = design_hover_feedback(vehicle)
     added = np.zeros((2, 60, 4))
     added[0, :, :2] = 0.02 * support.collective_direction
     added[1, :, :2] = 0.02 * support.differential_direction

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mufly.identify import ParameterEstimate, RecordPrediction, assess_prediction, describe_residuals
+from mufly.identify import ParameterEstimate, RecordPrediction, assess_prediction, describe_model_deficiencies
 from mufly.identify.fit_result import (
     coloured_covariance,
+    compute_relative_covariance,
     correlation_reach,
     covariance_from_information,
     describe_undetermined_combinations,
-    divide_by_values,
     parzen_window,
     select_error_model,
 )
@@ -140,8 +140,8 @@ def test_a_missing_lag_is_said_with_its_input_and_a_complete_model_is_silent():
     u = steps(6000, 9)
     noise = 0.05 * rng.normal(size=6000)
     measured = simulate(u, 2.0) + noise
-    assert not [w for w in describe_residuals(record(measured, simulate(u, 2.0), u)) if "correlates" in w]
-    words = describe_residuals(record(measured, u * 0.8, u))
+    assert not [w for w in describe_model_deficiencies(record(measured, simulate(u, 2.0), u)) if "correlates" in w]
+    words = describe_model_deficiencies(record(measured, u * 0.8, u))
     assert any("residual of q correlates with lon" in w for w in words)
 
 
@@ -149,10 +149,10 @@ def test_what_comes_late_and_what_comes_slowly_have_different_causes():
     noise = 0.02 * np.random.default_rng(16).normal(size=6000)
     u, held = np.random.default_rng(17).normal(size=6000), steps(6000, 0)
     late = np.roll(u, 10) + noise
-    words = describe_residuals(record(late, 0.0 * late, u))
+    words = describe_model_deficiencies(record(late, 0.0 * late, u))
     assert any("lon at 0.2 s lag" in w and "the delay or the damping between" in w for w in words)
     slow = simulate(held, 0.5) + noise
-    words = describe_residuals(record(slow, 0.0 * slow, held))
+    words = describe_model_deficiencies(record(slow, 0.0 * slow, held))
     assert any("lon at 0.4" in w and "a lag or a slow mode between lon and q" in w for w in words)
 
 
@@ -160,27 +160,27 @@ def test_independent_signals_are_called_correlated_once_in_a_hundred_records():
     said = 0
     for seed in range(100):
         u, e = np.random.default_rng(100 + seed).normal(size=(2, 300))
-        said += any("correl" in w for w in describe_residuals(record(e, 0.0 * e, u)))
+        said += any("correl" in w for w in describe_model_deficiencies(record(e, 0.0 * e, u)))
     assert said <= 3
 
 
 def test_a_slow_disturbance_is_told_with_its_share_and_its_time_and_a_short_one_is_none():
     white, shaped = np.random.default_rng(18).normal(size=(2, 20_000))
     slow, short = (lfilter([1.0], [1.0, -a], shaped) for a in (0.98, 0.8))
-    words = describe_residuals(record(white + slow / slow.std(), 0.0 * white, steps(20_000, 1)))
+    words = describe_model_deficiencies(record(white + slow / slow.std(), 0.0 * white, steps(20_000, 1)))
     (said,) = (w for w in words if "varies slower" in w)
     share, time = re.match(r"(\d+) % .* correlated over (\S+) s: a disturbance", said).groups()
     assert float(share) == pytest.approx(50.0, abs=5.0)
     assert float(time) == pytest.approx(0.99, abs=0.2)  # -0.02 s / ln 0.98
     for e in (white, short):
-        assert not any("varies slower" in w for w in describe_residuals(record(e, 0.0 * e, steps(20_000, 1))))
+        assert not any("varies slower" in w for w in describe_model_deficiencies(record(e, 0.0 * e, steps(20_000, 1))))
 
 
 def test_feedback_is_told_from_a_fault_of_the_model():
     rng = np.random.default_rng(10)
     disturbance = lfilter([1.0], [1.0, -0.95], rng.normal(size=6000)) * 0.1
     u = -np.roll(disturbance, 25) + 0.01 * rng.normal(size=6000)  # the pilot answers half a second later
-    words = describe_residuals(record(disturbance, np.zeros(6000), u), max_lag_s=1.0)
+    words = describe_model_deficiencies(record(disturbance, np.zeros(6000), u), max_lag_s=1.0)
     assert any("feedback from q to lon" in w for w in words)
     assert not any("is off" in w or "slow mode" in w for w in words)
 
@@ -192,22 +192,24 @@ def test_vibration_is_named_with_its_frequency():
     (frequency, power), *_ = find_spectral_lines(e, 0.02)
     assert frequency == pytest.approx(17.3, abs=0.1)
     assert power == pytest.approx(0.045, rel=0.15)
-    assert any("17.3 Hz" in w and "vibration" in w for w in describe_residuals(record(e, 0 * e, steps(6000, 1))))
+    assert any(
+        "17.3 Hz" in w and "vibration" in w for w in describe_model_deficiencies(record(e, 0 * e, steps(6000, 1)))
+    )
     slow = lfilter([1.0], [1.0, -0.98], rng.normal(size=6000))
     slow /= slow.std()
     for share, said in ((0.043, False), (0.057, True)):  # a word from a twentieth of the power on
         e = np.sqrt(1.0 - share) * slow + np.sqrt(2.0 * share) * np.sin(2 * np.pi * 17.3 * t)
-        assert any("17.3 Hz" in w for w in describe_residuals(record(e, 0 * e, steps(6000, 1)))) is said
+        assert any("17.3 Hz" in w for w in describe_model_deficiencies(record(e, 0 * e, steps(6000, 1)))) is said
 
 
 def test_wrong_gain_bias_and_an_input_that_never_moved_are_named():
     u = steps(4000, 12)
     y = simulate(u, 3.0)
     noise = 0.02 * np.random.default_rng(13).normal(size=4000)
-    assert any("too small" in w for w in describe_residuals(record(y + noise, 0.5 * y, u)))
-    offset = describe_residuals(record(y + noise + 0.5, y, u))
+    assert any("too small" in w for w in describe_model_deficiencies(record(y + noise, 0.5 * y, u)))
+    offset = describe_model_deficiencies(record(y + noise + 0.5, y, u))
     assert any("constant offset" in w and w.startswith("100 % of") for w in offset)
-    assert any("never moved" in w for w in describe_residuals(record(y + noise, y, np.ones(4000))))
+    assert any("never moved" in w for w in describe_model_deficiencies(record(y + noise, y, np.ones(4000))))
 
 
 # --- covariance -------------------------------------------------------------------------------------------------------
@@ -248,7 +250,9 @@ def test_parzen_window_has_no_negative_transform():
 
 def test_what_cannot_be_told_apart_is_said():
     cov = np.array([[1.0, 0.999, 0.0], [0.999, 1.0, 0.0], [0.0, 0.0, 100.0]])
-    words = describe_undetermined_combinations(("a", "b", "c"), divide_by_values(cov, np.array([5.0, 5.0, 1.0])))
+    words = describe_undetermined_combinations(
+        ("a", "b", "c"), compute_relative_covariance(cov, np.array([5.0, 5.0, 1.0]))
+    )
     assert any("a and b can hardly be separated" in w for w in words)
     assert any("c is hardly seen" in w for w in words)
 

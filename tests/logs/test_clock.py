@@ -19,7 +19,7 @@ from mufly.logs import (
     select_usable_samples,
     write_log,
 )
-from mufly.logs.raw_log import find_foreign_stamps
+from mufly.logs.raw_log import find_foreign_epoch_stamps
 
 TIME = 0.01 * np.arange(500)
 
@@ -89,15 +89,17 @@ def test_a_few_swaps_in_a_long_record_are_no_reset_and_many_are():
 def test_the_clock_of_a_log_is_that_of_most_topics_not_of_the_longest():
     board = {name: 10.0 + 0.1 * np.arange(20) for name in ("imu", "baro")}
     utc = {"gps": 1.7e9 + 0.01 * np.arange(5000)}
-    foreign, words = find_foreign_stamps(board | utc)
+    foreign, words = find_foreign_epoch_stamps(board | utc)
     assert {name: f.all() for name, f in foreign.items()} == {"imu": False, "baro": False, "gps": True}
     assert len(words) == 1
     assert words[0].startswith("gps: ")
     # Of equals the one with more stamps; where no clock has the half of them nobody can say.
-    foreign, _ = find_foreign_stamps({"imu": board["imu"]} | utc)
+    foreign, _ = find_foreign_epoch_stamps({"imu": board["imu"]} | utc)
     assert foreign["imu"].all()
     assert not foreign["gps"].any()
-    foreign, words = find_foreign_stamps({"imu": board["imu"], "clock": 3e8 + board["imu"], "week": 6e5 + board["imu"]})
+    foreign, words = find_foreign_epoch_stamps(
+        {"imu": board["imu"], "clock": 3e8 + board["imu"], "week": 6e5 + board["imu"]}
+    )
     assert not any(f.any() for f in foreign.values())
     assert words == []
 

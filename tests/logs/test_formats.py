@@ -273,10 +273,10 @@ def test_every_field_of_the_px4_sample_is_what_pyulog_gives():
 
 @needs_sample
 def test_the_px4_samples_rates_are_the_derivative_of_its_attitude():
-    from mufly.logs import check_delays, read_log
+    from mufly.logs import estimate_channel_delays, read_log
 
     data = read_log(SAMPLE, signals=["measured_attitude", "measured_rates"], rate_hz=100)
-    found = {d.response: d.delay for d in check_delays(data)}
+    found = {d.response: d.delay for d in estimate_channel_delays(data)}
     for axis in "pqr":
         assert found[f"measured_rates.{axis}"].correlation > 0.99
         assert abs(found[f"measured_rates.{axis}"].delay_s) < 0.005

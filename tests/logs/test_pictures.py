@@ -9,7 +9,7 @@ from mufly.errors import InputError
 from mufly.logs import (
     Channel,
     draw_channels,
-    group_channels,
+    group_channels_by_picture,
     read_mcap,
     read_raw,
     read_recording_summary,
@@ -33,7 +33,7 @@ def test_what_belongs_together_shares_a_picture_and_a_component_a_panel():
         *(channel(f"{s}_attitude.{a}") for s in ("measured", "reference") for a in ("roll", "pitch")),
         channel("imu/gyro.x", units="rad/s"),
     ]
-    pictures = group_channels(channels)
+    pictures = group_channels_by_picture(channels)
     assert list(pictures) == ["attitude", "inputs", "battery", "others", "imu"]
     axes = draw_channels(pictures["attitude"], title="Hop").axes
     assert [ax.get_ylabel() for ax in axes] == ["Roll\n(deg)", "Pitch\n(deg)"]

@@ -10,9 +10,9 @@ from mufly.logs import (
     LogWarning,
     check_channel,
     check_clock,
-    check_delays,
+    compute_body_rates,
     compute_saturated_fractions,
-    differentiate_attitude,
+    estimate_channel_delays,
     estimate_delay,
     examine_log,
     find_frozen,
@@ -282,7 +282,7 @@ def test_body_rates_of_an_attitude_follow_the_rotation():
 
     t = 1e-3 * np.arange(400)
     attitude = np.column_stack([0.4 * np.sin(5 * t), 0.3 * np.cos(4 * t), 2 * t])
-    rates = differentiate_attitude(t, attitude)
+    rates = compute_body_rates(t, attitude)
     for k in (50, 200, 333):
         before, after = (body_to_ned_matrix(quaternion_from_euler(*attitude[j])) for j in (k - 1, k + 1))
         turn = before.T @ after
@@ -296,11 +296,11 @@ def test_delays_of_a_record_are_those_put_in(make_signals, tmp_path):
     zero = np.zeros(len(t))
     data["reference_attitude"] = (("time", "angle"), 0.1 * np.column_stack([x, zero, zero]), {"units": "rad"})
     data["measured_attitude"] = (("time", "angle"), 0.1 * np.column_stack([y, zero, zero]), {"units": "rad"})
-    rates = differentiate_attitude(t, data.measured_attitude.values)
+    rates = compute_body_rates(t, data.measured_attitude.values)
     rates[2:] = rates[:-2].copy()  # the gyroscope reports two samples late
     data["measured_rates"] = (("time", "rate"), rates, {"units": "rad/s"})
     of_log = examine_log(write_log(data, tmp_path / "log.nc"))
-    for delays in (check_delays(data), of_log.delays):
+    for delays in (estimate_channel_delays(data), of_log.delays):
         found = {d.response: d.delay.delay_s for d in delays}
         assert found["measured_attitude.roll"] == pytest.approx(0.07, abs=0.002)
         assert found["measured_rates.p"] == pytest.approx(0.02, abs=0.001)

@@ -11,7 +11,7 @@ import pytest
 from mufly.estimate import Estimate
 from mufly.mission import Command, MissionPlan, initial_mission_state, step_mission, update_obstacle_map
 from mufly.mission.avoidance import make_beam_ring
-from mufly.world import cast_ranges, obstacle_distance
+from mufly.world import cast_ranges, find_nearest_obstacle
 
 STANDING = -0.07
 RING = make_beam_ring(8, np.pi / 8, 1.5)
@@ -99,7 +99,7 @@ def fly(
         flight.states.append(s.state.value)
         if x[2] < -0.3:
             around = world() if callable(world) else world
-            flight.clearance = min(flight.clearance, obstacle_distance(around, x)[0])
+            flight.clearance = min(flight.clearance, find_nearest_obstacle(around, x)[0])
         if s.finished:
             break
         if r.motors == "fly" and lift:

@@ -18,7 +18,7 @@ from conftest import fly, gusty, scene
 
 from mufly.errors import InputError
 from mufly.mission import load_mission, parse_mission
-from mufly.world import obstacle_distances
+from mufly.world import compute_obstacle_distances
 
 
 def missions(scenes):
@@ -60,7 +60,7 @@ def on_full_model(scenes):
         air = {"wind": (0.35, 0.35, 0.0), "gust": 0.3, "seed": seed} if seed % 2 else {}
         ds = mufly.flight.fly_mission(vehicle, mission, controller=controller, **air)
         x = ds.truth_position.values
-        clearance = obstacle_distances(mission.world, x)[0][x[:, 2] < -0.3].min()
+        clearance = compute_obstacle_distances(mission.world, x)[0][x[:, 2] < -0.3].min()
         yield seed, kind, ds.attrs["outcome"], ds.attrs["reason"], clearance, float(ds.time[-1])
 
 

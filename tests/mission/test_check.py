@@ -143,7 +143,7 @@ def test_four_metres_more_take_as_long_as_climbing_and_sinking_them():
     one, other = (check_mission_endurance(m, hover_current_A=4.0, capacity_Ah=1.0).duration_s for m in (low, high))
     assert other - one == pytest.approx(4.0 / 0.5 + 4.0 / 0.2, abs=0.02)
     # The last 0.4 m are sunk at the speed of a touchdown.
-    soft, hard = (low.with_parts(limits=low.limits.model_copy(update={"touchdown_m_s": v})) for v in (0.1, 0.2))
+    soft, hard = (low.replace_parts(limits=low.limits.model_copy(update={"touchdown_m_s": v})) for v in (0.1, 0.2))
     one, other = (check_mission_endurance(m, hover_current_A=4.0, capacity_Ah=1.0).duration_s for m in (soft, hard))
     # It brakes sooner to the slower one, and the reference goes on 3 cm below the floor.
     assert one - other == pytest.approx(0.43 / 0.1 - 0.43 / 0.2, abs=0.1)

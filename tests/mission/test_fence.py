@@ -134,7 +134,9 @@ def test_items_that_are_no_fence_are_refused_with_the_field(items, result, words
 @pytest.mark.parametrize(("action", "ends"), [("hold", "hover"), ("return", "waypoint"), ("land", "landing")])
 def test_outside_its_fence_a_vehicle_does_what_the_fence_says(action, ends):
     mission = parse_mission(go((0.3, 0, -0.5), centre_m=[0, 0], radius_m=0.9, action=action))
-    with Flight("mufly-1.1", mission.with_parts(take_off=mission.take_off.model_copy(update={"height_m": 0.5}))) as f:
+    with Flight(
+        "mufly-1.1", mission.replace_parts(take_off=mission.take_off.model_copy(update={"height_m": 0.5}))
+    ) as f:
         pilot, told = f.autopilot, []
         pilot.listeners.append(lambda e: told.append(e.text))
         f.step_period()
@@ -168,7 +170,9 @@ def test_outside_its_fence_a_vehicle_does_what_the_fence_says(action, ends):
 def test_sticks_that_stay_out_are_stopped_and_may_fly_back():
     """After a breach it holds for two seconds; the pilot may then fly back, and a metre further out it acts again."""
     mission = parse_mission(go((0.3, 0, -0.5), centre_m=[0, 0], radius_m=0.6))
-    with Flight("mufly-1.1", mission.with_parts(take_off=mission.take_off.model_copy(update={"height_m": 0.5}))) as f:
+    with Flight(
+        "mufly-1.1", mission.replace_parts(take_off=mission.take_off.model_copy(update={"height_m": 0.5}))
+    ) as f:
         pilot = f.autopilot
         f.step_period()
         assert pilot.arm(force=True)

@@ -16,7 +16,7 @@ from mufly.mission.avoidance import (
     make_beam_ring,
     repulsive_force,
 )
-from mufly.world import Box, Cylinder, World, cast_ranges, obstacle_distances
+from mufly.world import Box, Cylinder, World, cast_ranges, compute_obstacle_distances
 
 RING = make_beam_ring(8, math.pi / 8, 1.5)
 FAR = [1.5] * 8
@@ -88,7 +88,7 @@ def test_points_remembered_lie_on_the_surface(roll, pitch, yaw):
     x, attitude = np.array([0.0, 0.0, -1.2]), np.array([roll, pitch, yaw])
     memory = insert_beam_hits(ObstacleMap.empty(), RING, 0.0, x, attitude, beams(x, attitude, world))
     if memory.point_count:
-        assert np.abs(obstacle_distances(world, memory.points[: memory.point_count, :3])[0]).max() < 1e-9
+        assert np.abs(compute_obstacle_distances(world, memory.points[: memory.point_count, :3])[0]).max() < 1e-9
 
 
 def test_the_floor_is_no_obstacle():

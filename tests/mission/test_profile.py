@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mufly.mission.trajectory import compute_smooth_stop, make_motion_profile, smooth_step_down
+from mufly.mission.trajectory import compute_stop_time_and_distance, make_motion_profile, smooth_step_down
 
 way = st.floats(1e-4, 50.0)
 limit = st.floats(0.05, 5.0)
@@ -71,6 +71,6 @@ def test_step_down_is_a_step_with_its_integral():
         value, slope, _ = smooth_step_down(x)
         assert (smooth_step_down(x + h)[0] - smooth_step_down(x - h)[0]) / (2 * h) == pytest.approx(slope, abs=1e-6)
         assert (smooth_step_down(x + h)[2] - smooth_step_down(x - h)[2]) / (2 * h) == pytest.approx(value, abs=1e-6)
-    time, way_ = compute_smooth_stop(-0.6, 1.0)
+    time, way_ = compute_stop_time_and_distance(-0.6, 1.0)
     assert time == pytest.approx(1.125)
     assert way_ == pytest.approx(0.3375)

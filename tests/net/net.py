@@ -584,9 +584,9 @@ def rotor_system(
     """One rotor, or a pair, at a point."""
     make = api("System")
     system = (
-        make.coaxial_pair(*bladings, spacing_m=spacing_m)
+        make.from_coaxial_pair(*bladings, spacing_m=spacing_m)
         if isinstance(bladings, tuple)
-        else make.single_rotor(bladings)
+        else make.from_single_rotor(bladings)
     )
     return api("solve")(system, api("Condition")(pitch, speed, **given), method, settings=settings)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mufly.errors import InputError
 from mufly.rotor import database_airfoils, load_airfoil
 from mufly.rotor.sections.airfoil import naca_contour, split_sides
-from mufly.rotor.sections.contour_file import SectionWarning
+from mufly.rotor.sections.contour_file import SectionChangeWarning
 
 
 def mean_line(digits, n=4001):
@@ -136,7 +136,7 @@ def test_selig_lednicer_and_reversed_files_agree(tmp_path):
     blocks = f"a wing\n  40.  40.\n\n{rows(upper)}\n\n{rows(lower)}\n"
     lednicer = load_airfoil(written(tmp_path, blocks, "lednicer.dat"))
     backwards = load_airfoil(written(tmp_path, rows(contour[::-1]), "reversed.dat"))
-    with pytest.warns(SectionWarning, match="scaled by 0.05"):
+    with pytest.warns(SectionChangeWarning, match="scaled by 0.05"):
         in_mm = load_airfoil(written(tmp_path, rows(contour * 20.0), "mm.dat"))
     for other in (lednicer, backwards, in_mm):
         assert np.allclose(other.coordinates, selig.coordinates, atol=2e-6)
@@ -162,7 +162,7 @@ def turned(points, degrees):
 )
 def test_a_contour_anywhere_in_the_plane_is_put_on_its_chord_and_said(tmp_path, change, words):
     path = written(tmp_path, f"a wing\n{rows(change(naca_contour('4412', 40)))}\n")
-    with pytest.warns(SectionWarning) as told:
+    with pytest.warns(SectionChangeWarning) as told:
         section = load_airfoil(path)
     assert len(told) == 1
     assert "wing.dat" in str(told[0].message)
@@ -176,7 +176,7 @@ def test_a_contour_anywhere_in_the_plane_is_put_on_its_chord_and_said(tmp_path, 
 def test_a_flat_underside_keeps_the_frame_of_its_catalogue_and_its_tilt_is_said(tmp_path):
     """Catalogues lay flat undersides along x: up to 3.9 degrees among UIUC's."""
     pivot = turned(naca_contour("4412", 40), -3.0)
-    with pytest.warns(SectionWarning, match=r"stands \+3.0 degrees to the x axis"):
+    with pytest.warns(SectionChangeWarning, match=r"stands \+3.0 degrees to the x axis"):
         section = load_airfoil(written(tmp_path, rows(pivot - [0.0, pivot[0, 1]])))
     assert section.camber == pytest.approx(0.04 + 0.6 * math.sin(math.radians(3.0)), abs=3e-3)
 

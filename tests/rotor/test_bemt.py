@@ -22,7 +22,7 @@ from mufly.rotor import (
     PolarTable,
     Rotor,
     RotorSystem,
-    RotorWarning,
+    RotorValidityWarning,
     VortexRingWarning,
     load_rotor,
     prepare_blading,
@@ -167,9 +167,9 @@ def test_a_rotor_that_sinks_into_its_own_wake_is_told() -> None:
     free = solve_rotor(case, pitch_rad=0.2, speed_rad_s=100.0)
     induced = np.sqrt(free.thrust_N / (2 * 1.2 * np.pi * case.radius_m[0] ** 2))
     for sink in (-0.5, 0.0, 0.3, 3.0):  # climb, slow descent, windmill
-        solve_system(RotorSystem.single_rotor(case), OperatingCondition(0.2, 100.0, climb_m_s=-sink * induced))
+        solve_system(RotorSystem.from_single_rotor(case), OperatingCondition(0.2, 100.0, climb_m_s=-sink * induced))
     with pytest.warns(VortexRingWarning, match="own wake"):
-        solve_system(RotorSystem.single_rotor(case), OperatingCondition(0.2, 100.0, climb_m_s=-1.0 * induced))
+        solve_system(RotorSystem.from_single_rotor(case), OperatingCondition(0.2, 100.0, climb_m_s=-1.0 * induced))
 
 
 def test_descent_closure_is_continuous_and_meets_momentum_theory():
@@ -216,10 +216,10 @@ def test_compressible_flow_raises_the_lift_by_prandtl_and_glauerts_rule():
 
 
 def test_tips_beyond_mach_0_7_are_said_at_once():
-    with pytest.warns(RotorWarning, match=r"Mach 0\.8"):
-        solve_system(RotorSystem.single_rotor(blading(REAL)), OperatingCondition(0.1, 0.8 * 343.2 / 0.5))
+    with pytest.warns(RotorValidityWarning, match=r"Mach 0\.8"):
+        solve_system(RotorSystem.from_single_rotor(blading(REAL)), OperatingCondition(0.1, 0.8 * 343.2 / 0.5))
     with pytest.raises(InputError, match=r"Mach number of 1\.5"):
-        solve_system(RotorSystem.single_rotor(blading(REAL)), OperatingCondition(0.1, 1.5 * 343.2 / 0.5))
+        solve_system(RotorSystem.from_single_rotor(blading(REAL)), OperatingCondition(0.1, 1.5 * 343.2 / 0.5))
 
 
 def test_effective_radius_is_eq_3_13():
@@ -250,7 +250,7 @@ def test_batch_is_bit_by_bit_the_single_point():
     n = 700
     pitch, speed = rng.uniform(-1.5, 1.5, n), rng.uniform(1.0, 1500.0, n)
     climb, which = rng.uniform(-30, 30, n), rng.integers(0, 3, n)
-    with pytest.warns(RotorWarning, match="Mach 2"):
+    with pytest.warns(RotorValidityWarning, match="Mach 2"):
         many = solve_rotor_batch(case, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, which=which)
     for i in range(0, n, 7):
         one = solve_rotor(case, pitch_rad=pitch[i], speed_rad_s=speed[i], climb_m_s=climb[i], which=int(which[i]))
@@ -347,7 +347,9 @@ def test_a_pitch_in_degrees_is_refused_with_the_remedy():
     for call in (
         lambda p: solve_rotor(rotor, pitch_rad=p, speed_rad_s=600.0),
         lambda p: solve_rotor_batch(rotor, pitch_rad=[0.2, p], speed_rad_s=600.0),
-        lambda p: solve_system(RotorSystem.single_rotor(prepare_blading(rotor)), OperatingCondition(p, thrust_N=0.3)),
+        lambda p: solve_system(
+            RotorSystem.from_single_rotor(prepare_blading(rotor)), OperatingCondition(p, thrust_N=0.3)
+        ),
         lambda p: make_blade_load(prepare_blading(rotor), pitch_rad=p),
         lambda p: blade_contours(rotor, pitch_rad=p),
     ):
@@ -357,5 +359,5 @@ def test_a_pitch_in_degrees_is_refused_with_the_remedy():
 
 
 def test_a_speed_in_rpm_is_told_apart():
-    with pytest.warns(RotorWarning, match=r"Mach 1\.2.*multiplied by pi / 30"):
+    with pytest.warns(RotorValidityWarning, match=r"Mach 1\.2.*multiplied by pi / 30"):
         solve_rotor_batch(load_rotor("naca4412-r60-c20"), pitch_rad=0.2, speed_rad_s=7000.0)

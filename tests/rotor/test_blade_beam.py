@@ -22,7 +22,7 @@ from mufly.rotor import (
 )
 from mufly.rotor.structure.blade_beam import compute_modes, mass_matrix, stiffness_matrices
 from mufly.rotor.structure.cross_section import section_geometry, shear_centre, thickness_and_camber_lines
-from mufly.rotor.structure.flap_modes import free_hinge, make_blade_beam, select_campbell_frequencies
+from mufly.rotor.structure.flap_modes import make_blade_beam, select_campbell_frequencies, with_free_flap_hinge
 from mufly.rotor.structure.materials import MATERIALS
 
 LENGTH, MASS, EI, GJ, INERTIA = 0.07, 0.0095, 2.3e-3, 6e-4, 2.5e-7
@@ -79,7 +79,7 @@ def test_hinge_spring_and_offset_have_the_closed_form():
 
 def test_free_hinge_of_a_twisted_tapered_blade_flaps_with_the_disc():
     rotor = load_rotor("walkera-5g6")
-    b = make_blade_beam(rotor, free_hinge(rotor.blade.structure))
+    b = make_blade_beam(rotor, with_free_flap_hinge(rotor.blade.structure))
     assert np.ptp(b.twist_rad) > 0.1
     assert np.ptp(b.centroid_behind_m) > 5e-4
     found = compute_modes(b, 443.6, pitch_rad=0.2)

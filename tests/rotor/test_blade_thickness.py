@@ -16,7 +16,7 @@ from mufly.rotor import (
     replace_rotor,
     solve_rotor_batch,
 )
-from mufly.rotor.blades.blade_families import section_probabilities
+from mufly.rotor.blades.blade_families import list_section_probabilities
 from mufly.rotor.blades.blade_solid import blade_contours, loft_solid
 from mufly.rotor.sections import neuralfoil_network, polar_engines
 from mufly.rotor.structure.blade_structure import BladeStructure
@@ -91,7 +91,7 @@ def test_beam_and_study_keep_the_thickness():
 
 
 def test_a_known_thickness_leaves_the_camber_to_guess():
-    listed = section_probabilities(tapered())
+    listed = list_section_probabilities(tapered())
     assert len(listed) == 5
     assert sum(w for _, w in listed) == pytest.approx(1.0)
     assert {replace_rotor(tapered(), {"blade.airfoils": a}).airfoil_names()[-1][-8:] for a, _ in listed} == {"+thick12"}

@@ -18,7 +18,7 @@ from mufly.rotor import (
     solve_system,
 )
 from mufly.rotor import compute_coax_map as room_function
-from mufly.rotor.coax_maps import _fill_unsolved, interpolate_map, order_map_points
+from mufly.rotor.coax_maps import _fill_unsolved_points, interpolate_map, order_map_points
 from mufly.rotor.wake import WakeSettings
 from mufly.vehicle import CoefficientMap, MapTables, format_map_toml, load_coefficient_map
 from mufly.vehicle.coefficient_map import format_table
@@ -61,7 +61,7 @@ def test_points_are_the_solver_s(made, blading) -> None:
         mean, r, m = t.mean_speed_rad_s[k], t.ratio[j], t.climb_ratio[i]
         up = 2 * mean / (1 + r)
         alone = solve_system(
-            RotorSystem.coaxial_pair(blading, blading, spacing_m=0.04),
+            RotorSystem.from_coaxial_pair(blading, blading, spacing_m=0.04),
             OperatingCondition(PITCH, (up, r * up), climb_m_s=m * mean * 0.0875),
         )
         found = [t[c][k, j, i] for c in range(3, 7)]
@@ -157,7 +157,7 @@ def test_gaps_are_filled_from_their_neighbours_and_marked() -> None:
     values, solved = rng.uniform(1, 2, size=(2, 4, 5, 4)), np.ones((2, 4, 5), dtype=bool)
     solved[0, 1, 2] = False
     solved[:, 3, :] = False
-    filled = _fill_unsolved(values, solved)
+    filled = _fill_unsolved_points(values, solved)
     assert_array_equal(filled[solved], values[solved])
     around = [values[1, 1, 2], values[0, 0, 2], values[0, 2, 2], values[0, 1, 1], values[0, 1, 3]]
     assert_allclose(filled[0, 1, 2], np.mean(around, axis=0))

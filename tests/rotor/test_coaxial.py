@@ -22,10 +22,14 @@ from mufly.rotor import (
     solve_rotor,
     solve_system,
 )
-from mufly.rotor.bemt import compute_slipstream, drag_angular_momentum
+from mufly.rotor.bemt import compute_drag_swirl_momentum, compute_slipstream
 from mufly.rotor.rotor_system import SPEED_OF_SOUND_M_S, PlacedRotor
 from mufly.rotor.sections.polar_table import ALPHA_GRID
-from mufly.rotor.vortex_tube import compute_tube_axis_velocity_ratio, compute_tube_velocity_ratio, swirl_influence
+from mufly.rotor.vortex_tube import (
+    compute_tube_axis_velocity_ratio,
+    compute_tube_velocity_ratio,
+    make_swirl_influence_matrix,
+)
 
 R, SPEED, PITCH = 0.06, 600.0, 0.25
 
@@ -52,7 +56,7 @@ def blading(corrections=None, chord=0.02, stations=24):
 def pair(spacing=0.02, case=None, pitch=PITCH, speed=SPEED, **given):
     case = case or blading()
     return solve_system(
-        RotorSystem.coaxial_pair(case, case, spacing_m=spacing), OperatingCondition(pitch, speed, **given)
+        RotorSystem.from_coaxial_pair(case, case, spacing_m=spacing), OperatingCondition(pitch, speed, **given)
     )
 
 
@@ -84,7 +88,7 @@ def test_what_turns_the_stream_is_the_torque_of_the_blades():
     alone = solve_rotor(case, pitch_rad=PITCH, speed_rad_s=SPEED, climb_m_s=3.0, air=air)
     u, loss, turning = compute_slipstream(PlacedRotor(case, PITCH, SPEED), 3.0, air, still)
     push = np.hypot(alone.dT_N, alone.dQ_Nm / alone.r_m) / np.hypot(alone.cl, alone.cd) / alone.dr_m
-    drag = drag_angular_momentum(
+    drag = compute_drag_swirl_momentum(
         push * alone.cd * np.cos(alone.phi_rad), 3.0 + loss * u, air.density_kg_m3, alone.r_m, alone.dr_m
     )
     ring = air.density_kg_m3 * 2.0 * math.pi * alone.r_m * alone.dr_m
@@ -93,7 +97,7 @@ def test_what_turns_the_stream_is_the_torque_of_the_blades():
     straight = PlacedRotor(blading(Corrections(swirl=False)), PITCH, SPEED)
     assert not compute_slipstream(straight, 3.0, air, still)[2].any()
     # On its way down the stream keeps its moment of momentum, and so its torque, within a narrower edge.
-    below = swirl_influence(alone.r_m, R, 0.03, alone.r_m, alone.dr_m) @ turning
+    below = make_swirl_influence_matrix(alone.r_m, R, 0.03, alone.r_m, alone.dr_m) @ turning
     s = 1.0 / math.sqrt(compute_tube_axis_velocity_ratio(0.03, R))
     inside, outside = alone.r_m < s * R - alone.dr_m, alone.r_m > s * R + alone.dr_m
     kept = np.interp(alone.r_m / s, alone.r_m, turning)
@@ -106,17 +110,17 @@ def test_a_rotor_without_thrust_leaves_no_swirl_below_it():
     still = pair(pitch=0.0)
     assert still.upper.thrust_N == still.lower.thrust_N == 0.0
     assert_allclose(still.lower.torque_Nm, still.upper.torque_Nm, rtol=1e-12)
-    changes = still.interference_changes([still.upper, still.lower])
+    changes = still.compute_interference_changes([still.upper, still.lower])
     assert math.isnan(changes["upper_thrust"])
     assert changes["lower_torque"] == 0.0
     # Near it, no stream carries more swirl than a jet can: its number stays at 0.6 or below, in full above.
     r, dr, drag = np.linspace(0.01, 0.0575, 20), np.full(20, 0.0025), np.full(20, 0.4)
     for v in (0.0, 1e-6, 0.5, 1.5, 1.6, 5.0):
-        turning = drag_angular_momentum(drag, np.full(20, v), 1.2, r, dr)
+        turning = compute_drag_swirl_momentum(drag, np.full(20, v), 1.2, r, dr)
         axial = 1.2 * 2 * math.pi * float(np.sum(v**2 * r * dr))
         swirl = 1.2 * 2 * math.pi * float(np.sum(v * turning * r * dr))
         assert_allclose(swirl, min(float(np.sum(drag * r * dr)), 0.6 * (r[-1] + 0.5 * dr[-1]) * axial), rtol=1e-9)
-    assert not drag_angular_momentum(drag, np.full(20, -3.0), 1.2, r, dr).any()
+    assert not compute_drag_swirl_momentum(drag, np.full(20, -3.0), 1.2, r, dr).any()
 
 
 def test_touching_rotors_share_one_stream():
@@ -188,7 +192,7 @@ def test_faults_are_named():
 
 
 def test_one_rotor_is_a_system_too():
-    case, one = blading(), RotorSystem.single_rotor(blading())
+    case, one = blading(), RotorSystem.from_single_rotor(blading())
     alone = solve_rotor(case, pitch_rad=PITCH, speed_rad_s=SPEED, climb_m_s=0.5)
     found = solve_system(one, OperatingCondition(PITCH, SPEED, climb_m_s=0.5))
     assert (found.thrust_N, found.power_W) == (alone.thrust_N, alone.power_W)
@@ -226,8 +230,8 @@ def test_a_pair_of_rotor_files_is_prepared_with_all_defaults():
     rotor = load_rotor("naca0012-r60-c20")
     at = OperatingCondition(PITCH, (SPEED, 1.1 * SPEED))
     laid = prepare_blading(rotor)
-    named = solve_system(RotorSystem.coaxial_pair(rotor, rotor, spacing_m=0.02), at)
-    assert named.thrust_N == solve_system(RotorSystem.coaxial_pair(laid, laid, spacing_m=0.02), at).thrust_N
+    named = solve_system(RotorSystem.from_coaxial_pair(rotor, rotor, spacing_m=0.02), at)
+    assert named.thrust_N == solve_system(RotorSystem.from_coaxial_pair(laid, laid, spacing_m=0.02), at).thrust_N
 
 
 # Wakes that carry each other away
@@ -236,7 +240,7 @@ def test_a_pair_of_rotor_files_is_prepared_with_all_defaults():
 def tubes(spacing, case=None, pitch=PITCH, speed=SPEED, **given):
     case = case or blading()
     return solve_system(
-        RotorSystem.coaxial_pair(case, case, spacing_m=spacing),
+        RotorSystem.from_coaxial_pair(case, case, spacing_m=spacing),
         OperatingCondition(pitch, speed, **given),
         "tubes",
     )
@@ -262,10 +266,10 @@ def test_a_vortex_tube_moves_the_air_as_its_rings_do():
 def test_tubes_far_apart_and_of_one_rotor_are_blade_elements():
     alone = solve_rotor(blading(), pitch_rad=PITCH, speed_rad_s=SPEED)
     assert_allclose(tubes(100.0).upper.thrust_N, alone.thrust_N, rtol=1e-5)
-    one = solve_system(RotorSystem.single_rotor(blading()), OperatingCondition(PITCH, SPEED), "tubes")
+    one = solve_system(RotorSystem.from_single_rotor(blading()), OperatingCondition(PITCH, SPEED), "tubes")
     assert one.thrust_N == alone.thrust_N
     assert_allclose(
-        solve_system(RotorSystem.single_rotor(blading()), OperatingCondition(PITCH, None, 0.2), "tubes").thrust_N,
+        solve_system(RotorSystem.from_single_rotor(blading()), OperatingCondition(PITCH, None, 0.2), "tubes").thrust_N,
         0.2,
         rtol=1e-6,
     )

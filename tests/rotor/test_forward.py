@@ -27,13 +27,13 @@ from mufly.rotor.forward import (
     ForwardCondition,
     PairSweep,
     RigidFlapMode,
-    cyclic_response,
+    compute_cyclic_response,
     make_flap_mode,
     solve_forward,
     solve_forward_pair,
     sweep_forward,
 )
-from mufly.rotor.forward.azimuth_elements import element_forces
+from mufly.rotor.forward.azimuth_elements import compute_element_forces
 from mufly.rotor.forward.inflow import momentum_induced_velocity, pitt_peters_inflow
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 
@@ -81,7 +81,9 @@ def solve(case, ratio=math.inf, lock=3.0, inflow="annular", **changes):
 @pytest.mark.parametrize("ratio", [1.1, 1.5, 1.7])
 def test_lag_and_gain_of_a_hingeless_blade(textbook, ratio, inflow):
     still = solve(textbook, ratio, inflow=inflow)
-    got = cyclic_response(textbook, POINT, flap(ratio), amplitude_rad=math.radians(0.1), inflow=inflow, start=still)
+    got = compute_cyclic_response(
+        textbook, POINT, flap(ratio), amplitude_rad=math.radians(0.1), inflow=inflow, start=still
+    )
     lock = 3.0 / 8.0
     if inflow == "pitt-peters":  # lift deficiency of dynamic inflow
         lock /= 1.0 + 2.0 * CHORD / (math.pi * RADIUS) * SLOPE / (16.0 * still.inflow_mean)
@@ -108,11 +110,12 @@ def test_slopes_of_an_element_are_those_of_its_forces():
     table = np.cumsum(rng.normal(0.0, 0.02, (3, 723, 2)), axis=1)
     for across, down, row_zero in ((20.0, 3.0, 0.0), (20.0, -2.0, 40.0), (-4.0, 1.0, 0.3)):
         given = (0.01, row_zero, 0.25, 0.8)
-        at = element_forces.py_func(table, 0.31, across, down, *given)
+        at = compute_element_forces.py_func(table, 0.31, across, down, *given)
         nudge = 1e-6
         for first, moved in ((5, (0.0, nudge)), (7, (nudge, 0.0))):
             over = [
-                element_forces.py_func(table, 0.31, across + k * moved[0], down + k * moved[1], *given) for k in (1, -1)
+                compute_element_forces.py_func(table, 0.31, across + k * moved[0], down + k * moved[1], *given)
+                for k in (1, -1)
             ]
             for slope, force in ((at[first], 0), (at[first + 1], 2)):
                 assert slope == pytest.approx((over[0][force] - over[1][force]) / (2.0 * nudge), rel=1e-5, abs=1e-8)
@@ -120,7 +123,7 @@ def test_slopes_of_an_element_are_those_of_its_forces():
 
 def test_free_blade_follows_its_cyclic_and_lags_its_shaft(textbook):
     still = solve(textbook, 1.0)
-    got = cyclic_response(textbook, POINT, flap(1.0), start=still, inflow="pitt-peters")
+    got = compute_cyclic_response(textbook, POINT, flap(1.0), start=still, inflow="pitt-peters")
     assert got.tilt_per_cyclic == pytest.approx(1.0, abs=0.03)
     assert math.degrees(got.lag_rad) == pytest.approx(90.0, abs=0.5)
     rolling = solve(textbook, 1.0, inflow="uniform", rates_rad_s=(1.0, 0.0))
@@ -334,7 +337,7 @@ def pair(case, ratio=1.6, speed=0.0, climb=0.0, spacing=SPACING, **changes):
 def test_the_pair_at_rest_is_coaxial_blade_element_momentum_theory(walkera):
     got = pair(walkera)
     same = solve_system(
-        RotorSystem.coaxial_pair(walkera, walkera, spacing_m=SPACING), OperatingCondition(ANGLES, SPEEDS)
+        RotorSystem.from_coaxial_pair(walkera, walkera, spacing_m=SPACING), OperatingCondition(ANGLES, SPEEDS)
     )
     for one, two in zip((got.upper, got.lower), same.rotors, strict=True):
         assert one.thrust_N == pytest.approx(two.thrust_N, rel=1e-3)

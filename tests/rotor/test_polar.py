@@ -11,8 +11,8 @@ from mufly.errors import MuflyError
 from mufly.rotor import PolarTable, extrapolation_flags, lookup_lift_drag, stack_polars
 from mufly.rotor.sections.polar_table import (
     ALPHA_GRID,
-    OUTSIDE_ALPHA,
-    OUTSIDE_REYNOLDS,
+    OUTSIDE_ALPHA_BIT,
+    OUTSIDE_REYNOLDS_BIT,
     interpolate_polar_stack,
     lookup_moment,
 )
@@ -72,11 +72,11 @@ def test_beyond_its_reynolds_numbers_a_table_is_clamped_and_says_so():
     a = np.deg2rad([-5.0, 5.0, 40.0])
     assert np.allclose(lookup_lift_drag(WAVE, a, 10.0), lookup_lift_drag(WAVE, a, 2e3))
     assert np.allclose(lookup_lift_drag(WAVE, a, 1e7), lookup_lift_drag(WAVE, a, 3e5))
-    both = OUTSIDE_ALPHA | OUTSIDE_REYNOLDS
-    assert extrapolation_flags(WAVE, a, 10.0).tolist() == [OUTSIDE_REYNOLDS, OUTSIDE_REYNOLDS, both]
-    assert extrapolation_flags(WAVE, a, 1e4).tolist() == [0, 0, OUTSIDE_ALPHA]
+    both = OUTSIDE_ALPHA_BIT | OUTSIDE_REYNOLDS_BIT
+    assert extrapolation_flags(WAVE, a, 10.0).tolist() == [OUTSIDE_REYNOLDS_BIT, OUTSIDE_REYNOLDS_BIT, both]
+    assert extrapolation_flags(WAVE, a, 1e4).tolist() == [0, 0, OUTSIDE_ALPHA_BIT]
     assert extrapolation_flags(WAVE, np.deg2rad([14.0, 16.0]), [2e3, 3e5]).tolist() == [0, 0]
-    assert extrapolation_flags(WAVE, np.deg2rad([15.0, 15.0]), [2e3, 3e5]).tolist() == [OUTSIDE_ALPHA, 0]
+    assert extrapolation_flags(WAVE, np.deg2rad([15.0, 15.0]), [2e3, 3e5]).tolist() == [OUTSIDE_ALPHA_BIT, 0]
     assert extrapolation_flags(WAVE, 2 * math.pi, 1e4) == 0
 
 

@@ -13,7 +13,7 @@ from mufly.rotor import (
     OperatingCondition,
     RotorMeasurements,
     RotorSystem,
-    RotorWarning,
+    RotorValidityWarning,
     compare_measurements,
     compute_airfoil_polars,
     compute_polar,
@@ -27,7 +27,7 @@ from mufly.rotor import (
 from mufly.rotor.sections import neuralfoil_network
 from mufly.rotor.sections.polar_engines import DEFAULT_REYNOLDS
 from mufly.rotor.sections.polar_table import ALPHA_GRID, extend_full_circle, flat_plate_drag
-from mufly.rotor.sections.section_data import RawPolars
+from mufly.rotor.sections.section_data import EnginePolars
 
 FEW = np.geomspace(5e3, 2e5, 5)
 RIGHT = math.pi / 2
@@ -149,7 +149,7 @@ def test_extension_meets_any_end_without_a_jump(low, span, cl_low, cl_high, cd):
     low = round(2 * low) / 2
     alpha = np.deg2rad(low + np.linspace(0, max(1, round(2 * span) / 2), 9))
     ones = np.ones((1, 9))
-    data = RawPolars(
+    data = EnginePolars(
         "x", alpha, np.array([1e5]), np.linspace(cl_low, cl_high, 9)[None, :], cd * ones, 0 * ones,
         ones.astype(bool), ones.astype(bool), "drawn",
     )  # fmt: skip
@@ -165,7 +165,7 @@ def test_extension_meets_any_end_without_a_jump(low, span, cl_low, cl_high, cd):
 def test_too_little_to_extend_is_refused():
     a = np.deg2rad([70.0, 75.0, 80.0])
     ones = np.ones((1, 3))
-    data = RawPolars("x", a, np.array([1e5]), ones, ones, ones, ones > 0, ones > 0, "")
+    data = EnginePolars("x", a, np.array([1e5]), ones, ones, ones, ones > 0, ones > 0, "")
     with pytest.raises(MuflyError, match="too few"):
         extend_full_circle(data)
 
@@ -470,12 +470,14 @@ def test_a_blade_beyond_the_reynolds_numbers_of_its_polar_is_told(tmp_path):
     rotor = make_rotor(name="r", radius_m=0.06, chord_m=0.02, airfoils=str(path))
     at = OperatingCondition(0.2, 500.0)
     bench = RotorMeasurements(np.array([0.2]), np.array([500.0]), np.array([0.1]), np.array([1e-3]), "b")
-    with pytest.warns(RotorWarning, match=r"0.75 R, 3.0[34]e\+04, is beyond that of its polar, 1e\+03 to 5e\+03"):
-        solve_system(RotorSystem.single_rotor(prepare_blading(rotor)), at, "bemt")
-    with pytest.warns(RotorWarning, match="beyond that of its polar"):
+    with pytest.warns(
+        RotorValidityWarning, match=r"0.75 R, 3.0[34]e\+04, is beyond that of its polar, 1e\+03 to 5e\+03"
+    ):
+        solve_system(RotorSystem.from_single_rotor(prepare_blading(rotor)), at, "bemt")
+    with pytest.warns(RotorValidityWarning, match="beyond that of its polar"):
         compare_measurements(rotor, bench)
     path.write_text(table("alpha_deg,cl,cd,re", res=(1e3, 5e5), form="{a:g},{cl:.4f},{cd:.5f},{re:g}"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         compare_measurements(rotor, bench)
-        solve_system(RotorSystem.single_rotor(prepare_blading(rotor)), at, "bemt")
+        solve_system(RotorSystem.from_single_rotor(prepare_blading(rotor)), at, "bemt")

@@ -30,9 +30,9 @@ def blading():
 
 def test_axial_flow_counts_in_the_mach_number(blading):
     with pytest.raises(InputError, match=r"climb_m_s: 420 m/s is Mach 1\.2"):
-        solve_system(RotorSystem.single_rotor(blading), OperatingCondition(0.2, 500.0, climb_m_s=420.0))
+        solve_system(RotorSystem.from_single_rotor(blading), OperatingCondition(0.2, 500.0, climb_m_s=420.0))
     with pytest.raises(InputError, match=r"tip Mach number of 1\.0 with -330 m/s"):
-        solve_system(RotorSystem.single_rotor(blading), OperatingCondition(0.2, 1800.0, climb_m_s=-330.0))
+        solve_system(RotorSystem.from_single_rotor(blading), OperatingCondition(0.2, 1800.0, climb_m_s=-330.0))
     with pytest.warns(UserWarning, match=r"Mach 0\.88"):
         solve_rotor_batch(blading, pitch_rad=0.2, speed_rad_s=500.0, climb_m_s=300.0)
     with pytest.raises(InputError, match="Mach"):
@@ -55,7 +55,7 @@ def test_thrust_has_no_jumps_over_the_pitch(blading):
 @pytest.mark.parametrize("pitch_deg", [0.0, -3.0])
 def test_a_pair_without_load_settles_by_tubes(pitch_deg):
     case = prepare_blading(load_rotor("naca0012-r60-c20"))
-    pair = RotorSystem.coaxial_pair(case, case, spacing_m=0.03)
+    pair = RotorSystem.from_coaxial_pair(case, case, spacing_m=0.03)
     both = solve_system(pair, OperatingCondition(math.radians(pitch_deg), (450.0, 470.0)), "tubes")
     assert both.converged
     assert abs(both.thrust_N) < 0.05
@@ -64,7 +64,7 @@ def test_a_pair_without_load_settles_by_tubes(pitch_deg):
 
 def test_a_pair_that_does_not_settle_suggests_a_remedy():
     case = prepare_blading(load_rotor("naca0012-r60-c20"))
-    pair = RotorSystem.coaxial_pair(case, case, spacing_m=0.03)
+    pair = RotorSystem.from_coaxial_pair(case, case, spacing_m=0.03)
     with pytest.raises(Exception, match="raise the pitch or climb faster, or use the method bemt or wake"):
         solve_system(pair, OperatingCondition(math.radians(-8.0), (500.0, 500.0), climb_m_s=1.0), "tubes")
 

@@ -20,20 +20,20 @@ from mufly.rotor import (
     solve_rotor,
     solve_system,
 )
-from mufly.rotor.vortex_tube import wake_contraction
+from mufly.rotor.vortex_tube import compute_wake_radius_ratio
 from mufly.rotor.wake import (
     PlacedRotor,
     WakeSettings,
     compute_blade_passing_loads,
+    compute_momentum_flux_thrust,
     induced_velocity,
-    momentum_thrust,
     solve_wake,
 )
 from mufly.rotor.wake.biot_savart import (
-    convert_to_single,
+    convert_to_single_precision,
     filament_influence,
-    group_velocity,
     induce_velocity,
+    induce_velocity_by_group,
     make_segments,
 )
 from mufly.rotor.wake.lifting_surface import (
@@ -43,7 +43,7 @@ from mufly.rotor.wake.lifting_surface import (
     make_lifting_surface,
     prescribe_landgrebe_wake,
 )
-from mufly.rotor.wake.wake_solver import RotorState, average_mutual_inflow, drag_swirl_velocity, initialise_wakes
+from mufly.rotor.wake.wake_solver import RotorState, average_mutual_inflow, compute_upper_drag_swirl, initialise_wakes
 
 RPM = np.pi / 30
 PITCH = np.radians(14)
@@ -68,12 +68,12 @@ def pair(blading):
 def one(blading, pitch=PITCH, speed=6000 * RPM, settings=COARSE, start=None, progress=None, **given):
     at = OperatingCondition(pitch, speed, **given)
     return solve_system(
-        RotorSystem.single_rotor(blading), at, "wake", settings=settings, start=start, progress=progress
+        RotorSystem.from_single_rotor(blading), at, "wake", settings=settings, start=start, progress=progress
     )
 
 
 def two(blading, speed, spacing=0.02, settings=COARSE, start=None, **given):
-    system = RotorSystem.coaxial_pair(blading, blading, spacing_m=spacing)
+    system = RotorSystem.from_coaxial_pair(blading, blading, spacing_m=spacing)
     return solve_system(system, OperatingCondition(PITCH, speed, **given), "wake", settings=settings, start=start)
 
 
@@ -145,10 +145,10 @@ def test_single_precision_agrees_with_double_at_ends_of_segments_and_far_away():
     segments = make_segments(paths, core, strength)
     for points, error in ((beside, 3e-5), (paths.reshape(-1, 3), 2e-4), (1e3 * beside, 5e-4)):
         exact = induce_velocity(points, segments)
-        single = convert_to_single(segments, 3)
+        single = convert_to_single_precision(segments, 3)
         np.testing.assert_allclose(induce_velocity(points, single), exact, atol=error * np.max(np.abs(exact)))
-        each = convert_to_single(make_segments(paths, core, np.ones(3)), 3)
-        together = np.einsum("ijc,j->ic", group_velocity(points, each), strength)
+        each = convert_to_single_precision(make_segments(paths, core, np.ones(3)), 3)
+        together = np.einsum("ijc,j->ic", induce_velocity_by_group(points, each), strength)
         np.testing.assert_allclose(together, exact, atol=error * np.max(np.abs(exact)))
 
 
@@ -249,12 +249,12 @@ def test_momentum_of_the_wake_is_the_thrust(blading):
     assert solution.converged
     thrust = solution.rotors[0].thrust_N
     for height in (-0.018, -0.03):
-        assert momentum_thrust(solution, height) == pytest.approx(thrust, rel=0.05)
+        assert compute_momentum_flux_thrust(solution, height) == pytest.approx(thrust, rel=0.05)
     with pytest.raises(InputError, match="not below"):
-        momentum_thrust(solution, 0.0)
+        compute_momentum_flux_thrust(solution, 0.0)
     with pytest.raises(InputError, match="has no wakes"):
         induced_velocity(
-            solve_system(RotorSystem.single_rotor(blading), OperatingCondition(0.2, 500.0)), [0.0, 0.0, -0.1]
+            solve_system(RotorSystem.from_single_rotor(blading), OperatingCondition(0.2, 500.0)), [0.0, 0.0, -0.1]
         )
 
 
@@ -342,7 +342,7 @@ def test_the_lower_rotor_meets_all_the_turning_that_profile_drag_gave_the_upper_
     for unit in units:
         unit.build_filaments(pair.settings, pair.air.viscosity_Pa_s / rho)
     ways = [(units[1], units[0]), (units[0], units[1])]
-    below, above = (drag_swirl_velocity(*way, 0.0, pair.settings.phases) for way in ways)
+    below, above = (compute_upper_drag_swirl(*way, 0.0, pair.settings.phases) for way in ways)
     assert not above.any()
     s, state = units[0].surface, units[0].blade_state
     r, n = s.quarter_chord_m[:, 0], s.chord_m.size
@@ -351,7 +351,7 @@ def test_the_lower_rotor_meets_all_the_turning_that_profile_drag_gave_the_upper_
     assert 0.2 * upper.torque_Nm < torque < 0.45 * upper.torque_Nm
     # What passes the lower disc in a second takes as much along, and turns against the lower rotor.
     through = sum(average_mutual_inflow(units[0], u, s.quarter_chord_m, pair.settings.phases)[:, 2] for u in units)
-    narrow = wake_contraction(units[0].placed.height_m - units[1].placed.height_m, s.radius_m)
+    narrow = compute_wake_radius_ratio(units[0].placed.height_m - units[1].placed.height_m, s.radius_m)
     at = units[1].surface.quarter_chord_m[:, 0]
     against = -below[n : 2 * n, 1]
     down = np.interp(at / narrow, r, -through) / narrow**2
@@ -361,7 +361,7 @@ def test_the_lower_rotor_meets_all_the_turning_that_profile_drag_gave_the_upper_
     assert (against[at > 1.1 * narrow * s.radius_m] == 0.0).all()
     # Without drag there is none.
     units[0].blade_state = replace(state, cd=0.0 * state.cd)
-    assert not drag_swirl_velocity(units[1], units[0], 0.0, pair.settings.phases).any()
+    assert not compute_upper_drag_swirl(units[1], units[0], 0.0, pair.settings.phases).any()
 
 
 def test_passing_blades_average_to_the_mean_loads(pair):
@@ -431,9 +431,9 @@ np.testing.assert_allclose(induce_velocity_gpu(p, s), induce_velocity(p, s), rto
 
 
 def test_without_a_gpu_there_is_one_line(blading):
-    from mufly.rotor.wake.biot_savart_gpu import gpu_available
+    from mufly.rotor.wake.biot_savart_gpu import is_gpu_available
 
-    if gpu_available():
+    if is_gpu_available():
         pytest.skip("there is a GPU")
     with pytest.raises(MuflyError, match="no CUDA device"):
         one(blading, 0.2, 500.0, replace(COARSE, gpu=True))

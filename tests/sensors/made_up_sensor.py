@@ -27,14 +27,14 @@ def report() -> dict[str, object]:
     from mufly.estimate.filter.filter_records import ERROR_STATES
     from mufly.estimate.sensor_status import AuxiliaryStates, SensorStatus, describe_reason
     from mufly.flight.record.recorder import FlightRecorder
-    from mufly.flight.record.sensor_recording import iterate_readings, make_sensed_row_writer
+    from mufly.flight.record.sensor_recording import iterate_readings_and_inputs, make_sensed_row_writer
     from mufly.flight.simulated_plant import Actuators
     from mufly.link import mavlink
     from mufly.link.command_protocol import FAILURE_NAMES
     from mufly.link.estimate_messages import CHECKS_ARRAY_NAME, TEST_RATIOS, pack_sensor_checks
     from mufly.link.telemetry_streams import _SENSOR_BITS
     from mufly.logs.mcap import flight_layout
-    from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES
+    from mufly.quantities.quantity_table import FUSION_STATUSES, READINGS_WITH_FUSION_STATUS
     from mufly.sensors import Reading, Readings, Truth, parse_fault
     from mufly.station import SignalHistory
     from mufly.station.page.frame_feed import list_sensor_states
@@ -55,7 +55,7 @@ def report() -> dict[str, object]:
         truth, Readings(0.5, {ROW.name: reading}), believed, Actuators(np.zeros(2), np.zeros(2)), (zero,) * 3, "hover"
     )
     dataset = recorder.to_dataset()
-    back = next(iterate_readings(dataset))[0][ROW.name]
+    back = next(iterate_readings_and_inputs(dataset))[0][ROW.name]
 
     telemetry = VehicleTelemetry(SignalHistory(seconds=10.0))
     array = mavlink.MAVLink_debug_float_array_message(10**6, CHECKS_ARRAY_NAME, 1, values + [0.0] * (58 - len(values)))
@@ -68,7 +68,7 @@ def report() -> dict[str, object]:
         "failure": FAILURE_NAMES[0][mavlink.FAILURE_UNIT_SENSOR_AIRSPEED],
         "status bit": bool(_SENSOR_BITS & mavlink.MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE),
         "test ratio": TEST_RATIOS["tas_ratio"],
-        "message": [FUSION_STATUSES[int(values[3 * CHECKED_READINGS.index(ROW.name)])], len(values)],
+        "message": [FUSION_STATUSES[int(values[3 * READINGS_WITH_FUSION_STATUS.index(ROW.name)])], len(values)],
         "recorded": [back.value.tolist(), back.time_s, back.valid, back.covariance.diagonal().tolist()],
         "recorded innovation": float(dataset["innovation_airspeed"].values[0]),
         "page": list_sensor_states(telemetry.history),

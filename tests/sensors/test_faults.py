@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.sensors import FAULT_KINDS, FAULT_TARGETS, fitted_sensors, parse_fault
+from mufly.sensors import FAULT_KINDS, FAULT_TARGETS, make_fitted_sensors, parse_fault
 from mufly.world import World
 
 EVERY = [
@@ -18,7 +18,7 @@ EVERY = [
 
 
 def flown(vehicle, at, fault, seconds=2.0, **more):
-    sensors = fitted_sensors(vehicle, World(), seed=1, faults=[parse_fault(fault)] if fault else [])
+    sensors = make_fitted_sensors(vehicle, World(), seed=1, faults=[parse_fault(fault)] if fault else [])
     return [sensors.read(at(k / 200, rotor_speed=(376.0, 443.0), **more)) for k in range(round(200 * seconds))]
 
 
@@ -111,4 +111,4 @@ def test_an_accelerometer_clips_at_its_element(vehicle, at) -> None:
 def test_a_fault_of_a_sensor_that_is_not_on_board_is_refused(vehicle) -> None:
     blind = vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"sonar": None})})
     with pytest.raises(InputError, match=r"has no sensors\.sonar; name another"):
-        fitted_sensors(blind, World(), faults=[parse_fault("sonar.jump@1s")])
+        make_fitted_sensors(blind, World(), faults=[parse_fault("sonar.jump@1s")])

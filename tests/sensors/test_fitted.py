@@ -9,15 +9,15 @@ from scipy import stats
 from mufly.dynamics import body_to_ned_matrix
 from mufly.errors import InputError
 from mufly.quantities.units import GRAVITY
-from mufly.sensors import column_medians, fitted_sensors
+from mufly.sensors import column_medians, make_fitted_sensors
 from mufly.sensors import rng as random_numbers
-from mufly.sensors.periodic import gauss_markov_reset, gauss_markov_step
+from mufly.sensors.periodic import draw_stationary_gauss_markov, propagate_gauss_markov
 from mufly.vehicle import replace_parameters
 from mufly.world import Box, Room, World
 
 
 def one(vehicle, name, world=None, seed=0):
-    return fitted_sensors(vehicle, world or World(), seed=seed, only=[name])
+    return make_fitted_sensors(vehicle, world or World(), seed=seed, only=[name])
 
 
 def stream(sensor, name, truths):
@@ -221,10 +221,10 @@ def test_wandering_does_not_depend_on_how_often_one_looks() -> None:
             np.ones(2000),
             np.empty(2001),
         )
-        gauss_markov_reset(np.random.default_rng(3), sigma, memory)
+        draw_stationary_gauss_markov(np.random.default_rng(3), sigma, memory)
         start = memory[1:].copy()
         for k in range(round(5.0 / step) + 1):
-            gauss_markov_step(k * step, sigma, 5.0, memory, source)
+            propagate_gauss_markov(k * step, sigma, 5.0, memory, source)
         assert memory[1:].std() == pytest.approx(1.0, rel=0.08)
         assert np.mean(start * memory[1:]) == pytest.approx(math.exp(-1), abs=0.08)
 
@@ -240,7 +240,7 @@ def test_one_seed_repeats_all_and_one_sensor_less_leaves_the_others(vehicle, at)
     truths = [at(k / 200, rotor_speed=(376.0, 443.0), rates=(0.1, 0, 0)) for k in range(30)]
 
     def last(**more):
-        sensors = fitted_sensors(vehicle, world, **more)
+        sensors = make_fitted_sensors(vehicle, world, **more)
         for truth in truths:
             readings = sensors.read(truth)
         return {name: np.asarray(r.value) for name, r in readings.latest.items()}
@@ -256,7 +256,7 @@ def test_one_seed_repeats_all_and_one_sensor_less_leaves_the_others(vehicle, at)
 
 def test_a_vehicle_without_sensors_says_so(vehicle) -> None:
     with pytest.raises(InputError, match="sensors: there is no such table; add one"):
-        fitted_sensors(vehicle.model_copy(update={"sensors": None}), World())
+        make_fitted_sensors(vehicle.model_copy(update={"sensors": None}), World())
 
 
 # --- random numbers in compiled code

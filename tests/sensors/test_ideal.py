@@ -8,7 +8,7 @@ import pytest
 from mufly import load_vehicle
 from mufly.dynamics import DrydenWind, initial_state
 from mufly.flight import Actuators, SimulatedPlant
-from mufly.sensors import beam_angles, beam_directions, ideal_sensors
+from mufly.sensors import beam_angles, beam_directions, make_ideal_sensors
 from mufly.sensors.readings import measure_ranges
 from mufly.vehicle import replace_parameters
 from mufly.world import Box, World
@@ -46,7 +46,7 @@ def test_true_yaw_is_continuous_and_readings_do_not_change_afterwards() -> None:
     vehicle = load_vehicle("mufly-2.0")
     plant = SimulatedPlant(vehicle, World(), DrydenWind(step_s=0.005), 200.0, initial_state(attitude=(0.0, 0.0, 3.1)))
     plant.state[6:10] = initial_state(attitude=(0.0, 0.0, -3.1))[6:10]
-    readings = ideal_sensors(vehicle, World()).read(plant.truth)
+    readings = make_ideal_sensors(vehicle, World()).read(plant.truth)
     assert readings["attitude"].value[2] == pytest.approx(2 * math.pi - 3.1)
     plant.state[0] = 99.0
     assert readings["position"].value[0] == 0.0
@@ -55,7 +55,7 @@ def test_true_yaw_is_continuous_and_readings_do_not_change_afterwards() -> None:
 def test_the_ring_is_read_at_its_own_rate_and_says_when() -> None:
     vehicle = load_vehicle("mufly-2.0")
     plant = SimulatedPlant(vehicle, World(), DrydenWind(step_s=0.005), 200.0, initial_state(position=(0, 0, -1)))
-    sensors = ideal_sensors(vehicle, World(), ring_every=8)
+    sensors = make_ideal_sensors(vehicle, World(), ring_every=8)
     seen = []
     for _ in range(17):
         seen.append(sensors.read(plant.truth))

@@ -7,7 +7,7 @@ import pytest
 
 from mufly.dynamics import body_to_ned_matrix
 from mufly.quantities.units import GRAVITY
-from mufly.sensors import fitted_sensors
+from mufly.sensors import make_fitted_sensors
 from mufly.sensors.imu import butterworth_coefficients, resonance_gain
 from mufly.vehicle import replace_parameters
 from mufly.world import World
@@ -16,7 +16,7 @@ GEE = 9.80665
 
 
 def unit(vehicle, seed=0):
-    return fitted_sensors(vehicle, World(), seed=seed, only=["imu"])
+    return make_fitted_sensors(vehicle, World(), seed=seed, only=["imu"])
 
 
 def settle(imu, truths):

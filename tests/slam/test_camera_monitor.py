@@ -12,7 +12,7 @@ import pytest
 
 from mufly.camera import Camera, VehicleMotion, load_camera, make_floor
 from mufly.flight.fixes.onboard_camera import add_dirt
-from mufly.slam import CameraFrame, FrameInfo, SlamSystem, make_square_path, render_frames
+from mufly.slam import CameraFrame, FrameEstimate, SlamSystem, make_square_path, render_frames
 from mufly.slam.datasets.synthetic_datasets import make_hand_path
 from mufly.slam.image_tools import Undistorter
 from mufly.slam.images.camera_monitor import CameraMonitor, DirtMask, FlipTest, judge_motion, low_pass_motion
@@ -209,7 +209,7 @@ def test_a_hover_over_the_same_floor_shows_no_dirt() -> None:
     for k in range(70):
         x, y = 30 + round(8.0 * math.sin(1.3 * k)), 30 + round(8.0 * math.cos(0.9 * k))
         picture = np.clip(floor[y : y + 240, x : x + 320] + rng.normal(0.0, 2.0, (240, 320)), 0, 255).astype(np.uint8)
-        monitor.check_motion(CameraFrame(0.033 * k, picture, FrameInfo(0.0, 0.0, 1.0)), picture)
+        monitor.check_motion(CameraFrame(0.033 * k, picture, FrameEstimate(0.0, 0.0, 1.0)), picture)
         if k % 7 == 0:
             never_moved.add_picture(picture)
     assert never_moved.mask is not None  # what pictures of one place show

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mufly.camera import body_from_camera_rotation, load_camera
-from mufly.slam import CameraFrame, FrameInfo
+from mufly.slam import CameraFrame, FrameEstimate
 from mufly.slam.camera_frame import MotionPrior
 from mufly.slam.camera_pose import POSE_SIZE, PoseEstimate, ViewPrior
 from mufly.slam.image_tools import Undistorter
@@ -16,7 +16,7 @@ from mufly.slam.keyframe_map import FloorMap
 from mufly.slam.keyframe_matching import FrameContext
 from mufly.slam.map_growth import LoopSearch, create_keyframe, make_node
 from mufly.slam.place_recognition import are_places_apart, correlate_pictures
-from mufly.slam.pose_graph import PLACE, GraphEdge, relative_pose
+from mufly.slam.pose_graph import PLACE_SLICE, GraphEdge, relative_pose
 
 cv2 = pytest.importorskip("cv2")
 HIGH, WIDE, FOCAL_PX = 240, 320, 250.0
@@ -34,7 +34,7 @@ def _make_context(picture: np.ndarray) -> FrameContext:
         FOCAL_PX, body_from_camera_rotation(camera), 0.0, 0.0, np.zeros(3), np.zeros(3), 1.0, 0.01, 0.0, np.zeros(2)
     )
     return FrameContext(
-        CameraFrame(1.0, picture, FrameInfo(0.0, 0.0, 1.0)), picture, view, np.full(picture.shape, 255, np.uint8),
+        CameraFrame(1.0, picture, FrameEstimate(0.0, 0.0, 1.0)), picture, view, np.full(picture.shape, 255, np.uint8),
         MotionPrior(), 0.0, np.zeros(3), (np.ones(3), np.full(3, 1e-10)), Undistorter(camera), 0.3, 0.0, 0.0,
         np.random.default_rng(0),
     )  # fmt: skip
@@ -72,7 +72,7 @@ def test_no_loop_is_closed_to_one_of_two_places_that_look_the_same(alike: bool, 
         [((0.0, 0.0), _crop(first)), ((0.0, 0.7), _crop(other)), ((3.0, 0.7), _crop(_draw_texture(3))),
          ((3.0, 3.0), _crop(_draw_texture(4)))], 0.3,
     )  # fmt: skip
-    last = floor_map.nodes[0, PLACE] + [0.05, 0.05, 0.0, 0.0]
+    last = floor_map.nodes[0, PLACE_SLICE] + [0.05, 0.05, 0.0, 0.0]
     found = LoopSearch().match_candidate(floor_map, HERE, _make_context(_crop(first, 12)), last)
     assert (found is not None) == closes
     if found is not None:

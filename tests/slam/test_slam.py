@@ -13,7 +13,7 @@ from mufly.camera import body_from_camera_rotation, load_camera, make_floor
 from mufly.dynamics import GRAVITY
 from mufly.errors import InputError
 from mufly.slam import SlamSystem, evaluate_trajectory, make_square_path, render_frames, run_slam
-from mufly.slam.camera_frame import CameraFrame, FrameInfo, MotionPrior, Odometry
+from mufly.slam.camera_frame import CameraFrame, FrameEstimate, MotionPrior, Odometry
 from mufly.slam.camera_pose import (
     PoseEstimate,
     ViewPrior,
@@ -241,10 +241,10 @@ def test_what_it_cannot_see_it_does_not_answer() -> None:
 def test_the_way_since_an_answer_is_added_up_from_told_velocities() -> None:
     """Picture by picture, some lost: a way that speeds up evenly comes out exactly, and is known to s_v t."""
     v, a = np.array([0.3, -0.1, 0.0]), np.array([0.8, 0.5, 0.0])
-    way = Odometry(0.0, FrameInfo(0.0, 0.0, 1.0, velocity=v))
-    silent = Odometry(0.0, FrameInfo(0.0, 0.0, 1.0))
+    way = Odometry(0.0, FrameEstimate(0.0, 0.0, 1.0, velocity=v))
+    silent = Odometry(0.0, FrameEstimate(0.0, 0.0, 1.0))
     for t in (0.03, 0.06, 0.13, 0.16, 0.2):
-        told = FrameInfo(0.0, 0.0, 1.0, np.array([0.0, 0.0, 2.0 * t]), velocity=v + a * t, velocity_sigma=0.05)
+        told = FrameEstimate(0.0, 0.0, 1.0, np.array([0.0, 0.0, 2.0 * t]), velocity=v + a * t, velocity_sigma=0.05)
         way, silent = way.advance_to(t, told), silent.advance_to(t, replace(told, velocity=None))
     moved, sigma_m = way.predict_displacement(np.zeros(2))
     assert moved == pytest.approx([*(v * 0.2 + 0.5 * a * 0.04)[:2], 0.04])
@@ -257,7 +257,7 @@ def test_the_way_since_an_answer_is_added_up_from_told_velocities() -> None:
 
 
 def test_a_tilted_helicopter_accelerates_and_a_carried_one_may_not() -> None:
-    level = FrameInfo(0.0, 0.0, 1.0, rotor_speed=np.full(2, 400.0))
+    level = FrameEstimate(0.0, 0.0, 1.0, rotor_speed=np.full(2, 400.0))
     for rotors, gained in ((400.0, GRAVITY * 0.1 * math.tan(0.1)), (0.0, 0.0)):
         motion = MotionPrior().restart_at(CameraFrame(0.0, np.zeros((2, 2), np.uint8), replace(level, pitch=-0.1)))
         told = replace(level, pitch=-0.1, rotor_speed=np.full(2, rotors))

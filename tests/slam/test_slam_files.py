@@ -39,7 +39,7 @@ from mufly.slam import (
     make_square_path,
     open_live,
     open_pictures,
-    read_telemetry,
+    read_telemetry_interpolator,
     read_trajectory,
     read_truth,
     render_frames,
@@ -127,7 +127,7 @@ def test_a_stream_gives_the_trajectory_that_its_folder_gives(layouts: dict[str, 
     start = (*truth[1][0, :2], truth[2][0])
     direct = run_slam(SlamSystem(CAMERA, start=start), source.read_frames())
     with StreamServer() as server, LivePictures(server.url, CAMERA, clock="sender", give_up_s=0.2) as live:
-        frames = open_live(live, read_telemetry(folder / "telemetry.csv")).read_frames()
+        frames = open_live(live, read_telemetry_interpolator(folder / "telemetry.csv")).read_frames()
 
         def sent() -> Iterator[CameraFrame]:
             for k, frame in enumerate(source.read_frames()):
@@ -191,11 +191,11 @@ def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], 
     out.release()
     with pytest.raises(InputError, match="does not state the height above the floor; give --height or --telemetry"):
         open_pictures(film, CAMERA)
-    told = read_telemetry(layouts["mufly"] / "telemetry.csv", -100.0)
+    told = read_telemetry_interpolator(layouts["mufly"] / "telemetry.csv", -100.0)
     (tmp_path / "film.csv").write_text("time,frame\n" + "".join(f"{100.1 + 0.04 * k},{k}\n" for k in range(5)))
     some = list(open_pictures(film, CAMERA, told=told).read_frames())
     assert [f.time_s for f in some] == pytest.approx([100.1, 100.14, 100.18, 100.22, 100.26])
-    direct = read_telemetry(layouts["mufly"] / "telemetry.csv")(np.array([0.1, 0.26]))
+    direct = read_telemetry_interpolator(layouts["mufly"] / "telemetry.csv")(np.array([0.1, 0.26]))
     assert [some[k].vehicle_estimate.roll for k in (0, 4)] == pytest.approx([t.roll for t in direct])
     log = tmp_path / "log.mcap"
     t = np.arange(100.0, 101.0, 0.01)
@@ -204,10 +204,12 @@ def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], 
          "estimated_position": (("time", "axis"), np.stack([t, t, -1.0 - 0 * t], axis=1))},
         {"time": t, "euler": ["roll", "pitch", "yaw"], "axis": ["N", "E", "D"]},
     ), log)  # fmt: skip
-    one = list(open_pictures(film, CAMERA, told=read_telemetry(log, 0.0)).read_frames())[2].vehicle_estimate
+    one = list(open_pictures(film, CAMERA, told=read_telemetry_interpolator(log, 0.0)).read_frames())[
+        2
+    ].vehicle_estimate
     assert (one.roll, one.height_m) == pytest.approx((0.018, 1.0), abs=1e-6)
     with pytest.raises(InputError, match="give --offset: clock of the recording minus clock of the pictures"):
-        open_pictures(film, CAMERA, told=read_telemetry(log, -50.0))
+        open_pictures(film, CAMERA, told=read_telemetry_interpolator(log, -50.0))
     for text, why in (
         ("1\n2\n3\n", "has 3 times, but the video has 5 pictures"),
         ("1\n2\nx\n4\n5\n", "line 3, column 1: 'x' is not a number"),
@@ -507,12 +509,12 @@ def test_telemetry_of_a_log_gives_its_velocity_and_place(tmp_path: Path) -> None
     attitude[:, 2] = np.angle(np.exp(1j * attitude[:, 2]))
     signals = {"attitude": attitude, "position": place, "velocity": speed, "velocity_sigma": still + 0.03}
     log = xr.Dataset({f"estimated_{k}": (("time", "axis"), v) for k, v in signals.items()}, {"time": t, **axis})
-    infos = read_telemetry(write_log(log, tmp_path / "log.nc"))(np.array([1.0, 2.01]))
+    infos = read_telemetry_interpolator(write_log(log, tmp_path / "log.nc"))(np.array([1.0, 2.01]))
     assert infos[1].velocity == pytest.approx([0.5, 0.0, 0.0])
     assert infos[1].place == pytest.approx([1.005, 0.0, 3.0 + 0.402], abs=1e-3)  # continuous over half a turn
     assert (infos[0].velocity_sigma, *infos[0].place_sigma) == pytest.approx((0.03, 0.1, math.radians(2.0)))
     bare = log.drop_vars(["estimated_velocity"])
-    info = read_telemetry(write_log(bare, tmp_path / "bare.nc"))(np.array([1.0]))[0]
+    info = read_telemetry_interpolator(write_log(bare, tmp_path / "bare.nc"))(np.array([1.0]))[0]
     assert info.velocity is None
     assert info.place is None
     assert info.height_m == pytest.approx(1.0)

@@ -109,21 +109,21 @@ def test_every_autopilot_is_asked_in_its_own_way():
     """By MAVLink's meaning of the parameters; modes are those of PX4 and of ArduCopter."""
     firmwares = [identify_firmware(*who) for who in ((12, True), (12, False), (3, False), (18, False))]
     assert firmwares == ["mufly", "PX4", "ArduPilot", "other"]
-    ours, px4, copter, other = (autopilots.take_off_command(f, 1.5) for f in firmwares)
+    ours, px4, copter, other = (autopilots.make_take_off_command(f, 1.5) for f in firmwares)
     assert (ours.command_id, ours.frame, ours.params[6]) == (22, 1, -1.5)
     assert math.isnan(px4.params[6])  # it climbs to its parameter MIS_TAKEOFF_ALT
     assert (copter.params[6], other.params[6], copter.frame) == (1.5, 1.5, None)
     assert len(copter.params) == 7
     at = GlobalOrigin(47.0, 8.0, 400.0)
-    ours, px4 = (autopilots.go_to_command(f, (3.0, -2.0, -1.5), math.nan, at) for f in ("mufly", "PX4"))
+    ours, px4 = (autopilots.make_go_to_command(f, (3.0, -2.0, -1.5), math.nan, at) for f in ("mufly", "PX4"))
     assert (ours.frame, ours.params[4:]) == (1, (3.0, -2.0, -1.5))
     assert (px4.frame, px4.params[4:]) == (0, pytest.approx(at.to_global(3.0, -2.0, -1.5)))
     for order in (ours, px4):
         assert order.params[0] == -1.0  # at its own speed
         assert math.isnan(order.params[3])  # the nose as it likes
     assert px4.params[1] == 1.0  # whatever mode it is in
-    assert "not reported its origin" in autopilots.go_to_command("PX4", (0, 0, -1), 0.0, None)
-    interval = autopilots.message_interval_command
+    assert "not reported its origin" in autopilots.make_go_to_command("PX4", (0, 0, -1), 0.0, None)
+    interval = autopilots.make_message_interval_command
     assert [interval(30, rate).params[:2] for rate in (50.0, 0.0)] == [(30, 20_000.0), (30, -1.0)]
     assert (
         autopilots.ARM_COMMAND.params[0],

@@ -53,7 +53,7 @@ def test_another_source_rate_and_clock_fall_on_the_first() -> None:
     assert c.find_counterpart("estimated_position_N") == "measured_position_N"
     for row in difference_rows(c, ["estimated_position_N", "estimated_attitude_yaw"]):
         assert row["rms"] < {"m": 0.02, "deg": 2.0}[row["units"]]
-    assert c.second_track().shape == (len(B.times_s), 3)
+    assert c.second_recording_track().shape == (len(B.times_s), 3)
     assert find_shared_signals(c)["position"] == ["estimated_position_N", "estimated_position_D"]
 
 
@@ -61,9 +61,9 @@ def test_beyond_its_ends_in_gaps_and_without_a_signal_there_is_nothing() -> None
     late = hop("late", 0.0, 50.0, 2.0)
     late.columns["estimated_position_N"][100:200] = math.nan  # 2 to 4 s
     c = RecordingComparison(A, late, "clock", 1.0)
-    n = c.sample_second("estimated_position_N", np.array([0.5, 2.0, 4.0, 6.0, 30.0]))
+    n = c.sample_second_recording("estimated_position_N", np.array([0.5, 2.0, 4.0, 6.0, 30.0]))
     assert np.isnan(n).tolist() == [True, False, True, False, True]
-    assert np.isnan(c.sample_second("battery_voltage", A.times_s)).all()
+    assert np.isnan(c.sample_second_recording("battery_voltage", A.times_s)).all()
     with pytest.raises(ArgumentError, match="not in both recordings"):
         find_shared_signals(c, ["battery_voltage"])
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mufly.link import MISSION_STATES, mavlink
-from mufly.quantities.quantity_table import mavlink_columns
+from mufly.quantities.quantity_table import list_mavlink_field_columns
 from mufly.station import SignalHistory
 from mufly.station.remote.remote_commands import StatusTextLog
-from mufly.station.remote.vehicle_telemetry import TABLE_MESSAGES, VehicleClock, VehicleTelemetry
+from mufly.station.remote.vehicle_telemetry import TABLE_MESSAGES, MonotonicVehicleClock, VehicleTelemetry
 from mufly.station.signal_history import SIGNAL_TIMEOUT_S
 from mufly.vehicle_types import flight_mode_name
 
@@ -37,7 +37,7 @@ def test_every_field_of_the_table_is_a_field_of_its_message_and_a_signal_of_the_
     names = set(SignalHistory(seconds=1.0).names)
     for name in TABLE_MESSAGES:
         fields = mavlink.mavlink_map[getattr(mavlink, f"MAVLINK_MSG_ID_{name}")].fieldnames
-        for field, signal, _ in mavlink_columns(name):
+        for field, signal, _ in list_mavlink_field_columns(name):
             assert field in fields
             assert signal in names
 
@@ -104,7 +104,7 @@ def test_a_clock_is_measured_anew_after_a_restart():
 
 
 def test_a_vehicle_is_started_anew_when_three_stamps_go_on_from_its_beginning():
-    clock = VehicleClock()
+    clock = MonotonicVehicleClock()
     assert clock.to_monotonic_time(100_000, 50.0) == 100.0
     assert math.isnan(clock.to_monotonic_time(1_000, 60.0))
     assert math.isnan(clock.to_monotonic_time(1_020, 60.02))  # two may be late, or damaged
@@ -351,7 +351,7 @@ def test_absurd_numbers_raise_nothing(value):
 
 
 def test_the_clock_goes_on_over_a_wrap():
-    clock, wrap = VehicleClock(), 2**32
+    clock, wrap = MonotonicVehicleClock(), 2**32
     times = [clock.to_monotonic_time((wrap - 50 + 10 * k) % wrap, 0.01 * k) for k in range(20)]
     np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-6)
     assert clock.to_monotonic_time(wrap - 10, 0.2) == pytest.approx(times[4], abs=1e-6)  # from before it, late
@@ -360,7 +360,7 @@ def test_the_clock_goes_on_over_a_wrap():
 
 @pytest.mark.parametrize("uptime_s", [10.0, 1e6, 3e6])
 def test_the_clock_goes_on_over_a_restart(uptime_s):
-    clock = VehicleClock()
+    clock = MonotonicVehicleClock()
     clock.to_monotonic_time(round(uptime_s * 1e3), 100.0)
     placed = [clock.to_monotonic_time(round(1e3 * t), 103.0 + t) for t in (0.1, 0.12, 0.14, 0.16)]
     assert clock.restart_count == 1
@@ -369,7 +369,7 @@ def test_the_clock_goes_on_over_a_restart(uptime_s):
 
 
 def test_one_stamp_that_is_far_behind_is_no_restart():
-    clock = VehicleClock()
+    clock = MonotonicVehicleClock()
     for k in range(5):
         clock.to_monotonic_time(10_000 + 10 * k, 0.01 * k)
         assert math.isnan(clock.to_monotonic_time(500, 0.01 * k))

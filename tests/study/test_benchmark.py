@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
 from mufly.rotor import format_rotor_toml, load_rotor
-from mufly.rotor.measured.uncertainty import fit_interval_scale, interval_quantile
+from mufly.rotor.measured.uncertainty import fit_student_scale, interval_quantile
 from mufly.study.benchmark import (
     draw_scores,
     load_cases,
@@ -21,8 +21,8 @@ from mufly.study.benchmark import (
     tabulate_by_group,
     tabulate_propellers,
 )
-from mufly.study.benchmark.prediction_codes import n_crit_of_turbulence
-from mufly.study.benchmark.propeller_efficiency import measure_efficiency_curve
+from mufly.study.benchmark.prediction_codes import compute_n_crit_from_turbulence
+from mufly.study.benchmark.propeller_efficiency import find_efficiency_figures
 
 STATIC = "RPM CT CP\n3000.0 0.10 0.05\n4000.0 0.11 0.05\n5000.0 0.12 0.05\n"
 GEOMETRY = "r/R c/R beta\n0.15 0.15 30.0\n0.50 0.20 20.0\n1.00 0.10 10.0\n"
@@ -149,16 +149,16 @@ def test_what_is_no_code_is_refused_in_one_line(text):
 def test_scales_of_intervals_hold_what_they_state():
     rng = np.random.default_rng(41)
     errors = 0.7 * rng.standard_t(3, 4000)
-    scale = fit_interval_scale(list(errors[:, None]))
+    scale = fit_student_scale(list(errors[:, None]))
     assert scale == pytest.approx(0.7, rel=0.04)
     for level in (0.5, 0.9, 0.95):
         assert np.mean(np.abs(errors) < interval_quantile(level) * scale) == pytest.approx(level, abs=0.015)
     few = [np.array([e]) for e in (0.2, -0.5, 1.1, -1.6)]
     copied = [np.repeat(few[0], 4), np.append(few[1], np.nan), *few[2:], np.array([np.nan])]
-    assert fit_interval_scale(copied) == fit_interval_scale(few)  # a rotor counts once
+    assert fit_student_scale(copied) == fit_student_scale(few)  # a rotor counts once
     many = list(errors[:20, None])
-    assert fit_interval_scale([*many, np.array([1e3])]) < 1.3 * fit_interval_scale(many)  # nor does one rotor decide
-    assert fit_interval_scale([]) == 1.0
+    assert fit_student_scale([*many, np.array([1e3])]) < 1.3 * fit_student_scale(many)  # nor does one rotor decide
+    assert fit_student_scale([]) == 1.0
 
 
 def falling(question):
@@ -187,10 +187,12 @@ def test_runs_in_a_tunnel(data):
     assert_allclose([score.measured.max_efficiency, score.predicted.max_efficiency], [0.3, 0.35], rtol=1e-3)
     assert_allclose([score.measured.best_advance_ratio, score.predicted.best_advance_ratio], [0.3, 0.35], rtol=2e-2)
     # A tunnel has air of its own; 3 % of turbulence leave no laminar layer.
-    assert_allclose([n_crit_of_turbulence(0.001), n_crit_of_turbulence(0.0298)], [8.15, 0.0], atol=0.01)
+    assert_allclose(
+        [compute_n_crit_from_turbulence(0.001), compute_n_crit_from_turbulence(0.0298)], [8.15, 0.0], atol=0.01
+    )
     codes = [
         parse_code("bemt"),
-        parse_code("bemt", n_crit=n_crit_of_turbulence(0.001)),
+        parse_code("bemt", n_crit=compute_n_crit_from_turbulence(0.001)),
         parse_code("bemt", n_crit=0.1),
     ]
     own, calm, hovering = (s.predicted.zero_thrust_advance_ratio for s in score_propellers(cases, codes))
@@ -199,5 +201,5 @@ def test_runs_in_a_tunnel(data):
     assert_allclose(row.size, [1 / 6] * 3, rtol=2e-2)
     # A run that ends before its greatest efficiency says nothing of it.
     j = np.linspace(0.1, 0.2, 5)
-    short = measure_efficiency_curve(j, 1 - j / 0.6, np.ones(5), j)
+    short = find_efficiency_figures(j, 1 - j / 0.6, np.ones(5), j)
     assert np.isnan([short.max_efficiency, short.best_advance_ratio, short.zero_thrust_advance_ratio]).all()

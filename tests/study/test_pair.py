@@ -242,7 +242,7 @@ def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: StudyS
 def test_single_rotors_by_the_wake_agree_with_asking_for_one(rotor) -> None:
     blading = prepare_blading(rotor, stations=10)
     at = OperatingCondition(PITCH, thrust_N=0.25)
-    found = solve_system(RotorSystem.single_rotor(blading), at, "wake", settings=COARSE)
+    found = solve_system(RotorSystem.from_single_rotor(blading), at, "wake", settings=COARSE)
     assert found.rotors[0].thrust_N == pytest.approx(0.25, rel=0.0101)
     setup = StudySetup(rotor, None, {"thrust": 0.25}, method="wake", wake_settings=COARSE, station_count=10)
     data = sweep_parameters(setup, {"pitch": [PITCH]})
@@ -266,7 +266,7 @@ def test_single_rotors_by_the_wake_agree_with_asking_for_one(rotor) -> None:
 def test_a_thrust_out_of_reach_is_named(rotor) -> None:
     with pytest.raises(MuflyError, match="out of reach"):
         solve_system(
-            RotorSystem.single_rotor(prepare_blading(rotor, stations=10)),
+            RotorSystem.from_single_rotor(prepare_blading(rotor, stations=10)),
             OperatingCondition(PITCH, thrust_N=1e4),
             "wake",
             settings=COARSE,

@@ -10,9 +10,9 @@ from mufly.rotor import database_airfoils, draw_blade, load_airfoil
 from mufly.study import (
     TABLE_3_3_AIRFOILS,
     StudySetup,
-    choose_airfoils,
     draw_ranking,
     draw_sweep,
+    expand_airfoil_names,
     rank_airfoils,
     sweep_parameters,
     thesis_airfoils,
@@ -40,12 +40,12 @@ def test_sets_can_be_mixed(tmp_path) -> None:
     files = [str(folder / f"{name}.dat") for name in "ab"]
     for file in files[::-1]:
         Path(file).write_text("x", encoding="utf-8")
-    assert choose_airfoils(f"naca0012,{folder},naca0012") == ["naca0012", *files]
-    assert len(choose_airfoils("database")) == len(database_airfoils())
+    assert expand_airfoil_names(f"naca0012,{folder},naca0012") == ["naca0012", *files]
+    assert len(expand_airfoil_names("database")) == len(database_airfoils())
     with pytest.raises(InputError, match="no airfoil file"):
-        choose_airfoils(str(empty))
+        expand_airfoil_names(str(empty))
     with pytest.raises(InputError, match="none is named"):
-        choose_airfoils(" , ")
+        expand_airfoil_names(" , ")
 
 
 def table(path, drag: float) -> str:

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.rotor import compute_flap_mode, load_rotor
-from mufly.thesis import OUTLOOK_SENTENCES, count_outlook, render_outlook_page
+from mufly.thesis import OUTLOOK_SENTENCES, count_outlook_states, render_outlook_page
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -17,7 +17,7 @@ def test_the_page_is_that_of_the_sentences():
     page = (DOCS / "thesis" / "outlook.md").read_text(encoding="utf-8")
     assert page == render_outlook_page(), "run python docs/make_thesis_page.py --as-kept"
     assert [s.number for s in OUTLOOK_SENTENCES] == list(range(1, 25))
-    assert sum(count_outlook().values()) == len(OUTLOOK_SENTENCES)
+    assert sum(count_outlook_states().values()) == len(OUTLOOK_SENTENCES)
     assert all((DOCS.parent / s.page).is_file() for s in OUTLOOK_SENTENCES)
 
 

@@ -176,12 +176,12 @@ def test_table_3_3_is_consistent_with_its_thrust() -> None:
 
 def test_the_dissertations_own_theory_gives_its_four_best_airfoils() -> None:
     from mufly.study import TABLE_3_3_AIRFOILS, sweep_parameters
-    from mufly.thesis.single_rotor_studies import PITCH_SETTINGS_DEG, standard_setup
+    from mufly.thesis.single_rotor_studies import PITCH_SETTINGS_DEG, make_standard_setup
 
     best = list(TABLE_3_3_VALUES)[:4]
     pitch = [float(p) for p in np.radians(PITCH_SETTINGS_DEG)]
     data = sweep_parameters(
-        standard_setup("thesis"), {"airfoil": [TABLE_3_3_AIRFOILS[n] for n in best], "pitch": pitch}
+        make_standard_setup("thesis"), {"airfoil": [TABLE_3_3_AIRFOILS[n] for n in best], "pitch": pitch}
     )
     ours = data.thrust_per_power_N_W.max("pitch").values
     np.testing.assert_allclose(ours, [TABLE_3_3_VALUES[n][1] for n in best], rtol=0.03)

@@ -14,9 +14,9 @@ from mufly.world import (
     Room,
     World,
     cast_ranges,
+    compute_obstacle_distances,
+    find_nearest_obstacle,
     make_wall,
-    obstacle_distance,
-    obstacle_distances,
 )
 
 CRATE = Box((2.0, 0.0, -0.5), (1.0, 2.0, 1.0), name="crate")
@@ -63,7 +63,7 @@ def test_rays_closed_forms():
 def test_max_range_and_empty_world():
     assert cast_ranges(World(), [0, 0, -1.0], [unit(0.3)])[0] == math.inf
     assert cast_ranges(World(), [0, 0, -1.0], [unit(0.3)], 1.5)[0] == 1.5
-    assert obstacle_distance(World(), [0, 0, -1.0]) == (math.inf, "")
+    assert find_nearest_obstacle(World(), [0, 0, -1.0]) == (math.inf, "")
     assert cast_ranges(World(has_floor=False), [0, 0, -1.0], [(0, 0, 1.0)])[0] == math.inf
     assert World().is_empty
     assert not World(room=ROOM).is_empty
@@ -71,26 +71,26 @@ def test_max_range_and_empty_world():
 
 def test_distance_closed_forms():
     world = World((CRATE,), (POST,), ROOM)
-    assert obstacle_distance(world, [0.0, 0.0, -0.8]) == (pytest.approx(1.5), "crate")
-    assert obstacle_distance(world, [2.0, 0.0, -0.9]) == (pytest.approx(-0.1), "crate")
-    assert obstacle_distance(world, [0.0, 2.0, -1.0]) == (pytest.approx(0.5), "post")
-    assert obstacle_distance(world, [0.0, 3.1, -1.0]) == (pytest.approx(-0.4), "post")
-    assert obstacle_distance(world, [-4.6, 0.0, -1.0]) == (pytest.approx(0.4), "south wall")
-    assert obstacle_distance(world, [4.6, 0.0, -2.0]) == (pytest.approx(0.4), "north wall")
-    assert obstacle_distance(world, [-2.0, -3.7, -1.0]) == (pytest.approx(0.3), "west wall")
-    assert obstacle_distance(world, [-2.0, 3.7, -1.0]) == (pytest.approx(0.3), "east wall")
-    assert obstacle_distance(world, [-2.0, 0.0, -2.8]) == (pytest.approx(0.2), "ceiling")
+    assert find_nearest_obstacle(world, [0.0, 0.0, -0.8]) == (pytest.approx(1.5), "crate")
+    assert find_nearest_obstacle(world, [2.0, 0.0, -0.9]) == (pytest.approx(-0.1), "crate")
+    assert find_nearest_obstacle(world, [0.0, 2.0, -1.0]) == (pytest.approx(0.5), "post")
+    assert find_nearest_obstacle(world, [0.0, 3.1, -1.0]) == (pytest.approx(-0.4), "post")
+    assert find_nearest_obstacle(world, [-4.6, 0.0, -1.0]) == (pytest.approx(0.4), "south wall")
+    assert find_nearest_obstacle(world, [4.6, 0.0, -2.0]) == (pytest.approx(0.4), "north wall")
+    assert find_nearest_obstacle(world, [-2.0, -3.7, -1.0]) == (pytest.approx(0.3), "west wall")
+    assert find_nearest_obstacle(world, [-2.0, 3.7, -1.0]) == (pytest.approx(0.3), "east wall")
+    assert find_nearest_obstacle(world, [-2.0, 0.0, -2.8]) == (pytest.approx(0.2), "ceiling")
     # Off a corner of the crate: 0.3, 0.4 away in plan.
-    assert obstacle_distance(world, [1.2, 1.4, -0.5])[0] == pytest.approx(0.5)
+    assert find_nearest_obstacle(world, [1.2, 1.4, -0.5])[0] == pytest.approx(0.5)
 
 
 def test_inside_the_distance_is_negative():
     world = World((CRATE,), (POST,), ROOM)
     for place, name in (([2.0, 0.0, -0.5], "crate"), ([6.0, 0.0, -0.5], "north wall")):
-        least, nearest = obstacle_distance(world, place)
+        least, nearest = find_nearest_obstacle(world, place)
         assert least < 0.0
         assert nearest == name
-    assert obstacle_distance(world, [0.0, 0.0, -0.5])[0] > 0.0
+    assert find_nearest_obstacle(world, [0.0, 0.0, -0.5])[0] > 0.0
 
 
 @given(number, number, st.floats(-3.0, -0.05), angle, st.floats(-1.4, 1.4), angle, number, number)
@@ -105,7 +105,7 @@ def test_moving_and_turning_everything_changes_nothing(n, e, d, azimuth, elevati
     if np.ptp(first) < 1e-3:
         got = cast_ranges(turned, b, [unit(azimuth + turn, elevation)], 20.0)[0]
         assert got == pytest.approx(first[1], abs=1e-3)
-    assert obstacle_distance(turned, b)[0] == pytest.approx(obstacle_distance(world, a)[0], abs=1e-9)
+    assert find_nearest_obstacle(turned, b)[0] == pytest.approx(find_nearest_obstacle(world, a)[0], abs=1e-9)
 
 
 @given(number, number, st.floats(-2.9, -0.05), angle, st.floats(-1.4, 1.4))
@@ -113,32 +113,35 @@ def test_no_beam_ends_nearer_than_the_nearest_surface_and_it_ends_on_one(n, e, d
     furniture, _ = furnished()
     world = World(furniture.boxes, furniture.cylinders, ROOM, has_floor=False)
     x, u = np.array([n, e, d]), unit(azimuth, elevation)
-    least, _name = obstacle_distance(world, x)
+    least, _name = find_nearest_obstacle(world, x)
     reach = cast_ranges(world, x, [u], 50.0)[0]
     if least < 0.0:
         assert reach == 0.0
         return
     assert reach >= least - 1e-9
     if reach < 50.0:
-        assert abs(obstacle_distance(world, x + reach * u)[0]) < 1e-9
+        assert abs(find_nearest_obstacle(world, x + reach * u)[0]) < 1e-9
         along = x + np.linspace(0.0, 1.0, 50)[1:-1, None] * reach * u
-        assert obstacle_distances(world, along)[0].min() > -1e-9
+        assert compute_obstacle_distances(world, along)[0].min() > -1e-9
 
 
 @given(number, number, st.floats(-3.0, 0.0), angle, st.floats(0.0, 0.5))
 def test_distance_is_one_lipschitz(n, e, d, azimuth, step):
     world, _ = furnished()
     a = np.array([n, e, d])
-    assert abs(obstacle_distance(world, a)[0] - obstacle_distance(world, a + step * unit(azimuth))[0]) <= step + 1e-12
+    assert (
+        abs(find_nearest_obstacle(world, a)[0] - find_nearest_obstacle(world, a + step * unit(azimuth))[0])
+        <= step + 1e-12
+    )
 
 
 @settings(max_examples=50)
 @given(st.lists(st.tuples(number, number, st.floats(-3.0, 0.0)), min_size=1, max_size=20))
 def test_batch_equals_scalar(points):
     world = World((CRATE,), (POST,), ROOM)
-    batch, which = obstacle_distances(world, np.array(points))
+    batch, which = compute_obstacle_distances(world, np.array(points))
     for p, d, w in zip(points, batch, which, strict=True):
-        assert obstacle_distance(world, p) == (d, world.names[w])
+        assert find_nearest_obstacle(world, p) == (d, world.names[w])
 
 
 def test_wall_is_a_turned_box():
@@ -146,14 +149,14 @@ def test_wall_is_a_turned_box():
     world = World((w,))
     normal = np.array([-0.8, 0.6, 0.0])
     foot = np.array([1.5, 2.0, -1.0])
-    assert obstacle_distance(world, foot + 0.7 * normal) == (pytest.approx(0.6), "partition")
+    assert find_nearest_obstacle(world, foot + 0.7 * normal) == (pytest.approx(0.6), "partition")
     assert cast_ranges(world, foot + 0.7 * normal, [-normal])[0] == pytest.approx(0.6)
-    assert obstacle_distance(world, foot) == (pytest.approx(-0.1), "partition")
+    assert find_nearest_obstacle(world, foot) == (pytest.approx(-0.1), "partition")
 
 
 def test_hanging_obstacles_leave_room_below():
     world = World((), (Cylinder((0, 0), 0.5, 1.0, foot=1.5, name="lamp"),))
-    assert obstacle_distance(world, [0.0, 0.0, -1.0]) == (pytest.approx(0.5), "lamp")
+    assert find_nearest_obstacle(world, [0.0, 0.0, -1.0]) == (pytest.approx(0.5), "lamp")
     assert cast_ranges(world, [0, 0, -1.0], [(0, 0, -1.0), (1.0, 0, 0)]).tolist() == [
         pytest.approx(0.5),
         math.inf,

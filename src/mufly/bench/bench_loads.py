@@ -183,7 +183,7 @@ def calibrate_cells(table: BenchTable) -> CellCalibration:
         solution = np.linalg.lstsq(a, y, rcond=None)[0]
         s = estimate_covariance(a, y - a @ solution, run=run, group=group)
         if s.pattern != "white":
-            notes.append(f"{name}: {s.describe_pattern()}")
+            notes.append(f"{name}: {s.describe_error_correlation()}")
         rows.append(solution)
         sensor_fit_covariances.append(s)
     b = np.array(rows)
@@ -529,7 +529,7 @@ def predict_loads(
             raise ArgumentError(
                 "spacing_m", "", "is missing for a coaxial pair", "give the distance between the discs in m"
             )
-        system = RotorSystem.coaxial_pair(blading, blading, spacing_m=spacing_m)
+        system = RotorSystem.from_coaxial_pair(blading, blading, spacing_m=spacing_m)
         up, dw = table["speed_upper"], table["speed_lower"]
         found = np.full((len(table), 4), np.nan)
         both = np.flatnonzero((up > 0) & (dw > 0))

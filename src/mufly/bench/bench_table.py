@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from mufly.bench.apc_performance_files import read_apc_performance
 from mufly.errors import ArgumentError, InputError
 from mufly.files.text_table import TextTable, read_text_table
-from mufly.quantities.quantity_grammar import ColumnLine, read_column_lines
-from mufly.quantities.units import compatible_units, conversion_factor, normalise_unit, unit_conversion
+from mufly.quantities.quantity_grammar import ColumnMapEntry, read_column_map
+from mufly.quantities.units import find_conversion_factor, list_compatible_units, normalise_unit, unit_conversion
 from mufly.results import result
 
 Array = NDArray[np.float64]
@@ -122,7 +122,7 @@ class BenchTable:
                 si = SI_UNITS[base_quantity_of(name)]
                 raise InputError(
                     self.source, header, f"{unit!r} is not a known unit of {base_quantity_of(name)}",
-                    f"use one of: {', '.join(compatible_units(si))}",
+                    f"use one of: {', '.join(list_compatible_units(si))}",
                 )  # fmt: skip
 
     def with_columns(self, *notes: str, **columns: Array) -> BenchTable:
@@ -178,9 +178,9 @@ def read_bench_files(
         If a file cannot be read or has no known column, a line of the map matches no file, or a cell of a used column
         is not a number.
     """
-    tables = [_read_maker_table(path) or read_text_table(path, short_rows="cut") for path in paths]
+    tables = [_read_apc_table(path) or read_text_table(path, short_rows="cut") for path in paths]
     meant: list[dict[int, list[tuple[str, float]]]] = [{} for _ in paths]
-    for line in read_column_lines(columns):
+    for line in read_column_map(columns):
         places = [None if isinstance(t, BenchTable) else _find_mapped_column(t, line) for t in tables]
         if all(place is None for place in places):
             headers = "; ".join(", ".join(t.header) for t in tables if isinstance(t, TextTable))
@@ -188,11 +188,11 @@ def read_bench_files(
             raise InputError(where, line.columns[0], "is not among the columns", f"the header is {headers}")
         for table, place, own in zip(tables, places, meant, strict=True):
             if isinstance(table, TextTable) and place is not None:
-                own.setdefault(place, []).append((_mapped_header(table.titles[place], line), line.signs[0]))
+                own.setdefault(place, []).append((_make_standard_header(table.titles[place], line), line.signs[0]))
     return [t if isinstance(t, BenchTable) else _read_columns(t, own) for t, own in zip(tables, meant, strict=True)]
 
 
-def _read_maker_table(path: str | Path) -> BenchTable | None:
+def _read_apc_table(path: str | Path) -> BenchTable | None:
     made = read_apc_performance(path)
     if made is None:
         return None
@@ -201,7 +201,7 @@ def _read_maker_table(path: str | Path) -> BenchTable | None:
     return BenchTable(name, made.columns, headers, made.line, (), made.notes, diameter_m=made.diameter_m)
 
 
-def _find_mapped_column(table: TextTable, line: ColumnLine) -> int | None:
+def _find_mapped_column(table: TextTable, line: ColumnMapEntry) -> int | None:
     """Return the index of the table column that a column-map entry names, with or without its unit; None if absent."""
     if line.topic and line.topic != Path(table.where).name:
         return None
@@ -209,7 +209,7 @@ def _find_mapped_column(table: TextTable, line: ColumnLine) -> int | None:
     return next((names.index(line.columns[0]) for names in (table.header, bare) if line.columns[0] in names), None)
 
 
-def _mapped_header(header: str, line: ColumnLine) -> str:
+def _make_standard_header(header: str, line: ColumnMapEntry) -> str:
     """Return the standard header for an entry of a column map: its quantity, with the unit of the entry or of the file.
 
     Raises
@@ -231,7 +231,7 @@ def _mapped_header(header: str, line: ColumnLine) -> str:
         raise ArgumentError("columns", line.name, "is not a quantity of a bench", remedy)
     si = SI_UNITS[known.base_quantity]
     problem = f"{line.unit!r} is not a known unit of {known.base_quantity}"
-    raise ArgumentError("columns", line.name, problem, f"use one of: {', '.join(compatible_units(si))}")
+    raise ArgumentError("columns", line.name, problem, f"use one of: {', '.join(list_compatible_units(si))}")
 
 
 def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float]]]) -> BenchTable:
@@ -263,7 +263,7 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
                 known: dict[str, float] = {}
                 values = np.array([known.setdefault(c, float(len(known))) for c in written.read_texts(index)])
             else:
-                values = sign * _read_values(written, index, column) * column.factor + column.offset
+                values = sign * _read_column_values(written, index, column) * column.factor + column.offset
             found.setdefault(column.name, []).append(_InterpretedColumn(header, column, values))
     if not found and mismatched_units:
         BenchTable(where, {}, {}, line, mismatched_units=mismatched_units).reject_wrong_units(mismatched_units)
@@ -321,14 +321,14 @@ def _choose_column(name: str, readings: list[_InterpretedColumn]) -> tuple[_Inte
         elif best.column.factor != 1.0 and other.column.factor == 1.0 and other.column.unit:
             best = other  # of RPM and omega, or gf and N, the SI column usually has the finer resolution
         if name.startswith("speed"):
-            slower, more = _resolve_pole_pairs(first, other)
+            slower, more = _choose_speed_column(first, other)
             best, why = (slower, more) if slower is not None else (best, why)
         out = other if best is first else first
         words.append(f"{name} is read from {best.header!r}, not from {out.header!r}{why}")
     return best, words
 
 
-def _resolve_pole_pairs(a: _InterpretedColumn, b: _InterpretedColumn) -> tuple[_InterpretedColumn | None, str]:
+def _choose_speed_column(a: _InterpretedColumn, b: _InterpretedColumn) -> tuple[_InterpretedColumn | None, str]:
     """Return which of two disagreeing speed columns to use (None if neither), with the reason.
 
     The slower one is used if their ratio is an integer: the other counts electrical revolutions. Otherwise a speed from
@@ -415,7 +415,7 @@ def _resolve_pitch_unit(table: BenchTable) -> BenchTable:
     return table.rescale_column("pitch", factor, f"{table.headers['pitch']}: no unit is written, taken as degrees")
 
 
-def _read_values(table: TextTable, index: int, column: ColumnMeaning) -> Array:
+def _read_column_values(table: TextTable, index: int, column: ColumnMeaning) -> Array:
     """Return the numbers of a column in its own unit; NaN for empty cells. ``12%`` gives 0.12."""
     share = SI_UNITS[column.base_quantity] == "1"
     values = np.full(len(table.rows), math.nan)
@@ -570,5 +570,5 @@ def _interpret_column_name(name: str, unit: str) -> ColumnMeaning | None:
             _, factor, offset = unit_conversion(known, si)
             return ColumnMeaning(full, factor, unit, offset)
         if quantity == "duty" and normalise_unit(unit, "s"):  # servo pulse: 1 ms is zero, 2 ms is full
-            return ColumnMeaning(full, conversion_factor(unit, "s") * 1e3, unit, -1.0)
+            return ColumnMeaning(full, find_conversion_factor(unit, "s") * 1e3, unit, -1.0)
     return None

@@ -65,7 +65,7 @@ class CovarianceEstimate:
         """Ratio of the half width of the 95 % interval to the standard deviation (quantile of Student's t)."""
         return float(stats.t.ppf(0.975, max(self.dof, 1.0)))
 
-    def describe_pattern(self) -> str:
+    def describe_error_correlation(self) -> str:
         """Return a text on how the errors of the readings are correlated."""
         if self.pattern == "drift":
             return (
@@ -110,11 +110,11 @@ def estimate_covariance(
         patterns["drift"] = series
         if group is not None and len(repeats) < n:
             patterns["repeats"] = repeats
-    pattern, rho, likelihood = "white", 0.0, _restricted_likelihood("drift", 0.0, series, jacobian, residual)
+    pattern, rho, likelihood = "white", 0.0, _twice_restricted_log_likelihood("drift", 0.0, series, jacobian, residual)
     threshold = likelihood + _MIN_LIKELIHOOD_GAIN
     for name, parts in patterns.items():
         found = minimize_scalar(
-            lambda r, name=name, parts=parts: -_restricted_likelihood(name, r, parts, jacobian, residual),
+            lambda r, name=name, parts=parts: -_twice_restricted_log_likelihood(name, r, parts, jacobian, residual),
             bounds=(0.02, 0.98),
             method="bounded",
             options={"xatol": 5e-3},
@@ -141,7 +141,9 @@ def _group_rows(first: Integers, second: Integers) -> list[Integers]:
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 
 
-def _restricted_likelihood(pattern: str, rho: float, parts: list[Integers], jacobian: Array, residual: Array) -> float:
+def _twice_restricted_log_likelihood(
+    pattern: str, rho: float, parts: list[Integers], jacobian: Array, residual: Array
+) -> float:
     """Return twice the restricted log-likelihood of the correlation pattern "drift" or "repeats", up to a constant.
 
     Each part is whitened: a drift by differences ``(x_k - rho x_(k-1)) / sqrt(1 - rho^2)``, repeats by scaling their

@@ -9,9 +9,9 @@
 :data:`_MIN_PROPELLER_CT` is ambiguous and raises an error.
 
 **Units.** Missing units are chosen by the size of the result. A speed gives c_T nearest to
-:data:`TYPICAL_THRUST_COEFFICIENT`, and a thrust gives c_T within :data:`_HOVER_THRUST_COEFFICIENTS`. A torque, and a
-thrust with two possible units, gives a figure of merit within :data:`_HOVER_FIGURES_OF_MERIT`. If no unit or several
-units are possible, an error is raised.
+:data:`TYPICAL_THRUST_COEFFICIENT`, and a thrust gives c_T within :data:`_HOVER_THRUST_COEFFICIENT_RANGE`. A torque, and
+a thrust with two possible units, gives a figure of merit within :data:`_HOVER_FIGURE_OF_MERIT_RANGE`. If no unit or
+several units are possible, an error is raised.
 
 **Rest.** A line gives the zero of the load cells under three conditions: the speed is 0, the throttle is below
 :data:`_MAX_REST_DUTY`, and the load differs from the adjacent turning lines. The difference must exceed
@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.bench.bench_table import BenchTable, base_quantity_of
-from mufly.quantities.units import RPM, conversion_factor
+from mufly.quantities.units import RPM, find_conversion_factor
 
 Array = NDArray[np.float64]
 LineMask = NDArray[np.bool_]
@@ -38,10 +38,10 @@ LineMask = NDArray[np.bool_]
 TYPICAL_THRUST_COEFFICIENT = 0.01
 """Thrust coefficient c_T of a typical hovering rotor."""
 LOAD_QUANTITIES = ("thrust", "torque")
-_HOVER_THRUST_COEFFICIENTS = 0.0015, 0.045  # range of c_T of hovering rotors
-_HOVER_TORQUE_COEFFICIENTS = 1e-4, 6e-3  # range of c_Q
+_HOVER_THRUST_COEFFICIENT_RANGE = 0.0015, 0.045  # range of c_T of hovering rotors
+_HOVER_TORQUE_COEFFICIENT_RANGE = 1e-4, 6e-3  # range of c_Q
 _MIN_GRAM_THRUST_COEFFICIENT, _MAX_KILOGRAM_THRUST_COEFFICIENT = 0.025, 2e-4  # c_T at which newtons may be grams
-_HOVER_FIGURES_OF_MERIT = (0.15, 0.95)  # range of the figure of merit of hovering rotors
+_HOVER_FIGURE_OF_MERIT_RANGE = (0.15, 0.95)  # range of the figure of merit of hovering rotors
 _MIN_PROPELLER_CT = 0.02
 _CANDIDATE_THRUST_UNITS, _CANDIDATE_TORQUE_UNITS = ("N", "gf", "kgf"), ("N m", "mN m", "N cm", "kgf cm")
 _MAX_TIP_SPEED_M_S = 300.0
@@ -190,27 +190,29 @@ def guess_load_units(
             if beside is not None
             else _CANDIDATE_TORQUE_UNITS[:2]
         )
-        low, high = _HOVER_THRUST_COEFFICIENTS if quantity == "thrust" else _HOVER_TORQUE_COEFFICIENTS
+        low, high = _HOVER_THRUST_COEFFICIENT_RANGE if quantity == "thrust" else _HOVER_TORQUE_COEFFICIENT_RANGE
         arm = 1.0 if quantity == "thrust" else radius_m
         with np.errstate(divide="ignore", invalid="ignore"):
             size = float(np.nanmedian(np.abs(loads[channel]) / (scale * arm * squares)))
         fits = []
         for unit in units:
-            factor = conversion_factor(unit)
+            factor = find_conversion_factor(unit)
             load = loads[channel] * factor
             pair = (load, beside) if quantity == "thrust" else (beside, load)
             merit = compute_median_figure_of_merit(pair[0], pair[1], squares, density_kg_m3, radius_m)
             ordinary = low < factor * size < high or (quantity == "torque" and beside is not None)
-            if ordinary and (math.isnan(merit) or _HOVER_FIGURES_OF_MERIT[0] < merit < _HOVER_FIGURES_OF_MERIT[1]):
+            if ordinary and (
+                math.isnan(merit) or _HOVER_FIGURE_OF_MERIT_RANGE[0] < merit < _HOVER_FIGURE_OF_MERIT_RANGE[1]
+            ):
                 fits.append((unit, factor, merit))
         if quantity == "thrust" and [u for u, _, _ in fits] == ["N"]:
             # Grams of a rotor at low pitch look like newtons of a heavily loaded one.
-            light = conversion_factor("gf") * size
+            light = find_conversion_factor("gf") * size
             merit = compute_median_figure_of_merit(
-                loads[channel] * conversion_factor("gf"), beside, squares, density_kg_m3, radius_m
+                loads[channel] * find_conversion_factor("gf"), beside, squares, density_kg_m3, radius_m
             )
             if size > _MIN_GRAM_THRUST_COEFFICIENT and light > _MAX_KILOGRAM_THRUST_COEFFICIENT and math.isnan(merit):
-                fits.append(("gf", conversion_factor("gf"), merit))
+                fits.append(("gf", find_conversion_factor("gf"), merit))
         if len(fits) != 1:
             what = " or ".join(u for u, _, _ in fits) if fits else "no unit"
             stem = table.headers[channel].strip()

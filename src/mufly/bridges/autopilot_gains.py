@@ -51,7 +51,7 @@ MAX_REFERENCE_PEAK = 1.1
 POSITION_ESTIMATE_LAG_S = 0.1
 """Lag of PX4's estimates of position and velocity (s)."""
 HALF_SERVO_ANGLE_ERROR_DEG = 10.0
-GYRO_CUTOFF_HZ, GYRO_RATE_CUTOFF_HZ, VELOCITY_RATE_CUTOFF_HZ = 60.0, 40.0, 5.0
+GYRO_CUTOFF_HZ, GYRO_DERIVATIVE_CUTOFF_HZ, VELOCITY_DERIVATIVE_CUTOFF_HZ = 60.0, 40.0, 5.0
 """Cut-offs of PX4's low passes: IMU_GYRO_CUTOFF, IMU_DGYRO_CUTOFF, MPC_VELD_LP."""
 CONTROL_RATE_HZ = 250.0
 _INPUT_DELAY_PERIODS = 1.5
@@ -151,7 +151,7 @@ class AutopilotGains:
 
 
 @dataclass(frozen=True, slots=True)
-class _Axis:
+class _AxisPlant:
     """Plant of one axis: state matrix, input column, output rows (position, velocity, angle, rate), and the
     disturbance column: wind or, for the vertical axis, an acceleration.
 
@@ -212,7 +212,7 @@ def _with_position_gains(inner: CascadeGains, outer: CascadeGains) -> CascadeGai
     return replace(inner, **{name: getattr(outer, name) for name in names})
 
 
-def _make_axis(vehicle: Vehicle, model: Linearisation, name: str, hover: float) -> _Axis:
+def _make_axis(vehicle: Vehicle, model: Linearisation, name: str, hover: float) -> _AxisPlant:
     full, states = model.full, list(model.full.state_labels)
     inputs = list(full.input_labels)
     rows = [states.index(s) for s in _AXIS_STATES[name]]
@@ -249,7 +249,7 @@ def _make_axis(vehicle: Vehicle, model: Linearisation, name: str, hover: float) 
     filters = [2.0 * math.pi * GYRO_CUTOFF_HZ]
     if imu is not None:
         filters.append(2.0 * math.pi * float(imu.bandwidth))
-    return _Axis(
+    return _AxisPlant(
         name, A, np.append(B, 0.0), C, wind, hover / GRAVITY if name == "vertical" else 1.0 / GRAVITY,
         _INPUT_DELAY_PERIODS / CONTROL_RATE_HZ, tuple(filters),
     )  # fmt: skip
@@ -258,7 +258,7 @@ def _make_axis(vehicle: Vehicle, model: Linearisation, name: str, hover: float) 
 # Frequency responses
 
 
-def _plant_response(axis: _Axis, w: _Array, column: _Array) -> _Complex:
+def _plant_response(axis: _AxisPlant, w: _Array, column: _Array) -> _Complex:
     """Return the response (n, 4) of position, velocity, angle and rate to an input column."""
     s = 1j * w[:, None, None]
     size = len(axis.A)
@@ -266,7 +266,7 @@ def _plant_response(axis: _Axis, w: _Array, column: _Array) -> _Complex:
     return np.asarray((axis.C @ x)[..., 0])
 
 
-def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Complex, _Complex]:
+def _controller_response(axis: _AxisPlant, k: CascadeGains, w: _Array) -> tuple[_Complex, _Complex]:
     """Return frequency responses K (n, 4) and F (n,) of the controller: actuator input = F reference - K outputs."""
     s = 1j * w
     delay = np.exp(-s * axis.delay_s)
@@ -274,9 +274,9 @@ def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Comp
     for cutoff in axis.rate_filters:
         gyro /= 1.0 + math.sqrt(2.0) * s / cutoff + (s / cutoff) ** 2
     rate = k.rate_proportional + k.rate_integral / s
-    rate_rate = k.rate_derivative * s / (1.0 + s / (2.0 * math.pi * GYRO_RATE_CUTOFF_HZ))
+    rate_rate = k.rate_derivative * s / (1.0 + s / (2.0 * math.pi * GYRO_DERIVATIVE_CUTOFF_HZ))
     speed = k.velocity + k.velocity_integral / s
-    speed_rate = k.velocity_derivative * s / (1.0 + s / (2.0 * math.pi * VELOCITY_RATE_CUTOFF_HZ))
+    speed_rate = k.velocity_derivative * s / (1.0 + s / (2.0 * math.pi * VELOCITY_DERIVATIVE_CUTOFF_HZ))
     inner = axis.thrust_per_acceleration * (1.0 if axis.name == "vertical" else k.angle * rate)
     late = np.exp(-s * POSITION_ESTIMATE_LAG_S)
     reference = k.angle * rate if axis.name == "yaw" else inner * speed * k.position
@@ -289,7 +289,7 @@ def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Comp
 # State-space form, for stability and step responses
 
 
-def _closed_loop(axis: _Axis, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
+def _closed_loop(axis: _AxisPlant, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
     """Return the closed loop's state matrix A (n, n), and its input columns (n,) for the reference and the disturbance.
 
     Its states begin with those of the plant. The delay and the gyroscope's filters are one low pass of second order
@@ -304,7 +304,7 @@ def _closed_loop(axis: _Axis, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
     A[:n, d2] = axis.B
     place, moving, turned, turning = (np.append(row, np.zeros(6)) for row in axis.C)
     unit = np.eye(n + 6)
-    cut_v, cut_r = 2.0 * math.pi * VELOCITY_RATE_CUTOFF_HZ, 2.0 * math.pi * GYRO_RATE_CUTOFF_HZ
+    cut_v, cut_r = 2.0 * math.pi * VELOCITY_DERIVATIVE_CUTOFF_HZ, 2.0 * math.pi * GYRO_DERIVATIVE_CUTOFF_HZ
     A[vl], A[rl] = cut_v * (moving - unit[vl]), cut_r * (turning - unit[rl])
     speed_error = -k.position * place - moving
     acceleration = (
@@ -348,7 +348,7 @@ def _closed_loop(axis: _Axis, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
     return A, reference, wind
 
 
-def _find_instability_rate_1_s(axis: _Axis, k: CascadeGains) -> float:
+def _find_instability_rate_1_s(axis: _AxisPlant, k: CascadeGains) -> float:
     """Return by how much the largest real part of the closed-loop poles exceeds its limit (1/s); 0 below the limit."""
     A, _, _ = _closed_loop(axis, k)
     return max(0.0, float(np.max(np.linalg.eigvals(A).real)) - _MAX_STABLE_REAL_PART)
@@ -384,7 +384,9 @@ def _outer_sensitivity(plant: _Complex, feedback: _Complex) -> _Complex:
     return np.asarray((1.0 + inner) / (1.0 + inner + outer))
 
 
-def _loop_cost(axis: _Axis, k: CascadeGains, plant: _Complex, disturbance: _Complex, output: int, peak: float) -> float:
+def _loop_cost(
+    axis: _AxisPlant, k: CascadeGains, plant: _Complex, disturbance: _Complex, output: int, peak: float
+) -> float:
     """Return the logarithm of the integrated squared error of an output after a step disturbance, plus penalties for
     exceeded limits of sensitivity, response and damping.
     """
@@ -409,7 +411,7 @@ _MIN_XY_GAINS, _MIN_Z_GAINS = (0.0, 1.2, 0.0, 0.1), (0.1, 2.0, 0.2, 0.0)
 _MAX_ANGLE_RESPONSE_PEAK = 1.3
 
 
-def _without_velocity(axis: _Axis) -> _Axis:
+def _without_velocity(axis: _AxisPlant) -> _AxisPlant:
     """Return the axis without its velocity state, for the inner loops; the position loop stabilises the velocity."""
     if axis.name == "yaw":
         return axis
@@ -422,7 +424,7 @@ def _drop_small_gain(gain: float) -> float:
     return float(gain) if gain > 1e-5 else 0.0
 
 
-def _design_angle_gains(axis: _Axis) -> CascadeGains:
+def _design_angle_gains(axis: _AxisPlant) -> CascadeGains:
     axis = _without_velocity(axis)
     limits = _MAX_ANGLE_GAINS[axis.name]
     plant = _plant_response(axis, _FREQUENCY_GRID, axis.B)
@@ -447,7 +449,7 @@ def _design_angle_gains(axis: _Axis) -> CascadeGains:
     return k
 
 
-def _design_position_gains(axes: Sequence[_Axis], inner: Sequence[CascadeGains]) -> CascadeGains:
+def _design_position_gains(axes: Sequence[_AxisPlant], inner: Sequence[CascadeGains]) -> CascadeGains:
     vertical = axes[0].name == "vertical"
     most, least = (_MAX_Z_GAINS, _MIN_Z_GAINS) if vertical else (_MAX_XY_GAINS, _MIN_XY_GAINS)
     plants = [_plant_response(axis, _FREQUENCY_GRID, axis.B) for axis in axes]
@@ -475,7 +477,7 @@ def _design_position_gains(axes: Sequence[_Axis], inner: Sequence[CascadeGains])
 # Prediction
 
 
-def predict_margins(axis: _Axis, k: CascadeGains) -> AxisMargins:
+def predict_margins(axis: _AxisPlant, k: CascadeGains) -> AxisMargins:
     """Return the margins and responses of an axis with its gains."""
     w = np.geomspace(1e-2, 600.0, 4000)
     plant = _plant_response(axis, w, axis.B)
@@ -502,7 +504,7 @@ def predict_margins(axis: _Axis, k: CascadeGains) -> AxisMargins:
     )
 
 
-def _wind_step_displacement(axis: _Axis, k: CascadeGains) -> float:
+def _wind_step_displacement(axis: _AxisPlant, k: CascadeGains) -> float:
     """Return the largest displacement (m) after a step of the wind of 1 m/s."""
     A, _, wind = _closed_loop(axis, k)
     n, step_s = len(A), 0.01

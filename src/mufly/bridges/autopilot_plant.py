@@ -31,7 +31,7 @@ from mufly.flight.simulated_flight import GUST_LENGTH_M, RANGE_RING_RATE_HZ
 from mufly.flight.simulated_plant import SimulatedPlant
 from mufly.logs.mcap import FlightEvent
 from mufly.mission import Mission
-from mufly.sensors import Fault, Readings, Truth, fitted_sensors, randomise_leg_lengths
+from mufly.sensors import Fault, Readings, Truth, make_fitted_sensors, randomise_leg_lengths
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
@@ -108,7 +108,7 @@ class AutopilotPlant:
         self._start = standing_state(unit, mission.start_m, math.radians(mission.start_heading_deg))
         air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
         self.plant = SimulatedPlant(unit, mission.world, air, rate_Hz, self._start)
-        self.sensors = fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
+        self.sensors = make_fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
         self.recorder = open_flight_recorder(
             path,
             {
@@ -127,7 +127,7 @@ class AutopilotPlant:
         self.acting = self.sent = Actuators.idle()
         self.is_armed = self._has_flown = self._has_moved = False
         self.sensors.reset()
-        self._take_readings()
+        self._read_and_record_sensors()
 
     @property
     def time_s(self) -> float:
@@ -161,9 +161,9 @@ class AutopilotPlant:
         self.sent = Actuators(clipped[:2], clipped[2:])
         self.plant.advance_period(self.acting)
         self.acting = self.sent
-        self._take_readings()
+        self._read_and_record_sensors()
         if self.plant.period_count % self._look_periods == 0:
-            self._check_events()
+            self._log_new_events()
 
     def set_armed(self, armed: bool) -> None:
         """Set whether the autopilot is armed, and log a change."""
@@ -179,7 +179,7 @@ class AutopilotPlant:
         self.plant.reset(self._start)
         self.acting = self.sent = Actuators.idle()
         self._crash_told, self._battery_was_low, self._has_moved = "", False, False
-        self._take_readings()
+        self._read_and_record_sensors()
         self.log_event("the vehicle is back at the start")
 
     def log_event(self, text: str, level: str = "info") -> None:
@@ -242,13 +242,13 @@ class AutopilotPlant:
         else:
             self.recorder.__exit__(kind, error, trace)
 
-    def _take_readings(self) -> None:
+    def _read_and_record_sensors(self) -> None:
         self.truth: Truth = self.plant.truth
         self.readings: Readings = self.sensors.read(self.truth)
         state = ARMED_STATE if self.is_armed else DISARMED_STATE
         self._write(self.truth, self.readings, None, self.acting, _NO_REFERENCE, state)
 
-    def _check_events(self) -> None:
+    def _log_new_events(self) -> None:
         self.plant.check_collision()
         if self.plant.crash_cause and self.plant.crash_cause != self._crash_told:
             self._crash_told = self.plant.crash_cause

@@ -23,7 +23,7 @@ from mufly.logs.mcap import FlightEvent
 
 DEFAULT_PORT = 8765
 """Port to which Foxglove connects by default."""
-_RATE_HZ = 50.0
+_PUBLISH_RATE_HZ = 50.0
 _SCENE_PERIOD_S = 2.0  # a viewer that connects later gets the scene within this time
 
 
@@ -67,7 +67,7 @@ class FoxgloveViewConfig:
         """
         publisher = FoxglovePublisher(flight.recorder, self.host, self.port)
         flight.log_event(f"Foxglove can connect to ws://{self.host}:{publisher.port}")
-        return LiveViewThread(flight, publisher, rate_Hz=_RATE_HZ, name="the view of Foxglove")
+        return LiveViewThread(flight, publisher, rate_Hz=_PUBLISH_RATE_HZ, name="the view of Foxglove")
 
 
 class FoxglovePublisher:

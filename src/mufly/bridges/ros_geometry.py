@@ -10,7 +10,7 @@ from mufly.logs import RangeSensorGeometry
 from mufly.vehicle import Vehicle, load_vehicle
 
 
-def vehicle_range_limits(vehicle: Vehicle) -> RangeSensorGeometry:
+def range_sensor_geometry(vehicle: Vehicle) -> RangeSensorGeometry:
     """Return the geometry of a vehicle's range sensors: the sonar and the ring of horizontal beams.
 
     It consists of the sonar's cone angle, the direction of the ring's first beam, and the range limits of both.
@@ -27,7 +27,7 @@ def vehicle_range_limits(vehicle: Vehicle) -> RangeSensorGeometry:
     )
 
 
-def recorded_range_limits(vehicle_file: bytes) -> RangeSensorGeometry:
+def recorded_range_sensor_geometry(vehicle_file: bytes) -> RangeSensorGeometry:
     """Return the limits of the range sensors from the vehicle file of a recording; empty limits if the file is
     unreadable.
     """
@@ -35,6 +35,6 @@ def recorded_range_limits(vehicle_file: bytes) -> RangeSensorGeometry:
         path = Path(folder) / "vehicle.toml"
         path.write_bytes(vehicle_file)
         try:
-            return vehicle_range_limits(load_vehicle(path))
+            return range_sensor_geometry(load_vehicle(path))
         except InputError:
             return RangeSensorGeometry()

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.bridges.ros_geometry import vehicle_range_limits
+from mufly.bridges.ros_geometry import range_sensor_geometry
 from mufly.errors import InputError
 from mufly.flight import Flight, RequestAnswer, SetPoint
 from mufly.flight.record.live_view import LiveViewThread
@@ -36,19 +36,19 @@ from mufly.logs.ros.ros_messages import (
     RosTopic,
     attitude_to_ros,
     body_to_flu,
+    compute_stamp_times_ns,
     extract_row_message,
     ned_to_enu,
     rows_with_data,
     select_topics,
     stamp_message,
-    stamp_times_ns,
 )
-from mufly.rotations import euler_from_measured_quaternion
+from mufly.rotations import euler_from_unnormalised_quaternion
 
 _Array = NDArray[np.float64]
 _ROW_RATE_HZ = 200.0
 _QUEUE_DEPTH = 10
-_MAX_CALLBACKS = 50  # in one batch
+_MAX_CALLBACKS_PER_BATCH = 50  # in one batch
 
 
 def load_rclpy() -> ModuleType:
@@ -115,7 +115,7 @@ class RosPublisher:
         self._rclpy = load_rclpy()
         recorder = flight.recorder
         self._columns, self._start_ns = recorder.layout.column_slices, recorder.start_time_ns
-        self._limits = vehicle_range_limits(flight.vehicle)
+        self._limits = range_sensor_geometry(flight.vehicle)
         self._context = self._rclpy.Context()
         self._context.init()
         self._node = self._rclpy.create_node(name, context=self._context)
@@ -132,7 +132,7 @@ class RosPublisher:
             self._add_topic(topic)
         self._state = self._node.create_publisher(load_message_class(STATE_TYPE), STATE_TOPIC, _QUEUE_DEPTH)
         self._state_text = ""
-        self._subscribe()
+        self._create_subscriptions_and_services()
 
     @property
     def topics(self) -> list[str]:
@@ -166,7 +166,7 @@ class RosPublisher:
                 logger.warning(text)
             else:
                 logger.info(text)
-        for _ in range(_MAX_CALLBACKS):
+        for _ in range(_MAX_CALLBACKS_PER_BATCH):
             self._executor.spin_once(timeout_sec=0.0)
 
     def _publish_topic(
@@ -181,7 +181,7 @@ class RosPublisher:
             return
         mine = {name: block[index] for name, block in blocks.items()}
         columns = topic.encode(mine, self._limits)
-        for k, stamp in enumerate(stamp_times_ns(topic, mine, time_s[index], self._start_ns).tolist()):
+        for k, stamp in enumerate(compute_stamp_times_ns(topic, mine, time_s[index], self._start_ns).tolist()):
             content = extract_row_message(columns, k)
             stamp_message(content, stamp)
             publisher.publish(fill_message(kind(), content))
@@ -194,7 +194,7 @@ class RosPublisher:
 
     # commands
 
-    def _subscribe(self) -> None:
+    def _create_subscriptions_and_services(self) -> None:
         pose, twist = (load_message_class(f"geometry_msgs/msg/{name}") for name in ("PoseStamped", "Twist"))
         self._node.create_subscription(pose, "/goal_pose", self._handle_goal_message, _QUEUE_DEPTH)
         self._node.create_subscription(twist, "/cmd_vel", self._handle_velocity_message, _QUEUE_DEPTH)
@@ -211,9 +211,9 @@ class RosPublisher:
             "/stop_motors": lambda flight: flight.autopilot.emergency_stop(),
         }
         for name, act in actions.items():
-            self._node.create_service(trigger, name, self._make_service(act))
+            self._node.create_service(trigger, name, self._make_service_callback(act))
 
-    def _make_service(self, act: Callable[[Flight], RequestAnswer]) -> Callable[[Any, Any], Any]:
+    def _make_service_callback(self, act: Callable[[Flight], RequestAnswer]) -> Callable[[Any, Any], Any]:
         def answer(_: Any, response: Any) -> Any:
             said: RequestAnswer | None = self.view.request(act, wait=True)
             response.success = bool(said)
@@ -226,7 +226,7 @@ class RosPublisher:
         frame = message.header.frame_id
         p, q = message.pose.position, message.pose.orientation
         place = ned_to_enu(np.array([[p.x, p.y, p.z]]))[0]
-        attitude = euler_from_measured_quaternion(np.array([[q.w, q.x, q.y, q.z]]))
+        attitude = euler_from_unnormalised_quaternion(np.array([[q.w, q.x, q.y, q.z]]))
         heading = float(attitude_to_ros(attitude)[0, 2])
 
         def fly(flight: Flight) -> RequestAnswer:

@@ -56,7 +56,7 @@ class SimulatorReport:
         )
 
 
-def check_speed(speed: float, where: str = "speed") -> float:
+def check_real_time_factor(speed: float, where: str = "speed") -> float:
     """Check a speed relative to real time (0: as fast as possible), and return it.
 
     Raises
@@ -84,7 +84,7 @@ class SimulatorPace:
     """
 
     def __init__(self, vehicle: AutopilotPlant, speed: float, clock: Callable[[], float]) -> None:
-        self._vehicle, self.speed, self._clock = vehicle, check_speed(speed), clock
+        self._vehicle, self.speed, self._clock = vehicle, check_real_time_factor(speed), clock
         self.restart()
         self._report_s, self._report_time_s = clock(), vehicle.time_s
 
@@ -107,7 +107,9 @@ class SimulatorPace:
         if self.speed == 1.0 and (notice := self._pacer.take_pace_warning(self._clock())):
             self._vehicle.log_event(notice, "warning" if "slower" in notice else "info")
 
-    def take_report(self, state: str, lockstep_period_count: int, unanswered_count: int) -> SimulatorReport | None:
+    def make_report_if_due(
+        self, state: str, lockstep_period_count: int, unanswered_count: int
+    ) -> SimulatorReport | None:
         """Return the state of the simulation if :data:`REPORT_PERIOD_S` has passed since the last report, else None."""
         now_s, vehicle = self._clock(), self._vehicle
         if now_s - self._report_s < REPORT_PERIOD_S:
@@ -156,18 +158,18 @@ class AutopilotSimulator(ABC):
         on_report: Callable[[SimulatorReport], None] = lambda report: None,
     ) -> None:
         """Simulate until ``stop()``; the ports are closed at the end."""
-        self._announce()
+        self._log_waiting_for_autopilot()
         try:
             while not stop():
                 self._advance(stop)
-                report = self.pace.take_report(self.state, self.lockstep_period_count, self.unanswered_count)
+                report = self.pace.make_report_if_due(self.state, self.lockstep_period_count, self.unanswered_count)
                 if report is not None:
                     on_report(report)
         finally:
             self._close()
 
     @abstractmethod
-    def _announce(self) -> None:
+    def _log_waiting_for_autopilot(self) -> None:
         """Log that the simulator waits for its autopilot."""
 
     @abstractmethod

@@ -12,7 +12,7 @@ from mufly.camera.camera_model import (
     project_points,
     unproject_pixels,
 )
-from mufly.camera.floor_pictures import PACKAGE_FLOORS, FloorSource, find_floor, write_floor_set
+from mufly.camera.floor_pictures import PACKAGE_FLOORS, FloorSource, copy_package_floors, find_floor
 from mufly.camera.floor_texture import FLOOR_KINDS, Floor, load_floor_picture, make_floor
 from mufly.camera.live_pictures import LivePictures, is_live_source
 from mufly.camera.mjpeg_stream import (
@@ -23,7 +23,7 @@ from mufly.camera.mjpeg_stream import (
     parse_boundary,
 )
 from mufly.camera.picture_recording import (
-    CAMERA_FILE_NAME,
+    PICTURE_RECORDING_FILE_NAME,
     PictureRecorder,
     RecordedPictures,
     find_camera,
@@ -32,9 +32,9 @@ from mufly.camera.picture_recording import (
 from mufly.camera.renderer import Renderer, VehicleMotion, decode_picture, encode_jpeg
 
 __all__ = [
-    "CAMERA_FILE_NAME",
     "FLOOR_KINDS",
     "PACKAGE_FLOORS",
+    "PICTURE_RECORDING_FILE_NAME",
     "Camera",
     "Floor",
     "FloorSource",
@@ -48,6 +48,7 @@ __all__ = [
     "builtin_cameras",
     "camera_matrix",
     "check_picture_size",
+    "copy_package_floors",
     "decode_picture",
     "distortion_coefficients",
     "encode_jpeg",
@@ -65,5 +66,4 @@ __all__ = [
     "project_points",
     "read_pictures",
     "unproject_pixels",
-    "write_floor_set",
 ]

@@ -198,28 +198,28 @@ def _parse_calibration(
     if not focus and len(matrix) == 9:
         f_x, _, c_x, _, f_y, c_y, *_ = matrix
         focus = [f_x, f_y, c_x, c_y]
-    focus = focus or [_parse_float(v.get(name)) for name in _INTRINSIC_NAMES]
+    focus = focus or [_parse_float_or_nan(v.get(name)) for name in _INTRINSIC_NAMES]
     width, height = _find_numbers(v, ("resolution", "image_size")) or [
-        _parse_float(v.get(f"image_{side}", v.get(side))) for side in ("width", "height")
+        _parse_float_or_nan(v.get(f"image_{side}", v.get(side))) for side in ("width", "height")
     ]
     if len(focus) != 4 or not all(map(math.isfinite, [*focus, width, height])):
         raise InputError(where, "", "is not a calibration in a known format, or has no size or focal lengths",
                          "give a camera file (TOML), or the YAML of Kalibr, ROS, OpenCV or EuRoC")  # fmt: skip
     names = ("distortion_coeffs", "distortion_coefficients", "distortion_coefficents", "dist_coeffs", "d")
-    distortion = _find_numbers(v, names) or [_parse_float(v.get(name, 0)) for name in _DISTORTION_NAMES]
+    distortion = _find_numbers(v, names) or [_parse_float_or_nan(v.get(name, 0)) for name in _DISTORTION_NAMES]
     if any(distortion[len(_DISTORTION_NAMES) :]) or not all(map(math.isfinite, distortion)):
         problem = f"is {whose} with {len(distortion)} coefficients of distortion; mufly's model has five"
         raise InputError(where, "", problem, _UNSUPPORTED_LENS_REMEDY)
-    rate = _parse_float(v.get("rate_hz", v.get("fps", 0)))
+    rate = _parse_float_or_nan(v.get("rate_hz", v.get("fps", 0)))
     return whose, (round(width), round(height)), focus, distortion[:5], rate if math.isfinite(rate) else 0.0
 
 
 def _find_numbers(values: Mapping[str, Any], names: tuple[str, ...]) -> list[float]:
     """Return the numbers of the first of ``names`` whose value is a list; an empty list if there is none."""
-    return next(([_parse_float(x) for x in values[n]] for n in names if isinstance(values.get(n), list)), [])
+    return next(([_parse_float_or_nan(x) for x in values[n]] for n in names if isinstance(values.get(n), list)), [])
 
 
-def _parse_float(value: Any) -> float:
+def _parse_float_or_nan(value: Any) -> float:
     try:
         return float(value)
     except (TypeError, ValueError):

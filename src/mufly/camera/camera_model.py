@@ -166,7 +166,7 @@ def builtin_cameras() -> list[str]:
     return builtin_file_names(_BUILTIN_FOLDER)
 
 
-_DEFAULT_CAMERA_NAME = "webcam"
+_FALLBACK_CAMERA_NAME = "webcam"
 """Built-in camera that supplies the values another program's calibration lacks."""
 
 
@@ -184,12 +184,12 @@ def load_camera(name_or_path: str | Path) -> Camera:
     path = Path(name_or_path)
     if str(name_or_path) not in builtin_cameras() and path.suffix.lower() != ".toml" and path.is_file():
         text = decode_text(path.read_bytes())
-        if not _is_toml(text):
-            rest, _ = read_toml(_DEFAULT_CAMERA_NAME, _BUILTIN_FOLDER, "camera")
+        if not _is_camera_toml(text):
+            rest, _ = read_toml(_FALLBACK_CAMERA_NAME, _BUILTIN_FOLDER, "camera")
             tables, whose = convert_calibration(text, str(path), rest)
             note = (
                 f"is {whose}: lens and size are read; mount, shutter, radio and all else are those of "
-                f"{_DEFAULT_CAMERA_NAME}"
+                f"{_FALLBACK_CAMERA_NAME}"
             )
             warnings.warn(f"{path.name}: {note}; camera_toml writes a file to change", LogWarning, stacklevel=2)
             return validate_model(Camera, tables, str(path))
@@ -197,7 +197,7 @@ def load_camera(name_or_path: str | Path) -> Camera:
     return validate_model(Camera, tables, where)
 
 
-def _is_toml(text: str) -> bool:
+def _is_camera_toml(text: str) -> bool:
     """Return whether a text is a camera file of mufly, even an invalid one."""
     if re.search(r"^\s*\[(sensor|lens|mount)\]", text, re.MULTILINE):
         return True

@@ -2,7 +2,7 @@
 
 Photographs are read where a package has them, and are not part of mufly. :data:`PACKAGE_FLOORS` lists them. The
 widths are estimated from the objects in them (bricks, planks, tiles); pictures of miniworld have its 512 pixels a
-metre. :func:`write_floor_set` copies them into a folder, with :data:`FLOOR_TABLE_NAME` for widths and licences. A
+metre. :func:`copy_package_floors` copies them into a folder, with :data:`FLOOR_TABLE_NAME` for widths and licences. A
 picture in a folder with such a table has its width from there.
 """
 
@@ -164,7 +164,7 @@ def _read_floor_width(picture: Path) -> float:
     return float(width)
 
 
-def write_floor_set(folder: Path) -> list[PackageFloor]:
+def copy_package_floors(folder: Path) -> list[PackageFloor]:
     """Copy the photographs of all installed packages into a folder, with the table of widths and licences.
 
     Returns

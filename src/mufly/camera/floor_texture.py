@@ -59,7 +59,7 @@ class Floor:
     shadow_map: NDArray[np.float32]
 
     @property
-    def packed_levels(self) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    def packed_mip_levels(self) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
         """All mip levels in one array, and each level's first index and the base-2 logarithms of its side lengths."""
         starts = np.cumsum([0, *(level.size for level in self.mip_levels)])
         table = np.array(

@@ -54,7 +54,7 @@ class _PictureSource(Protocol):
     def close(self) -> None: ...
 
 
-class DamagedPicture(ValueError):
+class DamagedPictureError(ValueError):
     """Error for a picture that cannot be decoded; the stream continues."""
 
 
@@ -96,7 +96,7 @@ class _MjpegStream:
         try:
             return decode_picture(found[0]), found[1]
         except ValueError as error:
-            raise DamagedPicture(str(error)) from None
+            raise DamagedPictureError(str(error)) from None
 
     def close(self) -> None:
         if self._answer is not None:
@@ -283,7 +283,7 @@ class LivePictures:
         """Return the next picture (None if it is damaged), its stamp and its arrival time (s); None at the end."""
         try:
             found = self._source.read()
-        except DamagedPicture as error:
+        except DamagedPictureError as error:
             self._count_damaged(f"it is damaged: {error}", 0.0)
             return None, None, time.monotonic()
         return None if found is None else (*found, time.monotonic())

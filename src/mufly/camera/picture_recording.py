@@ -21,7 +21,7 @@ from mufly.errors import InputError, MuflyError, report_write_errors
 from mufly.logs.mcap import McapWriter, read_mcap
 from mufly.logs.mcap_recording import foxglove_time, object_schema
 
-CAMERA_FILE_NAME = "camera.mcap"
+PICTURE_RECORDING_FILE_NAME = "camera.mcap"
 IMAGE_SCHEMA_NAME = "foxglove.CompressedImage"
 _MCAP_CHUNK_DURATION_S = 1.0
 _RECORDING_TOPICS = ("/camera", "/camera/told")
@@ -158,10 +158,10 @@ def read_pictures(path: Path) -> RecordedPictures:
     InputError
         If there are no pictures.
     """
-    beside = path.with_name(CAMERA_FILE_NAME)
+    beside = path.with_name(PICTURE_RECORDING_FILE_NAME)
     contents = read_mcap(path)
     images = contents.messages_by_topic.get(_RECORDING_TOPICS[0]) or _find_image_messages(contents.messages_by_topic)
-    if not images and path.name != CAMERA_FILE_NAME and beside.is_file():
+    if not images and path.name != PICTURE_RECORDING_FILE_NAME and beside.is_file():
         path, contents = beside, read_mcap(beside)
         images = contents.messages_by_topic.get(_RECORDING_TOPICS[0], [])
     if not images:
@@ -169,7 +169,7 @@ def read_pictures(path: Path) -> RecordedPictures:
             str(path),
             "",
             "contains no pictures",
-            f"give {CAMERA_FILE_NAME} of a flight on the camera (mufly fly --position camera), or one with "
+            f"give {PICTURE_RECORDING_FILE_NAME} of a flight on the camera (mufly fly --position camera), or one with "
             f"{IMAGE_SCHEMA_NAME} in JSON",
         )
     facts = contents.metadata.get("mufly.camera", {})
@@ -205,7 +205,7 @@ def find_camera(place: Path, given: str | None = None) -> Camera:
         raise InputError(str(place), "", "no such folder, video or recording", "give one with pictures")
     if given is not None:
         return load_camera(given)
-    recording = place / CAMERA_FILE_NAME if place.is_dir() else place
+    recording = place / PICTURE_RECORDING_FILE_NAME if place.is_dir() else place
     if recording.suffix == ".mcap" and recording.is_file() and (text := read_pictures(recording).camera_file_text):
         return parse_camera(text, f"{recording}: camera.toml")
     if place.is_dir() and not any(place.iterdir()):

@@ -46,13 +46,13 @@ from mufly.world import Box, World
 from mufly.world.obstacles import BOX_CENTRE_INDEX, BOX_HALF_EDGES_INDEX, BOX_HEADING_COS_INDEX, BOX_HEADING_SIN_INDEX
 
 _Array = NDArray[np.float64]
-_MOTION_VELOCITY, _MOTION_RATES, _MOTION_ROTOR_SPEED, _MOTION_ROTOR_PHASE = 3, 6, 9, 11
+_MOTION_VELOCITY_INDEX, _MOTION_RATES_INDEX, _MOTION_ROTOR_SPEED_INDEX, _MOTION_ROTOR_PHASE_INDEX = 3, 6, 9, 11
 """Indices in the motion array of a picture, after the position."""
-_VIBRATION_SHIFT_Y, _BOX_LAST_COLUMN = 2, 3
+_VIBRATION_Y_COLUMN, _BOX_LAST_PIXEL_COLUMN_INDEX = 2, 3
 """Columns of amplitude and phase along y in a rotor's vibration; column of the last pixel column of a box."""
 VIDEO_STRIP_ROWS = 16
 """Rows of a picture that are lost together, as with JPEG's blocks."""
-_EXPOSURE_SAMPLES = 3  # instants per exposure
+_EXPOSURE_SAMPLE_COUNT = 3  # instants per exposure
 _NOISE_TABLE_SIZE = 1 << 16
 _MAX_DETAILED_FLOOR_HEIGHT_M = 0.6
 _TARGET_GREY = 112.0  # mean grey level that the exposure control aims at
@@ -125,7 +125,7 @@ class Renderer:
         pixels = np.stack([column, row], axis=-1)
         self._rays = np.ascontiguousarray(unproject_pixels(camera, pixels)).astype(np.float32)
         self._mount, self._turn = camera.mount.place.to_array()[0], body_from_camera_rotation(camera)
-        self._texture, self._table = floor.packed_levels
+        self._texture, self._table = floor.packed_mip_levels
         self._boxes = _pack_boxes(world.boxes if world else ())
         middle = np.array([(s.width - 1) / 2, (s.height - 1) / 2])
         off = ((pixels - middle) ** 2).sum(axis=-1) / (middle**2).sum()
@@ -181,7 +181,7 @@ class Renderer:
             shake,
             readout,
             exposure,
-            1 if exposure <= 0.0 else _EXPOSURE_SAMPLES,
+            1 if exposure <= 0.0 else _EXPOSURE_SAMPLE_COUNT,
             self._texture,
             self._table,
             level,
@@ -413,20 +413,20 @@ def _render_irradiance(
             out[r, c] = 0.0
         for q in range(samples):
             s = middle + ((q + 0.5) * share - 0.5) * exposure
-            _apply_rotation_vector(attitude, place[_MOTION_RATES:_MOTION_ROTOR_SPEED], s, body)
+            _apply_rotation_vector(attitude, place[_MOTION_RATES_INDEX:_MOTION_ROTOR_SPEED_INDEX], s, body)
             for i in range(3):
                 for j in range(3):
                     m[i, j] = body[i, 0] * axes[0, j] + body[i, 1] * axes[1, j] + body[i, 2] * axes[2, j]
             for i in range(3):
-                at[i] = place[i] + place[_MOTION_VELOCITY + i] * s
+                at[i] = place[i] + place[_MOTION_VELOCITY_INDEX + i] * s
                 for j in range(3):
                     at[i] += body[i, j] * mount[j]
             at_n, at_e, at_d = at[0], at[1], at[2]
             shift_x = shift_y = 0.0
             for k in range(2):
-                phase = place[_MOTION_ROTOR_PHASE + k] + place[_MOTION_ROTOR_SPEED + k] * s
+                phase = place[_MOTION_ROTOR_PHASE_INDEX + k] + place[_MOTION_ROTOR_SPEED_INDEX + k] * s
                 shift_x += shake[k, 0] * math.cos(phase + shake[k, 1])
-                shift_y += shake[k, _VIBRATION_SHIFT_Y] * math.cos(phase + shake[k, _VIBRATION_SHIFT_Y + 1])
+                shift_y += shake[k, _VIBRATION_Y_COLUMN] * math.cos(phase + shake[k, _VIBRATION_Y_COLUMN + 1])
             for i in range(3):  # small rotation: (x, y, 1) becomes (x - s_x, y - s_y, 1 + s_x x + s_y y)
                 a, b, g = m[i, 0], m[i, 1], m[i, 2]
                 m[i, 0], m[i, 1], m[i, 2] = a + g * shift_x, b + g * shift_y, g - a * shift_x - b * shift_y
@@ -443,7 +443,7 @@ def _render_irradiance(
                 dark, off = 1.0, 0.0
                 if some:
                     for k in range(len(boxes)):
-                        if seen[k, 0] <= r <= seen[k, 1] and seen[k, 2] <= c <= seen[k, _BOX_LAST_COLUMN]:
+                        if seen[k, 0] <= r <= seen[k, 1] and seen[k, 2] <= c <= seen[k, _BOX_LAST_PIXEL_COLUMN_INDEX]:
                             hit, top = _intersect_box(boxes, k, at_n, at_e, at_d, n, e, d)
                             if 0.0 < hit < far:
                                 far, dark, off = hit, (1.0 if top else 0.6), 1.7 * (k + 1)

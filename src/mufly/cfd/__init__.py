@@ -6,8 +6,8 @@ from mufly.cfd.case_studies import (
     SpanLoads,
     convert_to_span_loads,
     list_study_cases,
+    mesh_and_write_case,
     read_pair,
-    save_case,
     solve_elastic_blade,
     solve_operating_point,
     solve_pair,
@@ -26,13 +26,13 @@ from mufly.cfd.cfd_pictures import (
     draw_climb_comparison,
     draw_iteration_history,
     draw_mesh,
-    draw_rotor_pair,
+    draw_pair_span_loads,
     draw_skin_friction,
     draw_span_loads,
     draw_surface_pressure,
     draw_vortices,
     draw_vorticity,
-    draw_wake,
+    draw_wake_profile,
 )
 from mufly.cfd.cfd_solution import (
     CfdSolution,
@@ -46,7 +46,7 @@ from mufly.cfd.cfd_solution import (
 )
 from mufly.cfd.grid_convergence import GridConvergence, estimate_grid_convergence, study_grid_convergence
 from mufly.cfd.initial_flow import compute_momentum_slipstream
-from mufly.cfd.openfoam_case import TURBULENCE_MODELS, OperatingPoint, read_point, write_case
+from mufly.cfd.openfoam_case import TURBULENCE_MODELS, OperatingPoint, read_operating_point, write_case
 from mufly.cfd.polymesh import (
     MeshQuality,
     PolyMesh,
@@ -63,7 +63,7 @@ from mufly.cfd.solver_process import (
     find_solver,
     judge_case,
     judge_loads,
-    read_history,
+    read_load_history,
     run_case,
 )
 from mufly.cfd.surface_export import (
@@ -110,13 +110,13 @@ __all__ = [
     "draw_climb_comparison",
     "draw_iteration_history",
     "draw_mesh",
-    "draw_rotor_pair",
+    "draw_pair_span_loads",
     "draw_skin_friction",
     "draw_span_loads",
     "draw_surface_pressure",
     "draw_vortices",
     "draw_vorticity",
-    "draw_wake",
+    "draw_wake_profile",
     "estimate_grid_convergence",
     "extract_blade_surface",
     "extract_iso_surface",
@@ -130,15 +130,15 @@ __all__ = [
     "make_sector_mesh",
     "map_colours",
     "measure_mesh_quality",
+    "mesh_and_write_case",
     "predict_span_loads",
     "read_flow",
-    "read_history",
+    "read_load_history",
+    "read_operating_point",
     "read_pair",
-    "read_point",
     "read_poly_mesh",
     "read_solution",
     "run_case",
-    "save_case",
     "solve_elastic_blade",
     "solve_operating_point",
     "solve_pair",

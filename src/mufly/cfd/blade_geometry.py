@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 
 Array = NDArray[np.float64]
-MAX_TIP_SLOPE_RAD = math.radians(60.0)
+ROUND_TIP_END_SLOPE_RAD = math.radians(60.0)
 """Slope at which the edges of a round tip end (rad)."""
 _DISPLACEMENT_FADE_CHORDS, _UPRIGHT_REACH_BEND_RATIO, _BACK_TURN_RADIUS_RATIO = 5.0, 0.5, 2.0
 """Chords above and below the blade over which displacements fade; bend radii over which sections turn upright; bend
@@ -218,7 +218,7 @@ def compute_blade_line_length(tip: BladeTip, root_m: float, radius_m: float, cho
     b, a = tip.bend_radius_chords * chord_m, abs(tip.cant_rad)
     out = b * math.sin(a) + straight * math.cos(a)
     if tip.round:
-        return radius_m - root_m - tip.length * chord_m * (1.0 - math.sin(MAX_TIP_SLOPE_RAD))
+        return radius_m - root_m - tip.length * chord_m * (1.0 - math.sin(ROUND_TIP_END_SLOPE_RAD))
     if out > 0.6 * (radius_m - root_m) or tip.length * chord_m > 0.9 * (radius_m - root_m):
         raise InputError("tip", "", "is too long for the blade", "give a shorter one, or a longer blade")
     return radius_m - root_m - out + turn + straight
@@ -271,7 +271,7 @@ def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord
     t = np.clip((s - (end - length)) / length, 0.0, 1.0) if length else np.zeros(len(s))
     bow = np.zeros(len(s))
     if tip.round:
-        reach = math.sin(MAX_TIP_SLOPE_RAD)
+        reach = math.sin(ROUND_TIP_END_SLOPE_RAD)
         t = np.clip((s - (end - reach * length)) / length, 0.0, reach)
         chord = np.sqrt(1.0 - t * t)
         aft = 0.25 * (1.0 - chord)
@@ -338,11 +338,11 @@ def place_sections(
     up = (line.height_m[:, None] - (1.0 - np.cos(line.cant_rad))[:, None] * h) * keep
     aft = line.aft_m[:, None] * keep
     if tip.round:
-        a, b, w = 0.5 * chord_m, tip.length * chord_m, 0.5 * chord_m * math.cos(MAX_TIP_SLOPE_RAD)
+        a, b, w = 0.5 * chord_m, tip.length * chord_m, 0.5 * chord_m * math.cos(ROUND_TIP_END_SLOPE_RAD)
         middle = q - 0.25 * (line.chord_ratio * chord_m)[:, None]
         inner = np.minimum(np.abs(middle), w)
-        slope, run = b / a / math.tan(MAX_TIP_SLOPE_RAD), 0.3 * chord_m
-        shape = b * (np.sqrt(1.0 - (inner / a) ** 2) - math.sin(MAX_TIP_SLOPE_RAD))
+        slope, run = b / a / math.tan(ROUND_TIP_END_SLOPE_RAD), 0.3 * chord_m
+        shape = b * (np.sqrt(1.0 - (inner / a) ** 2) - math.sin(ROUND_TIP_END_SLOPE_RAD))
         shape -= slope * run * (1.0 - np.exp(-(np.abs(middle) - inner) / run))
         y = y + line.rounding_fraction[:, None] * shape * keep
     x_out = x + c * aft + s * up

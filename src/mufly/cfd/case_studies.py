@@ -18,7 +18,7 @@ from mufly.cfd.openfoam_case import (
     TURBULENCE_MODELS,
     OperatingPoint,
     momentum_induced_velocity,
-    read_point,
+    read_operating_point,
     write_case,
 )
 from mufly.cfd.polymesh import MeshQuality, PolyMesh, make_poly_mesh, measure_mesh_quality, read_poly_mesh
@@ -62,7 +62,7 @@ RESHAPED_START_MIN_ITERATIONS = 800
 """Iterations before a verdict if the neighbour has another pitch setting or tip."""
 
 
-def save_case(
+def mesh_and_write_case(
     folder: Path,
     rotor: Rotor,
     *,
@@ -128,7 +128,7 @@ def save_case(
     )
     if gap_m:
         point = replace(point, gap_m=gap_m, lower_pitch_rad=lower, lower_rad_s=lower_speed)
-    near = None if neighbour is None else read_point(neighbour)
+    near = None if neighbour is None else read_operating_point(neighbour)
     if near is not None:
         alike = near.pitch_rad == pitch_rad and near.tip == tip
         point = replace(point, upwind=0, least=SCALED_START_MIN_ITERATIONS if alike else RESHAPED_START_MIN_ITERATIONS)
@@ -156,7 +156,7 @@ def save_case(
     if (folder / "mufly.json").is_file() and max(
         list_complete_states(folder) + list_processor_states(folder), default=0
     ) > 0:
-        if read_point(folder) != point:
+        if read_operating_point(folder) != point:
             raise InputError(
                 "--out",
                 str(folder),
@@ -203,9 +203,9 @@ def solve_operating_point(
     **given: Any,
 ) -> CfdSolution:
     """Mesh an operating point, run the solver, compute the verdict and read the solution; arguments as for
-    :func:`save_case`.
+    :func:`mesh_and_write_case`.
     """
-    save_case(folder, rotor, cores=cores, **given)
+    mesh_and_write_case(folder, rotor, cores=cores, **given)
     run_case(folder, cores=cores, progress=progress)
     return read_solution(folder)
 
@@ -239,7 +239,7 @@ def solve_elastic_blade(
     run : callable, optional
         Function called in place of :func:`solve_operating_point`, with the same arguments.
     given
-        Arguments of :func:`save_case` for one rotor.
+        Arguments of :func:`mesh_and_write_case` for one rotor.
 
     Returns
     -------
@@ -308,7 +308,7 @@ def sweep_speed(
     before: Path | None = None
     for speed in speeds_rad_s:
         place = folder / f"rpm-{speed / RPM:.6g}"
-        save_case(place, rotor, speed_rad_s=speed, cores=cores, neighbour=before, **given)
+        mesh_and_write_case(place, rotor, speed_rad_s=speed, cores=cores, neighbour=before, **given)
         verdict = run_case(place, cores=cores, progress=progress)
         out.append(read_solution(place))
         # A solution that did not converge is no start.
@@ -348,7 +348,7 @@ def sweep_climb(
     ]
 
 
-@result(eq=False, picture="mufly.cfd.cfd_pictures:draw_rotor_pair")
+@result(eq=False, picture="mufly.cfd.cfd_pictures:draw_pair_span_loads")
 class PairSolution:
     """Solution of a counter-rotating pair, each rotor with the other as an actuator disc.
 
@@ -435,7 +435,7 @@ def solve_pair(
     air, climb = given.get("air") or Air(), given.get("climb_m_s", 0.0)
     ready = prepare_blading(rotor)
     guess = solve_system(
-        RotorSystem.coaxial_pair(ready, ready, spacing_m=gap_m),
+        RotorSystem.from_coaxial_pair(ready, ready, spacing_m=gap_m),
         OperatingCondition(pitches, speeds, None, climb, air),
         "bemt",
     )
@@ -443,24 +443,25 @@ def solve_pair(
         raise MuflyError(f"blade element theory finds no initial state of the pair: {guess.message}")
     settings = list(zip(pitches, speeds, strict=True))
     loads = [
-        _make_disc(convert_to_span_loads(one, "bemt"), *at) for one, at in zip(guess.rotors, settings, strict=True)
+        _make_actuator_disc(convert_to_span_loads(one, "bemt"), *at)
+        for one, at in zip(guess.rotors, settings, strict=True)
     ]
     for i, name in enumerate(PAIR_FOLDERS):
         if neighbour is not None:
             before = read_solution(neighbour / name)
             ratio = (speeds[i] / before.point.speed_rad_s) ** 2
-            loads[i] = _make_disc(before, *settings[i]).scale_loads(ratio)
+            loads[i] = _make_actuator_disc(before, *settings[i]).scale_loads(ratio)
         if (
             read_actuator_disc(folder / name) is not None
             and max(list_complete_states(folder / name), default=0) >= MIN_ASSESSMENT_ITERATIONS
         ):
-            loads[i] = _make_disc(read_solution(folder / name), *settings[i])
+            loads[i] = _make_actuator_disc(read_solution(folder / name), *settings[i])
     meshes: dict[str, PolyMesh] = {}
     for _ in range(MAX_PAIR_ITERATIONS):
         for i, name in enumerate(PAIR_FOLDERS):
             place, (theta, speed) = folder / name, settings[i]
             if name not in meshes:
-                save_case(
+                mesh_and_write_case(
                     place,
                     rotor,
                     pitch_rad=theta,
@@ -472,13 +473,13 @@ def solve_pair(
                 )
                 meshes[name] = read_poly_mesh(place)
             stands = read_actuator_disc(place)
-            if stands is None or stands.load_difference(loads[1 - i]) > PAIR_LOAD_TOLERANCE:
+            if stands is None or stands.relative_load_change(loads[1 - i]) > PAIR_LOAD_TOLERANCE:
                 stands = replace(loads[1 - i], set_iteration=max(list_complete_states(place), default=0))
-                write_actuator_disc(place, meshes[name], read_point(place), stands)
+                write_actuator_disc(place, meshes[name], read_operating_point(place), stands)
             verdict = run_case(place, cores=cores, progress=progress, most=MAX_ITERATIONS + stands.set_iteration)
             if verdict.outcome == "diverged":
                 raise MuflyError(f"{place}: the {name} rotor's solution diverged; see its log")
-            loads[i] = _make_disc(read_solution(place, meshes[name]), theta, speed)
+            loads[i] = _make_actuator_disc(read_solution(place, meshes[name]), theta, speed)
         if _is_pair_consistent(folder, loads):
             break
     return read_pair(folder)
@@ -493,7 +494,7 @@ def read_pair(folder: Path) -> PairSolution:
         If one of its cases contains no solution.
     """
     upper, lower = (read_solution(folder / name) for name in PAIR_FOLDERS)
-    loads = [_make_disc(one, one.point.pitch_rad, one.point.speed_rad_s) for one in (upper, lower)]
+    loads = [_make_actuator_disc(one, one.point.pitch_rad, one.point.speed_rad_s) for one in (upper, lower)]
     between = np.array(
         [_mean_downwash(folder / n, 0.5 * s.point.other_m) for n, s in zip(PAIR_FOLDERS, (upper, lower), strict=True)]
     )
@@ -505,29 +506,31 @@ def _is_pair_consistent(folder: Path, loads: Sequence[ActuatorDisc]) -> bool:
     """Return True if the actuator disc in each case has the loads of the other case."""
     standing = [read_actuator_disc(folder / name) for name in PAIR_FOLDERS]
     return all(
-        one is not None and one.load_difference(loads[1 - i]) <= PAIR_LOAD_TOLERANCE for i, one in enumerate(standing)
+        one is not None and one.relative_load_change(loads[1 - i]) <= PAIR_LOAD_TOLERANCE
+        for i, one in enumerate(standing)
     )
 
 
-def _make_disc(loads: SpanLoads | CfdSolution, pitch_rad: float, speed_rad_s: float) -> ActuatorDisc:
+def _make_actuator_disc(loads: SpanLoads | CfdSolution, pitch_rad: float, speed_rad_s: float) -> ActuatorDisc:
     r, t, q = (tuple(float(x) for x in v) for v in (loads.r_m, loads.thrust_N_m, loads.torque_Nm_m))
     return ActuatorDisc(r, t, q, float(loads.thrust_N), float(loads.torque_Nm), pitch_rad, speed_rad_s)
 
 
 def _mean_downwash(folder: Path, height_m: float) -> float:
     """Return the mean downward velocity (m/s) through a horizontal plane, within the rotor radius."""
-    point, mesh = read_point(folder), read_poly_mesh(folder)
+    point, mesh = read_operating_point(folder), read_poly_mesh(folder)
     speed = -read_field(folder / str(list_complete_states(folder)[-1]) / "U", mesh.cell_count)[:, 2]
     cells, area = find_disc_cells(mesh, height_m, point.radius_m)
     return float(speed[cells] @ area / area.sum())
 
 
-DOMAIN_SIZE_FACTOR = 1.5
+DOMAIN_STUDY_SIZE_FACTOR = 1.5
 """Factor by which the domain study enlarges the limits of the domain."""
 
 
 def list_study_cases(what: str) -> dict[str, dict[str, Any]]:
-    """Return the cases of a study ('mesh', 'domain' or 'model') by name, each with its arguments for :func:`save_case`.
+    """Return the cases of a study ('mesh', 'domain' or 'model') by name, each with its arguments for
+    :func:`mesh_and_write_case`.
 
     Raises
     ------
@@ -540,7 +543,7 @@ def list_study_cases(what: str) -> dict[str, dict[str, Any]]:
         return {model: {"model": model} for model in TURBULENCE_MODELS}
     if what == "domain":
         own, names = MeshDomain(), ("radius", "above", "below")
-        wider = {name: replace(own, **{name: DOMAIN_SIZE_FACTOR * getattr(own, name)}) for name in names}
+        wider = {name: replace(own, **{name: DOMAIN_STUDY_SIZE_FACTOR * getattr(own, name)}) for name in names}
         return {"usual": {}, **{name: {"domain": domain} for name, domain in wider.items()}}
     raise InputError("study", what, "is unknown", "use one of: mesh, domain, model")
 

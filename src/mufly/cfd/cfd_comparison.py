@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mufly.cfd.case_studies import SpanLoads, convert_to_span_loads
 from mufly.cfd.cfd_solution import CfdSolution
-from mufly.cfd.openfoam_case import OperatingPoint, read_point
+from mufly.cfd.openfoam_case import OperatingPoint, read_operating_point
 from mufly.cfd.rotor_pair import ActuatorDisc
 from mufly.cfd.solver_process import ConvergenceAssessment, judge_case
 from mufly.errors import InputError, MuflyError
@@ -61,13 +61,13 @@ def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
     """
     written = read_text_table(table)
     needed = [
-        written.column_by_name(name, "give columns pitch_deg, rpm, T_... and Q_...") for name in ("pitch_deg", "rpm")
+        written.find_column_index(name, "give columns pitch_deg, rpm, T_... and Q_...") for name in ("pitch_deg", "rpm")
     ]
     pitches, speeds = (written.read_numbers(k) for k in needed)
     loads = {k: written.read_numbers(i, optional=True) for i, k in enumerate(written.header) if k[:2] in ("T_", "Q_")}
     out = []
     for case in cases:
-        point = read_point(case)
+        point = read_operating_point(case)
         pitch, rpm = math.degrees(point.pitch_rad), point.speed_rad_s / RPM
         verdict = judge_case(case)
         if verdict.outcome == "not begun":
@@ -155,7 +155,7 @@ def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight
     scale = first.density_kg_m3 * math.pi * first.radius_m**4 * first.speed_rad_s**2
     others: dict[str, Array] = {}
     if rotor is not None:
-        system = RotorSystem.single_rotor(prepare_blading(rotor))
+        system = RotorSystem.from_single_rotor(prepare_blading(rotor))
         methods: tuple[SolverMethod, ...] = ("bemt", "wake")
         for method in methods:
             values = others.setdefault(method, np.full(len(climb), math.nan))
@@ -193,13 +193,13 @@ def predict_span_loads(
         Rotor of a pair: 0 for the upper, 1 for the lower.
     """
     p = found.point
-    system, pitch, speed = RotorSystem.single_rotor(prepare_blading(rotor)), p.pitch_rad, p.speed_rad_s
+    system, pitch, speed = RotorSystem.from_single_rotor(prepare_blading(rotor)), p.pitch_rad, p.speed_rad_s
     condition = OperatingCondition(pitch, speed, None, p.climb_m_s, p.air)
     if p.gap_m:
-        system = RotorSystem.coaxial_pair(prepare_blading(rotor), prepare_blading(rotor), spacing_m=p.gap_m)
+        system = RotorSystem.from_coaxial_pair(prepare_blading(rotor), prepare_blading(rotor), spacing_m=p.gap_m)
         condition = OperatingCondition((pitch, p.lower_pitch_rad), (speed, p.lower_rad_s), None, p.climb_m_s, p.air)
     elif other is not None:
-        system = RotorSystem.coaxial_pair(prepare_blading(rotor), prepare_blading(rotor), spacing_m=abs(p.other_m))
+        system = RotorSystem.from_coaxial_pair(prepare_blading(rotor), prepare_blading(rotor), spacing_m=abs(p.other_m))
         both = [(pitch, speed), (other.pitch_rad, other.speed_rad_s)]
         pitches, speeds = zip(*(both[::-1] if which else both), strict=True)
         condition = OperatingCondition(pitches, speeds, None, p.climb_m_s, p.air)

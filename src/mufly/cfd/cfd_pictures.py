@@ -117,7 +117,7 @@ def draw_span_loads(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> 
     return figure
 
 
-def draw_rotor_pair(pair: PairSolution) -> Figure:
+def draw_pair_span_loads(pair: PairSolution) -> Figure:
     """Draw thrust and torque along the blades of both rotors of a pair."""
     figure = blank_figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
@@ -305,7 +305,7 @@ def draw_vortices(
     return figure
 
 
-def draw_wake(wake: WakeProfile) -> Figure:
+def draw_wake_profile(wake: WakeProfile) -> Figure:
     """Draw the azimuthally averaged velocity under the disc over radius, with that of momentum theory."""
     figure = blank_figure(9.0, 4.4)
     axes = figure.subplots(1, 2)

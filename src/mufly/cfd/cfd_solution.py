@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from mufly.cfd.openfoam_case import OperatingPoint, read_point
+from mufly.cfd.openfoam_case import OperatingPoint, read_operating_point
 from mufly.cfd.polymesh import PolyMesh, read_poly_mesh
 from mufly.cfd.rotor_pair import read_actuator_disc
 from mufly.cfd.solver_process import ConvergenceAssessment, judge_case, list_complete_states
@@ -101,7 +101,7 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
     InputError
         If there is no state, or a file is truncated.
     """
-    point = read_point(folder)
+    point = read_operating_point(folder)
     at = [t for t in list_complete_states(folder) if t > 0]
     if not at:
         raise InputError(str(folder), "", "contains no solution", "run it first: mufly cfd run")
@@ -248,7 +248,9 @@ def read_flow(folder: Path, mesh: PolyMesh) -> FlowField:
     if not at:
         raise InputError(str(folder), "", "contains no solution", "run it first: mufly cfd run")
     velocity = read_field(folder / str(at[-1]) / "U", mesh.cell_count)
-    return FlowField(velocity, compute_velocity_gradient(mesh, velocity, read_point(folder).patch_speeds_rad_s))
+    return FlowField(
+        velocity, compute_velocity_gradient(mesh, velocity, read_operating_point(folder).patch_speeds_rad_s)
+    )
 
 
 def compute_velocity_gradient(mesh: PolyMesh, velocity: Array, walls: dict[str, float]) -> Array:
@@ -350,7 +352,7 @@ WAKE_PROFILE_DEPTHS = (0.25, 0.5, 1.0)
 """Distances below the disc, in radii, of the wake profiles."""
 
 
-@result(eq=False, picture="mufly.cfd.cfd_pictures:draw_wake")
+@result(eq=False, picture="mufly.cfd.cfd_pictures:draw_wake_profile")
 class WakeProfile:
     """Azimuthally averaged velocity in horizontal planes under the disc.
 

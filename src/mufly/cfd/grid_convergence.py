@@ -18,7 +18,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from mufly.cfd.openfoam_case import read_point
+from mufly.cfd.openfoam_case import read_operating_point
 from mufly.cfd.polymesh import read_poly_mesh
 from mufly.cfd.solver_process import judge_case
 from mufly.errors import InputError
@@ -113,7 +113,7 @@ def study_grid_convergence(cases: Sequence[Path]) -> tuple[GridConvergence, Grid
     InputError
         If there are not three cases, they differ in more than the mesh, or one has not converged.
     """
-    points = [read_point(case) for case in cases]
+    points = [read_operating_point(case) for case in cases]
     for case, point in zip(cases, points, strict=True):
         for key in (
             "rotor",

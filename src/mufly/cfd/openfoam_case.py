@@ -192,7 +192,7 @@ def write_case(
         for part in folder.glob("processor[0-9]*"):  # remains of a previous case
             shutil.rmtree(part)
         write_poly_mesh(mesh, folder)
-        for name, text in _dictionary_texts(point, cores).items():
+        for name, text in _format_case_dictionaries(point, cores).items():
             file = folder / name
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, encoding="utf-8")
@@ -201,7 +201,7 @@ def write_case(
         (folder / "mufly.json").write_text(json.dumps(asdict(point), indent=2) + "\n", encoding="utf-8")
 
 
-def read_point(folder: Path) -> OperatingPoint:
+def read_operating_point(folder: Path) -> OperatingPoint:
     """Return the operating point of a case.
 
     Raises
@@ -222,10 +222,12 @@ def read_point(folder: Path) -> OperatingPoint:
 def set_solver_phase(folder: Path, *, upwind: bool, end: int) -> None:
     """Set the solver's schemes and the iteration at which it stops."""
     (folder / "system" / "fvSchemes").write_text(_format_fv_schemes(upwind), encoding="utf-8")
-    (folder / "system" / "controlDict").write_text(_format_control_dict(read_point(folder), end), encoding="utf-8")
+    (folder / "system" / "controlDict").write_text(
+        _format_control_dict(read_operating_point(folder), end), encoding="utf-8"
+    )
 
 
-def _dictionary_texts(point: OperatingPoint, cores: int) -> dict[str, str]:
+def _format_case_dictionaries(point: OperatingPoint, cores: int) -> dict[str, str]:
     turbulent = TURBULENCE_MODELS[point.model]
     kind = f"RAS; RAS {{ RASModel {turbulent}; turbulence on; printCoeffs off; }}" if turbulent else "laminar;"
     return {

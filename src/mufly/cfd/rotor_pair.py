@@ -144,7 +144,7 @@ class ActuatorDisc:
             torque_Nm=ratio * self.torque_Nm,
         )
 
-    def load_difference(self, other: ActuatorDisc) -> float:
+    def relative_load_change(self, other: ActuatorDisc) -> float:
         """Return the relative difference from another disc in thrust or in torque, whichever is greater."""
         return max(
             abs(other.thrust_N - self.thrust_N) / abs(self.thrust_N),

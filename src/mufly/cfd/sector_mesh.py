@@ -102,7 +102,7 @@ _SECTION_BOX_HALF_WIDTH_RADII, _SECTION_BOX_SPAN_RADII, _SECTION_BOX_LEVEL_HEIGH
     1.2,
     0.6,
 )  # size of the sections' box, over R
-_CYLINDER_RADIUS_FACTOR = 1.06  # radius of the cylinder around the box over that of its corners
+_BOX_CYLINDER_RADIUS_FACTOR = 1.06  # radius of the cylinder around the box over that of its corners
 
 
 @dataclass(frozen=True)
@@ -202,9 +202,9 @@ def make_sector_mesh(
     domain, form = domain or MeshDomain(), form or BladeGeometry()
     if isinstance(level, str) and level not in MESH_LEVELS:
         raise InputError("mesh", level, "is unknown", f"use one of: {', '.join(MESH_LEVELS)}")
-    k = _refine_for_geometry(MESH_LEVELS[level] if isinstance(level, str) else level, form)
+    k = _add_tip_and_hub_cells(MESH_LEVELS[level] if isinstance(level, str) else level, form)
     radius, root = rotor.radius_m, rotor.hub_radius_m
-    _check_rotor(rotor, pitch_rad, form)
+    _check_rotor_meshable(rotor, pitch_rad, form)
     x = np.linspace(float(rotor.hub_cutout), 1.0, 101)
     widest = float(np.max(rotor.chord_m(x)))
     steepest = math.sin(float(np.max(np.abs(rotor.twist_rad(x) + pitch_rad))))
@@ -226,9 +226,9 @@ def make_sector_mesh(
                 f"give at most {1e3 * half / 1.5:.3g} mm, or fewer blades",
             )  # fmt: skip
     box = SectionBox(half, domain.above * radius, -domain.below * radius, level_m)
-    outer, inside = domain.radius * radius, _CYLINDER_RADIUS_FACTOR * math.hypot(half, far)
+    outer, inside = domain.radius * radius, _BOX_CYLINDER_RADIUS_FACTOR * math.hypot(half, far)
     if other_m:
-        tall = _pair_block_height(rotor, pitch_rad, 0.5 * abs(other_m))
+        tall = _pair_block_half_height(rotor, pitch_rad, 0.5 * abs(other_m))
         box = replace(box, **{"top_m" if other_m > 0.0 else "bottom_m": 0.5 * other_m})
     if outer < 1.2 * inside or domain.above * radius < 1.2 * box.level_height_m:
         raise InputError(
@@ -358,7 +358,7 @@ def make_sector_mesh(
     return SectorMesh(
         all_points[used], number[hexahedra], np.concatenate(strips), y[first : last + 1],
         {name: mark[used] for name, mark in marks.items()}, rotor.blades,
-        number[_find_plate_faces(layout, ids, first, last, form, plate_layers)],
+        number[_find_flap_and_plate_faces(layout, ids, first, last, form, plate_layers)],
         _find_rotating_cells(
             all_points[hexahedra].mean(axis=1), inside, z_side[-1], domain, radius, tall if other_m else level_m
         ),
@@ -372,20 +372,20 @@ def compute_blade_vertical_reach(rotor: Rotor, pitch_rad: float) -> float:
     return float(np.max(rotor.chord_m(x) * (0.75 * np.sin(angle) + 0.1)))
 
 
-def _pair_block_height(rotor: Rotor, pitch_rad: float, half_gap: float) -> float:
+def _pair_block_half_height(rotor: Rotor, pitch_rad: float, half_gap: float) -> float:
     """Return the half height (m) of the centre block between two rotors; raise InputError if the blade does not fit."""
     reach = compute_blade_vertical_reach(rotor, pitch_rad)
-    tall = _PAIR_BLOCK_HEIGHT_GAP_RATIO * half_gap
+    tall = _PAIR_BLOCK_GAP_FRACTION * half_gap
     if reach > 0.8 * tall:
         raise InputError(
             "pair", "gap", f"of {2e3 * half_gap:.3g} mm brings the blades too close to the plane between "
             "the rotors",
-            f"give at least {2e3 * reach / (0.8 * _PAIR_BLOCK_HEIGHT_GAP_RATIO):.3g} mm",
+            f"give at least {2e3 * reach / (0.8 * _PAIR_BLOCK_GAP_FRACTION):.3g} mm",
         )  # fmt: skip
     return tall
 
 
-_PAIR_BLOCK_HEIGHT_GAP_RATIO, _PAIR_BLOCK_HALF_WIDTH_CHORDS = 0.82, 1.05
+_PAIR_BLOCK_GAP_FRACTION, _PAIR_BLOCK_HALF_WIDTH_CHORDS = 0.82, 1.05
 """For pairs: half height of the centre block over half the distance of the rotors; its half width in chords."""
 
 
@@ -428,7 +428,7 @@ def _adapt_row_counts(
     )
 
 
-def _refine_for_geometry(k: CellCounts, form: BladeGeometry) -> CellCounts:
+def _add_tip_and_hub_cells(k: CellCounts, form: BladeGeometry) -> CellCounts:
     """Add cells along the blade for a shaped tip, and along the shaft for a hub."""
     shaped = bool(form.tip.length or form.tip.cant_rad)
     return replace(k, blade=k.blade + (k.blade // 4 if shaped else 0), gap=k.gap + (3 if form.hub else 0))
@@ -458,7 +458,7 @@ _HUB_FLAT_RADIUS_RATIO = 0.4
 """Radius at which the flats or grips of a hub begin, over the hub radius."""
 
 
-def _find_plate_faces(
+def _find_flap_and_plate_faces(
     layout: SectionLayout, ids: Index, first: int, last: int, form: BladeGeometry, count: tuple[int, int]
 ) -> Index:
     """Return the faces of Gurney flap and tip plates, (faces, 4)."""
@@ -569,7 +569,7 @@ def _mirror_indices(layout: SectionLayout) -> Index:
     return image
 
 
-def _check_rotor(rotor: Rotor, pitch_rad: float, form: BladeGeometry) -> None:
+def _check_rotor_meshable(rotor: Rotor, pitch_rad: float, form: BladeGeometry) -> None:
     """Raise InputError for a rotor that cannot be meshed."""
     if form.hub and not 0.02 * rotor.radius_m < form.hub.radius_m < 0.95 * rotor.hub_radius_m:
         raise InputError(

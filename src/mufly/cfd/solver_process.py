@@ -38,7 +38,7 @@ from mufly.cfd.openfoam_case import (
     LOAD_FUNCTION_OBJECTS,
     STATE_WRITE_ITERATIONS,
     OperatingPoint,
-    read_point,
+    read_operating_point,
     set_solver_phase,
 )
 from mufly.cfd.rotor_pair import read_actuator_disc
@@ -147,7 +147,7 @@ def list_complete_states(folder: Path) -> list[int]:
     for place in folder.glob("[0-9]*"):
         if place.name.isdigit():
             names = ("U", "p") if place.name == "0" else ("U", "p", "phi")
-            if all(_is_complete(place / name) for name in names):
+            if all(_is_field_file_complete(place / name) for name in names):
                 found.append(int(place.name))
     return sorted(found)
 
@@ -158,7 +158,7 @@ def list_processor_states(folder: Path) -> list[int]:
     return sorted(set.intersection(*of)) if of else []
 
 
-def _is_complete(file: Path) -> bool:
+def _is_field_file_complete(file: Path) -> bool:
     """Return True if a field's file is complete; a full disk or a killed process truncates it."""
     try:
         with file.open("rb") as f:
@@ -308,12 +308,12 @@ def _run_solver(
             log.write(line)
             if line.startswith("Time = "):
                 iteration = int(float(line.split()[2]))
-            elif found := _RESIDUAL_LINE.search(line):
+            elif found := _RESIDUAL_LINE_PATTERN.search(line):
                 residuals[found[1]] = float(found[2])
-            elif found := _CONTINUITY_LINE.search(line):
+            elif found := _CONTINUITY_LINE_PATTERN.search(line):
                 continuity = float(found[1])
             elif line.startswith("ExecutionTime") and progress is not None:
-                loads = read_history(folder, last=1)
+                loads = read_load_history(folder, last=1)
                 spent = time.monotonic() - began
                 left = spent / max(iteration - done, 1) * (end - iteration)
                 thrust, torque = (loads[-1, 1], loads[-1, 2]) if len(loads) else (math.nan, math.nan)
@@ -333,7 +333,7 @@ def _run_solver(
                 "kept, and the same command resumes"
             )
         raise MuflyError(
-            f"simpleFoam ended with status {status}: {_find_first_error(folder / _LOG_FILE)}; see {folder / _LOG_FILE}"
+            f"simpleFoam ended with status {status}: {_find_error_text(folder / _LOG_FILE)}; see {folder / _LOG_FILE}"
         )
     if cores > 1:
         _run_utility(folder, ("reconstructPar", "-latestTime"), env)
@@ -347,8 +347,8 @@ def _run_utility(folder: Path, command: tuple[str, ...], env: dict[str, str]) ->
         raise MuflyError(f"{command[0]} ended with status {done.returncode}; see {folder / f'log.{command[0]}'}")
 
 
-_RESIDUAL_LINE = re.compile(r"Solving for (\w+), Initial residual = ([^,]+),")
-_CONTINUITY_LINE = re.compile(r"continuity errors : sum local = ([^,]+),")
+_RESIDUAL_LINE_PATTERN = re.compile(r"Solving for (\w+), Initial residual = ([^,]+),")
+_CONTINUITY_LINE_PATTERN = re.compile(r"continuity errors : sum local = ([^,]+),")
 
 
 def _read_tail(log: Path, size: int = 6000) -> str:
@@ -360,7 +360,7 @@ _SHOWN_ERROR_LINE_COUNT = 3
 """Lines of a fatal error that state it."""
 
 
-def _find_first_error(log: Path) -> str:
+def _find_error_text(log: Path) -> str:
     lines = _read_tail(log).splitlines()
     for i, line in enumerate(lines):
         if "FOAM FATAL" in line:
@@ -368,7 +368,7 @@ def _find_first_error(log: Path) -> str:
     return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
 
 
-def read_history(folder: Path, last: int | None = None, *, patch: str = "blade") -> Array:
+def read_load_history(folder: Path, last: int | None = None, *, patch: str = "blade") -> Array:
     """Read thrust and torque of every iteration; for a pair ``patch`` ``blade_lower`` selects the lower rotor.
 
     Returns
@@ -377,18 +377,18 @@ def read_history(folder: Path, last: int | None = None, *, patch: str = "blade")
         Iteration, thrust (N) and torque (N m) of the whole rotor. Iterations repeated by a resumed run occur once, with
         their last values.
     """
-    point = read_point(folder)
+    point = read_operating_point(folder)
     rows: dict[int, tuple[float, float]] = {}
     sense = math.copysign(1.0, point.patch_speeds_rad_s[patch])
-    forces = _read_function_rows(folder, LOAD_FUNCTION_OBJECTS[patch], "force.dat", last)
-    moments = _read_function_rows(folder, LOAD_FUNCTION_OBJECTS[patch], "moment.dat", last)
+    forces = _read_function_object_rows(folder, LOAD_FUNCTION_OBJECTS[patch], "force.dat", last)
+    moments = _read_function_object_rows(folder, LOAD_FUNCTION_OBJECTS[patch], "moment.dat", last)
     for iteration, values in forces.items():
         if iteration in moments:
             rows[iteration] = (point.blades * values[2], -sense * point.blades * moments[iteration][2])
     return np.array([(i, *rows[i]) for i in sorted(rows)]).reshape(-1, 3)
 
 
-def _read_function_rows(folder: Path, what: str, file: str, last: int | None = None) -> dict[int, list[float]]:
+def _read_function_object_rows(folder: Path, what: str, file: str, last: int | None = None) -> dict[int, list[float]]:
     """Return the rows that a function object wrote, by iteration; each start of the solver has written its own file."""
     out: dict[int, list[float]] = {}
     places = sorted((folder / "postProcessing" / what).glob("*"), key=lambda p: float(p.name))
@@ -412,9 +412,9 @@ def _read_function_rows(folder: Path, what: str, file: str, last: int | None = N
 def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceAssessment:
     """Judge the convergence of a case; for a pair, that of the rotor with the walls ``patch``."""
     point = _point_for_assessment(folder)
-    loads = read_history(folder, patch=patch)
-    flow = _read_function_rows(folder, "flows", "surfaceFieldValue.dat")
-    continuity = _recent_continuity(folder / _LOG_FILE)
+    loads = read_load_history(folder, patch=patch)
+    flow = _read_function_object_rows(folder, "flows", "surfaceFieldValue.dat")
+    continuity = _recent_continuity_error(folder / _LOG_FILE)
     outflow = flow[max(flow)][0] if flow else math.nan
     return judge_loads(loads, outflow, continuity, point)
 
@@ -425,7 +425,7 @@ def _point_for_assessment(folder: Path) -> OperatingPoint:
     ``least``, the iteration before which there is no convergence verdict, then lies at least one assessment window
     after the change.
     """
-    point, disc = read_point(folder), read_actuator_disc(folder)
+    point, disc = read_operating_point(folder), read_actuator_disc(folder)
     return (
         point
         if disc is None
@@ -439,7 +439,7 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
     Parameters
     ----------
     loads : (iterations, 3) array
-        Loads from :func:`read_history`.
+        Loads from :func:`read_load_history`.
     outflow_m3_s : float
         Volume flow out of the bottom of the sector.
     continuity : float
@@ -485,9 +485,9 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
     )  # fmt: skip
 
 
-def _recent_continuity(log: Path) -> float:
+def _recent_continuity_error(log: Path) -> float:
     if not log.is_file():
         return math.nan
     # Single iterations jump by a factor of two or more; the window has about twenty iterations.
-    found = _CONTINUITY_LINE.findall(_read_tail(log, 20000))
+    found = _CONTINUITY_LINE_PATTERN.findall(_read_tail(log, 20000))
     return float(np.median([float(x) for x in found])) if found else math.nan

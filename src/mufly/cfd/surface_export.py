@@ -126,8 +126,14 @@ def extract_iso_surface(
     corner, value = mesh.points[faces], at_points[faces]
     n = 4 * len(faces)
     place, scalar = np.empty((len(faces), 4, 4, 3)), np.empty((len(faces), 4, 4))
-    place[:, :, _CELL_CENTRE], scalar[:, :, _CELL_CENTRE] = mesh.cell_centres[cell][:, None], values[cell][:, None]
-    place[:, :, _FACE_CENTRE], scalar[:, :, _FACE_CENTRE] = corner.mean(axis=1)[:, None], value.mean(axis=1)[:, None]
+    place[:, :, _CELL_CENTRE_CORNER], scalar[:, :, _CELL_CENTRE_CORNER] = (
+        mesh.cell_centres[cell][:, None],
+        values[cell][:, None],
+    )
+    place[:, :, _FACE_CENTRE_CORNER], scalar[:, :, _FACE_CENTRE_CORNER] = (
+        corner.mean(axis=1)[:, None],
+        value.mean(axis=1)[:, None],
+    )
     place[:, :, _FACE_CORNER], scalar[:, :, _FACE_CORNER] = corner, value
     place[:, :, _NEXT_FACE_CORNER], scalar[:, :, _NEXT_FACE_CORNER] = (
         np.roll(corner, -1, axis=1),
@@ -160,7 +166,7 @@ def extract_iso_surface(
 
 
 _WELD_TOLERANCE = 1e-6
-_CELL_CENTRE, _FACE_CENTRE, _FACE_CORNER, _NEXT_FACE_CORNER = range(4)  # corners of a tetrahedron
+_CELL_CENTRE_CORNER, _FACE_CENTRE_CORNER, _FACE_CORNER, _NEXT_FACE_CORNER = range(4)  # corners of a tetrahedron
 _REVERSED_CORNER_ORDER = (0, 3, 2, 1)  # corners of a face
 """Distance below which points are merged, over the largest coordinate."""
 
@@ -177,7 +183,7 @@ def _weld_triangles(triangles: Array) -> tuple[Array, Index]:
     return corners[first], index[(a != b) & (b != c) & (c != a)]
 
 
-VORTEX_Q_OVER_SPEED2 = 0.03
+VORTEX_SURFACE_Q_LEVEL = 0.03
 """Level of Q, over (tip speed / chord) squared, of the surfaces that show vortices.
 
 A vortex of circulation G with a uniform core of radius a has the vorticity w = G / (pi a^2) and Q = w^2 / 4. A blade at
@@ -189,7 +195,7 @@ a = 0.52 c.
 def extract_vortex_surface(
     mesh: PolyMesh, flow: FlowField, point: OperatingPoint
 ) -> tuple[Array, Index, dict[str, NDArray]]:
-    """Extract all blades' vortices within 2 R: surfaces of :data:`VORTEX_Q_OVER_SPEED2` outside the boundary layer.
+    """Extract all blades' vortices within 2 R: surfaces of :data:`VORTEX_SURFACE_Q_LEVEL` outside the boundary layer.
 
     Cells closer to a wall than the thickness of a laminar boundary layer at the tip's trailing edge, 5 c / sqrt(V c /
     nu), are left out. Source: Blasius, in Schlichting, Boundary-Layer Theory, 1979, ch. VII.
@@ -208,7 +214,9 @@ def extract_vortex_surface(
     layer = 5.0 * chord / math.sqrt(speed * chord / point.kinematic_viscosity_m2_s)
     among = np.linalg.norm(mesh.cell_centres, axis=1) < 2.0 * point.radius_m
     among &= cKDTree(wall).query(mesh.cell_centres, distance_upper_bound=layer)[0] > layer
-    points, triangles = extract_iso_surface(mesh, flow.q_1_s2, VORTEX_Q_OVER_SPEED2 * (speed / chord) ** 2, among=among)
+    points, triangles = extract_iso_surface(
+        mesh, flow.q_1_s2, VORTEX_SURFACE_Q_LEVEL * (speed / chord) ** 2, among=among
+    )
     cell = cKDTree(mesh.cell_centres).query(points[triangles].mean(axis=1))[1] if len(triangles) else np.empty(0, int)
     spin = np.linalg.norm(flow.vorticity_1_s, axis=1)[cell]
     n, around = mesh.blade_count, []

@@ -42,7 +42,7 @@ from mufly.cli.output import (
     save_figure,
 )
 from mufly.errors import InputError, MuflyError
-from mufly.quantities.quantity_grammar import read_range, read_rotor_pair
+from mufly.quantities.quantity_grammar import read_range, read_rotor_pair_values
 from mufly.quantities.units import RPM
 from mufly.results import ResultColumn, select_fields
 
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from mufly.study.study_parameters import ParameterValue
     from mufly.vehicle import CoefficientMap
 
-THESIS_ROTOR = "naca0012-r60-c20"  # the dissertation's pair: this rotor twice at 14 degrees, 20 mm apart
+THESIS_ROTOR_NAME = "naca0012-r60-c20"  # the dissertation's pair: this rotor twice at 14 degrees, 20 mm apart
 
 UpperArgument = Annotated[str, define_argument("UPPER", "Upper rotor: built-in name or rotor file (TOML).")]
 LowerArgument = Annotated[
@@ -72,13 +72,13 @@ ROTOR_COLUMNS = (
 
 def parse_rotor_speeds(text: str) -> tuple[float, float]:
     """Return upper and lower speed (rad/s) of ``"6000,6650"`` or ``"6000"`` rpm."""
-    upper, lower = read_rotor_pair("--rpm", text, "rpm")
+    upper, lower = read_rotor_pair_values("--rpm", text, "rpm")
     return upper * RPM, lower * RPM
 
 
 def parse_pitch_angles(text: str) -> tuple[float, float]:
     """Return upper and lower pitch (rad) of ``"14,12"`` or ``"14"`` degrees."""
-    upper, lower = read_rotor_pair("--pitch", text, "deg")
+    upper, lower = read_rotor_pair_values("--pitch", text, "deg")
     return math.radians(upper), math.radians(lower)
 
 
@@ -106,7 +106,7 @@ def pair_to_json(setup: StudySetup, point: SystemSolution, alone: tuple[RotorRes
         **{side: {"rotor": rotor.name, **found.as_record()} for side, rotor, found in both},
         **select_fields(point, "spacing_m thrust_N power_W yaw_torque_Nm figure_of_merit lower_over_upper"),
         "isolated": alone and {side: found.as_record() for side, found in zip(sides, alone, strict=True)},
-        "change_from_isolated": alone and point.interference_changes(alone),
+        "change_from_isolated": alone and point.compute_interference_changes(alone),
         "method": setup.method,
         "wake": select_fields(point, WAKE_JSON_FIELDS) if point.wakes else None,
     }
@@ -138,7 +138,7 @@ def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResul
         f"speed {ratio['speed']:.3f}; {point.thrust_N / point.power_W:.4g} N/W",
     ]
     if alone is not None:
-        x = {k: f"{v:+.1%}" if math.isfinite(v) else "-" for k, v in point.interference_changes(alone).items()}
+        x = {k: f"{v:+.1%}" if math.isfinite(v) else "-" for k, v in point.compute_interference_changes(alone).items()}
         lines.append(
             f"against the rotors alone at these speeds: upper thrust {x['upper_thrust']}, torque {x['upper_torque']}; "
             f"lower thrust {x['lower_thrust']}, torque {x['lower_torque']}; the pair's thrust {x['thrust']}, power "
@@ -183,7 +183,7 @@ _IsolatedOption = Annotated[
 
 @app.command()
 def hover(
-    upper: UpperArgument = THESIS_ROTOR,
+    upper: UpperArgument = THESIS_ROTOR_NAME,
     lower: LowerArgument = None,
     spacing: SpacingOption = 0.02,
     rpm: Annotated[
@@ -289,7 +289,7 @@ def forward(
 
 @app.command()
 def trim(
-    upper: UpperArgument = THESIS_ROTOR,
+    upper: UpperArgument = THESIS_ROTOR_NAME,
     lower: LowerArgument = None,
     spacing: SpacingOption = 0.02,
     thrust: Annotated[

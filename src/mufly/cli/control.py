@@ -204,7 +204,7 @@ def servo_map(
       mufly control servo-map my-helicopter/vehicle.toml --lag 30 --rate 100 --rate 200 --frame 20
     """
     from mufly.control.analysis.plots import draw_servo_map
-    from mufly.control.analysis.servo_map import FRAMES_s, LAGS_s, RATES_Hz, map_servos
+    from mufly.control.analysis.servo_map import FRAMES_s, LAGS_s, RATES_Hz, compute_servo_map
     from mufly.logs.tables.columnar_files import write_netcdf
     from mufly.vehicle import load_vehicle, replace_parameters
 
@@ -212,13 +212,13 @@ def servo_map(
     if no_bar:
         loaded = replace_parameters(loaded, {"stabiliser_bar.fitted": False})
     grids = [
-        check_value_grid(name, given, low, high, unit)
+        check_and_sort_values(name, given, low, high, unit)
         for name, given, low, high, unit in (
             ("--lag", lag, 0.1, 1e3, "ms"), ("--rate", rate, 20.0, 5e3, "Hz"), ("--frame", frame, 0.0, 100.0, "ms")
         )
     ]  # fmt: skip
     with progress_bar("Designing", not as_json) as progress:
-        found = map_servos(
+        found = compute_servo_map(
             loaded,
             lags_s=[v / 1e3 for v in grids[0]] or LAGS_s,
             rates_Hz=grids[1] or RATES_Hz,
@@ -289,13 +289,13 @@ table, where model and design have the same speed.
     for name in methods or ():
         if name not in FAST_SYNTHESIS_METHODS:
             raise InputError("--methods", name, "is not a method", f"give one of {', '.join(FAST_SYNTHESIS_METHODS)}")
-    speeds = check_value_grid("--speed", speed, 0.0, 50.0, "m/s") or list(SPEEDS_m_s)
+    speeds = check_and_sort_values("--speed", speed, 0.0, 50.0, "m/s") or list(SPEEDS_m_s)
     with progress_bar("Designing", not as_json) as progress:
         found = compare_schedules(loaded, chosen, speeds_m_s=speeds, progress=progress)
     print_answer(as_json, found)
 
 
-def check_value_grid(option: str, given: list[float] | None, low: float, high: float, unit: str) -> list[float]:
+def check_and_sort_values(option: str, given: list[float] | None, low: float, high: float, unit: str) -> list[float]:
     """Return the values of an option in rising order, each once; empty if none are given.
 
     Raises
@@ -497,7 +497,7 @@ bounds of mu and flights resume.
     from dataclasses import replace
 
     from mufly.control import DesignSettings
-    from mufly.control.analysis.comparison import FlightFigures, compare_methods, comparison_dataset, recommend_method
+    from mufly.control.analysis.comparison import FlightMetrics, compare_methods, comparison_dataset, recommend_method
     from mufly.control.analysis.plots import draw_comparison
     from mufly.control.analysis.speed_schedule import SPEEDS_m_s
     from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHODS
@@ -511,7 +511,7 @@ bounds of mu and flights resume.
         if name not in SYNTHESIS_METHODS:
             raise InputError("--methods", name, "is not a method", f"give one of {', '.join(SYNTHESIS_METHODS)}")
     loaded = load_vehicle(vehicle)
-    speeds = check_value_grid("--speed", speed, 0.0, 50.0, "m/s") or SPEEDS_m_s
+    speeds = check_and_sort_values("--speed", speed, 0.0, 50.0, "m/s") or SPEEDS_m_s
     settings = DesignSettings()
     settings = replace(settings, roll_pitch_goals=replace(settings.roll_pitch_goals, order=order))
     chosen = [method for method in SYNTHESIS_METHODS if method in wanted]
@@ -565,7 +565,7 @@ bounds of mu and flights resume.
                 over = sorted(f.overshoot_m for f in flown if f.overshoot_m is not None)
                 worst = over[min(len(over) - 1, int(0.95 * len(over)))] if over else None
                 rows.append(
-                    replace(row, flights=FlightFigures(flights, good, *compute_wilson_interval(good, flights), worst))
+                    replace(row, flights=FlightMetrics(flights, good, *compute_wilson_interval(good, flights), worst))
                 )
         found = recommend_method(found.vehicle_name, found.rate_Hz, rows)
     with report_write_errors("--out", "give a folder that can be written", str(out)):
@@ -578,10 +578,10 @@ bounds of mu and flights resume.
 
 
 def _write_designs(controller: FlightController, folder: Path) -> list[Path]:
-    from mufly.control.analysis.plots import draw_designs
+    from mufly.control.analysis.plots import write_design_pictures
 
     with report_write_errors("--out", "give a folder that can be written", str(folder)):
         target = folder / "design.json"
-        written = [*draw_designs(controller, folder), target]
+        written = [*write_design_pictures(controller, folder), target]
         target.write_text(json.dumps(to_plain_data(controller), indent=2) + "\n", encoding="utf-8")
     return written

@@ -42,15 +42,15 @@ from mufly.cli.station import (
     ShutdownHandler,
     TokenOption,
     WindOption,
-    check_sensor_options,
     choose_dated_folder,
     describe_flight_code,
     describe_sensor_source,
-    open_in_background,
+    open_browser_in_background,
     parse_endpoints,
+    parse_sensor_faults,
     print_page_address,
     resolve_wind,
-    select_flight_software,
+    select_control_implementation,
 )
 from mufly.errors import InputError, MuflyError
 
@@ -74,7 +74,7 @@ LOADING_STAGE = "loading the libraries"
 
 
 @dataclass(frozen=True)
-class FlightOrder:
+class FlightSettings:
     """Checked settings of a flight; ``extra_links`` are additional MAVLink endpoints for ground stations."""
 
     vehicle: Vehicle
@@ -115,7 +115,7 @@ def _find_free_port() -> int:
 
 
 def _start_vehicle_process(
-    order: FlightOrder, endpoints: Sequence[Endpoint], autostart: bool, startup: Startup
+    order: FlightSettings, endpoints: Sequence[Endpoint], autostart: bool, startup: Startup
 ) -> VehicleProcess:
     from mufly.link import start_vehicle
 
@@ -288,12 +288,12 @@ def fly_mission(
 
         recording = folder / "flight.mcap"
         helicopter = load_vehicle(vehicle)
-        faults = check_sensor_options(helicopter, sensors, fault)
+        faults = parse_sensor_faults(helicopter, sensors, fault)
         flown = load_mission(mission)
         design_vehicle = None if designed_for is None else load_vehicle(designed_for)
-        order = FlightOrder(
+        order = FlightSettings(
             helicopter, flown, recording, steady, gust, seed, tuple(ends), start, realtime, sensors,
-            faults, select_flight_software(firmware, fixed_point, policy, (design_vehicle or helicopter).name),
+            faults, select_control_implementation(firmware, fixed_point, policy, (design_vehicle or helicopter).name),
             design_vehicle,
             make_position_camera(position, sensors, camera, floor, floor_width, flown, mission, camera_fault, stream),
             position == "link", views=make_live_views(foxglove, ros),
@@ -331,7 +331,7 @@ def fly_mission(
         if show.page_address is not None:
             print_page_address(show.page_address, [e.explanation for e in ends])
             if browser:
-                open_in_background(show.page_address)
+                open_browser_in_background(show.page_address)
         display.follow_startup(startup)
         if policy:
             terminal.print(f"Control law: learned policy {policy}", highlight=False, markup=False)
@@ -367,7 +367,7 @@ def fly_mission(
         raise MuflyError(f"the mission failed: {summary.reason}")
 
 
-def _prepare_flight(order: FlightOrder, show: FlightDisplay, firmware: bool) -> None:
+def _prepare_flight(order: FlightSettings, show: FlightDisplay, firmware: bool) -> None:
     """Build vehicle and controllers before a flight, and print notes on it."""
     terminal = show.terminal
     terminal.print(describe_sensor_source(order.vehicle, order.sensors), highlight=False, markup=False)
@@ -395,7 +395,7 @@ def _prepare_flight(order: FlightOrder, show: FlightDisplay, firmware: bool) -> 
         print_lines(*filter(None, [beyond]), mark="Warning", style="yellow")
 
 
-def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
+def _fly_in_terminal(order: FlightSettings, show: FlightDisplay) -> xr.Dataset:
     """Fly the mission to its end, as fast as the machine allows."""
     import mufly.flight as flight
 
@@ -437,7 +437,7 @@ def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
         raise typer.Exit(ending.exit_status or 130) from None
 
 
-def _fly_in_real_time(order: FlightOrder, show: FlightDisplay) -> str:
+def _fly_in_real_time(order: FlightSettings, show: FlightDisplay) -> str:
     """Fly in real time with the page, or with MAVLink links only if ``show`` has no page; return the outcome.
 
     The outcome is empty if no flight took place.

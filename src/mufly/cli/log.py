@@ -126,13 +126,13 @@ def convert_log(
 
 def _write_bag(data: xr.Dataset, log: Path, out: Path) -> tuple[str, ...]:
     """Write a ROS 2 bag with the vehicle's range sensors and the recorded pictures; return the bag's topics."""
-    from mufly.bridges.ros_geometry import recorded_range_limits
+    from mufly.bridges.ros_geometry import recorded_range_sensor_geometry
     from mufly.camera.picture_recording import read_pictures
     from mufly.logs import RangeSensorGeometry, read_attachments, write_rosbag2
 
     limits, pictures = RangeSensorGeometry(), list[tuple[float, bytes]]()
     if data.attrs.get("format") == "MCAP":
-        limits = recorded_range_limits(read_attachments(log).get("vehicle.toml", b""))
+        limits = recorded_range_sensor_geometry(read_attachments(log).get("vehicle.toml", b""))
         with contextlib.suppress(InputError):  # no pictures
             found = read_pictures(log)
             first, last = data["time"].values[[0, -1]]
@@ -216,7 +216,7 @@ def plot(
     """  # fmt: skip
     from mufly.logs import (
         draw_channels,
-        group_channels,
+        group_channels_by_picture,
         read_channels,
         select_channels,
         select_fields_of_fastest_topics,
@@ -253,7 +253,7 @@ def plot(
         raise InputError(
             str(log), "", "has no data in this time span", f"the log lasts from {start:.2f} to {end:.2f} s"
         )
-    pictures = group_channels(kept)
+    pictures = group_channels_by_picture(kept)
     suffix = "-spectrum" if spectrum else ""
     with progress_bar("Drawing", True) as progress:
         for k, (kind, members) in enumerate(pictures.items()):

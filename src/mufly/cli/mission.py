@@ -118,14 +118,14 @@ def check(mission: _MissionArgument, vehicle: VehicleOption = "mufly-1.1", as_js
     """Check a mission file, and whether the vehicle's battery suffices. If not, exit with status 1 and a reason."""
     from mufly.control import design_flight_controller
     from mufly.firmware.export.plan_tables import MAX_WAYPOINTS
-    from mufly.flight import controller_limits
-    from mufly.mission import GROUND_STATION_FILE_DESCRIPTION, check_preflight, load_mission
+    from mufly.flight import derive_trajectory_limits
+    from mufly.mission import GROUND_STATION_DESCRIPTION_PREFIX, check_preflight, load_mission
     from mufly.vehicle import load_vehicle
 
     m, v = load_mission(mission), load_vehicle(vehicle)
     check_preflight(v, m, vehicle_file=vehicle, mission_file=mission)  # before the design, which takes longer
     estimate = check_preflight(
-        v, m, vehicle_file=vehicle, mission_file=mission, able=controller_limits(design_flight_controller(v))
+        v, m, vehicle_file=vehicle, mission_file=mission, able=derive_trajectory_limits(design_flight_controller(v))
     )
     if as_json:
         return print_json(
@@ -141,7 +141,7 @@ def check(mission: _MissionArgument, vehicle: VehicleOption = "mufly-1.1", as_js
         f"[bold]{m.name}[/bold] can be flown by [bold]{v.name}[/bold]: {len(m.waypoint)} waypoints, "
         f"{estimate.path_m:.1f} m, about {estimate.duration_s:.0f} s, {estimate.charge_fraction:.0%} of the battery."
     )
-    if m.description.startswith(GROUND_STATION_FILE_DESCRIPTION):
+    if m.description.startswith(GROUND_STATION_DESCRIPTION_PREFIX):
         print_lines(f"Read {m.description}.", style="dim")
     if len(m.waypoint) > MAX_WAYPOINTS:
         print_lines(

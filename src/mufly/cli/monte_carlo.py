@@ -42,11 +42,11 @@ from mufly.cli.station import (
     SensorsOption,
     ShutdownHandler,
     WindOption,
-    check_sensor_options,
     describe_sensor_source,
+    parse_sensor_faults,
     parse_wind,
     resolve_wind,
-    select_flight_software,
+    select_control_implementation,
 )
 from mufly.errors import InputError
 
@@ -178,8 +178,8 @@ def run_monte_carlo(
     from mufly.vehicle import load_vehicle
 
     helicopter = load_vehicle(vehicle)
-    check_sensor_options(helicopter, sensors, fault)
-    controllers = select_flight_software(firmware, fixed_point, policy, helicopter.name)
+    parse_sensor_faults(helicopter, sensors, fault)
+    controllers = select_control_implementation(firmware, fixed_point, policy, helicopter.name)
     by = tuple(word for word, wanted in (("--firmware", firmware), ("--fixed-point", fixed_point)) if wanted)
     by += ("--policy", policy) if policy else ()
     by += () if method == "hinf" else ("--method", method)
@@ -254,7 +254,7 @@ def run_monte_carlo(
 
 def _print_campaign(campaign: Campaign) -> None:
     software = "designed for each vehicle" if campaign.redesign else f"those of {campaign.vehicle.name}"
-    what = f"{campaign.vehicle.name} flies {campaign.mission_name}, {campaign.describe_knowledge()}"
+    what = f"{campaign.vehicle.name} flies {campaign.mission_name}, {campaign.describe_onboard_knowledge()}"
     print_lines(f"{what}; controllers and filter are {software}")
     print_lines(describe_sensor_source(campaign.vehicle, campaign.sensors))
     print_lines(*(f"{v.request_text}: {v.note}" for v in campaign.variations if v.note), mark="Note", style="yellow")
@@ -270,11 +270,14 @@ def _write_and_print_results(
         flight_severity,
         sort_by_severity,
         summarise_outcome,
-        write_flights,
+        write_campaign_results,
     )
     from mufly.results import to_plain_data
 
-    files = [*write_flights(campaign, flown, out, "flights"), *write_flights(campaign, sought, out, "search")]
+    files = [
+        *write_campaign_results(campaign, flown, out, "flights"),
+        *write_campaign_results(campaign, sought, out, "search"),
+    ]
     outcome = summarise_outcome(flown, campaign.tolerance_m) if flown else None
     worst = sort_by_severity(sought, campaign.tolerance_m)[:1]
     commands = [command for _, command in recorded.commands]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mufly.cli import coax
-from mufly.cli.coax import THESIS_ROTOR, LowerArgument, UpperArgument, make_pair_setup, parse_pitch_angles
+from mufly.cli.coax import THESIS_ROTOR_NAME, LowerArgument, UpperArgument, make_pair_setup, parse_pitch_angles
 from mufly.cli.options import (
     DEFAULT_POLAR_OPTIONS,
     DEFAULT_WAKE_OPTIONS,
@@ -103,7 +103,7 @@ def optimise(
     Example: mufly rotor optimise --for endurance --free chord,twist,taper,radius,airfoil,gear --limit
     'thickness_mm>=0.8' --limit 'radius<=60mm' --out better.toml
     """
-    from mufly.study import ROTOR_PARAMETERS, choose_airfoils, parse_limit
+    from mufly.study import ROTOR_PARAMETERS, expand_airfoil_names, parse_limit
     from mufly.study import optimise_rotor as search
 
     given = set_ or []
@@ -112,7 +112,7 @@ def optimise(
     fixed = parse_set_options(given, ROTOR_PARAMETERS, "give one")
     setup = polars.make_study_setup(rotor, fixed, drive=load_drive_option(drive), with_outside_share=False)
     names = [name.strip() for name in free.split(",") if name.strip()]
-    candidates = choose_airfoils(airfoils or ["thesis"]) if "airfoil" in names else []
+    candidates = expand_airfoil_names(airfoils or ["thesis"]) if "airfoil" in names else []
     limits = [parse_limit(text) for text in limit or []]
     with progress_bar("generations", not as_json) as progress:
         best = search(
@@ -148,7 +148,7 @@ _DEFAULT_PAIR_PARAMETERS = "upper_twist,lower_twist,upper_chord,lower_chord,uppe
 
 @coax.app.command("optimise")
 def optimise_pairs(
-    upper: UpperArgument = THESIS_ROTOR,
+    upper: UpperArgument = THESIS_ROTOR_NAME,
     lower: LowerArgument = None,
     spacing: SpacingOption = 0.02,
     thrust: Annotated[float, define_option("--thrust", "Thrust of the pair.", unit="N")] = 0.9,
@@ -219,13 +219,13 @@ def optimise_pairs(
     bemt = {"start": best.before, "pitch_only": best.before_at_best_pitch, "optimum": best.after}
     content = {
         **select_fields(best, "upper=upper.toml_tables lower=lower.toml_tables changes at_limit evaluations"),
-        "bemt": {name: _format_point_summary(point) for name, point in bemt.items()},
-        "wake": checked and dict(zip(("start", "optimum"), map(_format_point_summary, checked), strict=True)),
+        "bemt": {name: _summarise_point(point) for name, point in bemt.items()},
+        "wake": checked and dict(zip(("start", "optimum"), map(_summarise_point, checked), strict=True)),
     }
     print_answer(as_json, content, lambda: _print_pair_optimum(best, checked), files)
 
 
-def _format_point_summary(point: SystemSolution | str | None) -> dict[str, Any] | None:
+def _summarise_point(point: SystemSolution | str | None) -> dict[str, Any] | None:
     if point is None or isinstance(point, str):
         return None if point is None else {"fault": point}
     each = "pitch_rad speed_rad_s thrust_N torque_Nm power_W outside_share"

@@ -29,7 +29,7 @@ from mufly.quantities.quantity_grammar import (
     read_integer,
     read_interval,
     read_quantity,
-    read_rotor_pair,
+    read_rotor_pair_values,
     read_stepped_range,
     read_value_with_std,
     read_values,
@@ -73,9 +73,9 @@ class OptionNamingCommand(TyperCommand):
         try:
             return super().invoke(ctx)
         except InputError as error:
-            raise self._name_option(error) from error
+            raise self._name_option_in_error(error) from error
 
-    def _name_option(self, error: InputError) -> InputError:
+    def _name_option_in_error(self, error: InputError) -> InputError:
         options = {p.name: max(p.opts, key=len) for p in self.params if p.name and p.param_type_name == "option"}
 
         def find_option(argument: str) -> str | None:
@@ -117,12 +117,12 @@ def _expand_option_records(function: Callable[..., Any]) -> Callable[..., Any]:
     arguments: list[inspect.Parameter] = []
     for one in inspect.signature(function).parameters.values():
         if not is_dataclass(kind := hints[one.name]):
-            arguments.append(one.replace(annotation=_add_notation(hints[one.name])))
+            arguments.append(one.replace(annotation=_add_option_parser(hints[one.name])))
             continue
         records[one.name] = kind
         each = get_type_hints(kind, include_extras=True)
         arguments += [
-            one.replace(name=f.name, default=getattr(one.default, f.name), annotation=_add_notation(each[f.name]))
+            one.replace(name=f.name, default=getattr(one.default, f.name), annotation=_add_option_parser(each[f.name]))
             for f in fields(kind)
             if get_origin(each[f.name]) is Annotated
         ]
@@ -159,7 +159,7 @@ class OptionRange:
         raise InputError(option, "", f"{value:.10g}{unit} is out of range{why}", f"give {wanted}{unit}")
 
 
-def _add_notation(annotation: Any) -> Any:
+def _add_option_parser(annotation: Any) -> Any:
     """Return an option's annotation with a check of its choices, or a parser of its numbers if it has none."""
     if get_origin(annotation) is not Annotated:
         return annotation
@@ -172,7 +172,7 @@ def _add_notation(annotation: Any) -> Any:
     numbers = {int, float}.intersection((kind, *get_args(kind), *(x for k in get_args(kind) for x in get_args(k))))
     for k, one in enumerate(more):
         if numbers and isinstance(one, OptionInfo) and one.parser is None:
-            plain = NumberNotation(
+            plain = NumberOptionParser(
                 "", "count" if int in numbers else "one", allowed_range=OptionRange(one.min, one.max)
             )
             more[k] = copy(one)
@@ -198,7 +198,7 @@ class OptionChoices:
 
 
 @dataclass(frozen=True)
-class NumberNotation:
+class NumberOptionParser:
     """Parser of an option's numbers, with their unit, form and range (:mod:`mufly.quantities.quantity_grammar`).
 
     Attributes
@@ -250,7 +250,7 @@ NUMBER_FORMS: dict[str, tuple[Callable[[str, str, str], Any], str]] = {
     "one": (read_quantity, "NUMBER"),
     "count": (lambda where, text, unit: read_integer(where, text), "N"),
     "values": (read_values, "VALUES"),
-    "pair": (read_rotor_pair, "UPPER[,LOWER]"),
+    "pair": (read_rotor_pair_values, "UPPER[,LOWER]"),
     "band": (read_interval, "LOW:HIGH"),
     "steps": (read_stepped_range, "FIRST:LAST[:STEP]"),
     "vector": (read_vector, "SPEED|N,E,D"),
@@ -281,9 +281,9 @@ def define_option(
     help : str
         Purpose of the option.
     unit : str, optional
-        Unit of bare numbers, which :class:`NumberNotation` reads and the help shows.
+        Unit of bare numbers, which :class:`NumberOptionParser` reads and the help shows.
     form, words : str, tuple of str
-        As for :class:`NumberNotation`.
+        As for :class:`NumberOptionParser`.
     within : OptionRange, optional
         Range of its numbers; values outside are rejected before any computation.
     """
@@ -291,7 +291,7 @@ def define_option(
     value = [w for w in parts if not w.startswith("-")]
     if unit is not None:
         within = within or OptionRange(more.get("min"), more.get("max"), unit)
-        notation = NumberNotation(unit, form, words, within)
+        notation = NumberOptionParser(unit, form, words, within)
         more["parser"], more["callback"] = notation, notation.read_option_values
         value = value or [notation.metavar]
     return typer.Option(
@@ -666,7 +666,7 @@ def load_start_vehicle(name: str | None, write: Path | None) -> Vehicle | None:
     return None if name is None else load_vehicle(name)
 
 
-def write_vehicle(
+def write_estimated_vehicle(
     start: Vehicle | None,
     estimates: Iterable[ParameterEstimate],
     write: Path | None,

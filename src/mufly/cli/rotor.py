@@ -37,7 +37,7 @@ from mufly.cli.output import (
     save_figure,
     write_text_file,
 )
-from mufly.quantities.units import RPM, compatible_units
+from mufly.quantities.units import RPM, list_compatible_units
 from mufly.results import ResultColumn, select_fields, to_records
 
 FamilyOption = Annotated[
@@ -224,8 +224,8 @@ def import_blade(
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
     radius = None if diameter is None else 0.5 * diameter
-    if unit is not None and (unit not in compatible_units("m") or blade.suffix.lower() != ".stl"):
-        problem, remedy = f"{unit!r} is not a length", f"use one of: {', '.join(compatible_units('m'))}"
+    if unit is not None and (unit not in list_compatible_units("m") or blade.suffix.lower() != ".stl"):
+        problem, remedy = f"{unit!r} is not a length", f"use one of: {', '.join(list_compatible_units('m'))}"
         if blade.suffix.lower() != ".stl":
             problem, remedy = "is of STL files", f"omit it: {blade.name} states its units"
         raise InputError("--unit", "", problem, remedy)
@@ -238,7 +238,7 @@ def import_blade(
             )
         r, notes = rotor_from_body(
             blade, folder=out.parent, blades=blades, name=name or out.stem,
-            unit_m=None if unit is None else compatible_units("m")[unit],
+            unit_m=None if unit is None else list_compatible_units("m")[unit],
         )  # fmt: skip
         r = replace_rotor(r, {"blade.geometry": "scan"})
     else:
@@ -371,7 +371,7 @@ def hover(
     speed = rpm * RPM if rpm is not None else None
     with show_wake_progress("wake", theory.method == "wake" and not as_json, out) as progress:
         found = solve_system(
-            RotorSystem.single_rotor(blading), OperatingCondition(theta, speed, thrust, climb, air), theory.method,
+            RotorSystem.from_single_rotor(blading), OperatingCondition(theta, speed, thrust, climb, air), theory.method,
             settings=settings, progress=progress,
         )  # fmt: skip
     result, solution = found.rotors[0], found if found.wakes else None

@@ -82,7 +82,7 @@ def parse_wind(text: str | None) -> float | tuple[float, float, float] | None:
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1], numbers[2])
 
 
-def _steady_wind(wind: float | tuple[float, float, float] | None, seed: int) -> list[float] | None:
+def _choose_steady_wind(wind: float | tuple[float, float, float] | None, seed: int) -> list[float] | None:
     """Return the wind N, E, D (m/s); for a mere speed, a horizontal direction is drawn by ``seed`` and printed."""
     if wind is None or isinstance(wind, tuple):
         return None if wind is None else list(wind)
@@ -102,7 +102,7 @@ def resolve_wind(wind: str | None, gust: float | None, seed: int) -> list[float]
         raise InputError("--gust", "", f"{gust:g} m/s is out of range", f"give 0 to {MAX_GUST_RMS_M_S:g} m/s")
     if not 0 <= seed < 2**63:
         raise InputError("--seed", "", f"{seed} is not a seed", "give a whole number from 0 to 2^63 - 1")
-    return _steady_wind(given, seed)
+    return _choose_steady_wind(given, seed)
 
 
 FirmwareOption = Annotated[
@@ -130,7 +130,7 @@ PolicyOption = Annotated[
 ]
 
 
-def select_flight_software(
+def select_control_implementation(
     wanted: bool, fixed_point: bool = False, policy: str = "", vehicle_name: str = ""
 ) -> ControlImplementation | None:
     """Return the control law's implementation: exported C code, a learned policy, or None for the standard one.
@@ -140,10 +140,10 @@ def select_flight_software(
     if policy:
         if wanted:
             raise InputError("--policy", "", "cannot be combined with --firmware", "give one of the two")
-        from mufly.flight.policy import PolicyControlLaw, check_policy, load_policy
+        from mufly.flight.policy import PolicyControlLaw, check_policy_fits_vehicle, load_policy
 
         learned = load_policy(policy)
-        check_policy(learned, vehicle_name, policy)
+        check_policy_fits_vehicle(learned, vehicle_name, policy)
         return PolicyControlLaw(learned)
     if fixed_point and not wanted:
         raise InputError("--fixed-point", "", "applies to the exported code only", "also give --firmware")
@@ -155,15 +155,15 @@ def select_flight_software(
     return FixedPointFirmwareControllers if fixed_point else FirmwareSoftware
 
 
-def check_sensor_options(vehicle: Vehicle, sensors: str, faults: Sequence[str] | None) -> tuple[Fault, ...]:
+def parse_sensor_faults(vehicle: Vehicle, sensors: str, faults: Sequence[str] | None) -> tuple[Fault, ...]:
     """Return the faults of ``--fault``; InputError for impossible faults."""
     from mufly.sensors.faults import parse_fault
-    from mufly.sensors.sensor_suite import check_faults
+    from mufly.sensors.sensor_suite import require_fault_sensors
 
     found = tuple(parse_fault(text) for text in faults or ())
     if found and sensors == "ideal":
         raise InputError("--fault", str(found[0]), "the true state has no sensor faults", "leave out --sensors ideal")
-    check_faults(vehicle, found)
+    require_fault_sensors(vehicle, found)
     return found
 
 
@@ -360,7 +360,7 @@ def open_station(
     ending = ShutdownHandler()
     with StartPage(address, startup) as page:
         if browser:
-            open_in_background(address)
+            open_browser_in_background(address)
         with LiveDisplay(make_console(stderr=True)) as display:
             display.follow_startup(startup)
             startup.begin_stage("loading the libraries")
@@ -404,7 +404,7 @@ def open_station(
         raise typer.Exit(ending.exit_status)
 
 
-def open_in_background(address: PageAddress) -> None:
+def open_browser_in_background(address: PageAddress) -> None:
     """Open the page in the default browser without waiting for it."""
     from mufly.station.page.page_address import open_in_browser
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mufly.cli import coax
-from mufly.cli.coax import THESIS_ROTOR, LowerArgument, UpperArgument, make_pair_setup
+from mufly.cli.coax import THESIS_ROTOR_NAME, LowerArgument, UpperArgument, make_pair_setup
 from mufly.cli.options import (
     DEFAULT_BEMT_OPTIONS,
     DEFAULT_FREE_WAKE_OPTIONS,
@@ -82,7 +82,7 @@ def parse_set_options(
     return {name: values[0] for name, values in settings.items()}
 
 
-def _list_parameters(table: dict[str, StudyParameterSpec], as_json: bool) -> None:
+def _print_parameters(table: dict[str, StudyParameterSpec], as_json: bool) -> None:
     if as_json:
         return print_json(
             {k: {"unit": p.unit, "units": list(p.accepted_units), "meaning": p.meaning} for k, p in table.items()}
@@ -99,7 +99,7 @@ def parameters(as_json: JsonOption = False) -> None:
     """List the parameters that can be varied or set, with their units."""
     from mufly.study import ROTOR_PARAMETERS
 
-    _list_parameters(ROTOR_PARAMETERS, as_json)
+    _print_parameters(ROTOR_PARAMETERS, as_json)
 
 
 @coax.app.command("parameters")
@@ -107,7 +107,7 @@ def list_pair_parameters(as_json: JsonOption = False) -> None:
     """List the parameters that `mufly coax sweep` can vary or set, with their units."""
     from mufly.study import PAIR_PARAMETERS
 
-    _list_parameters(PAIR_PARAMETERS, as_json)
+    _print_parameters(PAIR_PARAMETERS, as_json)
     if not as_json:
         text = "upper_rpm=5000:7000:500 is short for upper_speed=5000:7000:500rpm."
         make_console().print(text, style="dim", highlight=False)
@@ -205,7 +205,9 @@ def sweep(
     with progress_bar("sweep", not as_json) as progress:
         data = run(setup, varied, folder=out, progress=progress, cluster=cluster)
     files = _write_sweep(data, out, _select_plotted_result(data, show)) if out is not None else []
-    print_answer(as_json, data.to_dict(), lambda: _print_best(data, _select_plotted_result(data, show)), files)
+    print_answer(
+        as_json, data.to_dict(), lambda: _print_best_pitch_cases(data, _select_plotted_result(data, show)), files
+    )
 
 
 def _select_plotted_result(data: xr.Dataset, asked: str | None) -> str:
@@ -214,7 +216,7 @@ def _select_plotted_result(data: xr.Dataset, asked: str | None) -> str:
     return asked or ("thrust_per_power_N_W" if "thrust_per_power_N_W" in data else "figure_of_merit")
 
 
-def _print_best(data: xr.Dataset, variable: str) -> None:
+def _print_best_pitch_cases(data: xr.Dataset, variable: str) -> None:
     """Print the best case over all pitches for every combination of the other parameters, best first, at most 40."""
     import numpy as np
 
@@ -268,7 +270,7 @@ def rank(
 
     Examples: mufly rotor rank; mufly rotor rank --airfoils my_airfoils/ --set thrust=0.3N --set gear=1.5
     """
-    from mufly.study import ROTOR_PARAMETERS, choose_airfoils, draw_ranking, rank_airfoils, write_results
+    from mufly.study import ROTOR_PARAMETERS, draw_ranking, expand_airfoil_names, rank_airfoils, write_results
 
     standard = ["thrust=0.4N", "gear=adapted"] if drive not in (None, "none") else ["thrust=0.4N"]
     given = parse_set_options(set_ or standard, ROTOR_PARAMETERS, "give one value of something else")
@@ -276,7 +278,7 @@ def rank(
     if "pitch" in given or "airfoil" in given:
         raise InputError("--set", "", "a ranking varies pitch and airfoil", "fix other parameters")
     pitches = [math.radians(p) for p in read_values("--pitch", pitch, "deg")]
-    names = choose_airfoils(airfoils or ["thesis"])
+    names = expand_airfoil_names(airfoils or ["thesis"])
     with progress_bar("rank", not as_json) as progress:
         ranking = rank_airfoils(setup, names, pitches, by=by, folder=out, progress=progress, cluster=cluster)
     files = []
@@ -319,7 +321,7 @@ def _parse_pair_settings(texts: list[str]) -> dict[str, tuple[ParameterValue, ..
 
 @coax.app.command("sweep")
 def sweep_pairs(
-    upper: UpperArgument = THESIS_ROTOR,
+    upper: UpperArgument = THESIS_ROTOR_NAME,
     lower: LowerArgument = None,
     vary: Annotated[
         list[str] | None,
@@ -475,13 +477,13 @@ def run_thesis_study(
         answer_study,
         count_verdicts,
         find_item,
+        list_studies_by_cost,
         load_cached_answer,
-        studies_by_cost,
     )
 
     if name == "all" and case is not None:
         raise InputError("thesis", "--case", "goes with one figure", "mufly thesis run fig-3.23 --case DIR")
-    names = studies_by_cost() if name == "all" else [find_item(name).name]
+    names = list_studies_by_cost() if name == "all" else [find_item(name).name]
     answers: list[dict[str, Any]] = []
     for k, one in enumerate(names):
         count = f"{k + 1} of {len(names)}: " if len(names) > 1 else ""
@@ -489,7 +491,7 @@ def run_thesis_study(
             found = answer_study(one, out, progress, case=case, again=again)
         answers.append(found.to_dict())
         if not as_json:
-            _print_answer(found)
+            _print_study_answer(found)
     if as_json:
         print_json(answers if name == "all" else answers[0])
     elif name == "all":
@@ -515,7 +517,7 @@ def show_thesis_item(name: _NameArgument, as_json: JsonOption = False) -> None:
     if as_json:
         print_json(found.to_dict())
     else:
-        _print_answer(found)
+        _print_study_answer(found)
 
 
 @thesis_commands.command("outlook")
@@ -526,7 +528,7 @@ def show_outlook(as_json: JsonOption = False) -> None:
     """
     from dataclasses import asdict
 
-    from mufly.thesis import OUTLOOK_SENTENCES, count_outlook
+    from mufly.thesis import OUTLOOK_SENTENCES, count_outlook_states
 
     if as_json:
         return print_json([asdict(s) for s in OUTLOOK_SENTENCES])
@@ -535,7 +537,9 @@ def show_outlook(as_json: JsonOption = False) -> None:
         [(f"{s.number}", s.section, s.text, s.state, s.answer) for s in OUTLOOK_SENTENCES],
         text=(1, 2, 3, 4),
     )
-    make_console().print(", ".join(f"{n} {state}" for state, n in count_outlook().items()) + ".", highlight=False)
+    make_console().print(
+        ", ".join(f"{n} {state}" for state, n in count_outlook_states().items()) + ".", highlight=False
+    )
 
 
 @thesis_commands.command("report")
@@ -560,7 +564,7 @@ def write_thesis_report(
     make_console().print(", ".join(f"{n} {word}" for word, n in count_verdicts(answers).items()) + ".", highlight=False)
 
 
-def _print_answer(found: StudyAnswer) -> None:
+def _print_study_answer(found: StudyAnswer) -> None:
     c = make_console()
     i = found.item
     share = f" ({found.agreement_count_text})" if found.agreement_count_text else ""

@@ -430,11 +430,11 @@ def create_vehicle_project(
         "\nNext:",
         f"  mufly fly {files['mission']} --vehicle {files['vehicle']}",
         f"  mufly vehicle show {files['vehicle']}",
-        f"  mufly rotor hover {files['rotor']} --pitch 12 --rpm {_mean_hover_speed_rpm(vehicle):.0f}",
+        f"  mufly rotor hover {files['rotor']} --pitch 12 --rpm {_mean_hover_rotor_speed_rpm(vehicle):.0f}",
     )
 
 
-def _mean_hover_speed_rpm(vehicle: Vehicle) -> float:
+def _mean_hover_rotor_speed_rpm(vehicle: Vehicle) -> float:
     """Return the mean rotor speed in hover (rpm)."""
     from mufly.dynamics import compute_hover_rotor_speeds, model_parameters
 

@@ -13,7 +13,7 @@ from mufly.results import ShownBlock, format_value, make_table_block, result
 
 
 @result
-class PublishedFigures:
+class ThesisDesignValues:
     """Values of one design that the thesis prints; None where it prints none.
 
     Attributes
@@ -41,7 +41,7 @@ class PublishedFigures:
     order: int | None = None
 
 
-PUBLISHED_HEAVE_YAW = PublishedFigures(
+PUBLISHED_HEAVE_YAW = ThesisDesignValues(
     gamma=1.38,
     plant_crossovers=(2.82, 575.0),
     crossover=3.26,
@@ -49,8 +49,8 @@ PUBLISHED_HEAVE_YAW = PublishedFigures(
     complementary_peak_dB=3.93,
     order=10,
 )
-PUBLISHED_ROLL_PITCH = PublishedFigures(crossover=36.0, complementary_peak_dB=1.9, resonance=14.5, order=8)
-PUBLISHED_VELOCITY = PublishedFigures()
+PUBLISHED_ROLL_PITCH = ThesisDesignValues(crossover=36.0, complementary_peak_dB=1.9, resonance=14.5, order=8)
+PUBLISHED_VELOCITY = ThesisDesignValues()
 
 
 @result(
@@ -90,7 +90,7 @@ class ControllerDesign:
         0 dB crossings of the unscaled plant's singular values, rad/s.
     error_inputs : tuple of int
         Controller inputs that are errors of the plant's outputs.
-    published : PublishedFigures
+    published : ThesisDesignValues
         Figures of the thesis.
     """
 
@@ -111,7 +111,7 @@ class ControllerDesign:
     sampled_loop: LoopAnalysis
     plant_crossovers: tuple[float, ...]
     error_inputs: tuple[int, ...]
-    published: PublishedFigures
+    published: ThesisDesignValues
 
     @property
     def loop_analyses(self) -> tuple[tuple[str, int, LoopAnalysis], ...]:

@@ -25,7 +25,7 @@ _STORED_SCALARS = ("gamma", "gamma_optimal", "norm")
 
 
 @cache
-def _source_digest() -> str:
+def _hash_synthesis_sources() -> str:
     libraries = [f"{name} {version(name)}" for name in ("numpy", "scipy")]
     sources = imported_sources(Path(__file__).parent / "synthesis" / "synthesis_methods.py")
     return hash_inputs(libraries, *(path.read_bytes() for path in sources))
@@ -39,7 +39,8 @@ def hash_synthesis_problem(method: SynthesisMethod, problem: SynthesisProblem) -
         return [M for A in (system.A, system.B, system.C, system.D) for M in (A.shape, np.ascontiguousarray(A))]
 
     return hash_inputs(
-        _source_digest(), method, *matrices(p.generalised), *matrices(p.plant), p.referenced_outputs, p.two_degrees,
+        _hash_synthesis_sources(), method, *matrices(p.generalised), *matrices(p.plant), p.referenced_outputs,
+        p.two_degrees,
         p.n_measurements, p.relaxation, repr(p.lqg), repr(p.fixed), p.sampling_rate_rad_s, repr(p.robust),
         *(np.ascontiguousarray(E) for E in p.derivatives),
         *(() if p.given_controller is None else matrices(p.given_controller)),

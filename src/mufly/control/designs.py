@@ -18,7 +18,7 @@ from mufly.control.controller_design import (
     PUBLISHED_ROLL_PITCH,
     PUBLISHED_VELOCITY,
     ControllerDesign,
-    PublishedFigures,
+    ThesisDesignValues,
 )
 from mufly.control.design_store import load_or_compute_controller
 from mufly.control.implementation import (
@@ -46,7 +46,7 @@ from mufly.control.linear_systems import (
     singular_values,
     state_space,
 )
-from mufly.control.robust.parameter_spreads import default_spreads, spread_derivatives
+from mufly.control.robust.parameter_spreads import default_spreads, differentiate_plants_by_parameters
 from mufly.control.synthesis.indi import IndiGains
 from mufly.control.synthesis.lqg import LqgWeights
 from mufly.control.synthesis.synthesis_methods import (
@@ -76,7 +76,7 @@ from mufly.dynamics import GRAVITY, Linearisation, compute_battery_supply, linea
 from mufly.dynamics.model_state import MODEL_CHARGE
 from mufly.errors import ArgumentError, MuflyError
 from mufly.results import ShownBlock, make_lines_block, result
-from mufly.vehicle import Vehicle, battery_voltage_range
+from mufly.vehicle import Vehicle, find_battery_voltage_range
 
 DEFAULT_CONTROL_RATE_HZ = 200.0
 POSITION_LOOP_RATE_DIVIDER = 4  # the position cascade runs in every fourth period
@@ -218,7 +218,7 @@ def design_flight_controller(
     rate = DEFAULT_CONTROL_RATE_HZ if rate_Hz is None else float(rate_Hz)
     if not (np.isfinite(rate) and 20.0 <= rate <= 5000.0):
         raise ArgumentError("rate_Hz", "", f"{rate:g} Hz is out of range", "give 20 to 5000 Hz; 200 is usual")
-    low, full = battery_voltage_range(vehicle.battery)
+    low, full = find_battery_voltage_range(vehicle.battery)
     if voltage is not None and not low <= voltage <= full:
         raise ArgumentError(
             "voltage", "", f"{voltage:g} V is out of the battery's range",
@@ -229,7 +229,7 @@ def design_flight_controller(
     derivatives: Sequence[Array] = ()
     if s.method == "mu":
         spreads = default_spreads(vehicle)
-        derivatives = spread_derivatives(
+        derivatives = differentiate_plants_by_parameters(
             vehicle, float(linear.trim.battery_voltage_V), list(spreads), np.diag(list(spreads.values()))
         )["roll-pitch"]
     try:
@@ -320,7 +320,7 @@ def _design_controller(
     references: tuple[int, ...] = (),
     orders: tuple[int, int],
     slow: tuple[float, ...],
-    published: PublishedFigures,
+    published: ThesisDesignValues,
     scheme: str = "one-degree scheme",
     windup_rate: float | None = None,
 ) -> ControllerDesign:
@@ -394,7 +394,7 @@ def _design_controller(
     )
 
 
-def _given_order_range(given: GivenController | None, highest: int) -> tuple[int, int] | None:
+def _own_order_range(given: GivenController | None, highest: int) -> tuple[int, int] | None:
     """Return the order range for the reduction of a given controller: only its own order, so it stays unchanged."""
     if given is None:
         return None
@@ -428,7 +428,7 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
         tracked=(0, 1),
         references=(0, 1),
         # LQG fits on board as it is; a lower order would lose the roll-off that gives yaw its delay margin.
-        orders=_given_order_range(given, HEAVE_YAW_ORDER)
+        orders=_own_order_range(given, HEAVE_YAW_ORDER)
         or (8 if settings.method in ("lqg", "ltr") else 6, HEAVE_YAW_ORDER),
         slow=(0.1, 3.0),
         published=PUBLISHED_HEAVE_YAW,
@@ -460,7 +460,7 @@ def design_roll_pitch(
         indi=settings.indi_gains if indi else None,
         fixed=settings.roll_pitch_goals if tuned else None,
         tracked=(0, 1),
-        orders=_given_order_range(given, ROLL_PITCH_ORDER)
+        orders=_own_order_range(given, ROLL_PITCH_ORDER)
         or ((settings.roll_pitch_goals.order,) * 2 if tuned else (ROLL_PITCH_ORDER if indi else 4, ROLL_PITCH_ORDER)),
         slow=(0.1,),
         published=PUBLISHED_ROLL_PITCH,

@@ -111,7 +111,7 @@ class ControllerReduction:
     candidates: tuple[ReducedCandidate, ...]
 
 
-def split_modes(A: Array, slow: float) -> tuple[Array, int]:
+def separate_slow_modes(A: Array, slow: float) -> tuple[Array, int]:
     """Return T that block-diagonalises A, and the number of leading modes, unstable or slower than ``slow`` (rad/s)."""
 
     def is_slow_or_unstable(real: float, imag: float) -> bool:
@@ -150,7 +150,9 @@ def balancing_transform(P: Array, Q: Array) -> tuple[Array, Array]:
     return T, Tinv
 
 
-def remove_states(K: control.StateSpace, M: Array, order: int, match: bool) -> tuple[control.StateSpace, Array] | None:
+def keep_leading_states(
+    K: control.StateSpace, M: Array, order: int, match: bool
+) -> tuple[control.StateSpace, Array] | None:
     """Return a controller with its first ``order`` states, and its reduced anti-windup input M; None if impossible.
 
     With ``match`` the static gain is kept, else the other states are truncated.
@@ -225,14 +227,14 @@ def reduce_controller(
     tried: list[tuple[ReducedCandidate, control.StateSpace, Array]] = []
     counts: set[int] = set()
     for threshold in slow:
-        Z, kept = split_modes(controller.A, threshold)
+        Z, kept = separate_slow_modes(controller.A, threshold)
         if kept in counts:
             continue
         counts.add(kept)
         for name, (K, M) in balanced_realisations(generalised, controller, actuation, Z, kept).items():
             for order in range(max(kept, order_min, 1), min(order_max, n) + 1):
                 for match in (True, False):
-                    removed = remove_states(K, M, order, match)
+                    removed = keep_leading_states(K, M, order, match)
                     if removed is None:
                         continue
                     s, t = judge.sensitivity_peaks(removed[0])
@@ -328,8 +330,8 @@ def balanced_realisations(
     gramians = {
         "loop": _loop_gramians(generalised, controller, Zinv[rest], Ar, Cr),
         "open": (
-            linalg.solve_continuous_lyapunov(Ar, -_outer_product(Br)),
-            linalg.solve_continuous_lyapunov(Ar.T, -_outer_product(Cr.T)),
+            linalg.solve_continuous_lyapunov(Ar, -_multiply_by_transpose(Br)),
+            linalg.solve_continuous_lyapunov(Ar.T, -_multiply_by_transpose(Cr.T)),
         ),
     }
     found: dict[str, tuple[control.StateSpace, Array]] = {}
@@ -358,15 +360,15 @@ def _loop_gramians(
         inputs=[*G.input_labels[:nw], *(f"added[{i}]" for i in range(nu)), *G.input_labels[nw:]],
     )
     loop = close_loop(opened, controller)
-    P = linalg.solve_continuous_lyapunov(loop.A, -_outer_product(loop.B[:, :nw]))[G.nstates :, G.nstates :]
+    P = linalg.solve_continuous_lyapunov(loop.A, -_multiply_by_transpose(loop.B[:, :nw]))[G.nstates :, G.nstates :]
     Bu, Du = loop.B[:, nw:], loop.D[:nz, nw:]
     r = Ar.shape[0]
     series = np.block([[Ar, np.zeros((r, loop.nstates))], [Bu @ Cr, loop.A]])
-    Q = linalg.solve_continuous_lyapunov(series.T, -_outer_product(np.hstack([Du @ Cr, loop.C]).T))
+    Q = linalg.solve_continuous_lyapunov(series.T, -_multiply_by_transpose(np.hstack([Du @ Cr, loop.C]).T))
     return rows @ P @ rows.T, Q[:r, :r]
 
 
-def _outer_product(M: Array) -> Array:
+def _multiply_by_transpose(M: Array) -> Array:
     return M @ M.T
 
 
@@ -577,7 +579,9 @@ LATERAL_STATES = ("x", "y", "u", "v", "phi", "theta", "p", "q", "a_dw", "b_dw", 
 SERVO_INPUTS, TILT_REFERENCES = ("servo_1", "servo_2"), ("phi_reference", "theta_reference")
 
 
-def _tilt_to_position(full: control.StateSpace, roll_pitch: DiscreteController, divider: int) -> control.StateSpace:
+def _sample_tilt_to_position(
+    full: control.StateSpace, roll_pitch: DiscreteController, divider: int
+) -> control.StateSpace:
     """Return the system, sampled at the cascade rate, from tilt reference (phi, theta) to position and velocity (x,
     y, u, v).
     """
@@ -632,4 +636,4 @@ def analyse_cascade(
     mix = np.hstack([position_gain * np.eye(2), np.eye(2)])
     K = velocity.to_state_space()
     K = replace_matrices(K, B=K.B @ mix, D=K.D @ mix, inputs=LATERAL_STATES[:4], outputs=TILT_REFERENCES)
-    return analyse_loop(_tilt_to_position(full, roll_pitch, divider), K)
+    return analyse_loop(_sample_tilt_to_position(full, roll_pitch, divider), K)

@@ -184,13 +184,13 @@ def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: 
     for i in range(2):  # lower, upper
         output[i] = motor_input[1 - i] * believed / gains.design_voltage - gains.trim[i]
     _initialise_state(gains, e, output, state)
-    state[FILTERED_Z], state[FILTERED_W], state[FILTERED_PSI], state[FILTERED_R] = (
+    state[FILTERED_Z_INDEX], state[FILTERED_W_INDEX], state[FILTERED_PSI_INDEX], state[FILTERED_R_INDEX] = (
         measurement[0],
         0.0,
         measurement[1],
         0.0,
     )
-    state[CONTROLLER_ORIGIN_Z], state[CONTROLLER_ORIGIN_PSI], state[FILTERED_VOLTAGE] = (
+    state[CONTROLLER_ORIGIN_Z_INDEX], state[CONTROLLER_ORIGIN_PSI_INDEX], state[FILTERED_VOLTAGE_INDEX] = (
         measurement[0],
         measurement[1],
         believed,
@@ -220,18 +220,18 @@ def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
     -------
     (29,) array
     """
-    trails = z - state[FILTERED_Z]
+    trails = z - state[FILTERED_Z_INDEX]
     left = 1.0 - abs(trails) / gains.heave_tracking_error_limit
     fastest = gains.heave_speed * left if left > 0.0 else 0.0
-    away = state[FILTERED_W] if trails < 0.0 else -state[FILTERED_W]
+    away = state[FILTERED_W_INDEX] if trails < 0.0 else -state[FILTERED_W_INDEX]
     if left >= 0.0 and away <= fastest:
         return state
     new = state.copy()
     if left < 0.0:
-        new[FILTERED_Z] = z - math.copysign(gains.heave_tracking_error_limit, trails)
-        new[REFERENCE_ROUNDING_ERROR_Z] = 0.0
+        new[FILTERED_Z_INDEX] = z - math.copysign(gains.heave_tracking_error_limit, trails)
+        new[REFERENCE_ROUNDING_ERROR_Z_INDEX] = 0.0
     less = _clip_value(away - fastest, 0.0, 2.0 * gains.heave_acceleration * gains.period)
-    new[FILTERED_W] += -less if trails < 0.0 else less
+    new[FILTERED_W_INDEX] += -less if trails < 0.0 else less
     return new
 
 
@@ -261,11 +261,14 @@ def heave_yaw_step(
     """
     z, psi, climb, turn = reference[0], reference[1], reference[2], reference[3]
     new = np.empty(HEAVE_YAW_STATE_SIZE)
-    new[CONTROLLER_ORIGIN_Z], new[CONTROLLER_ORIGIN_PSI] = state[CONTROLLER_ORIGIN_Z], state[CONTROLLER_ORIGIN_PSI]
-    new[FILTERED_Z], new[REFERENCE_ROUNDING_ERROR_Z], new[FILTERED_W] = _filter_reference(
-        state[FILTERED_Z],
-        state[REFERENCE_ROUNDING_ERROR_Z],
-        state[FILTERED_W],
+    new[CONTROLLER_ORIGIN_Z_INDEX], new[CONTROLLER_ORIGIN_PSI_INDEX] = (
+        state[CONTROLLER_ORIGIN_Z_INDEX],
+        state[CONTROLLER_ORIGIN_PSI_INDEX],
+    )
+    new[FILTERED_Z_INDEX], new[REFERENCE_ROUNDING_ERROR_Z_INDEX], new[FILTERED_W_INDEX] = _filter_reference(
+        state[FILTERED_Z_INDEX],
+        state[REFERENCE_ROUNDING_ERROR_Z_INDEX],
+        state[FILTERED_W_INDEX],
         z,
         climb,
         gains.heave_bandwidth,
@@ -273,10 +276,10 @@ def heave_yaw_step(
         gains.heave_speed,
         gains.period,
     )
-    new[FILTERED_PSI], new[REFERENCE_ROUNDING_ERROR_PSI], new[FILTERED_R] = _filter_reference(
-        state[FILTERED_PSI],
-        state[REFERENCE_ROUNDING_ERROR_PSI],
-        state[FILTERED_R],
+    new[FILTERED_PSI_INDEX], new[REFERENCE_ROUNDING_ERROR_PSI_INDEX], new[FILTERED_R_INDEX] = _filter_reference(
+        state[FILTERED_PSI_INDEX],
+        state[REFERENCE_ROUNDING_ERROR_PSI_INDEX],
+        state[FILTERED_R_INDEX],
         psi,
         turn,
         gains.yaw_bandwidth,
@@ -286,20 +289,22 @@ def heave_yaw_step(
     )
     # A reading far from the design voltage is a sensor fault.
     believed = _clip_value(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
-    new[FILTERED_VOLTAGE] = state[FILTERED_VOLTAGE] + gains.voltage_blend * (believed - state[FILTERED_VOLTAGE])
-    top = new[FILTERED_VOLTAGE] / gains.design_voltage
+    new[FILTERED_VOLTAGE_INDEX] = state[FILTERED_VOLTAGE_INDEX] + gains.voltage_blend * (
+        believed - state[FILTERED_VOLTAGE_INDEX]
+    )
+    top = new[FILTERED_VOLTAGE_INDEX] / gains.design_voltage
 
     e = np.empty(5)
     # Lead only on the reference's own rate: a bare step must not be sharpened.
-    climb = _limit_lead_rate(new[FILTERED_W], climb)
-    turn = _limit_lead_rate(new[FILTERED_R], turn)
-    e[_ERROR_Z] = new[FILTERED_Z] + gains.heave_lead * climb - new[CONTROLLER_ORIGIN_Z]
-    e[_ERROR_PSI] = new[FILTERED_PSI] + gains.yaw_lead * turn - new[CONTROLLER_ORIGIN_PSI]
-    e[_MEASURED_Z], e[_MEASURED_PSI] = (
-        new[CONTROLLER_ORIGIN_Z] - measurement[0],
-        new[CONTROLLER_ORIGIN_PSI] - measurement[1],
+    climb = _limit_lead_rate(new[FILTERED_W_INDEX], climb)
+    turn = _limit_lead_rate(new[FILTERED_R_INDEX], turn)
+    e[_ERROR_Z_INDEX] = new[FILTERED_Z_INDEX] + gains.heave_lead * climb - new[CONTROLLER_ORIGIN_Z_INDEX]
+    e[_ERROR_PSI_INDEX] = new[FILTERED_PSI_INDEX] + gains.yaw_lead * turn - new[CONTROLLER_ORIGIN_PSI_INDEX]
+    e[_MEASURED_Z_INDEX], e[_MEASURED_PSI_INDEX] = (
+        new[CONTROLLER_ORIGIN_Z_INDEX] - measurement[0],
+        new[CONTROLLER_ORIGIN_PSI_INDEX] - measurement[1],
     )
-    e[_MEASURED_R] = -measurement[2]
+    e[_MEASURED_R_INDEX] = -measurement[2]
     u = np.empty(2)
     _compute_output(gains, state, e, u)
     lower, upper = gains.trim[0] + u[0], gains.trim[1] + u[1]
@@ -308,8 +313,8 @@ def heave_yaw_step(
     excess = np.empty(2)
     excess[0], excess[1] = mean - half - lower, mean + half - upper
     for i in range(HEAVE_YAW_ORDER):
-        new[i], new[STATE_ROUNDING_ERRORS + i] = _add_with_rounding_error(
-            state[i], _controller_state_change(gains, i, state, e, excess), state[STATE_ROUNDING_ERRORS + i]
+        new[i], new[STATE_ROUNDING_ERRORS_START + i] = _add_with_rounding_error(
+            state[i], _controller_state_change(gains, i, state, e, excess), state[STATE_ROUNDING_ERRORS_START + i]
         )
     motor_input = np.empty(2)
     # By rounding, top - |half| + |half| may exceed top.
@@ -398,21 +403,23 @@ POSITION_GAINS_DTYPE = np.dtype(
 # Indices in the heave-yaw state after the controller's states: filtered references, origins, filtered voltage, rounding
 # errors of the controller's states and of the references.
 (
-    FILTERED_Z,
-    FILTERED_W,
-    FILTERED_PSI,
-    FILTERED_R,
-    CONTROLLER_ORIGIN_Z,
-    CONTROLLER_ORIGIN_PSI,
-    FILTERED_VOLTAGE,
-    STATE_ROUNDING_ERRORS,
+    FILTERED_Z_INDEX,
+    FILTERED_W_INDEX,
+    FILTERED_PSI_INDEX,
+    FILTERED_R_INDEX,
+    CONTROLLER_ORIGIN_Z_INDEX,
+    CONTROLLER_ORIGIN_PSI_INDEX,
+    FILTERED_VOLTAGE_INDEX,
+    STATE_ROUNDING_ERRORS_START,
 ) = range(HEAVE_YAW_ORDER, HEAVE_YAW_ORDER + 8)
-_ERROR_Z, _ERROR_PSI, _MEASURED_Z, _MEASURED_PSI, _MEASURED_R = range(5)  # inputs of the heave-yaw controller
-REFERENCE_ROUNDING_ERROR_Z, REFERENCE_ROUNDING_ERROR_PSI = (
-    STATE_ROUNDING_ERRORS + HEAVE_YAW_ORDER,
-    STATE_ROUNDING_ERRORS + HEAVE_YAW_ORDER + 1,
+_ERROR_Z_INDEX, _ERROR_PSI_INDEX, _MEASURED_Z_INDEX, _MEASURED_PSI_INDEX, _MEASURED_R_INDEX = range(
+    5
+)  # inputs of the heave-yaw controller
+REFERENCE_ROUNDING_ERROR_Z_INDEX, REFERENCE_ROUNDING_ERROR_PSI_INDEX = (
+    STATE_ROUNDING_ERRORS_START + HEAVE_YAW_ORDER,
+    STATE_ROUNDING_ERRORS_START + HEAVE_YAW_ORDER + 1,
 )
-HEAVE_YAW_STATE_SIZE = REFERENCE_ROUNDING_ERROR_PSI + 1
+HEAVE_YAW_STATE_SIZE = REFERENCE_ROUNDING_ERROR_PSI_INDEX + 1
 
 
 def pack_gains(dtype: np.dtype, controller: DiscreteController, **values: object) -> np.void:

@@ -46,7 +46,7 @@ from mufly.results import result
 from mufly.root_finding import find_rising_root
 from mufly.rotor import Air, Blading, solve_rotor_batch
 from mufly.rotor.rotor_system import check_pitch
-from mufly.vehicle import battery_voltage_range
+from mufly.vehicle import find_battery_voltage_range
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -243,7 +243,7 @@ def find_operating_point(
         raise InputError(place, key, f"{np.array2string(value[:3])} is out of range", remedy)
     if not (np.all(np.isfinite(ratio)) and np.all(ratio > 0)):
         raise InputError(place, "gear_ratio", "is not above 0", "give motor speed over rotor speed")
-    low, full = battery_voltage_range(drive.battery)
+    low, full = find_battery_voltage_range(drive.battery)
     if (
         supply_V is not None
         and not SUPPLY_VOLTAGE_FACTOR_RANGE[0] * low <= supply_V <= SUPPLY_VOLTAGE_FACTOR_RANGE[1] * full

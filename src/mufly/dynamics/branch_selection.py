@@ -9,9 +9,9 @@ The source of a function is rewritten so that a decision on data becomes a selec
     force += step                           force = select(test, force + step, force)
 
 A type supplies the functions ``select(test, a, b)``, ``any_of(test)``, ``both_of(a, b)``, ``negate(test)``,
-``sine_of``, ``cosine_of``, ``whole_number`` and, for decisions on parameters, ``uniform(test)``, which is the same for
-all vehicles. All functions that a function calls are rewritten, too. Nothing else in the source changes: order and
-number of the operations are those of a single vehicle.
+``sine_of``, ``cosine_of``, ``whole_number`` and, for decisions on parameters, ``require_uniform(test)``, which is the
+same for all vehicles. All functions that a function calls are rewritten, too. Nothing else in the source changes: order
+and number of the operations are those of a single vehicle.
 
 The rewritten forms are those that the equations need: ``if`` without ``else``; ``if test: continue`` in a loop; ``if
 test: return value`` before the last ``return``. Other forms raise :class:`NotImplementedError`.
@@ -78,7 +78,7 @@ class _FunctionRewriter:
         body = definition.body
         if isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
             body = body[1:]
-        definition.body = _StatementRewriter(self._absent).block(body, defined)
+        definition.body = _StatementRewriter(self._absent).rewrite_block(body, defined)
         # Numba tells functions of a file apart by line and name.
         definition.name = f"{plain.__module__.rpartition('.')[2]}_{plain.__name__}_{len(self._absent)}"
         ast.increment_lineno(tree, plain.__code__.co_firstlineno - 1)
@@ -143,12 +143,12 @@ class _StatementRewriter:
     def __init__(self, absent: frozenset[str]) -> None:
         self._absent, self._count = absent, 0
 
-    def block(self, statements: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
+    def rewrite_block(self, statements: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
         out: list[ast.stmt] = []
         for k, statement in enumerate(statements):
             rest = statements[k + 1 :]
             if isinstance(statement, ast.If):
-                if self._is_absent(statement.test):
+                if self._depends_on_absent_parameter(statement.test):
                     continue
                 if statement.orelse:
                     raise NotImplementedError("an `if` with an `else` cannot be translated")
@@ -157,15 +157,17 @@ class _StatementRewriter:
                     if len(statement.body) > 1:
                         raise NotImplementedError("a branch with statements before `continue` cannot be translated")
                     test = _make_call_node("negate", _ExpressionRewriter().visit(statement.test))
-                    return out + self._select_results(test, rest, defined)
+                    return out + self._rewrite_if_without_branch(test, rest, defined)
                 if isinstance(last, ast.Return) and last.value is not None:
                     return out + self._rewrite_early_return(statement, last.value, rest, defined)
-                out += self._select_results(_ExpressionRewriter().visit(statement.test), statement.body, defined)
+                out += self._rewrite_if_without_branch(
+                    _ExpressionRewriter().visit(statement.test), statement.body, defined
+                )
                 continue
             if isinstance(statement, ast.For):
                 inner = set(defined) | set(_assigned_names([statement]))
                 names = {n.id for n in ast.walk(statement.target) if isinstance(n, ast.Name)}
-                statement.body = self.block(statement.body, set(defined) | names) or [ast.Pass()]
+                statement.body = self.rewrite_block(statement.body, set(defined) | names) or [ast.Pass()]
                 defined |= inner
                 out.append(statement)
                 continue
@@ -173,9 +175,9 @@ class _StatementRewriter:
             defined |= set(_assigned_names([statement]))
         return out
 
-    def _is_absent(self, test: ast.expr) -> bool:
+    def _depends_on_absent_parameter(self, test: ast.expr) -> bool:
         if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And):
-            return any(self._is_absent(part) for part in test.values)
+            return any(self._depends_on_absent_parameter(part) for part in test.values)
         left = test.left if isinstance(test, ast.Compare) else None
         return (
             isinstance(left, ast.Attribute)
@@ -187,18 +189,18 @@ class _StatementRewriter:
         self._count += 1
         return f"{kind}_{self._count}"
 
-    def _select_results(self, test: ast.expr, body: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
+    def _rewrite_if_without_branch(self, test: ast.expr, body: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
         """Rewrite ``if test: body`` without a branch: an assigned variable keeps its previous value where ``test`` is
         false.
         """
         stores = [n for s in body for n in ast.walk(s) if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store)]
         if stores or any(isinstance(s, ast.Expr) for s in body):  # writes to arrays: the same for all vehicles
-            return [ast.If(_make_call_node("uniform", test), self.block(body, defined), [])]
+            return [ast.If(_make_call_node("require_uniform", test), self.rewrite_block(body, defined), [])]
         merged = [name for name in _assigned_names(body) if name in defined]
         test_name = self._unused_name("test")
         kept = {name: self._unused_name("kept") for name in merged}
         inside: list[ast.stmt] = [_make_assignment_node(kept[name], _make_name_node(name)) for name in merged]
-        inside += self.block(body, set(defined))
+        inside += self.rewrite_block(body, set(defined))
         inside += [
             _make_assignment_node(
                 n, _make_call_node("select", _make_name_node(test_name), _make_name_node(n), _make_name_node(kept[n]))
@@ -221,7 +223,7 @@ class _StatementRewriter:
             _make_assignment_node(test_name, _ExpressionRewriter().visit(guard.test)),
             _make_assignment_node(value_name, _ExpressionRewriter().visit(value)),
         ]  # fmt: skip
-        out += self.block(rest[:-1], defined)
+        out += self.rewrite_block(rest[:-1], defined)
         last = _ExpressionRewriter().visit(rest[-1].value)
         return [
             *out,

@@ -183,7 +183,7 @@ _CASADI_NAMESPACE: dict[str, Any] = {
     "any_of": lambda test: isinstance(test, _CasadiSymbol) or bool(test),
     "both_of": lambda a, b: b if a is True else _select_value(a, b, False),
     "negate": lambda test: 1.0 - test if isinstance(test, _CasadiSymbol) else not test,
-    "uniform": bool,
+    "require_uniform": bool,
     "whole_number": lambda n: n,
 }
 

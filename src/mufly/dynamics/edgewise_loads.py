@@ -52,9 +52,19 @@ _Array = NDArray[np.float64]
 
 _MIN_ROTOR_SPEED_RAD_S = 1e-3  # rad/s
 _MAP_EDGE_TOLERANCE = 1e-6  # steps
-_THRUST, _TORQUE, _DRAG, _SIDE, _ROLL_MOMENT, _PITCH_MOMENT, _LOWER_THRUST, _LOWER_TORQUE, _LOWER_DRAG = range(9)
+(
+    _THRUST_INDEX,
+    _TORQUE_INDEX,
+    _DRAG_INDEX,
+    _SIDE_INDEX,
+    _ROLL_MOMENT_INDEX,
+    _PITCH_MOMENT_INDEX,
+    _LOWER_THRUST_INDEX,
+    _LOWER_TORQUE_INDEX,
+    _LOWER_DRAG_INDEX,
+) = range(9)
 """Indices of the flow's loads in :data:`mufly.vehicle.flight_map.ROTOR_LOAD_COLUMNS`, upper rotor first."""
-_FIRST_LOWER_RATE_LOAD = 4  # first load of rates of the lower rotor
+_FIRST_LOWER_RATE_LOAD_INDEX = 4  # first load of rates of the lower rotor
 
 
 MapWrench = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -162,18 +172,19 @@ def flight_map_loads(
     flow = _flow_loads(p, point)
     turning = interpolate_rate_loads(p.flight_map_rate_loads, p.flight_map_size[1], point[2])
     ux, uy, mx_up, my_up = _rotor_hub_wrench(
-        flow[_DRAG:_LOWER_THRUST], turning[:_FIRST_LOWER_RATE_LOAD],
+        flow[_DRAG_INDEX:_LOWER_THRUST_INDEX], turning[:_FIRST_LOWER_RATE_LOAD_INDEX],
         air_x + pitch * p.z_up, air_y - roll * p.z_up, roll, pitch,
         p.flight_map_scale * speed_up, p.flight_map_radius, p.inplane * speed_up,
     )  # fmt: skip
     lx, ly, mx_dw, my_dw = _rotor_hub_wrench(
-        flow[_LOWER_DRAG:], turning[_FIRST_LOWER_RATE_LOAD:],
+        flow[_LOWER_DRAG_INDEX:], turning[_FIRST_LOWER_RATE_LOAD_INDEX:],
         air_x + pitch * p.z_dw, air_y - roll * p.z_dw, roll, pitch,
         p.flight_map_scale * speed_dw, p.flight_map_radius, p.inplane * speed_dw,
     )  # fmt: skip
     return (
         ux, uy, lx, ly, mx_up + mx_dw, my_up + my_dw,
-        1.0 + flow[_THRUST], 1.0 + flow[_LOWER_THRUST], 1.0 + flow[_TORQUE], 1.0 + flow[_LOWER_TORQUE],
+        1.0 + flow[_THRUST_INDEX], 1.0 + flow[_LOWER_THRUST_INDEX], 1.0 + flow[_TORQUE_INDEX],
+        1.0 + flow[_LOWER_TORQUE_INDEX],
     )  # fmt: skip
 
 
@@ -195,7 +206,7 @@ def tip_path_tilt_target(servo_1: Any, servo_2: Any, gain: Any, phase: Any) -> t
 
 
 @cached_njit(error_model="numpy")
-def add_swash_phase(u: _Array, p: ModelParameters, dx: _Array) -> None:
+def add_swash_phase_effect(u: _Array, p: ModelParameters, dx: _Array) -> None:
     """Add to the time derivative ``dx`` the effect of the swash plate's phase on the commanded tilt of the lower
     tip-path plane.
     """
@@ -214,7 +225,10 @@ def edgewise_load_factors(
     state.
     """
     flow = _flow_loads(p, find_map_coordinates(x, wind, p))
-    return (1.0 + flow[_THRUST], 1.0 + flow[_TORQUE]), (1.0 + flow[_LOWER_THRUST], 1.0 + flow[_LOWER_TORQUE])
+    return (1.0 + flow[_THRUST_INDEX], 1.0 + flow[_TORQUE_INDEX]), (
+        1.0 + flow[_LOWER_THRUST_INDEX],
+        1.0 + flow[_LOWER_TORQUE_INDEX],
+    )
 
 
 def is_inside_flight_map(x: _Array, wind: _Array, p: np.void) -> bool:
@@ -244,7 +258,7 @@ def flight_map_rate_bound(p: np.void, speed: float) -> float:
     flow = np.abs(p["flight_map_table"][:used]).reshape(-1, 6).max(axis=0)
     rates = np.abs(p["flight_map_rate_loads"]).reshape(-1, 4).max(axis=0)
     arm, inertia = max(abs(float(p["z_up"])), radius), float(min(p["Ixx"], p["Iyy"]))
-    linear = (flow[_DRAG] + flow[_SIDE]) * (1.0 / float(p["mass"]) + arm**2 / inertia)
-    moment = (flow[_ROLL_MOMENT] + flow[_PITCH_MOMENT]) * radius * arm / inertia
+    linear = (flow[_DRAG_INDEX] + flow[_SIDE_INDEX]) * (1.0 / float(p["mass"]) + arm**2 / inertia)
+    moment = (flow[_ROLL_MOMENT_INDEX] + flow[_PITCH_MOMENT_INDEX]) * radius * arm / inertia
     turning = float(rates.sum()) * radius * arm / inertia
     return 2.0 * scale * float(linear + moment + turning)

@@ -76,9 +76,9 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.drive.drive_train import armature_current, interpolate_table, rotor_acceleration, terminal_voltage
-from mufly.dynamics.edgewise_loads import add_swash_phase, find_map_coordinates, flight_map_loads
+from mufly.dynamics.edgewise_loads import add_swash_phase_effect, find_map_coordinates, flight_map_loads
 from mufly.dynamics.model_state import (
-    ATTITUDE,
+    ATTITUDE_SLICE,
     MODEL_ATTITUDE,
     MODEL_BAR_NORMAL,
     MODEL_CHARGE,
@@ -99,8 +99,8 @@ from mufly.dynamics.model_state import (
     rotation_entries,
 )
 from mufly.quantities.units import GRAVITY
+from mufly.rotor.coax_maps import interpolate_coefficient_tables as maps_interpolate
 from mufly.rotor.coax_maps import interpolate_map
-from mufly.rotor.coax_maps import interpolate_tables as maps_interpolate
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
@@ -173,7 +173,7 @@ def state_derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx:
     if p.ground_effect > 0.0:
         _add_ground_effect(x, wind, p, dx)
     if p.swash_phase != 0.0:
-        add_swash_phase(u, p, dx)
+        add_swash_phase_effect(u, p, dx)
 
 
 # Inlining is forced: with a map LLVM would not inline the function, which slows single flights by a tenth.
@@ -330,7 +330,7 @@ _MIN_GROUND_HEIGHT_RATIO = 0.5  # least height over R in the ground effect model
 
 
 @cached_njit(error_model="numpy")
-def ground_effect_thrust(thrust: float, height: float, across_squared: float, p: ModelParameters) -> float:
+def ground_effect_thrust_increment(thrust: float, height: float, across_squared: float, p: ModelParameters) -> float:
     """Return the thrust increment (N) due to the floor at a hub height (m) and squared air velocity along the floor."""
     if thrust <= 0.0:
         return 0.0
@@ -354,8 +354,8 @@ def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) 
     )
     v_n, v_e = x[MODEL_VELOCITY] - wind[0], x[MODEL_VELOCITY + 1] - wind[1]
     across = v_n * v_n + v_e * v_e
-    up = ground_effect_thrust(kT_up * speed_up * speed_up, height - a22 * p.z_up, across, p)
-    dw = ground_effect_thrust(kT_dw * speed_dw * speed_dw, height - a22 * p.z_dw, across, p)
+    up = ground_effect_thrust_increment(kT_up * speed_up * speed_up, height - a22 * p.z_up, across, p)
+    dw = ground_effect_thrust_increment(kT_dw * speed_dw * speed_dw, height - a22 * p.z_dw, across, p)
     nx = p.bar_gain * (a00 * x[MODEL_BAR_NORMAL] + a10 * x[MODEL_BAR_NORMAL + 1] + a20 * x[MODEL_BAR_NORMAL + 2])
     ny = p.bar_gain * (a01 * x[MODEL_BAR_NORMAL] + a11 * x[MODEL_BAR_NORMAL + 1] + a21 * x[MODEL_BAR_NORMAL + 2])
     alpha, beta = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
@@ -515,7 +515,7 @@ def contact_wrench(x: _Array, p: ModelParameters) -> tuple[float, float, float, 
 @cached_njit(error_model="numpy")
 def find_deepest_contact(x: _Array, p: ModelParameters) -> tuple[float, int]:
     """Return depth below the floor (m; negative: above) and index of the lowest contact point."""
-    a = body_to_ned_matrix(x[ATTITUDE])
+    a = body_to_ned_matrix(x[ATTITUDE_SLICE])
     depth, index = -math.inf, 0
     for k in range(p.contact_count):
         c = p.contact_points[k]

@@ -20,9 +20,9 @@ from mufly.rotor.forward.row_sums import (
     FLOW_COLUMN_COUNT,
     RATE_COLUMN_COUNT,
     emit_flow_sum,
+    emit_pick_numbers,
     emit_rate_sum,
-    pick_numbers,
-    spread_number,
+    emit_spread_number,
 )
 
 _types: Any = types
@@ -42,37 +42,37 @@ def _lane_sum_code(
     made = _types.UniTuple(VECTOR, columns)(table, *kinds)
 
     def generate_lane_code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        indices = [_integer_indices(builder, v) for v in given[1 : 1 + len(places)]]
+        indices = [_emit_integer_indices(builder, v) for v in given[1 : 1 + len(places)]]
         weights, quartets = given[1 + len(places) :], []
         for lane in range(LANES):
 
             def broadcast_to_lanes(k: int, count: int, lane: int = lane) -> Any:
-                return spread_number(builder, weights[k], count, lane)
+                return emit_spread_number(builder, weights[k], count, lane)
 
             k = ir.Constant(ir.IntType(32), lane)
             pointer = builder.inttoptr(builder.extract_element(given[0], k), _LLVM_DOUBLE.as_pointer())
             own = [v if v.type == _LLVM_INT64 else builder.extract_element(v, k) for v in indices]
             quartets.append(emit(builder, pointer, own, broadcast_to_lanes, LANES))
-        numbers = [n for of_lanes in zip(*quartets, strict=True) for n in _transpose_lanes(builder, of_lanes)]
+        numbers = [n for of_lanes in zip(*quartets, strict=True) for n in _emit_lane_transpose(builder, of_lanes)]
         return context.make_tuple(builder, signature.return_type, numbers)
 
     return made, generate_lane_code
 
 
-def _transpose_lanes(builder: Any, quartets: Sequence[Any]) -> list[Any]:
+def _emit_lane_transpose(builder: Any, quartets: Sequence[Any]) -> list[Any]:
     """Transpose eight vectors of four numbers, one vector for each lane, to four vectors of eight lanes."""
-    pairs = [pick_numbers(builder, quartets[k], range(8), quartets[k + 2]) for k in (0, 1, 4, 5)]
+    pairs = [emit_pick_numbers(builder, quartets[k], range(8), quartets[k + 2]) for k in (0, 1, 4, 5)]
     out = []
     for column in range(4):
         near, far = (
-            pick_numbers(builder, a, (column, 8 + column, 4 + column, 12 + column), b)
+            emit_pick_numbers(builder, a, (column, 8 + column, 4 + column, 12 + column), b)
             for a, b in (pairs[:2], pairs[2:])
         )
-        out.append(pick_numbers(builder, near, range(8), far))
+        out.append(emit_pick_numbers(builder, near, range(8), far))
     return out
 
 
-def _integer_indices(builder: Any, place: Any) -> Any:
+def _emit_integer_indices(builder: Any, place: Any) -> Any:
     """Return table indices as integers; NaN (a vehicle whose state has diverged) becomes 0."""
     if place.type == _LLVM_INT64:
         return place

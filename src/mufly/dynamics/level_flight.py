@@ -51,7 +51,7 @@ _TRIM_TOLERANCE = 1e-5  # of weight, full servo moment and hover torque
 _TRIM_OPTIONS: Any = {"eps": 1e-4}  # relative step of the differences, far above the tolerance of the coupling
 _COUPLING_TOLERANCE = 1e-6
 _CYCLIC_STEP_RAD = math.radians(0.5)
-_MAX_FOLLOWED_SERVO_INPUT = 1.6  # of full input, up to which a trim is followed
+_MAX_TRIM_SERVO_INPUT = 1.6  # of full input, up to which a trim is followed
 _BATTERY_CHARGE_FRACTION = 0.5  # of the battery, as for the hover performance
 _RADIUS_TOLERANCE = 0.01
 
@@ -168,12 +168,12 @@ class LevelFlight:
 
 
 (
-    _UNKNOWN_PITCH,
-    _UNKNOWN_ROLL,
-    _UNKNOWN_SERVO_ROLL,
-    _UNKNOWN_SERVO_PITCH,
-    _UNKNOWN_UPPER_SPEED_FACTOR,
-    _UNKNOWN_LOWER_SPEED_FACTOR,
+    _TRIM_INDEX_PITCH,
+    _TRIM_INDEX_ROLL,
+    _TRIM_INDEX_SERVO_ROLL,
+    _TRIM_INDEX_SERVO_PITCH,
+    _TRIM_INDEX_UPPER_SPEED_FACTOR,
+    _TRIM_INDEX_LOWER_SPEED_FACTOR,
 ) = range(6)  # unknowns of a trim
 
 
@@ -188,7 +188,7 @@ class LevelFlightModel:
         self.speeds = (float(hover.rotor_speed[0]), float(hover.rotor_speed[1]))
         self.torque = float(hover.torque_Nm[0])
         self.last: ForwardPair | None = None
-        self.pitch = self._find_pitch((float(hover.thrust_N[0]), float(hover.thrust_N[1])))
+        self.pitch = self._find_hover_pitch((float(hover.thrust_N[0]), float(hover.thrust_N[1])))
         at_rest = self.solve_pair()
         self.torque_scale = tuple(
             float(q) / r.torque_Nm for q, r in zip(hover.torque_Nm, (at_rest.upper, at_rest.lower), strict=True)
@@ -228,7 +228,7 @@ class LevelFlightModel:
         )  # fmt: skip
         return self.last
 
-    def _find_pitch(self, thrust: tuple[float, float]) -> tuple[float, float]:
+    def _find_hover_pitch(self, thrust: tuple[float, float]) -> tuple[float, float]:
         """Return the pitch settings that give the thrusts in hover."""
 
         def hover_thrust_error(pitch: Array) -> Array:
@@ -250,23 +250,23 @@ class LevelFlightModel:
             )
         return float(found.x[0]), float(found.x[1])
 
-    def wrench(self, x: Array, airspeed: float) -> tuple[Array, ForwardPair]:
+    def wrench_imbalance(self, x: Array, airspeed: float) -> tuple[Array, ForwardPair]:
         """Return the dimensionless imbalance of forces and moments in level flight, and the rotor loads, at ``x``.
 
         The unknowns are pitch, roll, two servo inputs, and the factors of the upper and the lower rotor speed.
         """
         v, body = self.vehicle, self.vehicle.body
-        pitch, roll = float(x[_UNKNOWN_PITCH]), float(x[_UNKNOWN_ROLL])
+        pitch, roll = float(x[_TRIM_INDEX_PITCH]), float(x[_TRIM_INDEX_ROLL])
         flow = airspeed * np.array(
             [math.cos(pitch), math.sin(pitch) * math.sin(roll), math.sin(pitch) * math.cos(roll)]
         )
         edgewise, azimuth = math.hypot(flow[0], flow[1]), math.atan2(flow[1], flow[0])
-        cyclic = self.cyclic_per_servo @ x[[_UNKNOWN_SERVO_ROLL, _UNKNOWN_SERVO_PITCH]]
+        cyclic = self.cyclic_per_servo @ x[[_TRIM_INDEX_SERVO_ROLL, _TRIM_INDEX_SERVO_PITCH]]
         pair = self.solve_pair(
             edgewise,
             -float(flow[2]),
             azimuth,
-            (float(x[_UNKNOWN_UPPER_SPEED_FACTOR]), float(x[_UNKNOWN_LOWER_SPEED_FACTOR])),
+            (float(x[_TRIM_INDEX_UPPER_SPEED_FACTOR]), float(x[_TRIM_INDEX_LOWER_SPEED_FACTOR])),
             (float(cyclic[0]), float(cyclic[1])),
         )
         weight = float(body.mass) * GRAVITY
@@ -284,14 +284,16 @@ class LevelFlightModel:
         return np.concatenate((force / weight, moments)), pair
 
     def trim(self, airspeed: float, start: Array) -> tuple[Array, ForwardPair] | None:
-        """Solve level flight at an airspeed (m/s): return the unknowns of :meth:`wrench` and the loads, or None."""
+        """Solve level flight at an airspeed (m/s): return the unknowns of :meth:`wrench_imbalance` and the loads, or
+        None.
+        """
 
         def trim_residual(x: Array) -> Array:
-            return self.wrench(x, airspeed)[0]
+            return self.wrench_imbalance(x, airspeed)[0]
 
         try:
             found: Any = root(trim_residual, start, tol=1e-7, options=_TRIM_OPTIONS)
-            miss, pair = self.wrench(found.x, airspeed)
+            miss, pair = self.wrench_imbalance(found.x, airspeed)
         except MuflyError:
             return None
         return (found.x, pair) if np.max(np.abs(miss)) < _TRIM_TOLERANCE else None
@@ -325,7 +327,7 @@ class LevelFlightModel:
         return low**2 - 1.0
 
 
-def _find_speed_at_level(speeds: list[float], values: list[float], level: float) -> float:
+def _find_speed_reaching_value(speeds: list[float], values: list[float], level: float) -> float:
     """Return the first speed at which values rise to a level; infinite if they do not."""
     for k, value in enumerate(values):
         if value >= level:
@@ -389,18 +391,18 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
             x, pair = found
             torques = [k * r.torque_Nm for k, r in zip(model.torque_scale, (pair.upper, pair.lower), strict=True)]
             speeds = (
-                float(x[_UNKNOWN_UPPER_SPEED_FACTOR]) * model.speeds[0],
-                float(x[_UNKNOWN_LOWER_SPEED_FACTOR]) * model.speeds[1],
+                float(x[_TRIM_INDEX_UPPER_SPEED_FACTOR]) * model.speeds[0],
+                float(x[_TRIM_INDEX_LOWER_SPEED_FACTOR]) * model.speeds[1],
             )
             power, inputs = model.battery_power_and_inputs(torques, speeds)
             line.append(
                 LevelTrim(
                     v,
                     model.flaps[0].frequency_ratio,
-                    float(x[_UNKNOWN_PITCH]),
-                    float(x[_UNKNOWN_ROLL]),
-                    float(x[_UNKNOWN_SERVO_PITCH]),
-                    float(x[_UNKNOWN_SERVO_ROLL]),
+                    float(x[_TRIM_INDEX_PITCH]),
+                    float(x[_TRIM_INDEX_ROLL]),
+                    float(x[_TRIM_INDEX_SERVO_PITCH]),
+                    float(x[_TRIM_INDEX_SERVO_ROLL]),
                     speeds,
                     sum(q * w for q, w in zip(torques, speeds, strict=True)),
                     power,
@@ -409,12 +411,12 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
                     pair.upper.is_outside_range or pair.lower.is_outside_range,
                 )
             )
-            if line[-1].servo > _MAX_FOLLOWED_SERVO_INPUT:
+            if line[-1].servo > _MAX_TRIM_SERVO_INPUT:
                 break
         flown = [t.airspeed_m_s for t in line]
         limit = min(
-            _find_speed_at_level(flown, [t.servo for t in line], 1.0),
-            _find_speed_at_level(flown, [-t.thrust_margin for t in line], 0.0),
+            _find_speed_reaching_value(flown, [t.servo for t in line], 1.0),
+            _find_speed_reaching_value(flown, [-t.thrust_margin for t in line], 0.0),
             stopped,
         )  # fmt: skip
         able = [t for t in line if t.airspeed_m_s <= limit]

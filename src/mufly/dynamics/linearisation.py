@@ -35,8 +35,8 @@ from mufly.dynamics.equations_of_motion import (
     state_derivative,
 )
 from mufly.dynamics.model_state import (
-    ATTITUDE,
-    BAR_NORMAL,
+    ATTITUDE_SLICE,
+    BAR_NORMAL_SLICE,
     MODEL_BAR_NORMAL,
     MODEL_CHARGE,
     MODEL_POSITION,
@@ -44,14 +44,14 @@ from mufly.dynamics.model_state import (
     MODEL_SPEED_UPPER,
     MODEL_SWASH_PITCH,
     MODEL_SWASH_ROLL,
-    MOTORS,
-    MOTORS_SWAPPED,
-    POSITION,
-    RATES,
-    ROTOR_SPEEDS,
-    SERVOS,
+    MOTOR_INPUT_SLICE,
+    POSITION_SLICE,
+    RATE_SLICE,
+    ROTOR_SPEED_SLICE,
+    SERVO_INPUT_SLICE,
     STATE_SIZE,
-    VELOCITY,
+    SWAPPED_MOTOR_INPUT_INDICES,
+    VELOCITY_SLICE,
     body_to_ned_matrix,
     compute_hover_rotor_speeds,
     initial_state,
@@ -105,8 +105,8 @@ class Trim:
     inside_map: bool = True
 
     def __str__(self) -> str:
-        n, e, d = self.state[VELOCITY]
-        roll, pitch, _ = np.degrees(euler_from_quaternion(self.state[ATTITUDE]))
+        n, e, d = self.state[VELOCITY_SLICE]
+        roll, pitch, _ = np.degrees(euler_from_quaternion(self.state[ATTITUDE_SLICE]))
         rpm = self.rotor_speed / RPM
         motor_up, motor_dw, servo_1, servo_2 = self.input
         return (
@@ -121,17 +121,17 @@ class Trim:
     @property
     def motor_input(self) -> NDArray[np.float64]:
         """Motor inputs of upper and lower rotor (0..1)."""
-        return self.input[MOTORS]
+        return self.input[MOTOR_INPUT_SLICE]
 
     @property
     def servo_input(self) -> NDArray[np.float64]:
         """Inputs of servo 1 and servo 2 (-1..1)."""
-        return self.input[SERVOS]
+        return self.input[SERVO_INPUT_SLICE]
 
     @property
     def rotor_speed(self) -> NDArray[np.float64]:
         """Speeds of upper and lower rotor (rad/s)."""
-        return self.state[ROTOR_SPEEDS]
+        return self.state[ROTOR_SPEED_SLICE]
 
 
 def find_trim(
@@ -179,7 +179,7 @@ def find_trim(
     p = model_parameters(vehicle, constant)
     charge_ = 1.0 if charge is None else charge
 
-    speed, duty, volts = _hover_estimate(p, charge_)
+    speed, duty, volts = _estimate_hover_inputs(p, charge_)
     if np.any(duty > 1.0):
         raise InputError(
             vehicle.name,
@@ -208,14 +208,16 @@ def find_trim(
     def trim_residual(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
         x, u = assemble_state(unknown)
         state_derivative(x, u, wind_, p, rates)
-        return np.concatenate([rates[VELOCITY] / GRAVITY, rates[RATES] / 100.0, rates[ROTOR_SPEEDS] / 1000.0])
+        return np.concatenate(
+            [rates[VELOCITY_SLICE] / GRAVITY, rates[RATE_SLICE] / 100.0, rates[ROTOR_SPEED_SLICE] / 1000.0]
+        )
 
     start = np.array([1.0, 1.0, duty[0], duty[1], 0.0, 0.0, 0.0, 0.0])
     found = root(trim_residual, start, method="hybr", options={"xtol": 1e-13})
     x, u = assemble_state(found.x)
     motor_up, motor_dw, servo_1, servo_2 = u
     worst = float(np.max(np.abs(trim_residual(found.x))))
-    if not worst < 1e-9 or np.any(u[MOTORS] >= 1.0) or np.any(np.abs(u[SERVOS]) > 1.0):
+    if not worst < 1e-9 or np.any(u[MOTOR_INPUT_SLICE] >= 1.0) or np.any(np.abs(u[SERVO_INPUT_SLICE]) > 1.0):
         if not (velocity_.any() or wind_.any()):  # without velocity or wind the vehicle itself is the cause
             raise MuflyError(
                 f"{vehicle.name}: no hover was found within the inputs' range (motors {motor_up:.2f}, "
@@ -232,7 +234,7 @@ def find_trim(
     x[MODEL_POSITION + 2] = 0.0
     volts, current = compute_battery_supply(x, motor_up, motor_dw, p)
     climb = float(compute_axial_climb_velocity(x, wind_))
-    speed_up, speed_dw = x[ROTOR_SPEEDS]
+    speed_up, speed_dw = x[ROTOR_SPEED_SLICE]
     t_up, t_dw, q_up, q_dw = rotor_loads(p, speed_up, speed_dw, climb)
     inside = inside_map(vehicle, speed_up, speed_dw, climb)
     if p["flight_map_node_count"] > 0:
@@ -260,7 +262,7 @@ def _check_vector(vector: ArrayLike, name: str) -> NDArray[np.float64]:
     return v
 
 
-def _hover_estimate(
+def _estimate_hover_inputs(
     p: np.void, charge: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:  # fmt: skip
     """Return rotor speeds (rad/s), motor inputs (not limited to 1) and battery voltage (V) in hover at a charge."""
@@ -287,7 +289,7 @@ def _hover_estimate(
     return speed, armature_voltage / voltage, voltage
 
 
-_ENDURANCE_CHARGE_POINTS = 21
+_ENDURANCE_CHARGE_POINT_COUNT = 21
 
 
 @result
@@ -354,7 +356,7 @@ def hover_performance(vehicle: Vehicle) -> HoverPerformance:
 
 
 def _hover_endurance(vehicle: Vehicle) -> float:
-    charges = np.linspace(1.0, 0.0, _ENDURANCE_CHARGE_POINTS)
+    charges = np.linspace(1.0, 0.0, _ENDURANCE_CHARGE_POINT_COUNT)
     seconds_per_charge: list[float] = []
     for charge in charges:
         try:
@@ -365,7 +367,7 @@ def _hover_endurance(vehicle: Vehicle) -> float:
             break
         seconds_per_charge.append(float(vehicle.battery.capacity) / t.battery_current_A)
     y = np.array(seconds_per_charge)
-    return float(np.sum((y[1:] + y[:-1]) / 2) / (_ENDURANCE_CHARGE_POINTS - 1))
+    return float(np.sum((y[1:] + y[:-1]) / 2) / (_ENDURANCE_CHARGE_POINT_COUNT - 1))
 
 
 def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
@@ -375,7 +377,7 @@ def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
     def downward_acceleration(speed: NDArray[np.float64]) -> NDArray[np.float64]:
         x = initial_state(position=(0, 0, -1e3), rotor_speed=speed, charge=charge)
         state_derivative(x, full, calm, p, rates)
-        return rates[ROTOR_SPEEDS].copy()
+        return rates[ROTOR_SPEED_SLICE].copy()
 
     start = find_trim(vehicle, charge=0.5).rotor_speed
     up, dw = root(downward_acceleration, start, tol=1e-10).x
@@ -478,12 +480,12 @@ def linearise_vehicle(vehicle: Vehicle, at: Trim | None = None, *, voltage: floa
     p = model_parameters(vehicle, point.constant_voltage_V)
     full_state = point.state.copy()
     full_state[MODEL_POSITION + 2] = -1e3  # far from the floor; nothing else depends on the position
-    heading = float(euler_from_quaternion(full_state[ATTITUDE])[2])
+    heading = float(euler_from_quaternion(full_state[ATTITUDE_SLICE])[2])
     x0 = _to_minimal_state(full_state, heading)
-    u0 = point.input[MOTORS_SWAPPED]
+    u0 = point.input[SWAPPED_MOTOR_INPUT_INDICES]
 
     def state_rates(x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
-        return _minimal_rates(x, u, point.wind, p, heading)
+        return _minimal_state_rates(x, u, point.wind, p, heading)
 
     h = _FINITE_DIFFERENCE_STEP
     n = len(LINEAR_STATES)
@@ -544,16 +546,16 @@ def extract_submodel(
 
 
 def _to_minimal_state(x: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
-    a = body_to_ned_matrix(x[ATTITUDE])
+    a = body_to_ned_matrix(x[ATTITUDE_SLICE])
     c, s = np.cos(heading), np.sin(heading)
-    bar_n, bar_e, bar_d = x[BAR_NORMAL]
+    bar_n, bar_e, bar_d = x[BAR_NORMAL_SLICE]
     ahead, aside = c * bar_n + s * bar_e, -s * bar_n + c * bar_e
     return np.concatenate(
         [
-            x[POSITION],
-            a.T @ x[VELOCITY],
-            euler_from_quaternion(x[ATTITUDE]),
-            x[RATES],
+            x[POSITION_SLICE],
+            a.T @ x[VELOCITY_SLICE],
+            euler_from_quaternion(x[ATTITUDE_SLICE]),
+            x[RATE_SLICE],
             [-x[MODEL_SWASH_PITCH], x[MODEL_SWASH_ROLL], np.arcsin(aside), np.arctan2(-ahead, -bar_d)],
             [x[MODEL_SPEED_LOWER], x[MODEL_SPEED_UPPER], x[MODEL_CHARGE]],
         ]
@@ -562,12 +564,14 @@ def _to_minimal_state(x: NDArray[np.float64], heading: float) -> NDArray[np.floa
 
 def _to_full_state(m: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
     x = np.empty(STATE_SIZE)
-    x[POSITION] = m[LINEAR_POSITION:LINEAR_VELOCITY]
-    x[ATTITUDE] = quaternion_from_euler(*m[LINEAR_ATTITUDE:LINEAR_RATES])
-    x[VELOCITY] = body_to_ned_matrix(x[ATTITUDE]) @ m[LINEAR_VELOCITY:LINEAR_ATTITUDE]
-    x[RATES] = m[LINEAR_RATES:LINEAR_TILT_PITCH]
+    x[POSITION_SLICE] = m[LINEAR_POSITION:LINEAR_VELOCITY]
+    x[ATTITUDE_SLICE] = quaternion_from_euler(*m[LINEAR_ATTITUDE:LINEAR_RATES])
+    x[VELOCITY_SLICE] = body_to_ned_matrix(x[ATTITUDE_SLICE]) @ m[LINEAR_VELOCITY:LINEAR_ATTITUDE]
+    x[RATE_SLICE] = m[LINEAR_RATES:LINEAR_TILT_PITCH]
     x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = m[LINEAR_TILT_ROLL], -m[LINEAR_TILT_PITCH]
-    x[BAR_NORMAL] = -body_to_ned_matrix(quaternion_from_euler(m[LINEAR_BAR_ROLL], m[LINEAR_BAR_PITCH], heading))[:, 2]
+    x[BAR_NORMAL_SLICE] = -body_to_ned_matrix(quaternion_from_euler(m[LINEAR_BAR_ROLL], m[LINEAR_BAR_PITCH], heading))[
+        :, 2
+    ]
     x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], x[MODEL_CHARGE] = (
         m[LINEAR_SPEED_UPPER],
         m[LINEAR_SPEED_LOWER],
@@ -576,7 +580,7 @@ def _to_full_state(m: NDArray[np.float64], heading: float) -> NDArray[np.float64
     return x
 
 
-def _minimal_rates(
+def _minimal_state_rates(
     m: NDArray[np.float64], u: NDArray[np.float64], wind: NDArray[np.float64], p: np.void, heading: float
 ) -> NDArray[np.float64]:
     """Return the rates of the states of the linear model, attitude as Euler angles.
@@ -584,8 +588,8 @@ def _minimal_rates(
     Thesis: eqs 4.3, 4.4.
     """
     x, dx = _to_full_state(m, heading), np.empty(STATE_SIZE)
-    state_derivative(x, u[MOTORS_SWAPPED], wind, p, dx)
-    a = body_to_ned_matrix(x[ATTITUDE])
+    state_derivative(x, u[SWAPPED_MOTOR_INPUT_INDICES], wind, p, dx)
+    a = body_to_ned_matrix(x[ATTITUDE_SLICE])
     phi, theta = m[LINEAR_ATTITUDE], m[LINEAR_ATTITUDE + 1]
     p_, q_, r_ = m[LINEAR_RATES:LINEAR_TILT_PITCH]
     turn = q_ * np.sin(phi) + r_ * np.cos(phi)
@@ -601,10 +605,10 @@ def _minimal_rates(
     zeta_rate = (-bar_n * np.cos(zeta) + dx[MODEL_BAR_NORMAL + 2] * np.sin(zeta)) / np.cos(eta)
     return np.concatenate(
         [
-            dx[POSITION],
-            a.T @ dx[VELOCITY] - np.cross(m[LINEAR_RATES:LINEAR_TILT_PITCH], m[LINEAR_VELOCITY:LINEAR_ATTITUDE]),
+            dx[POSITION_SLICE],
+            a.T @ dx[VELOCITY_SLICE] - np.cross(m[LINEAR_RATES:LINEAR_TILT_PITCH], m[LINEAR_VELOCITY:LINEAR_ATTITUDE]),
             euler_rates,
-            dx[RATES],
+            dx[RATE_SLICE],
             [-dx[MODEL_SWASH_PITCH], dx[MODEL_SWASH_ROLL], eta_rate, zeta_rate],
             [dx[MODEL_SPEED_LOWER], dx[MODEL_SPEED_UPPER], dx[MODEL_CHARGE]],
         ]

@@ -5,14 +5,14 @@ The state is a flat array (21,) with the indices ``MODEL_...``; vectors in it al
 =====================  ================  ======================================================================
 first index            slice             meaning
 =====================  ================  ======================================================================
-``MODEL_POSITION``     ``POSITION``      N, E, D of the centre of gravity (m)
-``MODEL_VELOCITY``     ``VELOCITY``      N, E, D (m/s)
-``MODEL_ATTITUDE``     ``ATTITUDE``      quaternion w, x, y, z: rotates body vectors to N-E-D, unit length
-``MODEL_RATES``        ``RATES``         p, q, r (rad/s), body axes
+``MODEL_POSITION``     ``POSITION_SLICE``      N, E, D of the centre of gravity (m)
+``MODEL_VELOCITY``     ``VELOCITY_SLICE``      N, E, D (m/s)
+``MODEL_ATTITUDE``     ``ATTITUDE_SLICE``      quaternion w, x, y, z: rotates body vectors to N-E-D, unit length
+``MODEL_RATES``        ``RATE_SLICE``         p, q, r (rad/s), body axes
 ``MODEL_SWASH_ROLL``                     alpha_dw, tilt of the lower tip-path plane about x (rad)
 ``MODEL_SWASH_PITCH``                    beta_dw, tilt of the lower tip-path plane about y (rad)
-``MODEL_BAR_NORMAL``          ``BAR_NORMAL``    upward normal of the stabiliser bar's disc in N-E-D, unit length
-``MODEL_SPEED_UPPER``  ``ROTOR_SPEEDS``  speeds of upper and, at ``MODEL_SPEED_LOWER``, lower rotor (rad/s)
+``MODEL_BAR_NORMAL``          ``BAR_NORMAL_SLICE``    upward normal of the stabiliser bar's disc in N-E-D, unit length
+``MODEL_SPEED_UPPER``  ``ROTOR_SPEED_SLICE``  speeds of upper and, at ``MODEL_SPEED_LOWER``, lower rotor (rad/s)
 ``MODEL_CHARGE``                         remaining fraction of the battery's charge
 =====================  ================  ======================================================================
 
@@ -49,16 +49,16 @@ STATE_SIZE = 21
 INPUT_SIZE = 4
 MODEL_POSITION, MODEL_VELOCITY, MODEL_ATTITUDE, MODEL_RATES, MODEL_SWASH_ROLL, MODEL_SWASH_PITCH = 0, 3, 6, 10, 13, 14
 MODEL_BAR_NORMAL, MODEL_SPEED_UPPER, MODEL_SPEED_LOWER, MODEL_CHARGE = 15, 18, 19, 20
-POSITION, VELOCITY, ATTITUDE = (
+POSITION_SLICE, VELOCITY_SLICE, ATTITUDE_SLICE = (
     slice(MODEL_POSITION, MODEL_VELOCITY),
     slice(MODEL_VELOCITY, MODEL_ATTITUDE),
     slice(MODEL_ATTITUDE, MODEL_RATES),
 )
-RATES, BAR_NORMAL = slice(MODEL_RATES, MODEL_SWASH_ROLL), slice(MODEL_BAR_NORMAL, MODEL_SPEED_UPPER)
-ROTOR_SPEEDS = slice(MODEL_SPEED_UPPER, MODEL_CHARGE)
+RATE_SLICE, BAR_NORMAL_SLICE = slice(MODEL_RATES, MODEL_SWASH_ROLL), slice(MODEL_BAR_NORMAL, MODEL_SPEED_UPPER)
+ROTOR_SPEED_SLICE = slice(MODEL_SPEED_UPPER, MODEL_CHARGE)
 U_MOTOR_UPPER, U_MOTOR_LOWER, U_SERVO_1, U_SERVO_2 = range(INPUT_SIZE)
-MOTORS, SERVOS = slice(U_MOTOR_UPPER, U_SERVO_1), slice(U_SERVO_1, INPUT_SIZE)
-MOTORS_SWAPPED = [U_MOTOR_LOWER, U_MOTOR_UPPER, U_SERVO_1, U_SERVO_2]  # the order of the linear models
+MOTOR_INPUT_SLICE, SERVO_INPUT_SLICE = slice(U_MOTOR_UPPER, U_SERVO_1), slice(U_SERVO_1, INPUT_SIZE)
+SWAPPED_MOTOR_INPUT_INDICES = [U_MOTOR_LOWER, U_MOTOR_UPPER, U_SERVO_1, U_SERVO_2]  # the order of the linear models
 
 
 @cached_njit(error_model="numpy")
@@ -121,13 +121,13 @@ def initial_state(
     """
     roll, pitch, yaw = np.asarray(attitude, dtype=np.float64)
     state = np.zeros(STATE_SIZE)
-    state[POSITION] = position
-    state[VELOCITY] = velocity
-    state[ATTITUDE] = quaternion_from_euler(roll, pitch, yaw)
-    state[RATES] = rates
+    state[POSITION_SLICE] = position
+    state[VELOCITY_SLICE] = velocity
+    state[ATTITUDE_SLICE] = quaternion_from_euler(roll, pitch, yaw)
+    state[RATE_SLICE] = rates
     bar_roll, bar_pitch = (roll, pitch) if bar_attitude is None else np.asarray(bar_attitude, np.float64)
-    state[BAR_NORMAL] = -body_to_ned_matrix(quaternion_from_euler(float(bar_roll), float(bar_pitch), yaw))[:, 2]
-    state[ROTOR_SPEEDS] = rotor_speed
+    state[BAR_NORMAL_SLICE] = -body_to_ned_matrix(quaternion_from_euler(float(bar_roll), float(bar_pitch), yaw))[:, 2]
+    state[ROTOR_SPEED_SLICE] = rotor_speed
     state[MODEL_CHARGE] = charge
     return state
 
@@ -137,10 +137,10 @@ def initial_state(
 # and an array of records is a batch of different vehicles.
 
 
-_CURVE_POINTS = 101
-_ROTOR_RIM_POINTS = 8
-_MAX_CONTACT_POINTS = MAX_LEGS + _ROTOR_RIM_POINTS
-_MAX_FRICTION_RATE = 2000.0  # 1/s, resolved by Runge-Kutta steps of 1 ms
+_BATTERY_CURVE_POINT_COUNT = 101
+_ROTOR_RIM_POINT_COUNT = 8
+_MAX_CONTACT_POINTS = MAX_LEGS + _ROTOR_RIM_POINT_COUNT
+_MAX_CONTACT_DAMPING_RATE_PER_S = 2000.0  # 1/s, resolved by Runge-Kutta steps of 1 ms
 
 
 class ModelParameters:
@@ -188,7 +188,7 @@ class ModelParameters:
     battery_capacity: float = _real("charge of the full battery", unit="A s", source="battery.capacity")
     battery_resistance: float = _real("internal resistance of the battery", unit="ohm")
     electronics_current: float = _real("of the electronics", unit="A", source="battery.electronics_current")
-    battery_curve: _Array = _real("open-circuit voltage over charge 0..1", _CURVE_POINTS, unit="V")
+    battery_curve: _Array = _real("open-circuit voltage over charge 0..1", _BATTERY_CURVE_POINT_COUNT, unit="V")
     leg_stiffness: float = _real("stiffness of a leg", unit="N/m", source="contact.stiffness")
     leg_damping: float = _real("damping of a leg", unit="N s/m", source="contact.damping")
     leg_friction: float = _real("coefficient of friction", source="contact.friction")
@@ -264,19 +264,19 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
     curve = vehicle.battery.open_circuit_voltage
 
     legs = c.legs.to_array()
-    angle = np.arange(_ROTOR_RIM_POINTS) * 2 * np.pi / _ROTOR_RIM_POINTS
+    angle = np.arange(_ROTOR_RIM_POINT_COUNT) * 2 * np.pi / _ROTOR_RIM_POINT_COUNT
     rim = np.column_stack(
-        [radius * np.cos(angle), radius * np.sin(angle), np.full(_ROTOR_RIM_POINTS, float(r.upper.hub_z))]
+        [radius * np.cos(angle), radius * np.sin(angle), np.full(_ROTOR_RIM_POINT_COUNT, float(r.upper.hub_z))]
     )
     points = np.vstack([legs, rim])
     padded = np.zeros((_MAX_CONTACT_POINTS, 3))
     padded[: len(points)] = points
     arm = np.sum(points[:, :2] ** 2, axis=1)
     share = np.concatenate(
-        [np.full(len(legs), arm[: len(legs)].sum()), np.full(_ROTOR_RIM_POINTS, arm[len(legs) :].sum())]
+        [np.full(len(legs), arm[: len(legs)].sum()), np.full(_ROTOR_RIM_POINT_COUNT, arm[len(legs) :].sum())]
     )
     bound = np.full(_MAX_CONTACT_POINTS, np.inf)
-    bound[: len(points)] = _MAX_FRICTION_RATE * float(b.inertia_zz) / np.maximum(share, 1e-12)
+    bound[: len(points)] = _MAX_CONTACT_DAMPING_RATE_PER_S * float(b.inertia_zz) / np.maximum(share, 1e-12)
 
     values: dict[str, Any] = {name: float(take(vehicle)) for name, take in _PARAMETER_GETTERS.items()}
     for side, rotor in (("up", r.upper), ("dw", r.lower)):
@@ -293,13 +293,15 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         "drag_over_speed2_y": 0.5 * rho * float(b.drag_area_y),
         "drag_over_speed2_z": 0.5 * rho * float(b.drag_area_z),
         "battery_resistance": float(vehicle.battery.internal_resistance) if sags else 0.0,
-        "battery_curve": curve.sample_evenly(_CURVE_POINTS) if sags else np.full(_CURVE_POINTS, constant),
+        "battery_curve": curve.sample_evenly(_BATTERY_CURVE_POINT_COUNT)
+        if sags
+        else np.full(_BATTERY_CURVE_POINT_COUNT, constant),
         "contact_friction_damping_limit": bound,
         "contact_reach": float(np.max(np.linalg.norm(points, axis=1))),
         "contact_count": len(points),
         "contact_points": padded,
     }
-    values |= _map_fields(vehicle, values) | _flight_map_fields(vehicle)
+    values |= _coefficient_map_fields(vehicle, values) | _flight_map_fields(vehicle)
     record = np.zeros((), dtype=PARAMETER_DTYPE)
     for name, value in values.items():
         record[name] = value
@@ -334,7 +336,7 @@ def compute_hover_rotor_speeds(
     return np.stack([upper, upper * np.sqrt(ratio)], axis=-1)
 
 
-def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]:
+def _coefficient_map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]:
     """Return the fields of the model's record that hold a vehicle's coefficient map; empty without a map.
 
     Tables contain thrust and torque over ``Omega^2`` (N s^2, N m s^2); unused entries repeat the last value. With

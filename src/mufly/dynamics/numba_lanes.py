@@ -133,7 +133,7 @@ def _constant_index(k: int) -> ir.Constant:
     return ir.Constant(_LLVM_INT32, k)
 
 
-def _broadcast_to_lanes(builder: Any, value: Any, vector: ir.VectorType = _LLVM_DOUBLE_LANES) -> Any:
+def _emit_lane_broadcast(builder: Any, value: Any, vector: ir.VectorType = _LLVM_DOUBLE_LANES) -> Any:
     empty = ir.Constant(vector, ir.Undefined)
     return builder.shuffle_vector(
         builder.insert_element(empty, value, _constant_index(0)), empty,
@@ -144,8 +144,8 @@ def _broadcast_to_lanes(builder: Any, value: Any, vector: ir.VectorType = _LLVM_
 @lower_cast(types.Float, LaneVector)
 @lower_cast(types.Integer, LaneVector)
 @lower_cast(types.IntegerLiteral, LaneVector)
-def _number_to_lanes(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
-    return _broadcast_to_lanes(builder, context.cast(builder, value, _numba_types.unliteral(source), types.float64))
+def _lower_number_to_lanes(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
+    return _emit_lane_broadcast(builder, context.cast(builder, value, _numba_types.unliteral(source), types.float64))
 
 
 def _is_number(kind: Any) -> bool:
@@ -175,7 +175,7 @@ def _register_operation(functions: Iterable[Any], count: int, emit: Callable[...
         lower_builtin(function, *[LaneVector] * count)(lower_to_llvm)
 
 
-def _intrinsic_call(name: str) -> Callable[..., Any]:
+def _make_intrinsic_emitter(name: str) -> Callable[..., Any]:
     def emit(builder: Any, x: Any) -> Any:
         kind = ir.FunctionType(_LLVM_DOUBLE_LANES, [_LLVM_DOUBLE_LANES])
         return builder.call(_get_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), [x])
@@ -196,10 +196,10 @@ _register_operation([operator.ne], 2, lambda b, x, y: b.fcmp_unordered("!=", x, 
 _register_operation([min], 2, lambda b, x, y: b.select(b.fcmp_ordered("<", y, x), y, x))
 _register_operation([max], 2, lambda b, x, y: b.select(b.fcmp_ordered(">", y, x), y, x))
 _register_operation([operator.neg], 1, lambda b, x: b.fneg(x))
-_register_operation([abs], 1, _intrinsic_call("fabs"))
-_register_operation([math.sqrt], 1, _intrinsic_call("sqrt"))
-_register_operation([int], 1, _intrinsic_call("trunc"))
-_register_operation([math.floor], 1, _intrinsic_call("floor"))
+_register_operation([abs], 1, _make_intrinsic_emitter("fabs"))
+_register_operation([math.sqrt], 1, _make_intrinsic_emitter("sqrt"))
+_register_operation([int], 1, _make_intrinsic_emitter("trunc"))
+_register_operation([math.floor], 1, _make_intrinsic_emitter("floor"))
 
 
 # ----------------------------------------------------------------------------
@@ -226,7 +226,7 @@ def negate(test: Any) -> Any:
     raise NotImplementedError
 
 
-def uniform(test: Any) -> Any:
+def require_uniform(test: Any) -> Any:
     """Return ``test``, which must have the same result for all vehicles of a block, as one bool for ``if``."""
     raise NotImplementedError
 
@@ -267,7 +267,7 @@ def _mask_or_boolean_signature(result_of_mask: Any) -> Callable[..., Any]:
 
 _declare_lane_decision(select, _select_signature)
 _declare_lane_decision(any_of, _mask_or_boolean_signature(types.boolean))
-_declare_lane_decision(uniform, _mask_or_boolean_signature(types.boolean))
+_declare_lane_decision(require_uniform, _mask_or_boolean_signature(types.boolean))
 _declare_lane_decision(negate, _mask_or_boolean_signature(MASK))
 _declare_lane_decision(both_of, _mask_or_boolean_signature(MASK))
 _declare_lane_decision(whole_number, lambda x: signature(x, x) if _is_number(x) else None)
@@ -290,8 +290,8 @@ def _lower_any_of(context: Any, builder: Any, made: Any, values: Any) -> Any:
     return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
 
 
-@lower_builtin(uniform, types.Any)
-def _lower_uniform(context: Any, builder: Any, made: Any, values: Any) -> Any:
+@lower_builtin(require_uniform, types.Any)
+def _lower_require_uniform(context: Any, builder: Any, made: Any, values: Any) -> Any:
     if not isinstance(made.args[0], LaneMask):
         return values[0]
     return builder.extract_element(values[0], _constant_index(0))
@@ -307,7 +307,7 @@ def _lower_both_of(context: Any, builder: Any, made: Any, values: Any) -> Any:
     a, b = (
         v
         if isinstance(kind, LaneMask) or not isinstance(made.return_type, LaneMask)
-        else _broadcast_to_lanes(builder, v, _LLVM_BIT_LANES)
+        else _emit_lane_broadcast(builder, v, _LLVM_BIT_LANES)
         for v, kind in zip(values, made.args, strict=True)
     )
     return builder.and_(a, b)
@@ -322,12 +322,12 @@ def _lower_whole_number(context: Any, builder: Any, made: Any, values: Any) -> A
 # Memory: rows, tables and records.
 
 
-def _row_pointer(builder: Any, base: Any, row: Any, kind: Any = _LLVM_DOUBLE_LANES) -> Any:
+def _emit_row_pointer(builder: Any, base: Any, row: Any, kind: Any = _LLVM_DOUBLE_LANES) -> Any:
     return builder.gep(builder.bitcast(base, kind.as_pointer()), [row])
 
 
-def _load_row(builder: Any, base: Any, row: Any, kind: Any = _LLVM_DOUBLE_LANES) -> Any:
-    value = builder.load(_row_pointer(builder, base, row, kind))
+def _emit_load_row(builder: Any, base: Any, row: Any, kind: Any = _LLVM_DOUBLE_LANES) -> Any:
+    value = builder.load(_emit_row_pointer(builder, base, row, kind))
     value.align = _ALIGNMENT_BYTES
     return value
 
@@ -360,23 +360,23 @@ class _SetItem(AbstractTemplate):
 
 
 @lower_builtin(operator.getitem, LaneRows, types.Integer)
-def _get_lane_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
-    return _load_row(builder, *values)
+def _lower_get_lane_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
+    return _emit_load_row(builder, *values)
 
 
 @lower_builtin(operator.setitem, LaneRows, types.Integer, LaneVector)
-def _set_lane_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
-    stored = builder.store(values[2], _row_pointer(builder, values[0], values[1]))
+def _lower_set_lane_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
+    stored = builder.store(values[2], _emit_row_pointer(builder, values[0], values[1]))
     stored.align = _ALIGNMENT_BYTES
     return context.get_dummy_value()
 
 
 @lower_builtin(operator.getitem, SharedIntegers, types.Integer)
-def _get_shared_integer(context: Any, builder: Any, made: Any, values: Any) -> Any:
+def _lower_get_shared_integer(context: Any, builder: Any, made: Any, values: Any) -> Any:
     return builder.load(builder.gep(builder.bitcast(values[0], _LLVM_INT64.as_pointer()), [values[1]]))
 
 
-def _gather_from_addresses(builder: Any, addresses: Any, offset: Any) -> Any:
+def _emit_gather_from_addresses(builder: Any, addresses: Any, offset: Any) -> Any:
     """Load one double from each of eight addresses; ``offset`` holds eight distances, counted in doubles."""
     where = builder.add(addresses, builder.shl(offset, ir.Constant(_LLVM_INT64_LANES, [3] * LANES)))
     out = ir.Constant(_LLVM_DOUBLE_LANES, ir.Undefined)
@@ -387,25 +387,25 @@ def _gather_from_addresses(builder: Any, addresses: Any, offset: Any) -> Any:
 
 
 @lower_builtin(operator.getitem, LaneTable, LaneVector)
-def _get_table_entries(context: Any, builder: Any, made: Any, values: Any) -> Any:
+def _lower_get_table_entries(context: Any, builder: Any, made: Any, values: Any) -> Any:
     # An index that is not a number, of a vehicle that has left the model, reads the first entry.
     first, last = (ir.Constant(_LLVM_DOUBLE_LANES, [float(k)] * LANES) for k in (0, made.args[0].length - 1))
     inside = builder.select(builder.fcmp_ordered(">=", values[1], first), values[1], first)
     inside = builder.select(builder.fcmp_ordered("<=", inside, last), inside, last)
     index = builder.sext(builder.fptosi(inside, ir.VectorType(_LLVM_INT32, LANES)), _LLVM_INT64_LANES)
-    return _gather_from_addresses(builder, values[0], index)
+    return _emit_gather_from_addresses(builder, values[0], index)
 
 
 @lower_builtin(operator.getitem, LaneTable, types.Integer)
-def _get_table_entry(context: Any, builder: Any, made: Any, values: Any) -> Any:
-    return _gather_from_addresses(builder, values[0], _broadcast_to_lanes(builder, values[1], _LLVM_INT64_LANES))
+def _lower_get_table_entry(context: Any, builder: Any, made: Any, values: Any) -> Any:
+    return _emit_gather_from_addresses(builder, values[0], _emit_lane_broadcast(builder, values[1], _LLVM_INT64_LANES))
 
 
 @lower_builtin(operator.getitem, LaneTable, types.UniTuple)
-def _get_table_entry_of_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
+def _lower_get_table_entry_of_row(context: Any, builder: Any, made: Any, values: Any) -> Any:
     row, column = (builder.extract_value(values[1], k) for k in range(2))
     index = builder.add(builder.mul(row, ir.Constant(_LLVM_INT64, made.args[0].columns)), column)
-    return _gather_from_addresses(builder, values[0], _broadcast_to_lanes(builder, index, _LLVM_INT64_LANES))
+    return _emit_gather_from_addresses(builder, values[0], _emit_lane_broadcast(builder, index, _LLVM_INT64_LANES))
 
 
 @infer_getattr
@@ -417,7 +417,7 @@ class _TableAttributes(AttributeTemplate):
 
 
 @lower_getattr_generic(LaneTable)
-def _get_shape(context: Any, builder: Any, table: Any, value: Any, name: str) -> Any:
+def _lower_get_shape(context: Any, builder: Any, table: Any, value: Any, name: str) -> Any:
     return ir.Constant(ir.ArrayType(_LLVM_INT64, 1), [ir.Constant(_LLVM_INT64, table.length)])
 
 
@@ -437,11 +437,11 @@ class _RecordAttributes(AttributeTemplate):
 
 
 @lower_getattr_generic(LaneRecord)
-def _get_record_field(context: Any, builder: Any, record: Any, value: Any, name: str) -> Any:
+def _lower_get_record_field(context: Any, builder: Any, record: Any, value: Any, name: str) -> Any:
     kind, offset = record.dtype.fields[name][:2]
     if name in record.numbers:
-        return _load_row(builder, value, ir.Constant(_LLVM_INT64, 1 + record.numbers.index(name)))
-    addresses = _load_row(builder, value, ir.Constant(_LLVM_INT64, 0), _LLVM_INT64_LANES)
+        return _emit_load_row(builder, value, ir.Constant(_LLVM_INT64, 1 + record.numbers.index(name)))
+    addresses = _emit_load_row(builder, value, ir.Constant(_LLVM_INT64, 0), _LLVM_INT64_LANES)
     if kind.base.kind == "f":
         return builder.add(addresses, ir.Constant(_LLVM_INT64_LANES, [offset] * LANES))
     first = builder.add(builder.extract_element(addresses, _constant_index(0)), ir.Constant(_LLVM_INT64, offset))
@@ -450,7 +450,7 @@ def _get_record_field(context: Any, builder: Any, record: Any, value: Any, name:
     return builder.inttoptr(first, _LLVM_POINTER)
 
 
-def _allocate_rows(builder: Any, rows: int) -> Any:
+def _emit_row_allocation(builder: Any, rows: int) -> Any:
     with builder.goto_entry_block():
         memory = builder.alloca(_LLVM_DOUBLE_LANES, ir.Constant(_LLVM_INT32, rows))
         memory.align = _ALIGNMENT_BYTES
@@ -464,7 +464,7 @@ def make_rows(context: Any, count: Any) -> Any:
     """
 
     def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
-        return _allocate_rows(builder, count.literal_value)
+        return _emit_row_allocation(builder, count.literal_value)
 
     return ROWS(count), emit
 
@@ -505,7 +505,7 @@ def allocate_lane_record(context: Any, like: Any) -> Any:
     record = LaneRecord(as_dtype(like.dtype))
 
     def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
-        return _allocate_rows(builder, record.row_count)
+        return _emit_row_allocation(builder, record.row_count)
 
     return record(like), emit
 
@@ -578,7 +578,7 @@ def lane_cosine(x: Any) -> Any:
 
 
 LANE_NAMES: dict[str, Any] = {
-    "select": select, "any_of": any_of, "both_of": both_of, "negate": negate, "uniform": uniform,
+    "select": select, "any_of": any_of, "both_of": both_of, "negate": negate, "require_uniform": require_uniform,
     "whole_number": whole_number, "sine_of": lane_sine, "cosine_of": lane_cosine,
 }  # fmt: skip
 """Names that :func:`mufly.dynamics.branch_selection.select_branches` writes."""

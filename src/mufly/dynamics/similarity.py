@@ -39,7 +39,7 @@ from mufly.dynamics.model_state import compute_hover_rotor_speeds, model_paramet
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.files.input_files import validate_model
 from mufly.quantities.units import RPM
-from mufly.vehicle import Vehicle, battery_voltage_range, replace_parameters
+from mufly.vehicle import Vehicle, find_battery_voltage_range, replace_parameters
 
 MAX_HOVER_VOLTAGE_FRACTION = 0.8
 """Greatest motor voltage in hover over the half-full battery's voltage; the rest is a margin for climb and gusts."""
@@ -167,7 +167,7 @@ def _blame_option(
     known: Vehicle, weak: _TooWeakError, mass_kg: float, radius_m: float, given: dict[str, Any]
 ) -> ArgumentError:
     """Return an error that names the first option without which the vehicle can hover."""
-    _, full = battery_voltage_range(weak.vehicle.battery)
+    _, full = find_battery_voltage_range(weak.vehicle.battery)
     problem = f"{weak.what} ({full:.3g} V, {1e3 * mass_kg:.4g} g)"
     for option, (left_out, remedy) in _OPTION_REMEDIES.items():
         if given[option] is None:
@@ -278,15 +278,15 @@ def _build_similar(
         }.items()},
     })  # fmt: skip
     _scale_sensors(tables, k, la)
-    _set_specified_value(tables, "body.mass", mass_kg)
-    _set_specified_value(tables, "rotors.radius", radius_m)
-    _set_specified_value(tables, "battery.capacity", capacity_As)
+    _set_value_if_given(tables, "body.mass", mass_kg)
+    _set_value_if_given(tables, "rotors.radius", radius_m)
+    _set_value_if_given(tables, "battery.capacity", capacity_As)
     for group in tables.get("mass_budget", {}).values():
         group |= {"value": group["value"] * mu, "source": "estimated", "note": f"guess: share of {k.name}"}
     if speed_constant_rad_Vs is not None and resistance_ohm is not None:
         _set_motor(tables, k, speed_constant_rad_Vs, resistance_ohm, no_load_current_A)
     if gear_ratio is not None:
-        _set_specified_value(tables, "gear.ratio", gear_ratio)
+        _set_value_if_given(tables, "gear.ratio", gear_ratio)
         _adapt_drive_to_gear(tables, float(k.gear.ratio), gear_ratio)
     try:
         vehicle = validate_model(Vehicle, tables, name)
@@ -310,7 +310,7 @@ def _find_file_entry(tables: dict[str, Any], key: str) -> dict[str, Any]:
     return found
 
 
-def _set_specified_value(tables: dict[str, Any], key: str, value: float | None) -> None:
+def _set_value_if_given(tables: dict[str, Any], key: str, value: float | None) -> None:
     if value is not None:
         entry = _find_file_entry(tables, key)
         entry.pop("std", None)
@@ -347,10 +347,10 @@ def _set_motor(
     tables: dict[str, Any], known: Vehicle, speed_constant: float, resistance: float, no_load: float | None
 ) -> None:
     constant = float(f"{1.0 / speed_constant:.5g}")
-    _set_specified_value(tables, "motor.back_emf_constant", constant)
-    _set_specified_value(tables, "motor.torque_constant", constant)
+    _set_value_if_given(tables, "motor.back_emf_constant", constant)
+    _set_value_if_given(tables, "motor.torque_constant", constant)
     tables["motor"]["torque_constant"]["note"] = "as the back-EMF constant: given"
-    _set_specified_value(tables, "motor.resistance", resistance)
+    _set_value_if_given(tables, "motor.resistance", resistance)
     m, friction = known.motor, tables["motor"]["friction"]
     if no_load is None:
         share = float(m.friction) * float(m.resistance) / float(m.torque_constant) ** 2
@@ -365,7 +365,7 @@ def _set_motor(
             "correct the current or the resistance",
         )  # fmt: skip
     turns = (volts - no_load * resistance) / constant
-    _set_specified_value(tables, "motor.friction", _scale_value(constant * no_load, 1.0 / turns))
+    _set_value_if_given(tables, "motor.friction", _scale_value(constant * no_load, 1.0 / turns))
     tables["motor"]["friction"]["note"] = "from the current without load: given"
 
 

@@ -43,20 +43,20 @@ from mufly.drive.drive_train import FULL_FRICTION_SPEED_rad_s
 from mufly.dynamics.edgewise_loads import flight_map_rate_bound
 from mufly.dynamics.equations_of_motion import coefficient_bounds, compute_battery_supply, state_derivative
 from mufly.dynamics.model_state import (
-    ATTITUDE,
+    ATTITUDE_SLICE,
     INPUT_SIZE,
     MODEL_ATTITUDE,
     MODEL_BAR_NORMAL,
     MODEL_CHARGE,
     MODEL_RATES,
     MODEL_SPEED_UPPER,
-    MOTORS,
-    POSITION,
-    RATES,
-    ROTOR_SPEEDS,
-    SERVOS,
+    MOTOR_INPUT_SLICE,
+    POSITION_SLICE,
+    RATE_SLICE,
+    ROTOR_SPEED_SLICE,
+    SERVO_INPUT_SLICE,
     STATE_SIZE,
-    VELOCITY,
+    VELOCITY_SLICE,
     ModelParameters,
     model_parameters,
 )
@@ -66,7 +66,7 @@ from mufly.quantities.units import GRAVITY
 from mufly.rotations import euler_from_quaternion
 from mufly.rotor.rotor_system import VORTEX_RING_DESCENT_RATIOS
 from mufly.vehicle import FlightMap, Vehicle, builtin_flight_maps, load_flight_map
-from mufly.vehicle.vehicle_schema import describe_other_rotors
+from mufly.vehicle.vehicle_schema import describe_rotor_differences
 
 _Array = NDArray[np.float64]
 
@@ -87,7 +87,9 @@ def normalise_state(x: _Array) -> None:
     x[MODEL_CHARGE] = max(x[MODEL_CHARGE], 0.0)
 
 
-_SLOPE_1, _SLOPE_2, _SLOPE_3, _SLOPE_4, _STAGE_STATE = range(5)  # rows of the work of a Runge-Kutta step
+_SLOPE_1_ROW, _SLOPE_2_ROW, _SLOPE_3_ROW, _SLOPE_4_ROW, _STAGE_STATE_ROW = range(
+    5
+)  # rows of the work of a Runge-Kutta step
 
 
 @cached_njit(error_model="numpy")
@@ -109,9 +111,9 @@ def integrate_state(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: 
     """
     work = np.empty((5, x.shape[0]))
     x, u, wind = borrow_arrays(x), borrow_arrays(u), borrow_arrays(wind)
-    k1, k2 = borrow_arrays(work[_SLOPE_1]), borrow_arrays(work[_SLOPE_2])
-    k3, k4 = borrow_arrays(work[_SLOPE_3]), borrow_arrays(work[_SLOPE_4])
-    y = borrow_arrays(work[_STAGE_STATE])
+    k1, k2 = borrow_arrays(work[_SLOPE_1_ROW]), borrow_arrays(work[_SLOPE_2_ROW])
+    k3, k4 = borrow_arrays(work[_SLOPE_3_ROW]), borrow_arrays(work[_SLOPE_4_ROW])
+    y = borrow_arrays(work[_STAGE_STATE_ROW])
     for _ in range(steps):
         state_derivative(x, u, wind, p, k1)
         for i in range(x.shape[0]):
@@ -124,8 +126,8 @@ def integrate_state(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: 
             y[i] = x[i] + dt * k3[i]
         state_derivative(y, u, wind, p, k4)
         for i in range(x.shape[0]):  # from the stage table, which stays allocated until here
-            middle = 2.0 * work[_SLOPE_2, i]
-            x[i] += dt / 6.0 * (work[_SLOPE_1, i] + middle + 2.0 * work[_SLOPE_3, i] + work[_SLOPE_4, i])
+            middle = 2.0 * work[_SLOPE_2_ROW, i]
+            x[i] += dt / 6.0 * (work[_SLOPE_1_ROW, i] + middle + 2.0 * work[_SLOPE_3_ROW, i] + work[_SLOPE_4_ROW, i])
         normalise_state(x)
 
 
@@ -283,19 +285,19 @@ def state_dataset(
     xarray.Dataset
         Yaw is continuous over time.
     """
-    attitude = euler_from_quaternion(states[:, ATTITUDE])
+    attitude = euler_from_quaternion(states[:, ATTITUDE_SLICE])
     attitude[:, 2] = np.unwrap(attitude[:, 2])
-    duty = np.clip(inputs[:, MOTORS], 0.0, 1.0)
+    duty = np.clip(inputs[:, MOTOR_INPUT_SLICE], 0.0, 1.0)
     voltage = np.array([compute_battery_supply(s, d[0], d[1], p)[0] for s, d in zip(states, duty, strict=True)])
 
     values = {
-        "truth_position": states[:, POSITION],
-        "truth_velocity": states[:, VELOCITY],
+        "truth_position": states[:, POSITION_SLICE],
+        "truth_velocity": states[:, VELOCITY_SLICE],
         "truth_attitude": attitude,
-        "truth_rates": states[:, RATES],
-        "truth_rotor_speed": states[:, ROTOR_SPEEDS],
-        "motor_input": inputs[:, MOTORS],
-        "servo_input": inputs[:, SERVOS],
+        "truth_rates": states[:, RATE_SLICE],
+        "truth_rotor_speed": states[:, ROTOR_SPEED_SLICE],
+        "motor_input": inputs[:, MOTOR_INPUT_SLICE],
+        "servo_input": inputs[:, SERVO_INPUT_SLICE],
         "battery_voltage": voltage,
         "battery_charge": states[:, MODEL_CHARGE],
     }
@@ -332,7 +334,7 @@ def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.flo
 
 
 _BUILTIN_MAP_MASS_TOLERANCE = 0.02  # of a vehicle that takes the level speed of a built-in flight map
-CONSTANT_COEFFICIENT_INFLOW_CHANGE = 0.1
+MAX_CONSTANT_COEFFICIENT_INFLOW_CHANGE = 0.1
 """Relative change of the hover inflow up to which constant coefficients are valid."""
 
 
@@ -346,12 +348,11 @@ def find_model_airspeed_limits(vehicle: Vehicle) -> tuple[float, float, float]:
 
         x/2 + sqrt(x^2/4 + 1)                  sqrt(sqrt(y^4/4 + 1) - y^2/2)
 
-    which differs from one by ``CONSTANT_COEFFICIENT_INFLOW_CHANGE`` at ``x = 0.19`` and ``y = 0.65``. (For muFly that
-    is 0.8 and 2.6
-    m/s; the thesis relies on its constant coefficients up to 0.5 m/s, Sec. 4.3.1.) A coefficient map covers climb and
-    descent up to half of v_h, where the vortex ring state begins. A flight map covers edgewise flow up to its last
-    advance ratio. Blow-back limits the level speed, too (:func:`max_level_speed_band`): across the mast, the limit is
-    at most the upper end of that band.
+    which differs from one by ``MAX_CONSTANT_COEFFICIENT_INFLOW_CHANGE`` at ``x = 0.19`` and ``y = 0.65``. (For muFly
+    that is 0.8 and 2.6 m/s; the thesis relies on its constant coefficients up to 0.5 m/s, Sec. 4.3.1.) A coefficient
+    map covers climb and descent up to half of v_h, where the vortex ring state begins. A flight map covers edgewise
+    flow up to its last advance ratio. Blow-back limits the level speed, too (:func:`max_level_speed_band`): across the
+    mast, the limit is at most the upper end of that band.
 
     Parameters
     ----------
@@ -360,7 +361,7 @@ def find_model_airspeed_limits(vehicle: Vehicle) -> tuple[float, float, float]:
     area = math.pi * float(vehicle.rotors.radius) ** 2
     weight = float(vehicle.body.mass) * GRAVITY + float(vehicle.body.downwash_drag)
     induced = math.sqrt(weight / (2.0 * float(vehicle.air.density) * area))
-    more, less = 1.0 + CONSTANT_COEFFICIENT_INFLOW_CHANGE, (1.0 - CONSTANT_COEFFICIENT_INFLOW_CHANGE) ** 2
+    more, less = 1.0 + MAX_CONSTANT_COEFFICIENT_INFLOW_CHANGE, (1.0 - MAX_CONSTANT_COEFFICIENT_INFLOW_CHANGE) ** 2
     along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else VORTEX_RING_DESCENT_RATIOS[0]
     flight_map, band = vehicle.rotors.flight_map, max_level_speed_band(vehicle)
     across = math.sqrt((1.0 - less**2) / less) * induced if flight_map is None else flight_map.velocity_limits_m_s[0]
@@ -368,7 +369,7 @@ def find_model_airspeed_limits(vehicle: Vehicle) -> tuple[float, float, float]:
 
 
 @lru_cache(maxsize=1)
-def _load_builtin_maps() -> tuple[FlightMap, ...]:
+def _load_builtin_flight_maps() -> tuple[FlightMap, ...]:
     return tuple(load_flight_map(name) for name in builtin_flight_maps())
 
 
@@ -387,9 +388,9 @@ def max_level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
     own = vehicle.rotors.flight_map
     if own is not None:
         return own.level_speed_m_s
-    for built_in in _load_builtin_maps():
+    for built_in in _load_builtin_flight_maps():
         is_same_mass = abs(built_in.mass_kg / float(vehicle.body.mass) - 1.0) < _BUILTIN_MAP_MASS_TOLERANCE
-        if is_same_mass and not describe_other_rotors(vehicle.rotors, built_in):
+        if is_same_mass and not describe_rotor_differences(vehicle.rotors, built_in):
             return built_in.level_speed_m_s
     return None
 

@@ -32,8 +32,8 @@ CLIMB_VELOCITY_FACTORS = (-0.5, -0.25, 0.0, 0.25, 0.5, 0.75)
 """Climb velocities of a map over the induced velocity of hover, of both rotors as one disc."""
 EDGEWISE_SPEED_COUNT = 9
 _COARSE_CLIMB_FACTORS, _COARSE_EDGEWISE_COUNT = (-0.25, 0.0, 0.25), 7  # of the maps that give the band of level speeds
-_SPEED_TOLERANCE_M_S = 0.02
-_SPEED_STEP_M_S = 0.25
+_LEVEL_SPEED_TOLERANCE_M_S = 0.02
+_LEVEL_SPEED_SEARCH_STEP_M_S = 0.25
 
 
 def find_max_level_speed(vehicle: Vehicle) -> float:
@@ -57,13 +57,15 @@ def find_max_level_speed(vehicle: Vehicle) -> float:
         return True
 
     low = 0.0
-    for high in np.arange(_SPEED_STEP_M_S, edge + _SPEED_STEP_M_S, _SPEED_STEP_M_S).tolist():
+    for high in np.arange(
+        _LEVEL_SPEED_SEARCH_STEP_M_S, edge + _LEVEL_SPEED_SEARCH_STEP_M_S, _LEVEL_SPEED_SEARCH_STEP_M_S
+    ).tolist():
         if not has_trim(high):
             break
         low = high
     else:
         return edge
-    while high - low > _SPEED_TOLERANCE_M_S:
+    while high - low > _LEVEL_SPEED_TOLERANCE_M_S:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if has_trim(middle) else (low, middle)
     return low
@@ -131,7 +133,7 @@ def make_flight_map(
         if progress is not None:
             progress(done_before + done, counts[0] + 2 * counts[1])
 
-    def compute(
+    def compute_map_tables(
         modes: tuple[RigidFlapMode, RigidFlapMode], ratios: tuple[float, ...], climbs: tuple[float, ...], count: int
     ) -> tuple[FlightMapTables, int]:
         return compute_flight_map_loads(
@@ -140,7 +142,7 @@ def make_flight_map(
             edgewise=make_edgewise_axis(knee, count), air=model.air, progress=report,
         )  # fmt: skip
 
-    tables, missing = compute(flaps, SPEED_RATIO_FACTORS, CLIMB_VELOCITY_FACTORS, EDGEWISE_SPEED_COUNT)
+    tables, missing = compute_map_tables(flaps, SPEED_RATIO_FACTORS, CLIMB_VELOCITY_FACTORS, EDGEWISE_SPEED_COUNT)
     thrust_scale = float(vehicle.air.density) * math.pi * radius**4
     made = FlightMap(
         name=name or vehicle.name,
@@ -161,7 +163,7 @@ def make_flight_map(
     found = [_find_max_level_speed_with_map(plain, made)]
     for k, modes in enumerate(ends):
         done_before = counts[0] + k * counts[1]
-        coarse, _ = compute(modes, (1.0,), _COARSE_CLIMB_FACTORS, _COARSE_EDGEWISE_COUNT)
+        coarse, _ = compute_map_tables(modes, (1.0,), _COARSE_CLIMB_FACTORS, _COARSE_EDGEWISE_COUNT)
         end_map = made.model_copy(update={"table": format_flight_table(coarse, knee)})
         found.append(_find_max_level_speed_with_map(plain, end_map))
     return made.model_copy(update={"level_speed_m_s": (round(min(found), 2), round(max(found), 2))})

@@ -3,7 +3,7 @@
 from mufly.estimate.estimator import (
     ZERO_COVARIANCE,
     Estimate,
-    EstimateMonitor,
+    EstimateCheckState,
     Estimator,
     IdealEstimator,
     check_estimate,
@@ -33,7 +33,7 @@ __all__ = [
     "AuxiliaryStates",
     "Consistency",
     "Estimate",
-    "EstimateMonitor",
+    "EstimateCheckState",
     "Estimator",
     "FusionStatus",
     "IdealEstimator",

@@ -144,7 +144,7 @@ def compute_standing_tilt(m: Estimate) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class EstimateMonitor:
+class EstimateCheckState:
     """Values that :func:`check_estimate` keeps from one period to the next.
 
     Attributes
@@ -166,7 +166,7 @@ class EstimateMonitor:
 
 
 def _replace_bad_values(
-    before: EstimateMonitor | None, m: Estimate, bad: list[str], period_s: float, max_range_m: float
+    before: EstimateCheckState | None, m: Estimate, bad: list[str], period_s: float, max_range_m: float
 ) -> Estimate:
     """Return the estimate with each bad value replaced by its last good value, or by zero before the first good value.
 
@@ -187,12 +187,14 @@ def _replace_bad_values(
     return replace(m, **replaced)
 
 
-def check_estimate(before: EstimateMonitor | None, m: Estimate, period_s: float, max_range_m: float) -> EstimateMonitor:
+def check_estimate(
+    before: EstimateCheckState | None, m: Estimate, period_s: float, max_range_m: float
+) -> EstimateCheckState:
     """Check an estimate and replace implausible values.
 
     Parameters
     ----------
-    before : EstimateMonitor or None
+    before : EstimateCheckState or None
         Result of the preceding check; None at the first.
     m : Estimate
         Estimate as received.
@@ -203,7 +205,7 @@ def check_estimate(before: EstimateMonitor | None, m: Estimate, period_s: float,
 
     Returns
     -------
-    EstimateMonitor
+    EstimateCheckState
         Its ``last_good`` is the estimate to use: finite, with an advancing clock.
     """
     values = [*m.position.tolist(), *m.velocity.tolist(), *m.attitude.tolist(), *m.rates.tolist()]
@@ -213,10 +215,10 @@ def check_estimate(before: EstimateMonitor | None, m: Estimate, period_s: float,
     whole = math.isfinite(sum(values)) and math.isfinite(m.time_s) and later
     seen = (before is not None and m.ranges is before.last_good.ranges) or math.isfinite(sum(m.ranges.tolist()))
     if whole and seen and 0.0 < m.battery_voltage < math.inf and m.valid and not frozen:
-        return EstimateMonitor(values, m)
+        return EstimateCheckState(values, m)
     bad = [name for name in _REQUIRED_ESTIMATES if not (m.valid and np.all(np.isfinite(getattr(m, name))))]
     good = _replace_bad_values(before, m, bad, period_s, max_range_m)
     if not bad and not frozen:
-        return EstimateMonitor(values, good)
+        return EstimateCheckState(values, good)
     lost_s = 0.0 if before is None else before.lost_s
-    return EstimateMonitor(values, good, lost_s + period_s, " and ".join(bad) or "all, which is frozen")
+    return EstimateCheckState(values, good, lost_s + period_s, " and ".join(bad) or "all, which is frozen")

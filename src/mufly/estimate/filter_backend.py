@@ -46,7 +46,7 @@ from mufly.estimate.filter.measurements import (
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "a27b66d0107b2f01"
+VERIFIED_STAMP = "fbafa3742c86b2de"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (
@@ -251,7 +251,7 @@ _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
         ),
     ),
     (drive_train, ("armature_current", "rotor_acceleration", "interpolate_table", "terminal_voltage")),
-    (coax_maps, ("interpolate_tables", "_cubic_weights")),
+    (coax_maps, ("interpolate_coefficient_tables", "_cubic_weights")),
 )
 """Modules with a C translation, and the names of the translated functions (empty: all compiled ones)."""
 

@@ -232,12 +232,12 @@ def check_inertial_log(log: InertialLog, where: str) -> None:
 def estimate_rest_noise(log: InertialLog) -> InertialNoise:
     """Return the noise densities from the Allan deviation at rest; those of a good unit if the log has no rest."""
     part = log.rest_rows
-    gyro = _allan_density(log.rates[part], log.step_s)
-    felt = _allan_density(log.acceleration[part], log.step_s)
+    gyro = _allan_noise_density(log.rates[part], log.step_s)
+    felt = _allan_noise_density(log.acceleration[part], log.step_s)
     return InertialNoise(gyro=max(gyro, _MIN_GYRO_NOISE_DENSITY), accelerometer=max(felt, _MIN_ACCEL_NOISE_DENSITY))
 
 
-def _allan_density(x: _Array, step: float) -> float:
+def _allan_noise_density(x: _Array, step: float) -> float:
     """Return the noise density from Allan deviations sigma(tau) of data ``x`` (n, 3): the largest sigma(tau) sqrt(tau).
 
     tau is 0.1, 0.2, 0.5 and 1 s, as far as the data are at least five tau long; 0 for shorter data.

@@ -14,7 +14,7 @@ from mufly.dynamics import model_parameters
 from mufly.estimate.estimator import Estimate, Estimator
 from mufly.estimate.filter.filter_records import (
     AID_HEADING,
-    AID_NOISES,
+    AID_NOISE_FIELDS,
     AID_POSITION,
     ERROR_ACCEL_BIAS,
     ERROR_FIX_BIAS,
@@ -47,7 +47,7 @@ from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLI
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.filter_backend import BackendName, make_backend
 from mufly.estimate.sensor_status import AuxiliaryStates, LazySensorStatuses, SensorStatus
-from mufly.quantities.quantity_table import CHECKED_READINGS
+from mufly.quantities.quantity_table import READINGS_WITH_FUSION_STATUS
 from mufly.sensors import Reading, Readings
 from mufly.vehicle import Vehicle
 from mufly.world import World
@@ -135,7 +135,7 @@ class KalmanEstimator(Estimator):
         self._settings = filter_settings(vehicle, world, rate_Hz, kind, block_s)
         self._parameters = model_parameters(vehicle)
         self._fitted_indices = [k for k in range(SENSOR_COUNT) if self._settings["is_fitted"][k]]
-        self._reading_indices = {CHECKED_READINGS[k]: k for k in self._fitted_indices}
+        self._reading_indices = {READINGS_WITH_FUSION_STATUS[k]: k for k in self._fitted_indices}
         ring = vehicle.range_ring
         self._max_range_m = float(ring.max_range)
         self.ranges, self.ring_scans = np.empty(ring.count), np.empty((3, ring.count))
@@ -176,7 +176,7 @@ class KalmanEstimator(Estimator):
         """Keep a copy of the vehicle file's sensor noise, because an external fix can replace its own noise in the
         settings.
         """
-        names = ("initial_sigma", *(aid[3] for aid in AID_NOISES))
+        names = ("initial_sigma", *(aid[3] for aid in AID_NOISE_FIELDS))
         self._vehicle_noise = {name: np.array(self._settings[name]) for name in names}
 
     def reset(self) -> None:
@@ -211,7 +211,7 @@ class KalmanEstimator(Estimator):
         """
         m, used = self.memory, self.backend.settings
         parts, drifts = [], []
-        for aid, name, reading, field, scale, unit in AID_NOISES:
+        for aid, name, reading, field, scale, unit in AID_NOISE_FIELDS:
             if not self._settings["is_fitted"][reading]:
                 continue
             estimated = scale * math.sqrt(float(used[field]) * float(m["noise_scale"][aid]))
@@ -352,7 +352,7 @@ class KalmanEstimator(Estimator):
     @property
     def reading_indices(self) -> Mapping[str, int]:
         """Return the name of each reading that the filter uses, with its index in
-        :data:`mufly.quantities.quantity_table.CHECKED_READINGS`.
+        :data:`mufly.quantities.quantity_table.READINGS_WITH_FUSION_STATUS`.
         """
         return self._reading_indices
 

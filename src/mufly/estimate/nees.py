@@ -159,7 +159,8 @@ def measure_row_consistency(
     p = np.array([told[k].covariance[:ERROR_GYRO_BIAS, :ERROR_GYRO_BIAS] for k in use[::every]])
     nees = compute_normalised_squared_errors(some[:, known], p[:, known][:, :, known])
     blocks = [
-        _measure_block(some[:, b], p[:, b, b]) if known[b].all() else _EMPTY_BLOCK_RESULT for b in ERROR_BLOCKS.values()
+        _measure_block_consistency(some[:, b], p[:, b, b]) if known[b].all() else _EMPTY_BLOCK_RESULT
+        for b in ERROR_BLOCKS.values()
     ]
     ratios = []
     for k in use[::every]:
@@ -184,7 +185,7 @@ def measure_row_consistency(
     )
 
 
-def _measure_block(errors: _Array, covariances: _Array) -> tuple[float, float]:
+def _measure_block_consistency(errors: _Array, covariances: _Array) -> tuple[float, float]:
     """Return NEES / n of a block (k, n), and the share of its instants inside the 95 % ellipsoid."""
     nees, n = compute_normalised_squared_errors(errors, covariances), errors.shape[1]
     return float(nees.mean()) / n, float(np.mean(nees < stats.chi2.ppf(0.95, n)))

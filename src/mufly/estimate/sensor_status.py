@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.estimate.filter.measurements import sensor_checks as g
-from mufly.quantities.quantity_table import CHECKED_READINGS
+from mufly.quantities.quantity_table import READINGS_WITH_FUSION_STATUS
 from mufly.quantities.sensor_table import CHECKED
 
 _Array = NDArray[np.float64]
@@ -89,13 +89,19 @@ class AuxiliaryStates:
 
 
 _STATUS_NAMES: tuple[FusionStatus, ...] = ("waiting", "fused", "rejected", "missing", "faulty")
-_FIX_OR_SONAR, _FIX_OR_GYRO = "position fix or sonar: ", "position fix or gyroscopes: "
-_ACCEL_OR_MODEL, _ROTOR_MODEL = (
+_FIX_OR_SONAR_PREFIX, _FIX_OR_GYRO_PREFIX = "position fix or sonar: ", "position fix or gyroscopes: "
+_ACCEL_OR_MODEL_PREFIX, _ROTOR_MODEL_PREFIX = (
     "accelerometers or rotor model (thrust, drag, wind): ",
     "rotor model (thrust, drag, wind): ",
 )
-_MAGNETOMETER_OR_IRON = "magnetometer, steel or motor currents: "
-REASON_CAUSE_PREFIXES = (_FIX_OR_SONAR, _FIX_OR_GYRO, _ACCEL_OR_MODEL, _ROTOR_MODEL, _MAGNETOMETER_OR_IRON)
+_MAGNETOMETER_OR_IRON_PREFIX = "magnetometer, steel or motor currents: "
+REASON_CAUSE_PREFIXES = (
+    _FIX_OR_SONAR_PREFIX,
+    _FIX_OR_GYRO_PREFIX,
+    _ACCEL_OR_MODEL_PREFIX,
+    _ROTOR_MODEL_PREFIX,
+    _MAGNETOMETER_OR_IRON_PREFIX,
+)
 """Openings of reasons that name the possible causes themselves, where this sensor alone is not accused."""
 _REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
     g.REASON_NONE: lambda x, u: "",
@@ -114,14 +120,16 @@ _REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
     g.REASON_NO_WALL: lambda x, u: "detections match no wall of the room",
     g.REASON_SPIKES: lambda x, u: f"spikes of {x:.2g} {u}; the flight model bridges them",
     g.REASON_TERRAIN_SLOPE: lambda x, u: f"consistent deviation of {x:.3g} {u}: sloping surface below, or drift",
-    g.REASON_HEIGHT_CONFLICT: lambda x, u: f"{_FIX_OR_SONAR}their heights differ by {x:.2f} m",
+    g.REASON_HEIGHT_CONFLICT: lambda x, u: f"{_FIX_OR_SONAR_PREFIX}their heights differ by {x:.2f} m",
     g.REASON_STUCK: lambda x, u: f"stuck at {x:.2f} m: varies less than in any flight",
     g.REASON_LARGE_BIAS: lambda x, u: f"bias of {x:.2g} {u}, above the largest possible",
-    g.REASON_FUSED_THOUGH_OFFSET: lambda x, u: f"{_FIX_OR_GYRO}persistent offset of {x:.3g} {u}",
-    g.REASON_FORCE_CONFLICT: lambda x, u: f"{_ACCEL_OR_MODEL}they differ by {x:.3g} {u}",
-    g.REASON_MODEL_WRONG: lambda x, u: f"{_ROTOR_MODEL}differs by {x:.3g} {u} from the accelerometers",
+    g.REASON_FUSED_THOUGH_OFFSET: lambda x, u: f"{_FIX_OR_GYRO_PREFIX}persistent offset of {x:.3g} {u}",
+    g.REASON_FORCE_CONFLICT: lambda x, u: f"{_ACCEL_OR_MODEL_PREFIX}they differ by {x:.3g} {u}",
+    g.REASON_MODEL_WRONG: lambda x, u: f"{_ROTOR_MODEL_PREFIX}differs by {x:.3g} {u} from the accelerometers",
     g.REASON_LEVELLED: lambda x, u: f"mounted {math.degrees(x):.1f} degrees off level; its axes are turned level",
-    g.REASON_FIELD_STRENGTH: lambda x, u: f"{_MAGNETOMETER_OR_IRON}field differs by {1e6 * x:.0f} uT from the earth's",
+    g.REASON_FIELD_STRENGTH: lambda x, u: (
+        f"{_MAGNETOMETER_OR_IRON_PREFIX}field differs by {1e6 * x:.0f} uT from the earth's"
+    ),
     g.REASON_JUMP: lambda x, u: f"sudden offset of {x:.2g} {u}, subtracted from its readings",
 }
 
@@ -140,7 +148,7 @@ class LazySensorStatuses(Sequence[SensorStatus]):
     m, s : records
         Memory and settings of the filter, which must not change afterwards.
     fitted : sequence of int
-        Indices of these sensors in :data:`mufly.quantities.quantity_table.CHECKED_READINGS`.
+        Indices of these sensors in :data:`mufly.quantities.quantity_table.READINGS_WITH_FUSION_STATUS`.
     """
 
     def __init__(self, m: Mapping[str, Any] | np.void, s: np.void, fitted: Sequence[int]) -> None:
@@ -189,7 +197,7 @@ def _make_status(k: int, row: Sequence[float], dt: float, tick: int, part: int) 
     if code == g.STATUS_WAITING and why == g.REASON_NONE:
         why = g.REASON_NONE if came else g.REASON_NO_READING
     return SensorStatus(
-        CHECKED_READINGS[k],
+        READINGS_WITH_FUSION_STATUS[k],
         _STATUS_NAMES[int(code)],
         nu,
         spread,
@@ -206,8 +214,8 @@ _INNOVATION_REASON_CODES = (g.REASON_INNOVATION, g.REASON_RESET, g.REASON_FUSED_
 def describe_reason(why: int, number: float, sensor: int, component: int = 0) -> str:
     """Return the reason for a sensor's status as a text.
 
-    ``sensor`` is an index into :data:`mufly.quantities.quantity_table.CHECKED_READINGS`. ``component`` is the component
-    of a position fix to which ``number`` belongs: N, E, D (m) or the heading (rad).
+    ``sensor`` is an index into :data:`mufly.quantities.quantity_table.READINGS_WITH_FUSION_STATUS`. ``component`` is
+    the component of a position fix to which ``number`` belongs: N, E, D (m) or the heading (rad).
     """
     in_unit = CHECKED[sensor].unit_component_count
     if in_unit is not None and component >= in_unit and why in _INNOVATION_REASON_CODES:

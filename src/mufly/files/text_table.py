@@ -59,8 +59,8 @@ _MIN_TRAILING_ZERO_BYTES = 16  # at least this number of trailing zero bytes is 
 # Up to this fraction of short rows the rows are faulty; above it the header is.
 _MAX_SHORT_ROW_FRACTION = 0.5
 _MAX_PREAMBLE_LINES = 2000
-_SAMPLED_ROWS = 50
-_MIN_USUAL_WIDTH_FRACTION = 0.65  # of the rows below a table's first line
+_SAMPLED_ROW_COUNT = 50
+_MIN_EQUAL_WIDTH_ROW_FRACTION = 0.65  # of the rows below a table's first line
 _MISSING_VALUES = {"", "nan", "na", "n/a", "null", "none", "-", "inf", "-inf", "+inf", "infinity"}
 
 
@@ -115,7 +115,7 @@ class TextTable:
         units = self.units or [""] * len(self.header)
         return [f"{name} ({unit})" if unit else name for name, unit in zip(self.header, units, strict=True)]
 
-    def column_by_name(self, name: str, remedy: str = "") -> int:
+    def find_column_index(self, name: str, remedy: str = "") -> int:
         """Return the index of a column; without ``remedy`` an error lists the existing columns.
 
         Raises
@@ -195,7 +195,7 @@ class TextTable:
         if not self.rows:
             raise InputError(self.where, "", "has a header but no rows", "give a table with numbers")
         stream, width = "\n".join(self.rows), len(self.header)
-        sampled = [split_cells(s, self.separator) for s in self.rows[:: 1 + len(self.rows) // _SAMPLED_ROWS]]
+        sampled = [split_cells(s, self.separator) for s in self.rows[:: 1 + len(self.rows) // _SAMPLED_ROW_COUNT]]
         plain = [self.decimal == "." and all(_is_plain_number(row[k]) for row in sampled) for k in range(width)]
         faults = (pd.errors.ParserError, pd.errors.ParserWarning, ValueError, OverflowError)
         try:
@@ -258,7 +258,7 @@ def read_text_table(path: str | Path, *, short_rows: Literal["refuse", "cut", "d
         rows, numbers = rows[1:], numbers[1:]
     header, units = split_cells(rows[0], separator), list[str]()
     if not _is_plain_number(header[0] or "-") and not all(_is_number(c, decimal) for c in header):
-        units = _units_below(rows[1:2], len(header), separator, decimal)
+        units = _find_units_below_header(rows[1:2], len(header), separator, decimal)
         head, rows, numbers = rows[0], rows[1 + bool(units) :], numbers[1 + bool(units) :]
         again = rows.count(head)
         if again:
@@ -430,7 +430,7 @@ def _detect_separator(lines: Sequence[str]) -> str:
     return max(found, key=lambda c: found[c], default=max(",;\t", key=(lines or [""])[0].count))
 
 
-def looks_like_table(head: bytes) -> bool:
+def is_text_with_digits(head: bytes) -> bool:
     """Return True if the beginning of a file is text with a digit in a line that is no comment."""
     wide = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     text = decode_text(head) if wide else head.decode("utf-8", errors="ignore").lstrip("\ufeff")
@@ -478,7 +478,7 @@ def read_unpacked(path: str | Path, size: int = -1) -> tuple[bytes, str]:
         size < 0
         and data.endswith(bytes(_MIN_TRAILING_ZERO_BYTES))
         and (text := data.rstrip(b"\0"))
-        and looks_like_table(text)
+        and is_text_with_digits(text)
     ):
         damage = f"the last {len(data) - len(text)} bytes are zero"
         data = text[: text.rfind(b"\n") + 1] or text
@@ -494,13 +494,13 @@ def _find_header_line(lines: Sequence[str], first: int) -> int:
     """Return the index of the header line: the first line, or a later line of names with as many cells as the last
     rows.
     """
-    tail = [s for s in lines[first + 1 :][-2 * _SAMPLED_ROWS :] if _is_content_line(s)][-_SAMPLED_ROWS:]
+    tail = [s for s in lines[first + 1 :][-2 * _SAMPLED_ROW_COUNT :] if _is_content_line(s)][-_SAMPLED_ROW_COUNT:]
     if not tail:
         return first
     for separator in (";", "\t", ","):
         widths = count_cells(tail, separator)
         usual = max(set(widths), key=widths.count)
-        if usual < 2 or widths.count(usual) < _MIN_USUAL_WIDTH_FRACTION * len(widths):
+        if usual < 2 or widths.count(usual) < _MIN_EQUAL_WIDTH_ROW_FRACTION * len(widths):
             continue
         if count_cells([lines[first]], separator)[0] >= usual:
             return first
@@ -523,7 +523,7 @@ def _parse_preamble(lines: Sequence[str]) -> dict[str, str]:
 def _has_title_line(rows: Sequence[str], decimal: str) -> bool:
     """Return True if the first line is a title above the header: the second line holds names, not units, and the rows
     below are numbers, as many as those names."""
-    names, below = split_cells(rows[1], " ") if len(rows) > 2 else [], rows[2 : 2 + _SAMPLED_ROWS]
+    names, below = split_cells(rows[1], " ") if len(rows) > 2 else [], rows[2 : 2 + _SAMPLED_ROW_COUNT]
     if len(names) < 2 or any(_is_number(c, decimal) for c in names):
         return False
     title = split_cells(rows[0], " ")
@@ -537,7 +537,7 @@ def _has_title_line(rows: Sequence[str], decimal: str) -> bool:
     return all(len(row) == len(names) and all(_is_number(c, decimal) for c in row) for row in cells)
 
 
-def _units_below(rows: Sequence[str], width: int, separator: str, decimal: str) -> list[str]:
+def _find_units_below_header(rows: Sequence[str], width: int, separator: str, decimal: str) -> list[str]:
     """Return the units in the line below a header; empty if this line holds no units."""
     cells = split_cells(rows[0], separator) if rows else []
     if len(cells) != width or any(_is_number(c, decimal) for c in cells):

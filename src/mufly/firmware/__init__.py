@@ -11,14 +11,14 @@ from mufly.firmware.fixed_point.fixed_point_design import (
     measure_cascade_loss,
     quantise_law,
 )
-from mufly.firmware.fixed_point.fixed_point_flights import FixedPointFlight, fly_fixed_point
+from mufly.firmware.fixed_point.fixed_point_flights import FixedPointFlightComparison, compare_fixed_point_flights
 from mufly.firmware.fixed_point.fixed_point_law import (
     FixedPointFirmwareControllers,
     export_fixed_point,
 )
 from mufly.firmware.host_build import Firmware, FirmwareControllers, build_library
 from mufly.firmware.proof.evidence_report import write_report
-from mufly.firmware.proof.fuzzing import FuzzResult, fuzz_firmware, missing_fuzzer_tools, run_fuzzer
+from mufly.firmware.proof.fuzzing import FuzzResult, describe_missing_fuzzer_tools, fuzz_firmware, run_fuzzer
 from mufly.firmware.proof.sil_pil import (
     PilResult,
     SilResult,
@@ -33,7 +33,7 @@ __all__ = [
     "FirmwareControllers",
     "FirmwareSoftware",
     "FixedPointFirmwareControllers",
-    "FixedPointFlight",
+    "FixedPointFlightComparison",
     "FixedPointLaw",
     "FuzzResult",
     "GenericFirmwareSoftware",
@@ -42,16 +42,16 @@ __all__ = [
     "QuantisationLoss",
     "SilResult",
     "build_library",
+    "compare_fixed_point_flights",
+    "describe_missing_fuzzer_tools",
     "describe_missing_tools",
     "export_firmware",
     "export_fixed_point",
     "export_policy",
     "find_compiler",
     "find_deepest_stack",
-    "fly_fixed_point",
     "fuzz_firmware",
     "measure_cascade_loss",
-    "missing_fuzzer_tools",
     "quantise_law",
     "render_gains_source",
     "run_fuzzer",

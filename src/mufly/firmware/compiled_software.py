@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import Estimate
-from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, make_plan, plan_numbers
+from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, collect_plan_fields, make_plan
 from mufly.firmware.host_build import Firmware, FirmwareControllers
 from mufly.firmware.software_instance import MISSION_STATES, MOTOR_MODES, SoftwareInstance
 from mufly.flight.controllers import Actuators
@@ -88,24 +88,24 @@ class FirmwareSoftware(FlightSoftware):
         self._start()
         self.clear_cached_records()
 
-    def change_limits(self, mission: Mission) -> None:
+    def apply_mission_limits(self, mission: Mission) -> None:
         """Apply the limits of another mission with the same waypoints."""
         before = None if self._software_instance is None else (self.plan, self.requested_mission, self.slowdown_note)
-        super().change_limits(mission)
+        super().apply_mission_limits(mission)
         if self._software_instance is None or before is None:
             return
         try:
-            self._software_instance.set_plan(self.plan)
+            self._software_instance.write_mission_plan(self.plan)
         except InputError:
             self.plan, self.requested_mission, self.slowdown_note = before
             raise
 
     def load_mission(self, mission: Mission) -> None:
         """Load another mission, which begins at its first waypoint after a start command."""
-        self.change_limits(mission)
+        self.apply_mission_limits(mission)
         assert self._software_instance is not None
         if self._software_instance.software_record.watch.begun:
-            self._software_instance.report_loaded_mission(mission.name)
+            self._software_instance.reset_mission_state(mission.name)
             self.clear_cached_records()
 
     def retune_controllers(self, controller: FlightController) -> None:
@@ -122,7 +122,7 @@ class FirmwareSoftware(FlightSoftware):
         """Compute one control period in the exported code."""
         board = self._software_instance
         assert board is not None
-        board.setup_record.gains = self.law.current_gains()
+        board.setup_record.gains = self.law.advance_gains()
         actuators = board.step(estimate, command)
         self.clear_cached_records()
         return actuators
@@ -238,7 +238,7 @@ class GenericFirmwareSoftware(FirmwareSoftware):
         """Return software that runs the exported code, or the Python software if the code is unavailable."""
         try:
             Firmware(None)
-            plan_numbers(make_plan(vehicle, controller, mission), HOST_MAX_WAYPOINTS)
+            collect_plan_fields(make_plan(vehicle, controller, mission), HOST_MAX_WAYPOINTS)
         except (MuflyError, OSError):
             return FlightSoftware(vehicle, controller, mission)
         return super().__new__(cls)
@@ -280,13 +280,13 @@ class ComparedSoftware(FlightSoftware):
         """Reset to the state before the first step."""
         super().reset()
         if self._software_instance is not None:
-            self._software_instance.start_software()
+            self._software_instance.reset_software()
 
-    def change_limits(self, mission: Mission) -> None:
+    def apply_mission_limits(self, mission: Mission) -> None:
         """Apply the limits of another mission with the same waypoints."""
-        super().change_limits(mission)
+        super().apply_mission_limits(mission)
         if self._software_instance is not None:
-            self._software_instance.set_plan(self.plan)
+            self._software_instance.write_mission_plan(self.plan)
 
     @property
     def log_entry_count(self) -> int:

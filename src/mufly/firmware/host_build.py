@@ -19,7 +19,7 @@ from mufly.estimate import Estimate
 from mufly.files.answer_store import replace_file
 from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, MAX_WAYPOINTS
 from mufly.firmware.export.source_export import (
-    SCHEDULE_HEADER,
+    SCHEDULE_HEADER_PATH,
     SOFTWARE_SOURCES,
     copy_sources,
     find_sources,
@@ -97,7 +97,7 @@ def _load_generic_firmware() -> tuple[cffi.FFI, Any]:
     with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
         tree = Path(folder) / "fw"
         copy_sources(tree)
-        (tree / SCHEDULE_HEADER).write_text(render_enabled_schedule_header(), encoding="utf-8")
+        (tree / SCHEDULE_HEADER_PATH).write_text(render_enabled_schedule_header(), encoding="utf-8")
         _raise_waypoint_capacity(tree)
         files = read_sources(tree)
         library = build_cached_library("firmware", {**files, "tables.c": _GENERIC_GAINS_SOURCE})
@@ -177,7 +177,7 @@ class FirmwareControllers(Controllers):
         super()._blend_gains()
         self._gains_record = self.firmware.make_gains(self._design)
 
-    def current_gains(self) -> Any:
+    def advance_gains(self) -> Any:
         """Return the ``gains_t`` for the next period; after a change of gains, one step nearer to the new ones."""
         if not self._settled:
             self._blend_gains()

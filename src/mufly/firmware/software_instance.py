@@ -18,7 +18,7 @@ from mufly.control import FlightController
 from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_GYRO_BIAS, ERROR_POSITION, ERROR_VELOCITY
 from mufly.estimate.sensor_status import REASON_COUNT, SUSPICIOUS_REASONS, describe_reason
-from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, plan_numbers, setup_numbers
+from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, collect_plan_fields, collect_setup_fields
 from mufly.firmware.host_build import Firmware, FirmwareControllers
 from mufly.flight.controllers import Actuators
 from mufly.flight.estimator_health import describe_sensor_status, find_sensor_name
@@ -27,7 +27,7 @@ from mufly.logs.mcap import FlightEvent
 from mufly.mission import (
     NO_COMMAND,
     Command,
-    LogMessage,
+    LogTemplate,
     MissionPlan,
     MissionState,
     Reference,
@@ -44,7 +44,7 @@ from mufly.mission.trajectory import (
     Trajectory,
     TrajectoryPoint,
 )
-from mufly.quantities.quantity_table import CHECKED_READINGS
+from mufly.quantities.quantity_table import READINGS_WITH_FUSION_STATUS
 
 if TYPE_CHECKING:
     from cffi import FFI
@@ -56,7 +56,7 @@ _LOG_LEVELS = ("info", "warning", "error")
 _SENSOR_STATUSES = ("waiting", "fused", "rejected", "missing", "faulty")
 _STATUS_NOT_FITTED = len(_SENSOR_STATUSES)
 _REQUIRED_ESTIMATES = ("position", "velocity", "attitude", "rates")
-_MESSAGE_TEMPLATES = tuple(LogMessage)
+_MESSAGE_TEMPLATES = tuple(LogTemplate)
 
 
 class TextNumberTable:
@@ -94,31 +94,31 @@ class SoftwareInstance:
         self.estimate_record, self.command_record = f.ffi.new("estimate_t *"), f.ffi.new("command_t *")
         self.actuators_record, self.software_record = f.ffi.new("actuators_t *"), f.ffi.new("software_t *")
         self._plan_record, self.setup_record = f.ffi.new("plan_t *"), f.ffi.new("flight_setup_t *")
-        for name, value in setup_numbers(controller).items():
+        for name, value in collect_setup_fields(controller).items():
             setattr(self.setup_record, name, value)
         self.setup_record.plan = self._plan_record
         self.setup_record.gains = self._gains_record = (
             f.make_gains(controller) if f.is_generic else f.ffi.addressof(f.lib.mufly_gains)
         )
         self._last_command: Command | None = None
-        self.set_plan(plan)
-        self.start_software()
+        self.write_mission_plan(plan)
+        self.reset_software()
 
-    def start_software(self) -> None:
+    def reset_software(self) -> None:
         """Reset the software to its state before the first period."""
         self.firmware.lib.software_reset(self.setup_record, self.software_record)
         self._events: tuple[FlightEvent, ...] = ()
         self._log_count = 0
 
-    def set_plan(self, plan: MissionPlan) -> None:
+    def write_mission_plan(self, plan: MissionPlan) -> None:
         """Write the numbers of a mission into the plan."""
         ffi = self.firmware.ffi
-        numbers = plan_numbers(plan, HOST_MAX_WAYPOINTS)
+        numbers = collect_plan_fields(plan, HOST_MAX_WAYPOINTS)
         fresh = ffi.new("plan_t *", numbers)
         ffi.memmove(self._plan_record, fresh, ffi.sizeof("plan_t"))
         self._mission_name = plan.mission.name
 
-    def report_loaded_mission(self, name: str) -> None:
+    def reset_mission_state(self, name: str) -> None:
         """Reset the mission state for a newly loaded mission, which waits for a start command."""
         self._mission_name = name or "a mission"
         self.firmware.lib.reset_for_loaded_mission(
@@ -163,7 +163,7 @@ class SoftwareInstance:
         for one in b.checks:
             one.status = _STATUS_NOT_FITTED
         for check in m.auxiliary_states.checks:
-            one = b.checks[CHECKED_READINGS.index(check.name)]
+            one = b.checks[READINGS_WITH_FUSION_STATUS.index(check.name)]
             one.status, one.why = (
                 _SENSOR_STATUSES.index(check.status),
                 self.text_table.assign_number(check.reason),
@@ -178,7 +178,7 @@ class SoftwareInstance:
             *[ring.max_range] * (ring.count - count),
         ]
 
-    def reason_text_numbers(self) -> NDArray[np.int64]:
+    def list_reason_text_numbers(self) -> NDArray[np.int64]:
         """Return the text number of each reason of the filter's sensor checks
         (:mod:`mufly.estimate.filter.measurements.sensor_checks`).
 
@@ -200,7 +200,7 @@ class SoftwareInstance:
 
     def prepare_compiled_periods(self, law: FirmwareControllers) -> None:
         """Prepare the records for the compiled loop: set the current gains and an empty command."""
-        self.setup_record.gains = law.current_gains()
+        self.setup_record.gains = law.advance_gains()
         self._write_command_record(NO_COMMAND)
 
     def _write_command_record(self, c: Command) -> None:
@@ -250,7 +250,7 @@ class SoftwareInstance:
             )
         self._log_count = s.logged_event_count
 
-    def sensor_reason(self, b: Any) -> str:
+    def read_sensor_reason(self, b: Any) -> str:
         """Return the reason for the status in a ``message_sensor_t`` as a text."""
         return self.text_table.look_up_text(b.why)
 
@@ -259,26 +259,26 @@ class SoftwareInstance:
         word, numbers = _MESSAGE_TEMPLATES[message.code], list(message.number)
         wrong = [
             SensorStatus(
-                CHECKED_READINGS[b.sensor],
+                READINGS_WITH_FUSION_STATUS[b.sensor],
                 _SENSOR_STATUSES[b.status],  # type: ignore[arg-type]
-                reason=self.sensor_reason(b),
+                reason=self.read_sensor_reason(b),
             )
             for b in message.faulty_sensors
             if b.sensor >= 0
         ]
         because = f" ({'; '.join(describe_sensor_status(c) for c in wrong)})" if wrong else ""
-        if word is LogMessage.GIVEN_TEXT:
+        if word is LogTemplate.GIVEN_TEXT:
             return describe_sensor_status(wrong[0]) if wrong else self.text_table.look_up_text(int(numbers[0]))
-        if word is LogMessage.READY_FOR_MISSION:
+        if word is LogTemplate.READY_FOR_MISSION:
             return word(self._mission_name)
-        if word in (LogMessage.WAYPOINTS_LOADED, LogMessage.ONE_WAYPOINT_LOADED):
+        if word in (LogTemplate.WAYPOINTS_LOADED, LogTemplate.ONE_WAYPOINT_LOADED):
             return word(self._mission_name, numbers[0])
-        if word is LogMessage.MEASUREMENT_LOST:
+        if word is LogTemplate.MEASUREMENT_LOST:
             names = [name for k, name in enumerate(_REQUIRED_ESTIMATES) if int(numbers[0]) >> k & 1]
             return word(" and ".join(names) or "all, which is frozen")
-        if word is LogMessage.ATTITUDE_CONTRADICTED:
+        if word is LogTemplate.ATTITUDE_CONTRADICTED:
             return word(" and ".join(find_sensor_name(c.name) for c in wrong))
-        if word is LogMessage.POSITION_UNCERTAIN_TOO_LONG:
+        if word is LogTemplate.POSITION_UNCERTAIN_TOO_LONG:
             return word(numbers[0], because, numbers[1])
         return word(*numbers) + because
 

@@ -1,7 +1,7 @@
 """Simulated flights: flight software, closed loop, recorder, pictures and summary."""
 
 from mufly.flight.autopilot import Autopilot
-from mufly.flight.controllers import Actuators, Controllers, controller_limits
+from mufly.flight.controllers import Actuators, Controllers, derive_trajectory_limits
 from mufly.flight.flight_software import FlightSoftware
 from mufly.flight.flight_state import FlightState
 from mufly.flight.mission_flight import ALIGNMENT_TIMEOUT_S, FlightProgress, fly_mission
@@ -13,19 +13,19 @@ from mufly.flight.record.sensor_log import (
     ReadingErrors,
     ReadingLog,
     draw_sensors,
-    log_sensors,
+    fly_and_log_sensors,
     reading_errors,
     write_sensor_logs,
 )
 from mufly.flight.record.sensor_recording import (
     has_sensor_readings,
-    iterate_readings,
+    iterate_readings_and_inputs,
     list_truths,
     replace_estimates,
     replay_estimator,
 )
 from mufly.flight.simulated_flight import Flight
-from mufly.flight.simulated_plant import ControllerReference, SimulatedPlant, simulate_response
+from mufly.flight.simulated_plant import ControllerReference, SimulatedPlant, simulate_controller_response
 from mufly.flight.tunable_parameters import TunableParameter
 from mufly.logs.mcap import FlightEvent, flight_layout, read_events, to_csv
 from mufly.logs.mcap_recording import read_attachments, read_recording
@@ -50,25 +50,25 @@ __all__ = [
     "SetPoint",
     "SimulatedPlant",
     "TunableParameter",
-    "controller_limits",
+    "derive_trajectory_limits",
     "draw_estimate",
     "draw_estimate_pictures",
     "draw_flight",
     "draw_sensor_innovations",
     "draw_sensors",
     "flight_layout",
+    "fly_and_log_sensors",
     "fly_mission",
     "has_sensor_readings",
-    "iterate_readings",
+    "iterate_readings_and_inputs",
     "list_truths",
-    "log_sensors",
     "read_attachments",
     "read_events",
     "read_recording",
     "reading_errors",
     "replace_estimates",
     "replay_estimator",
-    "simulate_response",
+    "simulate_controller_response",
     "summarise_flight",
     "summary_rows",
     "to_csv",

@@ -11,7 +11,7 @@ from mufly.errors import InputError
 from mufly.estimate import Estimate
 from mufly.flight.estimator_health import describe_sensor_status, list_sensor_statuses
 from mufly.mission import Mission, check_geometry, check_mission_endurance, describe_start_fault
-from mufly.world import World, obstacle_distance, obstacle_distances
+from mufly.world import World, compute_obstacle_distances, find_nearest_obstacle
 
 BATTERY_MARGIN_V = 0.2
 """Margin above the landing voltage (V): a cell's voltage recovers at rest and drops again within seconds of hover."""
@@ -99,7 +99,7 @@ def check_obstacle_clearance(world: World, position: tuple[float, float, float],
     """Return why a position is refused: closer than ``keep_m`` (m) to a known obstacle; "" for a free position."""
     if world.is_empty:
         return ""
-    away, name = obstacle_distance(world, position)
+    away, name = find_nearest_obstacle(world, position)
     if away >= keep_m:
         return ""
     where = f"{away:.2f} m from the {name}" if away >= 0.0 else f"in or beyond the {name}"
@@ -116,7 +116,7 @@ def check_climb_column(world: World, position: tuple[float, float, float], up_to
     count = max(2, math.ceil((up_to_m + position[2]) / 0.05) + 1)
     column = np.tile(np.array(position), (count, 1))
     column[:, 2] = np.linspace(position[2], -up_to_m, count)
-    away, which = obstacle_distances(world, column)
+    away, which = compute_obstacle_distances(world, column)
     k = int(np.argmin(away))
     if away[k] >= keep_m:
         return ""
@@ -154,7 +154,7 @@ def check_mission_start(
         return ""
     heading_deg = math.degrees(math.remainder(heading, math.tau))
     try:
-        here = mission.with_parts(start_m=standing, start_heading_deg=heading_deg)
+        here = mission.replace_parts(start_m=standing, start_heading_deg=heading_deg)
         name = mission.name or "mission"
         check_geometry(here, name)
         check_mission_endurance(

@@ -35,12 +35,12 @@ from mufly.logs.mcap import FlightEvent
 from mufly.mission import (
     MAX_HEIGHT_M,
     MIN_WAYPOINT_HEIGHT_M,
-    MOTORS_STOPPING,
+    MOTORS_STOPPING_REASON,
     NO_COMMAND,
     REQUEST_ACCEPTED,
     Command,
     Fence,
-    LogMessage,
+    LogTemplate,
     Mission,
     RequestAnswer,
     SetPoint,
@@ -58,7 +58,7 @@ from mufly.mission import (
 from mufly.mission.files.geofence import FENCE_MARGIN_M
 from mufly.vehicle import Vehicle
 
-AUTO_DISARM_S = 10.0
+DISARM_WITHOUT_TAKE_OFF_S = 10.0
 """Time from arming to disarming without a take-off (s)."""
 
 SET_POINT_TIMEOUT_S, STICKS_TIMEOUT_S = 0.5, 1.0
@@ -70,8 +70,8 @@ FENCE_RETURN_MARGIN_M, FENCE_REPEAT_DEPTH_M = 0.1, 1.0
 STICKS_BLOCKED_AFTER_BREACH_S = 2.0
 """Time after a breach during which sticks are refused (s); the vehicle comes to rest in it."""
 
-_FALL_HEIGHT_M = 0.1  # height above the standing position from which stopped motors mean a fall
-_INTERRUPTING_MESSAGES = (LogMessage.TIPPED_MOTORS_OFF(), LogMessage.MOTORS_OFF_AFTER_DESCENT())
+_MIN_FALL_HEIGHT_M = 0.1  # height above the standing position from which stopped motors mean a fall
+_INTERRUPTING_MESSAGES = (LogTemplate.TIPPED_MOTORS_OFF(), LogTemplate.MOTORS_OFF_AFTER_DESCENT())
 
 POSITION_SOURCE_REFUSED_TEXT = "position by link refused: "
 _IDLE_ACTUATORS = Actuators.idle()
@@ -176,7 +176,7 @@ class Autopilot:
         self.store_estimate(estimate)
         software = self.software
         if software.commands_itself:
-            return self._follow_exported_software(estimate)
+            return self._step_self_arming_software(estimate)
         due = software.is_mission_step_due
         software.is_armed = self._armed
         actuators = software.step(
@@ -188,12 +188,12 @@ class Autopilot:
             ):
                 self.log_event(text, level)
         if due:
-            self._check_after_step()
+            self._react_to_mission_step()
         # With the motors off the software's inputs are zero, too.
         self._sent = actuators if self._armed or software.motors == "off" else _IDLE_ACTUATORS
         return self._sent
 
-    def _follow_exported_software(self, estimate: Estimate) -> Actuators:
+    def _step_self_arming_software(self, estimate: Estimate) -> Actuators:
         """Step a flight software that arms and commands itself (exported C), and copy its arming state and its log."""
         software = self.software
         self._sent = software.step(estimate, NO_COMMAND)
@@ -224,7 +224,9 @@ class Autopilot:
         for text, level in self._sensors.step(checks, self._period_s):
             self._emit_event(FlightEvent(time_s, state, text, level))
 
-    def conclude_periods(self, estimate: Estimate | None, sent: Actuators, *, ran: bool | None, due: bool) -> None:
+    def update_after_compiled_periods(
+        self, estimate: Estimate | None, sent: Actuators, *, ran: bool | None, due: bool
+    ) -> None:
         """Update the autopilot after the compiled loop has run periods in which no request was pending.
 
         Parameters
@@ -245,7 +247,7 @@ class Autopilot:
         if ran is not None:
             self._ran = ran
         if due:
-            self._check_after_step()
+            self._react_to_mission_step()
 
     def _collect_operator_command(self) -> Command:
         """Return the command for the mission logic: a single request, or repeated sticks or set-points."""
@@ -265,7 +267,7 @@ class Autopilot:
                 c = replace(c, program_set_point=self._set_point)
         return c
 
-    def _check_after_step(self) -> None:
+    def _react_to_mission_step(self) -> None:
         """React to a step of the mission logic: forward events, enforce the fence, end offboard control, and disarm."""
         software = self.software
         if software.logged_event_count != self._logged:
@@ -274,16 +276,16 @@ class Autopilot:
         if self._offboard and software.state not in ("offboard", "init"):
             self._offboard = False
         self._enforce_fence()
-        self._act_on_source_fault()
+        self._land_on_position_source_fault()
         if not self._armed:
             return
         if ran and not self._ran:
             ends = [e.text for e in software.mission_state.events[-4:] if e.time_s >= self._armed_s]
             self._store_interruption(next((text for text in ends if text in _INTERRUPTING_MESSAGES), ""))
             self._set_disarmed()
-        elif not self._ran and self._now - self._armed_s > AUTO_DISARM_S:
+        elif not self._ran and self._now - self._armed_s > DISARM_WITHOUT_TAKE_OFF_S:
             self._set_disarmed()
-            self.log_event(f"disarmed: no take-off within {AUTO_DISARM_S:g} s")
+            self.log_event(f"disarmed: no take-off within {DISARM_WITHOUT_TAKE_OFF_S:g} s")
 
     def _enforce_fence(self) -> None:
         """Execute the fence's action at a breach; repeat it each :data:`FENCE_REPEAT_DEPTH_M` (m) farther outside."""
@@ -311,7 +313,7 @@ class Autopilot:
         done = "landing" if landing else words if answer else f"action refused: {answer.reason}"
         self.log_event(f"fence breached, {self._breach}: {done}", "error")
 
-    def _act_on_source_fault(self) -> None:
+    def _land_on_position_source_fault(self) -> None:
         """Land when the external position source is refused in flight; under stick control only inform the pilot."""
         fault, before = self.source_fault() if self._ran else "", self.refused_source
         self.refused_source = fault or before
@@ -365,7 +367,9 @@ class Autopilot:
         if self._armed:
             return REQUEST_ACCEPTED
         answer = (
-            reject_temporarily(MOTORS_STOPPING) if self._is_stopping else self.status.check_request(VehicleRequest.ARM)
+            reject_temporarily(MOTORS_STOPPING_REASON)
+            if self._is_motor_stop_pending
+            else self.status.check_request(VehicleRequest.ARM)
         )
         if not answer:
             return answer
@@ -409,7 +413,7 @@ class Autopilot:
         return REQUEST_ACCEPTED
 
     @property
-    def _is_stopping(self) -> bool:
+    def _is_motor_stop_pending(self) -> bool:
         """Whether the next step stops the motors."""
         return bool(self._command.motor_stop_reason)
 
@@ -422,7 +426,7 @@ class Autopilot:
         else:
             m, s = self._estimate, self.software.mission_state
             height = 0.0 if m is None else s.home_position[2] - float(m.position[2])
-            if self.software.flying and height > _FALL_HEIGHT_M:
+            if self.software.flying and height > _MIN_FALL_HEIGHT_M:
                 self._store_interruption(f"{why} {height:.1f} m above the floor")
             self._command = Command(motor_stop_reason=why)
 
@@ -602,8 +606,8 @@ class Autopilot:
 
     def _send_command(self, command: Command) -> RequestAnswer:
         """Store a command for the mission logic; refused while a stop of the motors is pending."""
-        if self._is_stopping:
-            return reject_temporarily(MOTORS_STOPPING)
+        if self._is_motor_stop_pending:
+            return reject_temporarily(MOTORS_STOPPING_REASON)
         self._offboard = False
         self._command = command
         return REQUEST_ACCEPTED
@@ -635,8 +639,8 @@ class Autopilot:
             return REQUEST_ACCEPTED
         if self._now - self._set_point_s > SET_POINT_TIMEOUT_S or self._set_point is None:
             return reject_temporarily(f"no set-point in the last {SET_POINT_TIMEOUT_S:g} s; stream them first")
-        if self._is_stopping:
-            return reject_temporarily(MOTORS_STOPPING)
+        if self._is_motor_stop_pending:
+            return reject_temporarily(MOTORS_STOPPING_REASON)
         answer = self.status.check_request(VehicleRequest.OFFBOARD)
         self._offboard = self._offboard or answer.accepted
         return answer
@@ -673,7 +677,7 @@ class Autopilot:
         m = self._estimate
         if m is not None and np.isfinite(m.position).all() and (fault := describe_fence_violation(fence, m.position)):
             return reject_temporarily(f"fence refused: the vehicle is {fault}")
-        self.software.change_limits(self.software.requested_mission.with_parts(fence=fence))
+        self.software.apply_mission_limits(self.software.requested_mission.replace_parts(fence=fence))
         return REQUEST_ACCEPTED
 
     def load_mission(self, mission: Mission) -> RequestAnswer:

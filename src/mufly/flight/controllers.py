@@ -71,7 +71,7 @@ GAIN_BLEND_TIME_CONSTANT_S = 0.5
 """Time constant of a change of parameters (s): a step of a gain would be a step of the output."""
 
 
-def controller_limits(controller: FlightController) -> TrajectoryLimits:
+def derive_trajectory_limits(controller: FlightController) -> TrajectoryLimits:
     """Return the limits of the controllers' reference filters and of the position cascade."""
     heave_yaw, position = controller.heave_yaw_gains, controller.position_gains
     speed = float(heave_yaw["heave_speed"])

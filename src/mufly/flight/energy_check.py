@@ -17,7 +17,7 @@ from mufly.vehicle import Vehicle
 MIN_FULL_CHARGE = 0.97
 """Charge (0..1) above which the battery counts as full: the voltage at rest is known to a few hundredths of a volt."""
 
-_REST_FILTER_S = 1.0  # time constant of the filtered voltage at rest
+_REST_VOLTAGE_FILTER_S = 1.0  # time constant of the filtered voltage at rest
 
 
 class EnergyCheck:
@@ -51,7 +51,7 @@ class EnergyCheck:
 
     def observe_rest_voltage(self, voltage_V: float, dt_s: float) -> None:
         """Filter a voltage that was measured with the motors off."""
-        blend = min(1.0, dt_s / _REST_FILTER_S)
+        blend = min(1.0, dt_s / _REST_VOLTAGE_FILTER_S)
         self._rest_V = voltage_V if math.isnan(self._rest_V) else self._rest_V + blend * (voltage_V - self._rest_V)
 
     @property

@@ -44,7 +44,7 @@ from mufly.compiled.portable_math import sine_cosine
 from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_POSITION
 from mufly.estimate.sensor_status import REASON_CAUSE_PREFIXES
-from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.log_messages import LogTemplate
 from mufly.quantities.sensor_table import CHECKED
 
 _Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ class HealthDecision(NamedTuple):
 
 HEALTHY_DECISION = HealthDecision()
 
-_SENSOR_NAMES = {row.name: row.source for row in CHECKED}
+_SENSOR_BY_READING = {row.name: row.source for row in CHECKED}
 _POSITION_READINGS, _HEIGHT_READINGS, _TILT_READINGS, _HEADING_READINGS = (
     tuple(row.name for row in CHECKED if estimate in row.supports)
     for estimate in ("position", "height", "tilt", "heading")
@@ -88,7 +88,7 @@ _ATTITUDE_AIDS = tuple(row.name for row in CHECKED if row.is_attitude_aid)
 
 def find_sensor_name(reading: str) -> str:
     """Return the name of the sensor that supplies a reading."""
-    return _SENSOR_NAMES.get(reading, reading.replace("_", " "))
+    return _SENSOR_BY_READING.get(reading, reading.replace("_", " "))
 
 
 def list_sensor_statuses(m: Estimate) -> Sequence[SensorStatus]:
@@ -140,7 +140,7 @@ def describe_sensor_status(check: SensorStatus, checks: Sequence[SensorStatus] =
     )
 
 
-def _fault_note(m: Estimate, sources: tuple[str, ...]) -> str:
+def _format_fault_note(m: Estimate, sources: tuple[str, ...]) -> str:
     """Return a note in brackets on the faults of the readings named in ``sources``; "" without a fault."""
     wrong = [
         describe_sensor_status(c)
@@ -170,24 +170,24 @@ def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = Tru
     heading = math.sqrt(variance[ERROR_ATTITUDE + 2])
     if tilt > MAX_TILT_SIGMA_RAD:
         return HealthDecision(
-            "sink", f"attitude uncertain by {math.degrees(tilt):.0f} deg{_fault_note(m, _TILT_READINGS)}"
+            "sink", f"attitude uncertain by {math.degrees(tilt):.0f} deg{_format_fault_note(m, _TILT_READINGS)}"
         )
     if heading > MAX_HEADING_SIGMA_RAD:
         return HealthDecision(
-            "land", f"heading uncertain by {math.degrees(heading):.0f} deg{_fault_note(m, _HEADING_READINGS)}"
+            "land", f"heading uncertain by {math.degrees(heading):.0f} deg{_format_fault_note(m, _HEADING_READINGS)}"
         )
     rates = next((c for c in list_sensor_statuses(m) if c.name == "rates"), None)
     if rates is not None and rates.status == "rejected":
         return HealthDecision("land", describe_sensor_status(rates))
     if height > MAX_HEIGHT_SIGMA_M and height_counts:
-        return HealthDecision("land", f"height uncertain by {height:.2f} m{_fault_note(m, _HEIGHT_READINGS)}")
+        return HealthDecision("land", f"height uncertain by {height:.2f} m{_format_fault_note(m, _HEIGHT_READINGS)}")
     if place > HOLD_POSITION_SIGMA_M:
-        why = f"position uncertain by {place:.2f} m{_fault_note(m, _POSITION_READINGS)}"
+        why = f"position uncertain by {place:.2f} m{_format_fault_note(m, _POSITION_READINGS)}"
         return HealthDecision("land" if place > LAND_POSITION_SIGMA_M else "hold", why)
     return HEALTHY_DECISION
 
 
-def gyro_unavailable(m: Estimate) -> bool:
+def is_gyro_unavailable(m: Estimate) -> bool:
     """Whether the gyroscopes are unusable, so that the angular rates come from the rotor model."""
     return any(c.name == "rates" and c.status in ("missing", "faulty", "rejected") for c in list_sensor_statuses(m))
 
@@ -260,7 +260,7 @@ class HealthMonitor:
         against = [n for n in _ATTITUDE_AIDS if lasting.get(n, 0.0) > ATTITUDE_CONTRADICTION_DELAY_S]
         if len(against) > 1:
             aids = " and ".join(find_sensor_name(n) for n in against)
-            return HealthDecision("sink", LogMessage.ATTITUDE_CONTRADICTED(aids))
+            return HealthDecision("sink", LogTemplate.ATTITUDE_CONTRADICTED(aids))
         if lasting.get("rates", 0.0) > GYRO_LOSS_DELAY_S:
             return HealthDecision(
                 "land", next(describe_sensor_status(c) for c in list_sensor_statuses(m) if c.name == "rates")
@@ -272,7 +272,7 @@ class HealthMonitor:
         return found
 
 
-CORRECTION_TIME_S = 0.3
+CORRECTION_TIME_CONSTANT_S = 0.3
 """Time constant with which corrections of position and heading reach the controllers (s)."""
 MAX_CORRECTION_SPEED_M_S, MAX_CORRECTION_TURN_RATE_RAD_S = 0.5, 0.5
 """Largest rates of these corrections."""
@@ -331,12 +331,12 @@ def _propagate_smoothed(
     moved, turned = np.empty(3), np.empty(3)
     for k in range(3):
         v = 0.5 * (before[k] + velocity[k])
-        off = (position[k] - place[k] - dt * v) / CORRECTION_TIME_S
+        off = (position[k] - place[k] - dt * v) / CORRECTION_TIME_CONSTANT_S
         moved[k] = place[k] + dt * (v + min(max(off, -MAX_CORRECTION_SPEED_M_S), MAX_CORRECTION_SPEED_M_S))
     roll, pitch = attitude[0], attitude[1]
     sine, cosine = sine_cosine(roll)
     turn = (sine * rates[1] + cosine * rates[2]) / max(sine_cosine(pitch)[1], 0.1)
-    away = (attitude[2] - heading - dt * turn) / CORRECTION_TIME_S
+    away = (attitude[2] - heading - dt * turn) / CORRECTION_TIME_CONSTANT_S
     turned[0], turned[1] = roll, pitch
     turned[2] = heading + dt * (turn + min(max(away, -MAX_CORRECTION_TURN_RATE_RAD_S), MAX_CORRECTION_TURN_RATE_RAD_S))
     return moved, turned

@@ -34,13 +34,13 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.control import FlightController
-from mufly.estimate import Estimate, EstimateMonitor, check_estimate
-from mufly.flight.controllers import Actuators, Controllers, controller_limits
+from mufly.estimate import Estimate, EstimateCheckState, check_estimate
+from mufly.flight.controllers import Actuators, Controllers, derive_trajectory_limits
 from mufly.flight.estimator_health import (
     MAX_HEIGHT_SIGMA_M,
     CorrectionSmoother,
     HealthMonitor,
-    gyro_unavailable,
+    is_gyro_unavailable,
 )
 from mufly.flight.oscillation_detector import Oscillation, OscillationDetector, steering_demands
 from mufly.mission import (
@@ -48,7 +48,7 @@ from mufly.mission import (
     ROTOR_RUN_DOWN_TIME_S,
     ROTOR_SPIN_UP_TIME_S,
     Command,
-    LogMessage,
+    LogTemplate,
     Mission,
     MissionState,
     Reference,
@@ -114,7 +114,7 @@ class FlightSoftware:
         self.commands_itself = False  # whether it takes its requests and arms by itself, as a board with its own link
         self.is_armed = False  # of the next step; set by the autopilot, for boards that idle their outputs themselves
         self._make: Callable[[FlightController], Controllers] = Controllers
-        self.change_limits(mission)
+        self.apply_mission_limits(mission)
         self.reset()
 
     def reset(self) -> None:
@@ -134,7 +134,7 @@ class FlightSoftware:
         self._released: _Array = np.zeros(2)
         self._lifted = False
         self._late_s = 0.0
-        self._watch: EstimateMonitor | None = None
+        self._watch: EstimateCheckState | None = None
         self._oscillations = OscillationDetector()
         self.oscillation: Oscillation | None = None
         self._doubts, self._held, self._waits = HealthMonitor(), False, False
@@ -150,7 +150,7 @@ class FlightSoftware:
         self._make = make
         self.reset()
 
-    def change_limits(self, mission: Mission) -> None:
+    def apply_mission_limits(self, mission: Mission) -> None:
         """Apply the limits of a mission with the same waypoints as the present one.
 
         Raises
@@ -158,13 +158,13 @@ class FlightSoftware:
         InputError
             If the mission does not suit the vehicle; the present mission stays.
         """
-        flown, slower = reduce_mission_limits(mission, controller_limits(self._controller))
+        flown, slower = reduce_mission_limits(mission, derive_trajectory_limits(self._controller))
         self.plan = prepare_plan(flown, self._vehicle)
         self.requested_mission, self.slowdown_note = mission, slower
 
     def limit_mission(self, mission: Mission) -> Mission:
         """Return a mission with its limits reduced to those of the controllers."""
-        return reduce_mission_limits(mission, controller_limits(self._controller))[0]
+        return reduce_mission_limits(mission, derive_trajectory_limits(self._controller))[0]
 
     def load_mission(self, mission: Mission) -> None:
         """Load another mission, which begins at its first waypoint when started.
@@ -174,10 +174,10 @@ class FlightSoftware:
         InputError
             If the mission does not suit the vehicle; the present mission stays.
         """
-        self.change_limits(mission)
+        self.apply_mission_limits(mission)
         if self._watch is not None:
             n = len(mission.waypoint)
-            loaded = LogMessage.ONE_WAYPOINT_LOADED if n == 1 else LogMessage.WAYPOINTS_LOADED
+            loaded = LogTemplate.ONE_WAYPOINT_LOADED if n == 1 else LogTemplate.WAYPOINTS_LOADED
             s = log_event(self.mission_state, loaded(mission.name or "a mission", n))
             s = replace(s, waypoint_index=0, mission_begun=False)
             # A flight in progress continues in manual mode until the new mission is started.
@@ -190,7 +190,7 @@ class FlightSoftware:
         """Change gains and limits of the control law without a step in its output."""
         self._controller = controller
         self._controllers.retune_gains(controller)
-        self.change_limits(self.requested_mission)
+        self.apply_mission_limits(self.requested_mission)
 
     @property
     def is_mission_step_due(self) -> bool:
@@ -271,7 +271,7 @@ class FlightSoftware:
             return self._limit_actuator_rates(
                 m,
                 self._step_blind_descent(
-                    self._watch, estimate, LogMessage.MEASUREMENT_LOST(self._watch.lost_quantities)
+                    self._watch, estimate, LogTemplate.MEASUREMENT_LOST(self._watch.lost_quantities)
                 ),
             )
         if self._late_s == 0.0 and m.auxiliary_states is not None:
@@ -284,7 +284,7 @@ class FlightSoftware:
         self._update_map_part(m)
         r = self._reference
         if r.motors != self._motors:
-            self._switch_motors(r.motors, m)
+            self._change_motor_mode(r.motors, m)
         if r.motors == "fly":
             return self._limit_actuator_rates(m, self._step_control(r, m))
         self._given = self._step_floor_motors(r.motors, m)
@@ -322,7 +322,7 @@ class FlightSoftware:
         self._motor_input, self._tilt = np.zeros(2), np.zeros(2)
         return Actuators.idle()
 
-    def _is_estimate_lost(self, w: EstimateMonitor) -> bool:
+    def _is_estimate_lost(self, w: EstimateCheckState) -> bool:
         """Whether the estimate is lost in flight; always True during a blind descent."""
         if self._motors == "blind":
             return True
@@ -343,37 +343,37 @@ class FlightSoftware:
             return ""
         before, now = self._doubts.verdict, self._doubts.step(m)
         if now.action == "sink" or (
-            now.action == "land" and gyro_unavailable(m) and self._height_above_home(m) < TOUCHDOWN_HEIGHT_M
+            now.action == "land" and is_gyro_unavailable(m) and self._height_above_home(m) < TOUCHDOWN_HEIGHT_M
         ):
             return now.reason
         if now.action == "hold" and not self._held and s.state in (State.WAYPOINT, State.OBSTACLE, State.HOVER):
             self._held, self._waits = True, s.mission_begun and not s.user_in_control and s.outcome == ""
             s = log_event(s, now.reason, level="warning")
-            self.mission_state = pause_mission(self.plan, s, LogMessage.WAITING_FOR_POSITION())
+            self.mission_state = pause_mission(self.plan, s, LogTemplate.WAITING_FOR_POSITION())
         elif now is not before and now.action == "land":
             self.mission_state = fail_and_land(s, now.reason)
         elif now is not before and s.state is State.RC:
-            self.mission_state = log_event(s, now.reason or LogMessage.POSITION_KNOWN_AGAIN(), level="warning")
+            self.mission_state = log_event(s, now.reason or LogTemplate.POSITION_KNOWN_AGAIN(), level="warning")
         elif self._held and now.action == "":
             goes_on = self._waits and s.state is State.HOVER and s.user_in_control
             self._held = self._waits = False
             if goes_on:
-                self.mission_state = resume_mission(self.plan, log_event(s, LogMessage.POSITION_KNOWN_AGAIN()), None)
+                self.mission_state = resume_mission(self.plan, log_event(s, LogTemplate.POSITION_KNOWN_AGAIN()), None)
         return ""
 
-    def _step_blind_descent(self, w: EstimateMonitor, told: Estimate, why: str) -> Actuators:
+    def _step_blind_descent(self, w: EstimateCheckState, told: Estimate, why: str) -> Actuators:
         now = w.last_good.time_s
-        height = self._height_if_known(told)
+        height = self._height_or_infinite(told)
         if self._motors != "blind":
             self._motors = "blind"
-            span = self._descent_time_s(self._height_above_home(w.last_good)) if self._lifted else 0.0
+            span = self._blind_descent_time_s(self._height_above_home(w.last_good)) if self._lifted else 0.0
             self._since_s, self._trusts_until_s = now + span, now + 2.0 * span
             self.mission_state = enter_blind_descent(self.mission_state, now, why)
             self._reference = replace(self._reference, motors="blind", velocity=np.zeros(3), heading_rate=0.0)
             self._tilt, self._command = np.zeros(2), NO_COMMAND
         knows = self._lifted and now < self._trusts_until_s and TOUCHDOWN_HEIGHT_M < height < math.inf
         if knows:  # the timed descent continues from here if the height is lost
-            self._since_s = now + self._descent_time_s(height)
+            self._since_s = now + self._blind_descent_time_s(height)
         elif height <= TOUCHDOWN_HEIGHT_M:  # touchdown: thrust on the legs would tip the vehicle over
             self._since_s = min(self._since_s, now - RAMP_DOWN_SKIPPED_FRACTION * ROTOR_RUN_DOWN_TIME_S)
         left_s = self._since_s + ROTOR_RUN_DOWN_TIME_S - now
@@ -382,14 +382,18 @@ class FlightSoftware:
             self._reference = replace(self._reference, motors="off")
             self._motors, self._motor_input = "off", np.zeros(2)
         else:
-            share = descent_voltage_fraction(height, float(told.velocity[2])) if knows else DESCENT_VOLTAGE_FRACTION
-            self._motor_input = descent_motor_input(self._held_up, share, left_s, w.last_good.battery_voltage)
+            share = (
+                blind_descent_voltage_fraction(height, float(told.velocity[2]))
+                if knows
+                else BLIND_DESCENT_VOLTAGE_FRACTION
+            )
+            self._motor_input = blind_descent_motor_input(self._held_up, share, left_s, w.last_good.battery_voltage)
         return Actuators(self._motor_input, np.zeros(2))
 
     def _height_above_home(self, m: Estimate) -> float:
         return float(self.mission_state.home_position[2] - m.position[2])
 
-    def _height_if_known(self, m: Estimate) -> float:
+    def _height_or_infinite(self, m: Estimate) -> float:
         """Return the height above home (m) while the rest of the estimate is lost; infinite if the height is lost,
         too.
         """
@@ -397,10 +401,10 @@ class FlightSoftware:
         height = self._height_above_home(m)
         return height if certain and abs(height) + abs(float(m.velocity[2])) < 1e3 else math.inf
 
-    def _descent_time_s(self, height: float) -> float:
-        return descent_time_s(height, float(self._controller.position_gains["gravity"]))
+    def _blind_descent_time_s(self, height: float) -> float:
+        return blind_descent_time_s(height, float(self._controller.position_gains["gravity"]))
 
-    def _switch_motors(self, motors: str, m: Estimate) -> None:
+    def _change_motor_mode(self, motors: str, m: Estimate) -> None:
         """Change the mode of the motors; engage the controllers with a bumpless transfer."""
         if motors == "fly":
             self._controllers.engage_heave_yaw(m, self._motor_input)
@@ -486,7 +490,7 @@ ControlImplementation = Callable[[FlightController], Controllers] | type[FlightS
 
 
 SPIN_UP_VOLTAGE_FRACTION = 0.9
-DESCENT_VOLTAGE_FRACTION = 0.98
+BLIND_DESCENT_VOLTAGE_FRACTION = 0.98
 TOUCHDOWN_HEIGHT_M = 0.03
 """Height below which the vehicle has touched down (m)."""
 _MAX_DESCENT_M_S, _TOUCHDOWN_DESCENT_M_S = (
@@ -495,7 +499,7 @@ _MAX_DESCENT_M_S, _TOUCHDOWN_DESCENT_M_S = (
 )  # limits of the rate of descent; a slow descent drifts farther
 _DESCENT_RATE_GAIN_S_M = 1.0 / (2.0 * GRAVITY * 0.4)  # voltage fraction per rate of descent (s/m)
 _MIN_DESCENT_VOLTAGE_FRACTION, _MAX_DESCENT_VOLTAGE_FRACTION = 0.92, 1.08
-_DESCENT_MARGIN_S = 1.0
+_BLIND_DESCENT_MARGIN_S = 1.0
 
 
 def spin_up_motor_input(hover_V: _Array, elapsed_s: float, battery_V: float) -> _Array:
@@ -521,7 +525,7 @@ def ramp_down_motor_input(released: _Array, elapsed_s: float) -> _Array:
     return released * max(0.0, 1.0 - elapsed_s / ROTOR_RUN_DOWN_TIME_S)
 
 
-def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_V: float) -> _Array:
+def blind_descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_V: float) -> _Array:
     """Return the motor inputs (2,) of a descent without measurements, from a fraction of the hover voltages.
 
     They are the fraction ``share`` of the hover voltages ``held_up_V`` (2,), and fall to zero in the last second.
@@ -529,7 +533,7 @@ def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_
     return np.minimum(share * min(1.0, left_s / ROTOR_RUN_DOWN_TIME_S) * held_up_V / battery_V, 1.0)
 
 
-def descent_voltage_fraction(height_m: float, descent_m_s: float) -> float:
+def blind_descent_voltage_fraction(height_m: float, descent_m_s: float) -> float:
     """Return the fraction of the hover voltages that brings the rate of descent to its target at a height (m)."""
     wanted = min(max(height_m, _TOUCHDOWN_DESCENT_M_S), _MAX_DESCENT_M_S)
     return min(
@@ -538,11 +542,15 @@ def descent_voltage_fraction(height_m: float, descent_m_s: float) -> float:
     )
 
 
-def descent_time_s(height_m: float, gravity: float) -> float:
+def blind_descent_time_s(height_m: float, gravity: float) -> float:
     """Return the duration (s) of a descent without measurements from a height (m), with a margin of 1 s; ``gravity``
     in m/s2.
     """
     return (
-        math.sqrt(2.0 * max(0.0, height_m) / ((1.0 - DESCENT_VOLTAGE_FRACTION * DESCENT_VOLTAGE_FRACTION) * gravity))
-        + _DESCENT_MARGIN_S
+        math.sqrt(
+            2.0
+            * max(0.0, height_m)
+            / ((1.0 - BLIND_DESCENT_VOLTAGE_FRACTION * BLIND_DESCENT_VOLTAGE_FRACTION) * gravity)
+        )
+        + _BLIND_DESCENT_MARGIN_S
     )

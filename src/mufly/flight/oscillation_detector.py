@@ -26,13 +26,13 @@ from mufly.mission import State
 _Array = NDArray[np.float64]
 
 ACTUATOR_INPUT_NAMES = ("motor_input upper", "motor_input lower", "servo_input 1", "servo_input 2")
-ACTUATOR_INPUT_RANGES = (1.0, 1.0, 2.0, 2.0)
-MIN_SWING_INPUT_FRACTION, MIN_OSCILLATION_PERIODS, MIN_OSCILLATION_S = 0.5, 4, 2.0
+ACTUATOR_INPUT_SPANS = (1.0, 1.0, 2.0, 2.0)
+MIN_SWING_INPUT_FRACTION, MIN_OSCILLATION_PERIODS, MIN_OSCILLATION_DURATION_S = 0.5, 4, 2.0
 """Smallest swing (fraction of the input's range), number of consecutive periods, and duration (s) of an oscillation."""
 MAX_OSCILLATION_PERIOD_S, MAX_PERIOD_RATIO = 4.0, 1.6
 """Longest period (s), and largest ratio of consecutive periods."""
 
-_STEERING_THRESHOLDS = (0.1, 0.1, 0.1, 0.2, 0.05, 0.05)
+_STEERING_REVERSAL_THRESHOLDS = (0.1, 0.1, 0.1, 0.2, 0.05, 0.05)
 """Reversals that make a turn of a steering command: velocity N-E-D (m/s), yaw rate (rad/s), roll, pitch (rad)."""
 
 
@@ -94,7 +94,7 @@ def may_oscillate(inputs: _Array) -> bool:
     period.
     """
     for k in range(4):
-        back, rising, extreme, turns = MIN_SWING_INPUT_FRACTION * ACTUATOR_INPUT_RANGES[k], True, -math.inf, 0
+        back, rising, extreme, turns = MIN_SWING_INPUT_FRACTION * ACTUATOR_INPUT_SPANS[k], True, -math.inf, 0
         for value in inputs[:, k]:
             ahead = value - extreme if rising else extreme - value
             if ahead > 0.0:
@@ -111,9 +111,9 @@ class OscillationDetector:
 
     def __init__(self) -> None:
         self._inputs = tuple(
-            _InputOscillation(_TurningPoints(MIN_SWING_INPUT_FRACTION * r)) for r in ACTUATOR_INPUT_RANGES
+            _InputOscillation(_TurningPoints(MIN_SWING_INPUT_FRACTION * r)) for r in ACTUATOR_INPUT_SPANS
         )
-        self._asked = tuple(_TurningPoints(back) for back in _STEERING_THRESHOLDS)
+        self._asked = tuple(_TurningPoints(back) for back in _STEERING_REVERSAL_THRESHOLDS)
 
     def step(self, time_s: float, inputs: Sequence[float], asked: Sequence[float] | None = None) -> Oscillation | None:
         """Process the actuator inputs of one instant, and return the longest oscillation that they continue.
@@ -149,7 +149,7 @@ class OscillationDetector:
             elif one.half_period_count and time_s - one.turning_points.turn_times_s[-1] > MAX_OSCILLATION_PERIOD_S:
                 one.clear_half_periods()
             lasting = one.turning_points.turn_times_s[-1] - one.start_s if one.half_period_count else 0.0
-            if one.half_period_count >= 2 * MIN_OSCILLATION_PERIODS and lasting >= MIN_OSCILLATION_S:
+            if one.half_period_count >= 2 * MIN_OSCILLATION_PERIODS and lasting >= MIN_OSCILLATION_DURATION_S:
                 found = Oscillation(
                     name, one.start_s, lasting, one.highest_value - one.lowest_value, 1.0 / one.period_s
                 )

@@ -1,6 +1,6 @@
 """Stages of one period of the controllers; this module alone defines their order.
 
-:func:`make_stepper` makes an executor of eight stages. There are two executors:
+:func:`make_stage_loop` makes an executor of eight stages. There are two executors:
 
 - in Python, for a :class:`mufly.flight.simulated_flight.Flight` with any sensors, estimator and flight software;
 - compiled by Numba, for arrays (:mod:`mufly.firmware.quick.compiled_loop`): many periods in one call, with filter and
@@ -37,13 +37,13 @@ Stage = Callable[[Any], int]
 
 
 @dataclass(slots=True)
-class PeriodClock:
+class LoopPosition:
     """Position of a Python loop within a period; ``stage`` is the next stage to run."""
 
     stage: int = STAGE_BEGIN_PERIOD
 
 
-def make_stepper(
+def make_stage_loop(
     begin_period: Stage,
     advance_plant: Stage,
     check_contact: Stage,

@@ -26,7 +26,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.camera import CAMERA_FILE_NAME
+from mufly.camera import PICTURE_RECORDING_FILE_NAME
 from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import (
     DrydenWind,
@@ -57,8 +57,8 @@ from mufly.flight.period_stages import (
     LOOP_DONE,
     STAGE_BEGIN_PERIOD,
     STAGE_CHECK_CONTACT,
-    PeriodClock,
-    make_stepper,
+    LoopPosition,
+    make_stage_loop,
 )
 from mufly.flight.record.recorder import open_flight_recorder
 from mufly.flight.record.sensor_recording import FIX_CORRELATION_TIME_ATTRIBUTE, make_sensed_row_writer
@@ -71,8 +71,8 @@ from mufly.sensors import (
     Readings,
     SensorSet,
     Truth,
-    fitted_sensors,
-    ideal_sensors,
+    make_fitted_sensors,
+    make_ideal_sensors,
     randomise_leg_lengths,
 )
 from mufly.vehicle import Vehicle, load_vehicle
@@ -250,25 +250,27 @@ class Flight:
             keep=keep,
         )
         if self.camera is not None and path is not None:
-            self.camera.record_pictures(Path(path).with_name(CAMERA_FILE_NAME), self.recorder.start_time_ns)
+            self.camera.open_picture_recording(
+                Path(path).with_name(PICTURE_RECORDING_FILE_NAME), self.recorder.start_time_ns
+            )
         self.records_measurements = not brief
         self._write = make_row_writer(self.recorder, measured=not brief)
         self._write_sensed = make_sensed_row_writer(self.recorder) if full else None
         self.record_periods = 1 if full else max(1, round(controller.rate_Hz / RECORD_RATE_HZ))
         self.acting_actuators = self.sent_actuators = Actuators.idle()
-        self.clock = PeriodClock()
+        self.clock = LoopPosition()
         self.listener: Callable[[Truth, Estimate], None] = lambda truth, estimate: None
         self.listener_periods = 0  # periods; 0: nobody listens
         self._many: Callable[..., bool] | None = None
         self._asked_many = False
-        self._measure_start()
+        self._reset_sensors_and_estimate()
         self._crash_s = math.inf
         self.current_A = self.autopilot.energy_check.hover_current_A
         self._finished = self._mission_flown = False
         self.refusal_reason = ""
         self.autopilot.listeners.append(self._record_event)
 
-    def _measure_start(self) -> None:
+    def _reset_sensors_and_estimate(self) -> None:
         self.sensors.reset()
         self.estimator.reset()
         self.plant.check_collision()
@@ -396,7 +398,7 @@ class Flight:
         self.is_first_period = self._is_estimated = False
         if (fixes := self.camera or self.outside_fixes) is not None:
             fixes.observe(self.readings, self._estimate, self.autopilot.software.motors == "off")
-        if self.camera is not None and (news := self.camera.tracking_message()):
+        if self.camera is not None and (news := self.camera.take_tracking_report()):
             self.log_event(news, "info" if news.endswith("again") else "warning")
         return CONTINUE_LOOP
 
@@ -499,7 +501,7 @@ class Flight:
         self.autopilot.reset()
         self.acting_actuators = self.sent_actuators = Actuators.idle()
         self._crash_s = math.inf
-        self._measure_start()
+        self._reset_sensors_and_estimate()
         self.log_event("back at the start")
 
     def close(self, outcome: str | None = None, reason: str = "", **attributes: Any) -> None:
@@ -543,7 +545,7 @@ class Flight:
                 one.close()
 
 
-_run_stages = make_stepper(
+_run_stages = make_stage_loop(
     Flight._begin_period,
     Flight._advance_plant,
     Flight._check_contact,
@@ -566,8 +568,8 @@ def _make_sensors(
         raise InputError("sensors", wanted, "is neither ideal nor fitted", "use one of: ideal, fitted")
     if wanted == "fitted" and vehicle.sensors is not None:
         instead = {} if fixes is None else {"position_fix": fixes}
-        return fitted_sensors(vehicle, mission.world, seed=seed, faults=faults, instead=instead)
+        return make_fitted_sensors(vehicle, mission.world, seed=seed, faults=faults, instead=instead)
     if faults:
         what = "has no table [sensors]" if wanted == "fitted" else "flies on the true state"
         raise InputError("fault", str(faults[0]), f"{vehicle.name} {what}", "fly on fitted sensors, or without faults")
-    return ideal_sensors(vehicle, mission.world, look)
+    return make_ideal_sensors(vehicle, mission.world, look)

@@ -29,22 +29,22 @@ from mufly.dynamics.model_state import (
     MODEL_ATTITUDE,
     MODEL_CHARGE,
     MODEL_POSITION,
-    POSITION,
-    RATES,
-    ROTOR_SPEEDS,
+    POSITION_SLICE,
+    RATE_SLICE,
+    ROTOR_SPEED_SLICE,
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
-    VELOCITY,
+    VELOCITY_SLICE,
 )
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import IdealEstimator
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.record.recorder import FlightRecorder
-from mufly.sensors import Readings, Truth, ideal_sensors
+from mufly.sensors import Readings, Truth, make_ideal_sensors
 from mufly.vehicle import Vehicle
-from mufly.world import World, obstacle_distance, packed_obstacle_distances
+from mufly.world import World, compute_packed_obstacle_distances, find_nearest_obstacle
 
-MIN_STEP_S = 1e-5
+MIN_INTEGRATION_STEP_S = 1e-5
 COLLISION_CAUSE_TEXT, TIP_OVER_CAUSE_TEXT = "a rotor hit the", "tipped over"
 """First words of the cause of a crash: collision with an obstacle, and tip-over."""
 _WIND_BLOCK_S = 20.0  # duration of wind drawn at once (s); no effect on the wind
@@ -59,7 +59,7 @@ def advance_period(x: _Array, u: _Array, wind: _Array, parameters: Any, dt: floa
 
 
 @cached_njit(error_model="numpy")
-def true_attitude(x: _Array, attitude: _Array) -> None:
+def write_true_attitude(x: _Array, attitude: _Array) -> None:
     """Write roll, pitch, yaw (rad) of a state into ``attitude`` (3,); yaw continues from its value there.
 
     :mod:`mufly.compiled.portable_math` gives equal results on every processor.
@@ -85,7 +85,10 @@ def find_collision(
 ) -> int:
     """Return the kind of a collision: 0 none, 1 with an obstacle, 2 of a rotor with the floor."""
     p = parameters[0]
-    if obstacles and packed_obstacle_distances(x[POSITION].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius:
+    if (
+        obstacles
+        and compute_packed_obstacle_distances(x[POSITION_SLICE].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius
+    ):
         return 1
     if x[MODEL_POSITION + 2] + p.contact_reach > 0.0:
         depth, point = find_deepest_contact(x, p)
@@ -124,7 +127,7 @@ class SimulatedPlant:
         self._air, self._block = air, max(1, round(_WIND_BLOCK_S * rate_Hz))
         self._coming, self._blown = air.draw_wind_samples(self._block), 0
         longest = min(DEFAULT_STEP_S, longest_step(self.parameters))
-        if longest < MIN_STEP_S:
+        if longest < MIN_INTEGRATION_STEP_S:
             raise MuflyError(
                 f"{vehicle.name}: the fastest mode ({find_step_limiting_parameter(self.parameters)}) needs steps of "
                 f"{longest * 1e6:.2g} us, too short to simulate a flight"
@@ -138,7 +141,7 @@ class SimulatedPlant:
             *world.packed_tables,
         )
         self.attitude = np.zeros(3)
-        true_attitude(self.state, self.attitude)
+        write_true_attitude(self.state, self.attitude)
 
     def reset(self, state: NDArray[np.float64]) -> None:
         """Replace the state, discard a crash and advance the clock by one period; the wind continues."""
@@ -147,7 +150,7 @@ class SimulatedPlant:
         self.crash_cause = ""
         self.voltage, self.current = compute_battery_supply(self.state, 0.0, 0.0, self.parameters)
         self.attitude[:] = 0.0
-        true_attitude(self.state, self.attitude)
+        write_true_attitude(self.state, self.attitude)
 
     @property
     def time_s(self) -> float:
@@ -159,19 +162,19 @@ class SimulatedPlant:
             return
         hit = find_collision(self.state, self.packed_parameters, *self.collision_shape)
         if hit == 1:
-            _, name = obstacle_distance(self.world, self.state[POSITION])
+            _, name = find_nearest_obstacle(self.world, self.state[POSITION_SLICE])
             self.crash_cause = f"{COLLISION_CAUSE_TEXT} {name} at {self._describe_position()}"
         elif hit == 2:
             self.crash_cause = f"{TIP_OVER_CAUSE_TEXT}: a rotor touched the floor at {self._describe_position()}"
 
     def _describe_position(self) -> str:
-        n, e, d = self.state[POSITION]
+        n, e, d = self.state[POSITION_SLICE]
         return f"[{n:.2f}, {e:.2f}, {d:.2f}] m, {self.time_s:.1f} s"
 
     @property
     def truth(self) -> Truth:
         """Truth at this instant, with a copy of the state."""
-        true_attitude(self.state, self.attitude)
+        write_true_attitude(self.state, self.attitude)
         return Truth(
             self.time_s,
             self.period_count,
@@ -302,11 +305,11 @@ def make_common_writer(
     def fill_row(truth: Truth, actuators: Actuators, reference: tuple[_Array, _Array, _Array]) -> None:
         x = truth.state
         position[:], velocity[:], attitude[:], rates[:], speed[:] = (
-            x[..., POSITION],
-            x[..., VELOCITY],
+            x[..., POSITION_SLICE],
+            x[..., VELOCITY_SLICE],
             truth.attitude,
-            x[..., RATES],
-            x[..., ROTOR_SPEEDS],
+            x[..., RATE_SLICE],
+            x[..., ROTOR_SPEED_SLICE],
         )
         place[:], way[:], turned[:] = reference
         wind[:], motor[:], servo[:] = truth.wind, actuators.motor_input, actuators.servo_input
@@ -332,7 +335,7 @@ class ControllerReference:
     pitch: float = 0.0
 
 
-def simulate_response(
+def simulate_controller_response(
     vehicle: Vehicle,
     demand: Callable[[float], ControllerReference],
     *,
@@ -377,7 +380,7 @@ def simulate_response(
     controllers = Controllers(controller)
     recorder = FlightRecorder(None, {"vehicle": vehicle.name, "rate_Hz": controller.rate_Hz})
     write = make_row_writer(recorder)
-    sensors, estimator = ideal_sensors(vehicle, World(), round(controller.rate_Hz)), IdealEstimator()
+    sensors, estimator = make_ideal_sensors(vehicle, World(), round(controller.rate_Hz)), IdealEstimator()
     start_estimate = estimator.update(sensors.read(plant.truth))
     controllers.engage_heave_yaw(start_estimate, hover.motor_input)
     controllers.engage_roll_pitch(start_estimate)

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 
 from mufly.control import FlightController
 from mufly.errors import InputError
-from mufly.flight.controllers import controller_limits, copy_record
+from mufly.flight.controllers import copy_record, derive_trajectory_limits
 from mufly.flight.flight_software import FlightSoftware
 from mufly.mission import MISSION_FRACTION_OF_CONTROL_LIMITS, limits_to_file_units
 from mufly.vehicle import Vehicle
@@ -152,7 +152,7 @@ class TunableParameters(Mapping[str, TunableParameter]):
         table, key = STORAGE_KEYS[name]
         p = TUNABLE_PARAMETERS[name]
         least, greatest = p.minimum, p.maximum
-        most = limits_to_file_units(controller_limits(self._controller)).get(key) if table == "limits" else None
+        most = limits_to_file_units(derive_trajectory_limits(self._controller)).get(key) if table == "limits" else None
         if key == "low_V":
             greatest = float(self._vehicle.battery.nominal_voltage)
             least = 0.5 * greatest
@@ -161,7 +161,9 @@ class TunableParameters(Mapping[str, TunableParameter]):
                 min(least, MISSION_FRACTION_OF_CONTROL_LIMITS * most),
                 min(greatest, MISSION_FRACTION_OF_CONTROL_LIMITS * most),
             )
-        return replace(p, value=self._stored_value(table, key) * _unit_scale(p, table), minimum=least, maximum=greatest)
+        return replace(
+            p, value=self._stored_value(table, key) * _shown_per_stored_unit(p, table), minimum=least, maximum=greatest
+        )
 
     def set_value(self, name: str, value: float) -> str:
         """Set a parameter's value, in its unit, or return why it is refused.
@@ -199,7 +201,7 @@ class TunableParameters(Mapping[str, TunableParameter]):
 
     def _store_value(self, p: TunableParameter, value: float) -> None:
         table, key = STORAGE_KEYS[p.name]
-        value /= _unit_scale(p, table)
+        value /= _shown_per_stored_unit(p, table)
         if table == "sticks":
             setattr(self.stick_ranges, key, value)
         elif table in _GAIN_RECORDS:
@@ -211,13 +213,13 @@ class TunableParameters(Mapping[str, TunableParameter]):
             asked = self._software.requested_mission
             held = getattr(asked, table)
             given = {**held.model_dump(), key: bool(round(value)) if p.is_integer else value}
-            self._software.change_limits(asked.with_parts(**{table: type(held)(**given)}))
+            self._software.apply_mission_limits(asked.replace_parts(**{table: type(held)(**given)}))
 
 
 _GAIN_RECORDS = {"position": "position_gains", "heave_yaw": "heave_yaw_gains"}
 
 
-def _unit_scale(p: TunableParameter, table: str) -> float:
+def _shown_per_stored_unit(p: TunableParameter, table: str) -> float:
     """Return the factor from the stored unit to the parameter's unit: 180 / pi for degrees stored as radians, else
     1.
     """

@@ -82,14 +82,14 @@ def slice_table(held: CExpression, first: str, stop: str) -> CExpression:
     )
 
 
-def compare_expressions(signs: Sequence[ast.cmpop], sides: Sequence[CExpression]) -> CExpression:
+def make_comparison_expression(signs: Sequence[ast.cmpop], sides: Sequence[CExpression]) -> CExpression:
     """Return the C form of a comparison, also of a chain such as ``a < b < c``."""
     texts = [side.as_operand(PRECEDENCE_ADD) for side in sides]
     parts = [f"{a} {_COMPARISON_OPERATORS[type(o)]} {b}" for o, a, b in zip(signs, texts, texts[1:], strict=False)]
     return CExpression(" && ".join(parts), PRECEDENCE_COMPARE if len(parts) == 1 else PRECEDENCE_AND, C_BOOL)
 
 
-def choose_expression(test: CExpression, a: CExpression, b: CExpression) -> CExpression:
+def make_conditional_expression(test: CExpression, a: CExpression, b: CExpression) -> CExpression:
     """Return the C form of ``a if test else b``."""
     kind = a.kind if a.kind == b.kind else C_DOUBLE
     chosen = f"{a.as_operand(PRECEDENCE_ADD)} : {b.as_operand(PRECEDENCE_ADD)}"
@@ -97,7 +97,7 @@ def choose_expression(test: CExpression, a: CExpression, b: CExpression) -> CExp
     return CExpression(f"({text})", PRECEDENCE_ATOM, kind)
 
 
-def combine_arithmetic(form: type[ast.operator], left: CExpression, right: CExpression) -> CExpression | None:
+def make_arithmetic_expression(form: type[ast.operator], left: CExpression, right: CExpression) -> CExpression | None:
     """Return the C form of an arithmetic operation on two numbers; None if it has none."""
     if not {left.kind, right.kind} <= {C_DOUBLE, C_INT64}:
         return None
@@ -132,7 +132,7 @@ def combine_arithmetic(form: type[ast.operator], left: CExpression, right: CExpr
     return CExpression(f"{left.as_operand(level)} {sign} {right.as_operand(level + 1)}", level, kind)
 
 
-def call_library_function(name: str, arguments: Sequence[CExpression]) -> CExpression | None:
+def translate_library_call(name: str, arguments: Sequence[CExpression]) -> CExpression | None:
     """Return the C form of a call from ``math``, NumPy or Python's built-in functions; None for other functions."""
     texts = ", ".join(a.text for a in arguments)
     function = name.removeprefix("math.")

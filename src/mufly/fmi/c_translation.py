@@ -48,12 +48,12 @@ from mufly.fmi.c_expressions import (
     PRECEDENCE_OR,
     PRECEDENCE_UNARY,
     CExpression,
-    call_library_function,
-    choose_expression,
-    combine_arithmetic,
-    compare_expressions,
     escape_c_name,
+    make_arithmetic_expression,
+    make_comparison_expression,
+    make_conditional_expression,
     slice_table,
+    translate_library_call,
 )
 from mufly.fmi.c_types import (
     C_BOOL,
@@ -507,7 +507,7 @@ class _FunctionTranslation:
                 return CExpression(f"!({self._translate_expression(node.operand).text})", PRECEDENCE_UNARY, C_BOOL)
             case ast.BinOp():
                 left, right = self._translate_expression(node.left), self._translate_expression(node.right)
-                if (combined := combine_arithmetic(type(node.op), left, right)) is not None:
+                if (combined := make_arithmetic_expression(type(node.op), left, right)) is not None:
                     return combined
             case ast.BoolOp():
                 sign, level = ("&&", PRECEDENCE_AND) if isinstance(node.op, ast.And) else ("||", PRECEDENCE_OR)
@@ -515,10 +515,10 @@ class _FunctionTranslation:
                 return CExpression(f" {sign} ".join(parts), level, C_BOOL)
             case ast.Compare():
                 sides = [self._translate_expression(v) for v in (node.left, *node.comparators)]
-                return compare_expressions(node.ops, sides)
+                return make_comparison_expression(node.ops, sides)
             case ast.IfExp():
                 test, a, b = (self._translate_expression(v) for v in (node.test, node.body, node.orelse))
-                return choose_expression(test, a, b)
+                return make_conditional_expression(test, a, b)
             case ast.Tuple():
                 return self._translate_tuple([self._translate_expression(v) for v in node.elts], node)
             case ast.Call():
@@ -589,7 +589,7 @@ class _FunctionTranslation:
             return self._translate_expression(node.args[0])
         values = [a.value if isinstance(a, ast.Starred) else a for a in node.args]
         arguments = [self._translate_expression(a) for a in values]
-        if (in_library := call_library_function(name, arguments)) is not None:
+        if (in_library := translate_library_call(name, arguments)) is not None:
             return in_library
         texts = ", ".join(a.text for a in arguments)
         called = self._globals.get(name)

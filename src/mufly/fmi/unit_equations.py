@@ -15,7 +15,7 @@ from mufly.dynamics.edgewise_loads import edgewise_load_factors
 from mufly.dynamics.equations_of_motion import (
     compute_axial_climb_velocity,
     compute_battery_supply,
-    ground_effect_thrust,
+    ground_effect_thrust_increment,
     interpolate_coefficient_map,
     state_derivative,
 )
@@ -42,9 +42,9 @@ from mufly.rotations import quaternion_from_euler
 _Array = NDArray[np.float64]
 
 # Indices of the start values.
-START_POSITION, START_VELOCITY, START_ATTITUDE, START_RATES = 0, 3, 6, 9
-START_SWASH_ROLL, START_SWASH_PITCH, START_BAR_ROLL, START_BAR_PITCH = 12, 13, 14, 15
-START_SPEED_UPPER, START_SPEED_LOWER, START_CHARGE = 16, 17, 18
+START_POSITION_INDEX, START_VELOCITY_INDEX, START_ATTITUDE_INDEX, START_RATES_INDEX = 0, 3, 6, 9
+START_SWASH_ROLL_INDEX, START_SWASH_PITCH_INDEX, START_BAR_ROLL_INDEX, START_BAR_PITCH_INDEX = 12, 13, 14, 15
+START_SPEED_UPPER_INDEX, START_SPEED_LOWER_INDEX, START_CHARGE_INDEX = 16, 17, 18
 START_COUNT = 19
 # Indices of the outputs: the state, and then
 OUT_ROLL = STATE_SIZE
@@ -66,19 +66,23 @@ def write_start_state(start: _Array, x: _Array) -> None:
         Output: state.
     """
     for i in range(3):
-        x[MODEL_POSITION + i] = start[START_POSITION + i]
-        x[MODEL_VELOCITY + i] = start[START_VELOCITY + i]
-        x[MODEL_RATES + i] = start[START_RATES + i]
-    q = quaternion_from_euler(start[START_ATTITUDE], start[START_ATTITUDE + 1], start[START_ATTITUDE + 2])
+        x[MODEL_POSITION + i] = start[START_POSITION_INDEX + i]
+        x[MODEL_VELOCITY + i] = start[START_VELOCITY_INDEX + i]
+        x[MODEL_RATES + i] = start[START_RATES_INDEX + i]
+    q = quaternion_from_euler(
+        start[START_ATTITUDE_INDEX], start[START_ATTITUDE_INDEX + 1], start[START_ATTITUDE_INDEX + 2]
+    )
     x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3] = q[0], q[1], q[2], q[3]
-    x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = start[START_SWASH_ROLL], start[START_SWASH_PITCH]
-    w, i, j, k = quaternion_from_euler(start[START_BAR_ROLL], start[START_BAR_PITCH], start[START_ATTITUDE + 2])
+    x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = start[START_SWASH_ROLL_INDEX], start[START_SWASH_PITCH_INDEX]
+    w, i, j, k = quaternion_from_euler(
+        start[START_BAR_ROLL_INDEX], start[START_BAR_PITCH_INDEX], start[START_ATTITUDE_INDEX + 2]
+    )
     _, _, n, _, _, e, _, _, d = rotation_entries(w, i, j, k)
     x[MODEL_BAR_NORMAL], x[MODEL_BAR_NORMAL + 1], x[MODEL_BAR_NORMAL + 2] = -n, -e, -d
     x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], x[MODEL_CHARGE] = (
-        start[START_SPEED_UPPER],
-        start[START_SPEED_LOWER],
-        start[START_CHARGE],
+        start[START_SPEED_UPPER_INDEX],
+        start[START_SPEED_LOWER_INDEX],
+        start[START_CHARGE_INDEX],
     )
 
 
@@ -119,8 +123,8 @@ def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _
     if p.ground_effect > 0.0:
         v_n, v_e = x[MODEL_VELOCITY] - wind[0], x[MODEL_VELOCITY + 1] - wind[1]
         across, height = v_n * v_n + v_e * v_e, -x[MODEL_POSITION + 2]
-        thrust_up += ground_effect_thrust(free_up, height - a22 * p.z_up, across, p)
-        thrust_dw += ground_effect_thrust(free_dw, height - a22 * p.z_dw, across, p)
+        thrust_up += ground_effect_thrust_increment(free_up, height - a22 * p.z_up, across, p)
+        thrust_dw += ground_effect_thrust_increment(free_dw, height - a22 * p.z_dw, across, p)
     out[OUT_THRUST_UPPER], out[OUT_THRUST_LOWER] = thrust_up, thrust_dw
 
     motor_up, motor_dw = min(max(u[U_MOTOR_UPPER], 0.0), 1.0), min(max(u[U_MOTOR_LOWER], 0.0), 1.0)

@@ -35,7 +35,7 @@ from mufly.fmi.fmu_export import platform_tuple
 from mufly.fmi.unit_sensors import SENSOR_RATE_HZ
 from mufly.quantities.sensor_table import SENSORS
 from mufly.results import result
-from mufly.sensors import Readings, Truth, fitted_sensors, randomise_leg_lengths
+from mufly.sensors import Readings, Truth, make_fitted_sensors, randomise_leg_lengths
 from mufly.vehicle import Vehicle
 from mufly.world import World
 
@@ -267,7 +267,7 @@ def compare_sensed_unit(
         own, World(), DrydenWind(step_s=1.0 / SENSOR_RATE_HZ), SENSOR_RATE_HZ, standing_state(own, (0.0, 0.0), 0.0)
     )
     sensors, estimator = (
-        fitted_sensors(vehicle, World(), seed=seed),
+        make_fitted_sensors(vehicle, World(), seed=seed),
         KalmanEstimator(vehicle, World(), SENSOR_RATE_HZ, code="c"),
     )
     sensors.reset()

@@ -79,7 +79,7 @@ def list_unit_parameters(vehicle: Vehicle) -> tuple[list[UnitParameter], list[st
     nominal = model_parameters(occupied)
     found = {key: _find_effects(occupied, key, start[key], nominal) for key in values if key not in fixed}
     fixed += [key for key, effects in found.items() if effects is None]
-    shared = _find_ratio_effects({key: effects for key, effects in found.items() if effects}, values)
+    shared = _convert_to_ratio_effects({key: effects for key, effects in found.items() if effects}, values)
     fixed += [key for key, effects in shared.items() if effects is None]
     offered = []
     for p in listed:
@@ -116,7 +116,7 @@ def _find_effects(vehicle: Vehicle, key: str, value: float, nominal: np.void) ->
     return effects
 
 
-def _find_ratio_effects(
+def _convert_to_ratio_effects(
     found: dict[str, list[ParameterEffect]], values: dict[str, float]
 ) -> dict[str, list[ParameterEffect] | None]:
     """Return ``found``, changed so that the effects of several parameters on one field can be combined.

@@ -3,7 +3,8 @@
 The sensors' C functions are translations of :mod:`mufly.sensors`; their random numbers are written in C
 (``random_numbers.h``), and the filter's C sources are those that fly on board. Constants and memory of all sensors are
 one block of 64-bit words. The words that depend on the seed are listed for each seed, as
-:func:`mufly.sensors.fitted_sensors` draws them, and so are the legs of :func:`mufly.sensors.randomise_leg_lengths`.
+:func:`mufly.sensors.make_fitted_sensors` draws them, and so are the legs of
+:func:`mufly.sensors.randomise_leg_lengths`.
 """
 
 from __future__ import annotations
@@ -48,21 +49,21 @@ from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLI
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import median_filter_ring_scan
 from mufly.firmware.export.estimate_tables import filter_buffer_sizes
-from mufly.flight.simulated_plant import true_attitude
+from mufly.flight.simulated_plant import write_true_attitude
 from mufly.fmi.c_translation import CTranslation
 from mufly.fmi.c_types import C_DOUBLE, TableTupleType, TableType
 from mufly.quantities.quantity_table import DIMENSION_LABELS
 from mufly.quantities.sensor_table import READINGS, SENSORS
-from mufly.sensors import FittedSensors, Imu, PeriodicSensor, fitted_sensors, randomise_leg_lengths
+from mufly.sensors import FittedSensors, Imu, PeriodicSensor, make_fitted_sensors, randomise_leg_lengths
 from mufly.sensors.column_medians import write_column_medians
 from mufly.sensors.faults import FaultySensor
 from mufly.sensors.imu import make_first_imu_reading, sample_imu
 from mufly.sensors.periodic import (
-    CLOCK_NEXT_SAMPLE,
+    CLOCK_NEXT_SAMPLE_INDEX,
     PENDING_COUNT_INDEX,
-    ROW_FIRST_VALUE,
-    ROW_IS_VALID,
-    ROW_MEASURED_TIME,
+    ROW_FIRST_VALUE_INDEX,
+    ROW_IS_VALID_INDEX,
+    ROW_MEASURED_TIME_INDEX,
     advance_if_due,
     publish_if_due,
 )
@@ -113,12 +114,12 @@ class UnitSensors:
             raise InputError(
                 vehicle.name, "sensors.imu", "there is no such table", "add one, or export without sensors"
             )
-        self._sensors = self._draw_sensors(0)
+        self._sensors = self._make_seeded_sensors(0)
         self._arrays = dict(_sensor_arrays(self._sensors))
         self._settings = filter_settings(vehicle, self.world, SENSOR_RATE_HZ)
 
-    def _draw_sensors(self, seed: int) -> FittedSensors:
-        made = fitted_sensors(self.vehicle, self.world, seed=seed)
+    def _make_seeded_sensors(self, seed: int) -> FittedSensors:
+        made = make_fitted_sensors(self.vehicle, self.world, seed=seed)
         made.reset()  # as at the start of a flight
         return made
 
@@ -129,7 +130,7 @@ class UnitSensors:
 
         The values have the shape (seeds, m).
         """
-        rows = np.array([_pack_words(_sensor_arrays(self._draw_sensors(k))) for k in range(self.seed_count)])
+        rows = np.array([_pack_words(_sensor_arrays(self._make_seeded_sensors(k))) for k in range(self.seed_count)])
         changing = np.flatnonzero((rows != rows[0]).any(axis=0))
         return rows[0], changing, rows[:, changing]
 
@@ -169,10 +170,10 @@ class UnitSensors:
             else:
                 assert isinstance(sensor, PeriodicSensor)
                 parts = dict(sensor.published_readings)
-                places = dict.fromkeys(parts, ("rows[0]", ROW_FIRST_VALUE))
+                places = dict.fromkeys(parts, ("rows[0]", ROW_FIRST_VALUE_INDEX))
                 times = (
-                    ("time", "s", ROW_MEASURED_TIME, "time of the last reading"),
-                    ("valid", "", ROW_IS_VALID, "1 if the sensor marks the last reading valid, 0 if not"),
+                    ("time", "s", ROW_MEASURED_TIME_INDEX, "time of the last reading"),
+                    ("valid", "", ROW_IS_VALID_INDEX, "1 if the sensor marks the last reading valid, 0 if not"),
                 )
                 for word, unit, column, meaning in times:
                     value = f"sensors->{name}.rows[0][{column}]"
@@ -194,7 +195,7 @@ class UnitSensors:
     def add_functions(self, translation: CTranslation) -> str:
         """Translate the functions of the sensors; return the C text that samples all of them."""
         structs, steps, calls = [], [], []
-        translation.add_function(true_attitude, [_STATE_TABLE, _VECTOR_3_TABLE])
+        translation.add_function(write_true_attitude, [_STATE_TABLE, _VECTOR_3_TABLE])
         translation.add_function(compute_battery_supply, [_STATE_TABLE, C_DOUBLE, C_DOUBLE, translation.record])
         for name, sensor in _named_sensors(self._sensors):
             arrays = self._arrays[name]
@@ -229,14 +230,14 @@ class UnitSensors:
 
     def _render_reading_hand_over(self, translation: CTranslation, name: str, sensor: PeriodicSensor) -> Iterator[str]:
         row = f"sensors->{name}.rows[0]"
-        measured, valid = f"{row}[{ROW_MEASURED_TIME}]", f"{row}[{ROW_IS_VALID}]"
+        measured, valid = f"{row}[{ROW_MEASURED_TIME_INDEX}]", f"{row}[{ROW_IS_VALID_INDEX}]"
         for reading, part in sensor.published_readings.items():
             index = READINGS[reading].filter_index
             if index is None or not self._settings["is_fitted"][index]:
                 continue
-            at = ROW_FIRST_VALUE + (part if isinstance(part, int) else part.start)
+            at = ROW_FIRST_VALUE_INDEX + (part if isinstance(part, int) else part.start)
             if reading == "ranges":
-                count = sensor.pending_rows.shape[1] - ROW_FIRST_VALUE
+                count = sensor.pending_rows.shape[1] - ROW_FIRST_VALUE_INDEX
                 scan, ranges = TableType(C_DOUBLE, (count,)), TableType(C_DOUBLE, (3, count))
                 made = translation.add_function(median_filter_ring_scan, [scan, C_DOUBLE, ranges, scan])
                 longest = float(self.vehicle.range_ring.max_range).hex()
@@ -252,7 +253,7 @@ class UnitSensors:
                 yield f"            filter->values[{READING_STARTS[index] + k}] = {row}[{at + k}]{offset};"
             yield "        }"
 
-    def render_sizes(self) -> str:
+    def render_filter_sizes(self) -> str:
         """Return the text of ``filter_sizes.h``."""
         kept, waiting = filter_buffer_sizes(self._settings)
         words = math.ceil(memory_type(kept=kept, waiting=waiting).itemsize / 8)
@@ -410,7 +411,7 @@ static bool sample_{name}_sensor(
     double t, const double *x, const double *attitude, const double *supply, {name}_sensor *s)
 {{
     double wait = -1.0; /* no measurement */
-    if (t < s->clock[{CLOCK_NEXT_SAMPLE}]) {{
+    if (t < s->clock[{CLOCK_NEXT_SAMPLE_INDEX}]) {{
         return false;
     }}
     if ({due.name}(t, s->clock)) {{

@@ -36,7 +36,7 @@ UNIT_SOURCE = "cosimulation_unit.c"
 FILTER_SOURCES = ("filter_unit.c", "estimate_tables.c", *(f"{name}.c" for name in TRANSLATED_FILTER))
 """Further files that are compiled for a unit with sensors."""
 _SENSOR_SOURCES = ("filter_unit.c", "filter_unit.h", "random_numbers.h", "column_medians.h")
-_RECORD_NAME = "model_parameters"
+_PARAMETER_RECORD_NAME = "model_parameters"
 
 
 @cache
@@ -49,7 +49,7 @@ def render_flight_model(sensors: UnitSensors | None = None) -> str:
         If the equations have a form without a translation.
     """
     state, inputs, wind = (TableType(C_DOUBLE, (n,)) for n in (STATE_SIZE, INPUT_SIZE, 3))
-    translation = CTranslation(PARAMETER_DTYPE, _RECORD_NAME, FUNCTIONS_WRITTEN_IN_C)
+    translation = CTranslation(PARAMETER_DTYPE, _PARAMETER_RECORD_NAME, FUNCTIONS_WRITTEN_IN_C)
     p = translation.record
     translation.add_function(integrate_state, [state, inputs, wind, p, C_DOUBLE, C_INT64])
     translation.add_function(write_start_state, [TableType(C_DOUBLE, (START_COUNT,)), state])
@@ -65,7 +65,7 @@ def _record_lines() -> Iterator[str]:
         size = "".join(f"[{n}]" for n in field.shape)
         unit = f" ({field.unit})" if field.unit else ""
         yield f"    {'int64_t' if field.is_int else 'double'} {name}{size}; /* {field.meaning}{unit} */"
-    yield f"}} {_RECORD_NAME};"
+    yield f"}} {_PARAMETER_RECORD_NAME};"
 
 
 def render_sensor_sources(sensors: UnitSensors) -> dict[str, str]:
@@ -74,7 +74,7 @@ def render_sensor_sources(sensors: UnitSensors) -> dict[str, str]:
     files = {name: (SOURCE_FOLDER / name).read_text(encoding="utf-8") for name in _SENSOR_SOURCES}
     return {
         **files,
-        "filter_sizes.h": sensors.render_sizes(),
+        "filter_sizes.h": sensors.render_filter_sizes(),
         **collect_filter_sources(generated[RECORDS_HEADER_PATH]),
         **generated,
     }
@@ -100,7 +100,7 @@ def render_vehicle_data(
     rows = []
     for key, effect in effects:
         count = math.prod(np.atleast_1d(np.zeros(PARAMETER_DTYPE[effect.field].shape)).shape)
-        place = f"offsetof({_RECORD_NAME}, {effect.field}), {count}"
+        place = f"offsetof({_PARAMETER_RECORD_NAME}, {effect.field}), {count}"
         rows.append(f"{{{index[key]}, EFFECT_{effect.kind}, {place}, {format_real(effect.factor)}}}, /* {key} */")
     body = [
         "enum {",
@@ -121,7 +121,9 @@ def render_vehicle_data(
         *_array_lines("const double LOWEST_VALUES[SETTABLE_COUNT]", (f"{format_real(v.lowest)}," for v in settable)),
         *_array_lines("const double HIGHEST_VALUES[SETTABLE_COUNT]", (f"{format_real(v.highest)}," for v in settable)),
         *_array_lines("const parameter_effect PARAMETER_EFFECTS[]", rows),
-        *_array_lines(f"const {_RECORD_NAME} NOMINAL_PARAMETERS", _parameter_lines(model_parameters(vehicle))),
+        *_array_lines(
+            f"const {_PARAMETER_RECORD_NAME} NOMINAL_PARAMETERS", _parameter_lines(model_parameters(vehicle))
+        ),
     ]
     if sensors is not None:
         seeded = ", ".join(str(index[f"start.{name}"] - inputs) for name in SEEDED_STARTS)

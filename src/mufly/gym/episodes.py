@@ -33,7 +33,7 @@ from mufly.dynamics.model_state import (
     MODEL_POSITION,
     MODEL_RATES,
     MODEL_VELOCITY,
-    POSITION,
+    POSITION_SLICE,
     STATE_SIZE,
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
@@ -43,7 +43,7 @@ from mufly.flight.policy.observation import (
     MAX_RANGE_M,
     OBS_TASK_INPUTS,
     OBSERVED_RANGE_COUNT,
-    fill_observation,
+    fill_common_observation,
     heading_direction,
     map_action,
 )
@@ -53,24 +53,35 @@ from mufly.gym.tasks import (
     PILLAR_ROW_SIZE,
     TASK_OBSTACLE,
     TASK_WAYPOINT,
-    draw_waypoint,
+    draw_random_waypoint,
     judge_step,
     place_task,
     shift_task,
 )
 from mufly.sensors.rng import draw_normals, draw_uniforms
-from mufly.world.obstacles import first_hit_distance, packed_obstacle_distances
+from mufly.world.obstacles import compute_first_hit_distance, compute_packed_obstacle_distances
 
 _Array = NDArray[np.float64]
 _Ints = NDArray[np.int64]
 
 _UNIFORMS_PER_EPISODE = 40  # drawn at the start of an episode
-_START_TILT_RAD, _START_SPEED_M_S, _START_RATE_rad_s = 0.15, 0.3, 0.3
-ESTIMATE_ERROR_POSITION, ESTIMATE_ERROR_HEADING, ESTIMATE_ERROR_TILT, ESTIMATE_ERROR_COUNT = 0, 3, 4, 6
+_MAX_START_TILT_RAD, _MAX_START_SPEED_M_S, _MAX_START_RATE_RAD_S = 0.15, 0.3, 0.3
+ESTIMATE_ERROR_POSITION_INDEX, ESTIMATE_ERROR_HEADING_INDEX, ESTIMATE_ERROR_TILT_INDEX, ESTIMATE_ERROR_COUNT = (
+    0,
+    3,
+    4,
+    6,
+)
 """Indices of the correlated errors of an estimate."""
-WHITE_NOISE_POSITION, WHITE_NOISE_VELOCITY, WHITE_NOISE_HEADING, WHITE_NOISE_RATES = 0, 1, 2, 3
+WHITE_NOISE_POSITION_INDEX, WHITE_NOISE_VELOCITY_INDEX, WHITE_NOISE_HEADING_INDEX, WHITE_NOISE_RATES_INDEX = 0, 1, 2, 3
 """Indices of the standard deviations of an estimate's white errors."""
-DRAWN_POSITION_NOISE, DRAWN_VELOCITY_NOISE, DRAWN_RATE_NOISE, DRAWN_HEADING_NOISE, DRAWN_ERROR_DRIFT = 0, 3, 6, 9, 10
+(
+    DRAWN_POSITION_NOISE_INDEX,
+    DRAWN_VELOCITY_NOISE_INDEX,
+    DRAWN_RATE_NOISE_INDEX,
+    DRAWN_HEADING_NOISE_INDEX,
+    DRAWN_ERROR_DRIFT_INDEX,
+) = 0, 3, 6, 9, 10
 """First indices, in the normal numbers of a step, of those for white and for correlated errors."""
 
 
@@ -231,21 +242,21 @@ def start_episodes(
         # Start heading, and target heading within a quarter turn of it; no heading to hold on the way to a target.
         yaw = math.pi * (2.0 * r[4] - 1.0)
         if s.starts_in_hover:
-            shift_task(s.kind, start, x[POSITION], e.target[k])
+            shift_task(s.kind, start, x[POSITION_SLICE], e.target[k])
             c, sn = heading_direction(
                 x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
             )
             yaw = portable_atan2(sn, c)
         else:
-            copy_numbers(start, x[POSITION])
+            copy_numbers(start, x[POSITION_SLICE])
         wanted = yaw + 0.5 * math.pi * (2.0 * r[5] - 1.0)
         e.heading[k, 1], e.heading[k, 0] = sine_cosine(wanted)
         if not s.starts_in_hover:
-            roll, pitch = _START_TILT_RAD * (2.0 * r[6] - 1.0), _START_TILT_RAD * (2.0 * r[7] - 1.0)
+            roll, pitch = _MAX_START_TILT_RAD * (2.0 * r[6] - 1.0), _MAX_START_TILT_RAD * (2.0 * r[7] - 1.0)
             _set_attitude(x, roll, pitch, yaw)
             for i in range(3):
-                x[MODEL_VELOCITY + i] = _START_SPEED_M_S * (2.0 * r[8 + i] - 1.0)
-                x[MODEL_RATES + i] = _START_RATE_rad_s * (2.0 * r[11 + i] - 1.0)
+                x[MODEL_VELOCITY + i] = _MAX_START_SPEED_M_S * (2.0 * r[8 + i] - 1.0)
+                x[MODEL_RATES + i] = _MAX_START_RATE_RAD_S * (2.0 * r[11 + i] - 1.0)
             x[MODEL_CHARGE] = MIN_START_CHARGE + (1.0 - MIN_START_CHARGE) * r[39]
         copy_numbers(inputs[e.vehicle[k]], e.inputs[k])
         copy_numbers(winds[e.wind_series_index[k], e.wind_sample[k]], e.wind[k])
@@ -288,7 +299,7 @@ def _speed(x: _Array) -> float:
 
 
 @cached_njit(error_model="numpy", nogil=True)
-def command_episodes(
+def apply_actions_and_wind(
     e: EpisodeArrays, s: EpisodeSettings, actions: NDArray[np.float32], which: NDArray[np.bool_], winds: _Array
 ) -> None:
     """Set the actions (n, 4) of the environments in ``which``, and advance their wind by one sample."""
@@ -307,7 +318,7 @@ def command_episodes(
         copy_numbers(winds[e.wind_series_index[k], e.wind_sample[k]], e.wind[k])
 
 
-def move_episodes(
+def integrate_episodes(
     e: EpisodeArrays, fleet: NDArray[np.void], group: _Ints, dt: float, steps: int, threads: int = 1
 ) -> None:
     """Integrate all vehicles over a period of ``steps`` steps of ``dt`` (s).
@@ -339,7 +350,9 @@ def judge_episodes(
         touches = x[MODEL_POSITION + 2] + p.contact_reach > 0.0 and find_deepest_contact(x, p)[0] > 0.0
         collides = False
         if s.kind == TASK_OBSTACLE:
-            near = packed_obstacle_distances(x[POSITION].reshape(1, 3), boxes, e.pillars[k], s.limits)[0][0]
+            near = compute_packed_obstacle_distances(x[POSITION_SLICE].reshape(1, 3), boxes, e.pillars[k], s.limits)[0][
+                0
+            ]
             collides = not near > s.rotor_radius_m
         w, i, j, z = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
         c, sn = heading_direction(w, i, j, z)
@@ -355,7 +368,7 @@ def judge_episodes(
             if s.kind == TASK_WAYPOINT:
                 copy_numbers(e.next_target[k], e.target[k])
                 draw_uniforms(e.source[k : k + 1], r)
-                draw_waypoint(r, e.next_target[k])
+                draw_random_waypoint(r, e.next_target[k])
                 now = _target_distance(x, e.target[k])
         e.distance[k] = now
         e.steps[k] += 1
@@ -377,7 +390,7 @@ def observe_episodes(
         np.empty(3),
         np.empty(3),
         np.empty(3),
-        np.empty(DRAWN_ERROR_DRIFT + ESTIMATE_ERROR_COUNT),
+        np.empty(DRAWN_ERROR_DRIFT_INDEX + ESTIMATE_ERROR_COUNT),
     )
     for k in range(which.size):
         if not which[k]:
@@ -397,24 +410,27 @@ def observe_episodes(
             drift = e.error[k]
             for i in range(3):
                 error[i] -= (
-                    s.sigma[ESTIMATE_ERROR_POSITION + i] * drift[ESTIMATE_ERROR_POSITION + i]
-                    + s.white[WHITE_NOISE_POSITION] * white[DRAWN_POSITION_NOISE + i]
+                    s.sigma[ESTIMATE_ERROR_POSITION_INDEX + i] * drift[ESTIMATE_ERROR_POSITION_INDEX + i]
+                    + s.white[WHITE_NOISE_POSITION_INDEX] * white[DRAWN_POSITION_NOISE_INDEX + i]
                 )
-                velocity[i] += s.white[WHITE_NOISE_VELOCITY] * white[DRAWN_VELOCITY_NOISE + i]
-                rates[i] += s.white[WHITE_NOISE_RATES] * white[DRAWN_RATE_NOISE + i]
-            noise = s.white[WHITE_NOISE_HEADING] * white[DRAWN_HEADING_NOISE]
-            turn_s, turn_c = sine_cosine(s.sigma[ESTIMATE_ERROR_HEADING] * drift[ESTIMATE_ERROR_HEADING] + noise)
+                velocity[i] += s.white[WHITE_NOISE_VELOCITY_INDEX] * white[DRAWN_VELOCITY_NOISE_INDEX + i]
+                rates[i] += s.white[WHITE_NOISE_RATES_INDEX] * white[DRAWN_RATE_NOISE_INDEX + i]
+            noise = s.white[WHITE_NOISE_HEADING_INDEX] * white[DRAWN_HEADING_NOISE_INDEX]
+            turn_s, turn_c = sine_cosine(
+                s.sigma[ESTIMATE_ERROR_HEADING_INDEX] * drift[ESTIMATE_ERROR_HEADING_INDEX] + noise
+            )
             c, sn = c * turn_c - sn * turn_s, sn * turn_c + c * turn_s
-            down_x -= s.sigma[ESTIMATE_ERROR_TILT + 1] * drift[ESTIMATE_ERROR_TILT + 1]
-            down_y += s.sigma[ESTIMATE_ERROR_TILT] * drift[ESTIMATE_ERROR_TILT]
+            down_x -= s.sigma[ESTIMATE_ERROR_TILT_INDEX + 1] * drift[ESTIMATE_ERROR_TILT_INDEX + 1]
+            down_y += s.sigma[ESTIMATE_ERROR_TILT_INDEX] * drift[ESTIMATE_ERROR_TILT_INDEX]
             for i in range(ESTIMATE_ERROR_COUNT):
                 drift[i] = (
-                    s.decay[i] * drift[i] + math.sqrt(1.0 - s.decay[i] * s.decay[i]) * white[DRAWN_ERROR_DRIFT + i]
+                    s.decay[i] * drift[i]
+                    + math.sqrt(1.0 - s.decay[i] * s.decay[i]) * white[DRAWN_ERROR_DRIFT_INDEX + i]
                 )
         voltage = volts[k]
         if voltage != voltage:
             voltage = compute_battery_supply(e.state[k], e.inputs[k, U_MOTOR_UPPER], e.inputs[k, U_MOTOR_LOWER], p)[0]
-        fill_observation(
+        fill_common_observation(
             row, error, velocity, (down_x, down_y, down_z), rates, (c, sn), (e.heading[k, 0], e.heading[k, 1]),
             voltage / s.nominal_V, e.action[k], -e.target[k, 2] + error[2],
         )  # fmt: skip
@@ -428,7 +444,7 @@ def observe_episodes(
         elif s.kind == TASK_OBSTACLE:
             for i in range(OBSERVED_RANGE_COUNT):
                 sa, ca = sine_cosine(i * 2.0 * math.pi / OBSERVED_RANGE_COUNT)
-                row[OBS_TASK_INPUTS + i] = first_hit_distance(
+                row[OBS_TASK_INPUTS + i] = compute_first_hit_distance(
                     e.state[k, :3], c * ca - sn * sa, sn * ca + c * sa, 0.0, MAX_RANGE_M, boxes, e.pillars[k], s.limits
                 )
         for i in range(row.size):

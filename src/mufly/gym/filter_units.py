@@ -1,7 +1,7 @@
 """Vehicles with their own sensors and filter (units), for ``sensors="fitted"`` of the environments.
 
 A unit is a vehicle with the sensors of its file and the filter of :mod:`mufly.estimate`, as in a flight. Before the
-first episode, :func:`prepare_starts` flies units with the flight software into hover and stores them at several
+first episode, :func:`prepare_hover_starts` flies units with the flight software into hover and stores them at several
 instants. An episode starts as a copy of a stored unit with new random numbers. The filter is therefore settled, and
 biases, mounting errors and the wander of the position fix are those of a flight.
 
@@ -55,7 +55,7 @@ from mufly.firmware.quick.compiled_loop import (
     sample_sensors,
 )
 from mufly.flight.mission_flight import await_estimate_and_start
-from mufly.flight.period_stages import CONTINUE_LOOP, LOOP_DONE, make_stepper
+from mufly.flight.period_stages import CONTINUE_LOOP, LOOP_DONE, make_stage_loop
 from mufly.flight.simulated_flight import Flight
 from mufly.gym.fleet import MIN_START_CHARGE, Fleet
 from mufly.gym.tasks import OBSTACLE_START_NORTH_M, OBSTACLE_TARGET_HEIGHT_M, TASK_OBSTACLE
@@ -78,8 +78,8 @@ _SETTLING_S, _FLIGHT_TIMEOUT_S = 3.0, 40.0
 _MAX_DRAW_ATTEMPTS = 20
 _NO_REASON_TEXTS = np.zeros(1, np.int64)  # nobody reads the reasons of a unit's sensor checks
 _ARRAY_ALIGNMENT_BYTES = 64  # bytes, of every array
-_VOLTAGE_START = READING_STARTS[READING_BATTERY]
-_UNIFORM_RANGE, _UNIFORM_SHIFT, _SEED_STRIDE = 2.0**53, np.uint64(11), np.uint64(0x9E3779B97F4A7C15)
+_VOLTAGE_READING_INDEX = READING_STARTS[READING_BATTERY]
+_UNIFORM_INTEGER_RANGE, _UNIFORM_BIT_SHIFT, _SEED_STRIDE = 2.0**53, np.uint64(11), np.uint64(0x9E3779B97F4A7C15)
 
 
 class UnitLoopArguments(NamedTuple):
@@ -98,7 +98,7 @@ class UnitLoopArguments(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class UnitStarts:
+class HoverStarts:
     """Units (vehicles with sensors and filter) stored in hover, as starts of episodes.
 
     Attributes
@@ -156,7 +156,7 @@ def _send_command(p: UnitLoopArguments) -> int:
 
 
 _step_unit = cached_njit(
-    make_stepper(
+    make_stage_loop(
         _begin_period, advance_plant, _do_nothing, sample_sensors, _step_filter, _send_command, _do_nothing, _do_nothing
     ),
     inline="always", error_model="numpy",
@@ -164,7 +164,7 @@ _step_unit = cached_njit(
 
 
 @cached_njit(error_model="numpy")
-def _read_unit(p: UnitLoopArguments, state: _Array, estimate: _Array) -> float:
+def _read_unit_states(p: UnitLoopArguments, state: _Array, estimate: _Array) -> float:
     """Write true and estimated state (21,) of a unit; return the measured voltage (V), NaN without a reading."""
     f = p.filter
     for i in range(state.size):
@@ -177,7 +177,7 @@ def _read_unit(p: UnitLoopArguments, state: _Array, estimate: _Array) -> float:
         estimate[MODEL_RATES + i] = f.rates[i]
     for i in range(4):
         estimate[MODEL_ATTITUDE + i] = f.state[NOMINAL_ATTITUDE + i]
-    volts = f.values[_VOLTAGE_START]
+    volts = f.values[_VOLTAGE_READING_INDEX]
     return volts if volts > 0.0 else math.nan
 
 
@@ -203,7 +203,7 @@ def _step_units(
             p.delay[0] = delay[k]
             _send_command(p)
             _step_unit(p)
-        volts[k] = _read_unit(p, state[k], estimate[k])
+        volts[k] = _read_unit_states(p, state[k], estimate[k])
 
 
 @cached_njit(error_model="numpy")
@@ -222,8 +222,8 @@ def _reseed_sensors(source: NDArray[np.uint64], sources: NDArray[np.uint64]) -> 
     r = np.empty(2)
     for k in range(sources.size):
         draw_uniforms(source, r)
-        sources[k] = (np.uint64(r[0] * _UNIFORM_RANGE) << _UNIFORM_SHIFT) ^ (
-            np.uint64(r[1] * _UNIFORM_RANGE) * _SEED_STRIDE
+        sources[k] = (np.uint64(r[0] * _UNIFORM_INTEGER_RANGE) << _UNIFORM_BIT_SHIFT) ^ (
+            np.uint64(r[1] * _UNIFORM_INTEGER_RANGE) * _SEED_STRIDE
         )
 
 
@@ -290,9 +290,9 @@ class UnitMemoryLayout:
         memory, values, is_new, age, times, scans, *rest = self.row_views(row)
         found = iter(rest)
 
-        def with_own_arrays(parts: Any) -> Any:
+        def replace_arrays(parts: Any) -> Any:
             if isinstance(parts, tuple):
-                inside = [with_own_arrays(part) for part in parts]
+                inside = [replace_arrays(part) for part in parts]
                 return type(parts)(*inside) if hasattr(parts, "_fields") else tuple(inside)
             if isinstance(parts, np.ndarray):
                 return next(found)
@@ -300,7 +300,7 @@ class UnitMemoryLayout:
 
         like = self._like
         clock, plant, software, ranges, sensors, command, delay = (
-            with_own_arrays(part)
+            replace_arrays(part)
             for part in (like.clock, like.plant, like.software, like.ranges, like.sensors, like.command, like.delay)
         )
         own = make_filter_arrays(self._filter, _NO_REASON_TEXTS, (memory, values, is_new, age, times, scans))
@@ -390,9 +390,9 @@ def _advance_flight(flight: Flight, time_s: float) -> None:
         flight.advance_until(until)
 
 
-def prepare_starts(
+def prepare_hover_starts(
     nominal: Vehicle, fleet: Fleet, kind: int, winds: _Array, period_s: float, count: int, seed: int
-) -> tuple[UnitStarts, UnitMemoryLayout]:
+) -> tuple[HoverStarts, UnitMemoryLayout]:
     """Fly the vehicles of a fleet into hover, and return their units, each stored at several instants.
 
     Controllers and filter are designed for the nominal vehicle. Each flight has a sensor error, a heading, a battery
@@ -468,15 +468,15 @@ def prepare_starts(
         parameters, np.array(states), np.array(acting), fleet.trim,
         fleet.nominal_voltage_V, vehicles, np.array(wind_indices, dtype=np.int64),
     )  # fmt: skip
-    return UnitStarts(np.array(rows), like, of_units, 1.0 / controller.rate_Hz, (kept,)), room
+    return HoverStarts(np.array(rows), like, of_units, 1.0 / controller.rate_Hz, (kept,)), room
 
 
-class FilterUnits:
+class FilteredVehicles:
     """Vehicles with sensors and filter (units), one for each environment of a vector.
 
     Parameters
     ----------
-    starts : UnitStarts
+    starts : HoverStarts
     room : UnitMemoryLayout
     count : int
         Number of environments.
@@ -493,7 +493,7 @@ class FilterUnits:
         Measured voltage (V).
     """
 
-    def __init__(self, starts: UnitStarts, room: UnitMemoryLayout, count: int, periods: int, threads: int) -> None:
+    def __init__(self, starts: HoverStarts, room: UnitMemoryLayout, count: int, periods: int, threads: int) -> None:
         self._starts, self._periods = starts, periods
         self._rows = np.zeros((count, room.size), np.uint8)
         self._rows[:] = starts.rows[0]
@@ -519,16 +519,16 @@ class FilterUnits:
                 own[:] = value
         self._step(e, 0)
 
-    def move_units(self, e: Any) -> None:
+    def advance_units(self, e: Any) -> None:
         """Advance all units by one step of the environments, and write ``e.state`` (n, 21)."""
         self._step(e, self._periods)
 
     def _step(self, e: Any, periods: int) -> None:
-        def step_part(part: slice) -> None:
+        def step_batch_part(part: slice) -> None:
             _step_units(
                 self._addresses[part], self._starts.like, e.previous_inputs[part], e.inputs[part], e.delay[part],
                 e.wind[part], periods, e.state[part], self.estimate[part], self.volts[part],
             )  # fmt: skip
 
         run: Callable[[Callable[[slice], None], Sequence[slice]], Any] = map if self._pool is None else self._pool.map
-        list(run(step_part, self._parts))
+        list(run(step_batch_part, self._parts))

@@ -39,7 +39,7 @@ MIN_START_CHARGE = 0.5
 MAX_TRIM_MOTOR_INPUT = 0.95
 """Greatest motor input of a drawn vehicle in hover at the least charge; others are drawn again."""
 
-_WIND_SERIES_S = 60.0
+_WIND_SERIES_DURATION_S = 60.0
 _MAX_DRAW_ATTEMPTS = 20  # for each vehicle of the fleet
 
 
@@ -73,7 +73,7 @@ class Fleet:
     wind_series_index: NDArray[np.int64]
 
 
-def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> Fleet:
+def draw_random_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> Fleet:
     """Return ``count`` vehicles drawn around a vehicle; without ``vary`` the vehicle alone.
 
     Parameters
@@ -143,13 +143,13 @@ def common_integration_step(fleet: Fleet, period_s: float) -> tuple[float, int]:
     return period_s / count, count
 
 
-def draw_winds(wind_m_s: float, gust_m_s: float, period_s: float, count: int, seed: int) -> _Array:
+def draw_random_winds(wind_m_s: float, gust_m_s: float, period_s: float, count: int, seed: int) -> _Array:
     """Return ``count`` series of the air's velocity (count, samples, 3; N-E-D, m/s), one sample a period.
 
     Each has a steady level wind of random direction, at most ``wind_m_s``, and gusts of a standard deviation of at most
     ``gust_m_s``. Without both there is one series of still air.
     """
-    samples = max(1, round(_WIND_SERIES_S / period_s))
+    samples = max(1, round(_WIND_SERIES_DURATION_S / period_s))
     if wind_m_s == 0.0 and gust_m_s == 0.0:
         return np.zeros((1, samples, 3))
     rng = np.random.default_rng([seed, 1])

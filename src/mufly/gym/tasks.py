@@ -77,8 +77,8 @@ def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Arra
     if kind == TASK_HOVER:
         start[2] = min(start[2], -HOVER_HEIGHTS_M[0])
     elif kind == TASK_WAYPOINT:
-        draw_waypoint(r[3:6], target)
-        draw_waypoint(r[6:9], after)
+        draw_random_waypoint(r[3:6], target)
+        draw_random_waypoint(r[6:9], after)
     elif kind == TASK_OBSTACLE:
         start[0], target[0] = OBSTACLE_START_NORTH_M + 0.4 * (r[0] - 0.5), 2.0
         target[1] = 2.0 * (r[3] - 0.5)
@@ -107,7 +107,7 @@ def shift_task(kind: int, start: _Array, place: _Array, target: _Array) -> None:
 
 
 @cached_njit(error_model="numpy")
-def draw_waypoint(r: _Array, point: _Array) -> None:
+def draw_random_waypoint(r: _Array, point: _Array) -> None:
     """Write a random waypoint (3,; N-E-D, m), computed from three uniform random numbers."""
     point[0], point[1], point[2] = 3.0 * (r[0] - 0.5), 3.0 * (r[1] - 0.5), -0.5 - 1.5 * r[2]
 

@@ -27,19 +27,19 @@ from mufly.errors import ArgumentError
 from mufly.flight.policy.observation import ACTION_SIZE, observation_limits
 from mufly.gym.episodes import (
     ESTIMATE_ERROR_COUNT,
-    ESTIMATE_ERROR_HEADING,
-    ESTIMATE_ERROR_POSITION,
-    ESTIMATE_ERROR_TILT,
+    ESTIMATE_ERROR_HEADING_INDEX,
+    ESTIMATE_ERROR_POSITION_INDEX,
+    ESTIMATE_ERROR_TILT_INDEX,
     EpisodeArrays,
     EpisodeSettings,
-    command_episodes,
+    apply_actions_and_wind,
+    integrate_episodes,
     judge_episodes,
     make_episodes,
-    move_episodes,
     observe_episodes,
     start_episodes,
 )
-from mufly.gym.fleet import common_integration_step, draw_fleet, draw_winds
+from mufly.gym.fleet import common_integration_step, draw_random_fleet, draw_random_winds
 from mufly.gym.pictures import draw_episode
 from mufly.gym.tasks import OBSTACLE_WORLD, TASK_DURATIONS_S, TASK_NAMES
 from mufly.sensors.rng import make_random_source
@@ -123,17 +123,20 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         }  # fmt: skip
         nominal = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         self.vehicle, self.task, self.period_s = nominal, task, period_s
-        self.fleet = draw_fleet(nominal, vary, fleet_size, fleet_seed)
-        self._winds = draw_winds(wind_m_s, gust_m_s, period_s, fleet_size, fleet_seed)
+        self.fleet = draw_random_fleet(nominal, vary, fleet_size, fleet_seed)
+        self._winds = draw_random_winds(wind_m_s, gust_m_s, period_s, fleet_size, fleet_seed)
         self.units = None
         if sensors == "fitted":
-            from mufly.gym.filter_units import FilterUnits, prepare_starts  # the filter takes a second to load
+            from mufly.gym.filter_units import (
+                FilteredVehicles,
+                prepare_hover_starts,
+            )  # the filter takes a second to load
 
-            starts, room = prepare_starts(
+            starts, room = prepare_hover_starts(
                 nominal, self.fleet, TASK_NAMES.index(task), self._winds, period_s, fleet_size, fleet_seed
             )
             self.fleet = starts.fleet
-            self.units = FilterUnits(starts, room, num_envs, round(period_s / starts.period_s), threads)
+            self.units = FilteredVehicles(starts, room, num_envs, round(period_s / starts.period_s), threads)
         self._group, self._threads = group_vehicles(self.fleet.parameters), threads
         self._step_s, self._step_count = common_integration_step(self.fleet, period_s)
         kind = TASK_NAMES.index(task)
@@ -228,11 +231,11 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise ArgumentError("step", "", "an episode has ended", "reset it with options={'reset_mask': ...}")
             which = ~self._ended
-        command_episodes(e, s, given, which, self._winds)
+        apply_actions_and_wind(e, s, given, which, self._winds)
         if self.units is None:
-            move_episodes(e, fleet.parameters, self._group, self._step_s, self._step_count, self._threads)
+            integrate_episodes(e, fleet.parameters, self._group, self._step_s, self._step_count, self._threads)
         else:
-            self.units.move_units(e)
+            self.units.advance_units(e)
         judge_episodes(e, s, which, fleet.parameters, rewards, terminated, truncated, success)
         if next_step and self._ended.any():
             self._start(self._ended)
@@ -340,10 +343,12 @@ def _error_process_parameters(vehicle: Vehicle, period_s: float) -> tuple[_Array
             "sensors", "", f"{vehicle.name} has no tables sensors.position_fix and sensors.imu", "use 'ideal' sensors"
         )
     decay, sigma = np.ones(ESTIMATE_ERROR_COUNT), np.zeros(ESTIMATE_ERROR_COUNT)
-    decay[ESTIMATE_ERROR_POSITION:ESTIMATE_ERROR_TILT] = math.exp(-period_s / float(fix.drift_correlation_time))
-    sigma[ESTIMATE_ERROR_POSITION:ESTIMATE_ERROR_HEADING] = float(fix.drift)
-    sigma[ESTIMATE_ERROR_HEADING] = float(fix.heading_drift)
-    sigma[ESTIMATE_ERROR_TILT:] = float(imu.standing_tilt_error)
+    decay[ESTIMATE_ERROR_POSITION_INDEX:ESTIMATE_ERROR_TILT_INDEX] = math.exp(
+        -period_s / float(fix.drift_correlation_time)
+    )
+    sigma[ESTIMATE_ERROR_POSITION_INDEX:ESTIMATE_ERROR_HEADING_INDEX] = float(fix.drift)
+    sigma[ESTIMATE_ERROR_HEADING_INDEX] = float(fix.heading_drift)
+    sigma[ESTIMATE_ERROR_TILT_INDEX:] = float(imu.standing_tilt_error)
     white = np.array([
         float(fix.noise), float(fix.noise) / float(fix.period), float(fix.heading_noise),
         float(imu.gyro_noise_density) / math.sqrt(2.0 * period_s),

@@ -4,7 +4,7 @@ from mufly.identify.fit_report import ReportSection, write_report
 from mufly.identify.fit_result import FitResult, ParameterEstimate, RecordPrediction, apply_estimates
 from mufly.identify.flight.excitation_plan import ExcitationPlan, FlightLimits, design_excitation
 from mufly.identify.flight.excitation_signals import ExcitationSignal, make_excitation
-from mufly.identify.flight.flight_fit import fit_flight_records, fit_parts_separately
+from mufly.identify.flight.flight_fit import fit_dynamics_parts_separately, fit_flight_records
 from mufly.identify.flight.free_parameters import FreeParameter, choose_free_parameters
 from mufly.identify.flight.identification_demo import IdentificationDemo, run_identification_demo
 from mufly.identify.flight.input_polarity import check_flight_records
@@ -18,7 +18,7 @@ from mufly.identify.residual_analysis import (
     PredictionQuality,
     assess_prediction,
     assess_record,
-    describe_residuals,
+    describe_model_deficiencies,
 )
 from mufly.identify.rotor_coefficients import RotorCoefficientFit, fit_rotor_coefficients
 
@@ -47,11 +47,11 @@ __all__ = [
     "check_flight_records",
     "check_record",
     "choose_free_parameters",
-    "describe_residuals",
+    "describe_model_deficiencies",
     "design_excitation",
+    "fit_dynamics_parts_separately",
     "fit_flight_records",
     "fit_motor",
-    "fit_parts_separately",
     "fit_rotor_coefficients",
     "identify_linear_model",
     "make_excitation",

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from mufly.identify.flight.identification_demo import IdentificationDemo
     from mufly.identify.linear.linear_identification import LinearResult
 
-BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
+BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY_BLUE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 _MAX_DRAWN_SAMPLES = 4000
 _MAX_DRAWN_LAG_S = 2.0  # s, largest lag of drawn correlations
 
@@ -69,7 +69,7 @@ def text_colour() -> str:
     return str(rcParams["text.color"])
 
 
-def label_decades(axes: Axes) -> None:
+def set_decade_ticks(axes: Axes) -> None:
     """Place the ticks of a logarithmic frequency axis at 1, 2 and 5 of every decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -106,7 +106,7 @@ def draw_prediction(record: RecordPrediction) -> Figure:
         axes.set_ylabel(_axis_label(record.output_names[j], record.units[j]))
         axes.set_title(f"{record.output_names[j]}: fit {q.fit_percent:.1f} %, rms error {q.rms:.3g} {record.units[j]}")
     if k:
-        for j, colour in zip(range(k), (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION) * k, strict=False):
+        for j, colour in zip(range(k), (BLUE, ORANGE, GREEN, PURPLE, SKY_BLUE, VERMILION) * k, strict=False):
             u = record.inputs[part, j]
             panels[-1].plot(t, u - np.nanmean(u), color=colour, label=record.input_names[j])
         panels[-1].set_ylabel("inputs less mean")
@@ -124,7 +124,7 @@ def draw_fit_result(found: FitResult | IdentificationDemo | LinearResult) -> Fig
     """
     fit = found if isinstance(found, FitResult) else found.fit
     shown = (*fit.records_with_role("held out"), *fit.records)
-    return draw_prediction(shown[0]) if shown else draw_correlation(fit)
+    return draw_prediction(shown[0]) if shown else draw_estimate_correlation(fit)
 
 
 def draw_residuals(record: RecordPrediction) -> Figure:
@@ -223,14 +223,14 @@ def draw_coherence(record: RecordPrediction) -> Figure | None:
             measured.frequency_hz, measured.coherence[:, j], color=text_colour(), label="measured, all inputs"
         )
         axes.semilogx(left.frequency_hz, left.coherence[:, j], color=VERMILION, label="residual, all inputs")
-        for i, colour in zip(range(len(record.input_names)), (BLUE, ORANGE, GREEN, PURPLE, SKY) * 9, strict=False):
+        for i, colour in zip(range(len(record.input_names)), (BLUE, ORANGE, GREEN, PURPLE, SKY_BLUE) * 9, strict=False):
             if np.std(record.inputs[:, i]) > 0.0:
                 axes.semilogx(
                     measured.frequency_hz, measured.partial[:, j, i], color=colour, linewidth=0.8, linestyle="--",
                     label=f"{record.input_names[i]} alone",
                 )  # fmt: skip
         axes.set(ylim=(0.0, 1.02), ylabel=f"{record.output_names[j]} (1)")
-        label_decades(axes)
+        set_decade_ticks(axes)
     panels[0].set_title(f"coherence; grey: about what {measured.averages:.1f} segments show by chance")
     figure.legend(*panels[0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
     panels[-1].set_xlabel("frequency (Hz)")
@@ -258,7 +258,7 @@ def draw_theil_coefficient(records: tuple[RecordPrediction, ...]) -> Figure:
     return figure
 
 
-def draw_correlation(fit: FitResult) -> Figure:
+def draw_estimate_correlation(fit: FitResult) -> Figure:
     """Draw the correlation of the estimates as a map."""
     n = len(fit.estimates)
     size = float(np.clip(2.2 + 0.38 * n, 3.6, 10.0))
@@ -307,8 +307,8 @@ def draw_iteration_history(fit: FitResult) -> Figure | None:
     return figure
 
 
-_LINE_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-_MAX_COLOURS = 6
+_LINE_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE)
+_MAX_VOLTAGE_GROUPS = 6
 
 
 def _group_by_voltage(voltage: Array) -> list[NDArray[np.bool_]]:
@@ -318,7 +318,7 @@ def _group_by_voltage(voltage: Array) -> list[NDArray[np.bool_]]:
     label = np.empty(voltage.size, dtype=np.int64)
     label[order] = np.cumsum(np.r_[0, steps])
     count = int(label.max()) + 1
-    if count > _MAX_COLOURS or (count == 1 and np.ptp(voltage) > 0.08 * np.max(np.abs(voltage))):
+    if count > _MAX_VOLTAGE_GROUPS or (count == 1 and np.ptp(voltage) > 0.08 * np.max(np.abs(voltage))):
         return [np.ones(voltage.size, dtype=bool)]
     return [label == k for k in range(count)]
 
@@ -446,7 +446,7 @@ def _draw_residual_band(ax: Axes) -> None:
     ax.axhline(0, color="0.4", linewidth=0.8)
 
 
-_PLAN_COLOURS = {"chirp": BLUE, "multisine": GREEN, "3211": VERMILION, "doublet": PURPLE}
+_EXCITATION_COLOURS = {"chirp": BLUE, "multisine": GREEN, "3211": VERMILION, "doublet": PURPLE}
 _INPUT_LABELS = ("motor upper", "motor lower", "servo 1", "servo 2")
 _SHOWN_OUTPUTS_BY_CHANNEL = {
     "yaw": ("yaw", "r", "height"), "heave": ("height", "yaw"), "roll": ("roll", "pitch", "p"),
@@ -467,10 +467,10 @@ def draw_excitation_plan(plan: ExcitationPlan, chosen: ExcitationCandidate | Non
     c = plan.best_candidate if chosen is None else chosen
     figure = blank_figure(10.5, 7.6)
     axes = figure.subplots(2, 2)
-    _draw_signal(axes[0, 0], c)
+    _draw_excitation_inputs(axes[0, 0], c)
     _draw_spectra(axes[0, 1], plan)
-    _draw_flight(axes[1, 0], plan, c)
-    _draw_accuracy(axes[1, 1], plan)
+    _draw_predicted_flight(axes[1, 0], plan, c)
+    _draw_expected_accuracy(axes[1, 1], plan)
     figure.suptitle(
         f"{plan.vehicle}, {plan.channel}: {c.signal.kind}, {c.signal.description}; amplitude {100 * c.amplitude:.1f} % "
         f"of the input's range ({c.binding_limit})",
@@ -479,7 +479,7 @@ def draw_excitation_plan(plan: ExcitationPlan, chosen: ExcitationCandidate | Non
     return figure
 
 
-def _draw_signal(ax: Axes, c: ExcitationCandidate) -> None:
+def _draw_excitation_inputs(ax: Axes, c: ExcitationCandidate) -> None:
     moved = np.flatnonzero(np.any(c.added_inputs != 0, axis=0))
     for line, k in zip(_LINE_COLOURS, moved, strict=False):
         label = f"added to {_INPUT_LABELS[k]}"
@@ -502,7 +502,7 @@ def _draw_spectra(ax: Axes, plan: ExcitationPlan) -> None:
         frequency, amplitude = compute_amplitude_spectrum(c.amplitude * c.signal.value, float(c.signal.time_s[1]))
         inside = (frequency > 0) & (frequency < 4 * plan.band_rad_s[1] / (2 * math.pi))
         ax.plot(
-            frequency[inside], amplitude[inside], color=_PLAN_COLOURS[c.signal.kind], linewidth=1.2,
+            frequency[inside], amplitude[inside], color=_EXCITATION_COLOURS[c.signal.kind], linewidth=1.2,
             label=c.signal.kind,
             marker="." if c.signal.kind == "multisine" else None, markersize=3,
         )  # fmt: skip
@@ -517,7 +517,7 @@ def _draw_spectra(ax: Axes, plan: ExcitationPlan) -> None:
     ax.grid(alpha=0.3, which="both")
 
 
-def _draw_flight(ax: Axes, plan: ExcitationPlan, c: ExcitationCandidate) -> None:
+def _draw_predicted_flight(ax: Axes, plan: ExcitationPlan, c: ExcitationCandidate) -> None:
     shown = [o for o in _SHOWN_OUTPUTS_BY_CHANNEL[plan.channel] if o in c.record.output_names]
     labels = []
     for line, name in zip(_LINE_COLOURS, shown, strict=False):
@@ -537,14 +537,14 @@ def _draw_flight(ax: Axes, plan: ExcitationPlan, c: ExcitationCandidate) -> None
     ax.grid(alpha=0.3)
 
 
-def _draw_accuracy(ax: Axes, plan: ExcitationPlan) -> None:
+def _draw_expected_accuracy(ax: Axes, plan: ExcitationPlan) -> None:
     symbols = [f.symbol for f in plan.free_parameters]
     at, width = np.arange(len(symbols)), 0.8 / len(plan.candidates)
     for k, c in enumerate(plan.candidates):
         value = np.minimum(100 * c.relative_std, _MAX_SHOWN_STD_PERCENT)
         ax.bar(
             at + (k - 0.5 * (len(plan.candidates) - 1)) * width, value, width=0.9 * width,
-            color=_PLAN_COLOURS[c.signal.kind], label=f"{c.signal.kind}, {100 * c.amplitude:.1f} %",
+            color=_EXCITATION_COLOURS[c.signal.kind], label=f"{c.signal.kind}, {100 * c.amplitude:.1f} %",
         )  # fmt: skip
     ax.axhline(50, color="0.3", linestyle=":", linewidth=1)
     ax.set_yscale("log")

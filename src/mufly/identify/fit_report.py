@@ -32,7 +32,7 @@ from mufly.identify.linear.frequency_response import (
 from mufly.identify.linear.linear_identification import LinearResult
 from mufly.identify.residual_analysis import (
     assess_record,
-    describe_residuals,
+    describe_model_deficiencies,
     ljung_box_test,
     residual_determinant,
 )
@@ -130,8 +130,8 @@ def write_report(
             pictures=fit_pictures,
             correlated=len(fit.estimates) > 1 and np.isfinite(fit.correlation).any(),
             enough=_MIN_RESIDUAL_SAMPLES,
-            what_is_missing=describe_residuals,
-            determinants=_determinant_ratio(fit),
+            what_is_missing=describe_model_deficiencies,
+            determinants=_format_determinant_ratio(fit),
         )
         path = folder / "report.html"
         path.write_text(page, encoding="utf-8")
@@ -171,7 +171,7 @@ _PAGE_BODY_TEMPLATE = """
 <h2>Parameters</h2>
 {{ table(*parameters, numbers=range(1, 6), warn=parameters[0] | length - 1) }}
 {% if correlated %}
-{{ figure(album("correlation", pictures.draw_correlation, fit), "Correlation of estimates") }}
+{{ figure(album("correlation", pictures.draw_estimate_correlation, fit), "Correlation of estimates") }}
 {% endif %}
 {% if fit.uncertain_from_held_parameters %}
 <h2>Uncertain because of held parameters</h2>
@@ -279,7 +279,7 @@ def _residual_rows(fit: FitResult) -> ReportTable:
     return heads, tuple(rows)
 
 
-def _determinant_ratio(fit: FitResult) -> str:
+def _format_determinant_ratio(fit: FitResult) -> str:
     """Return, as text, the determinant of the residual covariance in held-out records over that in fitted records.
 
     The text is empty if the records are not comparable.
@@ -312,7 +312,7 @@ def estimate_table(r: LinearResult) -> ReportTable:
     return heads, tuple(rows)
 
 
-def quality_table(r: LinearResult) -> ReportTable:
+def simulation_quality_table(r: LinearResult) -> ReportTable:
     """Return header and rows of the simulation quality of every output, as recorded and low-passed."""
     rows = []
     for role, checks in r.checks.items():
@@ -384,7 +384,7 @@ def draw_bode_comparison(r: LinearResult, s: FrequencyResponseFit) -> Figure:
             phase = np.degrees(np.angle(h))
             bottom.errorbar(f[good], phase[good], yerr=np.degrees(np.arcsin(spread[good])), **bar)
             bottom.set(ylim=(-200.0, 200.0), yticks=(-180, -90, 0, 90, 180))
-            fit_pictures.label_decades(bottom)
+            fit_pictures.set_decade_ticks(bottom)
             cost = s.cost_before[j, i]
             top.set_title(f"{data.inputs[i]} to {data.outputs[j]}" + (f", J = {cost:.0f}" if np.isfinite(cost) else ""))
             if i == 0:
@@ -448,7 +448,7 @@ def write_linear_report(
             "count independent residuals, from their autocorrelation. The held-out part was not used.",
         )
         sections.append(ReportSection("Structures tried", text, heads, rows))
-    heads, rows = quality_table(r)
+    heads, rows = simulation_quality_table(r)
     sections.append(
         ReportSection(
             "Simulation and noise floor",

@@ -385,7 +385,7 @@ def correlation_matrix(covariance: Array) -> Array:
     return np.where(np.eye(len(std), dtype=bool), 1.0, np.clip(whole, -1.0, 1.0))
 
 
-def divide_by_values(covariance: Array, values: Array) -> Array:
+def compute_relative_covariance(covariance: Array, values: Array) -> Array:
     """Return the relative covariance, ``cov_ij / (value_i value_j)``."""
     size = np.where(values == 0.0, 1e-12, values)
     return covariance / np.outer(size, size)

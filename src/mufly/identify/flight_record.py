@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from mufly.errors import ArgumentError, InputError
-from mufly.quantities.quantity_grammar import ColumnLine, read_column_lines
+from mufly.quantities.quantity_grammar import ColumnMapEntry, read_column_map
 from mufly.quantities.quantity_table import QUANTITIES, find_quantity, make_dataset
 from mufly.quantities.units import unit_conversion
 from mufly.results import result
@@ -232,7 +232,7 @@ def _clean_record(r: FlightRecord) -> FlightRecord:
     return replace(r, time_s=even, inputs=inputs, measured=measured, voltage=voltage)
 
 
-def estimate_difference_noise(r: FlightRecord) -> Array:
+def estimate_noise_from_differences(r: FlightRecord) -> Array:
     """Estimate the standard deviation of white noise on every output (m,) from third differences."""
     out = np.empty(len(r.output_names))
     for k, name in enumerate(r.output_names):
@@ -247,7 +247,7 @@ def signal_over_noise(records: Sequence[FlightRecord]) -> dict[str, float]:
     """Return the ratio of smoothed motion to noise for every output, the largest of all records."""
     most: dict[str, float] = {}
     for r in records:
-        for k, (name, noise) in enumerate(zip(r.output_names, estimate_difference_noise(r), strict=True)):
+        for k, (name, noise) in enumerate(zip(r.output_names, estimate_noise_from_differences(r), strict=True)):
             y = smooth_signal(fill_gaps(r.measured[:, k]), r.sample_s, 0.25)
             most[name] = max(most.get(name, 0.0), float(np.std(y) / noise))
     return most
@@ -474,7 +474,7 @@ def read_columns(
     ----------
     path : str or Path
     columns : sequence of str, or dict
-        Column map, ``"lat=inr0"``, ``"time=1(ms)"`` (:func:`mufly.quantities.quantity_grammar.read_column_lines`).
+        Column map, ``"lat=inr0"``, ``"time=1(ms)"`` (:func:`mufly.quantities.quantity_grammar.read_column_map`).
         Columns are numbered from 1 in a table without header, from 0 in an array of a MATLAB file (``inr0``).
     rate_hz : float, optional
         Sample rate of the table; by default the rate of the log.
@@ -490,9 +490,9 @@ def read_columns(
     suffix = path.suffix.lower()
     notes: list[str] = []
     if suffix == ".mat":
-        found = _name_columns(_read_matlab(path), {}, read_column_lines(columns))
+        found = _name_columns(_read_matlab(path), {}, read_column_map(columns))
     elif suffix in (".csv", ".txt", ".tsv"):
-        found = _read_csv(path, read_column_lines(columns))
+        found = _read_csv(path, read_column_map(columns))
     else:
         found = _read_log_columns(path, columns, notes)
     return _resample_evenly(path.name, found, rate_hz, notes)
@@ -518,7 +518,7 @@ def _read_matlab(path: Path) -> dict[str, Array]:
     return found
 
 
-def _read_csv(path: Path, lines: Sequence[ColumnLine]) -> dict[str, Array]:
+def _read_csv(path: Path, lines: Sequence[ColumnMapEntry]) -> dict[str, Array]:
     from mufly.logs import read_raw
     from mufly.logs.column_map import TimeEntry
 
@@ -530,7 +530,7 @@ def _read_csv(path: Path, lines: Sequence[ColumnLine]) -> dict[str, Array]:
 
 
 def _name_columns(
-    fields: Mapping[str, Array], units: Mapping[str, str], lines: Sequence[ColumnLine]
+    fields: Mapping[str, Array], units: Mapping[str, str], lines: Sequence[ColumnMapEntry]
 ) -> dict[str, Array]:
     """Return columns in SI units: mapped columns under their new names, all others under their own names."""
     mapped = {}

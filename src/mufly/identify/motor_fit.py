@@ -43,8 +43,8 @@ from mufly.errors import ArgumentError, InputError
 from mufly.identify.fit_result import (
     EstimateLookup,
     ParameterEstimate,
+    compute_relative_covariance,
     describe_undetermined_combinations,
-    divide_by_values,
     select_error_model,
 )
 from mufly.quantities.units import RPM
@@ -72,7 +72,7 @@ _UNIT_MISTAKES = (
 )  # fmt: skip
 _MIN_PLAUSIBLE_EFFICIENCY = 0.02  # efficiency below which units are doubtful
 _MAX_PLAUSIBLE_EFFICIENCY = 1.02  # efficiency above which units are wrong
-_MAX_TORQUE_CONSTANT_RATIO = 1.05  # kM / kE
+_MAX_TORQUE_TO_BACK_EMF_RATIO = 1.05  # kM / kE
 _CANDIDATE_ERROR_PERCENTS = (
     (1.0, 0.2),
     (1.0, 0.05),
@@ -274,19 +274,19 @@ def fit_motor(
         if not rubbing and _needs_constant_friction(same, effective, scales, free, gear):
             rubbing = True
         if not rubbing:
-            notes += [found.describe_pattern()] if found.pattern != "white" else []
+            notes += [found.describe_error_correlation()] if found.pattern != "white" else []
             notes += asked
             break
         free[_FRICTION_INDEX] = True
-    _check_physical(table, data, effective, found.covariance, free, found.t_quantile_95)
+    _require_positive_constants(table, data, effective, found.covariance, free, found.t_quantile_95)
     covariance = np.zeros((5, 5))
     covariance[np.ix_(free, free)] = found.covariance
-    estimates, cov, undetermined = _estimates_of_constants(
+    estimates, cov, undetermined = _make_constant_estimates(
         effective, covariance, gear, found.t_quantile_95, free, vehicle
     )
     notes += _check_energy_balance(effective, gear)
     return MotorFit(
-        estimates, cov, effective, data, same.adjust_readings(effective), same.equation_residuals(effective),
+        estimates, cov, effective, data, same.estimate_true_readings(effective), same.equation_residuals(effective),
         same.residual_std(effective, scales) * found.residual_std_ratio, scales, found, undetermined, tuple(notes),
     )  # fmt: skip
 
@@ -339,7 +339,7 @@ def extract_motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
     return _resolve_speed_unit(table, data, notes), notes
 
 
-def _check_physical(
+def _require_positive_constants(
     table: BenchTable, data: MotorData, effective: Array, covariance: Array, free: NDArray[np.bool_], quantile: float
 ) -> None:  # fmt: skip
     """Raise an error if a fitted motor constant is not positive.
@@ -504,7 +504,7 @@ class _MotorEquations:
             scales = np.maximum(np.sqrt(np.sum(e**2, axis=0) / (len(e) - np.array([2, mechanical]))), 1e-9)
         return x, scales
 
-    def adjust_readings(self, x: Array) -> MotorData:
+    def estimate_true_readings(self, x: Array) -> MotorData:
         """Return the most likely true readings, at which both equations hold exactly."""
         r, a, b, d, _ = x
         plain = self.whitening_matrices(x, np.ones(2))
@@ -515,7 +515,7 @@ class _MotorEquations:
 
     def whitened_sensitivities(self, x: Array, scales: Array) -> Array:
         """Return the whitened derivatives (2 n, 5) of both residuals by R, a, b, d and c, at the adjusted readings."""
-        _, i, w, _ = self.adjust_readings(x).channel_arrays()
+        _, i, w, _ = self.estimate_true_readings(x).channel_arrays()
         raw = np.zeros((i.size, 2, 5))
         raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, _DAMPING_INDEX], raw[:, 1, _FRICTION_INDEX] = (
             -i,
@@ -567,7 +567,7 @@ def _needs_constant_friction(
 
     It does if the friction restores the energy balance and halves the residual of the torque equation.
     """
-    if free[_FRICTION_INDEX] or not _torque_constant_ratio(effective, gear) > _MAX_TORQUE_CONSTANT_RATIO:
+    if free[_FRICTION_INDEX] or not _torque_to_back_emf_ratio(effective, gear) > _MAX_TORQUE_TO_BACK_EMF_RATIO:
         return False
     x, s = same.solve_constants(np.array([True, True, True, True, True]))
     if x[_DAMPING_INDEX] < 0.0:
@@ -575,11 +575,11 @@ def _needs_constant_friction(
     return bool(
         x[_FRICTION_INDEX] > 0.0
         and s[1] < 0.5 * scales[1]
-        and _torque_constant_ratio(x, gear) <= _MAX_TORQUE_CONSTANT_RATIO
+        and _torque_to_back_emf_ratio(x, gear) <= _MAX_TORQUE_TO_BACK_EMF_RATIO
     )
 
 
-def _torque_constant_ratio(x: Array, gear: GearKnowledge) -> float:
+def _torque_to_back_emf_ratio(x: Array, gear: GearKnowledge) -> float:
     """Return the ratio kM / kE."""
     return float(x[2] / (x[1] * (gear.efficiency or 1.0)))
 
@@ -615,15 +615,15 @@ def _find_unmodelled_terms(
 
 def _check_energy_balance(x: Array, gear: GearKnowledge) -> list[str]:
     """Describe constants that violate the energy balance, or have unusual losses."""
-    ratio = _torque_constant_ratio(x, gear)
-    if ratio > _MAX_TORQUE_CONSTANT_RATIO:
+    ratio = _torque_to_back_emf_ratio(x, gear)
+    if ratio > _MAX_TORQUE_TO_BACK_EMF_RATIO:
         return [f"kM/kE = {ratio:.2f}: more mechanical than electrical power; check units and the current's channel"]
     if ratio < 0.3:
         return [f"kM/kE = {ratio:.2f} is small: check the units of speed and torque (rpm for rad/s? mN m for N m?)"]
     return []
 
 
-def _estimates_of_constants(
+def _make_constant_estimates(
     x: Array,
     covariance: Array,
     gear: GearKnowledge,
@@ -677,7 +677,7 @@ def _estimates_of_constants(
         e = ParameterEstimate.from_std(*names, vehicle, float(value[k]), std, quantile=quantile, at_bound=bound)
         estimates.append(replace(e, std=math.nan) if bound else e)
     seen = [k for k in range(len(told)) if value[k] != 0]
-    of_seen = divide_by_values(cov, value)[np.ix_(seen, seen)]
+    of_seen = compute_relative_covariance(cov, value)[np.ix_(seen, seen)]
     return (
         tuple(estimates),
         cov,

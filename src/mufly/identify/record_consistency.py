@@ -243,7 +243,12 @@ def _check_lag(name: str, source: str, a: SignalAgreement, sample_s: float) -> l
 
 def find_signal_faults(r: FlightRecord) -> list[SignalFault]:
     """Return the signal faults of a record, fatal faults first; the checks need no vehicle model."""
-    found = [*_check_angles(r), *_check_velocities(r), *_check_height_unit(r), *_check_input_range(r)]
+    found = [
+        *_check_rates_against_attitude(r),
+        *_check_velocities_against_positions(r),
+        *_check_height_unit(r),
+        *_check_input_range(r),
+    ]
     return sorted(found, key=lambda f: not f.is_fatal)
 
 
@@ -294,7 +299,7 @@ def check_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _check_angles(r: FlightRecord) -> list[SignalFault]:
+def _check_rates_against_attitude(r: FlightRecord) -> list[SignalFault]:
     """Return the faults found by comparison of body rates with the derivative of the attitude."""
     angles_and_rates = [o for o in ("roll", "pitch", "yaw", "p", "q", "r") if o in r.output_names]
     known = {o: fill_gaps(r.measured[:, r.output_names.index(o)]) for o in angles_and_rates}
@@ -336,7 +341,7 @@ def _check_angles(r: FlightRecord) -> list[SignalFault]:
     return list(check_signals(names, read, made, dt, kind="angle a second", source=angles))
 
 
-def _check_velocities(r: FlightRecord) -> list[SignalFault]:
+def _check_velocities_against_positions(r: FlightRecord) -> list[SignalFault]:
     """Return the faults found by comparison of velocities with derivatives of positions.
 
     North and east are compared together, because they may be exchanged.

@@ -127,7 +127,7 @@ def _remove_mean(signal: Array) -> Array:
     return np.where(good, signal - mean, 0.0)
 
 
-def _lagged_products(a: Array, b: Array, lags: int) -> Array:
+def _sum_lagged_products(a: Array, b: Array, lags: int) -> Array:
     """Return the sums of a_i b_(i+k) for k = -lags..lags."""
     full = correlate(b, a, mode="full", method="fft")
     middle = a.size - 1
@@ -148,7 +148,7 @@ def compute_residual_autocorrelation(residual: Array, dt: float, *, max_lag_s: f
     """
     e = _remove_mean(np.asarray(residual, dtype=np.float64))
     lags = _lag_count(e.size, dt, max_lag_s)
-    r = _lagged_products(e, e, lags)[lags:]
+    r = _sum_lagged_products(e, e, lags)[lags:]
     power = r[0] if r[0] > 0.0 else 1.0
     bound = float(norm.ppf(0.975)) / np.sqrt(max(np.isfinite(residual).sum(), 1))
     return LagCorrelation(np.asarray(dt * np.arange(lags + 1), dtype=np.float64), r / power, float(bound))
@@ -185,12 +185,12 @@ def compute_input_cross_correlation(
         return LagCorrelation(times, np.zeros(times.size), 1.0)
     # Bartlett's sum ends at a quarter of the record, because the estimates of r at larger lags are noise.
     far = max(1, e.size // 4)
-    r_u = _lagged_products(u, u, far) / (u @ u)
-    r_e = _lagged_products(e, e, far) / (e @ e)
+    r_u = _sum_lagged_products(u, u, far) / (u @ u)
+    r_e = _sum_lagged_products(e, e, far) / (e @ e)
     taper = 1.0 - np.abs(np.arange(-far, far + 1)) / (far + 1.0)
     variance = max(float(np.sum(taper * r_u * r_e)), 1.0) / count
     bound = float(norm.ppf(0.5 + 0.5 * confidence)) * np.sqrt(variance)
-    return LagCorrelation(times, _lagged_products(u, e, lags) / scale, float(bound))
+    return LagCorrelation(times, _sum_lagged_products(u, e, lags) / scale, float(bound))
 
 
 def _lag_count(size: int, dt: float, max_lag_s: float) -> int:
@@ -305,7 +305,7 @@ _MIN_VIBRATION_HZ = 3.0
 _MIN_SPECTRAL_LINE_RATIO = 25.0  # least ratio of a line's density to the density around it
 
 
-def describe_residuals(record: RecordPrediction, *, max_lag_s: float = 2.0) -> tuple[str, ...]:
+def describe_model_deficiencies(record: RecordPrediction, *, max_lag_s: float = 2.0) -> tuple[str, ...]:
     """Describe the model deficiencies visible in the residuals of a record.
 
     Parameters
@@ -328,9 +328,9 @@ def describe_residuals(record: RecordPrediction, *, max_lag_s: float = 2.0) -> t
             continue
         for j, name in enumerate(record.input_names):
             found += _describe_input_correlation(name, record.inputs[:, j], output, e, dt, max_lag_s)
-        found += _describe_colour(output, e, dt, max_lag_s)
+        found += _describe_slow_residual(output, e, dt, max_lag_s)
         found += _describe_spectral_lines(output, e, dt)
-    found += _describe_error_size(record)
+    found += _describe_bias_gain_and_misfit(record)
     return tuple(dict.fromkeys(text for _, text in sorted(found, key=lambda f: -f[0])))
 
 
@@ -383,7 +383,7 @@ def _correlation_time(signal: Array, dt: float) -> float:
     return dt * float(below[0] if below.size else r.size)
 
 
-def _describe_colour(output: str, e: Array, dt: float, max_lag_s: float) -> list[tuple[float, str]]:
+def _describe_slow_residual(output: str, e: Array, dt: float, max_lag_s: float) -> list[tuple[float, str]]:
     # A spectral line masks slow autocorrelation, so block means are tested.
     width = max(1, round(0.25 / dt))
     good = np.where(np.isfinite(e), e - np.nanmean(e), 0.0)
@@ -448,7 +448,7 @@ def find_spectral_lines(signal: Array, dt: float) -> list[tuple[float, float]]:
     return sorted(lines, key=lambda line: -line[1])
 
 
-def _describe_error_size(record: RecordPrediction) -> list[tuple[float, str]]:
+def _describe_bias_gain_and_misfit(record: RecordPrediction) -> list[tuple[float, str]]:
     found = []
     for name, unit, q in zip(record.output_names, record.units, assess_record(record), strict=True):
         if not np.isfinite(q.theil):

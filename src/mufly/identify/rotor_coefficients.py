@@ -36,8 +36,8 @@ from mufly.errors import ArgumentError, InputError
 from mufly.identify.fit_result import (
     EstimateLookup,
     ParameterEstimate,
+    compute_relative_covariance,
     describe_undetermined_combinations,
-    divide_by_values,
     select_error_model,
 )
 from mufly.quantities.units import RPM
@@ -47,7 +47,7 @@ from mufly.vehicle import Vehicle
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-SYMBOL_SUFFIXES = {"upper": "_up", "lower": "_dw", "": ""}
+SYMBOL_SUFFIX_BY_SIDE = {"upper": "_up", "lower": "_dw", "": ""}
 COEFFICIENT_DEFINITIONS = {
     "thrust": ("cT", "thrust_coefficient", 4),
     "torque": ("cQ", "torque_coefficient", 5),
@@ -306,7 +306,7 @@ class RotorCoefficientFit(EstimateLookup):
         return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_variance_fraction, strict=True)}
 
 
-def estimates_of_coefficients(fit: LoadCoefficientFit, vehicle: Vehicle | None) -> list[ParameterEstimate]:
+def make_coefficient_estimates(fit: LoadCoefficientFit, vehicle: Vehicle | None) -> list[ParameterEstimate]:
     """Return the fitted coefficients as parameter estimates, whose start values are those in the vehicle's file."""
     out = []
     for k, symbol in enumerate(fit.symbols):
@@ -322,7 +322,7 @@ def assign_rotor_side(fit: RotorCoefficientFit, side: str, vehicle: Vehicle | No
     """Assign the fit of a single rotor to a vehicle's ``"upper"`` or ``"lower"`` rotor; a pair is unchanged."""
     if fit.coaxial:
         return fit
-    end = SYMBOL_SUFFIXES[side]
+    end = SYMBOL_SUFFIX_BY_SIDE[side]
     fits = tuple(
         replace(
             f,
@@ -331,7 +331,7 @@ def assign_rotor_side(fit: RotorCoefficientFit, side: str, vehicle: Vehicle | No
         )
         for f in fit.fits
     )
-    return replace(fit, fits=fits, estimates=tuple(e for f in fits for e in estimates_of_coefficients(f, vehicle)))
+    return replace(fit, fits=fits, estimates=tuple(e for f in fits for e in make_coefficient_estimates(f, vehicle)))
 
 
 def describe_interference(fits: Sequence[RotorCoefficientFit]) -> list[str]:
@@ -410,13 +410,14 @@ def fit_rotor_coefficients(
             )  # fmt: skip
             if fit is not None:
                 fits.append(fit)
-        estimates = tuple(e for fit in fits for e in estimates_of_coefficients(fit, vehicle))
+        estimates = tuple(e for fit in fits for e in make_coefficient_estimates(fit, vehicle))
         impossible = _describe_unphysical(estimates)
         estimates = tuple(e if e.value > 0.0 else replace(e, key="") for e in estimates)
         results.append(
             RotorCoefficientFit(
                 table.source, coaxial, float(pitch[chosen][0]), radius_m, density[chosen], estimates, tuple(fits),
-                loads, (*impossible, *(u for fit in fits for u in _describe_undetermined(fit))), (*notes, *more),
+                loads, (*impossible, *(u for fit in fits for u in _describe_undetermined_coefficients(fit))), (*notes,
+                *more),
             )
         )  # fmt: skip
     return tuple(results)
@@ -469,7 +470,7 @@ def _describe_unphysical(estimates: Sequence[ParameterEstimate]) -> list[str]:
         if not e.value > 0.0
     ]
     known = {e.symbol: e.value for e in estimates if e.value > 0.0}
-    for end in SYMBOL_SUFFIXES.values():
+    for end in SYMBOL_SUFFIX_BY_SIDE.values():
         thrust, torque = known.get(f"cT{end}", math.nan), known.get(f"cQ{end}", math.nan)
         merit = thrust**1.5 / (math.sqrt(2.0) * torque)
         if merit > 1.0:
@@ -513,7 +514,7 @@ def _fit_channel(
     run = table["run"].astype(np.int64)[measured] if "run" in table else None
     expected, words = _expected_errors(unit, load)
     notes.append(f"{channel}: scatter taken in proportion to {words}")
-    symbols = tuple(symbol + SYMBOL_SUFFIXES[s] for s in sides)
+    symbols = tuple(symbol + SYMBOL_SUFFIX_BY_SIDE[s] for s in sides)
     a, b = unit / expected[:, None], load / expected
     size = np.linalg.norm(a, axis=0)
     if one:
@@ -546,7 +547,7 @@ def _fit_channel(
             scatter = np.array([[float(trend.coefficient_std_at(trend.reference_rad_s)) ** 2 + away]])
             found = replace(trend.covariance_estimate, residual_std_ratio=found.residual_std_ratio)
     if found.pattern != "white":
-        notes.append(f"{channel}: {found.describe_pattern()}")
+        notes.append(f"{channel}: {found.describe_error_correlation()}")
     gain = np.linalg.lstsq(a, loads.systematic_parameter_jacobian[channel][measured] / expected[:, None], rcond=None)[0]
     shared = gain @ loads.systematic_parameter_covariance @ gain.T
     shared = shared + np.outer(value, value) * (common[0] ** 2 + (power * common[1]) ** 2)
@@ -580,7 +581,7 @@ def _assign_setting_numbers(speed: Array, run: NDArray[np.int64] | None) -> NDAr
     return np.unique(whole, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
-def _describe_undetermined(fit: LoadCoefficientFit) -> tuple[str, ...]:
+def _describe_undetermined_coefficients(fit: LoadCoefficientFit) -> tuple[str, ...]:
     if np.isnan(fit.covariance).any():  # one line
         return ()
     if not np.all(np.isfinite(fit.covariance)):
@@ -588,4 +589,4 @@ def _describe_undetermined(fit: LoadCoefficientFit) -> tuple[str, ...]:
             f"{' and '.join(fit.symbols)}: both rotors turn at one ratio of speeds, so only a weighted sum "
             "is determined",
         )
-    return describe_undetermined_combinations(fit.symbols, divide_by_values(fit.covariance, fit.value))
+    return describe_undetermined_combinations(fit.symbols, compute_relative_covariance(fit.covariance, fit.value))

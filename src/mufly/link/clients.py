@@ -26,7 +26,7 @@ CLIENT_TIMEOUT_S = 15.0
 """Silence (s) after which a calling peer is no longer served."""
 _REFUSAL_PERIOD_S = 2.0
 
-_STREAMS_BY_MESSAGE_ID = {
+_STREAM_INDICES_BY_MESSAGE_ID = {
     n: [k for k, s in enumerate(MESSAGE_STREAMS) if s.message_id == n] for n in {s.message_id for s in MESSAGE_STREAMS}
 }
 
@@ -46,16 +46,16 @@ class StreamSchedule:
 
     def is_streamable(self, number: int) -> bool:
         """Return whether a message can be streamed or requested."""
-        return number in _STREAMS_BY_MESSAGE_ID
+        return number in _STREAM_INDICES_BY_MESSAGE_ID
 
     def set_message_interval(self, now_s: float, number: int, interval_us: float) -> bool:
         """Set the interval (us) at which this peer receives message ``number``: 0 default rate, -1 never.
 
         Return False if the message or interval is invalid.
         """
-        if number not in _STREAMS_BY_MESSAGE_ID or not (interval_us == -1.0 or 0.0 <= interval_us < math.inf):
+        if number not in _STREAM_INDICES_BY_MESSAGE_ID or not (interval_us == -1.0 or 0.0 <= interval_us < math.inf):
             return False
-        for k in _STREAMS_BY_MESSAGE_ID[number]:
+        for k in _STREAM_INDICES_BY_MESSAGE_ID[number]:
             if interval_us == 0.0:
                 period = _period_from_rate(MESSAGE_STREAMS[k].default_rate_Hz)
             else:
@@ -65,9 +65,9 @@ class StreamSchedule:
 
     def interval_us(self, number: int) -> int:
         """Return the interval of a message (us); -1: never, 0: there is no such message."""
-        if number not in _STREAMS_BY_MESSAGE_ID:
+        if number not in _STREAM_INDICES_BY_MESSAGE_ID:
             return 0
-        period = min(self._period_s[k] for k in _STREAMS_BY_MESSAGE_ID[number])
+        period = min(self._period_s[k] for k in _STREAM_INDICES_BY_MESSAGE_ID[number])
         return -1 if period == math.inf else min(round(period * 1e6), 2**31 - 1)
 
     def set_group_rate(self, now_s: float, group: int, rate_Hz: float) -> None:
@@ -78,7 +78,7 @@ class StreamSchedule:
 
     def request_once(self, number: int) -> bool:
         """Request a message once, at the next step; return whether there is such a message."""
-        wanted = _STREAMS_BY_MESSAGE_ID.get(number, [])
+        wanted = _STREAM_INDICES_BY_MESSAGE_ID.get(number, [])
         self._once += [k for k in wanted if k not in self._once]
         return bool(wanted)
 

@@ -50,12 +50,12 @@ MAX_FRAME_BYTES = 280
 """Length of the longest frame: ten bytes of header, 255 of payload, two of checksum, thirteen of signature."""
 MAX_SENDERS = 64
 """Largest number of senders tracked on one channel; losses of further senders are not counted."""
-MAX_CHANNELS = 128
+MAX_TRACKED_PEERS = 128
 """Largest number of peers tracked; the peer that was silent for longest is forgotten."""
 _REORDER_WINDOW = 32  # a number at most this far behind the newest is late; others are a jump
 _DUPLICATE_WINDOW_S = 1.0  # the same packet after this time is a new one, of a restarted program
 _MARKER_V1, _MARKER_V2, _FLAG_SIGNED = 0xFE, 0xFD, 0x01
-_MESSAGE_ID_V1, _MESSAGE_ID_V2 = slice(5, 6), slice(7, 10)  # bytes of a frame
+_MESSAGE_ID_SLICE_V1, _MESSAGE_ID_SLICE_V2 = slice(5, 6), slice(7, 10)  # bytes of a frame
 _TEXT_CHUNK_BYTES = 50
 MAX_TEXT_BYTES = 400
 """Longest line (bytes); the rest is cut."""
@@ -169,7 +169,7 @@ class _SequenceTracker:
 
 
 @dataclass(slots=True)
-class _Channel:
+class _PeerReception:
     """Reception from one peer: bytes of an incomplete frame, packet numbers of each MAVLink sender, packet counts."""
 
     buffer: bytearray = field(default_factory=bytearray)
@@ -189,7 +189,7 @@ class FrameDecoder:
 
     def __init__(self, keep_duplicates: bool = False) -> None:
         self._keep = keep_duplicates
-        self._channels: dict[Hashable, _Channel] = {}
+        self._channels: dict[Hashable, _PeerReception] = {}
         self._decoder = mavlink.MAVLink(None)
 
     def receive(self, now_s: float, peer: Hashable, data: bytes) -> list[MavMessage]:
@@ -206,8 +206,8 @@ class FrameDecoder:
         """
         channel = self._channels.get(peer)
         if channel is None:
-            channel = _Channel()
-            if len(self._channels) >= MAX_CHANNELS:
+            channel = _PeerReception()
+            if len(self._channels) >= MAX_TRACKED_PEERS:
                 del self._channels[next(iter(self._channels))]
         else:
             del self._channels[peer]  # re-inserted at the end: the first entry is the longest silent
@@ -251,7 +251,7 @@ class FrameDecoder:
         """Drop the state of a peer that has gone."""
         self._channels.pop(peer, None)
 
-    def _register_packet(self, now_s: float, channel: _Channel, message: MavMessage) -> bool:
+    def _register_packet(self, now_s: float, channel: _PeerReception, message: MavMessage) -> bool:
         header = message.get_header()
         sender = (header.srcSystem, header.srcComponent)
         known = channel.senders.get(sender)
@@ -306,7 +306,7 @@ def _find_next_marker(buffer: bytearray, at: int) -> int:
 
 
 def _message_id(frame: bytes) -> int:
-    return int.from_bytes(frame[_MESSAGE_ID_V1 if frame[0] == _MARKER_V1 else _MESSAGE_ID_V2], "little")
+    return int.from_bytes(frame[_MESSAGE_ID_SLICE_V1 if frame[0] == _MARKER_V1 else _MESSAGE_ID_SLICE_V2], "little")
 
 
 def _is_unknown_message(frame: bytes, buffer: bytearray, end: int) -> bool:

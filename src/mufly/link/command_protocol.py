@@ -21,9 +21,9 @@ table of commands. https://mavlink.io/en/messages/common.html#mav_commands defin
 Programs repeat a command until they receive its acknowledgement. A repetition has the same parameters and station and
 comes within :data:`REPEAT_WINDOW_S`, or within :data:`CONFIRMATION_WINDOW_S` if its ``confirmation`` marks it. A
 repetition of an accepted command is acknowledged again and not executed. If the station has sent other commands since,
-a copy is a repetition only if its ``confirmation`` has grown by one in each :data:`CONFIRMATION_STEP_S`: it must not
-undo later commands. A refused command is judged anew, because its obstacle may be gone. An emergency stop is always
-executed.
+a copy is a repetition only if its ``confirmation`` has grown by one in each :data:`MAX_CONFIRMATION_INTERVAL_S`: it
+must not undo later commands. A refused command is judged anew, because its obstacle may be gone. An emergency stop is
+always executed.
 """
 
 from __future__ import annotations
@@ -76,14 +76,14 @@ REPEAT_WINDOW_S = 0.8
 """Longest time between repetitions without a mark (s): programs repeat after 0.5 s (MAVSDK) or more, and presses of a
 key are further apart."""
 CONFIRMATION_WINDOW_S = 10.0
-CONFIRMATION_STEP_S = 1.5
+MAX_CONFIRMATION_INTERVAL_S = 1.5
 """Longest time between two counted repetitions of a program (s)."""
 MODE_CHOICE_TIMEOUT_S = 10.0
 """Validity of a mode chosen before arming (s)."""
 
 ModeChoice = Literal["take-off", "mission", ""]
 
-_MAX_COORDINATE = COORDINATE_NOT_GIVEN - 1
+_MAX_INTEGER_COORDINATE = COORDINATE_NOT_GIVEN - 1
 _STICK_RELEASE_TIMEOUT_S = 0.3
 _MAX_REMEMBERED_COMMANDS = 8  # commands of a station
 _MAX_STATIONS = 32
@@ -137,7 +137,10 @@ class Command:
         scale = 1e4 if self.frame in LOCAL_FRAMES else 1e7
         # A value beyond the field's range is unreachable; the vehicle reports it.
         *four, x, y, z = p
-        x, y = (clip_to_integer(v * scale, -_MAX_COORDINATE, _MAX_COORDINATE, COORDINATE_NOT_GIVEN) for v in (x, y))
+        x, y = (
+            clip_to_integer(v * scale, -_MAX_INTEGER_COORDINATE, _MAX_INTEGER_COORDINATE, COORDINATE_NOT_GIVEN)
+            for v in (x, y)
+        )
         return mavlink.MAVLink_command_int_message(
             system,
             component,
@@ -202,7 +205,7 @@ class CommandProtocol:
         )  # the newest is last
         self._held: tuple[float, MessageSource, Command] | None = None
         self._choice: tuple[float, ModeChoice] = (-math.inf, "")
-        authority.on_change.append(self._forget_choice)
+        authority.on_change.append(self._forget_mode_choice)
 
     def mode_on_arming(self, now_s: float) -> ModeChoice:
         """Return the mode that was chosen on the floor and takes effect on arming; "" if none."""
@@ -221,7 +224,7 @@ class CommandProtocol:
         elif command.is_emergency_stop:
             # Never treated as a repetition: another station may have armed since. Waiting commands are discarded.
             self._held = None
-            self._forget_choice()
+            self._forget_mode_choice()
             self._execute_command(now_s, station, command)
         elif not self._authority.claim_command(now_s, station):
             self._send_ack(station, command.command_id, _RESULT_DENIED)
@@ -248,10 +251,10 @@ class CommandProtocol:
             answer = self._set_mode(now_s, Px4Mode(m.custom_mode >> 16 & 0xFF, m.custom_mode >> 24))
             self._send_answer(station, mavlink.MAV_CMD_DO_SET_MODE, answer)
 
-    def handle_set_current(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
+    def handle_mission_set_current(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
         """Process a MISSION_SET_CURRENT, the older form of DO_SET_MISSION_CURRENT; the answer is MISSION_CURRENT."""
         if self._authority.claim_command(now_s, station):
-            self._clients.send_refusal(now_s, station, self._missions.start_at_item(float(m.seq)).reason)
+            self._clients.send_refusal(now_s, station, self._missions.set_current_item(float(m.seq)).reason)
             client = self._clients.find_client(station.peer)
             if client is not None:
                 client.schedule.request_once(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
@@ -266,7 +269,7 @@ class CommandProtocol:
         if next(reversed(known)) == command.identity_bytes:
             repeated = waited_s <= (CONFIRMATION_WINDOW_S if copy else REPEAT_WINDOW_S)
         else:
-            repeated = waited_s <= counted * CONFIRMATION_STEP_S
+            repeated = waited_s <= counted * MAX_CONFIRMATION_INTERVAL_S
         if not repeated:
             return None
         before.last_heard_s, before.confirmation = now_s, max(copy, before.confirmation)
@@ -303,7 +306,7 @@ class CommandProtocol:
             mavlink.MAVLink_command_ack_message(number, result, 0, 0, station.system, station.component),
         )
 
-    def _forget_choice(self) -> None:
+    def _forget_mode_choice(self) -> None:
         self._choice = (-math.inf, "")
 
     # handlers of commands
@@ -313,7 +316,7 @@ class CommandProtocol:
         if on == 1.0:
             chosen = self.mode_on_arming(now_s)
             answer = self._autopilot.arm(repeated=command.confirmation > 0)
-            self._forget_choice()
+            self._forget_mode_choice()
             if not answer or not chosen:
                 return answer
             begun = self._missions.start_mission() if chosen == "mission" else self._autopilot.take_off()
@@ -419,7 +422,7 @@ class CommandProtocol:
     def _set_mode(self, now_s: float, mode: Px4Mode) -> RequestAnswer:
         """Request a PX4 flight mode; mission mode starts at the item set before by DO_SET_MISSION_CURRENT."""
         wanted, status, autopilot = action_for_mode(mode), self._autopilot.status, self._autopilot
-        self._forget_choice()
+        self._forget_mode_choice()
         if not status.armed and not status.flying and (wanted == "take-off" or wanted == "mission"):
             if wanted == "mission" and not autopilot.software.requested_mission.waypoint:
                 return deny_request("no mission loaded; upload one first")
@@ -498,7 +501,7 @@ COMMAND_HANDLERS: dict[int, Callable[[CommandProtocol, float, Command], RequestA
     mavlink.MAV_CMD_DO_PAUSE_CONTINUE: CommandProtocol._pause_continue,
     mavlink.MAV_CMD_CONDITION_YAW: CommandProtocol._condition_yaw,
     mavlink.MAV_CMD_DO_CHANGE_SPEED: CommandProtocol._change_speed,
-    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: lambda self, now_s, command: self._missions.start_at_item(
+    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: lambda self, now_s, command: self._missions.set_current_item(
         command.params[0]
     ),
     mavlink.MAV_CMD_MISSION_START: CommandProtocol._start_mission,

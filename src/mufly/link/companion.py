@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from mufly.link.codec import FrameDecoder, FrameEncoder, MavMessage, mavlink, to_float32
 from mufly.link.ports import Endpoint, Peer, open_port
 from mufly.link.vision_input import CLOCK_OFFSET_WINDOW_S, SAME_CLOCK_TOLERANCE_S, pack_covariance
-from mufly.slam import FrameInfo, TrackingResult
+from mufly.slam import FrameEstimate, TrackingResult
 
 _Array = NDArray[np.float64]
 COMPANION_COMPONENT_ID = 197
@@ -113,22 +113,22 @@ class VisionCompanion:
                     if any(abs(offset - o) > 0.5 * (way + w) + _CLOCK_DRIFT_TOLERANCE_S for _, w, o in self._synced):
                         self._synced.clear()  # the error of each is at most half its round trip: a clock was set
                         self._guessed.clear()
-                    self._append_recent_row(self._synced, now_s, way, offset)
+                    self._append_clock_sample(self._synced, now_s, way, offset)
             elif kind == "ATTITUDE":
                 t = self._record_boot_time(now_s, m.time_boot_ms)
-                self._append_in_order(self._tilt, (t, m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed))
+                self._append_to_history(self._tilt, (t, m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed))
             elif kind == "DISTANCE_SENSOR" and m.orientation == _ORIENTATION_DOWN:
                 if m.min_distance <= m.current_distance <= m.max_distance:
                     self._ranged_s = now_s
-                    self._append_in_order(
+                    self._append_to_history(
                         self._height,
                         (self._record_boot_time(now_s, m.time_boot_ms), 0.01 * m.current_distance),
                     )
             elif kind == "LOCAL_POSITION_NED":
                 t = self._record_boot_time(now_s, m.time_boot_ms)
-                self._append_in_order(self._motion, (t, m.x, m.y, m.vx, m.vy, m.vz))
+                self._append_to_history(self._motion, (t, m.x, m.y, m.vx, m.vy, m.vz))
                 if now_s - self._ranged_s > 1.0:
-                    self._append_in_order(self._height, (t, -m.z))
+                    self._append_to_history(self._height, (t, -m.z))
             elif kind == "ODOMETRY" and (told := m.pose_covariance):
                 roll, pitch = (told[k] for k in _TILT_VARIANCE_INDICES)
                 if roll > 0.0 and pitch > 0.0:
@@ -140,17 +140,17 @@ class VisionCompanion:
 
     def _record_boot_time(self, now_s: float, boot_ms: int) -> float:
         theirs_s = 1e-3 * boot_ms
-        self._append_recent_row(self._guessed, now_s, theirs_s - now_s)
+        self._append_clock_sample(self._guessed, now_s, theirs_s - now_s)
         return theirs_s
 
     @staticmethod
-    def _append_recent_row(row: deque[Any], now_s: float, *values: float) -> None:
+    def _append_clock_sample(row: deque[Any], now_s: float, *values: float) -> None:
         row.append((now_s, *values))
         while row[0][0] < now_s - CLOCK_OFFSET_WINDOW_S:
             row.popleft()
 
     @staticmethod
-    def _append_in_order(row: deque[Any], values: tuple[float, ...]) -> None:
+    def _append_to_history(row: deque[Any], values: tuple[float, ...]) -> None:
         if row and values[0] <= row[-1][0]:
             if values[0] > row[-1][0] - MESSAGE_HISTORY_S:
                 return
@@ -189,7 +189,7 @@ class VisionCompanion:
                 )
         return [self._encode(m) for m in said]
 
-    def frame_info_at(self, time_s: float) -> FrameInfo | None:
+    def frame_info_at(self, time_s: float) -> FrameEstimate | None:
         """Return the vehicle's state at ``time_s``, interpolated between messages; None without a message near that
         time.
 
@@ -212,13 +212,13 @@ class VisionCompanion:
             m = np.array(self._motion)
             n, e, *v = (float(np.interp(t, m[:, 0], c)) for c in m.T[1:])
             velocity, place = np.array(v), np.array([n, e, math.remainder(yaw, 2 * math.pi)])
-        return FrameInfo(
+        return FrameEstimate(
             roll, pitch, max(0.02, height), np.array(rates), self._rotors.copy(), tilt_sigma=self._tilt_sigma,
             tilt_time_s=_TILT_CORRELATION_TIME_S, height_sigma=_HEIGHT_SIGMA_M, velocity=velocity, place=place,
             place_sigma=(self._accuracy, _DEFAULT_HEADING_SIGMA_RAD),
         )  # fmt: skip
 
-    def stationary_result(self, time_s: float, told: FrameInfo) -> TrackingResult:
+    def stationary_result(self, time_s: float, told: FrameEstimate) -> TrackingResult:
         """Return the tracking result for a picture before take-off: the origin, at this height, with 2 mm of noise.
 
         Without noise the autopilot would reject the position, which never changes, as frozen.
@@ -270,7 +270,7 @@ class CompanionPort:
         for data in self.companion.step(now_s):
             self._port.send(self._peer, data)
 
-    def frame_infos_at(self, times: _Array) -> Sequence[FrameInfo | None]:
+    def frame_infos_at(self, times: _Array) -> Sequence[FrameEstimate | None]:
         """Return the vehicle's state at each of the Unix times (n,) (s); None where it is unknown."""
         self.exchange_messages(time.time())
         return [self.companion.frame_info_at(t) for t in times.tolist()]

@@ -7,7 +7,7 @@ velocity in body axes is ``P_b = R^T P R``; the effect of the attitude's own err
 
 A test ratio of ESTIMATOR_STATUS is the squared innovation over the squared gate: above 1 a measurement is rejected.
 MAVLink has no message for each sensor's health. The array "checks" holds three numbers for each of
-:data:`mufly.quantities.quantity_table.CHECKED_READINGS`: the index of its status in
+:data:`mufly.quantities.quantity_table.READINGS_WITH_FUSION_STATUS`: the index of its status in
 :data:`mufly.quantities.quantity_table.FUSION_STATUSES`, its innovation in standard deviations, and the age of the last
 fused measurement (s). Wind N, E (m/s) and its standard deviations follow. Reasons are sent as STATUSTEXT.
 
@@ -27,7 +27,7 @@ from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_POSITION,
 from mufly.estimate.filter.measurements.scalar_fusion import INNOVATION_GATE
 from mufly.flight import FlightState
 from mufly.link.codec import MavMessage, mavlink, to_float32
-from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES
+from mufly.quantities.quantity_table import FUSION_STATUSES, READINGS_WITH_FUSION_STATUS
 from mufly.quantities.sensor_table import READINGS
 from mufly.rotations import quaternion_from_euler
 
@@ -39,14 +39,14 @@ _UPPER_TRIANGLE = np.triu_indices(6)
 _POSE_INDICES, _MOTION_INDICES = [0, 1, 2, 6, 7, 8], [3, 4, 5, 9, 10, 11]  # of Estimate.covariance
 GOOD_POSITION_SIGMA_M, GOOD_TILT_SIGMA_RAD, GOOD_VELOCITY_SIGMA_M_S = 0.5, math.radians(10.0), 0.5
 """Largest standard deviations of a position, tilt or velocity that is flagged as good (m, rad, m/s)."""
-_RATIO_FIELDS = {field: (row.name, words) for row in READINGS.values() for field, words in row.test_ratios}
+_READING_BY_RATIO_FIELD = {field: (row.name, words) for row in READINGS.values() for field, words in row.test_ratios}
 TEST_RATIOS: dict[str, tuple[str, str]] = {
-    field: _RATIO_FIELDS.get(field, ("", "airspeed"))
+    field: _READING_BY_RATIO_FIELD.get(field, ("", "airspeed"))
     for field in mavlink.MAVLink_estimator_status_message.fieldnames
     if field.endswith("_ratio")
 }
 """Fields of ESTIMATOR_STATUS with a test ratio: the reading, "" without one, and its name on the ground station."""
-_UNKNOWN_POSITION_THRESHOLD_M = 10.0  # above this a position is flagged as unknown
+_MIN_UNKNOWN_POSITION_SIGMA_M = 10.0  # above this a position is flagged as unknown
 
 
 def odometry_message(state: FlightState, usec: int) -> MavMessage:
@@ -106,7 +106,7 @@ def estimator_status_message(state: FlightState, usec: int) -> MavMessage:
         ),
         (height < GOOD_POSITION_SIGMA_M, mavlink.ESTIMATOR_POS_VERT_ABS),
         (beliefs is None or _has_status(checks, TEST_RATIOS["hagl_ratio"][0], "fused"), mavlink.ESTIMATOR_POS_VERT_AGL),
-        (level > _UNKNOWN_POSITION_THRESHOLD_M, mavlink.ESTIMATOR_CONST_POS_MODE),
+        (level > _MIN_UNKNOWN_POSITION_SIGMA_M, mavlink.ESTIMATOR_CONST_POS_MODE),
     ):
         flags |= int(flag) if good and holds else 0
     if _has_status(checks, "acceleration", "faulty", "rejected"):
@@ -147,7 +147,7 @@ def pack_sensor_checks(beliefs: AuxiliaryStates) -> list[float]:
     """
     checks = {c.name: c for c in beliefs.checks}
     values: list[float] = []
-    for name in CHECKED_READINGS:
+    for name in READINGS_WITH_FUSION_STATUS:
         c = checks.get(name)
         told = [math.nan] * 3 if c is None else [float(FUSION_STATUSES.index(c.status)), c.ratio, c.time_since_fusion_s]
         values += told

@@ -134,7 +134,7 @@ class MissionProtocol:
             self._first, self._told = 0, self._first  # items before it are skipped, not reached
         return answer
 
-    def start_at_item(self, item: float) -> RequestAnswer:
+    def set_current_item(self, item: float) -> RequestAnswer:
         """Resume the mission at an item; on the floor, set the first item of the next start."""
         first = self._waypoint_from_item(int(item)) if item >= 0.0 and item < 65535.0 else None
         if first is None:

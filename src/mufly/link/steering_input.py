@@ -66,8 +66,8 @@ def parse_set_point(message: MavMessage, measured: Estimate, origin: GlobalOrigi
     given = _parse_global_position(message, origin) if on_globe else (message.x, message.y, message.z)
     if given is None or (not on_globe and frame not in (_FRAME_LOCAL, _FRAME_LOCAL_OFFSET, *_FRAMES_BODY)):
         return None
-    place = _apply_mask(given, mask)
-    speed = _apply_mask((message.vx, message.vy, message.vz), mask >> 3)
+    place = _mask_ignored_axes(given, mask)
+    speed = _mask_ignored_axes((message.vx, message.vy, message.vz), mask >> 3)
     heading = math.nan if mask & _IGNORE_HEADING else float(message.yaw)
     yaw_rate = math.nan if mask & _IGNORE_YAW_RATE else float(message.yaw_rate)
     if not on_globe and frame in _FRAMES_BODY:
@@ -89,7 +89,7 @@ def parse_set_point(message: MavMessage, measured: Estimate, origin: GlobalOrigi
     return None if out == SetPoint() else out
 
 
-def _apply_mask(values: FloatTriple, mask: int) -> FloatTriple:
+def _mask_ignored_axes(values: FloatTriple, mask: int) -> FloatTriple:
     n, e, d = (math.nan if mask & 1 << k else float(v) for k, v in enumerate(values))
     return n, e, d
 
@@ -114,7 +114,7 @@ def _parse_global_position(message: MavMessage, origin: GlobalOrigin | None) -> 
 STICK_TIMEOUT_S = 1.0
 """Age at which sticks expire (s)."""
 _STICK_DEADBAND = 0.03
-_CHANNEL_RELEASED = (0, 65535)
+_RELEASED_CHANNEL_PULSES_US = (0, 65535)
 _AXIS_NOT_GIVEN = 32767
 
 
@@ -141,9 +141,9 @@ def _apply_deadband(*values: float) -> StickDeflection:
 def parse_rc_override(message: MavMessage) -> StickDeflection | None:
     """Return the sticks of an RC_CHANNELS_OVERRIDE; None if channels 1 to 4 are all released."""
     pulses = [message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw]
-    if all(us in _CHANNEL_RELEASED for us in pulses):
+    if all(us in _RELEASED_CHANNEL_PULSES_US for us in pulses):
         return None
-    return _apply_deadband(*(0.0 if us in _CHANNEL_RELEASED else (us - 1500) / 500 for us in pulses))
+    return _apply_deadband(*(0.0 if us in _RELEASED_CHANNEL_PULSES_US else (us - 1500) / 500 for us in pulses))
 
 
 def parse_manual_control(message: MavMessage) -> StickDeflection:
@@ -176,7 +176,7 @@ class StickInputHandler:
         wanted = parse_rc_override(message)
         if wanted is not None:
             self._overridden = True
-            return self._send_sticks(wanted)
+            return self._set_autopilot_sticks(wanted)
         if self._overridden:
             self._overridden = False
             return self._autopilot.release_sticks()
@@ -185,7 +185,7 @@ class StickInputHandler:
     def handle_manual_control(self, now_s: float, message: MavMessage) -> RequestAnswer:
         """Take the sticks of a MANUAL_CONTROL, and pass them to the autopilot if a manual mode is active."""
         self._manual, self._heard_s = parse_manual_control(message), now_s
-        return self._send_sticks(self._manual) if self._by_hand else REQUEST_ACCEPTED
+        return self._set_autopilot_sticks(self._manual) if self._by_hand else REQUEST_ACCEPTED
 
     def enter_manual_mode(self, now_s: float) -> RequestAnswer:
         """Enter manual mode on request."""
@@ -194,7 +194,7 @@ class StickInputHandler:
         if now_s - self._heard_s > STICK_TIMEOUT_S:
             return reject_temporarily("no sticks; stream MANUAL_CONTROL or RC_CHANNELS_OVERRIDE first")
         self._by_hand = True
-        return self._send_sticks(self._manual)
+        return self._set_autopilot_sticks(self._manual)
 
     def release_sticks(self) -> None:
         """Leave manual mode: another mode is requested, or the sticks have expired."""
@@ -207,7 +207,7 @@ class StickInputHandler:
         self.release_sticks()
         self._manual, self._heard_s = StickDeflection(), -math.inf
 
-    def _send_sticks(self, d: StickDeflection) -> RequestAnswer:
+    def _set_autopilot_sticks(self, d: StickDeflection) -> RequestAnswer:
         tilt, turn, climb = (
             self._autopilot.parameters[name].value for name in ("STK_TILT", "STK_YAWRATE", "STK_CLIMB")
         )

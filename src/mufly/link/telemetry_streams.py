@@ -319,7 +319,7 @@ MISSION_STATES: tuple[str, ...] = tuple(str(s) for s in State)
 """States of the mission; NAMED_VALUE_INT "mstate" is an index into them."""
 SLOW_REAL_TIME_FACTOR = 0.95
 """Real-time factor below which a warning is shown and sent."""
-REAL_TIME_FACTOR_NAME, SLIPS_NAME = "rtfactor", "slips"
+REAL_TIME_FACTOR_NAME, OVERRUN_COUNT_NAME = "rtfactor", "slips"
 """Names of the real-time performance values, for which MAVLink has no message."""
 
 _UNKNOWN_UINT16, _UNKNOWN_INT16 = 65535, 32767
@@ -494,11 +494,11 @@ def real_time_factor_message(p: TelemetryState) -> MavMessage | None:
     return mavlink.MAVLink_named_value_float_message(p.boot_time_ms, name, to_float32(p.real_time_factor))
 
 
-def slip_count_message(p: TelemetryState) -> MavMessage | None:
+def overrun_count_message(p: TelemetryState) -> MavMessage | None:
     """Return NAMED_VALUE_INT "slips": how often the real-time loop fell behind and dropped time; None if unknown."""
     if math.isnan(p.real_time_factor):
         return None
-    return mavlink.MAVLink_named_value_int_message(p.boot_time_ms, SLIPS_NAME.encode(), p.slip_count)
+    return mavlink.MAVLink_named_value_int_message(p.boot_time_ms, OVERRUN_COUNT_NAME.encode(), p.slip_count)
 
 
 def _global_position_integers(p: TelemetryState, place: tuple[float, float, float]) -> tuple[int, int, int]:
@@ -655,7 +655,7 @@ MESSAGE_STREAMS: tuple[MessageStream, ...] = (
     MessageStream("NAMED_VALUE_INT (mstate)", 5.0, _GROUP_STATUS, mission_state_message),
     MessageStream("NAMED_VALUE_INT (command)", 1.0, _GROUP_STATUS, commander_message),
     MessageStream("NAMED_VALUE_FLOAT (rtfactor)", 1.0, _GROUP_STATUS, real_time_factor_message),
-    MessageStream("NAMED_VALUE_INT (slips)", 0.5, _GROUP_STATUS, slip_count_message),
+    MessageStream("NAMED_VALUE_INT (slips)", 0.5, _GROUP_STATUS, overrun_count_message),
     MessageStream("ATTITUDE", 20.0, _GROUP_EXTRA1, attitude_message),
     MessageStream("ATTITUDE_QUATERNION", 5.0, _GROUP_EXTRA1, attitude_quaternion_message),
     MessageStream("LOCAL_POSITION_NED", 20.0, _GROUP_POSITION, local_position_message),

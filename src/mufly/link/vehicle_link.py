@@ -94,7 +94,7 @@ class VehicleLink:
             "COMMAND_LONG": self._commands.handle_command,
             "COMMAND_INT": self._commands.handle_command,
             "SET_MODE": self._commands.handle_set_mode,
-            "MISSION_SET_CURRENT": self._commands.handle_set_current,
+            "MISSION_SET_CURRENT": self._commands.handle_mission_set_current,
             "PARAM_REQUEST_LIST": self._parameters.handle_request_list,
             "PARAM_REQUEST_READ": self._parameters.handle_request_read,
             "PARAM_SET": self._parameters.handle_set,

@@ -78,17 +78,17 @@ def _join_blocks(number: int, blocks: dict[int, tuple[int, int, bytes]]) -> Bloc
         _, first, payload = blocks[index]
         if index != expected:
             missing += index - expected
-            del out[_end_of_messages(out, last_begin) :]
+            del out[_find_end_of_messages(out, last_begin) :]
             payload, first = (b"", _NO_MESSAGE_START) if first == _NO_MESSAGE_START else (payload[first:], 0)
         if first != _NO_MESSAGE_START:
             last_begin = max(len(out) + first, ULOG_HEADER_SIZE)
         out += payload
         expected = index + 1
-    del out[_end_of_messages(out, last_begin) :]
+    del out[_find_end_of_messages(out, last_begin) :]
     return BlockLogSession(number, bytes(out), missing, 0 in blocks)
 
 
-def _end_of_messages(data: bytearray, start: int) -> int:
+def _find_end_of_messages(data: bytearray, start: int) -> int:
     """Return the offset after the last complete message; a message begins at ``start``."""
     at = start
     while at + 3 <= len(data):

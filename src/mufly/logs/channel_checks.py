@@ -25,7 +25,7 @@ from scipy.ndimage import median_filter, percentile_filter
 
 from mufly.logs.mcap import component_channels
 from mufly.logs.raw_log import Channel
-from mufly.quantities.quantity_table import is_command_signal, physical_limits
+from mufly.quantities.quantity_table import find_physical_limits, is_command_signal
 from mufly.results import result
 
 _Array = NDArray[np.float64]
@@ -188,7 +188,7 @@ def apply_physical_limits(
     out: dict[str, Channel | None] = {c.name: c for c in channels}
     words = []
     for variable, group in groups.items():
-        limits = physical_limits(variable)
+        limits = find_physical_limits(variable)
         group = [c for c in group if not c.is_text]
         if limits is None or not group:
             continue
@@ -253,10 +253,10 @@ def find_outliers(x: _Array) -> NDArray[np.int64]:
     if (step > 0).mean() < 0.2 and (step > 0).any():
         flagged &= away > 5 * float(np.median(step[step > 0]))
     out = known[flagged]
-    return np.asarray(out[_in_short_runs(out, _MEDIAN_HALF_WINDOW_SAMPLES)], dtype=np.int64)
+    return np.asarray(out[_mask_short_runs(out, _MEDIAN_HALF_WINDOW_SAMPLES)], dtype=np.int64)
 
 
-def _in_short_runs(index: NDArray[np.int64], longest: int) -> NDArray[np.bool_]:
+def _mask_short_runs(index: NDArray[np.int64], longest: int) -> NDArray[np.bool_]:
     """Return a mask of the indices in runs of at most ``longest`` consecutive numbers; ``index`` increases."""
     if not len(index):
         return np.empty(0, dtype=bool)
@@ -323,12 +323,12 @@ def compute_saturated_fractions(x: _Array) -> tuple[float, float]:
 
 AngleUnit = Literal["deg", "rad", ""]
 _DEG_PER_RAD = 180 / np.pi
-_MAX_RATE_RAD_S = 35.0
+_MAX_RATE_OF_UNSTATED_UNIT_RAD_S = 35.0
 # A stated unit is contradicted only by rates (rad/s) beyond the range of all gyroscopes.
 _MAX_RATE_OF_STATED_UNIT_RAD_S = 70.0
-_MIN_CORRELATION = 0.6
+_MIN_ANGLE_RATE_CORRELATION = 0.6
 # Largest ratio of the slope to its nominal value; averaging over 0.1 s makes noise negligible.
-_MAX_SLOPE_RATIO = 1.35
+_MAX_SLOPE_TO_NOMINAL_RATIO = 1.35
 
 
 class UnitGuess(NamedTuple):
@@ -406,7 +406,9 @@ def guess_angle_units(
     peak = _robust_peak(angle)
     fast = _robust_peak(rate)
     by_angle: AngleUnit = "deg" if bounded and peak > 2 * np.pi else ""
-    by_rate: AngleUnit = "deg" if fast > (_MAX_RATE_OF_STATED_UNIT_RAD_S if named else _MAX_RATE_RAD_S) else ""
+    by_rate: AngleUnit = (
+        "deg" if fast > (_MAX_RATE_OF_STATED_UNIT_RAD_S if named else _MAX_RATE_OF_UNSTATED_UNIT_RAD_S) else ""
+    )
     reasons = []
     if by_angle:
         reasons.append(f"values up to {peak:.3g} are too large for radians")
@@ -414,11 +416,11 @@ def guess_angle_units(
         reasons.append(f"rates up to {fast:.3g} are too fast for rad/s")
     if angle is not None and rate is not None:
         slope, correlation = fit_rate_ratio(time, angle, rate)
-        if abs(correlation) > _MIN_CORRELATION:
+        if abs(correlation) > _MIN_ANGLE_RATE_CORRELATION:
             said = f"d/dt of the angle is {slope:.3g} times the rate"
 
             def slope_is_near(factor: float) -> bool:
-                return abs(np.log(abs(slope) / factor)) < np.log(_MAX_SLOPE_RATIO)
+                return abs(np.log(abs(slope) / factor)) < np.log(_MAX_SLOPE_TO_NOMINAL_RATIO)
 
             if slope_is_near(_DEG_PER_RAD):
                 return UnitGuess("deg", "rad", said)

@@ -48,10 +48,10 @@ from mufly.logs.raw_log import (
     select_usable_samples,
     unwrap_angle,
 )
-from mufly.quantities.quantity_grammar import read_column_lines
+from mufly.quantities.quantity_grammar import read_column_map
 from mufly.quantities.quantity_table import find_quantity, parse_column_name, split_signal_name
 from mufly.quantities.units import normalise_unit, split_header, unit_conversion
-from mufly.rotations import euler_from_measured_quaternion
+from mufly.rotations import euler_from_unnormalised_quaternion
 
 _BUILTIN_MAPS_FOLDER = files("mufly.logs") / "maps"
 
@@ -136,7 +136,7 @@ def load_column_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | Co
     columns : path, name, mapping, sequence of str or ColumnMap
         A TOML file; the name of a built-in map; a mapping, either of the shape of such a file or just
         ``{"measured_rates.p": "gyro_x(deg/s)"}``; or texts as on the command line,
-        ``"measured_rates.p=-gyro_x(deg/s)"`` (:func:`mufly.quantities.quantity_grammar.read_column_lines`); ``time``
+        ``"measured_rates.p=-gyro_x(deg/s)"`` (:func:`mufly.quantities.quantity_grammar.read_column_map`); ``time``
         stands for the clock.
 
     Raises
@@ -154,7 +154,7 @@ def load_column_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | Co
             return validate_model(ColumnMap, columns, "column map")
         tables["signal"] = [{"name": name, **entry} for name, entry in columns.items() if isinstance(entry, Mapping)]
         columns = {name: entry for name, entry in columns.items() if not isinstance(entry, Mapping)}
-    for line in read_column_lines(columns):
+    for line in read_column_map(columns):
         if line.name == "time":
             tables["time"] = {"column": ",".join(line.columns), "unit": line.unit or None}
             continue
@@ -233,7 +233,7 @@ def _determine_angle_units(channels: list[Channel]) -> tuple[list[Channel], list
                 continue
             what = members[0].signal_name if prefix else ", ".join(c.signal_name for c in members)
             unnamed = [c for c in members if not c.units]
-            guess, unit = _guess_unit(group, kind, named=not unnamed)
+            guess, unit = _guess_group_unit(group, kind, named=not unnamed)
             if unnamed:
                 like = settled.get(groups.get("measured", {}).get((kind, 0), unnamed[0]).name, "")
                 chosen = {"deg": deg, "rad": si}.get(unit) or like or si
@@ -263,7 +263,7 @@ def _determine_angle_units(channels: list[Channel]) -> tuple[list[Channel], list
     return [c._replace(units=settled.get(c.name, c.units)) for c in channels], words
 
 
-def _guess_unit(group: _ChannelsByRole, kind: str, named: bool) -> tuple[UnitGuess, str]:
+def _guess_group_unit(group: _ChannelsByRole, kind: str, named: bool) -> tuple[UnitGuess, str]:
     """Return the unit of angles or rates as guessed from the first axis (roll, pitch, yaw) whose data decide.
 
     A rate reference is the output of the attitude controller, not the derivative of the attitude reference. A roll
@@ -470,7 +470,7 @@ def _resolve_map_entry(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[Raw
         names.append(name)
     if entry.quaternion and not must:
         block = np.column_stack([table.fields[n] for n in names])
-        if not np.isfinite(euler_from_measured_quaternion(block)).any():
+        if not np.isfinite(euler_from_unnormalised_quaternion(block)).any():
             return None
     return table, entry, names
 
@@ -504,7 +504,7 @@ def _make_channels(
     # A unit in the column name of the map counts, too.
     units = [u or split_header(c)[1] for u, c in zip(units, entry.columns, strict=True)]
     if entry.quaternion:
-        values = euler_from_measured_quaternion(np.column_stack(columns).astype(np.float64))
+        values = euler_from_unnormalised_quaternion(np.column_stack(columns).astype(np.float64))
         columns, units, sources = list(values.T), ["rad"] * 3, [f"{table.name}/{names[0]}.."] * 3
         signs: tuple[float, ...] = (1.0, 1.0, 1.0) if isinstance(entry.sign, float) else entry.column_signs[1:]
     else:

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.raw_log import RawLog, RawTable, describe_skipped
+from mufly.logs.raw_log import RawLog, RawTable, describe_skipped_bytes
 
 FIXED_RATE_TOPIC = "fixedFrequency"
 """Topic of variables logged at a fixed rate, as named by the firmware."""
@@ -41,7 +41,7 @@ _NUMPY_TYPES = {
     "B": "u1", "b": "i1", "H": "<u2", "h": "<i2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "e": "<f2",
     "f": "<f4", "d": "<f8",
 }  # fmt: skip
-_MAX_STEP_BACK_S, _MAX_STEP_AHEAD_S = 1.0, 3600.0  # largest time steps between events in a damaged file
+_MAX_CLOCK_STEP_BACK_S, _MAX_CLOCK_STEP_AHEAD_S = 1.0, 3600.0  # largest time steps between events in a damaged file
 _CLOCK_BY_VERSION = {1: ("<u4", 1e3), 2: ("<u8", 1e6)}
 # Units of variables from the firmware documentation; angles in degrees, accelerations in g.
 _UNITS_BY_VARIABLE = {
@@ -83,7 +83,7 @@ def read_crazyflie(path: str | Path) -> RawLog:
     where = str(path)
     data = Path(path).read_bytes()
     try:
-        tables, skipped, ended = (_read_event_format if data[0] == _EVENT_FORMAT_BYTE else _read_row_format)(data)
+        tables, skipped, ended = (_read_event_log if data[0] == _EVENT_FORMAT_BYTE else _read_row_log)(data)
     except (struct.error, ValueError, IndexError, KeyError) as error:
         problem = f"is a damaged log of the micro-SD deck ({error})"
         raise InputError(where, "", problem, "give another copy of the file") from error
@@ -96,12 +96,12 @@ def read_crazyflie(path: str | Path) -> RawLog:
         )
     zero = min(float(t.time.min()) for t in tables)
     shifted = {t.name: RawTable(t.name, t.time - zero, t.fields, t.units) for t in tables}
-    damage = describe_skipped(data, skipped, "event")
+    damage = describe_skipped_bytes(data, skipped, "event")
     damage = damage or ("" if ended else "its checksum at the end is missing or wrong")
     return RawLog(where, "Crazyflie", shifted, info={"system": "Crazyflie"}, is_complete=not damage, damage_text=damage)
 
 
-def _read_event_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool]:
+def _read_event_log(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool]:
     version, count = struct.unpack_from("<HH", data, 1)
     clock, tick = _CLOCK_BY_VERSION[version]
     whole = len(data) > 9 and crc32(data[:-_CRC_SIZE]) == struct.unpack("<I", data[-_CRC_SIZE:])[0]
@@ -130,7 +130,7 @@ def _read_event_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int
         if not whole and after >= 0 and not any(data[place : place + 2 + kind.row_dtype.itemsize]):
             return None  # zeros of unwritten memory
         now = int.from_bytes(data[place + 2 : place + 2 + width], "little")
-        near = whole or after < 0 or -_MAX_STEP_BACK_S * tick <= now - after <= _MAX_STEP_AHEAD_S * tick
+        near = whole or after < 0 or -_MAX_CLOCK_STEP_BACK_S * tick <= now - after <= _MAX_CLOCK_STEP_AHEAD_S * tick
         return (kind, now) if near else None
 
     while at + 2 <= end:
@@ -161,7 +161,7 @@ def _read_event_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int
     return [_make_table(data, k, tick) for k in kinds.values() if k.row_offsets], skipped, whole
 
 
-def _read_row_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool]:
+def _read_row_log(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool]:
     at = 1
     fields = []
     for _ in range(data[0]):

@@ -31,8 +31,8 @@ from mufly.errors import InputError
 from mufly.logs.raw_log import (
     RawLog,
     RawTable,
-    describe_skipped,
-    find_foreign_stamps,
+    describe_skipped_bytes,
+    find_foreign_epoch_stamps,
     format_wall_time,
     gps_to_unix,
 )
@@ -40,7 +40,7 @@ from mufly.vehicle_types import ModeFamily, ardupilot_mode_name
 
 MAGIC = b"\xa3\x95"
 DEFINITION_MESSAGES = ("FMT", "FMTU", "UNIT", "MULT")
-_FMT, _FMT_LENGTH, _HEAD_SIZE = 128, 89, 3
+_FMT_MESSAGE_TYPE, _FMT_LENGTH, _HEAD_SIZE = 128, 89, 3
 # Letter: NumPy type (little-endian), factor that the letter implies.
 _FORMAT_LETTERS: dict[str, tuple[str, float]] = {
     "a": ("32<i2", 1.0), "b": ("i1", 1.0), "B": ("u1", 1.0), "g": ("<f2", 1.0), "h": ("<i2", 1.0),
@@ -85,7 +85,9 @@ class _MessageKind:
 
 def _index_messages(data: bytes) -> tuple[dict[int, _MessageKind], list[tuple[int, int]]]:
     """Return all complete messages by kind, and the byte ranges that belong to no message."""
-    kinds = {_FMT: _MessageKind("FMT", _FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"])}
+    kinds = {
+        _FMT_MESSAGE_TYPE: _MessageKind("FMT", _FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"])
+    }
     at, end = 0, len(data)
     skipped: list[tuple[int, int]] = []
     while at + 3 <= end:
@@ -100,7 +102,7 @@ def _index_messages(data: bytes) -> tuple[dict[int, _MessageKind], list[tuple[in
             at = after
             continue
         kind.message_offsets.append(at)
-        if data[at + 2] == _FMT:
+        if data[at + 2] == _FMT_MESSAGE_TYPE:
             _add_format(kinds, data[at + _HEAD_SIZE : at + _FMT_LENGTH])
         at += kind.message_size
     skipped += [(at, end)] if at < end else []
@@ -117,7 +119,7 @@ def _add_format(kinds: dict[int, _MessageKind], body: bytes) -> None:
     name, letters, columns = (_decode_text(body[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
     names = [c.strip() for c in columns.split(",")]
     sound = len(names) == len(letters) == len(set(names)) and set(letters) <= set(_FORMAT_LETTERS) and all(names)
-    if number == _FMT or not sound or size != 3 + _message_dtype(letters, names).itemsize:
+    if number == _FMT_MESSAGE_TYPE or not sound or size != 3 + _message_dtype(letters, names).itemsize:
         return  # a contradictory format cannot be unpacked
     before = kinds.get(number)
     if before is None or (before.format_letters, before.columns) != (letters, names):
@@ -156,7 +158,7 @@ def read_binary(data: bytes) -> tuple[list[RawTable], _InstanceTopics, str]:
             own = _units_of_old_log(kind.name, kind.format_letters, kind.columns) | units.get(number, {})
             instance = instances.get(number) or _guess_instance_field(kind)
             messages.append(_MessageTable(kind.name, places, values, own, instance))
-    return *_make_tables(messages), describe_skipped(data, skipped, "message")
+    return *_make_tables(messages), describe_skipped_bytes(data, skipped, "message")
 
 
 def _guess_instance_field(kind: _MessageKind) -> str | None:
@@ -205,7 +207,7 @@ def _make_tables(messages: list[_MessageTable]) -> tuple[list[RawTable], _Instan
             times[k] = m.values[clock].astype(np.float64) / tick
     if not times:
         return [], {}
-    foreign, _ = find_foreign_stamps({str(k): t for k, t in times.items()})
+    foreign, _ = find_foreign_epoch_stamps({str(k): t for k, t in times.items()})
     sound = {k: np.isfinite(t) & ~foreign[str(k)] for k, t in times.items()}
     place = np.concatenate([messages[k].file_positions[sound[k]] for k in times])
     stamp = np.concatenate([t[sound[k]] for k, t in times.items()])
@@ -218,7 +220,7 @@ def _make_tables(messages: list[_MessageTable]) -> tuple[list[RawTable], _Instan
         if time is None:
             time = stamp[np.clip(np.searchsorted(place, m.file_positions) - 1, 0, None)]
         rest = {key: v for key, v in m.values.items() if k not in times or key != _find_clock(m.values)[0]}
-        parts = split_tables(m.name, time, rest, m.units, m.instance_field)
+        parts = split_by_instance(m.name, time, rest, m.units, m.instance_field)
         if m.instance_field in rest:
             which = rest[m.instance_field]
             numbers = np.unique(which[np.isfinite(which)]).astype(int).tolist()
@@ -280,7 +282,7 @@ def _unit_letter(value: Any) -> str:
     return chr(int(text) & 0xFF) if len(text) > 1 and text.lstrip("-").isdigit() else text
 
 
-def split_tables(
+def split_by_instance(
     name: str,
     time: NDArray[np.float64],
     values: dict[str, NDArray[Any]],
@@ -338,7 +340,7 @@ def read_dataflash(path: str | Path) -> RawLog:
         problem = f"is a damaged DataFlash log ({error})"
         raise InputError(where, "", problem, "give another copy of the file") from error
     tables = [t for t in tables if len(t.time)]
-    foreign, notes = find_foreign_stamps({t.name: t.time for t in tables})
+    foreign, notes = find_foreign_epoch_stamps({t.name: t.time for t in tables})
     tables = [replace(t, time=np.where(foreign[t.name], np.nan, t.time)) for t in tables]
     zero = min((float(np.nanmin(t.time)) for t in tables if np.isfinite(t.time).any()), default=None)
     if zero is None:
@@ -358,7 +360,7 @@ def read_dataflash(path: str | Path) -> RawLog:
         unit, why = _find_rate_unit(rate, shifted.get("IMU"), firmware)
         shifted["RATE"] = replace(rate, units=dict.fromkeys(_RATE_FIELDS_OF_OLD_LOGS, unit) | rate.units)
         notes += [f"RATE is in hundredths of a degree per second{why}"] if unit == "cdeg/s" else []
-    active, words = _active_estimate(shifted, topics, parameters)
+    active, words = _make_active_estimate_table(shifted, topics, parameters)
     notes += words
     shifted |= {active.name: active} if active is not None else {}
     if "MODE" in shifted:
@@ -386,10 +388,10 @@ _ESTIMATOR_MESSAGES = {
     10: ("the simulator", "SIM2", ""), 11: ("the external AHRS", "EAHR", ""),
 }  # fmt: skip
 # Before 2020 cores 1 and 2 had their own messages: NKF6 and NKF11 are those of NKF1, NKF9 and NKF14 of NKF4.
-_CORE_NUMBER_STEP, _MAX_LISTED_CHANGES = 5, 6
+_MESSAGES_PER_CORE, _MAX_LISTED_CHANGES = 5, 6
 
 
-def _active_estimate(
+def _make_active_estimate_table(
     tables: Mapping[str, RawTable], topics: _InstanceTopics, parameters: RawTable | None
 ) -> tuple[RawTable | None, list[str]]:
     """Return position and velocity of the estimator core active at each time (None if always the first), and notes.
@@ -401,7 +403,7 @@ def _active_estimate(
     default = next((kind for kind in (3, 2, 1) if cores[kind]), None)
     if default is None:
         return None, []
-    kinds = _estimator_steps(tables, parameters) or (np.array([-np.inf]), np.array([default]))
+    kinds = _find_active_estimators(tables, parameters) or (np.array([-np.inf]), np.array([default]))
     notes = [
         f"{_ESTIMATOR_MESSAGES[k][0]} was active, but the log has no position of it; the position of "
         f"{_ESTIMATOR_MESSAGES[default][0]} is used"
@@ -412,7 +414,7 @@ def _active_estimate(
     parts: list[tuple[str, NDArray[np.bool_]]] = []
     for kind in np.unique(kinds[1][kinds[1] > 0]).tolist():
         name, _, primary = _ESTIMATOR_MESSAGES[kind]
-        lanes = _lane_steps(primary, tables, topics)
+        lanes = _find_primary_cores(primary, tables, topics)
         unlogged = sorted(set(lanes[1].tolist()) - set(cores[kind]))
         if unlogged:
             notes.append(f"core {', '.join(map(str, unlogged))} of {name} was active but is not in the log")
@@ -436,7 +438,7 @@ def _active_estimate(
         fields[name] = np.concatenate(held)[order]
     source = np.concatenate([np.full(mine.sum(), topic) for topic, mine in parts])[order]
     units = {name: "m" if name[0] == "P" else "m/s" for name in _MOTION_FIELDS}
-    notes.append(_describe_changes(time[order], source, kinds))
+    notes.append(_describe_source_changes(time[order], source, kinds))
     return RawTable(ACTIVE_ESTIMATE_TOPIC, time[order], fields | {"Source": source}, units), notes
 
 
@@ -449,7 +451,7 @@ def _core_topics(message: str, tables: Mapping[str, RawTable], topics: _Instance
     names = [message]
     if message[:_ESTIMATOR_PREFIX_LENGTH] in ("NKF", "XKF"):
         family, number = message[:_ESTIMATOR_PREFIX_LENGTH], int(message[_ESTIMATOR_PREFIX_LENGTH:])
-        names += [f"{family}{number + _CORE_NUMBER_STEP * k}" for k in (1, 2)]
+        names += [f"{family}{number + _MESSAGES_PER_CORE * k}" for k in (1, 2)]
     return {k: name for k, name in enumerate(names) if name in tables}
 
 
@@ -461,7 +463,7 @@ def _sample_and_hold(steps: _StepSignal, time: NDArray[np.float64]) -> NDArray[A
     return steps[1][np.clip(np.searchsorted(steps[0], time, side="right") - 1, 0, None)]
 
 
-def _estimator_steps(tables: Mapping[str, RawTable], parameters: RawTable | None) -> _StepSignal | None:
+def _find_active_estimators(tables: Mapping[str, RawTable], parameters: RawTable | None) -> _StepSignal | None:
     attitude = tables.get("ATT")
     if attitude is not None and "AEKF" in attitude.fields:
         steps = attitude.time, attitude.fields["AEKF"]
@@ -471,15 +473,15 @@ def _estimator_steps(tables: Mapping[str, RawTable], parameters: RawTable | None
     else:
         return None
     known = np.isin(steps[1], list(_ESTIMATOR_MESSAGES)) & np.isfinite(steps[0])
-    return _change_points(steps[0][known], steps[1][known].astype(int)) if known.any() else None
+    return _make_step_signal(steps[0][known], steps[1][known].astype(int)) if known.any() else None
 
 
-def _change_points(time: NDArray[np.float64], value: NDArray[Any]) -> _StepSignal:
+def _make_step_signal(time: NDArray[np.float64], value: NDArray[Any]) -> _StepSignal:
     new = np.flatnonzero(np.append(True, value[1:] != value[:-1]))
     return time[new], value[new]
 
 
-def _lane_steps(primary: str, tables: Mapping[str, RawTable], topics: _InstanceTopics) -> _StepSignal:
+def _find_primary_cores(primary: str, tables: Mapping[str, RawTable], topics: _InstanceTopics) -> _StepSignal:
     """Return the primary core of an estimator over time as a step signal; 0 if unknown."""
     told = [tables[t] for t in _core_topics(primary, tables, topics).values() if "PI" in tables[t].fields]
     time = np.concatenate([t.time for t in told]) if told else np.empty(0)
@@ -488,10 +490,10 @@ def _lane_steps(primary: str, tables: Mapping[str, RawTable], topics: _InstanceT
     if not known.any():
         return np.array([-np.inf]), np.array([0])
     order = np.argsort(time[known], kind="stable")
-    return _change_points(time[known][order], lane[known][order].astype(int))
+    return _make_step_signal(time[known][order], lane[known][order].astype(int))
 
 
-def _describe_changes(time: NDArray[np.float64], source: NDArray[Any], kinds: _StepSignal) -> str:
+def _describe_source_changes(time: NDArray[np.float64], source: NDArray[Any], kinds: _StepSignal) -> str:
     """Return a note on the topics from which position and velocity are taken, with the times of changes."""
     at = [0, *(np.flatnonzero(source[1:] != source[:-1]) + 1).tolist()]
     steps = [f"{source[k]} from {time[k]:.1f} s" for k in at]

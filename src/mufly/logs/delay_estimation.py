@@ -246,7 +246,7 @@ def _interpolate_lag(lags: NDArray[np.int64], values: _Array, at: float) -> floa
     return float(weights @ values)
 
 
-def differentiate_attitude(time: _Array, attitude: _Array) -> _Array:
+def compute_body_rates(time: _Array, attitude: _Array) -> _Array:
     """Return the body rates of a changing attitude, by central differences.
 
     Parameters
@@ -290,7 +290,7 @@ class DelayReport:
         return f"{self.response} after {self.reference}: {self.delay.describe_delay()}"
 
 
-def check_delays(data: xr.Dataset) -> list[DelayReport]:
+def estimate_channel_delays(data: xr.Dataset) -> list[DelayReport]:
     """Estimate the delays between channels of a flight record, pair by pair.
 
     Delays are estimated from references to measurements, component by component, and from the derivative of the
@@ -317,7 +317,7 @@ def check_delays(data: xr.Dataset) -> list[DelayReport]:
                     a, b = unwrap_angle(a), unwrap_angle(b)
                 pairs.append((wanted + place, seen + place, a, b, True))
     if "measured_attitude" in data and "measured_rates" in data:
-        implied = differentiate_attitude(time, unwrap_angle(data["measured_attitude"].values))
+        implied = compute_body_rates(time, unwrap_angle(data["measured_attitude"].values))
         for k, label in enumerate("pqr"):
             name = f"d(measured_attitude)/dt, {label}"
             rate = data["measured_rates"].values[:, k]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
 from mufly.files.answer_store import replace_file
-from mufly.files.text_table import GZIP_MAGIC, looks_like_table, read_unpacked
+from mufly.files.text_table import GZIP_MAGIC, is_text_with_digits, read_unpacked
 from mufly.logs.block_log import BLOCK_LOG_FORMAT, looks_like_block_log, read_block_log
 from mufly.logs.column_map import ColumnMap, TimeEntry, load_column_map, map_signals
 from mufly.logs.crazyflie import looks_like_crazyflie, read_crazyflie
@@ -31,8 +31,8 @@ from mufly.logs.mcap import MAGIC as MCAP_MAGIC
 from mufly.logs.mcap import (
     FlightEvent,
     component_channels,
-    event_variables,
     make_dataset,
+    make_event_variables,
     read_mcap,
     restore_dataset,
     to_csv,
@@ -100,7 +100,7 @@ def detect_log_format(path: str | Path) -> str:
     if not head.strip(b"\0"):
         problem = "is empty" if not head else "contains only zeros: its content was not written to the disk"
         raise InputError(where, "", problem, "give a log" if not head else "give another copy of the log")
-    if packed and not looks_like_table(head):
+    if packed and not is_text_with_digits(head):
         raise InputError(where, "", "is compressed (gzip) but not a text table", "unpack it: gunzip FILE")
     if head.startswith(SQLITE_MAGIC) or (head.startswith(MCAP_MAGIC) and head[MCAP_PROFILE_BYTE_RANGE] == ROS_PROFILE):
         return "rosbag2"
@@ -117,7 +117,7 @@ def detect_log_format(path: str | Path) -> str:
         return "MAVLink tlog"
     if head.startswith(b"version https://git-lfs"):
         raise InputError(where, "", "is a Git LFS pointer, not the file itself", "fetch it: git lfs pull")
-    if looks_like_table(head):
+    if is_text_with_digits(head):
         return "CSV"
     if head.startswith(b"\x89HDF") or head.startswith(b"MATLAB"):
         name = "HDF5" if head.startswith(b"\x89HDF") else "MATLAB"
@@ -125,7 +125,7 @@ def detect_log_format(path: str | Path) -> str:
         if name == "MATLAB":
             remedy += "; `mufly identify linear` reads it directly"
         raise InputError(where, "", f"is a {name} file, which mufly cannot read", remedy)
-    if looks_like_table(head.rstrip(b"\0")):
+    if is_text_with_digits(head.rstrip(b"\0")):
         return "CSV"
     raise InputError(
         where, "", "is not a log in a known format",
@@ -136,7 +136,7 @@ def detect_log_format(path: str | Path) -> str:
 
 
 ProgressCallback = Callable[[int, int], None]
-_MAP_BY_FORMAT = {
+_COLUMN_MAP_BY_FORMAT = {
     "ULog": "px4",
     BLOCK_LOG_FORMAT: "px4",
     "DataFlash": "ardupilot",
@@ -209,7 +209,9 @@ def map_channels(
 
     Parameters and errors are those of :func:`mufly.logs.column_map.map_signals`.
     """
-    standard = load_column_map(_MAP_BY_FORMAT[raw.format_name]) if raw.format_name in _MAP_BY_FORMAT else None
+    standard = (
+        load_column_map(_COLUMN_MAP_BY_FORMAT[raw.format_name]) if raw.format_name in _COLUMN_MAP_BY_FORMAT else None
+    )
     standard = bag_column_map(raw) if raw.format_name == "rosbag2" else standard
     return map_signals(raw, columns, standard, wanted)
 
@@ -233,7 +235,7 @@ def _restore_own_ulog(raw: RawLog) -> xr.Dataset | None:
         raise InputError(raw.path, "", problem, "give another copy of the file") from error
     if "event_time" in restored:
         return restored
-    return restored.assign(event_variables([FlightEvent(t, "", text, level) for t, level, text in raw.messages]))
+    return restored.assign(make_event_variables([FlightEvent(t, "", text, level) for t, level, text in raw.messages]))
 
 
 def read_log(

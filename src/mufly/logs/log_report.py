@@ -15,12 +15,12 @@ from scipy.signal import detrend, welch
 from mufly.errors import ArgumentError, InputError
 from mufly.logs.channel_checks import ChannelReport, check_channels, numeric_channels
 from mufly.logs.column_map import ColumnMap, find_raw_field, load_column_map
-from mufly.logs.delay_estimation import DelayReport, check_delays
+from mufly.logs.delay_estimation import DelayReport, estimate_channel_delays
 from mufly.logs.log_io import join_channels, map_channels, open_log
 from mufly.logs.mcap import flight_layout
 from mufly.logs.raw_log import MIN_GAP_STEPS, Channel, ClockReport, RawLog, check_clock, resample_signal
 from mufly.quantities.quantity_table import SIGNAL_SOURCES, is_command_signal
-from mufly.quantities.units import conversion_factor
+from mufly.quantities.units import find_conversion_factor
 from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 
 if TYPE_CHECKING:
@@ -114,7 +114,10 @@ class LogReport:
         ]
         if rows:
             heads = ("signal", "unit", "min", "mean", "max", "std")
-            blocks += [make_table_block(heads, rows[:_MAX_SHOWN_LINES], text=(0, 1)), *_omitted_block(len(rows))]
+            blocks += [
+                make_table_block(heads, rows[:_MAX_SHOWN_LINES], text=(0, 1)),
+                *_make_omitted_count_block(len(rows)),
+            ]
         return [
             *blocks,
             *_section_blocks("Delays", [d.describe_delay() for d in self.delays]),
@@ -174,10 +177,14 @@ def _section_blocks(title: str, lines: Sequence[str], style: str = "") -> list[S
     if not lines:
         return []
     shown = (f"  {line}" for line in lines[:_MAX_SHOWN_LINES])
-    return [make_lines_block(title, style="bold"), make_lines_block(*shown, style=style), *_omitted_block(len(lines))]
+    return [
+        make_lines_block(title, style="bold"),
+        make_lines_block(*shown, style=style),
+        *_make_omitted_count_block(len(lines)),
+    ]
 
 
-def _omitted_block(count: int) -> list[ShownBlock]:
+def _make_omitted_count_block(count: int) -> list[ShownBlock]:
     if count <= _MAX_SHOWN_LINES:
         return []
     return [make_lines_block(f"  and {count - _MAX_SHOWN_LINES} more (--json lists all)", style="dim")]
@@ -286,7 +293,7 @@ def examine_log(
         pairs = [c for c in found if c.signal_name.partition("_")[2] in wanted and len(c.time) > 30]
         if pairs:
             try:
-                between = check_delays(join_channels(pairs))
+                between = estimate_channel_delays(join_channels(pairs))
             except InputError as error:  # an invalid time stamp: the rest is still reported
                 notes.append(f"no delays: {error.problem}; {error.remedy}")
     reports = check_channels(found, progress)
@@ -310,7 +317,7 @@ _LINE_STYLE_BY_SOURCE = {
     "truth": ("#222222", "-"), "measured": ("#0072B2", "-"), "estimated": ("#009E73", "-"),
     "reference": ("#D55E00", "--"),
 }  # fmt: skip
-_PLOT_UNITS = {"rad": "deg", "rad/s": "deg/s"}
+_PLOT_UNIT_BY_SI_UNIT = {"rad": "deg", "rad/s": "deg/s"}
 # More points than a picture has columns are drawn as the extremes of each column.
 _MAX_PLOT_COLUMNS = 3000
 _PICTURE_ORDER = (
@@ -342,7 +349,7 @@ class _PlotPlace(NamedTuple):
     legend: str
 
 
-def _find_plot_panel(c: Channel) -> _PlotPlace:
+def _find_plot_place(c: Channel) -> _PlotPlace:
     if "/" in c.name:
         topic, _, field = c.name.rpartition("/")
         return _PlotPlace(topic.strip("/").replace("/", "_"), re.split(r"[\[.]", field)[0], "", field)
@@ -355,11 +362,11 @@ def _find_plot_panel(c: Channel) -> _PlotPlace:
     return _PlotPlace(picture, c.signal_name.replace("_", " "), "", panel)
 
 
-def group_channels(channels: Sequence[Channel]) -> dict[str, list[Channel]]:
+def group_channels_by_picture(channels: Sequence[Channel]) -> dict[str, list[Channel]]:
     """Sort channels into pictures: ``{"attitude": [...], "inputs": [...], ...}``, in a fixed order."""
     groups: dict[str, list[Channel]] = {}
     for channel in channels:
-        groups.setdefault(_find_plot_panel(channel).picture, []).append(channel)
+        groups.setdefault(_find_plot_place(channel).picture, []).append(channel)
     rank = {k: i for i, k in enumerate(_PICTURE_ORDER)}
     return dict(sorted(groups.items(), key=lambda g: rank.get(g[0], len(_PICTURE_ORDER))))
 
@@ -416,7 +423,7 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
     Parameters
     ----------
     channels : sequence of Channel
-        Channels of one group of :func:`group_channels`.
+        Channels of one group of :func:`group_channels_by_picture`.
     title : str
     spectra : bool
         Draw power spectral densities instead of time histories; channels that are too short are omitted.
@@ -432,18 +439,18 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
     # One panel for each component of overlaid signals, otherwise one for each variable or unit.
     panels: dict[tuple[str, str], list[Channel]] = {}
     for c in channels:
-        panels.setdefault((_find_plot_panel(c).panel, "" if c.units == "1" else c.units), []).append(c)
+        panels.setdefault((_find_plot_place(c).panel, "" if c.units == "1" else c.units), []).append(c)
     with matplotlib.rc_context(_PLOT_STYLE):
         figure = Figure(figsize=(8.5, 0.7 + 1.75 * len(panels)), layout="constrained")
         axes = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
         drawn, above = 0, [""]
         for ax, ((name, unit), members) in zip(axes, panels.items(), strict=True):
-            shown = _PLOT_UNITS.get(unit, unit)
-            scale = conversion_factor(unit, shown) if shown != unit else 1.0
+            shown = _PLOT_UNIT_BY_SI_UNIT.get(unit, unit)
+            scale = find_conversion_factor(unit, shown) if shown != unit else 1.0
             several = len({c.signal_name for c in members}) > 1 or len(members) == 1
-            legends = [_find_plot_panel(c).legend for c in members]
+            legends = [_find_plot_place(c).legend for c in members]
             for k, c in enumerate(members):
-                source = _find_plot_panel(c).source
+                source = _find_plot_place(c).source
                 colour, dash = _PLOT_COLOURS[k % len(_PLOT_COLOURS)], "-" if k < len(_PLOT_COLOURS) else "--"
                 if several and source:
                     colour, dash = _LINE_STYLE_BY_SOURCE[source]

@@ -27,14 +27,16 @@ class _UnknownValue(NamedTuple):
     applies_to_array: bool = False
 
 
-_INTEGER_LIMITS = {f"{'U' * u}INT{n}_MAX": float(2 ** (n if u else n - 1) - 1) for u in (0, 1) for n in (8, 16, 32, 64)}
+_INTEGER_MAXIMUM_BY_NAME = {
+    f"{'U' * u}INT{n}_MAX": float(2 ** (n if u else n - 1) - 1) for u in (0, 1) for n in (8, 16, 32, 64)
+}
 _DIALECT_FILES = ("minimal.xml", "standard.xml", "common.xml", "ardupilotmega.xml")
 # In a clock 0 also means unknown; readers of clocks handle it.
 _CLOCK_FIELD_PATTERN = re.compile(r"^time_")
-_CHANNEL_UNKNOWN = {f"chan{k}_raw": 65535.0 for k in range(1, 19)}
+_UNKNOWN_RC_CHANNEL_VALUES = {f"chan{k}_raw": 65535.0 for k in range(1, 19)}
 _DOCUMENTED_UNKNOWNS: Mapping[str, Mapping[str, float]] = {
-    "RC_CHANNELS": {**_CHANNEL_UNKNOWN, "rssi": 255},
-    "RC_CHANNELS_RAW": {**_CHANNEL_UNKNOWN, "rssi": 255},
+    "RC_CHANNELS": {**_UNKNOWN_RC_CHANNEL_VALUES, "rssi": 255},
+    "RC_CHANNELS_RAW": {**_UNKNOWN_RC_CHANNEL_VALUES, "rssi": 255},
     "RC_CHANNELS_SCALED": {f"chan{k}_scaled": 32767 for k in range(1, 9)} | {"rssi": 255},
     "GLOBAL_POSITION_INT": {"hdg": 65535},
     "RAW_IMU": {"temperature": 0},
@@ -78,8 +80,8 @@ def _parse_unknown_value(text: str) -> _UnknownValue | None:
     word = match[1].strip()
     try:
         value = (
-            _INTEGER_LIMITS[word]
-            if word in _INTEGER_LIMITS
+            _INTEGER_MAXIMUM_BY_NAME[word]
+            if word in _INTEGER_MAXIMUM_BY_NAME
             else float(int(word, 0))
             if word.startswith("0x")
             else float(word)

@@ -40,15 +40,15 @@ from mufly.logs.mcap import (
     rows_to_dataset,
     to_json_value,
 )
-from mufly.logs.raw_log import LogWarning, RawLog, RawTable, find_foreign_stamps, format_wall_time
+from mufly.logs.raw_log import LogWarning, RawLog, RawTable, find_foreign_epoch_stamps, format_wall_time
 from mufly.quantities.quantity_table import DIMENSION_LABELS, SIGNAL_SOURCES, Quantity, quantities_recorded_in
 
-RECORDING_FORMAT = 1
+RECORDING_FORMAT_VERSION = 1
 ROW_CLOCK_TOPIC = "/mission"
 EVENT_TOPIC = "/events"
-FLIGHT_METADATA = "mufly.flight"
-LAYOUT_METADATA = "mufly.layout"
-OUTCOME_METADATA = "mufly.outcome"
+FLIGHT_METADATA_NAME = "mufly.flight"
+LAYOUT_METADATA_NAME = "mufly.layout"
+OUTCOME_METADATA_NAME = "mufly.outcome"
 FOXGLOVE_LEVELS = {"info": 2, "warning": 3, "error": 4}  # levels of foxglove.Log
 
 
@@ -77,7 +77,7 @@ def read_recording(path: str | Path) -> xr.Dataset:
 
 def is_recording(contents: McapContents) -> bool:
     """Return whether this package wrote the file."""
-    return LAYOUT_METADATA in contents.metadata and FLIGHT_METADATA in contents.metadata
+    return LAYOUT_METADATA_NAME in contents.metadata and FLIGHT_METADATA_NAME in contents.metadata
 
 
 def recording_from_contents(contents: McapContents, where: str) -> xr.Dataset:
@@ -86,14 +86,14 @@ def recording_from_contents(contents: McapContents, where: str) -> xr.Dataset:
         remedy = "give a file written by mufly (its metadata say so)"
         raise InputError(where, "", "is an MCAP file but not a recording of mufly", remedy)
     try:
-        layout = RecordingLayout.from_json(remove_checksum(contents.metadata[LAYOUT_METADATA])["layout"])
-        attributes = _parse_attributes(contents.metadata[FLIGHT_METADATA])
+        layout = RecordingLayout.from_json(remove_checksum(contents.metadata[LAYOUT_METADATA_NAME])["layout"])
+        attributes = _parse_attributes(contents.metadata[FLIGHT_METADATA_NAME])
     except (KeyError, TypeError, ValueError) as error:
         problem = f"the description at its beginning is damaged ({error})"
         raise InputError(where, "", problem, "use another copy of the file") from error
     attributes["complete"] = contents.is_complete
     try:
-        attributes |= _parse_attributes(contents.metadata.get(OUTCOME_METADATA, add_checksum({})))
+        attributes |= _parse_attributes(contents.metadata.get(OUTCOME_METADATA_NAME, add_checksum({})))
     except (KeyError, TypeError, ValueError):
         attributes["complete"] = False
     rows, states = _join_topic_rows(contents, layout)
@@ -134,7 +134,7 @@ def _join_topic_rows(contents: McapContents, layout: RecordingLayout) -> tuple[N
     """Return a recording's rows of numbers and mission states, joined from the messages, one per topic and row."""
     found = {t: contents.messages_by_topic.get(t, []) for t in (ROW_CLOCK_TOPIC, *layout.quantities_by_topic)}
     if not contents.is_complete:
-        found = _complete_rows(found)
+        found = _select_complete_rows(found)
     clock = [orjson.loads(data) for _, data in found[ROW_CLOCK_TOPIC]]
     n = len(clock)
     table: list[list[list[float | None]]] = [[[entry["time"]] for entry in clock]]
@@ -158,7 +158,7 @@ def _join_topic_rows(contents: McapContents, layout: RecordingLayout) -> tuple[N
     return np.hstack(blocks) if n else np.empty((0, layout.column_count)), [entry["state"] for entry in clock[:n]]
 
 
-def _complete_rows(found: dict[str, list[tuple[int, bytes]]]) -> dict[str, list[tuple[int, bytes]]]:
+def _select_complete_rows(found: dict[str, list[tuple[int, bytes]]]) -> dict[str, list[tuple[int, bytes]]]:
     """Return the messages of complete rows; all messages of a row have the same time."""
     times = [{t for t, _ in messages} for messages in found.values()]
     whole = set.intersection(*times) if times else set()
@@ -218,7 +218,7 @@ def read_recording_summary(path: str | Path) -> dict[str, Any]:
             metadata, facts["complete"] = contents.metadata, contents.is_complete
     if not count:
         raise InputError(str(path), "", "contains no messages", "it ended before its first second was written to disk")
-    for name in (FLIGHT_METADATA, OUTCOME_METADATA):
+    for name in (FLIGHT_METADATA_NAME, OUTCOME_METADATA_NAME):
         with suppress(KeyError, TypeError, ValueError):
             facts |= _parse_attributes(metadata[name])
     return {"start_time_ns": first} | facts | {"duration_s": (last - first) * 1e-9}
@@ -449,7 +449,7 @@ def write_mcap(dataset: xr.Dataset, path: Path) -> None:
     events = read_events(dataset) if "event_time" in dataset else []
     attributes = {
         "start_time_ns": _start_time_ns(dataset),
-        "format": RECORDING_FORMAT,
+        "format": RECORDING_FORMAT_VERSION,
         **to_json_value(dataset.attrs),
     }
     attributes.pop("complete", None)
@@ -457,8 +457,8 @@ def write_mcap(dataset: xr.Dataset, path: Path) -> None:
     with path.open("wb") as stream:
         file = McapWriter(stream, f"mufly {attributes.get('version', '')}".strip())
         encoder = TopicEncoder(file, layout, int(attributes["start_time_ns"]))
-        file.write_metadata(FLIGHT_METADATA, add_checksum(_encode_json_texts(attributes)))
-        file.write_metadata(LAYOUT_METADATA, add_checksum({"layout": layout.to_json()}))
+        file.write_metadata(FLIGHT_METADATA_NAME, add_checksum(_encode_json_texts(attributes)))
+        file.write_metadata(LAYOUT_METADATA_NAME, add_checksum({"layout": layout.to_json()}))
         for start in range(0, len(time), _BLOCK_ROWS):
             part = slice(start, start + _BLOCK_ROWS)
             last = start + _BLOCK_ROWS >= len(time)
@@ -467,7 +467,7 @@ def write_mcap(dataset: xr.Dataset, path: Path) -> None:
             events = events[len(now) :]
             messages = encoder.encode_messages(rows[part], states[part], now)
             file.write_chunk(sorted(messages, key=lambda m: m[1]))
-        file.write_metadata(OUTCOME_METADATA, add_checksum(_encode_json_texts(outcome)))
+        file.write_metadata(OUTCOME_METADATA_NAME, add_checksum(_encode_json_texts(outcome)))
         file.finish_file()
 
 
@@ -486,7 +486,7 @@ def _start_time_ns(dataset: xr.Dataset) -> int:
 
 
 # A longer list is a picture or a point cloud, no signal.
-_MAX_LIST_LENGTH = 64
+_MAX_SIGNAL_LIST_LENGTH = 64
 # Topics of this package's recordings with drawings and texts.
 _TOPICS_WITHOUT_SIGNALS = ("/tf", "/scene", "/track", "/reference_pose", "/events")
 
@@ -507,7 +507,7 @@ def parse_json_topics(contents: McapContents, where: str) -> RawLog:
             "give another copy of the file" if contents.lost_parts else "the recording ended before its first second",
         )  # fmt: skip
     times = {k: np.array([t for t, _ in m], dtype=np.float64) / 1e9 for k, m in contents.messages_by_topic.items()}
-    foreign, strange = find_foreign_stamps(times)
+    foreign, strange = find_foreign_epoch_stamps(times)
     zero = min(
         t for k, m in contents.messages_by_topic.items() for (t, _), f in zip(m, foreign[k], strict=True) if not f
     )
@@ -575,7 +575,7 @@ def _iterate_leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         for key, inner in value.items():
             yield from _iterate_leaves(inner, f"{name}.{key}" if name else str(key))
     elif isinstance(value, list):
-        if len(value) <= _MAX_LIST_LENGTH:
+        if len(value) <= _MAX_SIGNAL_LIST_LENGTH:
             for k, inner in enumerate(value):
                 yield from _iterate_leaves(inner, f"{name}[{k}]")
     else:
@@ -590,7 +590,7 @@ def _to_array(values: list[Any]) -> NDArray[Any]:
 
 def _units_by_topic(contents: McapContents) -> dict[str, dict[str, str]]:
     try:
-        layout = RecordingLayout.from_json(remove_checksum(contents.metadata[LAYOUT_METADATA])["layout"])
+        layout = RecordingLayout.from_json(remove_checksum(contents.metadata[LAYOUT_METADATA_NAME])["layout"])
     except (KeyError, TypeError, ValueError):
         return {}
     out: dict[str, dict[str, str]] = {}

@@ -122,7 +122,7 @@ class RawLog(Mapping[str, RawTable]):
         return (float(min(a for a, _ in ends)), float(max(b for _, b in ends))) if ends else (0.0, 0.0)
 
 
-def describe_skipped(data: bytes, skipped: Sequence[tuple[int, int]], what: str) -> str:
+def describe_skipped_bytes(data: bytes, skipped: Sequence[tuple[int, int]], what: str) -> str:
     """Return a description of the byte ranges [begin, end) that are no complete ``what``; ``""`` without any."""
     said = []
     inside = [(a, b) for a, b in skipped if b < len(data)]
@@ -346,7 +346,7 @@ def check_clock(time: _Array) -> ClockReport:
     )
 
 
-def find_foreign_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[np.bool_]], list[str]]:
+def find_foreign_epoch_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[np.bool_]], list[str]]:
     """Mark time stamps that count from another epoch than the rest of the log, and describe them.
 
     No flight lasts a day, but epochs differ by years. The board's clock counts since its start, the GPS clock since
@@ -514,7 +514,7 @@ def resample_signal(
         out = x[np.clip(before, 0, None)].copy()
     else:
         if new_step > 1.5 * step:
-            t_even, x = _low_pass(t, x, new_step, step)
+            t_even, x = _low_pass_onto_new_clock(t, x, new_step, step)
             out = np.interp(onto, t_even, x)
         else:
             out = np.interp(onto, t, x)
@@ -530,7 +530,7 @@ def resample_signal(
     return out
 
 
-def _low_pass(t: _Array, x: _Array, new_step: float, step: float) -> tuple[_Array, _Array]:
+def _low_pass_onto_new_clock(t: _Array, x: _Array, new_step: float, step: float) -> tuple[_Array, _Array]:
     """Low-pass the signal below half the new rate, on a uniform clock of the new step."""
     factor = max(int(np.ceil(new_step / step)), 2)
     start = np.floor(t[0] / new_step) * new_step

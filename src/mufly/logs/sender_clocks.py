@@ -33,7 +33,7 @@ _LONGEST_UPTIME_S, _YEAR_2000_S = 1e8, 946_684_800.0
 _WRAP_PERIOD_S, _NEAR_WRAP_S = 2**32 / 1e3, 60.0  # wrap of 32 bits in ms
 _MIN_OUTLIER_S = 2.0
 # Number of samples that must agree on a clock's offset.
-_MEDIAN_SAMPLES = 11
+_OFFSET_WINDOW_SAMPLES = 11
 # A leap of the arrival beyond the first (s) while the clock advances by less than the second (s), and by so many usual
 # steps.
 _MIN_ARRIVAL_LEAP_S, _MAX_CLOCK_STEP_S, _MIN_LEAP_STEPS = 5.0, 2.0, 10.0
@@ -207,20 +207,20 @@ def _find_clock_restarts(run: _ClockSamples) -> list[_ClockRestart]:
     for k in (np.flatnonzero(back | new) + 1).tolist():
         begun = out[-1].first_sample if out else 0
         # Of the continuing run, even if late packets of the run before are among it.
-        level = max(float(since[begun]), float(np.median(since[max(begun, k - _MEDIAN_SAMPLES) : k])))
-        by = float(np.median(since[k : k + _MEDIAN_SAMPLES])) - level
+        level = max(float(since[begun]), float(np.median(since[max(begun, k - _OFFSET_WINDOW_SAMPLES) : k])))
+        by = float(np.median(since[k : k + _OFFSET_WINDOW_SAMPLES])) - level
         if by <= _MIN_CLOCK_RESET_S:
             continue
         earliest = float(run.arrival_s[k - 1]) - _MIN_CLOCK_RESET_S
         if new[k - 1] and level + by >= earliest:
             out.append(_ClockRestart(k, True, earliest))
-        elif back[k - 1] and len(since) - k >= _MEDIAN_SAMPLES and rest[k] > level + 0.5 * by:
+        elif back[k - 1] and len(since) - k >= _OFFSET_WINDOW_SAMPLES and rest[k] > level + 0.5 * by:
             # Set back to another time: the clock does not return to its former offset.
             out.append(_ClockRestart(k, False, level + 0.5 * by))
     return out
 
 
-def _min_differences(since: _Array, borders: Sequence[_ClockRestart]) -> _Array:
+def _find_min_clock_differences(since: _Array, borders: Sequence[_ClockRestart]) -> _Array:
     """Return the least of ``since``, arrival time less sender's clock (s), between successive clock restarts.
 
     Late packets of the previous run are left out.
@@ -263,13 +263,19 @@ def remove_arrival_leaps(
     for place in set_back.tolist():
         k = int(np.searchsorted(run.file_positions, place))
         if 0 < k < len(since) and 0 <= run.clock_s[k] - run.clock_s[k - 1] < _MAX_CLOCK_STEP_S:
-            by = float(since[k : k + _MEDIAN_SAMPLES].min() - since[max(0, k - _MEDIAN_SAMPLES) : k].min())
+            by = float(
+                since[k : k + _OFFSET_WINDOW_SAMPLES].min() - since[max(0, k - _OFFSET_WINDOW_SAMPLES) : k].min()
+            )
             arrival[place:] -= by
             since[k:] -= by
     for k in (np.flatnonzero(sudden) + 1).tolist():
-        before = float(since[max(0, k - _MEDIAN_SAMPLES) : k].min())
-        by = float(since[k : k + _MEDIAN_SAMPLES].min()) - before
-        if len(since) - k >= _MEDIAN_SAMPLES and by > _MIN_ARRIVAL_LEAP_S and since[k:].min() > before + 0.8 * by:
+        before = float(since[max(0, k - _OFFSET_WINDOW_SAMPLES) : k].min())
+        by = float(since[k : k + _OFFSET_WINDOW_SAMPLES].min()) - before
+        if (
+            len(since) - k >= _OFFSET_WINDOW_SAMPLES
+            and by > _MIN_ARRIVAL_LEAP_S
+            and since[k:].min() > before + 0.8 * by
+        ):
             between = arrival[run.file_positions[k - 1] : run.file_positions[k] + 1]
             at = int(run.file_positions[k - 1] + 1 + np.diff(between).argmax())
             words.append(
@@ -314,7 +320,7 @@ def estimate_sending_times(
         run = run._replace(clock_s=_unwrap_clock(run.clock_s, run.file_positions, after))
         borders = _find_clock_restarts(run)
         at = np.array([b.first_sample for b in borders], dtype=np.int64)
-        quickest = _min_differences(run.arrival_s - run.clock_s, borders)
+        quickest = _find_min_clock_differences(run.arrival_s - run.clock_s, borders)
         for key in own:
             name, clock = clocks[key]
             clock = _unwrap_clock(clock, places[key], after) if name == "time_boot_ms" else clock

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError, report_write_errors
 from mufly.logs.mavlink_unknown_values import replace_unknown_values
-from mufly.logs.raw_log import RawLog, RawTable, describe_skipped, find_foreign_stamps, format_wall_time
+from mufly.logs.raw_log import RawLog, RawTable, describe_skipped_bytes, find_foreign_epoch_stamps, format_wall_time
 from mufly.logs.sender_clocks import (
     MessageKey,
     estimate_sending_times,
@@ -48,7 +48,7 @@ from mufly.vehicle_types import (
 
 _STAMP_STRUCT = struct.Struct(">Q")
 _MAVLINK_2_MAGIC = 0xFD
-_SENDER_AND_ID_V1, _SENDER_AND_ID_V2 = slice(3, 6), slice(5, 10)  # bytes of system, component and message
+_SENDER_AND_ID_SLICE_V1, _SENDER_AND_ID_SLICE_V2 = slice(3, 6), slice(5, 10)  # bytes of system, component and message
 _STAMP_SIZE = 8  # bytes before the packet of an entry
 _YEAR_2000_US, _YEAR_2100_US = 946_684_800 * 10**6, 4_102_444_800 * 10**6
 _SEVERITY_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
@@ -140,7 +140,9 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
         except Exception:  # wrong checksum, unknown message: counted
             bad += 1
             continue
-        offsets, messages = raw_rows[packet[_SENDER_AND_ID_V2 if packet[0] == _MAVLINK_2_MAGIC else _SENDER_AND_ID_V1]]
+        offsets, messages = raw_rows[
+            packet[_SENDER_AND_ID_SLICE_V2 if packet[0] == _MAVLINK_2_MAGIC else _SENDER_AND_ID_SLICE_V1]
+        ]
         offsets.append(at)
         messages.append(message)
     if behind < len(data):
@@ -150,8 +152,8 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     if not rows:
         raise InputError(where, "", "contains no packet that can be decoded", "give a MAVLink 1 or 2 log")
     notes = [f"{bad} packets are damaged or unknown and skipped"] if bad else []
-    came_us, number = _read_headers(data, offset)
-    foreign, _ = find_foreign_stamps({str(key): came_us[places] / 1e6 for key, (places, _) in rows.items()})
+    came_us, number = _read_stamps_and_packet_numbers(data, offset)
+    foreign, _ = find_foreign_epoch_stamps({str(key): came_us[places] / 1e6 for key, (places, _) in rows.items()})
     lost = sum(int(f.sum()) for f in foreign.values())
     if lost:
         _drop_packets(rows, {key: ~foreign[str(key)] for key in rows})
@@ -213,7 +215,7 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
         messages=tuple(sorted(texts)),
         is_complete=not skipped,
         notes=tuple(notes),
-        damage_text=describe_skipped(data, skipped, "packet"),
+        damage_text=describe_skipped_bytes(data, skipped, "packet"),
     )
 
 
@@ -249,7 +251,9 @@ def _group_by_sender(
     return rows, offset
 
 
-def _read_headers(data: bytes, offset: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _read_stamps_and_packet_numbers(
+    data: bytes, offset: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the stamp (us) of each entry, and number and checksum of its packet as checksum * 256 + number."""
     stream = np.frombuffer(data, dtype=np.uint8)
     stamp = stream[offset[:, None] + np.arange(8)].copy().view(">u8")[:, 0].astype(np.int64)

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from mufly.errors import ArgumentError, InputError
 from mufly.logs.mavlink_unknown_values import replace_unknown_values
 from mufly.logs.mcap import component_channels, encode_dataset_metadata, read_events
-from mufly.logs.raw_log import RawLog, RawTable, find_foreign_stamps, format_wall_time
+from mufly.logs.raw_log import RawLog, RawTable, find_foreign_epoch_stamps, format_wall_time
 from mufly.logs.tables import TABLE_TOPIC
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -43,9 +43,9 @@ HEADER_SIZE = 16
 _SYNC_BYTES = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _LEVEL_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 _MESSAGE_TYPE_OFFSET = 2  # of a message, after its size
-_INCOMPATIBLE_FLAGS = slice(8, 16)  # of the message of flag bits
+_INCOMPATIBLE_FLAGS_SLICE = slice(8, 16)  # of the message of flag bits
 _SUBSCRIPTION_NAME_OFFSET = 3  # after instance and number
-_MAX_HEADER_OFFSET_US = 600_000_000
+_MAX_HEADER_TIME_OFFSET_US = 600_000_000
 _NUMPY_TYPES = {
     "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
     "int64_t": "<i8", "uint64_t": "<u8", "float": "<f4", "double": "<f8", "bool": "i1", "char": "i1",
@@ -198,7 +198,7 @@ def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
             elif (
                 kind in kinds
                 and stop <= limit
-                and _process_message(scan, kind, data[at + _HEAD_SIZE : stop], header, data)
+                and _process_non_data_message(scan, kind, data[at + _HEAD_SIZE : stop], header, data)
             ):
                 at = stop
                 if kind == _FLAG_BITS_MESSAGE and not limits:
@@ -250,7 +250,7 @@ def _note_damage(scan: _ScanResult, data: bytes, at: int, stop: int, after: int,
 
 def _find_log_part_ends(scan: _ScanResult, where: str, end: int) -> list[int]:
     """Return the ends of the file's parts: the log, and data appended to it."""
-    flags, offsets = scan.info.pop(_FLAG_BITS_NAME)
+    flags, offsets = scan.info.pop(_FLAG_BITS_INFO_KEY)
     if flags[0] & ~_APPENDED_DATA_FLAG or any(flags[1:]):
         raise InputError(where, "flag bits", f"has unknown incompatible flags ({flags.hex()})",
                          "convert it with PX4's own tools: ulog2csv")  # fmt: skip
@@ -305,10 +305,10 @@ def _messages_follow(data: bytes, at: int, limit: int, scan: _ScanResult, chain:
     return at <= limit
 
 
-_FLAG_BITS_NAME, _ROW_COUNT_KEY = "flag bits", "mufly_rows"
+_FLAG_BITS_INFO_KEY, _ROW_COUNT_KEY = "flag bits", "mufly_rows"
 
 
-def _process_message(scan: _ScanResult, kind: int, body: bytes, header: int, data: bytes) -> bool:
+def _process_non_data_message(scan: _ScanResult, kind: int, body: bytes, header: int, data: bytes) -> bool:
     """Process a message other than data; return False if its content does not fit its type."""
     try:
         if kind == _FORMAT_MESSAGE:
@@ -343,7 +343,7 @@ def _process_message(scan: _ScanResult, kind: int, body: bytes, header: int, dat
         elif kind == _SYNC_MESSAGE:
             return body == _SYNC_BYTES
         elif kind == _FLAG_BITS_MESSAGE:
-            scan.info[_FLAG_BITS_NAME] = (body[_INCOMPATIBLE_FLAGS], struct.unpack_from("<QQQ", body, 16))
+            scan.info[_FLAG_BITS_INFO_KEY] = (body[_INCOMPATIBLE_FLAGS_SLICE], struct.unpack_from("<QQQ", body, 16))
         return kind != _REMOVAL_MESSAGE or len(body) == 2
     except (ValueError, KeyError, IndexError, struct.error, RecursionError):
         return False
@@ -438,13 +438,13 @@ def _seconds_since_start(
     if header > 0:
         seconds = {k: np.where(s == 0, np.nan, s) for k, s in seconds.items()}
     unset = {k: int(np.isnan(s).sum()) for k, s in seconds.items()}
-    foreign, notes = find_foreign_stamps(seconds)
+    foreign, notes = find_foreign_epoch_stamps(seconds)
     notes += [f"{k}: {n} of {len(stamps[k])} time stamps were never set (0)" for k, n in unset.items() if n]
     known = {k: s[~foreign[k] & np.isfinite(seconds[k])].astype(np.int64) for k, s in stamps.items()}
     running = [s for s in known.values() if len(s) and s[-1] > s[0]] or [s for s in known.values() if len(s)]
     first = min((int(s[0]) for s in running), default=header)
     last = max((int(s[-1]) for s in running), default=header)
-    zero = header if first - _MAX_HEADER_OFFSET_US < header < last + _MAX_HEADER_OFFSET_US else first
+    zero = header if first - _MAX_HEADER_TIME_OFFSET_US < header < last + _MAX_HEADER_TIME_OFFSET_US else first
     out = {
         k: np.where(foreign[k] | np.isnan(seconds[k]), np.nan, (s.astype(np.int64) - zero) / 1e6)
         for k, s in stamps.items()

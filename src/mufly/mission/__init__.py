@@ -8,7 +8,11 @@ from mufly.mission.files.geofence import (
     fence_outlines,
     fence_to_items,
 )
-from mufly.mission.files.ground_files import FILE_ENDINGS, GROUND_STATION_FILE_DESCRIPTION, is_ground_station_text
+from mufly.mission.files.ground_files import (
+    GROUND_STATION_DESCRIPTION_PREFIX,
+    MISSION_FILE_ENDINGS,
+    is_ground_station_text,
+)
 from mufly.mission.files.mission_checks import (
     MISSION_FRACTION_OF_CONTROL_LIMITS,
     MissionEstimate,
@@ -49,7 +53,7 @@ from mufly.mission.machine.ground_phases import (
     has_lifted_off,
     is_tipping,
 )
-from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.log_messages import LogTemplate
 from mufly.mission.machine.mission_state import (
     NO_COMMAND,
     Command,
@@ -64,9 +68,9 @@ from mufly.mission.machine.mission_state import (
 from mufly.mission.machine.offboard import MAX_HEIGHT_M, SetPoint, describe_set_point_fault, needs_lift_off
 from mufly.mission.machine.state_machine import step_mission, update_obstacle_map
 from mufly.mission.request_checks import (
-    GO_AROUND_HEIGHT_M,
-    MOTORS_STOPPING,
-    OFF_FLOOR_HEIGHT_M,
+    MIN_GO_AROUND_HEIGHT_M,
+    MIN_TAKE_OFF_ABORT_HEIGHT_M,
+    MOTORS_STOPPING_REASON,
     REQUEST_ACCEPTED,
     RequestAnswer,
     VehicleRequest,
@@ -84,25 +88,25 @@ from mufly.mission.trajectory import (
 from mufly.mission.user_requests import describe_user_waypoint_fault, pause_mission, resume_mission, stop_motors
 
 __all__ = [
-    "FILE_ENDINGS",
-    "GO_AROUND_HEIGHT_M",
-    "GROUND_STATION_FILE_DESCRIPTION",
+    "GROUND_STATION_DESCRIPTION_PREFIX",
     "HARD_TOUCHDOWN_M_S",
     "MAX_GUST_RMS_M_S",
     "MAX_HEIGHT_M",
     "MAX_WIND_M_S",
+    "MIN_GO_AROUND_HEIGHT_M",
+    "MIN_TAKE_OFF_ABORT_HEIGHT_M",
     "MIN_WAYPOINT_HEIGHT_M",
+    "MISSION_FILE_ENDINGS",
     "MISSION_FRACTION_OF_CONTROL_LIMITS",
-    "MOTORS_STOPPING",
+    "MOTORS_STOPPING_REASON",
     "NO_COMMAND",
-    "OFF_FLOOR_HEIGHT_M",
     "REQUEST_ACCEPTED",
     "ROTOR_RUN_DOWN_TIME_S",
     "ROTOR_SPIN_UP_TIME_S",
     "Command",
     "CubicSpline",
     "Fence",
-    "LogMessage",
+    "LogTemplate",
     "Mission",
     "MissionEstimate",
     "MissionPlan",

@@ -15,7 +15,7 @@ from mufly.mission.machine.ground_phases import (
     measured_position,
     reset_mission,
 )
-from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.log_messages import LogTemplate
 from mufly.mission.machine.mission_reference import current_reference, predict_step_end_reference
 from mufly.mission.machine.mission_state import (
     Command,
@@ -40,7 +40,7 @@ def enter_manual(s: MissionState, m: Estimate) -> MissionState:
     return enter_state(
         s,
         State.RC,
-        LogMessage.RC_ON(),
+        LogTemplate.RC_ON(),
         hold_position=x,
         hold_heading=psi,
         detour=None,
@@ -99,10 +99,10 @@ def exit_manual(s: MissionState, m: Estimate) -> MissionState:
     x, psi = measured_position(m), float(m.attitude[2])
     if s.motors != "fly" or _is_on_floor(s, m):
         if s.mission_begun and s.outcome == "":
-            s = fail_mission(s, LogMessage.LANDED_BY_PILOT())
+            s = fail_mission(s, LogTemplate.LANDED_BY_PILOT())
         elif s.has_taken_off and s.outcome == "":
-            s = replace(s, outcome="succeeded", reason=LogMessage.LANDED_BY_PILOT())
-        return _end_control_on_floor(s, LogMessage.RC_OFF_ON_FLOOR())
+            s = replace(s, outcome="succeeded", reason=LogTemplate.LANDED_BY_PILOT())
+        return _end_control_on_floor(s, LogTemplate.RC_OFF_ON_FLOOR())
     brake = plan_stop(x, m.velocity, psi, DETOUR_ACCELERATION_M_S2)
     n, e, d = brake.evaluate(math.inf).position
     if d > s.home_position[2]:
@@ -115,7 +115,7 @@ def exit_manual(s: MissionState, m: Estimate) -> MissionState:
         brake = plan_stop(x, (m.velocity[0], m.velocity[1], w), psi, DETOUR_ACCELERATION_M_S2)
         n, e, d = brake.evaluate(math.inf).position
     at = (n, e, d)
-    return enter_hover(s, LogMessage.RC_OFF(), at, psi, motion=brake, user_in_control=True)
+    return enter_hover(s, LogTemplate.RC_OFF(), at, psi, motion=brake, user_in_control=True)
 
 
 # Set-points of a program
@@ -129,7 +129,7 @@ def enter_offboard(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionSta
         return enter_state(
             s,
             State.OFFBOARD,
-            LogMessage.OFFBOARD_ON(),
+            LogTemplate.OFFBOARD_ON(),
             set_point_reference=predict_step_end_reference(s),
             detour=None,
             user_in_control=True,
@@ -142,7 +142,7 @@ def enter_offboard(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionSta
     if fault:
         return log_start_refusal(s, fault)
     return enter_state(
-        reset_mission(s, m, user_in_control=True), State.OFFBOARD, LogMessage.OFFBOARD_TAKE_OFF(), motors="spin_up"
+        reset_mission(s, m, user_in_control=True), State.OFFBOARD, LogTemplate.OFFBOARD_TAKE_OFF(), motors="spin_up"
     )
 
 
@@ -167,6 +167,6 @@ def step_offboard(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, d
 def exit_offboard(plan: MissionPlan, s: MissionState, m: Estimate) -> MissionState:
     """End offboard control: hover where the reference comes to rest, or stay on the floor."""
     if s.motors != "fly" or _is_on_floor(s, m):
-        s = replace(s, outcome="succeeded", reason=LogMessage.LANDED()) if s.outcome == "" else s
-        return _end_control_on_floor(s, LogMessage.OFFBOARD_OFF_ON_FLOOR())
-    return pause_mission(plan, s, LogMessage.OFFBOARD_OFF())
+        s = replace(s, outcome="succeeded", reason=LogTemplate.LANDED()) if s.outcome == "" else s
+        return _end_control_on_floor(s, LogTemplate.OFFBOARD_OFF_ON_FLOOR())
+    return pause_mission(plan, s, LogTemplate.OFFBOARD_OFF())

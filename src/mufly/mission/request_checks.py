@@ -28,10 +28,10 @@ stop      yes       yes       yes       yes       yes       yes       yes       
 """
 """Permitted requests by state; each word names a condition below, which gives the reason for a refusal."""
 
-GO_AROUND_HEIGHT_M = 0.4
+MIN_GO_AROUND_HEIGHT_M = 0.4
 """Height above the floor above which a landing can be aborted (m)."""
 
-OFF_FLOOR_HEIGHT_M = 0.2
+MIN_TAKE_OFF_ABORT_HEIGHT_M = 0.2
 """Height above the standing position above which a take-off can be aborted (m)."""
 
 
@@ -116,10 +116,10 @@ class _RequestFacts:
     flying: bool
 
 
-MOTORS_STOPPING = "the motors are being stopped; repeat the request"
+MOTORS_STOPPING_REASON = "the motors are being stopped; repeat the request"
 """Reason for refusals between a stop and the step that executes it."""
 
-_MEASUREMENTS_LOST = reject_temporarily("measurements are lost; the vehicle descends by itself", "comes down")
+_MEASUREMENTS_LOST_REFUSAL = reject_temporarily("measurements are lost; the vehicle descends by itself", "comes down")
 
 
 def _allow_always(f: _RequestFacts) -> RequestAnswer:
@@ -128,7 +128,11 @@ def _allow_always(f: _RequestFacts) -> RequestAnswer:
 
 def _allow_at_rest(f: _RequestFacts) -> RequestAnswer:
     # Arming would restore power to motors that are being stopped.
-    return REQUEST_ACCEPTED if f.armed or f.motors == "off" else reject_temporarily(MOTORS_STOPPING, "motors running")
+    return (
+        REQUEST_ACCEPTED
+        if f.armed or f.motors == "off"
+        else reject_temporarily(MOTORS_STOPPING_REASON, "motors running")
+    )
 
 
 def _allow_grounded(f: _RequestFacts) -> RequestAnswer:
@@ -154,7 +158,7 @@ def _deny_as_on_floor(f: _RequestFacts) -> RequestAnswer:
 
 
 def _allow_unless_blind(f: _RequestFacts) -> RequestAnswer:
-    return _MEASUREMENTS_LOST if f.motors == "blind" else REQUEST_ACCEPTED
+    return _MEASUREMENTS_LOST_REFUSAL if f.motors == "blind" else REQUEST_ACCEPTED
 
 
 def _deny_as_manual(f: _RequestFacts) -> RequestAnswer:
@@ -171,7 +175,7 @@ def _allow_unless_failed(f: _RequestFacts) -> RequestAnswer:
 
 def _deny_as_landing(f: _RequestFacts) -> RequestAnswer:
     return _allow_unless_failed(f) and reject_temporarily(
-        f"the vehicle lands; pause first (above {GO_AROUND_HEIGHT_M:g} m)", "landing"
+        f"the vehicle lands; pause first (above {MIN_GO_AROUND_HEIGHT_M:g} m)", "landing"
     )
 
 
@@ -179,9 +183,9 @@ def _allow_go_around(f: _RequestFacts) -> RequestAnswer:
     """Accept a request during a landing if the height suffices to abort it; else state the reason."""
     if f.context.outcome == "failed" or f.motors != "fly":
         return _deny_as_landing(f)
-    low = f.height_m <= GO_AROUND_HEIGHT_M
+    low = f.height_m <= MIN_GO_AROUND_HEIGHT_M
     return (
-        reject_temporarily(f"landing below {GO_AROUND_HEIGHT_M:g} m, too low to abort", "landing")
+        reject_temporarily(f"landing below {MIN_GO_AROUND_HEIGHT_M:g} m, too low to abort", "landing")
         if low
         else REQUEST_ACCEPTED
     )
@@ -189,9 +193,9 @@ def _allow_go_around(f: _RequestFacts) -> RequestAnswer:
 
 def _allow_lifted(f: _RequestFacts) -> RequestAnswer:
     """Accept a request if the vehicle is safely off the floor; else state the reason."""
-    if f.motors == "spin_up" or f.height_m < OFF_FLOOR_HEIGHT_M:
+    if f.motors == "spin_up" or f.height_m < MIN_TAKE_OFF_ABORT_HEIGHT_M:
         return _allow_unless_failed(f) and reject_temporarily(
-            f"taking off; wait for a height of {OFF_FLOOR_HEIGHT_M:g} m", "taking off"
+            f"taking off; wait for a height of {MIN_TAKE_OFF_ABORT_HEIGHT_M:g} m", "taking off"
         )
     return _allow_unless_failed(f)
 

@@ -103,7 +103,7 @@ def smooth_step_down(x: float) -> Triple:
     )
 
 
-def compute_smooth_stop(speed: float, acceleration: float) -> tuple[float, float]:
+def compute_stop_time_and_distance(speed: float, acceleration: float) -> tuple[float, float]:
     """Return time (s) and distance of a stop from ``speed`` by `smooth_step_down` with at most ``acceleration``."""
     duration = _PEAK_SPEED_RATIO * abs(speed) / acceleration
     return duration, 0.5 * abs(speed) * duration
@@ -224,8 +224,8 @@ def plan_stop(
     A ``heading_rate`` (rad/s) is reduced to zero with at most ``yaw_acceleration`` (rad/s2).
     """
     v = _to_triple(velocity)
-    duration, _ = compute_smooth_stop(vector_length(*v), acceleration)
-    turn_s, _ = compute_smooth_stop(heading_rate, yaw_acceleration)
+    duration, _ = compute_stop_time_and_distance(vector_length(*v), acceleration)
+    turn_s, _ = compute_stop_time_and_distance(heading_rate, yaw_acceleration)
     return BrakingMotion(_to_triple(position), v, heading, duration, heading_rate, turn_s)
 
 
@@ -247,7 +247,7 @@ def _arc_length(cubics: tuple[_CubicCoefficients, ...], u: float, half: float) -
     return half * total
 
 
-def _evaluate_speed_and_curvature(
+def _evaluate_tangent_and_curvature_squares(
     cubics: tuple[_CubicCoefficients, ...], u: float
 ) -> tuple[float, tuple[float, float, float, float]]:
     """Return squares at parameter ``u``: of the tangent's length, the unit tangent's components, and the curvature.
@@ -290,7 +290,7 @@ class PendingCurve(NamedTuple):
         cubics, arc = self.coefficients, [0.0]
         for k in range(_ARC_PIECE_COUNT):
             arc.append(arc[k] + _arc_length(cubics, k / _ARC_PIECE_COUNT, 0.5 / _ARC_PIECE_COUNT))
-        least, (level, rise, sink, bend) = _find_extreme_speed_and_curvature(cubics)
+        least, (level, rise, sink, bend) = _find_extreme_tangent_and_curvature_squares(cubics)
         if math.sqrt(least) < 0.05 * max(arc[-1], _MIN_DENOMINATOR):
             return None
         share = self.acceleration / math.sqrt(2.0)
@@ -451,16 +451,16 @@ def wrap_turn(angle: float) -> float:
     return float(wrap_angle(angle))
 
 
-def _find_extreme_speed_and_curvature(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float, list[float]]:
+def _find_extreme_tangent_and_curvature_squares(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float, list[float]]:
     """Return the least square of a curve's tangent length, and the greatest squares of direction and curvature.
 
-    The squares are those of :func:`_evaluate_speed_and_curvature`. Each maximum is searched in equal steps, then by
-    halving the step around the best point.
+    The squares are those of :func:`_evaluate_tangent_and_curvature_squares`. Each maximum is searched in equal steps,
+    then by halving the step around the best point.
     """
     least, worst, where = math.inf, [0.0] * 4, [0.0] * 4
     for k in range(_ARC_PIECE_COUNT + 1):
         u = k / _ARC_PIECE_COUNT
-        square, asks = _evaluate_speed_and_curvature(cubics, u)
+        square, asks = _evaluate_tangent_and_curvature_squares(cubics, u)
         least = min(least, square)
         for j in range(4):
             if asks[j] > worst[j]:
@@ -470,7 +470,7 @@ def _find_extreme_speed_and_curvature(cubics: tuple[_CubicCoefficients, ...]) ->
         for _ in range(_EXTREME_REFINEMENT_COUNT if worst[j] > 0.0 else 0):
             step, middle = 0.5 * step, where[j]
             for u in (middle - step, middle + step):
-                square, asks = _evaluate_speed_and_curvature(cubics, u)
+                square, asks = _evaluate_tangent_and_curvature_squares(cubics, u)
                 if 0.0 <= u <= 1.0 and asks[j] > worst[j]:
                     least = min(least, square)
                     worst[j], where[j] = asks[j], u
@@ -504,7 +504,7 @@ def plan_straight(
     """
     a, b = _to_triple(start), _to_triple(goal)
     way = vector_length(b[0] - a[0], b[1] - a[1])
-    turn = _turn_to_path(a, b, way, heading, final_heading, nose_offset)
+    turn = _compute_turn_before_path(a, b, way, heading, final_heading, nose_offset)
     if way < _MIN_DISTANCE_M:
         way, b = 0.0, (a[0], a[1], b[2])
     fall = b[2] - a[2]
@@ -600,7 +600,7 @@ def _to_triple(x: ArrayLike) -> Triple:
     return n, e, d
 
 
-def _turn_to_path(
+def _compute_turn_before_path(
     a: Triple,
     b: Triple,
     way: float,

@@ -10,7 +10,7 @@ from mufly.compiled.portable_math import vector_length
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
 from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M
 from mufly.mission.machine.ground_phases import start_landing
-from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.log_messages import LogTemplate
 from mufly.mission.machine.mission_reference import current_reference
 from mufly.mission.machine.mission_state import (
     MissionPlan,
@@ -23,11 +23,11 @@ from mufly.mission.machine.mission_state import (
 )
 from mufly.mission.machine.offboard import MAX_HEIGHT_M
 from mufly.mission.machine.phases import change_leg_goal, plan_braking, start_leg, start_leg_home
-from mufly.mission.trajectory import Trajectory, Triple, compute_smooth_stop, plan_straight, wrap_turn
+from mufly.mission.trajectory import Trajectory, Triple, compute_stop_time_and_distance, plan_straight, wrap_turn
 
 _SAME_POSITION_TOLERANCE_M, _SAME_HEADING_TOLERANCE_RAD = 0.01, math.radians(0.5)
 """Difference up to which a target is the present one (m, rad): the rounding of a link's coordinates."""
-_TARGET_LOG_INTERVAL_S = 1.0
+_MIN_TARGET_LOG_INTERVAL_S = 1.0
 """Interval below which changes of the target are not logged (s)."""
 _STOP_AT_GOAL_MARGIN_M = 0.3
 """Distance beyond the shortest stop up to which a turn keeps the goal of the present leg (m)."""
@@ -45,13 +45,13 @@ def stop_motors(s: MissionState, why: str) -> MissionState:
 def describe_user_waypoint_fault(where: Triple | None, heading: float | None) -> str:
     """Return the reason to refuse a user's waypoint; "" if it is valid."""
     if heading is not None and not math.isfinite(heading):
-        return LogMessage.HEADING_REFUSED(heading)
+        return LogTemplate.HEADING_REFUSED(heading)
     if where is None:
         return ""
     if not all(math.isfinite(v) for v in where) or where[2] > -MIN_WAYPOINT_HEIGHT_M:
-        return LogMessage.USER_WAYPOINT_TOO_LOW(*where, -MIN_WAYPOINT_HEIGHT_M)
+        return LogTemplate.USER_WAYPOINT_TOO_LOW(*where, -MIN_WAYPOINT_HEIGHT_M)
     if where[2] < -MAX_HEIGHT_M or vector_length(where[0], where[1]) > 1e4:
-        return LogMessage.USER_WAYPOINT_TOO_FAR(*where, -MAX_HEIGHT_M)
+        return LogTemplate.USER_WAYPOINT_TOO_FAR(*where, -MAX_HEIGHT_M)
     return ""
 
 
@@ -76,7 +76,7 @@ def _can_stop_at_goal(s: MissionState) -> bool:
     """Return whether the reference is so near the goal of a leg that it comes to rest there if it brakes now."""
     now = current_reference(s)
     (n, e, d), (gn, ge, gd) = now.position, s.goal
-    _, rest = compute_smooth_stop(vector_length(*now.velocity), DETOUR_ACCELERATION_M_S2)
+    _, rest = compute_stop_time_and_distance(vector_length(*now.velocity), DETOUR_ACCELERATION_M_S2)
     return s.state is State.WAYPOINT and vector_length(n - gn, e - ge, d - gd) <= rest + _STOP_AT_GOAL_MARGIN_M
 
 
@@ -91,15 +91,15 @@ def fly_to_user_waypoint(
     if _is_already_requested(s, goal, heading):
         return s
     if goal is None:
-        text = LogMessage.TURNING_TO_HEADING(_compass_deg(0.0 if heading is None else heading))
+        text = LogTemplate.TURNING_TO_HEADING(_compass_deg(0.0 if heading is None else heading))
     elif heading is None:
-        text = LogMessage.TO_USER_WAYPOINT(*goal)
+        text = LogTemplate.TO_USER_WAYPOINT(*goal)
     else:
-        text = LogMessage.TO_USER_WAYPOINT_WITH_HEADING(*goal, math.degrees(heading))
+        text = LogTemplate.TO_USER_WAYPOINT_WITH_HEADING(*goal, math.degrees(heading))
 
     place = (s.goal if _can_stop_at_goal(s) else None) if goal is None else goal
     if place is not None and s.user_in_control and not s.returning_home and s.state in (State.WAYPOINT, State.OBSTACLE):
-        quiet = s.time_s - s.state_entered_s < _TARGET_LOG_INTERVAL_S
+        quiet = s.time_s - s.state_entered_s < _MIN_TARGET_LOG_INTERVAL_S
         return change_leg_goal(plan, s, text, place, heading, quiet=quiet)
 
     def plan_straight_leg(at: Triple, psi: float) -> Trajectory:
@@ -108,7 +108,7 @@ def fly_to_user_waypoint(
     return start_leg(plan, s, text, plan_straight_leg, user_in_control=True, requested_heading=heading)
 
 
-def pause_mission(plan: MissionPlan, s: MissionState, why: str = LogMessage.MISSION_PAUSED.value) -> MissionState:
+def pause_mission(plan: MissionPlan, s: MissionState, why: str = LogTemplate.MISSION_PAUSED.value) -> MissionState:
     """Stop and hover; the mission waits."""
     if s.state is State.HOVER:
         return s if s.user_in_control else replace(log_event(s, why), user_in_control=True, abort_reason="")
@@ -133,9 +133,9 @@ def resume_mission(plan: MissionPlan, s: MissionState, first: int | None) -> Mis
     index = first if first is not None else 0 if over else s.waypoint_index
     if s.state is State.WAYPOINT and not s.user_in_control and index == s.waypoint_index:
         return s
-    why = LogMessage.MISSION_CONTINUES() if s.mission_begun and not over else LogMessage.MISSION_BEGINS()
+    why = LogTemplate.MISSION_CONTINUES() if s.mission_begun and not over else LogTemplate.MISSION_BEGINS()
     if first is not None:
-        why = LogMessage.ON_TO_WAYPOINT(first + 1)
+        why = LogTemplate.ON_TO_WAYPOINT(first + 1)
     s = replace(log_event(s, why), hover_until_s=s.time_s) if s.state is State.HOVER else pause_mission(plan, s, why)
     return replace(
         s, user_in_control=False, mission_begun=True, waypoint_index=index, outcome="", reason="", abort_reason=""
@@ -145,7 +145,7 @@ def resume_mission(plan: MissionPlan, s: MissionState, first: int | None) -> Mis
 def queue_mission_after_take_off(s: MissionState, first: int | None) -> MissionState:
     """Let the mission follow the take-off, from waypoint ``first`` (from 0) if given."""
     s = log_event(
-        s, LogMessage.MISSION_AFTER_TAKE_OFF_FROM(first + 1) if first else LogMessage.MISSION_AFTER_TAKE_OFF()
+        s, LogTemplate.MISSION_AFTER_TAKE_OFF_FROM(first + 1) if first else LogTemplate.MISSION_AFTER_TAKE_OFF()
     )
     return replace(
         s,
@@ -157,7 +157,9 @@ def queue_mission_after_take_off(s: MissionState, first: int | None) -> MissionS
     )
 
 
-def _set_abort_reason(plan: MissionPlan, s: MissionState, last: LogMessage, early: LogMessage) -> MissionState:
+def _set_abort_reason_if_unfinished(
+    plan: MissionPlan, s: MissionState, last: LogTemplate, early: LogTemplate
+) -> MissionState:
     left = len(plan.mission.waypoint) - s.waypoint_index
     if not s.mission_begun or left <= 0:
         return s
@@ -171,8 +173,10 @@ def return_on_request(plan: MissionPlan, s: MissionState) -> MissionState:
         if s.returning_home
         else start_leg_home(
             plan,
-            _set_abort_reason(plan, s, LogMessage.RETURN_BEFORE_LAST_WAYPOINT, LogMessage.RETURN_WITH_WAYPOINTS_LEFT),
-            LogMessage.RETURN_SIGNAL(),
+            _set_abort_reason_if_unfinished(
+                plan, s, LogTemplate.RETURN_BEFORE_LAST_WAYPOINT, LogTemplate.RETURN_WITH_WAYPOINTS_LEFT
+            ),
+            LogTemplate.RETURN_SIGNAL(),
         )
     )
 
@@ -180,6 +184,8 @@ def return_on_request(plan: MissionPlan, s: MissionState) -> MissionState:
 def land_on_request(plan: MissionPlan, s: MissionState) -> MissionState:
     """Start a landing by the user's signal."""
     return start_landing(
-        _set_abort_reason(plan, s, LogMessage.LAND_BEFORE_LAST_WAYPOINT, LogMessage.LAND_WITH_WAYPOINTS_LEFT),
-        LogMessage.LAND_SIGNAL(),
+        _set_abort_reason_if_unfinished(
+            plan, s, LogTemplate.LAND_BEFORE_LAST_WAYPOINT, LogTemplate.LAND_WITH_WAYPOINTS_LEFT
+        ),
+        LogTemplate.LAND_SIGNAL(),
     )

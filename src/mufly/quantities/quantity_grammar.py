@@ -6,7 +6,7 @@ bare numbers, ``6000`` has that unit. A list has commas (``5000,6000rpm``), a ra
 (``0.06+-0.0002``). Units are those of :mod:`mufly.quantities.units`.
 
 A line of a column map is ``NAME=COLUMN(unit)``: a signal name, and the column of a file with its values
-(:func:`read_column_lines`).
+(:func:`read_column_map`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from mufly.errors import ArgumentError, InputError
-from mufly.quantities.units import compatible_units, normalise_unit, unit_conversion
+from mufly.quantities.units import list_compatible_units, normalise_unit, unit_conversion
 
 NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 MAX_OPTION_VALUES = 100_000
@@ -53,7 +53,7 @@ class ValueWithStd(NamedTuple):
     std: float
 
 
-class ColumnLine(NamedTuple):
+class ColumnMapEntry(NamedTuple):
     """Entry of a column map: signal, its columns in a file, their signs and their unit.
 
     Attributes
@@ -77,7 +77,7 @@ class ColumnLine(NamedTuple):
     unit: str
 
 
-def read_column_lines(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnLine]:
+def read_column_map(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnMapEntry]:
     """Return the lines of a column map, written ``NAME=COLUMN(unit)``, or ``{"NAME": "COLUMN(unit)"}``.
 
     The unit is optional and may be in square brackets. ``-`` before a column changes its sign. A topic or a file and a
@@ -90,7 +90,7 @@ def read_column_lines(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnLi
 
     Examples
     --------
-    >>> read_column_lines(["measured_acceleration=imu/ax,ay,-az(gee)"])[0][1:]
+    >>> read_column_map(["measured_acceleration=imu/ax,ay,-az(gee)"])[0][1:]
     (('ax', 'ay', 'az'), (1.0, 1.0, -1.0), 'imu', 'gee')
     """
     pairs = lines.items() if isinstance(lines, Mapping) else [line.partition("=")[::2] for line in lines]
@@ -103,7 +103,7 @@ def read_column_lines(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnLi
         columns = [c.strip() for c in (match["sign"] + match["columns"]).split(",")]
         signs = tuple(-1.0 if c.startswith("-") else 1.0 for c in columns)
         names = tuple(c.removeprefix("-") for c in columns)
-        found.append(ColumnLine(name.strip(), names, signs, match["topic"] or "", match["unit"] or ""))
+        found.append(ColumnMapEntry(name.strip(), names, signs, match["topic"] or "", match["unit"] or ""))
     return found
 
 
@@ -160,7 +160,9 @@ def read_values(
         As for :func:`read_quantity`, or if a range has no value or the text more than ``most``.
     """
     parts = [part.split(":") for part in text.split(",")]
-    numbers = iter(_share_units([_split_number_and_unit(where, n, unit, text) for part in parts for n in part]))
+    numbers = iter(
+        _inherit_following_unit([_split_number_and_unit(where, n, unit, text) for part in parts for n in part])
+    )
     out: list[float] = []
     for part in parts:
         written = [next(numbers) for _ in part]
@@ -172,7 +174,7 @@ def read_values(
     return tuple(out)
 
 
-def read_rotor_pair(where: str, text: str, unit: str) -> tuple[float, float]:
+def read_rotor_pair_values(where: str, text: str, unit: str) -> tuple[float, float]:
     """Return the numbers of upper and lower rotor from ``"14,12"``, or from one number for both."""
     values = read_list(where, text, unit)
     if len(values) > 2:
@@ -184,7 +186,9 @@ def read_list(where: str, text: str, unit: str) -> tuple[float, ...]:
     """Return the numbers of a comma-separated list without ranges."""
     return tuple(
         _convert_to_unit(where, one, unit, text, bare=True)
-        for one in _share_units([_split_number_and_unit(where, part, unit, text) for part in text.split(",")])
+        for one in _inherit_following_unit(
+            [_split_number_and_unit(where, part, unit, text) for part in text.split(",")]
+        )
     )
 
 
@@ -204,7 +208,7 @@ def read_stepped_range(where: str, text: str, unit: str) -> tuple[float, float |
     parts = text.split(":")
     if len(parts) > 3:
         raise InputError(where, "", f"{text!r} is not a range", "write FIRST:LAST or FIRST:LAST:STEP")
-    written = _share_units([_split_number_and_unit(where, part, unit, text) for part in parts])
+    written = _inherit_following_unit([_split_number_and_unit(where, part, unit, text) for part in parts])
     first, *rest = (_convert_to_unit(where, one, unit, text, bare=True) for one in written)
     last, step = (*rest, None, None)[:2]
     if (last is not None and last <= first) or (
@@ -223,7 +227,7 @@ def read_range(where: str, text: str, unit: str, count: int) -> list[float]:
     if last is None:
         return [first]
     if step is not None:
-        return spaced_values(first, last, step)
+        return make_spaced_values(first, last, step)
     if count == 1:
         return [0.5 * (first + last)]
     return [round(first + k * (last - first) / (count - 1), 12) for k in range(count)]
@@ -244,8 +248,8 @@ def read_value_with_std(where: str, text: str, unit: str) -> ValueWithStd:
     if not sign:
         return ValueWithStd(_convert_to_unit(where, value, unit, text, bare=True), 0.0)
     std = _split_number_and_unit(where, second, unit, text)
-    relative = std.unit == "%" and _si_dimension(unit) != "1"
-    value = value if relative else _share_units([value, std])[0]
+    relative = std.unit == "%" and _find_si_unit(unit) != "1"
+    value = value if relative else _inherit_following_unit([value, std])[0]
     mean = _convert_to_unit(where, value, unit, text, bare=True)
     width = abs(mean) * std.value / 100.0 if relative else _convert_to_unit(where, std, unit, text, bare=True)
     if width < 0.0:
@@ -265,13 +269,13 @@ def read_time_span(where: str, text: str) -> tuple[float, float]:
     return begin, end
 
 
-def offered_units(unit: str) -> tuple[str, ...]:
+def list_offered_units(unit: str) -> tuple[str, ...]:
     """Return the units that help texts list for a quantity; the first applies to numbers without a unit."""
-    known = [u for u in compatible_units(_si_dimension(unit)) if u not in _UNLISTED_UNITS and u != unit]
+    known = [u for u in list_compatible_units(_find_si_unit(unit)) if u not in _UNLISTED_UNITS and u != unit]
     return (*([] if unit == "1" else [unit]), *known)
 
 
-def spaced_values(first: float, last: float, step: float) -> list[float]:
+def make_spaced_values(first: float, last: float, step: float) -> list[float]:
     """Return first, first + step, ... up to last, which is included if the steps reach it."""
     count = math.floor((last - first) / step + 1e-9) + 1
     return [round(first + k * step, 12) for k in range(count)]
@@ -296,7 +300,7 @@ def _split_number_and_unit(where: str, part: str, unit: str, whole: str = "") ->
     return WrittenNumber(value, match[2].strip())
 
 
-def _share_units(numbers: Sequence[WrittenNumber]) -> list[WrittenNumber]:
+def _inherit_following_unit(numbers: Sequence[WrittenNumber]) -> list[WrittenNumber]:
     """Give bare numbers the unit of the next one that has a unit."""
     out: list[WrittenNumber] = []
     unit = ""
@@ -323,13 +327,15 @@ def _expand_range(
     if count > most:
         problem, remedy = f"{text!r} holds {count:.0f} values", f"take larger steps ({most} values at most)"
         raise InputError(where, "", problem, remedy)
-    return [_convert_to_unit(where, WrittenNumber(v, here), unit, text, bare) for v in spaced_values(first, last, step)]
+    return [
+        _convert_to_unit(where, WrittenNumber(v, here), unit, text, bare) for v in make_spaced_values(first, last, step)
+    ]
 
 
 def _convert_to_unit(where: str, one: WrittenNumber, unit: str, text: str, bare: bool) -> float:
     if not one.unit:
-        if not bare and _si_dimension(unit) != "1":
-            raise InputError(where, "", f"{text!r} has no unit", f"use one of: {_list_units(unit)}")
+        if not bare and _find_si_unit(unit) != "1":
+            raise InputError(where, "", f"{text!r} has no unit", f"use one of: {_format_offered_units(unit)}")
         return one.value
     if not unit:
         raise InputError(where, "", f"{text!r} has a unit, {one.unit!r}", "give the number alone, it takes none")
@@ -339,7 +345,7 @@ def _convert_to_unit(where: str, one: WrittenNumber, unit: str, text: str, bare:
         problem = f"unit {one.unit!r} in {text!r} is unknown"
         if other and not _is_convertible(other, unit):
             problem = f"{text!r} is in {other}, which cannot become {unit if unit != '1' else 'a plain number'}"
-        raise InputError(where, "", problem, f"use one of: {_list_units(unit)}")
+        raise InputError(where, "", problem, f"use one of: {_format_offered_units(unit)}")
     _, factor, offset = unit_conversion(found, unit)
     return factor * one.value + offset
 
@@ -360,12 +366,12 @@ def _is_convertible(unit: str, wanted: str) -> bool:
     return True
 
 
-def _si_dimension(unit: str) -> str:
+def _find_si_unit(unit: str) -> str:
     return unit_conversion(unit)[0] if unit else "1"
 
 
-def _list_units(unit: str) -> str:
-    shown = offered_units(unit)
+def _format_offered_units(unit: str) -> str:
+    shown = list_offered_units(unit)
     return ", ".join(shown[:_MAX_SHOWN_UNITS]) + (" and others" if len(shown) > _MAX_SHOWN_UNITS else "")
 
 
@@ -375,4 +381,4 @@ def _describe_wanted(unit: str) -> str:
         return "a number"
     if unit == "1":
         return "a number, or a percentage as 50%"
-    return f"a number, bare in {unit} or with a unit: {_list_units(unit)}"
+    return f"a number, bare in {unit} or with a unit: {_format_offered_units(unit)}"

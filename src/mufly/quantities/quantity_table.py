@@ -109,7 +109,7 @@ def _make_quantity(
     return Quantity(name, *where, dim, units, long_name, kinds, mavlink_sources)
 
 
-def _measured_signals(row: ReadingRow) -> Iterator[Quantity]:
+def _make_measured_quantities(row: ReadingRow) -> Iterator[Quantity]:
     """Yield the rows of the table for a sensor reading: its value and, if it has them, time, validity, variance."""
     name, words = row.name, row.name.replace("_", " ")
     yield Quantity(f"measured_{name}", "/measured", name, row.dim, row.unit, row.meaning, "sensors")
@@ -122,7 +122,7 @@ def _measured_signals(row: ReadingRow) -> Iterator[Quantity]:
         yield Quantity(f"measured_{name}_variance", "/measured", f"{name}_variance", row.dim, *row.variance, "sensors")
 
 
-def _innovation_signals(reading: str) -> tuple[Quantity, ...]:
+def _make_innovation_quantities(reading: str) -> tuple[Quantity, ...]:
     name = reading.replace("_", " ")
     return (
         Quantity(f"innovation_{reading}", "/checks", f"innovation_{reading}", None, "1",
@@ -132,7 +132,7 @@ def _innovation_signals(reading: str) -> tuple[Quantity, ...]:
     )  # fmt: skip
 
 
-CHECKED_READINGS = tuple(row.name for row in CHECKED)
+READINGS_WITH_FUSION_STATUS = tuple(row.name for row in CHECKED)
 """Readings with a fusion status of the estimator."""
 
 FUSION_STATUSES = ("waiting", "fused", "rejected", "missing", "faulty")
@@ -174,7 +174,7 @@ QUANTITIES: tuple[Quantity, ...] = (
     *(
         signal
         for row in READINGS.values()
-        for signal in _measured_signals(row)
+        for signal in _make_measured_quantities(row)
         if signal.name not in ("measured_rates", "measured_rotor_speed")  # above
     ),
     _make_quantity(
@@ -291,7 +291,7 @@ QUANTITIES: tuple[Quantity, ...] = (
         MavlinkSource("SYS_STATUS", "battery_remaining", "%"),
     ),
     _make_quantity("range", "beam", "m", "distance to the nearest obstacle along a beam", topic="/ranges"),
-    *(q for reading in CHECKED_READINGS for q in _innovation_signals(reading)),
+    *(q for reading in READINGS_WITH_FUSION_STATUS for q in _make_innovation_quantities(reading)),
     _make_quantity(
         "pilot_input",
         "channel",
@@ -378,13 +378,13 @@ PHYSICAL_LIMITS: Mapping[str, PhysicalLimits] = {
 """Limits by the name of the quantity without its source. Angles have none, because they may count full turns."""
 
 
-def physical_limits(name: str) -> PhysicalLimits | None:
+def find_physical_limits(name: str) -> PhysicalLimits | None:
     """Return the physical limits of a variable, None if there are none."""
     source, _, rest = name.partition("_")
     return PHYSICAL_LIMITS.get(rest if source in SIGNAL_SOURCES else name)
 
 
-def mavlink_columns(message: str) -> tuple[tuple[str, str, float], ...]:
+def list_mavlink_field_columns(message: str) -> tuple[tuple[str, str, float], ...]:
     """Return (field, column, factor) of the fields of a MAVLink message that equal quantities of the table.
 
     ``column`` is the name with its label (``estimated_attitude_roll``); field times factor is its value.

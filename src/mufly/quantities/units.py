@@ -211,7 +211,7 @@ _CHARACTER_REPLACEMENTS = str.maketrans("\u00b5\u03bc\u00b2\u00b3\u00b9\u207b\u0
 _FACTOR_PATTERN = re.compile(r"(?P<name>[^\d^]+?)\^?(?P<power>-?\d+)?")
 _PRODUCT_PATTERN = re.compile(r"\s*\*\s*|\.(?=[A-Za-z])|(?<=[A-Za-z])-(?=[A-Za-z])|\s+")
 _TEMPERATURE_PATTERN = re.compile(r"^(?:°|deg(?:ree)?s?)[ _-]?([CF]|[Cc]elsius|[Ff]ahrenheit)$")
-_WEIGHT_UNITS = {"kg": "kgf", "g": "gf", "mg": "mgf", "lb": "lbf", "oz": "ozf"}
+_FORCE_UNIT_BY_MASS_UNIT = {"kg": "kgf", "g": "gf", "mg": "mgf", "lb": "lbf", "oz": "ozf"}
 
 
 def _canonical_unit(text: str) -> str:
@@ -238,14 +238,14 @@ def _canonical_unit(text: str) -> str:
                 over.append(name if power == 1 else f"{name}{power}")
     if len(over) == 2:  # a torque: force first, masses for weights
         over = over if over[1] in _UNITS_BY_SI["m"] else over[::-1]
-        over = [_WEIGHT_UNITS.get(over[0], over[0]), over[1]] if over[1] in _UNITS_BY_SI["m"] else over[::-1]
+        over = [_FORCE_UNIT_BY_MASS_UNIT.get(over[0], over[0]), over[1]] if over[1] in _UNITS_BY_SI["m"] else over[::-1]
     below = [n if p == 1 else f"{n}^{p}" if n == "s" else f"{n}{p}" for n, p in under]
     return "/".join([" ".join(over) or "1", *below])
 
 
 # Units borrowed from other quantities: grams for forces of load cells, g for accelerations, and 1/s for revolutions per
 # second.
-_UNIT_REPLACEMENTS = {("N", mass): force for mass, force in _WEIGHT_UNITS.items()} | {
+_BORROWED_UNIT_REPLACEMENTS = {("N", mass): force for mass, force in _FORCE_UNIT_BY_MASS_UNIT.items()} | {
     ("m/s^2", "g"): "gee", ("m/s^2", "mg"): "mgee", ("rad/s", "1/s"): "rps",
 }  # fmt: skip
 
@@ -269,7 +269,7 @@ def normalise_unit(text: str, wanted: str | None = None) -> str:
     for spelling in (unit, unit.lower()):
         for written in (spelling, spelling.replace("_", "/"), spelling.replace("_", " ")):
             known = normalise_unit(written)
-            known = _UNIT_REPLACEMENTS.get((si, known), known)
+            known = _BORROWED_UNIT_REPLACEMENTS.get((si, known), known)
             if known in _UNITS_BY_SI[si]:
                 return known
     here = [(spelling.lower(), known) for spelling, known in _UNIT_BY_SPELLING.items() if known in _UNITS_BY_SI[si]]
@@ -318,13 +318,13 @@ def unit_conversion(unit: str, wanted: str | None = None) -> tuple[str, float, f
     return there, factor / scale, (offset - shift) / scale
 
 
-def conversion_factor(unit: str, wanted: str | None = None) -> float:
-    """Return the factor from a unit to another (default: SI); ``conversion_factor("mm")`` is 1e-3, see
+def find_conversion_factor(unit: str, wanted: str | None = None) -> float:
+    """Return the factor from a unit to another (default: SI); ``find_conversion_factor("mm")`` is 1e-3, see
     :func:`unit_conversion`."""
     return unit_conversion(unit, wanted)[1]
 
 
-def compatible_units(si: str) -> Mapping[str, float]:
+def list_compatible_units(si: str) -> Mapping[str, float]:
     """Return the units that convert to an SI unit, with their factors, the SI unit first."""
     return {unit: float(factor) for unit, (factor, _) in _UNITS_BY_SI[si].items()}
 
@@ -337,11 +337,11 @@ def _word_set(words: str) -> frozenset[str]:
 
 
 # Suffixes that are units for every name.
-_UNIT_ENDINGS = {
+_UNIT_BY_NAME_ENDING = {
     "rad_s2": "rad/s^2", "deg_s2": "deg/s^2", "rad_s": "rad/s", "deg_s": "deg/s", "m_s2": "m/s^2", "m_s": "m/s",
     "cm_s": "cm/s", "mm_s": "mm/s", "km_h": "km/h", "ft_s": "ft/s", "kg_m3": "kg/m3",
 }  # fmt: skip
-_UNIT_ENDINGS |= {end: end for end in _word_set(
+_UNIT_BY_NAME_ENDING |= {end: end for end in _word_set(
     "radps degps dps deg rad mrad rpm RPM rps krpm mps ms us ns usec msec sec secs seconds millis micros mm cm km "
     "ft kmh kph mph knots mV mA mW kW mN gf kgf lbf ozf mNm Nm Nmm Ncm uNm Hz hz Pa hPa kPa mbar psi inHg degC "
     "degF kg pct percent degrees radians meters metres volts amps mAh Ah Wh uT mT gauss mgauss gee mgee ohm mohm"
@@ -413,7 +413,7 @@ _UNAMBIGUOUS_WORDS = {
     "roll": "rad", "yaw": "rad",
 }  # fmt: skip
 # Letters of groups of columns: phases A, B, C or U, V, W; north, east, south, west, down.
-_COLUMN_SERIES_LETTERS = ({"A": "B", "C": "B"}, {"V": "U", "W": "U"}, {"N": "ESD", "W": "ES"})
+_SIBLING_COLUMN_LETTERS = ({"A": "B", "C": "B"}, {"V": "U", "W": "U"}, {"N": "ESD", "W": "ES"})
 _BRACKETED_UNIT_PATTERN = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _INDEX_PATTERN = re.compile(r"\d+")
 _WORD_PATTERN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
@@ -444,13 +444,13 @@ def parse_column_unit(name: str, written: str) -> str | None:
     words = _split_words(name)
     known = "g" if text == "G" else normalise_unit(text)
     force, acceleration = words & _QUANTITY_WORDS["N"], words & _QUANTITY_WORDS["m/s^2"]
-    if known in _WEIGHT_UNITS:
+    if known in _FORCE_UNIT_BY_MASS_UNIT:
         if text in ("G", "mG") and words & _QUANTITY_WORDS["T"]:
             return "gauss" if text == "G" else "mgauss"
         if acceleration and known in ("g", "mg"):
-            return _UNIT_REPLACEMENTS["m/s^2", known]
+            return _BORROWED_UNIT_REPLACEMENTS["m/s^2", known]
         if force and not words & (_QUANTITY_WORDS["kg"] - {"m"}):
-            return _WEIGHT_UNITS[known]
+            return _FORCE_UNIT_BY_MASS_UNIT[known]
         return None if known in ("g", "mg") and not words & _QUANTITY_WORDS["kg"] else known
     if text == "mG" and words & _QUANTITY_WORDS["T"]:
         return "mgauss"
@@ -473,7 +473,7 @@ def split_unit_suffix(name: str) -> tuple[str, str]:
 
     :func:`split_header` splits headers of other programs.
     """
-    for end, unit in (_UNIT_ENDINGS | {letter: letter for letter in "smVAWNK"}).items():
+    for end, unit in (_UNIT_BY_NAME_ENDING | {letter: letter for letter in "smVAWNK"}).items():
         if name.endswith(f"_{end}") and len(name) > len(end) + 1:
             return name[: -len(end) - 1], normalise_unit(unit)
     return name, ""
@@ -520,7 +520,7 @@ def _split_column_header(text: str, ends: Mapping[str, set[str]]) -> tuple[str, 
     if match is not None and not _INDEX_PATTERN.fullmatch(match["unit"].strip()):
         unit = parse_column_unit(match["name"], match["unit"])
         return (text, None) if unit is None else (match["name"].strip(), unit)
-    for end, unit in _UNIT_ENDINGS.items():
+    for end, unit in _UNIT_BY_NAME_ENDING.items():
         name, found, rest = text.rpartition(f"_{end}")
         if found and name and not rest:
             if end == "ms" and _split_words(name) & _QUANTITY_WORDS["m/s"]:
@@ -543,7 +543,7 @@ def _split_column_header(text: str, ends: Mapping[str, set[str]]) -> tuple[str, 
     if letter == "G" and words & _QUANTITY_WORDS["m/s^2"]:
         return name, "gee"
     beside = ends.get(name, set())
-    row = any(letter in row and beside & set(row[letter]) for row in _COLUMN_SERIES_LETTERS)
+    row = any(letter in row and beside & set(row[letter]) for row in _SIBLING_COLUMN_LETTERS)
     fits = words & _QUANTITY_WORDS[kind] and not words & _DIMENSIONLESS_WORDS and not row
     if fits and _words_allow_unit(words, unit):
         return name, unit

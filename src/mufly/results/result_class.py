@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, dataclass_transform,
 import numpy as np
 
 from mufly.quantities.units import normalise_unit, split_unit_suffix, unit_conversion
-from mufly.results.result_figure import PlotSeries, draw_series, enable_notebook_display, make_series
+from mufly.results.result_figure import PlotVariable, draw_series, enable_notebook_display, make_plot_variable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 _ResultT = TypeVar("_ResultT")
 
 # Suffixes of field names that never occur in headers of logs.
-_UNIT_SUFFIXES = {
+_RESULT_UNIT_BY_SUFFIX = {
     "N_W": "N/W", "kg_m3": "kg/m3", "kg_m2": "kg m2", "Pa_s": "Pa s", "m2": "m2", "Ah": "A h", "As": "A s", "J": "J",
     "dB": "dB", "percent": "%",
 }  # fmt: skip
-_ACCEPTED_UNITS = {"J", "dB", "N/W", "1"} | set(_UNIT_SUFFIXES.values())
+_ACCEPTED_UNITS = {"J", "dB", "N/W", "1"} | set(_RESULT_UNIT_BY_SUFFIX.values())
 _ATTRIBUTE_PATTERN = re.compile(r"^(?P<names>\w+(?:, \w+)*) *:(?P<type>.*)$")
 _MAX_LISTED_VALUES = 6  # longer arrays are shown by size and range
 
@@ -169,7 +169,7 @@ def _parse_attributes(docstring: str) -> dict[str, tuple[str, str]]:
 
 def _make_meaning(name: str, kind: str, said: str) -> FieldMeaning:
     label, unit = split_unit_suffix(name)
-    for suffix, its in _UNIT_SUFFIXES.items():
+    for suffix, its in _RESULT_UNIT_BY_SUFFIX.items():
         if name.endswith(f"_{suffix}"):
             label, unit = name.removesuffix(f"_{suffix}"), its
     if not unit:
@@ -197,11 +197,11 @@ def select_fields(value: Any, names: str) -> dict[str, Any]:
     found = {}
     for entry in names.split():
         key, _, path = entry.partition("=")
-        found[key] = field_value(value, path or key)
+        found[key] = get_field_value(value, path or key)
     return found
 
 
-def field_value(value: Any, path: str) -> Any:
+def get_field_value(value: Any, path: str) -> Any:
     """Return the value of a field; dots select fields of parts, ``"upper.thrust_N"``, ``"errors.0"``."""
     for part in path.split("."):
         if part.isdigit():
@@ -320,17 +320,17 @@ def plot_result(self: Any) -> Figure:
 def draw_result_numbers(value: Any) -> Figure:
     """Draw the numbers of a result, or those of its parts if it has no numbers of its own."""
     known = field_meanings(type(value))
-    numbers = [q for f in fields(value) for q in _plottable_series(known[f.name], getattr(value, f.name))]
+    numbers = [q for f in fields(value) for q in _list_plot_variables(known[f.name], getattr(value, f.name))]
     named = getattr(value, "name", "")
     title = f"{type(value).__name__} {named}".strip() if isinstance(named, str) else type(value).__name__
     return draw_series(
         title,
-        numbers or _series_of_parts(value),
+        numbers or _list_plot_variables_of_parts(value),
         [(r.label, f"{r.value} {r.unit}".strip()) for r in result_rows(value)],
     )
 
 
-def _plottable_series(m: FieldMeaning, value: Any) -> list[PlotSeries]:
+def _list_plot_variables(m: FieldMeaning, value: Any) -> list[PlotVariable]:
     """Return what can be drawn of a field: the field, the columns of its table, or the entries of its dictionary."""
     if isinstance(value, Mapping):
         parts = [_make_meaning(str(k), "", "") for k in value]
@@ -339,10 +339,10 @@ def _plottable_series(m: FieldMeaning, value: Any) -> list[PlotSeries]:
         named = [(f"{m.label} {k + 1}", m.unit, column) for k, column in enumerate(value.T)]
     else:
         named = [(m.label, m.unit, value)]
-    return [q for label, unit, some in named if (q := make_series(label, unit, some)) is not None]
+    return [q for label, unit, some in named if (q := make_plot_variable(label, unit, some)) is not None]
 
 
-def _series_of_parts(value: Any) -> list[PlotSeries]:
+def _list_plot_variables_of_parts(value: Any) -> list[PlotVariable]:
     """Return the series of a result that holds a list of sub-results: one series for each field of the sub-results."""
     for f in fields(value):
         parts = getattr(value, f.name)
@@ -351,7 +351,7 @@ def _series_of_parts(value: Any) -> list[PlotSeries]:
             columns = (
                 (m, [getattr(p, m.name, None) for p in parts]) for m in (known[g.name] for g in fields(parts[0]))
             )
-            return [q for m, some in columns if (q := make_series(m.label, m.unit, some)) is not None]
+            return [q for m, some in columns if (q := make_plot_variable(m.label, m.unit, some)) is not None]
     return []
 
 
@@ -455,7 +455,7 @@ class ResultColumn:
 
     def value_text(self, item: Any, *, unit: bool = False) -> str:
         """Return the value of one result as text, optionally with its unit."""
-        value = field_value(item, self.name)
+        value = get_field_value(item, self.name)
         own = self._label_and_unit(item)[1]
         if self.unit and value is not None:
             _, factor, offset = unit_conversion(own or "1", self.unit)

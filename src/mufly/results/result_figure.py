@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_AXIS_LABELS = (
+_PREFERRED_AXIS_LABELS = (
     "time",
     "frequency",
     "r",
@@ -36,7 +36,7 @@ _MAX_LINES_PER_PANEL = 8
 _MAX_BAR_VALUES = 6  # arrays up to this length are drawn as bars, one per value
 
 
-class PlotSeries(NamedTuple):
+class PlotVariable(NamedTuple):
     """Series to draw: label, unit, values, and whether it is a scalar."""
 
     label: str
@@ -66,10 +66,10 @@ def label_axes(axes: Axes, x: str | None = None, y: str | None = None) -> None:
     axes.grid(alpha=0.3)
 
 
-_LinePanel = tuple[PlotSeries | None, list[PlotSeries]]  # horizontal axis, and series drawn over it
+_LinePanel = tuple[PlotVariable | None, list[PlotVariable]]  # horizontal axis, and series drawn over it
 
 
-def make_series(label: str, unit: str, value: Any) -> PlotSeries | None:
+def make_plot_variable(label: str, unit: str, value: Any) -> PlotVariable | None:
     """Return a number or one-dimensional array as a series; None for other values, and if no number is finite."""
     if isinstance(value, bool | np.bool_ | str | bytes | complex) or value is None:
         return None
@@ -79,10 +79,10 @@ def make_series(label: str, unit: str, value: Any) -> PlotSeries | None:
         return None
     if numbers.dtype.kind not in "fiu" or numbers.ndim > 1 or not np.isfinite(numbers).any():
         return None
-    return PlotSeries(label, unit, np.atleast_1d(numbers).astype(np.float64), is_scalar=numbers.ndim == 0)
+    return PlotVariable(label, unit, np.atleast_1d(numbers).astype(np.float64), is_scalar=numbers.ndim == 0)
 
 
-def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[str, str]] = ()) -> Figure:
+def draw_series(title: str, found: Sequence[PlotVariable], table: Sequence[tuple[str, str]] = ()) -> Figure:
     """Draw arrays as lines and short series as bars, in one panel for each unit.
 
     Parameters
@@ -93,10 +93,10 @@ def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[s
         Names and values as text, drawn if there are no numbers.
     """
 
-    curves: list[_LinePanel | list[PlotSeries]] = list(
+    curves: list[_LinePanel | list[PlotVariable]] = list(
         _line_panels([q for q in found if q.values.size > _MAX_BAR_VALUES])
     )
-    bars: dict[str, list[PlotSeries]] = {}
+    bars: dict[str, list[PlotVariable]] = {}
     for q in found:
         if q.values.size <= _MAX_BAR_VALUES:
             bars.setdefault(q.unit, []).append(q)
@@ -118,7 +118,7 @@ def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[s
     return figure
 
 
-def _line_panels(arrays: Sequence[PlotSeries]) -> list[_LinePanel]:
+def _line_panels(arrays: Sequence[PlotVariable]) -> list[_LinePanel]:
     """Return the panels of a figure: for each, the series of the horizontal axis (None: index) and those of the lines.
 
     Series of equal length share an axis, those of equal unit a panel.
@@ -126,8 +126,8 @@ def _line_panels(arrays: Sequence[PlotSeries]) -> list[_LinePanel]:
     out: list[_LinePanel] = []
     for length in dict.fromkeys(q.values.size for q in arrays):
         group = [q for q in arrays if q.values.size == length]
-        axis = _choose_axis(group)
-        by_unit: dict[str, list[PlotSeries]] = {}
+        axis = _choose_horizontal_axis(group)
+        by_unit: dict[str, list[PlotVariable]] = {}
         for q in group:
             if q is not axis:
                 by_unit.setdefault(q.unit or q.label, []).append(q)
@@ -135,21 +135,21 @@ def _line_panels(arrays: Sequence[PlotSeries]) -> list[_LinePanel]:
     return out
 
 
-def _choose_axis(group: Sequence[PlotSeries]) -> PlotSeries | None:
+def _choose_horizontal_axis(group: Sequence[PlotVariable]) -> PlotVariable | None:
     """Return the series that serves as horizontal axis of a group; None if none is monotonic."""
     rising = [
         q
         for q in group
         if np.isfinite(q.values).all() and (np.all(np.diff(q.values) > 0) or np.all(np.diff(q.values) < 0))
     ]
-    for name in _AXIS_LABELS:
+    for name in _PREFERRED_AXIS_LABELS:
         for q in rising:
             if name in (q.label, q.label.split()[0]):
                 return q
     return rising[0] if rising and len(group) > 1 else None
 
 
-def _draw_lines(axes: Axes, over: PlotSeries | None, drawn: Sequence[PlotSeries]) -> None:
+def _draw_lines(axes: Axes, over: PlotVariable | None, drawn: Sequence[PlotVariable]) -> None:
     x = np.arange(drawn[0].values.size) if over is None else over.values
     for q in drawn:
         axes.plot(x, q.values, label=q.label, lw=1.2)
@@ -168,7 +168,7 @@ def _draw_lines(axes: Axes, over: PlotSeries | None, drawn: Sequence[PlotSeries]
     axes.grid(alpha=0.3)
 
 
-def _draw_bars(axes: Axes, drawn: Sequence[PlotSeries]) -> None:
+def _draw_bars(axes: Axes, drawn: Sequence[PlotVariable]) -> None:
     """Draw numbers of one unit as bars with their values beside them, the first on top."""
     names, values = [], []
     for q in drawn:

@@ -52,7 +52,7 @@ from mufly.rotor.rotor_system import (
     Air,
     PlacedRotor,
     RotorResult,
-    RotorWarning,
+    RotorValidityWarning,
     check_pitch,
     compute_tip_mach,
     warn_tip_mach,
@@ -101,7 +101,9 @@ class BatchResult:
     c_Q: Array
 
 
-def _compute_coefficients(thrust: Any, torque: Any, speed: Any, radius: Any, density: float) -> dict[str, Any]:
+def _compute_power_and_coefficients(
+    thrust: Any, torque: Any, speed: Any, radius: Any, density: float
+) -> dict[str, Any]:
     """Return power (W), figure of merit, c_T and c_Q; scalars or arrays."""
     power, area = torque * speed, math.pi * radius**2
     scale = density * area * radius**2 * speed**2
@@ -182,7 +184,7 @@ _REYNOLDS_STATION_RATIO = 0.75  # r/R at which a blade's Reynolds number is repo
 
 
 def warn_reynolds_range(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLike, air: Air) -> None:
-    """Issue a :class:`RotorWarning` if the Reynolds number at 0.75 R lies outside the range of the polar.
+    """Issue a :class:`RotorValidityWarning` if the Reynolds number at 0.75 R lies outside the range of the polar.
 
     Parameters
     ----------
@@ -208,7 +210,7 @@ def warn_reynolds_range(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLi
         warnings.warn(
             f"the Reynolds number at {_REYNOLDS_STATION_RATIO:g} R, {at}, is beyond that of its polar, {table}: the "
             "coefficients are those of the polar's edge",
-            RotorWarning, stacklevel=3,
+            RotorValidityWarning, stacklevel=3,
         )  # fmt: skip
 
 
@@ -282,7 +284,7 @@ def build_rotor_result(
     """
     blading, which, speed_rad_s = placed.blading, placed.index_in_blading, placed.speed_rad_s
     radius = blading.rotors[which].radius_m
-    coefficients = _compute_coefficients(thrust_N, torque_Nm, speed_rad_s, radius, air.density_kg_m3)
+    coefficients = _compute_power_and_coefficients(thrust_N, torque_Nm, speed_rad_s, radius, air.density_kg_m3)
     flags = _flag_extrapolated_stations(blading, which, columns["alpha_rad"], columns["reynolds"])
     size = np.abs(columns["dT_N"])
     return RotorResult(
@@ -304,10 +306,12 @@ def build_rotor_result(
 
 
 _MIN_THROUGHFLOW_RATIO = 0.2  # of the greatest axial velocity through a disc: least that convects swirl of drag
-_MAX_SWIRL_NUMBER = 0.6  # of the swirl of drag; beyond it a jet breaks down
+_MAX_DRAG_SWIRL_NUMBER = 0.6  # of the swirl of drag; beyond it a jet breaks down
 
 
-def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float, r_m: Array, dr_m: Array) -> Array:
+def compute_drag_swirl_momentum(
+    pull_N_m: Array, down_m_s: Array, density_kg_m3: float, r_m: Array, dr_m: Array
+) -> Array:
     """Return the moment of momentum r u (m^2/s), (stations,), that profile drag per span adds to the slipstream.
 
     Vortices represent only the swirl that comes with lift. The torque of the profile drag also adds angular momentum to
@@ -327,7 +331,7 @@ def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float
     turning: Array = pull_N_m / (2.0 * math.pi * density_kg_m3 * np.maximum(down_m_s, least))
     momentum = 2.0 * math.pi * density_kg_m3 * float(np.sum(np.maximum(down_m_s, 0.0) ** 2 * r_m * dr_m))
     torque = float(np.sum(pull_N_m * r_m * dr_m))
-    allowed = _MAX_SWIRL_NUMBER * float(np.max(r_m + 0.5 * dr_m)) * momentum
+    allowed = _MAX_DRAG_SWIRL_NUMBER * float(np.max(r_m + 0.5 * dr_m)) * momentum
     return turning if torque <= allowed else turning * (allowed / torque)
 
 
@@ -339,7 +343,7 @@ def compute_slipstream(
     The moment of momentum r u is the radius times the swirl velocity.
 
     All are (stations,) arrays. Lift contributes twice the mean tangential velocity F u_t in the disc, profile drag
-    :func:`drag_angular_momentum`. Without the swirl correction, or with ``turns`` false, r u is zero.
+    :func:`compute_drag_swirl_momentum`. Without the swirl correction, or with ``turns`` false, r u is zero.
     """
     blading, which = placed.blading, placed.index_in_blading
     _, stations = _solve_points(blading, which, *_operating_point_arrays(placed, climb_m_s), air, True, stream)
@@ -349,7 +353,7 @@ def compute_slipstream(
         r, dr = blading.r_m[which], blading.dr_m[which]
         force = np.hypot(thrust, torque / r) / np.hypot(cl, cd)  # force per unit coefficient
         pull = force / dr * cd * np.cos(phi)
-        turning = 2.0 * loss * swirl * r + drag_angular_momentum(
+        turning = 2.0 * loss * swirl * r + compute_drag_swirl_momentum(
             pull, climb_m_s + stream[0] + loss * inflow, air.density_kg_m3, r, dr
         )
     return inflow, loss, turning
@@ -403,7 +407,7 @@ def solve_rotor_batch(
     if index.size:
         warn_tip_mach(compute_tip_mach(1.0, float(np.max(np.hypot(radius * speed, climb))), gas))
     values = {"thrust_N": thrust, "torque_Nm": torque}
-    values |= _compute_coefficients(thrust, torque, speed, radius, gas.density_kg_m3)
+    values |= _compute_power_and_coefficients(thrust, torque, speed, radius, gas.density_kg_m3)
     return BatchResult(**{name: v.reshape(shape) for name, v in values.items()})
 
 
@@ -496,7 +500,7 @@ class StationFlow(NamedTuple):
 
 
 @cached_njit(error_model="numpy")
-def _momentum_residual(
+def _compute_momentum_residual(
     alpha: float,
     e: float,
     flow: StationFlow,
@@ -560,14 +564,14 @@ def _solve_station(
     speed = flow.speed_m_s
     middle = at.pitch_rad - flow.inflow_angle_rad
     b = x = middle
-    out = _momentum_residual(b, e, flow, at, section, polars, on)
+    out = _compute_momentum_residual(b, e, flow, at, section, polars, on)
     a, fa, fb = b, out[0], out[0]
     if e > 0.0:
         a = section.polar_zero_lift_rad
-        fa = _momentum_residual(a, e, flow, at, section, polars, on)[0]
+        fa = _compute_momentum_residual(a, e, flow, at, section, polars, on)[0]
         if fa * fb > 0.0 or abs(a - b) > 0.5 * math.pi:
             e = 0.0
-            out = _momentum_residual(b, e, flow, at, section, polars, on)
+            out = _compute_momentum_residual(b, e, flow, at, section, polars, on)
             fb = out[0]
     if e <= 0.0:
         # phi grows as alpha falls: R < 0 at phi_U puts the root at smaller alpha.
@@ -582,7 +586,7 @@ def _solve_station(
             if abs(b - a) > 0.5 * width:
                 x = 0.5 * (a + b)
             width = abs(b - a)
-        out = _momentum_residual(x, e, flow, at, section, polars, on)
+        out = _compute_momentum_residual(x, e, flow, at, section, polars, on)
         if out[0] * fb > 0.0:
             b, fb = x, out[0]
             if side == 1:

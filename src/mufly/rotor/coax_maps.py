@@ -152,7 +152,7 @@ def compute_coax_map(
         "settings": "; ".join(filter(None, [note, "" if how is None else _describe_wake_settings(how)])),
     }
     check_pitch("coax map", "pitch_rad", [upper_pitch_rad, lower_pitch_rad])
-    system = RotorSystem.coaxial_pair(upper, lower, spacing_m=spacing_m)
+    system = RotorSystem.from_coaxial_pair(upper, lower, spacing_m=spacing_m)
     store: StoredResultLines[MapPointValues] = StoredResultLines(
         kept, lambda row: (tuple(row[0]), tuple(row[1])), other=_WRONG_MAP_MESSAGE,
         question=hash_inputs(about, *axes, hash_bladings(upper, lower)),
@@ -193,14 +193,14 @@ def compute_coax_map(
             + (f" (last: {reason})" if reason else "; the wakes do not converge")
             + "; reduce the descent, or use method 'bemt'"
         )
-    values = _fill_unsolved(values, solved)
+    values = _fill_unsolved_points(values, solved)
     upper_T, upper_Q, lower_T, lower_Q = np.moveaxis(values, -1, 0)
     tables = MapTables(axes[0], axes[1], axes[2], upper_T, upper_Q, lower_T, lower_Q, solved)
     made = CoefficientMap(
         name=name or f"{about['upper']}-{about['lower']}-{method}",
         description=f"{about['upper']} above {about['lower']}, {1e3 * spacing_m:g} mm apart, "
         f"{about['upper_pitch_deg']:g} and {about['lower_pitch_deg']:g} deg, by {method}; "
-        f"{np.count_nonzero(solved)} of {solved.size} points solved" + _describe_vortex_ring(tables),
+        f"{np.count_nonzero(solved)} of {solved.size} points solved" + _describe_vortex_ring_points(tables),
         table=format_table(tables),
         **about,
     )
@@ -208,7 +208,7 @@ def compute_coax_map(
     return made
 
 
-def _describe_vortex_ring(tables: MapTables) -> str:
+def _describe_vortex_ring_points(tables: MapTables) -> str:
     """Return a note on the number of map points in vortex ring state (Leishman 2006, Sec. 2.13.6).
 
     The hover induced velocity that scales the descent is that of one disc with the thrust of both rotors.
@@ -245,7 +245,7 @@ def _check_map_axes(axes: Sequence[Array]) -> None:
         raise InputError("coax map", "", f"{nodes} points", f"give fewer points ({MAX_MAP_NODES} at most)")
 
 
-def _fill_unsolved(values: Array, solved: NDArray[np.bool_]) -> Array:
+def _fill_unsolved_points(values: Array, solved: NDArray[np.bool_]) -> Array:
     """Fill unsolved points with the mean of their neighbours along the three axes, starting beside solved points."""
     found = np.where(solved[..., None], values, np.nan)
     known = solved.copy()
@@ -300,7 +300,7 @@ def _cubic_weights(x: float, n: int) -> tuple[int, float, float, float, float]:
 
 
 @cached_njit(error_model="numpy")
-def interpolate_tables(
+def interpolate_coefficient_tables(
     upper_t: Array,
     upper_q: Array,
     lower_t: Array,
@@ -355,7 +355,9 @@ def interpolate_tables(
 
 @lru_cache(maxsize=32)
 def pack_map_tables(coefficients: CoefficientMap) -> tuple[Any, ...]:
-    """Pack a map into the first seven arguments of :func:`interpolate_tables`; its tables hold c_T and c_Q."""
+    """Pack a map into the first seven arguments of :func:`interpolate_coefficient_tables`; its tables hold c_T and
+    c_Q.
+    """
     t = coefficients.decode_map_tables()
     axes = (t.mean_speed_rad_s, t.ratio, t.climb_ratio)
     step = [float((a[-1] - a[0]) / (a.size - 1)) if a.size > 1 else np.inf for a in axes]
@@ -387,7 +389,9 @@ def interpolate_map(
     points = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (mean_speed_rad_s, ratio, climb_ratio)))
     arguments = pack_map_tables(coefficients)
     flat = zip(*(p.ravel().tolist() for p in points), strict=True)
-    values = np.array([interpolate_tables(*arguments, *point) for point in flat]).reshape(*points[0].shape, 4)
+    values = np.array([interpolate_coefficient_tables(*arguments, *point) for point in flat]).reshape(
+        *points[0].shape, 4
+    )
     outside = np.zeros(points[0].shape, dtype=np.bool_)
     for p, axis in zip(points, coefficients.decode_map_tables()[:3], strict=True):
         if axis.size > 1:

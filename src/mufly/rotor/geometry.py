@@ -48,8 +48,8 @@ def _make_validation_error(key: str, problem: str, remedy: str) -> PydanticCusto
 
 GeometrySource = Literal["photograph", "maker", "caliper", "scan", "CAD"]
 """Sources of a blade's geometry; :mod:`mufly.rotor.effective_pitch` has the uncertainty of each."""
-_MAX_THICKNESS_STEP = 0.03  # over chord, between sections whose polars are mixed
-_MIN_CHORD_OVER_RADIUS = 0.005  # widest chord over radius; long blades of sailplane-like rotors have 0.02
+_MAX_MIXED_THICKNESS_STEP = 0.03  # over chord, between sections whose polars are mixed
+_MIN_WIDEST_CHORD_OVER_RADIUS = 0.005  # widest chord over radius; long blades of sailplane-like rotors have 0.02
 
 
 class StationColumn(ParameterGroup):
@@ -351,7 +351,7 @@ class Rotor(ParameterGroup):
         thick = self.blade.thickness.array()
         places, sections = [x[:1]], [name_thickened_airfoil(names[0], thick[0])]
         for k, (a, b) in enumerate(pairwise(thick.tolist())):
-            pieces = math.ceil(abs(b - a) / _MAX_THICKNESS_STEP - 1e-9) if names[k] == names[k + 1] else 1
+            pieces = math.ceil(abs(b - a) / _MAX_MIXED_THICKNESS_STEP - 1e-9) if names[k] == names[k + 1] else 1
             places.append(np.linspace(x[k], x[k + 1], max(pieces, 1) + 1)[1:])
             sections += [name_thickened_airfoil(names[k + 1], t) for t in np.linspace(a, b, max(pieces, 1) + 1)[1:]]
         return np.concatenate(places), tuple(sections)
@@ -487,7 +487,7 @@ def rotor_from_tables(tables: Mapping[str, Any], where: str = "rotor") -> Rotor:
     """
     rotor = validate_model(Rotor, tables, where)
     widest = max(rotor.blade.chord.value)
-    if widest < _MIN_CHORD_OVER_RADIUS * rotor.radius_m:
+    if widest < _MIN_WIDEST_CHORD_OVER_RADIUS * rotor.radius_m:
         raise InputError(
             where, "blade.chord", f"{1e3 * widest:g} mm is too narrow for a radius of {1e3 * rotor.radius_m:g} mm",
             "check both, and their units",

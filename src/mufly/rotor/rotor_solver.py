@@ -143,7 +143,7 @@ def solve_system(
 
     Examples
     --------
-    >>> pair = RotorSystem.coaxial_pair(upper, lower, spacing_m=0.02)  # doctest: +SKIP
+    >>> pair = RotorSystem.from_coaxial_pair(upper, lower, spacing_m=0.02)  # doctest: +SKIP
     >>> solve_system(pair, OperatingCondition(0.24, thrust_N=0.9)).power_W  # doctest: +SKIP
 
     Thesis: Sec. 3.3.
@@ -260,7 +260,7 @@ def _per_rotor_values(name: str, value: PerRotor, count: int) -> tuple[float | N
 # Blade elements: rotors at a point
 
 
-def _inflow_matrix(source: PlacedRotor, target: PlacedRotor) -> Array:
+def _make_interference_matrix(source: PlacedRotor, target: PlacedRotor) -> Array:
     """Return the matrix from a rotor's axial induced velocities to those at another rotor's stations."""
     disc_radius = source.blading.rotors[source.index_in_blading].radius_m
     at_r, at_dr = target.blading.r_m[target.index_in_blading], target.blading.dr_m[target.index_in_blading]
@@ -281,7 +281,9 @@ def _solve_bemt(
     """Solve placed rotors by blade elements, each in the streams that the others induce."""
     if len(rotors) == 1:
         return SystemSolution((solve_placed_rotor(rotors[0], climb_m_s, air),), rotors, climb_m_s, air, "bemt")
-    ways = {(a, b): _inflow_matrix(p, q) for a, p in enumerate(rotors) for b, q in enumerate(rotors) if a != b}
+    ways = {
+        (a, b): _make_interference_matrix(p, q) for a, p in enumerate(rotors) for b, q in enumerate(rotors) if a != b
+    }
     turned = {(a, b): make_lower_rotor_swirl_matrix(rotors[a], p) for b, p in enumerate(rotors) for a in range(b)}
     stations = [p.blading.r_m.shape[1] for p in rotors]
     cuts = np.cumsum(stations[:-1])[:-1]
@@ -467,7 +469,7 @@ def _trim_by_bracketing(
         return now
 
     def solve_balanced(up: float, guess: float) -> SystemSolution:
-        return _find_root(
+        return _find_root_solution(
             lambda x: solve_pair(up, up * x),
             lambda p: p.yaw_torque_Nm / abs(p.upper.torque_Nm),
             guess,
@@ -482,7 +484,7 @@ def _trim_by_bracketing(
         raise MuflyError(f"coaxial: no thrust at 300 rad/s and these pitches, so {thrust_N:g} N is out of reach")
     ratio = first.lower.speed_rad_s / first.upper.speed_rad_s
     guess = _INITIAL_SPEED_GUESS_RAD_S * math.sqrt(thrust_N / first.thrust_N)
-    return _find_root(
+    return _find_root_solution(
         lambda x: solve_balanced(guess * x, ratio),
         lambda p: p.thrust_N / thrust_N - 1.0,
         1.0,
@@ -490,7 +492,7 @@ def _trim_by_bracketing(
     )
 
 
-def _find_root(
+def _find_root_solution(
     solve_at: Callable[[float], SystemSolution], fault: Callable[[SystemSolution], float], guess: float, what: str
 ) -> SystemSolution:
     """Return the solution at which ``fault`` vanishes; ``solve_at`` takes a speed factor from 0.1 to 10."""

@@ -29,7 +29,7 @@ SPEED_OF_SOUND_M_S = 343.2
 """Speed of sound in dry air at 20 C (ISO 2533)."""
 
 
-_AIR_RANGES = {"density_kg_m3": (1e-3, 20.0), "viscosity_Pa_s": (0.0, 1e-4), "sound_m_s": (100.0, math.inf)}
+_VALID_AIR_RANGES = {"density_kg_m3": (1e-3, 20.0), "viscosity_Pa_s": (0.0, 1e-4), "sound_m_s": (100.0, math.inf)}
 """Ranges of gases in which rotors run, tunnels under pressure or vacuum included; water and g/m3 lie outside. A great
 speed of sound stands for incompressible flow, a small viscosity for none."""
 
@@ -46,7 +46,7 @@ class Air:
     sound_m_s: float = SPEED_OF_SOUND_M_S
 
     def __post_init__(self) -> None:
-        for key, (low, high) in _AIR_RANGES.items():
+        for key, (low, high) in _VALID_AIR_RANGES.items():
             if not 0.0 < getattr(self, key) < math.inf:
                 raise InputError("air", key, f"is {getattr(self, key):g}", "give a number above 0")
             if not low <= getattr(self, key) <= high:
@@ -82,7 +82,7 @@ def tabulate_blade_stations(rotor: Rotor, speed_rad_s: float) -> dict[str, Array
     }  # fmt: skip
 
 
-class RotorWarning(UserWarning):
+class RotorValidityWarning(UserWarning):
     """Warning: a rotor is computed outside the range of validity of the theory."""
 
 
@@ -99,7 +99,7 @@ def compute_tip_mach(radius_m: float, speed_rad_s: float, air: Air | None = None
     return math.hypot(radius_m * speed_rad_s, axial_m_s) / (air or Air()).sound_m_s
 
 
-class VortexRingWarning(RotorWarning):
+class VortexRingWarning(RotorValidityWarning):
     """Warning: a rotor descends in vortex ring state."""
 
 
@@ -123,12 +123,12 @@ _RPM_HINT = " (speed_rad_s is in rad/s; a number in rpm has to be multiplied by 
 
 
 def warn_tip_mach(mach: float) -> None:
-    """Issue a :class:`RotorWarning` if a tip Mach number exceeds :data:`MAX_TIP_MACH`."""
+    """Issue a :class:`RotorValidityWarning` if a tip Mach number exceeds :data:`MAX_TIP_MACH`."""
     if mach > MAX_TIP_MACH:
         warnings.warn(
             f"the tips move at Mach {mach:.2f}; beyond {MAX_TIP_MACH:g} shocks stall the sections, and "
             f"thrust and torque are unreliable{_RPM_HINT if mach >= 1.0 else ''}",
-            RotorWarning, stacklevel=3,
+            RotorValidityWarning, stacklevel=3,
         )  # fmt: skip
 
 
@@ -163,7 +163,7 @@ class PlacedRotor:
 
 @dataclass(frozen=True, eq=False)
 class RotorSystem:
-    """Rotors on one shaft, the uppermost first; created by :meth:`single_rotor` or :meth:`coaxial_pair`.
+    """Rotors on one shaft, the uppermost first; created by :meth:`from_single_rotor` or :meth:`from_coaxial_pair`.
 
     Attributes
     ----------
@@ -188,12 +188,12 @@ class RotorSystem:
             )
 
     @classmethod
-    def single_rotor(cls, blading: Blading | Rotor, *, which: int = 0) -> RotorSystem:
+    def from_single_rotor(cls, blading: Blading | Rotor, *, which: int = 0) -> RotorSystem:
         """Return a system of one rotor; a :class:`Rotor` is prepared with all defaults."""
         return cls((ensure_blading(blading),), (0.0,), (1,), (which,))
 
     @classmethod
-    def coaxial_pair(cls, upper: Blading | Rotor, lower: Blading | Rotor, *, spacing_m: float) -> RotorSystem:
+    def from_coaxial_pair(cls, upper: Blading | Rotor, lower: Blading | Rotor, *, spacing_m: float) -> RotorSystem:
         """Return a pair of counter-rotating rotors on one shaft; of a blading with several rotors, the first is used.
 
         A :class:`Rotor` is prepared with all defaults.
@@ -277,7 +277,7 @@ class RotorResult:
     dT_N, dQ_Nm : (stations,) arrays
         Thrust (N) and torque (N m) of the annulus, all blades.
     outside : (stations,) array of uint8
-        0 inside the computed range of the polar; bits ``OUTSIDE_ALPHA``, ``OUTSIDE_REYNOLDS`` elsewhere.
+        0 inside the computed range of the polar; bits ``OUTSIDE_ALPHA_BIT``, ``OUTSIDE_REYNOLDS_BIT`` elsewhere.
     outside_share : float
         Fraction of the absolute thrust at stations outside that range.
     calibrated : bool
@@ -547,7 +547,7 @@ class SystemSolution:
         both = {name: (getattr(self.lower, name), getattr(self.upper, name)) for name in names}
         return {name.partition("_")[0]: low / up if up else math.nan for name, (low, up) in both.items()}
 
-    def interference_changes(self, isolated: Sequence[RotorResult]) -> dict[str, float]:
+    def compute_interference_changes(self, isolated: Sequence[RotorResult]) -> dict[str, float]:
         """Return the relative changes of the loads of a pair against its isolated rotors at the same pitch and speed.
 
         Keys are ``upper_thrust``, ``upper_torque``, those of the lower rotor, and ``thrust``, ``power`` and

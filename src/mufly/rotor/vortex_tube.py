@@ -62,7 +62,7 @@ _POINTS_PER_PANEL = 3  # sample points on a panel within a stream
 _MIN_CONVECTION_SPEED_RATIO = 0.1  # least convection velocity over the greatest of the wake, so that p stays finite
 _MAX_ITERATIONS, _RESTART_INTERVAL, _ANDERSON_MEMORY, _ANDERSON_MIXING = 200, 40, 12, 0.3
 _CONVERGENCE_TOLERANCE = 1e-5  # of the greatest induced velocity
-_DAMPED_ITERATIONS, _LOAD_RANGE_ITERATIONS = 200, 40
+_MAX_DAMPED_ITERATIONS, _LOAD_RANGE_WINDOW_ITERATIONS = 200, 40
 _LOAD_TOLERANCE = 2e-3  # of thrust and torque of the pair: range over the judged iterations
 _MIN_INDUCED_TO_TIP_SPEED_RATIO = (
     0.005  # of the tip speed: least induced velocity of that scale; below, a rotor carries no load
@@ -119,7 +119,7 @@ def compute_tube_axis_velocity_ratio(distance_m: float, radius_m: float) -> floa
     return 1.0 + distance_m / math.hypot(radius_m, distance_m)
 
 
-def wake_contraction(distance_m: float, radius_m: float) -> float:
+def compute_wake_radius_ratio(distance_m: float, radius_m: float) -> float:
     """Return the radius of a wake tube at a distance below the disc over its radius in the disc; 1 above the disc."""
     return 1.0 / math.sqrt(compute_tube_axis_velocity_ratio(max(distance_m, 0.0), radius_m))
 
@@ -159,14 +159,14 @@ def _tube_influence(source: bytes, target: bytes, below_m: float) -> tuple[Array
     edges, at = np.frombuffer(source), np.frombuffer(target)
     tubes, starts = edges[select_tube_edges(edges.size - 1)], float(edges[-1]) * _TUBE_CELL_STARTS_RADII
     own = float(at[-1])
-    narrow = wake_contraction(below_m, float(edges[-1]))
+    narrow = compute_wake_radius_ratio(below_m, float(edges[-1]))
     parts = (np.arange(_POINTS_PER_PANEL) + 0.5) / _POINTS_PER_PANEL
     r = (at[:-1, None] + np.diff(at)[:, None] * parts).ravel()
     disc = np.zeros((r.size, tubes.size * starts.size))
     _fill_cell_influence(disc, r / narrow, np.full(r.size, below_m), tubes, starts)
     disc = disc.reshape(at.size - 1, _POINTS_PER_PANEL, -1).mean(axis=1)
     depth = own * _TUBE_CELL_MIDDLES_RADII
-    follow = np.array([wake_contraction(min(d, max(-below_m, 0.0)), own) / narrow for d in depth])
+    follow = np.array([compute_wake_radius_ratio(min(d, max(-below_m, 0.0)), own) / narrow for d in depth])
     leaving = at[select_tube_edges(at.size - 1)]
     wake = np.zeros((leaving.size * depth.size, tubes.size * starts.size))
     _fill_cell_influence(wake, np.outer(leaving, follow).ravel(), np.tile(below_m + depth, leaving.size), tubes, starts)
@@ -225,13 +225,13 @@ def make_stream_interpolation(r_m: Array, edge_m: float, narrow: float, at_m: Ar
     return read
 
 
-def swirl_influence(r_m: Array, edge_m: float, distance_m: float, at_m: Array, width_m: Array) -> Array:
+def make_swirl_influence_matrix(r_m: Array, edge_m: float, distance_m: float, at_m: Array, width_m: Array) -> Array:
     """Return the matrix from moment of momentum r u (m^2/s) at a rotor's stations to swirl u (m/s) at panels
     downstream.
 
     r u is conserved downstream, r becomes s r. Swirl is zero inside the blade roots, and there is no mixing.
     """
-    s = wake_contraction(distance_m, edge_m)
+    s = compute_wake_radius_ratio(distance_m, edge_m)
     read = make_stream_interpolation(r_m, edge_m, s, at_m, width_m)
     out: Array = read * ((at_m >= s * r_m[0]) / at_m)[:, None]
     return out
@@ -248,7 +248,7 @@ def make_lower_rotor_swirl_matrix(source: PlacedRotor, target: PlacedRotor) -> A
     return (
         -source.rotation_sign
         * target.rotation_sign
-        * swirl_influence(source.blading.r_m[source.index_in_blading], edge, apart, r, dr)
+        * make_swirl_influence_matrix(source.blading.r_m[source.index_in_blading], edge, apart, r, dr)
     )
 
 
@@ -330,7 +330,7 @@ def solve_tubes(
         streams = tuple(np.split(x, cuts))
         return SystemSolution(tuple(both), rotors, climb_m_s, air, "tubes", True, words, turns, streams)
 
-    for turn in range(1, _MAX_ITERATIONS + _DAMPED_ITERATIONS + 1):
+    for turn in range(1, _MAX_ITERATIONS + _MAX_DAMPED_ITERATIONS + 1):
         miss = iterate_streams(x) - x
         size = sum(float(np.max(np.abs(u * loss))) for u, loss, _ in found)
         far_off = float(np.max(np.abs(miss[: cuts[1]]))) / max(size, least)
@@ -339,7 +339,7 @@ def solve_tubes(
         if far_off <= _CONVERGENCE_TOLERANCE:
             return collect_solution(turn, f"settled in {turn} turns")
         if turn > _MAX_ITERATIONS:
-            if turn > _MAX_ITERATIONS + _DAMPED_ITERATIONS - _LOAD_RANGE_ITERATIONS:
+            if turn > _MAX_ITERATIONS + _MAX_DAMPED_ITERATIONS - _LOAD_RANGE_WINDOW_ITERATIONS:
                 now = collect_solution(turn, "")
                 loads.append(np.array([(r.thrust_N, r.torque_Nm) for r in now.rotors]))
             x = x + 2.0 / (turn - _MAX_ITERATIONS + 8.0) * miss

@@ -4,8 +4,8 @@ from mufly.sensors.faults import FAULT_KINDS, FAULT_TARGETS, Fault, parse_fault
 from mufly.sensors.imu import Imu
 from mufly.sensors.periodic import PeriodicSensor
 from mufly.sensors.readings import (
-    IdealBattery,
-    IdealMotion,
+    IdealBatterySensor,
+    IdealMotionSensor,
     IdealRangeRing,
     Reading,
     Readings,
@@ -14,13 +14,13 @@ from mufly.sensors.readings import (
     Truth,
     beam_angles,
     beam_directions,
-    ideal_sensors,
+    make_ideal_sensors,
 )
 from mufly.sensors.sensor_suite import (
     FittedSensors,
-    check_faults,
-    fitted_sensors,
+    make_fitted_sensors,
     randomise_leg_lengths,
+    require_fault_sensors,
 )
 
 __all__ = [
@@ -28,8 +28,8 @@ __all__ = [
     "FAULT_TARGETS",
     "Fault",
     "FittedSensors",
-    "IdealBattery",
-    "IdealMotion",
+    "IdealBatterySensor",
+    "IdealMotionSensor",
     "IdealRangeRing",
     "Imu",
     "PeriodicSensor",
@@ -40,9 +40,9 @@ __all__ = [
     "Truth",
     "beam_angles",
     "beam_directions",
-    "check_faults",
-    "fitted_sensors",
-    "ideal_sensors",
+    "make_fitted_sensors",
+    "make_ideal_sensors",
     "parse_fault",
     "randomise_leg_lengths",
+    "require_fault_sensors",
 ]

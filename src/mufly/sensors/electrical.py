@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.model_state import MODEL_SPEED_UPPER
-from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, PeriodicSensor
+from mufly.sensors.periodic import ROW_FIRST_VALUE_INDEX, ROW_IS_VALID_INDEX, PeriodicSensor
 from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals
 from mufly.vehicle import Vehicle
@@ -45,9 +45,9 @@ def _sample_rotor_speeds(
     (numbers,) = parts
     n = np.empty(2)
     draw_normals(source, n)
-    row[ROW_IS_VALID] = 1.0
+    row[ROW_IS_VALID_INDEX] = 1.0
     for k in range(2):
-        row[ROW_FIRST_VALUE + k] = max(
+        row[ROW_FIRST_VALUE_INDEX + k] = max(
             x[MODEL_SPEED_UPPER + k] * numbers[_SPEED_SCALE_INDEX + k] + numbers[_SPEED_NOISE_INDEX] * n[k], 0.0
         )
     return 0.0
@@ -88,8 +88,8 @@ def _sample_battery(
     volts, step = supply[0] + numbers[_VOLTAGE_NOISE_INDEX] * n[0], numbers[_VOLTAGE_RESOLUTION_INDEX]
     if step > 0.0:
         volts = np.rint(volts / step) * step
-    row[ROW_IS_VALID], row[ROW_FIRST_VALUE] = 1.0, max(volts, 0.0)
-    row[ROW_FIRST_VALUE + 1] = supply[1] * numbers[_CURRENT_SCALE_INDEX] + numbers[_CURRENT_NOISE_INDEX] * n[1]
+    row[ROW_IS_VALID_INDEX], row[ROW_FIRST_VALUE_INDEX] = 1.0, max(volts, 0.0)
+    row[ROW_FIRST_VALUE_INDEX + 1] = supply[1] * numbers[_CURRENT_SCALE_INDEX] + numbers[_CURRENT_NOISE_INDEX] * n[1]
     return 0.0
 
 

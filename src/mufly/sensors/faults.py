@@ -52,21 +52,21 @@ class FaultTarget:
         return READINGS[self.reading].unit
 
 
-def _default_amounts(jump: float, drift: float, clip: float, stuck: float) -> dict[str, float]:
+def _make_default_amounts(jump: float, drift: float, clip: float, stuck: float) -> dict[str, float]:
     return {
         "jump": jump, "bias": jump, "drift": drift, "clip": clip, "stuck": stuck, "outliers": 3 * jump, "late": 0.3
     }  # fmt: skip
 
 
 FAULT_TARGETS: Mapping[str, FaultTarget] = {
-    row.fault: FaultTarget(sensor, row.name, _default_amounts(*row.default_fault_amounts))
+    row.fault: FaultTarget(sensor, row.name, _make_default_amounts(*row.default_fault_amounts))
     for sensor, rows in SENSORS.items()
     for row in rows
     if row.fault
 }
 """Fault targets by their names in the text of a fault, such as ``sonar``."""
 
-_MAX_START_S = 86400.0  # latest start of a fault: a day, longer than any battery lasts
+_MAX_FAULT_START_S = 86400.0  # latest start of a fault: a day, longer than any battery lasts
 _MAX_AMOUNT_FACTOR = 1000.0  # relative to the default amount of a kind, or of a jump
 
 _FAULT_SYNTAX = "NAME.KIND=AMOUNT@STARTs+DURATIONs, as sonar.jump=0.3@15s+2s"
@@ -97,7 +97,7 @@ class Fault:
             raise ArgumentError("fault", self.name, "is not a sensor", suggest_name(self.name, FAULT_TARGETS))
         if self.kind not in FAULT_KINDS:
             raise ArgumentError("fault", self.kind, "is not a fault", suggest_name(self.kind, FAULT_KINDS))
-        if not (0.0 <= self.start_s <= _MAX_START_S and self.stop_s > self.start_s):
+        if not (0.0 <= self.start_s <= _MAX_FAULT_START_S and self.stop_s > self.start_s):
             span = f"{self.start_s:g} to {self.stop_s:g} s"
             raise ArgumentError("fault", str(self), f"{span} is not a time", f"write {_FAULT_SYNTAX}")
         if math.isnan(self.amount):

@@ -38,12 +38,12 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import borrow_arrays
 from mufly.dynamics import body_to_ned_matrix, find_trim
 from mufly.dynamics.model_state import (
-    ATTITUDE,
+    ATTITUDE_SLICE,
     MODEL_RATES,
     MODEL_SPEED_LOWER,
     MODEL_SPEED_UPPER,
     MODEL_VELOCITY,
-    ROTOR_SPEEDS,
+    ROTOR_SPEED_SLICE,
     STATE_SIZE,
 )
 from mufly.quantities.units import GRAVITY
@@ -63,12 +63,12 @@ FIRST_GYRO_AXIS, _IMU_AXIS_COUNT = 3, 6  # index of the first gyroscope among th
 # and the resonance's gain of each vibration line in hover
 (
     _ONCE_PER_REV_INDEX, _TWICE_PER_REV_INDEX, _BLADE_PASSAGE_INDEX, _RESONANCE_INDEX, _DAMPING_INDEX,
-    _UPPER_HOVER_SPEED_INDEX, _LOWER_HOVER_SPEED_INDEX, _DRIFT_TIME_INDEX, _WARMING_INDEX, _WARMING_TIME_INDEX,
-    _HOVER_RESONANCE_GAIN_INDEX,
+    _UPPER_HOVER_SPEED_INDEX, _LOWER_HOVER_SPEED_INDEX, _DRIFT_TIME_INDEX, _FINAL_TEMPERATURE_RISE_INDEX,
+    _WARMING_TIME_INDEX, _HOVER_RESONANCE_GAIN_INDEX,
 ) = range(11)  # fmt: skip
 # Places among the arrays of the unit
-_POSITION_ARRAY, _TURN_ON_BIAS_ARRAY, _BIAS_DRIFT_ARRAY = 1, 7, 13
-_LOW_PASS_MEMORY_ARRAY, _SPECIFIC_FORCE_ARRAY = 14, 15
+_POSITION_ARRAY_INDEX, _TURN_ON_BIAS_ARRAY_INDEX, _BIAS_DRIFT_ARRAY_INDEX = 1, 7, 13
+_LOW_PASS_MEMORY_ARRAY_INDEX, _SPECIFIC_FORCE_ARRAY_INDEX = 14, 15
 # Rows of the work of a period: cosine and sine of the vibration lines, middles of the samples, inputs of the axes
 _SAMPLE_MIDDLE_FRACTION_ROW, _FIRST_AXIS_ROW = 2 * _VIBRATION_LINE_COUNT, 2 * _VIBRATION_LINE_COUNT + 1
 # Columns of an axis' inputs: coefficients of the vibration lines, input at the start, and its increase
@@ -95,7 +95,7 @@ class Imu(Sensor):
     def __init__(self, table: ImuTable, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         imu = table
         self._rng, self._imu = rng, imu
-        hover = find_trim(vehicle).state[ROTOR_SPEEDS]  # the file gives the vibration at this speed
+        hover = find_trim(vehicle).state[ROTOR_SPEED_SLICE]  # the file gives the vibration at this speed
         shake = imu.vibration
         self._vibration_numbers = np.array(
             [
@@ -114,7 +114,7 @@ class Imu(Sensor):
             ]
             + [
                 resonance_gain(speed, float(shake.resonance_frequency), float(shake.damping_ratio))
-                for speed in _line_frequencies(*hover)
+                for speed in _compute_vibration_frequencies(*hover)
             ]
         )
         self._place = imu.position.to_array()[0].copy()
@@ -125,7 +125,9 @@ class Imu(Sensor):
         self._range = self._limit.copy()
         self._filter = butterworth_coefficients(float(imu.bandwidth), self._dt)
         # Constant errors of this unit
-        self._axes = np.stack([_axis_matrix(rng, float(imu.scale_error), float(imu.misalignment)) for _ in range(2)])
+        self._axes = np.stack(
+            [_draw_axis_error_matrix(rng, float(imu.scale_error), float(imu.misalignment)) for _ in range(2)]
+        )
         on = np.repeat([float(imu.accelerometer_bias), float(imu.gyro_bias)], 3)
         heat = np.repeat([float(imu.accelerometer_temperature_coefficient), float(imu.gyro_temperature_coefficient)], 3)
         self.turn_on_bias = on * rng.standard_normal(6)
@@ -141,7 +143,9 @@ class Imu(Sensor):
             [level * np.cos(azimuth), level * np.sin(azimuth), np.full(3, math.sin(_VIBRATION_ELEVATION_RAD))]
         )
         directions = e[[0, 0, 1, 1, 2]]
-        self._line_response = np.hstack([_project_lines(m, directions) for m in (self._axes[0], self._g_sensitivity)])
+        self._line_response = np.hstack(
+            [_project_vibration_lines(m, directions) for m in (self._axes[0], self._g_sensitivity)]
+        )
         self._phases = np.array(
             [(math.cos(p), math.sin(p)) for p in rng.uniform(0.0, 2 * math.pi, _VIBRATION_LINE_COUNT)]
         )
@@ -210,7 +214,7 @@ class Imu(Sensor):
 
     def temperature_rise_K(self, time_s: float) -> float:
         """Return the rise of temperature since switching on (K)."""
-        return float(_temperature_rise_K(time_s, self._vibration_numbers))
+        return float(_compute_temperature_rise_K(time_s, self._vibration_numbers))
 
     @property
     def latest_readings(self) -> Mapping[str, Reading]:
@@ -243,18 +247,18 @@ def mounting_matrix(imu: ImuTable) -> _Array | None:
     return np.ascontiguousarray(body_to_ned_matrix(quaternion_from_euler(*angles)).T)
 
 
-def _axis_matrix(rng: np.random.Generator, scale: float, misalignment: float) -> _Array:
+def _draw_axis_error_matrix(rng: np.random.Generator, scale: float, misalignment: float) -> _Array:
     """Return the matrix from true to sensed axes: the identity with errors."""
     off = misalignment * rng.standard_normal((3, 3))
     return np.eye(3) + np.diag(scale * rng.standard_normal(3)) + off - np.diag(np.diag(off))
 
 
-def _line_frequencies(upper: float, lower: float) -> tuple[float, ...]:
+def _compute_vibration_frequencies(upper: float, lower: float) -> tuple[float, ...]:
     """Return the frequencies (rad/s) of the five vibration lines: 1 and 2/rev of each rotor, and blade passing."""
     return 1.0 * upper, 2.0 * upper, 1.0 * lower, 2.0 * lower, 2.0 * (upper + lower)
 
 
-def _project_lines(axes: _Array, directions: _Array) -> _Array:
+def _project_vibration_lines(axes: _Array, directions: _Array) -> _Array:
     """Return the product (5, 3) of the matrix ``axes`` (3, 3) and the direction of each of the five vibration lines.
 
     The order of summation is fixed, so that results are equal on every machine.
@@ -277,8 +281,8 @@ def resonance_gain(speed: float, natural: float, damping: float) -> float:
 
 
 @cached_njit(error_model="numpy")
-def _temperature_rise_K(t: float, numbers: _Array) -> float:
-    return numbers[_WARMING_INDEX] * (1.0 - math.exp(-t / numbers[_WARMING_TIME_INDEX]))
+def _compute_temperature_rise_K(t: float, numbers: _Array) -> float:
+    return numbers[_FINAL_TEMPERATURE_RISE_INDEX] * (1.0 - math.exp(-t / numbers[_WARMING_TIME_INDEX]))
 
 
 @cached_njit(error_model="numpy")
@@ -287,7 +291,7 @@ def _mean_specific_force(was: _Array, now: _Array, elapsed: float, place: _Array
 
     The states are ``elapsed`` (s) apart; ``place`` is the element's position in body axes (m).
     """
-    turn = body_to_ned_matrix(now[ATTITUDE])
+    turn = body_to_ned_matrix(now[ATTITUDE_SLICE])
     wx, wy, wz = now[MODEL_RATES], now[MODEL_RATES + 1], now[MODEL_RATES + 2]
     px, py = (wx - was[MODEL_RATES]) / elapsed, (wy - was[MODEL_RATES + 1]) / elapsed
     pz = (wz - was[MODEL_RATES + 2]) / elapsed
@@ -350,7 +354,7 @@ def simulate_imu_period(
     element. ``response`` (5, 6) is the share of each vibration line in each axis. ``out`` and ``clipped`` (6,) are the
     readings and the shares of samples that clipped.
     """
-    n, warmth = normal.size // 6 - 1, _temperature_rise_K(t, numbers)
+    n, warmth = normal.size // 6 - 1, _compute_temperature_rise_K(t, numbers)
     once, twice, passing = numbers[_ONCE_PER_REV_INDEX], numbers[_TWICE_PER_REV_INDEX], numbers[_BLADE_PASSAGE_INDEX]
     natural, damping = numbers[_RESONANCE_INDEX], numbers[_DAMPING_INDEX]
     hover_up, hover_dw, drift_time = (
@@ -481,11 +485,11 @@ def make_first_imu_reading(
     ``mounting`` (3, 3) is the rotation matrix from body axes to the element's; the others as in :func:`sample_imu`.
     """
     place, switched_on, wander, memory, force = (
-        unit[_POSITION_ARRAY],
-        unit[_TURN_ON_BIAS_ARRAY],
-        unit[_BIAS_DRIFT_ARRAY],
-        unit[_LOW_PASS_MEMORY_ARRAY],
-        unit[_SPECIFIC_FORCE_ARRAY],
+        unit[_POSITION_ARRAY_INDEX],
+        unit[_TURN_ON_BIAS_ARRAY_INDEX],
+        unit[_BIAS_DRIFT_ARRAY_INDEX],
+        unit[_LOW_PASS_MEMORY_ARRAY_INDEX],
+        unit[_SPECIFIC_FORCE_ARRAY_INDEX],
     )
     clock[0] = t
     for k in range(x.size):

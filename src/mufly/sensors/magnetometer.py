@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import sine_cosine
 from mufly.dynamics import body_to_ned_matrix
-from mufly.dynamics.model_state import ATTITUDE
-from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, PeriodicSensor
+from mufly.dynamics.model_state import ATTITUDE_SLICE
+from mufly.sensors.periodic import ROW_FIRST_VALUE_INDEX, ROW_IS_VALID_INDEX, PeriodicSensor
 from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals
 from mufly.vehicle import Vehicle
@@ -27,7 +27,7 @@ from mufly.vehicle.sensor_schema import MagnetometerParameters
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-_DISTORTION_WAVE_COUNT = 64
+_FIELD_DISTORTION_WAVE_COUNT = 64
 # Indices of the parameters: earth's field, hard iron, field of an ampere (3 each), strength of the distortion, noise
 # (T)
 _EARTH_FIELD_INDEX, _HARD_IRON_INDEX, _FIELD_PER_AMPERE_INDEX, _DISTORTION_STRENGTH_INDEX, _NOISE_INDEX = 0, 3, 6, 9, 10
@@ -61,15 +61,15 @@ def _sample_magnetic_field(
     row: _Array,
 ) -> float:
     numbers, waves, shifts = parts
-    there, n, turn = np.empty(3), np.empty(3), body_to_ned_matrix(x[ATTITUDE])
+    there, n, turn = np.empty(3), np.empty(3), body_to_ned_matrix(x[ATTITUDE_SLICE])
     for j in range(3):  # a slice assignment would compile the error message for unequal shapes: 2 s
         there[j] = numbers[_EARTH_FIELD_INDEX + j]
     _add_distortion(x, waves, shifts, numbers[_DISTORTION_STRENGTH_INDEX], there)
     draw_normals(source, n)
-    row[ROW_IS_VALID] = 1.0
+    row[ROW_IS_VALID_INDEX] = 1.0
     for j in range(3):
         felt = turn[0, j] * there[0] + turn[1, j] * there[1] + turn[2, j] * there[2]
-        row[ROW_FIRST_VALUE + j] = (
+        row[ROW_FIRST_VALUE_INDEX + j] = (
             felt
             + numbers[_HARD_IRON_INDEX + j]
             + numbers[_FIELD_PER_AMPERE_INDEX + j] * supply[1]
@@ -88,10 +88,10 @@ class MagnetometerSensor(PeriodicSensor):
     def __init__(self, table: MagnetometerParameters, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         m = table
         self.earth_field_T = earth_field(float(m.field_strength), float(m.inclination))
-        self._waves = rng.standard_normal((_DISTORTION_WAVE_COUNT, 3)) / float(m.distortion_correlation_length)
-        shifts = rng.uniform(0.0, 2 * math.pi, (_DISTORTION_WAVE_COUNT, 3))
+        self._waves = rng.standard_normal((_FIELD_DISTORTION_WAVE_COUNT, 3)) / float(m.distortion_correlation_length)
+        shifts = rng.uniform(0.0, 2 * math.pi, (_FIELD_DISTORTION_WAVE_COUNT, 3))
         self._wave_phases = np.array([[sine_cosine(p) for p in row] for row in shifts])
-        self._strength = float(m.distortion) * math.sqrt(2.0 / _DISTORTION_WAVE_COUNT)
+        self._strength = float(m.distortion) * math.sqrt(2.0 / _FIELD_DISTORTION_WAVE_COUNT)
         self.hard_iron = float(m.hard_iron) * rng.standard_normal(3)
         self.motor_field_per_ampere = float(m.field_per_current) * rng.standard_normal(3)
         numbers = [
@@ -104,7 +104,7 @@ class MagnetometerSensor(PeriodicSensor):
         super().__init__(float(m.period), rng, (np.array(numbers), self._waves, self._wave_phases))
 
     def error_free_readings(self, truth: Truth) -> dict[str, _Array]:
-        return {"magnetic_field": body_to_ned_matrix(truth.state[ATTITUDE]).T @ self.earth_field_T}
+        return {"magnetic_field": body_to_ned_matrix(truth.state[ATTITUDE_SLICE]).T @ self.earth_field_T}
 
 
 def earth_field(strength_T: float, inclination: float) -> _Array:

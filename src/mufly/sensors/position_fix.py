@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.sensors.periodic import (
-    NO_MEASUREMENT,
-    ROW_FIRST_VALUE,
-    ROW_IS_VALID,
+    NO_MEASUREMENT_DELAY_S,
+    ROW_FIRST_VALUE_INDEX,
+    ROW_IS_VALID_INDEX,
     PeriodicSensor,
-    gauss_markov_reset,
-    gauss_markov_step,
+    draw_stationary_gauss_markov,
+    propagate_gauss_markov,
 )
 from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals, draw_uniforms
@@ -50,14 +50,14 @@ def _sample_position_fix(
     share, late, n = np.empty(1), np.empty(1), np.empty(4)
     draw_uniforms(source, share)
     draw_normals(source, late)
-    gauss_markov_step(t, sigma, numbers[_DRIFT_TIME_INDEX], memory, source)
+    propagate_gauss_markov(t, sigma, numbers[_DRIFT_TIME_INDEX], memory, source)
     draw_normals(source, n)
     if share[0] < numbers[_DROPOUT_PROBABILITY_INDEX]:
-        return NO_MEASUREMENT
-    row[ROW_IS_VALID] = 1.0
+        return NO_MEASUREMENT_DELAY_S
+    row[ROW_IS_VALID_INDEX] = 1.0
     for k in range(4):
         true = x[k] if k < 3 else attitude[2]
-        row[ROW_FIRST_VALUE + k] = true + (memory[1 + k] + numbers[_WHITE_NOISE_INDEX + k] * n[k])
+        row[ROW_FIRST_VALUE_INDEX + k] = true + (memory[1 + k] + numbers[_WHITE_NOISE_INDEX + k] * n[k])
     return numbers[_LATENCY_INDEX] + abs(numbers[_LATENCY_JITTER_INDEX] * late[0])
 
 
@@ -80,7 +80,7 @@ class PositionFixSensor(PeriodicSensor):
 
     def reset(self) -> None:
         super().reset()
-        gauss_markov_reset(self._rng, self._sigma, self._memory)
+        draw_stationary_gauss_markov(self._rng, self._sigma, self._memory)
 
     def error_free_readings(self, truth: Truth) -> dict[str, Any]:
         return {"position_fix": np.append(truth.position, truth.attitude[2])}

@@ -23,11 +23,11 @@ from mufly.dynamics.model_state import MODEL_POSITION, MODEL_SPEED_LOWER, MODEL_
 from mufly.quantities.sensor_table import READINGS
 from mufly.quantities.units import GRAVITY
 from mufly.sensors.periodic import (
-    ROW_FIRST_VALUE,
-    ROW_IS_VALID,
+    ROW_FIRST_VALUE_INDEX,
+    ROW_IS_VALID_INDEX,
     PeriodicSensor,
-    gauss_markov_reset,
-    gauss_markov_step,
+    draw_stationary_gauss_markov,
+    propagate_gauss_markov,
 )
 from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals
@@ -64,7 +64,7 @@ def _sample_pressure(
     # parameters, standard deviation and memory of the drift, filter state and its time (s)
     numbers, sigma, memory, felt = parts
     delay, n = numbers[_DELAY_INDEX], np.empty(1)
-    gauss_markov_step(t, sigma, numbers[_DRIFT_TIME_INDEX], memory, source)
+    propagate_gauss_markov(t, sigma, numbers[_DRIFT_TIME_INDEX], memory, source)
     draw_normals(source, n)
     upper, lower = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER]
     loading = numbers[_UPPER_DISC_LOADING_INDEX] * (upper * upper) + numbers[_LOWER_DISC_LOADING_INDEX] * (
@@ -81,7 +81,7 @@ def _sample_pressure(
     else:
         felt[0] += (true - felt[0]) * (1.0 - math.exp(-(t - felt[1]) / delay))
     felt[1] = t
-    row[ROW_IS_VALID], row[ROW_FIRST_VALUE] = 1.0, felt[0] + numbers[_NOISE_INDEX] * n[0]
+    row[ROW_IS_VALID_INDEX], row[ROW_FIRST_VALUE_INDEX] = 1.0, felt[0] + numbers[_NOISE_INDEX] * n[0]
     return 0.0
 
 
@@ -114,7 +114,7 @@ class PressureSensor(PeriodicSensor):
 
     def reset(self) -> None:
         super().reset()
-        gauss_markov_reset(self._rng, self._sigma, self._memory)
+        draw_stationary_gauss_markov(self._rng, self._sigma, self._memory)
         self._rotor_pressure[:] = math.nan, 0.0
 
     def error_free_readings(self, truth: Truth) -> dict[str, float]:

@@ -21,9 +21,16 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import body_to_ned_matrix
-from mufly.dynamics.model_state import ATTITUDE, MODEL_CHARGE, POSITION, RATES, ROTOR_SPEEDS, VELOCITY
+from mufly.dynamics.model_state import (
+    ATTITUDE_SLICE,
+    MODEL_CHARGE,
+    POSITION_SLICE,
+    RATE_SLICE,
+    ROTOR_SPEED_SLICE,
+    VELOCITY_SLICE,
+)
 from mufly.vehicle import Vehicle
-from mufly.world import World, first_hit_distance
+from mufly.world import World, compute_first_hit_distance
 
 _Array = NDArray[np.float64]
 
@@ -58,22 +65,22 @@ class Truth:
     @property
     def position(self) -> _Array:
         """Position of the centre of gravity, N, E, D (m)."""
-        return self.state[POSITION]
+        return self.state[POSITION_SLICE]
 
     @property
     def velocity(self) -> _Array:
         """Velocity, N, E, D (m/s)."""
-        return self.state[VELOCITY]
+        return self.state[VELOCITY_SLICE]
 
     @property
     def rates(self) -> _Array:
         """Angular rates p, q, r (rad/s), body axes."""
-        return self.state[RATES]
+        return self.state[RATE_SLICE]
 
     @property
     def rotor_speed(self) -> _Array:
         """Speeds of the upper and lower rotor (rad/s)."""
-        return self.state[ROTOR_SPEEDS]
+        return self.state[ROTOR_SPEED_SLICE]
 
     @property
     def battery_charge(self) -> float:
@@ -164,25 +171,25 @@ class SensorSet:
 # Ideal sensors
 
 
-def ideal_sensors(vehicle: Vehicle, world: World, ring_every: int = 1) -> SensorSet:
+def make_ideal_sensors(vehicle: Vehicle, world: World, ring_every: int = 1) -> SensorSet:
     """Return ideal sensors for all inputs of the flight software; the range ring reads every ``ring_every`` periods."""
-    return SensorSet(IdealMotion(), IdealRangeRing(vehicle, world, ring_every), IdealBattery())
+    return SensorSet(IdealMotionSensor(), IdealRangeRing(vehicle, world, ring_every), IdealBatterySensor())
 
 
-class IdealMotion(Sensor):
+class IdealMotionSensor(Sensor):
     """Ideal sensor of position, velocity, attitude and rates."""
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t, x = truth.time_s, truth.state
         return {
-            "position": Reading(x[POSITION], t),
-            "velocity": Reading(x[VELOCITY], t),
+            "position": Reading(x[POSITION_SLICE], t),
+            "velocity": Reading(x[VELOCITY_SLICE], t),
             "attitude": Reading(truth.attitude, t),
-            "rates": Reading(x[RATES], t),
+            "rates": Reading(x[RATE_SLICE], t),
         }
 
 
-class IdealBattery(Sensor):
+class IdealBatterySensor(Sensor):
     """Ideal sensor of the terminal voltage (V)."""
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
@@ -253,10 +260,10 @@ def measure_ranges(
     out: _Array,
 ) -> None:
     """Write the distances along beams (n, 3; body axes), clipped to ``least`` and ``most`` (m), to ``out`` (n,)."""
-    turn = body_to_ned_matrix(x[ATTITUDE])
+    turn = body_to_ned_matrix(x[ATTITUDE_SLICE])
     for k in range(directions.shape[0]):
         a, b, c = directions[k, 0], directions[k, 1], directions[k, 2]
         n = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c
         e = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c
         d = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c
-        out[k] = max(first_hit_distance(x, n, e, d, most, boxes, cylinders, limits), least)
+        out[k] = max(compute_first_hit_distance(x, n, e, d, most, boxes, cylinders, limits), least)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import borrow_arrays
 from mufly.sensors.column_medians import median_comparators, write_column_medians
-from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, PeriodicSensor
+from mufly.sensors.periodic import ROW_FIRST_VALUE_INDEX, ROW_IS_VALID_INDEX, PeriodicSensor
 from mufly.sensors.readings import Truth, beam_angles, beam_directions, measure_ranges
 from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.vehicle import Vehicle
@@ -44,7 +44,7 @@ ELEVATION_MARGIN_FACTOR = 1.25  # rows reach up to this multiple of the elevatio
 
 
 @cached_njit(error_model="numpy")
-def _decode_ranges(
+def _draw_and_decode_spots(
     seen: _Array,
     comparators: _Array,
     distance: _Array,
@@ -134,13 +134,15 @@ def _sample_ranges(
     distance, share = work[0], work[1]
     measure_ranges(x, directions, 0.0, math.inf, boxes, cylinders, walls, distance)
     draw_uniforms(source, share)
-    row[ROW_IS_VALID] = 1.0
+    row[ROW_IS_VALID_INDEX] = 1.0
     for k in range(share.size):
-        row[ROW_FIRST_VALUE + k] = limits[0]
+        row[ROW_FIRST_VALUE_INDEX + k] = limits[0]
         if share[k] < limits[1]:
             distance[k] = math.inf
     draw_normals(source, picture)
-    _decode_ranges(picture, network, distance, across, light, weight, offset, numbers, row[ROW_FIRST_VALUE:])
+    _draw_and_decode_spots(
+        picture, network, distance, across, light, weight, offset, numbers, row[ROW_FIRST_VALUE_INDEX:]
+    )
     return 0.0
 
 
@@ -211,7 +213,7 @@ class RingCamera(PeriodicSensor):
         columns = np.arange(self._camera.angular_pixels)
         true = self.true_ranges_m(state)
         near = np.mod(columns + 0.5 - self._centres[:, None] + columns.size / 2, columns.size) - columns.size / 2
-        light = (self._spot_brightness(true)[:, None, None] * self._row_profile(true)[:, :, None]
+        light = (self._spot_brightness(true)[:, None, None] * self._spot_row_shares(true)[:, :, None]
                  * np.exp(-0.5 * (near / self._blur) ** 2)[:, None, :])  # fmt: skip
         return light.sum(axis=0) + self._ambient + self._rng.standard_normal(light.shape[1:])
 
@@ -219,7 +221,7 @@ class RingCamera(PeriodicSensor):
         with np.errstate(divide="ignore"):
             return float(self._camera.spot_brightness) / np.maximum(distance, 0.05) ** 2
 
-    def _row_profile(self, distance: _Array) -> _Array:
+    def _spot_row_shares(self, distance: _Array) -> _Array:
         """Return the share of a spot's brightness in each row (n, rows)."""
         row = np.arctan2(self._baseline, distance) / self._row_elevation
         return np.exp(-0.5 * ((self._rows - row[:, None]) / self._blur) ** 2)

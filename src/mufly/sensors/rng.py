@@ -54,7 +54,7 @@ _float_to_bits: Any = intrinsic(_bitcast_intrinsic(ir.IntType(64), types.uint64)
 _COUNTER_STEP, _MIX_FACTOR_1, _MIX_FACTOR_2 = (
     np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 )
-_TWO_STEPS = np.uint64(2 * int(_COUNTER_STEP) % 2**64)
+_TWO_COUNTER_STEPS = np.uint64(2 * int(_COUNTER_STEP) % 2**64)
 _27, _30, _31, _12, _52, _2 = (np.uint64(n) for n in (27, 30, 31, 12, 52, 2))
 _EXPONENT_OF_ONE = np.uint64(0x3FF0000000000000)  # exponent bits of numbers from 1 to 2
 _FRACTION_MASK = np.uint64(0x000FFFFFFFFFFFFF)
@@ -118,7 +118,7 @@ def _fill_normals(source: Any, numbers: Any, size: int) -> None:
     at = start
     for i in range(half):
         out[i], out[half + i] = _normal_pair(_uniform_1_to_2(at), _uniform_1_to_2(at + _COUNTER_STEP))
-        at += _TWO_STEPS
+        at += _TWO_COUNTER_STEPS
     if size % 2:
         out[2 * half] = _normal_pair(_uniform_1_to_2(at), _uniform_1_to_2(at + _COUNTER_STEP))[0]
 

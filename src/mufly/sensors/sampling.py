@@ -16,8 +16,8 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import borrow_arrays, refer_to
 from mufly.quantities.sensor_table import SENSORS
 from mufly.sensors.periodic import (
-    CLOCK_NEXT_SAMPLE,
-    NO_MEASUREMENT,
+    CLOCK_NEXT_SAMPLE_INDEX,
+    NO_MEASUREMENT_DELAY_S,
     PENDING_COUNT_INDEX,
     PeriodicSensor,
     advance_if_due,
@@ -80,7 +80,7 @@ def _sample_no_sensor(
     """Sample no sensor."""
 
 
-def _append_sensor(sample_others: Any, k: int, sample: Any) -> Any:
+def _compile_sampling_with_sensor(sample_others: Any, k: int, sample: Any) -> Any:
     """Return a compiled function that calls ``sample_others`` and then samples sensor ``k``.
 
     Each sensor has arrays of other types and a function of its own, so one compiled loop over the sensors is
@@ -92,17 +92,20 @@ def _append_sensor(sample_others: Any, k: int, sample: Any) -> Any:
         sample_others(t, x, attitude, supply, quiet, came, told, all_parts)
         if t >= quiet[k]:
             clock, counts, rows, source, parts = all_parts[k]
-            wait = NO_MEASUREMENT
+            wait = NO_MEASUREMENT_DELAY_S
             if advance_if_due(t, clock):
                 wait = sample(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING_COUNT_INDEX]])
-            came[k], quiet[k] = _publish_to_filter(t, wait, clock, counts, rows, told[k]), clock[CLOCK_NEXT_SAMPLE]
+            came[k], quiet[k] = (
+                _publish_to_filter(t, wait, clock, counts, rows, told[k]),
+                clock[CLOCK_NEXT_SAMPLE_INDEX],
+            )
 
     return sample_in_turn
 
 
 _sample_in_turn = _sample_no_sensor
 for _k, _kind in enumerate(SAMPLED_SENSORS):
-    _sample_in_turn = _append_sensor(_sample_in_turn, _k, _kind.sample_function)
+    _sample_in_turn = _compile_sampling_with_sensor(_sample_in_turn, _k, _kind.sample_function)
 
 
 @cached_njit(error_model="numpy")

@@ -31,7 +31,7 @@ SENSOR_CLASSES: dict[str, type[Any]] = {
     "position_fix": PositionFixSensor,
 }  # fmt: skip
 """Class of each sensor of :data:`mufly.quantities.sensor_table.SENSORS`."""
-_LEG_LENGTH_RANDOM_STREAM = 16  # of the random numbers, used by no sensor
+_LEG_LENGTH_STREAM_NUMBER = 16  # of the random numbers, used by no sensor
 
 
 class FittedSensors(SensorSet):
@@ -81,14 +81,14 @@ def _missing_sensor_error(fault: Fault, vehicle: str) -> InputError:
     return InputError("fault", str(fault), f"{vehicle} has no sensors.{fault.sensor_name}", "name another")
 
 
-def check_faults(vehicle: Vehicle, faults: Iterable[Fault]) -> None:
+def require_fault_sensors(vehicle: Vehicle, faults: Iterable[Fault]) -> None:
     """Raise InputError if the vehicle lacks a fault's sensor."""
     for fault in faults:
         if getattr(vehicle.sensors, fault.sensor_name, None) is None:
             raise _missing_sensor_error(fault, vehicle.name)
 
 
-def fitted_sensors(
+def make_fitted_sensors(
     vehicle: Vehicle,
     world: World,
     *,
@@ -128,7 +128,7 @@ def fitted_sensors(
             "add one (docs/reference/sensors.md), or fly on ideal sensors",
         )
     wanted = set(only)
-    keys = (k for k in range(2 * len(SENSORS) + 1) if k != _LEG_LENGTH_RANDOM_STREAM)
+    keys = (k for k in range(2 * len(SENSORS) + 1) if k != _LEG_LENGTH_STREAM_NUMBER)
     streams = [np.random.SeedSequence(seed, spawn_key=(k,)) for k in keys]
     made: dict[str, FaultySensor] = {}
     for k, name in enumerate(SENSORS):
@@ -161,7 +161,7 @@ def randomise_leg_lengths(vehicle: Vehicle, *, seed: int = 0) -> Vehicle:
     """
     if vehicle.sensors is None or vehicle.sensors.imu is None or float(vehicle.sensors.imu.standing_tilt_error) == 0.0:
         return vehicle
-    own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_LEG_LENGTH_RANDOM_STREAM,)))
+    own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_LEG_LENGTH_STREAM_NUMBER,)))
     roll, pitch = float(vehicle.sensors.imu.standing_tilt_error) * own.standard_normal(2)
     legs = vehicle.contact.legs.to_array() @ body_to_ned_matrix(quaternion_from_euler(roll, pitch, 0.0))
     tips = vehicle.contact.legs.model_copy(update={"value": tuple((float(x), float(y), float(z)) for x, y, z in legs)})

@@ -22,20 +22,20 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import body_to_ned_matrix, standing_attitude, standing_height
-from mufly.dynamics.model_state import ATTITUDE
-from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, PeriodicSensor
+from mufly.dynamics.model_state import ATTITUDE_SLICE
+from mufly.sensors.periodic import ROW_FIRST_VALUE_INDEX, ROW_IS_VALID_INDEX, PeriodicSensor
 from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import SonarParameters
-from mufly.world import World, first_hit_distance
+from mufly.world import World, compute_first_hit_distance
 
 _Array = NDArray[np.float64]
 SPEED_OF_SOUND_M_S = 343.2  # dry air of 20 degC
 _GROUNDED_RANGE_MARGIN_SIGMAS = (
     3.0  # deviations that readings of a standing vehicle are above the distance of the floor
 )
-_CONE_RINGS = ((1 / 3, 6), (2 / 3, 12), (1.0, 18))  # share of the half angle, number of rays
+_CONE_RAY_RINGS = ((1 / 3, 6), (2 / 3, 12), (1.0, 18))  # share of the half angle, number of rays
 
 
 @cached_njit(error_model="numpy")
@@ -43,7 +43,7 @@ def _nearest_distance_in_cone(
     x: _Array, place: _Array, rays: _Array, upright: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> float:
     """Return the distance to the nearest surface in the cone (m); ``upright`` is the cosine of its half angle."""
-    turn, here = body_to_ned_matrix(x[ATTITUDE]), np.empty(3)
+    turn, here = body_to_ned_matrix(x[ATTITUDE_SLICE]), np.empty(3)
     for j in range(3):
         here[j] = x[j] + (turn[j, 0] * place[0] + turn[j, 1] * place[1] + turn[j, 2] * place[2])
     best = math.inf
@@ -52,9 +52,9 @@ def _nearest_distance_in_cone(
         n = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c
         e = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c
         d = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c
-        best = first_hit_distance(here, n, e, d, best, boxes, cylinders, limits)
+        best = compute_first_hit_distance(here, n, e, d, best, boxes, cylinders, limits)
     if turn[2, 2] >= upright:  # the perpendicular lies in the cone
-        best = first_hit_distance(here, 0.0, 0.0, 1.0, best, boxes, cylinders, limits)
+        best = compute_first_hit_distance(here, 0.0, 0.0, 1.0, best, boxes, cylinders, limits)
     return best
 
 
@@ -82,12 +82,12 @@ def _sample_echo(
         way *= 1.0 + share[0]
     wait = 2.0 * min(way, longest) / SPEED_OF_SOUND_M_S
     if heard < dropout or way > longest:
-        row[ROW_IS_VALID], row[ROW_FIRST_VALUE] = 0.0, math.nan
+        row[ROW_IS_VALID_INDEX], row[ROW_FIRST_VALUE_INDEX] = 0.0, math.nan
         return wait
     told = max(way + noise * n[0], least)
     if step > 0.0:
         told = np.rint(told / step) * step
-    row[ROW_IS_VALID], row[ROW_FIRST_VALUE] = 1.0, min(told, longest)
+    row[ROW_IS_VALID_INDEX], row[ROW_FIRST_VALUE_INDEX] = 1.0, min(told, longest)
     return wait
 
 
@@ -130,7 +130,7 @@ def standing_sonar_range(vehicle: Vehicle) -> float:
     return standing_height(vehicle) - float(sonar.position.to_array()[0] @ down)
 
 
-def max_grounded_range(vehicle: Vehicle) -> float:
+def max_standing_sonar_range(vehicle: Vehicle) -> float:
     """Return the greatest range (m) that the sonar may read while the vehicle stands on the floor.
 
     Rounding of the reading to the sonar's resolution is not included.
@@ -148,7 +148,7 @@ def max_grounded_range(vehicle: Vehicle) -> float:
 def cone_rays(half_angle: float) -> _Array:
     """Return unit vectors (n, 3) that sample a cone around z, from its half angle (rad)."""
     rays = [[0.0, 0.0, 1.0]]
-    for share, count in _CONE_RINGS:
+    for share, count in _CONE_RAY_RINGS:
         off = share * half_angle
         for k in range(count):
             around = 2 * math.pi * k / count

@@ -1,13 +1,19 @@
 """Visual SLAM over a floor: tracking, keyframes, loop closure, and data sets for tests."""
 
 from mufly.slam.calibration.lens_calibration import LensCalibration, calibrate_lens, list_board_pictures
-from mufly.slam.camera_frame import CameraFrame, FrameInfo
-from mufly.slam.datasets.dataset_readers import FrameSource, info_from_height, open_live, open_pictures, read_telemetry
-from mufly.slam.datasets.dataset_writers import DATASET_LAYOUTS, format_camera_toml, write_dataset
+from mufly.slam.camera_frame import CameraFrame, FrameEstimate
+from mufly.slam.datasets.dataset_readers import (
+    FrameSource,
+    make_estimate_function_from_height,
+    open_live,
+    open_pictures,
+    read_telemetry_interpolator,
+)
+from mufly.slam.datasets.dataset_writers import WRITABLE_DATASET_LAYOUTS, format_camera_toml, write_dataset
 from mufly.slam.datasets.picture_overlap import check_overlap
 from mufly.slam.datasets.synthetic_datasets import (
     PHASE_SIGMA_RAD,
-    FrameInfoSimulator,
+    FrameEstimateSimulator,
     VehiclePath,
     make_square_path,
     path_from_recording,
@@ -34,13 +40,13 @@ from mufly.slam.slam_trajectory import (
 from mufly.slam.trajectory_evaluation import TrajectoryEvaluation, evaluate_trajectory, read_truth
 
 __all__ = [
-    "DATASET_LAYOUTS",
     "PHASE_SIGMA_RAD",
     "TOO_NEAR_REASON",
+    "WRITABLE_DATASET_LAYOUTS",
     "CameraFrame",
     "FloorMap",
-    "FrameInfo",
-    "FrameInfoSimulator",
+    "FrameEstimate",
+    "FrameEstimateSimulator",
     "FrameSource",
     "Keyframe",
     "LensCalibration",
@@ -58,17 +64,17 @@ __all__ = [
     "collect_results",
     "evaluate_trajectory",
     "format_camera_toml",
-    "info_from_height",
     "list_board_pictures",
     "load_opencv",
     "locate_features",
+    "make_estimate_function_from_height",
     "make_map_view",
     "make_square_path",
     "open_live",
     "open_pictures",
     "path_from_recording",
     "plot_trajectory",
-    "read_telemetry",
+    "read_telemetry_interpolator",
     "read_trajectory",
     "read_truth",
     "render_frames",

@@ -16,7 +16,7 @@ _Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class FrameInfo:
+class FrameEstimate:
     """Estimate by the vehicle's filter at the time of a picture, when its middle row is exposed.
 
     Attributes
@@ -71,7 +71,7 @@ class FrameInfo:
         return float(q * math.sin(self.roll) + r * math.cos(self.roll)) / math.cos(self.pitch)
 
     @classmethod
-    def from_mapping(cls, told: Mapping[str, Any]) -> FrameInfo:
+    def from_mapping(cls, told: Mapping[str, Any]) -> FrameEstimate:
         """Return the object whose ``dataclasses.asdict`` is ``told``, read from a file.
 
         Raises TypeError if a field is missing or unknown.
@@ -93,12 +93,12 @@ class CameraFrame:
         Time at which its middle row was exposed.
     picture : (rows, columns) uint8 array
         Grey levels.
-    vehicle_estimate : FrameInfo
+    vehicle_estimate : FrameEstimate
     """
 
     time_s: float
     picture: NDArray[np.uint8]
-    vehicle_estimate: FrameInfo
+    vehicle_estimate: FrameEstimate
 
 
 _MAX_UNKNOWN_ACCEL_M_S2 = 1.0
@@ -135,7 +135,7 @@ class Odometry:
     ----------
     time_s : float
         Time of the latest picture.
-    last_info : FrameInfo
+    last_info : FrameEstimate
         Vehicle's estimate at that picture.
     elapsed_s : float
         Time since the result.
@@ -150,14 +150,14 @@ class Odometry:
     """
 
     time_s: float
-    last_info: FrameInfo
+    last_info: FrameEstimate
     elapsed_s: float = 0.0
     displacement_m: _Array = field(default_factory=lambda: np.zeros(2))
     heading_change_rad: float = 0.0
     position_sigma_m: float = 0.0
     has_all_velocities: bool = True
 
-    def advance_to(self, time_s: float, told: FrameInfo) -> Odometry:
+    def advance_to(self, time_s: float, told: FrameEstimate) -> Odometry:
         """Return the odometry integrated up to the time of the next picture."""
         dt, before = time_s - self.time_s, self.last_info
         moved, sigma_m, complete = self.displacement_m, self.position_sigma_m, False

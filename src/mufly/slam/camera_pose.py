@@ -48,7 +48,7 @@ from mufly.compiled.numba_cache import cached_njit
 _Array = NDArray[np.float64]
 POSE_HEIGHT, POSE_HEADING, POSE_TILT, POSE_KEYFRAME_TILT, POSE_SIZE = 2, 3, 4, 6, 8
 """Indices of a pose: N, E, h, heading; tilt errors about x and y of the heading, then those of the keyframe."""
-SHAKE_SIZE = 8  # for each rotor cosine and sine along x, then along y
+SHAKE_COEFFICIENT_COUNT = 8  # for each rotor cosine and sine along x, then along y
 _MAX_ITERATIONS = 6
 _MIN_HEIGHT_RATIO = 0.1  # of the sonar's height; smaller ones fit any points
 _CAUCHY_LOSS_SCALE = 2.0  # residual, in standard deviations, with weight 1/2
@@ -94,7 +94,7 @@ class ViewPrior(NamedTuple):
     shake_sigma_px: float
     rotor_speeds_rad_s: _Array
     rotor_phases_rad: _Array = np.zeros(2)
-    shake_amplitudes_px: _Array = np.zeros(SHAKE_SIZE)
+    shake_amplitudes_px: _Array = np.zeros(SHAKE_COEFFICIENT_COUNT)
     expected_tilt_error_rad: _Array = np.zeros(2)
 
 
@@ -164,7 +164,7 @@ class PoseEstimate:
 
 def attitude_matrix(view: ViewPrior, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
     """Return the rotation matrix from body axes to N-E-D for a heading and tilt error (default: prior mean)."""
-    return _compute_attitude(
+    return _compute_tilted_attitude(
         view.roll_rad, view.pitch_rad, heading, *(view.expected_tilt_error_rad if tilt is None else tilt)
     )
 
@@ -268,7 +268,7 @@ def solve_pose(
     predicted : (4, 4) array, optional
         Prior information on N, E, height and heading about ``start``, for a floor with texture along one direction.
     """
-    shakes = SHAKE_SIZE if view.shake_sigma_px > 0.0 else 0
+    shakes = SHAKE_COEFFICIENT_COUNT if view.shake_sigma_px > 0.0 else 0
     size = POSE_SIZE + shakes
     x = np.zeros(size)
     x[:POSE_TILT] = start
@@ -324,7 +324,7 @@ def solve_pose(
     if shakes:
         cross = normal[:POSE_SIZE, POSE_SIZE:]
         seen = seen - cross @ np.linalg.solve(normal[POSE_SIZE:, POSE_SIZE:] + prior[POSE_SIZE:, POSE_SIZE:], cross.T)
-    amplitudes = x[POSE_SIZE:] if shakes else np.zeros(SHAKE_SIZE)
+    amplitudes = x[POSE_SIZE:] if shakes else np.zeros(SHAKE_COEFFICIENT_COUNT)
     covariance = np.asarray(np.linalg.inv(seen / loose + prior[:POSE_SIZE, :POSE_SIZE]), np.float64)
     return PoseEstimate(
         x[:POSE_SIZE], amplitudes, covariance, seen / loose, pull / loose, scale, ratio, off,
@@ -339,7 +339,7 @@ def predict_pixels(
 
     Arguments are those of :func:`solve_pose`; ``shakes`` (8,) are the vibration amplitudes (pixels).
     """
-    size, n = POSE_SIZE + SHAKE_SIZE, len(points)
+    size, n = POSE_SIZE + SHAKE_COEFFICIENT_COUNT, len(points)
     off = np.empty((n, 2))
     _minimise_residuals(
         np.concatenate([state, shakes]), view.focal_px, view.body_from_camera, view.roll_rad, view.pitch_rad,
@@ -351,7 +351,7 @@ def predict_pixels(
 
 
 @cached_njit(error_model="numpy")
-def _compute_attitude(roll: float, pitch: float, heading: float, tilt_x: float, tilt_y: float) -> _Array:
+def _compute_tilted_attitude(roll: float, pitch: float, heading: float, tilt_x: float, tilt_y: float) -> _Array:
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     c, s = math.cos(heading), math.sin(heading)
     tilt_n, tilt_e = c * tilt_x - s * tilt_y, s * tilt_x + c * tilt_y
@@ -400,7 +400,7 @@ def _minimise_residuals(
     row = np.zeros((2, size))
     right = np.empty(size)
     for turn in range(rounds + 1):
-        r = _compute_attitude(roll, pitch, x[POSE_HEADING], x[POSE_TILT], x[POSE_TILT + 1])
+        r = _compute_tilted_attitude(roll, pitch, x[POSE_HEADING], x[POSE_TILT], x[POSE_TILT + 1])
         ch, sh = math.cos(x[POSE_HEADING]), math.sin(x[POSE_HEADING])
         tilt_x, tilt_y = x[POSE_KEYFRAME_TILT], x[POSE_KEYFRAME_TILT + 1]
         normal[:] = 0.0

@@ -98,7 +98,7 @@ class Undistorter:
         out = cv2.remap(picture, *self._remap_tables, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return cv2.GaussianBlur(out, (0, 0), self.smoothing_sigma_px)
 
-    def exposure_offsets(self, pixels: _Array) -> _Array:
+    def exposure_time_offsets_s(self, pixels: _Array) -> _Array:
         """Return exposure times of pixels (n, 2) of an undistorted picture, relative to the middle row (s)."""
         c = np.clip(np.rint(pixels).astype(int), 0, np.array(self.picture_size) - 1)
         return self._exposure_offsets_s[c[:, 1], c[:, 0]].astype(np.float64)
@@ -189,7 +189,7 @@ def is_in_mask(mask: _Picture, pixels: _Array) -> NDArray[np.bool_]:
     return out
 
 
-def _pyramid_levels(reach: float) -> int:
+def _choose_max_pyramid_level(reach: float) -> int:
     return 3 if math.isinf(reach) else min(3, max(1, math.ceil(math.log2(reach / (TRACKING_WINDOW_PX // 2)))))
 
 
@@ -221,7 +221,7 @@ def track_points(
         from_,
         to,
         winSize=(TRACKING_WINDOW_PX, TRACKING_WINDOW_PX),
-        maxLevel=_pyramid_levels(reach),
+        maxLevel=_choose_max_pyramid_level(reach),
         criteria=stop,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )

@@ -15,13 +15,13 @@ from mufly.errors import InputError
 from mufly.slam.camera_pose import d_rays_d_tilt
 from mufly.slam.image_tools import find_repeat_shifts
 from mufly.slam.pose_graph import (
-    HEADING,
-    LOG_HEIGHT,
-    NODE_SIZE,
-    PLACE,
-    SENSOR_ERRORS,
-    SONAR,
-    TILT,
+    HEADING_INDEX,
+    LOG_HEIGHT_INDEX,
+    NODE_UNKNOWN_COUNT,
+    PLACE_SLICE,
+    SENSOR_ERROR_SLICE,
+    SONAR_ERROR_INDEX,
+    TILT_SLICE,
     GraphEdge,
     GraphSolution,
     KeyframePriors,
@@ -32,7 +32,7 @@ from mufly.slam.pose_graph import (
 )
 
 _Array = NDArray[np.float64]
-MAP_FORMAT = 2
+MAP_FORMAT_VERSION = 2
 _MIN_POINT_SIGMA_PX = 0.04  # lower bound of a point's standard deviation
 
 
@@ -106,7 +106,7 @@ class FloorMap:
     def __init__(self, start: Any = (0.0, 0.0, 0.0), start_sigma: tuple[float, float] = (0.0, 0.0)) -> None:
         self.start_pose, self.start_sigma = np.asarray(start, dtype=np.float64), start_sigma
         self.keyframes: list[Keyframe] = []
-        self.nodes = np.zeros((0, NODE_SIZE))
+        self.nodes = np.zeros((0, NODE_UNKNOWN_COUNT))
         self.edges: list[GraphEdge] = []
         self.solution: GraphSolution | None = None
         self._covariance_cache: dict[tuple[int, ...], _Array] = {}
@@ -176,7 +176,7 @@ class FloorMap:
         of_tilt = gauss_markov_transition(since, tilt[0] if last is None else last.tilt_sigma, *tilt)
         of_height = gauss_markov_transition(since, height[0] if last is None else last.height_sigma, *height)
         keep, noise = np.array([of_tilt, of_tilt, of_height]).T
-        return keep * (0.0 if last is None else self.nodes[-1, SENSOR_ERRORS]), keep, noise
+        return keep * (0.0 if last is None else self.nodes[-1, SENSOR_ERROR_SLICE]), keep, noise
 
     def predict_covariance(self, k: int, keep: _Array, noise: _Array) -> _Array:
         """Return the joint covariance (9, 9) of keyframe ``k``'s node and of a new picture's sensor errors.
@@ -185,11 +185,11 @@ class FloorMap:
         ``keep`` and ``noise`` from :meth:`predict_sensor_errors`.
         """
         last = len(self.keyframes) - 1
-        to = np.zeros((9, NODE_SIZE if k == last else 2 * NODE_SIZE))
-        to[:SONAR, :SONAR] = np.eye(SONAR)
-        to[SONAR:, -3:] = np.diag(keep)
+        to = np.zeros((9, NODE_UNKNOWN_COUNT if k == last else 2 * NODE_UNKNOWN_COUNT))
+        to[:SONAR_ERROR_INDEX, :SONAR_ERROR_INDEX] = np.eye(SONAR_ERROR_INDEX)
+        to[SONAR_ERROR_INDEX:, -3:] = np.diag(keep)
         out = to @ (self.joint_covariance(k) if k == last else self.joint_covariance(k, last)) @ to.T
-        out[SONAR:, SONAR:] += np.diag(noise)
+        out[SONAR_ERROR_INDEX:, SONAR_ERROR_INDEX:] += np.diag(noise)
         return out
 
     def connected_keyframes(self, k: int) -> set[int]:
@@ -203,15 +203,15 @@ class FloorMap:
     def locate_points(self, k: int) -> _Array:
         """Return the positions (n, 3), N-E-D (m), of a keyframe's points for the present estimate of its tilt error."""
         f = self.keyframes[k]
-        moved = d_rays_d_tilt(f.slopes) @ (self.nodes[k, TILT] - f.tilt)
-        n, e, heading, ln_height = self.nodes[k, PLACE]
+        moved = d_rays_d_tilt(f.slopes) @ (self.nodes[k, TILT_SLICE] - f.tilt)
+        n, e, heading, ln_height = self.nodes[k, PLACE_SLICE]
         c, z = complex(n, e), np.exp(ln_height + 1j * heading)
         x = c + z * (f.slopes + moved[:, 0] + 1j * moved[:, 1])
         return np.stack([x.real, x.imag, np.zeros(len(x))], axis=1)
 
     def points_tilt_jacobian(self, k: int) -> _Array:
         """Return the derivatives of a keyframe's points (n, 2, 2) by its tilt error (m/rad)."""
-        _, _, heading, ln_height = self.nodes[k, PLACE].tolist()
+        _, _, heading, ln_height = self.nodes[k, PLACE_SLICE].tolist()
         c, s, h = math.cos(heading), math.sin(heading), math.exp(ln_height)
         return h * np.array([[c, -s], [s, c]]) @ d_rays_d_tilt(self.keyframes[k].slopes)
 
@@ -221,7 +221,7 @@ class FloorMap:
         if f.repeat_shifts_px is None:
             f.repeat_shifts_px = find_repeat_shifts(f.picture)
         m = f.repeat_shifts_px / focal @ f.turn[:2, :2].T
-        _, _, heading, ln_height = self.nodes[k, PLACE].tolist()
+        _, _, heading, ln_height = self.nodes[k, PLACE_SLICE].tolist()
         c, s, h = math.cos(heading), math.sin(heading), math.exp(ln_height)
         way = h * m @ np.array([[c, s], [-s, c]])
         return np.concatenate([way, -way])
@@ -229,7 +229,7 @@ class FloorMap:
     def save(self, path: str | Path) -> None:
         """Write the map to a file (a zip of NumPy arrays)."""
         arrays: dict[str, Any] = {
-            "format": np.array(MAP_FORMAT),
+            "format": np.array(MAP_FORMAT_VERSION),
             "start": self.start_pose,
             "start_sigma": np.array(self.start_sigma),
             "nodes": self.nodes,
@@ -255,9 +255,9 @@ class FloorMap:
         """
         try:
             with np.load(path, allow_pickle=False) as a:
-                if int(a["format"]) != MAP_FORMAT:
+                if int(a["format"]) != MAP_FORMAT_VERSION:
                     raise InputError(
-                        str(path), "format", f"is {int(a['format'])}", f"give a map of format {MAP_FORMAT}"
+                        str(path), "format", f"is {int(a['format'])}", f"give a map of format {MAP_FORMAT_VERSION}"
                     )
                 out = cls(a["start"], (float(a["start_sigma"][0]), float(a["start_sigma"][1])))
                 out.nodes = a["nodes"]
@@ -282,8 +282,10 @@ class FloorMap:
 
 def compose_pose(a: _Array, b: _Array) -> _Array:
     """Return the node at the pose ``b`` relative to node ``a`` (:func:`mufly.slam.pose_graph.relative_pose`)."""
-    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LOG_HEIGHT])
-    return np.array([a[0] + h * (c * b[0] - s * b[1]), a[1] + h * (s * b[0] + c * b[1]), *(a[PLACE] + b)[HEADING:]])
+    c, s, h = math.cos(a[HEADING_INDEX]), math.sin(a[HEADING_INDEX]), math.exp(a[LOG_HEIGHT_INDEX])
+    return np.array(
+        [a[0] + h * (c * b[0] - s * b[1]), a[1] + h * (s * b[0] + c * b[1]), *(a[PLACE_SLICE] + b)[HEADING_INDEX:]]
+    )
 
 
 def residuals_without_pose_error(
@@ -316,7 +318,7 @@ def view_overlap(a: _Array, b: _Array, wide: float, high: float) -> float:
     length.
     """
     t = relative_pose(a, b)
-    size = min(math.exp(t[LOG_HEIGHT]), math.exp(-t[LOG_HEIGHT]))
+    size = min(math.exp(t[LOG_HEIGHT_INDEX]), math.exp(-t[LOG_HEIGHT_INDEX]))
     # The picture's rows are ordered along the nose.
     along, across = max(0.0, 1.0 - abs(t[0]) / high), max(0.0, 1.0 - abs(t[1]) / wide)
-    return along * across * size * max(0.0, math.cos(1.5 * t[HEADING])) if abs(t[HEADING]) < 1.0 else 0.0
+    return along * across * size * max(0.0, math.cos(1.5 * t[HEADING_INDEX])) if abs(t[HEADING_INDEX]) < 1.0 else 0.0

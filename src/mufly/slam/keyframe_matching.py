@@ -38,7 +38,7 @@ from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, al
 from mufly.slam.images.patch_information import measure_patch_shifts, remove_background
 from mufly.slam.keyframe_map import FloorMap, view_overlap
 from mufly.slam.place_recognition import MIN_ORB_INLIERS, CorrelationPeak, correlate_pictures, is_unambiguous
-from mufly.slam.pose_graph import HEADING, LOG_HEIGHT, TILT
+from mufly.slam.pose_graph import HEADING_INDEX, LOG_HEIGHT_INDEX, TILT_SLICE
 
 _Array = NDArray[np.float64]
 MIN_PATCH_CORRELATION = 0.5
@@ -266,9 +266,9 @@ def match_keyframe(
         floor_map.points_tilt_jacobian(k)[use],
         tilts,
         # In pixels of the present picture
-        np.sqrt(keyframe.variance[use]) * math.exp(at[LOG_HEIGHT]) / view.height_m * view.focal_px,
+        np.sqrt(keyframe.variance[use]) * math.exp(at[LOG_HEIGHT_INDEX]) / view.height_m * view.focal_px,
         there[use],
-        straight.exposure_offsets(there[use]),
+        straight.exposure_time_offsets_s(there[use]),
     )
     match = None
     if good.sum() >= MIN_ORB_INLIERS:
@@ -293,7 +293,7 @@ def _match_points(
     view, straight, keyframe = context.view, context.undistorter, floor_map.keyframes[k]
     use, seen, sigma = use[good], seen[good], sigma[good]
     places, bend, own = (q[good] for q in (points.positions_m, points.tilt_jacobian, points.sigma_px))
-    seconds, pixels = straight.exposure_offsets(seen), seen - straight.principal_point
+    seconds, pixels = straight.exposure_time_offsets_s(seen), seen - straight.principal_point
     sigma = np.hypot(np.hypot(sigma, _MIN_TRACK_SIGMA_PX), own)
     rough = np.hypot(np.hypot(sigma, 0.5), context.shake_rms_px) / view.focal_px
     _, _, _, fits = ransac_two_points(
@@ -306,7 +306,7 @@ def _match_points(
     )
     if fits.sum() < MIN_ORB_INLIERS:
         return None
-    begin = np.array([node[0], node[1], view.height_m, node[HEADING]])
+    begin = np.array([node[0], node[1], view.height_m, node[HEADING_INDEX]])
     isotropic = sigma[:, None, None] ** -2 * np.eye(2)
     pose = solve_pose(
         view, begin, places[fits], bend[fits], points.tilt_covariance, pixels[fits], seconds[fits], isotropic[fits]
@@ -334,7 +334,7 @@ def _match_points(
     keyframe.missed[use[keep]] = np.maximum(keyframe.missed[use[keep]] - 2, -4)
     return KeyframeMatch(
         k, pose, use[keep], seen[keep], seconds[keep], information, len(use), _NO_UNKNOWN_DIRECTIONS,
-        patches.cramer_rao_bound_px, float(patches.significance.min()), _common_variance(context),
+        patches.cramer_rao_bound_px, float(patches.significance.min()), _common_place_variance(context),
     )  # fmt: skip
 
 
@@ -343,7 +343,7 @@ def _match_directly(
 ) -> KeyframeMatch | None:
     """Match all patches of a picture to keyframe ``k`` together; return None without texture in any direction."""
     view, straight = context.view, context.undistorter
-    begin = np.array([node[0], node[1], view.height_m, node[HEADING]])
+    begin = np.array([node[0], node[1], view.height_m, node[HEADING_INDEX]])
     points = points._replace(sigma_px=np.hypot(points.sigma_px, _MIN_TRACK_SIGMA_PX))
     found = align_picture(
         view,
@@ -365,11 +365,11 @@ def _match_directly(
     return KeyframeMatch(
         k, found.pose, use[keep], found.pixels[keep], points.exposure_offsets_s[keep], found.information[keep],
         len(use), found.untextured_directions, found.patches.cramer_rao_bound_px,
-        float(found.patches.significance.min()), _common_variance(context),
+        float(found.patches.significance.min()), _common_place_variance(context),
     )  # fmt: skip
 
 
-def _common_variance(context: FrameContext) -> float:
+def _common_place_variance(context: FrameContext) -> float:
     """Return the variance (m^2) that common pixel errors, such as vibration, give to the position along an axis."""
     common_px = math.hypot(_COMMON_SHAKE_FRACTION * context.shake_rms_px, _COMMON_SIGMA_PX)
     return (common_px * context.view.height_m / context.view.focal_px) ** 2
@@ -380,7 +380,7 @@ def _unexplained_turn(match: KeyframeMatch, context: FrameContext, node: _Array)
     latest = context.motion.since_last_result
     if latest is None or latest.elapsed_s > TRACKING_LOST_AFTER_S:
         return 0.0
-    off = match.pose.heading_rad - float(node[HEADING])
+    off = match.pose.heading_rad - float(node[HEADING_INDEX])
     off = abs((off + math.pi) % (2.0 * math.pi) - math.pi)
     sigma = math.sqrt(float(match.pose.covariance[POSE_HEADING, POSE_HEADING]))
     return off if off > _MAX_UNEXPLAINED_TURN_RAD + 4.0 * (sigma + HEADING_DRIFT_RAD_S * latest.elapsed_s) else 0.0
@@ -389,12 +389,12 @@ def _unexplained_turn(match: KeyframeMatch, context: FrameContext, node: _Array)
 def _floor_homography(floor_map: FloorMap, k: int, context: FrameContext, node: _Array) -> _Array:
     """Return the homography from a keyframe's undistorted picture to the view of the floor from a node."""
     view, keyframe, at = context.view, floor_map.keyframes[k], floor_map.nodes[k]
-    c, s = math.cos(at[HEADING]), math.sin(at[HEADING])
-    x, y = at[TILT] - keyframe.tilt
+    c, s = math.cos(at[HEADING_INDEX]), math.sin(at[HEADING_INDEX])
+    x, y = at[TILT_SLICE] - keyframe.tilt
     tilt = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [-y, x, 1.0]])
     then = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ tilt @ keyframe.turn
-    now = attitude_matrix(view, None, node[HEADING]) @ view.body_from_camera
-    h = math.exp(at[LOG_HEIGHT])
+    now = attitude_matrix(view, None, node[HEADING_INDEX]) @ view.body_from_camera
+    h = math.exp(at[LOG_HEIGHT_INDEX])
     way = np.array([at[0] - node[0], at[1] - node[1], view.height_m - h])
     plane = h * np.eye(3) + np.outer(way, [0.0, 0.0, 1.0])
     m = context.undistorter.camera_matrix
@@ -430,7 +430,7 @@ def correlate_keyframe(
         return None
     # The shift of the warped keyframe against the picture is the camera's displacement over the floor.
     d = (
-        attitude_matrix(view, None, node[HEADING])
+        attitude_matrix(view, None, node[HEADING_INDEX])
         @ view.body_from_camera
         @ np.append(peak.shift_px / view.focal_px, 0.0)
     )

@@ -35,12 +35,12 @@ from mufly.slam.keyframe_matching import (
 )
 from mufly.slam.place_recognition import MAX_SECOND_PEAK_RATIO, MIN_ORB_INLIERS, are_places_apart, is_unambiguous
 from mufly.slam.pose_graph import (
-    EDGE_SIZE,
-    EDGE_TILT_A,
-    EDGE_TILT_B,
-    HEADING,
-    LOG_HEIGHT,
-    TILT,
+    EDGE_FIRST_TILT_SLICE,
+    EDGE_QUANTITY_COUNT,
+    EDGE_SECOND_TILT_SLICE,
+    HEADING_INDEX,
+    LOG_HEIGHT_INDEX,
+    TILT_SLICE,
     GraphEdge,
     relative_pose,
     relative_pose_jacobians,
@@ -50,7 +50,7 @@ _Array = NDArray[np.float64]
 LOOP_MIN_OVERLAP = 0.4
 LOOP_MAX_CHI2 = 28.0  # of eight numbers: rejects one true closure in 2000
 _LOOP_SEARCH_SIGMAS = 2.5  # standard deviations within which keyframes are searched
-_MAX_OTHER_PLACES = 8  # keyframes that are compared with the best before a loop is closed
+_MAX_COMPARED_OTHER_PLACES = 8  # keyframes that are compared with the best before a loop is closed
 SAME_PICTURE_ERROR_TRANSITION = (np.ones(3), np.full(3, 1e-10))
 """Correlation factors and noise variances between errors of a picture and the newest keyframe if both are the same."""
 _OVEREXPOSED_GREY_LEVEL, _MAX_OVEREXPOSED_FRACTION = 248, 0.02
@@ -70,7 +70,7 @@ def create_keyframe(context: FrameContext, pose: PoseEstimate, sigma_px: float) 
     pixels = detect_corners(picture, context.usable_mask)
     if len(pixels) < MIN_ORB_INLIERS or np.mean(picture > _OVEREXPOSED_GREY_LEVEL) > _MAX_OVEREXPOSED_FRACTION:
         return None
-    seconds = context.undistorter.exposure_offsets(pixels)
+    seconds = context.undistorter.exposure_time_offsets_s(pixels)
     turn = _remove_heading(attitude_matrix(view, pose.tilt_error_rad, pose.heading_rad), pose.heading_rad)
     return Keyframe(
         frame.time_s,
@@ -107,7 +107,7 @@ def insert_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
     edge = make_edge(floor_map, match, len(floor_map.keyframes))
     k = floor_map.add_keyframe(keyframe, make_node(context, match.pose), [edge])
     # It is the newest keyframe from here on
-    view = context.view._replace(expected_tilt_error_rad=floor_map.nodes[k, TILT].copy())
+    view = context.view._replace(expected_tilt_error_rad=floor_map.nodes[k, TILT_SLICE].copy())
     context = replace(context, view=view, error_transition=SAME_PICTURE_ERROR_TRANSITION)
     for other in others[:1]:
         if context.view_overlap(floor_map.nodes[other], node) > 0.25:
@@ -120,13 +120,15 @@ def insert_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
 def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bool = False) -> GraphEdge:
     """Return the edge from the matched keyframe to the picture, node ``second``; ``closes`` marks a loop closure."""
     at, pose = floor_map.nodes[match.keyframe_index], match.pose
-    tilt = at[TILT] + pose.keyframe_tilt_error_rad
+    tilt = at[TILT_SLICE] + pose.keyframe_tilt_error_rad
     _, by_b = relative_pose_jacobians(at, match.pose_graph_node)
     # Jacobian of N, E, height, heading, tilt of the picture, tilt of the keyframe by the edge's eight numbers
-    change = np.zeros((POSE_SIZE, EDGE_SIZE))
-    change[:4, :4] = np.linalg.inv(by_b)[[0, 1, LOG_HEIGHT, HEADING]]
+    change = np.zeros((POSE_SIZE, EDGE_QUANTITY_COUNT))
+    change[:4, :4] = np.linalg.inv(by_b)[[0, 1, LOG_HEIGHT_INDEX, HEADING_INDEX]]
     change[POSE_HEIGHT] *= pose.height_m
-    change[POSE_TILT:POSE_KEYFRAME_TILT, EDGE_TILT_B] = change[POSE_KEYFRAME_TILT:, EDGE_TILT_A] = np.eye(2)
+    change[POSE_TILT:POSE_KEYFRAME_TILT, EDGE_SECOND_TILT_SLICE] = change[
+        POSE_KEYFRAME_TILT:, EDGE_FIRST_TILT_SLICE
+    ] = np.eye(2)
     information, gradient = pose_information(match)
     return GraphEdge(
         match.keyframe_index,
@@ -157,10 +159,10 @@ def refine_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
     seen = _compute_level_ray_slopes(context, pose, match.inlier_pixels, match.exposure_offsets_s)
     z = pose.height_m * np.exp(1j * pose.heading_rad)
     c = complex(pose.state[0], pose.state[1])
-    to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[LOG_HEIGHT] + 1j * at[HEADING])
-    ratio = pose.height_m / math.exp(at[LOG_HEIGHT])
+    to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[LOG_HEIGHT_INDEX] + 1j * at[HEADING_INDEX])
+    ratio = pose.height_m / math.exp(at[LOG_HEIGHT_INDEX])
     # Refer to the tilt error for which the slopes were computed
-    tilt = at[TILT] + pose.keyframe_tilt_error_rad - keyframe.tilt
+    tilt = at[TILT_SLICE] + pose.keyframe_tilt_error_rad - keyframe.tilt
     move = d_rays_d_tilt(keyframe.slopes[match.inlier_indices]) @ tilt
     to_keyframe = to_keyframe - (move[:, 0] + 1j * move[:, 1])
     # Root mean square of both axes; a point with texture along one direction is not refined.
@@ -201,7 +203,7 @@ class LoopSearch:
         near, may = {here, *floor_map.connected_keyframes(here)}, []
         for k in range(len(floor_map.keyframes)):
             t = relative_pose(floor_map.nodes[k], last_node)
-            way, h = math.hypot(t[0], t[1]), math.exp(floor_map.nodes[k, LOG_HEIGHT])
+            way, h = math.hypot(t[0], t[1]), math.exp(floor_map.nodes[k, LOG_HEIGHT_INDEX])
             if k in near or h * way > most + h * most_in_view:
                 continue
             sigma = math.sqrt(np.linalg.eigvalsh(floor_map.edge_covariance(k, here)[:2, :2])[-1])
@@ -223,7 +225,7 @@ class LoopSearch:
             or len(match.untextured_directions)
             or len(match.inlier_indices) < max(1.5 * MIN_ORB_INLIERS, 0.5 * match.tracked_count)
             or match.pose.residual_ratio > 3.0
-            or _has_second_place(floor_map, match, context, last_node, [(m[3], m[4], m[5]) for m in may[1:]])
+            or _is_place_ambiguous(floor_map, match, context, last_node, [(m[3], m[4], m[5]) for m in may[1:]])
         ):
             return None
         return match
@@ -243,7 +245,7 @@ class LoopSearch:
         return True
 
 
-def _has_second_place(
+def _is_place_ambiguous(
     floor_map: FloorMap, match: KeyframeMatch, context: FrameContext, last_node: _Array,
     others: list[tuple[int, _Array, float]],
 ) -> bool:  # fmt: skip
@@ -257,7 +259,7 @@ def _has_second_place(
     first = correlate_keyframe(floor_map, match.keyframe_index, replace(context, position_sigma_m=0.0), place)
     least = 0.0 if first is None else MAX_SECOND_PEAK_RATIO * first[1].score
     off = place[:2] - last_node[:2]
-    for k, node, sigma in others[:_MAX_OTHER_PLACES]:
+    for k, node, sigma in others[:_MAX_COMPARED_OTHER_PLACES]:
         found = correlate_keyframe(floor_map, k, replace(context, position_sigma_m=2.0 * sigma), node)
         if found is None or found[1].score < least:
             continue

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mufly.slam.camera_pose import ViewPrior, attitude_matrix, compute_ray_slopes, ransac_two_points
 from mufly.slam.image_tools import Undistorter, find_repeat_shifts, load_opencv
 from mufly.slam.keyframe_map import FloorMap
-from mufly.slam.pose_graph import HEADING, LOG_HEIGHT
+from mufly.slam.pose_graph import HEADING_INDEX, LOG_HEIGHT_INDEX
 
 _Array = NDArray[np.float64]
 MIN_ORB_INLIERS = 14
@@ -60,7 +60,7 @@ def relocalize_by_orb(
     if words is None or len(points) < MIN_ORB_INLIERS:
         return None
     pixels = np.array([p.pt for p in points])
-    seconds = straight.exposure_offsets(pixels)
+    seconds = straight.exposure_time_offsets_s(pixels)
     m = compute_ray_slopes(view, pixels - straight.principal_point, seconds, attitude_matrix(view))
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
     results: list[tuple[int, int, _Array]] = []
@@ -82,7 +82,8 @@ def relocalize_by_orb(
             continue
         at = floor_map.nodes[k]
         places = (
-            complex(at[0], at[1]) + np.exp(at[LOG_HEIGHT] + 1j * at[HEADING]) * theirs_m[[g.trainIdx for g in good]]
+            complex(at[0], at[1])
+            + np.exp(at[LOG_HEIGHT_INDEX] + 1j * at[HEADING_INDEX]) * theirs_m[[g.trainIdx for g in good]]
         )
         rough = np.full(len(good), math.hypot(2.0, 1.5 * shake_rms) / view.focal_px)
         c, h, heading, fits = ransac_two_points(

@@ -40,13 +40,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import SuperLU, splu
 
 _Array = NDArray[np.float64]
-HEADING, LOG_HEIGHT, SONAR, NODE_SIZE = 2, 3, 6, 7
-PLACE, TILT, SENSOR_ERRORS = slice(0, 4), slice(4, SONAR), slice(4, NODE_SIZE)
+HEADING_INDEX, LOG_HEIGHT_INDEX, SONAR_ERROR_INDEX, NODE_UNKNOWN_COUNT = 2, 3, 6, 7
+PLACE_SLICE, TILT_SLICE, SENSOR_ERROR_SLICE = slice(0, 4), slice(4, SONAR_ERROR_INDEX), slice(4, NODE_UNKNOWN_COUNT)
 """Slices of a node: place (N, E, heading, ln h), tilt errors about x and y of the heading, errors of tilt and sonar."""
-EDGE_TILT_A, EDGE_TILT_B, EDGE_SIZE = slice(4, 6), slice(6, 8), 8
+EDGE_FIRST_TILT_SLICE, EDGE_SECOND_TILT_SLICE, EDGE_QUANTITY_COUNT = slice(4, 6), slice(6, 8), 8
 """Slices of an edge after the four numbers of the relation: tilt errors of its first and second node."""
 _HEIGHT_CONSTRAINT_VARIANCE = 1e-6  # variance of ln h given the sonar's error
-_LOOP_ROBUST_CHI2 = 16.0  # chi^2 at which a closure has weight 1/2
+_LOOP_HALF_WEIGHT_CHI2 = 16.0  # chi^2 at which a closure has weight 1/2
 _MAX_GRAPH_ITERATIONS = 10
 
 
@@ -77,7 +77,7 @@ class GraphEdge:
 
     def compute_residual(self, a: _Array, b: _Array) -> _Array:
         """Return the residual (8,): relative pose and tilts of nodes ``a`` and ``b`` less the measured ones."""
-        out = np.concatenate([relative_pose(a, b), a[TILT], b[TILT]]) - self.measurement
+        out = np.concatenate([relative_pose(a, b), a[TILT_SLICE], b[TILT_SLICE]]) - self.measurement
         out[2] = _wrap_angle(out[2])
         return out
 
@@ -133,21 +133,21 @@ def gauss_markov_transition(
 
 def relative_pose(a: _Array, b: _Array) -> _Array:
     """Return node ``b`` relative to node ``a`` as four numbers (each node: N, E, heading, ln h)."""
-    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LOG_HEIGHT])
+    c, s, h = math.cos(a[HEADING_INDEX]), math.sin(a[HEADING_INDEX]), math.exp(a[LOG_HEIGHT_INDEX])
     n, e = b[0] - a[0], b[1] - a[1]
-    turn = _wrap_angle(b[HEADING] - a[HEADING])
-    return np.array([(c * n + s * e) / h, (-s * n + c * e) / h, turn, b[LOG_HEIGHT] - a[LOG_HEIGHT]])
+    turn = _wrap_angle(b[HEADING_INDEX] - a[HEADING_INDEX])
+    return np.array([(c * n + s * e) / h, (-s * n + c * e) / h, turn, b[LOG_HEIGHT_INDEX] - a[LOG_HEIGHT_INDEX]])
 
 
 def relative_pose_jacobians(a: _Array, b: _Array) -> tuple[_Array, _Array]:
     """Return the derivatives of :func:`relative_pose` by ``a`` and by ``b``, (4, 4) each."""
-    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LOG_HEIGHT])
+    c, s, h = math.cos(a[HEADING_INDEX]), math.sin(a[HEADING_INDEX]), math.exp(a[LOG_HEIGHT_INDEX])
     t = relative_pose(a, b)
     by_b = np.eye(4)
     by_b[:2, :2] = np.array([[c, s], [-s, c]]) / h
     by_a = -by_b.copy()
-    by_a[0, HEADING], by_a[1, HEADING] = t[1], -t[0]
-    by_a[0, LOG_HEIGHT], by_a[1, LOG_HEIGHT] = -t[0], -t[1]
+    by_a[0, HEADING_INDEX], by_a[1, HEADING_INDEX] = t[1], -t[0]
+    by_a[0, LOG_HEIGHT_INDEX], by_a[1, LOG_HEIGHT_INDEX] = -t[0], -t[1]
     return by_a, by_b
 
 
@@ -156,9 +156,11 @@ def edge_jacobian(a: _Array, b: _Array) -> _Array:
 
     The quantities are the relative pose (4) and the tilt errors of ``a`` (2) and ``b`` (2).
     """
-    out = np.zeros((8, 2 * NODE_SIZE))
-    out[:4, :4], out[:4, NODE_SIZE : NODE_SIZE + 4] = relative_pose_jacobians(a, b)
-    out[EDGE_TILT_A, TILT] = out[EDGE_TILT_B, NODE_SIZE + TILT.start : NODE_SIZE + TILT.stop] = np.eye(2)
+    out = np.zeros((8, 2 * NODE_UNKNOWN_COUNT))
+    out[:4, :4], out[:4, NODE_UNKNOWN_COUNT : NODE_UNKNOWN_COUNT + 4] = relative_pose_jacobians(a, b)
+    out[EDGE_FIRST_TILT_SLICE, TILT_SLICE] = out[
+        EDGE_SECOND_TILT_SLICE, NODE_UNKNOWN_COUNT + TILT_SLICE.start : NODE_UNKNOWN_COUNT + TILT_SLICE.stop
+    ] = np.eye(2)
     return out
 
 
@@ -184,8 +186,10 @@ class GraphSolution:
 
     def joint_covariance(self, which: list[int]) -> _Array:
         """Return the joint covariance (7 k, 7 k) of some nodes, in their order."""
-        n = NODE_SIZE * len(self.nodes)
-        rows = np.concatenate([np.arange(NODE_SIZE * k, NODE_SIZE * k + NODE_SIZE) for k in which])
+        n = NODE_UNKNOWN_COUNT * len(self.nodes)
+        rows = np.concatenate(
+            [np.arange(NODE_UNKNOWN_COUNT * k, NODE_UNKNOWN_COUNT * k + NODE_UNKNOWN_COUNT) for k in which]
+        )
         unit = np.zeros((n, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         return self._factor.solve(unit)[rows]
@@ -220,55 +224,66 @@ def solve_graph(
     chi2 = np.zeros(len(edges))
     for turn in range(_MAX_GRAPH_ITERATIONS):
         blocks: list[tuple[int, int, _Array]] = []
-        right = np.zeros((n, NODE_SIZE))
+        right = np.zeros((n, NODE_UNKNOWN_COUNT))
         for k, edge in enumerate(edges):
             i, j = pairs[k]
             off = edge.compute_residual(x[i], x[j])
             chi2[k] = edge.compute_chi2(off)
-            weight = 1.0 / (1.0 + chi2[k] / _LOOP_ROBUST_CHI2) if edge.is_loop_closure else 1.0
+            weight = 1.0 / (1.0 + chi2[k] / _LOOP_HALF_WEIGHT_CHI2) if edge.is_loop_closure else 1.0
             slope = edge_jacobian(x[i], x[j])
             m = weight * slope.T @ edge.information @ slope
             force = weight * slope.T @ (edge.gradient - edge.information @ off)
             blocks += [
-                (i, i, m[:NODE_SIZE, :NODE_SIZE]),
-                (i, j, m[:NODE_SIZE, NODE_SIZE:]),
-                (j, i, m[NODE_SIZE:, :NODE_SIZE]),
-                (j, j, m[NODE_SIZE:, NODE_SIZE:]),
+                (i, i, m[:NODE_UNKNOWN_COUNT, :NODE_UNKNOWN_COUNT]),
+                (i, j, m[:NODE_UNKNOWN_COUNT, NODE_UNKNOWN_COUNT:]),
+                (j, i, m[NODE_UNKNOWN_COUNT:, :NODE_UNKNOWN_COUNT]),
+                (j, j, m[NODE_UNKNOWN_COUNT:, NODE_UNKNOWN_COUNT:]),
             ]
-            right[i] += force[:NODE_SIZE]
-            right[j] += force[NODE_SIZE:]
+            right[i] += force[:NODE_UNKNOWN_COUNT]
+            right[j] += force[NODE_UNKNOWN_COUNT:]
         for k in range(n):
             keep, noise = chain[k]
             block = np.diag([1e-9, 1e-9, 1e-9, 0.0, *(1.0 / noise)])
-            before = x[k - 1, SENSOR_ERRORS] if k else np.zeros(3)
-            off = (x[k, SENSOR_ERRORS] - keep * before) / noise
-            right[k, SENSOR_ERRORS] -= off
+            before = x[k - 1, SENSOR_ERROR_SLICE] if k else np.zeros(3)
+            off = (x[k, SENSOR_ERROR_SLICE] - keep * before) / noise
+            right[k, SENSOR_ERROR_SLICE] -= off
             if k:
-                right[k - 1, SENSOR_ERRORS] += keep * off
-                a, b = np.zeros((NODE_SIZE, NODE_SIZE)), np.zeros((NODE_SIZE, NODE_SIZE))
-                a[SENSOR_ERRORS, SENSOR_ERRORS], b[SENSOR_ERRORS, SENSOR_ERRORS] = (
+                right[k - 1, SENSOR_ERROR_SLICE] += keep * off
+                a, b = (
+                    np.zeros((NODE_UNKNOWN_COUNT, NODE_UNKNOWN_COUNT)),
+                    np.zeros((NODE_UNKNOWN_COUNT, NODE_UNKNOWN_COUNT)),
+                )
+                a[SENSOR_ERROR_SLICE, SENSOR_ERROR_SLICE], b[SENSOR_ERROR_SLICE, SENSOR_ERROR_SLICE] = (
                     np.diag(-keep / noise),
                     np.diag(keep**2 / noise),
                 )
                 blocks += [(k - 1, k, a), (k, k - 1, a), (k - 1, k - 1, b)]
             else:
                 block[:3, :3] += np.diag(hold)
-                right[0, :LOG_HEIGHT] += hold * (start[:LOG_HEIGHT] - x[0, :LOG_HEIGHT])
-            sonar = [LOG_HEIGHT, SONAR]
+                right[0, :LOG_HEIGHT_INDEX] += hold * (start[:LOG_HEIGHT_INDEX] - x[0, :LOG_HEIGHT_INDEX])
+            sonar = [LOG_HEIGHT_INDEX, SONAR_ERROR_INDEX]
             block[np.ix_(sonar, sonar)] += 1.0 / _HEIGHT_CONSTRAINT_VARIANCE
-            right[k, sonar] += (known.log_height[k] - x[k, LOG_HEIGHT] - x[k, SONAR]) / _HEIGHT_CONSTRAINT_VARIANCE
+            right[k, sonar] += (
+                known.log_height[k] - x[k, LOG_HEIGHT_INDEX] - x[k, SONAR_ERROR_INDEX]
+            ) / _HEIGHT_CONSTRAINT_VARIANCE
             blocks.append((k, k, block))
         at = np.array([(a, b) for a, b, _ in blocks])
-        rows = NODE_SIZE * at[:, 0, None, None] + np.arange(NODE_SIZE)[None, :, None] + np.zeros((1, 1, NODE_SIZE), int)
+        rows = (
+            NODE_UNKNOWN_COUNT * at[:, 0, None, None]
+            + np.arange(NODE_UNKNOWN_COUNT)[None, :, None]
+            + np.zeros((1, 1, NODE_UNKNOWN_COUNT), int)
+        )
         columns = (
-            NODE_SIZE * at[:, 1, None, None] + np.arange(NODE_SIZE)[None, None, :] + np.zeros((1, NODE_SIZE, 1), int)
+            NODE_UNKNOWN_COUNT * at[:, 1, None, None]
+            + np.arange(NODE_UNKNOWN_COUNT)[None, None, :]
+            + np.zeros((1, NODE_UNKNOWN_COUNT, 1), int)
         )
         values = np.array([block for _, _, block in blocks])
         normal = coo_matrix(
-            (values.ravel(), (rows.ravel(), columns.ravel())), shape=(NODE_SIZE * n, NODE_SIZE * n)
+            (values.ravel(), (rows.ravel(), columns.ravel())), shape=(NODE_UNKNOWN_COUNT * n, NODE_UNKNOWN_COUNT * n)
         ).tocsc()
         factor = splu(normal)
-        step = factor.solve(right.ravel()).reshape(n, NODE_SIZE)
+        step = factor.solve(right.ravel()).reshape(n, NODE_UNKNOWN_COUNT)
         if turn < _MAX_GRAPH_ITERATIONS - 1:
             x = x + step
         if np.abs(step).max() < 1e-7 or turn == _MAX_GRAPH_ITERATIONS - 1:
@@ -301,22 +316,22 @@ def fuse_pose(
         Sonar measurement of ln h minus its expected error.
     """
     by_a, by_b = relative_pose_jacobians(a, b)
-    to = np.zeros((EDGE_SIZE, 13))
+    to = np.zeros((EDGE_QUANTITY_COUNT, 13))
     # Slices of the unknowns: the keyframe's node and tilt, the picture's tilt, sonar and place
     keyframe, picture, sonar, place = slice(4, 6), slice(6, 8), 8, slice(9, 13)
     # The pixels give the picture's place relative to the keyframe: add the keyframe's error.
-    move = np.hstack([np.linalg.solve(by_b, by_a), np.eye(4)])[[0, 1, LOG_HEIGHT, HEADING]]
-    move[2] *= math.exp(b[LOG_HEIGHT])
+    move = np.hstack([np.linalg.solve(by_b, by_a), np.eye(4)])[[0, 1, LOG_HEIGHT_INDEX, HEADING_INDEX]]
+    move[2] *= math.exp(b[LOG_HEIGHT_INDEX])
     to[:4, :4], to[:4, place] = np.split(move, 2, axis=1)
-    to[EDGE_TILT_A, picture] = to[EDGE_TILT_B, keyframe] = np.eye(2)
+    to[EDGE_FIRST_TILT_SLICE, picture] = to[EDGE_SECOND_TILT_SLICE, keyframe] = np.eye(2)
     prior = np.zeros((13, 13))
     prior[:9, :9] = np.linalg.inv(known)
     begin = np.zeros(13)
     begin[keyframe], begin[picture] = tilts[2:], tilts[:2]  # estimated minus expected values
     m = prior + to.T @ seen @ to
     right = to.T @ pull - prior @ begin
-    heights = [sonar, place.start + LOG_HEIGHT]
+    heights = [sonar, place.start + LOG_HEIGHT_INDEX]
     m[np.ix_(heights, heights)] += 1.0 / _HEIGHT_CONSTRAINT_VARIANCE
-    right[heights] += (log_height - b[LOG_HEIGHT]) / _HEIGHT_CONSTRAINT_VARIANCE
+    right[heights] += (log_height - b[LOG_HEIGHT_INDEX]) / _HEIGHT_CONSTRAINT_VARIANCE
     covariance = np.asarray(np.linalg.inv(m), np.float64)
     return b + (covariance @ right)[place], covariance[place, place]

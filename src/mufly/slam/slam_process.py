@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from mufly.camera import Camera, project_points
 from mufly.errors import MuflyError
-from mufly.slam.camera_frame import CameraFrame, FrameInfo
+from mufly.slam.camera_frame import CameraFrame, FrameEstimate
 from mufly.slam.image_tools import load_opencv, pinhole_parameters
 from mufly.slam.keyframe_map import FloorMap
 from mufly.slam.slam_system import SlamSystem, TrackingResult
@@ -235,4 +235,4 @@ def _warm_up(camera: Camera) -> None:
     rough = np.random.default_rng(0).integers(0, 256, (rows // 4 + 2, columns // 4 + 2), dtype=np.uint8)
     picture = np.ascontiguousarray(rough.repeat(4, axis=0).repeat(4, axis=1)[:rows, :columns])
     for k in range(2):
-        slam.process_frame(CameraFrame(k * float(camera.sensor.period), picture, FrameInfo(0.0, 0.0, 1.0)))
+        slam.process_frame(CameraFrame(k * float(camera.sensor.period), picture, FrameEstimate(0.0, 0.0, 1.0)))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mufly.camera import Camera, body_from_camera_rotation, check_picture_size
 from mufly.slam.camera_frame import TRACKING_LOST_AFTER_S, CameraFrame, MotionPrior, Odometry
-from mufly.slam.camera_pose import POSE_SIZE, SHAKE_SIZE, PoseEstimate, ViewPrior, attitude_matrix
+from mufly.slam.camera_pose import POSE_SIZE, SHAKE_COEFFICIENT_COUNT, PoseEstimate, ViewPrior, attitude_matrix
 from mufly.slam.image_tools import Undistorter
 from mufly.slam.images.camera_monitor import FAULTY_MOUNT_TILT_SIGMA_RAD, CameraDiagnosis, CameraMonitor
 from mufly.slam.keyframe_map import FloorMap
@@ -36,24 +36,32 @@ from mufly.slam.map_growth import (
     refine_keyframe,
 )
 from mufly.slam.place_recognition import MIN_ORB_INLIERS, relocalize_by_orb
-from mufly.slam.pose_graph import HEADING, LOG_HEIGHT, PLACE, TILT, GraphEdge, fuse_pose, relative_pose
+from mufly.slam.pose_graph import (
+    HEADING_INDEX,
+    LOG_HEIGHT_INDEX,
+    PLACE_SLICE,
+    TILT_SLICE,
+    GraphEdge,
+    fuse_pose,
+    relative_pose,
+)
 
 _Array = NDArray[np.float64]
-MIN_HEIGHT_M = 0.1  # least camera height for the start of a map
+MIN_CAMERA_HEIGHT_M = 0.1  # least camera height for the start of a map
 TOO_NEAR_REASON = "too near to the floor"
 """Reason of a missing result below that height."""
 DIRT_MESSAGE = "dirt on the lens: pixels that do not move with the floor are not used"
-NEW_KEYFRAME_INLIERS = 30  # below this number of inliers a new keyframe may help
-NEW_KEYFRAME_OVERLAP = 0.55  # least overlap of a keyframe and the picture
+MAX_NEW_KEYFRAME_INLIERS = 30  # below this number of inliers a new keyframe may help
+MIN_KEYFRAME_OVERLAP = 0.55  # least overlap of a keyframe and the picture
 LOOP_CHECK_INTERVAL_FRAMES = 8
 _RELOCALIZE_INTERVAL_FRAMES = 4
 _NEW_KEYFRAME_TEXTURE_SIGNIFICANCE = 1.7  # of the texture, below which a new keyframe follows earlier
 MAX_KNOWN_AXIS_SIGMA = (0.5, 0.5, 0.5, 0.5)
 """Standard deviations of N, E, D (m) and heading (rad) from which an axis counts as unknown."""
 _MIN_RELOCALIZATION_CONFIRMATIONS = 3
-_SHAKE_LEARNING_WEIGHT, _SHAKE_LEARNED_FRAMES, _SHAKE_REMAINING_FRACTION = 0.02, 150, 0.3
+_SHAKE_LEARNING_WEIGHT, _MIN_SHAKE_LEARNING_FRAMES, _SHAKE_REMAINING_FRACTION = 0.02, 150, 0.3
 """Learning of the vibration: weight of a picture, number of pictures, and remaining share of the uncertainty."""
-_BRIDGE_AFTER_S, _YOUNG_BRIDGE_AFTER_S, _YOUNG_MAP_KEYFRAMES, _KEYFRAME_TRIAL_FRAMES = 1.5, 0.1, 5, 25
+_BRIDGE_AFTER_S, _YOUNG_BRIDGE_AFTER_S, _MAX_YOUNG_MAP_KEYFRAMES, _KEYFRAME_TRIAL_FRAMES = 1.5, 0.1, 5, 25
 """Time (s) after which a lost system continues from the vehicle's estimate; the shorter time for a young map.
 
 A map is young up to this number of keyframes, too few to relocalise. A new keyframe is on trial for this number of
@@ -150,7 +158,7 @@ class SlamSystem:
         self._has_rolling_shutter = float(camera.shutter.readout) > 0.005
         shaking = float(camera.quality.shaking)
         self._shake_sigma_px, self._shake_rms_px = 0.5 * shaking, shaking / math.sqrt(2.0)
-        self._shake_amplitudes_px = np.zeros(SHAKE_SIZE)  # learnt
+        self._shake_amplitudes_px = np.zeros(SHAKE_COEFFICIENT_COUNT)  # learnt
         self._shake_frame_count = 0
         self._reference_index = -1
         self._last_node = np.zeros(4)  # node of the last result
@@ -177,18 +185,20 @@ class SlamSystem:
             If the picture does not have the camera's size.
         """
         check_picture_size(self.camera, frame.picture.shape, f"picture at {frame.time_s:g} s")
-        verdict = self.monitor.check_stamp(frame.time_s, self._last_time_s)
+        verdict = self.monitor.check_picture_times(frame.time_s, self._last_time_s)
         if frame.time_s <= self._last_time_s:
             return self._make_untrusted_result(frame, verdict, "not later than the previous picture")
         self._last_time_s = frame.time_s
         self._frame_count += 1
         if self.monitor.count_if_copy(frame.picture):
-            return self._make_untrusted_result(frame, self.monitor.frozen_diagnosis, "a copy of the previous picture")
+            return self._make_untrusted_result(
+                frame, self.monitor.frozen_picture_diagnosis, "a copy of the previous picture"
+            )
         picture = self.undistorted_picture = self._undistorter.undistort_picture(frame.picture)
         verdict = self.monitor.check_motion(frame, picture)
         if verdict.fault:
             return self._make_untrusted_result(frame, verdict, "")
-        self._motion = self._motion.advance_to(frame, float(self._last_node[HEADING]))
+        self._motion = self._motion.advance_to(frame, float(self._last_node[HEADING_INDEX]))
         context = self._make_context(frame, picture)
         if not self.floor_map.keyframes:
             return self._start_map(context)
@@ -230,19 +240,19 @@ class SlamSystem:
 
     def _make_untrusted_result(self, frame: CameraFrame, verdict: CameraDiagnosis, why: str) -> TrackingResult:
         """Return the result of a picture without a trusted pose, with the reason; a fault of the camera is stored."""
-        self._store_diagnosis(frame.time_s, verdict)
+        self._record_camera_fault(frame.time_s, verdict)
         return TrackingResult(frame.time_s, False, verdict.message or why, camera_fault=verdict.message)
 
-    def _store_diagnosis(self, time_s: float, verdict: CameraDiagnosis) -> None:
+    def _record_camera_fault(self, time_s: float, verdict: CameraDiagnosis) -> None:
         if verdict.fault:
             self.camera_verdicts.setdefault(verdict.fault, (time_s, verdict.message))
 
-    def _usable_mask(self, time_s: float) -> NDArray[np.uint8]:
+    def _make_usable_mask(self, time_s: float) -> NDArray[np.uint8]:
         """Return the mask of the undistorted picture without its border and dirt."""
         dirt = self.monitor.dirt_mask
         if dirt is None:
             return self._undistorter.valid_mask
-        self._store_diagnosis(time_s, CameraDiagnosis("dirt", DIRT_MESSAGE))
+        self._record_camera_fault(time_s, CameraDiagnosis("dirt", DIRT_MESSAGE))
         return np.where(dirt > 0, 0, self._undistorter.valid_mask).astype(np.uint8)
 
     # ------------------------------------------------------------------ Prediction
@@ -269,15 +279,15 @@ class SlamSystem:
         )
         if told.rotor_phase is not None:
             view = view._replace(rotor_phases_rad=told.rotor_phase, shake_amplitudes_px=self._shake_amplitudes_px)
-            if self._shake_frame_count > _SHAKE_LEARNED_FRAMES:
+            if self._shake_frame_count > _MIN_SHAKE_LEARNING_FRAMES:
                 view = view._replace(shake_sigma_px=_SHAKE_REMAINING_FRACTION * view.shake_sigma_px)
-        height = max(MIN_HEIGHT_M, told.height_m)
+        height = max(MIN_CAMERA_HEIGHT_M, told.height_m)
         predicted_sensor_errors, keep, noise = self.floor_map.predict_sensor_errors(
             frame.time_s, (told.tilt_sigma, told.tilt_time_s, shake_tilt_rad),
             (told.height_sigma / height, told.height_time_s),
         )  # fmt: skip
         view = view._replace(expected_tilt_error_rad=predicted_sensor_errors[:2])
-        turn = attitude_matrix(view, None, self._last_node[HEADING])
+        turn = attitude_matrix(view, None, self._last_node[HEADING_INDEX])
         velocity = np.array([*self._motion.velocity_m_s, 0.0]) if told.velocity is None else told.velocity
         velocity = velocity + turn @ np.cross(told.rates, self._camera_position_m)
         view = view._replace(
@@ -285,7 +295,7 @@ class SlamSystem:
             height_m=max(0.05, told.height_m - float((turn @ self._camera_position_m)[2])),
         )
         return FrameContext(
-            frame, picture, view, self._usable_mask(frame.time_s), self._motion, 0.0, predicted_sensor_errors,
+            frame, picture, view, self._make_usable_mask(frame.time_s), self._motion, 0.0, predicted_sensor_errors,
             (keep, noise), self._undistorter, self._shake_rms_px, shake_tilt_rad,
             float(self.camera.shutter.readout) / self.camera.sensor.height, self._rng,
         )  # fmt: skip
@@ -300,8 +310,8 @@ class SlamSystem:
         moved, sigma_m = way.predict_displacement(context.motion.velocity_m_s)
         believed = 0.05 + 2.0 * estimate.place_sigma[0]
         if way.elapsed_s > TRACKING_LOST_AFTER_S and estimate.place is not None and believed < sigma_m:
-            return make_node(context, self._pose_from_vehicle(context.view, *estimate.place))[PLACE], believed
-        return np.append(self._last_node[:LOG_HEIGHT] + moved, math.log(context.view.height_m)), sigma_m
+            return make_node(context, self._pose_from_vehicle(context.view, *estimate.place))[PLACE_SLICE], believed
+        return np.append(self._last_node[:LOG_HEIGHT_INDEX] + moved, math.log(context.view.height_m)), sigma_m
 
     def _pose_from_vehicle(self, view: ViewPrior, n: float, e: float, heading: float) -> PoseEstimate:
         """Return the camera pose of a vehicle at N, E (m) with a heading (rad), without information from pixels."""
@@ -360,9 +370,9 @@ class SlamSystem:
         inliers = len(match.inlier_indices)
         share = context.view_overlap(self.floor_map.nodes[match.keyframe_index], node)
         few = share < 0.85 and (
-            inliers < NEW_KEYFRAME_INLIERS or match.significance < _NEW_KEYFRAME_TEXTURE_SIGNIFICANCE
+            inliers < MAX_NEW_KEYFRAME_INLIERS or match.significance < _NEW_KEYFRAME_TEXTURE_SIGNIFICANCE
         )
-        if (share < NEW_KEYFRAME_OVERLAP or few) and inliers >= MIN_ORB_INLIERS:
+        if (share < MIN_KEYFRAME_OVERLAP or few) and inliers >= MIN_ORB_INLIERS:
             made = self._insert_keyframe(context, match)
         self._frames_since_loop_check += 1
         if self.is_closing_loops and (self._frames_since_loop_check >= LOOP_CHECK_INTERVAL_FRAMES or made):
@@ -389,7 +399,7 @@ class SlamSystem:
         k = insert_keyframe(self.floor_map, context, match)
         if k is None:
             return False
-        self._reference_index, self._last_node = k, self.floor_map.nodes[k, PLACE].copy()
+        self._reference_index, self._last_node = k, self.floor_map.nodes[k, PLACE_SLICE].copy()
         return True
 
     def _try_loop_closure(self, context: FrameContext, match: KeyframeMatch, made: bool) -> tuple[bool, bool]:
@@ -405,7 +415,7 @@ class SlamSystem:
         here = self._reference_index
         if not self._loop_search.close_loop(self.floor_map, other, here):
             return True, False
-        self._last_node = self.floor_map.nodes[here, PLACE].copy()
+        self._last_node = self.floor_map.nodes[here, PLACE_SLICE].copy()
         self.on_closure(other.keyframe_index, here)
         return True, True
 
@@ -413,27 +423,29 @@ class SlamSystem:
         """Return the picture's result, its pose fused from map, tilts, sonar and pixels."""
         view, pose, here = context.view, match.pose, self._reference_index
         if made:  # the picture is in the map
-            node, known = self.floor_map.nodes[here, PLACE], self.floor_map.joint_covariance(here)[:4, :4]
+            node, known = self.floor_map.nodes[here, PLACE_SLICE], self.floor_map.joint_covariance(here)[:4, :4]
         else:
             at = self.floor_map.nodes[here]
             tilts = np.concatenate([pose.tilt_error_rad - view.expected_tilt_error_rad, pose.keyframe_tilt_error_rad])
             belief = self.floor_map.predict_covariance(here, *context.error_transition)
             height = math.log(view.height_m) - context.predicted_sensor_errors[2]
-            node, known = fuse_pose(at[PLACE], belief, match.pose_graph_node, tilts, *pose_information(match), height)
+            node, known = fuse_pose(
+                at[PLACE_SLICE], belief, match.pose_graph_node, tilts, *pose_information(match), height
+            )
         for u in match.untextured_directions:  # at least the variance of the prediction since the direction was seen
             along = np.concatenate([u, np.zeros(2)])
             free = context.motion.unobserved_sigma[0] ** 2 - along @ known @ along
             known = known + max(0.0, free) * np.outer(along, along)
-        lever = attitude_matrix(view, pose.tilt_error_rad, node[HEADING]) @ self._camera_position_m
-        h = math.exp(node[LOG_HEIGHT])
+        lever = attitude_matrix(view, pose.tilt_error_rad, node[HEADING_INDEX]) @ self._camera_position_m
+        h = math.exp(node[LOG_HEIGHT_INDEX])
         position = np.array([node[0] - lever[0], node[1] - lever[1], -h - lever[2]])
         to = np.zeros((4, 4))  # derivatives of N, E, D, heading by N, E, heading, ln h
-        to[0, 0] = to[1, 1] = to[-1, HEADING] = 1.0
-        to[2, LOG_HEIGHT] = -h
-        heading = (node[HEADING] + math.pi) % (2 * math.pi) - math.pi
+        to[0, 0] = to[1, 1] = to[-1, HEADING_INDEX] = 1.0
+        to[2, LOG_HEIGHT_INDEX] = -h
+        heading = (node[HEADING_INDEX] + math.pi) % (2 * math.pi) - math.pi
         covariance, tilted = to @ known @ to.T, self.monitor.diagnose_tilt_at(context.frame.time_s)
         if tilted.fault:
-            self._store_diagnosis(context.frame.time_s, tilted)
+            self._record_camera_fault(context.frame.time_s, tilted)
             covariance[[0, 1], [0, 1]] += (h * FAULTY_MOUNT_TILT_SIGMA_RAD) ** 2
         dirt = "" if self.monitor.dirt_mask is None else DIRT_MESSAGE
         return TrackingResult(
@@ -447,7 +459,7 @@ class SlamSystem:
     def _start_map(self, context: FrameContext) -> TrackingResult:
         """Create the first keyframe of a map."""
         frame = context.frame
-        if context.view.height_m < MIN_HEIGHT_M:
+        if context.view.height_m < MIN_CAMERA_HEIGHT_M:
             return TrackingResult(frame.time_s, False, TOO_NEAR_REASON)
         if frame.vehicle_estimate.place is not None:
             self.floor_map.start_pose, self.floor_map.start_sigma = (
@@ -459,7 +471,7 @@ class SlamSystem:
         if keyframe is None:
             return TrackingResult(frame.time_s, False, "cannot begin a map: no corners on the floor, or too bright")
         self._reference_index = self.floor_map.add_keyframe(keyframe, make_node(context, pose), [])
-        self._last_node = self.floor_map.nodes[self._reference_index, PLACE].copy()
+        self._last_node = self.floor_map.nodes[self._reference_index, PLACE_SLICE].copy()
         self._motion = self._motion.restart_at(frame)
         answer = self._make_result(context, KeyframeMatch.from_pose(pose), True, False)
         if frame.vehicle_estimate.place is None:
@@ -470,7 +482,7 @@ class SlamSystem:
     def _should_bridge(self, context: FrameContext, elapsed: float) -> bool:
         """Return whether to continue from the vehicle's estimate, since no keyframe is recognised."""
         has_place = context.frame.vehicle_estimate.place is not None
-        if not has_place or context.view.height_m < MIN_HEIGHT_M or self._should_relocalize:
+        if not has_place or context.view.height_m < MIN_CAMERA_HEIGHT_M or self._should_relocalize:
             return False
         return self._trial_frame_count > 0 or elapsed > (
             _YOUNG_BRIDGE_AFTER_S if self._is_map_young else _BRIDGE_AFTER_S
@@ -486,7 +498,7 @@ class SlamSystem:
     @property
     def _is_map_young(self) -> bool:
         """Whether the map is too small for relocalisation."""
-        return len(self.floor_map.keyframes) - (self._trial_frame_count > 0) <= _YOUNG_MAP_KEYFRAMES
+        return len(self.floor_map.keyframes) - (self._trial_frame_count > 0) <= _MAX_YOUNG_MAP_KEYFRAMES
 
     def _confirm_trial(self, context: FrameContext, match: KeyframeMatch) -> TrackingResult | None:
         """Count a match as confirmation of the keyframe on trial; return None once there are enough.
@@ -494,7 +506,7 @@ class SlamSystem:
         A keyframe is on trial from a gap in tracking until its confirmation. Until then the rest of the map is
         searched, too: relocalisation there replaces the trial.
         """
-        if self._should_relocalize and (found := self._find_in_map(context)) is not None:
+        if self._should_relocalize and (found := self._relocalize_among_keyframes(context)) is not None:
             return self._accept_match(context, found)
         self._trial_frame_count += 1
         if self._trial_frame_count <= (
@@ -531,14 +543,14 @@ class SlamSystem:
         place, turn = frame.vehicle_estimate.place_sigma
         last, second = self._reference_index, len(self.floor_map.keyframes)
         node, before = make_node(context, pose), self.floor_map.nodes[last]
-        h = math.exp(before[LOG_HEIGHT])
+        h = math.exp(before[LOG_HEIGHT_INDEX])
         off = np.array([place / h, place / h, max(turn, 1e-3), 0.1])
         edge = GraphEdge(
-            last, second, np.concatenate([relative_pose(before, node), before[TILT], node[TILT]]),
+            last, second, np.concatenate([relative_pose(before, node), before[TILT_SLICE], node[TILT_SLICE]]),
             np.diag(np.concatenate([off**-2, np.zeros(4)])),
         )  # fmt: skip
         self._reference_index = self.floor_map.add_keyframe(keyframe, node, [edge])
-        self._last_node = self.floor_map.nodes[self._reference_index, PLACE].copy()
+        self._last_node = self.floor_map.nodes[self._reference_index, PLACE_SLICE].copy()
         self._motion = self._motion.restart_at(frame)
         self._trial_frame_count = 1
         return TrackingResult(frame.time_s, False, why)
@@ -550,12 +562,12 @@ class SlamSystem:
         lost = TrackingResult(context.frame.time_s, False, why or "lost", keyframe_index=-1)
         if self._frame_count % _RELOCALIZE_INTERVAL_FRAMES and not self._found_poses:
             return lost
-        match = self._find_in_map(context)
+        match = self._relocalize_among_keyframes(context)
         if match is not None:
             return self._accept_match(context, match)
         return replace(lost, reason="found, to be confirmed") if self._found_poses else lost
 
-    def _find_in_map(self, context: FrameContext) -> KeyframeMatch | None:
+    def _relocalize_among_keyframes(self, context: FrameContext) -> KeyframeMatch | None:
         """Relocalise the picture among the keyframes that are not on trial; None until several pictures agree."""
         time_s = context.frame.time_s
         found, self._found_poses = self._found_poses, []

@@ -96,11 +96,11 @@ def collect_results(answers: Iterable[TrackingResult]) -> SlamTrajectory:
     return SlamTrajectory(
         np.array([a.time_s for a in good]), np.array([a.position for a in good]).reshape(-1, 3),
         np.array([a.heading for a in good]), np.array([a.covariance for a in good]).reshape(-1, 4, 4), count,
-        failure_reason_counts, _median([a.texture_bound_m for a in good]),
+        failure_reason_counts, _finite_median([a.texture_bound_m for a in good]),
     )  # fmt: skip
 
 
-def _median(values: list[float]) -> float:
+def _finite_median(values: list[float]) -> float:
     finite = [v for v in values if np.isfinite(v)]
     return float(np.median(finite)) if finite else float("nan")
 

@@ -32,7 +32,7 @@ from mufly.results import ShownBlock, make_table_block, result
 from mufly.rotations import euler_from_quaternion
 
 _Array = NDArray[np.float64]
-_QUATERNION = slice(4, 8)
+_QUATERNION_COLUMNS = slice(4, 8)
 """Columns of a pose, behind its time and place."""
 CHI2_95_4_DOF = 9.4877
 _MIN_POSITION_SIGMA_M = 1e-4
@@ -42,9 +42,9 @@ _MIN_POSITION_SIGMA_M = 1e-4
 _MIN_POSE_ROWS = 3
 _MAX_GAP_S, _MAX_GAP_INTERVALS = 0.2, 5.0
 """Larger gaps (s, and steps) between rows of the truth are excluded from the comparison."""
-_MIN_AXES_ERROR_M = 0.02
+_MIN_OTHER_AXES_ERROR_M = 0.02
 _QUATERNION_NORM_TOLERANCE, _MIN_QUATERNION_NORM = 1e-3, 1e-6
-_TIMESTAMP_UNITS = (
+_EPOCH_STAMP_UNITS = (
     (1e17, 1e-9, "ns"),
     (1e14, 1e-6, "us"),
     (1e11, 1e-3, "ms"),
@@ -110,9 +110,9 @@ def read_poses(file: Path) -> PoseTable:
     rows, more, numbers = _parse_pose_rows(cells, where, said)
     order, ns, named = _find_named_columns(comments, where)
     rows, keep = _drop_invalid_rows(rows[:, order], numbers, said)
-    if not named and _is_upside_down(rows[:, _QUATERNION]):
-        if separator == "," and np.median(rows[:, 0]) > _TIMESTAMP_UNITS[0][0]:  # EuRoC's format without a header
-            rows[:, _QUATERNION] = np.roll(rows[:, _QUATERNION], -1, axis=1)
+    if not named and _has_scalar_first_order(rows[:, _QUATERNION_COLUMNS]):
+        if separator == "," and np.median(rows[:, 0]) > _EPOCH_STAMP_UNITS[0][0]:  # EuRoC's format without a header
+            rows[:, _QUATERNION_COLUMNS] = np.roll(rows[:, _QUATERNION_COLUMNS], -1, axis=1)
             said.append("its quaternions are read with w first; otherwise the vehicle would be upside down")
         else:
             said.append(
@@ -123,7 +123,7 @@ def read_poses(file: Path) -> PoseTable:
     stamps, tick = _stamps_to_seconds(rows[:, 0], ns)
     said += [f"its time stamps are read as {tick}"] if tick != "s" and not ns else []
     position = np.stack([math.copysign(1, k) * rows[:, abs(k)] for k in columns], axis=1)
-    heading = np.angle(np.exp(1j * heading_of(euler_from_quaternion(rows[:, _QUATERNION])[:, 2])))
+    heading = np.angle(np.exp(1j * heading_of(euler_from_quaternion(rows[:, _QUATERNION_COLUMNS])[:, 2])))
     kept, repeated = _sort_by_time(stamps, [numbers[k] for k in keep], said)
     for note in said:
         warnings.warn(f"{file.name}: {note}", LogWarning, stacklevel=3)
@@ -181,7 +181,7 @@ def _parse_pose_rows(
                              "correct that row: t x y z qx qy qz qw") from None  # fmt: skip
     if not len(rows):
         raise InputError(where, "", "contains no rows", "give a trajectory: t x y z qx qy qz qw")
-    return rows, [row[_QUATERNION.stop :] for _, row in cells], [number for number, _ in cells]
+    return rows, [row[_QUATERNION_COLUMNS.stop :] for _, row in cells], [number for number, _ in cells]
 
 
 def _find_named_columns(comments: list[str], where: str) -> tuple[list[int], bool, bool]:
@@ -211,7 +211,7 @@ def _find_named_columns(comments: list[str], where: str) -> tuple[list[int], boo
     return [0, 1, 2, 3, 7, 4, 5, 6], False, False
 
 
-def _is_upside_down(q: _Array) -> bool:
+def _has_scalar_first_order(q: _Array) -> bool:
     """Return whether quaternions have the order w, x, y, z in place of x, y, z, w: only then are they upright."""
     if not len(q):
         return False
@@ -223,7 +223,7 @@ def _is_upside_down(q: _Array) -> bool:
 def _drop_invalid_rows(rows: _Array, numbers: list[int], said: list[str]) -> tuple[_Array, list[int]]:
     """Return the rows of finite numbers, with unit quaternions, and their line numbers."""
     finite = np.isfinite(rows).all(axis=1)
-    length = np.linalg.norm(rows[:, _QUATERNION], axis=1)
+    length = np.linalg.norm(rows[:, _QUATERNION_COLUMNS], axis=1)
     turned = length > _MIN_QUATERNION_NORM
     _note_skipped_lines(said, "with NaN or infinity, skipped", np.flatnonzero(~finite), numbers)
     _note_skipped_lines(said, "with a quaternion of zeros, skipped", np.flatnonzero(finite & ~turned), numbers)
@@ -233,7 +233,7 @@ def _drop_invalid_rows(rows: _Array, numbers: list[int], said: list[str]) -> tup
         worst = length[odd[np.argmax(np.abs(np.log(length[odd])))]]
         _note_skipped_lines(said, f"whose quaternion is not of unit length ({worst:.3g}), normalised", odd, numbers)
     out = rows[keep]
-    out[:, _QUATERNION] /= length[keep, None]
+    out[:, _QUATERNION_COLUMNS] /= length[keep, None]
     return out, keep.tolist()
 
 
@@ -254,7 +254,7 @@ def _detect_axes(comments: list[str], file: Path) -> str:
 def _stamps_to_seconds(stamps: _Array, ns: bool) -> tuple[_Array, str]:
     """Return the stamps in s, and their unit."""
     largest = float(np.median(stamps)) if len(stamps) else 0.0
-    for least, factor, unit in _TIMESTAMP_UNITS:
+    for least, factor, unit in _EPOCH_STAMP_UNITS:
         if largest > least or (ns and unit == "ns"):
             return stamps * factor, unit
     return stamps, "s"
@@ -412,7 +412,7 @@ def detect_other_axes(time: _Array, position: _Array, true_time: _Array, true_po
     flipped = np.stack([x[:, 0], -x[:, 1], -x[:, 2]], axis=1)  # ENU is equal up to a rotation
     for name, fitted in (("ATE", _align_horizontally), ("position error", lambda p, _: p)):
         as_it_is, other = (_root_mean_square(np.linalg.norm(fitted(p, true) - true, axis=1)) for p in (x, flipped))
-        if other < 0.2 * as_it_is and as_it_is > _MIN_AXES_ERROR_M:
+        if other < 0.2 * as_it_is and as_it_is > _MIN_OTHER_AXES_ERROR_M:
             return f"{name} {100 * other:.1f} cm in place of {100 * as_it_is:.1f}"
     return ""
 

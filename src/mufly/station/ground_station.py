@@ -133,7 +133,7 @@ class GroundLink:
             for vehicle in self.vehicles:
                 vehicle.handle_stall(stood_s)
         out = self._make_heartbeats(now_s, peers)
-        self._report_equipment(now_s)
+        self._report_systems_without_autopilot(now_s)
         for heard in self._heard.values():
             self._update_link_quality(now_s, heard)
             try:
@@ -201,7 +201,7 @@ class GroundLink:
             self._on_vehicle(vehicle)
         return new
 
-    def _report_equipment(self, now_s: float) -> None:
+    def _report_systems_without_autopilot(self, now_s: float) -> None:
         """Report, once and after a waiting time, each MAVLink system from which no autopilot is heard."""
         for (peer, system), (since_s, what) in self._equipment.items():
             if since_s + LOST_TIMEOUT_S < now_s < math.inf and (peer, system) not in self._heard:
@@ -239,7 +239,7 @@ _SYSTEM_IDS, _COMPONENT_IDS = (
     range(246, 255),
     range(25, 100),
 )  # below 255, which others use; MAV_COMP_ID_USER1 to USER75
-_FULL_RATE_BYTES_S = 45_000.0
+_FULL_TELEMETRY_BYTES_S = 45_000.0
 _TELEMETRY_LINE_FRACTION = 0.6
 _MAX_REPORTED_FAULTS = 100
 
@@ -252,7 +252,7 @@ def choose_telemetry_rate(endpoint: Endpoint, rate_Hz: float = 100.0) -> float:
     """
     if endpoint.kind != "serial":
         return rate_Hz
-    share = _TELEMETRY_LINE_FRACTION * endpoint.port / 10.0 / _FULL_RATE_BYTES_S
+    share = _TELEMETRY_LINE_FRACTION * endpoint.port / 10.0 / _FULL_TELEMETRY_BYTES_S
     return max(1.0, min(rate_Hz, 100.0 * share))
 
 
@@ -263,12 +263,12 @@ def _open_endpoint(endpoint: Endpoint) -> Port:
         raise ArgumentError("endpoints", error.key, error.problem, error.remedy) from error
 
 
-_MIN_UNREAD_BYTES = 4000
+_MIN_WARNED_UNREAD_BYTES = 4000
 
 
-def _describe_unread_bytes(port: Port, link: GroundLink) -> str:
+def _describe_unreadable_bytes(port: Port, link: GroundLink) -> str:
     """Return a warning if bytes arrive that hold no message; "" otherwise."""
-    if link.unread_bytes < _MIN_UNREAD_BYTES:
+    if link.unread_bytes < _MIN_WARNED_UNREAD_BYTES:
         return ""
     words = f"{port.endpoint}: {link.unread_bytes} bytes received, no MAVLink message among them"
     return words + (f"; check the baud rate ({port.endpoint.port})" if port.endpoint.kind == "serial" else "")
@@ -398,7 +398,9 @@ class GroundStation:
 
     def describe_link_problems(self) -> list[str]:
         """Return the present problems of the links, one line each."""
-        return [words for port, link in self._links if (words := port.problem or _describe_unread_bytes(port, link))]
+        return [
+            words for port, link in self._links if (words := port.problem or _describe_unreadable_bytes(port, link))
+        ]
 
     def _make_link(self, endpoint: Endpoint) -> GroundLink:
         return GroundLink(

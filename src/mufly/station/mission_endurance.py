@@ -47,7 +47,7 @@ LIMIT_PARAMETERS: dict[str, _LimitSources] = {
 """Parameters of the limits, by key of ``[limits]``: candidate names in order (mufly, PX4, ArduPilot old in cm/s and new
 in m/s), each with the factor to the key's unit. The first that the vehicle has is used."""
 
-MAX_FLOWN_ITEMS = 2000
+MAX_FOLLOWED_ITEMS = 2000
 """Largest number of items followed in a mission with jumps."""
 
 
@@ -126,7 +126,7 @@ def _compute_timing(
     if not mission.waypoint:
         return None
     if start:
-        mission = _replace_parts(mission, start_m=start[:2], start_heading_deg=start[2])
+        mission = _replace_parts_unchecked(mission, start_m=start[:2], start_heading_deg=start[2])
     words = [] if told else [f"{limits.speed_m_s:g} m/s assumed"]
     return compute_mission_timing(mission), came_from, ", ".join([*words, *left_out])
 
@@ -142,7 +142,7 @@ def _apply_limits(
 ) -> Mission:
     limits = Limits.model_construct(**{**base.limits.model_dump(), **dict(told)})
     eyes = {key: bool(value) if key == "enabled" else value for key, value in avoidance}
-    return _replace_parts(base, limits=limits, avoidance=base.avoidance.model_copy(update=eyes))
+    return _replace_parts_unchecked(base, limits=limits, avoidance=base.avoidance.model_copy(update=eyes))
 
 
 def read_mission_limits(parameters: Mapping[str, TunableParameter]) -> dict[str, float]:
@@ -156,7 +156,7 @@ def read_mission_limits(parameters: Mapping[str, TunableParameter]) -> dict[str,
     return found
 
 
-def _replace_parts(mission: Mission, **parts: object) -> Mission:
+def _replace_parts_unchecked(mission: Mission, **parts: object) -> Mission:
     """Return a copy of the mission with the fields ``parts`` replaced, without validation.
 
     Vehicles of other makers may exceed the bounds of a mission file.
@@ -165,7 +165,7 @@ def _replace_parts(mission: Mission, **parts: object) -> Mission:
     return Mission.model_construct(**{**held, **parts})
 
 
-_CONTROLLER_LIMIT_PARAMETERS = {
+_PARAMETER_BY_CONTROLLER_LIMIT = {
     "speed": "CTL_SPEED_MAX",
     "climb": "CTL_HEAVE_SPD",
     "descent": "CTL_HEAVE_SPD",
@@ -177,11 +177,11 @@ _CONTROLLER_LIMIT_PARAMETERS = {
 
 
 def trajectory_limits_from_parameters(parameters: Mapping[str, TunableParameter]) -> TrajectoryLimits | None:
-    """Return the limits that a mufly vehicle's controllers can follow (:func:`mufly.flight.controller_limits`); None if
-    its parameters lack them."""
-    if not set(_CONTROLLER_LIMIT_PARAMETERS.values()) <= parameters.keys():
+    """Return the limits that a mufly vehicle's controllers can follow (:func:`mufly.flight.derive_trajectory_limits`);
+    None if its parameters lack them."""
+    if not set(_PARAMETER_BY_CONTROLLER_LIMIT.values()) <= parameters.keys():
         return None
-    told = {key: parameters[name].value for key, name in _CONTROLLER_LIMIT_PARAMETERS.items()}
+    told = {key: parameters[name].value for key, name in _PARAMETER_BY_CONTROLLER_LIMIT.items()}
     if not all(math.isfinite(v) and v > 0.0 for v in told.values()):
         return None
     told["acceleration"] = math.radians(told["acceleration"]) * GRAVITY
@@ -189,12 +189,12 @@ def trajectory_limits_from_parameters(parameters: Mapping[str, TunableParameter]
     return TrajectoryLimits(**told)
 
 
-_AVOIDANCE_KEYS = {"AVD_ENABLE": "enabled", "AVD_CLEARANCE": "clearance_m", "AVD_SPEED": "speed_m_s"}
+_AVOIDANCE_KEY_BY_PARAMETER = {"AVD_ENABLE": "enabled", "AVD_CLEARANCE": "clearance_m", "AVD_SPEED": "speed_m_s"}
 
 
 def _avoidance_from_parameters(parameters: Mapping[str, TunableParameter]) -> tuple[tuple[str, float], ...]:
     """Return the settings of a mission file's table ``[avoidance]`` among a vehicle's parameters: (key, value)."""
-    held = {key: parameters[name].value for name, key in _AVOIDANCE_KEYS.items() if name in parameters}
+    held = {key: parameters[name].value for name, key in _AVOIDANCE_KEY_BY_PARAMETER.items() if name in parameters}
     return tuple((key, value) for key, value in held.items() if math.isfinite(value))
 
 
@@ -204,7 +204,7 @@ def _mission_from_items(
     """Make a mission of items; return also each waypoint's item index, and descriptions of the parts not flown."""
     try:
         plan = mission_from_items(items, base, origin)
-        return _replace_parts(base, waypoint=plan.mission.waypoint, take_off=plan.mission.take_off,
+        return _replace_parts_unchecked(base, waypoint=plan.mission.waypoint, take_off=plan.mission.take_off,
                         at_end=plan.mission.at_end), plan.waypoint_item_index, []  # fmt: skip
     except (MissionRefusedError, ValueError):
         return _approximate_mission(items, base, origin or _first_global_position(items))
@@ -220,7 +220,7 @@ def _follow_jumps(items: Sequence[MissionItem]) -> tuple[list[MissionItem], bool
     }
     endless = any(item.command == MissionCommand.DO_JUMP and item.params[1] < 0.0 for item in items)
     k = 0
-    while k < len(items) and len(flown) < MAX_FLOWN_ITEMS:
+    while k < len(items) and len(flown) < MAX_FOLLOWED_ITEMS:
         item, k = items[k], k + 1
         if item.command != MissionCommand.DO_JUMP:
             flown.append(item)
@@ -272,5 +272,5 @@ def _approximate_mission(
                 )
             )
             came_from.append(item.seq)
-    mission = _replace_parts(base, waypoint=tuple(waypoints), take_off=take_off, at_end=end)
+    mission = _replace_parts_unchecked(base, waypoint=tuple(waypoints), take_off=take_off, at_end=end)
     return mission, tuple(came_from), left_out

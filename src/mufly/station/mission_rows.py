@@ -83,7 +83,7 @@ def _make_row(item: MissionItem, origin: GlobalOrigin | None, reached: bool) -> 
         position = read_position(item, origin)
     elif is_global_frame(item) and item.x != COORDINATE_NOT_GIVEN:
         if has_global_position(item):
-            position, text = read_position(item, origin), _global_height_text(item, origin)
+            position, text = read_position(item, origin), _describe_hidden_position(item, origin)
     elif command not in _ACTION_BY_COMMAND:
         text = " ".join(f"{p:g}" for p in (*item.params, item.x, item.y, item.z))
     wait_s = item.params[0] if command in _HOLD_COMMANDS and math.isfinite(item.params[0]) else 0.0
@@ -91,7 +91,7 @@ def _make_row(item: MissionItem, origin: GlobalOrigin | None, reached: bool) -> 
     return MissionRow(action, position, heading, wait_s, reached, text)
 
 
-def _global_height_text(item: MissionItem, origin: GlobalOrigin | None) -> str:
+def _describe_hidden_position(item: MissionItem, origin: GlobalOrigin | None) -> str:
     """Return the part of an item's position that a row in metres cannot show, as text; "" if there is none.
 
     It is the height above terrain or, without an origin, latitude, longitude and height.
@@ -105,9 +105,9 @@ def _global_height_text(item: MissionItem, origin: GlobalOrigin | None) -> str:
 
 def is_same_mission(a: Sequence[MissionItem], b: Sequence[MissionItem]) -> bool:
     """Return whether two missions are flown alike; the current item is ignored, NaN equals NaN."""
-    return [_comparison_key(item) for item in a] == [_comparison_key(item) for item in b]
+    return [_make_flight_comparison_key(item) for item in a] == [_make_flight_comparison_key(item) for item in b]
 
 
-def _comparison_key(item: MissionItem) -> tuple[object, ...]:
+def _make_flight_comparison_key(item: MissionItem) -> tuple[object, ...]:
     numbers = (None if math.isnan(v) else round(v, 4) for v in (*item.params, item.z))
     return item.frame, item.command, item.x, item.y, *numbers

@@ -22,14 +22,14 @@ from mufly.station.remote.vehicle_telemetry import EstimatorStatus, VehicleTelem
 from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
 from mufly.vehicle_types import ARDUPILOT
 
-MAX_LINK_LOSS = 0.1
+MAX_LINK_LOSS_FRACTION = 0.1
 MIN_BATTERY_CHARGE_FRACTION = 0.3
-MAX_TILT_RAD = math.radians(5.0)
+MAX_STANDING_TILT_RAD = math.radians(5.0)
 MAX_STANDING_SPEED_M_S = 0.1
 BATTERY_RESERVE_FRACTION = 0.2
 """Share of the battery that must remain after a mission."""
 MIN_DISK_BYTES = 200e6
-OWN_CHECKS_NAME = "vehicle's pre-arm checks"
+PREARM_CHECKS_NAME = "vehicle's pre-arm checks"
 _STATION_CHECK_NAMES = ("heartbeat", "link", "recording", "free disk space")
 _PREARM_CHECK_BIT = 268435456  # MAV_SYS_STATUS_PREARM_CHECK
 
@@ -68,10 +68,10 @@ def run_preflight_checks(
 ) -> list[PreflightCheck]:
     """Return the preflight checks of a vehicle."""
     judged: dict[str, _CheckResult] = {
-        "heartbeat": _check_heard(s),
+        "heartbeat": _check_heartbeat(s),
         "link": _check_link(s),
         "operator control": _check_commander(s, told.commander_id),
-        OWN_CHECKS_NAME: _check_health(told.health, texts),
+        PREARM_CHECKS_NAME: _check_prearm_health(told.health, texts),
         "battery": _check_battery(s),
         "level and at rest": _check_level(s),
         "position": _check_position(s),
@@ -92,7 +92,7 @@ def run_preflight_checks(
     return [PreflightCheck(name, *answer) for name, answer in judged.items()]
 
 
-def _check_heard(s: VehicleSnapshot) -> _CheckResult:
+def _check_heartbeat(s: VehicleSnapshot) -> _CheckResult:
     return (
         (False, "no message received")
         if math.isinf(s.silent_s)
@@ -104,7 +104,7 @@ def _check_link(s: VehicleSnapshot) -> _CheckResult:
     if math.isnan(s.link_loss):
         return None, "not yet measured"
     text = f"{100 * s.link_loss:.0f} % packet loss, {s.link_rate_Hz:.0f} messages/s"
-    return s.link_loss <= MAX_LINK_LOSS and s.link_rate_Hz > 0, text
+    return s.link_loss <= MAX_LINK_LOSS_FRACTION and s.link_rate_Hz > 0, text
 
 
 def _check_commander(s: VehicleSnapshot, number: int | None) -> _CheckResult:
@@ -115,7 +115,7 @@ def _check_commander(s: VehicleSnapshot, number: int | None) -> _CheckResult:
     return not number, f"{s.commander} has control" if number else "no station has control"
 
 
-def _check_health(health: tuple[int, int, int] | None, texts: StatusTextLog) -> _CheckResult:
+def _check_prearm_health(health: tuple[int, int, int] | None, texts: StatusTextLog) -> _CheckResult:
     if health is None:
         return None, "not reported"
     present, enabled, good = health
@@ -157,7 +157,7 @@ def _check_level(s: VehicleSnapshot) -> _CheckResult:
         return None, "attitude not reported"
     moving = "" if math.isnan(speed) else f", {speed:.2f} m/s"
     return (
-        tilt <= MAX_TILT_RAD and not speed > MAX_STANDING_SPEED_M_S,
+        tilt <= MAX_STANDING_TILT_RAD and not speed > MAX_STANDING_SPEED_M_S,
         f"tilt {math.degrees(tilt):.1f} deg{moving}",
     )
 

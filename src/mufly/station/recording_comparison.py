@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError
 from mufly.quantities.quantity_table import find_quantity
-from mufly.quantities.units import conversion_factor
+from mufly.quantities.units import find_conversion_factor
 from mufly.results import ShownTable, make_table_block
 from mufly.station.replay import MOTION_SOURCES, FlightRecording
 
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
 _Array = NDArray[np.float64]
 
-ALIGNMENTS = ("take-off", "arming", "start", "clock")
+ALIGNMENT_EVENTS = ("take-off", "arming", "start", "clock")
 """Events that align two recordings; "clock": no alignment."""
 COMPARED_PREFIX = "compared/"
 """Prefix of the second recording's signals among those of the first."""
-TAKE_OFF_HEIGHT_M = 0.1
+MIN_TAKEN_OFF_HEIGHT_M = 0.1
 """Height above the start position that counts as taken off (m)."""
-MAX_GAP_S = 0.5
+MAX_INTERPOLATED_GAP_S = 0.5
 """Largest gap between samples that is interpolated, except for slower signals (s)."""
 _DEFAULT_QUANTITIES = ("position", "velocity", "attitude", "rotor_speed", "motor_input", "battery_voltage")
 
@@ -53,7 +53,7 @@ def find_event_time(recording: FlightRecording, by: str) -> float:
         )
         if down is None:
             return math.nan
-        turning = down < down[np.isfinite(down)][0] - TAKE_OFF_HEIGHT_M
+        turning = down < down[np.isfinite(down)][0] - MIN_TAKEN_OFF_HEIGHT_M
     return float(times[np.argmax(turning)]) if turning.any() else math.nan
 
 
@@ -69,7 +69,7 @@ class RecordingComparison:
     ----------
     first_recording, second_recording : FlightRecording
     alignment_event : str
-        One of :data:`ALIGNMENTS`.
+        One of :data:`ALIGNMENT_EVENTS`.
     manual_offset_s : float
         Additional delay of the second recording (s).
 
@@ -91,9 +91,9 @@ class RecordingComparison:
     manual_offset_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.alignment_event not in ALIGNMENTS:
+        if self.alignment_event not in ALIGNMENT_EVENTS:
             raise ArgumentError(
-                "align", self.alignment_event, "is not an event for the alignment", f"use {', '.join(ALIGNMENTS)}"
+                "align", self.alignment_event, "is not an event for the alignment", f"use {', '.join(ALIGNMENT_EVENTS)}"
             )
         if not math.isfinite(self.manual_offset_s):
             raise ArgumentError("offset", f"{self.manual_offset_s:g}", "is not a time", "give seconds")
@@ -130,7 +130,7 @@ class RecordingComparison:
         others = [f"{s}_{rest}" for s in MOTION_SOURCES] if source in MOTION_SOURCES else []
         return next((n for n in others if np.isfinite(_find_column(self.second_recording, n)).any()), "")
 
-    def sample_second(self, name: str, times: _Array) -> _Array:
+    def sample_second_recording(self, name: str, times: _Array) -> _Array:
         """Return a signal of the second recording at times (n,; s) of the first; NaN outside its range and in its
         gaps.
         """
@@ -147,7 +147,7 @@ class RecordingComparison:
         inside = (times >= t[0]) & (times <= t[-1])
         if len(t) > 1:
             steps = np.diff(t)
-            near = steps[at - 1] <= max(MAX_GAP_S, 2.5 * float(np.median(steps)))
+            near = steps[at - 1] <= max(MAX_INTERPOLATED_GAP_S, 2.5 * float(np.median(steps)))
             out[inside & near] = np.interp(times[inside & near], t, v)
         elif len(t):
             out[np.abs(times - t[0]) < 1e-6] = v[0]
@@ -155,12 +155,14 @@ class RecordingComparison:
 
     def signal_difference(self, name: str) -> _Array:
         """Return first minus second (n,) at the instants of the first; angles wrapped to half a turn."""
-        off = _find_column(self.first_recording, name) - self.sample_second(name, self.first_recording.times_s)
+        off = _find_column(self.first_recording, name) - self.sample_second_recording(
+            name, self.first_recording.times_s
+        )
         if self.first_recording.units.get(name) == "rad":
             off = np.arctan2(np.sin(off), np.cos(off))
         return np.asarray(off)
 
-    def second_track(self) -> _Array:
+    def second_recording_track(self) -> _Array:
         """Return the positions (n, 3; N, E, D, m) of the second recording; NaN if unknown."""
         names = [f"estimated_position_{axis}" for axis in "NED"]
         found = [_find_column(self.second_recording, self.find_counterpart(name) or name) for name in names]
@@ -228,7 +230,7 @@ def draw_comparison(c: RecordingComparison, names: Sequence[str], title: str = "
     t = c.first_recording.times_s
     for ax, name in zip(axes, names, strict=True):
         unit, shown, factor = _display_unit(c, name)
-        one, two = _find_column(c.first_recording, name), c.sample_second(name, t)
+        one, two = _find_column(c.first_recording, name), c.sample_second_recording(name, t)
         if unit == "rad":
             one, two = _unwrap_angle_pair(one, two)
         ax.plot(t, factor * one, "-", color="#1769a5", label=c.first_recording.name)
@@ -254,7 +256,7 @@ def _display_unit(c: RecordingComparison, name: str) -> tuple[str, str, float]:
     """Return a signal's SI unit, its display unit and the factor from the first to the second."""
     unit = c.first_recording.units.get(name, "1")
     shown = "rpm" if "rotor_speed" in name else {"rad": "deg", "rad/s": "deg/s"}.get(unit, unit)
-    return unit, shown, conversion_factor(unit, shown) if shown != unit else 1.0
+    return unit, shown, find_conversion_factor(unit, shown) if shown != unit else 1.0
 
 
 def _unwrap_angle_pair(one: _Array, two: _Array) -> tuple[_Array, _Array]:

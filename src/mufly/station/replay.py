@@ -31,12 +31,12 @@ from mufly.station.signal_history import (
     PreflightCheck,
     StatusMessage,
     VehicleSnapshot,
-    unknown_values,
+    make_unknown_values,
 )
 
 MOTION_SOURCES = ("estimated", "measured", "truth")
 """Sources of the vehicle's motion, by priority."""
-AIRBORNE_HEIGHT_M = 0.02
+MIN_AIRBORNE_HEIGHT_M = 0.02
 
 _Array = NDArray[np.float64]
 
@@ -251,7 +251,7 @@ class Replay:
 
     def seek(self, time_s: float) -> None:
         """Set the displayed time (s), clipped to the recording."""
-        self._set_time(time_s)
+        self._set_displayed_time(time_s)
         self.jumps += 1
 
     def play(self) -> None:
@@ -267,11 +267,11 @@ class Replay:
     def advance(self, seconds: float) -> None:
         """Advance playback by ``seconds`` of wall-clock time."""
         if self.playing:
-            self._set_time(self.time_s + seconds * self.speed)
+            self._set_displayed_time(self.time_s + seconds * self.speed)
             if self.time_s >= self.end_s:
                 self.playing = False
 
-    def _set_time(self, time_s: float) -> None:
+    def _set_displayed_time(self, time_s: float) -> None:
         self.time_s = min(max(time_s, self.start_s), self.end_s) if math.isfinite(time_s) else self.start_s
         self.history.end = int(np.searchsorted(self.recording.times_s, self.time_s, side="right"))
 
@@ -299,9 +299,9 @@ class Replay:
         """Return the vehicle's state at the displayed time."""
         recording, progress = self.recording, self.mission_progress
         beams = [f"range_{b}" for b in range(len(recording.range_angles))]
-        motors = self._signal_value("motor_input")
+        motors = self._value_at_displayed_time("motor_input")
         s = VehicleSnapshot.from_signals(
-            self._signal_value,
+            self._value_at_displayed_time,
             MOTION_SOURCES,
             self.time_s,
             self._row_values(beams),
@@ -314,13 +314,13 @@ class Replay:
             mission_row=progress if progress < len(self._rows) else None,
         )
         # Not flying, if the recording lacks the ground height.
-        return replace(s, flying=bool(s.estimate.position[2] < self._initial_down_m - AIRBORNE_HEIGHT_M))
+        return replace(s, flying=bool(s.estimate.position[2] < self._initial_down_m - MIN_AIRBORNE_HEIGHT_M))
 
     @property
     def _row_index(self) -> int:
         return max(self.history.end - 1, 0)
 
-    def _signal_value(self, name: str) -> _Array:
+    def _value_at_displayed_time(self, name: str) -> _Array:
         """Return a variable at the displayed time; NaN if not recorded."""
         known = find_quantity(name)
         labels = known.component_labels if known is not None else ()
@@ -333,5 +333,7 @@ class Replay:
     @cached_property
     def _initial_down_m(self) -> float:
         """Return the first known coordinate D (m) in the recording; NaN if there is none."""
-        columns = [self.recording.columns.get(f"{source}_position_D", unknown_values(0)) for source in MOTION_SOURCES]
+        columns = [
+            self.recording.columns.get(f"{source}_position_D", make_unknown_values(0)) for source in MOTION_SOURCES
+        ]
         return next((float(c[np.isfinite(c)][0]) for c in columns if np.isfinite(c).any()), math.nan)

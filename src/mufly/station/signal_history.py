@@ -24,7 +24,7 @@ from mufly.quantities.quantity_table import quantities_recorded_in
 _Array = NDArray[np.float64]
 
 
-def unknown_values(n: int) -> _Array:
+def make_unknown_values(n: int) -> _Array:
     """Return ``n`` unknown values (NaN), shape (n,)."""
     return np.full(n, math.nan)
 
@@ -67,8 +67,8 @@ class VehicleSnapshot(FlightState):
     silent_s: float = math.inf
     in_command: bool = False
     commander: str = ""
-    rotor_speed: _Array = field(default_factory=lambda: unknown_values(2))
-    range_angles: _Array = field(default_factory=lambda: unknown_values(0))
+    rotor_speed: _Array = field(default_factory=lambda: make_unknown_values(2))
+    range_angles: _Array = field(default_factory=lambda: make_unknown_values(0))
     range_max_m: float = math.nan
     mission_row: int | None = None
     link_loss: float = math.nan
@@ -227,9 +227,9 @@ class OperatorRequest:
 # plain columns they are named ``variable_label`` (``estimated_position_N``).
 
 
-MAX_BEAMS = 8
+MAX_KEPT_BEAMS = 8
 """Number of range beams kept; ranges of a vehicle with more beams are shown, but not kept."""
-PILOT_CHANNELS = 8
+PILOT_CHANNEL_COUNT = 8
 _MAX_HEADING_RAD = 1e4
 """Largest plausible heading (rad)."""
 SIGNAL_TIMEOUT_S = 1.5
@@ -239,10 +239,10 @@ SLOW_SIGNAL_TIMEOUT_S = 6.0
 _SLOW_GROUPS = ("battery", "link")
 
 
-def station_layout() -> RecordingLayout:
+def make_station_layout() -> RecordingLayout:
     """Return the layout of a vehicle's history and recordings."""
-    labels = (("channel", tuple(range(1, PILOT_CHANNELS + 1))),)
-    return RecordingLayout(quantities_recorded_in("flight", "station"), MAX_BEAMS, labels)
+    labels = (("channel", tuple(range(1, PILOT_CHANNEL_COUNT + 1))),)
+    return RecordingLayout(quantities_recorded_in("flight", "station"), MAX_KEPT_BEAMS, labels)
 
 
 def _signal_units(layout: RecordingLayout) -> dict[str, str]:
@@ -264,13 +264,13 @@ class SignalHistory:
     Parameters
     ----------
     layout : RecordingLayout, optional
-        Columns of a row; default :func:`station_layout`.
+        Columns of a row; default :func:`make_station_layout`.
     seconds, rate_Hz : float
         Duration (s) at this row rate (Hz); longer at lower rates.
     """
 
     def __init__(self, layout: RecordingLayout | None = None, seconds: float = 600.0, rate_Hz: float = 100.0) -> None:
-        self.layout = layout or station_layout()
+        self.layout = layout or make_station_layout()
         self._units = _signal_units(self.layout)
         self.names = tuple(self._units)
         self._index = {name: k for k, name in enumerate(self.names)}

@@ -157,7 +157,7 @@ class StationRecorder:
         try:
             self._tlog.write_packet(data, int(self._wall_s() * 1e6))
         except OSError as error:
-            self._end_recording(f"the tlog cannot be written ({error.strerror})")
+            self._abort_recording(f"the tlog cannot be written ({error.strerror})")
 
     def add_mark(self, text: str) -> bool:
         """Add a mark to the recordings of all vehicles; return False if none runs."""
@@ -178,7 +178,7 @@ class StationRecorder:
         with contextlib.suppress(OSError):
             self.free_bytes = float(shutil.disk_usage(place).free)
         if self.recording and self.free_bytes < MIN_DISK_BYTES:
-            self._end_recording(f"the disk is full ({self.free_bytes / 1e6:.0f} MB left)")
+            self._abort_recording(f"the disk is full ({self.free_bytes / 1e6:.0f} MB left)")
 
     def _record_row(self, track: _VehicleRecording, time_s: float, values: NDArray[np.float64], state: str) -> None:
         if not self.recording or not time_s > track.last_time_s:
@@ -193,7 +193,7 @@ class StationRecorder:
             track.recorder.append_row(track.latest_row, state)
             track.last_time_s = time_s
         except MuflyError as error:
-            self._end_recording(str(error))
+            self._abort_recording(str(error))
 
     def _open_vehicle_recording(self, track: _VehicleRecording, time_s: float) -> None:
         assert self.path is not None
@@ -231,7 +231,7 @@ class StationRecorder:
         time_s = message.time_s if math.isfinite(message.time_s) else otherwise_s
         track.recorder.add_event(time_s, track.vehicle.telemetry.state, message.text, message.level)
 
-    def _end_recording(self, why: str) -> None:
+    def _abort_recording(self, why: str) -> None:
         """End the recording because of a fault."""
         self.stop("interrupted", why)
         text = f"the recording has ended: {why}"

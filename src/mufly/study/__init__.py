@@ -33,7 +33,7 @@ from mufly.study.study_pictures import (
 from mufly.study.study_setup import AERODYNAMIC_METHODS, BEMT_MODELS, StudySetup, reshape_rotor
 from mufly.study.sweeps import (
     TABLE_3_3_AIRFOILS,
-    choose_airfoils,
+    expand_airfoil_names,
     rank_airfoils,
     read_results,
     sweep_parameters,
@@ -55,11 +55,11 @@ __all__ = [
     "StudySetup",
     "build_condition",
     "build_system",
-    "choose_airfoils",
     "draw_gear_curve",
     "draw_ranking",
     "draw_sweep",
     "evaluate_cases",
+    "expand_airfoil_names",
     "optimise_pair",
     "optimise_rotor",
     "parse_limit",

@@ -261,7 +261,7 @@ def _evaluate_group(
     if setup.method == "wake":
         for k in np.flatnonzero(good).tolist():
             at = OperatingCondition(float(pitch[k]), float(speed[k]), climb_m_s=float(climb[k]), air=air)
-            system = RotorSystem.single_rotor(blading, which=int(which[k]))
+            system = RotorSystem.from_single_rotor(blading, which=int(which[k]))
             try:
                 now = _solve_by_wake(setup, system, at, load, k, None if "speed" in first else find_speed)
             except MuflyError as error:
@@ -460,9 +460,9 @@ def build_system(setup: StudySetup, case: StudyCase | None = None) -> RotorSyste
             tables[name] = table
         laid.append(prepare_blading(shape, tables, corrections=setup.corrections, stations=setup.station_count))
     return (
-        RotorSystem.single_rotor(laid[0])
+        RotorSystem.from_single_rotor(laid[0])
         if setup.lower_rotor is None
-        else RotorSystem.coaxial_pair(*laid, spacing_m=float(every["spacing"]))
+        else RotorSystem.from_coaxial_pair(*laid, spacing_m=float(every["spacing"]))
     )
 
 
@@ -555,7 +555,7 @@ def solve_isolated_rotors(
         else:
             at = OperatingCondition(r.pitch_rad, r.speed_rad_s, climb_m_s=r.climb_m_s, air=point.air)
             now = solve_system(
-                RotorSystem.single_rotor(blading),
+                RotorSystem.from_single_rotor(blading),
                 at,
                 point.method,
                 settings=setup.wake_settings,

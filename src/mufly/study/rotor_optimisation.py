@@ -177,15 +177,15 @@ def optimise_rotor(
         integrality=whole, rng=np.random.default_rng(seed), maxiter=generations, popsize=_POPULATION_PER_UNKNOWN,
         tol=1e-6, mutation=(0.4, 0.9), recombination=0.8, polish=False,
         vectorized=True, updating="deferred", init="sobol",
-        callback=_count_generations(progress, generations),
+        callback=_make_generation_callback(progress, generations),
     )  # fmt: skip
     best = problem.case_from_point(names, found.x)
     if found.fun >= problem.FAILURE_COST:
         raise MuflyError(f"no rotor within the limits was found; the best one breaks: {problem.explain_failure(best)}")
-    return _explain_optimum(problem, best)
+    return _make_optimum_with_changes(problem, best)
 
 
-def _count_generations(progress: Callable[[int, int], None] | None, total: int) -> Callable[..., None]:
+def _make_generation_callback(progress: Callable[[int, int], None] | None, total: int) -> Callable[..., None]:
     """Return the callback of a search that reports every generation to ``progress``."""
     done = itertools.count(1)
 
@@ -196,7 +196,7 @@ def _count_generations(progress: Callable[[int, int], None] | None, total: int) 
     return report_generation
 
 
-def _explain_optimum(problem: OptimisationProblem, best: dict[str, float | str]) -> RotorOptimum:
+def _make_optimum_with_changes(problem: OptimisationProblem, best: dict[str, float | str]) -> RotorOptimum:
     """Compute the changes from the initial rotor to the best case, the greatest gain first."""
     changes = {k: v for k, v in best.items() if k != "pitch"}
     before, _ = problem.optimise_pitch({}, True)
@@ -300,7 +300,7 @@ class OptimisationProblem:
         start = replace(
             self.setup,
             fixed_parameters={k: v for k, v in self.setup.fixed_parameters.items() if k != "pitch"}
-            | self._gear_setting(),
+            | self._make_gear_setting(),
         )
         ranking = rank_airfoils(start, airfoils, _RANKING_PITCHES_rad, by="thrust_per_power_N_W")
         order = [str(n) for n, f in zip(ranking.airfoil.values, ranking.fault.values, strict=True) if not f]
@@ -318,7 +318,7 @@ class OptimisationProblem:
             raise MuflyError("none of the named airfoils satisfies the limits on this rotor")
         return order[:_MAX_AIRFOIL_CANDIDATES]
 
-    def _gear_setting(self) -> dict[str, float | str]:
+    def _make_gear_setting(self) -> dict[str, float | str]:
         return {"gear": "best"} if "gear" in self.free else {}
 
     def search_space(self) -> tuple[list[str], list[float], list[float], list[bool]]:
@@ -354,7 +354,7 @@ class OptimisationProblem:
 
         With ``own_gear`` the gear ratio is that of the setup, even if it is a free parameter.
         """
-        extra = {} if own_gear else self._gear_setting()
+        extra = {} if own_gear else self._make_gear_setting()
         results = evaluate_cases(replace(self.setup, fixed_parameters={**self.setup.fixed_parameters, **extra}), cases)
         per_power = results.values["thrust_per_power_N_W"]
         voltage = float(self.setup.fixed_parameters.get("voltage", float(self.drive.battery.nominal_voltage)))
@@ -453,7 +453,7 @@ PAIR_FREE_PARAMETERS = tuple(
 _PAIR_POPULATION_PER_UNKNOWN = 8  # times the number of unknowns
 _MAX_PAIR_GENERATIONS = 30
 _SEARCH_STATION_COUNT = 16  # stations along a blade during the search
-_FAILURE_COST_W = 1e3  # W; cost of impossible candidates
+_IMPOSSIBLE_CANDIDATE_COST_W = 1e3  # W; cost of impossible candidates
 _TORQUE_BALANCE_TOLERANCE = 1e-4
 _MAX_BLADE_REACH_SPACING_FRACTION = 0.9  # of the spacing: greatest vertical extent of the pitched blades
 
@@ -606,15 +606,17 @@ def optimise_pair(
         case = dict(zip(names, map(float, np.clip(x, *np.transpose(bounds))), strict=True))
         try:
             system, at = still or build_system(rough, case), build_condition(rough, case)
-            near = RotorSystem.coaxial_pair(*system.bladings, spacing_m=_MAX_BLADE_REACH_SPACING_FRACTION * spacing)
+            near = RotorSystem.from_coaxial_pair(
+                *system.bladings, spacing_m=_MAX_BLADE_REACH_SPACING_FRACTION * spacing
+            )
             check_rotors(near.place_rotors(tuple(at.pitch_rad), (1.0, 1.0)), 0.0)  # type: ignore[arg-type]
             r = _solve_balanced_pair(system, at, list(start))
         except MuflyError:
-            return 2.0 * _FAILURE_COST_W
+            return 2.0 * _IMPOSSIBLE_CANDIDATE_COST_W
         if r is None:
-            return 2.0 * _FAILURE_COST_W
+            return 2.0 * _IMPOSSIBLE_CANDIDATE_COST_W
         tips = [p.speed_rad_s * b.rotors[0].radius_m for p, b in zip(r.rotors, system.bladings, strict=True)]
-        return r.power_W if max(tips) <= MAX_TIP_SPEED_M_S else _FAILURE_COST_W
+        return r.power_W if max(tips) <= MAX_TIP_SPEED_M_S else _IMPOSSIBLE_CANDIDATE_COST_W
 
     search: Callable[..., Any] = differential_evolution
     first = np.clip([_start_value(setup, n) for n in names], *np.transpose(bounds))
@@ -622,7 +624,7 @@ def optimise_pair(
         evaluate_power, bounds, rng=np.random.default_rng(seed), maxiter=generations,
         popsize=_PAIR_POPULATION_PER_UNKNOWN, tol=1e-4, x0=first,
         mutation=(0.4, 0.9), recombination=0.8, polish=False, init="sobol",
-        callback=_count_generations(progress, generations),
+        callback=_make_generation_callback(progress, generations),
     )  # fmt: skip
     effort = {"maxfev": 60 * len(names), "xatol": 1e-5, "fatol": 1e-5}
     simplex: Callable[..., Any] = minimize  # its type stubs reject a plain dictionary

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mufly.errors import InputError, suggest_name
-from mufly.quantities.quantity_grammar import offered_units, read_quantity, read_values
-from mufly.quantities.units import conversion_factor, split_unit_suffix
+from mufly.quantities.quantity_grammar import list_offered_units, read_quantity, read_values
+from mufly.quantities.units import find_conversion_factor, split_unit_suffix
 
 ParameterValue = float | str
 
@@ -50,7 +50,7 @@ class StudyParameterSpec:
             return ("",) if self.is_integer else ()
         if self.unit == "1":
             return (self.display_unit, "%" if self.display_unit == "" else "")
-        return offered_units(self.display_unit)
+        return list_offered_units(self.display_unit)
 
 
 GEOMETRY_PARAMETERS: dict[str, StudyParameterSpec] = {
@@ -212,7 +212,7 @@ def to_display_unit(name: str, values: Iterable[ParameterValue]) -> tuple[np.nda
     if p.unit == "text" or any(isinstance(v, str) for v in listed):
         return np.array([str(v) for v in listed]), ""
     return np.round(
-        np.array(listed, dtype=np.float64) / conversion_factor(p.display_unit or "1", p.unit), 9
+        np.array(listed, dtype=np.float64) / find_conversion_factor(p.display_unit or "1", p.unit), 9
     ), p.display_unit
 
 

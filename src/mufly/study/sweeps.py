@@ -36,7 +36,7 @@ ProgressCallback = Callable[[int, int], None]
 
 CASES_PER_CHUNK = 512  # chunk size for single rotors by blade elements
 _PAIRS_PER_CHUNK = 16
-_MAX_CASES = 50_000_000
+_MAX_SWEEP_CASES = 50_000_000
 _SCHEDULER_TIMEOUT = "10s"  # wait for a response of the scheduler
 
 
@@ -98,8 +98,8 @@ def sweep_parameters(
     if chunk < 1:
         raise InputError(subject, "chunk", f"{chunk} cases", "give 1 or more")
     total = int(np.prod([len(v) for v in values], dtype=np.int64))
-    if total > _MAX_CASES:
-        raise InputError(subject, "", f"{total} cases", f"vary less ({_MAX_CASES} cases at most)")
+    if total > _MAX_SWEEP_CASES:
+        raise InputError(subject, "", f"{total} cases", f"vary less ({_MAX_SWEEP_CASES} cases at most)")
     if setup.method == "wake":
         workers, chunk = 1, 1
     question = _sweep_digest(setup, names, values, chunk)
@@ -431,7 +431,7 @@ def rank_airfoils(
     variables = {name: ("airfoil", data[name].values[at], data[name].attrs) for name in kept}
     ok = solved.any(axis=1)[order]
     names = [str(airfoils[k]) for k in order]
-    shapes = np.array([_airfoil_shape(name) for name in names])
+    shapes = np.array([_airfoil_thickness_and_camber(name) for name in names])
     pitch = np.where(ok, np.asarray(pitch_rad)[best[order]], np.nan)
     return xr.Dataset(
         {
@@ -447,7 +447,7 @@ def rank_airfoils(
     )
 
 
-def _airfoil_shape(name: str) -> tuple[float, float]:
+def _airfoil_thickness_and_camber(name: str) -> tuple[float, float]:
     try:
         section = load_airfoil(name)
     except MuflyError:
@@ -508,7 +508,7 @@ def _is_readable_airfoil(name: str) -> bool:
     return True
 
 
-def choose_airfoils(wanted: str | Sequence[str]) -> list[str]:
+def expand_airfoil_names(wanted: str | Sequence[str]) -> list[str]:
     """Return the names of the airfoils in sets, folders and lists of names.
 
     Parameters

@@ -2,7 +2,7 @@
 
 from mufly.thesis.claims import CLAIMS, Claim, Verdict
 from mufly.thesis.comparison_pages import (
-    count_outlook,
+    count_outlook_states,
     count_verdicts,
     render_html_page,
     render_markdown_page,
@@ -14,9 +14,9 @@ from mufly.thesis.study_runner import (
     StudyOutcome,
     answer_study,
     list_studies,
+    list_studies_by_cost,
     load_cached_answer,
     run_study,
-    studies_by_cost,
 )
 
 __all__ = [
@@ -30,14 +30,14 @@ __all__ = [
     "ThesisItem",
     "Verdict",
     "answer_study",
-    "count_outlook",
+    "count_outlook_states",
     "count_verdicts",
     "find_item",
     "list_studies",
+    "list_studies_by_cost",
     "load_cached_answer",
     "render_html_page",
     "render_markdown_page",
     "render_outlook_page",
     "run_study",
-    "studies_by_cost",
 ]

@@ -10,8 +10,8 @@ import xarray as xr
 from mufly.dynamics import find_trim, initial_state, simulate_open_loop
 from mufly.quantities.units import STANDARD_GRAVITY_M_S2
 from mufly.results.result_figure import blank_figure
-from mufly.sensors import Truth, beam_angles, fitted_sensors
-from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge, judge_item
+from mufly.sensors import Truth, beam_angles, make_fitted_sensors
+from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge, make_item_judge
 from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 from mufly.world import World, make_wall
 
@@ -25,7 +25,7 @@ def study_mass_budget(progress: ProgressCallback | None = None) -> StudyFindings
     budgets = [{k: 1e3 * float(q) for k, q in v.mass_budget} for v in vehicles if v.mass_budget is not None]
     total = [sum(b.values()) for b in budgets]
     ratio = budgets[0]["structure"] / budgets[1]["structure"]
-    assess = judge_item("fig-2.4", "both")
+    assess = make_item_judge("fig-2.4", "both")
     verdicts = [
         judge(
             "fig-2.4/prototype-1.1-has-95-g", "mufly-1.1", f"groups add up to {total[0]:.1f} g", total_first=total[0]
@@ -115,7 +115,7 @@ def study_stabiliser_bar(progress: ProgressCallback | None = None) -> StudyFindi
     rate = {k: np.gradient(v, time)[np.searchsorted(time, 0.02)] / 0.02 for k, v in roll.items()}
     ends = {k: float(np.abs(v[time > 1.2]).max()) for k, v in roll.items()}
     left = "without its linkage"
-    assess = judge_item("fig-2.5", "flight model")
+    assess = make_item_judge("fig-2.5", "flight model")
     verdicts = [
         assess(
             "a-bar-that-lags-the-fuselage",
@@ -220,7 +220,7 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
         )
         state = find_trim(vehicle).state
         for seed in range(_SIMULATED_IMU_COUNT):
-            imu = fitted_sensors(vehicle, World(), seed=seed, only=["imu"])
+            imu = make_fitted_sensors(vehicle, World(), seed=seed, only=["imu"])
             low, shown = None, []
             for tick in range(800):
                 truth = Truth(tick / 200, tick, state, np.zeros(3), np.zeros(3), 7.4, 2.0)
@@ -273,7 +273,7 @@ def study_range_sensors(progress: ProgressCallback | None = None) -> StudyFindin
         north = 10.0 + reach * math.cos(angle) + 0.05  # walls are 0.1 m thick
         world = World(boxes=(make_wall((north, -9.0), (north, 9.0), height=3.0),))
         state = initial_state(position=(10.0, 0.0, -1.0))
-        ring = fitted_sensors(vehicle, world, seed=k, only=["ring_camera"])
+        ring = make_fitted_sensors(vehicle, world, seed=k, only=["ring_camera"])
         n = 0
         for tick in range(100_000):
             truth = Truth(tick / 200, tick, state, np.zeros(3), np.zeros(3), 7.4, 2.0)
@@ -289,7 +289,7 @@ def study_range_sensors(progress: ProgressCallback | None = None) -> StudyFindin
     error = np.where(seen, told - true_m[:, None], np.nan)
     with np.errstate(all="ignore"):
         off = np.array([100 * np.sqrt(np.nanmean(e**2)) if np.isfinite(e).any() else math.nan for e in error])
-    sonar = fitted_sensors(vehicle, World(), seed=3, only=["sonar"])
+    sonar = make_fitted_sensors(vehicle, World(), seed=3, only=["sonar"])
     state, heights = initial_state(position=(0, 0, -1.05)), []
     for tick in range(4000):
         truth = Truth(tick / 200, tick, state, np.zeros(3), np.zeros(3), 7.4, 2.0)
@@ -299,7 +299,7 @@ def study_range_sensors(progress: ProgressCallback | None = None) -> StudyFindin
             heights.append(float(one.value) - 1.0)
     within = 100 * float(np.mean(np.abs(heights) <= 0.01 + 1e-9))
     inside, outside = (true_m > 0.35) & (true_m < 1.35), (true_m < 0.25) | (true_m > 1.65)
-    assess = judge_item("fig-2.7", "sensor model")
+    assess = make_item_judge("fig-2.7", "sensor model")
     verdicts = [
         assess(
             "the-ring-sees-obstacles-between-0.3",

@@ -31,12 +31,12 @@ from mufly.rotor import (
 )
 from mufly.rotor.coax_maps import interpolate_map as map_at
 from mufly.study import sweep_parameters
-from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, judge_item
+from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, make_item_judge
 from mufly.thesis.single_rotor_studies import (
     RANKED_OUTPUT_NAME,
-    blade_form_gain,
+    compute_blade_form_gain_percent,
     judge_blade_forms,
-    standard_setup,
+    make_standard_setup,
 )
 from mufly.vehicle import load_coefficient_map, load_vehicle
 
@@ -249,7 +249,7 @@ def study_bench_blades(progress: ProgressCallback | None = None) -> StudyFinding
     data["thrust_N"] = (("airfoil", "pitch_deg", "rpm"), thrust)
     data["torque_Nm"] = (("airfoil", "pitch_deg", "rpm"), torque)
     most = thrust[:, :, -1].max(axis=0)
-    assess = judge_item("fig-3.15", "full, calibrated")
+    assess = make_item_judge("fig-3.15", "full, calibrated")
     verdicts = [
         assess(
             "tuned-on-one-rotor-blade-elements",
@@ -313,7 +313,7 @@ def study_blade_tips(progress: ProgressCallback | None = None) -> StudyFindings:
         }
         rotor = replace_rotor(load_rotor("naca0012-r60-c20"), changed)
         lines.append(
-            sweep_parameters(standard_setup("full", rotor), {"pitch": [float(p) for p in np.radians(pitch)]})[
+            sweep_parameters(make_standard_setup("full", rotor), {"pitch": [float(p) for p in np.radians(pitch)]})[
                 RANKED_OUTPUT_NAME
             ].values
         )
@@ -365,13 +365,13 @@ def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFinding
     """
     pitch = np.arange(10.0, 20.1, 1.0)
     names = ["naca0012", *(f"naca0012+gurney{f:g}" for f in GURNEY_HEIGHTS_PERCENT[1:])]
-    setup = standard_setup("full", "naca0012-r60-c20")
+    setup = make_standard_setup("full", "naca0012-r60-c20")
     found = sweep_parameters(setup, {"airfoil": names, "pitch": [float(p) for p in np.radians(pitch)]})
     values = found[RANKED_OUTPUT_NAME].values
     best = np.nanmax(values, axis=1)
     gain = 100 * (best / best[0] - 1)
     numbers = ", ".join(f"{g:+.1f} % ({f:g} %)" for f, g in zip(GURNEY_HEIGHTS_PERCENT[1:], gain[1:], strict=True))
-    assess = judge_item("fig-3.42", "full")
+    assess = make_item_judge("fig-3.42", "full")
     verdicts = [
         assess("all-flaps-of-1-3-and", f"bests {numbers}", gain=gain[1:]),
         assess("a-flap-of-1-is", f"bests {numbers}", gain_argmax=int(gain.argmax())),
@@ -379,8 +379,8 @@ def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFinding
         judge(
             "fig-3.42/it-brings-nearly-20-2",
             "CFD, laminar, medium mesh (docs/explanation/cfd.md)",
-            f"{blade_form_gain('gurney 1 %'):+.1f} % of T^1.5/P at 1 %, 16 degrees, 5 000 rpm",
-            gain=blade_form_gain("gurney 1 %"),
+            f"{compute_blade_form_gain_percent('gurney 1 %'):+.1f} % of T^1.5/P at 1 %, 16 degrees, 5 000 rpm",
+            gain=compute_blade_form_gain_percent("gurney 1 %"),
         ),
     ]
     drawn = blank_figure(9.5, 4.0)
@@ -419,7 +419,7 @@ def study_coefficients_in_climb(progress: ProgressCallback | None = None) -> Stu
     Thesis: Fig. 4.2.
     """
     climb = np.linspace(-1.0, 1.0, 21)
-    system = RotorSystem.single_rotor(load_rotor("naca0012-r60-c20"))
+    system = RotorSystem.from_single_rotor(load_rotor("naca0012-r60-c20"))
     pitch = math.radians(14)
     speed = 6000 * RPM
     rows = [solve_system(system, OperatingCondition(pitch, speed, climb_m_s=float(v))).rotors[0] for v in climb]

@@ -19,7 +19,7 @@ from mufly.cfd import (
     draw_surface_pressure,
     make_poly_mesh,
     make_sector_mesh,
-    read_point,
+    read_operating_point,
     read_poly_mesh,
     read_solution,
 )
@@ -34,11 +34,11 @@ from mufly.study import sweep_parameters
 from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, Verdict, judge
 from mufly.thesis.single_rotor_studies import (
     RANKED_OUTPUT_NAME,
-    blade_form_gain,
+    compute_blade_form_gain_percent,
     judge_blade_forms,
-    standard_setup,
+    make_standard_setup,
 )
-from mufly.thesis.wake_studies import solve_single_rotor, tip_vortex_path
+from mufly.thesis.wake_studies import find_tip_vortex_path, solve_single_rotor
 
 STUDY_MESH_LEVEL = "coarse"
 
@@ -95,7 +95,7 @@ def _find_solved_cases(folder: Path) -> list[Path]:
     found = []
     for one in (folder, *sorted(p for p in folder.iterdir() if p.is_dir())):
         try:
-            read_point(one)
+            read_operating_point(one)
         except InputError:
             continue
         if any(t > 0 for t in list_complete_states(one)):
@@ -209,7 +209,7 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
     Thesis: Fig. 3.24.
     """
     found = solve_single_rotor()
-    r, z = tip_vortex_path(found)
+    r, z = find_tip_vortex_path(found)
     chord = 0.02
     order = np.argsort(-z)
     near, far = (float(np.interp(d, -z[order], r[order])) for d in (chord, 0.12))
@@ -232,7 +232,7 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
     mesh = read_poly_mesh(folder)
     last = [t for t in list_complete_states(folder) if t > 0][-1]
     velocity = read_field(folder / str(last) / "U", mesh.cell_count)
-    R = read_point(folder).radius_m
+    R = read_operating_point(folder).radius_m
     radius, height = np.hypot(*mesh.cell_centres[:, :2].T) / R, mesh.cell_centres[:, 2] / R
 
     def half_flow_radius(depth: float) -> float:
@@ -267,7 +267,7 @@ def study_winglets(progress: ProgressCallback | None = None) -> StudyFindings:
     Thesis: Fig. 3.40.
     """
     pitch = np.arange(12.0, 20.1, 0.5)
-    base = standard_setup("full", "naca0012-r60-c20")
+    base = make_standard_setup("full", "naca0012-r60-c20")
     values = sweep_parameters(base, {"pitch": [float(p) for p in np.radians(pitch)]})[RANKED_OUTPUT_NAME].values
     best = float(pitch[int(np.nanargmax(values))])
     verdicts = [
@@ -277,8 +277,9 @@ def study_winglets(progress: ProgressCallback | None = None) -> StudyFindings:
             judge(
                 f"fig-3.40/winglet-{which}",
                 "CFD, laminar, coarse (docs/explanation/cfd.md)",
-                f"winglet-{which} {blade_form_gain(f'winglet-{which}'):+.1f} % of T^1.5/P at 16 degrees and 5 000 rpm",
-                gain=blade_form_gain(f"winglet-{which}"),
+                f"winglet-{which} {compute_blade_form_gain_percent(f'winglet-{which}'):+.1f} % of T^1.5/P at 16 "
+                f"degrees and 5 000 rpm",
+                gain=compute_blade_form_gain_percent(f"winglet-{which}"),
             )
             for which in (2, 3)
         ),

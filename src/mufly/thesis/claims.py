@@ -165,7 +165,7 @@ def judge(key: str, model: str, ours: str, **quantities: Any) -> Verdict:
     return Verdict(replace(CLAIMS[key], reason=reason), model, ours, agrees, row["rule"])
 
 
-def judge_item(item: str, model: str) -> Callable[..., Verdict]:
+def make_item_judge(item: str, model: str) -> Callable[..., Verdict]:
     """Return the function :func:`judge` for claims about one figure or table (``"fig-6.5"``) by one model.
 
     Its arguments are the key of the claim after the item, the computed numbers as text, and the quantities.

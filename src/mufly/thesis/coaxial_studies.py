@@ -73,7 +73,7 @@ def _solve_pair(
     pitch = (math.radians(PAIR_PITCH_DEG), math.radians(point.lower_pitch_deg))
     speed = (point.upper_rpm * RPM, None if point.balances_torque else point.lower_rpm * RPM)
     try:
-        pair = RotorSystem.coaxial_pair(blade, blade, spacing_m=point.spacing_m)
+        pair = RotorSystem.from_coaxial_pair(blade, blade, spacing_m=point.spacing_m)
         found = solve_system(
             pair, OperatingCondition(pitch, speed), _METHOD_BY_MODEL[model], settings=settings, start=known
         )
@@ -153,7 +153,7 @@ def compute_equal_speeds(
     for speed in rpm:
         at = OperatingCondition(pitch, speed * RPM)
         alone = solve_system(
-            RotorSystem.single_rotor(blade), at, _METHOD_BY_MODEL[model], settings=settings, start=known
+            RotorSystem.from_single_rotor(blade), at, _METHOD_BY_MODEL[model], settings=settings, start=known
         )
         if alone.converged and model == "wake":
             known = alone

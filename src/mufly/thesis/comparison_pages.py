@@ -18,7 +18,7 @@ from mufly.thesis.study_runner import StudyAnswer
 VERDICT_WORDS = ("agrees", "in part", "DIFFERS", "drawn", "needs CFD", "not run", "counterpart")
 """Verdict words in the order in which they are counted."""
 
-_MEANING_BY_WORD = {
+_MEANING_BY_VERDICT_WORD = {
     "agrees": "every claim passes its test",
     "in part": "some claims pass",
     "DIFFERS": "no claim passes",
@@ -28,7 +28,7 @@ _MEANING_BY_WORD = {
     "counterpart": "photograph, sketch or block diagram; the line names its counterpart in mufly",
 }
 
-_PLURAL_BY_WORD = {
+_PLURAL_BY_VERDICT_WORD = {
     "agrees": "agree",
     "in part": "agree in part",
     "DIFFERS": "differ",
@@ -51,7 +51,7 @@ def _answer_as_mapping(answer: StudyAnswer | Mapping[str, Any]) -> Mapping[str, 
 
 def _summarise_verdicts(rows: Sequence[Mapping[str, Any]]) -> str:
     agree, every = sum(int(r["agree"]) for r in rows), sum(len(r["verdicts"]) for r in rows)
-    words = "; ".join(f"{n} {_PLURAL_BY_WORD.get(w, w)}" for w, n in count_verdicts(rows).items())
+    words = "; ".join(f"{n} {_PLURAL_BY_VERDICT_WORD.get(w, w)}" for w, n in count_verdicts(rows).items())
     return f"{len(rows)} figures and tables: {words}. {agree} of {every} single verdicts agree."
 
 
@@ -80,7 +80,7 @@ def render_markdown_page(answers: Sequence[StudyAnswer] | Sequence[Mapping[str, 
         "",
         "| word | meaning |",
         "|---|---|",
-        *(f"| {word} | {_MEANING_BY_WORD[word]} |" for word in VERDICT_WORDS if word in count_verdicts(rows)),
+        *(f"| {word} | {_MEANING_BY_VERDICT_WORD[word]} |" for word in VERDICT_WORDS if word in count_verdicts(rows)),
     ]
     for chapter in sorted({_chapter_number(THESIS_ITEMS[str(r["name"])]) for r in rows}):
         lines += ["", f"## Chapter {chapter}", "", "| | what | verdict | command |", "|---|---|---|---|"]
@@ -104,7 +104,7 @@ def render_markdown_page(answers: Sequence[StudyAnswer] | Sequence[Mapping[str, 
 _OUTLOOK_SECTIONS = {"7.2.1": "Aerodynamics", "7.2.2": "Modelling and control"}
 
 
-def count_outlook() -> dict[str, int]:
+def count_outlook_states() -> dict[str, int]:
     """Count the sentences of the dissertation's outlook by their state: built, in part, open or context."""
     count = Counter(s.state for s in OUTLOOK_SENTENCES)
     return {state: count[state] for state in ("built", "in part", "open", "context")}
@@ -118,7 +118,7 @@ def render_outlook_page() -> str:
         "Section 7.2 of D. Schafroth's dissertation lists future work. The table paraphrases each sentence and gives "
         "mufly's answer, as does `mufly thesis outlook`. Sentences marked *context* ask for nothing.",
         "",
-        "; ".join(f"{n} {state}" for state, n in count_outlook().items()) + ".",
+        "; ".join(f"{n} {state}" for state, n in count_outlook_states().items()) + ".",
     ]
     for section, title in _OUTLOOK_SECTIONS.items():
         lines += ["", f"## {section} {title}", "", "| | sentence | state | answer | command |", "|---|---|---|---|---|"]

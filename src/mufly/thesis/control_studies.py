@@ -19,11 +19,11 @@ from mufly.control import (
 )
 from mufly.control.analysis.plots import draw_loop, draw_plant
 from mufly.errors import MuflyError
-from mufly.flight import ControllerReference, Flight, simulate_response
+from mufly.flight import ControllerReference, Flight, simulate_controller_response
 from mufly.flight.mission_flight import await_estimate_and_start
 from mufly.mission import parse_mission
 from mufly.results.result_figure import blank_figure
-from mufly.thesis.claims import CLAIMS, ProgressCallback, Study, StudyFindings, judge, judge_item
+from mufly.thesis.claims import CLAIMS, ProgressCallback, Study, StudyFindings, judge, make_item_judge
 from mufly.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def study_heave_yaw_loop(progress: ProgressCallback | None = None) -> StudyFindi
     one = _design_controller().heave_yaw
     loop = one.full_loop
     near = min(loop.crossovers, key=lambda w: abs(w - 3.26))
-    assess = judge_item("fig-6.5", "continuous, full order")
+    assess = make_item_judge("fig-6.5", "continuous, full order")
     verdicts = [
         assess("gamma-is-1.38", f"{one.norm:.3f}", norm=one.norm),
         assess("the-crossover-is-at-3.26-rad-s", f"{', '.join(f'{w:.2f}' for w in loop.crossovers)} rad/s", near=near),
@@ -125,7 +125,7 @@ def study_roll_pitch_loop(progress: ProgressCallback | None = None) -> StudyFind
     one = _design_controller().roll_pitch
     loop = one.full_loop
     near = min(loop.crossovers, key=lambda w: abs(w - 36))
-    assess = judge_item("fig-6.8", "continuous, full order")
+    assess = make_item_judge("fig-6.8", "continuous, full order")
     verdicts = [
         assess("the-crossover-is-at-36-rad-s", f"{', '.join(f'{w:.1f}' for w in loop.crossovers)} rad/s", near=near),
         assess(
@@ -148,7 +148,7 @@ def study_heave_step(progress: ProgressCallback | None = None) -> StudyFindings:
 
     Thesis: Fig. 6.10.
     """
-    d = simulate_response(
+    d = simulate_controller_response(
         load_vehicle("mufly-1.1"),
         lambda t: ControllerReference(down_m=-0.5 if t >= 1.0 else 0.0),
         duration_s=10.0,
@@ -161,7 +161,7 @@ def study_heave_step(progress: ProgressCallback | None = None) -> StudyFindings:
     overshoot = 100 * max(0.0, float(-z.min() - 0.5) / 0.5)
     late = np.flatnonzero(np.abs(z + 0.5) > 0.01)
     settled = float(time[late[-1]] - 1.0)
-    assess = judge_item("fig-6.10", "nonlinear model")
+    assess = make_item_judge("fig-6.10", "nonlinear model")
     verdicts = [
         assess("the-step-is-followed-without-overshoot", f"{overshoot:.2f} %", overshoot=overshoot),
         assess("it-has-settled-after-about-2", f"within 2 % after {settled:.2f} s", settled=settled),
@@ -184,11 +184,11 @@ def study_heave_step(progress: ProgressCallback | None = None) -> StudyFindings:
         bottom.plot(time, d.motor_input.sel(rotor=name), color=f"C{k}", label=name)
     bottom.axhline(1.0, color="k", linewidth=0.8, linestyle=":")
     bottom.set(ylabel="Motor input", ylim=(0.2, 1.6), xlabel="Time (s)", xlim=(0, 10))
-    _finish_figure(drawn, "Fig. 6.10: step in heave, simulated (axes as printed)")
+    _add_grid_legend_title(drawn, "Fig. 6.10: step in heave, simulated (axes as printed)")
     return StudyFindings(verdicts, drawn, {"run": _select_plotted_signals(d)})
 
 
-def _finish_figure(drawn: object, title: str) -> None:
+def _add_grid_legend_title(drawn: object, title: str) -> None:
     for axes in drawn.axes:  # type: ignore[attr-defined]
         axes.grid(alpha=0.3)
         if axes.get_legend_handles_labels()[0]:
@@ -221,7 +221,7 @@ def study_pitch_tracking(progress: ProgressCallback | None = None) -> StudyFindi
 
     Thesis: Fig. 6.12.
     """
-    d = simulate_response(
+    d = simulate_controller_response(
         load_vehicle("mufly-1.1"),
         lambda t: ControllerReference(pitch=_pitch_reference(t)),
         duration_s=10.0,
@@ -235,7 +235,7 @@ def study_pitch_tracking(progress: ProgressCallback | None = None) -> StudyFindi
     begin = time >= 2.5
     half = time[begin][np.argmax(pitch[begin] < -0.03 - 0.9 * 0.07)] - 2.5
     railed = float(np.sum(np.abs(servo) > 1 - 1e-9) * (time[1] - time[0]))
-    assess = judge_item("fig-6.12", "nonlinear model")
+    assess = make_item_judge("fig-6.12", "nonlinear model")
     verdicts = [
         assess(
             "the-reference-in-pitch-is-followed",
@@ -259,7 +259,7 @@ def study_pitch_tracking(progress: ProgressCallback | None = None) -> StudyFindi
     for limit in (-0.8, 0.6):
         bottom.axhline(limit, color="0.5", linestyle=":", linewidth=0.9)
     bottom.set(ylabel="Servo input", xlabel="Time (s)", xlim=(0, 10))
-    _finish_figure(drawn, "Fig. 6.12: following in pitch, simulated (dotted: printed axis)")
+    _add_grid_legend_title(drawn, "Fig. 6.12: following in pitch, simulated (dotted: printed axis)")
     return StudyFindings(verdicts, drawn, {"run": _select_plotted_signals(d)})
 
 
@@ -290,7 +290,7 @@ def _fly_on_sensors() -> tuple[xr.Dataset, float, float]:
             elif math.isnan(stick) and state == "hover" and now > climb + 6.0 + _HOVER_DURATION_S:
                 stick = now
             if now >= stick:
-                pilot.set_sticks(0.0, _stick_input(now - stick), 0.0, 0.0)
+                pilot.set_sticks(0.0, _compute_pitch_stick_input(now - stick), 0.0, 0.0)
             if now > stick + _STICK_DURATION_S or flight.plant.crash_cause:
                 break
         flight.close("failed" if flight.plant.crash_cause else "succeeded")
@@ -300,7 +300,7 @@ def _fly_on_sensors() -> tuple[xr.Dataset, float, float]:
 _STICK_STEPS = ((6.5, 0.0), (5.5, -0.06), (4.5, 0.08), (3.5, -0.10), (2.5, 0.10), (1.5, -0.08), (0.5, 0.05))
 
 
-def _stick_input(t: float) -> float:
+def _compute_pitch_stick_input(t: float) -> float:
     """Return a pilot's pitch command, smoothed over 0.2 s like a movement of the hand."""
 
     def step_level(s: float) -> float:
@@ -309,7 +309,7 @@ def _stick_input(t: float) -> float:
     return sum(step_level(t - 0.02 * k) for k in range(10)) / 10
 
 
-def _time_slice(d: xr.Dataset, begin: float, end: float) -> xr.Dataset:
+def _select_time_span(d: xr.Dataset, begin: float, end: float) -> xr.Dataset:
     return d.sel(time=slice(begin, end))
 
 
@@ -321,7 +321,7 @@ def study_heave_step_flown(progress: ProgressCallback | None = None) -> StudyFin
     Thesis: Fig. 6.11.
     """
     d, climb, _ = _fly_on_sensors()
-    part = _time_slice(d, climb - 2.0, climb + 10.0)
+    part = _select_time_span(d, climb - 2.0, climb + 10.0)
     time = part.time.values - climb
     z = part.truth_position.sel(axis="D").values
     believed = part.estimated_position.sel(axis="D").values
@@ -334,7 +334,7 @@ def study_heave_step_flown(progress: ProgressCallback | None = None) -> StudyFin
     still = np.abs(np.gradient(wanted, time)) < 1e-3
     worst = float(np.abs(yaw[still]).max())
     motor = part.motor_input.values
-    assess = judge_item("fig-6.11", "flown on sensors")
+    assess = make_item_judge("fig-6.11", "flown on sensors")
     verdicts = [
         assess(
             "in-flight-it-overshoots-by-less", f"{overshoot:.1f} cm above the new height, of truth", overshoot=overshoot
@@ -362,7 +362,7 @@ def study_heave_step_flown(progress: ProgressCallback | None = None) -> StudyFin
     for k, name in enumerate(("upper", "lower")):
         bottom.plot(time, part.motor_input.sel(rotor=name), color=f"C{k}", linewidth=0.8, label=name)
     bottom.set(ylabel="Motor input", xlabel="Time after the climb began (s)", xlim=(-2, 10))
-    _finish_figure(drawn, "Fig. 6.11: climb of 0.5 m, flown on sensors")
+    _add_grid_legend_title(drawn, "Fig. 6.11: climb of 0.5 m, flown on sensors")
     return StudyFindings(verdicts, drawn, {"run": _select_plotted_signals(part)})
 
 
@@ -372,17 +372,17 @@ def study_pitch_tracking_flown(progress: ProgressCallback | None = None) -> Stud
     Thesis: Fig. 6.13.
     """
     d, _, stick = _fly_on_sensors()
-    part = _time_slice(d, stick, stick + _STICK_DURATION_S)
+    part = _select_time_span(d, stick, stick + _STICK_DURATION_S)
     time = part.time.values - stick
     pitch = part.truth_attitude.sel(angle="pitch").values
-    wanted = np.array([_stick_input(float(t)) for t in time])
+    wanted = np.array([_compute_pitch_stick_input(float(t)) for t in time])
     servo = part.servo_input.sel(servo=1).values
     # Delay of the best fit, and the residual after it.
     step = float(np.median(np.diff(time)))
     shifts = np.arange(0, round(0.4 / step))
     left = [float(np.sqrt(np.mean((pitch[s:] - wanted[: wanted.size - s]) ** 2))) for s in shifts]
     best = int(np.argmin(left))
-    assess = judge_item("fig-6.13", "flown on sensors")
+    assess = make_item_judge("fig-6.13", "flown on sensors")
     verdicts = [
         assess(
             "the-reference-is-followed-in-flight",
@@ -407,7 +407,7 @@ def study_pitch_tracking_flown(progress: ProgressCallback | None = None) -> Stud
     for limit in (-0.3, 0.5):
         bottom.axhline(limit, color="0.5", linestyle=":", linewidth=0.9)
     bottom.set(ylabel="Servo input", xlabel="Time (s)", xlim=(0, _STICK_DURATION_S))
-    _finish_figure(drawn, "Fig. 6.13: pitch by stick, flown on sensors (dotted: printed axis)")
+    _add_grid_legend_title(drawn, "Fig. 6.13: pitch by stick, flown on sensors (dotted: printed axis)")
     return StudyFindings(verdicts, drawn, {"run": _select_plotted_signals(part)})
 
 

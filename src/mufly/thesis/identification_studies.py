@@ -22,14 +22,14 @@ from mufly.identify.flight.identification_demo import SENSOR_NOISE_STD
 from mufly.identify.residual_analysis import assess_record
 from mufly.quantities.units import RPM
 from mufly.results.result_figure import blank_figure
-from mufly.thesis.claims import CLAIMS, TABLE_5_3_VALUES, ProgressCallback, Study, StudyFindings, judge, judge_item
+from mufly.thesis.claims import CLAIMS, TABLE_5_3_VALUES, ProgressCallback, Study, StudyFindings, judge, make_item_judge
 from mufly.vehicle import list_parameters, load_vehicle
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Table 5.1: key -> method, in the terms of the vehicle files.
-GROUND_METHODS = {
+METHOD_BY_GROUND_PARAMETER = {
     "body.mass": "measured",
     "body.inertia_xx": "CAD",
     "body.inertia_yy": "CAD",
@@ -45,7 +45,7 @@ GROUND_METHODS = {
     "battery.nominal_voltage": "datasheet",
 }
 # Table 5.2: key -> method here.
-BENCH_METHODS = {
+METHOD_BY_BENCH_PARAMETER = {
     "rotors.lower.thrust_coefficient": "rotor",
     "rotors.upper.thrust_coefficient": "rotor",
     "rotors.lower.torque_coefficient": "rotor",
@@ -80,19 +80,19 @@ def study_ground_parameters(progress: ProgressCallback | None = None) -> StudyFi
     Thesis: Table 5.1.
     """
     rows = {p.key: p for p in list_parameters(load_vehicle("mufly-1.1"))}
-    said = {k: rows[k].source for k in GROUND_METHODS}
+    said = {k: rows[k].source for k in METHOD_BY_GROUND_PARAMETER}
     other = [
         k
-        for k, method in GROUND_METHODS.items()
+        for k, method in METHOD_BY_GROUND_PARAMETER.items()
         if said[k] != method and k not in _GROUND_PARAMETERS_REFITTED_IN_FLIGHT
     ]
     later = [k for k in _GROUND_PARAMETERS_REFITTED_IN_FLIGHT if said[k] == "identified"]
-    same = len(GROUND_METHODS) - len(other) - len(later)
+    same = len(METHOD_BY_GROUND_PARAMETER) - len(other) - len(later)
     verdicts = [
         judge(
             "table-5.1/thirteen-parameters-are-known-before-any",
             "mufly-1.1",
-            f"{same} of {len(GROUND_METHODS)} with the same method; {len(later)} drive inertias, estimated "
+            f"{same} of {len(METHOD_BY_GROUND_PARAMETER)} with the same method; {len(later)} drive inertias, estimated "
             "first, are as fitted in flight afterwards" + (f"; other: {', '.join(other)}" if other else ""),
             holds=not other,
         ),
@@ -100,7 +100,7 @@ def study_ground_parameters(progress: ProgressCallback | None = None) -> StudyFi
     drawn = _draw_table(
         "Table 5.1: known before any test",
         ("parameter", "value", "unit", "source there", "source here"),
-        [(k, f"{rows[k].value:.4g}", rows[k].unit, m, said[k]) for k, m in GROUND_METHODS.items()],
+        [(k, f"{rows[k].value:.4g}", rows[k].unit, m, said[k]) for k, m in METHOD_BY_GROUND_PARAMETER.items()],
         (0.36, 0.15, 0.13, 0.18, 0.18),
     )
     return StudyFindings(verdicts, drawn)
@@ -140,13 +140,13 @@ def _compare_with_truth(fit: MotorFit) -> tuple[int, str]:
 def study_bench_parameters(progress: ProgressCallback | None = None) -> StudyFindings:
     """Table 5.2: the eight numbers measured on benches, with the mufly commands that measure them."""
     rows = {p.key: p for p in list_parameters(load_vehicle("mufly-1.1"))}
-    words = {k: rows[k].source for k in BENCH_METHODS}
+    words = {k: rows[k].source for k in METHOD_BY_BENCH_PARAMETER}
     held, _ = _compare_with_truth(_fit_motor())
     verdicts = [
         judge(
             "table-5.2/eight-parameters-come-from-rotor-and",
             "mufly identify rotor | motor",
-            f"{len(BENCH_METHODS)} in the vehicle file, {sum(w == 'identified' for w in words.values())} "
+            f"{len(METHOD_BY_BENCH_PARAMETER)} in the vehicle file, {sum(w == 'identified' for w in words.values())} "
             f"of them marked identified; of a simulated motor bench {held} of 4 intervals hold the truth",
             held=held,
             holds=all(w == "identified" for w in words.values()),
@@ -155,7 +155,10 @@ def study_bench_parameters(progress: ProgressCallback | None = None) -> StudyFin
     drawn = _draw_table(
         "Table 5.2: found on benches",
         ("parameter", "value", "unit", "found here by"),
-        [(k, f"{rows[k].value:.4g}", rows[k].unit, f"mufly identify {b}") for k, b in BENCH_METHODS.items()],
+        [
+            (k, f"{rows[k].value:.4g}", rows[k].unit, f"mufly identify {b}")
+            for k, b in METHOD_BY_BENCH_PARAMETER.items()
+        ],
         (0.42, 0.16, 0.16, 0.26),
     )
     return StudyFindings(verdicts, drawn)
@@ -170,7 +173,7 @@ def study_motor_fit(progress: ProgressCallback | None = None) -> StudyFindings:
     idle = 7.2 * kM / R / (kM * kE / R + dR)
     loaded = (7.2 * kM / R - 8e-3) / (kM * kE / R + dR)
     current = (7.2 - kE * loaded) / R
-    assess = judge_item("fig-5.1", "Table 5.3, 7.2 V")
+    assess = make_item_judge("fig-5.1", "Table 5.3, 7.2 V")
     verdicts = [
         judge(
             "fig-5.1/the-constants-come-out-of-steady",
@@ -206,11 +209,11 @@ def _run_identification_demo() -> IdentificationDemo:
 
 
 # Record -> outputs in the source's figure, its statement, and the range of the last output's axis.
-_FLIGHT_OUTPUTS = {"yaw": ("height", "r"), "heave": ("height", "r"), "roll": ("roll",), "pitch": ("pitch",)}
+_FIGURE_OUTPUTS_BY_FLIGHT = {"yaw": ("height", "r"), "heave": ("height", "r"), "roll": ("roll",), "pitch": ("pitch",)}
 
 
 def _study_flight(name: str) -> StudyFindings:
-    shown, key = _FLIGHT_OUTPUTS[name], f"flight/{name}-range"
+    shown, key = _FIGURE_OUTPUTS_BY_FLIGHT[name], f"flight/{name}-range"
     demo = _run_identification_demo()
     record = next(r for r in demo.fit.records if name in r.name)
     found = dict(zip(record.output_names, assess_record(record), strict=True))

@@ -30,7 +30,7 @@ from mufly.mission import (
 from mufly.mission.avoidance import make_beam_ring, repulsive_force
 from mufly.results.result_figure import blank_figure, label_axes
 from mufly.sensors import beam_angles
-from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge, judge_item
+from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge, make_item_judge
 from mufly.vehicle import load_vehicle
 from mufly.world import Box, World, cast_ranges
 
@@ -287,7 +287,7 @@ def study_waypoints(progress: ProgressCallback | None = None) -> StudyFindings:
         going = np.hypot(*(leg[:, :2] - leg[0, :2]).T)
         moved = int(np.argmax(going > 0.1))
         apart.append(100 * abs(leg[moved, 2] - leg[-1, 2]) / abs(leg[-1, 2] - leg[0, 2]))
-    assess = judge_item("fig-6.17", "nonlinear model, ideal sensors")
+    assess = make_item_judge("fig-6.17", "nonlinear model, ideal sensors")
     verdicts = [
         assess("waypoints-are-reached-without-overshoot", f"{', '.join(f'{v:.1f}' for v in over)} cm", over=max(over)),
         assess(
@@ -385,7 +385,7 @@ def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFin
     acting = size > 1e-9
     away = (north * force_n + east * force_e)[acting] > 0
     seen_by_none = int(np.sum(~acting & (np.maximum(np.abs(north), np.abs(east)) < 0.8)))
-    assess = judge_item("fig-6.19", "mission/avoidance.py")
+    assess = make_item_judge("fig-6.19", "mission/avoidance.py")
     verdicts = [
         assess(
             "forces-from-eight-ranges", f"off the equations by {worst:.0e} at 200 random sets of ranges", worst=worst
@@ -430,7 +430,7 @@ def study_square_track(progress: ProgressCallback | None = None) -> StudyFinding
     worst = max(100 * float(w.distance_at_reach_m or math.inf) for w in reached)
     places = [tuple(w.position_m) for w in mission.waypoint]
     printed = [(-3, 0, -1), (-3, 3, -2), (0, 3, -1), (0, 0, -2)]
-    assess = judge_item("fig-6.20", "nonlinear model, ideal sensors")
+    assess = make_item_judge("fig-6.20", "nonlinear model, ideal sensors")
     verdicts = [
         judge(
             "fig-6.20/four-waypoints-2.5-s-of-waiting",

@@ -63,7 +63,7 @@ class SweepStudy:
     judge: JudgeFunction
 
 
-def standard_setup(model: str, rotor: str | Rotor = "naca4412-r60-c20") -> StudySetup:
+def make_standard_setup(model: str, rotor: str | Rotor = "naca4412-r60-c20") -> StudySetup:
     """Return the study of a blade on muFly's drive at a thrust of 0.4 N, with the gear ratio adapted to it.
 
     The adapted ratio is that of least power at which the drive holds the speed at full voltage.
@@ -86,12 +86,12 @@ def run_sweep(study: SweepStudy, model: str) -> tuple[xr.Dataset, list[Verdict]]
         study.parameter: list(study.values),
         "pitch": [float(p) for p in np.radians(PITCH_SETTINGS_DEG)],
     }
-    data = sweep_parameters(standard_setup(model), vary)
+    data = sweep_parameters(make_standard_setup(model), vary)
     data = data.assign_coords(label=(study.parameter, list(study.labels)))
     return data, study.judge(model, np.array(PITCH_SETTINGS_DEG), data[RANKED_OUTPUT_NAME].values)
 
 
-def _best_over_pitch(values: Array) -> Array:
+def _find_best_over_pitch(values: Array) -> Array:
     """Return the greatest finite value of each row over the pitch (axis 1); nan where there is none."""
     filled = np.where(np.isfinite(values), values, -np.inf).max(axis=1)
     return np.where(np.isfinite(filled), filled, np.nan)
@@ -102,7 +102,7 @@ def _pitch_at_best(pitch: Array, values: Array) -> Array:
 
 
 def _gain_percent(values: Array, of: int, over: int) -> float:
-    best = _best_over_pitch(values)
+    best = _find_best_over_pitch(values)
     return float(100.0 * (best[of] / best[over] - 1.0))
 
 
@@ -127,12 +127,17 @@ def _judge_blade_count(model: str, pitch: Array, v: Array) -> list[Verdict]:
             holds=ahead[0],
         ),
         judge("blades-more", model, f"the better of three and four is {more:+.1f} % there", more=more),
-        judge("blades-five", model, f"bests {_format_numbers(_best_over_pitch(v))} N/W for 2 to 5 blades", holds=worst),
+        judge(
+            "blades-five",
+            model,
+            f"bests {_format_numbers(_find_best_over_pitch(v))} N/W for 2 to 5 blades",
+            holds=worst,
+        ),
     ]
 
 
 def _judge_radius(model: str, pitch: Array, v: Array) -> list[Verdict]:
-    best, total = _best_over_pitch(v), _gain_percent(v, 3, 0)
+    best, total = _find_best_over_pitch(v), _gain_percent(v, 3, 0)
     steps = ", ".join(f"{100 * (b / a - 1):+.0f}" for a, b in pairwise(best))
     # At constant figure of merit the ideal power falls with 1/R: 60 % more thrust per power from 50 to 80 mm.
     ours = f"bests {_format_numbers(best)} N/W for R 50 to 80 mm"
@@ -148,7 +153,7 @@ def _judge_radius(model: str, pitch: Array, v: Array) -> list[Verdict]:
 
 
 def _judge_chord(model: str, pitch: Array, v: Array) -> list[Verdict]:
-    best, at = _best_over_pitch(v), _pitch_at_best(pitch, v)
+    best, at = _find_best_over_pitch(v), _pitch_at_best(pitch, v)
     spread = 100 * float(best[2:].max() / best[2:].min() - 1)
     return [
         judge(
@@ -163,18 +168,18 @@ def _judge_chord(model: str, pitch: Array, v: Array) -> list[Verdict]:
 
 def _judge_thickness(model: str, pitch: Array, v: Array) -> list[Verdict]:
     gain = _gain_percent(v, 0, 3)
-    ours = f"bests {_format_numbers(_best_over_pitch(v))} N/W for 6 to 15 %, thinnest over thickest {gain:+.1f} %"
+    ours = f"bests {_format_numbers(_find_best_over_pitch(v))} N/W for 6 to 15 %, thinnest over thickest {gain:+.1f} %"
     return [judge("thickness", model, ours, gain=gain)]
 
 
 def _judge_camber(model: str, pitch: Array, v: Array) -> list[Verdict]:
-    best = _best_over_pitch(v)
+    best = _find_best_over_pitch(v)
     ours = f"bests {_format_numbers(best)} N/W for 0, 2, 4 and 9 %"
     return [judge("camber", model, ours, best_argmax=int(best.argmax()))]
 
 
 def _judge_camber_position(model: str, pitch: Array, v: Array) -> list[Verdict]:
-    best = _best_over_pitch(v)
+    best = _find_best_over_pitch(v)
     spread = 100 * float(best.max() / best.min() - 1)
     ours = f"bests {_format_numbers(best)} N/W for 20, 40, 70 and 90 %, spread {spread:.1f} %"
     return [judge("camber-position", model, ours, spread=spread)]
@@ -182,12 +187,12 @@ def _judge_camber_position(model: str, pitch: Array, v: Array) -> list[Verdict]:
 
 def _judge_taper(model: str, pitch: Array, v: Array) -> list[Verdict]:
     gain = _gain_percent(v, 3, 0)
-    ours = f"bests {_format_numbers(_best_over_pitch(v))} N/W from straight to 35-05, {gain:+.1f} %"
+    ours = f"bests {_format_numbers(_find_best_over_pitch(v))} N/W from straight to 35-05, {gain:+.1f} %"
     return [judge("taper", model, ours, gain=gain)]
 
 
 def _judge_twist(model: str, pitch: Array, v: Array) -> list[Verdict]:
-    best, at = _best_over_pitch(v), _pitch_at_best(pitch, v)
+    best, at = _find_best_over_pitch(v), _pitch_at_best(pitch, v)
     ours = f"bests {_format_numbers(best)} N/W for 0 to 15 deg, {_gain_percent(v, 3, 0):+.1f} %"
     falls = bool(np.all(np.diff(at) <= 0) and at[-1] < at[0])
     return [
@@ -254,7 +259,7 @@ SUPPLY_VOLTAGES_V = (7.2, 6.4)
 ROTOR_NAMES = ("upper", "lower")
 
 
-def vehicle_rotor_load(which: str) -> RotorLoad:
+def compute_vehicle_rotor_load(which: str) -> RotorLoad:
     """Return thrust and torque over speed of prototype 1.1's ``upper`` or ``lower`` rotor, by Table 5.3."""
     v = load_vehicle("mufly-1.1")
     one = v.rotors.upper if which == "upper" else v.rotors.lower
@@ -268,7 +273,7 @@ def compute_gear_ratio_study() -> tuple[xr.Dataset, list[Verdict]]:
     """Compute Fig. 3.7 for both rotors; dimensions are voltage, rotor and gear ratio."""
     drive, verdicts, sheets = load_drive("mufly"), [], []
     for volt in SUPPLY_VOLTAGES_V:
-        loads = [vehicle_rotor_load(which) for which in ROTOR_NAMES]
+        loads = [compute_vehicle_rotor_load(which) for which in ROTOR_NAMES]
         curves = [gear_curve(drive, load, GEAR_RATIOS, supply_V=volt) for load in loads]
         best = [find_gear_optima(drive, load, thrust_N=REQUIRED_THRUST_N, supply_V=volt) for load in loads]
         at_two = [float(curve.thrust_N.sel(gear_ratio=2.0)) for curve in curves]
@@ -339,7 +344,7 @@ def compute_airfoil_ranking(model: str, progress: ProgressCallback | None = None
     Thesis: Table 3.3.
     """
     pitch = [float(p) for p in np.radians(PITCH_SETTINGS_DEG)]
-    ranking = rank_airfoils(standard_setup(model), thesis_airfoils(), pitch, progress=progress)
+    ranking = rank_airfoils(make_standard_setup(model), thesis_airfoils(), pitch, progress=progress)
     n = ranking.sizes["airfoil"]
 
     def ranking_row(name: str) -> tuple[int, float, float]:
@@ -394,7 +399,7 @@ docs/log/2026-11-28-cfd-tips.md has the cases.
 """
 
 
-def blade_form_gain(name: str) -> float:
+def compute_blade_form_gain_percent(name: str) -> float:
     """Return the gain (%) in T^1.5/P, thrust per power at a given thrust, of a blade form over the square blade.
 
     It is the gain on the finest mesh of the form.
@@ -414,7 +419,7 @@ def judge_blade_forms(names: tuple[str, ...], key: str) -> Verdict:
     key : str
         Key of the verdict; its limit is the uncertainty of the difference from the square blade due to the mesh.
     """
-    gains = [blade_form_gain(name) for name in names]
+    gains = [compute_blade_form_gain_percent(name) for name in names]
     return judge(
         key,
         "CFD, laminar (docs/explanation/cfd.md)",

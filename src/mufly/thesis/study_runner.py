@@ -347,7 +347,7 @@ def list_studies() -> list[ThesisItem]:
     return [i for i in THESIS_ITEMS.values() if i.kind == "result"]
 
 
-def studies_by_cost() -> list[str]:
+def list_studies_by_cost() -> list[str]:
     """Return the names of all studies, the fastest first."""
     return sorted(STUDIES, key=lambda name: STUDIES[name].cost_s)
 

@@ -34,10 +34,10 @@ from mufly.rotor import (
 from mufly.rotor.blading import ensure_blading
 from mufly.rotor.rotor_system import WakeSettings
 from mufly.rotor.wake.biot_savart import evaluate_biot_savart_kernel
-from mufly.rotor.wake.induced_flow import momentum_thrust
+from mufly.rotor.wake.induced_flow import compute_momentum_flux_thrust
 from mufly.study import BEMT_MODELS
 from mufly.thesis.blade_element_studies import load_bench_points
-from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, judge_item
+from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, make_item_judge
 from mufly.thesis.coaxial_studies import solve_equal_speed_pair
 
 Array = NDArray[np.float64]
@@ -52,14 +52,14 @@ def _load_blade() -> Blading:
 def solve_single_rotor(model: str = "free") -> SystemSolution:
     settings = None if model == "free" else WakeSettings(model="prescribed")
     return solve_system(
-        RotorSystem.single_rotor(_load_blade()),
+        RotorSystem.from_single_rotor(_load_blade()),
         OperatingCondition(math.radians(12), 7000 * RPM),
         "wake",
         settings=settings,
     )
 
 
-def tip_vortex_path(solution: SystemSolution) -> tuple[Array, Array]:
+def find_tip_vortex_path(solution: SystemSolution) -> tuple[Array, Array]:
     """Return the path of the first rotor's tip vortex: radius over R, and height above the disc (m).
 
     All vorticity shed outboard of the blade's greatest circulation rolls up into the tip vortex, around which the
@@ -80,7 +80,7 @@ def study_wake_pair(progress: ProgressCallback | None = None) -> StudyFindings:
     Thesis: Fig. 3.6.
     """
     found = solve_equal_speed_pair()
-    r, z = tip_vortex_path(found)
+    r, z = find_tip_vortex_path(found)
     k = int(np.argmax(z <= -SPACING_M))
     inside = float(r[k])
     share = found.lower.thrust_N / found.upper.thrust_N
@@ -168,12 +168,12 @@ def study_wake_shapes(progress: ProgressCallback | None = None) -> StudyFindings
     Thesis: Fig. 3.18.
     """
     free, fixed, pair = solve_single_rotor("free"), solve_single_rotor("prescribed"), solve_equal_speed_pair()
-    radii = {name: tip_vortex_path(one) for name, one in (("free", free), ("prescribed", fixed))}
+    radii = {name: find_tip_vortex_path(one) for name, one in (("free", free), ("prescribed", fixed))}
     depth = 0.06  # one radius below
     at = {name: float(np.interp(depth, -z[np.argsort(-z)], r[np.argsort(-z)])) for name, (r, z) in radii.items()}
     thrust = 100 * (fixed.thrust_N / free.thrust_N - 1)
     torque = 100 * (fixed.rotors[0].torque_Nm / free.rotors[0].torque_Nm - 1)
-    assess = judge_item("fig-3.18", "wake")
+    assess = make_item_judge("fig-3.18", "wake")
     verdicts = [
         assess(
             "the-wake-is-a-contracting-helix",
@@ -206,8 +206,8 @@ def study_wake_velocities(progress: ProgressCallback | None = None) -> StudyFind
     core, around = np.abs(x) < 0.7 * R, np.abs(x) > 1.2 * R
     down, up = float(w[1, core].mean()), float(w[:, around].max())
     ideal = math.sqrt(found.thrust_N / (2 * 1.2 * math.pi * R**2))
-    momentum = momentum_thrust(found, -1.0 * R)
-    assess = judge_item("fig-3.19", "wake")
+    momentum = compute_momentum_flux_thrust(found, -1.0 * R)
+    assess = make_item_judge("fig-3.19", "wake")
     verdicts = [
         assess(
             "there-is-downwash-in-the-core",
@@ -235,7 +235,7 @@ def study_bench_pair(progress: ProgressCallback | None = None) -> StudyFindings:
     Thesis: Fig. 3.20.
     """
     blade = _load_blade()
-    pair = RotorSystem.coaxial_pair(blade, blade, spacing_m=SPACING_M)
+    pair = RotorSystem.from_coaxial_pair(blade, blade, spacing_m=SPACING_M)
     pitches, rpm = (12, 14, 16, 18), np.array([4000.0, 5000.0, 6000.0, 7000.0, 8000.0])
     thrust, torque = np.full((4, 5), np.nan), np.full((4, 5), np.nan)
 
@@ -264,7 +264,7 @@ def study_bench_pair(progress: ProgressCallback | None = None) -> StudyFindings:
     numbers = "; ".join(
         f"{k[0]} deg: thrust {100 * t:+.1f} %, lower torque {100 * q:+.1f} %" for k, (t, q) in ratio.items()
     )
-    assess = judge_item("fig-3.20", "full")
+    assess = make_item_judge("fig-3.20", "full")
     verdicts = [
         judge(
             "fig-3.20/the-vortex-method-gives-the-pair-s",
@@ -345,7 +345,7 @@ def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
         verdicts.append(judge(f"table-3.2/{name}", name, text, thrust=thrust, torque=torque))
     laminar = ours["CFD, laminar"] / theirs["laminar"] - 1
     known = laminar[np.isfinite(laminar[:, 0])]
-    assess = judge_item("table-3.2", "CFD, laminar")
+    assess = make_item_judge("table-3.2", "CFD, laminar")
     verdicts.append(
         assess(
             "laminar-cfd",

@@ -28,7 +28,7 @@ from mufly.files.input_files import builtin_file_names, model_error, read_toml, 
 
 MAX_MAP_NODES = 512  # size of the tables in the flight model's record, e.g. 3 mean speeds x 13 ratios x 13 climbs
 _MAP_AXIS_COUNT = 3  # first arrays of the tables
-TABLE_COLUMNS = (
+MAP_TABLE_COLUMNS = (
     "mean_speed_rad_s",
     "ratio",
     "climb_ratio",
@@ -91,7 +91,7 @@ class CoefficientMap(BaseModel):
     density_kg_m3: float = Field(gt=0, description="density of the air, for the Reynolds number")
     viscosity_Pa_s: float = Field(gt=0, description="viscosity of the air, for the Reynolds number")
     settings: str = Field(default="", description="how the method was set")
-    table: str = Field(description=f"one line for each point: {' '.join(TABLE_COLUMNS)}")
+    table: str = Field(description=f"one line for each point: {' '.join(MAP_TABLE_COLUMNS)}")
 
     def decode_map_tables(self) -> MapTables:
         """Return axes and coefficients as read-only arrays."""
@@ -130,7 +130,7 @@ def parse_table_rows(text: str, columns: tuple[str, ...]) -> NDArray[np.float64]
 
 @lru_cache(maxsize=32)
 def _parse_table(text: str) -> MapTables:
-    rows = parse_table_rows(text, TABLE_COLUMNS)
+    rows = parse_table_rows(text, MAP_TABLE_COLUMNS)
     axes = [np.unique(rows[:, k]) for k in range(3)]
     shape = tuple(a.size for a in axes)
     if len(rows) != np.prod(shape) or len(np.unique(rows[:, :3], axis=0)) != len(rows):
@@ -141,7 +141,7 @@ def _parse_table(text: str) -> MapTables:
     if len(rows) > MAX_MAP_NODES:
         raise _table_error(f"{len(rows)} points", f"give {MAX_MAP_NODES} at most")
     for name, axis, least, positive in zip(
-        TABLE_COLUMNS, axes, (1, 2, 2), (True, True, False), strict=False
+        MAP_TABLE_COLUMNS, axes, (1, 2, 2), (True, True, False), strict=False
     ):  # fmt: skip
         step = np.diff(axis)
         if axis.size < least:
@@ -170,7 +170,7 @@ def format_table(tables: MapTables) -> str:
     grid = np.meshgrid(*tables[:_MAP_AXIS_COUNT], indexing="ij")
     columns = [np.ravel(a) for a in (*grid, *tables[_MAP_AXIS_COUNT:])]
     lines = [" ".join(f"{v:.7g}" for v in row[:-1]) + f" {int(row[-1])}" for row in zip(*columns, strict=True)]
-    return "\n".join([" ".join(TABLE_COLUMNS), *lines]) + "\n"
+    return "\n".join([" ".join(MAP_TABLE_COLUMNS), *lines]) + "\n"
 
 
 def format_map_toml(coefficients: CoefficientMap) -> str:

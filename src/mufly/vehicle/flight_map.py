@@ -55,8 +55,11 @@ ROTOR_LOAD_COLUMNS = (
     "thrust_excess", "torque_excess", "drag", "side_force", "roll_moment", "pitch_moment", "rate_force", "rate_side",
     "rate_damping", "rate_coupling",
 )  # fmt: skip
-AXIS_COLUMNS = ("ratio", "climb_ratio", "advance_ratio")
-FLIGHT_TABLE_COLUMNS = (*AXIS_COLUMNS, *(f"{name}_{side}" for side in ("up", "dw") for name in ROTOR_LOAD_COLUMNS))
+FLIGHT_MAP_AXIS_COLUMNS = ("ratio", "climb_ratio", "advance_ratio")
+FLIGHT_TABLE_COLUMNS = (
+    *FLIGHT_MAP_AXIS_COLUMNS,
+    *(f"{name}_{side}" for side in ("up", "dw") for name in ROTOR_LOAD_COLUMNS),
+)
 
 _BUILTIN_FLIGHT_MAPS_FOLDER = resources.files("mufly.vehicle") / "flight_maps"
 _GRID_STEP_TOLERANCE = 1e-3  # of a step
@@ -140,7 +143,7 @@ def _parse_flight_table(text: str, knee: float) -> FlightMapTables:
             f"{len(rows)} points do not fill a grid of {shape[0]} ratios, {shape[1]} climbs and {shape[2]} speeds",
             "give every combination once",
         )
-    for name, axis, least in zip(AXIS_COLUMNS, axes, (1, 3, 3), strict=True):
+    for name, axis, least in zip(FLIGHT_MAP_AXIS_COLUMNS, axes, (1, 3, 3), strict=True):
         step = np.diff(axis)
         if axis.size < least:
             raise _table_error(f"{name} has {axis.size} value", f"give {least} or more")
@@ -157,7 +160,9 @@ def _parse_flight_table(text: str, knee: float) -> FlightMapTables:
         raise _table_error("ratio is not above 0, or advance_ratio does not begin at 0", "correct the table")
     ordered = rows[np.lexsort(rows[:, 2::-1].T)]
     ratio, climb_ratio, edgewise = axes
-    loads = np.ascontiguousarray(ordered[:, len(AXIS_COLUMNS) :]).reshape(*shape, 2 * len(ROTOR_LOAD_COLUMNS))
+    loads = np.ascontiguousarray(ordered[:, len(FLIGHT_MAP_AXIS_COLUMNS) :]).reshape(
+        *shape, 2 * len(ROTOR_LOAD_COLUMNS)
+    )
     out = FlightMapTables(ratio, climb_ratio, edgewise, loads)
     for array in out:
         array.setflags(write=False)
@@ -172,7 +177,7 @@ def format_flight_table(tables: FlightMapTables, knee: float) -> str:
     advance = knee * np.sqrt(tables.edgewise / (1.0 - tables.edgewise))
     grid = np.meshgrid(tables.ratio, tables.climb_ratio, advance, indexing="ij")
     rows = np.column_stack([*(a.ravel() for a in grid), tables.loads.reshape(-1, tables.loads.shape[-1])])
-    formats = ["{:.7g}"] * len(AXIS_COLUMNS) + ["{:.5g}"] * tables.loads.shape[-1]
+    formats = ["{:.7g}"] * len(FLIGHT_MAP_AXIS_COLUMNS) + ["{:.5g}"] * tables.loads.shape[-1]
     lines = [" ".join(f.format(v) for f, v in zip(formats, row, strict=True)) for row in rows]
     return "\n".join([" ".join(FLIGHT_TABLE_COLUMNS), *lines]) + "\n"
 

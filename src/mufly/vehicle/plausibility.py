@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mufly.quantities.units import GRAVITY
-from mufly.vehicle.vehicle_schema import Vehicle, vehicle_reach_m
+from mufly.vehicle.vehicle_schema import Vehicle, compute_vehicle_reach_m
 
 _MAX_DRAG_AREA_TO_DISC_AREA = 1.0  # a blunt body as large as the rotor disc has 1.0
 _MAX_INERTIA_TO_OTHERS_SUM = 1.5  # a rigid body has up to 1; Izz is the fuselage's alone, and estimates are uncertain
@@ -23,7 +23,7 @@ _MIN_ACCELEROMETER_RANGE_G = 2.0  # standing and vibration take 1 g each
 _MIN_GYRO_RANGE_RAD_S = 2.0  # gusts and control turn a helicopter of 0.1 kg by about 1 rad/s
 _MAX_SPECIFIC_ENERGY_WH_KG = 300.0  # lithium cells, 2025
 _ASSUMED_BATTERY_MASS_FRACTION = 0.5  # of the take-off mass, where the mass budget is missing
-_MAX_BLIND_HEIGHT_M = 0.3  # height up to which the estimator accepts the sonar's word about lift-off
+_MAX_SONAR_BLIND_HEIGHT_M = 0.3  # height up to which the estimator accepts the sonar's word about lift-off
 _AIR_DENSITY_RANGE_KG_M3 = 0.3, 1.6  # kg/m3: 11 km height; sea level at -50 degC
 _EARTH_FIELD_RANGE_T = 15e-6, 100e-6  # the Earth's field is 22 to 67 uT
 
@@ -52,7 +52,7 @@ def find_unusual_parameters(vehicle: Vehicle) -> list[UnusualParameter]:
 
 
 def _check_body(v: Vehicle) -> Iterator[UnusualParameter]:
-    radius, mass, reach = float(v.rotors.radius), float(v.body.mass), vehicle_reach_m(v)
+    radius, mass, reach = float(v.rotors.radius), float(v.body.mass), compute_vehicle_reach_m(v)
     disc = math.pi * radius**2
     for axis in "xyz":
         area = float(getattr(v.body, f"drag_area_{axis}"))
@@ -152,7 +152,7 @@ def _check_legs(v: Vehicle) -> Iterator[UnusualParameter]:
 def _check_sensors(v: Vehicle) -> Iterator[UnusualParameter]:
     if v.sensors is None:
         return
-    reach = vehicle_reach_m(v)
+    reach = compute_vehicle_reach_m(v)
     for name in ("imu", "sonar"):
         sensor = getattr(v.sensors, name)
         away = 0.0 if sensor is None else math.hypot(*sensor.position.value[0])
@@ -192,7 +192,7 @@ def _check_sensors(v: Vehicle) -> Iterator[UnusualParameter]:
                 "give a place below the rotors",
             )
         blind = float(sonar.min_range) - (max(tip[2] for tip in v.contact.legs.value) - z)
-        if blind > _MAX_BLIND_HEIGHT_M:
+        if blind > _MAX_SONAR_BLIND_HEIGHT_M:
             yield UnusualParameter(
                 "sensors.sonar.min_range",
                 f"{float(sonar.min_range):g} m: the sonar is blind up to {blind:.2g} m above the floor",

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from mufly.files.input_files import TOO_MANY_DIGITS_ERROR, model_error
-from mufly.quantities.units import compatible_units
+from mufly.quantities.units import list_compatible_units
 
 ValueSource = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
 
 _LIMIT_OPERATORS = {"above": gt, "at_least": ge, "below": lt, "at_most": le}
 _MAX_REPR_VALUE_WIDTH = 64  # greatest width of the values in a line of a short representation
-_MAX_PLAUSIBLE_VALUE = 1e9  # greater than any parameter of a vehicle in SI units; powers of larger values overflow
+_MAX_PLAUSIBLE_SI_VALUE = 1e9  # greater than any parameter of a vehicle in SI units; powers of larger values overflow
 
 
 class _FrozenModel(BaseModel):
@@ -99,7 +99,9 @@ def declare_parameter(
 
 def _check_limits(value: float, unit: str, limits: dict[str, Any]) -> None:
     set_ = {k: limits[k] for k in _LIMIT_OPERATORS if limits.get(k) is not None}
-    if not abs(value) < _MAX_PLAUSIBLE_VALUE or not all(_LIMIT_OPERATORS[k](value, limit) for k, limit in set_.items()):
+    if not abs(value) < _MAX_PLAUSIBLE_SI_VALUE or not all(
+        _LIMIT_OPERATORS[k](value, limit) for k, limit in set_.items()
+    ):
         words = " and ".join(f"{k.replace('_', ' ')} {limit:g}" for k, limit in set_.items())
         wanted = words or "of ordinary size"
         raise model_error(f"{value:g} {unit} is out of range", f"give a value {wanted} ({unit})")
@@ -242,14 +244,14 @@ class ParameterGroup(_FrozenModel):
             raise model_error(f"{raw!r} states neither unit nor source", f"write {info.field_name} = {example}")
         if "unit" not in raw:
             raise model_error("the unit is missing", f"write {info.field_name} = {example}")
-        if not isinstance(raw["unit"], str) or raw["unit"] not in compatible_units(si):
-            accepted = ", ".join(compatible_units(si))
+        if not isinstance(raw["unit"], str) or raw["unit"] not in list_compatible_units(si):
+            accepted = ", ".join(list_compatible_units(si))
             raise model_error(f"unit {raw['unit']!r} is not a unit of this parameter", f"use one of: {accepted}")
         if "value" not in raw:
             raise model_error("the value is missing", f"write {info.field_name} = {example}")
-        value = _scale_value(raw["value"], compatible_units(si)[raw["unit"]])
+        value = _scale_value(raw["value"], list_compatible_units(si)[raw["unit"]])
         for v in _flatten_values(value):
             _check_limits(v, si, declared)
         std = raw.get("std")
-        scaled = {} if std is None else {"std": _scale_value(std, compatible_units(si)[raw["unit"]])}
+        scaled = {} if std is None else {"std": _scale_value(std, list_compatible_units(si)[raw["unit"]])}
         return {**raw, "value": value, "unit": si, **scaled}

@@ -36,7 +36,7 @@ _MAP_SPACING_TOLERANCE, _MAP_THRUST_TOLERANCE = (
     0.25,
     0.25,
 )  # of a flight map, wide enough for drawn and fitted parameters
-MAX_PLACE_TO_REACH_RATIO = 2.0
+MAX_SENSOR_PLACE_TO_REACH_RATIO = 2.0
 """Greatest distance of a sensor from the centre of gravity over the reach of rotors and legs; a boom is shorter."""
 MAX_TORQUE_TO_EMF_RATIO = 1.02
 """Greatest ratio of torque to back-EMF constant, 1 plus measurement uncertainty; above it energy is not conserved."""
@@ -139,7 +139,7 @@ class Rotors(ParameterGroup):
         m = self.flight_map
         if m is None:
             return self
-        problem = describe_other_rotors(self, m)
+        problem = describe_rotor_differences(self, m)
         if problem:
             raise model_error(
                 f"map {m.name!r} is for {problem}", "make one for these rotors: mufly coax flight-map",
@@ -173,7 +173,7 @@ class Rotors(ParameterGroup):
         return self
 
 
-def describe_other_rotors(rotors: Rotors, flight_map: FlightMap) -> str:
+def describe_rotor_differences(rotors: Rotors, flight_map: FlightMap) -> str:
     """Return a text on the differences between a flight map's rotors and a vehicle's; ``""`` if there are none."""
     m, c = flight_map, rotors.coefficient_map
     spacing = float(rotors.lower.hub_z) - float(rotors.upper.hub_z)
@@ -319,7 +319,7 @@ class Battery(ParameterGroup):
         return self
 
 
-def battery_voltage_range(battery: Battery) -> tuple[float, float]:
+def find_battery_voltage_range(battery: Battery) -> tuple[float, float]:
     """Return the battery's lowest and highest voltage in use (V): at a forced landing, and full without load."""
     nominal, rest = float(battery.nominal_voltage), battery.open_circuit_voltage.value
     return min(float(battery.low_voltage), nominal), max(*rest, nominal)
@@ -427,11 +427,11 @@ class Vehicle(ParameterGroup):
         """Check that the sensors are at the vehicle, and the sonar above the floor on which the vehicle stands."""
         if self.sensors is None:
             return self
-        reach = vehicle_reach_m(self)
+        reach = compute_vehicle_reach_m(self)
         for name in ("imu", "sonar"):
             sensor = getattr(self.sensors, name)
             away = 0.0 if sensor is None else math.hypot(*sensor.position.value[0])
-            if away > MAX_PLACE_TO_REACH_RATIO * reach:
+            if away > MAX_SENSOR_PLACE_TO_REACH_RATIO * reach:
                 raise model_error(
                     f"{away:.3g} m from the centre of gravity; rotors and legs reach {reach:.3g} m",
                     "correct the coordinates or their unit",
@@ -467,7 +467,7 @@ class Vehicle(ParameterGroup):
         return self
 
 
-def vehicle_reach_m(vehicle: Vehicle) -> float:
+def compute_vehicle_reach_m(vehicle: Vehicle) -> float:
     """Return the distance (m) from the centre of gravity to the farthest point of rotor discs and legs."""
     radius = float(vehicle.rotors.radius)
     rims = [math.hypot(radius, float(r.hub_z)) for r in (vehicle.rotors.upper, vehicle.rotors.lower)]

@@ -6,11 +6,11 @@ from mufly.world.obstacles import (
     Room,
     World,
     cast_ranges,
-    first_hit_distance,
+    compute_first_hit_distance,
+    compute_obstacle_distances,
+    compute_packed_obstacle_distances,
+    find_nearest_obstacle,
     make_wall,
-    obstacle_distance,
-    obstacle_distances,
-    packed_obstacle_distances,
 )
 
 __all__ = [
@@ -19,9 +19,9 @@ __all__ = [
     "Room",
     "World",
     "cast_ranges",
-    "first_hit_distance",
+    "compute_first_hit_distance",
+    "compute_obstacle_distances",
+    "compute_packed_obstacle_distances",
+    "find_nearest_obstacle",
     "make_wall",
-    "obstacle_distance",
-    "obstacle_distances",
-    "packed_obstacle_distances",
 ]

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError
 
-_ROOM_FACES = ("south wall", "north wall", "west wall", "east wall", "ceiling")
+_ROOM_FACE_NAMES = ("south wall", "north wall", "west wall", "east wall", "ceiling")
 
 
 def _require_finite(where: str, key: str, *values: float) -> None:
@@ -137,10 +137,10 @@ class World:
     room : Room or None
         Walls and ceiling; None for open terrain.
     has_floor : bool
-        True if beams hit the plane D = 0, which is never an obstacle in `obstacle_distance`.
+        True if beams hit the plane D = 0, which is never an obstacle in `find_nearest_obstacle`.
     names : tuple of str
-        Name of every obstacle in the order in which `obstacle_distances` counts them: boxes, cylinders, then the walls
-        (south, north, west, east) and the ceiling.
+        Name of every obstacle in the order in which `compute_obstacle_distances` counts them: boxes, cylinders, then
+        the walls (south, north, west, east) and the ceiling.
     """
 
     boxes: tuple[Box, ...] = ()
@@ -156,7 +156,7 @@ class World:
         object.__setattr__(self, "boxes", tuple(self.boxes))
         object.__setattr__(self, "cylinders", tuple(self.cylinders))
         names = [*(b.name for b in self.boxes), *(c.name for c in self.cylinders)]
-        object.__setattr__(self, "names", (*names, *_ROOM_FACES))
+        object.__setattr__(self, "names", (*names, *_ROOM_FACE_NAMES))
         object.__setattr__(self, "packed_tables", _pack_world(self))
 
     @property
@@ -228,7 +228,7 @@ def _clip_to_slab(x: float, u: float, half: float, near: float, far: float) -> t
 
 
 @cached_njit
-def first_hit_distance(
+def compute_first_hit_distance(
     x: _Array, un: float, ue: float, ud: float, best: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> float:
     """Return the distance (m) from ``x`` (3,) along a unit vector to the first surface, at most ``best``."""
@@ -277,12 +277,12 @@ def _cast_beams(
     out = np.empty(directions.shape[0])
     for k in range(directions.shape[0]):
         un, ue, ud = directions[k, 0], directions[k, 1], directions[k, 2]
-        out[k] = first_hit_distance(x, un, ue, ud, max_range, boxes, cylinders, limits)
+        out[k] = compute_first_hit_distance(x, un, ue, ud, max_range, boxes, cylinders, limits)
     return out
 
 
 @cached_njit
-def packed_obstacle_distances(
+def compute_packed_obstacle_distances(
     points: _Array, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> tuple[_Array, NDArray[np.int64]]:
     """Return signed distance and index of the nearest obstacle of a packed world to points (n, 3)."""
@@ -344,7 +344,7 @@ def cast_ranges(world: World, position: ArrayLike, directions: ArrayLike, max_ra
     )
 
 
-def obstacle_distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray[np.int64]]:
+def compute_obstacle_distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray[np.int64]]:
     """Return the signed distances of many points to the nearest obstacle, and its index.
 
     Parameters
@@ -361,12 +361,12 @@ def obstacle_distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray
     which : (n,) array of int
         Index of the nearest obstacle in ``world.names``, -1 in an empty world.
     """
-    return packed_obstacle_distances(
+    return compute_packed_obstacle_distances(
         np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3), *world.packed_tables
     )
 
 
-def obstacle_distance(world: World, point: ArrayLike) -> tuple[float, str]:
+def find_nearest_obstacle(world: World, point: ArrayLike) -> tuple[float, str]:
     """Return the signed distance (m) of a point (3,) to the nearest obstacle, and the obstacle's name ("" if none)."""
-    least, which = obstacle_distances(world, point)
+    least, which = compute_obstacle_distances(world, point)
     return float(least[0]), world.names[which[0]] if which[0] >= 0 else ""

@@ -54,7 +54,7 @@ def test_a_second_press_counts_within_three_seconds_and_of_the_same() -> None:
     assert not confirm.register_press("take-off")  # another
     assert not confirm.register_press("land")
     now[0] += CONFIRM_TIMEOUT_S + 0.1
-    assert not confirm.is_second_press("land")
+    assert not confirm.would_be_second_press("land")
     assert not confirm.register_press("land")
     now[0] += 1.0
     assert confirm.register_press("land")

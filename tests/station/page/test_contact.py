@@ -71,7 +71,7 @@ def window():
     ],
 )
 def test_a_press_is_obeyed_within_a_second_of_it_and_of_its_frame(window, waits_s, held_ms, seen_ms, obeyed):
-    press = {"id": 7, "listener_id": "click", "frame": window.frames.next_number()}
+    press = {"id": 7, "listener_id": "click", "frame": window.frames.register_frame()}
     window.clock.now_s += waits_s
     window.client.handle_event({**press, "held_ms": held_ms, "seen_ms": seen_ms})
     assert bool(window.client.handled) == obeyed
@@ -81,7 +81,7 @@ def test_a_press_is_obeyed_within_a_second_of_it_and_of_its_frame(window, waits_
 
 def test_what_stands_in_fields_and_which_tab_is_shown_is_taken_late_too(window):
     """Else the station would act on another number than the one that is seen."""
-    number = window.frames.next_number()
+    number = window.frames.register_frame()
     window.clock.now_s += 5.0
     for name in ("change", "update:modelValue", "click"):
         window.client.handle_event({"id": 7, "listener_id": name, "frame": number})
@@ -89,7 +89,7 @@ def test_what_stands_in_fields_and_which_tab_is_shown_is_taken_late_too(window):
 
 
 def test_what_names_no_frame_or_one_of_another_stream_is_dropped_and_told_once_a_second(window):
-    numbers = [window.frames.next_number() for _ in range(300)]
+    numbers = [window.frames.register_frame() for _ in range(300)]
     for frame in (None, 0, -1, 301, numbers[0], "300", 1e30, True and [300]):
         window.client.handle_event({"id": 7, "frame": frame})
     assert window.client.handled == []
@@ -112,7 +112,7 @@ def test_a_sleep_of_the_machine_counts():
 def test_a_file_that_began_to_travel_too_late_is_refused(waits_s, status):
     clock, sent = Clock(), []
     frames = FrameTimes(clock)
-    number = frames.next_number()
+    number = frames.register_frame()
 
     async def app(scope, receive, send):
         await send({"type": "http.response.start", "status": 200, "headers": []})

@@ -200,8 +200,8 @@ def test_what_a_vehicle_holds_comes_back_with_speeds_headings_and_end() -> None:
     with pytest.raises(InputError, match=r"item 0: frame"):
         mission_from_vehicle([sent[0].__class__(0, 3, 16, z=1.0)], BASE, None)
     assert find_untransmitted_keys(d.mission, BASE) == []  # all that differs is carried
-    other = d.mission.with_parts(take_off=d.mission.take_off.model_copy(update={"wait_s": 9.0, "height_m": 2.0}))
-    other = other.with_parts(room=None, limits=other.limits.model_copy(update={"speed_m_s": 0.3}))
+    other = d.mission.replace_parts(take_off=d.mission.take_off.model_copy(update={"wait_s": 9.0, "height_m": 2.0}))
+    other = other.replace_parts(room=None, limits=other.limits.model_copy(update={"speed_m_s": 0.3}))
     assert find_untransmitted_keys(other, BASE) == ["take_off.wait_s", "limits", "room"]
     assert find_untransmitted_keys(Mission(), None) == []
 

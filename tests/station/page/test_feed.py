@@ -30,7 +30,7 @@ from mufly.station.page.frame_feed import (
     MAX_PLOT_POINTS,
     DisplayRequest,
     FrameFeed,
-    build_catalog,
+    build_signal_catalog,
     encode_snapshot,
     list_sensor_states,
 )
@@ -348,7 +348,7 @@ def test_sensors_and_bands_are_told_where_an_estimator_says_what_it_believes() -
         "",
         "differs from the estimate by 0.4 m",
     ]
-    (position,) = (q for q in build_catalog(history.names, history.signal_unit) if q["key"] == "position")
+    (position,) = (q for q in build_signal_catalog(history.names, history.signal_unit) if q["key"] == "position")
     assert position["bands"]["estimated/height"] == "estimated_position_sigma_D"
     assert "truth/height" not in position["bands"]
 

@@ -14,7 +14,7 @@ from mufly.flight import TunableParameter
 from mufly.station import OperatorRequest, RequestOutcome, VehicleSnapshot
 from mufly.station.page.frame_feed import (
     alias_frequency,
-    build_catalog,
+    build_signal_catalog,
     compute_spectrum,
     display_unit,
     mark_rotor_frequencies,
@@ -23,7 +23,7 @@ from mufly.station.page.page_layout import SentDestination
 from mufly.station.page.page_session import (
     COMMAND_NAMES,
     ParameterEdits,
-    describe_pace,
+    describe_slow_pace,
     find_recordings,
     find_refusal_reasons,
     format_parameter_file,
@@ -39,7 +39,7 @@ def test_one_quantity_holds_all_who_speak_of_it() -> None:
         for source in ("truth", "estimated", "reference")
         for angle in ("roll", "pitch", "yaw")
     ]
-    found = build_catalog([*names, "battery_voltage", "motor_input_upper", "gyro_temperature"], lambda n: "rad")
+    found = build_signal_catalog([*names, "battery_voltage", "motor_input_upper", "gyro_temperature"], lambda n: "rad")
     attitude = next(q for q in found if q["key"] == "attitude")
     assert attitude["components"] == ["roll", "pitch", "yaw"]
     assert attitude["sources"] == ["estimated", "reference", "truth"]
@@ -52,7 +52,9 @@ def test_one_quantity_holds_all_who_speak_of_it() -> None:
 
 
 def test_height_and_climb_are_called_that_and_grow_upward() -> None:
-    place, speed = build_catalog([f"estimated_{q}_{a}" for q in ("position", "velocity") for a in "NED"], lambda n: "m")
+    place, speed = build_signal_catalog(
+        [f"estimated_{q}_{a}" for q in ("position", "velocity") for a in "NED"], lambda n: "m"
+    )
     assert (place["components"], place["upward"]) == (["N", "E", "height"], ["height"])
     assert (speed["components"], speed["upward"]) == (["N", "E", "climb"], ["climb"])
     assert place["signals"]["estimated/height"] == "estimated_position_D"
@@ -210,15 +212,15 @@ def test_the_main_button_says_what_the_mission_does(
 
 def test_real_time_that_is_lost_is_told() -> None:
     assert (
-        describe_pace(VehicleSnapshot())
-        == describe_pace(VehicleSnapshot(real_time_factor=0.96, timing_overrun_count=0))
+        describe_slow_pace(VehicleSnapshot())
+        == describe_slow_pace(VehicleSnapshot(real_time_factor=0.96, timing_overrun_count=0))
         == ""
     )
     assert (
-        describe_pace(VehicleSnapshot(real_time_factor=0.194, timing_overrun_count=3))
+        describe_slow_pace(VehicleSnapshot(real_time_factor=0.194, timing_overrun_count=3))
         == "real-time factor 0.19, 3 timing overruns"
     )
-    assert describe_pace(VehicleSnapshot(real_time_factor=1.0, timing_overrun_count=1)) == "1 timing overrun"
+    assert describe_slow_pace(VehicleSnapshot(real_time_factor=1.0, timing_overrun_count=1)) == "1 timing overrun"
 
 
 def test_undo_takes_back_in_order_and_redo_makes_again() -> None:

@@ -35,11 +35,11 @@ MAX_REQUEST_TRIES = 3
 _ERROR_CODE_BYTES = 4  # the error code, first in an answer
 _READS_PER_STATUS_CHECK = 10  # readings between two checks of the status word
 
-CONTROL_WORD = (0x6040, 0)
-STATUS_WORD = (0x6041, 0)
-OPERATION_MODE = (0x6060, 0)
-TARGET_VELOCITY = (0x60FF, 0)
-ERROR_CODE = (0x603F, 0)
+CONTROL_WORD_OBJECT = (0x6040, 0)
+STATUS_WORD_OBJECT = (0x6041, 0)
+OPERATION_MODE_OBJECT = (0x6060, 0)
+TARGET_VELOCITY_OBJECT = (0x60FF, 0)
+ERROR_CODE_OBJECT = (0x603F, 0)
 SHUTDOWN_COMMAND, ENABLE_COMMAND, QUICK_STOP_COMMAND, FAULT_RESET_COMMAND = 0x0006, 0x000F, 0x0002, 0x0080
 PROFILE_VELOCITY_MODE = 3
 
@@ -83,12 +83,12 @@ class FrameParser:
 
     Attributes
     ----------
-    broken_frames : int
+    broken_frame_count : int
         Number of frames with a wrong CRC.
     """
 
     def __init__(self) -> None:
-        self.broken_frames = 0
+        self.broken_frame_count = 0
         self._frame_body: bytearray | None = None
         self._after_dle = False
 
@@ -99,11 +99,11 @@ class FrameParser:
             if self._after_dle:
                 self._after_dle = False
                 if byte == FRAME_START_BYTE:
-                    self.broken_frames += self._frame_body is not None and len(self._frame_body) > 0
+                    self.broken_frame_count += self._frame_body is not None and len(self._frame_body) > 0
                     self._frame_body = bytearray()
                     continue
                 if byte != FRAME_ESCAPE_BYTE:  # neither a start nor a stuffed byte: bytes were lost
-                    self.broken_frames += self._frame_body is not None
+                    self.broken_frame_count += self._frame_body is not None
                     self._frame_body = None
                     continue
             elif byte == FRAME_ESCAPE_BYTE:
@@ -117,7 +117,7 @@ class FrameParser:
                 if struct.unpack("<H", self._frame_body[-2:])[0] == compute_frame_crc(opcode, payload):
                     out.append((opcode, payload))
                 else:
-                    self.broken_frames += 1
+                    self.broken_frame_count += 1
                 self._frame_body = None
         return out
 
@@ -153,9 +153,9 @@ class EposController:
         self._target, self._read_count, self._is_open = 0.0, 0, False
 
     @property
-    def broken_frames(self) -> int:
+    def broken_frame_count(self) -> int:
         """Number of received frames that were discarded because of a wrong checksum or form."""
-        return self._frames.broken_frames
+        return self._frames.broken_frame_count
 
     def _send_request(
         self, opcode: int, data: bytes, tries: int = MAX_REQUEST_TRIES, patience_s: float = REPLY_TIMEOUT_s
@@ -163,7 +163,7 @@ class EposController:
         """Send a request until it is answered; return the data that follow the error code in the answer."""
         for _ in range(tries):
             self._line.read()
-            self._frames = FrameParser() if self._frames.broken_frames > 1000 else self._frames
+            self._frames = FrameParser() if self._frames.broken_frame_count > 1000 else self._frames
             self._line.write(build_frame(opcode, data))
             until = time.monotonic() + patience_s
             while (left := until - time.monotonic()) > 0:
@@ -210,29 +210,29 @@ class EposController:
         self._line.open()
         self._frames = FrameParser()
         self._target, self._is_open = 0.0, True
-        self.write_object(CONTROL_WORD, FAULT_RESET_COMMAND)
-        self.write_object(OPERATION_MODE, PROFILE_VELOCITY_MODE)
-        self.write_object(TARGET_VELOCITY, 0)
-        self.write_object(CONTROL_WORD, SHUTDOWN_COMMAND)
-        self.write_object(CONTROL_WORD, ENABLE_COMMAND)
+        self.write_object(CONTROL_WORD_OBJECT, FAULT_RESET_COMMAND)
+        self.write_object(OPERATION_MODE_OBJECT, PROFILE_VELOCITY_MODE)
+        self.write_object(TARGET_VELOCITY_OBJECT, 0)
+        self.write_object(CONTROL_WORD_OBJECT, SHUTDOWN_COMMAND)
+        self.write_object(CONTROL_WORD_OBJECT, ENABLE_COMMAND)
         self._check_state()
 
     def _check_state(self) -> None:
         # CiA 402: bits 0 to 3, 5 and 6 of the status word; xxxx xxxx x01x 0111 is "operation enabled".
-        status = self.read_object(STATUS_WORD) & 0xFFFF
+        status = self.read_object(STATUS_WORD_OBJECT) & 0xFFFF
         if status & 0x006F != 0x0027:
-            code = self.read_object(ERROR_CODE) & 0xFFFF
+            code = self.read_object(ERROR_CODE_OBJECT) & 0xFFFF
             what = f"has a fault (error 0x{code:04X})" if status & 0x0008 else "is not enabled; was it reset?"
             raise DeviceError(f"{self.name}: {what} (status 0x{status:04X})")
 
     def set_speed(self, axis: str, speed_rad_s: float) -> None:
         target = round(self._direction * self._gear * speed_rad_s / RPM)
         if speed_rad_s != 0.0 and self._target == 0.0:
-            self.write_object(CONTROL_WORD, SHUTDOWN_COMMAND)  # required after a quick stop
-            self.write_object(CONTROL_WORD, ENABLE_COMMAND)
-        self.write_object(TARGET_VELOCITY, target)
+            self.write_object(CONTROL_WORD_OBJECT, SHUTDOWN_COMMAND)  # required after a quick stop
+            self.write_object(CONTROL_WORD_OBJECT, ENABLE_COMMAND)
+        self.write_object(TARGET_VELOCITY_OBJECT, target)
         if target:
-            self.write_object(CONTROL_WORD, ENABLE_COMMAND)
+            self.write_object(CONTROL_WORD_OBJECT, ENABLE_COMMAND)
         self._target = speed_rad_s
         if target:
             self._check_state()
@@ -254,7 +254,7 @@ class EposController:
     def stop(self) -> None:
         self._target = 0.0
         if self._is_open:
-            self.write_object(CONTROL_WORD, QUICK_STOP_COMMAND, tries=2, patience_s=0.1)
+            self.write_object(CONTROL_WORD_OBJECT, QUICK_STOP_COMMAND, tries=2, patience_s=0.1)
 
     def close(self) -> None:
         try:

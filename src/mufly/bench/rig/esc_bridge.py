@@ -23,12 +23,12 @@ import time
 from collections.abc import Sequence
 
 from mufly.bench.rig.bench_devices import DeviceError, Samples
-from mufly.bench.rig.serial_line import ChecksummedLine, REPLY_TIMEOUT_s
+from mufly.bench.rig.serial_line import ChecksummedSerialLine, REPLY_TIMEOUT_s
 from mufly.quantities.units import RPM
 
 MAX_COMMAND_TRIES = 4
 KEEP_ALIVE_s = 0.15
-_FIELDS_PER_AXIS = 4
+_TELEMETRY_FIELDS_PER_AXIS = 4
 
 
 class EscBridge:
@@ -44,7 +44,7 @@ class EscBridge:
     """
 
     def __init__(self, port: str, axes: Sequence[str] = ("upper",), *, baud: int = 115_200) -> None:
-        self._line = ChecksummedLine(port, baud, "speed controllers")
+        self._line = ChecksummedSerialLine(port, baud, "speed controllers")
         self.name, self.axes = self._line.name, tuple(axes)
         kinds = ("speed", "current", "voltage", "motor_temperature")
         self.channels = tuple(f"{k}_{a}" for a in self.axes for k in kinds)
@@ -54,14 +54,14 @@ class EscBridge:
         self._last_command_s, self._is_open, self._fault_text = 0.0, False, ""
 
     @property
-    def broken_lines(self) -> int:
+    def broken_line_count(self) -> int:
         """Number of received lines that were discarded because of a wrong checksum or form."""
-        return self._line.broken_lines
+        return self._line.broken_line_count
 
     def _process_lines(self, wait_s: float = 0.0) -> None:
         """Process received lines: telemetry, replies, resets and faults."""
         for cells in self._line.read_lines(wait_s):
-            if cells[0] == "T" and len(cells) == 2 + _FIELDS_PER_AXIS * len(self.axes):
+            if cells[0] == "T" and len(cells) == 2 + _TELEMETRY_FIELDS_PER_AXIS * len(self.axes):
                 self._store_telemetry(cells)
             elif cells[0] == "OK":
                 self._replies.append(cells)
@@ -76,7 +76,9 @@ class EscBridge:
         except ValueError:
             return
         for k, axis in enumerate(self.axes):
-            rpm, milliampere, millivolt, heat = numbers[_FIELDS_PER_AXIS * k : _FIELDS_PER_AXIS * (k + 1)]
+            rpm, milliampere, millivolt, heat = numbers[
+                _TELEMETRY_FIELDS_PER_AXIS * k : _TELEMETRY_FIELDS_PER_AXIS * (k + 1)
+            ]
             for name, value in (
                 ("speed", rpm * RPM),
                 ("current", milliampere / 1e3),

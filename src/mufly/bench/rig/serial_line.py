@@ -96,18 +96,18 @@ def with_checksum(body: str) -> bytes:
     return b"$" + raw + b"*%04X\n" % compute_crc16(raw)
 
 
-class ChecksummedLine(SerialLine):
+class ChecksummedSerialLine(SerialLine):
     """Serial port for lines with checksums.
 
     Attributes
     ----------
-    broken_lines : int
+    broken_line_count : int
         Number of discarded lines.
     """
 
     def __init__(self, port: str, baud: int, name: str) -> None:
         super().__init__(port, baud, name)
-        self.broken_lines = 0
+        self.broken_line_count = 0
         self._partial_line = b""
         self.last_line_s = time.monotonic()
 
@@ -122,13 +122,13 @@ class ChecksummedLine(SerialLine):
         *whole, self._partial_line = data.split(b"\n")
         if len(self._partial_line) > _MAX_LINE_BYTES:  # longer than any valid line
             self._partial_line = b""
-            self.broken_lines += 1
+            self.broken_line_count += 1
         out = []
         for raw in whole:
             # A line without end runs into the next line, which is still valid.
             body, star, total = raw[raw.rfind(b"$") + 1 :].strip().rpartition(b"*")
             if not star or b"$" not in raw or total != b"%04X" % compute_crc16(body):
-                self.broken_lines += 1
+                self.broken_line_count += 1
                 continue
             out.append(body.decode("ascii", errors="replace").split(","))
         if out:
@@ -139,7 +139,7 @@ class ChecksummedLine(SerialLine):
         """Raise DeviceError if no complete line arrived within ``SILENCE_TIMEOUT_s``."""
         silent = time.monotonic() - self.last_line_s
         if silent > SILENCE_TIMEOUT_s:
-            raise DeviceError(f"{self.name}: silent for {silent:.1f} s ({self.broken_lines} broken lines so far)")
+            raise DeviceError(f"{self.name}: silent for {silent:.1f} s ({self.broken_line_count} broken lines so far)")
 
     def send_line(self, body: str) -> None:
         """Send a text line with its checksum appended."""

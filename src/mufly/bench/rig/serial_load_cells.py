@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mufly.bench.rig.bench_devices import DeviceError, Samples
-from mufly.bench.rig.serial_line import ChecksummedLine
+from mufly.bench.rig.serial_line import ChecksummedSerialLine
 
 ADC_COUNT_RANGE = (-8388608.0, 8388607.0)
 
@@ -36,7 +36,7 @@ class SerialLoadCells:
     def __init__(
         self, port: str, channels: Sequence[str] = ("thrust_raw", "torque_raw"), *, baud: int = 115_200
     ) -> None:
-        self._line = ChecksummedLine(port, baud, "load cells")
+        self._line = ChecksummedSerialLine(port, baud, "load cells")
         self.name = self._line.name
         self._cells = tuple(channels)
         self.channels = (*self._cells, "temperature", "pressure", "humidity")
@@ -45,9 +45,9 @@ class SerialLoadCells:
         self._was_reset = False
 
     @property
-    def broken_lines(self) -> int:
+    def broken_line_count(self) -> int:
         """Number of received lines that were discarded because of a wrong checksum or form."""
-        return self._line.broken_lines
+        return self._line.broken_line_count
 
     def open(self) -> None:
         self._line.open()

@@ -88,7 +88,7 @@ def compute_pair_map(
 
     The splines are functions of ln(mean speed) and ln(lower speed / upper speed).
     """
-    system = RotorSystem.coaxial_pair(_load_blading(upper), _load_blading(lower), spacing_m=spacing_m)
+    system = RotorSystem.from_coaxial_pair(_load_blading(upper), _load_blading(lower), spacing_m=spacing_m)
     speeds = np.geomspace(1500.0, 9000.0, 5) * RPM
     pitch = (np.radians(upper_pitch_deg), np.radians(lower_pitch_deg))
     found = np.empty((4, speeds.size, _MAP_SPEED_RATIOS.size))
@@ -431,7 +431,7 @@ class SimulatedRig:
         }
 
 
-def simulate_series_rig(
+def make_simulated_rig(
     plan: SeriesPlan, seed: int, fault: str | None = None, time_s: float = 0.0
 ) -> tuple[SimulatedRig, Callable[[PlanStep], Mapping[str, float]]]:
     """Return a simulated bench for a plan, and a function that returns the true loads of a step.

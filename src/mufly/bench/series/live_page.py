@@ -73,12 +73,12 @@ def write_live_page(
             )
             for n, some in names.items()
         ]
-        plots.append(_draw_plot(f"{load} ({unit}) over speed (rpm)", series))
+        plots.append(_compute_plot_pixels(f"{load} ({unit}) over speed (rpm)", series))
     start = lines[0]["time"] if lines else 0.0
     for channel in ("thrust_raw", "torque_raw", "thrust", "torque"):
         track = [((x["time"] - start) / 60, x["channels"][channel][0]) for x in zeros if channel in x["channels"]]
         if track:
-            plots.append(_draw_plot(f"zero of {channel} over time (min)", [("", track, True)]))
+            plots.append(_compute_plot_pixels(f"zero of {channel} over time (min)", [("", track, True)]))
     events = [x for x in lines if x["kind"] == "event" and x["what"] != "mounted"][-5:]
     text = render_page(
         plan.name,
@@ -100,7 +100,7 @@ def write_live_page(
         new.write_text(text, encoding="utf-8")
 
 
-def _draw_plot(title: str, series: Sequence[tuple[str, list[tuple[float, float]], bool]]) -> dict[str, Any]:
+def _compute_plot_pixels(title: str, series: Sequence[tuple[str, list[tuple[float, float]], bool]]) -> dict[str, Any]:
     """Return a plot's points and lines in pixels, with the limits of its axes; an empty dictionary without points."""
     every = [p for _, some, _ in series for p in some]
     if not every:

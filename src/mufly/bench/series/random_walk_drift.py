@@ -29,7 +29,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 Array = NDArray[np.float64]
 
-_DRIFT_GRID_POINTS = 14  # number of grid values of the drift
+_DRIFT_GRID_POINT_COUNT = 14  # number of grid values of the drift
 _VARIANCE_INFLATION_GRID = (1.0, 2.0, 4.0, 8.0, 16.0, 64.0)
 
 
@@ -59,7 +59,7 @@ class RandomWalkDrift:
     hyperparameter_weights: Array
     hyperparameter_nodes: Array
 
-    def _solve_node(self, q: float, kappa: float) -> tuple[Array, Array, Array, Array, Array]:
+    def _solve_at_grid_node(self, q: float, kappa: float) -> tuple[Array, Array, Array, Array, Array]:
         v = q * self._walk_covariance(self.time_s, self.time_s) + np.diag(kappa * self.reading_std**2)
         factor = cho_factor(v, lower=True)
         vx = cho_solve(factor, self.design_matrix)
@@ -82,7 +82,7 @@ class RandomWalkDrift:
         for (q, kappa), w in zip(self.hyperparameter_nodes, self.hyperparameter_weights, strict=True):
             if w < 1e-4:
                 continue
-            b, a, vr, vi, vx = self._solve_node(float(q), float(kappa))
+            b, a, vr, vi, vx = self._solve_at_grid_node(float(q), float(kappa))
             k = q * self._walk_covariance(time, self.time_s)
             g = design - k @ vx
             means.append((w, design @ b + k @ vr))
@@ -142,7 +142,7 @@ def fit_random_walk(
     rest = reading - x @ np.linalg.lstsq(x / u[:, None], reading / u, rcond=None)[0]
     typical = max(float(np.sqrt(np.mean(rest**2))), 0.3 * float(np.median(u)))
     walks = np.concatenate(
-        ([0.0], np.geomspace(0.05, 8.0, _DRIFT_GRID_POINTS) * typical)
+        ([0.0], np.geomspace(0.05, 8.0, _DRIFT_GRID_POINT_COUNT) * typical)
     )  # standard deviation over the span
     speeds = walks**2 / span
     nodes = np.array([(q, k) for q in speeds for k in _VARIANCE_INFLATION_GRID])

@@ -69,7 +69,7 @@ def write_series_results(series: SeriesResult, folder: Path) -> list[Path]:
             alone = [s for s in series.points if s.axis == axis and s.voltage_V.get(axis) and s.torque is not None]
             if alone:
                 rows = [
-                    (s.voltage_V[axis], s.current_A[axis], _setting_speed(s), 1e3 * s.torque.value,
+                    (s.voltage_V[axis], s.current_A[axis], _setting_speed_rpm(s), 1e3 * s.torque.value,
                      f"{s.rotor} {s.pitch_deg:g}")
                     for s in alone if s.torque is not None
                 ]  # fmt: skip
@@ -85,7 +85,7 @@ def _file_stem(s: SettingResult) -> str:
     return re.sub(r"[^\w.-]+", "_", "-".join([*(Path(n).stem for n in names), s.axis]))
 
 
-def _setting_speed(s: SettingResult) -> float:
+def _setting_speed_rpm(s: SettingResult) -> float:
     return s.speed_lower_rpm if s.axis == "lower" else s.speed_upper_rpm
 
 
@@ -99,22 +99,24 @@ def _write_csv(path: Path, heads: Sequence[str], rows: Iterable[Sequence[float |
 
 
 def _write_loads(path: Path, some: Sequence[SettingResult], *, points: bool) -> Path:
-    def format_value_and_interval(load: LoadInterval | None, scale: float = 1.0) -> tuple[float, float]:
+    def scale_value_and_interval(load: LoadInterval | None, scale: float = 1.0) -> tuple[float, float]:
         return (math.nan, math.nan) if load is None else (scale * load.value, scale * load.expanded)
 
-    some = sorted(some, key=(lambda s: s.time_s) if points else (lambda s: (s.pitch_deg, _setting_speed(s))))
+    some = sorted(some, key=(lambda s: s.time_s) if points else (lambda s: (s.pitch_deg, _setting_speed_rpm(s))))
     rows: list[tuple[float | str, ...]] = []
     for s in some:
-        thrust, thrust_u = format_value_and_interval(s.thrust)
+        thrust, thrust_u = scale_value_and_interval(s.thrust)
         more = (s.time_s,) if points else (float(s.mountings),)
         if s.axis == "pair":
-            up, up_u = format_value_and_interval(s.torque_upper, 1e3)
-            low, low_u = format_value_and_interval(s.torque_lower, 1e3)
+            up, up_u = scale_value_and_interval(s.torque_upper, 1e3)
+            low, low_u = scale_value_and_interval(s.torque_lower, 1e3)
             rows.append((s.pitch_deg, s.speed_upper_rpm, s.speed_lower_rpm, thrust, up, low, thrust_u, up_u, low_u,
                          s.density_kg_m3, *more))  # fmt: skip
         else:
-            torque, torque_u = format_value_and_interval(s.torque, 1e3)
-            rows.append((s.pitch_deg, _setting_speed(s), thrust, torque, thrust_u, torque_u, s.density_kg_m3, *more))
+            torque, torque_u = scale_value_and_interval(s.torque, 1e3)
+            rows.append(
+                (s.pitch_deg, _setting_speed_rpm(s), thrust, torque, thrust_u, torque_u, s.density_kg_m3, *more)
+            )
     heads = (
         *(_PAIR_COLUMNS if some[0].axis == "pair" else _SINGLE_COLUMNS),
         "time_s" if points else "mountings",
@@ -151,7 +153,7 @@ class LoadDifference:
 def _describe_setting(s: SettingResult, load: str) -> str:
     side = "" if s.axis != "pair" or load == "thrust" else f" {load.removeprefix('torque_')}"
     unit = "T (N)" if load == "thrust" else f"Q{side} (N m)"
-    return f"{s.rotor} {s.axis} {s.pitch_deg:g}°, {_setting_speed(s):.0f} rpm: {unit}"
+    return f"{s.rotor} {s.axis} {s.pitch_deg:g}°, {_setting_speed_rpm(s):.0f} rpm: {unit}"
 
 
 def compare_series(first: SeriesResult, second: SeriesResult) -> list[LoadDifference]:
@@ -181,7 +183,7 @@ def compare_series(first: SeriesResult, second: SeriesResult) -> list[LoadDiffer
         other = there.get(setting_key(s))
         if other is None:
             continue
-        scale = s.density_kg_m3 / other.density_kg_m3 * (_setting_speed(s) / _setting_speed(other)) ** 2
+        scale = s.density_kg_m3 / other.density_kg_m3 * (_setting_speed_rpm(s) / _setting_speed_rpm(other)) ** 2
         air = math.hypot(first.density_relative_std, second.density_relative_std)
         for name in ("thrust", "torque_upper", "torque_lower"):
             a, b = getattr(s, name), getattr(other, name)
@@ -217,7 +219,7 @@ def compare_with_theory(series: SeriesResult, *, spacing_m: float = 0.04) -> lis
     for s in series.settings:
         air = Air(density_kg_m3=s.density_kg_m3)
         if s.axis == "pair":
-            system = RotorSystem.coaxial_pair(blades[s.rotor], blades[s.lower_rotor], spacing_m=spacing_m)
+            system = RotorSystem.from_coaxial_pair(blades[s.rotor], blades[s.lower_rotor], spacing_m=spacing_m)
             at = OperatingCondition(
                 (math.radians(s.pitch_deg), math.radians(s.lower_pitch_deg)),
                 (s.speed_upper_rpm * RPM, s.speed_lower_rpm * RPM), air=air,
@@ -229,8 +231,8 @@ def compare_with_theory(series: SeriesResult, *, spacing_m: float = 0.04) -> lis
                 "torque_lower": low.torque_Nm,
             }
         else:
-            at = OperatingCondition(math.radians(s.pitch_deg), _setting_speed(s) * RPM, air=air)
-            (one,) = solve_system(RotorSystem.single_rotor(blades[s.rotor]), at).rotors
+            at = OperatingCondition(math.radians(s.pitch_deg), _setting_speed_rpm(s) * RPM, air=air)
+            (one,) = solve_system(RotorSystem.from_single_rotor(blades[s.rotor]), at).rotors
             found = {"thrust": one.thrust_N, f"torque_{s.axis}": one.torque_Nm}
         for name, value in found.items():
             load = getattr(s, name)

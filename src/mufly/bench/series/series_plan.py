@@ -46,7 +46,7 @@ class BenchLimits(ParameterGroup):
     motor_temperature_degC: float = Field(default=90.0, gt=0, description="largest temperature of a motor, if measured")
 
 
-class StepTimes(ParameterGroup):
+class StepDurations(ParameterGroup):
     """Durations (s) of warm-up, settling, averaging and zero readings."""
 
     warm_up_s: float = Field(default=600.0, ge=0, description="warm-up time of the reference rotor at its middle speed")
@@ -113,7 +113,7 @@ class SeriesPlan(ParameterGroup):
     tare_every: int = Field(default=4, ge=1, description="number of points between two zero readings")
     spacing_m: float = Field(default=0.04, gt=0, description="distance between the discs of a pair")
     limits: BenchLimits = Field(default_factory=BenchLimits)
-    times: StepTimes = Field(default_factory=StepTimes)
+    times: StepDurations = Field(default_factory=StepDurations)
     mounting: tuple[BladeMounting, ...] = Field(min_length=1, description="in the order of measurement")
 
     @model_validator(mode="after")
@@ -177,7 +177,7 @@ def make_plan(
     name: str, rotors: Sequence[str], pitches_deg: Sequence[float], speeds_rpm: Sequence[float], *,
     reference: str, reference_pitch_deg: float, repetitions: int = 2, axis: RotorAxis = "upper",
     speed_ratios: Sequence[float] = (1.0,), reference_every: int = 4, seed: int = 0,
-    limits: BenchLimits | None = None, times: StepTimes | None = None, spacing_m: float = 0.04, tare_every: int = 4,
+    limits: BenchLimits | None = None, times: StepDurations | None = None, spacing_m: float = 0.04, tare_every: int = 4,
 ) -> SeriesPlan:  # fmt: skip
     """Create a plan: every rotor at every pitch and speed, repeated in random order, with runs of the reference rotor
     in between.
@@ -263,7 +263,7 @@ def make_plan(
             add_reference_visit()
     tables = {
         "name": name, "seed": seed, "tare_every": tare_every, "spacing_m": spacing_m,
-        "limits": (limits or BenchLimits()).model_dump(), "times": (times or StepTimes()).model_dump(),
+        "limits": (limits or BenchLimits()).model_dump(), "times": (times or StepDurations()).model_dump(),
         "mounting": [m.model_dump() for m in mountings],
     }  # fmt: skip
     return validate_model(SeriesPlan, tables, "plan")

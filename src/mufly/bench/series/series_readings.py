@@ -288,7 +288,7 @@ def _correct_gain_drift(
     start: float,
 ) -> LoadChannel:
     """Correct a load for the gain drift that repeated runs of the reference rotor reveal."""
-    visits = compute_reference_visits(channel, name, points, plan, facts, density, speed)
+    visits = compute_reference_load_logs(channel, name, points, plan, facts, density, speed)
     if not visits.size:
         return channel
     time_s, log_ratio, sigma, mounting = visits.T
@@ -307,7 +307,7 @@ def _correct_gain_drift(
     return LoadChannel(value, common, scale * channel.own_covariance, channel.zero_drift_model, walk, visits)
 
 
-def compute_reference_visits(
+def compute_reference_load_logs(
     channel: LoadChannel,
     name: str,
     points: SeriesReadings,

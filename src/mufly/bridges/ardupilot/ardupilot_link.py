@@ -43,7 +43,7 @@ _CHANNELS_BY_MAGIC = {18458: 16, 29569: 32}
 _SERVO_HEAD_STRUCT = struct.Struct("<HHI")
 _PULSE_CENTRE_US, _PULSE_HALF_RANGE_US, _MIN_PULSE_US = 1500.0, 500.0, 1000.0
 _MIRROR_TOLERANCE_US = 40.0  # largest difference of mirrored outputs from their mean
-_SPINNING_MOTOR_INPUT = 0.01
+_MIN_SPINNING_MOTOR_INPUT = 0.01
 _RECEIVE_TIMEOUT_S = 0.05
 _REPLY_DIGITS = 9
 _SENSORS_NOT_SENT = ("position_fix", "pressure", "magnetometer")
@@ -76,7 +76,7 @@ class ServoPacket:
         return np.array([*motors, -pitch, roll])
 
     @property
-    def is_started(self) -> bool:
+    def is_autopilot_started(self) -> bool:
         """Whether ArduPilot commands the outputs; they are zero while ArduPilot starts."""
         return bool(np.all(self.pulse_us[: LOWER_OUTPUT + 1] > 0.0))
 
@@ -157,7 +157,7 @@ class ArduPilotSimulator(AutopilotSimulator):
         self._last: ServoPacket | None = None
         self._reply = b""
 
-    def _announce(self) -> None:
+    def _log_waiting_for_autopilot(self) -> None:
         self.vehicle.log_event(f"waiting for ArduPilot at {self.port.endpoint}")
         self.vehicle.warn_of_unseen_faults(
             lambda name: name not in _SENSORS_NOT_SENT, "ArduPilot simulates this sensor itself"
@@ -198,8 +198,8 @@ class ArduPilotSimulator(AutopilotSimulator):
         while (time_to_next_period_s := self.pace.time_to_next_period_s()) > 0.0 and not stop():
             time.sleep(min(time_to_next_period_s, _RECEIVE_TIMEOUT_S))
         self.pace.record_period()
-        inputs = packet.inputs if packet.is_started else np.zeros(4)
-        self.vehicle.advance_period(inputs, bool(np.any(inputs[:2] > _SPINNING_MOTOR_INPUT)))
+        inputs = packet.inputs if packet.is_autopilot_started else np.zeros(4)
+        self.vehicle.advance_period(inputs, bool(np.any(inputs[:2] > _MIN_SPINNING_MOTOR_INPUT)))
         self.lockstep_period_count += 1
         self._reply = encode_state(self.vehicle, self._start_s)
         self.port.send(peer, self._reply)
@@ -226,7 +226,7 @@ class ArduPilotSimulator(AutopilotSimulator):
 
 def describe_wrong_channels(packet: ServoPacket) -> str:
     """Return why the outputs do not match ArduPilot's frame CoaxCopter; an empty text if they match."""
-    if not packet.is_started:
+    if not packet.is_autopilot_started:
         return ""
     pairs = ((ROLL_OUTPUT, ROLL_MIRROR_OUTPUT), (PITCH_OUTPUT, PITCH_MIRROR_OUTPUT))
     if any(

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from mufly.bridges.ardupilot.ardupilot_link import ARDUPILOT_RATE_HZ
-from mufly.bridges.autopilot_gains import GYRO_CUTOFF_HZ, GYRO_RATE_CUTOFF_HZ, AutopilotGains
+from mufly.bridges.autopilot_gains import GYRO_CUTOFF_HZ, GYRO_DERIVATIVE_CUTOFF_HZ, AutopilotGains
 from mufly.vehicle import Vehicle
 
 COAX_FRAME_CLASS = 8
@@ -82,7 +82,7 @@ def _gain_parameters(gains: AutopilotGains) -> Iterator[ArduPilotParameter]:
         yield ArduPilotParameter(f"ATC_RAT_{word}_IMAX", 0.15, "")
         yield ArduPilotParameter(f"ATC_RAT_{word}_FLTT", 0, "")
         yield ArduPilotParameter(f"ATC_RAT_{word}_FLTE", 0, "")
-        yield ArduPilotParameter(f"ATC_RAT_{word}_FLTD", GYRO_RATE_CUTOFF_HZ, "")
+        yield ArduPilotParameter(f"ATC_RAT_{word}_FLTD", GYRO_DERIVATIVE_CUTOFF_HZ, "")
     yield ArduPilotParameter("INS_GYRO_FILTER", GYRO_CUTOFF_HZ, "as in the design of the gains (Hz)")
     level, vertical = gains.roll, gains.vertical
     yield ArduPilotParameter("PSC_POSXY_P", level.position, "position (1/s)")

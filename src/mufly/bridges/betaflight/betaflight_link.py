@@ -66,7 +66,7 @@ _PERIODS_PER_PILOT_COMMAND = round(BETAFLIGHT_RATE_HZ / PILOT_RATE_HZ)
 _RESEND_PERIOD_S, _RECEIVE_TIMEOUT_S, _PORT_PROBE_PERIOD_S = 0.1, 0.02, 0.5
 _ARMED_MOTOR_PULSE_US = MIN_PULSE_US + 500.0 * MOTOR_IDLE
 _MAX_REAL_TIME_FACTOR = 1.0
-_SERVO_PULSES = slice(2, 4)  # of the outputs; the motors come before
+_SERVO_PULSE_SLICE = slice(2, 4)  # of the outputs; the motors come before
 _SENT_SENSORS = ("imu", "pressure")
 
 
@@ -142,7 +142,7 @@ class BetaflightSimulator(AutopilotSimulator):
         self._refused_s = 0.0
         self._open_s = self._probed_s = math.nan
 
-    def _announce(self) -> None:
+    def _log_waiting_for_autopilot(self) -> None:
         self.vehicle.log_event(f"waiting for Betaflight at {self._state_port.endpoint}")
         self.vehicle.warn_of_unseen_faults(_SENT_SENSORS.__contains__, "Betaflight does not receive this sensor")
 
@@ -194,7 +194,7 @@ class BetaflightSimulator(AutopilotSimulator):
         vehicle = self.vehicle
         if self.pilot is not None and self.lockstep_period_count % _PERIODS_PER_PILOT_COMMAND == 0:
             if self.state == "running":
-                pulses = self.pilot.command_channels(vehicle.truth, vehicle.readings, vehicle.is_armed)
+                pulses = self.pilot.compute_channel_pulses(vehicle.truth, vehicle.readings, vehicle.is_armed)
             else:
                 pulses = REST_PULSES_US
             for peer in self._channel_port.configured_targets:
@@ -311,6 +311,6 @@ def describe_wrong_outputs(outputs: BetaflightOutputs) -> str:
     remedy = "load the file of `mufly autopilot gains betaflight`"
     if outputs.motor_count != 2:
         return f"Betaflight drives {outputs.motor_count} motors, so its mixer is not DUALCOPTER; {remedy}"
-    if np.any(outputs.pulse_us[_SERVO_PULSES] <= 0.0):
+    if np.any(outputs.pulse_us[_SERVO_PULSE_SLICE] <= 0.0):
         return "Betaflight drives no servos; build it with servos (make TARGET=SITL EXTRA_FLAGS=-DUSE_SERVOS)"
     return ""

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics.model_state import ATTITUDE
+from mufly.dynamics.model_state import ATTITUDE_SLICE
 from mufly.sensors import Readings, Truth
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 
@@ -39,11 +39,11 @@ GAZEBO_PACKET_BYTES = 16
 """Size of the packets that Betaflight sends to port 9002, which carry four motors and no servo."""
 PULSE_CENTRE_US, PULSE_HALF_RANGE_US, MIN_PULSE_US, MAX_PULSE_US = 1500.0, 500.0, 1000.0, 2000.0
 _CHANNEL_COUNT = 16
-_MSP_HEAD, _MSP_ANSWER = b"$M<", b"$M>"
+_MSP_REQUEST_HEAD, _MSP_ANSWER_HEAD = b"$M<", b"$M>"
 _MSP_STATUS_EX = 150
 _MSP_BODY_OFFSET, _MSP_PAYLOAD_OFFSET = 3, 5  # from the start of an answer: size and command; the payload
-_FLAG_BYTES = 4
-_FLAG_COUNT_OFFSET = 15  # of the status: number of further bytes of flight modes
+_ARMING_FLAG_BYTES = 4
+_MODE_BYTE_COUNT_OFFSET = 15  # of the status: number of further bytes of flight modes
 
 ARMING_OBSTACLES = (
     "no gyro", "failsafe", "no receiver", "arm switch was on", "failsafe switch", "runaway take-off", "crash detected",
@@ -105,7 +105,7 @@ def encode_state(time_s: float, truth: Truth, readings: Readings) -> bytes:
     ax, ay, az = readings["acceleration"].value
     pressure = readings.latest.get("pressure")
     return _STATE_STRUCT.pack(
-        time_s, *readings["rates"].value, -ax, ay, az, *truth.state[ATTITUDE], *[0.0] * 6,
+        time_s, *readings["rates"].value, -ax, ay, az, *truth.state[ATTITUDE_SLICE], *[0.0] * 6,
         STANDARD_PRESSURE_PA if pressure is None or not pressure.valid else float(pressure.value),
     )  # fmt: skip
 
@@ -120,12 +120,12 @@ def encode_channels(time_s: float, pulse_us: NDArray[np.float64]) -> bytes:
 def encode_status_request() -> bytes:
     """Return the MSP request of the status."""
     body = bytes([0, _MSP_STATUS_EX])
-    return _MSP_HEAD + body + bytes([functools.reduce(operator.xor, body)])
+    return _MSP_REQUEST_HEAD + body + bytes([functools.reduce(operator.xor, body)])
 
 
 def read_arming_obstacles(data: bytes) -> list[str] | None:
     """Return the reasons against arming from an MSP answer; None until ``data`` contains a complete status message."""
-    at = data.find(_MSP_ANSWER)
+    at = data.find(_MSP_ANSWER_HEAD)
     while at >= 0:
         head = data[at + _MSP_BODY_OFFSET : at + _MSP_PAYLOAD_OFFSET]
         end = at + _MSP_PAYLOAD_OFFSET + (head[0] if head else 0)
@@ -134,8 +134,8 @@ def read_arming_obstacles(data: bytes) -> list[str] | None:
             return None
         if head[1] == _MSP_STATUS_EX and functools.reduce(operator.xor, body) == data[end]:
             payload = body[2:]
-            flags_at = _FLAG_COUNT_OFFSET + 1 + (payload[_FLAG_COUNT_OFFSET] & 15) + 1
-            flags = int.from_bytes(payload[flags_at : flags_at + _FLAG_BYTES], "little")
+            flags_at = _MODE_BYTE_COUNT_OFFSET + 1 + (payload[_MODE_BYTE_COUNT_OFFSET] & 15) + 1
+            flags = int.from_bytes(payload[flags_at : flags_at + _ARMING_FLAG_BYTES], "little")
             return [name for k, name in enumerate(ARMING_OBSTACLES) if flags >> k & 1]
-        at = data.find(_MSP_ANSWER, at + 1)
+        at = data.find(_MSP_ANSWER_HEAD, at + 1)
     return None

@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.bridges.autopilot_gains import VELOCITY_RATE_CUTOFF_HZ, AutopilotGains, CascadeGains
+from mufly.bridges.autopilot_gains import VELOCITY_DERIVATIVE_CUTOFF_HZ, AutopilotGains, CascadeGains
 from mufly.bridges.betaflight.betaflight_messages import (
     MAX_PULSE_US,
     MIN_PULSE_US,
@@ -42,14 +42,14 @@ from mufly.sensors import Readings, Truth
 _Array = NDArray[np.float64]
 
 PilotPhase = Literal["ready", "arming", "spool-up", "take-off", "hover", "square", "landing", "landed"]
-DISARMED_TIME_S, ARMING_TIME_S = 0.5, 2.0
+DISARMED_TIME_S, ARMING_RETRY_TIME_S = 0.5, 2.0
 """Time of the switch ARM off before arming, and on before it is switched off and on again (s)."""
 MOTOR_SPOOL_UP_TIME_S = 2.0
 """Time in which the throttle rises to that of hover (s)."""
 MAX_TILT_DEG = 12.0
-LANDED_HEIGHT_M = 0.015
+MAX_LANDED_HEIGHT_M = 0.015
 """Height above the start below which the vehicle has landed (m)."""
-_MAX_VELOCITY_M_S, _MAX_TRIM_M_S2, _MAX_CLIMB_M_S2 = 0.6, 1.5, 3.0
+_MAX_VELOCITY_M_S, _MAX_TRIM_ACCELERATION_M_S2, _MAX_CLIMB_ACCELERATION_M_S2 = 0.6, 1.5, 3.0
 _ARM_CHANNEL = 4
 _VOLTAGE_FILTER_S = 1.0
 _LANDING_REFERENCE_DEPTH_M = 0.15  # of the reference at the end of a landing
@@ -97,7 +97,9 @@ class _CascadeAxis:
         self._integral = 0.0
         self._smooth = math.nan
 
-    def command_acceleration(self, error_m: float, reference_m_s: float, velocity_m_s: float, *, hold: bool) -> float:
+    def compute_acceleration_command(
+        self, error_m: float, reference_m_s: float, velocity_m_s: float, *, hold: bool
+    ) -> float:
         """Return the commanded acceleration of this axis (m/s^2); with ``hold`` the integral of the velocity error
         stays constant.
         """
@@ -106,12 +108,12 @@ class _CascadeAxis:
         wanted = min(max(wanted, -_MAX_VELOCITY_M_S), _MAX_VELOCITY_M_S)
         if math.isnan(self._smooth):
             self._smooth = velocity_m_s
-        cutoff = 2.0 * math.pi * VELOCITY_RATE_CUTOFF_HZ
+        cutoff = 2.0 * math.pi * VELOCITY_DERIVATIVE_CUTOFF_HZ
         slope = cutoff * (velocity_m_s - self._smooth)
         self._smooth += (1.0 - math.exp(-cutoff * dt)) * (velocity_m_s - self._smooth)
         if not hold:
             trim = self._integral + k.velocity_integral * (wanted - velocity_m_s) * dt
-            self._integral = min(max(trim, -_MAX_TRIM_M_S2), _MAX_TRIM_M_S2)
+            self._integral = min(max(trim, -_MAX_TRIM_ACCELERATION_M_S2), _MAX_TRIM_ACCELERATION_M_S2)
         return k.velocity * (wanted - velocity_m_s) + self._integral - k.velocity_derivative * slope
 
 
@@ -153,7 +155,7 @@ class BetaflightPilot:
         """Whether the pilot has set the switch ARM or is about to set it."""
         return self.phase not in ("ready", "landed")
 
-    def command_channels(self, truth: Truth, readings: Readings, is_armed: bool) -> _Array:
+    def compute_channel_pulses(self, truth: Truth, readings: Readings, is_armed: bool) -> _Array:
         """Return the pulses of the first six channels (us); called at :data:`PILOT_RATE_HZ`.
 
         Parameters
@@ -171,7 +173,7 @@ class BetaflightPilot:
         self._advance_phase(truth, is_armed)
         if self.phase in ("ready", "arming", "landed"):
             pulses = REST_PULSES_US.copy()
-            if self.phase == "arming" and self.phase_s < ARMING_TIME_S - DISARMED_TIME_S:
+            if self.phase == "arming" and self.phase_s < ARMING_RETRY_TIME_S - DISARMED_TIME_S:
                 pulses[_ARM_CHANNEL] = MAX_PULSE_US
             return pulses
         self._set_phase_reference()
@@ -189,7 +191,7 @@ class BetaflightPilot:
         elif self.phase == "arming":
             if is_armed:
                 self._enter_phase("spool-up")
-            elif self.phase_s >= ARMING_TIME_S:
+            elif self.phase_s >= ARMING_RETRY_TIME_S:
                 self.phase_s = 0.0
         elif not is_armed and self.phase not in ("ready", "landed"):
             self._enter_phase("landed")
@@ -202,7 +204,8 @@ class BetaflightPilot:
         elif self.phase == "square" and self.phase_s >= 4.0 * plan.leg_duration_s:
             self._enter_phase("landing")
         elif self.phase == "landing" and (
-            height_m < LANDED_HEIGHT_M or self.phase_s >= (plan.height_m + _LANDING_REFERENCE_DEPTH_M) / plan.sink_m_s
+            height_m < MAX_LANDED_HEIGHT_M
+            or self.phase_s >= (plan.height_m + _LANDING_REFERENCE_DEPTH_M) / plan.sink_m_s
         ):
             self._enter_phase("landed")
 
@@ -219,7 +222,7 @@ class BetaflightPilot:
             place[2] -= plan.height_m - plan.sink_m_s * self.phase_s
             speed[2] = plan.sink_m_s
         if self.phase == "square":
-            offset, drift = find_square_point(plan, self.phase_s)
+            offset, drift = sample_square_path(plan, self.phase_s)
             place[:2] += offset
             speed[:2] = drift
         self.reference, self._reference_velocity = place, speed
@@ -235,15 +238,15 @@ class BetaflightPilot:
         on_floor = self.phase == "spool-up"
         error = self.reference - truth.position
         north, east = (
-            axis.command_acceleration(
+            axis.compute_acceleration_command(
                 float(error[k]), float(self._reference_velocity[k]), float(truth.velocity[k]), hold=on_floor
             )
             for k, axis in enumerate(self._horizontal)
         )
-        up = self._vertical.command_acceleration(
+        up = self._vertical.compute_acceleration_command(
             -float(error[2]), -float(self._reference_velocity[2]), -float(truth.velocity[2]), hold=on_floor
         )
-        up = min(max(up, -_MAX_CLIMB_M_S2), _MAX_CLIMB_M_S2)
+        up = min(max(up, -_MAX_CLIMB_ACCELERATION_M_S2), _MAX_CLIMB_ACCELERATION_M_S2)
         yaw = float(truth.attitude[2])
         forward = math.cos(yaw) * north + math.sin(yaw) * east
         right = math.cos(yaw) * east - math.sin(yaw) * north
@@ -260,7 +263,7 @@ class BetaflightPilot:
         return np.array([pulses[0], pulses[1], throttle_us, pulses[2], MAX_PULSE_US, MAX_PULSE_US])
 
 
-def find_square_point(plan: PilotPlan, time_s: float) -> tuple[_Array, _Array]:
+def sample_square_path(plan: PilotPlan, time_s: float) -> tuple[_Array, _Array]:
     """Return the commanded position N, E (m) relative to the square's first corner, and the commanded velocity (m/s).
 
     The velocity is zero in the corners.

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from mufly.bridges.autopilot_gains import (
     GYRO_CUTOFF_HZ,
-    GYRO_RATE_CUTOFF_HZ,
+    GYRO_DERIVATIVE_CUTOFF_HZ,
     AutopilotGains,
     CascadeGains,
     design_autopilot_gains,
@@ -39,15 +39,15 @@ ATTITUDE_CUTOFF_HZ = 50.0
 """Cut-off of Betaflight's low pass of third order in the angle mode."""
 PILOT_RATE_HZ = 100.0
 """Rate of the commands of :mod:`mufly.bridges.betaflight.betaflight_pilot`."""
-INTEGRAL_LIMIT = 0.15
+RATE_INTEGRAL_LIMIT = 0.15
 """Largest integral of a rate, as an input of an actuator: trim; it limits the wind-up on the floor."""
 _THIRD_ORDER_FACTOR = 1.0 / math.sqrt(2.0 ** (1.0 / 3.0) - 1.0)  # cut-off of one of three equal stages
 ANGLE_DELAY_S = max(3.0 / (2.0 * math.pi * ATTITUDE_CUTOFF_HZ * _THIRD_ORDER_FACTOR), 1.0 / PILOT_RATE_HZ)
 """Delay of the loops of the angles: of the low pass in roll and pitch, of the pilot in yaw; the longer one (s)."""
 _P_SCALE, _I_SCALE, _D_SCALE, _YAW_I_FACTOR = 0.032029, 0.244381, 0.000529, 2.5
-_SERVO_PER_SUM, _MOTOR_PER_SUM = 0.7 / 500.0, (1.0 - MOTOR_IDLE) / 1000.0
+_SERVO_INPUT_PER_PID_SUM, _MOTOR_INPUT_PER_PID_SUM = 0.7 / 500.0, (1.0 - MOTOR_IDLE) / 1000.0
 _MAX_RATE_GAIN, _MAX_ANGLE_GAIN = 250, 200
-_SUM_LIMIT, _YAW_SUM_LIMIT = 500, 750
+_PID_SUM_LIMIT, _YAW_PID_SUM_LIMIT = 500, 750
 _PITCH_SERVO, _ROLL_SERVO = 4, 5
 
 
@@ -58,7 +58,7 @@ class BetaflightLine(NamedTuple):
     reason: str = ""
 
 
-class RateIntegers(NamedTuple):
+class IntegerRateGains(NamedTuple):
     """Betaflight's integer gains of the controller of one body rate."""
 
     P: int
@@ -77,7 +77,7 @@ def design_betaflight_gains(vehicle: Vehicle) -> AutopilotGains:
     return design_autopilot_gains(vehicle, angle_delay_s=ANGLE_DELAY_S)
 
 
-def convert_rate_gains(axis: str, gains: CascadeGains) -> RateIntegers:
+def convert_rate_gains(axis: str, gains: CascadeGains) -> IntegerRateGains:
     """Convert the gains of one body-rate controller to Betaflight's integers.
 
     Parameters
@@ -90,20 +90,20 @@ def convert_rate_gains(axis: str, gains: CascadeGains) -> RateIntegers:
     MuflyError
         If a gain is beyond Betaflight's range.
     """
-    per_sum = _MOTOR_PER_SUM if axis == "yaw" else _SERVO_PER_SUM
+    per_sum = _MOTOR_INPUT_PER_PID_SUM if axis == "yaw" else _SERVO_INPUT_PER_PID_SUM
     per_error = per_sum * 180.0 / math.pi
     integral = _I_SCALE * (_YAW_I_FACTOR if axis == "yaw" else 1.0)
     values = (
         gains.rate_proportional / (per_error * _P_SCALE), gains.rate_integral / (per_error * integral),
         gains.rate_derivative / (per_error * _D_SCALE),
     )  # fmt: skip
-    for name, value in zip(RateIntegers._fields, values, strict=True):
+    for name, value in zip(IntegerRateGains._fields, values, strict=True):
         if value > _MAX_RATE_GAIN + 0.5:
             raise MuflyError(
                 f"the {axis} gain {name} is {value:.0f} in Betaflight's units, beyond its limit of {_MAX_RATE_GAIN}; "
                 "the vehicle's actuator is too weak for it"
             )
-    return RateIntegers(*(round(value) for value in values))
+    return IntegerRateGains(*(round(value) for value in values))
 
 
 def list_betaflight_settings(gains: AutopilotGains) -> list[BetaflightLine]:
@@ -152,7 +152,7 @@ def _list_filter_settings() -> Iterator[BetaflightLine]:
     for name in ("simplified_gyro_filter", "simplified_dterm_filter"):
         yield BetaflightLine(f"set {name} = OFF")
     yield BetaflightLine("set dterm_lpf1_type = PT1")
-    yield BetaflightLine(f"set dterm_lpf1_static_hz = {GYRO_RATE_CUTOFF_HZ:.0f}")
+    yield BetaflightLine(f"set dterm_lpf1_static_hz = {GYRO_DERIVATIVE_CUTOFF_HZ:.0f}")
     for name in (
         "gyro_lpf1_dyn_min_hz", "gyro_lpf2_static_hz", "dterm_lpf1_dyn_min_hz", "dterm_lpf2_static_hz",
         "yaw_lowpass_hz", "tpa_rate", "tpa_low_rate", "anti_gravity_gain", "throttle_boost",
@@ -174,9 +174,9 @@ def _list_limit_settings() -> Iterator[BetaflightLine]:
     yield BetaflightLine("set thr_mid = 50")
     yield BetaflightLine("set thr_hover = 50", "linear throttle")
     yield BetaflightLine(f"set min_check = {LOW_THROTTLE_US:.0f}")
-    yield BetaflightLine(f"set pidsum_limit = {_SUM_LIMIT}")
-    yield BetaflightLine(f"set pidsum_limit_yaw = {_YAW_SUM_LIMIT}")
-    windup = round(100.0 * INTEGRAL_LIMIT / (_SERVO_PER_SUM * _SUM_LIMIT))
+    yield BetaflightLine(f"set pidsum_limit = {_PID_SUM_LIMIT}")
+    yield BetaflightLine(f"set pidsum_limit_yaw = {_YAW_PID_SUM_LIMIT}")
+    windup = round(100.0 * RATE_INTEGRAL_LIMIT / (_SERVO_INPUT_PER_PID_SUM * _PID_SUM_LIMIT))
     yield BetaflightLine(f"set iterm_windup = {windup}", "trim; limits the wind-up on the floor (%)")
     yield BetaflightLine("set runaway_takeoff_prevention = OFF", "a vehicle of 100 g on its legs triggers it")
     yield BetaflightLine("set pwr_on_arm_grace = 0", "(s)")

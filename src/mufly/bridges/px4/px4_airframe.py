@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 from mufly.bridges.autopilot_gains import (
     GYRO_CUTOFF_HZ,
-    GYRO_RATE_CUTOFF_HZ,
-    VELOCITY_RATE_CUTOFF_HZ,
+    GYRO_DERIVATIVE_CUTOFF_HZ,
+    VELOCITY_DERIVATIVE_CUTOFF_HZ,
     AutopilotGains,
 )
 from mufly.bridges.px4.px4_messages import PositionSource
@@ -27,7 +27,7 @@ from mufly.vehicle import Vehicle
 
 AIRFRAME_NUMBER = 22001
 """Number of the airframe file, in the range that PX4 leaves to custom airframes."""
-MOTOR_SPOOL_UP_TIME_S, INTEGRAL_LIMIT = 2.0, 0.15
+MOTOR_SPOOL_UP_TIME_S, RATE_INTEGRAL_LIMIT = 2.0, 0.15
 _MEAN_OF_HALF_NORMAL = math.sqrt(2.0 / math.pi)
 
 
@@ -87,15 +87,15 @@ def _gain_parameters(gains: AutopilotGains) -> Iterator[Px4Parameter]:
         yield Px4Parameter(f"MC_{name}RATE_P", k.rate_proportional, f"{axis} rate")
         yield Px4Parameter(f"MC_{name}RATE_I", k.rate_integral, "")
         yield Px4Parameter(f"MC_{name}RATE_D", k.rate_derivative, "")
-        yield Px4Parameter(f"MC_{limit}_INT_LIM", INTEGRAL_LIMIT, "trim; limits the wind-up on the floor")
+        yield Px4Parameter(f"MC_{limit}_INT_LIM", RATE_INTEGRAL_LIMIT, "trim; limits the wind-up on the floor")
     for name, k in (("XY", gains.roll), ("Z", gains.vertical)):
         yield Px4Parameter(f"MPC_{name}_P", k.position, "position (1/s)")
         yield Px4Parameter(f"MPC_{name}_VEL_P_ACC", k.velocity, "velocity (1/s)")
         yield Px4Parameter(f"MPC_{name}_VEL_I_ACC", k.velocity_integral, "")
         yield Px4Parameter(f"MPC_{name}_VEL_D_ACC", k.velocity_derivative, "")
     yield Px4Parameter("IMU_GYRO_CUTOFF", GYRO_CUTOFF_HZ, "as in the design of the gains (Hz)")
-    yield Px4Parameter("IMU_DGYRO_CUTOFF", GYRO_RATE_CUTOFF_HZ, "")
-    yield Px4Parameter("MPC_VELD_LP", VELOCITY_RATE_CUTOFF_HZ, "")
+    yield Px4Parameter("IMU_DGYRO_CUTOFF", GYRO_DERIVATIVE_CUTOFF_HZ, "")
+    yield Px4Parameter("MPC_VELD_LP", VELOCITY_DERIVATIVE_CUTOFF_HZ, "")
     yield Px4Parameter("MC_YAW_TQ_CUTOFF", 0, "the design has no filter here")
 
 

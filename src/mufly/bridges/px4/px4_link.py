@@ -32,7 +32,7 @@ from mufly.bridges.px4.px4_messages import (
     OUTPUT_COUNT,
     ActuatorCommand,
     PositionSource,
-    SensorMessages,
+    SensorMessageEncoder,
     read_actuator_command,
 )
 from mufly.bridges.simulator_pace import SILENCE_TIMEOUT_S, AutopilotSimulator
@@ -54,7 +54,7 @@ _PERIODS_BEFORE_LOCKSTEP = 50  # answered in a row, after which the lockstep beg
 _PERIODS_BETWEEN_TRUTHS = 5
 _PERIODS_BETWEEN_CHECKS = 250  # of one check of rates and outputs
 _ANSWERS_PER_PERIOD_TOLERANCE = 1.2  # answers to a period
-_MAX_SKIPS_WITH_ANSWER = 3  # skipped periods with an answer after each
+_SKIPS_BEFORE_RATE_WARNING = 3  # skipped periods with an answer after each
 _MAX_GARBAGE_BYTES = 500
 _EQUAL_OUTPUT_TOLERANCE, _ACTIVE_OUTPUT_THRESHOLD = 0.02, 0.05  # of outputs
 
@@ -112,7 +112,7 @@ class Px4Simulator(AutopilotSimulator):
         self._waits_s = clock()
         self._forget_autopilot()
 
-    def _announce(self) -> None:
+    def _log_waiting_for_autopilot(self) -> None:
         self.vehicle.log_event(f"waiting for PX4 at {self.port.endpoint}")
 
     def _advance(self, stop: Callable[[], bool]) -> None:
@@ -195,7 +195,7 @@ class Px4Simulator(AutopilotSimulator):
             self.pace.restart()
         if self._skipped and not self._was_answered:
             self._skip_count += 1
-            if self._skip_count == _MAX_SKIPS_WITH_ANSWER:
+            if self._skip_count == _SKIPS_BEFORE_RATE_WARNING:
                 self.vehicle.log_event(
                     f"PX4 answers only some of the periods; set IMU_GYRO_RATEMAX and IMU_INTEG_RATE to "
                     f"{1.0 / self.vehicle.period_s:g} Hz or more",
@@ -239,7 +239,7 @@ class Px4Simulator(AutopilotSimulator):
         self.pace.restart()
 
     def _forget_autopilot(self) -> None:
-        self._sensors = SensorMessages(*self._settings)
+        self._sensors = SensorMessageEncoder(*self._settings)
         self._command: ActuatorCommand | None = None
         self._time_us = 0
         self._periods = 0

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics import body_to_ned_matrix
-from mufly.dynamics.model_state import ATTITUDE
+from mufly.dynamics.model_state import ATTITUDE_SLICE
 from mufly.link.codec import GlobalOrigin, MavMessage, clip_to_integer, mavlink
 from mufly.quantities.units import GRAVITY
 from mufly.sensors import Reading, Readings, Truth
@@ -44,13 +44,13 @@ OUTPUT_COUNT = 4
 LOCKSTEP_FLAG = 1
 """Flag of HIL_ACTUATOR_CONTROLS: PX4's clock follows HIL_SENSOR."""
 
-_INERTIAL_FIELDS, _MAGNETIC_FIELDS = 0b111_111, 0b111 << 6
-_PRESSURE_FIELDS = (1 << 9) | (1 << 11) | (1 << 12)  # pressure, its altitude, temperature
+_INERTIAL_FIELD_BITS, _MAGNETIC_FIELD_BITS = 0b111_111, 0b111 << 6
+_PRESSURE_FIELD_BITS = (1 << 9) | (1 << 11) | (1 << 12)  # pressure, its altitude, temperature
 _PA_PER_HPA, _GAUSS_PER_T, _ZERO_CELSIUS_K = 100.0, 1e4, 273.15
 _STANDARD_PRESSURE_PA, _BAROMETRIC_EXPONENT, _TEMPERATURE_LAPSE_HEIGHT_M = 101_325.0, 0.190263, 44_330.8
 _DOWNWARD_SENSOR_ORIENTATION = 25  # MAV_SENSOR_ROTATION_PITCH_270
 _GPS_ERROR_CM, _GPS_SATELLITES = 30, 10
-_COVARIANCE_DIAGONAL = (0, 6, 11, 15, 18, 20)  # of the upper right triangle of a 6 x 6 matrix
+_COVARIANCE_DIAGONAL_INDICES = (0, 6, 11, 15, 18, 20)  # of the upper right triangle of a 6 x 6 matrix
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ def read_actuator_command(message: MavMessage) -> ActuatorCommand:
     )
 
 
-class SensorMessages:
+class SensorMessageEncoder:
     """Encoder of readings as messages to PX4: each new reading once.
 
     Parameters
@@ -104,7 +104,7 @@ class SensorMessages:
         if vehicle.sensors is not None and vehicle.sensors.sonar is not None:
             sonar = vehicle.sensors.sonar
             self._sonar = (float(sonar.min_range), float(sonar.max_range), float(sonar.noise))
-        self._covariance = _fix_covariance(vehicle)
+        self._covariance = _position_fix_covariance(vehicle)
         self._sent: dict[str, Reading] = {}
         self._last_fix: Reading | None = None
 
@@ -112,7 +112,7 @@ class SensorMessages:
         """Return the messages of one instant; HIL_SENSOR, which advances PX4's clock, is the last one."""
         out: list[MavMessage] = []
         if (fix := self._take_new_reading("position_fix", readings)) is not None:
-            out += self._encode_fix(time_us, fix)
+            out += self._encode_position_fix(time_us, fix)
         if self._sonar is not None and (echo := self._take_new_reading("ground_distance", readings)) is not None:
             out.append(self._encode_sonar_echo(time_us, float(echo.value)))
         out.append(self._encode_inertial(time_us, readings))
@@ -127,17 +127,17 @@ class SensorMessages:
         return reading if reading.valid else None
 
     def _encode_inertial(self, time_us: int, readings: Readings) -> MavMessage:
-        fields = _INERTIAL_FIELDS
+        fields = _INERTIAL_FIELD_BITS
         field, pressure = (
             self._take_new_reading("magnetic_field", readings),
             self._take_new_reading("pressure", readings),
         )
         magnetic, pressure_hPa, height_m = np.zeros(3), 0.0, 0.0
         if field is not None:
-            fields |= _MAGNETIC_FIELDS
+            fields |= _MAGNETIC_FIELD_BITS
             magnetic = np.asarray(field.value) * _GAUSS_PER_T
         if pressure is not None:
-            fields |= _PRESSURE_FIELDS
+            fields |= _PRESSURE_FIELD_BITS
             pressure_hPa = float(pressure.value) / _PA_PER_HPA
             ratio = max(float(pressure.value), 0.0) / _STANDARD_PRESSURE_PA
             height_m = _TEMPERATURE_LAPSE_HEIGHT_M * (1.0 - ratio**_BAROMETRIC_EXPONENT)
@@ -147,7 +147,7 @@ class SensorMessages:
             height_m, celsius, fields,
         )  # fmt: skip
 
-    def _encode_fix(self, time_us: int, fix: Reading) -> list[MavMessage]:
+    def _encode_position_fix(self, time_us: int, fix: Reading) -> list[MavMessage]:
         north, east, down, heading = (float(x) for x in fix.value)
         before, self._last_fix = self._last_fix, fix
         if self._position == "vision":
@@ -182,18 +182,18 @@ class SensorMessages:
     def encode_truth(self, time_us: int, truth: Truth, acceleration: NDArray[np.float64]) -> MavMessage:
         """Return HIL_STATE_QUATERNION; ``acceleration`` is the specific force in body axes (m/s^2)."""
         lat, lon, alt = self._origin.to_global(*(float(x) for x in truth.position))
-        turn = body_to_ned_matrix(truth.state[ATTITUDE])
+        turn = body_to_ned_matrix(truth.state[ATTITUDE_SLICE])
         through_air = turn.T @ (truth.velocity - truth.wind)
         vx, vy, vz = (clip_to_integer(100.0 * v, -32767, 32767) for v in truth.velocity)
         ax, ay, az = (clip_to_integer(1000.0 * a / GRAVITY, -32767, 32767) for a in acceleration)
         speed = clip_to_integer(100.0 * float(np.linalg.norm(through_air)), 0, 65535)
         return mavlink.MAVLink_hil_state_quaternion_message(
-            time_us, list(truth.state[ATTITUDE]), *truth.rates, round(lat * 1e7), round(lon * 1e7),
+            time_us, list(truth.state[ATTITUDE_SLICE]), *truth.rates, round(lat * 1e7), round(lon * 1e7),
             round(alt * 1e3), vx, vy, vz, speed, speed, ax, ay, az,
         )  # fmt: skip
 
 
-def _fix_covariance(vehicle: Vehicle) -> list[float]:
+def _position_fix_covariance(vehicle: Vehicle) -> list[float]:
     """Return the covariance of the position fix for its message: the sensor's noise and drift, without correlation."""
     out = [0.0] * 21
     fix = None if vehicle.sensors is None else vehicle.sensors.position_fix
@@ -201,6 +201,6 @@ def _fix_covariance(vehicle: Vehicle) -> list[float]:
         return [math.nan] * 21
     place = float(fix.noise) ** 2 + float(fix.drift) ** 2
     heading = float(fix.heading_noise) ** 2 + float(fix.heading_drift) ** 2
-    for k, variance in zip(_COVARIANCE_DIAGONAL, (place, place, place, heading, heading, heading), strict=True):
+    for k, variance in zip(_COVARIANCE_DIAGONAL_INDICES, (place, place, place, heading, heading, heading), strict=True):
         out[k] = variance
     return out

@@ -56,7 +56,7 @@ KnownOption = Annotated[
 ]
 
 
-_MAX_SETTINGS = 1000  # settings of one kind in a plan
+_MAX_SETTINGS_PER_KIND = 1000  # settings of one kind in a plan
 
 
 @app.command()
@@ -116,19 +116,19 @@ def plan(
     The file holds limits, times and order, and may be edited.
     Example: mufly bench plan --rotor naca0012-r60-c20 --pitch 10,14 --reference naca4412-r60-c20
     """
-    from mufly.bench.series.series_plan import StepTimes, make_plan
+    from mufly.bench.series.series_plan import StepDurations, make_plan
     from mufly.bench.series.series_tables import plan_blocks
     from mufly.rotor import load_rotor
 
     for r in [*rotor, *([reference] if reference else [])]:
         load_rotor(r)
-    ratios = list(read_values("--ratio", ratio, "1", most=_MAX_SETTINGS))
+    ratios = list(read_values("--ratio", ratio, "1", most=_MAX_SETTINGS_PER_KIND))
     made = make_plan(
-        name, rotor, read_values("--pitch", pitch, "deg", most=_MAX_SETTINGS),
-        read_values("--rpm", rpm, "rpm", most=_MAX_SETTINGS), reference=reference or rotor[0],
+        name, rotor, read_values("--pitch", pitch, "deg", most=_MAX_SETTINGS_PER_KIND),
+        read_values("--rpm", rpm, "rpm", most=_MAX_SETTINGS_PER_KIND), reference=reference or rotor[0],
         reference_pitch_deg=reference_pitch, repetitions=repeat, axis=axis,
         speed_ratios=ratios, reference_every=reference_every, seed=seed,
-        times=StepTimes(warm_up_s=warm_up), spacing_m=spacing,
+        times=StepDurations(warm_up_s=warm_up), spacing_m=spacing,
     )  # fmt: skip
     if out.exists():
         raise InputError("--out", str(out), "already exists", "give another name, or remove the file")
@@ -175,7 +175,7 @@ def run(
 
     Each reading is on the disk before the next point begins. live.html in the folder shows the progress.
     """
-    from mufly.bench.rig.simulated_rig import simulate_series_rig
+    from mufly.bench.rig.simulated_rig import make_simulated_rig
     from mufly.bench.series.live_page import PAGE_FILE_NAME, write_live_page
     from mufly.bench.series.series_plan import read_plan
     from mufly.bench.series.series_record import SeriesRecord
@@ -188,7 +188,7 @@ def run(
     real = _load_real_rig(rig, fault) if rig != "sim" else None
     record = SeriesRecord(out)
     last_s = float(record.lines[-1]["time"]) + 60.0 if record.lines else 0.0
-    bench, truth = (real, None) if real is not None else simulate_series_rig(made, seed, fault, last_s)
+    bench, truth = (real, None) if real is not None else make_simulated_rig(made, seed, fault, last_s)
     page = out / PAGE_FILE_NAME
     err, drawn = make_console(stderr=True), [0.0]
     print_lines(

@@ -105,15 +105,17 @@ def benchmark(
     files = []
     if out is not None:
         files = [save_figure(room.draw_scores(scores), out, "errors"), _write_points_csv(scores, out / "points.csv")]
-        files += [write_records(out / "scores.csv", [select_fields(r, _GROUP_KEYS) for r in rows])]
-        files += [write_records(out / "families.csv", [select_fields(r, _GROUP_KEYS) for r in by_family])]
+        files += [write_records(out / "scores.csv", [select_fields(r, _GROUP_SCORE_FIELDS) for r in rows])]
+        files += [write_records(out / "families.csv", [select_fields(r, _GROUP_SCORE_FIELDS) for r in by_family])]
         if advancing:
-            files.append(write_records(out / "advancing.csv", [select_fields(s, _TUNNEL_KEYS) for s in advancing]))
+            files.append(
+                write_records(out / "advancing.csv", [select_fields(s, _TUNNEL_SCORE_FIELDS) for s in advancing])
+            )
     if as_json:
         content = {
             "scores": rows, "families": by_family, "missing": missing,
-            "rotors": [select_fields(s, _ROTOR_KEYS) for s in scores], "advancing": tunnel,
-            "advancing_runs": [select_fields(s, _TUNNEL_KEYS) for s in advancing],
+            "rotors": [select_fields(s, _ROTOR_SCORE_FIELDS) for s in scores], "advancing": tunnel,
+            "advancing_runs": [select_fields(s, _TUNNEL_SCORE_FIELDS) for s in advancing],
         }  # fmt: skip
         return print_answer(as_json, content, None, files)
     _print_scores(rows, "mean absolute error over the rotors of a group")
@@ -134,15 +136,15 @@ def benchmark(
         raise MuflyError(f"{', '.join(silent)}: has no prediction for any point; see the lines above")
 
 
-_GROUP_KEYS = (
+_GROUP_SCORE_FIELDS = (
     "code group rotors points thrust_error=thrust thrust_bias torque_error=torque torque_bias "
     "thrust_inside_90=thrust_inside torque_inside_90=torque_inside without_answer=without"
 )
-_ROTOR_KEYS = (
+_ROTOR_SCORE_FIELDS = (
     "code rotor=case.name group=case.group family=case.family section_known=case.section_known "
     "thrust_error torque_error fault"
 )
-_TUNNEL_KEYS = (
+_TUNNEL_SCORE_FIELDS = (
     "code rotor=case.name family=case.family speed_rad_s efficiency=measured.max_efficiency "
     "best_advance_ratio=measured.best_advance_ratio zero_thrust_advance_ratio=measured.zero_thrust_advance_ratio "
     "efficiency_error=relative_errors.0 best_advance_ratio_error=relative_errors.1 "
@@ -213,7 +215,7 @@ def _parse_code(text: str, n_crit: float | None, limit_s: float) -> PredictionCo
 
 def _read_solved_cases(folder: Path, case: RotorCase) -> RotorPrediction:
     """Return the results of solved OpenFOAM cases below a folder at a rotor's points, matched within 0.5 %."""
-    from mufly.cfd import read_point, read_solution
+    from mufly.cfd import read_operating_point, read_solution
     from mufly.errors import InputError, MuflyError
     from mufly.study.benchmark import RotorPrediction
 
@@ -225,7 +227,7 @@ def _read_solved_cases(folder: Path, case: RotorCase) -> RotorPrediction:
     for mesh in sorted(folder.rglob("constant/polyMesh")):
         at = mesh.parent.parent
         try:
-            point = read_point(at)
+            point = read_operating_point(at)
             same = np.flatnonzero(
                 (point.rotor == case.rotor.name)
                 & (np.abs(m.speed_rad_s / point.speed_rad_s - 1.0) < 5e-3)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mufly.cli.aero.cfd_case_report import report_case, report_inflow, report_pair
+from mufly.cli.aero.cfd_case_report import report_case, report_climb_thrust, report_pair
 from mufly.cli.options import (
     PITCH_RANGE,
     SPEED_RANGE,
@@ -250,7 +250,7 @@ def solve_point(
         with _show_solver_progress(not as_json) as tell:
             solved = cfd.solve_pair(out, r, progress=tell, **given)
         raise typer.Exit(int(not report_pair(out, r, solved, as_json)))
-    good = cfd.save_case(out, r, **given)
+    good = cfd.mesh_and_write_case(out, r, **given)
     if save_only:
         print_answer(as_json, {"quality": good}, lambda: None, [out])
         return
@@ -343,7 +343,7 @@ def sweep(
     with _show_solver_progress(not as_json) as tell:
         if climbs is not None:
             found = cfd.sweep_climb(out, r, climbs, speed_rad_s=speeds[0], progress=tell, **given)
-            report_inflow(out, r, found, as_json)
+            report_climb_thrust(out, r, found, as_json)
             return
         found = cfd.sweep_speed(out, r, speeds, progress=tell, **given)
     names = "thrust_N=verdict.thrust_N torque_Nm=verdict.torque_Nm c_T c_Q figure_of_merit verdict=verdict.outcome"
@@ -423,10 +423,10 @@ def show(
 
     both = (case / "upper" / "mufly.json").is_file()
     climbs = [file.parent for file in sorted(case.glob("climb-*/mufly.json"))]
-    name = rotor or cfd.read_point(case / "upper" if both else (climbs or [case])[0]).rotor
+    name = rotor or cfd.read_operating_point(case / "upper" if both else (climbs or [case])[0]).rotor
     known = load_rotor(name) if rotor is not None or name in builtin_rotors() else None
     if climbs:
-        report_inflow(case, known, [cfd.read_solution(place) for place in climbs], as_json)
+        report_climb_thrust(case, known, [cfd.read_solution(place) for place in climbs], as_json)
     elif both:
         report_pair(case, known, cfd.read_pair(case), as_json)
     else:

@@ -48,11 +48,11 @@ def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: 
     """Print both rotors of a pair and their ratios, by CFD and by other methods; return whether the solution has
     settled.
     """
-    from mufly.cfd import draw_rotor_pair
+    from mufly.cfd import draw_pair_span_loads
 
     upper, show_upper, upper_files, upper_loads = _write_solution_report(folder / "upper", rotor)
     lower, show_lower, lower_files, lower_loads = _write_solution_report(folder / "lower", rotor)
-    files = [save_figure(draw_rotor_pair(pair), folder, "pair"), *upper_files, *lower_files]
+    files = [save_figure(draw_pair_span_loads(pair), folder, "pair"), *upper_files, *lower_files]
     ratios = [("cfd", pair.upper.verdict, pair.lower.verdict), *_pair_by_method(upper_loads, lower_loads)]
 
     def print_pair() -> None:
@@ -73,7 +73,7 @@ def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: 
     return pair.settled
 
 
-def report_inflow(folder: Path, rotor: Rotor | None, solutions: list[CfdSolution], as_json: bool) -> None:
+def report_climb_thrust(folder: Path, rotor: Rotor | None, solutions: list[CfdSolution], as_json: bool) -> None:
     """Print, write and draw the thrust over the climb velocity."""
     from mufly.cfd import compare_climbs, draw_climb_comparison
     from mufly.vehicle import load_coefficient_map
@@ -94,7 +94,7 @@ def report_inflow(folder: Path, rotor: Rotor | None, solutions: list[CfdSolution
         for name, values in columns.items()
     }
 
-    def print_inflow() -> None:
+    def print_climb_thrust() -> None:
         names = (name.replace("_over_", ", of ") for name in columns)
         heads = (ResultColumn(key, head=name) for key, name in zip(list(rows[0])[1:-2], names, strict=True))
         title = "c_T by each method, and thrust of the flight model's map over its thrust in hover"
@@ -102,7 +102,7 @@ def report_inflow(folder: Path, rotor: Rotor | None, solutions: list[CfdSolution
         lines = [(n, *(f"{100 * x:+.1f} %" for x in of.values())) for n, of in slopes.items()]
         print_table(("thrust for 1 m/s of climb", "from -0.5 to 0.5", "from -1 to 1 m/s"), lines)
 
-    print_answer(as_json, {"points": rows, "thrust_for_1_m_s": slopes}, print_inflow, files)
+    print_answer(as_json, {"points": rows, "thrust_for_1_m_s": slopes}, print_climb_thrust, files)
 
 
 def _pair_by_method(upper: list[SpanLoads], lower: list[SpanLoads]) -> list[tuple[str, Any, Any]]:
@@ -127,7 +127,7 @@ def _write_solution_report(
     low = cfd.read_solution(folder, poly, patch="blade_lower") if found.point.gap_m else None
     others_low = [] if rotor is None or low is None else cfd.predict_span_loads(rotor, found, None, 1)
     place = folder / "results"
-    past = cfd.read_history(folder)
+    past = cfd.read_load_history(folder)
     points, faces, data = cfd.extract_blade_surface(poly, found)
     files = [
         write_csv(place / "history.csv", ("iteration", "thrust_N", "torque_Nm"), past),
@@ -149,7 +149,7 @@ def _write_solution_report(
         save_figure(cfd.draw_skin_friction(poly, found), place, "friction"),
         save_figure(cfd.draw_vorticity(poly, flow, found.point), place, "vorticity"),
         save_figure(cfd.draw_vortices(vortices, poly, found.point), place, "vortices"),
-        save_figure(cfd.draw_wake(wake), place, "wake"),
+        save_figure(cfd.draw_wake_profile(wake), place, "wake"),
         cfd.write_vtp(place / "vortices.vtp", *vortices),
         cfd.write_glb(
             place / "vortices.glb",

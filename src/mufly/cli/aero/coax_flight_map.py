@@ -12,7 +12,7 @@ from mufly.cli.output import make_console, print_answer, print_table, progress_b
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from mufly.rotor.forward.edgewise_map import MapLoads
+    from mufly.rotor.forward.edgewise_map import AirspeedMapLoads
     from mufly.vehicle import FlightMap
 
 
@@ -74,7 +74,7 @@ def compute_flight_map(
     print_answer(as_json, content, lambda: _print_rotor_map(made, loads), files)
 
 
-def _print_rotor_map(made: FlightMap, loads: MapLoads) -> None:
+def _print_rotor_map(made: FlightMap, loads: AirspeedMapLoads) -> None:
     c = make_console()
     tables = made.decode_map_tables()
     shape = tables.loads.shape
@@ -98,12 +98,12 @@ def _print_rotor_map(made: FlightMap, loads: MapLoads) -> None:
     )  # fmt: skip
     c.print(
         f"rate damping of the hubs: {1e3 * loads.rate_damping_Nms:z.3f} mN m per rad/s; greatest level airspeed over "
-        f"the band of flap frequencies: {_describe_flap_frequency_band(made)}",
+        f"the band of flap frequencies: {_describe_max_level_speed_range(made)}",
         highlight=False,
     )
 
 
-def _describe_flap_frequency_band(made: FlightMap) -> str:
+def _describe_max_level_speed_range(made: FlightMap) -> str:
     low, high = made.level_speed_m_s
     beyond = math.isclose(high, made.velocity_limits_m_s[0], abs_tol=0.02)
     return f"{low:.1f} to {'more than ' if beyond else ''}{high:.1f} m/s"

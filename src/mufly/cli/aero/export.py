@@ -10,7 +10,7 @@ from mufly.cli.options import PITCH_RANGE, JsonOption, RotorArgument, define_arg
 from mufly.cli.output import make_console, print_files, print_json, write_csv
 from mufly.errors import report_write_errors
 
-_FILE_ENDINGS = (".stl", ".step", ".stp", ".csv")
+_ALLOWED_FILE_ENDINGS = (".stl", ".step", ".stp", ".csv")
 
 
 def export(
@@ -49,8 +49,8 @@ def export(
     from mufly.rotor.blades import blade_solid as bodies
 
     r, kind = load_rotor(rotor), out.suffix.lower()
-    if kind not in _FILE_ENDINGS:
-        raise InputError("FILE", str(out), "has an unknown ending", f"use one of: {', '.join(_FILE_ENDINGS)}")
+    if kind not in _ALLOWED_FILE_ENDINGS:
+        raise InputError("FILE", str(out), "has an unknown ending", f"use one of: {', '.join(_ALLOWED_FILE_ENDINGS)}")
     if not hub < 1e3 * r.radius_m:
         raise InputError("--hub", f"{hub:g} mm", f"is not inside a rotor of {1e3 * r.radius_m:g} mm", "give less")
     if hub > 0.0 and not bore < hub:

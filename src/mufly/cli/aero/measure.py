@@ -74,7 +74,7 @@ def measure(
     --diameter 5in --tip-height 2.1mm --stated-pitch 3in --out mine.toml
     """
     from mufly.rotor import estimate_pitch_offset_prior, format_rotor_toml
-    from mufly.rotor.blades.blade_files import read_station_readings
+    from mufly.rotor.blades.blade_files import read_caliper_readings
     from mufly.rotor.blades.measured_geometry import GeometryReadings, make_blank_reading_table, rotor_from_readings
 
     if diameter is None:
@@ -86,7 +86,7 @@ def measure(
         write_text_file(template, make_blank_reading_table(radius, stated_pitch), option="--template")
         return print_files([template])
     if readings is not None:
-        r, chord, angle, thickness = read_station_readings(readings)
+        r, chord, angle, thickness = read_caliper_readings(readings)
     elif out is None and not as_json:
         raise InputError(
             "--out", "", "is missing: your answers would be lost", "give a file, for example --out mine.toml"
@@ -138,7 +138,7 @@ def _ask_readings(radius_m: float, tip_leading_edge_rise_m: float | None) -> tup
     import numpy as np
 
     from mufly.quantities.quantity_grammar import read_quantity
-    from mufly.rotor.blades.measured_geometry import MEASUREMENT_STEPS, STATION_RATIOS
+    from mufly.rotor.blades.measured_geometry import MEASUREMENT_INSTRUCTIONS, STATION_RATIOS
     from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO
 
     if not sys.stdin.isatty():
@@ -166,7 +166,7 @@ def _ask_readings(radius_m: float, tip_leading_edge_rise_m: float | None) -> tup
             )
         )
 
-    for text in MEASUREMENT_STEPS:
+    for text in MEASUREMENT_INSTRUCTIONS:
         typer.echo(text)
     rows = []
     for ratio in STATION_RATIOS:

@@ -161,7 +161,7 @@ def fit(
 
     from mufly.errors import InputError
     from mufly.rotor import add_zero_load_points, draw_rotor_fit, fit_rotor, format_rotor_toml, load_rotor
-    from mufly.rotor.measured.rotor_fit import FIT_PARAMETERS
+    from mufly.rotor.measured.rotor_fit import FIT_PARAMETER_NAMES
 
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
@@ -182,7 +182,7 @@ def fit(
         files = [out, save_figure(draw_rotor_fit(found), out.parent, out.stem)]
     if as_json:
         content = {
-            "rotor": r.name, "measurements": bench.source, "names": FIT_PARAMETERS,
+            "rotor": r.name, "measurements": bench.source, "names": FIT_PARAMETER_NAMES,
             **select_fields(found, "change std prior_std correlation undecided"),
             "sections": [{"airfoils": name, "probability": share} for name, share in found.fit.list_sections()],
             **select_fields(found, "error_before=scaled_errors_before error_after=scaled_errors_after"),
@@ -206,7 +206,7 @@ def fit(
                 f"{size[k] * found.change[k]:+.3g} ± {size[k] * found.std[k]:.2g}{unit[k]}",
                 f"± {size[k] * found.prior_std[k]:.2g}{unit[k]}",
             )
-            for k, name in enumerate(FIT_PARAMETERS)
+            for k, name in enumerate(FIT_PARAMETER_NAMES)
         ],
     )
     for line in found.undecided:

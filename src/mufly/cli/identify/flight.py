@@ -20,7 +20,7 @@ from mufly.cli.options import (
     define_argument,
     define_option,
     format_today,
-    write_vehicle,
+    write_estimated_vehicle,
 )
 from mufly.cli.output import (
     check_output_place,
@@ -154,7 +154,7 @@ def flight(
     Example: mufly identify flight yaw.mcap heave.mcap roll.mcap pitch.mcap --hold-out mixed.mcap
     --free cQ_up,cQ_dw,Izz,Iyy,l_up,l_dw,Tf_up,delay --delay 20 --out mine.toml --report report
     """
-    from mufly.identify import choose_free_parameters, fit_flight_records, fit_parts_separately
+    from mufly.identify import choose_free_parameters, fit_dynamics_parts_separately, fit_flight_records
     from mufly.identify import split_record as cut
     from mufly.identify.flight.batch_simulation import run_on_cluster
     from mufly.identify.flight_record import FLIGHT_OUTPUTS
@@ -200,7 +200,7 @@ def flight(
     try:
         with run_on_cluster(cluster), _show_fit_progress(not as_json) as on_progress:
             if part == "split":
-                fit = fit_parts_separately(start, wanted, records, on_progress=on_progress, **options)
+                fit = fit_dynamics_parts_separately(start, wanted, records, on_progress=on_progress, **options)
             else:
                 fit = fit_flight_records(start, wanted, records, part=part, on_progress=on_progress, **options)
     except KeyboardInterrupt:
@@ -208,7 +208,7 @@ def flight(
         typer.secho(f"mufly: stopped{where}", fg=typer.colors.YELLOW, err=True)
         raise typer.Exit(130) from None
     note = f"identified {format_today()} from {', '.join(p.name for p in logs)}"
-    written = write_vehicle(start, fit.estimates, out, note, "--out")
+    written = write_estimated_vehicle(start, fit.estimates, out, note, "--out")
     page = _write_report(fit, report, not as_json)
     for path in kept:
         path.unlink(missing_ok=True)

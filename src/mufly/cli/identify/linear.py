@@ -150,7 +150,7 @@ def linear(
             n = len(records[0].time_s)
             cut = round(split * n) if split_at is None else int((records[0].time_s < split_at).sum())
             records, held = [records[0].slice_samples(0, cut)], [records[0].slice_samples(cut, n)]
-        names = _parse_column_names(inputs), _parse_column_names(outputs)
+        names = _parse_column_map(inputs), _parse_column_map(outputs)
         return _fit_by_equations(
             records, held, *names, products, without, domain, lowpass, highpass, out, as_json
         )  # fmt: skip
@@ -163,7 +163,7 @@ def linear(
 
     with progress_bar("structures and searches", not as_json) as progress:
         result = identify_linear_model(
-            records[0], _parse_column_names(inputs), _parse_column_names(outputs), model=model, split=split,
+            records[0], _parse_column_map(inputs), _parse_column_map(outputs), model=model, split=split,
             split_at_s=split_at, lowpass_hz=(5.0 if lowpass is None else lowpass) or None, rate_hz=rate or None,
             starts=starts, seed=seed, hold=hold, progress=progress,
         )  # fmt: skip
@@ -227,7 +227,7 @@ def _fit_by_equations(
     print_files(report, "Report")
 
 
-def _parse_column_names(text: str) -> dict[str, str]:
+def _parse_column_map(text: str) -> dict[str, str]:
     found = {}
     for part in text.split(","):
         name, _, column = part.strip().partition("=")
@@ -242,7 +242,7 @@ def _print_linear_model(r: LinearResult) -> None:
         estimate_table,
         format_pole,
         prediction_table,
-        quality_table,
+        simulation_quality_table,
     )
 
     print_lines(*r.notes, mark="Note")
@@ -250,7 +250,7 @@ def _print_linear_model(r: LinearResult) -> None:
         print_table(*candidate_table(r), title="Structures, cross-validated inside the fitted part")
     print_table(*estimate_table(r), title=f"Model {r.fit.vehicle}")
     print_lines(f"Poles: {', '.join(format_pole(p) for p in r.linear_fit.poles)} rad/s", r.linear_fit.message)
-    print_table(*quality_table(r), title="Pure simulation from inputs", text=(0, 1))
+    print_table(*simulation_quality_table(r), title="Pure simulation from inputs", text=(0, 1))
     print_lines(
         "at most: with no error but the noise floor; to angle: against the derivative of the measured angle; error and "
         f"noise: rms below {r.slow_hz:g} Hz (noise >: above it), in the output's unit; Theil: 0 exact, 1 no relation",
@@ -359,7 +359,7 @@ def frequency(
             orders = (zeros, poles)
         except ValueError:
             raise InputError("--fit", "", f"{fit!r} is not ZEROS/POLES", "write 0/1 or 1/2") from None
-    names = _parse_column_names(inputs), _parse_column_names(outputs)
+    names = _parse_column_map(inputs), _parse_column_map(outputs)
     data = _compute_responses(logs, *names, columns, start_s, end_s, band, windows, points)
     pairs = [(o, i) for o in range(len(data.outputs)) for i in range(len(data.inputs))]
     fits, unfitted, why = [], [], ""
@@ -419,7 +419,7 @@ def _write_responses(data: FrequencyResponse, out: Path, fits: Sequence[Transfer
     from mufly.identify.linear.response_pictures import draw_frequency_response
 
     heads, columns = ["frequency_Hz"], [data.frequency_hz]
-    for name, pair in data.tabulate_pairs().items():
+    for name, pair in data.tabulate_pair_responses().items():
         heads += [f"{name.replace(' ', '_')}_{key}" for key in pair]
         columns += list(pair.values())
     heads += [f"{o}_multiple_coherence" for o in data.outputs]
@@ -461,7 +461,7 @@ def bandwidth(
     from mufly.identify.linear.sweep_response import MIN_PARTIAL_COHERENCE
 
     check_output_place("--out", out)
-    inputs, outputs = _parse_column_names(f"{input_},{others}"), _parse_column_names(output)
+    inputs, outputs = _parse_column_map(f"{input_},{others}"), _parse_column_map(output)
     if len(outputs) != 1:
         raise InputError("--output", "", f"{output!r} is not a single output", "give one output")
     data = _compute_responses(logs, inputs, outputs, columns, start_s, end_s, band, windows, points)
@@ -505,7 +505,7 @@ def _write_bandwidth(data: FrequencyResponse, found: Bandwidth, out: Path) -> li
     )  # fmt: skip
     with fit_pictures.report_style():
         picture = save_figure(draw_frequency_response(one, 0, read=found), out, "bandwidth")
-    (pair,) = one.tabulate_pairs().values()
+    (pair,) = one.tabulate_pair_responses().values()
     return [write_records(out / "response.csv", to_records({"frequency_Hz": one.frequency_hz, **pair})), picture]
 
 
@@ -543,21 +543,19 @@ def compatibility(
     from mufly.identify.linear.flight_path_reconstruction import reconstruct_flight_path as reconstruct
 
     check_output_place("--out", out)
-    found = reconstruct(
-        _read_record(log, columns, start_s, end_s), _parse_column_names(imu), _parse_column_names(measured)
-    )
+    found = reconstruct(_read_record(log, columns, start_s, end_s), _parse_column_map(imu), _parse_column_map(measured))
     files = []
     if out is not None:
         from mufly.identify import fit_pictures
-        from mufly.identify.linear.response_pictures import draw_reconstructed_path
+        from mufly.identify.linear.response_pictures import draw_reconstructed_outputs
 
-        stds, corrected = (f"{s}_std" for s in FLIGHT_PATH_STATES), (f"{n}_corrected" for n in _parse_column_names(imu))
+        stds, corrected = (f"{s}_std" for s in FLIGHT_PATH_STATES), (f"{n}_corrected" for n in _parse_column_map(imu))
         heads = ["time_s", *FLIGHT_PATH_STATES, *stds, *corrected]
         rows = np.column_stack([found.time_s, found.states, found.states_std, found.corrected])
         with fit_pictures.report_style():
             files = [
                 write_csv(out / "path.csv", heads, rows.tolist()),
-                save_figure(draw_reconstructed_path(found), out, "path"),
+                save_figure(draw_reconstructed_outputs(found), out, "path"),
             ]
     if as_json:
         return print_answer(as_json, found, None, files)

@@ -23,7 +23,7 @@ from mufly.cli.options import (
     format_today,
     load_start_vehicle,
     read_optional_with_std,
-    write_vehicle,
+    write_estimated_vehicle,
 )
 from mufly.cli.output import (
     check_output_place,
@@ -179,7 +179,7 @@ def rotor(
     if write is not None and len({round(f.pitch_rad, 4) for f in fits if math.isfinite(f.pitch_rad)}) > 1:
         raise InputError("--write", sources, "has several pitch settings", "leave one in the file")
     found = (e for f in fits for e in f.estimates)
-    files = write_vehicle(start, found, write, f"mufly identify rotor {sources}, {format_today()}")
+    files = write_estimated_vehicle(start, found, write, f"mufly identify rotor {sources}, {format_today()}")
     if out is not None:
         files.append(save_figure(draw_rotor_coefficients(fits, predicted=drawn, title=sources), out, "rotor"))
     effects = describe_interference(fits)
@@ -522,7 +522,9 @@ def motor(
         table, gear=GearKnowledge(ratio, eta, ratio_std, eta_std), vehicle=start,
         noise=parse_noise(noise, MOTOR_CHANNELS) if noise else None,
     )  # fmt: skip
-    files = write_vehicle(start, fit.estimates, write, f"mufly identify motor {table.source}, {format_today()}")
+    files = write_estimated_vehicle(
+        start, fit.estimates, write, f"mufly identify motor {table.source}, {format_today()}"
+    )
     if out is not None:
         picture = draw_motor_fit(fit, title=f"{table.source}: motor constants by least squares")
         files.append(save_figure(picture, out, "motor"))

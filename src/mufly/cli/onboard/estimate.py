@@ -175,7 +175,7 @@ def _estimate_own_flight(log: Path, data: xr.Dataset, vehicle: str | None, out: 
     from mufly.estimate.nees import measure_consistency
     from mufly.flight import list_truths, replace_estimates, replay_estimator
 
-    flown, world = _read_attached_vehicle(log, vehicle)
+    flown, world = _load_vehicle_and_world(log, vehicle)
     with progress_bar("estimating", not as_json):
         estimates = replay_estimator(data, KalmanEstimator(flown, world, float(data.attrs["rate_Hz"])))
     again = replace_estimates(data, estimates)
@@ -345,7 +345,7 @@ def _print_consistency(c: Consistency, what: str = "") -> None:
     print_lines(f"NEES / n {c.nees:.2f} (1 if consistent; {parts}); {c.inside_share:.1%} inside the 95 % ellipsoid")
 
 
-def _read_attached_vehicle(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:
+def _load_vehicle_and_world(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:
     """Return the requested vehicle, or else the one stored in the recording, and the world of the recorded mission."""
     import tempfile
 

@@ -12,7 +12,7 @@ import typer
 from mufly.cli.onboard.view_options import make_foxglove_view
 from mufly.cli.options import CommandGroup, JsonOption, VehicleOption, define_argument, define_option
 from mufly.cli.output import LiveDisplay, check_output_place, make_console, print_answer, print_lines, print_table
-from mufly.cli.station import ShutdownHandler, check_sensor_options, describe_sensor_source, resolve_wind
+from mufly.cli.station import ShutdownHandler, describe_sensor_source, parse_sensor_faults, resolve_wind
 from mufly.errors import InputError, report_write_errors
 
 Autopilot = Literal["px4", "ardupilot", "betaflight"]
@@ -177,11 +177,11 @@ def run_simulator(
     from mufly.bridges.ardupilot.ardupilot_link import ARDUPILOT_ENDPOINT
     from mufly.bridges.betaflight.betaflight_link import BETAFLIGHT_ENDPOINT
     from mufly.bridges.px4.px4_link import PX4_ENDPOINT
-    from mufly.bridges.simulator_pace import AutopilotSimulator, SimulatorReport, check_speed
+    from mufly.bridges.simulator_pace import AutopilotSimulator, SimulatorReport, check_real_time_factor
     from mufly.link.codec import parse_origin
     from mufly.link.ports import parse_endpoint
 
-    check_speed(speed, "--speed")
+    check_real_time_factor(speed, "--speed")
     steady = resolve_wind(wind, gust, seed)
     view_config = make_foxglove_view(foxglove) if foxglove else None
     default = {"px4": PX4_ENDPOINT, "ardupilot": ARDUPILOT_ENDPOINT, "betaflight": BETAFLIGHT_ENDPOINT}[autopilot]
@@ -201,7 +201,7 @@ def run_simulator(
 
     helicopter = load_vehicle(vehicle)
     plan = Mission(name="no mission") if mission is None else load_mission(mission)
-    faults = check_sensor_options(helicopter, "fitted", fault)
+    faults = parse_sensor_faults(helicopter, "fitted", fault)
     terminal, over = make_console(), ShutdownHandler()
     name = _AUTOPILOT_NAMES[autopilot]
     terminal.print(f"[bold]{helicopter.name}[/bold] is simulated for {name}", highlight=False)

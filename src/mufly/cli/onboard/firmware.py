@@ -40,8 +40,8 @@ from mufly.cli.station import (
     GustOption,
     SensorsOption,
     WindOption,
-    check_sensor_options,
     choose_dated_folder,
+    parse_sensor_faults,
     resolve_wind,
 )
 from mufly.errors import InputError, MuflyError, report_write_errors
@@ -49,7 +49,7 @@ from mufly.results import ResultColumn
 
 if TYPE_CHECKING:
     from mufly.control import FlightController
-    from mufly.firmware import FixedPointFlight, FixedPointLaw, PilResult, SilResult
+    from mufly.firmware import FixedPointFlightComparison, FixedPointLaw, PilResult, SilResult
     from mufly.vehicle import Vehicle
 
 app = CommandGroup(
@@ -108,7 +108,7 @@ def export(
         print_json({"files": [str(f) for f in files], **more})
         return
     if law is not None:
-        _print_fixed_law(helicopter, controller, law)
+        _print_fixed_point_law(helicopter, controller, law)
     print_files([out])
     if helicopter.sensors is None:
         print_lines(
@@ -199,7 +199,7 @@ def sil(
         raise InputError("--drawn", "", "draws wind, gusts and faults itself", "leave out --wind, --gust and --fault")
     steady = resolve_wind(wind, gust, 0)
     helicopter = load_vehicle(vehicle)
-    faults = check_sensor_options(helicopter, sensors, fault)
+    faults = parse_sensor_faults(helicopter, sensors, fault)
     with progress_bar("flights", not as_json) as progress:
         results = compare(
             helicopter, names, flights=flights, wind=steady, gust=gust, faults=faults,
@@ -250,23 +250,23 @@ def _print_sil_results(results: list[SilResult]) -> None:
 
 
 def _compare_fixed_point(vehicle: Vehicle, names: list[str], flights: int, keep: Path | None, as_json: bool) -> None:
-    from mufly.firmware import fly_fixed_point
+    from mufly.firmware import compare_fixed_point_flights
 
     with progress_bar("flights", not as_json) as progress:
         on_flight = _make_flight_counter(progress, len(names) * flights)
-        results = fly_fixed_point(vehicle, names, flights=flights, keep=keep, on_flight=on_flight)
-    print_answer(as_json, {"flights": results}, lambda: _print_fixed_flights(results))
+        results = compare_fixed_point_flights(vehicle, names, flights=flights, keep=keep, on_flight=on_flight)
+    print_answer(as_json, {"flights": results}, lambda: _print_fixed_point_flights(results))
     if any(r.overflows for r in results):
         raise typer.Exit(1)
 
 
-def _print_fixed_flights(results: list[FixedPointFlight]) -> None:
+def _print_fixed_point_flights(results: list[FixedPointFlightComparison]) -> None:
     counts = (ResultColumn("periods", form="d"), ResultColumn("overflows", form="d"))
     print_result_table(results, ["mission", "seed", "outcome", *counts, ResultColumn("max_distance_m", "mm", ".1f")])
     print_lines("Apart: greatest distance from the flight in double precision. Seeds from 1 on fly in wind and gusts.")
 
 
-def _print_fixed_law(vehicle: Vehicle, controller: FlightController, law: FixedPointLaw) -> None:
+def _print_fixed_point_law(vehicle: Vehicle, controller: FlightController, law: FixedPointLaw) -> None:
     from mufly.firmware import measure_cascade_loss
 
     taken = {(one.loop, one.form) for one in law.chosen_losses}
@@ -332,7 +332,7 @@ def fly(
     if log is not None:
         check_output_place("--log", log.parent, make=False)
     helicopter, flown = load_vehicle(vehicle), load_mission(mission)
-    faults = check_sensor_options(helicopter, "fitted", fault)
+    faults = parse_sensor_faults(helicopter, "fitted", fault)
     check_preflight(helicopter, flown, vehicle_file=vehicle, mission_file=mission)
     with LiveDisplay(terminal) as display:
         try:

@@ -18,12 +18,12 @@ from mufly.cli.station import (
     SensorsOption,
     ShutdownHandler,
     WindOption,
-    check_sensor_options,
     describe_flight_code,
     describe_sensor_source,
     parse_endpoints,
+    parse_sensor_faults,
     resolve_wind,
-    select_flight_software,
+    select_control_implementation,
 )
 from mufly.errors import InputError, MuflyError
 
@@ -166,8 +166,8 @@ def run_link(
     plan = Mission(name="no mission") if mission is None else load_mission(mission)
     if mission is not None:
         check_preflight(helicopter, plan, vehicle_file=vehicle, mission_file=mission)
-    faults = check_sensor_options(helicopter, sensors, fault)
-    controllers = select_flight_software(firmware)
+    faults = parse_sensor_faults(helicopter, sensors, fault)
+    controllers = select_control_implementation(firmware)
 
     from mufly.station.page.start_page import Startup
 
@@ -243,7 +243,7 @@ def _run_emulated_board(
 
     helicopter, plan = load_vehicle(vehicle), load_mission(mission)
     check_preflight(helicopter, plan, vehicle_file=vehicle, mission_file=mission)
-    faults = check_sensor_options(helicopter, "fitted", fault)
+    faults = parse_sensor_faults(helicopter, "fitted", fault)
     terminal, over = make_console(), ShutdownHandler()
     with over, LiveDisplay(terminal) as display:
         display.set_live_line("building the board's image")

@@ -94,7 +94,7 @@ def simulate(
     """
     import numpy as np
 
-    from mufly.flight import draw_sensors, log_sensors, reading_errors, write_sensor_logs
+    from mufly.flight import draw_sensors, fly_and_log_sensors, reading_errors, write_sensor_logs
     from mufly.mission import load_mission
     from mufly.sensors import parse_fault
     from mufly.vehicle import load_vehicle
@@ -103,7 +103,7 @@ def simulate(
     steady = resolve_wind(wind, gust, seed)
     check_output_place("--out", out)
     with progress_bar("flight", not as_json) as progress:
-        logs = log_sensors(
+        logs = fly_and_log_sensors(
             load_vehicle(vehicle), load_mission(mission), seed=seed, faults=wrong,
             wind=None if steady is None else np.array(steady), gust=gust,
             on_progress=None if progress is None else lambda p: progress(round(p.time_s), round(p.expected_s)),

@@ -161,10 +161,10 @@ def floors(
 
     Example: mufly slam floors -o floors; mufly fly --position camera --floor floors/gravel.png
     """
-    from mufly.camera import FLOOR_KINDS, PACKAGE_FLOORS, write_floor_set
+    from mufly.camera import FLOOR_KINDS, PACKAGE_FLOORS, copy_package_floors
 
     check_output_place("--out", out)
-    written = [] if out is None else write_floor_set(out)
+    written = [] if out is None else copy_package_floors(out)
     rows = [
         {
             "name": f.name, "width_m": f.width_m, "package": f.package, "licence": f.licence,
@@ -285,12 +285,12 @@ def run(
         SlamSystem,
         check_overlap,
         evaluate_trajectory,
-        info_from_height,
         load_opencv,
+        make_estimate_function_from_height,
         open_live,
         open_pictures,
         plot_trajectory,
-        read_telemetry,
+        read_telemetry_interpolator,
         run_slam,
     )
 
@@ -300,7 +300,7 @@ def run(
             raise InputError(name, "", f"{value:g} s is out of range", f"give up to {most:g} s")
     if link is not None and not is_live_source(place):
         raise InputError("--link", "", "is for live pictures", "give a camera or a stream, or --telemetry")
-    told = None if telemetry is None else read_telemetry(telemetry, offset)
+    told = None if telemetry is None else read_telemetry_interpolator(telemetry, offset)
     check_output_place("--out", out)
     known = None if floor_map is None else FloorMap.load(floor_map)
     with contextlib.ExitStack() as stack:
@@ -311,7 +311,7 @@ def run(
                 raise InputError(place, "", "does not name its camera", "give --camera, a name or a file")
             lens = load_camera(camera)
             if told is None and link is None:
-                told = info_from_height(height, place)
+                told = make_estimate_function_from_height(height, place)
             if link is not None:
                 port = CompanionPort(parse_endpoint(link, "station"))
                 port.companion.has_sender_stamps = clock == "sender"
@@ -324,7 +324,7 @@ def run(
         else:
             lens = find_camera(Path(place), camera)
             source = open_pictures(place, lens, height_m=height, rate_Hz=rate, times=times, told=told)
-            source.check_interval()
+            source.check_picture_interval()
         truth = source.truth
         start = (0.0, 0.0, 0.0) if truth is None else (*truth[1][0, :2], truth[2][0])
         slam = SlamSystem(lens, known, start=start)

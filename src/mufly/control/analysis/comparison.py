@@ -51,7 +51,7 @@ _EQUAL_GUST_TILT_RATIO = 1.2
 
 
 @result
-class LoopFigures:
+class LoopMetrics:
     """Order, norm, margins, input noise and mu of one loop with the sampled controller that flies.
 
     Attributes
@@ -80,7 +80,7 @@ class LoopFigures:
 
 
 @result
-class FlightFigures:
+class FlightMetrics:
     """Results of simulated flights with the controllers of one method.
 
     Attributes
@@ -101,7 +101,7 @@ class FlightFigures:
 
 
 @result
-class ForwardFigures:
+class ForwardSpeedMetrics:
     """Disk margin and peaks of the sampled roll-pitch loop at one forward speed, with the model linearised there.
 
     Attributes
@@ -118,7 +118,7 @@ class ForwardFigures:
 
 
 @result
-class MethodFigures:
+class MethodMetrics:
     """Results of one synthesis method: both loops, peak of the position cascade, tilt in gusts; instructions and
     flights are None if not measured.
 
@@ -128,13 +128,13 @@ class MethodFigures:
     """
 
     method: str
-    heave_yaw: LoopFigures
-    roll_pitch: LoopFigures
+    heave_yaw: LoopMetrics
+    roll_pitch: LoopMetrics
     cascade_peak_dB: float
     gust_tilt_rad: float
-    flights: FlightFigures | None = None
+    flights: FlightMetrics | None = None
     instructions: float | None = None
-    forward: tuple[ForwardFigures, ...] = ()
+    forward: tuple[ForwardSpeedMetrics, ...] = ()
 
     @property
     def label(self) -> str:
@@ -169,7 +169,7 @@ class ControllerComparison:
     ----------
     vehicle_name : str
     rate_Hz : float
-    methods : tuple of MethodFigures
+    methods : tuple of MethodMetrics
     recommended : str
         Method that the verdict chooses.
     verdict : str
@@ -178,7 +178,7 @@ class ControllerComparison:
 
     vehicle_name: str
     rate_Hz: float
-    methods: tuple[MethodFigures, ...]
+    methods: tuple[MethodMetrics, ...]
     recommended: str
     verdict: str
 
@@ -189,7 +189,7 @@ class ControllerComparison:
         for title, part in (("roll-pitch", "roll_pitch"), ("heave-yaw", "heave_yaw")):
             rows: list[tuple[str, ...]] = [("", "", "dB", "dB", "dB", "deg", "ms", "", "", "%", "deg", "", "")]
             for m in self.methods:
-                loop: LoopFigures = getattr(m, part)
+                loop: LoopMetrics = getattr(m, part)
                 s = loop.sampled
                 rows.append(
                     (
@@ -247,15 +247,15 @@ def compute_output_noise_std(vehicle: Vehicle, outputs: Sequence[str]) -> Array:
     return np.array([kinds.get(name, ATTITUDE_NOISE_RAD) for name in outputs])
 
 
-def loop_figures(
+def compute_loop_metrics(
     vehicle: Vehicle, design: ControllerDesign, mu: tuple[float, float], *, scheduled: bool = False
-) -> LoopFigures:
+) -> LoopMetrics:
     """Return order, norm, margins, input noise and mu of a loop at hover; ``mu`` holds upper and lower bound of mu."""
     plant = sample_plant(design.plant, design.discrete.period_s, 1)
     feedback = design.feedback_controller(design.discrete.to_state_space())
     n, (outputs, inputs) = design.discrete.order, design.discrete.D.shape
     noise = compute_output_noise_std(vehicle, design.plant.output_labels)
-    return LoopFigures(
+    return LoopMetrics(
         order=n,
         multiply_adds=n * (inputs + outputs) + 2 * n + inputs * outputs + (outputs * (n + inputs) if scheduled else 0),
         norm=design.reduction.chosen.norm,
@@ -312,7 +312,7 @@ def compare_methods(
     base = DesignSettings() if settings is None else settings
     wanted: dict[str, DesignSettings] = {method: replace(base, method=method) for method in methods}
     wanted |= {f"{TUNED_METHOD_NAME}-{k}" if k > 1 else TUNED_METHOD_NAME: given for k, given in enumerate(tuned, 1)}
-    rows: list[MethodFigures] = []
+    rows: list[MethodMetrics] = []
     controllers: dict[str, FlightController] = {}
     plants: dict[float, control.StateSpace] | None = None
     for k, (method, chosen) in enumerate(wanted.items()):
@@ -324,13 +324,13 @@ def compare_methods(
             plants = roll_pitch_plants_by_speed(vehicle, speeds_m_s, c.voltage_V)
         bounds = load_or_compute_mu_bounds(vehicle, c, points, None if folder is None else folder / f"mu-{method}.json")
         rows.append(
-            MethodFigures(
+            MethodMetrics(
                 method,
-                loop_figures(vehicle, c.heave_yaw, bounds[0]),
-                loop_figures(vehicle, c.roll_pitch, bounds[1], scheduled=c.schedule is not None),
+                compute_loop_metrics(vehicle, c.heave_yaw, bounds[0]),
+                compute_loop_metrics(vehicle, c.roll_pitch, bounds[1], scheduled=c.schedule is not None),
                 c.cascade_loop.sensitivity_peak_dB,
                 compute_gust_tilt_std(linear, c),
-                forward=forward_figures(c, plants),
+                forward=compute_forward_speed_metrics(c, plants),
             )
         )
         controllers[method] = c
@@ -354,7 +354,9 @@ def roll_pitch_plants_by_speed(
     return found
 
 
-def forward_figures(c: FlightController, plants: Mapping[float, control.StateSpace]) -> tuple[ForwardFigures, ...]:
+def compute_forward_speed_metrics(
+    c: FlightController, plants: Mapping[float, control.StateSpace]
+) -> tuple[ForwardSpeedMetrics, ...]:
     """Return disk margin and peaks of the roll-pitch loop at each forward speed; a scheduled controller follows the
     speed.
     """
@@ -362,11 +364,11 @@ def forward_figures(c: FlightController, plants: Mapping[float, control.StateSpa
     for speed, plant in plants.items():
         K = c.roll_pitch.discrete.to_state_space()
         if c.schedule is not None:
-            K = c.schedule.controller_at(c.roll_pitch.discrete, c.schedule.share_at(speed))
+            K = c.schedule.blend_controller(c.roll_pitch.discrete, c.schedule.forward_share_at(speed))
         feedback, held = c.roll_pitch.feedback_controller(K), sample_plant(plant, c.period_s, 1)
         loop, disk = analyse_loop(held, feedback), disk_margin(held, feedback).margin
         peaks = (loop.sensitivity_peak_dB, loop.complementary_peak_dB) if loop.stable else (np.inf, np.inf)
-        found.append(ForwardFigures(speed, disk, *peaks))
+        found.append(ForwardSpeedMetrics(speed, disk, *peaks))
     return tuple(found)
 
 
@@ -391,24 +393,24 @@ def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
     """Return the comparison as a dataset: margins and norms over controller and loop, other values over controller."""
     loops = ("roll-pitch", "heave-yaw")
 
-    def loop_figure_array(figure: Callable[[LoopFigures], float]) -> tuple[tuple[str, str], list[list[float]]]:
+    def loop_metric_array(figure: Callable[[LoopMetrics], float]) -> tuple[tuple[str, str], list[list[float]]]:
         return ("controller", "loop"), [
             [float(figure(x)) for x in (m.roll_pitch, m.heave_yaw)] for m in comparison.methods
         ]
 
     variables: dict[str, Any] = {
-        "gamma": loop_figure_array(lambda x: x.norm),
-        "sensitivity_peak_dB": loop_figure_array(lambda x: x.sampled.sensitivity_peak_dB),
-        "complementary_peak_dB": loop_figure_array(lambda x: x.sampled.complementary_peak_dB),
-        "gain_margin_dB": loop_figure_array(lambda x: x.sampled.gain_margin_dB),
-        "phase_margin_deg": loop_figure_array(lambda x: x.sampled.phase_margin_deg),
-        "delay_margin_s": loop_figure_array(lambda x: x.sampled.delay_margin_s),
-        "disk_margin": loop_figure_array(lambda x: x.disk.margin),
-        "mu_upper": loop_figure_array(lambda x: x.mu_upper),
-        "mu_lower": loop_figure_array(lambda x: x.mu_lower),
-        "input_noise": loop_figure_array(lambda x: x.input_noise),
-        "order": loop_figure_array(lambda x: x.order),
-        "multiply_adds": loop_figure_array(lambda x: x.multiply_adds),
+        "gamma": loop_metric_array(lambda x: x.norm),
+        "sensitivity_peak_dB": loop_metric_array(lambda x: x.sampled.sensitivity_peak_dB),
+        "complementary_peak_dB": loop_metric_array(lambda x: x.sampled.complementary_peak_dB),
+        "gain_margin_dB": loop_metric_array(lambda x: x.sampled.gain_margin_dB),
+        "phase_margin_deg": loop_metric_array(lambda x: x.sampled.phase_margin_deg),
+        "delay_margin_s": loop_metric_array(lambda x: x.sampled.delay_margin_s),
+        "disk_margin": loop_metric_array(lambda x: x.disk.margin),
+        "mu_upper": loop_metric_array(lambda x: x.mu_upper),
+        "mu_lower": loop_metric_array(lambda x: x.mu_lower),
+        "input_noise": loop_metric_array(lambda x: x.input_noise),
+        "order": loop_metric_array(lambda x: x.order),
+        "multiply_adds": loop_metric_array(lambda x: x.multiply_adds),
         "cascade_peak_dB": ("controller", [m.cascade_peak_dB for m in comparison.methods]),
         "gust_tilt_rad": ("controller", [m.gust_tilt_rad for m in comparison.methods]),
         "instructions": (
@@ -440,7 +442,7 @@ def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
     )  # fmt: skip
 
 
-def recommend_method(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodFigures]) -> ControllerComparison:
+def recommend_method(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodMetrics]) -> ControllerComparison:
     """Rank the methods by the criteria of the module's docstring; return the comparison with its verdict."""
     reasons = [f"{m.label} is excluded: {m.shortcoming}" for m in rows if m.shortcoming]
     left = [m for m in rows if not m.shortcoming]

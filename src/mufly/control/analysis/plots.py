@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mufly.control.analysis.comparison import ControllerComparison, LoopFigures
-from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, ServoMap
+from mufly.control.analysis.comparison import ControllerComparison, LoopMetrics
+from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, ServoTimingMap
 from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import FlightController
 from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
@@ -217,7 +217,7 @@ def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
     return figure
 
 
-def draw_servo_map(found: ServoMap) -> Figure:
+def draw_servo_map(found: ServoTimingMap) -> Figure:
     """Draw disk margin and angular rate of the swash plate over servo lag, with one line for each control rate."""
     t = found.table
     figure = blank_figure(4.5 * t.frame_s.size, 5.6)
@@ -244,7 +244,7 @@ def draw_comparison(comparison: ControllerComparison) -> Figure:
     axes = figure.subplots(2, 2).ravel()
     methods = comparison.methods
     place = np.arange(len(methods), dtype=float)
-    panels: tuple[tuple[str, Callable[[LoopFigures], float]], ...] = (
+    panels: tuple[tuple[str, Callable[[LoopMetrics], float]], ...] = (
         ("largest sampled peak (dB)", lambda f: max(f.sampled.sensitivity_peak_dB, f.sampled.complementary_peak_dB)),
         ("disk margin", lambda f: f.disk.margin),
         ("mu over parameters, upper bound", lambda f: f.mu_upper),
@@ -282,7 +282,7 @@ def draw_schedule(schedule: OutputSchedule) -> Figure:
     return figure
 
 
-def draw_designs(controller: FlightController, folder: Path | str) -> list[Path]:
+def write_design_pictures(controller: FlightController, folder: Path | str) -> list[Path]:
     """Draw all designs into a folder, which is created if necessary.
 
     Parameters

@@ -7,7 +7,7 @@ delay:
 
 - height and heading: deviations by disturbances of both motors' inputs and by the noise of all sensors, from the
   covariance of the loop, ``X = A X A' + B B'``. Disturbances represent gusts, ground and battery as changes of the
-  inputs. They are independent, with the deviation :data:`INPUT_DISTURBANCE_DEVIATION` below the frequency
+  inputs. They are independent, with the deviation :data:`INPUT_DISTURBANCE_STD` below the frequency
   :data:`INPUT_DISTURBANCE_CORNER_RAD_S`;
 - inputs: the larger deviation of a motor's command.
 
@@ -42,7 +42,7 @@ from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import Vehicle
 
 CONTROL_WEIGHTS = (0.4, 0.2, 0.1, 0.05, 0.025, 0.0125)
-INPUT_DISTURBANCE_DEVIATION, INPUT_DISTURBANCE_CORNER_RAD_S = 0.02, 2.0
+INPUT_DISTURBANCE_STD, INPUT_DISTURBANCE_CORNER_RAD_S = 0.02, 2.0
 LEAST_DISK_MARGIN = 0.7
 DEFAULT_BACK_EMF_NOISE_V = 0.01
 """Noise of a back-EMF reading (V) on a vehicle without that sensor."""
@@ -162,13 +162,13 @@ def compare_rotor_speeds(
         told = (*HEAVE_YAW_LQG.noise, *(speed_noise / 100.0 for _ in outputs[len(_HEAVE_YAW_OUTPUTS) :]))
         for weight in control_weights:
             weights = replace(HEAVE_YAW_LQG, control=weight, noise=told)
-            row = _heave_yaw_row(plant, scaling, weights, noise, period, measured)
+            row = _assess_heave_yaw_loop(plant, scaling, weights, noise, period, measured)
             if row is not None:
                 rows.append(row)
     return RotorSpeedComparison(vehicle.name, speed_noise, tuple(rows))
 
 
-def _heave_yaw_row(
+def _assess_heave_yaw_loop(
     plant: control.StateSpace, scaling: SignalScaling, weights: LqgWeights, noise: Array, period: float, measured: bool
 ) -> HeaveYawRow | None:
     """Return the figures of a loop; None if it is not stable when sampled."""
@@ -187,14 +187,14 @@ def _heave_yaw_row(
     loop = analyse_loop(held, feedback, output_scale=so)
     if not loop.stable:
         return None
-    deviations = _closed_loop_deviations(plant, K, noise, period)
+    deviations = _closed_loop_standard_deviations(plant, K, noise, period)
     return HeaveYawRow(
         measured, weights.control, min(loop.crossovers, default=float("nan")), loop.sensitivity_peak_dB,
         disk_margin(held, feedback).margin, *deviations,
     )  # fmt: skip
 
 
-def _closed_loop_deviations(
+def _closed_loop_standard_deviations(
     plant: control.StateSpace, K: control.StateSpace, noise: Array, period: float
 ) -> tuple[float, float, float]:
     """Return the standard deviations of height (m), heading (rad) and the more active motor input.
@@ -210,7 +210,7 @@ def _closed_loop_deviations(
     A[x, x], A[x, d], A[x, e] = held.A, held.B, held.B
     A[d, x], A[d, q] = -K.D @ plant.C, K.C
     A[q, x], A[q, q] = -K.B @ plant.C, K.A
-    A[e, e], shocks[e, :m] = pole * np.eye(m), INPUT_DISTURBANCE_DEVIATION * np.sqrt(1.0 - pole**2) * np.eye(m)
+    A[e, e], shocks[e, :m] = pole * np.eye(m), INPUT_DISTURBANCE_STD * np.sqrt(1.0 - pole**2) * np.eye(m)
     shocks[d, m:], shocks[q, m:] = K.D * noise, K.B * noise
     X = linalg.solve_discrete_lyapunov(A, shocks @ shocks.T)
     spread = np.sqrt(np.maximum(X.diagonal(), 0.0))

@@ -52,7 +52,7 @@ _FIGURE_LABELS_AND_UNITS = {
 
 
 @result(picture="mufly.control.analysis.plots:draw_servo_map")
-class ServoMap:
+class ServoTimingMap:
     """Margins, tilt in gusts and swash-plate rate of roll-pitch over servo frame, control rate and servo lag.
 
     Attributes
@@ -69,7 +69,7 @@ class ServoMap:
     bar: bool
     table: xr.Dataset
 
-    def slowest_servo_s(self, frame_s: float, rate_Hz: float) -> float:
+    def longest_safe_servo_lag_s(self, frame_s: float, rate_Hz: float) -> float:
         """Return the longest servo lag (s) up to which every disk margin is sufficient; nan if none is sufficient."""
         margins = self.table.disk_margin.sel(frame_s=frame_s, rate_Hz=rate_Hz)
         enough = np.cumprod(np.nan_to_num(margins.values) >= SAFE_DISK_MARGIN).astype(bool)
@@ -111,7 +111,7 @@ class ServoMap:
         said = []
         for frame in t.frame_s.values:
             for rate in t.rate_Hz.values:
-                slowest = self.slowest_servo_s(frame, rate)
+                slowest = self.longest_safe_servo_lag_s(frame, rate)
                 up_to = "no servo" if np.isnan(slowest) else f"servo lags up to {1e3 * slowest:g} ms"
                 cell = f"Frame {1e3 * frame:g} ms, {rate:g} Hz"
                 said.append(f"{cell}: {up_to} with a disk margin of {SAFE_DISK_MARGIN:g}")
@@ -119,14 +119,14 @@ class ServoMap:
         return blocks
 
 
-def map_servos(
+def compute_servo_map(
     vehicle: Vehicle,
     *,
     lags_s: Sequence[float] = LAGS_s,
     rates_Hz: Sequence[float] = RATES_Hz,
     frames_s: Sequence[float] = FRAMES_s,
     progress: Callable[[int, int], None] | None = None,
-) -> ServoMap:
+) -> ServoTimingMap:
     """Design roll-pitch for every combination of servo lag, servo frame and control rate, and compute its margins.
 
     Parameters
@@ -153,7 +153,7 @@ def map_servos(
         for i, rate in enumerate(rates_Hz):
             for factor in BANDWIDTH_FACTORS:
                 try:
-                    design = design_roll_pitch(linear.roll_pitch, scale_bandwidth(s, factor), 1.0 / rate)
+                    design = design_roll_pitch(linear.roll_pitch, scale_roll_pitch_bandwidth(s, factor), 1.0 / rate)
                 except MuflyError:
                     continue
                 noise = compute_output_noise_std(vehicle, design.plant.output_labels)
@@ -190,10 +190,10 @@ def map_servos(
         {"frame_s": list(frames_s), "rate_Hz": list(rates_Hz), "lag_s": list(lags_s)},
         {"vehicle": vehicle.name},
     )
-    return ServoMap(vehicle.name, vehicle.stabiliser_bar.fitted, table)
+    return ServoTimingMap(vehicle.name, vehicle.stabiliser_bar.fitted, table)
 
 
-def scale_bandwidth(settings: DesignSettings, factor: float) -> DesignSettings:
+def scale_roll_pitch_bandwidth(settings: DesignSettings, factor: float) -> DesignSettings:
     """Return the settings with roll-pitch weights of scaled bandwidth.
 
     Both corner frequencies of W_r and the zero of W_v are multiplied by ``factor``.

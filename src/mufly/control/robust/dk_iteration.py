@@ -319,7 +319,9 @@ def iterate_dk(
         filters = fit_scaling_filters(*sweep_controller_mu(start))
     for k in range(rounds):
         try:
-            found = _synthesise(scale_channels(plant, channels, filters), n_measurements, n_controls, relaxation)
+            found = _synthesise_hinf_controller(
+                scale_channels(plant, channels, filters), n_measurements, n_controls, relaxation
+            )
         except MuflyError:
             if best is None:
                 raise
@@ -341,7 +343,9 @@ def iterate_dk(
     )
 
 
-def _synthesise(plant: control.StateSpace, n_measurements: int, n_controls: int, relaxation: float) -> HinfResult:
+def _synthesise_hinf_controller(
+    plant: control.StateSpace, n_measurements: int, n_controls: int, relaxation: float
+) -> HinfResult:
     try:
         return hinfsyn(plant, n_measurements, n_controls, relaxation=relaxation)
     except MuflyError:

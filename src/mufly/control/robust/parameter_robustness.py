@@ -22,9 +22,9 @@ from scipy import linalg, signal
 from mufly.control.linear_systems import Array, ComplexArray, frequency_response
 from mufly.control.robust.parameter_spreads import (
     default_spreads,
+    differentiate_plants_by_parameters,
     factor_derivatives,
     parameter_values,
-    spread_derivatives,
 )
 from mufly.control.robust.structured_singular_value import Block, mu_upper_bound
 from mufly.errors import ArgumentError, InputError, MuflyError
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _INPUT_DELAY_PERIODS = 1.5
 _MIN_SPREAD_FACTOR, _MAX_SPREAD_FACTOR = 0.1, 10.0  # of the spreads, in the search for the worst parameters
-_DESCENT_END_FRACTION = 0.8  # share of the lower bound's peak at which the descent of the upper bound ends
+_MU_DESCENT_END_FRACTION = 0.8  # share of the lower bound's peak at which the descent of the upper bound ends
 
 
 @result
@@ -182,7 +182,7 @@ class UncertainLoop:
         self.right = np.vstack(right) if right else np.zeros((0, n + self.plant.ninputs))
         self.derivatives = [derivatives[i] for i in self.kept]
 
-    def open_responses(self, frequency: Array) -> ComplexArray:
+    def open_loop_responses(self, frequency: Array) -> ComplexArray:
         """Return the plant's response without controller, from (uncertainty outputs, u) to (uncertainty inputs, y)."""
         g, n, m = self.plant, self.plant.nstates, self.left.shape[1]
         B, C = np.hstack([self.left, g.B]), np.vstack([self.right[:, :n], g.C])
@@ -194,9 +194,9 @@ class UncertainLoop:
         response: ComplexArray = C @ inner + D
         return response
 
-    def responses(self, frequency: Array) -> ComplexArray:
+    def closed_loop_responses(self, frequency: Array) -> ComplexArray:
         """Return the closed-loop response M from outputs to inputs of the uncertainty, over frequency (rad/s)."""
-        m, P = self.left.shape[1], self.open_responses(frequency)
+        m, P = self.left.shape[1], self.open_loop_responses(frequency)
         delay = np.exp(-1j * frequency[:, None, None] * self.delay_s)
         K = -frequency_response(self.feedback, frequency) * delay
         closed = np.linalg.solve(np.eye(self.plant.noutputs) - P[:, m:, m:] @ K, P[:, m:, :m])
@@ -290,8 +290,8 @@ def sweep_mu(loop: UncertainLoop, points: int, names: Sequence[str]) -> LoopRobu
     size, where, corner = find_smallest_unstable_box(loop, _MIN_SPREAD_FACTOR)
     if np.isfinite(where) and where > 0.0:  # the grid must hold the frequency at which the lower bound is
         frequency[int(np.argmin(np.abs(np.log(frequency / where))))] = where
-    M = loop.responses(frequency)
-    enough = _DESCENT_END_FRACTION / size if np.isfinite(size) else 0.1
+    M = loop.closed_loop_responses(frequency)
+    enough = _MU_DESCENT_END_FRACTION / size if np.isfinite(size) else 0.1
     # Every frequency starts anew: the scalings of its neighbour are often at a kink that the descent does not leave.
     upper = np.array(
         [mu_upper_bound(m, loop.blocks, restarts=0, tolerance=1e-3, max_steps=150, enough=enough).value for m in M]
@@ -355,7 +355,7 @@ def analyse_parameter_robustness(
             names = list(keys)
     if not len(keys):
         raise ArgumentError("vary", "", "nothing varies", "vary parameters")
-    linear = spread_derivatives(vehicle, controller.voltage_V, keys, spread_matrix)
+    linear = differentiate_plants_by_parameters(vehicle, controller.voltage_V, keys, spread_matrix)
     centre = parameter_values(vehicle, keys)
     loops = [
         sweep_mu(UncertainLoop(design, linear[design.name]), points, names)

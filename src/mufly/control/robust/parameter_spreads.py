@@ -27,7 +27,7 @@ DEFAULT_SPREADS: Mapping[str, float] = {
 }
 """Relative spreads of parameters for which a vehicle file states no standard deviation."""
 
-SPREAD_STANDARD_DEVIATIONS = 2.0
+STANDARD_DEVIATIONS_PER_SPREAD = 2.0
 """Size of a stated standard deviation's range."""
 
 _RANK_TOLERANCE = 1e-4
@@ -41,7 +41,7 @@ def default_spreads(vehicle: Vehicle) -> dict[str, float]:
     parameters = {p.key: p for p in list_parameters(vehicle) if isinstance(p.value, float)}
     left_out = ("mass_budget.", "range_ring.", "sensors.")
     spreads = {
-        key: SPREAD_STANDARD_DEVIATIONS * float(p.std)
+        key: STANDARD_DEVIATIONS_PER_SPREAD * float(p.std)
         for key, p in parameters.items()
         if p.std and not key.startswith(left_out)
     }
@@ -57,7 +57,7 @@ def parameter_values(vehicle: Vehicle, keys: Sequence[str]) -> Array:
     return np.array([known[key] for key in keys])
 
 
-def spread_derivatives(
+def differentiate_plants_by_parameters(
     vehicle: Vehicle, voltage_V: float, keys: Sequence[str], spread_matrix: Array
 ) -> dict[str, list[Array]]:
     """Return the derivatives ``[dA dB]`` of the plants ``heave-yaw`` and ``roll-pitch`` by every uncertain parameter.

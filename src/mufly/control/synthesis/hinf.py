@@ -116,7 +116,7 @@ def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpa
 
 
 _MAX_GAMMA, _MIN_GAMMA = 1e20, 1e-18  # bounds of the level search, for a plant with all signals near one
-_UNSCALED_EXPONENT_BITS = 10  # signals within 2^10 of one are not scaled, so that ordinary plants keep every bit
+_MAX_UNSCALED_EXPONENT_BITS = 10  # signals within 2^10 of one are not scaled, so that ordinary plants keep every bit
 
 
 def _scale_signals(P: control.StateSpace, inputs: Array, outputs: Array) -> control.StateSpace:
@@ -163,7 +163,7 @@ def _signal_scales(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Arra
         ):
             size[:common] = np.linalg.norm(size[:common])
             bits = np.round(np.log2(np.where(size > 0, size, 1.0)))
-            far = np.abs(bits) > _UNSCALED_EXPONENT_BITS
+            far = np.abs(bits) > _MAX_UNSCALED_EXPONENT_BITS
             if far.any() and not changed:
                 factors *= np.exp2(np.where(far, -bits, 0.0))
                 changed = True
@@ -229,17 +229,17 @@ def _solve_riccati(H: Array) -> Array | None:
     # E of the Lyapunov equation Ac' E + E Ac + N = 0.
     even = np.sqrt(d[:n] / d[n:])
 
-    def is_negative(M: Array) -> bool:
+    def is_negative_definite(M: Array) -> bool:
         values = np.linalg.eigvalsh(M * even * even[:, None])
         return bool(values[0] < -1e-7 * values[-1])
 
-    if is_negative(symmetric):
+    if is_negative_definite(symmetric):
         noise = 100.0 * np.finfo(float).eps * np.linalg.norm(balanced) * np.diag(even**-2)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # a mode near the axis gives a large bound, tested below
             doubt = linalg.solve_continuous_lyapunov((H[:n, :n] + H[:n, n:] @ symmetric).T, -noise)
         # A large error bound is inconclusive.
-        if is_negative(symmetric + doubt) or np.linalg.norm(doubt * even * even[:, None]) > 1.0:
+        if is_negative_definite(symmetric + doubt) or np.linalg.norm(doubt * even * even[:, None]) > 1.0:
             return None
     return symmetric
 

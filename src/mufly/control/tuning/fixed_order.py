@@ -28,7 +28,7 @@ import numpy as np
 from scipy import linalg, signal
 
 from mufly.control.analysis.loop_margins import scalar_block_mu
-from mufly.control.implementation import balanced_realisations, remove_states, split_modes
+from mufly.control.implementation import balanced_realisations, keep_leading_states, separate_slow_modes
 from mufly.control.linear_systems import Array, replace_matrices, state_space
 from mufly.control.synthesis.hinf import PartitionedPlant, partition_plant
 from mufly.control.tuning.nonsmooth_bfgs import minimise_nonsmooth
@@ -37,7 +37,7 @@ from mufly.results import result
 
 _FREQUENCIES = np.concatenate([[1e-7, 1e-6, 1e-5, 1e-4], np.geomspace(1e-3, 3e3, 90)])
 _SLOW_MODE_LIMITS_RAD_S = (0.1, 3.0)  # rad/s; modes of a start below these are kept by its reduction
-_GOAL_MEAN_POWERS = (8.0, 30.0, np.inf)  # of the mean of all goals, in successive descents; inf is the largest
+_GOAL_MEAN_EXPONENTS = (8.0, 30.0, np.inf)  # of the mean of all goals, in successive descents; inf is the largest
 _MIN_POLE_DISTANCE_RAD_S = 1e-5  # rad/s; least distance of the closed loop's poles from the axis
 
 
@@ -197,7 +197,7 @@ class _StaticLoop:
             return np.inf, np.zeros_like(K)
         CV = C @ V
 
-        def gains(w: Array) -> Array:
+        def largest_gain_or_mu(w: Array) -> Array:
             response = (CV[None] / (1j * w[:, None, None] - values)) @ VB + D
             if self.kind == "disk":
                 return scalar_block_mu(response)
@@ -208,7 +208,7 @@ class _StaticLoop:
             return np.sqrt(np.maximum(np.linalg.eigvalsh(gram)[:, -1], 0.0))
 
         w = np.unique(np.concatenate([_FREQUENCIES, np.abs(values), np.abs(values.imag[values.imag > 1e-3])]))
-        size = gains(w)
+        size = largest_gain_or_mu(w)
         # Every peak near the largest is refined, so that the norm is continuous where two of them change places.
         inside = size[1:-1]
         peaks = 1 + np.flatnonzero((inside >= size[:-2]) & (inside >= size[2:]) & (inside > 0.9 * size.max()))
@@ -218,7 +218,7 @@ class _StaticLoop:
             for _ in range(4):
                 k = int(np.argmax(height))
                 around = np.geomspace(around[max(k - 1, 0)], around[min(k + 1, around.size - 1)], 9)
-                height = gains(around)
+                height = largest_gain_or_mu(around)
             k = int(np.argmax(height))
             if height[k] > top:
                 best, top = float(around[k]), float(height[k])
@@ -233,14 +233,14 @@ class _StaticLoop:
         return float(s[0]), np.outer(left, right).real
 
 
-def controller_gain(K: control.StateSpace) -> Array:
+def stack_controller_matrices(K: control.StateSpace) -> Array:
     """Return the matrices A, B, C, D of a controller as one gain matrix ``[A B; C D]``."""
     return np.block([[K.A, K.B], [K.C, K.D]])
 
 
 def evaluate_goal_norms(goals: Sequence[TuningGoal], controller: control.StateSpace) -> dict[str, float]:
     """Return the norm of every goal with a controller, by name; ``inf`` for an unstable loop."""
-    K = controller_gain(controller)
+    K = stack_controller_matrices(controller)
     return {goal.name: goal.loop(controller.nstates).norm_and_gradient(K)[0] for goal in goals}
 
 
@@ -254,14 +254,14 @@ def reduce_start_controllers(
             continue
         counts = set()
         for threshold in _SLOW_MODE_LIMITS_RAD_S:
-            Z, kept = split_modes(K.A, threshold)
+            Z, kept = separate_slow_modes(K.A, threshold)
             if kept in counts or kept > order:
                 continue
             counts.add(kept)
             actuation = np.zeros((K.nstates, K.noutputs))
             for whole, M in balanced_realisations(generalised, K, actuation, Z, kept).values():
                 for match in (True, False):
-                    removed = remove_states(whole, M, order, match)
+                    removed = keep_leading_states(whole, M, order, match)
                     if removed is not None:
                         found.append(removed[0])
     return found
@@ -306,7 +306,7 @@ def tune_controller(
         raise MuflyError("tuning: no starting controller has this order; choose another order")
     order = starts[0].nstates
     loops = [goal.loop(order) for goal in goals]
-    shape = controller_gain(starts[0]).shape
+    shape = stack_controller_matrices(starts[0]).shape
 
     def objective(K: Array, power: float = np.inf) -> tuple[float, Array]:
         """Return the largest ratio of norm to level, or the power mean of all ratios, and its gradient by K."""
@@ -325,14 +325,14 @@ def tune_controller(
         value = shares[worst] * weights.mean() ** (1.0 / power)
         return float(value), np.tensordot(weights / shares / weights.sum(), slopes, 1) * value
 
-    ranked = sorted(((objective(controller_gain(K))[0], i) for i, K in enumerate(starts)))
+    ranked = sorted(((objective(stack_controller_matrices(K))[0], i) for i, K in enumerate(starts)))
     ranked = [r for r in ranked if np.isfinite(r[0])][:descents]
     if not ranked:
         raise MuflyError(f"tuning: no starting controller of order {order} stabilises the loop; choose a higher order")
-    best, best_K, first, steps = np.inf, controller_gain(starts[0]), ranked[0][0], 0
+    best, best_K, first, steps = np.inf, stack_controller_matrices(starts[0]), ranked[0][0], 0
     for _, i in ranked:
-        K, value, done, began = controller_gain(starts[i]), np.inf, 0, time.process_time()
-        for power in _GOAL_MEAN_POWERS:
+        K, value, done, began = stack_controller_matrices(starts[i]), np.inf, 0, time.process_time()
+        for power in _GOAL_MEAN_EXPONENTS:
             K0 = K
             row, column = np.abs(K0).max(axis=1, keepdims=True), np.abs(K0).max(axis=0, keepdims=True)
             unit = np.abs(K0) + 0.05 * np.sqrt(row * column) + 1e-6  # entries of size one for the search

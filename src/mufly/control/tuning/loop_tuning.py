@@ -18,17 +18,17 @@ from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import FlightController
 from mufly.control.linear_systems import Array, replace_matrices
 from mufly.control.robust.parameter_robustness import UncertainLoop
-from mufly.control.robust.parameter_spreads import spread_derivatives
+from mufly.control.robust.parameter_spreads import differentiate_plants_by_parameters
 from mufly.control.synthesis.hinf import hinfsyn
 from mufly.control.synthesis.synthesis_methods import GivenController, SynthesisProblem, synthesise_controller
 from mufly.control.synthesis.weighting_schemes import DesignSettings, scale_plant, weight_heave_yaw, weight_roll_pitch
 from mufly.control.tuning.fixed_order import (
     TuningGoal,
     add_delay,
-    controller_gain,
     evaluate_goal_norms,
     make_flight_goals,
     reduce_start_controllers,
+    stack_controller_matrices,
     tune_controller,
 )
 from mufly.control.tuning.robustness_goal import RobustnessGoal
@@ -184,7 +184,9 @@ def make_loop_tuning_problem(
     goals: list[TuningGoal] = [*norms]
     mu = None
     if goal_levels.mu is not None:
-        E = spread_derivatives(vehicle, base.voltage_V, list(spreads), np.diag(list(spreads.values())))[name]
+        E = differentiate_plants_by_parameters(vehicle, base.voltage_V, list(spreads), np.diag(list(spreads.values())))[
+            name
+        ]
         mu = RobustnessGoal(UncertainLoop(d, E), d.error_inputs, read, input_scale, goal_levels.mu)
         goals.append(mu)
     synthesis = SynthesisProblem(
@@ -283,7 +285,9 @@ def continue_tuning(
                 f"{problem.name}: no starting controller of order {order} stabilises the loop; give a higher order"
             )
         state = TuningState(
-            tuple((_matrix_rows(controller_gain(K)), (_largest_relative_goal(problem, K),)) for K in picked)
+            tuple(
+                (_matrix_rows(stack_controller_matrices(K)), (_largest_norm_level_ratio(problem, K),)) for K in picked
+            )
         )
     every = list(state.lines)
     total = rounds * len(every)
@@ -291,13 +295,13 @@ def continue_tuning(
         while len(every[i][1]) <= rounds:
             K = _controller_from_gain(starts[0], np.array(every[i][0]))
             if problem.mu is not None:
-                problem.mu.update_scalings(controller_gain(K), order)
+                problem.mu.update_scalings(stack_controller_matrices(K), order)
             found = tune_controller(problem.goals, [K], descents=1, max_steps=steps, budget_s=np.inf)
-            value = _largest_relative_goal(problem, found.controller)
+            value = _largest_norm_level_ratio(problem, found.controller)
             history = every[i][1]
             better = value < history[-1]
             every[i] = (
-                _matrix_rows(controller_gain(found.controller)) if better else every[i][0],
+                _matrix_rows(stack_controller_matrices(found.controller)) if better else every[i][0],
                 (*history, min(value, history[-1])),
             )
             if not better or value > history[-1] - 1e-4:  # nothing is left to gain on this line
@@ -309,10 +313,10 @@ def continue_tuning(
     return _controller_from_gain(starts[0], np.array(best[0])), TuningState(tuple(every))
 
 
-def _largest_relative_goal(problem: LoopTuningProblem, K: control.StateSpace) -> float:
+def _largest_norm_level_ratio(problem: LoopTuningProblem, K: control.StateSpace) -> float:
     """Return the largest ratio of a goal's norm to its level, with the mu goal's scalings updated for ``K``."""
     if problem.mu is not None:
-        problem.mu.update_scalings(controller_gain(K), K.nstates)
+        problem.mu.update_scalings(stack_controller_matrices(K), K.nstates)
     return max(
         norm / goal.level
         for goal, norm in zip(problem.goals, evaluate_goal_norms(problem.goals, K).values(), strict=True)

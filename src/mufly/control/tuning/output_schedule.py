@@ -42,7 +42,7 @@ from mufly.vehicle import Vehicle
 
 SPEED_STEP_m_s = 0.25
 """Step of the search for the largest speed of steady flight."""
-SPEED_GRID_INTERVALS = 8
+SPEED_GRID_INTERVAL_COUNT = 8
 """Intervals between hover and the scheduled speed in the verification; an even number."""
 
 
@@ -71,7 +71,7 @@ class ScheduledLoop:
 
 
 @result
-class FrozenSpeed:
+class FrozenSpeedLoop:
     """Sampled loop at one constant forward speed, with one sample of delay.
 
     Attributes
@@ -112,7 +112,7 @@ class OutputSchedule:
     C_forward_change, D_forward_change : array, shapes (2, n) and (2, 4)
         Change of C and D of the discrete controller from hover to V.
     has_flight_map : bool
-    frozen : tuple of FrozenSpeed
+    frozen : tuple of FrozenSpeedLoop
     max_saturated_pole_modulus : float
         Largest modulus of the poles of the saturated controller ``A - M C`` over all shares.
     max_share_rate_1_s : float
@@ -125,25 +125,25 @@ class OutputSchedule:
     C_forward_change: Array
     D_forward_change: Array
     has_flight_map: bool
-    frozen: tuple[FrozenSpeed, ...]
+    frozen: tuple[FrozenSpeedLoop, ...]
     max_saturated_pole_modulus: float
     max_share_rate_1_s: float
     crossover: float
 
     @property
-    def share_per_speed2_s2_m2(self) -> float:
+    def forward_share_per_speed2_s2_m2(self) -> float:
         """Factor (s2/m2) on squared forward speed; the product, at most 1, weights the forward-flight outputs."""
         return 1.0 / self.speed_m_s**2
 
-    def controller_at(self, hover: DiscreteController, share: float) -> control.StateSpace:
+    def blend_controller(self, hover: DiscreteController, share: float) -> control.StateSpace:
         """Return the scheduled controller for a weight ``share`` of the forward-flight outputs (0: hover, 1: scheduled
         speed).
         """
         return blend_outputs(hover, self.C_forward_change, self.D_forward_change, share)
 
-    def share_at(self, speed_m_s: float) -> float:
+    def forward_share_at(self, speed_m_s: float) -> float:
         """Return the weight (0 to 1) of the forward-flight outputs at a forward speed."""
-        return min(self.share_per_speed2_s2_m2 * speed_m_s**2, 1.0)
+        return min(self.forward_share_per_speed2_s2_m2 * speed_m_s**2, 1.0)
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return the table of loops at constant speeds, and their least margins, as printed text."""
@@ -178,7 +178,7 @@ def blend_outputs(
     )  # fmt: skip
 
 
-def continuous_matrices(controller: DiscreteController) -> tuple[Array, Array, Array, Array]:
+def invert_tustin(controller: DiscreteController) -> tuple[Array, Array, Array, Array]:
     """Return the continuous-time matrices from which Tustin's rule gives the discrete controller, with the same
     states.
 
@@ -191,7 +191,7 @@ def continuous_matrices(controller: DiscreteController) -> tuple[Array, Array, A
     return (controller.A - one) @ L / T, B, controller.C @ L, controller.D - controller.C @ B * (T / 2)
 
 
-def schedule_outputs(
+def tune_output_schedule(
     vehicle: Vehicle, loop: ScheduledLoop, *, speed_m_s: float, voltage: float, tilt_limit: float
 ) -> OutputSchedule:
     """Tune the output matrices of the roll-pitch controller at a forward speed, and verify the loop at frozen speeds.
@@ -215,14 +215,14 @@ def schedule_outputs(
     fastest, plant = _plant_at_greatest_speed(vehicle, speed_m_s, voltage)
     hover = loop.hover_controller
     T = hover.period_s
-    C_forward_change, D_forward_change = _tune_outputs(plant, loop)
-    speeds = fastest * np.arange(SPEED_GRID_INTERVALS + 1) / SPEED_GRID_INTERVALS
+    C_forward_change, D_forward_change = _tune_output_changes(plant, loop)
+    speeds = fastest * np.arange(SPEED_GRID_INTERVAL_COUNT + 1) / SPEED_GRID_INTERVAL_COUNT
     controllers = [blend_outputs(hover, C_forward_change, D_forward_change, float((v / fastest) ** 2)) for v in speeds]
     feedbacks = [feedback_part(K, plant, range(plant.noutputs)) for K in controllers]
     saturated = max(float(np.abs(np.linalg.eigvals(K.A - hover.M @ K.C)).max()) for K in controllers)
     if saturated >= 1.0:
         raise MuflyError("schedule: the anti-windup is unstable at a speed; choose another order")
-    frozen: list[FrozenSpeed] = []
+    frozen: list[FrozenSpeedLoop] = []
     sideways = [(v, 1) for v in (0.5 * fastest, fastest) if _has_steady_flight(vehicle, (0.0, v, 0.0), voltage)]
     for v, axis in [(float(v), 0) for v in speeds] + sideways:
         held = sample_plant(_plant_at_velocity(vehicle, (v, 0.0, 0.0) if axis == 0 else (0.0, v, 0.0), voltage), T, 1)
@@ -233,7 +233,7 @@ def schedule_outputs(
             raise MuflyError(f"schedule: roll-pitch is unstable at {v:g} m/s; lower the scheduled speed")
         margins = [disk_margin(held, K).margin for K in feedbacks]
         frozen.append(
-            FrozenSpeed(
+            FrozenSpeedLoop(
                 v, axis == 1, share, margins[k], found.sensitivity_peak_dB, found.complementary_peak_dB, margins[0],
                 min(margins),
             )
@@ -266,13 +266,13 @@ def _plant_at_greatest_speed(vehicle: Vehicle, speed_m_s: float, voltage: float)
     raise MuflyError(f"schedule: there is no steady flight at {SPEED_STEP_m_s:g} m/s; use the method fixed")
 
 
-def _tune_outputs(plant: control.StateSpace, loop: ScheduledLoop) -> tuple[Array, Array]:
+def _tune_output_changes(plant: control.StateSpace, loop: ScheduledLoop) -> tuple[Array, Array]:
     """Return the changes of C and D of the discrete controller from hover to the plant's speed."""
     K, T = loop.hover_controller, loop.hover_controller.period_s
     output_scale, input_scale = np.array(loop.scaling.outputs), np.array(loop.scaling.inputs)
     scaled = scale_plant(plant, loop.scaling)
     generalised = loop.generalise(scaled)
-    A, B, C, D = continuous_matrices(K)
+    A, B, C, D = invert_tustin(K)
     n, out = plant.noutputs, input_scale[:, None]
     given = state_space(
         A, B * output_scale, C / out, D * output_scale / out,
@@ -301,7 +301,7 @@ def schedule_roll_pitch(
         settings.roll_pitch_relaxation,
         settings.roll_pitch_goals,
     )
-    return schedule_outputs(
+    return tune_output_schedule(
         vehicle,
         loop,
         speed_m_s=settings.schedule_speed,
@@ -317,5 +317,5 @@ def pack_schedule(schedule: OutputSchedule) -> dict[str, object]:
     return {
         "C_forward_change": C,
         "D_forward_change": schedule.D_forward_change,
-        "schedule": schedule.share_per_speed2_s2_m2,
+        "schedule": schedule.forward_share_per_speed2_s2_m2,
     }

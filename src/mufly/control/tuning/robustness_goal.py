@@ -22,10 +22,12 @@ from mufly.control.tuning.fixed_order import LoopNormByGain
 
 _FREQUENCY_RANGE_FACTORS = (0.5, 2.0)  # of the slowest and fastest mode of the loop, about which the frequencies lie
 _FREQUENCY_COUNT = 24
-_DESCENT_END_FRACTION = 0.7  # share of the level at which the descent for the scalings of a frequency ends
+_MU_DESCENT_END_FRACTION = 0.7  # share of the level at which the descent for the scalings of a frequency ends
 
 
-def _pencil_values(M: ComplexArray, D: ComplexArray, G: ComplexArray) -> tuple[Array, ComplexArray, ComplexArray]:
+def _largest_pencil_eigenvalues(
+    M: ComplexArray, D: ComplexArray, G: ComplexArray
+) -> tuple[Array, ComplexArray, ComplexArray]:
     """Return each pencil's largest eigenvalue, a Hermitian matrix with its eigenvalues, and D's Cholesky factor."""
     root = np.linalg.cholesky(D)
     skew = G @ M
@@ -64,7 +66,7 @@ class RobustnessGoal:
         self.frequency = np.geomspace(
             _FREQUENCY_RANGE_FACTORS[0] * low, _FREQUENCY_RANGE_FACTORS[1] * high, _FREQUENCY_COUNT
         )
-        m, P = loop.left.shape[1], loop.open_responses(self.frequency)
+        m, P = loop.left.shape[1], loop.open_loop_responses(self.frequency)
         delay = np.exp(-1j * self.frequency * loop.delay_s)[:, None, None]
         self.M11, self.P12 = P[:, :m, :m], P[:, :m, m:] * np.asarray(input_scale) * delay
         scale = np.asarray(read_scale)[self.rows][:, None]
@@ -94,12 +96,17 @@ class RobustnessGoal:
     def update_scalings(self, K: Array, order: int) -> float:
         """Set the scalings that are best for a gain; return the upper bound of mu at the frequencies."""
         M = self.response(K, order)[0]
-        kept = np.sqrt(np.maximum(_pencil_values(M, self._D, self._G)[0], 0.0))
+        kept = np.sqrt(np.maximum(_largest_pencil_eigenvalues(M, self._D, self._G)[0], 0.0))
         for k in range(_FREQUENCY_COUNT):
-            if kept[k] < _DESCENT_END_FRACTION * self.level:
+            if kept[k] < _MU_DESCENT_END_FRACTION * self.level:
                 continue
             found = mu_upper_bound(
-                M[k], self.blocks, restarts=0, tolerance=1e-3, max_steps=150, enough=_DESCENT_END_FRACTION * self.level
+                M[k],
+                self.blocks,
+                restarts=0,
+                tolerance=1e-3,
+                max_steps=150,
+                enough=_MU_DESCENT_END_FRACTION * self.level,
             )
             if found.value < kept[k]:
                 kept[k], self._D[k], self._G[k] = found.value, found.scaling, found.skew
@@ -107,10 +114,10 @@ class RobustnessGoal:
 
     def loop(self, order: int) -> LoopNormByGain:
         """Return the norm as a function of the gain of a controller of this order."""
-        return _ScaledBound(self, order)
+        return _MuBoundByGain(self, order)
 
 
-class _ScaledBound:
+class _MuBoundByGain:
     """Upper bound of mu over the controller's gain, with the present scalings of a :class:`RobustnessGoal`."""
 
     def __init__(self, goal: RobustnessGoal, order: int) -> None:
@@ -119,7 +126,7 @@ class _ScaledBound:
     def norm_and_gradient(self, K: Array) -> tuple[float, Array]:
         """Return the upper bound of mu (at least 1e-3) with the gain ``K``, and its gradient by ``K``."""
         M, left, right = self.goal.response(K, self.order)
-        values, whole, root = _pencil_values(M, self.goal._D, self.goal._G)
+        values, whole, root = _largest_pencil_eigenvalues(M, self.goal._D, self.goal._G)
         k = int(np.argmax(values))
         u = np.linalg.solve(root[k].conj().T, np.linalg.eigh(whole[k])[1][:, -1])
         norm = float(np.sqrt(max(values[k], 1e-6)))

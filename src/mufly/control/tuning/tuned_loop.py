@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mufly.control.analysis.comparison import LoopFigures, compute_output_noise_std, loop_figures
+from mufly.control.analysis.comparison import LoopMetrics, compute_loop_metrics, compute_output_noise_std
 from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import FlightController, design_flight_controller
 from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
@@ -51,7 +51,7 @@ class TunedLoop:
     order : int
     goal_levels, norms : dict
         Required bound and reached norm of each goal, by its name.
-    figures : LoopFigures
+    figures : LoopMetrics
         Figures of the sampled controller; mu at frequencies other than the tuning's.
     flight_controller : FlightController
         The vehicle's whole controller, with this loop in place of its own.
@@ -61,7 +61,7 @@ class TunedLoop:
     order: int
     goal_levels: dict[str, float]
     norms: dict[str, float]
-    figures: LoopFigures
+    figures: LoopMetrics
     flight_controller: FlightController
 
     @property
@@ -211,7 +211,9 @@ def tune_loop(
     )
     robust = analyse_parameter_robustness(vehicle, c, spreads, points=40)
     mu = robust.heave_yaw if loop == "heave-yaw" else robust.roll_pitch
-    figures = loop_figures(vehicle, c.heave_yaw if loop == "heave-yaw" else c.roll_pitch, (mu.peak, mu.lower_peak))
+    figures = compute_loop_metrics(
+        vehicle, c.heave_yaw if loop == "heave-yaw" else c.roll_pitch, (mu.peak, mu.lower_peak)
+    )
     return TunedLoop(loop, order, {a.name: a.level for a in problem.goals}, norms, figures, c)
 
 

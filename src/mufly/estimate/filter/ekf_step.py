@@ -104,7 +104,8 @@ def estimator_step(
     m, s, p : records
         Memory, settings, parameters of the flight model.
     z : (n,) array
-        Readings, in the order of :data:`mufly.quantities.quantity_table.CHECKED_READINGS`, then the acting inputs (4)
+        Readings, in the order of :data:`mufly.quantities.quantity_table.READINGS_WITH_FUSION_STATUS`,
+        then the acting inputs (4)
         and the share of clipped samples per axis (3).
     new : (9,) array of int
         0: nothing new; 1: a new reading; 2: a reading marked invalid by its sensor.

@@ -34,12 +34,12 @@ from mufly.compiled.record_fields import real_or_array_field as _real
 from mufly.compiled.record_fields import record_type
 from mufly.dynamics import GRAVITY, hover_current_A, model_parameters, standing_height
 from mufly.dynamics.model_state import compute_hover_rotor_speeds
-from mufly.quantities.quantity_table import CHECKED_READINGS, DIMENSION_LABELS
+from mufly.quantities.quantity_table import DIMENSION_LABELS, READINGS_WITH_FUSION_STATUS
 from mufly.quantities.sensor_table import CHECKED
 from mufly.sensors import beam_directions
 from mufly.sensors.magnetometer import earth_field
 from mufly.sensors.ring_camera import ELEVATION_MARGIN_FACTOR
-from mufly.sensors.sonar import max_grounded_range
+from mufly.sensors.sonar import max_standing_sonar_range
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import DEFAULT_LEVEL_ERROR_RAD, SensorSuite
 from mufly.world import World
@@ -128,7 +128,7 @@ READING_WIDTHS = tuple(
 )
 READING_STARTS = tuple(int(k) for k in np.cumsum([0, *READING_WIDTHS]))
 """Index of each reading in the row of values of one instant."""
-SENSOR_COUNT = len(CHECKED_READINGS)
+SENSOR_COUNT = len(READINGS_WITH_FUSION_STATUS)
 SUBTRACTED_READING_OFFSETS = tuple(row.filter_datum for row in CHECKED)
 """Offset subtracted from each reading."""
 QUEUED_READING_INDICES = tuple(k for k, row in enumerate(CHECKED) if row.is_queued)
@@ -165,7 +165,7 @@ TRANSITION_SIZE = 33
 AID_POSITION, AID_HEADING, AID_SONAR, AID_PRESSURE, AID_MAGNETIC = range(5)
 AID_COUNT = 5
 """Aids whose noise is estimated in flight; of the first two, parts of the position fix, the random walk too."""
-AID_NOISES = (
+AID_NOISE_FIELDS = (
     (AID_POSITION, "position", READING_POSITION_FIX, "fix_variance", 100.0, "cm"),
     (AID_HEADING, "heading", READING_POSITION_FIX, "fix_heading_variance", math.degrees(1.0), "deg"),
     (AID_SONAR, "sonar", READING_SONAR, "sonar_variance", 100.0, "cm"),
@@ -448,11 +448,11 @@ def settings_type(kind: Any = np.float64) -> np.dtype:
 # What is assumed beyond the vehicle's file (docs/explanation/estimation.md)
 MODEL_FORCE_SIGMA = (0.035, 0.035, 0.035)
 """Error of the rotor model in flight, one sigma per axis (m/s^2), and its correlation time (s)."""
-MODEL_FORCE_TIME_S = 0.1
+MODEL_FORCE_CORRELATION_TIME_S = 0.1
 THRUST_SCALE_SIGMA, THRUST_SCALE_WALK = 0.3, 0.0055
 """Standard deviation of the thrust scale (1) and its random walk (1/sqrt(s)). Vehicles whose parameters differ by 10 %
 from the model have 0.65 to 1.7 times its thrust: the radius counts to the fourth power."""
-WIND_SIGMA_AND_TIME = (0.5, 10.0)
+WIND_SIGMA_AND_CORRELATION_TIME = (0.5, 10.0)
 """Of an axis (m/s), and for how long (s): a mean of 0.5 m/s from anywhere and gusts of 0.3 m/s make 0.46."""
 MOTOR_MODEL_NOISE_FRACTION = (
     1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
@@ -506,7 +506,7 @@ def filter_settings(
         INITIAL_TERRAIN_SIGMA_M,
         TERRAIN_RANDOM_WALK,
     )  # the last times the root of the speed
-    sigma[ERROR_WIND : ERROR_WIND + 2], tau[ERROR_WIND : ERROR_WIND + 2] = WIND_SIGMA_AND_TIME
+    sigma[ERROR_WIND : ERROR_WIND + 2], tau[ERROR_WIND : ERROR_WIND + 2] = WIND_SIGMA_AND_CORRELATION_TIME
     sigma[ERROR_THRUST_SCALE], walk[ERROR_THRUST_SCALE] = THRUST_SCALE_SIGMA, THRUST_SCALE_WALK
     walk[ERROR_POSITION:ERROR_VELOCITY] = 1e-4
     s["dt"] = dt
@@ -515,7 +515,10 @@ def filter_settings(
     s["hover_speed"] = compute_hover_rotor_speeds(p)
     swash = float(p["swash_rate"]) * dt
     s["swash_lag_decay"], s["swash_lag_decay_mean"] = math.exp(-swash), (1.0 - math.exp(-swash)) / swash
-    s["has_rotor_model"], s["model_accel_noise_density"] = 1, 2 * MODEL_FORCE_TIME_S * np.square(MODEL_FORCE_SIGMA)
+    s["has_rotor_model"], s["model_accel_noise_density"] = (
+        1,
+        2 * MODEL_FORCE_CORRELATION_TIME_S * np.square(MODEL_FORCE_SIGMA),
+    )
     fitted, period, latency, bound = (
         np.zeros(SENSOR_COUNT),
         np.full(SENSOR_COUNT, dt),
@@ -578,7 +581,7 @@ def filter_settings(
             1.0 / s["sonar_cone_cosine"] - 1.0,
             math.tan(0.5 * float(sonar.cone_angle)),
         )
-        s["sonar_min_range"], s["sonar_max_range"] = max_grounded_range(vehicle), float(sonar.max_range)
+        s["sonar_min_range"], s["sonar_max_range"] = max_standing_sonar_range(vehicle), float(sonar.max_range)
         bound[READING_SONAR] = 1.01 * s["sonar_max_range"]
         latency[READING_SONAR] = 2 * float(sonar.max_range) / 340.0
         delay_s = max(delay_s, latency[READING_SONAR])

@@ -127,7 +127,11 @@ class BoardEstimator(KalmanEstimator):
         self._settings = settings
         self._copy_vehicle_file_noise()
         self.backend = FilterBackend(
-            "board", "", lambda memory: self._board.restart(), lambda memory: self._step_board(), settings=settings
+            "board",
+            "",
+            lambda memory: self._board.restart(),
+            lambda memory: self._run_estimate_half(),
+            settings=settings,
         )
         self.reset()
 
@@ -145,7 +149,7 @@ class BoardEstimator(KalmanEstimator):
         """Report the number of periods lost before this one to the board, which computes them."""
         self._missed = count
 
-    def _step_board(self) -> bool:
+    def _run_estimate_half(self) -> bool:
         self._period.missed, self._missed = self._missed, 0
         self._sent_values[:] = self._input_values
         self._sent_flags[:] = self._input_is_new
@@ -196,7 +200,7 @@ class BoardInstance(SoftwareInstance):
         self._events: tuple[FlightEvent, ...] = ()
         self._log_count = 0
 
-    def step_board(self, command: Command | None, armed: bool) -> Actuators:
+    def run_control_half(self, command: Command | None, armed: bool) -> Actuators:
         """Run the control half of a period; return the inputs that the board sends to its actuators.
 
         Without a command, the board takes its commands from its own link and supervisor.
@@ -210,7 +214,7 @@ class BoardInstance(SoftwareInstance):
         out = self._board.record.sent
         return Actuators(np.array(list(out.motor_input)), np.array(list(out.servo_input)))
 
-    def sensor_reason(self, b: Any) -> str:
+    def read_sensor_reason(self, b: Any) -> str:
         """Return the reason for the status in a ``message_sensor_t`` as a text; the board stores the reason's code."""
         return describe_reason(b.why, b.number, b.sensor)
 
@@ -234,7 +238,7 @@ class BoardSoftware(FirmwareSoftware):
     def _start(self) -> None:
         self._software_instance = BoardInstance(self.board, self.plan)
 
-    def change_limits(self, mission: Mission) -> None:
+    def apply_mission_limits(self, mission: Mission) -> None:
         """Refuse another mission in flight: the board's image contains its mission."""
         if self._software_instance is not None:
             raise InputError(
@@ -243,13 +247,13 @@ class BoardSoftware(FirmwareSoftware):
                 "the board's image contains another mission",
                 "build the image again with this mission",
             )
-        super().change_limits(mission)
+        super().apply_mission_limits(mission)
 
     def step(self, estimate: Estimate, command: Command) -> Actuators:
         """Advance by one period; the board uses its own estimate."""
         board = self._software_instance
         assert isinstance(board, BoardInstance)
-        actuators = board.step_board(None if self.commands_itself else command, self.is_armed)
+        actuators = board.run_control_half(None if self.commands_itself else command, self.is_armed)
         if self.commands_itself:
             self.is_armed = bool(self.board.record.supervisor.armed)
         self.clear_cached_records()

@@ -18,17 +18,17 @@ from mufly.sensors import Fault
 from mufly.vehicle import Vehicle
 
 _MAX_REALTIME_LAG_S = 0.2  # of the flight behind the clock; a longer delay is dropped
-_UNTHROTTLED_SILENCE_FRACTION = 0.5  # of COM_DL_LOSS_T that a silent commander's flight may exceed real time
+_MAX_UNTHROTTLED_SILENCE_FRACTION = 0.5  # of COM_DL_LOSS_T that a silent commander's flight may exceed real time
 
 
-def _pace_for_commander(pace: float, supervisor: Any) -> float:
+def _limit_pace_for_silent_commander(pace: float, supervisor: Any) -> float:
     """Return the simulation's pace relative to real time: ``pace``, but at most 1 if the link has long been silent.
 
     Heartbeats follow the wall clock (one a second), but the timeout COM_DL_LOSS_T follows the clock of the flight. At
     ten times real time a heartbeat would arrive every 10 s of flight, and the board would hold because of a lost link.
     """
     silent_s = supervisor.now_s - supervisor.commander_heard_s if supervisor.has_commander else 0.0
-    if silent_s <= _UNTHROTTLED_SILENCE_FRACTION * supervisor.settings.link_loss_s:
+    if silent_s <= _MAX_UNTHROTTLED_SILENCE_FRACTION * supervisor.settings.link_loss_s:
         return pace
     return min(pace, 1.0) if pace > 0.0 else 1.0
 
@@ -100,7 +100,7 @@ def run_linked_board(
             began = ahead = time.perf_counter()
             while not stop(flight):
                 flight.step_period()
-                now, limit = time.perf_counter(), _pace_for_commander(pace, board.record.supervisor)
+                now, limit = time.perf_counter(), _limit_pace_for_silent_commander(pace, board.record.supervisor)
                 if limit > 0.0:
                     ahead = max(ahead + flight.period_s / limit, now - _MAX_REALTIME_LAG_S)
                     time.sleep(max(0.0, ahead - now))

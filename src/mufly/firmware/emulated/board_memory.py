@@ -30,16 +30,16 @@ class MemoryLayout:
         self.size = int(ffi.sizeof(name))
         self._used = np.zeros(self.size, dtype=bool)
         self._floats: dict[int, int] = {}  # width by offset
-        self._mark_fields(self._type, 0)
+        self._mark_field_bytes(self._type, 0)
 
-    def _mark_fields(self, kind: Any, offset: int) -> None:
+    def _mark_field_bytes(self, kind: Any, offset: int) -> None:
         if kind.kind == "struct":
             for _, field in kind.fields:
-                self._mark_fields(field.type, offset + field.offset)
+                self._mark_field_bytes(field.type, offset + field.offset)
         elif kind.kind == "array":
             width = self._ffi.sizeof(kind.item)
             for k in range(kind.length):
-                self._mark_fields(kind.item, offset + k * width)
+                self._mark_field_bytes(kind.item, offset + k * width)
         else:
             width = self._ffi.sizeof(kind)
             self._used[offset : offset + width] = True

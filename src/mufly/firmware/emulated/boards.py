@@ -24,8 +24,8 @@ FLASH_WORDS = 4096
 """Words of 32 bits in each of the two sectors for settings: ``FLASH_WORDS`` of ``qemu.c``."""
 LOG_BLOCKS = 30720
 """Blocks of 512 bytes for the log: ``LOG_BLOCKS`` of ``qemu.c``."""
-_RECEIVER_OFFSET = 2**19  # of the word that holds the kind of the receiver
-_LOG_OFFSET = 2**20  # in the memory that holds the sectors
+_RECEIVER_KIND_OFFSET_BYTES = 2**19  # of the word that holds the kind of the receiver
+_LOG_OFFSET_BYTES = 2**20  # in the memory that holds the sectors
 _FLASH_MEMORY_BYTES = 16 * 2**20  # of the emulated memory that holds sectors and log
 
 
@@ -90,12 +90,12 @@ class HostBoard:
     def restart(self) -> None:
         """Return to the state after power-up."""
         self.memory[:] = 0
-        self._attach_models()
+        self._attach_memory_models()
         self.lib.flash_model_start(self.flash_model)
         self.lib.block_model_start(self.block_model)
         self.lib.board_start(self.record, self._fitted, self.lib.RESTART_COLD)
 
-    def _attach_models(self) -> None:
+    def _attach_memory_models(self) -> None:
         self.lib.flash_model_attach(self.flash_model)
         self.lib.block_model_attach(self.block_model)
 
@@ -107,7 +107,7 @@ class HostBoard:
     def compute_control(self, request: Any) -> None:
         """Run the second half of a period, which computes the actuator inputs."""
         given = self.ffi.addressof(request, "given") if request.is_given else self.ffi.NULL
-        self._attach_models()
+        self._attach_memory_models()
         self.lib.board_control(self.record, given)
 
     def exchange_bytes(self, received: bytes) -> bytes:
@@ -118,7 +118,7 @@ class HostBoard:
         link = self.record.link
         link.input_count = min(len(received), len(link.input))
         self.ffi.memmove(link.input, received[: link.input_count], link.input_count)
-        self._attach_models()
+        self._attach_memory_models()
         self.lib.board_link(self.record)
         out = self.ffi.new("uint8_t[]", len(link.output))
         pointer = self.ffi.addressof(self.record, "link")
@@ -185,9 +185,9 @@ class EmulatedBoard:
         self._flash_file.truncate(_FLASH_MEMORY_BYTES)
         self.flash = np.memmap(self._flash_file.name, np.uint32, "r+", shape=twin.flash.shape)
         self.flash[:] = twin.flash
-        np.memmap(self._flash_file.name, np.int32, "r+", _RECEIVER_OFFSET, 1)[:] = self._receiver
+        np.memmap(self._flash_file.name, np.int32, "r+", _RECEIVER_KIND_OFFSET_BYTES, 1)[:] = self._receiver
         self.log_blocks: NDArray[np.uint32] = np.memmap(
-            self._flash_file.name, np.uint32, "r+", _LOG_OFFSET, twin.log_blocks.shape
+            self._flash_file.name, np.uint32, "r+", _LOG_OFFSET_BYTES, twin.log_blocks.shape
         )
         self.restart()
 

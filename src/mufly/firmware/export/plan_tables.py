@@ -9,12 +9,12 @@ from typing import Any
 from mufly.control import FlightController
 from mufly.dynamics import standing_height
 from mufly.errors import InputError
-from mufly.flight.controllers import controller_limits
+from mufly.flight.controllers import derive_trajectory_limits
 from mufly.flight.tunable_parameters import StickRanges
 from mufly.logs.tables import TABLE_TOPIC
 from mufly.logs.ulog import DATASET_INFO_KEY, TEXTS_INFO_KEY, encode_table_head
 from mufly.mission import Mission, MissionPlan, prepare_plan, reduce_mission_limits
-from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.log_messages import LogTemplate
 from mufly.mission.machine.mission_state import State
 from mufly.mission.machine.phases import nose_offset
 from mufly.mission.trajectory import TrajectoryLimits
@@ -33,7 +33,7 @@ LINK_LOSS_HOLD_DELAY_S, LINK_LOSS_LAND_DELAY_S = 10.0, 20.0
 _MISSION_END_ACTIONS = ("land", "hover", "return")
 
 
-def plan_numbers(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -> dict[str, Any]:
+def collect_plan_fields(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -> dict[str, Any]:
     """Return the fields of ``plan_t`` by name, in the order of the C record; SI units and radians.
 
     Parameters
@@ -90,7 +90,7 @@ def plan_numbers(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -> dict[
 
 def make_plan(vehicle: Vehicle, controller: FlightController, mission: Mission) -> MissionPlan:
     """Return the plan of a mission with limits that the vehicle's controllers can follow."""
-    return prepare_plan(reduce_mission_limits(mission, controller_limits(controller))[0], vehicle)
+    return prepare_plan(reduce_mission_limits(mission, derive_trajectory_limits(controller))[0], vehicle)
 
 
 def render_plan_source(plan: MissionPlan, controller: FlightController) -> str:
@@ -101,13 +101,13 @@ def render_plan_source(plan: MissionPlan, controller: FlightController) -> str:
         '#include "flight/flight_software.h"',
         "",
         "const plan_t mufly_plan = {",
-        *render_initialiser(plan_numbers(plan)),
+        *render_initialiser(collect_plan_fields(plan)),
         "};",
         "",
         "const flight_setup_t mufly_setup = {",
         "    .gains = &mufly_gains,",
         "    .plan = &mufly_plan,",
-        *render_initialiser(setup_numbers(controller)),
+        *render_initialiser(collect_setup_fields(controller)),
         "};",
         "",
     ]
@@ -121,7 +121,7 @@ def render_supervisor_source(vehicle: Vehicle) -> str:
         '#include "onboard/supervisor/supervisor.h"',
         "",
         "const supervisor_settings_t mufly_supervisor = {",
-        *render_initialiser(supervisor_numbers(vehicle)),
+        *render_initialiser(collect_supervisor_fields(vehicle)),
         "};",
         "",
     ]
@@ -130,7 +130,7 @@ def render_supervisor_source(vehicle: Vehicle) -> str:
 
 def render_texts_source() -> str:
     """Return the text of ``onboard/link/texts.c``: the templates of the log messages."""
-    rows = [f"    {json.dumps(message.value, ensure_ascii=True)}," for message in LogMessage]
+    rows = [f"    {json.dumps(message.value, ensure_ascii=True)}," for message in LogTemplate]
     return "\n".join(
         ["/* Templates of the log, made from those of Python; do not edit. */", '#include "onboard/link/text.h"', "",
          "const char *const mufly_texts[SAY_COUNT] = {", *rows, "};", ""]
@@ -145,7 +145,7 @@ LOGGED_QUANTITIES = (
 """Signals of a row in the log on board, in the order of ``flight_log.c``; the mission's state follows."""
 
 
-def render_log_source() -> str:
+def render_log_head_source() -> str:
     """Return the text of ``onboard/log/flight_log_head.c``: the beginning of a ULog file, with names and units."""
     known = {name: find_quantity(name) for name in LOGGED_QUANTITIES}
     columns, variables = [], {}
@@ -174,7 +174,7 @@ def render_log_source() -> str:
     return "\n".join(lines)
 
 
-def supervisor_numbers(vehicle: Vehicle) -> dict[str, Any]:
+def collect_supervisor_fields(vehicle: Vehicle) -> dict[str, Any]:
     """Return the fields of ``supervisor_settings_t`` by name: stick ranges, link timeouts, standing height."""
     most = StickRanges()
     return {
@@ -187,7 +187,7 @@ def supervisor_numbers(vehicle: Vehicle) -> dict[str, Any]:
     }
 
 
-def setup_numbers(controller: FlightController) -> dict[str, Any]:
+def collect_setup_fields(controller: FlightController) -> dict[str, Any]:
     """Return the numeric fields of ``flight_setup_t`` by name."""
     return {
         "period_s": 1.0 / controller.rate_Hz,

@@ -20,7 +20,7 @@ from mufly.errors import InputError
 from mufly.firmware.export.estimate_tables import render_estimator_files
 from mufly.firmware.export.plan_tables import (
     make_plan,
-    render_log_source,
+    render_log_head_source,
     render_plan_source,
     render_supervisor_source,
     render_texts_source,
@@ -38,9 +38,9 @@ ONBOARD_SOURCES = ("onboard/**/*.c",)
 """Patterns of a board's drivers, link, log, receiver, storage and supervisor."""
 FIXED_POINT_SOURCES = ("fixed_point/*.c",)
 """Pattern of the fixed-point law."""
-FIXED_POINT_TABLES = "fixed_point/tables_fixed.c"
+FIXED_POINT_TABLES_PATH = "fixed_point/tables_fixed.c"
 """Path of the fixed-point law's numbers, which an export without that law lacks."""
-SCHEDULE_HEADER = "control/schedule.h"
+SCHEDULE_HEADER_PATH = "control/schedule.h"
 """Path of the header that an export of a scheduled design replaces."""
 _GAIN_GROUPS = ("heave_yaw", "roll_pitch", "position")
 
@@ -86,7 +86,7 @@ def export_firmware(
         others["plan.c"] = render_plan_source(make_plan(vehicle, controller, mission), controller)
         others["onboard/supervisor/supervisor_settings.c"] = render_supervisor_source(vehicle)
         others["onboard/link/texts.c"] = render_texts_source()
-        others["onboard/log/flight_log_head.c"] = render_log_source()
+        others["onboard/log/flight_log_head.c"] = render_log_head_source()
     write_source_tree(render_gains_files(controller), out, others)
     return sorted(p for p in out.rglob("*") if p.is_file())
 
@@ -111,7 +111,7 @@ def copy_sources(out: Path) -> None:
         (out / name).write_text(text, encoding="utf-8")
 
 
-def copy_fixed_point(out: Path) -> None:
+def copy_fixed_point_sources(out: Path) -> None:
     """Copy the fixed-point sources into a tree."""
     with resources.as_file(SOURCE_FOLDER) as sources:
         for name in ("fixed_point", "check/programs"):
@@ -122,13 +122,13 @@ def render_gains_files(controller: FlightController) -> dict[str, str]:
     """Return the texts of the files that hold a vehicle's controllers, by name."""
     files = {"tables.c": render_gains_source(controller)}
     if controller.schedule is not None:
-        files[SCHEDULE_HEADER] = render_enabled_schedule_header()
+        files[SCHEDULE_HEADER_PATH] = render_enabled_schedule_header()
     return files
 
 
 def render_enabled_schedule_header() -> str:
     """Return the C header that enables the gain schedule of the roll-pitch controller over forward speed."""
-    text = (SOURCE_FOLDER / SCHEDULE_HEADER).read_text(encoding="utf-8")
+    text = (SOURCE_FOLDER / SCHEDULE_HEADER_PATH).read_text(encoding="utf-8")
     assert "ROLL_PITCH_SCHEDULED 0" in text
     return text.replace("ROLL_PITCH_SCHEDULED 0", "ROLL_PITCH_SCHEDULED 1")
 

@@ -366,12 +366,12 @@ def _bound_sums(rows: CoefficientRows, most: Array) -> Array:
     return np.asarray((np.abs(rows.coefficients) * 2.0**rows.left_shift) @ most + 2.0**rows.right_shift)
 
 
-_LOOP_DESIGNS = {"heave_yaw": "heave_yaw", "roll_pitch": "roll_pitch", "position": "velocity"}
+_DESIGN_NAME_BY_LOOP = {"heave_yaw": "heave_yaw", "roll_pitch": "roll_pitch", "position": "velocity"}
 
 
 def measure_quantisation_loss(controller: FlightController, made: FixedPointController) -> QuantisationLoss:
     """Return the margin loss of one controller's loop, sampled and with a sample of delay."""
-    of = getattr(controller, _LOOP_DESIGNS[made.name])
+    of = getattr(controller, _DESIGN_NAME_BY_LOOP[made.name])
     exact: DiscreteController = of.discrete
     K = _strip_padding(made, exact)
     found = analyse_loop(
@@ -379,7 +379,7 @@ def measure_quantisation_loss(controller: FlightController, made: FixedPointCont
         of.feedback_controller(K),
         output_scale=np.array(of.scaling.outputs),
     )
-    return _compare_loops(_LOOP_DESIGNS[made.name].replace("_", "-"), made.form, of.sampled_loop, found)
+    return _compare_loops(_DESIGN_NAME_BY_LOOP[made.name].replace("_", "-"), made.form, of.sampled_loop, found)
 
 
 def _strip_padding(made: FixedPointController, exact: DiscreteController) -> control.StateSpace:
@@ -445,7 +445,7 @@ class FixedPointLaw:
     def chosen_losses(self) -> tuple[QuantisationLoss, ...]:
         """Return the loss of stability margins of each controller in its chosen fixed-point form."""
         forms = [c.form for c in self.controllers]
-        loops = [_LOOP_DESIGNS[c.name].replace("_", "-") for c in self.controllers]
+        loops = [_DESIGN_NAME_BY_LOOP[c.name].replace("_", "-") for c in self.controllers]
         return tuple(
             one
             for one in self.candidate_losses
@@ -465,7 +465,7 @@ def quantise_law(controller: FlightController) -> FixedPointLaw:
         raise MuflyError("fixed point: the law has no schedule over speed; design by another method, such as fixed")
     found: dict[str, FixedPointController] = {}
     losses: list[QuantisationLoss] = []
-    for name in _LOOP_DESIGNS:
+    for name in _DESIGN_NAME_BY_LOOP:
         tried = []
         for form, delta in STATE_FORMS:
             try:

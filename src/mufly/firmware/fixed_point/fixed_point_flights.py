@@ -13,7 +13,7 @@ from mufly.control import FlightController, design_flight_controller
 from mufly.firmware.compiled_software import GenericFirmwareSoftware
 from mufly.firmware.fixed_point.fixed_point_design import FixedPointLaw, quantise_law
 from mufly.firmware.fixed_point.fixed_point_law import FixedPointFirmwareControllers
-from mufly.firmware.proof.proof_flights import draw_conditions, resume_flights
+from mufly.firmware.proof.proof_flights import draw_random_conditions, resume_flights
 from mufly.flight import fly_mission
 from mufly.mission import load_mission
 from mufly.results import result
@@ -21,7 +21,7 @@ from mufly.vehicle import Vehicle
 
 
 @result
-class FixedPointFlight:
+class FixedPointFlightComparison:
     """Comparison of two flights of a mission: one with the exported fixed-point law, the other in double precision.
 
     Attributes
@@ -44,15 +44,15 @@ class FixedPointFlight:
     max_distance_m: float
 
 
-def fly_fixed_point(
+def compare_fixed_point_flights(
     vehicle: Vehicle,
     missions: Sequence[str],
     *,
     flights: int = 1,
     law: FixedPointLaw | None = None,
     keep: Path | None = None,
-    on_flight: Callable[[FixedPointFlight], None] | None = None,
-) -> list[FixedPointFlight]:
+    on_flight: Callable[[FixedPointFlightComparison], None] | None = None,
+) -> list[FixedPointFlightComparison]:
     """Fly missions with the fixed-point C code, and again in double precision.
 
     Parameters
@@ -75,7 +75,7 @@ def fly_fixed_point(
     controller = design_flight_controller(vehicle)
     numbers = law or quantise_law(controller)
 
-    def fly_both_precisions(name: str, seed: int) -> FixedPointFlight:
+    def fly_both_precisions(name: str, seed: int) -> FixedPointFlightComparison:
         mission = load_mission(name)
         kept: list[FixedPointFirmwareControllers] = []
 
@@ -83,7 +83,7 @@ def fly_fixed_point(
             kept.append(FixedPointFirmwareControllers(c, numbers))
             return kept[-1]
 
-        met = draw_conditions(seed)
+        met = draw_random_conditions(seed)
         wind, gust = ([met.wind, 0.0, 0.0], met.gust) if seed else (None, None)
 
         def fly_with(by: Any) -> xr.Dataset:
@@ -92,11 +92,11 @@ def fly_fixed_point(
         record, other = fly_with(make_controllers), fly_with(GenericFirmwareSoftware)
         n = min(record.sizes["time"], other.sizes["time"])
         gap = record.truth_position.values[:n] - other.truth_position.values[:n]
-        return FixedPointFlight(
+        return FixedPointFlightComparison(
             mission=mission.name or name, seed=seed, outcome=record.attrs["outcome"],
             periods=int(record.sizes["time"]), overflows=sum(c.overflow_count for c in kept),
             max_distance_m=float(np.sqrt((gap**2).sum(1)).max()),
         )  # fmt: skip
 
     asked = [(name, seed) for seed in range(flights) for name in missions]
-    return resume_flights(FixedPointFlight, keep, asked, fly_both_precisions, on_flight)
+    return resume_flights(FixedPointFlightComparison, keep, asked, fly_both_precisions, on_flight)

@@ -22,8 +22,8 @@ from mufly.errors import InputError
 from mufly.estimate import Estimate
 from mufly.firmware.export.source_export import (
     FIXED_POINT_SOURCES,
-    FIXED_POINT_TABLES,
-    copy_fixed_point,
+    FIXED_POINT_TABLES_PATH,
+    copy_fixed_point_sources,
     escape_comment,
 )
 from mufly.firmware.fixed_point.fixed_point_design import (
@@ -174,8 +174,8 @@ def _c_initialiser(value: Any, depth: int) -> str:
 def export_fixed_point(controller: FlightController, out: Path) -> FixedPointLaw:
     """Write the fixed-point law with its tables into ``fixed_point/`` of an exported tree, and return the law."""
     law = quantise_law(controller)
-    copy_fixed_point(out)
-    (out / FIXED_POINT_TABLES).write_text(render_fixed_point_tables(controller, law), encoding="utf-8")
+    copy_fixed_point_sources(out)
+    (out / FIXED_POINT_TABLES_PATH).write_text(render_fixed_point_tables(controller, law), encoding="utf-8")
     return law
 
 
@@ -184,25 +184,25 @@ def export_fixed_point(controller: FlightController, out: Path) -> FixedPointLaw
 
 
 @functools.lru_cache(maxsize=8)
-def _load_fixed_library(text: str, cc: str) -> tuple[cffi.FFI, Any]:
+def _load_fixed_point_library(text: str, cc: str) -> tuple[cffi.FFI, Any]:
     ffi = cffi.FFI()
     with tempfile.TemporaryDirectory(prefix="mufly-fixed-") as folder:
         tree = Path(folder) / "fw"
-        copy_fixed_point(tree)
-        (tree / FIXED_POINT_TABLES).write_text(text, encoding="utf-8")
+        copy_fixed_point_sources(tree)
+        (tree / FIXED_POINT_TABLES_PATH).write_text(text, encoding="utf-8")
         library = build_library(tree, cc=cc, patterns=FIXED_POINT_SOURCES)
         ffi.cdef(cffi_declarations(tree, patterns=FIXED_POINT_SOURCES))
         return ffi, ffi.dlopen(str(library))
 
 
-def to_signal(value: float) -> int:
+def to_fixed_point_signal(value: float) -> int:
     """Return a number in the fixed-point format of signals: in units of 2^-20, rounded and saturated at 32 bits."""
     return min(max(round(float(value) * FIXED_POINT_ONE), _INT32_RANGE[0]), _INT32_RANGE[1])
 
 
-def to_signals(values: _Array) -> list[int]:
-    """Return the numbers of an array in the fixed-point format of signals (:func:`to_signal`)."""
-    return [to_signal(v) for v in values]
+def to_fixed_point_signals(values: _Array) -> list[int]:
+    """Return the numbers of an array in the fixed-point format of signals (:func:`to_fixed_point_signal`)."""
+    return [to_fixed_point_signal(v) for v in values]
 
 
 class FixedPointFirmwareControllers(Controllers):
@@ -219,7 +219,9 @@ class FixedPointFirmwareControllers(Controllers):
     def __init__(self, design: FlightController, law: FixedPointLaw | None = None, *, cc: str | None = None) -> None:
         super().__init__(design)
         self.law = law or quantise_law(design)
-        self._ffi, self._lib = _load_fixed_library(render_fixed_point_tables(design, self.law), cc or find_compiler())
+        self._ffi, self._lib = _load_fixed_point_library(
+            render_fixed_point_tables(design, self.law), cc or find_compiler()
+        )
         new = self._ffi.new
         self._gains_record = self._ffi.addressof(
             self._lib.mufly_fixed_gains
@@ -239,13 +241,15 @@ class FixedPointFirmwareControllers(Controllers):
 
     def _write_motion(self, m: Estimate) -> None:
         now = self._motion_record
-        now.position, now.velocity, now.attitude = (to_signals(v) for v in (m.position, m.velocity, m.attitude))
-        now.rates, now.voltage = to_signals(m.rates), to_signal(m.battery_voltage)
+        now.position, now.velocity, now.attitude = (
+            to_fixed_point_signals(v) for v in (m.position, m.velocity, m.attitude)
+        )
+        now.rates, now.voltage = to_fixed_point_signals(m.rates), to_fixed_point_signal(m.battery_voltage)
 
     def engage_heave_yaw(self, estimate: Estimate, motor_input: _Array) -> None:
         self._write_motion(estimate)
         self._lib.fixed_engage_heave_yaw(
-            self._gains_record, self._state_record, self._motion_record, to_signals(motor_input)
+            self._gains_record, self._state_record, self._motion_record, to_fixed_point_signals(motor_input)
         )
 
     def engage_roll_pitch(self, estimate: Estimate) -> None:
@@ -257,8 +261,8 @@ class FixedPointFirmwareControllers(Controllers):
     ) -> _Array:
         self._write_motion(estimate)
         path = self._path_record
-        path.position, path.velocity = to_signals(position), to_signals(velocity)
-        path.acceleration = to_signals(acceleration)
+        path.position, path.velocity = to_fixed_point_signals(position), to_fixed_point_signals(velocity)
+        path.acceleration = to_fixed_point_signals(acceleration)
         self._lib.fixed_compute_tilt_command(
             self._gains_record, self._state_record, self._motion_record, path, self._tilt_buffer
         )
@@ -272,9 +276,9 @@ class FixedPointFirmwareControllers(Controllers):
             self._gains_record,
             self._state_record,
             self._motion_record,
-            to_signals(heave_yaw),
+            to_fixed_point_signals(heave_yaw),
             tilt is not None,
-            [0, 0] if tilt is None else to_signals(tilt),
+            [0, 0] if tilt is None else to_fixed_point_signals(tilt),
             self._actuators_record,
         )
         return Actuators(

@@ -26,7 +26,7 @@ from mufly.firmware.export.source_export import FIXED_POINT_SOURCES, SOFTWARE_SO
 from mufly.firmware.fixed_point import fixed_point_law
 from mufly.firmware.fixed_point.fixed_point_design import quantise_law
 from mufly.firmware.host_build import Firmware, cffi_declarations
-from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_conditions
+from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_random_conditions
 from mufly.firmware.proof.sil_pil import run_compiler
 from mufly.flight import fly_mission
 from mufly.mission import Mission, load_mission, parse_mission
@@ -101,7 +101,9 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
         return fixed_point_law.FixedPointFirmwareControllers(c, whole)
 
     # The instrumented library replaces the regular ones; the record layouts are equal.
-    _replace_loader(fixed_point_law, "_load_fixed_library", lambda text, cc: (fixed_ffi, fixed_ffi.dlopen(library)))
+    _replace_loader(
+        fixed_point_law, "_load_fixed_point_library", lambda text, cc: (fixed_ffi, fixed_ffi.dlopen(library))
+    )
     kept: Any = filter_backend._load_filter_library
     records = (folder / RECORDS_HEADER_PATH).read_text(encoding="utf-8")
 
@@ -123,7 +125,7 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
         )
     fly_mission(vehicle, load_mission("box-on-leg"), controller=controller, controllers=make_fixed_point_controllers)
     for seed in range(FLIGHT_COUNT):
-        met = draw_conditions(seed)
+        met = draw_random_conditions(seed)
         faults = [parse_fault(f) for f in (*met.faults, *SENSOR_FAULTS[seed % len(SENSOR_FAULTS)].split())]
         mission = parse_mission(HOP_MISSION) if seed % 2 else add_random_obstacle(load_mission("demonstration"), seed)
         fly_mission(

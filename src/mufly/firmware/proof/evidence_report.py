@@ -34,9 +34,9 @@ from mufly.firmware.export.source_export import (
     find_sources,
 )
 from mufly.firmware.fixed_point.fixed_point_design import measure_cascade_loss, quantise_law
-from mufly.firmware.fixed_point.fixed_point_flights import fly_fixed_point
+from mufly.firmware.fixed_point.fixed_point_flights import compare_fixed_point_flights
 from mufly.firmware.fixed_point.fixed_point_law import export_fixed_point
-from mufly.firmware.proof.fuzzing import fuzz_firmware, missing_fuzzer_tools, run_fuzzer
+from mufly.firmware.proof.fuzzing import describe_missing_fuzzer_tools, fuzz_firmware, run_fuzzer
 from mufly.firmware.proof.sil_pil import (
     CORTEX_M4_FLAGS,
     SINGLE_PRECISION_BUILD,
@@ -52,14 +52,14 @@ from mufly.results import to_plain_data
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
-ADVISORY_RULES = frozenset([
+MISRA_ADVISORY_RULES = frozenset([
     "2.3", "2.4", "2.5", "2.6", "2.7", "4.2", "5.9", "8.7", "8.9", "8.11", "8.13", "10.5", "11.4",
     "11.5", "12.1", "12.3", "12.4", "13.3", "13.4", "15.1", "15.4", "15.5", "17.5", "17.8", "18.4",
     "18.5", "19.2", "20.1", "20.5", "20.10", "21.12",
 ])  # fmt: skip
 """Advisory rules of MISRA C:2012; all others are required or mandatory."""
 
-CHECKED_SOURCES = (
+MISRA_CHECKED_SOURCES = (
     *SOFTWARE_SOURCES, *FIXED_POINT_SOURCES, *ONBOARD_SOURCES, "boards/*.c", "boards/stm32/*.c",
 )  # fmt: skip
 """Sources of the MISRA check: flight software, drivers, link, log, receiver, storage, supervisor and the STM32F405."""
@@ -239,7 +239,7 @@ def _report_fixed_point(vehicle: Vehicle, out: Path) -> EvidenceSection:
     controller = design_flight_controller(vehicle)
     law = quantise_law(controller)
     losses = [*law.chosen_losses, measure_cascade_loss(vehicle, controller, law)]
-    flights = fly_fixed_point(vehicle, ["demonstration", "box-on-leg"], law=law)
+    flights = compare_fixed_point_flights(vehicle, ["demonstration", "box-on-leg"], law=law)
     proofs = [c.proof for c in law.controllers]
     text = [
         _markdown_table(
@@ -288,7 +288,7 @@ def parse_deviations(text: str) -> list[tuple[str, tuple[str, ...], str]]:
     return found
 
 
-def judge_findings(
+def judge_misra_findings(
     said: str, reasons: list[tuple[str, tuple[str, ...], str]]
 ) -> tuple[list[MisraFinding], Counter[str]]:
     """Return the findings against required rules, and the number of findings against each advisory rule.
@@ -297,7 +297,7 @@ def judge_findings(
     """
     required, advice = [], Counter[str]()
     for file, line, rule in sorted(set(re.findall(r"^(\S+?):(\d+): misra-c2012-(\d+\.\d+):", said, re.M))):
-        if rule in ADVISORY_RULES:
+        if rule in MISRA_ADVISORY_RULES:
             advice[rule] += 1
             continue
         reason = next((r for ours, files, r in reasons if ours == rule and any(fnmatch(file, f) for f in files)), "")
@@ -305,7 +305,7 @@ def judge_findings(
     return required, advice
 
 
-def _export_tree(vehicle: Vehicle, folder: Path) -> list[str]:
+def _export_and_list_sources(vehicle: Vehicle, folder: Path) -> list[str]:
     controller = design_flight_controller(vehicle)
     export_firmware(controller, folder, vehicle)
     export_fixed_point(controller, folder)
@@ -316,8 +316,8 @@ def _report_misra(vehicle: Vehicle, out: Path) -> EvidenceSection:
     _require_tool("cppcheck", "cppcheck")
     with tempfile.TemporaryDirectory(prefix="mufly-report-") as temporary:
         folder = Path(temporary) / "fw"
-        _export_tree(vehicle, folder)
-        sources = [str(p.relative_to(folder)) for p in find_sources(folder, CHECKED_SOURCES)]
+        _export_and_list_sources(vehicle, folder)
+        sources = [str(p.relative_to(folder)) for p in find_sources(folder, MISRA_CHECKED_SOURCES)]
         command = [
             "cppcheck", "--addon=misra", "--std=c99", "--platform=unix32", "-DMUFLY_FLOAT",
             "-UMUFLY_DECLARATIONS", "-I.",
@@ -325,7 +325,7 @@ def _report_misra(vehicle: Vehicle, out: Path) -> EvidenceSection:
         ]  # fmt: skip
         said = subprocess.run(command, cwd=folder, capture_output=True, text=True).stderr
         reasons = parse_deviations((folder / "check" / "deviations.txt").read_text(encoding="utf-8"))
-    required, advice = judge_findings(said, reasons)
+    required, advice = judge_misra_findings(said, reasons)
     others = [line for line in said.splitlines() if "misra-c2012" not in line and re.match(r"\S+:\d+: \w+:", line)]
     unexplained = [f for f in required if not f.reason]
     groups = Counter((f.rule, f.reason or "**none written**") for f in required)
@@ -355,7 +355,7 @@ def _report_compilers(vehicle: Vehicle, out: Path) -> EvidenceSection:
     _require_tool("gcc", "gcc")
     with tempfile.TemporaryDirectory(prefix="mufly-report-") as temporary:
         folder = Path(temporary) / "fw"
-        sources = _export_tree(vehicle, folder)
+        sources = _export_and_list_sources(vehicle, folder)
         flags = [
             *COMPILER_FLAGS,
             "-Wall",
@@ -390,12 +390,12 @@ def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
     _require_tool("gcov", "gcc")
     with tempfile.TemporaryDirectory(prefix="mufly-report-") as temporary:
         folder, board_folder = Path(temporary) / "fw", Path(temporary) / "board"
-        _export_tree(vehicle, folder)
-        if not missing_fuzzer_tools():
+        _export_and_list_sources(vehicle, folder)
+        if not describe_missing_fuzzer_tools():
             run_fuzzer(folder, seconds=40.0)
         # Records of the length that Python shares with the code.
-        for name, text in render_estimator_files(None, None, 0.0).items():
-            (folder / name).write_text(text, encoding="utf-8")
+        for name, contents in render_estimator_files(None, None, 0.0).items():
+            (folder / name).write_text(contents, encoding="utf-8")
         failed = _run_workload("branch_coverage", folder, vehicle)
         software = _count_branches(folder, folder)
         board_folder.mkdir()
@@ -452,8 +452,10 @@ def _count_branches(folder: Path, sources: Path, patterns: tuple[str, ...] = ("*
 
     The folder ``sources`` holds the code and the reasons.
     """
-    files = {name: lines for name, lines in read_branches(folder).items() if any(fnmatch(name, p) for p in patterns)}
-    gaps = explain_gaps(sources, files)
+    files = {
+        name: lines for name, lines in read_branch_counts(folder).items() if any(fnmatch(name, p) for p in patterns)
+    }
+    gaps = explain_coverage_gaps(sources, files)
     rows = []
     for name, lines in sorted(files.items()):
         total, taken = sum(n for _, n, _ in lines), sum(k for _, _, k in lines)
@@ -498,10 +500,11 @@ class CoverageGap:
     reason: str
 
 
-def explain_gaps(folder: Path, files: dict[str, list[tuple[int, int, int]]]) -> list[CoverageGap]:
+def explain_coverage_gaps(folder: Path, files: dict[str, list[tuple[int, int, int]]]) -> list[CoverageGap]:
     """Return every line with branches not taken, with the reason that ``check/branches.txt`` documents for it.
 
-    ``files`` is the result of :func:`read_branches`. A line of ``branches.txt`` is ``file | part of line | reason``.
+    ``files`` is the result of :func:`read_branch_counts`. A line of ``branches.txt`` is ``file | part of line |
+    reason``.
     """
     known = parse_deviations((folder / "check" / "branches.txt").read_text(encoding="utf-8"))
     gaps = []
@@ -515,7 +518,7 @@ def explain_gaps(folder: Path, files: dict[str, list[tuple[int, int, int]]]) -> 
     return gaps
 
 
-def read_branches(folder: Path) -> dict[str, list[tuple[int, int, int]]]:
+def read_branch_counts(folder: Path) -> dict[str, list[tuple[int, int, int]]]:
     """Return line, number of branches and number of taken branches of every source with gcov counts.
 
     A branch of a source that several builds contain is taken if one of them takes it.

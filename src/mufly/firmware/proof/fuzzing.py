@@ -18,7 +18,7 @@ from mufly.control import design_flight_controller
 from mufly.errors import MuflyError
 from mufly.firmware.export.source_export import (
     FIXED_POINT_SOURCES,
-    FIXED_POINT_TABLES,
+    FIXED_POINT_TABLES_PATH,
     ONBOARD_SOURCES,
     SOFTWARE_SOURCES,
     export_firmware,
@@ -66,7 +66,7 @@ class FuzzResult:
 
 
 @functools.cache
-def missing_fuzzer_tools() -> str:
+def describe_missing_fuzzer_tools() -> str:
     """Return the tool missing for :func:`fuzz_firmware` as one line; "" if all tools are installed.
 
     Debian packages the fuzzer and the sanitizers apart from clang, so the function links a program with both.
@@ -101,7 +101,7 @@ def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1, link_only:
     MuflyError
         If clang or its libFuzzer is missing.
     """
-    absent = missing_fuzzer_tools()
+    absent = describe_missing_fuzzer_tools()
     if absent:
         raise MuflyError(f"fuzzing: {absent}")
     with tempfile.TemporaryDirectory(prefix="mufly-fuzz-") as temporary:
@@ -119,7 +119,7 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1, link_only: bool =
     """
     (folder / "corpus").mkdir(exist_ok=True)
     there = {
-        "controllers": True, "avoidance": True, "whole numbers": (folder / FIXED_POINT_TABLES).exists(),
+        "controllers": True, "avoidance": True, "whole numbers": (folder / FIXED_POINT_TABLES_PATH).exists(),
         "flight software": (folder / "flight" / "flight_software.c").exists(),
         "estimator": (folder / "estimate_tables.c").exists(),
         "link": (folder / "plan.c").exists(),

@@ -33,7 +33,7 @@ class FlightConditions:
     faults: tuple[str, ...]
 
 
-def draw_conditions(seed: int) -> FlightConditions:
+def draw_random_conditions(seed: int) -> FlightConditions:
     """Draw random conditions: wind within ±0.5 m/s, gusts up to 0.3 m/s, in most flights a fault of 3 s."""
     rng = np.random.default_rng([19, seed])
     wind, gust = float(rng.uniform(-0.5, 0.5)), float(rng.uniform(0.0, 0.3))
@@ -64,7 +64,7 @@ def add_random_obstacle(mission: Mission, seed: int) -> Mission:
                 "yaw_deg": float(rng.uniform(-90.0, 90.0)),
             }
             more = {"box": (*mission.box, box)}
-        met = mission.with_parts(**more)
+        met = mission.replace_parts(**more)
         try:
             check_geometry(met, mission.name)
         except InputError:
@@ -100,11 +100,11 @@ def resume_flights(
         If the file contains other data.
     """
 
-    def read(row: Any) -> tuple[tuple[str, int], ResultT]:
+    def parse_stored_result(row: Any) -> tuple[tuple[str, int], ResultT]:
         name = str(row.pop("asked"))
         return (name, int(row["seed"])), kind(**row)
 
-    kept = StoredResultLines(keep, read, damaged=("is no result of these flights", "give a new file"))
+    kept = StoredResultLines(keep, parse_stored_result, damaged=("is no result of these flights", "give a new file"))
     results = []
     for name, seed in asked:
         if (name, seed) not in kept.known:

@@ -37,7 +37,7 @@ from mufly.firmware.export.source_export import (
 )
 from mufly.firmware.fixed_point.fixed_point_law import export_fixed_point
 from mufly.firmware.host_build import Firmware, FirmwareControllers
-from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_conditions, resume_flights
+from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_random_conditions, resume_flights
 from mufly.flight import fly_mission
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.mission import load_mission, parse_mission
@@ -259,9 +259,9 @@ class _ComparedEstimators(Estimator):
         told = self._python_estimator.update(readings, acting)
         also = self._c_estimator.update(readings, acting)
         self.period_count += 1
-        self.mismatch_count += told.valid != also.valid or memory_bytes(self._python_estimator) != memory_bytes(
-            self._c_estimator
-        )
+        self.mismatch_count += told.valid != also.valid or comparable_memory_bytes(
+            self._python_estimator
+        ) != comparable_memory_bytes(self._c_estimator)
         return told
 
     def reset(self) -> None:
@@ -269,7 +269,7 @@ class _ComparedEstimators(Estimator):
         self._c_estimator.reset()
 
 
-def memory_bytes(estimator: KalmanEstimator) -> bytes:
+def comparable_memory_bytes(estimator: KalmanEstimator) -> bytes:
     """Return the memory of an estimator as bytes, without the fields that only the Python version has."""
     memory = estimator.memory
     return memory.tobytes()[: memory.dtype.fields[PYTHON_ONLY_FIELDS[0]][1]]
@@ -324,12 +324,12 @@ def run_sil(
         mission = load_mission(name)
         w, g, wrong = wind, gust, tuple(faults)
         if drawn:
-            met, mission = draw_conditions(seed), add_random_obstacle(mission, seed)
+            met, mission = draw_random_conditions(seed), add_random_obstacle(mission, seed)
             w, g, wrong = [met.wind, 0.0, 0.0], met.gust, tuple(parse_fault(f) for f in met.faults)
         twins: list[_ComparedControllers] = []
         flown: list[ComparedSoftware] = []
 
-        def make(c: FlightController) -> _ComparedControllers:
+        def make_compared_controllers(c: FlightController) -> _ComparedControllers:
             twins.append(_ComparedControllers(c, double, single))
             return twins[-1]
 
@@ -337,7 +337,7 @@ def run_sil(
         believing = _ComparedEstimators(vehicle, mission.world, controller.rate_Hz) if felt else None
         record = fly_mission(
             vehicle, mission, controller=controller, seed=seed, gust=g,
-            controllers=make_compared_software(make, double, flown),
+            controllers=make_compared_software(make_compared_controllers, double, flown),
             wind=w, estimator=believing,
             sensors="fitted" if felt else "ideal", faults=wrong,
         )  # fmt: skip
@@ -390,7 +390,7 @@ def run_pil(vehicle: Vehicle, *, fixed_point: bool = False) -> list[PilResult]:
                     PilResult(
                         machine=board,
                         tested_part=what,
-                        **run_emulated(board.split()[0], per_tick, programs[cpu], right),
+                        **run_emulated_selftest(board.split()[0], per_tick, programs[cpu], right),
                         flash_bytes=flash,
                         ram_bytes=ram,
                         stack_bytes=find_deepest_stack(objects[cpu], entry),
@@ -427,11 +427,11 @@ def measure_law_instructions(vehicle: Vehicle, controllers: Sequence[FlightContr
                     source.unlink()
             compile_objects(folder, how, cpu)
             elf = _link_selftest(folder, how, cpu, "selftest")
-            counts.append(run_emulated(machine, per_tick, elf, [])["mean_instructions"])
+            counts.append(run_emulated_selftest(machine, per_tick, elf, [])["mean_instructions"])
     return counts
 
 
-def run_emulated(machine: str, per_tick: float, elf: Path, right: list[str]) -> dict[str, Any]:
+def run_emulated_selftest(machine: str, per_tick: float, elf: Path, right: list[str]) -> dict[str, Any]:
     """Run a self-test on an emulated board; return whether its digests equal ``right``, and the instructions per
     period.
 

@@ -31,46 +31,53 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics.model_state import MODEL_ATTITUDE, MOTORS, POSITION, RATES, SERVOS, VELOCITY
+from mufly.dynamics.model_state import (
+    MODEL_ATTITUDE,
+    MOTOR_INPUT_SLICE,
+    POSITION_SLICE,
+    RATE_SLICE,
+    SERVO_INPUT_SLICE,
+    VELOCITY_SLICE,
+)
 from mufly.estimate import Estimate, IdealEstimator
 from mufly.estimate.filter.filter_records import ERROR_GYRO_BIAS, NOMINAL_ATTITUDE, READING_RANGE_RING, SENSOR_COUNT
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import PUBLISHED_FIELDS, KalmanEstimator
 from mufly.firmware.quick.compiled_loop import (
-    LISTENER_ANGLES,
-    LISTENER_ATTITUDE,
-    LISTENER_FILTER_STATE,
-    LISTENER_RATES,
+    LISTENER_ANGLES_START,
+    LISTENER_ATTITUDE_START,
+    LISTENER_FILTER_STATE_START,
+    LISTENER_RATES_START,
     LISTENER_ROW_SIZE,
-    LISTENER_SPECIFIC_FORCE,
-    LISTENER_STATE,
-    LISTENER_STATUS_ROW,
-    LISTENER_SUPPLY,
-    LISTENER_TICK,
-    LISTENER_VALID,
-    LISTENER_VOLTAGE,
-    LISTENER_WIND,
-    LOG_ATTITUDE,
-    LOG_MISSION_STATE,
-    LOG_MOTOR_INPUTS,
-    LOG_REF_ATTITUDE,
-    LOG_REF_POSITION,
-    LOG_REF_VELOCITY,
+    LISTENER_SPECIFIC_FORCE_START,
+    LISTENER_STATE_START,
+    LISTENER_STATUS_ROW_COLUMN,
+    LISTENER_SUPPLY_START,
+    LISTENER_TICK_COLUMN,
+    LISTENER_VALID_COLUMN,
+    LISTENER_VOLTAGE_COLUMN,
+    LISTENER_WIND_START,
+    LOG_ATTITUDE_START,
+    LOG_MISSION_STATE_COLUMN,
+    LOG_MOTOR_INPUTS_START,
+    LOG_REF_ATTITUDE_START,
+    LOG_REF_POSITION_START,
+    LOG_REF_VELOCITY_START,
     LOG_ROW_SIZE,
-    LOG_SERVO_INPUTS,
-    LOG_STATE,
-    LOG_SUPPLY,
-    LOG_TIME,
-    LOG_WIND,
+    LOG_SERVO_INPUTS_START,
+    LOG_STATE_START,
+    LOG_SUPPLY_START,
+    LOG_TIME_COLUMN,
+    LOG_WIND_START,
     LOOP_CLOCK_DTYPE,
     MAX_PERIODS_PER_CALL,
     RECORD_OFFSETS_DTYPE,
     SENSOR_STATUS_SIZE,
     SENSOR_STATUS_START,
-    STATUS_FAULT_COMPONENT,
+    STATUS_FAULT_COMPONENT_COLUMN,
     STATUS_ROW_SIZE,
     STATUS_SIGMA_START,
-    STATUS_TICK,
+    STATUS_TICK_COLUMN,
     STOP_NOT_FINITE,
     STOP_ON_CONTACT,
     STOP_TO_CALL_LISTENER,
@@ -101,13 +108,13 @@ _Array = NDArray[np.float64]
 
 def _unpack_status_row(row: _Array) -> dict[str, Any]:
     """Return covariance, deviations and sensor statuses in a row of the compiled loop, by their names in the filter."""
-    of = row[SENSOR_STATUS_START:STATUS_FAULT_COMPONENT].reshape(SENSOR_COUNT, SENSOR_STATUS_SIZE)
+    of = row[SENSOR_STATUS_START:STATUS_FAULT_COMPONENT_COLUMN].reshape(SENSOR_COUNT, SENSOR_STATUS_SIZE)
     parts = (
         row[:STATUS_SIGMA_START].reshape(ERROR_GYRO_BIAS, ERROR_GYRO_BIAS),
         row[STATUS_SIGMA_START:SENSOR_STATUS_START],
         *of.T,
-        row[STATUS_FAULT_COMPONENT],
-        row[STATUS_TICK],
+        row[STATUS_FAULT_COMPONENT_COLUMN],
+        row[STATUS_TICK_COLUMN],
     )
     return dict(zip(PUBLISHED_FIELDS, parts, strict=True))
 
@@ -131,7 +138,7 @@ class CompiledFlight:
         self._sensors_by_index: dict[int, FaultySensor] = {}
         self._faulty_imu: Any = None
         self._imu: Any = None
-        self.is_supported = flight.records_only_truth and self._supports_sensors(flight, flight.sensors)
+        self.is_supported = flight.records_only_truth and self._adopt_sensors_if_supported(flight, flight.sensors)
         if not self.is_supported:
             return
         plant, beams = flight.plant, flight.vehicle.range_ring.count
@@ -151,7 +158,7 @@ class CompiledFlight:
         self._status_rows = np.zeros((2 + MAX_PERIODS_PER_CALL // COVARIANCE_INTERVAL_TICKS + 1, STATUS_ROW_SIZE))
         self._listener_rows = np.zeros((MAX_PERIODS_PER_CALL + 1, LISTENER_ROW_SIZE + beams))
         if self._filter is not None:
-            self._filter_arrays: FilterArrays = make_filter_arrays(self._filter, self._board.reason_text_numbers())
+            self._filter_arrays: FilterArrays = make_filter_arrays(self._filter, self._board.list_reason_text_numbers())
             self._sampling_table: tuple[Any, ...] = collect_sampling_arguments(
                 {k: one.sensor for k, one in self._sensors_by_index.items()}
             )
@@ -161,7 +168,7 @@ class CompiledFlight:
         self._last_statuses: Any = None
         self._next_sample_times = [math.inf] * len(self._faulty)
 
-    def _supports_sensors(self, flight: Flight, sensors: SensorSet) -> bool:
+    def _adopt_sensors_if_supported(self, flight: Flight, sensors: SensorSet) -> bool:
         """Store sensors and estimator of a flight; return whether the compiled loop supports them."""
         if isinstance(flight.estimator, KalmanEstimator) and isinstance(sensors, FittedSensors):
             self._filter = flight.estimator
@@ -328,37 +335,37 @@ class CompiledFlight:
         c.listener_rows = 0
         together: Any = getattr(flight.listener, "add_estimates", None)
         if together is not None and len(rows):
-            told, nine = rows[:, LISTENER_STATUS_ROW].astype(int), ERROR_GYRO_BIAS
+            told, nine = rows[:, LISTENER_STATUS_ROW_COLUMN].astype(int), ERROR_GYRO_BIAS
             covariances = self._status_rows[told, :STATUS_SIGMA_START].reshape(-1, nine, nine)
             covariances[told == 0] = filtered.covariance[:nine, :nine]
-            moving = rows[:, LISTENER_STATE : LISTENER_STATE + MODEL_ATTITUDE]
-            true = np.hstack([moving, rows[:, LISTENER_ATTITUDE:LISTENER_FILTER_STATE]])
-            moving = rows[:, LISTENER_FILTER_STATE : LISTENER_FILTER_STATE + NOMINAL_ATTITUDE]
-            estimated = np.hstack([moving, rows[:, LISTENER_ANGLES:LISTENER_ROW_SIZE]])
-            together(true, estimated, covariances, rows[:, LISTENER_VALID] != 0.0)
+            moving = rows[:, LISTENER_STATE_START : LISTENER_STATE_START + MODEL_ATTITUDE]
+            true = np.hstack([moving, rows[:, LISTENER_ATTITUDE_START:LISTENER_FILTER_STATE_START]])
+            moving = rows[:, LISTENER_FILTER_STATE_START : LISTENER_FILTER_STATE_START + NOMINAL_ATTITUDE]
+            estimated = np.hstack([moving, rows[:, LISTENER_ANGLES_START:LISTENER_ROW_SIZE]])
+            together(true, estimated, covariances, rows[:, LISTENER_VALID_COLUMN] != 0.0)
             return
         for row in rows:
-            self._publish_status_of_row(int(row[LISTENER_STATUS_ROW]))
-            tick = int(row[LISTENER_TICK])
+            self._publish_status_of_row(int(row[LISTENER_STATUS_ROW_COLUMN]))
+            tick = int(row[LISTENER_TICK_COLUMN])
             truth = Truth(
                 tick / rate,
                 tick,
-                row[LISTENER_STATE:LISTENER_ATTITUDE].copy(),
-                row[LISTENER_ATTITUDE:LISTENER_FILTER_STATE].copy(),
-                row[LISTENER_WIND:LISTENER_SUPPLY].copy(),
-                *row[LISTENER_SUPPLY:LISTENER_SPECIFIC_FORCE].tolist(),
+                row[LISTENER_STATE_START:LISTENER_ATTITUDE_START].copy(),
+                row[LISTENER_ATTITUDE_START:LISTENER_FILTER_STATE_START].copy(),
+                row[LISTENER_WIND_START:LISTENER_SUPPLY_START].copy(),
+                *row[LISTENER_SUPPLY_START:LISTENER_SPECIFIC_FORCE_START].tolist(),
             )
             flight.listener(
                 truth,
                 filtered.make_estimate(
                     truth.time_s,
-                    bool(row[LISTENER_VALID]),
-                    row[LISTENER_FILTER_STATE:LISTENER_RATES].copy(),
-                    row[LISTENER_RATES:LISTENER_ANGLES],
-                    row[LISTENER_ANGLES:LISTENER_ROW_SIZE],
-                    float(row[LISTENER_VOLTAGE]),
+                    bool(row[LISTENER_VALID_COLUMN]),
+                    row[LISTENER_FILTER_STATE_START:LISTENER_RATES_START].copy(),
+                    row[LISTENER_RATES_START:LISTENER_ANGLES_START],
+                    row[LISTENER_ANGLES_START:LISTENER_ROW_SIZE],
+                    float(row[LISTENER_VOLTAGE_COLUMN]),
                     row[LISTENER_ROW_SIZE:].copy(),
-                    row[LISTENER_SPECIFIC_FORCE:LISTENER_STATE],
+                    row[LISTENER_SPECIFIC_FORCE_START:LISTENER_STATE_START],
                 ),
             )
 
@@ -416,14 +423,18 @@ class CompiledFlight:
             readings, estimate = self._read_sensors_and_estimate(truth)
         if filtered is not None:
             self._status_rows[0], self._last_statuses = self._status_rows[c.status_rows], filtered.sensor_statuses
-        flight.acting_actuators = Actuators(self._acting[1, MOTORS].copy(), self._acting[1, SERVOS].copy())
-        flight.sent_actuators = Actuators(self._acting[2, MOTORS].copy(), self._acting[2, SERVOS].copy())
+        flight.acting_actuators = Actuators(
+            self._acting[1, MOTOR_INPUT_SLICE].copy(), self._acting[1, SERVO_INPUT_SLICE].copy()
+        )
+        flight.sent_actuators = Actuators(
+            self._acting[2, MOTOR_INPUT_SLICE].copy(), self._acting[2, SERVO_INPUT_SLICE].copy()
+        )
         is_due = whole and due == truth.tick
         # Motors change in the last period only: that ends a call.
         was_due = due >= 0 and (not is_due or periods > software.mission_step_periods)
         if whole:
             flight.store_loop_results(truth, readings, estimate)
-        auto.conclude_periods(
+        auto.update_after_compiled_periods(
             estimate if whole else None, flight.sent_actuators, ran=ran if was_due else None, due=is_due
         )
         self._record_rows(rows - last, rows)
@@ -436,26 +447,30 @@ class CompiledFlight:
         if stop <= first:
             return
         flight, row = self._flight, self._log_rows[first:stop]
-        state, attitude = row[:, LOG_STATE:LOG_ATTITUDE], row[:, LOG_ATTITUDE:LOG_WIND]
+        state, attitude = row[:, LOG_STATE_START:LOG_ATTITUDE_START], row[:, LOG_ATTITUDE_START:LOG_WIND_START]
         measured: dict[str, _Array] = {}
         if flight.records_measurements:
             measured = {
-                "measured_position": state[:, POSITION], "measured_velocity": state[:, VELOCITY],
-                "measured_attitude": attitude, "measured_rates": state[:, RATES], "range": row[:, LOG_ROW_SIZE:],
+                "measured_position": state[:, POSITION_SLICE], "measured_velocity": state[:, VELOCITY_SLICE],
+                "measured_attitude": attitude, "measured_rates": state[:, RATE_SLICE], "range": row[:, LOG_ROW_SIZE:],
             }  # fmt: skip
         truth = Truth(
-            row[:, LOG_TIME], 0, state, attitude, row[:, LOG_WIND:LOG_SUPPLY], *row[:, LOG_SUPPLY:LOG_MOTOR_INPUTS].T,  # type: ignore[arg-type]
+            row[:, LOG_TIME_COLUMN], 0, state, attitude,  # type: ignore[arg-type]
+            row[:, LOG_WIND_START:LOG_SUPPLY_START], *row[:, LOG_SUPPLY_START:LOG_MOTOR_INPUTS_START].T,
         )  # fmt: skip
-        states = [_STATE_NAMES[k] for k in row[:, LOG_MISSION_STATE].astype(int).tolist()]
+        states = [_STATE_NAMES[k] for k in row[:, LOG_MISSION_STATE_COLUMN].astype(int).tolist()]
         append_rows(
             flight.recorder,
             truth,
             measured,
-            Actuators(row[:, LOG_MOTOR_INPUTS:LOG_SERVO_INPUTS], row[:, LOG_SERVO_INPUTS:LOG_REF_POSITION]),
+            Actuators(
+                row[:, LOG_MOTOR_INPUTS_START:LOG_SERVO_INPUTS_START],
+                row[:, LOG_SERVO_INPUTS_START:LOG_REF_POSITION_START],
+            ),
             (
-                row[:, LOG_REF_POSITION:LOG_REF_VELOCITY],
-                row[:, LOG_REF_VELOCITY:LOG_REF_ATTITUDE],
-                row[:, LOG_REF_ATTITUDE:LOG_MISSION_STATE],
+                row[:, LOG_REF_POSITION_START:LOG_REF_VELOCITY_START],
+                row[:, LOG_REF_VELOCITY_START:LOG_REF_ATTITUDE_START],
+                row[:, LOG_REF_ATTITUDE_START:LOG_MISSION_STATE_COLUMN],
             ),
             states,
         )

@@ -37,10 +37,10 @@ from mufly.estimate.filter.measurements import sensor_checks as g
 from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import median_filter_ring_scan
-from mufly.flight.period_stages import CONTINUE_LOOP, FIRST_EXECUTOR_CODE, LOOP_DONE, make_stepper
-from mufly.flight.simulated_plant import advance_period, find_collision, true_attitude
+from mufly.flight.period_stages import CONTINUE_LOOP, FIRST_EXECUTOR_CODE, LOOP_DONE, make_stage_loop
+from mufly.flight.simulated_plant import advance_period, find_collision, write_true_attitude
 from mufly.sensors.imu import FIRST_GYRO_AXIS, sample_imu
-from mufly.sensors.periodic import ROW_FIRST_VALUE, ROW_IS_VALID, ROW_MEASURED_TIME
+from mufly.sensors.periodic import ROW_FIRST_VALUE_INDEX, ROW_IS_VALID_INDEX, ROW_MEASURED_TIME_INDEX
 from mufly.sensors.readings import measure_ranges
 from mufly.sensors.sampling import SAMPLED_READING_INDICES, sample_all
 
@@ -219,8 +219,16 @@ _MOTORS_OFF, _MOTORS_FLYING = 0, 2
 _IMU_OUTPUT_ARGUMENT = 4  # place in the arguments of sample_imu after the time
 # First columns of a log row: time, state, attitude, wind, battery, active actuators, reference, mission state; the
 # ranges follow
-LOG_TIME, LOG_STATE, LOG_ATTITUDE, LOG_WIND, LOG_SUPPLY, LOG_MOTOR_INPUTS, LOG_SERVO_INPUTS = 0, 1, 22, 25, 28, 30, 32
-LOG_REF_POSITION, LOG_REF_VELOCITY, LOG_REF_ATTITUDE, LOG_MISSION_STATE, LOG_ROW_SIZE = (
+(
+    LOG_TIME_COLUMN,
+    LOG_STATE_START,
+    LOG_ATTITUDE_START,
+    LOG_WIND_START,
+    LOG_SUPPLY_START,
+    LOG_MOTOR_INPUTS_START,
+    LOG_SERVO_INPUTS_START,
+) = 0, 1, 22, 25, 28, 30, 32
+LOG_REF_POSITION_START, LOG_REF_VELOCITY_START, LOG_REF_ATTITUDE_START, LOG_MISSION_STATE_COLUMN, LOG_ROW_SIZE = (
     34,
     37,
     40,
@@ -228,7 +236,7 @@ LOG_REF_POSITION, LOG_REF_VELOCITY, LOG_REF_ATTITUDE, LOG_MISSION_STATE, LOG_ROW
     44,
 )
 # Offsets in the C record of motion (controllers.h)
-_MOTION_POS, _MOTION_VEL, _MOTION_ATT, _MOTION_RATES, _MOTION_VOLTAGE = 0, 3, 6, 9, 12
+_MOTION_POS_START, _MOTION_VEL_START, _MOTION_ATT_START, _MOTION_RATES_START, _MOTION_VOLTAGE_INDEX = 0, 3, 6, 9, 12
 _ACCEL_START, _RATES_START, _VOLTAGE_START = (
     READING_STARTS[READING_ACCELERATION],
     READING_STARTS[READING_RATES],
@@ -239,29 +247,29 @@ _ACCEL_START, _RATES_START, _VOLTAGE_START = (
 STATUS_SIGMA_START = ERROR_GYRO_BIAS**2
 SENSOR_STATUS_START = STATUS_SIGMA_START + ERROR_STATE_COUNT
 (
-    _CHECK_STATUS,
-    _CHECK_REASON,
-    _CHECK_REASON_NUMBER,
-    _CHECK_INNOVATION,
-    _CHECK_INNOVATION_SIGMA,
-    _CHECK_LAST_FUSED_TICK,
-    _CHECK_LAST_NEW_TICK,
+    _STATUS_COLUMN,
+    _REASON_COLUMN,
+    _REASON_NUMBER_COLUMN,
+    _INNOVATION_COLUMN,
+    _INNOVATION_SIGMA_COLUMN,
+    _LAST_FUSED_TICK_COLUMN,
+    _LAST_NEW_TICK_COLUMN,
     SENSOR_STATUS_SIZE,
 ) = range(8)
-STATUS_FAULT_COMPONENT = SENSOR_STATUS_START + SENSOR_STATUS_SIZE * SENSOR_COUNT
-STATUS_TICK = STATUS_FAULT_COMPONENT + 1
-STATUS_ROW_SIZE = STATUS_TICK + 1
+STATUS_FAULT_COMPONENT_COLUMN = SENSOR_STATUS_START + SENSOR_STATUS_SIZE * SENSOR_COUNT
+STATUS_TICK_COLUMN = STATUS_FAULT_COMPONENT_COLUMN + 1
+STATUS_ROW_SIZE = STATUS_TICK_COLUMN + 1
 # Listener row: period, validity, battery (V), index of the status row; wind, supply, accelerometer reading, state,
 # attitude, nominal state, rates, angles; the ranges follow
 (
-    LISTENER_TICK,
-    LISTENER_VALID,
-    LISTENER_VOLTAGE,
-    LISTENER_STATUS_ROW,
-    LISTENER_WIND,
-    LISTENER_SUPPLY,
-    LISTENER_SPECIFIC_FORCE,
-    LISTENER_STATE,
+    LISTENER_TICK_COLUMN,
+    LISTENER_VALID_COLUMN,
+    LISTENER_VOLTAGE_COLUMN,
+    LISTENER_STATUS_ROW_COLUMN,
+    LISTENER_WIND_START,
+    LISTENER_SUPPLY_START,
+    LISTENER_SPECIFIC_FORCE_START,
+    LISTENER_STATE_START,
 ) = (
     0,
     1,
@@ -272,11 +280,11 @@ STATUS_ROW_SIZE = STATUS_TICK + 1
     9,
     12,
 )
-LISTENER_ATTITUDE = LISTENER_STATE + STATE_SIZE
-LISTENER_FILTER_STATE = LISTENER_ATTITUDE + 3
-LISTENER_RATES = LISTENER_FILTER_STATE + STATE_COUNT
-LISTENER_ANGLES = LISTENER_RATES + 3
-LISTENER_ROW_SIZE = LISTENER_ANGLES + 3
+LISTENER_ATTITUDE_START = LISTENER_STATE_START + STATE_SIZE
+LISTENER_FILTER_STATE_START = LISTENER_ATTITUDE_START + 3
+LISTENER_RATES_START = LISTENER_FILTER_STATE_START + STATE_COUNT
+LISTENER_ANGLES_START = LISTENER_RATES_START + 3
+LISTENER_ROW_SIZE = LISTENER_ANGLES_START + 3
 
 
 @cached_njit(error_model="numpy")
@@ -322,9 +330,9 @@ def _begin_sensed_period(p: SensedLoopArguments) -> int:
         c, f = p.clock, p.filter
         row = p.listener_rows[c.listener_rows]
         c.listener_rows += 1
-        row[LISTENER_TICK], row[LISTENER_VALID] = c.tick, c.is_estimate_valid
-        row[LISTENER_VOLTAGE], row[LISTENER_STATUS_ROW] = f.values[_VOLTAGE_START], c.status_rows
-        n = _copy_to_row(row, LISTENER_WIND, p.plant.wind[c.wind_samples - 1])
+        row[LISTENER_TICK_COLUMN], row[LISTENER_VALID_COLUMN] = c.tick, c.is_estimate_valid
+        row[LISTENER_VOLTAGE_COLUMN], row[LISTENER_STATUS_ROW_COLUMN] = f.values[_VOLTAGE_START], c.status_rows
+        n = _copy_to_row(row, LISTENER_WIND_START, p.plant.wind[c.wind_samples - 1])
         n = _copy_to_row(row, _copy_to_row(row, n, p.plant.supply), f.values[_ACCEL_START : _ACCEL_START + 3])
         n = _copy_to_row(row, _copy_to_row(row, n, p.plant.state), p.plant.attitude)
         n = _copy_to_row(row, _copy_to_row(row, _copy_to_row(row, n, f.state), f.rates), f.angles)
@@ -371,7 +379,7 @@ def _publish_ranges(p: LoopArguments) -> None:
 @cached_njit(error_model="numpy")
 def _measure_truth(p: IdealLoopArguments) -> int:
     c, q = p.clock, p.plant
-    true_attitude(q.state, q.attitude)
+    write_true_attitude(q.state, q.attitude)
     if c.tick % c.ring_interval == 0:
         measure_ranges(q.state, *p.ring, p.ranges)
         p.ring_clock[0] = c.tick / c.rate_Hz
@@ -385,20 +393,25 @@ def _fill_readings(t: float, has_new_reading: NDArray[np.uint8], rows: _Array, f
     is_ring = False
     for k in range(len(SAMPLED_READING_INDICES)):
         r = SAMPLED_READING_INDICES[k]
-        if has_new_reading[k] == 0 or r < 0 or f.is_fitted[r] == 0 or rows[k, ROW_MEASURED_TIME] == f.reading_times[r]:
+        if (
+            has_new_reading[k] == 0
+            or r < 0
+            or f.is_fitted[r] == 0
+            or rows[k, ROW_MEASURED_TIME_INDEX] == f.reading_times[r]
+        ):
             continue
         row = rows[k]
-        f.reading_times[r] = row[ROW_MEASURED_TIME]
-        f.age[r], f.is_new[r] = t - row[ROW_MEASURED_TIME], 1 if row[ROW_IS_VALID] != 0.0 else 2
+        f.reading_times[r] = row[ROW_MEASURED_TIME_INDEX]
+        f.age[r], f.is_new[r] = t - row[ROW_MEASURED_TIME_INDEX], 1 if row[ROW_IS_VALID_INDEX] != 0.0 else 2
         start = READING_STARTS[r]
         if r == READING_RANGE_RING:
             is_ring = True
             for j in range(f.fused_beams.size):
-                f.values[start + j] = row[ROW_FIRST_VALUE + f.fused_beams[j]]
-            median_filter_ring_scan(row[ROW_FIRST_VALUE:], f.max_range_m, f.ring_scans, ranges)
+                f.values[start + j] = row[ROW_FIRST_VALUE_INDEX + f.fused_beams[j]]
+            median_filter_ring_scan(row[ROW_FIRST_VALUE_INDEX:], f.max_range_m, f.ring_scans, ranges)
         else:
             for j in range(READING_WIDTHS[r]):
-                f.values[start + j] = row[ROW_FIRST_VALUE + j] - SUBTRACTED_READING_OFFSETS[r]
+                f.values[start + j] = row[ROW_FIRST_VALUE_INDEX + j] - SUBTRACTED_READING_OFFSETS[r]
     return is_ring
 
 
@@ -406,7 +419,7 @@ def _fill_readings(t: float, has_new_reading: NDArray[np.uint8], rows: _Array, f
 def sample_sensors(p: SensedLoopArguments) -> int:
     c, q, f, s = p.clock, p.plant, p.filter, p.sensors
     t = c.tick / c.rate_Hz
-    true_attitude(q.state, q.attitude)
+    write_true_attitude(q.state, q.attitude)
     for k in range(f.is_new.size):
         f.is_new[k] = 0
     for k in range(4):
@@ -435,12 +448,15 @@ def _publish_truth(p: IdealLoopArguments) -> int:
     c, q, b, at = p.clock, p.plant, p.software.estimate_reals, p.software.offsets
     b[at.time] = c.tick / c.rate_Hz
     for k in range(3):
-        b[at.motion + _MOTION_POS + k], b[at.motion + _MOTION_VEL + k] = (
+        b[at.motion + _MOTION_POS_START + k], b[at.motion + _MOTION_VEL_START + k] = (
             q.state[MODEL_POSITION + k],
             q.state[MODEL_VELOCITY + k],
         )
-        b[at.motion + _MOTION_ATT + k], b[at.motion + _MOTION_RATES + k] = q.attitude[k], q.state[MODEL_RATES + k]
-    b[at.motion + _MOTION_VOLTAGE] = q.supply[0]
+        b[at.motion + _MOTION_ATT_START + k], b[at.motion + _MOTION_RATES_START + k] = (
+            q.attitude[k],
+            q.state[MODEL_RATES + k],
+        )
+    b[at.motion + _MOTION_VOLTAGE_INDEX] = q.supply[0]
     return CONTINUE_LOOP
 
 
@@ -450,14 +466,14 @@ def _step_filter(p: SensedLoopArguments) -> int:
     b[at.time] = c.tick / c.rate_Hz
     valid = call_c_function(f.addresses[0], f.addresses[1:]) & 1
     for k in range(3):
-        b[at.motion + _MOTION_POS + k], b[at.motion + _MOTION_VEL + k] = (
+        b[at.motion + _MOTION_POS_START + k], b[at.motion + _MOTION_VEL_START + k] = (
             f.state[NOMINAL_POSITION + k],
             f.state[NOMINAL_VELOCITY + k],
         )
-        b[at.motion + _MOTION_ATT + k], b[at.motion + _MOTION_RATES + k] = f.angles[k], f.rates[k]
+        b[at.motion + _MOTION_ATT_START + k], b[at.motion + _MOTION_RATES_START + k] = f.angles[k], f.rates[k]
         b[at.specific_force + k] = f.values[_ACCEL_START + k]
     volts = f.values[_VOLTAGE_START]
-    b[at.motion + _MOTION_VOLTAGE] = volts if volts != 0.0 else math.nan
+    b[at.motion + _MOTION_VOLTAGE_INDEX] = volts if volts != 0.0 else math.nan
     p.software.estimate_bytes[at.valid] = valid
     c.is_estimate_valid = valid
     c.filter_periods += 1
@@ -492,18 +508,22 @@ def _write_filter_status(
             row[ERROR_GYRO_BIAS * j + k] = covariance[j, k]
     for k in range(ERROR_STATE_COUNT):
         row[STATUS_SIGMA_START + k] = sigma[k]
-    row[STATUS_FAULT_COMPONENT], row[STATUS_TICK] = component[0], tick[0]
+    row[STATUS_FAULT_COMPONENT_COLUMN], row[STATUS_TICK_COLUMN] = component[0], tick[0]
     same = True
     for k in range(SENSOR_COUNT):
         start = SENSOR_STATUS_START + SENSOR_STATUS_SIZE * k
         of, was = row[start : start + SENSOR_STATUS_SIZE], before[start : start + SENSOR_STATUS_SIZE]
-        of[_CHECK_STATUS], of[_CHECK_REASON], of[_CHECK_REASON_NUMBER], of[_CHECK_INNOVATION] = (
+        of[_STATUS_COLUMN], of[_REASON_COLUMN], of[_REASON_NUMBER_COLUMN], of[_INNOVATION_COLUMN] = (
             code[k],
             why[k],
             number[k],
             innovation[k],
         )
-        of[_CHECK_INNOVATION_SIGMA], of[_CHECK_LAST_FUSED_TICK], of[_CHECK_LAST_NEW_TICK] = spread[k], used[k], came[k]
+        of[_INNOVATION_SIGMA_COLUMN], of[_LAST_FUSED_TICK_COLUMN], of[_LAST_NEW_TICK_COLUMN] = (
+            spread[k],
+            used[k],
+            came[k],
+        )
         if f.is_fitted[k] == 0:
             continue
         text = f.texts[why[k]]
@@ -512,15 +532,15 @@ def _write_filter_status(
         quiet = (
             calm != 0
             and (code[k] == g.STATUS_WAITING or code[k] == g.STATUS_FUSED)
-            and was[_CHECK_STATUS] == was[_CHECK_STATUS]
+            and was[_STATUS_COLUMN] == was[_STATUS_COLUMN]
         )
         if quiet and text >= 0:
             one = at.checks + k * at.check_size
             said[one + at.check_status], said[one + at.check_reason] = code[k], text
         else:
-            same = same and of[_CHECK_STATUS] == was[_CHECK_STATUS] and of[_CHECK_REASON] == was[_CHECK_REASON]
-            same = same and (text >= 0 or of[_CHECK_REASON_NUMBER] == was[_CHECK_REASON_NUMBER])
-            same = same and (text >= 0 or row[STATUS_FAULT_COMPONENT] == before[STATUS_FAULT_COMPONENT])
+            same = same and of[_STATUS_COLUMN] == was[_STATUS_COLUMN] and of[_REASON_COLUMN] == was[_REASON_COLUMN]
+            same = same and (text >= 0 or of[_REASON_NUMBER_COLUMN] == was[_REASON_NUMBER_COLUMN])
+            same = same and (text >= 0 or row[STATUS_FAULT_COMPONENT_COLUMN] == before[STATUS_FAULT_COMPONENT_COLUMN])
     return same
 
 
@@ -548,17 +568,20 @@ def _write_log_row(p: LoopArguments) -> int:
         at = s.offsets
         row, late = p.log[c.log_rows], s.reals[at.late_s]
         c.log_rows += 1
-        row[LOG_TIME] = c.tick / c.rate_Hz
-        n = _copy_to_row(row, _copy_to_row(row, LOG_STATE, q.state), q.attitude)
+        row[LOG_TIME_COLUMN] = c.tick / c.rate_Hz
+        n = _copy_to_row(row, _copy_to_row(row, LOG_STATE_START, q.state), q.attitude)
         n = _copy_to_row(row, _copy_to_row(row, n, q.wind[c.wind_samples - 1]), q.supply)
         _copy_to_row(row, n, q.acting_inputs[1])
         for k in range(3):
             way = s.reals[at.reference_velocity + k]
-            row[LOG_REF_POSITION + k] = s.reals[at.reference_position + k] + late * way
-            row[LOG_REF_VELOCITY + k] = way
-        row[LOG_REF_ATTITUDE], row[LOG_REF_ATTITUDE + 1] = s.reals[at.reference_tilt], s.reals[at.reference_tilt + 1]
-        row[LOG_REF_ATTITUDE + 2] = s.reals[at.reference_heading] + late * s.reals[at.reference_heading_rate]
-        row[LOG_MISSION_STATE] = s.ints[at.state]
+            row[LOG_REF_POSITION_START + k] = s.reals[at.reference_position + k] + late * way
+            row[LOG_REF_VELOCITY_START + k] = way
+        row[LOG_REF_ATTITUDE_START], row[LOG_REF_ATTITUDE_START + 1] = (
+            s.reals[at.reference_tilt],
+            s.reals[at.reference_tilt + 1],
+        )
+        row[LOG_REF_ATTITUDE_START + 2] = s.reals[at.reference_heading] + late * s.reals[at.reference_heading_rate]
+        row[LOG_MISSION_STATE_COLUMN] = s.ints[at.state]
         _copy_to_row(row, LOG_ROW_SIZE, p.ranges)
     return CONTINUE_LOOP
 
@@ -574,7 +597,7 @@ def _end_period(p: LoopArguments) -> int:
 
 
 def _compile_stepper(begin: Any, measure: Any, estimate: Any) -> Any:
-    stepper = make_stepper(
+    stepper = make_stage_loop(
         begin, advance_plant, _check_contact, measure, estimate, _step_software, _write_log_row, _end_period
     )
     return cached_njit(stepper, inline="always", error_model="numpy")

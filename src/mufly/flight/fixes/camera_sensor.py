@@ -46,11 +46,11 @@ from mufly.flight.fixes.fix_monitor import FixMonitor
 from mufly.flight.fixes.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStream
 from mufly.mission import Mission
 from mufly.sensors import Reading, Readings, Sensor, Truth
-from mufly.sensors.sonar import max_grounded_range
+from mufly.sensors.sonar import max_standing_sonar_range
 from mufly.slam import (
     PHASE_SIGMA_RAD,
     CameraFrame,
-    FrameInfo,
+    FrameEstimate,
     PictureCounts,
     SlamProcess,
     TrackedPicture,
@@ -75,7 +75,7 @@ _TILT_CORRELATION_S, _HEIGHT_CORRELATION_S = 20.0, 2.0
 """Correlation times of the filter's errors of tilt and height (s)."""
 MAX_FIX_SIGMA_M = 0.2
 """Largest standard deviation of an accepted external fix (m)."""
-_MIN_TURN_RAD, _MIN_SCALE_ERROR, _MIN_FAULT_SIGMAS = math.radians(10.0), 0.1, 5.0
+_MIN_FAULT_TURN_RAD, _MIN_SCALE_ERROR, _MIN_FAULT_SIGMAS = math.radians(10.0), 0.1, 5.0
 """Least turn (rad) and error of scale of the motion against the accelerometers that are reported, and least number of
 deviations."""
 _MAX_SENT_SIGMA_M = 0.6
@@ -189,7 +189,7 @@ def replace_fix_by_camera(vehicle: Vehicle, camera: Camera) -> Vehicle:
 def compute_standing_sonar_limit(vehicle: Vehicle) -> float:
     """Return the sonar reading (m) up to which the vehicle may still stand on the floor."""
     sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
-    return 0.0 if sonar is None else max_grounded_range(vehicle) + 0.5 * float(sonar.resolution)
+    return 0.0 if sonar is None else max_standing_sonar_range(vehicle) + 0.5 * float(sonar.resolution)
 
 
 class CameraSensor(Sensor):
@@ -267,7 +267,7 @@ class CameraSensor(Sensor):
         if self._record is not None:
             self._record.close()
 
-    def record_pictures(self, path: Path, start_ns: int) -> None:
+    def open_picture_recording(self, path: Path, start_ns: int) -> None:
         """Open a recording; it then receives each picture that SLAM tracks, with the pose estimate.
 
         ``start_ns`` is the wall-clock time (ns since 1970) of the instant 0.
@@ -285,8 +285,8 @@ class CameraSensor(Sensor):
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t = truth.time_s
-        if self._film.is_picture_due(truth):
-            self._take_picture(truth)
+        if self._film.advance_and_check_due(truth):
+            self._take_and_send_picture(truth)
         while self._queue and self._queue[0][0] <= t + 1e-9:
             self._receive_result(self._queue.pop(0)[1])
         return self._fix
@@ -295,15 +295,15 @@ class CameraSensor(Sensor):
         """Pass the latest readings to the comparison with the accelerometers (:class:`FixMonitor`)."""
         self._monitor.observe(readings, estimate, is_resting)
 
-    def _check_path(self, known: TrackingResult) -> TrackingResult:
+    def _compare_with_accelerometers(self, known: TrackingResult) -> TrackingResult:
         """Return a trusted result, marked as untrusted if its path contradicts the accelerometers."""
         if known.time_s - self._compared_s > MIN_FIX_INTERVAL_S - 1e-3:
             self._compared_s = known.time_s
             self._monitor.check_fix(known.time_s, np.append(known.position, known.heading))
-        fault = judge_camera_path(*self._monitor.long_fit)
+        fault = judge_camera_path_ratio(*self._monitor.long_fit)
         return replace(known, trusted=False, reason=fault, camera_fault=fault) if fault else known
 
-    def tracking_message(self) -> str:
+    def take_tracking_report(self) -> str:
         """Return a new report of a faulty camera, of missing fixes with the reason, or of their recovery, or "".
 
         A fault is reported when it is found, also after the fixes have stopped for another reason.
@@ -332,7 +332,7 @@ class CameraSensor(Sensor):
         self._wrong, self._since_s = why, math.nan
         return f"no position from the camera: {why}"
 
-    def _take_picture(self, truth: Truth) -> None:
+    def _take_and_send_picture(self, truth: Truth) -> None:
         """Take a picture and send it."""
         t, camera = truth.time_s, self._eye.camera
         lost, jitter = (
@@ -341,7 +341,7 @@ class CameraSensor(Sensor):
         )
         if self._process is None:  # started on the floor, so that no flight waits for its start
             self._process = SlamProcess(camera, start=self._start, seed=self._seed)
-        told = self._make_frame_info(truth)
+        told = self._make_frame_estimate(truth)
         if told is None:
             return
         self._stood = told.standing and (not self._begun or told.height_m < LANDED_HEIGHT_M)
@@ -353,7 +353,7 @@ class CameraSensor(Sensor):
         due = max(due + float(camera.radio.jitter) * jitter, self._queue[-1][0] if self._queue else 0.0)
         if told.standing and not self._begun:
             if not lost:
-                self._queue.append((due, self._stationary_pose(t)))
+                self._queue.append((due, self._make_stationary_result(t)))
             if self._has_viewers:
                 self._show_stationary_view(self._film.compute_motion_at_exposure(truth), light)
             return
@@ -361,7 +361,7 @@ class CameraSensor(Sensor):
         self.last_picture = self._film.render_picture(truth, light)
         self.taken_count += 1
         self.lost_count += bool(lost)
-        shown = self._encode_shown(t)
+        shown = self._encode_and_publish_picture(t)
         if lost:
             return
         assert self._process is not None
@@ -377,7 +377,7 @@ class CameraSensor(Sensor):
         if self._floor_view is None:
             self._floor_view = self._film.make_renderer()
         self.last_picture = self._floor_view.render(motion, light)
-        shown = self._encode_shown(motion.time_s)
+        shown = self._encode_and_publish_picture(motion.time_s)
         if self.on_map_view is not None:
             self.on_map_view(TrackedPicture(motion.time_s, shown, is_standing=True, counts=self._picture_counts()))
 
@@ -385,7 +385,7 @@ class CameraSensor(Sensor):
     def _has_viewers(self) -> bool:
         return self.on_map_view is not None or self.stream_server is not None
 
-    def _encode_shown(self, time_s: float) -> bytes:
+    def _encode_and_publish_picture(self, time_s: float) -> bytes:
         """Return the picture as a JPEG, and publish it to the stream; b"" without viewers and recorder."""
         if self.last_picture is None or not (self._has_viewers or self._record):
             return b""
@@ -397,14 +397,14 @@ class CameraSensor(Sensor):
     def _picture_counts(self) -> PictureCounts:
         return PictureCounts(self.taken_count, self.lost_count, self.answered_count, self.trusted_count)
 
-    def _stationary_pose(self, time_s: float) -> TrackingResult:
+    def _make_stationary_result(self, time_s: float) -> TrackingResult:
         """Return a trusted tracking result at the start position plus noise, for a vehicle that has not moved."""
         *noise, turn = _STATIONARY_NOISE_M * self._rng.standard_normal(4)
         place = np.array([self._start[0], self._start[1], -self._stands_m]) + noise
         covariance = _STATIONARY_NOISE_M**2 * np.eye(4)
         return TrackingResult(time_s, True, "it stands", place, self._start[2] + turn, covariance)
 
-    def _make_frame_info(self, truth: Truth) -> FrameInfo | None:
+    def _make_frame_estimate(self, truth: Truth) -> FrameEstimate | None:
         """Return the estimate of the previous period, propagated to the picture's time; None without an estimate."""
         estimate, sonar = self.estimate_source()
         if estimate is None or not np.isfinite(estimate.attitude).all():
@@ -421,7 +421,7 @@ class CameraSensor(Sensor):
         north, east, height, v_north, v_east, _, roll_off, pitch_off, yaw_off = sigma[:ERROR_GYRO_BIAS].tolist()
         place = math.sqrt(max(max(north, east) ** 2 - float(self._fixes.drift) ** 2, 0.01**2))
         heading = math.sqrt(max(yaw_off**2 - float(self._fixes.heading_drift) ** 2, 0.005**2))
-        return FrameInfo(
+        return FrameEstimate(
             roll, pitch, max(0.02, -float(x[2])), estimate.rates.copy(), self._scale * truth.rotor_speed,
             self._film.rotor_phase + self._offset + PHASE_SIGMA_RAD * self._rng.standard_normal(2),
             tilt_sigma=max(math.radians(0.15), roll_off, pitch_off), height_sigma=max(0.006, height),
@@ -435,11 +435,11 @@ class CameraSensor(Sensor):
         if not isinstance(known, TrackingResult):
             assert self._process is not None
             jpeg, known = known, _reject_uncertain(self._process.receive_result())
-            known = self._check_path(known) if known.trusted else known
+            known = self._compare_with_accelerometers(known) if known.trusted else known
             self.answered_count += 1
             self.trusted_count += known.trusted
             if self.on_map_view is not None:
-                self.on_map_view(self._make_map_view(jpeg, known))
+                self.on_map_view(self._make_tracked_picture(jpeg, known))
         self.last_result = known
         if self._eye.on_tracking_result is not None:
             self._eye.on_tracking_result(known)
@@ -450,7 +450,7 @@ class CameraSensor(Sensor):
             place = np.append(known.position, known.heading)
             self._fix = {"position_fix": Reading(place, known.time_s, True, known.covariance)}
 
-    def _make_map_view(self, jpeg: bytes, answer: TrackingResult) -> TrackedPicture:
+    def _make_tracked_picture(self, jpeg: bytes, answer: TrackingResult) -> TrackedPicture:
         assert self._process is not None
         path, place = self._path, (float(answer.position[0]), float(answer.position[1]))
         if answer.trusted and (not path or math.dist(path[-1], place) > PATH_SPACING_M):
@@ -472,7 +472,7 @@ class CameraSensor(Sensor):
         )
 
 
-def judge_camera_path(factor: complex, sigma: float) -> str:
+def judge_camera_path_ratio(factor: complex, sigma: float) -> str:
     """Return the fault of a camera from the ratio of its path to that of the accelerometers; "" without a fault.
 
     Parameters
@@ -483,7 +483,7 @@ def judge_camera_path(factor: complex, sigma: float) -> str:
         Its standard deviation along one axis.
     """
     turn, scale = abs(cmath.phase(factor)), abs(factor)
-    if turn > max(_MIN_TURN_RAD, _MIN_FAULT_SIGMAS * sigma / max(scale, 0.2)):
+    if turn > max(_MIN_FAULT_TURN_RAD, _MIN_FAULT_SIGMAS * sigma / max(scale, 0.2)):
         return "the camera is turned against the accelerometers: check mount.turn"
     if abs(scale - 1.0) > max(_MIN_SCALE_ERROR, _MIN_FAULT_SIGMAS * sigma):
         how = "shorter" if scale < 1.0 else "longer"

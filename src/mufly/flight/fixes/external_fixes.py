@@ -27,9 +27,9 @@ _Array = NDArray[np.float64]
 MAX_FIX_DELAY_S, MAX_FIX_LEAD_S = 1.0, 0.05
 """Largest age of a fix and largest lead of its time over the vehicle's clock (s)."""
 MAX_FIX_DISTANCE_M = 1000.0
-MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, math.radians(0.05)
+MIN_FIX_SIGMA_M, MIN_FIX_HEADING_SIGMA_RAD = 0.002, math.radians(0.05)
 """Least standard deviations of a fix; smaller ones are increased."""
-MAX_SIGMA_RAD = math.radians(20.0)
+MAX_FIX_HEADING_SIGMA_RAD = math.radians(20.0)
 _CORRECTED_FIX_COVARIANCE = np.diag([0.1**2] * 3 + [math.radians(1.0) ** 2])
 """Covariance of the corrected fixes of a refused source: large, so that the filter follows their motion only."""
 
@@ -106,7 +106,7 @@ class ExternalFixes(Sensor):
         str
             Reason of a refusal; "" if the fix is accepted.
         """
-        why = _fix_fault(place, covariance)
+        why = _find_fix_fault(place, covariance)
         age = now_s - time_s
         if why:
             return why
@@ -123,13 +123,13 @@ class ExternalFixes(Sensor):
                 self._said = {"position_fix": Reading(place, min(time_s, now_s), True, _CORRECTED_FIX_COVARIANCE)}
             return why
         if covariance is not None:
-            least = np.array([MIN_SIGMA_M] * 3 + [MIN_SIGMA_RAD]) ** 2
+            least = np.array([MIN_FIX_SIGMA_M] * 3 + [MIN_FIX_HEADING_SIGMA_RAD]) ** 2
             covariance = covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
         self._said = {"position_fix": Reading(place.copy(), min(time_s, now_s), True, covariance)}
         return ""
 
 
-def _fix_fault(place: _Array, covariance: _Array | None) -> str:
+def _find_fix_fault(place: _Array, covariance: _Array | None) -> str:
     if not np.isfinite(place).all():
         return "its numbers are not finite (NaN or infinite)"
     if np.abs(place[:3]).max() > MAX_FIX_DISTANCE_M:
@@ -146,6 +146,6 @@ def _fix_fault(place: _Array, covariance: _Array | None) -> str:
         return "its covariance is invalid (not positive semidefinite)"
     if (sigma := math.sqrt(float(own[:2].max()))) > MAX_FIX_SIGMA_M:
         return f"its position has a standard deviation of {sigma:.2f} m, more than {MAX_FIX_SIGMA_M:g} m"
-    if (sigma := math.sqrt(float(own[-1]))) > MAX_SIGMA_RAD:
+    if (sigma := math.sqrt(float(own[-1]))) > MAX_FIX_HEADING_SIGMA_RAD:
         return f"its heading has a standard deviation of {math.degrees(sigma):.0f} degrees, too large"
     return ""

@@ -87,7 +87,7 @@ fixes are withheld after a jump (s)."""
 _MIN_TURN_EFFECT_S2 = 0.005  # rms of B beside a parabola, below which the nose did not turn (s^2)
 _WITHHELD_TEXT = "it is withheld: "
 _HEADING_LAG_TEXT = "its heading does not follow the measured turn rate"
-_ATTITUDE_CORRECTION_S, _REST_AVERAGE_S = 20.0, 1.0
+_TILT_CORRECTION_TIME_S, _REST_AVERAGE_S = 20.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ class FixMonitor:
             cross = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
             self._turn = self._turn @ (np.eye(3) + cross + 0.5 * cross @ cross)
             if estimate.valid and not self.fault and not self._candidate:
-                self._correct_integrated_tilt(estimate, dt / _ATTITUDE_CORRECTION_S)
+                self._correct_integrated_tilt(estimate, dt / _TILT_CORRECTION_TIME_S)
             n, e, _ = self._turn @ force.value
             acceleration = complex(n, e)
             self._path += dt * (self._speed + 0.5 * dt * acceleration)
@@ -300,7 +300,7 @@ class FixMonitor:
     def _find_correction(self) -> FixCorrection | None:
         """Return the correction of the fault that the path shows; None without a fault that can be corrected."""
         fit = self.path_fit
-        match self._classify_path(self._report_m):
+        match self._classify_path_fault(self._report_m):
             case "turned":
                 return FixCorrection(1.0 / fit.rotation_factor)
             case "mirrored":
@@ -336,7 +336,7 @@ class FixMonitor:
             return "", False, False
         north, east, _, heading = place
         if self._is_resting:
-            fault = self._check_rest(time_s, complex(north, east))
+            fault = self._check_motion_at_rest(time_s, complex(north, east))
             *_, own_heading = self._history[-1]
             self._heading_offset = heading - own_heading
             return (
@@ -359,7 +359,7 @@ class FixMonitor:
         self._fit_heading_delay(time_s, heading, yaw)
         if fault := self._find_heading_delay_fault() or self._check_heading_drift(heading - yaw):
             return fault, True, False
-        if self._is_heading_apart(time_s):
+        if self._contradicts_gyroscopes(time_s):
             return _HEADING_LAG_TEXT, False, False
         self._fit_path()
         fit, fault = self.path_fit, self._judge_path(self._report_m) or self._find_long_fit_scale_fault()
@@ -371,7 +371,7 @@ class FixMonitor:
         last = self._fixes[-1]
         return abs(fix[1] - last[1]) > _MIN_JUMP_M + _MAX_SPEED_M_S * (fix[0] - last[0])
 
-    def _check_rest(self, time_s: float, place: complex) -> str:
+    def _check_motion_at_rest(self, time_s: float, place: complex) -> str:
         """Return the fault of a source that moves while the vehicle stands."""
         self._rest_fixes.append((time_s, place))
         while self._rest_fixes[0][0] < time_s - _REST_CHECK_WINDOW_S:
@@ -419,7 +419,7 @@ class FixMonitor:
         )
         return _delay_fault_text(delay) if explains else ""
 
-    def _is_heading_apart(self, time_s: float) -> bool:
+    def _contradicts_gyroscopes(self, time_s: float) -> bool:
         """Return whether the fixes' heading has changed within a second differently from the integrated gyroscopes."""
         recent = [heading - own for t, heading, own in self._headings if t > time_s - 1.0]
         return abs(recent[-1] - float(np.median(recent))) > _WITHHOLD_HEADING_CHANGE_RAD
@@ -443,7 +443,7 @@ class FixMonitor:
             y, a, v = (c - b * (np.vdot(b, c) / size) for c in (y, a, v))
         if t[-1] > self._long_s + _LONG_FIT_WINDOW_STEP_S and span > 0.9 * PATH_WINDOW_S:
             self._long_s = float(t[-1])
-            self._add_window(y, a)
+            self._add_window_to_long_fit(y, a)
         off = y - a
         square = float(np.vdot(a, a).real) + 1e-9
         turn, mirror = complex(np.vdot(a, y)) / square, complex(np.vdot(a.conj(), mirror_y)) / square
@@ -457,7 +457,7 @@ class FixMonitor:
         rms = {name: _root_mean_square(r) for name, r in each.items()}
         self.path_fit = PathFit(_root_mean_square(off), _root_mean_square(a), rms, turn, mirror, delay)
 
-    def _add_window(self, y: NDArray[np.complexfloating], a: NDArray[np.complexfloating]) -> None:
+    def _add_window_to_long_fit(self, y: NDArray[np.complexfloating], a: NDArray[np.complexfloating]) -> None:
         """Add a window to the long-term fit ``y = m a`` of fixes to the inertial path; update m and its standard
         deviation.
         """
@@ -478,7 +478,7 @@ class FixMonitor:
         )
         return _scale_fault_text(abs(m)) if is_wrong else ""
 
-    def _classify_path(self, least_m: float) -> str:
+    def _classify_path_fault(self, least_m: float) -> str:
         """Return the fault that best explains the fixes in the window: "late", "scaled", "turned" or "mirrored".
 
         Return "" if the fixes fit a correct source to less than ``least_m`` (m rms), or if no fault explains them.
@@ -499,8 +499,8 @@ class FixMonitor:
         return "" if lags and fit.healthy_rms_m < _LAG_RESIDUAL_FACTOR * least_m else kind
 
     def _judge_path(self, least_m: float) -> str:
-        """Return the fault of the fixes in the window as a text; "" without one (:meth:`_classify_path`)."""
-        fit, kind = self.path_fit, self._classify_path(least_m)
+        """Return the fault of the fixes in the window as a text; "" without one (:meth:`_classify_path_fault`)."""
+        fit, kind = self.path_fit, self._classify_path_fault(least_m)
         if not kind:
             return ""
         scale, both = fit.rotation_factor.real, (fit.rms_m["turned"], fit.rms_m["mirrored"])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mufly.camera import Camera, Floor, Renderer, StreamServer, VehicleMotion, encode_jpeg
 from mufly.dynamics import body_to_ned_matrix, model_parameters
-from mufly.dynamics.model_state import ATTITUDE, compute_hover_rotor_speeds
+from mufly.dynamics.model_state import ATTITUDE_SLICE, compute_hover_rotor_speeds
 from mufly.errors import ArgumentError, InputError, suggest_name
 from mufly.quantities.quantity_grammar import read_time_span
 from mufly.sensors import Truth
@@ -111,7 +111,7 @@ class OnboardCamera:
         """Return another renderer with the settings of this camera."""
         return Renderer(*self._given, seed=self._seed)
 
-    def is_picture_due(self, truth: Truth) -> bool:
+    def advance_and_check_due(self, truth: Truth) -> bool:
         """Advance the rotors to this instant, and return whether a picture is due; call this every period."""
         t = truth.time_s
         if not math.isnan(self.last_time_s):
@@ -150,7 +150,7 @@ class OnboardCamera:
         """Return position, attitude, velocity and rates of the vehicle at the middle of the exposure."""
         share = min(1.5, (float(np.mean(truth.rotor_speed)) / self._hover) ** 2)
         return VehicleMotion(
-            truth.time_s, truth.position.copy(), truth.velocity.copy(), body_to_ned_matrix(truth.state[ATTITUDE]),
+            truth.time_s, truth.position.copy(), truth.velocity.copy(), body_to_ned_matrix(truth.state[ATTITUDE_SLICE]),
             truth.rates.copy(), truth.rotor_speed.copy(), self.rotor_phase.copy(), share,
         )  # fmt: skip
 
@@ -170,7 +170,7 @@ class PictureStream:
     def send_if_due(self, truth: Truth) -> None:
         """Render and publish a picture if one is due."""
         light = self._film.light_level(truth.time_s)
-        if self._film.is_picture_due(truth) and light is not None:
+        if self._film.advance_and_check_due(truth) and light is not None:
             picture = self._film.render_picture(truth, light)
             self._server.publish_picture(encode_jpeg(picture, SHOWN_JPEG_QUALITY), truth.time_s)
 

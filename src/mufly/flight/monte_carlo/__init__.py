@@ -1,7 +1,7 @@
 """Monte Carlo campaigns of flights: parameter variations, workers, success rates and worst cases."""
 
 from mufly.flight.monte_carlo.campaign import Campaign, FlightCase, FlightResult, fly_case, judge_flight
-from mufly.flight.monte_carlo.campaign_files import RecordedFlights, record_notable_flights, write_flights
+from mufly.flight.monte_carlo.campaign_files import RecordedFlights, record_notable_flights, write_campaign_results
 from mufly.flight.monte_carlo.campaign_pictures import draw_distributions, draw_influences
 from mufly.flight.monte_carlo.campaign_results import (
     CampaignOutcome,
@@ -52,5 +52,5 @@ __all__ = [
     "search_worst_case",
     "sort_by_severity",
     "summarise_outcome",
-    "write_flights",
+    "write_campaign_results",
 ]

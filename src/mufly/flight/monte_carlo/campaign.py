@@ -44,7 +44,7 @@ from mufly.flight.monte_carlo.flight_ending import (
     classify_ending,
     final_speed_m_s,
     final_tilt_deg,
-    wrong_sources,
+    mismodelled_sensors,
 )
 from mufly.flight.monte_carlo.variation import ParameterVariation
 from mufly.flight.record.flight_summary import FlightSummary, summarise_flight
@@ -255,7 +255,7 @@ class Campaign:
         """Return the varied keys of the simulated truth alone; the flight software keeps the nominal values."""
         return [key for key in self.varied_keys if not self.redesign or key.startswith(UNKNOWN_TO_FILTER_PREFIX)]
 
-    def describe_knowledge(self) -> str:
+    def describe_onboard_knowledge(self) -> str:
         """Describe how many varied parameters the flight software knows (with drawn values), and how many not."""
         told, untold = len(self.keys_known_on_board), len(self.keys_unknown_on_board)
         parts = [
@@ -275,25 +275,25 @@ class Campaign:
             "variations": [v.to_json() for v in self.variations],
             "air": [self.wind, self.gust],
             "sensors": [self.sensors, list(self.faults)],
-            **self._describe_camera(),
+            **self._collect_camera_settings(),
             "seed": self.seed,
             "tolerance_m": self.tolerance_m,
             "software": [
                 self.redesign,
                 "" if self.controllers is None else self.controllers.__name__,
-                *self._describe_method(),
+                *self._describe_control_method(),
             ],
         }
         return hash_inputs(content)
 
-    def _describe_method(self) -> list[str]:
+    def _describe_control_method(self) -> list[str]:
         """Return method and gains of a controller that is not the default; empty for the default."""
         c = self.controller
         if c is None or c.settings == complete_settings(DesignSettings(), self.vehicle):
             return []
         return [c.settings.method, *(g.tobytes().hex() for g in (c.heave_yaw_gains, c.roll_pitch_gains))]
 
-    def _describe_camera(self) -> dict[str, list[object]]:
+    def _collect_camera_settings(self) -> dict[str, list[object]]:
         """Return the settings of the camera; empty without a camera."""
         eye = self.camera
         if eye is None:
@@ -364,7 +364,7 @@ class Campaign:
         """
         return replace_parameters(self.vehicle, dict(case.parameter_values)) if case.parameter_values else self.vehicle
 
-    def flight_options(self, case: FlightCase) -> dict[str, Any]:
+    def make_flight_arguments(self, case: FlightCase) -> dict[str, Any]:
         """Return the arguments of :class:`mufly.flight.Flight` for a flight, vehicle and mission included.
 
         Raises
@@ -390,12 +390,12 @@ class Campaign:
     def _vehicle_file_values(self) -> dict[str, float]:
         return {p.key: p.value for p in list_parameters(self.vehicle) if isinstance(p.value, float)}
 
-    def wrong_sources(self, case: FlightCase) -> frozenset[str]:
+    def mismodelled_sensors(self, case: FlightCase) -> frozenset[str]:
         """Return the names (as in messages) of sensors whose true errors differ from those that the filter assumes."""
         untold = {key: case.parameter_values[key] for key in self.keys_unknown_on_board if key in case.parameter_values}
-        return wrong_sources(self.faults, untold, self._vehicle_file_values)
+        return mismodelled_sensors(self.faults, untold, self._vehicle_file_values)
 
-    def replay_command(self, case: FlightCase, folder: Path, vehicle_file: Path | None) -> str:
+    def format_replay_command(self, case: FlightCase, folder: Path, vehicle_file: Path | None) -> str:
         """Return the command that repeats a flight; ``vehicle_file`` holds the drawn vehicle, if any."""
         words = ["mufly", "fly", self.mission_name, "--headless", "--sensors", self.sensors]
         words += ["--vehicle", self.vehicle_name if vehicle_file is None else str(vehicle_file)]
@@ -427,7 +427,7 @@ def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> 
 
     An error during the flight counts as a failure.
     """
-    heard = _EstimateScore()
+    heard = _NeesAccumulator()
     sensed = campaign.sensors == "fitted" and campaign.vehicle.sensors is not None
 
     same: dict[str, Any] = {
@@ -440,7 +440,8 @@ def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> 
     try:
         with _thread_pools().limit(limits=1):  # the last bits of a design must not depend on the number of cores
             data = fly_mission(
-                **campaign.flight_options(case), path=path, brief=path is None, on_tick=heard if sensed else None,
+                **campaign.make_flight_arguments(case), path=path, brief=path is None,
+                on_tick=heard if sensed else None,
                 tick_every=NEES_SAMPLE_INTERVAL_PERIODS,
             )  # fmt: skip
     except MuflyError as error:
@@ -451,7 +452,12 @@ def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> 
         why = f"raised {type(error).__name__}: {error}"
         return FlightResult(**same, success=False, ending="lost", reason=why, reported_outcome="")
     return judge_flight(
-        data, campaign.mission, campaign.tolerance_m, nees=heard.mean_nees, wrong=campaign.wrong_sources(case), **same
+        data,
+        campaign.mission,
+        campaign.tolerance_m,
+        nees=heard.mean_nees_per_dimension,
+        wrong=campaign.mismodelled_sensors(case),
+        **same,
     )
 
 
@@ -461,7 +467,7 @@ def _thread_pools() -> Any:
     return ThreadpoolController()
 
 
-class _EstimateScore:
+class _NeesAccumulator:
     """Accumulator of estimation errors during a flight."""
 
     def __init__(self) -> None:
@@ -474,14 +480,14 @@ class _EstimateScore:
         self.add_estimates(true[None], estimated[None], covariance, np.array([told.valid]))
 
     def add_estimates(self, true: _Array, told: _Array, covariances: _Array, valid: NDArray[np.bool_]) -> None:
-        """Collect instants with a valid estimate for :meth:`mean_nees`.
+        """Collect instants with a valid estimate for :meth:`mean_nees_per_dimension`.
 
         ``true`` and ``told`` are position, velocity and attitude (n, 9; m, m/s, rad), true and estimated.
         """
         self._parts.append((true[valid], told[valid], covariances[valid]))
 
     @property
-    def mean_nees(self) -> float | None:
+    def mean_nees_per_dimension(self) -> float | None:
         """Return the mean of NEES / n; None if no estimate was valid."""
         if not any(len(true) for true, _, _ in self._parts):
             return None
@@ -567,7 +573,7 @@ def _failure_reason(s: FlightSummary, data: xr.Dataset, tolerance_m: float) -> s
     return ""
 
 
-def list_differences(a: FlightResult, b: FlightResult) -> list[str]:
+def list_differing_fields(a: FlightResult, b: FlightResult) -> list[str]:
     """Return the names of the fields in which two flights differ."""
     return [
         f.name

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mufly.errors import report_write_errors
-from mufly.flight.monte_carlo.campaign import Campaign, FlightResult, list_differences
+from mufly.flight.monte_carlo.campaign import Campaign, FlightResult, list_differing_fields
 from mufly.flight.monte_carlo.campaign_pictures import draw_distributions, draw_influences
 from mufly.flight.monte_carlo.campaign_results import results_dataset
 from mufly.flight.monte_carlo.worker_pool import WorkerPool, case_from_result, sort_by_severity
@@ -61,7 +61,7 @@ def record_notable_flights(
     for place, f in chosen.items():
         case = case_from_result(f)
         vehicle_file = place / "vehicle.toml" if case.parameter_values else None
-        command = campaign.replay_command(case, place, vehicle_file)
+        command = campaign.format_replay_command(case, place, vehicle_file)
         with report_write_errors(place):
             place.mkdir(parents=True, exist_ok=True)
             if vehicle_file is not None:
@@ -75,7 +75,7 @@ def record_notable_flights(
     paths = {case.index: path for case, path in orders}
     for done, f in enumerate(crew.fly_cases(campaign, orders, stop or (lambda: False)), 1):
         path = paths[f.index]
-        changed = list_differences(f, before[f.index, f.seed])
+        changed = list_differing_fields(f, before[f.index, f.seed])
         if changed:
             on_notice(f"flight {f.index} gave another result when it was repeated ({', '.join(changed)})")
         if path.exists():  # a flight refused before its start has no recording
@@ -86,7 +86,7 @@ def record_notable_flights(
     return RecordedFlights(commands, [p / "flight.mcap" for p in chosen if (p / "flight.mcap").exists()])
 
 
-def write_flights(campaign: Campaign, flown: Sequence[FlightResult], folder: Path, name: str) -> list[Path]:
+def write_campaign_results(campaign: Campaign, flown: Sequence[FlightResult], folder: Path, name: str) -> list[Path]:
     """Write tables (NetCDF, CSV, and Parquet if pyarrow is installed) and pictures of flights; return the files.
 
     Raises
@@ -98,7 +98,7 @@ def write_flights(campaign: Campaign, flown: Sequence[FlightResult], folder: Pat
         return []
     table = results_dataset(flown, campaign)
     files = write_results(table, folder, name)
-    title = f"{campaign.vehicle.name}, {campaign.mission_name}, {campaign.describe_knowledge()}"
+    title = f"{campaign.vehicle.name}, {campaign.mission_name}, {campaign.describe_onboard_knowledge()}"
     pictures = {
         f"{name}-distributions": draw_distributions(flown, campaign.tolerance_m, title),
         f"{name}-influences": draw_influences(flown, campaign),

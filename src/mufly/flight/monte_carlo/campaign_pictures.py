@@ -28,7 +28,7 @@ _INFLUENCED_METRICS = ("overshoot_m", "tracking_peak_m", "touchdown_speed_m_s", 
 
 def draw_distributions(flights: Sequence[FlightResult], tolerance_m: float, title: str = "") -> Figure:
     """Draw a histogram of every metric that differs between flights."""
-    shown = [(m, v) for m in list_metrics(tolerance_m) if (v := _metric_by_success(flights, m)) is not None]
+    shown = [(m, v) for m in list_metrics(tolerance_m) if (v := _split_metric_by_success(flights, m)) is not None]
     columns = 3
     rows = max(1, math.ceil(len(shown) / columns))
     with mpl.rc_context(PLOT_STYLE):
@@ -83,7 +83,7 @@ def draw_outcome(outcome: CampaignOutcome) -> Figure:
     return figure
 
 
-def _metric_by_success(flights: Sequence[FlightResult], m: FlightMetric) -> tuple[np.ndarray, np.ndarray] | None:
+def _split_metric_by_success(flights: Sequence[FlightResult], m: FlightMetric) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the values of a metric in successes and in failures; None if all values are equal or unknown."""
     parts = [
         m.factor * np.array([v for f in flights if f.success is kind and (v := getattr(f, m.field_name)) is not None])
@@ -101,7 +101,7 @@ def draw_influences(flights: Sequence[FlightResult], campaign: Campaign) -> Figu
     shown = [
         m
         for m in list_metrics(campaign.tolerance_m)
-        if m.field_name in _INFLUENCED_METRICS and _metric_by_success(flights, m) is not None
+        if m.field_name in _INFLUENCED_METRICS and _split_metric_by_success(flights, m) is not None
     ]
     if not shown:
         return None

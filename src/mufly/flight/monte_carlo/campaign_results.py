@@ -275,17 +275,17 @@ def results_dataset(flights: Sequence[FlightResult], campaign: Campaign) -> xr.D
         values = [math.nan if (v := getattr(f, name)) is None else float(v) for f in flights]
         return "flight", np.array(values), {"units": unit, "long_name": meaning}
 
-    def make_texts(name: str, meaning: str) -> tuple[str, NDArray[np.str_], dict[str, str]]:
+    def make_text_column(name: str, meaning: str) -> tuple[str, NDArray[np.str_], dict[str, str]]:
         return "flight", np.array([str(getattr(f, name)) for f in flights], dtype=np.str_), {"long_name": meaning}
 
     succeeded = np.array([f.success for f in flights], dtype=np.int8)
     variables: dict[str, object] = {
         "success": ("flight", succeeded, {"long_name": "judged by the truth"}),
-        "ending": make_texts("ending", "class by the truth"),
-        "reason": make_texts("reason", "why it failed"),
-        "reported_outcome": make_texts("reported_outcome", "by the state machine"),
+        "ending": make_text_column("ending", "class by the truth"),
+        "reason": make_text_column("reason", "why it failed"),
+        "reported_outcome": make_text_column("reported_outcome", "by the state machine"),
         # Text, because netCDF's classic format has no 64-bit integers.
-        "seed": make_texts("seed", "seed of gusts and sensors"),
+        "seed": make_text_column("seed", "seed of gusts and sensors"),
         "refused": make_column("refused", "1", "impossible vehicles drawn before this one"),
     }
     for k, axis in enumerate("NED"):

@@ -41,7 +41,7 @@ def final_speed_m_s(data: xr.Dataset) -> float:
 
 
 def classify_ending(
-    data: xr.Dataset, s: FlightSummary, success: bool, wrong_sources: Collection[str] = ()
+    data: xr.Dataset, s: FlightSummary, success: bool, mismodelled_sensors: Collection[str] = ()
 ) -> FlightEnding:
     """Return how a flight ended, as one of :data:`ENDINGS`.
 
@@ -53,8 +53,8 @@ def classify_ending(
         Summary of the recording.
     success : bool
         Whether the truth confirms a success.
-    wrong_sources : collection of str
-        Sensors that the reason may blame, from :func:`wrong_sources`.
+    mismodelled_sensors : collection of str
+        Sensors that the reason may blame, from :func:`mismodelled_sensors`.
     """
     if success:
         return "succeeded"
@@ -73,11 +73,13 @@ def classify_ending(
         return "hit"
     accused = {row.source for row in READINGS.values() if row.source and row.source in s.reason}
     is_wrong = s.outcome == "succeeded" or s.reason.startswith(TIP_OVER_CAUSE_TEXT)
-    right = not is_wrong and (not accused or not accused.isdisjoint(wrong_sources))
+    right = not is_wrong and (not accused or not accused.isdisjoint(mismodelled_sensors))
     return "landed" if right else "landed, wrong reason"
 
 
-def wrong_sources(faults: Iterable[str], values: Mapping[str, float], filed: Mapping[str, float]) -> frozenset[str]:
+def mismodelled_sensors(
+    faults: Iterable[str], values: Mapping[str, float], filed: Mapping[str, float]
+) -> frozenset[str]:
     """Return the sensors whose errors differ from the vehicle file, by their names in messages.
 
     Parameters

@@ -25,10 +25,10 @@ from mufly.vehicle import Parameter, Vehicle, list_parameters, load_vehicle
 
 _Array = NDArray[np.float64]
 
-ALL_PARAMETERS = "parameters"
+ALL_PARAMETERS_NAME = "parameters"
 """Name of all parameters of the flight model: everything but the mass budget, the range ring and the sensors."""
 
-STANDARD_SET = "standard"
+STANDARD_SET_NAME = "standard"
 """Name of the set of errors in ``standard.toml`` beside this file."""
 
 _EXCLUDED_PREFIXES = ("mass_budget.", "range_ring.", "sensors.")
@@ -123,7 +123,7 @@ def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterV
     """
     found: list[ParameterVariation] = []
     for text in texts:
-        new = _parse_text(text, vehicle)
+        new = _parse_variation_text(text, vehicle)
         for k, other in enumerate(found):
             shared = [key for key in new.keys if key in other.keys]
             if not shared:
@@ -138,8 +138,8 @@ def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterV
     return tuple(v for v in found if v.keys)
 
 
-def _parse_text(text: str, vehicle: Vehicle) -> ParameterVariation:
-    if text.strip() == STANDARD_SET:
+def _parse_variation_text(text: str, vehicle: Vehicle) -> ParameterVariation:
+    if text.strip() == STANDARD_SET_NAME:
         return _standard_variation(vehicle)
     is_file = "=" not in text and Path(text).suffix.lower() in (".json", ".toml")
     return _read_variation_file(text, vehicle) if is_file else _parse_assignment(text, vehicle)
@@ -147,7 +147,7 @@ def _parse_text(text: str, vehicle: Vehicle) -> ParameterVariation:
 
 def _standard_variation(vehicle: Vehicle) -> ParameterVariation:
     """Return the standard set of variations: independent uniform parameters, without those of absent sensors."""
-    content = files(__package__).joinpath(f"{STANDARD_SET}.toml").read_text(encoding="utf-8")
+    content = files(__package__).joinpath(f"{STANDARD_SET_NAME}.toml").read_text(encoding="utf-8")
     values = {p.key: p.value for p in list_parameters(vehicle)}
     parts = []
     for line in tomllib.loads(content)["vary"]:
@@ -155,7 +155,7 @@ def _standard_variation(vehicle: Vehicle) -> ParameterVariation:
         if key in values and (values[key] != 0.0 or "%" not in line):
             parts.append(_parse_assignment(line, vehicle))
     return ParameterVariation(
-        STANDARD_SET,
+        STANDARD_SET_NAME,
         tuple(key for part in parts for key in part.keys),
         "uniform",
         np.concatenate([part.nominal_values for part in parts]),
@@ -172,7 +172,7 @@ def _parameter_names(known: Sequence[Parameter]) -> list[str]:
 
 def _select_parameters(name: str, text: str, vehicle: Vehicle) -> list[Parameter]:
     numbers = [p for p in list_parameters(vehicle) if isinstance(p.value, float)]
-    if name == ALL_PARAMETERS:
+    if name == ALL_PARAMETERS_NAME:
         return [p for p in numbers if not p.key.startswith(_EXCLUDED_PREFIXES)]
     chosen = [p for p in numbers if p.key == name or p.key.startswith(f"{name}.")]
     chosen = chosen or [p for p in numbers if p.symbol == name]
@@ -187,7 +187,9 @@ def _select_parameters(name: str, text: str, vehicle: Vehicle) -> list[Parameter
 def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
     name, equals, how = (part.strip() for part in text.partition("="))
     if not equals or not how:
-        remedy = suggest_name(name, [STANDARD_SET], f"write {_SYNTAX_HELP}") if not equals else f"write {_SYNTAX_HELP}"
+        remedy = (
+            suggest_name(name, [STANDARD_SET_NAME], f"write {_SYNTAX_HELP}") if not equals else f"write {_SYNTAX_HELP}"
+        )
         raise ArgumentError("vary", text, "names no parameter or no variation", remedy)
     chosen = _select_parameters(name, text, vehicle)
     keys = tuple(p.key for p in chosen)

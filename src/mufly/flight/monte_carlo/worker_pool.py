@@ -199,16 +199,16 @@ def _stored_flights(
         If the folder holds another campaign, or cannot be written.
     """
 
-    def read_stored_flight(content: Any) -> tuple[int, FlightResult]:
+    def decode_stored_flight(content: Any) -> tuple[int, FlightResult]:
         flown = FlightResult.from_json(content)
         return flown.index, flown
 
     if folder is None:
-        return StoredResultLines(None, read_stored_flight)
+        return StoredResultLines(None, decode_stored_flight)
     settings = {"version": __version__, **to_plain_data(describe_campaign(campaign))}
     claim_folder(folder, SETTINGS_FILE, campaign.settings_hash, settings, _OTHER_CAMPAIGN_ERROR)
     return StoredResultLines(
-        folder / file, read_stored_flight, damaged=("is damaged", "delete this file; its flights are repeated")
+        folder / file, decode_stored_flight, damaged=("is damaged", "delete this file; its flights are repeated")
     )
 
 

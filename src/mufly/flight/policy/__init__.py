@@ -5,7 +5,7 @@
 :mod:`mufly.flight.policy.policy_controllers` how it flies.
 """
 
-from mufly.flight.policy.policy_controllers import PolicyControlLaw, PolicyControllers, check_policy
+from mufly.flight.policy.policy_controllers import PolicyControlLaw, PolicyControllers, check_policy_fits_vehicle
 from mufly.flight.policy.policy_file import load_policy, save_policy
 from mufly.flight.policy.policy_network import LearnedPolicy, PolicyLayer
 
@@ -14,7 +14,7 @@ __all__ = [
     "PolicyControlLaw",
     "PolicyControllers",
     "PolicyLayer",
-    "check_policy",
+    "check_policy_fits_vehicle",
     "load_policy",
     "save_policy",
 ]

@@ -78,7 +78,7 @@ def observation_limits(task: str) -> tuple[_Array, _Array]:
     return low, high
 
 
-def observation_names(task: str) -> dict[str, str]:
+def observation_units(task: str) -> dict[str, str]:
     """Return the names of a task's observation in order, each with its unit."""
     extra = {
         "waypoint": [f"next_error_{axis}" for axis in ("forward", "right", "down")],
@@ -109,7 +109,7 @@ def heading_direction(w: float, x: float, y: float, z: float) -> tuple[float, fl
 
 
 @cached_njit(error_model="numpy")
-def fill_observation(
+def fill_common_observation(
     out: _Array,
     error: _Array,
     velocity: _Array,

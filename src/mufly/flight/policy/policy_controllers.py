@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import sine_cosine
 from mufly.control import FlightController
-from mufly.dynamics.model_state import SERVOS
+from mufly.dynamics.model_state import SERVO_INPUT_SLICE
 from mufly.errors import InputError
 from mufly.estimate import Estimate
 from mufly.files.answer_store import hash_inputs
@@ -36,14 +36,14 @@ from mufly.flight.policy.observation import (
     MAX_COLLECTIVE_DUTY_CHANGE,
     MAX_YAW_DUTY_CHANGE,
     OBS_TASK_INPUTS,
-    fill_observation,
+    fill_common_observation,
     map_action,
 )
 from mufly.flight.policy.policy_network import LearnedPolicy, PackedPolicy, evaluate_policy
 
 _Array = NDArray[np.floating[Any]]
 
-REF_VELOCITY, REF_HEADING = 3, 6
+REF_VELOCITY_INDEX, REF_HEADING_INDEX = 3, 6
 """Indices of velocity and heading in a reference, which begins with the position."""
 
 
@@ -77,13 +77,13 @@ def step_policy(
     error, relative, seen = np.zeros(3), np.zeros(3), np.zeros(OBS_TASK_INPUTS)
     for i in range(3):
         error[i] = reference[i] - position[i]
-        relative[i] = velocity[i] - reference[REF_VELOCITY + i]
+        relative[i] = velocity[i] - reference[REF_VELOCITY_INDEX + i]
     sine_roll, cosine_roll = sine_cosine(attitude[0])
     sine_pitch, cosine_pitch = sine_cosine(attitude[1])
     sine_yaw, cosine_yaw = sine_cosine(attitude[2])
-    sine_wanted, cosine_wanted = sine_cosine(reference[REF_HEADING])
+    sine_wanted, cosine_wanted = sine_cosine(reference[REF_HEADING_INDEX])
     down = (-sine_pitch, sine_roll * cosine_pitch, cosine_roll * cosine_pitch)
-    fill_observation(
+    fill_common_observation(
         seen, error, relative, down, rates, (cosine_yaw, sine_yaw), (cosine_wanted, sine_wanted),
         voltage / nominal_V, action, -position[2],
     )  # fmt: skip
@@ -91,7 +91,7 @@ def step_policy(
     map_action(action, trim, inputs)
 
 
-def check_policy(policy: LearnedPolicy, vehicle_name: str, where: str) -> None:
+def check_policy_fits_vehicle(policy: LearnedPolicy, vehicle_name: str, where: str) -> None:
     """Check that a policy can fly a vehicle; ``where`` names its source in errors.
 
     Raises
@@ -125,7 +125,7 @@ class PolicyControllers(Controllers):
 
     def __init__(self, design: FlightController, policy: LearnedPolicy) -> None:
         super().__init__(design)
-        check_policy(policy, design.vehicle_name, "policy")
+        check_policy_fits_vehicle(policy, design.vehicle_name, "policy")
         period_s = design.position_divider * design.period_s
         if abs(policy.period_s - period_s) > 1e-6:
             raise InputError(
@@ -146,7 +146,7 @@ class PolicyControllers(Controllers):
         self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
     ) -> _Array:
         """Store the references for the policy's next action; return zeros (2,), since a policy commands no tilt."""
-        self._reference[:REF_VELOCITY], self._reference[REF_VELOCITY:REF_HEADING] = position, velocity
+        self._reference[:REF_VELOCITY_INDEX], self._reference[REF_VELOCITY_INDEX:REF_HEADING_INDEX] = position, velocity
         self._is_due = True
         return self._no_tilt
 
@@ -163,7 +163,7 @@ class PolicyControllers(Controllers):
             self._action = find_action_for_inputs(self._inputs, self._policy.trim)
         self._acted = True
         if self._is_due:
-            self._reference[REF_HEADING] = heave_yaw[1]
+            self._reference[REF_HEADING_INDEX] = heave_yaw[1]
             step_policy(
                 self._packed,
                 self._policy.trim,
@@ -187,7 +187,7 @@ def find_action_for_inputs(inputs: _Array, trim: _Array) -> NDArray[np.float64]:
     wanted = (
         0.5 * (upper + lower) / MAX_COLLECTIVE_DUTY_CHANGE,
         0.5 * (upper - lower) / MAX_YAW_DUTY_CHANGE,
-        *inputs[SERVOS],
+        *inputs[SERVO_INPUT_SLICE],
     )
     return np.clip(np.array(wanted, dtype=np.float64), -1.0, 1.0)
 

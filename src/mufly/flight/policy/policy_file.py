@@ -34,7 +34,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from mufly.errors import InputError, report_write_errors
 from mufly.files.input_files import validate_model
-from mufly.flight.policy.observation import ACTION_NAMES, observation_names
+from mufly.flight.policy.observation import ACTION_NAMES, observation_units
 from mufly.flight.policy.policy_network import LearnedPolicy, PolicyLayer
 
 POLICY_FORMAT, POLICY_VERSION = "mufly-policy", 1
@@ -90,7 +90,7 @@ def save_policy(policy: LearnedPolicy, path: str | Path) -> None:
     InputError
         If the policy is not consistent, or the file cannot be written.
     """
-    names = observation_names(policy.task)
+    names = observation_units(policy.task)
     content: dict[str, Any] = {
         "format": POLICY_FORMAT,
         "version": POLICY_VERSION,
@@ -159,7 +159,7 @@ def load_policy(path: str | Path) -> LearnedPolicy:
 def _check_content(where: str, content: dict[str, Any]) -> _PolicyFile:
     """Return the checked content of a file."""
     checked = validate_model(_PolicyFile, content, where)
-    names = observation_names(checked.task)
+    names = observation_units(checked.task)
     got = {one.name: one.unit for one in checked.observation}
     if len(checked.observation) != len(names):
         raise InputError(

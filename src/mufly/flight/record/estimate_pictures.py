@@ -26,16 +26,16 @@ from mufly.flight.record.flight_pictures import (
     GREY,
     ORANGE,
     PLOT_STYLE,
-    SKY,
+    SKY_BLUE,
     VERMILION,
-    draw_bands,
+    draw_time_spans,
     flight_title,
     state_legend_handles,
     state_stretches,
     state_tint,
 )
 from mufly.flight.record.flight_summary import state_runs
-from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES
+from mufly.quantities.quantity_table import FUSION_STATUSES, READINGS_WITH_FUSION_STATUS
 
 _Array = NDArray[np.float64]
 _ERROR_BAND_SIGMAS = 3.0
@@ -95,7 +95,7 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
         sigma = abs(factor) * dataset[f"estimated_{name}_sigma"].values[:, k]
         truth = factor * dataset[f"truth_{name}"].values[:, k]
         for ax in (left, right):
-            draw_bands(ax, states, low=0.93)  # at the top, above the bands of the estimate
+            draw_time_spans(ax, states, low=0.93)  # at the top, above the bands of the estimate
         if measured is not None:
             which, part = measured
             when = dataset[f"measured_{which}_time"].values
@@ -109,7 +109,7 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
             time,
             estimate - _ERROR_BAND_SIGMAS * sigma,
             estimate + _ERROR_BAND_SIGMAS * sigma,
-            color=SKY,
+            color=SKY_BLUE,
             alpha=0.45,
             lw=0,
             zorder=1,
@@ -118,7 +118,7 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
         left.plot(time, truth, color=BLACK, lw=0.9, ls=(0, (4, 2)), label="true", zorder=5)
         left.set_title(heading, pad=4)
         right.fill_between(
-            time, -_ERROR_BAND_SIGMAS * sigma, _ERROR_BAND_SIGMAS * sigma, color=SKY, alpha=0.45, lw=0, zorder=1
+            time, -_ERROR_BAND_SIGMAS * sigma, _ERROR_BAND_SIGMAS * sigma, color=SKY_BLUE, alpha=0.45, lw=0, zorder=1
         )
         error = estimate - truth
         right.plot(time, error, color=VERMILION, lw=1.0, zorder=3)
@@ -160,7 +160,7 @@ def draw_ground_track(dataset: xr.Dataset) -> Figure:
     for k in range(0, len(time), every):
         if good[k] and np.isfinite(x[k]).all():
             wide, high = 2 * _ERROR_BAND_SIGMAS * sigma[k, 1], 2 * _ERROR_BAND_SIGMAS * sigma[k, 0]
-            plan.add_patch(Ellipse((x[k, 1], x[k, 0]), wide, high, color=SKY, alpha=0.3, lw=0, zorder=1))
+            plan.add_patch(Ellipse((x[k, 1], x[k, 0]), wide, high, color=SKY_BLUE, alpha=0.3, lw=0, zorder=1))
     plan.set_aspect("equal", adjustable="datalim")
     plan.set_xlabel("East (m)")
     plan.set_ylabel("North (m)")
@@ -181,7 +181,7 @@ def draw_ground_track(dataset: xr.Dataset) -> Figure:
                     block[:, k] - _ERROR_BAND_SIGMAS * spread[:, k],
                     block[:, k] + _ERROR_BAND_SIGMAS * spread[:, k],
                 )
-                ax.fill_between(time, low, high, color=SKY, alpha=0.45, lw=0)
+                ax.fill_between(time, low, high, color=SKY_BLUE, alpha=0.45, lw=0)
                 _set_axis_limits(ax, np.concatenate([low[good], high[good]]))
             ax.plot(time, block[:, k], color=BLUE, lw=1.1)
             ax.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
@@ -220,7 +220,7 @@ def _draw_header(figure: Figure, dataset: xr.Dataset) -> None:
 
 def draw_sensor_innovations(dataset: xr.Dataset) -> Figure:
     """Draw the innovations of every sensor in standard deviations, coloured by status (fused, rejected, ...)."""
-    names = [name for name in CHECKED_READINGS if np.isfinite(dataset[f"status_{name}"].values).any()]
+    names = [name for name in READINGS_WITH_FUSION_STATUS if np.isfinite(dataset[f"status_{name}"].values).any()]
     height = 1.2 + 1.15 * max(1, len(names))
     figure = Figure(figsize=(12.0, height))
     panels: Any = np.atleast_1d(figure.subplots(max(1, len(names)), 1, sharex=True))
@@ -231,7 +231,7 @@ def draw_sensor_innovations(dataset: xr.Dataset) -> Figure:
         code, ratio = dataset[f"status_{name}"].values, dataset[f"innovation_{name}"].values
         edges = [0, *(np.flatnonzero(code[1:] != code[:-1]) + 1), len(code)]
         shades = [CHECK_STATUS_COLOURS[status] for status in FUSION_STATUSES]
-        draw_bands(
+        draw_time_spans(
             ax,
             [(time[a], time[b - 1] + step, shades[int(code[a])]) for a, b in pairwise(edges) if np.isfinite(code[a])],
             high=0.09,

@@ -34,11 +34,11 @@ from mufly.world import World
 
 BLACK, GREY = "#222222", "#8c8c8c"
 BLUE, ORANGE, GREEN = "#0072B2", "#E69F00", "#009E73"
-VERMILION, PURPLE, SKY = "#D55E00", "#CC79A7", "#56B4E9"
+VERMILION, PURPLE, SKY_BLUE = "#D55E00", "#CC79A7", "#56B4E9"
 STATE_COLOURS = {
     "init": GREY,
     "take-off": ORANGE,
-    "hover": SKY,
+    "hover": SKY_BLUE,
     "waypoint": BLUE,
     "obstacle": VERMILION,
     "landing": GREEN,
@@ -139,7 +139,7 @@ def draw_history(dataset: xr.Dataset) -> Figure:
         ("Battery voltage (V)", ("voltage",), d.battery_voltage.values[:, None], None, {"span": 0.5}),
     )
     for ax, (heading, labels, values, reference, options) in zip(panels.ravel(), shown, strict=True):
-        _draw_lines(ax, dataset, heading, labels, values, reference, **options)
+        _draw_panel(ax, dataset, heading, labels, values, reference, **options)
     for ax in panels[-1]:
         ax.set_xlabel("Time (s)")
     _draw_header(figure, dataset, 0.985)
@@ -158,9 +158,9 @@ def draw_position(dataset: xr.Dataset) -> Figure:
         ax = panels[k]
         if np.isfinite(measured[:, k]).any():  # only an ideal sensor measures the position itself
             ax.plot(dataset.time, measured[:, k], color=GREY, lw=0.8, alpha=0.8, label="measured")
-        _draw_lines(ax, dataset, f"{name} (m)", ("true",), truth[:, k : k + 1], reference[:, k : k + 1])
+        _draw_panel(ax, dataset, f"{name} (m)", ("true",), truth[:, k : k + 1], reference[:, k : k + 1])
     error = 100.0 * np.linalg.norm(truth - reference, axis=1)[:, None]
-    _draw_lines(last, dataset, "Distance from the reference (cm)", ("",), error, colours=(VERMILION,))
+    _draw_panel(last, dataset, "Distance from the reference (cm)", ("",), error, colours=(VERMILION,))
     last.set_ylim(bottom=0.0)
     last.set_xlabel("Time (s)")
     _draw_header(figure, dataset, 0.985)
@@ -173,7 +173,7 @@ def _draw_header(figure: Figure, dataset: xr.Dataset, top: float) -> None:
     figure.text(0.02, top - 0.005, flight_title(dataset), fontsize=10, va="top")
 
 
-def _draw_lines(
+def _draw_panel(
     ax: Axes,
     dataset: xr.Dataset,
     heading: str,
@@ -190,7 +190,7 @@ def _draw_lines(
     The height of the panel covers at least ``span``, so that noise does not look like motion.
     """
     time = dataset.time.values
-    draw_bands(ax, [(time[a], time[b], state_tint(state)) for state, a, b in state_stretches(dataset)])
+    draw_time_spans(ax, [(time[a], time[b], state_tint(state)) for state, a, b in state_stretches(dataset)])
     for k, (label, colour) in enumerate(zip(labels, colours, strict=False)):
         ax.plot(time, values[:, k], color=colour, label=label, zorder=3)
         if reference is not None:
@@ -258,15 +258,15 @@ def draw_track(dataset: xr.Dataset, *, waypoints: Sequence[ArrayLike] = (), worl
         *state_legend_handles([name for name, _, _ in state_runs(dataset)], lines=True),
         Line2D([], [], color=BLACK, lw=0.9, ls=REFERENCE_DASHES, label="reference"),
         Line2D([], [], color=TRACK_SHADOW_COLOUR, lw=2.2, label="shadow"),
-        _make_marker("^", ORANGE, "start"),
-        _make_marker("s", GREEN, "end"),
+        _make_legend_marker("^", ORANGE, "start"),
+        _make_legend_marker("s", GREEN, "end"),
     ]
     figure.legend(handles=handles, loc="lower center", ncols=min(len(handles), 9), columnspacing=1.3)
     figure.text(0.02, 0.965, flight_title(dataset), fontsize=10)
     return figure
 
 
-def _make_marker(shape: str, colour: str, label: str) -> Line2D:
+def _make_legend_marker(shape: str, colour: str, label: str) -> Line2D:
     return Line2D([], [], marker=shape, color=colour, markeredgecolor=BLACK, mew=0.8, ms=7, ls="", label=label)
 
 
@@ -324,7 +324,7 @@ def state_stretches(dataset: xr.Dataset) -> list[tuple[str, int, int]]:
     return [(name, a, min(b, last)) for name, a, b in state_runs(dataset)]
 
 
-def draw_bands(ax: Any, spans: Sequence[tuple[float, float, Any]], low: float = 0.0, high: float = 1.0) -> None:
+def draw_time_spans(ax: Any, spans: Sequence[tuple[float, float, Any]], low: float = 0.0, high: float = 1.0) -> None:
     """Draw time spans as coloured bands between the heights ``low`` and ``high`` (0..1) of a panel."""
     corners = [[(a, low), (a, high), (b, high), (b, low)] for a, b, _ in spans]
     where, colours = ax.get_xaxis_transform(), [c for _, _, c in spans]

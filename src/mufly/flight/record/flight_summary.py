@@ -46,7 +46,7 @@ from mufly.flight.oscillation_detector import (
 )
 from mufly.mission import HARD_TOUCHDOWN_M_S
 from mufly.results import ShownBlock, make_table_block, result
-from mufly.world import World, obstacle_distances
+from mufly.world import World, compute_obstacle_distances
 
 FLYING_LEG_STATES = ("waypoint", "obstacle")
 NEAR_WAYPOINT_M = 0.5
@@ -218,12 +218,12 @@ def summarise_flight(
         realtime_factor_least=dataset.attrs.get("realtime_factor_least"),
         slips=dataset.attrs.get("slips"),
         estimated_noise=str(dataset.attrs.get("estimated_noise", "")),
-        outside_model=str(dataset.attrs.get("outside_model", "")) or _describe_model_excess(dataset, airborne),
+        outside_model=str(dataset.attrs.get("outside_model", "")) or _describe_inflow_excess(dataset, airborne),
         events=tuple((float(e[0]), str(e[1]), str(e[2])) for e in events),
     )
 
 
-def _describe_model_excess(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> str:
+def _describe_inflow_excess(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> str:
     """Describe by how much and how long the rotors' inflow exceeded the range of the model; "" if it did not."""
     limits = dataset.attrs.get("model_air_m_s")
     if limits is None or "wind" not in dataset or not airborne.any():
@@ -348,7 +348,7 @@ def _touchdown_speed(dataset: xr.Dataset, states: list[_StateRun]) -> float | No
 def _least_clearance(x: _Array, world: World | None) -> tuple[float | None, str]:
     if world is None or world.is_empty or not len(x):
         return None, ""
-    least, which = obstacle_distances(world, x)
+    least, which = compute_obstacle_distances(world, x)
     nearest = int(least.argmin())
     return float(least[nearest]), world.names[which[nearest]]
 

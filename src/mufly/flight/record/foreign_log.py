@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from mufly.logs import Channel, ColumnMap
 
 _Array = NDArray[np.float64]
-_MAX_RATE_HZ = 250.0
-_MIN_STD_M = 0.01
-_HEADING_STD_RAD = math.radians(2.0)
+_MAX_FILTER_RATE_HZ = 250.0
+_MIN_POSITION_STD_M = 0.01
+_DEFAULT_HEADING_STD_RAD = math.radians(2.0)
 _MAX_BRIDGED_GAP_S = 0.1
 _RUNNING_MOTOR_FRACTION = 0.03  # share of full power at which motors turn
 _AXIS_LABELS = {
@@ -31,7 +31,7 @@ _AXIS_LABELS = {
     "velocity": ("N", "E", "D"),
     "attitude": ("roll", "pitch", "yaw"),
 }
-_ROLL_PITCH = slice(-3, -1)
+_ROLL_PITCH_COLUMNS = slice(-3, -1)
 """Columns of a row of position, velocity and attitude."""
 
 
@@ -133,7 +133,7 @@ def read_foreign_log(
     assert rates is not None
     assert felt is not None
     native = min(_median_rate_hz(rates[0]), _median_rate_hz(felt[0]))
-    rate = float(round(rate_hz or min(native, _MAX_RATE_HZ)))
+    rate = float(round(rate_hz or min(native, _MAX_FILTER_RATE_HZ)))
     if not 10.0 <= rate <= 1000.0:
         raise InputError("--rate", f"{rate:g} Hz", "is outside 10 to 1000 Hz", "give one in between")
     span = max(c.time[0] for c in (*rates, *felt)), min(c.time[-1] for c in (*rates, *felt))
@@ -245,8 +245,8 @@ def _find_aids(by: dict[str, Channel], asked: AidRequest, where: str, log: Inert
     std = asked.std_m
     if std is None:
         scatter = float(np.std(np.diff(place, 2, axis=0), axis=0).max()) / math.sqrt(6.0)
-        std = max(scatter, _MIN_STD_M)
-    turn = asked.heading_std_rad or _HEADING_STD_RAD
+        std = max(scatter, _MIN_POSITION_STD_M)
+    turn = asked.heading_std_rad or _DEFAULT_HEADING_STD_RAD
     heading = None if yaw is None else yaw[pick].astype(float)
     if made:
         rng = np.random.default_rng(asked.seed)
@@ -287,7 +287,7 @@ def truth_rows(f: ForeignLog, *, mounted: bool = False) -> _Array:
         parts["velocity"] = np.gradient(parts["position"], f.log.step_s, axis=0)
     rows = np.hstack(list(parts.values()))
     if mounted and f.mounting_rad is not None:
-        rows[:, _ROLL_PITCH] -= f.mounting_rad
+        rows[:, _ROLL_PITCH_COLUMNS] -= f.mounting_rad
     return rows
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mufly.flight.simulated_flight import Flight
 
 _Rows = NDArray[np.float64]
-QUEUED_ROWS = 1000
+MAX_QUEUED_ROWS = 1000
 """Largest number of rows that wait for a viewer."""
 PUBLISH_PERIOD_S = 0.04
 """Time between two batches of a view (s)."""
@@ -77,9 +77,9 @@ class LiveViewThread:
         self._flight, self._publisher, self._name = flight, publisher, name
         # With a small tolerance, so that rounding of the times drops no row.
         self._least_s, self._last_s = (1.0 - 1e-6) / rate_Hz, -np.inf
-        self._rows: deque[tuple[_Rows, str]] = deque(maxlen=QUEUED_ROWS)
-        self._events: deque[FlightEvent] = deque(maxlen=QUEUED_ROWS)
-        self._requests: deque[tuple[Callable[[Any], Any], list[Any], threading.Event]] = deque(maxlen=QUEUED_ROWS)
+        self._rows: deque[tuple[_Rows, str]] = deque(maxlen=MAX_QUEUED_ROWS)
+        self._events: deque[FlightEvent] = deque(maxlen=MAX_QUEUED_ROWS)
+        self._requests: deque[tuple[Callable[[Any], Any], list[Any], threading.Event]] = deque(maxlen=MAX_QUEUED_ROWS)
         self._ended = threading.Event()
         self._failure = ""
         self._thread = threading.Thread(target=self._run_publisher, name=f"mufly {name}", daemon=True)

@@ -26,10 +26,10 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.errors import InputError, MuflyError
 from mufly.logs.mcap import FlightEvent, McapWriter, RecordingLayout, flight_layout, rows_to_dataset
 from mufly.logs.mcap_recording import (
-    FLIGHT_METADATA,
-    LAYOUT_METADATA,
-    OUTCOME_METADATA,
-    RECORDING_FORMAT,
+    FLIGHT_METADATA_NAME,
+    LAYOUT_METADATA_NAME,
+    OUTCOME_METADATA_NAME,
+    RECORDING_FORMAT_VERSION,
     ChannelRegistry,
     TopicEncoder,
     add_checksum,
@@ -458,7 +458,7 @@ class FlightRecorder:
         self.layout = layout or flight_layout()
         self.start_time_ns = time.time_ns() if start_time_ns is None else start_time_ns
         started = datetime.fromtimestamp(self.start_time_ns / 1e9, UTC).isoformat(timespec="milliseconds")
-        clock = {"start_time": started, "start_time_ns": self.start_time_ns, "format": RECORDING_FORMAT}
+        clock = {"start_time": started, "start_time_ns": self.start_time_ns, "format": RECORDING_FORMAT_VERSION}
         self._attributes: dict[str, Any] = {**(attributes or {}), **clock}
         self._outcome: dict[str, Any] = {"outcome": "unfinished", "reason": ""}
         self._block = np.empty((BLOCK_ROWS, self.layout.column_count))
@@ -478,7 +478,7 @@ class FlightRecorder:
             self._open_file(self._path, attachments or {})
 
     def _open_file(self, path: Path, attachments: Mapping[str, str | bytes]) -> None:
-        values = _json_values(str(path), self._attributes)
+        values = _encode_metadata(str(path), self._attributes)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = path.open("wb")
@@ -487,8 +487,8 @@ class FlightRecorder:
             raise InputError(str(path), "", problem, "choose another folder") from error
         self._file = McapWriter(self._stream, f"mufly {self._attributes.get('version', '')}".strip())
         self._encoder = RecordingEncoder(self._file, self.layout, self.start_time_ns)
-        self._file.write_metadata(FLIGHT_METADATA, add_checksum(values))
-        self._file.write_metadata(LAYOUT_METADATA, add_checksum({"layout": self.layout.to_json()}))
+        self._file.write_metadata(FLIGHT_METADATA_NAME, add_checksum(values))
+        self._file.write_metadata(LAYOUT_METADATA_NAME, add_checksum({"layout": self.layout.to_json()}))
         for name, content in attachments.items():
             data = content.encode() if isinstance(content, str) else bytes(content)
             self._file.write_attachment(name, "text/plain", data, self.start_time_ns)
@@ -555,11 +555,11 @@ class FlightRecorder:
             return
         try:
             self._flush_block(np.inf)
-            outcome = _json_values(str(self._path), self._outcome)
-            self._file.write_metadata(OUTCOME_METADATA, add_checksum(outcome))
+            outcome = _encode_metadata(str(self._path), self._outcome)
+            self._file.write_metadata(OUTCOME_METADATA_NAME, add_checksum(outcome))
             self._file.finish_file()
         except OSError as error:
-            raise self._write_error(error) from error
+            raise self._make_write_error(error) from error
         finally:
             with suppress(OSError):  # buffered data that a full disk rejected
                 self._stream.close()
@@ -600,12 +600,12 @@ class FlightRecorder:
         valid = self._count_increasing(rows)
         if valid < len(rows):
             self._n, self._states = valid, states[:valid]  # the valid rows are still written
-            raise self._time_error(rows, valid)
+            raise self._make_time_error(rows, valid)
         if self._stream is not None and (len(rows) or events):
             try:
                 self._file.write_chunk(self._encoder.encode_rows(rows, states, events))
             except OSError as error:
-                raise self._write_error(error) from error
+                raise self._make_write_error(error) from error
         # No external calls here, so that Ctrl-C cannot interrupt between these lines.
         self._n = 0
         self._states = []
@@ -629,7 +629,7 @@ class FlightRecorder:
             self._all_rows += (rows[:valid],)
             self._all_states += states[:valid]
         if valid < len(rows):
-            raise self._time_error(rows, valid)
+            raise self._make_time_error(rows, valid)
 
     def _count_increasing(self, rows: NDArray[np.float64]) -> int:
         """Return the number of leading rows whose times increase."""
@@ -638,15 +638,15 @@ class FlightRecorder:
         wrong = ~(np.diff(rows[:, 0], prepend=self._last_time) > 0)
         return int(wrong.argmax()) if wrong.any() else len(rows)
 
-    def _time_error(self, rows: NDArray[np.float64], k: int) -> MuflyError:
+    def _make_time_error(self, rows: NDArray[np.float64], k: int) -> MuflyError:
         before = rows[k - 1, 0] if k else self._last_time
         return MuflyError(f"the times of a recording's rows must increase: {rows[k, 0]:g} s follows {before:g} s")
 
-    def _write_error(self, error: OSError) -> MuflyError:
+    def _make_write_error(self, error: OSError) -> MuflyError:
         return MuflyError(f"{self._path}: the recording cannot be written ({error.strerror})")
 
 
-def _json_values(where: str, content: Mapping[str, Any]) -> dict[str, str]:
+def _encode_metadata(where: str, content: Mapping[str, Any]) -> dict[str, str]:
     """Return attributes as MCAP metadata, with values as JSON text."""
     out: dict[str, str] = {}
     for key, value in content.items():

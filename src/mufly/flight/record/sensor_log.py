@@ -30,8 +30,8 @@ from mufly.sensors import (
     Readings,
     SensorSet,
     Truth,
-    fitted_sensors,
-    ideal_sensors,
+    make_fitted_sensors,
+    make_ideal_sensors,
 )
 from mufly.vehicle import Vehicle
 
@@ -146,7 +146,7 @@ class _LoggingSensors(SensorSet):
         self._clear_history()
 
 
-def log_sensors(
+def fly_and_log_sensors(
     vehicle: Vehicle,
     mission: Mission,
     *,
@@ -179,10 +179,10 @@ def log_sensors(
     InputError
         If the vehicle has no sensors, or lacks the sensor of a fault.
     """
-    fitted = fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
+    fitted = make_fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
     controller = design_flight_controller(vehicle)
     every = max(1, round(controller.rate_Hz / RANGE_RING_RATE_HZ))  # as without a listener: the same flight
-    listener = _LoggingSensors(ideal_sensors(vehicle, mission.world, every), fitted)
+    listener = _LoggingSensors(make_ideal_sensors(vehicle, mission.world, every), fitted)
     fly_mission(
         vehicle, mission, controller=controller, seed=seed, wind=wind, gust=gust, on_progress=on_progress,
         sensors=listener,

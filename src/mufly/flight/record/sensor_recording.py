@@ -16,12 +16,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.dynamics.model_state import POSITION, RATES, VELOCITY
+from mufly.dynamics.model_state import POSITION_SLICE, RATE_SLICE, VELOCITY_SLICE
 from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.flight.controllers import Actuators
 from mufly.flight.record.recorder import FlightRecorder
 from mufly.flight.simulated_plant import make_blank_row, make_common_writer
-from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES
+from mufly.quantities.quantity_table import FUSION_STATUSES, READINGS_WITH_FUSION_STATUS
 from mufly.quantities.sensor_table import READINGS
 from mufly.sensors import Reading, Readings, Truth
 
@@ -98,7 +98,7 @@ def make_estimate_writer(part: dict[str, _Array]) -> Callable[[Estimate], None]:
     motion = [part[f"estimated_{name}"] for name in _MOTION_FIELDS]
     sigma = [part[f"estimated_{name}_sigma"] for name in _MOTION_FIELDS]
     beliefs = {name: part[f"estimated_{name}"] for name in _AUXILIARY_STATE_FIELDS}
-    checks = {name: (part[f"innovation_{name}"], part[f"status_{name}"]) for name in CHECKED_READINGS}
+    checks = {name: (part[f"innovation_{name}"], part[f"status_{name}"]) for name in READINGS_WITH_FUSION_STATUS}
     valid = part["estimated_valid"]
 
     def write_estimate(m: Estimate) -> None:
@@ -119,7 +119,7 @@ def make_estimate_writer(part: dict[str, _Array]) -> Callable[[Estimate], None]:
     return write_estimate
 
 
-def iterate_readings(dataset: xr.Dataset) -> Iterator[tuple[Readings, _Array]]:
+def iterate_readings_and_inputs(dataset: xr.Dataset) -> Iterator[tuple[Readings, _Array]]:
     """Yield the readings of every row, and the inputs (4,) that acted over the period before it."""
     time = dataset["time"].values
     columns = {
@@ -155,7 +155,7 @@ def replay_estimator(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate
             float(dataset.attrs[FIX_CORRELATION_TIME_ATTRIBUTE]),
         )
     estimator.reset()
-    return [estimator.update(readings, acting) for readings, acting in iterate_readings(dataset)]
+    return [estimator.update(readings, acting) for readings, acting in iterate_readings_and_inputs(dataset)]
 
 
 def has_sensor_readings(dataset: xr.Dataset) -> bool:
@@ -183,6 +183,6 @@ def list_truths(dataset: xr.Dataset) -> list[Truth]:
     for k, t in enumerate(dataset["time"].values.tolist()):
         x, v, attitude, rates = (c[k] for c in columns)
         state = np.full(21, math.nan)
-        state[POSITION], state[VELOCITY], state[RATES] = x, v, rates
+        state[POSITION_SLICE], state[VELOCITY_SLICE], state[RATE_SLICE] = x, v, rates
         out.append(Truth(t, k, state, attitude, np.full(3, math.nan), math.nan, math.nan))
     return out

@@ -149,7 +149,7 @@ static void run_sensors(unit_instance *unit, const double *actuators)
     const double up = smaller(greater(actuators[0], 0.0), 1.0), down = smaller(greater(actuators[1], 0.0), 1.0);
     const tuple_rr battery = compute_battery_supply(now->state, up, down, &unit->parameters);
     const double supply[2] = {battery.f0, battery.f1};
-    true_attitude(now->state, now->attitude);
+    write_true_attitude(now->state, now->attitude);
     sample_sensors((double)now->periods / SENSOR_RATE_HZ, now->state, now->attitude, supply, &now->sensors, &now->filter);
     step_filter(&now->filter, actuators);
 }

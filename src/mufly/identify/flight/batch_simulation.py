@@ -42,7 +42,7 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.edgewise_loads import tip_path_tilt_target
 from mufly.dynamics.equations_of_motion import compute_battery_supply, state_derivative
 from mufly.dynamics.model_state import (
-    BAR_NORMAL,
+    BAR_NORMAL_SLICE,
     MODEL_ATTITUDE,
     MODEL_BAR_NORMAL,
     MODEL_POSITION,
@@ -81,7 +81,7 @@ from mufly.identify.flight_record import (
 from mufly.study.sweeps import open_executor
 
 _CLUSTER_EXECUTOR: ContextVar[Executor | None] = ContextVar("cluster", default=None)
-_SETS_PER_TASK = 8  # parameter sets that a worker simulates per task
+_PARAMETER_SETS_PER_TASK = 8  # parameter sets that a worker simulates per task
 
 _Array = NDArray[np.float64]
 
@@ -189,7 +189,7 @@ def _write_outputs(
 
 
 @cached_njit(error_model="numpy")
-def _simulate_one(
+def _simulate_parameter_set(
     x: _Array,
     p: ModelParameters,
     u: _Array,
@@ -213,7 +213,7 @@ def _simulate_one(
     part = max(delay - whole * dt, 0.0)
     part = 0.0 if part < 1e-13 else part
     last_yaw, window = 0.0, 0
-    bar = x[BAR_NORMAL].copy()
+    bar = x[BAR_NORMAL_SLICE].copy()
     there, slope = np.empty(STATE_SIZE), np.empty(STATE_SIZE)
     v_n = v_e = 0.0
     follow = -math.expm1(-dt * p.bar_rate)
@@ -276,7 +276,7 @@ def _simulate_one(
 
 
 @cached_njit(parallel=True, error_model="numpy")
-def _simulate_parallel(
+def _simulate_parameter_sets(
     x: _Array,
     p: NDArray[np.void],
     u: _Array,
@@ -292,7 +292,9 @@ def _simulate_parallel(
     y: _Array,
 ) -> None:
     for b in prange(x.shape[0]):
-        _simulate_one(x[b], p[b], u, motor_hold[b], delay[b], dt, longest, starts, motion[b], mast, path, codes, y[b])
+        _simulate_parameter_set(
+            x[b], p[b], u, motor_hold[b], delay[b], dt, longest, starts, motion[b], mast, path, codes, y[b]
+        )
 
 
 @contextmanager
@@ -368,7 +370,8 @@ def simulate_batch(
                 delay_s=None if delay_s is None else delay_s[k],
                 motor_hold=None if motor_hold is None else motor_hold[k],
             )
-            for k in (slice(first, first + _SETS_PER_TASK) for first in range(0, len(state), _SETS_PER_TASK))
+            for k in (slice(first, first + _PARAMETER_SETS_PER_TASK) for first in range(0, len(state),
+            _PARAMETER_SETS_PER_TASK))
         ]  # fmt: skip
         return np.concatenate([job.result() for job in jobs])
     b = len(state)
@@ -376,7 +379,9 @@ def simulate_batch(
     delay = np.zeros(b) if delay_s is None else np.ascontiguousarray(delay_s, dtype=np.float64)
     hold = np.full((b, 2), -1.0) if motor_hold is None else motor_hold
     way = np.empty((0, 12)) if path is None else path
-    _simulate_parallel(state, p, inputs, hold, delay, sample_s, longest_step_s, starts, motion, mast, way, codes, out)
+    _simulate_parameter_sets(
+        state, p, inputs, hold, delay, sample_s, longest_step_s, starts, motion, mast, way, codes, out
+    )
     return out
 
 

@@ -100,20 +100,20 @@ def estimate_causal_gain(
     if is_rate:
         y, powers = np.diff(y), powers[1:, :1]
 
-    def integrate(x: Array, lag: int) -> Array:
+    def integrate_lagged_acceleration(x: Array, lag: int) -> Array:
         z = x[first - lag : first - lag + blocks * block + 1]
         for _ in range(1 if is_rate else 2):
             z = np.vstack([np.zeros_like(z[:1]), np.cumsum(0.5 * (z[1:] + z[:-1]), axis=0) * sample_s])
         return np.asarray(np.diff(z[::block], axis=0) if is_rate else z[::block])
 
     k = predicted.shape[1]
-    still = powers if beside is None else np.column_stack([integrate(beside, 0), powers])
+    still = powers if beside is None else np.column_stack([integrate_lagged_acceleration(beside, 0), powers])
     none = _fit_gains(y, still, order, np.zeros(still.shape[1]))[2]
     best: tuple[float, Array, Array, int] | None = None
     other = {1: none, -1: none}
     step = max(1, round(0.5 * _MIN_BLOCK_S / sample_s))
     for lag in range(0, round(longest_lag_s / sample_s) + 1, step):
-        x = np.column_stack([integrate(predicted, lag), still])
+        x = np.column_stack([integrate_lagged_acceleration(predicted, lag), still])
         spread = x[:, :k].std(axis=0)
         ordinary = np.asarray(np.linalg.lstsq(x, y, rcond=None)[0], dtype=np.float64)
         for start in (ordinary, np.zeros_like(ordinary)):

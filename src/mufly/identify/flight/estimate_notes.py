@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from mufly.identify.flight.free_parameters import HEAVE_YAW_SYMBOLS, ROLL_PITCH_SYMBOLS, FreeParameter
 from mufly.identify.flight.minimisers import LinearisedProblem
 from mufly.identify.flight.output_error_problem import OutputErrorProblem
-from mufly.identify.flight_record import CHANNEL_OUTPUTS, estimate_difference_noise, signal_over_noise
+from mufly.identify.flight_record import CHANNEL_OUTPUTS, estimate_noise_from_differences, signal_over_noise
 
 _Array = NDArray[np.float64]
 
-_MIN_CHANNEL_MOTION = 3.0  # ratio of motion to sensor noise below which a channel counts as unexcited
+_MIN_MOTION_OVER_NOISE = 3.0  # ratio of motion to sensor noise below which a channel counts as unexcited
 _PARABOLIC_RISE_RANGE = (0.5, 2.0)  # rise of the cost at two deviations, relative to a parabola
 MAX_RESIDUAL_NOISE_RATIO = 1.5  # ratio of residuals to sensor noise above which a note is written
 
 
-def describe_held_parameters(
+def describe_held_parameter_influence(
     free: Sequence[FreeParameter], held: Sequence[FreeParameter], moved: _Array, from_data: _Array
 ) -> tuple[str, ...]:
     """Describe the estimates whose variance comes mainly from held (not fitted) parameters, and name these
@@ -63,7 +63,7 @@ def _describe_quiet_channels(problem: OutputErrorProblem) -> list[str]:
     most, said = signal_over_noise(problem.records), []
     for channels, own in _CHANNEL_PARAMETERS:
         moves = {c: max((most[o] for o in CHANNEL_OUTPUTS[c] if o in most), default=0.0) for c in channels}
-        quiet = [c for c, size in moves.items() if size < _MIN_CHANNEL_MOTION]
+        quiet = [c for c, size in moves.items() if size < _MIN_MOTION_OVER_NOISE]
         shown = (
             own
             if len(quiet) == len(channels)
@@ -107,6 +107,8 @@ def residual_over_noise(problem: OutputErrorProblem) -> dict[str, float]:
     """Return the ratio of estimated residual noise to sensor noise by output, the largest over all records."""
     ratios: dict[str, float] = {}
     for f in problem.prepared_records:
-        for o, ratio in zip(f.record.output_names, f.noise_std / estimate_difference_noise(f.record), strict=True):
+        for o, ratio in zip(
+            f.record.output_names, f.noise_std / estimate_noise_from_differences(f.record), strict=True
+        ):
             ratios[o] = max(ratios.get(o, 0.0), float(ratio))
     return ratios

@@ -1,6 +1,6 @@
 """Design of excitation signals: expected accuracy of every parameter before the flight.
 
-A signal is added to the inputs of the whole model in closed loop (:class:`PilotSupport`). The largest safe amplitude
+A signal is added to the inputs of the whole model in closed loop (:class:`HoverFeedback`). The largest safe amplitude
 keeps attitude, height, position, heading, rates, motors and servos within limits. It is found by simulating a coarse
 and then a finer series of amplitudes; the binding limit is named. The flight at that amplitude becomes a record for
 the fit of :mod:`mufly.identify.flight.output_error_problem`, whose sensitivities give the Fisher information
@@ -68,7 +68,7 @@ from mufly.dynamics.linearisation import (
     LINEAR_VELOCITY,
 )
 from mufly.dynamics.model_state import (
-    ATTITUDE,
+    ATTITUDE_SLICE,
     INPUT_SIZE,
     MODEL_ATTITUDE,
     MODEL_BAR_NORMAL,
@@ -79,12 +79,12 @@ from mufly.dynamics.model_state import (
     MODEL_SWASH_PITCH,
     MODEL_SWASH_ROLL,
     MODEL_VELOCITY,
-    MOTORS,
-    MOTORS_SWAPPED,
-    POSITION,
-    RATES,
-    SERVOS,
-    VELOCITY,
+    MOTOR_INPUT_SLICE,
+    POSITION_SLICE,
+    RATE_SLICE,
+    SERVO_INPUT_SLICE,
+    SWAPPED_MOTOR_INPUT_INDICES,
+    VELOCITY_SLICE,
     ModelParameters,
 )
 from mufly.errors import ArgumentError, InputError, MuflyError
@@ -132,17 +132,17 @@ class FlightLimits:
 
         ``states`` and ``inputs`` are those of b flights, (b, n, ...).
         """
-        angle = euler_from_quaternion(states[..., ATTITUDE])
+        angle = euler_from_quaternion(states[..., ATTITUDE_SLICE])
         heading = np.unwrap(angle[..., 2], axis=1)
-        at = states[..., POSITION] - states[:, :1, POSITION]
+        at = states[..., POSITION_SLICE] - states[:, :1, POSITION_SLICE]
         shares = {
             "attitude": np.abs(angle[..., :2]).max(axis=(1, 2)) / self.attitude_rad,
             "heading": np.abs(heading - heading[:, :1]).max(axis=1) / self.heading_rad,
-            "body rates": np.abs(states[..., RATES]).max(axis=(1, 2)) / self.rates_rad_s,
+            "body rates": np.abs(states[..., RATE_SLICE]).max(axis=(1, 2)) / self.rates_rad_s,
             "height": np.abs(at[..., 2]).max(axis=1) / self.height_m,
             "place": np.linalg.norm(at[..., :2], axis=2).max(axis=1) / self.place_m,
-            "motor input": np.abs(inputs[..., MOTORS] - 0.5).max(axis=(1, 2)) / (0.5 - self.motor_margin),
-            "servo input": np.abs(inputs[..., SERVOS]).max(axis=(1, 2)) / (1.0 - self.servo_margin),
+            "motor input": np.abs(inputs[..., MOTOR_INPUT_SLICE] - 0.5).max(axis=(1, 2)) / (0.5 - self.motor_margin),
+            "servo input": np.abs(inputs[..., SERVO_INPUT_SLICE]).max(axis=(1, 2)) / (1.0 - self.servo_margin),
         }
         table = np.column_stack(list(shares.values()))
         return np.where(np.isfinite(table), table, np.inf), list(shares)
@@ -162,7 +162,7 @@ _HOVER_HEIGHT_M, _HOVER_BATTERY_CHARGE = 2.0, 0.7  # height of the hover; state 
 
 
 @dataclass(frozen=True, eq=False)
-class PilotSupport:
+class HoverFeedback:
     """Hover state of a vehicle, and the feedback that stabilises the vehicle during a planned flight.
 
     Attributes
@@ -185,7 +185,7 @@ class PilotSupport:
     delay_s: float
 
 
-def design_pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: float = 0.02) -> PilotSupport:
+def design_hover_feedback(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: float = 0.02) -> HoverFeedback:
     """Design the hover feedback of a vehicle.
 
     Parameters
@@ -202,7 +202,7 @@ def design_pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: f
     hover = find_trim(vehicle, charge=_HOVER_BATTERY_CHARGE)
     full = linearise_vehicle(vehicle, hover).full
     names = list(full.state_labels)
-    A, B = full.A, full.B[:, MOTORS_SWAPPED]
+    A, B = full.A, full.B[:, SWAPPED_MOTOR_INPUT_INDICES]
 
     def state_positions(*states: str) -> list[int]:
         return [names.index(s) for s in states]
@@ -222,7 +222,7 @@ def design_pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: f
         raise MuflyError(f"{vehicle.name}: no feedback stabilises the hover; excitation cannot be planned") from error
     gain = np.linalg.solve(np.diag(1.0 / _LQR_INPUT_TOLERANCES**2) + b.T @ P @ b, b.T @ P @ a)
     collective, differential = (v / np.max(np.abs(v)) for v in (-inverse[:, 0], inverse[:, 1]))
-    return PilotSupport(hover, gain, collective, differential, sample_s, delay_s)
+    return HoverFeedback(hover, gain, collective, differential, sample_s, delay_s)
 
 
 def _discretise_with_delay(A: Array, B: Array, sample_s: float, late: int) -> tuple[Array, Array]:
@@ -246,7 +246,7 @@ def _subtract_hover_state(x: _Floats, hover: _Floats, height: float, yaw: float,
 
     Its horizontal axes are turned to the heading ``yaw`` (rad).
     """
-    a = body_to_ned_matrix(x[ATTITUDE])
+    a = body_to_ned_matrix(x[ATTITUDE_SLICE])
     roll, pitch = math.atan2(a[2, 1], a[2, 2]), math.asin(min(max(-a[2, 0], -1.0), 1.0))
     c, s = math.cos(yaw), math.sin(yaw)
     off[LINEAR_POSITION] = c * x[MODEL_POSITION] + s * x[MODEL_POSITION + 1]
@@ -326,14 +326,14 @@ def _fly_batch_closed_loop(
 
 
 def simulate_supported_flight(
-    vehicle: Vehicle, support: PilotSupport, added: Array
+    vehicle: Vehicle, support: HoverFeedback, added: Array
 ) -> tuple[_Floats, _Floats, _Floats]:  # fmt: skip
     """Simulate the whole model in closed loop, one flight for each signal.
 
     Parameters
     ----------
     vehicle : Vehicle
-    support : PilotSupport
+    support : HoverFeedback
     added : (b, n, 4) array
         Signals added to upper motor, lower motor, servo 1 and servo 2.
 
@@ -378,7 +378,7 @@ _PART_BY_CHANNEL: dict[str, DynamicsPart] = dict(
 )
 _MAX_AMPLITUDE_TRIALS = 14
 _UNIDENTIFIABLE_RELATIVE_STD = 100.0  # relative standard deviation above which a parameter counts as unidentifiable
-_MAX_AMPLITUDE, _MIN_AMPLITUDE = 1.0, 1e-3  # shares of the input range
+_MAX_AMPLITUDE_FRACTION, _MIN_AMPLITUDE_FRACTION = 1.0, 1e-3  # shares of the input range
 
 
 @dataclass(frozen=True, eq=False)
@@ -445,7 +445,7 @@ class ExcitationPlan:
     noise : dict of str to float
         Standard deviations of the measured outputs.
     candidates : tuple of ExcitationCandidate
-    support : PilotSupport
+    support : HoverFeedback
     """
 
     vehicle: str
@@ -456,7 +456,7 @@ class ExcitationPlan:
     limits: FlightLimits
     noise: dict[str, float]
     candidates: tuple[ExcitationCandidate, ...]
-    support: PilotSupport
+    support: HoverFeedback
 
     @property
     def band_Hz(self) -> tuple[float, float]:
@@ -542,7 +542,7 @@ def design_excitation(
         have = ", ".join(PART_OUTPUTS[part])
         raise ArgumentError("noise", ",".join(noise), f"no output of {channel} is measured", f"add one of {have}")
     free = choose_free_parameters(vehicle, symbols, outputs)
-    support = design_pilot_support(vehicle, sample_s=sample_s, delay_s=delay_s)
+    support = design_hover_feedback(vehicle, sample_s=sample_s, delay_s=delay_s)
     modes = _natural_frequencies(vehicle, support, part, sample_s)
     band = band_rad_s or _excitation_band(modes, duration_s, sample_s)
     direction = {
@@ -588,7 +588,7 @@ def combine_expected_std(
     return _relative_std_and_mean(information)[0], undetermined
 
 
-def _natural_frequencies(vehicle: Vehicle, support: PilotSupport, part: DynamicsPart, sample_s: float) -> Array:
+def _natural_frequencies(vehicle: Vehicle, support: HoverFeedback, part: DynamicsPart, sample_s: float) -> Array:
     """Return the natural frequencies (rad/s) of the vehicle that a log with sample time ``sample_s`` resolves."""
     linear = linearise_vehicle(vehicle, support.hover)
     system = linear.heave_yaw if part == "heave-yaw" else linear.roll_pitch
@@ -604,18 +604,18 @@ def _excitation_band(modes: Array, duration_s: float, sample_s: float) -> tuple[
 
 def _max_safe_amplitude(
     vehicle: Vehicle,
-    support: PilotSupport,
+    support: HoverFeedback,
     shape: Array,
     wanted: float | None,
     limits: FlightLimits,
     tick: Callable[[int], None],
 ) -> tuple[float, str, float]:
     """Return the largest safe amplitude, the limit that determines it, and the largest deviation over its limit."""
-    top = _MAX_AMPLITUDE if wanted is None else wanted
-    if not (math.isfinite(top) and 0 < top <= _MAX_AMPLITUDE):
+    top = _MAX_AMPLITUDE_FRACTION if wanted is None else wanted
+    if not (math.isfinite(top) and 0 < top <= _MAX_AMPLITUDE_FRACTION):
         raise ArgumentError("amplitude", "", f"{top:g} is out of range", "give a share of the inputs' range, up to 1")
     low, high, low_share, binding = 0.0, top, math.inf, "as asked"
-    ladder = np.geomspace(min(_MIN_AMPLITUDE, top), top, _MAX_AMPLITUDE_TRIALS)
+    ladder = np.geomspace(min(_MIN_AMPLITUDE_FRACTION, top), top, _MAX_AMPLITUDE_TRIALS)
     for step in (1, 2):
         states, inputs, _ = simulate_supported_flight(vehicle, support, ladder[:, None, None] * shape[None])
         shares, names = limits.limit_usage(states, inputs)
@@ -640,8 +640,8 @@ def _max_safe_amplitude(
 def _record_from_states(
     states: _Floats, inputs: _Floats, voltage: _Floats, time: _Floats, outputs: Sequence[str], name: str
 ) -> FlightRecord:
-    angle = euler_from_quaternion(states[:, ATTITUDE])
-    (north, east, down), (v_north, v_east, v_down) = states[:, POSITION].T, states[:, VELOCITY].T
+    angle = euler_from_quaternion(states[:, ATTITUDE_SLICE])
+    (north, east, down), (v_north, v_east, v_down) = states[:, POSITION_SLICE].T, states[:, VELOCITY_SLICE].T
     table = {
         "north": north, "east": east, "height": -down, "v_north": v_north, "v_east": v_east, "climb": -v_down,
         "roll": angle[:, 0], "pitch": angle[:, 1], "yaw": np.unwrap(angle[:, 2]),

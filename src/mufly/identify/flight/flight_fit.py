@@ -30,7 +30,7 @@ from mufly.identify.fit_result import (
     covariance_from_information,
     describe_undetermined_combinations,
 )
-from mufly.identify.flight.estimate_notes import describe_held_parameters, estimate_notes, residual_over_noise
+from mufly.identify.flight.estimate_notes import describe_held_parameter_influence, estimate_notes, residual_over_noise
 from mufly.identify.flight.free_parameters import (
     HEAVE_YAW_SYMBOLS,
     ROLL_PITCH_SYMBOLS,
@@ -62,7 +62,7 @@ from mufly.identify.flight.staged_search import (
 from mufly.identify.flight_record import (
     FLIGHT_INPUTS,
     FlightRecord,
-    estimate_difference_noise,
+    estimate_noise_from_differences,
     output_units,
 )
 from mufly.vehicle import Vehicle
@@ -130,7 +130,7 @@ def fit_flight_records(
     if not records:
         raise InputError("records", "", "no record is given", "give at least one")
     start = time.perf_counter()
-    voltage = _available_voltage(voltage, vehicle, records)
+    voltage = _choose_voltage_source(voltage, vehicle, records)
     options: dict[str, Any] = {"part": part, "outputs": outputs, "delay_s": delay_s, "prior": prior}
     final = make_problem(vehicle, free, records, voltage=voltage, **options)
     digest = problem_digest(final, f"{method} {voltage} {window_s} {seed} {restarts}")
@@ -144,7 +144,7 @@ def fit_flight_records(
     return replace(fit, records=fit.records + held, seconds=time.perf_counter() - start)
 
 
-def _available_voltage(voltage: str | float, vehicle: Vehicle, records: Sequence[FlightRecord]) -> str | float:
+def _choose_voltage_source(voltage: str | float, vehicle: Vehicle, records: Sequence[FlightRecord]) -> str | float:
     """Return the requested voltage source, or another one if the records or the vehicle's battery model do not
     support it.
     """
@@ -215,7 +215,7 @@ def _make_fit_result(
         converged=converged and there,
         message="; ".join(notes) if notes else "converged",
         records=tuple(_predict_fitted_record(problem, i, point, "fit") for i in range(len(problem.prepared_records))),
-        uncertain_from_held_parameters=describe_held_parameters(free, held, moved, from_data),
+        uncertain_from_held_parameters=describe_held_parameter_influence(free, held, moved, from_data),
     )
 
 
@@ -226,7 +226,7 @@ def _predict_fitted_record(
     predicted = problem.simulate_record(i, point.theta[None], point.states[i][None])[0]
     return RecordPrediction(
         r.name, role, r.time_s, r.output_names, output_units(r.output_names), r.measured, predicted,
-        estimate_difference_noise(r), r.inputs, FLIGHT_INPUTS,
+        estimate_noise_from_differences(r), r.inputs, FLIGHT_INPUTS,
     )  # fmt: skip
 
 
@@ -245,7 +245,7 @@ def _predict_held_out_record(
         part=problem.dynamics_part,
         outputs=outputs,
         delay_s=problem.delay_s,
-        voltage=_available_voltage(voltage, problem.vehicle, [record]),
+        voltage=_choose_voltage_source(voltage, problem.vehicle, [record]),
         prior=False,
     )
     noise = {
@@ -280,7 +280,7 @@ def _dynamics_part(f: FreeParameter) -> str:
     raise ArgumentError("free", f.symbol, "acts on both parts, heave-yaw and roll-pitch", "fit with part=both")
 
 
-def fit_parts_separately(
+def fit_dynamics_parts_separately(
     vehicle: Vehicle, free: Sequence[FreeParameter], records: Sequence[FlightRecord], **options: Any
 ) -> FitResult:
     """Fit heave and yaw, then roll and pitch (thesis Sec. 5.3.3): two small fits instead of one.

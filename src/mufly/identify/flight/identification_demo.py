@@ -33,7 +33,7 @@ from mufly.dynamics import (
     integrate_state,
     model_parameters,
 )
-from mufly.dynamics.model_state import ATTITUDE, MODEL_POSITION, MODEL_RATES, MOTORS
+from mufly.dynamics.model_state import ATTITUDE_SLICE, MODEL_POSITION, MODEL_RATES, MOTOR_INPUT_SLICE
 from mufly.identify.fit_result import FitResult, RecordPrediction
 from mufly.identify.flight.flight_fit import fit_flight_records
 from mufly.identify.flight.free_parameters import choose_free_parameters
@@ -141,7 +141,7 @@ def fly_demo_record(
     yaw = 0.0
     for k in range(n):
         before = inputs[max(k - whole - 1, 0)] if k > whole else hover.input
-        roll, pitch, heading = euler_from_quaternion(x[ATTITUDE])
+        roll, pitch, heading = euler_from_quaternion(x[ATTITUDE_SLICE])
         yaw += math.remainder(heading - yaw, 2 * math.pi)
         duty = np.clip(before[:2], 0.0, 1.0)
         volts = compute_battery_supply(x, duty[0], duty[1], p)[0]
@@ -158,7 +158,7 @@ def fly_demo_record(
     return FlightRecord(name, time_s, inputs, _LOGGED_OUTPUTS, measured, measured[:, -1].copy())
 
 
-_ANGLES, _CLIMB_AND_RATES = slice(1, 4), slice(3, 7)
+_ANGLE_COLUMNS, _YAW_AND_RATE_COLUMNS = slice(1, 4), slice(3, 7)
 
 
 class _PilotPid:
@@ -173,7 +173,7 @@ class _PilotPid:
     def step(self, y: _Array, set_point: _Array, motor: _Array) -> _Array:
         if self._is_first_step:
             self._height_estimate, self._is_first_step = set_point[0], False
-        y_height, y_angles, (_, p, q, r) = y[0], y[_ANGLES], y[_CLIMB_AND_RATES]
+        y_height, y_angles, (_, p, q, r) = y[0], y[_ANGLE_COLUMNS], y[_YAW_AND_RATE_COLUMNS]
         # Height and climb from a second-order observer with poles at -6 1/s.
         error = y_height - self._height_estimate
         self._height_estimate += DEMO_SAMPLE_S * (self._climb_estimate + 12.0 * error)
@@ -187,7 +187,7 @@ class _PilotPid:
         roll = 0.6 * roll - 0.05 * p + 0.5 * i_roll
         pitch = 0.6 * pitch - 0.05 * q + 0.5 * i_pitch
         u = self._hover + np.array([heave + turn, heave - turn, -pitch, roll])
-        u[MOTORS] += motor
+        u[MOTOR_INPUT_SLICE] += motor
         return np.clip(u, [0.0, 0.0, -1.0, -1.0], 1.0)
 
 

@@ -63,7 +63,7 @@ def find_initial_states(problem: OutputErrorProblem, theta: _Array) -> InitialSt
         whole = float(r.time_s[-1] - r.time_s[0])
         while True:
             last = horizon > 0.8 * whole
-            state, ended, count = _find_record_start(
+            state, ended, count = _find_record_initial_state(
                 problem if last else problem.truncate_records(horizon), i, theta, state
             )
             flown += count * min(1.0, horizon / whole)
@@ -95,7 +95,9 @@ def find_initial_offsets(problem: OutputErrorProblem, theta: _Array) -> list[_Ar
     return begin
 
 
-def _find_record_start(problem: OutputErrorProblem, i: int, theta: _Array, state: _Array) -> tuple[_Array, bool, int]:
+def _find_record_initial_state(
+    problem: OutputErrorProblem, i: int, theta: _Array, state: _Array
+) -> tuple[_Array, bool, int]:
     """Return the best initial state (1, k) of record ``i``, whether it is a minimum, and the simulation count."""
     spread, flown = problem.initial_state_std(i), 0
 

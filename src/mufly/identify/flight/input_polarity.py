@@ -36,11 +36,11 @@ from mufly.dynamics.edgewise_loads import tip_path_tilt_target
 from mufly.dynamics.model_state import (
     MODEL_ATTITUDE,
     MODEL_BAR_NORMAL,
-    MOTORS,
-    MOTORS_SWAPPED,
-    ROTOR_SPEEDS,
-    SERVOS,
+    MOTOR_INPUT_SLICE,
+    ROTOR_SPEED_SLICE,
+    SERVO_INPUT_SLICE,
     STATE_SIZE,
+    SWAPPED_MOTOR_INPUT_INDICES,
 )
 from mufly.identify.flight.batch_simulation import simulate_batch, steady_rotor_speeds
 from mufly.identify.flight.causal_gain import CausalGain, estimate_causal_gain
@@ -51,7 +51,7 @@ from mufly.identify.flight_record import (
     MOTION_EULER,
     MOTION_RATES,
     FlightRecord,
-    estimate_difference_noise,
+    estimate_noise_from_differences,
 )
 from mufly.identify.record_consistency import (
     SignalFault,
@@ -129,10 +129,12 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
     if has & {"yaw", "r"}:
         found["yaw"] = gain("r", "yaw", (torque[:, 0] - torque[:, 1]) / p["Izz"], **lagged)
         if found["yaw"].sign == 0:  # unequal rotors: exchanged motors differ from an inverted sign
-            _, _, other = _simulate_rotors(dataclasses_replace(f, inputs=f.inputs[:, MOTORS_SWAPPED]), dt)
+            _, _, other = _simulate_rotors(dataclasses_replace(f, inputs=f.inputs[:, SWAPPED_MOTOR_INPUT_INDICES]), dt)
             if gain("r", "yaw", (other[:, 0] - other[:, 1]) / p["Izz"], **lagged).sign == 1:
                 found["yaw"] = dataclasses_replace(found["yaw"], sign=-1)
-    tilt = tip_path_tilt_target.py_func(*np.clip(f.inputs[:, SERVOS], -1.0, 1.0).T, p["swash_gain"], p["swash_phase"])
+    tilt = tip_path_tilt_target.py_func(
+        *np.clip(f.inputs[:, SERVO_INPUT_SLICE], -1.0, 1.0).T, p["swash_gain"], p["swash_phase"]
+    )
     arm = -p["z_dw"] * thrust[:, 1, None] * np.sin(np.column_stack((-tilt[1], tilt[0])))
     bar = np.einsum("nji,nj->ni", turn, _simulate_bar_normal(f.mast_direction, -np.expm1(-dt * p["bar_rate"])))
     lean = -p["z_up"] * p["bar_gain"] * thrust[:, :1] * bar[:, :2]
@@ -157,8 +159,8 @@ def _simulate_rotors(f: PreparedRecord, dt: float) -> tuple[np.void, Array, Arra
     starts = np.arange(0, len(f.inputs), max(1, round(0.5 / dt)))  # restarts limit the body motion
     x = np.zeros((1, STATE_SIZE))
     x[:, MODEL_ATTITUDE], x[:, MODEL_BAR_NORMAL + 2] = 1.0, -1.0
-    first = f.inputs[: max(1, round(0.3 / dt)), MOTORS].mean(axis=0)
-    x[:, ROTOR_SPEEDS] = steady_rotor_speeds(p, np.clip(first, 0.0, 1.0), f.first_and_mean_voltage[0])
+    first = f.inputs[: max(1, round(0.3 / dt)), MOTOR_INPUT_SLICE].mean(axis=0)
+    x[:, ROTOR_SPEED_SLICE] = steady_rotor_speeds(p, np.clip(first, 0.0, 1.0), f.first_and_mean_voltage[0])
     codes = np.array([FLIGHT_OUTPUTS.index("speed_up"), FLIGHT_OUTPUTS.index("speed_dw")], dtype=np.int64)
     speed = simulate_batch(
         x,
@@ -363,7 +365,7 @@ def _check_height_sign_and_unit(r: FlightRecord, heave: InputGain | None) -> lis
     y = r.measured[np.isfinite(r.measured[:, k]), k]
     steps = np.abs(np.diff(y))
     resolution = float(steps[steps > 0.0].min(initial=np.inf))
-    noise = float(estimate_difference_noise(r)[k])
+    noise = float(estimate_noise_from_differences(r)[k])
     coarse = noise if noise > _MAX_HEIGHT_NOISE_M else resolution if np.isfinite(resolution) else 0.0
     if coarse > _MAX_HEIGHT_NOISE_M:
         what = f"is resolved to {coarse:.2g} m only: it seems to be in centimetres or millimetres"

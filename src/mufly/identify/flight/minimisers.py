@@ -46,11 +46,11 @@ _MAX_THETA_STEP = np.log(2.0)
 _DAMPING_FACTORS = np.array([0.1, 1.0, 10.0, 1000.0])
 _MIN_DAMPING, _MAX_DAMPING = 1e-9, 1e9
 _MIN_STEP_FRACTION = 1e-4
-_MAX_STATE_STEP = 0.25
+_MAX_STATE_STEP_SIGMAS = 0.25
 _MAX_CHORD_STEPS, _MAX_WINDOWS_FOR_CHORDS = 3, 100
 _CURVATURE_CHORD_STEPS = 4
 _MIN_DETERMINED_SINGULAR_VALUE = 2.0  # singular value above which an axis counts as determined: standard deviation 0.5
-_MAX_COST_RATIO = 1e6  # cost ratio above which a trial is not corrected
+_MAX_CHORD_COST_RATIO = 1e6  # cost ratio above which a trial is not corrected
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +270,7 @@ def _try_damped_steps(linear: LinearisedProblem) -> tuple[FitPoint | None, int]:
             share
             * min(
                 1.0,
-                _MAX_STATE_STEP / max(r.relative_state_step(m[c]) for m, r in zip(moves, reduced, strict=True)),
+                _MAX_STATE_STEP_SIGMAS / max(r.relative_state_step(m[c]) for m, r in zip(moves, reduced, strict=True)),
             )
             for c in range(len(steps))
         ]
@@ -287,7 +287,7 @@ def _try_damped_steps(linear: LinearisedProblem) -> tuple[FitPoint | None, int]:
             k = int(np.nanargmin(costs))
             if costs[k] < best.cost:
                 best = FitPoint(thetas[k], [s[k] for s in states], float(costs[k]), float(dampings[k]))
-            if chord == chords or not np.any(costs < _MAX_COST_RATIO * max(now.cost, 1.0)):
+            if chord == chords or not np.any(costs < _MAX_CHORD_COST_RATIO * max(now.cost, 1.0)):
                 break
             for c, d in enumerate(dampings):
                 at = linear.make_trial_residuals(c, residuals, states)

@@ -29,13 +29,13 @@ from numpy.typing import NDArray
 
 from mufly.dynamics.edgewise_loads import tip_path_tilt_target
 from mufly.dynamics.model_state import (
-    BAR_NORMAL,
+    BAR_NORMAL_SLICE,
     MODEL_ATTITUDE,
     MODEL_CHARGE,
     MODEL_SWASH_PITCH,
     MODEL_SWASH_ROLL,
-    MOTORS,
-    ROTOR_SPEEDS,
+    MOTOR_INPUT_SLICE,
+    ROTOR_SPEED_SLICE,
     STATE_SIZE,
     U_SERVO_1,
     U_SERVO_2,
@@ -62,7 +62,7 @@ from mufly.identify.flight_record import (
     MOTION_RATES,
     MOTION_VELOCITY,
     FlightRecord,
-    estimate_difference_noise,
+    estimate_noise_from_differences,
     smooth_motion,
     smooth_signal,
 )
@@ -93,7 +93,7 @@ MOTION_STATES = (
     "r",
 )
 ACTUATOR_STATES = ("speed_up", "speed_dw", "bar_roll", "bar_pitch", "charge")
-ACTUATOR_BAR, ACTUATOR_CHARGE = 2, 4  # indices into ACTUATOR
+ACTUATOR_BAR_INDEX, ACTUATOR_CHARGE_INDEX = 2, 4  # indices into ACTUATOR
 # Prior standard deviation of a window's initial state (SI); rotor speeds relative to the steady speed.
 _INITIAL_STATE_STD = np.array([1, 1, 1, 2, 2, 2, 0.5, 0.5, 0.5, 3, 3, 3, 0.2, 0.2, 0.2, 0.2, 0.3])
 # Initial states that each output determines.
@@ -220,7 +220,7 @@ class OutputErrorProblem:
         """Return the prior standard deviation of the unknown initial states of record ``i``, (k,)."""
         return _INITIAL_STATE_STD[self.prepared_records[i].sought_state_indices]
 
-    def _replace_in_records(self, **changed: Sequence[Any]) -> OutputErrorProblem:
+    def _replace_record_values(self, **changed: Sequence[Any]) -> OutputErrorProblem:
         """Return the problem with new values in some fields of its prepared records, one value for each record."""
         rows = [dict(zip(changed, values, strict=True)) for values in zip(*changed.values(), strict=True)]
         flights = tuple(dataclasses_replace(f, **row) for f, row in zip(self.prepared_records, rows, strict=True))
@@ -236,7 +236,7 @@ class OutputErrorProblem:
             drags = any(float(f.base_parameters["inplane"]) > 0.0 for f in self.prepared_records)
             sought.append(_choose_sought_states(r.output_names, self.dynamics_part, whole=count == 1, drags=drags))
         return dataclasses_replace(
-            self._replace_in_records(window_starts=starts, sought_state_indices=sought), with_hover_residual=hover
+            self._replace_record_values(window_starts=starts, sought_state_indices=sought), with_hover_residual=hover
         )
 
     def with_held_parameters(self) -> tuple[OutputErrorProblem, int]:
@@ -248,7 +248,7 @@ class OutputErrorProblem:
         )
         wider = (*self.free_parameters, *held)
         changes = [find_field_changes(self.vehicle, wider, f.constant_voltage)[1] for f in self.prepared_records]
-        return dataclasses_replace(self._replace_in_records(parameter_changes=changes), free_parameters=wider), len(
+        return dataclasses_replace(self._replace_record_values(parameter_changes=changes), free_parameters=wider), len(
             self.free_parameters
         )
 
@@ -271,15 +271,15 @@ class OutputErrorProblem:
 
     def with_noise(self, noise: Sequence[_Array]) -> OutputErrorProblem:
         """Return the problem with these noise standard deviations, (m,) per record."""
-        return self._replace_in_records(noise_std=noise)
+        return self._replace_record_values(noise_std=noise)
 
     def with_initial_offset(self, begin: Sequence[_Array]) -> OutputErrorProblem:
         """Return the problem with ``begin`` as the records' ``initial_state_offset``, (17,) per record."""
-        return self._replace_in_records(initial_state_offset=begin)
+        return self._replace_record_values(initial_state_offset=begin)
 
     def with_charges(self, charge: Sequence[float]) -> OutputErrorProblem:
         """Return the problem with these initial states of charge, one per record."""
-        return self._replace_in_records(initial_charge=charge)
+        return self._replace_record_values(initial_charge=charge)
 
     def with_matched_charge(self, theta: _Array) -> OutputErrorProblem:
         """Return the problem with initial charges at which simulated (``theta``) and measured mean voltage agree."""
@@ -317,18 +317,18 @@ class OutputErrorProblem:
         if self.dynamics_part == "roll-pitch":
             speeds, hold = solve_hover(p)
         else:
-            first = f.inputs[: max(1, round(0.3 / r.sample_s)), MOTORS].mean(axis=0)
+            first = f.inputs[: max(1, round(0.3 / r.sample_s)), MOTOR_INPUT_SLICE].mean(axis=0)
             speeds = steady_rotor_speeds(p, np.clip(first, 0.0, 1.0), f.first_and_mean_voltage[0])
         x = np.zeros((b, STATE_SIZE))
         x[:, MODEL_ATTITUDE] = 1.0
         x[:, MODEL_SWASH_ROLL], x[:, MODEL_SWASH_PITCH] = tip_path_tilt_target.py_func(
             *np.clip(f.inputs[0, [U_SERVO_1, U_SERVO_2]], -1.0, 1.0), p["swash_gain"], p["swash_phase"]
         )
-        x[:, BAR_NORMAL] = stabiliser_bar_normal(
-            motion[:, 0, MOTION_EULER:MOTION_RATES], actuator[:, ACTUATOR_BAR:ACTUATOR_CHARGE]
+        x[:, BAR_NORMAL_SLICE] = stabiliser_bar_normal(
+            motion[:, 0, MOTION_EULER:MOTION_RATES], actuator[:, ACTUATOR_BAR_INDEX:ACTUATOR_CHARGE_INDEX]
         )
-        x[:, ROTOR_SPEEDS] = speeds * np.maximum(1.0 + actuator[:, :ACTUATOR_BAR], 0.01)
-        x[:, MODEL_CHARGE] = np.clip(f.initial_charge + actuator[:, ACTUATOR_CHARGE], 0.0, 1.0)
+        x[:, ROTOR_SPEED_SLICE] = speeds * np.maximum(1.0 + actuator[:, :ACTUATOR_BAR_INDEX], 0.01)
+        x[:, MODEL_CHARGE] = np.clip(f.initial_charge + actuator[:, ACTUATOR_CHARGE_INDEX], 0.0, 1.0)
         codes = np.array([FLIGHT_OUTPUTS.index(o) for o in r.output_names], dtype=np.int64)
         y = simulate_batch(
             x,
@@ -412,7 +412,7 @@ class OutputErrorProblem:
         out = []
         for f in self.prepared_records:
             p = parameters_at_theta(f.base_parameters, f.parameter_changes, theta)
-            duty = np.clip(f.inputs[:, MOTORS], 0.0, 1.0).mean(axis=0)
+            duty = np.clip(f.inputs[:, MOTOR_INPUT_SLICE], 0.0, 1.0).mean(axis=0)
             speed = steady_rotor_speeds(p, duty, f.first_and_mean_voltage[1])
             weight = p["mass"] * GRAVITY + p["downwash_drag"]
             up, dw = p["torque_up"] * speed[:, 0] ** 2, p["torque_dw"] * speed[:, 1] ** 2
@@ -499,7 +499,7 @@ def _prepare_record(
     none, begin = np.zeros(0, dtype=np.int64), np.zeros(len(MOTION_STATES) + len(ACTUATOR_STATES))
     return PreparedRecord(
         r,
-        estimate_difference_noise(r),
+        estimate_noise_from_differences(r),
         motion,
         mast,
         u,

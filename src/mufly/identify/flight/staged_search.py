@@ -262,7 +262,7 @@ class StagedSearch:
             state.initial_charges = [f.initial_charge for f in final.prepared_records]
         problem = final.with_windows(stage.window_s, hover=stage.with_hover_residual)
         if not last:
-            problem = problem.with_noise(_noise_with_voltage_slack(problem))
+            problem = problem.with_noise(_enlarge_voltage_noise(problem))
         if k == 0 and not last:
             problem = replace(problem, ignored_start_s=min(_ROTOR_TRANSIENT_S, self._shortest_record_s / 4))
         rounds = 1 + (_NOISE_UPDATE_COUNT if last else 0)
@@ -355,7 +355,7 @@ class StagedSearch:
         )
 
 
-def _noise_with_voltage_slack(problem: OutputErrorProblem) -> list[_Array]:
+def _enlarge_voltage_noise(problem: OutputErrorProblem) -> list[_Array]:
     return [
         f.noise_std * np.array([_VOLTAGE_NOISE_FACTOR if o == "voltage" else 1.0 for o in f.record.output_names])
         for f in problem.prepared_records

@@ -433,7 +433,7 @@ def fit_derivative_equation(
     )
     whole = regression_columns(terms, actuator)
     missed = [b - p @ value for p, b in zip(whole, response, strict=True)]
-    bias = np.array([_record_bias(r, at, k, terms, value, actuator) for r in used])
+    bias = np.array([_compute_record_bias(r, at, k, terms, value, actuator) for r in used])
     left = _remove_bias(constants, missed)
     explained = 1.0 - float(np.mean(np.concatenate([e.ravel() for e in left]) ** 2)) / variance
     return DerivativeEquation(
@@ -443,7 +443,7 @@ def fit_derivative_equation(
     )  # fmt: skip
 
 
-def _record_bias(
+def _compute_record_bias(
     r: RegressionRecord,
     at: _RegressionRows,
     k: int,

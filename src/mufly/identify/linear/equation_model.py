@@ -24,9 +24,9 @@ from mufly.identify.fit_result import (
     FitResult,
     ParameterEstimate,
     RecordPrediction,
+    compute_relative_covariance,
     correlation_matrix,
     describe_undetermined_combinations,
-    divide_by_values,
 )
 from mufly.identify.flight_record import UniformLogTable, low_pass
 from mufly.identify.linear.equation_error import (
@@ -424,7 +424,7 @@ def equation_fit_result(model: EquationModel) -> FitResult:
     words = f"equation error, {model.domain} domain, stepwise, up to {model.cut_hz:g} Hz"
     return FitResult(
         "equation error", tuple(estimates), covariance, correlation_matrix(covariance),
-        describe_undetermined_combinations(symbols, divide_by_values(covariance, values)),
+        describe_undetermined_combinations(symbols, compute_relative_covariance(covariance, values)),
         float(np.mean([1.0 - e.R2 for e in model.equations])), (), words, len(records), 0.0, True,
         "regression: no search", records,
     )  # fmt: skip

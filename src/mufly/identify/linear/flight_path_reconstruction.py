@@ -43,8 +43,8 @@ from mufly.errors import ArgumentError, InputError
 from mufly.identify.fit_result import (
     ParameterEstimate,
     coloured_covariance,
+    compute_relative_covariance,
     describe_undetermined_combinations,
-    divide_by_values,
 )
 from mufly.identify.flight_record import UniformLogTable, low_pass, smooth_signal
 from mufly.identify.record_consistency import SignalFault
@@ -299,7 +299,7 @@ def _reconstruct_path(record: UniformLogTable, imu: Mapping[str, str], outputs: 
     )
     # Relative to the prior deviations, because the values are near zero.
     undetermined = describe_undetermined_combinations(
-        IMU_ERROR_SYMBOLS, divide_by_values(covariance, _IMU_ERROR_PRIOR_STD)
+        IMU_ERROR_SYMBOLS, compute_relative_covariance(covariance, _IMU_ERROR_PRIOR_STD)
     )
     return ReconstructedPath(
         estimates, np.sqrt(np.diag(bound)), covariance, record.time_s, smooth_x, np.sqrt(smooth_p), outs, z, whitened,

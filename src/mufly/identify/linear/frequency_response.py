@@ -48,7 +48,7 @@ from scipy.signal import get_window
 from scipy.special import stdtrit
 
 from mufly.errors import InputError
-from mufly.identify.linear.linear_structure import LinearStructure, SearchCoordinates, scale_structure
+from mufly.identify.linear.linear_structure import LinearStructure, SearchCoordinates, scale_structure_to_record
 from mufly.results import result
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ _INDEPENDENT_SEGMENT_FRACTION = 18.0 / 19.0  # independent segments per half-ove
 @result(
     eq=False,
     picture="mufly.identify.linear.response_pictures:draw_frequency_response",
-    json="frequency_hz responses=tabulate_pairs coherence",
+    json="frequency_hz responses=tabulate_pair_responses coherence",
 )
 class FrequencyResponse:
     """Responses of all outputs to all inputs, estimated from one or several records.
@@ -98,7 +98,7 @@ class FrequencyResponse:
     outputs: tuple[str, ...]
     window_s: Array | None = None
 
-    def tabulate_pairs(self) -> dict[str, dict[str, Array]]:
+    def tabulate_pair_responses(self) -> dict[str, dict[str, Array]]:
         """Return the response of every input-output pair as ``{"input to output": {quantity: array over frequency}}``.
 
         The quantities are magnitude (dB), phase (deg), random error and partial coherence.
@@ -203,7 +203,7 @@ def average_cross_spectra(
     return spectra, _INDEPENDENT_SEGMENT_FRACTION * count
 
 
-def condition_spectra(s: ComplexArray, k: int) -> tuple[ComplexArray, Array, Array, Array]:
+def compute_conditioned_responses(s: ComplexArray, k: int) -> tuple[ComplexArray, Array, Array, Array]:
     """Return the responses of ``m`` outputs to ``k`` inputs from cross-spectral matrices ``s`` (f, k + m, k + m).
 
     The rows of ``s`` are the inputs, then the outputs; ``f`` is the number of frequencies.
@@ -244,7 +244,7 @@ def response_from_spectra(
     frequency: Array, s: ComplexArray, k: int, averages: float, inputs: tuple[str, ...], outputs: tuple[str, ...]
 ) -> FrequencyResponse:  # fmt: skip
     """Return responses and coherences from averaged cross-spectral matrices ``s`` (f, k + m, k + m), inputs first."""
-    response, own, left, coherence = condition_spectra(s, k)
+    response, own, left, coherence = compute_conditioned_responses(s, k)
     # |H_j|^2 S_jj.r is the explained power that input j alone adds.
     alone = np.abs(np.nan_to_num(response)) ** 2 * own[:, None, :]
     partial = alone / np.maximum(alone + left[:, :, None], 1e-300)
@@ -262,7 +262,7 @@ def response_random_error(coherence: Array, averages: float | Array, inputs: int
     return np.sqrt((1.0 - square) / (square * degrees_of_freedom)), degrees_of_freedom
 
 
-def state_space_response(
+def state_space_frequency_response(
     a: Array, b: Array, c: Array, d: Array, frequency_hz: Array, delay_s: Array | None = None
 ) -> ComplexArray:
     """Return the response of ``x' = A x + B u(t - delay), y = C x + D u(t - delay)``.
@@ -344,7 +344,7 @@ class FrequencyResponseFit:
 def structure_response(structure: LinearStructure, values: Array, frequency_hz: Array) -> ComplexArray:
     """Return the frequency response (f, outputs, inputs) of a model structure with given parameter values."""
     a, b, c, d, delay = structure.state_space_matrices(values)
-    return state_space_response(a, b, c, d, frequency_hz, delay)
+    return state_space_frequency_response(a, b, c, d, frequency_hz, delay)
 
 
 def _chance_coherence(averages: float, inputs: int, frequencies: float) -> float:
@@ -377,7 +377,7 @@ def fit_frequency_response(
     InputError
         If no frequency is coherent, or the record is too short.
     """
-    structure = scale_structure(structure, u, y)
+    structure = scale_structure_to_record(structure, u, y)
     data = estimate_frequency_response(
         u, y, dt, segment_s=segment_s, low_hz=1.5 / segment_s, high_hz=high_hz, points=_FIT_FREQUENCY_COUNT,
         input_names=structure.inputs, output_names=structure.outputs,

@@ -25,8 +25,8 @@ from mufly.identify.fit_result import coloured_covariance, parzen_window
 from mufly.identify.linear.linear_structure import (
     LinearStructure,
     SearchCoordinates,
-    linear_unknown_responses,
-    scale_structure,
+    compute_unit_responses,
+    scale_structure_to_record,
     simulate_linear_structure,
 )
 from mufly.identify.residual_analysis import compute_residual_autocorrelation
@@ -139,7 +139,7 @@ class _LinearFitProblem:
                 forced, _ = simulate_linear_structure(
                     self.structure, values, self.inputs, self.dt, hold=self.holds_inputs
                 )
-                added = linear_unknown_responses(self.structure, values, len(self.inputs), self.dt)
+                added = compute_unit_responses(self.structure, values, len(self.inputs), self.dt)
                 root = np.sqrt(self.output_weight)
                 weighted = added * root[None, :, None]
                 # Norms over all samples: an unknown that acts only on masked samples counts as undetermined, stays 0.
@@ -262,7 +262,7 @@ def fit_linear_model(
         If no start leads to a stable simulation, or there are fewer samples than parameters.
     """
     begun = time.perf_counter()
-    structure = scale_structure(structure, u, y)
+    structure = scale_structure_to_record(structure, u, y)
     problem = _LinearFitProblem(structure, u, y, dt, hold, mask)
     spread = problem.output_std
     if (spread == 0.0).any() or problem.is_used.sum() < 3 * len(structure.parameters):

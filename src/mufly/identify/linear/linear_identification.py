@@ -21,15 +21,15 @@ from mufly.identify.fit_result import (
     FitResult,
     ParameterEstimate,
     RecordPrediction,
+    compute_relative_covariance,
     correlation_matrix,
     describe_undetermined_combinations,
-    divide_by_values,
 )
 from mufly.identify.flight_record import UniformLogTable, low_pass
 from mufly.identify.linear.equation_error import regress_rate_derivatives
 from mufly.identify.linear.frequency_response import FrequencyResponseFit, fit_frequency_response
 from mufly.identify.linear.linear_fit import LinearFit, fit_linear_model, simulate_linear_fit
-from mufly.identify.linear.linear_structure import LinearStructure, structure_by_name
+from mufly.identify.linear.linear_structure import LinearStructure, build_structure_by_name
 from mufly.identify.linear.model_checks import (
     CrossValidation,
     DisturbanceModel,
@@ -41,7 +41,7 @@ from mufly.identify.linear.model_checks import (
     identify_subspace,
     predict_ahead,
 )
-from mufly.identify.residual_analysis import PredictionQuality, assess_prediction, describe_residuals
+from mufly.identify.residual_analysis import PredictionQuality, assess_prediction, describe_model_deficiencies
 from mufly.logs import guess_angle_units
 from mufly.results import result, select_fields
 
@@ -58,7 +58,7 @@ _ANGLE_OF_RATE = {"p": "phi", "q": "theta"}
 
 
 @dataclass(frozen=True)
-class AheadPrediction:
+class AheadPredictionQuality:
     """Prediction quality of every output over one horizon on the held-out part.
 
     ``horizon_s`` is infinite for the pure simulation. ``fit_percent`` compares with the measurement as recorded,
@@ -74,7 +74,7 @@ class AheadPrediction:
 
 
 @dataclass(frozen=True)
-class OutputCheck:
+class OutputQuality:
     """Simulation quality of one output over one part of the record.
 
     Attributes
@@ -116,10 +116,10 @@ class LinearResult:
         Fitted model.
     candidates : tuple of CrossValidation
         Candidate structures, best first; empty if the structure was given.
-    checks : dict of role to tuple of OutputCheck
+    checks : dict of role to tuple of OutputQuality
         Simulation quality of every output.
     disturbance : DisturbanceModel
-    ahead : tuple of AheadPrediction
+    ahead : tuple of AheadPredictionQuality
         Predictions over fixed horizons; empty without held-out part.
     slow_hz : float
     model_deficiencies : tuple of str
@@ -139,9 +139,9 @@ class LinearResult:
     fit: FitResult
     linear_fit: LinearFit
     candidates: tuple[CrossValidation, ...]
-    checks: Mapping[str, tuple[OutputCheck, ...]]
+    checks: Mapping[str, tuple[OutputQuality, ...]]
     disturbance: DisturbanceModel
-    ahead: tuple[AheadPrediction, ...]
+    ahead: tuple[AheadPredictionQuality, ...]
     slow_hz: float
     model_deficiencies: tuple[str, ...]
     equation_error: Mapping[str, tuple[float, float]]
@@ -181,7 +181,7 @@ def identify_linear_model(
         Model names (lat, lon, ped, col; p, q, r, phi, theta, u, v, w) -> columns; ``-`` before a column inverts its
         sign.
     model : str
-        See :func:`mufly.identify.linear.linear_structure.structure_by_name`; ``"auto"`` chooses the best of
+        See :func:`mufly.identify.linear.linear_structure.build_structure_by_name`; ``"auto"`` chooses the best of
         ``candidates`` by cross-validation.
     candidates : sequence of str
     split : float
@@ -232,7 +232,7 @@ def identify_linear_model(
 
     if model == "auto":
         for name in candidates:
-            structure = structure_by_name(name, names, outs)
+            structure = build_structure_by_name(name, names, outs)
             if structure.name not in {t.name for t, _, _ in tried}:
                 try:
                     score, trial = cross_validate_structure(
@@ -250,7 +250,7 @@ def identify_linear_model(
         tried.sort(key=lambda t: t[0].left_out_error)
         structure, first = tried[0][1], tried[0][2].values
     else:
-        structure = structure_by_name(model, names, outs)
+        structure = build_structure_by_name(model, names, outs)
     linear = fit_linear_model(
         structure, uf, yf, dtf, starts=starts, seed=seed, hold=hold, first=first, progress=report_progress
     )
@@ -260,7 +260,7 @@ def identify_linear_model(
     if len(y) - cut < _MIN_HOLDOUT_SAMPLES:
         del parts["held out"]
     else:
-        notes += _describe_outputs_still_when_held_out(outs, y, cut, dt, slow)
+        notes += _describe_motionless_held_out_outputs(outs, y, cut, dt, slow)
     checks = {
         role: tuple(
             _compare_outputs_with_simulation(
@@ -290,10 +290,10 @@ def identify_linear_model(
         checks=checks,
         disturbance=disturbance,
         ahead=tuple(
-            _predict_ahead_scores(linear, disturbance, y, simulated, dt, cut, slow, checks.get("held out", ()))
+            _score_ahead_predictions(linear, disturbance, y, simulated, dt, cut, slow, checks.get("held out", ()))
         ),
         slow_hz=slow,
-        model_deficiencies=describe_residuals(records[0]),
+        model_deficiencies=describe_model_deficiencies(records[0]),
         equation_error=regressed,
         subspace=model_2,
         subspace_percent=percent,
@@ -336,7 +336,7 @@ def _filter_and_decimate(
     return u[::step], y[::step], dt * step
 
 
-def _describe_outputs_still_when_held_out(
+def _describe_motionless_held_out_outputs(
     outs: tuple[str, ...], y: Array, cut: int, dt: float, slow: float
 ) -> Iterator[str]:
     """Name the outputs with little motion in the held-out part."""
@@ -351,7 +351,7 @@ def _describe_outputs_still_when_held_out(
 
 def _compare_outputs_with_simulation(
     y: Array, simulated: Array, u: Array, dt: float, slow: float, angles: Sequence[Array | None]
-) -> Iterator[OutputCheck]:
+) -> Iterator[OutputQuality]:
     """Compare every output of one part of the record, fitted or held out, with its simulation."""
     y_slow, simulated_slow = low_pass(y, dt, slow), low_pass(simulated, dt, slow)
     for k, angle in enumerate(angles):
@@ -362,7 +362,7 @@ def _compare_outputs_with_simulation(
         if angle is not None:
             both = low_pass(np.column_stack([np.gradient(angle, dt), simulated[:, k]]), dt, slow)
             against = assess_prediction(both[:, 0], both[:, 1]).fit_percent
-        yield OutputCheck(
+        yield OutputQuality(
             floor, assess_prediction(y[:, k], simulated[:, k], max(floor.total, 1e-12)),
             assess_prediction(y_slow[:, k], simulated_slow[:, k], floor.below),
             100.0 * (1.0 - floor.total / float(y.std(axis=0)[k])), ceiling_slow, against,
@@ -371,7 +371,7 @@ def _compare_outputs_with_simulation(
 
 def _predict_record_part(
     record: UniformLogTable, role: str, part: slice, linear: LinearFit, y: Array, simulated: Array,
-    checks: Sequence[OutputCheck], u: Array, names: tuple[str, ...],
+    checks: Sequence[OutputQuality], u: Array, names: tuple[str, ...],
 ) -> RecordPrediction:  # fmt: skip
     t, noise = record.time_s[part], np.array([max(c.floor.total, 1e-12) for c in checks])
     return RecordPrediction(
@@ -380,10 +380,10 @@ def _predict_record_part(
     )  # fmt: skip
 
 
-def _predict_ahead_scores(
+def _score_ahead_predictions(
     linear: LinearFit, disturbance: DisturbanceModel, y: Array, simulated: Array, dt: float, cut: int, slow: float,
-    checks: Sequence[OutputCheck],
-) -> Iterator[AheadPrediction]:  # fmt: skip
+    checks: Sequence[OutputQuality],
+) -> Iterator[AheadPredictionQuality]:  # fmt: skip
     if not checks:
         return
     target, m = low_pass(y[cut:], dt, slow), y.shape[1]
@@ -398,7 +398,7 @@ def _predict_ahead_scores(
         smooth = low_pass(predicted, dt, slow)
         kept = causal[cut - steps : len(y) - steps] if steps else np.full_like(target, np.nan)
         as_recorded = [assess_prediction(y[cut:, k], predicted[:, k], c.floor.total) for k, c in enumerate(checks)]
-        yield AheadPrediction(
+        yield AheadPredictionQuality(
             horizon,
             tuple(q.fit_percent for q in as_recorded),
             tuple(assess_prediction(target[:, k], smooth[:, k]).fit_percent for k in range(m)),
@@ -450,7 +450,7 @@ def _make_fit_result(linear: LinearFit, records: tuple[RecordPrediction, ...], n
         for p, found, held in zip(linear.structure.parameters, numbers, linear.at_bound, strict=True)
     )
     free = np.flatnonzero(~linear.at_bound)
-    seen = divide_by_values(linear.covariance, linear.values)[np.ix_(free, free)]
+    seen = compute_relative_covariance(linear.covariance, linear.values)[np.ix_(free, free)]
     undetermined = describe_undetermined_combinations([linear.structure.symbols[k] for k in free], seen)
     return FitResult(
         linear.structure.name, estimates, linear.covariance, correlation_matrix(linear.covariance),

@@ -27,7 +27,7 @@ and Workman, *Digital Control of Dynamic Systems*, Sec. 4.3):
 
     x_(k+1) = Phi x_k + G_1 u_k + G_2 (u_(k+1) - u_k) / dt
 
-Initial state, input trim and output bias enter the prediction linearly. :func:`linear_unknown_responses` returns the
+Initial state, input trim and output bias enter the prediction linearly. :func:`compute_unit_responses` returns the
 response to one unit of each, so that a fit can solve for them exactly (variable projection, Golub and Pereyra 1973).
 """
 
@@ -55,7 +55,7 @@ class ModelParameter:
 
     With ``low > 0`` the search uses the logarithm. ``meaning`` is a description for tables. ``driven_and_driving``
     names the state and the signal that a gain connects: ``start_value``, ``low`` and ``high`` then hold for signals of
-    equal size, and :func:`scale_structure` scales them to the record.
+    equal size, and :func:`scale_structure_to_record` scales them to the record.
     """
 
     symbol: str
@@ -104,7 +104,7 @@ _TYPICAL_RATE_PER_ANGLE_1_S = 3.0  # 1/s: assumed size of an unmeasured rate ove
 _INTEGRAL_OF_SIGNAL = {"p": "phi", "q": "theta", "phi": "v", "theta": "u"}
 
 
-def scale_structure(structure: LinearStructure, u: Array, y: Array) -> LinearStructure:
+def scale_structure_to_record(structure: LinearStructure, u: Array, y: Array) -> LinearStructure:
     """Return a structure whose start gains and bounds are scaled to the signals of a record.
 
     In ``x' = a x + k z`` with rates ``|a|`` below about 60 1/s and signals of standard deviation ``s_x``, ``s_z``, the
@@ -120,17 +120,17 @@ def scale_structure(structure: LinearStructure, u: Array, y: Array) -> LinearStr
     size = dict(zip(structure.inputs, np.nanstd(u, axis=0).tolist(), strict=True))
     size |= dict(zip(structure.outputs, np.nanstd(y, axis=0).tolist(), strict=True))
 
-    def signal_size(name: str) -> float:
+    def estimate_signal_size(name: str) -> float:
         if name in size:
             return size[name]
         inner = _INTEGRAL_OF_SIGNAL.get(name)
         if inner is None:
             return 0.0
-        return _TYPICAL_RATE_PER_ANGLE_1_S * signal_size(inner) / (GRAVITY if inner in "uv" else 1.0)
+        return _TYPICAL_RATE_PER_ANGLE_1_S * estimate_signal_size(inner) / (GRAVITY if inner in "uv" else 1.0)
 
     parameters = []
     for p in structure.parameters:
-        row, column = (signal_size(name) if name else 1.0 for name in p.driven_and_driving)
+        row, column = (estimate_signal_size(name) if name else 1.0 for name in p.driven_and_driving)
         factor = row / column if row > 0.0 and column > 0.0 else 1.0
         start, low, high = (factor * v for v in (p.start_value, p.low, p.high))
         parameters.append(ModelParameter(p.symbol, p.unit, start, low, high, p.meaning))
@@ -194,7 +194,7 @@ class StructureBuilder:
     ) -> None:  # fmt: skip
         self.parameters.setdefault(symbol, ModelParameter(symbol, unit, start, low, high, meaning, between))
 
-    def add_constant(self, row: str, column: str, value: float) -> None:
+    def add_constant_entry(self, row: str, column: str, value: float) -> None:
         self.matrix_entries.append(("A", row, column, lambda _: value))
 
     def add_free_entry(
@@ -212,7 +212,7 @@ class StructureBuilder:
         matrix = "B" if column in self.inputs else "A"
         self.matrix_entries.append((matrix, row, column, lambda v: v[symbol] / v[over] if over else v[symbol]))
 
-    def add_negative_inverse(self, row: str, symbol: str) -> None:
+    def add_negative_inverse_entry(self, row: str, symbol: str) -> None:
         self.matrix_entries.append(("A", row, row, lambda v: -1.0 / v[symbol]))
 
     def build_structure(self, name: str, outputs: tuple[str, ...], driven: set[str], skew: float) -> LinearStructure:
@@ -251,7 +251,7 @@ _FLAPPING_OF_RATE = {"p": "b", "q": "a"}
 _MOMENT_LETTER = {"p": "L", "q": "M"}
 
 
-def helicopter_structure(
+def build_helicopter_structure(
     inputs: tuple[str, ...], outputs: tuple[str, ...], *, angular: str = "hybrid", coupled: bool = False,
     collective: bool = False, gyro: bool = False, speed: bool = False, skew_s: float = 0.0,
 ) -> LinearStructure:  # fmt: skip
@@ -293,13 +293,13 @@ def helicopter_structure(
         b.states += [f"{s}_f" for s in sticks]
         for s in sticks:
             b.add_parameter(f"tau_s_{s}", "s", 0.15, 0.02, 2.0, f"lag of the {s} command")
-            b.add_negative_inverse(f"{s}_f", f"tau_s_{s}")
+            b.add_negative_inverse_entry(f"{s}_f", f"tau_s_{s}")
             b.matrix_entries.append(("B", f"{s}_f", s, lambda v, s=s: 1.0 / v[f"tau_s_{s}"]))  # type: ignore[misc]
     for r in rates:
         _add_rate_dynamics(b, r, rates, sticks, angular, coupled)
         if collective and "col" in inputs:
             b.add_free_entry(r, "col", f"{_MOMENT_LETTER[r]}_col", "1/s^2", 0.0, 200.0, f"collective into {r}")
-        _add_couplings(b, r, rates, sticks, angular, coupled)
+        _add_stick_inputs(b, r, rates, sticks, angular, coupled)
     _add_attitude_and_translation(b, rates, outputs, angular, speed)
     if "r" in outputs:
         _add_yaw_dynamics(b, inputs, rates, coupled, gyro)
@@ -327,16 +327,16 @@ def _add_rate_dynamics(
             b.add_free_entry(r, other, f"{big}_{other}", "1/s", 0.0, 30.0, f"coupling of {other} into {r}")
         return
     b.add_free_entry(r, flap, f"{big}_{flap}", "1/s^2", 60.0, (0.5, 2000.0), f"flapping spring, {r}")
-    b.add_constant(flap, r, -1.0)
+    b.add_constant_entry(flap, r, -1.0)
     b.add_parameter("tau_f", "s", 0.1, 0.01, 3.0, "time constant of flapping")
-    b.add_negative_inverse(flap, "tau_f")
+    b.add_negative_inverse_entry(flap, "tau_f")
     for s in sticks:
         if s == _STICK_OF_RATE[r] or coupled:
             symbol, start = f"{flap.upper()}_{s}", 0.5 if s == _STICK_OF_RATE[r] else 0.0
             b.add_free_entry(flap, s, symbol, "rad", start, 20.0, f"flapping command, {s}", over="tau_f")
 
 
-def _add_couplings(
+def _add_stick_inputs(
     b: StructureBuilder, r: str, rates: tuple[str, ...], sticks: Sequence[str], angular: str, coupled: bool
 ) -> None:
     """Add to the structure the moments with which the sticks drive the rate ``r`` ("p" or "q").
@@ -355,7 +355,7 @@ def _add_couplings(
         b.add_free_entry(flap, other, f"{flap.upper()}_{other}", "1", 0.0, 20.0, "cross flapping", over="tau_f")
 
 
-def structure_by_name(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearStructure:
+def build_structure_by_name(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearStructure:
     """Build the structure with a name such as ``"first-order-coupled"`` or ``"helicopter"``.
 
     The name is one of ``ANGULAR_RESPONSE_MODELS``, followed by any of ``MODEL_EXTRAS``; ``"helicopter"`` stands for
@@ -376,7 +376,7 @@ def structure_by_name(name: str, inputs: tuple[str, ...], outputs: tuple[str, ..
             f"use auto, helicopter, or {', '.join(ANGULAR_RESPONSE_MODELS)} followed by any of "
             f"-{', -'.join(MODEL_EXTRAS)}",
         )  # fmt: skip
-    return helicopter_structure(
+    return build_helicopter_structure(
         inputs, outputs, angular=base, coupled="coupled" in words, collective="collective" in words,
         gyro="gyro" in words, speed="speed" in words, skew_s=_MAX_OUTPUT_SKEW_S if "skew" in words else 0.0,
     )  # fmt: skip
@@ -389,13 +389,13 @@ def _add_attitude_and_translation(
         angle, vel, symbol, g = ("phi", "v", "Y", GRAVITY) if r == "p" else ("theta", "u", "X", -GRAVITY)
         if {angle, vel} & set(outputs):
             b.states.append(angle)
-            b.add_constant(angle, r, 1.0)
+            b.add_constant_entry(angle, r, 1.0)
         if vel in outputs:
             b.states.append(vel)
             b.add_free_entry(vel, vel, f"{symbol}_{vel}", "1/s", -0.2, (-10.0, 0.0), f"drag, {vel}")
-            b.add_constant(vel, angle, g)
+            b.add_constant_entry(vel, angle, g)
             if angular == "hybrid":
-                b.add_constant(vel, _FLAPPING_OF_RATE[r], g)
+                b.add_constant_entry(vel, _FLAPPING_OF_RATE[r], g)
             if speed:
                 b.add_free_entry(r, vel, f"{_MOMENT_LETTER[r]}_{vel}", "rad/(m s)", 0.0, 60.0, "speed stability")
 
@@ -414,7 +414,7 @@ def _add_yaw_dynamics(
     if gyro:
         # Only the product of Mettler's N_ped and K_r is identifiable from r; the state is scaled so that K_r is 1.
         b.states.append("r_fb")
-        b.add_constant("r_fb", "r", 1.0)
+        b.add_constant_entry("r_fb", "r", 1.0)
         b.add_parameter("K_rfb", "1/s", 3.0, 0.02, 60.0, "gyro, washout")
         b.matrix_entries.append(("A", "r_fb", "r_fb", lambda v: -v["K_rfb"]))
         b.add_parameter("N_fb", "1/s^2", 10.0, 1e-3, 500.0, "gyro's feedback into yaw")
@@ -546,7 +546,7 @@ def simulate_linear_structure(
     return x @ c.T + ud @ d.T, x
 
 
-def linear_unknown_responses(structure: LinearStructure, values: Array, n: int, dt: float) -> Array:
+def compute_unit_responses(structure: LinearStructure, values: Array, n: int, dt: float) -> Array:
     """Return the output response to one unit of each initial state, input trim and output bias.
 
     Returns

@@ -99,7 +99,7 @@ def draw_frequency_response(
         bottom.plot(f, data.coherence[:, output], color=fit_pictures.text_colour(), linewidth=0.8, label="all inputs")
         bottom.axhline(MIN_PARTIAL_COHERENCE, color="0.5", linestyle=":", linewidth=1.0)
         bottom.set(ylim=(0.0, 1.03), xlabel="frequency (Hz)", xscale="log")
-        fit_pictures.label_decades(bottom)
+        fit_pictures.set_decade_ticks(bottom)
         top.set_title(f"{data.inputs[i]} to {data.outputs[output]}")
         top.legend(fontsize=7.0)
         bottom.legend(fontsize=7.0, ncols=2)
@@ -108,7 +108,7 @@ def draw_frequency_response(
     return figure
 
 
-def draw_reconstructed_path(c: ReconstructedPath) -> Figure:
+def draw_reconstructed_outputs(c: ReconstructedPath) -> Figure:
     """Draw measured and reconstructed outputs, with their residuals beside them."""
     from mufly.identify.linear.flight_path_reconstruction import FLIGHT_PATH_STATES, STATE_UNITS
 

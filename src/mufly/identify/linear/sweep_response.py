@@ -35,7 +35,7 @@ from mufly.errors import ArgumentError, InputError
 from mufly.identify.linear.frequency_response import (
     FrequencyResponse,
     average_cross_spectra,
-    condition_spectra,
+    compute_conditioned_responses,
     response_random_error,
 )
 from mufly.results import result
@@ -100,7 +100,7 @@ def estimate_composite_response(
         if valid.sum() < 2:
             continue
         spectra, averages = average_cross_spectra(inputs, outputs, dt, window, frequency[valid])
-        response, own, left, coherence = condition_spectra(spectra, k)
+        response, own, left, coherence = compute_conditioned_responses(spectra, k)
         response = np.nan_to_num(response)
         output = np.abs(response) ** 2 * own[:, None, :] + left[:, :, None]
         partial = 1.0 - left[:, :, None] / np.maximum(output, 1e-300)
@@ -238,7 +238,7 @@ def fit_transfer_function(
 
     trials = []
     for tau in np.r_[0.0, np.geomspace(0.02, 2.0, 9) / np.abs(s).max()]:
-        x = np.r_[_weighted_linear_fit(s, h * np.exp(tau * s), weight, zeros, poles), tau]
+        x = np.r_[_fit_linearised_transfer_function(s, h * np.exp(tau * s), weight, zeros, poles), tau]
         trials.append((float((weighted_residual(x) ** 2).sum()), x.tolist()))
     best = None
     for _, start in sorted(trials)[:3]:
@@ -281,7 +281,7 @@ def _signal_name(names: tuple[str, ...], k: int) -> str:
     return names[k] if k < len(names) else str(k)
 
 
-def _weighted_linear_fit(s: ComplexArray, h: ComplexArray, weight: Array, zeros: int, poles: int) -> Array:
+def _fit_linearised_transfer_function(s: ComplexArray, h: ComplexArray, weight: Array, zeros: int, poles: int) -> Array:
     """Fit numerator and denominator (without its leading 1) by linear least squares, reweighted iteratively."""
     a = np.r_[1.0, np.ones(poles)]
     x = np.zeros(zeros + 1 + poles)

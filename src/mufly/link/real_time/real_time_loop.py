@@ -41,7 +41,7 @@ PACE_WINDOW_S = 5.0
 """Averaging time of the real-time factor (s)."""
 _PACE_SAMPLE_PERIOD_S = 0.1
 _REPORT_PERIOD_S = 0.2
-_WARM_UP_S = 8.0
+_WARM_UP_FLIGHT_TIME_S = 8.0
 _READY_TIMEOUT_S = 3.0
 _LATENESS_FILTER_GAIN = 0.02
 _FRAME_CONTENT_SLICE = slice(5, -2)  # bytes of a MAVLink frame after its number
@@ -158,15 +158,15 @@ class RealTimePacer:
                 self._slow = True
                 return (
                     f"slower than real time: factor {self.real_time_factor:.2f} over the last "
-                    f"{PACE_WINDOW_S:g} s{self.loss_text}"
+                    f"{PACE_WINDOW_S:g} s{self.overrun_summary}"
                 )
         elif self._slow and now_s - self._whole_s > PACE_WINDOW_S:
             self._slow = False
-            return f"in real time again{self.loss_text}"
+            return f"in real time again{self.overrun_summary}"
         return ""
 
     @property
-    def loss_text(self) -> str:
+    def overrun_summary(self) -> str:
         """Return a text on the number of overruns and the dropped time, to end a sentence; "" without overruns."""
         overruns = f"{self.slip_count} timing overrun{'s' if self.slip_count > 1 else ''}"
         return f"; {overruns}, {self.lost_time_s:.1f} s dropped since the start" if self.slip_count else ""
@@ -234,9 +234,9 @@ def warm_up(vehicle: Vehicle, controller: FlightController, sensors: SensorMode 
         flight.step_period()
     flight.autopilot.arm()
     flight.autopilot.take_off()
-    for k in range(round(_WARM_UP_S / flight.period_s)):
+    for k in range(round(_WARM_UP_FLIGHT_TIME_S / flight.period_s)):
         flight.step_period()
-        if k == round(0.9 * _WARM_UP_S / flight.period_s):
+        if k == round(0.9 * _WARM_UP_FLIGHT_TIME_S / flight.period_s):
             flight.autopilot.go_to((0.2, 0.0, -1.0))
     flight.close()
 

@@ -140,13 +140,13 @@ class VehicleProcess:
 
     def inject_fault(self, fault: Fault) -> None:
         """Inject a sensor fault (:meth:`mufly.flight.Flight.inject_fault`); an event reports it."""
-        self._send_fault(fault)
+        self._send_sensor_fault(fault)
 
     def clear_faults(self) -> None:
         """Clear all sensor faults of the vehicle."""
-        self._send_fault(None)
+        self._send_sensor_fault(None)
 
-    def _send_fault(self, fault: Fault | None) -> None:
+    def _send_sensor_fault(self, fault: Fault | None) -> None:
         with contextlib.suppress(OSError, ValueError):
             self._pipe.send((fault,))
 
@@ -330,7 +330,7 @@ def _run_vehicle_process(order: Mapping[str, Any], pipe: Connection) -> None:
     os._exit(0)  # all is closed; finalising the interpreter takes a second or more
 
 
-def _handle_faults(flight: Flight, wishes: deque[Fault | None]) -> bool:
+def _inject_received_faults(flight: Flight, wishes: deque[Fault | None]) -> bool:
     """Inject the faults that the parent process sent (None clears all); return False: the flight continues."""
     while wishes:
         fault = wishes.popleft()
@@ -366,7 +366,7 @@ def _fly_vehicle(
             flight,
             order["endpoints"],
             link=VehicleLink(flight, system=order["system"], origin=order["origin"]),
-            stop=lambda: _handle_faults(flight, wishes) or asked.is_set(),
+            stop=lambda: _inject_received_faults(flight, wishes) or asked.is_set(),
             tlog=log,
             on_event=lambda event: tell("event", event),
             on_open=lambda: tell("ready"),

@@ -1,15 +1,15 @@
 """MCAP: reader and writer of the container, and the signal table of recordings."""
 
 from mufly.logs.mcap.mcap_reader import McapContents, read_mcap
-from mufly.logs.mcap.mcap_writer import MAGIC, UNFINISHED_METADATA, McapWriter
+from mufly.logs.mcap.mcap_writer import MAGIC, UNFINISHED_METADATA_NAME, McapWriter
 from mufly.logs.mcap.signal_table import (
     FlightEvent,
     RecordingLayout,
     component_channels,
     encode_dataset_metadata,
-    event_variables,
     flight_layout,
     make_dataset,
+    make_event_variables,
     read_events,
     restore_dataset,
     rows_to_dataset,
@@ -19,16 +19,16 @@ from mufly.logs.mcap.signal_table import (
 
 __all__ = [
     "MAGIC",
-    "UNFINISHED_METADATA",
+    "UNFINISHED_METADATA_NAME",
     "FlightEvent",
     "McapContents",
     "McapWriter",
     "RecordingLayout",
     "component_channels",
     "encode_dataset_metadata",
-    "event_variables",
     "flight_layout",
     "make_dataset",
+    "make_event_variables",
     "read_events",
     "read_mcap",
     "restore_dataset",

@@ -25,7 +25,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 
 from mufly.errors import InputError
-from mufly.logs.mcap.mcap_writer import MAGIC, MESSAGE_FIELDS_SIZE, MESSAGE_HEAD_STRUCT, UNFINISHED_METADATA
+from mufly.logs.mcap.mcap_writer import MAGIC, MESSAGE_FIELDS_SIZE, MESSAGE_HEAD_STRUCT, UNFINISHED_METADATA_NAME
 
 _RECORD_HEAD_STRUCT = struct.Struct("<BQ")
 _CHUNK_HEAD_STRUCT = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
@@ -101,7 +101,7 @@ class McapContents:
         """
         if zero_ns is None:
             zero_ns = min((p.first_ns for p in self.lost_parts if p.first_ns), default=0)
-        said = [_describe_part(part, zero_ns) for part in self.lost_parts[:_MAX_DESCRIBED_PARTS]]
+        said = [_describe_lost_part(part, zero_ns) for part in self.lost_parts[:_MAX_DESCRIBED_PARTS]]
         more = self.lost_parts[_MAX_DESCRIBED_PARTS:]
         if more:
             said.append(f"{sum(p.size for p in more)} bytes in {len(more)} more places, too")
@@ -111,7 +111,7 @@ class McapContents:
         return "; ".join(said + self.other_faults)
 
 
-def _describe_part(part: LostPart, zero_ns: int) -> str:
+def _describe_lost_part(part: LostPart, zero_ns: int) -> str:
     if not part.first_ns:
         return part.description + (f", {part.message_count} messages are missing" if part.message_count else "")
     first_s, last_s = (part.first_ns - zero_ns) / 1e9, (part.last_ns - zero_ns) / 1e9
@@ -213,7 +213,7 @@ class _McapScanner:
             if opcode == Opcode.FOOTER and length == 20:
                 finished = True
             elif stop > end or not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _FIRST_PRIVATE_OPCODE):
-                at = self._skip_part(at, stop, opcode, passed)
+                at = self._skip_lost_part(at, stop, opcode, passed)
                 passed = at
             else:
                 problem = self._read_record(opcode, at, stop)
@@ -319,7 +319,7 @@ class _McapScanner:
         self._contents.lost_parts.append(LostPart(problem, at, after - at, messages, first_ns, last_ns))
         return after
 
-    def _skip_part(self, at: int, stop: int, opcode: int, passed: int) -> int:
+    def _skip_lost_part(self, at: int, stop: int, opcode: int, passed: int) -> int:
         """Add a truncated record or invalid bytes to the lost parts; return the offset at which to continue.
 
         The record would extend from ``at`` to ``stop``; the next valid record is searched after ``passed``.
@@ -407,7 +407,7 @@ class _McapScanner:
         said = [f"the names of some topics are lost; these topics are called {', '.join(nameless)}"] if nameless else []
         if self._crc_wrong and not self._contents.lost_parts:
             said.append("data outside the chunks are damaged (wrong checksum)")
-        if UNFINISHED_METADATA in self._contents.metadata:
+        if UNFINISHED_METADATA_NAME in self._contents.metadata:
             return [*said, "the writer was stopped before the end, or is still writing"]
         if summary is None or not finished:
             return [*said, "it has no end mark"]

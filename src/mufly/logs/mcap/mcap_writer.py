@@ -29,7 +29,7 @@ MESSAGE_HEAD_STRUCT = struct.Struct("<BQHIQQ")
 """Head of a message: opcode, length, channel, sequence, log time, publish time."""
 MESSAGE_FIELDS_SIZE = 2 + 4 + 8 + 8
 """Bytes of a message before its content, without opcode and length."""
-UNFINISHED_METADATA = "mufly.unfinished"
+UNFINISHED_METADATA_NAME = "mufly.unfinished"
 """Name of the metadata before the end mark of an unfinished file."""
 
 
@@ -44,7 +44,7 @@ def _encode_records(records_of_a_kind: Iterable[Any]) -> bytes:
 
 
 _UNFINISHED_END = (
-    _encode_records((records.Metadata(UNFINISHED_METADATA, {}), records.DataEnd(0)))
+    _encode_records((records.Metadata(UNFINISHED_METADATA_NAME, {}), records.DataEnd(0)))
     + struct.pack("<BQQQI", Opcode.FOOTER, 8 + 8 + 4, 0, 0, 0)
     + MAGIC
 )

@@ -170,27 +170,27 @@ def rows_to_dataset(
             variables[quantity.name] = (("time", quantity.dim), block, attrs)
     variables["mission_state"] = ("time", np.array(states, dtype=str), {"long_name": "state of the mission"})
     coordinates = _make_coordinates(np.concatenate([part[:, 0] for part in blocks]), layout)
-    return xr.Dataset(variables | event_variables(events), coordinates, dict(attributes or {}))
+    return xr.Dataset(variables | make_event_variables(events), coordinates, dict(attributes or {}))
 
 
 def _make_coordinates(time_s: NDArray[np.float64], layout: RecordingLayout) -> xr.Coordinates:
     """Return the time and the labels of all dimensions of a layout, with their indexes."""
     time = {"time": xr.Variable("time", time_s, _TIME_ATTRIBUTES)}
     index = xr.indexes.PandasIndex.from_variables(time, options={})
-    labels = _label_coordinates(layout)
+    labels = _make_label_coordinates(layout)
     return xr.Coordinates(
         {**index.create_variables(time), **labels.variables}, indexes={"time": index, **labels.xindexes}
     )
 
 
 @lru_cache(maxsize=32)
-def _label_coordinates(layout: RecordingLayout) -> xr.Coordinates:
+def _make_label_coordinates(layout: RecordingLayout) -> xr.Coordinates:
     """Return the labels of all dimensions, cached because indexes of text are slow to make."""
     labels = {q.dim: list(layout.component_labels(q)) for q in layout.quantities if q.dim is not None}
     return xr.Dataset(coords=labels).coords
 
 
-def event_variables(events: Sequence[FlightEvent]) -> dict[str, Any]:
+def make_event_variables(events: Sequence[FlightEvent]) -> dict[str, Any]:
     """Return the variables of a dataset for events, over the dimension ``event``."""
     parts = zip(*events, strict=True) if events else [()] * len(_EVENT_VARIABLES)
     return {name: _event_variable(name, values) for name, values in zip(_EVENT_VARIABLES, parts, strict=True)}

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.rotations import body_to_ned_matrices, euler_from_measured_quaternion, quaternions_from_euler
+from mufly.rotations import body_to_ned_matrices, euler_from_unnormalised_quaternion, quaternions_from_euler
 
 _Array = NDArray[np.float64]
 Blocks = Mapping[str, _Array]
@@ -34,7 +34,7 @@ Columns = dict[str, Any]
 """Messages of a topic as columns."""
 
 MAP_FRAME, BODY_FRAME = "map", "base_link"
-_TO_FLU = np.array([1.0, -1.0, -1.0])
+_FRD_TO_FLU_SIGNS = np.array([1.0, -1.0, -1.0])
 _RANGE_TYPE_ULTRASOUND, _BATTERY_STATUS_DISCHARGING, _BATTERY_TYPE_LITHIUM_POLYMER = (
     0,
     2,
@@ -102,7 +102,7 @@ def ned_to_enu(values: _Array) -> _Array:
 
 def body_to_flu(values: _Array) -> _Array:
     """Convert vectors (n, 3) from body axes forward-right-down to forward-left-up; the function is its own inverse."""
-    return values * _TO_FLU
+    return values * _FRD_TO_FLU_SIGNS
 
 
 def attitude_to_ros(attitude: _Array) -> _Array:
@@ -151,7 +151,7 @@ def _make_odometry_encoder(prefix: str) -> Callable[[Blocks, RangeSensorGeometry
             for n in ("position", "velocity", "attitude", "rates")
         }
         turn = body_to_ned_matrices(np.nan_to_num(attitude, nan=0.0))
-        to_base = _TO_FLU[:, None] * turn.transpose(0, 2, 1)  # N-E-D to base_link
+        to_base = _FRD_TO_FLU_SIGNS[:, None] * turn.transpose(0, 2, 1)  # N-E-D to base_link
         twist = np.zeros((len(position), 6, 6))
         twist[:, :3, :3] = (to_base * (sigma["velocity"] ** 2)[:, None, :]) @ to_base.transpose(0, 2, 1)
         twist[:, range(3, 6), range(3, 6)] = sigma["rates"] ** 2
@@ -385,7 +385,7 @@ def rows_with_data(topic: RosTopic, blocks: Blocks) -> NDArray[np.int64]:
     return np.flatnonzero(there)
 
 
-def stamp_times_ns(topic: RosTopic, blocks: Blocks, time_s: _Array, start_ns: int) -> NDArray[np.int64]:
+def compute_stamp_times_ns(topic: RosTopic, blocks: Blocks, time_s: _Array, start_ns: int) -> NDArray[np.int64]:
     """Return the stamps of rows (ns since 1970): the time of measurement where it is known, else that of the row."""
     when = blocks[topic.time_signal][:, 0] if topic.time_signal in blocks else time_s
     return np.rint(np.where(np.isfinite(when), when, time_s) * NANOSECONDS_PER_SECOND).astype(np.int64) + start_ns
@@ -431,7 +431,7 @@ def _decode_attitude(fields: Fields, stem: str) -> _Array | None:
     quaternion = _stack_field_columns(fields, stem, "wxyz")
     if quaternion is None:
         return None
-    attitude = attitude_to_ros(euler_from_measured_quaternion(quaternion))
+    attitude = attitude_to_ros(euler_from_unnormalised_quaternion(quaternion))
     attitude[:, 2] = np.remainder(attitude[:, 2] + math.pi, 2.0 * math.pi) - math.pi
     return attitude
 
@@ -465,7 +465,7 @@ def _decode_odometry(fields: Fields, prefix: str) -> dict[str, _Array | None]:
         f"{prefix}_rates_sigma": _standard_deviation(_decode_covariance(fields, "twist.covariance", 3)),
     }
     if attitude is not None and speed is not None:
-        to_ned = body_to_ned_matrices(attitude) * _TO_FLU
+        to_ned = body_to_ned_matrices(attitude) * _FRD_TO_FLU_SIGNS
         out[f"{prefix}_velocity"] = np.einsum("nij,nj->ni", to_ned, speed)
         covariance = _decode_covariance(fields, "twist.covariance", 0)
         if covariance is not None:

@@ -35,12 +35,12 @@ from mufly.logs.ros.ros_messages import (
     STATE_TOPIC,
     STATE_TYPE,
     RangeSensorGeometry,
+    compute_stamp_times_ns,
     decode_fields,
     extract_row_message,
     rows_with_data,
     select_topics,
     stamp_message,
-    stamp_times_ns,
 )
 from mufly.quantities.quantity_table import find_quantity
 
@@ -50,7 +50,7 @@ METADATA_FILE = "metadata.yaml"
 _BAG_VERSION = 8  # rosbag2 of Iron, read by every later release
 _CUSTOM_DATA_KEY = "mufly"
 _BLOCK_ROWS = 1000
-_MAX_LIST_LENGTH = 64  # a longer list is a picture or a point cloud
+_MAX_SIGNAL_LIST_LENGTH = 64  # a longer list is a picture or a point cloud
 _NODE_TYPE_BASE, _NODE_TYPE_NAME, _NODE_TYPE_ARRAY = 1, 2, 3  # kinds of fields in the type system of rosbags
 
 
@@ -196,7 +196,7 @@ def _iterate_messages(
             index = rows_with_data(topic, part)
             mine = {name: block[index] for name, block in part.items()}
             columns = topic.encode(mine, limits)
-            stamps = stamp_times_ns(topic, mine, time[rows][index], start_ns)
+            stamps = compute_stamp_times_ns(topic, mine, time[rows][index], start_ns)
             for k, (row, stamp) in enumerate(zip(index.tolist(), stamps.tolist(), strict=True)):
                 content = extract_row_message(columns, k)
                 stamp_message(content, stamp)
@@ -259,7 +259,7 @@ def read_rosbag2(path: str | Path) -> RawLog:
                     unread[topic] = connection.msgtype
                     continue
                 kinds[topic] = connection.msgtype
-                times.setdefault(topic, []).append(_stamp_ns(message) or arrival_ns)
+                times.setdefault(topic, []).append(_read_header_stamp_ns(message) or arrival_ns)
                 found.setdefault(topic, []).append(message)
     except Exception as error:  # the library raises its own errors, and those of YAML, SQLite and MCAP
         if isinstance(error, InputError):
@@ -272,7 +272,7 @@ def read_rosbag2(path: str | Path) -> RawLog:
     zero = int(attributes.get("start_time_ns", 0)) if attributes else min(min(t) for t in times.values())
     ours, tables = attributes is not None, {}
     for topic, messages in found.items():
-        fields = dict(_iterate_columns(messages))
+        fields = dict(_iterate_message_fields(messages))
         time = (np.array(times[topic], dtype=np.int64) - zero) / NANOSECONDS_PER_SECOND
         units: dict[str, str] = {}
         for name, values in decode_fields(topic, kinds[topic], fields, ours=ours).items():
@@ -327,27 +327,27 @@ def _read_custom_data(path: Path) -> dict[str, Any] | None:
     return None
 
 
-def _stamp_ns(message: Any) -> int:
+def _read_header_stamp_ns(message: Any) -> int:
     """Return the stamp of a message's header (ns); 0 without one."""
     header = getattr(message, "header", message)
     stamp = getattr(header, "stamp", None)
     return 0 if stamp is None else int(stamp.sec) * NANOSECONDS_PER_SECOND + int(stamp.nanosec)
 
 
-def _iterate_columns(values: list[Any], name: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
+def _iterate_message_fields(values: list[Any], name: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
     """Yield the fields of messages of one type by name, each (n,); NaN where a list is shorter than the longest."""
     first = values[0]
     if dataclasses.is_dataclass(first):
         for field in dataclasses.fields(first):
             inner = f"{name}.{field.name}" if name else field.name
-            yield from _iterate_columns([getattr(v, field.name) for v in values], inner)
+            yield from _iterate_message_fields([getattr(v, field.name) for v in values], inner)
     elif isinstance(first, np.ndarray | list):
         count = max(map(len, values))
-        if count > _MAX_LIST_LENGTH:
+        if count > _MAX_SIGNAL_LIST_LENGTH:
             return
         for k in range(count):
             there = [j for j, v in enumerate(values) if len(v) > k]
-            for part, column in _iterate_columns([values[j][k] for j in there], f"{name}[{k}]"):
+            for part, column in _iterate_message_fields([values[j][k] for j in there], f"{name}[{k}]"):
                 if len(there) < len(values):
                     text = column.dtype.kind == "U"
                     whole: NDArray[Any] = np.full(len(values), "" if text else np.nan, column.dtype if text else float)

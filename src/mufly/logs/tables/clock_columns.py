@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.logs.column_map import TimeEntry
-from mufly.logs.raw_log import MIN_GAP_STEPS, find_foreign_stamps
+from mufly.logs.raw_log import MIN_GAP_STEPS, find_foreign_epoch_stamps
 from mufly.quantities.units import normalise_unit, split_header, unit_conversion
 
 _Array = NDArray[np.float64]
@@ -271,7 +271,7 @@ def _add_midnight_days(ns: NDArray[np.int64], valid: NDArray[np.bool_]) -> NDArr
 def _clock_from_stamps(
     name: str, ns: NDArray[np.int64], valid: NDArray[np.bool_], words: list[str]
 ) -> tuple[_Array, str, list[str]]:
-    foreign, strange = find_foreign_stamps({f"column {name}": np.where(valid, ns / 1e9, np.nan)})
+    foreign, strange = find_foreign_epoch_stamps({f"column {name}": np.where(valid, ns / 1e9, np.nan)})
     valid = valid & ~foreign[f"column {name}"]
     if not valid.any():
         return np.full(len(ns), np.nan), "", [*words, *strange]
@@ -308,7 +308,7 @@ def _clock_from_numbers(
 
     time = counts_to_seconds(values)
     shift = base * factor + epoch_s
-    foreign, strange = find_foreign_stamps({f"column {name}": time + shift})
+    foreign, strange = find_foreign_epoch_stamps({f"column {name}": time + shift})
     said += strange
     time, values = (np.where(foreign[f"column {name}"], np.nan, v) for v in (time, values))
     if not np.isfinite(time).any():

@@ -135,7 +135,7 @@ def describe_path_fence_violation(fence: Fence | None, here: ArrayLike, place: A
     return f"the path leads {fault}" if fault else ""
 
 
-def check_fence(mission: Mission, where: str) -> None:
+def check_mission_inside_fence(mission: Mission, where: str) -> None:
     """Check that a mission stays inside its own fence.
 
     Raises

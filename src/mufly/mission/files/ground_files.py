@@ -38,10 +38,10 @@ from mufly.mission.files.mission_items import (
 )
 from mufly.mission.files.mission_schema import Mission
 
-FILE_ENDINGS = (".toml", ".plan", ".waypoints", ".txt")
+MISSION_FILE_ENDINGS = (".toml", ".plan", ".waypoints", ".txt")
 """Endings of readable mission files."""
 
-GROUND_STATION_FILE_DESCRIPTION = "from a ground station's file"
+GROUND_STATION_DESCRIPTION_PREFIX = "from a ground station's file"
 """Prefix of the description of a mission from a ground station's file."""
 
 _WAYPOINT_FILE_HEADER = "QGC WPL"
@@ -110,7 +110,7 @@ def parse_ground_station_text(text: str, where: str) -> dict[str, Any]:
         fence = fence_from_items(found.fence_items, None, home)
     except MissionRefusedError as refusal:
         raise InputError(where, "geoFence", refusal.why, _EDIT_PLAN_REMEDY) from None
-    tables: dict[str, Any] = plan.mission.with_parts(fence=fence).model_dump(exclude_none=True)
+    tables: dict[str, Any] = plan.mission.replace_parts(fence=fence).model_dump(exclude_none=True)
     kept = {key: tables[key] for key in _IMPORTED_TABLES if key in tables}
     return {"description": _describe_mission(found, home), **kept}
 
@@ -123,7 +123,7 @@ def _refusal_remedy(refusal: MissionRefusedError, found: GroundStationFile) -> s
 
 
 def _describe_mission(found: GroundStationFile, home: GlobalOrigin | None) -> str:
-    words = [GROUND_STATION_FILE_DESCRIPTION]
+    words = [GROUND_STATION_DESCRIPTION_PREFIX]
     if any(has_global_position(item) for item in found.items) and home is not None:
         of = "its planned home" if found.home is not None else "its first waypoint"
         words.append(f"metres from {of}, {home.lat_deg:.7g}, {home.lon_deg:.7g}")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
 from mufly.files.input_files import builtin_file_names, format_toml_value, read_toml, validate_model
-from mufly.mission.files.geofence import check_fence
+from mufly.mission.files.geofence import check_mission_inside_fence
 from mufly.mission.files.ground_files import is_ground_station_text, parse_ground_station_text
 from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M, Mission, limits_to_file_units
 from mufly.mission.files.mission_timing import (
@@ -34,7 +34,7 @@ from mufly.mission.machine.mission_state import prepare_plan
 from mufly.mission.trajectory import Trajectory, TrajectoryLimits
 from mufly.results import result
 from mufly.vehicle import Vehicle
-from mufly.world import World, obstacle_distance, obstacle_distances
+from mufly.world import World, compute_obstacle_distances, find_nearest_obstacle
 
 WAYPOINT_MARGIN_M = 0.1
 """Margin of waypoints from obstacles beyond the clearance (m), so that a detour can still reach them."""
@@ -75,7 +75,7 @@ def check_geometry(mission: Mission, where: str) -> None:
                 f"[{n:g}, {e:g}, {d:g}] is {what}",
                 f"D counts downward: give a D of at most {-MIN_WAYPOINT_HEIGHT_M:g}",
             )
-        least, name = obstacle_distance(world, waypoint.position_m)
+        least, name = find_nearest_obstacle(world, waypoint.position_m)
         if least < clear + WAYPOINT_MARGIN_M:
             raise InputError(
                 where,
@@ -109,7 +109,7 @@ def check_geometry(mission: Mission, where: str) -> None:
         if has_obstacles:
             _check_paths_over_and_under_obstacles(mission, where, last, _sample_leg_positions(back))
     _check_vertical_path(mission, where, last, end, _VERTICAL_PATH_START_DOWN_M, "the landing")
-    check_fence(mission, where)
+    check_mission_inside_fence(mission, where)
 
 
 def _sample_leg_positions(way: Trajectory) -> NDArray[np.float64]:
@@ -130,7 +130,7 @@ def _check_vertical_path(
     count = max(2, math.ceil(abs(to - position[2]) / 0.05) + 1)
     column = np.tile(position, (count, 1))
     column[:, 2] = np.linspace(position[2], to, count)
-    least, which = obstacle_distances(mission.world, column)
+    least, which = compute_obstacle_distances(mission.world, column)
     k = int(np.argmin(least))
     if least[k] < mission.avoidance.clearance_m:
         n, e, d = column[k]
@@ -154,7 +154,7 @@ def _check_paths_over_and_under_obstacles(mission: Mission, where: str, key: str
             if k < len(world.boxes)
             else World((), (world.cylinders[k - len(world.boxes)],))
         )
-        near = obstacle_distances(one, track)[0] < clear
+        near = compute_obstacle_distances(one, track)[0] < clear
         missed = near & ((track[:, 2] < top + _BEAM_HIT_MARGIN_M) | (track[:, 2] > foot - _BEAM_HIT_MARGIN_M))
         if missed.any():
             height = -track[missed][0, 2]
@@ -311,14 +311,14 @@ def load_mission(name_or_path: str | Path) -> Mission:
     if name not in list_builtin_missions() and Path(name).is_file():
         try:
             tables = read_mission_tables(Path(name).read_text(encoding="utf-8-sig"), name)
-            return parse_mission(_resolve_floor_picture(tables, name), name)
+            return parse_mission(_resolve_floor_picture_path(tables, name), name)
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(name, "", f"cannot be read ({error})", "give a text file in UTF-8") from error
     tables, where = read_toml(name_or_path, _BUILTIN_FOLDER, "mission")
-    return parse_mission({"name": Path(where).stem, **_resolve_floor_picture(tables, where)}, where)
+    return parse_mission({"name": Path(where).stem, **_resolve_floor_picture_path(tables, where)}, where)
 
 
-def _resolve_floor_picture(tables: dict[str, Any], where: str) -> dict[str, Any]:
+def _resolve_floor_picture_path(tables: dict[str, Any], where: str) -> dict[str, Any]:
     """Return the tables with the path of a floor's picture, which is relative to the mission file."""
     floor = tables.get("floor")
     if not isinstance(floor, dict) or not isinstance(texture := floor.get("texture"), str):
@@ -410,7 +410,8 @@ def check_preflight(
     vehicle_file, mission_file : str
         Names for error messages; the names of vehicle and mission by default.
     able : TrajectoryLimits, optional
-        Limits of the vehicle's controllers (:func:`mufly.flight.controller_limits`): the mission is flown no faster.
+        Limits of the vehicle's controllers (:func:`mufly.flight.derive_trajectory_limits`): the mission is flown no
+        faster.
 
     Returns
     -------
@@ -482,4 +483,4 @@ def reduce_mission_limits(mission: Mission, able: TrajectoryLimits) -> tuple[Mis
     waypoints = tuple(
         w.model_copy(update={"speed_m_s": most}) if k in hasty else w for k, w in enumerate(mission.waypoint)
     )
-    return mission.with_parts(limits=limits, waypoint=waypoints), ", ".join(words)
+    return mission.replace_parts(limits=limits, waypoint=waypoints), ", ".join(words)

@@ -222,7 +222,7 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
         if item.command == MissionCommand.NAV_TAKEOFF:
             if waypoints:
                 raise _make_refusal(item, MissionResultCode.INVALID_SEQUENCE, "a take-off comes before all waypoints")
-            take_off = _make_mission_table(
+            take_off = _make_table_or_refuse(
                 item, TakeOff, height_m=-_read_flight_down_m(item, origin), wait_s=base.take_off.wait_s
             )
         elif item.command in (
@@ -242,7 +242,7 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
             longer = w.wait_s + _read_wait_s(item)
             waypoints[-1] = _make_waypoint(item, w.position_m, longer, w.heading_deg, w.speed_m_s)
         elif item.command == MissionCommand.NAV_DELAY:
-            take_off = _make_mission_table(
+            take_off = _make_table_or_refuse(
                 item, TakeOff, height_m=take_off.height_m, wait_s=take_off.wait_s + _read_wait_s(item)
             )
         elif item.command == MissionCommand.DO_CHANGE_SPEED:
@@ -376,7 +376,7 @@ def _to_tenth_mm(metres: float) -> int:
     return round(metres * 1e4)
 
 
-def _make_mission_table(item: MissionItem, table: type, **values: Any) -> Any:
+def _make_table_or_refuse(item: MissionItem, table: type, **values: Any) -> Any:
     """Return an instance of ``table``, a class of the mission schema; refuse the item if a value is out of bounds."""
     try:
         return table(**values)
@@ -395,7 +395,7 @@ def _make_mission_table(item: MissionItem, table: type, **values: Any) -> Any:
 def _make_waypoint(
     item: MissionItem, place: Triple, wait_s: float, heading: float | None, speed: float | None
 ) -> Waypoint:
-    made: Waypoint = _make_mission_table(
+    made: Waypoint = _make_table_or_refuse(
         item, Waypoint, position_m=place, wait_s=wait_s, heading_deg=heading, speed_m_s=speed
     )
     return made

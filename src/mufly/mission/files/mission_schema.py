@@ -285,7 +285,7 @@ class Mission(_MissionTable):
 
     __str__ = __repr__
 
-    def with_parts(self, **parts: Any) -> Mission:
+    def replace_parts(self, **parts: Any) -> Mission:
         """Return the mission with some parts replaced; it is checked and derives its values anew."""
         return Mission(**{**{name: getattr(self, name) for name in Mission.model_fields}, **parts})
 
@@ -385,10 +385,10 @@ def plan_leg_trajectory(
     limits = mission.leg_limits(index)
     if mission.path.kind == "straight":
         return plan_straight(start, goal, heading, limits, final_heading=final, nose_offset=nose_offset)
-    before = np.array(mission.waypoint[index - 1].position_m) if index else take_off_position(mission)
+    before = np.array(mission.waypoint[index - 1].position_m) if index else position_after_take_off(mission)
     # Chord directions through the neighbours (Catmull-Rom) give a curve without kinks at waypoints.
     after = np.array(mission.waypoint[index + 1].position_m) if index + 1 < len(mission.waypoint) else goal
-    further = np.array(mission.waypoint[index - 2].position_m) if index > 1 else take_off_position(mission)
+    further = np.array(mission.waypoint[index - 2].position_m) if index > 1 else position_after_take_off(mission)
     leaving = goal - further if index else goal - before
     way = plan_pending_curve(
         start, goal, leaving, after - before, heading, limits, final_heading=final, nose_offset=nose_offset
@@ -396,6 +396,6 @@ def plan_leg_trajectory(
     return way.finish_curve() if made else way
 
 
-def take_off_position(mission: Mission) -> NDArray[np.float64]:
+def position_after_take_off(mission: Mission) -> NDArray[np.float64]:
     """Return the position at the end of the take-off, N, E, D (m)."""
     return np.array([*mission.start_m, -mission.take_off.height_m])

@@ -27,10 +27,10 @@ from mufly.mission.files.mission_schema import (
     SLOW_LANDING_HEIGHT_M,
     Mission,
     plan_leg_trajectory,
-    take_off_position,
+    position_after_take_off,
 )
 from mufly.mission.trajectory import Trajectory, TrajectoryLimits, make_motion_profile, plan_straight
-from mufly.world import Box, Cylinder, World, obstacle_distances
+from mufly.world import Box, Cylinder, World, compute_obstacle_distances
 
 SETTLE_TIME_S = 0.25
 """Mean time from the end of a leg's reference until the waypoint counts as reached (s)."""
@@ -44,7 +44,7 @@ ROTOR_RUN_DOWN_TIME_S = 1.0
 DESCENT_LAG_S = 0.15
 """Time constant of changes of the descent rate in a landing (s)."""
 
-_TOUCHDOWN_HEIGHT_M, _INTEGRATION_STEP_S = 0.03, 0.02
+_TOUCHDOWN_DEPTH_M, _INTEGRATION_STEP_S = 0.03, 0.02
 _ARC_POINT_COUNT = 12
 
 _Array = NDArray[np.float64]
@@ -103,7 +103,7 @@ def compute_mission_timing(mission: Mission) -> MissionTiming:
     """
     plan = plan_legs(mission)
     up_s = compute_take_off_time(mission)
-    here, heading = take_off_position(mission), math.radians(mission.start_heading_deg)
+    here, heading = position_after_take_off(mission), math.radians(mission.start_heading_deg)
     left_s, path_m = up_s, mission.take_off.height_m
     if plan:
         here, left_s = np.array(mission.waypoint[-1].position_m), plan[-1].wait_end_s
@@ -111,7 +111,7 @@ def compute_mission_timing(mission: Mission) -> MissionTiming:
         path_m += sum(leg.length_m for leg in plan)
     back = plan_return_leg(mission, heading)
     if back is not None:
-        took, length = _compute_leg_time(mission, back, mission.trajectory_limits, len(plan))
+        took, length = _compute_leg_time_and_length(mission, back, mission.trajectory_limits, len(plan))
         left_s, path_m = left_s + took, path_m + length
     height = -float(here[2])
     landed_s = left_s + compute_landing_time(height, mission)
@@ -126,12 +126,12 @@ def compute_take_off_time(mission: Mission) -> float:
 
 def plan_legs(mission: Mission) -> list[PlannedLeg]:
     """Return the planned legs, one per waypoint, with their times."""
-    position, heading = take_off_position(mission), math.radians(mission.start_heading_deg)
+    position, heading = position_after_take_off(mission), math.radians(mission.start_heading_deg)
     time = compute_take_off_time(mission) + mission.take_off.wait_s
     plan = []
     for i, waypoint in enumerate(mission.waypoint):
         way = plan_leg_trajectory(mission, i, position, heading)
-        took, length = _compute_leg_time(mission, way, mission.leg_limits(i), i)
+        took, length = _compute_leg_time_and_length(mission, way, mission.leg_limits(i), i)
         reached = time + took
         time = reached + waypoint.wait_s
         plan.append(PlannedLeg(i + 1, way, length, reached, time))
@@ -168,16 +168,16 @@ def compute_landing_time(height: float, mission: Mission) -> float:
     The landing law is that of :func:`mufly.mission.machine.ground_phases.step_landing`.
     """
     q = mission.limits
-    return _integrate_landing(float(height), q.climb_acceleration_m_s2, q.descent_m_s, q.touchdown_m_s)
+    return _integrate_landing_time(float(height), q.climb_acceleration_m_s2, q.descent_m_s, q.touchdown_m_s)
 
 
 @lru_cache(maxsize=1024)  # the checks before every flight of a campaign ask for the same landings
-def _integrate_landing(height: float, a: float, steady: float, touchdown: float) -> float:
+def _integrate_landing_time(height: float, a: float, steady: float, touchdown: float) -> float:
     # The phase of constant descent rate is skipped analytically.
     slow = SLOW_LANDING_HEIGHT_M + (steady * steady - touchdown * touchdown) / a
     skipped = max(0.0, height - slow - 4.0 * steady)
     above, speed, rate, time = height - skipped, 0.0, 0.0, skipped / steady
-    while above > -_TOUCHDOWN_HEIGHT_M:
+    while above > -_TOUCHDOWN_DEPTH_M:
         wanted = compute_landing_rate(above, steady, touchdown, a)
         ask = min(max((wanted - speed) / DESCENT_LAG_S, -a), a)
         rate += (ask - rate) * min(1.0, _INTEGRATION_STEP_S / 0.1)
@@ -195,7 +195,9 @@ def compute_time_to_land_at(mission: Mission, here: ArrayLike, place: ArrayLike)
     return way.duration_s + compute_landing_time(max(-float(b[2]), 0.0), mission)
 
 
-def _compute_leg_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits, number: int) -> tuple[float, float]:
+def _compute_leg_time_and_length(
+    mission: Mission, way: Trajectory, limits: TrajectoryLimits, number: int
+) -> tuple[float, float]:
     """Return duration (s) and length (m) of leg ``number`` (from 0).
 
     The duration includes scanning for obstacles, detours around them, and settling at the waypoint.
@@ -255,7 +257,7 @@ def _find_first_obstacle(world: World, at: _Array, goal: _Array, clear: float) -
     line = at + np.linspace(0.0, 1.0, count)[:, None] * (goal - at)
     met: tuple[int, int] | None = None
     for k in range(len(world.boxes) + len(world.cylinders)):
-        away, _ = obstacle_distances(_world_with_one_obstacle(world, k), line)
+        away, _ = compute_obstacle_distances(_world_with_one_obstacle(world, k), line)
         if float(away.min()) >= clear + BLOCKED_PATH_MARGIN_M:
             continue
         first = int(np.argmax(away < clear + FOLLOW_CONTOUR_MARGIN_M))
@@ -294,7 +296,7 @@ def _measure_contour_detour(world: World, k: int, entry: _Array, goal: _Array, c
             spot = outline[(first + step * j) % len(outline)]
             length, here = length + _distance_between(spot, here), spot
             place = np.array([*here, goal[2]])
-            away, _ = obstacle_distances(alone, place + share * (goal - place))
+            away, _ = compute_obstacle_distances(alone, place + share * (goal - place))
             if float(away.min()) >= clear + LEAVE_CONTOUR_MARGIN_M:
                 break
         place = np.array([*here, goal[2]])

@@ -13,7 +13,7 @@ from mufly.estimate import Estimate, compute_standing_tilt
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
 from mufly.mission.files.mission_schema import ROTOR_SPIN_UP_TIME_S
 from mufly.mission.files.mission_timing import DESCENT_LAG_S, ROTOR_RUN_DOWN_TIME_S, compute_landing_rate
-from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.log_messages import LogTemplate
 from mufly.mission.machine.mission_reference import current_reference, predict_step_end_reference
 from mufly.mission.machine.mission_state import MissionPlan, MissionState, State, enter_state, fail_mission, log_event
 from mufly.mission.machine.offboard import DRIFTING_DESCENT_RATE_M_S
@@ -31,7 +31,7 @@ _STANDING_HEIGHT_M, _PRESS_DOWN_DEPTH_M, _PRESS_DOWN_DURATION_S = (
     0.03,
     0.05,
 )  # standing on the floor by the estimate: height, reference below it, duration
-_MAX_HEIGHT_DEVIATION_M = 0.05  # largest height deviation for this test
+_MAX_HEIGHT_SIGMA_M = 0.05  # largest height deviation for this test
 HARD_TOUCHDOWN_M_S = 0.3
 """Speed above which a touchdown counts as hard (m/s): a fifth above the greatest touchdown speed of missions."""
 LIFT_OFF_HEIGHT_M, TIPPING_RATE_RAD_S = 0.02, 0.15
@@ -72,8 +72,8 @@ def start_landing(s: MissionState, why: str, *, level: str = "info") -> MissionS
 
 def _log_touchdown(s: MissionState) -> MissionState:
     if s.touchdown_speed <= HARD_TOUCHDOWN_M_S:
-        return log_event(s, LogMessage.TOUCHDOWN())
-    return log_event(s, LogMessage.HARD_TOUCHDOWN(s.touchdown_speed, HARD_TOUCHDOWN_M_S), level="warning")
+        return log_event(s, LogTemplate.TOUCHDOWN())
+    return log_event(s, LogTemplate.HARD_TOUCHDOWN(s.touchdown_speed, HARD_TOUCHDOWN_M_S), level="warning")
 
 
 def _judge_outcome(s: MissionState) -> MissionState:
@@ -85,7 +85,7 @@ def _judge_outcome(s: MissionState) -> MissionState:
     return replace(
         s,
         outcome="succeeded",
-        reason=(LogMessage.MISSION_COMPLETE if s.mission_begun else LogMessage.LANDED)(),
+        reason=(LogTemplate.MISSION_COMPLETE if s.mission_begun else LogTemplate.LANDED)(),
     )
 
 
@@ -100,7 +100,7 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
     if s.motors == "ramp_down":
         if s.motion_clock_s < ROTOR_RUN_DOWN_TIME_S:
             return s
-        return enter_state(_judge_outcome(s), State.INIT, LogMessage.LANDED(), motors="off", finished=True)
+        return enter_state(_judge_outcome(s), State.INIT, LogTemplate.LANDED(), motors="off", finished=True)
     q = plan.mission.limits
     a = q.climb_acceleration_m_s2
     above = s.home_position[2] - s.hold_position[2]
@@ -121,7 +121,7 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
     stands = (
         stands
         and depth > m.position[2] + _PRESS_DOWN_DEPTH_M
-        and bool(m.covariance[2, 2] < _MAX_HEIGHT_DEVIATION_M * _MAX_HEIGHT_DEVIATION_M)
+        and bool(m.covariance[2, 2] < _MAX_HEIGHT_SIGMA_M * _MAX_HEIGHT_SIGMA_M)
     )
     still = s.rest_duration_s + dt if stands or (lying and abs(m.velocity[2]) < 0.05) else 0.0
     near = m.position[2] > s.home_position[2] - _NEAR_FLOOR_HEIGHT_M
@@ -157,7 +157,7 @@ def fail_and_land(s: MissionState, why: str) -> MissionState:
 def finish_blind_descent(s: MissionState, time_s: float) -> MissionState:
     """End the flight after the descent without measurements: motors off, mission finished."""
     s = replace(s, time_s=time_s)
-    return enter_state(s, State.INIT, LogMessage.MOTORS_OFF_AFTER_DESCENT(), motors="off", finished=True)
+    return enter_state(s, State.INIT, LogTemplate.MOTORS_OFF_AFTER_DESCENT(), motors="off", finished=True)
 
 
 def measured_position(m: Estimate) -> Triple:
@@ -179,14 +179,14 @@ def is_tipping(m: Estimate) -> bool:
 def describe_start_fault(m: Estimate) -> str:
     """Return the reason why the motors may not be started with this estimate; "" if they may."""
     if not m.valid:
-        return LogMessage.ESTIMATE_NOT_VALID()
+        return LogTemplate.ESTIMATE_NOT_VALID()
     tilt = compute_standing_tilt(m)
-    return "" if tilt <= _MAX_START_TILT_RAD else LogMessage.STANDS_TILTED(math.degrees(tilt), MAX_START_TILT_DEG)
+    return "" if tilt <= _MAX_START_TILT_RAD else LogTemplate.STANDS_TILTED(math.degrees(tilt), MAX_START_TILT_DEG)
 
 
 def log_start_refusal(s: MissionState, why: str) -> MissionState:
     """Log the refusal of a start, once for each reason."""
-    head = LogMessage.STANDS_TILTED.value.partition("{")[0]
+    head = LogTemplate.STANDS_TILTED.value.partition("{")[0]
     last = s.events[-1].text
     return s if last == why or (last.startswith(head) and why.startswith(head)) else log_event(s, why, level="warning")
 

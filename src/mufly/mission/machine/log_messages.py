@@ -10,7 +10,7 @@ from enum import Enum, unique
 
 
 @unique
-class LogMessage(Enum):
+class LogTemplate(Enum):
     """Templates of log messages; calling one with numbers formats it."""
 
     NO_MESSAGE = ""

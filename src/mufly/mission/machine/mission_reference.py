@@ -66,7 +66,7 @@ def is_scanning(plan: MissionPlan, s: MissionState) -> bool:
     return s.state is State.OBSTACLE or (plan.scans_with_nose and s.state is State.WAYPOINT and has_departed(s))
 
 
-def scan_yaw(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
+def compute_scan_yaw(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
     """Return angle (rad) and rate (rad/s) of the yaw oscillation that scans for obstacles.
 
     The amplitude is half the angle between two beams. It rises over the first second of a scan and falls over a second
@@ -104,7 +104,7 @@ def make_reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) 
     if s.state is State.INIT:
         return Reference(m.position.copy(), np.zeros(3), np.zeros(3), float(m.attitude[2]), 0.0, s.motors)
     at = current_reference(s)
-    angle, rate = scan_yaw(plan, s)
+    angle, rate = compute_scan_yaw(plan, s)
     return Reference(
         np.array(at.position),
         np.array(at.velocity),

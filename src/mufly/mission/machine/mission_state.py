@@ -16,7 +16,7 @@ from mufly.logs.mcap import FlightEvent
 from mufly.mission.avoidance import EMPTY_PATH_CHECK, BeamRing, ObstacleMap, PathCheck, make_beam_ring
 from mufly.mission.detour import Detour
 from mufly.mission.files.mission_schema import Mission
-from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.log_messages import LogTemplate
 from mufly.mission.machine.offboard import SetPoint
 from mufly.mission.trajectory import BrakingMotion, Trajectory, TrajectoryLimits, TrajectoryPoint, Triple
 from mufly.vehicle import Vehicle
@@ -362,6 +362,6 @@ def initial_mission_state(plan: MissionPlan, estimate: Estimate) -> MissionState
         home_position=(n, e, d),
         hold_heading=float(estimate.attitude[2]),
         battery_V=float(estimate.battery_voltage),
-        events=(FlightEvent(estimate.time_s, str(State.INIT), LogMessage.READY_FOR_MISSION(plan.mission.name)),),
+        events=(FlightEvent(estimate.time_s, str(State.INIT), LogTemplate.READY_FOR_MISSION(plan.mission.name)),),
         logged_event_count=1,
     )

@@ -40,7 +40,7 @@ TRACKER_BANDWIDTH_RAD_S = 3.0
 """b (rad/s): half the position loop's bandwidth, so that the loop does not lag at the end of braking."""
 
 _MAX_TIME_STEP_S = 0.02
-_MAX_TRACKING_ERROR_M = 0.5
+_SLOWING_TRACKING_ERROR_M = 0.5
 _ACCELERATION_LAG_S = 0.08
 _MAX_POSITION_M, _MAX_SPEED_M_S, _MAX_YAW_RATE_RAD_S = 1e4, 50.0, 50.0
 
@@ -125,7 +125,7 @@ def _step_set_point_reference(
     target, given = wanted.position_m or _NAN_VECTOR, wanted.velocity_m_s or _NAN_VECTOR
     (n, e, d), (vn, ve, vd) = t.position, t.velocity
     trails = vector_length(n - measured[0], e - measured[1], d - measured[2])
-    share = min(1.0, max(0.0, 2.0 - trails / _MAX_TRACKING_ERROR_M))
+    share = min(1.0, max(0.0, 2.0 - trails / _SLOWING_TRACKING_ERROR_M))
 
     gn, ge = _distance_to_target(target[0], n), _distance_to_target(target[1], e)
     gap = vector_length(gn, ge)

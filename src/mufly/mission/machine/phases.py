@@ -19,7 +19,7 @@ from mufly.mission.avoidance import is_path_blocked, limit_approach_velocity
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2, begin_detour, follow_contour
 from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M, plan_leg_trajectory
 from mufly.mission.machine.ground_phases import has_spun_up, measured_position, reset_mission, start_landing
-from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.log_messages import LogTemplate
 from mufly.mission.machine.mission_reference import current_reference, has_departed, predict_step_end_reference
 from mufly.mission.machine.mission_state import (
     MissionPlan,
@@ -63,7 +63,7 @@ def start_flight(
     up = plan.mission.take_off.height_m if height is None else height
     goal = (x[0], x[1], -up)
     motion = plan_straight(x, goal, fresh.hold_heading, plan.trajectory_limits)
-    why = LogMessage.START_SIGNAL() if height is None else LogMessage.TAKE_OFF_SIGNAL(up)
+    why = LogTemplate.START_SIGNAL() if height is None else LogTemplate.TAKE_OFF_SIGNAL(up)
     return enter_state(fresh, State.TAKE_OFF, why, motors="spin_up", goal=goal, motion=motion)
 
 
@@ -90,13 +90,13 @@ def step_take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) ->
         high = abs(m.position[2] - s.goal[2]) < q.reach_m and abs(m.velocity[2]) < q.reach_m_s
         if high and (overdue or _is_at_goal(plan, s, m)):
             ready = s.time_s + plan.mission.take_off.wait_s
-            return _hover_until(s, LogMessage.ALTITUDE_REACHED(-m.position[2]), s.goal, ready)
+            return _hover_until(s, LogTemplate.ALTITUDE_REACHED(-m.position[2]), s.goal, ready)
         gained = s.home_position[2] - m.position[2]
         if late > 3.0 and gained < 0.1:
-            s = fail_mission(s, LogMessage.TAKE_OFF_FAILED(gained, s.motion_clock_s))
+            s = fail_mission(s, LogTemplate.TAKE_OFF_FAILED(gained, s.motion_clock_s))
             return enter_state(s, State.INIT, s.reason, level="error", motors="ramp_down")
         if overdue:
-            why = LogMessage.TAKE_OFF_SHORT(-m.position[2], -s.goal[2])
+            why = LogTemplate.TAKE_OFF_SHORT(-m.position[2], -s.goal[2])
             return start_landing(fail_mission(s, why), why, level="warning")
     # On its legs the vehicle cannot avoid obstacles.
     return _start_detour_at_obstacle(plan, s) if m.position[2] < s.home_position[2] - 0.2 else s
@@ -163,11 +163,11 @@ def start_leg_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState
 def _complete_mission(plan: MissionPlan, s: MissionState) -> MissionState:
     """Hover, return or land after the wait at the last waypoint, as ``at_end`` in the mission file states."""
     if plan.mission.at_end == "hover":
-        s = log_event(s, LogMessage.MISSION_COMPLETE_HOLDING())
-        return replace(s, user_in_control=True, outcome="succeeded", reason=LogMessage.MISSION_COMPLETE())
+        s = log_event(s, LogTemplate.MISSION_COMPLETE_HOLDING())
+        return replace(s, user_in_control=True, outcome="succeeded", reason=LogTemplate.MISSION_COMPLETE())
     if plan.mission.at_end == "return":
-        return start_leg_home(plan, s, LogMessage.MISSION_COMPLETE_RETURNING())
-    return start_landing(s, LogMessage.MISSION_COMPLETE())
+        return start_leg_home(plan, s, LogTemplate.MISSION_COMPLETE_RETURNING())
+    return start_landing(s, LogTemplate.MISSION_COMPLETE())
 
 
 def step_hover(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
@@ -186,7 +186,7 @@ def step_hover(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Mi
             plan.mission, s.waypoint_index, np.array(at), heading, nose_offset=offset, made=False
         )
 
-    return start_leg(plan, s, LogMessage.TO_WAYPOINT(s.waypoint_index + 1), plan_leg)
+    return start_leg(plan, s, LogTemplate.TO_WAYPOINT(s.waypoint_index + 1), plan_leg)
 
 
 def _fail_and_hover(s: MissionState, why: str) -> MissionState:
@@ -254,7 +254,9 @@ def _track_changed_goal(plan: MissionPlan, s: MissionState, m: Estimate, way: Tr
     return replace(s, set_point_reference=track_set_point(plan, s, s.set_point_reference, wanted, m, dt))
 
 
-def _leg_message(s: MissionState, mission: LogMessage, users: LogMessage, home: LogMessage, *numbers: float) -> str:
+def _choose_leg_message(
+    s: MissionState, mission: LogTemplate, users: LogTemplate, home: LogTemplate, *numbers: float
+) -> str:
     if s.returning_home or s.user_in_control:
         return (home if s.returning_home else users)(*numbers)
     return mission(s.waypoint_index + 1, *numbers)
@@ -286,11 +288,11 @@ def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
     is_over = s.motion_clock_s >= way.duration_s if s.set_point_reference is None else _has_settled_at_goal(s, way)
     if is_over and _is_at_goal(plan, s, m):
         off = _distance_to_goal(m, s.goal)
-        why = _leg_message(
+        why = _choose_leg_message(
             s,
-            LogMessage.WAYPOINT_REACHED,
-            LogMessage.USER_WAYPOINT_REACHED,
-            LogMessage.HOME_REACHED,
+            LogTemplate.WAYPOINT_REACHED,
+            LogTemplate.USER_WAYPOINT_REACHED,
+            LogTemplate.HOME_REACHED,
             100.0 * off,
         )
         if s.returning_home:
@@ -304,8 +306,8 @@ def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
     spent = s.time_s - s.state_entered_s
     if spent > 2.0 * way.duration_s + 20.0:
         off = _distance_to_goal(m, s.goal)
-        why = _leg_message(
-            s, LogMessage.WAYPOINT_MISSED, LogMessage.USER_WAYPOINT_MISSED, LogMessage.HOME_MISSED, spent, off
+        why = _choose_leg_message(
+            s, LogTemplate.WAYPOINT_MISSED, LogTemplate.USER_WAYPOINT_MISSED, LogTemplate.HOME_MISSED, spent, off
         )
         return _fail_and_hover(s, why)
     return _start_detour_at_obstacle(plan, s)
@@ -329,7 +331,7 @@ def _start_detour_at_obstacle(plan: MissionPlan, s: MissionState) -> MissionStat
     velocity, acceleration = at.velocity, at.acceleration
     detour = begin_detour(here, velocity, acceleration, s.goal, sight, s.detour)
     far = math.sqrt(sight.path_clearance_sq) if underway else sight.find_nearest_point_distance(here)[0]
-    why = (LogMessage.OBSTACLE_AHEAD if underway else LogMessage.OBSTACLE_NEAR)(far)
+    why = (LogTemplate.OBSTACLE_AHEAD if underway else LogTemplate.OBSTACLE_NEAR)(far)
     return enter_state(s, State.OBSTACLE, why, state_after_detour=s.state, detour=detour, hold_heading=at.heading)
 
 
@@ -352,8 +354,8 @@ def step_detour(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> M
     s = replace(s, detour=detour, detour_duration_s=s.detour_duration_s + dt)
     if s.detour_duration_s > q.give_up_s:
         n, e = detour.obstacle_point
-        return _fail_and_hover(s, LogMessage.BLOCKED_BY_OBSTACLE(n, e, q.give_up_s))
+        return _fail_and_hover(s, LogTemplate.BLOCKED_BY_OBSTACLE(n, e, q.give_up_s))
     if not detour.is_finished:
         return s
     way = plan_straight(detour.position, s.goal, s.hold_heading, plan.trajectory_limits, final_heading=s.hold_heading)
-    return enter_state(s, s.state_after_detour, LogMessage.OBSTACLE_AVOIDED(), motion=way, resumed_after_detour=True)
+    return enter_state(s, s.state_after_detour, LogTemplate.OBSTACLE_AVOIDED(), motion=way, resumed_after_detour=True)

@@ -46,8 +46,8 @@ from mufly.mission.external_control import (
 from mufly.mission.files.mission_timing import SCAN_TIME_BEFORE_DEPARTURE_S
 from mufly.mission.machine import ground_phases, phases
 from mufly.mission.machine.ground_phases import describe_start_fault, log_start_refusal, start_landing
-from mufly.mission.machine.log_messages import LogMessage
-from mufly.mission.machine.mission_reference import is_scanning, make_reference, scan_yaw
+from mufly.mission.machine.log_messages import LogTemplate
+from mufly.mission.machine.mission_reference import compute_scan_yaw, is_scanning, make_reference
 from mufly.mission.machine.mission_state import (
     Command,
     MissionPlan,
@@ -89,7 +89,7 @@ _STEP_FUNCTION_BY_STATE = {
 def _may_depart(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory) -> bool:
     """Return whether a leg's path may begin: height and heading are reached as measured, and the scan is complete."""
     at = way.evaluate(way.path_start_s)
-    angle, _ = scan_yaw(plan, s)
+    angle, _ = compute_scan_yaw(plan, s)
     return (
         abs(m.position[2] - at.position[2]) < _DEPARTURE_HEIGHT_TOLERANCE_M
         and abs(m.attitude[2] - at.heading - angle) < _DEPARTURE_HEADING_TOLERANCE_RAD + abs(angle)
@@ -102,7 +102,7 @@ def _may_depart(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory
     )
 
 
-def _update_clocks(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
+def _update_clocks_and_battery(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Advance the clocks and check the battery."""
     clock = s.motion_clock_s + dt
     if s.state is State.WAYPOINT and isinstance(s.motion, Trajectory) and s.set_point_reference is None:
@@ -130,9 +130,9 @@ def _pause_or_defer_pause(plan: MissionPlan, s: MissionState, m: Estimate) -> Mi
         if s.hover_after_take_off:
             return s
         return replace(
-            log_event(s, LogMessage.WILL_HOVER_AFTER_TAKE_OFF()), hover_after_take_off=True, user_in_control=True
+            log_event(s, LogTemplate.WILL_HOVER_AFTER_TAKE_OFF()), hover_after_take_off=True, user_in_control=True
         )
-    why = LogMessage.LANDING_ABORTED() if s.state is State.LANDING else LogMessage.MISSION_PAUSED()
+    why = LogTemplate.LANDING_ABORTED() if s.state is State.LANDING else LogTemplate.MISSION_PAUSED()
     return pause_mission(plan, s, why)
 
 
@@ -178,7 +178,7 @@ def _has_tipped_over(s: MissionState, m: Estimate) -> bool:
 
 
 def _land_on_low_battery(plan: MissionPlan, s: MissionState) -> MissionState:
-    why = LogMessage.BATTERY_LOW(s.battery_V, plan.low_battery_V)
+    why = LogTemplate.BATTERY_LOW(s.battery_V, plan.low_battery_V)
     # A completed mission that holds does not fail by using up its battery.
     return start_landing(s if s.outcome == "succeeded" else fail_mission(s, why), why, level="warning")
 
@@ -190,13 +190,13 @@ def _apply_any_state_transitions(
     if c.motor_stop_reason:
         return stop_motors(s, c.motor_stop_reason)
     if s.state is not State.INIT and _has_tipped_over(s, m):
-        return stop_motors(fail_mission(s, LogMessage.TIPPED_OVER()), LogMessage.TIPPED_MOTORS_OFF())
+        return stop_motors(fail_mission(s, LogTemplate.TIPPED_OVER()), LogTemplate.TIPPED_MOTORS_OFF())
     # Rotors that run down after touchdown stop first: centred sticks must not restart them.
     if c.rc_active and s.motors != "ramp_down":
         s = s if s.state is State.RC else enter_manual(s, m)
         if s.motors == "fly" and s.low_battery_duration_s - dt <= _LOW_BATTERY_DURATION_S < s.low_battery_duration_s:
             # The pilot decides.
-            s = log_event(s, LogMessage.BATTERY_LOW_PILOT(s.battery_V, plan.low_battery_V), level="warning")
+            s = log_event(s, LogTemplate.BATTERY_LOW_PILOT(s.battery_V, plan.low_battery_V), level="warning")
         return step_manual(plan, s, m, c, dt)
     if s.state is State.RC:
         return exit_manual(s, m)
@@ -242,7 +242,7 @@ def step_mission(
     Thesis: Fig. 6.15; Sec. 6.2.1.
     """
     dt = min(max(estimate.time_s - state.time_s, 0.0), _LONGEST_STEP_S)
-    s = _update_clocks(plan, _finish_pending_curve(state), estimate, dt)
+    s = _update_clocks_and_battery(plan, _finish_pending_curve(state), estimate, dt)
     s = _apply_any_state_transitions(plan, s, estimate, command, dt)
     if s.state is State.OFFBOARD:
         s = step_offboard(plan, s, estimate, command, dt)

@@ -59,7 +59,7 @@ BLADE_FAMILY_PRIORS: dict[str, BladeFamilyPrior] = {
 }
 
 
-def section_probabilities(rotor: Rotor, family: str = "") -> list[tuple[tuple[str, ...], float]]:
+def list_section_probabilities(rotor: Rotor, family: str = "") -> list[tuple[tuple[str, ...], float]]:
     """Return the possible sections of a blade with their probabilities; the section in the rotor file comes first.
 
     Parameters

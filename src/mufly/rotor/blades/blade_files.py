@@ -33,7 +33,13 @@ from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
 from mufly.files.text_table import read_text_table
-from mufly.quantities.units import compatible_units, normalise_unit, split_header, split_unit_suffix, unit_conversion
+from mufly.quantities.units import (
+    list_compatible_units,
+    normalise_unit,
+    split_header,
+    split_unit_suffix,
+    unit_conversion,
+)
 from mufly.rotor.geometry import Rotor, rotor_from_tables
 from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO, load_airfoil
 
@@ -47,8 +53,8 @@ _INCH_M = 0.0254
 _DEFAULT_AIRFOIL = "naca4412"
 _DEFAULT_AIRFOIL_NOTE = f"airfoil {_DEFAULT_AIRFOIL}"
 _MIN_PLAUSIBLE_MAX_ANGLE_DEG = 1.6  # angles all below this value may be radians
-_MAX_RELATIVE_RADIUS = 1.5  # of the radius
-_MIN_RADIUS_M, _MAX_RADIUS_M = 5e-3, 20.0  # m; the greatest helicopter's is 16 m
+_MAX_STATION_RADIUS_RATIO = 1.5  # of the radius
+_MIN_PLAUSIBLE_RADIUS_M, _MAX_PLAUSIBLE_RADIUS_M = 5e-3, 20.0  # m; the greatest helicopter's is 16 m
 _MIN_CHORD_RATIO = 1e-3  # of the radius
 
 
@@ -97,7 +103,7 @@ def import_rotor(
         table = _read_station_table(path, radius_m, notes)
     r, chord, twist, foils, thick, radius, count = table
     radius = radius_m or radius
-    if not _MIN_RADIUS_M <= radius <= _MAX_RADIUS_M:
+    if not _MIN_PLAUSIBLE_RADIUS_M <= radius <= _MAX_PLAUSIBLE_RADIUS_M:
         raise InputError(
             where, "", f"the radius would be {1e3 * radius:.3g} mm", "correct the unit of the radii"
         )  # fmt: skip
@@ -158,7 +164,7 @@ def import_rotor(
     return ImportedRotor(rotor, tuple(notes))
 
 
-def read_station_readings(path: str | Path) -> tuple[Array, Array, Array, Array]:
+def read_caliper_readings(path: str | Path) -> tuple[Array, Array, Array, Array]:
     """Return radius (m), chord (m), angle (rad) and thickness over chord of a table of readings, (n,) arrays.
 
     Rows without chord and angle are left out; a thickness that is not given is nan.
@@ -208,7 +214,7 @@ def _read_station_table(
             if whole in _RATIO_COLUMN_HEADERS[quantity]:
                 known.setdefault(quantity, (k, -1.0))
             elif low in _LENGTH_COLUMN_HEADERS[quantity]:
-                if unit not in compatible_units("m"):
+                if unit not in list_compatible_units("m"):
                     said = f"has the unit {unit!r}" if unit else "has no unit"
                     raise InputError(
                         where, header, said, f"give a unit of length, for example {stem}_mm or {stem} (in)"
@@ -220,9 +226,9 @@ def _read_station_table(
             known.setdefault("twist", (k, unit_conversion(unit or "deg", "rad")[1]))
         if low in _THICKNESS_HEADERS or low in _THICKNESS_RATIO_HEADERS:
             ratio = low in _THICKNESS_RATIO_HEADERS
-            if ratio or unit in compatible_units("1"):
+            if ratio or unit in list_compatible_units("1"):
                 known.setdefault("thickness", (k, -unit_conversion(unit or "1", "1")[1]))
-            elif unit in compatible_units("m"):
+            elif unit in list_compatible_units("m"):
                 known.setdefault("thickness", (k, unit_conversion(unit, "m")[1]))
             elif low == "thickness":
                 raise InputError(where, header, "has no unit", "name it t/c, thickness (%) or thickness_mm")
@@ -273,7 +279,7 @@ def _check_column_units(
         )  # fmt: skip
     for quantity, values in (("radius", r), ("chord", chord)):
         share = float(np.max(values, initial=0.0)) / (radius_m or math.nan)
-        if known[quantity][1] < 0.0 and share > _MAX_RELATIVE_RADIUS:
+        if known[quantity][1] < 0.0 and share > _MAX_STATION_RADIUS_RATIO:
             raise InputError(
                 where, header[quantity], f"reaches {share:.4g}: not a share of the radius", "write 0.15 for 15 %"
             )

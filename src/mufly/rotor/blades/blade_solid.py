@@ -37,12 +37,15 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 _POINTS_PER_SIDE = 40
-_SPAN_STATIONS = 60
+_SPAN_STATION_COUNT = 60
 _MM_PER_M = 1e3
-_STL_VERTEX_COORDINATES = slice(1, 4)  # words of a line that begins with "vertex"
-_MIN_RADIUS_M, _MAX_RADIUS_M = 8e-3, 5.0  # m, range of radii in which mm is assumed as the unit
+_STL_VERTEX_COORDINATE_WORDS = slice(1, 4)  # words of a line that begins with "vertex"
+_MIN_RADIUS_IF_MM_M, _MAX_RADIUS_IF_MM_M = 8e-3, 5.0  # m, range of radii in which mm is assumed as the unit
 _LENGTH_UNITS_M = {"m": 1.0, "in": 0.0254, "cm": 0.01, "mm": 1e-3, "um": 1e-6}
-_END_THICKNESS_REGION_CHORDS, _THICKNESS_TOLERANCE = 0.15, 0.25  # of the chord; of the thickness in that region
+_END_THICKNESS_REGION_CHORDS, _END_THICKNESS_TOLERANCE_FRACTION = (
+    0.15,
+    0.25,
+)  # of the chord; of the thickness in that region
 # Of the chord: thickest blunt trailing edge, and greatest distance of its corners along the chord.
 _MAX_BLUNT_TAIL_CHORDS, _BLUNT_TAIL_TOLERANCE_CHORDS = 0.1, 2e-3
 
@@ -86,7 +89,7 @@ class TriangleSolid:
 def blade_contours(
     rotor: Rotor,
     *,
-    along: int = _SPAN_STATIONS,
+    along: int = _SPAN_STATION_COUNT,
     per_side: int = _POINTS_PER_SIDE,
     tail_m: float = 0.0,
     pitch_rad: float = 0.0,
@@ -339,7 +342,7 @@ def read_stl(path: str | Path, unit_m: float = 1e-3) -> Array:
             return unit_m * corners
     try:
         words = [line.split() for line in data.decode("utf-8").splitlines()]
-        rows = [[float(v) for v in w[_STL_VERTEX_COORDINATES]] for w in words if w[:1] == ["vertex"]]
+        rows = [[float(v) for v in w[_STL_VERTEX_COORDINATE_WORDS]] for w in words if w[:1] == ["vertex"]]
     except ValueError:
         rows = []
     if not rows or len(rows) % 3 or any(len(r) != 3 for r in rows):
@@ -371,7 +374,7 @@ def slice_blade(corners_m: Array, r_m: Sequence[float] | Array) -> list[BladeSli
     """
     lines = [(float(r), loop) for r in r_m if (loop := _slice_contour(corners_m, float(r))) is not None]
     ends = [_farthest_points(loop) for _, loop in lines]
-    ahead = sum(_compare_end_thickness(loop, i, j) for (_, loop), (i, j) in zip(lines, ends, strict=True))
+    ahead = sum(_find_leading_edge_sign(loop, i, j) for (_, loop), (i, j) in zip(lines, ends, strict=True))
     sign = 1.0 if ahead >= 0.0 else -1.0
     out = []
     for (r, loop), (i, j) in zip(lines, ends, strict=True):
@@ -400,7 +403,7 @@ def slice_blade(corners_m: Array, r_m: Sequence[float] | Array) -> list[BladeSli
     return out
 
 
-def _compare_end_thickness(loop: Array, i: int, j: int) -> float:
+def _find_leading_edge_sign(loop: Array, i: int, j: int) -> float:
     """Return a positive value if the leading edge of a section is its end with the greater y, else a negative one.
 
     The leading edge is the thicker end, or, at equal thickness, the higher end.
@@ -414,7 +417,7 @@ def _compare_end_thickness(loop: Array, i: int, j: int) -> float:
         float(np.ptp(across[part]))
         for part in (along < _END_THICKNESS_REGION_CHORDS, along > 1.0 - _END_THICKNESS_REGION_CHORDS)
     )
-    if abs(first - last) > _THICKNESS_TOLERANCE * max(first, last):
+    if abs(first - last) > _END_THICKNESS_TOLERANCE_FRACTION * max(first, last):
         return math.copysign(1.0, first - last)
     return math.copysign(1.0, -chord[1]) if chord[1] else 0.0
 
@@ -475,7 +478,7 @@ def rotor_from_body(
     good = _drop_hub_slices(good, float(share[1] - share[0]) * radius)
     if len(good) < 4:
         raise InputError(where, "", "has no closed sections along x", "give one closed blade along x")
-    if unit_m is None and not step and not _MIN_RADIUS_M <= radius <= _MAX_RADIUS_M:
+    if unit_m is None and not step and not _MIN_RADIUS_IF_MM_M <= radius <= _MAX_RADIUS_IF_MM_M:
         written = _MM_PER_M * radius
         likely = [
             f"{u} (R {_MM_PER_M * f * written:.4g} mm)" for u, f in _LENGTH_UNITS_M.items() if 0.01 < f * written < 0.7

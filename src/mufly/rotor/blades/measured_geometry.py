@@ -38,7 +38,7 @@ _MAX_ANGLE_DISAGREEMENT_SIGMAS = 3.0  # standard deviations between protractor a
 _ANGLE_OUTLIER_SIGMAS = 3.0  # standard deviations of an angle from a smooth curve through the others
 
 
-MEASUREMENT_STEPS = (
+MEASUREMENT_INSTRUCTIONS = (
     "Lay the propeller with its hub flat on a plate. Mark the radii below from the middle of the shaft.",
     "Caliper: chord from leading to trailing edge, along the blade's surface line.",
     "Protractor: angle against the plate; on a curved underside, of the line through both edges.",
@@ -202,7 +202,7 @@ def make_blank_reading_table(radius_m: float, stated_pitch_m: float | None = Non
     stated_pitch_m : float, optional
         Pitch that the maker states (m); angles to expect are then written as comments.
     """
-    lines = [f"# {k}. {text}" for k, text in enumerate((*MEASUREMENT_STEPS, *_READING_TABLE_COMMENTS), 1)]
+    lines = [f"# {k}. {text}" for k, text in enumerate((*MEASUREMENT_INSTRUCTIONS, *_READING_TABLE_COMMENTS), 1)]
     if stated_pitch_m is not None:
         angles = [math.degrees(math.atan(stated_pitch_m / (2.0 * math.pi * x * radius_m))) for x in STATION_RATIOS]
         lines.append("# The stated pitch gives " + ", ".join(f"{a:.0f}" for a in angles) + " degrees.")

@@ -8,7 +8,7 @@ from mufly.rotor.forward.forward_results import (
     RigidFlapMode,
 )
 from mufly.rotor.forward.forward_solver import (
-    cyclic_response,
+    compute_cyclic_response,
     estimate_flap_mode_range,
     lock_number,
     make_flap_mode,
@@ -25,7 +25,7 @@ __all__ = [
     "ForwardSweep",
     "PairSweep",
     "RigidFlapMode",
-    "cyclic_response",
+    "compute_cyclic_response",
     "estimate_flap_mode_range",
     "lock_number",
     "make_flap_mode",

@@ -129,7 +129,7 @@ def _interpolate_section_coefficients(
 
 
 @cached_njit(error_model="numpy")
-def element_forces(
+def compute_element_forces(
     table: Array, theta: float, across: float, down: float, half_rho_c: float, row_zero: float, per_row: float,
     lift_share: float,
 ) -> tuple[float, float, float, float, float, float, float, float, float]:  # fmt: skip
@@ -161,7 +161,7 @@ def element_forces(
 
 
 @cached_njit(error_model="numpy")
-def annulus_losses(
+def compute_annulus_swirl_and_losses(
     blade: AzimuthBlade, point: AzimuthPoint, i: int, u: float, stream: float, around: float, share: float
 ) -> tuple[float, float, float]:
     """Return swirl u_t (m/s), Prandtl's factor F, and the tip loss factor on the lift for the annulus of station ``i``.

@@ -32,7 +32,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.rotor.forward.azimuth_elements import AzimuthBlade, AzimuthPoint, annulus_losses, element_forces
+from mufly.rotor.forward.azimuth_elements import (
+    AzimuthBlade,
+    AzimuthPoint,
+    compute_annulus_swirl_and_losses,
+    compute_element_forces,
+)
 from mufly.rotor.forward.inflow import momentum_induced_velocity, pitt_peters_inflow
 
 Array = NDArray[np.float64]
@@ -75,7 +80,7 @@ ROTOR_LOAD_COUNT = 11
 MAX_NEWTON_STEPS = 80
 NEWTON_RESIDUAL_TOLERANCE = 1e-10
 INFLOW_CODES = {"annular": 0, "pitt-peters": 1, "uniform": 2, "prescribed": 3}
-FIELD_INFLOW, FIELD_ALPHA, FIELD_LIFT, FIELD_DRAG, FIELD_REYNOLDS, FIELD_THRUST = range(6)
+FIELD_INDUCED_VELOCITY, FIELD_ONSET_ANGLE, FIELD_LIFT, FIELD_DRAG, FIELD_REYNOLDS, FIELD_THRUST = range(6)
 FIELD_COLUMNS = (
     "axial_induced_m_s",
     "onset_angle_rad",
@@ -84,7 +89,7 @@ FIELD_COLUMNS = (
     "reynolds",
     "thrust_per_length_N_m",
 )
-_FULL_JACOBIAN_RESIDUAL = 0.02
+_MAX_FULL_JACOBIAN_RESIDUAL = 0.02
 """Residual below which Newton steps see how swirl and tip loss change with the inflow. Farther away, and in descent,
 these slopes lead astray."""
 
@@ -154,11 +159,13 @@ def _sum_element_forces(
         for n in range(count):
             stream += point.stream_m_s[n, i] / count
             around += point.swirl_m_s[n, i] / count
-        swirl, loss, lift_share = annulus_losses(blade, point, i, inflow[i], stream, around, share)
+        swirl, loss, lift_share = compute_annulus_swirl_and_losses(blade, point, i, inflow[i], stream, around, share)
         losses[i, PRANDTL_LOSS_FACTOR] = loss
         if near:
             nudge = 1e-6 * tip
-            swirl_u, loss_u, share_u = annulus_losses(blade, point, i, inflow[i] + nudge, stream, around, share)
+            swirl_u, loss_u, share_u = compute_annulus_swirl_and_losses(
+                blade, point, i, inflow[i] + nudge, stream, around, share
+            )
             swirl_u, loss_u = (swirl_u - swirl) / nudge, (loss_u - loss) / nudge
             share_u = (share_u - lift_share) / (nudge * lift_share)
         if fresh:
@@ -198,7 +205,7 @@ def _sum_element_forces(
                 + r * (flapping - point.roll_rate_rad_s * s - point.pitch_rate_rad_s * c) + along * flap
             )  # fmt: skip
             theta = blade.twist_rad[i] + point.collective_rad + point.cyclic_cos_rad * c + point.cyclic_sin_rad * s
-            force, _, lift, _, _, slope, lift_slope, force_t, lift_t = element_forces(
+            force, _, lift, _, _, slope, lift_slope, force_t, lift_t = compute_element_forces(
                 blade.section_table[i], theta, across, down, half, row_zero, row_scale, lift_share
             )
             for h in range(5):
@@ -227,7 +234,7 @@ def _sum_element_forces(
 
 
 @cached_njit(error_model="numpy")
-def _global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array) -> float:
+def _fill_global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array) -> float:
     """Write the residuals of the five flap and three inflow equations to ``out`` (8,); return the weight w.
 
     w is the share of the annulus's own momentum balance in its inflow (module docstring).
@@ -283,7 +290,7 @@ def _global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: 
 
 
 @cached_njit(error_model="numpy")
-def _compute_blade_loads(blade: AzimuthBlade, sums: Array, loads: Array) -> None:
+def _sum_blade_loads(blade: AzimuthBlade, sums: Array, loads: Array) -> None:
     for h in range(6):
         loads[h] = 0.0
     for i in range(blade.r_m.size):
@@ -316,7 +323,7 @@ def _solve_linear_in_place(matrix: Array, side: Array) -> None:
 
 
 @cached_njit(error_model="numpy")
-def _station_residuals(
+def _fill_station_residuals(
     blade: AzimuthBlade, point: AzimuthPoint, inflow: Array, x: Array, share: float, sums: Array, slopes: Array,
     losses: Array, miss: Array, local: Array,
 ) -> float:  # fmt: skip
@@ -388,14 +395,14 @@ def _differentiate_global_residual(
     for k in range(6):
         nudge = 1e-6 * abs(loads[k]) + 1e-9
         moved_loads[k] += nudge
-        _global_residual(blade, point, moved, moved_loads, other)
+        _fill_global_residual(blade, point, moved, moved_loads, other)
         moved_loads[k] = loads[k]
         for m in range(GLOBAL_UNKNOWN_COUNT):
             by_load[m, k] = (other[m] - out[m]) / nudge
     for k in range(GLOBAL_UNKNOWN_COUNT):
         nudge = 1e-7
         moved[k] += nudge
-        _global_residual(blade, point, moved, moved_loads, other)
+        _fill_global_residual(blade, point, moved, moved_loads, other)
         moved[k] = x[k]
         for m in range(GLOBAL_UNKNOWN_COUNT):
             by_state[m, k] = (other[m] - out[m]) / nudge
@@ -436,7 +443,7 @@ def _newton_step(
 
 
 @cached_njit(error_model="numpy", nogil=True)
-def solve_azimuth(
+def solve_azimuth_point(
     blade: AzimuthBlade, point: AzimuthPoint, trig: Array, ways: Array, inflow: Array, x: Array
 ) -> tuple[int, float, float]:
     """Solve the unknowns ``inflow`` and ``x`` of an operating point in place, by Newton's method.
@@ -469,15 +476,15 @@ def solve_azimuth(
         fresh = step < 3 or size > 1e-3 or size > 0.3 * previous  # else the last derivatives are good enough
         previous = size
         _sum_element_forces(
-            blade, point, inflow, x, share, trig, ways, fresh, size < _FULL_JACOBIAN_RESIDUAL, sums, slopes, losses
+            blade, point, inflow, x, share, trig, ways, fresh, size < _MAX_FULL_JACOBIAN_RESIDUAL, sums, slopes, losses
         )
-        _compute_blade_loads(blade, sums, loads)
-        share = _global_residual(blade, point, x, loads, out)
+        _sum_blade_loads(blade, sums, loads)
+        share = _fill_global_residual(blade, point, x, loads, out)
         size = 0.0
         for k in range(GLOBAL_UNKNOWN_COUNT):
             size = max(size, abs(out[k]))
         if point.inflow_code != 3:
-            size = max(size, _station_residuals(blade, point, inflow, x, share, sums, slopes, losses, miss, local))
+            size = max(size, _fill_station_residuals(blade, point, inflow, x, share, sums, slopes, losses, miss, local))
         if size < NEWTON_RESIDUAL_TOLERANCE:
             return step, size, share
         if not size < 1e6:
@@ -536,7 +543,7 @@ def integrate_loads(
         for n in range(count):
             stream += point.stream_m_s[n, i] / count
             around += point.swirl_m_s[n, i] / count
-        swirl, loss, lift_share = annulus_losses(blade, point, i, inflow[i], stream, around, share)
+        swirl, loss, lift_share = compute_annulus_swirl_and_losses(blade, point, i, inflow[i], stream, around, share)
         annuli[i, ANNULUS_SWIRL], annuli[i, ANNULUS_LOSS], annuli[i, ANNULUS_DRAG] = swirl, loss, 0.0
         half = 0.5 * point.density_kg_m3 * chord
         row_zero = row_scale * (math.log(chord / point.kinematic_viscosity_m2_s) - blade.log_reynolds_min)
@@ -570,14 +577,14 @@ def integrate_loads(
                 + r * (flapping - point.roll_rate_rad_s * s - point.pitch_rate_rad_s * c)
             )  # fmt: skip
             theta = blade.twist_rad[i] + point.collective_rad + point.cyclic_cos_rad * c + point.cyclic_sin_rad * s
-            force, turn, _, radial, cd, _, _, _, _ = element_forces(
+            force, turn, _, radial, cd, _, _, _, _ = compute_element_forces(
                 blade.section_table[i], theta, across, down, half, row_zero, row_scale, lift_share
             )
             outward = radial * along - force * flap
             wind = math.sqrt(across * across + down * down)
-            fields[n, i, FIELD_INFLOW] = made
+            fields[n, i, FIELD_INDUCED_VELOCITY] = made
             onset = theta - math.atan2(down, across)
-            fields[n, i, FIELD_ALPHA] = (onset + math.pi) % (2.0 * math.pi) - math.pi
+            fields[n, i, FIELD_ONSET_ANGLE] = (onset + math.pi) % (2.0 * math.pi) - math.pi
             fields[n, i, FIELD_LIFT] = (force * across + turn * down) / (half * wind**3 + 1e-300)
             fields[n, i, FIELD_DRAG] = cd
             fields[n, i, FIELD_REYNOLDS] = wind * chord / point.kinematic_viscosity_m2_s

@@ -211,7 +211,7 @@ def spline_weights(x: float, n: int) -> tuple[int, float, float, float]:
     return i - 1, 0.5 * (0.5 - t) * (0.5 - t), 0.75 - t * t, 0.5 * (0.5 + t) * (0.5 + t)
 
 
-def spline_matrix(n: int) -> Array:
+def make_spline_matrix(n: int) -> Array:
     """Return the (n, n) matrix that gives the values at ``n`` points from the coefficients of a quadratic spline."""
     matrix = np.zeros((n, n))
     for k in range(n):
@@ -306,7 +306,7 @@ def fit_flight_map_splines(tables: FlightMapTables) -> FlightMapSplines:
     steps = np.arange(climb.size)
     line = np.stack([np.ones(climb.size), steps], axis=1)
     fitted = np.linalg.lstsq(line, slope.reshape(climb.size, -1), rcond=None)[0].reshape(2, edge.size, 12)
-    over_edge, over_climb = np.linalg.inv(spline_matrix(edge.size)), np.linalg.inv(spline_matrix(climb.size))
+    over_edge, over_climb = np.linalg.inv(make_spline_matrix(edge.size)), np.linalg.inv(make_spline_matrix(climb.size))
     return FlightMapSplines(
         middle, float(ratio[0]) if ratio.size > 1 else -math.inf, float(ratio[-1]) if ratio.size > 1 else math.inf,
         np.array([climb[0], edge[0]]),
@@ -320,7 +320,7 @@ def fit_flight_map_splines(tables: FlightMapTables) -> FlightMapSplines:
     )  # fmt: skip
 
 
-class MapLoads(NamedTuple):
+class AirspeedMapLoads(NamedTuple):
     """Loads of upper and lower rotor (columns) over airspeed, from a flight map at its middle speed ratio, no climb.
 
     Attributes
@@ -346,7 +346,7 @@ class MapLoads(NamedTuple):
     rate_damping_Nms: float
 
 
-def evaluate_flight_map(flight_map: FlightMap) -> MapLoads:
+def evaluate_flight_map(flight_map: FlightMap) -> AirspeedMapLoads:
     """Return the loads (SI) at the airspeeds on the axis of a flight map, interpolated as in the flight model."""
     splines = fit_flight_map_splines(flight_map.decode_map_tables())
     edge = flight_map.decode_map_tables().edgewise
@@ -364,7 +364,7 @@ def evaluate_flight_map(flight_map: FlightMap) -> MapLoads:
     scale = flight_map.density_kg_m3 * math.pi * radius**3 * speeds
     turning = np.array(interpolate_rate_loads(splines.rate_coefficient_table.ravel(), edges, 0.0)).reshape(2, 4)
     force, moment = scale * speed[:, None], scale * radius * speed[:, None]
-    return MapLoads(
+    return AirspeedMapLoads(
         speed, thrust, torque, drag * force, side * force, roll * moment, pitch * moment,
         float(turning[:, 2] @ scale) * radius**2,
     )  # fmt: skip

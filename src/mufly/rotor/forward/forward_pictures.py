@@ -12,7 +12,7 @@ from mufly.results.result_figure import blank_figure, label_axes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from mufly.rotor.forward.edgewise_map import MapLoads
+    from mufly.rotor.forward.edgewise_map import AirspeedMapLoads
     from mufly.rotor.forward.forward_results import ForwardResult, ForwardSweep
     from mufly.rotor.forward.skewed_pair import ForwardPair, PairSweep
     from mufly.vehicle import FlightMap
@@ -82,7 +82,7 @@ def draw_sweep(sweep: ForwardSweep) -> Figure:
     return figure
 
 
-def draw_rotor_pair(pair: ForwardPair) -> Figure:
+def draw_lower_disc_fields(pair: ForwardPair) -> Figure:
     """Draw induced velocity, onset angle and load over the disc of the lower rotor, in the stream of the upper one."""
     return draw_disc_fields(pair.lower)
 
@@ -122,7 +122,7 @@ def draw_pair_sweep(sweep: PairSweep) -> Figure:
     return figure
 
 
-def draw_flight_map(flight_map: FlightMap, loads: MapLoads) -> Figure:
+def draw_flight_map(flight_map: FlightMap, loads: AirspeedMapLoads) -> Figure:
     """Draw the loads of a flight map over airspeed at its middle speed ratio without climb."""
     figure = blank_figure(12.0, 6.5)
     axes = figure.subplots(2, 3).ravel()

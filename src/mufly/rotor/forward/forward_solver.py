@@ -38,7 +38,7 @@ from mufly.rotor.forward.azimuth_kernel import (
     UNKNOWN_INFLOW_COS,
     UNKNOWN_INFLOW_SIN,
     integrate_loads,
-    solve_azimuth,
+    solve_azimuth_point,
     velocity_derivative_weights,
 )
 from mufly.rotor.forward.forward_results import (
@@ -149,7 +149,7 @@ def _check_condition(c: ForwardCondition) -> None:
 
 
 @lru_cache(maxsize=8)
-def azimuth_grid(count: int) -> tuple[Array, Array, Array]:
+def make_azimuth_grid(count: int) -> tuple[Array, Array, Array]:
     """Return azimuths psi (rad), the table (1, cos psi, sin psi, cos 2 psi, sin 2 psi), (count, 5), and weights.
 
     The weights are those of :func:`mufly.rotor.forward.azimuth_kernel.velocity_derivative_weights`.
@@ -159,7 +159,7 @@ def azimuth_grid(count: int) -> tuple[Array, Array, Array]:
     return psi, trig, velocity_derivative_weights(trig)
 
 
-def azimuth_blade(blading: Blading, which: int, flap: RigidFlapMode, air: Air) -> AzimuthBlade:
+def make_azimuth_blade(blading: Blading, which: int, flap: RigidFlapMode, air: Air) -> AzimuthBlade:
     """Return a rotor of ``blading`` as arrays for the compiled solver over azimuth."""
     fixes, stack = blading.corrections, blading.polars
     return AzimuthBlade(
@@ -231,7 +231,7 @@ def solve_forward(
     cosine, sine = math.cos(turn), math.sin(turn)
     th_c, th_s = c.cyclic_rad
     p, q = hand * c.rates_rad_s[0], c.rates_rad_s[1]
-    psi, trig, ways = azimuth_grid(azimuths)
+    psi, trig, ways = make_azimuth_grid(azimuths)
     none = np.zeros((azimuths, blading.r_m.shape[1]))
     point = AzimuthPoint(
         float(c.speed_rad_s), float(c.edgewise_m_s), float(c.climb_m_s), float(c.pitch_rad),
@@ -240,7 +240,7 @@ def solve_forward(
         none if stream_m_s is None else np.ascontiguousarray(stream_m_s, dtype=np.float64),
         none if swirl_m_s is None else np.ascontiguousarray(swirl_m_s, dtype=np.float64), INFLOW_CODES[inflow],
     )  # fmt: skip
-    blade = azimuth_blade(blading, which, flap, c.air)
+    blade = make_azimuth_blade(blading, which, flap, c.air)
     speeds, x, steps, share = _find_solution(blading, which, c, blade, point, trig, ways, start)
     fields, totals = np.empty((azimuths, none.shape[1], len(FIELD_COLUMNS))), np.empty(ROTOR_LOAD_COUNT)
     annuli = np.empty((none.shape[1], 3))
@@ -288,14 +288,14 @@ def _find_solution(
     for k in range(len(guesses) + len(makers)):
         inflow, x = guesses[k] if k < len(guesses) else makers[k - len(guesses)]()
         inflow = inflow.copy()
-        steps, size, share = solve_azimuth(blade, point, trig, ways, inflow, x)
+        steps, size, share = solve_azimuth_point(blade, point, trig, ways, inflow, x)
         total += steps
         if size < NEWTON_RESIDUAL_TOLERANCE:
             return inflow, x, total, share
     inflow, x = start_from_axial_flow()
     for part in np.linspace(0.0, 1.0, 9):
         nearer = point._replace(edgewise_m_s=part * point.edgewise_m_s)
-        steps, size, share = solve_azimuth(blade, nearer, trig, ways, inflow, x)
+        steps, size, share = solve_azimuth_point(blade, nearer, trig, ways, inflow, x)
         total += steps
         if not size < 1e-2:
             break
@@ -379,7 +379,7 @@ def _make_result(
 _STALL_ANGLE_RAD = math.radians(20.0)
 
 
-def cyclic_response(
+def compute_cyclic_response(
     blading: Blading | Rotor,
     condition: ForwardCondition,
     flap: RigidFlapMode,
@@ -456,7 +456,7 @@ def sweep_forward(
         points.append(tuple(line))
         answers.append(
             tuple(
-                cyclic_response(blading, c, flap, amplitude_rad=cyclic_rad, start=at)
+                compute_cyclic_response(blading, c, flap, amplitude_rad=cyclic_rad, start=at)
                 for c, at in zip(conditions, line, strict=True)
             )
         )

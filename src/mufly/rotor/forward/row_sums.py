@@ -31,7 +31,7 @@ _INT64_TYPE, _FOUR_DOUBLES_TYPE = ir.IntType(64), ir.VectorType(ir.DoubleType(),
 Spread = Callable[[int, int], Any]
 
 
-def _sum_groups(
+def _sum_weighted_groups(
     table: Array, first: int, later: int, stride: int, ca: float, cb: float, cc: float, cd: float, ce: float
 ) -> float:
     """Return the sum of five numbers of a table times the weights ``ca`` to ``ce``.
@@ -43,14 +43,14 @@ def _sum_groups(
     return ca * table[n] + cb * table[s] + cc * table[t] + cd * table[m] + ce * table[np.uint64(later + stride)]
 
 
-def _sum_column(
+def _sum_flow_column(
     table: Array, first: int, later: int, stride: int, ca: float, cb: float, cc: float, cd: float, ce: float,
     ea: float, eb: float, ec: float,
 ) -> float:  # fmt: skip
     """Return one column of :func:`sum_flow_rows`."""
-    a = _sum_groups(table, first, later, stride, ca, cb, cc, cd, ce)
-    b = _sum_groups(table, first + 12, later + 12, stride, ca, cb, cc, cd, ce)
-    c = _sum_groups(table, first + 24, later + 24, stride, ca, cb, cc, cd, ce)
+    a = _sum_weighted_groups(table, first, later, stride, ca, cb, cc, cd, ce)
+    b = _sum_weighted_groups(table, first + 12, later + 12, stride, ca, cb, cc, cd, ce)
+    c = _sum_weighted_groups(table, first + 24, later + 24, stride, ca, cb, cc, cd, ce)
     return ea * a + eb * b + ec * c
 
 
@@ -76,18 +76,18 @@ def sum_flow_rows(
         Weights of the rows of a group.
     """
     return (
-        _sum_column(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec),
-        _sum_column(table, first + 1, later + 1, stride, ca, cb, cc, cd, ce, ea, eb, ec),
-        _sum_column(table, first + 2, later + 2, stride, ca, cb, cc, cd, ce, ea, eb, ec),
-        _sum_column(table, first + 3, later + 3, stride, ca, cb, cc, cd, ce, ea, eb, ec),
-        _sum_column(table, first + 4, later + 4, stride, ca, cb, cc, cd, ce, ea, eb, ec),
-        _sum_column(table, first + 5, later + 5, stride, ca, cb, cc, cd, ce, ea, eb, ec),
-        _sum_column(table, first + 6, later + 6, stride, ca, cb, cc, cd, ce, ea, eb, ec),
-        _sum_column(table, first + 7, later + 7, stride, ca, cb, cc, cd, ce, ea, eb, ec),
-        _sum_column(table, first + 8, later + 8, stride, ca, cb, cc, cd, ce, ea, eb, ec),
-        _sum_column(table, first + 9, later + 9, stride, ca, cb, cc, cd, ce, ea, eb, ec),
-        _sum_column(table, first + 10, later + 10, stride, ca, cb, cc, cd, ce, ea, eb, ec),
-        _sum_column(table, first + 11, later + 11, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first + 1, later + 1, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first + 2, later + 2, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first + 3, later + 3, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first + 4, later + 4, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first + 5, later + 5, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first + 6, later + 6, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first + 7, later + 7, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first + 8, later + 8, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first + 9, later + 9, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first + 10, later + 10, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_flow_column(table, first + 11, later + 11, stride, ca, cb, cc, cd, ce, ea, eb, ec),
     )
 
 
@@ -96,40 +96,42 @@ def sum_rate_rows(
 ) -> tuple[float, float, float, float, float, float, float, float]:
     """Return the weighted sum of three neighbouring rows of 8 columns, beginning at index ``first``."""
     return (
-        _sum_rows(table, first, ea, eb, ec),
-        _sum_rows(table, first + 1, ea, eb, ec),
-        _sum_rows(table, first + 2, ea, eb, ec),
-        _sum_rows(table, first + 3, ea, eb, ec),
-        _sum_rows(table, first + 4, ea, eb, ec),
-        _sum_rows(table, first + 5, ea, eb, ec),
-        _sum_rows(table, first + 6, ea, eb, ec),
-        _sum_rows(table, first + 7, ea, eb, ec),
+        _sum_rate_column(table, first, ea, eb, ec),
+        _sum_rate_column(table, first + 1, ea, eb, ec),
+        _sum_rate_column(table, first + 2, ea, eb, ec),
+        _sum_rate_column(table, first + 3, ea, eb, ec),
+        _sum_rate_column(table, first + 4, ea, eb, ec),
+        _sum_rate_column(table, first + 5, ea, eb, ec),
+        _sum_rate_column(table, first + 6, ea, eb, ec),
+        _sum_rate_column(table, first + 7, ea, eb, ec),
     )
 
 
-def _sum_rows(table: Array, first: int, ea: float, eb: float, ec: float) -> float:
+def _sum_rate_column(table: Array, first: int, ea: float, eb: float, ec: float) -> float:
     """Return one column of :func:`sum_rate_rows`."""
     return ea * table[np.uint64(first)] + eb * table[np.uint64(first + 8)] + ec * table[np.uint64(first + 16)]
 
 
-def spread_number(builder: Any, number: Any, count: int, lane: int = 0) -> Any:
+def emit_spread_number(builder: Any, number: Any, count: int, lane: int = 0) -> Any:
     """Emit code for a vector that repeats a number, or an element of a vector, ``count`` times."""
     if not isinstance(number.type, ir.VectorType):
-        number = builder.insert_element(ir.Constant(_FOUR_DOUBLES_TYPE, ir.Undefined), number, _index(lane))
-    return pick_numbers(builder, number, [lane] * count)
+        number = builder.insert_element(
+            ir.Constant(_FOUR_DOUBLES_TYPE, ir.Undefined), number, _make_int32_constant(lane)
+        )
+    return emit_pick_numbers(builder, number, [lane] * count)
 
 
-def pick_numbers(builder: Any, vector: Any, places: Sequence[int], other: Any = None) -> Any:
+def emit_pick_numbers(builder: Any, vector: Any, places: Sequence[int], other: Any = None) -> Any:
     """Emit code that selects elements of a vector; indices beyond its length select from another vector."""
     mask = ir.Constant(ir.VectorType(ir.IntType(32), len(places)), list(places))
     return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined) if other is None else other, mask)
 
 
-def _index(k: int) -> Any:
+def _make_int32_constant(k: int) -> Any:
     return ir.Constant(ir.IntType(32), k)
 
 
-def _weighted_sum(builder: Any, weights: Iterable[Any], values: Iterable[Any]) -> Any:
+def _emit_weighted_sum(builder: Any, weights: Iterable[Any], values: Iterable[Any]) -> Any:
     total = None
     for weight, value in zip(weights, values, strict=True):
         part = builder.fmul(weight, value)
@@ -137,17 +139,17 @@ def _weighted_sum(builder: Any, weights: Iterable[Any], values: Iterable[Any]) -
     return total
 
 
-def _load_numbers(builder: Any, table: Any, place: Any, offset: int, count: int) -> Any:
+def _emit_load_numbers(builder: Any, table: Any, place: Any, offset: int, count: int) -> Any:
     at = builder.gep(builder.gep(table, [place]), [ir.Constant(_INT64_TYPE, offset)])
     values = builder.load(builder.bitcast(at, ir.VectorType(ir.DoubleType(), count).as_pointer()))
     values.align = 8
     return values
 
 
-def _split_quartets(builder: Any, vector: Any) -> list[Any]:
+def _emit_quartet_split(builder: Any, vector: Any) -> list[Any]:
     if vector.type.count == 4:
         return [vector]
-    return [pick_numbers(builder, vector, range(k, k + 4)) for k in range(0, vector.type.count, 4)]
+    return [emit_pick_numbers(builder, vector, range(k, k + 4)) for k in range(0, vector.type.count, 4)]
 
 
 def emit_flow_sum(builder: Any, table: Any, places: Sequence[Any], spread: Spread, width: int) -> list[Any]:
@@ -177,11 +179,11 @@ def emit_flow_sum(builder: Any, table: Any, places: Sequence[Any], spread: Sprea
     for c in range(0, whole, width):  # the three rows lie one after the other
         count = min(width, whole - c)
         weights = [spread(k, count) for k in range(_FLOW_ROW_GROUP_COUNT)]
-        parts = [_load_numbers(builder, table, start, c, count) for start in starts]
-        quartets += _split_quartets(builder, _weighted_sum(builder, weights, parts))
+        parts = [_emit_load_numbers(builder, table, start, c, count) for start in starts]
+        quartets += _emit_quartet_split(builder, _emit_weighted_sum(builder, weights, parts))
     along = [spread(_FLOW_ROW_GROUP_COUNT + k, 4) for k in range(_ROWS_PER_GROUP)]
     step = FLOW_COLUMN_COUNT // 4
-    return [_weighted_sum(builder, along, quartets[c::step]) for c in range(step)]
+    return [_emit_weighted_sum(builder, along, quartets[c::step]) for c in range(step)]
 
 
 def emit_rate_sum(builder: Any, table: Any, places: Sequence[Any], spread: Spread, width: int) -> list[Any]:
@@ -189,10 +191,11 @@ def emit_rate_sum(builder: Any, table: Any, places: Sequence[Any], spread: Sprea
     out = []
     for c in range(0, RATE_COLUMN_COUNT, width):
         rows = [
-            _load_numbers(builder, table, places[0], RATE_COLUMN_COUNT * i + c, width) for i in range(_ROWS_PER_GROUP)
+            _emit_load_numbers(builder, table, places[0], RATE_COLUMN_COUNT * i + c, width)
+            for i in range(_ROWS_PER_GROUP)
         ]
-        out += _split_quartets(
-            builder, _weighted_sum(builder, [spread(k, width) for k in range(_ROWS_PER_GROUP)], rows)
+        out += _emit_quartet_split(
+            builder, _emit_weighted_sum(builder, [spread(k, width) for k in range(_ROWS_PER_GROUP)], rows)
         )
     return out
 
@@ -206,8 +209,10 @@ def _make_intrinsic(columns: int, arguments: str, emit: Any) -> Any:
 
         def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
             data, whole = context.make_array(table)(context, builder, given[0]).data, 1 + arguments.count("i")
-            quartets = emit(builder, data, given[1:whole], lambda k, n: spread_number(builder, given[whole + k], n), 4)
-            numbers = [builder.extract_element(q, _index(k)) for q in quartets for k in range(4)]
+            quartets = emit(
+                builder, data, given[1:whole], lambda k, n: emit_spread_number(builder, given[whole + k], n), 4
+            )
+            numbers = [builder.extract_element(q, _make_int32_constant(k)) for q in quartets for k in range(4)]
             return context.make_tuple(builder, signature.return_type, numbers)
 
         return made, generate
@@ -220,27 +225,27 @@ _rate_form = _make_intrinsic(RATE_COLUMN_COUNT, "ifff", emit_rate_sum)
 
 
 @_intrinsic
-def _sum_flow(context, table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
+def _sum_flow_intrinsic(context, table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
     return _flow_form(table)
 
 
 @_intrinsic
-def _sum_rates(context, table, first, ea, eb, ec):
+def _sum_rates_intrinsic(context, table, first, ea, eb, ec):
     return _rate_form(table)
 
 
 # Numba compares the names of the arguments, and takes an annotation for a part of the name.
 @_overload(sum_flow_rows)
 def _overload_sum_flow_rows(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
-    def in_vectors(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
-        return _sum_flow(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec)
+    def sum_in_vectors(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
+        return _sum_flow_intrinsic(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec)
 
-    return in_vectors
+    return sum_in_vectors
 
 
 @_overload(sum_rate_rows)
-def _choose_rate_form(table, first, ea, eb, ec):
-    def in_vectors(table, first, ea, eb, ec):
-        return _sum_rates(table, first, ea, eb, ec)
+def _overload_sum_rate_rows(table, first, ea, eb, ec):
+    def sum_in_vectors(table, first, ea, eb, ec):
+        return _sum_rates_intrinsic(table, first, ea, eb, ec)
 
-    return in_vectors
+    return sum_in_vectors

@@ -23,7 +23,7 @@ from mufly.rotor.sections.section_coefficients import PolarGrid, SectionParamete
 
 Array = NDArray[np.float64]
 
-_ANGLE_CELL_COUNT = 720  # angles of attack per half circle from which the onset angle is inverted
+_ANGLE_CELLS_PER_HALF_CIRCLE = 720  # angles of attack per half circle from which the onset angle is inverted
 _MAX_MACH = 0.95
 
 
@@ -73,7 +73,7 @@ def tabulate_section_coefficients(blading: Blading, which: int, air: Air) -> Arr
     log_re = stack.log_reynolds_min + steps
     kinematic = air.viscosity_Pa_s / air.density_kg_m3
     out = np.zeros((stations, rows, ALPHA_GRID.size + 2, 2))
-    fine = np.linspace(-math.pi, math.pi, 2 * _ANGLE_CELL_COUNT + 1)
+    fine = np.linspace(-math.pi, math.pi, 2 * _ANGLE_CELLS_PER_HALF_CIRCLE + 1)
     for i in range(stations):
         first, second = int(blading.first_polar[which, i]), int(blading.second_polar[which, i])
         weight = float(blading.second_weight[which, i])

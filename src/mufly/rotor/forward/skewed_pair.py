@@ -22,13 +22,17 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
 from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results
-from mufly.rotor.bemt import drag_angular_momentum
+from mufly.rotor.bemt import compute_drag_swirl_momentum
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.forward.azimuth_kernel import UNKNOWN_INFLOW_COS, UNKNOWN_INFLOW_SIN
 from mufly.rotor.forward.forward_results import ForwardCondition, ForwardResult, RigidFlapMode
-from mufly.rotor.forward.forward_solver import AZIMUTH_COUNT, azimuth_grid, solve_forward
+from mufly.rotor.forward.forward_solver import AZIMUTH_COUNT, make_azimuth_grid, solve_forward
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.vortex_tube import compute_tube_axis_velocity_ratio, make_stream_interpolation, swirl_influence
+from mufly.rotor.vortex_tube import (
+    compute_tube_axis_velocity_ratio,
+    make_stream_interpolation,
+    make_swirl_influence_matrix,
+)
 
 Array = NDArray[np.float64]
 
@@ -53,7 +57,7 @@ PAIR_COLUMNS = (
 
 @result(
     eq=False,
-    picture="mufly.rotor.forward.forward_pictures:draw_rotor_pair",
+    picture="mufly.rotor.forward.forward_pictures:draw_lower_disc_fields",
     json="upper lower spacing_m shift_m stream_share_on_lower_disc thrust_N power_W h_force_N y_force_N "
     "roll_moment_Nm pitch_moment_Nm yaw_torque_Nm",
 )
@@ -168,8 +172,8 @@ def _shifted_stream(
     axial = k * (mean + gradient * (lc * along - ls * across) / safe)
     swirl, loss, drag = state.annulus_values.T
     down = upper.climb_m_s + met + loss * state.axial_induced_m_s
-    turning = 2.0 * loss * swirl * own_r + drag_angular_momentum(drag, down, density, own_r, upper_dr)
-    around = (swirl_influence(own_r, radius_m, spacing_m, safe.ravel(), width) @ turning).reshape(r.shape)
+    turning = 2.0 * loss * swirl * own_r + compute_drag_swirl_momentum(drag, down, density, own_r, upper_dr)
+    around = (make_swirl_influence_matrix(own_r, radius_m, spacing_m, safe.ravel(), width) @ turning).reshape(r.shape)
     facing = (lower_r - shift_m * np.cos(psi)[:, None]) / safe
     return axial, around * facing
 
@@ -217,7 +221,7 @@ def solve_forward_pair(
         if getattr(first, name) != getattr(second, name):
             raise InputError("coax forward", name, "differs between the rotors", "give both the same")
     radii = float(above.radius_m[0]), float(below.radius_m[0])
-    psi = azimuth_grid(AZIMUTH_COUNT)[0]
+    psi = make_azimuth_grid(AZIMUTH_COUNT)[0]
     back = compute_tube_axis_velocity_ratio(-spacing_m, radii[1])
     upward = back * make_stream_interpolation(
         below.r_m[0], radii[1], 1.0 / math.sqrt(back), above.r_m[0], above.dr_m[0]

@@ -204,7 +204,7 @@ def _predict_by_wake(
 
     A point whose wake does not converge is nan; the reason goes into ``faults``.
     """
-    system, n = RotorSystem.single_rotor(case), bench.thrust_N.size
+    system, n = RotorSystem.from_single_rotor(case), bench.thrust_N.size
     thrust, torque = np.full(n, np.nan), np.full(n, np.nan)
     known: SystemSolution | None = None
     # Neighbours in pitch and speed follow each other: each wake starts from the previous one.

@@ -51,7 +51,7 @@ from mufly.rotor.bemt import solve_rotor_batch
 from mufly.rotor.blades.blade_families import (
     GRID_ROUNDING_STD_RATIOS,
     ZERO_LIFT_RAD_PER_CAMBER_RATIO,
-    section_probabilities,
+    list_section_probabilities,
 )
 from mufly.rotor.blading import Blading, Corrections, apply_section_fit, compute_rotor_polars, prepare_blading
 from mufly.rotor.effective_pitch import estimate_pitch_offset_prior
@@ -63,7 +63,7 @@ from mufly.rotor.sections.polar_table import PolarTable, stack_polars
 
 Array = NDArray[np.float64]
 
-FIT_PARAMETERS = ("pitch", "lift", "drag", "lift over Re", "drag over Re")
+FIT_PARAMETER_NAMES = ("pitch", "lift", "drag", "lift over Re", "drag over Re")
 _THRUST_SCATTER_FRACTION, _TORQUE_SCATTER_FRACTION = (
     0.02,
     0.03,
@@ -72,7 +72,7 @@ _PRIOR_WIDTH_FACTORS = (1.0, 2.0, 4.0)  # factors on the deviations of pitch, li
 _MIN_AXIAL_LOAD_SCALE_FRACTION = 0.3  # least T_s and Q_s in axial flight, of the greatest load
 _DERIVATIVE_STEP = 1e-3  # step of derivatives, in prior deviations
 _MIN_CANDIDATE_PROBABILITY = 0.01  # candidates below this probability are left out of the file
-_UNINFORMED_STD_RATIO, _HIGH_CORRELATION = 0.8, 0.9
+_UNINFORMED_STD_RATIO, _MIN_REPORTED_CORRELATION = 0.8, 0.9
 
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:draw_rotor_fit")
@@ -84,7 +84,7 @@ class RotorFit:
     rotor : Rotor
         Fitted rotor.
     change, std, prior_std : (5,) arrays
-        Estimate, posterior and prior deviation of :data:`FIT_PARAMETERS` (rad, logarithms, exponents), likeliest
+        Estimate, posterior and prior deviation of :data:`FIT_PARAMETER_NAMES` (rad, logarithms, exponents), likeliest
         section.
     correlation : (5, 5) array
         Posterior correlation of these parameters.
@@ -214,7 +214,7 @@ def fit_rotor(
         gas,
         float(np.exp(np.mean(np.log(re)))),
     )
-    listed = section_probabilities(plain, family) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
+    listed = list_section_probabilities(plain, family) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
     wide = _prior_deviations(estimate_pitch_offset_prior(plain).offset_std_rad, known=section == "known")
     ones = [replace_rotor(plain, {"blade.airfoils": airfoils}) for airfoils, _ in listed]
     every = {name for one in ones for name in one.airfoil_names()}
@@ -269,13 +269,13 @@ def fit_rotor(
     fitted_rotor = replace_rotor(plain, {"blade.airfoils": best.airfoils}).model_copy(update={"fit": fit})
     return RotorFit(
         fitted_rotor, best.change, sigma, best.prior_std, correlation,
-        _describe_undecided(sigma / best.prior_std, correlation, weights, everything),
+        _describe_undetermined_parameters(sigma / best.prior_std, correlation, weights, everything),
         measurements, before, best.scaled_errors, bench.load_scales, held, note, gas,
     )  # fmt: skip
 
 
 def _prior_deviations(pitch_std_rad: float, known: bool) -> Array:
-    """Return the prior standard deviations of :data:`FIT_PARAMETERS`."""
+    """Return the prior standard deviations of :data:`FIT_PARAMETER_NAMES`."""
     camber = 0.003 if known else GRID_ROUNDING_STD_RATIOS[0]
     pitch = math.hypot(pitch_std_rad, ZERO_LIFT_RAD_PER_CAMBER_RATIO * camber)
     return np.array([pitch, math.hypot(0.04, 0.05), math.hypot(0.08, 0.08), 0.05, 0.2])
@@ -338,7 +338,7 @@ def add_zero_load_points(
     return m
 
 
-def _count_copies(bench: _BenchPoints) -> Array:
+def _count_similar_points(bench: _BenchPoints) -> Array:
     """Return for each point the number of points with nearly its pitch, speed and airspeed, itself included, (n,).
 
     Nearly means within 0.1 degrees, 1 % and 1 %.
@@ -377,7 +377,7 @@ def _select_training_points(bench: _BenchPoints) -> tuple[NDArray[np.intp], str]
     return np.sort(order[::2]), "fitted to every second point, checked on the points between"
 
 
-def _apply_change(blading: Blading, tables: Mapping[str, PolarTable], change: Array, reynolds: float) -> Blading:
+def _apply_fit_changes(blading: Blading, tables: Mapping[str, PolarTable], change: Array, reynolds: float) -> Blading:
     """Return the blading with the changes of a fit to its polars and twist.
 
     It equals that of :func:`mufly.rotor.prepare_blading`, but is made faster.
@@ -391,7 +391,7 @@ def _compute_scaled_errors(
     blading: Blading, tables: Mapping[str, PolarTable], change: Array, bench: _BenchPoints
 ) -> Array:
     """Return the errors of predicted thrust and torque, divided by ``bench.load_scales``, (2, n)."""
-    changed = _apply_change(blading, tables, change, bench.reynolds) if change.any() else blading
+    changed = _apply_fit_changes(blading, tables, change, bench.reynolds) if change.any() else blading
     out = solve_rotor_batch(
         changed,
         pitch_rad=bench.pitch_rad,
@@ -411,7 +411,7 @@ def _fit_sections(
     bench: _BenchPoints,
 ) -> list[_FittedSection]:
     """Fit the rotor with each candidate section; return the fits, the likeliest first."""
-    size = np.outer((_THRUST_SCATTER_FRACTION, _TORQUE_SCATTER_FRACTION), np.sqrt(_count_copies(bench))).ravel()
+    size = np.outer((_THRUST_SCATTER_FRACTION, _TORQUE_SCATTER_FRACTION), np.sqrt(_count_similar_points(bench))).ravel()
     known = np.isfinite(bench.measured_loads.ravel())
     found = []
     widths = [wide * [f, f, f, 1.0, 1.0] for f in _PRIOR_WIDTH_FACTORS]
@@ -445,7 +445,7 @@ def _fit_sections(
             jacobian = np.asarray(solved.jac, dtype=np.float64)
             curvature, data = jacobian.T @ jacobian, jacobian[:-5]
             inverse = np.linalg.inv(curvature)
-            several = np.broadcast_to(1.0 / _count_copies(bench), bench.measured_loads.shape).ravel()
+            several = np.broadcast_to(1.0 / _count_similar_points(bench), bench.measured_loads.shape).ravel()
             freedom = float(several[known].sum() - np.trace(inverse @ data.T @ data))
             chi2 = float(np.sum(solved.fun[:-5] ** 2))
             birge = max(1.0, chi2 / freedom) if freedom > 0.5 else 1.0
@@ -482,19 +482,20 @@ def _estimate_scatter(best: _FittedSection) -> tuple[float, float]:
     return out[0], out[1]
 
 
-def _describe_undecided(
+def _describe_undetermined_parameters(
     shrunk: Array, correlation: Array, weights: Array, found: Sequence[_FittedSection]
 ) -> tuple[str, ...]:
     words = [
         f"the bench data hardly determine {name}"
-        for name, s in zip(FIT_PARAMETERS, shrunk.tolist(), strict=True)
+        for name, s in zip(FIT_PARAMETER_NAMES, shrunk.tolist(), strict=True)
         if s > _UNINFORMED_STD_RATIO
     ]
     words += [
-        f"{FIT_PARAMETERS[i]} and {FIT_PARAMETERS[j]} cannot be separated (correlation {correlation[i, j]:+.2f})"
+        f"{FIT_PARAMETER_NAMES[i]} and {FIT_PARAMETER_NAMES[j]} cannot be separated (correlation "
+        f"{correlation[i, j]:+.2f})"
         for i in range(5)
         for j in range(i + 1, 5)
-        if abs(correlation[i, j]) > _HIGH_CORRELATION
+        if abs(correlation[i, j]) > _MIN_REPORTED_CORRELATION
     ]
     shares: dict[str, float] = {}
     for f, weight in zip(found, weights.tolist(), strict=True):

@@ -22,7 +22,7 @@ three degrees of freedom, the fewest whole number with a variance. The interval 
     prediction +- k t_3((1 + p) / 2) s
 
 The scales k of thrust and torque (:data:`THRUST_TORQUE_ERROR_SCALES`) are the likeliest for the rotors of the benchmark
-(:func:`fit_interval_scale`), each rotor counting once: its points share its error. `mufly rotor benchmark --held-out`
+(:func:`fit_student_scale`), each rotor counting once: its points share its error. `mufly rotor benchmark --held-out`
 measures the coverage on families that had no part in the fit (docs/accuracy.md). The interval of a rotor fitted to a
 bench is normal, with k = 1.
 """
@@ -45,7 +45,7 @@ from mufly.rotor.blades.blade_families import (
     DRAG_FACTOR_PER_THICKNESS_RATIO,
     GRID_ROUNDING_STD_RATIOS,
     ZERO_LIFT_RAD_PER_CAMBER_RATIO,
-    section_probabilities,
+    list_section_probabilities,
 )
 from mufly.rotor.blading import Blading, Corrections, compute_rotor_polars, prepare_blading
 from mufly.rotor.effective_pitch import estimate_pitch_offset_prior
@@ -125,7 +125,7 @@ class PredictionInterval:
         }
 
 
-INTERVAL_LEVELS = (0.5, 0.68, 0.8, 0.9, 0.95, 0.99)
+PREDICTION_INTERVAL_LEVELS = (0.5, 0.68, 0.8, 0.9, 0.95, 0.99)
 
 
 def predict_interval(
@@ -175,8 +175,8 @@ def predict_interval(
     InputError
         If level, section or family is invalid, or the section is 'measured' and the rotor is not fitted.
     """
-    if level not in INTERVAL_LEVELS:
-        known = ", ".join(map(str, INTERVAL_LEVELS))
+    if level not in PREDICTION_INTERVAL_LEVELS:
+        known = ", ".join(map(str, PREDICTION_INTERVAL_LEVELS))
         raise ArgumentError("band", f"{level:g}", "is not an available probability", f"choose one of {known}")
     if section not in SECTION_KNOWLEDGE_LEVELS:
         raise InputError(
@@ -235,7 +235,7 @@ def predict_interval(
             ),
             (thrust, torque),
         ),
-        "engine": _combine_deviations(
+        "engine": _combine_independent_deviations(
             rms_deviation(solve_scaled_loads(1 + unsure.lift, 1.0), solve_scaled_loads(1 - unsure.lift, 1.0)),
             rms_deviation(solve_scaled_loads(1.0, 1 + unsure.drag), solve_scaled_loads(1.0, 1 - unsure.drag)),
         ),
@@ -249,7 +249,7 @@ def predict_interval(
     }
     values, all_causes = np.stack((thrust, torque)), {name: np.stack(pair) for name, pair in causes.items()}
     if guessed:
-        listed = [(a, w) for a, w in section_probabilities(rotor, family) if w >= _MIN_SECTION_PROBABILITY]
+        listed = [(a, w) for a, w in list_section_probabilities(rotor, family) if w >= _MIN_SECTION_PROBABILITY]
         ones = [replace_rotor(rotor, {"blade.airfoils": a}) for a, _ in listed]
         every = {name for one in ones for name in one.airfoil_names()}
         tables = compute_rotor_polars(rotor, every, n_crit=n_crit, engine=engine)
@@ -267,7 +267,7 @@ def interval_quantile(level: float) -> float:
     return float(stdtrit(_STUDENT_DEGREES_OF_FREEDOM, 0.5 + 0.5 * level))
 
 
-def fit_interval_scale(errors: Sequence[Array]) -> float:
+def fit_student_scale(errors: Sequence[Array]) -> float:
     """Return the most likely scale k of Student's distribution for errors divided by their predicted standard
     deviations.
 
@@ -363,7 +363,7 @@ def _predict_fitted_rotor(
     }
 
 
-def _combine_deviations(*pairs: tuple[Array, Array]) -> tuple[Array, Array]:
+def _combine_independent_deviations(*pairs: tuple[Array, Array]) -> tuple[Array, Array]:
     """Return the combined standard deviation of independent causes."""
 
     def root_sum_square(parts: Sequence[Array]) -> Array:

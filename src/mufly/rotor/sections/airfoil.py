@@ -106,7 +106,7 @@ def split_sides(coordinates: Array) -> tuple[Array, Array]:
 
 
 @cache
-def _index_database() -> dict[str, Path]:
+def _list_database_files() -> dict[str, Path]:
     found = find_spec("aerosandbox")  # not imported, because that takes two seconds
     if found is None or found.origin is None:
         return {}
@@ -116,7 +116,7 @@ def _index_database() -> dict[str, Path]:
 
 def database_airfoils() -> list[str]:
     """Return the names in AeroSandbox's database (UIUC's collection, about 2 000)."""
-    return list(_index_database())
+    return list(_list_database_files())
 
 
 def load_airfoil(name_or_path: str | Path) -> Airfoil:
@@ -151,18 +151,18 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     name = re.sub(r"^naca[\s_-]*", "naca", text.lower().strip())
     digits = re.fullmatch(r"naca(\d{4,5})", name)
     # Five digits that begin with 6, or that fit no five-digit mean line, are series 6 or 16 of the database.
-    series = name in _index_database() and digits is not None and (len(digits[1]) == 5 and digits[1][0] == "6")
+    series = name in _list_database_files() and digits is not None and (len(digits[1]) == 5 and digits[1][0] == "6")
     if digits is not None and not series:
         try:
             return Airfoil(name, naca_contour(digits[1]), f"NACA {digits[1]}, formula")
         except InputError:
-            if name not in _index_database():
+            if name not in _list_database_files():
                 raise
     for key in (text.lower(), name, text.lower().removesuffix(".dat")):
-        if key in _index_database():
-            return Airfoil(key, read_contour(_index_database()[key]), "AeroSandbox's database (UIUC)")
+        if key in _list_database_files():
+            return Airfoil(key, read_contour(_list_database_files()[key]), "AeroSandbox's database (UIUC)")
     otherwise = "give a NACA number, a database name or a .dat file"
-    raise InputError(text, "", "no such airfoil or file", suggest_name(name, _index_database(), otherwise))
+    raise InputError(text, "", "no such airfoil or file", suggest_name(name, _list_database_files(), otherwise))
 
 
 def name_thickened_airfoil(name: str, thickness: float) -> str:
@@ -243,14 +243,14 @@ def with_gurney(airfoil: Airfoil, height: float) -> Airfoil:
 
 _POINTS_PER_SIDE = 100
 # Mean lines for a design lift of 0.3, by the position of camber in twentieths of the chord: r, k1.
-_NORMAL_CAMBER_LINES = {
+_NACA5_NORMAL_CAMBER_LINES = {
     1: (0.0580, 361.400),
     2: (0.1260, 51.640),
     3: (0.2025, 15.957),
     4: (0.2900, 6.643),
     5: (0.3910, 3.230),
 }
-_REFLEX_CAMBER_LINES = {2: (0.1300, 51.990), 3: (0.2170, 15.793), 4: (0.3180, 6.520), 5: (0.4410, 3.191)}
+_NACA5_REFLEX_CAMBER_LINES = {2: (0.1300, 51.990), 3: (0.2170, 15.793), 4: (0.3180, 6.520), 5: (0.4410, 3.191)}
 
 
 def _naca_half_thickness(x: Array, t: float) -> Array:
@@ -268,7 +268,7 @@ def _four_digit_camber_line(x: Array, m: float, p: float) -> tuple[Array, Array]
 
 def _five_digit_camber_line(x: Array, digits: str) -> tuple[Array, Array]:
     lift, twentieth, reflexed = int(digits[0]), int(digits[1]), digits[2] == "1"
-    r, k1 = (_REFLEX_CAMBER_LINES if reflexed else _NORMAL_CAMBER_LINES)[twentieth]
+    r, k1 = (_NACA5_REFLEX_CAMBER_LINES if reflexed else _NACA5_NORMAL_CAMBER_LINES)[twentieth]
     front = x <= r
     if not reflexed:
         y = np.where(front, x**3 - 3 * r * x**2 + r**2 * (3 - r) * x, r**3 * (1 - x))
@@ -316,7 +316,7 @@ def naca_contour(digits: str, per_side: int = _POINTS_PER_SIDE) -> Array:
             )
         y_c, slope = _four_digit_camber_line(x, m, p)
     else:
-        families = {"0": _NORMAL_CAMBER_LINES, "1": _REFLEX_CAMBER_LINES}
+        families = {"0": _NACA5_NORMAL_CAMBER_LINES, "1": _NACA5_REFLEX_CAMBER_LINES}
         if int(digits[0]) == 0 or digits[2] not in families:
             normal = f"naca{digits[:2]}0{digits[-2:]}"
             remedy = f"let the first digit be 1 to 9, the third 0 (normal) or 1 (reflexed), as {normal}"

@@ -32,19 +32,19 @@ from mufly.files.text_table import decode_text
 Array = NDArray[np.float64]
 
 
-class SectionWarning(UserWarning):
+class SectionChangeWarning(UserWarning):
     """Warning that the data of a section was changed before use, for instance moved or rotated."""
 
 
 _MIN_POINTS = 20
 _MAX_TAIL_GAP = 0.12  # of chord; a contour whose ends lie further apart is not closed
 _CHORD_AXIS_TOLERANCE = 2e-3  # of chord
-_SCALE_WARNING_CHANGE = 0.02  # of chord; smaller changes of scale give no warning
+_MIN_WARNED_SCALE_CHANGE = 0.02  # of chord; smaller changes of scale give no warning
 _MAX_KEPT_TILT_RAD = math.radians(4.0)
 _MAX_TAIL_ALIGNED_TILT_RAD = math.radians(
     0.6
 )  # below this tilt the tail, which is better defined than the nose, fixes the axis
-_TILT_WARNING_RAD = math.radians(1.5)  # greater tilts give a warning
+_MIN_WARNED_TILT_RAD = math.radians(1.5)  # greater tilts give a warning
 _NOSE_TAIL_REGION_CHORDS = 0.05  # of chord: region in which nose and tail differ
 _BLUNT_TAIL_TOLERANCE_CHORDS = 1e-3  # of chord: distance of the corners of a blunt tail
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
@@ -70,7 +70,7 @@ def read_contour(path: Path) -> Array:
 def read_custom_contour(path: Path) -> tuple[Array, str]:
     """Return the contour in a coordinate file, moved and turned onto the x axis, and a description of the change.
 
-    A :class:`SectionWarning` reports the change.
+    A :class:`SectionChangeWarning` reports the change.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def read_custom_contour(path: Path) -> tuple[Array, str]:
     contour, words = align_contour(_order_from_tail(_read_points(path, where), where))
     checked = validate_contour(contour, where)
     if words:
-        warnings.warn(f"{path.name}: {words}", SectionWarning, stacklevel=2)
+        warnings.warn(f"{path.name}: {words}", SectionChangeWarning, stacklevel=2)
     return checked, words
 
 
@@ -130,10 +130,10 @@ def align_contour(contour: Array) -> tuple[Array, str]:
     low, size = float(contour[:, 0].min()), float(np.ptp(contour[:, 0]))
     if up or abs(low) > _CHORD_AXIS_TOLERANCE * size:
         done.append(f"moved by ({-low / size + 0.0:.3g}, {up / size:.3g}) chords")
-    if abs(size - 1.0) > _SCALE_WARNING_CHANGE:
+    if abs(size - 1.0) > _MIN_WARNED_SCALE_CHANGE:
         done.append(f"scaled by {1.0 / size:.3g}")
     words = f"the contour was {', '.join(done)}: x now runs from 0 to 1" if done else ""
-    if _TILT_WARNING_RAD < abs(tilt) <= _MAX_KEPT_TILT_RAD:
+    if _MIN_WARNED_TILT_RAD < abs(tilt) <= _MAX_KEPT_TILT_RAD:
         words += f"{'; ' if words else ''}its chord line stands {math.degrees(tilt):+.1f} degrees to the x axis, from "
         words += "which the angle of attack counts"
     return contour, words
@@ -207,7 +207,7 @@ def _order_from_tail(points: list[tuple[int, list[float]]], where: str) -> Array
     # A closed curve that begins elsewhere, or at a tail with the least x.
     ring = contour[:-1] if gap < 1e-9 else contour
     x = x[: len(ring)]
-    if _thickness_near(ring, x < _NOSE_TAIL_REGION_CHORDS) < 0.5 * _thickness_near(
+    if _thickness_near_end(ring, x < _NOSE_TAIL_REGION_CHORDS) < 0.5 * _thickness_near_end(
         ring, x > 1.0 - _NOSE_TAIL_REGION_CHORDS
     ):
         x = 1.0 - x
@@ -220,7 +220,7 @@ def _order_from_tail(points: list[tuple[int, list[float]]], where: str) -> Array
     return np.concatenate((ring, ring[:1]))
 
 
-def _thickness_near(ring: Array, end: NDArray[np.bool_]) -> float:
+def _thickness_near_end(ring: Array, end: NDArray[np.bool_]) -> float:
     return float(np.ptp(ring[end, 1])) if np.count_nonzero(end) > 1 else math.inf
 
 

@@ -41,7 +41,7 @@ from threadpoolctl import threadpool_limits
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.sections.airfoil import Airfoil
-from mufly.rotor.sections.section_data import RawPolars
+from mufly.rotor.sections.section_data import EnginePolars
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -55,14 +55,14 @@ _UPPER_SIDE_INPUTS, _LOWER_SIDE_INPUTS, _NOSE_INPUT, _SECTION_INPUT_COUNT = slic
 """Weights of the sides and of the nose among the numbers of a section, the last of which is the tail's thickness."""
 _CL_OUTPUT, _LOG_CD_OUTPUT, _CM_OUTPUT = 1, 2, 3  # outputs of the network, behind its confidence
 _OUTPUT_COLUMNS = slice(0, 4)  # confidence, lift, drag, moment
-_MAX_FIT_ERROR = 0.01  # of chord
-_MAX_GURNEY_HEIGHT = 0.02
+_MAX_KULFAN_FIT_ERROR_CHORDS = 0.01  # of chord
+_MAX_GURNEY_HEIGHT_CHORDS = 0.02
 """Height (of chord) up to which lift agrees with XFOIL within 0.05 (docs/log/2026-11-28-polars.md)."""
 _BATCH_SIZE = 8192  # activations of one layer fit in the cache of a processor core
 
 
 @cache
-def _neuralfoil_folder() -> Path:
+def _find_neuralfoil_folder() -> Path:
     found = find_spec("neuralfoil")  # looked up, not imported: that takes two seconds
     if found is None or found.origin is None:
         raise MuflyError("NeuralFoil is not installed; pip install neuralfoil, or use engine 'xfoil' or 'table'")
@@ -74,10 +74,10 @@ def _load_network(model: str) -> tuple[list[tuple[Floats, Floats]], Floats, Floa
     """Load the layers (weight, bias), and mean and inverse covariance of the training inputs."""
     if model not in NEURALFOIL_MODELS:
         raise InputError("polar", "model", f"{model!r} is unknown", f"use one of: {', '.join(NEURALFOIL_MODELS)}")
-    file = _neuralfoil_folder() / f"nn-{model}.npz"
+    file = _find_neuralfoil_folder() / f"nn-{model}.npz"
     try:
         data = dict(np.load(file))
-        spread = dict(np.load(_neuralfoil_folder() / "scaled_input_distribution.npz"))
+        spread = dict(np.load(_find_neuralfoil_folder() / "scaled_input_distribution.npz"))
     except OSError as error:
         raise MuflyError(f"NeuralFoil's weights cannot be read ({error}); reinstall neuralfoil") from error
     numbers = sorted({int(key.split(".")[1]) for key in data})
@@ -90,7 +90,7 @@ def _load_network(model: str) -> tuple[list[tuple[Floats, Floats]], Floats, Floa
 
 def neuralfoil_version() -> str:
     """Return the version of the installed package ``neuralfoil``."""
-    _neuralfoil_folder()
+    _find_neuralfoil_folder()
     return version("neuralfoil")
 
 
@@ -139,11 +139,11 @@ def fit_kulfan_parameters(airfoil: Airfoil) -> tuple[Array, float, float, float]
 
 def require_kulfan_fit(airfoil: Airfoil) -> tuple[Array, float, float, float]:
     """Fit a contour as :func:`fit_kulfan_parameters` does, or raise InputError if 18 numbers cannot describe it."""
-    if airfoil.gurney > _MAX_GURNEY_HEIGHT:
+    if airfoil.gurney > _MAX_GURNEY_HEIGHT_CHORDS:
         problem = f"NeuralFoil's smooth contour cannot carry a Gurney flap of {100 * airfoil.gurney:g} %"
         raise InputError(airfoil.name, "", problem, "use engine 'xfoil', or a flap up to 2 %")
     *_, error = found = fit_kulfan_parameters(airfoil)
-    if error > _MAX_FIT_ERROR:
+    if error > _MAX_KULFAN_FIT_ERROR_CHORDS:
         problem = f"NeuralFoil's smooth contour misses this one by {100 * error:.1f} % of chord"
         raise InputError(airfoil.name, "", problem, "use engine 'xfoil' or a table")
     return found
@@ -220,7 +220,7 @@ def compute_neuralfoil_polars(
     n_crit: float = 0.1,
     xtr: tuple[float, float] = (1.0, 1.0),
     model: str = "xlarge",
-) -> list[RawPolars]:
+) -> list[EnginePolars]:
     """Compute polars of many airfoils.
 
     Parameters
@@ -238,7 +238,7 @@ def compute_neuralfoil_polars(
 
     Returns
     -------
-    list of RawPolars
+    list of EnginePolars
         One for each airfoil, from -20 to 20 degrees in steps of one; valid where the network is confident.
 
     Raises
@@ -252,12 +252,12 @@ def compute_neuralfoil_polars(
 
     # Products this small are slower on several BLAS threads than on one; the airfoils are distributed instead.
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(lambda airfoil: _compute_section_data(airfoil, re, n_crit, xtr, model, source), airfoils))
+        return list(pool.map(lambda airfoil: _compute_engine_polars(airfoil, re, n_crit, xtr, model, source), airfoils))
 
 
-def _compute_section_data(
+def _compute_engine_polars(
     airfoil: Airfoil, re: Array, n_crit: float, xtr: tuple[float, float], model: str, source: str
-) -> RawPolars:
+) -> EnginePolars:
     parameters, rotation, chord, _ = require_kulfan_fit(airfoil)
     section = parameters.astype(np.float32)
     section[-1] *= 50
@@ -267,7 +267,7 @@ def _compute_section_data(
     y = _evaluate_network(section, flows.astype(np.float32), model).reshape(re.size, _ALPHA_GRID_RAD.size, 4)
     # The fit's chord differs from the contour's by a fraction of a per cent; the coefficients are scaled accordingly.
     cl, cd, cm = y[..., _CL_OUTPUT] * chord, np.exp(y[..., _LOG_CD_OUTPUT]) * chord, y[..., _CM_OUTPUT] * chord**2
-    return RawPolars(
+    return EnginePolars(
         airfoil.name,
         _ALPHA_GRID_RAD.copy(),
         re.copy(),

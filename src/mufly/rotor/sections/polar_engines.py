@@ -32,7 +32,7 @@ from mufly.rotor.sections import neuralfoil_network
 from mufly.rotor.sections.airfoil import Airfoil, load_airfoil
 from mufly.rotor.sections.polar_file import is_polar_file, read_polar_file
 from mufly.rotor.sections.polar_table import DEFAULT_ASPECT_RATIO, PolarTable, extend_full_circle
-from mufly.rotor.sections.section_data import RawPolars, load_cached_polars, store_cached_polars
+from mufly.rotor.sections.section_data import EnginePolars, load_cached_polars, store_cached_polars
 
 PolarEngine = Literal["neuralfoil", "xfoil", "table"]
 
@@ -114,7 +114,7 @@ def compute_airfoil_polars(
         name. Otherwise the first failure is raised.
     """
     re = _check_arguments(n_crit, engine, reynolds, xtr)
-    tables: dict[str, RawPolars] = {}
+    tables: dict[str, EnginePolars] = {}
     todo: list[tuple[str, str, Airfoil]] = []
     for item in airfoils:
         name = item.name if isinstance(item, Airfoil) else str(item)
@@ -352,7 +352,7 @@ def compute_xfoil_polars(
     n_crit: float = 0.1,
     xtr: tuple[float, float] = (1.0, 1.0),
     alpha_deg: ArrayLike | None = None,
-) -> RawPolars:
+) -> EnginePolars:
     """Compute polars with XFOIL.
 
     Parameters
@@ -389,7 +389,7 @@ def compute_xfoil_polars(
     coefficients = np.nan_to_num(np.stack(values))
     mask = np.stack(known)
     source = f"XFOIL, n_crit {n_crit:g}, transition at {xtr[0]:g}, {xtr[1]:g}"
-    return RawPolars(
+    return EnginePolars(
         airfoil.name, np.deg2rad(angles), re.copy(), coefficients[..., 0], coefficients[..., 1], coefficients[..., 2],
         mask, mask.copy(), source, n_crit, airfoil.thickness_ratio, airfoil.camber,
     )  # fmt: skip

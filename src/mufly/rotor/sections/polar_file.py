@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.files.text_table import decode_text, detect_separator_and_decimal_mark, normalise_number, split_cells
 from mufly.quantities.units import normalise_unit
-from mufly.rotor.sections.section_data import RawPolars
+from mufly.rotor.sections.section_data import EnginePolars
 
 Array = NDArray[np.float64]
 
@@ -69,16 +69,16 @@ def is_polar_file(name: str) -> bool:
         lines = decode_text(path.read_bytes()[:20_000]).splitlines() if path.is_file() else []
     except OSError:
         return False
-    return _find_header_line(lines) is not None or _is_old_aerodyn(lines)
+    return _find_header_line(lines) is not None or _is_aerodyn_13_or_older(lines)
 
 
-def _is_old_aerodyn(lines: Sequence[str]) -> bool:
+def _is_aerodyn_13_or_older(lines: Sequence[str]) -> bool:
     """Return True for a file of AeroDyn up to version 13."""
     first = [line.lower() for line in lines[:_MAX_HEADER_LINES]]
     return any("number of airfoil tables" in s for s in first) and any("in millions" in s for s in first)
 
 
-def read_polar_file(path: str | Path) -> RawPolars:
+def read_polar_file(path: str | Path) -> EnginePolars:
     """Read a table of section coefficients; the module docstring lists formats and errors.
 
     Raises
@@ -106,7 +106,7 @@ def read_polar_file(path: str | Path) -> RawPolars:
     if single:  # one polar for every Reynolds number
         reynolds = np.array([1.0, 1e9])
         cl, cd, cm, known = (np.repeat(v, 2, axis=0) for v in (cl, cd, cm, known))
-    return RawPolars(Path(path).stem, np.deg2rad(alpha), reynolds, cl, cd, cm, known, known.copy(), f"table {where}")
+    return EnginePolars(Path(path).stem, np.deg2rad(alpha), reynolds, cl, cd, cm, known, known.copy(), f"table {where}")
 
 
 def _interpolate_log_reynolds(table: Array, own: Array, wanted: Array) -> Array:
@@ -158,7 +158,7 @@ def _read_rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
     written = [(n, s) for n, s in enumerate(lines, 1) if s.strip() and not s.lstrip().startswith("#")]
     if not written:
         raise InputError(where, "", "is empty", "give a header and at least one line")
-    if _find_header_line([s for _, s in written]) is None and _is_old_aerodyn([s for _, s in written]):
+    if _find_header_line([s for _, s in written]) is None and _is_aerodyn_13_or_older([s for _, s in written]):
         table = [
             (n, s) for n, s in written if _find_stated_reynolds(s, math.nan) > 0 or _AERODYN_ROW_PATTERN.fullmatch(s)
         ]

@@ -49,13 +49,13 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
-from mufly.rotor.sections.section_data import RawPolars
+from mufly.rotor.sections.section_data import EnginePolars
 
 Array = NDArray[np.float64]
 
 ALPHA_GRID: Array = np.linspace(-math.pi, math.pi, 721)  # half a degree
-OUTSIDE_ALPHA = 1  # bit: angle outside the engine's range, value is an extension
-OUTSIDE_REYNOLDS = 2  # bit: Reynolds number outside the table, value is that of its edge
+OUTSIDE_ALPHA_BIT = 1  # bit: angle outside the engine's range, value is an extension
+OUTSIDE_REYNOLDS_BIT = 2  # bit: Reynolds number outside the table, value is that of its edge
 
 _ALPHA_CELL_COUNT = ALPHA_GRID.size - 1
 _CELLS_PER_RADIAN = _ALPHA_CELL_COUNT / (2.0 * math.pi)
@@ -268,8 +268,8 @@ def extrapolation_flags(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike
     Returns
     -------
     array of uint8, broadcast shape
-        0 inside; bit ``OUTSIDE_ALPHA`` where the angle lies beyond the engine's range at that Reynolds number,
-        bit ``OUTSIDE_REYNOLDS`` where the Reynolds number lies beyond the table.
+        0 inside; bit ``OUTSIDE_ALPHA_BIT`` where the angle lies beyond the engine's range at that Reynolds number,
+        bit ``OUTSIDE_REYNOLDS_BIT`` where the Reynolds number lies beyond the table.
     """
     a, re = np.broadcast_arrays(np.asarray(alpha, dtype=np.float64), np.asarray(reynolds, dtype=np.float64))
     return flag_extrapolated_stack_points(stack_polars([table]), 0, a.ravel(), re.ravel()).reshape(a.shape)
@@ -291,7 +291,7 @@ def flag_extrapolated_stack_points(
     a = (alpha + math.pi) % _FULL_TURN_RAD - math.pi
     beyond_alpha = (a < limits[..., 0] - _VALID_RANGE_TOLERANCE) | (a > limits[..., 1] + _VALID_RANGE_TOLERANCE)
     beyond_re = (log_re < span[..., 0] - _VALID_RANGE_TOLERANCE) | (log_re > span[..., 1] + _VALID_RANGE_TOLERANCE)
-    return (beyond_alpha * OUTSIDE_ALPHA + beyond_re * OUTSIDE_REYNOLDS).astype(np.uint8)
+    return (beyond_alpha * OUTSIDE_ALPHA_BIT + beyond_re * OUTSIDE_REYNOLDS_BIT).astype(np.uint8)
 
 
 DEFAULT_ASPECT_RATIO = 5.0  # blades of micro rotors have 2.5 to 8; C_max then lies within 5 % of the value for 5
@@ -349,12 +349,12 @@ def _stalled_coefficient_shapes() -> tuple[Array, Array]:
 _STALLED_CL_SHAPE, _STALLED_CD_SHAPE = _stalled_coefficient_shapes()
 
 
-def extend_full_circle(data: RawPolars, *, aspect_ratio: float = DEFAULT_ASPECT_RATIO) -> PolarTable:
+def extend_full_circle(data: EnginePolars, *, aspect_ratio: float = DEFAULT_ASPECT_RATIO) -> PolarTable:
     """Extend section coefficients of an engine to all angles of attack (full circle) by flat-plate data.
 
     Parameters
     ----------
-    data : RawPolars
+    data : EnginePolars
         Known values; each row is interpolated by a spline and extended beyond its first and last angle.
     aspect_ratio : float
         Span over chord of the blade, for the drag across the flow.

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class RawPolars:
+class EnginePolars:
     """Lift, drag and moment coefficients of a section at known angles and Reynolds numbers.
 
     Attributes
@@ -56,7 +56,7 @@ class RawPolars:
     camber: float = math.nan
 
 
-def store_cached_polars(key: str, data: RawPolars) -> None:
+def store_cached_polars(key: str, data: EnginePolars) -> None:
     """Store section coefficients ``data`` on disk under the hash ``key``."""
     folder = cache_folder("polars")
     if folder is not None:
@@ -64,7 +64,7 @@ def store_cached_polars(key: str, data: RawPolars) -> None:
             write_stored_result(folder / f"{key}.npz", key, {k: v for k, v in vars(data).items() if k != "name"})
 
 
-def load_cached_polars(key: str, name: str) -> RawPolars | None:
+def load_cached_polars(key: str, name: str) -> EnginePolars | None:
     """Return the section coefficients stored on disk under the hash ``key``, with the present name of the airfoil;
     None if absent.
     """
@@ -72,4 +72,4 @@ def load_cached_polars(key: str, name: str) -> RawPolars | None:
     found = None if folder is None else read_stored_result(folder / f"{key}.npz", key)
     if found is None:
         return None
-    return RawPolars(name, **{k: v if v.ndim else v.item() for k, v in found.items()})
+    return EnginePolars(name, **{k: v if v.ndim else v.item() for k, v in found.items()})

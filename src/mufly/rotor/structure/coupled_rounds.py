@@ -31,7 +31,12 @@ from mufly.rotor.structure.blade_beam import (
     compute_centrifugal_load_over_speed2,
     stiffness_matrices,
 )
-from mufly.rotor.structure.elastic_rotor import SpanLoads, differentiate_air_loads, solve_equilibrium, twisted_loads
+from mufly.rotor.structure.elastic_rotor import (
+    SpanLoads,
+    differentiate_air_loads,
+    solve_equilibrium,
+    solve_twisted_rotor,
+)
 
 Array = NDArray[np.float64]
 
@@ -159,7 +164,7 @@ def iterate_elastic_twist(
         loads = strips.map_to_beam(beam, pitch_rad, held)
         step = math.radians(0.2)
         below, above = (
-            twisted_loads(blading, beam, polars, held, **point, air=gas, more_rad=more)[1] for more in (0.0, step)
+            solve_twisted_rotor(blading, beam, polars, held, **point, air=gas, more_rad=more)[1] for more in (0.0, step)
         )
         slope = differentiate_air_loads(beam, below, above, step)
         new, force = x.copy(), loads.load_vector(beam)

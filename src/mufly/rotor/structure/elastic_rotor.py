@@ -199,7 +199,7 @@ def divergence_speed(beam: BladeBeam, elastic: Array, destabilising: Array) -> f
     return math.sqrt(1.0 / float(real.max())) if real.size else math.inf
 
 
-def twisted_loads(
+def solve_twisted_rotor(
     blading: Blading,
     beam: BladeBeam,
     polars: Mapping[str, PolarTable],
@@ -254,7 +254,7 @@ def solve_equilibrium(
     gas, root = air or Air(), beam.root_transform
 
     def solve_loads(twist: Array, more: float = 0.0) -> tuple[RotorResult, SpanLoads]:
-        return twisted_loads(
+        return solve_twisted_rotor(
             blading, beam, polars, twist, pitch_rad=pitch_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=gas,
             more_rad=more,
         )  # fmt: skip

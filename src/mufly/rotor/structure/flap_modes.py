@@ -163,7 +163,7 @@ def make_blade_beam(
     )
 
 
-def free_hinge(structure: BladeStructure) -> BladeStructure:
+def with_free_flap_hinge(structure: BladeStructure) -> BladeStructure:
     """Return a structure with a free flap hinge at the shaft."""
     return structure.model_copy(update={"root": "hinged", "hinge_radius": None, "flap_spring": None})
 
@@ -287,7 +287,7 @@ def compute_flap_mode(rotor: Rotor, speed_rad_s: float, *, pitch_rad: float = 0.
     value, low, high = propagate_structure_uncertainty(rotor, s, solve_frequencies)
     beam = make_blade_beam(rotor, s)
     if s.root == "unknown":
-        low = solve_frequencies(make_blade_beam(rotor, free_hinge(s)))
+        low = solve_frequencies(make_blade_beam(rotor, with_free_flap_hinge(s)))
     modes = compute_modes(beam, speed_rad_s, pitch_rad=pitch_rad, count=4)
     x = modes.shape[modes.find_mode("flap")]
     shape = x[NODE_FLAP_DOFS]
@@ -421,7 +421,7 @@ def compute_campbell(
 
     value, low, high = propagate_structure_uncertainty(rotor, s, solve_frequencies)
     beam = make_blade_beam(rotor, s)
-    hinged = make_blade_beam(rotor, free_hinge(s))
+    hinged = make_blade_beam(rotor, with_free_flap_hinge(s))
     found = [compute_modes(hinged, w, pitch_rad=pitch_rad, count=3) for w in speeds]
     free = np.array([m.frequency_rad_s[m.find_mode("flap")] for m in found])
     if s.root == "unknown":

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from mufly.rotor.structure.flap_modes import CampbellDiagram
 
 _SHOWN_HARMONIC_COUNT = 8
-_SHOWN_MODES = ("flap 1", "flap 2", "torsion 1")
+_PICTURE_HEIGHT_MODES = ("flap 1", "flap 2", "torsion 1")
 """Modes that set the height of the picture."""
 
 
@@ -26,7 +26,7 @@ def draw_campbell(found: CampbellDiagram) -> Figure:
     figure = blank_figure(8.0, 5.0)
     axes = figure.subplots()
     rpm = found.speed_rad_s / RPM
-    shown = [found.modes.index(name) for name in _SHOWN_MODES]
+    shown = [found.modes.index(name) for name in _PICTURE_HEIGHT_MODES]
     top = 1.15 * float(np.nanmax(found.frequency_rad_s[:, shown])) / (2.0 * math.pi)
     for k in range(1, _SHOWN_HARMONIC_COUNT + 1):
         axes.plot(rpm, k * rpm / 60.0, color="0.8", linewidth=0.8, zorder=0)

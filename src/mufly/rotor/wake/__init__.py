@@ -4,8 +4,8 @@ from mufly.rotor.rotor_system import PlacedRotor, RotorWake, WakeSettings, check
 from mufly.rotor.wake.induced_flow import (
     BladePassingLoads,
     compute_blade_passing_loads,
+    compute_momentum_flux_thrust,
     induced_velocity,
-    momentum_thrust,
 )
 from mufly.rotor.wake.wake_solver import solve_wake
 
@@ -16,7 +16,7 @@ __all__ = [
     "WakeSettings",
     "check_rotors",
     "compute_blade_passing_loads",
+    "compute_momentum_flux_thrust",
     "induced_velocity",
-    "momentum_thrust",
     "solve_wake",
 ]

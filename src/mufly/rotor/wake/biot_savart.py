@@ -75,11 +75,11 @@ SEGMENT_QUANTITY_COUNT = 10
 ) = range(SEGMENT_QUANTITY_COUNT)
 """Rows of a segment in single precision: start, vector to the end, its squared length, squared core radius, the product
 of both, circulation."""
-_ONE_SINGLE, _HALF_SINGLE, _SINGULARITY_GUARD_SINGLE = np.float32(1.0), np.float32(0.5), 1e-30
+_ONE_FLOAT32, _HALF_FLOAT32, _SINGULARITY_GUARD_FLOAT32 = np.float32(1.0), np.float32(0.5), 1e-30
 
 
 @cached_njit(parallel=True, fastmath=True, error_model="numpy")
-def _grouped_kernel_single(points: Any, rows: Any, out: Array) -> None:
+def _grouped_kernel_single_precision(points: Any, rows: Any, out: Array) -> None:
     # As evaluate_biot_savart_kernel, but the terms of the segment alone are given: 61 operations instead of 77. The
     # cross product a x b = l x a is free of cancellation between distant points.
     zero = np.float32(0.0)
@@ -95,10 +95,10 @@ def _grouped_kernel_single(points: Any, rows: Any, out: Array) -> None:
                 along_a = lx * ax + ly * ay + lz * az
                 along_b = along_a - rows[SEGMENT_LENGTH_2, j, k]
                 bx, by, bz = ax - lx, ay - ly, az - lz
-                ra = _ONE_SINGLE / np.sqrt(ax * ax + ay * ay + az * az + core)
-                rb = _ONE_SINGLE / np.sqrt(bx * bx + by * by + bz * bz + core)
-                e = _ONE_SINGLE / (cx * cx + cy * cy + cz * cz + thick)
-                g, h = _ONE_SINGLE + thick * e, _HALF_SINGLE * core
+                ra = _ONE_FLOAT32 / np.sqrt(ax * ax + ay * ay + az * az + core)
+                rb = _ONE_FLOAT32 / np.sqrt(bx * bx + by * by + bz * bz + core)
+                e = _ONE_FLOAT32 / (cx * cx + cy * cy + cz * cz + thick)
+                g, h = _ONE_FLOAT32 + thick * e, _HALF_FLOAT32 * core
                 f = (
                     rows[SEGMENT_STRENGTH, j, k]
                     * e
@@ -170,7 +170,7 @@ def make_segments(paths: Array, core: Array, strength: Array) -> tuple[Array, Ar
     return start, end, strengths, (_CORE_WIDTH_FACTOR * core.ravel()) ** 2 + SINGULARITY_GUARD_M2
 
 
-class SingleSegments(NamedTuple):
+class SinglePrecisionSegments(NamedTuple):
     """Vortex segments in single precision, in groups of equal size; lengths are in units of ``length_unit_m``.
 
     The unit avoids underflow.
@@ -182,7 +182,9 @@ class SingleSegments(NamedTuple):
     rows: Any
 
 
-def convert_to_single(segments: tuple[Array, Array, Array, Array], groups: int = 1) -> SingleSegments:
+def convert_to_single_precision(
+    segments: tuple[Array, Array, Array, Array], groups: int = 1
+) -> SinglePrecisionSegments:
     """Return the segments of :func:`make_segments` in single precision, in groups of equal size."""
     start, end, strength, core = segments
     length = max(float(np.abs(start).max(initial=0.0)), 1e-30)
@@ -192,28 +194,29 @@ def convert_to_single(segments: tuple[Array, Array, Array, Array], groups: int =
     rows[SEGMENT_DX:SEGMENT_LENGTH_2] = (end / length).astype(np.float32) - rows[:SEGMENT_DX]
     rows[SEGMENT_LENGTH_2] = np.sum(rows[SEGMENT_DX:SEGMENT_LENGTH_2].astype(np.float64) ** 2, axis=0)
     rows[SEGMENT_CORE] = core / length**2
-    rows[SEGMENT_LENGTH_CORE_2] = rows[SEGMENT_LENGTH_2] * rows[SEGMENT_CORE] + _SINGULARITY_GUARD_SINGLE
+    rows[SEGMENT_LENGTH_CORE_2] = rows[SEGMENT_LENGTH_2] * rows[SEGMENT_CORE] + _SINGULARITY_GUARD_FLOAT32
     rows[SEGMENT_STRENGTH] = strength / length
-    return SingleSegments(length, rows.reshape(SEGMENT_QUANTITY_COUNT, groups, -1))
+    return SinglePrecisionSegments(length, rows.reshape(SEGMENT_QUANTITY_COUNT, groups, -1))
 
 
-def induce_velocity(points: Array, segments: tuple[Array, Array, Array, Array] | SingleSegments) -> Array:
+def induce_velocity(points: Array, segments: tuple[Array, Array, Array, Array] | SinglePrecisionSegments) -> Array:
     """Return the velocity (m/s) at points (m, 3) due to the segments of :func:`make_segments`.
 
-    Segments of :func:`convert_to_single` take a quarter of the time; the error is 1e-5 of the greatest velocity.
+    Segments of :func:`convert_to_single_precision` take a quarter of the time; the error is 1e-5 of the greatest
+    velocity.
     """
-    if isinstance(segments, SingleSegments):
-        velocity = group_velocity(points, segments)
+    if isinstance(segments, SinglePrecisionSegments):
+        velocity = induce_velocity_by_group(points, segments)
         return velocity[:, 0] if velocity.shape[1] == 1 else velocity.sum(axis=1)
     out = np.empty((points.shape[0], 3))
     _induced_velocity_kernel(np.ascontiguousarray(points), *segments, out)
     return out
 
 
-def group_velocity(points: Array, segments: SingleSegments) -> Array:
+def induce_velocity_by_group(points: Array, segments: SinglePrecisionSegments) -> Array:
     """Return the velocity (m/s) at points (m, 3) due to each group of segments: (m, groups, 3) array."""
     out = np.empty((points.shape[0], segments.rows.shape[1], 3))
-    _grouped_kernel_single((points / segments.length_unit_m).astype(np.float32), segments.rows, out)
+    _grouped_kernel_single_precision((points / segments.length_unit_m).astype(np.float32), segments.rows, out)
     return out
 
 

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _THREADS_PER_BLOCK = 128
 
 
-def gpu_available() -> bool:
+def is_gpu_available() -> bool:
     """True if Numba finds a CUDA device."""
     try:
         return bool(cuda.is_available())  # type: ignore[no-untyped-call]
@@ -54,7 +54,7 @@ def induce_velocity_gpu(points: Array, segments: tuple[Array, Array, Array, Arra
     MuflyError
         If there is no GPU.
     """
-    if not gpu_available():
+    if not is_gpu_available():
         raise MuflyError("wake: no CUDA device was found; leave the gpu setting off")
     out = cuda.device_array((points.shape[0], 3), dtype=np.float64)
     inputs = [cuda.to_device(np.ascontiguousarray(a)) for a in (points, *segments)]

@@ -22,7 +22,7 @@ from mufly.rotor.wake.lifting_surface import rotate_vectors
 from mufly.rotor.wake.wake_solver import (
     RotorState,
     collect_blade_segments,
-    drag_swirl_velocity,
+    compute_upper_drag_swirl,
     initialise_wakes,
     mutual_inflow_at,
     solve_blade_loads,
@@ -87,7 +87,7 @@ def _sum_wake_velocities(solution: SystemSolution, flat: Array, azimuths: Array)
     return total
 
 
-def momentum_thrust(solution: SystemSolution, height_m: float, *, reach: float = 6.0) -> float:
+def compute_momentum_flux_thrust(solution: SystemSolution, height_m: float, *, reach: float = 6.0) -> float:
     """Return the thrust (N) from the momentum flux through a plane below the rotors.
 
     For a consistent wake it equals the thrust of the loads. The pressure follows from the unsteady Bernoulli equation.
@@ -194,7 +194,7 @@ def compute_blade_passing_loads(solution: SystemSolution, *, points: int = 24) -
     circulation = [unit.blade_state for unit in units]
     blades = units[0].surface.blade_count
     azimuth = np.arange(points) * 2.0 * math.pi / blades / points
-    swirls = [drag_swirl_velocity(a, b, climb, settings.phases) for a, b in (units, units[::-1])]
+    swirls = [compute_upper_drag_swirl(a, b, climb, settings.phases) for a, b in (units, units[::-1])]
     thrust, torque = np.empty((2, points)), np.empty((2, points))
     for i, angle in enumerate(azimuth):
         winds = [

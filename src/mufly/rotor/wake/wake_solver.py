@@ -13,8 +13,8 @@ Two rotors: each wake is steady in the frame of its own rotor only. The velocity
 blades and wake is therefore averaged over the relative azimuth. The unsteady part follows from
 :func:`mufly.rotor.wake.induced_flow.compute_blade_passing_loads`. The lower rotor also receives the swirl due to
 profile drag
-of the upper rotor (:func:`drag_swirl_velocity`), which vortices do not represent. A clockwise rotor is solved as its
-mirror image.
+of the upper rotor (:func:`compute_upper_drag_swirl`), which vortices do not represent. A clockwise rotor is solved as
+its mirror image.
 
 Cost of an iteration: (points of one blade) x (segments of all blades), quadratic in the number of wake elements.
 """
@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.rotor.bemt import build_rotor_result, drag_angular_momentum
+from mufly.rotor.bemt import build_rotor_result, compute_drag_swirl_momentum
 from mufly.rotor.rotor_system import (
     Air,
     LiftingSurface,
@@ -41,12 +41,12 @@ from mufly.rotor.rotor_system import (
     WakeSettings,
     check_rotors,
 )
-from mufly.rotor.vortex_tube import swirl_influence
+from mufly.rotor.vortex_tube import make_swirl_influence_matrix
 from mufly.rotor.wake.biot_savart import (
-    convert_to_single,
+    convert_to_single_precision,
     filament_influence,
-    group_velocity,
     induce_velocity,
+    induce_velocity_by_group,
     make_segments,
 )
 from mufly.rotor.wake.lifting_surface import (
@@ -68,7 +68,7 @@ from mufly.rotor.wake.lifting_surface import (
 Array = NDArray[np.float64]
 
 _STEADY_WINDOW_ITERATIONS = 10
-_SINGLE_CORE_LIMITS = (0.15, 0.25, 0.35)  # R; the next limit is tried if a wake does not converge
+_SINGLE_ROTOR_CORE_LIMITS = (0.15, 0.25, 0.35)  # R; the next limit is tried if a wake does not converge
 _PAIR_CORE_LIMITS = (0.2, 0.3, 0.4)
 _MEAN_WINDOW_ITERATIONS = 30  # iterations over which a fluctuating wake is averaged
 _MAX_LOAD_FLUCTUATION = 0.02  # of the loads; greatest fluctuation of a wake that counts as steady in the mean
@@ -76,13 +76,13 @@ _WAKE_DAMPING_AGE_RAD = 4.0 * math.pi
 _INITIAL_CORE_LIMIT = 0.4  # initial core limit (R)
 _CORE_LIMIT_DECAY_ITERATIONS = 15.0  # iterations until it has decreased
 _FLUCTUATING_RESIDUAL_FACTOR = 2.0  # factor on the permitted residual of a fluctuating wake
-_MUTUAL_UPDATE_INTERVAL = 4  # iterations between updates of the mutual influence on the wakes
-_SWIRL_RELAXATION = 0.3  # relaxation of the swirl at each update
+_MUTUAL_UPDATE_INTERVAL_ITERATIONS = 4  # iterations between updates of the mutual influence on the wakes
+_SWIRL_RELAXATION_FACTOR = 0.3  # relaxation of the swirl at each update
 _TYPICAL_BLADE_LOADING = 0.06  # c_T over solidity, first guess
 _MIN_GROUND_CLEARANCE_RADII = 0.05  # R: least height of vortices above the ground
-_COARSE_CHORD_RAD = math.radians(15.0)  # chords of a wake for averages over azimuth
+_COARSE_WAKE_CHORD_RAD = math.radians(15.0)  # chords of a wake for averages over azimuth
 _MAX_POINT_STEP_RADII = 0.15  # R; greatest step of a point in one iteration
-_PRESCRIBED_ITERATIONS = 6  # iterations with Landgrebe's wake before the wake is free
+_PRESCRIBED_WAKE_ITERATIONS = 6  # iterations with Landgrebe's wake before the wake is free
 
 
 def _convect_filaments(unit: RotorState, velocity: Array, climb: float) -> tuple[Array, float]:
@@ -105,7 +105,7 @@ def _convect_filaments(unit: RotorState, velocity: Array, climb: float) -> tuple
     return out, math.sqrt(float(np.mean(np.sum(still**2, axis=2))) / size)
 
 
-def _limit_root_upwash(velocity: Array) -> None:
+def _limit_root_vortex_upwash(velocity: Array) -> None:
     """Limit the upwash of a pair's root vortices: they descend at least as fast as the vortex sheet beside them.
 
     The velocities, (edges, points, 3), change in place. Coils of a root vortex induce upwash through their middle, the
@@ -191,9 +191,9 @@ def solve_wake(
     if how.ground_m is not None:
         how = replace(how, far_turns=min(how.far_turns, max(_turns_to_ground(how.ground_m, rotors) - how.turns, 1.0)))
     if how.core_limit is not None or how.model == "prescribed":
-        how = replace(how, core_limit=how.core_limit if how.core_limit is not None else _SINGLE_CORE_LIMITS[0])
+        how = replace(how, core_limit=how.core_limit if how.core_limit is not None else _SINGLE_ROTOR_CORE_LIMITS[0])
         return _solve_with_core_limit(rotors, gas, climb_m_s, how, start, progress)
-    limits: tuple[float, ...] = _SINGLE_CORE_LIMITS if len(rotors) == 1 else _PAIR_CORE_LIMITS
+    limits: tuple[float, ...] = _SINGLE_ROTOR_CORE_LIMITS if len(rotors) == 1 else _PAIR_CORE_LIMITS
     if start is not None and start.settings is not None and start.settings.core_limit in limits:
         limits = limits[limits.index(start.settings.core_limit) :]
     for limit in limits:
@@ -242,27 +242,29 @@ def _solve_with_core_limit(
             for source in units:
                 if source is not unit and source.blade_state is not None:
                     others += average_mutual_inflow(unit, source, unit.evaluation_points_m, how.phases)
-                    if turn % _MUTUAL_UPDATE_INTERVAL == 0:
-                        left = drag_swirl_velocity(unit, source, climb_m_s, how.phases)
+                    if turn % _MUTUAL_UPDATE_INTERVAL_ITERATIONS == 0:
+                        left = compute_upper_drag_swirl(unit, source, climb_m_s, how.phases)
                         # Slow relaxation, because the wake is still moving.
-                        unit.swirl_velocity_m_s += (_SWIRL_RELAXATION if unit.swirl_velocity_m_s.any() else 1.0) * (
-                            left - unit.swirl_velocity_m_s
-                        )
+                        unit.swirl_velocity_m_s += (
+                            _SWIRL_RELAXATION_FACTOR if unit.swirl_velocity_m_s.any() else 1.0
+                        ) * (left - unit.swirl_velocity_m_s)
                     others += unit.swirl_velocity_m_s
             solve_blade_loads(unit, others, gas, climb_m_s, how)
             unit.update_segments(now, nu)
         residuals = []
         for unit in units:
-            if free and turn >= _PRESCRIBED_ITERATIONS * (start is None):
+            if free and turn >= _PRESCRIBED_WAKE_ITERATIONS * (start is None):
                 points = unit.free_points_m.reshape(-1, 3)
-                if len(units) > 1 and (unit.mutual_velocity_m_s is None or turn % _MUTUAL_UPDATE_INTERVAL == 0):
+                if len(units) > 1 and (
+                    unit.mutual_velocity_m_s is None or turn % _MUTUAL_UPDATE_INTERVAL_ITERATIONS == 0
+                ):
                     other = units[0] if unit is units[1] else units[1]
                     unit.mutual_velocity_m_s = average_mutual_inflow(unit, other, points, how.phases)
                 v = unit.induced_velocity(points)
                 if unit.mutual_velocity_m_s is not None:
                     v += unit.mutual_velocity_m_s
                     if unit.thrust_N > 0.0:  # with negative thrust the coils induce downwash
-                        _limit_root_upwash(v.reshape(unit.free_points_m.shape))
+                        _limit_root_vortex_upwash(v.reshape(unit.free_points_m.shape))
                 aim, far_off = _convect_filaments(unit, v.reshape(unit.free_points_m.shape), climb_m_s)
                 aim = unit.lift_above_ground(aim)
                 part = how.relaxation / (1.0 + unit.free_ages_rad / (_WAKE_DAMPING_AGE_RAD))
@@ -289,7 +291,7 @@ def _solve_with_core_limit(
         if message:
             break
         if turn > 3.0 * _CORE_LIMIT_DECAY_ITERATIONS * (start is None):
-            converged = residual <= how.residual and _is_steady(history, how.tolerance)
+            converged = residual <= how.residual and _is_wake_steady(history, how.tolerance)
             if converged:
                 message = f"converged after {turn + 1} iterations, core limit {limit:g} R"
                 break
@@ -298,7 +300,7 @@ def _solve_with_core_limit(
                 from_here, how.tolerance
             )
             if converged:
-                wander = 100.0 * _load_spread(history, 2 * _MEAN_WINDOW_ITERATIONS)
+                wander = 100.0 * _find_max_load_spread(history, 2 * _MEAN_WINDOW_ITERATIONS)
                 message = (
                     f"converged in the mean after {turn + 1} iterations, loads vary by {wander:.2f} %, "
                     f"core limit {limit:g} R"
@@ -309,7 +311,7 @@ def _solve_with_core_limit(
     else:
         message = (
             f"not converged in {how.iterations} iterations: the wake misses the air by {100 * residual:.1f} % of its "
-            f"velocity, thrust or torque moves by {100 * _load_spread(history):.2f} %"
+            f"velocity, thrust or torque moves by {100 * _find_max_load_spread(history):.2f} %"
         )
     return SystemSolution(
         rotors=tuple(make_rotor_result(u, gas, climb_m_s) for u in units),
@@ -327,15 +329,15 @@ def _solve_with_core_limit(
     )
 
 
-def _load_spread(history: list[list[float]], memory: int = _STEADY_WINDOW_ITERATIONS) -> float:
+def _find_max_load_spread(history: list[list[float]], memory: int = _STEADY_WINDOW_ITERATIONS) -> float:
     """Return the greatest relative spread of a thrust or torque over the last iterations."""
     last = np.array(history[-memory:])[:, 1:]
     middle = np.abs(last.mean(axis=0)) + 1e-3 * np.abs(last).max() + 1e-300
     return float(np.max((last.max(axis=0) - last.min(axis=0)) / middle))
 
 
-def _is_steady(history: list[list[float]], tolerance: float) -> bool:
-    return len(history) >= _STEADY_WINDOW_ITERATIONS and _load_spread(history) <= tolerance
+def _is_wake_steady(history: list[list[float]], tolerance: float) -> bool:
+    return len(history) >= _STEADY_WINDOW_ITERATIONS and _find_max_load_spread(history) <= tolerance
 
 
 def _is_steady_in_mean(history: list[list[float]], tolerance: float) -> bool:
@@ -346,7 +348,7 @@ def _is_steady_in_mean(history: list[list[float]], tolerance: float) -> bool:
     """
     if (
         len(history) < 2 * _MEAN_WINDOW_ITERATIONS
-        or _load_spread(history, 2 * _MEAN_WINDOW_ITERATIONS) > _MAX_LOAD_FLUCTUATION
+        or _find_max_load_spread(history, 2 * _MEAN_WINDOW_ITERATIONS) > _MAX_LOAD_FLUCTUATION
     ):
         return False
     last = np.array(history[-2 * _MEAN_WINDOW_ITERATIONS :])[:, 1:]
@@ -374,7 +376,7 @@ class RotorState:
         s = self.surface
         n = s.chord_m.size
         self.induce_function: Callable[..., Array] = induce_velocity
-        self.pack_segments: Callable[..., Any] = convert_to_single
+        self.pack_segments: Callable[..., Any] = convert_to_single_precision
         if settings.gpu:
             from mufly.rotor.wake.biot_savart_gpu import induce_velocity_gpu
 
@@ -454,7 +456,7 @@ class RotorState:
         end = 1 + self.segments_per_free_step * (self.free_ages_rad.size - 1)
         far = np.unique(np.append(np.arange(end, self.filament_ages_rad.size, 2), self.filament_ages_rad.size - 1))
         piece = (self.free_ages_rad[1] - self.free_ages_rad[0]) / self.segments_per_free_step
-        skip = max(round(_COARSE_CHORD_RAD / piece), 1)
+        skip = max(round(_COARSE_WAKE_CHORD_RAD / piece), 1)
         kept = np.concatenate([[0], np.arange(1, end, skip), far])
         self.coarse_paths_m = self.filament_paths_m[:, kept]
         self.coarse_ages_rad = self.filament_ages_rad[kept]
@@ -512,8 +514,8 @@ def wake_influence(unit: RotorState) -> Array:
     """Return the velocity at the rotor's evaluation points per panel circulation, from the wake behind the trailing
     edges."""
     paths, core = unit.filament_paths_m[:, 1:], unit.core_radius_m[:, 1:]
-    wake = convert_to_single(make_segments(paths, core, np.ones(len(paths))), len(paths))
-    return unit.circulation_influence(lambda p: group_velocity(p, wake))
+    wake = convert_to_single_precision(make_segments(paths, core, np.ones(len(paths))), len(paths))
+    return unit.circulation_influence(lambda p: induce_velocity_by_group(p, wake))
 
 
 def _transform_to_rotor_frame(points: Array, of: RotorState, other: RotorState) -> Array:
@@ -547,12 +549,12 @@ def average_mutual_inflow(target: RotorState, source: RotorState, points: Array,
     return average
 
 
-def drag_swirl_velocity(target: RotorState, source: RotorState, climb: float, phases: int) -> Array:
+def compute_upper_drag_swirl(target: RotorState, source: RotorState, climb: float, phases: int) -> Array:
     """Return the swirl velocity (m/s) at a rotor's evaluation points due to the profile drag of the rotor above.
 
     Vortices represent only the swirl due to lift. The moment of momentum is
-    :func:`mufly.rotor.bemt.drag_angular_momentum`, convected by :func:`mufly.rotor.vortex_tube.swirl_influence`. Above
-    the disc the swirl is zero.
+    :func:`mufly.rotor.bemt.compute_drag_swirl_momentum`, convected by
+    :func:`mufly.rotor.vortex_tube.make_swirl_influence_matrix`. Above the disc the swirl is zero.
     """
     u = np.zeros_like(target.evaluation_points_m)
     state, above = source.blade_state, source.placed.height_m - target.placed.height_m
@@ -564,11 +566,11 @@ def drag_swirl_velocity(target: RotorState, source: RotorState, climb: float, ph
         through += average_mutual_inflow(source, target, s.quarter_chord_m, phases)[:, 2]
     pull = 0.5 * s.blade_count * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.pitch_rad - state.alpha_rad)
     r = np.hypot(s.quarter_chord_m[:, 0], s.quarter_chord_m[:, 1])
-    moment = drag_angular_momentum(pull, -through, 1.0, r, s.panel_width_m)  # drag over density
+    moment = compute_drag_swirl_momentum(pull, -through, 1.0, r, s.panel_width_m)  # drag over density
     x, y = target.evaluation_points_m[:, 0], target.evaluation_points_m[:, 1]
     at = np.hypot(x, y)
     width = np.interp(at, target.surface.quarter_chord_m[:, 0], target.surface.panel_width_m)
-    turning = swirl_influence(r, s.radius_m, above, at, width) @ moment / at
+    turning = make_swirl_influence_matrix(r, s.radius_m, above, at, width) @ moment / at
     turning *= target.placed.rotation_sign * source.placed.rotation_sign
     u[:, 0], u[:, 1] = -turning * y, turning * x
     return u

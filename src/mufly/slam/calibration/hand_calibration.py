@@ -21,10 +21,10 @@ plus row offset. Residuals, divided by their deviations, are
 Attitude, gravity and rates determine rotations in absolute terms, so the focal length needs no chessboard. It is the
 ratio of pixels to radians; the perspective of the picture separates it from the scale of the gyroscopes. Mount and tilt
 can be separated because the floor is level and gravity is measured. Gauss-Newton solves the sparse normal equations;
-standard deviations are those of their inverse, times :data:`_STD_INFLATION`, since errors of neighbouring tracks and
-segments are correlated. The pictures are then tracked again with patches warped by this fit, and fitted again. Tracking
-by shift alone has errors of some hundredths of a pixel where the motion varies within a patch, which would shift the
-principal point by pixels.
+standard deviations are those of their inverse, times :data:`_STD_INFLATION_FACTOR`, since errors of neighbouring tracks
+and segments are correlated. The pictures are then tracked again with patches warped by this fit, and fitted again.
+Tracking by shift alone has errors of some hundredths of a pixel where the motion varies within a patch, which would
+shift the principal point by pixels.
 
 Own derivation, after Furgale, Rehder and Siegwart, *Unified Temporal and Spatial Calibration for Multi-Sensor Systems*,
 2013 (Kalibr); noise from differences as in von Neumann, 1941.
@@ -58,7 +58,7 @@ from mufly.slam.calibration.inertial_motion import (
 )
 from mufly.slam.calibration.point_tracks import PointTracks, retrack_segments, track_segments
 from mufly.slam.datasets.dataset_readers import (
-    detect_separator_and_decimal_mark,
+    detect_dataset_layout,
     find_inertial_file,
     open_pictures,
     read_inertial_data,
@@ -66,9 +66,9 @@ from mufly.slam.datasets.dataset_readers import (
 from mufly.vehicle.quantity import Quantity
 
 _Array = NDArray[np.float64]
-SEGMENT_PICTURES = 3
+SEGMENT_PICTURE_COUNT = 3
 """Pictures from the first to the last of a segment."""
-_STD_INFLATION = 2.0
+_STD_INFLATION_FACTOR = 2.0
 """Factor on all standard deviations, determined on other recordings than those used for validation."""
 _SIGMAS_PER_95_PERCENT = 1.96
 _MIN_SEGMENTS = 20
@@ -76,12 +76,18 @@ _MAX_FOCAL_SIGMA_FRACTION, _MAX_MOUNT_SIGMA_RAD = 0.03, math.radians(1.5)
 _MAX_ITERATIONS, _STEP_TOLERANCE_SIGMAS, _ROW_TIME_ITERATIONS = 15, 0.05, 3
 _DELAY_GRID_S = np.arange(-0.15, 0.301, 0.01)
 
-FOCAL, CENTRE, RADIAL, MOUNT, DELAY = slice(0, 1), slice(1, 3), slice(3, 4), slice(4, 7), slice(7, 8)
-GYRO_BIAS, GYRO_SCALE, ACCEL_BIAS, LEVER = (slice(a, a + 3) for a in (8, 11, 14, 17))
-TILT = slice(20, 22)
-SHARED_SIZE, SEGMENT_SIZE = 22, 7
+FOCAL_SLICE, CENTRE_SLICE, RADIAL_SLICE, MOUNT_SLICE, DELAY_SLICE = (
+    slice(0, 1),
+    slice(1, 3),
+    slice(3, 4),
+    slice(4, 7),
+    slice(7, 8),
+)
+GYRO_BIAS_SLICE, GYRO_SCALE_SLICE, ACCEL_BIAS_SLICE, LEVER_SLICE = (slice(a, a + 3) for a in (8, 11, 14, 17))
+TILT_SLICE = slice(20, 22)
+SHARED_UNKNOWN_COUNT, SEGMENT_UNKNOWN_COUNT = 22, 7
 """Unknowns of the whole recording (tilt has two), and of a segment: velocity, logarithm of the height, rotation."""
-_VELOCITY, _LOG_HEIGHT, _TURN_ERROR = slice(0, 3), 3, slice(4, 7)
+_VELOCITY_SLICE, _LOG_HEIGHT_INDEX, _TURN_ERROR_SLICE = slice(0, 3), 3, slice(4, 7)
 _VELOCITY_STEP_COLUMNS, _FLOOR_STEP_COLUMN, _HEIGHT_ERROR_COLUMN, _ROTATION_ERROR_COLUMNS = (
     slice(0, 3),
     3,
@@ -151,7 +157,7 @@ def calibrate_from_folder(
     undelayed = camera.shutter.delay.model_copy(update={"value": 0.0})
     stamped = camera.model_copy(update={"shutter": camera.shutter.model_copy(update={"delay": undelayed})})
     source = open_pictures(folder, stamped, height_m=height_m)
-    file = find_inertial_file(folder, detect_separator_and_decimal_mark(folder)) if folder.is_dir() else None
+    file = find_inertial_file(folder, detect_dataset_layout(folder)) if folder.is_dir() else None
     if file is None:
         raise InputError(
             str(folder), "imu.csv", "is missing",
@@ -169,7 +175,7 @@ def calibrate_from_folder(
         if on_picture is not None:
             on_picture(k + 1, source.frame_count)
 
-    tracks = track_segments(iterate_pictures(), SEGMENT_PICTURES, report_picture)
+    tracks = track_segments(iterate_pictures(), SEGMENT_PICTURE_COUNT, report_picture)
     times, values = np.array(heights).T
     return fit_camera(
         tracks, camera, imu, height_m=lambda t: np.interp(t, times, values), frames=iterate_pictures,
@@ -213,18 +219,20 @@ def fit_camera(
             "record 60 s over a floor with texture, 0.3 to 1.5 m above it",
         )  # fmt: skip
     problem = _CalibrationProblem.prepare(tracks, camera, imu, height_m, height_sigma_m)
-    shared, segment_states, covariance, sigma_px = _minimise(problem, problem.shared, problem.segment_states)
+    shared, segment_states, covariance, sigma_px = _minimise_weighted_residuals(
+        problem, problem.shared, problem.segment_states
+    )
     if frames is not None:
         att = problem.integrate(shared)
         again = retrack_segments(
             frames(), tracks.times_s, lambda k, px: problem.predict_first_pixels(shared, segment_states, att, k, px)
         )
         problem = replace(problem, tracks=again)
-        shared, segment_states, covariance, sigma_px = _minimise(problem, shared, segment_states)
-    return problem.make_calibration(shared, _STD_INFLATION**2 * covariance, sigma_px)
+        shared, segment_states, covariance, sigma_px = _minimise_weighted_residuals(problem, shared, segment_states)
+    return problem.make_calibration(shared, _STD_INFLATION_FACTOR**2 * covariance, sigma_px)
 
 
-def _minimise(
+def _minimise_weighted_residuals(
     problem: _CalibrationProblem, shared: _Array, segment_states: _Array
 ) -> tuple[_Array, _Array, _Array, float]:
     """Minimise the weighted residuals of tracks, segments and priors over all unknowns, by Gauss-Newton steps.
@@ -232,18 +240,18 @@ def _minimise(
     Return the shared unknowns, the segments' states, the covariance of the shared unknowns, and the standard deviation
     of the pixel residuals.
     """
-    covariance, sigma_px = np.zeros((SHARED_SIZE, SHARED_SIZE)), 0.0
+    covariance, sigma_px = np.zeros((SHARED_UNKNOWN_COUNT, SHARED_UNKNOWN_COUNT)), 0.0
     for _ in range(_MAX_ITERATIONS):
         sigma_px = problem.pixel_sigma(shared, segment_states)
         jacobian, residual = problem.linearise(shared, segment_states, sigma_px)
         factor = splu((jacobian.T @ jacobian).tocsc())
         step = -factor.solve(jacobian.T @ residual)
-        shared = shared + step[:SHARED_SIZE]
-        segment_states = segment_states + step[SHARED_SIZE:].reshape(-1, SEGMENT_SIZE)
-        unit = np.zeros((len(step), SHARED_SIZE))
-        unit[:SHARED_SIZE] = np.eye(SHARED_SIZE)
-        covariance = factor.solve(unit)[:SHARED_SIZE]
-        if np.abs(step[:SHARED_SIZE] / np.sqrt(np.diag(covariance))).max() < _STEP_TOLERANCE_SIGMAS:
+        shared = shared + step[:SHARED_UNKNOWN_COUNT]
+        segment_states = segment_states + step[SHARED_UNKNOWN_COUNT:].reshape(-1, SEGMENT_UNKNOWN_COUNT)
+        unit = np.zeros((len(step), SHARED_UNKNOWN_COUNT))
+        unit[:SHARED_UNKNOWN_COUNT] = np.eye(SHARED_UNKNOWN_COUNT)
+        covariance = factor.solve(unit)[:SHARED_UNKNOWN_COUNT]
+        if np.abs(step[:SHARED_UNKNOWN_COUNT] / np.sqrt(np.diag(covariance))).max() < _STEP_TOLERANCE_SIGMAS:
             break
     return shared, segment_states, covariance, sigma_px
 
@@ -286,12 +294,12 @@ class _CalibrationProblem:
         mount = rotation_matrices(quaternion_exponential(np.array([[0.0, 0.0, turn]])))[0] @ body_from_camera_rotation(
             camera
         )
-        shared = np.zeros(SHARED_SIZE)
-        shared[FOCAL], shared[DELAY] = math.log(focal), delay
-        shared[LEVER] = camera.mount.place.to_array()[0]
+        shared = np.zeros(SHARED_UNKNOWN_COUNT)
+        shared[FOCAL_SLICE], shared[DELAY_SLICE] = math.log(focal), delay
+        shared[LEVER_SLICE] = camera.mount.place.to_array()[0]
         heights = height_m(tracks.times_s[:, 0] - delay)
-        segment_states = np.zeros((len(tracks.times_s), SEGMENT_SIZE))
-        segment_states[:, _LOG_HEIGHT] = np.log(np.maximum(0.05, heights - shared[LEVER][2]))
+        segment_states = np.zeros((len(tracks.times_s), SEGMENT_UNKNOWN_COUNT))
+        segment_states[:, _LOG_HEIGHT_INDEX] = np.log(np.maximum(0.05, heights - shared[LEVER_SLICE][2]))
         gap = tracks.times_s[1:, 0] - tracks.times_s[:-1, 1]
         return cls(
             tracks, camera, imu, heights, height_sigma_m, mount, start, shared, segment_states,
@@ -301,22 +309,22 @@ class _CalibrationProblem:
     @property
     def prior_mean(self) -> _Array:
         """Prior means of the unknowns that all segments share: lens, mounting, delay, errors of the inertial unit."""
-        mean = np.zeros(SHARED_SIZE)
-        mean[LEVER] = self.camera.mount.place.to_array()[0]
-        mean[DELAY] = self.shared[DELAY]
+        mean = np.zeros(SHARED_UNKNOWN_COUNT)
+        mean[LEVER_SLICE] = self.camera.mount.place.to_array()[0]
+        mean[DELAY_SLICE] = self.shared[DELAY_SLICE]
         return mean
 
     def integrate(self, shared: _Array) -> IntegratedMotion:
         """Return attitude, velocity and displacement by the inertial data, with the sensor errors in ``shared``."""
-        tilt = quaternion_exponential(np.array([[*shared[TILT], 0.0]]))
+        tilt = quaternion_exponential(np.array([[*shared[TILT_SLICE], 0.0]]))
         return integrate_inertial(
-            self.imu, multiply_quaternions(tilt, self.start[None])[0], gyro_bias=shared[GYRO_BIAS],
-            gyro_scale=shared[GYRO_SCALE], accel_bias=shared[ACCEL_BIAS],
+            self.imu, multiply_quaternions(tilt, self.start[None])[0], gyro_bias=shared[GYRO_BIAS_SLICE],
+            gyro_scale=shared[GYRO_SCALE_SLICE], accel_bias=shared[ACCEL_BIAS_SLICE],
         )  # fmt: skip
 
     def camera_with_lens(self, shared: _Array) -> Camera:
         """Return the camera with the estimated lens."""
-        lens, scale = self.camera.lens, math.exp(shared[FOCAL][0])
+        lens, scale = self.camera.lens, math.exp(shared[FOCAL_SLICE][0])
 
         def replace_value(q: Quantity, value: float) -> Quantity:
             return q.model_copy(update={"value": float(value)})
@@ -324,14 +332,14 @@ class _CalibrationProblem:
         return self.camera.model_copy(update={"lens": lens.model_copy(update={
             "focal_x": replace_value(lens.focal_x, float(lens.focal_x) * scale),
             "focal_y": replace_value(lens.focal_y, float(lens.focal_y) * scale),
-            "centre_x": replace_value(lens.centre_x, float(lens.centre_x) + shared[CENTRE][0]),
-            "centre_y": replace_value(lens.centre_y, float(lens.centre_y) + shared[CENTRE][1]),
-            "k1": replace_value(lens.k1, float(lens.k1) + shared[RADIAL][0]),
+            "centre_x": replace_value(lens.centre_x, float(lens.centre_x) + shared[CENTRE_SLICE][0]),
+            "centre_y": replace_value(lens.centre_y, float(lens.centre_y) + shared[CENTRE_SLICE][1]),
+            "k1": replace_value(lens.k1, float(lens.k1) + shared[RADIAL_SLICE][0]),
         })})  # fmt: skip
 
     def mount_rotation(self, shared: _Array) -> _Array:
         """Return the rotation matrix (3, 3) from camera to body axes."""
-        return np.asarray(self.mount @ _make_rotation_matrix(shared[MOUNT]))
+        return np.asarray(self.mount @ _make_rotation_matrix(shared[MOUNT_SLICE]))
 
     def _row_time_offsets_s(self, pixels: _Array) -> _Array:
         rows = self.camera.sensor.height
@@ -362,9 +370,9 @@ class _CalibrationProblem:
         The rows of ``rows_of`` (n, 2) give the exposure times of the result. ``is_forward``: from the first picture to
         the last.
         """
-        lens, mount, lever = self.camera_with_lens(shared), self.mount_rotation(shared), shared[LEVER]
-        begin, end = (self.tracks.times_s - shared[DELAY]).T
-        v, e = segment_states[:, _VELOCITY], segment_states[k, _TURN_ERROR]
+        lens, mount, lever = self.camera_with_lens(shared), self.mount_rotation(shared), shared[LEVER_SLICE]
+        begin, end = (self.tracks.times_s - shared[DELAY_SLICE]).T
+        v, e = segment_states[:, _VELOCITY_SLICE], segment_states[k, _TURN_ERROR_SLICE]
         speed0, way0 = att.velocity_at(begin), att.displacement_at(begin)
 
         def floor_position_at(t: _Array, turn: _Array) -> _Array:
@@ -375,7 +383,7 @@ class _CalibrationProblem:
         here, there = (begin, end) if is_forward else (end, begin)
         ta, tb = here[k] + self._row_time_offsets_s(pixels), there[k] + self._row_time_offsets_s(rows_of)
         turn_a, turn_b = att.rotation_at(ta), att.rotation_at(tb)
-        floor_d = (att.rotation_at(begin) @ lever)[k, 2] + np.exp(segment_states[k, _LOG_HEIGHT])
+        floor_d = (att.rotation_at(begin) @ lever)[k, 2] + np.exp(segment_states[k, _LOG_HEIGHT_INDEX])
         ray = np.concatenate([unproject_pixels(lens, pixels), np.ones((len(k), 1))], axis=1) @ mount.T
         if not is_forward:
             ray = ray + np.cross(e, ray)
@@ -389,15 +397,15 @@ class _CalibrationProblem:
         seen[:, 2] = np.maximum(seen[:, 2], 0.02)
         return project_points(lens, seen)
 
-    def chain_residuals(self, shared: _Array, segment_states: _Array, att: IntegratedMotion) -> _Array:
+    def segment_state_residuals(self, shared: _Array, segment_states: _Array, att: IntegratedMotion) -> _Array:
         """Return the residuals (segments, 8) of the segments' states, each over its standard deviation.
 
         Columns: jumps of velocity (3) and of the floor's height (1) at the next segment, deviation from the measured
         height (1), and errors of the rotation (3).
         """
-        begin, end = (self.tracks.times_s - shared[DELAY]).T
-        v, height = segment_states[:, _VELOCITY], np.exp(segment_states[:, _LOG_HEIGHT])
-        lever_d = np.einsum("nij,j->ni", att.rotation_at(begin), shared[LEVER])[:, 2]
+        begin, end = (self.tracks.times_s - shared[DELAY_SLICE]).T
+        v, height = segment_states[:, _VELOCITY_SLICE], np.exp(segment_states[:, _LOG_HEIGHT_INDEX])
+        lever_d = np.einsum("nij,j->ni", att.rotation_at(begin), shared[LEVER_SLICE])[:, 2]
         speed, way = att.velocity_at(begin), att.displacement_at(begin)
         dt = (end - begin)[:, None]
         out = np.zeros((len(begin), 8))
@@ -407,24 +415,27 @@ class _CalibrationProblem:
         out[:-1, _VELOCITY_STEP_COLUMNS] = step * self.is_next_linked[:, None]
         out[:-1, _FLOOR_STEP_COLUMN] = floor / _FLOOR_STEP_SIGMA_M * self.is_next_linked
         out[:, _HEIGHT_ERROR_COLUMN] = (height + lever_d - self.heights_m) / self.height_sigma_m
-        out[:, _ROTATION_ERROR_COLUMNS] = segment_states[:, _TURN_ERROR] / self._rotation_sigma
+        out[:, _ROTATION_ERROR_COLUMNS] = segment_states[:, _TURN_ERROR_SLICE] / self._rotation_sigma
         return out
 
     @property
-    def _segment_s(self) -> float:
+    def _median_segment_duration_s(self) -> float:
         return float(np.median(np.diff(self.tracks.times_s, axis=1)))
 
     @property
-    def _interval_s(self) -> float:
+    def _median_sample_interval_s(self) -> float:
         return float(np.median(np.diff(self.imu.time_s)))
 
     @property
     def _velocity_sigma(self) -> float:
-        return math.hypot(_VELOCITY_STEP_SIGMA_M_S, self.accel_noise * math.sqrt(self._interval_s * self._segment_s))
+        return math.hypot(
+            _VELOCITY_STEP_SIGMA_M_S,
+            self.accel_noise * math.sqrt(self._median_sample_interval_s * self._median_segment_duration_s),
+        )
 
     @property
     def _rotation_sigma(self) -> float:
-        return max(1e-5, self.gyro_noise * math.sqrt(self._interval_s * self._segment_s))
+        return max(1e-5, self.gyro_noise * math.sqrt(self._median_sample_interval_s * self._median_segment_duration_s))
 
     def pixel_sigma(self, shared: _Array, segment_states: _Array) -> float:
         """Return the robust standard deviation of the pixel residuals along one axis (pixels), from their median."""
@@ -436,96 +447,110 @@ class _CalibrationProblem:
         att = self.integrate(shared)
         points, chain = (
             self.point_residuals(shared, segment_states, att),
-            self.chain_residuals(shared, segment_states, att),
+            self.segment_state_residuals(shared, segment_states, att),
         )
         size = np.hypot(*points.T) / sigma_px
         weight = np.sqrt(np.minimum(1.0, _HUBER_THRESHOLD_SIGMAS / np.maximum(size, 1e-9)))[:, None] / sigma_px
         n, m = points.size, chain.size
-        dense = np.empty((n + m, SHARED_SIZE))
-        for j in range(SHARED_SIZE):
+        dense = np.empty((n + m, SHARED_UNKNOWN_COUNT))
+        for j in range(SHARED_UNKNOWN_COUNT):
             moved = shared.copy()
             moved[j] += _SHARED_DIFFERENCE_STEPS[j]
-            integral = GYRO_BIAS.start <= j < LEVER.start or j >= TILT.start
+            integral = GYRO_BIAS_SLICE.start <= j < LEVER_SLICE.start or j >= TILT_SLICE.start
             other = self.integrate(moved) if integral else att
             dense[:n, j] = (
                 weight * (self.point_residuals(moved, segment_states, other) - points)
             ).ravel() / _SHARED_DIFFERENCE_STEPS[j]
             dense[n:, j] = (
-                self.chain_residuals(moved, segment_states, other) - chain
+                self.segment_state_residuals(moved, segment_states, other) - chain
             ).ravel() / _SHARED_DIFFERENCE_STEPS[j]
         rows, columns, values = [], [], []
         of_point = np.repeat(self.tracks.segment, 2)
         of_chain = np.repeat(np.arange(len(segment_states)), chain.shape[1])
-        for j in range(SEGMENT_SIZE):
+        for j in range(SEGMENT_UNKNOWN_COUNT):
             moved = segment_states.copy()
             moved[:, j] += _SEGMENT_DIFFERENCE_STEPS[j]
             change = (weight * (self.point_residuals(shared, moved, att) - points)).ravel() / _SEGMENT_DIFFERENCE_STEPS[
                 j
             ]
             rows.append(np.arange(n))
-            columns.append(SHARED_SIZE + SEGMENT_SIZE * of_point + j)
+            columns.append(SHARED_UNKNOWN_COUNT + SEGMENT_UNKNOWN_COUNT * of_point + j)
             values.append(change)
             for parity in (0, 1):  # a row depends on its segment and the next
                 mask = np.arange(len(segment_states)) % 2 == parity
                 moved = segment_states.copy()
                 moved[mask, j] += _SEGMENT_DIFFERENCE_STEPS[j]
-                change = (self.chain_residuals(shared, moved, att) - chain).ravel() / _SEGMENT_DIFFERENCE_STEPS[j]
+                change = (self.segment_state_residuals(shared, moved, att) - chain).ravel() / _SEGMENT_DIFFERENCE_STEPS[
+                    j
+                ]
                 whose = np.where(mask[of_chain], of_chain, of_chain + 1)
                 used = (whose < len(segment_states)) & (change != 0.0)
                 rows.append(n + np.flatnonzero(used))
-                columns.append(SHARED_SIZE + SEGMENT_SIZE * whose[used] + j)
+                columns.append(SHARED_UNKNOWN_COUNT + SEGMENT_UNKNOWN_COUNT * whose[used] + j)
                 values.append(change[used])
-        width = SHARED_SIZE + segment_states.size
+        width = SHARED_UNKNOWN_COUNT + segment_states.size
         sparse = sp.coo_matrix(
             (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n + m, width)
         )
         wide = sp.hstack([sp.csr_matrix(dense), sp.csr_matrix((n + m, segment_states.size))])
-        prior_sigma = self._prior_sigma
-        prior: Any = sp.hstack([sp.diags(1.0 / prior_sigma), sp.csr_matrix((SHARED_SIZE, segment_states.size))])
+        prior_sigma = self._prior_sigmas
+        prior: Any = sp.hstack(
+            [sp.diags(1.0 / prior_sigma), sp.csr_matrix((SHARED_UNKNOWN_COUNT, segment_states.size))]
+        )
         jacobian: Any = sp.vstack([sparse + wide, prior], format="csr")
         off = (shared - self.prior_mean) / prior_sigma
         return jacobian, np.concatenate([(weight * points).ravel(), chain.ravel(), off])
 
     @property
-    def _prior_sigma(self) -> _Array:
+    def _prior_sigmas(self) -> _Array:
         out = _SHARED_PRIOR_SIGMA.copy()
-        out[CENTRE] *= self.camera.sensor.width / 320.0
+        out[CENTRE_SLICE] *= self.camera.sensor.width / 320.0
         return out
 
     def make_calibration(self, shared: _Array, covariance: _Array, sigma_px: float) -> HandCalibration:
         """Return the calibrated camera with deviations; raise InputError if the motion does not determine it."""
         sigma = np.sqrt(np.diag(covariance))
-        if sigma[FOCAL][0] > _MAX_FOCAL_SIGMA_FRACTION or sigma[MOUNT].max() > _MAX_MOUNT_SIGMA_RAD:
+        if sigma[FOCAL_SLICE][0] > _MAX_FOCAL_SIGMA_FRACTION or sigma[MOUNT_SLICE].max() > _MAX_MOUNT_SIGMA_RAD:
             raise InputError(
-                "pictures", "", f"this motion leaves the focal length uncertain by {100 * sigma[FOCAL][0]:.1f} % and "
-                f"the mount by {math.degrees(sigma[MOUNT].max()):.1f} degrees (one sigma)",
+                "pictures", "", f"this motion leaves the focal length uncertain by {100 * sigma[FOCAL_SLICE][0]:.1f} "
+                "% and "
+                f"the mount by {math.degrees(sigma[MOUNT_SLICE].max()):.1f} degrees (one sigma)",
                 "turn the vehicle by 20 degrees about all three axes, repeatedly, for 60 s",
             )  # fmt: skip
         lens, mount = self.camera_with_lens(shared), self.mount_rotation(shared)
         angles, slopes = _mount_angles(mount), np.empty((3, 3))
         for j in range(3):
             turned = shared.copy()
-            turned[MOUNT.start + j] += 1e-5
+            turned[MOUNT_SLICE.start + j] += 1e-5
             slopes[:, j] = (_mount_angles(self.mount_rotation(turned)) - angles) / 1e-5
-        angle_sigma = np.sqrt(np.diag(slopes @ covariance[MOUNT, MOUNT] @ slopes.T))
+        angle_sigma = np.sqrt(np.diag(slopes @ covariance[MOUNT_SLICE, MOUNT_SLICE] @ slopes.T))
         focal = float(lens.lens.focal_x)
         values = {
-            "focal_x_px": (focal, focal * sigma[FOCAL][0]),
-            "focal_y_px": (float(lens.lens.focal_y), float(lens.lens.focal_y) * sigma[FOCAL][0]),
-            "centre_x_px": (float(lens.lens.centre_x), sigma[CENTRE][0]),
-            "centre_y_px": (float(lens.lens.centre_y), sigma[CENTRE][1]),
-            "k1": (float(lens.lens.k1), sigma[RADIAL][0]),
+            "focal_x_px": (focal, focal * sigma[FOCAL_SLICE][0]),
+            "focal_y_px": (float(lens.lens.focal_y), float(lens.lens.focal_y) * sigma[FOCAL_SLICE][0]),
+            "centre_x_px": (float(lens.lens.centre_x), sigma[CENTRE_SLICE][0]),
+            "centre_y_px": (float(lens.lens.centre_y), sigma[CENTRE_SLICE][1]),
+            "k1": (float(lens.lens.k1), sigma[RADIAL_SLICE][0]),
             **{
                 f"mount_{name}_deg": (math.degrees(a), math.degrees(s))
                 for name, a, s in zip(("roll", "pitch", "turn"), angles, angle_sigma, strict=True)
             },
-            "delay_ms": (1e3 * shared[DELAY][0], 1e3 * sigma[DELAY][0]),
-            **{f"lever_{a}_mm": (1e3 * shared[LEVER][k], 1e3 * sigma[LEVER][k]) for k, a in enumerate("xyz")},
+            "delay_ms": (1e3 * shared[DELAY_SLICE][0], 1e3 * sigma[DELAY_SLICE][0]),
             **{
-                f"gyro_bias_{a}_deg_s": (math.degrees(shared[GYRO_BIAS][k]), math.degrees(sigma[GYRO_BIAS][k]))
+                f"lever_{a}_mm": (1e3 * shared[LEVER_SLICE][k], 1e3 * sigma[LEVER_SLICE][k])
                 for k, a in enumerate("xyz")
             },
-            **{f"gyro_scale_{a}": (1.0 + shared[GYRO_SCALE][k], sigma[GYRO_SCALE][k]) for k, a in enumerate("xyz")},
+            **{
+                f"gyro_bias_{a}_deg_s": (
+                    math.degrees(shared[GYRO_BIAS_SLICE][k]),
+                    math.degrees(sigma[GYRO_BIAS_SLICE][k]),
+                )
+                for k, a in enumerate("xyz")
+            },
+            **{
+                f"gyro_scale_{a}": (1.0 + shared[GYRO_SCALE_SLICE][k], sigma[GYRO_SCALE_SLICE][k])
+                for k, a in enumerate("xyz")
+            },
         }
         return HandCalibration(
             {n: float(v) for n, (v, _) in values.items()}, {n: float(s) for n, (_, s) in values.items()},

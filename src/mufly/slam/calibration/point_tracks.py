@@ -22,7 +22,7 @@ _TRACKING_WINDOW_PX, _PYRAMID_LEVEL_COUNT, _MAX_FORWARD_BACKWARD_PX = 17, 3, 0.7
 _SMOOTHING_PX, _LOCAL_MEAN_PX = 1.2, 12.0
 _WARP_GRID_STEP_PX, _MAX_PREDICTION_SHIFT_PX = 8, 3.0
 """Grid of the predicted map (pixels), and largest shift from the prediction (pixels)."""
-_GREY_MEAN, _GREY_GAIN = 128.0, 256.0
+_NORMALISED_GREY_MEAN, _NORMALISED_GREY_GAIN = 128.0, 256.0
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def _normalise_brightness(raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
     picture = cv2.GaussianBlur(raw, (0, 0), _SMOOTHING_PX).astype(np.float32)
     mean = cv2.GaussianBlur(picture, (0, 0), _LOCAL_MEAN_PX)
     ratio = picture / np.maximum(mean, 1.0) - 1.0
-    return np.clip(_GREY_MEAN + _GREY_GAIN * ratio, 0.0, 255.0).astype(np.uint8)
+    return np.clip(_NORMALISED_GREY_MEAN + _NORMALISED_GREY_GAIN * ratio, 0.0, 255.0).astype(np.uint8)
 
 
 def _track_points(

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.camera import (
-    CAMERA_FILE_NAME,
+    PICTURE_RECORDING_FILE_NAME,
     Camera,
     LivePictures,
     check_picture_size,
@@ -37,7 +37,7 @@ from mufly.camera import (
 from mufly.errors import InputError
 from mufly.files.text_table import read_text_table
 from mufly.logs import read_log, read_recording
-from mufly.slam.camera_frame import CameraFrame, FrameInfo
+from mufly.slam.camera_frame import CameraFrame, FrameEstimate
 from mufly.slam.image_tools import load_opencv
 from mufly.slam.trajectory_evaluation import read_truth
 
@@ -51,7 +51,7 @@ _MAX_TELEMETRY_EXTRAPOLATION_S = 0.1
 MAX_PICTURE_INTERVAL_S = 1.0
 """Longest time between pictures that odometry bridges (s)."""
 STILL_PICTURE_REMEDY = "give a video or a faster sequence; still pictures need photogrammetry (COLMAP)"
-_PLACE_SIGMA_M, _HEADING_SIGMA_RAD = 0.1, math.radians(2.0)  # of a recording that states none
+_DEFAULT_PLACE_SIGMA_M, _DEFAULT_HEADING_SIGMA_RAD = 0.1, math.radians(2.0)  # of a recording that states none
 _FLU_TO_FRD = np.array([1.0, -1.0, -1.0])  # x forward, y left, z up to body axes, and back
 
 
@@ -76,7 +76,7 @@ class FrameSource:
     _open_frames: Any
     interval_s: float = math.nan
 
-    def check_interval(self) -> None:
+    def check_picture_interval(self) -> None:
         """Raise InputError if the pictures are too far apart in time to be tracked, as those of a survey drone."""
         if self.interval_s > MAX_PICTURE_INTERVAL_S:
             raise InputError(
@@ -99,7 +99,7 @@ class FrameSource:
 
 def open_pictures(
     place: str | Path, camera: Camera, *, height_m: float | None = None, rate_Hz: float | None = None,
-    times: Path | None = None, told: Callable[[_Array], list[FrameInfo]] | None = None,
+    times: Path | None = None, told: Callable[[_Array], list[FrameEstimate]] | None = None,
 ) -> FrameSource:  # fmt: skip
     """Open a folder, a video or a recording.
 
@@ -118,7 +118,7 @@ def open_pictures(
         For a video: a file with the time (s or ns) of each picture, one a row. The default is the file of the
         video's name that ends in ``.csv`` or ``.txt``, if present.
     told : callable, optional
-        Vehicle's data at times (n,), in place of the files beside the pictures; :func:`read_telemetry`.
+        Vehicle's data at times (n,), in place of the files beside the pictures; :func:`read_telemetry_interpolator`.
 
     Raises
     ------
@@ -126,8 +126,8 @@ def open_pictures(
         If there are no pictures, times do not increase, or the height is unknown.
     """
     where = Path(place)
-    if where.is_dir() and (where / CAMERA_FILE_NAME).is_file():
-        where = where / CAMERA_FILE_NAME
+    if where.is_dir() and (where / PICTURE_RECORDING_FILE_NAME).is_file():
+        where = where / PICTURE_RECORDING_FILE_NAME
     if where.is_file():
         if where.suffix.lower() == ".mcap":
             return _open_recording(where, camera, told)
@@ -138,13 +138,15 @@ def open_pictures(
                 "is not a video",
                 f"give a folder of pictures, a recording (.mcap), or one of {', '.join(VIDEO_SUFFIXES)}",
             )
-        return _open_video(where, camera, rate_Hz, times, told or info_from_height(height_m, str(where)))
+        return _open_video(
+            where, camera, rate_Hz, times, told or make_estimate_function_from_height(height_m, str(where))
+        )
     if not where.is_dir():
         raise InputError(str(where), "", "no such folder or video", "give one with pictures")
-    layout = detect_separator_and_decimal_mark(where)
+    layout = detect_dataset_layout(where)
     names, at, files = _list_pictures(where, layout)
     at = at - float(camera.shutter.delay)
-    tellings = _read_frame_infos(where, layout, at, height_m) if told is None else told(at)
+    tellings = _read_frame_estimates(where, layout, at, height_m) if told is None else told(at)
 
     def generate_frames() -> Iterator[CameraFrame]:
         for file, t, one in zip(files, at, tellings, strict=True):
@@ -154,15 +156,15 @@ def open_pictures(
     return FrameSource(f"{where.name} ({layout})", len(names), read_truth(where), generate_frames, interval_s)
 
 
-def open_live(live: LivePictures, told: Callable[[_Array], Sequence[FrameInfo | None]]) -> FrameSource:
+def open_live(live: LivePictures, told: Callable[[_Array], Sequence[FrameEstimate | None]]) -> FrameSource:
     """Return live pictures as a source with an unknown number of frames.
 
     Parameters
     ----------
     live : LivePictures
     told : callable
-        Returns the vehicle's data for times (n,), as :func:`info_from_height` or :func:`read_telemetry` give it.
-        Pictures with None are skipped.
+        Returns the vehicle's data for times (n,), as :func:`make_estimate_function_from_height` or
+        :func:`read_telemetry_interpolator` give it. Pictures with None are skipped.
     """
 
     def generate_frames() -> Iterator[CameraFrame]:
@@ -173,7 +175,7 @@ def open_live(live: LivePictures, told: Callable[[_Array], Sequence[FrameInfo | 
     return FrameSource(live.name, 0, None, generate_frames)
 
 
-def info_from_height(height_m: float | None, where: str) -> Callable[[_Array], list[FrameInfo]]:
+def make_estimate_function_from_height(height_m: float | None, where: str) -> Callable[[_Array], list[FrameEstimate]]:
     """Return a function that gives vehicle data from the height alone: level with a deviation of 3 degrees.
 
     Raises
@@ -186,11 +188,11 @@ def info_from_height(height_m: float | None, where: str) -> Callable[[_Array], l
     if not 0.02 <= height_m <= 1000.0:
         raise InputError("--height", "", f"{height_m:g} m is out of range", "give the height above the floor in metres")
     return lambda times: [
-        FrameInfo(0.0, 0.0, height_m, tilt_sigma=_UNKNOWN_TILT_SIGMA_RAD, height_sigma=0.02) for _ in times
+        FrameEstimate(0.0, 0.0, height_m, tilt_sigma=_UNKNOWN_TILT_SIGMA_RAD, height_sigma=0.02) for _ in times
     ]
 
 
-def detect_separator_and_decimal_mark(folder: Path) -> DatasetLayout:
+def detect_dataset_layout(folder: Path) -> DatasetLayout:
     """Return the layout of a folder of pictures: mufly, EuRoC, TUM or pictures named by time."""
     if (folder / "pictures.csv").is_file():
         return "mufly"
@@ -225,7 +227,7 @@ def _decode_picture(data: bytes, camera: Camera, where: str) -> NDArray[np.uint8
     return picture
 
 
-def _euroc_folder(folder: Path) -> Path:
+def _find_euroc_folder(folder: Path) -> Path:
     return folder / "mav0" if (folder / "mav0").is_dir() else folder
 
 
@@ -235,7 +237,7 @@ def _list_pictures(folder: Path, layout: DatasetLayout) -> tuple[list[str], _Arr
         try:
             pairs = sorted((float(p.stem), p.name) for p in found)
         except ValueError:
-            bad = next(p.name for p in found if not _is_number(p.stem))
+            bad = next(p.name for p in found if not _parses_as_number(p.stem))
             raise InputError(
                 str(folder),
                 bad,
@@ -247,7 +249,7 @@ def _list_pictures(folder: Path, layout: DatasetLayout) -> tuple[list[str], _Arr
     else:
         file, base = {
             "mufly": (folder / "pictures.csv", folder / "pictures"),
-            "euroc": (_euroc_folder(folder) / "cam0" / "data.csv", _euroc_folder(folder) / "cam0" / "data"),
+            "euroc": (_find_euroc_folder(folder) / "cam0" / "data.csv", _find_euroc_folder(folder) / "cam0" / "data"),
             "tum": (folder / "rgb.txt", folder),
         }[layout]
         where, table = str(file), read_text_table(file)
@@ -272,17 +274,19 @@ def _check_rising_times(times: _Array, names: list[str], where: str) -> None:
         )  # fmt: skip
 
 
-def _is_number(text: str) -> bool:
+def _parses_as_number(text: str) -> bool:
     try:
         return math.isfinite(float(text))
     except ValueError:
         return False
 
 
-def _read_frame_infos(folder: Path, layout: DatasetLayout, times: _Array, height_m: float | None) -> list[FrameInfo]:
+def _read_frame_estimates(
+    folder: Path, layout: DatasetLayout, times: _Array, height_m: float | None
+) -> list[FrameEstimate]:
     """Return the vehicle's data at the times of the pictures."""
     if (folder / "telemetry.csv").is_file():
-        return _read_telemetry_infos(folder / "telemetry.csv", times)
+        return _read_telemetry_estimates(folder / "telemetry.csv", times)
     heights = _read_heights(folder, times, height_m)
     imu, accelerometer = find_inertial_file(folder, layout), folder / "accelerometer.txt"
     if imu is not None:
@@ -304,7 +308,7 @@ def _read_frame_infos(folder: Path, layout: DatasetLayout, times: _Array, height
         sigma, turning = _UNKNOWN_TILT_SIGMA_RAD, np.zeros((len(times), 3))
     roll, pitch = np.interp(times, t, roll), np.interp(times, t, pitch)
     return [
-        FrameInfo(
+        FrameEstimate(
             float(roll[k]),
             float(pitch[k]),
             float(heights[k]),
@@ -318,7 +322,7 @@ def _read_frame_infos(folder: Path, layout: DatasetLayout, times: _Array, height
 
 def find_inertial_file(folder: Path, layout: DatasetLayout) -> Path | None:
     """Return the file with rates and specific force of a folder, if it has one."""
-    file = _euroc_folder(folder) / "imu0" / "data.csv" if layout == "euroc" else folder / "imu.csv"
+    file = _find_euroc_folder(folder) / "imu0" / "data.csv" if layout == "euroc" else folder / "imu.csv"
     return file if layout in ("euroc", "mufly") and file.is_file() else None
 
 
@@ -361,7 +365,7 @@ def complementary_filter(t: _Array, rates: _Array, force: _Array) -> tuple[_Arra
 def _read_heights(folder: Path, times: _Array, height_m: float | None) -> _Array:
     file = folder / "sonar.csv"
     if height_m is not None or not file.is_file():
-        return np.array([t.height_m for t in info_from_height(height_m, str(folder))(times)])
+        return np.array([t.height_m for t in make_estimate_function_from_height(height_m, str(folder))(times)])
     a = read_text_table(file).read_matrix(2)
     if not len(a):
         raise InputError(str(file), "", "has no rows of two numbers", "write time and distance (s, m)")
@@ -378,15 +382,25 @@ TELEMETRY_COLUMNS = (
     "time_s", "roll_rad", "pitch_rad", "height_m", "p_rad_s", "q_rad_s", "r_rad_s", "rotor_upper_rad_s",
     "rotor_lower_rad_s", "tilt_sigma_rad", "height_sigma_m",
 )  # fmt: skip
-_ROLL, _PITCH, _HEIGHT, _TILT_SIGMA, _HEIGHT_SIGMA = 1, 2, 3, 9, 10  # columns of telemetry
-_RATES, _ROTOR_SPEEDS, _ROTOR_PHASES = slice(4, 7), slice(7, 9), slice(11, 13)
-_MOTION_VELOCITY, _MOTION_VELOCITY_SIGMA, _MOTION_PLACE_COLUMNS = slice(0, 3), 3, slice(4, 7)  # columns of a motion
-_MOTION_HEADING, _MOTION_PLACE_SIGMA, _MOTION_HEADING_SIGMA = 6, 7, 8
-PHASE_COLUMNS = ("rotor_upper_rad", "rotor_lower_rad")
+_ROLL_COLUMN, _PITCH_COLUMN, _HEIGHT_COLUMN, _TILT_SIGMA_COLUMN, _HEIGHT_SIGMA_COLUMN = (
+    1,
+    2,
+    3,
+    9,
+    10,
+)  # columns of telemetry
+_RATE_COLUMNS, _ROTOR_SPEED_COLUMNS, _ROTOR_PHASE_COLUMNS = slice(4, 7), slice(7, 9), slice(11, 13)
+_MOTION_VELOCITY_COLUMNS, _MOTION_VELOCITY_SIGMA_COLUMN, _MOTION_PLACE_COLUMNS = (
+    slice(0, 3),
+    3,
+    slice(4, 7),
+)  # columns of a motion
+_MOTION_HEADING_COLUMN, _MOTION_PLACE_SIGMA_COLUMN, _MOTION_HEADING_SIGMA_COLUMN = 6, 7, 8
+ROTOR_PHASE_COLUMNS = ("rotor_upper_rad", "rotor_lower_rad")
 """Optional columns of the telemetry; phases are continuous."""
 
 
-def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list[FrameInfo]]:
+def read_telemetry_interpolator(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list[FrameEstimate]]:
     """Return the vehicle's data as a function of picture times (n,), from a ``telemetry.csv`` or a recording.
 
     Parameters
@@ -405,10 +419,10 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
     if file.suffix.lower() == ".csv" and read_text_table(file, short_rows="drop").header[: len(TELEMETRY_COLUMNS)] == [
         *TELEMETRY_COLUMNS
     ]:
-        return lambda times: _read_telemetry_infos(file, times + offset_s)
+        return lambda times: _read_telemetry_estimates(file, times + offset_s)
     a, motion = _telemetry_from_recording(file)
 
-    def infos_at(times: _Array) -> list[FrameInfo]:
+    def estimates_at(times: _Array) -> list[FrameEstimate]:
         t = times + offset_s
         if t[0] < a[0, 0] - _MAX_TELEMETRY_EXTRAPOLATION_S or t[-1] > a[-1, 0] + _MAX_TELEMETRY_EXTRAPOLATION_S:
             raise InputError(
@@ -417,22 +431,22 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
                 "give --offset: clock of the recording minus clock of the pictures",
             )  # fmt: skip
         b = np.stack([np.interp(t, a[:, 0], c) for c in a.T], axis=1)
-        infos = [_make_frame_info(r) for r in b]
+        infos = [_make_frame_estimate(r) for r in b]
         if motion is None:
             return infos
         c = np.stack([np.interp(t, a[:, 0], column) for column in motion.T], axis=1)
         return [
             replace(
                 one,
-                velocity=m[_MOTION_VELOCITY],
-                velocity_sigma=m[_MOTION_VELOCITY_SIGMA],
+                velocity=m[_MOTION_VELOCITY_COLUMNS],
+                velocity_sigma=m[_MOTION_VELOCITY_SIGMA_COLUMN],
                 place=m[_MOTION_PLACE_COLUMNS],
-                place_sigma=(m[_MOTION_PLACE_SIGMA], m[_MOTION_HEADING_SIGMA]),
+                place_sigma=(m[_MOTION_PLACE_SIGMA_COLUMN], m[_MOTION_HEADING_SIGMA_COLUMN]),
             )
             for one, m in zip(infos, c, strict=True)
         ]
 
-    return infos_at
+    return estimates_at
 
 
 def _telemetry_from_recording(file: Path) -> tuple[_Array, _Array | None]:
@@ -478,15 +492,16 @@ def _telemetry_from_recording(file: Path) -> tuple[_Array, _Array | None]:
     speed = first_recorded_signal("velocity_sigma", "estimated")
     motion = np.column_stack([
         velocity, np.full(n, 0.05) if speed is None else np.maximum(0.01, speed[:, :2].max(axis=1)), position[:, :2],
-        np.zeros(n), np.full(n, _PLACE_SIGMA_M) if height is None else np.maximum(0.01, height[:, :2].max(axis=1)),
-        np.full(n, _HEADING_SIGMA_RAD) if tilt is None else np.maximum(0.005, tilt[:, 2]),
+        np.zeros(n),
+        np.full(n, _DEFAULT_PLACE_SIGMA_M) if height is None else np.maximum(0.01, height[:, :2].max(axis=1)),
+        np.full(n, _DEFAULT_HEADING_SIGMA_RAD) if tilt is None else np.maximum(0.005, tilt[:, 2]),
     ])  # fmt: skip
-    motion[known, _MOTION_HEADING] = np.unwrap(attitude[known, 2])
+    motion[known, _MOTION_HEADING_COLUMN] = np.unwrap(attitude[known, 2])
     time = rows[:, 0]
     return rows, np.stack([np.interp(time, time[known], c[known]) for c in motion.T], axis=1)
 
 
-def _open_recording(path: Path, camera: Camera, told: Callable[[_Array], list[FrameInfo]] | None) -> FrameSource:
+def _open_recording(path: Path, camera: Camera, told: Callable[[_Array], list[FrameEstimate]] | None) -> FrameSource:
     """Open the pictures of a recorded flight.
 
     The vehicle's data are those of ``told``, else those stored with the pictures, else the recorded state.
@@ -496,11 +511,11 @@ def _open_recording(path: Path, camera: Camera, told: Callable[[_Array], list[Fr
     _check_rising_times(times, [f"picture {k + 1}" for k in range(len(times))], str(kept.path))
     if told is None and kept.frame_infos:
         try:
-            tellings = [FrameInfo.from_mapping(one) for one in kept.frame_infos]
+            tellings = [FrameEstimate.from_mapping(one) for one in kept.frame_infos]
         except (TypeError, ValueError) as error:
             raise InputError(str(kept.path), "/camera/told", f"is damaged ({error})", "give --telemetry") from None
     else:
-        tellings = (told or read_telemetry(path))(times)
+        tellings = (told or read_telemetry_interpolator(path))(times)
     flight, truth = kept.path.with_name("flight.mcap"), None
     if flight.is_file():
         ds = read_recording(flight)
@@ -513,35 +528,35 @@ def _open_recording(path: Path, camera: Camera, told: Callable[[_Array], list[Fr
     return FrameSource(f"{kept.path.name} (recording)", len(times), truth, generate_frames)
 
 
-def _read_telemetry_infos(file: Path, times: _Array) -> list[FrameInfo]:
+def _read_telemetry_estimates(file: Path, times: _Array) -> list[FrameEstimate]:
     table = read_text_table(file)
-    phased = table.header == [*TELEMETRY_COLUMNS, *PHASE_COLUMNS]
+    phased = table.header == [*TELEMETRY_COLUMNS, *ROTOR_PHASE_COLUMNS]
     if not phased and table.header != [*TELEMETRY_COLUMNS]:
         raise InputError(str(file), "", "has an unexpected first row", f"write {', '.join(TELEMETRY_COLUMNS)}")
     a = table.read_matrix()
     if not len(a) or (np.diff(a[:, 0]) <= 0).any():
         raise InputError(str(file), "time_s", "does not increase", "sort it by time")
     b = np.stack([np.interp(times, a[:, 0], c) for c in a.T], axis=1)
-    return [_make_frame_info(r, r[_ROTOR_PHASES].copy() if phased else None) for r in b]
+    return [_make_frame_estimate(r, r[_ROTOR_PHASE_COLUMNS].copy() if phased else None) for r in b]
 
 
-def _make_frame_info(row: _Array, rotor_phase: _Array | None = None) -> FrameInfo:
+def _make_frame_estimate(row: _Array, rotor_phase: _Array | None = None) -> FrameEstimate:
     """Return the vehicle's estimate from one ``row`` with the columns :data:`TELEMETRY_COLUMNS`."""
-    return FrameInfo(
-        float(row[_ROLL]),
-        float(row[_PITCH]),
-        float(row[_HEIGHT]),
-        row[_RATES].copy(),
-        row[_ROTOR_SPEEDS].copy(),
+    return FrameEstimate(
+        float(row[_ROLL_COLUMN]),
+        float(row[_PITCH_COLUMN]),
+        float(row[_HEIGHT_COLUMN]),
+        row[_RATE_COLUMNS].copy(),
+        row[_ROTOR_SPEED_COLUMNS].copy(),
         rotor_phase,
-        float(row[_TILT_SIGMA]),
-        float(row[_HEIGHT_SIGMA]),
+        float(row[_TILT_SIGMA_COLUMN]),
+        float(row[_HEIGHT_SIGMA_COLUMN]),
     )
 
 
 def _open_video(
     file: Path, camera: Camera, rate_Hz: float | None, times: Path | None,
-    told: Callable[[_Array], list[FrameInfo]],
+    told: Callable[[_Array], list[FrameEstimate]],
 ) -> FrameSource:  # fmt: skip
     cv2 = load_opencv()
     video = cv2.VideoCapture(str(file))

@@ -19,11 +19,11 @@ from mufly.camera import Camera, VehicleMotion, encode_jpeg
 from mufly.dynamics import GRAVITY
 from mufly.rotations import quaternion_from_euler
 from mufly.slam.camera_frame import CameraFrame
-from mufly.slam.datasets.dataset_readers import PHASE_COLUMNS, TELEMETRY_COLUMNS
+from mufly.slam.datasets.dataset_readers import ROTOR_PHASE_COLUMNS, TELEMETRY_COLUMNS
 from mufly.slam.datasets.synthetic_datasets import VehiclePath
 
 _Array = NDArray[np.float64]
-DATASET_LAYOUTS = ("mufly", "euroc", "tum")
+WRITABLE_DATASET_LAYOUTS = ("mufly", "euroc", "tum")
 _FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 _JPEG_QUALITY = 95
 
@@ -48,7 +48,7 @@ def write_dataset(
     made : iterable of (CameraFrame, VehicleMotion)
         Pictures of :func:`mufly.slam.datasets.synthetic_datasets.render_frames`.
     layout : str
-        One of :data:`DATASET_LAYOUTS`.
+        One of :data:`WRITABLE_DATASET_LAYOUTS`.
     on_picture : callable
         Called with the number of each picture.
     imu : (n, 7) array, optional
@@ -95,7 +95,7 @@ def write_dataset(
         if imu is None:
             phased = told and len(told[0]) > len(TELEMETRY_COLUMNS)
             _write_csv(
-                folder / "telemetry.csv", TELEMETRY_COLUMNS + PHASE_COLUMNS if phased else TELEMETRY_COLUMNS, told
+                folder / "telemetry.csv", TELEMETRY_COLUMNS + ROTOR_PHASE_COLUMNS if phased else TELEMETRY_COLUMNS, told
             )
         _write_csv(
             folder / "imu.csv",

@@ -14,9 +14,9 @@ from mufly.slam.image_tools import load_opencv
 
 MIN_TRACKED_OVERLAP = 0.9
 """Least share of a picture that its neighbour also shows, for tracking."""
-_COMPARED_PICTURES, _MIN_COMPARED_PAIRS = 30, 3
+_COMPARED_PICTURE_COUNT, _MIN_COMPARED_PAIRS = 30, 3
 """Number of pictures, from the middle of a folder, that are compared, and least number of pairs with common floor."""
-_MIN_MATCHED_FEATURES, _MAX_DISTANCE_RATIO = 12, 0.8
+_MIN_MATCHED_FEATURES, _MAX_DESCRIPTOR_DISTANCE_RATIO = 12, 0.8
 _SUFFICIENT_TRACKED_FRACTION = 0.5
 """Share of tracked pictures above which the overlap is not measured."""
 
@@ -33,8 +33,8 @@ def check_overlap(source: FrameSource, tracked_share: float) -> None:
     """
     if tracked_share > _SUFFICIENT_TRACKED_FRACTION or not math.isfinite(source.interval_s):
         return
-    first = max(0, (source.frame_count - _COMPARED_PICTURES) // 2)
-    pictures = [frame.picture for frame in islice(source.read_frames(), first, first + _COMPARED_PICTURES)]
+    first = max(0, (source.frame_count - _COMPARED_PICTURE_COUNT) // 2)
+    pictures = [frame.picture for frame in islice(source.read_frames(), first, first + _COMPARED_PICTURE_COUNT)]
     shares = [share for a, b in pairwise(pictures) if (share := measure_overlap(a, b)) is not None]
     if len(shares) >= _MIN_COMPARED_PAIRS and (overlap := float(np.median(shares))) < MIN_TRACKED_OVERLAP:
         raise InputError(
@@ -54,7 +54,7 @@ def measure_overlap(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> floa
     if words is None or other_words is None:
         return None
     pairs = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(words, other_words, k=2)
-    good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < _MAX_DISTANCE_RATIO * p[1].distance]
+    good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < _MAX_DESCRIPTOR_DISTANCE_RATIO * p[1].distance]
     if len(good) < _MIN_MATCHED_FEATURES:
         return None
     here = np.array([points[g.queryIdx].pt for g in good])

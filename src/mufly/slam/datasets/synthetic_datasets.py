@@ -27,7 +27,7 @@ from mufly.camera import Camera, Floor, Renderer, VehicleMotion
 from mufly.dynamics import GRAVITY, body_to_ned_matrix
 from mufly.errors import ArgumentError, InputError
 from mufly.rotations import quaternion_from_euler
-from mufly.slam.camera_frame import CameraFrame, FrameInfo
+from mufly.slam.camera_frame import CameraFrame, FrameEstimate
 from mufly.world import Box, World
 
 _Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ HEIGHT_SIGMA_M, HEIGHT_CORRELATION_TIME_S = 0.01, 1.0
 PHASE_SIGMA_RAD = 0.05
 """Standard deviation of the rotors' phases from commutation (rad)."""
 _GYRO_BIAS_RAD_S, _GYRO_NOISE_RAD_S = math.radians(0.3), 0.01
-_SWAY_M = 0.03  # amplitude of the swaying of a path around a square
+_SWAY_AMPLITUDE_M = 0.03  # amplitude of the swaying of a path around a square
 _ROTOR_SPEEDS_RAD_S = 2 * math.pi * np.array([60.0, 70.0])
 
 
@@ -110,7 +110,7 @@ def make_square_path(
     p = np.zeros((len(t), 3))
     if side_m > 0.0:
         p[:, :2] = _trace_square(way, side_m)
-    for axis, most in ((0, _SWAY_M), (1, _SWAY_M), (2, 0.4 * _SWAY_M)):
+    for axis, most in ((0, _SWAY_AMPLITUDE_M), (1, _SWAY_AMPLITUDE_M), (2, 0.4 * _SWAY_AMPLITUDE_M)):
         for _ in range(4):
             w = 2 * math.pi * rng.uniform(0.1, 0.8)
             p[:, axis] += most * rng.uniform(0.3, 0.7) * np.sin(w * t + rng.uniform(0, 2 * math.pi))
@@ -118,7 +118,7 @@ def make_square_path(
     p[:, :2] -= p[0, :2]
     yaw = 0.06 * np.sin(2 * math.pi * t / 9.0 + rng.uniform(0, 6))
     v = np.asarray(np.gradient(p, t, axis=0))
-    a = _smooth_rows(np.gradient(v, t, axis=0), 40)
+    a = _smooth_rows_twice(np.gradient(v, t, axis=0), 40)
     c, s = np.cos(yaw), np.sin(yaw)
     forward, right = c * a[:, 0] + s * a[:, 1], -s * a[:, 0] + c * a[:, 1]
     tremble = np.zeros((len(t), 2))
@@ -202,7 +202,7 @@ def _trace_square(way: _Array, side: float) -> _Array:
     return np.stack([n, e], axis=1)
 
 
-def _smooth_rows(a: _Array, n: int) -> _Array:
+def _smooth_rows_twice(a: _Array, n: int) -> _Array:
     """Return the rows smoothed twice by a moving average over ``n`` rows; edge values are repeated."""
     kernel = np.ones(n) / n
     for _ in range(2):
@@ -249,7 +249,7 @@ def path_from_recording(recording: xr.Dataset, where: str = "recording") -> Vehi
     return VehiclePath(t, x, v, np.unwrap(e, axis=0), w, speed, phase)
 
 
-class FrameInfoSimulator:
+class FrameEstimateSimulator:
     """Simulator of the vehicle's data for each picture, with errors like those of its filter."""
 
     def __init__(self, camera: Camera, seed: int = 0, *, tilt_sigma: float = TILT_SIGMA_RAD) -> None:
@@ -260,7 +260,7 @@ class FrameInfoSimulator:
         self._gyro_bias = _GYRO_BIAS_RAD_S * self._rng.standard_normal(3)
         self._last_time_s = math.nan
 
-    def simulate_info(self, motion: VehicleMotion) -> FrameInfo:
+    def simulate_estimate(self, motion: VehicleMotion) -> FrameEstimate:
         """Return what the vehicle's filter would report for a picture: the true motion with simulated errors."""
         dt = 0.0 if math.isnan(self._last_time_s) else motion.time_s - self._last_time_s
         self._last_time_s = motion.time_s
@@ -275,7 +275,7 @@ class FrameInfoSimulator:
         )
         r = motion.attitude
         roll, pitch = math.atan2(r[2, 1], r[2, 2]), -math.asin(r[2, 0])
-        return FrameInfo(
+        return FrameEstimate(
             roll + self._tilt_error[0], pitch + self._tilt_error[1], -float(motion.position[2]) + self._height_error,
             motion.rates + self._gyro_bias + _GYRO_NOISE_RAD_S * rng.standard_normal(3), motion.rotor_speed.copy(),
             motion.rotor_phase + self._phase_offset + PHASE_SIGMA_RAD * rng.standard_normal(2),
@@ -305,14 +305,14 @@ def render_frames(
         Time (s) to the light of the room.
     """
     renderer = Renderer(camera, floor, world, seed=seed)
-    teller = FrameInfoSimulator(camera, seed + 1)
+    teller = FrameEstimateSimulator(camera, seed + 1)
     rng = np.random.default_rng([seed, 2])
     period = float(camera.sensor.period)
     begin = float(path.time_s[0])
     end = float(path.time_s[-1]) if duration_s is None else begin + duration_s
     for k in range(int((end - begin) / period)):
         motion = path.motion_at(begin + (k + 0.5) * period)
-        picture, told = renderer.render(motion, light(motion.time_s)), teller.simulate_info(motion)
+        picture, told = renderer.render(motion, light(motion.time_s)), teller.simulate_estimate(motion)
         if lose and rng.uniform() < float(camera.radio.loss):
             continue
         yield CameraFrame(motion.time_s, picture, told), motion

@@ -23,7 +23,7 @@ A vehicle with still rotors is carried by hand: p is then the rotation alone, an
 Recursive least squares with exponential forgetting (:data:`_FIT_MEMORY_S`) gives m, n, k and their covariance from the
 residuals (Ljung, *System Identification*, 1999, Sec. 11.2), times (1 + r) / (1 - r) by hand, for residuals with the
 correlation r from picture to picture. A fault is reported if a steady estimate deviates by
-:data:`_MIN_FAULT_SIGMAS` standard deviations and by a least amount. A second estimate forgets within
+:data:`_MIN_FAULT_DEVIATION_SIGMAS` standard deviations and by a least amount. A second estimate forgets within
 :data:`_GROSS_FIT_MEMORY_S`, so that an opposite motion is also found soon after a time without fault. Pictures that are
 flipped along x or y or both have y = -conj(p), conj(p) or -p. These have no unknown number, so a sequential test of
 each axis against y = p finds them first (Wald, *Sequential Analysis*, 1947). Own derivation.
@@ -36,7 +36,7 @@ moves the place by the height times it, so poses continue with that deviation; w
 
 **Dirt** stays at its pixels. In the mean of n pictures of different floor the dirt remains, while the floor, with grey
 levels of deviation s, averages out to s / sqrt(n). A pixel is dirty under two conditions: its mean differs from the
-surroundings by more than :data:`_DIRT_SIGMAS` s / sqrt(n), and its own deviation is below
+surroundings by more than :data:`_MIN_DIRT_CONTRAST_SIGMAS` s / sqrt(n), and its own deviation is below
 :data:`_DIRT_MAX_DEVIATION_FRACTION` s, since dirt hides the floor. The pictures of the mean were taken at different
 places: a hover would show the same floor at the same pixels. On a straight path, bands along it stay, too, so the
 mean must also differ from its surroundings along the path. More than :data:`_MAX_DIRT_FRACTION` of a picture is not
@@ -55,15 +55,19 @@ from numpy.typing import NDArray
 
 from mufly.camera import Camera, body_from_camera_rotation
 from mufly.dynamics import GRAVITY
-from mufly.slam.camera_frame import CameraFrame, FrameInfo
+from mufly.slam.camera_frame import CameraFrame, FrameEstimate
 from mufly.slam.image_tools import correlate_patches, is_in_mask, load_opencv
 from mufly.slam.images.direct_alignment import add_point_errors
 from mufly.slam.images.patch_information import measure_patch_shifts, remove_background
 
 _Array = NDArray[np.float64]
 _MOTION_HIGH_PASS_S, _FIT_MEMORY_S, _GROSS_FIT_MEMORY_S, _VELOCITY_DECAY_S = 0.4, 6.0, 1.2, 4.0
-_MIN_FAULT_SIGMAS, _MIN_FAULT_FRAMES, _MIN_GROSS_FIT_FRAMES = 5.0, 40, 12
-_MIN_TURN_ERROR_RAD, _MIN_FOCAL_ERROR_FRACTION, _MIN_DELAY_ERROR_S = math.radians(7.0), 0.1, 0.03
+_MIN_FAULT_DEVIATION_SIGMAS, _MIN_FAULT_FIT_FRAMES, _MIN_GROSS_FIT_FRAMES = 5.0, 40, 12
+_MIN_REPORTED_TURN_ERROR_RAD, _MIN_REPORTED_FOCAL_ERROR_FRACTION, _MIN_REPORTED_DELAY_ERROR_S = (
+    math.radians(7.0),
+    0.1,
+    0.03,
+)
 """Least errors of turn, focal length (share) and delay that are reported."""
 _MIN_PLAUSIBLE_FOCAL_SCALE = 0.5
 """Scale below which no focal length is wrong, but the estimate passes from 1 to that of a flip."""
@@ -72,8 +76,8 @@ _FAULT_CONFIRM_COUNT, _GROSS_FAULT_CONFIRM_COUNT, _FAULT_REPORT_HOLD_S = 10, 6, 
 """Consecutive pictures that confirm a fault, and a gross fault; time for which a fault is reported after it was last
 seen (s)."""
 _LOCAL_MEAN_SIDE_PX = 25  # side of the mean that is subtracted, at half the resolution
-_MIN_CHECKED_HEIGHT_M = 0.2  # below which the height is known too poorly
-_MOUNT_TILT_AVERAGE_S, _MOUNT_TILT_FAULT_SIGMAS, _MIN_MOUNT_TILT_FAULT_RAD, _MAX_USABLE_TILT_RAD = (
+_MIN_CAMERA_CHECK_HEIGHT_M = 0.2  # below which the height is known too poorly
+_MOUNT_TILT_AVERAGE_S, _MOUNT_TILT_FAULT_SIGMAS, _MIN_MOUNT_TILT_FAULT_RAD, _MAX_USABLE_MOUNT_TILT_RAD = (
     1.5,
     2.5,
     math.radians(1.2),
@@ -81,7 +85,7 @@ _MOUNT_TILT_AVERAGE_S, _MOUNT_TILT_FAULT_SIGMAS, _MIN_MOUNT_TILT_FAULT_RAD, _MAX
 )
 FAULTY_MOUNT_TILT_SIGMA_RAD = math.radians(4.0)
 """Standard deviation of the tilt of a mount that is reported, and not refused (rad). Tracking finds a part of it."""
-_DIRT_PICTURE_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_MIN_MOTION_PX, _DIRT_MIN_PICTURES, _DIRT_MAX_PICTURES = (
+_DIRT_PICTURE_REDUCTION, _DIRT_BACKGROUND_BLUR_PX, _DIRT_MIN_MOTION_PX, _DIRT_MIN_PICTURES, _DIRT_MAX_PICTURES = (
     4,
     8.0,
     40.0,
@@ -91,7 +95,7 @@ _DIRT_PICTURE_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_MIN_MOTION_PX, _DIRT_MIN_PIC
 """Reduction of the picture, smoothing of the surroundings (reduced pixels), least distance between the places of two
 pictures (pixels), and least and largest number of pictures."""
 _DIRT_PATH_SMOOTHING_PX = 16.0  # smoothing of the surroundings along the path (reduced pixels)
-_DIRT_SIGMAS, _DIRT_MAX_DEVIATION_FRACTION, _MIN_DIRT_GREY_LEVELS, _MAX_DIRT_FRACTION, _DIRT_MARGIN_PX = (
+_MIN_DIRT_CONTRAST_SIGMAS, _DIRT_MAX_DEVIATION_FRACTION, _MIN_DIRT_GREY_LEVELS, _MAX_DIRT_FRACTION, _DIRT_MARGIN_PX = (
     5.0,
     0.5,
     10.0,
@@ -176,7 +180,7 @@ class CameraMonitor:
         """Standard deviations (3,) of the coefficients m, n and k along one axis."""
         return self._fit.sigma
 
-    def check_stamp(self, time_s: float, last_time_s: float) -> CameraDiagnosis:
+    def check_picture_times(self, time_s: float, last_time_s: float) -> CameraDiagnosis:
         """Return the fault of a stopped clock if the times of several pictures do not advance, else no fault."""
         self._stopped_count = self._stopped_count + 1 if time_s <= last_time_s else 0
         if self._stopped_count < _STOPPED_CLOCK_COUNT:
@@ -196,7 +200,7 @@ class CameraMonitor:
         return equal
 
     @property
-    def frozen_diagnosis(self) -> CameraDiagnosis:
+    def frozen_picture_diagnosis(self) -> CameraDiagnosis:
         """The verdict on frozen pictures, that is successive identical copies."""
         if self._equal_count < _FROZEN_PICTURE_COUNT:
             return _HEALTHY_DIAGNOSIS
@@ -231,7 +235,7 @@ class CameraMonitor:
         if self._tilt_weight > 0.7 and size > max(_MIN_MOUNT_TILT_FAULT_RAD, _MOUNT_TILT_FAULT_SIGMAS * sigma_rad):
             message = f"the floor is seen {math.degrees(size):.1f} degrees off the attitude: check the camera's mount"
             verdict, until_s = CameraDiagnosis("tilted", message), time_s + _FAULT_REPORT_HOLD_S
-            if size > _MAX_USABLE_TILT_RAD:
+            if size > _MAX_USABLE_MOUNT_TILT_RAD:
                 self._verdict, self._held_until_s = verdict, until_s
             else:  # one report, whose message stays
                 held = self.diagnose_tilt_at(time_s)
@@ -250,7 +254,7 @@ class CameraMonitor:
         moved = None
         if (
             0.0 < dt < 1.6 * float(self._camera.sensor.period)
-            and frame.vehicle_estimate.height_m > _MIN_CHECKED_HEIGHT_M
+            and frame.vehicle_estimate.height_m > _MIN_CAMERA_CHECK_HEIGHT_M
         ):
             moved = measure_shift(before, small, self._smooth, self._dirt.wide_mask)
         if moved is None:
@@ -281,7 +285,7 @@ class CameraMonitor:
 
     def _confirm_fault(self, time_s: float) -> None:
         """Set the camera's verdict to a fault once several pictures in a row show it."""
-        is_known = self._fit.weight > _MIN_FAULT_FRAMES
+        is_known = self._fit.weight > _MIN_FAULT_FIT_FRAMES
         flip = found = self._flips.judge_flips()
         if not found.fault:
             found = judge_gross_motion(self._quick_fit.estimate, self._quick_fit.sigma)
@@ -304,7 +308,7 @@ class CameraMonitor:
         off = float(np.abs(last - [1.0, 0.0]).max())
         return float(np.abs(last - first).max()) < max(_MAX_SETTLED_CHANGE, _MAX_SETTLED_CHANGE_FRACTION * off)
 
-    def _advance_velocity(self, before: FrameInfo, now: FrameInfo, dt: float) -> None:
+    def _advance_velocity(self, before: FrameEstimate, now: FrameEstimate, dt: float) -> None:
         """Integrate forward and right velocity from the tilt; the velocity decays, so that errors do not add up.
 
         With still rotors a hand carries the vehicle, whose velocity is unknown.
@@ -317,7 +321,7 @@ class CameraMonitor:
         push = push + now.heading_rate_rad_s * np.array([self._last_level_velocity[1], -self._last_level_velocity[0]])
         self._last_level_velocity = math.exp(-dt / _VELOCITY_DECAY_S) * self._last_level_velocity + dt * push
 
-    def _predict_motion(self, before: FrameInfo, now: FrameInfo, velocity: _Array) -> complex:
+    def _predict_motion(self, before: FrameEstimate, now: FrameEstimate, velocity: _Array) -> complex:
         """Return the floor's predicted motion in the picture (pixels/s), p of the module docstring."""
         w = self._camera_from_body @ (0.5 * (before.rates + now.rates))
         place = self._camera.mount.place.to_array()[0]
@@ -449,15 +453,15 @@ def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraDiagn
     if abs(n) > 0.5 and abs(n) > 1.5 * abs(m):
         return CameraDiagnosis("mirrored", _MIRRORED_MESSAGE)
     turn, scale, s = cmath.phase(m), abs(m), sigma[0]
-    if abs(turn) > max(_MIN_TURN_ERROR_RAD, _MIN_FAULT_SIGMAS * s / max(scale, 0.2)) and scale > 0.4:
+    if abs(turn) > max(_MIN_REPORTED_TURN_ERROR_RAD, _MIN_FAULT_DEVIATION_SIGMAS * s / max(scale, 0.2)) and scale > 0.4:
         how = "upside down" if abs(turn) > math.radians(150.0) else f"turned by {math.degrees(turn):.0f} degrees"
         return CameraDiagnosis("turned", f"the camera is {how} against the gyroscopes: check mount.turn")
     delay = -(k / m).real if scale > 0.4 else 0.0
-    if abs(delay) > max(_MIN_DELAY_ERROR_S, _MIN_FAULT_SIGMAS * sigma[2] / max(scale, 0.2)):
+    if abs(delay) > max(_MIN_REPORTED_DELAY_ERROR_S, _MIN_FAULT_DEVIATION_SIGMAS * sigma[2] / max(scale, 0.2)):
         return CameraDiagnosis("delay", f"the pictures are {1e3 * delay:.0f} ms late against the gyroscopes")
     # Stripes hold back the motion along them: n is then as large as the deviation of m.
     if scale > _MIN_PLAUSIBLE_FOCAL_SCALE and abs(scale - 1.0) > max(
-        _MIN_FOCAL_ERROR_FRACTION, _MIN_FAULT_SIGMAS * s, 2.0 * abs(n)
+        _MIN_REPORTED_FOCAL_ERROR_FRACTION, _MIN_FAULT_DEVIATION_SIGMAS * s, 2.0 * abs(n)
     ):
         or_dirt = " and the lens for dirt" if scale < 1.0 else ""
         return CameraDiagnosis(
@@ -501,7 +505,7 @@ class DirtMask:
         small = cv2.resize(
             picture, (wide // _DIRT_PICTURE_REDUCTION, high // _DIRT_PICTURE_REDUCTION), interpolation=cv2.INTER_AREA
         ).astype(np.float32)
-        small -= cv2.GaussianBlur(small, (0, 0), _DIRT_BACKGROUND_PX)
+        small -= cv2.GaussianBlur(small, (0, 0), _DIRT_BACKGROUND_BLUR_PX)
         self._pictures.append(small)
         self._places.append(0j)
         count = len(self._pictures)
@@ -509,7 +513,7 @@ class DirtMask:
             return
         mean, variance = np.mean(self._pictures, axis=0), np.var(self._pictures, axis=0, ddof=1)
         usual = math.sqrt(float(np.median(variance)))
-        least = max(_MIN_DIRT_GREY_LEVELS, _DIRT_SIGMAS * usual / math.sqrt(count))
+        least = max(_MIN_DIRT_GREY_LEVELS, _MIN_DIRT_CONTRAST_SIGMAS * usual / math.sqrt(count))
         still = cv2.blur(variance, (3, 3)) < (_DIRT_MAX_DEVIATION_FRACTION * usual) ** 2
         beside = np.abs(mean - cv2.filter2D(mean, -1, self._path_kernel()))
         dirty = ((np.abs(mean) > least) & (beside > least) & still).astype(np.uint8)

@@ -43,18 +43,18 @@ _BENDING_ERROR_FACTOR = 2.0
 """Factor on e^2 S', above."""
 _LOCAL_MEAN_SIDE_PX = 31  # side of the mean that is subtracted: vignette and shadows move with the camera
 (
-    GRADIENT_XX,
-    GRADIENT_XY,
-    GRADIENT_YY,
-    SHIFT_X,
-    SHIFT_Y,
-    TEMPLATE_GRADIENT_XX,
-    TEMPLATE_GRADIENT_XY,
-    TEMPLATE_GRADIENT_YY,
-    PICTURE_GRADIENT_XX,
-    PICTURE_GRADIENT_XY,
-    PICTURE_GRADIENT_YY,
-    GREY_VARIANCE,
+    GRADIENT_XX_COLUMN,
+    GRADIENT_XY_COLUMN,
+    GRADIENT_YY_COLUMN,
+    SHIFT_X_COLUMN,
+    SHIFT_Y_COLUMN,
+    TEMPLATE_GRADIENT_XX_COLUMN,
+    TEMPLATE_GRADIENT_XY_COLUMN,
+    TEMPLATE_GRADIENT_YY_COLUMN,
+    PICTURE_GRADIENT_XX_COLUMN,
+    PICTURE_GRADIENT_XY_COLUMN,
+    PICTURE_GRADIENT_YY_COLUMN,
+    GREY_VARIANCE_COLUMN,
 ) = range(12)
 """Columns of a patch's sums: G, b, both pictures' own tensors, and mean square difference."""
 PATCH_SUM_COUNT = 12
@@ -149,15 +149,15 @@ def estimate_patch_shifts(
     smooth = max(smooth, 0.3)
     side = math.sqrt(pixels)
     v = max(1.0, 2.0 * math.sqrt(math.pi) * smooth - 4.0 * smooth**2 / side) ** 2 * np.maximum(
-        sums[:, GREY_VARIANCE], 1e-6
+        sums[:, GREY_VARIANCE_COLUMN], 1e-6
     )
     # Over the floor, where a direction without texture is the same for all patches
     across = np.swapaxes(axes, 1, 2)
     own, template, picture = (
         across @ (_tensors_from_sums(sums, at) / v[:, None, None]) @ axes
-        for at in (GRADIENT_XX, TEMPLATE_GRADIENT_XX, PICTURE_GRADIENT_XX)
+        for at in (GRADIENT_XX_COLUMN, TEMPLATE_GRADIENT_XX_COLUMN, PICTURE_GRADIENT_XX_COLUMN)
     )
-    pull = np.einsum("nji,nj->ni", axes, sums[:, [SHIFT_X, SHIFT_Y]] / v[:, None])
+    pull = np.einsum("nji,nj->ni", axes, sums[:, [SHIFT_X_COLUMN, SHIFT_Y_COLUMN]] / v[:, None])
     total = own.sum(axis=0)
     directions = np.linalg.eigh(total)[1].T
     own, template, picture = (directions @ q @ directions.T for q in (own, template, picture))
@@ -167,11 +167,11 @@ def estimate_patch_shifts(
     least = MIN_TEXTURE_SIGNIFICANCE * scatter + _BENDING_ERROR_FACTOR * row_slope**2 * np.maximum(strength[::-1], 0.0)
     significance = strength / np.maximum(caution * least, 1e-12)
     known = significance > 1.0
-    values, vectors = _split_tensors(own * np.outer(known, known))
+    values, vectors = _find_tensor_eigenvectors(own * np.outer(known, known))
     kept = np.einsum("nij,nj->i", vectors**2, values)
     scale = np.sqrt(np.where(known, strength / np.maximum(kept, 1e-12), 0.0))
     kept = np.einsum("nij,nj,nkj->nik", vectors, values, vectors) * np.outer(scale, scale)
-    values, vectors = _split_tensors(kept)
+    values, vectors = _find_tensor_eigenvectors(kept)
     with np.errstate(divide="ignore"):
         inverse = np.where(values > _MIN_PATCH_INFORMATION_PER_PX2, 1.0 / values, 0.0)
         bound = np.where(known, 1.0 / np.sqrt(np.maximum(strength, 1e-12)), math.inf)
@@ -183,7 +183,7 @@ def estimate_patch_shifts(
     return PatchShifts(information, np.einsum("nij,nj->ni", axes, shift), significance, directions, bound)
 
 
-def _split_tensors(tensors: _Array) -> tuple[_Array, _Array]:
+def _find_tensor_eigenvectors(tensors: _Array) -> tuple[_Array, _Array]:
     """Return the eigenvalues (n, 2), not below zero, and eigenvectors (n, 2, 2) of symmetric tensors (n, 2, 2)."""
     a, b, c = tensors[:, 0, 0], tensors[:, 0, 1], tensors[:, 1, 1]
     angle = 0.5 * np.arctan2(2.0 * b, a - c)
@@ -248,18 +248,18 @@ def _sum_patches(
                 ax, ay = 0.5 * (a[r, c + 1] - a[r, c - 1]), 0.5 * (a[r + 1, c] - a[r - 1, c])
                 bx, by = 0.5 * (b[r, c + 1] - b[r, c - 1]), 0.5 * (b[r + 1, c] - b[r - 1, c])
                 off = a[r, c] - b[r, c]
-                s[GRADIENT_XX] += ax * bx
-                s[GRADIENT_XY] += 0.5 * (ax * by + ay * bx)
-                s[GRADIENT_YY] += ay * by
-                s[SHIFT_X] += 0.5 * (ax + bx) * off
-                s[SHIFT_Y] += 0.5 * (ay + by) * off
-                s[TEMPLATE_GRADIENT_XX] += ax * ax
-                s[TEMPLATE_GRADIENT_XY] += ax * ay
-                s[TEMPLATE_GRADIENT_YY] += ay * ay
-                s[PICTURE_GRADIENT_XX] += bx * bx
-                s[PICTURE_GRADIENT_XY] += bx * by
-                s[PICTURE_GRADIENT_YY] += by * by
-                s[GREY_VARIANCE] += off * off
+                s[GRADIENT_XX_COLUMN] += ax * bx
+                s[GRADIENT_XY_COLUMN] += 0.5 * (ax * by + ay * bx)
+                s[GRADIENT_YY_COLUMN] += ay * by
+                s[SHIFT_X_COLUMN] += 0.5 * (ax + bx) * off
+                s[SHIFT_Y_COLUMN] += 0.5 * (ay + by) * off
+                s[TEMPLATE_GRADIENT_XX_COLUMN] += ax * ax
+                s[TEMPLATE_GRADIENT_XY_COLUMN] += ax * ay
+                s[TEMPLATE_GRADIENT_YY_COLUMN] += ay * ay
+                s[PICTURE_GRADIENT_XX_COLUMN] += bx * bx
+                s[PICTURE_GRADIENT_XY_COLUMN] += bx * by
+                s[PICTURE_GRADIENT_YY_COLUMN] += by * by
+                s[GREY_VARIANCE_COLUMN] += off * off
                 sum_ax += ax
                 sum_ay += ay
                 sum_bx += bx
@@ -267,16 +267,16 @@ def _sum_patches(
                 total += off
         # The difference of the mean grey levels is unknown, so a constant gradient shows no shift.
         one = 1.0 / ((n - 2) * (n - 2))
-        s[GRADIENT_XX] -= one * sum_ax * sum_bx
-        s[GRADIENT_XY] -= 0.5 * one * (sum_ax * sum_by + sum_ay * sum_bx)
-        s[GRADIENT_YY] -= one * sum_ay * sum_by
-        s[SHIFT_X] -= 0.5 * one * (sum_ax + sum_bx) * total
-        s[SHIFT_Y] -= 0.5 * one * (sum_ay + sum_by) * total
-        s[TEMPLATE_GRADIENT_XX] -= one * sum_ax * sum_ax
-        s[TEMPLATE_GRADIENT_XY] -= one * sum_ax * sum_ay
-        s[TEMPLATE_GRADIENT_YY] -= one * sum_ay * sum_ay
-        s[PICTURE_GRADIENT_XX] -= one * sum_bx * sum_bx
-        s[PICTURE_GRADIENT_XY] -= one * sum_bx * sum_by
-        s[PICTURE_GRADIENT_YY] -= one * sum_by * sum_by
-        s[GREY_VARIANCE] = one * (s[GREY_VARIANCE] - one * total * total)
+        s[GRADIENT_XX_COLUMN] -= one * sum_ax * sum_bx
+        s[GRADIENT_XY_COLUMN] -= 0.5 * one * (sum_ax * sum_by + sum_ay * sum_bx)
+        s[GRADIENT_YY_COLUMN] -= one * sum_ay * sum_by
+        s[SHIFT_X_COLUMN] -= 0.5 * one * (sum_ax + sum_bx) * total
+        s[SHIFT_Y_COLUMN] -= 0.5 * one * (sum_ay + sum_by) * total
+        s[TEMPLATE_GRADIENT_XX_COLUMN] -= one * sum_ax * sum_ax
+        s[TEMPLATE_GRADIENT_XY_COLUMN] -= one * sum_ax * sum_ay
+        s[TEMPLATE_GRADIENT_YY_COLUMN] -= one * sum_ay * sum_ay
+        s[PICTURE_GRADIENT_XX_COLUMN] -= one * sum_bx * sum_bx
+        s[PICTURE_GRADIENT_XY_COLUMN] -= one * sum_bx * sum_by
+        s[PICTURE_GRADIENT_YY_COLUMN] -= one * sum_by * sum_by
+        s[GREY_VARIANCE_COLUMN] = one * (s[GREY_VARIANCE_COLUMN] - one * total * total)
         sums[i] = s

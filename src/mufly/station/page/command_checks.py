@@ -18,7 +18,7 @@ from mufly.mission import Fence, Mission, describe_fence_violation, describe_pat
 from mufly.mission.files.geofence import FENCE_MARGIN_M
 from mufly.mission.files.mission_timing import compute_time_to_land_at
 from mufly.station.mission_endurance import make_mission_with_limits
-from mufly.station.preflight_checks import BATTERY_RESERVE_FRACTION, MIN_BATTERY_CHARGE_FRACTION, OWN_CHECKS_NAME
+from mufly.station.preflight_checks import BATTERY_RESERVE_FRACTION, MIN_BATTERY_CHARGE_FRACTION, PREARM_CHECKS_NAME
 from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
 
@@ -27,7 +27,7 @@ CONFIRM_TIMEOUT_S = 3.0
 MAX_UNCONFIRMED_DISTANCE_M = 10.0
 """Distance from the vehicle beyond which a destination without a fence needs confirmation (m)."""
 CRITICAL_CHARGE_FRACTION, CRITICAL_REMAINING_TIME_S, LOW_REMAINING_TIME_S = 0.15, 30.0, 60.0
-CONFIRMED_COMMANDS = {
+COMMANDS_NEEDING_CONFIRMATION = {
     "mission": "start the mission",
     "take_off": "take off",
     "arm": "arm",
@@ -51,20 +51,20 @@ class Confirmation:
         self._what: object = None
         self._since_s = -math.inf
 
-    def is_second_press(self, what: object) -> bool:
+    def would_be_second_press(self, what: object) -> bool:
         """Return whether a press of this command would be the second one."""
         return self._what == what and self._now() - self._since_s < CONFIRM_TIMEOUT_S
 
     def register_press(self, what: object) -> bool:
         """Register a press; return whether it is the second one of the same command."""
-        sure = self.is_second_press(what)
+        sure = self.would_be_second_press(what)
         self._what, self._since_s = (None, -math.inf) if sure else (what, self._now())
         return sure
 
 
 def failed_check_names(checks: Iterable[PreflightCheck]) -> list[str]:
     """Return the names of the station's failed checks, without the vehicle's own, which already disable the button."""
-    return [c.name for c in checks if c.ok is False and c.name != OWN_CHECKS_NAME]
+    return [c.name for c in checks if c.ok is False and c.name != PREARM_CHECKS_NAME]
 
 
 @dataclass(frozen=True, slots=True)

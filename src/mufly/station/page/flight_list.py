@@ -29,7 +29,7 @@ from mufly.logs import detect_log_format, read_log, read_recording_summary
 from mufly.station.page.page_session import WindowView, find_recordings, is_flight_folder
 from mufly.station.page.panels import (
     MAX_RECORDING_BYTES,
-    BrowserPanel,
+    JavaScriptPanel,
     add_file_picker,
     make_button,
     make_element,
@@ -40,9 +40,9 @@ from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
 MAX_WHOLE_READ_BYTES = 60_000_000
 """Largest foreign log that is read whole for the list (bytes)."""
-GROWING_FILE_AGE_S = 5.0
+MAX_GROWING_FILE_AGE_S = 5.0
 """Age of the last write below which an unfinished recording counts as still running (s)."""
-_UPDATE_PERIOD_S = 0.4
+_LIST_UPDATE_PERIOD_S = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def read_flight_facts(path: Path) -> FlightFacts:
     start_s = float(start_ns) * 1e-9 if isinstance(start_ns, int | float) and start_ns > 0 else _parse_start_time(facts)
     outcome = ": ".join(str(facts[k]) for k in ("outcome", "reason") if facts.get(k))
     if not facts.get("complete", True) and not outcome:
-        growing = abs(time.time() - path.stat().st_mtime) < GROWING_FILE_AGE_S
+        growing = abs(time.time() - path.stat().st_mtime) < MAX_GROWING_FILE_AGE_S
         outcome = "being recorded" if growing else "incomplete"
     vehicle = facts.get("vehicle") or facts.get("system") or ""
     return FlightFacts(kind, start_s, length_s, str(vehicle), str(facts.get("mission") or ""), outcome)
@@ -156,7 +156,7 @@ class FlightList:
             endings = ".mcap,.tlog,.ulg,.csv,.bin"
             add_file_picker("Open a file…", endings, self._open_upload, "recording-file", MAX_RECORDING_BYTES)
             self._place = make_element("span", "", "mf-dim mf-note")
-        self._panel = BrowserPanel("flights")
+        self._panel = JavaScriptPanel("flights")
         self._panel.on("open", lambda e: self._call_with_path(e, self._open_file))
         self._panel.on("compare", lambda e: self._call_with_path(e, self._compare_file))
         self._panel.on("download", lambda e: self._call_with_path(e, self._download_file))
@@ -173,7 +173,7 @@ class FlightList:
         self._place._text = f"in {self._here}"
         self._place.update()
         self._paths = {os.path.relpath(path, self._here): path for path in found}
-        unread = [path for path in found if self._read.get(path, ((0, 0),))[0] != _file_state(path)]
+        unread = [path for path in found if self._read.get(path, ((0, 0),))[0] != _make_file_change_key(path)]
         self._send_rows(found)
         told = time.monotonic()
         # New files before grown ones: a look that ends early, by the next, still gets on.
@@ -182,9 +182,9 @@ class FlightList:
                 await asyncio.sleep(1.0)
             if look != self._looks or not self._view.is_stream_open:
                 return
-            state = _file_state(path)
+            state = _make_file_change_key(path)
             self._read[path] = (state, await asyncio.to_thread(read_flight_facts, path))
-            if time.monotonic() - told > _UPDATE_PERIOD_S:
+            if time.monotonic() - told > _LIST_UPDATE_PERIOD_S:
                 self._send_rows(found)
                 told = time.monotonic()
         if unread:
@@ -260,10 +260,12 @@ class FlightList:
 
 def reading_priority(path: Path) -> tuple[bool, bool]:
     """Return the sort key of reading: mufly's recordings before foreign logs, growing files last in each group."""
-    return path.suffix.lower() != ".mcap", abs(time.time() - _file_state(path)[0] * 1e-9) < GROWING_FILE_AGE_S
+    return path.suffix.lower() != ".mcap", abs(
+        time.time() - _make_file_change_key(path)[0] * 1e-9
+    ) < MAX_GROWING_FILE_AGE_S
 
 
-def _file_state(path: Path) -> tuple[int, int]:
+def _make_file_change_key(path: Path) -> tuple[int, int]:
     """Return a value that changes with the content of a file."""
     try:
         about = path.stat()

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
 from mufly.flight.estimator_health import find_sensor_name
-from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES, parse_column_name
-from mufly.quantities.units import conversion_factor
+from mufly.quantities.quantity_table import FUSION_STATUSES, READINGS_WITH_FUSION_STATUS, parse_column_name
+from mufly.quantities.units import find_conversion_factor
 from mufly.slam import TrackedPicture
 from mufly.station.page.page_session import PanelSource, WindowView, scene_shape
 from mufly.station.replay import ReplayHistory
@@ -31,14 +31,14 @@ from mufly.station.signal_history import SignalHistory, StatusMessage, VehicleSn
 
 MAX_FRAMES_IN_FLIGHT = 2
 MAX_PLOT_POINTS = 6000
-MAX_SIGNALS = 64
-MAX_WINDOW_S = 36_000.0
+MAX_SENT_SIGNALS = 64
+MAX_PLOT_WINDOW_S = 36_000.0
 TABLE_UPDATE_PERIOD_S = 0.25  # tables are looked at this often
 SPECTRUM_UPDATE_PERIOD_S = 0.5
 TRAIL_LENGTH_S = 600.0
-RECENT_VALUE_AGE_S = 2.0
+MAX_RECENT_VALUE_AGE_S = 2.0
 MAX_TRAIL_POINTS = 3000
-MAX_TEXT_LENGTH = 1000
+MAX_MESSAGE_TEXT_LENGTH = 1000
 """Number of characters shown of a message; the recording has all."""
 BLADE_COUNT = 2
 MIN_SPECTRUM_SAMPLES = 64
@@ -82,12 +82,12 @@ class DisplayRequest:
         def read_seconds(key: str, otherwise: float) -> float:
             value = content.get(key)
             good = isinstance(value, int | float) and math.isfinite(value) and value > 0
-            return min(float(value), MAX_WINDOW_S) if good and value is not None else otherwise
+            return min(float(value), MAX_PLOT_WINDOW_S) if good and value is not None else otherwise
 
         chosen = content.get("spectrum", "")
         return cls(
             frozenset(read_texts("sections")) & _KNOWN_SECTIONS,
-            tuple(dict.fromkeys(read_texts("signals")))[:MAX_SIGNALS],
+            tuple(dict.fromkeys(read_texts("signals")))[:MAX_SENT_SIGNALS],
             read_seconds("window_s", 30.0),
             chosen if isinstance(chosen, str) else "",
             read_seconds("spectrum_s", 10.0),
@@ -137,11 +137,11 @@ class FrameFeed:
     def __init__(self, view: WindowView) -> None:
         self._view = view
         self.display_request = DisplayRequest()
-        self.sent_frame = self.drawn_frame = view.frames.newest_number
+        self.sent_frame = self.drawn_frame = view.frames.newest_frame_number
         self._epoch = ""
-        self._reset_tables()
+        self._forget_sent_tables()
 
-    def _reset_tables(self) -> None:
+    def _forget_sent_tables(self) -> None:
         """Forget what the window was sent, after a change of source or a jump of the slider; all is sent again."""
         self._filled: tuple[Any, ...] = ()
         self._last_s = -math.inf
@@ -179,16 +179,16 @@ class FrameFeed:
         now_s : float
             Monotonic clock (s).
         """
-        self.sent_frame = self._view.frames.next_number()
+        self.sent_frame = self._view.frames.register_frame()
         out: dict[str, Any] = {
             "n": self.sent_frame,
             "wall": time.time() * 1e3,
             "about": self._view.status_fields(),
         }
-        source, epoch = self._view.shown_source(), self._view.display_epoch()
+        source, epoch = self._view.shown_source(), self._view.display_change_key()
         if epoch != self._epoch:
             self._epoch, out["new"] = epoch, True
-            self._reset_tables()
+            self._forget_sent_tables()
         if source is not None:
             snapshot = source.snapshot
             if snapshot.time_s < self._last_s - 1.0:  # the vehicle's clock began anew
@@ -243,7 +243,7 @@ class FrameFeed:
         fresh = list(takewhile(lambda message: message is not self._said, reversed(source.messages)))
         if fresh:
             self._said = fresh[0]
-            out["messages"] = [(m.time_s, m.level, m.text[:MAX_TEXT_LENGTH]) for m in reversed(fresh)]
+            out["messages"] = [(m.time_s, m.level, m.text[:MAX_MESSAGE_TEXT_LENGTH]) for m in reversed(fresh)]
 
     def _add_changed_tables(self, source: PanelSource, out: dict[str, Any]) -> None:
         """Add the tables that have changed since last sent."""
@@ -263,7 +263,7 @@ class FrameFeed:
             out["scenery"] = scenery
             out["trail"] = _find_trail(source)
             compared = self._view.shown_comparison()
-            out["compared_trail"] = [] if compared is None else _thin_track(compared.second_track())
+            out["compared_trail"] = [] if compared is None else _thin_track(compared.second_recording_track())
         if (rows := take_changed("mission", lambda: list(source.mission))) is not None:
             out["mission"] = [
                 {"action": r.action, "p": r.position, "heading": r.heading_rad, "wait": r.wait_s,
@@ -275,8 +275,8 @@ class FrameFeed:
             sensors := take_changed("sensors", lambda: list_sensor_states(source.history, source.messages))
         ) is not None:
             out["sensors"] = sensors
-        if (names := take_changed("catalog", lambda: self._find_known_names(source))) is not None:
-            out["catalog"] = build_catalog(names, source.history.signal_unit)
+        if (names := take_changed("catalog", lambda: self._find_known_signals(source))) is not None:
+            out["catalog"] = build_signal_catalog(names, source.history.signal_unit)
         if (
             take_changed("camera", self._map_redraw_key) is not None
             and (sight := self._view.shown_slam_picture()) is not None
@@ -301,10 +301,10 @@ class FrameFeed:
         sight = self._view.shown_slam_picture()
         return None if sight is None else sight.time_s
 
-    def _find_known_names(self, source: PanelSource) -> list[str]:
+    def _find_known_signals(self, source: PanelSource) -> list[str]:
         """Return the signals that had a value from this source; a real vehicle has no true values."""
         names = list(source.history.names)
-        _, values = source.history.recent_rows(RECENT_VALUE_AGE_S, names)
+        _, values = source.history.recent_rows(MAX_RECENT_VALUE_AGE_S, names)
         alive = np.asarray(np.isfinite(values).any(axis=0)).tolist()
         self._alive |= {n for n, yes in zip(names, alive, strict=True) if yes}
         return [n for n in names if n in self._alive]
@@ -378,11 +378,11 @@ _UPWARD_COMPONENTS = {("position", "D"): "height", ("velocity", "D"): "climb"}
 def display_unit(unit: str, quantity: str) -> tuple[str, float]:
     """Return the display unit, and the factor from the SI value."""
     if unit == "rad":
-        return "°", conversion_factor("rad", "deg")
+        return "°", find_conversion_factor("rad", "deg")
     if unit == "rad/s":
         if "rotor_speed" in quantity:
-            return "rpm", conversion_factor(unit, "rpm")
-        return "°/s", conversion_factor(unit, "deg/s")
+            return "rpm", find_conversion_factor(unit, "rpm")
+        return "°/s", find_conversion_factor(unit, "deg/s")
     if quantity == "battery_charge" and unit == "1":
         return "%", 100.0
     return ("" if unit == "1" else unit), 1.0
@@ -405,14 +405,14 @@ def list_sensor_states(
 
     The reason is the vehicle's latest message about a sensor that is not fused; "" for a fused sensor.
     """
-    names = [f"{kind}_{name}" for name in CHECKED_READINGS for kind in ("status", "innovation")]
+    names = [f"{kind}_{name}" for name in READINGS_WITH_FUSION_STATUS for kind in ("status", "innovation")]
     if not set(names) <= set(history.names):
         return []  # a recording of a flight on what is true
-    _, values = history.recent_rows(RECENT_VALUE_AGE_S, names)
+    _, values = history.recent_rows(MAX_RECENT_VALUE_AGE_S, names)
     if not len(values):
         return []
     now = values[-1].tolist()
-    told = zip(CHECKED_READINGS, now[0::2], now[1::2], strict=True)
+    told = zip(READINGS_WITH_FUSION_STATUS, now[0::2], now[1::2], strict=True)
     return [
         (name.replace("_", " "), FUSION_STATUSES[int(status)], round(ratio, 1),
          _find_status_reason(name, messages) if FUSION_STATUSES[int(status)] in _DOUBTED_STATUSES else "")
@@ -436,7 +436,7 @@ def _find_status_reason(reading: str, messages: Sequence[StatusMessage]) -> str:
     return last.partition(": ")[2]
 
 
-def build_catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, Any]]:
+def build_signal_catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, Any]]:
     """Return the quantities that can be plotted, in the format of the page.
 
     Parameters

@@ -21,9 +21,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from mufly.link.ports import MAX_REQUEST_AGE_S, read_boot_clock
 from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
-FRAME_HEADER = "x-mufly-frame"
+FRAME_NUMBER_HEADER = "x-mufly-frame"
 """HTTP header of an uploaded file: the newest frame that the window had."""
-_MAX_FRAMES = 128  # frames: more than are made in LATE_S
+_MAX_REMEMBERED_FRAMES = 128  # frames: more than are made in LATE_S
 _NOTICE_PERIOD_S = 1.0
 _DISPLAY_STATE_EVENTS = ("change", "place", "hello", "failed", "rejected")
 
@@ -42,15 +42,15 @@ class FrameTimes:
         self._made: dict[int, float] = {}
         self._newest = 0
 
-    def next_number(self) -> int:
+    def register_frame(self) -> int:
         """Return the number of a new frame, unique over all streams."""
         self._newest += 1
         self._made[self._newest] = self._clock()
-        self._made.pop(self._newest - _MAX_FRAMES, None)
+        self._made.pop(self._newest - _MAX_REMEMBERED_FRAMES, None)
         return self._newest
 
     @property
-    def newest_number(self) -> int:
+    def newest_frame_number(self) -> int:
         """Return the number of the newest frame; 0 before the first."""
         return self._newest
 
@@ -148,7 +148,7 @@ class LateUploadFilter:
         parts = scope.get("path", "").split("/")
         if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD") and "upload" in parts:
             known = next((f for part in parts if (f := self._frames(part)) is not None), None)
-            number = Headers(scope=scope).get(FRAME_HEADER, "")
+            number = Headers(scope=scope).get(FRAME_NUMBER_HEADER, "")
             frame = int(number) if number.isascii() and number.isdigit() else None
             if known is None or known.request_lateness_s(frame) > MAX_REQUEST_AGE_S:
                 await send({"type": "http.response.start", "status": 408, "headers": [(b"connection", b"close")]})

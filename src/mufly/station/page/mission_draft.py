@@ -115,7 +115,7 @@ def _replace_waypoints(mission: Mission, waypoints: Sequence[Waypoint | Mapping[
     return replace_mission_parts(mission, waypoint=tables)
 
 
-def _find_waypoint(mission: Mission, k: int) -> Waypoint:
+def _require_waypoint(mission: Mission, k: int) -> Waypoint:
     if not 1 <= k <= len(mission.waypoint):
         problem = f"there is no waypoint {k}"
         raise InputError(ERROR_LOCATION, "waypoint", problem, f"give 1 to {len(mission.waypoint)}")
@@ -131,7 +131,7 @@ def add_waypoint(mission: Mission, place: PlaceNED, after: int | None = None) ->
 
 def insert_waypoint(mission: Mission, k: int) -> Mission:
     """Insert a waypoint half way between waypoint ``k`` (from 1) and the preceding row."""
-    goal = _find_waypoint(mission, k).position_m
+    goal = _require_waypoint(mission, k).position_m
     before = (*mission.start_m, -mission.take_off.height_m) if k == 1 else mission.waypoint[k - 2].position_m
     north, east, down = (round(0.5 * (a + b), 3) for a, b in zip(before, goal, strict=True))
     return add_waypoint(mission, (north, east, down), k - 1)
@@ -139,13 +139,13 @@ def insert_waypoint(mission: Mission, k: int) -> Mission:
 
 def delete_waypoint(mission: Mission, k: int) -> Mission:
     """Delete waypoint ``k`` (from 1)."""
-    _find_waypoint(mission, k)
+    _require_waypoint(mission, k)
     return _replace_waypoints(mission, [w for i, w in enumerate(mission.waypoint, 1) if i != k])
 
 
 def reorder_waypoint(mission: Mission, k: int, by: int) -> Mission:
     """Move waypoint ``k`` (from 1) by ``by`` places; the mission is unchanged at the first or last place."""
-    moved, rest = _find_waypoint(mission, k), [w for i, w in enumerate(mission.waypoint, 1) if i != k]
+    moved, rest = _require_waypoint(mission, k), [w for i, w in enumerate(mission.waypoint, 1) if i != k]
     at = min(max(k - 1 + by, 0), len(rest))
     return _replace_waypoints(mission, [*rest[:at], moved, *rest[at:]])
 
@@ -158,7 +158,7 @@ def set_row_position(mission: Mission, k: int, place: PlaceNED) -> Mission:
     if k == 0:
         climb = mission.take_off.model_dump() | {"height_m": -place[2]}
         return replace_mission_parts(mission, start_m=place[:2], take_off=climb)
-    own = _find_waypoint(mission, k).model_dump()
+    own = _require_waypoint(mission, k).model_dump()
     return _replace_waypoints(
         mission, [own | {"position_m": place} if i == k else w for i, w in enumerate(mission.waypoint, 1)]
     )
@@ -168,8 +168,8 @@ def set_row_value(mission: Mission, k: int, name: str, value: float | None) -> M
     """Set one field of a row: ``north``, ``east``, ``height`` (m), or a key of the mission file (``wait_s``, ...)."""
     if name in _AXIS_INDEX:
         if value is None:
-            raise InputError(ERROR_LOCATION, _row_key(k), f"{name} is missing", "give metres")
-        n, e, d = (*mission.start_m, -mission.take_off.height_m) if k == 0 else _find_waypoint(mission, k).position_m
+            raise InputError(ERROR_LOCATION, _make_row_key(k), f"{name} is missing", "give metres")
+        n, e, d = (*mission.start_m, -mission.take_off.height_m) if k == 0 else _require_waypoint(mission, k).position_m
         value = -value if name == "height" else value
         at = [n, e, d]
         at[_AXIS_INDEX[name]] = value
@@ -179,15 +179,15 @@ def set_row_value(mission: Mission, k: int, name: str, value: float | None) -> M
     if name not in WAYPOINT_OPTIONS or k == 0:
         raise InputError(
             ERROR_LOCATION,
-            _row_key(k),
+            _make_row_key(k),
             f"has no field {name!r}",
             f"use {', '.join((*_AXIS_INDEX, *WAYPOINT_OPTIONS))}",
         )
-    own = _find_waypoint(mission, k).model_dump() | {name: 0.0 if value is None and name == "wait_s" else value}
+    own = _require_waypoint(mission, k).model_dump() | {name: 0.0 if value is None and name == "wait_s" else value}
     return _replace_waypoints(mission, [own if i == k else w for i, w in enumerate(mission.waypoint, 1)])
 
 
-def _row_key(k: int) -> str:
+def _make_row_key(k: int) -> str:
     return f"waypoint[{k}]" if k else "take_off"
 
 
@@ -206,13 +206,13 @@ def apply_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
         return draft.redo()
     doing: dict[object, Callable[[], Mission]] = {
         "add": lambda: add_waypoint(
-            m, _read_position(order), _read_row(order, "after") if order.get("after") is not None else None
+            m, _read_position(order), _read_row_number(order, "after") if order.get("after") is not None else None
         ),
-        "insert": lambda: insert_waypoint(m, _read_row(order)),
-        "delete": lambda: delete_waypoint(m, _read_row(order)),
-        "shift": lambda: reorder_waypoint(m, _read_row(order), _read_row(order, "by")),
-        "move": lambda: set_row_position(m, _read_row(order), _read_position(order)),
-        "put": lambda: set_row_value(m, _read_row(order), str(order.get("name")), _read_value(order)),
+        "insert": lambda: insert_waypoint(m, _read_row_number(order)),
+        "delete": lambda: delete_waypoint(m, _read_row_number(order)),
+        "shift": lambda: reorder_waypoint(m, _read_row_number(order), _read_row_number(order, "by")),
+        "move": lambda: set_row_position(m, _read_row_number(order), _read_position(order)),
+        "put": lambda: set_row_value(m, _read_row_number(order), str(order.get("name")), _read_value(order)),
         "end": lambda: replace_mission_parts(m, at_end=order.get("value")),
         "name": lambda: replace_mission_parts(m, name=str(order.get("value", ""))[:80]),
         "empty": lambda: replace_mission_parts(_replace_waypoints(m, []), name=NEW_MISSION_NAME, description=""),
@@ -228,7 +228,7 @@ def apply_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
     return draft.with_mission(act(), str(order.get("gesture") or ""))
 
 
-def _read_row(order: Mapping[str, Any], name: str = "row") -> int:
+def _read_row_number(order: Mapping[str, Any], name: str = "row") -> int:
     value = order.get(name)
     if not isinstance(value, int) or isinstance(value, bool):
         raise InputError(ERROR_LOCATION, name, f"{value!r} is not a whole number", "name a row of the table")
@@ -297,13 +297,13 @@ def check_draft(
             flown, hover_current_A=current_A, capacity_Ah=capacity_Ah, where=mission.name or ERROR_LOCATION
         )
     except InputError as error:
-        return DraftCheck(f"{error.key}: {error.problem}; {error.remedy}", row_from_key(error.key, mission))
+        return DraftCheck(f"{error.key}: {error.problem}; {error.remedy}", row_number_from_key(error.key, mission))
     if battery is None:
         estimate = replace(estimate, charge_Ah=math.nan, charge_fraction=math.nan)
     return DraftCheck(estimate=estimate)
 
 
-def row_from_key(key: str, mission: Mission) -> int | None:
+def row_number_from_key(key: str, mission: Mission) -> int | None:
     """Return the table row of a key of a mission file; None if the key belongs to no item."""
     if found := _WAYPOINT_KEY_PATTERN.match(key):
         return int(found[1])

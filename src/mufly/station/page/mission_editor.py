@@ -10,7 +10,7 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments, UploadEventArguments
 
 from mufly.errors import InputError
-from mufly.mission import FILE_ENDINGS, Mission, TrajectoryLimits, dump_mission
+from mufly.mission import MISSION_FILE_ENDINGS, Mission, TrajectoryLimits, dump_mission
 from mufly.station.mission_endurance import trajectory_limits_from_parameters
 from mufly.station.page import panels
 from mufly.station.page.command_checks import encode_fence
@@ -39,7 +39,7 @@ class MissionEditor:
         self._order = 0
         self._refused = ""
         self._shown: tuple[object, ...] = ()
-        self._panel = panels.BrowserPanel("draft")
+        self._panel = panels.JavaScriptPanel("draft")
         self._panel.on("edit", self._handle_edit)
         if not self._shared_draft.version and view.session.mission is not None:
             self._shared_draft.vehicle_mission = view.session.mission
@@ -63,7 +63,7 @@ class MissionEditor:
             panels.make_button(
                 "New", self._start_new, test="plan-new", title="new mission without waypoints, in the same world"
             )
-            panels.add_file_picker("Open…", ",".join(FILE_ENDINGS), self._open_file, "plan-file")
+            panels.add_file_picker("Open…", ",".join(MISSION_FILE_ENDINGS), self._open_file, "plan-file")
             panels.make_button("Save", self._save_file, test="plan-save", title="save the mission as a file")
             fetched = "download the vehicle's mission for editing"
             panels.make_button(
@@ -77,7 +77,7 @@ class MissionEditor:
             panels.make_button(
                 "Upload to vehicle", self._send_to_vehicle, test="plan-send", title=sent, classes="mf-live-only"
             )
-        panels.BrowserPanel("editor")
+        panels.JavaScriptPanel("editor")
 
     def refresh(self) -> None:
         """Send changes of the draft to the window."""

@@ -14,7 +14,7 @@ from nicegui.events import GenericEventArguments
 
 from mufly.station.page.alerts import AlertWatch
 from mufly.station.page.command_checks import (
-    CONFIRMED_COMMANDS,
+    COMMANDS_NEEDING_CONFIRMATION,
     Confirmation,
     DestinationCheck,
     check_vehicle_destination,
@@ -25,8 +25,8 @@ from mufly.station.page.mission_editor import MissionEditor
 from mufly.station.page.page_session import WindowView, find_refusal_reasons, mission_button_label
 from mufly.station.page.panels import (
     ActionButton,
-    BrowserPanel,
     FlightStrip,
+    JavaScriptPanel,
     StickPanel,
     build_check_drawer,
     build_mission_drawer,
@@ -37,8 +37,8 @@ from mufly.station.page.panels import (
     show_refusal,
     static_url,
 )
-from mufly.station.preflight_checks import OWN_CHECKS_NAME
-from mufly.station.recording_comparison import ALIGNMENTS
+from mufly.station.preflight_checks import PREARM_CHECKS_NAME
+from mufly.station.recording_comparison import ALIGNMENT_EVENTS
 from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import OperatorRequest, RequestOutcome, VehicleSnapshot
 
@@ -78,34 +78,34 @@ def build_page(view: WindowView) -> None:
     editor = MissionEditor(view)
     with make_element("div", classes="mf-page"):
         say = _build_header(view, dark)
-        with _make_labelled("aside", "instruments", "mf-left"):
+        with _make_labelled_element("aside", "instruments", "mf-left"):
             for module, title in (
                 ("flight", ""),
                 ("actuators", "Motors and servos"),
                 ("ranges", "Ranges (nose up)"),
             ):
-                with _make_labelled("section", title, f"mf-card mf-card-{module}"):
+                with _make_labelled_element("section", title, f"mf-card mf-card-{module}"):
                     if title:
                         make_element("h2", title)
-                    BrowserPanel(module)
+                    JavaScriptPanel(module)
         with make_element("main", classes="mf-centre"):
-            scene = BrowserPanel("scene")
-            BrowserPanel("starting")
+            scene = JavaScriptPanel("scene")
+            JavaScriptPanel("starting")
             sticks = StickPanel(view, lambda: bar.refusal_reasons()["sticks"])
             with make_element("div", classes="mf-replay-row").props("hidden"):
-                BrowserPanel("replaybar").on("replay", lambda e: _control_replay(view, e))
+                JavaScriptPanel("replaybar").on("replay", lambda e: _control_replay(view, e))
         refresh_parameters = _build_dock(view, editor)
-        with _make_labelled("aside", "commands and mission", "mf-right"):
+        with _make_labelled_element("aside", "commands and mission", "mf-right"):
             bar = CommandBar(
                 view,
                 lambda height: scene.call_method("setHeight", height),
                 lambda place: scene.call_method("setTarget", place),
             )
             _build_right_tabs(view)
-    BrowserPanel("keys")
-    BrowserPanel("hints")
-    scene.on("place", lambda e: _read_point(e, bar.show_place))
-    scene.on("goto", lambda e: _read_point(e, bar.go_to))
+    JavaScriptPanel("keys")
+    JavaScriptPanel("hints")
+    scene.on("place", lambda e: _forward_event_point(e, bar.fill_destination_fields))
+    scene.on("goto", lambda e: _forward_event_point(e, bar.go_to))
 
     view.on_late = show_refusal
 
@@ -122,12 +122,12 @@ def build_page(view: WindowView) -> None:
     ui.timer(REFRESH_PERIOD_S, refresh_all)
 
 
-def _make_labelled(tag: str, label: str, classes: str) -> Element:
+def _make_labelled_element(tag: str, label: str, classes: str) -> Element:
     made = make_element(tag, classes=classes)
     return made.props(f'aria-label="{label}"') if label else made
 
 
-def _read_point(e: GenericEventArguments, take: Callable[[float, float, float], None]) -> None:
+def _forward_event_point(e: GenericEventArguments, take: Callable[[float, float, float], None]) -> None:
     content = e.args if isinstance(e.args, dict) else {}
     try:
         north, east, height = (float(content[k]) for k in ("north", "east", "height"))
@@ -145,8 +145,8 @@ def _build_header(view: WindowView, dark: ui.dark_mode) -> Callable[[], None]:
     with make_element("header", classes="mf-header"):
         with make_element("div", classes="mf-brand"):
             make_element("span", "mufly", "mf-brand-name")
-            BrowserPanel("vehicles").on("select", lambda e: view.select_vehicle(str(e.args)))
-        BrowserPanel("status")
+            JavaScriptPanel("vehicles").on("select", lambda e: view.select_vehicle(str(e.args)))
+        JavaScriptPanel("status")
         with make_element("div", classes="mf-header-tools"):
             _build_recorder(view)
             say = _build_alert_switch(view)
@@ -159,7 +159,7 @@ def _build_header(view: WindowView, dark: ui.dark_mode) -> Callable[[], None]:
 
 def _build_alert_switch(view: WindowView) -> Callable[[], None]:
     """Build the switch for spoken alerts; return the function that speaks new alerts."""
-    panel = BrowserPanel("alerts")
+    panel = JavaScriptPanel("alerts")
     watches: dict[str, AlertWatch] = {}
 
     def speak_alerts() -> None:
@@ -238,7 +238,7 @@ def _build_recorder(view: WindowView) -> None:
 
 
 def _build_dock(view: WindowView, editor: MissionEditor) -> Callable[[], None]:
-    with _make_labelled("section", "plots, spectrum, plan, parameters, recordings, camera", "mf-dock"):
+    with _make_labelled_element("section", "plots, spectrum, plan, parameters, recordings, camera", "mf-dock"):
         with ui.tabs().props("dense no-caps align=left inline-label").classes("mf-tabs") as tabs:
             plots, spectrum, plan, parameters, recordings = map(
                 ui.tab, ("Plots", "Spectrum", "Plan", "Parameters", "Recordings")
@@ -248,11 +248,11 @@ def _build_dock(view: WindowView, editor: MissionEditor) -> Callable[[], None]:
             panels.classes("mf-tab-panels")
             if camera is not None:
                 with ui.tab_panel(camera):
-                    BrowserPanel("camera")
+                    JavaScriptPanel("camera")
             with ui.tab_panel(plots):
-                BrowserPanel("plots")
+                JavaScriptPanel("plots")
             with ui.tab_panel(spectrum):
-                BrowserPanel("spectrum")
+                JavaScriptPanel("spectrum")
             with ui.tab_panel(plan):
                 editor.build_tab()
             with ui.tab_panel(parameters):
@@ -274,7 +274,7 @@ def _build_right_tabs(view: WindowView) -> None:
         with ui.tab_panel(mission):
             build_mission_drawer(view)
         with ui.tab_panel(messages):
-            BrowserPanel("messages")
+            JavaScriptPanel("messages")
 
 
 def _control_replay(view: WindowView, e: GenericEventArguments) -> None:
@@ -295,7 +295,7 @@ def _control_replay(view: WindowView, e: GenericEventArguments) -> None:
             content.get("by", compared.alignment_event),
             content.get("offset", compared.manual_offset_s),
         )
-        if by in ALIGNMENTS and isinstance(offset, int | float) and abs(offset) < MAX_COMPARISON_OFFSET_S:
+        if by in ALIGNMENT_EVENTS and isinstance(offset, int | float) and abs(offset) < MAX_COMPARISON_OFFSET_S:
             view.compare_recording(compared.second_recording, by, float(offset))
     if content.get("alone"):
         view.compare_recording(None)
@@ -337,7 +337,7 @@ class _NumberField:
         self.on_change: Callable[[float], None] = lambda _: None
         test = "field-" + meaning.split()[0]
         options = {"label": label, "value": value, "meaning": meaning, "unit": unit, "test": test}
-        self.panel = BrowserPanel("field", options)
+        self.panel = JavaScriptPanel("field", options)
         self.panel.on("change", self._handle_change)
 
     def _handle_change(self, e: GenericEventArguments) -> None:
@@ -407,17 +407,17 @@ class CommandBar:
                 self._banner_text, self._banner_button = make_element("span"), make_element("button")
                 self._banner_button.props("type=button data-testid=take-controls")
                 self._banner_button.on("click", self._take_over_control, args=[])
-            self._add_action(
-                "mission", "Start mission", "M", self._command_action("start_mission"), classes="mf-primary"
+            self._add_action_button(
+                "mission", "Start mission", "M", self._make_command_action("start_mission"), classes="mf-primary"
             )
             with make_element("div", classes=row):
-                self._add_action("arm", "Arm", "A", self._toggle_arm, classes="mf-small")
-                self._add_action("take_off", "Take off", "T", self._take_off_to_height, "take-off")
+                self._add_action_button("arm", "Arm", "A", self._toggle_arm, classes="mf-small")
+                self._add_action_button("take_off", "Take off", "T", self._take_off_to_height, "take-off")
                 self._height = _NumberField("to", 1.0, "take-off height (m)", "m")
             with make_element("div", classes=row):
-                self._add_action("pause", "Hover", "H", self._command_action("pause"))
-                self._add_action("land", "Land", "L", self._command_action("land"))
-                self._add_action("return", "Return", "R", self._command_action("return_home"))
+                self._add_action_button("pause", "Hover", "H", self._make_command_action("pause"))
+                self._add_action_button("land", "Land", "L", self._make_command_action("land"))
+                self._add_action_button("return", "Return", "R", self._make_command_action("return_home"))
             with make_element("div", classes=f"{row} mf-goto"):
                 self._place = (
                     _NumberField("N", 0.0, "north (m)"),
@@ -427,11 +427,11 @@ class CommandBar:
                 for field in self._place:
                     field.panel.on("enter", self._go_to_typed_position, args=[])
                 self._place[2].on_change = place
-                self._add_action("go_to", "Go", "G", self._go_to_typed_position, "goto")
+                self._add_action_button("go_to", "Go", "G", self._go_to_typed_position, "goto")
             self._log = make_element("ol", classes="mf-requests").props('role=status aria-label="requests"')
         self.refresh()
 
-    def _add_action(
+    def _add_action_button(
         self, name: str, label: str, key: str, press: Callable[[], None], test_id: str = "", classes: str = ""
     ) -> None:
         def press_confirmed() -> None:
@@ -448,7 +448,7 @@ class CommandBar:
         vehicle = self._view.shown_vehicle()
         if name == "arm" and vehicle is not None and vehicle.snapshot.armed:
             return False  # disarmed; in flight the vehicle refuses that
-        return name in CONFIRMED_COMMANDS
+        return name in COMMANDS_NEEDING_CONFIRMATION
 
     # ---- what the buttons do
 
@@ -458,7 +458,7 @@ class CommandBar:
             self._view.keep_request(ask(vehicle))
         self.refresh()
 
-    def _command_action(self, name: str) -> Callable[[], None]:
+    def _make_command_action(self, name: str) -> Callable[[], None]:
         return lambda: self._send_request(lambda vehicle: getattr(vehicle, name)())
 
     def _show_refusal(self, text: str, why: str) -> None:
@@ -480,7 +480,7 @@ class CommandBar:
 
     def go_to(self, north: float, east: float, height: float) -> None:
         """Send the vehicle to a point (m; height above the floor), if that can be done now."""
-        self.show_place(north, east, height)
+        self.fill_destination_fields(north, east, height)
         why = self.refusal_reasons()["go_to"]
         if not all(math.isfinite(x) and abs(x) < 1e5 for x in (north, east, height)) or height <= 0.0:
             why = "enter finite numbers and a height above the floor"
@@ -498,7 +498,7 @@ class CommandBar:
             self._tell_target(self._sent.place)
             self._send_request(lambda _: request)
 
-    def show_place(self, *place: float) -> None:
+    def fill_destination_fields(self, *place: float) -> None:
         """Show a point (north, east, height; m) in the fields, without flying there."""
         for field, value in zip(self._place, place, strict=True):
             field.show_value(value)
@@ -515,7 +515,7 @@ class CommandBar:
             self._view.take_controls()
             self.refresh()
         else:
-            self._command_action("request_operator_control")()
+            self._make_command_action("request_operator_control")()
 
     # ---- what they show
 
@@ -525,7 +525,7 @@ class CommandBar:
         unready = ""
         if vehicle is not None and not vehicle.snapshot.flying:
             # The station's other checks advise; whether it can be armed is for the vehicle to say.
-            unready = next((c.text for c in vehicle.checks if c.ok is False and c.name == OWN_CHECKS_NAME), "")
+            unready = next((c.text for c in vehicle.checks if c.ok is False and c.name == PREARM_CHECKS_NAME), "")
         return find_refusal_reasons(
             vehicle.snapshot if vehicle is not None else None,
             kind=source.kind if source is not None else "other",
@@ -553,9 +553,9 @@ class CommandBar:
             caution = bool(note)
             if name == "mission" and note and not why[name]:
                 label = f"{label} anyway"
-            if self._confirm.is_second_press((vehicle, name)):
-                label, note, caution = "Confirm", f"press again to {CONFIRMED_COMMANDS[name]}", True
-            elif name == "go_to" and self._confirm.is_second_press((vehicle, name, self._typed_position())):
+            if self._confirm.would_be_second_press((vehicle, name)):
+                label, note, caution = "Confirm", f"press again to {COMMANDS_NEEDING_CONFIRMATION[name]}", True
+            elif name == "go_to" and self._confirm.would_be_second_press((vehicle, name, self._typed_position())):
                 label, note, caution = "Confirm", self._beware, True
             action.show_state(label, why[name], note, caution)
         self._show_banner(vehicle, snapshot)

@@ -17,7 +17,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from mufly.camera import CAMERA_FILE_NAME
+from mufly.camera import PICTURE_RECORDING_FILE_NAME
 from mufly.errors import InputError
 from mufly.flight import TunableParameter
 from mufly.link import SLOW_REAL_TIME_FACTOR
@@ -37,8 +37,8 @@ from mufly.vehicle_types import AUTOPILOT_COMPONENT, vehicle_shape
 from mufly.world import World
 
 RECORDING_SUFFIXES = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
-MAX_RECORDINGS = 200
-_FLIGHT_FILES = ("flight.mcap", "station.mcap")
+MAX_LISTED_RECORDINGS = 200
+_FLIGHT_FILE_NAMES = ("flight.mcap", "station.mcap")
 """File names in the folder of a flight, one or both."""
 MAX_UNDO_STEPS = 200
 CONTROLS_RELEASE_DELAY_S = 1.0
@@ -248,7 +248,7 @@ class WindowView:
 
         def compared_values(name: str, times: Any) -> Any:
             return (
-                c.sample_second(name.removeprefix(COMPARED_PREFIX), times)
+                c.sample_second_recording(name.removeprefix(COMPARED_PREFIX), times)
                 if c and name.startswith(COMPARED_PREFIX)
                 else None
             )
@@ -262,7 +262,7 @@ class WindowView:
 
     # ---- for the frames
 
-    def display_epoch(self) -> str:
+    def display_change_key(self) -> str:
         """Return a value that changes with the displayed source and with jumps of the time slider."""
         jumps = self.replay.jumps if self.replay is not None else 0
         return f"{self._shows}/{id(self.shown_source())}/{jumps}"
@@ -290,7 +290,7 @@ class WindowView:
         v = self.shown_vehicle()
         world["fence"] = encode_fence(v.fence if v is not None else mission.fence if mission is not None else None)
         return {
-            "world": world, "rotor_radius": self.session.rotor_radius_m, "epoch": self.display_epoch(),
+            "world": world, "rotor_radius": self.session.rotor_radius_m, "epoch": self.display_change_key(),
             "shape": scene_shape(self.shown_vehicle()),
         }  # fmt: skip
 
@@ -343,7 +343,7 @@ class WindowView:
             "height": -float(s.estimate.position[2]),
             "others": others,
             "battery": describe_battery(s),
-            "pace": describe_pace(s),
+            "pace": describe_slow_pace(s),
             "slow": s.real_time_factor < SLOW_REAL_TIME_FACTOR,
             "alert": None if told is None else (told.level, told.text[:MAX_ALERT_LENGTH], s.time_s - told.time_s),
         }
@@ -393,7 +393,7 @@ class WindowView:
         ]
 
 
-def describe_pace(s: VehicleSnapshot) -> str:
+def describe_slow_pace(s: VehicleSnapshot) -> str:
     """Return a vehicle's low real-time factor and number of timing overruns as text; "" if it keeps real time."""
     lost = [f"real-time factor {s.real_time_factor:.2f}"] if s.real_time_factor < SLOW_REAL_TIME_FACTOR else []
     if s.timing_overrun_count:
@@ -412,17 +412,21 @@ def find_recordings(folder: Path) -> list[Path]:
             with contextlib.suppress(OSError):  # a folder of somebody else
                 if beside != folder.absolute() and is_flight_folder(beside):
                     found |= set(_filter_recordings(beside.iterdir()))
-    return sorted(found, key=lambda p: p.stat().st_mtime, reverse=True)[:MAX_RECORDINGS]
+    return sorted(found, key=lambda p: p.stat().st_mtime, reverse=True)[:MAX_LISTED_RECORDINGS]
 
 
 def is_flight_folder(folder: Path) -> bool:
     """Whether a folder is that of a flight."""
-    return any((folder / name).is_file() for name in _FLIGHT_FILES)
+    return any((folder / name).is_file() for name in _FLIGHT_FILE_NAMES)
 
 
 def _filter_recordings(paths: Iterable[Path]) -> Iterator[Path]:
     # A flight's pictures are no flight.
-    return (p for p in paths if p.suffix.lower() in RECORDING_SUFFIXES and p.name != CAMERA_FILE_NAME and p.is_file())
+    return (
+        p
+        for p in paths
+        if p.suffix.lower() in RECORDING_SUFFIXES and p.name != PICTURE_RECORDING_FILE_NAME and p.is_file()
+    )
 
 
 def encode_world(world: World | None) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 from mufly.errors import MuflyError
 from mufly.link.command_protocol import FAILURE_NAMES
 from mufly.link.ports import read_boot_clock
-from mufly.mission import FILE_ENDINGS, Mission, dump_mission, parse_mission, read_mission_tables
+from mufly.mission import MISSION_FILE_ENDINGS, Mission, dump_mission, parse_mission, read_mission_tables
 from mufly.sensors import FAULT_TARGETS
 from mufly.station.page.command_checks import Confirmation
 from mufly.station.page.mission_draft import find_untransmitted_keys, mission_from_vehicle
@@ -60,7 +60,9 @@ def static_url() -> str:
 _STATIC_URL = static_url()
 
 
-class BrowserPanel(Element, component=STATIC_FOLDER / "mufly_panel.js", esm={"nicegui-scene": str(_THREE_JS_FOLDER)}):
+class JavaScriptPanel(
+    Element, component=STATIC_FOLDER / "mufly_panel.js", esm={"nicegui-scene": str(_THREE_JS_FOLDER)}
+):
     """A panel that the browser draws from the stream of frames: one of the modules in ``static/``.
 
     Parameters
@@ -197,7 +199,7 @@ def show_refusal(text: str) -> None:
     show_notice(text, good=False)
 
 
-def _blocking_reason(view: WindowView) -> str:
+def _find_blocking_reason(view: WindowView) -> str:
     """Return why this window may not change the vehicle; "" if it may."""
     vehicle = view.shown_vehicle()
     if vehicle is None:
@@ -210,7 +212,7 @@ def _blocking_reason(view: WindowView) -> str:
 
 def find_changeable_vehicle(view: WindowView, what: str) -> RemoteVehicle | None:
     """Return the vehicle if this window may change it; else report why ``what`` is refused and return None."""
-    if why := _blocking_reason(view):
+    if why := _find_blocking_reason(view):
         show_refusal(f"not {what}: {why}")
         return None
     return view.shown_vehicle()
@@ -222,7 +224,7 @@ def build_check_drawer(view: WindowView) -> None:
     def release_operator_control() -> None:
         vehicle = view.shown_vehicle()
         if vehicle is None or not view.has_controls:
-            show_refusal("not released: " + _blocking_reason(view))
+            show_refusal("not released: " + _find_blocking_reason(view))
         else:
             view.keep_request(vehicle.release_operator_control())
 
@@ -233,7 +235,7 @@ def build_check_drawer(view: WindowView) -> None:
         elif vehicle is not None:
             view.keep_request(vehicle.reboot())
 
-    BrowserPanel("checks")
+    JavaScriptPanel("checks")
     with make_element("div", classes="mf-tools mf-foot mf-live-only"):
         make_button("Release control", release_operator_control, title="release operator control")
         make_button(
@@ -274,7 +276,7 @@ def build_sensor_drawer(view: WindowView) -> None:
     def request_fault_injection(kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan) -> None:
         vehicle = view.shown_vehicle()
         if vehicle is None or not view.has_controls:
-            show_refusal(f"{text}: " + _blocking_reason(view))
+            show_refusal(f"{text}: " + _find_blocking_reason(view))
         else:
             view.keep_request(vehicle.inject_failure(int(unit.value), kind, text, amount, duration_s))
 
@@ -299,7 +301,7 @@ def build_sensor_drawer(view: WindowView) -> None:
         amount.props(f'placeholder="{words}"')
         amount.set_enabled(known is not None)
 
-    BrowserPanel("sensors")
+    JavaScriptPanel("sensors")
     units = {int(k): name.replace("_", " ") for k, name in FAILURE_NAMES[0].items()}
     kinds = {int(k): name for k, name in FAILURE_NAMES[1].items()}
     with make_element("div", classes="mf-tools mf-foot mf-faults mf-live-only"):
@@ -361,7 +363,7 @@ def build_mission_drawer(view: WindowView) -> None:
         ui.download.content(dump_mission(mission), f"{mission.name or 'mission'}.toml")
 
     with make_element("div", classes="mf-tools"):
-        add_file_picker("Upload…", ",".join(FILE_ENDINGS), upload_file, "mission-file", classes="mf-live-only")
+        add_file_picker("Upload…", ",".join(MISSION_FILE_ENDINGS), upload_file, "mission-file", classes="mf-live-only")
         make_button(
             "Download",
             download_mission,
@@ -370,7 +372,7 @@ def build_mission_drawer(view: WindowView) -> None:
         )
         make_button("Save", save_file, title="save the mission as a file")
         make_button("Clear", clear_mission, title="clear the vehicle's mission", classes="mf-live-only")
-    BrowserPanel("mission")
+    JavaScriptPanel("mission")
 
 
 def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
@@ -380,7 +382,7 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
 
     def write_parameter(name: str, value: float, undoable: bool = True) -> str:
         """Write one parameter; return the reason of a refusal, "" if sent."""
-        vehicle, why = view.shown_vehicle(), _blocking_reason(view)
+        vehicle, why = view.shown_vehicle(), _find_blocking_reason(view)
         if why or vehicle is None:
             return f"{name} not written: {why}"
         known = vehicle.parameters.get(name)
@@ -403,11 +405,11 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
             table.call_method("refused", name, why)
         refresh_buttons()
 
-    def step_history(which: str) -> None:
+    def undo_or_redo(which: str) -> None:
         vehicle = view.shown_vehicle()
         if vehicle is None:
             return
-        why = _blocking_reason(view)
+        why = _find_blocking_reason(view)
         if not why and (found := getattr(view.session.parameter_edits(vehicle), which)()) is not None:
             name, value = found
             why = write_parameter(name, value, undoable=False)
@@ -438,7 +440,7 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
             return
         # All or nothing: a file with one bad line changes nothing.
         faults = [f"{n}: {w}" for n, v in values.items() if (w := refusal_reason(vehicle.parameters.get(n), n, v))]
-        if why := _blocking_reason(view) or (faults[0] if faults else ""):
+        if why := _find_blocking_reason(view) or (faults[0] if faults else ""):
             show_refusal(f"no parameter written: {why}")
             return
         changed = {n: v for n, v in values.items() if vehicle.parameters[n].value != v}
@@ -452,12 +454,12 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
             view.keep_request(vehicle.refresh_parameters())
 
     with make_element("div", classes="mf-tools"):
-        undo = make_button("↶ Undo", lambda: step_history("undo"), test="undo")
-        redo = make_button("↷ Redo", lambda: step_history("redo"), test="redo")
+        undo = make_button("↶ Undo", lambda: undo_or_redo("undo"), test="undo")
+        redo = make_button("↷ Redo", lambda: undo_or_redo("redo"), test="redo")
         make_button("Refresh", fetch_parameters, title="download all parameters again")
         add_file_picker("Load from file…", ".params,.param,.parm,.txt", load_file, "parameter-file")
         make_button("Save to file", save_file, title="save all parameters as a file")
-    table = BrowserPanel("parameters").on("write", handle_edit)
+    table = JavaScriptPanel("parameters").on("write", handle_edit)
     shown: list[object] = [None]
 
     def refresh_buttons() -> None:
@@ -497,7 +499,7 @@ class FlightStrip:
         self._confirmation, self._asked_s = Confirmation(read_boot_clock), -math.inf
         self._request: OperatorRequest | None = None
         with make_element("section", classes="mf-flightbar").props('aria-label="flight and emergency stop"'):
-            BrowserPanel("strip")
+            JavaScriptPanel("strip")
             self._stop = ActionButton(
                 "EMERGENCY STOP",
                 "emergency-stop",
@@ -519,7 +521,7 @@ class FlightStrip:
         """Update the emergency stop button."""
         vehicle = self._view.selected_vehicle()
         label, note = "EMERGENCY STOP", ""
-        if vehicle is not None and self._confirmation.is_second_press(vehicle):
+        if vehicle is not None and self._confirmation.would_be_second_press(vehicle):
             label = "PRESS AGAIN TO STOP"
         elif self._request is not None and read_boot_clock() - self._asked_s < ANSWER_DISPLAY_S:
             note = _STOP_OUTCOME_TEXTS[self._request.outcome]
@@ -554,7 +556,7 @@ class StickPanel:
         self._flown: RemoteVehicle | None = None
         self._request: OperatorRequest | None = None
         self._shown: tuple[object, ...] = ()
-        self._panel = BrowserPanel("sticks").classes("mf-live-only")
+        self._panel = JavaScriptPanel("sticks").classes("mf-live-only")
         self._panel.on("sticks", self._handle_sticks, throttle=0.0)
 
     def refresh(self) -> None:

@@ -152,7 +152,9 @@ class StartPage:
     def __init__(self, address: PageAddress, startup: Startup) -> None:
         self._startup = startup
         self._asked_s = -math.inf
-        self._server = _StartServer(("", 0), _make_handler(address, startup, self._note_poll), bind_and_activate=False)
+        self._server = _StartServer(
+            ("", 0), _make_handler(address, startup, self._record_poll_time), bind_and_activate=False
+        )
         self._server.socket.close()
         self._server.socket = address.socket
         self._thread = threading.Thread(
@@ -160,7 +162,7 @@ class StartPage:
         )
         self._thread.start()
 
-    def _note_poll(self) -> None:
+    def _record_poll_time(self) -> None:
         self._asked_s = time.monotonic()
 
     def stop(self) -> None:

@@ -38,7 +38,7 @@ def _make_command(number: int, *params: float) -> Command:
     return Command(number, (*params, *(0.0,) * (7 - len(params))))
 
 
-def _set_mode_command(main: int, sub: int = 0) -> Command:
+def _make_set_mode_command(main: int, sub: int = 0) -> Command:
     return _make_command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, main, sub)
 
 
@@ -54,10 +54,10 @@ REBOOT_COMMAND = _make_command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0)
 CommandTable = dict[str, tuple[Command, ...]]
 
 
-def _ardupilot_mode_rows(modes: dict[ModeFamily, str], *before: Command) -> CommandTable:
+def _make_ardupilot_mode_rows(modes: dict[ModeFamily, str], *before: Command) -> CommandTable:
     """Return rows for ArduPilot: for each family the commands ``before``, then the change to its mode in ``modes``."""
     return {
-        f"ArduPilot {family}": (*before, _set_mode_command(ardupilot_mode_number(family, words)))
+        f"ArduPilot {family}": (*before, _make_set_mode_command(ardupilot_mode_number(family, words)))
         for family, words in modes.items()
     }
 
@@ -73,35 +73,35 @@ _MANUAL_MODES: dict[ModeFamily, str] = {
 _RETURN_MODES: dict[ModeFamily, str] = {
     "copter": "return", "plane": "return", "rover": "return", "airship": "return",
 }  # fmt: skip
-PRE_ARM_COMMANDS: CommandTable = {**_ardupilot_mode_rows({"copter": "guided"}), "": ()}
+PRE_ARM_COMMANDS: CommandTable = {**_make_ardupilot_mode_rows({"copter": "guided"}), "": ()}
 """Commands before arming for a take-off: ArduPilot's copters must be in their mode "guided"."""
 START_MISSION_COMMANDS: CommandTable = {
-    "PX4": (_set_mode_command(4, 4),),
-    **_ardupilot_mode_rows(_AUTO_MODES, _make_command(mavlink.MAV_CMD_MISSION_START)),
+    "PX4": (_make_set_mode_command(4, 4),),
+    **_make_ardupilot_mode_rows(_AUTO_MODES, _make_command(mavlink.MAV_CMD_MISSION_START)),
     "": (_make_command(mavlink.MAV_CMD_MISSION_START),),
 }
 """Make an armed vehicle start or resume its mission."""
 PAUSE_COMMANDS: CommandTable = {
-    "PX4": (_set_mode_command(4, 3),),
-    **_ardupilot_mode_rows(_HOVER_MODES),
+    "PX4": (_make_set_mode_command(4, 3),),
+    **_make_ardupilot_mode_rows(_HOVER_MODES),
     "": (_make_command(mavlink.MAV_CMD_DO_PAUSE_CONTINUE),),
 }
 """Stop and hover; a plane circles."""
 MANUAL_CONTROL_COMMANDS: CommandTable = {
-    "PX4": (_set_mode_command(3),),
-    **_ardupilot_mode_rows(_MANUAL_MODES),
-    "": (_set_mode_command(2),),
+    "PX4": (_make_set_mode_command(3),),
+    **_make_ardupilot_mode_rows(_MANUAL_MODES),
+    "": (_make_set_mode_command(2),),
 }
 """Fly by sticks: the mode in which the vehicle stops or flies level with centred sticks."""
-RELEASE_STICKS_COMMANDS: CommandTable = {**_ardupilot_mode_rows(_HOVER_MODES), "": (_set_mode_command(4, 3),)}
+RELEASE_STICKS_COMMANDS: CommandTable = {**_make_ardupilot_mode_rows(_HOVER_MODES), "": (_make_set_mode_command(4, 3),)}
 """End flight by sticks and hover in place; a mode is set because it is accepted on the ground too."""
 RETURN_COMMANDS: CommandTable = {
-    **_ardupilot_mode_rows(_RETURN_MODES),
+    **_make_ardupilot_mode_rows(_RETURN_MODES),
     "": (_make_command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH),),
 }
 """Return to the take-off position and land."""
 LAND_COMMANDS: CommandTable = {
-    **_ardupilot_mode_rows({"copter": "landing", "airship": "landing"}),
+    **_make_ardupilot_mode_rows({"copter": "landing", "airship": "landing"}),
     "": (Command(mavlink.MAV_CMD_NAV_LAND, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)),),
 }
 """Land at the present position."""
@@ -126,7 +126,7 @@ def select_commands(
     return table.get(firmware, table[""])
 
 
-def take_off_command(firmware: FirmwareKind, height_m: float) -> Command:
+def make_take_off_command(firmware: FirmwareKind, height_m: float) -> Command:
     """Return the take-off command to a height above the ground position (m); PX4 takes the height from a parameter."""
     if firmware == "mufly":
         return Command(mavlink.MAV_CMD_NAV_TAKEOFF, (NAN,) * 6 + (-height_m,), frame=mavlink.MAV_FRAME_LOCAL_NED)
@@ -137,7 +137,7 @@ def take_off_command(firmware: FirmwareKind, height_m: float) -> Command:
     )
 
 
-def go_to_command(
+def make_go_to_command(
     firmware: FirmwareKind,
     position_m: tuple[float, float, float],
     heading_rad: float,
@@ -169,12 +169,12 @@ def go_to_command(
     )
 
 
-def request_message_command(number: int) -> Command:
+def make_request_message_command(number: int) -> Command:
     """Return the command REQUEST_MESSAGE, which requests a message by its number once."""
     return _make_command(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
 
-def inject_failure_command(unit: int, kind: int, amount: float = NAN, duration_s: float = NAN) -> Command:
+def make_inject_failure_command(unit: int, kind: int, amount: float = NAN, duration_s: float = NAN) -> Command:
     """Return INJECT_FAILURE for a FAILURE_UNIT and FAILURE_TYPE of :data:`mufly.link.command_protocol.FAILURE_NAMES`.
 
     Type 0 clears all failures. Parameters 5 and 6, which the specification leaves open, are the amount and the duration
@@ -183,6 +183,6 @@ def inject_failure_command(unit: int, kind: int, amount: float = NAN, duration_s
     return _make_command(mavlink.MAV_CMD_INJECT_FAILURE, float(unit), float(kind), 0.0, 0.0, amount, duration_s)
 
 
-def message_interval_command(number: int, rate_Hz: float) -> Command:
+def make_message_interval_command(number: int, rate_Hz: float) -> Command:
     """Return SET_MESSAGE_INTERVAL; a rate of 0 Hz disables the message."""
     return _make_command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_Hz if rate_Hz > 0 else -1.0)

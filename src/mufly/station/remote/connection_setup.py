@@ -31,7 +31,7 @@ REQUESTED_MESSAGES: tuple[tuple[str, float], ...] = (
     ("DISTANCE_SENSOR", 0.0),
 )
 """Requested messages, with their rates as a share of the fastest."""
-_FOREIGN_MESSAGES = (
+_OTHER_AUTOPILOT_MESSAGES = (
     ("SERVO_OUTPUT_RAW", 0.1),
     ("RC_CHANNELS", 0.05),
     ("BATTERY_STATUS", 0.01),
@@ -97,14 +97,16 @@ class ConnectionSetup:
         """Send the next request of the connection sequence that is due."""
         if math.isnan(self._asked_s):
             self._asked_s = now_s
-            version = autopilots.request_message_command(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+            version = autopilots.make_request_message_command(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
             self._commands.request_command("request the version", version)
         if self._version is None and now_s - self._asked_s < _VERSION_TIMEOUT_S:
             return
         if self._wished is None:
-            for name, share in REQUESTED_MESSAGES if self.is_mufly else (*REQUESTED_MESSAGES[:-1], *_FOREIGN_MESSAGES):
+            for name, share in (
+                REQUESTED_MESSAGES if self.is_mufly else (*REQUESTED_MESSAGES[:-1], *_OTHER_AUTOPILOT_MESSAGES)
+            ):
                 number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
-                command = autopilots.message_interval_command(number, share * self._rate_Hz)
+                command = autopilots.make_message_interval_command(number, share * self._rate_Hz)
                 request = self._commands.request_command(f"request {name}", command)
                 # All vehicles have the first message: its refusal means that the command is unsupported.
                 self._wished = self._wished or request

@@ -25,10 +25,10 @@ PROGRESS_TIMEOUT_S = 30.0
 """Time limit of the answer after "in progress" (s)."""
 REFUSAL_REASON_WAIT_S = 0.4
 """Wait of a refusal without a reason for a status text (s)."""
-MAX_MESSAGES = 500
+MAX_KEPT_MESSAGES = 500
 _QUERY_COMMANDS = (511, 512)  # SET_MESSAGE_INTERVAL, REQUEST_MESSAGE
 _INJECT_FAILURE_COMMAND = 420
-_RESULT_TEXTS = {
+_COMMAND_RESULT_TEXTS = {
     1: "temporarily rejected",
     2: "denied",
     3: "command not supported by the vehicle",
@@ -60,7 +60,7 @@ class StatusTextLog:
     """
 
     def __init__(self) -> None:
-        self.messages: deque[StatusMessage] = deque(maxlen=MAX_MESSAGES)
+        self.messages: deque[StatusMessage] = deque(maxlen=MAX_KEPT_MESSAGES)
         self.newest_text: tuple[float, str] = (-math.inf, "")
         self.on_message: Callable[[StatusMessage], None] | None = None
         self._pieces = StatusTextAssembler()
@@ -79,7 +79,7 @@ class StatusTextLog:
         if self.on_message is not None:
             self.on_message(message)
 
-    def text_since(self, now_s: float) -> str:
+    def latest_text_since(self, now_s: float) -> str:
         """Return the latest text if received after ``now_s``, else ""."""
         return self.newest_text[1] if self.newest_text[0] >= now_s else ""
 
@@ -178,7 +178,7 @@ class RemoteCommands:
             if message.progress <= 100:
                 entry.request.progress = message.progress / 100.0
         else:
-            entry.refusal_text = _RESULT_TEXTS.get(message.result, f"result {message.result}")
+            entry.refusal_text = _COMMAND_RESULT_TEXTS.get(message.result, f"result {message.result}")
             entry.answer_deadline_s = now_s + REFUSAL_REASON_WAIT_S
 
     def step(self, now_s: float) -> list[MavMessage]:
@@ -192,7 +192,7 @@ class RemoteCommands:
         out, self._unanswered = self._unanswered, []
         for number, entry in list(self._open.items()):
             if entry.refusal_text is not None:
-                reason = self._texts.text_since(entry.first_sent_s)
+                reason = self._texts.latest_text_since(entry.first_sent_s)
                 if reason or now_s >= entry.answer_deadline_s:
                     entry.request.set_outcome(RequestOutcome.REFUSED, reason or entry.refusal_text)
             elif entry.answer_deadline_s < math.inf:

@@ -85,7 +85,7 @@ class RemoteMission:
         self._jobs: deque[_TransferJob] = deque()
         self._sender: MissionSender | None = None
         self._fetched: tuple[MissionItem, ...] | None = None
-        self._receiver = MissionReceiver(self._store_items, mission_type=kind, unasked=False)
+        self._receiver = MissionReceiver(self._accept_items, mission_type=kind, unasked=False)
         self._messy_s: float | None = None
         self._out: AddressedMessages = []
 
@@ -201,9 +201,9 @@ class RemoteMission:
 
     def _refuse_job(self, job: _TransferJob, result: int) -> None:
         words = _RESULT_TEXTS.get(result, f"result {result}")
-        job.request.set_outcome(RequestOutcome.REFUSED, self._texts.text_since(job.started_s) or words)
+        job.request.set_outcome(RequestOutcome.REFUSED, self._texts.latest_text_since(job.started_s) or words)
 
-    def _store_items(self, items: tuple[MissionItem, ...]) -> int:
+    def _accept_items(self, items: tuple[MissionItem, ...]) -> int:
         self._fetched = items
         return MissionResultCode.ACCEPTED
 
@@ -344,7 +344,7 @@ class RemoteParameters:
             self._came_s, self._tries = now_s, 0
         if self._list is not None and count:
             self._list.progress = len(self._indices) / count
-        self._handle_answer(now_s, name)
+        self._handle_parameter_answer(now_s, name)
 
     def step(self, now_s: float) -> list[MavMessage]:
         """Return the requests for parameters to send at present."""
@@ -386,7 +386,7 @@ class RemoteParameters:
         out = []
         for name, entry in list(self._sets.items()):
             if entry.differs_since_s < math.inf:
-                reason = self._texts.text_since(entry.first_sent_s)
+                reason = self._texts.latest_text_since(entry.first_sent_s)
                 if now_s - entry.differs_since_s > (REFUSAL_WAIT_S if reason else SILENT_REFUSAL_WAIT_S):
                     words = reason or f"the vehicle keeps {self._make_parameter(name).value:g}"
                     entry.request.set_outcome(RequestOutcome.REFUSED, words)
@@ -398,7 +398,7 @@ class RemoteParameters:
                 del self._sets[name]
         return out
 
-    def _handle_answer(self, now_s: float, name: str) -> None:
+    def _handle_parameter_answer(self, now_s: float, name: str) -> None:
         entry = self._sets.get(name)
         if entry is None or not entry.send_count:
             return

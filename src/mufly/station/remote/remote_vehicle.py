@@ -96,7 +96,7 @@ class RemoteVehicle:
         self.history = SignalHistory()
         self.telemetry = VehicleTelemetry(self.history)
         self.texts = StatusTextLog()
-        self._set_target(component)
+        self._switch_target_component(component)
         self._control = OperatorControlClient(system, us)
         self.sticks = PilotSticks(system)
         self._by_hand = False
@@ -113,7 +113,7 @@ class RemoteVehicle:
         self._rows: tuple[object, list[MissionRow]] = (None, [])
         self._fence: tuple[object, Fence | None] = (None, None)
 
-    def _set_target(self, component: int) -> None:
+    def _switch_target_component(self, component: int) -> None:
         """Address a component of the system."""
         self.component = component
         target = (self.system, component)
@@ -248,7 +248,7 @@ class RemoteVehicle:
         if isinstance(before, str):
             return _refused_request(text, before)
         links += self._make_chain_links("take off", before)
-        climb = self._make_chain_links("take off", (autopilots.take_off_command(self.firmware, height_m),))
+        climb = self._make_chain_links("take off", (autopilots.make_take_off_command(self.firmware, height_m),))
         return self._request_motion(text, lambda: self._start_chain(text, [*links, self._arm_if_needed, *climb]))
 
     def start_mission(self) -> OperatorRequest:
@@ -272,7 +272,7 @@ class RemoteVehicle:
         if not all(map(math.isfinite, (n, e, d))):
             return _refused_request(text, "N, E and a height are required")
         heading = math.nan if heading_rad is None else heading_rad
-        command = autopilots.go_to_command(self.firmware, (n, e, d), heading, self.telemetry.origin)
+        command = autopilots.make_go_to_command(self.firmware, (n, e, d), heading, self.telemetry.origin)
         if isinstance(command, str):
             return _refused_request(text, command)
         return self._request_motion(text, lambda: self._request_command(text, command))
@@ -287,7 +287,7 @@ class RemoteVehicle:
 
     def emergency_stop(self) -> OperatorRequest:
         """Stop the motors at once, in flight too; cancel all open requests."""
-        self._cancel_moves("superseded by: EMERGENCY STOP")
+        self._cancel_chains_and_actions("superseded by: EMERGENCY STOP")
         self.sticks.release_sticks()
         self._by_hand = False
         return self._request_command("EMERGENCY STOP", autopilots.EMERGENCY_STOP_COMMAND)
@@ -318,7 +318,7 @@ class RemoteVehicle:
 
         ``amount`` is in the unit of the reading (``late``: s), NaN the usual one; ``duration_s`` NaN: until cleared.
         """
-        return self._request_command(text, autopilots.inject_failure_command(unit, kind, amount, duration_s))
+        return self._request_command(text, autopilots.make_inject_failure_command(unit, kind, amount, duration_s))
 
     def request_operator_control(self) -> OperatorRequest:
         """Request operator control for this station."""
@@ -417,11 +417,11 @@ class RemoteVehicle:
         waiting = self._moving
         if waiting is not None and not waiting.is_done and waiting.text == text:
             return waiting
-        self._cancel_moves(f"superseded by: {text}", moves_only=True)
+        self._cancel_chains_and_actions(f"superseded by: {text}", moves_only=True)
         self._moving = make()
         return self._moving
 
-    def _cancel_moves(self, why: str, *, moves_only: bool = False, stops: bool = False) -> None:
+    def _cancel_chains_and_actions(self, why: str, *, moves_only: bool = False, stops: bool = False) -> None:
         for chain in self._chains:
             chain.request.set_outcome(RequestOutcome.REFUSED, why)
         self.commands.cancel_actions(why, moves_only=moves_only, stops=stops)
@@ -514,7 +514,7 @@ class RemoteVehicle:
             part.give_up(text)
         self.telemetry.switch_component()
         self._reached = -1
-        self._set_target(component)
+        self._switch_target_component(component)
         self.add_note("warning", text)
 
     def handle_new_address(self) -> None:
@@ -527,8 +527,8 @@ class RemoteVehicle:
         The sticks are released too: the vehicle's own time-out has ended manual flight.
         """
         why = f"not executed: the station stalled for {seconds:.0f} s"
-        self._cancel_moves(why, stops=True)
-        self._cancel_changes(why)
+        self._cancel_chains_and_actions(why, stops=True)
+        self._cancel_parameter_and_mission_changes(why)
         self.sticks.release_sticks()
         self._by_hand = False
         self.add_note(
@@ -536,7 +536,7 @@ class RemoteVehicle:
             f"the station stalled for {seconds:.1f} s; open requests are cancelled",
         )
 
-    def _cancel_changes(self, why: str) -> None:
+    def _cancel_parameter_and_mission_changes(self, why: str) -> None:
         self._parameters.cancel_changes(why)
         self.transfers.cancel_changes(why)
         self._control.give_up(why)
@@ -550,8 +550,8 @@ class RemoteVehicle:
         usual_s = _CANCEL_AFTER_MISSED_MESSAGES / self._usual_rate_Hz if self._usual_rate_Hz > 0.0 else LOST_TIMEOUT_S
         if math.isfinite(silent_s) and silent_s >= min(LOST_TIMEOUT_S, max(MAX_REQUEST_AGE_S, usual_s)):
             why = f"not executed: no message from the vehicle for {silent_s:.1f} s"
-            self._cancel_moves(why)
-            self._cancel_changes(why)
+            self._cancel_chains_and_actions(why)
+            self._cancel_parameter_and_mission_changes(why)
 
     def _update_link_state(self, now_s: float) -> None:
         self._cancel_unheard_actions(now_s)

@@ -3,7 +3,8 @@
 Every message sets the signals that it contains. A row is finished when a message has a later time stamp, so that one
 row holds the vehicle's measurements of one instant. The present values are a
 :class:`mufly.station.signal_history.PresentSignals`. Fields that equal a quantity up to its unit are mapped by the
-table of quantities (:func:`mufly.quantities.quantity_table.mavlink_columns`). Messages with variable meaning (masks,
+table of quantities (:func:`mufly.quantities.quantity_table.list_mavlink_field_columns`). Messages with variable meaning
+(masks,
 quaternions, rings of beams) have readers here. Source of fields and units: https://mavlink.io/en/messages/common.html.
 """
 
@@ -20,10 +21,14 @@ from numpy.typing import NDArray
 from mufly.dynamics import body_to_ned_matrix
 from mufly.link.codec import GlobalOrigin, MavMessage
 from mufly.link.estimate_messages import CHECKS_ARRAY_NAME, TEST_RATIOS
-from mufly.link.telemetry_streams import MISSION_STATES, REAL_TIME_FACTOR_NAME, SLIPS_NAME
-from mufly.quantities.quantity_table import CHECKED_READINGS, mavlink_columns, quantities_recorded_in
+from mufly.link.telemetry_streams import MISSION_STATES, OVERRUN_COUNT_NAME, REAL_TIME_FACTOR_NAME
+from mufly.quantities.quantity_table import (
+    READINGS_WITH_FUSION_STATUS,
+    list_mavlink_field_columns,
+    quantities_recorded_in,
+)
 from mufly.rotations import euler_from_quaternion
-from mufly.station.signal_history import SLOW_SIGNAL_TIMEOUT_S, PresentSignals, SignalHistory, unknown_values
+from mufly.station.signal_history import SLOW_SIGNAL_TIMEOUT_S, PresentSignals, SignalHistory, make_unknown_values
 from mufly.vehicle_types import flight_mode_name
 
 ROW_MERGE_S = 0.009
@@ -38,9 +43,9 @@ _NEAR_POLE_LATITUDE_DEG = 89.0  # beyond this latitude, east is undefined
 _TYPE_COAXIAL, _FLAG_ARMED = 3, 128  # MAV_TYPE, MAV_MODE_FLAG
 _BODY_FRAME = 12  # MAV_FRAME_BODY_FRD
 _OLD_BODY_FRAME = 8  # MAV_FRAME_BODY_NED, in messages of older PX4 versions
-_LEVEL_FRAMES = (1, 20)  # MAV_FRAME_LOCAL_NED; MAV_FRAME_LOCAL_FRD, also level
-_DIAGONAL_INDICES = (0, 6, 11, 15, 18, 20)  # diagonal in a 6 x 6 upper triangle, row by row
-_XX_TO_XZ, _YY_TO_YZ, _ZZ = slice(0, 3), slice(6, 8), 11  # its first 3 x 3 block
+_LEVEL_MAV_FRAMES = (1, 20)  # MAV_FRAME_LOCAL_NED; MAV_FRAME_LOCAL_FRD, also level
+_COVARIANCE_DIAGONAL_INDICES = (0, 6, 11, 15, 18, 20)  # diagonal in a 6 x 6 upper triangle, row by row
+_COVARIANCE_XX_TO_XZ, _COVARIANCE_YY_TO_YZ, _COVARIANCE_ZZ = slice(0, 3), slice(6, 8), 11  # its first 3 x 3 block
 _MISSING_ESTIMATE_FLAGS = ((1, "attitude"), (2, "velocity"), (32, "height"), (8 | 16, "position"))
 _FAULT_FLAGS = ((1024, "GPS glitch"), (2048, "accelerometer error"), (128, "constant position mode"))
 """ESTIMATOR_STATUS_FLAGS: estimates missing if unset, faults if set."""
@@ -79,7 +84,7 @@ class VehicleTelemetry:
     Attributes
     ----------
     history : SignalHistory
-    clock : VehicleClock
+    clock : MonotonicVehicleClock
     armed : bool
     landed_state : int
         MAV_LANDED_STATE; 0 is unknown.
@@ -108,7 +113,7 @@ class VehicleTelemetry:
 
     def __init__(self, history: SignalHistory | None = None) -> None:
         self.history = SignalHistory() if history is None else history
-        self.clock = VehicleClock()
+        self.clock = MonotonicVehicleClock()
         self.armed = False
         self.landed_state = self.autopilot = self.vehicle_type = 0
         self.mode = ""
@@ -131,7 +136,8 @@ class VehicleTelemetry:
         self._row_now_s = self._swept_s = self._heard_s = -math.inf
         index = self._present.index_by_signal
         self._plain = {
-            name: [(f, index[signal], x) for f, signal, x in mavlink_columns(name)] for name in TABLE_MESSAGES
+            name: [(f, index[signal], x) for f, signal, x in list_mavlink_field_columns(name)]
+            for name in TABLE_MESSAGES
         }
         # Signal group, rank and reader of each message.
         self._read: dict[str, tuple[str, int, Callable[[MavMessage], _VariableValues]]] = {
@@ -199,7 +205,7 @@ class VehicleTelemetry:
 
     def switch_component(self) -> None:
         """Switch to another MAVLink component of the vehicle, which has its own clock; the history continues."""
-        self.clock.change_clock()
+        self.clock.realign_at_next_stamp()
         self._stamps.clear()
         self.mission_current, self.mission_state, self.commander_id = None, 0, None
 
@@ -221,7 +227,7 @@ class VehicleTelemetry:
     def real_time_factor(self, now_s: float) -> float:
         """Return recent seconds of the vehicle's clock per station second, as published or from its stamps."""
         told, told_s = self._factor
-        return told if now_s - told_s <= SLOW_SIGNAL_TIMEOUT_S else self.clock.rate_ratio(now_s)
+        return told if now_s - told_s <= SLOW_SIGNAL_TIMEOUT_S else self.clock.clock_rate_ratio(now_s)
 
     @property
     def is_flying(self) -> bool:
@@ -287,14 +293,14 @@ class VehicleTelemetry:
         present, enabled = m.onboard_control_sensors_present, m.onboard_control_sensors_enabled
         self.health = present, enabled, m.onboard_control_sensors_health
         voltage = math.nan if m.voltage_battery == _UNKNOWN_UINT16 else m.voltage_battery / 1e3
-        return _battery_values(voltage, m)
+        return _select_battery_values(voltage, m)
 
     def _read_battery(self, m: MavMessage) -> _VariableValues:
         if m.id != 0:
             return None
         cells = [v for v in (*m.voltages, *(v for v in m.voltages_ext if v)) if v != _UNKNOWN_UINT16]
         self.battery_left_s = float(m.time_remaining) if m.time_remaining > 0 else math.nan
-        return _battery_values(sum(cells) / 1e3 if cells else math.nan, m)
+        return _select_battery_values(sum(cells) / 1e3 if cells else math.nan, m)
 
     def _read_position_target(self, m: MavMessage) -> _VariableValues:
         if m.coordinate_frame != 1:
@@ -320,22 +326,24 @@ class VehicleTelemetry:
     def _read_odometry(self, m: MavMessage) -> _VariableValues:
         """Return the standard deviations of position, attitude and velocity, as far as their frames are supported."""
         told: dict[str, Sequence[float]] = {}
-        position, attitude = _standard_deviations(m.pose_covariance)
-        if m.frame_id in _LEVEL_FRAMES:
+        position, attitude = _covariance_to_deviations(m.pose_covariance)
+        if m.frame_id in _LEVEL_MAV_FRAMES:
             told = {"estimated_position_sigma": position, "estimated_attitude_sigma": attitude}
-        if m.child_frame_id in _LEVEL_FRAMES:
-            told["estimated_velocity_sigma"] = _standard_deviations(m.velocity_covariance)[0]
+        if m.child_frame_id in _LEVEL_MAV_FRAMES:
+            told["estimated_velocity_sigma"] = _covariance_to_deviations(m.velocity_covariance)[0]
         elif m.child_frame_id in (_BODY_FRAME, _OLD_BODY_FRAME):
             told["estimated_velocity_sigma"] = _ned_velocity_deviations(m.velocity_covariance, m.q)
         return told or None
 
     def _read_sensor_checks(self, m: MavMessage) -> None:
         values = list(m.data)
-        for k, name in enumerate(CHECKED_READINGS):
+        for k, name in enumerate(READINGS_WITH_FUSION_STATUS):
             self._present.set_variable("checks", f"status_{name}", values[3 * k : 3 * k + 1])
             self._present.set_variable("checks", f"innovation_{name}", values[3 * k + 1 : 3 * k + 2])
         self._present.set_variable(
-            "checks", "estimated_wind", values[3 * len(CHECKED_READINGS) : 3 * len(CHECKED_READINGS) + 2]
+            "checks",
+            "estimated_wind",
+            values[3 * len(READINGS_WITH_FUSION_STATUS) : 3 * len(READINGS_WITH_FUSION_STATUS) + 2],
         )
 
     def _read_estimator_status(self, now_s: float, m: MavMessage) -> None:
@@ -383,7 +391,7 @@ class VehicleTelemetry:
 
     def _read_rpm(self, now_s: float, m: MavMessage) -> None:
         if m.index in (0, 1):
-            group, (field_, signal, factor) = f"rpm {m.index}", mavlink_columns("RAW_RPM")[m.index]
+            group, (field_, signal, factor) = f"rpm {m.index}", list_mavlink_field_columns("RAW_RPM")[m.index]
             self._present.accept_message(now_s, group)
             self._present.set_value(group, self._present.index_by_signal[signal], getattr(m, field_) * factor)
 
@@ -398,8 +406,8 @@ class VehicleTelemetry:
     def _set_ranges(self, ranges: BeamRanges) -> None:
         self.ranges = ranges
         beams = len(self.present_value("range"))
-        kept = ranges.distances_m if len(ranges.distances_m) <= beams else unknown_values(0)
-        self._present.set_variable("ranges", "range", [*kept, *unknown_values(beams - len(kept))])
+        kept = ranges.distances_m if len(ranges.distances_m) <= beams else make_unknown_values(0)
+        self._present.set_variable("ranges", "range", [*kept, *make_unknown_values(beams - len(kept))])
 
     def _read_named_int(self, now_s: float, m: MavMessage) -> None:
         if m.name == "mstate":
@@ -407,7 +415,7 @@ class VehicleTelemetry:
             self._own_state = (MISSION_STATES[m.value] if known else f"state {m.value}", now_s)
         elif m.name == "command":
             self.commander_id = m.value
-        elif m.name == SLIPS_NAME:
+        elif m.name == OVERRUN_COUNT_NAME:
             self.slip_count = m.value
 
     def _read_named_float(self, now_s: float, m: MavMessage) -> None:
@@ -454,11 +462,11 @@ class EstimatorStatus:
         )
 
 
-def _standard_deviations(upper: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _covariance_to_deviations(upper: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return standard deviations of states 1 to 3 and 4 to 6 from a covariance's upper triangle; NaN if missing."""
     if len(upper) != 21 or math.isnan(upper[0]):
         return (math.nan,) * 3, (math.nan,) * 3
-    told = [math.sqrt(upper[k]) if upper[k] >= 0.0 else math.nan for k in _DIAGONAL_INDICES]
+    told = [math.sqrt(upper[k]) if upper[k] >= 0.0 else math.nan for k in _COVARIANCE_DIAGONAL_INDICES]
     return tuple(told[:3]), tuple(told[-3:])
 
 
@@ -467,7 +475,7 @@ def _ned_velocity_deviations(upper: Sequence[float], q: Sequence[float]) -> tupl
     size = math.sqrt(sum(v * v for v in q))
     if len(upper) != 21 or math.isnan(upper[0]) or not 0.5 < size < 2.0:
         return (math.nan,) * 3
-    (xx, xy, xz), (yy, yz), zz = upper[_XX_TO_XZ], upper[_YY_TO_YZ], upper[_ZZ]
+    (xx, xy, xz), (yy, yz), zz = upper[_COVARIANCE_XX_TO_XZ], upper[_COVARIANCE_YY_TO_YZ], upper[_COVARIANCE_ZZ]
     own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     turn = body_to_ned_matrix(np.array(q, dtype=np.float64) / size)
     with np.errstate(all="ignore"):
@@ -475,7 +483,7 @@ def _ned_velocity_deviations(upper: Sequence[float], q: Sequence[float]) -> tupl
     return tuple(told.tolist())
 
 
-def _battery_values(voltage: float, m: MavMessage) -> _VariableValues:
+def _select_battery_values(voltage: float, m: MavMessage) -> _VariableValues:
     current, percent = m.current_battery, m.battery_remaining
     return {
         "battery_voltage": (voltage,),
@@ -510,8 +518,8 @@ class BeamRanges:
         Range of a beam that detects nothing (m).
     """
 
-    distances_m: NDArray[np.float64] = field(default_factory=lambda: unknown_values(0))
-    angles_rad: NDArray[np.float64] = field(default_factory=lambda: unknown_values(0))
+    distances_m: NDArray[np.float64] = field(default_factory=lambda: make_unknown_values(0))
+    angles_rad: NDArray[np.float64] = field(default_factory=lambda: make_unknown_values(0))
     max_range_m: float = math.nan
 
 
@@ -545,7 +553,7 @@ def read_obstacle_distance(m: MavMessage, heading_rad: float) -> BeamRanges:
 def read_distance_sensor(m: MavMessage, known: BeamRanges) -> BeamRanges:
     """Add a DISTANCE_SENSOR of one of eight directions (orientation 0 to 7) to the known ranges."""
     n = 8
-    ranges = known.distances_m.copy() if len(known.distances_m) == n else unknown_values(n)
+    ranges = known.distances_m.copy() if len(known.distances_m) == n else make_unknown_values(n)
     most = m.max_distance / 100.0
     ranges[m.orientation] = min(m.current_distance / 100.0, most)
     return BeamRanges(ranges, np.radians(45.0) * np.arange(n), most)
@@ -562,7 +570,7 @@ _RATE_SAMPLE_PERIOD_S, _MAX_RATE_SAMPLES, _MIN_RATE_SAMPLES = 1.0, 11, 5
 """Period of the marks (the fastest stamp of each, s), and their largest and least number to measure the rate."""
 
 
-class VehicleClock:
+class MonotonicVehicleClock:
     """A vehicle's clock, made monotonic.
 
     MAVLink's ``time_boot_ms`` counts milliseconds since the vehicle's start in 32 bits. It wraps after 49.7 days and
@@ -621,7 +629,7 @@ class VehicleClock:
             else self._accept_stamp(time_s, now_s)
         )
 
-    def rate_ratio(self, now_s: float) -> float:
+    def clock_rate_ratio(self, now_s: float) -> float:
         """Return the rate of the vehicle's clock per station second over the last ten seconds; NaN if unknown.
 
         A link delays packets by varying times, but never by less than its least delay. The age of a stamp is therefore
@@ -669,7 +677,7 @@ class VehicleClock:
         self.restart_count += 1
         return self._restart_clock(own_s, now_s)
 
-    def change_clock(self) -> None:
+    def realign_at_next_stamp(self) -> None:
         """Align the clock again at the next stamp, which belongs to another clock."""
         self._changed = True
 

@@ -20,7 +20,7 @@ from mufly.errors import MuflyError
 from mufly.files.answer_store import hash_inputs, read_stored_result, write_stored_result
 from mufly.results.result_figure import blank_figure, label_axes
 from mufly.rotor import fit_rotor, predict_interval
-from mufly.rotor.measured.uncertainty import fit_interval_scale, interval_quantile
+from mufly.rotor.measured.uncertainty import fit_student_scale, interval_quantile
 from mufly.study.benchmark.prediction_codes import PredictionCode, RotorPrediction, make_rotor_description
 from mufly.study.benchmark.rotor_cases import RotorCase
 from mufly.version import __version__
@@ -64,14 +64,14 @@ class RotorScore:
 
     def mean_abs_error(self, of: str) -> float:
         """Return the mean absolute error of ``"thrust"`` or ``"torque"``; nan if there is none."""
-        return _mean_of_known(np.abs(getattr(self, f"{of}_error")))
+        return _finite_mean(np.abs(getattr(self, f"{of}_error")))
 
     def mean_error(self, of: str) -> float:
         """Return the mean relative error with sign (bias) of ``"thrust"`` or ``"torque"``; nan if there is none."""
-        return _mean_of_known(getattr(self, f"{of}_error"))
+        return _finite_mean(getattr(self, f"{of}_error"))
 
 
-def _mean_of_known(values: Array) -> float:
+def _finite_mean(values: Array) -> float:
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else math.nan
 
@@ -117,7 +117,7 @@ def score_codes(
             progress(done, len(codes) * len(cases))
         asked = thin_points(case, slow_points if code.is_slow else points)
         file = None if folder is None else folder / "answers" / code.name / f"{case.name}.json"
-        found = _read_cache(file, _cache_key(code, asked)) or _predict_and_cache(code, asked, file)
+        found = _read_cache(file, _make_prediction_cache_key(code, asked)) or _predict_and_cache(code, asked, file)
         m = asked.measured
         scores.append(
             RotorScore(
@@ -137,11 +137,11 @@ def _predict_and_cache(code: PredictionCode, case: RotorCase, file: Path | None)
         nothing = np.full(case.measured.thrust_N.size, math.nan)
         found = RotorPrediction(nothing, nothing, str(error))
     if file is not None:
-        write_stored_result(file, _cache_key(code, case), vars(found))
+        write_stored_result(file, _make_prediction_cache_key(code, case), vars(found))
     return found
 
 
-def _cache_key(code: PredictionCode, case: RotorCase) -> str:
+def _make_prediction_cache_key(code: PredictionCode, case: RotorCase) -> str:
     return hash_inputs(__version__, code.cache_settings, make_rotor_description(case))
 
 
@@ -201,7 +201,7 @@ def score_prediction_intervals(
     """Score nominal 90 % intervals (:func:`mufly.rotor.predict_interval`) by cross-validation over families.
 
     For each family the scales of the intervals are fitted to the other families
-    (:func:`mufly.rotor.measured.uncertainty.fit_interval_scale`). If the section is guessed, the prediction is the mean
+    (:func:`mufly.rotor.measured.uncertainty.fit_student_scale`). If the section is guessed, the prediction is the mean
     over its candidates. Rotors of known and of guessed sections are scored apart.
     """
     bands = []
@@ -223,7 +223,7 @@ def score_prediction_intervals(
     scores = []
     for case, mean, truth, high, miss in zip(cases, means, truths, highs, off, strict=True):
         others = [o for c, o in zip(cases, off, strict=True) if c.family != case.family]
-        scale = np.array([[fit_interval_scale([o[k] for o in others])] for k in (0, 1)])
+        scale = np.array([[fit_student_scale([o[k] for o in others])] for k in (0, 1)])
         width = scale * (high - mean) / np.abs(mean)
         inside = np.where(np.isfinite(miss), (np.abs(miss) <= quantile * scale).astype(np.float64), math.nan)
         label = f"bemt, families, section {'known' if case.section_known else 'guessed'}"
@@ -274,7 +274,7 @@ def tabulate_by_family(scores: Sequence[RotorScore]) -> list[ScoreRow]:
 
 def _make_row(code: str, group: str, part: list[RotorScore]) -> ScoreRow:
     def mean_over_part(value: Callable[[RotorScore], float]) -> float:
-        return _mean_of_known(np.array([value(s) for s in part]))
+        return _finite_mean(np.array([value(s) for s in part]))
 
     inside = [s.inside_interval for s in part if s.inside_interval is not None]
     shares = np.concatenate(inside, axis=1) if inside else np.full((2, 1), math.nan)
@@ -282,7 +282,7 @@ def _make_row(code: str, group: str, part: list[RotorScore]) -> ScoreRow:
         code, group, len(part), sum(s.thrust_error.size for s in part),
         mean_over_part(lambda s: s.mean_abs_error("thrust")), mean_over_part(lambda s: s.mean_error("thrust")),
         mean_over_part(lambda s: s.mean_abs_error("torque")), mean_over_part(lambda s: s.mean_error("torque")),
-        _mean_of_known(shares[0]), _mean_of_known(shares[1]),
+        _finite_mean(shares[0]), _finite_mean(shares[1]),
         sum(int((~np.isfinite(s.thrust_error)).sum()) for s in part),
     )  # fmt: skip
 

@@ -77,7 +77,7 @@ def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0
 
     ``n_crit`` is the transition parameter of mufly's methods. The default is :data:`HOVER_N_CRIT` in hover, where a
     rotor works in its own turbulent wake, and in a tunnel the value for the tunnel's turbulence
-    (:func:`n_crit_of_turbulence`).
+    (:func:`compute_n_crit_from_turbulence`).
 
     Raises
     ------
@@ -112,7 +112,7 @@ def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0
     return PredictionCode(name or function, lambda case: _predict_by_function(found, what, case))
 
 
-def _contour_name(airfoil: str) -> str:
+def _strip_contour_path(airfoil: str) -> str:
     """Return an airfoil's name; that of a contour file is the file's name without folder and ending."""
     return Path(airfoil).stem if Path(airfoil).is_file() else airfoil
 
@@ -134,8 +134,8 @@ def make_rotor_description(case: RotorCase) -> RotorDescription:
         "chord_m": r.chord_m(x).tolist(),
         "twist_rad": r.twist_rad(x).tolist(),
         "trailing_edge_m": float(r.trailing_edge),
-        "airfoils": [_contour_name(n) for n in names],
-        "contours": {_contour_name(n): load_airfoil(n).coordinates.tolist() for n in dict.fromkeys(names)},
+        "airfoils": [_strip_contour_path(n) for n in names],
+        "contours": {_strip_contour_path(n): load_airfoil(n).coordinates.tolist() for n in dict.fromkeys(names)},
         "pitch_rad": case.measured.pitch_rad.tolist(),
         "speed_rad_s": case.measured.speed_rad_s.tolist(),
         "climb_m_s": case.measured.climb_m_s.tolist(),
@@ -149,7 +149,7 @@ def make_rotor_description(case: RotorCase) -> RotorDescription:
 HOVER_N_CRIT = 0.1
 
 
-def n_crit_of_turbulence(turbulence: float) -> float:
+def compute_n_crit_from_turbulence(turbulence: float) -> float:
     """Return the n_crit of a stream with turbulence Tu (rms over mean speed): -8.43 - 2.4 ln Tu (Mack, AGARD R-709,
     1984).
 
@@ -162,7 +162,11 @@ def _make_mufly_code(method: SolverMethod, n_crit: float | None) -> Callable[[Ro
     def predict_case(case: RotorCase) -> RotorPrediction:
         chosen = n_crit
         if chosen is None:
-            chosen = n_crit_of_turbulence(case.turbulence_intensity) if case.measured.has_axial_flow else HOVER_N_CRIT
+            chosen = (
+                compute_n_crit_from_turbulence(case.turbulence_intensity)
+                if case.measured.has_axial_flow
+                else HOVER_N_CRIT
+            )
         out = compare_measurements(
             prepare_blading(case.rotor, n_crit=chosen), case.measured, air=case.air, method=method
         )
@@ -219,7 +223,7 @@ def _predict_by_command(command: str, case: RotorCase, limit_s: float) -> RotorP
             return _failed_prediction(case, f"ended with status {done.returncode}: {last}")
         try:
             answer = read_text_table(folder / "answer.csv")
-            found = [answer.read_numbers(answer.column_by_name(n), optional=True) for n in ("thrust_N", "torque_Nm")]
+            found = [answer.read_numbers(answer.find_column_index(n), optional=True) for n in ("thrust_N", "torque_Nm")]
             return _check_prediction(np.array(found), words[0], case)
         except MuflyError as error:
             return _failed_prediction(case, str(error).replace(f"{folder}/", ""))

@@ -21,7 +21,7 @@ from mufly.study.benchmark.rotor_cases import RotorCase
 
 Array = NDArray[np.float64]
 
-_ADVANCE_GRID_POINTS, _SLOW_ADVANCE_GRID_POINTS = 45, 9
+_ADVANCE_GRID_POINT_COUNT, _SLOW_ADVANCE_GRID_POINT_COUNT = 45, 9
 # Range of the predicted points, of the advance ratio of zero thrust.
 _MIN_ADVANCE_FRACTION, _MAX_ADVANCE_FRACTION = 0.25, 1.4
 
@@ -57,7 +57,7 @@ class PropellerScore:
         )
 
 
-def measure_efficiency_curve(advance: Array, thrust_N: Array, power_W: Array, airspeed_m_s: Array) -> EfficiencyFigures:
+def find_efficiency_figures(advance: Array, thrust_N: Array, power_W: Array, airspeed_m_s: Array) -> EfficiencyFigures:
     """Return the efficiency curve of a run; all arrays (points,), in order of increasing advance ratio."""
     known = np.isfinite(thrust_N) & np.isfinite(power_W) & (power_W > 0.0)
     j, t = advance[known], thrust_N[known]
@@ -89,7 +89,7 @@ def score_propellers(
         speed = float(run.speed_rad_s[0])
         per_speed = 2.0 * case.rotor.radius_m * speed / (2.0 * math.pi)  # m/s of V for J = 1
         j = run.climb_m_s / per_speed
-        measured = measure_efficiency_curve(j, run.thrust_N, run.torque_Nm * speed, run.climb_m_s)
+        measured = find_efficiency_figures(j, run.thrust_N, run.torque_Nm * speed, run.climb_m_s)
         end = (
             measured.zero_thrust_advance_ratio
             if math.isfinite(measured.zero_thrust_advance_ratio)
@@ -98,13 +98,13 @@ def score_propellers(
         grid = end * np.linspace(
             _MIN_ADVANCE_FRACTION,
             _MAX_ADVANCE_FRACTION,
-            _SLOW_ADVANCE_GRID_POINTS if code.is_slow else _ADVANCE_GRID_POINTS,
+            _SLOW_ADVANCE_GRID_POINT_COUNT if code.is_slow else _ADVANCE_GRID_POINT_COUNT,
         )
         same = np.full(grid.size, 1.0)
         asked = RotorMeasurements(run.pitch_rad[0] * same, speed * same, same, same, run.source, grid * per_speed)
         try:
             found = code.predict(replace(case, measured=asked))
-            predicted = measure_efficiency_curve(grid, found.thrust_N, found.torque_Nm * speed, asked.climb_m_s)
+            predicted = find_efficiency_figures(grid, found.thrust_N, found.torque_Nm * speed, asked.climb_m_s)
             fault = found.fault
         except MuflyError as error:
             predicted, fault = EfficiencyFigures(math.nan, math.nan, math.nan), str(error)

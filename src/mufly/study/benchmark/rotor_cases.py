@@ -181,7 +181,7 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
     return chosen, missing
 
 
-def section_of_propeller(name: str) -> tuple[str, str, bool]:
+def find_propeller_section(name: str) -> tuple[str, str, bool]:
     """Return family and section of a propeller by its name, and whether the section is known."""
     return next((v for k, v in SECTION_BY_PREFIX.items() if name.startswith(k)), _DEFAULT_SECTION)
 
@@ -240,18 +240,18 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
     """Load the 17 propellers of the UIUC data set, volume 2; blades begin at 0.15 R."""
     home = folder / "uiuc_micro"
     index = read_text_table(home / "index.csv")
-    columns = [index.read_texts(index.column_by_name(n)) for n in ("name", "diameter_m", "blades", "geometry")]
+    columns = [index.read_texts(index.find_column_index(n)) for n in ("name", "diameter_m", "blades", "geometry")]
     out = []
     for name, diameter, blades, geometry in zip(*columns, strict=True):
         radius = float(diameter) / 2
         g = read_text_table(home / geometry).read_matrix()
         m = read_text_table(home / f"{name}_static.csv").read_matrix()
-        family, section, known = section_of_propeller(name)
+        family, section, known = find_propeller_section(name)
         foils = _airfoils_by_station(section, g[:, 0])
         rotor = _build_rotor(name, int(blades), radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], *foils)
         rotor = replace_rotor(
             rotor,
-            {"trailing_edge": TRAILING_EDGE_THICKNESS_M, **_describe_photographed_geometry(name, radius)},
+            {"trailing_edge": TRAILING_EDGE_THICKNESS_M, **_find_photographed_rotor_values(name, radius)},
             source="estimated",
         )
         n, d = m[:, 0] / 60, 2 * radius
@@ -273,7 +273,7 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
 _STATED_PITCH_PATTERN = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(?P<deg>\d+(?:\.\d+)?)deg")
 
 
-def _describe_photographed_geometry(name: str, radius_m: float) -> dict[str, object]:
+def _find_photographed_rotor_values(name: str, radius_m: float) -> dict[str, object]:
     """Return values for the rotor file of a UIUC propeller: source of the geometry, and pitch stated in the name.
 
     A name as 5x3 or 96x70 states diameter and pitch in the same unit, 15deg the blade angle at 0.75 R.
@@ -312,7 +312,7 @@ def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
         if not runs or size is None:
             continue
         diameter = float(size[1]) * (_INCH_M if float(size[1]) < 30.0 else 1e-3)
-        family, section, known = section_of_propeller(name)
+        family, section, known = find_propeller_section(name)
         try:
             rotor = _read_best_geometry(geometry, name, diameter, blades, section)
             points = [
@@ -339,7 +339,7 @@ def _read_best_geometry(photographed: Path, name: str, diameter_m: float, blades
     """
     beside = {p.suffix.lower(): p for p in photographed.parent.glob(f"{name}.*")}
     values: dict[str, object] = {"hub_cutout": 0.15, "trailing_edge": TRAILING_EDGE_THICKNESS_M}
-    values |= _describe_photographed_geometry(name, 0.5 * diameter_m)
+    values |= _find_photographed_rotor_values(name, 0.5 * diameter_m)
     if ".stl" in beside:
         with tempfile.TemporaryDirectory() as contours:  # chord and twist alone are used
             rotor = rotor_from_body(beside[".stl"], folder=contours, blades=blades, name=name)[0]
@@ -382,7 +382,7 @@ def load_dji_9443(folder: Path) -> RotorCase:
     2016)."""
     c = read_text_table(folder / "dji9443_chord.csv").read_matrix()
     t = read_text_table(folder / "dji9443_twist.csv").read_matrix()
-    family, section, _ = section_of_propeller("dji9443")
+    family, section, _ = find_propeller_section("dji9443")
     twist = np.interp(c[:, 0], *t.T)
     rotor = _build_rotor("dji9443", 2, 0.12, 0.1, c[:, 0], c[:, 1] * 0.12, twist, section)
     air = Air(1.071778, 1.85508e-5)
@@ -413,7 +413,7 @@ def make_t_motor_rotor() -> Rotor:
     r = np.array([3.556, 7.112, 10.668, 14.224, 17.78, 21.336, 24.892, 28.448, 32.004, 35.56]) / 100
     chord = np.array([31, 56, 70, 70, 65, 58, 50, 43, 34, 34]) / 1000
     deg = np.array([0, 19.6, 17.9, 14.4, 11.6, 9.7, 8.4, 7.2, 6.7, 6.7])
-    foils = [section_of_propeller("tmotor28")[1]] * 7 + ["goe408"] * 3
+    foils = [find_propeller_section("tmotor28")[1]] * 7 + ["goe408"] * 3
     return _build_rotor("tmotor28", 2, 0.3556, 0.07 / 0.3556, r / 0.3556, chord, deg, *foils)
 
 

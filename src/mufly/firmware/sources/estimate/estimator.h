@@ -7,7 +7,7 @@
 #include "flight/controllers.h"
 #include "mission/avoidance.h"
 
-/* Sensors, in the order of CHECKED_READINGS (quantity_table.py of mufly.quantities). */
+/* Sensors, in the order of READINGS_WITH_FUSION_STATUS (quantity_table.py of mufly.quantities). */
 enum {
     SENSOR_ACCELERATION,
     SENSOR_RATES,

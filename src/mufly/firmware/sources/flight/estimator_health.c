@@ -2,7 +2,7 @@
 
 /* Smoothing */
 
-#define CORRECTION_TIME_S REAL(0.3)
+#define CORRECTION_TIME_CONSTANT_S REAL(0.3)
 #define MAX_CORRECTION_SPEED_M_S REAL(0.5)
 #define MAX_CORRECTION_TURN_RATE_RAD_S REAL(0.5)
 
@@ -32,7 +32,7 @@ void correction_smoother_step(correction_smoother_t *s, estimate_t *m, bool anew
 
         if (follows) {
             const real_t v = REAL(0.5) * (s->last_velocity[i] + velocity);
-            const real_t off = ((now->position[i] - s->smoothed_position[i]) - (dt * v)) / CORRECTION_TIME_S;
+            const real_t off = ((now->position[i] - s->smoothed_position[i]) - (dt * v)) / CORRECTION_TIME_CONSTANT_S;
 
             s->smoothed_position[i] = s->smoothed_position[i] + (dt * (v + real_min(real_max(off, -MAX_CORRECTION_SPEED_M_S), MAX_CORRECTION_SPEED_M_S)));
             now->position[i] = s->smoothed_position[i];
@@ -48,7 +48,7 @@ void correction_smoother_step(correction_smoother_t *s, estimate_t *m, bool anew
         sine_cosine(now->attitude[0], &sr, &cr);
         sine_cosine(now->attitude[1], &sp, &cp);
         turn = ((sr * now->rates[1]) + (cr * now->rates[2])) / real_max(cp, REAL(0.1));
-        off = ((now->attitude[2] - s->smoothed_heading) - (dt * turn)) / CORRECTION_TIME_S;
+        off = ((now->attitude[2] - s->smoothed_heading) - (dt * turn)) / CORRECTION_TIME_CONSTANT_S;
         s->smoothed_heading = s->smoothed_heading + (dt * (turn + real_min(real_max(off, -MAX_CORRECTION_TURN_RATE_RAD_S), MAX_CORRECTION_TURN_RATE_RAD_S)));
         now->attitude[2] = s->smoothed_heading;
     } else {
@@ -161,7 +161,7 @@ static void judge_estimate(health_verdict_t *found, const estimate_t *m, real_t 
     }
 }
 
-bool gyro_unavailable(const estimate_t *m)
+bool is_gyro_unavailable(const estimate_t *m)
 {
     const int32_t status = m->checks[SENSOR_RATES].status;
 

@@ -45,7 +45,7 @@ typedef struct {
 } health_monitor_t;
 
 /* Whether the angular rates come from the rotor model, since the gyroscopes are faulty. */
-bool gyro_unavailable(const estimate_t *m);
+bool is_gyro_unavailable(const estimate_t *m);
 
 void health_monitor_reset(health_monitor_t *d, real_t stood);
 

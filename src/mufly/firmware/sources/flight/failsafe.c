@@ -28,7 +28,7 @@ void ramp_down_motor_input(const real_t released[2], real_t elapsed_s, real_t ou
     }
 }
 
-void descent_motor_input(const real_t held_up_V[2], real_t share, real_t left_s, real_t battery_V, real_t out[2])
+void blind_descent_motor_input(const real_t held_up_V[2], real_t share, real_t left_s, real_t battery_V, real_t out[2])
 {
     const real_t faded = share * real_min(REAL(1.0), left_s / ROTOR_RUN_DOWN_TIME_S);
 
@@ -37,16 +37,16 @@ void descent_motor_input(const real_t held_up_V[2], real_t share, real_t left_s,
     }
 }
 
-real_t descent_voltage_fraction(real_t height, real_t descent)
+real_t blind_descent_voltage_fraction(real_t height, real_t descent)
 {
     const real_t wanted = real_min(real_max(height, TOUCHDOWN_DESCENT_M_S), MAX_DESCENT_M_S);
 
     return real_min(real_max(REAL(1.0) + (DESCENT_RATE_GAIN_S_M * (descent - wanted)), MIN_DESCENT_VOLTAGE_FRACTION), MAX_DESCENT_VOLTAGE_FRACTION);
 }
 
-real_t descent_time_s(real_t height, real_t gravity)
+real_t blind_descent_time_s(real_t height, real_t gravity)
 {
-    const real_t falls = (REAL(1.0) - (DESCENT_VOLTAGE_FRACTION * DESCENT_VOLTAGE_FRACTION)) * gravity;
+    const real_t falls = (REAL(1.0) - (BLIND_DESCENT_VOLTAGE_FRACTION * BLIND_DESCENT_VOLTAGE_FRACTION)) * gravity;
 
     return real_sqrt((REAL(2.0) * real_max(REAL(0.0), height)) / falls) + DESCENT_MARGIN_S;
 }

@@ -170,7 +170,7 @@ static bool act_on_health(const flight_setup_t *setup, software_t *s, const esti
             (x->state == STATE_WAYPOINT) || (x->state == STATE_OBSTACLE) || (x->state == STATE_HOVER);
 
         if ((now->action == FAILSAFE_SINK) ||
-            ((now->action == FAILSAFE_LAND) && gyro_unavailable(m) &&
+            ((now->action == FAILSAFE_LAND) && is_gyro_unavailable(m) &&
              ((x->home_position[2] - m->motion.position[2]) < TOUCHDOWN_HEIGHT_M))) {
             sinks = true;
         } else if ((now->action == FAILSAFE_HOLD) && !s->is_holding && can_wait) {
@@ -216,7 +216,7 @@ static void step_blind_descent(const flight_setup_t *setup, software_t *s, const
 
     if (s->motors != MOTORS_BLIND) {
         s->motors = MOTORS_BLIND;
-        left_s = s->is_lifted ? descent_time_s(s->mission.home_position[2] - good->motion.position[2], gravity)
+        left_s = s->is_lifted ? blind_descent_time_s(s->mission.home_position[2] - good->motion.position[2], gravity)
                            : REAL(0.0);
         s->motors_since_s = now + left_s;
         s->height_trusted_until_s = now + (REAL(2.0) * left_s);
@@ -229,7 +229,7 @@ static void step_blind_descent(const flight_setup_t *setup, software_t *s, const
     down = knows && (height <= TOUCHDOWN_HEIGHT_M);
     knows = s->is_lifted && (now < s->height_trusted_until_s) && knows && (height > TOUCHDOWN_HEIGHT_M);
     if (knows) { /* starting point in case the height is lost */
-        s->motors_since_s = now + descent_time_s(height, gravity);
+        s->motors_since_s = now + blind_descent_time_s(height, gravity);
     } else if (down) { /* on the legs, a rotor that still lifts can tip the vehicle over */
         s->motors_since_s = real_min(s->motors_since_s, now - (RAMP_DOWN_SKIPPED_FRACTION * ROTOR_RUN_DOWN_TIME_S));
     } else {
@@ -242,7 +242,7 @@ static void step_blind_descent(const flight_setup_t *setup, software_t *s, const
         s->motors = MOTORS_OFF;
         set_pair(REAL(0.0), REAL(0.0), s->motor_input);
     } else {
-        descent_motor_input(s->hover_voltages, knows ? descent_voltage_fraction(height, told->motion.velocity[2]) : DESCENT_VOLTAGE_FRACTION, left_s,
+        blind_descent_motor_input(s->hover_voltages, knows ? blind_descent_voltage_fraction(height, told->motion.velocity[2]) : BLIND_DESCENT_VOLTAGE_FRACTION, left_s,
                       good->motion.voltage, s->motor_input);
     }
     set_pair(s->motor_input[0], s->motor_input[1], out->motor_input);

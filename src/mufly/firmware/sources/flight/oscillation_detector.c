@@ -4,7 +4,7 @@
 
 #define MIN_SWING_INPUT_FRACTION REAL(0.5)
 #define MIN_OSCILLATION_PERIODS 4
-#define MIN_OSCILLATION_S REAL(2.0)
+#define MIN_OSCILLATION_DURATION_S REAL(2.0)
 #define MAX_OSCILLATION_PERIOD_S REAL(4.0)
 #define MAX_PERIOD_RATIO REAL(1.6)
 
@@ -131,7 +131,7 @@ void oscillation_detector_step(oscillation_detector_t *o, real_t time_s, const r
         if (s->half_period_count > 0) {
             lasting = s->turning_points.turn_times_s[s->turning_points.turn_count - 1] - s->start_s;
         }
-        if ((s->half_period_count >= (2 * MIN_OSCILLATION_PERIODS)) && (lasting >= MIN_OSCILLATION_S) && (!out->is_present || (lasting > out->duration_s))) {
+        if ((s->half_period_count >= (2 * MIN_OSCILLATION_PERIODS)) && (lasting >= MIN_OSCILLATION_DURATION_S) && (!out->is_present || (lasting > out->duration_s))) {
             out->is_present = true;
             out->input_name = i;
             out->start_s = s->start_s;

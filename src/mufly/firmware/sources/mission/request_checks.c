@@ -1,7 +1,7 @@
 #include "mission/request_checks.h"
 
-#define GO_AROUND_HEIGHT_M REAL(0.4)
-#define OFF_FLOOR_HEIGHT_M REAL(0.2)
+#define MIN_GO_AROUND_HEIGHT_M REAL(0.4)
+#define MIN_TAKE_OFF_ABORT_HEIGHT_M REAL(0.2)
 
 typedef enum { DENY, ALLOW_ALWAYS, ALLOW_AT_REST, ALLOW_GROUNDED, ALLOW_ARMED, ALLOW_UNLESS_BLIND, ALLOW_UNLESS_FAILED, ALLOW_GO_AROUND, ALLOW_LIFTED, ALLOW_MOTORS_OFF, ALLOW_MISSION_WAITING } condition_t;
 
@@ -48,10 +48,10 @@ bool check_request(int32_t ask, const mission_t *s, real_t height, bool armed, b
         can = knows;
         break;
     case ALLOW_GO_AROUND: /* high enough to abort a landing */
-        can = knows && (s->motors == MOTORS_FLY) && !(height <= GO_AROUND_HEIGHT_M);
+        can = knows && (s->motors == MOTORS_FLY) && !(height <= MIN_GO_AROUND_HEIGHT_M);
         break;
     case ALLOW_LIFTED: /* safely off the floor */
-        can = knows && (s->motors != MOTORS_SPIN_UP) && !(height < OFF_FLOOR_HEIGHT_M);
+        can = knows && (s->motors != MOTORS_SPIN_UP) && !(height < MIN_TAKE_OFF_ABORT_HEIGHT_M);
         break;
     case ALLOW_MOTORS_OFF:
         can = off;

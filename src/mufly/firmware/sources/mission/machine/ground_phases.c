@@ -9,7 +9,7 @@
 #define STANDING_HEIGHT_M REAL(0.02) /* standing on the floor by the estimate: height below this, */
 #define PRESS_DOWN_DEPTH_M REAL(0.03) /* reference below the estimate by this, */
 #define PRESS_DOWN_DURATION_S REAL(0.05) /* for this time, */
-#define MAX_HEIGHT_DEVIATION_M REAL(0.05)   /* with this height deviation at most */
+#define MAX_HEIGHT_SIGMA_M REAL(0.05)   /* with this height deviation at most */
 #define DRIFT_CHECK_HEIGHT_M REAL(0.6)
 #define DRIFT_SPEED_M_S REAL(0.3)
 #define SLOW_LANDING_HEIGHT_M REAL(0.4)
@@ -123,7 +123,7 @@ void step_landing(const plan_t *plan, mission_t *s, const estimate_t *m, real_t 
         lying = lying || (s->hold_position[2] > (z + MAX_DESCENT_LAG_M)); /* on an object, or lower than estimated */
         /* With unknown drift the vehicle must not be steered with a leg on the floor. */
         stands = m->judged && (z > (s->home_position[2] - STANDING_HEIGHT_M)) && (s->hold_position[2] > (z + PRESS_DOWN_DEPTH_M)) &&
-                 (m->position_variance[2] < (MAX_HEIGHT_DEVIATION_M * MAX_HEIGHT_DEVIATION_M));
+                 (m->position_variance[2] < (MAX_HEIGHT_SIGMA_M * MAX_HEIGHT_SIGMA_M));
         if (stands || (lying && (real_abs(w) < REAL(0.05)))) {
             s->rest_duration_s = s->rest_duration_s + dt;
         } else {

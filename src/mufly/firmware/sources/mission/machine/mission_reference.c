@@ -68,7 +68,7 @@ bool is_scanning(const plan_t *plan, const mission_t *s)
     return (s->state == STATE_OBSTACLE) || (plan->scan && (s->state == STATE_WAYPOINT) && has_departed(s));
 }
 
-void scan_yaw(const plan_t *plan, const mission_t *s, real_t *angle, real_t *rate)
+void compute_scan_yaw(const plan_t *plan, const mission_t *s, real_t *angle, real_t *rate)
 {
     *angle = REAL(0.0);
     *rate = REAL(0.0);
@@ -127,7 +127,7 @@ void make_reference(const plan_t *plan, const mission_t *s, const estimate_t *m,
         real_t rate;
 
         current_reference(s, &at);
-        scan_yaw(plan, s, &angle, &rate);
+        compute_scan_yaw(plan, s, &angle, &rate);
         copy_vector(at.position, out->path.position);
         copy_vector(at.velocity, out->path.velocity);
         copy_vector(at.acceleration, out->path.acceleration);

@@ -9,7 +9,7 @@ void current_reference(const mission_t *s, trajectory_point_t *out);
 void predict_step_end_reference(const mission_t *s, trajectory_point_t *out);
 bool has_departed(const mission_t *s);
 bool is_scanning(const plan_t *plan, const mission_t *s);
-void scan_yaw(const plan_t *plan, const mission_t *s, real_t *angle, real_t *rate);
+void compute_scan_yaw(const plan_t *plan, const mission_t *s, real_t *angle, real_t *rate);
 
 void make_reference(const plan_t *plan, const mission_t *s, const estimate_t *m, const command_t *c,
                       reference_t *out);

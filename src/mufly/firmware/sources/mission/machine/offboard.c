@@ -4,7 +4,7 @@
 
 #define TRACKER_BANDWIDTH_RAD_S REAL(3.0)
 #define MAX_TIME_STEP_S REAL(0.02)
-#define MAX_TRACKING_ERROR_M REAL(0.5)
+#define SLOWING_TRACKING_ERROR_M REAL(0.5)
 #define ACCELERATION_LAG_S REAL(0.08)
 #define MAX_POSITION_M REAL(1e4)
 #define MAX_SPEED_M_S REAL(50.0)
@@ -88,7 +88,7 @@ static void step_set_point_reference(trajectory_point_t *t, const set_point_t *w
 {
     const real_t off[3] = {t->position[0] - measured[0], t->position[1] - measured[1],
                            t->position[2] - measured[2]};
-    const real_t share = real_min(REAL(1.0), real_max(REAL(0.0), REAL(2.0) - (real_vector_length(off) / MAX_TRACKING_ERROR_M)));
+    const real_t share = real_min(REAL(1.0), real_max(REAL(0.0), REAL(2.0) - (real_vector_length(off) / SLOWING_TRACKING_ERROR_M)));
     const real_t blend = REAL(1.0) - exp_decay(dt / ACCELERATION_LAG_S);
     const real_t gn = distance_to_target(wanted->position[0], t->position[0]);
     const real_t ge = distance_to_target(wanted->position[1], t->position[1]);

@@ -33,7 +33,7 @@ static bool may_depart(const plan_t *plan, const mission_t *s, const estimate_t 
     real_t rate;
 
     trajectory_evaluate(way, way->path_start_s, &at);
-    scan_yaw(plan, s, &angle, &rate);
+    compute_scan_yaw(plan, s, &angle, &rate);
     return (real_abs(m->motion.position[2] - at.position[2]) < DEPARTURE_HEIGHT_TOLERANCE_M) &&
            (real_abs((m->motion.attitude[2] - at.heading) - angle) < (DEPARTURE_HEADING_TOLERANCE_RAD + real_abs(angle))) &&
            (!plan->scan || s->resumed_after_detour || !(way->path_profile.distance > REAL(0.0)) ||

@@ -11,7 +11,7 @@
 #define MAX_ARMING_RATE_RAD_S REAL(0.2)
 #define MAX_ESTIMATE_AGE_S REAL(0.5)
 #define MAX_STANDING_HEIGHT_ERROR_M REAL(0.05)
-#define AUTO_DISARM_S REAL(10.0)
+#define DISARM_WITHOUT_TAKE_OFF_S REAL(10.0)
 #define SET_POINT_TIMEOUT_S REAL(0.5)
 #define STICKS_TIMEOUT_S REAL(1.0)
 #define FALL_HEIGHT_M REAL(0.1)
@@ -502,7 +502,7 @@ void supervisor_conclude(supervisor_t *s, const software_t *software, bool due)
                 store_interruption(s, what);
             }
             set_disarmed(s);
-        } else if (s->armed && !s->ran && ((s->now_s - s->armed_s) > AUTO_DISARM_S)) {
+        } else if (s->armed && !s->ran && ((s->now_s - s->armed_s) > DISARM_WITHOUT_TAKE_OFF_S)) {
             set_disarmed(s);
         } else {
             /* as it is */
