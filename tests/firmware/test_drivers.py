@@ -341,6 +341,7 @@ def test_dshot_frames_servo_pulses_and_battery(library) -> None:
     assert [v == 210 for v in out] == [c == "1" for c in "10000010110001100"]
     assert set(out) == {0, 105, 210}
     assert [lib.servo_pulse_us(v) for v in (-2.0, -1.0, 0.0, 0.5, 1.0, 3.0)] == [1000, 1000, 1500, 1750, 2000, 2000]
+    assert [lib.servo_pulse_us(v) for v in (-1.2, -1.01, 1.01, 1.2)] == [1000, 1000, 2000, 2000]
     assert lib.servo_pulse_us(float("nan")) == 1500
     assert lib.battery_voltage(2048, 3.3, 11.0) == pytest.approx(18.154, abs=1e-3)
     assert lib.battery_voltage(5000, 3.3, 11.0) == -1.0

@@ -271,7 +271,7 @@ def test_the_search_reads_every_stride_th_block_and_then_one_stride(library) -> 
         latest = device.log.place - 1
         device.start()
         reads = 0
-        while device.log.state == device.lib.BLOCK_LOG_SEARCHES:
+        while device.log.state == device.lib.BLOCK_LOG_SEARCHES and reads < 100:
             device.lib.block_log_step(device.log, True)
             reads += device.log.operation != 0
         assert device.log.place == (latest + 1 if written else 0)
