@@ -32,6 +32,10 @@ TRACKING_WINDOW_PX = 21
 MIN_REPEAT_CORRELATION = 0.5
 """Autocorrelation from which a picture counts as periodic."""
 _PATCH_HALF_SIZE_PX = 10  # half the side of a compared patch
+_LOCAL_MEAN_SIDE_PX = 31  # side of the mean that is subtracted: vignette and shadows move with the camera
+_TRACKING_MEAN_SIDE_PX = 85
+"""The same for tracking: half the largest window of the pyramid, so that the texture of its coarse levels remains."""
+_FLAT_GREY_LEVEL = 128.0  # mean grey level of a picture without background
 
 
 @functools.cache
@@ -134,6 +138,13 @@ def warp_picture(picture: _Picture, homography: _Array, size: tuple[int, int]) -
     return cv2.warpPerspective(picture, homography, size, flags=cv2.INTER_LINEAR)
 
 
+def remove_background(picture: NDArray[np.uint8], side: int = _LOCAL_MEAN_SIDE_PX) -> NDArray[np.float32]:
+    """Return a picture as floats without its local mean over ``side`` pixels."""
+    cv2 = load_opencv()
+    mean = cv2.blur(picture, (side, side))
+    return np.asarray(cv2.subtract(picture, mean, dtype=cv2.CV_32F))
+
+
 def match_brightness(picture: _Picture, other: _Picture) -> _Picture:
     """Return a picture scaled to the mean brightness of another, since the tracker compares grey levels."""
     ratio = float(other.mean()) / max(float(picture.mean()), 1.0)
@@ -199,8 +210,8 @@ def track_points(
     """Track points (n, 2) of a template in a picture; return positions, patch correlations and standard deviations.
 
     Both pictures are already smoothed by ``smooth`` (pixels). The pyramid has just enough levels for half a window to
-    span ``reach`` (pixels). With more levels the windows follow vignette and shadows instead of the floor, or jump to
-    the next tile.
+    span ``reach`` (pixels); with more levels the windows jump to the next tile. Pictures are tracked without their
+    local mean, since the large windows of coarse levels otherwise follow vignette and shadows instead of the floor.
 
     Returns
     -------
@@ -215,9 +226,12 @@ def track_points(
     from_ = points.astype(np.float32).reshape(-1, 1, 2)
     to = from_.copy()
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
+    flat = (
+        cv2.add(remove_background(q, _TRACKING_MEAN_SIDE_PX), _FLAT_GREY_LEVEL, dtype=cv2.CV_8U)
+        for q in (template, picture)
+    )
     there, found, _ = cv2.calcOpticalFlowPyrLK(
-        template,
-        picture,
+        *flat,
         from_,
         to,
         winSize=(TRACKING_WINDOW_PX, TRACKING_WINDOW_PX),

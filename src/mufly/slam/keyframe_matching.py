@@ -30,12 +30,13 @@ from mufly.slam.image_tools import (
     Undistorter,
     is_in_mask,
     match_brightness,
+    remove_background,
     track_points,
     warp_over_picture,
     warp_picture,
 )
 from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, align_picture, pixel_floor_jacobian
-from mufly.slam.images.patch_information import measure_patch_shifts, remove_background
+from mufly.slam.images.patch_information import measure_patch_shifts
 from mufly.slam.keyframe_map import FloorMap, view_overlap
 from mufly.slam.place_recognition import MIN_ORB_INLIERS, CorrelationPeak, correlate_pictures, is_unambiguous
 from mufly.slam.pose_graph import HEADING_INDEX, LOG_HEIGHT_INDEX, TILT_SLICE

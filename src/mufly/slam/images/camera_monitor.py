@@ -56,9 +56,9 @@ from numpy.typing import NDArray
 from mufly.camera import Camera, body_from_camera_rotation
 from mufly.dynamics import GRAVITY
 from mufly.slam.camera_frame import CameraFrame, FrameEstimate
-from mufly.slam.image_tools import correlate_patches, is_in_mask, load_opencv
+from mufly.slam.image_tools import correlate_patches, is_in_mask, load_opencv, remove_background
 from mufly.slam.images.direct_alignment import add_point_errors
-from mufly.slam.images.patch_information import measure_patch_shifts, remove_background
+from mufly.slam.images.patch_information import measure_patch_shifts
 
 _Array = NDArray[np.float64]
 _MOTION_HIGH_PASS_S, _FIT_MEMORY_S, _GROSS_FIT_MEMORY_S, _VELOCITY_DECAY_S = 0.4, 6.0, 1.2, 4.0

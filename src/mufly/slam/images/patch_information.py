@@ -34,14 +34,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.slam.image_tools import load_opencv
 
 _Array = NDArray[np.float64]
 MIN_TEXTURE_SIGNIFICANCE = 4.0
 """Least ratio of the texture along a direction to the scatter of noise, for the direction to count as seen."""
 _BENDING_ERROR_FACTOR = 2.0
 """Factor on e^2 S', above."""
-_LOCAL_MEAN_SIDE_PX = 31  # side of the mean that is subtracted: vignette and shadows move with the camera
 (
     GRADIENT_XX_COLUMN,
     GRADIENT_XY_COLUMN,
@@ -88,13 +86,6 @@ class PatchShifts(NamedTuple):
     def known(self) -> NDArray[np.bool_]:
         """Mask (2,) of the directions in which the patches have texture."""
         return self.significance > 1.0
-
-
-def remove_background(picture: NDArray[np.uint8], side: int = _LOCAL_MEAN_SIDE_PX) -> NDArray[np.float32]:
-    """Return a picture as floats without its local mean over ``side`` pixels."""
-    cv2 = load_opencv()
-    mean = cv2.blur(picture, (side, side))
-    return np.asarray(cv2.subtract(picture, mean, dtype=cv2.CV_32F))
 
 
 def measure_patch_shifts(
