@@ -18,7 +18,7 @@ PLAIN_NAMES = {
     "any_of": bool,
     "both_of": lambda a, b: a and b,
     "negate": lambda test: not test,
-    "uniform": bool,
+    "require_uniform": bool,
     "whole_number": int,
     "sine_of": lambda x: sine_cosine(x)[0],
     "cosine_of": lambda x: sine_cosine(x)[1],
