@@ -183,6 +183,26 @@ def test_worn_blocks_are_skipped_and_reported(library) -> None:
     assert device.log.faults & FAILED
 
 
+@pytest.mark.parametrize(("blocks", "worn_count"), [(64, 9), (64, 16), (256, 16)])
+def test_a_row_of_worn_blocks_hides_no_later_block_from_the_search(library, blocks: int, worn_count: int) -> None:
+    """As many worn blocks in a row as the log bears; the next start goes on behind the latest block."""
+    worn = np.zeros(blocks, np.uint8)
+    worn[17 : 17 + worn_count] = 1
+    device = Device(library, blocks, worn=worn)
+    device.start()
+    for k in range(2000):
+        if device.log.state == device.lib.BLOCK_LOG_WRITES and device.log.place >= 20 + worn_count:
+            break  # a few blocks behind the worn ones
+        device.step(k)
+    before = split_sessions(device.array.tobytes())
+    device.start()
+    device.run(300)
+    assert device.log.session == 2
+    after = split_sessions(device.array.tobytes())
+    assert [s.ulog for s in after[:1]] == [s.ulog for s in before]
+    assert len(after) == 2
+
+
 def test_a_block_that_decays_later_costs_its_messages_only(library) -> None:
     device = Device(library)
     device.start()
@@ -262,7 +282,7 @@ def test_a_message_is_taken_as_a_whole_or_not_at_all(library) -> None:
 
 
 def test_the_search_reads_every_stride_th_block_and_then_one_stride(library) -> None:
-    """A start with 64 blocks takes 8 reads, and at most 15 more to pass the latest block by a stride of 8."""
+    """A start with 64 blocks takes 2 reads, and at most 63 more to pass the latest block by a stride of 32."""
     for periods in (0, 40, 300, 500, 700, 900):
         device = Device(library, 64)
         device.start()
@@ -275,7 +295,7 @@ def test_the_search_reads_every_stride_th_block_and_then_one_stride(library) -> 
             device.lib.block_log_step(device.log, True)
             reads += device.log.operation != 0
         assert device.log.place == (latest + 1 if written else 0)
-        assert reads == 8 + (latest % 8 + 8 if written else 0), periods
+        assert reads == 2 + (latest % 32 + 32 if written else 0), periods
 
 
 def test_the_search_bears_any_contents(library) -> None:

@@ -19,7 +19,7 @@ void block_log_start(block_log_t *l)
     *l = none;
     l->blocks = hal_block_count();
     l->state = (int32_t)((l->blocks >= LEAST_BLOCKS) ? BLOCK_LOG_SEARCHES : BLOCK_LOG_ABSENT);
-    l->stride = 1;
+    l->stride = 2 * MAX_BAD_IN_ROW; /* a search must reach beyond a row of worn blocks */
     while ((l->stride * l->stride) < l->blocks) {
         l->stride *= 2;
     }
