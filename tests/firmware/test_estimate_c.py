@@ -57,6 +57,7 @@ FAULTS = (
     "position.late@4s pressure.drift@4s gyro.insane@6s+0.5s ring.outliers@3s gyro.outliers@7s sonar.outliers@5s",
     "position.drift=0.3@4s magnetometer.jump@4s pressure.jump@5s rotor_speed.jump@5s sonar.drift@4s",
     "accelerometer.drift=2@4s",
+    "gyro.jump=6@8s+0.05s",  # too large for an offset, too long for a spike
 )
 
 
@@ -109,16 +110,18 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
     """All that the filter holds, not only what it tells; with what goes wrong with sensors."""
     c, python = (estimator(vehicle, code) for code in ("c", "numba"))
     assert (c.backend.name, python.backend.name) == ("C", "Numba")
-    disowned = 0
+    disowned = spikes = 0
     for k, (r, a) in enumerate(felt(faults)):
         told, right = c.update(r, a), python.update(r, a)
         assert told.valid == right.valid
         assert c.memory["x_output"].tobytes() == python.memory["x_output"].tobytes(), k
         disowned += int(c.memory["is_accel_distrusted"])
+        spikes = max(spikes, int(c.memory["spike_count"]))
         if k % 25 == 0:
             assert same(c._memory_array, python._memory_array), k
     assert same(c._memory_array, python._memory_array)
     assert (disowned > 0) == faults.startswith("accelerometer.drift")  # forces apart by six deviations
+    assert (spikes == 8) == faults.startswith("gyro.jump=6")  # after so many in a row the readings count again
     longer_least = float(c.memory["sonar_effective_min_range"]) > float(c._settings["sonar_min_range"])
     assert longer_least == faults.startswith("sonar.jump=0.1@")  # on the floor
     if not faults:
