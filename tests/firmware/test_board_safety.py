@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from driver_library import TRAPS
 
 from mufly.control import design_flight_controller
 from mufly.dynamics import standing_height
@@ -20,7 +21,7 @@ from mufly.estimate.filter.filter_records import (
 )
 from mufly.firmware import FirmwareSoftware, GenericFirmwareSoftware
 from mufly.firmware.compiled_software import diff_fields
-from mufly.firmware.emulated import HostBoard
+from mufly.firmware.emulated import HostBoard, image_build
 from mufly.firmware.emulated.board_flight import _BoardFirmware
 from mufly.firmware.emulated.image_build import build_host_board
 from mufly.firmware.software_instance import SoftwareInstance
@@ -714,7 +715,10 @@ def test_a_beam_without_a_number_reads_the_full_range_and_missing_sensors_are_na
 
 @pytest.fixture(scope="module")
 def board(vehicle, controller):
-    return HostBoard(*build_host_board(vehicle, controller, load_mission("demonstration"), single=False))
+    """A board whose process ends at an index beyond its array."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(image_build, "COMPILER_FLAGS", (*image_build.COMPILER_FLAGS, *TRAPS))
+        return HostBoard(*build_host_board(vehicle, controller, load_mission("demonstration"), single=False))
 
 
 def test_kept_memory_tells_a_reset_in_flight_from_a_power_up(board) -> None:

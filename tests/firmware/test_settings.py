@@ -346,6 +346,14 @@ def test_each_number_of_a_stored_mission_has_its_bounds(library) -> None:
         s.restart()
         assert s.mission() == image, (at, value)
         assert s.board.record.settings.faults & REFUSED, (at, value)
+    at_bound = {12: (-50.0,), 13: (0.0, 3600.0), 14: (speed,), 16: (-1000.0, 1000.0)}
+    for at, value in ((at, v) for at, values in at_bound.items() for v in values):
+        words = list(good)
+        words[at] = int(np.float32(value).view(np.uint32))
+        _store(s, s.lib.STORED_MISSION, words)
+        s.restart()
+        assert s.mission() != image, (at, value)
+        assert not s.board.record.settings.faults & REFUSED, (at, value)
     _store(s, s.lib.STORED_MISSION, good)
     s.restart()
     assert s.mission() == loaded
