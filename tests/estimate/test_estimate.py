@@ -72,6 +72,18 @@ def test_what_no_sensor_reads_is_lost_and_what_is_not_valid_is_not_believed() ->
     np.testing.assert_array_equal(w.last_good.position, [1.0, 2.0, -3.0])
 
 
+@pytest.mark.parametrize("value", [1e6, -1e197, math.inf, math.nan])
+def test_a_value_beyond_any_flight_is_replaced_as_a_missing_one(value: float) -> None:
+    """The square of a velocity of 1e197 m/s is infinite, and a reference that stops from it is no number."""
+    good = check_estimate(None, IdealEstimator().update(readings()), 0.005, 1.5)
+    absurd = IdealEstimator().update(readings(1.005, velocity=Reading(np.array([0.1, value, 0.3]), 1.005)))
+    w = check_estimate(good, absurd, 0.005, 1.5)
+    assert (w.lost_quantities, w.lost_s) == ("velocity", 0.005)
+    np.testing.assert_array_equal(w.last_good.velocity, [0.1, 0.2, 0.3])
+    fast = IdealEstimator().update(readings(1.005, velocity=Reading(np.array([0.1, 9e5, 0.3]), 1.005)))
+    assert check_estimate(good, fast, 0.005, 1.5).lost_s == 0.0
+
+
 def test_nothing_is_known_of_an_estimate_that_was_not_made() -> None:
     e = Estimate()
     assert math.isnan(e.time_s)

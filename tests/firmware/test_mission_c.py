@@ -281,6 +281,16 @@ def test_an_estimate_has_as_many_ranges_as_there_are_beams(firmware, beams) -> N
     assert list(monitor.good.ranges) == [2.0] * beams + [math.inf] * (64 - beams)
 
 
+def test_values_beyond_any_flight_are_replaced_in_c_as_in_python(firmware) -> None:
+    ffi, lib = firmware.ffi, firmware.lib
+    ring = ffi.new("beam_ring_t *", {"count": 0, "max_range": 2.0})
+    for value, lost in ((9e5, 0), (1e6, 2), (-1e197, 2), (math.inf, 2), (math.nan, 2)):
+        m, monitor = ffi.new("estimate_t *", {"valid": True}), ffi.new("estimate_monitor_t *")
+        m.motion.velocity = [0.1, value, 0.3]
+        lib.check_estimate(monitor, m, 0.005, ring)
+        assert monitor.what == lost, value
+
+
 # What may be asked
 
 

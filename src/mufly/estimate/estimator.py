@@ -143,6 +143,13 @@ def compute_standing_tilt(m: Estimate) -> float:
 # time: the battery changes slowly, and the control law limits the voltage.
 
 
+MAX_ESTIMATE_VALUE = 1e6
+"""Size from which a position, velocity, attitude or rate is implausible (m, m/s, rad, rad/s).
+
+The squares of much larger values overflow in the flight software.
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class EstimateCheckState:
     """Values that :func:`check_estimate` keeps from one period to the next.
@@ -211,12 +218,15 @@ def check_estimate(
     values = [*m.position.tolist(), *m.velocity.tolist(), *m.attitude.tolist(), *m.rates.tolist()]
     frozen = before is not None and values == before.last_values
     later = before is None or m.time_s > before.last_good.time_s
-    # The sum of finite numbers of plausible size is finite: a single fast test for all values.
-    whole = math.isfinite(sum(values)) and math.isfinite(m.time_s) and later
+    # A sum is finite only if all its terms are; the comparisons of min and max miss NaN.
+    whole = math.isfinite(sum(values)) and min(values) > -MAX_ESTIMATE_VALUE and max(values) < MAX_ESTIMATE_VALUE
+    whole = whole and math.isfinite(m.time_s) and later
     seen = (before is not None and m.ranges is before.last_good.ranges) or math.isfinite(sum(m.ranges.tolist()))
     if whole and seen and 0.0 < m.battery_voltage < math.inf and m.valid and not frozen:
         return EstimateCheckState(values, m)
-    bad = [name for name in _REQUIRED_ESTIMATES if not (m.valid and np.all(np.isfinite(getattr(m, name))))]
+    bad = [
+        name for name in _REQUIRED_ESTIMATES if not (m.valid and np.all(np.abs(getattr(m, name)) < MAX_ESTIMATE_VALUE))
+    ]
     good = _replace_bad_values(before, m, bad, period_s, max_range_m)
     if not bad and not frozen:
         return EstimateCheckState(values, good)

@@ -1,6 +1,7 @@
 #include "estimate/estimator.h"
 
 #define VITAL_COUNT 4
+#define MAX_ESTIMATE_VALUE REAL(1e6) /* m, m/s, rad, rad/s; squares of larger values overflow later */
 
 void estimate_monitor_start(estimate_monitor_t *w)
 {
@@ -24,8 +25,8 @@ static void list_values(const motion_estimate_t *m, real_t out[12])
     }
 }
 
-/* Replace values that are not finite by the last good ones; return the replaced groups. An estimate with replaced values is
- * not valid: motors do not start with it. */
+/* Replace values that are not finite, or too large, by the last good ones; return the replaced groups. An estimate with
+ * replaced values is not valid: motors do not start with it. */
 static int32_t replace_bad_values(bool begun, const real_t values[12], const real_t last[12], estimate_t *out)
 {
     real_t *to[VITAL_COUNT] = {out->motion.position, out->motion.velocity, out->motion.attitude, out->motion.rates};
@@ -35,7 +36,7 @@ static int32_t replace_bad_values(bool begun, const real_t values[12], const rea
         bool right = out->valid;
 
         for (int32_t i = 0; i < 3; i++) {
-            right = right && real_is_finite(values[(3 * k) + i]);
+            right = right && (real_abs(values[(3 * k) + i]) < MAX_ESTIMATE_VALUE);
         }
         if (!right) {
             bad += (int32_t)(1U << (uint32_t)k);
