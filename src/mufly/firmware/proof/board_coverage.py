@@ -11,7 +11,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from mufly.control import design_flight_controller
 from mufly.files.answer_store import hash_inputs
 from mufly.firmware.emulated import image_build
 from mufly.firmware.export.source_export import SOURCE_FOLDER
+from mufly.firmware.proof.branch_coverage import run_installed_tests
 from mufly.firmware.proof.evidence_report import BOARD_SOURCES
 from mufly.firmware.proof.sil_pil import run_compiler
 from mufly.mission import load_mission
@@ -104,7 +104,7 @@ def run_board_workload(folder: Path, vehicle: Vehicle) -> None:
     controller, mission = design_flight_controller(vehicle), load_mission("demonstration")
     image_build.build_host_board(vehicle, controller, mission, single=False)
     _run_random_inputs(builds.boards[0])
-    _run_board_tests(folder)
+    run_installed_tests(BOARD_TESTS, "-k", _LEFT_OUT_TESTS, f"--basetemp={folder / 'tests'}")
 
 
 def _run_random_inputs(library: Path) -> None:
@@ -116,21 +116,6 @@ def _run_random_inputs(library: Path) -> None:
     for _ in range(FUZZ_INPUT_COUNT):
         data = rng.bytes(int(rng.integers(64, 4096)))
         lib.LLVMFuzzerTestOneInput(ffi.from_buffer("uint8_t[]", data), len(data))
-
-
-def _run_board_tests(folder: Path) -> None:
-    tests = Path(str(resources.files("mufly"))).parents[1] / "tests" / "firmware"
-    try:
-        import pytest
-    except ImportError:
-        return
-    if not tests.is_dir():
-        return
-    files = [str(tests / f"test_{name}.py") for name in BOARD_TESTS]
-    options = ["-q", "-n", "0", "-p", "no:cacheprovider", "-k", _LEFT_OUT_TESTS, f"--basetemp={folder / 'tests'}"]
-    failed = pytest.main([*options, *files])
-    if failed:
-        print(f"pytest ended with {int(failed)}")
 
 
 if __name__ == "__main__":

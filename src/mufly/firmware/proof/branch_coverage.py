@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -163,13 +163,6 @@ def _replace_loader(module: types.ModuleType, name: str, loader: Callable[..., A
 
 def _run_comparison_tests(counted: Firmware) -> None:
     """Run the tests that compare C with Python on the instrumented C code, if the test files are installed."""
-    tests = Path(str(resources.files("mufly"))).parents[1] / "tests" / "firmware"
-    try:
-        import pytest
-    except ImportError:
-        return
-    if not tests.is_dir():
-        return
     plainly: Any = Firmware.__init__
 
     def init_instrumented(
@@ -182,8 +175,20 @@ def _run_comparison_tests(counted: Firmware) -> None:
     changed: Any = Firmware
     changed.__init__ = init_instrumented
     os.environ["MUFLY_EXAMPLES"] = str(COMMAND_EXAMPLE_COUNT)
-    files = [str(tests / f"test_{name}.py") for name in ("mission_c", "avoid", "estimate_c")]
-    failed = pytest.main(["-q", "-n", "0", "-p", "no:cacheprovider", *files])
+    run_installed_tests(("mission_c", "avoid", "estimate_c"))
+
+
+def run_installed_tests(names: Iterable[str], *options: str) -> None:
+    """Run test files of the firmware in this process, if they and pytest are installed; print a failure's status."""
+    tests = Path(str(resources.files("mufly"))).parents[1] / "tests" / "firmware"
+    try:
+        import pytest
+    except ImportError:
+        return
+    if not tests.is_dir():
+        return
+    files = [str(tests / f"test_{name}.py") for name in names]
+    failed = pytest.main(["-q", "-n", "0", "-p", "no:cacheprovider", *options, *files])
     if failed:
         print(f"pytest ended with {int(failed)}")
 
