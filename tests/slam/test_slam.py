@@ -325,3 +325,23 @@ def test_over_tiles_only_the_way_since_tells_which_tile_it_is(floor: str) -> Non
         else:
             assert after == gap[-1] + 1
             assert off < 0.03
+
+
+def test_a_place_found_far_from_the_prediction_is_a_look_alike() -> None:
+    """After a gap, in which the vehicle moves by one metre or stays, the same pictures return."""
+    pytest.importorskip("cv2")
+    lens, _, made = _flown("webcam", "rich", 60)
+    period = made[1][0].time_s - made[0][0].time_s
+    before, gap = 45, round(1.0 / period)
+    for moved_m in (0.0, 1.0):
+        motion = made[0][1]
+        slam = SlamSystem(lens, start=(*motion.position[:2], math.atan2(motion.attitude[1, 0], motion.attitude[0, 0])))
+        results = []
+        for k in range(before + gap + 15):
+            in_gap = before <= k < before + gap
+            frame, motion = made[k if k < before else before - 1 if in_gap else before - 1 - (k - before - gap)]
+            velocity = np.array([0.0, moved_m, 0.0]) if in_gap else motion.velocity
+            told = replace(frame.vehicle_estimate, velocity=velocity, velocity_sigma=0.1)
+            picture = np.full_like(frame.picture, 6) if in_gap else frame.picture
+            results.append(slam.process_frame(CameraFrame(k * period, picture, told)))
+        assert any(r.trusted for r in results[before + gap :]) == (moved_m == 0.0)

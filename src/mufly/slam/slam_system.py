@@ -6,7 +6,7 @@ a new keyframe, and at intervals a loop is searched (:mod:`mufly.slam.map_growth
 
 Results that are not trusted are not published; :class:`TrackingResult` gives the reason. After a loss the system
 searches around the predicted pose first, later in the whole map by ORB (Rublee et al. 2011). A result of ORB is
-accepted when three results agree.
+accepted when three results agree, and none is farther from the prediction than its deviation allows.
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ _RELOCALIZE_INTERVAL_FRAMES = 4
 _NEW_KEYFRAME_TEXTURE_SIGNIFICANCE = 1.7  # of the texture, below which a new keyframe follows earlier
 MAX_KNOWN_AXIS_SIGMA = (0.5, 0.5, 0.5, 0.5)
 """Standard deviations of N, E, D (m) and heading (rad) from which an axis counts as unknown."""
-_MIN_RELOCALIZATION_CONFIRMATIONS = 3
+_MIN_RELOCALIZATION_CONFIRMATIONS, _MAX_RELOCALIZATION_SIGMAS = 3, 4.0
+"""Relocalisation by ORB: number of results that must agree, and largest distance from the prediction, in its standard
+deviations; a place beyond it looks alike."""
 _SHAKE_LEARNING_WEIGHT, _MIN_SHAKE_LEARNING_FRAMES, _SHAKE_REMAINING_FRACTION = 0.02, 150, 0.3
 """Learning of the vibration: weight of a picture, number of pictures, and remaining share of the uncertainty."""
 _BRIDGE_AFTER_S, _YOUNG_BRIDGE_AFTER_S, _MAX_YOUNG_MAP_KEYFRAMES, _KEYFRAME_TRIAL_FRAMES = 1.5, 0.1, 5, 25
@@ -584,6 +586,8 @@ class SlamSystem:
         ):
             return None
         here = match.pose_graph_node
+        if self._is_far_from_prediction(context, here):
+            return None
         if found and math.hypot(*(here[:2] - found[-1][1][:2])) > 0.1 + 1.0 * (time_s - found[-1][0]):
             found = []
         self._found_poses = [*found, (time_s, here)]
@@ -593,3 +597,11 @@ class SlamSystem:
         self._motion = MotionPrior().restart_at(context.frame)
         self._last_node = here
         return match
+
+    def _is_far_from_prediction(self, context: FrameContext, node: _Array) -> bool:
+        """Return whether a node is farther from the predicted one than the prediction allows."""
+        way = context.motion.since_last_result
+        if way is None:
+            return False
+        predicted, sigma_m = self._predict_node(context, way)
+        return math.hypot(*(node[:2] - predicted[:2])) > _MAX_RELOCALIZATION_SIGMAS * sigma_m
