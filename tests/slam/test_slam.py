@@ -34,6 +34,7 @@ from mufly.slam.pose_graph import (
     relative_pose_jacobians,
     solve_graph,
 )
+from mufly.slam.tracking_breaks import TrackingBreaks
 
 TILT = math.radians(0.5)
 
@@ -345,3 +346,48 @@ def test_a_place_found_far_from_the_prediction_is_a_look_alike() -> None:
             picture = np.full_like(frame.picture, 6) if in_gap else frame.picture
             results.append(slam.process_frame(CameraFrame(k * period, picture, told)))
         assert any(r.trusted for r in results[before + gap :]) == (moved_m == 0.0)
+
+
+@pytest.mark.parametrize("flip", ["upside down", "mirrored"])
+def test_pictures_that_flip_in_flight_give_no_pose_and_are_reported(flip: str) -> None:
+    """The tracker finds points in any picture; what it shares with the keyframe tells that it is another one."""
+    pytest.importorskip("cv2")
+    lens, _, made = _flown("mufly-2.0", "rich", 100, speed_m_s=0.5)
+    headings = [math.atan2(m.attitude[1, 0], m.attitude[0, 0]) for _, m in made]
+    slam = SlamSystem(lens, start=(*made[0][1].position[:2], headings[0]))
+    results = []
+    for k, (frame, motion) in enumerate(made):
+        picture = frame.picture
+        if k >= 60:
+            picture = np.ascontiguousarray(picture[::-1, ::-1] if flip == "upside down" else picture[::-1])
+        told = replace(
+            frame.vehicle_estimate, velocity=motion.velocity, velocity_sigma=0.1,
+            place=np.array([*motion.position[:2], headings[k]]), place_sigma=(0.05, 0.01),
+            rotor_speed=np.array([370.0, 430.0]),
+        )  # fmt: skip
+        results.append(slam.process_frame(replace(frame, picture=picture, vehicle_estimate=told)))
+    assert sum(r.trusted for r in results[20:60]) > 35
+    assert not any(r.trusted for r in results[60:])
+    assert "check mount.turn" in results[-1].camera_fault or "mirrored" in results[-1].camera_fault
+
+
+def test_a_break_needs_several_rich_pictures_of_a_floor_that_should_be_seen() -> None:
+    rng = np.random.default_rng(1)
+    rich = rng.integers(0, 255, (40, 60)).astype(np.uint8)
+    dark = np.full_like(rich, 5)
+    seen = [(0.9, rich)] * 2
+    for also, broken in (((0.9, rich), True), ((0.9, dark), False), ((0.3, rich), False)):
+        breaks = TrackingBreaks()
+        assert [breaks.add_failure(share, q, rich, 7) for share, q in [*seen, also]] == [False, False, broken]
+        assert breaks.keyframe_count == (7 if broken else 0)
+
+
+def test_a_match_with_little_of_the_usual_texture_is_refused_on_rich_floors_only() -> None:
+    none = np.zeros(8)
+    pose = PoseEstimate(none, none, np.eye(8), np.eye(8), none, 1.0, np.zeros(1), np.zeros((1, 2)))
+    match = KeyframeMatch.from_pose(pose)
+    for usual, refused in ((12.0, True), (2.0, False)):
+        breaks = TrackingBreaks()
+        breaks.add_match(replace(match, significances=np.array([usual, 1.5 * usual])))
+        assert not breaks.rejection_reason(replace(match, significances=np.array([1.0, 0.5]) * usual))
+        assert bool(breaks.rejection_reason(replace(match, significances=np.array([0.2, 1.5]) * usual))) == refused

@@ -151,8 +151,9 @@ class KeyframeMatch:
     cramer_rao_bound_px : (2,) array
         Cramer-Rao bound of the common shift of all patches along the directions of least and of most texture
         (pixels).
-    significance : float
-        Significance of the texture along the least known direction, 1 at the least.
+    significances : (2,) array
+        Significance of the texture along the directions of least and of most texture, at the pose; 1 is the least with
+        which a direction is known.
     common_variance_m2 : float
         Variance of the place by errors that all points of the picture share (m^2).
     """
@@ -166,7 +167,7 @@ class KeyframeMatch:
     tracked_count: int
     untextured_directions: _Array
     cramer_rao_bound_px: _Array
-    significance: float
+    significances: _Array
     common_variance_m2: float = 0.0
 
     @classmethod
@@ -183,7 +184,7 @@ class KeyframeMatch:
             0,
             _NO_UNKNOWN_DIRECTIONS,
             np.zeros(2),
-            1.0,
+            np.ones(2),
         )
 
     def cramer_rao_bound_m(self, view: ViewPrior) -> float:
@@ -196,6 +197,11 @@ class KeyframeMatch:
         """N, E (m), heading (rad), ln h of the camera."""
         p = self.pose
         return np.array([*p.state[:2], p.heading_rad, math.log(p.height_m)])
+
+    @property
+    def least_significance(self) -> float:
+        """Significance of the texture along the least known direction."""
+        return float(self.significances.min())
 
     @property
     def place_variance(self) -> float:
@@ -335,7 +341,7 @@ def _match_points(
     keyframe.missed[use[keep]] = np.maximum(keyframe.missed[use[keep]] - 2, -4)
     return KeyframeMatch(
         k, pose, use[keep], seen[keep], seconds[keep], information, len(use), _NO_UNKNOWN_DIRECTIONS,
-        patches.cramer_rao_bound_px, float(patches.significance.min()), _common_place_variance(context),
+        patches.cramer_rao_bound_px, patches.significance, _common_place_variance(context),
     )  # fmt: skip
 
 
@@ -366,7 +372,7 @@ def _match_directly(
     return KeyframeMatch(
         k, found.pose, use[keep], found.pixels[keep], points.exposure_offsets_s[keep], found.information[keep],
         len(use), found.untextured_directions, found.patches.cramer_rao_bound_px,
-        float(found.patches.significance.min()), _common_place_variance(context),
+        found.patches.significance, _common_place_variance(context),
     )  # fmt: skip
 
 

@@ -20,7 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.camera import Camera, body_from_camera_rotation, check_picture_size
-from mufly.slam.camera_frame import TRACKING_LOST_AFTER_S, CameraFrame, MotionPrior, Odometry
+from mufly.slam.camera_frame import (
+    HEADING_DRIFT_RAD_S,
+    TRACKING_LOST_AFTER_S,
+    CameraFrame,
+    MotionPrior,
+    Odometry,
+)
 from mufly.slam.camera_pose import POSE_SIZE, SHAKE_COEFFICIENT_COUNT, PoseEstimate, ViewPrior, attitude_matrix
 from mufly.slam.image_tools import Undistorter
 from mufly.slam.images.camera_monitor import FAULTY_MOUNT_TILT_SIGMA_RAD, CameraDiagnosis, CameraMonitor
@@ -45,6 +51,7 @@ from mufly.slam.pose_graph import (
     fuse_pose,
     relative_pose,
 )
+from mufly.slam.tracking_breaks import MIN_BREAK_HEIGHT_M, TrackingBreaks
 
 _Array = NDArray[np.float64]
 MIN_CAMERA_HEIGHT_M = 0.1  # least camera height for the start of a map
@@ -58,9 +65,9 @@ _RELOCALIZE_INTERVAL_FRAMES = 4
 _NEW_KEYFRAME_TEXTURE_SIGNIFICANCE = 1.7  # of the texture, below which a new keyframe follows earlier
 MAX_KNOWN_AXIS_SIGMA = (0.5, 0.5, 0.5, 0.5)
 """Standard deviations of N, E, D (m) and heading (rad) from which an axis counts as unknown."""
-_MIN_RELOCALIZATION_CONFIRMATIONS, _MAX_RELOCALIZATION_SIGMAS = 3, 4.0
-"""Relocalisation by ORB: number of results that must agree, and largest distance from the prediction, in its standard
-deviations; a place beyond it looks alike."""
+_MIN_RELOCALIZATION_CONFIRMATIONS, _MAX_RELOCALIZATION_SIGMAS, _MAX_RELOCALIZATION_TURN_RAD = 3, 4.0, 0.3
+"""Relocalisation by ORB: number of results that must agree, and largest distance from the prediction (in its standard
+deviations) and turn against it; a place beyond them looks alike."""
 _SHAKE_LEARNING_WEIGHT, _MIN_SHAKE_LEARNING_FRAMES, _SHAKE_REMAINING_FRACTION = 0.02, 150, 0.3
 """Learning of the vibration: weight of a picture, number of pictures, and remaining share of the uncertainty."""
 _BRIDGE_AFTER_S, _YOUNG_BRIDGE_AFTER_S, _MAX_YOUNG_MAP_KEYFRAMES, _KEYFRAME_TRIAL_FRAMES = 1.5, 0.1, 5, 25
@@ -168,7 +175,7 @@ class SlamSystem:
         self._last_time_s = math.nan
         self._frame_count = self._frames_since_loop_check = 0
         self._found_poses: list[tuple[float, _Array]] = []
-        self._loop_search = LoopSearch()
+        self._loop_search, self._breaks = LoopSearch(), TrackingBreaks()
         self._trial_frame_count = 0  # pictures matched to a keyframe on trial; 0: there is none
         self.undistorted_picture: NDArray[np.uint8] | None = None
         self.monitor = CameraMonitor(camera, self._undistorter.focal_px, self._undistorter.smoothing_sigma_px)
@@ -222,7 +229,12 @@ class SlamSystem:
             if match is not None:
                 break
         why = rejection_reason(self.floor_map, match, context, node)
+        is_high = context.view.height_m > MIN_BREAK_HEIGHT_M
+        if match is not None and not why and is_high:
+            why = self._breaks.rejection_reason(match)
         if match is None or why:
+            if is_high and not self._trial_frame_count:
+                self._count_failure(context, node)
             if (
                 len(self.floor_map.keyframes) == 1
                 and frame.vehicle_estimate.place is not None
@@ -230,6 +242,7 @@ class SlamSystem:
             ):
                 # Near the floor pictures overlap little: restart a map of one keyframe.
                 self.floor_map = FloorMap(self.floor_map.start_pose)
+                self._breaks.restart()
                 return self._start_map(context)
             if self._should_bridge(context, elapsed):
                 return self._bridge_gap(context, why)
@@ -238,7 +251,17 @@ class SlamSystem:
             return TrackingResult(frame.time_s, False, why, keyframe_index=self._reference_index)
         if self._trial_frame_count > 0 and (answer := self._confirm_trial(context, match)) is not None:
             return answer
+        if self.monitor.is_motion_doubted and match.keyframe_index >= self._breaks.keyframe_count:
+            return self._follow_unconfirmed(context, match, "the motion of the picture is not yet confirmed")
         return self._accept_match(context, match)
+
+    def _count_failure(self, context: FrameContext, node: _Array) -> None:
+        """Count a picture without a match at its predicted node; doubt its motion if tracking breaks."""
+        k = self._reference_index
+        overlap = context.view_overlap(self.floor_map.nodes[k], node)
+        keyframe = self.floor_map.keyframes[k].picture
+        if self._breaks.add_failure(overlap, context.picture, keyframe, len(self.floor_map.keyframes)):
+            self.monitor.doubt_motion()
 
     def _make_untrusted_result(self, frame: CameraFrame, verdict: CameraDiagnosis, why: str) -> TrackingResult:
         """Return the result of a picture without a trusted pose, with the reason; a fault of the camera is stored."""
@@ -365,6 +388,9 @@ class SlamSystem:
         context = replace(context, motion=self._motion)
         self._last_node, self._reference_index = node, match.keyframe_index
         self._found_poses = []
+        self._breaks.add_match(match)
+        if self.monitor.is_motion_doubted:
+            self.monitor.confirm_motion()
         self.monitor.check_tilt(frame.time_s, match.pose.tilt_error_rad, frame.vehicle_estimate.tilt_sigma)
         self._learn_vibration(context.view, match.pose)
         refine_keyframe(self.floor_map, context, match)
@@ -372,7 +398,7 @@ class SlamSystem:
         inliers = len(match.inlier_indices)
         share = context.view_overlap(self.floor_map.nodes[match.keyframe_index], node)
         few = share < 0.85 and (
-            inliers < MAX_NEW_KEYFRAME_INLIERS or match.significance < _NEW_KEYFRAME_TEXTURE_SIGNIFICANCE
+            inliers < MAX_NEW_KEYFRAME_INLIERS or match.least_significance < _NEW_KEYFRAME_TEXTURE_SIGNIFICANCE
         )
         if (share < MIN_KEYFRAME_OVERLAP or few) and inliers >= MIN_ORB_INLIERS:
             made = self._insert_keyframe(context, match)
@@ -511,15 +537,18 @@ class SlamSystem:
         if self._should_relocalize and (found := self._relocalize_among_keyframes(context)) is not None:
             return self._accept_match(context, found)
         self._trial_frame_count += 1
-        if self._trial_frame_count <= (
-            _MIN_RELOCALIZATION_CONFIRMATIONS if self._is_map_young else _KEYFRAME_TRIAL_FRAMES
-        ):
-            self._last_node, self._motion = match.pose_graph_node, self._motion.restart_at(context.frame)
-            self._learn_vibration(context.view, match.pose)
-            refine_keyframe(self.floor_map, context, match)
-            return TrackingResult(context.frame.time_s, False, "new map begun, not yet confirmed")
+        needed = _MIN_RELOCALIZATION_CONFIRMATIONS if self._is_map_young else _KEYFRAME_TRIAL_FRAMES
+        if self._trial_frame_count <= needed or self.monitor.is_motion_doubted:
+            return self._follow_unconfirmed(context, match, "new map begun, not yet confirmed")
         self._trial_frame_count = 0
         return None
+
+    def _follow_unconfirmed(self, context: FrameContext, match: KeyframeMatch, why: str) -> TrackingResult:
+        """Track a match whose pose is not published."""
+        self._last_node, self._motion = match.pose_graph_node, self._motion.restart_at(context.frame)
+        self._learn_vibration(context.view, match.pose)
+        refine_keyframe(self.floor_map, context, match)
+        return TrackingResult(context.frame.time_s, False, why)
 
     def _end_trial(self) -> None:
         """Drop the keyframe on trial, which further pictures have not confirmed, if there is one."""
@@ -583,6 +612,7 @@ class SlamSystem:
             or len(match.untextured_directions)
             or len(match.inlier_indices) < 1.5 * MIN_ORB_INLIERS
             or match.pose.residual_ratio > 3.0
+            or self._breaks.rejection_reason(match)
         ):
             return None
         here = match.pose_graph_node
@@ -599,9 +629,12 @@ class SlamSystem:
         return match
 
     def _is_far_from_prediction(self, context: FrameContext, node: _Array) -> bool:
-        """Return whether a node is farther from the predicted one than the prediction allows."""
+        """Return whether a node is farther from the predicted one, or turned more, than the prediction allows."""
         way = context.motion.since_last_result
         if way is None:
             return False
         predicted, sigma_m = self._predict_node(context, way)
+        turned = abs(math.remainder(node[HEADING_INDEX] - predicted[HEADING_INDEX], 2.0 * math.pi))
+        if turned > _MAX_RELOCALIZATION_TURN_RAD + HEADING_DRIFT_RAD_S * way.elapsed_s:
+            return True
         return math.hypot(*(node[:2] - predicted[:2])) > _MAX_RELOCALIZATION_SIGMAS * sigma_m

@@ -111,12 +111,17 @@ _FLIP_SIGMA_PX_S, _MAX_FLIP_LOG_LIKELIHOOD_STEP, _FLIP_LOG_LIKELIHOOD_LIMIT = 15
 likelihood ratio between a flipped and a correct axis."""
 _HAND_CARRIED_FLIP_SIGMA_PX_S = 60.0
 """The same by hand, where the place moves by an unknown velocity."""
+_DOUBTED_FLIP_SIGMA_PX_S = 30.0
+"""The same against the vehicle's velocity after a break of tracking, without high pass."""
+_CONFIRMED_FLIP_FRACTIONS = (0.2, 0.5)
+"""Shares of the limit that the log likelihoods of both axes must pass to end a doubt, and that of the better one."""
 _FLIP_MEMORY_S, _MAX_FLIP_RESIDUAL_FRACTION = 0.5, 0.25
 """Memory of the residuals (s), and largest share of the motion that a flip leaves; other faults leave more."""
 _MAX_SETTLED_CHANGE_FRACTION, _MAX_SETTLED_CHANGE = 0.3, 0.05
 """Largest change of a steady estimate over the confirming pictures: share of its deviation, and absolute."""
 _MIRRORED_MESSAGE = "the picture moves mirrored against the gyroscopes: check the camera's driver"
 _MIN_CORRELATED_POINTS, _CORRELATION_WINDOW_PX, _MIN_CORRELATION, _MIN_STRONG_CORRELATION = 24, 21, 0.5, 0.85
+_REVERSED_MESSAGE = "the picture moves opposite to the vehicle: check mount.turn and the camera's driver"
 _UPSIDE_DOWN_MESSAGE = "the camera is upside down against the gyroscopes: check mount.turn"
 _ROLLING_SHUTTER_SHIFT_SIGMA_PX = 1.0
 """Deviation of a patch by vibration in a rolling shutter (pixels of half the resolution)."""
@@ -162,7 +167,7 @@ class CameraMonitor:
         self._slow = np.zeros(2, complex)  # slow parts of y and p
         self._past: list[tuple[complex, complex]] = []  # y and p at the latest pictures, high-passed
         self._fit, self._quick_fit = MotionFit(_FIT_MEMORY_S), MotionFit(_GROSS_FIT_MEMORY_S)
-        self._flips = FlipTest()
+        self._flips, self._is_doubted = FlipTest(), False
         self._latest: deque[NDArray[np.complex128]] = deque(maxlen=_FAULT_CONFIRM_COUNT)  # estimates
         self._candidate, self._candidate_count = _HEALTHY_DIAGNOSIS, 0
         self._verdict, self._held_until_s = _HEALTHY_DIAGNOSIS, -math.inf
@@ -242,6 +247,20 @@ class CameraMonitor:
                 self._tilt_verdict, self._tilt_held_until_s = held if held.fault else verdict, until_s
             self._tilt, self._tilt_weight = np.zeros(2), 0.0
 
+    def doubt_motion(self) -> None:
+        """Test anew whether the picture is flipped, since tracking has broken (:mod:`mufly.slam.tracking_breaks`)."""
+        self._flips.restart()
+        self._is_doubted = True
+
+    def confirm_motion(self) -> None:
+        """End the doubt, since a keyframe from before the break is recognised."""
+        self._flips, self._is_doubted = FlipTest(), False
+
+    @property
+    def is_motion_doubted(self) -> bool:
+        """Whether the motion of the picture has not yet agreed with the vehicle's after a break of tracking."""
+        return self._is_doubted
+
     def _measure_motion(self, frame: CameraFrame, picture: NDArray[np.uint8]) -> None:
         small = load_opencv().pyrDown(picture)
         before, last = self._last_small, self._last_frame
@@ -269,6 +288,8 @@ class CameraMonitor:
                 self._fit.restart()
                 self._quick_fit.restart()
         y = 2.0 * moved / dt
+        if self._is_doubted:
+            self._test_doubted_motion(last.vehicle_estimate, frame.vehicle_estimate, dt, y)
         velocity = 0.5 * (velocity + self._last_level_velocity)
         p = self._predict_motion(last.vehicle_estimate, frame.vehicle_estimate, velocity)
         self._slow = low_pass_motion(self._slow, np.array([y, p]), dt, yaw_rate)
@@ -279,9 +300,22 @@ class CameraMonitor:
             driven = bool(frame.vehicle_estimate.rotor_speed.any())
             for fit in (self._fit, self._quick_fit):
                 fit.add_picture(dt, row, y)
-            self._flips.add_picture(dt, p, y, _FLIP_SIGMA_PX_S if driven else _HAND_CARRIED_FLIP_SIGMA_PX_S)
+            if not self._is_doubted:
+                self._flips.add_picture(dt, p, y, _FLIP_SIGMA_PX_S if driven else _HAND_CARRIED_FLIP_SIGMA_PX_S)
             self._latest.append(self.estimate[:2].copy())
             self._confirm_fault(frame.time_s)
+
+    def _test_doubted_motion(self, before: FrameEstimate, now: FrameEstimate, dt: float, y: complex) -> None:
+        """Test the motion after a break against the vehicle's velocity, which no picture has changed since.
+
+        A steady velocity shows a flip at once. Without a velocity, the motion by tilt and rotation is used.
+        """
+        velocity = self._last_level_velocity
+        if now.velocity is not None and now.place is not None:
+            turned = complex(now.velocity[0], now.velocity[1]) * cmath.exp(-1j * float(now.place[2]))
+            velocity = np.array([turned.real, turned.imag])
+        self._flips.add_picture(dt, self._predict_motion(before, now, velocity), y, _DOUBTED_FLIP_SIGMA_PX_S)
+        self._is_doubted = not self._flips.is_motion_correct
 
     def _confirm_fault(self, time_s: float) -> None:
         """Set the camera's verdict to a fault once several pictures in a row show it."""
@@ -352,7 +386,18 @@ class FlipTest:
             2, -_FLIP_LOG_LIKELIHOOD_LIMIT
         )  # logarithm of the likelihood ratio, flipped over correct; x, y
         self._squares = np.zeros((2, 2))  # of the residuals, by flips along x and y
-        self._motion_square = 0.0
+        self._motion_square, self._is_restarted = 0.0, False
+
+    def restart(self) -> None:
+        """Forget the pictures: a flipped and a correct axis are equally likely."""
+        self._ratio = np.zeros(2)
+        self._squares, self._motion_square, self._is_restarted = np.zeros((2, 2)), 0.0, True
+
+    @property
+    def is_motion_correct(self) -> bool:
+        """Whether one axis is correct with near certainty, and the other very likely."""
+        least, most = -_FLIP_LOG_LIKELIHOOD_LIMIT * np.array(_CONFIRMED_FLIP_FRACTIONS)
+        return bool(self._ratio.max() < least and self._ratio.min() < most)
 
     def add_picture(self, dt: float, predicted: complex, measured: complex, sigma: float = _FLIP_SIGMA_PX_S) -> None:
         """Add the predicted and the measured motion of a picture, ``dt`` (s) after the one before.
@@ -371,10 +416,13 @@ class FlipTest:
     def judge_flips(self) -> CameraDiagnosis:
         """Return the verdict whether the pictures are flipped along an axis."""
         flipped = self._ratio > _FLIP_LOG_LIKELIHOOD_LIMIT
-        if not flipped.any() or not (flipped | (self._ratio < -0.5 * _FLIP_LOG_LIKELIHOOD_LIMIT)).all():
+        is_known = flipped | (self._ratio < -0.5 * _FLIP_LOG_LIKELIHOOD_LIMIT)
+        if not flipped.any() or not (is_known.all() or self._is_restarted):
             return _HEALTHY_DIAGNOSIS
         if self._squares[int(flipped[0]), int(flipped[1])] > _MAX_FLIP_RESIDUAL_FRACTION * self._motion_square:
             return _HEALTHY_DIAGNOSIS
+        if not is_known.all():
+            return CameraDiagnosis("turned", _REVERSED_MESSAGE)
         return (
             CameraDiagnosis("turned", _UPSIDE_DOWN_MESSAGE)
             if flipped.all()
