@@ -111,6 +111,18 @@ def test_a_restarted_ardupilot_starts_anew(session):
     assert abs(state["position"][2]) < 0.1
 
 
+def test_an_ardupilot_that_outlived_its_simulator_is_named(session):
+    simulator, events = session
+    peer = Peer(simulator.port.port)
+    peer.frame = 5000
+    state = peer.send((1500, 1500, 1500, 1500, 1700, 1730))
+    told(events, "at its packet 5001: it ran with an earlier simulator")
+    assert state["timestamp"] == pytest.approx(1 / ARDUPILOT_RATE_HZ)
+    peer.send((1500, 1500, 1500, 1500, 1700, 1730))
+    assert simulator.vehicle.is_armed
+    assert simulator.unanswered_count == 0
+
+
 def test_wrong_rate_frame_program_and_lost_packets_are_named(session):
     simulator, events = session
     peer = Peer(simulator.port.port)

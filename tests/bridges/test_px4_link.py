@@ -126,6 +126,21 @@ def test_a_px4_that_dies_and_calls_again_starts_anew():
         second.close()
 
 
+def test_a_simulator_without_px4_names_the_remedy_once(monkeypatch):
+    from mufly.bridges.px4 import px4_link
+
+    monkeypatch.setattr(px4_link, "NO_CALL_TIMEOUT_S", 0.2)
+    remedy = "restart PX4"
+    with plant() as vehicle, Session(vehicle) as session:
+        session.wait(lambda: session.told(remedy))
+        time.sleep(0.5)
+        assert sum(remedy in text for text in session.events) == 1
+        peer = ScriptedPx4(session.port, idle)
+        session.wait(lambda: session.told("runs in lockstep"))
+        peer.close()
+        session.wait(lambda: sum(remedy in text for text in session.events) == 2)
+
+
 def test_a_silent_px4_stops_the_time(monkeypatch):
     from mufly.bridges.px4 import px4_link
 

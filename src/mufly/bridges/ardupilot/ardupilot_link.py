@@ -45,6 +45,7 @@ _PULSE_CENTRE_US, _PULSE_HALF_RANGE_US, _MIN_PULSE_US = 1500.0, 500.0, 1000.0
 _MIRROR_TOLERANCE_US = 40.0  # largest difference of mirrored outputs from their mean
 _MIN_SPINNING_MOTOR_INPUT = 0.01
 _RECEIVE_TIMEOUT_S = 0.05
+_MAX_FIRST_FRAME = 10  # of an ArduPilot that has just started
 _REPLY_DIGITS = 9
 _SENSORS_NOT_SENT = ("position_fix", "pressure", "magnetometer")
 
@@ -187,7 +188,7 @@ class ArduPilotSimulator(AutopilotSimulator):
             self.pace.restart()
         last = self._last
         if last is None or packet.frame < last.frame:
-            self._begin_session(peer, again=last is not None)
+            self._begin_session(peer, packet.frame, again=last is not None)
         elif packet.frame == last.frame:  # its answer was lost
             self.port.send(peer, self._reply)
             return
@@ -205,8 +206,15 @@ class ArduPilotSimulator(AutopilotSimulator):
         self.port.send(peer, self._reply)
         self.on_period()
 
-    def _begin_session(self, peer: Peer, *, again: bool) -> None:
-        self.vehicle.log_event(f"ArduPilot {'has restarted' if again else 'sends'} from {peer.address}")
+    def _begin_session(self, peer: Peer, frame: int, *, again: bool) -> None:
+        if not again and frame > _MAX_FIRST_FRAME:
+            self.vehicle.log_event(
+                f"ArduPilot sends from {peer.address}, at its packet {frame}: it ran with an earlier simulator, and "
+                "the vehicle is at its start; disarm ArduPilot or restart it",
+                "warning",
+            )
+        else:
+            self.vehicle.log_event(f"ArduPilot {'has restarted' if again else 'sends'} from {peer.address}")
         self.vehicle.allow_warnings()
         if self.vehicle.has_been_armed:
             self.vehicle.reset()

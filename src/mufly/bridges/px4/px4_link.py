@@ -47,6 +47,8 @@ DEFAULT_ORIGIN = GlobalOrigin(47.3977, 8.5456, 488.0)
 """Global position of N = E = D = 0 (deg, m): the start that PX4's own simulators use."""
 ANSWER_TIMEOUT_S = 1.0
 """Wall-clock time without an answer after which one further period is sent (s)."""
+NO_CALL_TIMEOUT_S = 10.0
+"""Wall-clock time without a connection after which a warning is logged (s)."""
 _RECEIVE_TIMEOUT_S = 0.05
 _FIRST_ANSWER_TIMEOUT_S = 0.02  # while PX4 starts
 _START_ANSWER_TIMEOUT_S = 0.2  # while PX4 starts, if it has answered the previous period
@@ -109,7 +111,7 @@ class Px4Simulator(AutopilotSimulator):
         self._settings = (vehicle.vehicle, position, origin)
         self._decoder, self._encode = FrameDecoder(keep_duplicates=True), FrameEncoder(1, 200)
         self._peer: Peer | None = None
-        self._waits_s = clock()
+        self._waiting_since_s = clock()
         self._forget_autopilot()
 
     def _log_waiting_for_autopilot(self) -> None:
@@ -119,6 +121,13 @@ class Px4Simulator(AutopilotSimulator):
         self._receive()
         if self._peer is None:
             self._wait(_RECEIVE_TIMEOUT_S)
+            if self._clock() - self._waiting_since_s > NO_CALL_TIMEOUT_S:
+                self._waiting_since_s = math.inf
+                self.vehicle.log_event(
+                    f"no PX4 has connected for {NO_CALL_TIMEOUT_S:g} s of wall-clock time; a PX4 that has lost its "
+                    "simulator does not connect again: restart PX4",
+                    "warning",
+                )
         else:
             self._run_period(stop)
 
@@ -222,7 +231,7 @@ class Px4Simulator(AutopilotSimulator):
         gone = self._peer is not None and self._peer not in self.port.peers
         if gone:
             self._decoder.forget_peer(self._peer)
-            self._peer, self.state = None, "waiting"
+            self._peer, self.state, self._waiting_since_s = None, "waiting", self._clock()
             self.vehicle.log_event("PX4 has closed the connection; the simulation waits for a new one", "warning")
         if self._peer is None:
             for peer in self.port.peers:
