@@ -13,6 +13,7 @@ from mufly.bridges.autopilot_plant import AutopilotPlant
 from mufly.bridges.px4.px4_airframe import airframe_file_name, format_airframe_file, list_px4_parameters
 from mufly.bridges.px4.px4_link import DEFAULT_ORIGIN, PX4_RATE_HZ, Px4Simulator
 from mufly.bridges.px4.px4_messages import SensorMessageEncoder
+from mufly.dynamics import find_trim, hover_performance
 from mufly.errors import InputError
 from mufly.link import parse_endpoint
 from mufly.mission import Mission
@@ -101,9 +102,27 @@ def test_airframe_file(gains):
     vehicle = load_vehicle("mufly-1.1")
     text = format_airframe_file(vehicle, gains, "vision", "mufly autopilot gains px4")
     assert airframe_file_name(vehicle) == "22001_mufly_1_1"
-    for line in ("CA_AIRFRAME 12", "CA_SP0_ANG0 180", "CA_SP0_ANG1 270", "PWM_MAIN_FUNC4 202", "EKF2_EV_CTRL 11"):
+    for line in (
+        "CA_AIRFRAME 12",
+        "CA_SP0_ANG0 180",
+        "CA_SP0_ANG1 270",
+        "PWM_MAIN_FUNC4 202",
+        "EKF2_EV_CTRL 11",
+        "SDLOG_PROFILE 25",
+    ):
         assert f"param set-default {line}" in text
     assert "EKF2_GPS_CTRL" not in format_airframe_file(vehicle, gains, "gps")
+
+
+def test_px4_simulates_the_voltage_of_the_vehicle_in_hover(parameters):
+    vehicle = load_vehicle("mufly-1.1")
+    hover, p = hover_performance(vehicle), parameters
+    full_V = p["BAT1_N_CELLS"] * p["BAT1_V_CHARGED"]
+    assert full_V == pytest.approx(find_trim(vehicle, charge=1.0).battery_voltage_V)
+    # The time at which hover has used half of the charge.
+    spent = 0.5 * float(vehicle.battery.capacity) / hover.battery_current_A / p["SIM_BAT_DRAIN"]
+    voltage_V = full_V - spent * (full_V - p["BAT1_N_CELLS"] * p["BAT1_V_EMPTY"])
+    assert voltage_V == pytest.approx(hover.battery_voltage_V, rel=2e-3)
 
 
 def test_a_px4_that_dies_and_calls_again_starts_anew():

@@ -22,7 +22,7 @@ from mufly.bridges.autopilot_gains import (
     AutopilotGains,
 )
 from mufly.bridges.px4.px4_messages import PositionSource
-from mufly.dynamics import hover_performance
+from mufly.dynamics import find_trim, hover_performance
 from mufly.vehicle import Vehicle
 
 AIRFRAME_NUMBER = 22001
@@ -141,10 +141,17 @@ def _estimator_parameters(vehicle: Vehicle, position: PositionSource) -> Iterato
 
 
 def _simulation_parameters(vehicle: Vehicle) -> Iterator[Px4Parameter]:
-    endurance_s = hover_performance(vehicle).endurance_s
+    hover = hover_performance(vehicle)
     cells = max(1, round(float(vehicle.battery.nominal_voltage) / 3.6))
+    # PX4 simulates a voltage that falls linearly over SIM_BAT_DRAIN: the line through those of hover at full and half.
+    full_V = find_trim(vehicle, charge=1.0).battery_voltage_V
+    drained = hover.endurance_s * hover.battery_current_A / float(vehicle.battery.capacity)
+    empty_V = full_V - 2.0 * drained * (full_V - hover.battery_voltage_V)
     yield Px4Parameter("BAT1_N_CELLS", cells, "")
-    yield Px4Parameter("SIM_BAT_DRAIN", round(endurance_s), "hovering time of a full battery (s)")
+    yield Px4Parameter("BAT1_V_CHARGED", full_V / cells, "in hover, as the vehicle's battery (V)")
+    yield Px4Parameter("BAT1_V_EMPTY", empty_V / cells, "")
+    yield Px4Parameter("SIM_BAT_DRAIN", round(hover.endurance_s), "hovering time of a full battery (s)")
+    yield Px4Parameter("SDLOG_PROFILE", 25, "logs the inputs of the actuators at their full rate")
     yield Px4Parameter("COM_RC_IN_MODE", 4, "no sticks")
     yield Px4Parameter("NAV_RCL_ACT", 0, "")
     yield Px4Parameter("NAV_DLL_ACT", 0, "")
