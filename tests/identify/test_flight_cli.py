@@ -111,3 +111,23 @@ def test_demo_finds_the_truth_from_rotors_exchanged_and_says_so(monkeypatch):
     assert found["held_out_error_over_noise_floor"] < 1.05
     assert demo.fit.records[-1].converged
     assert demo.fit.records[-1].doubt == ""
+
+
+def test_the_flight_is_cut_out_of_a_log_with_stopped_motors(logs, tmp_path):
+    fit, _ = fly_demo_flights(load_vehicle("mufly-1.1"), seed=1, seconds=5.0)
+    roll = record_to_dataset(next(r for r in fit if "roll" in r.name))
+    inputs = roll["motor_input"].values.copy()
+    times = roll["time"].values
+    inputs[times < times[0] + 1.0] = 0.0
+    path = tmp_path / "standing.mcap"
+    write_log(roll.assign(motor_input=(roll["motor_input"].dims, inputs)), path)
+    whole = run("flight", path, *OPTIONS, "--as-is")
+    assert "a motor is off in 20% of the record" in " ".join(whole.output.split())
+    cut = run("flight", path, *OPTIONS, "--from", f"{times[0] + 1.0:.3f}", "--to", f"{times[-1]:.3f}", "--json")
+    assert cut.exit_code == 0, cut.output
+    found = json.loads(cut.stdout)
+    assert found["converged"]
+    assert "a motor is off" not in cut.output
+    short = run("flight", path, *OPTIONS, "--from", f"{times[-1] - 0.1:.3f}")
+    assert isinstance(short.exception, InputError)
+    assert "between these times" in str(short.exception)

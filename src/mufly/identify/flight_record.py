@@ -66,6 +66,7 @@ _MIN_NOISE_STD = {
     "east": 1e-3,
     "voltage": 1e-3,
 }  # least accepted noise, SI
+_MIN_PART_SAMPLES = 50  # of a part of a record
 
 
 @result(eq=False)
@@ -111,6 +112,34 @@ class FlightRecord:
         voltage = None if self.voltage is None else self.voltage[start:stop]
         inputs, measured = self.inputs[start:stop], self.measured[start:stop]
         return replace(self, time_s=self.time_s[start:stop], inputs=inputs, measured=measured, voltage=voltage)
+
+    def slice_time(self, from_s: float | None, to_s: float | None) -> FlightRecord:
+        """Return the samples from ``from_s`` to ``to_s`` (s), both included; None sets no limit.
+
+        Raises
+        ------
+        InputError
+            If fewer than 50 samples remain.
+        """
+        if from_s is None and to_s is None:
+            return self
+        start = 0 if from_s is None else int((self.time_s < from_s).sum())
+        stop = len(self.time_s) if to_s is None else int((self.time_s <= to_s).sum())
+        if stop - start < _MIN_PART_SAMPLES:
+            raise InputError(
+                self.name, "time", f"holds {max(0, stop - start)} samples between these times",
+                f"the record lasts from {self.time_s[0]:.4g} to {self.time_s[-1]:.4g} s",
+            )  # fmt: skip
+        return self.slice_samples(start, stop)
+
+    def describe_stopped_motors(self) -> str:
+        """Return when a motor is off, as a text; an empty text if that is in 1 % of the samples or fewer."""
+        off = np.any(self.inputs[:, :2] <= 0.0, axis=1)
+        if off.mean() <= 0.01:
+            return ""
+        running = self.time_s[~off]
+        when = f"a motor is off in {off.mean():.0%} of the record"
+        return f"{when}; both run from {running[0]:.4g} to {running[-1]:.4g} s" if len(running) else when
 
 
 def make_record(data: xr.Dataset, name: str, *, prefix: str = "measured") -> FlightRecord:
@@ -315,7 +344,7 @@ def split_record(r: FlightRecord, share: float) -> tuple[FlightRecord, FlightRec
     """
     n = len(r.time_s)
     cut = round((1.0 - share) * n)
-    if cut < 50 or n - cut < 50:
+    if cut < _MIN_PART_SAMPLES or n - cut < _MIN_PART_SAMPLES:
         raise InputError(r.name, "", f"is too short to hold out {share:.0%} of it", "give a longer record")
 
     def named_slice(a: int, b: int) -> FlightRecord:

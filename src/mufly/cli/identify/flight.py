@@ -96,6 +96,8 @@ def flight(
     columns: Annotated[
         Path | None, define_option("--map MAP.toml", "Column map of foreign logs (docs/reference/logs.md).")
     ] = None,
+    start_s: linear.FromOption = None,
+    end_s: linear.ToOption = None,
     voltage: Annotated[
         str,
         define_option(
@@ -175,7 +177,8 @@ def flight(
     start = load_vehicle(vehicle)
     volts = _parse_voltage(voltage)
     uses_voltage = volts in ("model", "measured")
-    records, said = _read_records(logs, columns, prefix, start, as_is, uses_voltage)
+    part_s = (start_s, end_s)
+    records, said = _read_records(logs, columns, prefix, start, as_is, uses_voltage, part_s)
     held, more = _read_records(hold_out or [], columns, prefix, start, as_is, uses_voltage)
     if not hold_out and hold_out_share > 0:
         parts = [cut(r, hold_out_share) for r in records]
@@ -225,8 +228,9 @@ def _parse_voltage(text: str) -> str | float:
 
 
 def _read_records(
-    paths: list[Path], columns: Path | None, prefix: str, vehicle: Vehicle, as_is: bool, uses_voltage: bool
-) -> tuple[list[FlightRecord], list[str]]:
+    paths: list[Path], columns: Path | None, prefix: str, vehicle: Vehicle, as_is: bool, uses_voltage: bool,
+    part_s: tuple[float | None, float | None] = (None, None),
+) -> tuple[list[FlightRecord], list[str]]:  # fmt: skip
     from mufly.identify import check_flight_records, make_record
     from mufly.logs import LogWarning, read_log
 
@@ -237,7 +241,7 @@ def _read_records(
             warnings.simplefilter("ignore", LogWarning)  # printed with the others
             data = read_log(path, columns=columns)
         said += [f"{path.name}: {note}" for note in data.attrs.get("notes", [])]
-        records.append(make_record(data, path.name, prefix=prefix))
+        records.append(make_record(data, path.name, prefix=prefix).slice_time(*part_s))
     return records, [*said, *check_flight_records(records, vehicle, as_is=as_is, uses_voltage=uses_voltage)]
 
 

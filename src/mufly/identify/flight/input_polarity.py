@@ -242,6 +242,8 @@ def check_flight_records(
             warnings.append(f"{r.name}: voltage {volts[0].problem}. The fit does not use it.")
             r, volts = dataclasses_replace(r, voltage=None), []
         warnings += refuse_fatal_faults(r, volts, as_is=as_is)
+        if stopped := r.describe_stopped_motors():
+            warnings.append(f"{r.name}: {stopped}. The model has no floor: fit the flight alone, with --from and --to.")
         if not volts and not (as_is and any(f.is_fatal for f in find_signal_faults(r))):
             seen.append((r, *estimate_input_gains(vehicle, r)))
     told: dict[str, InputGain] = {}
