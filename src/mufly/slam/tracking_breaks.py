@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from mufly.slam.keyframe_matching import KeyframeMatch
 
-_MIN_USUAL_TEXTURE_FRACTION, _USUAL_TEXTURE_MEMORY_FRAMES, _MIN_RICH_SIGNIFICANCE = 0.35, 8.0, 3.0
-"""Least share of the usual significance of texture at which a match is accepted, memory of the usual one, and usual
-significance from which this holds; that of weaker floors varies too much."""
+_MIN_USUAL_TEXTURE_FRACTION, _USUAL_TEXTURE_MEMORY_FRAMES, _MIN_RICH_SIGNIFICANCE = 0.55, 4.0, 3.0
+"""Least share of the usual significance of texture at which a match is accepted (geometric mean of both directions),
+memory of the usual one, and usual significance from which this holds; that of weaker floors varies too much."""
 _BREAK_FRAMES, _MIN_BREAK_OVERLAP, _MIN_BREAK_CONTRAST_FRACTION = 3, 0.5, 0.5
 """Break: failed pictures in a row, least predicted overlap with the keyframe, least contrast over the keyframe's."""
 MIN_BREAK_HEIGHT_M = 0.3
@@ -45,9 +45,11 @@ class TrackingBreaks:
 
     def rejection_reason(self, match: KeyframeMatch) -> str:
         """Return the reason to reject a match whose texture is far weaker than usual; "" if it is accepted."""
-        usual = self._usual_significances
-        weak = np.sort(match.significances) < _MIN_USUAL_TEXTURE_FRACTION * usual
-        return UNLIKE_KEYFRAME_REASON if (weak & (usual > _MIN_RICH_SIGNIFICANCE)).any() else ""
+        rich = self._usual_significances > _MIN_RICH_SIGNIFICANCE
+        if not rich.any():
+            return ""
+        share = np.maximum(np.sort(match.significances)[rich], 0.0) / self._usual_significances[rich]
+        return UNLIKE_KEYFRAME_REASON if share.prod() < _MIN_USUAL_TEXTURE_FRACTION ** len(share) else ""
 
     def add_match(self, match: KeyframeMatch) -> None:
         """Average the texture of an accepted match, and end the count of failed pictures."""

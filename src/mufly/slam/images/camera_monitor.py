@@ -112,7 +112,7 @@ likelihood ratio between a flipped and a correct axis."""
 _HAND_CARRIED_FLIP_SIGMA_PX_S = 60.0
 """The same by hand, where the place moves by an unknown velocity."""
 _DOUBTED_FLIP_SIGMA_PX_S = 30.0
-"""The same against the vehicle's velocity after a break of tracking, without high pass."""
+"""The least of the same against the vehicle's velocity after a break of tracking, without high pass."""
 _CONFIRMED_FLIP_FRACTIONS = (0.2, 0.5)
 """Shares of the limit that the log likelihoods of both axes must pass to end a doubt, and that of the better one."""
 _FLIP_MEMORY_S, _MAX_FLIP_RESIDUAL_FRACTION = 0.5, 0.25
@@ -314,7 +314,8 @@ class CameraMonitor:
         if now.velocity is not None and now.place is not None:
             turned = complex(now.velocity[0], now.velocity[1]) * cmath.exp(-1j * float(now.place[2]))
             velocity = np.array([turned.real, turned.imag])
-        self._flips.add_picture(dt, self._predict_motion(before, now, velocity), y, _DOUBTED_FLIP_SIGMA_PX_S)
+        sigma = max(_DOUBTED_FLIP_SIGMA_PX_S, self._fit.residual_rms)
+        self._flips.add_picture(dt, self._predict_motion(before, now, velocity), y, sigma)
         self._is_doubted = not self._flips.is_motion_correct
 
     def _confirm_fault(self, time_s: float) -> None:
@@ -450,6 +451,11 @@ class MotionFit:
         self._memory_s = memory_s
         self.estimate, self.sigma = np.array([1.0, 0.0, 0.0], complex), np.full(3, np.inf)
         self.restart()
+
+    @property
+    def residual_rms(self) -> float:
+        """Root mean square of the residuals along one axis (pixels/s)."""
+        return math.sqrt(0.5 * self._square / max(self.weight, 1.0))
 
     def restart(self) -> None:
         """Forget the pictures, but keep the estimate."""
