@@ -161,6 +161,11 @@ def kill_px4(build: Path, kills: int, seed: int, speed: float, wind_m_s: float) 
         with tempfile.TemporaryDirectory() as folder:
             flight = Px4Flight(build, Path(folder))
             for phase, after_s in draw_moments(kills, np.random.default_rng(seed)):
+                if phase == "ready" and flight.companion.armed:
+                    seen = len(link.lines)
+                    flight.kill()
+                    link.wait_for("closed the connection", seen, TOLD_LIMIT_S)
+                    flight = Px4Flight(build, Path(folder))
                 reached = flight.fly_to(phase, after_s)
                 first = len(link.lines)
                 killed_s = time.monotonic()
@@ -184,6 +189,9 @@ def kill_px4_simulator(build: Path, kills: int, seed: int, speed: float, wind_m_
         flight = Px4Flight(build, Path(folder))
         try:
             for phase, after_s in draw_moments(kills, np.random.default_rng(seed + 1)):
+                if phase == "ready" and flight.companion.armed:
+                    flight.kill()
+                    flight = Px4Flight(build, Path(folder))
                 reached = flight.fly_to(phase, after_s)
                 link.kill()
                 used_s, begun_s = processor_time_s(flight.process.pid), time.monotonic()
