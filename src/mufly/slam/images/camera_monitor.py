@@ -113,8 +113,6 @@ _HAND_CARRIED_FLIP_SIGMA_PX_S = 60.0
 """The same by hand, where the place moves by an unknown velocity."""
 _DOUBTED_FLIP_SIGMA_PX_S = 30.0
 """The least of the same against the vehicle's velocity after a break of tracking, without high pass."""
-_CONFIRMED_FLIP_FRACTIONS = (0.2, 0.5)
-"""Shares of the limit that the log likelihoods of both axes must pass to end a doubt, and that of the better one."""
 _FLIP_MEMORY_S, _MAX_FLIP_RESIDUAL_FRACTION = 0.5, 0.25
 """Memory of the residuals (s), and largest share of the motion that a flip leaves; other faults leave more."""
 _MAX_SETTLED_CHANGE_FRACTION, _MAX_SETTLED_CHANGE = 0.3, 0.05
@@ -396,9 +394,8 @@ class FlipTest:
 
     @property
     def is_motion_correct(self) -> bool:
-        """Whether one axis is correct with near certainty, and the other very likely."""
-        least, most = -_FLIP_LOG_LIKELIHOOD_LIMIT * np.array(_CONFIRMED_FLIP_FRACTIONS)
-        return bool(self._ratio.max() < least and self._ratio.min() < most)
+        """Whether both axes are correct with near certainty."""
+        return bool(self._ratio.max() < -0.5 * _FLIP_LOG_LIKELIHOOD_LIMIT)
 
     def add_picture(self, dt: float, predicted: complex, measured: complex, sigma: float = _FLIP_SIGMA_PX_S) -> None:
         """Add the predicted and the measured motion of a picture, ``dt`` (s) after the one before.
