@@ -26,6 +26,7 @@ from mufly.rotor import (
     solve_rotor_batch,
 )
 from mufly.rotor.blading import apply_section_fit
+from mufly.rotor.geometry import SectionCandidate
 from mufly.study.study_setup import reshape_rotor
 
 RPM = math.pi / 30
@@ -63,7 +64,7 @@ def test_bent_plates_come_out_as_bent_plates(swept):
     assert sum(p for name, p in shares.items() if name[4] in "468") > 0.9
     assert next(iter(shares)).endswith(("03", "06"))
     assert_allclose(sum(shares.values()), 1.0)
-    assert swept.undecided  # nine speeds at one pitch do not tell five numbers
+    assert swept.undecided  # nine speeds at one pitch do not tell seven numbers
 
 
 def test_the_file_says_what_the_fit_said(swept, tmp_path):
@@ -145,6 +146,54 @@ def test_a_point_far_from_every_list_is_met():
     table = compute_polar("naca0012")
     more = apply_section_fit(table, (0.0, 0.0, 0.3, 0.0, 0.0), float(table.reynolds[10])).cd - table.cd
     assert_allclose(more, np.broadcast_to(np.expm1(0.3) * table.cd[10], more.shape), atol=1e-12)
+
+
+def test_one_speed_says_nothing_of_the_law_over_the_reynolds_number():
+    """However far a point is from the prediction, the fit leaves exponents and curvatures as their prior has them."""
+    rotor = load_rotor("naca0012-r60-c20")
+    bench = made_by(rotor, [5000.0], pitch_deg=12.0)
+    one = replace(bench, thrust_N=0.85 * bench.thrust_N, torque_Nm=1.3 * bench.torque_Nm)
+    found = fit_rotor(rotor, one, section="known")
+    assert np.abs(found.scaled_errors_after).max() < 0.02
+    # 30 % more torque, yet the law moves drag by 3 % at most at half and at twice the Reynolds number.
+    law, ratio = found.change[3:], np.log(2.0)
+    bend = ratio**2 / (1.0 + 0.25 * ratio**2)
+    assert max(abs(s * law[1] * ratio + law[3] * bend) for s in (-1.0, 1.0)) < 0.03
+    assert max(abs(s * law[0] * ratio + law[2] * bend) for s in (-1.0, 1.0)) < 0.01
+    # Lift and drag hold the loads in the middle as the law over the Reynolds number changes.
+    there, away = (predict_interval(found.rotor, pitch_rad=bench.pitch_rad, speed_rad_s=n * RPM) for n in (5e3, 1e4))
+    parts = [b.torque_relative_std_by_cause["fit"][0] for b in (there, away)]
+    assert parts[1] > 1.5 * parts[0]
+
+
+def test_a_sweep_tells_how_drag_bends_over_the_reynolds_number():
+    """Drag that grows to both sides of a Reynolds number, as with a separation bubble: unseen points are met."""
+    rotor = load_rotor("naca0012-r60-c20")
+    table = compute_polar("naca0012")
+    ratio = np.log(table.reynolds / 3e4)
+    bent = replace(table, cd=table.cd * np.exp(0.3 * np.minimum(ratio**2, 2.0))[:, None])
+    speed, pitch = np.linspace(1500.0, 9000.0, 11) * RPM, np.full(11, math.radians(10.0))
+    out = solve_rotor_batch(prepare_blading(rotor, {"naca0012": bent}), pitch_rad=pitch, speed_rad_s=speed)
+    bench = RotorMeasurements(pitch, speed, out.thrust_N, out.torque_Nm, "bent drag")
+    found = fit_rotor(rotor, bench.select_points(np.arange(0, 11, 2)), section="known")
+    rest = bench.select_points(np.arange(1, 11, 2))
+    again = solve_rotor_batch(prepare_blading(found.rotor), pitch_rad=rest.pitch_rad, speed_rad_s=rest.speed_rad_s)
+    assert np.abs(again.torque_Nm / rest.torque_Nm - 1.0).max() < 0.015
+    assert found.change[6] > 2.0 * found.std[6]
+
+
+def test_a_file_of_five_changes_is_read_as_before():
+    """Files without curvatures predict what they predicted; a covariance of another size is refused."""
+    fit = fit_rotor(load_rotor("naca0012-r60-c20"), made_by(load_rotor("naca0012-r60-c20"), [5000.0], 12.0)).fit
+    whole = fit.candidates[0].model_dump()
+    short = {**whole, "change": whole["change"][:5], "covariance": [row[:5] for row in whole["covariance"][:5]]}
+    candidate = SectionCandidate.model_validate(short)
+    table = compute_polar("naca0012")
+    with_zeros = apply_section_fit(table, (*candidate.change, 0.0, 0.0), fit.reynolds)
+    assert_allclose(apply_section_fit(table, candidate.change, fit.reynolds).cd, with_zeros.cd, rtol=0.0)
+    for wrong in ({**short, "covariance": whole["covariance"]}, {**whole, "change": whole["change"][:6]}):
+        with pytest.raises(ValueError, match="size of change"):
+            SectionCandidate.model_validate(wrong)
 
 
 def test_a_tunnel_tells_the_angle_from_the_lift_and_what_hover_is():

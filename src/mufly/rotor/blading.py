@@ -406,16 +406,17 @@ def apply_section_fit(table: PolarTable, change: Sequence[float], reynolds: floa
 
     Equations: :mod:`mufly.rotor.measured.rotor_fit`.
     """
-    _, lift, drag, lift_exponent, drag_exponent = change
+    _, lift, drag, lift_exponent, drag_exponent, lift_curvature, drag_curvature = (*change, 0.0, 0.0)[:7]
     ratio = np.log(np.clip(table.reynolds / reynolds, *_FIT_REYNOLDS_RATIO_RANGE))[:, None]
+    bend = ratio**2 / (1.0 + 0.25 * ratio**2)
     place = np.log(table.reynolds)
     k = int(np.clip(np.searchsorted(place, math.log(reynolds)) - 1, 0, place.size - 2))
     part = min(max((math.log(reynolds) - place[k]) / (place[k + 1] - place[k]), 0.0), 1.0)
     middle = (1.0 - part) * table.cd[k] + part * table.cd[k + 1]
-    cd = table.cd * np.exp(drag_exponent * ratio) + math.expm1(drag) * middle
+    cd = table.cd * np.exp(drag_exponent * ratio + drag_curvature * bend) + math.expm1(drag) * middle
     return replace(
         table,
-        cl=table.cl * np.exp(lift + lift_exponent * ratio),
+        cl=table.cl * np.exp(lift + lift_exponent * ratio + lift_curvature * bend),
         cd=np.maximum(cd, _MIN_FITTED_DRAG_FRACTION * table.cd),
     )
 

@@ -179,7 +179,7 @@ class Blade(ParameterGroup):
         return self
 
 
-FIT_CHANGE_LIMITS = (0.3, 1.5, 1.5, 1.0, 2.0)
+FIT_CHANGE_LIMITS = (0.3, 1.5, 1.5, 1.0, 2.0, 1.0, 2.0)
 """Greatest changes that a fit may make to a rotor: :attr:`SectionCandidate.change`."""
 
 
@@ -188,19 +188,25 @@ class SectionCandidate(ParameterGroup):
 
     airfoils: tuple[str, ...] = Field(min_length=1, description="as in [blade]")
     probability: float = Field(ge=0.0, le=1.0)
-    change: tuple[float, float, float, float, float] = Field(
-        description="added to the twist (rad); logarithms of the factors on lift and drag at Re_m; exponents of Re"
+    change: tuple[float, ...] = Field(
+        description="added to the twist (rad); logarithms of the factors on lift and drag at Re_m; their exponents of "
+        "Re; their curvatures over Re (missing in older files: 0)",
+        min_length=5,
+        max_length=7,
     )
-    covariance: tuple[tuple[float, ...], ...] = Field(description="of the change", min_length=5, max_length=5)
+    covariance: tuple[tuple[float, ...], ...] = Field(description="of the change", min_length=5, max_length=7)
 
     @model_validator(mode="after")
     def _check_change_limits(self) -> SectionCandidate:
-        if any(abs(v) > most for v, most in zip(self.change, FIT_CHANGE_LIMITS, strict=True)):
+        if any(abs(v) > most for v, most in zip(self.change, FIT_CHANGE_LIMITS, strict=False)):
             raise _make_validation_error(
                 "fit.candidates.change", f"{self.change} exceeds the limits of a fit", "fit the rotor again"
             )
-        if any(len(row) != 5 for row in self.covariance):
-            raise _make_validation_error("fit.candidates.covariance", "is not a 5 by 5 matrix", "fit the rotor again")
+        n = len(self.change)
+        if n == 6 or any(len(row) != n for row in (*self.covariance, self.covariance)):
+            raise _make_validation_error(
+                "fit.candidates.covariance", "is not a matrix of the size of change, 5 or 7", "fit the rotor again"
+            )
         return self
 
 

@@ -196,8 +196,8 @@ def fit(
         ("section", "probability"),
         [(name, f"{share:.0%}") for name, share in found.fit.list_sections()],
     )
-    size = [math.degrees(1.0), 100.0, 100.0, 1.0, 1.0]
-    unit = ["°", " %", " %", "", ""]
+    size = [math.degrees(1.0), 100.0, 100.0, 1.0, 1.0, 1.0, 1.0]
+    unit = ["°", " %", " %", "", "", "", ""]
     print_table(
         ("correction of the first", "estimate", "prior std"),
         [

@@ -3,15 +3,20 @@
 The sections are the least known part of a blade (docs/accuracy.md), so they are estimated from a bench run. For each
 candidate section the coefficients of its polar become
 
-    c_l = c_l0 (Re / Re_m)^a exp(l)        c_d = c_d0 (Re / Re_m)^b + (exp(d) - 1) c_d0(Re_m)        theta = theta_0 + p
+    c_l = c_l0 exp(l + a x + a_2 y)      c_d = c_d0 exp(b x + b_2 y) + (exp(d) - 1) c_d0(Re_m)      theta = theta_0 + p
 
-The added drag is the same at every Reynolds number: roughness, layer steps of prints, blunt edges and separation cause
-pressure drag, which hardly depends on it (Hoerner, Fluid-Dynamic Drag, 1965, ch. V). c_d stays above 0.3 c_d0. Re_m is
-the geometric mean of the measured points' Reynolds numbers at 0.75 R; the ratio is limited to 0.2 to 5. ``p`` includes
-zero-lift angle, pitch setting and twist, which a bench cannot separate. ``l`` and ``d`` also absorb errors of the
-method. With prior deviations s the five parameters are found by least squares,
+with x = log(Re / Re_m) and y = x^2 / (1 + x^2 / 4), a curvature near Re_m that flattens far from it, where no point
+holds it. The added drag is the same at every Reynolds number: roughness, layer steps of prints, blunt edges and
+separation cause pressure drag, which hardly depends on it (Hoerner, Fluid-Dynamic Drag, 1965, ch. V). c_d stays above
+0.3 c_d0. Re_m is the geometric mean of the measured points' Reynolds numbers at 0.75 R; the ratio is limited to 0.2 to
+5. ``p`` includes zero-lift angle, pitch setting and twist, which a bench cannot separate. ``l`` and ``d`` also absorb
+errors of the method. With prior deviations s the seven parameters are found by least squares,
 
-    chi^2 = sum ((T - T_m) / (0.02 T_s))^2 + sum ((Q - Q_m) / (0.03 Q_s))^2 + sum (x / s)^2
+    chi^2 = sum ((T - T_m) / (0.02 T_s))^2 + sum ((Q - Q_m) / (0.03 Q_s))^2 + sum (z / s)^2
+
+z are p, a, b, a_2, b_2 and the changes of l and d beyond those that keep thrust and torque at the geometric mean of the
+measured speeds, as a, b, a_2, b_2 change (to first order, in hover). So points at one speed say nothing of the law over
+the Reynolds number, and points at several speeds turn and bend it about their middle.
 
 T_s, Q_s are the measured T_m, Q_m in hover. In axial flight, where thrust vanishes at some airspeed, they are at least
 0.3 of the greatest measured load, scaled by the square of the rotor speed, because the error of a balance is a fraction
@@ -21,17 +26,17 @@ either kind is used (:func:`add_zero_load_points`); T_s and Q_s are then shares 
 
 Points at the same pitch, speed and airspeed repeat one error of the method: m copies count as one point together.
 
-Each fit is repeated with one, two and four times the prior deviations of p, l and d, equally likely (Jeffreys' prior of
-a scale), because some blades differ from every candidate by more than the priors allow. The curvature H gives the
-covariance H^-1, times chi^2 of the points over their degrees of freedom if that exceeds 1 (Birge, Phys. Rev. 40, 207,
-1932). The probability of a section and width follows from Laplace's approximation (MacKay, Neural Computation 4, 415,
-1992): its prior times exp(-chi^2 / 2) / sqrt(det H).
+Each fit is repeated with one, two and four times the prior deviations, equally likely (Jeffreys' prior of a scale),
+because some blades differ from every candidate by more than the priors allow. The curvature H gives the covariance
+H^-1, times chi^2 of the points over their degrees of freedom if that exceeds 1 (Birge, Phys. Rev. 40, 207, 1932). The
+probability of a section and width follows from Laplace's approximation (MacKay, Neural Computation 4, 415, 1992): its
+prior times exp(-chi^2 / 2) / sqrt(det H).
 
 The priors are not fitted to measurements. Pitch: :mod:`mufly.rotor.effective_pitch`. Camber, which moves the zero-lift
 angle by 2 rad per chord (thin airfoil, parabola): 0.3 % of the chord for a known section, 0.6 % between candidates.
-Lift: 4 % (polar engines, docs/log/2026-11-28-polars.md) and 5 % (method). Drag: 8 % and 8 %. Exponents: 0.05 and 0.2.
-Priors of guessed sections: :mod:`mufly.rotor.blades.blade_families`. Hub cut-out and transition have the same effects
-as lift, drag and their exponents, and are not fitted.
+Lift: 4 % (polar engines, docs/log/2026-11-28-polars.md) and 5 % (method). Drag: 8 % and 8 %. Exponents and curvatures:
+0.05 and 0.2. Priors of guessed sections: :mod:`mufly.rotor.blades.blade_families`. Hub cut-out and transition have the
+same effects as lift, drag and their exponents, and are not fitted.
 """
 
 from __future__ import annotations
@@ -63,12 +68,20 @@ from mufly.rotor.sections.polar_table import PolarTable, stack_polars
 
 Array = NDArray[np.float64]
 
-FIT_PARAMETER_NAMES = ("pitch", "lift", "drag", "lift over Re", "drag over Re")
+FIT_PARAMETER_NAMES = (
+    "pitch",
+    "lift",
+    "drag",
+    "lift over Re",
+    "drag over Re",
+    "lift curvature over Re",
+    "drag curvature over Re",
+)
 _THRUST_SCATTER_FRACTION, _TORQUE_SCATTER_FRACTION = (
     0.02,
     0.03,
 )  # scatter of the method's error from point to point, relative
-_PRIOR_WIDTH_FACTORS = (1.0, 2.0, 4.0)  # factors on the deviations of pitch, lift and drag
+_PRIOR_WIDTH_FACTORS = (1.0, 2.0, 4.0)  # factors on the prior deviations
 _MIN_AXIAL_LOAD_SCALE_FRACTION = 0.3  # least T_s and Q_s in axial flight, of the greatest load
 _DERIVATIVE_STEP = 1e-3  # step of derivatives, in prior deviations
 _MIN_CANDIDATE_PROBABILITY = 0.01  # candidates below this probability are left out of the file
@@ -83,10 +96,10 @@ class RotorFit:
     ----------
     rotor : Rotor
         Fitted rotor.
-    change, std, prior_std : (5,) arrays
+    change, std, prior_std : (7,) arrays
         Estimate, posterior and prior deviation of :data:`FIT_PARAMETER_NAMES` (rad, logarithms, exponents), likeliest
         section.
-    correlation : (5, 5) array
+    correlation : (7, 7) array
         Posterior correlation of these parameters.
     undecided : tuple of str
         Parameters that the bench run does not determine.
@@ -242,7 +255,10 @@ def fit_rotor(
         progress(len(listed), len(listed))
     best = everything[0]
     before = _compute_scaled_errors(
-        prepare_blading(plain, n_crit=n_crit, engine=engine, corrections=fixes), tables, np.zeros(5), bench
+        prepare_blading(plain, n_crit=n_crit, engine=engine, corrections=fixes),
+        tables,
+        np.zeros(len(FIT_PARAMETER_NAMES)),
+        bench,
     )
     sigma = np.sqrt(np.diag(best.covariance))
     correlation = best.covariance / np.outer(sigma, sigma)
@@ -278,7 +294,7 @@ def _prior_deviations(pitch_std_rad: float, known: bool) -> Array:
     """Return the prior standard deviations of :data:`FIT_PARAMETER_NAMES`."""
     camber = 0.003 if known else GRID_ROUNDING_STD_RATIOS[0]
     pitch = math.hypot(pitch_std_rad, ZERO_LIFT_RAD_PER_CAMBER_RATIO * camber)
-    return np.array([pitch, math.hypot(0.04, 0.05), math.hypot(0.08, 0.08), 0.05, 0.2])
+    return np.array([pitch, math.hypot(0.04, 0.05), math.hypot(0.08, 0.08), 0.05, 0.2, 0.05, 0.2])
 
 
 def _select_points(bench: _BenchPoints, index: NDArray[np.intp], reynolds: float | None = None) -> _BenchPoints:
@@ -404,6 +420,35 @@ def _compute_scaled_errors(
     )
 
 
+def _find_load_keeping_changes(
+    blading: Blading, tables: Mapping[str, PolarTable], bench: _BenchPoints, about: Array | None
+) -> Array:
+    """Return the changes of :data:`FIT_PARAMETER_NAMES` by each unknown z of the module docstring, (7, 7).
+
+    Column k holds one unit of unknown k, and the changes of lift and drag that keep thrust and torque in hover at the
+    geometric mean speed while the law over the Reynolds number changes. Slopes are taken at the pitch, lift and drag of
+    ``about``, a change found before.
+    """
+    n = len(FIT_PARAMETER_NAMES)
+    pitch, speed = float(np.mean(bench.pitch_rad)), float(np.exp(np.mean(np.log(bench.speed_rad_s))))
+    middle = np.zeros(n)
+    if about is not None:
+        middle[:3] = about[:3]
+
+    def solve_middle_loads(change: Array) -> Array:
+        changed = _apply_fit_changes(blading, tables, change, bench.reynolds)
+        out = solve_rotor_batch(changed, pitch_rad=pitch, speed_rad_s=speed, air=bench.air)
+        return np.array([float(out.thrust_N), float(out.torque_Nm)])
+
+    plain = solve_middle_loads(middle)
+    slopes = np.stack([solve_middle_loads(middle + step) - plain for step in 0.01 * np.eye(n)], axis=1)
+    slopes /= np.maximum(np.abs(slopes).max(axis=1, keepdims=True), np.finfo(float).tiny)
+    turned = np.eye(n)
+    # A rotor without lift in the middle cannot keep its thrust by lift: singular directions stay as they are.
+    turned[1:3, 3:] = -np.linalg.pinv(slopes[:, 1:3], rcond=1e-3) @ slopes[:, 3:]
+    return turned
+
+
 def _fit_sections(
     prepared: Sequence[tuple[tuple[str, ...], float, Blading]],
     tables: Mapping[str, PolarTable],
@@ -414,46 +459,51 @@ def _fit_sections(
     size = np.outer((_THRUST_SCATTER_FRACTION, _TORQUE_SCATTER_FRACTION), np.sqrt(_count_similar_points(bench))).ravel()
     known = np.isfinite(bench.measured_loads.ravel())
     found = []
-    widths = [wide * [f, f, f, 1.0, 1.0] for f in _PRIOR_WIDTH_FACTORS]
     for airfoils, share, blading in prepared:
         ended: Array | None = None
-        for wide in widths:
+        for factor in _PRIOR_WIDTH_FACTORS:
+            change_per_z = factor * _find_load_keeping_changes(blading, tables, bench, ended) * wide
 
-            def weighted_residuals(z: Array, blading: Blading = blading, wide: Array = wide) -> Array:
-                off = _compute_scaled_errors(blading, tables, z * wide, bench).ravel() / size
+            def weighted_residuals(z: Array, blading: Blading = blading, change_per_z: Array = change_per_z) -> Array:
+                off = _compute_scaled_errors(blading, tables, change_per_z @ z, bench).ravel() / size
                 return np.concatenate((off[known], z))
 
             def residual_jacobian(z: Array, miss: Callable[[Array], Array] = weighted_residuals) -> Array:
                 # SciPy's steps are relative to z: near z = 0 they are smaller than the solver's tolerance.
                 here = miss(z)
                 return np.stack(
-                    [(miss(z + step) - here) / _DERIVATIVE_STEP for step in _DERIVATIVE_STEP * np.eye(5)],
+                    [(miss(z + step) - here) / _DERIVATIVE_STEP for step in _DERIVATIVE_STEP * np.eye(wide.size)],
                     axis=1,
                 )
 
-            if not np.isfinite(weighted_residuals(np.zeros(5))).all():
+            start: Array = np.zeros(wide.size)
+            if not np.isfinite(weighted_residuals(start)).all():
                 continue
-            solved = least_squares(weighted_residuals, np.zeros(5), jac=residual_jacobian, max_nfev=100)
+            solved = least_squares(weighted_residuals, start, jac=residual_jacobian, max_nfev=100)
             # Near stall there may be two minima, and rounding differences between processors decide which one is found;
             # therefore the fit also starts from the solution with the previous width.
             if ended is not None:
-                again = least_squares(weighted_residuals, ended / wide, jac=residual_jacobian, max_nfev=100)
+                start = np.asarray(np.linalg.solve(change_per_z, ended), dtype=np.float64)
+                again = least_squares(weighted_residuals, start, jac=residual_jacobian, max_nfev=100)
                 solved = again if again.cost < solved.cost else solved
-            ended = solved.x * wide
+            ended = change_per_z @ solved.x
             if np.any(np.abs(ended) > FIT_CHANGE_LIMITS):  # the rotor file would refuse them
                 continue
             jacobian = np.asarray(solved.jac, dtype=np.float64)
-            curvature, data = jacobian.T @ jacobian, jacobian[:-5]
+            curvature, data = jacobian.T @ jacobian, jacobian[: -wide.size]
             inverse = np.linalg.inv(curvature)
             several = np.broadcast_to(1.0 / _count_similar_points(bench), bench.measured_loads.shape).ravel()
             freedom = float(several[known].sum() - np.trace(inverse @ data.T @ data))
-            chi2 = float(np.sum(solved.fun[:-5] ** 2))
+            chi2 = float(np.sum(solved.fun[: -wide.size] ** 2))
             birge = max(1.0, chi2 / freedom) if freedom > 0.5 else 1.0
-            evidence = math.log(share / len(widths)) - solved.cost - 0.5 * float(np.linalg.slogdet(curvature)[1])
+            evidence = (
+                math.log(share / len(_PRIOR_WIDTH_FACTORS)) - solved.cost - 0.5 * float(np.linalg.slogdet(curvature)[1])
+            )
             found.append(
                 _FittedSection(
-                    evidence, airfoils, ended, birge * inverse * np.outer(wide, wide),
-                    _compute_scaled_errors(blading, tables, ended, bench), freedom, wide,
+                    evidence, airfoils, ended, birge * change_per_z @ inverse @ change_per_z.T,
+                    _compute_scaled_errors(blading, tables, ended, bench), freedom,
+                    np.sqrt(np.sum(change_per_z**2, axis=1)),
                 )
             )  # fmt: skip
     found.sort(key=lambda f: -f.log_evidence)
@@ -493,8 +543,8 @@ def _describe_undetermined_parameters(
     words += [
         f"{FIT_PARAMETER_NAMES[i]} and {FIT_PARAMETER_NAMES[j]} cannot be separated (correlation "
         f"{correlation[i, j]:+.2f})"
-        for i in range(5)
-        for j in range(i + 1, 5)
+        for i in range(len(FIT_PARAMETER_NAMES))
+        for j in range(i + 1, len(FIT_PARAMETER_NAMES))
         if abs(correlation[i, j]) > _MIN_REPORTED_CORRELATION
     ]
     shares: dict[str, float] = {}

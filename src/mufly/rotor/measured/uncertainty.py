@@ -146,7 +146,7 @@ def predict_interval(
 ) -> PredictionInterval:
     """Predict thrust and torque with an interval.
 
-    For a fitted rotor (:func:`mufly.rotor.fit_rotor`) the interval includes the posterior of the five parameters, the
+    For a fitted rotor (:func:`mufly.rotor.fit_rotor`) the interval includes the posterior of the seven parameters, the
     candidate sections and the scatter of points. Outside the measured range the uncertainty of the method is added. It
     counts in full at a distance of 5 degrees of pitch, a factor of two in speed or an airspeed of 0.1 of the tip speed.
     For other rotors the interval follows from the causes of the module docstring.
