@@ -6,6 +6,7 @@ import argparse
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from rotor_tables import LIFT, percent, show_table
 from scipy.optimize import root
 
@@ -157,6 +158,65 @@ def report_inner_inflow(asked: argparse.Namespace) -> None:
     places = [f"{of} {x:g} R" for of in ("alpha", "inflow") for x in at]
     head = ["propeller", "bemt: thrust, torque, %", "wake", "thrust inside 0.5 R: bemt / wake", *places]
     show_table("Wide blades: blade elements / wake, degrees and m/s", head, rows)
+
+
+def report_scatter(asked: argparse.Namespace) -> None:
+    """Bounds by the measurements' scatter on what a fit to a part of a sweep can reach, UIUC propellers in hover.
+
+    Cells: c_T, c_P in %. *scatter*: rms distance of a point from the line through its neighbours in log c over log
+    speed, over its expected size for unit scatter. *half, interpolated*: mean error at every other point, between its
+    measured neighbours. *one point, own law*: a cubic fitted to all points, moved to the middle point. *slope,
+    bend*: quadratic in log speed of the error of blade elements scaled to the middle point, through zero there.
+    Below: mean errors of the scaled prediction, and after taking off each propeller's own quadratic, the mean one
+    of the other families, and the mean one of all families.
+    """
+    rows, bounds = [], []
+    laws: dict[str, list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]]] = {}
+    for case in load_uiuc_propellers(asked.data):
+        m = case.measured
+        found = solve_rotor_batch(
+            prepare_blading(case.rotor), pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s, air=case.air
+        )
+        x, n = np.log(m.speed_rad_s), m.speed_rad_s.size
+        middle, seen = n // 2, np.arange(0, n, 2)
+        unseen = np.setdiff1d(np.arange(n), seen)
+        rest = np.setdiff1d(np.arange(n), [middle])
+        log_c = np.log(np.stack((m.thrust_N, m.torque_Nm))) - 2.0 * x
+        part = (x[1:-1] - x[:-2]) / (x[2:] - x[:-2])
+        apart = log_c[:, 1:-1] - (1.0 - part) * log_c[:, :-2] - part * log_c[:, 2:]
+        scatter = np.sqrt(np.mean(apart**2 / (1.0 + part**2 + (1.0 - part) ** 2), axis=1))
+        half = [np.mean(np.abs(np.expm1(np.interp(x[unseen], x[seen], y[seen]) - y[unseen]))) for y in log_c]
+        left = np.stack([y - np.polyval(np.polyfit(x, y, 3), x) for y in log_c])
+        one = np.mean(np.abs(np.expm1((left - left[:, [middle]])[:, rest])), axis=1)
+        error = np.log(np.stack((found.thrust_N, found.torque_Nm))) - 2.0 * x - log_c
+        error, u = error - error[:, [middle]], x - x[middle]
+        terms = np.stack((u, u**2), axis=1)
+        law = np.linalg.lstsq(terms, error.T, rcond=None)[0]
+        laws.setdefault(case.family, []).append((error, terms, law, middle))
+        bounds.append((*scatter, *half, *one))
+        both = ["; ".join(f"{v:+.2f}" for v in law[:, k]) for k in (0, 1)]
+        rows.append([case.name, *(f"{100 * a:.1f}, {100 * b:.1f}" for a, b in (scatter, half, one)), *both])
+    mean = 100.0 * np.mean(bounds, axis=0)
+    rows.append(["mean", *(f"{mean[k]:.2f}, {mean[k + 1]:.2f}" for k in (0, 2, 4)), "", ""])
+    head = ["propeller", "scatter", "half, interpolated", "one point, own law", "c_T: slope; bend", "c_P: slope; bend"]
+    show_table("Scatter of the measurements: c_T, c_P, %", head, rows)
+
+    by_family = {family: np.mean([law for _, _, law, _ in several], axis=0) for family, several in laws.items()}
+    everyone = np.mean(list(by_family.values()), axis=0)
+    sizes: dict[str, list[NDArray[np.float64]]] = {}
+    for family, several in laws.items():
+        others = np.mean([law for name, law in by_family.items() if name != family], axis=0)
+        for error, terms, own, middle in several:
+            for name, law in (
+                ("none", 0.0 * own),
+                ("own", own),
+                ("other families", others),
+                ("all families", everyone),
+            ):
+                after = np.delete(error - (terms @ law).T, middle, axis=1)
+                sizes.setdefault(name, []).append(np.mean(np.abs(np.expm1(after)), axis=1))
+    table = [[name, *(f"{100 * v:.2f}" for v in np.mean(each, axis=0))] for name, each in sizes.items()]
+    show_table("Blade elements scaled to the middle point, law over speed taken off", ["law", "c_T", "c_P"], table)
 
 
 SECTION_CHOICES = ("naca2408", "naca4412", "clarky+scaled8", "e63", "naca5503", "naca8503")
