@@ -22,11 +22,11 @@ from mufly.camera import load_camera
 from mufly.dynamics import GRAVITY
 from mufly.flight import fly_mission
 
-PLACE_SIGMA_PX, TILT_SIGMA_RAD, TILT_TIME_S, VELOCITY_SIGMA_M_S = 0.3, math.radians(0.16), 20.0, 0.05
+TILT_SIGMA_RAD, TILT_TIME_S, VELOCITY_SIGMA_M_S = math.radians(0.16), 20.0, 0.05
 SEEN_M, RATE_HZ = 0.3, 30.0
 
 
-def bound_turn(path: np.ndarray, tilt: np.ndarray, heading: np.ndarray, focal_px: float) -> float:
+def bound_turn(path: np.ndarray, tilt: np.ndarray, heading: np.ndarray, focal_px: float, noise_px: float) -> float:
     """Return the bound of the turn (rad), equal to that of the relative focal length.
 
     Parameters
@@ -38,6 +38,8 @@ def bound_turn(path: np.ndarray, tilt: np.ndarray, heading: np.ndarray, focal_px
     heading : (n,) array
         Heading (rad).
     focal_px : float
+    noise_px : float
+        Standard deviation of a picture's place (pixels).
     """
     n, dt, over_height = len(path), 1.0 / RATE_HZ, -focal_px / path[:, 2]
     moved = np.gradient(path[:, 0] + 1j * path[:, 1])
@@ -47,7 +49,7 @@ def bound_turn(path: np.ndarray, tilt: np.ndarray, heading: np.ndarray, focal_px
     times = dt * np.arange(n)
     tilts = TILT_SIGMA_RAD**2 * np.exp(-np.abs(times[:, None] - times) / TILT_TIME_S)
     drift = VELOCITY_SIGMA_M_S * np.cumsum(over_height) * dt
-    covariance = PLACE_SIGMA_PX**2 * np.eye(n) + effect @ tilts @ effect.T + np.outer(drift, drift) + 1e4
+    covariance = noise_px**2 * np.eye(n) + effect @ tilts @ effect.T + np.outer(drift, drift) + 1e4
     return 1.0 / math.sqrt(np.vdot(footprint, np.linalg.solve(covariance, footprint)).real)
 
 
@@ -55,6 +57,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--times", default="1,2,3,5,7,9,12,18", help="after the height of 0.3 m (s)")
+    parser.add_argument("--noise", type=float, default=0.3, help="of a picture's place (pixels); by vibration 1 to 2")
     a = parser.parse_args()
     focal_px, times = float(load_camera("mufly-2.0").lens.focal_x), [float(x) for x in a.times.split(",")]
     bounds: list[list[float]] = []
@@ -68,7 +71,7 @@ def main() -> None:
             path, angles = (
                 np.stack([np.interp(at, t, c) for c in q.T], axis=1) for q in (place, np.unwrap(attitude, axis=0))
             )
-            bounds[-1].append(bound_turn(path, angles[:, :2], angles[:, 2], focal_px))
+            bounds[-1].append(bound_turn(path, angles[:, :2], angles[:, 2], focal_px, a.noise))
     for span, *each in zip(times, *bounds, strict=True):
         turns = " ".join(f"{math.degrees(b):.1f}" for b in each)
         print(f"{span:g} s: turn {turns} degrees, focal length {' '.join(f'{100 * b:.1f}' for b in each)} % (1 sigma)")
