@@ -11,12 +11,13 @@ import pytest
 from mufly.dynamics import GRAVITY
 from mufly.estimate import Estimate
 from mufly.flight import Flight
-from mufly.flight.fixes.camera_sensor import judge_camera_path_ratio
+from mufly.flight.fixes.camera_sensor import CameraSensor, judge_camera_path_ratio
 from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.fixes.fix_monitor import FixMonitor
 from mufly.flight.mission_flight import await_estimate_and_start
 from mufly.mission import load_mission
 from mufly.sensors import Reading, Readings
+from mufly.slam import TrackingResult
 from mufly.vehicle import load_vehicle
 
 RATE_HZ, REST_S, DRIFT_M = 100, 4.0, 0.03
@@ -163,6 +164,32 @@ def test_a_camera_that_is_turned_or_scaled_shows_in_the_long_fit(change: Change,
     run_source(change, 16.0, monitor=monitor)
     assert fault in judge_camera_path_ratio(*monitor.long_fit)
     assert fault or not judge_camera_path_ratio(*monitor.long_fit)
+
+
+@pytest.mark.parametrize("change", [rotate(math.radians(-20.0)), lambda p, t: p * [1.3, 1.3, 1.0]])
+def test_a_wrong_camera_is_followed_on_its_corrected_path(change: Change) -> None:
+    """Until touchdown positions move as the vehicle does; a jump of the map is not followed."""
+    camera, monitor, found = object.__new__(CameraSensor), FixMonitor(DRIFT_M), []
+    camera._monitor, camera._compared_s, camera._corrected_path = monitor, -math.inf, None
+
+    def check(time_s: float, place: np.ndarray) -> str:
+        jump = np.array([1.0, 0.0, 0.0]) * (time_s > 22.0)
+        known = TrackingResult(time_s, True, position=place[:3] + jump, heading=place[3], covariance=1e-4 * np.eye(4))
+        known = camera._compare_with_accelerometers(known)
+        if known.camera_fault:
+            found.append((time_s, *known.position[:2], known.covariance[0, 0]))
+            assert known.trusted
+        return ""
+
+    run_source(change, 26.0, monitor=monitor, check=check)
+    late = np.array([f for f in found if 18.0 < f[0] < 22.0])
+    true = np.array([path_at(t)[0] for t in late[:, 0]])
+    moved, ought = late[:, 1:3] - late[0, 1:3], true - true[0]
+    assert np.abs(ought).max() > 0.5
+    assert np.abs(moved - ought).max() < 0.1
+    assert late[:, 3].min() > 0.01
+    begin = next(f for f in found if f[0] > 22.0)
+    assert np.abs(begin[1:3]).max() < 0.05  # the estimate of the test
 
 
 def test_a_refused_source_returns_when_it_agrees_for_long() -> None:

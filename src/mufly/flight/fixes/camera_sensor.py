@@ -42,7 +42,7 @@ from mufly.dynamics import standing_height
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter.filter_records import ERROR_FIX_BIAS, ERROR_FIX_HEADING, ERROR_GYRO_BIAS
-from mufly.flight.fixes.fix_monitor import FixMonitor
+from mufly.flight.fixes.fix_monitor import CorrectedPath, FixCorrection, FixMonitor
 from mufly.flight.fixes.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStream
 from mufly.mission import Mission
 from mufly.sensors import Reading, Readings, Sensor, Truth
@@ -78,6 +78,9 @@ MAX_FIX_SIGMA_M = 0.2
 _MIN_FAULT_TURN_RAD, _MIN_SCALE_ERROR, _MIN_FAULT_SIGMAS = math.radians(10.0), 0.1, 5.0
 """Least turn (rad) and error of scale of the motion against the accelerometers that are reported, and least number of
 deviations."""
+_MIN_CORRECTABLE_SCALE, _CORRECTED_SIGMA_M, _MAX_CORRECTED_STEP_M = 0.3, 0.1, 0.3
+"""Least scale of a path that is corrected, standard deviation that a corrected position gets along an axis (m), and
+least distance of two results that counts as a jump of the map (m)."""
 _MAX_SENT_SIGMA_M = 0.6
 """Largest standard deviation of a sent fix (m): a mission would land with a larger one."""
 
@@ -255,6 +258,7 @@ class CameraSensor(Sensor):
         self._fix: dict[str, Reading] = {}
         self._wrong, self._trusted_s, self._since_s = "", math.nan, math.nan
         self._monitor.reset()
+        self._corrected_path: CorrectedPath | None = None  # of a camera that is turned or has a wrong focal length
         self._compared_s = -math.inf  # time of the latest result that was compared with the accelerometers
         self._fault = ""  # the latest defect of the camera that was reported
 
@@ -296,12 +300,28 @@ class CameraSensor(Sensor):
         self._monitor.observe(readings, estimate, is_resting)
 
     def _compare_with_accelerometers(self, known: TrackingResult) -> TrackingResult:
-        """Return a trusted result, marked as untrusted if its path contradicts the accelerometers."""
+        """Return a trusted result; if its path contradicts the accelerometers, on the corrected path and less certain.
+
+        Without a position the vehicle would land blind. The corrected path begins at the filter's position, also after
+        a jump of the path.
+        """
         if known.time_s - self._compared_s > MIN_FIX_INTERVAL_S - 1e-3:
             self._compared_s = known.time_s
             self._monitor.check_fix(known.time_s, np.append(known.position, known.heading))
-        fault = judge_camera_path_ratio(*self._monitor.long_fit)
-        return replace(known, trusted=False, reason=fault, camera_fault=fault) if fault else known
+        factor, sigma = self._monitor.long_fit
+        fault = judge_camera_path_ratio(factor, sigma)
+        if not fault:
+            self._corrected_path = None
+            return known
+        if abs(factor) < _MIN_CORRECTABLE_SCALE:
+            return replace(known, trusted=False, reason=fault, camera_fault=fault)
+        place = complex(known.position[0], known.position[1])
+        if self._corrected_path is None or abs(place - self._corrected_path.measured) > _MAX_CORRECTED_STEP_M:
+            self._corrected_path = self._monitor.begin_corrected_path(known.time_s, place)
+        here = self._corrected_path.advance(place, FixCorrection(1.0 / factor))
+        unsure = np.diag([_CORRECTED_SIGMA_M**2, _CORRECTED_SIGMA_M**2, 0.0, 0.0])
+        position = np.array([here.real, here.imag, known.position[2]])
+        return replace(known, position=position, covariance=known.covariance + unsure, camera_fault=fault)
 
     def take_tracking_report(self) -> str:
         """Return a new report of a faulty camera, of missing fixes with the reason, or of their recovery, or "".

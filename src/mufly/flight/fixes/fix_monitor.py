@@ -139,6 +139,26 @@ class FixCorrection:
     delay_s: float = 0.0
 
 
+class CorrectedPath:
+    """Path of a source's fixes with its fault removed, from a known position on.
+
+    Parameters
+    ----------
+    measured, begin : complex
+        Fix and true position at the beginning, N + i E (m).
+    """
+
+    def __init__(self, measured: complex, begin: complex) -> None:
+        self.measured, self.position = measured, begin
+
+    def advance(self, measured: complex, correction: FixCorrection) -> complex:
+        """Return the corrected position (N + i E, m) of the next fix."""
+        moved = correction.factor * (measured - self.measured)
+        self.measured = measured
+        self.position += moved.conjugate() if correction.is_mirrored else moved
+        return self.position
+
+
 _EMPTY_PATH_FIT = PathFit(0.0, 0.0, {"turned": 0.0}, 1.0 + 0.0j, 0j, 0.0)
 
 
@@ -185,7 +205,7 @@ class FixMonitor:
         self.path_fit = _EMPTY_PATH_FIT
         self._long_s, self._long_sums, self.long_fit = -math.inf, np.zeros(4, complex), (1.0 + 0j, math.inf)
         self._correction: FixCorrection | None = None
-        self._measured = self._corrected = 0j  # last fix of a refused source
+        self._corrected_path = CorrectedPath(0j, 0j)  # of a refused source
         self._estimate: tuple[complex, complex] = 0j, 0j  # place and velocity
 
     def observe(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
@@ -292,10 +312,14 @@ class FixMonitor:
         The corrected path begins at the filter's present position.
         """
         if self._correction is None:
-            now, velocity = self._estimate
-            self._measured, self._corrected = place, now - (self._time_s - time_s) * velocity
+            self._corrected_path = self.begin_corrected_path(time_s, place)
         self.fault = fault
         self._correction = self._find_correction() or self._correction
+
+    def begin_corrected_path(self, time_s: float, place: complex) -> CorrectedPath:
+        """Return a path that begins at the filter's position at the time (s) of a fix ``place`` (N + i E, m)."""
+        now, velocity = self._estimate
+        return CorrectedPath(place, now - (self._time_s - time_s) * velocity)
 
     def _find_correction(self) -> FixCorrection | None:
         """Return the correction of the fault that the path shows; None without a fault that can be corrected."""
@@ -318,11 +342,8 @@ class FixMonitor:
         """
         if not self.fault or self._correction is None or self._is_resting:
             return None
-        c, measured = self._correction, complex(*place[:2])
-        moved = c.factor * (measured - self._measured)
-        self._measured = measured
-        self._corrected += moved.conjugate() if c.is_mirrored else moved
-        return time_s - max(c.delay_s, 0.0), np.array([self._corrected.real, self._corrected.imag, *place[2:]])
+        here = self._corrected_path.advance(complex(*place[:2]), self._correction)
+        return time_s - max(self._correction.delay_s, 0.0), np.array([here.real, here.imag, *place[2:]])
 
     @staticmethod
     def _fault_kind(fault: str) -> str:
