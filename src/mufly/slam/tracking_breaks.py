@@ -45,11 +45,10 @@ class TrackingBreaks:
 
     def rejection_reason(self, match: KeyframeMatch) -> str:
         """Return the reason to reject a match whose texture is far weaker than usual; "" if it is accepted."""
-        rich = self._usual_significances > _MIN_RICH_SIGNIFICANCE
-        if not rich.any():
+        if self._usual_significances.min() < _MIN_RICH_SIGNIFICANCE:
             return ""
-        share = np.maximum(np.sort(match.significances)[rich], 0.0) / self._usual_significances[rich]
-        return UNLIKE_KEYFRAME_REASON if share.prod() < _MIN_USUAL_TEXTURE_FRACTION ** len(share) else ""
+        share = np.maximum(np.sort(match.significances), 0.0) / self._usual_significances
+        return UNLIKE_KEYFRAME_REASON if share.prod() < _MIN_USUAL_TEXTURE_FRACTION**2 else ""
 
     def add_match(self, match: KeyframeMatch) -> None:
         """Average the texture of an accepted match, and end the count of failed pictures."""
