@@ -13,7 +13,10 @@ import numpy as np
 import pytest
 
 import mufly
+from mufly.cli.aero import benchmark
 from mufly.results import field_meaning, field_meanings, result, result_rows, to_plain_data
+from mufly.study.benchmark.benchmark_scores import RotorScore, ScoreRow
+from mufly.study.benchmark.propeller_efficiency import PropellerScore
 
 
 @result(eq=False)
@@ -229,3 +232,23 @@ def test_a_vehicle_a_mission_and_a_controller_have_short_representations() -> No
     vehicle = repr(load_vehicle("mufly-1.1"))
     assert "mass 0.095 kg" in vehicle
     assert "radius 0.0875 m" in vehicle
+
+
+@pytest.mark.parametrize(
+    ("names", "kind"),
+    [
+        (benchmark._GROUP_SCORE_FIELDS, ScoreRow),
+        (benchmark._ROTOR_SCORE_FIELDS, RotorScore),
+        (benchmark._TUNNEL_SCORE_FIELDS, PropellerScore),
+    ],
+)
+def test_the_tables_of_the_rotor_benchmark_take_fields_that_exist(names: str, kind: type) -> None:
+    """They are written after minutes of predictions, and no type checker reads their strings."""
+    for column in names.split():
+        of = kind
+        for part in column.split("=")[-1].split("."):
+            if part.isdigit():
+                break
+            known = typing.get_type_hints(of)
+            assert part in known or isinstance(getattr(of, part, None), property), column
+            of = known.get(part, object)

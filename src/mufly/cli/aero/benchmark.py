@@ -138,7 +138,7 @@ def benchmark(
 
 _GROUP_SCORE_FIELDS = (
     "code group rotors points thrust_error=thrust thrust_bias torque_error=torque torque_bias "
-    "thrust_inside_90=thrust_inside torque_inside_90=torque_inside without_answer=without"
+    "thrust_inside_90=thrust_inside torque_inside_90=torque_inside without_answer=unpredicted"
 )
 _ROTOR_SCORE_FIELDS = (
     "code rotor=case.name group=case.group family=case.family section_known=case.section_known "
