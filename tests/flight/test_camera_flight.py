@@ -318,7 +318,9 @@ def test_a_fault_that_leaves_a_position_is_reported_once(monkeypatch: pytest.Mon
     assert [text for _, text in news] == ["camera: dirt"]
 
 
-def test_a_path_that_contradicts_the_accelerometers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_path_that_contradicts_the_accelerometers_is_refused_without_an_estimate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     fixes, news = _hover_on_results(monkeypatch, _good_result, long_fit=(cmath.exp(0.2j), 0.03))
     assert not fixes
     assert [text for _, text in news] == [

@@ -313,11 +313,12 @@ class CameraSensor(Sensor):
         if not fault:
             self._corrected_path = None
             return known
-        if abs(factor) < _MIN_CORRECTABLE_SCALE:
-            return replace(known, trusted=False, reason=fault, camera_fault=fault)
         place = complex(known.position[0], known.position[1])
         if self._corrected_path is None or abs(place - self._corrected_path.measured) > _MAX_CORRECTED_STEP_M:
             self._corrected_path = self._monitor.begin_corrected_path(known.time_s, place)
+        if abs(factor) < _MIN_CORRECTABLE_SCALE or not cmath.isfinite(self._corrected_path.position):
+            self._corrected_path = None
+            return replace(known, trusted=False, reason=fault, camera_fault=fault)
         here = self._corrected_path.advance(place, FixCorrection(1.0 / factor))
         unsure = np.diag([_CORRECTED_SIGMA_M**2, _CORRECTED_SIGMA_M**2, 0.0, 0.0])
         position = np.array([here.real, here.imag, known.position[2]])
