@@ -390,4 +390,9 @@ def test_a_match_with_little_of_the_usual_texture_is_refused_on_rich_floors_only
         breaks = TrackingBreaks()
         breaks.add_match(replace(match, significances=np.array([usual, 1.5 * usual])))
         assert not breaks.rejection_reason(replace(match, significances=np.array([1.0, 0.5]) * usual))
-        assert bool(breaks.rejection_reason(replace(match, significances=np.array([0.2, 1.5]) * usual))) == refused
+        poorer = replace(match, significances=np.array([0.2, 1.5]) * usual)
+        assert bool(breaks.rejection_reason(poorer)) == refused
+        # A keyframe made over a poorer floor after a loss has its own usual texture.
+        assert not breaks.rejection_reason(replace(poorer, keyframe_index=3))
+        breaks.add_match(replace(poorer, keyframe_index=3))
+        assert not breaks.rejection_reason(replace(poorer, keyframe_index=3))

@@ -39,15 +39,23 @@ class TrackingBreaks:
     """
 
     def __init__(self) -> None:
-        self._usual_significances = np.zeros(2)  # along the directions of least and of most texture
+        # Along the directions of least and of most texture: of all matches, and of those to each keyframe
+        self._usual_significances = np.zeros(2)
+        self._usual_of_keyframe: dict[int, NDArray[np.float64]] = {}
         self._failed_count = 0
         self.keyframe_count = 0
 
     def rejection_reason(self, match: KeyframeMatch) -> str:
-        """Return the reason to reject a match whose texture is far weaker than usual; "" if it is accepted."""
-        if self._usual_significances.min() < _MIN_RICH_SIGNIFICANCE:
+        """Return the reason to reject a match whose texture is far weaker than usual; "" if it is accepted.
+
+        The usual texture is the lesser of that of all matches and of matches to this keyframe. A new keyframe has none,
+        so that a poorer floor is accepted after a loss.
+        """
+        own = self._usual_of_keyframe.get(match.keyframe_index)
+        usual = np.zeros(2) if own is None else np.minimum(own, self._usual_significances)
+        if usual.min() < _MIN_RICH_SIGNIFICANCE:
             return ""
-        share = np.maximum(np.sort(match.significances), 0.0) / self._usual_significances
+        share = np.maximum(np.sort(match.significances), 0.0) / usual
         return UNLIKE_KEYFRAME_REASON if share.prod() < _MIN_USUAL_TEXTURE_FRACTION**2 else ""
 
     def add_match(self, match: KeyframeMatch) -> None:
@@ -55,7 +63,9 @@ class TrackingBreaks:
         self._failed_count = 0
         now = np.sort(match.significances)
         usual = self._usual_significances if self._usual_significances.any() else now
+        own = self._usual_of_keyframe.get(match.keyframe_index, now)
         self._usual_significances = usual + (now - usual) / _USUAL_TEXTURE_MEMORY_FRAMES
+        self._usual_of_keyframe[match.keyframe_index] = own + (now - own) / _USUAL_TEXTURE_MEMORY_FRAMES
 
     def add_failure(self, overlap: float, picture: NDArray[np.uint8], keyframe: NDArray[np.uint8], count: int) -> bool:
         """Count a failed picture; return whether tracking breaks with it.
@@ -81,4 +91,4 @@ class TrackingBreaks:
 
     def restart(self) -> None:
         """Forget the usual texture, and all keyframes: another map begins."""
-        self._usual_significances, self.keyframe_count = np.zeros(2), 0
+        self._usual_significances, self._usual_of_keyframe, self.keyframe_count = np.zeros(2), {}, 0
