@@ -287,6 +287,11 @@ class ArduPilotFlight:
             time.sleep(0.01)
         return True
 
+    def fly_to_random_moment(self, rng: np.random.Generator) -> tuple[float, bool]:
+        """Wait for a random time of the flight; return it (s), and whether it was reached."""
+        after_s = round(float(rng.uniform(0.0, ARDUPILOT_FLIGHT_S)), 2)
+        return after_s, self.wait_for(lambda: self.state["time_s"] >= after_s)
+
     def is_in_the_air(self) -> bool:
         return self.state["height_m"] > RECOVERED_HEIGHT_M
 
@@ -302,8 +307,7 @@ def kill_ardupilot(kills: int, seed: int, speed: float, wind_m_s: float, port: i
     flight = ArduPilotFlight(port)
     try:
         for k in range(kills):
-            after_s = round(float(rng.uniform(0.0, ARDUPILOT_FLIGHT_S)), 2)
-            reached = flight.wait_for(lambda f=flight, at=after_s: f.state["time_s"] >= at)
+            after_s, reached = flight.fly_to_random_moment(rng)
             first = len(link.lines)
             killed_s = time.monotonic()
             flight.kill()
@@ -330,8 +334,7 @@ def kill_ardupilot_simulator(kills: int, seed: int, speed: float, wind_m_s: floa
     flight = ArduPilotFlight(port)
     try:
         for _ in range(kills):
-            after_s = round(float(rng.uniform(0.0, ARDUPILOT_FLIGHT_S)), 2)
-            reached = flight.wait_for(lambda f=flight, at=after_s: f.state["time_s"] >= at)
+            after_s, reached = flight.fly_to_random_moment(rng)
             link.kill()
             frame = flight.state["frame"]
             begun_s = time.monotonic()
