@@ -252,3 +252,16 @@ def test_the_tables_of_the_rotor_benchmark_take_fields_that_exist(names: str, ki
             known = typing.get_type_hints(of)
             assert part in known or isinstance(getattr(of, part, None), property), column
             of = known.get(part, object)
+
+
+@pytest.mark.parametrize("width", [30, 60, 200])
+def test_a_table_in_a_narrow_terminal_keeps_every_number_whole(
+    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from mufly.cli.output import print_table
+
+    monkeypatch.setenv("COLUMNS", str(width))
+    numbers = ("1234567.25 m", "94, 88", "-12.5 (+1.9)", "1e-12 rad/s")
+    print_table(("code", "length", "inside 90 %", "thrust (bias)", "rate"), [("bemt, one point seen", *numbers)])
+    printed = capsys.readouterr().out
+    assert [n for n in numbers if n not in printed] == []

@@ -34,11 +34,11 @@ TableRow = Sequence[str]
 _MIN_TEXT_WIDTH = 26  # columns: with less width, a last column of text is printed below its row
 
 
-def make_console(*, stderr: bool = False) -> Console:
-    """Return a console for tables."""
+def make_console(*, stderr: bool = False, width: int | None = None) -> Console:
+    """Return a console for tables, as wide as the terminal by default."""
     from rich.console import Console
 
-    return Console(stderr=stderr)
+    return Console(stderr=stderr, width=width)
 
 
 def print_lines(*lines: str, mark: str = "", style: str | None = None, head: str = "") -> None:
@@ -92,7 +92,9 @@ def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = 
     foldable = [k in text and (k == last or words[k] > _MIN_TEXT_WIDTH) for k in range(len(heads))]
     least = [max(heading[k], 0 if foldable[k] else words[k] if k in text else cells[k]) for k in range(len(heads))]
     natural = [max(c, *map(len, head.split("\n"))) for c, head in zip(cells, heads, strict=True)]
-    fitted = [None] * len(heads) if below else _fit_column_widths(natural, least, make_console().width - 2 * len(heads))
+    # A table that does not fit is printed wider than the terminal: rich would cut its numbers.
+    width = make_console().width if below else max(make_console().width, sum(least) + 2 * len(heads))
+    fitted = [None] * len(heads) if below else _fit_column_widths(natural, least, width - 2 * len(heads))
 
     def build_table(members: Sequence[Sequence[Text]], *, head: bool) -> Table:
         made = Table(
@@ -109,15 +111,15 @@ def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = 
             made.add_row(*row[:shown])
         return made
 
-    out = make_console()
+    out = make_console(width=width)
     out.print(build_table([] if below else marked, head=True), highlight=False)
     for row in marked if below else ():
         out.print(build_table([row], head=False), Padding(row[last], (0, 0, 0, 5)), highlight=False)
 
 
 def _fit_column_widths(natural: Sequence[int], least: Sequence[int], room: int) -> list[int | None]:
-    """Return column widths with the sum ``room``; None for each if all columns fit, or even ``least`` does not."""
-    if not sum(least) <= room < sum(natural):
+    """Return column widths with the sum ``room``, at least ``least``; None for each if all columns fit."""
+    if room >= sum(natural):
         return [None] * len(natural)
     widths = list(natural)
     for _ in range(sum(natural) - room):
