@@ -111,7 +111,7 @@ def test_lists_and_ranges(text: str, unit: str, values: tuple[float, ...]) -> No
 
 
 def test_other_forms() -> None:
-    assert read_rotor_pair_values("--x", "14", "deg") == (14.0, 14.0)
+    assert read_rotor_pair_values("--x", "14", "deg") == (14.0,)
     assert read_rotor_pair_values("--x", "14,12deg", "deg") == (14.0, 12.0)
     assert read_stepped_range("--x", "-1:3:0.5m/s", "m/s") == (-1.0, 3.0, 0.5)
     assert read_stepped_range("--x", "2500:6000", "rpm") == (2500.0, 6000.0, None)

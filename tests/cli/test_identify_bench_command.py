@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli.identify.rotor_bench import register_bench_commands
-from mufly.cli.options import CommandGroup, read_optional_with_std
+from mufly.cli.options import CommandGroup, NumberOptionParser, split_optional_std
 from mufly.errors import InputError
 from mufly.vehicle import load_vehicle
 
@@ -174,10 +174,13 @@ def test_plan_refuses(arguments, what):
 
 
 def test_numbers_with_doubt():
-    assert read_optional_with_std("--gear", "0.84+-0.02", "1") == (0.84, 0.02)
-    assert read_optional_with_std("--gear", "1.5", "1") == (1.5, 0.0)
-    assert read_optional_with_std("--gear", "free", "1") == (None, 0.0)
-    assert read_optional_with_std("--radius", "60mm+-0.2mm", "m") == pytest.approx((0.06, 0.0002))
+    def read(text, unit="1"):
+        return split_optional_std("--gear", NumberOptionParser(unit, "doubt", ("free",)).read_option("--gear", text))
+
+    assert read("0.84+-0.02") == (0.84, 0.02)
+    assert read("1.5") == (1.5, 0.0)
+    assert read("free") == split_optional_std("--radius", None) == (None, 0.0)
+    assert read("60mm+-0.2mm", "m") == pytest.approx((0.06, 0.0002))
     for text in ("x", "-1", "1+-x", "1+--2"):
         with pytest.raises(InputError):
-            read_optional_with_std("--gear", text, "1")
+            read(text)

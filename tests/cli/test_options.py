@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app as mufly
 from mufly.cli.options import CommandGroup, NumberOptionParser
-from mufly.cli.station import parse_wind, resolve_wind
+from mufly.cli.station import check_wind, resolve_wind
 from mufly.errors import ArgumentError, InputError
 from mufly.quantities.units import list_compatible_units, unit_conversion
 
@@ -247,15 +247,18 @@ def test_refusals_name_option_value_and_remedy(words: tuple[str, ...], message: 
 
 
 def test_wind_means_the_same_in_every_command() -> None:
-    assert parse_wind("0.5") == parse_wind("0.5m/s") == 0.5
-    assert parse_wind("1.8km/h,0,0") is not None
-    assert parse_wind("0.5,0,0") == parse_wind("0.5m/s,0,0m/s") == (0.5, 0.0, 0.0)
-    with pytest.raises(InputError, match="is not a wind speed"):
-        parse_wind("-0.5")
+    def read(text: str) -> float | tuple[float, float, float] | None:
+        return check_wind(NumberOptionParser("m/s", "vector").read_option("--wind", text))
+
+    assert read("0.5") == read("0.5m/s") == 0.5
+    assert read("1.8km/h,0,0") == pytest.approx((0.5, 0.0, 0.0))
+    assert read("0.5,0,0") == read("0.5m/s,0,0m/s") == (0.5, 0.0, 0.0)
+    with pytest.raises(InputError, match=r"'-0\.5' is not a wind speed"):
+        read("-0.5")
     found, again, other = (
-        resolve_wind("0.5", None, 7),
-        resolve_wind("0.5", None, 7),
-        resolve_wind("0.5", None, 8),
+        resolve_wind((0.5,), None, 7),
+        resolve_wind((0.5,), None, 7),
+        resolve_wind((0.5,), None, 8),
     )
     assert found == again != other  # the seed draws where it comes from
     assert math.hypot(*found) == pytest.approx(0.5)

@@ -28,6 +28,7 @@ from mufly.cli.options import (
     SpacingOption,
     TheoryOptions,
     WakeOptions,
+    default_text,
     define_argument,
     define_option,
     show_wake_progress,
@@ -42,7 +43,7 @@ from mufly.cli.output import (
     save_figure,
 )
 from mufly.errors import InputError, MuflyError
-from mufly.quantities.quantity_grammar import read_range, read_rotor_pair_values
+from mufly.quantities.quantity_grammar import read_range
 from mufly.quantities.units import RPM
 from mufly.results import ResultColumn, select_fields
 
@@ -70,16 +71,14 @@ ROTOR_COLUMNS = (
 )
 
 
-def parse_rotor_speeds(text: str) -> tuple[float, float]:
-    """Return upper and lower speed (rad/s) of ``"6000,6650"`` or ``"6000"`` rpm."""
-    upper, lower = read_rotor_pair_values("--rpm", text, "rpm")
-    return upper * RPM, lower * RPM
+def convert_rotor_speeds(rpm: tuple[float, ...]) -> tuple[float, float]:
+    """Return upper and lower speed (rad/s) from one speed for both rotors, or two (rpm)."""
+    return rpm[0] * RPM, rpm[-1] * RPM
 
 
-def parse_pitch_angles(text: str) -> tuple[float, float]:
-    """Return upper and lower pitch (rad) of ``"14,12"`` or ``"14"`` degrees."""
-    upper, lower = read_rotor_pair_values("--pitch", text, "deg")
-    return math.radians(upper), math.radians(lower)
+def convert_pitch_angles(pitch_deg: tuple[float, ...]) -> tuple[float, float]:
+    """Return upper and lower pitch (rad) from one pitch setting for both rotors, or two (deg)."""
+    return math.radians(pitch_deg[0]), math.radians(pitch_deg[-1])
 
 
 def make_pair_setup(
@@ -187,7 +186,7 @@ def hover(
     lower: LowerArgument = None,
     spacing: SpacingOption = 0.02,
     rpm: Annotated[
-        str,
+        tuple[float, ...],
         define_option(
             "--rpm",
             "Speeds of upper and lower rotor, as 6000,6650; one value holds for both.",
@@ -195,8 +194,8 @@ def hover(
             form="pair",
             within=SPEED_RANGE,
         ),
-    ] = "6000,6650",
-    pitch: PairPitchOption = "14",
+    ] = default_text("6000,6650"),
+    pitch: PairPitchOption = default_text("14"),
     climb: ClimbOption = 0.0,
     density: DensityOption = 1.2,
     theory: TheoryOptions = DEFAULT_FREE_WAKE_OPTIONS,
@@ -213,8 +212,8 @@ def hover(
     Examples: mufly coax hover; mufly coax hover naca0012-r60-c20 naca4412-r60-c20 --spacing 30mm --rpm 6000,6500
     --pitch 14,12 --out pair; mufly coax hover --method bemt --climb 1
     """
-    above, below = parse_pitch_angles(pitch)
-    first, second = parse_rotor_speeds(rpm)
+    above, below = convert_pitch_angles(pitch)
+    first, second = convert_rotor_speeds(rpm)
     setup = make_pair_setup(
         upper, lower,
         {"spacing": spacing, "upper_pitch": above, "lower_pitch": below, "upper_speed": first,
@@ -228,15 +227,15 @@ def hover(
 def forward(
     upper: UpperArgument = "walkera-5g6",
     lower: LowerArgument = None,
-    speed: AirspeedsOption = "0:10:1",
+    speed: AirspeedsOption = default_text("0:10:1"),
     spacing: SpacingOption = 0.04,
     rpm: Annotated[
-        str,
+        tuple[float, ...],
         define_option(
             "--rpm", "Speeds of upper and lower rotor, as 3600,4240.", unit="rpm", form="pair", within=SPEED_RANGE
         ),
-    ] = "3600,4240",
-    pitch: PairPitchOption = "13,14",
+    ] = default_text("3600,4240"),
+    pitch: PairPitchOption = default_text("13,14"),
     tilt: DiscTiltOption = 0.0,
     flap_frequency_ratio: FlapRatiosOption = None,
     density: DensityOption = 1.2,
@@ -251,20 +250,18 @@ def forward(
     docs/explanation/forward-flight.md.
     Example: mufly coax forward walkera-5g6 --speed 0:6:1 --rpm 3600,4240 --pitch 13,14 --out pair
     """
-    from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import Air, load_rotor
     from mufly.rotor.forward import ForwardCondition, estimate_flap_mode_range, make_flap_mode, sweep_forward_pair
     from mufly.rotor.forward.forward_pictures import draw_disc_fields, draw_pair_sweep
 
-    angles, speeds, air = parse_pitch_angles(pitch), parse_rotor_speeds(rpm), Air(density_kg_m3=density)
+    angles, speeds, air = convert_pitch_angles(pitch), convert_rotor_speeds(rpm), Air(density_kg_m3=density)
     rotors = (load_rotor(upper), load_rotor(upper if lower is None else lower))
     if flap_frequency_ratio is None:
         bands = [estimate_flap_mode_range(r, w, pitch_rad=a) for r, w, a in zip(rotors, speeds, angles, strict=True)]
         flaps = tuple((bands[0][0][k], bands[1][0][k]) for k in range(2))
         basis = bands[0][1]
     else:
-        ratios = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1")
-        flaps = tuple((make_flap_mode(rotors[0], n), make_flap_mode(rotors[1], n)) for n in ratios)
+        flaps = tuple((make_flap_mode(rotors[0], n), make_flap_mode(rotors[1], n)) for n in flap_frequency_ratio)
         basis = "flap frequency as given"
     lean = math.radians(tilt)
     sweep = sweep_forward_pair(
@@ -273,7 +270,7 @@ def forward(
             ForwardCondition(angles[0], speeds[0], air=air),
             ForwardCondition(angles[1], speeds[1], rotation_sign=-1, air=air),
         ),
-        tuple((v * math.cos(lean), v * math.sin(lean)) for v in read_values("--speed", speed, "m/s")),
+        tuple((v * math.cos(lean), v * math.sin(lean)) for v in speed),
         flaps, spacing_m=spacing, flap_basis=basis,
     )  # fmt: skip
     files = []
@@ -296,7 +293,7 @@ def trim(
         float | None, define_option("--thrust", "Thrust of the pair. Default: from --rpm.", unit="N")
     ] = None,
     rpm: Annotated[
-        str | None,
+        tuple[float, ...] | None,
         define_option(
             "--rpm",
             "Speed of the upper rotor, where no thrust is given. With --free lower-pitch the speeds of "
@@ -309,7 +306,7 @@ def trim(
     free: Annotated[
         str, define_option("NAME", "Quantity that balances the torques: lower-speed or lower-pitch.")
     ] = "lower-speed",
-    pitch: PairPitchOption = "14",
+    pitch: PairPitchOption = default_text("14"),
     climb: ClimbOption = 0.0,
     density: DensityOption = 1.2,
     theory: TheoryOptions = DEFAULT_FREE_WAKE_OPTIONS,
@@ -327,22 +324,22 @@ def trim(
     """
     if thrust is not None and not thrust > 0.0:
         raise InputError("--thrust", "", f"{thrust:g} N is out of range", "give a number above 0")
-    above, below = parse_pitch_angles(pitch)
+    above, below = convert_pitch_angles(pitch)
     fixed: dict[str, float | str] = {
         "spacing": spacing, "upper_pitch": above, "climb": climb, "density": density
     }  # fmt: skip
+    first, second = convert_rotor_speeds(rpm or (6000.0,))
     if free == "lower-pitch":
-        if "," in pitch:
+        if len(pitch) > 1:
             raise InputError("--pitch", "", "contains the lower pitch, which is computed", "give the upper pitch only")
-        first, second = parse_rotor_speeds(rpm or "6000")
         fixed |= {"thrust": thrust} if thrust is not None else {"upper_speed": first}
         fixed["speed_ratio"] = second / first
     else:
         if thrust is not None and rpm is not None:
             raise InputError("--rpm", "", "excludes --thrust", "leave one of the two out")
-        if rpm is not None and "," in rpm:
+        if rpm is not None and len(rpm) > 1:
             raise InputError("--rpm", "", "contains the lower speed, which is computed", "give the upper speed only")
-        fixed |= {"thrust": thrust} if thrust is not None else {"upper_speed": parse_rotor_speeds(rpm or "6000")[0]}
+        fixed |= {"thrust": thrust} if thrust is not None else {"upper_speed": first}
         fixed["lower_pitch"] = below
     setup = make_pair_setup(upper, lower, fixed, theory, balance=free)
     _solve_and_print(setup, isolated, out, as_json)
@@ -388,7 +385,7 @@ def compute_coax_map(
     upper: UpperArgument,
     lower: LowerArgument = None,
     spacing: SpacingOption = 0.04,
-    pitch: PairPitchOption = "14",
+    pitch: PairPitchOption = default_text("14"),
     rpm: Annotated[
         str,
         define_option(
@@ -446,7 +443,7 @@ def compute_coax_map(
     climbs = read_range("--climb", climb, "m/s", 5 if wakes else 9)
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
-    pitches = parse_pitch_angles(pitch)
+    pitches = convert_pitch_angles(pitch)
     settings, stations = theory.wake_settings(turns=3.0, tolerance=3e-3)
     blades = [theory.prepare_blading(load_rotor(r), stations) for r in (upper, upper if lower is None else lower)]
     kept = out.with_suffix(".points") if out is not None else None

@@ -18,7 +18,7 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import make_console, print_answer, print_json, progress_bar
-from mufly.cli.station import GustOption, ShutdownHandler, WindOption, parse_wind
+from mufly.cli.station import GustOption, ShutdownHandler, WindOption, check_wind
 from mufly.errors import InputError, report_write_errors
 from mufly.results import to_plain_data
 
@@ -550,7 +550,7 @@ bounds of mu and flights resume.
             for row in found.methods:
                 campaign = Campaign.create_checked(
                     loaded, load_mission(mission), variations=parse_variations(vary or [], loaded),
-                    wind=parse_wind(wind), gust=gust, seed=seed, fast_controllers=GenericFirmwareSoftware,
+                    wind=check_wind(wind), gust=gust, seed=seed, fast_controllers=GenericFirmwareSoftware,
                     vehicle_name=vehicle, mission_name=mission, controller=controllers[row.method],
                 )  # fmt: skip
                 with progress_bar(f"Flying {row.label}", not as_json) as progress:

@@ -15,6 +15,7 @@ from mufly.cli.options import (
     CommandGroup,
     JsonOption,
     ModelOption,
+    default_text,
     define_argument,
     define_option,
 )
@@ -26,7 +27,6 @@ from mufly.cli.output import (
     print_result_table,
     save_figure,
 )
-from mufly.quantities.quantity_grammar import read_values
 from mufly.results import ResultColumn, select_fields
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ def show(
 def sweep(
     drive: _DriveFileArgument = "mufly",
     gear: Annotated[
-        str,
+        tuple[float, ...],
         define_option(
             "--gear",
             "Gear ratios (motor speed over rotor speed), as 1.5,2 or 0.5:8:0.1.",
@@ -191,7 +191,7 @@ def sweep(
             form="values",
             within=GEAR_RATIO_RANGE,
         ),
-    ] = "0.5:8:0.1",
+    ] = default_text("0.5:8:0.1"),
     rotor: _RotorOption = "upper",
     vehicle: _VehicleOption = "mufly-1.1",
     pitch: _PitchOption = None,
@@ -217,7 +217,7 @@ def sweep(
 
     d = load_drive(drive)
     load, name = _make_rotor_load(rotor, vehicle, pitch, model)
-    curve = gear_curve(d, load, read_values("--gear", gear, "1"), duty=duty, supply_V=supply)
+    curve = gear_curve(d, load, gear, duty=duty, supply_V=supply)
     best = find_gear_optima(d, load, thrust_N=thrust, duty=duty, supply_V=supply)
     marks = {k.replace("_", " "): v for k, v in vars(best).items() if k != "for_required_thrust" or math.isfinite(v)}
     files = []

@@ -42,9 +42,9 @@ from mufly.cli.station import (
     SensorsOption,
     ShutdownHandler,
     WindOption,
+    check_wind,
     describe_sensor_source,
     parse_sensor_faults,
-    parse_wind,
     resolve_wind,
     select_control_implementation,
 )
@@ -170,7 +170,7 @@ def run_monte_carlo(
         raise InputError("--flights", "", "no flights", "give 1 or more, or --search")
     if not 0.0 < tolerance <= 10.0:
         raise InputError("--tolerance", "", f"{tolerance:g} m", "give more than 0, and 10 m at most")
-    towards = parse_wind(wind)
+    towards = check_wind(wind)
     resolve_wind(None, gust, seed)
     check_output_place("--out", out)
 

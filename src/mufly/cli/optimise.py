@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mufly.cli import coax
-from mufly.cli.coax import THESIS_ROTOR_NAME, LowerArgument, UpperArgument, make_pair_setup, parse_pitch_angles
+from mufly.cli.coax import THESIS_ROTOR_NAME, LowerArgument, UpperArgument, convert_pitch_angles, make_pair_setup
 from mufly.cli.options import (
     DEFAULT_POLAR_OPTIONS,
     DEFAULT_WAKE_OPTIONS,
@@ -22,6 +22,7 @@ from mufly.cli.options import (
     SeedOption,
     SpacingOption,
     WakeOptions,
+    default_text,
     define_option,
     load_drive_option,
     show_wake_progress,
@@ -152,7 +153,7 @@ def optimise_pairs(
     lower: LowerArgument = None,
     spacing: SpacingOption = 0.02,
     thrust: Annotated[float, define_option("--thrust", "Thrust of the pair.", unit="N")] = 0.9,
-    pitch: PairPitchOption = "14",
+    pitch: PairPitchOption = default_text("14"),
     vary: Annotated[
         str,
         define_option(
@@ -197,7 +198,7 @@ def optimise_pairs(
         if name not in PAIR_FREE_PARAMETERS:
             raise InputError("--vary", "", f"{name!r} cannot be free", suggest_name(name, PAIR_FREE_PARAMETERS))
     limits = [parse_pair_limit(text) for text in limit or []]
-    above, below = parse_pitch_angles(pitch)
+    above, below = convert_pitch_angles(pitch)
     setup = make_pair_setup(
         upper, lower,
         {"spacing": spacing, "upper_pitch": above, "lower_pitch": below, "thrust": thrust, "climb": climb,

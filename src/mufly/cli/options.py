@@ -26,6 +26,7 @@ from mufly.cli.output import (
 )
 from mufly.errors import ArgumentError, InputError, suggest_name
 from mufly.quantities.quantity_grammar import (
+    ValueWithStd,
     read_integer,
     read_interval,
     read_quantity,
@@ -169,6 +170,8 @@ def _add_option_parser(annotation: Any) -> Any:
         more = [copy(one) for one in more]
         more[0].callback = OptionChoices(words).check_option
         return Annotated[kind if kind is str else str if get_origin(kind) is Literal else str | None, *more]
+    if any(isinstance(one.parser, NumberOptionParser) and not one.parser.is_scalar for one in more):
+        return Annotated[str | None if type(None) in get_args(kind) else str, *more]
     numbers = {int, float}.intersection((kind, *get_args(kind), *(x for k in get_args(kind) for x in get_args(k))))
     for k, one in enumerate(more):
         if numbers and isinstance(one, OptionInfo) and one.parser is None:
@@ -228,15 +231,20 @@ class NumberOptionParser:
         shown = NUMBER_FORMS[self.form][1] + (f"[{self.unit}]" if self.unit not in ("", "1") else "")
         return "|".join([*self.allowed_words, shown])
 
+    @property
+    def is_scalar(self) -> bool:
+        """True if each value is a number, and neither a tuple nor a word."""
+        return self.form in ("one", "count") and not self.allowed_words
+
     def read_option(self, where: str, text: str) -> Any:
-        """Return the number of an option with one value, or the checked text of an option with several values."""
+        """Return the number, numbers or word of a text; ``steps`` stay text: the method sets the number of values."""
         if text in self.allowed_words:
             return text
         value = NUMBER_FORMS[self.form][0](where, text, self.unit)
         for number in value if isinstance(value, tuple) else (value,):
             if number is not None:
                 self.allowed_range.check_value(where, number)
-        return value if self.form in ("one", "count") and not self.allowed_words else text
+        return text if self.form == "steps" else value
 
     def read_option_values(self, param: typer.CallbackParam, value: Any) -> Any:
         """Read the value or values of an option; typer calls this."""
@@ -250,6 +258,7 @@ NUMBER_FORMS: dict[str, tuple[Callable[[str, str, str], Any], str]] = {
     "one": (read_quantity, "NUMBER"),
     "count": (lambda where, text, unit: read_integer(where, text), "N"),
     "values": (read_values, "VALUES"),
+    "settings": (functools.partial(read_values, most=1000), "VALUES"),
     "pair": (read_rotor_pair_values, "UPPER[,LOWER]"),
     "band": (read_interval, "LOW:HIGH"),
     "steps": (read_stepped_range, "FIRST:LAST[:STEP]"),
@@ -297,6 +306,11 @@ def define_option(
     return typer.Option(
         *(w for w in parts if w.startswith("-")), help=help, metavar=value[0] if value else None, **more
     )
+
+
+def default_text(text: str) -> Any:
+    """Return an option's default as written: the parser of the option reads it, and the help shows it."""
+    return text
 
 
 def define_argument(value: str, help: str, **more: Any) -> Any:
@@ -362,7 +376,7 @@ SpacingOption = Annotated[
     float, define_option("--spacing", "Distance between the discs, as 20mm.", unit="m", within=SPACING_RANGE)
 ]
 PairPitchOption = Annotated[
-    str,
+    tuple[float, ...],
     define_option(
         "--pitch",
         "Pitch settings of upper and lower rotor: 14, 14,12 or 0.2rad.",
@@ -372,7 +386,7 @@ PairPitchOption = Annotated[
     ),
 ]
 AirspeedsOption = Annotated[
-    str,
+    tuple[float, ...],
     define_option(
         "--speed", "Airspeeds, as 0:10:1 or 4.", unit="m/s", form="values",
         within=OptionRange(0.0, 100.0, "m/s", "no small helicopter has such an airspeed"),
@@ -386,7 +400,7 @@ DiscTiltOption = Annotated[
     ),
 ]  # fmt: skip
 FlapRatiosOption = Annotated[
-    str | None,
+    tuple[float, ...] | None,
     define_option(
         "--flap-frequency-ratio",
         "Flap frequency over rotor speed (1/rev), one or several. Default: both ends of the band of `mufly rotor "
@@ -638,21 +652,19 @@ WriteOption = Annotated[
 PictureOption = Annotated[Path | None, define_option("--out DIR", "Folder for a picture (PNG) of points and fit.")]
 
 
-def read_optional_with_std(option: str, text: str | None, unit: str) -> tuple[float | None, float]:
-    """Return value and standard deviation of ``"0.84"`` or ``"0.84+-0.02"`` in a unit; (None, 0) for None or
-    ``"free"``.
+def split_optional_std(option: str, given: ValueWithStd | str | None) -> tuple[float | None, float]:
+    """Return value and standard deviation of an option; (None, 0) for None or the word ``free``.
 
     Raises
     ------
     InputError
-        If the text is no number above 0.
+        If the value is not above 0.
     """
-    if text is None or text == "free":
+    if given is None or isinstance(given, str):
         return None, 0.0
-    value, std = read_value_with_std(option, text, unit)
-    if not value > 0.0:
-        raise InputError(option, "", f"{text} is out of range", "give a number above 0")
-    return value, std
+    if not given.value > 0.0:
+        raise InputError(option, "", f"{given.value:g} is out of range", "give a number above 0")
+    return given.value, given.std
 
 
 def load_start_vehicle(name: str | None, write: Path | None) -> Vehicle | None:

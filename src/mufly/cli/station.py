@@ -22,7 +22,6 @@ import typer
 from mufly.cli.options import define_option
 from mufly.cli.output import LiveDisplay, check_output_place, make_console, progress_bar
 from mufly.errors import InputError
-from mufly.quantities.quantity_grammar import read_vector
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
 
 WindOption = Annotated[
-    str | None,
+    tuple[float, ...] | None,
     define_option(
         "--wind",
         "Steady wind, instead of the mission's: a speed, as 0.5, whose direction is drawn from the "
@@ -66,17 +65,16 @@ FaultOption = Annotated[
 ]
 
 
-def parse_wind(text: str | None) -> float | tuple[float, float, float] | None:
-    """Return the wind speed, or the wind N, E, D (m/s), of ``--wind``; None without it."""
+def check_wind(numbers: tuple[float, ...] | None) -> float | tuple[float, float, float] | None:
+    """Return the wind speed, or the wind N, E, D (m/s), of ``--wind``; None without it; InputError if out of range."""
     from mufly.mission import MAX_WIND_M_S
 
-    if text is None:
+    if numbers is None:
         return None
-    numbers = read_vector("--wind", text, "m/s")
     least = 0.0 if len(numbers) == 1 else -MAX_WIND_M_S
     if not all(least <= n <= MAX_WIND_M_S for n in numbers):
         raise InputError(
-            "--wind", "", f"{text!r} is not a wind speed",
+            "--wind", "", f"{','.join(f'{n:g}' for n in numbers)!r} is not a wind speed",
             f"give a speed of 0 to {MAX_WIND_M_S:g} m/s, or N,E,D as in 0.5,0,0, each of size {MAX_WIND_M_S:g} at most",
         )  # fmt: skip
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1], numbers[2])
@@ -93,11 +91,11 @@ def _choose_steady_wind(wind: float | tuple[float, float, float] | None, seed: i
     return drawn
 
 
-def resolve_wind(wind: str | None, gust: float | None, seed: int) -> list[float] | None:
+def resolve_wind(wind: tuple[float, ...] | None, gust: float | None, seed: int) -> list[float] | None:
     """Return the wind N, E, D (m/s) of ``--wind``; InputError for invalid gusts and seeds."""
     from mufly.mission import MAX_GUST_RMS_M_S
 
-    given = parse_wind(wind)
+    given = check_wind(wind)
     if gust is not None and not 0.0 <= gust <= MAX_GUST_RMS_M_S:
         raise InputError("--gust", "", f"{gust:g} m/s is out of range", f"give 0 to {MAX_GUST_RMS_M_S:g} m/s")
     if not 0 <= seed < 2**63:

@@ -23,6 +23,7 @@ from mufly.cli.options import (
     PolarOptions,
     RotorArgument,
     TheoryOptions,
+    default_text,
     define_argument,
     define_option,
     load_drive_option,
@@ -252,9 +253,9 @@ def rank(
     rotor: RotorArgument = "naca4412-r60-c20",
     airfoils: AirfoilsOption = None,
     pitch: Annotated[
-        str,
+        tuple[float, ...],
         define_option("--pitch", "Pitch settings to try, as 6:20:1.", unit="deg", form="values", within=PITCH_RANGE),
-    ] = "6:20:1deg",
+    ] = default_text("6:20:1deg"),
     set_: SetOption = None,
     drive: DriveOption = "mufly",
     by: Annotated[str | None, define_option("VARIABLE", "Result to rank by, the greatest first.")] = None,
@@ -277,7 +278,7 @@ def rank(
     setup = polars.make_study_setup(rotor, given, drive=load_drive_option(drive), with_outside_share=False)
     if "pitch" in given or "airfoil" in given:
         raise InputError("--set", "", "a ranking varies pitch and airfoil", "fix other parameters")
-    pitches = [math.radians(p) for p in read_values("--pitch", pitch, "deg")]
+    pitches = [math.radians(p) for p in pitch]
     names = expand_airfoil_names(airfoils or ["thesis"])
     with progress_bar("rank", not as_json) as progress:
         ranking = rank_airfoils(setup, names, pitches, by=by, folder=out, progress=progress, cluster=cluster)

@@ -17,6 +17,7 @@ from mufly.cli.options import (
     OptionRange,
     OutOption,
     VehicleArgument,
+    default_text,
     define_argument,
     define_option,
 )
@@ -172,7 +173,7 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
 @app.command("speed")
 def show_speed(
     vehicle: VehicleArgument = "mufly-1.1",
-    speed: AirspeedsOption = "0:6:0.5",
+    speed: AirspeedsOption = default_text("0:6:0.5"),
     rotor: Annotated[
         str,
         define_option("--rotor NAME|FILE", "Blades of both rotors: built-in rotor or rotor file of the same radius."),
@@ -187,11 +188,10 @@ def show_speed(
     Example: mufly vehicle speed mufly-1.1 --speed 0:4:0.5 --out speed
     """
     from mufly.dynamics.level_flight import draw_level_flight, level_flight
-    from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import load_rotor
     from mufly.vehicle import load_vehicle
 
-    flight = level_flight(load_vehicle(vehicle), load_rotor(rotor), read_values("--speed", speed, "m/s"))
+    flight = level_flight(load_vehicle(vehicle), load_rotor(rotor), speed)
     files = [save_figure(draw_level_flight(flight), out, "speed")] if out is not None else []
     print_answer(as_json, flight, None, files)
 

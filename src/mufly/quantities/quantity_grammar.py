@@ -174,12 +174,12 @@ def read_values(
     return tuple(out)
 
 
-def read_rotor_pair_values(where: str, text: str, unit: str) -> tuple[float, float]:
-    """Return the numbers of upper and lower rotor from ``"14,12"``, or from one number for both."""
+def read_rotor_pair_values(where: str, text: str, unit: str) -> tuple[float, ...]:
+    """Return the numbers of upper and lower rotor from ``"14,12"``, or one number for both from ``"14"``."""
     values = read_list(where, text, unit)
     if len(values) > 2:
         raise InputError(where, "", f"{text!r} is neither one value nor two", "write one, or UPPER,LOWER as 14,12")
-    return values[0], values[-1]
+    return values
 
 
 def read_list(where: str, text: str, unit: str) -> tuple[float, ...]:

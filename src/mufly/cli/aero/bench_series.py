@@ -18,12 +18,12 @@ from mufly.cli.options import (
     JsonOption,
     SeedOption,
     SpacingOption,
+    default_text,
     define_argument,
     define_option,
 )
 from mufly.cli.output import check_output_place, make_console, print_answer, print_lines, write_text_file
 from mufly.errors import InputError
-from mufly.quantities.quantity_grammar import read_values
 
 if TYPE_CHECKING:
     from mufly.bench.rig.bench_devices import BenchRig
@@ -56,37 +56,34 @@ KnownOption = Annotated[
 ]
 
 
-_MAX_SETTINGS_PER_KIND = 1000  # settings of one kind in a plan
-
-
 @app.command()
 def plan(
     rotor: Annotated[list[str], define_option("--rotor NAME|FILE", "Rotor to measure. Repeat it for more.")],
     pitch: Annotated[
-        str,
+        tuple[float, ...],
         define_option(
-            "--pitch", "Pitch settings, as 10,12,14 or 10:20:2.", unit="deg", form="values", within=PITCH_RANGE
+            "--pitch", "Pitch settings, as 10,12,14 or 10:20:2.", unit="deg", form="settings", within=PITCH_RANGE
         ),
-    ] = "12",
+    ] = default_text("12"),
     rpm: Annotated[
-        str,
+        tuple[float, ...],
         define_option(
-            "--rpm", "Rotor speeds, as 3000,5000 or 3000:7000:500.", unit="rpm", form="values", within=SPEED_RANGE
+            "--rpm", "Rotor speeds, as 3000,5000 or 3000:7000:500.", unit="rpm", form="settings", within=SPEED_RANGE
         ),
-    ] = "3000:7000:1000",
+    ] = default_text("3000:7000:1000"),
     axis: Annotated[
         Literal["upper", "lower", "pair"],
         define_option("--axis NAME", "Axis to mount the rotor on: 'upper', 'lower' or 'pair'."),
     ] = "upper",
     ratio: Annotated[
-        str,
+        tuple[float, ...],
         define_option(
             "--ratio",
             "Speed of a pair's lower rotor over that of the upper one, one value or several.",
             unit="1",
-            form="values",
+            form="settings",
         ),
-    ] = "1",
+    ] = default_text("1"),
     repeat: Annotated[
         int, define_option("--repeat N", "Mountings of each setting; two or more show the repeatability.")
     ] = 2,
@@ -122,12 +119,10 @@ def plan(
 
     for r in [*rotor, *([reference] if reference else [])]:
         load_rotor(r)
-    ratios = list(read_values("--ratio", ratio, "1", most=_MAX_SETTINGS_PER_KIND))
     made = make_plan(
-        name, rotor, read_values("--pitch", pitch, "deg", most=_MAX_SETTINGS_PER_KIND),
-        read_values("--rpm", rpm, "rpm", most=_MAX_SETTINGS_PER_KIND), reference=reference or rotor[0],
+        name, rotor, pitch, rpm, reference=reference or rotor[0],
         reference_pitch_deg=reference_pitch, repetitions=repeat, axis=axis,
-        speed_ratios=ratios, reference_every=reference_every, seed=seed,
+        speed_ratios=list(ratio), reference_every=reference_every, seed=seed,
         times=StepDurations(warm_up_s=warm_up), spacing_m=spacing,
     )  # fmt: skip
     if out.exists():

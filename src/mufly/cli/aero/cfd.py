@@ -25,6 +25,7 @@ from mufly.cli.options import (
     RotorArgument,
     RpmOption,
     check_choice,
+    default_text,
     define_argument,
     define_option,
 )
@@ -38,7 +39,6 @@ from mufly.cli.output import (
     write_records,
 )
 from mufly.errors import InputError, report_write_errors
-from mufly.quantities.quantity_grammar import read_values
 from mufly.quantities.units import RPM
 from mufly.results import ResultColumn, select_fields, tabulate_fields
 
@@ -116,7 +116,7 @@ class CaseOptions(BladeOptions):
 
 
 BLADE_DEFAULTS, CASE_DEFAULTS = BladeOptions(), CaseOptions()
-DEFAULT_SPEEDS_RPM = "5000,6000,7000"
+DEFAULT_SPEEDS_RPM = (5000.0, 6000.0, 7000.0)
 
 
 @app.command()
@@ -305,12 +305,12 @@ def _show_solver_progress(shown: bool) -> Iterator[Callable[[SolverProgress], No
 def sweep(
     rotor: RotorArgument = "naca0012-r60-c20",
     rpm: Annotated[
-        str,
+        tuple[float, ...],
         define_option("--rpm", "Rotor speeds, best from low to high.", unit="rpm", form="values", within=SPEED_RANGE),
-    ] = DEFAULT_SPEEDS_RPM,
+    ] = default_text("5000,6000,7000"),
     case: CaseOptions = CASE_DEFAULTS,
     climb: Annotated[
-        str | None,
+        tuple[float, ...] | None,
         define_option(
             "--climb",
             "Climb velocities at the first speed, instead of several speeds, as -0.5,0,0.5; negative is descent.",
@@ -334,15 +334,14 @@ def sweep(
     from mufly.rotor import load_rotor
 
     given = case.case_arguments()
-    speeds = [value * RPM for value in read_values("--rpm", rpm, "rpm")]
-    climbs = None if climb is None else list(read_values("--climb", climb, "m/s"))
-    if climbs is not None and len(speeds) > 1 and rpm != DEFAULT_SPEEDS_RPM:
-        raise InputError("--climb", "", f"needs one speed, and --rpm is {rpm}", "give one speed")
+    speeds = [value * RPM for value in rpm]
+    if climb is not None and len(speeds) > 1 and rpm != DEFAULT_SPEEDS_RPM:
+        raise InputError("--climb", "", f"needs one speed, and --rpm has {len(rpm)}", "give one speed")
     cfd.find_solver()
     r = load_rotor(rotor)
     with _show_solver_progress(not as_json) as tell:
-        if climbs is not None:
-            found = cfd.sweep_climb(out, r, climbs, speed_rad_s=speeds[0], progress=tell, **given)
+        if climb is not None:
+            found = cfd.sweep_climb(out, r, list(climb), speed_rad_s=speeds[0], progress=tell, **given)
             report_climb_thrust(out, r, found, as_json)
             return
         found = cfd.sweep_speed(out, r, speeds, progress=tell, **given)

@@ -18,6 +18,7 @@ from mufly.cli.options import (
     OutOption,
     PolarOptions,
     RotorArgument,
+    default_text,
     define_option,
 )
 from mufly.cli.output import print_answer, save_figure
@@ -35,7 +36,7 @@ _CYCLIC_RANGE = OptionRange(0.01, 20.0, "deg", "the response is linear for small
 @app.command("forward")
 def show_forward(
     rotor: RotorArgument = "walkera-5g6",
-    speed: AirspeedsOption = "0:10:1",
+    speed: AirspeedsOption = default_text("0:10:1"),
     pitch: OptionalPitchOption = None,
     rpm: OptionalRpmOption = None,
     thrust: Annotated[
@@ -71,7 +72,6 @@ def show_forward(
     Examples: mufly rotor forward walkera-5g6 --pitch 13 --rpm 3600 --speed 0:8:2; mufly rotor forward --thrust 0.46
     --rpm 3600 --flap-frequency-ratio 1,1.1,1.6 --out forward
     """
-    from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import Air, load_rotor, solve_for_thrust
     from mufly.rotor.forward import ForwardCondition, estimate_flap_mode_range, make_flap_mode, sweep_forward
     from mufly.rotor.forward.forward_pictures import draw_disc_fields, draw_sweep
@@ -91,17 +91,14 @@ def show_forward(
     assert theta is not None
     assert omega is not None
     lean = math.radians(tilt)
-    conditions = [
-        ForwardCondition(theta, omega, v * math.cos(lean), v * math.sin(lean), air=air)
-        for v in read_values("--speed", speed, "m/s")
-    ]
+    conditions = [ForwardCondition(theta, omega, v * math.cos(lean), v * math.sin(lean), air=air) for v in speed]
     mass = None if blade_mass is None else 1e-3 * blade_mass
     if flap_frequency_ratio is None:
         band, basis = estimate_flap_mode_range(r, omega, pitch_rad=theta, mass_kg=mass)
         flaps = list(band)
     else:
-        ratios = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1")
-        flaps, basis = [make_flap_mode(r, ratio, mass_kg=mass) for ratio in ratios], "flap frequency as given"
+        flaps = [make_flap_mode(r, ratio, mass_kg=mass) for ratio in flap_frequency_ratio]
+        basis = "flap frequency as given"
     basis = "; ".join(filter(None, [basis, note]))
     sweep = sweep_forward(blading, conditions, flaps, flap_basis=basis, cyclic_rad=math.radians(cyclic))
     files = []

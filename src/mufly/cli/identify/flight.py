@@ -33,7 +33,6 @@ from mufly.cli.output import (
     progress_bar,
 )
 from mufly.errors import InputError
-from mufly.quantities.quantity_grammar import read_quantity
 
 if TYPE_CHECKING:
     from mufly.identify import FitProgress, FitResult, FlightRecord, IdentificationDemo
@@ -99,7 +98,7 @@ def flight(
     start_s: linear.FromOption = None,
     end_s: linear.ToOption = None,
     voltage: Annotated[
-        str,
+        float | str,
         define_option(
             "--voltage",
             "Battery voltage: 'model' (the charge is estimated), 'measured', 'nominal', or a number.",
@@ -175,8 +174,7 @@ def flight(
     check_output_place("--report", report)
     check_output_place("--checkpoint", checkpoint, "file")
     start = load_vehicle(vehicle)
-    volts = _parse_voltage(voltage)
-    uses_voltage = volts in ("model", "measured")
+    uses_voltage = voltage in ("model", "measured")
     part_s = (start_s, end_s)
     records, said = _read_records(logs, columns, prefix, start, as_is, uses_voltage, part_s)
     held, more = _read_records(hold_out or [], columns, prefix, start, as_is, uses_voltage)
@@ -196,7 +194,7 @@ def flight(
     elif any(p.exists() for p in kept) and not as_json:
         print_lines(f"Resuming from {keep}.")
     options: dict[str, Any] = {
-        "held_out": held, "voltage": volts, "delay_s": delay_ms / 1e3, "prior": not no_prior,
+        "held_out": held, "voltage": voltage, "delay_s": delay_ms / 1e3, "prior": not no_prior,
         "window_s": window, "method": method, "seed": seed, "restarts": restarts, "checkpoint": keep,
         "outputs": chosen, "held_exact": held_exact,
     }  # fmt: skip
@@ -221,10 +219,6 @@ def flight(
     _print_fit_notes(fit)
     print_files(written, "Vehicle")
     print_files(page, "Report")
-
-
-def _parse_voltage(text: str) -> str | float:
-    return text if text in ("model", "measured", "nominal") else read_quantity("--voltage", text, "V")
 
 
 def _read_records(

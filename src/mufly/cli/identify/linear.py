@@ -30,7 +30,6 @@ from mufly.cli.output import (
     write_records,
 )
 from mufly.errors import InputError
-from mufly.quantities.quantity_grammar import read_interval, read_values
 from mufly.results import to_plain_data, to_records
 
 if TYPE_CHECKING:
@@ -271,7 +270,7 @@ def _print_linear_model(r: LinearResult) -> None:
 
 _POSITIVE_RANGE = OptionRange(1e-9, None)
 BandOption = Annotated[
-    str | None,
+    tuple[float, float] | None,
     define_option(
         "--band",
         "Frequency band. Default: from 2 periods in half the shortest log, to 10 Hz.",
@@ -281,7 +280,7 @@ BandOption = Annotated[
     ),
 ]
 WindowsOption = Annotated[
-    str | None,
+    tuple[float, ...] | None,
     define_option(
         "--windows",
         "Window lengths, as 20,10,5. Default: five, from half the shortest log down.",
@@ -294,7 +293,8 @@ WindowsOption = Annotated[
 
 def _compute_responses(
     logs: Sequence[Path], inputs: Mapping[str, str], outputs: Mapping[str, str], columns: Sequence[str] | None,
-    start_s: float | None, end_s: float | None, band: str | None, windows: str | None, points: int,
+    start_s: float | None, end_s: float | None, band: tuple[float, float] | None, windows: tuple[float, ...] | None,
+    points: int,
 ) -> FrequencyResponse:  # fmt: skip
     """Return the composite responses of several logs."""
     from mufly.identify.linear.sweep_response import choose_window_lengths, estimate_composite_response
@@ -312,8 +312,8 @@ def _compute_responses(
     us = [r.stack_columns(inputs, "inputs") for r in records]
     ys = [r.stack_columns(outputs, "outputs") for r in records]
     shortest = min(len(u) for u in us) * dt
-    low, high = read_interval("--band", band, "Hz") if band else (4.0 / shortest, min(10.0, 0.4 / dt))
-    lengths = read_values("--windows", windows, "s") if windows else choose_window_lengths(shortest, low, high)
+    low, high = band or (4.0 / shortest, min(10.0, 0.4 / dt))
+    lengths = windows or choose_window_lengths(shortest, low, high)
     return estimate_composite_response(
         us, ys, dt, windows_s=lengths, low_hz=low, high_hz=high, points=points, input_names=tuple(inputs),
         output_names=tuple(outputs),

@@ -18,11 +18,12 @@ from mufly.cli.options import (
     PictureOption,
     StartVehicleOption,
     WriteOption,
+    default_text,
     define_argument,
     define_option,
     format_today,
     load_start_vehicle,
-    read_optional_with_std,
+    split_optional_std,
     write_estimated_vehicle,
 )
 from mufly.cli.output import (
@@ -36,7 +37,7 @@ from mufly.cli.output import (
     write_csv,
 )
 from mufly.errors import InputError, suggest_name
-from mufly.quantities.quantity_grammar import read_interval, read_quantity
+from mufly.quantities.quantity_grammar import ValueWithStd, read_quantity
 from mufly.quantities.units import RPM, split_unit_suffix
 from mufly.results import select_fields, to_plain_data
 
@@ -56,7 +57,7 @@ def rotor(
         ),
     ],
     radius: Annotated[
-        str | None,
+        ValueWithStd | None,
         define_option(
             "--radius",
             "Rotor radius, as 60mm or 0.06+-0.0002. Default: that of --rotor or --vehicle.",
@@ -65,7 +66,7 @@ def rotor(
         ),
     ] = None,
     density: Annotated[
-        str | None,
+        ValueWithStd | None,
         define_option(
             "--density",
             "Density of the air, as 1.19 or 1.19+-0.01. Default: the file's, else 1.2.",
@@ -143,14 +144,14 @@ def rotor(
     blades = load_rotor(predict_with) if predict_with is not None else None
     tables = read_bench_files([*bench, *([calibration] if calibration else [])], columns=columns or ())
     cells = calibrate_cells(tables.pop()) if calibration else None
-    value, std = read_optional_with_std("--radius", radius, "m")
+    value, std = split_optional_std("--radius", radius)
     if value is None:
         known = [*([blades.radius_m] if blades else []), *([float(start.rotors.radius)] if start else [])]
         known += [0.5 * t.diameter_m for t in tables if math.isfinite(t.diameter_m)]
         if not known:
             raise InputError("--radius", "", "is missing", "give the rotor's radius in metres, or --rotor or --vehicle")
         value = known[0]
-    rho, rho_std = read_optional_with_std("--density", density, "kg/m3")
+    rho, rho_std = split_optional_std("--density", density)
     loads = [compute_loads(t, cells, radius_m=value, density_kg_m3=rho) for t in tables]
     by_file = [
         fit_rotor_coefficients(
@@ -239,7 +240,7 @@ def plan(
         ),
     ] = None,
     band: Annotated[
-        str | None,
+        tuple[float, float] | None,
         define_option(
             "--band",
             "Frequency band, as 0.1:3. Default: around the channel's modes.",
@@ -297,7 +298,8 @@ def plan(
     kinds = SIGNAL_KINDS if kind == "best" else (cast("SignalKind", kind),)
     check_output_place("--out", out)
     _check_time_grid(duration, delay, sample, window)
-    limits, std, frequencies = _parse_limits(limit), _parse_noise(noise, SENSOR_NOISE_STD), _parse_band(band)
+    limits, std = _parse_limits(limit), _parse_noise(noise, SENSOR_NOISE_STD)
+    frequencies = None if band is None else (2 * math.pi * band[0], 2 * math.pi * band[1])
     plans: list[ExcitationPlan] = []
     for name in channels:
         with progress_bar(f"{name} flights", shown=not as_json) as move:
@@ -408,13 +410,6 @@ def _parse_noise(text: str | None, default: dict[str, float]) -> dict[str, float
     return {k: v for k, v in merged.items() if v is not None}
 
 
-def _parse_band(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    low, high = read_interval("--band", text, "Hz")
-    return 2 * math.pi * low, 2 * math.pi * high
-
-
 def _format_percent(share: float) -> str:
     if not math.isfinite(share) or share > 10:
         return "not observable"
@@ -470,7 +465,7 @@ def motor(
         ),
     ],
     gear_ratio: Annotated[
-        str,
+        ValueWithStd | str,
         define_option(
             "--gear --gear-ratio",
             "Gear ratio, motor speed over measured speed: 1.5, 1.5+-0.01 or 'free'.",
@@ -478,9 +473,9 @@ def motor(
             form="doubt",
             words=("free",),
         ),
-    ] = "1",
+    ] = default_text("1"),
     gear_efficiency: Annotated[
-        str,
+        ValueWithStd | str,
         define_option(
             "--gear-efficiency",
             "Efficiency of the gear between motor and torque sensor: 0.84, 0.84+-0.02 or 'free'.",
@@ -488,7 +483,7 @@ def motor(
             form="doubt",
             words=("free",),
         ),
-    ] = "1",
+    ] = default_text("1"),
     noise: Annotated[
         str | None,
         define_option(
@@ -513,8 +508,8 @@ def motor(
 
     start = load_start_vehicle(vehicle, write)
     check_output_place("--out", out)
-    ratio, ratio_std = read_optional_with_std("--gear", gear_ratio, "1")
-    eta, eta_std = read_optional_with_std("--gear-efficiency", gear_efficiency, "1")
+    ratio, ratio_std = split_optional_std("--gear", gear_ratio)
+    eta, eta_std = split_optional_std("--gear-efficiency", gear_efficiency)
     if eta is not None and eta > 1.0:
         raise InputError("--gear-efficiency", "", f"{eta:g} is out of range", "give a number up to 1")
     table = read_bench_file(bench, columns=columns or ())

@@ -160,7 +160,7 @@ def run_simulator(
     ends: Sequence[str] | None,
     origin: str | None,
     out: Path | None,
-    wind: str | None,
+    wind: tuple[float, ...] | None,
     gust: float | None,
     seed: int,
     sensors: str,
