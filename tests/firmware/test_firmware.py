@@ -167,7 +167,7 @@ def test_code_with_another_vehicles_numbers_differs(controller) -> None:
 
 @needs_cc
 def test_a_mission_flown_beside_it_shows_no_difference() -> None:
-    (one,) = run_sil(load_vehicle("mufly-1.1"), ["box-on-leg"], wind=[0.5, 0.0, 0.0], gust=0.3)
+    (one,) = run_sil(load_vehicle("mufly-1.1"), ["box-on-leg"], wind=[0.5, 0.0, 0.0], gust=0.3).flights
     assert one.outcome == "succeeded"
     assert 5000 < one.periods < one.estimator_periods
     assert one.different == one.estimator_different == one.steps_different == 0
@@ -194,7 +194,7 @@ def test_it_flies_the_mission_as_python_does(tmp_path) -> None:
 
 @pytest.mark.skipif(bool(describe_missing_tools()) or not COMPILERS, reason=describe_missing_tools() or "no C compiler")
 def test_an_emulated_processor_computes_the_same() -> None:
-    results = run_pil(load_vehicle("mufly-1.1"))
+    results = run_pil(load_vehicle("mufly-1.1")).processors
     assert {r.machine for r in results} == {"mps2-an386", "netduinoplus2"}
     for r in results:
         assert r.same

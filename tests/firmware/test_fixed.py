@@ -169,7 +169,7 @@ def test_rounded_numbers_are_those_analysed(made) -> None:
 
 @pytest.mark.skipif(bool(describe_missing_tools()) or not COMPILERS, reason=describe_missing_tools() or "no C compiler")
 def test_processors_without_a_floating_unit_compute_the_same() -> None:
-    results = run_pil(load_vehicle("mufly-1.1"), fixed_point=True)
+    results = run_pil(load_vehicle("mufly-1.1"), fixed_point=True).processors
     assert [r.machine for r in results] == [
         "mps2-an385 (cortex-m3)", "mps2-an386 (cortex-m4)", "microbit (cortex-m0)"
     ]  # fmt: skip
@@ -183,7 +183,7 @@ def test_processors_without_a_floating_unit_compute_the_same() -> None:
 
 @needs_cc
 def test_it_flies_the_mission_and_nothing_overflows() -> None:
-    (one,) = compare_fixed_point_flights(load_vehicle("mufly-1.1"), ["box-on-leg"])
+    (one,) = compare_fixed_point_flights(load_vehicle("mufly-1.1"), ["box-on-leg"]).flights
     assert one.outcome == "succeeded"
     assert one.overflows == 0
     assert one.periods > 5000

@@ -11,7 +11,11 @@ from mufly.firmware.fixed_point.fixed_point_design import (
     measure_cascade_loss,
     quantise_law,
 )
-from mufly.firmware.fixed_point.fixed_point_flights import FixedPointFlightComparison, compare_fixed_point_flights
+from mufly.firmware.fixed_point.fixed_point_flights import (
+    FixedPointFlightComparison,
+    FixedPointFlights,
+    compare_fixed_point_flights,
+)
 from mufly.firmware.fixed_point.fixed_point_law import (
     FixedPointFirmwareControllers,
     export_fixed_point,
@@ -20,7 +24,9 @@ from mufly.firmware.host_build import Firmware, FirmwareControllers, build_libra
 from mufly.firmware.proof.evidence_report import write_report
 from mufly.firmware.proof.fuzzing import FuzzResult, describe_missing_fuzzer_tools, fuzz_firmware, run_fuzzer
 from mufly.firmware.proof.sil_pil import (
+    PilComparison,
     PilResult,
+    SilComparison,
     SilResult,
     describe_missing_tools,
     find_deepest_stack,
@@ -34,12 +40,15 @@ __all__ = [
     "FirmwareSoftware",
     "FixedPointFirmwareControllers",
     "FixedPointFlightComparison",
+    "FixedPointFlights",
     "FixedPointLaw",
     "FuzzResult",
     "GenericFirmwareSoftware",
     "OverflowProof",
+    "PilComparison",
     "PilResult",
     "QuantisationLoss",
+    "SilComparison",
     "SilResult",
     "build_library",
     "compare_fixed_point_flights",

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from mufly.errors import InputError
 from mufly.logs.raw_log import RawLog
 from mufly.logs.ulog import HEADER_SIZE as ULOG_HEADER_SIZE
 from mufly.logs.ulog import parse_ulog
+from mufly.results import result
 
 BLOCK_LOG_FORMAT = "mufly block log"
 BLOCK_BYTES = 512
@@ -27,7 +27,7 @@ _HEADER_STRUCT = struct.Struct("<4s3IHH")
 _NO_MESSAGE_START = 0xFFFF
 
 
-@dataclass(frozen=True)
+@result(json="session=number bytes=byte_count missing_blocks whole=has_begin")
 class BlockLogSession:
     """Part of a board's log that was written between one start of the board and the next.
 
@@ -47,6 +47,11 @@ class BlockLogSession:
     ulog: bytes
     missing_blocks: int
     has_begin: bool
+
+    @property
+    def byte_count(self) -> int:
+        """Size of the session as a ULog file (bytes)."""
+        return len(self.ulog)
 
 
 def looks_like_block_log(head: bytes) -> bool:

@@ -252,13 +252,15 @@ def to_plain_data(value: Any) -> Any:
 
 
 def format_value(value: Any, form: str = ".6g") -> str:
-    """Return a value as text: numbers by the format ``form``, ``"-"`` for unknown values, long arrays by size and
-    range.
+    """Return a value as text: integers with all digits unless ``form`` has fixed decimals, other numbers by ``form``,
+    ``"-"`` for unknown values, long arrays by size and range.
     """
     if value is None or (isinstance(value, float | np.floating) and math.isnan(value)):
         return "-"
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
+    if isinstance(value, int | np.integer) and form.endswith("g"):
+        return str(value)
     if isinstance(value, int | float | np.number) and not isinstance(value, complex):
         return f"{value:{form}}"
     if isinstance(value, np.ndarray) and value.dtype.kind in "fiu":

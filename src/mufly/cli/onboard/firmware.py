@@ -29,10 +29,10 @@ from mufly.cli.output import (
     check_output_place,
     make_console,
     print_answer,
+    print_blocks,
     print_files,
     print_json,
     print_lines,
-    print_result_table,
     progress_bar,
 )
 from mufly.cli.station import (
@@ -45,11 +45,9 @@ from mufly.cli.station import (
     resolve_wind,
 )
 from mufly.errors import InputError, MuflyError, report_write_errors
-from mufly.results import ResultColumn
+from mufly.results import make_lines_block, tabulate_results
 
 if TYPE_CHECKING:
-    from mufly.control import FlightController
-    from mufly.firmware import FixedPointFlightComparison, FixedPointLaw, PilResult, SilResult
     from mufly.vehicle import Vehicle
 
 app = CommandGroup(
@@ -108,7 +106,7 @@ def export(
         print_json({"files": [str(f) for f in files], **more})
         return
     if law is not None:
-        _print_fixed_point_law(helicopter, controller, law)
+        print_blocks(*law.shown_blocks(firmware.measure_cascade_loss(helicopter, controller, law)))
     print_files([out])
     if helicopter.sensors is None:
         print_lines(
@@ -201,13 +199,13 @@ def sil(
     helicopter = load_vehicle(vehicle)
     faults = parse_sensor_faults(helicopter, sensors, fault)
     with progress_bar("flights", not as_json) as progress:
-        results = compare(
+        compared = compare(
             helicopter, names, flights=flights, wind=steady, gust=gust, faults=faults,
             on_flight=_make_flight_counter(progress, len(names) * flights),
             sensors=sensors, drawn=drawn, keep=keep,
         )  # fmt: skip
-    print_answer(as_json, {"flights": results}, lambda: _print_sil_results(results))
-    if any(r.different + r.estimator_different + r.steps_different for r in results):
+    print_answer(as_json, compared)
+    if compared.mismatch_count:
         raise typer.Exit(1)
 
 
@@ -217,75 +215,15 @@ def _make_flight_counter(progress: Callable[[int, int], None] | None, total: int
     return lambda _: None if progress is None else progress(next(numbers), total)
 
 
-def _print_sil_results(results: list[SilResult]) -> None:
-    columns = (
-        "mission",
-        "seed",
-        "outcome",
-        ResultColumn("periods", form="d", head="law"),
-        ResultColumn("different", form="d", head="differ"),
-        ResultColumn("estimator_periods", form="d", head="estimator"),
-        ResultColumn("estimator_different", form="d", head="differ"),
-        ResultColumn("steps", form="d", head="flight"),
-        ResultColumn("steps_different", form="d", head="differ"),
-        ResultColumn("log_entry_count", form="d", head="log"),
-        ResultColumn("worst_single", form=".1e", head="single"),
-    )
-    print_result_table(results, columns)
-    law, estimator = sum(r.periods for r in results), sum(r.estimator_periods for r in results)
-    steps = sum(r.steps for r in results)
-    off = [sum(getattr(r, name) for r in results) for name in ("different", "estimator_different", "steps_different")]
-    if any(off):
-        print_lines(
-            f"{off[0]} of {law} periods of the law, {off[1]} of {estimator} of the estimator and {off[2]} of {steps} "
-            "of the flight differ: the exported code differs from the Python code.",
-            style="red",
-        )
-    else:
-        print_lines(
-            f"No bit differs in {law} periods of the law, {estimator} of the estimator and {steps} of the flight "
-            f"(actuators, reference, mission), and no word in {sum(r.log_entry_count for r in results)} lines of the "
-            "log. Single: the law's greatest difference in single precision, over an actuator's range."
-        )
-
-
 def _compare_fixed_point(vehicle: Vehicle, names: list[str], flights: int, keep: Path | None, as_json: bool) -> None:
     from mufly.firmware import compare_fixed_point_flights
 
     with progress_bar("flights", not as_json) as progress:
         on_flight = _make_flight_counter(progress, len(names) * flights)
-        results = compare_fixed_point_flights(vehicle, names, flights=flights, keep=keep, on_flight=on_flight)
-    print_answer(as_json, {"flights": results}, lambda: _print_fixed_point_flights(results))
-    if any(r.overflows for r in results):
+        compared = compare_fixed_point_flights(vehicle, names, flights=flights, keep=keep, on_flight=on_flight)
+    print_answer(as_json, compared)
+    if any(flight.overflows for flight in compared.flights):
         raise typer.Exit(1)
-
-
-def _print_fixed_point_flights(results: list[FixedPointFlightComparison]) -> None:
-    counts = (ResultColumn("periods", form="d"), ResultColumn("overflows", form="d"))
-    print_result_table(results, ["mission", "seed", "outcome", *counts, ResultColumn("max_distance_m", "mm", ".1f")])
-    print_lines("Apart: greatest distance from the flight in double precision. Seeds from 1 on fly in wind and gusts.")
-
-
-def _print_fixed_point_law(vehicle: Vehicle, controller: FlightController, law: FixedPointLaw) -> None:
-    from mufly.firmware import measure_cascade_loss
-
-    taken = {(one.loop, one.form) for one in law.chosen_losses}
-    rows = [{**vars(one), "taken": "yes" if (one.loop, one.form) in taken else ""} for one in law.candidate_losses]
-    rows.append({**vars(measure_cascade_loss(vehicle, controller, law)), "taken": "yes"})
-    figures = (ResultColumn(name, form=".4f") for name in ("peaks_dB", "gain_dB", "phase_dB", "delay_dB"))
-    print_result_table(rows, ["loop", "form", "taken", *figures])
-    print_lines("Loss by 16-bit coefficients: growth of peaks, loss of margins; phase and delay as ratios.")
-    columns = (
-        ResultColumn("name", head="controller"), "form",
-        ResultColumn("proof.state_bound_shares.max", form=".2f", head="greatest state of 32 bits"),
-        ResultColumn("proof.sum_bound_shares.max", form=".2f", head="greatest sum of 64"),
-        ResultColumn("proof.saturation_excess_bound_share", form=".2f", head="refused of 32"),
-        ResultColumn("proof.max_pole_magnitude", form=".5f", head="slowest pole"),
-    )  # fmt: skip
-    print_result_table(law.controllers, columns)
-    print_lines(
-        "Bounds for any inputs within their limits, by the L1 norm, as a share of the number range: all below 1."
-    )
 
 
 @app.command()
@@ -381,23 +319,19 @@ def split_log(
     if not sessions:
         raise InputError(str(image), "", "holds no log of a board", "give a copy of the whole device")
     check_output_place("--out", out, make=False)
-    files, rows = [], []
+    files = []
     with report_write_errors("--out", key=str(out)):
         out.mkdir(parents=True, exist_ok=True)
         for s in sessions:
-            rows.append(
-                {"session": s.number, "bytes": len(s.ulog), "missing_blocks": s.missing_blocks, "whole": s.has_begin}
-            )
             if s.has_begin:
                 files.append(out / f"session-{s.number:04d}.ulg")
                 files[-1].write_bytes(s.ulog)
-
-    def show() -> None:
-        print_result_table(rows, ("session", "bytes", "missing_blocks", ResultColumn("whole", head="begin")))
-        if len(files) < len(sessions):
-            print_lines("A session whose beginning has been overwritten is not extracted.")
-
-    print_answer(as_json, {"sessions": rows}, show, files)
+    lost = ["A session without its beginning is not extracted."] if len(files) < len(sessions) else []
+    blocks = (
+        tabulate_results(sessions, ("number", "byte_count", "missing_blocks", "has_begin")),
+        make_lines_block(*lost),
+    )
+    print_answer(as_json, {"sessions": sessions}, blocks, files)
 
 
 @app.command()
@@ -411,28 +345,10 @@ def pil(vehicle: VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False,
     from mufly import firmware
     from mufly.vehicle import load_vehicle
 
-    results = firmware.run_pil(load_vehicle(vehicle), fixed_point=fixed_point)
-    print_answer(as_json, {"processors": results}, lambda: _print_pil_results(results, fixed_point))
-    if not all(r.same for r in results):
+    compared = firmware.run_pil(load_vehicle(vehicle), fixed_point=fixed_point)
+    print_answer(as_json, compared)
+    if not all(one.same for one in compared.processors):
         raise typer.Exit(1)
-
-
-def _print_pil_results(results: list[PilResult], fixed_point: bool) -> None:
-    columns = (
-        ResultColumn("machine", head="emulated"),
-        ResultColumn("tested_part", head="part"),
-        ResultColumn("same", head="same outputs"),
-        ResultColumn("mean_instructions", form=".0f", head="instructions a period"),
-        ResultColumn("worst_instructions", form=".0f", head="worst"),
-        ResultColumn("flash_bytes", form="d"),
-        ResultColumn("stack_bytes", form="d"),
-    )
-    print_result_table(results, columns)
-    how = "Whole numbers, gcc -O2" if fixed_point else "Single precision, gcc -Os"
-    print_lines(
-        f"{how}. Flight: law, mission and monitoring on synthetic estimates; estimator: on a "
-        "synthetic hop in a room. Flash: code and numbers of the whole tree; stack: deepest call."
-    )
 
 
 @app.command()
@@ -488,15 +404,6 @@ def fuzz(
     from mufly.vehicle import load_vehicle
 
     result = feed(load_vehicle(vehicle), seconds=60.0 * minutes, seed=seed, link_only=link_only)
-
-    def print_result() -> None:
-        print_lines(f"Fed: {', '.join(result.parts)}. {result.runs} inputs, {result.covered} code locations reached.")
-        if result.sanitizer_message:
-            print_lines(result.sanitizer_message, style="red")
-            print_lines(f"Bytes: {result.input_hex}")
-        else:
-            print_lines("No crash, no undefined behaviour, no output out of range.")
-
-    print_answer(as_json, {"fuzz": result}, print_result)
+    print_answer(as_json, {"fuzz": result}, result.shown_blocks())
     if result.sanitizer_message:
         raise typer.Exit(1)

@@ -42,7 +42,7 @@ from mufly.control.implementation import DiscreteController, analyse_cascade, ba
 from mufly.control.linear_systems import Array, LoopAnalysis, analyse_loop, replace_matrices, sample_plant
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import MuflyError
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, result, tabulate_results
 from mufly.vehicle import Vehicle
 
 _IntArray = NDArray[np.int64]
@@ -451,6 +451,28 @@ class FixedPointLaw:
             for one in self.candidate_losses
             if any(one.loop == w and one.form == f for w, f in zip(loops, forms, strict=True))
         )
+
+    def shown_blocks(self, *more: QuantisationLoss) -> list[ShownBlock]:
+        """Return as printed text the losses of all forms, ``more`` losses of chosen forms, and the overflow proofs."""
+        chosen = (*self.chosen_losses, *more)
+        losses = (*self.candidate_losses, *more)
+        figures = (ResultColumn(name, form=".4f") for name in ("peaks_dB", "gain_dB", "phase_dB", "delay_dB"))
+        bounds = (
+            ResultColumn("state_bound_shares.max", form=".2f", head="state of 32 bits"),
+            ResultColumn("sum_bound_shares.max", form=".2f", head="sum of 64 bits"),
+            ResultColumn("saturation_excess_bound_share", form=".2f", head="saturation excess"),
+            ResultColumn("max_pole_magnitude", form=".5f"),
+        )
+        return [
+            tabulate_results(
+                losses, ("loop", "form", *figures), title="Loss of margins by 16-bit coefficients",
+                names=["chosen" if one in chosen else "" for one in losses],
+            ),
+            tabulate_results(
+                [c.proof for c in self.controllers], ("controller", "form", *bounds),
+                title="Bounds for any inputs, as shares of the number range (L1 norm)",
+            ),
+        ]  # fmt: skip
 
 
 def quantise_law(controller: FlightController) -> FixedPointLaw:

@@ -16,7 +16,7 @@ from mufly.firmware.fixed_point.fixed_point_law import FixedPointFirmwareControl
 from mufly.firmware.proof.proof_flights import draw_random_conditions, resume_flights
 from mufly.flight import fly_mission
 from mufly.mission import load_mission
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, result, tabulate_results
 from mufly.vehicle import Vehicle
 
 
@@ -44,6 +44,23 @@ class FixedPointFlightComparison:
     max_distance_m: float
 
 
+@result
+class FixedPointFlights:
+    """Flights with the fixed-point law, compared with those in double precision.
+
+    Attributes
+    ----------
+    flights : list of FixedPointFlightComparison
+    """
+
+    flights: list[FixedPointFlightComparison]
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the flights as printed text."""
+        distance = ResultColumn("max_distance_m", "mm", ".1f", "distance from double precision")
+        return [tabulate_results(self.flights, ("mission", "seed", "outcome", "periods", "overflows", distance))]
+
+
 def compare_fixed_point_flights(
     vehicle: Vehicle,
     missions: Sequence[str],
@@ -52,7 +69,7 @@ def compare_fixed_point_flights(
     law: FixedPointLaw | None = None,
     keep: Path | None = None,
     on_flight: Callable[[FixedPointFlightComparison], None] | None = None,
-) -> list[FixedPointFlightComparison]:
+) -> FixedPointFlights:
     """Fly missions with the fixed-point C code, and again in double precision.
 
     Parameters
@@ -99,4 +116,4 @@ def compare_fixed_point_flights(
         )  # fmt: skip
 
     asked = [(name, seed) for seed in range(flights) for name in missions]
-    return resume_flights(FixedPointFlightComparison, keep, asked, fly_both_precisions, on_flight)
+    return FixedPointFlights(resume_flights(FixedPointFlightComparison, keep, asked, fly_both_precisions, on_flight))

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from importlib import resources
@@ -48,7 +48,7 @@ from mufly.firmware.proof.sil_pil import (
     run_sil,
 )
 from mufly.mission import load_mission
-from mufly.results import to_plain_data
+from mufly.results import ShownBlock, ShownLines, to_plain_data
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
@@ -106,9 +106,17 @@ class MisraFinding:
     reason: str
 
 
-def _markdown_table(head: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
+def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return "\n".join([*lines, *("| " + " | ".join(str(v) for v in row) + " |" for row in rows)])
+
+
+def _markdown_blocks(blocks: Iterable[ShownBlock]) -> str:
+    """Return the printed text of a result as Markdown."""
+    return "\n\n".join(
+        "\n".join(b.lines) if isinstance(b, ShownLines) else f"{b.title}\n\n{_markdown_table(b.heads, b.rows)}".strip()
+        for b in blocks
+    )
 
 
 def _require_tool(tool: str, package: str) -> None:
@@ -121,13 +129,12 @@ def _require_tool(tool: str, package: str) -> None:
 
 
 def _report_python_c_equality(vehicle: Vehicle, out: Path) -> EvidenceSection:
-    flights = run_sil(vehicle, ["demonstration", "box-on-leg"])
-    rows = [(r.mission, r.outcome, r.periods, r.different, f"{r.worst_single:.1e}") for r in flights]
+    compared = run_sil(vehicle, ["demonstration", "box-on-leg"])
     return EvidenceSection(
         "The same as Python",
-        _markdown_table(("mission", "outcome", "periods", "differ", "single precision off by, of full range"), rows)
-        + f"\n\nDouble precision: no bit may differ. Single: {RESOURCE_TARGETS['single']:.0e} is the aim.",
-        {"flights": to_plain_data(flights)},
+        f"{_markdown_blocks(compared.shown_blocks())}\n\nDouble precision: no bit may differ. Single: "
+        f"{RESOURCE_TARGETS['single']:.0e} of full range is the aim.",
+        to_plain_data(compared),
     )
 
 
@@ -135,8 +142,8 @@ def _report_emulated_processors(vehicle: Vehicle, out: Path) -> EvidenceSection:
     absent = describe_missing_tools()
     if absent:
         raise MuflyError(f"not measured: {absent}")
-    boards = [("single precision", r) for r in run_pil(vehicle)] + [
-        ("whole numbers", r) for r in run_pil(vehicle, fixed_point=True)
+    boards = [("single precision", r) for r in run_pil(vehicle).processors] + [
+        ("whole numbers", r) for r in run_pil(vehicle, fixed_point=True).processors
     ]
     from matplotlib.figure import Figure  # imported here to save half a second at start
 
@@ -238,38 +245,16 @@ def _report_memory(vehicle: Vehicle, out: Path) -> EvidenceSection:
 def _report_fixed_point(vehicle: Vehicle, out: Path) -> EvidenceSection:
     controller = design_flight_controller(vehicle)
     law = quantise_law(controller)
-    losses = [*law.chosen_losses, measure_cascade_loss(vehicle, controller, law)]
-    flights = compare_fixed_point_flights(vehicle, ["demonstration", "box-on-leg"], law=law)
-    proofs = [c.proof for c in law.controllers]
+    cascade = measure_cascade_loss(vehicle, controller, law)
+    compared = compare_fixed_point_flights(vehicle, ["demonstration", "box-on-leg"], law=law)
     text = [
-        _markdown_table(
-            ("loop", "form", "peaks (dB)", "gain (dB)", "phase (dB)", "delay (dB)"),
-            [(x.loop, x.form, *(f"{v:.4f}" for v in (x.peaks_dB, x.gain_dB, x.phase_dB, x.delay_dB))) for x in losses],
-        ),
-        f"Lost by coefficients of 16 bits; aim: {RESOURCE_TARGETS['margin_dB']} dB.",
-        _markdown_table(
-            ("controller", "state, of 32 bits", "sum, of 64", "refused, of 32", "slowest pole"),
-            [
-                (
-                    p.controller,
-                    f"{p.state_bound_shares.max():.2f}",
-                    f"{p.sum_bound_shares.max():.2f}",
-                    f"{p.saturation_excess_bound_share:.2f}",
-                    f"{p.max_pole_magnitude:.5f}",
-                )
-                for p in proofs
-            ],
-        ),
-        "Greatest bounds, by the L1 norm, for any inputs: below 1 nothing overflows.",
-        _markdown_table(
-            ("mission", "outcome", "periods", "overflows", "apart from double precision (mm)"),
-            [(f.mission, f.outcome, f.periods, f.overflows, f"{1e3 * f.max_distance_m:.1f}") for f in flights],
-        ),
+        _markdown_blocks([*law.shown_blocks(cascade), *compared.shown_blocks()]),
+        f"Margins may fall by {RESOURCE_TARGETS['margin_dB']} dB. With bounds below 1 nothing overflows.",
     ]
     data = {
-        "losses": to_plain_data(losses),
-        "proofs": to_plain_data(proofs),
-        "flights": to_plain_data(flights),
+        "losses": to_plain_data([*law.chosen_losses, cascade]),
+        "proofs": to_plain_data([c.proof for c in law.controllers]),
+        "flights": to_plain_data(compared.flights),
     }
     return EvidenceSection("In whole numbers", "\n\n".join(text), data)
 

@@ -27,7 +27,7 @@ from mufly.firmware.export.source_export import (
 from mufly.firmware.fixed_point.fixed_point_law import export_fixed_point
 from mufly.firmware.proof.sil_pil import run_compiler
 from mufly.mission import load_mission
-from mufly.results import result
+from mufly.results import ShownBlock, make_lines_block, result
 from mufly.vehicle import Vehicle
 
 _FUZZER_FLAGS = (
@@ -63,6 +63,16 @@ class FuzzResult:
     parts: tuple[str, ...]
     sanitizer_message: str
     input_hex: str
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return as printed text the inputs, and the fault with its input."""
+        fault = (self.sanitizer_message, f"Bytes: {self.input_hex}") if self.sanitizer_message else ()
+        return [
+            make_lines_block(f"Parts: {', '.join(self.parts)}. {self.runs} inputs, {self.covered} code edges reached."),
+            make_lines_block(
+                *fault or ("No crash, undefined behaviour or output out of range.",), style="red" * bool(fault)
+            ),
+        ]
 
 
 @functools.cache

@@ -41,7 +41,7 @@ from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_random_
 from mufly.flight import fly_mission
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.mission import load_mission, parse_mission
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results
 from mufly.sensors import Readings
 from mufly.sensors.faults import Fault, parse_fault
 from mufly.vehicle import Vehicle
@@ -172,6 +172,50 @@ class SilResult:
     worst_single: float
 
 
+_COMPARED_PARTS = (
+    ("law", "periods", "different"),
+    ("estimator", "estimator_periods", "estimator_different"),
+    ("flight software", "steps", "steps_different"),
+)
+"""Compared parts, and the fields of their periods in a :class:`SilResult`: all, and those that differ."""
+
+
+@result
+class SilComparison:
+    """Flights in which the exported code is compared with the Python code.
+
+    Attributes
+    ----------
+    flights : list of SilResult
+    """
+
+    flights: list[SilResult]
+
+    @property
+    def mismatch_count(self) -> int:
+        """Number of periods of any part that differ."""
+        return sum(getattr(flight, name) for flight in self.flights for _, _, name in _COMPARED_PARTS)
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return as printed text the flights, and the number of periods that differ."""
+
+        def total(name: str) -> int:
+            return sum(getattr(flight, name) for flight in self.flights)
+
+        counts = [
+            ResultColumn(name, head=head)
+            for part, *names in _COMPARED_PARTS
+            for name, head in zip(names, (part, "differ"), strict=True)
+        ]
+        error = ResultColumn("worst_single", form=".1e", head="error in single precision")
+        log = ResultColumn("log_entry_count", head="log")
+        told = ", ".join(f"{total(differ)} of {total(every)} of the {part}" for part, every, differ in _COMPARED_PARTS)
+        return [
+            tabulate_results(self.flights, ["mission", "seed", "outcome", *counts, log, error]),
+            make_lines_block(f"Periods with different bits: {told}.", style="red" if self.mismatch_count else ""),
+        ]
+
+
 @result
 class PilResult:
     """Result of a self-test on an emulated processor.
@@ -199,6 +243,33 @@ class PilResult:
     flash_bytes: int
     ram_bytes: int
     stack_bytes: int
+
+
+@result(json="processors")
+class PilComparison:
+    """Self-tests on emulated processors, compared with this machine.
+
+    Attributes
+    ----------
+    processors : list of PilResult
+    arithmetic : str
+        Arithmetic and optimisation of the code.
+    """
+
+    processors: list[PilResult]
+    arithmetic: str
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the self-tests as printed text."""
+        instructions = ResultColumn("mean_instructions", form=".0f"), ResultColumn("worst_instructions", form=".0f")
+        columns = ("machine", "tested_part", "same", *instructions, "flash_bytes", "stack_bytes")
+        return [
+            tabulate_results(self.processors, columns, title=self.arithmetic),
+            make_lines_block(
+                "Instructions of a period, on synthetic estimates (estimator: a synthetic hop in a room); flash of all "
+                "code and constants; stack of the deepest call."
+            ),
+        ]
 
 
 class _ComparedControllers(Controllers):
@@ -287,7 +358,7 @@ def run_sil(
     drawn: bool = False,
     keep: Path | None = None,
     on_flight: Callable[[SilResult], None] | None = None,
-) -> list[SilResult]:
+) -> SilComparison:
     """Fly missions and compare the exported code with Python in every period.
 
     Parameters
@@ -352,7 +423,7 @@ def run_sil(
         )  # fmt: skip
 
     asked = [(name, seed) for seed in range(flights) for name in missions]
-    return resume_flights(SilResult, keep, asked, fly_compared, on_flight)
+    return SilComparison(resume_flights(SilResult, keep, asked, fly_compared, on_flight))
 
 
 def describe_missing_tools() -> str:
@@ -361,7 +432,7 @@ def describe_missing_tools() -> str:
     return f"install {' and '.join(absent)} (Debian, Ubuntu: apt-get install {' '.join(absent)})" if absent else ""
 
 
-def run_pil(vehicle: Vehicle, *, fixed_point: bool = False) -> list[PilResult]:
+def run_pil(vehicle: Vehicle, *, fixed_point: bool = False) -> PilComparison:
     """Run self-tests on emulated Cortex-M processors: of the flight software, or of the fixed-point law.
 
     Raises
@@ -396,7 +467,7 @@ def run_pil(vehicle: Vehicle, *, fixed_point: bool = False) -> list[PilResult]:
                         stack_bytes=find_deepest_stack(objects[cpu], entry),
                     )
                 )
-        return found
+        return PilComparison(found, "Integers, gcc -O2" if fixed_point else "Single precision, gcc -Os")
 
 
 _CONTROL_LAW_SOURCES = ("controllers.c", "law.c", "linear.c", "cascade.c", "mixer.c", "real.c", "tables.c")
