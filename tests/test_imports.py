@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -42,3 +43,21 @@ def test_no_circle_of_imports() -> None:
         tuple(graphlib.TopologicalSorter(graph).static_order())
     except graphlib.CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
+
+
+_IMPORTS_BY_STRING = {
+    "mufly",  # its rooms, on first use
+    "mufly.bench.rig.ni_daq",  # an optional library
+    "mufly.bridges",  # names that it also imports for type checkers
+    "mufly.bridges.ros_node",  # messages of ROS 2
+    "mufly.station",  # names that it also imports for type checkers
+    "mufly.study.benchmark.prediction_codes",  # a function of the user
+    "mufly.study.sweeps",  # an optional library
+}
+
+
+def test_no_circle_hides_behind_a_string() -> None:
+    """Neither the graph above nor an editor follows ``import_module("mufly.rotor")``."""
+    called = re.compile(r"\b(import_module|__import__)\(")
+    found = {name for name, path in _FILES.items() if called.search(path.read_text(encoding="utf-8"))}
+    assert found == _IMPORTS_BY_STRING

@@ -1,10 +1,13 @@
 """Results say what their fields are, in every form."""
 
+import ast
 import importlib
 import inspect
+import itertools
 import json
 import math
 import pkgutil
+import subprocess
 import sys
 import typing
 from dataclasses import FrozenInstanceError, is_dataclass
@@ -15,6 +18,7 @@ import pytest
 import mufly
 from mufly.cli.aero import benchmark
 from mufly.results import field_meaning, field_meanings, result, result_rows, to_plain_data
+from mufly.results.result_class import _DRAWING_FUNCTIONS
 from mufly.study.benchmark.benchmark_scores import RotorScore, ScoreRow
 from mufly.study.benchmark.propeller_efficiency import PropellerScore
 
@@ -201,6 +205,75 @@ def test_results_draw_themselves() -> None:
         assert all(a.get_xlabel() or not a.axison for a in figure.axes if a.get_subplotspec().is_last_row()), what
     labels = {a.get_ylabel() for a in met.plot().axes}
     assert any("N m" in s for s in labels), "units stand at the axes"
+
+
+def _drawing_functions() -> dict[type, typing.Any]:
+    for m in pkgutil.walk_packages(mufly.__path__, "mufly."):
+        if not m.name.endswith("__main__"):
+            importlib.import_module(m.name)
+    return {cls: f for cls, f in _DRAWING_FUNCTIONS.items() if cls.__module__.startswith("mufly.")}
+
+
+def _hints(function: typing.Any) -> dict[str, typing.Any]:
+    """Types of a drawing function; its module imports matplotlib, and what it only annotates, for type checkers."""
+    names = {**vars(sys.modules[function.__module__])}
+    while True:
+        try:
+            return typing.get_type_hints(function, names)
+        except NameError as missing:
+            names[missing.name] = typing.Any
+
+
+def test_a_picture_is_drawn_from_the_class_that_it_is_registered_for() -> None:
+    found = _drawing_functions()
+    assert len(found) > 30
+    for cls, function in found.items():
+        assert hasattr(cls, "_json"), f"{cls.__qualname__} is no @result"
+        first, *others = inspect.signature(function).parameters.values()
+        assert cls in _classes(_hints(function)[first.name]), f"{function.__qualname__} takes no {cls.__qualname__}"
+        required = [p.name for p in others if p.default is p.empty and p.kind is not p.VAR_KEYWORD]
+        assert not required, f"plot() gives {function.__qualname__} a result alone"
+
+
+def test_a_result_with_a_function_that_draws_it_has_a_picture() -> None:
+    """A function draws one result alone, and ``@draws`` is missing: ``plot()`` would draw the plain numbers."""
+    found = _drawing_functions()
+    modules = [m for name, m in sys.modules.items() if name.startswith("mufly.")]
+    bare = {}
+    for function in {f for m in modules for f in vars(m).values() if inspect.isfunction(f)}:
+        if function.__module__.startswith("mufly.") and function.__name__.startswith(("draw_", "plot_")):
+            first, *others = inspect.signature(function).parameters.values() or [None]
+            if first is not None and all(p.default is not p.empty for p in others):
+                drawn = _hints(function).get(first.name)
+                if inspect.isclass(drawn) and hasattr(drawn, "_json") and not set(drawn.__mro__) & set(found):
+                    bare[drawn.__qualname__] = function.__qualname__
+    assert bare == {}
+
+
+def _top_imports(package: str) -> set[str]:
+    """Modules that a package's ``__init__`` loads in its own lines."""
+    module = importlib.import_module(package)
+    found = set()
+    for n in ast.parse(inspect.getsource(module)).body:
+        if isinstance(n, ast.ImportFrom):
+            found |= {n.module, *(f"{n.module}.{alias.name}" for alias in n.names)}
+    return found
+
+
+def test_the_picture_of_a_result_is_known_wherever_its_class_is() -> None:
+    """Python runs the ``__init__`` of a package before any of its modules, so there the picture module is loaded."""
+    for cls, function in _drawing_functions().items():
+        packages = list(itertools.accumulate(cls.__module__.split(".")[:-1], "{}.{}".format))[1:]
+        loads = {cls.__module__}.union(*map(_top_imports, packages))
+        assert function.__module__ in loads, f"let {packages[0]} import {function.__module__} for {cls.__qualname__}"
+
+
+def test_pictures_load_matplotlib_when_they_are_drawn() -> None:
+    """Of the rooms whose libraries do not load it themselves; one more half second at each start."""
+    rooms = (
+        "import mufly.bench, mufly.cfd, mufly.rotor.forward, mufly.study, sys; assert 'matplotlib' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", rooms], check=True)
 
 
 def test_what_files_hold_is_shown_as_a_table() -> None:

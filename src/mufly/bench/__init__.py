@@ -21,6 +21,7 @@ from mufly.bench.bench_table import (
 )
 from mufly.bench.residual_covariance import CovarianceEstimate, estimate_covariance
 from mufly.bench.rotor_measurements import read_measurements
+from mufly.bench.series import series_pictures as _series_pictures  # noqa: F401  draws results of the room
 from mufly.bench.series.series_analysis import SeriesResult
 from mufly.bench.series.series_analysis import analyse_series as analyse_series
 from mufly.bench.series.series_files import compare_series, compare_with_theory, write_series_results

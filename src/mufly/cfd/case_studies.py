@@ -348,7 +348,7 @@ def sweep_climb(
     ]
 
 
-@result(eq=False, picture="mufly.cfd.cfd_pictures:draw_pair_span_loads")
+@result(eq=False)
 class PairSolution:
     """Solution of a counter-rotating pair, each rotor with the other as an actuator disc.
 

@@ -89,7 +89,7 @@ def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
     return out
 
 
-@result(eq=False, picture="mufly.cfd.cfd_pictures:draw_climb_comparison")
+@result(eq=False)
 class ClimbComparison:
     """Thrust over the climb velocity, relative to the thrust of the same method in hover.
 

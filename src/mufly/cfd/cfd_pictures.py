@@ -14,6 +14,7 @@ from mufly.cfd.cfd_solution import CfdSolution, FlowField, FlowProbe, WakeProfil
 from mufly.cfd.openfoam_case import OperatingPoint
 from mufly.cfd.polymesh import PolyMesh
 from mufly.quantities.units import RPM
+from mufly.results import draws
 from mufly.results.result_figure import blank_figure, label_axes
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ def draw_surface_pressure(mesh: PolyMesh, solution: CfdSolution) -> Figure:
 _METHOD_LABELS = {"bemt": "blade elements", "wake": "vortex wake"}
 
 
+@draws(CfdSolution)
 def draw_span_loads(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> Figure:
     """Draw thrust and torque along the blade, by CFD and by the methods in ``others``."""
     figure = blank_figure(9.0, 4.0)
@@ -117,6 +119,7 @@ def draw_span_loads(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> 
     return figure
 
 
+@draws(PairSolution)
 def draw_pair_span_loads(pair: PairSolution) -> Figure:
     """Draw thrust and torque along the blades of both rotors of a pair."""
     figure = blank_figure(9.0, 4.0)
@@ -136,6 +139,7 @@ def draw_pair_span_loads(pair: PairSolution) -> Figure:
     return figure
 
 
+@draws(ClimbComparison)
 def draw_climb_comparison(found: ClimbComparison) -> Figure:
     """Draw the thrust coefficient over the climb velocity, and its change from hover, by CFD and the other methods; the
     change also by the flight model's map.
@@ -305,6 +309,7 @@ def draw_vortices(
     return figure
 
 
+@draws(WakeProfile)
 def draw_wake_profile(wake: WakeProfile) -> Figure:
     """Draw the azimuthally averaged velocity under the disc over radius, with that of momentum theory."""
     figure = blank_figure(9.0, 4.4)

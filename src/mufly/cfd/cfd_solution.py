@@ -31,7 +31,7 @@ from mufly.results import result
 Array = NDArray[np.float64]
 
 
-@result(eq=False, picture="mufly.cfd.cfd_pictures:draw_span_loads")
+@result(eq=False)
 class CfdSolution:
     """Loads, pressure, wall friction and convergence verdict of a solved case.
 
@@ -352,7 +352,7 @@ WAKE_PROFILE_DEPTHS = (0.25, 0.5, 1.0)
 """Distances below the disc, in radii, of the wake profiles."""
 
 
-@result(eq=False, picture="mufly.cfd.cfd_pictures:draw_wake_profile")
+@result(eq=False)
 class WakeProfile:
     """Azimuthally averaged velocity in horizontal planes under the disc.
 

@@ -1,5 +1,6 @@
 """Controllers: design by several methods, analysis, order reduction, discretisation and the control law on board."""
 
+from mufly.control.analysis import plots as _plots  # noqa: F401  draws results of the room
 from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_noise
 from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import DEFAULT_CONTROL_RATE_HZ, FlightController, design_flight_controller

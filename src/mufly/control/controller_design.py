@@ -54,7 +54,6 @@ PUBLISHED_VELOCITY = ThesisDesignValues()
 
 
 @result(
-    picture="mufly.control.analysis.plots:draw_loop",
     json="name method gamma norm plant_crossovers_rad_s=plant_crossovers output_scale=scaling.outputs "
     "input_scale=scaling.inputs order_full=controller.nstates order_reduced=reduced.nstates "
     "reduction_method=reduction.chosen.method reduction_tolerance_dB=reduction.tolerance_dB rate_Hz=discrete.rate_Hz "

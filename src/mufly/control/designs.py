@@ -83,7 +83,6 @@ POSITION_LOOP_RATE_DIVIDER = 4  # the position cascade runs in every fourth peri
 
 
 @result(
-    picture="mufly.control.analysis.plots:draw_sensitivities",
     json="warnings=design_warnings vehicle=vehicle_name method=settings.method rate_Hz position_rate_Hz "
     "design_voltage_V=voltage_V motor_trim_upper_lower=motor_trim position_gain_1_s=settings.position_gain "
     "designs=all_designs cascade=cascade_loop schedule",

@@ -30,7 +30,7 @@ from mufly.drive.drive_train import battery_voltage, drive_of_vehicle, open_circ
 from mufly.dynamics.linearisation import find_trim
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import GRAVITY
-from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results
+from mufly.results import ResultColumn, ShownBlock, draws, make_lines_block, result, tabulate_results
 from mufly.results.result_figure import blank_figure, label_axes
 from mufly.rotor import Air, Blading, Rotor, prepare_blading
 from mufly.rotor.forward import (
@@ -112,7 +112,7 @@ _RESULT_COLUMNS = (
 )
 
 
-@result(eq=False, picture="mufly.dynamics.level_flight:draw_level_flight")
+@result(eq=False)
 class LevelFlight:
     """Level flight over airspeed, for the lowest and the highest flap frequency of the blades' uncertainty band.
 
@@ -428,6 +428,7 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
     )
 
 
+@draws(LevelFlight)
 def draw_level_flight(flight: LevelFlight) -> Figure:
     """Draw power, attitude, servo inputs and thrust margin over airspeed, a line for each flap frequency."""
     figure = blank_figure(10.0, 7.0)

@@ -1,5 +1,6 @@
 """Identification of vehicle parameters from bench and flight data, with uncertainty and validation."""
 
+from mufly.identify import fit_pictures as _fit_pictures  # noqa: F401  draws results of the room
 from mufly.identify.fit_report import ReportSection, write_report
 from mufly.identify.fit_result import FitResult, ParameterEstimate, RecordPrediction, apply_estimates
 from mufly.identify.flight.excitation_plan import ExcitationPlan, FlightLimits, design_excitation
@@ -10,6 +11,7 @@ from mufly.identify.flight.identification_demo import IdentificationDemo, run_id
 from mufly.identify.flight.input_polarity import check_flight_records
 from mufly.identify.flight.staged_search import FitProgress
 from mufly.identify.flight_record import FlightRecord, UniformLogTable, make_record, read_columns, split_record
+from mufly.identify.linear import response_pictures as _response_pictures  # noqa: F401  draws results of the room
 from mufly.identify.linear.linear_fit import LinearFit
 from mufly.identify.linear.linear_identification import LinearResult, identify_linear_model
 from mufly.identify.motor_fit import GearKnowledge, MotorFit, fit_motor

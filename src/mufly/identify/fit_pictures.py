@@ -19,8 +19,10 @@ from mufly.errors import InputError
 from mufly.identify.fit_result import FitResult, RecordPrediction
 from mufly.identify.flight.excitation_plan import ExcitationCandidate, ExcitationPlan
 from mufly.identify.flight.excitation_signals import compute_amplitude_spectrum
+from mufly.identify.flight.identification_demo import IdentificationDemo
 from mufly.identify.flight_record import OUTPUT_UNITS
 from mufly.identify.linear.frequency_response import FrequencyResponse, estimate_frequency_response
+from mufly.identify.linear.linear_identification import LinearResult
 from mufly.identify.motor_fit import MotorFit
 from mufly.identify.residual_analysis import (
     assess_record,
@@ -29,14 +31,12 @@ from mufly.identify.residual_analysis import (
 )
 from mufly.identify.rotor_coefficients import LoadCoefficientFit, RotorCoefficientFit
 from mufly.quantities.units import RPM
+from mufly.results import draws
 from mufly.results.result_figure import blank_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from mufly.identify.flight.identification_demo import IdentificationDemo
-    from mufly.identify.linear.linear_identification import LinearResult
 
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY_BLUE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 _MAX_DRAWN_SAMPLES = 4000
@@ -90,6 +90,7 @@ def _median_sample_s(record: RecordPrediction) -> float:
     return float(np.median(np.diff(record.time_s)))
 
 
+@draws(RecordPrediction)
 def draw_prediction(record: RecordPrediction) -> Figure:
     """Draw every output as measured and as predicted from the inputs alone, with the inputs below."""
     m, k = len(record.output_names), len(record.input_names)
@@ -118,6 +119,7 @@ def draw_prediction(record: RecordPrediction) -> Figure:
     return figure
 
 
+@draws(FitResult, IdentificationDemo, LinearResult)
 def draw_fit_result(found: FitResult | IdentificationDemo | LinearResult) -> Figure:
     """Draw the prediction of a held-out record; without one, that of a fitted record, else the correlation of the
     estimates.
@@ -323,6 +325,7 @@ def _group_by_voltage(voltage: Array) -> list[NDArray[np.bool_]]:
     return [label == k for k in range(count)]
 
 
+@draws(MotorFit)
 def draw_motor_fit(fit: MotorFit, *, title: str = "") -> Figure:
     """Draw current over torque and torque over speed with the fitted lines, and the residuals of both equations.
 
@@ -369,6 +372,7 @@ def draw_motor_fit(fit: MotorFit, *, title: str = "") -> Figure:
     return figure
 
 
+@draws(RotorCoefficientFit)
 def draw_rotor_coefficients(
     fits: RotorCoefficientFit | Sequence[RotorCoefficientFit],
     *,
@@ -455,6 +459,7 @@ _SHOWN_OUTPUTS_BY_CHANNEL = {
 _MAX_SHOWN_STD_PERCENT = 1e3  # per cent; end of the bars of unidentifiable parameters
 
 
+@draws(ExcitationPlan)
 def draw_excitation_plan(plan: ExcitationPlan, chosen: ExcitationCandidate | None = None) -> Figure:
     """Draw an excitation plan: signal, spectra, predicted flight and expected accuracy.
 

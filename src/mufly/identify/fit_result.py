@@ -93,7 +93,6 @@ class EstimateLookup:
 
 @result(
     eq=False,
-    picture="mufly.identify.fit_pictures:draw_prediction",
     json="name role outputs=output_names noise_std error_over_noise=rms_over_noise converged doubt",
 )
 class RecordPrediction:
@@ -149,7 +148,6 @@ class RecordPrediction:
 
 @result(
     eq=False,
-    picture="mufly.identify.fit_pictures:draw_fit_result",
     json="vehicle method converged message parameters=estimates correlation undetermined "
     "held=uncertain_from_held_parameters records cost simulations seconds",
 )

@@ -179,7 +179,6 @@ class GearKnowledge:
 
 @result(
     eq=False,
-    picture="mufly.identify.fit_pictures:draw_motor_fit",
     json="points=data.voltage_V.size estimates covariance scales pattern=covariance_estimate.pattern undetermined "
     "notes",
 )

@@ -263,7 +263,6 @@ class LoadCoefficientFit:
 
 @result(
     eq=False,
-    picture="mufly.identify.fit_pictures:draw_rotor_coefficients",
     json="source coaxial pitch_rad radius_m density_kg_m3=density_kg_m3.mean estimates "
     "trends=describe_trends undetermined notes",
 )

@@ -3,8 +3,11 @@
 A class marked with :func:`result` is a frozen dataclass with described fields. The unit is part of a field's name
 (``thrust_N``, ``speed_rad_s``) or of the docstring. The meaning comes from the docstring's Attributes section, which is
 parsed on first use. This module writes results as text (``print(result)``), in notebooks, as JSON
-(:func:`to_plain_data`) or as a report's table (:func:`result_rows`). ``plot_result()`` draws the picture named by the
-class, or its numbers by :mod:`mufly.results.result_figure`.
+(:func:`to_plain_data`) or as a report's table (:func:`result_rows`).
+
+``plot_result()`` draws a result by the function marked ``@draws(ResultClass)``, else its numbers by
+:mod:`mufly.results.result_figure`. The ``__init__`` of the class's package imports the module of that function, so
+that it is known wherever the class is. A picture module imports matplotlib only inside its functions.
 
 A class with a method ``shown_blocks()`` returns its own text as blocks, lines and tables (:class:`ShownLines`,
 :class:`ShownTable`). ``print(result)`` shows them as plain text, the command line in colour at the terminal's width.
@@ -14,7 +17,6 @@ Fields become columns by their names (:class:`ResultColumn`).
 from __future__ import annotations
 
 import html
-import importlib
 import inspect
 import math
 import re
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _ResultT = TypeVar("_ResultT")
+_DrawingFunctionT = TypeVar("_DrawingFunctionT", bound="Callable[..., Figure]")
 
 # Suffixes of field names that never occur in headers of logs.
 _RESULT_UNIT_BY_SUFFIX = {
@@ -45,6 +48,7 @@ _MAX_LISTED_VALUES = 6  # longer arrays are shown by size and range
 
 
 _MEANINGS_CACHE: dict[type[Any], dict[str, FieldMeaning]] = {}  # parsed docstrings by class
+_DRAWING_FUNCTIONS: dict[type[Any], Callable[..., Figure]] = {}  # by class of the drawn result
 
 
 class FieldMeaning(NamedTuple):
@@ -80,9 +84,9 @@ class ResultRow(NamedTuple):
 @overload
 def result(cls: type[_ResultT], /) -> type[_ResultT]: ...
 @overload
-def result(*, eq: bool = True, picture: str = "", json: str = "") -> Callable[[type[_ResultT]], type[_ResultT]]: ...
+def result(*, eq: bool = True, json: str = "") -> Callable[[type[_ResultT]], type[_ResultT]]: ...
 @dataclass_transform(frozen_default=True)
-def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "", json: str = "") -> Any:
+def result(cls: type[Any] | None = None, /, *, eq: bool = True, json: str = "") -> Any:
     """Make a class a frozen dataclass; its instances print and draw themselves by units and meanings of the fields.
 
     Parameters
@@ -91,8 +95,6 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "
         Class whose docstring describes the fields in an Attributes section (NumPy style).
     eq : bool
         As for :func:`dataclasses.dataclass`; False for classes with arrays.
-    picture : str
-        ``"module:function"`` that draws a result and returns a matplotlib figure; by default its numbers are drawn.
     json : str
         Keys of the JSON, as for :func:`select_fields`; by default all fields.
 
@@ -112,7 +114,7 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "
             new._repr_html_ = html_table
         if "plot" not in one.__dict__:
             new.plot = plot_result
-        new._picture, new._json = picture, json
+        new._json = json
         have = {*new.__dataclass_fields__, *dir(new)}
         wanted = [entry.rpartition("=")[2].partition(".")[0] for entry in json.split()]
         if unknown := [name for name in wanted if name not in have]:
@@ -311,12 +313,26 @@ def html_table(value: Any) -> str:
     return f"<table>{''.join(f'<tr>{line}</tr>' for line in cells)}</table>"
 
 
+def draws(*classes: type[Any]) -> Callable[[_DrawingFunctionT], _DrawingFunctionT]:
+    """Make the decorated function the one that draws results of some classes.
+
+    Parameters
+    ----------
+    classes : type
+        Classes marked with :func:`result`. The function takes such a result as its first argument and needs no other.
+    """
+
+    def register(function: _DrawingFunctionT) -> _DrawingFunctionT:
+        _DRAWING_FUNCTIONS.update(dict.fromkeys(classes, function))
+        return function
+
+    return register
+
+
 def plot_result(self: Any) -> Figure:
     """Draw a result; return a matplotlib figure, stored by ``.savefig("name.png")``."""
-    room, _, name = type(self)._picture.partition(":")
-    return enable_notebook_display(
-        getattr(importlib.import_module(room), name)(self) if name else draw_result_numbers(self)
-    )
+    draw = next((_DRAWING_FUNCTIONS[c] for c in type(self).__mro__ if c in _DRAWING_FUNCTIONS), draw_result_numbers)
+    return enable_notebook_display(draw(self))
 
 
 def draw_result_numbers(value: Any) -> Figure:

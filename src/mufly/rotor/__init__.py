@@ -59,6 +59,7 @@ from mufly.rotor.sections.polar_table import (
     lookup_lift_drag,
     stack_polars,
 )
+from mufly.rotor.structure import structure_pictures as _structure_pictures  # noqa: F401  draws results of the room
 from mufly.rotor.structure.blade_structure import BladeStructure
 from mufly.rotor.structure.elastic_rotor import ElasticRotorResult, solve_elastic_rotor
 from mufly.rotor.structure.flap_modes import CampbellDiagram, FlapMode, compute_campbell, compute_flap_mode

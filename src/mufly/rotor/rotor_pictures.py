@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import RPM
+from mufly.results import draws
 from mufly.results.result_figure import blank_figure, label_axes
 from mufly.rotor.coax_maps import interpolate_map
+from mufly.rotor.measured.bench_comparison import MeasurementComparison
+from mufly.rotor.measured.rotor_fit import RotorFit
 from mufly.rotor.measured.uncertainty import predict_interval
-from mufly.rotor.sections.airfoil import load_airfoil
+from mufly.rotor.rotor_system import RotorResult, SystemSolution
+from mufly.rotor.sections.airfoil import Airfoil, load_airfoil
+from mufly.rotor.sections.polar_table import PolarTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from mufly.rotor.geometry import Rotor
-    from mufly.rotor.measured.bench_comparison import MeasurementComparison
-    from mufly.rotor.measured.rotor_fit import RotorFit
-    from mufly.rotor.rotor_system import RotorResult, SystemSolution
-    from mufly.rotor.sections.airfoil import Airfoil
-    from mufly.rotor.sections.polar_table import PolarTable
     from mufly.vehicle import CoefficientMap
 
 Array = NDArray[np.float64]
@@ -82,6 +82,7 @@ def _load_per_radius(result: RotorResult, load: Array) -> Array:
     return out
 
 
+@draws(RotorResult)
 def draw_spanwise_loads(result: RotorResult) -> Figure:
     """Draw angle of attack, inflow, lift coefficient and Reynolds number along the blade, and thrust per radius."""
     r = 1e3 * result.r_m
@@ -113,6 +114,7 @@ def draw_spanwise_loads(result: RotorResult) -> Figure:
     return figure
 
 
+@draws(RotorFit)
 def draw_rotor_fit(found: RotorFit) -> Figure:
     """Draw measured loads, the prediction before the fit, and the fit with its 90 % interval over rotor speed.
 
@@ -219,6 +221,7 @@ def draw_coefficient_map(coefficients: CoefficientMap) -> Figure:
     return figure
 
 
+@draws(Airfoil)
 def draw_airfoil_section(airfoil: Airfoil) -> Figure:
     """Draw the contour of a section."""
     figure = blank_figure(7.0, 2.4)
@@ -233,6 +236,7 @@ def draw_airfoil_section(airfoil: Airfoil) -> Figure:
     return figure
 
 
+@draws(PolarTable)
 def draw_polar(polar: PolarTable, reynolds: Sequence[float] = (1e4, 2e4, 5e4, 1e5)) -> Figure:
     """Draw lift over angle of attack and over drag, at the tabulated Reynolds numbers next to those given.
 
@@ -257,6 +261,7 @@ def draw_polar(polar: PolarTable, reynolds: Sequence[float] = (1e4, 2e4, 5e4, 1e
     return figure
 
 
+@draws(MeasurementComparison)
 def draw_bench_comparison(found: MeasurementComparison) -> Figure:
     """Draw measured and predicted loads over rotor speed, or over climb if there is any; a colour for each pitch."""
     figure = blank_figure(9.0, 4.0)
@@ -465,6 +470,7 @@ def draw_rotor_loads(upper: RotorResult, lower: RotorResult, alone: Sequence[Rot
     return figure
 
 
+@draws(SystemSolution)
 def draw_rotor_result(found: SystemSolution) -> Figure:
     """Draw the spanwise loads of a system of one rotor or a pair."""
     return (

@@ -250,7 +250,7 @@ class OperatingCondition:
     air: Air = field(default_factory=Air)
 
 
-@result(eq=False, picture="mufly.rotor.rotor_pictures:draw_spanwise_loads")
+@result(eq=False)
 class RotorResult:
     """Loads of a rotor at an operating point, in total and along the blade.
 
@@ -469,7 +469,7 @@ class RotorWake:
     segments_per_free_step: int = 1
 
 
-@result(eq=False, picture="mufly.rotor.rotor_pictures:draw_rotor_result")
+@result(eq=False)
 class SystemSolution:
     """Solution of a rotor system at an operating point.
 

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from mufly.results import draws, result
 from mufly.slam.camera_frame import CameraFrame
 from mufly.slam.datasets.dataset_writers import write_tum
 from mufly.slam.slam_system import SlamSystem, TrackingResult
@@ -18,14 +19,12 @@ from mufly.slam.trajectory_evaluation import read_poses
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-from mufly.results import result
-
 _Array = NDArray[np.float64]
 _EPOCH_TIME_LIMIT_S = 1e6
 """Limit (s) above which times count from 1970; plots show them relative to the first one."""
 
 
-@result(eq=False, picture="mufly.slam.slam_trajectory:plot_trajectory")
+@result(eq=False)
 class SlamTrajectory:
     """Trajectory of SLAM results.
 
@@ -147,6 +146,7 @@ def read_trajectory(file: Path) -> SlamTrajectory:
     )
 
 
+@draws(SlamTrajectory)
 def plot_trajectory(
     trajectory: SlamTrajectory,
     slam: SlamSystem | None = None,

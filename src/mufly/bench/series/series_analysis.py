@@ -118,7 +118,6 @@ class SettingResult:
 
 @result(
     eq=False,
-    picture="mufly.bench.series.series_pictures:draw_series_result",
     json="name points settings doubts notes repeat=relative_repeatability density_relative_std",
 )
 class SeriesResult:

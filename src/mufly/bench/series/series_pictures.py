@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mufly.bench.series.series_analysis import SeriesResult, SettingResult
+from mufly.results import draws
 from mufly.results.result_figure import blank_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from mufly.bench.series.series_analysis import SeriesResult, SettingResult
 
 _LOAD_AXES = (
     ("thrust", "Thrust (N)", 1.0),
@@ -18,6 +18,7 @@ _LOAD_AXES = (
 )
 
 
+@draws(SeriesResult)
 def draw_series_result(series: SeriesResult) -> Figure:
     """Draw every setting with its 95 % intervals."""
 

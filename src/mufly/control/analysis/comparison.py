@@ -161,7 +161,7 @@ class MethodMetrics:
         return ""
 
 
-@result(picture="mufly.control.analysis.plots:draw_comparison")
+@result
 class ControllerComparison:
     """Comparison of several synthesis methods on one vehicle.
 

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import control
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from mufly.control.analysis.comparison import ControllerComparison, LoopMetrics
 from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, ServoTimingMap
@@ -22,10 +20,13 @@ from mufly.control.designs import FlightController
 from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
 from mufly.control.robust.parameter_robustness import ParameterRobustness
 from mufly.control.tuning.output_schedule import OutputSchedule
+from mufly.control.tuning.tuned_loop import TunedLoop
+from mufly.results import draws
 from mufly.results.result_figure import blank_figure
 
 if TYPE_CHECKING:
-    from mufly.control.tuning.tuned_loop import TunedLoop
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#7f7f7f"
 _FREQUENCY_GRID = np.geomspace(1e-4, 1e4, 700)
@@ -115,6 +116,7 @@ def _compute_design_curves(design: ControllerDesign, controller: control.StateSp
     return loop_curves(design.plant, design.feedback_controller(controller), _FREQUENCY_GRID)
 
 
+@draws(ControllerDesign)
 def draw_loop(design: ControllerDesign) -> Figure:
     """Draw loop gain and sensitivities (Figs 6.5 and 6.8): full order, reduced, and sampled with delay."""
     figure = blank_figure(7.0, 6.6, dpi=150)
@@ -166,11 +168,13 @@ def draw_loop(design: ControllerDesign) -> Figure:
     return figure
 
 
+@draws(TunedLoop)
 def draw_tuned_loop(tuned: TunedLoop) -> Figure:
     """Return the picture of a tuned loop's design."""
     return draw_loop(tuned.design)
 
 
+@draws(FlightController)
 def draw_sensitivities(controller: FlightController) -> Figure:
     """Draw sensitivity and complementary sensitivity of each of the three loops, sampled with one sample of delay."""
     figure = blank_figure(10.5, 3.4)
@@ -198,6 +202,7 @@ def draw_sensitivities(controller: FlightController) -> Figure:
     return figure
 
 
+@draws(ParameterRobustness)
 def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
     """Draw the bounds of mu of heave-yaw and roll-pitch over frequency."""
     figure = blank_figure(7.0, 3.6)
@@ -217,6 +222,7 @@ def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
     return figure
 
 
+@draws(ServoTimingMap)
 def draw_servo_map(found: ServoTimingMap) -> Figure:
     """Draw disk margin and angular rate of the swash plate over servo lag, with one line for each control rate."""
     t = found.table
@@ -238,6 +244,7 @@ def draw_servo_map(found: ServoTimingMap) -> Figure:
     return figure
 
 
+@draws(ControllerComparison)
 def draw_comparison(comparison: ControllerComparison) -> Figure:
     """Draw peaks, disk margin, mu and input noise of every method, for both loops."""
     figure = blank_figure(9.0, 5.0)
@@ -261,6 +268,7 @@ def draw_comparison(comparison: ControllerComparison) -> Figure:
     return figure
 
 
+@draws(OutputSchedule)
 def draw_schedule(schedule: OutputSchedule) -> Figure:
     """Draw disk margin and peaks of a scheduled roll-pitch loop over forward speed."""
     figure = blank_figure(7.0, 4.6)

@@ -51,7 +51,7 @@ _FIGURE_LABELS_AND_UNITS = {
 }  # fmt: skip
 
 
-@result(picture="mufly.control.analysis.plots:draw_servo_map")
+@result
 class ServoTimingMap:
     """Margins, tilt in gusts and swash-plate rate of roll-pitch over servo frame, control rate and servo lag.
 

@@ -75,7 +75,7 @@ class LoopRobustness:
     seconds: float
 
 
-@result(picture="mufly.control.analysis.plots:draw_mu_bounds")
+@result
 class ParameterRobustness:
     """Bounds of mu of heave-yaw and roll-pitch over a vehicle's parameters.
 

@@ -99,7 +99,7 @@ class FrozenSpeedLoop:
     least_disk_margin: float
 
 
-@result(picture="mufly.control.analysis.plots:draw_schedule")
+@result
 class OutputSchedule:
     """Output matrices of the roll-pitch controller over forward speed, and the loops at frozen speeds.
 

@@ -41,7 +41,7 @@ _SETTINGS_KEY_BY_LOOP = {"heave-yaw": "heave_yaw_given", "roll-pitch": "roll_pit
 _GOAL_UNITS = {"weighted": "", "sensitivity": "dB", "complementary": "dB", "disk": "", "activity": "%", "mu": ""}
 
 
-@result(picture="mufly.control.analysis.plots:draw_tuned_loop")
+@result
 class TunedLoop:
     """Tuned controller of one loop, with its figures.
 

@@ -20,6 +20,7 @@ from scipy.stats import rankdata
 from mufly.flight.monte_carlo.campaign import Campaign, FlightResult
 from mufly.flight.monte_carlo.campaign_results import CampaignOutcome, FlightMetric, list_metrics
 from mufly.flight.record.flight_pictures import BLUE, GREY, PLOT_STYLE, VERMILION
+from mufly.results import draws
 
 _HISTOGRAM_BIN_COUNT = 40
 _MAX_SHOWN_PARAMETERS = 12  # parameters shown
@@ -59,6 +60,7 @@ def draw_distributions(flights: Sequence[FlightResult], tolerance_m: float, titl
     return figure
 
 
+@draws(CampaignOutcome)
 def draw_outcome(outcome: CampaignOutcome) -> Figure:
     """Draw the success rate with its interval, and the reasons of failures."""
     with mpl.rc_context(PLOT_STYLE):

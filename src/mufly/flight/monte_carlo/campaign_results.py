@@ -132,7 +132,6 @@ class MetricSummary:
 
 
 @result(
-    picture="mufly.flight.monte_carlo.campaign_pictures:draw_outcome",
     json="flights successes low high reported_successes refused endings reasons failed worst=metric_summaries",
 )
 class CampaignOutcome:

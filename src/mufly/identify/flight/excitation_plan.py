@@ -427,7 +427,6 @@ _CANDIDATE_RECORD_FIELDS = (
 
 @result(
     eq=False,
-    picture="mufly.identify.fit_pictures:draw_excitation_plan",
     json="channel band_Hz modes_Hz noise limits candidates=candidate_records",
 )
 class ExcitationPlan:

@@ -237,7 +237,7 @@ DEMO_FREE_SYMBOLS = (
 _START_VALUE_ERROR_FRACTION = 0.5
 
 
-@result(eq=False, picture="mufly.identify.fit_pictures:draw_fit_result")
+@result(eq=False)
 class IdentificationDemo:
     """Fit of the demonstration's records, and the true parameters to compare with.
 

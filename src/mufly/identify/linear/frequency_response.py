@@ -61,7 +61,6 @@ _INDEPENDENT_SEGMENT_FRACTION = 18.0 / 19.0  # independent segments per half-ove
 
 @result(
     eq=False,
-    picture="mufly.identify.linear.response_pictures:draw_frequency_response",
     json="frequency_hz responses=tabulate_pair_responses coherence",
 )
 class FrequencyResponse:

@@ -104,7 +104,7 @@ _CHECK_RECORD_FIELDS = {
 }  # fmt: skip
 
 
-@result(eq=False, picture="mufly.identify.fit_pictures:draw_fit_result")
+@result(eq=False)
 class LinearResult:
     """Result of a linear identification.
 

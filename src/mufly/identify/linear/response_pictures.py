@@ -12,6 +12,7 @@ from mufly.identify import fit_pictures
 from mufly.identify.linear.bandwidth import Bandwidth
 from mufly.identify.linear.frequency_response import FrequencyResponse
 from mufly.identify.linear.sweep_response import MIN_PARTIAL_COHERENCE, TransferFunctionFit
+from mufly.results import draws
 from mufly.results.result_figure import blank_figure
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+@draws(FrequencyResponse)
 def draw_frequency_response(
     data: FrequencyResponse,
     output: int = 0,

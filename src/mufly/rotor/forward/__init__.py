@@ -1,5 +1,6 @@
 """Rotors in forward flight: blade elements over azimuth, flapping and dynamic inflow."""
 
+from mufly.rotor.forward import forward_pictures as _forward_pictures  # noqa: F401  draws results of the room
 from mufly.rotor.forward.forward_results import (
     CyclicResponse,
     ForwardCondition,

@@ -7,17 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mufly.results import draws
 from mufly.results.result_figure import blank_figure, label_axes
+from mufly.rotor.forward.forward_results import ForwardResult, ForwardSweep
+from mufly.rotor.forward.skewed_pair import ForwardPair, PairSweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from mufly.rotor.forward.edgewise_map import AirspeedMapLoads
-    from mufly.rotor.forward.forward_results import ForwardResult, ForwardSweep
-    from mufly.rotor.forward.skewed_pair import ForwardPair, PairSweep
     from mufly.vehicle import FlightMap
 
 
+@draws(ForwardResult)
 def draw_disc_fields(result: ForwardResult) -> Figure:
     """Draw induced velocity, onset angle and load of a blade over the disc, seen from above, the air from the top."""
 
@@ -57,6 +59,7 @@ def draw_disc_fields(result: ForwardResult) -> Figure:
     return figure
 
 
+@draws(ForwardSweep)
 def draw_sweep(sweep: ForwardSweep) -> Figure:
     """Draw loads, moments, flapping and the response to cyclic pitch over airspeed, a line for each flap frequency."""
     figure = blank_figure(12.0, 7.5)
@@ -82,11 +85,13 @@ def draw_sweep(sweep: ForwardSweep) -> Figure:
     return figure
 
 
+@draws(ForwardPair)
 def draw_lower_disc_fields(pair: ForwardPair) -> Figure:
     """Draw induced velocity, onset angle and load over the disc of the lower rotor, in the stream of the upper one."""
     return draw_disc_fields(pair.lower)
 
 
+@draws(PairSweep)
 def draw_pair_sweep(sweep: PairSweep) -> Figure:
     """Draw the loads of both rotors and their sums over airspeed, a colour for each flap frequency."""
     figure = blank_figure(12.0, 7.0)

@@ -106,7 +106,7 @@ class SolverState:
     annulus_values: Array
 
 
-@result(eq=False, picture="mufly.rotor.forward.forward_pictures:draw_disc_fields")
+@result(eq=False)
 class ForwardResult:
     """Loads of a rotor in forward flight; forces and moments of the hub in axes forward, right, with the shaft up.
 
@@ -249,7 +249,7 @@ class _SweepRow:
     response: CyclicResponse
 
 
-@result(eq=False, picture="mufly.rotor.forward.forward_pictures:draw_sweep")
+@result(eq=False)
 class ForwardSweep:
     """Results of a rotor over airspeed, for one or several flap frequencies.
 

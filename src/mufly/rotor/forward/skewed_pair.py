@@ -57,7 +57,6 @@ PAIR_COLUMNS = (
 
 @result(
     eq=False,
-    picture="mufly.rotor.forward.forward_pictures:draw_lower_disc_fields",
     json="upper lower spacing_m shift_m stream_share_on_lower_disc thrust_N power_W h_force_N y_force_N "
     "roll_moment_Nm pitch_moment_Nm yaw_torque_Nm",
 )
@@ -263,7 +262,7 @@ def solve_forward_pair(
     )
 
 
-@result(eq=False, picture="mufly.rotor.forward.forward_pictures:draw_pair_sweep")
+@result(eq=False)
 class PairSweep:
     """Results of a coaxial pair over airspeed, for one or several flap frequencies.
 

@@ -80,7 +80,7 @@ class RotorMeasurements:
         )  # fmt: skip
 
 
-@result(eq=False, picture="mufly.rotor.rotor_pictures:draw_bench_comparison")
+@result(eq=False)
 class MeasurementComparison:
     """Predicted and measured loads of the points of a bench run.
 

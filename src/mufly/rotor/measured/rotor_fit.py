@@ -88,7 +88,7 @@ _MIN_CANDIDATE_PROBABILITY = 0.01  # candidates below this probability are left 
 _UNINFORMED_STD_RATIO, _MIN_REPORTED_CORRELATION = 0.8, 0.9
 
 
-@result(eq=False, picture="mufly.rotor.rotor_pictures:draw_rotor_fit")
+@result(eq=False)
 class RotorFit:
     """Result of a fit to a bench run.
 

@@ -48,7 +48,7 @@ MAX_THICKNESS_RATIO = 0.4
 _SAME_THICKNESS_TOLERANCE = 5e-4  # of chord: a contour and its designation differ by less
 
 
-@result(eq=False, picture="mufly.rotor.rotor_pictures:draw_airfoil_section")
+@result(eq=False)
 class Airfoil:
     """Airfoil section: contour, thickness and camber.
 

@@ -63,7 +63,7 @@ _FULL_TURN_RAD = 2.0 * math.pi
 _VALID_RANGE_TOLERANCE = 1e-9
 
 
-@result(eq=False, picture="mufly.rotor.rotor_pictures:draw_polar")
+@result(eq=False)
 class PolarTable:
     """Lift, drag and moment coefficients of a section.
 

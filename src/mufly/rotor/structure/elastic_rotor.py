@@ -284,7 +284,7 @@ def solve_equilibrium(
     )
 
 
-@result(eq=False, picture="mufly.rotor.structure.structure_pictures:draw_elastic_blade")
+@result(eq=False)
 class ElasticRotorResult:
     """Rotor with elastic blades beside the same rotor with rigid blades, with 90 % bands.
 

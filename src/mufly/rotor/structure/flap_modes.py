@@ -301,7 +301,7 @@ def compute_flap_mode(rotor: Rotor, speed_rad_s: float, *, pitch_rad: float = 0.
 _CAMPBELL_MODES = (("flap", 1), ("flap", 2), ("lag", 1), ("torsion", 1))
 
 
-@result(eq=False, picture="mufly.rotor.structure.structure_pictures:draw_campbell")
+@result(eq=False)
 class CampbellDiagram:
     """Natural frequencies of a blade over rotor speed.
 

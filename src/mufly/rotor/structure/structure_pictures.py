@@ -8,19 +8,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mufly.quantities.units import RPM
+from mufly.results import draws
 from mufly.results.result_figure import blank_figure, label_axes
+from mufly.rotor.structure.elastic_rotor import ElasticRotorResult
+from mufly.rotor.structure.flap_modes import CampbellDiagram
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from mufly.rotor.structure.elastic_rotor import ElasticRotorResult
-    from mufly.rotor.structure.flap_modes import CampbellDiagram
 
 _SHOWN_HARMONIC_COUNT = 8
 _PICTURE_HEIGHT_MODES = ("flap 1", "flap 2", "torsion 1")
 """Modes that set the height of the picture."""
 
 
+@draws(CampbellDiagram)
 def draw_campbell(found: CampbellDiagram) -> Figure:
     """Draw the frequencies over rotor speed with their bands, and the harmonics of the rotor speed."""
     figure = blank_figure(8.0, 5.0)
@@ -48,6 +49,7 @@ def draw_campbell(found: CampbellDiagram) -> Figure:
     return figure
 
 
+@draws(ElasticRotorResult)
 def draw_elastic_blade(found: ElasticRotorResult) -> Figure:
     """Draw elastic twist with its band, deflection, and thrust per radius of the rigid and of the elastic blade."""
     figure = blank_figure(10.0, 3.6)
