@@ -401,9 +401,10 @@ def test_tips_near_the_speed_of_sound_are_refused():
 
 @pytest.mark.parametrize("settled", [True, False])
 def test_an_answer_that_did_not_settle_ends_with_status_1(tmp_path, monkeypatch, settled):
-    said = {"verdict": SimpleNamespace(settled=settled)}
+    found = SimpleNamespace(settled=settled)
     for name in ("find_solver", "mesh_and_write_case", "run_case"):
         monkeypatch.setattr(f"mufly.cfd.{name}", lambda *a, **k: None)
-    monkeypatch.setattr(cfd_case_report, "_write_solution_report", lambda *a: (said, lambda: None, [], []))
+    monkeypatch.setattr("mufly.cfd.read_solution_report", lambda *a: found)
+    monkeypatch.setattr(cfd_case_report, "_write_report_files", lambda *a: [])
     status = CliRunner().invoke(app, ["cfd", "run", "--out", str(tmp_path / "case")]).exit_code
     assert status == (0 if settled else 1)

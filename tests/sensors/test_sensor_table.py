@@ -42,7 +42,6 @@ OF_ONE_SENSOR = {
     "pressure": {
         "sensors/pressure.py": "its model",
         **_PROOF,
-        "cli/aero/cfd_case_report.py": "another pressure: that of a blade's surface",
     },
     "sonar": {
         "sensors/sonar.py": "its model",

@@ -57,6 +57,7 @@ from mufly.cfd.polymesh import (
 )
 from mufly.cfd.section_mesh import CellCounts
 from mufly.cfd.sector_mesh import MESH_LEVELS, MeshDomain, SectorMesh, make_sector_mesh
+from mufly.cfd.solution_report import PairReport, SolutionReport, read_pair_report, read_solution_report
 from mufly.cfd.solver_process import (
     ConvergenceAssessment,
     SolverProgress,
@@ -94,9 +95,11 @@ __all__ = [
     "MeshDomain",
     "MeshQuality",
     "OperatingPoint",
+    "PairReport",
     "PairSolution",
     "PolyMesh",
     "SectorMesh",
+    "SolutionReport",
     "SolverProgress",
     "SpanLoads",
     "WakeProfile",
@@ -136,8 +139,10 @@ __all__ = [
     "read_load_history",
     "read_operating_point",
     "read_pair",
+    "read_pair_report",
     "read_poly_mesh",
     "read_solution",
+    "read_solution_report",
     "run_case",
     "solve_elastic_blade",
     "solve_operating_point",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from mufly.cfd.solver_process import ConvergenceAssessment, judge_case
 from mufly.errors import InputError, MuflyError
 from mufly.files.text_table import read_text_table
 from mufly.quantities.units import RPM
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, result, tabulate_results, to_records
 from mufly.rotor import OperatingCondition, Rotor, RotorSystem, SolverMethod, prepare_blading, solve_system
 from mufly.rotor.coax_maps import interpolate_map
 from mufly.vehicle import CoefficientMap
@@ -126,6 +127,45 @@ class ClimbComparison:
         if not (at_zero.size and ends[0].size and ends[1].size):
             return math.nan
         return float((values[ends[1][0]] - values[ends[0][0]]) / values[at_zero[0]] / (2.0 * reach_m_s))
+
+    @property
+    def thrust_slopes(self) -> dict[str, dict[str, float]]:
+        """Change of thrust per 1 m/s of climb by method, and by the reach of the climbs (m/s)."""
+        methods = {"cfd": self.c_T, **self.other_methods, "map_over_hover": self.map_thrust_ratio}
+        return {
+            name: {f"{reach:g}": self.thrust_slope(values, reach) for reach in (0.5, 1.0)}
+            for name, values in methods.items()
+        }
+
+    def tabulate_points(self) -> list[dict[str, Any]]:
+        """Return a row for each climb: thrust by every method, torque and verdict of the solution."""
+        return to_records({
+            "climb_m_s": self.climb_m_s, "c_T_cfd": self.c_T,
+            **{f"c_T_{name}": values for name, values in self.other_methods.items()},
+            "map_over_hover": self.map_thrust_ratio,
+            "torque_Nm": [s.verdict.torque_Nm for s in self.solutions],
+            "verdict": [s.verdict.outcome for s in self.solutions],
+        })  # fmt: skip
+
+    def as_record(self) -> dict[str, Any]:
+        """Return the points over the climb, and the slopes of the thrust."""
+        return {"points": self.tabulate_points(), "thrust_for_1_m_s": self.thrust_slopes}
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return thrust over climb by every method, and its slopes."""
+        methods = [ResultColumn(f"c_T_{name}", head=f"c_T {name}") for name in ("cfd", *self.other_methods)]
+        loads = [ResultColumn(name) for name in ("map_over_hover", "torque_Nm", "verdict")]
+        columns = (ResultColumn("climb_m_s", form="g"), *methods, *loads)
+        title = "c_T by each method, and thrust of the flight model's map over its thrust in hover"
+        reach = {name: tuple(of.values()) for name, of in self.thrust_slopes.items()}
+        slopes = [
+            ResultColumn("0", "%", "+.1f", head="thrust for 1 m/s, -0.5 to 0.5 m/s"),
+            ResultColumn("1", "%", "+.1f", head="-1 to 1 m/s"),
+        ]
+        return (
+            tabulate_results(self.tabulate_points(), columns, title=title),
+            tabulate_results([*reach.values()], slopes, names=[*reach]),
+        )
 
 
 def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight: CoefficientMap) -> ClimbComparison:

@@ -26,7 +26,7 @@ from mufly.cfd.polymesh import PolyMesh, read_poly_mesh
 from mufly.cfd.rotor_pair import read_actuator_disc
 from mufly.cfd.solver_process import ConvergenceAssessment, judge_case, list_complete_states
 from mufly.errors import InputError
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, result, tabulate_fields
 
 Array = NDArray[np.float64]
 
@@ -90,6 +90,37 @@ class CfdSolution:
     wake_thrust_ratio: float = math.nan
     reversed_flow_fraction: Array = field(default_factory=lambda: np.empty(0))
     moment_Nm_m: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def yplus_median(self) -> float:
+        """Median of y+ over the blade's faces."""
+        return float(np.median(self.yplus))
+
+    @property
+    def separated_fraction(self) -> float:
+        """Fraction of the upper side with separated flow, the mean of ``reversed_flow_fraction`` over the span."""
+        return float(np.average(self.reversed_flow_fraction, weights=self.dr_m))
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return convergence, resolution and balances of the solution as printed text."""
+        wake = (
+            ResultColumn("wake_torque_ratio", "%", ".0f", head="torque found in the wake"),
+            ResultColumn("wake_thrust_ratio", "%", ".0f", head="thrust found in the wake"),
+        )
+        eddy = ResultColumn("max_eddy_viscosity_ratio", form=".3g", head="greatest turbulent over molecular viscosity")
+        table = tabulate_fields(self, [
+            ResultColumn("verdict.drift", "%", ".2g", head="drift in the last 400 iterations"),
+            ResultColumn("verdict.swing", "%", ".2g", head="swing in the last 400 iterations"),
+            ("outflow at the bottom", f"{1e3 * self.verdict.outflow_m3_s:.3g} l/s"),
+            ResultColumn("verdict.leak", form=".1e", head="continuity error"),
+            ResultColumn("friction_torque_fraction", "%", ".0f", head="friction in the torque"),
+            ResultColumn("figure_of_merit", form=".3f"),
+            ("y+, greatest and median", f"{self.yplus.max():.2g}, {self.yplus_median:.2g}"),
+            *(wake if math.isfinite(self.wake_torque_ratio) else ()),
+            *((eddy,) if self.max_eddy_viscosity_ratio else ()),
+            ResultColumn("separated_fraction", "%", ".0f", head="separated flow on the upper side"),
+        ])  # fmt: skip
+        return (table,)
 
 
 def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "blade") -> CfdSolution:

@@ -22,7 +22,7 @@ from mufly.cfd.openfoam_case import read_operating_point
 from mufly.cfd.polymesh import read_poly_mesh
 from mufly.cfd.solver_process import judge_case
 from mufly.errors import InputError
-from mufly.results import result
+from mufly.results import ResultColumn, ShownTable, result, tabulate_results
 
 _CONVERGENCE_ORDER_RANGE = (0.5, 3.0)
 _MAX_ORDER_ITERATIONS = 200
@@ -60,6 +60,17 @@ class GridConvergence:
     index: float
     last_step: float
     sound: bool
+
+
+def tabulate_grid_convergence(found: Sequence[GridConvergence]) -> ShownTable:
+    """Return the convergence of several quantities on the same meshes as a table."""
+    meshes = [ResultColumn(f"values.{k}", form=".5g", head=f"{found[0].cells[k]} cells") for k in (2, 1, 0)]
+    columns = [
+        *meshes, ResultColumn("last_step", "%", "+.2g"), ResultColumn("order", form=".2f"),
+        ResultColumn("extrapolated_value", form=".5g", head="limit"), ResultColumn("index", "%", ".2g"),
+        ResultColumn("sound", head="reliable"),
+    ]  # fmt: skip
+    return tabulate_results(found, columns, names=[c.name for c in found])
 
 
 def estimate_grid_convergence(name: str, cells: Sequence[int], values: Sequence[float]) -> GridConvergence:

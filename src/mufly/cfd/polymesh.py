@@ -24,7 +24,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from mufly.cfd.sector_mesh import SectorMesh
 from mufly.errors import InputError, MuflyError
-from mufly.results import result
+from mufly.results import ShownBlock, result, tabulate_fields
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -297,6 +297,12 @@ class MeshQuality:
     def good(self) -> bool:
         """True if the mesh is suitable for the solver."""
         return self.smallest_volume_m3 > 0.0 and self.non_orthogonality_deg < 85.0 and self.skewness < 4.0
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return the measures and the verdict as printed text."""
+        verdict = ("verdict", "good" if self.good else "not good: a solver may fail on it")
+        names = "cells non_orthogonality_deg mean_non_orthogonality_deg severe skewness smallest_volume_m3 aspect_ratio"
+        return (tabulate_fields(self, [*names.split(), verdict]),)
 
 
 def measure_mesh_quality(mesh: PolyMesh) -> MeshQuality:

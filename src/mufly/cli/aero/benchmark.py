@@ -23,14 +23,7 @@ from mufly.errors import MuflyError
 from mufly.results import select_fields, to_records
 
 if TYPE_CHECKING:
-    from mufly.study.benchmark import (
-        PredictionCode,
-        PropellerScoreRow,
-        RotorCase,
-        RotorPrediction,
-        RotorScore,
-        ScoreRow,
-    )
+    from mufly.study.benchmark import PropellerScoreRow, RotorScore, ScoreRow
 
 
 @rotor_commands.command()
@@ -88,7 +81,7 @@ def benchmark(
     from mufly.study import benchmark as room
 
     check_output_place("--out", out)
-    codes = [_parse_code(text, n_crit, limit) for text in code or ["bemt"]]
+    codes = [room.parse_code(text, n_crit=n_crit, limit_s=limit) for text in code or ["bemt"]]
     cases, missing = room.load_cases(data, only)
     with progress_bar("rotors", not as_json) as progress:
         scores = room.score_codes(cases, codes, points=points, slow_points=points or 3, folder=out, progress=progress)
@@ -201,41 +194,3 @@ def _write_points_csv(scores: list[RotorScore], path: Path) -> Path:
         about = select_fields(s, "code rotor=case.name group=case.group family=case.family")
         rows += [{**about, **point} for point in points]
     return write_records(path, rows)
-
-
-def _parse_code(text: str, n_crit: float | None, limit_s: float) -> PredictionCode:
-    from mufly.study.benchmark import PredictionCode, parse_code
-
-    name, _, what = text.rpartition("=")
-    kind, colon, folder = what.partition(":")
-    if kind == "cfd" and colon:
-        return PredictionCode(name or "cfd", lambda case: _read_solved_cases(Path(folder), case))
-    return parse_code(text, n_crit=n_crit, limit_s=limit_s)
-
-
-def _read_solved_cases(folder: Path, case: RotorCase) -> RotorPrediction:
-    """Return the results of solved OpenFOAM cases below a folder at a rotor's points, matched within 0.5 %."""
-    from mufly.cfd import read_operating_point, read_solution
-    from mufly.errors import InputError, MuflyError
-    from mufly.study.benchmark import RotorPrediction
-
-    if not folder.is_dir():
-        raise InputError("--code", f"cfd:{folder}", "is not a folder", "name one that holds cases of `mufly cfd run`")
-    m = case.measured
-    thrust, torque = (np.full(m.thrust_N.size, np.nan) for _ in range(2))
-    faults = []
-    for mesh in sorted(folder.rglob("constant/polyMesh")):
-        at = mesh.parent.parent
-        try:
-            point = read_operating_point(at)
-            same = np.flatnonzero(
-                (point.rotor == case.rotor.name)
-                & (np.abs(m.speed_rad_s / point.speed_rad_s - 1.0) < 5e-3)
-                & (np.abs(m.pitch_rad - point.pitch_rad) < 1e-3)
-            )
-            if same.size:
-                found = read_solution(at)
-                thrust[same], torque[same] = found.thrust_N, found.torque_Nm
-        except MuflyError as error:
-            faults.append(f"{at.name}: {error}")
-    return RotorPrediction(thrust, torque, "; ".join(faults))

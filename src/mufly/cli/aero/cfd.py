@@ -32,7 +32,6 @@ from mufly.cli.options import (
 from mufly.cli.output import (
     make_console,
     print_answer,
-    print_blocks,
     print_result_table,
     print_table,
     save_figure,
@@ -40,7 +39,7 @@ from mufly.cli.output import (
 )
 from mufly.errors import InputError, report_write_errors
 from mufly.quantities.units import RPM
-from mufly.results import ResultColumn, select_fields, tabulate_fields
+from mufly.results import ResultColumn, make_lines_block, select_fields
 
 if TYPE_CHECKING:
     from mufly.cfd import SolverProgress
@@ -144,16 +143,9 @@ def mesh(
             files.append(cfd.write_poly_mesh(found, out))
         files.append(save_figure(cfd.draw_mesh(found), out, "mesh"))
 
-    def print_mesh_quality() -> None:
-        print_blocks(tabulate_fields(
-            good,
-            ["cells", "non_orthogonality_deg", "mean_non_orthogonality_deg", "severe", "skewness", "smallest_volume_m3",
-             "aspect_ratio", ("verdict", "good" if good.good else "not good: a solver may fail on it")],
-            title=f"{rotor}, {blade.level} mesh",
-        ))  # fmt: skip
-
+    title = make_lines_block("", head=f"{rotor}, {blade.level} mesh")
     content = {"rotor": rotor, "level": blade.level, "good": good.good, "quality": good}
-    print_answer(as_json, content, print_mesh_quality, files)
+    print_answer(as_json, content, (title, *good.shown_blocks()), files)
 
 
 @app.command()
@@ -482,17 +474,7 @@ def show_convergence(
 
     Example: mufly cfd convergence case-coarse case-medium case-fine
     """
-    from mufly.cfd import study_grid_convergence
+    from mufly.cfd.grid_convergence import study_grid_convergence, tabulate_grid_convergence
 
     found = study_grid_convergence(cases)
-
-    def print_convergence() -> None:
-        rows = [
-            (c.name, *(f"{v:.5g}" for v in c.values[::-1]), f"{100 * c.last_step:+.2g} %", f"{c.order:.2f}",
-             f"{c.extrapolated_value:.5g}", f"{100 * c.index:.2g} %", "" if c.sound else "not reliable")
-            for c in found
-        ]  # fmt: skip
-        names = [f"{n} cells" for n in found[0].cells[::-1]]
-        print_table(("", *names, "last step", "order", "limit", "index", ""), rows, text=(0, 8))
-
-    print_answer(as_json, {c.name: c for c in found}, print_convergence)
+    print_answer(as_json, {c.name: c for c in found}, (tabulate_grid_convergence(found),))

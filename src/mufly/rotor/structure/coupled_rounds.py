@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
-from mufly.results import result
+from mufly.results import ShownBlock, make_lines_block, result
 from mufly.rotor.blading import compute_rotor_polars, prepare_blading
 from mufly.rotor.geometry import Rotor, rotor_from_tables
 from mufly.rotor.rotor_system import Air
@@ -117,6 +117,16 @@ class AeroelasticSolution:
     twist_rad: Array
     r_m: Array
     deflection_m: Array
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return twist and deflection of the tip as printed text."""
+        twist = ", ".join(f"{angle:+.2f}" for angle in np.degrees(self.tip_twist_by_round_rad))
+        return (
+            make_lines_block(
+                f"elastic blade, twist of the tip: {twist} degrees (blade elements, then after each round); tip up "
+                f"{1e3 * self.deflection_m[-1]:.2f} mm"
+            ),
+        )
 
 
 def iterate_elastic_twist(

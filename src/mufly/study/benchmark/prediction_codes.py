@@ -4,6 +4,7 @@ A code is a function of a :class:`mufly.study.benchmark.RotorCase` that returns 
 points, nan where it fails, and the reason. On the command line a code is one of:
 
 * ``bemt``, ``wake``: this package's methods.
+* ``cfd:DIR``: cases below a folder that ``mufly cfd`` has solved.
 * ``module:name``: a Python function that takes a :data:`RotorDescription` and returns thrust and torque, arrays
   (points,).
 * ``COMMAND``: a program with ``{folder}`` among its arguments. That folder contains ``blade.csv``, ``points.csv``, the
@@ -29,6 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.cfd import read_operating_point, read_solution
 from mufly.errors import InputError, MuflyError
 from mufly.files.text_table import read_text_table
 from mufly.quantities.units import RPM
@@ -97,12 +99,14 @@ def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0
             name or Path(shlex.split(what)[0]).name, lambda case: _predict_by_command(what, case, limit_s)
         )
     module, colon, function = what.partition(":")
+    if module == "cfd" and colon:
+        return PredictionCode(name or "cfd", lambda case: _read_solved_cases(Path(function), case))
     if not colon or not all(part.isidentifier() for part in (*module.split("."), function)):
         raise InputError(
             "--code",
             text,
             "is not a known prediction code",
-            "use bemt, wake, module:function, or a command with {folder} among its words",
+            "use bemt, wake, cfd:DIR, module:function, or a command with {folder} among its words",
         )
     sys.path.insert(0, "") if "" not in sys.path else None
     try:
@@ -175,6 +179,30 @@ def _make_mufly_code(method: SolverMethod, n_crit: float | None) -> Callable[[Ro
         )
 
     return predict_case
+
+
+def _read_solved_cases(folder: Path, case: RotorCase) -> RotorPrediction:
+    """Return the results of solved OpenFOAM cases below a folder at a rotor's points, matched within 0.5 %."""
+    if not folder.is_dir():
+        raise InputError("--code", f"cfd:{folder}", "is not a folder", "name one that holds cases of `mufly cfd run`")
+    m = case.measured
+    thrust, torque = (np.full(m.thrust_N.size, math.nan) for _ in range(2))
+    faults = []
+    for mesh in sorted(folder.rglob("constant/polyMesh")):
+        at = mesh.parent.parent
+        try:
+            point = read_operating_point(at)
+            same = (
+                (point.rotor == case.rotor.name)
+                & (np.abs(m.speed_rad_s / point.speed_rad_s - 1.0) < 5e-3)
+                & (np.abs(m.pitch_rad - point.pitch_rad) < 1e-3)
+            )
+            if same.any():
+                found = read_solution(at)
+                thrust[same], torque[same] = found.thrust_N, found.torque_Nm
+        except MuflyError as error:
+            faults.append(f"{at.name}: {error}")
+    return RotorPrediction(thrust, torque, "; ".join(faults))
 
 
 def _predict_by_function(function: Callable[[RotorDescription], Any], label: str, case: RotorCase) -> RotorPrediction:
