@@ -21,6 +21,7 @@ from mufly.link.real_time.real_time_loop import SensorMode
 from mufly.rotor.measured.uncertainty import SECTION_KNOWLEDGE_LEVELS
 from mufly.rotor.rotor_system import SolverMethod
 from mufly.rotor.sections.polar_engines import PolarEngine
+from mufly.rotor.wake import WakeSettings
 from mufly.slam import WRITABLE_DATASET_LAYOUTS
 from mufly.station.recording_comparison import ALIGNMENT_EVENTS
 from mufly.study import BEMT_MODELS
@@ -41,6 +42,7 @@ CASES: list[tuple[Any, str, Iterable[str]]] = [
     (identify.demo, "method", get_args(FitMethod)),
     (log.plot, "align", ALIGNMENT_EVENTS),
     (options.PolarOptions, "model", BEMT_MODELS),
+    (options.WakeOptions, "wake_geometry", get_args(get_type_hints(WakeSettings)["model"])),
     (options.PolarOptions, "engine", get_args(PolarEngine)),
     (options.TheoryOptions, "method", SOLVERS),
     (rotor.HoverOptions, "method", (*SOLVERS, "cfd")),

@@ -159,7 +159,7 @@ def test_a_wake_that_does_not_converge_is_an_error_and_keeps_its_history(tmp_pat
         (("hover", "--rpm", "1,2,3"), "UPPER,LOWER"),
         (("hover", "--pitch", "x"), "--pitch"),
         (("hover", "--method", "magic"), "bemt, tubes, wake"),
-        (("hover", "--wake", "stiff"), "free or prescribed"),
+        (("hover", "--wake", "stiff"), "free, prescribed"),
         (("hover", "--method", "bemt", "--wake", "prescribed"), "--method wake"),
         (("hover", "--wake-set", "step_deg=90"), "too coarse"),
         (("hover", "--wake-set", "nothing=1"), "is unknown"),

@@ -24,6 +24,7 @@ from mufly.cli.options import (
     JsonOption,
     OutOption,
     PairPitchOption,
+    PairRpmOption,
     PolarOptions,
     SpacingOption,
     TheoryOptions,
@@ -185,16 +186,7 @@ def hover(
     upper: UpperArgument = THESIS_ROTOR_NAME,
     lower: LowerArgument = None,
     spacing: SpacingOption = 0.02,
-    rpm: Annotated[
-        tuple[float, ...],
-        define_option(
-            "--rpm",
-            "Speeds of upper and lower rotor, as 6000,6650; one value holds for both.",
-            unit="rpm",
-            form="pair",
-            within=SPEED_RANGE,
-        ),
-    ] = default_text("6000,6650"),
+    rpm: PairRpmOption = default_text("6000,6650"),
     pitch: PairPitchOption = default_text("14"),
     climb: ClimbOption = 0.0,
     density: DensityOption = 1.2,
@@ -229,12 +221,7 @@ def forward(
     lower: LowerArgument = None,
     speed: AirspeedsOption = default_text("0:10:1"),
     spacing: SpacingOption = 0.04,
-    rpm: Annotated[
-        tuple[float, ...],
-        define_option(
-            "--rpm", "Speeds of upper and lower rotor, as 3600,4240.", unit="rpm", form="pair", within=SPEED_RANGE
-        ),
-    ] = default_text("3600,4240"),
+    rpm: PairRpmOption = default_text("3600,4240"),
     pitch: PairPitchOption = default_text("13,14"),
     tilt: DiscTiltOption = 0.0,
     flap_frequency_ratio: FlapRatiosOption = None,

@@ -385,6 +385,16 @@ PairPitchOption = Annotated[
         within=PITCH_RANGE,
     ),
 ]
+PairRpmOption = Annotated[
+    tuple[float, ...],
+    define_option(
+        "--rpm",
+        "Speeds of upper and lower rotor, as 6000,6650; one value holds for both.",
+        unit="rpm",
+        form="pair",
+        within=SPEED_RANGE,
+    ),
+]
 AirspeedsOption = Annotated[
     tuple[float, ...],
     define_option(
@@ -504,7 +514,8 @@ class WakeOptions(PolarOptions):
 
     method: Literal["bemt", "tubes", "wake", "cfd"] = "wake"  # no option here, but one in TheoryOptions
     wake_geometry: Annotated[
-        str, define_option("--wake NAME", "Wake geometry: 'free', or 'prescribed' (Landgrebe's, for slender blades).")
+        Literal["free", "prescribed"],
+        define_option("--wake NAME", "Wake geometry: 'free', or 'prescribed' (Landgrebe's, for slender blades)."),
     ] = "free"
     wake_set: Annotated[
         list[str] | None,
@@ -526,8 +537,6 @@ class WakeOptions(PolarOptions):
         from mufly.rotor.blading import STATION_COUNT
         from mufly.rotor.wake import WakeSettings
 
-        if self.wake_geometry not in ("free", "prescribed"):
-            raise InputError("--wake", "", f"{self.wake_geometry!r} is unknown", "use free or prescribed")
         if self.method != "wake" and self.wake_geometry != "free":
             raise InputError("--wake", "", "blade element theory has no wake", "add --method wake")
         known = [f.name for f in fields(WakeSettings) if f.name not in ("model", "inviscid")]
@@ -546,7 +555,7 @@ class WakeOptions(PolarOptions):
         stations = given.pop("stations", STATION_COUNT)
         if not 4 <= stations <= 200:
             raise InputError("--wake-set", "stations", f"is {stations}", "give 4 to 200 stations")
-        return WakeSettings(model=self.wake_geometry, **given), stations  # type: ignore[arg-type]
+        return WakeSettings(model=self.wake_geometry, **given), stations
 
     def make_study_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
         """Return the setup shared by all cases of a study of a rotor or, with ``lower`` in ``more``, of a pair."""

@@ -7,11 +7,11 @@ from typing import Annotated
 
 from mufly.cli.aero.elastic_hover import choose_structure
 from mufly.cli.options import (
-    PITCH_RANGE,
     DensityOption,
     JsonOption,
     OptionRange,
     OutOption,
+    PitchOption,
     RotorArgument,
     define_option,
 )
@@ -29,9 +29,7 @@ def show_beam(
         str,
         define_option("--rpm", "Rotor speeds.", unit="rpm", form="steps", within=_BEAM_SPEED_RANGE),
     ] = "0:9000:500",
-    pitch: Annotated[
-        float, define_option("--pitch", "Pitch setting of the blades.", unit="deg", within=PITCH_RANGE)
-    ] = 0.0,
+    pitch: PitchOption = 0.0,
     material: MaterialOption = None,
     thickness: PlateOption = None,
     density: DensityOption = 1.2,
