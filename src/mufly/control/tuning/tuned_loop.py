@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -32,11 +31,12 @@ from mufly.control.tuning.loop_tuning import (
     settings_with_tuned_controller,
 )
 from mufly.errors import ArgumentError, InputError
+from mufly.files.answer_store import hash_inputs, read_stored_result, write_stored_result
 from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import Vehicle
 
 DEFAULT_START_METHODS = ("hinf", "delay", "ltr")
-_FILE_FORMAT = "mufly tuned controller 1"
+_FILE_FORMAT = "mufly tuned controller 2"
 _SETTINGS_KEY_BY_LOOP = {"heave-yaw": "heave_yaw_given", "roll-pitch": "roll_pitch_given"}
 _GOAL_UNITS = {"weighted": "", "sensitivity": "dB", "complementary": "dB", "disk": "", "activity": "%", "mu": ""}
 
@@ -176,11 +176,11 @@ def tune_loop(
     problem = make_loop_tuning_problem(
         vehicle, base, loop, goal_levels, compute_output_noise_std(vehicle, d.plant.output_labels), spreads
     )
-    question = {
+    tuning = {
         "format": _FILE_FORMAT, "vehicle": vehicle.name, "loop": loop, "order": order, "rate_Hz": base.rate_Hz,
         "goals": asdict(goal_levels), "starts": list(starts), "steps": steps, "plant": _plant_fingerprint(d),
     }  # fmt: skip
-    state = _read_tuning_state(path, question)
+    state = _read_tuning_state(path, tuning)
     files = [name for name in starts if name.endswith(".json")]
     methods = [name for name in starts if name not in files]
     first = find_start_controllers(problem, methods, order) if methods else []
@@ -195,13 +195,13 @@ def tune_loop(
 
     def report(done: int, total: int, reached: TuningState) -> None:
         if path is not None:
-            _write_tuning_record(path, question, problem, reached)
+            _write_tuning_record(path, tuning, problem, reached)
         if progress is not None:
             progress(done, total)
 
     K, state = continue_tuning(problem, first, rounds=rounds, steps=steps, state=state, progress=report)
     if path is not None:
-        _write_tuning_record(path, question, problem, state)
+        _write_tuning_record(path, tuning, problem, state)
     norms = evaluate_goal_norms([a for a in problem.goals if a is not problem.mu], K)
     if problem.mu is not None:
         gain = np.block([[K.A, K.B], [K.C, K.D]])
@@ -223,46 +223,35 @@ def _plant_fingerprint(d: ControllerDesign) -> list[float]:
     return [float(f"{np.linalg.norm(M):.9g}") for M in (scaled.A, scaled.B, scaled.C)]
 
 
-def _read_tuning_state(path: Path | None, question: Mapping[str, Any]) -> TuningState | None:
-    if path is None or not path.exists():
+def _read_tuning_state(path: Path | None, tuning: Mapping[str, Any]) -> TuningState | None:
+    if path is None:
         return None
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        if record["question"] == json.loads(json.dumps(question)):
-            return TuningState.from_record(record["lines"])
-    except (ValueError, KeyError, TypeError):
-        pass
-    raise InputError(
-        str(path),
-        "",
+    words = (
         "contains the results of another tuning",
         "give another --out, delete the file, or repeat the options of that tuning to continue it",
     )
+    record = read_stored_result(path, hash_inputs(tuning), damaged=words, other=words)
+    return None if record is None else TuningState.from_record(record["lines"])
 
 
-def _write_tuning_record(
-    path: Path, question: Mapping[str, Any], problem: LoopTuningProblem, state: TuningState
-) -> None:
+def _write_tuning_record(path: Path, tuning: Mapping[str, Any], problem: LoopTuningProblem, state: TuningState) -> None:
     gain, history = min(state.lines, key=lambda line: line[1][-1])
     k = len(gain) - len(problem.input_scale)
     g, read, out = np.array(gain), problem.read_scale, problem.input_scale[:, None]
     given = GivenController.from_matrices(g[:k, :k], g[:k, k:] / read, g[k:, :k] * out, g[k:, k:] * out / read)
     record = {
-        "question": dict(question), "objective": history[-1], "controller": asdict(given), "lines": state.to_record()
+        "tuning": dict(tuning), "objective": history[-1], "controller": asdict(given), "lines": state.to_record()
     }  # fmt: skip
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".part")
-    partial.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    write_stored_result(path, hash_inputs(tuning), record, indent=1)
 
 
 def _read_tuning_record(path: Path) -> tuple[dict[str, Any], GivenController]:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-        question = record["question"]
-        if question["format"] != _FILE_FORMAT:
+        tuning = record["tuning"]
+        if tuning["format"] != _FILE_FORMAT:
             raise KeyError("format")
-        return question, GivenController.from_matrices(*(record["controller"][k] for k in "ABCD"))
+        return tuning, GivenController.from_matrices(*(record["controller"][k] for k in "ABCD"))
     except OSError as error:
         raise InputError(
             str(path), "", error.strerror or "cannot be read", "give a file of `mufly control tune`"
@@ -281,10 +270,10 @@ def load_tuned_settings(paths: Sequence[str | Path], base: DesignSettings | None
     """
     settings = DesignSettings() if base is None else base
     for path in paths:
-        question, given = _read_tuning_record(Path(path))
-        key = _SETTINGS_KEY_BY_LOOP[question["loop"]]
+        tuning, given = _read_tuning_record(Path(path))
+        key = _SETTINGS_KEY_BY_LOOP[tuning["loop"]]
         if getattr(settings, key) is not None:
-            raise InputError(str(path), "", f"is a second controller for {question['loop']}", "give one file per loop")
+            raise InputError(str(path), "", f"is a second controller for {tuning['loop']}", "give one file per loop")
         changes: dict[str, Any] = {key: given}
         settings = replace(settings, **changes)
     return settings

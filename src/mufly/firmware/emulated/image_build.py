@@ -6,7 +6,6 @@ and compiler.
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import tempfile
@@ -87,9 +86,8 @@ def build_image(vehicle: Vehicle, controller: FlightController, mission: Mission
         image = cache_folder() / f"board-{hash_inputs(version, _IMAGE_FLAGS, texts)[:24]}.elf"
         if not image.exists():
             made = _link_image(tree)
-            ready = image.with_name(f"{image.name}.{os.getpid()}")
-            shutil.copy(made, ready)
-            os.replace(ready, image)
+            with replace_file(image) as ready:
+                shutil.copy(made, ready)
     return image
 
 
