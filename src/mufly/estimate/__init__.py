@@ -13,6 +13,7 @@ from mufly.estimate.filter.filter_records import ERROR_STATES
 from mufly.estimate.inertial_log import (
     AidInnovations,
     InertialLog,
+    InertialLogEstimate,
     InertialNoise,
     PositionAids,
     check_inertial_log,
@@ -38,6 +39,7 @@ __all__ = [
     "FusionStatus",
     "IdealEstimator",
     "InertialLog",
+    "InertialLogEstimate",
     "InertialNoise",
     "KalmanEstimator",
     "PositionAids",

@@ -51,9 +51,9 @@ from mufly.estimate.filter.filter_records import (
     STATE_COUNT,
 )
 from mufly.estimate.kalman_estimator import KalmanEstimator
-from mufly.estimate.nees import compute_normalised_squared_errors
+from mufly.estimate.nees import Consistency, compute_normalised_squared_errors
 from mufly.quantities.units import GRAVITY
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_fields, tabulate_results
 from mufly.rotations import quaternion_from_euler
 from mufly.sensors import Reading, Readings
 from mufly.vehicle import load_vehicle, replace_parameters
@@ -146,6 +146,12 @@ class InertialNoise:
     gyro: float
     accelerometer: float
 
+    @property
+    def at_limit(self) -> tuple[str, ...]:
+        """Names of the densities near the upper end of the search."""
+        limits = {"gyro": MAX_GYRO_NOISE_DENSITY, "accelerometer": MAX_ACCEL_NOISE_DENSITY}
+        return tuple(name for name, limit in limits.items() if getattr(self, name) > 0.9 * limit)
+
 
 @result
 class AidInnovations:
@@ -167,6 +173,72 @@ class AidInnovations:
     nis: float
     position_rms_m: float
     likelihood: float
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the consistency of the aids as printed text; nothing without aids."""
+        columns = (
+            "count",
+            ResultColumn("nis", form=".2f", head="NIS / n (1 if consistent)"),
+            ResultColumn("position_rms_m", "cm", ".1f"),
+        )
+        doubt = "Fixes and inertial unit are inconsistent: check axes, signs, units and --aid-delay."
+        return [
+            tabulate_results([self] if self.count else [], columns, names=["fixes"]),
+            make_lines_block(*[doubt] if self.nis > 5.0 else [], style="yellow"),
+        ]
+
+
+@result(eq=False, json="said noise_at_rest noise from_s mounting_rad aids errors errors_without_mounting")
+class InertialLogEstimate:
+    """Evaluation of the filter on the log of any vehicle.
+
+    Attributes
+    ----------
+    said : list of str
+        Notes of the log's reader.
+    noise_at_rest, noise : InertialNoise
+        Noise at rest, and the noise that the filter uses.
+    searched : tuple of str
+        Densities of ``noise`` that follow from the innovations of the fixes.
+    from_s : float
+        Start of the evaluation (s).
+    mounting_rad : array (roll, pitch) or None
+        Difference of true attitude and accelerometers at rest: a mounting angle, or accelerometer bias (rad).
+    aids : AidInnovations
+    errors, errors_without_mounting : Consistency or None
+        Errors to the log's true motion, and to this motion turned by the mounting angle.
+    """
+
+    said: list[str]
+    noise_at_rest: InertialNoise
+    noise: InertialNoise
+    searched: tuple[str, ...]
+    from_s: float
+    mounting_rad: _Array | None
+    aids: AidInnovations
+    errors: Consistency | None
+    errors_without_mounting: Consistency | None
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return noise, errors and innovations as printed text, with warnings."""
+        noise = [ResultColumn(name, form=".2g") for name in ("gyro", "accelerometer")]
+        blocks: list[ShownBlock] = [
+            tabulate_results([self.noise_at_rest, self.noise], noise, names=("noise at rest", "noise in flight"))
+        ]
+        if limited := [name for name in self.noise.at_limit if name in self.searched]:
+            doubt = (
+                f"No noise of the {' and '.join(limited)} reconciles the fixes with the inertial unit: check whether "
+                "its readings are cut off at its range, its axes, and --aid-delay."
+            )
+            blocks.append(make_lines_block(doubt, style="yellow"))
+        cases = {"measured": self.errors, "unmounted": self.errors_without_mounting}
+        if known := {name: case for name, case in cases.items() if case is not None}:
+            blocks += Consistency.tabulate_errors(known)
+        columns = [ResultColumn("from_s", form=".1f", head="evaluated from")]
+        if self.mounting_rad is not None:
+            columns.append(ResultColumn("mounting_rad", "deg", "+.2f", "mounting angle or bias", ("roll", "pitch")))
+        blocks.append(tabulate_fields(self, columns))
+        return [*blocks, *self.aids.shown_blocks()]
 
 
 def detect_flight(time_s: _Array, rates: _Array, acceleration: _Array) -> NDArray[np.bool_]:

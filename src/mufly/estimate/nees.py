@@ -9,7 +9,7 @@ quantity of innovations. NIS needs no truth, but does not show errors that all r
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from scipy import stats
 from mufly.errors import InputError
 from mufly.estimate.estimator import Estimate
 from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_GYRO_BIAS, ERROR_POSITION, ERROR_VELOCITY
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, result, tabulate_fields, tabulate_results
 from mufly.sensors import Truth
 
 _Array = NDArray[np.float64]
@@ -57,8 +57,10 @@ class Consistency:
         NEES / n of each block of :data:`ERROR_BLOCKS`, and the share of instants inside the block's 95 % ellipsoid.
     nis : float
         Mean square of the innovation ratios of the position fix.
-    xy_rms, xy_peak, z_rms, z_peak, tilt_rms, tilt_peak, yaw_rms : float
-        Root mean square and peak errors (m, rad).
+    xy_rms, xy_peak, z_rms, z_peak : float
+        Root mean square and peak errors of the position (m).
+    tilt_rms, tilt_peak, yaw_rms : float
+        Root mean square and peak errors of the attitude (rad).
     """
 
     count: int
@@ -74,6 +76,29 @@ class Consistency:
     tilt_rms: float
     tilt_peak: float
     yaw_rms: float
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return errors and consistency as printed text."""
+        return self.tabulate_errors({"": self})
+
+    @classmethod
+    def tabulate_errors(cls, cases: Mapping[str, Consistency]) -> list[ShownBlock]:
+        """Return as printed text the errors and consistency of named cases, and the blocks of the first."""
+        first, *_ = cases.values()
+        columns = [
+            *(ResultColumn(name, "cm", ".1f") for name in ("xy_rms", "xy_peak", "z_rms", "z_peak")),
+            *(ResultColumn(name, "deg", ".2f") for name in ("tilt_rms", "tilt_peak", "yaw_rms")),
+            ResultColumn("nees", form=".2f", head="NEES / n"),
+            ResultColumn("inside_share", form=".1%", head="inside 95 %"),
+        ]
+        blocks = [
+            ResultColumn("block_nees", form=".2f", head="NEES / n (1 if consistent)", entry_names=tuple(ERROR_BLOCKS)),
+            ResultColumn(
+                "block_inside_shares", form=".0%", head="inside 95 % ellipsoid", entry_names=tuple(ERROR_BLOCKS)
+            ),
+        ]
+        names = list(cases) if any(cases) else ()
+        return [tabulate_results([*cases.values()], columns, names=names), tabulate_fields(first, blocks)]
 
     @classmethod
     def merge_flights(cls, several: Sequence[Consistency]) -> Consistency:

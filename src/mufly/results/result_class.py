@@ -42,7 +42,7 @@ _RESULT_UNIT_BY_SUFFIX = {
     "N_W": "N/W", "kg_m3": "kg/m3", "kg_m2": "kg m2", "Pa_s": "Pa s", "m2": "m2", "Ah": "A h", "As": "A s", "J": "J",
     "dB": "dB", "percent": "%",
 }  # fmt: skip
-_ACCEPTED_UNITS = {"J", "dB", "N/W", "1"} | set(_RESULT_UNIT_BY_SUFFIX.values())
+_ACCEPTED_UNITS = {"J", "dB", "N/W", "1", "rad/s/sqrt(Hz)", "m/s2/sqrt(Hz)"} | set(_RESULT_UNIT_BY_SUFFIX.values())
 _ATTRIBUTE_PATTERN = re.compile(r"^(?P<names>\w+(?:, \w+)*) *:(?P<type>.*)$")
 _MAX_LISTED_VALUES = 6  # longer arrays are shown by size and range
 
@@ -176,7 +176,7 @@ def _make_meaning(name: str, kind: str, said: str) -> FieldMeaning:
             label, unit = name.removesuffix(f"_{suffix}"), its
     if not unit:
         for text_ in (kind, said):
-            for inner in re.findall(r"\(([^()]*)\)", text_):
+            for inner in re.findall(r"\(((?:[^()]|\([^()]*\))*)\)", text_):
                 unit = unit or normalise_unit(inner) or (inner if inner in _ACCEPTED_UNITS else "")
     return FieldMeaning(name, label.replace("_", " "), "" if unit == "1" else unit, said)
 

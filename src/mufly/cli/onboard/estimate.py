@@ -24,7 +24,6 @@ from mufly.cli.output import (
     check_output_place,
     print_answer,
     print_lines,
-    print_table,
     progress_bar,
 )
 from mufly.errors import InputError, report_write_errors
@@ -32,7 +31,7 @@ from mufly.errors import InputError, report_write_errors
 if TYPE_CHECKING:
     import xarray as xr
 
-    from mufly.estimate import AidInnovations, Estimate, InertialNoise
+    from mufly.estimate import Estimate
     from mufly.estimate.nees import Consistency
     from mufly.flight.record.foreign_log import ForeignLog
     from mufly.vehicle import Vehicle
@@ -180,7 +179,7 @@ def _estimate_own_flight(log: Path, data: xr.Dataset, vehicle: str | None, out: 
         estimates = replay_estimator(data, KalmanEstimator(flown, world, float(data.attrs["rate_Hz"])))
     again = replace_estimates(data, estimates)
     figures = measure_consistency(list_truths(data), estimates, after_s=_lift_off_time_s(data))
-    print_answer(as_json, figures, lambda: _print_consistency(figures), _write_results(again, estimates, out))
+    print_answer(as_json, figures, files=_write_results(again, estimates, out))
 
 
 def _estimate_foreign_log(
@@ -188,6 +187,7 @@ def _estimate_foreign_log(
 ) -> None:
     """Estimate the states of any vehicle from its log; print and write the results."""
     from mufly.estimate import (
+        InertialLogEstimate,
         InertialNoise,
         compute_aid_innovations,
         estimate_flight_noise,
@@ -223,27 +223,13 @@ def _estimate_foreign_log(
         figures = measure_row_consistency(truth_rows(f), told, after_s=after - float(time[0]))
         if f.mounting_rad is not None:
             mounted = measure_row_consistency(truth_rows(f, mounted=True), told, after_s=after - float(time[0]))
-    content = {
-        "said": f.notes, "noise_at_rest": rest, "noise": noise, "from_s": after, "mounting_rad": f.mounting_rad,
-        "aids": fore, "errors": figures, "errors_without_mounting": mounted,
-    }  # fmt: skip
-
-    def print_results() -> None:
-        _print_noise(rest, noise, given)
-        if figures is not None:
-            _print_consistency(figures, f"from {after:.1f} s")
-        if mounted is not None and f.mounting_rad is not None:
-            roll, pitch = (math.degrees(x) for x in f.mounting_rad)
-            print_lines(
-                f"The true attitude and the accelerometers differ by {roll:+.2f} and {pitch:+.2f} degrees (roll, "
-                "pitch) at rest: a mounting angle, or accelerometer bias.",
-                f"Without this offset: tilt {math.degrees(mounted.tilt_rms):.2f} degrees rms, "
-                f"NEES / n {mounted.nees:.2f}",
-            )  # fmt: skip
-        _print_aid_innovations(fore)
-
+    evaluated = InertialLogEstimate(
+        said=f.notes, noise_at_rest=rest, noise=noise, from_s=after, mounting_rad=f.mounting_rad, aids=fore,
+        searched=tuple(n for n, value in zip(("gyro", "accelerometer"), given, strict=True) if value is None),
+        errors=figures, errors_without_mounting=mounted,
+    )  # fmt: skip
     data = make_recording(f, told, path.name)
-    print_answer(as_json, content, print_results, _write_results(data, told, out, csv=True))
+    print_answer(as_json, evaluated, files=_write_results(data, told, out, csv=True))
 
 
 def _write_results(data: xr.Dataset, told: Sequence[Estimate], out: Path | None, csv: bool = False) -> list[Path]:
@@ -282,67 +268,6 @@ def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
         )
         out[f"estimated_{name}_sigma"] = data[f"estimated_{name}"].copy(data=block)
     return data.assign(out)
-
-
-def _print_noise(rest: InertialNoise, noise: InertialNoise, given: tuple[float | None, float | None]) -> None:
-    from mufly.estimate.inertial_log import MAX_ACCEL_NOISE_DENSITY, MAX_GYRO_NOISE_DENSITY
-
-    rows = [
-        (name, f"{a:.2g}", f"{b:.2g}", "given" if told else "from the innovations of the fixes", unit)
-        for name, a, b, told, unit in (
-            ("gyroscopes", rest.gyro, noise.gyro, given[0], "rad/s/sqrt(Hz)"),
-            ("accelerometers", rest.accelerometer, noise.accelerometer, given[1], "m/s^2/sqrt(Hz)"),
-        )
-    ]
-    print_table(("noise", "at rest", "in flight", "", "unit"), rows, text=(0, 3, 4))
-    found = [
-        name
-        for name, density, limit, told in (
-            ("gyroscopes", noise.gyro, MAX_GYRO_NOISE_DENSITY, given[0]),
-            ("accelerometers", noise.accelerometer, MAX_ACCEL_NOISE_DENSITY, given[1]),
-        )
-        if not told and density > 0.9 * limit
-    ]
-    if found:
-        print_lines(
-            f"No noise of the {' and '.join(found)} reconciles the fixes with the inertial unit: check whether its "
-            "readings are cut off at its range, its axes, and --aid-delay.",
-            style="yellow",
-        )
-
-
-def _print_aid_innovations(fore: AidInnovations) -> None:
-    if fore.count:
-        print_lines(
-            f"NIS / n {fore.nis:.2f} of {fore.count} fixes (1 if consistent); rms innovation "
-            f"{100 * fore.position_rms_m:.1f} cm"
-        )  # fmt: skip
-        if fore.nis > 5.0:
-            print_lines(
-                "Fixes and inertial unit are inconsistent: check axes, signs, units and --aid-delay.",
-                style="yellow",
-            )
-
-
-def _print_consistency(c: Consistency, what: str = "") -> None:
-    from mufly.estimate.nees import ERROR_BLOCKS
-
-    def format_cell(x: float, unit: str, digits: int) -> str:
-        return f"{x:.{digits}f} {unit}" if math.isfinite(x) else ""
-
-    rows = [
-        ("horizontal position", format_cell(100 * c.xy_rms, "cm", 1), format_cell(100 * c.xy_peak, "cm", 1)),
-        ("height", format_cell(100 * c.z_rms, "cm", 1), format_cell(100 * c.z_peak, "cm", 1)),
-        ("tilt", format_cell(math.degrees(c.tilt_rms), "deg", 2), format_cell(math.degrees(c.tilt_peak), "deg", 2)),
-        ("heading", format_cell(math.degrees(c.yaw_rms), "deg", 2), ""),
-    ]
-    print_table((f"error {what}".strip(), "rms", "worst"), rows, text=(0, 1, 2))
-    parts = "; ".join(
-        f"{name} {x:.2f}, {inside:.0%}"
-        for name, x, inside in zip(ERROR_BLOCKS, c.block_nees, c.block_inside_shares, strict=True)
-        if math.isfinite(x)
-    )  # fmt: skip
-    print_lines(f"NEES / n {c.nees:.2f} (1 if consistent; {parts}); {c.inside_share:.1%} inside the 95 % ellipsoid")
 
 
 def _load_vehicle_and_world(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:
