@@ -41,6 +41,7 @@ from mufly.cli.output import (
 from mufly.cli.rotor import app as rotor_commands
 from mufly.cli.study import format_parameter, parse_set_options
 from mufly.errors import InputError, suggest_name
+from mufly.quantities.quantity_grammar import read_names
 from mufly.quantities.units import RPM
 from mufly.results import select_fields
 
@@ -112,7 +113,7 @@ def optimise(
         given = [*given, "thrust=0.4N"]
     fixed = parse_set_options(given, ROTOR_PARAMETERS, "give one")
     setup = polars.make_study_setup(rotor, fixed, drive=load_drive_option(drive), with_outside_share=False)
-    names = [name.strip() for name in free.split(",") if name.strip()]
+    names = read_names(free)
     candidates = expand_airfoil_names(airfoils or ["thesis"]) if "airfoil" in names else []
     limits = [parse_limit(text) for text in limit or []]
     with progress_bar("generations", not as_json) as progress:
@@ -193,7 +194,7 @@ def optimise_pairs(
         raise InputError("--thrust", "", f"{thrust:g} N is out of range", "give a number above 0")
     if generations < 1:
         raise InputError("--generations", "", f"{generations} is out of range", "give 1 or more")
-    names = [n.strip() for n in vary.split(",") if n.strip()]
+    names = read_names(vary)
     for name in names:
         if name not in PAIR_FREE_PARAMETERS:
             raise InputError("--vary", "", f"{name!r} cannot be free", suggest_name(name, PAIR_FREE_PARAMETERS))

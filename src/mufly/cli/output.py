@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -139,23 +138,10 @@ def print_result_table(
 def print_estimates(
     estimates: Iterable[ParameterEstimate], title: str, beside: Mapping[str, Mapping[str, str]] | None = None
 ) -> None:
-    """Print a table of estimates with intervals; ``beside`` maps headings of further columns to texts by symbol."""
-    more = beside or {}
-    rows = []
-    for e in estimates:
-        start = "-" if math.isnan(e.start) else f"{e.start:.4g}"
-        if math.isinf(e.std):
-            value, interval, doubt = "not observable", "-", "-"
-        elif math.isnan(e.std) and not e.at_bound:
-            value, interval, doubt = f"{e.value:.5g}", "-", "-"
-        elif e.at_bound:
-            value, interval, doubt = f"{e.value:.5g}", "at its bound", "-"
-        else:
-            value, interval = f"{e.value:.5g}", f"{e.low:.4g} to {e.high:.4g}"
-            doubt = f"{100 * e.std / abs(e.value):.2g} %" if e.value else "-"
-        unit = "" if e.unit == "1" else e.unit
-        rows.append([e.symbol, value, doubt, interval, unit, start, *(m.get(e.symbol, "") for m in more.values())])
-    print_table(["symbol", "value", "std", "95 % interval", "unit", "start", *more], rows, title=title)
+    """Print a table of estimates; see :func:`mufly.identify.fit_result.tabulate_estimates`."""
+    from mufly.identify.fit_result import tabulate_estimates
+
+    print_blocks(tabulate_estimates(estimates, title, beside))
 
 
 # --- files ------------------------------------------------------------------------------------------------------------

@@ -30,6 +30,7 @@ from mufly.identify.linear.frequency_response import (
     structure_response,
 )
 from mufly.identify.linear.linear_identification import LinearResult
+from mufly.identify.linear.sweep_response import format_pole
 from mufly.identify.residual_analysis import (
     assess_record,
     describe_model_deficiencies,
@@ -398,11 +399,6 @@ def draw_bode_comparison(r: LinearResult, s: FrequencyResponseFit) -> Figure:
 
 def _to_decibels(response: NDArray[np.complex128]) -> NDArray[np.float64]:
     return 20.0 * np.log10(np.maximum(np.abs(response), 1e-12))
-
-
-def format_pole(p: complex) -> str:
-    """Return a pole (1/s) as text with two decimals."""
-    return f"{p.real:.2f}" if abs(p.imag) < 1e-9 else f"{p.real:.2f}{p.imag:+.2f}j"
 
 
 def draw_low_passed_outputs(r: LinearResult) -> Figure:

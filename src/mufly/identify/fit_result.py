@@ -9,7 +9,7 @@ them. Intervals are two-sided at 95 %. ``covariance`` is the covariance of the e
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import attrgetter
 from typing import Any, Literal
 
@@ -19,7 +19,7 @@ from scipy.signal import fftconvolve
 
 from mufly.errors import ArgumentError
 from mufly.files.input_files import validate_model
-from mufly.results import result
+from mufly.results import ShownTable, format_value, make_table_block, result
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
@@ -73,6 +73,23 @@ class ParameterEstimate:
         if not isinstance(start, float):
             start = float(attrgetter(key)(start)) if start is not None and key else math.nan
         return cls(symbol, key, unit, start, value, std, value - quantile * std, value + quantile * std, at_bound)
+
+
+def tabulate_estimates(
+    estimates: Iterable[ParameterEstimate], title: str, beside: Mapping[str, Mapping[str, str]] | None = None
+) -> ShownTable:
+    """Return a table of estimates with intervals; ``beside`` maps headings of further columns to texts by symbol."""
+    more, rows = beside or {}, []
+    for e in estimates:
+        known = math.isfinite(e.std) and not e.at_bound
+        interval = f"{e.low:.4g} to {e.high:.4g}" if known else "at its bound" if e.at_bound else "-"
+        rows.append([
+            e.symbol, "not observable" if math.isinf(e.std) else f"{e.value:.5g}",
+            f"{100 * e.std / abs(e.value):.2g} %" if known and e.value else "-", interval,
+            "" if e.unit == "1" else e.unit, format_value(e.start, ".4g"),
+            *(m.get(e.symbol, "") for m in more.values()),
+        ])  # fmt: skip
+    return make_table_block(("symbol", "value", "std", "95 % interval", "unit", "start", *more), rows, title=title)
 
 
 class EstimateLookup:

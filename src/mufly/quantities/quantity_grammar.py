@@ -5,8 +5,8 @@ bare numbers, ``6000`` has that unit. A list has commas (``5000,6000rpm``), a ra
 (``10:30:5mm``), and a unit at the end also applies to the bare numbers before it. A standard deviation follows ``+-``
 (``0.06+-0.0002``). Units are those of :mod:`mufly.quantities.units`.
 
-A line of a column map is ``NAME=COLUMN(unit)``: a signal name, and the column of a file with its values
-(:func:`read_column_map`).
+A list of names is ``p,q``, one of names with texts ``lat=inr0,lon`` (:func:`read_named_texts`). A line of a column map
+is ``NAME=COLUMN(unit)``: a signal name, and the column of a file with its values (:func:`read_column_map`).
 """
 
 from __future__ import annotations
@@ -105,6 +105,23 @@ def read_column_map(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnMapE
         names = tuple(c.removeprefix("-") for c in columns)
         found.append(ColumnMapEntry(name.strip(), names, signs, match["topic"] or "", match["unit"] or ""))
     return found
+
+
+def read_names(text: str) -> tuple[str, ...]:
+    """Return the names of a list such as ``"p,q"``, without blanks and empty entries."""
+    return tuple(name for part in text.split(",") if (name := part.strip()))
+
+
+def read_named_texts(text: str) -> dict[str, str]:
+    """Return the entries of a list such as ``"lat=inr0,lon"``; a name without ``=`` or text stands for itself.
+
+    Examples
+    --------
+    >>> read_named_texts("lat=-inr0, p")
+    {'lat': '-inr0', 'p': 'p'}
+    """
+    pairs = (part.partition("=")[::2] for part in read_names(text))
+    return {name.strip(): of.strip() or name.strip() for name, of in pairs if name.strip()}
 
 
 def read_quantity(where: str, text: str, unit: str, *, bare: bool = True) -> float:

@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-
 from mufly.cli.options import (
     ColumnOption,
     CommandGroup,
@@ -26,17 +24,16 @@ from mufly.cli.output import (
     print_table,
     progress_bar,
     save_figure,
-    write_csv,
     write_records,
 )
 from mufly.errors import InputError
-from mufly.results import to_plain_data, to_records
+from mufly.quantities.quantity_grammar import read_named_texts, read_names
+from mufly.results import to_records
 
 if TYPE_CHECKING:
     from mufly.identify import LinearResult, UniformLogTable
-    from mufly.identify.linear.bandwidth import Bandwidth
-    from mufly.identify.linear.frequency_response import FrequencyResponse
-    from mufly.identify.linear.sweep_response import TransferFunctionFit
+    from mufly.identify.linear.bandwidth import AttitudeBandwidth
+    from mufly.identify.linear.sweep_response import ResponseFits
 
 LogsArgument = Annotated[
     list[Path], define_argument("LOG...", "Records: CSV, MATLAB files, or any flight log that `mufly log` reads.")
@@ -149,7 +146,7 @@ def linear(
             n = len(records[0].time_s)
             cut = round(split * n) if split_at is None else int((records[0].time_s < split_at).sum())
             records, held = [records[0].slice_samples(0, cut)], [records[0].slice_samples(cut, n)]
-        names = _parse_column_map(inputs), _parse_column_map(outputs)
+        names = read_named_texts(inputs), read_named_texts(outputs)
         return _fit_by_equations(
             records, held, *names, products, without, domain, lowpass, highpass, out, as_json
         )  # fmt: skip
@@ -162,7 +159,7 @@ def linear(
 
     with progress_bar("structures and searches", not as_json) as progress:
         result = identify_linear_model(
-            records[0], _parse_column_map(inputs), _parse_column_map(outputs), model=model, split=split,
+            records[0], read_named_texts(inputs), read_named_texts(outputs), model=model, split=split,
             split_at_s=split_at, lowpass_hz=(5.0 if lowpass is None else lowpass) or None, rate_hz=rate or None,
             starts=starts, seed=seed, hold=hold, progress=progress,
         )  # fmt: skip
@@ -203,7 +200,7 @@ def _fit_by_equations(
     with progress_bar("equations", not as_json) as progress:
         model = e.identify_equation_model(
             records, inputs, outputs, held_out=held, products=products, domain=domain, low_hz=highpass,
-            without=[w.strip() for w in without.split(",") if w.strip()], cut_hz=lowpass or 10.0, progress=progress,
+            without=read_names(without), cut_hz=lowpass or 10.0, progress=progress,
         )  # fmt: skip
     report = []
     if out is not None:
@@ -226,23 +223,14 @@ def _fit_by_equations(
     print_files(report, "Report")
 
 
-def _parse_column_map(text: str) -> dict[str, str]:
-    found = {}
-    for part in text.split(","):
-        name, _, column = part.strip().partition("=")
-        if name:
-            found[name.strip()] = column.strip() or name.strip()
-    return found
-
-
 def _print_linear_model(r: LinearResult) -> None:
     from mufly.identify.fit_report import (
         candidate_table,
         estimate_table,
-        format_pole,
         prediction_table,
         simulation_quality_table,
     )
+    from mufly.identify.linear.sweep_response import format_pole
 
     print_lines(*r.notes, mark="Note")
     if r.candidates:
@@ -291,35 +279,6 @@ WindowsOption = Annotated[
 ]
 
 
-def _compute_responses(
-    logs: Sequence[Path], inputs: Mapping[str, str], outputs: Mapping[str, str], columns: Sequence[str] | None,
-    start_s: float | None, end_s: float | None, band: tuple[float, float] | None, windows: tuple[float, ...] | None,
-    points: int,
-) -> FrequencyResponse:  # fmt: skip
-    """Return the composite responses of several logs."""
-    from mufly.identify.linear.sweep_response import choose_window_lengths, estimate_composite_response
-
-    records = [_read_record(log, columns, start_s, end_s) for log in logs]
-    dt = records[0].dt
-    for r in records:
-        if abs(r.dt / dt - 1.0) > 0.01:
-            raise InputError(
-                r.name,
-                "time",
-                f"has a rate of {1 / r.dt:.4g} Hz, but {records[0].name} has {1 / dt:.4g} Hz",
-                "resample one of them",
-            )
-    us = [r.stack_columns(inputs, "inputs") for r in records]
-    ys = [r.stack_columns(outputs, "outputs") for r in records]
-    shortest = min(len(u) for u in us) * dt
-    low, high = band or (4.0 / shortest, min(10.0, 0.4 / dt))
-    lengths = windows or choose_window_lengths(shortest, low, high)
-    return estimate_composite_response(
-        us, ys, dt, windows_s=lengths, low_hz=low, high_hz=high, points=points, input_names=tuple(inputs),
-        output_names=tuple(outputs),
-    )  # fmt: skip
-
-
 def frequency(
     logs: LogsArgument,
     inputs: Annotated[
@@ -348,86 +307,41 @@ def frequency(
 
     Example: mufly identify frequency lat.csv lon.csv --inputs lat,lon --outputs p,q --band 0.2:8 --fit 0/1 --out sweep
     """
-    from mufly.errors import ArgumentError
-    from mufly.identify.linear.sweep_response import MIN_PARTIAL_COHERENCE, fit_transfer_function
+    from mufly.identify.linear.sweep_response import ResponseFits, estimate_response_of_records, fit_transfer_functions
 
     check_output_place("--out", out)
-    orders = None
-    if fit is not None:
-        try:
-            zeros, poles = (int(n) for n in fit.split("/"))
-            orders = (zeros, poles)
-        except ValueError:
-            raise InputError("--fit", "", f"{fit!r} is not ZEROS/POLES", "write 0/1 or 1/2") from None
-    names = _parse_column_map(inputs), _parse_column_map(outputs)
-    data = _compute_responses(logs, *names, columns, start_s, end_s, band, windows, points)
-    pairs = [(o, i) for o in range(len(data.outputs)) for i in range(len(data.inputs))]
-    fits, unfitted, why = [], [], ""
-    for o, i, (zeros, poles) in ((o, i, orders) for o, i in pairs if orders is not None):
-        try:
-            fits.append(fit_transfer_function(data, o, i, zeros=zeros, poles=poles))
-        except ArgumentError:
-            raise
-        except InputError as error:
-            unfitted.append(f"{data.inputs[i]} to {data.outputs[o]}")
-            why = str(error.problem)
-    files = [] if out is None else _write_responses(data, out, fits)
-    if as_json:
-        content = {**to_plain_data(data), "transfer_functions": fits, "not_fitted": unfitted}
-        return print_answer(as_json, content, None, files)
-    rows = []
-    f = data.frequency_hz
-    for o, i in pairs:
-        good = data.partial[:, o, i] >= MIN_PARTIAL_COHERENCE
-        text = f"{f[good][0]:.2g} to {f[good][-1]:.2g}" if good.any() else "none"
-        size = f"{100 * np.median(data.error[good, o, i]):.1f} %" if good.any() else "-"
-        numbers = (f"{int(good.sum())} of {len(f)}", f"{data.partial[:, o, i].max():.2f}", size)
-        rows.append((f"{data.inputs[i]} to {data.outputs[o]}", text, *numbers))
-    heads = ("pair", f"coherence >= {MIN_PARTIAL_COHERENCE:g} (Hz)", "points", "most", "random error")
-    print_table(heads, rows, title="Frequency responses, each input conditioned on the others", text=(0, 1))
-    for one in fits:
-        _print_transfer_function(one)
-    if unfitted:
-        print_lines(f"{', '.join(unfitted)}: {why}", mark="Not fitted")
-    print_files(files)
+    orders = None if fit is None else _parse_orders(fit)
+    data = estimate_response_of_records(
+        [_read_record(log, columns, start_s, end_s) for log in logs], read_named_texts(inputs),
+        read_named_texts(outputs), band_hz=band, windows_s=windows or (), points=points,
+    )  # fmt: skip
+    found = ResponseFits(data) if orders is None else fit_transfer_functions(data, zeros=orders[0], poles=orders[1])
+    print_answer(as_json, found, files=[] if out is None else _write_responses(found, out))
 
 
-def _print_transfer_function(t: TransferFunctionFit) -> None:
-    rows = [
-        (f"{letter}{power}", f"{value:.4g}", f"{std:.2g}")
-        for letter, values, stds in (
-            ("b", t.numerator, t.numerator_std),
-            ("a", t.denominator, t.denominator_std),
-        )
-        for power, value, std in zip(range(len(values) - 1, -1, -1), values, stds, strict=True)
-        if std > 0.0
-    ]
-    rows.append(("delay (s)", f"{t.delay_s:.3g}", f"{t.delay_std_s:.2g}"))
-    low, high = t.band_hz
-    print_table(
-        ("", "value", "std"),
-        rows,
-        title=f"{t.input} to {t.output}, {low:.2g} to {high:.2g} Hz, J = {t.cost:.0f}",
-    )
-    from mufly.identify.fit_report import format_pole
-
-    print_lines(f"Poles: {', '.join(format_pole(p) for p in t.poles)} rad/s")
+def _parse_orders(text: str) -> tuple[int, int]:
+    """Return the numbers of zeros and poles of ``"0/1"``."""
+    try:
+        zeros, poles = (int(n) for n in text.split("/"))
+    except ValueError:
+        raise InputError("--fit", "", f"{text!r} is not ZEROS/POLES", "write 0/1 or 1/2") from None
+    return zeros, poles
 
 
-def _write_responses(data: FrequencyResponse, out: Path, fits: Sequence[TransferFunctionFit]) -> list[Path]:
+def _write_responses(found: ResponseFits, out: Path) -> list[Path]:
     from mufly.identify import fit_pictures
     from mufly.identify.linear.response_pictures import draw_frequency_response
 
-    heads, columns = ["frequency_Hz"], [data.frequency_hz]
+    data = found.response
+    columns = {"frequency_Hz": data.frequency_hz}
     for name, pair in data.tabulate_pair_responses().items():
-        heads += [f"{name.replace(' ', '_')}_{key}" for key in pair]
-        columns += list(pair.values())
-    heads += [f"{o}_multiple_coherence" for o in data.outputs]
-    columns += list(data.coherence.T)
-    files = [write_csv(out / "responses.csv", heads, np.column_stack(columns).tolist())]
+        columns |= {f"{name.replace(' ', '_')}_{key}": values for key, values in pair.items()}
+    columns |= {f"{o}_multiple_coherence": data.coherence[:, k] for k, o in enumerate(data.outputs)}
+    files = [write_records(out / "responses.csv", to_records(columns))]
     for k, name in enumerate(data.outputs):
         with fit_pictures.report_style():
-            files.append(save_figure(draw_frequency_response(data, k, fits=fits), out, f"response-{name}"))
+            picture = draw_frequency_response(data, k, fits=found.transfer_functions)
+            files.append(save_figure(picture, out, f"response-{name}"))
     return files
 
 
@@ -455,58 +369,30 @@ def bandwidth(
 
     Example: mufly identify bandwidth roll-sweep.csv --input lat --output phi --band 0.2:8 --out roll
     """
-    from dataclasses import replace
-
-    from mufly.identify.linear.bandwidth import measure_bandwidth as read_off
-    from mufly.identify.linear.sweep_response import MIN_PARTIAL_COHERENCE
+    from mufly.identify.linear.bandwidth import measure_attitude_bandwidth
+    from mufly.identify.linear.sweep_response import estimate_response_of_records
 
     check_output_place("--out", out)
-    inputs, outputs = _parse_column_map(f"{input_},{others}"), _parse_column_map(output)
-    if len(outputs) != 1:
+    angle = read_named_texts(output)
+    if len(angle) != 1:
         raise InputError("--output", "", f"{output!r} is not a single output", "give one output")
-    data = _compute_responses(logs, inputs, outputs, columns, start_s, end_s, band, windows, points)
-    name = data.outputs[0]
-    if name in ("p", "q", "r"):
-        turned = data.response / (2j * np.pi * data.frequency_hz[:, None, None])
-        data = replace(data, response=turned, outputs=(f"{name}/s",))
-    good = data.partial[:, 0, 0] >= MIN_PARTIAL_COHERENCE
-    found = read_off(data.frequency_hz, np.where(good, data.response[:, 0, 0], np.nan), data.error[:, 0, 0])
-    files = [] if out is None else _write_bandwidth(data, found, out)
-    if as_json:
-        return print_answer(as_json, {**to_plain_data(found), **to_plain_data(data)}, None, files)
-    rows = []
-    for label, field in (
-        ("bandwidth, the lesser", "bandwidth"), ("by phase margin of 45 deg", "phase"),
-        ("by gain margin of 6 dB", "gain"), ("phase -180 deg at", "phase_crossover"),
-    ):  # fmt: skip
-        value, std = getattr(found, f"{field}_rad_s"), getattr(found, f"{field}_std_rad_s")
-        rows.append((label, *(("-", "-") if np.isnan(value) else (f"{value:.3g}", f"{std:.2g}")), "rad/s"))
-    delay, std = found.phase_delay_s, found.phase_delay_std_s
-    rows.append(("phase delay", *(("-", "-") if np.isnan(delay) else (f"{delay:.3g}", f"{std:.2g}")), "s"))
-    line = found.phase_delay_line_s
-    rows.append(("phase delay, by a straight line", "-" if np.isnan(line) else f"{line:.3g}", "", "s"))
-    print_table(("", "value", "std", "unit"), rows, title=f"{data.inputs[0]} to {data.outputs[0]}", text=(0, 3))
-    print_lines(*found.notes, mark="Note")
-    print_files(files)
+    response = estimate_response_of_records(
+        [_read_record(log, columns, start_s, end_s) for log in logs], read_named_texts(f"{input_},{others}"), angle,
+        band_hz=band, windows_s=windows or (), points=points,
+    )  # fmt: skip
+    found = measure_attitude_bandwidth(response)
+    print_answer(as_json, found, files=[] if out is None else _write_bandwidth(found, out))
 
 
-def _write_bandwidth(data: FrequencyResponse, found: Bandwidth, out: Path) -> list[Path]:
-    from dataclasses import replace
-
+def _write_bandwidth(found: AttitudeBandwidth, out: Path) -> list[Path]:
     from mufly.identify import fit_pictures
     from mufly.identify.linear.response_pictures import draw_frequency_response
 
-    first = slice(0, 1)
-    one = replace(
-        data, inputs=data.inputs[:1], response=data.response[:, :, first], partial=data.partial[:, :, first],
-        error=data.error[:, :, first],
-        degrees_of_freedom=data.degrees_of_freedom[:, :, first],
-        outputs=(data.outputs[0].replace("/", "-over-"),),
-    )  # fmt: skip
+    stick = found.response.select_inputs(found.response.inputs[:1])
+    (pair,) = stick.tabulate_pair_responses().values()
+    table = write_records(out / "response.csv", to_records({"frequency_Hz": stick.frequency_hz, **pair}))
     with fit_pictures.report_style():
-        picture = save_figure(draw_frequency_response(one, 0, read=found), out, "bandwidth")
-    (pair,) = one.tabulate_pair_responses().values()
-    return [write_records(out / "response.csv", to_records({"frequency_Hz": one.frequency_hz, **pair})), picture]
+        return [table, save_figure(draw_frequency_response(stick, read=found.bandwidth), out, "bandwidth")]
 
 
 def compatibility(
@@ -539,42 +425,19 @@ def compatibility(
 
     Example: mufly identify compatibility flight.csv --imu p,q,r,ax,ay,az --measured phi,theta,psi,north,east,down
     """
-    from mufly.identify.linear.flight_path_reconstruction import FLIGHT_PATH_STATES
-    from mufly.identify.linear.flight_path_reconstruction import reconstruct_flight_path as reconstruct
+    from mufly.identify import fit_pictures
+    from mufly.identify.linear.flight_path_reconstruction import reconstruct_flight_path
+    from mufly.identify.linear.response_pictures import draw_reconstructed_outputs
 
     check_output_place("--out", out)
-    found = reconstruct(_read_record(log, columns, start_s, end_s), _parse_column_map(imu), _parse_column_map(measured))
+    record = _read_record(log, columns, start_s, end_s)
+    found = reconstruct_flight_path(record, read_named_texts(imu), read_named_texts(measured))
     files = []
     if out is not None:
-        from mufly.identify import fit_pictures
-        from mufly.identify.linear.response_pictures import draw_reconstructed_outputs
-
-        stds, corrected = (f"{s}_std" for s in FLIGHT_PATH_STATES), (f"{n}_corrected" for n in _parse_column_map(imu))
-        heads = ["time_s", *FLIGHT_PATH_STATES, *stds, *corrected]
-        rows = np.column_stack([found.time_s, found.states, found.states_std, found.corrected])
+        files = [write_records(out / "path.csv", to_records(found.tabulate_path()))]
         with fit_pictures.report_style():
-            files = [
-                write_csv(out / "path.csv", heads, rows.tolist()),
-                save_figure(draw_reconstructed_outputs(found), out, "path"),
-            ]
-    if as_json:
-        return print_answer(as_json, found, None, files)
-    print_lines(*found.notes, mark="Note")
-    white = {e.symbol: f"{w:.2g}" for e, w in zip(found.estimates, found.std_white, strict=True)}
-    rows_ = [
-        (e.symbol, f"{e.value:+.4g}", f"{e.std:.2g}", white[e.symbol], f"{e.low:+.3g} to {e.high:+.3g}", e.unit)
-        for e in found.estimates
-    ]
-    heads_ = ("", "value", "std", "std if white", "95 % interval", "unit")
-    print_table(heads_, rows_, title="Bias b and scale factor lambda: measured = (1 + lambda) true + b", text=(0, 5))
-    figures = (found.residual_rms, found.output_noise, found.innovation_rms)
-    lines = zip(found.outputs, *figures, strict=True)
-    below = ("", "rms residual", "its noise", "innovation over expected")
-    print_table(below, [(o, f"{r:.2g}", f"{s:.2g}", f"{i:.2f}") for o, r, s, i in lines], title="The path, SI")
-    if found.undetermined:
-        print_lines("Parameters that the flight does not determine:", *(f"- {w}" for w in found.undetermined))
-    print_lines("Converged" if found.converged else "NOT converged", style="green" if found.converged else "red")
-    print_files(files)
+            files.append(save_figure(draw_reconstructed_outputs(found), out, "path"))
+    print_answer(as_json, found, files=files)
 
 
 def register_linear_commands(app: CommandGroup) -> None:

@@ -37,7 +37,7 @@ from mufly.cli.output import (
     write_csv,
 )
 from mufly.errors import InputError, suggest_name
-from mufly.quantities.quantity_grammar import ValueWithStd, read_quantity
+from mufly.quantities.quantity_grammar import ValueWithStd, read_named_texts, read_names, read_quantity
 from mufly.quantities.units import RPM, split_unit_suffix
 from mufly.results import select_fields, to_plain_data
 
@@ -293,8 +293,8 @@ def plan(
     from mufly.vehicle import load_vehicle
 
     v = load_vehicle(vehicle)
-    symbols = [s.strip() for s in free.split(",") if s.strip()]
-    channels = list(dict.fromkeys(c.strip() for c in channel.split(",") if c.strip()))
+    symbols = read_names(free)
+    channels = list(dict.fromkeys(read_names(channel)))
     kinds = SIGNAL_KINDS if kind == "best" else (cast("SignalKind", kind),)
     check_output_place("--out", out)
     _check_time_grid(duration, delay, sample, window)
@@ -365,10 +365,7 @@ def _parse_named_numbers(
 ) -> dict[str, float | None]:
     """Return the numbers of ``NAME=VALUE,...``; ``known`` maps allowed names to the unit of a bare number."""
     found: dict[str, float | None] = {}
-    for part in (text or "").split(","):
-        if not part.strip():
-            continue
-        name, _, value = (t.strip() for t in part.partition("="))
+    for name, value in read_named_texts(text or "").items():
         if name not in known:
             raise InputError(option, name, "is unknown", suggest_name(name, known))
         unit = known[name]

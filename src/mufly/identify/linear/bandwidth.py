@@ -16,11 +16,24 @@ are the random error of the response over the local slope of phase or gain.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.results import result
+from mufly.identify.linear.frequency_response import FrequencyResponse
+from mufly.results import (
+    ShownBlock,
+    ShownLines,
+    ShownTable,
+    format_value,
+    make_lines_block,
+    make_table_block,
+    result,
+    to_plain_data,
+)
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -60,6 +73,62 @@ class Bandwidth:
     phase_crossover_std_rad_s: float
     phase_delay_std_s: float
     notes: tuple[str, ...]
+
+    def shown_blocks(self) -> tuple[ShownTable, ShownLines]:
+        """Return the values with their standard deviations as printed text."""
+        values = (
+            ("bandwidth, the lesser", self.bandwidth_rad_s, self.bandwidth_std_rad_s, "rad/s"),
+            ("by phase margin of 45 deg", self.phase_rad_s, self.phase_std_rad_s, "rad/s"),
+            ("by gain margin of 6 dB", self.gain_rad_s, self.gain_std_rad_s, "rad/s"),
+            ("phase -180 deg at", self.phase_crossover_rad_s, self.phase_crossover_std_rad_s, "rad/s"),
+            ("phase delay", self.phase_delay_s, self.phase_delay_std_s, "s"),
+            ("phase delay, by a straight line", self.phase_delay_line_s, None, "s"),
+        )
+        rows = [(label, format_value(x, ".3g"), format_value(std, ".2g"), unit) for label, x, std, unit in values]
+        table = make_table_block(("", "value", "std", "unit"), rows, text=(0, 3))
+        return table, make_lines_block(*self.notes, mark="Note")
+
+
+@result(eq=False)
+class AttitudeBandwidth:
+    """Bandwidth of an attitude response, with the response.
+
+    Attributes
+    ----------
+    bandwidth : Bandwidth
+    response : FrequencyResponse
+        Response of the attitude to the stick, the first input, and to other inputs.
+    """
+
+    bandwidth: Bandwidth
+    response: FrequencyResponse
+
+    def as_record(self) -> dict[str, Any]:
+        """Return the fields of the bandwidth and of the response."""
+        return {**to_plain_data(self.bandwidth), **to_plain_data(self.response)}
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return the bandwidth as printed text."""
+        table, notes = self.bandwidth.shown_blocks()
+        return replace(table, title=f"{self.response.inputs[0]} to {self.response.outputs[0]}"), notes
+
+
+def measure_attitude_bandwidth(response: FrequencyResponse) -> AttitudeBandwidth:
+    """Measure the bandwidth of the first output to the first input, from its coherent points; a rate p, q, r is
+    integrated.
+
+    Raises
+    ------
+    InputError
+        If too few points are coherent, or the sign of the response is inverted.
+    """
+    name = response.outputs[0]
+    if name in ("p", "q", "r"):
+        angle = response.response / (2j * np.pi * response.frequency_hz[:, None, None])
+        response = replace(response, response=angle, outputs=(f"{name}/s", *response.outputs[1:]))
+    coherent = np.where(response.is_coherent[:, 0, 0], response.response[:, 0, 0], np.nan)
+    found = measure_bandwidth(response.frequency_hz, coherent, response.error[:, 0, 0])
+    return AttitudeBandwidth(found, response)
 
 
 def measure_bandwidth(frequency_hz: Array, response: ComplexArray, error: Array | None = None) -> Bandwidth:

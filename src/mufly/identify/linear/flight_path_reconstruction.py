@@ -45,11 +45,12 @@ from mufly.identify.fit_result import (
     coloured_covariance,
     compute_relative_covariance,
     describe_undetermined_combinations,
+    tabulate_estimates,
 )
 from mufly.identify.flight_record import UniformLogTable, low_pass, smooth_signal
 from mufly.identify.record_consistency import SignalFault
 from mufly.quantities.units import GRAVITY
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results
 from mufly.rotations import body_to_ned_matrices
 
 Array = NDArray[np.float64]
@@ -150,6 +151,37 @@ class ReconstructedPath:
     def residual(self) -> Array:
         """Measured outputs less reconstructed outputs (n, m), in SI units."""
         return self.measured - self.states[:, [FLIGHT_PATH_STATES.index(o) for o in self.outputs]]
+
+    def tabulate_path(self) -> dict[str, Array]:
+        """Return time, states, their standard deviations and the corrected instruments over time, by name (SI)."""
+        table = {"time_s": self.time_s, **dict(zip(FLIGHT_PATH_STATES, self.states.T, strict=True))}
+        table |= {f"{n}_std": v for n, v in zip(FLIGHT_PATH_STATES, self.states_std.T, strict=True)}
+        return table | {f"{n}_corrected": v for n, v in zip(IMU_CHANNELS, self.corrected.T, strict=True)}
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return instrument errors, residuals of the path and undetermined parameters as printed text."""
+        both = zip(self.estimates, self.std_white, strict=True)
+        white = {e.symbol: f"{100 * w / abs(e.value):.2g} %" for e, w in both}
+        title = "Bias b and scale factor lambda: measured = (1 + lambda) true + b"
+        rows = [
+            {"residual": r, "noise": s, "innovation": i}
+            for r, s, i in zip(self.residual_rms, self.output_noise, self.innovation_rms, strict=True)
+        ]
+        columns = (
+            ResultColumn("residual", form=".2g", head="rms residual"),
+            ResultColumn("noise", form=".2g", head="its noise"),
+            ResultColumn("innovation", form=".2f", head="innovation over expected"),
+        )
+        heading = "Parameters that the flight does not determine:"
+        return (
+            make_lines_block(*self.notes, mark="Note"),
+            tabulate_estimates(self.estimates, title, {"std if white": white}),
+            tabulate_results(rows, columns, title="The path, SI", names=self.outputs),
+            make_lines_block(*([heading] if self.undetermined else ()), *(f"- {w}" for w in self.undetermined)),
+            make_lines_block("Converged", style="green")
+            if self.converged
+            else make_lines_block("NOT converged", style="red"),
+        )
 
 
 def flight_path_derivative(x: Array, m: Array) -> Array:

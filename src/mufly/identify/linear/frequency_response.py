@@ -39,7 +39,8 @@ Feedback from an output to an input causes a bias.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,12 +50,14 @@ from scipy.special import stdtrit
 
 from mufly.errors import InputError
 from mufly.identify.linear.linear_structure import LinearStructure, SearchCoordinates, scale_structure_to_record
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, result, tabulate_results
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_MIN_PARTIAL_COHERENCE = 0.5  # of a fit
+MIN_PARTIAL_COHERENCE = 0.6
+"""Least partial coherence of a point (Tischler and Remple, Sec. 7.5.3)."""
+_MIN_FIT_COHERENCE = 0.5  # of a structured model
 _FIT_FREQUENCY_COUNT = 60  # number of frequencies of a fit
 _INDEPENDENT_SEGMENT_FRACTION = 18.0 / 19.0  # independent segments per half-overlapping Hann segment
 
@@ -110,6 +113,36 @@ class FrequencyResponse:
             }
             for o in range(len(self.outputs)) for i in range(len(self.inputs))
         }  # fmt: skip
+
+    @property
+    def is_coherent(self) -> NDArray[np.bool_]:
+        """Whether the partial coherence is at least :data:`MIN_PARTIAL_COHERENCE`; (f, outputs, inputs)."""
+        return np.asarray(self.partial >= MIN_PARTIAL_COHERENCE)
+
+    def select_inputs(self, names: Sequence[str]) -> FrequencyResponse:
+        """Return the responses to some of the inputs."""
+        k = [self.inputs.index(name) for name in names]
+        pairs = ("response", "partial", "error", "degrees_of_freedom")
+        parts: dict[str, Any] = {name: getattr(self, name)[:, :, k] for name in pairs}
+        window = None if self.window_s is None else self.window_s[:, :, k]
+        return replace(self, inputs=tuple(names), window_s=window, **parts)
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return the coherent band and the random error of each pair as printed text."""
+        rows = []
+        for o, i in np.ndindex(len(self.outputs), len(self.inputs)):
+            good = self.is_coherent[:, o, i]
+            f = self.frequency_hz[good]
+            rows.append({
+                "pair": f"{self.inputs[i]} to {self.outputs[o]}",
+                "band": f"{f[0]:.2g} to {f[-1]:.2g}" if f.size else "none",
+                "points": f"{f.size} of {len(good)}", "most": self.partial[:, o, i].max(),
+                "random_error": np.median(self.error[good, o, i]) if f.size else np.nan,
+            })  # fmt: skip
+        band = ResultColumn("band", head=f"coherence >= {MIN_PARTIAL_COHERENCE:g} (Hz)")
+        error = ResultColumn("random_error", "%", ".1f")
+        columns = (ResultColumn("pair"), band, ResultColumn("points"), ResultColumn("most", form=".2f"), error)
+        return (tabulate_results(rows, columns, title="Frequency responses, each input conditioned on the others"),)
 
     @property
     def relative_interval(self) -> Array:
@@ -382,7 +415,7 @@ def fit_frequency_response(
         input_names=structure.inputs, output_names=structure.outputs,
     )  # fmt: skip
     least = max(
-        _MIN_PARTIAL_COHERENCE,
+        _MIN_FIT_COHERENCE,
         _chance_coherence(data.averages, len(structure.inputs), (high_hz - 1.5 / segment_s) * segment_s / 1.5),
     )
     good = (data.partial >= least) & np.isfinite(data.response)

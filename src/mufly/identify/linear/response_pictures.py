@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from mufly.identify import fit_pictures
 from mufly.identify.linear.bandwidth import Bandwidth
-from mufly.identify.linear.frequency_response import FrequencyResponse
-from mufly.identify.linear.sweep_response import MIN_PARTIAL_COHERENCE, TransferFunctionFit
+from mufly.identify.linear.frequency_response import MIN_PARTIAL_COHERENCE, FrequencyResponse
+from mufly.identify.linear.sweep_response import TransferFunctionFit
 from mufly.results import draws
 from mufly.results.result_figure import blank_figure
 

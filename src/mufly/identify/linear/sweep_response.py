@@ -25,25 +25,27 @@ are scaled up for a misfit larger than the random error.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from mufly.errors import ArgumentError, InputError
+from mufly.identify.flight_record import UniformLogTable
 from mufly.identify.linear.frequency_response import (
+    MIN_PARTIAL_COHERENCE,
     FrequencyResponse,
     average_cross_spectra,
     compute_conditioned_responses,
     response_random_error,
 )
-from mufly.results import result
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result, to_plain_data
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-MIN_PARTIAL_COHERENCE = 0.6  # least partial coherence of a point (Tischler and Remple, Sec. 7.5.3)
 _MIN_PERIODS_PER_WINDOW = 1.5  # least number of periods of a frequency in a window
 _SQUARED_DEGREE_WEIGHT = 0.01745  # weight of a squared degree relative to a squared decibel
 _HANN_BANDWIDTH_BINS = 1.5  # width of the window in 1 / T
@@ -131,6 +133,47 @@ def estimate_composite_response(
     )  # fmt: skip
 
 
+def estimate_response_of_records(
+    records: Sequence[UniformLogTable], inputs: Mapping[str, str], outputs: Mapping[str, str], *,
+    band_hz: tuple[float, float] | None = None, windows_s: Sequence[float] = (), points: int = 80,
+) -> FrequencyResponse:  # fmt: skip
+    """Estimate the conditioned frequency responses of several records.
+
+    Parameters
+    ----------
+    records : sequence of UniformLogTable
+        Sweeps with the same sample rate.
+    inputs, outputs : dict
+        Name -> expression (:meth:`UniformLogTable.stack_columns`).
+    band_hz : (float, float), optional
+        Band; default: from two periods in half the shortest record, to 10 Hz.
+    windows_s : sequence of float
+        Lengths of the windows (s); default: :func:`choose_window_lengths`.
+    points : int
+        Number of frequencies.
+
+    Raises
+    ------
+    InputError
+        If the records differ in rate, a column is missing, or a window does not suit.
+    """
+    dt = records[0].dt
+    for r in records:
+        if abs(r.dt / dt - 1.0) > 0.01:
+            raise InputError(
+                r.name, "time", f"has a rate of {1 / r.dt:.4g} Hz, but {records[0].name} has {1 / dt:.4g} Hz",
+                "resample one of them",
+            )  # fmt: skip
+    us = [r.stack_columns(inputs, "inputs") for r in records]
+    ys = [r.stack_columns(outputs, "outputs") for r in records]
+    shortest = min(len(u) for u in us) * dt
+    low, high = band_hz or (4.0 / shortest, min(10.0, 0.4 / dt))
+    return estimate_composite_response(
+        us, ys, dt, windows_s=windows_s or choose_window_lengths(shortest, low, high), low_hz=low, high_hz=high,
+        points=points, input_names=tuple(inputs), output_names=tuple(outputs),
+    )  # fmt: skip
+
+
 def choose_window_lengths(record_s: float, low_hz: float, high_hz: float) -> tuple[float, ...]:
     """Return five window lengths (s) for a record, longest first, spaced geometrically down to a tenth of the longest.
 
@@ -190,6 +233,77 @@ class TransferFunctionFit:
     def zeros(self) -> ComplexArray:
         """Return the roots of the numerator (1/s)."""
         return np.asarray(np.roots(self.numerator), dtype=np.complex128)
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return coefficients, delay and poles as printed text."""
+        both = (("b", self.numerator, self.numerator_std), ("a", self.denominator, self.denominator_std))
+        rows = [
+            (f"{letter}{power}", f"{value:.4g}", f"{std:.2g}")
+            for letter, values, stds in both
+            for power, value, std in zip(range(len(values) - 1, -1, -1), values, stds, strict=True)
+            if std > 0.0
+        ]
+        rows.append(("delay (s)", f"{self.delay_s:.3g}", f"{self.delay_std_s:.2g}"))
+        low, high = self.band_hz
+        title = f"{self.input} to {self.output}, {low:.2g} to {high:.2g} Hz, J = {self.cost:.0f}"
+        poles = ", ".join(map(format_pole, self.poles))
+        return make_table_block(("", "value", "std"), rows, title=title), make_lines_block(f"Poles: {poles} rad/s")
+
+
+@result(eq=False)
+class ResponseFits:
+    """Frequency responses with the transfer functions fitted to their pairs.
+
+    Attributes
+    ----------
+    response : FrequencyResponse
+    transfer_functions : tuple of TransferFunctionFit
+    not_fitted : tuple of str
+        Pairs with too few coherent points.
+    reason : str
+        Reason for the last pair that was not fitted.
+    """
+
+    response: FrequencyResponse
+    transfer_functions: tuple[TransferFunctionFit, ...] = ()
+    not_fitted: tuple[str, ...] = ()
+    reason: str = ""
+
+    def as_record(self) -> dict[str, Any]:
+        """Return the responses, the transfer functions and the pairs that were not fitted."""
+        fits = {"transfer_functions": self.transfer_functions, "not_fitted": self.not_fitted}
+        return {**to_plain_data(self.response), **fits}
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return the responses and the fits as printed text."""
+        missing = (f"{', '.join(self.not_fitted)}: {self.reason}",) if self.not_fitted else ()
+        fits = [block for fit in self.transfer_functions for block in fit.shown_blocks()]
+        return *self.response.shown_blocks(), *fits, make_lines_block(*missing, mark="Not fitted")
+
+
+def format_pole(p: complex) -> str:
+    """Return a pole (1/s) as text with two decimals."""
+    return f"{p.real:.2f}" if abs(p.imag) < 1e-9 else f"{p.real:.2f}{p.imag:+.2f}j"
+
+
+def fit_transfer_functions(data: FrequencyResponse, *, zeros: int, poles: int) -> ResponseFits:
+    """Fit a transfer function with a delay to every pair with enough coherent points.
+
+    Raises
+    ------
+    ArgumentError
+        If the orders are invalid.
+    """
+    fits, missing, reason = [], [], ""
+    for o, i in np.ndindex(len(data.outputs), len(data.inputs)):
+        try:
+            fits.append(fit_transfer_function(data, o, i, zeros=zeros, poles=poles))
+        except ArgumentError:
+            raise
+        except InputError as error:
+            missing.append(f"{data.inputs[i]} to {data.outputs[o]}")
+            reason = str(error.problem)
+    return ResponseFits(data, tuple(fits), tuple(missing), reason)
 
 
 def fit_transfer_function(
