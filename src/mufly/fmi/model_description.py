@@ -5,7 +5,6 @@ Source: Functional Mock-up Interface Specification 3.0.
 
 from __future__ import annotations
 
-import html
 import re
 from xml.etree import ElementTree
 
@@ -15,6 +14,7 @@ from mufly.fmi.unit_sensors import SENSOR_RATE_HZ
 from mufly.fmi.unit_sources import FILTER_SOURCES, UNIT_SOURCE
 from mufly.fmi.unit_variables import UnitInterface, UnitVariable
 from mufly.quantities.units import unit_conversion
+from mufly.results.report_page import render_page
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
@@ -148,25 +148,25 @@ def _xml_to_text(root: ElementTree.Element) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-_DOCUMENTATION_TEMPLATE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>{name}</title>
-<style>body{{font-family:sans-serif;max-width:60em;margin:2em auto;padding:0 1em}}td,th{{text-align:left;\
-padding:.1em .8em .1em 0;vertical-align:top}}code{{white-space:nowrap}}</style></head><body>
-<h1>{name}</h1>
-<p>{description}</p>
-<p>FMI 3.0 co-simulation unit of the flight model of mufly {version}: rigid body, two rotors, motors, battery,
+_DOCUMENTATION_BODY = """
+<p>{{ vehicle.description }}</p>
+<p>FMI 3.0 co-simulation unit of the flight model of mufly {{ version }}: rigid body, two rotors, motors, battery,
 swash plate, stabiliser bar, wind, and contact with the floor at position_down = 0. Axes: north, east, down; body x
 forward, y right, z down. Between two communication points the inputs are constant. The state is integrated by
 Runge-Kutta's method of fourth order with steps of at most <code>solver.step</code>.</p>
-<p>{start} The unit has no autopilot: with constant inputs the helicopter drifts away.</p>
+<p>{{ start }} The unit has no autopilot: with constant inputs the helicopter drifts away.</p>
 <p>Results equal those of <code>mufly.dynamics.integrate_state</code>, to the last bit, if the unit is compiled without
 contraction of multiplications and additions, and sine and cosine come from the same C library.
 <code>resources/vehicle.toml</code> is the vehicle file. <code>sources/buildDescription.xml</code> describes the
 compilation for other platforms.</p>
-{tables}
+{% for title, rows in sections if rows %}
+<h2>{{ title }}</h2>
+{{ table(["name", "start", "unit", "meaning"], rows, numbers=[1]) }}
+{% endfor %}
 <h2>Fixed in this unit</h2>
-<p>A change of these keys of the vehicle file needs a new export: {fixed}.</p>
-</body></html>
+<p>A change of these keys of the vehicle file needs a new export: {% for key in fixed_keys %}
+<code>{{ key }}</code>{{ "." if loop.last else ", " }}
+{% endfor %}</p>
 """
 _SENSED_START_TEXT = (
     f"At the start the helicopter stands on the floor. Sensors and filter run at {SENSOR_RATE_HZ:g} Hz. Parameters "
@@ -183,18 +183,23 @@ _SECTION_TITLES = {
 
 def render_documentation_page(vehicle: Vehicle, interface: UnitInterface) -> str:
     """Return the text of ``documentation/index.html``."""
-    tables = []
-    for role, title in _SECTION_TITLES.items():
-        rows = "".join(
-            f"<tr><td><code>{html.escape(v.name)}</code></td><td>{'' if role == 'output' else f'{v.start:.6g}'}</td>"
-            f"<td>{html.escape(v.unit)}</td><td>{html.escape(v.description)}</td></tr>\n"
-            for v in interface.variables
-            if v.role == role
+    sections = [
+        (
+            title,
+            [
+                (v.name, "" if role == "output" else f"{v.start:.6g}", v.unit, v.description)
+                for v in interface.variables
+                if v.role == role
+            ],
         )
-        head = "<tr><th>name</th><th>start</th><th>unit</th><th>meaning</th></tr>"
-        tables.append(f"<h2>{title}</h2>\n<table>{head}\n{rows}</table>")
-    return _DOCUMENTATION_TEMPLATE.format(
+        for role, title in _SECTION_TITLES.items()
+    ]
+    return render_page(
+        vehicle.name,
+        _DOCUMENTATION_BODY,
+        vehicle=vehicle,
+        version=__version__,
         start=_SENSED_START_TEXT if interface.count("seed") else "The start values are those of hover.",
-        name=html.escape(vehicle.name), description=html.escape(vehicle.description), version=__version__,
-        tables="\n".join(tables), fixed=", ".join(f"<code>{html.escape(k)}</code>" for k in interface.fixed_keys),
-    )  # fmt: skip
+        sections=sections,
+        fixed_keys=interface.fixed_keys,
+    )
