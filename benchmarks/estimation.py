@@ -173,7 +173,7 @@ def nees(asked: argparse.Namespace) -> None:
         record("nees", min(c.nees for c in found.values()), max(c.nees for c in found.values()))
         record("nees_inside", 100 * min(others), 100 * max(others))
         record("nees_varied", 100 * varied.inside_share)
-        record("nees_box", 100 * found["box under path"].z_peak)
+        record("nees_box", 100 * found["box under path"].z_peak_m)
 
 
 def cost(asked: argparse.Namespace) -> None:
@@ -244,7 +244,7 @@ def nanobench(asked: argparse.Namespace) -> None:
         less = ""
         if f.mounting_rad is not None:
             mounted = measure_row_consistency(truth_rows(f, mounted=True), told, after_s=began)
-            less = f"; less mounting: tilt {np.degrees(mounted.tilt_rms):.2f} NEES/n {mounted.nees:.2f}"
+            less = f"; less mounting: tilt {np.degrees(mounted.tilt_rms_rad):.2f} NEES/n {mounted.nees:.2f}"
         bound = least_tilt_rms(noise.gyro, noise.accelerometer, aids)
         less += f"; least tilt possible {np.degrees(bound):.2f}"
         print(
@@ -252,7 +252,7 @@ def nanobench(asked: argparse.Namespace) -> None:
             f"{noise.accelerometer:.3g}{less}",
             flush=True,
         )
-        off[path.name] = 100 * found.xy_rms, np.degrees(found.tilt_rms)
+        off[path.name] = 100 * found.xy_rms_m, np.degrees(found.tilt_rms_rad)
     record, eight = make_recorder(asked.record), next(k for k in off if "figure8" in k)
     record("nanobench_eight", *off.pop(eight))
     record("nanobench", max(v[0] for v in off.values()), max(v[1] for v in off.values()))

@@ -133,7 +133,7 @@ def report_seeds(asked: argparse.Namespace) -> None:
             "seed": seed, "converged": demo.fit.converged, "cost": demo.fit.cost,
             "inside": demo.truth_inside_interval(),
             "worst_error": max(abs(e.value / demo.truth[e.symbol] - 1) for e in demo.fit.estimates),
-            "held_out": demo.held_out_over_noise, "seconds": demo.fit.seconds,
+            "held_out": demo.held_out_over_noise, "seconds": demo.fit.computing_time_s,
             "simulations": demo.fit.simulations, "message": demo.fit.message,
         }  # fmt: skip
         if seed - asked.first < asked.cma:
@@ -141,7 +141,7 @@ def report_seeds(asked: argparse.Namespace) -> None:
             off = [abs(a.value - b.value) / b.std for a, b in zip(other.fit.estimates, demo.fit.estimates, strict=True)]
             row["cma"] = {
                 "cost_above_lm": _cost_of(other.fit, demo.fit) - _cost_of(demo.fit, demo.fit),
-                "seconds": other.fit.seconds, "simulations": other.fit.simulations,
+                "seconds": other.fit.computing_time_s, "simulations": other.fit.simulations,
                 "largest_difference_in_std": max(off),
             }  # fmt: skip
         rows.append(row)
@@ -236,13 +236,13 @@ def report_vehicles(asked: argparse.Namespace) -> None:
         rows.append(
             {"seed": seed, "converged": fit.converged, "inside": inside, "sigmas": sigmas, "rejected": rejected,
              "held_out": rms_over_true_noise(fit.records[-1]), "message": fit.message, "truth": truth,
-             "estimates": [asdict(e) for e in fit.estimates], "seconds": fit.seconds}
+             "estimates": [asdict(e) for e in fit.estimates], "seconds": fit.computing_time_s}
         )  # fmt: skip
         worst = max(sigmas, key=lambda s: abs(sigmas[s]))
         print(
             f"vehicle {seed:3d}: {'converged' if fit.converged else 'NOT converged'}, {sum(inside.values())} of "
             f"{len(inside)} inside, worst {worst} {sigmas[worst]:+.1f} sigma, held out {rows[-1]['held_out']:.2f}, "
-            f"{rejected} draws rejected, {fit.seconds:.0f} s; {fit.message[:160]}",
+            f"{rejected} draws rejected, {fit.computing_time_s:.0f} s; {fit.message[:160]}",
             flush=True,
         )
         _write_rows(asked, rows)
@@ -292,7 +292,7 @@ def measure_series(plan: SeriesPlan, seed: int, faults: SimulatedFaults | None =
     rig = SimulatedRig(seed, faults=faults or SimulatedFaults())
 
     def truth(step: PlanStep) -> dict[str, float]:
-        speeds = {a: rig.speed[a] for a in plan.mounting[step.mounting_index].turning_sides}
+        speeds = {a: rig.speed[a] for a in plan.mounting[step.mounting_index].driven_rotors}
         nominal = rig.true_loads(speeds, as_mounted=False)
         return rig.true_loads(speeds) | {f"nominal_{k}": v for k, v in nominal.items()}
 

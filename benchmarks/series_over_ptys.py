@@ -86,7 +86,7 @@ def main(points: int, pace: float) -> None:
         try:
             run_series(
                 plan, rig, record, asked=asked, mounted=lambda m: ask("mount", m),
-                truth=lambda s: ask("truth", plan.mounting[s.mounting_index].turning_sides),
+                truth=lambda s: ask("truth", plan.mounting[s.mounting_index].driven_rotors),
             )  # fmt: skip
             break
         except StopRequested:

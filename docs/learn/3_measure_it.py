@@ -43,7 +43,7 @@ bench = SimulatedRig(seed=5)
 
 def truth(step):
     """Return the true loads at the actual speeds and exactly the planned pitch, which only a simulation knows."""
-    speeds = {axis: bench.speed[axis] for axis in plan.mounting[step.mounting_index].turning_sides}
+    speeds = {axis: bench.speed[axis] for axis in plan.mounting[step.mounting_index].driven_rotors}
     return bench.true_loads(speeds, as_mounted=False)
 
 

@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import Literal
 
 AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
-PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
+MAV_AUTOPILOT_PX4, MAV_AUTOPILOT_ARDUPILOT = 12, 3
 _MAV_AUTOPILOT_INVALID = 8  # MAV_AUTOPILOT_INVALID
-_TYPE_ANTENNA_TRACKER, _TYPE_GENERIC = 5, 0
+_MAV_TYPE_ANTENNA_TRACKER, _MAV_TYPE_GENERIC = 5, 0
 
 VEHICLE_TYPE_NAMES: dict[int, str] = {
     1: "aeroplane", 2: "quadrotor", 3: "coaxial helicopter", 4: "helicopter", 7: "airship", 8: "balloon", 9: "rocket",
@@ -54,7 +54,7 @@ def vehicle_rank(vehicle_type: int, autopilot: int, component: int) -> int:
     >>> vehicle_rank(2, 12, 1), vehicle_rank(18, 0, 191), vehicle_rank(5, 3, 1)
     (3, 0, 1)
     """
-    if vehicle_type == _TYPE_ANTENNA_TRACKER:
+    if vehicle_type == _MAV_TYPE_ANTENNA_TRACKER:
         return 0 if autopilot == _MAV_AUTOPILOT_INVALID else 1
     if vehicle_type in EQUIPMENT_TYPE_NAMES or autopilot == _MAV_AUTOPILOT_INVALID:
         return 0
@@ -94,7 +94,7 @@ _FAMILY_OF_TYPE: dict[int, ModeFamily] = {
     **dict.fromkeys((1, 16, 19, 20, 21, 22, 23, 24, 25, 28), "plane"),
     **dict.fromkeys((10, 11), "rover"),
     12: "submarine",
-    _TYPE_ANTENNA_TRACKER: "tracker",
+    _MAV_TYPE_ANTENNA_TRACKER: "tracker",
     7: "airship",
 }
 
@@ -167,10 +167,10 @@ def flight_mode_name(autopilot: int, vehicle_type: int, base_mode: int, custom_m
     """
     if not base_mode & _CUSTOM_MODE_ENABLED:
         return ""
-    if autopilot == PX4:
+    if autopilot == MAV_AUTOPILOT_PX4:
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
         if main == 4:
             return _PX4_AUTO_MODES.get(sub, f"auto {sub}")
         return _PX4_MAIN_MODES.get(main, f"mode {main}") if main else ""
-    family = ardupilot_family(vehicle_type) if autopilot == ARDUPILOT else ""
+    family = ardupilot_family(vehicle_type) if autopilot == MAV_AUTOPILOT_ARDUPILOT else ""
     return ardupilot_mode_name(family, custom_mode)

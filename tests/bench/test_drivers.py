@@ -113,21 +113,21 @@ def test_epos_turns_reads_stops_and_bears_a_bad_line(generation):
         epos.open()
         far.lose = far.flip = 0.004
         epos.set_speed("upper", 5000 * RPM)
-        got = until(epos.read, near("speed_upper", 5000 * RPM))
+        got = until(epos.read_new_samples, near("speed_upper", 5000 * RPM))
         assert got["current_upper"][-1] == pytest.approx(0.16, abs=0.05)
         far.lose = far.flip = 0.0
         epos.stop()
         assert rig.commanded_speed["upper"] == 0.0
         epos.set_speed("upper", 3000 * RPM)  # and again, after a quick stop
-        until(epos.read, near("speed_upper", 3000 * RPM))
+        until(epos.read_new_samples, near("speed_upper", 3000 * RPM))
         far.reset()
         with pytest.raises(DeviceError, match="was it reset"):
-            until(epos.read, lambda got: False)
+            until(epos.read_new_samples, lambda got: False)
         epos.open()
         far.mute = True
         began = time.monotonic()
         with pytest.raises(DeviceError, match="does not answer"):
-            epos.read()
+            epos.read_new_samples()
         assert time.monotonic() - began < 2.0
         with pytest.raises(DeviceError):
             epos.stop()
@@ -143,7 +143,7 @@ def test_bridge_turns_reads_and_its_watchdog_stops_what_is_left_alone():
         esc.open()
         far.lose = far.flip = 0.002
         esc.set_speed("upper", 4000 * RPM)
-        got = until(esc.read, near("speed_upper", 4000 * RPM))
+        got = until(esc.read_new_samples, near("speed_upper", 4000 * RPM))
         assert max(got["speed_lower"]) == 0.0
         assert got["voltage_upper"][-1] > 5.0
         assert got["motor_temperature_upper"][-1] > 280.0
@@ -151,15 +151,15 @@ def test_bridge_turns_reads_and_its_watchdog_stops_what_is_left_alone():
         time.sleep(0.7)  # the program hangs
         assert rig.commanded_speed["upper"] == 0.0
         with pytest.raises(DeviceError, match="watchdog"):
-            until(esc.read, lambda got: False)
+            until(esc.read_new_samples, lambda got: False)
         esc.set_speed("upper", 4000 * RPM)
         far.reset()
         with pytest.raises(DeviceError, match="was reset"):
-            until(esc.read, lambda got: False)
+            until(esc.read_new_samples, lambda got: False)
         esc.stop()
         far.mute = True
         with pytest.raises(DeviceError, match="silent"):
-            until(esc.read, lambda got: False)
+            until(esc.read_new_samples, lambda got: False)
         far.mute = False
         esc.close()
 
@@ -171,7 +171,7 @@ def test_cells_give_no_number_that_was_not_sent():
         cells = SerialLoadCells(far.port)
         cells.open()
         far.lose = far.flip = 0.01
-        got = until(cells.read, lambda got: len(got.get("thrust_raw", [])) > 150 and got["pressure"])
+        got = until(cells.read_new_samples, lambda got: len(got.get("thrust_raw", [])) > 150 and got["pressure"])
         assert cells.broken_line_count > 0
         assert cells.lost_samples > 0
         volts = np.array(got["thrust_raw"]) / COUNTS
@@ -180,12 +180,12 @@ def test_cells_give_no_number_that_was_not_sent():
         far.lose = far.flip = 0.0
         far.reset()
         with pytest.raises(DeviceError, match="was reset"):
-            until(cells.read, lambda got: False)
+            until(cells.read_new_samples, lambda got: False)
         far.send(b"\x00\xff$$$*garbage\n" * 50)
-        assert until(cells.read, lambda got: len(got.get("thrust_raw", [])) > 5)
+        assert until(cells.read_new_samples, lambda got: len(got.get("thrust_raw", [])) > 5)
         far.mute = True
         with pytest.raises(DeviceError, match="silent"):
-            until(cells.read, lambda got: False)
+            until(cells.read_new_samples, lambda got: False)
         cells.close()
 
 
@@ -196,17 +196,17 @@ def test_stand_finds_the_pulse_that_gives_the_speed():
         stand = ThrustStand(far.port, pace=15.0)
         stand.open()
         stand.set_speed("upper", 5000 * RPM)
-        got = until(stand.read, near("speed_upper", 5000 * RPM, 0.005), 6.0)
+        got = until(stand.read_new_samples, near("speed_upper", 5000 * RPM, 0.005), 6.0)
         assert got["thrust"][-1] == pytest.approx(0.144, rel=0.2)
         far.send(b"1,2,3\nnan,nan,nan,nan,nan,nan,nan\n5,1e30,0,0,0,0,0\n\xff\xfe\n")
-        more = until(stand.read, lambda got: len(got.get("thrust", [])) > 10)
+        more = until(stand.read_new_samples, lambda got: len(got.get("thrust", [])) > 10)
         assert max(more["thrust"]) < 1.0
         assert stand.broken_rows >= 4
         stand.stop()
-        until(stand.read, lambda got: rig.commanded_speed["upper"] == 0.0)
+        until(stand.read_new_samples, lambda got: rig.commanded_speed["upper"] == 0.0)
         far.mute = True
         with pytest.raises(DeviceError, match="silent"):
-            until(stand.read, lambda got: False)
+            until(stand.read_new_samples, lambda got: False)
         stand.close()
 
 
@@ -247,7 +247,7 @@ def test_nidaq_averages_and_says_what_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "nidaqmx", types.SimpleNamespace(Task=Task, constants=constants))
     monkeypatch.setitem(sys.modules, "nidaqmx.constants", constants)
     daq.open()
-    first, second = daq.read(), daq.read()
+    first, second = daq.read_new_samples(), daq.read_new_samples()
     assert [len(first["thrust_raw"]), len(second["thrust_raw"])] == [2, 3]  # 25 samples, then 5 left and 25
     assert first["thrust_raw"] == pytest.approx(2.0)
     assert first["vibration"] == pytest.approx(10.0)
@@ -439,18 +439,18 @@ def test_dshot_sketch_holds_a_speed_by_the_controllers_answers(board):
             esc.set_speed("upper", 6000 * RPM)
             if dumb:  # one without bidirectional DShot does not turn without anybody's knowing how fast
                 with pytest.raises(DeviceError, match="does not answer"):
-                    until(esc.read, lambda got: False)
+                    until(esc.read_new_samples, lambda got: False)
                 continue
-            got = until(esc.read, near("speed_upper", 6000 * RPM, 0.005), seconds=8.0)
+            got = until(esc.read_new_samples, near("speed_upper", 6000 * RPM, 0.005), seconds=8.0)
             assert max(got["speed_lower"]) == 0.0
             assert got["current_upper"][-1] == pytest.approx(1.0, abs=0.05)
             assert 4.0 < got["voltage_upper"][-1] < 7.0  # half of 11 V
             esc.stop()
-            until(esc.read, lambda got: got.get("speed_upper", [9.0])[-1] < 200 * RPM)
+            until(esc.read_new_samples, lambda got: got.get("speed_upper", [9.0])[-1] < 200 * RPM)
             esc.set_speed("upper", 3000 * RPM)
             time.sleep(0.6)  # the program hangs
             with pytest.raises(DeviceError, match="watchdog"):
-                until(esc.read, lambda got: False)
+                until(esc.read_new_samples, lambda got: False)
         finally:
             child.kill()
             child.wait()

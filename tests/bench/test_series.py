@@ -29,7 +29,7 @@ def plan(axis="upper", **more):
 
 def truth_of(made, rig):
     def truth(step):
-        speeds = {a: rig.speed[a] for a in made.mounting[step.mounting_index].turning_sides}
+        speeds = {a: rig.speed[a] for a in made.mounting[step.mounting_index].driven_rotors}
         return rig.true_loads(speeds) | {f"nominal_{k}": v for k, v in rig.true_loads(speeds, as_mounted=False).items()}
 
     return truth

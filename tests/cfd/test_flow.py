@@ -13,7 +13,7 @@ import pytest
 
 from mufly.cfd import (
     CfdSolution,
-    FlowProbe,
+    FlowSampler,
     OperatingPoint,
     PolyMesh,
     compute_velocity_gradient,
@@ -21,9 +21,9 @@ from mufly.cfd import (
     draw_skin_friction,
     extract_iso_surface,
     extract_vortex_surface,
-    make_blade_geometry,
     make_poly_mesh,
     make_sector_mesh,
+    make_tip_hub_geometry,
 )
 from mufly.cfd.cfd_solution import FlowField
 from mufly.quantities.units import RPM
@@ -110,10 +110,10 @@ def test_what_lies_in_the_blade_or_the_hub_is_told_from_air() -> None:
             load_rotor("naca0012-r60-c20"),
             math.radians(12),
             level="tiny",
-            form=make_blade_geometry("square", 6e-3),
+            form=make_tip_hub_geometry("square", 6e-3),
         )
     )
-    probe = FlowProbe(m, FlowField(np.zeros((m.cell_count, 3)), np.zeros((m.cell_count, 3, 3))))
+    probe = FlowSampler(m, FlowField(np.zeros((m.cell_count, 3)), np.zeros((m.cell_count, 3, 3))))
     r = np.array([0.03, 0.003, 0.03, 0.03, 0.003, 0.015])
     around = 0.5 * math.pi + np.array([0.0, 1.0, 0.0, 1.5, 1.0, -1.5])
     z = np.array([0.0, 0.0, 0.01, 0.0, 0.02, 0.006])

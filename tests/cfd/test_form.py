@@ -20,9 +20,9 @@ from mufly.cfd import (
     BladeTip,
     HubCylinder,
     PolyMesh,
-    make_blade_geometry,
     make_poly_mesh,
     make_sector_mesh,
+    make_tip_hub_geometry,
     measure_mesh_quality,
     write_glb,
     write_vtp,
@@ -34,12 +34,12 @@ R, CHORD, ROOT = 0.060, 0.020, 0.009
 TURNED = math.radians(12.0)
 FORMS = {
     **{
-        name: make_blade_geometry(name)
+        name: make_tip_hub_geometry(name)
         for name in ("round", "swept-tapered", "thesis-1", "winglet-2-curved", "winglet-3")
     },
-    **{name: make_blade_geometry(name) for name in ("plate-up", "winglet-1")},
-    "hub": make_blade_geometry(hub_m=0.006),
-    "hub, flap, tapered tip": make_blade_geometry("thesis-2", 0.006, 0.03),
+    **{name: make_tip_hub_geometry(name) for name in ("plate-up", "winglet-1")},
+    "hub": make_tip_hub_geometry(hub_m=0.006),
+    "hub, flap, tapered tip": make_tip_hub_geometry("thesis-2", 0.006, 0.03),
 }
 
 
@@ -119,28 +119,28 @@ def test_a_round_tips_outline_is_half_an_ellipse() -> None:
 
 def test_three_blades_share_a_hub_and_the_file_s_square_tip_is_the_same_as_none() -> None:
     rotor = make_rotor(name="three", blades=3, radius_m=0.05, hub_cutout=0.2, chord_m=0.010, airfoils="naca0012")
-    mesh = make_poly_mesh(make_sector_mesh(rotor, 0.1, level="tiny", form=make_blade_geometry("winglet-up", 0.004)))
+    mesh = make_poly_mesh(make_sector_mesh(rotor, 0.1, level="tiny", form=make_tip_hub_geometry("winglet-up", 0.004)))
     assert measure_mesh_quality(mesh).good
     p = mesh.points[mesh.faces[mesh.patch_faces("blade")]].reshape(-1, 3)
     on_plane = np.abs(p[:, 1] - np.abs(p[:, 0]) / math.tan(math.pi / 3)) < 1e-12
     assert np.max(np.hypot(p[on_plane, 0], p[on_plane, 1])) == pytest.approx(0.004)
-    a, b = (make_sector_mesh(rotor, 0.1, level="tiny", form=f) for f in (None, make_blade_geometry()))
+    a, b = (make_sector_mesh(rotor, 0.1, level="tiny", form=f) for f in (None, make_tip_hub_geometry()))
     assert np.array_equal(a.points, b.points)
 
 
 @pytest.mark.parametrize(
     ("made", "message"),
     [
-        (lambda: make_blade_geometry("pointed"), "is not a tip"),
+        (lambda: make_tip_hub_geometry("pointed"), "is not a tip"),
         (lambda: BladeTip(length=1.0, taper=0.0), "a pointed tip cannot be meshed"),
         (lambda: BladeTip(length=0.1, aft=2.0), "slope more than 65"),
         (lambda: BladeTip(cant_rad=1.5, height=1.0), "a plate stands at 90"),
         (lambda: BladeTip(cant_rad=1.0, height=0.1), "what the turn takes"),
         (lambda: BladeTip(plate_above=0.8), "holds no higher"),
         (lambda: HubCylinder(-0.001, 0.002), "above 0"),
-        (lambda: make_blade_geometry(gurney=-0.01), "0.003 to 0.1"),
+        (lambda: make_tip_hub_geometry(gurney=-0.01), "0.003 to 0.1"),
         (lambda: BladeGeometry(BLADE_TIPS["plate-up"], gurney_height=0.02), "cannot be combined with a Gurney flap"),
-        (lambda: shape(make_blade_geometry(hub_m=0.02)), "blades begin at 9 mm"),
+        (lambda: shape(make_tip_hub_geometry(hub_m=0.02)), "blades begin at 9 mm"),
         (lambda: shape(BladeGeometry(hub=HubCylinder(0.004, 0.05))), "at most 12 mm"),
         (lambda: shape(BladeGeometry(BladeTip(length=4.0, taper=0.5))), "too long for the blade"),
         (lambda: shape(BladeGeometry(BladeTip(cant_rad=1.2, height=2.0, bend_radius_chords=3.0))), "too much|longer"),

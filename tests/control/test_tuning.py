@@ -107,7 +107,7 @@ def test_gradients_of_disk_activity_and_mu_are_exact(vehicle: Vehicle, controlle
     assert norms["activity"] == pytest.approx(np.linalg.norm(deviation), rel=0.1)
     assert 1 / norms["disk"] == pytest.approx(disk_margin(*loop).margin, rel=0.05)
     judged = analyse_parameter_robustness(vehicle, flown, spreads, points=12).roll_pitch
-    assert 0.9 * judged.lower_peak <= bound <= 1.05 * judged.peak  # the two have frequencies of their own
+    assert 0.9 * judged.peak_lower_bound <= bound <= 1.05 * judged.peak  # the two have frequencies of their own
 
 
 def test_tuned_loop_is_continued_flown_and_refused(vehicle: Vehicle, tmp_path: Path) -> None:

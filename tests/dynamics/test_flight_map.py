@@ -94,7 +94,7 @@ def test_rotor_at_rest_in_wind_has_no_loads(vehicle, clamped):
 
 
 def test_beyond_the_edges_the_last_values_hold(clamped):
-    edge, sink, _ = clamped.rotors.flight_map.velocity_limits_m_s
+    edge, sink, _ = clamped.rotors.flight_map.velocity_range_m_s
     p, speed = model_parameters(clamped), find_trim(clamped).rotor_speed
     inside = hovering(clamped, velocity=(0.9 * edge, 0, 0))
     assert is_inside_flight_map(inside, CALM, p)
@@ -143,7 +143,7 @@ def test_the_map_passes_through_its_points(clamped):
                 error = np.abs(np.array(at(float(part), float(j), float(k))) - flow[i, j, k])
                 assert np.all(error < np.ptp(flow, axis=(0, 1, 2)) / 6.0)
     loads = evaluate_flight_map(flight_map)
-    assert loads.airspeed_m_s[-1] == pytest.approx(flight_map.velocity_limits_m_s[0])
+    assert loads.airspeed_m_s[-1] == pytest.approx(flight_map.velocity_range_m_s[0])
     assert loads.rate_damping_Nms < 0.0
 
 

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from mufly.cli.vehicle import app
 from mufly.dynamics import describe_excess_wind, find_trim, max_level_speed_band
 from mufly.dynamics import level_flight as level_flight_module
-from mufly.dynamics.level_flight import level_flight
+from mufly.dynamics.level_flight import compute_level_flight
 from mufly.errors import InputError
 from mufly.rotor import load_rotor
 from mufly.vehicle import load_vehicle, replace_parameters
@@ -16,7 +16,7 @@ from mufly.vehicle import load_vehicle, replace_parameters
 
 @pytest.fixture(scope="module")
 def flight():
-    return level_flight(load_vehicle("mufly-1.1"), load_rotor("walkera-5g6"), [1.0, 2.0])
+    return compute_level_flight(load_vehicle("mufly-1.1"), load_rotor("walkera-5g6"), [1.0, 2.0])
 
 
 def test_at_rest_it_is_the_hover_of_the_vehicle(flight):
@@ -75,13 +75,13 @@ def test_picture_has_units(flight):
 def test_blades_of_another_vehicle_are_refused():
     vehicle = load_vehicle("mufly-1.1")
     with pytest.raises(InputError, match="give the vehicle's blades by --rotor FILE"):
-        level_flight(vehicle, load_rotor("naca0012-r60-c20"), [1.0])
+        compute_level_flight(vehicle, load_rotor("naca0012-r60-c20"), [1.0])
     with pytest.raises(InputError, match="airspeeds"):
-        level_flight(vehicle, load_rotor("walkera-5g6"), [math.nan])
+        compute_level_flight(vehicle, load_rotor("walkera-5g6"), [math.nan])
 
 
 def test_command_prints_the_band_and_draws(flight, monkeypatch, tmp_path):
-    monkeypatch.setattr(level_flight_module, "level_flight", lambda *a: flight)
+    monkeypatch.setattr(level_flight_module, "compute_level_flight", lambda *a: flight)
     found = CliRunner().invoke(app, ["speed", "mufly-1.1", "--speed", "1,2", "--out", str(tmp_path)])
     assert found.exit_code == 0, found.output
     assert "greatest level airspeed" in found.output

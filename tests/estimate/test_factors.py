@@ -10,7 +10,7 @@ from mufly.estimate.filter.ud_filter import (
     gauss_markov_update,
     inflate_variance,
     innovation_variance,
-    propagate_column,
+    propagate_error_column,
     state_variance,
     ud_covariance,
     ud_factorise,
@@ -70,7 +70,7 @@ def test_errors_move_as_states_do() -> None:
             predict_state(other, e, SPAN, r, push)
             right = _apart(after, other) / 1e-6
             column = error / 1e-6
-            propagate_column(column, SPAN, a, column)
+            propagate_error_column(column, SPAN, a, column)
             assert np.allclose(column[:9], right[:9], atol=2e-4), j
         # On its legs what the floor pushes does not turn with the attitude.
         e[21] = PHASE_MOTORS_RUNNING
@@ -95,7 +95,7 @@ def test_a_filter_by_factors_is_the_kalman_filter(kind: type) -> None:
         big = np.eye(N)
         for j in range(N):
             column = np.eye(N)[j]
-            propagate_column(column, SPAN, a, column)
+            propagate_error_column(column, SPAN, a, column)
             big[:, j] = column
         q = rng.uniform(0, 1, 9)
         g = np.eye(N)[:, :MOTION_STATE_COUNT]

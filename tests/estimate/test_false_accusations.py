@@ -149,10 +149,10 @@ def test_a_fix_off_in_height_alone_does_not_contradict_the_attitude(component: i
     ratios = np.zeros(4)
     ratios[component] = 9.0
     m = SimpleNamespace(status=np.full(SENSOR_COUNT, STATUS_REJECTED), worst_fix_component=component, fix_ratio=ratios)
-    fix_fusion._mark_height_fault.py_func(m)
+    fix_fusion._mark_fix_height_faulty.py_func(m)
     assert m.status[READING_POSITION_FIX] == status
     ratios[0], m.status[READING_POSITION_FIX] = 6.0, STATUS_REJECTED  # a jump on several axes
-    fix_fusion._mark_height_fault.py_func(m)
+    fix_fusion._mark_fix_height_faulty.py_func(m)
     assert m.status[READING_POSITION_FIX] == STATUS_REJECTED
 
 

@@ -106,9 +106,9 @@ def test_it_knows_how_far_it_is_off(vehicle: Vehicle, flown, felt) -> None:
     all_ = Consistency.merge_flights(found)
     assert 0.5 < all_.nees < 1.6
     assert all_.inside_share > 0.85
-    assert all_.xy_rms < 0.10
-    assert all_.z_rms < 0.03
-    assert math.degrees(all_.tilt_rms) < 0.6
+    assert all_.xy_rms_m < 0.10
+    assert all_.z_rms_m < 0.03
+    assert math.degrees(all_.tilt_rms_rad) < 0.6
 
 
 def test_lasers_that_see_no_wall_never_count_as_used(vehicle: Vehicle, flown, felt) -> None:
@@ -206,7 +206,7 @@ def test_what_comes_after_the_horizon_has_passed_it_is_carried_there(vehicle: Ve
     """Fixes of which most overtake a horizon that waits for none leave it as good; older ones are told as late."""
     passed, other = run(vehicle, felt(), flown[1], 32)
     assert passed.memory["late_count"].sum() < 3
-    assert measure_consistency(flown[0], other, after_s=8.0).xy_rms < 0.08
+    assert measure_consistency(flown[0], other, after_s=8.0).xy_rms_m < 0.08
     none, _ = run(vehicle, felt(10_000, "position.late@0.5s")[:400], flown[1], 10)
     assert none.memory["late_count"].sum() > 10
 

@@ -452,8 +452,10 @@ def test_sticks_and_set_points_have_the_units_of_their_messages(library) -> None
         pitch, roll, yaw = (0.0 if v == unknown else deadband(v / 1000) for v in (x, y, r))
         climb = 0.0 if z == unknown else deadband(2 * z / 1000 - 1)
         sticks = supervisor.sticks
-        assert (sticks.roll, sticks.pitch) == pytest.approx((roll * most.stick_tilt, -pitch * most.stick_tilt))
-        assert (sticks.yaw_rate, sticks.climb_rate) == pytest.approx(
+        assert (sticks.pilot_roll, sticks.pilot_pitch) == pytest.approx(
+            (roll * most.stick_tilt, -pitch * most.stick_tilt)
+        )
+        assert (sticks.pilot_yaw_rate, sticks.pilot_climb_rate) == pytest.approx(
             (yaw * most.stick_yaw_rate, climb * most.stick_climb)
         )
     values = (0.5, -0.25, -1.0, 0.1, 0.2, -0.3, 0.0, 0.0, 0.0, 1.5, 0.125)

@@ -73,7 +73,7 @@ def _both(vehicle, controller):
 WAYS = {
     "start": Command(start=True),
     "take-off": Command(take_off_height=0.5),
-    "sticks": Command(rc_active=True, climb_rate=0.3),
+    "sticks": Command(rc_active=True, pilot_climb_rate=0.3),
 }
 
 
@@ -478,7 +478,7 @@ def test_a_clock_that_jumps_back_or_is_no_number_does_not_stop_the_supervisor(su
     assert lib.supervisor_arming_faults(s, setup, m) == NO_VOLTAGE
     m.motion.voltage = 8.0
     for climb, reasons in ((-0.1, 0), (0.1, CLIMB_STICK)):
-        s.has_sticks, s.sticks.climb_rate = True, climb
+        s.has_sticks, s.sticks.pilot_climb_rate = True, climb
         assert lib.supervisor_arming_faults(s, setup, m) == reasons
 
 
@@ -582,7 +582,7 @@ def test_an_interruption_is_acknowledged_by_a_second_request_or_by_force(supervi
         assert r.s.interruption == r.lib.INTERRUPTION_NONE
     # Force does not arm with a climb stick, nor in flight without arming.
     r = Requests(supervised, board)
-    r.s.has_sticks, r.s.sticks.climb_rate = True, 0.5
+    r.s.has_sticks, r.s.sticks.pilot_climb_rate = True, 0.5
     assert r.ask("ARM", force=True) == later
     r = Requests(supervised, board)
     r.fly()

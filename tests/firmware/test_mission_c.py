@@ -420,7 +420,11 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
         "land": Command(land=True),
         "stop": Command(motor_stop_reason=v.rng.choice(("emergency stop, motors off", "disarmed"))),
         "sticks": Command(
-            rc_active=True, roll=u(-0.1, 0.1), pitch=0.02, yaw_rate=u(-0.5, 0.5), climb_rate=u(-0.6, 0.6)
+            rc_active=True,
+            pilot_roll=u(-0.1, 0.1),
+            pilot_pitch=0.02,
+            pilot_yaw_rate=u(-0.5, 0.5),
+            pilot_climb_rate=u(-0.6, 0.6),
         ),
         "points": Command(program_set_point=SetPoint(place, yaw_rate_rad_s=u(-0.5, 0.5))),
         "speeds": Command(
@@ -440,7 +444,7 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
     if kind.startswith("turn "):
         return Command(heading=float(kind.split()[1]))
     if kind in ("roll", "pitch", "yaw_rate", "climb"):  # a stick moves while no pilot flies
-        return Command(**{"climb_rate" if kind == "climb" else kind: 0.1})
+        return Command(**{"pilot_climb_rate" if kind == "climb" else f"pilot_{kind}": 0.1})
     if kind == "battery":
         v.volts = v.rng.choice((5.0, 7.4))
     elif kind == "beams":

@@ -190,15 +190,15 @@ def test_sticks_are_those_of_the_simulated_link(library, kind) -> None:
         d = parse_rc_override(message)
         sticks = s.board.record.supervisor.sticks
         assert s.board.record.supervisor.has_sticks
-        assert (sticks.roll, sticks.pitch) == (d.roll * ranges.tilt, d.pitch * ranges.tilt)
-        assert (sticks.yaw_rate, sticks.climb_rate) == (d.yaw * ranges.yaw_rate, d.climb * ranges.climb)
+        assert (sticks.pilot_roll, sticks.pilot_pitch) == (d.roll * ranges.tilt, d.pitch * ranges.tilt)
+        assert (sticks.pilot_yaw_rate, sticks.pilot_climb_rate) == (d.yaw * ranges.yaw_rate, d.climb * ranges.climb)
     # The switch off releases them; another mapping moves them.
     s.move(manual=LOW)
     assert not s.board.record.supervisor.has_sticks
     s.board.record.rc.settings.roll, s.board.record.rc.settings.yaw = 4.0, 0.0
     s.move(manual=HIGH, roll=MIDDLE, pitch=MIDDLE, throttle=MIDDLE, yaw=HIGH)
     sticks = s.board.record.supervisor.sticks
-    assert (sticks.roll, sticks.yaw_rate) == (pytest.approx(ranges.tilt), 0.0)
+    assert (sticks.pilot_roll, sticks.pilot_yaw_rate) == (pytest.approx(ranges.tilt), 0.0)
     s.board.record.rc.settings.switches[s.lib.RC_SWITCH_MANUAL] = 0.0  # without a switch, sticks count always
     s.move(manual=LOW)
     assert s.board.record.supervisor.has_sticks
@@ -302,10 +302,10 @@ def test_frames_of_another_length_and_channels_beyond_the_last_count_for_nothing
     s.board.record.rc.settings.roll = 16.5  # no such channel
     s.channels[15] = HIGH
     s.move(manual=HIGH)
-    assert s.board.record.supervisor.sticks.roll == 0.0
+    assert s.board.record.supervisor.sticks.pilot_roll == 0.0
     s.board.record.rc.settings.roll = 16.0
     s.move()
-    assert s.board.record.supervisor.sticks.roll > 0.1
+    assert s.board.record.supervisor.sticks.pilot_roll > 0.1
 
 
 def test_a_lost_receiver_lands_the_vehicle_only_in_the_air_and_without_a_commander(library) -> None:

@@ -28,7 +28,7 @@ from mufly.firmware.proof.evidence_report import (
     parse_deviations,
     read_branch_counts,
 )
-from mufly.firmware.proof.proof_flights import draw_random_conditions, resume_flights
+from mufly.firmware.proof.proof_flights import draw_wind_and_fault, resume_flights
 from mufly.sensors.faults import parse_fault
 from mufly.vehicle import load_vehicle
 
@@ -51,7 +51,7 @@ def test_any_bytes_are_borne_and_a_fault_is_found(tree) -> None:
     """A short run; then with the guard of the sine taken away, whose cast of NaN C leaves undefined."""
     if absent := describe_missing_fuzzer_tools():
         pytest.skip(absent)
-    sound = run_fuzzer(tree, seconds=2)
+    sound = run_fuzzer(tree, duration_s=2)
     assert sound.sanitizer_message == ""
     assert sound.runs > 100
     assert set(sound.parts) == {"controllers", "avoidance", "whole numbers", "flight software", "estimator"}
@@ -60,7 +60,7 @@ def test_any_bytes_are_borne_and_a_fault_is_found(tree) -> None:
     try:
         source.write_text(text.replace("    if (real_abs(angle) < MAX_ANGLE) {", "    if (true) {"))
         assert source.read_text() != text
-        broken = run_fuzzer(tree, seconds=90)  # ends when it has found it
+        broken = run_fuzzer(tree, duration_s=90)  # ends when it has found it
     finally:
         source.write_text(text)
     assert "outside the range of representable values" in broken.sanitizer_message
@@ -162,6 +162,6 @@ def test_flights_of_a_campaign_are_flown_once(tmp_path) -> None:
     keep.write_text("{}\n")
     with pytest.raises(InputError, match="line 1"):
         resume_flights(FixedPointFlightComparison, keep, asked, fly)
-    met = [draw_random_conditions(seed) for seed in range(60)]
+    met = [draw_wind_and_fault(seed) for seed in range(60)]
     assert {bool(m.faults) for m in met} == {False, True}
     assert all(parse_fault(f).stop_s < 44.0 for m in met for f in m.faults)

@@ -91,18 +91,18 @@ def test_a_pilot_takes_off_steers_and_lets_go(bench: Bench) -> None:
     bench.run(1.0, hands_off)
     assert bench.software.mission_state.state == "rc"
     assert np.all(np.array(bench.sent) == 0.0), "the rotors wait for the stick"
-    bench.run(9.0, Command(rc_active=True, climb_rate=0.3))
+    bench.run(9.0, Command(rc_active=True, pilot_climb_rate=0.3))
     assert bench.height > 0.8
     bench.run(2.0, hands_off)
     held = bench.height
     bench.run(2.0, hands_off)
     assert bench.height == pytest.approx(held, abs=0.03)
-    bench.run(1.5, Command(rc_active=True, pitch=-math.radians(3.0)))
+    bench.run(1.5, Command(rc_active=True, pilot_pitch=-math.radians(3.0)))
     assert bench.plant.state[3] > 0.3, "nose down flies forward"
-    bench.run(1.5, Command(rc_active=True, roll=math.radians(3.0)))
+    bench.run(1.5, Command(rc_active=True, pilot_roll=math.radians(3.0)))
     assert bench.plant.state[4] > 0.3, "right wing down flies to the right"
     heading = float(bench.seen[-1].attitude[2])
-    bench.run(2.0, Command(rc_active=True, yaw_rate=0.5))
+    bench.run(2.0, Command(rc_active=True, pilot_yaw_rate=0.5))
     assert bench.seen[-1].attitude[2] - heading == pytest.approx(1.0, abs=0.15)
     bench.run(5.0)
     assert bench.software.mission_state.state == "hover"
@@ -218,7 +218,7 @@ def test_the_same_measurements_give_the_same_actuators(vehicle: Vehicle, control
     flown = Bench(vehicle, controller)
     flown.take_off()
     flown.run(6.0, Command(waypoint=(0.5, 0.5, -0.8)))
-    flown.run(1.0, Command(rc_active=True, roll=0.05))
+    flown.run(1.0, Command(rc_active=True, pilot_roll=0.05))
     again = FlightSoftware(vehicle, controller, MISSION)
     sent = [again.step(m, c).input_array for m, c in zip(flown.seen, flown.given, strict=True)]
     np.testing.assert_array_equal(sent, flown.sent)

@@ -25,7 +25,7 @@ HOP = parse_mission({"name": "hop", "waypoint": [{"position_m": [0.4, 0.0, -0.6]
 STARTS = (
     Command(start=True),
     Command(take_off_height=1.0),
-    Command(rc_active=True, climb_rate=0.5),
+    Command(rc_active=True, pilot_climb_rate=0.5),
     Command(program_set_point=SetPoint((0.0, 0.0, -1.0))),
 )
 

@@ -9,7 +9,13 @@ import pytest
 gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
 
 from mufly.control import design_flight_controller  # noqa: E402
-from mufly.dynamics.model_state import ATTITUDE_SLICE, MODEL_CHARGE, POSITION_SLICE, RATE_SLICE, VELOCITY_SLICE  # noqa: E402
+from mufly.dynamics.model_state import (  # noqa: E402
+    ATTITUDE_SLICE,
+    BODY_RATE_SLICE,
+    MODEL_CHARGE,
+    NED_POSITION_SLICE,
+    NED_VELOCITY_SLICE,
+)
 from mufly.errors import ArgumentError, MuflyError  # noqa: E402
 from mufly.firmware import find_compiler  # noqa: E402
 from mufly.flight.controllers import Actuators  # noqa: E402
@@ -62,9 +68,9 @@ def test_a_unit_equals_a_flight_to_the_last_bit() -> None:
             flight.sent_actuators = Actuators(sent[j + 1][:2].copy(), sent[j + 1][2:].copy())
         before = inputs
         assert state[0].tobytes() == plant.state.tobytes()
-        assert units.estimate[0, POSITION_SLICE].tobytes() == estimate.position.tobytes()
-        assert units.estimate[0, VELOCITY_SLICE].tobytes() == estimate.velocity.tobytes()
-        assert units.estimate[0, RATE_SLICE].tobytes() == estimate.rates.tobytes()
+        assert units.estimate[0, NED_POSITION_SLICE].tobytes() == estimate.position.tobytes()
+        assert units.estimate[0, NED_VELOCITY_SLICE].tobytes() == estimate.velocity.tobytes()
+        assert units.estimate[0, BODY_RATE_SLICE].tobytes() == estimate.rates.tobytes()
         assert units.volts[0] == estimate.battery_voltage
 
 
@@ -95,13 +101,13 @@ def test_observation_is_the_estimate_and_starts_are_hovers_of_flights() -> None:
     env = MuflyVectorEnv(12, autoreset_mode="Disabled", **OPTIONS)
     env.reset(seed=1)
     state = env.episodes.state
-    assert np.linalg.norm(state[:, VELOCITY_SLICE], axis=1).max() < 0.3
+    assert np.linalg.norm(state[:, NED_VELOCITY_SLICE], axis=1).max() < 0.3
     assert len({float(c) for c in state[:, MODEL_CHARGE]}) in range(5, 9)  # of two flights at four instants each
     assert ((env.episodes.target[:, 2] <= -0.2) & (env.episodes.target[:, 2] >= -2.0)).all()
-    assert (np.abs(env.episodes.target - state[:, POSITION_SLICE])[:, :2] <= 0.5 + 1e-9).all()
+    assert (np.abs(env.episodes.target - state[:, NED_POSITION_SLICE])[:, :2] <= 0.5 + 1e-9).all()
     for _ in range(25):
         env.step(np.zeros((12, 4)))
-    errors = env.units.estimate[:, POSITION_SLICE] - state[:, POSITION_SLICE]
+    errors = env.units.estimate[:, NED_POSITION_SLICE] - state[:, NED_POSITION_SLICE]
     assert 1e-4 < np.abs(errors).max() < 0.4  # wanders of the fix of 6 cm, not a copy of the truth
     turned = np.abs(np.sum(env.units.estimate[:, ATTITUDE_SLICE] * state[:, ATTITUDE_SLICE], axis=1))
     assert 2.0 * np.arccos(np.minimum(turned, 1.0)).max() < math.radians(12.0)

@@ -186,7 +186,7 @@ def test_pitch_settings_are_kept_apart():
     columns["pitch"] = np.radians(np.repeat([12.0, 16.0], 10))
     columns["thrust"] = columns["thrust"] * np.repeat([1.0, 1.5], 10)
     low, high = fit_rotor_coefficients(compute_loads(table(columns)), radius_m=R, density_kg_m3=RHO)
-    assert math.degrees(high.pitch_rad) == pytest.approx(16)
+    assert math.degrees(high.stated_pitch_rad) == pytest.approx(16)
     assert high.find_estimate("cT").value == pytest.approx(1.5 * low.find_estimate("cT").value)
 
 

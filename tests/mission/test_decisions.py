@@ -331,10 +331,10 @@ def test_a_pilots_height_answers_at_once_after_a_long_climb_that_did_not_happen(
     for climb in (0.3, -0.3):
         plan, s = hovering(rig, state=State.RC, mission_begun=False)
         for k in range(500):
-            s, r = step_mission(plan, s, measured(0.02 * k), Command(rc_active=True, climb_rate=climb))
+            s, r = step_mission(plan, s, measured(0.02 * k), Command(rc_active=True, pilot_climb_rate=climb))
         assert abs(r.position[2] - HIGH[2]) > 0.4
         for k in range(500, 590):
-            s, r = step_mission(plan, s, measured(0.02 * k), Command(rc_active=True, climb_rate=-climb))
+            s, r = step_mission(plan, s, measured(0.02 * k), Command(rc_active=True, pilot_climb_rate=-climb))
         assert (r.position[2] - HIGH[2]) * climb > 0.0
 
 

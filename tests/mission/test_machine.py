@@ -207,9 +207,9 @@ def test_rc_in_flight_and_back(rig):
         return Command(
             start=t < 0.2 or 20.0 < t < 20.03,
             rc_active=10.0 < t < 15.0,
-            roll=0.02,
-            climb_rate=0.1,
-            yaw_rate=0.2,
+            pilot_roll=0.02,
+            pilot_climb_rate=0.1,
+            pilot_yaw_rate=0.2,
         )
 
     flight = rig.fly(SQUARE, signals=signals)
@@ -229,7 +229,8 @@ def test_rc_in_flight_and_back(rig):
 def test_rc_from_the_floor_and_back_to_it(rig):
     def signals(t, s):
         return Command(
-            rc_active=t < ROTOR_SPIN_UP_TIME_S + 11.0, climb_rate=0.3 if 1.0 < t < ROTOR_SPIN_UP_TIME_S + 3.5 else -0.2
+            rc_active=t < ROTOR_SPIN_UP_TIME_S + 11.0,
+            pilot_climb_rate=0.3 if 1.0 < t < ROTOR_SPIN_UP_TIME_S + 3.5 else -0.2,
         )
 
     flight = rig.fly(HOP, signals=signals, limit_s=ROTOR_SPIN_UP_TIME_S + 18.0)
@@ -351,7 +352,7 @@ def test_rotors_that_lift_it_already_are_spun_up(rig):
     for command in (
         Command(start=True),
         Command(take_off_height=1.0),
-        Command(rc_active=True, climb_rate=0.2),
+        Command(rc_active=True, pilot_climb_rate=0.2),
     ):
         for rise, motors in ((0.01, "spin_up"), (0.03, "fly")):
             s = initial_mission_state(plan, measurement())

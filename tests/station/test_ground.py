@@ -598,11 +598,11 @@ def test_after_a_stop_of_the_station_nothing_that_was_asked_before_is_done(secon
         vehicle.upload_mission(MISSION),
         vehicle.request_operator_control(),
     )
-    vehicle.sticks.set_deflection(0.0, 0.0, 0.0, 0.0)
+    vehicle.sticks.set_deflections(0.0, 0.0, 0.0, 0.0)
     by_hand = vehicle.fly_manually()  # and gives up to land
     stop = vehicle.emergency_stop()
     world.run(0.3)
-    vehicle.sticks.set_deflection(0.5, 0.0, 0.0, 0.0)
+    vehicle.sticks.set_deflections(0.5, 0.0, 0.0, 0.0)
     mock.commands.clear()
     world.up[0].cut = True
     world.t += seconds

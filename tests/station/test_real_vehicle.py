@@ -91,10 +91,10 @@ def by_sticks(scene, vehicle):
     assert scene.answer(vehicle.fly_manually()) == ("refused", "no stick input")
 
     def holding(*at, until):
-        return lambda: vehicle.sticks.set_deflection(*at) and until(vehicle.snapshot)
+        return lambda: vehicle.sticks.set_deflections(*at) and until(vehicle.snapshot)
 
     def take_up():
-        vehicle.sticks.set_deflection(0.0, 0.0, 0.0, 0.0)
+        vehicle.sticks.set_deflections(0.0, 0.0, 0.0, 0.0)
         request = vehicle.fly_manually()
         scene.run(3.0, holding(0, 0, 0, 0, until=lambda s: s.state == "rc" and request.is_done))
         assert request.outcome.value == "accepted"
@@ -109,7 +109,7 @@ def by_sticks(scene, vehicle):
     assert abs(yaw - 0.5) < 0.2  # it looks ahead, so right is about east
     down = vehicle.snapshot.estimate.position[2]
     scene.run(6.0, holding(0, 0, -0.5, 0, until=lambda s: s.estimate.position[2] > down + 0.1))
-    assert not vehicle.sticks.set_deflection(0.0, np.nan, 0.0, 0.0)
+    assert not vehicle.sticks.set_deflections(0.0, np.nan, 0.0, 0.0)
     request = vehicle.release_sticks()
     assert scene.answer(request) == ("accepted", "")
     assert vehicle.release_sticks() is None

@@ -136,7 +136,7 @@ def test_the_page_of_the_documents_is_that_of_the_kept_answers() -> None:
 
 def test_gear_study_agrees_at_the_voltage_of_the_linear_model() -> None:
     outcome = run_study("fig-3.7")
-    at = {(v.claim.text, v.model[-5:]): v.agrees for v in outcome.verdicts}
+    at = {(v.claim.text, v.model_name[-5:]): v.agrees for v in outcome.verdicts}
     thrust = CLAIMS["gear-thrust"].text
     assert all(agrees for (text, volt), agrees in at.items() if volt == "6.4 V")
     assert not at[(thrust, "7.2 V")]

@@ -193,8 +193,9 @@ def design_autopilot_gains(vehicle: Vehicle, *, angle_delay_s: float = 0.0) -> A
     upper, lower = (float(u) for u in trim.motor_input)
     hover = 0.5 * (upper + lower)
     axes = {
-        name: replace(_make_axis(vehicle, model, name, hover), angle_delay_s=angle_delay_s) for name in _AXIS_STATES
-    }  # fmt: skip
+        name: replace(_make_axis_plant(vehicle, model, name, hover), angle_delay_s=angle_delay_s)
+        for name in _AXIS_STATES
+    }
     gains = {name: _design_angle_gains(axes[name]) for name in ("roll", "pitch", "yaw")}
     shared = _design_position_gains([axes["roll"], axes["pitch"]], [gains["roll"], gains["pitch"]])
     vertical = _design_position_gains([axes["vertical"]], [CascadeGains()])
@@ -212,7 +213,7 @@ def _with_position_gains(inner: CascadeGains, outer: CascadeGains) -> CascadeGai
     return replace(inner, **{name: getattr(outer, name) for name in names})
 
 
-def _make_axis(vehicle: Vehicle, model: Linearisation, name: str, hover: float) -> _AxisPlant:
+def _make_axis_plant(vehicle: Vehicle, model: Linearisation, name: str, hover: float) -> _AxisPlant:
     full, states = model.full, list(model.full.state_labels)
     inputs = list(full.input_labels)
     rows = [states.index(s) for s in _AXIS_STATES[name]]
@@ -429,7 +430,7 @@ def _design_angle_gains(axis: _AxisPlant) -> CascadeGains:
     limits = _MAX_ANGLE_GAINS[axis.name]
     plant = _plant_response(axis, _FREQUENCY_GRID, axis.B)
 
-    def to_gains(x: _Array) -> CascadeGains:
+    def gains_from_search_point(x: _Array) -> CascadeGains:
         angle, rate, integral, slope = np.minimum(x, limits)
         return CascadeGains(
             angle=float(angle),
@@ -438,12 +439,14 @@ def _design_angle_gains(axis: _AxisPlant) -> CascadeGains:
             rate_derivative=_drop_small_gain(slope),
         )
 
-    def cost(x: _Array) -> float:
-        return _loop_cost(axis, to_gains(x), plant, plant, 2, _MAX_ANGLE_RESPONSE_PEAK)
+    def search_cost(x: _Array) -> float:
+        return _loop_cost(axis, gains_from_search_point(x), plant, plant, 2, _MAX_ANGLE_RESPONSE_PEAK)
 
     scale = 0.02 if axis.name == "yaw" else 0.2
     slope = 1e-9 if axis.name == "yaw" else 3e-3
-    k = to_gains(_search_gains(cost, [(a, scale * r, scale, slope) for a, r in ((4.0, 1.0), (8.0, 1.5))]))
+    k = gains_from_search_point(
+        _search_gains(search_cost, [(a, scale * r, scale, slope) for a, r in ((4.0, 1.0), (8.0, 1.5))])
+    )
     if _find_instability_rate_1_s(axis, k) > 0.0:
         raise MuflyError(f"no gains of PX4 stabilise {axis.name}; check the vehicle with `mufly vehicle check`")
     return k
@@ -455,23 +458,23 @@ def _design_position_gains(axes: Sequence[_AxisPlant], inner: Sequence[CascadeGa
     plants = [_plant_response(axis, _FREQUENCY_GRID, axis.B) for axis in axes]
     winds = [_plant_response(axis, _FREQUENCY_GRID, axis.wind) for axis in axes]
 
-    def to_gains(x: _Array, k: CascadeGains) -> CascadeGains:
+    def gains_from_search_point(x: _Array, k: CascadeGains) -> CascadeGains:
         place, speed, integral, slope = np.clip(x, least, most)
         return replace(
             k, position=float(place), velocity=float(speed), velocity_integral=float(integral),
             velocity_derivative=float(slope),
         )  # fmt: skip
 
-    def cost(x: _Array) -> float:
+    def search_cost(x: _Array) -> float:
         parts = zip(axes, inner, plants, winds, strict=True)
-        return sum(_loop_cost(a, to_gains(x, k), p, d, 0, MAX_REFERENCE_PEAK) for a, k, p, d in parts)
+        return sum(_loop_cost(a, gains_from_search_point(x, k), p, d, 0, MAX_REFERENCE_PEAK) for a, k, p, d in parts)
 
     starts = [(0.5, 2.5, 1.0, 0.2), (1.0, 4.0, 1.0, 0.3)] if vertical else [(0.5, 1.4, 0.3, 0.2), (0.9, 2.0, 0.6, 0.3)]
-    x = _search_gains(cost, starts)
+    x = _search_gains(search_cost, starts)
     for axis, k in zip(axes, inner, strict=True):
-        if _find_instability_rate_1_s(axis, to_gains(x, k)) > 0.0:
+        if _find_instability_rate_1_s(axis, gains_from_search_point(x, k)) > 0.0:
             raise MuflyError(f"no gains of PX4 hold a position ({axis.name}); check it with `mufly vehicle check`")
-    return to_gains(x, CascadeGains())
+    return gains_from_search_point(x, CascadeGains())
 
 
 # Prediction

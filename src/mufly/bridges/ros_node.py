@@ -214,13 +214,13 @@ class RosPublisher:
             self._node.create_service(trigger, name, self._make_service_callback(act))
 
     def _make_service_callback(self, act: Callable[[Flight], RequestAnswer]) -> Callable[[Any, Any], Any]:
-        def answer(_: Any, response: Any) -> Any:
+        def answer_service_call(_: Any, response: Any) -> Any:
             said: RequestAnswer | None = self.view.request(act, wait=True)
             response.success = bool(said)
             response.message = "the flight does not answer" if said is None else said.reason
             return response
 
-        return answer
+        return answer_service_call
 
     def _handle_goal_message(self, message: Any) -> None:
         frame = message.header.frame_id
@@ -229,7 +229,7 @@ class RosPublisher:
         attitude = euler_from_unnormalised_quaternion(np.array([[q.w, q.x, q.y, q.z]]))
         heading = float(attitude_to_ros(attitude)[0, 2])
 
-        def fly(flight: Flight) -> RequestAnswer:
+        def fly_to_goal(flight: Flight) -> RequestAnswer:
             if frame not in ("map", ""):
                 flight.log_event(f"/goal_pose refused: frame {frame!r} is not map", "warning")
                 return RequestAnswer(False, "frame")
@@ -241,14 +241,14 @@ class RosPublisher:
                 flight.log_event(f"/goal_pose refused: {answer.reason}", "warning")
             return answer
 
-        self.view.request(fly)
+        self.view.request(fly_to_goal)
 
     def _handle_velocity_message(self, message: Any) -> None:
         v = message.linear
         ahead, right, down = body_to_flu(np.array([[v.x, v.y, v.z]]))[0].tolist()
         turn = -float(message.angular.z)
 
-        def follow(flight: Flight) -> RequestAnswer:
+        def follow_velocity(flight: Flight) -> RequestAnswer:
             yaw = float(flight.estimate.attitude[2])
             north = math.cos(yaw) * ahead - math.sin(yaw) * right
             east = math.sin(yaw) * ahead + math.cos(yaw) * right
@@ -257,7 +257,7 @@ class RosPublisher:
                 answer = flight.autopilot.set_offboard(True)
             return answer
 
-        self.view.request(follow)
+        self.view.request(follow_velocity)
 
 
 def load_message_class(message_type: str) -> Any:

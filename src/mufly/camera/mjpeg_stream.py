@@ -87,11 +87,11 @@ class StreamServer:
         self._open = True
         server = self
 
-        class Handler(_PictureRequestHandler):
+        class BoundPictureHandler(_PictureRequestHandler):
             stream_server = server
 
         try:
-            self._http = _PictureHttpServer((host, port), Handler)
+            self._http = _PictureHttpServer((host, port), BoundPictureHandler)
         except OSError as error:
             raise ArgumentError(
                 "stream",

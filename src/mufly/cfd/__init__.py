@@ -1,6 +1,6 @@
 """Computational fluid dynamics of rotors: meshes of a blade's sector, OpenFOAM cases, solver runs and results."""
 
-from mufly.cfd.blade_geometry import BLADE_TIPS, BladeGeometry, BladeTip, HubCylinder, make_blade_geometry
+from mufly.cfd.blade_geometry import BLADE_TIPS, BladeGeometry, BladeTip, HubCylinder, make_tip_hub_geometry
 from mufly.cfd.case_studies import (
     PairSolution,
     SpanLoads,
@@ -37,7 +37,7 @@ from mufly.cfd.cfd_pictures import (
 from mufly.cfd.cfd_solution import (
     CfdSolution,
     FlowField,
-    FlowProbe,
+    FlowSampler,
     WakeProfile,
     compute_velocity_gradient,
     compute_wake_profile,
@@ -89,7 +89,7 @@ __all__ = [
     "ClimbComparison",
     "ConvergenceAssessment",
     "FlowField",
-    "FlowProbe",
+    "FlowSampler",
     "GridConvergence",
     "HubCylinder",
     "MeshDomain",
@@ -128,9 +128,9 @@ __all__ = [
     "judge_case",
     "judge_loads",
     "list_study_cases",
-    "make_blade_geometry",
     "make_poly_mesh",
     "make_sector_mesh",
+    "make_tip_hub_geometry",
     "map_colours",
     "measure_mesh_quality",
     "mesh_and_write_case",

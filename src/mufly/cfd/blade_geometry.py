@@ -173,7 +173,7 @@ class BladeGeometry:
             )
 
 
-def make_blade_geometry(
+def make_tip_hub_geometry(
     tip: str = "square", hub_m: float = 0.0, gurney: float = 0.0, *, hub_joined: bool = True
 ) -> BladeGeometry:
     """Make the geometry from the name of a tip, a hub radius (m) and a Gurney flap; the hub's height equals its radius.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.cfd.blade_geometry import BladeGeometry, make_blade_geometry
+from mufly.cfd.blade_geometry import BladeGeometry, make_tip_hub_geometry
 from mufly.cfd.cfd_solution import CfdSolution, read_field, read_solution, scale_solution_state
 from mufly.cfd.openfoam_case import (
     MIN_ASSESSMENT_ITERATIONS,
@@ -85,9 +85,10 @@ def mesh_and_write_case(
 ) -> MeshQuality:
     """Mesh a rotor and write a case of one operating point; return the mesh's quality.
 
-    Tip, hub and Gurney flap are those of :func:`mufly.cfd.blade_geometry.make_blade_geometry`. With ``gap_m`` a second,
-    counter-rotating rotor of the same file lies at that distance below (:mod:`mufly.cfd.rotor_pair`). By default it has
-    the same pitch setting and speed; both rotors are frozen in one mesh. ``other_m`` is for :func:`solve_pair`.
+    Tip, hub and Gurney flap are those of :func:`mufly.cfd.blade_geometry.make_tip_hub_geometry`. With ``gap_m`` a
+    second, counter-rotating rotor of the same file lies at that distance below (:mod:`mufly.cfd.rotor_pair`). By
+    default it has the same pitch setting and speed; both rotors are frozen in one mesh. ``other_m`` is for
+    :func:`solve_pair`.
 
     With ``neighbour``, a solved case of another speed, pitch setting or tip with the same cells, the case starts from
     the scaled solution of the neighbour.
@@ -132,7 +133,7 @@ def mesh_and_write_case(
     if near is not None:
         alike = near.pitch_rad == pitch_rad and near.tip == tip
         point = replace(point, upwind=0, least=SCALED_START_MIN_ITERATIONS if alike else RESHAPED_START_MIN_ITERATIONS)
-    form = make_blade_geometry(tip, hub_m, gurney)
+    form = make_tip_hub_geometry(tip, hub_m, gurney)
     if gap_m:
         if form != BladeGeometry() or neighbour is not None:
             raise InputError(
@@ -256,7 +257,7 @@ def solve_elastic_blade(
     """
     found: list[CfdSolution] = []
 
-    def solve(deformed: Rotor, twist_rad: Array, turn: int) -> StripLoads:
+    def solve_twisted_blade(deformed: Rotor, twist_rad: Array, turn: int) -> StripLoads:
         place = folder / f"round-{turn}"
         note = place / _TWIST_ITERATION_FILE
         if note.is_file():
@@ -280,7 +281,7 @@ def solve_elastic_blade(
         return StripLoads(one.r_m, one.thrust_N_m / n, -one.torque_Nm_m / (one.r_m * n), one.moment_Nm_m)
 
     point = {name: given[name] for name in ("pitch_rad", "speed_rad_s", "climb_m_s", "air") if name in given}
-    rounds = iterate_elastic_twist(rotor, make_blade_beam(rotor, structure), solve, **point)
+    rounds = iterate_elastic_twist(rotor, make_blade_beam(rotor, structure), solve_twisted_blade, **point)
     return found[-1], rounds
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mufly.cfd.case_studies import PairSolution, SpanLoads
 from mufly.cfd.cfd_comparison import ClimbComparison
-from mufly.cfd.cfd_solution import CfdSolution, FlowField, FlowProbe, WakeProfile
+from mufly.cfd.cfd_solution import CfdSolution, FlowField, FlowSampler, WakeProfile
 from mufly.cfd.openfoam_case import OperatingPoint
 from mufly.cfd.polymesh import PolyMesh
 from mufly.quantities.units import RPM
@@ -239,7 +239,7 @@ def draw_skin_friction(mesh: PolyMesh, solution: CfdSolution) -> Figure:
 def draw_vorticity(mesh: PolyMesh, flow: FlowField, point: OperatingPoint) -> Figure:
     """Draw the azimuthal vorticity in planes through the shaft, at the blade and behind it."""
     figure = blank_figure(10.0, 6.5)
-    radius, probe = point.radius_m, FlowProbe(mesh, flow)
+    radius, probe = point.radius_m, FlowSampler(mesh, flow)
     sense = np.sign(point.speed_rad_s)
     r, z = np.linspace(0.0, 1.4, 211), np.linspace(-1.2, 0.35, 233)
     rr, zz = np.meshgrid(r, z)

@@ -338,7 +338,7 @@ def _rotation_matrix(angle_rad: float) -> Array:
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-class FlowProbe:
+class FlowSampler:
     """Sampler of the flow at any point: the nearest cell's vorticity, and its velocity extrapolated by the gradient."""
 
     def __init__(self, mesh: PolyMesh, flow: FlowField) -> None:
@@ -417,7 +417,7 @@ def compute_wake_profile(mesh: PolyMesh, flow: FlowField, point: OperatingPoint,
     thrust_N : float
         Thrust of the whole rotor, or of both rotors of a pair, for momentum theory.
     """
-    radius, probe = point.radius_m, FlowProbe(mesh, flow)
+    radius, probe = point.radius_m, FlowSampler(mesh, flow)
     h = radius * np.array(WAKE_PROFILE_DEPTHS)
     r = radius * 1.4 * (np.arange(40) + 0.5) / 40
     around = 2.0 * math.pi / mesh.blade_count * (np.arange(72) + 0.5) / 72

@@ -202,7 +202,7 @@ def make_sector_mesh(
     domain, form = domain or MeshDomain(), form or BladeGeometry()
     if isinstance(level, str) and level not in MESH_LEVELS:
         raise InputError("mesh", level, "is unknown", f"use one of: {', '.join(MESH_LEVELS)}")
-    k = _add_tip_and_hub_cells(MESH_LEVELS[level] if isinstance(level, str) else level, form)
+    k = _raise_counts_for_tip_and_hub(MESH_LEVELS[level] if isinstance(level, str) else level, form)
     radius, root = rotor.radius_m, rotor.hub_radius_m
     _check_rotor_meshable(rotor, pitch_rad, form)
     x = np.linspace(float(rotor.hub_cutout), 1.0, 101)
@@ -428,7 +428,7 @@ def _adapt_row_counts(
     )
 
 
-def _add_tip_and_hub_cells(k: CellCounts, form: BladeGeometry) -> CellCounts:
+def _raise_counts_for_tip_and_hub(k: CellCounts, form: BladeGeometry) -> CellCounts:
     """Add cells along the blade for a shaped tip, and along the shaft for a hub."""
     shaped = bool(form.tip.length or form.tip.cant_rad)
     return replace(k, blade=k.blade + (k.blade // 4 if shaped else 0), gap=k.gap + (3 if form.hub else 0))

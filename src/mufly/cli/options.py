@@ -129,14 +129,14 @@ def _expand_option_records(function: Callable[..., Any]) -> Callable[..., Any]:
         ]
 
     @functools.wraps(function)
-    def call_function(**given: Any) -> Any:
+    def call_with_option_records(**given: Any) -> Any:
         for name, kind in records.items():
             given[name] = kind(**{f.name: given.pop(f.name) for f in fields(kind) if f.name in given})
         return function(**given)
 
-    call_function.__signature__ = inspect.Signature(arguments)  # type: ignore[attr-defined]
-    call_function.__annotations__ = {a.name: a.annotation for a in arguments}
-    return call_function
+    call_with_option_records.__signature__ = inspect.Signature(arguments)  # type: ignore[attr-defined]
+    call_with_option_records.__annotations__ = {a.name: a.annotation for a in arguments}
+    return call_with_option_records
 
 
 @dataclass(frozen=True)

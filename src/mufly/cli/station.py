@@ -381,7 +381,7 @@ def open_station(
             mission=world,
             recorder=ground.recorder if endpoints else None,
             initial_recording=recording,
-            link_problems=ground.describe_link_problems,
+            describe_link_problems=ground.describe_link_problems,
         )
 
         async def run_station() -> None:

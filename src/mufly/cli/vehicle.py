@@ -187,11 +187,11 @@ def show_speed(
     speeds are given as ranges. With --out, a picture is drawn (speed.png). Method: docs/explanation/forward-flight.md.
     Example: mufly vehicle speed mufly-1.1 --speed 0:4:0.5 --out speed
     """
-    from mufly.dynamics.level_flight import draw_level_flight, level_flight
+    from mufly.dynamics.level_flight import compute_level_flight, draw_level_flight
     from mufly.rotor import load_rotor
     from mufly.vehicle import load_vehicle
 
-    flight = level_flight(load_vehicle(vehicle), load_rotor(rotor), speed)
+    flight = compute_level_flight(load_vehicle(vehicle), load_rotor(rotor), speed)
     files = [save_figure(draw_level_flight(flight), out, "speed")] if out is not None else []
     print_answer(as_json, flight, None, files)
 

@@ -50,7 +50,7 @@ PUBLISHED_HEAVE_YAW = ThesisDesignValues(
     order=10,
 )
 PUBLISHED_ROLL_PITCH = ThesisDesignValues(crossover=36.0, complementary_peak_dB=1.9, resonance=14.5, order=8)
-PUBLISHED_VELOCITY = ThesisDesignValues()
+PUBLISHED_VELOCITY_DESIGN = ThesisDesignValues()
 
 
 @result(

@@ -35,15 +35,15 @@ def hash_synthesis_problem(method: SynthesisMethod, problem: SynthesisProblem) -
     """Return a hash of all inputs that determine the controller of a method."""
     p = problem
 
-    def matrices(system: control.StateSpace) -> list[object]:
+    def shapes_and_matrices(system: control.StateSpace) -> list[object]:
         return [M for A in (system.A, system.B, system.C, system.D) for M in (A.shape, np.ascontiguousarray(A))]
 
     return hash_inputs(
-        _hash_synthesis_sources(), method, *matrices(p.generalised), *matrices(p.plant), p.referenced_outputs,
-        p.two_degrees,
-        p.n_measurements, p.relaxation, repr(p.lqg), repr(p.fixed), p.sampling_rate_rad_s, repr(p.robust),
+        _hash_synthesis_sources(), method, *shapes_and_matrices(p.generalised), *shapes_and_matrices(p.plant),
+        p.referenced_outputs, p.two_degrees, p.n_measurements, p.relaxation,
+        repr(p.lqg), repr(p.fixed), p.sampling_rate_rad_s, repr(p.robust),
         *(np.ascontiguousarray(E) for E in p.derivatives),
-        *(() if p.given_controller is None else matrices(p.given_controller)),
+        *(() if p.given_controller is None else shapes_and_matrices(p.given_controller)),
     )  # fmt: skip
 
 

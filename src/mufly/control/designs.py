@@ -16,7 +16,7 @@ import numpy as np
 from mufly.control.controller_design import (
     PUBLISHED_HEAVE_YAW,
     PUBLISHED_ROLL_PITCH,
-    PUBLISHED_VELOCITY,
+    PUBLISHED_VELOCITY_DESIGN,
     ControllerDesign,
     ThesisDesignValues,
 )
@@ -494,7 +494,7 @@ def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesi
         # Order two suffices for the peaks, but loses the roll-off that keeps noise out of the tilt reference.
         orders=(4, VELOCITY_ORDER),
         slow=(0.05,),
-        published=PUBLISHED_VELOCITY,
+        published=PUBLISHED_VELOCITY_DESIGN,
     )
 
 

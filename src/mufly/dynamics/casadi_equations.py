@@ -63,7 +63,7 @@ def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> Any:
     symbols: dict[str, Any] = {name: kind.sym(name, size) for name, size in names.items()}
     arguments = [[_CasadiSymbol(symbols[name][k]) for k in range(size)] for name, size in names.items()]
     derivative: list[Any] = [0.0] * STATE_SIZE
-    select_branches(state_derivative, _CASADI_NAMESPACE)(*arguments, _SymbolicParameters(p), derivative)
+    select_branches(state_derivative, _CASADI_NAMESPACE)(*arguments, _SymbolIndexedParameters(p), derivative)
     out = casadi.vertcat(*(_unwrap_symbol(d) for d in derivative))
     return casadi.Function("derivative", list(symbols.values()), [out], list(names), ["derivative"])
 
@@ -188,19 +188,19 @@ _CASADI_NAMESPACE: dict[str, Any] = {
 }
 
 
-class _SymbolicParameters:
+class _SymbolIndexedParameters:
     """A record of parameters with tables that take a symbolic index."""
 
     def __init__(self, record: np.void) -> None:
         for name in PARAMETER_DTYPE.names or ():
             value = record[name]
             if value.ndim:
-                setattr(self, name, _SymbolicTable(value))
+                setattr(self, name, _SymbolIndexedTable(value))
             else:
                 setattr(self, name, int(value) if value.dtype.kind == "i" else float(value))
 
 
-class _SymbolicTable:
+class _SymbolIndexedTable:
     def __init__(self, numbers: NDArray[Any]) -> None:
         self._numbers = numbers
         self.shape = numbers.shape

@@ -15,7 +15,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from mufly.dynamics.numba_lanes import LANES, VECTOR, intrinsic
+from mufly.dynamics.numba_lanes import LANE_VECTOR_TYPE, LANES, intrinsic
 from mufly.rotor.forward.row_sums import (
     FLOW_COLUMN_COUNT,
     RATE_COLUMN_COUNT,
@@ -38,8 +38,10 @@ def _lane_sum_code(
 
     Weights are lanes (vectors of eight); indices are lanes, or integers common to all vehicles.
     """
-    kinds = [_types.int64 if isinstance(k, types.Integer) else VECTOR for k in places] + [VECTOR] * weights
-    made = _types.UniTuple(VECTOR, columns)(table, *kinds)
+    kinds = [_types.int64 if isinstance(k, types.Integer) else LANE_VECTOR_TYPE for k in places] + [
+        LANE_VECTOR_TYPE
+    ] * weights
+    made = _types.UniTuple(LANE_VECTOR_TYPE, columns)(table, *kinds)
 
     def generate_lane_code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         indices = [_emit_integer_indices(builder, v) for v in given[1 : 1 + len(places)]]

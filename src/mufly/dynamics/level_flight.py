@@ -354,7 +354,7 @@ def check_blade_radius(vehicle: Vehicle, rotor: Rotor) -> None:
         )  # fmt: skip
 
 
-def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> LevelFlight:
+def compute_level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> LevelFlight:
     """Compute level flight over airspeed.
 
     Parameters

@@ -37,6 +37,7 @@ from mufly.dynamics.equations_of_motion import (
 from mufly.dynamics.model_state import (
     ATTITUDE_SLICE,
     BAR_NORMAL_SLICE,
+    BODY_RATE_SLICE,
     MODEL_BAR_NORMAL,
     MODEL_CHARGE,
     MODEL_POSITION,
@@ -45,13 +46,12 @@ from mufly.dynamics.model_state import (
     MODEL_SWASH_PITCH,
     MODEL_SWASH_ROLL,
     MOTOR_INPUT_SLICE,
-    POSITION_SLICE,
-    RATE_SLICE,
+    NED_POSITION_SLICE,
+    NED_VELOCITY_SLICE,
     ROTOR_SPEED_SLICE,
     SERVO_INPUT_SLICE,
     STATE_SIZE,
     SWAPPED_MOTOR_INPUT_INDICES,
-    VELOCITY_SLICE,
     body_to_ned_matrix,
     compute_hover_rotor_speeds,
     initial_state,
@@ -105,7 +105,7 @@ class Trim:
     inside_map: bool = True
 
     def __str__(self) -> str:
-        n, e, d = self.state[VELOCITY_SLICE]
+        n, e, d = self.state[NED_VELOCITY_SLICE]
         roll, pitch, _ = np.degrees(euler_from_quaternion(self.state[ATTITUDE_SLICE]))
         rpm = self.rotor_speed / RPM
         motor_up, motor_dw, servo_1, servo_2 = self.input
@@ -209,7 +209,7 @@ def find_trim(
         x, u = assemble_state(unknown)
         state_derivative(x, u, wind_, p, rates)
         return np.concatenate(
-            [rates[VELOCITY_SLICE] / GRAVITY, rates[RATE_SLICE] / 100.0, rates[ROTOR_SPEED_SLICE] / 1000.0]
+            [rates[NED_VELOCITY_SLICE] / GRAVITY, rates[BODY_RATE_SLICE] / 100.0, rates[ROTOR_SPEED_SLICE] / 1000.0]
         )
 
     start = np.array([1.0, 1.0, duty[0], duty[1], 0.0, 0.0, 0.0, 0.0])
@@ -552,10 +552,10 @@ def _to_minimal_state(x: NDArray[np.float64], heading: float) -> NDArray[np.floa
     ahead, aside = c * bar_n + s * bar_e, -s * bar_n + c * bar_e
     return np.concatenate(
         [
-            x[POSITION_SLICE],
-            a.T @ x[VELOCITY_SLICE],
+            x[NED_POSITION_SLICE],
+            a.T @ x[NED_VELOCITY_SLICE],
             euler_from_quaternion(x[ATTITUDE_SLICE]),
-            x[RATE_SLICE],
+            x[BODY_RATE_SLICE],
             [-x[MODEL_SWASH_PITCH], x[MODEL_SWASH_ROLL], np.arcsin(aside), np.arctan2(-ahead, -bar_d)],
             [x[MODEL_SPEED_LOWER], x[MODEL_SPEED_UPPER], x[MODEL_CHARGE]],
         ]
@@ -564,10 +564,10 @@ def _to_minimal_state(x: NDArray[np.float64], heading: float) -> NDArray[np.floa
 
 def _to_full_state(m: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
     x = np.empty(STATE_SIZE)
-    x[POSITION_SLICE] = m[LINEAR_POSITION:LINEAR_VELOCITY]
+    x[NED_POSITION_SLICE] = m[LINEAR_POSITION:LINEAR_VELOCITY]
     x[ATTITUDE_SLICE] = quaternion_from_euler(*m[LINEAR_ATTITUDE:LINEAR_RATES])
-    x[VELOCITY_SLICE] = body_to_ned_matrix(x[ATTITUDE_SLICE]) @ m[LINEAR_VELOCITY:LINEAR_ATTITUDE]
-    x[RATE_SLICE] = m[LINEAR_RATES:LINEAR_TILT_PITCH]
+    x[NED_VELOCITY_SLICE] = body_to_ned_matrix(x[ATTITUDE_SLICE]) @ m[LINEAR_VELOCITY:LINEAR_ATTITUDE]
+    x[BODY_RATE_SLICE] = m[LINEAR_RATES:LINEAR_TILT_PITCH]
     x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = m[LINEAR_TILT_ROLL], -m[LINEAR_TILT_PITCH]
     x[BAR_NORMAL_SLICE] = -body_to_ned_matrix(quaternion_from_euler(m[LINEAR_BAR_ROLL], m[LINEAR_BAR_PITCH], heading))[
         :, 2
@@ -605,10 +605,11 @@ def _minimal_state_rates(
     zeta_rate = (-bar_n * np.cos(zeta) + dx[MODEL_BAR_NORMAL + 2] * np.sin(zeta)) / np.cos(eta)
     return np.concatenate(
         [
-            dx[POSITION_SLICE],
-            a.T @ dx[VELOCITY_SLICE] - np.cross(m[LINEAR_RATES:LINEAR_TILT_PITCH], m[LINEAR_VELOCITY:LINEAR_ATTITUDE]),
+            dx[NED_POSITION_SLICE],
+            a.T @ dx[NED_VELOCITY_SLICE]
+            - np.cross(m[LINEAR_RATES:LINEAR_TILT_PITCH], m[LINEAR_VELOCITY:LINEAR_ATTITUDE]),
             euler_rates,
-            dx[RATE_SLICE],
+            dx[BODY_RATE_SLICE],
             [-dx[MODEL_SWASH_PITCH], dx[MODEL_SWASH_ROLL], eta_rate, zeta_rate],
             [dx[MODEL_SPEED_LOWER], dx[MODEL_SPEED_UPPER], dx[MODEL_CHARGE]],
         ]

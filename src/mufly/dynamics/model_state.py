@@ -5,10 +5,10 @@ The state is a flat array (21,) with the indices ``MODEL_...``; vectors in it al
 =====================  ================  ======================================================================
 first index            slice             meaning
 =====================  ================  ======================================================================
-``MODEL_POSITION``     ``POSITION_SLICE``      N, E, D of the centre of gravity (m)
-``MODEL_VELOCITY``     ``VELOCITY_SLICE``      N, E, D (m/s)
+``MODEL_POSITION``     ``NED_POSITION_SLICE``      N, E, D of the centre of gravity (m)
+``MODEL_VELOCITY``     ``NED_VELOCITY_SLICE``      N, E, D (m/s)
 ``MODEL_ATTITUDE``     ``ATTITUDE_SLICE``      quaternion w, x, y, z: rotates body vectors to N-E-D, unit length
-``MODEL_RATES``        ``RATE_SLICE``         p, q, r (rad/s), body axes
+``MODEL_RATES``        ``BODY_RATE_SLICE``         p, q, r (rad/s), body axes
 ``MODEL_SWASH_ROLL``                     alpha_dw, tilt of the lower tip-path plane about x (rad)
 ``MODEL_SWASH_PITCH``                    beta_dw, tilt of the lower tip-path plane about y (rad)
 ``MODEL_BAR_NORMAL``          ``BAR_NORMAL_SLICE``    upward normal of the stabiliser bar's disc in N-E-D, unit length
@@ -49,12 +49,12 @@ STATE_SIZE = 21
 INPUT_SIZE = 4
 MODEL_POSITION, MODEL_VELOCITY, MODEL_ATTITUDE, MODEL_RATES, MODEL_SWASH_ROLL, MODEL_SWASH_PITCH = 0, 3, 6, 10, 13, 14
 MODEL_BAR_NORMAL, MODEL_SPEED_UPPER, MODEL_SPEED_LOWER, MODEL_CHARGE = 15, 18, 19, 20
-POSITION_SLICE, VELOCITY_SLICE, ATTITUDE_SLICE = (
+NED_POSITION_SLICE, NED_VELOCITY_SLICE, ATTITUDE_SLICE = (
     slice(MODEL_POSITION, MODEL_VELOCITY),
     slice(MODEL_VELOCITY, MODEL_ATTITUDE),
     slice(MODEL_ATTITUDE, MODEL_RATES),
 )
-RATE_SLICE, BAR_NORMAL_SLICE = slice(MODEL_RATES, MODEL_SWASH_ROLL), slice(MODEL_BAR_NORMAL, MODEL_SPEED_UPPER)
+BODY_RATE_SLICE, BAR_NORMAL_SLICE = slice(MODEL_RATES, MODEL_SWASH_ROLL), slice(MODEL_BAR_NORMAL, MODEL_SPEED_UPPER)
 ROTOR_SPEED_SLICE = slice(MODEL_SPEED_UPPER, MODEL_CHARGE)
 U_MOTOR_UPPER, U_MOTOR_LOWER, U_SERVO_1, U_SERVO_2 = range(INPUT_SIZE)
 MOTOR_INPUT_SLICE, SERVO_INPUT_SLICE = slice(U_MOTOR_UPPER, U_SERVO_1), slice(U_SERVO_1, INPUT_SIZE)
@@ -121,10 +121,10 @@ def initial_state(
     """
     roll, pitch, yaw = np.asarray(attitude, dtype=np.float64)
     state = np.zeros(STATE_SIZE)
-    state[POSITION_SLICE] = position
-    state[VELOCITY_SLICE] = velocity
+    state[NED_POSITION_SLICE] = position
+    state[NED_VELOCITY_SLICE] = velocity
     state[ATTITUDE_SLICE] = quaternion_from_euler(roll, pitch, yaw)
-    state[RATE_SLICE] = rates
+    state[BODY_RATE_SLICE] = rates
     bar_roll, bar_pitch = (roll, pitch) if bar_attitude is None else np.asarray(bar_attitude, np.float64)
     state[BAR_NORMAL_SLICE] = -body_to_ned_matrix(quaternion_from_euler(float(bar_roll), float(bar_pitch), yaw))[:, 2]
     state[ROTOR_SPEED_SLICE] = rotor_speed

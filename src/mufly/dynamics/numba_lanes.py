@@ -111,15 +111,20 @@ class LaneRecord(types.Type):
         return LaneRecord, (self.dtype,)
 
 
-VECTOR, MASK, ROWS, SHARED_INTEGERS = LaneVector(), LaneMask(), LaneRows(), SharedIntegers()
+LANE_VECTOR_TYPE, LANE_MASK_TYPE, LANE_ROWS_TYPE, SHARED_INTEGERS_TYPE = (
+    LaneVector(),
+    LaneMask(),
+    LaneRows(),
+    SharedIntegers(),
+)
 
 
 def _register_primitive(kind: type, make: Callable[[Any], ir.Type]) -> None:
-    class Model(PrimitiveModel):
+    class LaneDataModel(PrimitiveModel):
         def __init__(self, manager: Any, fe_type: Any) -> None:
             super().__init__(manager, fe_type, make(fe_type))
 
-    register_model(kind)(Model)
+    register_model(kind)(LaneDataModel)
 
 
 for _kind, _ir_type in (
@@ -155,16 +160,18 @@ def _is_number(kind: Any) -> bool:
 def _declare_lane_overload(function: Any, count: int, result: Any) -> None:
     """Declare a function of ``count`` numbers to Numba for calls in which at least one argument is a lane vector."""
 
-    class Template(AbstractTemplate):
+    class LaneOverloadTemplate(AbstractTemplate):
         def generic(self, arguments: Any, keywords: Any) -> Any:
             if len(arguments) == count and any(isinstance(a, LaneVector) for a in arguments):
-                return signature(result, *[VECTOR] * count) if all(map(_is_number, arguments)) else None
+                return signature(result, *[LANE_VECTOR_TYPE] * count) if all(map(_is_number, arguments)) else None
             return None
 
-    infer_global(function)(Template)
+    infer_global(function)(LaneOverloadTemplate)
 
 
-def _register_operation(functions: Iterable[Any], count: int, emit: Callable[..., Any], result: Any = VECTOR) -> None:
+def _register_operation(
+    functions: Iterable[Any], count: int, emit: Callable[..., Any], result: Any = LANE_VECTOR_TYPE
+) -> None:
     """Register Python functions of ``count`` numbers with Numba for lane vectors; ``emit`` writes their LLVM code."""
     for function in functions:
         _declare_lane_overload(function, count, result)
@@ -176,11 +183,11 @@ def _register_operation(functions: Iterable[Any], count: int, emit: Callable[...
 
 
 def _make_intrinsic_emitter(name: str) -> Callable[..., Any]:
-    def emit(builder: Any, x: Any) -> Any:
+    def emit_intrinsic_call(builder: Any, x: Any) -> Any:
         kind = ir.FunctionType(_LLVM_DOUBLE_LANES, [_LLVM_DOUBLE_LANES])
         return builder.call(_get_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), [x])
 
-    return emit
+    return emit_intrinsic_call
 
 
 _register_operation([operator.add, operator.iadd], 2, lambda b, x, y: b.fadd(x, y))
@@ -190,8 +197,8 @@ _register_operation([operator.truediv, operator.itruediv], 2, lambda b, x, y: b.
 for _function, _sign in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
 ):  # fmt: skip
-    _register_operation([_function], 2, lambda b, x, y, sign=_sign: b.fcmp_ordered(sign, x, y), MASK)
-_register_operation([operator.ne], 2, lambda b, x, y: b.fcmp_unordered("!=", x, y), MASK)
+    _register_operation([_function], 2, lambda b, x, y, sign=_sign: b.fcmp_ordered(sign, x, y), LANE_MASK_TYPE)
+_register_operation([operator.ne], 2, lambda b, x, y: b.fcmp_unordered("!=", x, y), LANE_MASK_TYPE)
 # As Numba's min and max of two numbers, which keep the first if they are equal.
 _register_operation([min], 2, lambda b, x, y: b.select(b.fcmp_ordered("<", y, x), y, x))
 _register_operation([max], 2, lambda b, x, y: b.select(b.fcmp_ordered(">", y, x), y, x))
@@ -240,36 +247,36 @@ def whole_number(x: Any) -> Any:
 
 
 def _declare_lane_decision(function: Any, make: Callable[..., Any]) -> None:
-    class Template(AbstractTemplate):
+    class LaneDecisionTemplate(AbstractTemplate):
         def generic(self, arguments: Any, keywords: Any) -> Any:
             return make(*arguments)
 
-    infer_global(function)(Template)
+    infer_global(function)(LaneDecisionTemplate)
 
 
 def _select_signature(test: Any, a: Any, b: Any) -> Any:
     if not isinstance(test, LaneMask | types.Boolean):
         return None
     if isinstance(a, LaneVector) or isinstance(b, LaneVector) or isinstance(test, LaneMask):
-        return signature(VECTOR, test, VECTOR, VECTOR)
+        return signature(LANE_VECTOR_TYPE, test, LANE_VECTOR_TYPE, LANE_VECTOR_TYPE)
     return signature(types.float64, test, types.float64, types.float64)
 
 
 def _mask_or_boolean_signature(result_of_mask: Any) -> Callable[..., Any]:
-    def make(*tests: Any) -> Any:
+    def find_decision_signature(*tests: Any) -> Any:
         if all(isinstance(t, LaneMask | types.Boolean) for t in tests):
             is_mask = any(isinstance(t, LaneMask) for t in tests)
             return signature(result_of_mask if is_mask else types.boolean, *tests)
         return None
 
-    return make
+    return find_decision_signature
 
 
 _declare_lane_decision(select, _select_signature)
 _declare_lane_decision(any_of, _mask_or_boolean_signature(types.boolean))
 _declare_lane_decision(require_uniform, _mask_or_boolean_signature(types.boolean))
-_declare_lane_decision(negate, _mask_or_boolean_signature(MASK))
-_declare_lane_decision(both_of, _mask_or_boolean_signature(MASK))
+_declare_lane_decision(negate, _mask_or_boolean_signature(LANE_MASK_TYPE))
+_declare_lane_decision(both_of, _mask_or_boolean_signature(LANE_MASK_TYPE))
 _declare_lane_decision(whole_number, lambda x: signature(x, x) if _is_number(x) else None)
 
 
@@ -337,16 +344,16 @@ class _GetItem(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
         held, index = arguments
         if isinstance(held, LaneRows) and isinstance(index, types.Integer):
-            return signature(VECTOR, held, types.intp)
+            return signature(LANE_VECTOR_TYPE, held, types.intp)
         if isinstance(held, SharedIntegers) and isinstance(index, types.Integer):
             return signature(types.int64, held, types.intp)
         if isinstance(held, LaneTable):
             if isinstance(index, types.Integer):
-                return signature(VECTOR, held, types.intp)
+                return signature(LANE_VECTOR_TYPE, held, types.intp)
             if isinstance(index, LaneVector):
-                return signature(VECTOR, held, VECTOR)
+                return signature(LANE_VECTOR_TYPE, held, LANE_VECTOR_TYPE)
             if isinstance(index, types.BaseTuple) and len(index) == 2:
-                return signature(VECTOR, held, _numba_types.UniTuple(types.intp, 2))
+                return signature(LANE_VECTOR_TYPE, held, _numba_types.UniTuple(types.intp, 2))
         return None
 
 
@@ -355,7 +362,7 @@ class _SetItem(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
         held, index, value = arguments
         if isinstance(held, LaneRows) and isinstance(index, types.Integer) and _is_number(value):
-            return signature(types.none, held, types.intp, VECTOR)
+            return signature(types.none, held, types.intp, LANE_VECTOR_TYPE)
         return None
 
 
@@ -430,9 +437,9 @@ class _RecordAttributes(AttributeTemplate):
             return None
         kind = record.dtype.fields[name][0]
         if kind.shape == ():
-            return VECTOR if kind.kind == "f" else types.int64
+            return LANE_VECTOR_TYPE if kind.kind == "f" else types.int64
         if kind.base.kind != "f":
-            return SHARED_INTEGERS
+            return SHARED_INTEGERS_TYPE
         return LaneTable(kind.shape[0], kind.shape[1] if len(kind.shape) > 1 else 1)
 
 
@@ -463,36 +470,36 @@ def make_rows(context: Any, count: Any) -> Any:
     constant.
     """
 
-    def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
+    def emit_rows(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
         return _emit_row_allocation(builder, count.literal_value)
 
-    return ROWS(count), emit
+    return LANE_ROWS_TYPE(count), emit_rows
 
 
 @intrinsic
 def put_number(context: Any, rows: Any, row: Any, lane: Any, value: Any) -> Any:
     """``put_number(rows, row, lane, value)``: write one vehicle's number into a row."""
 
-    def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
+    def emit_number_store(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
         into, which, number, stored = values
         base = builder.bitcast(into, _LLVM_DOUBLE.as_pointer())
         at = builder.add(builder.mul(which, ir.Constant(_LLVM_INT64, LANES)), number)
         builder.store(stored, builder.gep(base, [at]))
         return ctx.get_dummy_value()
 
-    return types.none(ROWS, types.intp, types.intp, types.float64), emit
+    return types.none(LANE_ROWS_TYPE, types.intp, types.intp, types.float64), emit_number_store
 
 
 @intrinsic
 def take_number(context: Any, rows: Any, row: Any, lane: Any) -> Any:
     """``take_number(rows, row, lane)``: read one vehicle's number."""
 
-    def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
+    def emit_number_load(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
         base = builder.bitcast(values[0], _LLVM_DOUBLE.as_pointer())
         at = builder.add(builder.mul(values[1], ir.Constant(_LLVM_INT64, LANES)), values[2])
         return builder.load(builder.gep(base, [at]))
 
-    return types.float64(ROWS, types.intp, types.intp), emit
+    return types.float64(LANE_ROWS_TYPE, types.intp, types.intp), emit_number_load
 
 
 @intrinsic
@@ -504,17 +511,17 @@ def allocate_lane_record(context: Any, like: Any) -> Any:
 
     record = LaneRecord(as_dtype(like.dtype))
 
-    def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
+    def emit_record_allocation(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
         return _emit_row_allocation(builder, record.row_count)
 
-    return record(like), emit
+    return record(like), emit_record_allocation
 
 
 @intrinsic
 def put_record(context: Any, record: Any, lane: Any, address: Any) -> Any:
     """``put_record(record, lane, address)``: copy one vehicle's record from an address into its lane."""
 
-    def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
+    def emit_record_copy(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
         memory, lane_value, at = values
         words = builder.bitcast(memory, _LLVM_INT64.as_pointer())
         builder.store(at, builder.gep(words, [lane_value]))
@@ -526,7 +533,7 @@ def put_record(context: Any, record: Any, lane: Any, address: Any) -> Any:
             builder.store(builder.load(source), builder.gep(numbers, [to]))
         return ctx.get_dummy_value()
 
-    return types.none(record, types.intp, types.intp), emit
+    return types.none(record, types.intp, types.intp), emit_record_copy
 
 
 # ----------------------------------------------------------------------------

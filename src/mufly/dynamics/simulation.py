@@ -44,6 +44,7 @@ from mufly.dynamics.edgewise_loads import flight_map_rate_bound
 from mufly.dynamics.equations_of_motion import coefficient_bounds, compute_battery_supply, state_derivative
 from mufly.dynamics.model_state import (
     ATTITUDE_SLICE,
+    BODY_RATE_SLICE,
     INPUT_SIZE,
     MODEL_ATTITUDE,
     MODEL_BAR_NORMAL,
@@ -51,12 +52,11 @@ from mufly.dynamics.model_state import (
     MODEL_RATES,
     MODEL_SPEED_UPPER,
     MOTOR_INPUT_SLICE,
-    POSITION_SLICE,
-    RATE_SLICE,
+    NED_POSITION_SLICE,
+    NED_VELOCITY_SLICE,
     ROTOR_SPEED_SLICE,
     SERVO_INPUT_SLICE,
     STATE_SIZE,
-    VELOCITY_SLICE,
     ModelParameters,
     model_parameters,
 )
@@ -291,10 +291,10 @@ def state_dataset(
     voltage = np.array([compute_battery_supply(s, d[0], d[1], p)[0] for s, d in zip(states, duty, strict=True)])
 
     values = {
-        "truth_position": states[:, POSITION_SLICE],
-        "truth_velocity": states[:, VELOCITY_SLICE],
+        "truth_position": states[:, NED_POSITION_SLICE],
+        "truth_velocity": states[:, NED_VELOCITY_SLICE],
         "truth_attitude": attitude,
-        "truth_rates": states[:, RATE_SLICE],
+        "truth_rates": states[:, BODY_RATE_SLICE],
         "truth_rotor_speed": states[:, ROTOR_SPEED_SLICE],
         "motor_input": inputs[:, MOTOR_INPUT_SLICE],
         "servo_input": inputs[:, SERVO_INPUT_SLICE],
@@ -364,7 +364,7 @@ def find_model_airspeed_limits(vehicle: Vehicle) -> tuple[float, float, float]:
     more, less = 1.0 + MAX_CONSTANT_COEFFICIENT_INFLOW_CHANGE, (1.0 - MAX_CONSTANT_COEFFICIENT_INFLOW_CHANGE) ** 2
     along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else VORTEX_RING_DESCENT_RATIOS[0]
     flight_map, band = vehicle.rotors.flight_map, max_level_speed_band(vehicle)
-    across = math.sqrt((1.0 - less**2) / less) * induced if flight_map is None else flight_map.velocity_limits_m_s[0]
+    across = math.sqrt((1.0 - less**2) / less) * induced if flight_map is None else flight_map.velocity_range_m_s[0]
     return induced, along * induced, min(across, math.inf if band is None else band[1])
 
 

@@ -47,7 +47,7 @@ def find_max_level_speed(vehicle: Vehicle) -> float:
     vehicle : Vehicle
     """
     flight_map = vehicle.rotors.flight_map
-    edge = 30.0 if flight_map is None else flight_map.velocity_limits_m_s[0]
+    edge = 30.0 if flight_map is None else flight_map.velocity_range_m_s[0]
 
     def has_trim(speed: float) -> bool:
         try:

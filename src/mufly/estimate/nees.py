@@ -41,7 +41,10 @@ def compute_normalised_squared_errors(errors: _Array, covariances: _Array) -> _A
     return found
 
 
-@result
+@result(
+    json="count nees inside_share block_nees block_inside_shares nis xy_rms=xy_rms_m xy_peak=xy_peak_m z_rms=z_rms_m "
+    "z_peak=z_peak_m tilt_rms=tilt_rms_rad tilt_peak=tilt_peak_rad yaw_rms=yaw_rms_rad"
+)
 class Consistency:
     """Errors of an estimate, and measures of how well its covariance predicts them.
 
@@ -57,9 +60,9 @@ class Consistency:
         NEES / n of each block of :data:`ERROR_BLOCKS`, and the share of instants inside the block's 95 % ellipsoid.
     nis : float
         Mean square of the innovation ratios of the position fix.
-    xy_rms, xy_peak, z_rms, z_peak : float
+    xy_rms_m, xy_peak_m, z_rms_m, z_peak_m : float
         Root mean square and peak errors of the position (m).
-    tilt_rms, tilt_peak, yaw_rms : float
+    tilt_rms_rad, tilt_peak_rad, yaw_rms_rad : float
         Root mean square and peak errors of the attitude (rad).
     """
 
@@ -69,13 +72,13 @@ class Consistency:
     block_nees: tuple[float, ...]
     block_inside_shares: tuple[float, ...]
     nis: float
-    xy_rms: float
-    xy_peak: float
-    z_rms: float
-    z_peak: float
-    tilt_rms: float
-    tilt_peak: float
-    yaw_rms: float
+    xy_rms_m: float
+    xy_peak_m: float
+    z_rms_m: float
+    z_peak_m: float
+    tilt_rms_rad: float
+    tilt_peak_rad: float
+    yaw_rms_rad: float
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return errors and consistency as printed text."""
@@ -86,8 +89,8 @@ class Consistency:
         """Return as printed text the errors and consistency of named cases, and the blocks of the first."""
         first, *_ = cases.values()
         columns = [
-            *(ResultColumn(name, "cm", ".1f") for name in ("xy_rms", "xy_peak", "z_rms", "z_peak")),
-            *(ResultColumn(name, "deg", ".2f") for name in ("tilt_rms", "tilt_peak", "yaw_rms")),
+            *(ResultColumn(name, "cm", ".1f") for name in ("xy_rms_m", "xy_peak_m", "z_rms_m", "z_peak_m")),
+            *(ResultColumn(name, "deg", ".2f") for name in ("tilt_rms_rad", "tilt_peak_rad", "yaw_rms_rad")),
             ResultColumn("nees", form=".2f", head="NEES / n"),
             ResultColumn("inside_share", form=".1%", head="inside 95 %"),
         ]
@@ -111,9 +114,9 @@ class Consistency:
         mean = {k: float(n @ [getattr(c, k) for c in several]) for k in ("nees", "inside_share", "nis")}
         rms = {
             k: float(np.sqrt(n @ np.square([getattr(c, k) for c in several])))
-            for k in ("xy_rms", "z_rms", "tilt_rms", "yaw_rms")
+            for k in ("xy_rms_m", "z_rms_m", "tilt_rms_rad", "yaw_rms_rad")
         }
-        peak = {k: max(getattr(c, k) for c in several) for k in ("xy_peak", "z_peak", "tilt_peak")}
+        peak = {k: max(getattr(c, k) for c in several) for k in ("xy_peak_m", "z_peak_m", "tilt_peak_rad")}
         return cls(
             count=sum(one.count for one in several),
             block_nees=tuple((n @ np.array([one.block_nees for one in several])).tolist()),
@@ -127,9 +130,10 @@ class Consistency:
         """Return the errors (cm, degrees) and the consistency as one row of a table."""
         d = np.degrees
         cells = (
-            f"{self.nees:.2f}", f"{100 * self.inside_share:.1f}", f"{100 * self.xy_rms:.1f}",
-            f"{100 * self.xy_peak:.1f}", f"{100 * self.z_rms:.2f}", f"{100 * self.z_peak:.1f}",
-            f"{d(self.tilt_rms):.2f}", f"{d(self.tilt_peak):.2f}", f"{d(self.yaw_rms):.2f}", f"{self.nis:.2f}",
+            f"{self.nees:.2f}", f"{100 * self.inside_share:.1f}", f"{100 * self.xy_rms_m:.1f}",
+            f"{100 * self.xy_peak_m:.1f}", f"{100 * self.z_rms_m:.2f}", f"{100 * self.z_peak_m:.1f}",
+            f"{d(self.tilt_rms_rad):.2f}", f"{d(self.tilt_peak_rad):.2f}", f"{d(self.yaw_rms_rad):.2f}",
+            f"{self.nis:.2f}",
         )  # fmt: skip
         blocks = zip(self.block_nees, self.block_inside_shares, strict=True)
         return "".join(f"{c:>9s}" for c in cells) + "   " + ", ".join(f"{p:.2f} {100 * q:.1f} %" for p, q in blocks)
@@ -200,13 +204,13 @@ def measure_row_consistency(
         block_nees=tuple(b[0] for b in blocks),
         block_inside_shares=tuple(b[1] for b in blocks),
         nis=float(np.mean(np.square(ratios))) if ratios else np.nan,
-        xy_rms=_root_mean_square(xy),
-        xy_peak=float(xy.max()),
-        z_rms=_root_mean_square(z),
-        z_peak=float(z.max()),
-        tilt_rms=_root_mean_square(tilt),
-        tilt_peak=float(tilt.max()),
-        yaw_rms=_root_mean_square(e[:, ERROR_ATTITUDE + 2]),
+        xy_rms_m=_root_mean_square(xy),
+        xy_peak_m=float(xy.max()),
+        z_rms_m=_root_mean_square(z),
+        z_peak_m=float(z.max()),
+        tilt_rms_rad=_root_mean_square(tilt),
+        tilt_peak_rad=float(tilt.max()),
+        yaw_rms_rad=_root_mean_square(e[:, ERROR_ATTITUDE + 2]),
     )
 
 

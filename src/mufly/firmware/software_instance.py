@@ -220,7 +220,8 @@ class SoftwareInstance:
         to.has_waypoint, to.waypoint = c.waypoint is not None, c.waypoint or (0.0, 0.0, 0.0)
         to.has_heading, to.heading = c.heading is not None, c.heading or 0.0
         to.motor_stop_reason = self.text_table.assign_number(c.motor_stop_reason)
-        to.roll, to.pitch, to.yaw_rate, to.climb_rate = c.roll, c.pitch, c.yaw_rate, c.climb_rate
+        to.pilot_roll, to.pilot_pitch = c.pilot_roll, c.pilot_pitch
+        to.pilot_yaw_rate, to.pilot_climb_rate = c.pilot_yaw_rate, c.pilot_climb_rate
         to.has_program_set_point = c.program_set_point is not None
         if c.program_set_point is not None:
             nan = (math.nan, math.nan, math.nan)

@@ -257,8 +257,8 @@ class Autopilot:
                 self._sticks = None
                 self.log_event(f"sticks lost: no message for {STICKS_TIMEOUT_S:g} s", "warning")
             else:
-                climb = self._sticks.climb_rate if self._armed else min(self._sticks.climb_rate, 0.0)
-                c = replace(self._sticks, climb_rate=climb, motor_stop_reason=c.motor_stop_reason)
+                climb = self._sticks.pilot_climb_rate if self._armed else min(self._sticks.pilot_climb_rate, 0.0)
+                c = replace(self._sticks, pilot_climb_rate=climb, motor_stop_reason=c.motor_stop_reason)
         if self._offboard:
             if self._now - self._set_point_s > SET_POINT_TIMEOUT_S:
                 self._offboard = False
@@ -379,7 +379,7 @@ class Autopilot:
         self._interruption_told = True
         self.refused_source = ""
         why = self.list_arming_faults() if not force else [self.crash_cause] if self.crash_cause else []
-        if self._sticks is not None and self._sticks.climb_rate > 0.0:
+        if self._sticks is not None and self._sticks.pilot_climb_rate > 0.0:
             why.append("the climb stick is up; lower it first")
         if why:
             more = f" (and {len(why) - 1} more)" if len(why) > 1 else ""
@@ -404,12 +404,12 @@ class Autopilot:
             return REQUEST_ACCEPTED
         answer = self.status.check_request(VehicleRequest.DISARM)
         if answer:
-            self._stop_motors("disarmed")
+            self._disarm_and_stop("disarmed")
         return answer
 
     def emergency_stop(self) -> RequestAnswer:
         """Stop the motors at once; always accepted. In flight the vehicle then falls."""
-        self._stop_motors("emergency stop, motors off")
+        self._disarm_and_stop("emergency stop, motors off")
         return REQUEST_ACCEPTED
 
     @property
@@ -417,7 +417,7 @@ class Autopilot:
         """Whether the next step stops the motors."""
         return bool(self._command.motor_stop_reason)
 
-    def _stop_motors(self, why: str) -> None:
+    def _disarm_and_stop(self, why: str) -> None:
         idle = self.software.motors == "off" and self.software.mission_state.state == "init"
         self._set_disarmed()
         self._sticks = None
@@ -661,7 +661,9 @@ class Autopilot:
             for v, limit in zip(values, (most.tilt, most.tilt, most.yaw_rate, most.climb), strict=True)
         )
         self._offboard = False
-        self._sticks = Command(rc_active=True, roll=roll, pitch=pitch, yaw_rate=turn, climb_rate=climb)
+        self._sticks = Command(
+            rc_active=True, pilot_roll=roll, pilot_pitch=pitch, pilot_yaw_rate=turn, pilot_climb_rate=climb
+        )
         self._sticks_s = self._now
         return REQUEST_ACCEPTED
 

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.control import FlightController
-from mufly.dynamics.model_state import MODEL_CHARGE, POSITION_SLICE
+from mufly.dynamics.model_state import MODEL_CHARGE, NED_POSITION_SLICE
 from mufly.estimate import Estimate, Estimator
 from mufly.flight.fixes.camera_sensor import CameraConfig
 from mufly.flight.flight_software import ControlImplementation
@@ -219,7 +219,7 @@ def _make_progress(flight: Flight, expected_s: float, wall_s: float) -> FlightPr
         time_s=flight.time_s,
         expected_s=expected_s,
         state=str(flight.autopilot.software.mission_state.state),
-        position=plant.state[POSITION_SLICE].copy(),
+        position=plant.state[NED_POSITION_SLICE].copy(),
         battery_V=float(plant.voltage),
         battery_charge=float(plant.state[MODEL_CHARGE]),
         realtime_factor=flight.time_s / max(wall_s, 1e-9),

@@ -26,15 +26,15 @@ from mufly.dynamics import (
     model_parameters,
 )
 from mufly.dynamics.model_state import (
+    BODY_RATE_SLICE,
     MODEL_ATTITUDE,
     MODEL_CHARGE,
     MODEL_POSITION,
-    POSITION_SLICE,
-    RATE_SLICE,
+    NED_POSITION_SLICE,
+    NED_VELOCITY_SLICE,
     ROTOR_SPEED_SLICE,
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
-    VELOCITY_SLICE,
 )
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import IdealEstimator
@@ -87,7 +87,8 @@ def find_collision(
     p = parameters[0]
     if (
         obstacles
-        and compute_packed_obstacle_distances(x[POSITION_SLICE].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius
+        and compute_packed_obstacle_distances(x[NED_POSITION_SLICE].reshape(1, 3), boxes, cylinders, limits)[0][0]
+        < radius
     ):
         return 1
     if x[MODEL_POSITION + 2] + p.contact_reach > 0.0:
@@ -162,13 +163,13 @@ class SimulatedPlant:
             return
         hit = find_collision(self.state, self.packed_parameters, *self.collision_shape)
         if hit == 1:
-            _, name = find_nearest_obstacle(self.world, self.state[POSITION_SLICE])
+            _, name = find_nearest_obstacle(self.world, self.state[NED_POSITION_SLICE])
             self.crash_cause = f"{COLLISION_CAUSE_TEXT} {name} at {self._describe_position()}"
         elif hit == 2:
             self.crash_cause = f"{TIP_OVER_CAUSE_TEXT}: a rotor touched the floor at {self._describe_position()}"
 
     def _describe_position(self) -> str:
-        n, e, d = self.state[POSITION_SLICE]
+        n, e, d = self.state[NED_POSITION_SLICE]
         return f"[{n:.2f}, {e:.2f}, {d:.2f}] m, {self.time_s:.1f} s"
 
     @property
@@ -305,10 +306,10 @@ def make_common_writer(
     def fill_row(truth: Truth, actuators: Actuators, reference: tuple[_Array, _Array, _Array]) -> None:
         x = truth.state
         position[:], velocity[:], attitude[:], rates[:], speed[:] = (
-            x[..., POSITION_SLICE],
-            x[..., VELOCITY_SLICE],
+            x[..., NED_POSITION_SLICE],
+            x[..., NED_VELOCITY_SLICE],
             truth.attitude,
-            x[..., RATE_SLICE],
+            x[..., BODY_RATE_SLICE],
             x[..., ROTOR_SPEED_SLICE],
         )
         place[:], way[:], turned[:] = reference

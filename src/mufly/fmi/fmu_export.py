@@ -43,7 +43,10 @@ _FMI_SYSTEM_NAMES_AND_ENDINGS = {
 _ZIP_ENTRY_TIME = (1980, 1, 1, 0, 0, 0)
 
 
-@result
+@result(
+    json="file model=model_identifier token platform input_count output_count start_value_count parameter_count "
+    "seed_count fixed_keys"
+)
 class ExportedUnit:
     """Exported co-simulation unit.
 
@@ -51,7 +54,7 @@ class ExportedUnit:
     ----------
     file : str
         Archive.
-    model : str
+    model_identifier : str
         Model identifier.
     token : str
         Instantiation token: a hash of the sources.
@@ -66,7 +69,7 @@ class ExportedUnit:
     """
 
     file: str
-    model: str
+    model_identifier: str
     token: str
     platform: str
     input_count: int
@@ -139,7 +142,7 @@ def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True, seeds: int =
             info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(info, content)
     return ExportedUnit(
-        file=str(out), model=name, token=token, platform=place, input_count=interface.count("input"),
+        file=str(out), model_identifier=name, token=token, platform=place, input_count=interface.count("input"),
         output_count=interface.count("output"), start_value_count=interface.count("start", "step"),
         parameter_count=interface.count("parameter"), seed_count=seeds, fixed_keys=tuple(interface.fixed_keys),
     )  # fmt: skip

@@ -14,12 +14,12 @@ from typing import Literal
 from mufly.dynamics import DEFAULT_STEP_S, find_trim, longest_step, model_parameters
 from mufly.dynamics.model_state import (
     ATTITUDE_SLICE,
+    BODY_RATE_SLICE,
     INPUT_SIZE,
     MODEL_SWASH_PITCH,
     MODEL_SWASH_ROLL,
-    RATE_SLICE,
+    NED_VELOCITY_SLICE,
     ROTOR_SPEED_SLICE,
-    VELOCITY_SLICE,
 )
 from mufly.fmi.unit_equations import OUTPUT_COUNT, START_COUNT
 from mufly.fmi.unit_parameters import UnitParameter, list_unit_parameters
@@ -165,7 +165,7 @@ def list_unit_variables(vehicle: Vehicle, sensors: UnitSensors | None = None) ->
     roll, pitch, _ = euler_from_quaternion(x[ATTITUDE_SLICE])
     height = max(1.0, _START_HEIGHT_RADII * float(vehicle.rotors.radius))
     starts = [
-        0.0, 0.0, -height, *x[VELOCITY_SLICE], roll, pitch, 0.0, *x[RATE_SLICE], x[MODEL_SWASH_ROLL],
+        0.0, 0.0, -height, *x[NED_VELOCITY_SLICE], roll, pitch, 0.0, *x[BODY_RATE_SLICE], x[MODEL_SWASH_ROLL],
         x[MODEL_SWASH_PITCH],
         roll, pitch, *x[ROTOR_SPEED_SLICE], 1.0,
     ]  # fmt: skip

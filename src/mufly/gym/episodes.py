@@ -33,7 +33,7 @@ from mufly.dynamics.model_state import (
     MODEL_POSITION,
     MODEL_RATES,
     MODEL_VELOCITY,
-    POSITION_SLICE,
+    NED_POSITION_SLICE,
     STATE_SIZE,
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
@@ -242,13 +242,13 @@ def start_episodes(
         # Start heading, and target heading within a quarter turn of it; no heading to hold on the way to a target.
         yaw = math.pi * (2.0 * r[4] - 1.0)
         if s.starts_in_hover:
-            shift_task(s.kind, start, x[POSITION_SLICE], e.target[k])
+            shift_task(s.kind, start, x[NED_POSITION_SLICE], e.target[k])
             c, sn = heading_direction(
                 x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
             )
             yaw = portable_atan2(sn, c)
         else:
-            copy_numbers(start, x[POSITION_SLICE])
+            copy_numbers(start, x[NED_POSITION_SLICE])
         wanted = yaw + 0.5 * math.pi * (2.0 * r[5] - 1.0)
         e.heading[k, 1], e.heading[k, 0] = sine_cosine(wanted)
         if not s.starts_in_hover:
@@ -350,9 +350,9 @@ def judge_episodes(
         touches = x[MODEL_POSITION + 2] + p.contact_reach > 0.0 and find_deepest_contact(x, p)[0] > 0.0
         collides = False
         if s.kind == TASK_OBSTACLE:
-            near = compute_packed_obstacle_distances(x[POSITION_SLICE].reshape(1, 3), boxes, e.pillars[k], s.limits)[0][
-                0
-            ]
+            near = compute_packed_obstacle_distances(
+                x[NED_POSITION_SLICE].reshape(1, 3), boxes, e.pillars[k], s.limits
+            )[0][0]
             collides = not near > s.rotor_radius_m
         w, i, j, z = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
         c, sn = heading_direction(w, i, j, z)

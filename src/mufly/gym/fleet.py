@@ -30,7 +30,7 @@ from mufly.vehicle import Vehicle, replace_parameters
 
 _Array = NDArray[np.float64]
 
-TRIM_CHARGE = 0.8
+TRIM_CHARGE_FRACTION = 0.8
 """Charge of the battery at which the inputs of hover are computed."""
 
 MIN_START_CHARGE = 0.5
@@ -92,7 +92,7 @@ def draw_random_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: i
         If nearly all drawn vehicles cannot hover.
     """
     variations, rng = parse_variations(vary, vehicle), np.random.default_rng(seed)
-    nominal = find_trim(vehicle, charge=TRIM_CHARGE)
+    nominal = find_trim(vehicle, charge=TRIM_CHARGE_FRACTION)
     made: list[tuple[np.void, _Array, _Array]] = []
     vehicles: list[Vehicle] = []
     refused = ""
@@ -101,7 +101,7 @@ def draw_random_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: i
             drawn = vehicle
             for variation in variations:
                 drawn = replace_parameters(drawn, variation.parameter_values(variation.draw_normalised_variables(rng)))
-            hover = find_trim(drawn, charge=TRIM_CHARGE)
+            hover = find_trim(drawn, charge=TRIM_CHARGE_FRACTION)
             weak = find_trim(drawn, charge=MIN_START_CHARGE)
         except (InputError, MuflyError) as error:
             refused = str(error)

@@ -11,7 +11,7 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from mufly.dynamics import body_to_ned_matrix
-from mufly.dynamics.model_state import ATTITUDE_SLICE, POSITION_SLICE
+from mufly.dynamics.model_state import ATTITUDE_SLICE, NED_POSITION_SLICE
 from mufly.gym.episodes import EpisodeArrays
 from mufly.gym.tasks import OBSTACLE_WORLD, PILLAR_EAST_INDEX, PILLAR_NORTH_INDEX, PILLAR_RADIUS_INDEX, PILLAR_TOP_INDEX
 
@@ -39,7 +39,7 @@ def draw_episode(episodes: EpisodeArrays, index: int, task: str, radius_m: float
     top, side = figure.subplots(1, 2)
     reach = 3.0 if task == "obstacle" else 2.2
     _draw_world(top, side, episodes, index, task)
-    n, e, d = x[POSITION_SLICE]
+    n, e, d = x[NED_POSITION_SLICE]
     axes = body_to_ned_matrix(x[ATTITUDE_SLICE])
     top.plot(target[1], target[0], "x", color="tab:red", markersize=10)
     side.plot(target[1], -target[2], "x", color="tab:red", markersize=10)
@@ -47,10 +47,10 @@ def draw_episode(episodes: EpisodeArrays, index: int, task: str, radius_m: float
     nose = axes[:, 0] * 2.0 * radius_m
     top.plot([e, e + nose[1]], [n, n + nose[0]], color="tab:blue")
     for hub in _HUB_DOWN_M:
-        middle = x[POSITION_SLICE] + axes[:, 2] * hub
+        middle = x[NED_POSITION_SLICE] + axes[:, 2] * hub
         disc = middle[:, None] + radius_m * axes[:, 1][:, None] * _TILTED_ROTOR_SPAN
         side.plot(disc[1], -disc[2], color="tab:blue", linewidth=2)
-    foot = x[POSITION_SLICE] + axes[:, 2] * 0.06
+    foot = x[NED_POSITION_SLICE] + axes[:, 2] * 0.06
     side.plot([foot[1], e], [-foot[2], -d], color="tab:blue")
     wind = episodes.wind[index]
     top.annotate("", xytext=(-reach + 0.3, -reach + 0.3), xy=(-reach + 0.3 + wind[1], -reach + 0.3 + wind[0]),

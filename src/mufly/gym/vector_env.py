@@ -316,20 +316,20 @@ def _check_options(
     num_envs: int, task: str, fleet_size: int, wind_m_s: float, gust_m_s: float, delay_s: float, sensors: str,
     period_s: float, duration_s: float | None, threads: int,
 ) -> None:  # fmt: skip
-    def check(name: str, value: Any, is_right: bool, remedy: str) -> None:
+    def require_in_range(name: str, value: Any, is_right: bool, remedy: str) -> None:
         if not is_right:
             raise ArgumentError(name, "", f"{value!r} is out of range", remedy)
 
-    check("num_envs", num_envs, num_envs >= 1, "give 1 or more")
-    check("task", task, task in TASK_NAMES, f"give one of {', '.join(TASK_NAMES)}")
-    check("threads", threads, 1 <= threads <= 256, "give 1 to 256")
-    check("fleet_size", fleet_size, fleet_size >= 1, "give 1 or more")
-    check("sensors", sensors, sensors in ("ideal", "noisy", "fitted"), "give 'ideal', 'noisy' or 'fitted'")
-    check("period_s", period_s, 1e-3 <= period_s <= 0.1, "give 0.001 to 0.1 s")
-    check("delay_s", delay_s, 0.0 <= delay_s <= period_s, f"give 0 to {period_s:g} s, a period")
+    require_in_range("num_envs", num_envs, num_envs >= 1, "give 1 or more")
+    require_in_range("task", task, task in TASK_NAMES, f"give one of {', '.join(TASK_NAMES)}")
+    require_in_range("threads", threads, 1 <= threads <= 256, "give 1 to 256")
+    require_in_range("fleet_size", fleet_size, fleet_size >= 1, "give 1 or more")
+    require_in_range("sensors", sensors, sensors in ("ideal", "noisy", "fitted"), "give 'ideal', 'noisy' or 'fitted'")
+    require_in_range("period_s", period_s, 1e-3 <= period_s <= 0.1, "give 0.001 to 0.1 s")
+    require_in_range("delay_s", delay_s, 0.0 <= delay_s <= period_s, f"give 0 to {period_s:g} s, a period")
     for name, value in (("wind_m_s", wind_m_s), ("gust_m_s", gust_m_s)):
-        check(name, value, 0.0 <= value <= 20.0, "give 0 to 20 m/s")
-    check("duration_s", duration_s, duration_s is None or 0.0 < duration_s <= 3600.0, "give up to 3600 s")
+        require_in_range(name, value, 0.0 <= value <= 20.0, "give 0 to 20 m/s")
+    require_in_range("duration_s", duration_s, duration_s is None or 0.0 < duration_s <= 3600.0, "give up to 3600 s")
 
 
 def _error_process_parameters(vehicle: Vehicle, period_s: float) -> tuple[_Array, _Array, _Array]:

@@ -414,7 +414,7 @@ def draw_rotor_coefficients(
 
 
 def _coefficient_label(result: RotorCoefficientFit, fit: LoadCoefficientFit) -> str:
-    pitch = "" if math.isnan(result.pitch_rad) else f" at {math.degrees(result.pitch_rad):.3g} deg"
+    pitch = "" if math.isnan(result.stated_pitch_rad) else f" at {math.degrees(result.stated_pitch_rad):.3g} deg"
     return f"{', '.join(fit.symbols)} {result.source}{pitch}"
 
 

@@ -228,7 +228,8 @@ ReportTable = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
 def _summary_rows(fit: FitResult) -> tuple[tuple[str, str], ...]:
     return (
         ("method", fit.method), ("outcome", ("converged; " if fit.converged else "NOT converged; ") + fit.message),
-        ("cost", format_number(fit.cost)), ("simulations", f"{fit.simulations}"), ("time", f"{fit.seconds:.1f} s"),
+        ("cost", format_number(fit.cost)), ("simulations", f"{fit.simulations}"),
+        ("time", f"{fit.computing_time_s:.1f} s"),
     )  # fmt: skip
 
 

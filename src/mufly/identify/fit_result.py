@@ -166,7 +166,7 @@ class RecordPrediction:
 @result(
     eq=False,
     json="vehicle method converged message parameters=estimates correlation undetermined "
-    "held=uncertain_from_held_parameters records cost simulations seconds",
+    "held=uncertain_from_held_parameters records cost simulations seconds=computing_time_s",
 )
 class FitResult(EstimateLookup):
     """Result of a fit.
@@ -189,7 +189,7 @@ class FitResult(EstimateLookup):
         Description of the method.
     simulations : int
         Records simulated during the fit, counting every trial of the parameters.
-    seconds : float
+    computing_time_s : float
         Wall time (s).
     converged : bool
     message : str
@@ -209,7 +209,7 @@ class FitResult(EstimateLookup):
     history: tuple[dict[str, Any], ...]
     method: str
     simulations: int
-    seconds: float
+    computing_time_s: float
     converged: bool
     message: str
     records: tuple[RecordPrediction, ...]
@@ -294,7 +294,7 @@ Array = NDArray[np.float64]
 
 UNDETERMINED_RELATIVE_STD = 0.5  # relative standard deviation above which a direction counts as undetermined
 _MAX_PRINTED_RELATIVE_STD = 100.0  # relative standard deviation above which no number is printed
-_MIN_COMPONENT_FRACTION = 0.15  # share of a direction's largest component below which a parameter is not named
+_MIN_COMPONENT_FRACTION = 0.15  # fraction of a direction's largest component below which a parameter is not named
 _MIN_PAIR_CORRELATION = 0.98  # correlation above which a pair of parameters is hardly separable ...
 _MIN_PAIR_RELATIVE_STD = 0.005  # ... if the relative standard deviation of each exceeds this value
 _MAX_CORRELATION_LAG_SAMPLES, _INSIGNIFICANT_LAGS_TO_STOP = 300, 10  # samples

@@ -73,7 +73,7 @@ _UNIT_MISTAKES = (
 _MIN_PLAUSIBLE_EFFICIENCY = 0.02  # efficiency below which units are doubtful
 _MAX_PLAUSIBLE_EFFICIENCY = 1.02  # efficiency above which units are wrong
 _MAX_TORQUE_TO_BACK_EMF_RATIO = 1.05  # kM / kE
-_CANDIDATE_ERROR_PERCENTS = (
+_CANDIDATE_ERROR_MODELS_PERCENT = (
     (1.0, 0.2),
     (1.0, 0.05),
     (1.0, 0.5),
@@ -84,12 +84,12 @@ _CANDIDATE_ERROR_PERCENTS = (
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """Assumed error of a channel: a share of the reading, a share of full scale, and an absolute part.
+    """Assumed error of a channel: a fraction of the reading, a fraction of full scale, and an absolute part.
 
     Attributes
     ----------
     reading_fraction, largest_reading_fraction : float
-        Shares of the reading and of the largest reading.
+        Fractions of the reading and of the largest reading.
     absolute_std : float
         Absolute standard deviation (SI).
     """
@@ -547,7 +547,7 @@ def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> 
         size = np.sum(same.whitened_residuals(x, scales) ** 2)
         return std, float(size - 2 * np.sum(np.log(w[:, 0, 0] * w[:, 1, 1])))
 
-    std, words = select_error_model(_CANDIDATE_ERROR_PERCENTS, likelihood_of_error_model)
+    std, words = select_error_model(_CANDIDATE_ERROR_MODELS_PERCENT, likelihood_of_error_model)
     shape = f"errors in all four channels assumed in proportion to {words} (the most likely shape)"
     return std, f"{shape}; size from the residuals"
 

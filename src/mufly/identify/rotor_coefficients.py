@@ -52,7 +52,7 @@ COEFFICIENT_DEFINITIONS = {
     "thrust": ("cT", "thrust_coefficient", 4),
     "torque": ("cQ", "torque_coefficient", 5),
 }
-_CANDIDATE_ERROR_PERCENTS = (
+_CANDIDATE_ERROR_MODELS_PERCENT = (
     (1.0, 0.3),
     (1.0, 0.02),
     (1.0, 0.1),
@@ -263,7 +263,7 @@ class LoadCoefficientFit:
 
 @result(
     eq=False,
-    json="source coaxial pitch_rad radius_m density_kg_m3=density_kg_m3.mean estimates "
+    json="source coaxial pitch_rad=stated_pitch_rad radius_m density_kg_m3=density_kg_m3.mean estimates "
     "trends=describe_trends undetermined notes",
 )
 class RotorCoefficientFit(EstimateLookup):
@@ -273,7 +273,7 @@ class RotorCoefficientFit(EstimateLookup):
     ----------
     source : str
     coaxial : bool
-    pitch_rad : float
+    stated_pitch_rad : float
         Blade pitch; NaN if the file does not state it.
     radius_m : float
     density_kg_m3 : (n,) array
@@ -287,7 +287,7 @@ class RotorCoefficientFit(EstimateLookup):
 
     source: str
     coaxial: bool
-    pitch_rad: float
+    stated_pitch_rad: float
     radius_m: float
     density_kg_m3: Array
     estimates: tuple[ParameterEstimate, ...]
@@ -570,7 +570,7 @@ def _expected_errors(unit: Array, load: Array) -> tuple[Array, str]:
         size = load.size * np.log(max(float(r @ r), 1e-300))
         return std, size + 2 * float(np.sum(np.log(std)))
 
-    return select_error_model(_CANDIDATE_ERROR_PERCENTS, likelihood_of_error_model)
+    return select_error_model(_CANDIDATE_ERROR_MODELS_PERCENT, likelihood_of_error_model)
 
 
 def _assign_setting_numbers(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:

@@ -40,7 +40,7 @@ from mufly.vehicle_types import ModeFamily, ardupilot_mode_name
 
 MAGIC = b"\xa3\x95"
 DEFINITION_MESSAGES = ("FMT", "FMTU", "UNIT", "MULT")
-_FMT_MESSAGE_TYPE, _FMT_LENGTH, _HEAD_SIZE = 128, 89, 3
+_FMT_MESSAGE_TYPE, _FMT_LENGTH, _MESSAGE_HEAD_BYTES = 128, 89, 3
 # Letter: NumPy type (little-endian), factor that the letter implies.
 _FORMAT_LETTERS: dict[str, tuple[str, float]] = {
     "a": ("32<i2", 1.0), "b": ("i1", 1.0), "B": ("u1", 1.0), "g": ("<f2", 1.0), "h": ("<i2", 1.0),
@@ -103,7 +103,7 @@ def _index_messages(data: bytes) -> tuple[dict[int, _MessageKind], list[tuple[in
             continue
         kind.message_offsets.append(at)
         if data[at + 2] == _FMT_MESSAGE_TYPE:
-            _add_format(kinds, data[at + _HEAD_SIZE : at + _FMT_LENGTH])
+            _add_format(kinds, data[at + _MESSAGE_HEAD_BYTES : at + _FMT_LENGTH])
         at += kind.message_size
     skipped += [(at, end)] if at < end else []
     begin = skipped[-1][0] if skipped and skipped[-1][1] == end else end

@@ -74,7 +74,7 @@ _MAGIC_BY_FORMAT: dict[str, bytes | tuple[bytes, ...]] = {
 }
 
 
-_HEAD_SIZE = 65536
+_EXAMINED_HEAD_BYTES = 65536
 SQLITE_MAGIC = b"SQLite format 3\0"
 MCAP_PROFILE_BYTE_RANGE, ROS_PROFILE = slice(17, 25), b"\4\0\0\0ros2"
 """Offset of the profile in the header of an MCAP file (mcap.dev/spec), and the profile of ROS 2."""
@@ -92,7 +92,7 @@ def detect_log_format(path: str | Path) -> str:
     if is_bag(Path(path)):
         return "rosbag2"
     try:
-        head, _ = read_unpacked(path, _HEAD_SIZE)
+        head, _ = read_unpacked(path, _EXAMINED_HEAD_BYTES)
         with open(path, "rb") as stream:
             packed = stream.read(2) == GZIP_MAGIC
     except OSError as error:

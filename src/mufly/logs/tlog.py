@@ -38,7 +38,7 @@ from mufly.logs.sender_clocks import (
 )
 from mufly.vehicle_types import (
     AUTOPILOT_COMPONENT,
-    PX4,
+    MAV_AUTOPILOT_PX4,
     VEHICLE_TYPE_NAMES,
     flight_mode_name,
     is_vehicle,
@@ -355,7 +355,7 @@ def _collect_parameters(rows: _MessageRows, vehicle: tuple[int, int]) -> dict[st
         if name == "PARAM_VALUE":
             key = "parameters" if (system, component) == vehicle else f"parameters@{system}.{component}"
             beats = rows[who][1] if (who := (system, component, "HEARTBEAT")) in rows else []
-            bytewise = any(m.autopilot == PX4 for m in beats)
+            bytewise = any(m.autopilot == MAV_AUTOPILOT_PX4 for m in beats)
             out[key] = {m.param_id: _parameter_value(m, bytewise) for m in messages}
     return out
 

@@ -38,7 +38,7 @@ from mufly.logs.raw_log import RawLog, RawTable, find_foreign_epoch_stamps, form
 from mufly.logs.tables import TABLE_TOPIC
 
 MAGIC = b"ULog\x01\x12\x35"
-_HEAD_SIZE, _STAMP_SIZE = 3, 8  # bytes of length and type of a message, and of a stamp
+_MESSAGE_HEAD_BYTES, _STAMP_SIZE = 3, 8  # bytes of length and type of a message, and of a stamp
 HEADER_SIZE = 16
 _SYNC_BYTES = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _LEVEL_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
@@ -198,7 +198,7 @@ def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
             elif (
                 kind in kinds
                 and stop <= limit
-                and _process_non_data_message(scan, kind, data[at + _HEAD_SIZE : stop], header, data)
+                and _process_non_data_message(scan, kind, data[at + _MESSAGE_HEAD_BYTES : stop], header, data)
             ):
                 at = stop
                 if kind == _FLAG_BITS_MESSAGE and not limits:

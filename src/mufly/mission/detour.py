@@ -43,7 +43,7 @@ from mufly.mission.avoidance import (
 DETOUR_ACCELERATION_M_S2 = 1.0
 """Largest acceleration of a detour (m/s2): a tilt of 6 degrees."""
 
-LEAVE_CONTOUR_MARGIN_M, FOLLOW_CONTOUR_MARGIN_M, APPROACH_BARRIER_MARGIN_M = 0.08, 0.15, 0.06
+CLEAR_PATH_MARGIN_M, FOLLOW_CONTOUR_MARGIN_M, APPROACH_BARRIER_MARGIN_M = 0.08, 0.15, 0.06
 """Margins beyond the clearance (m): of a clear path, of the followed contour, and of the approach barrier.
 
 They cover the 5 cm between stored points and the lag of the position loop."""
@@ -201,7 +201,7 @@ def follow_contour(
     to_goal = _planar_distance(goal, reference)
 
     nearer_goal = to_goal < detour.hit_goal_distance - 0.1
-    wide = (clearance + LEAVE_CONTOUR_MARGIN_M) * (clearance + LEAVE_CONTOUR_MARGIN_M)
+    wide = (clearance + CLEAR_PATH_MARGIN_M) * (clearance + CLEAR_PATH_MARGIN_M)
     onward = nearer_goal and sight.path_start_clearance_sq > wide
     clear = real[0] > clearance and (onward or (detour.obstacle_count < 3 and sight.path_clearance_sq > wide))
     clear_s = detour.path_clear_duration_s + dt if clear else 0.0

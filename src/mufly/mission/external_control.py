@@ -53,8 +53,8 @@ def step_manual(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt:
     """Move the references of height and heading by the pilot's sticks; a climb from the floor starts the rotors."""
     if s.motors == "off":
         x = measured_position(m)
-        fault = describe_start_fault(m) if c.climb_rate > 0.0 else ""
-        if c.climb_rate <= 0.0 or fault:
+        fault = describe_start_fault(m) if c.pilot_climb_rate > 0.0 else ""
+        if c.pilot_climb_rate <= 0.0 or fault:
             s = log_start_refusal(s, fault) if fault else s
             return replace(s, hold_position=x, hold_heading=float(m.attitude[2]), descent_rate=0.0)
         s = replace(
@@ -72,13 +72,13 @@ def step_manual(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt:
         return replace(s, motors="fly") if has_spun_up(s, m) else s
     # The reference stays near the helicopter, so that it responds to the sticks at once.
     height, (vn, ve, _) = s.home_position[2] - float(m.position[2]), m.velocity.tolist()
-    climb = limit_manual_climb(height, (vn, ve), plan.mission.limits.touchdown_m_s, c.climb_rate)
+    climb = limit_manual_climb(height, (vn, ve), plan.mission.limits.touchdown_m_s, c.pilot_climb_rate)
     depth = min(max(s.hold_position[2] - climb * dt, m.position[2] - 0.5), m.position[2] + 0.5)
     n, e, _ = measured_position(m)
     return replace(
         s,
         hold_position=(n, e, depth),
-        hold_heading=s.hold_heading + c.yaw_rate * dt,
+        hold_heading=s.hold_heading + c.pilot_yaw_rate * dt,
         descent_rate=-climb,
     )
 

@@ -23,11 +23,11 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import body_to_ned_matrix
 from mufly.dynamics.model_state import (
     ATTITUDE_SLICE,
+    BODY_RATE_SLICE,
     MODEL_CHARGE,
-    POSITION_SLICE,
-    RATE_SLICE,
+    NED_POSITION_SLICE,
+    NED_VELOCITY_SLICE,
     ROTOR_SPEED_SLICE,
-    VELOCITY_SLICE,
 )
 from mufly.vehicle import Vehicle
 from mufly.world import World, compute_first_hit_distance
@@ -65,17 +65,17 @@ class Truth:
     @property
     def position(self) -> _Array:
         """Position of the centre of gravity, N, E, D (m)."""
-        return self.state[POSITION_SLICE]
+        return self.state[NED_POSITION_SLICE]
 
     @property
     def velocity(self) -> _Array:
         """Velocity, N, E, D (m/s)."""
-        return self.state[VELOCITY_SLICE]
+        return self.state[NED_VELOCITY_SLICE]
 
     @property
     def rates(self) -> _Array:
         """Angular rates p, q, r (rad/s), body axes."""
-        return self.state[RATE_SLICE]
+        return self.state[BODY_RATE_SLICE]
 
     @property
     def rotor_speed(self) -> _Array:
@@ -182,10 +182,10 @@ class IdealMotionSensor(Sensor):
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t, x = truth.time_s, truth.state
         return {
-            "position": Reading(x[POSITION_SLICE], t),
-            "velocity": Reading(x[VELOCITY_SLICE], t),
+            "position": Reading(x[NED_POSITION_SLICE], t),
+            "velocity": Reading(x[NED_VELOCITY_SLICE], t),
             "attitude": Reading(truth.attitude, t),
-            "rates": Reading(x[RATE_SLICE], t),
+            "rates": Reading(x[BODY_RATE_SLICE], t),
         }
 
 

@@ -80,7 +80,7 @@ def _sample_no_sensor(
     """Sample no sensor."""
 
 
-def _compile_sampling_with_sensor(sample_others: Any, k: int, sample: Any) -> Any:
+def _append_sensor_sampling(sample_others: Any, k: int, sample: Any) -> Any:
     """Return a compiled function that calls ``sample_others`` and then samples sensor ``k``.
 
     Each sensor has arrays of other types and a function of its own, so one compiled loop over the sensors is
@@ -105,7 +105,7 @@ def _compile_sampling_with_sensor(sample_others: Any, k: int, sample: Any) -> An
 
 _sample_in_turn = _sample_no_sensor
 for _k, _kind in enumerate(SAMPLED_SENSORS):
-    _sample_in_turn = _compile_sampling_with_sensor(_sample_in_turn, _k, _kind.sample_function)
+    _sample_in_turn = _append_sensor_sampling(_sample_in_turn, _k, _kind.sample_function)
 
 
 @cached_njit(error_model="numpy")

@@ -56,8 +56,8 @@ POINT_VARIANCE_INFLATION = 3.0
 
 A compromise over twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges with true tilts need 3.9, results less."""
 _COMMON_SHAKE_FRACTION, _COMMON_SIGMA_PX = 0.1, 0.05
-"""Deviation of a place that no number of points reduces: share of the vibration's rms that remains unmodelled, and part
-without vibration (pixels)."""
+"""Deviation of a place that no number of points reduces: fraction of the vibration's rms that remains unmodelled, and
+part without vibration (pixels)."""
 _JOINT_ALIGNMENT_BELOW_FRACTION = 0.75  # of the points in view, below which all patches are aligned together
 _NO_UNKNOWN_DIRECTIONS = np.zeros((0, 2))
 _TILT_COVARIANCE_INDEX = np.ix_([6, 7, 4, 5], [6, 7, 4, 5])  # tilt errors of the picture, then of the keyframe
@@ -299,7 +299,7 @@ def _match_points(
     """Match tracked points to keyframe ``k``; return None if they disagree, or have texture in one direction only."""
     view, straight, keyframe = context.view, context.undistorter, floor_map.keyframes[k]
     use, seen, sigma = use[good], seen[good], sigma[good]
-    places, bend, own = (q[good] for q in (points.positions_m, points.tilt_jacobian, points.sigma_px))
+    places, bend, own = (q[good] for q in (points.positions_m, points.floor_shift_by_tilt, points.sigma_px))
     seconds, pixels = straight.exposure_time_offsets_s(seen), seen - straight.principal_point
     sigma = np.hypot(np.hypot(sigma, _MIN_TRACK_SIGMA_PX), own)
     rough = np.hypot(np.hypot(sigma, 0.5), context.shake_rms_px) / view.focal_px

@@ -20,14 +20,14 @@ from mufly.station.remote.remote_commands import StatusTextLog
 from mufly.station.remote.remote_transfers import RemoteMission, RemoteParameters
 from mufly.station.remote.vehicle_telemetry import EstimatorStatus, VehicleTelemetry
 from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
-from mufly.vehicle_types import ARDUPILOT
+from mufly.vehicle_types import MAV_AUTOPILOT_ARDUPILOT
 
 MAX_LINK_LOSS_FRACTION = 0.1
 MIN_BATTERY_CHARGE_FRACTION = 0.3
 MAX_STANDING_TILT_RAD = math.radians(5.0)
 MAX_STANDING_SPEED_M_S = 0.1
 BATTERY_RESERVE_FRACTION = 0.2
-"""Share of the battery that must remain after a mission."""
+"""Fraction of the battery that must remain after a mission."""
 MIN_DISK_BYTES = 200e6
 PREARM_CHECKS_NAME = "vehicle's pre-arm checks"
 _STATION_CHECK_NAMES = ("heartbeat", "link", "recording", "free disk space")
@@ -184,7 +184,7 @@ def _check_endurance(
     parameters: RemoteParameters,
     base: Mission | None,
 ) -> _CheckResult:
-    own = items[1:] if told.autopilot == ARDUPILOT else items  # ArduPilot's first item is its home
+    own = items[1:] if told.autopilot == MAV_AUTOPILOT_ARDUPILOT else items  # ArduPilot's first item is its home
     plan = estimate_mission_duration(own, s, parameters.parameter_table, origin=told.origin, base=base)
     if plan is None:
         return None, "no mission"

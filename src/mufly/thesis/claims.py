@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from mufly.results import result
+
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
@@ -51,14 +53,14 @@ class Claim:
     reason: str = ""
 
 
-@dataclass(frozen=True)
+@result(json="claim model=model_name ours agrees rule")
 class Verdict:
     """A claim beside the computed result.
 
     Attributes
     ----------
     claim : Claim
-    model : str
+    model_name : str
         Model of ``ours``: a name of ``mufly.study.BEMT_MODELS``, ``"wake"``, ``"constant coefficients"``, ...
     ours : str
         Computed numbers, as text.
@@ -68,7 +70,7 @@ class Verdict:
     """
 
     claim: Claim
-    model: str
+    model_name: str
     ours: str
     agrees: bool
     rule: str
@@ -78,8 +80,8 @@ class Verdict:
         word = "agrees" if self.agrees else "DIFFERS"
         known = f" Why: {self.claim.reason}." if self.claim.reason and not self.agrees else ""
         return (
-            f"{word} ({self.model}): {self.claim.where} ({self.claim.basis}): {self.claim.text}. Ours: {self.ours}. "
-            f"Rule: {self.rule}.{known}"
+            f"{word} ({self.model_name}): {self.claim.where} ({self.claim.basis}): {self.claim.text}. "
+            f"Ours: {self.ours}. Rule: {self.rule}.{known}"
         )
 
 

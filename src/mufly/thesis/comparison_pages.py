@@ -174,7 +174,8 @@ No curve was digitised, and no parameter is tuned to the claims.</p>
 </ul>
 {% endif %}
 {% if a.note %}<p>{{ code(a.note) }}</p>{% endif %}
-<p><code>{{ i.cli_command }}</code>{% if a.seconds == a.seconds %} ({{ "%.1f" | format(a.seconds) }} s){% endif %}</p>
+<p><code>{{ i.cli_command }}</code>
+{%- if a.computing_time_s == a.computing_time_s %} ({{ "%.1f" | format(a.computing_time_s) }} s){% endif %}</p>
 {% endif %}
 </section>
 {% endfor %}

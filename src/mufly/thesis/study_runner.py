@@ -63,7 +63,7 @@ class StudyOutcome:
     figure : Figure
     note, missing : str
         As in :class:`mufly.thesis.claims.StudyFindings`.
-    seconds : float
+    computing_time_s : float
         Computing time (s).
     """
 
@@ -74,7 +74,7 @@ class StudyOutcome:
     figure: Figure
     note: str = ""
     missing: str = ""
-    seconds: float = math.nan
+    computing_time_s: float = math.nan
 
     def plot(self) -> Figure:
         """Draw the outcome; return a matplotlib figure."""
@@ -110,7 +110,7 @@ class StudyOutcome:
         """Return all results except data and picture; the value of a claim without a number is null."""
         return {
             **to_plain_data(select_fields(self, "name title verdicts note missing")),
-            "seconds": None if math.isnan(self.seconds) else round(self.seconds, 2),
+            "seconds": None if math.isnan(self.computing_time_s) else round(self.computing_time_s, 2),
             "version": __version__,
         }
 
@@ -135,7 +135,7 @@ class StudyAnswer:
     item : ThesisItem
     verdicts : tuple of Verdict
     note, missing : str
-    seconds : float
+    computing_time_s : float
         Computing time (s); nan if the study has not run.
     picture : Path or None
         Computed picture.
@@ -147,7 +147,7 @@ class StudyAnswer:
     verdicts: tuple[Verdict, ...] = ()
     note: str = ""
     missing: str = ""
-    seconds: float = math.nan
+    computing_time_s: float = math.nan
     picture: Path | None = None
     is_answered: bool = False
 
@@ -177,7 +177,8 @@ class StudyAnswer:
             "name": i.name, "kind": i.kind, "section": i.section, "title": i.title, "stands": i.counterpart,
             "word": self.verdict_word, "agree": sum(v.agrees for v in self.verdicts),
             "verdicts": [v.format_line() for v in self.verdicts],
-            "note": self.note, "seconds": None if math.isnan(self.seconds) else self.seconds, "command": i.cli_command,
+            "note": self.note,
+            "seconds": None if math.isnan(self.computing_time_s) else self.computing_time_s, "command": i.cli_command,
             "picture": None if self.picture is None else str(self.picture),
         }  # fmt: skip
 
@@ -472,4 +473,4 @@ def answer_study(
         if folder is not None and cached is not None and case is None:
             outcome.write(cached)
         return load_cached_answer(of.name, place)
-    return StudyAnswer(of, tuple(outcome.verdicts), outcome.note, outcome.missing, outcome.seconds, None, True)
+    return StudyAnswer(of, tuple(outcome.verdicts), outcome.note, outcome.missing, outcome.computing_time_s, None, True)

@@ -118,7 +118,7 @@ class FlightMap(BaseModel):
         return _parse_flight_table(self.table, self.knee)
 
     @property
-    def velocity_limits_m_s(self) -> tuple[float, float, float]:
+    def velocity_range_m_s(self) -> tuple[float, float, float]:
         """Greatest edgewise velocity, greatest sink and greatest climb (m/s) at the mean speed of the map."""
         tables, tip = self.decode_map_tables(), self.mean_speed_rad_s * self.radius_m
         last = float(tables.edgewise[-1])

@@ -358,7 +358,7 @@ def test_the_camera_is_shown_to_who_looks_at_it(vehicle: Vehicle, session: Stati
     sketch = MapView(np.zeros((3, 3), np.float32), np.array([[0, 1, 0], [1, 2, 0], [0, 2, 1]], np.int32))
     answer = TrackingResult(0.03, True, "", np.array([1.0, 2.0, -1.0]), 0.5, np.diag([1e-4, 4e-4, 1e-4, 1e-4]), 2, 9, 7)
     now = TrackedPicture(0.01, b"floor")
-    session.latest_slam_picture = lambda: now
+    session.get_slam_picture = lambda: now
     feed = FrameFeed(session.open_view("window"))
     want(feed, sections=["messages"])
     assert "camera" not in frame(feed)
@@ -425,7 +425,9 @@ def test_a_vehicle_that_is_gone_is_not_replaced_by_another() -> None:
 
 
 def test_a_window_without_a_vehicle_says_what_is_wrong_with_the_link() -> None:
-    session = StationSession(list, Path(), link_problems=lambda: ["serial:/dev/ttyUSB9:57600: there is no such device"])
+    session = StationSession(
+        list, Path(), describe_link_problems=lambda: ["serial:/dev/ttyUSB9:57600: there is no such device"]
+    )
     view = session.open_view("window")
     assert "there is no such device" in session.describe_waiting(view.selected)
     assert "there is no such device" in view.status_fields()["trouble"]

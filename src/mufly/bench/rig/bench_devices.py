@@ -69,7 +69,7 @@ class Device(Protocol):
     def set_speed(self, axis: str, speed_rad_s: float) -> None:
         """Command a speed (rad/s); raise DeviceError unless the device acknowledges it."""
 
-    def read(self) -> Samples:
+    def read_new_samples(self) -> Samples:
         """Return all samples since the last call; raise DeviceError after a long silence."""
 
     def stop(self) -> None:
@@ -231,14 +231,14 @@ class DeviceRig:
 
     def collect_samples(self, duration_s: float, watch: SampleCallback) -> dict[str, Array]:
         for d in self.devices:
-            watch(d.read())  # older samples are not returned, but limits apply to them
+            watch(d.read_new_samples())  # older samples are not returned, but limits apply to them
         end = self.now() + duration_s
         got: dict[str, list[float]] = {}
         while True:
             began = self.now()
             part: dict[str, Sequence[float] | Array] = {}
             for d in self.devices:
-                part.update(d.read())
+                part.update(d.read_new_samples())
             watch(part)
             for name, values in part.items():
                 got.setdefault(name, []).extend(float(v) for v in values)

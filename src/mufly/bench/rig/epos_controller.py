@@ -237,7 +237,7 @@ class EposController:
         if target:
             self._check_state()
 
-    def read(self) -> Samples:
+    def read_new_samples(self) -> Samples:
         self._read_count += 1
         if self._target and self._read_count % _READS_PER_STATUS_CHECK == 0:
             self._check_state()

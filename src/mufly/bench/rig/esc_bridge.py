@@ -113,7 +113,7 @@ class EscBridge:
         self._send_command(f"S,{k},{rpm}", ["OK", "S", f"{k}", f"{rpm}"])
         self._target_speeds[axis] = speed_rad_s
 
-    def read(self) -> Samples:
+    def read_new_samples(self) -> Samples:
         if time.monotonic() - self._last_command_s > KEEP_ALIVE_s:
             self._line.send_line("K")
             self._last_command_s = time.monotonic()

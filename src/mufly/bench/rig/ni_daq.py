@@ -75,7 +75,7 @@ class NiDaq:
     def set_speed(self, axis: str, speed_rad_s: float) -> None:
         raise DeviceError(f"{self.name}: reads sensors and drives no motor")
 
-    def read(self) -> Samples:
+    def read_new_samples(self) -> Samples:
         if self._task is None:
             raise DeviceError(f"{self.name}: is not open")
         try:

@@ -60,7 +60,7 @@ class SerialLoadCells:
     def set_speed(self, axis: str, speed_rad_s: float) -> None:
         raise DeviceError(f"{self.name}: reads load cells and drives no motor")
 
-    def read(self) -> Samples:
+    def read_new_samples(self) -> Samples:
         out: dict[str, list[float]] = {name: [] for name in self.channels}
         for cells in self._line.read_lines():
             try:

@@ -457,7 +457,7 @@ def make_simulated_rig(
     rig = SimulatedRig(seed, faults=faults, spacing_m=plan.spacing_m, time_s=time_s)
 
     def true_loads(step: PlanStep) -> dict[str, float]:
-        speeds: dict[str, float] = {a: rig.speed[a] for a in plan.mounting[step.mounting_index].turning_sides}
+        speeds: dict[str, float] = {a: rig.speed[a] for a in plan.mounting[step.mounting_index].driven_rotors}
         nominal = rig.true_loads(speeds, as_mounted=False)
         return rig.true_loads(speeds) | {f"nominal_{k}": v for k, v in nominal.items()}
 

@@ -101,7 +101,7 @@ class ThrustStand:
             self._pulse_us, self._last_pulse_and_speed = MIN_PULSE_us, None
             self._line.write(b"stop\n")
 
-    def read(self) -> Samples:
+    def read_new_samples(self) -> Samples:
         out: dict[str, list[float]] = {}
         side = ("speed", "current", "voltage")
         for values in self._read_rows():

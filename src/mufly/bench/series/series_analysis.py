@@ -299,7 +299,7 @@ def find_outliers(
         at = np.flatnonzero((points.mounting_index == k) & (channel.value != 0))
         if at.size < 4 or (name == "torque" and m.axis == "pair"):
             continue
-        w = speed[m.turning_sides[0]][at]
+        w = speed[m.driven_rotors[0]][at]
         y, x = np.log(np.abs(channel.value[at]) / (density[at] * w**2)), np.log(w)
         u = np.sqrt(np.diag(channel.own_covariance)[at]) / np.abs(channel.value[at])
         off, std = np.empty(at.size), np.empty(at.size)
@@ -478,7 +478,7 @@ class _SettingAverager:
         rho = float(np.mean(self.air_density_kg_m3[at]))
         made = {q: self._average_load(q, at, mean, rho, mounted) for q in LOAD_NAMES}
         for side in ("upper", "lower"):
-            if side not in m.turning_sides:
+            if side not in m.driven_rotors:
                 made[f"torque_{side}"] = None
         thrust = made["thrust"]
         assert thrust is not None
@@ -486,7 +486,7 @@ class _SettingAverager:
         electric = {
             q: {
                 a: v
-                for a in m.turning_sides
+                for a in m.driven_rotors
                 if np.isfinite(v := float(np.mean(self.points.channel_means(f"{q}_{a}")[at])))
             }
             for q in ("voltage", "current")

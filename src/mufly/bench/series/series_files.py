@@ -74,7 +74,7 @@ def write_series_results(series: SeriesResult, folder: Path) -> list[Path]:
                     for s in alone if s.torque is not None
                 ]  # fmt: skip
                 heads = ("voltage_V", "current_A", "speed_rpm", "torque_mNm", "run")
-                files.append(_write_csv(folder / f"motor-{axis}.csv", heads, rows))
+                files.append(_write_csv_table(folder / f"motor-{axis}.csv", heads, rows))
         summary = folder / "summary.json"
         summary.write_text(json.dumps(to_plain_data(series), indent=1), encoding="utf-8")
     return [*files, summary]
@@ -89,7 +89,7 @@ def _setting_speed_rpm(s: SettingResult) -> float:
     return s.speed_lower_rpm if s.axis == "lower" else s.speed_upper_rpm
 
 
-def _write_csv(path: Path, heads: Sequence[str], rows: Iterable[Sequence[float | str]]) -> Path:
+def _write_csv_table(path: Path, heads: Sequence[str], rows: Iterable[Sequence[float | str]]) -> Path:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(heads)
@@ -124,7 +124,7 @@ def _write_loads(path: Path, some: Sequence[SettingResult], *, points: bool) -> 
     known = [
         k for k, h in enumerate(heads) if not all(isinstance(r[k], float) and math.isnan(float(r[k])) for r in rows)
     ]
-    return _write_csv(path, [heads[k] for k in known], [[r[k] for k in known] for r in rows])
+    return _write_csv_table(path, [heads[k] for k in known], [[r[k] for k in known] for r in rows])
 
 
 @result(eq=False)

@@ -89,14 +89,14 @@ class BladeMounting(ParameterGroup):
         return self
 
     @property
-    def turning_sides(self) -> tuple[RotorSide, ...]:
+    def driven_rotors(self) -> tuple[RotorSide, ...]:
         """Axes (upper, lower) that turn in this mounting."""
         return SIDES_BY_AXIS[self.axis]
 
     def speeds_rad_s(self, speed_rpm: float) -> dict[str, float]:
         """Return the speed of each axis (rad/s) for one of the mounting's speeds (rpm)."""
         return {a: speed_rpm * RPM * (self.speed_ratio if a == "lower" and self.axis == "pair" else 1.0)
-                for a in self.turning_sides}  # fmt: skip
+                for a in self.driven_rotors}  # fmt: skip
 
     def describe_mounting(self) -> str:
         """Return a description of the blades to mount."""

@@ -201,7 +201,7 @@ def axis_speeds(points: SeriesReadings, plan: SeriesPlan) -> dict[str, Array]:
     out = {a: np.zeros(len(points)) for a in ("upper", "lower")}
     for i, k in enumerate(points.mounting_index):
         nominal = plan.mounting[k].speeds_rad_s(float(points.nominal_rpm[i]))
-        for a in plan.mounting[k].turning_sides:
+        for a in plan.mounting[k].driven_rotors:
             measured = points.channel_means(f"speed_{a}")[i]
             out[a][i] = nominal[a] if np.isnan(measured) else measured
     return out

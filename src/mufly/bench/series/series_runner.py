@@ -224,7 +224,7 @@ def run_series(
 
 
 def _check_plan(plan: SeriesPlan, rig: BenchRig, record: SeriesRecord) -> None:
-    missing = {a for m in plan.mounting for a in m.turning_sides} - set(rig.axes)
+    missing = {a for m in plan.mounting for a in m.driven_rotors} - set(rig.axes)
     if missing:
         raise InputError("plan", "mounting", f"needs the axis {', '.join(sorted(missing))}", "this bench "
         f"has {', '.join(rig.axes) or 'none'}; change the plan")  # fmt: skip
@@ -332,7 +332,7 @@ class _SeriesRunner:
             self._report_progress(number, f"warming up, {spent / 60:.0f} of {until / 60:.0f} min at {speed_rpm:g} rpm")
             block = self._collect_samples(min(20.0, until - spent))
             currents.append(
-                [float(np.mean(block[f"current_{a}"])) for a in mounting.turning_sides if f"current_{a}" in block]
+                [float(np.mean(block[f"current_{a}"])) for a in mounting.driven_rotors if f"current_{a}" in block]
             )
         line = {
             "kind": "warmed",

@@ -44,11 +44,11 @@ RATE_INTEGRAL_LIMIT = 0.15
 _THIRD_ORDER_FACTOR = 1.0 / math.sqrt(2.0 ** (1.0 / 3.0) - 1.0)  # cut-off of one of three equal stages
 ANGLE_DELAY_S = max(3.0 / (2.0 * math.pi * ATTITUDE_CUTOFF_HZ * _THIRD_ORDER_FACTOR), 1.0 / PILOT_RATE_HZ)
 """Delay of the loops of the angles: of the low pass in roll and pitch, of the pilot in yaw; the longer one (s)."""
-_P_SCALE, _I_SCALE, _D_SCALE, _YAW_I_FACTOR = 0.032029, 0.244381, 0.000529, 2.5
+_PID_SUM_PER_P, _PID_SUM_PER_I, _PID_SUM_PER_D, _YAW_I_FACTOR = 0.032029, 0.244381, 0.000529, 2.5
 _SERVO_INPUT_PER_PID_SUM, _MOTOR_INPUT_PER_PID_SUM = 0.7 / 500.0, (1.0 - MOTOR_IDLE) / 1000.0
 _MAX_RATE_GAIN, _MAX_ANGLE_GAIN = 250, 200
 _PID_SUM_LIMIT, _YAW_PID_SUM_LIMIT = 500, 750
-_PITCH_SERVO, _ROLL_SERVO = 4, 5
+_PITCH_SERVO_INDEX, _ROLL_SERVO_INDEX = 4, 5
 
 
 class BetaflightLine(NamedTuple):
@@ -92,10 +92,10 @@ def convert_rate_gains(axis: str, gains: CascadeGains) -> IntegerRateGains:
     """
     per_sum = _MOTOR_INPUT_PER_PID_SUM if axis == "yaw" else _SERVO_INPUT_PER_PID_SUM
     per_error = per_sum * 180.0 / math.pi
-    integral = _I_SCALE * (_YAW_I_FACTOR if axis == "yaw" else 1.0)
+    integral = _PID_SUM_PER_I * (_YAW_I_FACTOR if axis == "yaw" else 1.0)
     values = (
-        gains.rate_proportional / (per_error * _P_SCALE), gains.rate_integral / (per_error * integral),
-        gains.rate_derivative / (per_error * _D_SCALE),
+        gains.rate_proportional / (per_error * _PID_SUM_PER_P), gains.rate_integral / (per_error * integral),
+        gains.rate_derivative / (per_error * _PID_SUM_PER_D),
     )  # fmt: skip
     for name, value in zip(IntegerRateGains._fields, values, strict=True):
         if value > _MAX_RATE_GAIN + 0.5:
@@ -119,7 +119,10 @@ def list_betaflight_settings(gains: AutopilotGains) -> list[BetaflightLine]:
 
 def _list_frame_settings() -> Iterator[BetaflightLine]:
     yield BetaflightLine("mixer DUALCOPTER", "motors lower and upper, servos of pitch and roll")
-    for servo, what in ((_PITCH_SERVO, "servo 1 pitches the nose down"), (_ROLL_SERVO, "servo 2 rolls to the right")):
+    for servo, what in (
+        (_PITCH_SERVO_INDEX, "servo 1 pitches the nose down"),
+        (_ROLL_SERVO_INDEX, "servo 2 rolls to the right"),
+    ):
         yield BetaflightLine(f"servo {servo} 1000 2000 1500 100 -1", f"{what}; not reversed")
     yield BetaflightLine("set yaw_motors_reversed = OFF", "the upper motor yaws to the right")
     yield BetaflightLine("feature -AIRMODE", "no control at zero throttle, so that the vehicle can stand")

@@ -134,7 +134,7 @@ def mesh(
     from mufly.rotor import load_rotor
 
     blade.check_tip()
-    form = cfd.make_blade_geometry(blade.tip, 1e-3 * blade.hub, 0.01 * blade.gurney)
+    form = cfd.make_tip_hub_geometry(blade.tip, 1e-3 * blade.hub, 0.01 * blade.gurney)
     sector = cfd.make_sector_mesh(load_rotor(rotor), math.radians(blade.pitch), level=blade.level, form=form)
     found = cfd.make_poly_mesh(sector)
     good, files = cfd.measure_mesh_quality(found), []

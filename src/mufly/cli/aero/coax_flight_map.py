@@ -78,7 +78,7 @@ def _print_rotor_map(made: FlightMap, loads: AirspeedMapLoads) -> None:
     c = make_console()
     tables = made.decode_map_tables()
     shape = tables.loads.shape
-    edge, sink, climb = made.velocity_limits_m_s
+    edge, sink, climb = made.velocity_range_m_s
     c.print(f"[bold]{made.name}[/bold]  {made.description}", highlight=False)
     c.print(
         f"{shape[0]} speed ratios, {shape[1]} climbs, {shape[2]} advance ratios: to {edge:.1f} m/s across, "
@@ -105,5 +105,5 @@ def _print_rotor_map(made: FlightMap, loads: AirspeedMapLoads) -> None:
 
 def _describe_max_level_speed_range(made: FlightMap) -> str:
     low, high = made.level_speed_m_s
-    beyond = math.isclose(high, made.velocity_limits_m_s[0], abs_tol=0.02)
+    beyond = math.isclose(high, made.velocity_range_m_s[0], abs_tol=0.02)
     return f"{low:.1f} to {'more than ' if beyond else ''}{high:.1f} m/s"

@@ -144,7 +144,7 @@ def _ask_readings(radius_m: float, tip_leading_edge_rise_m: float | None) -> tup
     if not sys.stdin.isatty():
         raise InputError("CSV", "", "is missing", "give a table of readings; --template writes an empty one")
 
-    def ask(question: str, what: str, unit: str, low: float, high: float, optional: bool = False) -> float:
+    def ask_for_value(question: str, what: str, unit: str, low: float, high: float, optional: bool = False) -> float:
         """Ask until the answer is a number within the limits; nan for Enter at an optional question."""
 
         def parse_answer(text: str) -> float:
@@ -172,14 +172,14 @@ def _ask_readings(radius_m: float, tip_leading_edge_rise_m: float | None) -> tup
     for ratio in STATION_RATIOS:
         at = 1e3 * ratio * radius_m
         question = f"r = {at:.1f} mm"
-        chord = ask(question, "chord", "mm", 0.0, 1e3 * radius_m)
-        angle = ask(question, "angle", "deg", -60.0, 80.0)
-        thickness = ask(question, "thickness", "mm", 0.0, MAX_THICKNESS_RATIO * chord, optional=True)
+        chord = ask_for_value(question, "chord", "mm", 0.0, 1e3 * radius_m)
+        angle = ask_for_value(question, "angle", "deg", -60.0, 80.0)
+        thickness = ask_for_value(question, "thickness", "mm", 0.0, MAX_THICKNESS_RATIO * chord, optional=True)
         rows.append((1e-3 * at, 1e-3 * chord, math.radians(angle), thickness / chord))
     r, chords, angles, ratios = np.array(rows).T
     if tip_leading_edge_rise_m is None:
         most = 1e3 * chords[-1]
-        tip_leading_edge_rise_m = 1e-3 * ask(
+        tip_leading_edge_rise_m = 1e-3 * ask_for_value(
             "last station", "height of leading less trailing edge", "mm", -most, most, optional=True
         )
     return r, chords, angles, ratios, None if math.isnan(tip_leading_edge_rise_m) else tip_leading_edge_rise_m

@@ -289,7 +289,7 @@ def _print_fit_notes(fit: FitResult) -> None:
     state = "Converged" if fit.converged else "NOT converged"
     detail = "" if fit.message == "converged" else f" ({fit.message})"
     print_lines(
-        f"{state}{detail}: cost {fit.cost:.6g}, {fit.simulations} simulated flights, {fit.seconds:.1f} s",
+        f"{state}{detail}: cost {fit.cost:.6g}, {fit.simulations} simulated flights, {fit.computing_time_s:.1f} s",
         style="green" if fit.converged else "red",
     )
 

@@ -177,7 +177,7 @@ def rotor(
             if len(one) == 1:
                 drawn.update({f"{source} {c}": (p.speed_rad_s[c], p.load[c]) for c in p.load})
     sources = ", ".join(t.source for t in tables)
-    if write is not None and len({round(f.pitch_rad, 4) for f in fits if math.isfinite(f.pitch_rad)}) > 1:
+    if write is not None and len({round(f.stated_pitch_rad, 4) for f in fits if math.isfinite(f.stated_pitch_rad)}) > 1:
         raise InputError("--write", sources, "has several pitch settings", "leave one in the file")
     found = (e for f in fits for e in f.estimates)
     files = write_estimated_vehicle(start, found, write, f"mufly identify rotor {sources}, {format_today()}")
@@ -190,7 +190,7 @@ def rotor(
             print_lines(f"load cells, from {cells.source}:", *(f"  {line}" for line in cells.describe_calibration()))
         for fit in fits:
             kind = "coaxial pair" if fit.coaxial else "single rotor"
-            at = "" if math.isnan(fit.pitch_rad) else f" at {math.degrees(fit.pitch_rad):.3g} deg"
+            at = "" if math.isnan(fit.stated_pitch_rad) else f" at {math.degrees(fit.stated_pitch_rad):.3g} deg"
             shares = fit.systematic_variance_fractions()
             print_estimates(
                 fit.estimates, f"{fit.source}: {kind}{at}, R {1e3 * fit.radius_m:g} mm",

@@ -93,7 +93,7 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
             files.append(out / name)
             files[0].write_text(text, encoding="utf-8")
 
-    def show() -> None:
+    def print_gains() -> None:
         fields = (
             "position",
             "velocity",
@@ -121,7 +121,7 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
         if not files:
             print_lines("--out DIR writes the file.")
 
-    print_answer(as_json, {"autopilot": autopilot, "gains": designed, "parameters": parameters}, show, files)
+    print_answer(as_json, {"autopilot": autopilot, "gains": designed, "parameters": parameters}, print_gains, files)
 
 
 @app.command()

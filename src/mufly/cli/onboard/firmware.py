@@ -190,7 +190,12 @@ def sil(
         if wind is not None or gust is not None:
             raise InputError("--fixed-point", "", "draws its own gusts", "leave out --wind and --gust")
         if fault or drawn:
-            raise InputError("--fixed-point", "", "flies on the true state", "leave out --fault and --drawn")
+            raise InputError(
+                "--fixed-point",
+                "",
+                "flies on the true state, without sensors and filter",
+                "leave out --fault and --drawn",
+            )
         _compare_fixed_point(load_vehicle(vehicle), names, flights, keep, as_json)
         return
     if drawn and (fault or wind is not None or gust is not None):
@@ -403,7 +408,7 @@ def fuzz(
     from mufly.firmware import fuzz_firmware as feed
     from mufly.vehicle import load_vehicle
 
-    result = feed(load_vehicle(vehicle), seconds=60.0 * minutes, seed=seed, link_only=link_only)
+    result = feed(load_vehicle(vehicle), duration_s=60.0 * minutes, seed=seed, link_only=link_only)
     print_answer(as_json, {"fuzz": result}, result.shown_blocks())
     if result.sanitizer_message:
         raise typer.Exit(1)

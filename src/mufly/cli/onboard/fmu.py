@@ -11,6 +11,7 @@ from mufly.cli.options import JsonOption, VehicleArgument, define_option
 from mufly.cli.output import check_output_place, print_answer, print_lines
 from mufly.cli.vehicle import app
 from mufly.errors import InputError
+from mufly.results import to_plain_data
 
 if TYPE_CHECKING:
     from mufly.fmi import ExportedUnit, UnitComparison
@@ -61,7 +62,7 @@ def export_vehicle(
     except InputError as error:
         raise error.with_location(vehicle) if error.where == loaded.name else error from None
     compared = check_unit(out, loaded) if check else None
-    content = made if compared is None else {**vars(made), "check": compared}
+    content = made if compared is None else {**to_plain_data(made), "check": compared}
     print_answer(as_json, content, lambda: _print_exported_unit(made, compared, sources_only), [out])
     if compared is not None and compared.different:
         raise typer.Exit(1)
@@ -69,7 +70,7 @@ def export_vehicle(
 
 def _print_exported_unit(made: ExportedUnit, compared: UnitComparison | None, sources_only: bool) -> None:
     print_lines(
-        f"Unit {made.model}: {made.input_count} inputs, {made.output_count} outputs, "
+        f"Unit {made.model_identifier}: {made.input_count} inputs, {made.output_count} outputs, "
         f"{made.parameter_count} parameters, {made.start_value_count} start values"
         + (f", {made.seed_count} seeds of the sensors." if made.seed_count else " of hover."),
         f"Fixed in it: {', '.join(made.fixed_keys)}.",

@@ -382,7 +382,7 @@ def load_or_compute_mu_bounds(
     kept = None if path is None else read_stored_result(path, question)
     if kept is None:
         robust = analyse_parameter_robustness(vehicle, c, points=points)
-        kept = {loop.name: [loop.peak, loop.lower_peak] for loop in robust.loops}
+        kept = {loop.name: [loop.peak, loop.peak_lower_bound] for loop in robust.loops}
         if path is not None:
             write_stored_result(path, question, kept)
     heave_yaw, roll_pitch = ((float(kept[name][0]), float(kept[name][1])) for name in ("heave-yaw", "roll-pitch"))

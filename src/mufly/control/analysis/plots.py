@@ -208,13 +208,17 @@ def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
     figure = blank_figure(7.0, 3.6)
     axes = figure.add_subplot()
     for loop, colour in zip(robustness.loops, (BLUE, ORANGE), strict=True):
-        axes.semilogx(loop.frequency, loop.upper, color=colour, label=f"{loop.name}, upper bound")
-        if loop.lower_peak:
+        axes.semilogx(loop.frequency, loop.upper_bound, color=colour, label=f"{loop.name}, upper bound")
+        if loop.peak_lower_bound:
             axes.plot(
-                loop.lower_peak_frequency, loop.lower_peak, "o", color=colour, label=f"{loop.name}, unstable example"
+                loop.peak_lower_bound_frequency,
+                loop.peak_lower_bound,
+                "o",
+                color=colour,
+                label=f"{loop.name}, unstable example",
             )
     axes.axhline(1.0, color="black", linewidth=0.7)
-    axes.set_ylim(0.0, 1.5 * max(1.0, *(float(loop.upper.max(initial=0.0)) for loop in robustness.loops)))
+    axes.set_ylim(0.0, 1.5 * max(1.0, *(float(loop.upper_bound.max(initial=0.0)) for loop in robustness.loops)))
     axes.set_xlabel("frequency (rad/s)")
     axes.set_ylabel("structured singular value")
     axes.set_title(f"{robustness.vehicle_name}: stability over its parameters", loc="left", fontsize=10)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _INPUT_DELAY_PERIODS = 1.5
 _MIN_SPREAD_FACTOR, _MAX_SPREAD_FACTOR = 0.1, 10.0  # of the spreads, in the search for the worst parameters
-_MU_DESCENT_END_FRACTION = 0.8  # share of the lower bound's peak at which the descent of the upper bound ends
+_MU_DESCENT_END_FRACTION = 0.8  # fraction of the lower bound's peak at which the descent of the upper bound ends
 
 
 @result
@@ -49,30 +49,31 @@ class LoopRobustness:
     name : str
     frequency : array, shape (n,)
         Frequencies (rad/s).
-    upper : array, shape (n,)
-        Upper bound of mu. The bound is tight near its peak; elsewhere the minimisation ends at 0.8 of ``lower_peak``.
+    upper_bound : array, shape (n,)
+        Upper bound of mu. The bound is tight near its peak; elsewhere the minimisation ends at 0.8 of
+        ``peak_lower_bound``.
     peak, peak_frequency : float
         Its largest value and frequency.
-    lower_peak, lower_peak_frequency : float
+    peak_lower_bound, peak_lower_bound_frequency : float
         Lower bound by the worst parameters found, and the frequency of the pole on the axis; 0 if none is found.
     worst : dict
         Components of z at the lower bound, by the names of the directions, in units of their spread.
     block_sizes : tuple of int
         Size of every real block.
-    seconds : float
+    processor_time_s : float
         Processor time for both bounds.
     """
 
     name: str
     frequency: Array
-    upper: Array
+    upper_bound: Array
     peak: float
     peak_frequency: float
-    lower_peak: float
-    lower_peak_frequency: float
+    peak_lower_bound: float
+    peak_lower_bound_frequency: float
     worst: dict[str, float]
     block_sizes: tuple[int, ...]
-    seconds: float
+    processor_time_s: float
 
 
 @result
@@ -118,12 +119,12 @@ class ParameterRobustness:
                     "name": x.name,
                     "mu_upper": x.peak,
                     "mu_upper_frequency_rad_s": x.peak_frequency if x.peak else None,
-                    "mu_lower": x.lower_peak,
-                    "mu_lower_frequency_rad_s": x.lower_peak_frequency if x.lower_peak else None,
+                    "mu_lower": x.peak_lower_bound,
+                    "mu_lower_frequency_rad_s": x.peak_lower_bound_frequency if x.peak_lower_bound else None,
                     "worst": x.worst,
                     "block_sizes": list(x.block_sizes),
                     "frequency_rad_s": x.frequency.tolist(),
-                    "mu_upper_over_frequency": x.upper.tolist(),
+                    "mu_upper_over_frequency": x.upper_bound.tolist(),
                 }
                 for x in self.loops
             ],
@@ -136,14 +137,14 @@ class ParameterRobustness:
         rows = [
             ("mu, upper bound", *(f"{x.peak:.3f}" for x in self.loops)),
             ("at (rad/s)", *(f"{x.peak_frequency:.3g}" for x in self.loops)),
-            ("mu, lower bound", *(f"{x.lower_peak:.3f}" if x.lower_peak else "-" for x in self.loops)),
+            ("mu, lower bound", *(f"{x.peak_lower_bound:.3f}" if x.peak_lower_bound else "-" for x in self.loops)),
             (
                 "stable for all within (times the spreads)",
                 *(f"{1 / x.peak:.2f}" if x.peak else "any" for x in self.loops),
             ),
             (
                 "unstable at (times the spreads)",
-                *(f"{1 / x.lower_peak:.2f}" if x.lower_peak else "-" for x in self.loops),
+                *(f"{1 / x.peak_lower_bound:.2f}" if x.peak_lower_bound else "-" for x in self.loops),
             ),
             ("real blocks, size in all", *(f"{len(x.block_sizes)}, {sum(x.block_sizes)}" for x in self.loops)),
         ]
@@ -212,7 +213,7 @@ class UncertainLoop:
         A1, B1, C1, D1 = (np.kron(np.eye(m), X) for X in signal.tf2ss(*pade))
         n, d, c = g.nstates, len(A1), k.nstates
 
-        def closed(A: Array, B: Array) -> Array:
+        def close_loop(A: Array, B: Array) -> Array:
             u = np.hstack([-D1 @ k.D @ g.C, C1, D1 @ k.C])
             return np.vstack(
                 [
@@ -222,8 +223,8 @@ class UncertainLoop:
                 ]
             )
 
-        nominal = closed(g.A, g.B)
-        steps: list[Array] = [closed(g.A + E[:, :n], g.B + E[:, n:]) - nominal for E in self.derivatives]
+        nominal = close_loop(g.A, g.B)
+        steps: list[Array] = [close_loop(g.A + E[:, :n], g.B + E[:, n:]) - nominal for E in self.derivatives]
         return nominal, steps
 
 
@@ -363,7 +364,7 @@ def analyse_parameter_robustness(
     ]
     if not any(x.block_sizes for x in loops):
         raise MuflyError("no parameter that varies enters heave-yaw or roll-pitch; vary others")
-    worst = max(loops, key=lambda x: (x.lower_peak, x.peak))
+    worst = max(loops, key=lambda x: (x.peak_lower_bound, x.peak))
     direction = np.array([worst.worst.get(name, 0.0) for name in names])
     direction *= min(1.0, 1.0 / max(float(np.abs(direction).max(initial=0.0)), 1e-12))
     values = [

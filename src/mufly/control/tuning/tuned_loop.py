@@ -212,7 +212,7 @@ def tune_loop(
     robust = analyse_parameter_robustness(vehicle, c, spreads, points=40)
     mu = robust.heave_yaw if loop == "heave-yaw" else robust.roll_pitch
     figures = compute_loop_metrics(
-        vehicle, c.heave_yaw if loop == "heave-yaw" else c.roll_pitch, (mu.peak, mu.lower_peak)
+        vehicle, c.heave_yaw if loop == "heave-yaw" else c.roll_pitch, (mu.peak, mu.peak_lower_bound)
     )
     return TunedLoop(loop, order, {a.name: a.level for a in problem.goals}, norms, figures, c)
 

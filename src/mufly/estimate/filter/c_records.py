@@ -118,7 +118,7 @@ def _macro_name(name: str) -> str:
 
 def render_records_header(
     p: np.void | Mapping[str, int],
-    kept: int = filter_records.INPUT_BLOCK_COUNT,
+    kept: int = filter_records.INPUT_HISTORY_BLOCKS,
     waiting: int = filter_records.QUEUE_SIZE,
 ) -> str:
     """Return the text of ``records.h``: the filter's records and constants for a vehicle, in C.
@@ -135,7 +135,7 @@ def render_records_header(
 
 @functools.lru_cache(maxsize=8)
 def _render_records(nodes: int, kept: int, waiting: int) -> str:
-    numbers = {**collect_constants(), "INPUT_BLOCK_COUNT": kept, "QUEUE_SIZE": waiting, "MAP_NODES": nodes}
+    numbers = {**collect_constants(), "INPUT_HISTORY_BLOCKS": kept, "QUEUE_SIZE": waiting, "MAP_NODES": nodes}
     lines = [
         "/* Constants and records of the estimator, made from those of Python (mufly.estimate); do not edit. */",
         "#ifndef MUFLY_RECORDS_H",

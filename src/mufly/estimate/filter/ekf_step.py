@@ -144,7 +144,7 @@ def estimator_step(
     ):
         estimate_accel_noise(m, s, z)
     for kind in QUEUED_READING_INDICES:
-        if new[kind] != 1 or m.is_decimated[kind] > 0:
+        if new[kind] != 1 or m.is_skipped_by_decimation[kind] > 0:
             continue
         # The state of tick k belongs to k dt - lag.
         at = m.tick + (s.imu_lag - age[kind]) / s.dt

@@ -35,8 +35,8 @@ from mufly.estimate.filter.filter_records import (
     INPUT_ACCEL,
     INPUT_ACCEL_PER_VELOCITY,
     INPUT_ACCEL_WEIGHT,
-    INPUT_BLOCK_COUNT,
     INPUT_FLIGHT_PHASE,
+    INPUT_HISTORY_BLOCKS,
     INPUT_NOISE_DENSITY,
     INPUT_THRUST_ACCEL,
     MAX_FLOOR_HEIGHT_M,
@@ -133,7 +133,7 @@ def _inflate_terrain_at_edge(m: FilterMemory, s: FilterSettings, span: float) ->
 def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
     """Propagate the state and covariance at the delayed horizon by one input block."""
     span = s.block_ticks * s.dt
-    e = m.input_blocks[m.horizon_tick // s.block_ticks % INPUT_BLOCK_COUNT]
+    e = m.input_blocks[m.horizon_tick // s.block_ticks % INPUT_HISTORY_BLOCKS]
     m.horizon_tick += s.block_ticks
     m.task_stage = 0
     predict_state(m.x, e, span, r, a)
@@ -225,7 +225,7 @@ def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: 
 @cached_njit(error_model="numpy")
 def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
     """Average the measured and the modelled specific force since their last comparison."""
-    e = m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT]
+    e = m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_HISTORY_BLOCKS]
     n = m.block_mean_ticks // s.block_ticks
     for k in range(3):
         m.accel_mean[k] /= n
@@ -278,7 +278,7 @@ def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left
         if m.block_mean_ticks >= FORCE_MEAN_TICKS:
             _average_block_forces(m, s)
             m.task_stage = STAGE_FORCE_AXES
-    mode = int(m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT, INPUT_FLIGHT_PHASE])
+    mode = int(m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_HISTORY_BLOCKS, INPUT_FLIGHT_PHASE])
     while STAGE_FORCE_AXES <= m.task_stage < STAGE_GROUND_CONTACT:
         i = m.task_stage - STAGE_FORCE_AXES
         cost = 0

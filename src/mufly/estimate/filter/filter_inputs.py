@@ -22,8 +22,8 @@ from mufly.estimate.filter.filter_records import (
     INPUT_ACCEL,
     INPUT_ACCEL_PER_VELOCITY,
     INPUT_ACCEL_WEIGHT,
-    INPUT_BLOCK_COUNT,
     INPUT_FLIGHT_PHASE,
+    INPUT_HISTORY_BLOCKS,
     INPUT_NOISE_DENSITY,
     INPUT_NON_THRUST_ACCEL,
     INPUT_RATES,
@@ -82,7 +82,7 @@ LEVELLING_REST_S, LEVELLING_MAX_RATE_RAD_S, LEVELLING_GATE_SIGMAS = 0.5, 0.1, 3.
 """Time at rest in which the tilt of the inertial unit is measured (s), largest rate meanwhile (rad/s), and deviations
 of the standing tilt beyond which the unit is taken for tilted (1)."""
 STOPPED_ROTOR_SPEED_FRACTION = 0.02
-"""Share of the speeds in hover below which rotors stand. Those that run down with the motors off turn the vehicle."""
+"""Fraction of the hover speeds below which rotors stand. Those that run down with the motors off turn the vehicle."""
 LIFTOFF_THRUST_SIGMA_LIMIT = 2.5
 """Deviations of the thrust scale by which lift-off may come earlier or later than modelled."""
 MODELLED_THRUST_SIGMA, THRUST_ERROR_CORRELATION_S = 0.03, 0.02
@@ -90,7 +90,7 @@ MODELLED_THRUST_SIGMA, THRUST_ERROR_CORRELATION_S = 0.03, 0.02
 TWICE_ACCEL_ERROR_CORRELATION_S = 0.3
 """Twice the correlation time (s) of an acceleration error; over the filter's delay it changes the velocity."""
 CLIPPING_ERROR_FRACTION = 0.25
-"""Error of the mean of clipping accelerometers over range times share of clipped samples (1); 0.1 to 0.3 is usual."""
+"""Error of the mean of clipping accelerometers over range times fraction of clipped samples; 0.1 to 0.3 is usual."""
 GROUND_FORCE_ERROR_M_S2 = 1.0
 """Joint error of rotor and leg forces on the floor (m/s^2)."""
 MAX_SONAR_LIFTOFF_HEIGHT_M, SONAR_LIFTOFF_EXCESS_M = 0.3, 0.015
@@ -275,7 +275,7 @@ def compute_prediction_inputs(
         row[INPUT_NOISE_DENSITY + k] = felt * share
     row[INPUT_FLIGHT_PHASE] = m.flight_phase
     # Mean over the block so far
-    into = m.input_blocks[(m.tick - 1) // s.block_ticks % INPUT_BLOCK_COUNT]
+    into = m.input_blocks[(m.tick - 1) // s.block_ticks % INPUT_HISTORY_BLOCKS]
     share = 1.0 / ((m.tick - 1) % s.block_ticks + 1)
     for j in range(INPUT_ROW_SIZE - 1):
         into[j] = row[j] if share == 1.0 else into[j] + share * (row[j] - into[j])
@@ -287,7 +287,7 @@ def compute_prediction_inputs(
 def _backdate_accel_noise(m: FilterMemory, s: FilterSettings, k: int) -> None:
     """Apply the new noise of an accelerometer to buffered inputs that the horizon has not reached."""
     for at in range(m.horizon_tick, m.tick, s.block_ticks):
-        e = m.input_blocks[at // s.block_ticks % INPUT_BLOCK_COUNT]
+        e = m.input_blocks[at // s.block_ticks % INPUT_HISTORY_BLOCKS]
         share = max(e[INPUT_ACCEL_WEIGHT + k], 1e-9)
         felt = max(e[INPUT_NOISE_DENSITY + k] / share, m.accel_low_frequency_noise_density[k])
         made = e[INPUT_NOISE_DENSITY + k] / max(1.0 - share, 1e-9)
@@ -374,7 +374,7 @@ def _rotate_to_level(m: FilterMemory, v: _Array, start: int) -> None:
 @cached_njit(error_model="numpy")
 def _reset_to_level(m: FilterMemory, s: FilterSettings) -> None:
     """Reset the filter to level attitude and zero accelerometer bias; rotate buffered inputs to the vehicle's axes."""
-    for b in range(INPUT_BLOCK_COUNT):
+    for b in range(INPUT_HISTORY_BLOCKS):
         _rotate_to_level(m, m.input_blocks[b], INPUT_RATES)
     clear_block_forces(m)
     m.task_stage = STAGE_DONE

@@ -154,9 +154,9 @@ PHASE_STANDING, PHASE_ROTORS_COASTING, PHASE_MOTORS_RUNNING, PHASE_LIFTING_OFF, 
 INPUT_BLOCK_S = 0.02
 """Inputs are averaged over this time (s), and the filter moves on by it: attitude and force of a turn of 2 rad/s are
 right to 1e-4 in it."""
-INPUT_BLOCK_COUNT = 40  # blocks of input that are remembered
+INPUT_HISTORY_BLOCKS = 40  # blocks of input that are remembered
 MAX_LAG_BLOCKS = 4  # blocks by which the filter may be behind when much has come at once
-MAX_DELAY_BLOCKS = INPUT_BLOCK_COUNT - 2 * MAX_LAG_BLOCKS  # blocks by which the horizon may be behind now
+MAX_DELAY_BLOCKS = INPUT_HISTORY_BLOCKS - 2 * MAX_LAG_BLOCKS  # blocks by which the horizon may be behind now
 QUEUE_SIZE = 64  # measurements that wait for the horizon
 MAX_FUSION_BUDGET = 4  # scalar measurements, or what costs as much, for which there is time in a period of 5 ms
 TRANSITION_GYRO, TRANSITION_ACCEL, TRANSITION_WIND, TRANSITION_THRUST, TRANSITION_ATTITUDE = 0, 9, 18, 27, 30
@@ -195,7 +195,7 @@ class FilterMemory:
     wall_info_fraction: _Array = _real("share of wall_info_limit that this scan adds", 2)
     # Inputs
     input_blocks: _Array = _real(
-        "rows of inputs, at their block modulo INPUT_BLOCK_COUNT", "INPUT_BLOCK_COUNT", INPUT_ROW_SIZE
+        "rows of inputs, at their block modulo INPUT_HISTORY_BLOCKS", "INPUT_HISTORY_BLOCKS", INPUT_ROW_SIZE
     )
     inputs_now: _Array = _real("inputs of the last period", INPUT_ROW_SIZE)
     tick: int = _int("periods since the reset")
@@ -334,7 +334,7 @@ class FilterMemory:
     late_count: _Ints = _int("readings that came too late to be fused", SENSOR_COUNT)
     rejected_value: _Array = _real("last rejected value", SENSOR_COUNT, 3)
     agreeing_reject_count: _Ints = _int("rejected readings in a row that agree with each other", SENSOR_COUNT)
-    is_decimated: _Ints = _int("1: this reading is not fused because of decimation", SENSOR_COUNT)
+    is_skipped_by_decimation: _Ints = _int("1: this reading is not fused because of decimation", SENSOR_COUNT)
     reject_score: _Array = _real("number of rejections, decaying with every fused reading", SENSOR_COUNT)
     invalid_count: _Ints = _int("readings in a row that are marked invalid by the sensor", SENSOR_COUNT)
     duplicate_count: _Ints = _int("readings in a row that arrived twice", SENSOR_COUNT)
@@ -433,11 +433,11 @@ class FilterSettings:
     imu_position: _Array = _real("position of the inertial unit, body axes", 3, unit="m")
 
 
-def memory_type(kind: Any = np.float64, kept: int = INPUT_BLOCK_COUNT, waiting: int = QUEUE_SIZE) -> np.dtype:
+def memory_type(kind: Any = np.float64, kept: int = INPUT_HISTORY_BLOCKS, waiting: int = QUEUE_SIZE) -> np.dtype:
     """Return the record type of :class:`FilterMemory` for a number type and given numbers of input blocks and queued
     measurements.
     """
-    return record_type(FilterMemory, kind, INPUT_BLOCK_COUNT=kept, QUEUE_SIZE=waiting)
+    return record_type(FilterMemory, kind, INPUT_HISTORY_BLOCKS=kept, QUEUE_SIZE=waiting)
 
 
 def settings_type(kind: Any = np.float64) -> np.dtype:

@@ -18,7 +18,7 @@ from mufly.estimate.filter.filter_records import (
     ERROR_VELOCITY,
     FULL_TURN_RAD,
     INPUT_ACCEL_WEIGHT,
-    INPUT_BLOCK_COUNT,
+    INPUT_HISTORY_BLOCKS,
     INPUT_NOISE_DENSITY,
     MAX_FLOOR_HEIGHT_M,
     NOMINAL_ATTITUDE,
@@ -34,7 +34,7 @@ from mufly.estimate.filter.filter_records import (
     FilterSettings,
 )
 from mufly.estimate.filter.strapdown import error_transition, predict_state, rotate_attitude
-from mufly.estimate.filter.ud_filter import propagate_column, state_variance
+from mufly.estimate.filter.ud_filter import propagate_error_column, state_variance
 from mufly.quantities.units import GRAVITY
 
 _Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None
         for j in range(i, 9):
             m.covariance_output[i, j] = 0.0
     for k in range(ERROR_STATE_COUNT):
-        propagate_column(m.u_transposed[k], span, m.transition_work, m.gain)
+        propagate_error_column(m.u_transposed[k], span, m.transition_work, m.gain)
         for i in range(9):
             c = m.ud_diagonal[k] * m.gain[i]
             for j in range(i, 9):
@@ -162,7 +162,7 @@ def _repropagate_state(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array)
     When the present is reached, the result becomes ``m.x_now``.
     """
     for _ in range(s.fusion_budget):
-        e = m.input_blocks[m.repropagating_tick // s.block_ticks % INPUT_BLOCK_COUNT]
+        e = m.input_blocks[m.repropagating_tick // s.block_ticks % INPUT_HISTORY_BLOCKS]
         periods = min(s.block_ticks - m.repropagating_tick % s.block_ticks, m.tick - m.repropagating_tick)
         span = periods * s.dt
         predict_state(m.x_repropagating, e, span, r, a)

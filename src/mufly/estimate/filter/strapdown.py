@@ -184,7 +184,7 @@ def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Arra
     out : (33,) array
         Sensitivities over the step, by rows: of the attitude to the gyroscopes' bias (9); of the velocity to the
         accelerometers' bias (9), to the velocity through the air (9), to the thrust's scale (3) and to turns (3).
-        Input of :func:`mufly.estimate.filter.ud_filter.propagate_column`.
+        Input of :func:`mufly.estimate.filter.ud_filter.propagate_error_column`.
     """
     for i in range(3):
         k_ = 0.0

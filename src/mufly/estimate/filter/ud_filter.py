@@ -99,7 +99,7 @@ def _rank_one_update(ut: _Array, d: _Array, last: int, c: float, v: _Array) -> N
 
 
 @cached_njit(error_model="numpy")
-def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
+def propagate_error_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
     """Propagate the errors of position, velocity and attitude in column ``u`` (n,) by a step; ``out`` may be ``u``."""
     g_x, g_y, g_z = u[ERROR_GYRO_BIAS], u[ERROR_GYRO_BIAS + 1], u[ERROR_GYRO_BIAS + 2]
     r_x = a[TRANSITION_GYRO] * g_x + a[TRANSITION_GYRO + 1] * g_y + a[TRANSITION_GYRO + 2] * g_z
@@ -152,7 +152,7 @@ def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
 
 @cached_njit(error_model="numpy")
 def _propagate_motion_column(u: _Array, span: float, a: _Array) -> None:
-    """Propagate a column in place as :func:`propagate_column`, if its biases, wind and thrust scale are zero."""
+    """Propagate a column in place as :func:`propagate_error_column`, if its biases, wind and thrust scale are zero."""
     n, e, o = u[ERROR_VELOCITY], u[ERROR_VELOCITY + 1], u[ERROR_VELOCITY + 2]
     x = a[TRANSITION_WIND] * n + a[TRANSITION_WIND + 1] * e + a[TRANSITION_WIND + 2] * o
     y = a[TRANSITION_WIND + 3] * n + a[TRANSITION_WIND + 4] * e + a[TRANSITION_WIND + 5] * o
@@ -188,7 +188,7 @@ def ud_time_update(ut: _Array, d: _Array, span: float, transition: _Array, q: _A
     for k in range(ERROR_VELOCITY, MOTION_STATE_COUNT):
         _propagate_motion_column(ut[k], span, transition)
     for k in range(MOTION_STATE_COUNT, d.shape[0]):
-        propagate_column(ut[k], span, transition, ut[k])
+        propagate_error_column(ut[k], span, transition, ut[k])
     for k in range(3):
         for i in range(ERROR_ATTITUDE):
             w[k, i] = ut[ERROR_VELOCITY + k, i]

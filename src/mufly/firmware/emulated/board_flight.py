@@ -114,7 +114,7 @@ class BoardEstimator(KalmanEstimator):
         super().__init__(vehicle, world, rate_Hz, real)
         at = ffi.offsetof("board_t", "estimator")
         memory = board.memory[at : at + ffi.sizeof("estimator_t")]
-        self._memory_array = memory.view(_board_memory_type(ffi, real))
+        self._memory_array = memory.view(_estimator_dtype(ffi, real))
         self.memory = m = self._memory_array[0]
         self._output_state, self._output_rates, self._write_output_angles = (
             m["x_output"],
@@ -162,7 +162,7 @@ class BoardEstimator(KalmanEstimator):
         return bool(self._board.record.belief.valid)
 
 
-def _board_memory_type(ffi: FFI, real: Any) -> np.dtype:
+def _estimator_dtype(ffi: FFI, real: Any) -> np.dtype:
     """Return the NumPy type of the filter's memory, ``estimator_t``, with the buffer sizes compiled into the board.
 
     Raises

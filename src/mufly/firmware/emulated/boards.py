@@ -20,10 +20,10 @@ from mufly.firmware.emulated.board_memory import MemoryLayout
 
 EMULATED_MACHINE = "mps2-an386"
 """Board with a Cortex-M4F that QEMU emulates."""
-FLASH_WORDS = 4096
-"""Words of 32 bits in each of the two sectors for settings: ``FLASH_WORDS`` of ``qemu.c``."""
-LOG_BLOCKS = 30720
-"""Blocks of 512 bytes for the log: ``LOG_BLOCKS`` of ``qemu.c``."""
+FLASH_SECTOR_WORDS = 4096
+"""Words of 32 bits in each of the two sectors for settings: ``FLASH_SECTOR_WORDS`` of ``qemu.c``."""
+LOG_BLOCK_COUNT = 30720
+"""Blocks of 512 bytes for the log: ``LOG_BLOCK_COUNT`` of ``qemu.c``."""
 _RECEIVER_KIND_OFFSET_BYTES = 2**19  # of the word that holds the kind of the receiver
 _LOG_OFFSET_BYTES = 2**20  # in the memory that holds the sectors
 _FLASH_MEMORY_BYTES = 16 * 2**20  # of the emulated memory that holds sectors and log
@@ -61,9 +61,9 @@ class HostBoard:
 
     Attributes
     ----------
-    flash : (2 * FLASH_WORDS,) array of uint32
+    flash : (2 * FLASH_SECTOR_WORDS,) array of uint32
         Contents of both sectors for settings; blank at first, kept over restarts.
-    log_blocks : (LOG_BLOCKS, 128) array of uint32
+    log_blocks : (LOG_BLOCK_COUNT, 128) array of uint32
         Contents of the block device of the log, kept over restarts.
     flash_model, block_model : cffi pointers
         Models of flash and block device, with their faults.
@@ -71,15 +71,15 @@ class HostBoard:
 
     def __init__(self, ffi: Any, lib: Any) -> None:
         self.ffi, self.lib = ffi, lib
-        self.flash = np.full(2 * FLASH_WORDS, 0xFFFFFFFF, np.uint32)
+        self.flash = np.full(2 * FLASH_SECTOR_WORDS, 0xFFFFFFFF, np.uint32)
         self._weak_bits = np.zeros_like(self.flash)
         self.flash_model = ffi.new("flash_model_t *")
         model = self.flash_model
         model.words, model.weak = (ffi.cast("uint32_t *", ffi.from_buffer(a)) for a in (self.flash, self._weak_bits))
-        model.sector_words, model.noise = FLASH_WORDS, 1
+        model.sector_words, model.noise = FLASH_SECTOR_WORDS, 1
         model.cut_after = model.worn_word = model.worn_sector = -1
-        self.log_blocks = np.zeros((LOG_BLOCKS, 128), np.uint32)
-        self.block_model = ffi.new("block_model_t *", {"blocks": LOG_BLOCKS, "noise": 1, "cut_after": -1})
+        self.log_blocks = np.zeros((LOG_BLOCK_COUNT, 128), np.uint32)
+        self.block_model = ffi.new("block_model_t *", {"blocks": LOG_BLOCK_COUNT, "noise": 1, "cut_after": -1})
         self.block_model.words = ffi.cast("uint32_t *", ffi.from_buffer(self.log_blocks))
         self.memory = np.zeros(ffi.sizeof("board_t"), np.uint8)
         self.record = ffi.cast("board_t *", ffi.from_buffer(self.memory))
@@ -90,12 +90,12 @@ class HostBoard:
     def restart(self) -> None:
         """Return to the state after power-up."""
         self.memory[:] = 0
-        self._attach_memory_models()
+        self._attach_storage_models()
         self.lib.flash_model_start(self.flash_model)
         self.lib.block_model_start(self.block_model)
         self.lib.board_start(self.record, self._fitted, self.lib.RESTART_COLD)
 
-    def _attach_memory_models(self) -> None:
+    def _attach_storage_models(self) -> None:
         self.lib.flash_model_attach(self.flash_model)
         self.lib.block_model_attach(self.block_model)
 
@@ -107,7 +107,7 @@ class HostBoard:
     def compute_control(self, request: Any) -> None:
         """Run the second half of a period, which computes the actuator inputs."""
         given = self.ffi.addressof(request, "given") if request.is_given else self.ffi.NULL
-        self._attach_memory_models()
+        self._attach_storage_models()
         self.lib.board_control(self.record, given)
 
     def exchange_bytes(self, received: bytes) -> bytes:
@@ -118,7 +118,7 @@ class HostBoard:
         link = self.record.link
         link.input_count = min(len(received), len(link.input))
         self.ffi.memmove(link.input, received[: link.input_count], link.input_count)
-        self._attach_memory_models()
+        self._attach_storage_models()
         self.lib.board_link(self.record)
         out = self.ffi.new("uint8_t[]", len(link.output))
         pointer = self.ffi.addressof(self.record, "link")
@@ -154,9 +154,9 @@ class EmulatedBoard:
         Period, field and values of the first difference; "" without one.
     worst_instructions : int
         Of a period, exchange with the simulation excluded, to 40 instructions; 0 unless they are counted.
-    flash : (2 * FLASH_WORDS,) array of uint32
+    flash : (2 * FLASH_SECTOR_WORDS,) array of uint32
         Memory of the emulated board in the place of its flash: both sectors for settings, kept over restarts.
-    log_blocks : (LOG_BLOCKS, 128) array of uint32
+    log_blocks : (LOG_BLOCK_COUNT, 128) array of uint32
         Memory of the emulated board in the place of the log's block device, kept over restarts.
     """
 

@@ -10,7 +10,7 @@ import numpy as np
 from mufly.dynamics import model_parameters
 from mufly.estimate.filter.c_records import FIELD_UNITS, RECORDS_HEADER_PATH, flight_model_record, render_records_header
 from mufly.estimate.filter.filter_records import (
-    INPUT_BLOCK_COUNT,
+    INPUT_HISTORY_BLOCKS,
     MAX_LAG_BLOCKS,
     QUEUE_SIZE,
     QUEUED_READING_INDICES,
@@ -70,7 +70,7 @@ def filter_buffer_sizes(s: np.void) -> tuple[int, int]:
         for k in QUEUED_READING_INDICES
         if s["is_fitted"][k]
     )
-    return min(blocks, INPUT_BLOCK_COUNT), max(1, min(waiting, QUEUE_SIZE))
+    return min(blocks, INPUT_HISTORY_BLOCKS), max(1, min(waiting, QUEUE_SIZE))
 
 
 def _initialiser_lines(record: np.ndarray) -> Iterator[str]:

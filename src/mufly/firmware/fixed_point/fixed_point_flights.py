@@ -13,7 +13,7 @@ from mufly.control import FlightController, design_flight_controller
 from mufly.firmware.compiled_software import GenericFirmwareSoftware
 from mufly.firmware.fixed_point.fixed_point_design import FixedPointLaw, quantise_law
 from mufly.firmware.fixed_point.fixed_point_law import FixedPointFirmwareControllers
-from mufly.firmware.proof.proof_flights import draw_random_conditions, resume_flights
+from mufly.firmware.proof.proof_flights import draw_wind_and_fault, resume_flights
 from mufly.flight import fly_mission
 from mufly.mission import load_mission
 from mufly.results import ResultColumn, ShownBlock, result, tabulate_results
@@ -100,7 +100,7 @@ def compare_fixed_point_flights(
             kept.append(FixedPointFirmwareControllers(c, numbers))
             return kept[-1]
 
-        met = draw_random_conditions(seed)
+        met = draw_wind_and_fault(seed)
         wind, gust = ([met.wind, 0.0, 0.0], met.gust) if seed else (None, None)
 
         def fly_with(by: Any) -> xr.Dataset:

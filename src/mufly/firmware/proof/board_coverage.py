@@ -39,8 +39,8 @@ FUZZ_INPUT_COUNT = 300
 """Number of random inputs to the fuzzing harness of link, receiver and flash."""
 
 _LEFT_OUT_TESTS = "not emulat and not image and not whole_board and not harness"  # they build for other processors
-_COUNTED = ("-O0", "--coverage")
-_FUZZER = "check/programs/fuzz.c"
+_COVERAGE_FLAGS = ("-O0", "--coverage")
+_FUZZER_SOURCE = "check/programs/fuzz.c"
 
 
 class CountedBuilds:
@@ -72,7 +72,7 @@ class CountedBuilds:
         """Build a shared library, counted where it lies in the folder of counted builds."""
         if out.is_relative_to(self.folder):
             kept = [flag for flag in flags if not flag.startswith("-fsanitize")]  # sanitizers add branches
-            flags, cc = (*kept, *_COUNTED), "gcc"
+            flags, cc = (*kept, *_COVERAGE_FLAGS), "gcc"
         compile_library(sources, out, flags=flags, cc=cc)
 
     def build_board(self, name: str, files: Mapping[str, str], *, flags: Sequence[str] = COMPILER_FLAGS) -> Path:
@@ -80,7 +80,7 @@ class CountedBuilds:
         tree = self.folder / f"{name}-{hash_inputs(tuple(flags), sorted(files.items()))[:12]}"
         library = tree / "board.so"
         if not library.exists():
-            texts = {**files, _FUZZER: (SOURCE_FOLDER / _FUZZER).read_text(encoding="utf-8")}
+            texts = {**files, _FUZZER_SOURCE: (SOURCE_FOLDER / _FUZZER_SOURCE).read_text(encoding="utf-8")}
             for file, text in texts.items():
                 (tree / file).parent.mkdir(parents=True, exist_ok=True)
                 (tree / file).write_text(text, encoding="utf-8")

@@ -26,7 +26,7 @@ from mufly.firmware.export.source_export import FIXED_POINT_SOURCES, SOFTWARE_SO
 from mufly.firmware.fixed_point import fixed_point_law
 from mufly.firmware.fixed_point.fixed_point_design import quantise_law
 from mufly.firmware.host_build import Firmware, cffi_declarations
-from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_random_conditions
+from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_wind_and_fault
 from mufly.firmware.proof.sil_pil import run_compiler
 from mufly.flight import fly_mission
 from mufly.mission import Mission, load_mission, parse_mission
@@ -124,7 +124,7 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
         )
     fly_mission(vehicle, load_mission("box-on-leg"), controller=controller, controllers=make_fixed_point_controllers)
     for seed in range(FLIGHT_COUNT):
-        met = draw_random_conditions(seed)
+        met = draw_wind_and_fault(seed)
         faults = [parse_fault(f) for f in (*met.faults, *SENSOR_FAULTS[seed % len(SENSOR_FAULTS)].split())]
         mission = parse_mission(HOP_MISSION) if seed % 2 else add_random_obstacle(load_mission("demonstration"), seed)
         fly_mission(
@@ -165,7 +165,7 @@ def _run_comparison_tests(counted: Firmware) -> None:
     """Run the tests that compare C with Python on the instrumented C code, if the test files are installed."""
     plainly: Any = Firmware.__init__
 
-    def init_instrumented(
+    def init_with_instrumented_code(
         self: Firmware, controller: FlightController | None, *, single: bool = False, cc: Any = None
     ) -> None:
         plainly(self, controller, single=single, cc=cc)
@@ -173,7 +173,7 @@ def _run_comparison_tests(counted: Firmware) -> None:
             self.ffi, self.lib = counted.ffi, counted.lib
 
     changed: Any = Firmware
-    changed.__init__ = init_instrumented
+    changed.__init__ = init_with_instrumented_code
     os.environ["MUFLY_EXAMPLES"] = str(COMMAND_EXAMPLE_COUNT)
     run_installed_tests(("mission_c", "avoid", "estimate_c"))
 

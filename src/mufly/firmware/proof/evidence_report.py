@@ -377,7 +377,7 @@ def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
         folder, board_folder = Path(temporary) / "fw", Path(temporary) / "board"
         _export_and_list_sources(vehicle, folder)
         if not describe_missing_fuzzer_tools():
-            run_fuzzer(folder, seconds=40.0)
+            run_fuzzer(folder, duration_s=40.0)
         # Records of the length that Python shares with the code.
         for name, contents in render_estimator_files(None, None, 0.0).items():
             (folder / name).write_text(contents, encoding="utf-8")
@@ -534,7 +534,7 @@ def read_branch_counts(folder: Path) -> dict[str, list[tuple[int, int, int]]]:
 
 
 def _report_fuzzing(vehicle: Vehicle, out: Path) -> EvidenceSection:
-    r = fuzz_firmware(vehicle, seconds=30.0)
+    r = fuzz_firmware(vehicle, duration_s=30.0)
     ended = (
         f"**{r.sanitizer_message}** by {r.input_hex}"
         if r.sanitizer_message
@@ -542,7 +542,7 @@ def _report_fuzzing(vehicle: Vehicle, out: Path) -> EvidenceSection:
     )
     return EvidenceSection(
         "Any bytes",
-        f"{ended} in {r.runs} inputs of {r.seconds:g} s, fed to: {', '.join(r.parts)}. Longer: "
+        f"{ended} in {r.runs} inputs of {r.duration_s:g} s, fed to: {', '.join(r.parts)}. Longer: "
         "`mufly firmware fuzz --minutes 60`.",
         {"fuzz": to_plain_data(r)},
     )

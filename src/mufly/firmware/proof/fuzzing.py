@@ -37,13 +37,13 @@ _FUZZER_FLAGS = (
 )  # fmt: skip
 
 
-@result
+@result(json="seconds=duration_s runs covered parts sanitizer_message input_hex")
 class FuzzResult:
     """Result of a fuzzing run.
 
     Attributes
     ----------
-    seconds : float
+    duration_s : float
         Requested duration (s).
     runs : int
         Number of inputs.
@@ -57,7 +57,7 @@ class FuzzResult:
         Input that caused the fault, in hexadecimal.
     """
 
-    seconds: float
+    duration_s: float
     runs: int
     covered: int
     parts: tuple[str, ...]
@@ -93,13 +93,13 @@ def describe_missing_fuzzer_tools() -> str:
     return ""
 
 
-def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1, link_only: bool = False) -> FuzzResult:
+def fuzz_firmware(vehicle: Vehicle, *, duration_s: float, seed: int = 1, link_only: bool = False) -> FuzzResult:
     """Fuzz the exported code of a vehicle.
 
     Parameters
     ----------
     vehicle : Vehicle
-    seconds : float
+    duration_s : float
         Duration (s).
     seed : int
         Seed of the fuzzer.
@@ -120,10 +120,10 @@ def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1, link_only:
         mission = load_mission("demonstration")
         export_firmware(controller, folder, vehicle, mission.world, mission)
         export_fixed_point(controller, folder)
-        return run_fuzzer(folder, seconds=seconds, seed=seed, link_only=link_only)
+        return run_fuzzer(folder, duration_s=duration_s, seed=seed, link_only=link_only)
 
 
-def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1, link_only: bool = False) -> FuzzResult:
+def run_fuzzer(folder: Path, *, duration_s: float, seed: int = 1, link_only: bool = False) -> FuzzResult:
     """Build and run the fuzzing harness for the parts that an exported tree contains; store new inputs in its
     ``corpus/``.
     """
@@ -153,7 +153,7 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1, link_only: bool =
         objects.append(str(made))
     run_compiler([*flags, *objects, "-o", "fuzz", "-lm"], folder)
     done = subprocess.run(
-        [str(folder / "fuzz"), f"-max_total_time={max(1, round(seconds))}", f"-seed={seed}", "-max_len=4096",
+        [str(folder / "fuzz"), f"-max_total_time={max(1, round(duration_s))}", f"-seed={seed}", "-max_len=4096",
          "-len_control=20", "-print_final_stats=1", "-timeout=20", f"-artifact_prefix={folder}/found-", "corpus"],
         capture_output=True, text=True, cwd=folder,
     )  # fmt: skip
@@ -168,7 +168,7 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1, link_only: bool =
     executed = re.search(r"stat::number_of_executed_units:\s*(\d+)", said)
     covered = re.findall(r"cov: (\d+)", said)
     return FuzzResult(
-        seconds=seconds, runs=int(executed[1]) if executed else 0, covered=int(covered[-1]) if covered else 0,
+        duration_s=duration_s, runs=int(executed[1]) if executed else 0, covered=int(covered[-1]) if covered else 0,
         parts=tuple(part for part, is_there in there.items() if is_there), sanitizer_message=found,
         input_hex=broken.read_bytes().hex() if broken else "",
     )  # fmt: skip

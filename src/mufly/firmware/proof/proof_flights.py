@@ -33,7 +33,7 @@ class FlightConditions:
     faults: tuple[str, ...]
 
 
-def draw_random_conditions(seed: int) -> FlightConditions:
+def draw_wind_and_fault(seed: int) -> FlightConditions:
     """Draw random conditions: wind within ±0.5 m/s, gusts up to 0.3 m/s, in most flights a fault of 3 s."""
     rng = np.random.default_rng([19, seed])
     wind, gust = float(rng.uniform(-0.5, 0.5)), float(rng.uniform(0.0, 0.3))

@@ -37,7 +37,7 @@ from mufly.firmware.export.source_export import (
 )
 from mufly.firmware.fixed_point.fixed_point_law import export_fixed_point
 from mufly.firmware.host_build import Firmware, FirmwareControllers
-from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_random_conditions, resume_flights
+from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_wind_and_fault, resume_flights
 from mufly.flight import fly_mission
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.mission import load_mission, parse_mission
@@ -395,7 +395,7 @@ def run_sil(
         mission = load_mission(name)
         w, g, wrong = wind, gust, tuple(faults)
         if drawn:
-            met, mission = draw_random_conditions(seed), add_random_obstacle(mission, seed)
+            met, mission = draw_wind_and_fault(seed), add_random_obstacle(mission, seed)
             w, g, wrong = [met.wind, 0.0, 0.0], met.gust, tuple(parse_fault(f) for f in met.faults)
         twins: list[_ComparedControllers] = []
         flown: list[ComparedSoftware] = []

@@ -32,12 +32,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics.model_state import (
+    BODY_RATE_SLICE,
     MODEL_ATTITUDE,
     MOTOR_INPUT_SLICE,
-    POSITION_SLICE,
-    RATE_SLICE,
+    NED_POSITION_SLICE,
+    NED_VELOCITY_SLICE,
     SERVO_INPUT_SLICE,
-    VELOCITY_SLICE,
 )
 from mufly.estimate import Estimate, IdealEstimator
 from mufly.estimate.filter.filter_records import ERROR_GYRO_BIAS, NOMINAL_ATTITUDE, READING_RANGE_RING, SENSOR_COUNT
@@ -451,8 +451,9 @@ class CompiledFlight:
         measured: dict[str, _Array] = {}
         if flight.records_measurements:
             measured = {
-                "measured_position": state[:, POSITION_SLICE], "measured_velocity": state[:, VELOCITY_SLICE],
-                "measured_attitude": attitude, "measured_rates": state[:, RATE_SLICE], "range": row[:, LOG_ROW_SIZE:],
+                "measured_position": state[:, NED_POSITION_SLICE], "measured_velocity": state[:, NED_VELOCITY_SLICE],
+                "measured_attitude": attitude, "measured_rates": state[:, BODY_RATE_SLICE],
+                "range": row[:, LOG_ROW_SIZE:],
             }  # fmt: skip
         truth = Truth(
             row[:, LOG_TIME_COLUMN], 0, state, attitude,  # type: ignore[arg-type]

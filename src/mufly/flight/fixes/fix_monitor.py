@@ -159,7 +159,7 @@ class CorrectedPath:
         return self.position
 
 
-_EMPTY_PATH_FIT = PathFit(0.0, 0.0, {"turned": 0.0}, 1.0 + 0.0j, 0j, 0.0)
+_PATH_FIT_WITHOUT_DATA = PathFit(0.0, 0.0, {"turned": 0.0}, 1.0 + 0.0j, 0j, 0.0)
 
 
 class FixMonitor:
@@ -202,7 +202,7 @@ class FixMonitor:
         self._candidate, self._count, self._sure_count = "", 0, 0
         self._settled_s = -math.inf
         self.fault, self._agreed_s, self._last_s = "", 0.0, math.nan
-        self.path_fit = _EMPTY_PATH_FIT
+        self.path_fit = _PATH_FIT_WITHOUT_DATA
         self._long_s, self._long_sums, self.long_fit = -math.inf, np.zeros(4, complex), (1.0 + 0j, math.inf)
         self._correction: FixCorrection | None = None
         self._corrected_path = CorrectedPath(0j, 0j)  # of a refused source
@@ -450,7 +450,7 @@ class FixMonitor:
 
         The kinds are the rows of the table in the module's docstring.
         """
-        self.path_fit = _EMPTY_PATH_FIT
+        self.path_fit = _PATH_FIT_WITHOUT_DATA
         t, place, path, speed, bias = (np.array(c) for c in zip(*self._fixes, strict=True))
         span = float(t[-1] - t[0])
         if len(t) < _MIN_FIT_FIX_COUNT or span < _MIN_FIT_SPAN_S:

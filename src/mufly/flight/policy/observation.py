@@ -53,7 +53,8 @@ ACTION_SIZE = 4
 OBSERVED_RANGE_COUNT = 8
 """Number of the level directions in which the task ``Obstacle`` observes distances."""
 MAX_RANGE_M = 4.0
-MAX_COLLECTIVE_DUTY_CHANGE, MAX_YAW_DUTY_CHANGE = 0.3, 0.15
+MAX_COLLECTIVE_DUTY_OFFSET, MAX_YAW_DUTY_OFFSET = 0.3, 0.15
+"""Largest offsets from the duties of hover (1): of both motors together, and of each in opposite directions."""
 ACTION_NAMES = ("collective", "turn_right", "forward", "right")
 
 _COMMON_OBSERVATION_UNITS = {
@@ -91,7 +92,7 @@ def observation_units(task: str) -> dict[str, str]:
 def map_action(action: _Array, trim: _Array, inputs: _Array) -> None:
     """Convert an action (4,) to the inputs (4,) of the flight model, relative to the hover inputs ``trim`` (4,)."""
     up, turned, servo_1, servo_2 = action[0], action[1], action[2], action[3]
-    collective, turn = MAX_COLLECTIVE_DUTY_CHANGE * up, MAX_YAW_DUTY_CHANGE * turned
+    collective, turn = MAX_COLLECTIVE_DUTY_OFFSET * up, MAX_YAW_DUTY_OFFSET * turned
     inputs[U_MOTOR_UPPER] = min(max(trim[U_MOTOR_UPPER] + collective + turn, 0.0), 1.0)
     inputs[U_MOTOR_LOWER] = min(max(trim[U_MOTOR_LOWER] + collective - turn, 0.0), 1.0)
     inputs[U_SERVO_1] = servo_1

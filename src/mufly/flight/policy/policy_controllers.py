@@ -33,8 +33,8 @@ from mufly.files.answer_store import hash_inputs
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.policy.observation import (
     ACTION_SIZE,
-    MAX_COLLECTIVE_DUTY_CHANGE,
-    MAX_YAW_DUTY_CHANGE,
+    MAX_COLLECTIVE_DUTY_OFFSET,
+    MAX_YAW_DUTY_OFFSET,
     OBS_TASK_INPUTS,
     fill_common_observation,
     map_action,
@@ -185,8 +185,8 @@ def find_action_for_inputs(inputs: _Array, trim: _Array) -> NDArray[np.float64]:
     """Return the action (4,), clipped to -1..1, that gives the ``inputs`` (4,) of the flight model."""
     upper, lower = inputs[0] - trim[0], inputs[1] - trim[1]
     wanted = (
-        0.5 * (upper + lower) / MAX_COLLECTIVE_DUTY_CHANGE,
-        0.5 * (upper - lower) / MAX_YAW_DUTY_CHANGE,
+        0.5 * (upper + lower) / MAX_COLLECTIVE_DUTY_OFFSET,
+        0.5 * (upper - lower) / MAX_YAW_DUTY_OFFSET,
         *inputs[SERVO_INPUT_SLICE],
     )
     return np.clip(np.array(wanted, dtype=np.float64), -1.0, 1.0)

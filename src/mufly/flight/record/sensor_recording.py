@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.dynamics.model_state import POSITION_SLICE, RATE_SLICE, VELOCITY_SLICE
+from mufly.dynamics.model_state import BODY_RATE_SLICE, NED_POSITION_SLICE, NED_VELOCITY_SLICE
 from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.flight.controllers import Actuators
 from mufly.flight.record.recorder import FlightRecorder
@@ -183,6 +183,6 @@ def list_truths(dataset: xr.Dataset) -> list[Truth]:
     for k, t in enumerate(dataset["time"].values.tolist()):
         x, v, attitude, rates = (c[k] for c in columns)
         state = np.full(21, math.nan)
-        state[POSITION_SLICE], state[VELOCITY_SLICE], state[RATE_SLICE] = x, v, rates
+        state[NED_POSITION_SLICE], state[NED_VELOCITY_SLICE], state[BODY_RATE_SLICE] = x, v, rates
         out.append(Truth(t, k, state, attitude, np.full(3, math.nan), math.nan, math.nan))
     return out

@@ -69,6 +69,7 @@ from mufly.dynamics.linearisation import (
 )
 from mufly.dynamics.model_state import (
     ATTITUDE_SLICE,
+    BODY_RATE_SLICE,
     INPUT_SIZE,
     MODEL_ATTITUDE,
     MODEL_BAR_NORMAL,
@@ -80,11 +81,10 @@ from mufly.dynamics.model_state import (
     MODEL_SWASH_ROLL,
     MODEL_VELOCITY,
     MOTOR_INPUT_SLICE,
-    POSITION_SLICE,
-    RATE_SLICE,
+    NED_POSITION_SLICE,
+    NED_VELOCITY_SLICE,
     SERVO_INPUT_SLICE,
     SWAPPED_MOTOR_INPUT_INDICES,
-    VELOCITY_SLICE,
     ModelParameters,
 )
 from mufly.errors import ArgumentError, InputError, MuflyError
@@ -134,11 +134,11 @@ class FlightLimits:
         """
         angle = euler_from_quaternion(states[..., ATTITUDE_SLICE])
         heading = np.unwrap(angle[..., 2], axis=1)
-        at = states[..., POSITION_SLICE] - states[:, :1, POSITION_SLICE]
+        at = states[..., NED_POSITION_SLICE] - states[:, :1, NED_POSITION_SLICE]
         shares = {
             "attitude": np.abs(angle[..., :2]).max(axis=(1, 2)) / self.attitude_rad,
             "heading": np.abs(heading - heading[:, :1]).max(axis=1) / self.heading_rad,
-            "body rates": np.abs(states[..., RATE_SLICE]).max(axis=(1, 2)) / self.rates_rad_s,
+            "body rates": np.abs(states[..., BODY_RATE_SLICE]).max(axis=(1, 2)) / self.rates_rad_s,
             "height": np.abs(at[..., 2]).max(axis=1) / self.height_m,
             "place": np.linalg.norm(at[..., :2], axis=2).max(axis=1) / self.place_m,
             "motor input": np.abs(inputs[..., MOTOR_INPUT_SLICE] - 0.5).max(axis=(1, 2)) / (0.5 - self.motor_margin),
@@ -378,7 +378,7 @@ _PART_BY_CHANNEL: dict[str, DynamicsPart] = dict(
 )
 _MAX_AMPLITUDE_TRIALS = 14
 _UNIDENTIFIABLE_RELATIVE_STD = 100.0  # relative standard deviation above which a parameter counts as unidentifiable
-_MAX_AMPLITUDE_FRACTION, _MIN_AMPLITUDE_FRACTION = 1.0, 1e-3  # shares of the input range
+_MAX_AMPLITUDE_FRACTION, _MIN_AMPLITUDE_FRACTION = 1.0, 1e-3  # fractions of the input range
 
 
 @dataclass(frozen=True, eq=False)
@@ -640,7 +640,7 @@ def _record_from_states(
     states: _Floats, inputs: _Floats, voltage: _Floats, time: _Floats, outputs: Sequence[str], name: str
 ) -> FlightRecord:
     angle = euler_from_quaternion(states[:, ATTITUDE_SLICE])
-    (north, east, down), (v_north, v_east, v_down) = states[:, POSITION_SLICE].T, states[:, VELOCITY_SLICE].T
+    (north, east, down), (v_north, v_east, v_down) = states[:, NED_POSITION_SLICE].T, states[:, NED_VELOCITY_SLICE].T
     table = {
         "north": north, "east": east, "height": -down, "v_north": v_north, "v_east": v_east, "climb": -v_down,
         "roll": angle[:, 0], "pitch": angle[:, 1], "yaw": np.unwrap(angle[:, 2]),

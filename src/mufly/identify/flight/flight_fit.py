@@ -141,7 +141,7 @@ def fit_flight_records(
         point, problem, converged, doubt = run.search_minimum()
         fit = _make_fit_result(problem, point, run.state.history, _METHOD_NAMES[method], converged, held_exact, doubt)
         held = tuple(_predict_held_out_record(problem, point.theta, r, voltage, outputs) for r in held_out)
-    return replace(fit, records=fit.records + held, seconds=time.perf_counter() - start)
+    return replace(fit, records=fit.records + held, computing_time_s=time.perf_counter() - start)
 
 
 def _choose_voltage_source(voltage: str | float, vehicle: Vehicle, records: Sequence[FlightRecord]) -> str | float:
@@ -211,7 +211,7 @@ def _make_fit_result(
         history=tuple(history),
         method=f"output error, {method}, {problem.dynamics_part}",
         simulations=point.simulations + flown + more + linear.simulation_count,
-        seconds=0.0,
+        computing_time_s=0.0,
         converged=converged and there,
         message="; ".join(notes) if notes else "converged",
         records=tuple(_predict_fitted_record(problem, i, point, "fit") for i in range(len(problem.prepared_records))),
@@ -342,7 +342,7 @@ def _combine_fits(fits: Sequence[FitResult]) -> FitResult:
         history=tuple({**row, "iteration": k + 1} for k, row in enumerate(history)),
         method=" then ".join(f.method for f in fits),
         simulations=sum(f.simulations for f in fits),
-        seconds=sum(f.seconds for f in fits),
+        computing_time_s=sum(f.computing_time_s for f in fits),
         converged=all(f.converged for f in fits),
         message="; ".join(dict.fromkeys(f.message for f in fits)),
         records=tuple(sorted(records, key=lambda r: r.role != "fit")),

@@ -275,16 +275,16 @@ def _perturb_parameter(vehicle: Vehicle, f: FreeParameter, voltage: float | None
     The step is a factor of 0.1 %, or 0.001 of ``theta`` for a parameter that is added.
     """
 
-    def changed(value: float) -> Any:
+    def parameters_at_value(value: float) -> Any:
         return model_parameters(replace_parameters(vehicle, {f.key: value}), voltage)
 
     if f.scale != 0.0:
         step = -1e-3 if f.start_value > 0.0 else 1e-3
-        return changed(f.start_value + step * f.scale), step
+        return parameters_at_value(f.start_value + step * f.scale), step
     try:
-        return changed(0.999 * f.start_value), 0.999
+        return parameters_at_value(0.999 * f.start_value), 0.999
     except InputError:  # the decrease violates a relation between two parameters
-        return changed(1.001 * f.start_value), 1.001
+        return parameters_at_value(1.001 * f.start_value), 1.001
 
 
 def parameters_at_theta(base: NDArray[np.void], changes: FieldChanges, theta: _Array) -> NDArray[np.void]:

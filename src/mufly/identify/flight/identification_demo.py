@@ -277,7 +277,7 @@ class IdentificationDemo:
                 for e in fit.estimates
             ],
             "undetermined": list(fit.undetermined), "held_out_error_over_noise_floor": self.held_out_over_noise,
-            **select_fields(fit, "cost simulations seconds"),
+            **select_fields(fit, "cost simulations seconds=computing_time_s"),
         }  # fmt: skip
 
 

@@ -116,7 +116,7 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
     turn = body_to_ned_matrices(m[:, MOTION_EULER:MOTION_RATES])
     lagged = {"skip_s": _START_TRANSIENT_S, "longest_lag_s": _MAX_MOTION_LAG_S}
 
-    def gain(rate: str, angle: str, *made: Array, sign: float = 1.0, **options: Any) -> InputGain:
+    def estimate_gain(rate: str, angle: str, *made: Array, sign: float = 1.0, **options: Any) -> InputGain:
         is_rate = rate in has
         seen = sign * r.measured[:, r.output_names.index(rate if is_rate else angle)]
         return _judge_gain(
@@ -125,12 +125,12 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
 
     load = (thrust.sum(axis=1) - p["downwash_drag"]) / p["mass"]
     if has & {"height", "climb"}:
-        found["heave"] = gain("climb", "height", load * turn[:, 2, 2], **lagged)
+        found["heave"] = estimate_gain("climb", "height", load * turn[:, 2, 2], **lagged)
     if has & {"yaw", "r"}:
-        found["yaw"] = gain("r", "yaw", (torque[:, 0] - torque[:, 1]) / p["Izz"], **lagged)
+        found["yaw"] = estimate_gain("r", "yaw", (torque[:, 0] - torque[:, 1]) / p["Izz"], **lagged)
         if found["yaw"].sign == 0:  # unequal rotors: exchanged motors differ from an inverted sign
             _, _, other = _simulate_rotors(dataclasses_replace(f, inputs=f.inputs[:, SWAPPED_MOTOR_INPUT_INDICES]), dt)
-            if gain("r", "yaw", (other[:, 0] - other[:, 1]) / p["Izz"], **lagged).sign == 1:
+            if estimate_gain("r", "yaw", (other[:, 0] - other[:, 1]) / p["Izz"], **lagged).sign == 1:
                 found["yaw"] = dataclasses_replace(found["yaw"], sign=-1)
     tilt = tip_path_tilt_target.py_func(
         *np.clip(f.inputs[:, SERVO_INPUT_SLICE], -1.0, 1.0).T, p["swash_gain"], p["swash_phase"]
@@ -140,15 +140,15 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
     lean = -p["z_up"] * p["bar_gain"] * thrust[:, :1] * bar[:, :2]
     if has & {"roll", "p"}:
         made = arm / p["Ixx"]
-        found["roll"] = gain("p", "roll", made[:, 1], made[:, 0], beside=lean[:, 1:], **lagged)
+        found["roll"] = estimate_gain("p", "roll", made[:, 1], made[:, 0], beside=lean[:, 1:], **lagged)
     if has & {"pitch", "q"}:
         made = -arm / p["Iyy"]
-        found["pitch"] = gain("q", "pitch", made[:, 0], made[:, 1], beside=lean[:, :1], **lagged)
+        found["pitch"] = estimate_gain("q", "pitch", made[:, 0], made[:, 1], beside=lean[:, :1], **lagged)
     if {"roll", "pitch", "yaw"} <= has:
         pull = -turn[:, :2, 2] * GRAVITY
         for k, axis in enumerate(("north", "east")):
             if has & {axis, f"v_{axis}"}:
-                found[axis] = gain(f"v_{axis}", axis, pull[:, k], pull[:, 1 - k], skip_s=_START_TRANSIENT_S)
+                found[axis] = estimate_gain(f"v_{axis}", axis, pull[:, k], pull[:, 1 - k], skip_s=_START_TRANSIENT_S)
     settled = min(round(_START_TRANSIENT_S / dt), len(m) // 2)
     return found, float(thrust[settled:].sum(axis=1).mean() / (p["mass"] * GRAVITY))
 

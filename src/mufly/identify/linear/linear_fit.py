@@ -66,7 +66,7 @@ class LinearFit:
     costs : tuple of float
         Final cost of every start, ascending.
     simulations : int
-    seconds : float
+    computing_time_s : float
     converged : bool
     message : str
     hold : bool
@@ -88,7 +88,7 @@ class LinearFit:
     history: tuple[dict[str, Any], ...]
     costs: tuple[float, ...]
     simulations: int
-    seconds: float
+    computing_time_s: float
     converged: bool
     message: str
     hold: bool
@@ -340,7 +340,7 @@ def fit_linear_model(
         history=tuple(history),
         costs=tuple(sorted(costs)),
         simulations=problem.simulation_count,
-        seconds=time.perf_counter() - begun,
+        computing_time_s=time.perf_counter() - begun,
         converged=bool(solution.status > 0),
         message=(
             f"{'search settled' if solution.status > 0 else 'search ran out of steps'}; {near} of {len(costs)} starts "

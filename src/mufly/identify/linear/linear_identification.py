@@ -457,5 +457,5 @@ def _make_fit_result(linear: LinearFit, records: tuple[RecordPrediction, ...], n
         undetermined + tuple(n for n in notes if "never moved" in n), linear.history[-1]["cost"], linear.history,
         "output error, maximum likelihood, pure simulation of the whole record, "
         f"{len(linear.costs)} starts; initial state, trims and biases eliminated",
-        linear.simulations, linear.seconds, linear.converged, linear.message, records,
+        linear.simulations, linear.computing_time_s, linear.converged, linear.message, records,
     )  # fmt: skip

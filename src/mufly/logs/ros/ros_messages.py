@@ -141,7 +141,7 @@ def _diagonal_covariances(variances: _Array) -> _Array:
 
 
 def _make_odometry_encoder(prefix: str) -> Callable[[Blocks, RangeSensorGeometry], Columns]:
-    def encode(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
+    def encode_odometry(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
         position = blocks[f"{prefix}_position"]
         velocity, attitude, rates = (
             _signal_or_nan(blocks, f"{prefix}_{n}", position) for n in ("velocity", "attitude", "rates")
@@ -175,11 +175,11 @@ def _make_odometry_encoder(prefix: str) -> Callable[[Blocks, RangeSensorGeometry
             },
         }
 
-    return encode
+    return encode_odometry
 
 
 def _make_transform_encoder(prefix: str) -> Callable[[Blocks, RangeSensorGeometry], Columns]:
-    def encode(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
+    def encode_transform(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
         position = blocks[f"{prefix}_position"]
         transform = {
             "header": _header_message(MAP_FRAME),
@@ -191,7 +191,7 @@ def _make_transform_encoder(prefix: str) -> Callable[[Blocks, RangeSensorGeometr
         }
         return {"transforms": [transform]}
 
-    return encode
+    return encode_transform
 
 
 def _encode_imu(blocks: Blocks, _: RangeSensorGeometry) -> Columns:
@@ -219,7 +219,7 @@ def _encode_sonar(blocks: Blocks, limits: RangeSensorGeometry) -> Columns:
 
 
 def _make_scan_encoder(signal: str) -> Callable[[Blocks, RangeSensorGeometry], Columns]:
-    def encode(blocks: Blocks, limits: RangeSensorGeometry) -> Columns:
+    def encode_scan(blocks: Blocks, limits: RangeSensorGeometry) -> Columns:
         distances = blocks[signal]
         count = distances.shape[1]
         step = 2.0 * math.pi / count
@@ -233,7 +233,7 @@ def _make_scan_encoder(signal: str) -> Callable[[Blocks, RangeSensorGeometry], C
             "ranges": distances[:, _reverse_beams(count)],
         }
 
-    return encode
+    return encode_scan
 
 
 def _reverse_beams(count: int) -> NDArray[np.int64]:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.mission.avoidance import BLOCKED_PATH_MARGIN_M, PATH_LOOK_AHEAD_M
-from mufly.mission.detour import FOLLOW_CONTOUR_MARGIN_M, LEAVE_CONTOUR_MARGIN_M
+from mufly.mission.detour import CLEAR_PATH_MARGIN_M, FOLLOW_CONTOUR_MARGIN_M
 from mufly.mission.files.mission_schema import (
     ROTOR_SPIN_UP_TIME_S,
     SLOW_LANDING_HEIGHT_M,
@@ -297,7 +297,7 @@ def _measure_contour_detour(world: World, k: int, entry: _Array, goal: _Array, c
             length, here = length + _distance_between(spot, here), spot
             place = np.array([*here, goal[2]])
             away, _ = compute_obstacle_distances(alone, place + share * (goal - place))
-            if float(away.min()) >= clear + LEAVE_CONTOUR_MARGIN_M:
+            if float(away.min()) >= clear + CLEAR_PATH_MARGIN_M:
                 break
         place = np.array([*here, goal[2]])
         found.append((length + _distance_between(goal, place), length, place))

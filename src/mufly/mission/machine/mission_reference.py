@@ -86,10 +86,10 @@ def make_reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) 
     if s.state is State.RC:
         position = np.array((m.position[0], m.position[1], s.hold_position[2]))
         velocity = np.array((m.velocity[0], m.velocity[1], s.descent_rate))
-        turning = c.yaw_rate if s.motors == "fly" else 0.0
+        turning = c.pilot_yaw_rate if s.motors == "fly" else 0.0
         height = s.home_position[2] - float(m.position[2])
         vn, ve, _ = m.velocity.tolist()
-        roll, pitch = limit_manual_tilt(height, (vn, ve), float(m.attitude[2]), (c.roll, c.pitch))
+        roll, pitch = limit_manual_tilt(height, (vn, ve), float(m.attitude[2]), (c.pilot_roll, c.pilot_pitch))
         return Reference(
             position,
             velocity,

@@ -63,9 +63,9 @@ class Command:
         Stop the motors at once, in any state; the text is the reason. "" is no signal.
     rc_active : bool
         The pilot controls the vehicle while this is set.
-    roll, pitch : float
+    pilot_roll, pilot_pitch : float
         Pilot's attitude (rad).
-    yaw_rate, climb_rate : float
+    pilot_yaw_rate, pilot_climb_rate : float
         Pilot's yaw rate (rad/s) and climb rate (m/s, positive up).
     program_set_point : SetPoint or None
         Set-point of a program, which controls the vehicle while there is one.
@@ -81,10 +81,10 @@ class Command:
     land: bool = False
     motor_stop_reason: str = ""
     rc_active: bool = False
-    roll: float = 0.0
-    pitch: float = 0.0
-    yaw_rate: float = 0.0
-    climb_rate: float = 0.0
+    pilot_roll: float = 0.0
+    pilot_pitch: float = 0.0
+    pilot_yaw_rate: float = 0.0
+    pilot_climb_rate: float = 0.0
     program_set_point: SetPoint | None = None
 
 
@@ -107,7 +107,7 @@ class Reference:
     rc_active : bool
         Whether roll and pitch come from the pilot instead of the position controller; height and heading are controlled
         as usual.
-    roll, pitch : float
+    pilot_roll, pilot_pitch : float
         Pilot's attitude (rad).
     """
 

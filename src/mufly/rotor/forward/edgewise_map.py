@@ -157,7 +157,7 @@ def compute_flight_map_loads(
             first, pitch_rad=pitch_rad[1], speed_rad_s=float(axes[0][i]) * up, rotation_sign=-upper_sign
         )  # fmt: skip
 
-        def solve_at(
+        def solve_map_point(
             edge: float, climb: float, start: ForwardPair | None, tolerance: float = _COUPLING_TOLERANCE,
             rates: tuple[float, float] = (0.0, 0.0), conditions: tuple[ForwardCondition, ...] = (first, second),
         ) -> ForwardPair:  # fmt: skip
@@ -174,9 +174,9 @@ def compute_flight_map_loads(
                 e = float(axes[2][k])
                 edge = tip * knee * (math.sqrt(e / (1.0 - e)) if k else _MIN_ADVANCE_FRACTION_OF_KNEE)
                 try:
-                    last = pair = solve_at(edge, climb, last)
+                    last = pair = solve_map_point(edge, climb, last)
                     by_rate = _rate_load_columns(
-                        lambda rates, at=pair, v=edge, w=climb: solve_at(v, w, at, 1e9, rates),  # type: ignore[misc]
+                        lambda rates, at=pair, v=edge, w=climb: solve_map_point(v, w, at, 1e9, rates),  # type: ignore[misc]
                         pair, gas.density_kg_m3, radius,
                     )  # fmt: skip
                     rest = rest or pair

@@ -204,10 +204,10 @@ def _make_intrinsic(columns: int, arguments: str, emit: Any) -> Any:
     """Return the Numba intrinsic of a row sum; ``arguments`` has an i for each integer and an f for each float."""
     kinds = [_types.int64 if a == "i" else _types.float64 for a in arguments]
 
-    def typed(table: Any) -> tuple[Any, Any]:
+    def type_row_sum(table: Any) -> tuple[Any, Any]:
         made = _types.UniTuple(_types.float64, columns)(table, *kinds)
 
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        def generate_row_sum(context: Any, builder: Any, signature: Any, given: Any) -> Any:
             data, whole = context.make_array(table)(context, builder, given[0]).data, 1 + arguments.count("i")
             quartets = emit(
                 builder, data, given[1:whole], lambda k, n: emit_spread_number(builder, given[whole + k], n), 4
@@ -215,9 +215,9 @@ def _make_intrinsic(columns: int, arguments: str, emit: Any) -> Any:
             numbers = [builder.extract_element(q, _make_int32_constant(k)) for q in quartets for k in range(4)]
             return context.make_tuple(builder, signature.return_type, numbers)
 
-        return made, generate
+        return made, generate_row_sum
 
-    return typed
+    return type_row_sum
 
 
 _flow_form = _make_intrinsic(FLOW_COLUMN_COUNT, "iiiffffffff", emit_flow_sum)

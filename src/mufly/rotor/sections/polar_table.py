@@ -315,12 +315,12 @@ def flat_plate_drag(aspect_ratio: float) -> float:
 
 # Lift and drag of NACA 0012, 0015, 0018 and 0021, 30 to 180 degrees in steps of 5: Sheldahl and Klimas, Aerodynamic
 # Characteristics of Seven Symmetrical Airfoil Sections Through 180-Degree Angle of Attack, SAND80-2114, 1981.
-_STALLED_DATA_START_DEG = 30.0
-_STALLED_DATA_CL = np.array([
+_MEASURED_DEEP_STALL_START_DEG = 30.0
+_MEASURED_DEEP_STALL_CL = np.array([
     0.855, 0.980, 1.035, 1.050, 1.020, 0.955, 0.875, 0.760, 0.630, 0.500, 0.365, 0.230, 0.090, -0.050, -0.185, -0.320,
     -0.450, -0.575, -0.670, -0.760, -0.850, -0.930, -0.980, -0.900, -0.770, -0.670, -0.635, -0.680, -0.850, -0.660, 0.0,
 ])  # fmt: skip
-_STALLED_DATA_CD = np.array([
+_MEASURED_DEEP_STALL_CD = np.array([
     0.570, 0.745, 0.920, 1.075, 1.215, 1.345, 1.470, 1.575, 1.665, 1.735, 1.780, 1.800, 1.800, 1.780, 1.750, 1.700,
     1.635, 1.555, 1.465, 1.350, 1.225, 1.085, 0.925, 0.755, 0.575, 0.420, 0.320, 0.230, 0.140, 0.055, 0.025,
 ])  # fmt: skip
@@ -333,13 +333,13 @@ def _stalled_coefficient_shapes() -> tuple[Array, Array]:
     The module docstring defines m_l, m_d and M.
     """
     size = np.abs(ALPHA_GRID)
-    at = np.deg2rad(np.linspace(_STALLED_DATA_START_DEG, 180.0, _STALLED_DATA_CL.size))
-    drag = _STALLED_DATA_CD - _STALLED_DATA_CD[-1]
+    at = np.deg2rad(np.linspace(_MEASURED_DEEP_STALL_START_DEG, 180.0, _MEASURED_DEEP_STALL_CL.size))
+    drag = _MEASURED_DEEP_STALL_CD - _MEASURED_DEEP_STALL_CD[-1]
     start = float(at[0])
     beyond = np.maximum(size, start)
     near = size < start
-    lift = PchipInterpolator(at, _STALLED_DATA_CL)(beyond)
-    lift = np.where(near, _STALLED_DATA_CL[0] * np.sin(2.0 * size) / math.sin(2.0 * start), lift)
+    lift = PchipInterpolator(at, _MEASURED_DEEP_STALL_CL)(beyond)
+    lift = np.where(near, _MEASURED_DEEP_STALL_CL[0] * np.sin(2.0 * size) / math.sin(2.0 * start), lift)
     push = PchipInterpolator(at, drag)(beyond)
     push = np.where(near, drag[0] * (np.sin(size) / math.sin(start)) ** 2, push)
     across = float(np.interp(0.5 * math.pi, at, drag))

@@ -339,7 +339,7 @@ class ElasticRotorResult:
         """Return loads and twist of the elastic and the rigid rotor as printed text."""
         rigid, bent = self.rigid, self.elastic
 
-        def percent(new: float, old: float) -> str:
+        def format_change(new: float, old: float) -> str:
             return f"{100.0 * (new / old - 1.0):+.1f} %" if old else "-"
 
         def format_band(low: float, high: float, form: str) -> str:
@@ -347,10 +347,11 @@ class ElasticRotorResult:
             return f"{low:{form}} to {end}"
 
         rows = (
-            ("thrust (N)", f"{rigid.thrust_N:.4g}", f"{bent.thrust_N:.4g} ({percent(bent.thrust_N, rigid.thrust_N)})",
+            ("thrust (N)", f"{rigid.thrust_N:.4g}",
+             f"{bent.thrust_N:.4g} ({format_change(bent.thrust_N, rigid.thrust_N)})",
              format_band(self.thrust_low_N, self.thrust_high_N, ".4g")),
             ("torque (mN m)", f"{1e3 * rigid.torque_Nm:.4g}",
-             f"{1e3 * bent.torque_Nm:.4g} ({percent(bent.torque_Nm, rigid.torque_Nm)})",
+             f"{1e3 * bent.torque_Nm:.4g} ({format_change(bent.torque_Nm, rigid.torque_Nm)})",
              format_band(1e3 * self.torque_low_Nm, 1e3 * self.torque_high_Nm, ".4g")),
             ("figure of merit", f"{rigid.figure_of_merit:.3f}", f"{bent.figure_of_merit:.3f}", ""),
             ("tip twist (deg)", "0", f"{math.degrees(self.tip_twist_rad):+.2f}",

@@ -428,17 +428,17 @@ def compute_campbell(
         low[:, 0] = free
     places, at = beam.gauss_radii_m.ravel(), _STIFFNESS_RADIUS_FRACTION * rotor.radius_m
 
-    def at_station(values: Array) -> float:
+    def interpolate_at_station(values: Array) -> float:
         return float(np.interp(at, places, values.ravel()))
 
-    axis = at_station(beam.axis_over_chord)
+    axis = interpolate_at_station(beam.axis_over_chord)
     return CampbellDiagram(
         rotor.name, _describe_assumptions(s, True), speeds,
         tuple(f"{kind} {k}" for kind, k in _CAMPBELL_MODES), value, low, high,
-        beam.blade_mass_kg, beam.flap_inertia_about_shaft_kg_m2, at_station(beam.flap_EI),
-        at_station(beam.torsion_GJ), axis,
-        axis + at_station(beam.centroid_behind_m) / at_station(beam.chord_m), lock_number(rotor, beam, air), free,
-        s.root != "unknown",
+        beam.blade_mass_kg, beam.flap_inertia_about_shaft_kg_m2, interpolate_at_station(beam.flap_EI),
+        interpolate_at_station(beam.torsion_GJ), axis,
+        axis + interpolate_at_station(beam.centroid_behind_m) / interpolate_at_station(beam.chord_m),
+        lock_number(rotor, beam, air), free, s.root != "unknown",
     )  # fmt: skip
 
 

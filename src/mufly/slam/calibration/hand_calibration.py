@@ -97,15 +97,15 @@ _VELOCITY_STEP_COLUMNS, _FLOOR_STEP_COLUMN, _HEIGHT_ERROR_COLUMN, _ROTATION_ERRO
 _SHARED_PRIOR_SIGMA = np.array(
     [0.5, 8.0, 8.0, 0.03, 3.0, 3.0, 3.0, 0.3, *[0.2] * 3, *[0.03] * 3, *[0.3] * 3, *[0.1] * 3, 0.5, 0.5]
 )
-"""Deviations of the priors: focal length (share), centre (pixels of a 320 pixel picture), k1, mount (rad), delay (s),
-gyroscopes (rad/s, share), accelerometers (m/s^2), lever arm (m), initial tilt (rad)."""
+"""Deviations of the priors: focal length (fraction), centre (pixels of a 320 pixel picture), k1, mount (rad), delay
+(s), gyroscopes (rad/s, fraction), accelerometers (m/s^2), lever arm (m), initial tilt (rad)."""
 _SHARED_DIFFERENCE_STEPS = np.array(
     [1e-4, 0.05, 0.05, 1e-4, *[1e-4] * 3, 1e-4, *[1e-4] * 3, *[1e-4] * 3, *[1e-3] * 3, *[1e-3] * 3, 1e-4, 1e-4]
 )
 _SEGMENT_DIFFERENCE_STEPS = np.array([*[1e-3] * 3, 1e-4, *[1e-4] * 3])
 _SONAR_SIGMA_M, _VELOCITY_STEP_SIGMA_M_S, _FLOOR_STEP_SIGMA_M = 0.025, 0.02, 0.004
 _GIVEN_HEIGHT_STD_FRACTION = 0.2
-"""Standard deviation of a given mean height, as a share of it."""
+"""Standard deviation of a given mean height, as a fraction of it."""
 _MIN_PIXEL_SIGMA, _HUBER_THRESHOLD_SIGMAS = 0.05, 1.5
 _MIN_GYRO_EXPLAINED_FRACTION = 0.3
 
@@ -326,15 +326,15 @@ class _CalibrationProblem:
         """Return the camera with the estimated lens."""
         lens, scale = self.camera.lens, math.exp(shared[FOCAL_SLICE][0])
 
-        def replace_value(q: Quantity, value: float) -> Quantity:
+        def copy_with_value(q: Quantity, value: float) -> Quantity:
             return q.model_copy(update={"value": float(value)})
 
         return self.camera.model_copy(update={"lens": lens.model_copy(update={
-            "focal_x": replace_value(lens.focal_x, float(lens.focal_x) * scale),
-            "focal_y": replace_value(lens.focal_y, float(lens.focal_y) * scale),
-            "centre_x": replace_value(lens.centre_x, float(lens.centre_x) + shared[CENTRE_SLICE][0]),
-            "centre_y": replace_value(lens.centre_y, float(lens.centre_y) + shared[CENTRE_SLICE][1]),
-            "k1": replace_value(lens.k1, float(lens.k1) + shared[RADIAL_SLICE][0]),
+            "focal_x": copy_with_value(lens.focal_x, float(lens.focal_x) * scale),
+            "focal_y": copy_with_value(lens.focal_y, float(lens.focal_y) * scale),
+            "centre_x": copy_with_value(lens.centre_x, float(lens.centre_x) + shared[CENTRE_SLICE][0]),
+            "centre_y": copy_with_value(lens.centre_y, float(lens.centre_y) + shared[CENTRE_SLICE][1]),
+            "k1": copy_with_value(lens.k1, float(lens.k1) + shared[RADIAL_SLICE][0]),
         })})  # fmt: skip
 
     def mount_rotation(self, shared: _Array) -> _Array:
@@ -563,24 +563,26 @@ def _with_calibrated_values(camera: Camera, found: dict[str, tuple[float, float]
     """Return the camera with calibrated lens, mounting and delay; all but the position get standard deviations."""
     note = "by hand over a floor"
 
-    def measured(name: str, scale: float, unit: str) -> Quantity:
+    def calibrated_quantity(name: str, scale: float, unit: str) -> Quantity:
         value, std = found[name]
         return Quantity(value=scale * value, unit=unit, source="measured", note=note, std=scale * std)
 
     lens = {
-        name: measured(key, 1.0, "1")
+        name: calibrated_quantity(key, 1.0, "1")
         for name, key in (
             ("focal_x", "focal_x_px"), ("focal_y", "focal_y_px"), ("centre_x", "centre_x_px"),
             ("centre_y", "centre_y_px"), ("k1", "k1"),
         )
     }  # fmt: skip
     place = camera.mount.place.model_copy(update={"value": (tuple(1e-3 * found[f"lever_{a}_mm"][0] for a in "xyz"),)})
-    mount: dict[str, Any] = {n: measured(f"mount_{n}_deg", math.pi / 180, "rad") for n in ("roll", "pitch", "turn")}
+    mount: dict[str, Any] = {
+        n: calibrated_quantity(f"mount_{n}_deg", math.pi / 180, "rad") for n in ("roll", "pitch", "turn")
+    }
     return camera.model_copy(
         update={
             "lens": camera.lens.model_copy(update=lens),
             "mount": camera.mount.model_copy(update={**mount, "place": place}),
-            "shutter": camera.shutter.model_copy(update={"delay": measured("delay_ms", 1e-3, "s")}),
+            "shutter": camera.shutter.model_copy(update={"delay": calibrated_quantity("delay_ms", 1e-3, "s")}),
         }
     )
 

@@ -126,7 +126,7 @@ def resize_camera(camera: Camera, width: int, height: int) -> Camera:
         return camera
     scale = width / camera.sensor.width
 
-    def scaled(quantity: Quantity) -> Quantity:
+    def scale_quantity(quantity: Quantity) -> Quantity:
         return quantity.model_copy(update={"value": float(quantity) * scale, "std": None, "source": "estimated"})
 
     lens, quality = camera.lens, camera.quality
@@ -136,12 +136,14 @@ def resize_camera(camera: Camera, width: int, height: int) -> Camera:
             "sensor": camera.sensor.model_copy(update={"width": width, "height": height}),
             "lens": lens.model_copy(
                 update={
-                    "focal_x": scaled(lens.focal_x), "focal_y": scaled(lens.focal_y),
-                    "centre_x": scaled(lens.centre_x),
-                    "centre_y": scaled(lens.centre_y).model_copy(update={"value": middle_y}),
+                    "focal_x": scale_quantity(lens.focal_x), "focal_y": scale_quantity(lens.focal_y),
+                    "centre_x": scale_quantity(lens.centre_x),
+                    "centre_y": scale_quantity(lens.centre_y).model_copy(update={"value": middle_y}),
                 }
             ),
-            "quality": quality.model_copy(update={"blur": scaled(quality.blur), "shaking": scaled(quality.shaking)}),
+            "quality": quality.model_copy(update={
+                "blur": scale_quantity(quality.blur), "shaking": scale_quantity(quality.shaking),
+            }),
         }
     )  # fmt: skip
 

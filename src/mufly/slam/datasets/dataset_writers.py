@@ -94,10 +94,10 @@ def write_dataset(
         (folder / "pictures.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
         if imu is None:
             phased = told and len(told[0]) > len(TELEMETRY_COLUMNS)
-            _write_csv(
+            _write_csv_table(
                 folder / "telemetry.csv", TELEMETRY_COLUMNS + ROTOR_PHASE_COLUMNS if phased else TELEMETRY_COLUMNS, told
             )
-        _write_csv(
+        _write_csv_table(
             folder / "imu.csv",
             ("time_s", "p_rad_s", "q_rad_s", "r_rad_s", "ax_m_s2", "ay_m_s2", "az_m_s2"),
             rows,
@@ -179,7 +179,7 @@ def ideal_imu_rows(path: VehiclePath) -> _Array:
     return np.column_stack([path.time_s, path.body_rates_rad_s, force])
 
 
-def _write_csv(file: Path, head: Iterable[str], rows: Any) -> None:
+def _write_csv_table(file: Path, head: Iterable[str], rows: Any) -> None:
     lines = [",".join(head), *(",".join(f"{x:.9g}" for x in r) for r in rows)]
     file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

@@ -44,7 +44,7 @@ class FloorPoints(NamedTuple):
     ----------
     positions_m : (n, 3) array
         N, E, D (m).
-    tilt_jacobian : (n, 2, 2) array
+    floor_shift_by_tilt : (n, 2, 2) array
         Derivatives along N and E by the keyframe's tilt error (m/rad).
     tilt_covariance : (4, 4) array
         Covariance of the tilt errors of the picture and of the keyframe.
@@ -56,7 +56,7 @@ class FloorPoints(NamedTuple):
     """
 
     positions_m: _Array
-    tilt_jacobian: _Array
+    floor_shift_by_tilt: _Array
     tilt_covariance: _Array
     sigma_px: _Array
     template_pixels: _Array
@@ -147,7 +147,7 @@ def align_picture(
         pyramid.append((cv2.pyrDown(t), cv2.pyrDown(p), 0.5 * math.hypot(s, 1.0)))
     seconds, out = points.exposure_offsets_s, None
     begin = np.concatenate([start, view.expected_tilt_error_rad, np.zeros(2)])
-    seen = view.shake_amplitudes_px, points.positions_m, points.tilt_jacobian, seconds
+    seen = view.shake_amplitudes_px, points.positions_m, points.floor_shift_by_tilt, seconds
     expected, axes = principal_point + predict_pixels(view, begin, *seen), pixel_floor_jacobian(view, begin, *seen)
     for level, half in _HALVINGS_AND_PATCH_HALF_SIZES:
         t, p, s = pyramid[level]
@@ -165,8 +165,9 @@ def align_picture(
         pixels = expected + scale * patches.shift_px
         untextured_directions = patches.directions[~patches.known]
         pose = solve_pose(
-            view, start, points.positions_m, points.tilt_jacobian, points.tilt_covariance, pixels - principal_point,
-            seconds, information, _prediction_information(untextured_directions, unobserved_sigma),
+            view, start, points.positions_m, points.floor_shift_by_tilt, points.tilt_covariance,
+            pixels - principal_point, seconds,
+            information, _prediction_information(untextured_directions, unobserved_sigma),
         )  # fmt: skip
         expected = pixels - pose.pixel_residuals
         out = AlignedPicture(pose, pixels, information, patches, untextured_directions)

@@ -178,7 +178,7 @@ class FlightList:
         told = time.monotonic()
         # New files before grown ones: a look that ends early, by the next, still gets on.
         for path in sorted(unread, key=lambda path: (path in self._read, *reading_priority(path))):
-            while path.suffix.lower() != ".mcap" and any(v.snapshot.flying for v in self._view.session.vehicles()):
+            while path.suffix.lower() != ".mcap" and any(v.snapshot.flying for v in self._view.session.list_vehicles()):
                 await asyncio.sleep(1.0)
             if look != self._looks or not self._view.is_stream_open:
                 return

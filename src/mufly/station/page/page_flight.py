@@ -178,7 +178,7 @@ def fly_with_page(flight: PageFlight, address: PageAddress, page: StartPage) -> 
             rotor_radius_m=float(vehicle.rotors.radius),
             battery_data=(hover_performance(vehicle).battery_current_A, float(vehicle.battery.capacity) / 3600.0),
             title=f"mufly: {flight.mission.name}",
-            latest_slam_picture=(lambda: process.sight) if flight.has_camera else None,
+            get_slam_picture=(lambda: process.sight) if flight.has_camera else None,
             startup=flight.startup,
         )  # fmt: skip
 
@@ -226,7 +226,7 @@ async def _wait_until_over(flight: PageFlight, monitor: FlightMonitor, session: 
         seen = bool(startup.visit_count or session.opened_count)
         if session.open_stream_count:
             last_seen = now
-        vehicles = session.vehicles()
+        vehicles = session.list_vehicles()
         if vehicles:
             startup.finish()
         if not seen and not started and now - began > NO_PAGE_TIMEOUT_S and vehicles and not monitor.has_flown:

@@ -163,7 +163,7 @@ def _build_alert_switch(view: WindowView) -> Callable[[], None]:
     watches: dict[str, AlertWatch] = {}
 
     def speak_alerts() -> None:
-        vehicle = view.shown_vehicle() or next(iter(view.session.vehicles()), None)
+        vehicle = view.shown_vehicle() or next(iter(view.session.list_vehicles()), None)
         if vehicle is None:
             return
         watch = watches.setdefault(vehicle.key, AlertWatch())
@@ -243,7 +243,7 @@ def _build_dock(view: WindowView, editor: MissionEditor) -> Callable[[], None]:
             plots, spectrum, plan, parameters, recordings = map(
                 ui.tab, ("Plots", "Spectrum", "Plan", "Parameters", "Recordings")
             )
-            camera = None if view.session.latest_slam_picture is None else ui.tab("Camera")
+            camera = None if view.session.get_slam_picture is None else ui.tab("Camera")
         with ui.tab_panels(tabs, value=camera or plots, animated=False, keep_alive=False) as panels:
             panels.classes("mf-tab-panels")
             if camera is not None:

@@ -61,7 +61,7 @@ class StationSession:
 
     Attributes
     ----------
-    vehicles : callable
+    list_vehicles : callable
         Returns all vehicles heard so far, in order.
     recordings_folder : Path
         Folder searched for recordings.
@@ -77,17 +77,17 @@ class StationSession:
         Battery of the vehicle, if known, against which a draft is checked.
     shared_draft : SharedDraft
         Draft of the mission editor.
-    latest_slam_picture : callable or None
+    get_slam_picture : callable or None
         Returns the last picture processed by SLAM, for a vehicle that flies on pictures.
     startup : Startup or None
         Progress of the vehicle's start, if this station starts a vehicle.
     opened_count : int
         Number of windows opened.
-    link_problems : callable or None
+    describe_link_problems : callable or None
         Returns the problems of the links, one line each.
     """
 
-    vehicles: Callable[[], Sequence[RemoteVehicle]]
+    list_vehicles: Callable[[], Sequence[RemoteVehicle]]
     recordings_folder: Path
     mission: Mission | None = None
     rotor_radius_m: float = 0.0875
@@ -99,10 +99,10 @@ class StationSession:
     initial_recording: FlightRecording | None = None
     battery_data: tuple[float, float] | None = None
     shared_draft: SharedDraft = field(default_factory=SharedDraft)
-    latest_slam_picture: Callable[[], TrackedPicture | None] | None = None
+    get_slam_picture: Callable[[], TrackedPicture | None] | None = None
     startup: Startup | None = None
     opened_count: int = 0
-    link_problems: Callable[[], Sequence[str]] | None = None
+    describe_link_problems: Callable[[], Sequence[str]] | None = None
     clock: Callable[[], float] = read_boot_clock
 
     def open_view(self, client_id: str, selected: str = "") -> WindowView:
@@ -141,8 +141,8 @@ class StationSession:
 
     def describe_waiting(self, selected: str) -> str:
         """Return a text on the awaited vehicle and on problems of the links, for a window without a vehicle."""
-        trouble = "; ".join(self.link_problems()) if self.link_problems is not None else ""
-        if selected and self.vehicles():
+        trouble = "; ".join(self.describe_link_problems()) if self.describe_link_problems is not None else ""
+        if selected and self.list_vehicles():
             system, _, link = selected.partition("@")
             text = f"No communication with system {system} on {link}; select another vehicle above"
         else:
@@ -151,7 +151,7 @@ class StationSession:
 
     def vehicle_label(self, vehicle: RemoteVehicle) -> str:
         """Return the display name of a vehicle; with its link if two names are equal."""
-        alike = sum(v.name == vehicle.name for v in self.vehicles()) > 1
+        alike = sum(v.name == vehicle.name for v in self.list_vehicles()) > 1
         return f"{vehicle.name} ({vehicle.key.partition('@')[2]})" if alike else vehicle.name
 
     def parameter_edits(self, vehicle: PanelSource) -> ParameterEdits:
@@ -209,7 +209,7 @@ class WindowView:
 
         The selection is kept: if that vehicle is unknown the result is None, and no other replaces it.
         """
-        known = self.session.vehicles()
+        known = self.session.list_vehicles()
         if not self.selected and known:
             self.selected = known[0].key
         return next((v for v in known if v.key == self.selected), None)
@@ -271,14 +271,14 @@ class WindowView:
         """Return the last SLAM picture of the displayed vehicle."""
         return (
             None
-            if self.replay is not None or self.session.latest_slam_picture is None
-            else self.session.latest_slam_picture()
+            if self.replay is not None or self.session.get_slam_picture is None
+            else self.session.get_slam_picture()
         )
 
     def other_vehicles(self) -> list[RemoteVehicle]:
         """Return the vehicles in the scene that are not selected."""
         chosen = self.shown_vehicle()
-        return [v for v in self.session.vehicles() if v is not chosen] if self.replay is None else []
+        return [v for v in self.session.list_vehicles() if v is not chosen] if self.replay is None else []
 
     def encode_scenery(self) -> dict[str, Any]:
         """Return world, fence, and shape and size of the vehicle for the 3-D scene.
@@ -316,9 +316,11 @@ class WindowView:
                 "note": c.alignment_note,
             },
             "recording": recorder is not None and recorder.recording,
-            "vehicles": [(v.key, self.session.vehicle_label(v)) for v in self.session.vehicles()],
+            "vehicles": [(v.key, self.session.vehicle_label(v)) for v in self.session.list_vehicles()],
             "selected": self.selected,
-            "trouble": "; ".join(self.session.link_problems()) if self.session.link_problems is not None else "",
+            "trouble": "; ".join(self.session.describe_link_problems())
+            if self.session.describe_link_problems is not None
+            else "",
             "color": 0 if v is None else v.color,
             "flight": self.encode_selected_vehicle(),
             "start": self.session.startup_status(),
@@ -330,7 +332,9 @@ class WindowView:
         if v is None:
             return None
         s = v.snapshot
-        others = [self.session.vehicle_label(o) for o in self.session.vehicles() if o is not v and o.snapshot.armed]
+        others = [
+            self.session.vehicle_label(o) for o in self.session.list_vehicles() if o is not v and o.snapshot.armed
+        ]
         fresh = takewhile(lambda m: not s.time_s - m.time_s > ALERT_DISPLAY_S, reversed(v.messages))
         told = next((m for m in fresh if m.level != "info"), None)
         return {

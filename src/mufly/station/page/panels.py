@@ -532,7 +532,7 @@ class FlightStrip:
             rows=0,
         )
         # Of several vehicles the button says which one it stops.
-        if vehicle is not None and len(self._view.session.vehicles()) > 1:
+        if vehicle is not None and len(self._view.session.list_vehicles()) > 1:
             note = ": ".join(filter(None, (self._view.session.vehicle_label(vehicle), note)))
         self._stop.show_state(label, reasons["stop"], note)
 
@@ -598,7 +598,7 @@ class StickPanel:
         if content.get("begin"):
             self._start_flying(at)
         elif self._flown is not None and not self._manual_end_reason():
-            self._flown.sticks.set_deflection(*map(float, at))
+            self._flown.sticks.set_deflections(*map(float, at))
         self.refresh()
 
     def _start_flying(self, at: list[float]) -> None:
@@ -608,6 +608,6 @@ class StickPanel:
         if vehicle is None or why:
             self._panel.call_method("ended", why or "no vehicle is displayed")
             return
-        vehicle.sticks.set_deflection(*map(float, at))
+        vehicle.sticks.set_deflections(*map(float, at))
         self._flown, self._request = vehicle, vehicle.fly_manually()
         self._view.keep_request(self._request)

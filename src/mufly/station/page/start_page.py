@@ -28,7 +28,7 @@ _POLL_TIMEOUT_S = 3.0
 
 
 @dataclass(slots=True)
-class StartStage:
+class StartupStage:
     """One stage of a start, with its begin and end (s of a monotonic clock); the end is NaN while the stage runs."""
 
     text: str
@@ -49,7 +49,7 @@ class Startup:
     ----------
     title, url : str
         Name of the started program; address of its page, "" without a page.
-    stages : list of StartStage
+    stages : list of StartupStage
     fault : str
         Reason of a failure, "" if none.
     is_done : bool
@@ -63,7 +63,7 @@ class Startup:
     def __init__(self, title: str = "", clock: Callable[[], float] = time.monotonic) -> None:
         self.title, self._clock = title, clock
         self.url = ""
-        self.stages: list[StartStage] = []
+        self.stages: list[StartupStage] = []
         self.fault = ""
         self.is_done = False
         self.visit_count = 0
@@ -76,7 +76,7 @@ class Startup:
             if self.is_done or (self.stages and self.stages[-1].text == text):
                 return
             now = self._end_stage()
-            self.stages.append(StartStage(text, now))
+            self.stages.append(StartupStage(text, now))
         if self.on_change is not None:
             self.on_change(text)
 
@@ -191,7 +191,7 @@ class _StartServer(ThreadingHTTPServer):
 
 
 def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], None]) -> type[BaseHTTPRequestHandler]:
-    class Handler(BaseHTTPRequestHandler):
+    class StartPageHandler(BaseHTTPRequestHandler):
         timeout = 5.0
         server_version, sys_version = "mufly", ""
 
@@ -237,7 +237,7 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
         def log_message(self, format: str, *args: Any) -> None:
             """Suppress log output."""
 
-    return Handler
+    return StartPageHandler
 
 
 _START_PAGE_HTML = """<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content="width=device-width">

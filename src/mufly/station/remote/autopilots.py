@@ -12,7 +12,7 @@ from typing import Literal
 
 from mufly.link.codec import GlobalOrigin, mavlink
 from mufly.link.command_protocol import FORCE_DISARM_MAGIC, Command
-from mufly.vehicle_types import ARDUPILOT, PX4, ModeFamily, ardupilot_mode_number
+from mufly.vehicle_types import MAV_AUTOPILOT_ARDUPILOT, MAV_AUTOPILOT_PX4, ModeFamily, ardupilot_mode_number
 
 NAN = math.nan
 
@@ -31,7 +31,7 @@ def identify_firmware(autopilot: int, ours: bool) -> FirmwareKind:
     """
     if ours:
         return "mufly"
-    return "PX4" if autopilot == PX4 else "ArduPilot" if autopilot == ARDUPILOT else "other"
+    return "PX4" if autopilot == MAV_AUTOPILOT_PX4 else "ArduPilot" if autopilot == MAV_AUTOPILOT_ARDUPILOT else "other"
 
 
 def _make_command(number: int, *params: float) -> Command:

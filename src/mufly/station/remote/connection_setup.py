@@ -14,7 +14,7 @@ from mufly.station.remote.remote_commands import RemoteCommands
 from mufly.station.remote.remote_transfers import RemoteMission, RemoteParameters
 from mufly.station.remote.vehicle_telemetry import VehicleTelemetry
 from mufly.station.signal_history import OperatorRequest, RequestOutcome
-from mufly.vehicle_types import PX4
+from mufly.vehicle_types import MAV_AUTOPILOT_PX4
 
 REQUESTED_MESSAGES: tuple[tuple[str, float], ...] = (
     ("ATTITUDE", 1.0),
@@ -113,7 +113,7 @@ class ConnectionSetup:
         if not self._read:
             self._read = True
             known = self._version.capabilities if self._version is not None else 0
-            guess = telemetry.autopilot == PX4
+            guess = telemetry.autopilot == MAV_AUTOPILOT_PX4
             self._parameters.set_bytewise_encoding(
                 bool(known & _CAPABILITY_BYTEWISE) or (guess and not known & _CAPABILITY_C_CAST)
             )

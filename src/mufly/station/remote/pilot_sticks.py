@@ -48,7 +48,7 @@ class PilotSticks:
         """Return whether a pilot holds the sticks."""
         return self._held is not None
 
-    def set_deflection(self, roll: float, pitch: float, climb: float, yaw: float) -> bool:
+    def set_deflections(self, roll: float, pitch: float, climb: float, yaw: float) -> bool:
         """Set stick positions (-1 to 1: right, back, up, turn right).
 
         Return False, and change nothing, if any position is not finite.

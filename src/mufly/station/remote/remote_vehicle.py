@@ -43,7 +43,7 @@ from mufly.station.signal_history import (
     StatusMessage,
     VehicleSnapshot,
 )
-from mufly.vehicle_types import ARDUPILOT, ardupilot_family, is_vehicle, vehicle_type_name
+from mufly.vehicle_types import MAV_AUTOPILOT_ARDUPILOT, ardupilot_family, is_vehicle, vehicle_type_name
 
 LOST_TIMEOUT_S = 3.0
 """Silence after which a vehicle is lost (s)."""
@@ -578,7 +578,7 @@ class RemoteVehicle:
             return
         total = 0 if message.total == _NO_MISSION_ITEM else message.total
         # ArduPilot's first item is its home, which this total omits.
-        own = 1 if self.telemetry.autopilot == ARDUPILOT else 0
+        own = 1 if self.telemetry.autopilot == MAV_AUTOPILOT_ARDUPILOT else 0
         if total != max(0, len(items) - own):
             self.transfers.download_items()  # another station has sent a mission
 

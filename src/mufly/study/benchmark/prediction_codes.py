@@ -232,9 +232,9 @@ def _predict_by_command(command: str, case: RotorCase, limit_s: float) -> RotorP
         (folder / "rotor.json").write_text(json.dumps(question), encoding="utf-8")
         blade = zip(question["r_m"], question["chord_m"], question["twist_rad"], question["airfoils"], strict=True)
         rows = [(r, c, math.degrees(t), foil) for r, c, t, foil in blade]
-        _write_csv(folder / "blade.csv", ("r_m", "chord_m", "twist_deg", "airfoil"), rows)
+        _write_input_csv(folder / "blade.csv", ("r_m", "chord_m", "twist_deg", "airfoil"), rows)
         points = zip(question["pitch_rad"], question["speed_rad_s"], question["climb_m_s"], strict=True)
-        _write_csv(
+        _write_input_csv(
             folder / "points.csv", ("pitch_deg", "speed_rpm", "climb_m_s"),
             [(math.degrees(p), s / RPM, v) for p, s, v in points],
         )  # fmt: skip
@@ -257,7 +257,7 @@ def _predict_by_command(command: str, case: RotorCase, limit_s: float) -> RotorP
             return _failed_prediction(case, str(error).replace(f"{folder}/", ""))
 
 
-def _write_csv(path: Path, heads: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:
+def _write_input_csv(path: Path, heads: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(heads)

@@ -239,7 +239,7 @@ def _is_only_height_rejected(m: FilterMemory) -> bool:
 
 
 @cached_njit(error_model="numpy")
-def _mark_height_fault(m: FilterMemory) -> None:
+def _mark_fix_height_faulty(m: FilterMemory) -> None:
     """Change the status of a fix from rejected to faulty if only its height is rejected.
 
     A fix of wrong height does not contradict the attitude.
@@ -294,7 +294,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         why = REASON_HEIGHT_CONFLICT if apart else REASON_INNOVATION
         near = 2.0 * s.sensor_period[k] + 8 * math.sqrt(_fix_variance(m, s, 0)) + 0.05
         reject_measurement(m, s, k, at, z, 3, near, why)
-        _mark_height_fault(m)
+        _mark_fix_height_faulty(m)
         if not reset_timeout_expired(m, s, k):
             return
         # Components that other sensors hold are kept: there the bias of the fix is reset.
@@ -312,7 +312,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_ATTITUDE + 2, nu * nu, m.u_transposed_h)
         nu = at
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
-        _mark_height_fault(m)
+        _mark_fix_height_faulty(m)
     # Large ratios of one sign show an unmodelled error of the filter, for example drifting gyroscopes.
     m.fix_max_ratio_squared_lp += 0.15 * (worst * worst - m.fix_max_ratio_squared_lp)
     for i in range(FIX_COMPONENT_COUNT):

@@ -121,7 +121,7 @@ TERRAIN_STEP_GATE, MAX_TERRAIN_STEPS = 3.0, 8
 LIFTOFF_THRUST_RATIO, LIFTOFF_THRUST_SIGMA = 1.08, 0.08
 """Lift over weight as the sonar shows lift-off (1), and its standard deviation (1)."""
 _BEAM_INNOVATION_GATE = 4.0
-COST_FIX_BIAS, COST_FIX = 1, 4
+FIX_BIAS_STEP_COST, FIX_FUSION_COST = 1, 4
 """Cost of a bias step of the fix and of a fix, in scalar measurements."""
 MIN_TERRAIN_HEIGHT_M = -0.1
 """Lowest floor height (m): no surface lies below the floor."""
@@ -477,7 +477,7 @@ def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: 
 def measurement_cost(m: FilterMemory, s: FilterSettings, kind: int, left: int) -> int:
     """Return the cost of a measurement in scalar measurements; for the ring, as many beams as ``left`` allows."""
     if kind == READING_POSITION_FIX:
-        return COST_FIX_BIAS if m.fix_bias_tick < m.horizon_tick else COST_FIX
+        return FIX_BIAS_STEP_COST if m.fix_bias_tick < m.horizon_tick else FIX_FUSION_COST
     return max(min(s.beam_count - m.next_beam, left), 1) if kind == READING_RANGE_RING else 1
 
 

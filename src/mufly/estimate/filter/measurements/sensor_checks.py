@@ -93,17 +93,17 @@ _GYRO_JUMP_REPEATS = 3
 """Agreeing spikes in a row that are a jump. Outliers in a quarter of the readings, uniform within 0.6 rad/s on three
 axes, agree twice in a row every 80 s, and three times in a row every few days."""
 _MAX_GYRO_OFFSET_RAD_S = 5.0  # rad/s: largest offset; repeated jumps beyond it indicate a diverging model
-_GYRO_RESIDUAL_CARRY_FRACTION = 0.7  # share of the residual of the previous period
+_GYRO_RESIDUAL_CARRY_FRACTION = 0.7  # fraction of the residual of the previous period
 _GYRO_SPIKE_RESIDUAL_FACTOR = 3.0  # of the mean residual over some 50 ms
-_ANG_ACCEL_BIAS_GAIN = 0.02  # share of a residual that is attributed to the model's moments
-_MIN_CLIP_FRACTION = 0.02  # share of clipped samples that is reported
+_ANG_ACCEL_BIAS_GAIN = 0.02  # fraction of a residual that is attributed to the model's moments
+_MIN_CLIP_FRACTION = 0.02  # fraction of clipped samples that is reported
 DIVERGED_GYRO_BIAS_WALK, POST_DIVERGENCE_DURATION_S, POST_DIVERGENCE_GYRO_BIAS_WALK = 0.1, 3.0, 0.03
 """Random walk of the gyroscopes' bias after a divergence of the filter (rad/s in a second), its duration (s), and the
 random walk afterwards, since a drift may continue."""
 DIVERGED_GYRO_BIAS_SIGMA_RAD_S, DIVERGED_ATTITUDE_SIGMA_RAD, DIVERGED_SPEED_SIGMA_M_S = 0.15, 0.06, 0.3
 """Standard deviations of bias (rad/s), attitude (rad) and speed (m/s) after a divergence."""
 _ROTOR_SPEED_GATE, _ROTOR_SPEED_RECOVERY_GATE = 0.08, 0.02  # fractions of the hover speed; the second after a rejection
-_MAX_MOTOR_ACCEL_BIAS_CHANGE, _MOTOR_ACCEL_BIAS_MEAN_S, _MOTOR_ACCEL_BIAS_SETTLING_S = 0.03, 4.0, 1.0
+_MAX_SPIN_ACCEL_BIAS_CHANGE, _SPIN_ACCEL_BIAS_AVERAGING_S, _SPIN_ACCEL_BIAS_SETTLING_S = 0.03, 4.0, 1.0
 """Permitted deviation of the motor equations' error from its mean (fraction of the hover speed per second), averaging
 time (s), and settling time after lift-off (s); flights in gusts need a fifth of the limit."""
 _BATTERY_VOLTAGE_GATE_V = 0.6
@@ -178,7 +178,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
             new[k] = 0
             continue
         start, count = READING_STARTS[k], READING_STARTS[k + 1] - READING_STARTS[k]
-        m.is_decimated[k] = 0
+        m.is_skipped_by_decimation[k] = 0
         if new[k] == 2:
             m.invalid_count[k] += 1
             new[k] = 0
@@ -233,7 +233,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
                     new[k] = 0
             if s.reading_decimation[k] > 1:
                 m.decimation_count[k] += 1
-                m.is_decimated[k] = 1 if m.decimation_count[k] % s.reading_decimation[k] else 0
+                m.is_skipped_by_decimation[k] = 1 if m.decimation_count[k] % s.reading_decimation[k] else 0
             for j in range(count):
                 m.last_value[start + j] = z[start + j]
             if k <= READING_RATES or k == READING_RANGE_RING:
@@ -366,7 +366,7 @@ def check_rotor_speed(m: FilterMemory, s: FilterSettings, z: _Array, start: int)
         away = max(away, abs(m.rotor_spin_accel_bias[j] - m.rotor_spin_accel_bias_mean[j]) / s.hover_speed[j])
     # On the floor the motor equations are adapted.
     if m.flight_phase == PHASE_FLYING:
-        if flown > _MOTOR_ACCEL_BIAS_SETTLING_S and away > _MAX_MOTOR_ACCEL_BIAS_CHANGE:
+        if flown > _SPIN_ACCEL_BIAS_SETTLING_S and away > _MAX_SPIN_ACCEL_BIAS_CHANGE:
             for j in range(2):
                 m.rotor_spin_accel_bias[j] = m.rotor_spin_accel_bias_mean[j]
             mark_rejected(m, s, k, REASON_INNOVATION, worst * s.hover_speed[0])
@@ -374,7 +374,7 @@ def check_rotor_speed(m: FilterMemory, s: FilterSettings, z: _Array, start: int)
         if worst > (_ROTOR_SPEED_RECOVERY_GATE if m.reject_score[k] > 0.5 else _ROTOR_SPEED_GATE):
             mark_rejected(m, s, k, REASON_INNOVATION, worst * s.hover_speed[0])
             return False
-    share = s.sensor_period[k] / max(min(flown, _MOTOR_ACCEL_BIAS_MEAN_S), s.sensor_period[k])
+    share = s.sensor_period[k] / max(min(flown, _SPIN_ACCEL_BIAS_AVERAGING_S), s.sensor_period[k])
     for j in range(2):
         m.rotor_spin_accel_bias_mean[j] += share * (m.rotor_spin_accel_bias[j] - m.rotor_spin_accel_bias_mean[j])
     mark_fused(m, k)

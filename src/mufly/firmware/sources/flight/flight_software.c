@@ -13,7 +13,7 @@
 #define HOVER_VOLTAGE_FILTER_S REAL(1.0)
 #define BATTERY_FILTER_S REAL(0.5) /* time constant of the battery filter during spin-up */
 #define TOUCHDOWN_HEIGHT_M REAL(0.03) /* height below which the vehicle counts as landed */
-#define RAMP_DOWN_SKIPPED_FRACTION REAL(0.8) /* share of the ramp-down that is skipped after a certain touchdown */
+#define RAMP_DOWN_SKIPPED_FRACTION REAL(0.8) /* fraction of the ramp-down that is skipped after a certain touchdown */
 
 static void set_pair(real_t a, real_t b, real_t out[2])
 {
@@ -50,10 +50,10 @@ static void clear_command(command_t *c)
     c->land = false;
     c->motor_stop_reason = 0;
     c->rc_active = false;
-    c->roll = REAL(0.0);
-    c->pitch = REAL(0.0);
-    c->yaw_rate = REAL(0.0);
-    c->climb_rate = REAL(0.0);
+    c->pilot_roll = REAL(0.0);
+    c->pilot_pitch = REAL(0.0);
+    c->pilot_yaw_rate = REAL(0.0);
+    c->pilot_climb_rate = REAL(0.0);
     c->has_program_set_point = false;
     for (int32_t i = 0; i < 3; i++) {
         c->waypoint[i] = REAL(0.0);
@@ -66,8 +66,8 @@ static void clear_command(command_t *c)
 
 static bool is_any_signal(const command_t *c)
 {
-    const bool sticks = c->rc_active || (real_abs(c->roll) > REAL(0.0)) || (real_abs(c->pitch) > REAL(0.0)) ||
-                        (real_abs(c->yaw_rate) > REAL(0.0)) || (real_abs(c->climb_rate) > REAL(0.0));
+    const bool sticks = c->rc_active || (real_abs(c->pilot_roll) > REAL(0.0)) || (real_abs(c->pilot_pitch) > REAL(0.0)) ||
+                        (real_abs(c->pilot_yaw_rate) > REAL(0.0)) || (real_abs(c->pilot_climb_rate) > REAL(0.0));
 
     return c->start || c->has_first_waypoint || c->has_take_off_height || c->pause || c->has_waypoint || c->has_heading || c->return_requested ||
            c->land || (c->motor_stop_reason != 0) || sticks || c->has_program_set_point;

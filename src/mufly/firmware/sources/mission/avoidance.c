@@ -11,7 +11,7 @@
 #define NEAREST_POINT_RANGE_M REAL(2.0)
 #define SECTOR_BOUNDARY_SLOPE REAL(0x1.a827999fcef34p-2) /* tan(pi / 8) */
 #define BLOCKED_PATH_MARGIN_M REAL(0.05)
-#define LEAVE_CONTOUR_MARGIN_M REAL(0.08)
+#define CLEAR_PATH_MARGIN_M REAL(0.08)
 #define FOLLOW_CONTOUR_MARGIN_M REAL(0.15)
 #define APPROACH_BARRIER_MARGIN_M REAL(0.06)
 #define APPROACH_SPEED_PER_DISTANCE_1_S REAL(0.8) /* 1/s */
@@ -484,7 +484,7 @@ void follow_contour(detour_t *detour, const path_check_t *sight, const beam_ring
                     real_t dt)
 {
     const real_t distance = clearance + FOLLOW_CONTOUR_MARGIN_M;
-    const real_t wide = (clearance + LEAVE_CONTOUR_MARGIN_M) * (clearance + LEAVE_CONTOUR_MARGIN_M);
+    const real_t wide = (clearance + CLEAR_PATH_MARGIN_M) * (clearance + CLEAR_PATH_MARGIN_M);
     const real_t to_goal = planar_distance(goal, detour->position);
     real_t wanted[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
     contour_point_t near;

@@ -22,7 +22,7 @@ void enter_manual(mission_t *s, const estimate_t *m)
 /* Whether the pilot asks for a start that the estimate permits. */
 static bool may_start(mission_t *s, const estimate_t *m, const command_t *c)
 {
-    const bool asks = !(c->climb_rate <= REAL(0.0));
+    const bool asks = !(c->pilot_climb_rate <= REAL(0.0));
     const message_t fault = describe_start_fault(m);
 
     if (asks && (fault.code != SAY_NO_MESSAGE)) {
@@ -59,12 +59,12 @@ void step_manual(const plan_t *plan, mission_t *s, const estimate_t *m, const co
         }
     } else {
         /* The reference stays near the helicopter, so that it responds to the sticks at once. */
-        const real_t climb = limit_manual_climb(s->home_position[2] - x[2], m->motion.velocity, plan->touchdown, c->climb_rate);
+        const real_t climb = limit_manual_climb(s->home_position[2] - x[2], m->motion.velocity, plan->touchdown, c->pilot_climb_rate);
 
         s->hold_position[2] = real_min(real_max(s->hold_position[2] - (climb * dt), x[2] - REAL(0.5)), x[2] + REAL(0.5));
         s->hold_position[0] = x[0];
         s->hold_position[1] = x[1];
-        s->hold_heading = s->hold_heading + (c->yaw_rate * dt);
+        s->hold_heading = s->hold_heading + (c->pilot_yaw_rate * dt);
         s->descent_rate = -climb;
     }
 }

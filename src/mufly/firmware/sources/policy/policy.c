@@ -1,7 +1,7 @@
 #include "policy/policy.h"
 
-#define MAX_COLLECTIVE_DUTY_CHANGE REAL(0.3)
-#define MAX_YAW_DUTY_CHANGE REAL(0.15)
+#define MAX_COLLECTIVE_DUTY_OFFSET REAL(0.3)
+#define MAX_YAW_DUTY_OFFSET REAL(0.15)
 
 static real_t policy_tanh(real_t x)
 {
@@ -108,8 +108,8 @@ void policy_step(const motion_estimate_t *now, const path_t *reference, real_t h
     }
     seen[19] = -now->position[2];
     policy_evaluate(seen, action);
-    collective = MAX_COLLECTIVE_DUTY_CHANGE * action[0];
-    turn = MAX_YAW_DUTY_CHANGE * action[1];
+    collective = MAX_COLLECTIVE_DUTY_OFFSET * action[0];
+    turn = MAX_YAW_DUTY_OFFSET * action[1];
     out->motor_input[0] = real_clip((policy_trim[0] + collective) + turn, REAL(0.0), REAL(1.0));
     out->motor_input[1] = real_clip((policy_trim[1] + collective) - turn, REAL(0.0), REAL(1.0));
     out->servo_input[0] = action[2];

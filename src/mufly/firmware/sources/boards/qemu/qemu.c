@@ -37,14 +37,14 @@
 
 /* Two sectors of flash, which this machine has as memory that outlasts the program; where that is new, no bit need be set. */
 #define FLASH ((volatile uint32_t *)0x21000000U)
-#define FLASH_WORDS 4096
+#define FLASH_SECTOR_WORDS 4096
 
 /* Kind of the receiver, in the same memory: RC_... of rc_frames.h. */
 #define RECEIVER_KIND (*(volatile int32_t *)0x21080000U)
 
 /* Block device of the log, in the same memory. */
 #define LOG_MEMORY ((volatile uint32_t *)0x21100000U)
-#define LOG_BLOCKS 30720
+#define LOG_BLOCK_COUNT 30720
 
 /* SysTick: ticks of 40 ns; with -icount shift=0 an instruction takes 1 ns. It counts down. */
 #define TICKS_CTRL (*(volatile uint32_t *)0xE000E010U)
@@ -255,31 +255,31 @@ int32_t hal_read_rc(uint8_t *to, int32_t most)
 
 int32_t hal_flash_words(void)
 {
-    return FLASH_WORDS;
+    return FLASH_SECTOR_WORDS;
 }
 
 uint32_t hal_flash_read(int32_t sector, int32_t word)
 {
-    return FLASH[(sector * FLASH_WORDS) + word];
+    return FLASH[(sector * FLASH_SECTOR_WORDS) + word];
 }
 
 bool hal_flash_program(int32_t sector, int32_t word, uint32_t value)
 {
-    FLASH[(sector * FLASH_WORDS) + word] &= value;
+    FLASH[(sector * FLASH_SECTOR_WORDS) + word] &= value;
     return true;
 }
 
 bool hal_flash_erase(int32_t sector)
 {
-    for (int32_t i = 0; i < FLASH_WORDS; i++) {
-        FLASH[(sector * FLASH_WORDS) + i] = 0xFFFFFFFFU;
+    for (int32_t i = 0; i < FLASH_SECTOR_WORDS; i++) {
+        FLASH[(sector * FLASH_SECTOR_WORDS) + i] = 0xFFFFFFFFU;
     }
     return true;
 }
 
 int32_t hal_block_count(void)
 {
-    return LOG_BLOCKS;
+    return LOG_BLOCK_COUNT;
 }
 
 bool hal_block_read(int32_t block, uint32_t to[BLOCK_WORDS])

@@ -337,10 +337,10 @@ static void any_command(command_t *c)
     c->rc_active = (a & 160U) == 160U;
     /* The caller checks sticks and heights: autopilot.py, or on a board the code that fills command_t. */
     limit_inputs = true;
-    c->roll = next_number(REAL(0.5));
-    c->pitch = next_number(REAL(0.5));
-    c->yaw_rate = next_number(REAL(2.0));
-    c->climb_rate = next_number(REAL(1.0));
+    c->pilot_roll = next_number(REAL(0.5));
+    c->pilot_pitch = next_number(REAL(0.5));
+    c->pilot_yaw_rate = next_number(REAL(2.0));
+    c->pilot_climb_rate = next_number(REAL(1.0));
     c->take_off_height = next_positive(REAL(2.0));
     limit_inputs = as_it_was;
     c->has_program_set_point = (a & 136U) == 136U;
@@ -502,7 +502,7 @@ static void check_board(const board_t *board)
         require_true((board->rc.decoder.channel[i] >= 0) && (board->rc.decoder.channel[i] < 2048));
     }
     require_true(is_between(s->settings.stick_tilt, REAL(0.0), REAL(0.3)));
-    require_true(is_between(s->sticks.roll, REAL(-0.3), REAL(0.3)));
+    require_true(is_between(s->sticks.pilot_roll, REAL(-0.3), REAL(0.3)));
     require_true(is_between(c->rate_offset[0], REAL(-0.51), REAL(0.51)));
     for (int32_t k = 0; k < board->plan.count; k++) {
         require_true(is_between(board->plan.waypoint[k].position[2], REAL(-51.0), REAL(0.0)));

@@ -54,8 +54,8 @@ static void add_random_command(command_t *c, int32_t what)
         break;
     default:
         c->rc_active = true;
-        c->climb_rate = random_number(REAL(0.5));
-        c->yaw_rate = random_number(REAL(0.5));
+        c->pilot_climb_rate = random_number(REAL(0.5));
+        c->pilot_yaw_rate = random_number(REAL(0.5));
         break;
     }
 }

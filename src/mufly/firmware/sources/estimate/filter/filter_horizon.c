@@ -285,7 +285,7 @@ void queue_new_measurements(estimator_t *m, const estimator_settings_t *s, const
     for (int32_t i = 0; i < QUEUED_READING_COUNT; i++) {
         const int32_t kind = QUEUED_READING_INDICES[i];
 
-        if ((fresh[kind] == 1) && (m->is_decimated[kind] <= 0)) {
+        if ((fresh[kind] == 1) && (m->is_skipped_by_decimation[kind] <= 0)) {
             /* The state of tick k belongs to k dt - lag. */
             const real_t at = (real_t)m->tick + ((s->imu_lag - age[kind]) / s->dt);
 

@@ -328,7 +328,7 @@ static void reset_to_level(estimator_t *m, const estimator_settings_t *s)
 {
     real_t *const states[4] = {m->x, m->x_repropagating, m->x_now, m->x_output};
 
-    for (int32_t b = 0; b < INPUT_BLOCK_COUNT; b++) {
+    for (int32_t b = 0; b < INPUT_HISTORY_BLOCKS; b++) {
         rotate_to_level(m, &m->input_blocks[b][INPUT_RATES]);
     }
     clear_block_forces(m);

@@ -5,7 +5,7 @@
 
 real_t *input_block(estimator_t *m, const estimator_settings_t *s, int32_t tick)
 {
-    return m->input_blocks[wrap_index(tick / s->block_ticks, INPUT_BLOCK_COUNT)];
+    return m->input_blocks[wrap_index(tick / s->block_ticks, INPUT_HISTORY_BLOCKS)];
 }
 
 real_t velocity_noise_density(const real_t r[9], int32_t k, const real_t e[INPUT_ROW_SIZE])
@@ -80,7 +80,7 @@ static void propagate_covariance(estimator_t *m, const estimator_settings_t *s, 
         }
     }
     for (int32_t k = 0; k < ERROR_STATE_COUNT; k++) {
-        propagate_column(m->u_transposed[k], span, transition, m->gain);
+        propagate_error_column(m->u_transposed[k], span, transition, m->gain);
         for (int32_t i = 0; i < MOTION_STATE_COUNT; i++) {
             const real_t c = m->ud_diagonal[k] * m->gain[i];
 

@@ -183,7 +183,7 @@ static void rank_one_update(estimator_t *m, int32_t last, real_t much)
     }
 }
 
-void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE], real_t out[MOTION_STATE_COUNT])
+void propagate_error_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE], real_t out[MOTION_STATE_COUNT])
 {
     const real_t *a = transition;
     const real_t *turning = &a[TRANSITION_ATTITUDE];
@@ -215,7 +215,7 @@ void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real
     }
 }
 
-/* Do the same as propagate_column, in place, for a column without biases. */
+/* Do the same as propagate_error_column, in place, for a column without biases. */
 static void propagate_motion_column(real_t u[MOTION_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE])
 {
     const real_t *turning = &transition[TRANSITION_ATTITUDE];
@@ -282,7 +282,7 @@ void ud_time_update(estimator_t *m, real_t span, const real_t transition[TRANSIT
         propagate_motion_column(m->u_transposed[k], span, transition);
     }
     for (int32_t k = MOTION_STATE_COUNT; k < ERROR_STATE_COUNT; k++) {
-        propagate_column(m->u_transposed[k], span, transition, m->u_transposed[k]);
+        propagate_error_column(m->u_transposed[k], span, transition, m->u_transposed[k]);
     }
     orthogonalise_velocity(m);
     for (int32_t j = 0; j < MOTION_STATE_COUNT; j++) {

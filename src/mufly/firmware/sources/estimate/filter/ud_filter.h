@@ -14,7 +14,7 @@ void ud_measurement_update(estimator_t *m, real_t variance);
 void ud_time_update(estimator_t *m, real_t span, const real_t transition[TRANSITION_SIZE], const real_t q[MOTION_STATE_COUNT]);
 
 /* Write the first nine errors of column u (n,) after a step; out may be u. */
-void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE], real_t out[MOTION_STATE_COUNT]);
+void propagate_error_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE], real_t out[MOTION_STATE_COUNT]);
 
 /* Predict one bias, x' = keep x + w, with variance q of w. */
 void gauss_markov_update(estimator_t *m, int32_t state, real_t keep, real_t q);

@@ -112,11 +112,11 @@ void make_reference(const plan_t *plan, const mission_t *s, const estimate_t *m,
         out->path.velocity[2] = s->descent_rate;
         out->heading = s->hold_heading;
         if (s->motors == MOTORS_FLY) {
-            out->heading_rate = c->yaw_rate;
+            out->heading_rate = c->pilot_yaw_rate;
         }
         out->rc_active = true;
-        out->roll = c->roll;
-        out->pitch = c->pitch;
+        out->roll = c->pilot_roll;
+        out->pitch = c->pilot_pitch;
         limit_manual_tilt(s->home_position[2] - now->position[2], now->velocity, now->attitude[2], &out->roll, &out->pitch);
     } else if (s->state == STATE_INIT) {
         copy_vector(now->position, out->path.position);

@@ -68,7 +68,7 @@ typedef struct {
     bool return_requested, land;
     int32_t motor_stop_reason; /* stops the motors at once; 0 is no signal, other values are logged */
     bool rc_active;
-    real_t roll, pitch, yaw_rate, climb_rate; /* of the pilot */
+    real_t pilot_roll, pilot_pitch, pilot_yaw_rate, pilot_climb_rate;
     bool has_program_set_point;
     set_point_t program_set_point;
 } command_t;

@@ -85,7 +85,7 @@ uint32_t supervisor_arming_faults(const supervisor_t *s, const flight_setup_t *s
     if (s->interruption != INTERRUPTION_NONE) {
         why |= ARMING_INTERRUPTED;
     }
-    if (s->has_sticks && (s->sticks.climb_rate > REAL(0.0))) {
+    if (s->has_sticks && (s->sticks.pilot_climb_rate > REAL(0.0))) {
         why |= ARMING_CLIMB_STICK;
     }
     return why;
@@ -308,10 +308,10 @@ static int32_t set_sticks(supervisor_t *s, const software_t *software, const est
         s->has_sticks = true;
         s->sticks = no_command;
         s->sticks.rc_active = true;
-        s->sticks.roll = real_min(real_max(ask->roll, -most->stick_tilt), most->stick_tilt);
-        s->sticks.pitch = real_min(real_max(ask->pitch, -most->stick_tilt), most->stick_tilt);
-        s->sticks.yaw_rate = real_min(real_max(ask->yaw_rate, -most->stick_yaw_rate), most->stick_yaw_rate);
-        s->sticks.climb_rate = real_min(real_max(ask->climb_rate, -most->stick_climb), most->stick_climb);
+        s->sticks.pilot_roll = real_min(real_max(ask->roll, -most->stick_tilt), most->stick_tilt);
+        s->sticks.pilot_pitch = real_min(real_max(ask->pitch, -most->stick_tilt), most->stick_tilt);
+        s->sticks.pilot_yaw_rate = real_min(real_max(ask->yaw_rate, -most->stick_yaw_rate), most->stick_yaw_rate);
+        s->sticks.pilot_climb_rate = real_min(real_max(ask->climb_rate, -most->stick_climb), most->stick_climb);
         s->sticks_s = s->now_s;
         answer = ANSWER_ACCEPTED;
     } else {
@@ -446,7 +446,7 @@ void supervisor_collect(supervisor_t *s, const software_t *software, command_t *
             const int32_t why = out->motor_stop_reason;
 
             *out = s->sticks;
-            out->climb_rate = s->armed ? out->climb_rate : real_min(out->climb_rate, REAL(0.0));
+            out->pilot_climb_rate = s->armed ? out->pilot_climb_rate : real_min(out->pilot_climb_rate, REAL(0.0));
             out->motor_stop_reason = why;
         }
         if (s->offboard) {

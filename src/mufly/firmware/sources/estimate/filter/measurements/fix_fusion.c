@@ -153,7 +153,7 @@ static bool is_only_height_rejected(const estimator_t *m)
 }
 
 /* Mark a fix that is rejected for its height alone as faulty: a height does not contradict the attitude. */
-static void mark_height_fault(estimator_t *m)
+static void mark_fix_height_faulty(estimator_t *m)
 {
     if ((m->status[READING_POSITION_FIX] == STATUS_REJECTED) && is_only_height_rejected(m)) {
         m->status[READING_POSITION_FIX] = STATUS_FAULTY;
@@ -210,13 +210,13 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
         reject_measurement(m, s, k, at, z, 3,
                   ((REAL(2.0) * s->sensor_period[k]) + (REAL(8.0) * real_sqrt(fix_variance(m, s, 0)))) + REAL(0.05),
                   (is_only_height_rejected(m) && (m->status[READING_SONAR] == STATUS_FUSED)) ? REASON_HEIGHT_CONFLICT : REASON_INNOVATION);
-        mark_height_fault(m);
+        mark_fix_height_faulty(m);
         if (!reset_timeout_expired(m, s, k)) {
             return;
         }
         reset_to_fix(m, z, ahead);
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, at);
-        mark_height_fault(m);
+        mark_fix_height_faulty(m);
     }
     /* Large ratios of one sign show an unmodelled error of the filter. */
     m->fix_max_ratio_squared_lp += REAL(0.15) * ((worst * worst) - m->fix_max_ratio_squared_lp);

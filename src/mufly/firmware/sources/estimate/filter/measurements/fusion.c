@@ -390,7 +390,7 @@ int32_t measurement_cost(const estimator_t *m, const estimator_settings_t *s, in
     int32_t cost = 1;
 
     if (kind == READING_POSITION_FIX) {
-        cost = (m->fix_bias_tick < m->horizon_tick) ? COST_FIX_BIAS : COST_FIX;
+        cost = (m->fix_bias_tick < m->horizon_tick) ? FIX_BIAS_STEP_COST : FIX_FUSION_COST;
     } else if (kind == READING_RANGE_RING) {
         cost = (beams < left) ? beams : left;
         cost = (cost > 1) ? cost : 1;

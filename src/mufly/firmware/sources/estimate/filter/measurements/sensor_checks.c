@@ -110,7 +110,7 @@ static bool accept_sample(estimator_t *m, const estimator_settings_t *s, const r
     }
     if (s->reading_decimation[k] > 1) {
         m->decimation_count[k] += 1;
-        m->is_decimated[k] = ((m->decimation_count[k] % s->reading_decimation[k]) != 0) ? 1 : 0;
+        m->is_skipped_by_decimation[k] = ((m->decimation_count[k] % s->reading_decimation[k]) != 0) ? 1 : 0;
     }
     for (int32_t j = 0; j < count; j++) {
         m->last_value[READING_STARTS[k] + j] = z[j];
@@ -148,7 +148,7 @@ void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[INPU
             fresh[k] = 0;
             continue;
         }
-        m->is_decimated[k] = 0;
+        m->is_skipped_by_decimation[k] = 0;
         if (fresh[k] == 2) {
             m->invalid_count[k] += 1;
             fresh[k] = 0;
@@ -306,7 +306,7 @@ bool check_rotor_speed(estimator_t *m, const estimator_settings_t *s, const real
         away = real_max(away, real_abs(m->rotor_spin_accel_bias[k] - mean[k]) / s->hover_speed[k]);
     }
     /* On the floor the motor equations are adapted. */
-    led = (m->flight_phase == PHASE_FLYING) && (flown > MOTOR_ACCEL_BIAS_SETTLING_S) && (away > MAX_MOTOR_ACCEL_BIAS_CHANGE);
+    led = (m->flight_phase == PHASE_FLYING) && (flown > SPIN_ACCEL_BIAS_SETTLING_S) && (away > MAX_SPIN_ACCEL_BIAS_CHANGE);
     off = (m->flight_phase == PHASE_FLYING) && (worst > ((m->reject_score[READING_ROTOR_SPEED] > REAL(0.5)) ? ROTOR_SPEED_RECOVERY_GATE : ROTOR_SPEED_GATE));
     if (led || off) {
         if (led) {
@@ -316,7 +316,7 @@ bool check_rotor_speed(estimator_t *m, const estimator_settings_t *s, const real
         mark_rejected(m, s, READING_ROTOR_SPEED, REASON_INNOVATION, worst * s->hover_speed[0]);
     } else {
         const real_t period = s->sensor_period[READING_ROTOR_SPEED];
-        const real_t share = period / real_max(real_min(flown, MOTOR_ACCEL_BIAS_MEAN_S), period);
+        const real_t share = period / real_max(real_min(flown, SPIN_ACCEL_BIAS_AVERAGING_S), period);
 
         for (int32_t k = 0; k < 2; k++) {
             mean[k] += share * (m->rotor_spin_accel_bias[k] - mean[k]);
