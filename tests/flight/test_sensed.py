@@ -549,7 +549,7 @@ def test_a_vehicle_without_sensors_says_so_and_flies_on_what_is_true(vehicle, co
     told: list[str] = []
     flight = fly_mission(bare, HOP, controller=controller, sensors="fitted", on_event=lambda e: told.append(e.text))
     assert flight.attrs["outcome"] == "succeeded"
-    assert told[0] == "mufly-1.1 has no table [sensors]: the vehicle flies on the true state"
+    assert told[0] == "mufly-1.1 has no table [sensors]: the vehicle flies on the true state, without filter"
     with pytest.raises(InputError, match="no table"):
         Flight(bare, HOP, controller=controller, sensors="fitted", faults=[parse_fault("sonar.jump")])
     with pytest.raises(InputError, match="flies on the true state"):

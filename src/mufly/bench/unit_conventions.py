@@ -141,7 +141,9 @@ def resolve_speed_unit(table: BenchTable, radius_m: float) -> BenchTable:
         return table.rescale_column("speed", factor, f"{header} has no unit: taken as {unit}")
     if float(np.nanmax(np.abs(speed))) * radius_m > _MAX_TIP_SPEED_M_S:
         return table.rescale_column(
-            "speed", RPM, f"{header} has no unit: taken as rpm, as rad/s beyond the speed of sound"
+            "speed",
+            RPM,
+            f"{header} has no unit: taken as rpm; in rad/s the tip would move faster than {_MAX_TIP_SPEED_M_S:g} m/s",
         )
     raise table.column_error("speed", "has no unit: rpm or rad/s?", "name it speed_rpm or speed_rad_s")
 

@@ -58,8 +58,8 @@ _MAX_DETAILED_FLOOR_HEIGHT_M = 0.6
 _TARGET_GREY = 112.0  # mean grey level that the exposure control aims at
 _EXPOSURE_TIME_CONSTANT_S = 0.4
 _MAX_AMPLIFICATION, _MAX_EXPOSURE_FRACTION, _READ_NOISE_VARIANCE_FRACTION = 4.0, 0.15, 0.5
-"""Largest product of the factors of exposure and gain, largest exposure over the period, and share of read noise in the
-variance of the file's noise."""
+"""Largest product of the factors of exposure and gain, largest exposure over the period, and fraction of the
+variance of the file's noise that is read noise."""
 
 
 @dataclass(frozen=True)

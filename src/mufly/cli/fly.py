@@ -154,7 +154,7 @@ page connects within 20 s, the mission starts by itself. The command ends with C
 and the page is closed. With --headless it flies in the terminal, as fast as the machine can.
 
 The filter uses the sensors of the table \\[sensors] of the vehicle file (`mufly sensors show`), and aligns \
-on the floor within two seconds. --sensors ideal flies on the true state.
+on the floor within two seconds. --sensors ideal flies on the true state, without sensors and filter.
 
 Writes a folder with the recording (flight.mcap; opens in Foxglove and PlotJuggler), summary.json and pictures; \
 with --position camera also the camera's pictures (camera.mcap; `mufly slam run` processes them again). \

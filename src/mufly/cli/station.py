@@ -52,7 +52,7 @@ SensorsOption = Annotated[
     define_option(
         "--sensors WHICH",
         "Source of the vehicle's state: fitted (the sensors in \\[sensors] of the vehicle file, and "
-        "the filter) or ideal (the true state).",
+        "the filter) or ideal (the true state, without filter).",
     ),
 ]
 FaultOption = Annotated[
@@ -170,9 +170,9 @@ def describe_sensor_source(vehicle: Vehicle, sensors: str) -> str:
     from mufly.quantities.sensor_table import SENSORS
 
     if sensors == "ideal":
-        return "Flies on the true state (--sensors ideal)"
+        return "Flies on the true state, without sensors and filter (--sensors ideal)"
     if vehicle.sensors is None:
-        return f"{vehicle.name} has no table [sensors]: the vehicle flies on the true state"
+        return f"{vehicle.name} has no table [sensors]: the vehicle flies on the true state, without filter"
     names = [name.replace("_", " ") for name in SENSORS if getattr(vehicle.sensors, name) is not None]
     return f"Flies on its sensors: {', '.join(names)}"
 

@@ -220,7 +220,7 @@ class Flight:
             estimator.fix_correlation_s = 0.0 if self.camera is None else self.camera.fix_drift_time_s
             weighed = {FIX_CORRELATION_TIME_ATTRIBUTE: estimator.fix_correlation_s}
         self.missing_sensors_note = (
-            f"{vehicle.name} has no table [sensors]: the vehicle flies on the true state"
+            f"{vehicle.name} has no table [sensors]: the vehicle flies on the true state, without filter"
             if sensors == "fitted" and not sensed
             else ""
         )
@@ -570,6 +570,6 @@ def _make_sensors(
         instead = {} if fixes is None else {"position_fix": fixes}
         return make_fitted_sensors(vehicle, mission.world, seed=seed, faults=faults, instead=instead)
     if faults:
-        what = "has no table [sensors]" if wanted == "fitted" else "flies on the true state"
+        what = "has no table [sensors]" if wanted == "fitted" else "flies on the true state, without sensors and filter"
         raise InputError("fault", str(faults[0]), f"{vehicle.name} {what}", "fly on fitted sensors, or without faults")
     return make_ideal_sensors(vehicle, mission.world, look)

@@ -157,7 +157,7 @@ def check_channels(
     return out
 
 
-# Largest share of values outside the limits that count as outliers; a larger share indicates a wrong unit.
+# Largest fraction of values outside the limits that count as outliers; a larger fraction indicates a wrong unit.
 _MAX_REMOVED_FRACTION = 0.05
 
 

@@ -225,7 +225,7 @@ class Channel(NamedTuple):
 
 _Array = NDArray[np.float64]
 _DAY_S = 86_400.0
-# A larger share of steps back, or a longer step back, is no swap of messages.
+# A larger fraction of steps back, or a longer step back, is no swap of messages.
 _MAX_BACKWARD_FRACTION, _MAX_BACKWARD_S = 0.02, 2.0
 MIN_GAP_STEPS = 5.0
 # Occasional messages have no rate, and so no gaps.

@@ -40,7 +40,7 @@ _MIN_ARRIVAL_LEAP_S, _MAX_CLOCK_STEP_S, _MIN_LEAP_STEPS = 5.0, 2.0, 10.0
 # Longest time (s) and most packets of the same sender between two copies of a doubled packet.
 _DUPLICATE_WINDOW_S, _DUPLICATE_WINDOW_PACKETS = 1.0, 100
 _LATE_PACKET_OFFSET_S = 1e-6  # distance of a late packet before its successor
-# Share of packets out of order above which numbers are not used; silence in median steps.
+# Fraction of packets out of order above which numbers are not used; silence in median steps.
 _MAX_UNORDERED_FRACTION, _MIN_PAUSE_STEPS = 0.05, 20.0
 _LATE_PACKET_WINDOW = 64  # packets within which a late one is followed by its successors
 

@@ -356,7 +356,7 @@ class PhysicalLimits(NamedTuple):
     reason: str
 
 
-_FRACTION_LIMIT_REASON = "a share of the full range ends at 1"
+_FRACTION_LIMIT_REASON = "a fraction of the full range ends at 1"
 PHYSICAL_LIMITS: Mapping[str, PhysicalLimits] = {
     "rates": PhysicalLimits(-70.0, 70.0, "gyroscopes end at 4000 deg/s, 70 rad/s"),
     "acceleration": PhysicalLimits(-2000.0, 2000.0, "accelerometers end at 200 g, 2000 m/s^2"),

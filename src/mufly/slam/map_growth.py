@@ -54,8 +54,8 @@ _MAX_COMPARED_OTHER_PLACES = 8  # keyframes that are compared with the best befo
 SAME_PICTURE_ERROR_TRANSITION = (np.ones(3), np.full(3, 1e-10))
 """Correlation factors and noise variances between errors of a picture and the newest keyframe if both are the same."""
 _OVEREXPOSED_GREY_LEVEL, _MAX_OVEREXPOSED_FRACTION = 248, 0.02
-"""Overexposure: grey level, and largest share of brighter pixels in a keyframe. A camera that was covered overexposes
-for half a second; white areas have no corners."""
+"""Overexposure: grey level, and largest fraction of brighter pixels in a keyframe. A camera that was covered
+overexposes for half a second; white areas have no corners."""
 
 
 def make_node(context: FrameContext, pose: PoseEstimate) -> _Array:

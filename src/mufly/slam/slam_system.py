@@ -69,7 +69,7 @@ _MIN_RELOCALIZATION_CONFIRMATIONS, _MAX_RELOCALIZATION_SIGMAS, _MAX_RELOCALIZATI
 """Relocalisation by ORB: number of results that must agree, and largest distance from the prediction (in its standard
 deviations) and turn against it; a place beyond them looks alike."""
 _SHAKE_LEARNING_WEIGHT, _MIN_SHAKE_LEARNING_FRAMES, _SHAKE_REMAINING_FRACTION = 0.02, 150, 0.3
-"""Learning of the vibration: weight of a picture, number of pictures, and remaining share of the uncertainty."""
+"""Learning of the vibration: weight of a picture, number of pictures, and remaining fraction of the uncertainty."""
 _BRIDGE_AFTER_S, _YOUNG_BRIDGE_AFTER_S, _MAX_YOUNG_MAP_KEYFRAMES, _KEYFRAME_TRIAL_FRAMES = 1.5, 0.1, 5, 25
 """Time (s) after which a lost system continues from the vehicle's estimate; the shorter time for a young map.
 

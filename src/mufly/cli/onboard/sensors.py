@@ -48,7 +48,7 @@ def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False) ->
     if as_json:
         return print_json([p._asdict() for p in rows])
     if not rows:
-        print_lines(f"{v.name} has no table [sensors]: the vehicle flies on the true state.")
+        print_lines(f"{v.name} has no table [sensors]: the vehicle flies on the true state, without filter.")
         return
     for group, members in groupby(rows, lambda row: row.key.rpartition(".")[0]):
         print_parameter_group(group.removeprefix("sensors."), list(members))

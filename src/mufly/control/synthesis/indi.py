@@ -36,7 +36,7 @@ from mufly.control.linear_systems import Array, state_space
 from mufly.errors import MuflyError
 
 _INTEGRATOR_LEAK_FRACTION = (
-    0.002  # share of the servo model's output that is lost, which makes the integrator a slow pole
+    0.002  # fraction of the servo model's output that is lost, which makes the integrator a slow pole
 )
 _RATE_FILTER_DAMPING = 0.7
 

@@ -22,7 +22,7 @@ from mufly.control.tuning.fixed_order import LoopNormByGain
 
 _FREQUENCY_RANGE_FACTORS = (0.5, 2.0)  # of the slowest and fastest mode of the loop, about which the frequencies lie
 _FREQUENCY_COUNT = 24
-_MU_DESCENT_END_FRACTION = 0.7  # share of the level at which the descent for the scalings of a frequency ends
+_MU_DESCENT_END_FRACTION = 0.7  # fraction of the level at which the descent for the scalings of a frequency ends
 
 
 def _largest_pencil_eigenvalues(

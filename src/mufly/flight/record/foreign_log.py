@@ -25,7 +25,7 @@ _MAX_FILTER_RATE_HZ = 250.0
 _MIN_POSITION_STD_M = 0.01
 _DEFAULT_HEADING_STD_RAD = math.radians(2.0)
 _MAX_BRIDGED_GAP_S = 0.1
-_RUNNING_MOTOR_FRACTION = 0.03  # share of full power at which motors turn
+_RUNNING_MOTOR_FRACTION = 0.03  # fraction of full power at which motors turn
 _AXIS_LABELS = {
     "position": ("N", "E", "D"),
     "velocity": ("N", "E", "D"),

@@ -31,7 +31,7 @@ SignalKind = Literal["chirp", "multisine", "3211", "doublet"]
 SIGNAL_KINDS: tuple[SignalKind, ...] = get_args(SignalKind)
 
 _SIGNAL_END_REST_S = 0.5
-_CHIRP_FADE_FRACTION = 0.1  # share of the chirp's duration for each fade
+_CHIRP_FADE_FRACTION = 0.1  # fraction of the chirp's duration for each fade
 _PHASE_OPTIMISATION_STARTS = 6  # Schroeder's phases and random phases; the first is often not the best
 
 

@@ -42,7 +42,7 @@ _EARLIEST_EPOCH_S, _LATEST_EPOCH_S = 946_684_800.0, 2_840_140_800.0
 _MAX_EPOCH_STEP_S = 300.0
 _MAX_CALENDAR_S = 6e10  # about the years 70 to 3870, the range of the calendar functions
 _DAY_S, _WEEK_S = 86_400.0, 604_800.0
-_MIN_FORWARD_FRACTION = 0.9  # least share of increasing steps of a clock
+_MIN_FORWARD_FRACTION = 0.9  # least fraction of increasing steps of a clock
 
 
 def extract_clock(

@@ -447,7 +447,7 @@ def check_preflight(
 
 
 MISSION_FRACTION_OF_CONTROL_LIMITS = 0.8
-"""Share of the controllers' limits available to a mission; the rest is for corrections."""
+"""Fraction of the controllers' limits available to a mission; the rest is for corrections."""
 
 
 def reduce_mission_limits(mission: Mission, able: TrajectoryLimits) -> tuple[Mission, str]:

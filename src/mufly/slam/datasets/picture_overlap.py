@@ -18,7 +18,7 @@ _COMPARED_PICTURE_COUNT, _MIN_COMPARED_PAIRS = 30, 3
 """Number of pictures, from the middle of a folder, that are compared, and least number of pairs with common floor."""
 _MIN_MATCHED_FEATURES, _MAX_DESCRIPTOR_DISTANCE_RATIO = 12, 0.8
 _SUFFICIENT_TRACKED_FRACTION = 0.5
-"""Share of tracked pictures above which the overlap is not measured."""
+"""Fraction of tracked pictures above which the overlap is not measured."""
 
 
 def check_overlap(source: FrameSource, tracked_share: float) -> None:

@@ -68,7 +68,7 @@ _MIN_REPORTED_TURN_ERROR_RAD, _MIN_REPORTED_FOCAL_ERROR_FRACTION, _MIN_REPORTED_
     0.1,
     0.03,
 )
-"""Least errors of turn, focal length (share) and delay that are reported."""
+"""Least errors of turn, focal length (fraction) and delay that are reported."""
 _MIN_PLAUSIBLE_FOCAL_SCALE = 0.5
 """Scale below which no focal length is wrong, but the estimate passes from 1 to that of a flip."""
 _FROZEN_PICTURE_COUNT, _STOPPED_CLOCK_COUNT = 4, 4
@@ -114,9 +114,9 @@ _HAND_CARRIED_FLIP_SIGMA_PX_S = 60.0
 _DOUBTED_FLIP_SIGMA_PX_S = 30.0
 """The least of the same against the vehicle's velocity after a break of tracking, without high pass."""
 _FLIP_MEMORY_S, _MAX_FLIP_RESIDUAL_FRACTION = 0.5, 0.25
-"""Memory of the residuals (s), and largest share of the motion that a flip leaves; other faults leave more."""
+"""Memory of the residuals (s), and largest fraction of the motion that a flip leaves; other faults leave more."""
 _MAX_SETTLED_CHANGE_FRACTION, _MAX_SETTLED_CHANGE = 0.3, 0.05
-"""Largest change of a steady estimate over the confirming pictures: share of its deviation, and absolute."""
+"""Largest change of a steady estimate over the confirming pictures: fraction of its deviation, and absolute."""
 _MIRRORED_MESSAGE = "the picture moves mirrored against the gyroscopes: check the camera's driver"
 _MIN_CORRELATED_POINTS, _CORRELATION_WINDOW_PX, _MIN_CORRELATION, _MIN_STRONG_CORRELATION = 24, 21, 0.5, 0.85
 _REVERSED_MESSAGE = "the picture moves opposite to the vehicle: check mount.turn and the camera's driver"
