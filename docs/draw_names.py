@@ -96,7 +96,7 @@ def unpacked_elements(tree: ast.Module) -> set[ast.expr]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple):
             parts = [part for part in node.value.elts if isinstance(part, ast.Subscript)]
-            last = [p.slice.elts[-1] if isinstance(p.slice, ast.Tuple) else p.slice for p in parts]
+            last = [p.slice.elts[-1] if isinstance(p.slice, ast.Tuple) and p.slice.elts else p.slice for p in parts]
             if [ast.unparse(k) for k in last] == [str(k) for k in range(len(node.value.elts))]:
                 found.update(parts if len({ast.unparse(p.value) for p in parts}) == 1 else ())
     return found
