@@ -27,7 +27,7 @@ import time
 from dataclasses import dataclass
 
 from mufly.bench.rig.bench_devices import DeviceError, Samples
-from mufly.bench.rig.serial_line import REPLY_TIMEOUT_s, SerialLine
+from mufly.bench.rig.serial_line import REPLY_TIMEOUT_s, SerialLine, SerialMotor
 from mufly.quantities.units import RPM
 
 FRAME_ESCAPE_BYTE, FRAME_START_BYTE = 0x90, 0x02
@@ -122,7 +122,7 @@ class FrameParser:
         return out
 
 
-class EposController:
+class EposController(SerialMotor):
     """Driver of one motor on an EPOS2 or EPOS4; a :class:`mufly.bench.rig.bench_devices.Device`.
 
     Parameters
@@ -255,10 +255,3 @@ class EposController:
         self._target = 0.0
         if self._is_open:
             self.write_object(CONTROL_WORD_OBJECT, QUICK_STOP_COMMAND, tries=2, patience_s=0.1)
-
-    def close(self) -> None:
-        try:
-            self.stop()
-        finally:
-            self._is_open = False
-            self._line.close()

@@ -23,7 +23,7 @@ import time
 from collections.abc import Sequence
 
 from mufly.bench.rig.bench_devices import DeviceError, Samples
-from mufly.bench.rig.serial_line import ChecksummedSerialLine, REPLY_TIMEOUT_s
+from mufly.bench.rig.serial_line import ChecksummedSerialLine, REPLY_TIMEOUT_s, SerialMotor
 from mufly.quantities.units import RPM
 
 MAX_COMMAND_TRIES = 4
@@ -31,7 +31,7 @@ KEEP_ALIVE_s = 0.15
 _TELEMETRY_FIELDS_PER_AXIS = 4
 
 
-class EscBridge:
+class EscBridge(SerialMotor):
     """Driver of one or two motors whose speed controllers a microcontroller (the bridge) commands; a
     :class:`mufly.bench.rig.bench_devices.Device`.
 
@@ -42,6 +42,8 @@ class EscBridge:
         Axes in the order of the bridge.
     baud : int
     """
+
+    _line: ChecksummedSerialLine
 
     def __init__(self, port: str, axes: Sequence[str] = ("upper",), *, baud: int = 115_200) -> None:
         self._line = ChecksummedSerialLine(port, baud, "speed controllers")
@@ -129,10 +131,3 @@ class EscBridge:
         self._target_speeds = dict.fromkeys(self.axes, 0.0)
         if self._is_open:
             self._send_command("X", ["OK", "X"], tries=2)
-
-    def close(self) -> None:
-        try:
-            self.stop()
-        finally:
-            self._is_open = False
-            self._line.close()

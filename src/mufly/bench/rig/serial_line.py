@@ -13,6 +13,7 @@ from __future__ import annotations
 import binascii
 import contextlib
 import time
+from abc import ABC, abstractmethod
 from typing import Any
 
 from mufly.bench.rig.bench_devices import DeviceError
@@ -83,6 +84,25 @@ class SerialLine:
             with contextlib.suppress(OSError):
                 self._line.close()
             self._line = None
+
+
+class SerialMotor(ABC):
+    """Motor controller on a serial line, which stops its motors before it closes the line."""
+
+    _line: SerialLine
+    _is_open: bool
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Stop all axes at once."""
+
+    def close(self) -> None:
+        """Stop and close the connection."""
+        try:
+            self.stop()
+        finally:
+            self._is_open = False
+            self._line.close()
 
 
 def compute_crc16(data: bytes) -> int:

@@ -24,7 +24,7 @@ import time
 
 from mufly.bench.bench_table import ColumnMeaning, parse_column_header
 from mufly.bench.rig.bench_devices import DeviceError, Samples
-from mufly.bench.rig.serial_line import SerialLine, SILENCE_TIMEOUT_s
+from mufly.bench.rig.serial_line import SerialLine, SerialMotor, SILENCE_TIMEOUT_s
 
 MIN_PULSE_us, MAX_PULSE_us = 1000.0, 2000.0
 _SPEED_CORRECTION_GAIN = 0.35  # share of the speed error that one step corrects
@@ -33,7 +33,7 @@ _MAX_PULSE_STEP_us = 60.0  # largest step of the pulse width
 _MAX_PLAUSIBLE_READINGS = {"thrust": 1e3, "torque": 100.0, "speed": 2e4, "current": 1e3, "voltage": 1e3}
 
 
-class ThrustStand:
+class ThrustStand(SerialMotor):
     """Driver of a thrust stand; a :class:`mufly.bench.rig.bench_devices.Device`.
 
     Parameters
@@ -150,10 +150,3 @@ class ThrustStand:
         # The stand does not acknowledge a stop; further rows show that the line works, and their speed is monitored.
         self._line.write(b"\nstop\n")
         self._line.write(b"stop\n")
-
-    def close(self) -> None:
-        try:
-            self.stop()
-        finally:
-            self._is_open = False
-            self._line.close()
