@@ -12,14 +12,30 @@ from mufly.estimate.filter.ud_filter import (
     innovation_variance,
     propagate_error_column,
     state_variance,
-    ud_covariance,
-    ud_factorise,
     ud_measurement_update,
     ud_time_update,
 )
 
 N = 25
 SPAN = 0.02
+
+
+def ud_factorise(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the factors U^T (``ut``) and D (``d``) of a positive definite covariance (n, n)."""
+    p = np.array(covariance, dtype=np.float64)
+    n = len(p)
+    ut, d = np.eye(n), np.zeros(n)
+    for j in range(n - 1, -1, -1):
+        d[j] = p[j, j]
+        ut[j, :j] = p[:j, j] / d[j]
+        p[:j, :j] -= d[j] * np.outer(ut[j, :j], ut[j, :j])
+    return ut, d
+
+
+def ud_covariance(ut: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return the covariance P = U D U^T from its factors."""
+    u = np.eye(len(d)) + np.tril(ut, -1).T
+    return (u * d) @ u.T
 
 
 def _covariance(rng: np.random.Generator) -> np.ndarray:

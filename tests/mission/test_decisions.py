@@ -16,7 +16,7 @@ from mufly.mission import (
     step_mission,
     update_obstacle_map,
 )
-from mufly.mission.avoidance import ObstacleMap, check_path
+from mufly.mission.avoidance import ObstacleMap, begin_path_check, check_map_part
 
 TWO = {"waypoint": [{"position_m": [1.0, 0.0, -1.0]}, {"position_m": [2.0, 0.0, -1.0]}]}
 HIGH = (0.0, 0.0, -1.0)
@@ -54,7 +54,8 @@ def point_at(north, down):
     points = ObstacleMap.empty().points
     points[0, :3] = (north, 0.0, down)
     memory, here = ObstacleMap(points, 1), (0.0, 0.0, down)
-    return {"obstacle_map": memory, "path_check": check_path(memory, here, here, 0.39)}
+    seen = check_map_part(memory, begin_path_check(here, here), -math.inf, 0.39)[1]
+    return {"obstacle_map": memory, "path_check": seen}
 
 
 @pytest.mark.parametrize(("motors", "told"), [("fly", 1), ("off", 0)])

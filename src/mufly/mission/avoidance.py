@@ -461,17 +461,6 @@ def _check_points_against_path(
     return points, used, seen
 
 
-def check_path(
-    memory: ObstacleMap,
-    position: tuple[float, ...],
-    goal: tuple[float, ...],
-    clearance: float,
-    ahead: float = PATH_LOOK_AHEAD_M,
-) -> PathCheck:
-    """Check the straight level path from ``position`` to ``goal`` (N, E, D; m), over at most ``ahead`` metres."""
-    return check_map_part(memory, begin_path_check(position, goal, ahead), -math.inf, clearance)[1]
-
-
 def limit_approach_velocity(
     sight: PathCheck, position: tuple[float, ...], velocity: tuple[float, float], keep: float
 ) -> tuple[float, float]:

@@ -35,7 +35,6 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 CELL_LOADS = ("thrust", "torque")
-_STANDARD_PRESSURE_TEMPERATURE_HUMIDITY = (101325.0, 293.15, 0.5)
 
 
 @dataclass(frozen=True, eq=False)

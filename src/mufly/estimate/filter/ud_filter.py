@@ -251,21 +251,3 @@ def state_variance(ut: _Array, d: _Array, i: int) -> float:
     for k in range(i + 1, d.shape[0]):
         s += d[k] * ut[k, i] * ut[k, i]
     return s
-
-
-def ud_factorise(covariance: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Return the factors U^T (``ut``) and D (``d``) of a positive definite covariance (n, n)."""
-    p = np.array(covariance, dtype=np.float64)
-    n = len(p)
-    ut, d = np.eye(n), np.zeros(n)
-    for j in range(n - 1, -1, -1):
-        d[j] = p[j, j]
-        ut[j, :j] = p[:j, j] / d[j]
-        p[:j, :j] -= d[j] * np.outer(ut[j, :j], ut[j, :j])
-    return ut, d
-
-
-def ud_covariance(ut: NDArray[np.floating], d: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return the covariance P = U D U^T from its factors."""
-    u = np.eye(len(d)) + np.tril(ut, -1).T
-    return (u * d) @ u.T
