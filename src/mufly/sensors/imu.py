@@ -69,6 +69,7 @@ FIRST_GYRO_AXIS, _IMU_AXIS_COUNT = 3, 6  # index of the first gyroscope among th
 # Places among the arrays of the unit
 _POSITION_ARRAY_INDEX, _TURN_ON_BIAS_ARRAY_INDEX, _BIAS_DRIFT_ARRAY_INDEX = 1, 7, 13
 _LOW_PASS_MEMORY_ARRAY_INDEX, _SPECIFIC_FORCE_ARRAY_INDEX = 14, 15
+_UPPER_LINE, _UPPER_TWICE_LINE, _LOWER_LINE, _LOWER_TWICE_LINE, _PASSAGE_LINE = range(_VIBRATION_LINE_COUNT)
 # Rows of the work of a period: cosine and sine of the vibration lines, middles of the samples, inputs of the axes
 _SAMPLE_MIDDLE_FRACTION_ROW, _FIRST_AXIS_ROW = 2 * _VIBRATION_LINE_COUNT, 2 * _VIBRATION_LINE_COUNT + 1
 # Columns of an axis' inputs: coefficients of the vibration lines, input at the start, and its increase
@@ -162,11 +163,6 @@ class Imu(Sensor):
         self._current_force = np.zeros(3)
         self._readings: Mapping[str, Reading] = {}
         self._readings_s = math.nan
-
-    @property
-    def current_bias(self) -> _Array:
-        """True bias (6,) of accelerometers (m/s^2) and gyroscopes (rad/s), without the part due to warming."""
-        return self.turn_on_bias + self._bias_drift
 
     def set_clipping_limit(self, limit_m_s2: float | None) -> None:
         """Set the clipping limit of the accelerometers (a fault); None restores their range."""
@@ -405,9 +401,11 @@ def simulate_imu_period(
     e, f, te, tf, ge, gf = _begin_phasor(azimuth[1], dw_first, dw_last, elapsed, n)
     azimuth[0] = (azimuth[0] + 0.5 * elapsed * (up_first + up_last)) % (2.0 * math.pi)
     azimuth[1] = (azimuth[1] + 0.5 * elapsed * (dw_first + dw_last)) % (2.0 * math.pi)
-    l0, l1, l2, l3 = borrow_arrays(lines[0]), borrow_arrays(lines[1]), borrow_arrays(lines[2]), borrow_arrays(lines[3])
-    l4, l5, l6, l7 = borrow_arrays(lines[4]), borrow_arrays(lines[5]), borrow_arrays(lines[6]), borrow_arrays(lines[7])
-    l8, l9 = borrow_arrays(lines[8]), borrow_arrays(lines[9])
+    l0, l1 = borrow_arrays(lines[2 * _UPPER_LINE]), borrow_arrays(lines[2 * _UPPER_LINE + 1])
+    l2, l3 = borrow_arrays(lines[2 * _UPPER_TWICE_LINE]), borrow_arrays(lines[2 * _UPPER_TWICE_LINE + 1])
+    l4, l5 = borrow_arrays(lines[2 * _LOWER_LINE]), borrow_arrays(lines[2 * _LOWER_LINE + 1])
+    l6, l7 = borrow_arrays(lines[2 * _LOWER_TWICE_LINE]), borrow_arrays(lines[2 * _LOWER_TWICE_LINE + 1])
+    l8, l9 = borrow_arrays(lines[2 * _PASSAGE_LINE]), borrow_arrays(lines[2 * _PASSAGE_LINE + 1])
     middle = borrow_arrays(lines[_SAMPLE_MIDDLE_FRACTION_ROW])
     for i in range(n):
         c, s = c * tc - s * ts, c * ts + s * tc
@@ -436,8 +434,11 @@ def simulate_imu_period(
             limit[j],
             0,
         )
-        w0, w1, w2, w3, w4 = wave[j, 0], wave[j, 1], wave[j, 2], wave[j, 3], wave[j, 4]
-        w5, w6, w7, w8, w9 = wave[j, 5], wave[j, 6], wave[j, 7], wave[j, 8], wave[j, 9]
+        w0, w1 = wave[j, 2 * _UPPER_LINE], wave[j, 2 * _UPPER_LINE + 1]
+        w2, w3 = wave[j, 2 * _UPPER_TWICE_LINE], wave[j, 2 * _UPPER_TWICE_LINE + 1]
+        w4, w5 = wave[j, 2 * _LOWER_LINE], wave[j, 2 * _LOWER_LINE + 1]
+        w6, w7 = wave[j, 2 * _LOWER_TWICE_LINE], wave[j, 2 * _LOWER_TWICE_LINE + 1]
+        w8, w9 = wave[j, 2 * _PASSAGE_LINE], wave[j, 2 * _PASSAGE_LINE + 1]
         for i in range(n):
             x[i] = start + middle[i] * more + loud * noise[i] + w0 * l0[i] + w1 * l1[i] + w2 * l2[i] + w3 * l3[i]
         for i in range(n):
