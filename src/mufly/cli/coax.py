@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import typer
@@ -14,7 +14,6 @@ from mufly.cli.options import (
     DEFAULT_FREE_WAKE_OPTIONS,
     DEFAULT_POLAR_OPTIONS,
     SPEED_RANGE,
-    WAKE_JSON_FIELDS,
     AirspeedsOption,
     ClimbOption,
     CommandGroup,
@@ -38,7 +37,6 @@ from mufly.cli.options import (
 from mufly.cli.output import (
     make_console,
     print_answer,
-    print_result_table,
     print_table,
     progress_bar,
     save_figure,
@@ -46,7 +44,6 @@ from mufly.cli.output import (
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.quantity_grammar import read_range
 from mufly.quantities.units import RPM
-from mufly.results import ResultColumn, select_fields
 
 if TYPE_CHECKING:
     from mufly.rotor import RotorResult, SystemSolution
@@ -60,16 +57,6 @@ UpperArgument = Annotated[str, define_argument("UPPER", "Upper rotor: built-in n
 LowerArgument = Annotated[
     str | None, define_argument("LOWER", "Lower rotor: built-in name or rotor file (TOML). Default: the upper rotor.")
 ]
-ROTOR_COLUMNS = (
-    ResultColumn("speed_rad_s", "rpm", ".0f"),
-    ResultColumn("pitch_rad", "deg", ".2f"),
-    "thrust_N",
-    ResultColumn("torque_Nm", "mN m"),
-    "power_W",
-    ResultColumn("c_T", form=".5f"),
-    ResultColumn("c_Q", form=".6f"),
-    ResultColumn("figure_of_merit", form=".3f"),
-)
 
 
 def convert_rotor_speeds(rpm: tuple[float, ...]) -> tuple[float, float]:
@@ -96,62 +83,6 @@ def make_pair_setup(
     return theory.make_study_setup(
         upper, fixed, lower_rotor=load_rotor(upper if lower is None else lower), balance_by=balance
     )
-
-
-def pair_to_json(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResult, ...] | None) -> dict[str, Any]:
-    """Return a pair's operating point as JSON data in SI units, with the rotors ``alone`` beside it."""
-    sides = ("upper", "lower")
-    both = zip(sides, setup.rotors, (point.upper, point.lower), strict=True)
-    return {
-        **{side: {"rotor": rotor.name, **found.as_record()} for side, rotor, found in both},
-        **select_fields(point, "spacing_m thrust_N power_W yaw_torque_Nm figure_of_merit lower_over_upper"),
-        "isolated": alone and {side: found.as_record() for side, found in zip(sides, alone, strict=True)},
-        "change_from_isolated": alone and point.compute_interference_changes(alone),
-        "method": setup.method,
-        "wake": select_fields(point, WAKE_JSON_FIELDS) if point.wakes else None,
-    }
-
-
-def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResult, ...] | None) -> None:
-    """Print a point as tables."""
-    c = make_console()
-    methods = {
-        "bemt": "blade element momentum theory",
-        "tubes": "blade elements in the mean wakes as vortex tubes",
-    }
-    how = methods.get(setup.method) or f"{setup.wake_settings.model} wake, {point.message}"
-    c.print(
-        f"[bold]{setup.rotors[0].name} over {setup.rotors[1].name}[/bold], {1e3 * point.spacing_m:g} mm apart; {how}",
-        highlight=False,
-    )
-
-    names = ("upper", "lower", "upper alone", "lower alone")
-    each = (point.upper, point.lower, *(alone or ()))
-    print_result_table(each, ROTOR_COLUMNS, names=names[: len(each)])
-    up, low, ratio = point.upper, point.lower, point.lower_over_upper
-    balanced = abs(point.yaw_torque_Nm) < 1e-6 * abs(up.torque_Nm)
-    yaw = "balanced" if balanced else f"{1e3 * point.yaw_torque_Nm:+.3g} mN m left over"
-    merit = f", figure of merit {point.figure_of_merit:.3f}" if math.isfinite(point.figure_of_merit) else ""
-    lines = [
-        f"pair: thrust {point.thrust_N:.4g} N, power {point.power_W:.4g} W{merit}; torques {yaw}",
-        f"lower over upper: thrust {ratio['thrust']:.3f}, torque {ratio['torque']:.3f}, power {ratio['power']:.3f}, "
-        f"speed {ratio['speed']:.3f}; {point.thrust_N / point.power_W:.4g} N/W",
-    ]
-    if alone is not None:
-        x = {k: f"{v:+.1%}" if math.isfinite(v) else "-" for k, v in point.compute_interference_changes(alone).items()}
-        lines.append(
-            f"against the rotors alone at these speeds: upper thrust {x['upper_thrust']}, torque {x['upper_torque']}; "
-            f"lower thrust {x['lower_thrust']}, torque {x['lower_torque']}; the pair's thrust {x['thrust']}, power "
-            f"{x['power']}, thrust per power {x['thrust_per_power']}"
-        )
-    for line in lines:
-        c.print(line, highlight=False)
-    share = max(up.outside_share, low.outside_share)
-    if share > 0.0:
-        c.print(
-            f"sections outside the range of the polars carry up to {share:.0%} of a rotor's thrust",
-            style="yellow", highlight=False,
-        )  # fmt: skip
 
 
 def write_pair(point: SystemSolution, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
@@ -333,21 +264,16 @@ def trim(
 
 
 def _solve_and_print(setup: StudySetup, isolated: bool, out: Path | None, as_json: bool) -> None:
-    from mufly.study import solve_case, solve_isolated_rotors
+    from mufly.study.solved_points import solve_pair_point
 
     wakes = setup.method == "wake"
     with show_wake_progress("coaxial pair", wakes and not as_json, out) as progress:
-        point = solve_case(setup, progress=progress if wakes else None)
-    if not point.converged:
-        if out is not None:
-            write_pair(point, None, out)
-        raise MuflyError(f"coaxial wake: {point.message}" + ("" if out is None else f"; its history is in {out}"))
-    single = None
-    if isolated:
-        with show_wake_progress("each rotor alone", wakes and not as_json, out) as progress:
-            single = solve_isolated_rotors(setup, point, progress if wakes else None)
-    files = write_pair(point, single, out) if out is not None else []
-    print_answer(as_json, pair_to_json(setup, point, single), lambda: print_pair(setup, point, single), files)
+        found = solve_pair_point(setup, isolated=isolated, progress=progress if wakes else None)
+    files = write_pair(found.solution, found.alone, out) if out is not None else []
+    if not found.solution.converged:
+        kept = "" if out is None else f"; its history is in {out}"
+        raise MuflyError(f"coaxial wake: {found.solution.message}{kept}")
+    print_answer(as_json, found, files=files)
 
 
 # ----------------------------------------------------------------------------

@@ -460,8 +460,6 @@ def load_drive_option(name: str | None) -> DriveTrain | None:
 
 
 _INTEGER_WAKE_SETTINGS = ("phases", "iterations", "stations")
-WAKE_JSON_FIELDS = "converged message iterations residual settings"
-"""Fields of a solution that JSON output has of its wakes."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 
 from mufly.cli.options import (
     SPEED_RANGE,
-    WAKE_JSON_FIELDS,
     ClimbOption,
     CommandGroup,
     DensityOption,
@@ -311,153 +310,68 @@ def hover(
     Examples: mufly rotor hover naca0012-r60-c20 --pitch 12 --rpm 5000; mufly rotor hover --pitch 12 --thrust 0.4
     --drive mufly; mufly rotor hover naca0012-r60-c20 --pitch 14 --rpm 6000 --method wake --out wake
     """
-    import numpy as np
+    from dataclasses import replace
 
-    from mufly.drive import find_operating_point, make_blade_load, make_scaled_load
     from mufly.errors import InputError, MuflyError
-    from mufly.rotor import (
-        Air,
-        OperatingCondition,
-        RotorSystem,
-        draw_spanwise_loads,
-        load_rotor,
-        predict_interval,
-        solve_system,
-    )
+    from mufly.rotor import Air, OperatingCondition, draw_spanwise_loads, load_rotor, predict_interval
     from mufly.study import write_stations
+    from mufly.study.solved_points import solve_rotor_point
 
-    if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
-        raise InputError("rotor hover", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found")
-    if material is not None and not elastic:
-        raise InputError("--material", material, "applies to elastic blades only", "add --elastic")
-    if thickness is not None and not elastic:
-        raise InputError("--thickness", f"{thickness * 1e3:g} mm", "applies to elastic blades only", "add --elastic")
-    if elastic:
+    found_point = pitch is None or rpm is None
+    for conflict, key, value, problem, remedy in (
+        (sum(v is not None for v in (pitch, rpm, thrust)) != 2, "rotor hover", "",
+         "needs two of --pitch, --rpm and --thrust", "give two; the third is found"),
+        (material is not None and not elastic, "--material", material, "applies to elastic blades only",
+         "add --elastic"),
+        (thickness is not None and not elastic, "--thickness", f"{1e3 * (thickness or 0.0):g} mm",
+         "applies to elastic blades only", "add --elastic"),
+        (elastic and found_point, "--elastic", "", "cannot solve for speed or pitch", "give --pitch and --rpm"),
+        (elastic and (theory.method != "bemt" or band is not None or drive is not None), "--elastic", "",
+         "is for blade elements alone", "leave --method, --band and --drive out"),
+        (theory.method == "cfd" and found_point, "--method", "cfd", "cannot solve for speed or pitch",
+         "give --pitch and --rpm"),
+        (band is not None and theory.method in ("wake", "cfd"), "--band", "", "applies to blade element theory only",
+         f"leave --method {theory.method} or --band out"),
+        (section != "known" and band is None, "--section", section, "applies to an interval only", "add --band 0.9"),
+        (family and section != "guessed", "--family", family, "applies to guessed sections only",
+         "add --section guessed"),
+    ):  # fmt: skip
+        if conflict:
+            raise InputError(key, value or "", problem, remedy)
+    if elastic and pitch is not None and rpm is not None:
         from mufly.cli.aero.elastic_hover import solve_elastic_point
 
-        if pitch is None or rpm is None:
-            raise InputError("--elastic", "", "cannot solve for speed or pitch", "give --pitch and --rpm")
-        if theory.method != "bemt" or band is not None or drive is not None:
-            raise InputError("--elastic", "", "is for blade elements alone", "leave --method, --band and --drive out")
         return solve_elastic_point(
-            rotor,
-            theory,
-            pitch,
-            rpm,
-            climb=climb,
-            density=density,
-            material=material,
-            thickness=thickness,
-            out=out,
+            rotor, theory, pitch, rpm, climb=climb, density=density, material=material, thickness=thickness, out=out,
             as_json=as_json,
-        )
+        )  # fmt: skip
     if theory.method == "cfd":
         from mufly.cli.aero.cfd import CaseOptions, solve_point
 
-        if pitch is None or rpm is None:
-            raise InputError("--method", "cfd", "cannot solve for speed or pitch", "give --pitch and --rpm")
-        case = CaseOptions(pitch=pitch, density=density)
-        return solve_point(rotor, case, rpm=rpm, climb=climb, out=out or Path("case"), as_json=as_json)
+        case = CaseOptions(pitch=pitch or 0.0, density=density)
+        return solve_point(rotor, case, rpm=rpm or 0.0, climb=climb, out=out or Path("case"), as_json=as_json)
     settings, count = theory.wake_settings()
-    if band is not None and theory.method == "wake":
-        raise InputError("--band", "", "applies to blade element theory only", "leave --method wake or --band out")
-    if section != "known" and band is None:
-        raise InputError("--section", section, "applies to an interval only", "add --band 0.9")
-    if family and section != "guessed":
-        raise InputError("--family", family, "applies to guessed sections only", "add --section guessed")
-    r, d, air = load_rotor(rotor), load_drive_option(drive), Air(density_kg_m3=density)
-    blading = theory.prepare_blading(r, count)
-    theta = math.radians(pitch) if pitch is not None else None
-    speed = rpm * RPM if rpm is not None else None
+    r, air = load_rotor(rotor), Air(density_kg_m3=density)
+    condition = OperatingCondition(
+        None if pitch is None else math.radians(pitch), None if rpm is None else rpm * RPM, thrust, climb, air
+    )
     with show_wake_progress("wake", theory.method == "wake" and not as_json, out) as progress:
-        found = solve_system(
-            RotorSystem.from_single_rotor(blading), OperatingCondition(theta, speed, thrust, climb, air), theory.method,
-            settings=settings, progress=progress,
+        found = solve_rotor_point(
+            theory.prepare_blading(r, count), condition, method=theory.method, model=theory.model, n_crit=theory.n_crit,
+            settings=settings, drive=load_drive_option(drive), progress=progress,
         )  # fmt: skip
-    result, solution = found.rotors[0], found if found.wakes else None
-    files = write_wakes(found, out) if solution is not None and out is not None else []
-    if not found.converged:
+    files = write_wakes(found.solution, out) if found.solution.wakes and out is not None else []
+    if not found.solution.converged:
         kept = "" if out is None else f"; its history is in {out}"
-        raise MuflyError(f"wake: {found.message}{kept}")
-    point = None
-    if d is not None and result.thrust_N > 0:
-        load = make_blade_load(blading, pitch_rad=result.pitch_rad, climb_m_s=climb, air=air)
-        if solution is not None:
-            load = make_scaled_load(load, result.speed_rad_s, result.thrust_N, result.torque_Nm)
-        point = find_operating_point(d, load, thrust_N=result.thrust_N)
-    around = None
+        raise MuflyError(f"wake: {found.solution.message}{kept}")
     if band is not None:
-        around = predict_interval(
-            r, pitch_rad=result.pitch_rad, speed_rad_s=result.speed_rad_s, climb_m_s=climb, air=air, level=band,
+        interval = predict_interval(
+            r, **select_fields(found.loads, "pitch_rad speed_rad_s climb_m_s"), air=air, level=band,
             corrections=theory.select_corrections(), n_crit=theory.n_crit, engine=theory.engine, section=section,
             family=family,
         )  # fmt: skip
+        found = replace(found, interval=interval)
     if out is not None:
-        files = [save_figure(draw_spanwise_loads(result), out, "stations"), write_stations(result, out), *files]
-    if as_json:
-        content = {
-            "rotor": r.name, **select_fields(theory, "model n_crit"), **result.as_record(), "drive": point,
-            "band": around,
-            **({} if solution is None else {"wake": select_fields(solution, WAKE_JSON_FIELDS)}),
-            "method": theory.method,
-        }  # fmt: skip
-        return print_answer(as_json, content, None, files)
-    c = make_console()
-    c.print(
-        f"[bold]{r.name}[/bold] at {math.degrees(result.pitch_rad):.2f}° and {result.speed_rad_s / RPM:.0f} rpm"
-        + ("" if solution is None else f"; {settings.model} wake, {solution.message}"),
-        highlight=False,
-    )
-    reach = ("", "")
-    if around is not None:
-        reach = (
-            f", {around.thrust_low_N[0]:.4g} to {around.thrust_high_N[0]:.4g} N (nominal {around.level:.0%} interval)",
-            f", {around.torque_low_Nm[0]:.4g} to {around.torque_high_Nm[0]:.4g} N m",
-        )
-    rows = []
-    if around is not None and section == "guessed" and r.fit is None:
-        mean = f"{around.thrust_N[0]:.4g} N, {around.torque_Nm[0]:.4g} N m"
-        rows = [("mean over likely sections", f"{mean}; the intervals are centred on it")]
-    rows += [
-        ("thrust", f"{result.thrust_N:.4g} N{reach[0]}"),
-        ("torque", f"{result.torque_Nm:.4g} N m{reach[1]}"),
-        ("power at the rotor", f"{result.power_W:.4g} W"),
-        *([("figure of merit", f"{result.figure_of_merit:.3f}")] if climb == 0.0 else []),
-        ("c_T, c_Q", f"{result.c_T:.5f}, {result.c_Q:.6f}"),
-    ]
-    if climb > 0.0:
-        advance = climb * math.pi / (result.speed_rad_s * r.radius_m)
-        useful = result.thrust_N > 0.0 and result.power_W > 0.0
-        share = f", {climb * result.thrust_N / result.power_W:.1%}" if useful else ""
-        rows.append(("advance ratio V/(n D), efficiency T V/P", f"{advance:.4f}{share}"))
-    if point is not None and d is not None:
-        rows += [
-            ("electrical power", f"{float(point.input_power_W):.4g} W"),
-            ("thrust per electrical power", f"{float(point.thrust_per_power_N_W):.4g} N/W"),
-            (f"drive {d.name}", f"efficiency {float(point.efficiency):.1%}, duty {float(point.duty):.2f} of "
-             f"{float(point.voltage_V):g} V, {float(point.motor_current_A):.2f} A"),
-        ]  # fmt: skip
-    print_table(("", ""), rows, text=(0, 1))
-    print_table(
-        ("r/R", "alpha", "inflow", "cl", "cd", "Reynolds number", "loss F", "dT/dr"),
-        [
-            (
-                f"{result.r_m[k] / r.radius_m:.3f}{' *' if result.outside[k] else ''}",
-                f"{np.degrees(result.alpha_rad[k]):.2f}°",
-                f"{result.axial_induced_m_s[k]:.3g} m/s",
-                f"{result.cl[k]:.3f}",
-                f"{result.cd[k]:.4f}",
-                f"{result.reynolds[k]:.0f}",
-                f"{result.loss[k]:.3f}",
-                f"{result.dT_N[k] / result.dr_m[k]:.3g} N/m",
-            )
-            for k in range(0, result.r_m.size, max(1, result.r_m.size // 12))
-        ],
-    )
-    if result.outside_share > 0:
-        c.print(
-            f"* outside the angles or Reynolds numbers of the polar; such sections carry {result.outside_share:.0%} of "
-            "the thrust.",
-            style="yellow",
-        )
-    print_files(files)
+        stations = save_figure(draw_spanwise_loads(found.loads), out, "stations")
+        files = [stations, write_stations(found.loads, out), *files]
+    print_answer(as_json, found, files=files)

@@ -17,7 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError
 from mufly.quantities.units import RPM
-from mufly.results import result
+from mufly.results import (
+    ResultColumn,
+    ShownBlock,
+    make_lines_block,
+    result,
+    tabulate_fields,
+    tabulate_results,
+    to_records,
+)
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor, blade_thickness_m
 
@@ -250,6 +258,18 @@ class OperatingCondition:
     air: Air = field(default_factory=Air)
 
 
+_STATION_COLUMNS = (
+    ResultColumn("r_over_R", head="r/R"),
+    ResultColumn("alpha_rad", "deg", ".2f"),
+    ResultColumn("axial_induced_m_s", form=".3g", head="inflow"),
+    ResultColumn("cl", form=".3f"),
+    ResultColumn("cd", form=".4f"),
+    ResultColumn("reynolds", form=".0f", head="Reynolds number"),
+    ResultColumn("loss", form=".3f", head="loss F"),
+    ResultColumn("thrust_N_m", form=".3g", head="dT/dr", own_unit="N/m"),
+)
+
+
 @result(eq=False)
 class RotorResult:
     """Loads of a rotor at an operating point, in total and along the blade.
@@ -315,6 +335,34 @@ class RotorResult:
         """Return the result's scalars by name and, under the key ``stations``, a dictionary of its spanwise arrays."""
         stations = {k: v for k, v in vars(self).items() if getattr(v, "ndim", 0) == 1}
         return {**{k: v for k, v in vars(self).items() if k not in stations}, "stations": stations}
+
+    def show_loads(self, radius_m: float) -> tuple[ShownBlock, ...]:
+        """Return the loads of a rotor of this radius, some twelve stations of its blade, and the use of polars beyond
+        their range, as printed text.
+        """
+        hover = [ResultColumn("figure_of_merit", form=".3f")] if self.climb_m_s == 0.0 else []
+        loads: list[ResultColumn | tuple[str, str]] = [
+            ResultColumn("thrust_N"), ResultColumn("torque_Nm"), ResultColumn("power_W", head="power at the rotor"),
+            *hover, ("c_T, c_Q", f"{self.c_T:.5f}, {self.c_Q:.6f}"),
+        ]  # fmt: skip
+        if self.climb_m_s > 0.0:
+            advance = self.climb_m_s * math.pi / (self.speed_rad_s * radius_m)
+            loads.append(("advance ratio V/(n D)", f"{advance:.4f}"))
+            if self.thrust_N > 0.0 and self.power_W > 0.0:
+                loads.append(("efficiency T V/P", f"{self.climb_m_s * self.thrust_N / self.power_W:.1%}"))
+        marks = [" *" if outside else "" for outside in self.outside]
+        names = "alpha_rad axial_induced_m_s cl cd reynolds loss"
+        table = {
+            "r_over_R": [f"{r / radius_m:.3f}{mark}" for r, mark in zip(self.r_m, marks, strict=True)],
+            **{name: getattr(self, name) for name in names.split()}, "thrust_N_m": self.dT_N / self.dr_m,
+        }  # fmt: skip
+        rows = to_records(table)[:: max(1, self.r_m.size // 12)]
+        star = f"* outside the range of the polar; such sections carry {self.outside_share:.0%} of the thrust."
+        return (
+            tabulate_fields(self, loads),
+            tabulate_results(rows, _STATION_COLUMNS),
+            *((make_lines_block(star, style="yellow"),) if self.outside_share > 0 else ()),
+        )
 
 
 @dataclass(frozen=True)

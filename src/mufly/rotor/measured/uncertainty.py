@@ -39,7 +39,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri, stdtrit
 
 from mufly.errors import ArgumentError, InputError
-from mufly.results import result
+from mufly.results import ShownBlock, format_value, make_table_block, result
 from mufly.rotor.bemt import solve_rotor_batch
 from mufly.rotor.blades.blade_families import (
     DRAG_FACTOR_PER_THICKNESS_RATIO,
@@ -123,6 +123,16 @@ class PredictionInterval:
             "thrust_N": [float(self.thrust_low_N[k]), float(self.thrust_high_N[k])],
             "torque_Nm": [float(self.torque_low_Nm[k]), float(self.torque_high_Nm[k])],
         }
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return means and intervals of thrust and torque as printed text."""
+        loads = {
+            "thrust (N)": (self.thrust_N, self.thrust_low_N, self.thrust_high_N),
+            "torque (N m)": (self.torque_Nm, self.torque_low_Nm, self.torque_high_Nm),
+        }
+        rows = [(name, *(format_value(v, ".4g") for v in values)) for name, values in loads.items()]
+        title = f"nominal {self.level:.0%} interval"
+        return (make_table_block(("", "mean", "low", "high"), rows, title=title),)
 
 
 PREDICTION_INTERVAL_LEVELS = (0.5, 0.68, 0.8, 0.9, 0.95, 0.99)
