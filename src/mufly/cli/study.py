@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from mufly.study.study_parameters import ParameterValue, StudyParameterSpec
-    from mufly.thesis import StudyAnswer
 
 _MAX_PRINTED_ROWS = 40  # rows of a sweep in the terminal
 
@@ -112,14 +111,6 @@ def list_pair_parameters(as_json: JsonOption = False) -> None:
     if not as_json:
         text = "upper_rpm=5000:7000:500 is short for upper_speed=5000:7000:500rpm."
         make_console().print(text, style="dim", highlight=False)
-
-
-def format_parameter(name: str, value: ParameterValue, form: str = "g") -> str:
-    """Return a parameter's value with its unit as text to print."""
-    from mufly.study.study_parameters import to_display_unit
-
-    values, unit = to_display_unit(name, [value])
-    return f"{values[0]:{form}} {unit}".strip() if values.dtype.kind == "f" else str(values[0])
 
 
 def _print_failure_reasons(data: xr.Dataset) -> None:
@@ -220,6 +211,8 @@ def _select_plotted_result(data: xr.Dataset, asked: str | None) -> str:
 def _print_best_pitch_cases(data: xr.Dataset, variable: str) -> None:
     """Print the best case over all pitches for every combination of the other parameters, best first, at most 40."""
     import numpy as np
+
+    from mufly.study.study_parameters import format_parameter
 
     c = make_console()
     values = data[variable]
@@ -396,6 +389,8 @@ def sweep_pairs(
 def _print_pair_sweep(data: xr.Dataset, variable: str) -> None:
     import numpy as np
 
+    from mufly.study.study_parameters import format_parameter
+
     c = make_console()
     names = [str(d) for d in data.dims]
     fault = data["fault"].values.ravel()
@@ -442,7 +437,7 @@ def list_thesis_items(as_json: JsonOption = False) -> None:
 
     answers = [load_cached_answer(name) for name in THESIS_ITEMS]
     if as_json:
-        return print_json([a.to_dict() for a in answers])
+        return print_json(answers)
     print_table(
         ("name", "kind", "section", "verdict", "agree", "title"),
         [
@@ -490,9 +485,9 @@ def run_thesis_study(
         count = f"{k + 1} of {len(names)}: " if len(names) > 1 else ""
         with progress_bar(f"{count}{one}", not as_json) as progress:
             found = answer_study(one, out, progress, case=case, again=again)
-        answers.append(found.to_dict())
+        answers.append(found.as_record())
         if not as_json:
-            _print_study_answer(found)
+            print_answer(as_json, found)
     if as_json:
         print_json(answers if name == "all" else answers[0])
     elif name == "all":
@@ -515,10 +510,7 @@ def show_thesis_item(name: _NameArgument, as_json: JsonOption = False) -> None:
     if not found.is_answered:
         with progress_bar(found.item.name, not as_json) as progress:
             found = answer_study(name, None, progress)
-    if as_json:
-        print_json(found.to_dict())
-    else:
-        _print_study_answer(found)
+    print_answer(as_json, found, files=None)
 
 
 @thesis_commands.command("outlook")
@@ -563,19 +555,3 @@ def write_thesis_report(
     write_text_file(out, render_html_page(answers), "give another file")
     print_files([out])
     make_console().print(", ".join(f"{n} {word}" for word, n in count_verdicts(answers).items()) + ".", highlight=False)
-
-
-def _print_study_answer(found: StudyAnswer) -> None:
-    c = make_console()
-    i = found.item
-    share = f" ({found.agreement_count_text})" if found.agreement_count_text else ""
-    c.print(f"[bold]{i.name}[/bold]  {i.title}  [bold]{found.verdict_word}{share}[/bold]", highlight=False)
-    if i.kind != "result":
-        c.print(f"  A {i.kind}; counterpart in mufly: {i.counterpart}.", highlight=False, markup=False)
-    for verdict in found.verdicts:
-        style = None if verdict.agrees else "yellow"
-        c.print(f"  {verdict.format_line()}", style=style, highlight=False, markup=False)
-    if found.note:
-        c.print(f"  {found.note}", style="dim", highlight=False, markup=False)
-    if found.picture is not None:
-        c.print(f"  Picture: {found.picture}", style="dim", highlight=False, markup=False)

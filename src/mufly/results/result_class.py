@@ -520,7 +520,7 @@ def tabulate_fields(
 
 
 def _looks_like_number(text: str) -> bool:
-    return text.rstrip(" %")[-1:].isdigit() or text == "-"
+    return text == "-" or (text.lstrip("+-")[:1].isdigit() and text.rstrip(" %")[-1:].isdigit())
 
 
 def format_blocks(blocks: Iterable[ShownBlock]) -> str:

@@ -31,7 +31,16 @@ from scipy.optimize import differential_evolution, minimize
 
 from mufly.drive import hover_endurance
 from mufly.errors import InputError, MuflyError, suggest_name
-from mufly.results import result
+from mufly.results import (
+    ResultColumn,
+    ShownBlock,
+    make_lines_block,
+    make_table_block,
+    result,
+    select_fields,
+    tabulate_fields,
+    tabulate_results,
+)
 from mufly.results.result_figure import enable_notebook_display
 from mufly.rotor import (
     MAX_TIP_SPEED_M_S,
@@ -53,6 +62,7 @@ from mufly.study.study_parameters import (
     PAIR_PARAMETERS,
     SEARCH_RANGES,
     DesignLimit,
+    format_parameter,
     parse_quantity,
     search_bounds,
 )
@@ -90,6 +100,11 @@ class DesignChange:
     gain: float
     pitch_rad: float
 
+    @property
+    def value_text(self) -> str:
+        """New value with its unit."""
+        return format_parameter(self.parameter, self.value, ".4g")
+
 
 @result(json="rotor=rotor.toml_tables pitch_rad changes goal unit before=goal_before after=goal_after steps results")
 class RotorOptimum:
@@ -123,6 +138,28 @@ class RotorOptimum:
     def unit(self) -> str:
         """Unit of the optimised quantity."""
         return "s" if self.goal == "endurance" else "N/W"
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return as printed text the gain of each change, and the optimum's results."""
+        steps = (
+            ResultColumn("parameter", head="change"), ResultColumn("value_text", head="to"),
+            ResultColumn("goal", form=".5g", head=f"{self.goal} ({self.unit})"),
+            ResultColumn("gain", form="+.1%"), ResultColumn("pitch_rad", "deg", ".2f"),
+        )  # fmt: skip
+        results = (
+            ResultColumn("electrical_power_W", form=".3f"), "thrust_N", "thrust_per_power_N_W",
+            ResultColumn("endurance_s", "min", ".1f"), ResultColumn("speed_rad_s", "rpm", ".0f"),
+            ResultColumn("gear_ratio", form=".3g"), ResultColumn("duty", form=".2f"),
+            ResultColumn("least_thickness_m", "mm", ".2f"),
+        )  # fmt: skip
+        return [
+            tabulate_results(self.steps, steps),
+            make_lines_block(
+                f" {self.goal}, from {self.goal_before:.5g} to {self.goal_after:.5g} {self.unit} at the best pitches",
+                head=f"{self.goal_after / self.goal_before - 1:+.1%}",
+            ),
+            tabulate_fields(self.results, results),
+        ]
 
     def plot(self) -> Figure:
         """Draw the optimum; return a matplotlib figure."""
@@ -458,7 +495,7 @@ _TORQUE_BALANCE_TOLERANCE = 1e-4
 _MAX_BLADE_REACH_SPACING_FRACTION = 0.9  # of the spacing: greatest vertical extent of the pitched blades
 
 
-@result
+@result(json="upper=upper.toml_tables lower=lower.toml_tables changes at_limit evaluations bemt wake")
 class PairOptimum:
     """Optimised pair.
 
@@ -474,6 +511,8 @@ class PairOptimum:
     at_limit : tuple of str
         Parameters at an end of their range.
     evaluations : int
+    checked : (start, optimum) or None
+        Solutions of the initial pair and of the optimum by the wake method, or why there is none.
     """
 
     upper: Rotor
@@ -485,10 +524,69 @@ class PairOptimum:
     changes: dict[str, float]
     at_limit: tuple[str, ...]
     evaluations: int
+    checked: tuple[SystemSolution | str, SystemSolution | str] | None = None
+
+    @property
+    def bemt(self) -> dict[str, Any]:
+        """Figures of the solutions by blade elements."""
+        points = {"start": self.before, "pitch_only": self.before_at_best_pitch, "optimum": self.after}
+        return {name: point and _summarise_pair_point(point) for name, point in points.items()}
+
+    @property
+    def wake(self) -> dict[str, Any] | None:
+        """Figures of the solutions by the wake method."""
+        return self.checked and dict(zip(("start", "optimum"), map(_summarise_pair_point, self.checked), strict=True))
 
     def plot(self) -> Figure:
-        """Draw the optimum; return a matplotlib figure."""
-        return enable_notebook_display(draw_rotor_loads(self.after.upper, self.after.lower))
+        """Draw the optimum, by the wake method if it has a solution; return a matplotlib figure."""
+        drawn = self.after if self.checked is None or isinstance(self.checked[1], str) else self.checked[1]
+        return enable_notebook_display(draw_rotor_loads(drawn.upper, drawn.lower))
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return as printed text the free parameters, the solutions with the change of power, and warnings."""
+        start, optimum = self.checked or ("", "")
+        cases = (
+            ("start", self.before, self.before), ("start's blades, best pitch", self.before_at_best_pitch, self.before),
+            ("optimum", self.after, self.before), ("start", start, start), ("optimum", optimum, start),
+        )  # fmt: skip
+        solved = [(name, point, first) for name, point, first in cases if isinstance(point, SystemSolution)]
+        names = [
+            name if point is first or not isinstance(first, SystemSolution)
+            else f"{name} ({point.power_W / first.power_W - 1:+.1%})"
+            for name, point, first in solved
+        ]  # fmt: skip
+        sides = ("upper", "lower")
+        columns: tuple[ResultColumn | str, ...] = (
+            "method", "power_W",
+            *(ResultColumn(f"{side}.speed_rad_s", "rpm", ".0f", f"{side} speed") for side in sides),
+            *(ResultColumn(f"{side}.thrust_N", head=f"{side} thrust") for side in sides),
+            ResultColumn("figure_of_merit", form=".3f"),
+        )  # fmt: skip
+        warnings = [
+            f"The wake method finds no solution: {text}" for text in self.checked or () if isinstance(text, str)
+        ]
+        if share := max(self.after.upper.outside_share, self.after.lower.outside_share):
+            warnings.append(
+                f"At the optimum sections outside the range of the polars carry up to {share:.0%} of a thrust"
+            )
+        free = [
+            (name, format_parameter(name, value, ".4g"), "at the end of its range" if name in self.at_limit else "")
+            for name, value in self.changes.items()
+        ]
+        return [
+            make_table_block(("free", "found", ""), free, text=(0, 2)),
+            tabulate_results([point for _, point, _ in solved], columns, names=names),
+            make_lines_block(*warnings, style="yellow"),
+            make_lines_block(f"{self.evaluations} pairs computed.", style="dim"),
+        ]
+
+
+def _summarise_pair_point(point: SystemSolution | str) -> dict[str, Any]:
+    if isinstance(point, str):
+        return {"fault": point}
+    each = "pitch_rad speed_rad_s thrust_N torque_Nm power_W outside_share"
+    sides = {side: select_fields(getattr(point, side), each) for side in ("upper", "lower")}
+    return {**select_fields(point, "power_W thrust_N figure_of_merit"), **sides}
 
 
 def parse_pair_limit(text: str) -> DesignLimit:
@@ -672,9 +770,9 @@ def _start_value(setup: StudySetup, name: str) -> float:
 
 def verify_by_wake(
     setup: StudySetup, best: PairOptimum, progress: Callable[[int, float, float], None] | None = None
-) -> tuple[SystemSolution | str, SystemSolution | str]:
-    """Solve initial pair and optimum at the same thrust with balanced torques by the wake method; return the reason of
-    a failure.
+) -> PairOptimum:
+    """Return the optimum with ``checked``: initial pair and optimum solved by the wake method at the same thrust with
+    balanced torques.
     """
     slow = replace(setup, method="wake", balance_by="lower-speed")
     answers: list[SystemSolution | str] = []
@@ -685,4 +783,4 @@ def verify_by_wake(
             answers.append(known)
         except MuflyError as error:
             answers.append(str(error))
-    return answers[0], answers[1]
+    return replace(best, checked=(answers[0], answers[1]))

@@ -216,6 +216,12 @@ def to_display_unit(name: str, values: Iterable[ParameterValue]) -> tuple[np.nda
     ), p.display_unit
 
 
+def format_parameter(name: str, value: ParameterValue, form: str = "g") -> str:
+    """Return a parameter's value with its unit as text to print."""
+    values, unit = to_display_unit(name, [value])
+    return f"{values[0]:{form}} {unit}".strip() if values.dtype.kind == "f" else str(values[0])
+
+
 # ----------------------------------------------------------------------------
 # Limits of an optimisation: ``chord<=25mm``, ``thickness_mm>=0.8``, ``speed_rpm<=7000``.
 #

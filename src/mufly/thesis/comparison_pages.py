@@ -46,7 +46,7 @@ def count_verdicts(answers: Sequence[StudyAnswer] | Sequence[Mapping[str, Any]])
 
 
 def _answer_as_mapping(answer: StudyAnswer | Mapping[str, Any]) -> Mapping[str, Any]:
-    return answer.to_dict() if isinstance(answer, StudyAnswer) else answer
+    return answer.as_record() if isinstance(answer, StudyAnswer) else answer
 
 
 def _summarise_verdicts(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -194,7 +194,7 @@ def render_html_page(answers: Sequence[StudyAnswer]) -> str:
         "The dissertation, figure by figure",
         _PAGE_BODY_TEMPLATE,
         answers=every,
-        total=_summarise_verdicts([a.to_dict() for a in every]),
+        total=_summarise_verdicts([a.as_record() for a in every]),
         chapter=_chapter_number,
         code=_render_code_marks,
         badges=_BADGE_CLASSES,

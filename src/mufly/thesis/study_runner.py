@@ -24,7 +24,7 @@ import xarray as xr
 from mufly.compiled.numba_cache import imported_sources
 from mufly.errors import InputError, report_write_errors
 from mufly.files.answer_store import cache_folder, hash_inputs, read_stored_result, write_stored_result
-from mufly.results import result, select_fields, to_plain_data
+from mufly.results import ShownBlock, make_lines_block, result, select_fields, to_plain_data
 from mufly.results.result_figure import enable_notebook_display
 from mufly.study import TABLE_3_3_AIRFOILS, write_results
 from mufly.thesis import (
@@ -170,7 +170,19 @@ class StudyAnswer:
         """Number of verdicts that agree, as ``3 of 4``; "" without any."""
         return f"{sum(v.agrees for v in self.verdicts)} of {len(self.verdicts)}" if self.verdicts else ""
 
-    def to_dict(self) -> dict[str, Any]:
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return as printed text the verdict, each claim with its result, the note and the picture."""
+        i = self.item
+        count = f" ({self.agreement_count_text})" if self.agreement_count_text else ""
+        place = [] if i.kind == "result" else [f"A {i.kind}; counterpart in mufly: {i.counterpart}."]
+        picture = "" if self.picture is None else f"Picture: {self.picture}"
+        return [
+            make_lines_block(f"  {self.verdict_word}{count}", *place, head=f"{i.name}  {i.title}"),
+            *(make_lines_block(v.format_line(), style="" if v.agrees else "yellow") for v in self.verdicts),
+            make_lines_block(*filter(None, (self.note, picture)), style="dim"),
+        ]
+
+    def as_record(self) -> dict[str, Any]:
         """Return the answer as plain numbers and text."""
         i = self.item
         return {

@@ -10,10 +10,10 @@ import numpy as np
 from mufly.cli.options import JsonOption, OutOption, define_option
 from mufly.cli.output import (
     check_output_place,
-    make_console,
     print_answer,
     print_files,
-    print_table,
+    print_lines,
+    print_result_table,
     progress_bar,
     save_figure,
     write_records,
@@ -23,7 +23,7 @@ from mufly.errors import MuflyError
 from mufly.results import select_fields, to_records
 
 if TYPE_CHECKING:
-    from mufly.study.benchmark import PropellerScoreRow, RotorScore, ScoreRow
+    from mufly.study.benchmark import RotorScore
 
 
 @rotor_commands.command()
@@ -111,18 +111,15 @@ def benchmark(
             "advancing_runs": [select_fields(s, _TUNNEL_SCORE_FIELDS) for s in advancing],
         }  # fmt: skip
         return print_answer(as_json, content, None, files)
-    _print_scores(rows, "mean absolute error over the rotors of a group")
+    print_result_table(rows, room.SCORE_COLUMNS, title="mean absolute error over the rotors of a group")
     if len(by_family) > len(rows):
-        _print_scores(by_family, "by family")
-    if tunnel:
-        _print_tunnel_scores(tunnel + room.tabulate_propellers(advancing, by_family=True))
-    c = make_console()
+        print_result_table(by_family, room.SCORE_COLUMNS, title="by family")
+    tunnel += room.tabulate_propellers(advancing, by_family=True)
+    print_result_table(tunnel, room.PROPELLER_SCORE_COLUMNS, title="wind tunnel runs, mean over the rotors of a group")
     faults = [f"{s.code}, {s.case.name}: {s.fault}" for s in scores if s.fault]
     faults += [f"{a.code}, {a.case.name}: {a.fault}" for a in advancing if a.fault]
-    for text in dict.fromkeys(faults):
-        c.print(text, style="yellow", highlight=False)
-    for text in missing:
-        c.print(f"not scored or with an assumption: {text}", style="dim", highlight=False)
+    print_lines(*dict.fromkeys(faults), style="yellow")
+    print_lines(*missing, mark="not scored or with an assumption", style="dim")
     print_files(files)
     silent = sorted({r.code for r in rows} - {r.code for r in rows if r.unpredicted < r.points})
     if silent:
@@ -143,42 +140,6 @@ _TUNNEL_SCORE_FIELDS = (
     "efficiency_error=relative_errors.0 best_advance_ratio_error=relative_errors.1 "
     "zero_thrust_advance_ratio_error=relative_errors.2"
 )
-
-
-def _print_scores(rows: list[ScoreRow], title: str) -> None:
-    def format_percent(value: float) -> str:
-        return f"{100 * value:.0f}" if np.isfinite(value) else "-"
-
-    make_console().print(title, style="bold")
-    print_table(
-        ("code", "of", "rotors", "points", "thrust (bias)", "torque (bias)", "inside 90 % (%)"),
-        [
-            (
-                r.code, r.group, f"{r.rotors}",
-                f"{r.points}" + (f" ({r.unpredicted} without answer)" if r.unpredicted else ""),
-                _format_error_and_bias(r.thrust, r.thrust_bias), _format_error_and_bias(r.torque, r.torque_bias),
-                f"{format_percent(r.thrust_inside)}, {format_percent(r.torque_inside)}",
-            )
-            for r in rows
-        ],
-        text=(0, 1),
-    )  # fmt: skip
-
-
-def _format_error_and_bias(size: float, bias: float) -> str:
-    return f"{100 * size:.1f} % ({100 * bias:+.1f})" if np.isfinite(size) else "-"
-
-
-def _print_tunnel_scores(rows: list[PropellerScoreRow]) -> None:
-    make_console().print("wind tunnel runs: mean absolute error over the rotors of a group", style="bold")
-    print_table(
-        ("code", "of", "rotors", "runs", "peak efficiency (bias)", "its advance ratio", "zero-thrust advance ratio"),
-        [
-            (r.code, r.group, f"{r.rotors}", f"{r.runs}", *map(_format_error_and_bias, r.size, r.bias))
-            for r in rows
-        ],
-        text=(0, 1),
-    )  # fmt: skip
 
 
 def _write_points_csv(scores: list[RotorScore], path: Path) -> Path:

@@ -1,6 +1,7 @@
 """Benchmark of rotor predictions: measured rotors, prediction codes and scores (`mufly rotor benchmark`)."""
 
 from mufly.study.benchmark.benchmark_scores import (
+    SCORE_COLUMNS,
     RotorScore,
     ScoreRow,
     draw_scores,
@@ -18,6 +19,7 @@ from mufly.study.benchmark.prediction_codes import (
     parse_code,
 )
 from mufly.study.benchmark.propeller_efficiency import (
+    PROPELLER_SCORE_COLUMNS,
     PropellerScore,
     PropellerScoreRow,
     score_propellers,
@@ -27,6 +29,8 @@ from mufly.study.benchmark.rotor_cases import DATA_SOURCES, SECTION_BY_PREFIX, R
 
 __all__ = [
     "DATA_SOURCES",
+    "PROPELLER_SCORE_COLUMNS",
+    "SCORE_COLUMNS",
     "SECTION_BY_PREFIX",
     "PredictionCode",
     "PropellerScore",

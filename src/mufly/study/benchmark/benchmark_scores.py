@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
 from mufly.files.answer_store import hash_inputs, read_stored_result, write_stored_result
+from mufly.results import ResultColumn, result
 from mufly.results.result_figure import blank_figure, label_axes
 from mufly.rotor import fit_rotor, predict_interval
 from mufly.rotor.measured.uncertainty import fit_student_scale, interval_quantile
@@ -239,10 +240,21 @@ def _is_within(value: Array, low: Array, high: Array) -> Array:
     return np.where(np.isfinite(value), held, math.nan)
 
 
-@dataclass(frozen=True)
+@result
 class ScoreRow:
-    """Score of a code on a group: rotors, points, mean absolute errors and biases, fractions of points inside
-    intervals."""
+    """Score of a code on a group of rotors.
+
+    Attributes
+    ----------
+    code, group : str
+    rotors, points : int
+    thrust, thrust_bias, torque, torque_bias : float
+        Mean absolute errors and biases, relative, each rotor with the same weight.
+    thrust_inside, torque_inside : float
+        Fractions of points inside their 90 % intervals.
+    unpredicted : int
+        Number of points without a prediction.
+    """
 
     code: str
     group: str
@@ -255,7 +267,19 @@ class ScoreRow:
     thrust_inside: float
     torque_inside: float
     unpredicted: int
-    """Number of points without a prediction."""
+
+
+SCORE_COLUMNS: tuple[ResultColumn | str, ...] = (
+    "code",
+    "group",
+    "rotors",
+    "points",
+    "unpredicted",
+    *(ResultColumn(name, form=".1%", head=f"{name} error") for name in ("thrust", "torque")),
+    *(ResultColumn(f"{name}_bias", form="+.1%") for name in ("thrust", "torque")),
+    *(ResultColumn(f"{name}_inside", form=".0%", head=f"{name} inside 90 %") for name in ("thrust", "torque")),
+)
+"""Columns of printed scores."""
 
 
 def tabulate_by_group(scores: Sequence[RotorScore]) -> list[ScoreRow]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
+from mufly.results import ResultColumn
 from mufly.rotor import RotorMeasurements
 from mufly.study.benchmark.prediction_codes import PredictionCode
 from mufly.study.benchmark.rotor_cases import RotorCase
@@ -124,6 +125,20 @@ class PropellerScoreRow:
     runs: int
     size: tuple[float, ...]
     bias: tuple[float, ...]
+
+
+PROPELLER_SCORE_COLUMNS: tuple[ResultColumn | str, ...] = (
+    "code",
+    "group",
+    "rotors",
+    "runs",
+    *(
+        ResultColumn(f"{kind}.{k}", form=form, head=f"{name} {head}")
+        for k, name in enumerate(("peak efficiency", "its advance ratio", "zero-thrust advance ratio"))
+        for kind, form, head in (("size", ".1%", "error"), ("bias", "+.1%", "bias"))
+    ),
+)
+"""Columns of printed scores in a wind tunnel."""
 
 
 def tabulate_propellers(scores: Sequence[PropellerScore], by_family: bool = False) -> list[PropellerScoreRow]:
