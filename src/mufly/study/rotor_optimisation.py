@@ -155,7 +155,8 @@ class RotorOptimum:
         return [
             tabulate_results(self.steps, steps),
             make_lines_block(
-                f" {self.goal}, from {self.goal_before:.5g} to {self.goal_after:.5g} {self.unit} at the best pitches",
+                f" {self.goal} from the start to the optimum, at the best pitch: {self.goal_before:.5g} to "
+                f"{self.goal_after:.5g} {self.unit}",
                 head=f"{self.goal_after / self.goal_before - 1:+.1%}",
             ),
             tabulate_fields(self.results, results),
