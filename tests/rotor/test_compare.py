@@ -85,7 +85,7 @@ def test_axial_flight_is_read_and_compared(tmp_path, case):
     out = compare_measurements(case, bench)
     wanted = solve_rotor(case, pitch_rad=bench.pitch_rad[1], speed_rad_s=bench.speed_rad_s[1], climb_m_s=4.0).thrust_N
     assert out.thrust_N[1] == wanted
-    assert "axial_m_s" in str(out)
+    assert "axial (m/s)" in str(out)
     with pytest.raises(InputError, match="nowhere above 0"):
         fit_rotor(case.rotors[0], replace(bench, thrust_N=-bench.thrust_N))
     with pytest.raises(InputError, match="J: needs the rotor's diameter"):

@@ -35,9 +35,7 @@ from mufly.cli.options import (
     write_wakes,
 )
 from mufly.cli.output import (
-    make_console,
     print_answer,
-    print_table,
     progress_bar,
     save_figure,
 )
@@ -49,7 +47,6 @@ if TYPE_CHECKING:
     from mufly.rotor import RotorResult, SystemSolution
     from mufly.study import StudySetup
     from mufly.study.study_parameters import ParameterValue
-    from mufly.vehicle import CoefficientMap
 
 THESIS_ROTOR_NAME = "naca0012-r60-c20"  # the dissertation's pair: this rotor twice at 14 degrees, 20 mm apart
 
@@ -382,41 +379,4 @@ def compute_coax_map(
         with replace_file(out) as part:
             part.write_text(format_map_toml(made), encoding="utf-8")
         files = [out, save_figure(draw_coefficient_map(made), out.parent, out.stem)]
-    content = {**made.model_dump(exclude={"table"}), **made.decode_map_tables()._asdict()}
-    print_answer(as_json, content, lambda: _print_rotor_map(made), files)
-
-
-def _print_rotor_map(made: CoefficientMap) -> None:
-    t = made.decode_map_tables()
-    c = make_console()
-    c.print(f"[bold]{made.name}[/bold]  {made.description}", highlight=False)
-    k, i = t.grid_shape[0] // 2, int(np.argmin(np.abs(t.climb_ratio)))
-    mean = float(t.mean_speed_rad_s[k])
-    c.print(
-        f"{t.grid_shape[0]} mean speeds, {t.grid_shape[1]} ratios, {t.grid_shape[2]} climbs; below: "
-        f"{mean / RPM:.0f} rpm, climb "
-        f"{float(t.climb_ratio[i]) * mean * made.radius_m:.2f} m/s",
-        highlight=False,
-    )
-    print_table(
-        ("lower/upper speed", "cT upper", "cQ upper", "cT lower", "cQ lower", ""),
-        [
-            (f"{t.ratio[j]:.3g}", f"{t.cT_upper[k, j, i]:.5f}", f"{t.cQ_upper[k, j, i]:.6f}",
-             f"{t.cT_lower[k, j, i]:.5f}", f"{t.cQ_lower[k, j, i]:.6f}", "" if t.solved[k, j, i] else "from neighbours")
-            for j in range(t.grid_shape[1])
-        ],
-        text=(0, 5),
-    )  # fmt: skip
-    if t.climb_ratio[0] == 0.0 or t.climb_ratio[-1] == 0.0:
-        c.print(
-            "Hover is at the edge of the map, beyond which coefficients are constant: heave damping acts on one side "
-            "only. Let --climb "
-            "reach beyond 0 on both sides.",
-            style="yellow",
-        )
-    missing = int(np.count_nonzero(~t.solved))
-    if missing:
-        c.print(
-            f"{missing} of {t.solved.size} points have no solution and take the mean of their neighbours.",
-            style="yellow",
-        )
+    print_answer(as_json, made, files=files)

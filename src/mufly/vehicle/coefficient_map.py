@@ -16,7 +16,7 @@ import math
 from functools import lru_cache, partial
 from importlib import resources
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -25,6 +25,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from mufly.errors import InputError
 from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.quantities.units import RPM
+from mufly.results import ResultColumn, ShownBlock, make_lines_block, tabulate_results, to_records
 
 MAX_MAP_NODES = 512  # size of the tables in the flight model's record, e.g. 3 mean speeds x 13 ratios x 13 climbs
 _MAP_AXIS_COUNT = 3  # first arrays of the tables
@@ -96,6 +98,41 @@ class CoefficientMap(BaseModel):
     def decode_map_tables(self) -> MapTables:
         """Return axes and coefficients as read-only arrays."""
         return _parse_table(self.table)
+
+    def as_record(self) -> dict[str, Any]:
+        """Return the settings, axes and coefficients."""
+        return {**self.model_dump(exclude={"table"}), **self.decode_map_tables()._asdict()}
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return the coefficients at the middle speed without climb, and the limits of the map, as printed text."""
+        t = self.decode_map_tables()
+        k, i = t.grid_shape[0] // 2, int(np.argmin(np.abs(t.climb_ratio)))
+        mean, (means, ratios, climbs) = float(t.mean_speed_rad_s[k]), t.grid_shape
+        columns = (
+            ResultColumn("ratio", form=".3g", head="lower/upper speed"),
+            ResultColumn("cT_upper", form=".5f"), ResultColumn("cQ_upper", form=".6f"),
+            ResultColumn("cT_lower", form=".5f"), ResultColumn("cQ_lower", form=".6f"),
+            ResultColumn("solved"),
+        )  # fmt: skip
+        table = {"ratio": t.ratio, **{c.name: getattr(t, c.name)[k, :, i] for c in columns[1:]}}
+        edge = t.climb_ratio[0] == 0.0 or t.climb_ratio[-1] == 0.0
+        missing = int(np.count_nonzero(~t.solved))
+        warnings = (
+            "Hover is at the edge of the map, beyond which coefficients are constant: heave damping acts on one side "
+            "only. Let the climb reach beyond 0 on both sides." if edge else "",
+            f"{missing} of {t.solved.size} points have no solution and take the mean of their neighbours."
+            if missing else "",
+        )  # fmt: skip
+        return (
+            make_lines_block(
+                f"  {self.description}",
+                f"{means} mean speeds, {ratios} ratios, {climbs} climbs; below: {mean / RPM:.0f} rpm, climb "
+                f"{float(t.climb_ratio[i]) * mean * self.radius_m:.2f} m/s",
+                head=self.name,
+            ),
+            tabulate_results(to_records(table), columns),
+            make_lines_block(*filter(None, warnings), style="yellow"),
+        )
 
     @model_validator(mode="after")
     def _check_table(self) -> CoefficientMap:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from mufly.cli.coax import app
 from mufly.cli.options import JsonOption, OptionRange, VehicleArgument, define_option
-from mufly.cli.output import make_console, print_answer, print_table, progress_bar, save_figure
+from mufly.cli.output import print_answer, progress_bar, save_figure
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from mufly.rotor.forward.edgewise_map import AirspeedMapLoads
-    from mufly.vehicle import FlightMap
+    pass
 
 
 @app.command("flight-map")
@@ -48,7 +46,7 @@ def compute_flight_map(
     from mufly.dynamics.vehicle_flight_map import make_flight_map
     from mufly.files.answer_store import replace_file
     from mufly.rotor import load_rotor
-    from mufly.rotor.forward.edgewise_map import evaluate_flight_map
+    from mufly.rotor.forward.edgewise_map import FlightMapSummary, evaluate_flight_map
     from mufly.rotor.forward.forward_pictures import draw_flight_map
     from mufly.vehicle import format_flight_map_toml, load_vehicle
 
@@ -66,44 +64,4 @@ def compute_flight_map(
         with replace_file(out) as part:
             part.write_text(format_flight_map_toml(made), encoding="utf-8")
         files = [out, save_figure(draw_flight_map(made, loads), out.parent, out.stem)]
-    content: dict[str, Any] = {
-        **made.model_dump(exclude={"table"}),
-        **made.decode_map_tables()._asdict(),
-        "at_mean_ratio_without_climb": loads._asdict(),
-    }
-    print_answer(as_json, content, lambda: _print_rotor_map(made, loads), files)
-
-
-def _print_rotor_map(made: FlightMap, loads: AirspeedMapLoads) -> None:
-    c = make_console()
-    tables = made.decode_map_tables()
-    shape = tables.loads.shape
-    edge, sink, climb = made.velocity_range_m_s
-    c.print(f"[bold]{made.name}[/bold]  {made.description}", highlight=False)
-    c.print(
-        f"{shape[0]} speed ratios, {shape[1]} climbs, {shape[2]} advance ratios: to {edge:.1f} m/s across, "
-        f"{sink:.1f} m/s sink, {climb:.1f} m/s climb; below: no climb, rotor speeds of hover",
-        highlight=False,
-    )
-    rows = zip(
-        loads.airspeed_m_s, *(100.0 * f for f in loads.thrust_excess.T), *(100.0 * f for f in loads.torque_excess.T),
-        1e3 * loads.drag_N.sum(axis=1), 1e3 * loads.side_N.sum(axis=1), 1e3 * loads.roll_moment_Nm.sum(axis=1),
-        1e3 * loads.pitch_moment_Nm.sum(axis=1), strict=True,
-    )  # fmt: skip
-    print_table(
-        ("V (m/s)", "T upper (%)", "T lower (%)", "Q upper (%)", "Q lower (%)", "H (mN)", "Y (mN)", "roll (mN m)",
-         "pitch (mN m)"),
-        [tuple(f"{v:z.2f}" if k in (0, 7, 8) else f"{v:z.1f}" for k, v in enumerate(row)) for row in rows],
-        text=(),
-    )  # fmt: skip
-    c.print(
-        f"rate damping of the hubs: {1e3 * loads.rate_damping_Nms:z.3f} mN m per rad/s; greatest level airspeed over "
-        f"the band of flap frequencies: {_describe_max_level_speed_range(made)}",
-        highlight=False,
-    )
-
-
-def _describe_max_level_speed_range(made: FlightMap) -> str:
-    low, high = made.level_speed_m_s
-    beyond = math.isclose(high, made.velocity_range_m_s[0], abs_tol=0.02)
-    return f"{low:.1f} to {'more than ' if beyond else ''}{high:.1f} m/s"
+    print_answer(as_json, FlightMapSummary(made, loads), files=files)

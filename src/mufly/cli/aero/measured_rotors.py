@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -23,11 +23,9 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
-    make_console,
     print_answer,
-    print_files,
     print_json,
-    print_table,
+    print_lines,
     progress_bar,
     save_figure,
     write_text_file,
@@ -161,7 +159,6 @@ def fit(
 
     from mufly.errors import InputError
     from mufly.rotor import add_zero_load_points, draw_rotor_fit, fit_rotor, format_rotor_toml, load_rotor
-    from mufly.rotor.measured.rotor_fit import FIT_PARAMETER_NAMES
 
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
@@ -180,54 +177,7 @@ def fit(
     if out is not None:
         write_text_file(out, format_rotor_toml(found.rotor))
         files = [out, save_figure(draw_rotor_fit(found), out.parent, out.stem)]
-    if as_json:
-        content = {
-            "rotor": r.name, "measurements": bench.source, "names": FIT_PARAMETER_NAMES,
-            **select_fields(found, "change std prior_std correlation undecided"),
-            "sections": [{"airfoils": name, "probability": share} for name, share in found.fit.list_sections()],
-            **select_fields(found, "error_before=scaled_errors_before error_after=scaled_errors_after"),
-            **select_fields(found, "held_out_error=held_out"),
-            "held_out": found.held_out_note, "notes": bench.notes,
-        }  # fmt: skip
-        return print_answer(as_json, content, None, files)
-    c = make_console()
-    c.print(f"[bold]{r.name}[/bold] fitted to {bench.thrust_N.size} point(s) of {bench.source}", highlight=False)
-    print_table(
-        ("section", "probability"),
-        [(name, f"{share:.0%}") for name, share in found.fit.list_sections()],
-    )
-    size = [math.degrees(1.0), 100.0, 100.0, 1.0, 1.0, 1.0, 1.0]
-    unit = ["°", " %", " %", "", "", "", ""]
-    print_table(
-        ("correction of the first", "estimate", "prior std"),
-        [
-            (
-                name,
-                f"{size[k] * found.change[k]:+.3g} ± {size[k] * found.std[k]:.2g}{unit[k]}",
-                f"± {size[k] * found.prior_std[k]:.2g}{unit[k]}",
-            )
-            for k, name in enumerate(FIT_PARAMETER_NAMES)
-        ],
-    )
-    for line in found.undecided:
-        c.print(line, style="dim", highlight=False)
-    rows = [("as given", found.scaled_errors_before), ("fitted", found.scaled_errors_after)]
-    print_table(
-        ("mean absolute error", "thrust", "torque"),
-        [
-            *((name, *(_format_mean_error(e) for e in errors)) for name, errors in rows),
-            (found.held_out_note, *(_format_mean_error(e) for e in found.held_out)),
-        ],
-    )
-    print_files(files)
-
-
-def _format_mean_error(errors: Any) -> str:
-    import numpy as np
-
-    known = np.abs(np.atleast_1d(errors))
-    known = known[np.isfinite(known)]
-    return f"{known.mean():.1%}" if known.size else "not known"
+    print_answer(as_json, found, files=files)
 
 
 @rotor_commands.command()
@@ -296,10 +246,9 @@ def compare(
             "points": to_records(select_fields(c, keys)),
         }  # fmt: skip
         return print_json(content)
-    typer.echo(str(c))
+    print_answer(False, c, files=None)
     if calibrate is not None:
         lift, drag = blading.corrections.lift_factor, blading.corrections.drag_factor
-        typer.echo(f"lift is scaled by {lift:.4f}, drag by {drag:.4f}; 'rotor fit --point {calibrate}' keeps the point")
-    for k, fault in enumerate(c.prediction_faults):
-        if fault:
-            typer.secho(f"point {k + 1}: wake {fault}", fg=typer.colors.YELLOW)
+        print_lines(
+            f"lift is scaled by {lift:.4f}, drag by {drag:.4f}; 'rotor fit --point {calibrate}' keeps the point"
+        )

@@ -17,13 +17,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
+from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results, to_records
 from mufly.rotor.blading import Blading
 from mufly.rotor.forward.forward_results import ForwardCondition, ForwardResult, RigidFlapMode
 from mufly.rotor.forward.row_sums import sum_flow_rows, sum_rate_rows
@@ -344,6 +345,59 @@ class AirspeedMapLoads(NamedTuple):
     roll_moment_Nm: Array
     pitch_moment_Nm: Array
     rate_damping_Nms: float
+
+
+@result(eq=False)
+class FlightMapSummary:
+    """Flight map with the loads over airspeed at its middle speed ratio, without climb.
+
+    Attributes
+    ----------
+    flight_map : FlightMap
+    loads : AirspeedMapLoads
+    """
+
+    flight_map: FlightMap
+    loads: AirspeedMapLoads
+
+    def as_record(self) -> dict[str, Any]:
+        """Return settings, axes and loads of the map, and the loads over airspeed."""
+        return {
+            **self.flight_map.model_dump(exclude={"table"}), **self.flight_map.decode_map_tables()._asdict(),
+            "at_mean_ratio_without_climb": self.loads._asdict(),
+        }  # fmt: skip
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return size and limits of the map, and the loads over airspeed, as printed text."""
+        m, loads = self.flight_map, self.loads
+        ratios, climbs, advances, _ = m.decode_map_tables().loads.shape
+        edge, sink, climb = m.velocity_range_m_s
+        low, high = m.level_speed_m_s
+        beyond = "more than " if math.isclose(high, edge, abs_tol=0.02) else ""
+        excess = {"T": loads.thrust_excess, "Q": loads.torque_excess}
+        sums = {"H": loads.drag_N, "Y": loads.side_N, "roll": loads.roll_moment_Nm, "pitch": loads.pitch_moment_Nm}
+        sides = [(f"{name} {side}", values[:, k]) for name, values in excess.items()
+                 for k, side in enumerate(("upper", "lower"))]  # fmt: skip
+        table = {"V": loads.airspeed_m_s, **dict(sides), **{name: v.sum(axis=1) for name, v in sums.items()}}
+        columns = (
+            ResultColumn("V", form=".2f", own_unit="m/s"),
+            *(ResultColumn(name, "%", "z.1f", head=name) for name, _ in sides),
+            *(ResultColumn(name, "mN", "z.1f", head=name, own_unit="N") for name in ("H", "Y")),
+            *(ResultColumn(name, "mN m", "z.2f", own_unit="N m") for name in ("roll", "pitch")),
+        )
+        return (
+            make_lines_block(
+                f"  {m.description}",
+                f"{ratios} speed ratios, {climbs} climbs, {advances} advance ratios: to {edge:.1f} m/s across, "
+                f"{sink:.1f} m/s sink, {climb:.1f} m/s climb; below: no climb, rotor speeds of hover",
+                head=m.name,
+            ),
+            tabulate_results(to_records(table), columns),
+            make_lines_block(
+                f"rate damping of the hubs: {1e3 * loads.rate_damping_Nms:z.3f} mN m per rad/s; greatest level "
+                f"airspeed over the band of flap frequencies: {low:.1f} to {beyond}{high:.1f} m/s"
+            ),
+        )
 
 
 def evaluate_flight_map(flight_map: FlightMap) -> AirspeedMapLoads:

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from mufly.errors import MuflyError
 from mufly.quantities.units import RPM
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results, to_records
 from mufly.rotor.bemt import solve_rotor_batch, warn_reynolds_range
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor
@@ -118,27 +118,42 @@ class MeasurementComparison:
         known = np.isfinite(self.torque_error)
         return float(np.mean(np.abs(self.torque_error[known]))) if known.any() else math.nan
 
-    def __str__(self) -> str:
-        head = "calibrated on measurements" if self.calibrated else "not calibrated"
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return the loads of each point and the mean errors as printed text."""
         m = self.measured
-        lines = [
-            f"{m.source}: {head}",
-            "pitch_deg speed_rpm  thrust_N measured  error   torque_Nm measured  error"
-            + ("  axial_m_s" if m.has_axial_flow else ""),
-        ]
-        for i in range(m.thrust_N.size):
-            torque = f"{self.torque_Nm[i]:9.5f}"
-            if np.isfinite(m.torque_Nm[i]):
-                torque += f" {m.torque_Nm[i]:8.5f} {100 * self.torque_error[i]:+5.1f}%"
-            lines.append(
-                f"{math.degrees(m.pitch_rad[i]):9.2f} {m.speed_rad_s[i] / RPM:9.0f} {self.thrust_N[i]:9.4f} "
-                f"{m.thrust_N[i]:8.4f} {100 * self.thrust_error[i]:+5.1f}% {torque}"
-                + (f" {m.climb_m_s[i]:8.2f}" if m.has_axial_flow else "")
-            )
-        mean = f"mean absolute error: thrust {100 * self.mean_thrust_error:.1f} %"
-        if math.isfinite(self.mean_torque_error):
-            mean += f", torque {100 * self.mean_torque_error:.1f} %"
-        return "\n".join([*lines, mean])
+        table = {
+            "pitch_rad": m.pitch_rad, "speed_rad_s": m.speed_rad_s, "axial_m_s": m.climb_m_s,
+            "thrust_N": self.thrust_N, "measured_thrust_N": m.thrust_N, "thrust_error": self.thrust_error,
+            "torque_Nm": self.torque_Nm, "measured_torque_Nm": m.torque_Nm, "torque_error": self.torque_error,
+        }  # fmt: skip
+        torque = _TORQUE_COLUMNS if np.isfinite(m.torque_Nm).any() else _TORQUE_COLUMNS[:1]
+        axial = (ResultColumn("axial_m_s", form=".2f"),) if m.has_axial_flow else ()
+        known = {"thrust": self.mean_thrust_error, "torque": self.mean_torque_error}
+        means = ", ".join(f"{name} {100 * error:.1f} %" for name, error in known.items() if math.isfinite(error))
+        return (
+            make_lines_block(f"{m.source}: {'calibrated on measurements' if self.calibrated else 'not calibrated'}"),
+            tabulate_results(to_records(table), (*_LOAD_COLUMNS, *torque, *axial)),
+            make_lines_block(f"mean absolute error: {means or 'not known'}"),
+            *(
+                make_lines_block(f"point {k + 1}: {fault}", style="yellow")
+                for k, fault in enumerate(self.prediction_faults)
+                if fault
+            ),
+        )
+
+
+_LOAD_COLUMNS = (
+    ResultColumn("pitch_rad", "deg", ".2f"),
+    ResultColumn("speed_rad_s", "rpm", ".0f"),
+    ResultColumn("thrust_N", form=".4f"),
+    ResultColumn("measured_thrust_N", form=".4f", head="measured"),
+    ResultColumn("thrust_error", "%", "+.1f", head="error"),
+)
+_TORQUE_COLUMNS = (
+    ResultColumn("torque_Nm", form=".5f"),
+    ResultColumn("measured_torque_Nm", form=".5f", head="measured"),
+    ResultColumn("torque_error", "%", "+.1f", head="error"),
+)
 
 
 def compare_measurements(

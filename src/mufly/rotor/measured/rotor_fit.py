@@ -44,14 +44,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from mufly.errors import InputError, MuflyError
-from mufly.results import result
+from mufly.results import (
+    ResultColumn,
+    ShownBlock,
+    make_lines_block,
+    make_table_block,
+    result,
+    select_fields,
+    tabulate_results,
+)
 from mufly.rotor.bemt import solve_rotor_batch
 from mufly.rotor.blades.blade_families import (
     GRID_ROUNDING_STD_RATIOS,
@@ -135,6 +143,48 @@ class RotorFit:
         """Fit as stored in the rotor file."""
         assert self.rotor.fit is not None
         return self.rotor.fit
+
+    def as_record(self) -> dict[str, Any]:
+        """Return parameters, sections, and errors without and with the fit."""
+        return {
+            "rotor": self.rotor.name, "measurements": self.measured.source, "names": FIT_PARAMETER_NAMES,
+            **select_fields(self, "change std prior_std correlation undecided"),
+            "sections": [{"airfoils": name, "probability": share} for name, share in self.fit.list_sections()],
+            **select_fields(self, "error_before=scaled_errors_before error_after=scaled_errors_after"),
+            **select_fields(self, "held_out_error=held_out held_out=held_out_note notes=measured.notes"),
+        }  # fmt: skip
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return sections, parameters and errors as printed text."""
+        sizes = ((math.degrees(1.0), "°"), (100.0, " %"), (100.0, " %"), *[(1.0, "")] * 4)
+        parameters = [
+            (name, f"{size * x:+.3g} ± {size * std:.2g}{unit}", f"± {size * prior:.2g}{unit}")
+            for name, (size, unit), x, std, prior in zip(
+                FIT_PARAMETER_NAMES, sizes, self.change, self.std, self.prior_std, strict=True
+            )
+        ]
+        errors = {
+            "as given": self.scaled_errors_before, "fitted": self.scaled_errors_after,
+            self.held_out_note: self.held_out,
+        }  # fmt: skip
+        means = [[_mean_absolute(load) for load in both] for both in errors.values()]
+        loads = [ResultColumn("0", "%", ".1f", head="thrust"), ResultColumn("1", "%", ".1f", head="torque")]
+        count, source = self.measured.thrust_N.size, self.measured.source
+        return (
+            make_lines_block(f" fitted to {count} point(s) of {source}", head=self.rotor.name),
+            make_table_block(
+                ("section", "probability"), [(name, f"{share:.0%}") for name, share in self.fit.list_sections()]
+            ),
+            make_table_block(("correction of the first", "estimate", "prior std"), parameters),
+            make_lines_block(*self.undecided, style="dim"),
+            tabulate_results(means, loads, title="mean absolute error", names=[*errors]),
+        )
+
+
+def _mean_absolute(errors: Array | float) -> float:
+    known = np.abs(np.atleast_1d(errors))
+    known = known[np.isfinite(known)]
+    return float(known.mean()) if known.size else math.nan
 
 
 @dataclass(frozen=True)
