@@ -37,7 +37,7 @@ from scipy.optimize import minimize
 from mufly.dynamics import Linearisation, find_trim, linearise_vehicle
 from mufly.errors import MuflyError
 from mufly.quantities.units import GRAVITY
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
@@ -74,10 +74,12 @@ class CascadeGains:
 
     Attributes
     ----------
-    position, velocity, velocity_integral, velocity_derivative : float
-        P_x (1/s), P_v (1/s), I_v (1/s^2), D_v (1).
-    angle : float
-        P_angle (1/s).
+    position, velocity, angle : float
+        Proportional gains of position, velocity and angle (1/s).
+    velocity_integral : float
+        Integral gain of the velocity (1/s^2).
+    velocity_derivative : float
+        Derivative gain of the velocity (1).
     rate_proportional, rate_integral, rate_derivative : float
         P, I, D of the rate: actuator input per rad/s, rad and rad/s^2.
     """
@@ -148,6 +150,27 @@ class AutopilotGains:
     yaw: CascadeGains
     vertical: CascadeGains
     margins: tuple[AxisMargins, ...]
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return gains and margins of all axes as printed text."""
+        gains = (
+            "position", "velocity", "velocity_integral", "velocity_derivative", "angle", "rate_proportional",
+            "rate_integral",
+        )  # fmt: skip
+        margins = ("crossover_rad_s", "sensitivity", "outer_sensitivity", "gain_margin_dB", "phase_margin_deg")
+        wind = ResultColumn("wind_step_displacement_m", form=".3g", head="displacement by 0.5 m/s of wind")
+        return [
+            tabulate_results(
+                [getattr(self, axis) for axis in AXIS_NAMES],
+                [ResultColumn(name, form=".3g") for name in gains],
+                title=f"Gains of the cascades for {self.vehicle}", names=AXIS_NAMES,
+            ),
+            tabulate_results(
+                self.margins, ["axis", *(ResultColumn(name, form=".3g") for name in margins), wind],
+                title="Predicted margins",
+            ),
+            make_lines_block(f"Hover: mean motor input {self.hover_thrust:.3f}."),
+        ]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,6 +47,11 @@ class PackageFloor:
     width_m: float
     licence: str
 
+    @property
+    def installed(self) -> bool:
+        """Whether the package with the picture is installed."""
+        return self.find_file() is not None
+
     def find_file(self) -> Path | None:
         """Return the picture's file; None if the package is not installed or does not have it."""
         found = importlib.util.find_spec(self.module)

@@ -10,10 +10,9 @@ from mufly.cli.output import (
     print_answer,
     print_json,
     print_lines,
-    print_result_table,
     print_table,
 )
-from mufly.results import ResultColumn, select_fields
+from mufly.results import ResultColumn, select_fields, tabulate_results
 
 if TYPE_CHECKING:
     from mufly.mission import Mission
@@ -43,7 +42,7 @@ def list_missions(as_json: JsonOption = False) -> None:
         way = sum(leg.length_m for leg in plan_legs(m))
         rows.append({**select_fields(m, "name description"), "waypoints": len(m.waypoint), "way_m": way})
     columns = ("name", "description", "waypoints", ResultColumn("way_m", form=".1f"))
-    print_answer(as_json, rows, lambda: print_result_table(rows, columns), None)
+    print_answer(as_json, rows, [tabulate_results(rows, columns)], None)
 
 
 @app.command()
@@ -128,15 +127,8 @@ def check(mission: _MissionArgument, vehicle: VehicleOption = "mufly-1.1", as_js
         v, m, vehicle_file=vehicle, mission_file=mission, able=derive_trajectory_limits(design_flight_controller(v))
     )
     if as_json:
-        return print_json(
-            {
-                "name": m.name,
-                "vehicle": v.name,
-                **select_fields(estimate, "duration_s path_m"),
-                "charge_As": 3600.0 * estimate.charge_Ah,
-                "charge_fraction": estimate.charge_fraction,
-            }
-        )
+        told = select_fields(estimate, "duration_s path_m charge_As charge_fraction")
+        return print_json({"name": m.name, "vehicle": v.name, **told})
     make_console().print(
         f"[bold]{m.name}[/bold] can be flown by [bold]{v.name}[/bold]: {len(m.waypoint)} waypoints, "
         f"{estimate.path_m:.1f} m, about {estimate.duration_s:.0f} s, {estimate.charge_fraction:.0%} of the battery."

@@ -30,7 +30,7 @@ from mufly.fmi.unit_sources import (
     render_vehicle_data,
 )
 from mufly.fmi.unit_variables import list_unit_variables
-from mufly.results import result
+from mufly.results import ShownBlock, result, tabulate_fields
 from mufly.vehicle import Vehicle, format_vehicle_toml
 
 _COPIED_SOURCES = (UNIT_SOURCE, "unsupported_functions.h", "fmi3.h")
@@ -78,6 +78,13 @@ class ExportedUnit:
     parameter_count: int
     seed_count: int
     fixed_keys: tuple[str, ...]
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the contents of the unit as printed text."""
+        counts = ("input_count", "output_count", "parameter_count", "start_value_count", "seed_count")
+        platform = self.platform or "none: C sources only"
+        columns = (*counts, ("library", platform), ("fixed keys", ", ".join(self.fixed_keys)))
+        return [tabulate_fields(self, columns, title=f"Unit {self.model_identifier}")]
 
 
 def platform_tuple() -> tuple[str, str]:

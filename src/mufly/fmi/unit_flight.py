@@ -34,7 +34,7 @@ from mufly.flight.simulated_plant import SimulatedPlant, advance_period
 from mufly.fmi.fmu_export import platform_tuple
 from mufly.fmi.unit_sensors import SENSOR_RATE_HZ
 from mufly.quantities.sensor_table import SENSORS
-from mufly.results import result
+from mufly.results import ShownBlock, make_lines_block, result
 from mufly.sensors import Readings, Truth, make_fitted_sensors, randomise_leg_lengths
 from mufly.vehicle import Vehicle
 from mufly.world import World
@@ -198,6 +198,11 @@ class UnitComparison:
     different: int
     on_floor: int
     largest_difference: float
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the difference as printed text."""
+        differ = f"after {self.different} of {self.steps} communication steps, by {self.largest_difference:.2g} at most"
+        return [make_lines_block(f"Unit and Python model differ {differ}.", style="red" if self.different else "")]
 
 
 def compare_unit(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0) -> UnitComparison:

@@ -11,7 +11,7 @@ import typer
 
 from mufly.cli.onboard.view_options import make_foxglove_view
 from mufly.cli.options import CommandGroup, JsonOption, VehicleOption, define_argument, define_option
-from mufly.cli.output import LiveDisplay, check_output_place, make_console, print_answer, print_lines, print_table
+from mufly.cli.output import LiveDisplay, check_output_place, make_console, print_answer, print_lines
 from mufly.cli.station import ShutdownHandler, describe_sensor_source, parse_sensor_faults, resolve_wind
 from mufly.errors import InputError, report_write_errors
 
@@ -57,8 +57,7 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
     """
     if out is not None:
         check_output_place("--out", out, make=False)
-    from mufly.bridges.autopilot_gains import AXIS_NAMES, design_autopilot_gains
-    from mufly.results import format_value
+    from mufly.bridges.autopilot_gains import design_autopilot_gains
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
@@ -93,35 +92,9 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
             files.append(out / name)
             files[0].write_text(text, encoding="utf-8")
 
-    def print_gains() -> None:
-        fields = (
-            "position",
-            "velocity",
-            "velocity_integral",
-            "velocity_derivative",
-            "angle",
-            "rate_proportional",
-            "rate_integral",
-        )
-        heads = ("axis", "P_x 1/s", "P_v 1/s", "I_v 1/s^2", "D_v", "P_angle 1/s", "P", "I")
-        rows = [(axis, *(f"{getattr(getattr(designed, axis), f):.3g}" for f in fields)) for axis in AXIS_NAMES]
-        print_table(heads, rows, title=f"Gains of {_AUTOPILOT_NAMES[autopilot]}'s cascades for {loaded.name}")
-        titles = ("axis", "crossover rad/s", "sensitivity", "outer", "gain dB", "phase deg", "pushed m")
-        names = (
-            "crossover_rad_s",
-            "sensitivity",
-            "outer_sensitivity",
-            "gain_margin_dB",
-            "phase_margin_deg",
-            "wind_step_displacement_m",
-        )
-        margins = [(m.axis, *(format_value(getattr(m, n), ".3g") for n in names)) for m in designed.margins]
-        print_table(titles, margins, title="Predicted margins; pushed: by a step of the wind of 0.5 m/s")
-        print_lines(f"Hover: mean motor input {designed.hover_thrust:.3f}.")
-        if not files:
-            print_lines("--out DIR writes the file.")
-
-    print_answer(as_json, {"autopilot": autopilot, "gains": designed, "parameters": parameters}, print_gains, files)
+    print_answer(
+        as_json, {"autopilot": autopilot, "gains": designed, "parameters": parameters}, designed.shown_blocks(), files
+    )
 
 
 @app.command()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -12,9 +12,6 @@ from mufly.cli.output import check_output_place, print_answer, print_lines
 from mufly.cli.vehicle import app
 from mufly.errors import InputError
 from mufly.results import to_plain_data
-
-if TYPE_CHECKING:
-    from mufly.fmi import ExportedUnit, UnitComparison
 
 
 @app.command("export")
@@ -63,32 +60,11 @@ def export_vehicle(
         raise error.with_location(vehicle) if error.where == loaded.name else error from None
     compared = check_unit(out, loaded) if check else None
     content = made if compared is None else {**to_plain_data(made), "check": compared}
-    print_answer(as_json, content, lambda: _print_exported_unit(made, compared, sources_only), [out])
-    if compared is not None and compared.different:
-        raise typer.Exit(1)
-
-
-def _print_exported_unit(made: ExportedUnit, compared: UnitComparison | None, sources_only: bool) -> None:
-    print_lines(
-        f"Unit {made.model_identifier}: {made.input_count} inputs, {made.output_count} outputs, "
-        f"{made.parameter_count} parameters, {made.start_value_count} start values"
-        + (f", {made.seed_count} seeds of the sensors." if made.seed_count else " of hover."),
-        f"Fixed in it: {', '.join(made.fixed_keys)}.",
-        f"Library for {made.platform}, and C sources for other platforms." if made.platform else "C sources only.",
-    )
-    if not made.platform and not sources_only:
+    print_answer(as_json, content, [*made.shown_blocks(), *(compared.shown_blocks() if compared else ())], [out])
+    if not (made.platform or sources_only or as_json):
         print_lines(
             "there is no C compiler, so the unit contains no library for this platform; install gcc or clang",
             mark="Warning", style="yellow",
         )  # fmt: skip
     if compared is not None and compared.different:
-        print_lines(
-            f"The unit differs from the Python model after {compared.different} of {compared.steps} steps, by "
-            f"{compared.largest_difference:.2g} at most.",
-            style="red",
-        )  # fmt: skip
-    elif compared is not None:
-        print_lines(
-            f"No bit of the state{', the readings and the estimate' if made.seed_count else ''} differs from the "
-            f"Python model in {compared.steps} communication steps."
-        )
+        raise typer.Exit(1)

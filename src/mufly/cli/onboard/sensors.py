@@ -26,10 +26,10 @@ from mufly.cli.output import (
 from mufly.cli.station import FaultOption, GustOption, WindOption, resolve_wind
 from mufly.cli.vehicle import print_parameter_group
 from mufly.errors import report_write_errors
-from mufly.results import format_value, select_fields
+from mufly.results import ResultColumn, select_fields, tabulate_results
 
 if TYPE_CHECKING:
-    from mufly.flight import ReadingErrors
+    pass
 
 app = CommandGroup(
     help="Show and simulate a vehicle's sensors, and list their faults. Equations and sources: "
@@ -114,14 +114,9 @@ def simulate(
         with report_write_errors("--out", key=str(out)):
             files = write_sensor_logs(logs, out)
         files.append(save_figure(draw_sensors(logs), out, "sensors"))
-    print_answer(as_json, {"readings": errors}, lambda: _print_reading_errors(errors), files)
-
-
-def _print_reading_errors(errors: list[ReadingErrors]) -> None:
-    heads = ("", "Hz", "delay (ms)", "invalid", "mean error", "std", "worst", "unit")
-    rows = [
-        (e.name, f"{e.rate_Hz:.0f}", f"{1e3 * e.delay_s:.0f}", f"{e.invalid_share:.1%}",
-         *(format_value(x, ".2g") for x in (e.mean, e.deviation, e.worst)), e.unit)
-        for e in errors
-    ]  # fmt: skip
-    print_table(heads, rows, text=(0, 7))
+    columns: tuple[ResultColumn | str, ...] = (
+        "name", ResultColumn("rate_Hz", form=".0f"), ResultColumn("delay_s", "ms", ".0f"),
+        ResultColumn("invalid_share", form=".1%"),
+        *(ResultColumn(name, form=".2g") for name in ("mean", "deviation", "worst")), "unit",
+    )  # fmt: skip
+    print_answer(as_json, {"readings": errors}, [tabulate_results(errors, columns)], files)

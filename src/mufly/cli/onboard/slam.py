@@ -14,12 +14,12 @@ from mufly.cli.output import (
     print_answer,
     print_blocks,
     print_lines,
-    print_table,
     progress_bar,
     save_figure,
     write_text_file,
 )
 from mufly.errors import InputError, MuflyError, report_write_errors
+from mufly.results import make_lines_block, select_fields, tabulate_results
 
 if TYPE_CHECKING:
     from mufly.slam import CameraFrame, TrackingResult
@@ -165,30 +165,11 @@ def floors(
 
     check_output_place("--out", out)
     written = [] if out is None else copy_package_floors(out)
-    rows = [
-        {
-            "name": f.name, "width_m": f.width_m, "package": f.package, "licence": f.licence,
-            "installed": f.find_file() is not None,
-        }
-        for f in PACKAGE_FLOORS.values()
-    ]  # fmt: skip
-
-    def print_floors() -> None:
-        print_lines(f"generated: {', '.join(FLOOR_KINDS)}")
-        shown = [
-            (
-                str(f["name"]),
-                f"{f['width_m']:g}",
-                "yes" if f["installed"] else "no",
-                str(f["package"]),
-                str(f["licence"]),
-            )
-            for f in rows
-        ]
-        print_table(("name", "width, m", "installed", "package", "licence"), shown, text=(0, 2, 3, 4))
-
+    keys = "name width_m package licence installed"
+    rows = [select_fields(floor, keys) for floor in PACKAGE_FLOORS.values()]
     content = {"generated": list(FLOOR_KINDS), "pictures": rows, "written": [f.name for f in written]}
-    print_answer(as_json, content, print_floors, [] if out is None else [out])
+    blocks = (make_lines_block(f"generated: {', '.join(FLOOR_KINDS)}"), tabulate_results(rows, keys.split()))
+    print_answer(as_json, content, blocks, [] if out is None else [out])
 
 
 @app.command()

@@ -192,6 +192,11 @@ class MissionEstimate:
     charge_Ah: float
     charge_fraction: float
 
+    @property
+    def charge_As(self) -> float:
+        """Charge used (As)."""
+        return 3600.0 * self.charge_Ah
+
 
 def check_mission_endurance(
     mission: Mission, *, hover_current_A: float, capacity_Ah: float, charge: float = 1.0, where: str = ""
