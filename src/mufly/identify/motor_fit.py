@@ -46,9 +46,10 @@ from mufly.identify.fit_result import (
     compute_relative_covariance,
     describe_undetermined_combinations,
     select_error_model,
+    tabulate_estimates,
 )
 from mufly.quantities.units import RPM
-from mufly.results import result
+from mufly.results import ShownBlock, make_lines_block, result
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -179,14 +180,16 @@ class GearKnowledge:
 
 @result(
     eq=False,
-    json="points=data.voltage_V.size estimates covariance scales pattern=covariance_estimate.pattern undetermined "
-    "notes",
+    json="source points=data.voltage_V.size estimates covariance scales pattern=covariance_estimate.pattern "
+    "undetermined notes",
 )
 class MotorFit(EstimateLookup):
     """Motor constants with the data and residuals of their fit.
 
     Attributes
     ----------
+    source : str
+        Name of the bench file.
     estimates : tuple of ParameterEstimate
         kE, kM, Rohm, dR, and Mf if significant; or products such as ``kM*eta_gear`` for an unknown gear.
     covariance : (n, n) array
@@ -206,6 +209,7 @@ class MotorFit(EstimateLookup):
         Undetermined combinations of constants; assumptions, guesses and findings.
     """
 
+    source: str
     estimates: tuple[ParameterEstimate, ...]
     covariance: Array
     effective: Array
@@ -217,6 +221,18 @@ class MotorFit(EstimateLookup):
     covariance_estimate: CovarianceEstimate
     undetermined: tuple[str, ...]
     notes: tuple[str, ...]
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return constants, residuals and notes as printed text."""
+        volts, torque = np.sqrt(np.mean(self.residual**2, axis=0))
+        return (
+            tabulate_estimates(self.estimates, f"{self.source}: {self.data.voltage_V.size} points"),
+            make_lines_block(
+                f"residuals: {1e3 * volts:.3g} mV in the voltage's balance, {1e3 * torque:.3g} mN m in the torque's"
+            ),
+            make_lines_block(*self.notes, mark="note"),
+            make_lines_block(*self.undetermined, mark="not observable"),
+        )
 
 
 def fit_motor(
@@ -285,7 +301,8 @@ def fit_motor(
     )
     notes += _check_energy_balance(effective, gear)
     return MotorFit(
-        estimates, cov, effective, data, same.estimate_true_readings(effective), same.equation_residuals(effective),
+        table.source, estimates, cov, effective, data, same.estimate_true_readings(effective),
+        same.equation_residuals(effective),
         same.residual_std(effective, scales) * found.residual_std_ratio, scales, found, undetermined, tuple(notes),
     )  # fmt: skip
 

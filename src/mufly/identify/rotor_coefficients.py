@@ -20,12 +20,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from mufly.bench import BenchLoads, CovarianceEstimate, estimate_covariance, resolve_air_density
+from mufly.bench import (
+    BenchLoads,
+    BenchPrediction,
+    CellCalibration,
+    CovarianceEstimate,
+    estimate_covariance,
+    resolve_air_density,
+)
 from mufly.bench.unit_conventions import (
     COEFFICIENT_SCALINGS,
     guess_load_units,
@@ -39,9 +47,10 @@ from mufly.identify.fit_result import (
     compute_relative_covariance,
     describe_undetermined_combinations,
     select_error_model,
+    tabulate_estimates,
 )
 from mufly.quantities.units import RPM
-from mufly.results import result
+from mufly.results import ShownBlock, make_lines_block, result, select_fields
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -303,6 +312,58 @@ class RotorCoefficientFit(EstimateLookup):
     def systematic_variance_fractions(self) -> dict[str, float]:
         """Return the fraction of each coefficient's variance due to calibration, zero offsets, density and radius."""
         return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_variance_fraction, strict=True)}
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return coefficients, their trends over speed and undetermined combinations as printed text."""
+        kind = "coaxial pair" if self.coaxial else "single rotor"
+        at = "" if math.isnan(self.stated_pitch_rad) else f" at {math.degrees(self.stated_pitch_rad):.3g} deg"
+        shares = {name: f"{100 * share:.0f} %" for name, share in self.systematic_variance_fractions().items()}
+        title = f"{self.source}: {kind}{at}, R {1e3 * self.radius_m:g} mm"
+        return (
+            tabulate_estimates(self.estimates, title, {"systematic": shares}),
+            make_lines_block(*self.describe_trends()),
+            make_lines_block(*self.undetermined, mark="not observable"),
+        )
+
+
+@result(eq=False)
+class RotorIdentification:
+    """Coefficients of the rotors of several bench files, beside predictions.
+
+    Attributes
+    ----------
+    fits : tuple of RotorCoefficientFit
+    cells : CellCalibration, optional
+        Calibration of the load cells.
+    predictions : dict of BenchPrediction
+        Loads predicted by blade element theory, by file.
+    """
+
+    fits: tuple[RotorCoefficientFit, ...]
+    cells: CellCalibration | None
+    predictions: dict[str, BenchPrediction]
+
+    def as_record(self) -> dict[str, Any]:
+        """Return calibration, fits, interference and errors of the predictions."""
+        predictions = {k: select_fields(p, "load error=relative_error") for k, p in self.predictions.items()}
+        return {
+            "calibration": None if self.cells is None else self.cells.describe_calibration(), "results": self.fits,
+            "interference": describe_interference(self.fits), "prediction": predictions,
+        }  # fmt: skip
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return calibration, fits, notes, interference and errors of the predictions as printed text."""
+        cells = self.cells
+        calibration = () if cells is None else (
+            f"load cells, from {cells.source}:", *(f"  {line}" for line in cells.describe_calibration()),
+        )  # fmt: skip
+        errors = [f"{source}: {line}" for source, p in self.predictions.items() for line in p.describe_errors()]
+        return (
+            make_lines_block(*calibration),
+            *(block for fit in self.fits for block in fit.shown_blocks()),
+            make_lines_block(*dict.fromkeys(note for fit in self.fits for note in fit.notes), mark="note"),
+            make_lines_block(*describe_interference(self.fits), *errors),
+        )
 
 
 def make_coefficient_estimates(fit: LoadCoefficientFit, vehicle: Vehicle | None) -> list[ParameterEstimate]:

@@ -29,9 +29,6 @@ from mufly.cli.options import (
 from mufly.cli.output import (
     check_output_place,
     print_answer,
-    print_estimates,
-    print_lines,
-    print_table,
     progress_bar,
     save_figure,
     write_csv,
@@ -39,7 +36,6 @@ from mufly.cli.output import (
 from mufly.errors import InputError, suggest_name
 from mufly.quantities.quantity_grammar import ValueWithStd, read_named_texts, read_names, read_quantity
 from mufly.quantities.units import RPM, split_unit_suffix
-from mufly.results import select_fields, to_plain_data
 
 if TYPE_CHECKING:
     from mufly.identify.flight.excitation_plan import ExcitationCandidate, ExcitationPlan, FlightLimits
@@ -131,8 +127,8 @@ def rotor(
     from mufly.identify.fit_pictures import draw_rotor_coefficients
     from mufly.identify.rotor_coefficients import (
         RotorCoefficientFit,
+        RotorIdentification,
         assign_rotor_side,
-        describe_interference,
         fit_rotor_coefficients,
     )
     from mufly.rotor import load_rotor, prepare_blading
@@ -183,32 +179,7 @@ def rotor(
     files = write_estimated_vehicle(start, found, write, f"mufly identify rotor {sources}, {format_today()}")
     if out is not None:
         files.append(save_figure(draw_rotor_coefficients(fits, predicted=drawn, title=sources), out, "rotor"))
-    effects = describe_interference(fits)
-
-    def print_results() -> None:
-        if cells is not None:
-            print_lines(f"load cells, from {cells.source}:", *(f"  {line}" for line in cells.describe_calibration()))
-        for fit in fits:
-            kind = "coaxial pair" if fit.coaxial else "single rotor"
-            at = "" if math.isnan(fit.stated_pitch_rad) else f" at {math.degrees(fit.stated_pitch_rad):.3g} deg"
-            shares = fit.systematic_variance_fractions()
-            print_estimates(
-                fit.estimates, f"{fit.source}: {kind}{at}, R {1e3 * fit.radius_m:g} mm",
-                {"systematic": {e.symbol: f"{100 * shares.get(e.symbol, 0.0):.0f} %" for e in fit.estimates}},
-            )  # fmt: skip
-            print_lines(*fit.describe_trends())
-            print_lines(*fit.undetermined, mark="not observable")
-        print_lines(*dict.fromkeys(n for f in fits for n in f.notes), mark="note")
-        print_lines(*effects)
-        print_lines(*(f"{source}: {line}" for source, p in predictions.items() for line in p.describe_errors()))
-
-    content = {
-        "calibration": None if cells is None else cells.describe_calibration(),
-        "results": fits,
-        "interference": effects,
-        "prediction": {k: select_fields(p, "load error=relative_error") for k, p in predictions.items()},
-    }
-    print_answer(as_json, content, print_results, files)
+    print_answer(as_json, RotorIdentification(tuple(fits), cells, predictions), files=files)
 
 
 # ----------------------------------------------------------------------------
@@ -286,7 +257,7 @@ def plan(
     from mufly.identify.fit_pictures import draw_excitation_plan
     from mufly.identify.flight.excitation_plan import (
         SENSOR_NOISE_STD,
-        combine_expected_std,
+        combine_plans,
         design_excitation,
     )
     from mufly.identify.flight.excitation_signals import SIGNAL_KINDS
@@ -310,38 +281,13 @@ def plan(
                     window_s=window if window > 0 else None,
                 )
             )  # fmt: skip
-    chosen = [p.best_candidate for p in plans]
-    relative, undetermined = combine_expected_std(plans, chosen)
     files = []
     if out is not None:
-        for p, c in zip(plans, chosen, strict=True):
+        for p in plans:
+            c = p.best_candidate
             files.append(save_figure(draw_excitation_plan(p, c), out, f"plan_{p.channel}"))
             files.append(_write_signal(out / f"signal_{p.channel}_{c.signal.kind}.csv", c))
-
-    def print_plans() -> None:
-        for p in plans:
-            _print_excitation_plan(p)
-        if len(plans) > 1:
-            print_table(
-                ["", *symbols], [["all flights", *(_format_percent(s) for s in relative)]],
-                title="Expected standard deviation, together",
-            )  # fmt: skip
-        print_lines(*undetermined, mark="not observable")
-        print_lines(
-            "These are lower bounds for this model with white sensor noise; unmodelled effects make real fits "
-            "worse, often several times.",
-            style="dim",
-        )
-
-    together = dict(zip(symbols, relative, strict=True))
-    content = {
-        "vehicle": v.name,
-        "free": symbols,
-        "channels": plans,
-        "together": together,
-        "undetermined": undetermined,
-    }
-    print_answer(as_json, content, print_plans, files)
+    print_answer(as_json, combine_plans(plans), files=files)
 
 
 def _check_time_grid(duration: float, delay: float, sample: float, window: float) -> None:
@@ -405,31 +351,6 @@ def _parse_noise(text: str | None, default: dict[str, float]) -> dict[str, float
         **_parse_named_numbers("--noise", text, OUTPUT_UNITS, none=True),
     }
     return {k: v for k, v in merged.items() if v is not None}
-
-
-def _format_percent(share: float) -> str:
-    if not math.isfinite(share) or share > 10:
-        return "not observable"
-    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
-
-
-def _print_excitation_plan(p: ExcitationPlan) -> None:
-    symbols = [f.symbol for f in p.free_parameters]
-    low, high = p.band_Hz
-    rows = [
-        [
-            c.signal.kind, f"{100 * c.amplitude:.1f} %", c.binding_limit, f"{c.signal.crest:.2f}",
-            *(_format_percent(s) for s in c.relative_std), _format_percent(c.geometric_mean_std),
-        ]
-        for c in p.candidates
-    ]  # fmt: skip
-    frequencies = f"{low:.2g} to {high:.2g} Hz"
-    modes = ", ".join(f"{m:.2g}" for m in p.modes_Hz)
-    print_table(
-        ["kind", "amplitude", "bound by", "crest", *symbols, "mean"], rows,
-        title=f"{p.vehicle}, {p.channel}: expected standard deviations; {frequencies}, modes at {modes} Hz",
-    )  # fmt: skip
-    print_lines(f"{p.best_candidate.signal.kind}: {p.best_candidate.signal.description}")
 
 
 def _write_signal(path: Path, c: ExcitationCandidate) -> Path:
@@ -520,14 +441,4 @@ def motor(
     if out is not None:
         picture = draw_motor_fit(fit, title=f"{table.source}: motor constants by least squares")
         files.append(save_figure(picture, out, "motor"))
-
-    def print_results() -> None:
-        print_estimates(fit.estimates, f"{table.source}: {fit.data.voltage_V.size} points")
-        rms = [float((fit.residual[:, k] ** 2).mean() ** 0.5) for k in (0, 1)]
-        print_lines(
-            f"residuals: {1e3 * rms[0]:.3g} mV in the voltage's balance, {1e3 * rms[1]:.3g} mN m in the torque's"
-        )
-        print_lines(*fit.notes, mark="note")
-        print_lines(*fit.undetermined, mark="not observable")
-
-    print_answer(as_json, {"source": table.source, **to_plain_data(fit)}, print_results, files)
+    print_answer(as_json, fit, files=files)

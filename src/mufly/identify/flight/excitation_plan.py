@@ -98,7 +98,7 @@ from mufly.identify.flight.excitation_signals import (
 from mufly.identify.flight.free_parameters import FreeParameter, choose_free_parameters
 from mufly.identify.flight.output_error_problem import PART_OUTPUTS, DynamicsPart, make_problem
 from mufly.identify.flight_record import FlightRecord
-from mufly.results import result, select_fields
+from mufly.results import ShownBlock, make_lines_block, make_table_block, result, select_fields
 from mufly.rotations import euler_from_quaternion
 from mufly.vehicle import Vehicle
 
@@ -483,6 +483,76 @@ class ExcitationPlan:
         """Candidate with the smallest geometric mean of relative standard deviations."""
         return self.candidates[0]
 
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return amplitude and expected standard deviations of every candidate as printed text."""
+        rows = [
+            (c.signal.kind, f"{100 * c.amplitude:.1f} %", c.binding_limit, f"{c.signal.crest:.2f}",
+             *(_format_relative_std(s) for s in (*c.relative_std, c.geometric_mean_std)))
+            for c in self.candidates
+        ]  # fmt: skip
+        (low, high), modes = self.band_Hz, ", ".join(f"{m:.2g}" for m in self.modes_Hz)
+        title = (
+            f"{self.vehicle}, {self.channel}: expected standard deviations; {low:.2g} to {high:.2g} Hz, modes at "
+            f"{modes} Hz"
+        )
+        symbols = [f.symbol for f in self.free_parameters]
+        best = self.best_candidate.signal
+        return (
+            make_table_block(("kind", "amplitude", "bound by", "crest", *symbols, "mean"), rows, title=title),
+            make_lines_block(f"{best.kind}: {best.description}"),
+        )
+
+
+def _format_relative_std(share: float) -> str:
+    if not math.isfinite(share) or share > 10:
+        return "not observable"
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
+
+
+@result(eq=False)
+class CombinedPlan:
+    """Plans of several channels, with one flight by the best signal of each.
+
+    Attributes
+    ----------
+    plans : tuple of ExcitationPlan
+    relative_std : (p,) array
+        Expected standard deviation over value of the parameters after all flights.
+    undetermined : tuple of str
+        Combinations of parameters that stay undetermined.
+    """
+
+    plans: tuple[ExcitationPlan, ...]
+    relative_std: Array
+    undetermined: tuple[str, ...]
+
+    @property
+    def symbols(self) -> list[str]:
+        """Symbols of the parameters."""
+        return [f.symbol for f in self.plans[0].free_parameters]
+
+    def as_record(self) -> dict[str, Any]:
+        """Return vehicle, parameters, channels and what all flights together determine."""
+        return {
+            "vehicle": self.plans[0].vehicle, "free": self.symbols, "channels": self.plans,
+            "together": dict(zip(self.symbols, self.relative_std, strict=True)), "undetermined": self.undetermined,
+        }  # fmt: skip
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return each plan, and what all flights together determine, as printed text."""
+        row = ("all flights", *(_format_relative_std(s) for s in self.relative_std))
+        title = "Expected standard deviation, together"
+        return (
+            *(block for p in self.plans for block in p.shown_blocks()),
+            *((make_table_block(("", *self.symbols), [row], title=title),) if len(self.plans) > 1 else ()),
+            make_lines_block(*self.undetermined, mark="not observable"),
+            make_lines_block(
+                "These are lower bounds for this model with white sensor noise; unmodelled effects make real fits "
+                "worse, often several times.",
+                style="dim",
+            ),
+        )
+
 
 def design_excitation(
     vehicle: Vehicle,
@@ -585,6 +655,11 @@ def combine_expected_std(
         [f.symbol for f in plans[0].free_parameters], covariance_from_information(information)
     )
     return _relative_std_and_mean(information)[0], undetermined
+
+
+def combine_plans(plans: Sequence[ExcitationPlan]) -> CombinedPlan:
+    """Return the plans of several channels, with one flight by the best signal of each."""
+    return CombinedPlan(tuple(plans), *combine_expected_std(plans, [p.best_candidate for p in plans]))
 
 
 def _natural_frequencies(vehicle: Vehicle, support: HoverFeedback, part: DynamicsPart, sample_s: float) -> Array:
