@@ -94,7 +94,7 @@ def test_check_prints_the_hover_point() -> None:
     text = output("check", "mufly-1.1")
     assert "3595 upper, 4236 lower rpm" in text
     assert "0.720 upper, 0.791 lower" in text
-    assert "min of hover" in text
+    assert "endurance from a full battery" in text
 
 
 def test_check_as_json() -> None:

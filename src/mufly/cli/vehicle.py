@@ -36,7 +36,7 @@ from mufly.cli.output import (
 from mufly.errors import InputError
 from mufly.quantities.quantity_grammar import read_quantity
 from mufly.quantities.units import RPM, unit_conversion
-from mufly.results import ResultColumn, select_fields, tabulate_fields
+from mufly.results import ResultColumn, select_fields
 
 if TYPE_CHECKING:
     from mufly.dynamics import HoverPerformance
@@ -213,30 +213,9 @@ def _describe_coefficients(v: Vehicle) -> str:
 
 
 def _print_hover(v: Vehicle, h: HoverPerformance, is_credible: bool) -> None:
-    both = ("upper", "lower")
     words = "is valid and hovers" if is_credible else "is valid but hovers beyond usual limits (below)"
-    make_console().print(f"[bold]{v.name}[/bold] {words}. In hover with the battery half full:", highlight=False)
-    print_blocks(
-        tabulate_fields(
-            h,
-            [
-                ResultColumn("rotor_speed_rad_s", "rpm", ".0f", entry_names=both),
-                ResultColumn("motor_input", form=".3f", entry_names=both),
-                ResultColumn("thrust_N", form=".3f", entry_names=both),
-                (
-                    "battery",
-                    f"{h.battery_voltage_V:.2f} V, {h.battery_current_A:.2f} A, "
-                    f"{h.battery_power_W:.1f} W with electronics",
-                ),
-                ("endurance", f"{h.endurance_s / 60:.1f} min of hover from a full battery"),
-                (
-                    "thrust to weight",
-                    f"{h.thrust_to_weight_full:.2f} at full input, "
-                    f"{h.thrust_to_weight_half:.2f} on a half-full battery",
-                ),
-            ],
-        )
-    )
+    print_lines(f" {words}. In hover with the battery half full:", head=v.name)
+    print_blocks(*h.shown_blocks())
 
 
 def print_parameter_group(group: str, rows: list[Parameter]) -> None:

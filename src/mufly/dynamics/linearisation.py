@@ -60,7 +60,7 @@ from mufly.dynamics.model_state import (
 from mufly.dynamics.simulation import find_step_limiting_parameter
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import GRAVITY, RPM
-from mufly.results import result
+from mufly.results import ResultColumn, ShownBlock, result, tabulate_fields
 from mufly.results.result_figure import blank_figure, enable_notebook_display
 from mufly.rotations import euler_from_quaternion, quaternion_from_euler
 from mufly.vehicle import Vehicle
@@ -317,6 +317,20 @@ class HoverPerformance:
     endurance_s: float
     thrust_to_weight_full: float
     thrust_to_weight_half: float
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the hover point with its reserves as printed text."""
+        pairs = {"rotor_speed_rad_s": ("rpm", ".0f"), "motor_input": ("", ".3f"), "thrust_N": ("", ".3f")}
+        columns = [ResultColumn(name, *how, entry_names=("upper", "lower")) for name, how in pairs.items()]
+        columns += [
+            ResultColumn("battery_voltage_V", form=".2f"),
+            ResultColumn("battery_current_A", form=".2f"),
+            ResultColumn("battery_power_W", form=".1f", head="battery power with electronics"),
+            ResultColumn("endurance_s", "min", ".1f", "endurance from a full battery"),
+            ResultColumn("thrust_to_weight_full", form=".2f", head="thrust to weight, full battery"),
+            ResultColumn("thrust_to_weight_half", form=".2f", head="thrust to weight, half-full battery"),
+        ]
+        return [tabulate_fields(self, columns)]
 
 
 @functools.lru_cache(maxsize=16)

@@ -31,6 +31,7 @@ from mufly.slam.slam_process import (
 )
 from mufly.slam.slam_system import TOO_NEAR_REASON, SlamSystem, TrackingResult
 from mufly.slam.slam_trajectory import (
+    SlamSummary,
     SlamTrajectory,
     collect_results,
     plot_trajectory,
@@ -53,6 +54,7 @@ __all__ = [
     "MapView",
     "PictureCounts",
     "SlamProcess",
+    "SlamSummary",
     "SlamSystem",
     "SlamTrajectory",
     "TrackedPicture",

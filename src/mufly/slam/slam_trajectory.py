@@ -10,11 +10,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.results import draws, result
+from mufly.results import ResultColumn, ShownBlock, draws, make_lines_block, result, tabulate_fields
 from mufly.slam.camera_frame import CameraFrame
 from mufly.slam.datasets.dataset_writers import write_tum
 from mufly.slam.slam_system import SlamSystem, TrackingResult
-from mufly.slam.trajectory_evaluation import read_poses
+from mufly.slam.trajectory_evaluation import TrajectoryEvaluation, read_poses
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,6 +78,65 @@ class SlamTrajectory:
         """Write the trajectory in TUM's text format, with covariance."""
         attitude = np.column_stack([np.zeros((len(self.time), 2)), self.heading])
         write_tum(file, self.time, self.position, attitude, "N-E-D, metres; heading alone", self.covariance)
+
+
+@result(
+    eq=False,
+    json="pictures=trajectory.pictures answered=trajectory.time.size not_answered=trajectory.failure_reason_counts "
+    "missed keyframes closures camera_faults texture_bound_m=trajectory.texture_bound_m "
+    "median_position_sigma_m=trajectory.median_position_sigma_m errors stopped_by",
+)
+class SlamSummary:
+    """Summary of a run of SLAM.
+
+    Attributes
+    ----------
+    trajectory : SlamTrajectory
+    missed : list of str
+        Losses of a live source, in words.
+    keyframes, closures : int
+        Keyframes of the map, and closed loops.
+    camera_verdicts : dict
+        First time (s) and message of each fault of the camera, by its name.
+    errors : TrajectoryEvaluation or None
+        Errors to the truth.
+    stopped_by : str
+        Fault that ended the run early; "" without one.
+    """
+
+    trajectory: SlamTrajectory
+    missed: list[str]
+    keyframes: int
+    closures: int
+    camera_verdicts: dict[str, tuple[float, str]]
+    errors: TrajectoryEvaluation | None
+    stopped_by: str
+
+    @property
+    def camera_faults(self) -> dict[str, str]:
+        """Messages of the camera's faults, by name."""
+        return {name: message for name, (_, message) in self.camera_verdicts.items()}
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return as printed text the camera's faults, the number of results, reasons of failures, and errors."""
+        found = self.trajectory
+        faults = (f"from {time_s:.1f} s on {message}" for time_s, message in self.camera_verdicts.values())
+        reasons = sorted(found.failure_reason_counts.items(), key=lambda item: -item[1])
+        bounds = (
+            ResultColumn("median_position_sigma_m", "mm", ".1f", "place known to (median)"),
+            ResultColumn("texture_bound_m", "mm", ".2f", "bound of a picture by noise (Cramer-Rao)"),
+        )
+        return [
+            make_lines_block(*faults, mark="Warning", style="yellow"),
+            make_lines_block(
+                f"{len(found.time)} of {found.pictures} pictures have a position",
+                *(f"  {count} not: {reason}" for reason, count in reasons),
+                *(f"  {line}" for line in self.missed),
+                f"{self.keyframes} keyframes, {self.closures} loops closed",
+            ),
+            *([tabulate_fields(found, bounds)] if np.isfinite(found.texture_bound_m) else ()),
+            *(self.errors.shown_blocks() if self.errors is not None else ()),
+        ]
 
 
 def collect_results(answers: Iterable[TrackingResult]) -> SlamTrajectory:

@@ -12,7 +12,6 @@ from mufly.cli.options import CommandGroup, JsonOption, SeedOption, define_argum
 from mufly.cli.output import (
     check_output_place,
     print_answer,
-    print_blocks,
     print_lines,
     progress_bar,
     save_figure,
@@ -263,6 +262,7 @@ def run(
     from mufly.slam import (
         TOO_NEAR_REASON,
         FloorMap,
+        SlamSummary,
         SlamSystem,
         check_overlap,
         evaluate_trajectory,
@@ -368,40 +368,12 @@ def run(
             found.write(out / "trajectory.txt")
         files += [out / "trajectory.txt", write_log(found.to_dataset(), out / "trajectory.mcap")]
         files.append(save_figure(plot_trajectory(found, slam, truth), out, "trajectory"))
-    missed = live.counts.describe_losses() if is_live_source(place) else []
-    content = {
-        "pictures": found.pictures,
-        "answered": len(found.time),
-        "not_answered": found.failure_reason_counts,
-        "missed": missed,
-        "keyframes": len(slam.floor_map.keyframes),
-        "closures": sum(e.is_loop_closure for e in slam.floor_map.edges),
-        "camera_faults": {name: message for name, (_, message) in slam.camera_verdicts.items()},
-        "texture_bound_m": found.texture_bound_m,
-        "median_position_sigma_m": found.median_position_sigma_m,
-        "errors": result,
-        "stopped_by": str(failed[0]) if failed else "",
-    }
-
-    def print_result() -> None:
-        for time_s, message in slam.camera_verdicts.values():
-            print_lines(f"from {time_s:.1f} s on {message}", mark="Warning", style="yellow")
-        print_lines(f"{len(found.time)} of {found.pictures} pictures have a position")
-        print_lines(f"{content['keyframes']} keyframes, {content['closures']} loops closed")
-        if math.isfinite(found.texture_bound_m):
-            print_lines(
-                f"place known to {1e3 * found.median_position_sigma_m:.1f} mm (median); contrast against noise alone "
-                f"bounds a "
-                f"picture to {1e3 * found.texture_bound_m:.2f} mm (Cramer-Rao)"
-            )
-        print_lines(
-            *(f"  {n} not: {why}" for why, n in sorted(found.failure_reason_counts.items(), key=lambda r: -r[1]))
-        )
-        print_lines(*(f"  {line}" for line in missed))
-        if result is not None:
-            print_blocks(*result.shown_blocks())
-
-    print_answer(as_json, content, print_result, files)
+    summary = SlamSummary(
+        found, live.counts.describe_losses() if is_live_source(place) else [], len(slam.floor_map.keyframes),
+        sum(e.is_loop_closure for e in slam.floor_map.edges), slam.camera_verdicts, result,
+        str(failed[0]) if failed else "",
+    )  # fmt: skip
+    print_answer(as_json, summary, files=files)
     if failed:
         raise failed[0]
 
@@ -482,18 +454,12 @@ def evaluate(
     result = evaluate_trajectory(time, one.position, one.heading, covariance, *true, one.pictures)
     better = detect_other_axes(time, one.position, true[0], true[1])
     content = {"errors": result, "left_out": one.failure_reason_counts.get("left out", 0), "other_axes": better}
-
-    def print_result() -> None:
-        print_blocks(*result.shown_blocks())
-        if better:
-            said = f"with y and z inverted it fits better ({better}); its axes may differ from the truth's. "
-            print_lines(
-                said + "A comment line states them: # N-E-D, or # x north, y west, z up",
-                mark="Note",
-                style="yellow",
-            )
-
-    print_answer(as_json, content, print_result)
+    note = (
+        f"with y and z inverted it fits better ({better}); its axes may differ from the truth's. A comment line states "
+        "them: # N-E-D, or # x north, y west, z up"
+    )
+    blocks = (*result.shown_blocks(), make_lines_block(*[note] if better else [], mark="Note", style="yellow"))
+    print_answer(as_json, content, blocks)
 
 
 @app.command()
