@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
 
-    from mufly.identify import ParameterEstimate
     from mufly.logs.mcap import FlightEvent
     from mufly.results import ResultColumn, ShownBlock
     from mufly.station.page.start_page import Startup
@@ -133,15 +132,6 @@ def print_result_table(
     from mufly.results import tabulate_results
 
     print_blocks(tabulate_results(items, columns, title=title, names=names))
-
-
-def print_estimates(
-    estimates: Iterable[ParameterEstimate], title: str, beside: Mapping[str, Mapping[str, str]] | None = None
-) -> None:
-    """Print a table of estimates; see :func:`mufly.identify.fit_result.tabulate_estimates`."""
-    from mufly.identify.fit_result import tabulate_estimates
-
-    print_blocks(tabulate_estimates(estimates, title, beside))
 
 
 # --- files ------------------------------------------------------------------------------------------------------------

@@ -19,7 +19,14 @@ from scipy.signal import fftconvolve
 
 from mufly.errors import ArgumentError
 from mufly.files.input_files import validate_model
-from mufly.results import ShownTable, format_value, make_table_block, result
+from mufly.results import (
+    ShownBlock,
+    ShownTable,
+    format_value,
+    make_lines_block,
+    make_table_block,
+    result,
+)
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
@@ -218,6 +225,33 @@ class FitResult(EstimateLookup):
     def records_with_role(self, role: Literal["fit", "held out"]) -> tuple[RecordPrediction, ...]:
         """Return the records with this role, fitted or held out."""
         return tuple(r for r in self.records if r.role == role)
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return the estimates and the notes on the fit as printed text."""
+        return (tabulate_estimates(self.estimates, self.vehicle), *self.show_notes())
+
+    def show_notes(self) -> tuple[ShownBlock, ...]:
+        """Return undetermined parameters, the errors of each record and the end of the search as printed text."""
+        rows = []
+        for r in self.records:
+            ratios = zip(r.output_names, r.rms_over_noise(), strict=True)
+            rows.append((r.name, r.role, ", ".join(f"{o} {v:.2f}" for o, v in ratios)))
+        doubts = [f"{r.doubt}." for r in self.records if r.doubt]
+        state = "Converged" if self.converged else "NOT converged"
+        detail = "" if self.message == "converged" else f" ({self.message})"
+        return (
+            make_lines_block(*(f"{t}." for t in self.undetermined), mark="Not distinguishable", style="yellow"),
+            make_lines_block(
+                *(f"{t}." for t in self.uncertain_from_held_parameters), mark="Uncertainty from held parameters"
+            ),
+            make_table_block(("record", "", "error over sensor noise (1: noise only)"), rows, text=(0, 1, 2)),
+            make_lines_block(*doubts, mark="Warning", style="red"),
+            make_lines_block(
+                f"{state}{detail}: cost {self.cost:.6g}, {self.simulations} simulated flights, "
+                f"{self.computing_time_s:.1f} s",
+                style="green" if self.converged else "red",
+            ),
+        )
 
 
 # ----------------------------------------------------------------------------

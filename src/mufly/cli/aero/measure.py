@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from mufly.cli.options import JsonOption, OptionRange, define_argument, define_option
-from mufly.cli.output import make_console, print_answer, print_files, print_table, write_text_file
+from mufly.cli.output import print_answer, print_files, print_lines, write_text_file
 from mufly.cli.rotor import app as rotor_commands
 from mufly.errors import InputError
 
@@ -73,7 +73,7 @@ def measure(
     Examples: mufly rotor measure --diameter 5in --template readings.csv; mufly rotor measure readings.csv
     --diameter 5in --tip-height 2.1mm --stated-pitch 3in --out mine.toml
     """
-    from mufly.rotor import estimate_pitch_offset_prior, format_rotor_toml
+    from mufly.rotor import format_rotor_toml
     from mufly.rotor.blades.blade_files import read_caliper_readings
     from mufly.rotor.blades.measured_geometry import GeometryReadings, make_blank_reading_table, rotor_from_readings
 
@@ -98,39 +98,10 @@ def measure(
         name=name or (out or readings or Path("measured")).stem, stated_pitch_m=stated_pitch,
         chord_std_m=1e-3 * chord_std, angle_std_rad=math.radians(angle_std),
     )  # fmt: skip
-    prior = estimate_pitch_offset_prior(found.rotor)
-    files = []
-    if out is not None:
-        files = [write_text_file(out, format_rotor_toml(found.rotor))]
-    blade = found.rotor.blade
-    if as_json:
-        content = {
-            "name": found.rotor.name, "common_pitch_std_rad": found.common_pitch_std_rad,
-            "chord_std_m": found.chord_std_m,
-            "effective_pitch_mean_rad": prior.offset_mean_rad, "effective_pitch_std_rad": prior.offset_std_rad,
-            "notes": found.notes,
-        }  # fmt: skip
-        return print_answer(as_json, content, None, files)
-    thick = found.rotor.stated_thickness(blade.r_over_R.value)
-    print_table(
-        ("r/R", "chord", "angle", "thickness"),
-        [
-            (f"{x:.3f}", f"{1e3 * c:.2f} ± {1e3 * found.chord_std_m:.2f} mm", f"{math.degrees(a):.1f}°",
-             "airfoil's" if math.isnan(t) else f"{100 * t:.1f} %")
-            for x, c, a, t in zip(blade.r_over_R.value, blade.chord.value, blade.twist.value, thick, strict=True)
-        ],
-    )  # fmt: skip
-    c = make_console()
-    for note in found.notes:
-        c.print(f"Note: {note}", style="yellow", highlight=False)
-    c.print(
-        f"angles as a whole: ± {math.degrees(found.common_pitch_std_rad):.2f}°; effective pitch {prior.origin}: "
-        f"{math.degrees(prior.offset_mean_rad):+.2f} ± {math.degrees(prior.offset_std_rad):.2f}°",
-        highlight=False,
-    )
-    if out is None:
-        return c.print("Nothing written; add --out FILE.toml")
-    print_files(files)
+    files = [] if out is None else [write_text_file(out, format_rotor_toml(found.rotor))]
+    print_answer(as_json, found, files=files)
+    if out is None and not as_json:
+        print_lines("Nothing written; add --out FILE.toml")
 
 
 def _ask_readings(radius_m: float, tip_leading_edge_rise_m: float | None) -> tuple[Any, Any, Any, Any, float | None]:

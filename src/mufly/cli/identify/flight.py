@@ -25,18 +25,16 @@ from mufly.cli.options import (
 from mufly.cli.output import (
     check_output_place,
     make_console,
-    print_estimates,
+    print_answer,
     print_files,
-    print_json,
     print_lines,
-    print_table,
     progress_bar,
 )
 from mufly.errors import InputError
 from mufly.quantities.quantity_grammar import read_names
 
 if TYPE_CHECKING:
-    from mufly.identify import FitProgress, FitResult, FlightRecord, IdentificationDemo
+    from mufly.identify import FitProgress, FitResult, FlightRecord
     from mufly.vehicle import Vehicle
 
 
@@ -214,10 +212,9 @@ def flight(
     page = _write_report(fit, report, not as_json)
     for path in kept:
         path.unlink(missing_ok=True)
+    print_answer(as_json, fit, files=None)
     if as_json:
-        return print_json(fit)
-    print_estimates(fit.estimates, fit.vehicle)
-    _print_fit_notes(fit)
+        return
     print_files(written, "Vehicle")
     print_files(page, "Report")
 
@@ -276,24 +273,6 @@ def _write_report(fit: FitResult, folder: Path | None, shown: bool) -> list[Path
         return [write_report(fit, folder, progress=progress)]
 
 
-def _print_fit_notes(fit: FitResult) -> None:
-    """Print below the table: parameters that are not distinguishable, errors of each record, and how the fit ended."""
-    print_lines(*(f"{text}." for text in fit.undetermined), mark="Not distinguishable", style="yellow")
-    print_lines(*(f"{text}." for text in fit.uncertain_from_held_parameters), mark="Uncertainty from held parameters")
-    rows = []
-    for r in fit.records:
-        ratios = zip(r.output_names, r.rms_over_noise(), strict=True)
-        rows.append((r.name, r.role, ", ".join(f"{o} {v:.2f}" for o, v in ratios)))
-    print_table(("record", "", "error over sensor noise (1: noise only)"), rows, text=(0, 1, 2))
-    print_lines(*(f"{r.doubt}." for r in fit.records if r.doubt), mark="Warning", style="red")
-    state = "Converged" if fit.converged else "NOT converged"
-    detail = "" if fit.message == "converged" else f" ({fit.message})"
-    print_lines(
-        f"{state}{detail}: cost {fit.cost:.6g}, {fit.simulations} simulated flights, {fit.computing_time_s:.1f} s",
-        style="green" if fit.converged else "red",
-    )
-
-
 @app.command()
 def demo(
     seed: SeedOption = 0,
@@ -320,10 +299,9 @@ def demo(
     with _show_fit_progress(not as_json) as on_progress:
         shown = run_identification_demo(seed=seed, method=method, moving=moving, on_progress=on_progress)
     page = _write_report(shown.fit, report, not as_json)
-    if as_json:
-        return print_json(shown)
-    _print_identification_demo(shown)
-    print_files(page, "Report")
+    print_answer(as_json, shown, files=None)
+    if not as_json:
+        print_files(page, "Report")
 
 
 def _write_demo_flights(folder: Path, seed: int, moving: bool) -> None:
@@ -335,21 +313,6 @@ def _write_demo_flights(folder: Path, seed: int, moving: bool) -> None:
     fit, held = fly_demo_flights(load_vehicle("mufly-1.1"), seed=seed, moving=moving)
     for r in (*fit, *held):
         write_log(record_to_dataset(r), folder / f"{r.name}.mcap")
-
-
-def _print_identification_demo(shown: IdentificationDemo) -> None:
-    inside, estimates = shown.truth_inside_interval(), shown.fit.estimates
-    beside = {
-        "truth": {k: f"{v:.5g}" for k, v in shown.truth.items()},
-        "off": {e.symbol: f"{100 * (e.value / shown.truth[e.symbol] - 1):+.2f} %" for e in estimates},
-        "": {k: "" if held else "outside" for k, held in inside.items()},
-    }
-    print_estimates(estimates, f"Demonstration, seed {shown.seed}", beside)
-    _print_fit_notes(shown.fit)
-    print_lines(
-        f"{sum(inside.values())} of {len(inside)} intervals hold the truth; prediction error of the flight that was "
-        f"not fitted is {shown.held_out_over_noise:.3f} of the sensors' noise."
-    )
 
 
 rotor_bench.register_bench_commands(app)

@@ -34,12 +34,12 @@ from mufly.dynamics import (
     model_parameters,
 )
 from mufly.dynamics.model_state import ATTITUDE_SLICE, MODEL_POSITION, MODEL_RATES, MOTOR_INPUT_SLICE
-from mufly.identify.fit_result import FitResult, RecordPrediction
+from mufly.identify.fit_result import FitResult, RecordPrediction, tabulate_estimates
 from mufly.identify.flight.flight_fit import fit_flight_records
 from mufly.identify.flight.free_parameters import choose_free_parameters
 from mufly.identify.flight.staged_search import FitMethod, FitProgress
 from mufly.identify.flight_record import FlightRecord
-from mufly.results import result, select_fields
+from mufly.results import ShownBlock, make_lines_block, result, select_fields
 from mufly.rotations import euler_from_quaternion
 from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
@@ -279,6 +279,23 @@ class IdentificationDemo:
             "undetermined": list(fit.undetermined), "held_out_error_over_noise_floor": self.held_out_over_noise,
             **select_fields(fit, "cost simulations seconds=computing_time_s"),
         }  # fmt: skip
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return the estimates beside the true values, and the notes on the fit, as printed text."""
+        inside, truth = self.truth_inside_interval(), self.truth
+        beside = {
+            "truth": {k: f"{v:.5g}" for k, v in truth.items()},
+            "off": {e.symbol: f"{100 * (e.value / truth[e.symbol] - 1):+.2f} %" for e in self.fit.estimates},
+            "": {k: "" if held else "outside" for k, held in inside.items()},
+        }
+        return (
+            tabulate_estimates(self.fit.estimates, f"Demonstration, seed {self.seed}", beside),
+            *self.fit.show_notes(),
+            make_lines_block(
+                f"{sum(inside.values())} of {len(inside)} intervals hold the truth; prediction error of the flight "
+                f"that was not fitted is {self.held_out_over_noise:.3f} of the sensors' noise."
+            ),
+        )
 
 
 def run_identification_demo(

@@ -24,6 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, tabulate_results, to_records
+from mufly.rotor.effective_pitch import PitchOffsetPrior, estimate_pitch_offset_prior
 from mufly.rotor.geometry import Rotor, rotor_from_tables
 
 Array = NDArray[np.float64]
@@ -65,15 +67,55 @@ class GeometryReadings(NamedTuple):
     thickness: Array | None = None
 
 
-class MeasuredGeometry(NamedTuple):
-    """Measured rotor, with the standard deviation of the error common to all its angles (rad), that of a chord (m), and
-    notes.
+@result(
+    eq=False,
+    json="name=rotor.name common_pitch_std_rad chord_std_m effective_pitch_mean_rad=pitch_prior.offset_mean_rad "
+    "effective_pitch_std_rad=pitch_prior.offset_std_rad notes",
+)
+class MeasuredGeometry:
+    """Rotor whose geometry was measured.
+
+    Attributes
+    ----------
+    rotor : Rotor
+    common_pitch_std_rad : float
+        Standard deviation of the error that is common to all angles.
+    chord_std_m : float
+        Standard deviation of a chord.
+    notes : tuple of str
     """
 
     rotor: Rotor
     common_pitch_std_rad: float
     chord_std_m: float
     notes: tuple[str, ...]
+
+    @property
+    def pitch_prior(self) -> PitchOffsetPrior:
+        """Prior of the effective pitch."""
+        return estimate_pitch_offset_prior(self.rotor)
+
+    def shown_blocks(self) -> tuple[ShownBlock, ...]:
+        """Return the stations, notes and the uncertainty of the angles as printed text."""
+        blade, prior = self.rotor.blade, self.pitch_prior
+        x = blade.r_over_R.array()
+        rows = to_records({
+            "r_over_R": x, "chord_m": blade.chord.array(), "chord_std_m": np.full(x.size, self.chord_std_m),
+            "angle_rad": blade.twist.array(), "thickness": self.rotor.stated_thickness(x),
+        })  # fmt: skip
+        columns = (
+            ResultColumn("r_over_R", form=".3f", head="r/R"), ResultColumn("chord_m", "mm", ".2f"),
+            ResultColumn("chord_std_m", "mm", ".2f"), ResultColumn("angle_rad", "deg", ".1f"),
+            ResultColumn("thickness", "%", ".1f", head="thickness over chord"),
+        )  # fmt: skip
+        offset, std, whole = np.degrees([prior.offset_mean_rad, prior.offset_std_rad, self.common_pitch_std_rad])
+        return (
+            tabulate_results(rows, columns),
+            make_lines_block(*self.notes, mark="Note", style="yellow"),
+            make_lines_block(
+                f"angles as a whole: ± {whole:.2f}°; effective pitch {prior.origin}: {offset:+.2f} ± {std:.2f}°"
+            ),
+        )
 
 
 def rotor_from_readings(
