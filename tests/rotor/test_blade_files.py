@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import format_rotor_toml, import_rotor, load_rotor
+from mufly.rotor.sections.airfoil import load_airfoil, split_sides
 
 UIUC = """  r/R     c/R     beta
  0.15   0.160   31.68
@@ -56,13 +58,39 @@ def test_apcs_own_file_old_and_new(tmp_path, newer):
         **({"rake": "RAKE", "inch": "(IN)", "zero": "0.0"} if newer else dict.fromkeys(("rake", "inch", "zero"), ""))
     )
     r, notes = import_rotor(written(tmp_path, "5x4-PERF.PE0", text))
-    assert (r.blades, r.airfoil_names()) == (3, ("e63+thick20", "naca4412+thick12", "naca4412+thick10"))
+    assert (r.blades, r.airfoil_names()) == (3, ("e63+thick20", "e63+blend90-naca4412+thick12", "naca4412+thick10"))
     assert_allclose(r.radius_m, 2.5 * 0.0254)
     assert_allclose(r.blade.r_over_R.value, [0.2, 0.6, 0.96, 1.0])
     assert_allclose(r.chord_m(0.6), 0.6 * 0.0254)
     assert_allclose(r.twist_rad(0.6), math.radians(22.99))
     assert any("APC12" in note for note in notes)
-    assert any("e63 becomes naca4412" in note for note in notes)
+    assert any("e63 blends into naca4412 from 20.3 to 40.6 mm" in note for note in notes)
+
+
+def test_contours_of_an_apc_file_blend_linearly_between_its_airfoils(tmp_path):
+    """Halfway between both radii the mean lines of both airfoils are averaged, at the file's thickness."""
+    text = APC.format(rake="", inch="", zero="").replace("1.5000     0.6", "1.2000     0.6")
+    r, _ = import_rotor(written(tmp_path, "p.PE0", text))
+    middle = load_airfoil(r.airfoil_names()[1])
+    x = np.linspace(0.05, 0.95, 10)
+
+    def mean_line(airfoil):
+        upper, lower = split_sides(airfoil.coordinates)
+        return 0.5 * (np.interp(x, *upper.T) + np.interp(x, *lower.T))
+
+    inner, outer = load_airfoil("e63"), load_airfoil("naca4412")
+    assert middle.thickness_ratio == pytest.approx(0.12, abs=1e-3)
+    assert_allclose(mean_line(middle), 0.5 * (mean_line(inner) + mean_line(outer)), atol=3e-4)
+    assert np.max(np.abs(mean_line(inner) - mean_line(outer))) > 0.01
+
+
+def test_an_apc_file_without_airfoils_keeps_its_thickness(tmp_path):
+    text = "".join(line for line in APC.splitlines(True) if "AIRFOIL" not in line)
+    r, notes = import_rotor(written(tmp_path, "p.PE0", text.format(rake="", inch="", zero="")))
+    assert_allclose(r.stated_thickness([0.2, 0.6, 0.96]), [0.20, 0.12, 0.10])
+    assert r.airfoil_names() == ("naca4412+thick20", "naca4412+thick17.33", "naca4412+thick14.67",
+                                 "naca4412+thick12", "naca4412+thick10")  # fmt: skip
+    assert any("naca4412 with the file's thickness assumed" in note for note in notes)
 
 
 def test_calipers_in_inches_with_sections_and_commas(tmp_path):

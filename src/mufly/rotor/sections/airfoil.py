@@ -128,7 +128,8 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
         ``"naca4412"``, ``"NACA 23012"``, a name that :func:`database_airfoils` lists, or the path of a file in
         Selig's or Lednicer's order. With ``"+gurney1.5"`` appended, the section carries a Gurney flap of 1.5 %
         of the chord on its lower side. With ``"+thick8"``, it is 8 % thick about its own mean line. With
-        ``"+scaled8"``, all its heights are scaled so that it is 8 % thick, which keeps a flat side flat.
+        ``"+scaled8"``, all its heights are scaled so that it is 8 % thick, which keeps a flat side flat. With
+        ``"+blend40-clarky"``, the contour lies 40 % of the way to that of Clark Y.
 
     Raises
     ------
@@ -144,6 +145,11 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
         if plus:
             most = 100.0 * MAX_THICKNESS_RATIO
             return change(load_airfoil(base), _parse_percent(text, thick, "a section", "a thickness", most))
+    base, plus, other = text.rpartition("+blend")
+    if plus:
+        percent, _, second = other.partition("-")
+        share = _parse_percent(text, percent, "a blend", "a share", 100.0)
+        return blend_airfoils(load_airfoil(base), load_airfoil(second), share)
     path = Path(name_or_path)
     if path.is_file():
         contour, words = read_custom_contour(path)
@@ -209,6 +215,30 @@ def with_scaled_heights(airfoil: Airfoil, thickness: float) -> Airfoil:
     """
     scaled = airfoil.coordinates * [1.0, thickness / airfoil.thickness_ratio]
     return _modified_airfoil(airfoil, scaled, "scaled", thickness, "scaled to a thickness of")
+
+
+def name_blended_airfoil(first: str, second: str, share: float) -> str:
+    """Return the name of the blend of two airfoils, as :func:`load_airfoil` takes it; ``share`` is the second's."""
+    if share <= 0.0 or first == second:
+        return first
+    return second if share >= 1.0 else f"{first}+blend{100.0 * share:.4g}-{second}"
+
+
+def blend_airfoils(first: Airfoil, second: Airfoil, share: float) -> Airfoil:
+    """Return the section whose heights are (1 - share) those of one section plus share times those of another.
+
+    Heights are mixed at the same places of the chord, side by side.
+    """
+    x = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, _POINTS_PER_SIDE)))
+    upper, lower = (
+        (1.0 - share) * np.interp(x, *a.T) + share * np.interp(x, *b.T)
+        for a, b in zip(split_sides(first.coordinates), split_sides(second.coordinates), strict=True)
+    )
+    contour = np.concatenate((np.column_stack((x, upper))[::-1], np.column_stack((x, lower))[1:]))
+    percent = f"{100 * share:.4g}"
+    return Airfoil(
+        f"{first.name}+blend{percent}-{second.name}", contour, f"{first.source}; {percent} % {second.source}"
+    )
 
 
 def _modified_airfoil(airfoil: Airfoil, contour: Array, suffix: str, thickness: float, word: str) -> Airfoil:
