@@ -203,3 +203,59 @@ def test_runs_in_a_tunnel(data):
     j = np.linspace(0.1, 0.2, 5)
     short = find_efficiency_figures(j, 1 - j / 0.6, np.ones(5), j)
     assert np.isnan([short.max_efficiency, short.best_advance_ratio, short.zero_thrust_advance_ratio]).all()
+
+
+_INDEX = "name,diameter_m,blades,geometry\ngood_5x3,0.127,2,good_5x3_geom.csv\nodd_5x3,0.127,2,odd_5x3_geom.csv\n"
+_ROWS, _RUN = ("0.15,0.15,30", "0.5,0.20,20", "1.0,0.10,10"), "rpm,CT,CP\n3000,0.10,0.05\n4000,0.11,0.05\n"
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "reason"),
+    [
+        ("odd_5x3_geom.csv", "0.20", "-0.20", "odd_5x3_geom.csv: blade.chord"),
+        ("odd_5x3_geom.csv", "0.5,", "0.15,", "odd_5x3_geom.csv: blade.r_over_R: station 2"),
+        ("odd_5x3_geom.csv", "0.15,0.15,30", "0.6,0.15,30", "odd_5x3_geom.csv: blade.r_over_R: station 2"),
+        ("odd_5x3_geom.csv", "30", "nan", "odd_5x3_geom.csv: line 2, beta: is nan"),
+        ("odd_5x3_geom.csv", None, "", "odd_5x3_geom.csv: is empty"),
+        ("odd_5x3_static.csv", "4000", "4000x", "line 3, rpm: '4000x' is not a number"),
+        ("odd_5x3_static.csv", "0.11", "-0.11", "odd_5x3_static.csv: line 3, CT: is -0.11"),
+        ("odd_5x3_static.csv", None, "rpm,CT,CP\n", "odd_5x3_static.csv: contains no measurements"),
+        ("index.csv", "2,odd", "2,none", "none_5x3_geom.csv: cannot be read"),
+        ("index.csv", "odd_5x3,0.127", "odd_5x3,-0.127", "index.csv: line 3, diameter_m: is -0.127"),
+        ("index.csv", "2,odd", "2.5,odd", "index.csv: line 3, blades: is 2.5"),
+        ("index.csv", "odd_5x3,0.127", "odd_5x3,5in", "'5in' is not a number"),
+    ],
+)
+def test_an_indexed_rotor_with_a_fault_is_skipped_with_the_reason(tmp_path, file, old, new, reason):
+    home = tmp_path / "uiuc_micro"
+    home.mkdir()
+    (home / "index.csv").write_text(_INDEX)
+    for name in ("good_5x3", "odd_5x3"):
+        (home / f"{name}_geom.csv").write_text("\n".join(("r/R,c/R,beta", *_ROWS, "")))
+        (home / f"{name}_static.csv").write_text(_RUN)
+    text = (home / file).read_text()
+    (home / file).write_text(new if old is None else text.replace(old, new))
+    cases, left_out = load_cases(tmp_path)
+    assert [c.name for c in cases] == ["good_5x3"]
+    assert [reason in line for line in left_out if line.startswith("odd_5x3")] == [True]
+    with pytest.raises(InputError, match=r"--only.*odd_5x3"):
+        load_cases(tmp_path, "odd_5x3")
+
+
+def test_a_folder_without_a_usable_file_gives_the_reasons(tmp_path):
+    (tmp_path / "thesis_table_3_2.csv").write_text("pitch_deg,rpm\n12,5000\n")
+    for name in ("maker_plain", "maker_0x5", "maker_5x4", "maker_5x3"):
+        (tmp_path / f"{name}_geom.txt").write_text(GEOMETRY)
+        (tmp_path / f"{name}_static_1.txt").write_text(STATIC)
+    (tmp_path / "maker_5x4_geom.txt").write_text("")
+    (tmp_path / "maker_5x3_geom.txt").write_text(GEOMETRY.replace("0.50 ", "0.15 "))
+    with pytest.raises(InputError) as caught:
+        load_cases(tmp_path)
+    said = str(caught.value)
+    for reason in (
+        "thesis_table_3_2.csv: has 2 columns", "maker_plain_geom.txt: the file name states no size",
+        "maker_0x5_geom.txt: the file name states no size", "maker_5x4_geom.txt: is empty",
+        "maker_5x3_geom.txt: blade.r_over_R",
+    ):  # fmt: skip
+        assert reason in said
+    assert "\n" not in said

@@ -34,7 +34,7 @@ from mufly.bench import read_measurements
 from mufly.errors import InputError, MuflyError
 from mufly.files.text_table import read_text_table
 from mufly.quantities.units import RPM
-from mufly.rotor import Air, Rotor, RotorMeasurements, import_rotor, load_rotor, replace_rotor
+from mufly.rotor import Air, Rotor, RotorMeasurements, import_rotor, load_rotor, replace_rotor, rotor_from_tables
 from mufly.rotor.blades.blade_solid import rotor_from_body
 
 Array = NDArray[np.float64]
@@ -88,6 +88,7 @@ DATA_SOURCES = {
 }
 """Sources of the data sets in the folder."""
 
+_MAX_LISTED_REASONS = 8  # in an error about a folder
 _FETCH_REMEDY = f"fetch measurements, as {DATA_SOURCES['uiuc_micro']}, and name theirs"
 
 
@@ -150,9 +151,10 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
             "is not a folder",
             _FETCH_REMEDY,
         )
+    left_out: list[str] = []
     readers: dict[str, Callable[[Path], list[RotorCase]]] = {
         "thesis_table_3_2.csv": lambda f: [load_table_3_2(f)],
-        "uiuc_micro": load_uiuc_propellers,
+        "uiuc_micro": lambda f: load_uiuc_propellers(f, left_out),
         "dji9443_chord.csv": lambda f: [load_dji_9443(f)],
         "caradonna_tung_ct.csv": lambda f: [load_caradonna_tung(f)],
         "tmotor28_single.csv": lambda f: [load_t_motor_28(f)],
@@ -160,12 +162,14 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
     cases, missing = [], []
     for name, read in readers.items():
         found = min(folder.rglob(name), key=lambda path: (len(path.parts), path), default=None)
-        if found is not None:
-            cases += read(found.parent)
-        else:
+        if found is None:
             missing.append(f"{name}: {DATA_SOURCES[name]}")
+            continue
+        try:
+            cases += read(found.parent)
+        except MuflyError as error:
+            left_out.append(str(error))
     known = {case.name for case in cases}
-    left_out: list[str] = []
     cases += [
         c for c in (*load_uiuc_files(folder, left_out), *load_own_rotors(folder, left_out)) if c.name not in known
     ]
@@ -175,10 +179,21 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
     chosen = [replace(c, tunnel_runs=tuple(load_tunnel_runs(folder, c, missing))) for c in chosen]
     if not chosen:
         if not cases:
-            raise InputError("--data", str(folder), "contains no measurements in a known format", _FETCH_REMEDY)
+            raise InputError(
+                "--data", str(folder), f"contains no measurements in a known format{_list_reasons(left_out)}",
+                "correct these files" if left_out else _FETCH_REMEDY,
+            )  # fmt: skip
         names = ", ".join(sorted({c.group for c in cases}))
-        raise InputError("--only", only, "matches no name of a rotor or group", f"choose from {names}")
+        reasons = _list_reasons([text for text in left_out if any(w in text.lower() for w in words)])
+        raise InputError("--only", only, f"matches no name of a rotor or group{reasons}", f"choose from {names}")
     return chosen, missing
+
+
+def _list_reasons(left_out: list[str]) -> str:
+    """Return the reasons why files were skipped, as the continuation of an error."""
+    more = len(left_out) - _MAX_LISTED_REASONS
+    listed = [*left_out[:_MAX_LISTED_REASONS], *([f"and {more} more"] if more > 0 else [])]
+    return f"; skipped: {' | '.join(listed)}" if listed else ""
 
 
 def find_propeller_section(name: str) -> tuple[str, str, bool]:
@@ -193,8 +208,9 @@ def _airfoils_by_station(section: str, x: Array) -> tuple[str, ...]:
 
 
 def _build_rotor(
-    name: str, blades: int, radius: float, x0: float, x: ArrayLike, c: ArrayLike, deg: ArrayLike, *foils: str
-) -> Rotor:
+    name: str, blades: int, radius: float, x0: float, x: ArrayLike, c: ArrayLike, deg: ArrayLike, *foils: str,
+    where: str = "",
+) -> Rotor:  # fmt: skip
     def quantity_table(value: ArrayLike, unit: str) -> dict[str, object]:
         numbers = np.asarray(value, dtype=np.float64)
         return {
@@ -209,14 +225,15 @@ def _build_rotor(
         "twist": quantity_table(np.radians(np.asarray(deg)), "rad"),
         "airfoils": foils,
     }
-    return Rotor.model_validate(
+    return rotor_from_tables(
         {
             "name": name,
             "blades": blades,
             "radius": quantity_table(radius, "m"),
             "hub_cutout": quantity_table(x0, "1"),
             "blade": blade,
-        }
+        },
+        where or name,
     )
 
 
@@ -230,44 +247,63 @@ def _build_measurements(
 
 def load_table_3_2(folder: Path) -> RotorCase:
     """Load the dissertation's rotor with its four measured points."""
-    m = read_text_table(folder / "thesis_table_3_2.csv").read_matrix()
+    m = read_text_table(folder / "thesis_table_3_2.csv").read_matrix(4)
     rotor = _build_rotor("naca0012-r60-c20", 2, 0.06, 0.15, (0.15, 1), (0.02, 0.02), (0, 0), "naca0012")
-    points = _build_measurements("Table 3.2", *m[:, :4].T)
+    points = _build_measurements("Table 3.2", *m.T)
     return RotorCase(rotor.name, "Table 3.2", "dissertation", rotor, True, points)
 
 
-def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
-    """Load the 17 propellers of the UIUC data set, volume 2; blades begin at 0.15 R."""
+def load_uiuc_propellers(folder: Path, left_out: list[str] | None = None) -> list[RotorCase]:
+    """Load the 17 propellers of the UIUC data set, volume 2; blades begin at 0.15 R.
+
+    A propeller whose files cannot be used is named in ``left_out`` with the reason; without the list it is an error.
+    """
     home = folder / "uiuc_micro"
     index = read_text_table(home / "index.csv")
-    columns = [index.read_texts(index.find_column_index(n)) for n in ("name", "diameter_m", "blades", "geometry")]
+    columns = {name: index.find_column_index(name) for name in ("name", "diameter_m", "blades", "geometry")}
+    rows = {name: index.read_texts(k) for name, k in columns.items()}
     out = []
-    for name, diameter, blades, geometry in zip(*columns, strict=True):
-        radius = float(diameter) / 2
-        g = read_text_table(home / geometry).read_matrix()
-        m = read_text_table(home / f"{name}_static.csv").read_matrix()
-        family, section, known = find_propeller_section(name)
-        foils = _airfoils_by_station(section, g[:, 0])
-        rotor = _build_rotor(name, int(blades), radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], *foils)
-        rotor = replace_rotor(
-            rotor,
-            {"trailing_edge": TRAILING_EDGE_THICKNESS_M, **_find_photographed_rotor_values(name, radius)},
-            source="estimated",
-        )
-        n, d = m[:, 0] / 60, 2 * radius
-        rho = BENCHMARK_AIR.density_kg_m3
-        thrust, torque = m[:, 1] * rho * n**2 * d**4, m[:, 2] / (2 * np.pi) * rho * n**2 * d**5
-        out.append(
-            RotorCase(
-                name,
-                "UIUC micro",
-                family,
-                rotor,
-                known,
-                _build_measurements(name, 0.0, m[:, 0], thrust, torque),
+    for k, name in enumerate(rows["name"]):
+        try:
+            diameter, blades = (
+                index.parse_finite_cell(k, columns[key], rows[key][k]) for key in ("diameter_m", "blades")
             )
-        )
+            if diameter <= 0.0 or blades != int(blades):
+                key, must = ("blades", "a whole number") if diameter > 0.0 else ("diameter_m", "above 0")
+                place = f"line {index.lines[k]}, {key}"
+                raise InputError(index.where, place, f"is {rows[key][k]}", f"it must be {must}")
+            out.append(_load_indexed_propeller(home, name, diameter, int(blades), rows["geometry"][k]))
+        except MuflyError as error:
+            if left_out is None:
+                raise
+            left_out.append(f"{name}: {error}")
     return out
+
+
+def _load_indexed_propeller(home: Path, name: str, diameter: float, blades: int, geometry: str) -> RotorCase:
+    radius = diameter / 2
+    g = read_text_table(home / geometry).read_matrix(3)
+    table = read_text_table(home / f"{name}_static.csv")
+    m = table.read_matrix(3)
+    for row, column in np.argwhere(~(m > 0.0))[:1]:
+        place = f"line {table.lines[row]}, {table.header[column]}"
+        raise InputError(table.where, place, f"is {m[row, column]:g}", "it must be above 0")
+    if not m.size:
+        raise InputError(table.where, "", "contains no measurements", "give a header and at least one line")
+    family, section, known = find_propeller_section(name)
+    foils = _airfoils_by_station(section, g[:, 0])
+    rotor = _build_rotor(
+        name, blades, radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], *foils, where=str(home / geometry)
+    )
+    rotor = replace_rotor(
+        rotor,
+        {"trailing_edge": TRAILING_EDGE_THICKNESS_M, **_find_photographed_rotor_values(name, radius)},
+        source="estimated",
+    )
+    n, d = m[:, 0] / 60, 2 * radius
+    rho = BENCHMARK_AIR.density_kg_m3
+    thrust, torque = m[:, 1] * rho * n**2 * d**4, m[:, 2] / (2 * np.pi) * rho * n**2 * d**5
+    return RotorCase(name, "UIUC micro", family, rotor, known, _build_measurements(name, 0.0, m[:, 0], thrust, torque))
 
 
 _STATED_PITCH_PATTERN = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(?P<deg>\d+(?:\.\d+)?)deg")
@@ -279,7 +315,7 @@ def _find_photographed_rotor_values(name: str, radius_m: float) -> dict[str, obj
     A name as 5x3 or 96x70 states diameter and pitch in the same unit, 15deg the blade angle at 0.75 R.
     """
     found = _STATED_PITCH_PATTERN.search(name)
-    if found is None:
+    if found is None or (found[1] and float(found[1]) == 0.0):
         return {"blade.geometry": "photograph"}
     if found["deg"]:
         pitch = 1.5 * math.pi * radius_m * math.tan(math.radians(float(found["deg"])))
@@ -305,6 +341,8 @@ def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
         size, several = _STATED_DIAMETER_PATTERN.search(name), re.search(r"_(\d)b(_|$)", name)
         blades = int(several[1]) if several else 2
         used |= {geometry, *runs} if runs else set()
+        if size is not None and float(size[1]) == 0.0:
+            size = None
         if runs and size is None:
             left_out.append(
                 f"{geometry.name}: the file name states no size; name the file as MAKER_9x5_geom.txt, in inches or mm"
@@ -380,8 +418,8 @@ def load_tunnel_runs(folder: Path, case: RotorCase, left_out: list[str]) -> Iter
 def load_dji_9443(folder: Path) -> RotorCase:
     """Load the 240 mm rotor with one hover point: c_T 0.072 (propellers' convention) at 5400 rpm (Zawodny et al., AHS
     2016)."""
-    c = read_text_table(folder / "dji9443_chord.csv").read_matrix()
-    t = read_text_table(folder / "dji9443_twist.csv").read_matrix()
+    c = read_text_table(folder / "dji9443_chord.csv").read_matrix(2)
+    t = read_text_table(folder / "dji9443_twist.csv").read_matrix(2)
     family, section, _ = find_propeller_section("dji9443")
     twist = np.interp(c[:, 0], *t.T)
     rotor = _build_rotor("dji9443", 2, 0.12, 0.1, c[:, 0], c[:, 1] * 0.12, twist, section)
@@ -401,7 +439,7 @@ def load_dji_9443(folder: Path) -> RotorCase:
 def load_caradonna_tung(folder: Path) -> RotorCase:
     """Load Caradonna and Tung's rotor: two blades, NACA 0012, 1.1 m radius, 1250 rpm: Reynolds number 2e6, Mach 0.44 at
     the tip."""
-    m, radius = read_text_table(folder / "caradonna_tung_ct.csv").read_matrix(), 1.143
+    m, radius = read_text_table(folder / "caradonna_tung_ct.csv").read_matrix(2), 1.143
     rotor = _build_rotor("caradonna-tung", 2, radius, 0.2, (0.2, 1), (0.1905, 0.1905), (0, 0), "naca0012")
     thrust = m[:, 1] * BENCHMARK_AIR.density_kg_m3 * np.pi * radius**4 * (1250 * RPM) ** 2
     points = _build_measurements("Caradonna-Tung", m[:, 0], 1250, thrust, math.nan)
@@ -419,7 +457,7 @@ def make_t_motor_rotor() -> Rotor:
 
 def load_t_motor_28(folder: Path) -> RotorCase:
     """Load the isolated 28 inch rotor with 30 speeds."""
-    rpm, _, _, thrust, torque, *_ = read_text_table(folder / "tmotor28_single.csv").read_matrix().T
+    rpm, _, _, thrust, torque = read_text_table(folder / "tmotor28_single.csv").read_matrix(5).T
     points = _build_measurements("T-motor 28", 0, rpm, thrust, torque)
     return RotorCase("tmotor28", "T-motor 28", "T-motor", make_t_motor_rotor(), False, points, T_MOTOR_AIR)
 
