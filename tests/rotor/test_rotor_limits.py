@@ -129,3 +129,31 @@ def test_a_makers_file_and_a_scan_are_preferred_to_photographs(tmp_path):
     assert float(two.twist_rad(0.6)) == pytest.approx(0.3, abs=0.01)
     assert float(three.twist_rad(0.8)) == pytest.approx(math.radians(15.0))
     assert estimate_pitch_offset_prior(four).offset_std_rad > 2.0 * estimate_pitch_offset_prior(two).offset_std_rad
+
+
+def test_apcs_own_files_are_found_by_size_and_series(tmp_path):
+    """APC leaves out the point of a size: 42x4 is 4.2x4. A file that fits two propellers is not used."""
+    blade = "r/R c/R beta\n" + "".join(f"{x:.2f} 0.15 {14 - 6 * x:.1f}\n" for x in np.linspace(0.15, 1.0, 8))
+
+    def write_apc_file(name, radius_in):
+        rows = "".join(f"  {radius_in * x:.3f} {0.3 * radius_in * (1 - 0.5 * x):.3f} 0.12 {25 - 10 * x:.1f}\n"
+                       for x in (0.2, 0.4, 0.6, 0.8, 1.0))  # fmt: skip
+        (tmp_path / name).write_text(f"STATION CHORD THICKNESS TWIST\n{rows}\nRADIUS: {radius_in}\nBLADES: 2\n")
+
+    for name in ("apcff_4.2x4", "apce_10x5", "apcsf_10x5", "apcsf_10x4.7", "apce_11x5", "apcsp_9x6", "gws_8x4"):
+        (tmp_path / f"{name}_geom.txt").write_text(blade)
+        (tmp_path / f"{name}_static_1.txt").write_text("RPM CT CP\n3000 0.11 0.05\n4000 0.11 0.05\n")
+    for name, radius_in in (
+        ("42x4-PERF.PE0", 2.1), ("10x5-PERF.PE0", 5.0), ("10x5E-PERF.PE0", 5.0), ("10x47SF-PERF.PE0", 5.0),
+        ("11x5SF-PERF.PE0", 5.5), ("9x6-PERF.PE0", 2.0), ("8x4-PERF.PE0", 4.0),
+    ):  # fmt: skip
+        write_apc_file(name, radius_in)
+    cases, left_out = load_cases(tmp_path)
+    assert {c.name: c.rotor.blade.geometry for c in cases} == {
+        "apcff_4.2x4": "maker", "apce_10x5": "maker", "apcsf_10x5": "photograph", "apcsf_10x4.7": "maker",
+        "apce_11x5": "photograph", "apcsp_9x6": "photograph", "gws_8x4": "photograph",
+    }  # fmt: skip
+    said = "\n".join(left_out)
+    for words in ("apcff_4.2x4: geometry from 42x4-PERF.PE0", "10x5-PERF.PE0: fits apcsf_10x5 and apce_10x5",
+                  "11x5SF-PERF.PE0: is of another series", "9x6-PERF.PE0: has a radius of 50.8 mm"):  # fmt: skip
+        assert words in said

@@ -352,7 +352,7 @@ def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
         diameter = float(size[1]) * (_INCH_M if float(size[1]) < 30.0 else 1e-3)
         family, section, known = find_propeller_section(name)
         try:
-            rotor = _read_best_geometry(geometry, name, diameter, blades, section)
+            rotor = _read_best_geometry(geometry, name, diameter, blades, section, left_out)
             points = [
                 read_measurements(run, diameter_m=diameter, density_kg_m3=BENCHMARK_AIR.density_kg_m3) for run in runs
             ]
@@ -370,10 +370,13 @@ def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
             left_out.append(f"{file.name}: there is no {other} beside it")
 
 
-def _read_best_geometry(photographed: Path, name: str, diameter_m: float, blades: int, section: str) -> Rotor:
+def _read_best_geometry(
+    photographed: Path, name: str, diameter_m: float, blades: int, section: str, left_out: list[str]
+) -> Rotor:
     """Return the rotor of a propeller from the best geometry file in the folder of ``photographed``.
 
-    A scan ``NAME.stl`` comes first, then the maker's ``NAME.PE0``, which has its own sections, then ``photographed``.
+    A scan ``NAME.stl`` comes first, then the maker's ``NAME.PE0`` or APC's own file of that size, which have their own
+    sections, then ``photographed``.
     """
     beside = {p.suffix.lower(): p for p in photographed.parent.glob(f"{name}.*")}
     values: dict[str, object] = {"hub_cutout": 0.15, "trailing_edge": TRAILING_EDGE_THICKNESS_M}
@@ -382,14 +385,58 @@ def _read_best_geometry(photographed: Path, name: str, diameter_m: float, blades
         with tempfile.TemporaryDirectory() as contours:  # chord and twist alone are used
             rotor = rotor_from_body(beside[".stl"], folder=contours, blades=blades, name=name)[0]
         values["blade.geometry"] = "scan"
-    elif ".pe0" in beside:
-        rotor = import_rotor(beside[".pe0"], blades=blades, name=name).rotor
+    elif (makers := beside.get(".pe0") or _find_apc_file(photographed.parent, name, diameter_m, left_out)) is not None:
+        rotor = import_rotor(makers, blades=blades, name=name).rotor
         values["blade.geometry"] = "maker"
     else:
         rotor = import_rotor(photographed, radius_m=0.5 * diameter_m, blades=blades, name=name).rotor
     if values["blade.geometry"] != "maker":
         values["blade.airfoils"] = _airfoils_by_station(section, rotor.blade.r_over_R.array())
     return replace_rotor(rotor, values, source="estimated")
+
+
+_APC_FILE_PATTERN = re.compile(r"(\d+)x(\d+)([a-z]*)-perf", re.IGNORECASE)
+_APC_SERIES_SUFFIX = {"apce": "e", "apcsf": "sf", "apcmr": "mr"}  # prefix of UIUC's name: letters behind APC's size
+_MAX_APC_RADIUS_DIFFERENCE_RATIO = 0.02
+
+
+def _find_apc_file(folder: Path, name: str, diameter_m: float, left_out: list[str]) -> Path | None:
+    """Return APC's ``SIZE[SERIES]-PERF.PE0`` of a propeller of APC in a folder, or None.
+
+    APC leaves out the points of a size: 42x4 is 4.2x4, 10x47SF is apcsf_10x4.7. A file of the propeller's series is
+    preferred; a file without series is used if no other propeller of APC in the folder has its size. The radius in the
+    file has to agree. ``left_out`` names files that were used or that are ambiguous.
+    """
+    size = re.match(r"(apc[a-z0-9]*)_(\d+(?:\.\d+)?x\d+(?:\.\d+)?)", name)
+    if size is None:
+        return None
+    series, digits = size[1], size[2].replace(".", "")
+    found: dict[str, Path] = {}
+    for file in sorted(p for p in folder.iterdir() if p.suffix.lower() == ".pe0"):
+        parts = _APC_FILE_PATTERN.fullmatch(file.stem)
+        if parts is not None and f"{parts[1]}x{parts[2]}" == digits:
+            found[parts[3].lower()] = file
+    own = _APC_SERIES_SUFFIX.get(series, "")
+    file = found.get(own) or found.get("")
+    if file is None:
+        left_out += [f"{f.name}: is of another series than {name} and was not used" for f in found.values()]
+        return None
+    rivals = set()
+    for other in folder.glob("apc*_geom.txt"):
+        parts = re.match(r"([a-z0-9]+)_([\d.]+x[\d.]+)", other.name)
+        suffixed = parts is not None and parts[1] in _APC_SERIES_SUFFIX
+        if parts is not None and parts[2].replace(".", "") == digits and (own or not suffixed):
+            rivals.add(other.name.removesuffix("_geom.txt"))
+    rivals.discard(re.sub(r"_\db$", "", name))
+    if rivals and (file is not found.get(own) or not own):
+        left_out.append(f"{file.name}: fits {name} and {', '.join(sorted(rivals))}; rename it {name}.PE0 to use it")
+        return None
+    radius = import_rotor(file, name=name).rotor.radius_m
+    if abs(2.0 * radius / diameter_m - 1.0) > _MAX_APC_RADIUS_DIFFERENCE_RATIO:
+        left_out.append(f"{file.name}: has a radius of {1e3 * radius:.1f} mm, {name} of {500 * diameter_m:.1f} mm")
+        return None
+    left_out.append(f"{name}: geometry from {file.name}, by its size")
+    return file
 
 
 _MEASUREMENT_FIELDS = ("pitch_rad", "speed_rad_s", "thrust_N", "torque_Nm")
