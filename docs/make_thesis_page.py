@@ -43,7 +43,7 @@ def main() -> None:
     if not parser.parse_args().as_kept:
         for name in list_studies_by_cost():
             sys.stderr.write(f"{answer_study(name).item.name}\n")
-        rows = [load_cached_answer(name).to_dict() for name in THESIS_ITEMS]
+        rows = [load_cached_answer(name).as_record() for name in THESIS_ITEMS]
         plain = [{k: v for k, v in row.items() if k not in _LEFT_OUT} for row in rows]
         KEPT.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     PAGE.write_text(render_markdown_page(kept()), encoding="utf-8")
