@@ -201,9 +201,11 @@ def test_rotor_hover_and_compare_by_the_wake(tmp_path) -> None:
     assert abs(beside["points"][0]["thrust_error"]) < 1e-6
     short = ("--wake-set", "iterations=5")
     text = output("compare", "naca0012-r60-c20", str(table), "--method", "wake", *COARSE, *short, of=rotor_app)
-    assert "point 1: wake not converged in 5 iterations" in text
+    assert "not converged in 5 iterations" in text
     assert "not converged" in fault(*arguments, *short, of=rotor_app)
-    assert "--band" in fault(*arguments, "--band", "0.9", of=rotor_app)
+    band = json.loads(output(*arguments, "--band", "0.9", "--json", of=rotor_app))["band"]
+    assert band["mean_thrust_N"] == pytest.approx(answer["thrust_N"])
+    assert band["thrust_N"][0] < answer["thrust_N"] < band["thrust_N"][1]
     assert "--calibrate" in fault(
         "compare", "naca0012-r60-c20", str(table), "--method", "wake", "--calibrate", "1", of=rotor_app
     )
@@ -227,3 +229,15 @@ def test_forward_prints_both_rotors_over_airspeed(tmp_path) -> None:
     assert found.exit_code == 0, found.output
     assert "walkera-5g6 over walkera-5g6" in found.output
     assert {f.name for f in tmp_path.iterdir()} == {"forward.png", "disc-upper.png", "disc-lower.png"}
+
+
+@pytest.mark.parametrize("command", ["hover", "trim"])
+def test_a_pair_is_printed_with_its_interval(command: str) -> None:
+    arguments = (command, "--method", "bemt", "--band", "0.9")
+    answer = json.loads(output(*arguments, "--json"))
+    for side in ("upper", "lower"):
+        low, high = answer["band"][side]["thrust_N"]
+        assert low < answer[side]["thrust_N"] < high
+    assert "lower torque (N m)" in output(*arguments)
+    assert "band" not in json.loads(output(command, "--method", "bemt", "--json"))
+    assert "add --band" in fault(command, "--section", "guessed")

@@ -690,7 +690,7 @@ rotor hover --pitch 12
 rotor hover --pitch twelve --rpm 5000
 rotor hover --pitch 12 --rpm 5000 --model best
 rotor hover --pitch 12 --rpm 5000 --engine cfd
-rotor hover --pitch 12 --rpm 5000 --method wake --band 0.9
+rotor hover --pitch 12 --rpm 5000 --method cfd --band 0.9
 rotor hover --pitch 12 --rpm 5000 --drive nowhere
 rotor compare naca0012-r60-c20 nothing.csv
 rotor compare naca0012-r60-c20 bad_bench.csv

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from mufly.rotor import (
     Rotor,
     RotorSystem,
     load_rotor,
+    predict_interval,
+    predict_system_interval,
     prepare_blading,
     replace_rotor,
     solve_rotor,
@@ -358,3 +361,42 @@ def test_tubes_find_the_pair_of_the_dissertation():
     equal = tubes(0.02, case, pitch, upper)
     assert_allclose(equal.lower.thrust_N / equal.upper.thrust_N, 0.55, atol=0.02)
     assert_allclose(equal.upper.thrust_N, alone.thrust_N, rtol=0.03)
+
+
+def test_the_upper_rotors_interval_far_above_the_lower_one_is_that_of_it_alone():
+    upper = replace_rotor(load_rotor("naca0012-r60-c20"), {"blade.geometry": "photograph"})
+    lower = load_rotor("naca4412-r60-c20")
+    pitch, speed = (0.2, 0.22), (600.0, 630.0)
+    intervals = [
+        predict_system_interval(
+            solve_system(RotorSystem.from_coaxial_pair(upper, lower, spacing_m=h), OperatingCondition(pitch, speed))
+        )
+        for h in (500.0, 0.02)
+    ]
+    for k, rotor in enumerate((upper, lower)):
+        alone = predict_interval(rotor, pitch_rad=pitch[k], speed_rad_s=speed[k])
+        far, near = intervals[0].as_record(k), intervals[1].as_record(k)
+        for name in ("thrust_N", "torque_Nm"):
+            # the lower rotor stands in the far wake of the upper one, at twice its velocity, over half its area
+            if k == 0:
+                assert_allclose(far[name], alone.as_record()[name], rtol=1e-4)
+            assert near[name][0] < near[f"mean_{name}"] < near[name][1]
+    single = solve_system(RotorSystem.from_single_rotor(upper), OperatingCondition(0.2, 600.0, climb_m_s=1.0))
+    one = predict_system_interval(single, section="guessed", level=0.8)
+    same = predict_interval(upper, pitch_rad=0.2, speed_rad_s=600.0, climb_m_s=1.0, section="guessed", level=0.8)
+    for name, value in same.as_record().items():
+        assert_allclose(one.as_record()[name], value, rtol=1e-9)
+
+
+def test_the_interval_of_a_wake_keeps_the_wakes_loads_and_blade_elements_deviations():
+    rotor, point = load_rotor("naca4412-r60-c20"), OperatingCondition(0.2, 600.0)
+    system = RotorSystem.from_single_rotor(rotor)
+    elements = solve_system(system, point)
+    loads = replace(elements.rotors[0], thrust_N=0.9 * elements.thrust_N)
+    moved = predict_system_interval(replace(elements, rotors=(loads,), method="wake"))
+    plain = predict_system_interval(elements)
+    assert moved.thrust_N[0] == pytest.approx(0.9 * plain.thrust_N[0])
+    assert moved.thrust_relative_std_by_cause["pitch"] == pytest.approx(
+        plain.thrust_relative_std_by_cause["pitch"] / 0.9
+    )
+    assert moved.thrust_relative_std_by_cause["method"] == pytest.approx(0.05)

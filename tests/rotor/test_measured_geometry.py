@@ -16,6 +16,7 @@ from mufly.rotor import (
     add_zero_load_points,
     estimate_pitch_offset_prior,
     fit_rotor,
+    format_rotor_toml,
     load_rotor,
     make_rotor,
     predict_interval,
@@ -168,3 +169,45 @@ def test_copies_of_a_point_count_as_one(turned):
     first, again = (fit_rotor(rotor, m, section="known") for m in (one, four))
     np.testing.assert_allclose(again.std, first.std, rtol=0.05)
     np.testing.assert_allclose(again.change, first.change, atol=0.05 * first.std.max())
+
+
+def test_copies_neither_widen_an_interval_nor_check_themselves(turned):
+    rotor, bench, _ = turned
+    one, many = bench.select_points(np.array([0])), bench.select_points(np.zeros(8, dtype=np.intp))
+    at = {"pitch_rad": 0.0, "speed_rad_s": 600.0}
+    widths = []
+    for points in (one, many):
+        found = fit_rotor(rotor, points, section="known")
+        assert "one point alone" in found.held_out_note
+        interval = predict_interval(found.rotor, **at)
+        widths.append(interval.torque_high_Nm - interval.torque_low_Nm)
+    assert widths[1] == pytest.approx(widths[0], rel=1e-6)
+
+
+def test_a_windmilling_speed_beside_one_hover_point_is_used(turned):
+    rotor, bench, (_, zero_torque) = turned
+    one = bench.select_points(np.array([0]))
+    found = fit_rotor(rotor, add_zero_load_points(one, 0.06, zero_torque=zero_torque), section="known")
+    assert found.change[0] == pytest.approx(-2.0 * DEG, abs=0.5 * DEG)
+    assert found.std[0] < fit_rotor(rotor, one, section="known").std[0]
+    assert np.isfinite(found.held_out[1])  # the torque of the windmill, predicted by the fit to the hover point
+
+
+def test_the_family_adds_to_the_doubt_of_the_angle(tmp_path):
+    rotor = make_rotor(name="f", radius_m=0.06, chord_m=0.015, twist_rad=14.0 * DEG, airfoils="naca4412")
+    toy = replace_rotor(rotor, {"blade.family": "hobby"})
+    assert estimate_pitch_offset_prior(rotor).offset_std_rad == pytest.approx(0.5 * DEG)
+    assert estimate_pitch_offset_prior(toy).offset_std_rad == pytest.approx(math.hypot(0.5, 1.5) * DEG)
+    measured = replace_rotor(toy, {"blade.pitch_std": 0.2 * DEG})
+    assert estimate_pitch_offset_prior(measured).offset_std_rad == pytest.approx(0.2 * DEG)
+    file = tmp_path / "toy.toml"
+    file.write_text(format_rotor_toml(toy))
+    again = load_rotor(str(file))
+    assert again.blade.family == "hobby"
+    at = {"pitch_rad": 0.0, "speed_rad_s": 600.0}
+    by_file, by_option = predict_interval(again, **at), predict_interval(rotor, family="hobby", **at)
+    assert by_file.thrust_high_N == pytest.approx(by_option.thrust_high_N)
+    assert by_file.thrust_high_N > predict_interval(rotor, **at).thrust_high_N
+    bench = RotorMeasurements(np.zeros(1), np.array([600.0]), by_file.thrust_N, by_file.torque_Nm, "bench")
+    toy_fit, fit = (fit_rotor(r, bench, section="known") for r in (toy, rotor))
+    assert toy_fit.prior_std[0] > 1.5 * fit.prior_std[0]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 import typer
 
+from mufly.cli.aero.interval_options import DEFAULT_INTERVAL_OPTIONS, IntervalOptions
 from mufly.cli.options import (
     DEFAULT_FREE_WAKE_OPTIONS,
     DEFAULT_POLAR_OPTIONS,
@@ -120,6 +121,7 @@ def hover(
     density: DensityOption = 1.2,
     theory: TheoryOptions = DEFAULT_FREE_WAKE_OPTIONS,
     isolated: _IsolatedOption = True,
+    band: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -140,7 +142,7 @@ def hover(
          "lower_speed": second, "climb": climb, "density": density},
         theory,
     )  # fmt: skip
-    _solve_and_print(setup, isolated, out, as_json)
+    _solve_and_print(setup, theory, isolated, band, out, as_json)
 
 
 @app.command()
@@ -226,6 +228,7 @@ def trim(
     density: DensityOption = 1.2,
     theory: TheoryOptions = DEFAULT_FREE_WAKE_OPTIONS,
     isolated: _IsolatedOption = False,
+    band: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -257,10 +260,19 @@ def trim(
         fixed |= {"thrust": thrust} if thrust is not None else {"upper_speed": first}
         fixed["lower_pitch"] = below
     setup = make_pair_setup(upper, lower, fixed, theory, balance=free)
-    _solve_and_print(setup, isolated, out, as_json)
+    _solve_and_print(setup, theory, isolated, band, out, as_json)
 
 
-def _solve_and_print(setup: StudySetup, isolated: bool, out: Path | None, as_json: bool) -> None:
+def _solve_and_print(
+    setup: StudySetup,
+    theory: TheoryOptions,
+    isolated: bool,
+    band: IntervalOptions,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    from dataclasses import replace
+
     from mufly.study.solved_points import solve_pair_point
 
     wakes = setup.method == "wake"
@@ -270,6 +282,7 @@ def _solve_and_print(setup: StudySetup, isolated: bool, out: Path | None, as_jso
     if not found.solution.converged:
         kept = "" if out is None else f"; its history is in {out}"
         raise MuflyError(f"coaxial wake: {found.solution.message}{kept}")
+    found = replace(found, interval=band.predict_interval(found.solution, theory))
     print_answer(as_json, found, files=files)
 
 

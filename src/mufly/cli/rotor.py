@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from mufly.cli.aero.interval_options import DEFAULT_INTERVAL_OPTIONS, IntervalOptions
 from mufly.cli.options import (
     SPEED_RANGE,
     ClimbOption,
@@ -38,14 +39,6 @@ from mufly.cli.output import (
 )
 from mufly.quantities.units import RPM, list_compatible_units
 from mufly.results import ResultColumn, select_fields, to_records
-
-FamilyOption = Annotated[
-    str,
-    define_option(
-        "--family NAME",
-        "Family of the blade, if its section is guessed: apc, slow-flyer, gws, hobby, printed or machined.",
-    ),
-]
 
 MaterialOption = Annotated[
     str | None,
@@ -274,24 +267,7 @@ def hover(
     density: DensityOption = 1.2,
     drive: DriveOption = None,
     theory: HoverOptions = DEFAULT_HOVER_OPTIONS,
-    band: Annotated[
-        float | None,
-        define_option(
-            "--band",
-            "Probability of an interval to add: 0.5, 0.8, 0.9 or 0.95 (nominal; docs/accuracy.md has the "
-            "measured coverage).",
-            unit="1",
-        ),
-    ] = None,
-    section: Annotated[
-        Literal["known", "guessed", "measured"],
-        define_option(
-            "--section NAME",
-            "Knowledge of the sections, for --band: 'known' airfoils, 'guessed' ones (the mean over "
-            "likely sections is printed), or 'measured' (a rotor that `mufly rotor fit` wrote).",
-        ),
-    ] = "known",
-    family: FamilyOption = "",
+    band: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
     elastic: Annotated[
         bool, define_option("--elastic", "Let the blades twist and bend; print the rigid rotor beside them.")
     ] = False,
@@ -313,7 +289,7 @@ def hover(
     from dataclasses import replace
 
     from mufly.errors import InputError, MuflyError
-    from mufly.rotor import Air, OperatingCondition, draw_spanwise_loads, load_rotor, predict_interval
+    from mufly.rotor import Air, OperatingCondition, draw_spanwise_loads, load_rotor
     from mufly.study import write_stations
     from mufly.study.solved_points import solve_rotor_point
 
@@ -326,15 +302,12 @@ def hover(
         (thickness is not None and not elastic, "--thickness", f"{1e3 * (thickness or 0.0):g} mm",
          "applies to elastic blades only", "add --elastic"),
         (elastic and found_point, "--elastic", "", "cannot solve for speed or pitch", "give --pitch and --rpm"),
-        (elastic and (theory.method != "bemt" or band is not None or drive is not None), "--elastic", "",
+        (elastic and (theory.method != "bemt" or band.band is not None or drive is not None), "--elastic", "",
          "is for blade elements alone", "leave --method, --band and --drive out"),
         (theory.method == "cfd" and found_point, "--method", "cfd", "cannot solve for speed or pitch",
          "give --pitch and --rpm"),
-        (band is not None and theory.method in ("wake", "cfd"), "--band", "", "applies to blade element theory only",
-         f"leave --method {theory.method} or --band out"),
-        (section != "known" and band is None, "--section", section, "applies to an interval only", "add --band 0.9"),
-        (family and section != "guessed", "--family", family, "applies to guessed sections only",
-         "add --section guessed"),
+        (band.band is not None and theory.method == "cfd", "--band", "", "does not apply to CFD",
+         "leave --method cfd or --band out"),
     ):  # fmt: skip
         if conflict:
             raise InputError(key, value or "", problem, remedy)
@@ -364,13 +337,7 @@ def hover(
     if not found.solution.converged:
         kept = "" if out is None else f"; its history is in {out}"
         raise MuflyError(f"wake: {found.solution.message}{kept}")
-    if band is not None:
-        interval = predict_interval(
-            r, **select_fields(found.loads, "pitch_rad speed_rad_s climb_m_s"), air=air, level=band,
-            corrections=theory.select_corrections(), n_crit=theory.n_crit, engine=theory.engine, section=section,
-            family=family,
-        )  # fmt: skip
-        found = replace(found, interval=interval)
+    found = replace(found, interval=band.predict_interval(found.solution, theory))
     if out is not None:
         stations = save_figure(draw_spanwise_loads(found.loads), out, "stations")
         files = [stations, write_stations(found.loads, out), *files]

@@ -24,7 +24,12 @@ from mufly.rotor.measured.bench_comparison import (
     compare_measurements,
 )
 from mufly.rotor.measured.rotor_fit import RotorFit, add_zero_load_points, fit_rotor
-from mufly.rotor.measured.uncertainty import InputUncertainty, PredictionInterval, predict_interval
+from mufly.rotor.measured.uncertainty import (
+    InputUncertainty,
+    PredictionInterval,
+    predict_interval,
+    predict_system_interval,
+)
 from mufly.rotor.rotor_pictures import (
     draw_blade,
     draw_coefficient_map,
@@ -131,6 +136,7 @@ __all__ = [
     "make_rotor",
     "plane_velocity",
     "predict_interval",
+    "predict_system_interval",
     "prepare_blading",
     "replace_rotor",
     "rotor_from_tables",

@@ -48,6 +48,8 @@ def _make_validation_error(key: str, problem: str, remedy: str) -> PydanticCusto
 
 GeometrySource = Literal["photograph", "maker", "caliper", "scan", "CAD"]
 """Sources of a blade's geometry; :mod:`mufly.rotor.effective_pitch` has the uncertainty of each."""
+BladeFamily = Literal["apc", "slow-flyer", "gws", "hobby", "printed", "machined"]
+"""Families of blades; :mod:`mufly.rotor.blades.blade_families` has the priors of each."""
 _MAX_MIXED_THICKNESS_STEP = 0.03  # over chord, between sections whose polars are mixed
 _MIN_WIDEST_CHORD_OVER_RADIUS = 0.005  # widest chord over radius; long blades of sailplane-like rotors have 0.02
 
@@ -140,12 +142,16 @@ class Blade(ParameterGroup):
         default=None,
         description="source of the geometry, which sets the uncertainty of the angles; default: own design",
     )
+    family: BladeFamily | None = Field(
+        default=None,
+        description="family of the blade, which sets likely sections and a part of the angles' uncertainty",
+    )
     pitch_std: Quantity | None = Field(
         default=None,
         json_schema_extra={
             "unit": "rad", "symbol": "s_p", "above": 0.0, "at_least": None, "below": 0.5, "at_most": None
         },
-        description="standard deviation of a common error of all angles; default: set by `geometry`",
+        description="standard deviation of a common error of all angles; default: set by `geometry` and `family`",
     )  # fmt: skip
     structure: BladeStructure | None = Field(default=None, description="material, thickness and root of the blade")
 
@@ -595,6 +601,8 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
             tables["blade"].setdefault(trip, {"value": 1.0, "unit": "1"})
     if "blade.geometry" in values:
         tables["blade"].setdefault("geometry", None)
+    if "blade.family" in values:
+        tables["blade"].setdefault("family", None)
     if "nominal_pitch" in values:
         tables.setdefault("nominal_pitch", {"value": 1.0, "unit": "m"})
     if "blade.pitch_std" in values:
@@ -613,7 +621,7 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
             known = (
                 "name, blades, radius, hub_cutout, trailing_edge, nominal_pitch, blade.r_over_R, blade.chord, "
                 "blade.twist, blade.airfoils, blade.thickness, blade.trip_upper, blade.trip_lower, blade.surface, "
-                "blade.geometry, blade.pitch_std"
+                "blade.geometry, blade.family, blade.pitch_std"
             )
             raise InputError("replace", key, "no such key", f"use one of: {known}")
         if last == "airfoils":

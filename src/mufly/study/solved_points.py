@@ -43,8 +43,8 @@ _ROTOR_COLUMNS = (
     ResultColumn("thrust_N"),
     ResultColumn("torque_Nm", "mN m"),
     ResultColumn("power_W"),
-    ResultColumn("c_T", form=".5f"),
-    ResultColumn("c_Q", form=".6f"),
+    ResultColumn("c_T", form=".5f", head="c_T"),
+    ResultColumn("c_Q", form=".6f", head="c_Q"),
     ResultColumn("figure_of_merit", form=".3f"),
 )
 _DRIVE_COLUMNS = (
@@ -151,11 +151,14 @@ class PairPoint:
     solution : SystemSolution
     alone : tuple of RotorResult, optional
         Both rotors alone, at the same pitch and speed.
+    interval : PredictionInterval, optional
+        Of the loads of both rotors.
     """
 
     setup: StudySetup
     solution: SystemSolution
     alone: tuple[RotorResult, ...] | None = None
+    interval: PredictionInterval | None = None
 
     def as_record(self) -> dict[str, Any]:
         """Return the loads of both rotors and of the pair, with the rotors alone."""
@@ -168,6 +171,7 @@ class PairPoint:
             "change_from_isolated": alone and s.compute_interference_changes(alone),
             "method": self.setup.method,
             "wake": select_fields(s, _WAKE_FIELDS) if s.wakes else None,
+            **({"band": {side: self.interval.as_record(k) for k, side in enumerate(sides)}} if self.interval else {}),
         }
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
@@ -188,6 +192,7 @@ class PairPoint:
             ),
             tabulate_results(each, _ROTOR_COLUMNS, names=("upper", "lower", "upper alone", "lower alone")[: len(each)]),
             pair,
+            *(self.interval.shown_blocks() if self.interval is not None else ()),
         ]
         if self.alone is not None:
             change = s.compute_interference_changes(self.alone)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from mufly.cli.aero.interval_options import FamilyOption
 from mufly.cli.options import (
     DEFAULT_BEMT_OPTIONS,
     DEFAULT_POLAR_OPTIONS,
@@ -30,7 +31,6 @@ from mufly.cli.output import (
     save_figure,
     write_text_file,
 )
-from mufly.cli.rotor import FamilyOption
 from mufly.cli.rotor import app as rotor_commands
 from mufly.quantities.units import RPM
 from mufly.results import select_fields, to_records

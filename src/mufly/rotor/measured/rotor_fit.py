@@ -64,6 +64,7 @@ from mufly.rotor.bemt import solve_rotor_batch
 from mufly.rotor.blades.blade_families import (
     GRID_ROUNDING_STD_RATIOS,
     ZERO_LIFT_RAD_PER_CAMBER_RATIO,
+    find_family_priors,
     list_section_probabilities,
 )
 from mufly.rotor.blading import Blading, Corrections, apply_section_fit, compute_rotor_polars, prepare_blading
@@ -278,7 +279,8 @@ def fit_rotor(
         float(np.exp(np.mean(np.log(re)))),
     )
     listed = list_section_probabilities(plain, family) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
-    wide = _prior_deviations(estimate_pitch_offset_prior(plain).offset_std_rad, known=section == "known")
+    families = find_family_priors(plain, family) if section == "guessed" or family else ()
+    wide = _prior_deviations(estimate_pitch_offset_prior(plain, families).offset_std_rad, known=section == "known")
     ones = [replace_rotor(plain, {"blade.airfoils": airfoils}) for airfoils, _ in listed]
     every = {name for one in ones for name in one.airfoil_names()}
     tables = compute_rotor_polars(plain, every, n_crit=n_crit, engine=engine)
@@ -323,7 +325,7 @@ def fit_rotor(
         pitch_rad=(float(bench.pitch_rad.min()), float(bench.pitch_rad.max())),
         speed_rad_s=(float(bench.speed_rad_s.min()), float(bench.speed_rad_s.max())),
         climb_ratio=_value_range(bench.climb_m_s / (rotor.radius_m * bench.speed_rad_s)),
-        scatter=_estimate_scatter(best),
+        scatter=_estimate_scatter(best, 1.0 / _count_similar_points(bench)),
         candidates=tuple(
             SectionCandidate(
                 airfoils=f.airfoils, probability=w / total, change=tuple(f.change.tolist()),
@@ -404,19 +406,24 @@ def add_zero_load_points(
     return m
 
 
-def _count_similar_points(bench: _BenchPoints) -> Array:
-    """Return for each point the number of points with nearly its pitch, speed and airspeed, itself included, (n,).
+def _find_similar_points(bench: _BenchPoints) -> NDArray[np.bool_]:
+    """Return for each point which points have nearly its pitch, speed and airspeed, itself included, (n, n).
 
-    Nearly means within 0.1 degrees, 1 % and 1 %.
+    Nearly means within 0.1 degrees, 1 % and 1 %, and with the same loads measured.
     """
     pitch, climb = bench.pitch_rad, bench.climb_m_s
-    speed = np.log(bench.speed_rad_s)
-    near = (
+    speed, known = np.log(bench.speed_rad_s), np.isfinite(bench.measured_loads)
+    return np.asarray(
         (np.abs(pitch[:, None] - pitch) < math.radians(0.1))
         & (np.abs(speed[:, None] - speed) < 0.01)
         & (np.abs(climb[:, None] - climb) <= 0.01 * np.maximum(np.abs(climb[:, None]), np.abs(climb)))
+        & (known[:, :, None] == known[:, None, :]).all(axis=0)
     )
-    return np.asarray(near.sum(axis=1), dtype=np.float64)
+
+
+def _count_similar_points(bench: _BenchPoints) -> Array:
+    """Return for each point the number of points similar to it (:func:`_find_similar_points`), (n,)."""
+    return np.asarray(_find_similar_points(bench).sum(axis=1), dtype=np.float64)
 
 
 def _compute_load_scales(measurements: RotorMeasurements, load: Array, hover: Array) -> Array:
@@ -433,14 +440,27 @@ def _compute_load_scales(measurements: RotorMeasurements, load: Array, hover: Ar
 
 
 def _select_training_points(bench: _BenchPoints) -> tuple[NDArray[np.intp], str]:
-    """Return the indices of the bench points for a trial fit, which is tested at the others, and a description."""
-    n = bench.speed_rad_s.size
-    if n < 2:
+    """Return the indices of the bench points for a trial fit, which is tested at the others, and a description.
+
+    Copies of a point (:func:`_find_similar_points`) stay on one side. The trial fit has a point with thrust.
+    """
+    near, taken = _find_similar_points(bench), np.zeros(bench.speed_rad_s.size, dtype=bool)
+    groups: list[NDArray[np.intp]] = []
+    for first in np.lexsort((bench.climb_m_s, bench.speed_rad_s)):
+        if not taken[first]:
+            groups.append(np.flatnonzero(near[first] & ~taken))
+            taken |= near[first]
+    if len(groups) < 2:
         return np.array([], dtype=np.intp), "one point alone cannot be checked on another"
-    order = np.lexsort((bench.climb_m_s, bench.speed_rad_s))
-    if n < 4:
-        return order[n // 2 : n // 2 + 1], "fitted to one point, checked on the others"
-    return np.sort(order[::2]), "fitted to every second point, checked on the points between"
+    with_thrust = [k for k, group in enumerate(groups) if np.nan_to_num(bench.measured_loads[0, group]).any()]
+    if len(groups) < 4:
+        middle = min(with_thrust, key=lambda k: abs(k - len(groups) // 2), default=len(groups) // 2)
+        return groups[middle], "fitted to one point, checked on the others"
+    even = {k % 2 for k in with_thrust} == {1}
+    return (
+        np.sort(np.concatenate(groups[1 if even else 0 :: 2])),
+        "fitted to every second point, checked on the points between",
+    )
 
 
 def _apply_fit_changes(blading: Blading, tables: Mapping[str, PolarTable], change: Array, reynolds: float) -> Blading:
@@ -557,7 +577,7 @@ def _fit_sections(
                 )
             )  # fmt: skip
     found.sort(key=lambda f: -f.log_evidence)
-    if not found or not np.nanmean(np.abs(found[0].scaled_errors[0])) < 0.25:
+    if not found or not _mean_absolute(found[0].scaled_errors[0]) < 0.25:
         raise MuflyError(
             "no section with plausible corrections predicts the measured thrust within 25 %; check units, pitch, "
             "radius, number of blades and the direction of the twist"
@@ -571,14 +591,19 @@ def _section_probabilities(found: Sequence[_FittedSection]) -> Array:
     return np.asarray(weights / weights.sum(), dtype=np.float64)
 
 
-def _estimate_scatter(best: _FittedSection) -> tuple[float, float]:
-    """Return the scatter of single points about the fit, of scaled thrust and torque errors, from its residuals."""
-    used = np.isfinite(best.scaled_errors).sum()  # copies do not lessen what is unknown: freedom counts them as one
-    grow = math.sqrt(used / max(best.degrees_of_freedom, 1.0)) if used > 5 else 1.0
+def _estimate_scatter(best: _FittedSection, weights: Array) -> tuple[float, float]:
+    """Return the scatter of single points about the fit, of scaled thrust and torque errors, from its residuals.
+
+    ``weights`` (n,): share of each point in those similar to it, so that copies count as one.
+    """
+    known = np.isfinite(best.scaled_errors)
+    used = float((known * weights).sum())
+    grow = math.sqrt(used / max(best.degrees_of_freedom, 1.0)) if used > 5.0 else 1.0
     out = []
     for errors, least in zip(best.scaled_errors, (_THRUST_SCATTER_FRACTION, _TORQUE_SCATTER_FRACTION), strict=True):
-        left = errors[np.isfinite(errors)]
-        out.append(max(least, grow * float(np.sqrt(np.mean(left**2))) if left.size else least))
+        one = np.isfinite(errors)
+        rms = math.sqrt(np.average(errors[one] ** 2, weights=weights[one])) if one.any() else 0.0
+        out.append(max(least, grow * rms))
     return out[0], out[1]
 
 

@@ -7,7 +7,7 @@ Causes are varied one at a time about the nominal rotor, each by one standard de
   code and wind tunnel below Re 1e5 (docs/log/2026-11-28-polars.md);
 * ``camber``: 0.3 % of the chord for a known section; zero-lift angle -2 f (thin airfoil, parabola);
 * ``thickness``: 0.5 % of the chord; drag 1 + 2 t (Hoerner, Fluid-Dynamic Drag, 1965, ch. II);
-* ``pitch``: the prior of the effective pitch (:mod:`mufly.rotor.effective_pitch`), by the source of the geometry;
+* ``pitch``: the prior of the effective pitch (:mod:`mufly.rotor.effective_pitch`), by source of geometry and family;
 * ``method``: 5 % of thrust, 8 % of torque, the order of the difference to a vortex lattice with a contracting wake
   (docs/log/2026-11-28-bemt-accuracy.md).
 
@@ -32,7 +32,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,19 +45,22 @@ from mufly.rotor.blades.blade_families import (
     DRAG_FACTOR_PER_THICKNESS_RATIO,
     GRID_ROUNDING_STD_RATIOS,
     ZERO_LIFT_RAD_PER_CAMBER_RATIO,
+    find_family_priors,
     list_section_probabilities,
 )
 from mufly.rotor.blading import Blading, Corrections, compute_rotor_polars, prepare_blading
 from mufly.rotor.effective_pitch import estimate_pitch_offset_prior
 from mufly.rotor.geometry import Rotor, SectionCandidate, SectionFit, replace_rotor
-from mufly.rotor.rotor_system import Air
+from mufly.rotor.rotor_solver import solve_system
+from mufly.rotor.rotor_system import Air, OperatingCondition, RotorSystem, SystemSolution
 from mufly.rotor.sections.polar_engines import PolarEngine
+from mufly.rotor.sections.polar_table import PolarTable
 
 Array = NDArray[np.float64]
 SectionKnowledge = Literal["known", "guessed", "measured"]
 SECTION_KNOWLEDGE_LEVELS: tuple[SectionKnowledge, ...] = ("known", "guessed", "measured")
 
-THRUST_TORQUE_ERROR_SCALES = (0.635, 0.833)
+THRUST_TORQUE_ERROR_SCALES = (0.623, 0.813)
 """Scales k of the errors of thrust and torque over their deviations, fitted to 21 rotors (docs/accuracy.md)."""
 _STUDENT_DEGREES_OF_FREEDOM = 3.0  # degrees of freedom of the errors
 _MAX_SCALE_ITERATIONS = 1000
@@ -125,12 +128,17 @@ class PredictionInterval:
         }
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
-        """Return means and intervals of thrust and torque as printed text."""
+        """Return means and intervals of thrust and torque as printed text; two elements are upper and lower rotor."""
         loads = {
             "thrust (N)": (self.thrust_N, self.thrust_low_N, self.thrust_high_N),
             "torque (N m)": (self.torque_Nm, self.torque_low_Nm, self.torque_high_Nm),
         }
-        rows = [(name, *(format_value(v, ".4g") for v in values)) for name, values in loads.items()]
+        sides = ("upper ", "lower ") if self.thrust_N.size == 2 else ("",)
+        rows = [
+            (f"{side}{name}", *(format_value(v[k : k + 1], ".4g") for v in values))
+            for k, side in enumerate(sides)
+            for name, values in loads.items()
+        ]
         title = f"nominal {self.level:.0%} interval"
         return (make_table_block(("", "mean", "low", "high"), rows, title=title),)
 
@@ -185,6 +193,117 @@ def predict_interval(
     InputError
         If level, section or family is invalid, or the section is 'measured' and the rotor is not fitted.
     """
+    _check_request((rotor,), level, section)
+    pitch, speed, climb = np.broadcast_arrays(*np.atleast_1d(pitch_rad, speed_rad_s, climb_m_s))
+
+    def solve_loads(bladings: Sequence[Blading], turned_rad: Sequence[float]) -> Array:
+        out = solve_rotor_batch(
+            bladings[0], pitch_rad=pitch + turned_rad[0], speed_rad_s=speed, climb_m_s=climb, air=air
+        )
+        return np.stack((out.thrust_N, out.torque_Nm))
+
+    knowledge = _Knowledge(corrections or Corrections(), n_crit, engine, section, family, doubt)
+    points = (pitch, speed, climb / (rotor.radius_m * speed))
+    return _predict_loads((rotor,), solve_loads, points, knowledge, level, scales)
+
+
+def predict_system_interval(
+    solution: SystemSolution,
+    *,
+    corrections: Corrections | None = None,
+    n_crit: float = 0.1,
+    engine: PolarEngine = "neuralfoil",
+    section: SectionKnowledge = "known",
+    family: str = "",
+    doubt: InputUncertainty | None = None,
+    level: float = 0.9,
+    scales: tuple[float, float] = THRUST_TORQUE_ERROR_SCALES,
+) -> PredictionInterval:
+    """Return intervals of the loads of each rotor of a system at a solved point, by any method.
+
+    The deviations by each cause are those of blade elements with the rotors coupled, at the pitch, speed and climb of
+    the solution; they are added to the loads of the solution's own method. A cause changes all rotors at once, for
+    rotors on one shaft are commonly of one series; fits change the rotors that have the same fit.
+
+    Parameters
+    ----------
+    solution : SystemSolution
+    corrections, n_crit, engine, section, family, doubt, level, scales
+        As for :func:`predict_interval`.
+
+    Returns
+    -------
+    PredictionInterval
+        Arrays with one element for each rotor, the uppermost first.
+
+    Raises
+    ------
+    InputError
+        As :func:`predict_interval`.
+    MuflyError
+        If blade elements do not converge at a changed point.
+    """
+    placed = solution.placed
+    rotors = tuple(p.blading.rotors[p.index_in_blading] for p in placed)
+    _check_request(rotors, level, section)
+    heights, signs = tuple(p.height_m for p in placed), tuple(p.rotation_sign for p in placed)
+    near: list[SystemSolution] = []
+
+    def solve_loads(bladings: Sequence[Blading], turned_rad: Sequence[float]) -> Array:
+        system = RotorSystem(tuple(bladings), heights, signs, (0,) * len(placed))
+        condition = OperatingCondition(
+            [p.pitch_rad + turn for p, turn in zip(placed, turned_rad, strict=True)],
+            [p.speed_rad_s for p in placed], climb_m_s=solution.climb_m_s, air=solution.air,
+        )  # fmt: skip
+        found = solve_system(system, condition, start=near[0] if near else None)
+        near[:] = near or [found]
+        return np.array([[r.thrust_N for r in found.rotors], [r.torque_Nm for r in found.rotors]])
+
+    points = (
+        np.array([p.pitch_rad for p in placed]), np.array([p.speed_rad_s for p in placed]),
+        np.array([solution.climb_m_s / (r.radius_m * p.speed_rad_s) for r, p in zip(rotors, placed, strict=True)]),
+    )  # fmt: skip
+    own = np.array([[r.thrust_N for r in solution.rotors], [r.torque_Nm for r in solution.rotors]])
+    knowledge = _Knowledge(corrections or Corrections(), n_crit, engine, section, family, doubt)
+    return _predict_loads(rotors, solve_loads, points, knowledge, level, scales, own)
+
+
+LoadSolver = Callable[[Sequence[Blading], Sequence[float]], Array]
+"""Loads (2, n), thrust and torque, of rotors with these bladings and added pitch angles (rad)."""
+
+
+class _Knowledge(NamedTuple):
+    """Theory and knowledge of the sections, as for :func:`predict_interval`."""
+
+    corrections: Corrections
+    n_crit: float
+    engine: PolarEngine
+    section: SectionKnowledge
+    family: str
+    doubt: InputUncertainty | None
+
+    def prepare_blading(
+        self, rotor: Rotor, polars: Mapping[str, PolarTable] | None = None, *, n_crit: float | None = None
+    ) -> Blading:
+        """Return the blading of a rotor by this theory."""
+        return prepare_blading(
+            rotor, polars, n_crit=self.n_crit if n_crit is None else n_crit, engine=self.engine,
+            corrections=self.corrections,
+        )  # fmt: skip
+
+    def estimate_input_uncertainty(self, rotor: Rotor) -> InputUncertainty:
+        """Return the standard deviations of the causes for a rotor."""
+        if self.doubt is not None:
+            return self.doubt
+        guessed = self.section == "guessed" and rotor.fit is None
+        families = find_family_priors(rotor, self.family) if guessed or self.family else ()
+        return replace(
+            InputUncertainty.for_guessed_section() if guessed else InputUncertainty(),
+            pitch_rad=estimate_pitch_offset_prior(rotor, families).offset_std_rad,
+        )
+
+
+def _check_request(rotors: Sequence[Rotor], level: float, section: SectionKnowledge) -> None:
     if level not in PREDICTION_INTERVAL_LEVELS:
         known = ", ".join(map(str, PREDICTION_INTERVAL_LEVELS))
         raise ArgumentError("band", f"{level:g}", "is not an available probability", f"choose one of {known}")
@@ -195,81 +314,128 @@ def predict_interval(
             f"{section!r} is unknown",
             f"use one of: {', '.join(SECTION_KNOWLEDGE_LEVELS)}",
         )
-    if section == "measured" and rotor.fit is None:
-        raise InputError(
-            f"rotor {rotor.name}", "fit", "is missing: its sections have no measurement",
-            "run `mufly rotor fit` on a bench file, or give section known or guessed",
+    for rotor in rotors:
+        if section == "measured" and rotor.fit is None:
+            raise InputError(
+                f"rotor {rotor.name}", "fit", "is missing: its sections have no measurement",
+                "run `mufly rotor fit` on a bench file, or give section known or guessed",
+            )  # fmt: skip
+
+
+def _predict_loads(
+    rotors: Sequence[Rotor],
+    solve: LoadSolver,
+    points: tuple[Array, Array, Array],
+    knowledge: _Knowledge,
+    level: float,
+    scales: tuple[float, float],
+    own: Array | None = None,
+) -> PredictionInterval:
+    """Return the interval of loads (2, n); ``own`` are those of the user's method, by default those of ``solve``.
+
+    ``points`` are pitch (rad), speed (rad/s) and climb over tip speed of each of the n points of one rotor, or of each
+    of n rotors.
+    """
+    nominal = [knowledge.prepare_blading(r) for r in rotors]
+    unsure = [knowledge.estimate_input_uncertainty(r) for r in rotors]
+    still = [0.0] * len(rotors)
+    base = solve(nominal, still)
+    values = base.copy() if own is None else own.copy()
+    fitted = np.broadcast_to([r.fit is not None for r in rotors], points[0].shape)
+    distinct = [r for k, r in enumerate(rotors) if r not in rotors[:k]]
+
+    def replace_blading(old: Rotor, new: Blading) -> list[Blading]:
+        return [new if r == old else b for r, b in zip(rotors, nominal, strict=True)]
+
+    causes = _vary_inputs(rotors, nominal, unsure, solve, base, values, knowledge) if not fitted.all() else {}
+    for rotor in distinct:
+        if rotor.fit is not None:
+            which = np.broadcast_to([r == rotor for r in rotors], points[0].shape)
+
+            def solve_fitted(one: Rotor, rotor: Rotor = rotor) -> Array:
+                return solve(replace_blading(rotor, knowledge.prepare_blading(one)), still)
+
+            parts = _predict_fitted_rotor(
+                rotor, rotor.fit, solve_fitted, points, unsure[rotors.index(rotor)], values * which
+            )
+        elif knowledge.section == "guessed":
+
+            def solve_section(blading: Blading, rotor: Rotor = rotor) -> Array:
+                return solve(replace_blading(rotor, blading), still)
+
+            mean, between = _average_over_sections(rotor, knowledge, solve_section)
+            values += mean - base
+            parts = {"section": between}
+        else:
+            continue
+        for name, part in parts.items():
+            causes[name] = np.hypot(causes[name], part) if name in causes else part
+    quantiles = np.where(fitted, float(ndtri(0.5 + 0.5 * level)), interval_quantile(level) * np.array(scales)[:, None])
+    return _make_interval(values, causes, level, quantiles)
+
+
+def _vary_inputs(
+    rotors: Sequence[Rotor],
+    nominal: Sequence[Blading],
+    unsure: Sequence[InputUncertainty],
+    solve: LoadSolver,
+    base: Array,
+    values: Array,
+    knowledge: _Knowledge,
+) -> dict[str, Array]:
+    """Return the deviation of the loads ``base`` due to each cause, varied at all rotors without a fit, (2, n).
+
+    The deviation of the method is a share of ``values``.
+    """
+    unfitted = [r.fit is None for r in rotors]
+    first = unsure[unfitted.index(True)]
+
+    def solve_changed(
+        turned: Callable[[InputUncertainty], float] = lambda _: 0.0, lift: float = 1.0, drag: float = 1.0
+    ) -> Array:
+        fixes = replace(
+            knowledge.corrections, lift_factor=knowledge.corrections.lift_factor * lift,
+            drag_factor=knowledge.corrections.drag_factor * drag,
         )  # fmt: skip
-    guessed = section == "guessed" and rotor.fit is None
-    unsure = doubt or replace(
-        InputUncertainty.for_guessed_section() if guessed else InputUncertainty(),
-        pitch_rad=estimate_pitch_offset_prior(rotor).offset_std_rad,
-    )
-    fixes = corrections or Corrections()
-    pitch, speed, climb = np.broadcast_arrays(*np.atleast_1d(pitch_rad, speed_rad_s, climb_m_s))
-    if rotor.fit is not None:
+        changed = [replace(b, corrections=fixes) if one else b for b, one in zip(nominal, unfitted, strict=True)]
+        return solve(changed, [turned(u) if one else 0.0 for u, one in zip(unsure, unfitted, strict=True)])
 
-        def solve_rotor_loads(one: Rotor) -> Array:
-            blading = prepare_blading(one, n_crit=n_crit, engine=engine, corrections=fixes)
-            out = solve_rotor_batch(blading, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=air)
-            return np.stack((out.thrust_N, out.torque_Nm))
+    def rms_deviation(*others: Array) -> Array:
+        """Return the RMS deviation of loads from the nominal ones."""
+        return np.asarray(np.sqrt(np.mean([(o - base) ** 2 for o in others], axis=0)))
 
-        ratio = climb / (rotor.radius_m * speed)
-        values, parts = _predict_fitted_rotor(rotor, rotor.fit, solve_rotor_loads, (pitch, speed, ratio), unsure)
-        return _make_interval(values, parts, level, (float(ndtri(0.5 + 0.5 * level)),) * 2)
-    nominal = prepare_blading(rotor, n_crit=n_crit, engine=engine, corrections=fixes)
-
-    def solve_loads(blading: Blading = nominal, turned: float = 0.0) -> tuple[Array, Array]:
-        out = solve_rotor_batch(blading, pitch_rad=pitch + turned, speed_rad_s=speed, climb_m_s=climb, air=air)
-        return out.thrust_N, out.torque_Nm
-
-    def solve_scaled_loads(lift: float, drag: float) -> tuple[Array, Array]:
-        changed = replace(fixes, lift_factor=fixes.lift_factor * lift, drag_factor=fixes.drag_factor * drag)
-        return solve_loads(replace(nominal, corrections=changed))
-
-    thrust, torque = solve_loads()
-
-    def rms_deviation(*others: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Return the RMS deviation of thrust and torque in ``others`` from the nominal point."""
-        return (
-            np.sqrt(np.mean([(t - thrust) ** 2 for t, _ in others], axis=0)),
-            np.sqrt(np.mean([(q - torque) ** 2 for _, q in others], axis=0)),
-        )
-
-    shift = ZERO_LIFT_RAD_PER_CAMBER_RATIO * unsure.camber
-    causes = {
-        "n_crit": rms_deviation(
-            *(
-                solve_loads(prepare_blading(rotor, n_crit=n, engine=engine, corrections=fixes))
-                for n in unsure.n_crit_cases
-            ),
-            (thrust, torque),
+    thick = DRAG_FACTOR_PER_THICKNESS_RATIO * first.thickness
+    shift = ZERO_LIFT_RAD_PER_CAMBER_RATIO * first.camber
+    bend = [
+        [knowledge.prepare_blading(r, n_crit=n) if r.fit is None else b for r, b in zip(rotors, nominal, strict=True)]
+        for n in first.n_crit_cases
+    ]
+    return {
+        "n_crit": rms_deviation(*(solve(bladings, [0.0] * len(rotors)) for bladings in bend), base),
+        "engine": np.hypot(
+            rms_deviation(solve_changed(lift=1 + first.lift), solve_changed(lift=1 - first.lift)),
+            rms_deviation(solve_changed(drag=1 + first.drag), solve_changed(drag=1 - first.drag)),
         ),
-        "engine": _combine_independent_deviations(
-            rms_deviation(solve_scaled_loads(1 + unsure.lift, 1.0), solve_scaled_loads(1 - unsure.lift, 1.0)),
-            rms_deviation(solve_scaled_loads(1.0, 1 + unsure.drag), solve_scaled_loads(1.0, 1 - unsure.drag)),
-        ),
-        "camber": rms_deviation(solve_loads(turned=shift), solve_loads(turned=-shift)),
-        "thickness": rms_deviation(
-            solve_scaled_loads(1.0, 1 + DRAG_FACTOR_PER_THICKNESS_RATIO * unsure.thickness),
-            solve_scaled_loads(1.0, 1 - DRAG_FACTOR_PER_THICKNESS_RATIO * unsure.thickness),
-        ),
-        "pitch": rms_deviation(solve_loads(turned=unsure.pitch_rad), solve_loads(turned=-unsure.pitch_rad)),
-        "method": (unsure.method_thrust * np.abs(thrust), unsure.method_torque * np.abs(torque)),
+        "camber": rms_deviation(solve_changed(lambda _: shift), solve_changed(lambda _: -shift)),
+        "thickness": rms_deviation(solve_changed(drag=1 + thick), solve_changed(drag=1 - thick)),
+        "pitch": rms_deviation(solve_changed(lambda u: u.pitch_rad), solve_changed(lambda u: -u.pitch_rad)),
+        "method": np.array([[first.method_thrust], [first.method_torque]]) * np.abs(values) * unfitted,
     }
-    values, all_causes = np.stack((thrust, torque)), {name: np.stack(pair) for name, pair in causes.items()}
-    if guessed:
-        listed = [(a, w) for a, w in list_section_probabilities(rotor, family) if w >= _MIN_SECTION_PROBABILITY]
-        ones = [replace_rotor(rotor, {"blade.airfoils": a}) for a, _ in listed]
-        every = {name for one in ones for name in one.airfoil_names()}
-        tables = compute_rotor_polars(rotor, every, n_crit=n_crit, engine=engine)
-        several = np.array([solve_loads(prepare_blading(one, tables, corrections=fixes)) for one in ones])
-        weights = np.array([w for _, w in listed])
-        weights /= weights.sum()
-        values = np.tensordot(weights, several, 1)
-        all_causes["section"] = np.sqrt(np.tensordot(weights, (several - values) ** 2, 1))
-    quantile = interval_quantile(level)
-    return _make_interval(values, all_causes, level, (quantile * scales[0], quantile * scales[1]))
+
+
+def _average_over_sections(
+    rotor: Rotor, knowledge: _Knowledge, solve: Callable[[Blading], Array]
+) -> tuple[Array, Array]:
+    """Return mean and standard deviation of the loads over the likely sections of a rotor, (2, n) each."""
+    listed = [(a, w) for a, w in list_section_probabilities(rotor, knowledge.family) if w >= _MIN_SECTION_PROBABILITY]
+    ones = [replace_rotor(rotor, {"blade.airfoils": a}) for a, _ in listed]
+    every = {name for one in ones for name in one.airfoil_names()}
+    tables = compute_rotor_polars(rotor, every, n_crit=knowledge.n_crit, engine=knowledge.engine)
+    several = np.array([solve(knowledge.prepare_blading(one, tables)) for one in ones])
+    weights = np.array([w for _, w in listed])
+    weights /= weights.sum()
+    mean = np.tensordot(weights, several, 1)
+    return mean, np.sqrt(np.tensordot(weights, (several - mean) ** 2, 1))
 
 
 def interval_quantile(level: float) -> float:
@@ -313,15 +479,13 @@ def fit_student_scale(errors: Sequence[Array]) -> float:
     return math.sqrt(k2)
 
 
-def _make_interval(
-    values: Array, causes: Mapping[str, Array], level: float, sigmas: tuple[float, float]
-) -> PredictionInterval:
+def _make_interval(values: Array, causes: Mapping[str, Array], level: float, quantiles: Array) -> PredictionInterval:
     """Return the prediction interval of nominal loads from the standard deviations of all causes of errors.
 
-    ``values``: nominal thrust and torque (2, n). ``causes``: standard deviations due to each cause, (2, n). ``sigmas``:
-    half widths of thrust and torque in standard deviations.
+    ``values``: nominal thrust and torque (2, n). ``causes``: standard deviations due to each cause, (2, n).
+    ``quantiles``: half widths in standard deviations, (2, n).
     """
-    half = np.array(sigmas)[:, None] * np.sqrt(np.sum([np.square(c) for c in causes.values()], axis=0))
+    half = quantiles * np.sqrt(np.sum([np.square(c) for c in causes.values()], axis=0))
     size = np.where(values == 0.0, np.nan, np.abs(values))
     low, high = values - half, values + half
     return PredictionInterval(
@@ -336,8 +500,9 @@ def _predict_fitted_rotor(
     at: Callable[[Rotor], Array],
     points: tuple[Array, Array, Array],
     unsure: InputUncertainty,
-) -> tuple[Array, dict[str, Array]]:
-    """Return the prediction of a fitted rotor and the standard deviation due to each cause, (2, n) each."""
+    values: Array,
+) -> dict[str, Array]:
+    """Return the standard deviation of a fitted rotor's loads ``values`` due to each cause, (2, n) each."""
     pitch, speed, climb = points
     weights = np.array([c.probability for c in fit.candidates])
     means, within = [], []
@@ -363,20 +528,10 @@ def _predict_fitted_rotor(
     off_speed = np.maximum(np.maximum(fit.speed_rad_s[0] / speed, speed / fit.speed_rad_s[1]), 1.0)
     off_climb = np.maximum(np.maximum(fit.climb_ratio[0] - climb, climb - fit.climb_ratio[1]), 0.0) / 0.1
     away = np.minimum(np.sqrt(off_pitch**2 + np.log2(off_speed) ** 2 + off_climb**2), 1.0)
-    value = means[0]
-    method = np.array([[unsure.method_thrust], [unsure.method_torque]]) * away * np.abs(value)
-    return value, {
+    method = np.array([[unsure.method_thrust], [unsure.method_torque]]) * away * np.abs(values)
+    return {
         "fit": np.sqrt(np.tensordot(weights, np.array(within), 1)),
         "section": np.sqrt(between),
-        "scatter": np.array(fit.scatter)[:, None] * np.abs(value),
+        "scatter": np.array(fit.scatter)[:, None] * np.abs(values),
         "method": method,
     }
-
-
-def _combine_independent_deviations(*pairs: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return the combined standard deviation of independent causes."""
-
-    def root_sum_square(parts: Sequence[Array]) -> Array:
-        return np.sqrt(np.sum(np.square(parts), axis=0))
-
-    return root_sum_square([t for t, _ in pairs]), root_sum_square([q for _, q in pairs])
