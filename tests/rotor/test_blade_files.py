@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import format_rotor_toml, import_rotor, load_rotor
+from mufly.rotor import format_rotor_toml, import_rotor, load_rotor, make_rotor
 from mufly.rotor.sections.airfoil import load_airfoil, split_sides
 
 UIUC = """  r/R     c/R     beta
@@ -170,3 +170,47 @@ def test_what_cannot_be_is_one_line(tmp_path, name, text, message):
     with pytest.raises((InputError, MuflyError), match=message) as caught:
         import_rotor(written(tmp_path, name, text))
     assert "\n" not in str(caught.value)
+
+
+_TABLE = "r_mm,chord_mm,beta_deg\n{0}\n30,12,20\n40,11,16\n{1}\n"
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "message"),
+    [
+        ("20,-12,25", "50,10,12", r"station 1 at r = 20 mm, chord: is -12 mm; give a chord above 0"),
+        ("20,12,25", "50,-10,12", r"station 4 at r = 50 mm, chord: is -10 mm"),
+        ("20,12,25\n25,0.02,22", "50,10,12", r"station at r = 25 mm, chord: is 0\.02 mm between wider chords"),
+        ("20,12,25\n25,0,22", "50,10,12", r"station at r = 25 mm, chord: is 0 mm between wider chords"),
+        ("20,12,25\n25,0.1,22", "50,10,12", r"blade\.chord: 0\.1 mm at station 2 \(0\.5 R\) does not fit"),
+        ("20,0.1,25", "50,10,12", r"blade\.chord: 0\.1 mm at station 1 \(0\.4 R\) does not fit"),
+    ],
+)
+def test_an_impossible_chord_is_named_with_its_station(tmp_path, first, last, message):
+    with pytest.raises(InputError, match=r"p\.csv: " + message):
+        import_rotor(written(tmp_path, "p.csv", _TABLE.format(first, last)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("0.6000    4", "-0.600    4", r"station 2 at r = 38\.1 mm, chord: is -15\.24 mm; give a chord above 0"),
+        ("0.6000    4", "nan       4", r"station 2 at r = 38\.1 mm, chord: is nan mm; give a chord above 0"),
+        ("22.9900", "nan    ", r"station 2 at r = 38\.1 mm, angle: is nan degrees; give a finite number"),
+        ("0.1200 ", "nan    ", r"station 2 at r = 38\.1 mm, thickness: is nan %; give a finite number"),
+        ("1.5000  ", "nan     ", r"station 2, radius: is nan mm; give a finite number"),
+    ],
+)
+def test_an_impossible_value_of_an_apc_file_is_named_with_its_station(tmp_path, old, new, message):
+    text = APC.format(rake="", inch="", zero="")
+    assert old in text
+    with pytest.raises(InputError, match=r"5x4-PERF\.PE0: " + message):
+        import_rotor(written(tmp_path, "5x4-PERF.PE0", text.replace(old, new)))
+
+
+def test_pointed_tips_and_blades_that_begin_at_the_shaft_are_kept(tmp_path):
+    r, notes = import_rotor(written(tmp_path, "p.csv", _TABLE.format("0,0,0\n20,12,25", "49,2,12\n50,0,12")))
+    assert_allclose(r.chord_m([0.4, 0.98, 1.0]), [0.012, 0.002, 0.002])
+    assert "2 station(s) beyond the tip or without chord omitted" in notes
+    pointed = make_rotor(name="p", radius_m=0.05, r_over_R=(0.2, 0.6, 1.0), chord_m=(0.01, 0.01, 2e-5))
+    assert pointed.chord_m(1.0) == 2e-5

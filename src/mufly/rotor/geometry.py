@@ -52,6 +52,7 @@ BladeFamily = Literal["apc", "slow-flyer", "gws", "hobby", "printed", "machined"
 """Families of blades; :mod:`mufly.rotor.blades.blade_families` has the priors of each."""
 _MAX_MIXED_THICKNESS_STEP = 0.03  # over chord, between sections whose polars are mixed
 _MIN_WIDEST_CHORD_OVER_RADIUS = 0.005  # widest chord over radius; long blades of sailplane-like rotors have 0.02
+_MIN_CHORD_OVER_NEIGHBOURS = 0.01  # chord over the widest chords on each side, except at a pointed tip
 
 
 class StationColumn(ParameterGroup):
@@ -176,6 +177,15 @@ class Blade(ParameterGroup):
             raise _make_validation_error(
                 "blade.airfoils", f"{len(self.airfoils)} airfoils for {n} stations", f"give 1 or {n} names"
             )
+        chord = self.chord.value
+        for i in range(n - 1):  # the last station may be a pointed tip
+            outer = max(chord[i + 1 :])
+            least = _MIN_CHORD_OVER_NEIGHBOURS * min(max(chord[:i], default=outer), outer)
+            if 0.0 < chord[i] < least:
+                raise _make_validation_error(
+                    "blade.chord", f"{1e3 * chord[i]:.4g} mm at station {i + 1} ({x[i]:.4g} R) does not fit the chords "
+                    f"beside it, up to {1e3 * outer:.4g} mm", "correct the value or its unit",
+                )  # fmt: skip
         polar = "" if self.thickness is None else next((name for name in self.airfoils if is_polar_file(name)), "")
         if polar:
             raise _make_validation_error(

@@ -18,8 +18,8 @@ the contours are blended in proportion to the radius, in steps of :data:`APC_BLE
 ``blade.thickness`` of the rotor file, also where the file names no airfoils.
 APC's radius is rounded to a hundredth of an inch; a last station within that distance is the tip. Airfoils without
 published coordinates (such as ``APC12``) are replaced by NACA 4412, which APC calls similar; a note reports it.
-Stations with a chord below a thousandth of the radius, as at pointed tips, are left out, and the last remaining station
-holds to the tip.
+Stations with a chord below a thousandth of the radius at either end, as at pointed tips, are left out, and the last
+remaining station holds to the tip. Between others such a chord, and a negative chord anywhere, is an error.
 """
 
 from __future__ import annotations
@@ -106,6 +106,7 @@ def import_rotor(
     else:
         table = _read_station_table(path, radius_m, notes)
     r, chord, twist, foils, thick, radius, count = table
+    _check_stations(where, r, chord, twist, thick)
     radius = radius_m or radius
     if not _MIN_PLAUSIBLE_RADIUS_M <= radius <= _MAX_PLAUSIBLE_RADIUS_M:
         raise InputError(
@@ -121,6 +122,7 @@ def import_rotor(
     for foil in dict.fromkeys(foils):
         load_airfoil(foil)
     inside, wide = r <= radius * (1 + 1e-6), chord > _MIN_CHORD_RATIO * radius
+    _check_inner_chords(where, r[inside], chord[inside], radius)
     keep = inside & wide
     if not keep.all():
         notes.append(f"{int((~keep).sum())} station(s) beyond the tip or without chord omitted")
@@ -168,6 +170,33 @@ def import_rotor(
     return ImportedRotor(rotor, tuple(notes))
 
 
+def _check_stations(where: str, r: Array, chord: Array, twist: Array, thickness: Array | None) -> None:
+    """Raise an error that names the first station with a value that is not finite, or with a negative chord."""
+    columns = {"radius": (r, 1e3, "mm"), "chord": (chord, 1e3, "mm"), "angle": (np.degrees(twist), 1.0, "degrees")}
+    if thickness is not None:
+        columns["thickness"] = (thickness, 100.0, "%")
+    for k in range(r.size):
+        for key, (values, scale, unit) in columns.items():
+            value = scale * float(values[k])
+            known = math.isfinite(value) or (key == "thickness" and chord[k] == 0.0)
+            if not known or (key == "chord" and value < 0.0):
+                place = f"station {k + 1} at r = {1e3 * r[k]:.4g} mm" if key != "radius" else f"station {k + 1}"
+                must = "a chord above 0, or delete the station" if key == "chord" else "a finite number"
+                raise InputError(where, f"{place}, {key}", f"is {value:.4g} {unit}", f"give {must}")
+
+
+def _check_inner_chords(where: str, r: Array, chord: Array, radius_m: float) -> None:
+    """Raise an error for a chord below a thousandth of the radius between stations with a wider one."""
+    narrow = chord <= _MIN_CHORD_RATIO * radius_m
+    wide = np.flatnonzero(~narrow)
+    for k in np.flatnonzero(narrow):
+        if wide.size and wide[0] < k < wide[-1]:
+            raise InputError(
+                where, f"station at r = {1e3 * r[k]:.4g} mm, chord", f"is {1e3 * chord[k]:.4g} mm between wider chords",
+                "correct the value or its unit, or delete the station",
+            )  # fmt: skip
+
+
 def read_caliper_readings(path: str | Path) -> tuple[Array, Array, Array, Array]:
     """Return radius (m), chord (m), angle (rad) and thickness over chord of a table of readings, (n,) arrays.
 
@@ -180,8 +209,9 @@ def read_caliper_readings(path: str | Path) -> tuple[Array, Array, Array, Array]
     """
     r, chord, twist, _, thick, *_ = _read_station_table(path, None, [], optional=True)
     filled = np.isfinite(chord) & np.isfinite(twist)
-    if not np.all(chord[filled] > 0.0):
-        raise InputError(Path(path).name, "chord", "is not above 0 in every row", "correct or delete the row")
+    for k in np.flatnonzero(filled & ~(chord > 0.0))[:1]:
+        place = f"row {k + 1} at r = {1e3 * r[k]:.4g} mm, chord"
+        raise InputError(Path(path).name, place, f"is {1e3 * chord[k]:.4g} mm", "correct or delete the row")
     return r[filled], chord[filled], twist[filled], (np.full(r.size, math.nan) if thick is None else thick)[filled]
 
 
@@ -254,12 +284,14 @@ def _read_station_table(
     thick = None
     if "thickness" in known:
         index, factor = known["thickness"]
-        thick = written.read_numbers(index, optional=optional) * (-factor if factor < 0.0 else factor / chord)
-        if np.any((thick <= 0.0) | (thick > MAX_THICKNESS_RATIO)):
+        with np.errstate(divide="ignore", invalid="ignore"):  # a pointed tip
+            scale = -factor if factor < 0.0 else factor / chord
+            thick = written.read_numbers(index, optional=optional) * scale
+        for k in np.flatnonzero((chord > 0.0) & ((thick <= 0.0) | (thick > MAX_THICKNESS_RATIO)))[:1]:
             raise InputError(
-                where, headers[index],
-                f"is not above 0 and up to {100 * MAX_THICKNESS_RATIO:g} % of the chord everywhere",
-                "correct the value or its unit",
+                where, f"line {written.lines[k]}, {headers[index]}",
+                f"is {100 * thick[k]:.5g} %: not above 0 and up to {100 * MAX_THICKNESS_RATIO:g} % of the chord, "
+                f"{1e3 * chord[k]:.4g} mm", "correct one of the two, or its unit",
             )  # fmt: skip
     if "airfoil" in known:
         foils = written.read_texts(known["airfoil"][0])
