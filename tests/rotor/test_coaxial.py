@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +27,7 @@ from mufly.rotor import (
     solve_system,
 )
 from mufly.rotor.bemt import compute_drag_swirl_momentum, compute_slipstream
-from mufly.rotor.rotor_system import SPEED_OF_SOUND_M_S, PlacedRotor
+from mufly.rotor.rotor_system import SPEED_OF_SOUND_M_S, PlacedRotor, RotorValidityWarning
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 from mufly.rotor.vortex_tube import (
     compute_tube_axis_velocity_ratio,
@@ -400,3 +401,16 @@ def test_the_interval_of_a_wake_keeps_the_wakes_loads_and_blade_elements_deviati
         plain.thrust_relative_std_by_cause["pitch"] / 0.9
     )
     assert moved.thrust_relative_std_by_cause["method"] == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "pitch", "climb"), [("naca4412-r60-c20", -0.1, 0.0), ("naca0012-r60-c20", 0.244, -20.0)]
+)
+def test_a_pair_that_air_passes_upwards_is_told(name: str, pitch: float, climb: float) -> None:
+    rotor = load_rotor(name)
+    pair = RotorSystem.from_coaxial_pair(rotor, rotor, spacing_m=0.02)
+    with pytest.warns(RotorValidityWarning, match="upwards .* raise the pitch, sink slower"):
+        solve_system(pair, OperatingCondition(pitch, (628.0, 696.0), climb_m_s=climb))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        solve_system(pair, OperatingCondition(0.2, 520.0, climb_m_s=1.0))

@@ -65,7 +65,7 @@ def test_a_pair_without_load_settles_by_tubes(pitch_deg):
 def test_a_pair_that_does_not_settle_suggests_a_remedy():
     case = prepare_blading(load_rotor("naca0012-r60-c20"))
     pair = RotorSystem.from_coaxial_pair(case, case, spacing_m=0.03)
-    with pytest.raises(Exception, match="raise the pitch or climb faster, or use the method bemt or wake"):
+    with pytest.raises(Exception, match="raise the pitch, bring the speeds together, or use the method bemt or wake"):
         solve_system(pair, OperatingCondition(math.radians(-8.0), (500.0, 500.0), climb_m_s=1.0), "tubes")
 
 

@@ -60,6 +60,7 @@ from mufly.rotor.rotor_system import (
     check_pitch,
     compute_tip_mach,
     warn_tip_mach,
+    warn_upward_flow,
     warn_vortex_ring,
 )
 from mufly.rotor.vortex_tube import (
@@ -328,9 +329,16 @@ def _solve_bemt(
         raise MuflyError(
             f"coaxial: the two rotors do not converge at {climb_m_s:g} m/s climb; "
             f"the inflow still changes by {np.max(np.abs(step)) / size:.1e} of its value per iteration; "
-            "raise the pitch, or climb faster"
+            + (
+                "raise the pitch, or sink slower"
+                if climb_m_s < 0.0
+                else "raise the pitch, or bring the speeds together"
+            )
         )
     found = tuple(solve_placed_rotor(p, climb_m_s, air, (*m, m[0])) for p, m in zip(rotors, met, strict=True))
+    upper = found[0]
+    through = climb_m_s + met[0][0] + upper.loss * upper.axial_induced_m_s
+    warn_upward_flow(float(np.average(through, weights=upper.r_m * upper.dr_m)))
     return SystemSolution(
         found,
         rotors,

@@ -126,6 +126,24 @@ def warn_vortex_ring(climb_m_s: float, thrust_N: float, area_m2: float, air: Air
         )
 
 
+def warn_upward_flow(flow_m_s: float) -> None:
+    """Issue a :class:`RotorValidityWarning` if air passes the upper rotor of a pair upwards (``flow_m_s`` below 0).
+
+    Parameters
+    ----------
+    flow_m_s : float
+        Mean axial velocity through the upper disc, positive down.
+    """
+    if flow_m_s < 0.0:
+        warnings.warn(
+            f"air passes the upper rotor upwards ({-flow_m_s:.2g} m/s in the mean), but blade elements continue its "
+            "wake down to the lower rotor: the interference is wrong; raise the pitch, sink slower, or use the method "
+            "wake",
+            RotorValidityWarning,
+            stacklevel=3,
+        )
+
+
 _MAX_PITCH_RAD = 0.5 * math.pi * (1.0 + 1e-9)
 _RPM_HINT = " (speed_rad_s is in rad/s; a number in rpm has to be multiplied by pi / 30)"
 

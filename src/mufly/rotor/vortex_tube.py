@@ -360,6 +360,5 @@ def solve_tubes(
     raise MuflyError(
         f"coaxial: the two wakes do not converge at {climb_m_s:g} m/s climb; "
         f"the stream still changes by {far_off:.1e} of its value per iteration; tubes need rotors that push "
-        "air down: "
-        "raise the pitch or climb faster, or use the method bemt or wake"
+        "air down: raise the pitch, bring the speeds together, or use the method bemt or wake"
     )
