@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -304,3 +305,22 @@ def test_the_command_tells_what_was_taken_for_granted(tmp_path, case):
     told = CliRunner().invoke(app, run)
     assert told.exit_code == 0
     assert "note: thrust: no unit is written, taken as N (c_T near" in told.output
+
+
+def test_measured_values_inside_the_interval_are_counted(tmp_path, case):
+    bench = tmp_path / "bench.csv"
+    points = solve_rotor_batch(case, pitch_rad=0.21, speed_rad_s=np.array([500.0, 600.0]))
+    thrust = points.thrust_N * [1.0, 1.6]
+    rows = [f"{math.degrees(0.21)},{w * 30 / math.pi},{t}" for w, t in zip((500, 600), thrust, strict=True)]
+    bench.write_text("pitch_deg,speed_rpm,thrust_N\n" + "\n".join(rows) + "\n")
+    arguments = ("rotor", "compare", case.rotors[0].name, str(bench), "--band", "0.9")
+    text, answer = (CliRunner().invoke(app, [*arguments, *more]) for more in ((), ("--json",)))
+    assert "thrust: 1 of 2 measured values inside the 90% interval" in text.stdout
+    assert "torque:" not in text.stdout
+    found = json.loads(answer.stdout)
+    assert found["inside_band"]["thrust"] == [1, 2]
+    low, high = found["band"][1]["thrust_N"]
+    assert low < points.thrust_N[1] < high < thrust[1]
+    refused = CliRunner().invoke(app, [*arguments, "--calibrate", "1"])
+    assert refused.exit_code == 1
+    assert "leave out --calibrate" in refused.output + str(refused.exception)

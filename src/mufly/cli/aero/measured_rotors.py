@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.aero.interval_options import FamilyOption
+from mufly.cli.aero.interval_options import DEFAULT_INTERVAL_OPTIONS, FamilyOption, IntervalOptions
 from mufly.cli.options import (
     DEFAULT_BEMT_OPTIONS,
     DEFAULT_POLAR_OPTIONS,
@@ -36,7 +36,7 @@ from mufly.quantities.units import RPM
 from mufly.results import select_fields, to_records
 
 if TYPE_CHECKING:
-    from mufly.rotor import Rotor, RotorMeasurements
+    from mufly.rotor import MeasurementComparison, Rotor, RotorMeasurements
 
 
 BenchPitchOption = Annotated[
@@ -205,17 +205,21 @@ def compare(
     pitch: BenchPitchOption = None,
     rpm: BenchSpeedOption = None,
     theory: TheoryOptions = DEFAULT_BEMT_OPTIONS,
+    band: IntervalOptions = DEFAULT_INTERVAL_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
     """Compare the prediction with a measurement, untuned unless --calibrate is given.
 
     With --method wake every point takes seconds; points that do not converge are reported and left out of the mean.
+    With --band the measured values inside the interval of blade elements are counted.
     Examples: mufly rotor compare naca0012-r60-c20 bench.csv; mufly rotor compare walkera-5g6 b.csv --method wake
     """
+    from dataclasses import replace
+
     from mufly.errors import InputError
     from mufly.rotor import calibrate_blading as scale
     from mufly.rotor import compare_measurements as beside
-    from mufly.rotor import load_rotor
+    from mufly.rotor import load_rotor, predict_interval
 
     r = load_rotor(rotor)
     bench = _read_measurements(measurements, r, columns, density, pitch, rpm, quiet=as_json)
@@ -228,11 +232,20 @@ def compare(
             "does not apply to --method wake; it scales blade element theory",
             "leave out --calibrate or --method wake",
         )
+    if band.band is not None and (calibrate is not None or theory.method != "bemt"):
+        raise InputError("--band", "", "is for untuned blade elements here", "leave out --calibrate and --method")
     blading = theory.prepare_blading(r, stations)
     if calibrate is not None:
         blading = scale(blading, bench, _point_index("--calibrate", calibrate, bench), air=air)
     with progress_bar("points", theory.method == "wake" and not as_json) as progress:
         c = beside(blading, bench, air=air, method=theory.method, settings=settings, progress=progress)
+    if band.band is not None:
+        interval = predict_interval(
+            r, **select_fields(bench, "pitch_rad speed_rad_s climb_m_s"), air=air, level=band.band,
+            corrections=theory.select_corrections(), n_crit=theory.n_crit, engine=theory.engine, section=band.section,
+            family=band.family,
+        )  # fmt: skip
+        c = replace(c, interval=interval)
     if as_json:
         keys = (
             "pitch_rad=measured.pitch_rad speed_rad_s=measured.speed_rad_s thrust_N "
@@ -244,6 +257,7 @@ def compare(
             **select_fields(blading.corrections, "lift_factor drag_factor"), "method": theory.method,
             **select_fields(c, "mean_thrust_error mean_torque_error"), "notes": bench.notes,
             "points": to_records(select_fields(c, keys)),
+            **_make_interval_record(c),
         }  # fmt: skip
         return print_json(content)
     print_answer(False, c, files=None)
@@ -252,3 +266,14 @@ def compare(
         print_lines(
             f"lift is scaled by {lift:.4f}, drag by {drag:.4f}; 'rotor fit --point {calibrate}' keeps the point"
         )
+
+
+def _make_interval_record(compared: MeasurementComparison) -> dict[str, object]:
+    """Return the interval of each point, and how many measured values lie inside; nothing without ``--band``."""
+    interval = compared.interval
+    if interval is None:
+        return {}
+    return {
+        "band": [interval.as_record(k) for k in range(interval.thrust_N.size)],
+        "inside_band": compared.count_inside_interval(),
+    }

@@ -19,6 +19,7 @@ from mufly.results import ResultColumn, ShownBlock, make_lines_block, result, ta
 from mufly.rotor.bemt import solve_rotor_batch, warn_reynolds_range
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor
+from mufly.rotor.measured.uncertainty import PredictionInterval
 from mufly.rotor.rotor_solver import solve_system
 from mufly.rotor.rotor_system import (
     Air,
@@ -96,6 +97,8 @@ class MeasurementComparison:
         True if the prediction was calibrated on a measurement.
     prediction_faults : tuple of str
         Reason why a point has no prediction, for each point; empty if it has one.
+    interval : PredictionInterval, optional
+        Of the loads of each point.
     """
 
     measured: RotorMeasurements
@@ -105,6 +108,21 @@ class MeasurementComparison:
     torque_error: Array
     calibrated: bool
     prediction_faults: tuple[str, ...] = ()
+    interval: PredictionInterval | None = None
+
+    def count_inside_interval(self) -> dict[str, tuple[int, int]]:
+        """Return for thrust and torque how many measured values lie inside the interval, and how many there are."""
+        i, m = self.interval, self.measured
+        if i is None:
+            return {}
+        loads = {
+            "thrust": (m.thrust_N, i.thrust_low_N, i.thrust_high_N),
+            "torque": (m.torque_Nm, i.torque_low_Nm, i.torque_high_Nm),
+        }
+        return {
+            name: (int(np.sum((low <= value) & (value <= high))), int(np.isfinite(value).sum()))
+            for name, (value, low, high) in loads.items()
+        }
 
     @property
     def mean_thrust_error(self) -> float:
@@ -134,6 +152,13 @@ class MeasurementComparison:
             make_lines_block(f"{m.source}: {'calibrated on measurements' if self.calibrated else 'not calibrated'}"),
             tabulate_results(to_records(table), (*_LOAD_COLUMNS, *torque, *axial)),
             make_lines_block(f"mean absolute error: {means or 'not known'}"),
+            *(
+                make_lines_block(
+                    f"{name}: {inside} of {count} measured values inside the {self.interval.level:.0%} interval"
+                )
+                for name, (inside, count) in self.count_inside_interval().items()
+                if count and self.interval is not None
+            ),
             *(
                 make_lines_block(f"point {k + 1}: {fault}", style="yellow")
                 for k, fault in enumerate(self.prediction_faults)
