@@ -262,6 +262,31 @@ def test_units_and_signs_of_loads(tmp_path, case, heads, thrust, torque, words):
 
 
 @pytest.mark.parametrize(
+    ("unit", "newton_metres", "suits"),
+    [
+        ("ozf in", 7.0615518e-3, "N cm or ozf in"),
+        ("N cm", 1e-2, "N cm or ozf in"),
+        ("lbf in", 0.112984829, "kgf cm or lbf in"),
+        ("kgf cm", 0.0980665, "kgf cm or lbf in"),
+        ("gf cm", 9.80665e-5, ""),
+        ("mN m", 1e-3, ""),
+        ("N m", 1.0, ""),
+    ],
+)
+def test_a_torque_without_unit_is_read_if_one_unit_alone_suits(tmp_path, case, unit, newton_metres, suits):
+    speed, t, q = bench_of(case)
+    text = text_of("RPM,thrust_N,torque", speed, t, q / newton_metres)
+    (tmp_path / "b.csv").write_text(text)
+    if suits:
+        with pytest.raises(InputError, match=rf"torque: has no unit, and its size suits {suits}; name its unit"):
+            read_measurements(tmp_path / "b.csv", diameter_m=0.12)
+        (tmp_path / "b.csv").write_text(text.replace("torque", f"torque ({unit})"))  # as the error suggests
+    bench = read_measurements(tmp_path / "b.csv", diameter_m=0.12)
+    assert_allclose(bench.torque_Nm, q, rtol=1e-6)
+    assert any(f"taken as {unit}" in note for note in bench.notes) != bool(suits)
+
+
+@pytest.mark.parametrize(
     ("heads", "scale", "message"),
     [
         ("RPM,thrust", 1.0, "thrust: has no unit; name it with its unit, as thrust_N"),

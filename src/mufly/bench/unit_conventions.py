@@ -43,7 +43,8 @@ _HOVER_TORQUE_COEFFICIENT_RANGE = 1e-4, 6e-3  # range of c_Q
 _MIN_GRAM_THRUST_COEFFICIENT, _MAX_KILOGRAM_THRUST_COEFFICIENT = 0.025, 2e-4  # c_T at which newtons may be grams
 _HOVER_FIGURE_OF_MERIT_RANGE = (0.15, 0.95)  # range of the figure of merit of hovering rotors
 _MIN_PROPELLER_CT = 0.02
-_CANDIDATE_THRUST_UNITS, _CANDIDATE_TORQUE_UNITS = ("N", "gf", "kgf"), ("N m", "mN m", "N cm", "kgf cm")
+_CANDIDATE_THRUST_UNITS = ("N", "gf", "kgf")
+_CANDIDATE_TORQUE_UNITS = ("N m", "mN m", "N cm", "gf cm", "kgf cm", "ozf in", "lbf in")
 _MAX_TIP_SPEED_M_S = 300.0
 _MAX_REST_DUTY, _LOST_SPEED_LOAD_DIFFERENCE_FRACTION, _MIN_COMPARED_LOAD_FRACTION = 0.05, 0.4, 0.05
 _MAX_HOVER_ADVANCE_RATIO = 0.02  # advance ratio V / (n D) below which a rotor hovers
@@ -185,13 +186,7 @@ def guess_load_units(
         beside = None if other in table.unitless and other not in found else loads.get(other)
         if beside is not None:
             beside = beside * found.get(other, (1.0, ""))[0]
-        units = (
-            _CANDIDATE_THRUST_UNITS
-            if quantity == "thrust"
-            else _CANDIDATE_TORQUE_UNITS
-            if beside is not None
-            else _CANDIDATE_TORQUE_UNITS[:2]
-        )
+        units = _CANDIDATE_THRUST_UNITS if quantity == "thrust" else _CANDIDATE_TORQUE_UNITS
         low, high = _HOVER_THRUST_COEFFICIENT_RANGE if quantity == "thrust" else _HOVER_TORQUE_COEFFICIENT_RANGE
         arm = 1.0 if quantity == "thrust" else radius_m
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -218,10 +213,11 @@ def guess_load_units(
         if len(fits) != 1:
             what = " or ".join(u for u, _, _ in fits) if fits else "no unit"
             stem = table.headers[channel].strip()
+            example = fits[-1][0] if fits else "gf" if quantity == "thrust" else "mNm"
             raise table.column_error(
                 channel, f"has no unit, and its size suits {what}",
-                f"name it {channel}_{'N' if quantity == 'thrust' else 'Nm'} (or its unit), or map it with "
-                f"columns={channel}={stem}({'gf' if quantity == 'thrust' else 'mNm'})",
+                f"name its unit in the header, as {channel}_{'N' if quantity == 'thrust' else 'Nm'} or "
+                f"{channel} ({example}), or map it with columns={channel}={stem}({example})",
             )  # fmt: skip
         unit, factor, merit = fits[0]
         symbol = "c_T" if quantity == "thrust" else "c_Q"
