@@ -29,7 +29,7 @@ from mufly.control import (
     roll_pitch_step,
     sample_plant,
 )
-from mufly.control.linear_systems import feedback_part
+from mufly.control.linear_systems import extract_feedback_controller
 from mufly.control.robust import analyse_parameter_robustness
 
 
@@ -78,7 +78,9 @@ def tables(controller: FlightController) -> None:
         for d in (controller.heave_yaw, controller.roll_pitch):
             # The reduced controller is the same at every rate; only its difference equations change.
             sampled = discretise_controller(d.reduced, np.zeros((d.reduced.nstates, 2)), 1 / rate).to_state_space()
-            loop = analyse_loop(sample_plant(d.plant, 1 / rate, 1), feedback_part(sampled, d.plant, d.error_inputs))
+            loop = analyse_loop(
+                sample_plant(d.plant, 1 / rate, 1), extract_feedback_controller(sampled, d.plant, d.error_inputs)
+            )
             if not loop.stable:
                 row += " unstable |"
                 continue

@@ -62,10 +62,10 @@ def main() -> None:
         print(f"read back             {reading:8.3f} s")
         print(f"file                  {size / 1e6:8.2f} MB ({size / n:.0f} bytes a row)")
         if options.pictures:
-            from mufly.flight import draw_flight
+            from mufly.flight import draw_flight_pictures
 
             data = record(path).to_dataset()
-            print(f"pictures              {best(lambda: draw_flight(data, folder), 3):8.3f} s")
+            print(f"pictures              {best(lambda: draw_flight_pictures(data, folder), 3):8.3f} s")
 
 
 if __name__ == "__main__":

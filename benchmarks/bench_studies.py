@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mufly.drive import find_gear_optima, gear_curve, load_drive, make_coefficient_load
+from mufly.drive import find_gear_optima, load_drive, make_coefficient_load, sweep_gear_ratio
 from mufly.rotor import load_rotor
 from mufly.study import (
     StudySetup,
@@ -65,7 +65,7 @@ def main() -> None:
     load = make_coefficient_load(0.0138, 0.0025, radius_m=0.0875)
     assert setup.drive is not None
     drive = setup.drive
-    spent = seconds(lambda: gear_curve(drive, load, np.linspace(0.5, 8.0, 1000)))
+    spent = seconds(lambda: sweep_gear_ratio(drive, load, np.linspace(0.5, 8.0, 1000)))
     print(f"gear curve of 1000 ratios, constant coefficients           {spent * 1e3:8.2f} ms")
     spent = seconds(lambda: find_gear_optima(drive, load, thrust_N=0.6))
     print(f"its optima                                                 {spent * 1e3:8.2f} ms")

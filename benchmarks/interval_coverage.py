@@ -30,7 +30,7 @@ from scipy.signal import lfilter
 from mufly.bench import BenchTable, compute_loads
 from mufly.bench.rig.simulated_rig import SimulatedFaults, SimulatedRig
 from mufly.bench.series.series_analysis import LOAD_NAMES, SeriesResult, analyse_series
-from mufly.bench.series.series_plan import PlanStep, RotorAxis, SeriesPlan, make_plan
+from mufly.bench.series.series_plan import PlanStep, RotorAxis, SeriesPlan, make_series_plan
 from mufly.bench.series.series_record import SeriesRecord
 from mufly.bench.series.series_runner import run_series
 from mufly.errors import MuflyError
@@ -279,9 +279,9 @@ def report_linear(asked: argparse.Namespace) -> None:
     asked.record("identify_linear", *shares)
 
 
-def make_series_plan(axis: RotorAxis) -> SeriesPlan:
+def plan_axis_series(axis: RotorAxis) -> SeriesPlan:
     """Two pitches mounted twice, five speeds, three visits of the reference: 35 points, 50 as a pair."""
-    return make_plan(
+    return make_series_plan(
         "coverage", ["naca0012-r60-c20"], [10, 14], [3000, 4000, 5000, 6000, 7000], reference="naca4412-r60-c20",
         reference_pitch_deg=10, repetitions=2, reference_every=2, axis=axis,
     )  # fmt: skip
@@ -301,7 +301,7 @@ def measure_series(plan: SeriesPlan, seed: int, faults: SimulatedFaults | None =
 
 def report_series(asked: argparse.Namespace) -> None:
     """95 % intervals of points and settings of series on simulated benches."""
-    plan, began = make_series_plan(asked.axis), time.perf_counter()
+    plan, began = plan_axis_series(asked.axis), time.perf_counter()
     hit, off, width, refused = defaultdict(list), defaultdict(list), defaultdict(list), 0
     for seed in range(asked.first, asked.first + asked.seeds):
         series = measure_series(plan, seed)
@@ -335,7 +335,7 @@ def report_faults(asked: argparse.Namespace) -> None:
         "nonsense in 0.5 % of the samples": SimulatedFaults(spike_share=0.005),
         "speed not reached by 4 %": SimulatedFaults(speed_shortfall_fraction=0.04),
     }
-    plan = make_series_plan("upper")
+    plan = plan_axis_series("upper")
     for name, fault in cases.items():
         kinds: dict[str, int] = defaultdict(int)
         refused = 0

@@ -25,7 +25,7 @@ from mufly.bench.rig.epos_controller import EposController
 from mufly.bench.rig.serial_load_cells import SerialLoadCells
 from mufly.bench.rig.simulated_rig import SimulatedRig
 from mufly.bench.series.series_analysis import analyse_series
-from mufly.bench.series.series_plan import StepDurations, make_plan
+from mufly.bench.series.series_plan import StepDurations, make_series_plan
 from mufly.bench.series.series_record import SeriesRecord
 from mufly.bench.series.series_runner import StopRequested, run_series
 
@@ -66,7 +66,7 @@ def main(points: int, pace: float) -> None:
     # 5 speeds a mounting, 2 of the reference among them (or 3, so that settings come in pairs).
     odd = (points // 5) % 2
     mountings = points // 5 - 2 - odd
-    plan = make_plan(
+    plan = make_series_plan(
         "pty", ["naca0012-r60-c20"], list(np.linspace(10, 16, mountings // 2)), [3000, 4000, 5000, 6000, 7000],
         reference="naca4412-r60-c20", reference_pitch_deg=10, repetitions=2, reference_every=mountings // (1 + odd),
         times=StepDurations(warm_up_s=120.0, average_s=4.0, longest_s=8.0, tare_s=4.0),

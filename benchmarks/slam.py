@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from figure_record import RECORD_HELP, make_recorder
 
-from mufly.camera import PACKAGE_FLOORS, Renderer, VehicleMotion, find_floor, load_camera, make_floor
+from mufly.camera import PACKAGE_FLOORS, Renderer, VehicleMotion, find_floor, load_camera, make_random_floor
 from mufly.dynamics import body_to_ned_matrix
 from mufly.rotations import quaternion_from_euler
 from mufly.slam import (
@@ -154,7 +154,7 @@ def rms_cm(results: list[Any]) -> float:
 def speed() -> None:
     """Processor's time of one picture, rendering and looking."""
     for camera in ("webcam", "mufly-2.0", "worst"):
-        renderer = Renderer(load_camera(camera), make_floor("rich", 0, shadows=0.3))
+        renderer = Renderer(load_camera(camera), make_random_floor("rich", 0, shadows=0.3))
         motion = VehicleMotion(
             0.0, np.array([0.0, 0.0, -1.0]), np.array([0.4, 0.1, 0.0]), np.eye(3), np.array([0.1, 0.2, 0.1])
         )

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 import mufly
-from mufly.flight import draw_flight, fly_mission
+from mufly.flight import draw_flight_pictures, fly_mission
 from mufly.mission import load_mission
 
 IMAGES = Path(__file__).parent / "images"
@@ -18,7 +18,7 @@ def main() -> None:
     dataset = fly_mission(vehicle, mission, controller=mufly.control.design_flight_controller(vehicle))
     points = [w.position_m for w in mission.waypoint]
     with tempfile.TemporaryDirectory() as folder:
-        for picture in draw_flight(dataset, folder, waypoints=points, world=mission.world):
+        for picture in draw_flight_pictures(dataset, folder, waypoints=points, world=mission.world):
             if picture.stem in ("track", "history"):
                 (IMAGES / picture.name).write_bytes(picture.read_bytes())
 

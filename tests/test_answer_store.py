@@ -14,7 +14,7 @@ from mufly.files.answer_store import (
     claim_folder,
     hash_inputs,
     read_stored_result,
-    replace_file,
+    replace_file_atomically,
     write_stored_result,
 )
 
@@ -56,7 +56,7 @@ def test_several_writers_and_a_fault_leave_a_whole_file(tmp_path: Path) -> None:
     assert len(set(found["x"])) == 1
 
     def full() -> None:
-        with replace_file(path) as part:
+        with replace_file_atomically(path) as part:
             part.write_text("half")
             raise OSError(28, "No space left on device")
 

@@ -14,7 +14,7 @@ from numba.core.errors import NumbaWarning
 
 import mufly
 from mufly.compiled import numba_cache
-from mufly.compiled.numba_cache import imported_sources, record_as_array
+from mufly.compiled.numba_cache import imported_sources, view_record_as_array
 
 PACKAGE = Path(mufly.__file__).parent
 
@@ -117,7 +117,7 @@ def test_every_compiled_function_of_the_package_is_kept_by_its_sources():
 
 def test_a_function_that_cannot_be_kept_is_told():
     """Numba warns with the file's name from our locator."""
-    locator = numba_cache._SourceHashCacheLocator(record_as_array, Path(numba_cache.__file__))
+    locator = numba_cache._SourceHashCacheLocator(view_record_as_array, Path(numba_cache.__file__))
     compiled = SimpleNamespace(
         lifted=[], library=SimpleNamespace(has_dynamic_globals=True), fndesc=SimpleNamespace(qualname="m.gain")
     )
@@ -129,7 +129,7 @@ def test_a_boxed_record_is_the_record():
     """What a flight changes in its gains while it flies is what the compiled control law sees."""
     whole = np.zeros(1, [("a", "f8"), ("b", "f8", 3)])
     record = whole[0]
-    box = record_as_array(record)
+    box = view_record_as_array(record)
     record["a"] = 3.0
     box["b"][0, 1] = 4.0
     assert box[0]["a"] == 3.0

@@ -13,7 +13,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mufly.bench import analyse_series, make_plan, read_measurements, run_series, write_series_results
+from mufly.bench import analyse_series, make_series_plan, read_measurements, run_series, write_series_results
 from mufly.bench.rig.simulated_rig import SimulatedRig
 from mufly.bench.series.series_record import SeriesRecord
 from mufly.rotor import fit_rotor, load_rotor, predict_interval, replace_rotor
@@ -28,7 +28,7 @@ print("the series and its pictures go to", folder)
 # A reference rotor is mounted in between. If its thrust changes, the bench has changed.
 
 # %%
-plan = make_plan(
+plan = make_series_plan(
     "lesson", ["naca0012-r60-c20"], [10, 12, 14, 16], [4000, 5000, 6000], reference="naca4412-r60-c20",
     reference_pitch_deg=14, repetitions=2, seed=1,
 )  # fmt: skip

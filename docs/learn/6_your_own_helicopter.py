@@ -14,7 +14,7 @@ from mufly import control, dynamics, flight
 from mufly.vehicle import format_vehicle_toml, list_parameters, load_vehicle, replace_parameters
 
 known = load_vehicle("mufly-1.1")
-mine = dynamics.similar_vehicle(known, "my-helicopter", mass_kg=0.120, radius_m=0.080, cells=2)
+mine = dynamics.scale_vehicle_by_similarity(known, "my-helicopter", mass_kg=0.120, radius_m=0.080, cells=2)
 guesses = [row for row in list_parameters(mine) if row.note.startswith("guess:")]
 print(f"{len(guesses)} of {len(list_parameters(mine))} numbers are guesses, such as")
 for row in guesses[:4]:
@@ -90,7 +90,7 @@ plt.show()
 # %% [markdown]
 # ## Try
 #
-# * Give `similar_vehicle` your motor: `speed_constant_rad_Vs`, `resistance_ohm`. It refuses a motor that cannot lift
-#   the vehicle and suggests another.
+# * Give `scale_vehicle_by_similarity` your motor: `speed_constant_rad_Vs`, `resistance_ohm`. It refuses a motor
+#   that cannot lift the vehicle and suggests another.
 # * Fly in the ground station: `mufly new my-helicopter --mass 120 --radius 80`, then the command that it prints.
 # * Export the flight software of the vehicle as C: `mufly firmware export --help`.

@@ -58,7 +58,7 @@ class ArgumentError(InputError):
 
 
 @contextmanager
-def report_write_errors(where: str | Path, remedy: str = "give another folder", key: str = "") -> Iterator[None]:
+def convert_write_errors(where: str | Path, remedy: str = "give another folder", key: str = "") -> Iterator[None]:
     """Context manager that converts file errors in its block to an :class:`InputError` about the path ``where``."""
     try:
         yield

@@ -16,7 +16,7 @@ import tty
 import numpy as np
 
 from mufly.bench.rig.epos_controller import EPOS_PROTOCOLS, FrameParser, build_frame
-from mufly.bench.rig.serial_line import compute_crc16, with_checksum
+from mufly.bench.rig.serial_line import append_checksum, compute_crc16
 from mufly.quantities.units import RPM
 
 WATCHDOG_s = 0.5
@@ -144,7 +144,7 @@ class FarText(Far):
         self.rest, self.number = b"", 0
 
     def say(self, *cells):
-        self.send(with_checksum(",".join(str(c) for c in cells)))
+        self.send(append_checksum(",".join(str(c) for c in cells)))
 
     def heard(self):
         *whole, self.rest = (self.rest + self.receive()).split(b"\n")

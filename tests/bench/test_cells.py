@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.bench import BenchTable, calibrate_cells, fit_zero_drift
+from mufly.bench import BenchTable, fit_cell_calibration, fit_zero_drift
 from mufly.errors import InputError
 
 S = np.array([[2.0, 5.0], [0.01, 150.0]])
@@ -23,7 +23,7 @@ def table(readings, loads=LOADS):
 
 
 def test_exact_readings_give_the_exact_cells():
-    cal = calibrate_cells(table(LOADS @ S.T + B))
+    cal = fit_cell_calibration(table(LOADS @ S.T + B))
     assert_allclose(cal.sensitivity, S, atol=1e-10)
     assert_allclose(cal.offset, B, atol=1e-10)
     assert_allclose(cal.readings_to_loads(LOADS @ S.T + B), LOADS, atol=1e-10)
@@ -35,7 +35,7 @@ def test_stated_deviations_match_the_scatter():
     rng = np.random.default_rng(3)
     gains, stated, parameters, covariance = [], [], [], []
     for _ in range(150):
-        cal = calibrate_cells(table(LOADS @ S.T + B + rng.standard_normal((12, 2)) * [0.01, 0.02]))
+        cal = fit_cell_calibration(table(LOADS @ S.T + B + rng.standard_normal((12, 2)) * [0.01, 0.02]))
         g, s = cal.channel_gains()
         gains.append(g)
         stated.append(s)
@@ -58,7 +58,7 @@ def test_stated_deviations_match_the_scatter():
 )
 def test_what_a_calibration_cannot_tell(loads, what):
     with pytest.raises(InputError, match=what):
-        calibrate_cells(table(loads @ S.T + B, loads))
+        fit_cell_calibration(table(loads @ S.T + B, loads))
 
 
 def blocks(n=60, at=(0, 20, 40, 55), length=5):

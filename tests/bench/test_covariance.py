@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.bench import estimate_covariance
+from mufly.bench import estimate_parameter_covariance
 
 
 def line(n):
@@ -16,7 +16,7 @@ def test_white_errors_give_the_textbook_covariance():
     a = line(30)
     y = a @ [1.0, 2.0] + rng.standard_normal(30) * 0.1
     r = y - a @ np.linalg.lstsq(a, y, rcond=None)[0]
-    s = estimate_covariance(a, r)
+    s = estimate_parameter_covariance(a, r)
     assert s.pattern == "white"
     assert_allclose(s.covariance, np.linalg.inv(a.T @ a) * (r @ r) / 28, atol=1e-15)
     assert s.dof == pytest.approx(28)
@@ -29,7 +29,7 @@ def coverage(errors, n, trials=200, **kw):
     for _ in range(trials):
         y = errors(rng)
         solution = np.linalg.lstsq(a, y, rcond=None)[0]
-        s = estimate_covariance(a, y - a @ solution, **kw)
+        s = estimate_parameter_covariance(a, y - a @ solution, **kw)
         std = np.sqrt(np.diag(s.covariance))
         hits += int(np.sum(np.abs(solution) < s.t_quantile_95 * std))
         patterns.append(s.pattern)
@@ -73,7 +73,7 @@ def test_a_known_scale_only_grows():
     a = line(20)
     r = np.sin(np.arange(20) * 2.3) * 0.01
     assert_allclose(
-        estimate_covariance(a, r, known_scale=True).covariance, np.linalg.inv(a.T @ a), rtol=1e-6, atol=1e-14
+        estimate_parameter_covariance(a, r, known_scale=True).covariance, np.linalg.inv(a.T @ a), rtol=1e-6, atol=1e-14
     )
-    big = estimate_covariance(a, 300 * r, known_scale=True)
+    big = estimate_parameter_covariance(a, 300 * r, known_scale=True)
     assert big.covariance[0, 0] > 2 * np.linalg.inv(a.T @ a)[0, 0]

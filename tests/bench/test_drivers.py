@@ -23,12 +23,12 @@ from mufly.bench.rig.epos_controller import EposController, FrameParser, build_f
 from mufly.bench.rig.esc_bridge import EscBridge
 from mufly.bench.rig.ni_daq import NiDaq
 from mufly.bench.rig.rig_file import DeviceTable, load_rig
-from mufly.bench.rig.serial_line import compute_crc16, with_checksum
+from mufly.bench.rig.serial_line import append_checksum, compute_crc16
 from mufly.bench.rig.serial_load_cells import SerialLoadCells
 from mufly.bench.rig.simulated_rig import SimulatedRig
 from mufly.bench.rig.thrust_stand import ThrustStand
-from mufly.bench.series.series_plan import BladeMounting, StepDurations, make_plan
-from mufly.bench.series.series_record import SeriesRecord, read_lines
+from mufly.bench.series.series_plan import BladeMounting, StepDurations, make_series_plan
+from mufly.bench.series.series_record import SeriesRecord, read_valid_lines
 from mufly.bench.series.series_runner import run_series
 from mufly.errors import InputError
 from mufly.files.input_files import validate_model
@@ -98,7 +98,7 @@ def test_frames_survive_being_cut_and_damage_gives_no_wrong_one():
 
 def test_check_sum_of_text_lines():
     assert compute_crc16(b"123456789") == 0x29B1  # the check value of CRC-16/IBM-3740
-    assert with_checksum("X") == b"$X*3A0D\n"
+    assert append_checksum("X") == b"$X*3A0D\n"
 
 
 # --- devices ----------------------------------------------------------------------------------------------------------
@@ -293,7 +293,7 @@ def facts_in_counts(rig):
 
 
 def test_a_series_over_devices_bears_a_reset():
-    made = make_plan("p", [NACA], [12], [3500, 5500], reference=NACA, reference_pitch_deg=12, repetitions=1,
+    made = make_series_plan("p", [NACA], [12], [3500, 5500], reference=NACA, reference_pitch_deg=12, repetitions=1,
                      times=StepDurations(warm_up_s=2, average_s=1, longest_s=1, tare_s=1, window_s=0.5))  # fmt: skip
     made = made.model_copy(update={"mounting": made.mounting[:1]})
     rig = world()
@@ -345,7 +345,7 @@ def cells_file(path, rig):
 
 def test_signals_and_a_kill_leave_no_motor_turning(tmp_path):
     """A series in a process of its own: SIGTERM stops it in order, SIGKILL leaves it to the watchdog."""
-    made = make_plan("p", [NACA], [12], [3500, 5500], reference=NACA, reference_pitch_deg=12,
+    made = make_series_plan("p", [NACA], [12], [3500, 5500], reference=NACA, reference_pitch_deg=12,
                      times=StepDurations(warm_up_s=0, average_s=2, tare_s=1))  # fmt: skip
     (tmp_path / "plan.toml").write_text(made.to_toml(), encoding="utf-8")
     rig = world()
@@ -369,7 +369,7 @@ def test_signals_and_a_kill_leave_no_motor_turning(tmp_path):
             assert child.returncode == (143 if number == signal.SIGTERM else -9), said
             time.sleep(0.0 if number == signal.SIGTERM else 0.8)
             assert rig.commanded_speed["upper"] == 0.0
-            lines, _ = read_lines(raw)
+            lines, _ = read_valid_lines(raw)
             readings = [x for x in lines if x["kind"] == "reading"]
             assert len(readings) > before
             before = len(readings)

@@ -11,8 +11,8 @@ from mufly.bench.rig.simulated_rig import BenchImperfections, SimulatedFaults, S
 from mufly.bench.series.live_page import write_live_page
 from mufly.bench.series.series_analysis import analyse_series
 from mufly.bench.series.series_files import compare_series, compare_with_theory, write_series_results
-from mufly.bench.series.series_plan import BenchLimits, SeriesPlan, StepDurations, make_plan, read_plan
-from mufly.bench.series.series_record import SeriesRecord, read_lines, read_record
+from mufly.bench.series.series_plan import BenchLimits, SeriesPlan, StepDurations, make_series_plan, read_series_plan
+from mufly.bench.series.series_record import SeriesRecord, read_record, read_valid_lines
 from mufly.bench.series.series_runner import LimitError, StopRequested, run_series
 from mufly.errors import InputError
 from mufly.files.input_files import validate_model
@@ -24,7 +24,9 @@ TIMES = StepDurations(warm_up_s=120.0, average_s=3.0, longest_s=6.0, tare_s=3.0)
 
 def plan(axis="upper", **more):
     given = {"repetitions": 2, "reference_every": 2, "times": TIMES, "axis": axis} | more
-    return make_plan("trial", [NACA], [12], [3000, 4000, 5500, 7000], reference=NACA, reference_pitch_deg=10, **given)
+    return make_series_plan(
+        "trial", [NACA], [12], [3000, 4000, 5500, 7000], reference=NACA, reference_pitch_deg=10, **given
+    )
 
 
 def truth_of(made, rig):
@@ -51,7 +53,7 @@ def pair():
 
 
 def test_a_plan_measures_everything_once_in_random_order_between_references():
-    made = make_plan(
+    made = make_series_plan(
         "p", [NACA, "naca4412-r60-c20"], [10, 12, 14], [3000, 4000, 5000, 6000, 7000], reference=NACA,
         reference_pitch_deg=12, repetitions=2, reference_every=4,
     )  # fmt: skip
@@ -72,14 +74,14 @@ def test_a_plan_is_a_file_that_says_what_is_wrong_with_it(tmp_path):
     made = plan("pair")
     file = tmp_path / "plan.toml"
     file.write_text(made.to_toml(), encoding="utf-8")
-    assert read_plan(file) == made
-    assert read_plan(file).digest() == made.digest()
+    assert read_series_plan(file) == made
+    assert read_series_plan(file).digest() == made.digest()
     tables = made.model_dump()
     tables["limits"]["speed_rpm"] = 5000.0
     with pytest.raises(InputError, match=r"mounting\[1\].speeds_rpm.*beyond the limit"):
         validate_model(SeriesPlan, tables, "plan.toml")
     with pytest.raises(InputError, match="no such plan"):
-        read_plan(tmp_path / "none.toml")
+        read_series_plan(tmp_path / "none.toml")
 
 
 def test_intervals_hold_the_truth_and_are_worth_something(single, pair):
@@ -207,7 +209,7 @@ def test_a_kill_at_any_moment_loses_at_most_the_point_that_was_measured(tmp_path
             asked=lambda: len(again.readings) > kept + 4,
         )
     again.close()
-    lines, broken = read_lines(path)
+    lines, broken = read_valid_lines(path)
     done = [(x["mounting"], x["step"]) for x in lines if x["kind"] == "reading" and x["step"] >= 0]
     assert broken == 1
     assert len(done) == len(set(done))

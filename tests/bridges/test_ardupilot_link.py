@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from mufly.bridges.ardupilot.ardupilot_link import ARDUPILOT_RATE_HZ, ArduPilotSimulator, read_servo_packet
+from mufly.bridges.ardupilot.ardupilot_link import ARDUPILOT_RATE_HZ, ArduPilotSimulator, decode_servo_packet
 from mufly.bridges.autopilot_plant import AutopilotPlant
 from mufly.link import parse_endpoint
 from mufly.mission import Mission
@@ -152,9 +152,9 @@ def test_silence_is_named(session, monkeypatch):
 
 
 def test_a_packet_of_32_outputs_is_read_and_others_are_not():
-    packet = read_servo_packet(struct.pack("<HHI32H", 29569, 400, 7, *[1500] * 32))
+    packet = decode_servo_packet(struct.pack("<HHI32H", 29569, 400, 7, *[1500] * 32))
     assert packet is not None
     assert packet.frame == 7
     assert packet.inputs == pytest.approx(np.array([0.5, 0.5, 0.0, 0.0]))
-    assert read_servo_packet(struct.pack("<HHI16H", 1, 400, 7, *[1500] * 16)) is None
-    assert read_servo_packet(b"") is None
+    assert decode_servo_packet(struct.pack("<HHI16H", 1, 400, 7, *[1500] * 16)) is None
+    assert decode_servo_packet(b"") is None

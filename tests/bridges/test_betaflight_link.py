@@ -13,14 +13,14 @@ from betaflight_peer import GAINS, IDLE, REST, Peer, SerialPort
 
 from mufly.bridges.autopilot_plant import AutopilotPlant, warm_up_plant
 from mufly.bridges.betaflight import betaflight_link
-from mufly.bridges.betaflight.betaflight_cli import find_betaflight, load_cli_file, run_betaflight
+from mufly.bridges.betaflight.betaflight_cli import find_betaflight, run_betaflight, send_cli_file
 from mufly.bridges.betaflight.betaflight_link import (
     BETAFLIGHT_ENDPOINT,
     BETAFLIGHT_RATE_HZ,
     BetaflightPorts,
     BetaflightSimulator,
 )
-from mufly.bridges.betaflight.betaflight_messages import read_arming_obstacles, read_outputs
+from mufly.bridges.betaflight.betaflight_messages import decode_arming_refusals, decode_outputs
 from mufly.bridges.betaflight.betaflight_pilot import BetaflightPilot, PilotPlan, sample_square_path
 from mufly.bridges.betaflight.betaflight_settings import convert_rate_gains, format_cli_file
 from mufly.errors import InputError, MuflyError
@@ -197,12 +197,12 @@ def test_a_port_in_use_and_a_speed_above_real_time_are_refused(plant, session):
 
 
 def test_packets_of_other_sizes_are_no_outputs_and_broken_answers_no_status():
-    assert read_outputs(b"") is None
-    outputs = read_outputs(struct.pack("<H2x16f", 2, 1250, 1750, 1600, 1400, *[0.0] * 12))
+    assert decode_outputs(b"") is None
+    outputs = decode_outputs(struct.pack("<H2x16f", 2, 1250, 1750, 1600, 1400, *[0.0] * 12))
     assert outputs is not None
     assert outputs.inputs == pytest.approx([0.75, 0.25, 0.2, -0.2])
-    assert read_arming_obstacles(b"$M>\x05") is None
-    assert read_arming_obstacles(b"noise$M>\x01\x96\x00\x00") is None
+    assert decode_arming_refusals(b"$M>\x05") is None
+    assert decode_arming_refusals(b"noise$M>\x01\x96\x00\x00") is None
 
 
 def test_gains_in_betaflights_units_give_the_same_input():
@@ -235,11 +235,11 @@ def test_the_square_is_closed_rests_in_its_corners_and_has_the_velocity_of_its_p
 def test_a_cli_file_is_sent_line_by_line_and_a_refused_line_is_named():
     serial = SerialPort()
     text = "# head\nmixer DUALCOPTER\n\nset p_roll = 1\nsave\n"
-    load_cli_file(text, endpoint=Endpoint("tcp", "127.0.0.1", serial.port))
+    send_cli_file(text, endpoint=Endpoint("tcp", "127.0.0.1", serial.port))
     assert serial.lines == ["mixer DUALCOPTER", "set p_roll = 1", "save"]
     serial = SerialPort(refused="set p_roll")
     with pytest.raises(MuflyError, match=r"refuses 'set p_roll = 1': .*INVALID NAME"):
-        load_cli_file("set p_roll = 1\nsave\n", endpoint=Endpoint("tcp", "127.0.0.1", serial.port))
+        send_cli_file("set p_roll = 1\nsave\n", endpoint=Endpoint("tcp", "127.0.0.1", serial.port))
     assert "save" not in serial.lines
 
 

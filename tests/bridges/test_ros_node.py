@@ -49,11 +49,11 @@ for _ in range(20):
 
 
 def test_without_ros_the_remedy_is_named(monkeypatch):
-    from mufly.bridges.ros_node import load_rclpy
+    from mufly.bridges.ros_node import import_rclpy
 
     monkeypatch.setitem(sys.modules, "rclpy", None)
     with pytest.raises(InputError, match="pip install 'mufly\\[ros\\]'"):
-        load_rclpy()
+        import_rclpy()
 
 
 def test_a_stock_subscriber_reads_and_commands_the_flight():

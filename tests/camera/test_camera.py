@@ -14,10 +14,10 @@ from mufly.camera import (
     Renderer,
     VehicleMotion,
     body_from_camera_rotation,
-    builtin_cameras,
+    list_builtin_cameras,
     load_camera,
     load_floor_picture,
-    make_floor,
+    make_random_floor,
     project_points,
     unproject_pixels,
 )
@@ -42,7 +42,7 @@ def _chequered() -> Floor:
     n = np.arange(2048) // 128
     a = np.where((n[:, None] + n[None, :]) % 2 == 0, 40, 210)
     levels = [a.reshape(2048 >> k, 1 << k, 2048 >> k, 1 << k).mean(axis=(1, 3)).astype(np.uint8) for k in range(5)]
-    one = make_floor("plain", size=128)
+    one = make_random_floor("plain", size=128)
     return Floor("chequered", tuple(levels), (1e-3, 1e-3), one.detail_map, one.shadow_map)
 
 
@@ -86,7 +86,7 @@ def test_the_first_row_is_seen_before_the_last() -> None:
     lens = camera.lens.model_copy(update=dict.fromkeys(("k1", "k2", "p1", "p2"), camera.lens.k3))
     camera = camera.model_copy(update={"lens": lens})
     a = np.where(np.arange(2048)[None, :] < 1024, 30, 220) * np.ones((2048, 1))
-    one = make_floor("plain", size=128)
+    one = make_random_floor("plain", size=128)
     floor = Floor("halves", (a.astype(np.uint8),), (1e-3, 1e-3), one.detail_map, one.shadow_map)
     quality = camera.quality.model_copy(
         update={"noise": lens.k1, "blur": lens.k1, "shaking": lens.k1, "vignette": lens.k1, "jpeg": 0}
@@ -102,7 +102,7 @@ def test_the_first_row_is_seen_before_the_last() -> None:
 
 
 def test_boxes_stand_on_the_floor_and_are_nearer() -> None:
-    camera, floor = load_camera("webcam"), make_floor("plain", size=128)
+    camera, floor = load_camera("webcam"), make_random_floor("plain", size=128)
     box = Box((0.1, -0.2, -0.1), (0.2, 0.3, 0.2))
     without = Renderer(camera, floor, perfect=True).render(_motion())
     with_box = Renderer(camera, _chequered(), World(boxes=(box,)), perfect=True).render(_motion())
@@ -117,7 +117,8 @@ def test_boxes_stand_on_the_floor_and_are_nearer() -> None:
 def test_same_seed_same_picture_and_floors_differ() -> None:
     camera = load_camera("mufly-2.0")
     pictures = [
-        Renderer(camera, make_floor(kind, 3, size=512), seed=5).render(_motion()) for kind in (*FLOOR_KINDS, "rich")
+        Renderer(camera, make_random_floor(kind, 3, size=512), seed=5).render(_motion())
+        for kind in (*FLOOR_KINDS, "rich")
     ]
     assert (pictures[0] == pictures[-1]).all()
     scatter = [p[80:160, 100:220].astype(float).std() for p in pictures[:4]]
@@ -128,12 +129,12 @@ def test_lost_strips_show_what_was_there_before() -> None:
     camera = load_camera("webcam")
     lost = camera.quality.strips_lost.model_copy(update={"value": 1.0})
     camera = camera.model_copy(update={"quality": camera.quality.model_copy(update={"strips_lost": lost})})
-    renderer = Renderer(camera, make_floor("rich", size=512))
+    renderer = Renderer(camera, make_random_floor("rich", size=512))
     assert (renderer.render(_motion()) == 128).all()
 
 
 def test_a_darker_room_is_followed_by_the_exposure() -> None:
-    renderer = Renderer(load_camera("webcam"), make_floor("rich", size=512))
+    renderer = Renderer(load_camera("webcam"), make_random_floor("rich", size=512))
     means = []
     for k in range(40):
         m = _motion()
@@ -167,7 +168,7 @@ def test_a_users_picture_lies_north_up(tmp_path: object) -> None:
 
 
 def test_faulty_files_are_told_in_a_line(tmp_path: object) -> None:
-    assert "mufly-2.0" in builtin_cameras()
+    assert "mufly-2.0" in list_builtin_cameras()
     file = Path(str(tmp_path)) / "c.toml"
     text = format_camera_toml(load_camera("webcam"))
     file.write_text(text)
@@ -372,7 +373,7 @@ def test_a_lens_of_another_model_is_refused_by_its_name(tmp_path: Path, text: st
 
 def test_low_light_makes_pictures_noisy_smeared_and_dark() -> None:
     """With the light of the file nothing changes; with a third of it exposure and gain make up for it."""
-    camera, floor = load_camera("webcam"), make_floor("plain", 1, size=1024)
+    camera, floor = load_camera("webcam"), make_random_floor("plain", 1, size=1024)
     standing = replace(_motion(), velocity=np.zeros(3), rates=np.zeros(3))
 
     def render_pair(light: float) -> np.ndarray:
@@ -387,7 +388,7 @@ def test_low_light_makes_pictures_noisy_smeared_and_dark() -> None:
     assert noise[0.3] > 1.3 * noise[1.0]
     assert level[0.03] < 0.2 * level[1.0]
     assert noise[0.03] / level[0.03] > 8.0 * noise[1.0] / level[1.0]
-    lit = make_floor("rich", 1, size=1024)
+    lit = make_random_floor("rich", 1, size=1024)
     silent = camera.quality.noise.model_copy(update={"value": 0.0})
     clear = camera.model_copy(update={"quality": camera.quality.model_copy(update={"noise": silent})})
     fast = replace(_motion(), velocity=np.array([3.0, 0.0, 0.0]), rates=np.zeros(3))

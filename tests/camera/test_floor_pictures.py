@@ -14,7 +14,7 @@ from mufly.camera import FloorSource, copy_package_floors, find_floor, load_came
 from mufly.cli.onboard.camera_options import make_flight_camera, make_position_camera
 from mufly.dynamics import initial_state
 from mufly.errors import InputError
-from mufly.flight.fixes.camera_sensor import CameraConfig, make_camera, with_mission_floor
+from mufly.flight.fixes.camera_sensor import CameraConfig, default_to_mission_floor, make_camera
 from mufly.flight.monte_carlo import Campaign
 from mufly.flight.monte_carlo.campaign import FlightCase
 from mufly.mission import Mission, dump_mission, load_mission, parse_mission
@@ -115,7 +115,7 @@ def test_a_mission_has_its_floor_and_an_option_replaces_it(tmp_path: Path) -> No
     flown = make_flight_camera("webcam", "", None, mission, "m.toml")
     assert (flown.floor_texture, flown.floor_width_m) == (str(picture.resolve()), 0.8)
     assert make_flight_camera("", str(other), 1.0, mission, "m.toml").floor_texture == str(other)
-    assert with_mission_floor(CameraConfig(lens), load_mission("demonstration")).floor_name == "rich"
+    assert default_to_mission_floor(CameraConfig(lens), load_mission("demonstration")).floor_name == "rich"
     state = initial_state(position=(0.0, 0.0, -1.0), attitude=(0.0, 0.0, 0.0), rotor_speed=(380.0, 420.0))
     truth = Truth(0.0, 0, state, np.zeros(3), np.zeros(3), 11.0, 5.0)
     seen = [

@@ -16,7 +16,7 @@ from mufly.camera import (
     Camera,
     LivePictures,
     StreamServer,
-    decode_picture,
+    decode_grey_picture,
     encode_jpeg,
     is_live_source,
     load_camera,
@@ -66,7 +66,7 @@ def test_a_stream_is_read_with_the_senders_time_or_the_arrivals(server: StreamSe
             [next(p) for _ in range(3)] for p in (theirs.iterate_pictures(), ours.iterate_pictures())
         )
     assert [t for t, _ in by_sender] == pytest.approx([4.98, 5.08, 5.18])
-    assert (by_sender[2][1] == decode_picture(PICTURES[2])).all()
+    assert (by_sender[2][1] == decode_grey_picture(PICTURES[2])).all()
     assert by_arrival[-1][0] == pytest.approx(time.time() - 0.02, abs=0.5)
     assert by_arrival[0][0] < by_arrival[1][0] < by_arrival[2][0]
 

@@ -14,9 +14,9 @@ import pytest
 
 from mufly.camera import (
     StreamServer,
-    decode_picture,
+    decode_grey_picture,
     encode_jpeg,
-    iterate_parts,
+    iterate_jpeg_parts,
     parse_address,
     parse_boundary,
 )
@@ -42,7 +42,7 @@ def test_what_is_published_is_received_with_its_time(server: StreamServer) -> No
     server.publish_picture(PICTURES[0], 1.25)
     with opened(server.url) as answer:
         boundary = parse_boundary(answer.headers["Content-Type"], server.url)
-        got = iterate_parts(answer, boundary)
+        got = iterate_jpeg_parts(answer, boundary)
         assert next(got) == (PICTURES[0], 1.25)
         for k in range(1, 6):
             server.publish_picture(PICTURES[k], 1.25 + k)
@@ -76,7 +76,7 @@ def test_opencv_reads_it(server: StreamServer) -> None:
         thread.join()
     assert there
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(float)
-    assert min(np.abs(grey - decode_picture(p)).mean() for p in PICTURES) < 3.0
+    assert min(np.abs(grey - decode_grey_picture(p)).mean() for p in PICTURES) < 3.0
 
 
 def test_pages_pictures_and_strangers(server: StreamServer) -> None:
@@ -107,8 +107,8 @@ def test_streams_of_other_servers() -> None:
         b"--b\r\n" + b"--b\r\n".join(head + p for p in PICTURES) + b"--b--",
         b"".join(b"\r\n--b\r\n" + head + p for p in PICTURES),
     ):  # fmt: skip
-        assert [p for p, _ in iterate_parts(io.BytesIO(text), b"--b")] == PICTURES
-        cut = [p for p, _ in iterate_parts(io.BytesIO(text[: len(text) // 2]), b"--b")]
+        assert [p for p, _ in iterate_jpeg_parts(io.BytesIO(text), b"--b")] == PICTURES
+        cut = [p for p, _ in iterate_jpeg_parts(io.BytesIO(text[: len(text) // 2]), b"--b")]
         assert cut[:2] == PICTURES[:2]
         assert len(cut) < 5
     assert parse_boundary('multipart/x-mixed-replace; boundary="--b"', "") == b"--b"

@@ -20,10 +20,10 @@ from mufly.cfd import (
     TURBULENCE_MODELS,
     OperatingPoint,
     PolyMesh,
-    compare_cases,
+    compare_cases_with_table,
     compute_momentum_slipstream,
     find_solver,
-    judge_loads,
+    judge_load_convergence,
     list_study_cases,
     make_poly_mesh,
     make_sector_mesh,
@@ -117,7 +117,7 @@ def test_oncoming_air_has_its_total_pressure_where_it_comes_from(
     assert re.search(rf"{behind} {{ type inletOutlet; inletValue uniform \(0 0 {-climb:g}\)", u)
     assert f"tangentialVelocity uniform (0 0 {-climb:g})" in u
     # In descent air comes in through the bottom, and that is no fault.
-    flows = judge_loads(loads(1300), -0.01, 1e-4, replace(POINT, climb_m_s=climb))
+    flows = judge_load_convergence(loads(1300), -0.01, 1e-4, replace(POINT, climb_m_s=climb))
     assert flows.outcome == ("blown back" if climb > 0 else "settled")
 
 
@@ -159,7 +159,7 @@ def loads(count: int, drift: float = 0.0, swing: float = 0.0) -> np.ndarray:
     ],
 )  # fmt: skip
 def test_a_verdict_names_what_is_wrong(table: np.ndarray, outflow: float, leak: float, what: str) -> None:
-    verdict = judge_loads(table, outflow, leak, POINT)
+    verdict = judge_load_convergence(table, outflow, leak, POINT)
     assert verdict.outcome == what
     assert verdict.settled == (what == "settled")
     if what == "settled":
@@ -281,16 +281,16 @@ def test_cases_are_laid_beside_the_rows_of_a_table(tmp_path: Path) -> None:
     table.write_text(
         "# a note\npitch_deg,rpm,T_meas_N,Q_meas_Nm,T_laminar,Q_laminar\n12,5000,0.151,0.0016,0.136,0.00174\n"
     )
-    (found,) = compare_cases(table, [tmp_path])
+    (found,) = compare_cases_with_table(table, [tmp_path])
     assert found.thrust_deviations == pytest.approx({"meas": 0.0, "laminar": 0.151 / 0.136 - 1})
     assert found.torque_deviations == pytest.approx({"meas": 0.0015 / 0.0016 - 1, "laminar": 0.0015 / 0.00174 - 1})
     assert found.verdict.outcome == "not done"
     table.write_text("pitch_deg,rpm,T_meas_N\n14,5000,0.2\n")
     with pytest.raises(InputError, match="no row at 12 degrees and 5000 rpm"):
-        compare_cases(table, [tmp_path])
+        compare_cases_with_table(table, [tmp_path])
     table.write_text("pitch_deg,T_meas_N\n14,0.2\n")
     with pytest.raises(InputError, match="rpm: is not among the columns; give columns pitch_deg, rpm"):
-        compare_cases(table, [tmp_path])
+        compare_cases_with_table(table, [tmp_path])
 
 
 @pytest.mark.parametrize(
@@ -404,7 +404,7 @@ def test_an_answer_that_did_not_settle_ends_with_status_1(tmp_path, monkeypatch,
     found = SimpleNamespace(settled=settled)
     for name in ("find_solver", "mesh_and_write_case", "run_case"):
         monkeypatch.setattr(f"mufly.cfd.{name}", lambda *a, **k: None)
-    monkeypatch.setattr("mufly.cfd.read_solution_report", lambda *a: found)
+    monkeypatch.setattr("mufly.cfd.build_solution_report", lambda *a: found)
     monkeypatch.setattr(cfd_case_report, "_write_report_files", lambda *a: [])
     status = CliRunner().invoke(app, ["cfd", "run", "--out", str(tmp_path / "case")]).exit_code
     assert status == (0 if settled else 1)

@@ -16,7 +16,7 @@ from mufly.cfd import (
     compare_climbs,
     draw_climb_comparison,
     estimate_grid_convergence,
-    study_grid_convergence,
+    estimate_load_grid_convergence,
     sweep_climb,
 )
 from mufly.errors import InputError
@@ -51,7 +51,7 @@ def test_answers_that_swing_or_stand_are_marked() -> None:
     with pytest.raises(InputError, match="three cases with different meshes"):
         estimate_grid_convergence("x", [1000, 1000, 4000], [1.0, 1.1, 1.05])
     with pytest.raises(InputError, match="not a case of mufly cfd"):
-        study_grid_convergence([Path("nowhere")] * 3)
+        estimate_load_grid_convergence([Path("nowhere")] * 3)
 
 
 def solved(climb: float, thrust: float) -> CfdSolution:

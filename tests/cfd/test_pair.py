@@ -14,16 +14,16 @@ import pytest
 
 from mufly.cfd import (
     PolyMesh,
-    judge_case,
+    judge_case_convergence,
     make_poly_mesh,
     make_sector_mesh,
     measure_mesh_quality,
     mesh_and_write_case,
     read_operating_point,
     read_poly_mesh,
-    solve_pair,
+    solve_rotor_pair,
 )
-from mufly.cfd.openfoam_case import set_solver_phase
+from mufly.cfd.openfoam_case import set_schemes_and_end
 from mufly.cfd.rotor_pair import (
     ActuatorDisc,
     find_disc_cells,
@@ -146,7 +146,7 @@ def test_no_verdict_before_the_air_knows_the_other_rotors_new_loads(tmp_path: Pa
         file = tmp_path / "postProcessing" / "loads" / "0" / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text("".join(f"{i} {row}\n" for i in range(1, 1801)))
-    assert judge_case(tmp_path).outcome == "not done"  # they stand still, but for 200 iterations only
+    assert judge_case_convergence(tmp_path).outcome == "not done"  # they stand still, but for 200 iterations only
     (tmp_path / "disc.json").write_text('{"r_m": [')
     with pytest.raises(InputError, match="not a complete disc"):
         read_actuator_disc(tmp_path)
@@ -155,13 +155,13 @@ def test_no_verdict_before_the_air_knows_the_other_rotors_new_loads(tmp_path: Pa
 @pytest.mark.parametrize("gap", [0.004, 0.2])
 def test_a_pair_by_turns_whose_rotors_would_meet_is_refused(tmp_path: Path, gap: float) -> None:
     with pytest.raises(InputError, match="give 1"):
-        solve_pair(tmp_path, load_rotor("naca0012-r60-c20"), pitch_rad=TURNED, speed_rad_s=500.0, gap_m=gap)
+        solve_rotor_pair(tmp_path, load_rotor("naca0012-r60-c20"), pitch_rad=TURNED, speed_rad_s=500.0, gap_m=gap)
 
 
 @pytest.mark.skipif(shutil.which("simpleFoam") is None, reason="OpenFOAM is not installed")
 def test_the_solver_takes_the_disc_for_the_rotor(tmp_path: Path) -> None:
     _, other = beside(tmp_path, GAP)
-    set_solver_phase(tmp_path, upwind=True, end=1)
+    set_schemes_and_end(tmp_path, upwind=True, end=1)
     told = subprocess.run(
         [find_solver()], cwd=tmp_path, env=openfoam_environment(), capture_output=True, text=True, check=True
     )

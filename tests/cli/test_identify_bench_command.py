@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli.identify.rotor_bench import register_bench_commands
-from mufly.cli.options import CommandGroup, NumberOptionParser, split_optional_std
+from mufly.cli.options import CommandGroup, NumberOptionParser, parse_value_and_std
 from mufly.errors import InputError
 from mufly.vehicle import load_vehicle
 
@@ -175,11 +175,11 @@ def test_plan_refuses(arguments, what):
 
 def test_numbers_with_doubt():
     def read(text, unit="1"):
-        return split_optional_std("--gear", NumberOptionParser(unit, "doubt", ("free",)).read_option("--gear", text))
+        return parse_value_and_std("--gear", NumberOptionParser(unit, "doubt", ("free",)).read_option("--gear", text))
 
     assert read("0.84+-0.02") == (0.84, 0.02)
     assert read("1.5") == (1.5, 0.0)
-    assert read("free") == split_optional_std("--radius", None) == (None, 0.0)
+    assert read("free") == parse_value_and_std("--radius", None) == (None, 0.0)
     assert read("60mm+-0.2mm", "m") == pytest.approx((0.06, 0.0002))
     for text in ("x", "-1", "1+-x", "1+--2"):
         with pytest.raises(InputError):

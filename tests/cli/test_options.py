@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app as mufly
 from mufly.cli.options import CommandGroup, NumberOptionParser
-from mufly.cli.station import check_wind, resolve_wind
+from mufly.cli.station import parse_wind_option, resolve_wind
 from mufly.errors import ArgumentError, InputError
 from mufly.quantities.units import list_compatible_units, unit_conversion
 
@@ -248,7 +248,7 @@ def test_refusals_name_option_value_and_remedy(words: tuple[str, ...], message: 
 
 def test_wind_means_the_same_in_every_command() -> None:
     def read(text: str) -> float | tuple[float, float, float] | None:
-        return check_wind(NumberOptionParser("m/s", "vector").read_option("--wind", text))
+        return parse_wind_option(NumberOptionParser("m/s", "vector").read_option("--wind", text))
 
     assert read("0.5") == read("0.5m/s") == 0.5
     assert read("1.8km/h,0,0") == pytest.approx((0.5, 0.0, 0.0))

@@ -14,9 +14,9 @@ from mufly.control import (
     DesignSettings,
     FlightController,
     analyse_loop,
+    compute_loop_singular_values,
     design_flight_controller,
     hinf_norm,
-    loop_curves,
     sample_plant,
 )
 from mufly.control.linear_systems import _tracked_eigenvalues, is_stable_loop, state_space
@@ -132,7 +132,7 @@ def test_the_delay_margin_is_where_delay_destabilises(k: float, rate: float) -> 
 def test_curves_add_up() -> None:
     """S + T = 1: their singular values can differ by no more than one."""
     frequency = np.geomspace(1e-2, 1e3, 50)
-    curves = loop_curves(twin([10], [1, 10, 0]), gain(2.0), frequency)
+    curves = compute_loop_singular_values(twin([10], [1, 10, 0]), gain(2.0), frequency)
     assert np.all(np.abs(curves.sensitivity - curves.complementary) <= 1 + 1e-9)
     np.testing.assert_allclose(curves.loop, 2 * curves.plant, rtol=1e-12)
 

@@ -19,7 +19,7 @@ from mufly.control import (
     TwoDegreeWeights,
     design_flight_controller,
 )
-from mufly.control.designs import design_heave_yaw, design_roll_pitch, heave_acceleration
+from mufly.control.designs import compute_heave_acceleration_limit, design_heave_yaw, design_roll_pitch
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import InputError, MuflyError
 from mufly.results import to_plain_data
@@ -153,7 +153,7 @@ def test_a_reference_of_height_asks_for_something_and_not_too_much(
         "rotors.lower.thrust_coefficient": thrust,
     }
     other = replace_parameters(vehicle, {key: now[key] * share for key, share in factor.items()})
-    assert heave_acceleration(other, linearise_vehicle(other), DesignSettings()) == most
+    assert compute_heave_acceleration_limit(other, linearise_vehicle(other), DesignSettings()) == most
 
 
 def test_the_thesis_weights_give_what_design_md_says(appendix_b: ModuleType) -> None:
@@ -242,7 +242,7 @@ def test_the_design_holds_a_vehicle_that_is_not_the_one_designed_for(
 ) -> None:
     """Ten per cent on every parameter: still stable, with margin."""
     from mufly.control import analyse_loop, sample_plant
-    from mufly.control.linear_systems import feedback_part
+    from mufly.control.linear_systems import extract_feedback_controller
 
     rng = np.random.default_rng(seed)
     names = (
@@ -263,7 +263,7 @@ def test_the_design_holds_a_vehicle_that_is_not_the_one_designed_for(
     )
     linear = appendix_b.linear(appendix_b.scaled(**{name: rng.uniform(0.9, 1.1) for name in names}))
     for d, plant in ((controller.heave_yaw, linear.heave_yaw), (controller.roll_pitch, linear.roll_pitch)):
-        K = feedback_part(d.discrete.to_state_space(), plant, d.error_inputs)
+        K = extract_feedback_controller(d.discrete.to_state_space(), plant, d.error_inputs)
         loop = analyse_loop(sample_plant(plant, controller.period_s, 1), K)
         assert loop.stable
         assert loop.sensitivity_peak_dB < 6.0

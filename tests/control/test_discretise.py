@@ -14,7 +14,7 @@ from mufly.control import (
     frequency_response,
     sample_plant,
 )
-from mufly.control.linear_systems import feedback_part, state_space
+from mufly.control.linear_systems import extract_feedback_controller, state_space
 from mufly.errors import MuflyError
 
 
@@ -155,7 +155,9 @@ def test_modal_coefficients_survive_16_bits(controller: FlightController, name: 
         outputs=c.outputs,
         dt=c.period_s,
     )
-    loop = analyse_loop(sample_plant(d.plant, c.period_s, 1), feedback_part(coarse, d.plant, d.error_inputs))
+    loop = analyse_loop(
+        sample_plant(d.plant, c.period_s, 1), extract_feedback_controller(coarse, d.plant, d.error_inputs)
+    )
     assert loop.stable
     assert loop.sensitivity_peak_dB == pytest.approx(d.sampled_loop.sensitivity_peak_dB, abs=0.1)
     assert loop.complementary_peak_dB == pytest.approx(d.sampled_loop.complementary_peak_dB, abs=0.1)

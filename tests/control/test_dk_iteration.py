@@ -13,11 +13,11 @@ from mufly.control import (
     DesignSettings,
     FlightController,
     TransferFunction,
-    close_loop,
+    compute_input_noise_std,
+    compute_lower_lft,
     connect_blocks,
     disk_margin,
     frequency_response,
-    input_noise,
     sample_plant,
 )
 from mufly.control.controller_design import ControllerDesign
@@ -26,14 +26,14 @@ from mufly.control.robust import Block, mu_upper_bound
 from mufly.control.robust.dk_iteration import (
     ScalingFilter,
     UncertaintyChannel,
-    fit_magnitude,
+    fit_filter_to_magnitude,
     iterate_dk,
-    scale_channels,
+    scale_uncertainty_channels,
     sweep_complex_mu,
 )
 from mufly.control.robust.uncertain_plant import add_uncertainty
-from mufly.control.synthesis.weighting_schemes import scale_plant, weight_roll_pitch
-from mufly.control.tuning.fixed_order import add_delay
+from mufly.control.synthesis.weighting_schemes import scale_plant, weight_roll_pitch_plant
+from mufly.control.tuning.fixed_order import add_input_delay
 from mufly.errors import ArgumentError
 
 CHANNELS = [UncertaintyChannel(1, 1), UncertaintyChannel(1, 1), UncertaintyChannel(2, 2)]
@@ -66,7 +66,7 @@ def test_inverse_controller_of_the_column(column: control.StateSpace) -> None:
         -1e-5 * np.eye(2), inverse, 0.7 * (1 - 75e-5) * np.eye(2), 0.7 * 75 * inverse,
         inputs=["e1", "e2"], outputs=["u1", "u2"],
     )  # fmt: skip
-    N = frequency_response(close_loop(column, K), np.geomspace(1e-3, 1e3, 61))
+    N = frequency_response(compute_lower_lft(column, K), np.geomspace(1e-3, 1e3, 61))
     assert sweep_complex_mu(N, CHANNELS)[0].max() == pytest.approx(5.7726, abs=1e-3)
     assert np.linalg.norm(N[:, 2:, 2:], 2, axis=(1, 2)).max() == pytest.approx(0.500, abs=1e-3)
     scalars = [Block(1, False), Block(1, False)]
@@ -79,7 +79,7 @@ def test_eight_rounds_on_the_column(column: control.StateSpace) -> None:
     assert len(found.rounds) <= 8
     assert found.mu < 1.0 < found.rounds[0].mu
     assert found.mu == min(r.mu for r in found.rounds)
-    N = frequency_response(close_loop(column, found.controller), np.geomspace(1e-4, 1e4, 80))
+    N = frequency_response(compute_lower_lft(column, found.controller), np.geomspace(1e-4, 1e4, 80))
     between = sweep_complex_mu(N, CHANNELS)[0].max()  # frequencies that the D step did not see
     assert between < 1.0
     blocks = [Block(1, False), Block(1, False), Block(2, False)]
@@ -90,17 +90,17 @@ def test_eight_rounds_on_the_column(column: control.StateSpace) -> None:
 def test_filter_is_recovered_and_its_inverse_is_exact() -> None:
     w = np.geomspace(1e-2, 1e3, 60)
     true = ScalingFilter(3.0, np.array([0.2, 40.0]), np.array([2.0, 300.0]))
-    found = fit_magnitude(w, true.magnitude(w), 4, 1e-6)
+    found = fit_filter_to_magnitude(w, true.magnitude(w), 4, 1e-6)
     assert found.poles.size == 2
     assert found.magnitude(w) == pytest.approx(true.magnitude(w), rel=1e-4)
     assert true.magnitude(w) * true.inverse.magnitude(w) == pytest.approx(np.ones(60))
     A, B, C, D = true.to_matrices()
     system = state_space(A, B, C, D, inputs=["u"], outputs=["y"])
     assert np.abs(frequency_response(system, w)[:, 0, 0]) == pytest.approx(true.magnitude(w))
-    assert fit_magnitude(w, np.full(60, 2.0), 4, 1e-6).poles.size == 0
+    assert fit_filter_to_magnitude(w, np.full(60, 2.0), 4, 1e-6).poles.size == 0
     # All weight at the first frequency: a constant meets it.
     weight = np.eye(60)[0]
-    assert fit_magnitude(w, true.magnitude(w), 4, 1e-6, weight).gain == pytest.approx(true.magnitude(w)[0])
+    assert fit_filter_to_magnitude(w, true.magnitude(w), 4, 1e-6, weight).gain == pytest.approx(true.magnitude(w)[0])
 
 
 def test_scaled_plant_is_the_plant_between_the_filters(column: control.StateSpace) -> None:
@@ -110,7 +110,7 @@ def test_scaled_plant_is_the_plant_between_the_filters(column: control.StateSpac
         ScalingFilter(2.0, np.array([0.1, 5.0]), np.array([0.4, 20.0])),
         ScalingFilter(1.0, np.zeros(0), np.zeros(0)),
     ]
-    N, M = (frequency_response(P, w) for P in (column, scale_channels(column, CHANNELS, filters)))
+    N, M = (frequency_response(P, w) for P in (column, scale_uncertainty_channels(column, CHANNELS, filters)))
     size = [f.magnitude(w) for f in filters[:2]]
     for i in (0, 1):
         assert M[:, i, i] == pytest.approx(N[:, i, i])  # D and its inverse cancel on a block's own path
@@ -149,7 +149,7 @@ def test_uncertain_plant_closed_by_its_parameters_is_the_changed_plant(controlle
     changes = _changes(plant, (0.2, 0.3))
 
     def generalise(g: control.StateSpace) -> control.StateSpace:
-        return weight_roll_pitch(add_delay(g, 0.0075), controller.settings)
+        return weight_roll_pitch_plant(add_input_delay(g, 0.0075), controller.settings)
 
     P, channels = add_uncertainty(generalise(plant), plant, 4, changes, 0.2)
     m, w = len(channels) - 3, np.geomspace(0.1, 100, 7)
@@ -196,7 +196,7 @@ def test_design_of_roll_pitch_with_few_frequencies(
     loops = [(sample_plant(x.plant, 0.005, 1), x.feedback_controller(x.discrete.to_state_space())) for x in (d, today)]
     assert disk_margin(*loops[0]).margin > disk_margin(*loops[1]).margin
     noise = np.radians([0.1, 0.1, 0.3, 0.3])
-    assert input_noise(*loops[0], noise).max() < 0.5 * input_noise(*loops[1], noise).max()
+    assert compute_input_noise_std(*loops[0], noise).max() < 0.5 * compute_input_noise_std(*loops[1], noise).max()
     assert d.sampled_loop.complementary_peak_dB < today.sampled_loop.complementary_peak_dB
     assert d.sampled_loop.delay_margin_s > today.sampled_loop.delay_margin_s
     assert DesignSettings(method="mu").robust_goals.rounds == 3

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
-from mufly.control import close_loop, hinf_norm, hinfsyn, singular_values
+from mufly.control import compute_lower_lft, hinf_norm, hinfsyn, singular_values
 from mufly.control.linear_systems import state_space
 from mufly.errors import InputError, MuflyError
 
@@ -118,7 +118,7 @@ def test_random_plants(n: int, extra: int, signals: int, seed: int) -> None:
     # What theory promises just above the optimum is kept there, within a few tries.
     assert result.gamma <= 1.05 * result.gamma_optimal
     assert result.iterations < 60
-    loop = close_loop(P, result.controller)
+    loop = compute_lower_lft(P, result.controller)
     assert loop.poles().real.max() < 0
     grid = singular_values(loop, np.geomspace(1e-4, 1e4, 1500))[:, 0].max()
     # Near its optimum a controller has entries of 1e7, and the loop as computed here their rounding.
@@ -157,7 +157,7 @@ def test_no_unit_enters(seed: int, w: float, z: float, u: float, y: float, rate:
     # The controller in the units of P (u = factor of its unit, time too) keeps the level of P.
     K = other.controller
     back = state_space(K.A / rate, K.B * y / rate, K.C * u, K.D * u * y, inputs=K.input_labels, outputs=K.output_labels)
-    assert hinf_norm(close_loop(P, back))[0] <= 1.11 * one.gamma_optimal
+    assert hinf_norm(compute_lower_lft(P, back))[0] <= 1.11 * one.gamma_optimal
     assert hinf_norm(other.closed_loop)[0] == pytest.approx(other.norm, rel=1e-5)
     # What an anti-windup needs: with the control taken out, the plant's copy is an observer, so it does not grow.
     for X in (one, other):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mufly.control import DesignSettings, FlightController, design_flight_controller, disk_margin, sample_plant
-from mufly.control.linear_systems import analyse_loop, feedback_part, frequency_response, state_space
+from mufly.control.linear_systems import analyse_loop, extract_feedback_controller, frequency_response, state_space
 from mufly.control.synthesis.indi import IndiGains, design_indi
 from mufly.control.synthesis.weighting_schemes import scale_plant
 from mufly.errors import MuflyError
@@ -103,7 +103,9 @@ def test_law_knows_nothing_of_the_bar(vehicle: Vehicle, by_indi: FlightControlle
         )
     d = c.roll_pitch
     plant = sample_plant(by_indi.roll_pitch.plant, c.period_s, 1)
-    loop = analyse_loop(plant, feedback_part(d.discrete.to_state_space(), by_indi.roll_pitch.plant, range(4)))
+    loop = analyse_loop(
+        plant, extract_feedback_controller(d.discrete.to_state_space(), by_indi.roll_pitch.plant, range(4))
+    )
     assert loop.stable
     scaled = scale_plant(d.plant, d.scaling)
     assert design_indi(scaled, IndiGains(), c.period_s).effectiveness[0, 1] == pytest.approx(8.0, rel=0.3)

@@ -16,21 +16,26 @@ from mufly.control import (
     OneDegreeWeights,
     TransferFunction,
     analyse_loop,
-    close_loop,
+    compute_input_noise_std,
+    compute_lower_lft,
     design_flight_controller,
     design_lqg,
     disk_margin,
     h2_norm,
     h2syn,
     hinfsyn,
-    input_noise,
-    one_degree_plant,
+    make_one_dof_generalised_plant,
     sample_plant,
 )
 from mufly.control.analysis.loop_margins import scalar_block_mu
 from mufly.control.designs import design_roll_pitch
-from mufly.control.linear_systems import feedback_part, frequency_response, loop_sensitivities, state_space
-from mufly.control.synthesis.lqg import augment_integrators, kalman_gain, largest_recovery, lqr_gain
+from mufly.control.linear_systems import (
+    extract_feedback_controller,
+    frequency_response,
+    loop_sensitivities,
+    state_space,
+)
+from mufly.control.synthesis.lqg import augment_integrators, find_largest_ltr_parameter, kalman_gain, lqr_gain
 from mufly.control.synthesis.weighting_schemes import scale_plant, unscale_controller
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import ArgumentError, MuflyError
@@ -62,20 +67,20 @@ def test_h2_norm_has_four_equal_forms_and_the_poles_separate(controller: FlightC
 def test_h2_is_the_smallest_norm(controller: FlightController) -> None:
     d = controller.roll_pitch
     best = h2syn(d.generalised, 4, 2)
-    assert best.norm < h2_norm(close_loop(d.generalised, hinfsyn(d.generalised, 4, 2).controller))[0]
+    assert best.norm < h2_norm(compute_lower_lft(d.generalised, hinfsyn(d.generalised, 4, 2).controller))[0]
     rng = np.random.default_rng(1)
     K = best.controller
     for _ in range(5):
         C = K.C * (1 + 0.01 * rng.normal(size=K.C.shape))
         other = state_space(K.A, K.B, C, K.D, inputs=K.input_labels, outputs=K.output_labels)
-        assert h2_norm(close_loop(d.generalised, other))[0] > best.norm
+        assert h2_norm(compute_lower_lft(d.generalised, other))[0] > best.norm
 
 
 def test_h2_refuses_feedthrough_by_name() -> None:
     weights = OneDegreeWeights(TransferFunction((0.1,)), TransferFunction((1.0,)), TransferFunction((1.0,)))
     plant = state_space(-np.eye(1), np.eye(1), np.eye(1), np.ones((1, 1)), inputs=["u"], outputs=["y"], states=["x"])
     with pytest.raises(MuflyError, match=r"'w_v\[u\]' feeds through to 'z_y\[y\]'"):
-        h2syn(one_degree_plant(plant, ["y"], weights), 1, 1)
+        h2syn(make_one_dof_generalised_plant(plant, ["y"], weights), 1, 1)
     assert h2_norm(plant) == (np.inf, np.inf)
     assert h2_norm(control.tf2ss([1.0], [1.0, -1.0])) == (np.inf, np.inf)
     assert h2_norm(control.tf2ss([2.0], [1.0, 3.0])) == pytest.approx([2 / np.sqrt(6)] * 2)
@@ -107,7 +112,7 @@ def test_recovery_approaches_state_feedback(controller: FlightController) -> Non
     for q in (0.05, 1.0, 10.0, 100.0, 1e3, 1e4):
         found = design_lqg(G, (0, 1), RECOVERY, recovery=q)
         K = unscale_controller(found.controller, so, si)
-        peaks.append(analyse_loop(d.plant, feedback_part(K, d.plant, range(4))).sensitivity_peak_dB)
+        peaks.append(analyse_loop(d.plant, extract_feedback_controller(K, d.plant, range(4))).sensitivity_peak_dB)
     assert peaks == pytest.approx([2.80, 0.82, 0.20, 0.06, 0.02, 0.01], abs=0.01)
     A, B = augment_integrators(G, (0, 1))
     w = np.geomspace(0.1, 1e4, 300)
@@ -126,7 +131,7 @@ def test_filter_poles_stay_below_the_sampling_rate(controller: FlightController)
             recovery=1e4,
         )
         for rate in (100.0, 200.0, 500.0):
-            q = largest_recovery(G, weights, 2 * np.pi * rate)
+            q = find_largest_ltr_parameter(G, weights, 2 * np.pi * rate)
             L = kalman_gain(G, q, np.array(weights.noise))
             poles = np.abs(np.linalg.eigvals(G.A - L @ G.C))
             assert 0.5 * 2 * np.pi * rate < poles.max() <= max(2 * np.pi * rate, 1000.0 * 1.001)
@@ -150,7 +155,7 @@ def test_every_method_gives_a_design_that_fits_on_board(
     loop = sample_plant(d.plant, c.period_s, 1), d.feedback_controller(d.discrete.to_state_space())
     assert disk_margin(*loop).margin >= disk
     noise = np.radians([0.1, 0.1, 0.3, 0.3])
-    assert input_noise(*loop, noise).max() < 0.0265  # H-infinity: 0.0264
+    assert compute_input_noise_std(*loop, noise).max() < 0.0265  # H-infinity: 0.0264
     assert c.cascade_loop.stable
     record = to_plain_data(c)
     assert record["method"] == method
@@ -213,6 +218,6 @@ def test_noise_at_the_inputs_is_that_of_a_simulation(controller: FlightControlle
         u = K.C @ k + K.D @ e
         x, k = G.A @ x + G.B @ u, K.A @ k + K.B @ e
         inputs.append(u)
-    assert np.std(inputs, axis=0) == pytest.approx(input_noise(G, K, noise), rel=0.03)
+    assert np.std(inputs, axis=0) == pytest.approx(compute_input_noise_std(G, K, noise), rel=0.03)
     unstable = control.ss(K.A, K.B, -K.C, -K.D, K.dt)
-    assert np.isinf(input_noise(G, unstable, noise)).all()
+    assert np.isinf(compute_input_noise_std(G, unstable, noise)).all()

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mufly.control import DesignSettings, FlightController, design_flight_controller
-from mufly.control.analysis.comparison import compute_forward_speed_metrics, roll_pitch_plants_by_speed
-from mufly.control.analysis.plots import draw_schedule
+from mufly.control.analysis.comparison import compute_forward_speed_metrics, linearise_roll_pitch_by_speed
+from mufly.control.analysis.plots import draw_schedule_margins
 from mufly.control.implementation import DiscreteController
 from mufly.control.law import roll_pitch_init, roll_pitch_step
 from mufly.control.linear_systems import state_space
@@ -127,14 +127,14 @@ def test_frozen_speeds_are_those_of_the_blended_controller(
     assert all(f.least_disk_margin <= min(f.disk_margin, f.hover_disk_margin) for f in found.frozen)
     assert found.max_saturated_pole_modulus < 1.0
     flown = replace(ltr, schedule=found)
-    plants = roll_pitch_plants_by_speed(mapped, (1.0, 2.0, 50.0), ltr.voltage_V)
+    plants = linearise_roll_pitch_by_speed(mapped, (1.0, 2.0, 50.0), ltr.voltage_V)
     assert list(plants) == [1.0, 2.0]  # there is no steady flight at 50 m/s
     for f, frozen in zip(compute_forward_speed_metrics(flown, plants), found.frozen[1:3], strict=True):
         assert f.disk_margin == pytest.approx(frozen.disk_margin, rel=1e-9)
         assert f.sensitivity_peak_dB == pytest.approx(frozen.sensitivity_peak_dB, rel=1e-9)
     unscheduled = compute_forward_speed_metrics(ltr, plants)[1]
     assert unscheduled.disk_margin == pytest.approx(found.frozen[2].hover_disk_margin, rel=1e-9)
-    axes = draw_schedule(found).axes
+    axes = draw_schedule_margins(found).axes
     assert axes[0].lines[0].get_xydata()[-1] == pytest.approx([2.0, found.frozen[2].disk_margin])
     assert "2.00 sideways" in str(flown)
     assert found.max_share_rate_1_s == pytest.approx(2 * 9.81 * np.tan(0.15) / 2.0, rel=1e-3)

@@ -13,10 +13,10 @@ from mufly.control import (
     SignalScaling,
     TransferFunction,
     TwoDegreeWeights,
-    close_loop,
+    compute_lower_lft,
     frequency_response,
-    one_degree_plant,
-    two_degree_plant,
+    make_one_dof_generalised_plant,
+    make_two_dof_generalised_plant,
 )
 from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.weighting_schemes import (
@@ -50,11 +50,11 @@ def random_controller(inputs: int, outputs: int, seed: int) -> ct.StateSpace:
 def test_two_degrees_of_freedom_is_equation_6_3(appendix_b: ModuleType) -> None:
     G = appendix_b.linear().heave_yaw
     w = TwoDegreeWeights()
-    P = two_degree_plant(G, ["z", "psi"], w)
+    P = make_two_dof_generalised_plant(G, ["z", "psi"], w)
     assert P.input_labels[-2:] == ["motor_lower", "motor_upper"]
     assert P.output_labels[-5:] == ["reference[z]", "reference[psi]", "error[z]", "error[psi]", "error[r]"]
     K = random_controller(5, 2, 1)
-    T = frequency_response(close_loop(P, K), FREQUENCY)
+    T = frequency_response(compute_lower_lft(P, K), FREQUENCY)
     g, k = frequency_response(G, FREQUENCY), frequency_response(K, FREQUENCY)
     kf, kb = k[:, :, :2], k[:, :, 2:]
     S = np.linalg.inv(np.eye(2) + kb @ g)
@@ -126,9 +126,9 @@ def test_one_degree_of_freedom_is_equation_6_5(appendix_b: ModuleType) -> None:
         output=TransferFunction((1.0, 2.0), (1.0, 9.0)),
         auxiliary=0.5,
     )
-    P = one_degree_plant(G, ["phi", "theta"], w)
+    P = make_one_dof_generalised_plant(G, ["phi", "theta"], w)
     K = random_controller(4, 2, 2)
-    T = frequency_response(close_loop(P, K), FREQUENCY)
+    T = frequency_response(compute_lower_lft(P, K), FREQUENCY)
     g, k = frequency_response(G, FREQUENCY), frequency_response(K, FREQUENCY)
     S = np.linalg.inv(np.eye(2) + k @ g)
     wu, wv, wr, wy = (value(x)[:, None, None] for x in (w.control, w.input_disturbance, w.output_noise, w.output))
@@ -160,11 +160,13 @@ def test_a_pure_gain_is_that_gain() -> None:
 def test_faults_are_named(appendix_b: ModuleType) -> None:
     G = appendix_b.linear().heave_yaw
     with pytest.raises(MuflyError, match="reference 'height' is not an output"):
-        two_degree_plant(G, ["height"], TwoDegreeWeights())
+        make_two_dof_generalised_plant(G, ["height"], TwoDegreeWeights())
     with pytest.raises(MuflyError, match=r"W_M\[z\].*higher degree"):
-        two_degree_plant(G, ["z"], TwoDegreeWeights(reference_model=TransferFunction((1.0, 0.0), (1.0,))))
+        make_two_dof_generalised_plant(G, ["z"], TwoDegreeWeights(reference_model=TransferFunction((1.0, 0.0), (1.0,))))
     with pytest.raises(MuflyError, match=r"W_dbar.*right half plane or on the axis"):
-        two_degree_plant(G, ["z"], TwoDegreeWeights(input_disturbance=TransferFunction((1.0,), (1.0, 0.0))))
+        make_two_dof_generalised_plant(
+            G, ["z"], TwoDegreeWeights(input_disturbance=TransferFunction((1.0,), (1.0, 0.0)))
+        )
     with pytest.raises(MuflyError, match="2 output and 2 input scales"):
         scale_plant(G, SignalScaling((1.0, 1.0), (1.0, 1.0)))
     with pytest.raises(MuflyError, match="positive"):

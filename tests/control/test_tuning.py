@@ -16,19 +16,19 @@ from mufly.cli import app
 from mufly.control import (
     DesignSettings,
     FlightController,
-    close_loop,
+    compute_input_noise_std,
+    compute_lower_lft,
     design_flight_controller,
     disk_margin,
     hinf_norm,
     hinfsyn,
-    input_noise,
     sample_plant,
 )
 from mufly.control.designs import design_roll_pitch
 from mufly.control.robust import analyse_parameter_robustness
-from mufly.control.synthesis.weighting_schemes import one_degree_plant, scale_plant
+from mufly.control.synthesis.weighting_schemes import make_one_dof_generalised_plant, scale_plant
 from mufly.control.tuning import make_flight_goals, reduce_start_controllers, tune_controller
-from mufly.control.tuning.fixed_order import add_delay, evaluate_goal_norms, stack_controller_matrices
+from mufly.control.tuning.fixed_order import add_input_delay, evaluate_goal_norms, stack_controller_matrices
 from mufly.control.tuning.loop_tuning import (
     GoalLevels,
     find_start_controllers,
@@ -46,8 +46,8 @@ LEVELS = {"weighted": 0.62, "sensitivity": 1.35, "complementary": 1.26, "noise":
 @pytest.fixture(scope="module")
 def problem(controller: FlightController):
     d = controller.roll_pitch
-    plant = add_delay(scale_plant(d.plant, d.scaling), 1.5 * controller.period_s)
-    generalised = one_degree_plant(plant, ("phi", "theta"), controller.settings.roll_pitch_weights)
+    plant = add_input_delay(scale_plant(d.plant, d.scaling), 1.5 * controller.period_s)
+    generalised = make_one_dof_generalised_plant(plant, ("phi", "theta"), controller.settings.roll_pitch_weights)
     noise = np.radians([0.1, 0.1, 0.3, 0.3]) / np.array(d.scaling.outputs)
     full = hinfsyn(generalised, 4, 2, relaxation=1.2).controller
     return generalised, make_flight_goals(generalised, plant, 4, noise, LEVELS, controller.period_s), full
@@ -56,7 +56,7 @@ def problem(controller: FlightController):
 def test_norms_are_those_of_the_closed_loop(problem) -> None:
     generalised, goals, full = problem
     norms = evaluate_goal_norms(goals, full)
-    assert norms["weighted"] == pytest.approx(hinf_norm(close_loop(generalised, full))[0], rel=1e-5)
+    assert norms["weighted"] == pytest.approx(hinf_norm(compute_lower_lft(generalised, full))[0], rel=1e-5)
     assert norms["sensitivity"] > 1.0
 
 
@@ -103,7 +103,7 @@ def test_gradients_of_disk_activity_and_mu_are_exact(vehicle: Vehicle, controlle
     d = flown.roll_pitch
     loop = sample_plant(d.plant, flown.period_s, 1), d.feedback_controller(d.discrete.to_state_space())
     norms = evaluate_goal_norms(p.goals, K)
-    deviation = input_noise(*loop, noise) / np.array(d.scaling.inputs)
+    deviation = compute_input_noise_std(*loop, noise) / np.array(d.scaling.inputs)
     assert norms["activity"] == pytest.approx(np.linalg.norm(deviation), rel=0.1)
     assert 1 / norms["disk"] == pytest.approx(disk_margin(*loop).margin, rel=0.05)
     judged = analyse_parameter_robustness(vehicle, flown, spreads, points=12).roll_pitch
@@ -158,7 +158,7 @@ def test_order_two_reaches_the_margins(vehicle: Vehicle, controller: FlightContr
     assert d.sampled_loop.complementary_peak_dB <= 2.5
     loop = sample_plant(d.plant, controller.period_s, 1), d.feedback_controller(d.discrete.to_state_space())
     assert disk_margin(*loop).margin >= 0.92
-    assert input_noise(*loop, np.radians([0.1, 0.1, 0.3, 0.3])).max() < 0.03
+    assert compute_input_noise_std(*loop, np.radians([0.1, 0.1, 0.3, 0.3])).max() < 0.03
 
 
 def test_order_out_of_range_is_refused(vehicle: Vehicle) -> None:

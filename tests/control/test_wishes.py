@@ -11,14 +11,14 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli.control import app
-from mufly.control.analysis.rotor_speed_feedback import compare_rotor_speeds, compute_back_emf_speed_noise
-from mufly.control.analysis.speed_schedule import ScheduleComparison, compare_schedules
+from mufly.control.analysis.rotor_speed_feedback import compare_rotor_speed_feedback, compute_back_emf_speed_noise
+from mufly.control.analysis.speed_schedule import ScheduleComparison, compare_designs_over_speed
 from mufly.errors import InputError
 from mufly.vehicle import Vehicle, replace_parameters
 
 
 def test_rotor_speeds_let_heave_be_faster_with_wider_margins(vehicle: Vehicle) -> None:
-    found = compare_rotor_speeds(vehicle, control_weights=(0.1, 0.025))
+    found = compare_rotor_speed_feedback(vehicle, control_weights=(0.1, 0.025))
     plain, more = (replace(found, rows=found.rows[i : i + 2]).rows for i in (0, 2))
     for without, with_speeds in zip(plain, more, strict=True):
         assert not without.rotor_speeds
@@ -38,14 +38,14 @@ def test_noisy_rotor_speeds_bring_less(vehicle: Vehicle) -> None:
     """The reading's noise over kE and the gear; a reading that is all noise is not used."""
     assert compute_back_emf_speed_noise(vehicle) == pytest.approx(0.01 / (0.0045 * 1.5))
     noisy = replace_parameters(vehicle, {"sensors.rotor_speed.voltage_noise": 50.0})
-    good, bad = (compare_rotor_speeds(v, control_weights=(0.1,)).rows for v in (vehicle, noisy))
+    good, bad = (compare_rotor_speed_feedback(v, control_weights=(0.1,)).rows for v in (vehicle, noisy))
     assert good[1].crossover_rad_s > good[0].crossover_rad_s
     assert bad[1].crossover_rad_s == pytest.approx(bad[0].crossover_rad_s, rel=0.05)
     assert bad[1].height_m == pytest.approx(bad[0].height_m, rel=0.2)
 
 
 def test_a_schedule_is_judged_by_its_diagonal(vehicle: Vehicle) -> None:
-    found = compare_schedules(vehicle, ["ltr"], speeds_m_s=(0.0, 2.0))
+    found = compare_designs_over_speed(vehicle, ["ltr"], speeds_m_s=(0.0, 2.0))
     (ltr,) = found.schedules
     assert ltr.disk_margin.shape == (2, 2)
     assert (ltr.disk_margin > 0.9).all()

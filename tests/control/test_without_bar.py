@@ -14,7 +14,7 @@ from mufly.cli.control import app
 from mufly.control import DesignSettings, disk_margin, sample_plant
 from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, compute_servo_map, scale_roll_pitch_bandwidth
 from mufly.control.designs import design_roll_pitch
-from mufly.control.synthesis.weighting_schemes import ROLL_PITCH_WEIGHTS, complete_settings
+from mufly.control.synthesis.weighting_schemes import ROLL_PITCH_WEIGHTS, fill_missing_weights
 from mufly.dynamics import initial_state, linearise_vehicle, model_parameters
 from mufly.dynamics.equations_of_motion import state_derivative
 from mufly.dynamics.linearisation import LINEAR_INPUTS, extract_submodel
@@ -78,7 +78,10 @@ def test_without_the_bar_it_falls_over_and_with_it_it_swings(bare: Vehicle, vehi
 def test_weights_follow_the_bar_and_hold_slow_servos(bare: Vehicle, lag_ms: float, least: float) -> None:
     slow = replace_parameters(bare, {"swash_plate.time_constant": lag_ms / 1e3})
     margins = []
-    for settings in (complete_settings(DesignSettings(), slow), DesignSettings(roll_pitch_weights=ROLL_PITCH_WEIGHTS)):
+    for settings in (
+        fill_missing_weights(DesignSettings(), slow),
+        DesignSettings(roll_pitch_weights=ROLL_PITCH_WEIGHTS),
+    ):
         d = design_roll_pitch(linearise_vehicle(slow).roll_pitch, settings, 1 / 200)
         loop = sample_plant(d.plant, 1 / 200, 1), d.feedback_controller(d.discrete.to_state_space())
         margins.append(disk_margin(*loop).margin)
@@ -88,9 +91,9 @@ def test_weights_follow_the_bar_and_hold_slow_servos(bare: Vehicle, lag_ms: floa
 
 def test_settings_that_state_weights_keep_them(bare: Vehicle, vehicle: Vehicle) -> None:
     own = replace(ROLL_PITCH_WEIGHTS, auxiliary=0.1)
-    assert complete_settings(DesignSettings(roll_pitch_weights=own), bare).roll_pitch_weights is own
-    assert complete_settings(DesignSettings(), vehicle).roll_pitch_weights == ROLL_PITCH_WEIGHTS
-    s = complete_settings(DesignSettings(), bare)
+    assert fill_missing_weights(DesignSettings(roll_pitch_weights=own), bare).roll_pitch_weights is own
+    assert fill_missing_weights(DesignSettings(), vehicle).roll_pitch_weights == ROLL_PITCH_WEIGHTS
+    s = fill_missing_weights(DesignSettings(), bare)
     assert scale_roll_pitch_bandwidth(s, 1.0) == s
 
 

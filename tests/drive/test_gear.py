@@ -10,9 +10,9 @@ from mufly.drive import (
     find_full_voltage_gear_ratio,
     find_gear_optima,
     find_least_power_gear_ratio,
-    gear_curve,
     load_drive,
     make_coefficient_load,
+    sweep_gear_ratio,
 )
 
 DRIVE = load_drive("mufly")
@@ -61,7 +61,7 @@ def test_greatest_mechanical_power_is_half_the_free_speed() -> None:
     b = c.torque_Nm_A * c.back_emf_V_s / c.resistance_ohm + c.friction_Nm_s
     for load in (UPPER, LOWER):
         best = find_gear_optima(DRIVE, load).mechanical_power
-        curve = gear_curve(DRIVE, load, [best])
+        curve = sweep_gear_ratio(DRIVE, load, [best])
         assert float(curve.motor_speed_rad_s[0]) == pytest.approx(a / (2 * b), rel=2e-4)
         assert float(curve.mechanical_power_W[0]) == pytest.approx(c.gear_efficiency * a**2 / (4 * b), rel=1e-6)
 
@@ -84,12 +84,12 @@ def test_optima_of_fig_3_7() -> None:
 
 def test_wanted_thrust_is_reached_at_the_gear_that_is_said() -> None:
     best = find_gear_optima(DRIVE, UPPER, thrust_N=0.5)
-    curve = gear_curve(DRIVE, UPPER, [best.for_required_thrust])
+    curve = sweep_gear_ratio(DRIVE, UPPER, [best.for_required_thrust])
     assert float(curve.thrust_N[0]) == pytest.approx(0.5, rel=1e-4)
     assert np.isnan(find_gear_optima(DRIVE, UPPER, thrust_N=5.0).for_required_thrust)
 
 
 def test_input_power_falls_with_the_gear() -> None:
-    curve = gear_curve(DRIVE, UPPER, np.linspace(0.5, 8, 50))
+    curve = sweep_gear_ratio(DRIVE, UPPER, np.linspace(0.5, 8, 50))
     assert np.all(np.diff(curve.input_power_W) < 0)
     assert curve.input_power_W.attrs["units"] == "W"

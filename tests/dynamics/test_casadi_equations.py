@@ -5,7 +5,7 @@ import pytest
 
 import mufly
 from mufly.dynamics import casadi_model, find_trim, initial_state, model_parameters, state_derivative
-from mufly.dynamics.branch_selection import select_branches
+from mufly.dynamics.branch_selection import replace_branches_by_selection
 from mufly.vehicle import Vehicle, builtin_coefficient_maps, builtin_flight_maps, replace_parameters
 
 casadi = pytest.importorskip("casadi", reason="CasADi is not installed")
@@ -74,4 +74,4 @@ def test_forms_without_a_selection_are_refused() -> None:
             return x
 
     with pytest.raises(NotImplementedError, match="else"):
-        select_branches(Compiled, {})
+        replace_branches_by_selection(Compiled, {})

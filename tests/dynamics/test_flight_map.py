@@ -15,7 +15,7 @@ from mufly.dynamics import (
     state_derivative,
 )
 from mufly.dynamics.edgewise_loads import is_inside_flight_map
-from mufly.dynamics.equations_of_motion import state_derivative_tilted
+from mufly.dynamics.equations_of_motion import state_derivative_from_tilt_sines
 from mufly.dynamics.model_state import (
     MODEL_POSITION,
     MODEL_RATES,
@@ -151,8 +151,8 @@ def test_the_filters_function_knows_no_map(vehicle, clamped, random_state):
     x, u = random_state(np.random.default_rng(5)), np.array([0.7, 0.7, 0.3, -0.1])
     turned = replace_parameters(clamped, {"swash_plate.phase": 0.4})
     first, second = np.empty(STATE_SIZE), np.empty(STATE_SIZE)
-    state_derivative_tilted(x, u, CALM, model_parameters(vehicle), 0.1, 0.99, 0.05, 0.99, True, first)
-    state_derivative_tilted(x, u, CALM, model_parameters(turned), 0.1, 0.99, 0.05, 0.99, True, second)
+    state_derivative_from_tilt_sines(x, u, CALM, model_parameters(vehicle), 0.1, 0.99, 0.05, 0.99, True, first)
+    state_derivative_from_tilt_sines(x, u, CALM, model_parameters(turned), 0.1, 0.99, 0.05, 0.99, True, second)
     assert np.array_equal(first, second)
 
 

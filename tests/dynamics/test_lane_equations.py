@@ -8,8 +8,8 @@ import pytest
 import mufly
 from mufly.compiled.portable_math import sine_cosine
 from mufly.dynamics import PARAMETER_DTYPE, integrate_batch, model_parameters, state_derivative
-from mufly.dynamics.branch_selection import select_branches
-from mufly.dynamics.lane_equations import group_vehicles, integrate_lanes, lay_out_blocks
+from mufly.dynamics.branch_selection import replace_branches_by_selection
+from mufly.dynamics.lane_equations import assign_vehicles_to_blocks, group_vehicles, integrate_lanes
 from mufly.dynamics.simulation import normalise_state
 from mufly.vehicle import builtin_coefficient_maps, builtin_flight_maps, replace_parameters
 
@@ -35,7 +35,7 @@ KINDS = (
 
 def integrate_alone(x, u, wind, p, dt, steps):
     """The equations' source in Python, with the sine of lanes."""
-    derivative, normalise = (select_branches(f, PLAIN_NAMES) for f in (state_derivative, normalise_state))
+    derivative, normalise = (replace_branches_by_selection(f, PLAIN_NAMES) for f in (state_derivative, normalise_state))
     for _ in range(steps):
         slopes = []
         for reach in (0.0, 0.5 * dt, 0.5 * dt, dt):
@@ -104,7 +104,7 @@ def test_a_broken_neighbour_stays_alone(mixed) -> None:
 
 def test_blocks_hold_one_kind_and_every_vehicle_once(mixed) -> None:
     group = group_vehicles(mixed[3])
-    blocks = lay_out_blocks(group)
+    blocks = assign_vehicles_to_blocks(group)
     assert len(set(group)) == len(KINDS)
     assert all(len(set(group[row])) == 1 for row in blocks)
     assert sorted(set(blocks.ravel())) == list(range(40))
@@ -113,7 +113,7 @@ def test_blocks_hold_one_kind_and_every_vehicle_once(mixed) -> None:
 def test_inputs_change_after_the_delay_and_threads_do_not_matter(mixed) -> None:
     x, u, wind, p = mixed
     before, delay = u[::-1].copy(), np.arange(40) % 11
-    blocks, vehicle = lay_out_blocks(group_vehicles(p)), np.arange(40)
+    blocks, vehicle = assign_vehicles_to_blocks(group_vehicles(p)), np.arange(40)
     at_once, two_cores, in_parts = x.copy(), x.copy(), x.copy()
     for y, threads in ((at_once, 1), (two_cores, 2)):
         integrate_lanes(y, before, u, delay, wind, p, vehicle, blocks, 1e-3, 10, threads=threads)

@@ -8,16 +8,21 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from mufly.dynamics import (
     body_to_ned_matrix,
+    find_longest_stable_step,
     find_trim,
     hover_performance,
     initial_state,
     linearise_vehicle,
-    longest_step,
     model_parameters,
     simulate_open_loop,
     state_derivative,
 )  # fmt: skip
-from mufly.dynamics.equations_of_motion import coefficient_bounds, compute_axial_climb_velocity, inside_map, rotor_loads
+from mufly.dynamics.equations_of_motion import (
+    bound_map_coefficient,
+    compute_axial_climb_velocity,
+    is_inside_coefficient_map,
+    rotor_loads,
+)
 from mufly.errors import InputError
 from mufly.vehicle import CoefficientMap, MapTables, load_coefficient_map, replace_parameters
 from mufly.vehicle.coefficient_map import format_table
@@ -66,7 +71,7 @@ def test_a_constant_map_is_the_constants(vehicle, random_state) -> None:
         state_derivative(x, u, CALM, q, b)
         assert_allclose(b, a, rtol=1e-9, atol=1e-7)
     assert_allclose(find_trim(flat).state, find_trim(vehicle).state, rtol=1e-7, atol=1e-9)
-    assert longest_step(q) == pytest.approx(longest_step(p), rel=1e-9)
+    assert find_longest_stable_step(q) == pytest.approx(find_longest_stable_step(p), rel=1e-9)
 
 
 @settings(max_examples=40)
@@ -89,7 +94,7 @@ def test_loads_are_the_coefficients_times_the_squares(vehicle, up, dw, climb, le
     expected = unit * c * np.array([up**2, 0.0875 * up**2, dw**2, 0.0875 * dw**2])
     assert_allclose(np.array(rotor_loads(p, up, dw, climb))[[0, 2, 1, 3]], expected, rtol=1e-5)
     inside = 0.6 <= dw / up <= 1.6 and -0.03 <= climb / (mean * 0.0875) <= 0.09 and 250 <= mean <= 650
-    assert inside_map(v, up, dw, climb) == inside
+    assert is_inside_coefficient_map(v, up, dw, climb) == inside
 
 
 def test_the_equations_use_the_loads(mapped, random_state) -> None:
@@ -156,7 +161,7 @@ def test_everything_works_with_a_map(name, request, vehicle) -> None:
     assert 1.1 < h.thrust_to_weight_half < 1.8
     linear = linearise_vehicle(v).full
     assert np.all(np.isfinite(linear.A))
-    assert 1e-3 < longest_step(p) < 4e-3
+    assert 1e-3 < find_longest_stable_step(p) < 4e-3
     if name == "scaled":  # the constants hold at hover
         assert_allclose(t.rotor_speed, find_trim(vehicle).rotor_speed, rtol=1e-6)
         assert_allclose(t.input, find_trim(vehicle).input, atol=1e-6)
@@ -191,7 +196,7 @@ def test_a_fast_climb_needs_more_input_than_the_constants_say(scaled, vehicle) -
 def test_bounds_hold_everywhere(mapped) -> None:
     p, rng = model_parameters(mapped), np.random.default_rng(9)
     for k, name in enumerate(NAMES):
-        greatest, per_speed, per_climb = coefficient_bounds(p, name)
+        greatest, per_speed, per_climb = bound_map_coefficient(p, name)
         own = k % 2
         for _ in range(200):
             up, dw, climb = rng.uniform(200, 700), rng.uniform(200, 700), rng.uniform(-3, 5)

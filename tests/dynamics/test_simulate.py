@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from mufly.dynamics import initial_state, integrate_state, longest_step, model_parameters, simulate_open_loop
+from mufly.dynamics import (
+    find_longest_stable_step,
+    initial_state,
+    integrate_state,
+    model_parameters,
+    simulate_open_loop,
+)
 from mufly.errors import InputError
 from mufly.vehicle import replace_parameters
 
@@ -12,10 +18,10 @@ REST = initial_state(position=(0, 0, -5))
 
 def test_the_longest_step_is_where_the_swash_plate_turns_unstable(vehicle) -> None:
     p = model_parameters(vehicle)
-    assert longest_step(p) == pytest.approx(2.7e-3)
+    assert find_longest_stable_step(p) == pytest.approx(2.7e-3)
     for factor, grows in ((0.99, False), (1.06, True)):
         x = REST.copy()
-        integrate_state(x, np.array([0, 0, 0.1, 0]), np.zeros(3), p, factor * longest_step(p), 2000)
+        integrate_state(x, np.array([0, 0, 0.1, 0]), np.zeros(3), p, factor * find_longest_stable_step(p), 2000)
         assert (abs(x[14]) > 1.0) == grows
 
 

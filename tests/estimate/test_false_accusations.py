@@ -28,7 +28,7 @@ from mufly.estimate.filter.filter_records import (
     ROTOR_FORCE_HISTORY,
     SENSOR_COUNT,
     STATE_COUNT,
-    filter_settings,
+    make_filter_settings,
 )
 from mufly.estimate.filter.measurements import fix_fusion, fusion, sensor_checks
 from mufly.estimate.filter.measurements.sensor_checks import STATUS_FAULTY, STATUS_REJECTED
@@ -38,7 +38,7 @@ from mufly.world import World
 
 @pytest.fixture(scope="module")
 def settings() -> Any:
-    s = filter_settings(load_vehicle("mufly-1.1"), World(), 200.0)
+    s = make_filter_settings(load_vehicle("mufly-1.1"), World(), 200.0)
     return SimpleNamespace(**{name: s[name] for name in s.dtype.names})
 
 

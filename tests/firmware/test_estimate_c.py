@@ -14,7 +14,7 @@ import pytest
 from mufly.compiled.toolchain import build_cached_library
 from mufly.control import design_flight_controller
 from mufly.dynamics import find_trim, model_parameters
-from mufly.dynamics.equations_of_motion import state_derivative_tilted
+from mufly.dynamics.equations_of_motion import state_derivative_from_tilt_sines
 from mufly.dynamics.model_state import MODEL_SPEED_UPPER, STATE_SIZE
 from mufly.errors import MuflyError
 from mufly.estimate import KalmanEstimator, filter_backend
@@ -147,7 +147,7 @@ def test_rotors_that_hardly_turn_have_equal_loads_in_both_languages() -> None:
     for speeds in ((0.3, 0.7), (0.9, 0.2), (5e-4, 2e-4), (1.5, 1.2), (300.0, 310.0)):
         x, u = find_trim(mapped).state, np.array([0.1, 0.1, 0.0, 0.0])
         x[MODEL_SPEED_UPPER : MODEL_SPEED_UPPER + 2] = speeds
-        state_derivative_tilted(x, u, still, p, 0.0, 1.0, 0.0, 1.0, False, ours)
+        state_derivative_from_tilt_sines(x, u, still, p, 0.0, 1.0, 0.0, 1.0, False, ours)
         buffers = (ffi.from_buffer("double[]", a) for a in (x, u, still))
         lib.flight_model(
             *buffers, record, ffi.new("double[4]", [0.0, 1.0, 0.0, 1.0]), ffi.from_buffer("double[]", theirs)

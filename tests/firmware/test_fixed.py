@@ -14,7 +14,7 @@ from mufly.control import design_flight_controller
 from mufly.control.implementation import DiscreteController
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
-from mufly.firmware.fixed_point.fixed_point_design import measure_cascade_loss, quantise_controller, quantise_law
+from mufly.firmware.fixed_point.fixed_point_design import measure_cascade_margin_loss, quantise_controller, quantise_law
 from mufly.firmware.fixed_point.fixed_point_flights import compare_fixed_point_flights
 from mufly.firmware.fixed_point.fixed_point_law import FixedPointFirmwareControllers
 from mufly.firmware.proof.sil_pil import describe_missing_tools, run_pil
@@ -35,7 +35,7 @@ def made(request):
 def test_whole_numbers_cost_no_margin_and_cannot_overflow(made) -> None:
     vehicle, controller, law = made
     assert {one.loop for one in law.chosen_losses} == {"heave-yaw", "roll-pitch", "velocity"}
-    for one in (*law.chosen_losses, measure_cascade_loss(vehicle, controller, law)):
+    for one in (*law.chosen_losses, measure_cascade_margin_loss(vehicle, controller, law)):
         assert one.worst_dB < 0.1, one
     for c in law.controllers:
         assert c.proof.is_overflow_free

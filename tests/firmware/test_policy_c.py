@@ -24,7 +24,7 @@ from mufly.flight.policy import (
     load_policy,
     save_policy,
 )
-from mufly.flight.policy.observation import OBS_HEIGHT, map_action, observation_limits, observation_units
+from mufly.flight.policy.observation import OBS_HEIGHT, map_action_to_inputs, observation_limits, observation_units
 from mufly.flight.policy.policy_controllers import find_action_for_inputs, step_policy
 from mufly.flight.policy.policy_network import evaluate_policy
 from mufly.vehicle import load_vehicle
@@ -233,7 +233,7 @@ def test_policy_acts_every_fourth_period_and_hands_over_to_a_pilot(design) -> No
 
 def test_action_before_is_that_of_the_inputs_before() -> None:
     trim, action, inputs = np.array([0.6, 0.7, 0.0, 0.0]), np.array([0.5, -0.3, 0.2, -0.9]), np.empty(4)
-    map_action.py_func(action, trim, inputs)
+    map_action_to_inputs.py_func(action, trim, inputs)
     assert find_action_for_inputs(inputs, trim) == pytest.approx(action, abs=1e-15)
     assert find_action_for_inputs(np.zeros(4), trim)[0] == -1.0
 

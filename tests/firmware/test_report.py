@@ -17,8 +17,8 @@ from mufly.firmware import (
     describe_missing_fuzzer_tools,
     export_firmware,
     export_fixed_point,
+    measure_and_write_report,
     run_fuzzer,
-    write_report,
 )
 from mufly.firmware.export.source_export import find_sources
 from mufly.firmware.proof.evidence_report import (
@@ -105,7 +105,7 @@ def test_sources_of_boards_are_checked_as_well(tree) -> None:
 def test_a_missing_tool_is_named_and_the_report_is_written(vehicle, tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     wanted = ("On emulated processors", "MISRA C:2012", "What gcc says")
-    sections = write_report(vehicle, tmp_path / "report", only=wanted)
+    sections = measure_and_write_report(vehicle, tmp_path / "report", only=wanted)
     assert {s.title for s in sections} == set(wanted)
     text = (tmp_path / "report" / "report.md").read_text()
     for package in ("gcc-arm-none-eabi", "cppcheck", "install gcc"):

@@ -21,7 +21,7 @@ from mufly.estimate.filter.filter_records import (
 from mufly.firmware import describe_missing_tools
 from mufly.firmware.emulated import HostBoard, make_board
 from mufly.firmware.emulated.image_build import build_host_board
-from mufly.firmware.proof.evidence_report import BOARD_MEMORY_TARGET_BYTES, measure_board_image
+from mufly.firmware.proof.evidence_report import BOARD_MEMORY_TARGET_BYTES, measure_board_memory
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
 
@@ -428,7 +428,7 @@ def test_the_emulated_board_keeps_its_settings_over_a_restart(vehicle) -> None:
 @needs_qemu
 def test_a_whole_board_fits_its_processor(vehicle) -> None:
     """Loop, estimator, MAVLink, receiver and settings: flash, RAM, and the stack of the deepest path of calls."""
-    found = measure_board_image(vehicle)
+    found = measure_board_memory(vehicle)
     assert found.keys() == BOARD_MEMORY_TARGET_BYTES.keys()
     for name, size in found.items():
         assert 0.3 * BOARD_MEMORY_TARGET_BYTES[name] < size < BOARD_MEMORY_TARGET_BYTES[name], name

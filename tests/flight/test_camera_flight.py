@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from mufly.camera import Camera, decode_picture, load_camera, parse_camera, read_pictures, unproject_pixels
+from mufly.camera import Camera, decode_grey_picture, load_camera, parse_camera, read_pictures, unproject_pixels
 from mufly.dynamics import initial_state
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, KalmanEstimator
@@ -138,7 +138,7 @@ def test_what_is_seen_is_shown(flown: tuple[xr.Dataset, list[FlightEvent]]) -> N
     good = next(s for s in reversed(looked) if s.result is not None and s.result.trusted)
     answer = good.result
     assert answer is not None
-    assert decode_picture(good.jpeg).shape == (240, 320)
+    assert decode_grey_picture(good.jpeg).shape == (240, 320)
     assert good.feature_pixels.shape == (answer.inlier_count, 2)
     assert ((good.feature_pixels > 0) & (good.feature_pixels < [319, 239])).all()
     assert 0.2 <= good.latency_s < 0.4
@@ -155,7 +155,7 @@ def test_what_is_seen_is_shown(flown: tuple[xr.Dataset, list[FlightEvent]]) -> N
     covered = [s for s in looked if s.result is not None and 8.9 < s.result.time_s < 9.5]
     assert covered[-1].warning.startswith("too few points of the floor")
     assert not covered[-1].is_standing
-    assert np.mean(decode_picture(covered[-1].jpeg)) < 20
+    assert np.mean(decode_grey_picture(covered[-1].jpeg)) < 20
 
 
 def test_its_recording_is_looked_at_again(flown: tuple[xr.Dataset, list[FlightEvent]], folder: Path) -> None:
@@ -349,7 +349,7 @@ def test_a_flight_on_places_from_outside_sends_its_pictures() -> None:
 
     class Server:
         def publish_picture(self, jpeg: bytes, time_s: float) -> None:
-            sent.append((time_s, decode_picture(jpeg)))
+            sent.append((time_s, decode_grey_picture(jpeg)))
 
         def close(self) -> None:
             sent.clear()

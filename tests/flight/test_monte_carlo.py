@@ -21,12 +21,12 @@ from mufly.flight.monte_carlo import (
     FlightResult,
     WorkerPool,
     case_from_result,
+    compute_flight_result,
     compute_wilson_interval,
     draw_distributions,
     draw_influences,
     flight_severity,
     fly_case,
-    judge_flight,
     parse_variations,
     results_dataset,
     run_campaign,
@@ -279,7 +279,7 @@ def test_what_the_state_machine_says_is_not_enough(campaign: Campaign) -> None:
     common = {"index": 0, "seed": 0, "refused": 0, "wind": None, "values": {}}
 
     def why(recording: xr.Dataset, mission: Mission = HOP, tolerance_m: float = 0.3) -> str:
-        flown = judge_flight(recording, mission, tolerance_m, **common)
+        flown = compute_flight_result(recording, mission, tolerance_m, **common)
         assert flown.reported_outcome.startswith("succeeded")
         assert flown.success == (not flown.reason)
         return flown.reason

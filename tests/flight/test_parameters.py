@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mufly.control import FlightController, design_flight_controller
-from mufly.control.implementation import analyse_cascade
+from mufly.control.implementation import analyse_position_cascade
 from mufly.dynamics import linearise_vehicle
 from mufly.flight import ControllerReference, Flight, controllers, simulate_controller_response
 from mufly.flight.controllers import copy_record
@@ -213,7 +213,7 @@ def test_the_position_loop_is_robust_at_both_bounds(name: str) -> None:
     full = linearise_vehicle(vehicle).full
     row = TUNABLE_PARAMETERS["CTL_POS_GAIN"]
     for gain in (row.minimum, row.maximum):
-        loop = analyse_cascade(full, c.roll_pitch.discrete, c.velocity.discrete, gain, c.position_divider)
+        loop = analyse_position_cascade(full, c.roll_pitch.discrete, c.velocity.discrete, gain, c.position_divider)
         assert loop.stable
         assert loop.sensitivity_peak_dB < 4.9
         assert loop.complementary_peak_dB < 4.9

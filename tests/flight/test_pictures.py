@@ -6,7 +6,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from mufly.flight import draw_flight
+from mufly.flight import draw_flight_pictures
 from mufly.flight.record.flight_pictures import STATE_COLOURS, draw_history, draw_position, draw_track
 from mufly.world import Box, Cylinder, World
 
@@ -20,7 +20,7 @@ def data(flight):
 
 def test_pictures_are_not_blank_and_the_same_every_time(tmp_path, data, flight):
     how = {"waypoints": flight.waypoints, "world": WORLD}
-    paths, again = (draw_flight(data, tmp_path / place, **how) for place in ("new", "again"))
+    paths, again = (draw_flight_pictures(data, tmp_path / place, **how) for place in ("new", "again"))
     assert [path.name for path in paths] == ["track.png", "history.png", "position.png"]
     assert [p.read_bytes() for p in paths] == [p.read_bytes() for p in again]
     for path in paths:
@@ -95,11 +95,11 @@ def test_a_flight_without_references_or_movement_can_be_drawn(tmp_path, data):
     still = data.isel(time=slice(0, 40)).copy(deep=True)
     for name in ("reference_position", "reference_attitude", "measured_position", "truth_rotor_speed"):
         still[name][:] = np.nan
-    assert len(draw_flight(still, tmp_path)) == 3
+    assert len(draw_flight_pictures(still, tmp_path)) == 3
 
 
 def test_one_row_can_be_drawn(tmp_path, data):
-    assert len(draw_flight(data.isel(time=[0]), tmp_path)) == 3
+    assert len(draw_flight_pictures(data.isel(time=[0]), tmp_path)) == 3
 
 
 def test_an_unknown_state_is_drawn_too(tmp_path, data):

@@ -26,7 +26,7 @@ from mufly.flight.estimator_health import (
     describe_missing_position_sensor,
     judge_estimate,
 )
-from mufly.identify.flight_record import make_record
+from mufly.identify.flight_record import make_flight_record
 from mufly.mission import dump_mission, parse_mission
 from mufly.quantities.quantity_table import FUSION_STATUSES, READINGS_WITH_FUSION_STATUS
 from mufly.quantities.sensor_table import READINGS
@@ -443,7 +443,7 @@ def test_the_estimate_can_be_made_again_from_the_recording_to_the_bit(sensed, ve
 
 def test_identification_takes_what_was_estimated_where_no_sensor_tells_it(sensed) -> None:
     _, data, _ = sensed
-    record = make_record(data, "flight.mcap")
+    record = make_flight_record(data, "flight.mcap")
     assert {"north", "height", "roll", "yaw", "p", "r", "speed_up"} <= set(record.output_names)
     told = dict(zip(record.output_names, record.measured.T, strict=True))
     flown = data.estimated_valid.values > 0.5

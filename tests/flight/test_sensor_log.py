@@ -8,7 +8,13 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.flight import draw_sensors, fly_and_log_sensors, fly_mission, reading_errors, write_sensor_logs
+from mufly.flight import (
+    compute_reading_errors,
+    draw_sensor_readings,
+    fly_and_log_sensors,
+    fly_mission,
+    write_sensor_logs,
+)
 from mufly.flight.record.sensor_log import ReadingLog
 from mufly.mission import load_mission
 from mufly.sensors import parse_fault
@@ -40,7 +46,7 @@ def test_listening_leaves_the_flight_as_it_was(hop, logs) -> None:
 
 
 def test_errors_are_those_of_the_sensors(logs) -> None:
-    rates, fix, sonar = (reading_errors(logs[name]) for name in ("rates", "position_fix", "ground_distance"))
+    rates, fix, sonar = (compute_reading_errors(logs[name]) for name in ("rates", "position_fix", "ground_distance"))
     assert rates.rate_Hz == pytest.approx(200.0, rel=0.01)
     assert 0.0 < rates.deviation < 0.02
     assert fix.delay_s == pytest.approx(0.5, abs=0.05)
@@ -52,7 +58,7 @@ def test_errors_are_those_of_the_sensors(logs) -> None:
 def test_headings_are_compared_around_the_circle() -> None:
     log = ReadingLog("position_fix", [0.0, 1.0], [0.0, 1.0], [np.array([0, 0, 0, 3.1])] * 2,
                     [np.array([0, 0, 0, -3.1])] * 2, [True, True])  # fmt: skip
-    assert reading_errors(log).worst < 0.1
+    assert compute_reading_errors(log).worst < 0.1
 
 
 def test_everything_is_drawn_and_written(logs, tmp_path) -> None:
@@ -60,7 +66,7 @@ def test_everything_is_drawn_and_written(logs, tmp_path) -> None:
     assert {f.stem for f in files} == set(logs)
     table = np.genfromtxt(tmp_path / "rates.csv", delimiter=",", skip_header=2)
     assert table.shape == (len(logs["rates"].arrival_s), 9)
-    figure = draw_sensors(logs)
+    figure = draw_sensor_readings(logs)
     assert len(figure.axes) == len(logs)
     assert all("(" in ax.get_ylabel() for ax in figure.axes if ax.get_ylabel() != "clipping")
 

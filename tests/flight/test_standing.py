@@ -14,7 +14,7 @@ from mufly.dynamics import (
     standing_height,
 )
 from mufly.estimate import KalmanEstimator
-from mufly.estimate.filter.filter_records import ERROR_ACCEL_BIAS, filter_settings
+from mufly.estimate.filter.filter_records import ERROR_ACCEL_BIAS, make_filter_settings
 from mufly.flight import Flight
 from mufly.quantities.units import GRAVITY
 from mufly.sensors import Truth, make_fitted_sensors, randomise_leg_lengths
@@ -69,7 +69,7 @@ def test_it_stands_still_as_it_leans_and_the_filter_does_not_know():
     for before, after in pairwise(stands):
         assert np.abs(after.attitude - before.attitude).max() < 1e-6
     assert stands[-1].attitude[:2] == pytest.approx(lean, abs=2e-5)
-    told = filter_settings(VEHICLE, World(), 200.0)
+    told = make_filter_settings(VEHICLE, World(), 200.0)
     level, bias = told["rest_tilt_sigma"], told["initial_sigma"][ERROR_ACCEL_BIAS] / GRAVITY
     assert level == float(VEHICLE.sensors.imu.standing_tilt_error)
     # Of what accelerometers say, bias and lean in one, it takes for lean what is to be expected of that.

@@ -18,8 +18,8 @@ from mufly.flight.monte_carlo import (
     FlightCase,
     ParameterVariation,
     WorkerPool,
-    describe_campaign,
-    judge_flight,
+    campaign_to_dict,
+    compute_flight_result,
     parse_variations,
     results_dataset,
     run_campaign,
@@ -172,7 +172,7 @@ def test_a_told_parameter_changes_the_software(campaign: Campaign, nominal: tupl
 
 
 def test_the_campaign_says_what_is_untold(campaign: Campaign) -> None:
-    described = describe_campaign(campaign)
+    described = campaign_to_dict(campaign)
     assert (described["vary"], described["told"]) == (["standard"], [])
     assert described["untold"] == sorted(STANDARD.keys)
     assert campaign.describe_onboard_knowledge() == "33 varied parameters untold"
@@ -238,7 +238,7 @@ def test_endings_are_classed_by_the_truth(campaign: Campaign) -> None:
     common: dict[str, Any] = {"index": 0, "seed": 0, "refused": 0, "wind": None, "values": {}}
 
     def ending(recording: xr.Dataset, wrong: tuple[str, ...] = ()) -> str:
-        flown = judge_flight(recording, HOP, 0.3, wrong=wrong, **common)
+        flown = compute_flight_result(recording, HOP, 0.3, wrong=wrong, **common)
         assert flown.ending in ENDINGS
         assert flown.success == (flown.ending == "succeeded")
         return flown.ending

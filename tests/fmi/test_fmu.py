@@ -21,14 +21,14 @@ from mufly.dynamics import (
     initial_state,
     integrate_state,
     model_parameters,
-    similar_vehicle,
+    scale_vehicle_by_similarity,
     state_derivative,
 )
 from mufly.dynamics.edgewise_loads import edgewise_load_factors
 from mufly.dynamics.equations_of_motion import compute_axial_climb_velocity, ground_effect_thrust_increment, rotor_loads
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import ERROR_STATES, AuxiliaryStates, Estimate
-from mufly.fmi import UnitInstance, UnitLibrary, compare_sensed_unit, compare_unit, export_fmu
+from mufly.fmi import UnitInstance, UnitLibrary, compare_fmu_with_model, compare_sensed_fmu_with_model, export_fmu
 from mufly.fmi.fmu_export import SOURCE_FOLDER
 from mufly.fmi.model_description import unit_exponents
 from mufly.fmi.unit_flight import _sensed_values
@@ -43,7 +43,7 @@ except MuflyError as error:
 KNOWN = mufly.load_vehicle("mufly-1.1")
 VEHICLES = {
     "mufly-1.1": KNOWN,
-    "of mass and radius": similar_vehicle(KNOWN, "my-helicopter", mass_kg=0.12, radius_m=0.09),
+    "of mass and radius": scale_vehicle_by_similarity(KNOWN, "my-helicopter", mass_kg=0.12, radius_m=0.09),
     "with maps, ground effect and phase": replace_parameters(KNOWN, {
         "rotors.coefficient_map": builtin_coefficient_maps()[0], "rotors.flight_map": builtin_flight_maps()[0],
         "rotors.ground_effect": 0.7, "swash_plate.phase": 0.3,
@@ -96,7 +96,7 @@ def moving_state() -> np.ndarray:
 
 @pytest.mark.parametrize("name", VEHICLES)
 def test_flight_equals_that_of_the_model_to_the_last_bit(name: str, units: dict[str, UnitLibrary]) -> None:
-    compared = compare_unit(units[name], model_parameters(VEHICLES[name]))
+    compared = compare_fmu_with_model(units[name], model_parameters(VEHICLES[name]))
     assert compared.different == 0
     assert compared.steps > 500
     assert 20 < compared.on_floor < compared.steps - 20, "the flight is in the air and on the floor"
@@ -109,7 +109,7 @@ def test_start_values_are_those_of_initial_state(unit: UnitLibrary) -> None:
 def test_the_comparison_sees_one_bit_of_the_mass(unit: UnitLibrary) -> None:
     p = model_parameters(KNOWN)
     p["mass"] = np.nextafter(p["mass"], 1.0)
-    compared = compare_unit(unit, p, duration_s=0.5)
+    compared = compare_fmu_with_model(unit, p, duration_s=0.5)
     assert compared.different > 10
     assert 0.0 < compared.largest_difference < 1e-9
 
@@ -291,10 +291,12 @@ def sensed(tmp_path_factory: pytest.TempPathFactory) -> UnitLibrary:
 
 def test_readings_and_estimate_equal_those_of_python_to_the_last_bit(sensed: UnitLibrary) -> None:
     for seed in (0, 1):
-        compared = compare_sensed_unit(sensed, KNOWN, seed=seed, duration_s=1.5)
+        compared = compare_sensed_fmu_with_model(sensed, KNOWN, seed=seed, duration_s=1.5)
         assert (compared.steps, compared.different) == (300, 0)
     heavier = replace_parameters(KNOWN, {"sensors.imu.accelerometer_bias": 0.3})
-    assert compare_sensed_unit(sensed, heavier, duration_s=0.05).different == 11, "every reading has another bias"
+    assert compare_sensed_fmu_with_model(sensed, heavier, duration_s=0.05).different == 11, (
+        "every reading has another bias"
+    )
 
 
 def test_deviations_of_angles_are_those_of_roll_pitch_and_yaw() -> None:

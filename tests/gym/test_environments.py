@@ -21,7 +21,7 @@ from mufly.flight.policy.observation import (  # noqa: E402
     OBS_RATES,
     OBS_TASK_INPUTS,
     OBS_VELOCITY,
-    map_action,
+    map_action_to_inputs,
 )
 from mufly.gym.vector_env import MuflyEnv, MuflyVectorEnv  # noqa: E402
 
@@ -255,7 +255,7 @@ def test_wrong_options_and_actions_are_refused_with_a_remedy() -> None:
 
 def test_actions_saturate_at_the_inputs() -> None:
     inputs = np.empty(4)
-    map_action(np.array([1.0, 1.0, -1.0, 0.5]), np.array([0.7, 0.6, 0.0, 0.0]), inputs)
+    map_action_to_inputs(np.array([1.0, 1.0, -1.0, 0.5]), np.array([0.7, 0.6, 0.0, 0.0]), inputs)
     assert inputs == pytest.approx([1.0, 0.75, -1.0, 0.5])
 
 

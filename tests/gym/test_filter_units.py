@@ -36,7 +36,7 @@ def filter_in_c() -> None:
 
 def test_a_unit_equals_a_flight_to_the_last_bit() -> None:
     vehicle = filter_units.remove_range_ring(load_vehicle("mufly-1.1"))
-    mission = filter_units.hover_mission(0, 1.0, 30.0)
+    mission = filter_units.make_hover_mission(0, 1.0, 30.0)
     flight = filter_units.fly_to_hover(
         vehicle, vehicle, design_flight_controller(vehicle), mission, np.array([0.3, -0.2, 0.0]), 0.8, 5
     )

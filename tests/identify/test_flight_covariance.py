@@ -6,9 +6,9 @@ from scipy.signal import lfilter
 
 from mufly.identify.fit_result import (
     coloured_covariance,
-    correlation_reach,
     covariance_from_information,
     describe_undetermined_combinations,
+    find_largest_correlated_lag,
 )
 from mufly.identify.flight_record import low_pass
 from mufly.identify.linear.equation_error import regress_rate_derivatives
@@ -69,10 +69,10 @@ def test_records_add_up_and_the_prior_counts_as_a_measurement():
 
 def test_reach_of_white_and_of_coloured_noise():
     rng = np.random.default_rng(3)
-    white = [correlation_reach(rng.standard_normal(2000), 300) for _ in range(40)]
+    white = [find_largest_correlated_lag(rng.standard_normal(2000), 300) for _ in range(40)]
     assert np.mean(np.array(white) > 0) < 0.2
     slow = lfilter([1], [1, -0.95], rng.standard_normal(3000))
-    assert 20 < correlation_reach(slow, 300) <= 300
+    assert 20 < find_largest_correlated_lag(slow, 300) <= 300
 
 
 def test_a_parameter_without_effect_is_named():

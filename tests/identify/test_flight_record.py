@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.identify import FlightRecord, check_record, make_record, read_columns, split_record
+from mufly.identify import FlightRecord, check_record, make_flight_record, read_columns, split_record
 from mufly.identify.flight_record import estimate_noise_from_differences, record_to_dataset, smooth_motion
 
 T = np.arange(600) * 0.01
@@ -73,7 +73,7 @@ def test_a_record_in_which_nothing_moves_is_refused():
 
 def test_a_recording_survives_the_round_trip():
     r = record()
-    again = make_record(record_to_dataset(r), "flight")
+    again = make_flight_record(record_to_dataset(r), "flight")
     assert again.output_names == ("height", "roll", "pitch", "yaw", "p", "q", "r")
     assert np.allclose(again.measured, r.measured)
     assert np.allclose(again.inputs, r.inputs)
@@ -90,19 +90,19 @@ def test_a_recording_survives_the_round_trip():
 def test_clocks_that_cannot_be_are_refused(change, words):
     data = record_to_dataset(record())
     with pytest.raises(InputError, match=words):
-        make_record(data.assign_coords(time=change(T)), "flight")
+        make_flight_record(data.assign_coords(time=change(T)), "flight")
 
 
 def test_missing_inputs_are_named():
     with pytest.raises(InputError, match="servo_input: is not in this log"):
-        make_record(record_to_dataset(record()).drop_vars("servo_input"), "flight")
+        make_flight_record(record_to_dataset(record()).drop_vars("servo_input"), "flight")
 
 
 def test_yaw_is_made_continuous():
     r = record()
     measured = r.measured.copy()
     measured[:, 3] = np.angle(np.exp(1j * 5 * T))
-    again = make_record(record_to_dataset(record(measured=measured)), "flight")
+    again = make_flight_record(record_to_dataset(record(measured=measured)), "flight")
     assert np.allclose(again.measured[:, 3], 5 * T, atol=1e-9)
 
 

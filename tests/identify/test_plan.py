@@ -14,7 +14,7 @@ from mufly.identify.flight.excitation_plan import (
     SENSOR_NOISE_STD,
     combine_expected_std,
     design_hover_feedback,
-    simulate_supported_flight,
+    simulate_closed_loop_flights,
 )
 from mufly.identify.flight.output_error_problem import make_problem
 from mufly.vehicle import load_vehicle, replace_parameters
@@ -47,7 +47,7 @@ def test_the_hold_brings_a_pushed_helicopter_back(vehicle):
     push = np.zeros((3, 1500, 4))
     push[1, :30, 2:] = 0.4
     push[2, :30, :2] = 0.08
-    states, inputs, voltage = simulate_supported_flight(vehicle, support, push)
+    states, inputs, voltage = simulate_closed_loop_flights(vehicle, support, push)
     assert np.all(np.abs(inputs[0] - support.hover.input) < 0.02)  # only the battery runs down
     assert np.linalg.norm(states[1, :, 0:2], axis=1).max() > 0.01
     assert np.linalg.norm(states[:, -1, 0:2], axis=1).max() < 0.15
@@ -61,7 +61,7 @@ def test_the_motors_directions_do_one_thing_each(vehicle):
     added = np.zeros((2, 60, 4))
     added[0, :, :2] = 0.02 * support.collective_direction
     added[1, :, :2] = 0.02 * support.differential_direction
-    states, _, _ = simulate_supported_flight(vehicle, support, added)
+    states, _, _ = simulate_closed_loop_flights(vehicle, support, added)
     climb, turn = -states[:, -1, 5], states[:, -1, 12]
     assert climb[0] > 0
     assert turn[1] > 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.identify import FitResult, ParameterEstimate, RecordPrediction, ReportSection, write_report
+from mufly.identify import FitResult, ParameterEstimate, RecordPrediction, ReportSection, write_fit_report
 from mufly.identify.fit_pictures import estimate_coherence
 from mufly.identify.fit_report import format_number
 
@@ -40,7 +40,9 @@ def fit(*records, **changes):
 
 
 def test_the_page_needs_nothing_else_and_holds_what_was_asked(tmp_path):
-    path = write_report(fit(record("fit"), record("held out", seed=1)), tmp_path / "new", command="mufly identify x")
+    path = write_fit_report(
+        fit(record("fit"), record("held out", seed=1)), tmp_path / "new", command="mufly identify x"
+    )
     page = path.read_text()
     assert not re.search(r'(src|href|srcset)="(?!data:image/png;base64,)', page)
     for words in (
@@ -67,21 +69,21 @@ def test_the_page_needs_nothing_else_and_holds_what_was_asked(tmp_path):
 
 
 def test_an_interval_at_a_bound_is_not_shown_as_one(tmp_path):
-    page = write_report(fit(), tmp_path).read_text()
+    page = write_fit_report(fit(), tmp_path).read_text()
     assert "-1 … 1" not in page
 
 
 def test_bench_fits_without_inputs_short_records_and_gaps_are_reported_too(tmp_path):
     gappy = record("held out", outputs=2, seed=2)
     gappy.measured[20:60, 1] = np.nan
-    page = write_report(fit(record("fit", n=12, inputs=0), gappy, converged=False), tmp_path).read_text()
+    page = write_fit_report(fit(record("fit", n=12, inputs=0), gappy, converged=False), tmp_path).read_text()
     assert "did not converge" in page
     assert estimate_coherence(gappy) is None
 
 
 def test_sections_of_a_command_are_shown(tmp_path):
     section = ReportSection("Structures tried", ("Why <so>.",), ("name", "score"), (("a", "1.0"),))
-    page = write_report(fit(), tmp_path, sections=[section]).read_text()
+    page = write_fit_report(fit(), tmp_path, sections=[section]).read_text()
     assert "Structures tried" in page
     assert "Why &lt;so&gt;." in page
 
@@ -89,7 +91,7 @@ def test_sections_of_a_command_are_shown(tmp_path):
 def test_a_folder_that_cannot_be_is_one_line(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match="cannot be written"):
-        write_report(fit(), tmp_path / "file")
+        write_fit_report(fit(), tmp_path / "file")
 
 
 def test_coherence_of_a_linear_response_is_in_the_measurement_and_not_in_the_residual():

@@ -10,9 +10,9 @@ from mufly.identify import ParameterEstimate, RecordPrediction, assess_predictio
 from mufly.identify.fit_result import (
     coloured_covariance,
     compute_relative_covariance,
-    correlation_reach,
     covariance_from_information,
     describe_undetermined_combinations,
+    find_largest_correlated_lag,
     parzen_window,
     select_error_model,
 )
@@ -271,15 +271,15 @@ def test_the_first_shape_of_errors_holds_unless_another_is_clearly_likelier(seco
 
 def test_an_offset_is_no_colour():
     white = np.random.default_rng(15).standard_normal(2000)
-    assert correlation_reach(white + 100.0, 300) == correlation_reach(white, 300) == 0
-    assert correlation_reach(np.zeros(50), 20) == 0
+    assert find_largest_correlated_lag(white + 100.0, 300) == find_largest_correlated_lag(white, 300) == 0
+    assert find_largest_correlated_lag(np.zeros(50), 20) == 0
 
 
 def test_colour_that_swings_reaches_beyond_where_it_passes_zero():
     """A period of 24 samples that dies within some 50: its autocorrelation passes zero after 6."""
     poles = 0.95 * np.exp([2j * np.pi / 24, -2j * np.pi / 24])
     e = lfilter([1.0], np.poly(poles).real, np.random.default_rng(20).standard_normal(4000))
-    assert 30 < correlation_reach(e, 300) < 150
+    assert 30 < find_largest_correlated_lag(e, 300) < 150
 
 
 def test_directions_that_nothing_shows_are_told_with_the_shares_by_which_parameters_move():

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from mufly.bench import (
     BenchTable,
-    calibrate_cells,
     compute_loads,
+    fit_cell_calibration,
     predict_loads,
     read_bench_file,
     resolve_air_density,
@@ -136,7 +136,7 @@ def test_doubt_of_zero_and_calibration_matches_the_scatter():
     found, stated, shares = [], [], []
     for _ in range(80):
         y = weights @ s.T + [0.1, -0.2] + rng.standard_normal((9, 2)) * [0.03, 0.03]
-        cal = calibrate_cells(
+        cal = fit_cell_calibration(
             table(
                 {
                     "thrust": weights[:, 0],

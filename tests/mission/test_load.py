@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from mufly.errors import InputError
-from mufly.files.input_files import nested_model
+from mufly.files.input_files import find_model_in_annotation
 from mufly.mission import Mission, dump_mission, list_builtin_missions, load_mission, parse_mission
 
 GOOD = {"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 1.0}, {"position_m": [1.0, 2.0, -1.5]}]}
@@ -164,10 +164,10 @@ def test_a_file_without_a_name_is_called_after_itself(tmp_path):
 
 def every_key(model: type[BaseModel] = Mission):
     for name, field in model.model_fields.items():
-        inner = nested_model(field.annotation)
+        inner = find_model_in_annotation(field.annotation)
         if inner is None and field.annotation is not None:
             for kind in getattr(field.annotation, "__args__", ()):
-                inner = inner or nested_model(kind)
+                inner = inner or find_model_in_annotation(kind)
         if inner is not None:
             yield name
             yield from every_key(inner)
@@ -193,7 +193,7 @@ def test_the_examples_in_the_documentation_are_missions():
 def numbers(model: type[BaseModel] = Mission, key: str = ""):
     """Every number of a mission file: its key, whether in brackets, and how many."""
     for name, field in model.model_fields.items():
-        inner = nested_model(field.annotation)
+        inner = find_model_in_annotation(field.annotation)
         here = f"{key}.{name}" if key else name
         if inner is not None:
             yield from numbers(inner, here)

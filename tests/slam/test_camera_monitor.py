@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mufly.camera import Camera, VehicleMotion, load_camera, make_floor
+from mufly.camera import Camera, VehicleMotion, load_camera, make_random_floor
 from mufly.flight.fixes.onboard_camera import add_dirt
 from mufly.slam import CameraFrame, FrameEstimate, SlamSystem, make_square_path, render_frames
 from mufly.slam.datasets.synthetic_datasets import make_hand_path
@@ -27,7 +27,7 @@ Flown = list[tuple[CameraFrame, VehicleMotion]]
 def flown() -> Flown:
     camera = load_camera("mufly-2.0")
     path = make_square_path(duration_s=SECONDS, side_m=2.0, speed_m_s=0.4, seed=SEED)
-    return list(render_frames(camera, make_floor("rich", SEED, size=2048), path, duration_s=SECONDS, seed=SEED))
+    return list(render_frames(camera, make_random_floor("rich", SEED, size=2048), path, duration_s=SECONDS, seed=SEED))
 
 
 def _scaled(camera: Camera, factor: float) -> Camera:
@@ -97,7 +97,7 @@ def test_no_alarm_over_floors_with_little_texture(make_weak_floor: Callable) -> 
 def test_a_motion_by_hand_is_judged_by_its_rotation_alone() -> None:
     camera, seconds = load_camera("mufly-2.0"), 4.5
     path = make_hand_path(duration_s=seconds, seed=1)
-    made = render_frames(camera, make_floor("rich", 1, size=2048), path, duration_s=seconds, seed=1)
+    made = render_frames(camera, make_random_floor("rich", 1, size=2048), path, duration_s=seconds, seed=1)
     frames = [f for f, _ in made]
     assert _first_fault(camera, frames)[0] == ""
     mirrored = [replace(f, picture=np.ascontiguousarray(f.picture[:, ::-1])) for f in frames]

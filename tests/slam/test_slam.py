@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mufly.camera import body_from_camera_rotation, load_camera, make_floor
+from mufly.camera import body_from_camera_rotation, load_camera, make_random_floor
 from mufly.dynamics import GRAVITY
 from mufly.errors import InputError
 from mufly.slam import SlamSystem, evaluate_trajectory, make_square_path, render_frames, run_slam
@@ -187,7 +187,7 @@ def _flown(camera: str, floor: str, pictures: int, **more: float) -> tuple:
     lens = load_camera(camera)
     seconds = pictures * float(lens.sensor.period)
     path = make_square_path(duration_s=seconds, side_m=1.0, seed=4, **more)
-    made = list(render_frames(lens, make_floor(floor, 4, size=1024), path, seed=4))
+    made = list(render_frames(lens, make_random_floor(floor, 4, size=1024), path, seed=4))
     return lens, path, made
 
 

@@ -54,10 +54,10 @@ CAMERA = load_camera("webcam")
 
 @pytest.fixture(scope="module")
 def layouts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    from mufly.camera import make_floor
+    from mufly.camera import make_random_floor
 
     path = make_square_path(duration_s=0.5, side_m=1.0, seed=1)
-    made = list(render_frames(CAMERA, make_floor("rich", size=256), path, seed=1))
+    made = list(render_frames(CAMERA, make_random_floor("rich", size=256), path, seed=1))
     out = {}
     for layout in ("mufly", "euroc", "tum"):
         out[layout] = tmp_path_factory.mktemp(layout)
@@ -532,10 +532,10 @@ def test_still_pictures_of_a_survey_are_refused(tmp_path: Path) -> None:
 
 def test_pictures_that_share_too_little_floor_are_refused(tmp_path: Path) -> None:
     pytest.importorskip("cv2")
-    from mufly.camera import make_floor
+    from mufly.camera import make_random_floor
 
     path = make_square_path(duration_s=8.0, side_m=2.0, speed_m_s=0.4, seed=5)
-    for k, (frame, _) in enumerate(render_frames(CAMERA, make_floor("rich"), path, seed=1)):
+    for k, (frame, _) in enumerate(render_frames(CAMERA, make_random_floor("rich"), path, seed=1)):
         if k % 20:
             continue
         (tmp_path / f"{frame.time_s:.3f}.png").write_bytes(encode_jpeg(frame.picture, 90))

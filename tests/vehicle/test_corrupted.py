@@ -141,7 +141,7 @@ def test_every_number_twelve_decades_off_is_refused_by_its_key_or_flies() -> Non
     """A factor of 1e12 or 1e-12, or the other sign: one line that names the key, or a model with finite numbers."""
     import numpy as np
 
-    from mufly.dynamics import initial_state, longest_step, model_parameters, simulate_open_loop
+    from mufly.dynamics import find_longest_stable_step, initial_state, model_parameters, simulate_open_loop
 
     vehicle = load_vehicle("mufly-1.1")
     start, accepted = initial_state(position=(0.0, 0.0, -5.0), rotor_speed=(376.0, 444.0)), []
@@ -160,7 +160,7 @@ def test_every_number_twelve_decades_off_is_refused_by_its_key_or_flies() -> Non
                 assert factor == 1e-12 or row.key in _SIGNED, (row.key, factor)
                 continue
             accepted.append((row.key, factor))
-            step = min(1e-3, 0.9 * longest_step(model_parameters(v)))
+            step = min(1e-3, 0.9 * find_longest_stable_step(model_parameters(v)))
             flown = simulate_open_loop(
                 v, start, (0.67, 0.73, 0.1, 0.1), duration_s=20 * step, step_s=step, sample_s=step
             )

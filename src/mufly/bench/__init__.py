@@ -5,8 +5,8 @@ from mufly.bench.bench_loads import (
     BenchPrediction,
     CellCalibration,
     ZeroDrift,
-    calibrate_cells,
     compute_loads,
+    fit_cell_calibration,
     fit_zero_drift,
     predict_loads,
     resolve_air_density,
@@ -19,13 +19,13 @@ from mufly.bench.bench_table import (
     read_bench_file,
     read_bench_files,
 )
-from mufly.bench.residual_covariance import CovarianceEstimate, estimate_covariance
+from mufly.bench.residual_covariance import CovarianceEstimate, estimate_parameter_covariance
 from mufly.bench.rotor_measurements import read_measurements
 from mufly.bench.series import series_pictures as _series_pictures  # noqa: F401  draws results of the room
 from mufly.bench.series.series_analysis import SeriesResult
 from mufly.bench.series.series_analysis import analyse_series as analyse_series
 from mufly.bench.series.series_files import compare_series, compare_with_theory, write_series_results
-from mufly.bench.series.series_plan import SeriesPlan, make_plan, read_plan
+from mufly.bench.series.series_plan import SeriesPlan, make_series_plan, read_series_plan
 from mufly.bench.series.series_record import SeriesRecord, read_record
 from mufly.bench.series.series_runner import run_series
 
@@ -42,20 +42,20 @@ __all__ = [
     "SeriesResult",
     "ZeroDrift",
     "analyse_series",
-    "calibrate_cells",
     "compare_series",
     "compare_with_theory",
     "compute_loads",
-    "estimate_covariance",
+    "estimate_parameter_covariance",
+    "fit_cell_calibration",
     "fit_zero_drift",
-    "make_plan",
+    "make_series_plan",
     "parse_column_header",
     "predict_loads",
     "read_bench_file",
     "read_bench_files",
     "read_measurements",
-    "read_plan",
     "read_record",
+    "read_series_plan",
     "resolve_air_density",
     "run_series",
     "write_series_results",

@@ -16,14 +16,14 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.bench.bench_table import SI_UNITS, BenchTable, base_quantity_of
-from mufly.bench.residual_covariance import CovarianceEstimate, estimate_covariance, join_covariances
+from mufly.bench.bench_table import SI_UNITS, BenchTable, strip_rotor_and_raw_suffix
+from mufly.bench.residual_covariance import CovarianceEstimate, estimate_parameter_covariance, join_covariances
 from mufly.bench.series.moist_air import compute_moist_air_density
 from mufly.bench.unit_conventions import (
     LOAD_QUANTITIES,
     add_loads_from_coefficients,
-    select_axial_lines,
-    select_rest_lines,
+    mask_axial_flight_lines,
+    mask_rest_and_lost_speed,
 )
 from mufly.errors import ArgumentError
 from mufly.results import result
@@ -143,7 +143,7 @@ class CellCalibration:
         return lines + list(self.notes)
 
 
-def calibrate_cells(table: BenchTable) -> CellCalibration:
+def fit_cell_calibration(table: BenchTable) -> CellCalibration:
     """Fit load cells to known loads.
 
     Parameters
@@ -181,7 +181,7 @@ def calibrate_cells(table: BenchTable) -> CellCalibration:
     for name in channels:
         y = table[f"{name}_raw"][order]
         solution = np.linalg.lstsq(a, y, rcond=None)[0]
-        s = estimate_covariance(a, y - a @ solution, run=run, group=group)
+        s = estimate_parameter_covariance(a, y - a @ solution, run=run, group=group)
         if s.pattern != "white":
             notes.append(f"{name}: {s.describe_error_correlation()}")
         rows.append(solution)
@@ -283,7 +283,7 @@ def fit_zero_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> Z
     a = np.vander(tau, chosen + 1, increasing=True)
     solution = np.asarray(np.linalg.lstsq(a, y, rcond=None)[0], dtype=np.float64)
     if n > chosen + 1:
-        s = estimate_covariance(a, y - a @ solution, group=block)
+        s = estimate_parameter_covariance(a, y - a @ solution, group=block)
     else:
         s = CovarianceEstimate(np.zeros((chosen + 1, chosen + 1)), 0.0, 1.0, "white", 0.0)
     ends = np.vander(np.array([-1.0, 1.0]), chosen + 1, increasing=True) @ solution
@@ -345,9 +345,11 @@ def compute_loads(
         If a raw channel has no calibration, a calibration has no raw channel, or a column has a wrong unit. Also if a
         coefficient has no radius, all lines are in axial flight, or a load has no speed.
     """
-    table.reject_wrong_units(c for c in table.mismatched_units if base_quantity_of(c) in (*LOAD_QUANTITIES, "speed"))
+    table.reject_wrong_units(
+        c for c in table.mismatched_units if strip_rotor_and_raw_suffix(c) in (*LOAD_QUANTITIES, "speed")
+    )
     table = add_loads_from_coefficients(table, radius_m, resolve_air_density(table, density_kg_m3)[0])
-    axial = select_axial_lines(table, radius_m)
+    axial = mask_axial_flight_lines(table, radius_m)
     if axial.any():
         left = int(np.sum(~axial))
         if not left:
@@ -360,7 +362,9 @@ def compute_loads(
         table.require_columns(("speed",))
     table.require_columns(speeds)
     raw = [
-        c.removesuffix("_raw") for c in table.columns if c.endswith("_raw") and base_quantity_of(c) in LOAD_QUANTITIES
+        c.removesuffix("_raw")
+        for c in table.columns
+        if c.endswith("_raw") and strip_rotor_and_raw_suffix(c) in LOAD_QUANTITIES
     ]
     known = calibration.channels if calibration is not None else ()
     for channel in raw:
@@ -373,14 +377,16 @@ def compute_loads(
             problem = "is not among the columns, but the calibration has it"
             raise table.column_error(f"{channel}_raw", problem, remedy)
     direct = [
-        c for c in table.columns if base_quantity_of(c) in LOAD_QUANTITIES and not c.endswith("_raw") and c not in raw
+        c
+        for c in table.columns
+        if strip_rotor_and_raw_suffix(c) in LOAD_QUANTITIES and not c.endswith("_raw") and c not in raw
     ]
     if not raw and not direct:
         table.require_columns(("thrust",))
     time = table["time"] if "time" in table else table.line.astype(np.float64)
     order = np.argsort(time, kind="stable")
     table, time = table.reorder_lines(order), time[order]
-    at_rest, lost = select_rest_lines(table, speeds)
+    at_rest, lost = mask_rest_and_lost_speed(table, speeds)
     turning, notes, drifts = ~at_rest & ~lost, list(table.notes), {}
     if lost.any():
         if not turning.any():

@@ -119,9 +119,9 @@ class BenchTable:
         for name in names:
             if name not in self.columns and name in self.mismatched_units:
                 header, unit = self.mismatched_units[name]
-                si = SI_UNITS[base_quantity_of(name)]
+                si = SI_UNITS[strip_rotor_and_raw_suffix(name)]
                 raise InputError(
-                    self.source, header, f"{unit!r} is not a known unit of {base_quantity_of(name)}",
+                    self.source, header, f"{unit!r} is not a known unit of {strip_rotor_and_raw_suffix(name)}",
                     f"use one of: {', '.join(list_compatible_units(si))}",
                 )  # fmt: skip
 
@@ -500,10 +500,10 @@ class ColumnMeaning:
     @property
     def base_quantity(self) -> str:
         """Name of the quantity without the rotor's ending (``_upper``, ``_lower``) and without ``_raw``."""
-        return base_quantity_of(self.name)
+        return strip_rotor_and_raw_suffix(self.name)
 
 
-def base_quantity_of(name: str) -> str:
+def strip_rotor_and_raw_suffix(name: str) -> str:
     """Return a column name's quantity without rotor suffix and ``_raw``: ``"torque"`` of ``"torque_lower_raw"``."""
     return re.sub(r"(_upper|_lower)?(_raw)?$", "", name)
 

@@ -81,7 +81,7 @@ class CovarianceEstimate:
         return "residuals scatter without pattern"
 
 
-def estimate_covariance(
+def estimate_parameter_covariance(
     jacobian: Array, residual: Array, *, channel: Integers | None = None, run: Integers | None = None,
     group: Integers | None = None, known_scale: bool = False,
 ) -> CovarianceEstimate:  # fmt: skip

@@ -30,9 +30,9 @@ from mufly.bench.bench_table import BenchTable, read_bench_file
 from mufly.bench.unit_conventions import (
     COEFFICIENT_SCALINGS,
     add_loads_from_coefficients,
+    convert_speed_to_rad_s,
     guess_load_units,
-    is_electrical_power,
-    resolve_speed_unit,
+    is_power_column_electrical,
 )
 from mufly.errors import InputError
 from mufly.rotor import Air, RotorMeasurements
@@ -84,7 +84,7 @@ def read_measurements(
     elif density_kg_m3 is None and any(c.partition("_")[0] not in table for c in coefficients):
         density = Air().density_kg_m3
     table.reject_wrong_units(("thrust", "torque", "speed"))
-    if "power" in table and "torque" not in table and is_electrical_power(table):
+    if "power" in table and "torque" not in table and is_power_column_electrical(table):
         words = f"{table.headers['power']} is the product of voltage and current: no torque is read from it"
         kept = {k: v for k, v in table.columns.items() if k != "power"}
         table = replace(table, columns=kept, notes=(*table.notes, words))
@@ -147,7 +147,7 @@ def _resolve_units(table: BenchTable, radius_m: float | None, density_kg_m3: flo
         example = {"speed": "speed_rpm", "thrust": "thrust_N", "torque": "torque_Nm"}[unsaid[0]]
         raise table.column_error(unsaid[0], "has no unit", f"name it with its unit, as {example}")
     if unsaid and radius_m is not None:
-        table = resolve_speed_unit(table, radius_m)
+        table = convert_speed_to_rad_s(table, radius_m)
         loads = {n: table[n] for n in ("thrust", "torque") if n in table}
         for name, (factor, words) in guess_load_units(table, loads, radius_m, density_kg_m3).items():
             table = table.rescale_column(name, factor, words)

@@ -29,7 +29,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.bench.bench_table import BenchTable, base_quantity_of
+from mufly.bench.bench_table import BenchTable, strip_rotor_and_raw_suffix
 from mufly.quantities.units import RPM, find_conversion_factor
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ def add_loads_from_coefficients(table: BenchTable, radius_m: float | None, densi
             raise table.column_error(
                 name, "is a coefficient, and the rotor is unknown", "name the rotor, or give thrust_N"
             )
-        table = resolve_speed_unit(table, radius_m)
+        table = convert_speed_to_rad_s(table, radius_m)
         table.require_columns(("speed",))
         _check_convention(table, name)
         turns, diameter = np.abs(table["speed"]) / (2.0 * math.pi), 2.0 * radius_m
@@ -107,14 +107,14 @@ _CONVENTION_DESCRIPTIONS = {
 
 def _check_convention(table: BenchTable, name: str) -> None:
     typical = float(np.nanmedian(np.abs(table[name])))
-    if name == "thrust_coefficient" and not select_axial_lines(table, None).any() and typical < _MIN_PROPELLER_CT:
+    if name == "thrust_coefficient" and not mask_axial_flight_lines(table, None).any() and typical < _MIN_PROPELLER_CT:
         raise table.column_error(
             name, f"is near {typical:.3g}: T / (rho n^2 D^4) of a propeller or T / (rho A (Omega R)^2) of a rotor?",
             f"choose one: columns=propeller_CT={table.headers[name]} or columns=rotor_CT={table.headers[name]}",
         )  # fmt: skip
 
 
-def select_axial_lines(table: BenchTable, radius_m: float | None) -> LineMask:
+def mask_axial_flight_lines(table: BenchTable, radius_m: float | None) -> LineMask:
     """Return a mask (n,) of lines in axial flight: advance ratio V / (n D) above 0.02."""
     if "advance_ratio" in table:
         return np.abs(np.nan_to_num(table["advance_ratio"])) > _MAX_HOVER_ADVANCE_RATIO
@@ -126,7 +126,7 @@ def select_axial_lines(table: BenchTable, radius_m: float | None) -> LineMask:
     return air > _MAX_HOVER_ADVANCE_RATIO * np.abs(table["speed"]) / math.pi * radius_m
 
 
-def resolve_speed_unit(table: BenchTable, radius_m: float) -> BenchTable:
+def convert_speed_to_rad_s(table: BenchTable, radius_m: float) -> BenchTable:
     """Return the table with the speed in rad/s; a missing unit is inferred from the thrust or from the tip speed.
 
     Raises
@@ -180,7 +180,7 @@ def guess_load_units(
     scale = density_kg_m3 * math.pi * radius_m**4
     for channel in sorted(set(loads) & set(table.unitless)):  # thrust before torque
         quantity, _, side = channel.partition("_")
-        names = [n for n in table.columns if base_quantity_of(n) == "speed" and n.endswith(side)]
+        names = [n for n in table.columns if strip_rotor_and_raw_suffix(n) == "speed" and n.endswith(side)]
         squares = np.sum([table[n] ** 2 for n in names], axis=0)
         other = ("torque" if quantity == "thrust" else "thrust") + (f"_{side}" if side else "")
         beside = None if other in table.unitless and other not in found else loads.get(other)
@@ -239,7 +239,7 @@ def compute_median_figure_of_merit(
     return float(np.median(known)) if known.size else math.nan
 
 
-def is_electrical_power(table: BenchTable) -> bool:
+def is_power_column_electrical(table: BenchTable) -> bool:
     """Return whether the power column equals voltage times current."""
     current = next((n for n in ("supply_current", "current") if n in table), "")
     if not ("power" in table and "voltage" in table and current):
@@ -252,7 +252,7 @@ def is_electrical_power(table: BenchTable) -> bool:
     )
 
 
-def select_rest_lines(table: BenchTable, speeds: list[str]) -> tuple[LineMask, LineMask]:
+def mask_rest_and_lost_speed(table: BenchTable, speeds: list[str]) -> tuple[LineMask, LineMask]:
     """Return masks (n,) of the lines at rest, and of lines with a lost speed reading.
 
     Parameters
@@ -268,7 +268,7 @@ def select_rest_lines(table: BenchTable, speeds: list[str]) -> tuple[LineMask, L
     lost = np.zeros_like(still)
     if "duty" in table:
         lost |= still & (np.nan_to_num(table["duty"]) > _MAX_REST_DUTY)
-    for channel in (c for c in table.columns if base_quantity_of(c) in LOAD_QUANTITIES):
+    for channel in (c for c in table.columns if strip_rotor_and_raw_suffix(c) in LOAD_QUANTITIES):
         side = channel.removesuffix("_raw").partition("_")[2]
         own = [c for c in speeds if not side or c.endswith(side)] or speeds
         squares, y = np.sum([table[c] ** 2 for c in own], axis=0), table[channel]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mufly.bridges.ardupilot.ardupilot_parameters import format_parameter_file, list_ardupilot_parameters
     from mufly.bridges.autopilot_gains import AutopilotGains, AxisMargins, CascadeGains, design_autopilot_gains
     from mufly.bridges.autopilot_plant import AutopilotPlant
-    from mufly.bridges.betaflight.betaflight_cli import load_cli_file, run_betaflight
+    from mufly.bridges.betaflight.betaflight_cli import run_betaflight, send_cli_file
     from mufly.bridges.betaflight.betaflight_link import BetaflightSimulator
     from mufly.bridges.betaflight.betaflight_pilot import BetaflightPilot, PilotPlan
     from mufly.bridges.betaflight.betaflight_settings import design_betaflight_gains, format_cli_file
@@ -31,7 +31,7 @@ _NAMES_BY_MODULE = {
     "mufly.bridges.ardupilot.ardupilot_parameters": ("format_parameter_file", "list_ardupilot_parameters"),
     "mufly.bridges.autopilot_gains": ("AutopilotGains", "AxisMargins", "CascadeGains", "design_autopilot_gains"),
     "mufly.bridges.autopilot_plant": ("AutopilotPlant",),
-    "mufly.bridges.betaflight.betaflight_cli": ("load_cli_file", "run_betaflight"),
+    "mufly.bridges.betaflight.betaflight_cli": ("send_cli_file", "run_betaflight"),
     "mufly.bridges.betaflight.betaflight_link": ("BetaflightSimulator",),
     "mufly.bridges.betaflight.betaflight_pilot": ("BetaflightPilot", "PilotPlan"),
     "mufly.bridges.betaflight.betaflight_settings": ("design_betaflight_gains", "format_cli_file"),
@@ -55,8 +55,8 @@ __all__ = [
     "format_parameter_file",
     "list_ardupilot_parameters",
     "list_px4_parameters",
-    "load_cli_file",
     "run_betaflight",
+    "send_cli_file",
 ]
 
 

@@ -27,7 +27,7 @@ _PUBLISH_RATE_HZ = 50.0
 _SCENE_PERIOD_S = 2.0  # a viewer that connects later gets the scene within this time
 
 
-def load_foxglove() -> ModuleType:
+def import_foxglove() -> ModuleType:
     """Import the package foxglove (Foxglove's SDK), and return it.
 
     Raises
@@ -80,7 +80,7 @@ class FoxglovePublisher:
     """
 
     def __init__(self, recorder: FlightRecorder, host: str, port: int) -> None:
-        self._library = load_foxglove()
+        self._library = import_foxglove()
         self._context = self._library.Context()
         self._channels: list[Any] = []
         self._encoder = RecordingEncoder(self, recorder.layout, recorder.start_time_ns)

@@ -51,7 +51,7 @@ _QUEUE_DEPTH = 10
 _MAX_CALLBACKS_PER_BATCH = 50  # in one batch
 
 
-def load_rclpy() -> ModuleType:
+def import_rclpy() -> ModuleType:
     """Import rclpy, ROS 2's client library for Python, and return it.
 
     Raises
@@ -112,7 +112,7 @@ class RosPublisher:
     view: LiveViewThread
 
     def __init__(self, flight: Flight, name: str) -> None:
-        self._rclpy = load_rclpy()
+        self._rclpy = import_rclpy()
         recorder = flight.recorder
         self._columns, self._start_ns = recorder.layout.column_slices, recorder.start_time_ns
         self._limits = range_sensor_geometry(flight.vehicle)
@@ -130,7 +130,7 @@ class RosPublisher:
         unused = ("measured_position", "measured_velocity", "measured_attitude") if sensed else ()
         for topic in select_topics(dict.fromkeys(n for n in names if n not in unused)):
             self._add_topic(topic)
-        self._state = self._node.create_publisher(load_message_class(STATE_TYPE), STATE_TOPIC, _QUEUE_DEPTH)
+        self._state = self._node.create_publisher(import_message_class(STATE_TYPE), STATE_TOPIC, _QUEUE_DEPTH)
         self._state_text = ""
         self._create_subscriptions_and_services()
 
@@ -141,7 +141,7 @@ class RosPublisher:
 
     def _add_topic(self, topic: RosTopic) -> None:
         try:
-            kind = load_message_class(topic.message_type)
+            kind = import_message_class(topic.message_type)
         except ImportError:
             package = topic.message_type.partition("/")[0]
             self.notes.append(f"{topic.name} is not published: the package {package} is not installed")
@@ -156,7 +156,7 @@ class RosPublisher:
                 self._publish_topic(topic, publisher, kind, blocks, rows[:, 0])
             if states[-1] != self._state_text or rows[-1, 0] >= self._due_s.get(STATE_TOPIC, 0.0):
                 self._state_text, self._due_s[STATE_TOPIC] = states[-1], rows[-1, 0] + 1.0
-                self._state.publish(fill_message(load_message_class(STATE_TYPE)(), {"data": states[-1]}))
+                self._state.publish(fill_message(import_message_class(STATE_TYPE)(), {"data": states[-1]}))
         logger = self._node.get_logger()
         for event in events:
             text = f"{event.time_s:.1f} s, {event.state}: {event.text}"
@@ -195,7 +195,7 @@ class RosPublisher:
     # commands
 
     def _create_subscriptions_and_services(self) -> None:
-        pose, twist = (load_message_class(f"geometry_msgs/msg/{name}") for name in ("PoseStamped", "Twist"))
+        pose, twist = (import_message_class(f"geometry_msgs/msg/{name}") for name in ("PoseStamped", "Twist"))
         self._node.create_subscription(pose, "/goal_pose", self._handle_goal_message, _QUEUE_DEPTH)
         self._node.create_subscription(twist, "/cmd_vel", self._handle_velocity_message, _QUEUE_DEPTH)
         try:
@@ -260,7 +260,7 @@ class RosPublisher:
         self.view.request(follow_velocity)
 
 
-def load_message_class(message_type: str) -> Any:
+def import_message_class(message_type: str) -> Any:
     """Return the class of a message type such as ``nav_msgs/msg/Odometry``; ImportError if its package is missing."""
     package, _, name = message_type.partition("/msg/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
@@ -273,7 +273,7 @@ def fill_message(message: Any, content: Mapping[str, Any]) -> Any:
             fill_message(getattr(message, key), value)
         elif isinstance(value, list) and value and isinstance(value[0], Mapping):
             kind = message.get_fields_and_field_types()[key]  # sequence<geometry_msgs/TransformStamped>
-            inner = load_message_class(kind[len("sequence<") : -1].replace("/", "/msg/"))
+            inner = import_message_class(kind[len("sequence<") : -1].replace("/", "/msg/"))
             setattr(message, key, [fill_message(inner(), one) for one in value])
         elif isinstance(value, np.ndarray):
             setattr(message, key, value.tolist())

@@ -39,7 +39,7 @@ _COLMAP_PARAMETER_ORDER = {
 }  # fmt: skip
 
 
-def convert_calibration(text: str, where: str, rest: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+def convert_foreign_calibration(text: str, where: str, rest: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
     """Convert another program's calibration to the tables of a camera file; return them and the program's name.
 
     Parameters

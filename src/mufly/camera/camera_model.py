@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from mufly.camera.calibration_files import convert_calibration
+from mufly.camera.calibration_files import convert_foreign_calibration
 from mufly.errors import InputError
-from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.files.input_files import builtin_file_names, make_validation_error, read_toml, validate_model
 from mufly.files.text_table import decode_text
 from mufly.logs import LogWarning
 from mufly.rotations import body_to_ned_matrices
@@ -84,7 +84,9 @@ class Mount(ParameterGroup):
     @model_validator(mode="after")
     def _check_single_position(self) -> Mount:
         if len(self.place.value) != 1:
-            raise model_error(f"has {len(self.place.value)} points", "give one point, [[x, y, z]]", "mount.place")
+            raise make_validation_error(
+                f"has {len(self.place.value)} points", "give one point, [[x, y, z]]", "mount.place"
+            )
         return self
 
 
@@ -144,7 +146,7 @@ class Camera(ParameterGroup):
     @model_validator(mode="after")
     def _check_consistency(self) -> Camera:
         if float(self.shutter.exposure) > float(self.sensor.period):
-            raise model_error(
+            raise make_validation_error(
                 f"{float(self.shutter.exposure):g} s is longer than the period between pictures",
                 "give a shorter exposure",
                 "shutter.exposure",
@@ -153,7 +155,7 @@ class Camera(ParameterGroup):
         corners *= [self.sensor.width - 1, self.sensor.height - 1]
         back = project_points(self, unproject_pixels(self, corners))
         if not np.abs(back - corners).max() < 0.01:
-            raise model_error(
+            raise make_validation_error(
                 "makes the projection ambiguous inside the picture",
                 "give the coefficients of a calibration",
                 "lens.k1",
@@ -161,7 +163,7 @@ class Camera(ParameterGroup):
         return self
 
 
-def builtin_cameras() -> list[str]:
+def list_builtin_cameras() -> list[str]:
     """Return the names of the cameras that come with mufly."""
     return builtin_file_names(_BUILTIN_FOLDER)
 
@@ -182,11 +184,11 @@ def load_camera(name_or_path: str | Path) -> Camera:
         If there is no such file, or its content is invalid.
     """
     path = Path(name_or_path)
-    if str(name_or_path) not in builtin_cameras() and path.suffix.lower() != ".toml" and path.is_file():
+    if str(name_or_path) not in list_builtin_cameras() and path.suffix.lower() != ".toml" and path.is_file():
         text = decode_text(path.read_bytes())
         if not _is_camera_toml(text):
             rest, _ = read_toml(_FALLBACK_CAMERA_NAME, _BUILTIN_FOLDER, "camera")
-            tables, whose = convert_calibration(text, str(path), rest)
+            tables, whose = convert_foreign_calibration(text, str(path), rest)
             note = (
                 f"is {whose}: lens and size are read; mount, shutter, radio and all else are those of "
                 f"{_FALLBACK_CAMERA_NAME}"

@@ -14,8 +14,8 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from mufly.camera.floor_texture import FLOOR_KINDS, Floor, load_floor_picture, make_floor
-from mufly.errors import ArgumentError, InputError, report_write_errors, suggest_name
+from mufly.camera.floor_texture import FLOOR_KINDS, Floor, load_floor_picture, make_random_floor
+from mufly.errors import ArgumentError, InputError, convert_write_errors, suggest_name
 
 DEFAULT_FLOOR_WIDTH_M = 2.0
 """Width of a picture for which none is given (m)."""
@@ -105,9 +105,9 @@ class FloorSource:
     width_m: float = DEFAULT_FLOOR_WIDTH_M
 
     def make_floor(self, seed: int, shadows: float = 0.0) -> Floor:
-        """Return the floor; see :func:`mufly.camera.make_floor` for the arguments."""
+        """Return the floor; see :func:`mufly.camera.make_random_floor` for the arguments."""
         if self.picture is None:
-            return make_floor(self.name, seed, shadows=shadows)
+            return make_random_floor(self.name, seed, shadows=shadows)
         return load_floor_picture(self.picture, self.width_m, seed=seed, shadows=shadows)
 
 
@@ -190,7 +190,7 @@ def copy_package_floors(folder: Path) -> list[PackageFloor]:
             f"pip install one of: {', '.join(packages)}; or pip install 'mufly[floors]'",
         )  # fmt: skip
     rows = ["# Pictures of floors: width from west to east, and licence. Widths are estimates."]
-    with report_write_errors("--out", key=str(folder)):
+    with convert_write_errors("--out", key=str(folder)):
         folder.mkdir(parents=True, exist_ok=True)
         for floor, file in found:
             shutil.copyfile(file, folder / f"{floor.name}{file.suffix}")

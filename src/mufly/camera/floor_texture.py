@@ -71,7 +71,7 @@ class Floor:
         return np.concatenate([level.ravel() for level in self.mip_levels]), table
 
 
-def make_floor(kind: str = "rich", seed: int = 0, *, size: int = 4096, shadows: float = 0.0) -> Floor:
+def make_random_floor(kind: str = "rich", seed: int = 0, *, size: int = 4096, shadows: float = 0.0) -> Floor:
     """Return a random floor.
 
     Parameters

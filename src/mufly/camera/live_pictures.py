@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.camera.camera_model import Camera, check_picture_size
-from mufly.camera.mjpeg_stream import iterate_parts, parse_boundary
-from mufly.camera.renderer import decode_picture
+from mufly.camera.mjpeg_stream import iterate_jpeg_parts, parse_boundary
+from mufly.camera.renderer import decode_grey_picture
 from mufly.errors import InputError, MuflyError
 
 _Picture = NDArray[np.uint8]
@@ -82,7 +82,7 @@ class _MjpegStream:
             raise OSError(str(getattr(why, "strerror", None) or why)) from None
         except (ValueError, http.client.HTTPException) as error:
             raise OSError(str(error)) from None
-        self._parts = iterate_parts(
+        self._parts = iterate_jpeg_parts(
             self._answer, parse_boundary(self._answer.headers.get("Content-Type", ""), self.name)
         )
 
@@ -94,7 +94,7 @@ class _MjpegStream:
         if found is None:
             return None
         try:
-            return decode_picture(found[0]), found[1]
+            return decode_grey_picture(found[0]), found[1]
         except ValueError as error:
             raise DamagedPictureError(str(error)) from None
 

@@ -7,7 +7,7 @@
 ``X-Timestamp``, as mjpg-streamer sends it, is the time of the picture by the sender's clock. A slow client misses
 pictures: its queue holds a quarter of a second.
 
-:class:`StreamServer` sends a stream. :func:`iterate_parts` reads any such stream, with and without Content-Length.
+:class:`StreamServer` sends a stream. :func:`iterate_jpeg_parts` reads any such stream, with and without Content-Length.
 """
 
 from __future__ import annotations
@@ -239,7 +239,7 @@ def parse_boundary(content_type: str, where: str) -> bytes:
     return b"--" + boundary.removeprefix("--").encode()
 
 
-def iterate_parts(stream: BinaryIO, boundary: bytes) -> Iterator[tuple[bytes, float | None]]:
+def iterate_jpeg_parts(stream: BinaryIO, boundary: bytes) -> Iterator[tuple[bytes, float | None]]:
     """Yield JPEG and ``X-Timestamp`` (s; None without a stamp) of each part until the stream ends.
 
     Raises

@@ -17,7 +17,7 @@ from typing import Any
 import orjson
 
 from mufly.camera.camera_model import Camera, load_camera, parse_camera
-from mufly.errors import InputError, MuflyError, report_write_errors
+from mufly.errors import InputError, MuflyError, convert_write_errors
 from mufly.logs.mcap import McapWriter, read_mcap
 from mufly.logs.mcap_recording import foxglove_time, object_schema
 
@@ -59,7 +59,7 @@ class PictureRecorder:
     """
 
     def __init__(self, path: Path, camera: str, start_ns: int, facts: Mapping[str, str]) -> None:
-        with report_write_errors(path, "choose another folder"):
+        with convert_write_errors(path, "choose another folder"):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._out = path.open("wb")
         self._start_ns, self._waiting, self._due_s = start_ns, list[tuple[int, int, bytes]](), -1e9
@@ -193,7 +193,7 @@ def _find_image_messages(messages: Mapping[str, list[tuple[int, bytes]]]) -> lis
     return []
 
 
-def find_camera(place: Path, given: str | None = None) -> Camera:
+def load_recording_camera(place: Path, given: str | None = None) -> Camera:
     """Return the camera that took pictures: the one named by ``given`` (name or file), else the one stored with them.
 
     Raises

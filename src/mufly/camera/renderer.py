@@ -206,7 +206,7 @@ class Renderer:
         if self._perfect:
             return picture
         if q.jpeg:
-            picture = decode_picture(encode_jpeg(picture, q.jpeg))
+            picture = decode_grey_picture(encode_jpeg(picture, q.jpeg))
         return self._replace_lost_strips(picture)
 
     def _adapt_exposure(self, time_s: float, light: float) -> None:
@@ -302,7 +302,7 @@ def encode_jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
     return out.getvalue()
 
 
-def decode_picture(data: bytes) -> NDArray[np.uint8]:
+def decode_grey_picture(data: bytes) -> NDArray[np.uint8]:
     """Return the grey picture in the bytes of a file; raise ValueError if there is none."""
     from PIL import Image
 

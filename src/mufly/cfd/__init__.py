@@ -7,10 +7,10 @@ from mufly.cfd.case_studies import (
     convert_to_span_loads,
     list_study_cases,
     mesh_and_write_case,
-    read_pair,
+    read_pair_solution,
     solve_elastic_blade,
     solve_operating_point,
-    solve_pair,
+    solve_rotor_pair,
     solve_study,
     sweep_climb,
     sweep_speed,
@@ -18,7 +18,7 @@ from mufly.cfd.case_studies import (
 from mufly.cfd.cfd_comparison import (
     CaseComparison,
     ClimbComparison,
-    compare_cases,
+    compare_cases_with_table,
     compare_climbs,
     predict_span_loads,
 )
@@ -44,7 +44,7 @@ from mufly.cfd.cfd_solution import (
     read_flow,
     read_solution,
 )
-from mufly.cfd.grid_convergence import GridConvergence, estimate_grid_convergence, study_grid_convergence
+from mufly.cfd.grid_convergence import GridConvergence, estimate_grid_convergence, estimate_load_grid_convergence
 from mufly.cfd.initial_flow import compute_momentum_slipstream
 from mufly.cfd.openfoam_case import TURBULENCE_MODELS, OperatingPoint, read_operating_point, write_case
 from mufly.cfd.polymesh import (
@@ -57,13 +57,13 @@ from mufly.cfd.polymesh import (
 )
 from mufly.cfd.section_mesh import CellCounts
 from mufly.cfd.sector_mesh import MESH_LEVELS, MeshDomain, SectorMesh, make_sector_mesh
-from mufly.cfd.solution_report import PairReport, SolutionReport, read_pair_report, read_solution_report
+from mufly.cfd.solution_report import PairReport, SolutionReport, build_pair_report, build_solution_report
 from mufly.cfd.solver_process import (
     ConvergenceAssessment,
     SolverProgress,
     find_solver,
-    judge_case,
-    judge_loads,
+    judge_case_convergence,
+    judge_load_convergence,
     read_load_history,
     run_case,
 )
@@ -104,7 +104,9 @@ __all__ = [
     "SpanLoads",
     "WakeProfile",
     "average_faces_at_points",
-    "compare_cases",
+    "build_pair_report",
+    "build_solution_report",
+    "compare_cases_with_table",
     "compare_climbs",
     "compute_momentum_slipstream",
     "compute_velocity_gradient",
@@ -121,12 +123,13 @@ __all__ = [
     "draw_vorticity",
     "draw_wake_profile",
     "estimate_grid_convergence",
+    "estimate_load_grid_convergence",
     "extract_blade_surface",
     "extract_iso_surface",
     "extract_vortex_surface",
     "find_solver",
-    "judge_case",
-    "judge_loads",
+    "judge_case_convergence",
+    "judge_load_convergence",
     "list_study_cases",
     "make_poly_mesh",
     "make_sector_mesh",
@@ -138,17 +141,14 @@ __all__ = [
     "read_flow",
     "read_load_history",
     "read_operating_point",
-    "read_pair",
-    "read_pair_report",
+    "read_pair_solution",
     "read_poly_mesh",
     "read_solution",
-    "read_solution_report",
     "run_case",
     "solve_elastic_blade",
     "solve_operating_point",
-    "solve_pair",
+    "solve_rotor_pair",
     "solve_study",
-    "study_grid_convergence",
     "sweep_climb",
     "sweep_speed",
     "write_case",

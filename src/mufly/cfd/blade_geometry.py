@@ -282,7 +282,7 @@ def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord
     return BladeLine(y, aft * chord_m, up, cant, chord, bow)
 
 
-def cubic_fade(t: Array) -> Array:
+def fade_out_cubic(t: Array) -> Array:
     """Return a cubic of t that falls from 1 at t = 0 to 0 at t = 1, with zero slope at both ends."""
     u = np.clip(t, 0.0, 1.0)
     return (1.0 - u) ** 2 * (1.0 + 2.0 * u)
@@ -328,8 +328,8 @@ def place_sections(
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     q, n = c * x - s * z, s * x + c * z  # along the chord, and above it
     near = 1.5 * chord_m
-    keep = cubic_fade((np.abs(x) - near) / (half_m - near))
-    keep = keep * cubic_fade(
+    keep = fade_out_cubic((np.abs(x) - near) / (half_m - near))
+    keep = keep * fade_out_cubic(
         (np.abs(z) - 0.5 * chord_m) / (min(_DISPLACEMENT_FADE_CHORDS * chord_m, level_m) - 0.5 * chord_m)
     )
     reach = _UPRIGHT_REACH_BEND_RATIO * tip.bend_radius_chords * chord_m

@@ -88,7 +88,7 @@ def mesh_and_write_case(
     Tip, hub and Gurney flap are those of :func:`mufly.cfd.blade_geometry.make_tip_hub_geometry`. With ``gap_m`` a
     second, counter-rotating rotor of the same file lies at that distance below (:mod:`mufly.cfd.rotor_pair`). By
     default it has the same pitch setting and speed; both rotors are frozen in one mesh. ``other_m`` is for
-    :func:`solve_pair`.
+    :func:`solve_rotor_pair`.
 
     With ``neighbour``, a solved case of another speed, pitch setting or tip with the same cells, the case starts from
     the scaled solution of the neighbour.
@@ -385,7 +385,7 @@ MAX_PAIR_ITERATIONS, PAIR_LOAD_TOLERANCE = 6, 0.01
 """Greatest number of alternations between the rotors of a pair, and relative change of loads at convergence."""
 
 
-def solve_pair(
+def solve_rotor_pair(
     folder: Path,
     rotor: Rotor,
     *,
@@ -483,11 +483,11 @@ def solve_pair(
             loads[i] = _make_actuator_disc(read_solution(place, meshes[name]), theta, speed)
         if _is_pair_consistent(folder, loads):
             break
-    return read_pair(folder)
+    return read_pair_solution(folder)
 
 
-def read_pair(folder: Path) -> PairSolution:
-    """Read a pair solved by :func:`solve_pair`.
+def read_pair_solution(folder: Path) -> PairSolution:
+    """Read a pair solved by :func:`solve_rotor_pair`.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from mufly.cfd.case_studies import SpanLoads, convert_to_span_loads
 from mufly.cfd.cfd_solution import CfdSolution
 from mufly.cfd.openfoam_case import OperatingPoint, read_operating_point
 from mufly.cfd.rotor_pair import ActuatorDisc
-from mufly.cfd.solver_process import ConvergenceAssessment, judge_case
+from mufly.cfd.solver_process import ConvergenceAssessment, judge_case_convergence
 from mufly.errors import InputError, MuflyError
 from mufly.files.text_table import read_text_table
 from mufly.quantities.units import RPM
@@ -46,7 +46,7 @@ class CaseComparison:
     torque_deviations: dict[str, float]
 
 
-def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
+def compare_cases_with_table(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
     """Compare cases with the rows of a table with the same pitch (to 0.05 degrees) and speed (to 0.5 %).
 
     Parameters
@@ -70,7 +70,7 @@ def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
     for case in cases:
         point = read_operating_point(case)
         pitch, rpm = math.degrees(point.pitch_rad), point.speed_rad_s / RPM
-        verdict = judge_case(case)
+        verdict = judge_case_convergence(case)
         if verdict.outcome == "not begun":
             raise InputError(str(case), "", "has not been run", "run it first: `mufly cfd run --out` its folder")
         at = np.flatnonzero((np.abs(pitches - pitch) < 0.05) & (np.abs(speeds / rpm - 1.0) < 5e-3))

@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from mufly.cfd.openfoam_case import OperatingPoint, read_operating_point
 from mufly.cfd.polymesh import PolyMesh, read_poly_mesh
 from mufly.cfd.rotor_pair import read_actuator_disc
-from mufly.cfd.solver_process import ConvergenceAssessment, judge_case, list_complete_states
+from mufly.cfd.solver_process import ConvergenceAssessment, judge_case_convergence, list_complete_states
 from mufly.errors import InputError
 from mufly.results import ResultColumn, ShownBlock, result, tabulate_fields
 
@@ -186,7 +186,7 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
         below = (found[0] + more[1] / q, found[1])
     return CfdSolution(
         point,
-        judge_case(folder, patch=patch),
+        judge_case_convergence(folder, patch=patch),
         t,
         q,
         power,

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from mufly.cfd.openfoam_case import read_operating_point
 from mufly.cfd.polymesh import read_poly_mesh
-from mufly.cfd.solver_process import judge_case
+from mufly.cfd.solver_process import judge_case_convergence
 from mufly.errors import InputError
 from mufly.results import ResultColumn, ShownTable, result, tabulate_results
 
@@ -116,7 +116,7 @@ def estimate_grid_convergence(name: str, cells: Sequence[int], values: Sequence[
     )  # fmt: skip
 
 
-def study_grid_convergence(cases: Sequence[Path]) -> tuple[GridConvergence, GridConvergence]:
+def estimate_load_grid_convergence(cases: Sequence[Path]) -> tuple[GridConvergence, GridConvergence]:
     """Compute the grid convergence of thrust and torque from three converged cases of the same point.
 
     Raises
@@ -144,7 +144,7 @@ def study_grid_convergence(cases: Sequence[Path]) -> tuple[GridConvergence, Grid
                     str(case), key, f"is {getattr(point, key)}, not {getattr(points[0], key)}",
                     "give cases that differ in their meshes only",
                 )  # fmt: skip
-    verdicts = [judge_case(case) for case in cases]
+    verdicts = [judge_case_convergence(case) for case in cases]
     for case, verdict in zip(cases, verdicts, strict=True):
         if not verdict.settled:
             raise InputError(str(case), "", f"is not steady: {verdict.outcome}", "continue its run, or omit it")

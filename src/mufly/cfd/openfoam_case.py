@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from mufly.cfd.initial_flow import compute_momentum_slipstream
 from mufly.cfd.polymesh import LOWER_ROTOR_BLADE_PATCH, PolyMesh, format_foam_header, write_poly_mesh
 from mufly.cfd.sector_mesh import MeshDomain
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 from mufly.quantities.units import RPM
 from mufly.rotor import Air, compute_tip_mach
 from mufly.rotor.rotor_system import MAX_TIP_MACH, check_pitch
@@ -188,7 +188,7 @@ def write_case(
     InputError
         If the case cannot be written.
     """
-    with report_write_errors("--out", key=str(folder)):
+    with convert_write_errors("--out", key=str(folder)):
         for part in folder.glob("processor[0-9]*"):  # remains of a previous case
             shutil.rmtree(part)
         write_poly_mesh(mesh, folder)
@@ -219,7 +219,7 @@ def read_operating_point(folder: Path) -> OperatingPoint:
         ) from error
 
 
-def set_solver_phase(folder: Path, *, upwind: bool, end: int) -> None:
+def set_schemes_and_end(folder: Path, *, upwind: bool, end: int) -> None:
     """Set the solver's schemes and the iteration at which it stops."""
     (folder / "system" / "fvSchemes").write_text(_format_fv_schemes(upwind), encoding="utf-8")
     (folder / "system" / "controlDict").write_text(

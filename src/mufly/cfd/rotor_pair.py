@@ -6,8 +6,8 @@ other case, by radius ::
 
     down  (dT/dr) / (2 pi r),     azimuthal, in the other rotor's sense  (dQ/dr) / (2 pi r^2)
 
-The two cases alternate until their loads converge (:func:`mufly.cfd.case_studies.solve_pair`). Mean thrust and torque
-are correct to first order in the effect of blade passing; fluctuations are neglected. The disc is OpenFOAM's
+The two cases alternate until their loads converge (:func:`mufly.cfd.case_studies.solve_rotor_pair`). Mean thrust and
+torque are correct to first order in the effect of blade passing; fluctuations are neglected. The disc is OpenFOAM's
 ``rotorDisk`` in the cells cut by the plane of the other rotor, with a profile for each radius whose coefficients give
 these forces.
 

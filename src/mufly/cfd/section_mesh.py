@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from mufly.cfd.blade_geometry import cubic_fade
+from mufly.cfd.blade_geometry import fade_out_cubic
 from mufly.errors import InputError
 from mufly.rotor import Airfoil, is_polar_file, load_airfoil
 
@@ -334,15 +334,17 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
         box,
     )
     x = np.concatenate((x_in[0] - wide_l * aside[::-1], x_in[1:-1], x_in[-1] + wide_r * aside))
-    own = (tall - above[0]) * cubic_fade((above - above[0]) / (box.level_height_m - above[0]))
-    own_below = (tall + below[0]) * cubic_fade((below[0] - below) / (box.level_height_m + below[0]))
+    own = (tall - above[0]) * fade_out_cubic((above - above[0]) / (box.level_height_m - above[0]))
+    own_below = (tall + below[0]) * fade_out_cubic((below[0] - below) / (box.level_height_m + below[0]))
     z = np.concatenate(((below - own_below)[::-1], z_in[1:-1], above + own))
     grid = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
     # The centre block is turned with the blade; what surrounds it follows, less with distance.
     near = np.stack((np.clip(grid[..., 0], x_in[0], x_in[-1]), np.clip(grid[..., 1], -tall, tall)), axis=-1)
     away = np.abs(grid - near)
     reach_x = np.where(grid[..., 0] < 0, wide_l, wide_r)
-    follow = cubic_fade(away[..., 0] / reach_x) * cubic_fade(away[..., 1] / min(4.0 * c, box.level_height_m - tall))
+    follow = fade_out_cubic(away[..., 0] / reach_x) * fade_out_cubic(
+        away[..., 1] / min(4.0 * c, box.level_height_m - tall)
+    )
     grid = grid + follow[..., None] * (_rotate_nose_up(near, (1 - whole) * shape.angle_rad) - near)
 
     out = np.full((layout.point_count, 2), np.nan)
@@ -430,7 +432,7 @@ def _turn_normals_around_flap(normal: Array, loop: Array, shape: SectionShape, c
     n, corner = counts.along, counts.along + counts.across
     out, (down, ahead) = normal.copy(), _rotate_nose_up(np.array([[0.0, -1.0], [-1.0, 0.0]]), shape.angle_rad)
     off = np.linalg.norm(loop[corner : corner + n] - loop[corner], axis=1) / (0.3 * shape.chord_m)
-    w = cubic_fade(off)[:, None]
+    w = fade_out_cubic(off)[:, None]
     lean = _GURNEY_NORMAL_LEAN_FACTOR * (w * (1 - np.exp(-off / 0.05)[:, None]))
     out[corner : corner + n] = (1 - w) * normal[corner : corner + n] + w * down + lean * ahead
     begin, end = math.atan2(normal[n, 1], normal[n, 0]), math.atan2(down[1], down[0])

@@ -193,7 +193,7 @@ class PairReport:
         )
 
 
-def read_solution_report(
+def build_solution_report(
     folder: Path, rotor: Rotor | None, rounds: AeroelasticSolution | None = None
 ) -> SolutionReport:
     """Read the last state of a case, and predict its loads by other methods.
@@ -223,9 +223,9 @@ def read_solution_report(
     )
 
 
-def read_pair_report(folder: Path, rotor: Rotor | None, pair: PairSolution) -> PairReport:
+def build_pair_report(folder: Path, rotor: Rotor | None, pair: PairSolution) -> PairReport:
     """Read the reports of both cases of a pair that is solved alternately."""
-    upper, lower = (read_solution_report(folder / name, rotor) for name in PAIR_FOLDERS)
+    upper, lower = (build_solution_report(folder / name, rotor) for name in PAIR_FOLDERS)
     return PairReport(pair, upper, lower)
 
 

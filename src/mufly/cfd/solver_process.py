@@ -39,7 +39,7 @@ from mufly.cfd.openfoam_case import (
     STATE_WRITE_ITERATIONS,
     OperatingPoint,
     read_operating_point,
-    set_solver_phase,
+    set_schemes_and_end,
 )
 from mufly.cfd.rotor_pair import read_actuator_disc
 from mufly.errors import MuflyError
@@ -215,7 +215,7 @@ def run_case(
                 end = STATE_WRITE_ITERATIONS * math.ceil(
                     end / STATE_WRITE_ITERATIONS
                 )  # so that the last state is written
-                set_solver_phase(folder, upwind=done < point.upwind, end=end)
+                set_schemes_and_end(folder, upwind=done < point.upwind, end=end)
                 _remove_partial_states(folder, done)
                 _run_solver(folder, log, done, end, cores, progress)
                 verdict, done = _judge_rotors(folder, point)
@@ -234,7 +234,9 @@ def _judge_rotors(folder: Path, point: OperatingPoint) -> tuple[ConvergenceAsses
     iteration of the last state.
     """
     done = (list_complete_states(folder) or [0])[-1]
-    return min((judge_case(folder, patch=name) for name in point.patch_speeds_rad_s), key=lambda v: v.settled), done
+    return min(
+        (judge_case_convergence(folder, patch=name) for name in point.patch_speeds_rad_s), key=lambda v: v.settled
+    ), done
 
 
 def _is_finished(verdict: ConvergenceAssessment, done: int, most: int) -> bool:
@@ -409,14 +411,14 @@ def _read_function_object_rows(folder: Path, what: str, file: str, last: int | N
     return out
 
 
-def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceAssessment:
+def judge_case_convergence(folder: Path, *, patch: str = "blade") -> ConvergenceAssessment:
     """Judge the convergence of a case; for a pair, that of the rotor with the walls ``patch``."""
     point = _point_for_assessment(folder)
     loads = read_load_history(folder, patch=patch)
     flow = _read_function_object_rows(folder, "flows", "surfaceFieldValue.dat")
     continuity = _recent_continuity_error(folder / _LOG_FILE)
     outflow = flow[max(flow)][0] if flow else math.nan
-    return judge_loads(loads, outflow, continuity, point)
+    return judge_load_convergence(loads, outflow, continuity, point)
 
 
 def _point_for_assessment(folder: Path) -> OperatingPoint:
@@ -433,7 +435,9 @@ def _point_for_assessment(folder: Path) -> OperatingPoint:
     )
 
 
-def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: OperatingPoint) -> ConvergenceAssessment:
+def judge_load_convergence(
+    loads: Array, outflow_m3_s: float, continuity: float, point: OperatingPoint
+) -> ConvergenceAssessment:
     """Return the convergence verdict from the loads, the flow through the bottom and the solver's continuity error.
 
     Parameters

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from mufly.cfd.cfd_solution import CfdSolution, FlowField
 from mufly.cfd.openfoam_case import OperatingPoint
 from mufly.cfd.polymesh import PolyMesh
-from mufly.errors import report_write_errors
+from mufly.errors import convert_write_errors
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -401,7 +401,7 @@ def map_colours(values: Array) -> NDArray[np.uint8]:
 
 
 def _write_bytes(file: Path, content: bytes) -> Path:
-    with report_write_errors(file):
+    with convert_write_errors(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(content)
     return file

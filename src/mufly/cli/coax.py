@@ -83,7 +83,7 @@ def make_pair_setup(
     )
 
 
-def write_pair(point: SystemSolution, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
+def write_pair_results(point: SystemSolution, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
     """Write the loads along both blades and pictures of a pair's operating point; for vortex wakes also their geometry,
     velocity field and history.
     """
@@ -278,7 +278,7 @@ def _solve_and_print(
     wakes = setup.method == "wake"
     with show_wake_progress("coaxial pair", wakes and not as_json, out) as progress:
         found = solve_pair_point(setup, isolated=isolated, progress=progress if wakes else None)
-    files = write_pair(found.solution, found.alone, out) if out is not None else []
+    files = write_pair_results(found.solution, found.alone, out) if out is not None else []
     if not found.solution.converged:
         kept = "" if out is None else f"; its history is in {out}"
         raise MuflyError(f"coaxial wake: {found.solution.message}{kept}")
@@ -355,7 +355,7 @@ def compute_coax_map(
     elements take seconds, wakes minutes; these have turns=3 and tolerance=3e-3 unless --wake-set differs. Example:
     mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
     """
-    from mufly.files.answer_store import replace_file
+    from mufly.files.answer_store import replace_file_atomically
     from mufly.rotor import Air, draw_coefficient_map, load_rotor, make_climb_axis_over_tip_speed
     from mufly.rotor.coax_maps import compute_coax_map as compute
     from mufly.vehicle import format_map_toml
@@ -389,7 +389,7 @@ def compute_coax_map(
         raise
     files = []
     if out is not None:
-        with replace_file(out) as part:
+        with replace_file_atomically(out) as part:
             part.write_text(format_map_toml(made), encoding="utf-8")
         files = [out, save_figure(draw_coefficient_map(made), out.parent, out.stem)]
     print_answer(as_json, made, files=files)

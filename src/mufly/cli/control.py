@@ -18,8 +18,8 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import make_console, print_answer, print_json, progress_bar
-from mufly.cli.station import GustOption, ShutdownHandler, WindOption, check_wind
-from mufly.errors import InputError, report_write_errors
+from mufly.cli.station import GustOption, ShutdownHandler, WindOption, parse_wind_option
+from mufly.errors import InputError, convert_write_errors
 from mufly.results import to_plain_data
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ parameters, limited to the spreads; fly it with `mufly fly --vehicle worst.toml 
         found = analyse_parameter_robustness(loaded, controller, points=points)
     written: list[Path] = []
     if out is not None:
-        with report_write_errors("--out", "give a folder that can be written", str(out)):
+        with convert_write_errors("--out", "give a folder that can be written", str(out)):
             out.mkdir(parents=True, exist_ok=True)
             written = [out / name for name in ("mu.json", "mu.png", "worst.toml")]
             written[0].write_text(json.dumps(found.as_record(), indent=2) + "\n", encoding="utf-8")
@@ -227,7 +227,7 @@ def servo_map(
         )
     written: list[Path] = []
     if out is not None:
-        with report_write_errors("--out", "give a folder that can be written", str(out)):
+        with convert_write_errors("--out", "give a folder that can be written", str(out)):
             out.mkdir(parents=True, exist_ok=True)
             written = [out / f"servo-map.{suffix}" for suffix in ("json", "nc", "png")]
             written[0].write_text(json.dumps(found.as_record(), indent=2) + "\n", encoding="utf-8")
@@ -248,10 +248,10 @@ def rotor_speeds(
 
     Example: mufly control rotor-speeds
     """
-    from mufly.control.analysis.rotor_speed_feedback import compare_rotor_speeds
+    from mufly.control.analysis.rotor_speed_feedback import compare_rotor_speed_feedback
     from mufly.vehicle import load_vehicle
 
-    print_answer(as_json, compare_rotor_speeds(load_vehicle(vehicle), rate_Hz=rate))
+    print_answer(as_json, compare_rotor_speed_feedback(load_vehicle(vehicle), rate_Hz=rate))
 
 
 @app.command()
@@ -279,7 +279,7 @@ table, where model and design have the same speed.
 
     Example: mufly control schedule --flight-map pair.toml --speed 0 --speed 1 --speed 2
     """
-    from mufly.control.analysis.speed_schedule import FAST_SYNTHESIS_METHODS, SPEEDS_m_s, compare_schedules
+    from mufly.control.analysis.speed_schedule import FAST_SYNTHESIS_METHODS, SPEEDS_m_s, compare_designs_over_speed
     from mufly.vehicle import load_vehicle, replace_parameters
 
     loaded = load_vehicle(vehicle)
@@ -291,7 +291,7 @@ table, where model and design have the same speed.
             raise InputError("--methods", name, "is not a method", f"give one of {', '.join(FAST_SYNTHESIS_METHODS)}")
     speeds = check_and_sort_values("--speed", speed, 0.0, 50.0, "m/s") or list(SPEEDS_m_s)
     with progress_bar("Designing", not as_json) as progress:
-        found = compare_schedules(loaded, chosen, speeds_m_s=speeds, progress=progress)
+        found = compare_designs_over_speed(loaded, chosen, speeds_m_s=speeds, progress=progress)
     print_answer(as_json, found)
 
 
@@ -421,7 +421,7 @@ earlier tuning.
         }
     )  # fmt: skip
     target = out / f"{loop}.json"
-    with report_write_errors("--out", "give a folder that can be written", str(out)):
+    with convert_write_errors("--out", "give a folder that can be written", str(out)):
         out.mkdir(parents=True, exist_ok=True)
     with progress_bar("Tuning", not as_json) as progress:
         found = tune_loop(
@@ -429,7 +429,7 @@ earlier tuning.
             starts=starts or DEFAULT_START_METHODS,
             rounds=rounds, steps=steps, rate_Hz=rate, path=target, progress=progress,
         )  # fmt: skip
-    with report_write_errors("--out", "give a folder that can be written", str(out)):
+    with convert_write_errors("--out", "give a folder that can be written", str(out)):
         draw_tuned_loop(found).savefig(target.with_suffix(".png"), dpi=150)
     print_answer(as_json, found, files=[target, target.with_suffix(".png")])
 
@@ -550,7 +550,7 @@ bounds of mu and flights resume.
             for row in found.methods:
                 campaign = Campaign.create_checked(
                     loaded, load_mission(mission), variations=parse_variations(vary or [], loaded),
-                    wind=check_wind(wind), gust=gust, seed=seed, fast_controllers=GenericFirmwareSoftware,
+                    wind=parse_wind_option(wind), gust=gust, seed=seed, fast_controllers=GenericFirmwareSoftware,
                     vehicle_name=vehicle, mission_name=mission, controller=controllers[row.method],
                 )  # fmt: skip
                 with progress_bar(f"Flying {row.label}", not as_json) as progress:
@@ -568,7 +568,7 @@ bounds of mu and flights resume.
                     replace(row, flights=FlightMetrics(flights, good, *compute_wilson_interval(good, flights), worst))
                 )
         found = recommend_method(found.vehicle_name, found.rate_Hz, rows)
-    with report_write_errors("--out", "give a folder that can be written", str(out)):
+    with convert_write_errors("--out", "give a folder that can be written", str(out)):
         out.mkdir(parents=True, exist_ok=True)
         written = [out / "compare.json", out / "compare.png", out / "compare.nc"]
         written[0].write_text(json.dumps(to_plain_data(found), indent=2) + "\n", encoding="utf-8")
@@ -580,7 +580,7 @@ bounds of mu and flights resume.
 def _write_designs(controller: FlightController, folder: Path) -> list[Path]:
     from mufly.control.analysis.plots import write_design_pictures
 
-    with report_write_errors("--out", "give a folder that can be written", str(folder)):
+    with convert_write_errors("--out", "give a folder that can be written", str(folder)):
         target = folder / "design.json"
         written = [*write_design_pictures(controller, folder), target]
         target.write_text(json.dumps(to_plain_data(controller), indent=2) + "\n", encoding="utf-8")

@@ -212,12 +212,12 @@ def sweep(
 
     Example: mufly drive sweep mufly --thrust 0.6 --out gears
     """
-    from mufly.drive import find_gear_optima, gear_curve, load_drive
+    from mufly.drive import find_gear_optima, load_drive, sweep_gear_ratio
     from mufly.study import draw_gear_curve, write_results
 
     d = load_drive(drive)
     load, name = _make_rotor_load(rotor, vehicle, pitch, model)
-    curve = gear_curve(d, load, gear, duty=duty, supply_V=supply)
+    curve = sweep_gear_ratio(d, load, gear, duty=duty, supply_V=supply)
     best = find_gear_optima(d, load, thrust_N=thrust, duty=duty, supply_V=supply)
     marks = {k.replace("_", " "): v for k, v in vars(best).items() if k != "for_required_thrust" or math.isfinite(v)}
     files = []

@@ -501,7 +501,7 @@ def write_flight_results(
     )
     text = json.dumps(summary.as_record(), indent=2)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    pictures = flight.draw_flight(dataset, folder, waypoints=waypoints, world=mission.world)
+    pictures = flight.draw_flight_pictures(dataset, folder, waypoints=waypoints, world=mission.world)
     pictures += flight.draw_estimate_pictures(dataset, folder)
     if as_json:
         print(text)

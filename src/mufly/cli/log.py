@@ -18,7 +18,7 @@ from mufly.cli.output import (
     print_lines,
     progress_bar,
 )
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -307,7 +307,7 @@ def _print_notes(log: Path, notes: Iterable[str]) -> None:
 
 def _save_figure(figure: Any, folder: Path, name: str) -> list[Path]:
     paths = [folder / f"{name}{ending}" for ending in (".png", ".svg")]
-    with report_write_errors("--out", key=str(folder)):
+    with convert_write_errors("--out", key=str(folder)):
         folder.mkdir(parents=True, exist_ok=True)
         for path in paths:
             figure.savefig(path, dpi=130, bbox_inches="tight")

@@ -42,9 +42,9 @@ from mufly.cli.station import (
     SensorsOption,
     ShutdownHandler,
     WindOption,
-    check_wind,
     describe_sensor_source,
     parse_sensor_faults,
+    parse_wind_option,
     resolve_wind,
     select_control_implementation,
 )
@@ -170,7 +170,7 @@ def run_monte_carlo(
         raise InputError("--flights", "", "no flights", "give 1 or more, or --search")
     if not 0.0 < tolerance <= 10.0:
         raise InputError("--tolerance", "", f"{tolerance:g} m", "give more than 0, and 10 m at most")
-    towards = check_wind(wind)
+    towards = parse_wind_option(wind)
     resolve_wind(None, gust, seed)
     check_output_place("--out", out)
 
@@ -266,7 +266,7 @@ def _write_and_print_results(
 ) -> None:  # fmt: skip
     """Write tables, pictures and summary, and print the results."""
     from mufly.flight.monte_carlo import (
-        describe_campaign,
+        campaign_to_dict,
         flight_severity,
         sort_by_severity,
         summarise_outcome,
@@ -282,7 +282,7 @@ def _write_and_print_results(
     worst = sort_by_severity(sought, campaign.tolerance_m)[:1]
     commands = [command for _, command in recorded.commands]
     content = {
-        "campaign": to_plain_data(describe_campaign(campaign)),
+        "campaign": to_plain_data(campaign_to_dict(campaign)),
         "outcome": to_plain_data(outcome),
         "worst_found": to_plain_data(worst[0]) if worst else None,
         "commands": {f"{f.index}": command for f, command in recorded.commands},

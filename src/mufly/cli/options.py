@@ -659,7 +659,7 @@ WriteOption = Annotated[
 PictureOption = Annotated[Path | None, define_option("--out DIR", "Folder for a picture (PNG) of points and fit.")]
 
 
-def split_optional_std(option: str, given: ValueWithStd | str | None) -> tuple[float | None, float]:
+def parse_value_and_std(option: str, given: ValueWithStd | str | None) -> tuple[float | None, float]:
     """Return value and standard deviation of an option; (None, 0) for None or the word ``free``.
 
     Raises

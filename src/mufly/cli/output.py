@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -178,7 +178,7 @@ def print_files(files: Iterable[Path], label: str = "Written") -> None:
 
 def write_text_file(path: Path, text: str, remedy: str = "give another folder", option: str = "--out") -> Path:
     """Write a text and return its path; an InputError names the option if it cannot be written."""
-    with report_write_errors(option, remedy, str(path)):
+    with convert_write_errors(option, remedy, str(path)):
         path.write_text(text, encoding="utf-8")
     return path
 
@@ -191,7 +191,7 @@ def save_figure(figure: Figure, folder: Path, name: str) -> Path:
     InputError
         If the file cannot be written.
     """
-    with report_write_errors("--out", key=str(folder)):
+    with convert_write_errors("--out", key=str(folder)):
         folder.mkdir(parents=True, exist_ok=True)
         figure.savefig(folder / f"{name}.png", dpi=150)
     return folder / f"{name}.png"
@@ -205,7 +205,7 @@ def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Iterable[float | 
     InputError
         If the file cannot be written.
     """
-    with report_write_errors("--out", key=str(path.parent)):
+    with convert_write_errors("--out", key=str(path.parent)):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("w", newline="", encoding="utf-8") as file:
             file.write(f"# {first}\n" if first else "")

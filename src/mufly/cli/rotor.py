@@ -312,17 +312,19 @@ def hover(
         if conflict:
             raise InputError(key, value or "", problem, remedy)
     if elastic and pitch is not None and rpm is not None:
-        from mufly.cli.aero.elastic_hover import solve_elastic_point
+        from mufly.cli.aero.elastic_hover import show_elastic_hover
 
-        return solve_elastic_point(
+        return show_elastic_hover(
             rotor, theory, pitch, rpm, climb=climb, density=density, material=material, thickness=thickness, out=out,
             as_json=as_json,
         )  # fmt: skip
     if theory.method == "cfd":
-        from mufly.cli.aero.cfd import CaseOptions, solve_point
+        from mufly.cli.aero.cfd import CaseOptions, solve_and_report_point
 
         case = CaseOptions(pitch=pitch or 0.0, density=density)
-        return solve_point(rotor, case, rpm=rpm or 0.0, climb=climb, out=out or Path("case"), as_json=as_json)
+        return solve_and_report_point(
+            rotor, case, rpm=rpm or 0.0, climb=climb, out=out or Path("case"), as_json=as_json
+        )
     settings, count = theory.wake_settings()
     r, air = load_rotor(rotor), Air(density_kg_m3=density)
     condition = OperatingCondition(

@@ -65,7 +65,7 @@ FaultOption = Annotated[
 ]
 
 
-def check_wind(numbers: tuple[float, ...] | None) -> float | tuple[float, float, float] | None:
+def parse_wind_option(numbers: tuple[float, ...] | None) -> float | tuple[float, float, float] | None:
     """Return the wind speed, or the wind N, E, D (m/s), of ``--wind``; None without it; InputError if out of range."""
     from mufly.mission import MAX_WIND_M_S
 
@@ -95,7 +95,7 @@ def resolve_wind(wind: tuple[float, ...] | None, gust: float | None, seed: int) 
     """Return the wind N, E, D (m/s) of ``--wind``; InputError for invalid gusts and seeds."""
     from mufly.mission import MAX_GUST_RMS_M_S
 
-    given = check_wind(wind)
+    given = parse_wind_option(wind)
     if gust is not None and not 0.0 <= gust <= MAX_GUST_RMS_M_S:
         raise InputError("--gust", "", f"{gust:g} m/s is out of range", f"give 0 to {MAX_GUST_RMS_M_S:g} m/s")
     if not 0 <= seed < 2**63:

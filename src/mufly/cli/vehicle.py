@@ -126,10 +126,10 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
     """Check every value of a vehicle file, and whether the vehicle can hover and for how long."""
     from mufly.dynamics import (
         DEFAULT_STEP_S,
+        find_longest_stable_step,
         find_step_limiting_parameter,
         hover_performance,
         judge_hover,
-        longest_step,
         model_parameters,
     )
     from mufly.sensors.sonar import standing_sonar_range
@@ -143,7 +143,7 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
     limits = list(judge_hover(v, h))
     unusual = [*find_unusual_parameters(v), *limits]
     p = model_parameters(v)
-    step = longest_step(p)
+    step = find_longest_stable_step(p)
     if as_json:
         return print_json(
             {"name": v.name, "valid": True, "hover": h, "longest_step_s": step, "warnings": list(map(str, unusual))}
@@ -343,7 +343,7 @@ def create_vehicle_project(
     out: Annotated[Path | None, define_option("--out DIR", "Folder for the files. Default: NAME.")] = None,
 ) -> None:
     """See :data:`NEW_HELP`."""
-    from mufly.dynamics import hover_performance, judge_hover, similar_vehicle
+    from mufly.dynamics import hover_performance, judge_hover, scale_vehicle_by_similarity
     from mufly.mission import dump_mission, load_mission
     from mufly.rotor import format_rotor_toml, load_rotor, replace_rotor
     from mufly.vehicle import find_unusual_parameters, format_vehicle_toml, list_parameters, load_vehicle
@@ -364,7 +364,7 @@ def create_vehicle_project(
             resistance = _ask_if_missing(resistance, "--resistance", "Motor: resistance in ohm", _RESISTANCE_RANGE)
     given_cells = _ask_if_missing(cells, "--cells", "Battery: cells in series", _CELL_COUNT_RANGE)
     capacity = _ask_if_missing(capacity, "--capacity", "Battery: capacity in mA h", _CAPACITY_RANGE)
-    vehicle = similar_vehicle(
+    vehicle = scale_vehicle_by_similarity(
         known, Path(name).name,
         mass_kg=mass / 1e3,
         radius_m=radius / 1e3,

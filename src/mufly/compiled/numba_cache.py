@@ -56,7 +56,7 @@ def cached_njit(function: Any = None, **options: Any) -> Any:
     return numba.njit(**options) if function is None else numba.njit(**options)(function)
 
 
-def record_as_array(record: np.void) -> NDArray[np.void]:
+def view_record_as_array(record: np.void) -> NDArray[np.void]:
     """Return an array of length 1 that shares a record's memory, for functions that are called in every period.
 
     Passing a record to a compiled function takes 2 to 4 microseconds per call, because NumPy lists the names of all its

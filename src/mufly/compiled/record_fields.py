@@ -1,8 +1,8 @@
 """Declaration of records by classes with typed, documented fields, the source of NumPy types and C structs.
 
 A class declares its fields with :func:`real_or_array_field` and :func:`int_or_array_field` and annotates them for
-editors and type checkers; it is never instantiated. Compiled functions take a NumPy record of :func:`record_type` in
-its place, whose fields Numba reads as fast as those of a C struct.
+editors and type checkers; it is never instantiated. Compiled functions take a NumPy record of :func:`make_record_dtype`
+in its place, whose fields Numba reads as fast as those of a C struct.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def record_fields(record: type) -> dict[str, Field]:
     return {name: field for name, field in vars(record).items() if isinstance(field, Field)}
 
 
-def record_type(record: type, kind: Any = np.float64, int_kind: Any = np.int32, **sizes: int) -> np.dtype:
+def make_record_dtype(record: type, kind: Any = np.float64, int_kind: Any = np.int32, **sizes: int) -> np.dtype:
     """Return the NumPy type of a declared record with the memory layout of a C struct.
 
     Parameters

@@ -1,7 +1,7 @@
 """Controllers: design by several methods, analysis, order reduction, discretisation and the control law on board."""
 
 from mufly.control.analysis import plots as _plots  # noqa: F401  draws results of the room
-from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_noise
+from mufly.control.analysis.loop_margins import DiskMargin, compute_input_noise_std, disk_margin
 from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import DEFAULT_CONTROL_RATE_HZ, FlightController, design_flight_controller
 from mufly.control.implementation import (
@@ -24,15 +24,15 @@ from mufly.control.linear_systems import (
     LoopAnalysis,
     LoopCurves,
     analyse_loop,
+    compute_loop_singular_values,
     connect_blocks,
     frequency_response,
     hinf_norm,
-    loop_curves,
     sample_plant,
     singular_values,
 )
 from mufly.control.synthesis.h2 import H2Result, h2_norm, h2syn
-from mufly.control.synthesis.hinf import HinfResult, close_loop, hinfsyn
+from mufly.control.synthesis.hinf import HinfResult, compute_lower_lft, hinfsyn
 from mufly.control.synthesis.lqg import LqgResult, LqgWeights, design_lqg
 from mufly.control.synthesis.weighting_schemes import (
     DesignSettings,
@@ -40,8 +40,8 @@ from mufly.control.synthesis.weighting_schemes import (
     SignalScaling,
     TransferFunction,
     TwoDegreeWeights,
-    one_degree_plant,
-    two_degree_plant,
+    make_one_dof_generalised_plant,
+    make_two_dof_generalised_plant,
 )
 
 __all__ = [
@@ -64,7 +64,9 @@ __all__ = [
     "TransferFunction",
     "TwoDegreeWeights",
     "analyse_loop",
-    "close_loop",
+    "compute_input_noise_std",
+    "compute_loop_singular_values",
+    "compute_lower_lft",
     "connect_blocks",
     "design_flight_controller",
     "design_lqg",
@@ -77,10 +79,9 @@ __all__ = [
     "heave_yaw_step",
     "hinf_norm",
     "hinfsyn",
-    "input_noise",
     "limit_heave_reference",
-    "loop_curves",
-    "one_degree_plant",
+    "make_one_dof_generalised_plant",
+    "make_two_dof_generalised_plant",
     "position_init",
     "position_step",
     "reduce_controller",
@@ -88,5 +89,4 @@ __all__ = [
     "roll_pitch_step",
     "sample_plant",
     "singular_values",
-    "two_degree_plant",
 ]

@@ -6,7 +6,7 @@ import control
 import numpy as np
 
 from mufly.control.implementation import ControllerReduction, DiscreteController
-from mufly.control.linear_systems import LoopAnalysis, feedback_part
+from mufly.control.linear_systems import LoopAnalysis, extract_feedback_controller
 from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHOD_NAMES, SynthesisMethod
 from mufly.control.synthesis.weighting_schemes import SignalScaling
 from mufly.results import ShownBlock, format_value, make_table_block, result
@@ -125,7 +125,9 @@ class ControllerDesign:
         """Return the feedback K of ``u = -K y``, taken from ``controller`` or, by default, from the full-order
         controller.
         """
-        return feedback_part(self.controller if controller is None else controller, self.plant, self.error_inputs)
+        return extract_feedback_controller(
+            self.controller if controller is None else controller, self.plant, self.error_inputs
+        )
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return a table that compares the full-order, reduced and sampled controllers with that of the thesis."""

@@ -22,7 +22,7 @@ from mufly.control.controller_design import (
 )
 from mufly.control.design_store import load_or_compute_controller
 from mufly.control.implementation import (
-    analyse_cascade,
+    analyse_position_cascade,
     discretise_controller,
     reduce_controller,
 )
@@ -39,7 +39,7 @@ from mufly.control.linear_systems import (
     Array,
     LoopAnalysis,
     analyse_loop,
-    feedback_part,
+    extract_feedback_controller,
     find_crossovers,
     frequency_response,
     sample_plant,
@@ -61,15 +61,15 @@ from mufly.control.synthesis.synthesis_methods import (
 from mufly.control.synthesis.weighting_schemes import (
     DesignSettings,
     SignalScaling,
-    complete_settings,
+    fill_missing_weights,
     heave_acceleration_per_input,
     heave_yaw_scaling,
-    one_degree_plant,
+    make_one_dof_generalised_plant,
     roll_pitch_scaling,
     scale_plant,
     unscale_controller,
-    weight_heave_yaw,
-    weight_roll_pitch,
+    weight_heave_yaw_plant,
+    weight_roll_pitch_plant,
 )
 from mufly.control.tuning.output_schedule import OutputSchedule, pack_schedule, schedule_roll_pitch
 from mufly.dynamics import GRAVITY, Linearisation, compute_battery_supply, linearise_vehicle, model_parameters
@@ -207,7 +207,7 @@ def design_flight_controller(
         If the vehicle cannot hover, or a design fails: the message names the design and the failing mode, weight or
         step.
     """
-    s = complete_settings(DesignSettings() if settings is None else settings, vehicle)
+    s = fill_missing_weights(DesignSettings() if settings is None else settings, vehicle)
     if s.method not in SYNTHESIS_METHODS:
         raise ArgumentError(
             "method", "", f"{s.method!r} is not a method", f"give one of {', '.join(SYNTHESIS_METHODS)}"
@@ -236,7 +236,7 @@ def design_flight_controller(
         roll_pitch = design_roll_pitch(linear.roll_pitch, s, period, derivatives)
         velocity = design_velocity(s, POSITION_LOOP_RATE_DIVIDER * period)
         schedule = schedule_roll_pitch(vehicle, roll_pitch, s, linear) if s.method == "scheduled" else None
-        cascade = analyse_cascade(
+        cascade = analyse_position_cascade(
             linear.full, roll_pitch.discrete, velocity.discrete, s.position_gain, POSITION_LOOP_RATE_DIVIDER
         )
         if not cascade.stable:
@@ -251,7 +251,7 @@ def design_flight_controller(
     volts = float(linear.trim.battery_voltage_V)
     lower_upper = motor[::-1].copy()
     lags = ramp_following_lags(heave_yaw)
-    acceleration = heave_acceleration(vehicle, linear, s)
+    acceleration = compute_heave_acceleration_limit(vehicle, linear, s)
     return FlightController(
         vehicle_name=vehicle.name,
         rate_Hz=rate,
@@ -356,7 +356,7 @@ def _design_controller(
         reduced = unscale_controller(reduction.controller, read, input_scale)
         discrete = discretise_controller(reduced, reduction.anti_windup_matrix / input_scale, period_s, windup_rate)
         full_loop, reduced_loop, sampled_loop = (
-            analyse_loop(G, feedback_part(K, plant, rows), output_scale=output_scale)
+            analyse_loop(G, extract_feedback_controller(K, plant, rows), output_scale=output_scale)
             for G, K in (
                 (plant, full),
                 (plant, reduced),
@@ -414,7 +414,7 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
         "heave-yaw",
         plant,
         settings.heave_yaw_scaling or heave_yaw_scaling(plant),
-        lambda scaled: weight_heave_yaw(scaled, settings),
+        lambda scaled: weight_heave_yaw_plant(scaled, settings),
         settings.heave_yaw_relaxation,
         period_s,
         method="fixed"
@@ -448,7 +448,7 @@ def design_roll_pitch(
         "roll-pitch",
         plant,
         settings.roll_pitch_scaling or roll_pitch_scaling(plant),
-        lambda scaled: weight_roll_pitch(scaled, settings),
+        lambda scaled: weight_roll_pitch_plant(scaled, settings),
         settings.roll_pitch_relaxation,
         period_s,
         method="fixed" if fixed else settings.method,
@@ -487,7 +487,7 @@ def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesi
         "velocity",
         plant,
         settings.velocity_scaling,
-        lambda scaled: one_degree_plant(scaled, ("u", "v"), settings.velocity_weights),
+        lambda scaled: make_one_dof_generalised_plant(scaled, ("u", "v"), settings.velocity_weights),
         settings.velocity_relaxation,
         period_s,
         tracked=(0, 1),
@@ -509,7 +509,7 @@ def ramp_following_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
     return z, psi
 
 
-def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: DesignSettings) -> float:
+def compute_heave_acceleration_limit(vehicle: Vehicle, linear: Linearisation, settings: DesignSettings) -> float:
     """Return the heave acceleration (m/s2) that the motors can follow with a discharged, loaded battery.
 
     An input step ``du`` of both motors gives the acceleration ``per_input * du`` in steady state. Here ``du`` is the

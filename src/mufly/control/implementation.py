@@ -37,7 +37,7 @@ from mufly.control.linear_systems import (
     LoopAnalysis,
     analyse_loop,
     connect_blocks,
-    feedback_part,
+    extract_feedback_controller,
     frequency_response,
     hinf_norm,
     is_stable_loop,
@@ -47,7 +47,7 @@ from mufly.control.linear_systems import (
     sample_plant,
     state_space,
 )
-from mufly.control.synthesis.hinf import close_loop
+from mufly.control.synthesis.hinf import compute_lower_lft
 from mufly.dynamics import extract_submodel
 from mufly.errors import MuflyError
 from mufly.results import result
@@ -221,7 +221,7 @@ def reduce_controller(
     rows = list(error_inputs)
     judge = _LoopPeaks(plant, rows)
     full_s, full_t = judge.sensitivity_peaks(controller)
-    full_loop = close_loop(generalised, controller)
+    full_loop = compute_lower_lft(generalised, controller)
     full_norm = hinf_norm(full_loop, tolerance=1e-4)[0]
     n = controller.nstates
     tried: list[tuple[ReducedCandidate, control.StateSpace, Array]] = []
@@ -280,7 +280,7 @@ def _add_loop_norm(
     c, K, M = entry
     if c.sensitivity_peak_dB > s or c.complementary_peak_dB > t or np.isfinite(c.norm):
         return entry
-    return replace(c, norm=hinf_norm(close_loop(generalised, K), tolerance=1e-3)[0]), K, M
+    return replace(c, norm=hinf_norm(compute_lower_lft(generalised, K), tolerance=1e-3)[0]), K, M
 
 
 def _choose_candidate(
@@ -306,7 +306,7 @@ class _LoopPeaks:
         self.response = frequency_response(plant, self.frequency)
 
     def sensitivity_peaks(self, K: control.StateSpace) -> tuple[float, float]:
-        feedback = feedback_part(K, self.plant, self.rows)
+        feedback = extract_feedback_controller(K, self.plant, self.rows)
         if not is_stable_loop(self.plant, feedback):
             return np.inf, np.inf
         loop = frequency_response(feedback, self.frequency) @ self.response
@@ -359,7 +359,7 @@ def _loop_gramians(
         D=np.hstack([G.D, G.D[:, nw:]]),
         inputs=[*G.input_labels[:nw], *(f"added[{i}]" for i in range(nu)), *G.input_labels[nw:]],
     )
-    loop = close_loop(opened, controller)
+    loop = compute_lower_lft(opened, controller)
     P = linalg.solve_continuous_lyapunov(loop.A, -_multiply_by_transpose(loop.B[:, :nw]))[G.nstates :, G.nstates :]
     Bu, Du = loop.B[:, nw:], loop.D[:nz, nw:]
     r = Ar.shape[0]
@@ -600,7 +600,7 @@ def _sample_tilt_to_position(
     return replace_matrices(loop, A=A, B=B, D=np.zeros((4, 2)), dt=divider * roll_pitch.period_s)
 
 
-def analyse_cascade(
+def analyse_position_cascade(
     full: control.StateSpace,
     roll_pitch: DiscreteController,
     velocity: DiscreteController,

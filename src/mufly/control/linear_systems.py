@@ -320,7 +320,9 @@ def sample_plant(plant: control.StateSpace, period_s: float, delay_samples: int 
     return replace_matrices(plant, A=A, B=B, C=C, D=D, dt=period_s)
 
 
-def feedback_part(controller: control.StateSpace, plant: control.StateSpace, rows: Sequence[int]) -> control.StateSpace:
+def extract_feedback_controller(
+    controller: control.StateSpace, plant: control.StateSpace, rows: Sequence[int]
+) -> control.StateSpace:
     """Return the part of a controller that feeds back the plant's outputs: the controller's inputs with indices
     ``rows``.
     """
@@ -485,7 +487,9 @@ def analyse_loop(
     )
 
 
-def loop_curves(plant: control.StateSpace, feedback: control.StateSpace, frequency: Array) -> LoopCurves:
+def compute_loop_singular_values(
+    plant: control.StateSpace, feedback: control.StateSpace, frequency: Array
+) -> LoopCurves:
     """Return singular values of plant, L_u, S_u and T_u over ``frequency`` (rad/s)."""
     g, k = frequency_response(plant, frequency), frequency_response(feedback, frequency)
     L = k @ g

@@ -22,7 +22,7 @@ from mufly.drive.gear_ratio import (
     find_full_voltage_gear_ratio,
     find_gear_optima,
     find_least_power_gear_ratio,
-    gear_curve,
+    sweep_gear_ratio,
 )
 from mufly.drive.operating_point import (
     OperatingPoint,
@@ -33,7 +33,7 @@ from mufly.drive.operating_point import (
     find_speed_for_thrust,
     make_blade_load,
     make_coefficient_load,
-    make_scaled_load,
+    scale_load_to_reference,
 )
 
 __all__ = [
@@ -55,15 +55,15 @@ __all__ = [
     "find_operating_point",
     "find_speed_at_voltage",
     "find_speed_for_thrust",
-    "gear_curve",
     "hover_endurance",
     "interpolate_table",
     "list_builtin_drives",
     "load_drive",
     "make_blade_load",
     "make_coefficient_load",
-    "make_scaled_load",
     "open_circuit_voltage",
     "rotor_acceleration",
+    "scale_load_to_reference",
+    "sweep_gear_ratio",
     "terminal_voltage",
 ]

@@ -35,7 +35,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
-from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.files.input_files import builtin_file_names, make_validation_error, read_toml, validate_model
 from mufly.quantities.units import RPM
 from mufly.results import result
 from mufly.vehicle import Vehicle, load_vehicle
@@ -140,7 +140,7 @@ class DatasheetMotor(ParameterGroup):
             return raw
         value = raw.get("value") if isinstance(raw, dict) else None
         if not isinstance(raw, dict) or raw.get("unit") not in units:
-            raise model_error(
+            raise make_validation_error(
                 f"{raw!r} has no unit that fits",
                 f'write {info.field_name} = {{ value = ..., unit = "rpm/V", source = "datasheet" }}',
             )
@@ -149,7 +149,7 @@ class DatasheetMotor(ParameterGroup):
             or not isinstance(value, int | float)
             or not SPEED_CONSTANT_RANGE_RAD_VS[0] <= value * units[raw["unit"]] <= SPEED_CONSTANT_RANGE_RAD_VS[1]
         ):
-            raise model_error(
+            raise make_validation_error(
                 f"{value!r} is out of range", "give {:g} to {:g} rad/s/V".format(*SPEED_CONSTANT_RANGE_RAD_VS)
             )
         return {**raw, "value": value * units[raw["unit"]], "unit": "rad/s/V"}
@@ -158,7 +158,7 @@ class DatasheetMotor(ParameterGroup):
     def _check_no_load(self) -> DatasheetMotor:
         drop = float(self.resistance) * float(self.no_load_current)
         if drop >= float(self.no_load_voltage):
-            raise model_error(
+            raise make_validation_error(
                 f"the resistance alone takes {drop:g} V",
                 "correct no_load_current, resistance or no_load_voltage",
                 "datasheet.no_load_current",
@@ -207,7 +207,7 @@ class DriveTrain(ParameterGroup):
                 if self.motor is None
                 else "both [motor] and [datasheet] are given"
             )
-            raise model_error(given, "give one of the two", "motor")
+            raise make_validation_error(given, "give one of the two", "motor")
         return self
 
     def motor_constants(self, **overrides: FloatOrArray | None) -> MotorConstants:

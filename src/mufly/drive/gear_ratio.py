@@ -97,7 +97,7 @@ def find_least_power_gear_ratio(c: MotorConstants, speed: ArrayLike, torque: Arr
     return np.clip(free, small, large)
 
 
-def gear_curve(
+def sweep_gear_ratio(
     drive: DriveTrain, load: RotorLoad, ratios: ArrayLike, *, duty: float = 1.0, supply_V: float | None = None
 ) -> xr.Dataset:
     """Return power, thrust and efficiency over the gear ratio at constant motor voltage (Fig. 3.7).
@@ -152,12 +152,12 @@ def find_gear_optima(
     duty: float = 1.0,
     supply_V: float | None = None,
 ) -> GearOptima:
-    """Find the optima of :func:`gear_curve` and the largest gear ratio that gives a thrust.
+    """Find the optima of :func:`sweep_gear_ratio` and the largest gear ratio that gives a thrust.
 
     Parameters
     ----------
     drive, load, duty, supply_V
-        As for :func:`gear_curve`.
+        As for :func:`sweep_gear_ratio`.
     thrust_N : float, optional
         Required thrust.
 
@@ -168,7 +168,7 @@ def find_gear_optima(
     of the ratio.
     """
     ratio = np.geomspace(0.2, 30.0, 400)
-    curve = gear_curve(drive, load, ratio, duty=duty, supply_V=supply_V)
+    curve = sweep_gear_ratio(drive, load, ratio, duty=duty, supply_V=supply_V)
     x = np.log(ratio)
 
     def find_peak(name: str) -> float:

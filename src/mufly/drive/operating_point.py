@@ -448,7 +448,7 @@ def make_blade_load(
     return evaluate_blades
 
 
-def make_scaled_load(load: RotorLoad, speed_rad_s: float, thrust_N: float, torque_Nm: float) -> RotorLoad:
+def scale_load_to_reference(load: RotorLoad, speed_rad_s: float, thrust_N: float, torque_Nm: float) -> RotorLoad:
     """Return a load with thrust and torque scaled to match a reference point of one rotor.
 
     Parameters

@@ -30,7 +30,7 @@ _PARAMETERS_VARIABLE = "p"
 _REPLACED_CALLS = {"np.uint64": "whole_number", "math.sin": "sine_of", "math.cos": "cosine_of"}
 
 
-def select_branches(
+def replace_branches_by_selection(
     function: Any,
     namespace: Mapping[str, Any],
     *,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics.branch_selection import select_branches
+from mufly.dynamics.branch_selection import replace_branches_by_selection
 from mufly.dynamics.equations_of_motion import state_derivative
 from mufly.dynamics.model_state import INPUT_SIZE, PARAMETER_DTYPE, STATE_SIZE, model_parameters
 from mufly.errors import MuflyError
@@ -63,7 +63,9 @@ def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> Any:
     symbols: dict[str, Any] = {name: kind.sym(name, size) for name, size in names.items()}
     arguments = [[_CasadiSymbol(symbols[name][k]) for k in range(size)] for name, size in names.items()]
     derivative: list[Any] = [0.0] * STATE_SIZE
-    select_branches(state_derivative, _CASADI_NAMESPACE)(*arguments, _SymbolIndexedParameters(p), derivative)
+    replace_branches_by_selection(state_derivative, _CASADI_NAMESPACE)(
+        *arguments, _SymbolIndexedParameters(p), derivative
+    )
     out = casadi.vertcat(*(_unwrap_symbol(d) for d in derivative))
     return casadi.Function("derivative", list(symbols.values()), [out], list(names), ["derivative"])
 

@@ -1,8 +1,8 @@
 """Loads of a flight map in the equations of motion, and the phase of the swash plate.
 
 :func:`mufly.dynamics.equations_of_motion.state_derivative` includes them.
-:func:`~mufly.dynamics.equations_of_motion.state_derivative_tilted`, which the estimator uses, contains neither. State
-and inputs are unchanged.
+:func:`~mufly.dynamics.equations_of_motion.state_derivative_from_tilt_sines`, which the estimator uses, contains
+neither. State and inputs are unchanged.
 
 Map. With w the velocity of a hub through the air, (w_x, w_y) its part across the mast, K = rho pi R^3 and Omega the
 speed of the rotor, a rotor adds, in body axes (columns: :mod:`mufly.vehicle.flight_map`)
@@ -243,7 +243,7 @@ def is_inside_flight_map(x: _Array, wind: _Array, p: np.void) -> bool:
 
 
 def flight_map_rate_bound(p: np.void, speed: float) -> float:
-    """Return an upper bound of the rates (1/s) that a flight map adds, for ``longest_step``.
+    """Return an upper bound of the rates (1/s) that a flight map adds, for ``find_longest_stable_step``.
 
     Parameters
     ----------

@@ -178,7 +178,7 @@ def state_derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx:
 
 # Inlining is forced: with a map LLVM would not inline the function, which slows single flights by a tenth.
 @cached_njit(error_model="numpy", forceinline=True)
-def state_derivative_tilted(
+def state_derivative_from_tilt_sines(
     x: _Array,
     u: _Array,
     wind: _Array,
@@ -202,7 +202,7 @@ def _derivative_with_map(
     x: _Array, u: _Array, wind: _Array, p: ModelParameters, sin_a: float, cos_a: float, sin_b: float, cos_b: float,
     floor: bool, mapped: bool, point: tuple[float, float, float], dx: _Array,
 ) -> None:  # fmt: skip
-    """Compute :func:`state_derivative_tilted`; if ``mapped``, with the loads of the vehicle's flight map.
+    """Compute :func:`state_derivative_from_tilt_sines`; if ``mapped``, with the loads of the vehicle's flight map.
 
     ``point`` is from :func:`mufly.dynamics.edgewise_loads.find_map_coordinates`. The estimator's function has no map:
     the compiler removes it.
@@ -425,7 +425,7 @@ def rotor_loads(p: np.void, speed_up: float, speed_dw: float, climb: float = 0.0
     return float(thrust_up * speed_up**2), float(thrust_dw * speed_dw**2), float(torque_up * up), float(torque_dw * dw)
 
 
-def inside_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float) -> bool:
+def is_inside_coefficient_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float) -> bool:
     """Return True if a point lies within a vehicle's coefficient map, or there is no map.
 
     Parameters
@@ -444,7 +444,7 @@ def inside_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float)
     )
 
 
-def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
+def bound_map_coefficient(p: np.void, name: str) -> tuple[float, float, float]:
     """Return upper bounds of a map coefficient, and of its load's slopes over rotor speed and climb velocity.
 
     With c over s (mean speed), r (ratio of the speeds) and m (climb ratio V / (s R)), thrust or torque is

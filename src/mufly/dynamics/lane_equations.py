@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.dynamics.branch_selection import select_branches
+from mufly.dynamics.branch_selection import replace_branches_by_selection
 from mufly.dynamics.equations_of_motion import state_derivative
 from mufly.dynamics.lane_row_sums import LANE_ROW_SUMS
 from mufly.dynamics.model_state import INPUT_SIZE, STATE_SIZE
@@ -51,7 +51,7 @@ def group_vehicles(p: NDArray[np.void]) -> _Ints:
     return np.unique(traits, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
-def lay_out_blocks(group: _Ints) -> _Ints:
+def assign_vehicles_to_blocks(group: _Ints) -> _Ints:
     """Return the indices (b, 8) of the vehicles in each block; an incomplete block repeats its last vehicle."""
     order = np.argsort(group, kind="stable")
     ends = np.flatnonzero(np.diff(group[order])) + 1
@@ -64,7 +64,7 @@ def lay_out_blocks(group: _Ints) -> _Ints:
 
 def _compile_lanes(function: Any, absent: tuple[str, ...] = ()) -> Any:
     wrap = cached_njit(error_model="numpy")
-    return select_branches(function, LANE_NAMES | LANE_ROW_SUMS, wrap=wrap, absent=absent, file=__file__)
+    return replace_branches_by_selection(function, LANE_NAMES | LANE_ROW_SUMS, wrap=wrap, absent=absent, file=__file__)
 
 
 _normalise, _derivative = _compile_lanes(normalise_state), _compile_lanes(state_derivative)
@@ -148,8 +148,8 @@ def integrate_batch(x: _Array, u: _Array, wind: _Array, p: NDArray[np.void], dt:
     """
     n, records = len(x), np.ascontiguousarray(p)
     integrate_lanes(
-        x, u, u, np.zeros(n, dtype=np.int64), wind, records, np.arange(n), lay_out_blocks(group_vehicles(records)),
-        dt, steps, threads=numba.get_num_threads(),
+        x, u, u, np.zeros(n, dtype=np.int64), wind, records, np.arange(n),
+        assign_vehicles_to_blocks(group_vehicles(records)), dt, steps, threads=numba.get_num_threads(),
     )  # fmt: skip
 
 
@@ -174,7 +174,7 @@ def integrate_lanes(
     vehicle : (n,) array
         Index of each vehicle's record in ``p``.
     blocks : (b, 8) array
-        See :func:`lay_out_blocks`.
+        See :func:`assign_vehicles_to_blocks`.
     dt : float
         Step (s).
     steps : int

@@ -30,7 +30,7 @@ from mufly.dynamics.edgewise_loads import edgewise_load_factors, is_inside_fligh
 from mufly.dynamics.equations_of_motion import (
     compute_axial_climb_velocity,
     compute_battery_supply,
-    inside_map,
+    is_inside_coefficient_map,
     rotor_loads,
     state_derivative,
 )
@@ -236,7 +236,7 @@ def find_trim(
     climb = float(compute_axial_climb_velocity(x, wind_))
     speed_up, speed_dw = x[ROTOR_SPEED_SLICE]
     t_up, t_dw, q_up, q_dw = rotor_loads(p, speed_up, speed_dw, climb)
-    inside = inside_map(vehicle, speed_up, speed_dw, climb)
+    inside = is_inside_coefficient_map(vehicle, speed_up, speed_dw, climb)
     if p["flight_map_node_count"] > 0:
         f_up, f_dw = edgewise_load_factors(x, wind_, p)
         t_up, q_up, t_dw, q_dw = t_up * f_up[0], q_up * f_up[1], t_dw * f_dw[0], q_dw * f_dw[1]

@@ -31,8 +31,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.record_fields import int_or_array_field as _int
+from mufly.compiled.record_fields import make_record_dtype, record_fields
 from mufly.compiled.record_fields import real_or_array_field as _real
-from mufly.compiled.record_fields import record_fields, record_type
 from mufly.errors import InputError
 from mufly.quantities.units import GRAVITY
 from mufly.rotations import quaternion_from_euler
@@ -226,7 +226,7 @@ class ModelParameters:
 _PARAMETER_GETTERS = {
     name: attrgetter(field.source) for name, field in record_fields(ModelParameters).items() if field.source
 }
-PARAMETER_DTYPE = record_type(ModelParameters, int_kind=np.int64)
+PARAMETER_DTYPE = make_record_dtype(ModelParameters, int_kind=np.int64)
 """Type of a record of :class:`ModelParameters`."""
 MAP_TABLE_FIELDS = tuple(f"{what}_over_speed2_table_{side}" for side in ("up", "dw") for what in ("thrust", "torque"))
 """Fields of :class:`ModelParameters` with the tables of a coefficient map."""

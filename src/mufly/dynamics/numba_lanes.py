@@ -588,4 +588,4 @@ LANE_NAMES: dict[str, Any] = {
     "select": select, "any_of": any_of, "both_of": both_of, "negate": negate, "require_uniform": require_uniform,
     "whole_number": whole_number, "sine_of": lane_sine, "cosine_of": lane_cosine,
 }  # fmt: skip
-"""Names that :func:`mufly.dynamics.branch_selection.select_branches` writes."""
+"""Names that :func:`mufly.dynamics.branch_selection.replace_branches_by_selection` writes."""

@@ -45,7 +45,7 @@ MAX_HOVER_VOLTAGE_FRACTION = 0.8
 """Greatest motor voltage in hover over the half-full battery's voltage; the rest is a margin for climb and gusts."""
 
 
-def similar_vehicle(
+def scale_vehicle_by_similarity(
     known: Vehicle,
     name: str,
     *,
@@ -218,7 +218,7 @@ def _build_similar(
     cells: int | None,
     capacity_As: float | None,
 ) -> Vehicle:
-    """Return the vehicle of :func:`similar_vehicle`; raise :class:`_TooWeakError` if it cannot hover."""
+    """Return the vehicle of :func:`scale_vehicle_by_similarity`; raise :class:`_TooWeakError` if it cannot hover."""
     k, mu, la = known, mass_kg / float(known.body.mass), radius_m / float(known.rotors.radius)
     speed, power = math.sqrt(mu) / la**2, mu**1.5 / la
     volts = (cells or 2) / 2

@@ -41,7 +41,7 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import borrow_arrays
 from mufly.drive.drive_train import FULL_FRICTION_SPEED_rad_s
 from mufly.dynamics.edgewise_loads import flight_map_rate_bound
-from mufly.dynamics.equations_of_motion import coefficient_bounds, compute_battery_supply, state_derivative
+from mufly.dynamics.equations_of_motion import bound_map_coefficient, compute_battery_supply, state_derivative
 from mufly.dynamics.model_state import (
     ATTITUDE_SLICE,
     BODY_RATE_SLICE,
@@ -131,7 +131,7 @@ def integrate_state(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: 
         normalise_state(x)
 
 
-def longest_step(p: np.void) -> float:
+def find_longest_stable_step(p: np.void) -> float:
     """Return the longest integration step (s) at which Runge-Kutta is stable for a vehicle.
 
     The method requires ``step * |lambda| < 2.78`` for every mode. The estimate considers swash plate, bar, motors at
@@ -148,21 +148,21 @@ def longest_step(p: np.void) -> float:
 def find_step_limiting_parameter(p: np.void) -> str:
     """Return the key in the vehicle file (``"swash_plate.time_constant"``) of the parameter that limits the step most.
 
-    The limit is that of :func:`longest_step`.
+    The limit is that of :func:`find_longest_stable_step`.
     """
     rates = _mode_rates(p)
     return max(rates, key=lambda key: rates[key])
 
 
 def _mode_rates(p: np.void) -> dict[str, float]:
-    """Return the estimated rate (rad/s) of each mode that can limit the integration step (:func:`longest_step`).
+    """Return the estimated rate (rad/s) of each mode that can limit the step (:func:`find_longest_stable_step`).
 
     The key of a mode is the vehicle file's parameter with the most influence on it.
     """
     damping = p["kE"] * p["kM"] / p["R_ohm"] + p["dR"] + p["Mf"] / (p["gear_ratio"] * FULL_FRICTION_SPEED_rad_s)
     gear = p["gear_efficiency"] * p["gear_ratio"] ** 2
     speed = float(np.max(p["battery_curve"])) / (p["kE"] * p["gear_ratio"])
-    bounds = {name: coefficient_bounds(p, name) for name in ("thrust_up", "thrust_dw", "torque_up", "torque_dw")}
+    bounds = {name: bound_map_coefficient(p, name) for name in ("thrust_up", "thrust_dw", "torque_up", "torque_dw")}
     motors = [(damping + bounds[f"torque_{k}"][1] * speed / gear) / p[f"J_{k}"] for k in ("up", "dw")]
     up, dw = motors
     thrust = max(bounds["thrust_up"][0], bounds["thrust_dw"][0]) * speed**2
@@ -231,12 +231,12 @@ def simulate_open_loop(
         if not (math.isfinite(value) and value > 0):
             raise InputError("simulate", name, f"{value} s is out of range", "give a positive time")
     p = model_parameters(vehicle, voltage)
-    if min(step_s, sample_s) > longest_step(p):
+    if min(step_s, sample_s) > find_longest_stable_step(p):
         raise InputError(
             "simulate",
             "step_s",
             f"{min(step_s, sample_s) * 1e3:g} ms is too long for the fastest mode of {vehicle.name}",
-            f"give a step below {longest_step(p) * 1e3:.3g} ms",
+            f"give a step below {find_longest_stable_step(p) * 1e3:.3g} ms",
         )
     x = _check_shape(state, (STATE_SIZE,), "state").copy()
     samples = max(1, round(duration_s / sample_s))

@@ -46,7 +46,7 @@ from mufly.estimate.filter.measurements import (
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "0fdc202902afde3b"
+VERIFIED_STAMP = "6f263f5eb5495a3b"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (
@@ -112,8 +112,8 @@ def make_backend(
     Parameters
     ----------
     settings, parameters : records
-        Settings of the filter (:func:`mufly.estimate.filter.filter_records.filter_settings`); parameters of the flight
-        model.
+        Settings of the filter (:func:`mufly.estimate.filter.filter_records.make_filter_settings`); parameters of the
+        flight model.
     z, new, age : arrays
         Input arrays, which the caller fills in every period (:func:`mufly.estimate.filter.ekf_step.estimator_step`).
     code : "", "c" or "numba"
@@ -241,7 +241,7 @@ _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
     (
         equations_of_motion,
         (
-            "state_derivative_tilted",
+            "state_derivative_from_tilt_sines",
             "_derivative_with_map",
             "compute_battery_supply",
             "interpolate_coefficient_map",

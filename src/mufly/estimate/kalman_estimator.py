@@ -39,9 +39,9 @@ from mufly.estimate.filter.filter_records import (
     READING_WIDTHS,
     SENSOR_COUNT,
     SUBTRACTED_READING_OFFSETS,
-    filter_settings,
     fused_beam_indices,
-    memory_type,
+    make_filter_settings,
+    make_memory_dtype,
 )
 from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START, INPUT_VALUE_COUNT
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
@@ -132,7 +132,7 @@ class KalmanEstimator(Estimator):
         block_s: float = INPUT_BLOCK_S,
     ) -> None:
         self._number_type, self._rate_Hz = kind, rate_Hz
-        self._settings = filter_settings(vehicle, world, rate_Hz, kind, block_s)
+        self._settings = make_filter_settings(vehicle, world, rate_Hz, kind, block_s)
         self._parameters = model_parameters(vehicle)
         self._fitted_indices = [k for k in range(SENSOR_COUNT) if self._settings["is_fitted"][k]]
         self._reading_indices = {READINGS_WITH_FUSION_STATUS[k]: k for k in self._fitted_indices}
@@ -142,7 +142,7 @@ class KalmanEstimator(Estimator):
         self.reading_times = np.empty(SENSOR_COUNT)
         self._beam_indices = fused_beam_indices(ring.count)
         # A record of an array is a view: the compiled step writes into the array.
-        self._memory_array = np.zeros(1, memory_type(self._number_type))
+        self._memory_array = np.zeros(1, make_memory_dtype(self._number_type))
         self.memory = m = self._memory_array[0]
         self._output_state, self._output_rates, self._write_output_angles = (
             m["x_output"],
@@ -159,7 +159,7 @@ class KalmanEstimator(Estimator):
         self.set_settings(self._settings)
 
     def set_settings(self, settings: Any) -> None:
-        """Replace the settings (:func:`mufly.estimate.filter.filter_records.filter_settings`) and reset."""
+        """Replace the settings (:func:`mufly.estimate.filter.filter_records.make_filter_settings`) and reset."""
         self._settings = settings
         self._copy_vehicle_file_noise()
         self.backend = make_backend(

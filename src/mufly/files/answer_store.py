@@ -5,8 +5,8 @@ program version, the question includes it. There are three forms: a file with on
 :func:`read_stored_result`), a folder that belongs to one question (:func:`claim_folder`), and a file with a line for
 each answer, written immediately (:class:`StoredResultLines`).
 
-Files are replaced atomically (:func:`replace_file`), so processes may write the same answer at the same time. A damaged
-file, or one of another question, raises an error if the caller gives its words; otherwise it is recomputed.
+Files are replaced atomically (:func:`replace_file_atomically`), so processes may write the same answer at once.
+A damaged file, or one of another question, raises an error if the caller gives its words; otherwise it is recomputed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from platformdirs import user_cache_path
 
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 
 One = TypeVar("One")
 Words = tuple[str, str]
@@ -59,7 +59,7 @@ def hash_inputs(*parts: object) -> str:
 
 
 @contextmanager
-def replace_file(path: Path, remedy: str = "give another place") -> Iterator[Path]:
+def replace_file_atomically(path: Path, remedy: str = "give another place") -> Iterator[Path]:
     """Yield a temporary path that replaces ``path`` at the end of the block; create the folder if necessary.
 
     Raises
@@ -69,7 +69,7 @@ def replace_file(path: Path, remedy: str = "give another place") -> Iterator[Pat
     """
     part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.part")
     try:
-        with report_write_errors(path, remedy):
+        with convert_write_errors(path, remedy):
             path.parent.mkdir(parents=True, exist_ok=True)
             yield part
             os.replace(part, path)
@@ -87,7 +87,7 @@ def write_stored_result(path: Path, question: str, content: Mapping[str, Any], *
         If the file cannot be written.
     """
     whole = {"question": question, **content}
-    with replace_file(path) as part:
+    with replace_file_atomically(path) as part:
         if path.suffix == ".npz":
             with part.open("wb") as file:
                 np.savez(file, **whole)
@@ -179,7 +179,7 @@ class StoredResultLines(Generic[One]):
         if path is None:
             return
         head = [json.dumps({"question": question}).encode()] if question else []
-        with report_write_errors(path, "give another place"):
+        with convert_write_errors(path, "give another place"):
             lines = path.read_bytes().split(b"\n") if path.is_file() else [*head, b""]
             if lines[: len(head)] != head:
                 raise InputError(str(path), "", *other)
@@ -194,7 +194,7 @@ class StoredResultLines(Generic[One]):
                     break
                 self.known[key] = one
             if cut or (head and not path.is_file()):
-                with replace_file(path) as part:
+                with replace_file_atomically(path) as part:
                     part.write_bytes(b"".join(line + b"\n" for line in kept))
 
     def add(self, key: Any, one: One, content: Any) -> None:

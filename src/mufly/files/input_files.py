@@ -3,7 +3,7 @@
 Vehicles, missions and rotors are all read the same way: by the name of a built-in file or by path, parsed, and
 validated by a pydantic model. This module holds the parts that they share: finding and reading the file, and turning
 pydantic's list of faults into the one line that a user can act on. A model's own checks raise
-:func:`model_error`, whose words are kept.
+:func:`make_validation_error`, whose words are kept.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ TOO_MANY_DIGITS_ERROR = ("a whole number of more than 300 digits", "give a value
 _MAX_ORDINARY_INTEGER = 10**300
 
 
-def model_error(problem: str, remedy: str, key: str = "") -> PydanticCustomError:
+def make_validation_error(problem: str, remedy: str, key: str = "") -> PydanticCustomError:
     """Return the validation error for a refused value, with the problem and its remedy.
 
     ``key`` names the field at fault if it is not the validated one.
@@ -181,7 +181,7 @@ def _first_model_error(error: ValidationError, model: type[BaseModel], where: st
     elif kind == "literal_error":
         problem, remedy = f"{_shorten_value(given)} is unknown", f"give {context['expected']}"
     elif kind == "tuple_type":
-        tables = field is not None and nested_model(field.annotation) is not None
+        tables = field is not None and find_model_in_annotation(field.annotation) is not None
         what = "texts" if field is not None and str in getattr(field.annotation, "__args__", ()) else "numbers"
         remedy = f"write one table [[{loc[-1]}]] for each" if tables else f"give {what} in brackets: {meaning}"
         problem, remedy = f"{_shorten_value(given)} is not a list", remedy.rstrip(": ")
@@ -230,7 +230,7 @@ def _dotted_key(loc: tuple[int | str, ...]) -> str:
     return key
 
 
-def nested_model(annotation: Any) -> type[BaseModel] | None:
+def find_model_in_annotation(annotation: Any) -> type[BaseModel] | None:
     """Return the pydantic model in an annotation such as ``M | None`` or ``tuple[M, ...]``; None without a model."""
     for kind in (annotation, *getattr(annotation, "__args__", ())):
         if isinstance(kind, type) and issubclass(kind, BaseModel):
@@ -241,6 +241,6 @@ def nested_model(annotation: Any) -> type[BaseModel] | None:
 def _model_at_location(model: type[BaseModel], loc: tuple[int | str, ...]) -> type[BaseModel]:
     for part in loc:
         field = model.model_fields.get(str(part))
-        inner = nested_model(field.annotation) if field is not None else None
+        inner = find_model_in_annotation(field.annotation) if field is not None else None
         model = inner or model
     return model

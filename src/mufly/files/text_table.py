@@ -131,7 +131,7 @@ class TextTable:
     def read_texts(self, column: int) -> list[str]:
         """Return the cells of a column, with numbers in Python's notation."""
         cells = [row[column] for row in self.cells]
-        decimal = self.decimal if points_group_thousands(cells, self.decimal) else "."
+        decimal = self.decimal if is_point_thousands_separator(cells, self.decimal) else "."
         return [normalise_number(cell, decimal) for cell in cells]
 
     def read_numbers(self, column: int, *, optional: bool = False) -> NDArray[np.float64]:
@@ -232,7 +232,7 @@ def read_text_table(path: str | Path, *, short_rows: Literal["refuse", "cut", "d
     """
     where = str(path)
     try:
-        data, damage = read_unpacked(path)
+        data, damage = read_decompressed(path)
     except OSError as error:
         raise InputError(where, "", f"cannot be read ({error.strerror})", "give a text file") from error
     text = decode_text(data)
@@ -378,7 +378,7 @@ def parse_number(cell: str, decimal: str = ".") -> float:
         return math.nan
 
 
-def points_group_thousands(cells: Sequence[str], decimal: str) -> bool:
+def is_point_thousands_separator(cells: Sequence[str], decimal: str) -> bool:
     """Return True if points in a column group thousands (1.234 and 987), false if they are decimal (0.123)."""
     points = [c for c in cells if decimal == "," and "." in c]
     return not points or all(_GROUPED_NUMBER_PATTERNS[","].fullmatch(c) for c in points)
@@ -440,7 +440,7 @@ def is_text_with_digits(head: bytes) -> bool:
     return bool(lines) and any(re.search(r"\d", s) for s in lines)
 
 
-def read_unpacked(path: str | Path, size: int = -1) -> tuple[bytes, str]:
+def read_decompressed(path: str | Path, size: int = -1) -> tuple[bytes, str]:
     """Return a file's first ``size`` bytes (all by default), decompressed, and a text about missing parts.
 
     For a truncated compressed file the complete lines are kept; trailing zero bytes count as missing.
@@ -619,7 +619,7 @@ def _to_numbers(series: Any, decimal: str) -> tuple[NDArray[Any], int]:
         return series.to_numpy(), 0
     cells = series.fillna("").astype(object).to_numpy()
     points = [str(c).strip() for c in cells if decimal == "," and "." in str(c)]
-    if not points or not points_group_thousands(points, decimal):
+    if not points or not is_point_thousands_separator(points, decimal):
         plain = cells if points or decimal == "." else np.array([str(c).replace(",", ".") for c in cells], dtype=object)
         try:
             return plain.astype(np.float64), 0

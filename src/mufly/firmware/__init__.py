@@ -8,7 +8,7 @@ from mufly.firmware.fixed_point.fixed_point_design import (
     FixedPointLaw,
     OverflowProof,
     QuantisationLoss,
-    measure_cascade_loss,
+    measure_cascade_margin_loss,
     quantise_law,
 )
 from mufly.firmware.fixed_point.fixed_point_flights import (
@@ -21,7 +21,7 @@ from mufly.firmware.fixed_point.fixed_point_law import (
     export_fixed_point,
 )
 from mufly.firmware.host_build import Firmware, FirmwareControllers, build_library
-from mufly.firmware.proof.evidence_report import write_report
+from mufly.firmware.proof.evidence_report import measure_and_write_report
 from mufly.firmware.proof.fuzzing import FuzzResult, describe_missing_fuzzer_tools, fuzz_firmware, run_fuzzer
 from mufly.firmware.proof.sil_pil import (
     PilComparison,
@@ -60,11 +60,11 @@ __all__ = [
     "find_compiler",
     "find_deepest_stack",
     "fuzz_firmware",
-    "measure_cascade_loss",
+    "measure_and_write_report",
+    "measure_cascade_margin_loss",
     "quantise_law",
     "render_gains_source",
     "run_fuzzer",
     "run_pil",
     "run_sil",
-    "write_report",
 ]

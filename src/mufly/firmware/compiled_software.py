@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import Estimate
-from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, collect_plan_fields, make_plan
+from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, collect_plan_fields, make_mission_plan
 from mufly.firmware.host_build import Firmware, FirmwareControllers
 from mufly.firmware.software_instance import MISSION_STATES, MOTOR_MODES, SoftwareInstance
 from mufly.flight.controllers import Actuators
@@ -238,7 +238,7 @@ class GenericFirmwareSoftware(FirmwareSoftware):
         """Return software that runs the exported code, or the Python software if the code is unavailable."""
         try:
             Firmware(None)
-            collect_plan_fields(make_plan(vehicle, controller, mission), HOST_MAX_WAYPOINTS)
+            collect_plan_fields(make_mission_plan(vehicle, controller, mission), HOST_MAX_WAYPOINTS)
         except (MuflyError, OSError):
             return FlightSoftware(vehicle, controller, mission)
         return super().__new__(cls)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mufly.compiled.toolchain import COMPILER_FLAGS, build_cached_library, compile_library, find_compiler
 from mufly.control import FlightController
 from mufly.estimate import Estimate
-from mufly.files.answer_store import replace_file
+from mufly.files.answer_store import replace_file_atomically
 from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, MAX_WAYPOINTS
 from mufly.firmware.export.source_export import (
     SCHEDULE_HEADER_PATH,
@@ -103,7 +103,7 @@ def _load_generic_firmware() -> tuple[cffi.FFI, Any]:
         library = build_cached_library("firmware", {**files, "tables.c": _GENERIC_GAINS_SOURCE})
         words = library.with_suffix(".h")
         if not words.exists():
-            with replace_file(words) as made:
+            with replace_file_atomically(words) as made:
                 made.write_text(cffi_declarations(tree), encoding="utf-8")
     ffi = cffi.FFI()
     ffi.cdef(words.read_text(encoding="utf-8"))

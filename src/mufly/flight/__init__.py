@@ -6,15 +6,15 @@ from mufly.flight.flight_software import FlightSoftware
 from mufly.flight.flight_state import FlightState
 from mufly.flight.mission_flight import ALIGNMENT_TIMEOUT_S, FlightProgress, fly_mission
 from mufly.flight.record.estimate_pictures import draw_estimate, draw_estimate_pictures, draw_sensor_innovations
-from mufly.flight.record.flight_pictures import draw_flight
+from mufly.flight.record.flight_pictures import draw_flight_pictures
 from mufly.flight.record.flight_summary import FlightSummary, summarise_flight, summary_rows
 from mufly.flight.record.recorder import FlightRecorder
 from mufly.flight.record.sensor_log import (
     ReadingErrors,
     ReadingLog,
-    draw_sensors,
+    compute_reading_errors,
+    draw_sensor_readings,
     fly_and_log_sensors,
-    reading_errors,
     write_sensor_logs,
 )
 from mufly.flight.record.sensor_recording import (
@@ -50,12 +50,13 @@ __all__ = [
     "SetPoint",
     "SimulatedPlant",
     "TunableParameter",
+    "compute_reading_errors",
     "derive_trajectory_limits",
     "draw_estimate",
     "draw_estimate_pictures",
-    "draw_flight",
+    "draw_flight_pictures",
     "draw_sensor_innovations",
-    "draw_sensors",
+    "draw_sensor_readings",
     "flight_layout",
     "fly_and_log_sensors",
     "fly_mission",
@@ -65,7 +66,6 @@ __all__ = [
     "read_attachments",
     "read_events",
     "read_recording",
-    "reading_errors",
     "replace_estimates",
     "replay_estimator",
     "simulate_controller_response",

@@ -89,13 +89,15 @@ def find_arming_faults(
             )
     if np.linalg.norm(m.velocity) > MAX_ARMING_SPEED_M_S or np.abs(m.rates).max() > MAX_ARMING_RATE_RAD_S:
         why.append("the vehicle is moving; set it down and leave it at rest")
-    near = check_obstacle_clearance(world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m)
+    near = describe_obstacle_too_near(
+        world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m
+    )
     if near:
         why.append(f"the vehicle stands {near}")
     return why
 
 
-def check_obstacle_clearance(world: World, position: tuple[float, float, float], keep_m: float) -> str:
+def describe_obstacle_too_near(world: World, position: tuple[float, float, float], keep_m: float) -> str:
     """Return why a position is refused: closer than ``keep_m`` (m) to a known obstacle; "" for a free position."""
     if world.is_empty:
         return ""
@@ -106,7 +108,7 @@ def check_obstacle_clearance(world: World, position: tuple[float, float, float],
     return f"{where}; keep {keep_m:.2f} m from it"
 
 
-def check_climb_column(world: World, position: tuple[float, float, float], up_to_m: float, keep_m: float) -> str:
+def describe_blocked_climb(world: World, position: tuple[float, float, float], up_to_m: float, keep_m: float) -> str:
     """Return why a vertical climb to the height ``up_to_m`` (m) is refused; "" if the climb is free.
 
     A climb is free if it passes no known obstacle within ``keep_m`` (m).
@@ -126,7 +128,7 @@ def check_climb_column(world: World, position: tuple[float, float, float], up_to
     )
 
 
-def check_mission_start(
+def describe_refused_start(
     mission: Mission,
     standing: tuple[float, float],
     heading: float,

@@ -24,7 +24,7 @@ from mufly.control import FlightController
 from mufly.dynamics import standing_height
 from mufly.errors import InputError
 from mufly.estimate import Estimate, SensorStatus
-from mufly.flight.arming import check_climb_column, check_obstacle_clearance, find_arming_faults
+from mufly.flight.arming import describe_blocked_climb, describe_obstacle_too_near, find_arming_faults
 from mufly.flight.controllers import Actuators
 from mufly.flight.energy_check import EnergyCheck
 from mufly.flight.estimator_health import SensorEventReporter, describe_missing_position_sensor
@@ -530,7 +530,7 @@ class Autopilot:
             return reject_temporarily(fault)
         if m is not None and np.isfinite(m.position).all():
             place = (float(m.position[0]), float(m.position[1]), float(m.position[2]))
-            fault = check_climb_column(mission.world, place, height_m, mission.avoidance.clearance_m)
+            fault = describe_blocked_climb(mission.world, place, height_m, mission.avoidance.clearance_m)
             fault = fault or describe_fence_violation(mission.fence, (*place[:2], -height_m), FENCE_MARGIN_M)
             if fault:
                 return reject_temporarily(f"no take-off to {height_m:g} m here: {fault}")
@@ -569,7 +569,7 @@ class Autopilot:
         if fault:
             return deny_request(fault)
         mission = self.software.plan.mission
-        fault = check_obstacle_clearance(mission.world, place, mission.avoidance.clearance_m)
+        fault = describe_obstacle_too_near(mission.world, place, mission.avoidance.clearance_m)
         if fault:
             return deny_request(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
         here = place if self._estimate is None else self._estimate.position

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled.numba_cache import cached_njit, record_as_array
+from mufly.compiled.numba_cache import cached_njit, view_record_as_array
 from mufly.compiled.portable_math import sine_cosine
 from mufly.control import (
     FlightController,
@@ -197,8 +197,8 @@ class Controllers:
         if self._boxed_of is not self._design:
             self._boxed_of = self._design
             self._boxes = (
-                record_as_array(self._design.heave_yaw_gains),
-                record_as_array(self._design.roll_pitch_gains),
+                view_record_as_array(self._design.heave_yaw_gains),
+                view_record_as_array(self._design.roll_pitch_gains),
             )
         motor, servo, self._heave_yaw, self._roll_pitch = _step_control_law(
             *self._boxes,

@@ -9,7 +9,7 @@ import numpy as np
 from mufly.drive import find_charge_from_idle_voltage
 from mufly.dynamics import hover_current_A
 from mufly.estimate import Estimate
-from mufly.flight.arming import check_mission_start
+from mufly.flight.arming import describe_refused_start
 from mufly.mission import Mission
 from mufly.mission.files.mission_timing import compute_time_to_land_at
 from mufly.vehicle import Vehicle
@@ -64,7 +64,7 @@ class EnergyCheck:
 
     def check_start(self, mission: Mission, standing: tuple[float, float], heading: float) -> str:
         """Return why the mission must not start at N, E (m) with a heading (rad); "" if the mission may start."""
-        return check_mission_start(
+        return describe_refused_start(
             mission,
             standing,
             heading,

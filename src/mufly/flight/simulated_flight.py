@@ -45,9 +45,9 @@ from mufly.flight.fixes.camera_sensor import (
     CameraConfig,
     CameraSensor,
     compute_standing_sonar_limit,
+    default_to_mission_floor,
     make_picture_stream,
     replace_fix_by_camera,
-    with_mission_floor,
 )
 from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.flight_software import ControlImplementation, FlightSoftware
@@ -169,7 +169,7 @@ class Flight:
             raise InputError("outside", "", "ideal sensors use no position fixes", "fly on fitted sensors")
         if outside and eye is not None and eye.stream_address is None:
             raise InputError("eye", "stream", "pictures have no receiver", "give an address to stream to")
-        eye = None if eye is None else with_mission_floor(eye, mission)
+        eye = None if eye is None else default_to_mission_floor(eye, mission)
         if eye is not None and not outside:
             if sensors != "fitted":
                 raise InputError("eye", "", "ideal sensors use no pictures", "fly on fitted sensors")

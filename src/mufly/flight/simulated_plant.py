@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.compiled.numba_cache import cached_njit, record_as_array
+from mufly.compiled.numba_cache import cached_njit, view_record_as_array
 from mufly.compiled.portable_math import portable_atan2
 from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import (
@@ -19,10 +19,10 @@ from mufly.dynamics import (
     DrydenWind,
     compute_battery_supply,
     find_deepest_contact,
+    find_longest_stable_step,
     find_step_limiting_parameter,
     find_trim,
     integrate_state,
-    longest_step,
     model_parameters,
 )
 from mufly.dynamics.model_state import (
@@ -73,7 +73,7 @@ def write_true_attitude(x: _Array, attitude: _Array) -> None:
 
 
 @cached_njit(error_model="numpy")
-def find_collision(
+def classify_collision(
     x: _Array,
     parameters: Any,
     legs: int,
@@ -119,7 +119,7 @@ class SimulatedPlant:
         self.rate_Hz = rate_Hz
         self.world = world
         self.parameters = model_parameters(vehicle)
-        self.packed_parameters, self.battery_output = record_as_array(self.parameters), np.empty(2)
+        self.packed_parameters, self.battery_output = view_record_as_array(self.parameters), np.empty(2)
         self.state = state.copy()
         self.period_count = 0
         self.wind = np.zeros(3)
@@ -127,7 +127,7 @@ class SimulatedPlant:
         self.crash_cause = ""
         self._air, self._block = air, max(1, round(_WIND_BLOCK_S * rate_Hz))
         self._coming, self._blown = air.draw_wind_samples(self._block), 0
-        longest = min(DEFAULT_STEP_S, longest_step(self.parameters))
+        longest = min(DEFAULT_STEP_S, find_longest_stable_step(self.parameters))
         if longest < MIN_INTEGRATION_STEP_S:
             raise MuflyError(
                 f"{vehicle.name}: the fastest mode ({find_step_limiting_parameter(self.parameters)}) needs steps of "
@@ -161,7 +161,7 @@ class SimulatedPlant:
         """Detect a collision and store its cause."""
         if self.crash_cause:
             return
-        hit = find_collision(self.state, self.packed_parameters, *self.collision_shape)
+        hit = classify_collision(self.state, self.packed_parameters, *self.collision_shape)
         if hit == 1:
             _, name = find_nearest_obstacle(self.world, self.state[NED_POSITION_SLICE])
             self.crash_cause = f"{COLLISION_CAUSE_TEXT} {name} at {self._describe_position()}"

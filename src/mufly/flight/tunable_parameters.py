@@ -13,8 +13,8 @@ There are three kinds:
 
 The position gain is the only parameter inside a loop. Between 0.2 and 2 1/s the cascade of both built-in vehicles keeps
 its sensitivity peaks below 4.9 dB and a phase margin above 36 degrees; ``tests/flight/test_parameters.py`` evaluates
-``analyse_cascade`` at the bounds. The other control parameters are limits and filters outside the loops and cannot
-make them unstable.
+``analyse_position_cascade`` at the bounds. The other control parameters are limits and filters outside the loops and
+cannot make them unstable.
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ from mufly.fmi.unit_flight import (
     UnitComparison,
     UnitInstance,
     UnitLibrary,
-    check_unit,
-    compare_sensed_unit,
-    compare_unit,
+    check_fmu_file,
+    compare_fmu_with_model,
+    compare_sensed_fmu_with_model,
 )
 
 __all__ = [
@@ -20,8 +20,8 @@ __all__ = [
     "UnitComparison",
     "UnitInstance",
     "UnitLibrary",
-    "check_unit",
-    "compare_sensed_unit",
-    "compare_unit",
+    "check_fmu_file",
+    "compare_fmu_with_model",
+    "compare_sensed_fmu_with_model",
     "export_fmu",
 ]

@@ -72,7 +72,7 @@ class CExpression:
         return self.text if self.level >= level else f"({self.text})"
 
 
-def slice_table(held: CExpression, first: str, stop: str) -> CExpression:
+def make_slice_expression(held: CExpression, first: str, stop: str) -> CExpression:
     """Return the C expression of a part of a table: rows ``first`` to ``stop`` (excluded)."""
     assert isinstance(held.kind, TableType)
     is_known = first.isdecimal() and stop.isdecimal()

@@ -52,7 +52,7 @@ from mufly.fmi.c_expressions import (
     make_arithmetic_expression,
     make_comparison_expression,
     make_conditional_expression,
-    slice_table,
+    make_slice_expression,
     translate_library_call,
 )
 from mufly.fmi.c_types import (
@@ -564,11 +564,11 @@ class _FunctionTranslation:
         if not isinstance(held.kind, TableType):
             raise self._unsupported_form_error(node)
         if isinstance(node.slice, ast.Name) and isinstance(part := self._globals.get(node.slice.id), slice):
-            return slice_table(held, str(part.start), str(part.stop))
+            return make_slice_expression(held, str(part.start), str(part.stop))
         if isinstance(node.slice, ast.Slice):
             lower, upper = node.slice.lower, node.slice.upper
             first = "0" if lower is None else self._translate_expression(lower).as_operand(PRECEDENCE_ADD)
-            return slice_table(
+            return make_slice_expression(
                 held, first, str(held.kind.shape[0]) if upper is None else self._translate_expression(upper).text
             )
         index = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]

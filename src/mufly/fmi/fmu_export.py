@@ -13,8 +13,8 @@ import zipfile
 from pathlib import Path
 
 from mufly.compiled.toolchain import COMPILER_FLAGS, compile_library, find_compiler
-from mufly.errors import MuflyError, report_write_errors
-from mufly.files.answer_store import replace_file
+from mufly.errors import MuflyError, convert_write_errors
+from mufly.files.answer_store import replace_file_atomically
 from mufly.fmi.model_description import (
     model_identifier,
     render_build_description,
@@ -29,7 +29,7 @@ from mufly.fmi.unit_sources import (
     render_sensor_sources,
     render_vehicle_data,
 )
-from mufly.fmi.unit_variables import list_unit_variables
+from mufly.fmi.unit_variables import list_fmu_variables
 from mufly.results import ShownBlock, result, tabulate_fields
 from mufly.vehicle import Vehicle, format_vehicle_toml
 
@@ -121,7 +121,7 @@ def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True, seeds: int =
         If the vehicle has no trim in hover, or compilation fails.
     """
     sensors = UnitSensors(vehicle, seeds) if seeds else None
-    interface, name = list_unit_variables(vehicle, sensors), model_identifier(vehicle)
+    interface, name = list_fmu_variables(vehicle, sensors), model_identifier(vehicle)
     data, token = render_vehicle_data(vehicle, interface, sensors)
     sources = {file: (SOURCE_FOLDER / file).read_text(encoding="utf-8") for file in _COPIED_SOURCES}
     sources |= {"flight_model.h": render_flight_model(sensors), "vehicle_data.h": data}
@@ -140,8 +140,8 @@ def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True, seeds: int =
     else:
         place = ""
     with (
-        report_write_errors(out),
-        replace_file(out) as part,
+        convert_write_errors(out),
+        replace_file_atomically(out) as part,
         zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
         for file, content in sorted(files.items()):

@@ -205,7 +205,7 @@ class UnitComparison:
         return [make_lines_block(f"Unit and Python model differ {differ}.", style="red" if self.different else "")]
 
 
-def compare_unit(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0) -> UnitComparison:
+def compare_fmu_with_model(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0) -> UnitComparison:
     """Compare a unit with the Python model under the same inputs and wind, which change at every communication step.
 
     The flight begins in motion and ends on the floor. The communication steps have five sizes, 0.7 to 20 ms.
@@ -245,10 +245,10 @@ def compare_unit(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0) -> U
     return UnitComparison(steps=steps, different=different, on_floor=on_floor, largest_difference=largest)
 
 
-def compare_sensed_unit(
+def compare_sensed_fmu_with_model(
     unit: UnitLibrary, vehicle: Vehicle, *, seed: int = 0, duration_s: float = 5.0
 ) -> UnitComparison:
-    """Compare a unit that has sensors with model, sensors and filter in Python, as :func:`compare_unit` does.
+    """Compare a unit that has sensors with model, sensors and filter in Python, as :func:`compare_fmu_with_model` does.
 
     The flight begins on the floor. The communication step is the period of the sensors.
 
@@ -334,8 +334,8 @@ def _sensed_values(outputs: Sequence[str], truth: Truth, readings: Readings, est
     return {**values, "estimate.valid": float(estimate.valid)}
 
 
-def check_unit(file: Path, vehicle: Vehicle) -> UnitComparison:
-    """Compare the library in an archive with the Python model of a vehicle; see :func:`compare_unit`.
+def check_fmu_file(file: Path, vehicle: Vehicle) -> UnitComparison:
+    """Compare the library in an archive with the Python model of a vehicle; see :func:`compare_fmu_with_model`.
 
     A unit with sensors contains the sensor errors of the seeds 0 to ``seed_count - 1``; the last one is compared.
 
@@ -348,5 +348,5 @@ def check_unit(file: Path, vehicle: Vehicle) -> UnitComparison:
     with tempfile.TemporaryDirectory(prefix="mufly-fmu-") as folder:
         unit = UnitLibrary(file, Path(folder))
         if unit.seed_count:
-            return compare_sensed_unit(unit, vehicle, seed=unit.seed_count - 1)
-        return compare_unit(unit, model_parameters(vehicle))
+            return compare_sensed_fmu_with_model(unit, vehicle, seed=unit.seed_count - 1)
+        return compare_fmu_with_model(unit, model_parameters(vehicle))

@@ -54,7 +54,7 @@ class UnitParameter:
     highest: float
 
 
-def list_unit_parameters(vehicle: Vehicle) -> tuple[list[UnitParameter], list[str]]:
+def list_fmu_parameters(vehicle: Vehicle) -> tuple[list[UnitParameter], list[str]]:
     """Return the parameters that a unit offers, and the keys of those that are fixed in it.
 
     Keys without effect on the flight model are in neither list. If several parameters change one field, all but one of

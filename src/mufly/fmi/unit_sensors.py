@@ -41,14 +41,14 @@ from mufly.estimate.filter.filter_records import (
     SENSOR_COUNT,
     STATE_COUNT,
     SUBTRACTED_READING_OFFSETS,
-    filter_settings,
     fused_beam_indices,
-    memory_type,
+    make_filter_settings,
+    make_memory_dtype,
 )
 from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START, INPUT_VALUE_COUNT
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import median_filter_ring_scan
-from mufly.firmware.export.estimate_tables import filter_buffer_sizes
+from mufly.firmware.export.estimate_tables import compute_filter_buffer_sizes
 from mufly.flight.simulated_plant import write_true_attitude
 from mufly.fmi.c_translation import CTranslation
 from mufly.fmi.c_types import C_DOUBLE, TableTupleType, TableType
@@ -116,7 +116,7 @@ class UnitSensors:
             )
         self._sensors = self._make_seeded_sensors(0)
         self._arrays = dict(_sensor_arrays(self._sensors))
-        self._settings = filter_settings(vehicle, self.world, SENSOR_RATE_HZ)
+        self._settings = make_filter_settings(vehicle, self.world, SENSOR_RATE_HZ)
 
     def _make_seeded_sensors(self, seed: int) -> FittedSensors:
         made = make_fitted_sensors(self.vehicle, self.world, seed=seed)
@@ -255,8 +255,8 @@ class UnitSensors:
 
     def render_filter_sizes(self) -> str:
         """Return the text of ``filter_sizes.h``."""
-        kept, waiting = filter_buffer_sizes(self._settings)
-        words = math.ceil(memory_type(kept=kept, waiting=waiting).itemsize / 8)
+        kept, waiting = compute_filter_buffer_sizes(self._settings)
+        words = math.ceil(make_memory_dtype(kept=kept, waiting=waiting).itemsize / 8)
         beams = max(1, int(self.vehicle.range_ring.count))
         numbers = {
             "FILTER_MEMORY_WORDS": words, "FILTER_VALUE_COUNT": INPUT_VALUE_COUNT, "FILTER_SENSOR_COUNT": SENSOR_COUNT,

@@ -11,7 +11,7 @@ import sys
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from mufly.dynamics import DEFAULT_STEP_S, find_trim, longest_step, model_parameters
+from mufly.dynamics import DEFAULT_STEP_S, find_longest_stable_step, find_trim, model_parameters
 from mufly.dynamics.model_state import (
     ATTITUDE_SLICE,
     BODY_RATE_SLICE,
@@ -22,7 +22,7 @@ from mufly.dynamics.model_state import (
     ROTOR_SPEED_SLICE,
 )
 from mufly.fmi.unit_equations import OUTPUT_COUNT, START_COUNT
-from mufly.fmi.unit_parameters import UnitParameter, list_unit_parameters
+from mufly.fmi.unit_parameters import UnitParameter, list_fmu_parameters
 from mufly.fmi.unit_sensors import UnitSensors
 from mufly.rotations import euler_from_quaternion
 from mufly.vehicle import Vehicle
@@ -144,7 +144,7 @@ class UnitInterface:
         return sum(v.role in roles for v in self.variables)
 
 
-def list_unit_variables(vehicle: Vehicle, sensors: UnitSensors | None = None) -> UnitInterface:
+def list_fmu_variables(vehicle: Vehicle, sensors: UnitSensors | None = None) -> UnitInterface:
     """Return the variables of a vehicle's co-simulation unit (FMU).
 
     Parameters
@@ -175,9 +175,9 @@ def list_unit_variables(vehicle: Vehicle, sensors: UnitSensors | None = None) ->
         starts = [0.0, 0.0, down, 0.0, 0.0, 0.0, *angles[:2], *[0.0] * 6, *angles[2:], 0.0, 0.0, 1.0]
         inputs = [0.0] * len(inputs)
     step = DEFAULT_STEP_S
-    while step > longest_step(model_parameters(vehicle)):
+    while step > find_longest_stable_step(model_parameters(vehicle)):
         step *= 0.5
-    parameters, fixed = list_unit_parameters(vehicle)
+    parameters, fixed = list_fmu_parameters(vehicle)
 
     def display_unit_of(name: str, unit: str) -> str:
         return "rpm" if "rotor_speed" in name and unit == "rad/s" else _DISPLAY_UNITS.get(unit, "")

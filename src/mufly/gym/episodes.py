@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import portable_atan2, sine_cosine
 from mufly.dynamics.equations_of_motion import compute_battery_supply, find_deepest_contact
-from mufly.dynamics.lane_equations import integrate_lanes, lay_out_blocks
+from mufly.dynamics.lane_equations import assign_vehicles_to_blocks, integrate_lanes
 from mufly.dynamics.model_state import (
     MODEL_ATTITUDE,
     MODEL_BAR_NORMAL,
@@ -45,7 +45,7 @@ from mufly.flight.policy.observation import (
     OBSERVED_RANGE_COUNT,
     fill_common_observation,
     heading_direction,
-    map_action,
+    map_action_to_inputs,
 )
 from mufly.gym.fleet import MIN_START_CHARGE
 from mufly.gym.tasks import (
@@ -53,10 +53,10 @@ from mufly.gym.tasks import (
     PILLAR_ROW_SIZE,
     TASK_OBSTACLE,
     TASK_WAYPOINT,
+    compute_reward_and_end,
     draw_random_waypoint,
-    judge_step,
-    place_task,
-    shift_task,
+    place_start_and_targets,
+    shift_task_target,
 )
 from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.world.obstacles import compute_first_hit_distance, compute_packed_obstacle_distances
@@ -238,11 +238,11 @@ def start_episodes(
         if series[e.vehicle[k]] >= 0:
             e.wind_series_index[k] = series[e.vehicle[k]]
         copy_numbers(states[e.vehicle[k]], x)
-        place_task(s.kind, r[14:], start, e.target[k], e.next_target[k], e.pillars[k])
+        place_start_and_targets(s.kind, r[14:], start, e.target[k], e.next_target[k], e.pillars[k])
         # Start heading, and target heading within a quarter turn of it; no heading to hold on the way to a target.
         yaw = math.pi * (2.0 * r[4] - 1.0)
         if s.starts_in_hover:
-            shift_task(s.kind, start, x[NED_POSITION_SLICE], e.target[k])
+            shift_task_target(s.kind, start, x[NED_POSITION_SLICE], e.target[k])
             c, sn = heading_direction(
                 x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
             )
@@ -313,7 +313,7 @@ def apply_actions_and_wind(
             e.action[k, i] = a
         e.action_change_squared[k] = change
         copy_numbers(e.inputs[k], e.previous_inputs[k])
-        map_action(e.action[k], s.trim, e.inputs[k])
+        map_action_to_inputs(e.action[k], s.trim, e.inputs[k])
         e.wind_sample[k] = (e.wind_sample[k] + 1) % winds.shape[1]
         copy_numbers(winds[e.wind_series_index[k], e.wind_sample[k]], e.wind[k])
 
@@ -326,14 +326,14 @@ def integrate_episodes(
     ``group`` (k,) of the fleet's vehicles is that of :func:`mufly.dynamics.lane_equations.group_vehicles`. Vehicles of
     ended episodes move, too; they start anew before anyone observes them.
     """
-    blocks = lay_out_blocks(group[e.vehicle])
+    blocks = assign_vehicles_to_blocks(group[e.vehicle])
     integrate_lanes(
         e.state, e.previous_inputs, e.inputs, e.delay, e.wind, fleet, e.vehicle, blocks, dt, steps, threads=threads
     )
 
 
 @cached_njit(error_model="numpy", nogil=True)
-def judge_episodes(
+def compute_rewards_and_ends(
     e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], fleet: NDArray[np.void], reward: _Array,
     terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], success: NDArray[np.bool_],
 ) -> None:  # fmt: skip
@@ -359,7 +359,7 @@ def judge_episodes(
         speed = max(_speed(x), e.speed[k])  # legs stop a vehicle within a step
         e.speed[k] = _speed(x)
         rates = x[MODEL_RATES] ** 2 + x[MODEL_RATES + 1] ** 2 + x[MODEL_RATES + 2] ** 2
-        reward[k], terminated[k], success[k] = judge_step(
+        reward[k], terminated[k], success[k] = compute_reward_and_end(
             s.kind, e.distance[k], now, e.heading[k, 0] * c + e.heading[k, 1] * sn, rates, e.action_change_squared[k],
             1.0 - 2.0 * (i * i + j * j), speed, touches, collides,
         )  # fmt: skip

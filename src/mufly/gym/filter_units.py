@@ -318,7 +318,7 @@ def remove_range_ring(vehicle: Vehicle) -> Vehicle:
     return vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"ring_camera": None})})
 
 
-def hover_mission(kind: int, height_m: float, heading_deg: float) -> Mission:
+def make_hover_mission(kind: int, height_m: float, heading_deg: float) -> Mission:
     """Return a mission that takes off to ``height_m`` (m) and hovers where the task with index ``kind`` starts."""
     north = OBSTACLE_START_NORTH_M if kind == TASK_OBSTACLE else 0.0
     return Mission.model_validate({
@@ -440,7 +440,7 @@ def prepare_hover_starts(
             raise MuflyError(f"only {flights} of {count} vehicles reach hover on their sensors; vary less")
         vehicle = remove_range_ring(fleet.vehicles[flights % len(fleet.vehicles)])
         height = OBSTACLE_TARGET_HEIGHT_M if kind == TASK_OBSTACLE else float(rng.uniform(*HOVER_HEIGHT_RANGE_M))
-        mission = hover_mission(kind, height, float(rng.uniform(-180.0, 180.0)))
+        mission = make_hover_mission(kind, height, float(rng.uniform(-180.0, 180.0)))
         charge = MIN_START_CHARGE + (1.0 - MIN_START_CHARGE) * float(rng.random())
         wind = winds[flights % len(winds)].mean(axis=0)
         flight = fly_to_hover(vehicle, nominal, controller, mission, wind, charge, int(rng.integers(2**31)))

@@ -19,9 +19,9 @@ from mufly.dynamics import (
     PARAMETER_DTYPE,
     STATE_SIZE,
     DrydenWind,
+    find_longest_stable_step,
     find_step_limiting_parameter,
     find_trim,
-    longest_step,
     model_parameters,
 )
 from mufly.errors import InputError, MuflyError
@@ -133,7 +133,7 @@ def common_integration_step(fleet: Fleet, period_s: float) -> tuple[float, int]:
     MuflyError
         If a vehicle needs steps below a fiftieth of the default.
     """
-    steps = [longest_step(p) for p in fleet.parameters]
+    steps = [find_longest_stable_step(p) for p in fleet.parameters]
     longest = min(DEFAULT_STEP_S, *steps)
     if longest < DEFAULT_STEP_S / 50.0:
         slowest = fleet.parameters[int(np.argmin(steps))]

@@ -64,7 +64,9 @@ _FAILURE_REWARD = -5.0
 
 
 @cached_njit(error_model="numpy")
-def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Array, columns: _Array) -> None:
+def place_start_and_targets(
+    kind: int, r: _Array, start: _Array, target: _Array, after: _Array, columns: _Array
+) -> None:
     """Write a task's start, target and next target (three numbers each; N-E-D, m), and its pillars, ``columns`` (6, 5).
 
     ``r`` are uniform random numbers; ``columns`` has the layout of a packed :class:`mufly.world.World`.
@@ -93,7 +95,7 @@ def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Arra
 
 
 @cached_njit(error_model="numpy")
-def shift_task(kind: int, start: _Array, place: _Array, target: _Array) -> None:
+def shift_task_target(kind: int, start: _Array, place: _Array, target: _Array) -> None:
     """Shift the target (3,) of a task from its planned start (3,) to the place (3,) where the vehicle hovers.
 
     Hover and Land keep the drawn distance between start and target; the heights of their targets stay in range. The
@@ -113,7 +115,7 @@ def draw_random_waypoint(r: _Array, point: _Array) -> None:
 
 
 @cached_njit(error_model="numpy")
-def judge_step(
+def compute_reward_and_end(
     kind: int, before: float, now: float, heading_cosine: float, rates_squared: float, change_squared: float,
     upright: float, speed: float, touches: bool, collides: bool,
 ) -> tuple[float, bool, bool]:  # fmt: skip

@@ -33,8 +33,8 @@ from mufly.gym.episodes import (
     EpisodeArrays,
     EpisodeSettings,
     apply_actions_and_wind,
+    compute_rewards_and_ends,
     integrate_episodes,
-    judge_episodes,
     make_episodes,
     observe_episodes,
     start_episodes,
@@ -236,7 +236,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
             integrate_episodes(e, fleet.parameters, self._group, self._step_s, self._step_count, self._threads)
         else:
             self.units.advance_units(e)
-        judge_episodes(e, s, which, fleet.parameters, rewards, terminated, truncated, success)
+        compute_rewards_and_ends(e, s, which, fleet.parameters, rewards, terminated, truncated, success)
         if next_step and self._ended.any():
             self._start(self._ended)
         self._observe(self._all, observations)

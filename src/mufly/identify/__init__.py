@@ -1,7 +1,7 @@
 """Identification of vehicle parameters from bench and flight data, with uncertainty and validation."""
 
 from mufly.identify import fit_pictures as _fit_pictures  # noqa: F401  draws results of the room
-from mufly.identify.fit_report import ReportSection, write_report
+from mufly.identify.fit_report import ReportSection, write_fit_report
 from mufly.identify.fit_result import FitResult, ParameterEstimate, RecordPrediction, apply_estimates
 from mufly.identify.flight.excitation_plan import ExcitationPlan, FlightLimits, design_excitation
 from mufly.identify.flight.excitation_signals import ExcitationSignal, make_excitation
@@ -10,7 +10,7 @@ from mufly.identify.flight.free_parameters import FreeParameter, choose_free_par
 from mufly.identify.flight.identification_demo import IdentificationDemo, run_identification_demo
 from mufly.identify.flight.input_polarity import check_flight_records
 from mufly.identify.flight.staged_search import FitProgress
-from mufly.identify.flight_record import FlightRecord, UniformLogTable, make_record, read_columns, split_record
+from mufly.identify.flight_record import FlightRecord, UniformLogTable, make_flight_record, read_columns, split_record
 from mufly.identify.linear import response_pictures as _response_pictures  # noqa: F401  draws results of the room
 from mufly.identify.linear.linear_fit import LinearFit
 from mufly.identify.linear.linear_identification import LinearResult, identify_linear_model
@@ -57,9 +57,9 @@ __all__ = [
     "fit_rotor_coefficients",
     "identify_linear_model",
     "make_excitation",
-    "make_record",
+    "make_flight_record",
     "read_columns",
     "run_identification_demo",
     "split_record",
-    "write_report",
+    "write_fit_report",
 ]

@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 
 
 @contextmanager
-def report_style() -> Iterator[None]:
+def apply_report_colours() -> Iterator[None]:
     """Apply the colours of the report page to all figures drawn inside this context."""
     from matplotlib import rc_context
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import report_write_errors
+from mufly.errors import convert_write_errors
 from mufly.identify import fit_pictures
 from mufly.identify.fit_result import FitResult
 from mufly.identify.flight_record import low_pass
@@ -85,7 +85,7 @@ class ReportSection:
     picture_name: str = ""
 
 
-def write_report(
+def write_fit_report(
     fit: FitResult, directory: str | Path, *, command: str | None = None, sections: Sequence[ReportSection] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:  # fmt: skip
@@ -113,7 +113,7 @@ def write_report(
         If the folder cannot be written.
     """
     folder = Path(directory)
-    with report_write_errors("report", key=str(folder)):
+    with convert_write_errors("report", key=str(folder)):
         folder.mkdir(parents=True, exist_ok=True)
         count = 3 + 4 * len(fit.records) + sum(s.draw_picture is not None for s in sections)
         album = _ReportPictures(folder, count, progress)
@@ -150,7 +150,7 @@ class _ReportPictures:
         self._done += 1
         if self._progress is not None:
             self._progress(self._done, max(self._done, self._count))
-        with fit_pictures.report_style():
+        with fit_pictures.apply_report_colours():
             figure = draw(*about)
             if figure is None:
                 return b""
@@ -435,7 +435,7 @@ def write_linear_report(
     r: LinearResult, directory: str | Path, *, command: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:  # fmt: skip
-    """Write the report of a linear identification; see :func:`mufly.identify.write_report`."""
+    """Write the report of a linear identification; see :func:`mufly.identify.write_fit_report`."""
     sections = []
     if r.candidates:
         heads, rows = candidate_table(r)
@@ -466,7 +466,7 @@ def write_linear_report(
         )
         sections.append(ReportSection("Prediction a time ahead", text, heads, rows))
     sections.append(_cross_check_section(r))
-    return write_report(r.fit, directory, command=command, sections=sections, progress=progress)
+    return write_fit_report(r.fit, directory, command=command, sections=sections, progress=progress)
 
 
 def _cross_check_section(r: LinearResult) -> ReportSection:

@@ -345,7 +345,7 @@ def parzen_window(lags: int) -> Array:
     return np.where(x <= 0.5, 1.0 - 6.0 * x**2 + 6.0 * x**3, 2.0 * np.clip(1.0 - x, 0.0, None) ** 3)
 
 
-def correlation_reach(residual: Array, longest: int) -> int:
+def find_largest_correlated_lag(residual: Array, longest: int) -> int:
     """Return the largest lag (samples) with significant autocorrelation of a residual (n,); 0 if white."""
     e = residual - residual.mean()
     n, power = len(e), float(e @ e)
@@ -394,7 +394,7 @@ def coloured_covariance(
     middle, coloured = prior.copy(), False
     for s, e in zip(sensitivities, residuals, strict=True):
         n, m, _ = s.shape
-        reach = [correlation_reach(e[:, k], min(_MAX_CORRELATION_LAG_SAMPLES, n // 4)) for k in range(m)]
+        reach = [find_largest_correlated_lag(e[:, k], min(_MAX_CORRELATION_LAG_SAMPLES, n // 4)) for k in range(m)]
         coloured = coloured or any(reach)
         for a in range(m):
             for b in range(m):

@@ -142,7 +142,7 @@ class FlightRecord:
         return f"{when}; both run from {running[0]:.4g} to {running[-1]:.4g} s" if len(running) else when
 
 
-def make_record(data: xr.Dataset, name: str, *, prefix: str = "measured") -> FlightRecord:
+def make_flight_record(data: xr.Dataset, name: str, *, prefix: str = "measured") -> FlightRecord:
     """Convert a recording to a flight record.
 
     Parameters
@@ -191,7 +191,7 @@ def make_record(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Fli
 
 
 def record_to_dataset(r: FlightRecord) -> xr.Dataset:
-    """Return a record as a recording, with the names that :func:`make_record` reads."""
+    """Return a record as a recording, with the names that :func:`make_flight_record` reads."""
     data: dict[str, Array] = {}
     for suffix, parts in _OUTPUT_SOURCES.items():
         if not any(o in r.output_names for o, _, _ in parts):

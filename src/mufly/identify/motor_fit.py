@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from mufly.bench import SI_UNITS, BenchTable, CovarianceEstimate, estimate_covariance
+from mufly.bench import SI_UNITS, BenchTable, CovarianceEstimate, estimate_parameter_covariance
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.fit_result import (
     EstimateLookup,
@@ -277,7 +277,7 @@ def fit_motor(
             continue
         jacobian = same.whitened_sensitivities(effective, scales)
         white = same.whitened_residuals(effective, scales)
-        found = estimate_covariance(
+        found = estimate_parameter_covariance(
             jacobian[:, free], white.ravel(), channel=np.tile([0, 1], n), run=np.repeat(data.run, 2),
             group=np.repeat(_assign_setting_numbers(data, std), 2),
         )  # fmt: skip

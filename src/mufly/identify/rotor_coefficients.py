@@ -31,14 +31,14 @@ from mufly.bench import (
     BenchPrediction,
     CellCalibration,
     CovarianceEstimate,
-    estimate_covariance,
+    estimate_parameter_covariance,
     resolve_air_density,
 )
 from mufly.bench.unit_conventions import (
     COEFFICIENT_SCALINGS,
+    convert_speed_to_rad_s,
     guess_load_units,
     guess_speed_unit,
-    resolve_speed_unit,
 )
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.fit_result import (
@@ -217,7 +217,7 @@ def _weighted_least_squares(
     The covariance depends on the order of the rows, which is that of measurement.
     """
     x = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], dtype=np.float64)
-    return x, estimate_covariance(a, b - a @ x, run=run, group=group)
+    return x, estimate_parameter_covariance(a, b - a @ x, run=run, group=group)
 
 
 def _corrected_aic(a: Array, b: Array) -> float:
@@ -491,7 +491,7 @@ def _resolve_speed_unit(loads: BenchLoads, radius: float) -> tuple[BenchLoads, l
         side = name.partition("_")[2]
         channel = f"thrust_{side}" if f"thrust_{side}" in loads.values else quantity
         if channel is None:
-            table = resolve_speed_unit(table, radius) if name == "speed" else table
+            table = convert_speed_to_rad_s(table, radius) if name == "speed" else table
             continue
         if name in table.unitless:
             unit, factor = guess_speed_unit(table[name], loads.values[channel], radius)

@@ -20,8 +20,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
-from mufly.files.answer_store import replace_file
-from mufly.files.text_table import GZIP_MAGIC, is_text_with_digits, read_unpacked
+from mufly.files.answer_store import replace_file_atomically
+from mufly.files.text_table import GZIP_MAGIC, is_text_with_digits, read_decompressed
 from mufly.logs.block_log import BLOCK_LOG_FORMAT, looks_like_block_log, read_block_log
 from mufly.logs.column_map import ColumnMap, TimeEntry, load_column_map, map_signals
 from mufly.logs.crazyflie import looks_like_crazyflie, read_crazyflie
@@ -92,7 +92,7 @@ def detect_log_format(path: str | Path) -> str:
     if is_bag(Path(path)):
         return "rosbag2"
     try:
-        head, _ = read_unpacked(path, _EXAMINED_HEAD_BYTES)
+        head, _ = read_decompressed(path, _EXAMINED_HEAD_BYTES)
         with open(path, "rb") as stream:
             packed = stream.read(2) == GZIP_MAGIC
     except OSError as error:
@@ -545,6 +545,6 @@ def write_log(dataset: xr.Dataset, path: str | Path) -> Path:
     if writer is None:
         problem = f"the ending {target.suffix!r} is not that of a log format"
         raise InputError(str(path), "", problem, f"use one of: {', '.join((*LOG_WRITERS, BAG_ENDING))}")
-    with replace_file(target, "choose another folder or free disk space") as part:
+    with replace_file_atomically(target, "choose another folder or free disk space") as part:
         writer(dataset, part)
     return target

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 from mufly.logs.mavlink_unknown_values import replace_unknown_values
 from mufly.logs.raw_log import RawLog, RawTable, describe_skipped_bytes, find_foreign_epoch_stamps, format_wall_time
 from mufly.logs.sender_clocks import (
@@ -445,7 +445,7 @@ class TlogWriter:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._flushed_s = time.monotonic()
-        with report_write_errors(self.path):
+        with convert_write_errors(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("wb")
 

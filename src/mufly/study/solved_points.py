@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from mufly.drive import DriveTrain, find_operating_point, make_blade_load, make_scaled_load
+from mufly.drive import DriveTrain, find_operating_point, make_blade_load, scale_load_to_reference
 from mufly.drive import OperatingPoint as DrivePoint
 from mufly.quantities.units import RPM
 from mufly.results import (
@@ -136,7 +136,7 @@ def solve_rotor_point(
     if drive is not None and found.converged and r.thrust_N > 0:
         load = make_blade_load(blading, pitch_rad=r.pitch_rad, climb_m_s=condition.climb_m_s, air=condition.air)
         if found.wakes:
-            load = make_scaled_load(load, r.speed_rad_s, r.thrust_N, r.torque_Nm)
+            load = scale_load_to_reference(load, r.speed_rad_s, r.thrust_N, r.torque_Nm)
         point = find_operating_point(drive, load, thrust_N=r.thrust_N)
     return RotorPoint(blading.rotors[0], model, n_crit, found, drive, point)
 

@@ -106,7 +106,7 @@ def draw_gear_curve(
     Parameters
     ----------
     curve : Dataset
-        From :func:`mufly.drive.gear_curve`.
+        From :func:`mufly.drive.sweep_gear_ratio`.
     marks : dict, optional
         Gear ratios to mark, by label.
     thrust_N : float, optional

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from mufly.errors import InputError, MuflyError, report_write_errors
+from mufly.errors import InputError, MuflyError, convert_write_errors
 from mufly.files.answer_store import claim_folder, hash_inputs, read_stored_result, write_stored_result
 from mufly.rotor import RotorResult, database_airfoils, load_airfoil
 from mufly.study.case_evaluation import StudyCase, StudyResults, evaluate_cases
@@ -299,7 +299,7 @@ def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> 
         If the folder cannot be written.
     """
     target = Path(folder)
-    with report_write_errors(folder):
+    with convert_write_errors(folder):
         target.mkdir(parents=True, exist_ok=True)
         nc, table = target / f"{name}.nc", target / f"{name}.csv"
         data.to_netcdf(nc, engine="scipy")
@@ -346,7 +346,7 @@ def write_stations(result: RotorResult, folder: str | Path, name: str = "station
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     columns = {k: v for k, v in values.items() if np.ndim(v) == 1}
     path = Path(folder) / f"{name}.csv"
-    with report_write_errors(folder):
+    with convert_write_errors(folder):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)

@@ -17,7 +17,7 @@ from mufly.control import (
     frequency_response,
     singular_values,
 )
-from mufly.control.analysis.plots import draw_loop, draw_plant
+from mufly.control.analysis.plots import draw_loop, draw_plant_singular_values
 from mufly.errors import MuflyError
 from mufly.flight import ControllerReference, Flight, simulate_controller_response
 from mufly.flight.mission_flight import await_estimate_and_start
@@ -66,7 +66,7 @@ def study_heave_yaw_plant(progress: ProgressCallback | None = None) -> StudyFind
             slope=slope,
         )
     )
-    return StudyFindings(verdicts, draw_plant(one), {"heave-yaw": _singular_value_curves(one)})
+    return StudyFindings(verdicts, draw_plant_singular_values(one), {"heave-yaw": _singular_value_curves(one)})
 
 
 def study_heave_yaw_loop(progress: ProgressCallback | None = None) -> StudyFindings:
@@ -117,7 +117,7 @@ def study_roll_pitch_plant(progress: ProgressCallback | None = None) -> StudyFin
             peaks=max(peaks),
         ),
     ]
-    return StudyFindings(verdicts, draw_plant(one), {"roll-pitch": _singular_value_curves(one)})
+    return StudyFindings(verdicts, draw_plant_singular_values(one), {"roll-pitch": _singular_value_curves(one)})
 
 
 def study_roll_pitch_loop(progress: ProgressCallback | None = None) -> StudyFindings:

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.drive import RotorLoad, find_gear_optima, gear_curve, load_drive, make_coefficient_load
+from mufly.drive import RotorLoad, find_gear_optima, load_drive, make_coefficient_load, sweep_gear_ratio
 from mufly.rotor import Rotor, load_rotor
 from mufly.study import (
     BEMT_MODELS,
@@ -274,7 +274,7 @@ def compute_gear_ratio_study() -> tuple[xr.Dataset, list[Verdict]]:
     drive, verdicts, sheets = load_drive("mufly"), [], []
     for volt in SUPPLY_VOLTAGES_V:
         loads = [compute_vehicle_rotor_load(which) for which in ROTOR_NAMES]
-        curves = [gear_curve(drive, load, GEAR_RATIOS, supply_V=volt) for load in loads]
+        curves = [sweep_gear_ratio(drive, load, GEAR_RATIOS, supply_V=volt) for load in loads]
         best = [find_gear_optima(drive, load, thrust_N=REQUIRED_THRUST_N, supply_V=volt) for load in loads]
         at_two = [float(curve.thrust_N.sel(gear_ratio=2.0)) for curve in curves]
         sheets.append(xr.concat(curves, xr.Variable("rotor", list(ROTOR_NAMES)), combine_attrs="drop_conflicts"))

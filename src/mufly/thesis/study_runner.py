@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 
 from mufly.compiled.numba_cache import imported_sources
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 from mufly.files.answer_store import cache_folder, hash_inputs, read_stored_result, write_stored_result
 from mufly.results import ShownBlock, make_lines_block, result, select_fields, to_plain_data
 from mufly.results.result_figure import enable_notebook_display
@@ -91,7 +91,7 @@ class StudyOutcome:
         target = Path(folder)
         picture, note = target / f"{self.name}.png", target / f"{self.name}.json"
         files: list[Path] = []
-        with report_write_errors(folder):
+        with convert_write_errors(folder):
             target.mkdir(parents=True, exist_ok=True)
             self.figure.savefig(picture, dpi=110)
             for model, data in self.data.items():

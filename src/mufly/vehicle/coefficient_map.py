@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from mufly.errors import InputError
-from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.files.input_files import builtin_file_names, make_validation_error, read_toml, validate_model
 from mufly.quantities.units import RPM
 from mufly.results import ResultColumn, ShownBlock, make_lines_block, tabulate_results, to_records
 
@@ -73,7 +73,7 @@ class MapTables(NamedTuple):
         return self.mean_speed_rad_s.size, self.ratio.size, self.climb_ratio.size
 
 
-_table_error = partial(model_error, key="table")
+_table_error = partial(make_validation_error, key="table")
 
 
 class CoefficientMap(BaseModel):

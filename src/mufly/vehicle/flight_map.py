@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from mufly.errors import InputError
-from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.files.input_files import builtin_file_names, make_validation_error, read_toml, validate_model
 from mufly.vehicle.coefficient_map import load_coefficient_map, parse_table_rows
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ FLIGHT_TABLE_COLUMNS = (
 
 _BUILTIN_FLIGHT_MAPS_FOLDER = resources.files("mufly.vehicle") / "flight_maps"
 _GRID_STEP_TOLERANCE = 1e-3  # of a step
-_table_error = partial(model_error, key="table")
+_table_error = partial(make_validation_error, key="table")
 
 
 class FlightMapTables(NamedTuple):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-from mufly.files.input_files import TOO_MANY_DIGITS_ERROR, model_error
+from mufly.files.input_files import TOO_MANY_DIGITS_ERROR, make_validation_error
 from mufly.quantities.units import list_compatible_units
 
 ValueSource = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
@@ -104,18 +104,18 @@ def _check_limits(value: float, unit: str, limits: dict[str, Any]) -> None:
     ):
         words = " and ".join(f"{k.replace('_', ' ')} {limit:g}" for k, limit in set_.items())
         wanted = words or "of ordinary size"
-        raise model_error(f"{value:g} {unit} is out of range", f"give a value {wanted} ({unit})")
+        raise make_validation_error(f"{value:g} {unit} is out of range", f"give a value {wanted} ({unit})")
 
 
 def _scale_value(value: Any, factor: float) -> Any:
     if isinstance(value, list | tuple):
         return [_scale_value(v, factor) for v in value]
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise model_error(f"{value!r} is not a number", "give a number")
+        raise make_validation_error(f"{value!r} is not a number", "give a number")
     try:
         return float(value) * factor
     except OverflowError:
-        raise model_error(*TOO_MANY_DIGITS_ERROR) from None
+        raise make_validation_error(*TOO_MANY_DIGITS_ERROR) from None
 
 
 def _flatten_values(value: Any) -> list[float]:
@@ -241,14 +241,18 @@ class ParameterGroup(_FrozenModel):
         si = str(declared["unit"])
         example = f'{{ value = ..., unit = "{si}", source = "measured" }}'
         if not isinstance(raw, dict):
-            raise model_error(f"{raw!r} states neither unit nor source", f"write {info.field_name} = {example}")
+            raise make_validation_error(
+                f"{raw!r} states neither unit nor source", f"write {info.field_name} = {example}"
+            )
         if "unit" not in raw:
-            raise model_error("the unit is missing", f"write {info.field_name} = {example}")
+            raise make_validation_error("the unit is missing", f"write {info.field_name} = {example}")
         if not isinstance(raw["unit"], str) or raw["unit"] not in list_compatible_units(si):
             accepted = ", ".join(list_compatible_units(si))
-            raise model_error(f"unit {raw['unit']!r} is not a unit of this parameter", f"use one of: {accepted}")
+            raise make_validation_error(
+                f"unit {raw['unit']!r} is not a unit of this parameter", f"use one of: {accepted}"
+            )
         if "value" not in raw:
-            raise model_error("the value is missing", f"write {info.field_name} = {example}")
+            raise make_validation_error("the value is missing", f"write {info.field_name} = {example}")
         value = _scale_value(raw["value"], list_compatible_units(si)[raw["unit"]])
         for v in _flatten_values(value):
             _check_limits(v, si, declared)

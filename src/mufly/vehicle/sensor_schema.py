@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
-from mufly.files.input_files import model_error
+from mufly.files.input_files import make_validation_error
 from mufly.quantities.units import GRAVITY
 from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, declare_parameter
 
@@ -126,7 +126,7 @@ class ImuParameters(ParameterGroup):
     @model_validator(mode="after")
     def _check_single_position(self) -> ImuParameters:
         if len(self.position.value) != 1:
-            raise model_error(
+            raise make_validation_error(
                 f"has {len(self.position.value)} points", "give one point, [[x, y, z]]", "sensors.imu.position"
             )
         return self
@@ -278,7 +278,7 @@ class SensorSuite(ParameterGroup):
             one = getattr(self, name)
             if one is not None and float(one.min_range) >= float(one.max_range):
                 low, high = float(one.min_range), float(one.max_range)
-                raise model_error(
+                raise make_validation_error(
                     f"{low:g} m is not below max_range, {high:g} m",
                     "exchange them",
                     f"sensors.{name}.min_range",
@@ -287,13 +287,13 @@ class SensorSuite(ParameterGroup):
             return self
         step, span = float(self.sonar.resolution), float(self.sonar.max_range) - float(self.sonar.min_range)
         if step > 0.5 * span:
-            raise model_error(
+            raise make_validation_error(
                 f"{step:g} m leaves less than two steps between min_range and max_range",
                 "give a smaller step",
                 "sensors.sonar.resolution",
             )
         if len(self.sonar.position.value) != 1:
-            raise model_error(
+            raise make_validation_error(
                 f"has {len(self.sonar.position.value)} points", "give one point, [[x, y, z]]", "sensors.sonar.position"
             )
         return self

@@ -18,7 +18,7 @@ import tomli_w
 from pydantic import BaseModel, Field, model_validator
 
 from mufly.errors import InputError
-from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.files.input_files import builtin_file_names, make_validation_error, read_toml, validate_model
 from mufly.quantities.units import GRAVITY
 from mufly.vehicle.coefficient_map import CoefficientMap
 from mufly.vehicle.flight_map import FlightMap, load_named_maps
@@ -126,7 +126,7 @@ class Rotors(ParameterGroup):
     def _check_map_radius(self) -> Rotors:
         m, radius = self.coefficient_map, float(self.radius)
         if m is not None and abs(m.radius_m / radius - 1.0) > _MAP_RADIUS_TOLERANCE:
-            raise model_error(
+            raise make_validation_error(
                 f"map {m.name!r} is for rotors of {1e3 * m.radius_m:g} mm, these have {1e3 * radius:g} mm",
                 "make a map for these rotors: mufly coax map",
                 "rotors.coefficient_map",
@@ -141,7 +141,7 @@ class Rotors(ParameterGroup):
             return self
         problem = describe_rotor_differences(self, m)
         if problem:
-            raise model_error(
+            raise make_validation_error(
                 f"map {m.name!r} is for {problem}", "make one for these rotors: mufly coax flight-map",
                 "rotors.flight_map",
             )  # fmt: skip
@@ -151,7 +151,7 @@ class Rotors(ParameterGroup):
     def _check_hub_order(self) -> Rotors:
         upper, lower = float(self.upper.hub_z), float(self.lower.hub_z)
         if upper >= lower:
-            raise model_error(
+            raise make_validation_error(
                 f"the upper hub, z = {upper:g} m, is not above the lower, z = {lower:g} m (z points down)",
                 "exchange the two hubs, or correct one",
                 "rotors.upper.hub_z",
@@ -164,7 +164,7 @@ class Rotors(ParameterGroup):
         for name, rotor in (("upper", self.upper), ("lower", self.lower)):
             ideal = float(rotor.thrust_coefficient) ** 1.5 / math.sqrt(2.0)
             if float(rotor.torque_coefficient) < ideal:
-                raise model_error(
+                raise make_validation_error(
                     f"{float(rotor.torque_coefficient):g} is below {ideal:.3g}, the ideal rotor's value "
                     f"at this thrust_coefficient: the figure of merit would exceed 1",
                     "raise torque_coefficient, or lower thrust_coefficient",
@@ -252,7 +252,7 @@ class Motor(ParameterGroup):
         """Check that kM does not exceed kE (SI units): the mechanical power kM w I is at most the power kE w I."""
         k_e, k_m = float(self.back_emf_constant), float(self.torque_constant)
         if k_m > MAX_TORQUE_TO_EMF_RATIO * k_e:
-            raise model_error(
+            raise make_validation_error(
                 f"{k_m:g} N m/A is above back_emf_constant, {k_e:g} V s: such a motor generates power",
                 "lower torque_constant (in SI units it equals back_emf_constant, less the iron losses)",
                 "motor.torque_constant",
@@ -295,14 +295,14 @@ class Battery(ParameterGroup):
         c = self.open_circuit_voltage
         rising = all(b > a for a, b in zip(c.fraction, c.fraction[1:], strict=False))
         if len(c.fraction) != len(c.value) or not rising or c.fraction[0] != 0 or c.fraction[-1] != 1:
-            raise model_error(
+            raise make_validation_error(
                 "open_circuit_voltage is not a curve over charge",
                 "give as many fractions as values, rising from 0 (empty) to 1 (full)",
                 "battery.open_circuit_voltage",
             )
         for k in range(1, len(c.value)):
             if c.value[k] < c.value[k - 1]:
-                raise model_error(
+                raise make_validation_error(
                     f"{c.value[k]:g} V at charge {c.fraction[k]:g} is below {c.value[k - 1]:g} V at charge "
                     f"{c.fraction[k - 1]:g}: a battery's voltage does not fall with charge",
                     "give voltages that rise from charge 0 (empty) to 1 (full)",
@@ -311,7 +311,7 @@ class Battery(ParameterGroup):
         for name in ("nominal_voltage", "low_voltage"):
             value, full = float(getattr(self, name)), max(c.value)
             if self.model != "constant" and value > full:
-                raise model_error(
+                raise make_validation_error(
                     f"{value:g} V is above the full battery's {full:g} V",
                     "lower it, or correct battery.open_circuit_voltage",
                     f"battery.{name}",
@@ -342,9 +342,11 @@ class LegContact(ParameterGroup):
     def _check_legs(self) -> LegContact:
         tips = self.legs.value
         if not 3 <= len(tips) <= MAX_LEGS:
-            raise model_error(f"{len(tips)} legs", f"give 3 to {MAX_LEGS} points [x, y, z]", "contact.legs")
+            raise make_validation_error(f"{len(tips)} legs", f"give 3 to {MAX_LEGS} points [x, y, z]", "contact.legs")
         if max(z for _, _, z in tips) <= 0:
-            raise model_error("no leg reaches below the centre of gravity", "give z above 0 (down)", "contact.legs")
+            raise make_validation_error(
+                "no leg reaches below the centre of gravity", "give z above 0 (down)", "contact.legs"
+            )
         return self
 
 
@@ -364,7 +366,9 @@ class RangeRing(ParameterGroup):
     def _check_range_limits(self) -> RangeRing:
         low, high = float(self.min_range), float(self.max_range)
         if low >= high:
-            raise model_error(f"{low:g} m is not below max_range, {high:g} m", "exchange them", "range_ring.min_range")
+            raise make_validation_error(
+                f"{low:g} m is not below max_range, {high:g} m", "exchange them", "range_ring.min_range"
+            )
         return self
 
 
@@ -414,7 +418,7 @@ class Vehicle(ParameterGroup):
         carrying = int((tips[:, 2] > lowest - 1e-6).sum())
         pressed = float(self.body.mass) * GRAVITY / (carrying * stiffness)
         if pressed >= lowest:
-            raise model_error(
+            raise make_validation_error(
                 f"{stiffness:g} N/m: the weight presses the legs in by {1e3 * pressed:.3g} mm, and the centre of "
                 f"gravity is {1e3 * lowest:.3g} mm above their tips",
                 "give stiffer or longer legs",
@@ -432,7 +436,7 @@ class Vehicle(ParameterGroup):
             sensor = getattr(self.sensors, name)
             away = 0.0 if sensor is None else math.hypot(*sensor.position.value[0])
             if away > MAX_SENSOR_PLACE_TO_REACH_RATIO * reach:
-                raise model_error(
+                raise make_validation_error(
                     f"{away:.3g} m from the centre of gravity; rotors and legs reach {reach:.3g} m",
                     "correct the coordinates or their unit",
                     f"sensors.{name}.position",
@@ -441,13 +445,13 @@ class Vehicle(ParameterGroup):
         if self.sensors.sonar is not None:
             low, longest = self.sensors.sonar.position.value[0][2], float(self.sensors.sonar.max_range)
             if low >= lowest:
-                raise model_error(
+                raise make_validation_error(
                     f"z = {low:g} m is not above the tips of the legs, z = {lowest:g} m (z points down)",
                     "give the sonar's place a smaller z, or longer legs",
                     "sensors.sonar.position",
                 )
             if lowest - low >= longest:
-                raise model_error(
+                raise make_validation_error(
                     f"{longest:g} m does not reach the floor, {lowest - low:.3g} m below the standing vehicle's sonar",
                     "give a greater max_range, or a lower place",
                     "sensors.sonar.max_range",
@@ -459,7 +463,7 @@ class Vehicle(ParameterGroup):
         if self.mass_budget is not None:
             total = sum(float(q) for _, q in self.mass_budget)
             if abs(total - float(self.body.mass)) > 1e-4:
-                raise model_error(
+                raise make_validation_error(
                     f"its groups add up to {total * 1e3:.1f} g, but body.mass is {float(self.body.mass) * 1e3:.1f} g",
                     "correct a group or body.mass (0.1 g apart at most)",
                     "mass_budget",

@@ -21,7 +21,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from mufly.bench.bench_loads import calibrate_cells
+from mufly.bench.bench_loads import fit_cell_calibration
 from mufly.bench.bench_table import read_bench_file
 from mufly.bench.rig.bench_devices import BenchFacts, Clock, Device, DeviceRig, calibration_to_dict
 from mufly.bench.rig.epos_controller import EposController
@@ -31,7 +31,7 @@ from mufly.bench.rig.serial_load_cells import ADC_COUNT_RANGE, SerialLoadCells
 from mufly.bench.rig.thrust_stand import ThrustStand
 from mufly.bench.series.series_plan import RotorSide
 from mufly.errors import InputError
-from mufly.files.input_files import model_error, read_toml, validate_model
+from mufly.files.input_files import make_validation_error, read_toml, validate_model
 from mufly.vehicle.quantity import ParameterGroup
 
 
@@ -58,15 +58,15 @@ class DeviceTable(ParameterGroup):
     @model_validator(mode="after")
     def _check_consistency(self) -> DeviceTable:
         if self.kind == "nidaq" and self.port:
-            raise model_error("does not belong to a nidaq", "remove port; inputs name the device", "port")
+            raise make_validation_error("does not belong to a nidaq", "remove port; inputs name the device", "port")
         if self.kind != "nidaq" and not self.port:
-            raise model_error("is missing", 'write port = "/dev/ttyUSB0"', "port")
+            raise make_validation_error("is missing", 'write port = "/dev/ttyUSB0"', "port")
         if self.kind == "nidaq" and not self.inputs:
-            raise model_error("names no inputs", 'write inputs = { thrust_raw = "Dev1/ai0" }', "inputs")
+            raise make_validation_error("names no inputs", 'write inputs = { thrust_raw = "Dev1/ai0" }', "inputs")
         if self.kind in ("epos", "stand") and len(self.axes) != 1:
-            raise model_error("drives exactly one axis", 'write axes = ["upper"]', "axes")
+            raise make_validation_error("drives exactly one axis", 'write axes = ["upper"]', "axes")
         if self.kind == "esc" and not self.axes:
-            raise model_error("names no axis", 'write axes = ["upper"]', "axes")
+            raise make_validation_error("names no axis", 'write axes = ["upper"]', "axes")
         return self
 
     def make_driver(self, pace: float) -> Device:
@@ -120,9 +120,11 @@ class RigTable(ParameterGroup):
     def _check_axes(self) -> RigTable:
         axes = [a for d in self.device for a in d.axes]
         if not axes:
-            raise model_error("no device drives an axis", 'write axes = ["upper"] for a device with a motor', "device")
+            raise make_validation_error(
+                "no device drives an axis", 'write axes = ["upper"] for a device with a motor', "device"
+            )
         if len(axes) != len(set(axes)):
-            raise model_error("two devices drive the same axis", "give each axis one device", "device")
+            raise make_validation_error("two devices drive the same axis", "give each axis one device", "device")
         return self
 
 
@@ -142,7 +144,7 @@ def load_rig(path: str | Path) -> DeviceRig:
     calibration = {}
     ranges = {n: r for d in table.device for n, r in d.cell_reading_ranges().items()}
     if table.cells:
-        calibration = calibration_to_dict(calibrate_cells(read_bench_file(file.parent / table.cells)))
+        calibration = calibration_to_dict(fit_cell_calibration(read_bench_file(file.parent / table.cells)))
         raw = {f"{c}_raw" for c in calibration["channels"]}
         if ranges and not raw <= set(ranges):
             missing = ", ".join(sorted(raw - set(ranges)))

@@ -110,7 +110,7 @@ def compute_crc16(data: bytes) -> int:
     return binascii.crc_hqx(data, 0xFFFF)
 
 
-def with_checksum(body: str) -> bytes:
+def append_checksum(body: str) -> bytes:
     """Return a text line with its checksum appended."""
     raw = body.encode("ascii")
     return b"$" + raw + b"*%04X\n" % compute_crc16(raw)
@@ -163,4 +163,4 @@ class ChecksummedSerialLine(SerialLine):
 
     def send_line(self, body: str) -> None:
         """Send a text line with its checksum appended."""
-        self.write(with_checksum(body))
+        self.write(append_checksum(body))

@@ -1,7 +1,8 @@
 """Simulated test bench: rotor loads from blade element momentum theory, with realistic errors.
 
-Blade element momentum theory gives the loads of each rotor or pair as a map over speed (:func:`compute_rotor_map`,
-:func:`compute_pair_map`), scaled by the air density of the room. The readings have these errors:
+Blade element momentum theory gives the loads of each rotor or pair as a map over speed
+(:func:`make_rotor_load_splines`, :func:`make_pair_load_splines`), scaled by the air density of the room. The readings
+have these errors:
 
 * a random pitch error of each mounting;
 * load cells with gain, offset and cross-talk, which the program knows only from an inexact calibration; zeros with
@@ -30,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.signal import lfilter
 
-from mufly.bench.bench_loads import calibrate_cells
+from mufly.bench.bench_loads import fit_cell_calibration
 from mufly.bench.bench_table import BenchTable
 from mufly.bench.rig.bench_devices import BenchFacts, DeviceError, SampleCallback, calibration_to_dict
 from mufly.bench.series.moist_air import compute_moist_air_density
@@ -63,7 +64,7 @@ def _load_blading(rotor: str) -> Blading:
 
 
 @lru_cache(maxsize=256)
-def compute_rotor_map(rotor: str, pitch_deg: float) -> tuple[RectBivariateSpline, RectBivariateSpline]:
+def make_rotor_load_splines(rotor: str, pitch_deg: float) -> tuple[RectBivariateSpline, RectBivariateSpline]:
     """Return splines of T / Omega^2 and Q / Omega^2 as functions of pitch offset (rad) and ln(Omega), in the air
     ROTOR_MAP_AIR.
     """
@@ -81,7 +82,7 @@ def compute_rotor_map(rotor: str, pitch_deg: float) -> tuple[RectBivariateSpline
 
 
 @lru_cache(maxsize=64)
-def compute_pair_map(
+def make_pair_load_splines(
     upper: str, lower: str, upper_pitch_deg: float, lower_pitch_deg: float, spacing_m: float
 ) -> tuple[RectBivariateSpline, ...]:
     """Return splines of T_up, Q_up, T_dw, Q_dw, each divided by its rotor's speed squared, in the air ROTOR_MAP_AIR.
@@ -242,8 +243,8 @@ class SimulatedRig:
         columns = {"thrust": loads[:, 0], "torque": loads[:, 1], "thrust_raw": y[:, 0], "torque_raw": y[:, 1]}
         table = BenchTable("simulated", columns, {k: k for k in columns}, np.arange(2, 2 + len(y)))
         return BenchFacts(
-            "simulated", calibration_to_dict(calibrate_cells(table)), dict.fromkeys(("thrust_raw", "torque_raw"), (-5.0,
-            5.0)), manual=False,
+            "simulated", calibration_to_dict(fit_cell_calibration(table)),
+            dict.fromkeys(("thrust_raw", "torque_raw"), (-5.0, 5.0)), manual=False,
         )  # fmt: skip
 
     # --- interface of BenchRig ---------------------------------------------------------------------------------------
@@ -307,18 +308,18 @@ class SimulatedRig:
             return zero, torque
         if m.axis != "pair":
             w = np.maximum(speed[m.axis], 1.0)
-            t, q = compute_rotor_map(m.rotor, m.pitch_deg)
+            t, q = make_rotor_load_splines(m.rotor, m.pitch_deg)
             x, y = np.full(np.shape(w), pitch_off), np.log(w)
             torque[m.axis] = q(x, y, grid=False) * w**2
             return t(x, y, grid=False) * w**2, torque
-        maps = compute_pair_map(m.rotor, m.lower_rotor, m.pitch_deg, m.lower_pitch_deg, self.spacing_m)
+        maps = make_pair_load_splines(m.rotor, m.lower_rotor, m.pitch_deg, m.lower_pitch_deg, self.spacing_m)
         up, low = (np.maximum(speed[s], 1.0) for s in ROTOR_SIDE_NAMES)
         x = np.clip(np.log(0.5 * (up + low)), np.log(1500 * RPM), np.log(9000 * RPM))
         y = np.clip(np.log(low / up), np.log(_MAP_SPEED_RATIOS[0]), np.log(_MAP_SPEED_RATIOS[-1]))
         tu, qu, td, qd = (f(x, y, grid=False) for f in maps)
         # Both rotors of a pair have the same pitch error, with the effect on a single rotor.
         w, mean = np.exp(x), np.zeros(np.shape(x))
-        single_t, single_q = compute_rotor_map(m.rotor, m.pitch_deg)
+        single_t, single_q = make_rotor_load_splines(m.rotor, m.pitch_deg)
         ft, fq = (
             f(mean + pitch_off, np.log(w), grid=False) / f(mean, np.log(w), grid=False) for f in (single_t, single_q)
         )

@@ -12,7 +12,7 @@ from typing import Any
 
 from mufly.bench.series.series_plan import SeriesPlan
 from mufly.errors import InputError
-from mufly.files.answer_store import replace_file
+from mufly.files.answer_store import replace_file_atomically
 from mufly.results.report_page import render_page
 
 PAGE_FILE_NAME = "live.html"
@@ -96,7 +96,7 @@ def write_live_page(
         refresh_s=0 if over else 2,
     )
     # A failure to write the page must not stop the bench.
-    with suppress(InputError), replace_file(folder / PAGE_FILE_NAME) as new:
+    with suppress(InputError), replace_file_atomically(folder / PAGE_FILE_NAME) as new:
         new.write_text(text, encoding="utf-8")
 
 

@@ -31,7 +31,7 @@ from mufly.bench.series.series_readings import (
     axis_speeds,
     compute_air_density,
     compute_cell_loads,
-    readings_of_record,
+    extract_record_readings,
     setting_key,
     to_rpm,
 )  # fmt: skip
@@ -181,7 +181,7 @@ def analyse_series(
     plan = validate_model(SeriesPlan, _parse_plan(rec), "record")
     facts = BenchFacts.from_dict(rec.header_line["facts"])
     start = float(rec.header_line["time"])
-    everything, zeros = readings_of_record(rec, "point"), readings_of_record(rec, "tare")
+    everything, zeros = extract_record_readings(rec, "point"), extract_record_readings(rec, "tare")
     doubts = sorted(find_series_issues(plan, facts, rec, everything, zeros), key=lambda d: not d.is_fatal)
     good = everything.at_speed & everything.settled & ~everything.saturated & (everything.spike_share < 0.02)
     points = everything.select_readings(good)
@@ -193,7 +193,7 @@ def analyse_series(
     loads = compute_cell_loads(points, zeros, plan, facts, density, speed, start)
     notes = [words, *_describe_drifts(loads, points)]
     for name, channel in loads.items():
-        doubts += check_reference(name, channel, plan)
+        doubts += find_reference_changes(name, channel, plan)
         doubts += find_outliers(name, channel, points, plan, density, speed)
         if name == "thrust" and np.mean(channel.value < 0) > 0.5:
             doubts.append(SeriesIssue("polarity", "thrust is below zero: invert the sign of the force cell", True))
@@ -262,7 +262,7 @@ def _describe_drifts(loads: dict[str, LoadChannel], points: SeriesReadings) -> I
             )
 
 
-def check_reference(name: str, channel: LoadChannel, plan: SeriesPlan) -> Iterator[SeriesIssue]:
+def find_reference_changes(name: str, channel: LoadChannel, plan: SeriesPlan) -> Iterator[SeriesIssue]:
     """Yield an issue for each significant change of the reference rotor's load between successive runs on one axis."""
     visits = channel.reference_visits
     for axis in ("upper", "lower"):

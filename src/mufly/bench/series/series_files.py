@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.bench.series.series_analysis import LoadInterval, SeriesResult, SettingResult
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 from mufly.quantities.units import RPM
 from mufly.results import result, to_plain_data
 from mufly.rotor import (
@@ -55,7 +55,7 @@ def write_series_results(series: SeriesResult, folder: Path) -> list[Path]:
     InputError
         If the folder cannot be written to.
     """
-    with report_write_errors(folder):
+    with convert_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         files: list[Path] = []
         for many, kind in ((series.settings, ""), (series.points, "-points")):

@@ -21,7 +21,7 @@ import tomli_w
 from pydantic import Field, model_validator
 
 from mufly.errors import ArgumentError, InputError
-from mufly.files.input_files import model_error, read_toml, validate_model
+from mufly.files.input_files import make_validation_error, read_toml, validate_model
 from mufly.quantities.units import RPM
 from mufly.vehicle.quantity import ParameterGroup
 
@@ -75,17 +75,19 @@ class BladeMounting(ParameterGroup):
     @model_validator(mode="after")
     def _check_consistency(self) -> BladeMounting:
         if (self.axis == "pair") != bool(self.lower_rotor):
-            raise model_error(
+            raise make_validation_error(
                 "a mounting needs a lower_rotor if its axis is 'pair', and none otherwise",
                 "correct lower_rotor or axis",
                 "lower_rotor",
             )
         if self.use == "reference" and self.axis == "pair":
-            raise model_error(
+            raise make_validation_error(
                 "the reference rotor is measured on a single axis", "give axis 'upper' or 'lower'", "axis"
             )
         if min(self.speeds_rpm) <= 0:
-            raise model_error("a speed is not above 0", "omit it: zero readings are taken automatically", "speeds_rpm")
+            raise make_validation_error(
+                "a speed is not above 0", "omit it: zero readings are taken automatically", "speeds_rpm"
+            )
         return self
 
     @property
@@ -121,7 +123,7 @@ class SeriesPlan(ParameterGroup):
         for k, m in enumerate(self.mounting, 1):
             fastest = max(max(m.speeds_rad_s(s).values()) for s in m.speeds_rpm) / RPM
             if fastest > self.limits.speed_rpm:
-                raise model_error(
+                raise make_validation_error(
                     f"{fastest:g} rpm is beyond the limit of {self.limits.speed_rpm:g}",
                     "lower it, or raise limits.speed_rpm if the blades withstand it", f"mounting[{k}].speeds_rpm",
                 )  # fmt: skip
@@ -173,7 +175,7 @@ class PlanStep:
     speed_rpm: float
 
 
-def make_plan(
+def make_series_plan(
     name: str, rotors: Sequence[str], pitches_deg: Sequence[float], speeds_rpm: Sequence[float], *,
     reference: str, reference_pitch_deg: float, repetitions: int = 2, axis: RotorAxis = "upper",
     speed_ratios: Sequence[float] = (1.0,), reference_every: int = 4, seed: int = 0,
@@ -269,7 +271,7 @@ def make_plan(
     return validate_model(SeriesPlan, tables, "plan")
 
 
-def read_plan(path: str | Path) -> SeriesPlan:
+def read_series_plan(path: str | Path) -> SeriesPlan:
     """Read a plan from a TOML file.
 
     Raises

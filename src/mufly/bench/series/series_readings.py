@@ -27,7 +27,7 @@ from mufly.bench.rig.bench_devices import BenchFacts
 from mufly.bench.series.moist_air import compute_moist_air_density, compute_relative_density_std
 from mufly.bench.series.random_walk_drift import RandomWalkDrift, fit_random_walk
 from mufly.bench.series.series_plan import BladeMounting, SeriesPlan
-from mufly.bench.series.series_record import SeriesRecord, mean_from_line
+from mufly.bench.series.series_record import SeriesRecord, parse_block_mean
 from mufly.errors import InputError
 from mufly.quantities.units import RPM
 
@@ -104,7 +104,7 @@ class SeriesReadings:
         )
 
 
-def readings_of_record(record: SeriesRecord, what: str) -> SeriesReadings:
+def extract_record_readings(record: SeriesRecord, what: str) -> SeriesReadings:
     """Return the zero readings (``"tare"``) or measured points (``"point"``) of a record.
 
     A repeated point replaces the earlier one.
@@ -116,7 +116,7 @@ def readings_of_record(record: SeriesRecord, what: str) -> SeriesReadings:
             last[x["mounting"], x["step"], x["time"] if x["step"] < 0 else 0.0] = x
     lines = sorted(last.values(), key=lambda x: float(x["time"]))
     names = sorted({n for x in lines for n in x["channels"]})
-    table = {n: [mean_from_line(x["channels"][n]) if n in x["channels"] else None for x in lines] for n in names}
+    table = {n: [parse_block_mean(x["channels"][n]) if n in x["channels"] else None for x in lines] for n in names}
 
     def channel_column(n: str, field: str) -> Array:
         return np.array([np.nan if m is None else getattr(m, field) for m in table[n]], dtype=np.float64)
@@ -287,7 +287,7 @@ def _correct_gain_drift(
     start: float,
 ) -> LoadChannel:
     """Correct a load for the gain drift that repeated runs of the reference rotor reveal."""
-    visits = compute_reference_load_logs(channel, name, points, plan, facts, density, speed)
+    visits = compute_reference_log_loads(channel, name, points, plan, facts, density, speed)
     if not visits.size:
         return channel
     time_s, log_ratio, sigma, mounting = visits.T
@@ -306,7 +306,7 @@ def _correct_gain_drift(
     return LoadChannel(value, common, scale * channel.own_covariance, channel.zero_drift_model, walk, visits)
 
 
-def compute_reference_load_logs(
+def compute_reference_log_loads(
     channel: LoadChannel,
     name: str,
     points: SeriesReadings,

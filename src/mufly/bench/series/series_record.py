@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from mufly.bench.series.block_means import BlockMean
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 
 RECORD_FILE_NAME = "raw.jsonl"
 
@@ -39,8 +39,8 @@ class SeriesRecord:
             return
         path = folder / RECORD_FILE_NAME
         if path.is_file():
-            self.lines, self.broken_lines = read_lines(path)
-        with report_write_errors(path, "free it"):
+            self.lines, self.broken_lines = read_valid_lines(path)
+        with convert_write_errors(path, "free it"):
             self._file = path.open("a", encoding="utf-8", newline="\n")
             if path.stat().st_size and not path.read_bytes().endswith(b"\n"):
                 self._file.write("\n")
@@ -76,7 +76,7 @@ class SeriesRecord:
         return {(x["mounting"], x["step"]) for x in self.lines if x["kind"] in ("reading", "warmed") and x["step"] >= 0}
 
 
-def read_lines(path: Path) -> tuple[list[dict[str, Any]], int]:
+def read_valid_lines(path: Path) -> tuple[list[dict[str, Any]], int]:
     """Return the lines with valid checksum, and the number of invalid lines.
 
     Raises
@@ -116,13 +116,13 @@ def read_record(folder: str | Path) -> SeriesRecord:
     if not path.is_file():
         raise InputError(str(folder), "", f"contains no {RECORD_FILE_NAME}", "give the folder of `mufly bench run`")
     record = SeriesRecord()
-    record.lines, record.broken_lines = read_lines(path)
+    record.lines, record.broken_lines = read_valid_lines(path)
     if not record.lines:
         raise InputError(str(path), "", "contains no complete line", "measure again")
     return record
 
 
-def mean_from_line(values: list[float]) -> BlockMean:
+def parse_block_mean(values: list[float]) -> BlockMean:
     """Return the block mean stored in a line of the record."""
     value, std, dof, size, spikes, low, high, trend = values
     return BlockMean(value, std, dof, int(size), int(spikes), low, high, trend)

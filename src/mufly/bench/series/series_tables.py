@@ -13,7 +13,7 @@ from mufly.bench.series.series_runner import SeriesProgress
 from mufly.results import ShownBlock, make_lines_block, make_table_block
 
 
-def plan_blocks(plan: SeriesPlan) -> list[ShownBlock]:
+def tabulate_series_plan(plan: SeriesPlan) -> list[ShownBlock]:
     """Return a table of the mountings of a plan, and the number of points and duration."""
     rows = [
         (f"{k}", m.use, m.describe_mounting(), ", ".join(f"{s:g}" for s in m.speeds_rpm))
@@ -33,7 +33,7 @@ def plan_blocks(plan: SeriesPlan) -> list[ShownBlock]:
     return blocks
 
 
-def format_progress_line(line: dict[str, Any], plan: SeriesPlan, p: SeriesProgress) -> str:
+def format_measured_point(line: dict[str, Any], plan: SeriesPlan, p: SeriesProgress) -> str:
     """Return a text line for a measured point: blades, speed, loads, and a fault if there is one."""
     m, quick = plan.mounting[line["mounting"]], line.get("quick", {})
     loads = []
@@ -51,7 +51,7 @@ def format_progress_line(line: dict[str, Any], plan: SeriesPlan, p: SeriesProgre
     return f"{p.done_steps:4d}/{p.total_steps}  {blades} {line['speed_rpm']:6.0f} rpm  {', '.join(loads)}{fault}"
 
 
-def series_blocks(found: SeriesResult) -> list[ShownBlock]:
+def tabulate_series_result(found: SeriesResult) -> list[ShownBlock]:
     """Return as printed text a table of the settings with their intervals, the corrections, and the issues."""
     pair = any(s.axis == "pair" for s in found.settings)
     heads = ["rotor", "axis", "pitch (deg)", "speed (rpm)", "mounted", "thrust (N)"]
@@ -102,7 +102,7 @@ def _format_load(load: LoadInterval | None, scale: float = 1.0) -> str:
     return "-" if load is None else f"{scale * load.value:.4g} ± {scale * load.expanded:.2g}"
 
 
-def difference_blocks(found: Sequence[LoadDifference], first: str, second: str) -> list[ShownBlock]:
+def tabulate_load_differences(found: Sequence[LoadDifference], first: str, second: str) -> list[ShownBlock]:
     """Return a table of the differences between two series, or a series and theory; ``first`` and ``second`` name its
     columns.
     """

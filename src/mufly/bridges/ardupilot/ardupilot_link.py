@@ -82,7 +82,7 @@ class ServoPacket:
         return bool(np.all(self.pulse_us[: LOWER_OUTPUT + 1] > 0.0))
 
 
-def read_servo_packet(data: bytes) -> ServoPacket | None:
+def decode_servo_packet(data: bytes) -> ServoPacket | None:
     """Return the content of a packet; None if it is no packet of ArduPilot."""
     if len(data) < _SERVO_HEAD_STRUCT.size:
         return None
@@ -176,7 +176,7 @@ class ArduPilotSimulator(AutopilotSimulator):
             )
 
     def _answer(self, peer: Peer, data: bytes, stop: Callable[[], bool]) -> None:
-        packet = read_servo_packet(data)
+        packet = decode_servo_packet(data)
         if packet is None:
             self.vehicle.warn_once(
                 "packet", f"{peer.address} sends packets that are not ArduPilot's; close that program"

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from mufly.bridges.betaflight.betaflight_messages import encode_status_request, read_arming_obstacles
+from mufly.bridges.betaflight.betaflight_messages import decode_arming_refusals, encode_status_request
 from mufly.errors import MuflyError
 from mufly.link.ports import Endpoint
 
@@ -30,7 +30,7 @@ _MAX_START_ATTEMPTS, _START_TIMEOUT_S = 3, 10.0
 _ERROR_MARK = b"###ERROR"
 
 
-def load_cli_file(text: str, *, endpoint: Endpoint = CLI_ENDPOINT) -> None:
+def send_cli_file(text: str, *, endpoint: Endpoint = CLI_ENDPOINT) -> None:
     """Send the lines of a CLI file and wait until Betaflight has saved them and ended.
 
     Parameters
@@ -130,7 +130,7 @@ def run_betaflight(program: Path, folder: Path, text: str) -> Iterator[subproces
     with (folder / "betaflight.log").open("wb") as log:
         process = _start_program(program, folder, log)
         try:
-            load_cli_file(text)
+            send_cli_file(text)
             process.wait(_ANSWER_TIMEOUT_S)
             process = _start_program(program, folder, log)
             yield process
@@ -153,7 +153,7 @@ def _start_program(program: Path, folder: Path, log: IO[bytes]) -> subprocess.Po
                 answer = b""
                 while part := line.recv(65536):
                     answer += part
-                    if read_arming_obstacles(answer) is not None:
+                    if decode_arming_refusals(answer) is not None:
                         return process
             time.sleep(_CONNECT_RETRY_PERIOD_S)
         process.kill()

@@ -40,11 +40,11 @@ from mufly.bridges.betaflight.betaflight_messages import (
     GAZEBO_PACKET_BYTES,
     MIN_PULSE_US,
     BetaflightOutputs,
+    decode_arming_refusals,
+    decode_outputs,
     encode_channels,
     encode_state,
     encode_status_request,
-    read_arming_obstacles,
-    read_outputs,
 )
 from mufly.bridges.betaflight.betaflight_pilot import REST_PULSES_US, BetaflightPilot
 from mufly.bridges.betaflight.betaflight_settings import MOTOR_IDLE, PILOT_RATE_HZ
@@ -250,7 +250,7 @@ class BetaflightSimulator(AutopilotSimulator):
 
     def _receive(self) -> None:
         for peer, data in self.port.receive():
-            outputs = read_outputs(data)
+            outputs = decode_outputs(data)
             if outputs is None:
                 what = (
                     "the packets of port 9002, which carry no servos; Betaflight's outputs are at 9001"
@@ -290,7 +290,7 @@ class BetaflightSimulator(AutopilotSimulator):
             self._msp, self._msp_data = open_port(self._msp_endpoint), b""
         for _, data in self._msp.receive():
             self._msp_data += data
-        obstacles = read_arming_obstacles(self._msp_data)
+        obstacles = decode_arming_refusals(self._msp_data)
         if obstacles is None:
             if self.lockstep_period_count % round(BETAFLIGHT_RATE_HZ) == 0:
                 for peer in self._msp.peers:

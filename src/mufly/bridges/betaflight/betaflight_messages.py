@@ -83,7 +83,7 @@ class BetaflightOutputs:
         )
 
 
-def read_outputs(data: bytes) -> BetaflightOutputs | None:
+def decode_outputs(data: bytes) -> BetaflightOutputs | None:
     """Return the content of a packet of outputs; None if it is another packet."""
     if len(data) != _OUTPUTS_STRUCT.size:
         return None
@@ -123,7 +123,7 @@ def encode_status_request() -> bytes:
     return _MSP_REQUEST_HEAD + body + bytes([functools.reduce(operator.xor, body)])
 
 
-def read_arming_obstacles(data: bytes) -> list[str] | None:
+def decode_arming_refusals(data: bytes) -> list[str] | None:
     """Return the reasons against arming from an MSP answer; None until ``data`` contains a complete status message."""
     at = data.find(_MSP_ANSWER_HEAD)
     while at >= 0:

@@ -33,7 +33,7 @@ from mufly.bridges.px4.px4_messages import (
     ActuatorCommand,
     PositionSource,
     SensorMessageEncoder,
-    read_actuator_command,
+    decode_actuator_command,
 )
 from mufly.bridges.simulator_pace import SILENCE_TIMEOUT_S, AutopilotSimulator
 from mufly.link.codec import FrameDecoder, FrameEncoder, GlobalOrigin, MavMessage, mavlink
@@ -265,7 +265,7 @@ class Px4Simulator(AutopilotSimulator):
         kind = message.get_type()
         if kind == "HIL_ACTUATOR_CONTROLS":
             self._answer_count += 1
-            self._command = read_actuator_command(message)
+            self._command = decode_actuator_command(message)
             if self.state == "starting" and not self._command.has_lockstep:
                 self.state = "free-running"
                 self.vehicle.log_event("PX4 was built without lockstep; the simulation runs in real time", "warning")

@@ -77,7 +77,7 @@ class ActuatorCommand:
         return self.outputs[[UPPER_OUTPUT, LOWER_OUTPUT, SERVO_1_OUTPUT, SERVO_2_OUTPUT]]
 
 
-def read_actuator_command(message: MavMessage) -> ActuatorCommand:
+def decode_actuator_command(message: MavMessage) -> ActuatorCommand:
     """Return the content of a HIL_ACTUATOR_CONTROLS."""
     return ActuatorCommand(
         int(message.time_usec),

@@ -113,13 +113,13 @@ def plan(
     The file holds limits, times and order, and may be edited.
     Example: mufly bench plan --rotor naca0012-r60-c20 --pitch 10,14 --reference naca4412-r60-c20
     """
-    from mufly.bench.series.series_plan import StepDurations, make_plan
-    from mufly.bench.series.series_tables import plan_blocks
+    from mufly.bench.series.series_plan import StepDurations, make_series_plan
+    from mufly.bench.series.series_tables import tabulate_series_plan
     from mufly.rotor import load_rotor
 
     for r in [*rotor, *([reference] if reference else [])]:
         load_rotor(r)
-    made = make_plan(
+    made = make_series_plan(
         name, rotor, pitch, rpm, reference=reference or rotor[0],
         reference_pitch_deg=reference_pitch, repetitions=repeat, axis=axis,
         speed_ratios=list(ratio), reference_every=reference_every, seed=seed,
@@ -137,7 +137,7 @@ def plan(
             "points": made.point_count,
             "seconds": made.estimate_duration_s(),
         },
-        plan_blocks(made),
+        tabulate_series_plan(made),
         [out],
     )
 
@@ -172,13 +172,13 @@ def run(
     """
     from mufly.bench.rig.simulated_rig import make_simulated_rig
     from mufly.bench.series.live_page import PAGE_FILE_NAME, write_live_page
-    from mufly.bench.series.series_plan import read_plan
+    from mufly.bench.series.series_plan import read_series_plan
     from mufly.bench.series.series_record import SeriesRecord
     from mufly.bench.series.series_runner import LimitError, StopRequested, run_series
-    from mufly.bench.series.series_tables import format_progress_line
+    from mufly.bench.series.series_tables import format_measured_point
     from mufly.cli.station import ShutdownHandler
 
-    made = read_plan(plan)
+    made = read_series_plan(plan)
     check_output_place("--out", out)
     real = _load_real_rig(rig, fault) if rig != "sim" else None
     record = SeriesRecord(out)
@@ -197,7 +197,7 @@ def run(
         def show_progress(p: SeriesProgress) -> None:
             status.update(f"{100 * p.done_steps / p.total_steps:.0f} %  {p.activity}")
             if (line := p.record_line) is not None and line["what"] == "point":
-                err.print(format_progress_line(line, made, p), highlight=False, markup=False)
+                err.print(format_measured_point(line, made, p), highlight=False, markup=False)
             # At most one page a second: a simulated bench makes a hundred readings in a second.
             if (p.record_line is not None and time.monotonic() - drawn[0] > 1.0) or p.done_steps == p.total_steps:
                 drawn[0] = time.monotonic()
@@ -281,7 +281,7 @@ def analyse(
     from mufly.bench import read_measurements
     from mufly.bench.series.series_analysis import analyse_series as analysed
     from mufly.bench.series.series_files import write_series_results
-    from mufly.bench.series.series_tables import series_blocks
+    from mufly.bench.series.series_tables import tabulate_series_result
 
     found = analysed(series, known=None if known is None else read_measurements(known), accept=accept or [])
     folder = out or series / "results"
@@ -290,7 +290,7 @@ def analyse(
     print_answer(
         as_json,
         {"series": found, "refused": bool(found.fatal_issues)},
-        series_blocks(found),
+        tabulate_series_result(found),
         files,
     )
     single = next((s for s in found.settings if s.axis != "pair"), None)
@@ -333,7 +333,7 @@ def compare(
     from mufly.bench.series.series_analysis import analyse_series as analysed
     from mufly.bench.series.series_files import compare_series, compare_with_theory
     from mufly.bench.series.series_record import read_record
-    from mufly.bench.series.series_tables import difference_blocks
+    from mufly.bench.series.series_tables import tabulate_load_differences
 
     torque = None if known is None else read_measurements(known)
     first = _refuse_fatal_issues(analysed(series, known=torque, accept=accept or []), series)
@@ -346,7 +346,7 @@ def compare(
         found = compare_series(first, _refuse_fatal_issues(analysed(other, known=torque, accept=accept or []), other))
 
     names = ("bench", "theory") if other is None else ("first", "second")
-    print_answer(as_json, {"differences": found}, difference_blocks(found, *names))
+    print_answer(as_json, {"differences": found}, tabulate_load_differences(found, *names))
 
 
 def _refuse_fatal_issues(found: SeriesResult, where: Path) -> SeriesResult:

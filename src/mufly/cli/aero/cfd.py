@@ -37,7 +37,7 @@ from mufly.cli.output import (
     save_figure,
     write_records,
 )
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 from mufly.quantities.units import RPM
 from mufly.results import ResultColumn, make_lines_block, select_fields
 
@@ -139,7 +139,7 @@ def mesh(
     found = cfd.make_poly_mesh(sector)
     good, files = cfd.measure_mesh_quality(found), []
     if out is not None:
-        with report_write_errors("--out", key=str(out)):
+        with convert_write_errors("--out", key=str(out)):
             files.append(cfd.write_poly_mesh(found, out))
         files.append(save_figure(cfd.draw_mesh(found), out, "mesh"))
 
@@ -204,7 +204,7 @@ def run(
             raise InputError(
                 "--elastic", "", "needs a single rotor, run from its own start", "leave --gap, --save-only, --start out"
             )
-        return solve_elastic_point(rotor, case, rpm=rpm, climb=climb, out=out, as_json=as_json)
+        return solve_and_report_elastic_point(rotor, case, rpm=rpm, climb=climb, out=out, as_json=as_json)
     if by_turns and save_only:
         raise InputError("--gap", f"{gap:g}", "needs two running cases", "add --frozen, or leave --save-only out")
     second = {
@@ -212,13 +212,13 @@ def run(
         "lower_pitch_rad": None if lower_pitch is None else math.radians(lower_pitch),
         "lower_speed_rad_s": None if lower_rpm is None else lower_rpm * RPM,
     }
-    solve_point(
+    solve_and_report_point(
         rotor, case, rpm=rpm, climb=climb, pair=second, by_turns=by_turns, neighbour=start, out=out,
         save_only=save_only, as_json=as_json,
     )  # fmt: skip
 
 
-def solve_point(
+def solve_and_report_point(
     rotor: str, case: CaseOptions, *, rpm: float, climb: float, out: Path, as_json: bool,
     pair: Mapping[str, float | None] = MappingProxyType({}), by_turns: bool = False, neighbour: Path | None = None,
     save_only: bool = False,
@@ -240,7 +240,7 @@ def solve_point(
         cfd.find_solver()
     if by_turns:
         with _show_solver_progress(not as_json) as tell:
-            solved = cfd.solve_pair(out, r, progress=tell, **given)
+            solved = cfd.solve_rotor_pair(out, r, progress=tell, **given)
         raise typer.Exit(int(not report_pair(out, r, solved, as_json)))
     good = cfd.mesh_and_write_case(out, r, **given)
     if save_only:
@@ -252,7 +252,9 @@ def solve_point(
         raise typer.Exit(1)
 
 
-def solve_elastic_point(rotor: str, case: CaseOptions, *, rpm: float, climb: float, out: Path, as_json: bool) -> None:
+def solve_and_report_elastic_point(
+    rotor: str, case: CaseOptions, *, rpm: float, climb: float, out: Path, as_json: bool
+) -> None:
     """Solve and report one operating point of a rotor with elastic blades.
 
     Raises
@@ -419,7 +421,7 @@ def show(
     if climbs:
         report_climb_thrust(case, known, [cfd.read_solution(place) for place in climbs], as_json)
     elif both:
-        report_pair(case, known, cfd.read_pair(case), as_json)
+        report_pair(case, known, cfd.read_pair_solution(case), as_json)
     else:
         report_case(case, known, as_json)
 
@@ -436,7 +438,7 @@ def compare(
 
     Example: mufly cfd compare thesis_table_3_2.csv case-12-5000 case-12-7000
     """
-    from mufly.cfd import compare_cases as lay_beside
+    from mufly.cfd import compare_cases_with_table as lay_beside
 
     found = lay_beside(table, cases)
 
@@ -474,7 +476,7 @@ def show_convergence(
 
     Example: mufly cfd convergence case-coarse case-medium case-fine
     """
-    from mufly.cfd.grid_convergence import study_grid_convergence, tabulate_grid_convergence
+    from mufly.cfd.grid_convergence import estimate_load_grid_convergence, tabulate_grid_convergence
 
-    found = study_grid_convergence(cases)
+    found = estimate_load_grid_convergence(cases)
     print_answer(as_json, {c.name: c for c in found}, (tabulate_grid_convergence(found),))

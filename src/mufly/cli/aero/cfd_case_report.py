@@ -20,7 +20,7 @@ def report_case(folder: Path, rotor: Rotor | None, as_json: bool, rounds: Aeroel
     """
     from mufly import cfd
 
-    found = cfd.read_solution_report(folder, rotor, rounds)
+    found = cfd.build_solution_report(folder, rotor, rounds)
     print_answer(as_json, found, files=_write_report_files(found, folder))
     return found.settled
 
@@ -31,7 +31,7 @@ def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: 
     """
     from mufly import cfd
 
-    found = cfd.read_pair_report(folder, rotor, pair)
+    found = cfd.build_pair_report(folder, rotor, pair)
     files = [
         save_figure(cfd.draw_pair_span_loads(pair), folder, "pair"),
         *_write_report_files(found.upper, folder / "upper"),

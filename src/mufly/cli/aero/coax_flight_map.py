@@ -44,7 +44,7 @@ def compute_flight_map(
     Example: mufly coax flight-map mufly-1.1 --flap-frequency-ratio 1 --out pair.toml
     """
     from mufly.dynamics.vehicle_flight_map import make_flight_map
-    from mufly.files.answer_store import replace_file
+    from mufly.files.answer_store import replace_file_atomically
     from mufly.rotor import load_rotor
     from mufly.rotor.forward.edgewise_map import FlightMapSummary, evaluate_flight_map
     from mufly.rotor.forward.forward_pictures import draw_flight_map
@@ -61,7 +61,7 @@ def compute_flight_map(
     loads = evaluate_flight_map(made)
     files = []
     if out is not None:
-        with replace_file(out) as part:
+        with replace_file_atomically(out) as part:
             part.write_text(format_flight_map_toml(made), encoding="utf-8")
         files = [out, save_figure(draw_flight_map(made, loads), out.parent, out.stem)]
     print_answer(as_json, FlightMapSummary(made, loads), files=files)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mufly.rotor.structure.blade_structure import BladeStructure
 
 
-def choose_structure(rotor: Rotor, material: str | None, thickness: float | None) -> BladeStructure:
+def resolve_blade_structure(rotor: Rotor, material: str | None, thickness: float | None) -> BladeStructure:
     """Return the blade structure of a rotor file, with the material and thickness that the options give.
 
     Raises
@@ -44,7 +44,7 @@ def choose_structure(rotor: Rotor, material: str | None, thickness: float | None
     return base.model_copy(update=changes)
 
 
-def solve_elastic_point(
+def show_elastic_hover(
     name: str,
     theory: PolarOptions,
     pitch_deg: float,
@@ -66,7 +66,7 @@ def solve_elastic_point(
     r = load_rotor(name)
     found = solve_elastic_rotor(
         r, pitch_rad=math.radians(pitch_deg), speed_rad_s=speed_rpm * RPM, climb_m_s=climb,
-        air=Air(density_kg_m3=density), structure=choose_structure(r, material, thickness), n_crit=theory.n_crit,
+        air=Air(density_kg_m3=density), structure=resolve_blade_structure(r, material, thickness), n_crit=theory.n_crit,
         engine=theory.engine, corrections=theory.select_corrections(),
     )  # fmt: skip
     files = [] if out is None else [save_figure(draw_elastic_blade(found), out, "elastic")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from mufly.cli.aero.elastic_hover import choose_structure
+from mufly.cli.aero.elastic_hover import resolve_blade_structure
 from mufly.cli.options import (
     DensityOption,
     JsonOption,
@@ -70,7 +70,7 @@ def show_beam(
     speeds = [RPM * v for v in read_range("--rpm", rpm, "rpm", 10)]
     found = compute_campbell(
         r, speeds, pitch_rad=math.radians(pitch), air=Air(density_kg_m3=density),
-        structure=choose_structure(r, material, thickness),
+        structure=resolve_blade_structure(r, material, thickness),
     )  # fmt: skip
     files = []
     if out is not None:

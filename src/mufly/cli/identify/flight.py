@@ -223,7 +223,7 @@ def _read_records(
     paths: list[Path], columns: Path | None, prefix: str, vehicle: Vehicle, as_is: bool, uses_voltage: bool,
     part_s: tuple[float | None, float | None] = (None, None),
 ) -> tuple[list[FlightRecord], list[str]]:  # fmt: skip
-    from mufly.identify import check_flight_records, make_record
+    from mufly.identify import check_flight_records, make_flight_record
     from mufly.logs import LogWarning, read_log
 
     records: list[FlightRecord] = []
@@ -233,7 +233,7 @@ def _read_records(
             warnings.simplefilter("ignore", LogWarning)  # printed with the others
             data = read_log(path, columns=columns)
         said += [f"{path.name}: {note}" for note in data.attrs.get("notes", [])]
-        records.append(make_record(data, path.name, prefix=prefix).slice_time(*part_s))
+        records.append(make_flight_record(data, path.name, prefix=prefix).slice_time(*part_s))
     return records, [*said, *check_flight_records(records, vehicle, as_is=as_is, uses_voltage=uses_voltage)]
 
 
@@ -267,10 +267,10 @@ def _write_report(fit: FitResult, folder: Path | None, shown: bool) -> list[Path
     """Write the report of a fit into a folder, if given, and return its page; ``shown`` displays a progress bar."""
     if folder is None:
         return []
-    from mufly.identify import write_report
+    from mufly.identify import write_fit_report
 
     with progress_bar("pictures", shown) as progress:
-        return [write_report(fit, folder, progress=progress)]
+        return [write_fit_report(fit, folder, progress=progress)]
 
 
 @app.command()

@@ -204,7 +204,7 @@ def _fit_by_equations(
         )  # fmt: skip
     report = []
     if out is not None:
-        from mufly.identify import ReportSection, write_report
+        from mufly.identify import ReportSection, write_fit_report
 
         sections = [
             ReportSection("Equations", (), *e.equation_table(model)),
@@ -212,7 +212,7 @@ def _fit_by_equations(
             ReportSection("Fit of the records", (e.SCORES_EXPLANATION,), *e.score_table(model)),
         ]
         with progress_bar("pictures", not as_json) as progress:
-            report.append(write_report(e.equation_fit_result(model), out, sections=sections, progress=progress))
+            report.append(write_fit_report(e.equation_fit_result(model), out, sections=sections, progress=progress))
     if as_json:
         return print_json(model)
     print_lines(*model.notes, mark="Note")
@@ -339,7 +339,7 @@ def _write_responses(found: ResponseFits, out: Path) -> list[Path]:
     columns |= {f"{o}_multiple_coherence": data.coherence[:, k] for k, o in enumerate(data.outputs)}
     files = [write_records(out / "responses.csv", to_records(columns))]
     for k, name in enumerate(data.outputs):
-        with fit_pictures.report_style():
+        with fit_pictures.apply_report_colours():
             picture = draw_frequency_response(data, k, fits=found.transfer_functions)
             files.append(save_figure(picture, out, f"response-{name}"))
     return files
@@ -391,7 +391,7 @@ def _write_bandwidth(found: AttitudeBandwidth, out: Path) -> list[Path]:
     stick = found.response.select_inputs(found.response.inputs[:1])
     (pair,) = stick.tabulate_pair_responses().values()
     table = write_records(out / "response.csv", to_records({"frequency_Hz": stick.frequency_hz, **pair}))
-    with fit_pictures.report_style():
+    with fit_pictures.apply_report_colours():
         return [table, save_figure(draw_frequency_response(stick, read=found.bandwidth), out, "bandwidth")]
 
 
@@ -435,7 +435,7 @@ def compatibility(
     files = []
     if out is not None:
         files = [write_records(out / "path.csv", to_records(found.tabulate_path()))]
-        with fit_pictures.report_style():
+        with fit_pictures.apply_report_colours():
             files.append(save_figure(draw_reconstructed_outputs(found), out, "path"))
     print_answer(as_json, found, files=files)
 

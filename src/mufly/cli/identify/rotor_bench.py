@@ -23,7 +23,7 @@ from mufly.cli.options import (
     define_option,
     format_today,
     load_start_vehicle,
-    split_optional_std,
+    parse_value_and_std,
     write_estimated_vehicle,
 )
 from mufly.cli.output import (
@@ -123,7 +123,7 @@ def rotor(
 
     Example: mufly identify rotor bench.csv --radius 0.0875 --calibration cells.csv --out rotor
     """
-    from mufly.bench import calibrate_cells, compute_loads, predict_loads, read_bench_files
+    from mufly.bench import compute_loads, fit_cell_calibration, predict_loads, read_bench_files
     from mufly.identify.fit_pictures import draw_rotor_coefficients
     from mufly.identify.rotor_coefficients import (
         RotorCoefficientFit,
@@ -139,15 +139,15 @@ def rotor(
         raise InputError("--as", "", f"{place!r} is not a rotor of a vehicle", "use upper or lower")
     blades = load_rotor(predict_with) if predict_with is not None else None
     tables = read_bench_files([*bench, *([calibration] if calibration else [])], columns=columns or ())
-    cells = calibrate_cells(tables.pop()) if calibration else None
-    value, std = split_optional_std("--radius", radius)
+    cells = fit_cell_calibration(tables.pop()) if calibration else None
+    value, std = parse_value_and_std("--radius", radius)
     if value is None:
         known = [*([blades.radius_m] if blades else []), *([float(start.rotors.radius)] if start else [])]
         known += [0.5 * t.diameter_m for t in tables if math.isfinite(t.diameter_m)]
         if not known:
             raise InputError("--radius", "", "is missing", "give the rotor's radius in metres, or --rotor or --vehicle")
         value = known[0]
-    rho, rho_std = split_optional_std("--density", density)
+    rho, rho_std = parse_value_and_std("--density", density)
     loads = [compute_loads(t, cells, radius_m=value, density_kg_m3=rho) for t in tables]
     by_file = [
         fit_rotor_coefficients(
@@ -426,8 +426,8 @@ def motor(
 
     start = load_start_vehicle(vehicle, write)
     check_output_place("--out", out)
-    ratio, ratio_std = split_optional_std("--gear", gear_ratio)
-    eta, eta_std = split_optional_std("--gear-efficiency", gear_efficiency)
+    ratio, ratio_std = parse_value_and_std("--gear", gear_ratio)
+    eta, eta_std = parse_value_and_std("--gear-efficiency", gear_efficiency)
     if eta is not None and eta > 1.0:
         raise InputError("--gear-efficiency", "", f"{eta:g} is out of range", "give a number up to 1")
     table = read_bench_file(bench, columns=columns or ())

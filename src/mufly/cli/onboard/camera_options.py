@@ -49,12 +49,12 @@ def make_flight_camera(
         If the camera, or the floor of the options or of the mission, is invalid.
     """
     from mufly.camera import find_floor, load_camera
-    from mufly.flight.fixes.camera_sensor import CameraConfig, with_mission_floor
+    from mufly.flight.fixes.camera_sensor import CameraConfig, default_to_mission_floor
 
     lens = load_camera(camera or "mufly-2.0")
     if not floor and floor_width is not None and mission.floor is None:
         raise InputError("--floor-width", "", "there is no picture", "give --floor PICTURE, or leave it out")
-    config = with_mission_floor(CameraConfig(lens, floor or None, floor_width), mission)
+    config = default_to_mission_floor(CameraConfig(lens, floor or None, floor_width), mission)
     try:
         find_floor(config.floor_name, config.floor_width_m)
     except ArgumentError as error:

@@ -26,7 +26,7 @@ from mufly.cli.output import (
     print_lines,
     progress_bar,
 )
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -239,7 +239,7 @@ def _write_results(data: xr.Dataset, told: Sequence[Estimate], out: Path | None,
 
     if out is None:
         return []
-    with report_write_errors("--out", key=str(out)):
+    with convert_write_errors("--out", key=str(out)):
         out.mkdir(parents=True, exist_ok=True)
         files = [*draw_estimate_pictures(_add_bias_std(data, told), out), out / "estimate.mcap"]
         write_log(data, files[-1])

@@ -13,7 +13,7 @@ from mufly.cli.onboard.view_options import make_foxglove_view
 from mufly.cli.options import CommandGroup, JsonOption, VehicleOption, define_argument, define_option
 from mufly.cli.output import LiveDisplay, check_output_place, make_console, print_answer, print_lines
 from mufly.cli.station import ShutdownHandler, describe_sensor_source, parse_sensor_faults, resolve_wind
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 
 Autopilot = Literal["px4", "ardupilot", "betaflight"]
 _AUTOPILOT_NAMES: dict[Autopilot, str] = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
@@ -87,7 +87,7 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
         name, text = f"{loaded.name}.parm", format_parameter_file(loaded, designed, command)
         parameters = [p._asdict() for p in list_ardupilot_parameters(loaded, designed)]
     if out is not None:
-        with report_write_errors(out):
+        with convert_write_errors(out):
             out.mkdir(parents=True, exist_ok=True)
             files.append(out / name)
             files[0].write_text(text, encoding="utf-8")
@@ -110,7 +110,7 @@ def load(
 
       mufly autopilot load parameters/mufly-1.1-betaflight.txt
     """
-    from mufly.bridges.betaflight.betaflight_cli import load_cli_file
+    from mufly.bridges.betaflight.betaflight_cli import send_cli_file
     from mufly.link.ports import parse_endpoint
 
     endpoint = parse_endpoint(connect, "vehicle", "--connect")
@@ -121,7 +121,7 @@ def load(
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is no text"
         raise InputError(str(file), "", reason, "name a file of `mufly autopilot gains betaflight`") from None
-    load_cli_file(text, endpoint=endpoint)
+    send_cli_file(text, endpoint=endpoint)
     print_lines(f"Betaflight has saved {file} and ended; start it again in the same folder.")
 
 

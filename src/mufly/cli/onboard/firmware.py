@@ -44,7 +44,7 @@ from mufly.cli.station import (
     parse_sensor_faults,
     resolve_wind,
 )
-from mufly.errors import InputError, MuflyError, report_write_errors
+from mufly.errors import InputError, MuflyError, convert_write_errors
 from mufly.results import make_lines_block, tabulate_results
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def export(
     flown = load_mission(mission)
     controller = design_flight_controller(helicopter, settings=parse_design_settings(method, order, tuned))
     law = None
-    with report_write_errors("--out", key=str(out)):
+    with convert_write_errors("--out", key=str(out)):
         files = firmware.export_firmware(controller, out, helicopter, flown.world, flown)
         if fixed_point:
             law = firmware.export_fixed_point(controller, out)
@@ -106,7 +106,7 @@ def export(
         print_json({"files": [str(f) for f in files], **more})
         return
     if law is not None:
-        print_blocks(*law.shown_blocks(firmware.measure_cascade_loss(helicopter, controller, law)))
+        print_blocks(*law.shown_blocks(firmware.measure_cascade_margin_loss(helicopter, controller, law)))
     print_files([out])
     if helicopter.sensors is None:
         print_lines(
@@ -138,7 +138,7 @@ def policy(
     from mufly.flight.policy import load_policy
 
     learned = load_policy(file)
-    with report_write_errors("--out", key=str(out)):
+    with convert_write_errors("--out", key=str(out)):
         files = export_policy(learned, out)
     print_files([out])
     shape = " x ".join(map(str, learned.packed.sizes))
@@ -325,7 +325,7 @@ def split_log(
         raise InputError(str(image), "", "holds no log of a board", "give a copy of the whole device")
     check_output_place("--out", out, make=False)
     files = []
-    with report_write_errors("--out", key=str(out)):
+    with convert_write_errors("--out", key=str(out)):
         out.mkdir(parents=True, exist_ok=True)
         for s in sessions:
             if s.has_begin:
@@ -371,17 +371,17 @@ def report(
 
     Takes five to ten minutes.
     """
-    from mufly.firmware import write_report
+    from mufly.firmware import measure_and_write_report
     from mufly.vehicle import load_vehicle
 
     helicopter = load_vehicle(vehicle)
-    with report_write_errors("--out", key=str(out)), progress_bar("sections", not as_json) as progress:
+    with convert_write_errors("--out", key=str(out)), progress_bar("sections", not as_json) as progress:
 
         def show_progress(_: object, count: int, of: int) -> None:
             if progress is not None:
                 progress(count, of)
 
-        sections = write_report(helicopter, out, on_section=show_progress)
+        sections = measure_and_write_report(helicopter, out, on_section=show_progress)
     if as_json:
         return print_json({s.title: s.data for s in sections})
     for s in sections:

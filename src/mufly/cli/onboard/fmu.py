@@ -50,7 +50,7 @@ def export_vehicle(
     if check and sources_only:
         raise InputError("--check", "", "needs the compiled library", "leave out --sources-only")
     check_output_place("--out", out, "file")
-    from mufly.fmi import check_unit, export_fmu
+    from mufly.fmi import check_fmu_file, export_fmu
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
@@ -58,7 +58,7 @@ def export_vehicle(
         made = export_fmu(loaded, out, binary=not sources_only, seeds=seeds)
     except InputError as error:
         raise error.with_location(vehicle) if error.where == loaded.name else error from None
-    compared = check_unit(out, loaded) if check else None
+    compared = check_fmu_file(out, loaded) if check else None
     content = made if compared is None else {**to_plain_data(made), "check": compared}
     print_answer(as_json, content, [*made.shown_blocks(), *(compared.shown_blocks() if compared else ())], [out])
     if not (made.platform or sources_only or as_json):

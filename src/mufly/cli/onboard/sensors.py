@@ -25,7 +25,7 @@ from mufly.cli.output import (
 )
 from mufly.cli.station import FaultOption, GustOption, WindOption, resolve_wind
 from mufly.cli.vehicle import print_parameter_group
-from mufly.errors import report_write_errors
+from mufly.errors import convert_write_errors
 from mufly.results import ResultColumn, select_fields, tabulate_results
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def simulate(
     """
     import numpy as np
 
-    from mufly.flight import draw_sensors, fly_and_log_sensors, reading_errors, write_sensor_logs
+    from mufly.flight import compute_reading_errors, draw_sensor_readings, fly_and_log_sensors, write_sensor_logs
     from mufly.mission import load_mission
     from mufly.sensors import parse_fault
     from mufly.vehicle import load_vehicle
@@ -108,12 +108,12 @@ def simulate(
             wind=None if steady is None else np.array(steady), gust=gust,
             on_progress=None if progress is None else lambda p: progress(round(p.time_s), round(p.expected_s)),
         )  # fmt: skip
-    errors = [reading_errors(log) for log in logs.values()]
+    errors = [compute_reading_errors(log) for log in logs.values()]
     files = []
     if out is not None:
-        with report_write_errors("--out", key=str(out)):
+        with convert_write_errors("--out", key=str(out)):
             files = write_sensor_logs(logs, out)
-        files.append(save_figure(draw_sensors(logs), out, "sensors"))
+        files.append(save_figure(draw_sensor_readings(logs), out, "sensors"))
     columns: tuple[ResultColumn | str, ...] = (
         "name", ResultColumn("rate_Hz", form=".0f"), ResultColumn("delay_s", "ms", ".0f"),
         ResultColumn("invalid_share", form=".1%"),

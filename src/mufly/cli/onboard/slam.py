@@ -17,7 +17,7 @@ from mufly.cli.output import (
     save_figure,
     write_text_file,
 )
-from mufly.errors import InputError, MuflyError, report_write_errors
+from mufly.errors import InputError, MuflyError, convert_write_errors
 from mufly.results import make_lines_block, select_fields, tabulate_results
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def render(
         light=lambda t: light,
     )
     total = int(duration / float(lens.sensor.period))
-    with report_write_errors("--out", key=str(out)), progress_bar("pictures", not as_json) as bar:
+    with convert_write_errors("--out", key=str(out)), progress_bar("pictures", not as_json) as bar:
         count = write_dataset(
             out, lens, path, made, layout, (lambda k: None) if bar is None else (lambda k: bar(k + 1, total)),
             add_imu_errors(ideal_imu_rows(path), seed) if motion == "hand" and recording is None else None,
@@ -254,7 +254,7 @@ def run(
 
       mufly slam run http://127.0.0.1:8090/stream --camera mufly-2.0 --height 1
     """
-    from mufly.camera import LivePictures, find_camera, is_live_source, load_camera
+    from mufly.camera import LivePictures, is_live_source, load_camera, load_recording_camera
     from mufly.cli.station import ShutdownHandler
     from mufly.link import parse_endpoint
     from mufly.link.companion import CompanionPort
@@ -303,7 +303,7 @@ def run(
             ))  # fmt: skip
             source = open_live(live, port.frame_infos_at if port is not None else cast(Any, told))
         else:
-            lens = find_camera(Path(place), camera)
+            lens = load_recording_camera(Path(place), camera)
             source = open_pictures(place, lens, height_m=height, rate_Hz=rate, times=times, told=told)
             source.check_picture_interval()
         truth = source.truth
@@ -360,11 +360,11 @@ def run(
         )
     files = []
     if save_map is not None:
-        with report_write_errors("--save-map", "give another file", str(save_map)):
+        with convert_write_errors("--save-map", "give another file", str(save_map)):
             slam.floor_map.save(save_map)
         files.append(save_map)
     if out is not None:
-        with report_write_errors("--out", key=str(out)):
+        with convert_write_errors("--out", key=str(out)):
             found.write(out / "trajectory.txt")
         files += [out / "trajectory.txt", write_log(found.to_dataset(), out / "trajectory.mcap")]
         files.append(save_figure(plot_trajectory(found, slam, truth), out, "trajectory"))
@@ -399,12 +399,12 @@ def serve(
     """
     import time
 
-    from mufly.camera import StreamServer, encode_jpeg, find_camera, is_local_host, parse_address
+    from mufly.camera import StreamServer, encode_jpeg, is_local_host, load_recording_camera, parse_address
     from mufly.slam import open_pictures
 
     if not 0.05 <= speed <= 20.0:
         raise InputError("--speed", "", f"{speed:g} is out of range", "give 0.05 to 20")
-    source = open_pictures(place, find_camera(place, camera), height_m=1.0)
+    source = open_pictures(place, load_recording_camera(place, camera), height_m=1.0)
     host, port = parse_address(at)
     with StreamServer(host, port) as server:
         print_lines(f"{source.frame_count} pictures at {server.url}, from the first viewer on; Ctrl-C ends the stream")
@@ -505,12 +505,12 @@ def calibrate(
 
       mufly slam calibrate turned --by hand --camera lens.toml --out camera.toml
     """
-    from mufly.camera import find_camera, load_camera
+    from mufly.camera import load_camera, load_recording_camera
     from mufly.slam import calibrate_lens, format_camera_toml, list_board_pictures
     from mufly.slam.calibration.hand_calibration import calibrate_from_folder
 
     if by == "hand":
-        initial = find_camera(pictures, camera)
+        initial = load_recording_camera(pictures, camera)
         with progress_bar("pictures", not as_json) as bar:
             held = calibrate_from_folder(pictures, initial, height_m=height, on_picture=bar)
         if out is not None:

@@ -38,9 +38,9 @@ def make_live_views(foxglove: str, ros: bool) -> tuple[LiveViewConfig, ...]:
     if foxglove:
         views.append(make_foxglove_view(foxglove))
     if ros:
-        from mufly.bridges.ros_node import RosViewConfig, load_rclpy
+        from mufly.bridges.ros_node import RosViewConfig, import_rclpy
 
-        load_rclpy()
+        import_rclpy()
         views.append(RosViewConfig())
     return tuple(views)
 
@@ -53,8 +53,8 @@ def make_foxglove_view(address: str) -> FoxgloveViewConfig:
     InputError
         If the address is wrong or foxglove-sdk is missing.
     """
-    from mufly.bridges.foxglove_live import FoxgloveViewConfig, load_foxglove
+    from mufly.bridges.foxglove_live import FoxgloveViewConfig, import_foxglove
     from mufly.camera import parse_address
 
-    load_foxglove()
+    import_foxglove()
     return FoxgloveViewConfig(*parse_address(address, "--foxglove"))

@@ -23,7 +23,7 @@ import xarray as xr
 
 from mufly.compiled.numba_cache import imported_sources
 from mufly.control.analysis.gust_response import compute_gust_tilt_std
-from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_noise
+from mufly.control.analysis.loop_margins import DiskMargin, compute_input_noise_std, disk_margin
 from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import FlightController, design_flight_controller
 from mufly.control.linear_systems import Array, LoopAnalysis, analyse_loop, sample_plant
@@ -261,7 +261,7 @@ def compute_loop_metrics(
         norm=design.reduction.chosen.norm,
         sampled=design.sampled_loop,
         disk=disk_margin(plant, feedback),
-        input_noise=float(input_noise(plant, feedback, noise).max()),
+        input_noise=float(compute_input_noise_std(plant, feedback, noise).max()),
         mu_upper=mu[0],
         mu_lower=mu[1],
     )
@@ -321,7 +321,7 @@ def compare_methods(
         c = design_flight_controller(vehicle, settings=chosen)
         linear = linearise_vehicle(vehicle, voltage=c.voltage_V)
         if plants is None:
-            plants = roll_pitch_plants_by_speed(vehicle, speeds_m_s, c.voltage_V)
+            plants = linearise_roll_pitch_by_speed(vehicle, speeds_m_s, c.voltage_V)
         bounds = load_or_compute_mu_bounds(vehicle, c, points, None if folder is None else folder / f"mu-{method}.json")
         rows.append(
             MethodMetrics(
@@ -340,7 +340,7 @@ def compare_methods(
     return recommend_method(vehicle.name, rate, rows), controllers
 
 
-def roll_pitch_plants_by_speed(
+def linearise_roll_pitch_by_speed(
     vehicle: Vehicle, speeds_m_s: Sequence[float], voltage: float
 ) -> dict[float, control.StateSpace]:
     """Return the plants of roll-pitch by forward speed; speeds without steady flight are left out."""

@@ -95,7 +95,7 @@ def disk_margin(plant: control.StateSpace, feedback: control.StateSpace, *, poin
     return DiskMargin(a, float(gain), float(2 * np.degrees(np.arctan(a / 2))), where)
 
 
-def input_noise(plant: control.StateSpace, feedback: control.StateSpace, noise: Array) -> Array:
+def compute_input_noise_std(plant: control.StateSpace, feedback: control.StateSpace, noise: Array) -> Array:
     """Return the standard deviation of each input due to measurement noise in a sampled loop.
 
     Parameters

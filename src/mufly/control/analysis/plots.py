@@ -17,7 +17,7 @@ from mufly.control.analysis.comparison import ControllerComparison, LoopMetrics
 from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, ServoTimingMap
 from mufly.control.controller_design import ControllerDesign
 from mufly.control.designs import FlightController
-from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
+from mufly.control.linear_systems import Array, LoopCurves, compute_loop_singular_values, sample_plant, singular_values
 from mufly.control.robust.parameter_robustness import ParameterRobustness
 from mufly.control.tuning.output_schedule import OutputSchedule
 from mufly.control.tuning.tuned_loop import TunedLoop
@@ -82,7 +82,7 @@ def _cite_thesis_figure(design: ControllerDesign, which: int) -> str:
     )
 
 
-def draw_plant(design: ControllerDesign) -> Figure:
+def draw_plant_singular_values(design: ControllerDesign) -> Figure:
     """Draw singular values of the unscaled plant (Figs 6.3 and 6.7); mark its 0 dB crossings and those of the
     thesis.
     """
@@ -112,8 +112,10 @@ def _compute_design_curves(design: ControllerDesign, controller: control.StateSp
     dt = controller.dt or 0.0
     if dt:
         frequency = _FREQUENCY_GRID[: int(np.searchsorted(_FREQUENCY_GRID, np.pi / dt))]
-        return loop_curves(sample_plant(design.plant, dt, 1), design.feedback_controller(controller), frequency)
-    return loop_curves(design.plant, design.feedback_controller(controller), _FREQUENCY_GRID)
+        return compute_loop_singular_values(
+            sample_plant(design.plant, dt, 1), design.feedback_controller(controller), frequency
+        )
+    return compute_loop_singular_values(design.plant, design.feedback_controller(controller), _FREQUENCY_GRID)
 
 
 @draws(ControllerDesign)
@@ -273,7 +275,7 @@ def draw_comparison(comparison: ControllerComparison) -> Figure:
 
 
 @draws(OutputSchedule)
-def draw_schedule(schedule: OutputSchedule) -> Figure:
+def draw_schedule_margins(schedule: OutputSchedule) -> Figure:
     """Draw disk margin and peaks of a scheduled roll-pitch loop over forward speed."""
     figure = blank_figure(7.0, 4.6)
     upper, lower = figure.subplots(2, 1, sharex=True)
@@ -314,10 +316,10 @@ def write_design_pictures(controller: FlightController, folder: Path | str) -> l
     target.mkdir(parents=True, exist_ok=True)
     written = []
     for design in controller.all_designs:
-        for what, draw in (("plant", draw_plant), ("loop", draw_loop)):
+        for what, draw in (("plant", draw_plant_singular_values), ("loop", draw_loop)):
             written.append(target / f"{design.name}-{what}.png")
             draw(design).savefig(written[-1])
     if controller.schedule is not None:
         written.append(target / "roll-pitch-schedule.png")
-        draw_schedule(controller.schedule).savefig(written[-1])
+        draw_schedule_margins(controller.schedule).savefig(written[-1])
     return written

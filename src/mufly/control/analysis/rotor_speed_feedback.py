@@ -26,8 +26,8 @@ from scipy import linalg
 from mufly.control.analysis.comparison import compute_output_noise_std
 from mufly.control.analysis.loop_margins import disk_margin
 from mufly.control.implementation import discretise_controller
-from mufly.control.linear_systems import Array, analyse_loop, feedback_part, sample_plant
-from mufly.control.synthesis.lqg import LqgWeights, design_lqg, largest_recovery
+from mufly.control.linear_systems import Array, analyse_loop, extract_feedback_controller, sample_plant
+from mufly.control.synthesis.lqg import LqgWeights, design_lqg, find_largest_ltr_parameter
 from mufly.control.synthesis.weighting_schemes import (
     HEAVE_YAW_LQG,
     SignalScaling,
@@ -139,7 +139,7 @@ def compute_back_emf_speed_noise(vehicle: Vehicle) -> float:
     return volts / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
 
 
-def compare_rotor_speeds(
+def compare_rotor_speed_feedback(
     vehicle: Vehicle, *, rate_Hz: float = 200.0, control_weights: Sequence[float] = CONTROL_WEIGHTS
 ) -> RotorSpeedComparison:
     """Design heave-yaw controllers with and without measured rotor speeds, and compare their margins and errors.
@@ -173,7 +173,7 @@ def _assess_heave_yaw_loop(
 ) -> HeaveYawRow | None:
     """Return the figures of a loop; None if it is not stable when sampled."""
     G = scale_plant(plant, scaling)
-    q = largest_recovery(G, weights, 2.0 * np.pi / period)
+    q = find_largest_ltr_parameter(G, weights, 2.0 * np.pi / period)
     try:
         found = design_lqg(G, (0, 1), weights, recovery=q)
     except MuflyError:
@@ -183,7 +183,7 @@ def _assess_heave_yaw_loop(
         unscale_controller(found.controller, so, si), found.anti_windup_matrix / si, period
     )
     held, K = sample_plant(plant, period, 1), discrete.to_state_space()
-    feedback = feedback_part(K, plant, range(plant.noutputs))
+    feedback = extract_feedback_controller(K, plant, range(plant.noutputs))
     loop = analyse_loop(held, feedback, output_scale=so)
     if not loop.stable:
         return None

@@ -30,7 +30,7 @@ from mufly.control.analysis.gust_response import GUST_m_s, compute_lateral_gust_
 from mufly.control.analysis.loop_margins import disk_margin
 from mufly.control.designs import POSITION_LOOP_RATE_DIVIDER, design_roll_pitch, design_velocity
 from mufly.control.linear_systems import analyse_loop, sample_plant
-from mufly.control.synthesis.weighting_schemes import DesignSettings, TransferFunction, complete_settings
+from mufly.control.synthesis.weighting_schemes import DesignSettings, TransferFunction, fill_missing_weights
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import MuflyError
 from mufly.results import ShownBlock, make_lines_block, make_table_block, result
@@ -142,7 +142,7 @@ def compute_servo_map(
     MuflyError
         If the vehicle cannot hover.
     """
-    s = complete_settings(DesignSettings(), vehicle)
+    s = fill_missing_weights(DesignSettings(), vehicle)
     shape = len(frames_s), len(rates_Hz), len(lags_s)
     values = {name: np.full(shape, np.nan) for name in _FIGURE_LABELS_AND_UNITS}
     best = dict.fromkeys(np.ndindex(shape), (0.0, 0.0))
@@ -199,7 +199,7 @@ def scale_roll_pitch_bandwidth(settings: DesignSettings, factor: float) -> Desig
     Both corner frequencies of W_r and the zero of W_v are multiplied by ``factor``.
     """
     w = settings.roll_pitch_weights
-    assert w is not None  # complete_settings
+    assert w is not None  # fill_missing_weights
     r, v = w.output_noise, w.input_disturbance
     moved = replace(
         w,

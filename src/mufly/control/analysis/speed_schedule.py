@@ -18,7 +18,7 @@ from mufly.control.analysis.loop_margins import disk_margin
 from mufly.control.designs import DEFAULT_CONTROL_RATE_HZ, design_roll_pitch
 from mufly.control.linear_systems import Array, analyse_loop, sample_plant
 from mufly.control.synthesis.synthesis_methods import SYNTHESIS_METHOD_NAMES, SynthesisMethod
-from mufly.control.synthesis.weighting_schemes import DesignSettings, complete_settings
+from mufly.control.synthesis.weighting_schemes import DesignSettings, fill_missing_weights
 from mufly.dynamics import find_trim, linearise_vehicle
 from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import Vehicle
@@ -103,7 +103,7 @@ class ScheduleComparison:
         return [make_table_block(heads, rows, title=title), make_lines_block(self.verdict)]
 
 
-def compare_schedules(
+def compare_designs_over_speed(
     vehicle: Vehicle,
     methods: Sequence[SynthesisMethod] = FAST_SYNTHESIS_METHODS,
     *,
@@ -126,7 +126,7 @@ def compare_schedules(
     MuflyError
         If there is no steady flight at a speed, or a design fails.
     """
-    base = complete_settings(DesignSettings(), vehicle)
+    base = fill_missing_weights(DesignSettings(), vehicle)
     period, n = 1.0 / DEFAULT_CONTROL_RATE_HZ, len(speeds_m_s)
     plants = [linearise_vehicle(vehicle, find_trim(vehicle, velocity=(v, 0.0, 0.0))).roll_pitch for v in speeds_m_s]
     held = [sample_plant(plant, period, 1) for plant in plants]

@@ -24,7 +24,7 @@ from scipy import linalg, optimize
 
 from mufly.control.linear_systems import Array, ComplexArray, frequency_response, replace_matrices
 from mufly.control.robust.structured_singular_value import Block, mu_upper_bound
-from mufly.control.synthesis.hinf import HinfResult, close_loop, hinfsyn
+from mufly.control.synthesis.hinf import HinfResult, compute_lower_lft, hinfsyn
 from mufly.errors import ArgumentError, MuflyError
 from mufly.results import result
 
@@ -114,7 +114,7 @@ class DkIterationResult:
     rounds: tuple[DkIterationRound, ...]
 
 
-def fit_magnitude(
+def fit_filter_to_magnitude(
     frequency: Array, magnitude: Array, order_max: int, tolerance: float, weight: Array | None = None
 ) -> ScalingFilter:
     """Fit a filter of low order to a magnitude.
@@ -172,7 +172,7 @@ def fit_magnitude(
     return best
 
 
-def scale_channels(
+def scale_uncertainty_channels(
     plant: control.StateSpace, channels: Sequence[UncertaintyChannel], filters: Sequence[ScalingFilter]
 ) -> control.StateSpace:
     """Scale the uncertainty channels of a plant: outputs by their filters, inputs by the inverse filters.
@@ -278,7 +278,7 @@ def iterate_dk(
     order_max : int
         Largest order of a scaling's filter.
     fit_tolerance : float
-        Error of a filter's logarithm; see :func:`fit_magnitude`.
+        Error of a filter's logarithm; see :func:`fit_filter_to_magnitude`.
     relaxation : float
         Factor on the smallest level; see ``hinfsyn``.
 
@@ -308,11 +308,11 @@ def iterate_dk(
     poor = 0
 
     def sweep_controller_mu(K: control.StateSpace) -> tuple[Array, Array]:
-        return sweep_complex_mu(frequency_response(close_loop(plant, K), frequency), channels)
+        return sweep_complex_mu(frequency_response(compute_lower_lft(plant, K), frequency), channels)
 
     def fit_scaling_filters(bound: Array, magnitudes: Array) -> list[ScalingFilter]:
         share = (bound / bound.max()) ** _FIT_WEIGHT_EXPONENT
-        fitted = [fit_magnitude(frequency, d, order_max, fit_tolerance, share) for d in magnitudes.T[:-1]]
+        fitted = [fit_filter_to_magnitude(frequency, d, order_max, fit_tolerance, share) for d in magnitudes.T[:-1]]
         return [*fitted, ScalingFilter(1.0, none, none)]
 
     if start is not None:
@@ -320,7 +320,7 @@ def iterate_dk(
     for k in range(rounds):
         try:
             found = _synthesise_hinf_controller(
-                scale_channels(plant, channels, filters), n_measurements, n_controls, relaxation
+                scale_uncertainty_channels(plant, channels, filters), n_measurements, n_controls, relaxation
             )
         except MuflyError:
             if best is None:

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import linalg
 
 from mufly.control.linear_systems import Array, ComplexArray, state_space
-from mufly.control.synthesis.hinf import balance_states, close_loop, partition_plant
+from mufly.control.synthesis.hinf import compute_lower_lft, partition_plant, scale_states_diagonally
 from mufly.errors import MuflyError
 from mufly.results import result
 
@@ -101,7 +101,7 @@ def h2syn(P: control.StateSpace, n_measurements: int, n_controls: int) -> H2Resu
     -----
     Source: Doyle, Glover, Khargonekar and Francis (1989); see the module's docstring.
     """
-    even = balance_states(P)
+    even = scale_states_diagonally(P)
     p = partition_plant(even.A, even.B, even.C, even.D, n_measurements, n_controls)
     ny, nu = p.D22.shape
     if p.D11.size and np.abs(p.D11).max() > 1e-12:
@@ -129,7 +129,7 @@ def h2syn(P: control.StateSpace, n_measurements: int, n_controls: int) -> H2Resu
         inputs=P.output_labels[-ny:],
         outputs=P.input_labels[-nu:],
     )
-    loop = close_loop(P, K)
+    loop = compute_lower_lft(P, K)
     cost = np.trace(p.B1.T @ X @ p.B1) + np.trace(R @ F @ Y @ F.T)
     return H2Result(
         K,

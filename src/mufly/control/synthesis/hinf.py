@@ -92,7 +92,7 @@ def partition_plant(A: Array, B: Array, C: Array, D: Array, ny: int, nu: int) ->
     )
 
 
-def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpace:
+def compute_lower_lft(P: control.StateSpace, K: control.StateSpace) -> control.StateSpace:
     """Return the lower linear fractional transformation: ``P`` with its last signals closed by ``K`` (u = K y).
 
     Raises
@@ -124,7 +124,7 @@ def _scale_signals(P: control.StateSpace, inputs: Array, outputs: Array) -> cont
     return replace_matrices(P, B=P.B * inputs, C=P.C * outputs[:, None], D=P.D * inputs * outputs[:, None])
 
 
-def balance_states(P: control.StateSpace) -> control.StateSpace:
+def scale_states_diagonally(P: control.StateSpace) -> control.StateSpace:
     """Return the plant after diagonal scaling, in powers of two, that balances rows and columns of [A B; C 0]."""
     n = P.nstates
     whole = np.block([[P.A, P.B], [P.C, np.zeros(P.D.shape)]])
@@ -151,7 +151,7 @@ def _signal_scales(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Arra
     inputs, outputs = np.ones(P.ninputs), np.ones(P.noutputs)
     nw, nz = P.ninputs - nu, P.noutputs - ny
     for _ in range(20):
-        even = balance_states(_scale_signals(P, inputs, outputs))
+        even = scale_states_diagonally(_scale_signals(P, inputs, outputs))
         p = partition_plant(even.A, even.B, even.C, even.D, ny, nu)
         loops = ((p.B2 @ np.linalg.pinv(p.D12), p.C1), (p.B1, np.linalg.pinv(p.D21) @ p.C2))
         rate = max(np.linalg.norm(p.A), *(1e-6 * np.linalg.norm(M) * np.linalg.norm(N) for M, N in loops))
@@ -382,7 +382,7 @@ def hinfsyn(
         raise MuflyError("H-infinity synthesis: the plant holds a number that is not finite")
     inputs, outputs = _signal_scales(P, n_measurements, n_controls)
     unit = float(inputs[0] * outputs[0])  # ratio of a level of the scaled plant to one of the plant as given
-    scaled = balance_states(_scale_signals(P, inputs, outputs))
+    scaled = scale_states_diagonally(_scale_signals(P, inputs, outputs))
     p, Ru, Ry = _normalise_plant(scaled, n_measurements, n_controls, regularisation)
     a, b = p.C1.shape[0] - n_controls, p.B1.shape[1] - n_measurements
     floor = float(max(np.linalg.norm(p.D11[:a], 2) if a else 0.0, np.linalg.norm(p.D11[:, :b], 2) if b else 0.0))
@@ -424,7 +424,7 @@ def hinfsyn(
             K = _recover_controller(p, Ru, Ry, gamma, scaled)
             if K is not None:
                 try:
-                    loop = close_loop(scaled, K)
+                    loop = compute_lower_lft(scaled, K)
                     norm, where = hinf_norm(loop)
                 except (MuflyError, np.linalg.LinAlgError):  # not well posed, or beyond rounding
                     continue

@@ -8,7 +8,8 @@ feedback minimises the integral of weighted squares of errors, rates, integrals 
 
 The loop of state feedback has S_u of at most 0 dB. As ``q`` grows the loop with the filter approaches it, if the plant
 has no zero in the right half plane (Doyle and Stein, IEEE Trans. Autom. Control 26, 1981). The filter's poles grow with
-``q``. The bilinear rule distorts poles beyond the sampling rate, so :func:`largest_recovery` bounds ``q`` by them.
+``q``. The bilinear rule distorts poles beyond the sampling rate, so :func:`find_largest_ltr_parameter` bounds ``q``
+by them.
 
 ``N`` is the equilibrium of a referenced output, for a controller that reads references and errors apart. A controller
 that reads only errors applies filter and integrators to them.
@@ -121,7 +122,7 @@ def kalman_gain(plant: control.StateSpace, intensity: float, noise: Array) -> Ar
     return lqr_gain(plant.A.T, plant.C.T, process, np.diag(np.square(noise))).T
 
 
-def largest_recovery(plant: control.StateSpace, weights: LqgWeights, fastest: float) -> float:
+def find_largest_ltr_parameter(plant: control.StateSpace, weights: LqgWeights, fastest: float) -> float:
     """Return the largest LTR parameter q (recovery) whose filter poles are at most as fast as ``fastest`` (rad/s).
 
     The result lies between the process noise and the recovery of ``weights``.

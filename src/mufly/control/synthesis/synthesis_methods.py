@@ -18,12 +18,12 @@ from mufly.control.linear_systems import Array, hinf_norm, state_space
 from mufly.control.robust.dk_iteration import iterate_dk
 from mufly.control.robust.uncertain_plant import add_uncertainty
 from mufly.control.synthesis.h2 import h2syn
-from mufly.control.synthesis.hinf import close_loop, hinfsyn
+from mufly.control.synthesis.hinf import compute_lower_lft, hinfsyn
 from mufly.control.synthesis.indi import IndiGains, design_indi
-from mufly.control.synthesis.lqg import LqgWeights, design_lqg, largest_recovery
+from mufly.control.synthesis.lqg import LqgWeights, design_lqg, find_largest_ltr_parameter
 from mufly.control.tuning.fixed_order import (
     NormGoal,
-    add_delay,
+    add_input_delay,
     evaluate_goal_norms,
     make_flight_goals,
     reduce_start_controllers,
@@ -237,13 +237,13 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
         norm = hinf_norm(optimal.closed_loop)[0]
         return SynthesisedController(optimal.controller, optimal.anti_windup_matrix, np.nan, np.nan, norm)
     if method in ("lqg", "ltr") and p.lqg is not None:
-        recovery = largest_recovery(p.plant, p.lqg, p.sampling_rate_rad_s) if method == "ltr" else None
+        recovery = find_largest_ltr_parameter(p.plant, p.lqg, p.sampling_rate_rad_s) if method == "ltr" else None
         lqg = design_lqg(p.plant, p.referenced_outputs, p.lqg, recovery=recovery, two_degrees=p.two_degrees)
-        norm = hinf_norm(close_loop(p.generalised, lqg.controller))[0]
+        norm = hinf_norm(compute_lower_lft(p.generalised, lqg.controller))[0]
         return SynthesisedController(lqg.controller, lqg.anti_windup_matrix, np.nan, np.nan, norm)
     if method == "indi" and p.indi is not None:
         law = design_indi(p.plant, p.indi, 2 * np.pi / p.sampling_rate_rad_s)
-        norm = hinf_norm(close_loop(p.generalised, law.controller))[0]
+        norm = hinf_norm(compute_lower_lft(p.generalised, law.controller))[0]
         return SynthesisedController(law.controller, law.anti_windup_matrix, np.nan, np.nan, norm)
     if method == "mu":
         return _iterate_dk(p, p.robust)
@@ -258,7 +258,7 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
 def _iterate_dk(p: SynthesisProblem, goals: DkIterationSettings) -> SynthesisedController:
     """Return the controller of D-K iteration for the plant with delay and uncertainty, starting from H-infinity."""
     n_controls = p.plant.ninputs
-    generalised = p.generalise(add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate_rad_s))
+    generalised = p.generalise(add_input_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate_rad_s))
     uncertain, channels = add_uncertainty(
         generalised, p.plant, p.n_measurements, p.derivatives, goals.input_uncertainty
     )
@@ -274,7 +274,7 @@ def _iterate_dk(p: SynthesisProblem, goals: DkIterationSettings) -> SynthesisedC
         fit_tolerance=0.1,
         relaxation=goals.relaxation,
     )
-    norm = hinf_norm(close_loop(p.generalised, found.controller))[0]
+    norm = hinf_norm(compute_lower_lft(p.generalised, found.controller))[0]
     return SynthesisedController(found.controller, found.anti_windup_matrix, found.gamma, found.gamma, norm)
 
 
@@ -294,7 +294,7 @@ def _tune_fixed_order(p: SynthesisProblem, fixed: FixedOrderGoals) -> Synthesise
 
 def _delayed_plants(p: SynthesisProblem) -> tuple[control.StateSpace, control.StateSpace]:
     """Return the generalised plant and the plant without weights, both with 1.5 periods of delay."""
-    delayed = add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate_rad_s)
+    delayed = add_input_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate_rad_s)
     return p.generalise(delayed), delayed
 
 
@@ -318,5 +318,5 @@ def _make_fixed_order_goals(
 
 def _wrap_given_controller(p: SynthesisProblem, K: control.StateSpace) -> SynthesisedController:
     """Return a given controller as a result of synthesis: with the norm of its loop and without anti-windup input."""
-    norm = hinf_norm(close_loop(p.generalised, K))[0]
+    norm = hinf_norm(compute_lower_lft(p.generalised, K))[0]
     return SynthesisedController(K, np.zeros((K.nstates, p.plant.ninputs)), np.nan, np.nan, norm)

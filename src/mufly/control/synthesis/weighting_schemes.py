@@ -163,7 +163,7 @@ class _WeightedDiagram:
             self.wiring[f"{name}[{i}]"] = {i if k == "own" else f"{k}[{i}]": v for k, v in terms.items()}
 
 
-def two_degree_plant(
+def make_two_dof_generalised_plant(
     plant: control.StateSpace, references: Sequence[str], weights: TwoDegreeWeights
 ) -> control.StateSpace:
     """Return the generalised plant of the dual two-degree-of-freedom GS/T scheme (thesis Fig. 6.4, eq. 6.3).
@@ -209,7 +209,7 @@ def two_degree_plant(
     )
 
 
-def one_degree_plant(
+def make_one_dof_generalised_plant(
     plant: control.StateSpace, references: Sequence[str], weights: OneDegreeWeights
 ) -> control.StateSpace:
     """Return the generalised plant of the dual one-degree-of-freedom GS/T scheme (thesis Fig. 6.6, eq. 6.5).
@@ -310,7 +310,7 @@ class DesignSettings:
         Factor on the smallest level; see ``hinfsyn``.
     roll_pitch_scaling, roll_pitch_weights, roll_pitch_relaxation
         Likewise: phi, theta (rad), p, q (rad/s); servos 1, 2; see :func:`roll_pitch_scaling`. Weights None: those of
-        a vehicle with or without a stabiliser bar, see :func:`complete_settings`.
+        a vehicle with or without a stabiliser bar, see :func:`fill_missing_weights`.
     velocity_scaling, velocity_weights, velocity_relaxation
         Likewise: u, v (m/s); phi, theta (rad).
     heave_yaw_lqg, roll_pitch_lqg : LqgWeights
@@ -390,7 +390,7 @@ class DesignSettings:
     voltage_filter_s: float = 0.05
 
 
-def complete_settings(settings: DesignSettings, vehicle: Vehicle) -> DesignSettings:
+def fill_missing_weights(settings: DesignSettings, vehicle: Vehicle) -> DesignSettings:
     """Return the settings; missing roll-pitch weights are set to the defaults for a vehicle with or without stabiliser
     bar.
     """
@@ -436,11 +436,11 @@ def roll_pitch_scaling(plant: control.StateSpace) -> SignalScaling:
     return SignalScaling(outputs=(0.5, 0.5, 5.0, 5.0), inputs=tuple(float(v) for v in 40.0 / turn))
 
 
-def weight_heave_yaw(scaled: control.StateSpace, settings: DesignSettings) -> control.StateSpace:
+def weight_heave_yaw_plant(scaled: control.StateSpace, settings: DesignSettings) -> control.StateSpace:
     """Return the generalised plant of heave-yaw from its scaled plant."""
-    return two_degree_plant(scaled, ("z", "psi"), settings.heave_yaw_weights)
+    return make_two_dof_generalised_plant(scaled, ("z", "psi"), settings.heave_yaw_weights)
 
 
-def weight_roll_pitch(scaled: control.StateSpace, settings: DesignSettings) -> control.StateSpace:
+def weight_roll_pitch_plant(scaled: control.StateSpace, settings: DesignSettings) -> control.StateSpace:
     """Return the generalised plant of roll-pitch from its scaled plant."""
-    return one_degree_plant(scaled, ("phi", "theta"), settings.roll_pitch_weights or ROLL_PITCH_WEIGHTS)
+    return make_one_dof_generalised_plant(scaled, ("phi", "theta"), settings.roll_pitch_weights or ROLL_PITCH_WEIGHTS)

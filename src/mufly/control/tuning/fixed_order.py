@@ -112,7 +112,7 @@ class TunedController:
     steps: int
 
 
-def add_delay(plant: control.StateSpace, delay_s: float) -> control.StateSpace:
+def add_input_delay(plant: control.StateSpace, delay_s: float) -> control.StateSpace:
     """Return the plant with a delay at every input, as a Pade approximation of second order."""
     A1, B1, C1, D1 = (np.kron(np.eye(plant.ninputs), X) for X in signal.tf2ss(*control.pade(delay_s, 2)))
     A = np.block([[plant.A, plant.B @ C1], [np.zeros((len(A1), plant.nstates)), A1]])

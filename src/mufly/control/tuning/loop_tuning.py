@@ -21,10 +21,15 @@ from mufly.control.robust.parameter_robustness import UncertainLoop
 from mufly.control.robust.parameter_spreads import differentiate_plants_by_parameters
 from mufly.control.synthesis.hinf import hinfsyn
 from mufly.control.synthesis.synthesis_methods import GivenController, SynthesisProblem, synthesise_controller
-from mufly.control.synthesis.weighting_schemes import DesignSettings, scale_plant, weight_heave_yaw, weight_roll_pitch
+from mufly.control.synthesis.weighting_schemes import (
+    DesignSettings,
+    scale_plant,
+    weight_heave_yaw_plant,
+    weight_roll_pitch_plant,
+)
 from mufly.control.tuning.fixed_order import (
     TuningGoal,
-    add_delay,
+    add_input_delay,
     evaluate_goal_norms,
     make_flight_goals,
     reduce_start_controllers,
@@ -167,12 +172,12 @@ def make_loop_tuning_problem(
     """
     heave = name == "heave-yaw"
     d, s = (base.heave_yaw if heave else base.roll_pitch), base.settings
-    weight = weight_heave_yaw if heave else weight_roll_pitch
+    weight = weight_heave_yaw_plant if heave else weight_roll_pitch_plant
     output_scale, input_scale = np.array(d.scaling.outputs), np.array(d.scaling.inputs)
     n_references = d.controller.ninputs - d.plant.noutputs
     read = np.concatenate([output_scale[:n_references], output_scale])
     plant = scale_plant(d.plant, d.scaling)
-    delayed = add_delay(plant, _INPUT_DELAY_PERIODS * base.period_s)
+    delayed = add_input_delay(plant, _INPUT_DELAY_PERIODS * base.period_s)
     generalised = weight(delayed, s)
     levels = goal_levels.norm_levels()
     norms = make_flight_goals(generalised, delayed, read.size, noise / output_scale, levels, base.period_s)

@@ -32,9 +32,14 @@ from mufly.control.controller_design import ControllerDesign
 from mufly.control.design_store import load_or_compute_controller
 from mufly.control.implementation import DiscreteController
 from mufly.control.law import ROLL_PITCH_ORDER
-from mufly.control.linear_systems import Array, analyse_loop, feedback_part, sample_plant, state_space
+from mufly.control.linear_systems import Array, analyse_loop, extract_feedback_controller, sample_plant, state_space
 from mufly.control.synthesis.synthesis_methods import FixedOrderGoals, SynthesisProblem, synthesise_controller
-from mufly.control.synthesis.weighting_schemes import DesignSettings, SignalScaling, scale_plant, weight_roll_pitch
+from mufly.control.synthesis.weighting_schemes import (
+    DesignSettings,
+    SignalScaling,
+    scale_plant,
+    weight_roll_pitch_plant,
+)
 from mufly.dynamics import GRAVITY, Linearisation, find_trim, linearise_vehicle
 from mufly.errors import MuflyError
 from mufly.results import ShownBlock, make_lines_block, make_table_block, result
@@ -139,7 +144,7 @@ class OutputSchedule:
         """Return the scheduled controller for a weight ``share`` of the forward-flight outputs (0: hover, 1: scheduled
         speed).
         """
-        return blend_outputs(hover, self.C_forward_change, self.D_forward_change, share)
+        return blend_output_matrices(hover, self.C_forward_change, self.D_forward_change, share)
 
     def forward_share_at(self, speed_m_s: float) -> float:
         """Return the weight (0 to 1) of the forward-flight outputs at a forward speed."""
@@ -168,7 +173,7 @@ class OutputSchedule:
         ]
 
 
-def blend_outputs(
+def blend_output_matrices(
     hover: DiscreteController, C_forward_change: Array, D_forward_change: Array, share: float
 ) -> control.StateSpace:
     """Return the hover controller with ``share`` times the forward-flight changes added to its C and D."""
@@ -217,8 +222,10 @@ def tune_output_schedule(
     T = hover.period_s
     C_forward_change, D_forward_change = _tune_output_changes(plant, loop)
     speeds = fastest * np.arange(SPEED_GRID_INTERVAL_COUNT + 1) / SPEED_GRID_INTERVAL_COUNT
-    controllers = [blend_outputs(hover, C_forward_change, D_forward_change, float((v / fastest) ** 2)) for v in speeds]
-    feedbacks = [feedback_part(K, plant, range(plant.noutputs)) for K in controllers]
+    controllers = [
+        blend_output_matrices(hover, C_forward_change, D_forward_change, float((v / fastest) ** 2)) for v in speeds
+    ]
+    feedbacks = [extract_feedback_controller(K, plant, range(plant.noutputs)) for K in controllers]
     saturated = max(float(np.abs(np.linalg.eigvals(K.A - hover.M @ K.C)).max()) for K in controllers)
     if saturated >= 1.0:
         raise MuflyError("schedule: the anti-windup is unstable at a speed; choose another order")
@@ -297,7 +304,7 @@ def schedule_roll_pitch(
     loop = ScheduledLoop(
         hover.discrete,
         hover.scaling,
-        lambda scaled: weight_roll_pitch(scaled, settings),
+        lambda scaled: weight_roll_pitch_plant(scaled, settings),
         settings.roll_pitch_relaxation,
         settings.roll_pitch_goals,
     )

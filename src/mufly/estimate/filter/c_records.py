@@ -147,11 +147,11 @@ def _render_records(nodes: int, kept: int, waiting: int) -> str:
         "",
     ]
     sizes = {nodes: "MAP_NODES"}
-    memory = filter_records.memory_type(kept=kept, waiting=waiting)
+    memory = filter_records.make_memory_dtype(kept=kept, waiting=waiting)
     for name, record, fields in (
         (
             "estimator_settings_t",
-            filter_records.settings_type(),
+            filter_records.make_settings_dtype(),
             record_fields(filter_records.FilterSettings),
         ),
         ("flight_model_t", flight_model_dtype({"map_node_count": nodes}), record_fields(ModelParameters)),

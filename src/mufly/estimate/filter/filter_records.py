@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.record_fields import int_or_array_field as _int
+from mufly.compiled.record_fields import make_record_dtype
 from mufly.compiled.record_fields import real_or_array_field as _real
-from mufly.compiled.record_fields import record_type
 from mufly.dynamics import GRAVITY, hover_current_A, model_parameters, standing_height
 from mufly.dynamics.model_state import compute_hover_rotor_speeds
 from mufly.quantities.quantity_table import DIMENSION_LABELS, READINGS_WITH_FUSION_STATUS
@@ -368,7 +368,7 @@ class FilterMemory:
 
 
 class FilterSettings:
-    """The filter's settings for a vehicle (:func:`filter_settings`)."""
+    """The filter's settings for a vehicle (:func:`make_filter_settings`)."""
 
     dt: float = _real("period", unit="s")
     block_ticks: int = _int("periods of a block")
@@ -433,16 +433,16 @@ class FilterSettings:
     imu_position: _Array = _real("position of the inertial unit, body axes", 3, unit="m")
 
 
-def memory_type(kind: Any = np.float64, kept: int = INPUT_HISTORY_BLOCKS, waiting: int = QUEUE_SIZE) -> np.dtype:
+def make_memory_dtype(kind: Any = np.float64, kept: int = INPUT_HISTORY_BLOCKS, waiting: int = QUEUE_SIZE) -> np.dtype:
     """Return the record type of :class:`FilterMemory` for a number type and given numbers of input blocks and queued
     measurements.
     """
-    return record_type(FilterMemory, kind, INPUT_HISTORY_BLOCKS=kept, QUEUE_SIZE=waiting)
+    return make_record_dtype(FilterMemory, kind, INPUT_HISTORY_BLOCKS=kept, QUEUE_SIZE=waiting)
 
 
-def settings_type(kind: Any = np.float64) -> np.dtype:
+def make_settings_dtype(kind: Any = np.float64) -> np.dtype:
     """Return the record type of :class:`FilterSettings` for a number type."""
-    return record_type(FilterSettings, kind)
+    return make_record_dtype(FilterSettings, kind)
 
 
 # What is assumed beyond the vehicle's file (docs/explanation/estimation.md)
@@ -468,7 +468,7 @@ FULL_TURN_RAD = 2 * math.pi
 _MIN_BEAM_ERROR = 1e-4  # 1/m: what a wall is off by, 0.1 mm at 1 m, where beams have no error
 
 
-def filter_settings(
+def make_filter_settings(
     vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = np.float64, block_s: float = INPUT_BLOCK_S
 ) -> np.void:
     """Return the filter's settings of a vehicle: sensor errors, dimensions, walls of the room.
@@ -486,7 +486,7 @@ def filter_settings(
         Time over which inputs are averaged (s).
     """
     sensing = vehicle.sensors or SensorSuite()
-    s = np.zeros((), settings_type(kind))
+    s = np.zeros((), make_settings_dtype(kind))
     dt = 1.0 / rate_Hz
     p = model_parameters(vehicle)
     sigma, tau = np.zeros(ERROR_STATE_COUNT), np.full(ERROR_STATE_COUNT, np.inf)

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import sine_cosine
 from mufly.dynamics import compute_battery_supply
-from mufly.dynamics.equations_of_motion import _clip_value, state_derivative_tilted
+from mufly.dynamics.equations_of_motion import _clip_value, state_derivative_from_tilt_sines
 from mufly.dynamics.model_state import (
     MODEL_BAR_NORMAL,
     MODEL_CHARGE,
@@ -216,7 +216,7 @@ def _compute_state_derivative(
     cos_b: float,
     dx: _Array,
 ) -> None:
-    state_derivative_tilted(x, u, still, p, sin_a, cos_a, sin_b, cos_b, False, dx)
+    state_derivative_from_tilt_sines(x, u, still, p, sin_a, cos_a, sin_b, cos_b, False, dx)
 
 
 @cached_njit(error_model="numpy")

@@ -2,6 +2,6 @@
 
 from mufly.firmware.emulated.board_flight import BoardFlightResult, fly_board, make_board
 from mufly.firmware.emulated.boards import EmulatedBoard, HostBoard
-from mufly.firmware.emulated.image_build import build_image
+from mufly.firmware.emulated.image_build import build_board_image
 
-__all__ = ["BoardFlightResult", "EmulatedBoard", "HostBoard", "build_image", "fly_board", "make_board"]
+__all__ = ["BoardFlightResult", "EmulatedBoard", "HostBoard", "build_board_image", "fly_board", "make_board"]

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from mufly.control import FlightController, design_flight_controller
 from mufly.errors import InputError
 from mufly.estimate import Estimate, KalmanEstimator
-from mufly.estimate.filter.filter_records import READING_RANGE_RING, memory_type
+from mufly.estimate.filter.filter_records import READING_RANGE_RING, make_memory_dtype
 from mufly.estimate.filter_backend import FilterBackend
 from mufly.estimate.sensor_status import describe_reason
 from mufly.firmware.compiled_software import FirmwareSoftware
 from mufly.firmware.emulated.boards import Board, EmulatedBoard, HostBoard
-from mufly.firmware.emulated.image_build import build_host_board, build_image
+from mufly.firmware.emulated.image_build import build_board_image, build_host_board
 from mufly.firmware.software_instance import SoftwareInstance, TextNumberTable
 from mufly.flight import fly_mission
 from mufly.flight.controllers import Actuators
@@ -87,7 +87,7 @@ def make_board(
         If a tool is missing, or the mission is too long for a board.
     """
     host = HostBoard(*build_host_board(vehicle, controller, mission, single=single))
-    return EmulatedBoard(build_image(vehicle, controller, mission), host) if emulated else host
+    return EmulatedBoard(build_board_image(vehicle, controller, mission), host) if emulated else host
 
 
 class BoardEstimator(KalmanEstimator):
@@ -171,7 +171,7 @@ def _estimator_dtype(ffi: FFI, real: Any) -> np.dtype:
         If it differs from the record in C.
     """
     kind = ffi.typeof("estimator_t")
-    full = memory_type(real)
+    full = make_memory_dtype(real)
     fields = []
     for name, field in kind.fields:
         base, shape = full[name].subdtype or (full[name], ())

@@ -10,7 +10,7 @@ from typing import Any
 from mufly.control import design_flight_controller
 from mufly.firmware.emulated.board_flight import BoardEstimator, BoardFlightResult, make_board_software
 from mufly.firmware.emulated.boards import EmulatedBoard, HostBoard
-from mufly.firmware.emulated.image_build import build_host_board, build_image
+from mufly.firmware.emulated.image_build import build_board_image, build_host_board
 from mufly.flight import Flight
 from mufly.logs.mcap import FlightEvent
 from mufly.mission import Mission
@@ -80,7 +80,7 @@ def run_linked_board(
     uart, receiver_uart = (f"tcp:127.0.0.1:{p},server=on,wait=off,nodelay=on" for p in (port, receiver_port))
     twin = HostBoard(*build_host_board(vehicle, controller, mission))
     board = EmulatedBoard(
-        build_image(vehicle, controller, mission),
+        build_board_image(vehicle, controller, mission),
         twin,
         uart,
         counts_instructions,

@@ -136,7 +136,7 @@ class EmulatedBoard:
     Parameters
     ----------
     image : Path
-        From :func:`mufly.firmware.emulated.image_build.build_image`.
+        From :func:`mufly.firmware.emulated.image_build.build_board_image`.
     twin : HostBoard
         The code of this machine, in single precision.
     uart : str

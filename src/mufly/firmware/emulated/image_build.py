@@ -18,7 +18,7 @@ from mufly.compiled.numba_cache import cache_folder
 from mufly.compiled.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.control import FlightController
 from mufly.errors import MuflyError
-from mufly.files.answer_store import hash_inputs, replace_file
+from mufly.files.answer_store import hash_inputs, replace_file_atomically
 from mufly.firmware.export.source_export import ONBOARD_SOURCES, SOFTWARE_SOURCES, export_firmware, find_sources
 from mufly.firmware.host_build import cffi_declarations, read_sources
 from mufly.firmware.proof.sil_pil import (
@@ -59,14 +59,14 @@ def build_host_board(
         )
         declarations = library.with_suffix(".h")
         if not declarations.exists():
-            with replace_file(declarations) as made:
+            with replace_file_atomically(declarations) as made:
                 made.write_text(cffi_declarations(tree, single, _HOST_BOARD_SOURCES), encoding="utf-8")
     ffi = cffi.FFI()
     ffi.cdef(declarations.read_text(encoding="utf-8"))
     return ffi, ffi.dlopen(str(library))
 
 
-def build_image(vehicle: Vehicle, controller: FlightController, mission: Mission) -> Path:
+def build_board_image(vehicle: Vehicle, controller: FlightController, mission: Mission) -> Path:
     """Build the image (ELF) of a board with a Cortex-M4F, in single precision, and return its path.
 
     Raises
@@ -86,7 +86,7 @@ def build_image(vehicle: Vehicle, controller: FlightController, mission: Mission
         image = cache_folder() / f"board-{hash_inputs(version, _IMAGE_FLAGS, texts)[:24]}.elf"
         if not image.exists():
             made = _link_image(tree)
-            with replace_file(image) as ready:
+            with replace_file_atomically(image) as ready:
                 shutil.copy(made, ready)
     return image
 

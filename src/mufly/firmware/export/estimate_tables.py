@@ -14,7 +14,7 @@ from mufly.estimate.filter.filter_records import (
     MAX_LAG_BLOCKS,
     QUEUE_SIZE,
     QUEUED_READING_INDICES,
-    filter_settings,
+    make_filter_settings,
 )
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
@@ -38,7 +38,7 @@ def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz
     """
     if vehicle is None:
         return {RECORDS_HEADER_PATH: render_records_header(NO_VEHICLE_PARAMETERS)}
-    settings = np.array([filter_settings(vehicle, world or World(), rate_Hz)])
+    settings = np.array([make_filter_settings(vehicle, world or World(), rate_Hz)])
     p = model_parameters(vehicle)
     lines = [
         f"/* What the estimator of {vehicle.name.replace('*/', '* /')} knows, made by mufly {__version__}. */",
@@ -54,12 +54,12 @@ def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz
         "",
     ]
     return {
-        RECORDS_HEADER_PATH: render_records_header(p, *filter_buffer_sizes(settings[0])),
+        RECORDS_HEADER_PATH: render_records_header(p, *compute_filter_buffer_sizes(settings[0])),
         "estimate_tables.c": "\n".join(lines),
     }
 
 
-def filter_buffer_sizes(s: np.void) -> tuple[int, int]:
+def compute_filter_buffer_sizes(s: np.void) -> tuple[int, int]:
     """Return the numbers of input blocks and of queued measurements that the filter's buffers must hold at its longest
     lag.
     """

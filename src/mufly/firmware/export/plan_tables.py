@@ -88,7 +88,7 @@ def collect_plan_fields(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -
     }
 
 
-def make_plan(vehicle: Vehicle, controller: FlightController, mission: Mission) -> MissionPlan:
+def make_mission_plan(vehicle: Vehicle, controller: FlightController, mission: Mission) -> MissionPlan:
     """Return the plan of a mission with limits that the vehicle's controllers can follow."""
     return prepare_plan(reduce_mission_limits(mission, derive_trajectory_limits(controller))[0], vehicle)
 

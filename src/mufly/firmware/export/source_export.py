@@ -19,7 +19,7 @@ from mufly.control.law import GAIN_UNITS, SCHEDULE_FIELDS
 from mufly.errors import InputError
 from mufly.firmware.export.estimate_tables import render_estimator_files
 from mufly.firmware.export.plan_tables import (
-    make_plan,
+    make_mission_plan,
     render_log_head_source,
     render_plan_source,
     render_supervisor_source,
@@ -83,7 +83,7 @@ def export_firmware(
     known = mission.world if world is None and mission is not None else world
     others = dict(render_estimator_files(vehicle, known, controller.rate_Hz))
     if vehicle is not None and mission is not None:
-        others["plan.c"] = render_plan_source(make_plan(vehicle, controller, mission), controller)
+        others["plan.c"] = render_plan_source(make_mission_plan(vehicle, controller, mission), controller)
         others["onboard/supervisor/supervisor_settings.c"] = render_supervisor_source(vehicle)
         others["onboard/link/texts.c"] = render_texts_source()
         others["onboard/log/flight_log_head.c"] = render_log_head_source()

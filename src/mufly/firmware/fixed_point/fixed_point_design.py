@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from mufly.control import FlightController
-from mufly.control.implementation import DiscreteController, analyse_cascade, balancing_transform
+from mufly.control.implementation import DiscreteController, analyse_position_cascade, balancing_transform
 from mufly.control.linear_systems import Array, LoopAnalysis, analyse_loop, replace_matrices, sample_plant
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import MuflyError
@@ -369,7 +369,7 @@ def _bound_sums(rows: CoefficientRows, most: Array) -> Array:
 _DESIGN_NAME_BY_LOOP = {"heave_yaw": "heave_yaw", "roll_pitch": "roll_pitch", "position": "velocity"}
 
 
-def measure_quantisation_loss(controller: FlightController, made: FixedPointController) -> QuantisationLoss:
+def measure_quantisation_margin_loss(controller: FlightController, made: FixedPointController) -> QuantisationLoss:
     """Return the margin loss of one controller's loop, sampled and with a sample of delay."""
     of = getattr(controller, _DESIGN_NAME_BY_LOOP[made.name])
     exact: DiscreteController = of.discrete
@@ -494,7 +494,7 @@ def quantise_law(controller: FlightController) -> FixedPointLaw:
                 made = quantise_controller(name, getattr(controller, f"{name}_gains"), form, delta)
             except MuflyError:
                 continue
-            lost = measure_quantisation_loss(controller, made)
+            lost = measure_quantisation_margin_loss(controller, made)
             losses.append(lost)
             if made.proof.is_overflow_free and math.isfinite(lost.worst_dB):
                 tried.append((lost.worst_dB, made))
@@ -505,7 +505,7 @@ def quantise_law(controller: FlightController) -> FixedPointLaw:
     return FixedPointLaw(**found, candidate_losses=tuple(losses))
 
 
-def measure_cascade_loss(vehicle: Vehicle, controller: FlightController, law: FixedPointLaw) -> QuantisationLoss:
+def measure_cascade_margin_loss(vehicle: Vehicle, controller: FlightController, law: FixedPointLaw) -> QuantisationLoss:
     """Return the margin loss of the position loop with fixed-point roll-pitch and position controllers."""
     before = controller.cascade_loop
     exact = (controller.roll_pitch.discrete, controller.velocity.discrete)
@@ -514,7 +514,7 @@ def measure_cascade_loss(vehicle: Vehicle, controller: FlightController, law: Fi
         K = _strip_padding(made, of)
         rounded.append(replace(of, A=K.A, B=K.B, C=K.C, D=K.D))
     full = linearise_vehicle(vehicle, voltage=controller.voltage_V).full
-    after = analyse_cascade(
+    after = analyse_position_cascade(
         full, rounded[0], rounded[1], controller.settings.position_gain, controller.position_divider
     )
     return _compare_loops("position", f"{law.roll_pitch.form}; {law.position.form}", before, after)

@@ -33,7 +33,7 @@ from mufly.firmware.export.source_export import (
     export_firmware,
     find_sources,
 )
-from mufly.firmware.fixed_point.fixed_point_design import measure_cascade_loss, quantise_law
+from mufly.firmware.fixed_point.fixed_point_design import measure_cascade_margin_loss, quantise_law
 from mufly.firmware.fixed_point.fixed_point_flights import compare_fixed_point_flights
 from mufly.firmware.fixed_point.fixed_point_law import export_fixed_point
 from mufly.firmware.proof.fuzzing import describe_missing_fuzzer_tools, fuzz_firmware, run_fuzzer
@@ -178,7 +178,7 @@ def _result_to_dict(one: Any) -> dict[str, Any]:
     return found
 
 
-def measure_board_image(vehicle: Vehicle) -> dict[str, int]:
+def measure_board_memory(vehicle: Vehicle) -> dict[str, int]:
     """Return flash, RAM and stack (bytes) of a whole board: the loop, MAVLink, receiver and settings, without drivers.
 
     The stack is that of the deepest call path from ``main``, without interrupts. The mission is the demonstration.
@@ -220,7 +220,7 @@ def _report_memory(vehicle: Vehicle, out: Path) -> EvidenceSection:
         stack = {
             name: find_deepest_stack(objects, name) for name in ("software_step", "estimator_step", "controllers_")
         }
-    board = measure_board_image(vehicle)
+    board = measure_board_memory(vehicle)
     rows = [
         ("flash, all of it (bytes)", flash, RESOURCE_TARGETS["flash_bytes"]),
         *((f"RAM, one {name} (bytes)", size, "") for name, size in sorted(ram.items())),
@@ -245,7 +245,7 @@ def _report_memory(vehicle: Vehicle, out: Path) -> EvidenceSection:
 def _report_fixed_point(vehicle: Vehicle, out: Path) -> EvidenceSection:
     controller = design_flight_controller(vehicle)
     law = quantise_law(controller)
-    cascade = measure_cascade_loss(vehicle, controller, law)
+    cascade = measure_cascade_margin_loss(vehicle, controller, law)
     compared = compare_fixed_point_flights(vehicle, ["demonstration", "box-on-leg"], law=law)
     text = [
         _markdown_blocks([*law.shown_blocks(cascade), *compared.shown_blocks()]),
@@ -560,7 +560,7 @@ REPORT_SECTIONS: tuple[tuple[str, Callable[[Vehicle, Path], EvidenceSection]], .
 )
 
 
-def write_report(
+def measure_and_write_report(
     vehicle: Vehicle,
     out: Path,
     *,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import call_c_function, refer_to
-from mufly.compiled.record_fields import int_or_array_field, real_or_array_field, record_type
+from mufly.compiled.record_fields import int_or_array_field, make_record_dtype, real_or_array_field
 from mufly.dynamics.model_state import MODEL_POSITION, MODEL_RATES, MODEL_VELOCITY, STATE_SIZE
 from mufly.estimate.filter.filter_records import (
     ERROR_ATTITUDE,
@@ -38,7 +38,7 @@ from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLI
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import median_filter_ring_scan
 from mufly.flight.period_stages import CONTINUE_LOOP, FIRST_EXECUTOR_CODE, LOOP_DONE, make_stage_loop
-from mufly.flight.simulated_plant import advance_period, find_collision, write_true_attitude
+from mufly.flight.simulated_plant import advance_period, classify_collision, write_true_attitude
 from mufly.sensors.imu import FIRST_GYRO_AXIS, sample_imu
 from mufly.sensors.periodic import ROW_FIRST_VALUE_INDEX, ROW_IS_VALID_INDEX, ROW_MEASURED_TIME_INDEX
 from mufly.sensors.readings import measure_ranges
@@ -96,7 +96,7 @@ class LoopClock:
     next_sample_s: float = real_or_array_field("next sample of the other sensors", unit="s")
 
 
-LOOP_CLOCK_DTYPE = record_type(LoopClock, int_kind=np.int64)
+LOOP_CLOCK_DTYPE = make_record_dtype(LoopClock, int_kind=np.int64)
 
 
 class RecordOffsets:
@@ -125,7 +125,7 @@ class RecordOffsets:
     check_reason: int = int_or_array_field("reason in a check")
 
 
-RECORD_OFFSETS_DTYPE = record_type(RecordOffsets, int_kind=np.int64)
+RECORD_OFFSETS_DTYPE = make_record_dtype(RecordOffsets, int_kind=np.int64)
 
 
 class PlantArrays(NamedTuple):
@@ -360,7 +360,7 @@ def advance_plant(p: LoopArguments) -> int:
 def _check_contact(p: LoopArguments) -> int:
     c, q = p.clock, p.plant
     if c.tick % c.contact_interval == 0:
-        if find_collision(
+        if classify_collision(
             q.state, q.parameters, q.leg_count, c.rotor_radius, q.has_obstacles, q.boxes, q.cylinders, q.limits
         ):
             return STOP_ON_CONTACT

@@ -128,7 +128,7 @@ class CameraConfig:
         return self.floor_texture or DEFAULT_FLOOR
 
 
-def with_mission_floor(eye: CameraConfig, mission: Mission) -> CameraConfig:
+def default_to_mission_floor(eye: CameraConfig, mission: Mission) -> CameraConfig:
     """Return the camera's settings, with the mission's floor if the settings have none."""
     if eye.floor_texture is not None or mission.floor is None:
         return eye

@@ -1,6 +1,6 @@
 """Monte Carlo campaigns of flights: parameter variations, workers, success rates and worst cases."""
 
-from mufly.flight.monte_carlo.campaign import Campaign, FlightCase, FlightResult, fly_case, judge_flight
+from mufly.flight.monte_carlo.campaign import Campaign, FlightCase, FlightResult, compute_flight_result, fly_case
 from mufly.flight.monte_carlo.campaign_files import RecordedFlights, record_notable_flights, write_campaign_results
 from mufly.flight.monte_carlo.campaign_pictures import draw_distributions, draw_influences
 from mufly.flight.monte_carlo.campaign_results import (
@@ -16,8 +16,8 @@ from mufly.flight.monte_carlo.flight_ending import ENDINGS, FlightEnding
 from mufly.flight.monte_carlo.variation import ParameterVariation, parse_variations
 from mufly.flight.monte_carlo.worker_pool import (
     WorkerPool,
+    campaign_to_dict,
     case_from_result,
-    describe_campaign,
     flight_severity,
     run_campaign,
     search_worst_case,
@@ -36,14 +36,14 @@ __all__ = [
     "ParameterVariation",
     "RecordedFlights",
     "WorkerPool",
+    "campaign_to_dict",
     "case_from_result",
+    "compute_flight_result",
     "compute_wilson_interval",
-    "describe_campaign",
     "draw_distributions",
     "draw_influences",
     "flight_severity",
     "fly_case",
-    "judge_flight",
     "list_metrics",
     "parse_variations",
     "record_notable_flights",

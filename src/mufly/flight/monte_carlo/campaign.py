@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from mufly.control import DesignSettings, FlightController, design_flight_controller
-from mufly.control.synthesis.weighting_schemes import complete_settings
+from mufly.control.synthesis.weighting_schemes import fill_missing_weights
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_GYRO_BIAS
@@ -289,7 +289,7 @@ class Campaign:
     def _describe_control_method(self) -> list[str]:
         """Return method and gains of a controller that is not the default; empty for the default."""
         c = self.controller
-        if c is None or c.settings == complete_settings(DesignSettings(), self.vehicle):
+        if c is None or c.settings == fill_missing_weights(DesignSettings(), self.vehicle):
             return []
         return [c.settings.method, *(g.tobytes().hex() for g in (c.heave_yaw_gains, c.roll_pitch_gains))]
 
@@ -451,7 +451,7 @@ def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> 
     except Exception as error:  # a program error must not end the campaign
         why = f"raised {type(error).__name__}: {error}"
         return FlightResult(**same, success=False, ending="lost", reason=why, reported_outcome="")
-    return judge_flight(
+    return compute_flight_result(
         data,
         campaign.mission,
         campaign.tolerance_m,
@@ -497,7 +497,7 @@ class _NeesAccumulator:
         return float(compute_normalised_squared_errors(error, covariances).mean()) / error.shape[1]
 
 
-def judge_flight(
+def compute_flight_result(
     data: xr.Dataset, mission: Mission, tolerance_m: float, *, nees: float | None = None,
     wrong: Collection[str] = (), **same: Any,
 ) -> FlightResult:  # fmt: skip

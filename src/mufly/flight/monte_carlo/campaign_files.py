@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from mufly.errors import report_write_errors
+from mufly.errors import convert_write_errors
 from mufly.flight.monte_carlo.campaign import Campaign, FlightResult, list_differing_fields
 from mufly.flight.monte_carlo.campaign_pictures import draw_distributions, draw_influences
 from mufly.flight.monte_carlo.campaign_results import results_dataset
@@ -62,7 +62,7 @@ def record_notable_flights(
         case = case_from_result(f)
         vehicle_file = place / "vehicle.toml" if case.parameter_values else None
         command = campaign.format_replay_command(case, place, vehicle_file)
-        with report_write_errors(place):
+        with convert_write_errors(place):
             place.mkdir(parents=True, exist_ok=True)
             if vehicle_file is not None:
                 vehicle_file.write_text(format_vehicle_toml(campaign.make_vehicle(case)), encoding="utf-8")
@@ -79,7 +79,7 @@ def record_notable_flights(
         if changed:
             on_notice(f"flight {f.index} gave another result when it was repeated ({', '.join(changed)})")
         if path.exists():  # a flight refused before its start has no recording
-            with report_write_errors(path):
+            with convert_write_errors(path):
                 path.rename(path.with_name("flight.mcap"))
         if progress is not None:
             progress(done, len(orders))
@@ -103,7 +103,7 @@ def write_campaign_results(campaign: Campaign, flown: Sequence[FlightResult], fo
         f"{name}-distributions": draw_distributions(flown, campaign.tolerance_m, title),
         f"{name}-influences": draw_influences(flown, campaign),
     }
-    with report_write_errors(folder):
+    with convert_write_errors(folder):
         try:
             import pyarrow  # noqa: F401  an extra
         except ImportError:

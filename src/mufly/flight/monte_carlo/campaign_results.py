@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.flight.monte_carlo.campaign import Campaign, FlightResult
 from mufly.flight.monte_carlo.flight_ending import ENDINGS, FlightEnding
-from mufly.flight.monte_carlo.worker_pool import describe_campaign
+from mufly.flight.monte_carlo.worker_pool import campaign_to_dict
 from mufly.mission import HARD_TOUCHDOWN_M_S
 from mufly.results import ShownBlock, make_lines_block, make_table_block, result
 from mufly.vehicle import list_parameters
@@ -304,5 +304,5 @@ def results_dataset(flights: Sequence[FlightResult], campaign: Campaign) -> xr.D
             {"units": unit, "long_name": meaning, "key": key},
         )
     index = np.array([f.index for f in flights], dtype=np.int32)
-    attributes = {k: str(v) for k, v in describe_campaign(campaign).items()} | {"mufly": __version__}
+    attributes = {k: str(v) for k, v in campaign_to_dict(campaign).items()} | {"mufly": __version__}
     return xr.Dataset(variables, {"flight": ("flight", index, {"long_name": "number of the flight"})}, attributes)

@@ -205,14 +205,14 @@ def _stored_flights(
 
     if folder is None:
         return StoredResultLines(None, decode_stored_flight)
-    settings = {"version": __version__, **to_plain_data(describe_campaign(campaign))}
+    settings = {"version": __version__, **to_plain_data(campaign_to_dict(campaign))}
     claim_folder(folder, SETTINGS_FILE, campaign.settings_hash, settings, _OTHER_CAMPAIGN_ERROR)
     return StoredResultLines(
         folder / file, decode_stored_flight, damaged=("is damaged", "delete this file; its flights are repeated")
     )
 
 
-def describe_campaign(campaign: Campaign) -> dict[str, Any]:
+def campaign_to_dict(campaign: Campaign) -> dict[str, Any]:
     """Return a readable description of a campaign's settings, in JSON types."""
     return {
         "vehicle": campaign.vehicle_name,

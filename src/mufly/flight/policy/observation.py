@@ -89,7 +89,7 @@ def observation_units(task: str) -> dict[str, str]:
 
 
 @cached_njit(error_model="numpy")
-def map_action(action: _Array, trim: _Array, inputs: _Array) -> None:
+def map_action_to_inputs(action: _Array, trim: _Array, inputs: _Array) -> None:
     """Convert an action (4,) to the inputs (4,) of the flight model, relative to the hover inputs ``trim`` (4,)."""
     up, turned, servo_1, servo_2 = action[0], action[1], action[2], action[3]
     collective, turn = MAX_COLLECTIVE_DUTY_OFFSET * up, MAX_YAW_DUTY_OFFSET * turned

@@ -37,7 +37,7 @@ from mufly.flight.policy.observation import (
     MAX_YAW_DUTY_OFFSET,
     OBS_TASK_INPUTS,
     fill_common_observation,
-    map_action,
+    map_action_to_inputs,
 )
 from mufly.flight.policy.policy_network import LearnedPolicy, PackedPolicy, evaluate_policy
 
@@ -88,7 +88,7 @@ def step_policy(
         voltage / nominal_V, action, -position[2],
     )  # fmt: skip
     evaluate_policy(p, seen, action)
-    map_action(action, trim, inputs)
+    map_action_to_inputs(action, trim, inputs)
 
 
 def check_policy_fits_vehicle(policy: LearnedPolicy, vehicle_name: str, where: str) -> None:

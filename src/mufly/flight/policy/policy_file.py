@@ -32,7 +32,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 from mufly.files.input_files import validate_model
 from mufly.flight.policy.observation import ACTION_NAMES, observation_units
 from mufly.flight.policy.policy_network import LearnedPolicy, PolicyLayer
@@ -120,7 +120,7 @@ def save_policy(policy: LearnedPolicy, path: str | Path) -> None:
     content["sha256"] = _checksum(content)
     _check_content(str(path), content)
     rows = json.dumps(content, indent=1)
-    with report_write_errors(path, "give another file"):
+    with convert_write_errors(path, "give another file"):
         Path(path).write_text(rows + "\n", encoding="utf-8")
 
 

@@ -29,12 +29,12 @@ from mufly.flight.record.flight_pictures import (
     SKY_BLUE,
     VERMILION,
     draw_time_spans,
+    find_overlapping_state_runs,
     flight_title,
     state_legend_handles,
-    state_stretches,
     state_tint,
 )
-from mufly.flight.record.flight_summary import state_runs
+from mufly.flight.record.flight_summary import find_state_runs
 from mufly.quantities.quantity_table import FUSION_STATUSES, READINGS_WITH_FUSION_STATUS
 
 _Array = NDArray[np.float64]
@@ -89,7 +89,7 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
     panels: Any = figure.subplots(len(_ESTIMATE_PANELS), 2, sharex=True)
     figure.subplots_adjust(left=0.065, right=0.985, top=0.945, bottom=0.035, hspace=0.34, wspace=0.13)
     time, good = dataset["time"].values, _find_valid_rows(dataset)
-    states = [(time[a], time[b], state_tint(state)) for state, a, b in state_stretches(dataset)]
+    states = [(time[a], time[b], state_tint(state)) for state, a, b in find_overlapping_state_runs(dataset)]
     for (name, k, heading, factor, measured), (left, right) in zip(_ESTIMATE_PANELS, panels, strict=True):
         estimate = factor * dataset[f"estimated_{name}"].values[:, k]
         sigma = abs(factor) * dataset[f"estimated_{name}_sigma"].values[:, k]
@@ -212,7 +212,7 @@ def _set_axis_limits(ax: Any, values: _Array) -> None:
 
 
 def _draw_header(figure: Figure, dataset: xr.Dataset) -> None:
-    handles = state_legend_handles([name for name, _, _ in state_runs(dataset)])
+    handles = state_legend_handles([name for name, _, _ in find_state_runs(dataset)])
     figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.995), ncols=len(handles))
     figure.text(0.02, 0.99, flight_title(dataset), fontsize=10, va="top")
     figure.text(0.02, 0.974, "bands: three standard deviations", fontsize=8.5, va="top", color=GREY)

@@ -29,7 +29,7 @@ from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.flight.record.flight_summary import state_runs
+from mufly.flight.record.flight_summary import find_state_runs
 from mufly.world import World
 
 BLACK, GREY = "#222222", "#8c8c8c"
@@ -78,7 +78,7 @@ REFERENCE_DASHES = (0, (4, 3))
 _Array = NDArray[np.float64]
 
 
-def draw_flight(
+def draw_flight_pictures(
     dataset: xr.Dataset,
     folder: str | Path,
     *,
@@ -168,7 +168,7 @@ def draw_position(dataset: xr.Dataset) -> Figure:
 
 
 def _draw_header(figure: Figure, dataset: xr.Dataset, top: float) -> None:
-    handles = state_legend_handles([name for name, _, _ in state_runs(dataset)])
+    handles = state_legend_handles([name for name, _, _ in find_state_runs(dataset)])
     figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, top), ncols=len(handles))
     figure.text(0.02, top - 0.005, flight_title(dataset), fontsize=10, va="top")
 
@@ -190,7 +190,7 @@ def _draw_panel(
     The height of the panel covers at least ``span``, so that noise does not look like motion.
     """
     time = dataset.time.values
-    draw_time_spans(ax, [(time[a], time[b], state_tint(state)) for state, a, b in state_stretches(dataset)])
+    draw_time_spans(ax, [(time[a], time[b], state_tint(state)) for state, a, b in find_overlapping_state_runs(dataset)])
     for k, (label, colour) in enumerate(zip(labels, colours, strict=False)):
         ax.plot(time, values[:, k], color=colour, label=label, zorder=3)
         if reference is not None:
@@ -219,7 +219,7 @@ def _ned_to_enu(ned: ArrayLike) -> _Array:
 
 
 def draw_track(dataset: xr.Dataset, *, waypoints: Sequence[ArrayLike] = (), world: World | None = None) -> Figure:
-    """Draw the track in three dimensions (see :func:`draw_flight` for the parameters)."""
+    """Draw the track in three dimensions (see :func:`draw_flight_pictures` for the parameters)."""
     figure = Figure(figsize=(8.4, 6.0))
     ax: Any = figure.add_axes((0.0, 0.045, 1.0, 1.02), projection="3d", computed_zorder=False)
     truth = _ned_to_enu(dataset.truth_position.values)
@@ -240,7 +240,7 @@ def draw_track(dataset: xr.Dataset, *, waypoints: Sequence[ArrayLike] = (), worl
         ax.add_collection3d(Line3DCollection(posts, colors=GREY, lw=0.8, linestyles=":", zorder=2))
         ax.scatter(*posts[:, 1].T, s=8, color=GREY, depthshade=False, zorder=2)
     ax.plot(*reference.T, color=BLACK, lw=0.9, ls=REFERENCE_DASHES, zorder=3)
-    for state, first, last in state_stretches(dataset):
+    for state, first, last in find_overlapping_state_runs(dataset):
         ax.plot(
             *truth[first : last + 1].T,
             color=state_colour(state),
@@ -255,7 +255,7 @@ def draw_track(dataset: xr.Dataset, *, waypoints: Sequence[ArrayLike] = (), worl
     ax.scatter(*truth[0], color=ORANGE, **ends)
     ax.scatter(*truth[-1], color=GREEN, **(ends | {"marker": "s", "s": 46}))
     handles = [
-        *state_legend_handles([name for name, _, _ in state_runs(dataset)], lines=True),
+        *state_legend_handles([name for name, _, _ in find_state_runs(dataset)], lines=True),
         Line2D([], [], color=BLACK, lw=0.9, ls=REFERENCE_DASHES, label="reference"),
         Line2D([], [], color=TRACK_SHADOW_COLOUR, lw=2.2, label="shadow"),
         _make_legend_marker("^", ORANGE, "start"),
@@ -318,10 +318,10 @@ def _prism_faces(outline: _Array, foot: float, height: float) -> list[_Array]:
 # Shared parts of the pictures
 
 
-def state_stretches(dataset: xr.Dataset) -> list[tuple[str, int, int]]:
+def find_overlapping_state_runs(dataset: xr.Dataset) -> list[tuple[str, int, int]]:
     """Return (state, first row, last row) of every run of one state; the last row is also the next run's first row."""
     last = len(dataset.mission_state) - 1
-    return [(name, a, min(b, last)) for name, a, b in state_runs(dataset)]
+    return [(name, a, min(b, last)) for name, a, b in find_state_runs(dataset)]
 
 
 def draw_time_spans(ax: Any, spans: Sequence[tuple[float, float, Any]], low: float = 0.0, high: float = 1.0) -> None:

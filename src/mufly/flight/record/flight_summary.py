@@ -177,7 +177,7 @@ def summarise_flight(
     """
     time = dataset.time.values
     x = dataset.truth_position.values
-    states = state_runs(dataset)
+    states = find_state_runs(dataset)
     airborne = x[0, 2] - x[:, 2] > AIRBORNE_HEIGHT_M
     # The waypoints do not apply to a manual flight.
     by_hand = not dataset.attrs.get("mission_flown", True)
@@ -249,7 +249,7 @@ def _describe_inflow_excess(dataset: xr.Dataset, airborne: NDArray[np.bool_]) ->
     )
 
 
-def state_runs(dataset: xr.Dataset) -> list[_StateRun]:
+def find_state_runs(dataset: xr.Dataset) -> list[_StateRun]:
     """Return (state, first row, last row + 1) of every run of one state; names are lower case with hyphens."""
     states = dataset.mission_state.values
     edges = [0, *(np.flatnonzero(states[1:] != states[:-1]) + 1), len(states)]

@@ -198,7 +198,7 @@ def _make_cylinder(position: ArrayLike, diameter: float, height: float, colour: 
     }
 
 
-def scene_message(
+def encode_scene_message(
     time_ns: int,
     *,
     waypoints: Sequence[ArrayLike] = (),
@@ -271,7 +271,7 @@ def scene_message(
     return orjson.dumps({"deletions": [], "entities": entities})
 
 
-def track_message(time_ns: int, track: NDArray[np.float64]) -> bytes:
+def encode_track_message(time_ns: int, track: NDArray[np.float64]) -> bytes:
     """Return the track flown so far as one line, ``foxglove.SceneUpdate``.
 
     Parameters
@@ -327,7 +327,7 @@ class RecordingEncoder:
         self._track_seen = 0
 
     def encode_scene(self, view: Mapping[str, Any]) -> tuple[int, int, bytes]:
-        return self._views[SCENE_TOPIC], self._start, scene_message(self._start, **view)
+        return self._views[SCENE_TOPIC], self._start, encode_scene_message(self._start, **view)
 
     def last_time_ns(self, rows: NDArray[np.float64]) -> int:
         """Return the wall time of the last row (ns)."""
@@ -368,7 +368,7 @@ class RecordingEncoder:
             self._track = self._track[::2]
             self._track_step *= 2
         shown = np.concatenate((self._track, position[-1:][np.isfinite(position[-1:]).all(axis=1)]))
-        out.append((self._views[TRACK_TOPIC], times[-1], track_message(times[-1], shown)))
+        out.append((self._views[TRACK_TOPIC], times[-1], encode_track_message(times[-1], shown)))
 
     def _drawn_pose(self, rows: NDArray[np.float64], prefix: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return position and attitude for the 3-D view; an unknown truth is replaced by the estimate."""
@@ -421,7 +421,7 @@ class FlightRecorder:
     attachments : mapping, optional
         Texts to attach, ``{"mission.toml": ..., "vehicle.toml": ...}``.
     scene_view : mapping, optional
-        Keyword arguments of :func:`mufly.flight.record.recorder.scene_message`.
+        Keyword arguments of :func:`mufly.flight.record.recorder.encode_scene_message`.
     start_time_ns : int, optional
         Wall time of the instant 0 (ns since 1970); default the present time.
     keep : bool

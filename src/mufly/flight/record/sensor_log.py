@@ -62,7 +62,7 @@ class ReadingLog:
 
     def plot(self) -> Figure:
         """Draw the readings; returns a matplotlib figure."""
-        return enable_notebook_display(draw_sensors({self.name: self}))
+        return enable_notebook_display(draw_sensor_readings({self.name: self}))
 
     def component_labels(self) -> Sequence[str]:
         """Return the names of the reading's components, such as x, y, z."""
@@ -190,7 +190,7 @@ def fly_and_log_sensors(
     return listener.logs
 
 
-def reading_errors(log: ReadingLog) -> ReadingErrors:
+def compute_reading_errors(log: ReadingLog) -> ReadingErrors:
     """Return the errors (measured less true values) of all readings of one name."""
     error = np.array(log.value) - np.array(log.true)
     turns = [k for k, label in enumerate(log.component_labels()) if label == "heading"]
@@ -209,7 +209,7 @@ def reading_errors(log: ReadingLog) -> ReadingErrors:
     )  # fmt: skip
 
 
-def draw_sensors(logs: Mapping[str, ReadingLog]) -> Figure:
+def draw_sensor_readings(logs: Mapping[str, ReadingLog]) -> Figure:
     """Draw every reading over its measurement time, with the truth."""
     shown = [log for log in logs.values() if log.arrival_s]
     figure = Figure(figsize=(11.0, 2.0 * len(shown)), layout="constrained")

@@ -79,7 +79,7 @@ def _describe_quiet_channels(problem: OutputErrorProblem) -> list[str]:
     return said
 
 
-def estimate_notes(
+def describe_estimate_reliability(
     problem: OutputErrorProblem,
     at_bound: NDArray[np.bool_],
     coloured: bool,

@@ -325,7 +325,7 @@ def _fly_batch_closed_loop(
         _fly_closed_loop(x[b], hover, trimmed, gain, added[b], p[b], late, dt, steps, height, *one)
 
 
-def simulate_supported_flight(
+def simulate_closed_loop_flights(
     vehicle: Vehicle, support: HoverFeedback, added: Array
 ) -> tuple[_Floats, _Floats, _Floats]:  # fmt: skip
     """Simulate the whole model in closed loop, one flight for each signal.
@@ -629,7 +629,7 @@ def design_excitation(
                 progress(3 * i + step, total)
 
         size, bound_by, share = _max_safe_amplitude(vehicle, support, shape, amplitude, limits, report_progress)
-        states, inputs, voltage = simulate_supported_flight(vehicle, support, size * shape[None])
+        states, inputs, voltage = simulate_closed_loop_flights(vehicle, support, size * shape[None])
         record = _record_from_states(
             states[0], inputs[0], voltage[0], signal.time_s, outputs, f"{channel} {signal.kind}"
         )
@@ -691,7 +691,7 @@ def _max_safe_amplitude(
     low, high, low_share, binding = 0.0, top, math.inf, "as asked"
     ladder = np.geomspace(min(_MIN_AMPLITUDE_FRACTION, top), top, _MAX_AMPLITUDE_TRIALS)
     for step in (1, 2):
-        states, inputs, _ = simulate_supported_flight(vehicle, support, ladder[:, None, None] * shape[None])
+        states, inputs, _ = simulate_closed_loop_flights(vehicle, support, ladder[:, None, None] * shape[None])
         shares, names = limits.limit_usage(states, inputs)
         safe = np.all(shares <= 1.0, axis=1)
         tick(step)

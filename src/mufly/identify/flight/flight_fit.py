@@ -30,7 +30,11 @@ from mufly.identify.fit_result import (
     covariance_from_information,
     describe_undetermined_combinations,
 )
-from mufly.identify.flight.estimate_notes import describe_held_parameter_influence, estimate_notes, residual_over_noise
+from mufly.identify.flight.estimate_notes import (
+    describe_estimate_reliability,
+    describe_held_parameter_influence,
+    residual_over_noise,
+)
 from mufly.identify.flight.free_parameters import (
     HEAVE_YAW_SYMBOLS,
     ROLL_PITCH_SYMBOLS,
@@ -56,8 +60,8 @@ from mufly.identify.flight.staged_search import (
     FitMethod,
     FitProgress,
     StagedSearch,
+    hash_fit_problem,
     plan_stages,
-    problem_digest,
 )
 from mufly.identify.flight_record import (
     FLIGHT_INPUTS,
@@ -133,7 +137,7 @@ def fit_flight_records(
     voltage = _choose_voltage_source(voltage, vehicle, records)
     options: dict[str, Any] = {"part": part, "outputs": outputs, "delay_s": delay_s, "prior": prior}
     final = make_problem(vehicle, free, records, voltage=voltage, **options)
-    digest = problem_digest(final, f"{method} {voltage} {window_s} {seed} {restarts}")
+    digest = hash_fit_problem(final, f"{method} {voltage} {window_s} {seed} {restarts}")
     run = StagedSearch(final, plan_stages(final.records, method, window_s), method, seed, restarts, on_progress)
     run.use_checkpoint(checkpoint, digest)
     # The matrices are tall and thin: BLAS threads would only compete with the simulation threads.
@@ -182,7 +186,7 @@ def _make_fit_result(
     q = np.linalg.qr(linear.jacobian[:, ~at_bound])[0]
     gain = 0.5 * float(np.sum((q.T @ linear.residual_at_point) ** 2))
     rise, more = cost_rise_along_axes(linear)
-    notes = [*doubt, *estimate_notes(problem, at_bound, coloured, linear, rise)]
+    notes = [*doubt, *describe_estimate_reliability(problem, at_bound, coloured, linear, rise)]
     above = residual_over_noise(problem)
     there = gain < 10 * MIN_COST_DECREASE
     if not there:

@@ -376,7 +376,7 @@ def _noise_from_residuals(problem: OutputErrorProblem, point: FitPoint) -> list[
     return [np.sqrt([max(square[o], 1e-18) / (count[o] * keep) for o in r.output_names]) for r in problem.records]
 
 
-def problem_digest(problem: OutputErrorProblem, method: str) -> str:
+def hash_fit_problem(problem: OutputErrorProblem, method: str) -> str:
     """Return a hash of all inputs that determine the course of a fit."""
     parts: list[object] = [
         method,

@@ -21,7 +21,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, convert_write_errors
 from mufly.logs.column_map import ColumnMap
 from mufly.logs.mcap import read_events, to_json_value
 from mufly.logs.raw_log import LogWarning, RawLog, RawTable, format_wall_time
@@ -151,7 +151,7 @@ def write_rosbag2(
     store = bags.typesys.get_typestore(bags.typesys.Stores.ROS2_JAZZY)
     maker, connections = _MessageMaker(store), dict[str, Any]()
     part = path.with_name(f".{path.name}.part")  # the file in a bag has the name of the folder that it was written to
-    with report_write_errors(path, "choose another folder or free disk space"):
+    with convert_write_errors(path, "choose another folder or free disk space"):
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
         writer = bags.rosbag2.Writer(

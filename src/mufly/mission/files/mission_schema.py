@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, Strict, model_validator
 
-from mufly.files.input_files import model_error
+from mufly.files.input_files import make_validation_error
 from mufly.mission.trajectory import Trajectory, plan_pending_curve, plan_straight
 from mufly.mission.trajectory import TrajectoryLimits as TrajectoryLimits
 from mufly.world import Box, Cylinder, Room, World, make_wall
@@ -154,18 +154,22 @@ class Fence(_MissionTable):
     @model_validator(mode="after")
     def _check_geometry(self) -> Fence:
         if (self.centre_m is None) != (self.radius_m is None):
-            raise model_error("a circle needs both centre_m and radius_m", "give both")
+            raise make_validation_error("a circle needs both centre_m and radius_m", "give both")
         for name, corners in (("polygon_m", self.polygon_m), *(("keep_out_m", z) for z in self.keep_out_m)):
             if name == "polygon_m" and not corners:
                 continue
             if len(corners) < 3:
-                raise model_error(f"{name} has {len(corners)} corners", "give three or more")
+                raise make_validation_error(f"{name} has {len(corners)} corners", "give three or more")
             if _crosses_itself(corners):
-                raise model_error(f"{name} crosses itself", "give its corners in order")
+                raise make_validation_error(f"{name} crosses itself", "give its corners in order")
         if any(radius <= 0.0 for _, _, radius in self.keep_out_circles_m):
-            raise model_error("keep_out_circles_m has a radius that is not above 0", "give N, E and a radius above 0")
+            raise make_validation_error(
+                "keep_out_circles_m has a radius that is not above 0", "give N, E and a radius above 0"
+            )
         if not (self.polygon_m or self.radius_m or self.ceiling_m or self.keep_out_m or self.keep_out_circles_m):
-            raise model_error("bounds nothing", "give polygon_m, centre_m with radius_m, ceiling_m or keep_out_m")
+            raise make_validation_error(
+                "bounds nothing", "give polygon_m, centre_m with radius_m, ceiling_m or keep_out_m"
+            )
         return self
 
 

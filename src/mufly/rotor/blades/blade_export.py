@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mufly.errors import MuflyError, report_write_errors
+from mufly.errors import MuflyError, convert_write_errors
 from mufly.results import ShownBlock, make_lines_block, result, select_fields
 from mufly.rotor.blades.blade_solid import (
     TriangleSolid,
@@ -96,7 +96,7 @@ def export_blade(
     is_stl = file.suffix.lower() == ".stl"
     if is_stl and body.count_open_edges():
         raise MuflyError(f"{rotor.name}: {body.count_open_edges()} edges of the surface are open; give fewer stations")
-    with report_write_errors("--out", key=str(file)):
+    with convert_write_errors("--out", key=str(file)):
         if is_stl:
             write_stl(file, body, rotor.name)
         else:

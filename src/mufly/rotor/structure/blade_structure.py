@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from mufly.errors import InputError
-from mufly.files.input_files import model_error
+from mufly.files.input_files import make_validation_error
 from mufly.rotor.structure.materials import find_material
 from mufly.vehicle.quantity import ParameterGroup, Quantity
 
@@ -69,10 +69,10 @@ class BladeStructure(ParameterGroup):
         try:
             find_material(self.material)
         except InputError as error:
-            raise model_error(error.problem, error.remedy, "blade.structure.material") from None
+            raise make_validation_error(error.problem, error.remedy, "blade.structure.material") from None
         for key in ("hinge_radius", "flap_spring"):
             if getattr(self, key) is not None and self.root != "hinged":
-                raise model_error(
+                raise make_validation_error(
                     f"is given, but the root is {self.root}", 'set root = "hinged" or omit it',
                     f"blade.structure.{key}",
                 )  # fmt: skip

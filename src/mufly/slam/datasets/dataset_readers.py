@@ -31,7 +31,7 @@ from mufly.camera import (
     Camera,
     LivePictures,
     check_picture_size,
-    decode_picture,
+    decode_grey_picture,
     read_pictures,
 )
 from mufly.errors import InputError
@@ -220,7 +220,7 @@ def read_picture(file: Path, camera: Camera) -> NDArray[np.uint8]:
 
 def _decode_picture(data: bytes, camera: Camera, where: str) -> NDArray[np.uint8]:
     try:
-        picture = decode_picture(data)
+        picture = decode_grey_picture(data)
     except ValueError as error:
         raise InputError(where, "", f"is damaged: {error}", "take it out of the list, or give another copy") from error
     check_picture_size(camera, picture.shape, where)
