@@ -89,6 +89,29 @@ def test_a_misread_angle_and_a_wrong_height_are_noted(k):
         measured(TRUE_ANGLE, 8e-3)
 
 
+def test_a_misread_value_of_one_of_two_blades_is_named():
+    noise = np.random.default_rng(41).normal(0.0, 0.4 * DEG, 2 * X.size)
+    angle, chord = np.tile(TRUE_ANGLE, 2) + noise, np.tile(CHORD, 2)
+
+    def notes_of(chord, angle, blades=2):
+        readings = GeometryReadings(np.tile(X * RADIUS, 2), chord, angle)
+        found = rotor_from_readings(readings, radius_m=RADIUS, blades=blades, name="two")
+        return [note for note in found.notes if "check it" in note]
+
+    assert notes_of(chord, angle) == []
+    wrong, narrow = angle.copy(), chord.copy()
+    wrong[8] += 20.0 * DEG
+    narrow[3] = 1.1e-3
+    (angle_note,) = notes_of(chord, wrong)
+    assert angle_note.startswith(f"the angle of blade 2 at 0.55 R, {wrong[8] / DEG:.4g} degrees, is +")
+    (chord_note,) = notes_of(narrow, angle)
+    assert chord_note.startswith("the chord of blade 1 at 0.70 R, 1.1 mm, is -")
+    wrong[4] -= 8.0 * DEG
+    assert [note.partition(" R,")[0] for note in notes_of(narrow, wrong, blades=3)] == [
+        "the angle of reading 2 at 0.55", "the angle of reading 1 at 0.85", "the chord of reading 1 at 0.70",
+    ]  # fmt: skip
+
+
 def test_measure_command_writes_a_rotor_that_loads(tmp_path):
     def run(*words):
         done = CliRunner().invoke(app, ["rotor", "measure", "--diameter", "120mm", *map(str, words)])

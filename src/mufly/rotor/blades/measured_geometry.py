@@ -37,7 +37,9 @@ CHORD_STD_M, BLADE_ANGLE_STD_RAD = 2e-4, math.radians(1.0)
 _PLATE_ANGLE_STD_RAD = math.radians(0.5)
 _SAME_STATION_RADIUS_FRACTION = 0.01  # of the radius: readings closer than this are of one station
 _MAX_ANGLE_DISAGREEMENT_SIGMAS = 3.0  # standard deviations between protractor and caliper at the last station
-_ANGLE_OUTLIER_SIGMAS = 3.0  # standard deviations of an angle from a smooth curve through the others
+_OUTLIER_SIGMAS = 3.0  # standard deviations of a reading from a smooth curve through the others
+_MIN_OUTLIER_STATIONS = 5  # for the search of outliers
+_MIN_ODD_CHORD_DEVIATION = 0.2  # of the median chord: planforms have corners, angles do not
 
 
 MEASUREMENT_INSTRUCTIONS = (
@@ -191,7 +193,20 @@ def rotor_from_readings(
         if abs(apart) > _MAX_ANGLE_DISAGREEMENT_SIGMAS * math.sqrt(common + caliper):
             notes.append("protractor and tip height disagree; measure both again")
     std = math.sqrt(left + single / r.size)
-    notes += _describe_outliers(at / radius_m, twist, math.sqrt(s**2 / float(np.median(counts))))
+    number = np.arange(r.size) - np.repeat(starts, counts) + 1  # of a reading at its station, in the order of the file
+    blade_name = "blade" if counts.max() == blades else "reading"
+    owner = [f"{blade_name} {k}" if counts.max() > 1 else "" for k in number.tolist()]
+    for what, unit, values, deviation, least in (
+        ("angle", "degrees", np.degrees(angle), math.degrees(angle_std_rad), 0.0),
+        ("chord", "mm", 1e3 * chord, 1e3 * chord_std_m, _MIN_ODD_CHORD_DEVIATION * 1e3 * float(np.median(chord))),
+    ):
+        for k, off in _find_outliers(r / radius_m, values, deviation):
+            if abs(off) > least:
+                of = f" of {owner[k]}" if owner[k] else ""
+                notes.append(
+                    f"the {what}{of} at {r[k] / radius_m:.2f} R, {values[k]:.4g} {unit}, is {off:+.1f} {unit} off its "
+                    "neighbours; check it"
+                )
     x = np.append(at / radius_m, 1.0) if at[-1] < radius_m * (1.0 - 1e-6) else at / radius_m
     x[-1] = 1.0
     held = (np.append(v, v[-1]) if x.size > at.size else v for v in (width, twist))
@@ -222,17 +237,28 @@ def rotor_from_readings(
                             tuple(notes))  # fmt: skip
 
 
-def _describe_outliers(x: Array, angle: Array, std: float) -> list[str]:
-    """Return a note for each angle that lies off the parabola through the other stations."""
-    notes = []
-    for k in range(x.size) if x.size >= 5 else ():
-        others = np.delete(np.arange(x.size), k)
-        basis = np.polynomial.polynomial.polyvander(x - x[k], 2)
-        inverse = np.linalg.inv(basis[others].T @ basis[others])
-        off = float(angle[k] - (inverse @ basis[others].T @ angle[others])[0])
-        if abs(off) > _ANGLE_OUTLIER_SIGMAS * std * math.sqrt(1.0 + inverse[0, 0]):
-            notes.append(f"the angle at {x[k]:.2f} R is {math.degrees(off):+.1f} degrees off its neighbours; check it")
-    return notes
+def _find_outliers(x: Array, values: Array, std: float) -> list[tuple[int, float]]:
+    """Return index and deviation of each reading that lies off the parabola through the others, the farthest first.
+
+    The standard deviation of the others is that of a reading or, if greater, their own about the parabola.
+    """
+    left, found = np.arange(x.size), list[tuple[int, float]]()
+    while np.unique(np.round(x[left], 2)).size >= _MIN_OUTLIER_STATIONS and len(found) < x.size // 3:
+        ratios, offs = np.zeros(left.size), np.zeros(left.size)
+        for i, k in enumerate(left):
+            others = np.delete(left, i)
+            basis = np.polynomial.polynomial.polyvander(x[others] - x[k], 2)
+            inverse = np.linalg.inv(basis.T @ basis)
+            curve = inverse @ basis.T @ values[others]
+            own = float(np.sum((values[others] - basis @ curve) ** 2)) / (others.size - 3)
+            offs[i] = values[k] - curve[0]
+            ratios[i] = abs(offs[i]) / math.sqrt(max(std**2, own) * (1.0 + inverse[0, 0]))
+        i = int(np.argmax(ratios))
+        if ratios[i] <= _OUTLIER_SIGMAS:
+            break
+        found.append((int(left[i]), float(offs[i])))
+        left = np.delete(left, i)
+    return found
 
 
 def make_blank_reading_table(radius_m: float, stated_pitch_m: float | None = None) -> str:
