@@ -12,7 +12,7 @@ from mufly.camera.live_pictures import PictureClock
 from mufly.cfd.openfoam_case import TURBULENCE_MODELS
 from mufly.cfd.sector_mesh import MESH_LEVELS
 from mufly.cli import coax, fly, log, monte_carlo, options, rotor
-from mufly.cli.aero import bench_series, cfd, measured_rotors
+from mufly.cli.aero import bench_series, cfd, interval_options, measured_rotors
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import link, slam
 from mufly.identify.flight.output_error_problem import DynamicsPart
@@ -46,7 +46,7 @@ CASES: list[tuple[Any, str, Iterable[str]]] = [
     (options.PolarOptions, "engine", get_args(PolarEngine)),
     (options.TheoryOptions, "method", SOLVERS),
     (rotor.HoverOptions, "method", (*SOLVERS, "cfd")),
-    (rotor.hover, "section", SECTION_KNOWLEDGE_LEVELS),
+    (interval_options.IntervalOptions, "section", SECTION_KNOWLEDGE_LEVELS),
     (measured_rotors.fit, "section", set(SECTION_KNOWLEDGE_LEVELS) - {"measured"}),  # what a fit writes
     (slam.render, "layout", WRITABLE_DATASET_LAYOUTS),
     (slam.run, "clock", get_args(PictureClock)),
