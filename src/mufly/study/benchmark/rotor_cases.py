@@ -417,8 +417,8 @@ def _find_apc_file(folder: Path, name: str, diameter_m: float, left_out: list[st
         if parts is not None and f"{parts[1]}x{parts[2]}" == digits:
             found[parts[3].lower()] = file
     own = _APC_SERIES_SUFFIX.get(series, "")
-    file = found.get(own) or found.get("")
-    if file is None:
+    chosen = found.get(own) or found.get("")
+    if chosen is None:
         left_out += [f"{f.name}: is of another series than {name} and was not used" for f in found.values()]
         return None
     rivals = set()
@@ -428,15 +428,15 @@ def _find_apc_file(folder: Path, name: str, diameter_m: float, left_out: list[st
         if parts is not None and parts[2].replace(".", "") == digits and (own or not suffixed):
             rivals.add(other.name.removesuffix("_geom.txt"))
     rivals.discard(re.sub(r"_\db$", "", name))
-    if rivals and (file is not found.get(own) or not own):
-        left_out.append(f"{file.name}: fits {name} and {', '.join(sorted(rivals))}; rename it {name}.PE0 to use it")
+    if rivals and (chosen is not found.get(own) or not own):
+        left_out.append(f"{chosen.name}: fits {name} and {', '.join(sorted(rivals))}; rename it {name}.PE0 to use it")
         return None
-    radius = import_rotor(file, name=name).rotor.radius_m
+    radius = import_rotor(chosen, name=name).rotor.radius_m
     if abs(2.0 * radius / diameter_m - 1.0) > _MAX_APC_RADIUS_DIFFERENCE_RATIO:
-        left_out.append(f"{file.name}: has a radius of {1e3 * radius:.1f} mm, {name} of {500 * diameter_m:.1f} mm")
+        left_out.append(f"{chosen.name}: has a radius of {1e3 * radius:.1f} mm, {name} of {500 * diameter_m:.1f} mm")
         return None
-    left_out.append(f"{name}: geometry from {file.name}, by its size")
-    return file
+    left_out.append(f"{name}: geometry from {chosen.name}, by its size")
+    return chosen
 
 
 _MEASUREMENT_FIELDS = ("pitch_rad", "speed_rad_s", "thrust_N", "torque_Nm")
